@@ -1,0 +1,131 @@
+// Posed photographs: one structure, whatever the files' layout was.
+//
+// Readers (blender.c: NeRF-synthetic transforms_*.json; multiscale.c: metadata.json; native.c:
+// the dataset.json that import writes) fill a struct rn_dataset. Names come from the JSON, never
+// from globbing. No pixel is decoded here: only image headers are read.
+#ifndef RN_COMMON_DATASET_DATASET_H
+#define RN_COMMON_DATASET_DATASET_H
+
+#include <stddef.h>
+
+#include "common/base/status.h"
+#include "common/image/image.h"
+#include "common/math/camera.h"
+
+enum rn_split { RN_SPLIT_TRAIN, RN_SPLIT_VAL, RN_SPLIT_TEST, RN_SPLIT_COUNT };
+const char *rn_split_name(enum rn_split split); // "train", "val", "test"
+
+enum rn_layout { RN_LAYOUT_BLENDER, RN_LAYOUT_MULTISCALE, RN_LAYOUT_NATIVE };
+
+// One image file. A view photographed once and kept at several scales has one frame a scale.
+struct rn_frame {
+    char *name;             // e.g. "r_12": the JSON's file name without folder and extension
+    char *path;             // absolute or relative to the working directory; readable
+    enum rn_split split;
+    int index;              // zero-based among the views of its split, in the JSON's order
+    int scale;              // 0 = full size, j = downsampled 2^j times
+    double loss_weight;     // area weight of a pixel's loss: 4^scale (1 on single-scale data)
+    bool has_alpha;         // by the file's header
+    struct rn_camera camera;
+};
+
+enum rn_bounds_source { RN_BOUNDS_GIVEN, RN_BOUNDS_LAYOUT, RN_BOUNDS_CAMERAS };
+
+// The sphere that holds the scene, dataset units.
+struct rn_bounds {
+    double centre[3];
+    double radius; // > 0
+    enum rn_bounds_source source;
+};
+
+// Thread-safety: immutable once read. Owner: whoever read it; rn_dataset_destroy.
+struct rn_dataset {
+    char *name;
+    enum rn_layout layout;
+    struct rn_frame *frames; // ordered by split, index, scale
+    size_t frame_count;
+    int view_count[RN_SPLIT_COUNT]; // views (not frames) per split
+    int scale_count;                // frames per view
+    struct rn_bounds bounds;
+    bool premultiplied_scales; // false: made by the legacy (straight, truncating) converter
+};
+
+// Problems found on the way, each with file and field: what `validate` prints.
+enum rn_severity { RN_SEVERITY_INFO, RN_SEVERITY_WARNING, RN_SEVERITY_ERROR };
+struct rn_problem {
+    enum rn_severity severity;
+    char where[256];
+    char text[384];
+};
+// Bounded list; further problems are only counted. Zero-initialise; rn_problems_finish frees.
+struct rn_problems {
+    struct rn_problem *items;
+    size_t count, capacity, dropped;
+    size_t errors, warnings; // of all, dropped ones included
+};
+void rn_problems_add(struct rn_problems *problems, enum rn_severity severity, const char *where,
+                     const char *fmt, ...) RN_PRINTF(4, 5);
+void rn_problems_finish(struct rn_problems *problems);
+
+// Reads a dataset folder, detecting its layout. Frames whose image is missing, unreadable or of
+// another size than the JSON says are left out, each with an error in `problems` (optional).
+// RN_ERROR_INVALID when nothing usable is left or the JSON itself is bad.
+enum rn_status rn_dataset_read(const char *folder, struct rn_problems *problems,
+                               struct rn_dataset **ret_dataset, struct rn_error *err) RN_MUST_CHECK;
+void rn_dataset_destroy(struct rn_dataset **dataset);
+
+// First frame of (split, index, scale) or NULL. O(log n).
+const struct rn_frame *rn_dataset_frame(const struct rn_dataset *dataset, enum rn_split split,
+                                        int index, int scale);
+// Resolves "test:12" (zero-based index) or "test:r_12" (name) at a scale.
+enum rn_status rn_dataset_find_view(const struct rn_dataset *dataset, const char *view, int scale,
+                                    const struct rn_frame **ret_frame,
+                                    struct rn_error *err) RN_MUST_CHECK;
+
+// What `validate` reports beside the problems.
+struct rn_dataset_report {
+    int usable[RN_SPLIT_COUNT], unusable[RN_SPLIT_COUNT]; // images
+    int scale_count;
+    double footprint_min, footprint_max; // pixel cone radius at the bounds' centre, dataset units
+    double camera_distance_min, camera_distance_max; // to the bounds' centre
+    double looking_at_bounds;                        // share of cameras whose axis meets the sphere
+    int with_alpha;                                  // images whose header has alpha
+    int width_min, width_max, height_min, height_max;
+};
+void rn_dataset_describe(const struct rn_dataset *dataset, const struct rn_problems *problems,
+                         struct rn_dataset_report *ret_report);
+
+// Import: decode, scale and write a native dataset (dataset.json and images/*.png) into the empty
+// folder `target`, dataset.json last and atomically. `progress` may be NULL; returning false
+// from it cancels (RN_ERROR_CANCELLED).
+struct rn_import_options {
+    int max_size;                // longest side in pixels, 0 = as is
+    int scales;                  // >= 1: how many scales to make; 1 keeps the dataset's own
+    enum rn_downscale downscale; // premultiplied or the legacy straight mode
+    int test_every;              // > 0: when there is no test split, every n-th training view
+    bool bounds_given;
+    struct rn_bounds bounds;
+    int threads; // >= 1
+};
+enum rn_status rn_dataset_import(const struct rn_dataset *source, const char *name,
+                                 const struct rn_import_options *options, const char *target,
+                                 bool (*progress)(void *context, size_t done, size_t total),
+                                 void *context, struct rn_error *err) RN_MUST_CHECK;
+
+// Procedural scenes with known truth ("sphere", "fence", "nested"): analytic intersection, many
+// samples a pixel. Writes the NeRF-synthetic layout: transforms_{train,val,test}.json, PNGs.
+struct rn_synth_options {
+    int size;    // image side, pixels
+    int views;   // training views; validation and test get max(8, views / 4) each
+    int threads; // >= 1
+    int samples; // per pixel, a square number; 0 = 64
+};
+enum rn_status rn_synthesise(const char *scene, const struct rn_synth_options *options,
+                             const char *target,
+                             bool (*progress)(void *context, size_t done, size_t total),
+                             void *context, struct rn_error *err) RN_MUST_CHECK;
+// The truth at any camera: straight-alpha rgba, `samples` per pixel. Used by tests and benches.
+enum rn_status rn_synth_render(const char *scene, const struct rn_camera *camera, int samples,
+                               struct rn_picture *ret_rgba, struct rn_error *err) RN_MUST_CHECK;
+
+#endif

@@ -1,0 +1,93 @@
+// Pictures in memory, and their files.
+#ifndef RN_COMMON_IMAGE_IMAGE_H
+#define RN_COMMON_IMAGE_IMAGE_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+#include "common/base/status.h"
+
+// 8-bit RGBA with straight (not premultiplied) alpha, rows top to bottom, no padding.
+// Thread-safety: one writer or many readers.
+struct rn_image {
+    int width, height;
+    bool has_alpha;  // false: the file had no alpha; every alpha byte is 255
+    uint8_t *pixels; // width * height * 4, owned
+};
+
+// fp32 planes of a rendered picture, interleaved, rows top to bottom.
+struct rn_picture {
+    int width, height;
+    int channels;  // 3 = rgb, 1 = depth or alpha, 4 = rgba (straight alpha)
+    float *values; // width * height * channels, owned
+};
+
+// Limits that hold before anything is decoded.
+struct rn_image_limits {
+    int max_width, max_height; // pixels
+    size_t max_pixels;
+    size_t max_file_bytes;
+};
+extern const struct rn_image_limits rn_image_default_limits; // 16384, 16384, 2^27, 2^30
+
+void rn_image_finish(struct rn_image *image);     // frees, zeroes; NULL-safe pixels
+void rn_picture_finish(struct rn_picture *picture);
+enum rn_status rn_image_init(int width, int height, struct rn_image *ret_image,
+                             struct rn_error *err) RN_MUST_CHECK;
+enum rn_status rn_picture_init(int width, int height, int channels, struct rn_picture *ret_picture,
+                               struct rn_error *err) RN_MUST_CHECK;
+
+struct rn_image_info {
+    int width, height;
+    int bit_depth;  // of the file
+    bool has_alpha; // alpha channel or transparency chunk
+};
+// Reads a PNG or JPEG header only. Errors name the file.
+enum rn_status rn_image_probe(const char *path, const struct rn_image_limits *limits,
+                              struct rn_image_info *ret_info, struct rn_error *err) RN_MUST_CHECK;
+// Decodes PNG (any colour type, depth, interlace) or JPEG (grey, YCbCr; CMYK is refused) to RGBA8.
+enum rn_status rn_image_read(const char *path, const struct rn_image_limits *limits,
+                             struct rn_image *ret_image, struct rn_error *err) RN_MUST_CHECK;
+enum rn_status rn_image_decode(const void *bytes, size_t size_bytes, const char *where,
+                               const struct rn_image_limits *limits, struct rn_image *ret_image,
+                               struct rn_error *err) RN_MUST_CHECK;
+
+// Encoders: *ret_bytes is malloc'd and owned by the caller. level: zlib 0..9 / JPEG 1..100.
+enum rn_status rn_image_encode_png(const struct rn_image *image, int level, uint8_t **ret_bytes,
+                                   size_t *ret_size, struct rn_error *err) RN_MUST_CHECK;
+enum rn_status rn_image_encode_jpeg(const struct rn_image *image, int quality, uint8_t **ret_bytes,
+                                    size_t *ret_size, struct rn_error *err) RN_MUST_CHECK;
+// 16-bit grey PNG, used for depth: value = round(clamp(v / scale, 0, 1) * 65535), and a tEXt chunk
+// "ripnerf:depth_scale" with `scale` in dataset units.
+enum rn_status rn_picture_encode_depth_png(const struct rn_picture *depth, float scale, int level,
+                                           uint8_t **ret_bytes, size_t *ret_size,
+                                           struct rn_error *err) RN_MUST_CHECK;
+// Writes a temporary file beside `path`, fsyncs, renames.
+enum rn_status rn_image_write_png(const struct rn_image *image, const char *path, int level,
+                                  struct rn_error *err) RN_MUST_CHECK;
+
+// fp32 -> 8 bit: clamp to [0,1], round half up (value * 255 + 0.5). rgb gets alpha 255; one
+// channel becomes grey; rgba keeps its alpha. Non-finite values become 0.
+enum rn_status rn_picture_to_image(const struct rn_picture *picture, struct rn_image *ret_image,
+                                   struct rn_error *err) RN_MUST_CHECK;
+// 8 bit -> fp32 rgb over a background: rgb * a + (1 - a) * background, all in [0,1].
+enum rn_status rn_image_composite(const struct rn_image *image, const float background[3],
+                                  struct rn_picture *ret_picture, struct rn_error *err)
+    RN_MUST_CHECK;
+
+enum rn_downscale {
+    RN_DOWNSCALE_PREMULTIPLIED, // mean of premultiplied colour, rounded (the default)
+    RN_DOWNSCALE_STRAIGHT,      // the published benchmark's: mean of straight RGBA, truncated
+};
+// Area-averages to exactly width x height (each <= the source's). Equal sizes copy.
+enum rn_status rn_image_downscale(const struct rn_image *image, int width, int height,
+                                  enum rn_downscale mode, struct rn_image *ret_image,
+                                  struct rn_error *err) RN_MUST_CHECK;
+// The published multi-scale converter, bit for bit: `levels` images; level 0 is the source, each
+// next a float32 2x2 box mean of the *unrounded* previous one, stored as truncation of v*255.
+// Sizes must be divisible by 2^(levels-1), else RN_ERROR_INVALID. ret_levels has `levels` slots.
+enum rn_status rn_image_legacy_pyramid(const struct rn_image *image, int levels,
+                                       struct rn_image *ret_levels, struct rn_error *err)
+    RN_MUST_CHECK;
+
+#endif
