@@ -1,0 +1,92 @@
+// What is trained and how: plain values, fixed by a preset, overridden by flags, recorded in every
+// checkpoint.
+#ifndef RN_SERVER_ENGINE_CONFIG_H
+#define RN_SERVER_ENGINE_CONFIG_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+#include "common/base/status.h"
+
+#define RN_MAX_PLANES 16
+#define RN_MAX_LEVELS 10
+
+enum rn_orientation { // where the planes' normals come from
+    RN_ORIENTATION_PLATONIC, // 3, 4, 6, 10: vertices of the dual solid, antipodes merged
+    RN_ORIENTATION_GOLDEN,   // golden spiral
+    RN_ORIENTATION_BLUE,     // blue noise on the sphere
+    RN_ORIENTATION_WHITE,    // white noise, the control
+};
+
+enum rn_footprint {
+    RN_FOOTPRINT_RIP,   // anisotropic: one level per axis (paper, section 3.3)
+    RN_FOOTPRINT_MIP,   // isotropic: one level from the ball's radius; 3 planes = Tri-MipRF
+    RN_FOOTPRINT_POINT, // no levels
+};
+
+enum rn_shading {
+    RN_SHADING_SAMPLE, // the paper: a colour network for every sample
+    RN_SHADING_RAY,    // diffuse colour a sample, one view-dependent network a ray
+};
+
+struct rn_field_config {
+    int planes; // 3, 4, 6, 10 (platonic), 1..RN_MAX_PLANES otherwise
+    enum rn_orientation orientation;
+    int base;     // side of each plane's base grid, texels, 2..4096
+    int channels; // per texel: 4, 8 or 16
+    int levels;   // per axis, 1..RN_MAX_LEVELS
+    enum rn_footprint footprint;
+    enum rn_shading shading;
+    int width;         // of every hidden layer, a multiple of 16
+    int base_layers;   // hidden layers of the density network
+    int head_layers;   // hidden layers of the colour network
+    bool view_dependence; // false: the colour network does not see the direction
+    int occupancy;     // cells a side, a power of two, 16..256
+};
+
+struct rn_train_config {
+    char preset[16];
+    struct rn_field_config field;
+    double step;            // marching step, in scene radii (the paper: 2 sqrt(3)/1024)
+    int target_samples;     // samples a step that the dynamic ray batch aims at
+    int initial_rays;
+    double learning_rate;   // networks
+    double plane_rate;      // factor on the learning rate for the planes
+    double weight_decay;    // decoupled
+    double adam_eps;
+    int64_t max_steps;      // 0: no limit
+    double max_seconds;     // 0: no limit
+    double until_psnr;      // 0: no limit
+    bool carve;             // occupancy from the images' alpha before the first step
+    bool roulette;          // unbiased: samples of tiny weight dropped or reweighted
+    bool sparse;            // optimiser visits touched texels only
+    bool grow;              // planes grow from coarse to fine
+    double stop;            // early stop: transmittance below which a ray ends
+    uint64_t seed;
+    bool train_val;         // train on train+val
+    float background[3];    // white unless the scene says otherwise
+};
+
+// "draft", "standard", "paper". `multi_scale` says whether the dataset has several scales (the
+// defaults were measured apart). RN_ERROR_INVALID for an unknown name.
+enum rn_status rn_preset(const char *name, bool multi_scale, struct rn_train_config *ret_config,
+                         struct rn_error *err) RN_MUST_CHECK;
+// Every value in its range and consistent with the others; errors name the option.
+enum rn_status rn_train_config_check(const struct rn_train_config *config,
+                                     struct rn_error *err) RN_MUST_CHECK;
+
+// One line for each thing in which `config` differs from the paper, for `show`.
+struct rn_difference {
+    const char *what;     // "3 planes instead of 10"
+    const char *measured; // the gain as measured, with where: "+1.2 dB at 60 s (lego 400)"; may be ""
+};
+// Fills at most `capacity` items and returns how many there are.
+int rn_train_config_differences(const struct rn_train_config *config, struct rn_difference *items,
+                                int capacity);
+
+const char *rn_footprint_name(enum rn_footprint footprint);       // "rip", "mip", "point"
+const char *rn_orientation_name(enum rn_orientation orientation); // "platonic", ...
+enum rn_status rn_footprint_parse(const char *name, enum rn_footprint *ret) RN_MUST_CHECK;
+enum rn_status rn_orientation_parse(const char *name, enum rn_orientation *ret) RN_MUST_CHECK;
+
+#endif

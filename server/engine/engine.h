@@ -1,0 +1,178 @@
+// The engine: a radiance field on one device. What the runner drives; no HTTP, no JSON, no
+// policy about when to train or render.
+//
+// One thread calls into an engine and everything made from it (the engine has its own worker
+// threads inside). Work is cut into blocks of a few milliseconds: rn_trainer_advance and
+// rn_trainer_validate return after `budget_ms`, so that the caller can render or cancel between.
+#ifndef RN_SERVER_ENGINE_ENGINE_H
+#define RN_SERVER_ENGINE_ENGINE_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+#include "common/base/status.h"
+#include "common/dataset/dataset.h"
+#include "common/image/image.h"
+#include "common/math/camera.h"
+#include "server/engine/config.h"
+
+struct rn_engine;  // a device: worker threads, kernel set
+struct rn_field;   // parameters and occupancy of one scene, enough to render
+struct rn_trainer; // a field, its optimiser, the training pixels
+
+// ---- device ---------------------------------------------------------------------------------
+
+struct rn_engine_options {
+    const char *device;  // "auto", "cpu", "cuda:0"; NULL = "auto"
+    const char *kernels; // "auto" (timed), "scalar", "avx2", "avx512", ...; NULL = "auto"
+    int threads;         // 0 = all cores this process may use
+};
+struct rn_device_info {
+    char device[16];  // "cpu"
+    char name[128];   // CPU model
+    char kernels[32]; // the kernel set in use
+    char available[128]; // comma separated kernel sets this machine can run
+    int threads;
+};
+enum rn_status rn_engine_create(const struct rn_engine_options *options,
+                                struct rn_engine **ret_engine, struct rn_error *err) RN_MUST_CHECK;
+void rn_engine_destroy(struct rn_engine **engine);
+void rn_engine_describe(const struct rn_engine *engine, struct rn_device_info *ret_info);
+
+// ---- effects --------------------------------------------------------------------------------
+
+// What a scene calls for. An effect that is off is not computed.
+enum rn_effect {
+    RN_EFFECT_BACKGROUND,
+    RN_EFFECT_SCALE_PYRAMID,
+    RN_EFFECT_ANISOTROPY,
+    RN_EFFECT_VIEW_DEPENDENCE,
+    RN_EFFECT_COUNT
+};
+struct rn_effect_record {
+    const char *name;  // "background", "scale-pyramid", "anisotropy", "view-dependence"
+    bool on;
+    bool decided;      // false: measured later in training (view dependence)
+    double number;     // the evidence
+    double threshold;  // what the number is compared with
+    char reason[160];  // one sentence with the number and its unit
+};
+
+// ---- training -------------------------------------------------------------------------------
+
+#define RN_PROGRESS_LEVELS 16
+struct rn_progress {
+    int64_t step;
+    double train_seconds;    // the --max-time clock
+    double load_seconds;     // decoding, before the clock starts
+    double evaluate_seconds; // held-out evaluation, not on the clock
+    double loss;             // of the last step
+    double rays_per_second, samples_per_second; // over the last second or so
+    uint64_t samples;        // field evaluations that entered the loss, total
+    uint64_t rays;
+    uint64_t level_samples[RN_PROGRESS_LEVELS]; // per ripmap level (the larger of the two axes)
+    double psnr;             // latest held-out figure, dB; NAN before the first
+    int64_t psnr_step;
+    uint64_t nonfinite_rays, steps_rejected, rollbacks;
+    double eta_seconds;      // on the clock, NAN when unknown
+    double fraction;         // 0..1 of the binding limit, NAN when there is no limit
+    bool done;               // a limit is reached: nothing left to train
+};
+
+// Decodes the training and held-out pixels, detects effects, carves, initialises. Memory is
+// computed first: RN_ERROR_LIMIT says what is needed when it exceeds `memory_limit_bytes` (0 = no
+// limit). `dataset` must outlive the trainer.
+enum rn_status rn_trainer_create(struct rn_engine *engine, const struct rn_dataset *dataset,
+                                 const struct rn_train_config *config, size_t memory_limit_bytes,
+                                 struct rn_trainer **ret_trainer,
+                                 struct rn_error *err) RN_MUST_CHECK;
+// Continues from a checkpoint: the same bytes as a run that was never interrupted. The kernel set
+// is the checkpoint's (RN_ERROR_UNSUPPORTED when this machine lacks it).
+enum rn_status rn_trainer_restore(struct rn_engine *engine, const struct rn_dataset *dataset,
+                                  const char *checkpoint_path, size_t memory_limit_bytes,
+                                  struct rn_trainer **ret_trainer,
+                                  struct rn_error *err) RN_MUST_CHECK;
+void rn_trainer_destroy(struct rn_trainer **trainer);
+
+// Trains for about `budget_ms` (at least one block), or until a limit is reached.
+// RN_ERROR_NUMERIC: diverged beyond recovery; the last good state stays readable.
+enum rn_status rn_trainer_advance(struct rn_trainer *trainer, double budget_ms,
+                                  struct rn_error *err) RN_MUST_CHECK;
+// Held-out PSNR, cut into blocks like training; changes no training state. *ret_done when a
+// whole round over the held-out views is finished and progress.psnr is new.
+enum rn_status rn_trainer_validate(struct rn_trainer *trainer, double budget_ms, bool *ret_done,
+                                   struct rn_error *err) RN_MUST_CHECK;
+void rn_trainer_progress(const struct rn_trainer *trainer, struct rn_progress *ret_progress);
+// One sentence: which views are held out ("8 of 100 validation views", ...).
+const char *rn_trainer_held_out(const struct rn_trainer *trainer);
+const struct rn_train_config *rn_trainer_config(const struct rn_trainer *trainer);
+// The field as of the last completed update; valid until the next advance.
+struct rn_field *rn_trainer_field(struct rn_trainer *trainer);
+// Completes the step under way, then writes a checkpoint atomically (temporary, fsync, rename).
+enum rn_status rn_trainer_save(struct rn_trainer *trainer, const char *path,
+                               struct rn_error *err) RN_MUST_CHECK;
+
+// ---- fields ---------------------------------------------------------------------------------
+
+// Loads what rendering needs from a checkpoint. Non-finite parameters are refused as corrupt.
+enum rn_status rn_field_load(struct rn_engine *engine, const char *checkpoint_path,
+                             struct rn_field **ret_field, struct rn_error *err) RN_MUST_CHECK;
+void rn_field_destroy(struct rn_field **field); // only for fields from rn_field_load
+
+struct rn_field_info {
+    struct rn_train_config config;
+    struct rn_bounds bounds;
+    int64_t steps;
+    double train_seconds;
+    double psnr; // last held-out figure, NAN if none
+    size_t memory_bytes;
+    size_t parameter_count;
+    struct rn_effect_record effects[RN_EFFECT_COUNT];
+    char kernels[32];
+};
+void rn_field_describe(const struct rn_field *field, struct rn_field_info *ret_info);
+// SHA-256 of the parameters: fp32 little endian, [plane][v][u][channel], then the networks
+// (density, then colour; each layer row-major [input][output]).
+void rn_field_sha256(const struct rn_field *field, char ret_hex[65]);
+
+// ---- rendering ------------------------------------------------------------------------------
+
+enum rn_output { RN_OUTPUT_RGB = 1, RN_OUTPUT_DEPTH = 2, RN_OUTPUT_ALPHA = 4 };
+
+// All that decides a picture: two requests with equal fields give equal pixels.
+struct rn_render_options {
+    struct rn_camera camera; // dataset coordinates
+    unsigned outputs;        // RN_OUTPUT_* ORed
+    float background[3];
+    double step;       // marching step in scene radii; 0 = as trained
+    double stop;       // early-stop transmittance; 0 = as trained
+    int subsample;     // render every n-th pixel each way and enlarge; 1 = full
+};
+struct rn_render_stats {
+    double render_ms;
+    uint64_t rays, samples; // samples: field evaluations
+};
+struct rn_render_result {
+    struct rn_picture rgb, depth, alpha; // those asked for; the others are zero
+    struct rn_render_stats stats;
+};
+// Renders in tiles. `keep_going` (may be NULL) is polled between tiles; false stops with
+// RN_ERROR_CANCELLED. Depth is the distance along the ray over opacity, dataset units, 0 where
+// nothing was hit. Every value written is finite.
+enum rn_status rn_render(struct rn_engine *engine, struct rn_field *field,
+                         const struct rn_render_options *options,
+                         bool (*keep_going)(void *context), void *context,
+                         struct rn_render_result *ret_result, struct rn_error *err) RN_MUST_CHECK;
+void rn_render_result_finish(struct rn_render_result *result);
+
+// One view against its photograph, composited over the options' background.
+struct rn_view_score {
+    double psnr, ssim, render_ms;
+};
+enum rn_status rn_evaluate_view(struct rn_engine *engine, struct rn_field *field,
+                                const struct rn_frame *frame, const float background[3],
+                                bool (*keep_going)(void *context), void *context,
+                                struct rn_view_score *ret_score,
+                                struct rn_error *err) RN_MUST_CHECK;
+
+#endif
