@@ -1,0 +1,47 @@
+#include "common/base/log.h"
+
+#include <errno.h>
+#include <stdatomic.h>
+#include <stdio.h>
+#include <time.h>
+#include <unistd.h>
+
+#include "common/base/clock.h"
+
+#define MAX_TEXT 1000
+
+static const char *const level_names[] = {"error", "warn", "info", "debug"};
+static atomic_int least_urgent = RN_LOG_INFO;
+
+void rn_log_set_level(enum rn_log_level level) {
+    atomic_store(&least_urgent, (int)level);
+}
+
+static size_t format_prefix(char *line, size_t capacity, enum rn_log_level level) {
+    int64_t now_ms = rn_clock_wall_ms();
+    time_t seconds = (time_t)(now_ms / 1000);
+    struct tm utc = {0};
+    gmtime_r(&seconds, &utc);
+    size_t size = strftime(line, capacity, "%Y-%m-%dT%H:%M:%S", &utc);
+    int more = snprintf(line + size, capacity - size, ".%03dZ %s ", (int)(now_ms % 1000),
+                        level_names[level]);
+    return size + (size_t)more;
+}
+
+void rn_log(enum rn_log_level level, const char *fmt, ...) {
+    if ((int)level > atomic_load(&least_urgent)) return;
+    int kept_errno = errno;
+    char line[64 + MAX_TEXT + 1];
+    size_t prefix = format_prefix(line, 64, level);
+    va_list args;
+    va_start(args, fmt);
+    int length = vsnprintf(line + prefix, MAX_TEXT, fmt, args);
+    va_end(args);
+    size_t size = prefix + (length < 0 ? 0 : length < MAX_TEXT ? (size_t)length : MAX_TEXT - 1);
+    for (size_t i = prefix; i < size; i++)
+        if ((unsigned char)line[i] < 0x20 || line[i] == 0x7f) line[i] = '?';
+    line[size++] = '\n';
+    ssize_t put = write(STDERR_FILENO, line, size);
+    (void)put; // a log that cannot be written has nowhere to complain
+    errno = kept_errno;
+}

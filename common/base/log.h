@@ -1,0 +1,17 @@
+// The log: one line an event on stderr.
+#ifndef RN_COMMON_BASE_LOG_H
+#define RN_COMMON_BASE_LOG_H
+
+#include "common/base/status.h"
+
+enum rn_log_level { RN_LOG_ERROR, RN_LOG_WARN, RN_LOG_INFO, RN_LOG_DEBUG };
+
+// Writes "2026-01-31T12:00:00.123Z info text\n" in one write(2), so that lines of several threads
+// and processes do not mix. Control characters in the text become '?'; texts are cut at 1000
+// bytes. Keeps errno. Thread-safe, not for signal handlers.
+void rn_log(enum rn_log_level level, const char *fmt, ...) RN_PRINTF(2, 3);
+
+// Drops what is less urgent than `level`; RN_LOG_INFO at the start. Thread-safe.
+void rn_log_set_level(enum rn_log_level level);
+
+#endif

@@ -1,0 +1,35 @@
+#include "common/base/threads.h"
+
+#include <pthread.h>
+#include <stdatomic.h>
+
+#define MAX_THREADS 256
+
+struct loop {
+    void (*work)(void *context, size_t index);
+    void *context;
+    size_t count;
+    atomic_size_t next;
+};
+
+static void *run(void *argument) {
+    struct loop *loop = argument;
+    size_t index;
+    while ((index = atomic_fetch_add(&loop->next, 1)) < loop->count)
+        loop->work(loop->context, index);
+    return NULL;
+}
+
+void rn_parallel_for(int threads, size_t count, void (*work)(void *context, size_t index),
+                     void *context) {
+    struct loop loop = {.work = work, .context = context, .count = count};
+    pthread_t helpers[MAX_THREADS];
+    size_t wanted = threads > MAX_THREADS ? MAX_THREADS : threads > 1 ? (size_t)threads : 1;
+    if (wanted > count) wanted = count;
+    size_t started = 0;
+    while (started + 1 < wanted && pthread_create(&helpers[started], NULL, run, &loop) == 0)
+        started++;
+    run(&loop);
+    for (size_t i = 0; i < started; i++)
+        pthread_join(helpers[i], NULL);
+}

@@ -1,0 +1,129 @@
+#include "common/math/camera.h"
+
+#include <stdio.h>
+
+#define MAX_POSE_ERROR 1e-3
+
+struct rn_camera rn_camera_resized(const struct rn_camera *camera, int width, int height) {
+    struct rn_camera out = *camera;
+    double sx = (double)width / camera->width, sy = (double)height / camera->height;
+    out.width = width;
+    out.height = height;
+    out.fx *= sx;
+    out.cx *= sx;
+    out.fy *= sy;
+    out.cy *= sy;
+    return out;
+}
+
+static enum rn_status bad(const char *where, const char *field, const char *text,
+                          struct rn_error *err) {
+    char path[256];
+    bool prefixed = where && where[0];
+    snprintf(path, sizeof path, "%s%s%s", prefixed ? where : "", prefixed ? "/" : "", field);
+    return rn_error_set(err, RN_ERROR_INVALID, path, "%s", text);
+}
+
+// Largest entry of |R^T R - 1|.
+static double orthonormality_error(const double pose[3][4]) {
+    double worst = 0;
+    for (int i = 0; i < 3; i++)
+        for (int j = i; j < 3; j++) {
+            double dot = -(i == j);
+            for (int k = 0; k < 3; k++)
+                dot += pose[k][i] * pose[k][j];
+            worst = fmax(worst, fabs(dot));
+        }
+    return worst;
+}
+
+static double determinant(const double m[3][4]) {
+    return m[0][0] * (m[1][1] * m[2][2] - m[1][2] * m[2][1]) -
+           m[0][1] * (m[1][0] * m[2][2] - m[1][2] * m[2][0]) +
+           m[0][2] * (m[1][0] * m[2][1] - m[1][1] * m[2][0]);
+}
+
+static enum rn_status check_pose(const double pose[3][4], const char *where, struct rn_error *err) {
+    for (int i = 0; i < 3; i++)
+        for (int j = 0; j < 4; j++)
+            if (!isfinite(pose[i][j]))
+                return bad(where, "world_from_camera", "the pose has a non-finite number", err);
+    if (!(orthonormality_error(pose) <= MAX_POSE_ERROR))
+        return bad(where, "world_from_camera",
+                   "the pose's 3x3 part is not a rotation (its columns are not orthonormal to "
+                   "1e-3): remove scale and shear",
+                   err);
+    if (!(determinant(pose) > 0))
+        return bad(where, "world_from_camera",
+                   "the pose is mirrored (negative determinant): flip one axis", err);
+    return RN_OK;
+}
+
+enum rn_status rn_camera_check(const struct rn_camera *camera, const char *where,
+                               struct rn_error *err) {
+    if (camera->model != RN_CAMERA_PINHOLE)
+        return bad(where, "model", "only the pinhole model is supported", err);
+    if (camera->width < 1 || camera->width > RN_CAMERA_MAX_SIZE)
+        return bad(where, "width", "the image width must be 1 to 16384 pixels", err);
+    if (camera->height < 1 || camera->height > RN_CAMERA_MAX_SIZE)
+        return bad(where, "height", "the image height must be 1 to 16384 pixels", err);
+    if (!(camera->fx > 0) || !isfinite(camera->fx))
+        return bad(where, "fx", "the focal length must be a positive number of pixels", err);
+    if (!(camera->fy > 0) || !isfinite(camera->fy))
+        return bad(where, "fy", "the focal length must be a positive number of pixels", err);
+    if (!isfinite(camera->cx)) return bad(where, "cx", "the principal point is not finite", err);
+    if (!isfinite(camera->cy)) return bad(where, "cy", "the principal point is not finite", err);
+    return check_pose(camera->world_from_camera, where, err);
+}
+
+double rn_camera_fov_y(const struct rn_camera *camera) {
+    return 2 * atan(camera->height / (2 * camera->fy));
+}
+
+double rn_camera_focal_from_fov(double fov_rad, int size_px) {
+    return size_px / (2 * tan(fov_rad / 2));
+}
+
+// a b - c d with one rounding error of each product cancelled (Kahan).
+static double difference_of_products(double a, double b, double c, double d) {
+    double cd = c * d;
+    return fma(a, b, -cd) - fma(c, d, -cd);
+}
+
+static void cross(const double a[3], const double b[3], double ret[3]) {
+    for (int i = 0; i < 3; i++) {
+        int j = (i + 1) % 3, k = (i + 2) % 3;
+        ret[i] = difference_of_products(a[j], b[k], a[k], b[j]);
+    }
+}
+
+// Scales v to unit length and returns its former length, 0 when v is zero or not finite.
+static double normalise(double v[3]) {
+    double largest = fmax(fabs(v[0]), fmax(fabs(v[1]), fabs(v[2])));
+    if (!(largest > 0)) return 0;
+    for (int i = 0; i < 3; i++)
+        v[i] /= largest;
+    double norm = sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]);
+    if (!isfinite(norm)) return 0;
+    for (int i = 0; i < 3; i++)
+        v[i] /= norm;
+    return norm * largest;
+}
+
+enum rn_status rn_camera_look_at(const double eye[3], const double target[3], const double up[3],
+                                 double world_from_camera[3][4]) {
+    double forward[3], right[3], down[3], unit_up[3] = {up[0], up[1], up[2]};
+    for (int i = 0; i < 3; i++)
+        forward[i] = target[i] - eye[i];
+    if (normalise(forward) == 0 || normalise(unit_up) == 0) return RN_ERROR_INVALID;
+    cross(forward, unit_up, right);
+    if (!(normalise(right) > 1e-9)) return RN_ERROR_INVALID;
+    cross(forward, right, down);
+    for (int i = 0; i < 3; i++) {
+        world_from_camera[i][0] = right[i];
+        world_from_camera[i][1] = down[i];
+        world_from_camera[i][2] = forward[i];
+        world_from_camera[i][3] = eye[i];
+    }
+    return RN_OK;
+}
