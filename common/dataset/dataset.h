@@ -22,7 +22,8 @@ struct rn_frame {
     char *name;             // e.g. "r_12": the JSON's file name without folder and extension
     char *path;             // absolute or relative to the working directory; readable
     enum rn_split split;
-    int index;              // zero-based among the views of its split, in the JSON's order
+    int index;              // zero-based among the views of its split, in the JSON's order; views
+                            // that were left out leave a gap
     int scale;              // 0 = full size, j = downsampled 2^j times
     double loss_weight;     // area weight of a pixel's loss: 4^scale (1 on single-scale data)
     bool has_alpha;         // by the file's header
@@ -44,7 +45,8 @@ struct rn_dataset {
     enum rn_layout layout;
     struct rn_frame *frames; // ordered by split, index, scale
     size_t frame_count;
-    int view_count[RN_SPLIT_COUNT]; // views (not frames) per split
+    int view_count[RN_SPLIT_COUNT]; // usable views (not frames) per split
+    int unusable[RN_SPLIT_COUNT];   // images that were left out, each with its problem
     int scale_count;                // frames per view
     struct rn_bounds bounds;
     bool premultiplied_scales; // false: made by the legacy (straight, truncating) converter
@@ -67,9 +69,12 @@ void rn_problems_add(struct rn_problems *problems, enum rn_severity severity, co
                      const char *fmt, ...) RN_PRINTF(4, 5);
 void rn_problems_finish(struct rn_problems *problems);
 
-// Reads a dataset folder, detecting its layout. Frames whose image is missing, unreadable or of
-// another size than the JSON says are left out, each with an error in `problems` (optional).
-// RN_ERROR_INVALID when nothing usable is left or the JSON itself is bad.
+// Reads a dataset folder, detecting its layout: dataset.json (native), metadata.json
+// (multi-scale), transforms_{train,val,test}.json (NeRF-synthetic). Frames with a bad pose or
+// file name, or whose image is missing, unreadable or of another size than the JSON says, are
+// left out, each with an error in `problems` (optional) that names file and field.
+// RN_ERROR_NOT_FOUND without any of those files; RN_ERROR_INVALID when a JSON file itself is bad
+// or no training view is usable; RN_ERROR_LIMIT, RN_ERROR_NO_MEMORY.
 enum rn_status rn_dataset_read(const char *folder, struct rn_problems *problems,
                                struct rn_dataset **ret_dataset, struct rn_error *err) RN_MUST_CHECK;
 void rn_dataset_destroy(struct rn_dataset **dataset);
@@ -77,7 +82,8 @@ void rn_dataset_destroy(struct rn_dataset **dataset);
 // First frame of (split, index, scale) or NULL. O(log n).
 const struct rn_frame *rn_dataset_frame(const struct rn_dataset *dataset, enum rn_split split,
                                         int index, int scale);
-// Resolves "test:12" (zero-based index) or "test:r_12" (name) at a scale.
+// Resolves "test:12" (zero-based index) or "test:r_12" (name) at a scale. RN_ERROR_INVALID for
+// another form, RN_ERROR_NOT_FOUND, RN_ERROR_CONFLICT when several views bear the name.
 enum rn_status rn_dataset_find_view(const struct rn_dataset *dataset, const char *view, int scale,
                                     const struct rn_frame **ret_frame,
                                     struct rn_error *err) RN_MUST_CHECK;
@@ -92,12 +98,15 @@ struct rn_dataset_report {
     int with_alpha;                                  // images whose header has alpha
     int width_min, width_max, height_min, height_max;
 };
-void rn_dataset_describe(const struct rn_dataset *dataset, const struct rn_problems *problems,
-                         struct rn_dataset_report *ret_report);
+void rn_dataset_describe(const struct rn_dataset *dataset, struct rn_dataset_report *ret_report);
 
 // Import: decode, scale and write a native dataset (dataset.json and images/*.png) into the empty
-// folder `target`, dataset.json last and atomically. `progress` may be NULL; returning false
-// from it cancels (RN_ERROR_CANCELLED).
+// folder `target`, dataset.json last and atomically. At most `threads` source images are in memory
+// at once. An image that cannot be decoded is left out with an error in `problems` (optional);
+// RN_ERROR_INVALID when that leaves no training view. `progress` may be NULL; it is called by
+// worker threads, one at a time; returning false from it cancels (RN_ERROR_CANCELLED).
+// Level j of a view is downscaled from its full-size (after max_size) image to round(size / 2^j)
+// and weighs 4^j; in straight mode the levels are rn_image_legacy_pyramid's.
 struct rn_import_options {
     int max_size;                // longest side in pixels, 0 = as is
     int scales;                  // >= 1: how many scales to make; 1 keeps the dataset's own
@@ -109,6 +118,7 @@ struct rn_import_options {
 };
 enum rn_status rn_dataset_import(const struct rn_dataset *source, const char *name,
                                  const struct rn_import_options *options, const char *target,
+                                 struct rn_problems *problems,
                                  bool (*progress)(void *context, size_t done, size_t total),
                                  void *context, struct rn_error *err) RN_MUST_CHECK;
 
