@@ -1,0 +1,19 @@
+"""What every pytest suite shares: where the built programs are.
+
+RIPNERF_BUILD names the build folder (default: build/ beside tests/).
+"""
+
+import os
+from pathlib import Path
+
+import pytest
+
+SOURCE = Path(__file__).resolve().parents[1]
+
+
+@pytest.fixture(scope="session")
+def build():
+    folder = Path(os.environ.get("RIPNERF_BUILD", SOURCE / "build"))
+    if not (folder / "build.ninja").is_file():
+        pytest.fail(f"{folder} is no build folder; set RIPNERF_BUILD")
+    return folder
