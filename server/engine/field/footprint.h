@@ -1,0 +1,42 @@
+// A Gaussian's footprint on a plane, and the ripmap levels it asks for (paper, section 3.3).
+#ifndef RN_ENGINE_FIELD_FOOTPRINT_H
+#define RN_ENGINE_FIELD_FOOTPRINT_H
+
+#include "server/engine/field/real.h"
+
+// Half the footprint's extent in standard deviations: 2 * RN_FOOTPRINT_SCALE * sigma spans the
+// texel of the chosen level.
+#define RN_FOOTPRINT_SCALE 2
+
+// Variance along a unit axis x of the Gaussian with variance `axial` along the unit direction d
+// and `radial` across it: axial (x.d)^2 + radial |x cross d|^2. Never negative. The cross product
+// is taken as differences of products, so an axis within an ULP of parallel keeps its relative
+// accuracy: within 8 ULP of the Gaussian as represented.
+RN_HD rn_real rn_projected_variance(const rn_real x[3], const rn_real d[3], rn_real axial,
+                                    rn_real radial) {
+    rn_real dot = x[0] * d[0] + x[1] * d[1] + x[2] * d[2];
+    rn_real c0 = rn_difference_of_products(x[1], d[2], x[2], d[1]);
+    rn_real c1 = rn_difference_of_products(x[2], d[0], x[0], d[2]);
+    rn_real c2 = rn_difference_of_products(x[0], d[1], x[1], d[0]);
+    return axial * (dot * dot) + radial * (c0 * c0 + c1 * c1 + c2 * c2);
+}
+
+// level = log2(RN_FOOTPRINT_SCALE * sigma * size), clamped to [0, levels - 1]. sigma^2 = variance
+// in the frame where the plane spans [-1, 1]; `size` texels a side. (The paper's equation leaves
+// out the size; the released code has it.) The variance is clamped, not the level: never NaN or
+// infinite, and continuous at both ends.
+RN_HD rn_real rn_level_from_variance(rn_real variance, int size, int levels) {
+    rn_real unit = (rn_real)1 / ((rn_real)RN_FOOTPRINT_SCALE * (rn_real)size);
+    rn_real top = ldexp(unit, levels - 1);
+    rn_real v = rn_clamp(variance, unit * unit, top * top);
+    return rn_clamp((rn_real)0.5 * log2(v / (unit * unit)), 0, (rn_real)(levels - 1));
+}
+
+// The isotropic ablation: one level for both axes of every plane from the ball that the cone's
+// cross-section spans, radius in the [-1, 1] frame. level = log2(ball size).
+RN_HD rn_real rn_level_from_ball(rn_real ball, int size, int levels) {
+    rn_real v = rn_clamp(ball * (rn_real)size, 1, ldexp((rn_real)1, levels - 1));
+    return log2(v);
+}
+
+#endif
