@@ -1,0 +1,18 @@
+#include "proto/names.h"
+
+#include <string.h>
+
+const char *const rn_job_type_names[] = {"train", "path", "eval", "ingest", NULL};
+const char *const rn_job_state_names[] = {"queued",     "running",     "paused",
+                                          "cancelling", "succeeded",   "failed",
+                                          "cancelled",  "interrupted", NULL};
+const char *const rn_scene_state_names[] = {"new", "training", "paused", "ready", "failed", NULL};
+const char *const rn_finished_by_names[] = {"time", "steps", "psnr", "finish", NULL};
+const char *const rn_output_kind_names[] = {"rgb", "depth", "alpha", NULL};
+const char *const rn_picture_format_names[] = {"png", "jpeg", NULL};
+
+int rn_name_index(const char *const *names, const char *name) {
+    for (int i = 0; names[i]; i++)
+        if (strcmp(names[i], name) == 0) return i;
+    return -1;
+}

@@ -1,0 +1,60 @@
+// The words of the API: types, states and event names, each as an enum and its one spelling.
+#ifndef RN_PROTO_NAMES_H
+#define RN_PROTO_NAMES_H
+
+#include <stddef.h>
+
+// A table of names is an array of strings that ends with NULL; an enum's value is its index.
+
+enum rn_job_type { RN_JOB_TRAIN, RN_JOB_PATH, RN_JOB_EVAL, RN_JOB_INGEST };
+extern const char *const rn_job_type_names[]; // "train", "path", "eval", "ingest"
+
+enum rn_job_state {
+    RN_JOB_QUEUED,
+    RN_JOB_RUNNING,
+    RN_JOB_PAUSED,
+    RN_JOB_CANCELLING,
+    RN_JOB_SUCCEEDED,
+    RN_JOB_FAILED,
+    RN_JOB_CANCELLED,
+    RN_JOB_INTERRUPTED,
+};
+extern const char *const rn_job_state_names[]; // "queued", "running", ...
+
+enum rn_scene_state {
+    RN_SCENE_NEW,
+    RN_SCENE_TRAINING,
+    RN_SCENE_PAUSED,
+    RN_SCENE_READY,
+    RN_SCENE_FAILED,
+};
+extern const char *const rn_scene_state_names[]; // "new", "training", ...
+
+enum rn_finished_by { RN_FINISHED_TIME, RN_FINISHED_STEPS, RN_FINISHED_PSNR, RN_FINISHED_REQUEST };
+extern const char *const rn_finished_by_names[]; // "time", "steps", "psnr", "finish"
+
+enum rn_output_kind { RN_OUTPUT_KIND_RGB, RN_OUTPUT_KIND_DEPTH, RN_OUTPUT_KIND_ALPHA };
+extern const char *const rn_output_kind_names[]; // "rgb", "depth", "alpha"
+
+enum rn_picture_format { RN_FORMAT_PNG, RN_FORMAT_JPEG };
+extern const char *const rn_picture_format_names[]; // "png", "jpeg"
+
+// Server-sent events.
+#define RN_EVENT_STATE "state"
+#define RN_EVENT_PROGRESS "progress"
+#define RN_EVENT_METRIC "metric"
+#define RN_EVENT_FRAME "frame"
+
+// Prefixes of ids; RN_ID_RANDOM base32 characters (a-z2-7) follow.
+#define RN_ID_DATASET "ds_"
+#define RN_ID_SCENE "sc_"
+#define RN_ID_JOB "job_"
+#define RN_ID_PATH "path_"
+#define RN_ID_RANDOM 12
+#define RN_ID_MAX 24   // an id with its NUL fits
+#define RN_NAME_MAX 65 // a name with its NUL fits
+
+// The index of `name` in a table of names, or -1.
+int rn_name_index(const char *const *names, const char *name);
+
+#endif
