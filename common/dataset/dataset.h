@@ -19,14 +19,14 @@ enum rn_layout { RN_LAYOUT_BLENDER, RN_LAYOUT_MULTISCALE, RN_LAYOUT_NATIVE };
 
 // One image file. A view photographed once and kept at several scales has one frame a scale.
 struct rn_frame {
-    char *name;             // e.g. "r_12": the JSON's file name without folder and extension
-    char *path;             // absolute or relative to the working directory; readable
+    char *name; // e.g. "r_12": the JSON's file name without folder and extension
+    char *path; // absolute or relative to the working directory; readable
     enum rn_split split;
-    int index;              // zero-based among the views of its split, in the JSON's order; views
-                            // that were left out leave a gap
-    int scale;              // 0 = full size, j = downsampled 2^j times
-    double loss_weight;     // area weight of a pixel's loss: 4^scale (1 on single-scale data)
-    bool has_alpha;         // by the file's header
+    int index;          // zero-based among the views of its split, in the JSON's order; views
+                        // that were left out leave a gap
+    int scale;          // 0 = full size, j = downsampled 2^j times
+    double loss_weight; // area weight of a pixel's loss: 4^scale (1 on single-scale data)
+    bool has_alpha;     // by the file's header
     struct rn_camera camera;
 };
 

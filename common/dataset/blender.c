@@ -1,0 +1,112 @@
+// NeRF-synthetic: transforms_{train,val,test}.json. The image's size comes from its header;
+// focal = W/2 / tan(camera_angle_x / 2); poses in OpenGL axes.
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <unistd.h>
+
+#include "common/dataset/reader.h"
+
+#define MAX_ANGLE 3.1
+
+struct document {
+    struct rn_json root;
+    double angle_x;    // radians
+    int width, height; // as the file says, or those of its first image; 0 = not known yet
+    bool stated;       // the file gives width and height
+};
+
+static enum rn_status read_frame(struct rn_reader *reader, struct document *document,
+                                 const struct rn_json *object, struct rn_frame *frame,
+                                 struct rn_error *err) {
+    enum rn_status status = rn_reader_image(reader, object, "file_path", ".png", frame, err);
+    if (status) return status;
+    struct rn_camera *camera = &frame->camera;
+    bool differs =
+        document->width && (camera->width != document->width || camera->height != document->height);
+    if (differs && document->stated)
+        return rn_json_error(object, RN_ERROR_INVALID, err,
+                             "%s is %dx%d pixels, the file says %dx%d", frame->path, camera->width,
+                             camera->height, document->width, document->height);
+    if (differs) {
+        char where[256];
+        rn_json_where(object, where);
+        rn_problems_add(reader->problems, RN_SEVERITY_WARNING, where,
+                        "%s is %dx%d pixels, the first image %dx%d; camera_angle_x is taken to "
+                        "hold for both",
+                        frame->path, camera->width, camera->height, document->width,
+                        document->height);
+    }
+    if (!document->width) {
+        document->width = camera->width;
+        document->height = camera->height;
+    }
+    camera->fx = camera->fy = rn_camera_focal_from_fov(document->angle_x, camera->width);
+    camera->cx = 0.5 * camera->width;
+    camera->cy = 0.5 * camera->height;
+    status = rn_reader_pose(object, "transform_matrix", camera->world_from_camera, err);
+    return status ? status : rn_reader_check_camera(object, "transform_matrix", camera, err);
+}
+
+static enum rn_status read_frames(struct rn_reader *reader, struct document *document,
+                                  enum rn_split split, struct rn_error *err) {
+    static const char *const known[] = {"file_path", "transform_matrix", "rotation", NULL};
+    struct rn_json frames;
+    enum rn_status status =
+        rn_json_array(&document->root, "frames", 0, RN_DATASET_MAX_FRAMES, &frames, err);
+    for (size_t i = 0; status == RN_OK && i < json_array_size(frames.value); i++) {
+        struct rn_json object = rn_json_element(&frames, i);
+        struct rn_frame frame = {.split = split, .index = (int)i, .loss_weight = 1};
+        struct rn_error why;
+        status = read_frame(reader, document, &object, &frame, &why);
+        if ((status = rn_reader_add(reader, &frame, status, &why)) && err) *err = why;
+        rn_reader_warn_unknown(reader, &object, known);
+    }
+    return status;
+}
+
+static enum rn_status read_document(struct rn_reader *reader, struct rn_json root,
+                                    enum rn_split split, struct rn_error *err) {
+    static const char *const known[] = {"camera_angle_x", "frames", "w", "h", NULL};
+    struct document document = {.root = root};
+    enum rn_status status =
+        rn_json_number(&root, "camera_angle_x", 1e-4, MAX_ANGLE, &document.angle_x, err);
+    if (status) return status;
+    struct rn_json width, height;
+    document.stated = rn_json_find(&root, "w", &width) || rn_json_find(&root, "h", &height);
+    if (document.stated &&
+        ((status = rn_json_integer(&root, "w", 1, RN_CAMERA_MAX_SIZE, &document.width, err)) ||
+         (status = rn_json_integer(&root, "h", 1, RN_CAMERA_MAX_SIZE, &document.height, err))))
+        return status;
+    rn_reader_warn_unknown(reader, &root, known);
+    return read_frames(reader, &document, split, err);
+}
+
+static enum rn_status read_split(struct rn_reader *reader, enum rn_split split,
+                                 struct rn_error *err) {
+    char name[32];
+    snprintf(name, sizeof name, "transforms_%s.json", rn_split_name(split));
+    char *path = rn_reader_path(reader, name);
+    if (!path) return rn_error_set(err, RN_ERROR_NO_MEMORY, reader->folder, "out of memory");
+    enum rn_status status = RN_OK;
+    if (access(path, F_OK) != 0) {
+        rn_problems_add(reader->problems, RN_SEVERITY_INFO, path, "is not there: no %s split",
+                        rn_split_name(split));
+    } else {
+        json_t *root;
+        status = rn_json_parse_file(path, &root, err);
+        if (status == RN_OK) {
+            status = read_document(reader, rn_json_root(root, path), split, err);
+            json_decref(root);
+        }
+    }
+    free(path);
+    return status;
+}
+
+enum rn_status rn_read_blender(struct rn_reader *reader, struct rn_error *err) {
+    enum rn_status status = RN_OK;
+    for (int split = 0; split < RN_SPLIT_COUNT && status == RN_OK; split++)
+        status = read_split(reader, (enum rn_split)split, err);
+    return status;
+}

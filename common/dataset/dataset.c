@@ -1,0 +1,220 @@
+#include "common/dataset/dataset.h"
+
+#include <ctype.h>
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include "common/dataset/reader.h"
+
+#define LAYOUT_RADIUS 1.5 // of the NeRF-synthetic scenes, about the origin
+
+const char *const rn_layout_names[3] = {"blender", "multiscale", "native"};
+const char *const rn_bounds_source_names[3] = {"given", "layout", "cameras"};
+const char *const rn_downscale_names[2] = {"premultiplied", "straight"};
+
+void rn_frame_finish(struct rn_frame *frame) {
+    free(frame->name);
+    free(frame->path);
+    frame->name = frame->path = NULL;
+}
+
+void rn_dataset_destroy(struct rn_dataset **dataset) {
+    if (!*dataset) return;
+    for (size_t i = 0; i < (*dataset)->frame_count; i++)
+        rn_frame_finish(&(*dataset)->frames[i]);
+    free((*dataset)->frames);
+    free((*dataset)->name);
+    free(*dataset);
+    *dataset = NULL;
+}
+
+static int compare_frames(const void *left, const void *right) {
+    const struct rn_frame *a = left, *b = right;
+    if (a->split != b->split) return a->split < b->split ? -1 : 1;
+    if (a->index != b->index) return a->index < b->index ? -1 : 1;
+    return (a->scale > b->scale) - (a->scale < b->scale);
+}
+
+static enum rn_status no_training_view(const struct rn_dataset *dataset, const char *where,
+                                       const struct rn_problems *problems, struct rn_error *err) {
+    const struct rn_problem *first = NULL;
+    for (size_t i = 0; problems && i < problems->count && !first; i++)
+        if (problems->items[i].severity == RN_SEVERITY_ERROR) first = &problems->items[i];
+    return rn_error_set(err, RN_ERROR_INVALID, where,
+                        "no usable training view; %d training images were left out%s%s%s%.200s",
+                        dataset->unusable[RN_SPLIT_TRAIN], first ? "; the first problem: " : "",
+                        first ? first->where : "", first ? " " : "", first ? first->text : "");
+}
+
+enum rn_status rn_dataset_seal(struct rn_dataset *dataset, const char *where,
+                               const struct rn_problems *problems, struct rn_error *err) {
+    if (dataset->frame_count)
+        qsort(dataset->frames, dataset->frame_count, sizeof *dataset->frames, compare_frames);
+    dataset->scale_count = 0;
+    memset(dataset->view_count, 0, sizeof dataset->view_count);
+    for (size_t i = 0; i < dataset->frame_count; i++) {
+        const struct rn_frame *frame = &dataset->frames[i], *before = frame - 1;
+        if (i && compare_frames(before, frame) == 0)
+            return rn_error_set(
+                err, RN_ERROR_INVALID, where, "two images for view %s:%d at scale %d: %s and %s",
+                rn_split_name(frame->split), frame->index, frame->scale, before->path, frame->path);
+        if (!i || before->split != frame->split || before->index != frame->index)
+            dataset->view_count[frame->split]++;
+        if (frame->scale >= dataset->scale_count) dataset->scale_count = frame->scale + 1;
+    }
+    if (!dataset->view_count[RN_SPLIT_TRAIN])
+        return no_training_view(dataset, where, problems, err);
+    return RN_OK;
+}
+
+// The layouts' convention, unless no camera at all looks at that sphere.
+static void set_bounds(struct rn_reader *reader) {
+    struct rn_dataset *dataset = reader->dataset;
+    if (dataset->layout == RN_LAYOUT_NATIVE) return;
+    dataset->bounds = (struct rn_bounds){.radius = LAYOUT_RADIUS, .source = RN_BOUNDS_LAYOUT};
+    for (size_t i = 0; i < dataset->frame_count; i++)
+        if (rn_camera_looks_at(&dataset->frames[i].camera, &dataset->bounds)) return;
+    dataset->bounds = rn_bounds_from_cameras(dataset);
+    rn_problems_add(reader->problems, RN_SEVERITY_WARNING, reader->folder,
+                    "no camera looks at the layout's sphere (radius %g about the origin); bounds "
+                    "taken from the cameras: radius %g about (%g, %g, %g)",
+                    LAYOUT_RADIUS, dataset->bounds.radius, dataset->bounds.centre[0],
+                    dataset->bounds.centre[1], dataset->bounds.centre[2]);
+}
+
+static bool folder_has(const struct rn_reader *reader, const char *name) {
+    char *path = rn_reader_path(reader, name);
+    bool there = path && access(path, F_OK) == 0;
+    free(path);
+    return there;
+}
+
+static enum rn_status detect_layout(struct rn_reader *reader, struct rn_error *err) {
+    struct stat info;
+    if (stat(reader->folder, &info) != 0 || !S_ISDIR(info.st_mode))
+        return rn_error_set(err, RN_ERROR_NOT_FOUND, reader->folder, "is not a folder");
+    enum rn_layout *layout = &reader->dataset->layout;
+    if (folder_has(reader, "dataset.json"))
+        *layout = RN_LAYOUT_NATIVE;
+    else if (folder_has(reader, "metadata.json"))
+        *layout = RN_LAYOUT_MULTISCALE;
+    else if (folder_has(reader, "transforms_train.json") ||
+             folder_has(reader, "transforms_val.json") ||
+             folder_has(reader, "transforms_test.json"))
+        *layout = RN_LAYOUT_BLENDER;
+    else
+        return rn_error_set(err, RN_ERROR_NOT_FOUND, reader->folder,
+                            "holds no dataset: none of dataset.json, metadata.json and "
+                            "transforms_train.json is there");
+    return RN_OK;
+}
+
+static enum rn_status read_layout(struct rn_reader *reader, struct rn_error *err) {
+    enum rn_status status = detect_layout(reader, err);
+    if (status) return status;
+    switch (reader->dataset->layout) {
+    case RN_LAYOUT_NATIVE:
+        status = rn_read_native(reader, err);
+        break;
+    case RN_LAYOUT_MULTISCALE:
+        status = rn_read_multiscale(reader, err);
+        break;
+    case RN_LAYOUT_BLENDER:
+        reader->dataset->premultiplied_scales = true;
+        status = rn_read_blender(reader, err);
+        break;
+    }
+    if (status) return status;
+    status = rn_dataset_seal(reader->dataset, reader->folder, reader->problems, err);
+    if (status == RN_OK) set_bounds(reader);
+    return status;
+}
+
+// The folder's own name: "/data/lego/" -> "lego".
+static char *folder_name(const char *folder) {
+    size_t end = strlen(folder);
+    while (end > 1 && folder[end - 1] == '/')
+        end--;
+    size_t begin = end;
+    while (begin > 0 && folder[begin - 1] != '/')
+        begin--;
+    return strndup(folder + begin, end - begin);
+}
+
+enum rn_status rn_dataset_read(const char *folder, struct rn_problems *problems,
+                               struct rn_dataset **ret_dataset, struct rn_error *err) {
+    struct rn_reader reader = {.folder = folder, .problems = problems};
+    reader.dataset = calloc(1, sizeof *reader.dataset);
+    reader.reported = json_object();
+    if (reader.dataset) reader.dataset->name = folder_name(folder);
+    enum rn_status status;
+    if (!reader.dataset || !reader.dataset->name || !reader.reported)
+        status = rn_error_set(err, RN_ERROR_NO_MEMORY, folder, "out of memory");
+    else
+        status = read_layout(&reader, err);
+    json_decref(reader.reported);
+    if (status == RN_OK)
+        *ret_dataset = reader.dataset;
+    else
+        rn_dataset_destroy(&reader.dataset);
+    return status;
+}
+
+const struct rn_frame *rn_dataset_frame(const struct rn_dataset *dataset, enum rn_split split,
+                                        int index, int scale) {
+    struct rn_frame key = {.split = split, .index = index, .scale = scale};
+    if (!dataset->frame_count) return NULL;
+    return bsearch(&key, dataset->frames, dataset->frame_count, sizeof key, compare_frames);
+}
+
+static enum rn_status find_by_name(const struct rn_dataset *dataset, const char *view,
+                                   enum rn_split split, const char *name, int scale,
+                                   const struct rn_frame **ret_frame, struct rn_error *err) {
+    const struct rn_frame *found = NULL;
+    for (size_t i = 0; i < dataset->frame_count; i++) {
+        const struct rn_frame *frame = &dataset->frames[i];
+        if (frame->split != split || frame->scale != scale || strcmp(frame->name, name) != 0)
+            continue;
+        if (found)
+            return rn_error_set(err, RN_ERROR_CONFLICT, view,
+                                "names several views (indices %d and %d): use the index",
+                                found->index, frame->index);
+        found = frame;
+    }
+    if (!found)
+        return rn_error_set(err, RN_ERROR_NOT_FOUND, view,
+                            "no such view at scale %d; the %s split has %d views", scale,
+                            rn_split_name(split), dataset->view_count[split]);
+    *ret_frame = found;
+    return RN_OK;
+}
+
+enum rn_status rn_dataset_find_view(const struct rn_dataset *dataset, const char *view, int scale,
+                                    const struct rn_frame **ret_frame, struct rn_error *err) {
+    const char *colon = strchr(view, ':');
+    int split = 0;
+    while (colon && split < RN_SPLIT_COUNT) {
+        const char *name = rn_split_name((enum rn_split)split);
+        if (strlen(name) == (size_t)(colon - view) && strncmp(view, name, strlen(name)) == 0) break;
+        split++;
+    }
+    if (!colon || split == RN_SPLIT_COUNT || !colon[1])
+        return rn_error_set(err, RN_ERROR_INVALID, view,
+                            "a view is written train:N, val:N or test:N, with a zero-based index "
+                            "or an image's name");
+    const char *name = colon + 1;
+    size_t digits = strspn(name, "0123456789");
+    if (!name[digits] && digits <= 7) {
+        const struct rn_frame *frame =
+            rn_dataset_frame(dataset, (enum rn_split)split, atoi(name), scale);
+        if (frame) {
+            *ret_frame = frame;
+            return RN_OK;
+        }
+    }
+    return find_by_name(dataset, view, (enum rn_split)split, name, scale, ret_frame, err);
+}

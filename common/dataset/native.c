@@ -1,0 +1,119 @@
+// The dataset.json that import writes.
+#include <stdlib.h>
+#include <string.h>
+
+#include "common/dataset/reader.h"
+
+static enum rn_status read_frame(const struct rn_reader *reader, const struct rn_json *object,
+                                 struct rn_frame *frame, struct rn_error *err) {
+    static const char *const known[] = {"name",  "file",        "split",  "index",
+                                        "scale", "loss_weight", "camera", NULL};
+    static const char *const splits[] = {"train", "val", "test"};
+    struct rn_json camera_at;
+    struct rn_camera camera;
+    const char *name;
+    int split;
+    enum rn_status status;
+    if ((status = rn_json_choice(object, "split", splits, RN_SPLIT_COUNT, &split, err)))
+        return status;
+    frame->split = (enum rn_split)split;
+    if ((status = rn_json_refuse_unknown(object, known, err)) ||
+        (status = rn_json_integer(object, "index", 0, RN_DATASET_MAX_FRAMES, &frame->index, err)) ||
+        (status = rn_json_integer(object, "scale", 0, RN_DATASET_MAX_SCALE, &frame->scale, err)) ||
+        (status = rn_json_number(object, "loss_weight", 1e-6, 1e9, &frame->loss_weight, err)) ||
+        (status = rn_json_member(object, "camera", &camera_at, err)) ||
+        (status = rn_json_camera(&camera_at, &camera, err)) ||
+        (status = rn_json_text(object, "name", RN_FILE_NAME_MAX, &name, err)) ||
+        (status = rn_reader_image(reader, object, "file", "", frame, err)))
+        return status;
+    if (camera.width != frame->camera.width || camera.height != frame->camera.height)
+        return rn_json_error(&camera_at, RN_ERROR_INVALID, err, "says %dx%d pixels, %s is %dx%d",
+                             camera.width, camera.height, frame->path, frame->camera.width,
+                             frame->camera.height);
+    frame->camera = camera;
+    free(frame->name);
+    frame->name = strdup(name);
+    return frame->name ? RN_OK : rn_json_error(object, RN_ERROR_NO_MEMORY, err, "out of memory");
+}
+
+static enum rn_status read_frames(struct rn_reader *reader, const struct rn_json *root,
+                                  struct rn_error *err) {
+    struct rn_json frames;
+    enum rn_status status = rn_json_array(root, "frames", 0, RN_DATASET_MAX_FRAMES, &frames, err);
+    for (size_t i = 0; status == RN_OK && i < json_array_size(frames.value); i++) {
+        struct rn_json object = rn_json_element(&frames, i);
+        struct rn_frame frame = {0};
+        struct rn_error why;
+        status = read_frame(reader, &object, &frame, &why);
+        if ((status = rn_reader_add(reader, &frame, status, &why)) && err) *err = why;
+    }
+    return status;
+}
+
+static enum rn_status read_bounds(const struct rn_json *root, struct rn_bounds *bounds,
+                                  struct rn_error *err) {
+    static const char *const known[] = {"centre", "radius", "source", NULL};
+    struct rn_json object;
+    int source;
+    enum rn_status status;
+    if ((status = rn_json_member(root, "bounds", &object, err)) ||
+        (status = rn_json_refuse_unknown(&object, known, err)) ||
+        (status = rn_json_matrix(&object, "centre", 0, 3, bounds->centre, err)) ||
+        (status = rn_json_number(&object, "radius", 1e-9, 1e9, &bounds->radius, err)) ||
+        (status = rn_json_choice(&object, "source", rn_bounds_source_names, 3, &source, err)))
+        return status;
+    bounds->source = (enum rn_bounds_source)source;
+    return RN_OK;
+}
+
+static enum rn_status read_source(const struct rn_json *root, struct rn_dataset *dataset,
+                                  struct rn_error *err) {
+    static const char *const known[] = {"layout", "downscale", NULL};
+    struct rn_json object;
+    int layout, downscale;
+    enum rn_status status;
+    if ((status = rn_json_member(root, "source", &object, err)) ||
+        (status = rn_json_refuse_unknown(&object, known, err)) ||
+        (status = rn_json_choice(&object, "layout", rn_layout_names, 3, &layout, err)) ||
+        (status = rn_json_choice(&object, "downscale", rn_downscale_names, 2, &downscale, err)))
+        return status;
+    dataset->premultiplied_scales = downscale == RN_DOWNSCALE_PREMULTIPLIED;
+    return RN_OK;
+}
+
+static enum rn_status read_document(struct rn_reader *reader, const struct rn_json *root,
+                                    struct rn_error *err) {
+    static const char *const known[] = {"format", "version", "name", "source",
+                                        "bounds", "frames",  NULL};
+    static const char *const formats[] = {RN_NATIVE_FORMAT};
+    struct rn_dataset *dataset = reader->dataset;
+    const char *name;
+    int ignored;
+    enum rn_status status;
+    if ((status = rn_json_choice(root, "format", formats, 1, &ignored, err)) ||
+        (status = rn_json_integer(root, "version", RN_NATIVE_VERSION, RN_NATIVE_VERSION, &ignored,
+                                  err)) ||
+        (status = rn_json_refuse_unknown(root, known, err)) ||
+        (status = rn_json_text(root, "name", RN_FILE_NAME_MAX, &name, err)) ||
+        (status = read_source(root, dataset, err)) ||
+        (status = read_bounds(root, &dataset->bounds, err)))
+        return status;
+    free(dataset->name);
+    dataset->name = strdup(name);
+    if (!dataset->name) return rn_json_error(root, RN_ERROR_NO_MEMORY, err, "out of memory");
+    return read_frames(reader, root, err);
+}
+
+enum rn_status rn_read_native(struct rn_reader *reader, struct rn_error *err) {
+    char *path = rn_reader_path(reader, "dataset.json");
+    if (!path) return rn_error_set(err, RN_ERROR_NO_MEMORY, reader->folder, "out of memory");
+    json_t *root;
+    enum rn_status status = rn_json_parse_file(path, &root, err);
+    if (status == RN_OK) {
+        struct rn_json at = rn_json_root(root, path);
+        status = read_document(reader, &at, err);
+        json_decref(root);
+    }
+    free(path);
+    return status;
+}

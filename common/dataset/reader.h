@@ -1,0 +1,73 @@
+// What the readers of all layouts share. Internal to common/dataset.
+#ifndef RN_COMMON_DATASET_READER_H
+#define RN_COMMON_DATASET_READER_H
+
+#include "common/dataset/dataset.h"
+#include "common/dataset/json.h"
+
+#define RN_DATASET_MAX_FRAMES 1000000
+#define RN_DATASET_MAX_SCALE 12
+#define RN_FILE_NAME_MAX 1024
+#define RN_NATIVE_FORMAT "ripnerf-dataset"
+#define RN_NATIVE_VERSION 1
+
+extern const char *const rn_layout_names[3];        // by enum rn_layout
+extern const char *const rn_bounds_source_names[3]; // by enum rn_bounds_source
+extern const char *const rn_downscale_names[2];     // by enum rn_downscale
+
+// A dataset being filled. Thread-safety: one thread. Owner: rn_dataset_read.
+struct rn_reader {
+    const char *folder;
+    struct rn_problems *problems; // may be NULL
+    struct rn_dataset *dataset;
+    size_t capacity;  // of dataset->frames
+    json_t *reported; // unknown fields that were warned about
+};
+
+// One reader a layout: appends frames in any order. A bad document is an error, a bad frame a
+// problem.
+enum rn_status rn_read_blender(struct rn_reader *reader, struct rn_error *err) RN_MUST_CHECK;
+enum rn_status rn_read_multiscale(struct rn_reader *reader, struct rn_error *err) RN_MUST_CHECK;
+enum rn_status rn_read_native(struct rn_reader *reader, struct rn_error *err) RN_MUST_CHECK;
+
+// "folder/name", malloc'd; NULL when memory is out.
+char *rn_reader_path(const struct rn_reader *reader, const char *name);
+
+// The image that the string member `key` of `object` names, with `extension` appended unless it
+// is "" or the name has an image's: fills name (without folder and extension), path, has_alpha and
+// the camera's width and height from the header. On failure nothing is owned by *frame.
+enum rn_status rn_reader_image(const struct rn_reader *reader, const struct rn_json *object,
+                               const char *key, const char *extension, struct rn_frame *frame,
+                               struct rn_error *err) RN_MUST_CHECK;
+
+// A 4x4 camera-to-world matrix in OpenGL axes; last row 0 0 0 1.
+enum rn_status rn_reader_pose(const struct rn_json *object, const char *key, double pose[3][4],
+                              struct rn_error *err) RN_MUST_CHECK;
+// rn_camera_check with the error placed at member `key`.
+enum rn_status rn_reader_check_camera(const struct rn_json *object, const char *key,
+                                      const struct rn_camera *camera,
+                                      struct rn_error *err) RN_MUST_CHECK;
+
+// Ends one frame: appends it (taking its name and path) when `status` is RN_OK; else frees them and
+// records `err` as a problem. Fails only when memory is out or there are too many frames.
+enum rn_status rn_reader_add(struct rn_reader *reader, struct rn_frame *frame,
+                             enum rn_status status, struct rn_error *err) RN_MUST_CHECK;
+
+// Warns once for each member of a foreign file's object that is not among the NULL-terminated
+// `known`.
+void rn_reader_warn_unknown(struct rn_reader *reader, const struct rn_json *object,
+                            const char *const *known);
+
+// From the cameras alone: the point nearest to all optical axes, half the median distance.
+struct rn_bounds rn_bounds_from_cameras(const struct rn_dataset *dataset);
+// Whether the camera's optical axis (forwards) meets the sphere.
+bool rn_camera_looks_at(const struct rn_camera *camera, const struct rn_bounds *bounds);
+
+// Sorts the frames and counts views and scales. RN_ERROR_INVALID for two frames of the same split,
+// index and scale, or when no training view is left.
+enum rn_status rn_dataset_seal(struct rn_dataset *dataset, const char *where,
+                               const struct rn_problems *problems,
+                               struct rn_error *err) RN_MUST_CHECK;
+void rn_frame_finish(struct rn_frame *frame);
+
+#endif
