@@ -1,0 +1,182 @@
+// Jobs: requests, options, progress, results, the resource.
+//
+// The daemon keeps options, progress and results as JSON text and passes them on; the structs are
+// for whoever makes or reads them: requests in the daemon, work in the runner, tables in the
+// client.
+#ifndef RN_PROTO_JOB_H
+#define RN_PROTO_JOB_H
+
+#include "proto/codec.h"
+#include "proto/names.h"
+
+// ---- options: what the user asked for; absent = decided by preset and data ----
+
+struct rn_train_options {
+    int preset;      // rn_preset_names: "draft", "standard", "paper"
+    int train_split; // rn_train_split_names: "train", "trainval"
+    int64_t planes;
+    int orientation; // rn_orientation_names
+    int footprint;   // rn_footprint_names
+    int64_t base, channels;
+    double max_time_s;
+    int64_t max_steps;
+    double until_psnr;
+    int64_t seed, threads;
+    char device[16], kernels[32];
+    double checkpoint_interval_s, evaluate_interval_s;
+};
+extern const struct rn_table rn_train_options_table;
+extern const char *const rn_preset_names[];
+extern const char *const rn_train_split_names[];
+extern const char *const rn_orientation_names[];
+extern const char *const rn_footprint_names[];
+extern const char *const rn_split_names[]; // "train", "val", "test"
+
+struct rn_path_options {
+    int64_t width, height, first, last;
+    int output; // enum rn_output_kind
+};
+extern const struct rn_table rn_path_options_table;
+
+struct rn_eval_options {
+    int split;            // rn_split_names
+    int64_t views, scale; // views 0 = all; scale absent = all
+};
+extern const struct rn_table rn_eval_options_table;
+
+// ---- POST /v1/jobs ----
+
+// Which members count depends on the type: train {dataset, scene, train}, path {scene, path or
+// camera_path, path_options}, eval {scene, eval}.
+struct rn_job_request {
+    int type; // enum rn_job_type
+    char dataset[RN_NAME_MAX], scene[RN_NAME_MAX], path[RN_NAME_MAX];
+    char *camera_path; // JSON of a CameraPath, checked to be an object only; owned
+    struct rn_train_options train;
+    struct rn_path_options path_options;
+    struct rn_eval_options eval;
+};
+// As rn_decode; also checks what the table cannot (exactly one of path and camera_path, ...).
+enum rn_status rn_job_request_decode(const char *json, size_t size,
+                                     struct rn_job_request *ret_request,
+                                     struct rn_field_errors *errors,
+                                     struct rn_error *err) RN_MUST_CHECK;
+void rn_job_request_finish(struct rn_job_request *request);
+// The options of the request's type as JSON: what a job keeps and shows.
+enum rn_status rn_job_request_options(const struct rn_job_request *request, char **ret_json,
+                                      struct rn_error *err) RN_MUST_CHECK;
+
+// ---- progress ----
+
+struct rn_nonfinite {
+    int64_t rays, steps_rejected, rollbacks;
+};
+struct rn_train_progress {
+    int64_t step, max_steps;
+    double train_seconds, max_seconds, load_seconds, evaluate_seconds, paused_seconds,
+        yielded_seconds;
+    double loss; // NAN = null, as psnr, eta_seconds, fraction
+    double rays_per_second, samples_per_second;
+    int64_t samples;
+    int64_t level_samples[16];
+    size_t level_count;
+    double psnr;
+    int64_t psnr_step;
+    struct rn_nonfinite nonfinite;
+    double eta_seconds, fraction;
+    bool evaluating_first;
+};
+extern const struct rn_table rn_train_progress_table;
+
+struct rn_work_progress { // ingest, path, eval
+    int64_t done, total;
+    double fraction, eta_seconds;
+};
+extern const struct rn_table rn_work_progress_table;
+
+struct rn_metric_event {
+    int64_t step;
+    double train_seconds, psnr;
+};
+extern const struct rn_table rn_metric_event_table;
+
+// ---- results ----
+
+struct rn_train_result {
+    int64_t steps;
+    double train_seconds;
+    int64_t samples;
+    double psnr;
+    char parameters_sha256[65];
+    int finished_by; // enum rn_finished_by
+};
+extern const struct rn_table rn_train_result_table;
+
+struct rn_path_result {
+    int64_t frames, width, height;
+    double render_ms_median;
+};
+extern const struct rn_table rn_path_result_table;
+
+struct rn_scale_score {
+    int64_t scale;
+    double psnr, ssim;
+};
+struct rn_view_result {
+    char name[256];
+    int64_t index, scale;
+    double psnr, ssim, render_ms;
+};
+struct rn_protocol {
+    int split; // rn_split_names
+    double background[3];
+    int downscale; // rn_alpha_mode_names
+    char rounding[64];
+    int64_t seed;
+    int train_split; // rn_train_split_names
+    int64_t step;
+    char version[32], device[16], kernels[32];
+    int64_t threads;
+};
+struct rn_eval_result {
+    double psnr, ssim; // mean over views, then over scales; NAN psnr = identical pictures
+    int64_t views;
+    double psnr_spread, ssim_spread;
+    struct rn_scale_score *scales; // owned
+    size_t scale_count;
+    struct rn_view_result *per_view; // owned
+    size_t view_count;
+    double render_ms_median;
+    struct rn_protocol protocol;
+};
+extern const struct rn_table rn_eval_result_table;
+
+struct rn_ingest_result {
+    char dataset[RN_ID_MAX];
+};
+extern const struct rn_table rn_ingest_result_table;
+
+// ---- the resource ----
+
+struct rn_job {
+    char id[RN_ID_MAX];
+    int type, state; // enum rn_job_type, enum rn_job_state
+    int64_t attempt;
+    char created_at[RN_TIME_MAX], started_at[RN_TIME_MAX], finished_at[RN_TIME_MAX];
+    char dataset[RN_ID_MAX], dataset_name[RN_NAME_MAX]; // "" = absent
+    char scene[RN_ID_MAX], scene_name[RN_NAME_MAX];
+    char *options;  // JSON, owned; as the next ones
+    char *progress; // NULL = null
+    char *result;   // NULL = absent
+    char *problem;  // NULL = absent
+};
+extern const struct rn_table rn_job_table;
+
+// GET /v1/scenes/{id}/evaluations
+struct rn_evaluation {
+    char job[RN_ID_MAX], finished_at[RN_TIME_MAX];
+    char *options, *result; // JSON, owned
+};
+extern const struct rn_table rn_evaluation_table;
+
+#endif

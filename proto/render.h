@@ -1,0 +1,46 @@
+// POST /v1/scenes/{id}/render and camera paths.
+#ifndef RN_PROTO_RENDER_H
+#define RN_PROTO_RENDER_H
+
+#include "proto/codec.h"
+#include "proto/names.h"
+
+struct rn_size {
+    int64_t width, height;
+};
+
+struct rn_render_request {
+    char *camera;   // JSON of a Camera, checked to be an object only; owned; NULL = absent
+    char view[264]; // "test:12"; "" = absent
+    int64_t scale;
+    struct rn_size size;  // absent = the camera's own
+    int output;           // enum rn_output_kind
+    double background[3]; // first one NAN = as trained
+    int format;           // enum rn_picture_format
+    int64_t jpeg_quality;
+    double step, stop;
+    int64_t subsample;
+};
+extern const struct rn_table rn_render_request_table;
+// As rn_decode; also checks that there is exactly one of camera and view, and the like.
+enum rn_status rn_render_request_decode(const char *json, size_t size,
+                                        struct rn_render_request *ret_request,
+                                        struct rn_field_errors *errors,
+                                        struct rn_error *err) RN_MUST_CHECK;
+// Writes the defaults into what is absent (scale, output, jpeg_quality, subsample; `format` where
+// the request has none), so that equal pictures have equal texts when encoded.
+void rn_render_request_settle(struct rn_render_request *request, enum rn_picture_format format);
+
+// POST /v1/camera-paths, and the record.
+struct rn_camera_path_request {
+    char name[RN_NAME_MAX];
+    char *path; // JSON of a CameraPath, checked to be an object only; owned
+};
+extern const struct rn_table rn_camera_path_request_table;
+struct rn_camera_path_record {
+    char id[RN_ID_MAX], name[RN_NAME_MAX], created_at[RN_TIME_MAX];
+    char *path; // JSON, owned
+};
+extern const struct rn_table rn_camera_path_record_table;
+
+#endif

@@ -1,0 +1,90 @@
+// Scenes: the record, and the part of it that the runner knows.
+#ifndef RN_PROTO_SCENE_H
+#define RN_PROTO_SCENE_H
+
+#include "proto/codec.h"
+#include "proto/dataset.h"
+#include "proto/names.h"
+
+struct rn_field_config_record {
+    char preset[16];
+    int64_t planes;
+    int orientation; // rn_orientation_names
+    int64_t base, channels, levels;
+    int footprint; // rn_footprint_names
+    int shading;   // rn_shading_names
+    int64_t width, base_layers, head_layers;
+    bool view_dependence;
+    int64_t occupancy;
+    double step;
+    int64_t target_samples, initial_rays;
+    double learning_rate, plane_rate, weight_decay, adam_eps;
+    int64_t max_steps;
+    double max_seconds, until_psnr;
+    bool carve, roulette, sparse, grow;
+    double stop;
+    int64_t seed;
+    int train_split; // rn_train_split_names
+    double background[3];
+};
+extern const struct rn_table rn_field_config_table;
+extern const char *const rn_shading_names[]; // "sample", "ray"
+
+struct rn_difference_record {
+    char what[256], measured[256];
+};
+struct rn_effect_entry {
+    char name[32];
+    bool on, decided;
+    double number, threshold;
+    char reason[160];
+};
+
+// What the runner knows of a scene. The daemon keeps it as the JSON text it came in.
+struct rn_scene_description {
+    struct rn_field_config_record config;
+    struct rn_difference_record *differences; // owned
+    size_t difference_count;
+    struct rn_effect_entry *effects; // owned
+    size_t effect_count;
+    struct rn_bounds_record bounds;
+    char held_out[256]; // "" = null
+    int64_t memory_bytes;
+    char kernels[32];
+};
+extern const struct rn_table rn_scene_description_table;
+
+struct rn_checkpoint_record {
+    int64_t step, size_bytes;
+    char created_at[RN_TIME_MAX];
+};
+
+// The resource. The members from config to kernels are JSON text or plain values that come out of
+// the description: rn_scene_describe fills them.
+struct rn_scene {
+    char id[RN_ID_MAX], name[RN_NAME_MAX];
+    char dataset[RN_ID_MAX], dataset_name[RN_NAME_MAX];
+    char created_at[RN_TIME_MAX];
+    int state; // enum rn_scene_state
+    char job[RN_ID_MAX];
+    int64_t steps;
+    double train_seconds, psnr;
+    char parameters_sha256[65];
+    char *config;                             // JSON, owned; NULL = null
+    char *differences, *effects;              // JSON arrays, owned
+    char *bounds;                             // JSON, owned; NULL = null
+    char held_out[256];                       // "" = null
+    struct rn_checkpoint_record *checkpoints; // owned, newest first
+    size_t checkpoint_count;
+    int64_t memory_bytes; // RN_ABSENT = null
+    char kernels[32];     // "" = null
+    bool loaded;
+};
+extern const struct rn_table rn_scene_table;
+
+// Fills config ... kernels of *scene (initialised) from a description's JSON; NULL gives those of
+// a scene that has not been trained.
+enum rn_status rn_scene_describe(struct rn_scene *scene, const char *description, size_t size,
+                                 struct rn_error *err) RN_MUST_CHECK;
+
+#endif

@@ -1,0 +1,174 @@
+// What daemon and runner say to each other.
+//
+// The runner speaks first (hello). One runner holds one scene (mode field) or does one import (mode
+// ingest) or describes the device (mode probe). Jobs are named by the daemon's ids, renders by
+// numbers of the daemon's. Every job that was started ends in exactly one `done` or `failed`; every
+// render in one `rendered` or `failed`. The runner exits when the socket closes.
+#ifndef RN_PROTO_WIRE_MESSAGES_H
+#define RN_PROTO_WIRE_MESSAGES_H
+
+#include "proto/dataset.h"
+#include "proto/job.h"
+#include "proto/render.h"
+#include "proto/wire.h"
+
+enum rn_wire_type {
+    // daemon -> runner                       struct
+    RN_WIRE_OPEN = 1, // field: first         rn_wire_open -> opened or failed (no job, no request)
+    RN_WIRE_TRAIN,    // start or continue    rn_wire_train
+    RN_WIRE_PATH,     //                      rn_wire_path
+    RN_WIRE_EVAL,     //                      rn_wire_eval
+    RN_WIRE_INGEST,   // mode ingest          rn_wire_ingest
+    RN_WIRE_PAUSE,    // training jobs        rn_wire_job -> checkpoint, state paused
+    RN_WIRE_RESUME,   //                      rn_wire_job -> state running
+    RN_WIRE_FINISH,   // training jobs        rn_wire_job -> checkpoint, done (finished_by finish)
+    RN_WIRE_CANCEL,   // a job or a render    rn_wire_cancel -> failed (status "cancelled")
+    RN_WIRE_RENDER,   //                      rn_wire_render -> rendered or failed
+    RN_WIRE_SHUTDOWN, // save and exit        rn_wire_empty -> checkpoint of a running training, EOF
+    // runner -> daemon
+    RN_WIRE_HELLO = 64, //                    rn_wire_hello
+    RN_WIRE_OPENED,     //                    rn_wire_opened
+    RN_WIRE_STATE,      //                    rn_wire_state
+    RN_WIRE_PROGRESS,   // every half second  rn_wire_progress
+    RN_WIRE_METRIC,     // after evaluation   rn_wire_metric
+    RN_WIRE_CHECKPOINT, // after each write   rn_wire_checkpoint
+    RN_WIRE_FRAME,      // a frame is on disk rn_wire_frame
+    RN_WIRE_RENDERED,   // blob: the file     rn_wire_rendered
+    RN_WIRE_DONE,       //                    rn_wire_done
+    RN_WIRE_FAILED,     //                    rn_wire_failed
+    RN_WIRE_INFO,       // mode probe         rn_wire_info, then EOF
+};
+
+#define RN_WIRE_PROTOCOL 1
+
+struct rn_wire_empty {
+    char unused[1];
+};
+
+struct rn_wire_hello {
+    char version[32];
+    int64_t protocol; // RN_WIRE_PROTOCOL
+    char mode[16];    // "field", "ingest", "probe"
+    int64_t pid;
+};
+
+// Locks the scene's folder (RN_ERROR_BUSY when another process holds it) and reads the dataset's
+// dataset.json. With `load`, the newest good checkpoint is loaded for rendering (RN_ERROR_NOT_FOUND
+// when there is none); without, a `train` message is to follow.
+struct rn_wire_open {
+    char *scene_folder;   // owned; is made when it does not exist
+    char *dataset_folder; // owned
+    bool load;
+    char device[16], kernels[32]; // "" = auto
+    int64_t threads;              // absent or 0 = all
+    int64_t memory_limit_bytes;   // absent or 0 = none
+};
+struct rn_wire_opened {
+    bool loaded;
+    int64_t steps;
+    double train_seconds, psnr; // psnr NAN = null
+    char parameters_sha256[65]; // "" = absent
+    int64_t memory_bytes;
+    char *scene; // JSON of rn_scene_description_table, owned; NULL when not loaded
+};
+
+// Continues from the newest good checkpoint when there is one, else starts. While it loads, no
+// other message is served. A `state` running with the scene's description says that it trains.
+struct rn_wire_train {
+    char job[RN_ID_MAX];
+    struct rn_train_options options;
+};
+// Renders frames first..last of the path into `folder` (%05d.png), skipping those that are there.
+struct rn_wire_path {
+    char job[RN_ID_MAX];
+    char *folder;      // owned
+    char *camera_path; // JSON of a CameraPath, owned
+    struct rn_path_options options;
+};
+struct rn_wire_eval {
+    char job[RN_ID_MAX];
+    struct rn_eval_options options;
+};
+// Imports `source` (a directory, or a plain tar that is unpacked under `work`) into `target`, which
+// must not exist. `work` is removed at the end. Result: JSON of rn_dataset_contents_table.
+struct rn_wire_ingest {
+    char job[RN_ID_MAX], name[RN_NAME_MAX];
+    char *source, *target, *work; // owned
+    struct rn_ingest_options options;
+    int64_t max_bytes, max_entries; // of the tar's contents
+    int64_t threads;                // absent or 0 = all
+};
+
+struct rn_wire_job {
+    char job[RN_ID_MAX];
+};
+struct rn_wire_cancel {
+    char job[RN_ID_MAX]; // "" with a request
+    int64_t request;     // RN_ABSENT with a job
+};
+struct rn_wire_render {
+    int64_t request;
+    struct rn_render_request render; // format is set
+};
+
+struct rn_wire_state {
+    char job[RN_ID_MAX];
+    int state;   // RN_JOB_RUNNING or RN_JOB_PAUSED
+    char *scene; // training: JSON of rn_scene_description_table; NULL otherwise
+};
+struct rn_wire_progress {
+    char job[RN_ID_MAX];
+    char *progress; // JSON, owned
+};
+struct rn_wire_metric {
+    char job[RN_ID_MAX];
+    struct rn_metric_event metric;
+};
+struct rn_wire_checkpoint {
+    char job[RN_ID_MAX];
+    int64_t step, size_bytes;
+    char file[64]; // under checkpoints/ of the scene's folder; the newest two are kept
+    char parameters_sha256[65];
+    double train_seconds, psnr; // psnr NAN = null
+    char *scene;                // JSON of rn_scene_description_table
+};
+struct rn_wire_frame {
+    char job[RN_ID_MAX];
+    int64_t index;
+};
+struct rn_wire_rendered {
+    int64_t request, step, samples, width, height;
+    int format;                            // enum rn_picture_format
+    double queue_ms, render_ms, encode_ms; // queue_ms: in the runner
+    bool training;                         // parameters may change: the picture is not to be cached
+};
+struct rn_wire_done {
+    char job[RN_ID_MAX];
+    char *result; // JSON of the job type's result
+};
+struct rn_wire_failed {
+    char job[RN_ID_MAX]; // "" when it is not about a job
+    int64_t request;     // RN_ABSENT when it is not about a render
+    char status[24];     // rn_status_name
+    char where[256], text[512];
+};
+struct rn_wire_info {
+    char device[16], device_name[128], kernels[32], available[128]; // available: comma separated
+    int64_t threads;
+};
+
+// The table of a type; NULL for an unknown one.
+const struct rn_table *rn_wire_table(int type);
+// A short name for logs: "open", ...; "unknown".
+const char *rn_wire_type_name(int type);
+
+// Encodes `message` with the type's table and queues it.
+enum rn_status rn_wire_post(struct rn_wire_writer *writer, enum rn_wire_type type,
+                            const void *message, const void *blob, size_t blob_size,
+                            struct rn_error *err) RN_MUST_CHECK;
+// Decodes a message that has the type's table. As rn_decode; finish with
+// rn_message_finish(rn_wire_table(type), ret).
+enum rn_status rn_wire_take(const struct rn_wire_message *message, void *ret_decoded,
+                            struct rn_error *err) RN_MUST_CHECK;
+
+#endif
