@@ -40,7 +40,8 @@ enum rn_status rn_camera_parse(const char *json, size_t size_bytes, const char *
                                struct rn_camera *ret_camera, struct rn_error *err) RN_MUST_CHECK;
 void rn_path_destroy(struct rn_path **path);
 
-// Frames of the path: floor(duration * fps) + 1, or without the last one for a loop.
+// Frame i is at the first key's time + i / fps. Frames of the path: floor(duration * fps) + 1; a
+// loop has no last one, and its duration includes the way back, of the keys' mean spacing.
 size_t rn_path_frame_count(const struct rn_path *path);
 // The camera of frame i: positions by Catmull-Rom (centripetal) or linearly, rotations by
 // squad/slerp on unit quaternions, field of view like a position.

@@ -1,0 +1,344 @@
+// Import: every view is decoded, scaled and encoded by one task; dataset.json comes last.
+#include <dirent.h>
+#include <errno.h>
+#include <math.h>
+#include <pthread.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "common/base/file.h"
+#include "common/base/threads.h"
+#include "common/dataset/reader.h"
+
+#define PNG_LEVEL 1
+
+struct import {
+    const struct rn_import_options *options;
+    const char *target;
+    int levels;                    // images written for each source image
+    const struct rn_frame **views; // source images, view_count of them
+    size_t view_count;
+    struct rn_frame *outputs; // view_count * levels, then without those left out
+    size_t output_count;
+    struct rn_error *faults; // of each view; status RN_OK where none
+    bool (*progress)(void *context, size_t done, size_t total);
+    void *context;
+    pthread_mutex_t lock; // guards what follows
+    size_t done;
+    bool stopped;
+    struct rn_error failure; // the first that stops everything
+};
+
+static void scaled_size(const struct rn_frame *view, const struct rn_import_options *options,
+                        int level, int *ret_width, int *ret_height) {
+    const struct rn_camera *camera = &view->camera;
+    int longest = camera->width > camera->height ? camera->width : camera->height;
+    double full = ldexp(longest, view->scale), shrink = 1;
+    if (options->max_size && full > options->max_size) shrink = options->max_size / full;
+    *ret_width = (int)floor(ldexp(floor(camera->width * shrink + 0.5), -level) + 0.5);
+    *ret_height = (int)floor(ldexp(floor(camera->height * shrink + 0.5), -level) + 0.5);
+}
+
+static enum rn_status check_options(const struct rn_dataset *source,
+                                    const struct rn_import_options *options, struct rn_error *err) {
+    const struct rn_bounds *bounds = &options->bounds;
+    if (options->max_size < 0 || options->max_size > RN_CAMERA_MAX_SIZE)
+        return rn_error_set(err, RN_ERROR_INVALID, "max_size", "must be 1 to %d pixels",
+                            RN_CAMERA_MAX_SIZE);
+    if (options->scales < 1 || options->scales > RN_DATASET_MAX_SCALE)
+        return rn_error_set(err, RN_ERROR_INVALID, "scales", "must be 1 to %d",
+                            RN_DATASET_MAX_SCALE);
+    if (options->test_every < 0 || options->test_every == 1)
+        return rn_error_set(err, RN_ERROR_INVALID, "split",
+                            "every:N wants N of 2 or more: some views must be left to train on");
+    if (options->bounds_given &&
+        !(isfinite(bounds->radius) && bounds->radius > 0 && isfinite(bounds->centre[0]) &&
+          isfinite(bounds->centre[1]) && isfinite(bounds->centre[2])))
+        return rn_error_set(err, RN_ERROR_INVALID, "bounds",
+                            "wants a finite centre and a positive radius");
+    for (size_t i = 0; i < source->frame_count; i++) {
+        const struct rn_frame *view = &source->frames[i];
+        int width, height;
+        scaled_size(view, options, options->scales - 1, &width, &height);
+        if (width < 1 || height < 1)
+            return rn_error_set(err, RN_ERROR_INVALID, "scales",
+                                "%d scales leave nothing of %s (%dx%d pixels)", options->scales,
+                                view->path, view->camera.width, view->camera.height);
+    }
+    return RN_OK;
+}
+
+static enum rn_status check_target(const char *target, struct rn_error *err) {
+    DIR *folder = opendir(target);
+    if (!folder) return errno == ENOENT ? RN_OK : rn_error_from_errno(err, errno, target, "open");
+    int entries = 0;
+    while (readdir(folder))
+        entries++;
+    closedir(folder);
+    if (entries > 2) return rn_error_set(err, RN_ERROR_CONFLICT, target, "is not an empty folder");
+    return RN_OK;
+}
+
+// Level `level` of a view: its place in the new dataset, its camera, its file.
+static enum rn_status describe_output(const struct import *import, const struct rn_frame *view,
+                                      int level, struct rn_frame *output, struct rn_error *err) {
+    int width, height, every = import->options->test_every;
+    scaled_size(view, import->options, level, &width, &height);
+    *output = *view;
+    if (every && view->split == RN_SPLIT_TRAIN && view->index % every == 0) {
+        output->split = RN_SPLIT_TEST;
+        output->index = view->index / every;
+    }
+    output->scale = view->scale + level;
+    output->loss_weight = ldexp(view->loss_weight, 2 * level);
+    output->camera = rn_camera_resized(&view->camera, width, height);
+    output->name = strdup(view->name);
+    if (asprintf(&output->path, "%s/images/%s_%05d_d%d.png", import->target,
+                 rn_split_name(output->split), output->index, output->scale) < 0)
+        output->path = NULL;
+    if (output->name && output->path) return RN_OK;
+    rn_frame_finish(output);
+    return rn_error_set(err, RN_ERROR_NO_MEMORY, view->path, "out of memory");
+}
+
+static enum rn_status write_level(const struct import *import, const struct rn_frame *view,
+                                  const struct rn_image *image, int level, struct rn_frame *output,
+                                  struct rn_error *err) {
+    enum rn_status status = describe_output(import, view, level, output, err);
+    if (status) return status;
+    int width = output->camera.width, height = output->camera.height;
+    if (image->width == width && image->height == height)
+        return rn_image_write_png(image, output->path, PNG_LEVEL, err);
+    struct rn_image scaled;
+    status = rn_image_downscale(image, width, height, import->options->downscale, &scaled, err);
+    if (status) return status;
+    status = rn_image_write_png(&scaled, output->path, PNG_LEVEL, err);
+    rn_image_finish(&scaled);
+    return status;
+}
+
+static enum rn_status write_legacy(const struct import *import, const struct rn_frame *view,
+                                   const struct rn_image *full, struct rn_frame *outputs,
+                                   struct rn_error *err) {
+    struct rn_image levels[RN_DATASET_MAX_SCALE] = {{0}};
+    struct rn_error inner;
+    enum rn_status status = rn_image_legacy_pyramid(full, import->levels, levels, &inner);
+    if (status)
+        return rn_error_set(err, status, view->path, "cannot make %d straight scales: %s",
+                            import->levels, inner.text);
+    for (int level = 0; level < import->levels; level++) {
+        if (status == RN_OK)
+            status = write_level(import, view, &levels[level], level, &outputs[level], err);
+        rn_image_finish(&levels[level]);
+    }
+    return status;
+}
+
+static enum rn_status write_levels(const struct import *import, const struct rn_frame *view,
+                                   const struct rn_image *full, struct rn_frame *outputs,
+                                   struct rn_error *err) {
+    if (import->levels > 1 && import->options->downscale == RN_DOWNSCALE_STRAIGHT)
+        return write_legacy(import, view, full, outputs, err);
+    enum rn_status status = RN_OK;
+    for (int level = 0; level < import->levels && status == RN_OK; level++)
+        status = write_level(import, view, full, level, &outputs[level], err);
+    return status;
+}
+
+// Decodes one view. A failure that concerns only this image is its fault, not the import's.
+static enum rn_status decode(const struct rn_frame *view, struct rn_image *ret_image,
+                             struct rn_error *err) {
+    struct rn_image image;
+    enum rn_status status = rn_image_read(view->path, &rn_image_default_limits, &image, err);
+    if (status) return status;
+    if (image.width != view->camera.width || image.height != view->camera.height) {
+        status = rn_error_set(err, RN_ERROR_INVALID, view->path, "is %dx%d pixels, not %dx%d",
+                              image.width, image.height, view->camera.width, view->camera.height);
+        rn_image_finish(&image);
+        return status;
+    }
+    *ret_image = image;
+    return RN_OK;
+}
+
+static enum rn_status import_view(const struct import *import, size_t index, struct rn_error *fault,
+                                  struct rn_error *err) {
+    const struct rn_frame *view = import->views[index];
+    struct rn_frame *outputs = import->outputs + index * (size_t)import->levels;
+    struct rn_image image;
+    enum rn_status status = decode(view, &image, fault);
+    if (status == RN_ERROR_NO_MEMORY) {
+        *err = *fault;
+        return status;
+    }
+    if (status) return RN_OK;
+    int width, height;
+    scaled_size(view, import->options, 0, &width, &height);
+    if (width != image.width || height != image.height) {
+        struct rn_image full;
+        status = rn_image_downscale(&image, width, height, import->options->downscale, &full, err);
+        rn_image_finish(&image);
+        if (status) return status;
+        image = full;
+    }
+    status = write_levels(import, view, &image, outputs, err);
+    rn_image_finish(&image);
+    return status;
+}
+
+static void import_work(void *context, size_t index) {
+    struct import *import = context;
+    pthread_mutex_lock(&import->lock);
+    bool stopped = import->stopped;
+    pthread_mutex_unlock(&import->lock);
+    if (stopped) return;
+    struct rn_error err = {.status = RN_OK};
+    enum rn_status status = import_view(import, index, &import->faults[index], &err);
+    pthread_mutex_lock(&import->lock);
+    if (status && !import->stopped) {
+        import->stopped = true;
+        import->failure = err;
+    }
+    import->done++;
+    if (!import->stopped && import->progress &&
+        !import->progress(import->context, import->done, import->view_count)) {
+        import->stopped = true;
+        rn_error_set(&import->failure, RN_ERROR_CANCELLED, import->target, "import cancelled");
+    }
+    pthread_mutex_unlock(&import->lock);
+}
+
+static json_t *frame_to_json(const struct rn_frame *frame, const char *target) {
+    return json_pack("{s:s s:s s:s s:i s:i s:f s:o}", "name", frame->name, "file",
+                     frame->path + strlen(target) + 1, "split", rn_split_name(frame->split),
+                     "index", frame->index, "scale", frame->scale, "loss_weight",
+                     frame->loss_weight, "camera", rn_json_from_camera(&frame->camera));
+}
+
+static json_t *dataset_to_json(const struct rn_dataset *dataset, const char *target) {
+    const struct rn_bounds *bounds = &dataset->bounds;
+    json_t *frames = json_array();
+    for (size_t i = 0; i < dataset->frame_count; i++)
+        if (json_array_append_new(frames, frame_to_json(&dataset->frames[i], target)) != 0) {
+            json_decref(frames);
+            return NULL;
+        }
+    return json_pack("{s:s s:i s:s s:{s:s s:s} s:{s:[fff] s:f s:s} s:o}", "format",
+                     RN_NATIVE_FORMAT, "version", RN_NATIVE_VERSION, "name", dataset->name,
+                     "source", "layout", rn_layout_names[dataset->layout], "downscale",
+                     rn_downscale_names[dataset->premultiplied_scales ? RN_DOWNSCALE_PREMULTIPLIED
+                                                                      : RN_DOWNSCALE_STRAIGHT],
+                     "bounds", "centre", bounds->centre[0], bounds->centre[1], bounds->centre[2],
+                     "radius", bounds->radius, "source", rn_bounds_source_names[bounds->source],
+                     "frames", frames);
+}
+
+static enum rn_status write_json(const struct rn_dataset *dataset, const char *target,
+                                 struct rn_error *err) {
+    json_t *root = dataset_to_json(dataset, target);
+    char *text = root ? json_dumps(root, JSON_INDENT(1) | JSON_REAL_PRECISION(17)) : NULL, *path;
+    json_decref(root);
+    enum rn_status status;
+    if (!text || asprintf(&path, "%s/dataset.json", target) < 0) {
+        status = rn_error_set(err, RN_ERROR_NO_MEMORY, target,
+                              "cannot describe the dataset: out of memory, or a name that is not "
+                              "UTF-8");
+    } else {
+        status = rn_file_write_atomic(path, text, strlen(text), err);
+        free(path);
+    }
+    free(text);
+    return status;
+}
+
+// Drops the outputs of views that could not be decoded and reports those.
+static void drop_faulty(struct import *import, struct rn_problems *problems, int *unusable) {
+    size_t levels = (size_t)import->levels;
+    import->output_count = 0;
+    for (size_t i = 0; i < import->view_count; i++) {
+        const struct rn_error *fault = &import->faults[i];
+        if (fault->status) {
+            rn_problems_add(problems, RN_SEVERITY_ERROR, fault->where, "%s", fault->text);
+            unusable[import->views[i]->split]++;
+            continue;
+        }
+        for (size_t level = 0; level < levels; level++)
+            import->outputs[import->output_count++] = import->outputs[i * levels + level];
+    }
+}
+
+static enum rn_status conclude(struct import *import, const struct rn_dataset *source,
+                               const char *name, struct rn_problems *problems,
+                               struct rn_error *err) {
+    const struct rn_import_options *options = import->options;
+    struct rn_dataset result = {.name = (char *)name, .layout = source->layout};
+    drop_faulty(import, problems, result.unusable);
+    result.frames = import->outputs;
+    result.frame_count = import->output_count;
+    result.bounds = options->bounds_given ? options->bounds : source->bounds;
+    if (options->bounds_given) result.bounds.source = RN_BOUNDS_GIVEN;
+    result.premultiplied_scales = options->downscale == RN_DOWNSCALE_PREMULTIPLIED &&
+                                  (import->levels > 1 || source->premultiplied_scales);
+    enum rn_status status = rn_dataset_seal(&result, import->target, problems, err);
+    return status ? status : write_json(&result, import->target, err);
+}
+
+static enum rn_status choose_views(struct import *import, const struct rn_dataset *source,
+                                   struct rn_error *err) {
+    size_t count = source->frame_count, levels = (size_t)import->levels;
+    if (count * levels > RN_DATASET_MAX_FRAMES)
+        return rn_error_set(err, RN_ERROR_LIMIT, import->target, "would have more than %d images",
+                            RN_DATASET_MAX_FRAMES);
+    import->views = calloc(count + 1, sizeof *import->views);
+    import->outputs = calloc(count * levels + 1, sizeof *import->outputs);
+    import->faults = calloc(count + 1, sizeof *import->faults);
+    if (!import->views || !import->outputs || !import->faults)
+        return rn_error_set(err, RN_ERROR_NO_MEMORY, import->target, "out of memory");
+    for (size_t i = 0; i < count; i++)
+        if (levels == 1 || source->frames[i].scale == 0)
+            import->views[import->view_count++] = &source->frames[i];
+    import->output_count = import->view_count * levels;
+    return RN_OK;
+}
+
+static enum rn_status make_folders(const char *target, struct rn_error *err) {
+    char *images;
+    if (asprintf(&images, "%s/images", target) < 0)
+        return rn_error_set(err, RN_ERROR_NO_MEMORY, target, "out of memory");
+    enum rn_status status = rn_mkdirs(images, 0777, err);
+    free(images);
+    return status;
+}
+
+enum rn_status rn_dataset_import(const struct rn_dataset *source, const char *name,
+                                 const struct rn_import_options *options, const char *target,
+                                 struct rn_problems *problems,
+                                 bool (*progress)(void *context, size_t done, size_t total),
+                                 void *context, struct rn_error *err) {
+    struct rn_import_options chosen = *options;
+    if (source->view_count[RN_SPLIT_TEST]) chosen.test_every = 0;
+    struct import import = {.options = &chosen,
+                            .target = target,
+                            .levels = options->scales,
+                            .progress = progress,
+                            .context = context,
+                            .lock = PTHREAD_MUTEX_INITIALIZER};
+    enum rn_status status;
+    if ((status = check_options(source, &chosen, err)) || (status = check_target(target, err)) ||
+        (status = make_folders(target, err)) || (status = choose_views(&import, source, err)))
+        goto done;
+    rn_parallel_for(options->threads, import.view_count, import_work, &import);
+    if (import.stopped)
+        status = rn_error_set(err, import.failure.status, import.failure.where, "%s",
+                              import.failure.text);
+    else
+        status = conclude(&import, source, name, problems, err);
+done:
+    for (size_t i = 0; i < import.output_count; i++)
+        rn_frame_finish(&import.outputs[i]);
+    free(import.outputs);
+    free(import.views);
+    free(import.faults);
+    return status;
+}

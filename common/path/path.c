@@ -1,0 +1,157 @@
+#include "common/path/path.h"
+
+#include <math.h>
+#include <stdlib.h>
+
+#include "common/dataset/json.h"
+
+#define MAX_KEYS 10000
+#define MAX_TIME_S 86400.0
+#define MAX_FPS 1000.0
+
+static enum rn_status read_key(const struct rn_json *object, bool opengl,
+                               struct rn_path_key *ret_key, struct rn_error *err) {
+    static const char *const known[] = {"time", "world_from_camera", "fov_y_deg", NULL};
+    struct rn_camera camera = {.width = 1, .height = 1, .fx = 1, .fy = 1};
+    struct rn_json pose;
+    double fov_y_deg, time_s;
+    enum rn_status status;
+    if ((status = rn_json_refuse_unknown(object, known, err)) ||
+        (status = rn_json_number(object, "time", 0, MAX_TIME_S, &time_s, err)) ||
+        (status = rn_json_number(object, "fov_y_deg", 1e-3, 179.9, &fov_y_deg, err)) ||
+        (status = rn_json_matrix(object, "world_from_camera", 3, 4, &camera.world_from_camera[0][0],
+                                 err)) ||
+        (status = rn_json_member(object, "world_from_camera", &pose, err)))
+        return status;
+    if (opengl) rn_pose_from_opengl(camera.world_from_camera);
+    struct rn_error inner;
+    if ((status = rn_camera_check(&camera, "", &inner)))
+        return rn_json_error(&pose, status, err, "%s", inner.text);
+    ret_key->time_s = time_s;
+    ret_key->fov_y_rad = fov_y_deg * M_PI / 180;
+    for (int i = 0; i < 12; i++)
+        ret_key->world_from_camera[i / 4][i % 4] = camera.world_from_camera[i / 4][i % 4];
+    return RN_OK;
+}
+
+static enum rn_status read_keys(const struct rn_json *object, struct rn_path *path,
+                                struct rn_error *err) {
+    struct rn_json keys;
+    int opengl;
+    enum rn_status status;
+    if ((status = rn_json_choice(object, "axes", rn_axes_names, 2, &opengl, err)) ||
+        (status = rn_json_array(object, "keys", 1, MAX_KEYS, &keys, err)))
+        return status;
+    size_t count = json_array_size(keys.value);
+    path->keys = calloc(count, sizeof *path->keys);
+    if (!path->keys) return rn_json_error(&keys, RN_ERROR_NO_MEMORY, err, "out of memory");
+    path->key_count = count;
+    for (size_t i = 0; i < count; i++) {
+        struct rn_json at = rn_json_element(&keys, i), time;
+        if ((status = read_key(&at, opengl, &path->keys[i], err)) ||
+            (status = rn_json_member(&at, "time", &time, err)))
+            return status;
+        if (i && path->keys[i].time_s <= path->keys[i - 1].time_s)
+            return rn_json_error(&time, RN_ERROR_INVALID, err,
+                                 "is not later than the key before it (%g s)",
+                                 path->keys[i - 1].time_s);
+    }
+    return RN_OK;
+}
+
+// Duration in frames, before anything is rounded.
+static double span_frames(const struct rn_path *path) {
+    double span_s = path->keys[path->key_count - 1].time_s - path->keys[0].time_s;
+    if (path->loop && path->key_count > 1) span_s += span_s / (double)(path->key_count - 1);
+    return span_s * path->fps;
+}
+
+static enum rn_status read_path(const struct rn_json *object, struct rn_path *path,
+                                struct rn_error *err) {
+    static const char *const known[] = {"axes",  "fps",    "interpolation", "loop",
+                                        "width", "height", "keys",          NULL};
+    static const char *const interpolations[] = {"spline", "linear"};
+    int interpolation;
+    struct rn_json fps;
+    enum rn_status status;
+    if ((status = rn_json_refuse_unknown(object, known, err)) ||
+        (status = rn_json_number(object, "fps", 1e-3, MAX_FPS, &path->fps, err)) ||
+        (status =
+             rn_json_choice(object, "interpolation", interpolations, 2, &interpolation, err)) ||
+        (status = rn_json_boolean(object, "loop", &path->loop, err)) ||
+        (status = rn_json_integer(object, "width", 1, RN_CAMERA_MAX_SIZE, &path->width, err)) ||
+        (status = rn_json_integer(object, "height", 1, RN_CAMERA_MAX_SIZE, &path->height, err)) ||
+        (status = read_keys(object, path, err)) ||
+        (status = rn_json_member(object, "fps", &fps, err)))
+        return status;
+    path->interpolation = (enum rn_interpolation)interpolation;
+    if (span_frames(path) >= RN_PATH_MAX_FRAMES)
+        return rn_json_error(&fps, RN_ERROR_LIMIT, err,
+                             "makes a path of %.0f frames; the limit is %d", span_frames(path),
+                             RN_PATH_MAX_FRAMES);
+    return RN_OK;
+}
+
+// The document's only member, `key`.
+static enum rn_status parse(const char *json, size_t size_bytes, const char *where, const char *key,
+                            json_t **ret_root, struct rn_json *at, struct rn_json *ret_member,
+                            struct rn_error *err) {
+    if (size_bytes > RN_PATH_MAX_BYTES)
+        return rn_error_set(err, RN_ERROR_LIMIT, where, "has %zu bytes; the limit is %u",
+                            size_bytes, RN_PATH_MAX_BYTES);
+    json_t *root;
+    enum rn_status status = rn_json_parse(json, size_bytes, where, &root, err);
+    if (status) return status;
+    const char *const known[] = {key, NULL};
+    *at = rn_json_root(root, where);
+    if ((status = rn_json_refuse_unknown(at, known, err)) ||
+        (status = rn_json_member(at, key, ret_member, err))) {
+        json_decref(root);
+        return status;
+    }
+    *ret_root = root;
+    return RN_OK;
+}
+
+enum rn_status rn_path_parse(const char *json, size_t size_bytes, const char *where,
+                             struct rn_path **ret_path, struct rn_error *err) {
+    json_t *root;
+    struct rn_json at, object;
+    enum rn_status status = parse(json, size_bytes, where, "path", &root, &at, &object, err);
+    if (status) return status;
+    struct rn_path *path = calloc(1, sizeof *path);
+    if (!path)
+        status = rn_error_set(err, RN_ERROR_NO_MEMORY, where, "out of memory");
+    else
+        status = read_path(&object, path, err);
+    json_decref(root);
+    if (status == RN_OK)
+        *ret_path = path;
+    else
+        rn_path_destroy(&path);
+    return status;
+}
+
+enum rn_status rn_camera_parse(const char *json, size_t size_bytes, const char *where,
+                               struct rn_camera *ret_camera, struct rn_error *err) {
+    json_t *root;
+    struct rn_json at, object;
+    enum rn_status status = parse(json, size_bytes, where, "camera", &root, &at, &object, err);
+    if (status) return status;
+    status = rn_json_camera(&object, ret_camera, err);
+    json_decref(root);
+    return status;
+}
+
+void rn_path_destroy(struct rn_path **path) {
+    if (!*path) return;
+    free((*path)->keys);
+    free(*path);
+    *path = NULL;
+}
+
+size_t rn_path_frame_count(const struct rn_path *path) {
+    size_t frames = (size_t)floor(span_frames(path) + 1e-6);
+    if (!path->loop) return frames + 1;
+    return frames ? frames : 1;
+}
