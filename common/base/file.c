@@ -65,21 +65,53 @@ static enum rn_status read_open(int fd, const char *path, size_t expected, size_
     return RN_OK;
 }
 
-enum rn_status rn_file_read(const char *path, size_t max_bytes, uint8_t **ret_bytes,
-                            size_t *ret_size, struct rn_error *err) {
-    if (max_bytes > SSIZE_MAX - 2) max_bytes = SSIZE_MAX - 2;
+static enum rn_status open_regular(const char *path, int *ret_fd, uint64_t *ret_size,
+                                   struct rn_error *err) {
     int fd = open(path, O_RDONLY | O_CLOEXEC | O_NONBLOCK); // non-blocking: a pipe must not hang
     if (fd < 0) return rn_error_from_errno(err, errno, path, "open the file");
     struct stat info;
-    enum rn_status status;
+    enum rn_status status = RN_OK;
     if (fstat(fd, &info) < 0)
         status = rn_error_from_errno(err, errno, path, "examine the file");
     else if (!S_ISREG(info.st_mode))
         status = rn_error_set(err, RN_ERROR_INVALID, path, "this is not a regular file");
-    else if ((uintmax_t)info.st_size > max_bytes)
+    if (status != RN_OK) {
+        close(fd);
+        return status;
+    }
+    *ret_fd = fd;
+    *ret_size = (uint64_t)info.st_size;
+    return RN_OK;
+}
+
+enum rn_status rn_file_read(const char *path, size_t max_bytes, uint8_t **ret_bytes,
+                            size_t *ret_size, struct rn_error *err) {
+    if (max_bytes > SSIZE_MAX - 2) max_bytes = SSIZE_MAX - 2;
+    int fd;
+    uint64_t expected;
+    enum rn_status status = open_regular(path, &fd, &expected, err);
+    if (status != RN_OK) return status;
+    if (expected > max_bytes)
         status = too_large(path, max_bytes, err);
     else
-        status = read_open(fd, path, (size_t)info.st_size, max_bytes, ret_bytes, ret_size, err);
+        status = read_open(fd, path, (size_t)expected, max_bytes, ret_bytes, ret_size, err);
+    close(fd);
+    return status;
+}
+
+enum rn_status rn_file_read_head(const char *path, uint8_t *bytes, size_t capacity,
+                                 size_t *ret_size, uint64_t *ret_file_size, struct rn_error *err) {
+    int fd;
+    uint64_t file_size;
+    enum rn_status status = open_regular(path, &fd, &file_size, err);
+    if (status != RN_OK) return status;
+    ssize_t got = read_fully(fd, bytes, capacity);
+    if (got < 0)
+        status = rn_error_from_errno(err, errno, path, "read the file");
+    else {
+        *ret_size = (size_t)got;
+        *ret_file_size = file_size;
+    }
     close(fd);
     return status;
 }

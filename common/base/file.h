@@ -18,6 +18,12 @@
 enum rn_status rn_file_read(const char *path, size_t max_bytes, uint8_t **ret_bytes,
                             size_t *ret_size, struct rn_error *err) RN_MUST_CHECK;
 
+// Reads at most `capacity` leading bytes of a regular file into `bytes`. *ret_size is how many,
+// *ret_file_size the whole file's size in bytes. RN_ERROR_INVALID as above.
+enum rn_status rn_file_read_head(const char *path, uint8_t *bytes, size_t capacity,
+                                 size_t *ret_size, uint64_t *ret_file_size,
+                                 struct rn_error *err) RN_MUST_CHECK;
+
 // Replaces or creates `path` so that a reader, and the disk after a power loss, sees the old
 // content or the new one and never a part: temporary file in the same folder, fsync, rename,
 // fsync of the folder. The temporary file is removed on failure. Mode 0666 less the umask.

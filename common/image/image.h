@@ -30,10 +30,16 @@ struct rn_image_limits {
 };
 extern const struct rn_image_limits rn_image_default_limits; // 16384, 16384, 2^27, 2^30
 
-void rn_image_finish(struct rn_image *image);     // frees, zeroes; NULL-safe pixels
+// Every function below is thread-safe. `limits` may be NULL for the default. Statuses: a damaged,
+// truncated or unknown file and a wrong argument are RN_ERROR_INVALID, a passed limit
+// RN_ERROR_LIMIT (before anything of that size is allocated), memory RN_ERROR_NO_MEMORY.
+
+void rn_image_finish(struct rn_image *image); // frees, zeroes; NULL-safe pixels
 void rn_picture_finish(struct rn_picture *picture);
+// All zero: transparent black with has_alpha set. Sizes within the default limits.
 enum rn_status rn_image_init(int width, int height, struct rn_image *ret_image,
                              struct rn_error *err) RN_MUST_CHECK;
+// All zero. channels 1, 3 or 4.
 enum rn_status rn_picture_init(int width, int height, int channels, struct rn_picture *ret_picture,
                                struct rn_error *err) RN_MUST_CHECK;
 
@@ -45,14 +51,17 @@ struct rn_image_info {
 // Reads a PNG or JPEG header only. Errors name the file.
 enum rn_status rn_image_probe(const char *path, const struct rn_image_limits *limits,
                               struct rn_image_info *ret_info, struct rn_error *err) RN_MUST_CHECK;
-// Decodes PNG (any colour type, depth, interlace) or JPEG (grey, YCbCr; CMYK is refused) to RGBA8.
+// Decodes PNG (any colour type, depth, interlace; 16 bits are rounded to 8, colour profiles and
+// gamma are ignored) or JPEG (grey, YCbCr, RGB; CMYK is RN_ERROR_UNSUPPORTED) to RGBA8. The
+// content decides, not the file's extension. EXIF rotation is not applied.
 enum rn_status rn_image_read(const char *path, const struct rn_image_limits *limits,
                              struct rn_image *ret_image, struct rn_error *err) RN_MUST_CHECK;
 enum rn_status rn_image_decode(const void *bytes, size_t size_bytes, const char *where,
                                const struct rn_image_limits *limits, struct rn_image *ret_image,
                                struct rn_error *err) RN_MUST_CHECK;
 
-// Encoders: *ret_bytes is malloc'd and owned by the caller. level: zlib 0..9 / JPEG 1..100.
+// Encoders: *ret_bytes is malloc'd and owned by the caller. level: zlib 0..9 / JPEG 1..100. PNG is
+// RGBA when has_alpha, else RGB. JPEG has no alpha: colours are written as they are (4:4:4).
 enum rn_status rn_image_encode_png(const struct rn_image *image, int level, uint8_t **ret_bytes,
                                    size_t *ret_size, struct rn_error *err) RN_MUST_CHECK;
 enum rn_status rn_image_encode_jpeg(const struct rn_image *image, int quality, uint8_t **ret_bytes,
@@ -72,14 +81,15 @@ enum rn_status rn_picture_to_image(const struct rn_picture *picture, struct rn_i
                                    struct rn_error *err) RN_MUST_CHECK;
 // 8 bit -> fp32 rgb over a background: rgb * a + (1 - a) * background, all in [0,1].
 enum rn_status rn_image_composite(const struct rn_image *image, const float background[3],
-                                  struct rn_picture *ret_picture, struct rn_error *err)
-    RN_MUST_CHECK;
+                                  struct rn_picture *ret_picture,
+                                  struct rn_error *err) RN_MUST_CHECK;
 
 enum rn_downscale {
     RN_DOWNSCALE_PREMULTIPLIED, // mean of premultiplied colour, rounded (the default)
     RN_DOWNSCALE_STRAIGHT,      // the published benchmark's: mean of straight RGBA, truncated
 };
-// Area-averages to exactly width x height (each <= the source's). Equal sizes copy.
+// Area-averages to exactly width x height (each 1 .. the source's). Equal sizes copy. Weights and
+// sums are exact integers, so the only error is the one rounding (0.5 of 255) or truncation.
 enum rn_status rn_image_downscale(const struct rn_image *image, int width, int height,
                                   enum rn_downscale mode, struct rn_image *ret_image,
                                   struct rn_error *err) RN_MUST_CHECK;
@@ -87,7 +97,7 @@ enum rn_status rn_image_downscale(const struct rn_image *image, int width, int h
 // next a float32 2x2 box mean of the *unrounded* previous one, stored as truncation of v*255.
 // Sizes must be divisible by 2^(levels-1), else RN_ERROR_INVALID. ret_levels has `levels` slots.
 enum rn_status rn_image_legacy_pyramid(const struct rn_image *image, int levels,
-                                       struct rn_image *ret_levels, struct rn_error *err)
-    RN_MUST_CHECK;
+                                       struct rn_image *ret_levels,
+                                       struct rn_error *err) RN_MUST_CHECK;
 
 #endif

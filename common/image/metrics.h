@@ -8,13 +8,13 @@
 // RN_ERROR_INVALID otherwise.
 
 // 10 log10(1 / MSE) in dB over all pixels and channels; +INFINITY for identical pictures.
-enum rn_status rn_psnr(const struct rn_picture *a, const struct rn_picture *b, double *ret_db)
-    RN_MUST_CHECK;
+enum rn_status rn_psnr(const struct rn_picture *a, const struct rn_picture *b,
+                       double *ret_db) RN_MUST_CHECK;
 
 // Mean structural similarity: 11x11 Gaussian window, sigma 1.5, K1 0.01, K2 0.03, data range 1,
 // per channel, averaged over the positions where the window fits; a picture smaller than the
 // window uses the largest odd window that fits. Wang et al. 2004.
-enum rn_status rn_ssim(const struct rn_picture *a, const struct rn_picture *b, double *ret_ssim)
-    RN_MUST_CHECK;
+enum rn_status rn_ssim(const struct rn_picture *a, const struct rn_picture *b,
+                       double *ret_ssim) RN_MUST_CHECK;
 
 #endif

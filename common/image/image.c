@@ -1,0 +1,209 @@
+#include "common/image/image.h"
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "common/base/file.h"
+#include "common/image/codec.h"
+
+#define FIRST_HEAD_BYTES 4096
+
+const struct rn_image_limits rn_image_default_limits = {
+    .max_width = 16384,
+    .max_height = 16384,
+    .max_pixels = (size_t)1 << 27,
+    .max_file_bytes = (size_t)1 << 30,
+};
+
+enum rn_status rn_image_check_size(int width, int height, const struct rn_image_limits *limits,
+                                   const char *where, struct rn_error *err) {
+    if (width < 1 || height < 1)
+        return rn_error_set(err, RN_ERROR_INVALID, where, "an image of %d x %d pixels is empty",
+                            width, height);
+    if (width > limits->max_width || height > limits->max_height ||
+        (size_t)width * (size_t)height > limits->max_pixels)
+        return rn_error_set(err, RN_ERROR_LIMIT, where,
+                            "an image of %d x %d pixels is over the limit (%d x %d, %zu in all): "
+                            "scale it down",
+                            width, height, limits->max_width, limits->max_height,
+                            limits->max_pixels);
+    return RN_OK;
+}
+
+static enum rn_status no_memory(struct rn_error *err, int width, int height) {
+    return rn_error_set(err, RN_ERROR_NO_MEMORY, "", "no memory for an image of %d x %d pixels",
+                        width, height);
+}
+
+enum rn_status rn_image_init(int width, int height, struct rn_image *ret_image,
+                             struct rn_error *err) {
+    enum rn_status status = rn_image_check_size(width, height, &rn_image_default_limits, "", err);
+    if (status != RN_OK) return status;
+    uint8_t *pixels = calloc((size_t)width * (size_t)height, 4);
+    if (!pixels) return no_memory(err, width, height);
+    *ret_image =
+        (struct rn_image){.width = width, .height = height, .has_alpha = true, .pixels = pixels};
+    return RN_OK;
+}
+
+void rn_image_finish(struct rn_image *image) {
+    free(image->pixels);
+    *image = (struct rn_image){0};
+}
+
+enum rn_status rn_picture_init(int width, int height, int channels, struct rn_picture *ret_picture,
+                               struct rn_error *err) {
+    if (channels != 1 && channels != 3 && channels != 4)
+        return rn_error_set(err, RN_ERROR_INVALID, "", "a picture has 1, 3 or 4 channels, not %d",
+                            channels);
+    enum rn_status status = rn_image_check_size(width, height, &rn_image_default_limits, "", err);
+    if (status != RN_OK) return status;
+    float *values = calloc((size_t)width * (size_t)height, (size_t)channels * sizeof(float));
+    if (!values) return no_memory(err, width, height);
+    *ret_picture = (struct rn_picture){
+        .width = width, .height = height, .channels = channels, .values = values};
+    return RN_OK;
+}
+
+void rn_picture_finish(struct rn_picture *picture) {
+    free(picture->values);
+    *picture = (struct rn_picture){0};
+}
+
+static enum rn_status unknown_format(const char *where, size_t size_bytes, struct rn_error *err) {
+    return rn_error_set(err, RN_ERROR_INVALID, where,
+                        size_bytes == 0 ? "the file is empty"
+                                        : "this is neither a PNG nor a JPEG file: convert it");
+}
+
+static enum rn_status probe_bytes(const uint8_t *bytes, size_t size_bytes, const char *where,
+                                  struct rn_image_info *ret_info, struct rn_error *err) {
+    if (rn_png_is(bytes, size_bytes)) return rn_png_probe(bytes, size_bytes, where, ret_info, err);
+    return rn_jpeg_probe(bytes, size_bytes, where, ret_info, err);
+}
+
+// Most headers are within the first kilobytes, but metadata may push them anywhere: reads longer
+// and longer heads until one suffices or the file ends.
+static enum rn_status probe_file(const char *path, const struct rn_image_limits *limits,
+                                 struct rn_image_info *ret_info, struct rn_error *err) {
+    uint8_t *head = NULL;
+    enum rn_status status;
+    size_t size = 0;
+    uint64_t file_size = 0;
+    for (size_t capacity = FIRST_HEAD_BYTES;; capacity *= 8) {
+        uint8_t *grown = realloc(head, capacity);
+        if (!grown) {
+            status = rn_error_set(err, RN_ERROR_NO_MEMORY, path, "no memory to read the header");
+            break;
+        }
+        head = grown;
+        status = rn_file_read_head(path, head, capacity, &size, &file_size, err);
+        if (status != RN_OK) break;
+        if (file_size > limits->max_file_bytes) {
+            status = rn_error_set(err, RN_ERROR_LIMIT, path,
+                                  "the file is larger than the limit of %zu bytes",
+                                  limits->max_file_bytes);
+            break;
+        }
+        if (!rn_png_is(head, size) && !rn_jpeg_is(head, size)) {
+            status = unknown_format(path, size, err);
+            break;
+        }
+        status = probe_bytes(head, size, path, ret_info, err);
+        if (status != RN_ERROR_INVALID || size < capacity) break;
+    }
+    free(head);
+    return status;
+}
+
+enum rn_status rn_image_probe(const char *path, const struct rn_image_limits *limits,
+                              struct rn_image_info *ret_info, struct rn_error *err) {
+    if (!limits) limits = &rn_image_default_limits;
+    struct rn_image_info info;
+    enum rn_status status = probe_file(path, limits, &info, err);
+    if (status == RN_OK) status = rn_image_check_size(info.width, info.height, limits, path, err);
+    if (status == RN_OK) *ret_info = info;
+    return status;
+}
+
+enum rn_status rn_image_decode(const void *bytes, size_t size_bytes, const char *where,
+                               const struct rn_image_limits *limits, struct rn_image *ret_image,
+                               struct rn_error *err) {
+    if (!limits) limits = &rn_image_default_limits;
+    if (rn_png_is(bytes, size_bytes))
+        return rn_png_decode(bytes, size_bytes, where, limits, ret_image, err);
+    if (rn_jpeg_is(bytes, size_bytes))
+        return rn_jpeg_decode(bytes, size_bytes, where, limits, ret_image, err);
+    return unknown_format(where, size_bytes, err);
+}
+
+enum rn_status rn_image_read(const char *path, const struct rn_image_limits *limits,
+                             struct rn_image *ret_image, struct rn_error *err) {
+    if (!limits) limits = &rn_image_default_limits;
+    uint8_t *bytes;
+    size_t size;
+    enum rn_status status = rn_file_read(path, limits->max_file_bytes, &bytes, &size, err);
+    if (status != RN_OK) return status;
+    status = rn_image_decode(bytes, size, path, limits, ret_image, err);
+    free(bytes);
+    return status;
+}
+
+enum rn_status rn_image_write_png(const struct rn_image *image, const char *path, int level,
+                                  struct rn_error *err) {
+    uint8_t *bytes;
+    size_t size;
+    enum rn_status status = rn_image_encode_png(image, level, &bytes, &size, err);
+    if (status != RN_OK) return status;
+    status = rn_file_write_atomic(path, bytes, size, err);
+    free(bytes);
+    return status;
+}
+
+static uint8_t to_byte(float value) {
+    if (!isfinite(value) || value <= 0) return 0;
+    return value >= 1 ? 255 : (uint8_t)(value * 255.0f + 0.5f);
+}
+
+enum rn_status rn_picture_to_image(const struct rn_picture *picture, struct rn_image *ret_image,
+                                   struct rn_error *err) {
+    struct rn_image image;
+    enum rn_status status = rn_image_init(picture->width, picture->height, &image, err);
+    if (status != RN_OK) return status;
+    int channels = picture->channels;
+    image.has_alpha = channels == 4;
+    size_t count = (size_t)image.width * (size_t)image.height;
+    for (size_t i = 0; i < count; i++) {
+        const float *from = picture->values + i * (size_t)channels;
+        uint8_t *to = image.pixels + 4 * i;
+        for (int c = 0; c < 3; c++)
+            to[c] = to_byte(from[channels == 1 ? 0 : c]);
+        to[3] = channels == 4 ? to_byte(from[3]) : 255;
+    }
+    *ret_image = image;
+    return RN_OK;
+}
+
+enum rn_status rn_image_composite(const struct rn_image *image, const float background[3],
+                                  struct rn_picture *ret_picture, struct rn_error *err) {
+    for (int c = 0; c < 3; c++)
+        if (!(background[c] >= 0 && background[c] <= 1))
+            return rn_error_set(err, RN_ERROR_INVALID, "background",
+                                "a background colour's values must be 0 to 1");
+    struct rn_picture picture;
+    enum rn_status status = rn_picture_init(image->width, image->height, 3, &picture, err);
+    if (status != RN_OK) return status;
+    float unit[256];
+    for (int i = 0; i < 256; i++)
+        unit[i] = (float)i / 255.0f;
+    size_t count = (size_t)image->width * (size_t)image->height;
+    for (size_t i = 0; i < count; i++) {
+        const uint8_t *from = image->pixels + 4 * i;
+        float alpha = unit[from[3]], rest = 1.0f - alpha;
+        for (int c = 0; c < 3; c++)
+            picture.values[3 * i + (size_t)c] = unit[from[c]] * alpha + rest * background[c];
+    }
+    *ret_picture = picture;
+    return RN_OK;
+}
