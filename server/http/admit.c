@@ -1,0 +1,105 @@
+// What is refused from the headers alone, before a byte of the body is read.
+#include <stdlib.h>
+#include <string.h>
+#include <strings.h>
+
+#include "server/http/exchange.h"
+#include "server/http/guard.h"
+
+static unsigned parse_method(const char *method) {
+    if (strcmp(method, "GET") == 0 || strcmp(method, "HEAD") == 0) return RN_METHOD_GET;
+    if (strcmp(method, "POST") == 0) return RN_METHOD_POST;
+    return strcmp(method, "DELETE") == 0 ? RN_METHOD_DELETE : 0;
+}
+
+static void refuse_overload(struct rn_request *request, struct rn_reply *reply) {
+    struct rn_http *http = request->http;
+    pthread_mutex_lock(&http->lock);
+    bool stopping = http->stopping;
+    bool full = http->stats.connections > http->options.max_connections;
+    if (full) http->stats.refused++;
+    pthread_mutex_unlock(&http->lock);
+    if (stopping)
+        rn_reply_problem(reply, 503, "busy", "the daemon is shutting down");
+    else if (full)
+        rn_reply_problem(reply, 503, "busy", "%u connections are open, the limit; try again later",
+                         http->options.max_connections);
+}
+
+static void find_route(struct rn_request *request, const char *method, struct rn_reply *reply) {
+    unsigned bit = parse_method(method);
+    request->method = (enum rn_method)bit;
+    rn_router_match(request->http->options.routes, bit, request->path, &request->match);
+    if (request->match.route != NULL) return;
+    unsigned allowed = request->match.allowed;
+    if (allowed == 0) {
+        rn_reply_problem(reply, 404, "not-found", "there is nothing at %.200s", request->path);
+        return;
+    }
+    rn_reply_problem(reply, 405, "method-not-allowed", "%.16s is not a method of this path",
+                     method);
+    char methods[32] = "";
+    if (allowed & RN_METHOD_GET) strcat(methods, ", GET, HEAD");
+    if (allowed & RN_METHOD_POST) strcat(methods, ", POST");
+    if (allowed & RN_METHOD_DELETE) strcat(methods, ", DELETE");
+    rn_reply_header(reply, "Allow", "%s", methods + 2);
+}
+
+static void check_caller(struct rn_request *request, struct rn_reply *reply) {
+    struct rn_http *http = request->http;
+    const char *host = rn_request_header(request, "Host");
+    const char *origin = rn_request_header(request, "Origin");
+    bool open = (request->match.route->flags & RN_ROUTE_OPEN) != 0;
+    if (http->token != NULL && !open &&
+        !rn_guard_token(rn_request_header(request, "Authorization"), http->token)) {
+        rn_reply_problem(reply, 401, "unauthorised",
+                         "send the daemon's token as 'Authorization: Bearer …'");
+        rn_reply_header(reply, "WWW-Authenticate", "Bearer");
+    } else if (http->token == NULL && !rn_guard_host_is_loopback(host)) {
+        rn_reply_problem(reply, 403, "forbidden",
+                         "the Host '%.100s' is not this machine's loopback address",
+                         host == NULL ? "" : host);
+    } else if (request->method != RN_METHOD_GET && !rn_guard_origin(origin, host)) {
+        rn_reply_problem(reply, 403, "forbidden", "the Origin '%.100s' is not this daemon's",
+                         origin);
+    }
+}
+
+// Whether the Content-Type is the given one, parameters aside.
+static bool has_type(const struct rn_request *request, const char *type) {
+    const char *value = rn_request_header(request, "Content-Type");
+    size_t size = strlen(type);
+    return value != NULL && strncasecmp(value, type, size) == 0 &&
+           (value[size] == '\0' || value[size] == ';' || value[size] == ' ');
+}
+
+static bool has_body(const struct rn_request *request, uint64_t *ret_size) {
+    const char *length = rn_request_header(request, "Content-Length");
+    *ret_size = length == NULL ? 0 : strtoull(length, NULL, 10);
+    return *ret_size > 0 || rn_request_header(request, "Transfer-Encoding") != NULL;
+}
+
+static void check_body(struct rn_request *request, struct rn_reply *reply) {
+    uint64_t size, max = request->sink.max;
+    bool body = has_body(request, &size);
+    if (body && max == 0)
+        rn_reply_problem(reply, 413, "too-large", "this request takes no body");
+    else if (size > max)
+        rn_reply_problem(reply, 413, "too-large",
+                         "the body has %llu bytes, the limit is %llu bytes",
+                         (unsigned long long)size, (unsigned long long)max);
+    else if (max > 0 && request->sink.path == NULL && !has_type(request, "application/json"))
+        rn_reply_problem(reply, 415, "media-type",
+                         "send the body with Content-Type: application/json");
+}
+
+void rn_admit(struct rn_request *request, const char *method, struct rn_reply *reply) {
+    refuse_overload(request, reply);
+    if (reply->status == 0) find_route(request, method, reply);
+    if (reply->status == 0) check_caller(request, reply);
+    if (reply->status != 0) return;
+    const struct rn_route *route = request->match.route;
+    (void)rn_sink_init(&request->sink, route->max_body_bytes);
+    if (route->begin != NULL) route->begin(request->http->options.context, request, reply);
+    if (reply->status == 0) check_body(request, reply);
+}

@@ -1,0 +1,110 @@
+#include <errno.h>
+#include <fcntl.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <unistd.h>
+
+#include "server/http/exchange.h"
+
+// What is read and thrown away before an oversized body's sender is cut off.
+#define MAX_DISCARDED (1u << 20)
+
+enum rn_status rn_sink_init(struct rn_sink *sink, uint64_t max_bytes) {
+    *sink = (struct rn_sink){.fd = -1, .max = max_bytes};
+    rn_buf_init(&sink->memory, (size_t)max_bytes);
+    return RN_OK;
+}
+
+static void fail(struct rn_sink *sink, enum rn_status status, const char *text) {
+    if (sink->error.status == RN_OK) (void)rn_error_set(&sink->error, status, "body", "%s", text);
+}
+
+static void write_file(struct rn_sink *sink, const char *bytes, size_t size) {
+    while (size > 0) {
+        ssize_t written = write(sink->fd, bytes, size);
+        if (written < 0 && errno == EINTR) continue;
+        if (written <= 0) {
+            (void)rn_error_from_errno(&sink->error, written < 0 ? errno : EIO, sink->path,
+                                      "writing the upload");
+            return;
+        }
+        bytes += written;
+        size -= (size_t)written;
+    }
+}
+
+bool rn_sink_write(struct rn_sink *sink, const char *bytes, size_t size) {
+    if (sink->error.status == RN_OK && size > sink->max - sink->size) {
+        char text[128];
+        snprintf(text, sizeof text, "the body is larger than the limit of %llu bytes",
+                 (unsigned long long)sink->max);
+        fail(sink, RN_ERROR_LIMIT, text);
+    }
+    if (sink->error.status != RN_OK) {
+        sink->discarded += size;
+        return sink->discarded <= MAX_DISCARDED;
+    }
+    sink->size += size;
+    if (sink->fd >= 0) {
+        write_file(sink, bytes, size);
+    } else {
+        rn_buf_append(&sink->memory, bytes, size);
+        if (sink->memory.failed) fail(sink, RN_ERROR_NO_MEMORY, "no memory for the body");
+    }
+    return true;
+}
+
+enum rn_status rn_sink_close(struct rn_sink *sink, struct rn_error *err) {
+    if (sink->fd >= 0) {
+        if (sink->error.status == RN_OK && fsync(sink->fd) != 0)
+            (void)rn_error_from_errno(&sink->error, errno, sink->path, "writing the upload");
+        close(sink->fd);
+        sink->fd = -1;
+    }
+    if (sink->error.status != RN_OK && err != NULL) *err = sink->error;
+    return sink->error.status;
+}
+
+void rn_sink_finish(struct rn_sink *sink) {
+    if (sink->fd >= 0) close(sink->fd);
+    if (sink->path != NULL) unlink(sink->path);
+    free(sink->path);
+    rn_buf_finish(&sink->memory);
+    sink->fd = -1;
+    sink->path = NULL;
+}
+
+enum rn_status rn_request_spool(struct rn_request *request, const char *folder,
+                                uint64_t max_bytes, struct rn_error *err) {
+    struct rn_sink *sink = &request->sink;
+    char *path = NULL;
+    if (asprintf(&path, "%s/upload-XXXXXX", folder) < 0)
+        return rn_error_set(err, RN_ERROR_NO_MEMORY, folder, "no memory for an upload");
+    int fd = mkostemp(path, O_CLOEXEC);
+    if (fd < 0) {
+        enum rn_status status = rn_error_from_errno(err, errno, path, "creating an upload file");
+        free(path);
+        return status;
+    }
+    sink->fd = fd;
+    sink->path = path;
+    sink->max = max_bytes;
+    return RN_OK;
+}
+
+const char *rn_request_spooled(const struct rn_request *request, uint64_t *ret_size) {
+    *ret_size = request->sink.size;
+    return request->sink.path;
+}
+
+void rn_request_take_spooled(struct rn_request *request) {
+    free(request->sink.path);
+    request->sink.path = NULL;
+}
+
+const uint8_t *rn_request_body(const struct rn_request *request, size_t *ret_size) {
+    const struct rn_buf *memory = &request->sink.memory;
+    *ret_size = memory->size;
+    return memory->data != NULL ? memory->data : (const uint8_t *)"";
+}

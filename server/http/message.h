@@ -1,0 +1,114 @@
+// Requests and replies as the rest of the daemon sees them; nothing here names an HTTP library.
+//
+// A handler runs on the one HTTP thread and must not block. It reads the request, fills the reply
+// and returns; or it parks the request (rn_request_park) and another thread answers it later.
+#ifndef RN_SERVER_HTTP_MESSAGE_H
+#define RN_SERVER_HTTP_MESSAGE_H
+
+#include <stddef.h>
+#include <stdint.h>
+#include <sys/types.h>
+
+#include "common/base/status.h"
+
+enum rn_method { RN_METHOD_GET = 1, RN_METHOD_POST = 2, RN_METHOD_DELETE = 4 };
+
+#define RN_MAX_PARAMS 3
+#define RN_REPLY_MAX_HEADERS 8
+
+struct rn_request; // one exchange; valid during the handler's call only
+struct rn_parked;  // a request that waits for its reply; see rn_request_park
+struct rn_ring;    // a bounded list of events; see ring.h
+
+// A body that is produced piece by piece on the HTTP thread (files of any size, archives).
+struct rn_stream {
+    // Returns bytes written (> 0), 0 at the end, -1 on an error (the connection is cut).
+    ssize_t (*read)(void *context, uint8_t *bytes, size_t capacity);
+    void (*close)(void *context); // called exactly once
+    void *context;
+};
+
+enum rn_body { RN_BODY_NONE, RN_BODY_BYTES, RN_BODY_FILE, RN_BODY_STREAM, RN_BODY_EVENTS };
+
+// Thread-safety: one thread at a time. Owner: whoever filled it, until it is handed over.
+struct rn_reply {
+    int status; // 0: not filled yet
+    const char *content_type; // static text; NULL: none
+    struct {
+        const char *name; // static text
+        char value[256];
+    } headers[RN_REPLY_MAX_HEADERS];
+    int header_count;
+    enum rn_body body;
+    uint8_t *bytes; // RN_BODY_BYTES: owned, malloc
+    size_t size;    // RN_BODY_BYTES, RN_BODY_FILE
+    int fd;         // RN_BODY_FILE: owned
+    struct rn_stream stream; // RN_BODY_STREAM: owned
+    struct rn_ring *ring;    // RN_BODY_EVENTS: one reference, owned
+    uint64_t after_id;       // RN_BODY_EVENTS: replay what is newer
+};
+
+// ---- reading a request ------------------------------------------------------------------------
+
+enum rn_method rn_request_method(const struct rn_request *request);
+const char *rn_request_path(const struct rn_request *request);
+// The text matched by the i-th {…} of the route's pattern. Never NULL.
+const char *rn_request_param(const struct rn_request *request, int i);
+// A query parameter or a header, decoded; NULL when absent.
+const char *rn_request_query(const struct rn_request *request, const char *name);
+const char *rn_request_header(const struct rn_request *request, const char *name);
+// RN_ERROR_INVALID with the parameter's name when the query holds one that is not in the
+// NULL-terminated list, or one of them twice.
+enum rn_status rn_request_check_query(const struct rn_request *request, const char *const *known,
+                                      struct rn_error *err) RN_MUST_CHECK;
+// The whole body (NUL-terminated); empty when it was spooled.
+const uint8_t *rn_request_body(const struct rn_request *request, size_t *ret_size);
+// Headers alone are here (a route's `begin`): send the body to a new file in `folder` instead of
+// memory, at most max_bytes of it.
+enum rn_status rn_request_spool(struct rn_request *request, const char *folder,
+                                uint64_t max_bytes, struct rn_error *err) RN_MUST_CHECK;
+// The spooled file's path, NULL when there is none. The file is removed with the request unless
+// it is taken.
+const char *rn_request_spooled(const struct rn_request *request, uint64_t *ret_size);
+void rn_request_take_spooled(struct rn_request *request);
+
+// ---- parking ----------------------------------------------------------------------------------
+
+// Leaves the request open after the handler has returned. `on_gone` is called (on another thread,
+// no lock held) when the client has left or the deadline has passed (it was then told 503): the
+// reply is not wanted any more. The handle stays valid until rn_parked_answer, which must be
+// called exactly once in every case. RN_ERROR_LIMIT when too many wait already.
+enum rn_status rn_request_park(struct rn_request *request, int64_t timeout_ms,
+                               void (*on_gone)(void *context, struct rn_parked *parked),
+                               void *context, struct rn_parked **ret_parked,
+                               struct rn_error *err) RN_MUST_CHECK;
+// Hands over the reply (zeroed on return) and the handle. Any thread. The reply may be NULL when
+// nobody waits for it (after on_gone).
+void rn_parked_answer(struct rn_parked *parked, struct rn_reply *reply);
+
+// ---- filling a reply --------------------------------------------------------------------------
+
+void rn_reply_header(struct rn_reply *reply, const char *name, const char *fmt, ...)
+    RN_PRINTF(3, 4);
+// Takes the bytes.
+void rn_reply_bytes(struct rn_reply *reply, int status, const char *content_type, uint8_t *bytes,
+                    size_t size);
+// Copies the text.
+void rn_reply_text(struct rn_reply *reply, int status, const char *content_type,
+                   const char *text);
+void rn_reply_empty(struct rn_reply *reply, int status);
+// A regular file; on failure the reply is a problem.
+void rn_reply_file(struct rn_reply *reply, const char *content_type, const char *path);
+// Takes the stream.
+void rn_reply_stream(struct rn_reply *reply, const char *content_type, struct rn_stream stream);
+// Takes a reference to the ring.
+void rn_reply_events(struct rn_reply *reply, struct rn_ring *ring, uint64_t after_id);
+// application/problem+json made from an error; the status code follows from err->status.
+void rn_reply_error(struct rn_reply *reply, const struct rn_error *err);
+// The same with an explicit code and slug (proto/problems.md).
+void rn_reply_problem(struct rn_reply *reply, int status, const char *slug, const char *fmt, ...)
+    RN_PRINTF(4, 5);
+// Frees what the reply owns and zeroes it.
+void rn_reply_finish(struct rn_reply *reply);
+
+#endif

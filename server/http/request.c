@@ -1,0 +1,55 @@
+#include <string.h>
+
+#include "server/http/exchange.h"
+
+enum rn_method rn_request_method(const struct rn_request *request) {
+    return request->method;
+}
+
+const char *rn_request_path(const struct rn_request *request) {
+    return request->path;
+}
+
+const char *rn_request_param(const struct rn_request *request, int i) {
+    return i < request->match.param_count ? request->match.params[i] : "";
+}
+
+const char *rn_request_query(const struct rn_request *request, const char *name) {
+    return MHD_lookup_connection_value(request->connection, MHD_GET_ARGUMENT_KIND, name);
+}
+
+const char *rn_request_header(const struct rn_request *request, const char *name) {
+    return MHD_lookup_connection_value(request->connection, MHD_HEADER_KIND, name);
+}
+
+struct query_check {
+    const char *const *known;
+    unsigned seen; // bit per known name
+    struct rn_error *err;
+    enum rn_status status;
+};
+
+static enum MHD_Result check_argument(void *context, enum MHD_ValueKind kind, const char *key,
+                                      const char *value) {
+    struct query_check *check = context;
+    for (unsigned i = 0; check->known[i] != NULL; i++) {
+        if (strcmp(check->known[i], key) != 0) continue;
+        if (check->seen & 1u << i) {
+            check->status = rn_error_set(check->err, RN_ERROR_INVALID, key,
+                                         "the query parameter is given twice");
+            return MHD_NO;
+        }
+        check->seen |= 1u << i;
+        return MHD_YES;
+    }
+    check->status =
+        rn_error_set(check->err, RN_ERROR_INVALID, key, "unknown query parameter; leave it out");
+    return MHD_NO;
+}
+
+enum rn_status rn_request_check_query(const struct rn_request *request, const char *const *known,
+                                      struct rn_error *err) {
+    struct query_check check = {.known = known, .err = err, .status = RN_OK};
+    MHD_get_connection_values(request->connection, MHD_GET_ARGUMENT_KIND, check_argument, &check);
+    return check.status;
+}

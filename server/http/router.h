@@ -1,0 +1,37 @@
+// Which handler answers a path: a table of patterns, matched segment by segment.
+#ifndef RN_SERVER_HTTP_ROUTER_H
+#define RN_SERVER_HTTP_ROUTER_H
+
+#include "server/http/message.h"
+
+enum {
+    RN_ROUTE_OPEN = 1, // needs no token
+};
+
+// Immutable. `pattern` is absolute; "{…}" stands for one non-empty segment, a final "*" for the
+// rest of the path (one parameter, may hold slashes).
+struct rn_route {
+    enum rn_method method;
+    const char *pattern;
+    unsigned flags;
+    size_t max_body_bytes; // 0: the route takes no body
+    void (*handle)(void *context, struct rn_request *request, struct rn_reply *reply);
+    // Optional: called when only the headers are here. A reply filled here refuses the body.
+    void (*begin)(void *context, struct rn_request *request, struct rn_reply *reply);
+};
+
+#define RN_MAX_PARAM_BYTES 256
+
+struct rn_match {
+    const struct rn_route *route; // NULL: none with this method
+    unsigned allowed;             // methods that the path knows; 0: no such path
+    int param_count;
+    char params[RN_MAX_PARAMS][RN_MAX_PARAM_BYTES];
+};
+
+// `routes` ends with a pattern of NULL. The first match wins; method 0 matches no route but still
+// fills `allowed`.
+void rn_router_match(const struct rn_route *routes, unsigned method, const char *path,
+                     struct rn_match *ret_match);
+
+#endif

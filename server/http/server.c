@@ -1,0 +1,285 @@
+#include "server/http/server.h"
+
+#include <arpa/inet.h>
+#include <errno.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/socket.h>
+#include <unistd.h>
+
+#include "common/base/clock.h"
+#include "common/base/log.h"
+#include "server/http/exchange.h"
+#include "server/http/guard.h"
+
+// Connections beyond the admission limit that are still told 503.
+#define SPARE_CONNECTIONS 64
+#define HEADER_BYTES (32u << 10)
+
+static struct rn_request *create(struct rn_http *http, struct MHD_Connection *connection,
+                                 const char *path) {
+    struct rn_request *request = calloc(1, sizeof *request);
+    if (request == NULL) return NULL;
+    request->path = strdup(path);
+    if (request->path == NULL) {
+        free(request);
+        return NULL;
+    }
+    request->http = http;
+    request->connection = connection;
+    request->sink.fd = -1;
+    request->references = 1;
+    request->begin_ns = rn_clock_ns();
+    pthread_mutex_lock(&http->lock);
+    request->next = http->requests;
+    if (http->requests != NULL) http->requests->previous = request;
+    http->requests = request;
+    http->request_count++;
+    pthread_mutex_unlock(&http->lock);
+    return request;
+}
+
+static void on_completed(void *context, struct MHD_Connection *connection, void **state,
+                         enum MHD_RequestTerminationCode code) {
+    struct rn_http *http = context;
+    struct rn_request *request = *state;
+    if (request == NULL) return;
+    *state = NULL;
+    pthread_mutex_lock(&http->lock);
+    if (request->previous != NULL) request->previous->next = request->next;
+    if (request->next != NULL) request->next->previous = request->previous;
+    if (http->requests == request) http->requests = request->next;
+    http->request_count--;
+    bool tell = request->is_parked && !request->answered && !request->gone;
+    if (request->suspended) http->suspended_count--;
+    request->suspended = false;
+    request->finished = true;
+    http->stats.body_bytes += request->sink.size;
+    pthread_cond_broadcast(&http->changed);
+    pthread_mutex_unlock(&http->lock);
+    if (tell) request->parked.on_gone(request->parked.context, &request->parked);
+    rn_log(RN_LOG_DEBUG, "%s %.1f ms", request->path,
+           (double)(rn_clock_ns() - request->begin_ns) * 1e-6);
+    rn_exchange_unref(request);
+}
+
+// A parked request: answered, abandoned, or still waiting.
+static enum MHD_Result go_on(struct rn_request *request) {
+    struct rn_http *http = request->http;
+    struct rn_reply reply = {0};
+    pthread_mutex_lock(&http->lock);
+    bool gone = request->gone, answered = request->answered;
+    if (answered && !gone) {
+        reply = request->reply;
+        request->reply = (struct rn_reply){0};
+    } else if (!gone) {
+        rn_exchange_suspend(request);
+    }
+    pthread_mutex_unlock(&http->lock);
+    if (gone) return MHD_NO;
+    return answered ? rn_respond(request, &reply) : MHD_YES;
+}
+
+static enum MHD_Result handle(struct rn_request *request) {
+    struct rn_http *http = request->http;
+    struct rn_reply reply = {0};
+    struct rn_error err = {0};
+    request->handled = true;
+    if (rn_sink_close(&request->sink, &err) != RN_OK)
+        rn_reply_error(&reply, &err);
+    else
+        request->match.route->handle(http->options.context, request, &reply);
+    if (reply.status == 0 && request->is_parked) return go_on(request);
+    if (reply.status == 0) rn_reply_problem(&reply, 500, "internal", "no answer was made");
+    return rn_respond(request, &reply);
+}
+
+static enum MHD_Result on_request(void *context, struct MHD_Connection *connection,
+                                  const char *url, const char *method, const char *version,
+                                  const char *upload, size_t *upload_size, void **state) {
+    struct rn_request *request = *state;
+    if (request == NULL) {
+        *state = request = create(context, connection, url);
+        if (request == NULL) return MHD_NO;
+        struct rn_reply reply = {0};
+        rn_admit(request, method, &reply);
+        if (reply.status == 0) return MHD_YES;
+        request->handled = true;
+        return rn_respond(request, &reply);
+    }
+    if (*upload_size > 0) {
+        if (request->handled || !rn_sink_write(&request->sink, upload, *upload_size))
+            return MHD_NO;
+        *upload_size = 0;
+        return MHD_YES;
+    }
+    return request->handled ? go_on(request) : handle(request);
+}
+
+static void on_connection(void *context, struct MHD_Connection *connection, void **state,
+                          enum MHD_ConnectionNotificationCode code) {
+    struct rn_http *http = context;
+    pthread_mutex_lock(&http->lock);
+    if (code == MHD_CONNECTION_NOTIFY_STARTED)
+        http->stats.connections++;
+    else
+        http->stats.connections--;
+    pthread_mutex_unlock(&http->lock);
+}
+
+static void on_log(void *context, const char *fmt, va_list args) {
+    char text[512];
+    vsnprintf(text, sizeof text, fmt, args);
+    text[strcspn(text, "\n")] = '\0';
+    rn_log(RN_LOG_DEBUG, "http: %s", text);
+}
+
+static int make_address(const struct rn_http_options *options, struct sockaddr_storage *address,
+                        socklen_t *size) {
+    struct sockaddr_in v4 = {.sin_family = AF_INET, .sin_port = htons(options->port)};
+    struct sockaddr_in6 v6 = {.sin6_family = AF_INET6, .sin6_port = htons(options->port)};
+    bool name = strcasecmp(options->address, "localhost") == 0;
+    if (inet_pton(AF_INET, name ? "127.0.0.1" : options->address, &v4.sin_addr) == 1) {
+        memcpy(address, &v4, *size = sizeof v4);
+        return AF_INET;
+    }
+    if (inet_pton(AF_INET6, options->address, &v6.sin6_addr) == 1) {
+        memcpy(address, &v6, *size = sizeof v6);
+        return AF_INET6;
+    }
+    return -1;
+}
+
+static enum rn_status open_socket(const struct rn_http_options *options, int *ret_fd,
+                                  int *ret_family, uint16_t *ret_port, struct rn_error *err) {
+    struct sockaddr_storage address;
+    socklen_t size;
+    int family = make_address(options, &address, &size), on = 1;
+    if (family < 0)
+        return rn_error_set(err, RN_ERROR_INVALID, "listen",
+                            "'%s' is not a numeric IPv4 or IPv6 address", options->address);
+    int fd = socket(family, SOCK_STREAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0);
+    if (fd < 0) return rn_error_from_errno(err, errno, "listen", "opening a socket");
+    setsockopt(fd, SOL_SOCKET, SO_REUSEADDR, &on, sizeof on);
+    if (bind(fd, (struct sockaddr *)&address, size) != 0 || listen(fd, 128) != 0 ||
+        getsockname(fd, (struct sockaddr *)&address, &size) != 0) {
+        int errnum = errno;
+        close(fd);
+        return rn_error_set(err, RN_ERROR_UNAVAILABLE, "listen", "%s port %u: %s",
+                            options->address, options->port, strerror(errnum));
+    }
+    *ret_fd = fd;
+    *ret_family = family;
+    *ret_port = ntohs(family == AF_INET ? ((struct sockaddr_in *)&address)->sin_port
+                                        : ((struct sockaddr_in6 *)&address)->sin6_port);
+    return RN_OK;
+}
+
+static enum rn_status start_daemon(struct rn_http *http, struct rn_error *err) {
+    int fd = -1, family = 0;
+    enum rn_status status = open_socket(&http->options, &fd, &family, &http->port, err);
+    if (status != RN_OK) return status;
+    unsigned flags = MHD_USE_EPOLL | MHD_USE_INTERNAL_POLLING_THREAD | MHD_USE_ERROR_LOG |
+                     MHD_ALLOW_SUSPEND_RESUME | MHD_USE_ITC | (family == AF_INET6 ? MHD_USE_IPv6 : 0);
+    http->daemon = MHD_start_daemon(
+        flags, 0, NULL, NULL, on_request, http, MHD_OPTION_EXTERNAL_LOGGER, on_log, http,
+        MHD_OPTION_LISTEN_SOCKET, fd, MHD_OPTION_CONNECTION_LIMIT,
+        http->options.max_connections + SPARE_CONNECTIONS, MHD_OPTION_CONNECTION_TIMEOUT,
+        (unsigned)http->options.idle_timeout_s, MHD_OPTION_CONNECTION_MEMORY_LIMIT,
+        (size_t)HEADER_BYTES, MHD_OPTION_NOTIFY_COMPLETED, on_completed, http,
+        MHD_OPTION_NOTIFY_CONNECTION, on_connection, http, MHD_OPTION_END);
+    if (http->daemon != NULL) return RN_OK;
+    close(fd);
+    return rn_error_set(err, RN_ERROR_UNAVAILABLE, "http", "the HTTP thread cannot be started");
+}
+
+enum rn_status rn_http_start(const struct rn_http_options *options, struct rn_http **ret_http,
+                             struct rn_error *err) {
+    struct rn_http *http = calloc(1, sizeof *http);
+    if (http == NULL) return rn_error_set(err, RN_ERROR_NO_MEMORY, "http", "no memory");
+    pthread_mutex_init(&http->lock, NULL);
+    pthread_cond_init(&http->changed, NULL);
+    http->options = *options;
+    http->address = strdup(options->address);
+    http->token = options->token != NULL ? strdup(options->token) : NULL;
+    http->options.address = http->address;
+    if (http->options.max_connections == 0) http->options.max_connections = 448;
+    if (http->options.max_parked == 0) http->options.max_parked = 64;
+    if (http->options.idle_timeout_s == 0) http->options.idle_timeout_s = 30;
+    enum rn_status status = RN_ERROR_NO_MEMORY;
+    if (http->address == NULL || (options->token != NULL && http->token == NULL)) goto fail;
+    status = start_daemon(http, err);
+    if (status != RN_OK) goto fail;
+    http->keeper_runs = true;
+    if (pthread_create(&http->keeper, NULL, rn_keeper_main, http) != 0) {
+        http->keeper_runs = false;
+        status = rn_error_set(err, RN_ERROR_IO, "http", "a thread cannot be started");
+        goto fail;
+    }
+    *ret_http = http;
+    return RN_OK;
+fail:
+    rn_http_destroy(&http);
+    return status;
+}
+
+uint16_t rn_http_port(const struct rn_http *http) {
+    return http->port;
+}
+
+void rn_http_stats(struct rn_http *http, struct rn_http_stats *ret_stats) {
+    pthread_mutex_lock(&http->lock);
+    *ret_stats = http->stats;
+    pthread_mutex_unlock(&http->lock);
+}
+
+void rn_http_drain(struct rn_http *http, int64_t timeout_ms) {
+    int64_t deadline_ns = rn_clock_ns() + timeout_ms * 1000000;
+    pthread_mutex_lock(&http->lock);
+    http->stopping = true;
+    for (struct rn_request *request = http->requests; request != NULL; request = request->next) {
+        request->parked.deadline_ns = 0;
+        if (request->events.attached) rn_exchange_wake(request);
+    }
+    pthread_cond_broadcast(&http->changed);
+    while (http->request_count > 0 && rn_clock_ns() < deadline_ns) {
+        pthread_mutex_unlock(&http->lock);
+        usleep(10000);
+        pthread_mutex_lock(&http->lock);
+    }
+    pthread_mutex_unlock(&http->lock);
+}
+
+// No connection may be suspended when the library is stopped.
+static void wake_all(struct rn_http *http) {
+    pthread_mutex_lock(&http->lock);
+    http->stopping = true;
+    for (struct rn_request *request = http->requests; request != NULL; request = request->next) {
+        request->gone = true;
+        rn_exchange_wake(request);
+    }
+    pthread_mutex_unlock(&http->lock);
+}
+
+void rn_http_destroy(struct rn_http **http_pointer) {
+    struct rn_http *http = *http_pointer;
+    if (http == NULL) return;
+    *http_pointer = NULL;
+    if (http->keeper_runs) {
+        pthread_mutex_lock(&http->lock);
+        http->keeper_runs = false;
+        pthread_cond_broadcast(&http->changed);
+        pthread_mutex_unlock(&http->lock);
+        pthread_join(http->keeper, NULL);
+    }
+    if (http->daemon != NULL) {
+        wake_all(http);
+        MHD_stop_daemon(http->daemon);
+    }
+    pthread_cond_destroy(&http->changed);
+    pthread_mutex_destroy(&http->lock);
+    free(http->token);
+    free(http->address);
+    free(http);
+}

@@ -1,0 +1,42 @@
+// The HTTP front: one thread that never blocks on anything but its sockets and short disk writes.
+#ifndef RN_SERVER_HTTP_SERVER_H
+#define RN_SERVER_HTTP_SERVER_H
+
+#include "server/http/router.h"
+
+// Thread-safety: any thread may call; start and stop belong to one.
+struct rn_http;
+
+struct rn_http_options {
+    const char *address; // IPv4 or IPv6, numeric, or "localhost"
+    uint16_t port;       // 0: any free one
+    const char *token;   // NULL: none; then only requests to a loopback name are served
+    const struct rn_route *routes; // outlives the server
+    void *context;                 // given to the handlers
+    unsigned max_connections;      // further ones are told 503; 0: 448
+    unsigned max_parked;           // 0: 64
+    int idle_timeout_s;            // a connection without progress is closed; 0: 30
+};
+
+// Status codes 200..599 and how often they were sent.
+struct rn_http_stats {
+    uint64_t by_status[600];
+    uint64_t refused;     // over the admission limit
+    uint64_t gone;        // clients that left before their answer
+    uint64_t body_bytes;  // received
+    unsigned connections; // open now
+    unsigned streams;     // event streams open now
+};
+
+// Strings in `options` are copied. RN_ERROR_UNAVAILABLE when the address cannot be bound.
+enum rn_status rn_http_start(const struct rn_http_options *options, struct rn_http **ret_http,
+                             struct rn_error *err) RN_MUST_CHECK;
+uint16_t rn_http_port(const struct rn_http *http);
+void rn_http_stats(struct rn_http *http, struct rn_http_stats *ret_stats);
+// Stops accepting, answers every parked request with 503, ends event streams, gives running
+// exchanges up to timeout_ms, then closes everything. Handles of parked requests must still be
+// answered by their owners before or after; the memory lives as long as they do.
+void rn_http_drain(struct rn_http *http, int64_t timeout_ms);
+void rn_http_destroy(struct rn_http **http);
+
+#endif

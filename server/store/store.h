@@ -1,0 +1,158 @@
+// The daemon's records (SQLite) and the folders of its content.
+//
+// A write that returned RN_OK is on disk (WAL, synchronous=FULL). On a full disk writes fail with
+// RN_ERROR_NO_SPACE and reads go on. Content lies beside the records:
+//   DIR/ripnerf.db  DIR/layout  DIR/lock  DIR/spool/
+//   DIR/datasets/<id>/  DIR/scenes/<id>/checkpoints/  DIR/jobs/<id>/{log,frames/}
+#ifndef RN_SERVER_STORE_STORE_H
+#define RN_SERVER_STORE_STORE_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+#include "common/base/status.h"
+#include "proto/names.h"
+
+// Thread-safety: any thread. Owner: whoever opened it.
+struct rn_store;
+
+#define RN_STORE_VERSION 1
+
+// Opens or creates DIR, brings an older schema up to date and takes DIR/lock.
+// RN_ERROR_CONFLICT when another daemon has it, RN_ERROR_UNSUPPORTED when a newer one wrote it,
+// RN_ERROR_CORRUPT when the records are damaged.
+enum rn_status rn_store_open(const char *folder, struct rn_store **ret_store,
+                             struct rn_error *err) RN_MUST_CHECK;
+void rn_store_close(struct rn_store **store);
+const char *rn_store_folder(const struct rn_store *store);
+
+// ---- rows -------------------------------------------------------------------------------------
+// Every row has `seq` (its place in the order of creation, set by insert) and a unique `id`.
+// Pointers are owned by the row (malloc, may be NULL); documents are JSON text that the store
+// does not look into.
+
+struct rn_dataset_row {
+    int64_t seq;
+    char id[RN_ID_MAX];
+    char name[RN_NAME_MAX]; // unique
+    int64_t created_ms;
+    char *record; // what the ingest runner reported
+};
+
+struct rn_scene_row {
+    int64_t seq;
+    char id[RN_ID_MAX];
+    char name[RN_NAME_MAX]; // unique
+    char dataset[RN_ID_MAX];
+    char job[RN_ID_MAX]; // the training one
+    int64_t created_ms;
+    enum rn_scene_state state;
+    int64_t steps;
+    double train_seconds;
+    double psnr;     // NAN: not known
+    char sha256[65]; // of the last checkpoint's parameters, empty before
+    int64_t memory_bytes;
+    char *record; // what the runner reported when it opened the scene
+};
+
+struct rn_job_row {
+    int64_t seq;
+    char id[RN_ID_MAX];
+    enum rn_job_type type;
+    enum rn_job_state state;
+    int attempt;         // counts from 1
+    int stalls;          // attempts in a row that brought no progress
+    int64_t created_ms;
+    int64_t started_ms;  // 0: not yet
+    int64_t finished_ms; // 0: not yet
+    char dataset[RN_ID_MAX];
+    char dataset_name[RN_NAME_MAX];
+    char scene[RN_ID_MAX];
+    char scene_name[RN_NAME_MAX];
+    char *source;  // ingest: a folder or a spooled tar; path: the camera path document
+    char *options; // documents
+    char *progress;
+    char *result;
+    char *problem;
+};
+
+struct rn_checkpoint_row {
+    int64_t seq;
+    char id[48]; // scene id and step
+    char scene[RN_ID_MAX];
+    int64_t step;
+    int64_t size_bytes;
+    int64_t created_ms;
+    char sha256[65]; // of the parameters
+    char *path;      // relative to the scene's folder
+};
+
+struct rn_camera_path_row {
+    int64_t seq;
+    char id[RN_ID_MAX];
+    char name[RN_NAME_MAX]; // unique
+    int64_t created_ms;
+    char *document;
+};
+
+struct rn_key_row { // Idempotency-Key
+    int64_t seq;
+    char id[129]; // the key
+    char digest[65];
+    char job[RN_ID_MAX];
+    int64_t created_ms;
+};
+
+// A table's columns and how they lie in its row. See rows.c.
+struct rn_table;
+extern const struct rn_table rn_datasets, rn_scenes, rn_jobs_table, rn_checkpoints,
+    rn_camera_paths, rn_keys;
+
+// ---- access -----------------------------------------------------------------------------------
+
+// Several writes as one: all or none. Holds the store's lock until commit or rollback; calls from
+// the same thread in between belong to it. A failed commit has rolled back.
+enum rn_status rn_store_begin(struct rn_store *store, struct rn_error *err) RN_MUST_CHECK;
+enum rn_status rn_store_commit(struct rn_store *store, struct rn_error *err) RN_MUST_CHECK;
+void rn_store_rollback(struct rn_store *store);
+
+// RN_ERROR_CONFLICT when the id or a unique name is taken. Writes row->seq.
+enum rn_status rn_store_insert(struct rn_store *store, const struct rn_table *table, void *row,
+                               struct rn_error *err) RN_MUST_CHECK;
+// Replaces the row with this id. RN_ERROR_NOT_FOUND when there is none.
+enum rn_status rn_store_update(struct rn_store *store, const struct rn_table *table,
+                               const void *row, struct rn_error *err) RN_MUST_CHECK;
+enum rn_status rn_store_delete(struct rn_store *store, const struct rn_table *table,
+                               const char *id, struct rn_error *err) RN_MUST_CHECK;
+// The row whose `column` has this text. `row` is written on success only; rn_row_finish frees it.
+enum rn_status rn_store_find(struct rn_store *store, const struct rn_table *table,
+                             const char *column, const char *text, void *row,
+                             struct rn_error *err) RN_MUST_CHECK;
+
+struct rn_query {
+    struct {
+        const char *column; // NULL: no such condition
+        const char *text;
+    } equal[3];
+    int64_t before_seq; // rows older than this one; 0: all
+    int limit;          // 0: all
+};
+// Rows, newest first; malloc, rn_rows_finish frees them.
+enum rn_status rn_store_list(struct rn_store *store, const struct rn_table *table,
+                             const struct rn_query *query, void **ret_rows, size_t *ret_count,
+                             struct rn_error *err) RN_MUST_CHECK;
+void rn_row_finish(const struct rn_table *table, void *row);
+void rn_rows_finish(const struct rn_table *table, void *rows, size_t count);
+
+// A fresh id: prefix and RN_ID_RANDOM random base32 characters.
+enum rn_status rn_store_new_id(const char *prefix, char ret_id[RN_ID_MAX],
+                               struct rn_error *err) RN_MUST_CHECK;
+
+// ---- content ----------------------------------------------------------------------------------
+
+// "DIR/" and the formatted rest; malloc. NULL when memory is short.
+char *rn_store_path(const struct rn_store *store, const char *fmt, ...) RN_PRINTF(2, 3);
+// Removes content whose record is gone, and uploads that no unfinished job needs.
+enum rn_status rn_store_sweep(struct rn_store *store, struct rn_error *err) RN_MUST_CHECK;
+
+#endif
