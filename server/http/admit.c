@@ -20,9 +20,10 @@ static void refuse_overload(struct rn_request *request, struct rn_reply *reply) 
     if (full) http->stats.refused++;
     pthread_mutex_unlock(&http->lock);
     if (stopping)
-        rn_reply_problem(reply, 503, "busy", "the daemon is shutting down");
+        rn_reply_problem(reply, RN_PROBLEM_BUSY, "the daemon is shutting down");
     else if (full)
-        rn_reply_problem(reply, 503, "busy", "%u connections are open, the limit; try again later",
+        rn_reply_problem(reply, RN_PROBLEM_BUSY,
+                         "%u connections are open, the limit; try again later",
                          http->options.max_connections);
 }
 
@@ -33,10 +34,10 @@ static void find_route(struct rn_request *request, const char *method, struct rn
     if (request->match.route != NULL) return;
     unsigned allowed = request->match.allowed;
     if (allowed == 0) {
-        rn_reply_problem(reply, 404, "not-found", "there is nothing at %.200s", request->path);
+        rn_reply_problem(reply, RN_PROBLEM_NOT_FOUND, "there is nothing at %.200s", request->path);
         return;
     }
-    rn_reply_problem(reply, 405, "method-not-allowed", "%.16s is not a method of this path",
+    rn_reply_problem(reply, RN_PROBLEM_METHOD_NOT_ALLOWED, "%.16s is not a method of this path",
                      method);
     char methods[32] = "";
     if (allowed & RN_METHOD_GET) strcat(methods, ", GET, HEAD");
@@ -52,15 +53,15 @@ static void check_caller(struct rn_request *request, struct rn_reply *reply) {
     bool open = (request->match.route->flags & RN_ROUTE_OPEN) != 0;
     if (http->token != NULL && !open &&
         !rn_guard_token(rn_request_header(request, "Authorization"), http->token)) {
-        rn_reply_problem(reply, 401, "unauthorised",
+        rn_reply_problem(reply, RN_PROBLEM_UNAUTHORISED,
                          "send the daemon's token as 'Authorization: Bearer …'");
         rn_reply_header(reply, "WWW-Authenticate", "Bearer");
     } else if (http->token == NULL && !rn_guard_host_is_loopback(host)) {
-        rn_reply_problem(reply, 403, "forbidden",
+        rn_reply_problem(reply, RN_PROBLEM_FORBIDDEN,
                          "the Host '%.100s' is not this machine's loopback address",
                          host == NULL ? "" : host);
     } else if (request->method != RN_METHOD_GET && !rn_guard_origin(origin, host)) {
-        rn_reply_problem(reply, 403, "forbidden", "the Origin '%.100s' is not this daemon's",
+        rn_reply_problem(reply, RN_PROBLEM_FORBIDDEN, "the Origin '%.100s' is not this daemon's",
                          origin);
     }
 }
@@ -83,13 +84,13 @@ static void check_body(struct rn_request *request, struct rn_reply *reply) {
     uint64_t size, max = request->sink.max;
     bool body = has_body(request, &size);
     if (body && max == 0)
-        rn_reply_problem(reply, 413, "too-large", "this request takes no body");
+        rn_reply_problem(reply, RN_PROBLEM_TOO_LARGE, "this request takes no body");
     else if (size > max)
-        rn_reply_problem(reply, 413, "too-large",
+        rn_reply_problem(reply, RN_PROBLEM_TOO_LARGE,
                          "the body has %llu bytes, the limit is %llu bytes",
                          (unsigned long long)size, (unsigned long long)max);
     else if (max > 0 && request->sink.path == NULL && !has_type(request, "application/json"))
-        rn_reply_problem(reply, 415, "media-type",
+        rn_reply_problem(reply, RN_PROBLEM_MEDIA_TYPE,
                          "send the body with Content-Type: application/json");
 }
 

@@ -75,8 +75,8 @@ void rn_sink_finish(struct rn_sink *sink) {
     sink->path = NULL;
 }
 
-enum rn_status rn_request_spool(struct rn_request *request, const char *folder,
-                                uint64_t max_bytes, struct rn_error *err) {
+enum rn_status rn_request_spool(struct rn_request *request, const char *folder, uint64_t max_bytes,
+                                struct rn_error *err) {
     struct rn_sink *sink = &request->sink;
     char *path = NULL;
     if (asprintf(&path, "%s/upload-XXXXXX", folder) < 0)

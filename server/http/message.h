@@ -10,6 +10,7 @@
 #include <sys/types.h>
 
 #include "common/base/status.h"
+#include "proto/problem.h"
 
 enum rn_method { RN_METHOD_GET = 1, RN_METHOD_POST = 2, RN_METHOD_DELETE = 4 };
 
@@ -32,7 +33,7 @@ enum rn_body { RN_BODY_NONE, RN_BODY_BYTES, RN_BODY_FILE, RN_BODY_STREAM, RN_BOD
 
 // Thread-safety: one thread at a time. Owner: whoever filled it, until it is handed over.
 struct rn_reply {
-    int status; // 0: not filled yet
+    int status;               // 0: not filled yet
     const char *content_type; // static text; NULL: none
     struct {
         const char *name; // static text
@@ -40,9 +41,9 @@ struct rn_reply {
     } headers[RN_REPLY_MAX_HEADERS];
     int header_count;
     enum rn_body body;
-    uint8_t *bytes; // RN_BODY_BYTES: owned, malloc
-    size_t size;    // RN_BODY_BYTES, RN_BODY_FILE
-    int fd;         // RN_BODY_FILE: owned
+    uint8_t *bytes;          // RN_BODY_BYTES: owned, malloc
+    size_t size;             // RN_BODY_BYTES, RN_BODY_FILE
+    int fd;                  // RN_BODY_FILE: owned
     struct rn_stream stream; // RN_BODY_STREAM: owned
     struct rn_ring *ring;    // RN_BODY_EVENTS: one reference, owned
     uint64_t after_id;       // RN_BODY_EVENTS: replay what is newer
@@ -65,8 +66,8 @@ enum rn_status rn_request_check_query(const struct rn_request *request, const ch
 const uint8_t *rn_request_body(const struct rn_request *request, size_t *ret_size);
 // Headers alone are here (a route's `begin`): send the body to a new file in `folder` instead of
 // memory, at most max_bytes of it.
-enum rn_status rn_request_spool(struct rn_request *request, const char *folder,
-                                uint64_t max_bytes, struct rn_error *err) RN_MUST_CHECK;
+enum rn_status rn_request_spool(struct rn_request *request, const char *folder, uint64_t max_bytes,
+                                struct rn_error *err) RN_MUST_CHECK;
 // The spooled file's path, NULL when there is none. The file is removed with the request unless
 // it is taken.
 const char *rn_request_spooled(const struct rn_request *request, uint64_t *ret_size);
@@ -94,8 +95,7 @@ void rn_reply_header(struct rn_reply *reply, const char *name, const char *fmt, 
 void rn_reply_bytes(struct rn_reply *reply, int status, const char *content_type, uint8_t *bytes,
                     size_t size);
 // Copies the text.
-void rn_reply_text(struct rn_reply *reply, int status, const char *content_type,
-                   const char *text);
+void rn_reply_text(struct rn_reply *reply, int status, const char *content_type, const char *text);
 void rn_reply_empty(struct rn_reply *reply, int status);
 // A regular file; on failure the reply is a problem.
 void rn_reply_file(struct rn_reply *reply, const char *content_type, const char *path);
@@ -105,9 +105,12 @@ void rn_reply_stream(struct rn_reply *reply, const char *content_type, struct rn
 void rn_reply_events(struct rn_reply *reply, struct rn_ring *ring, uint64_t after_id);
 // application/problem+json made from an error; the status code follows from err->status.
 void rn_reply_error(struct rn_reply *reply, const struct rn_error *err);
-// The same with an explicit code and slug (proto/problems.md).
-void rn_reply_problem(struct rn_reply *reply, int status, const char *slug, const char *fmt, ...)
-    RN_PRINTF(4, 5);
+// The same with an explicit type (proto/problems.md).
+void rn_reply_problem(struct rn_reply *reply, enum rn_problem_type type, const char *fmt, ...)
+    RN_PRINTF(3, 4);
+// A body that could not be decoded: 400 when it is no JSON, else 422 with each field's error.
+void rn_reply_invalid(struct rn_reply *reply, const struct rn_field_errors *errors,
+                      const struct rn_error *err);
 // Frees what the reply owns and zeroes it.
 void rn_reply_finish(struct rn_reply *reply);
 

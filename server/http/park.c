@@ -39,8 +39,7 @@ void rn_exchange_unref(struct rn_request *request) {
 
 enum rn_status rn_request_park(struct rn_request *request, int64_t timeout_ms,
                                void (*on_gone)(void *context, struct rn_parked *parked),
-                               void *context, struct rn_parked **ret_parked,
-                               struct rn_error *err) {
+                               void *context, struct rn_parked **ret_parked, struct rn_error *err) {
     struct rn_http *http = request->http;
     enum rn_status status = RN_OK;
     pthread_mutex_lock(&http->lock);
@@ -82,8 +81,7 @@ static bool has_left(const struct rn_request *request) {
         MHD_get_connection_info(request->connection, MHD_CONNECTION_INFO_CONNECTION_FD);
     if (info == NULL) return false;
     struct pollfd poll_fd = {.fd = info->connect_fd, .events = POLLRDHUP};
-    return poll(&poll_fd, 1, 0) == 1 &&
-           (poll_fd.revents & (POLLRDHUP | POLLHUP | POLLERR)) != 0;
+    return poll(&poll_fd, 1, 0) == 1 && (poll_fd.revents & (POLLRDHUP | POLLHUP | POLLERR)) != 0;
 }
 
 // Looks after one suspended request; true when its owner has to be told that it is not wanted.
@@ -95,7 +93,7 @@ static bool watch(struct rn_request *request, int64_t now_ns) {
         return request->is_parked;
     }
     if (request->is_parked && now_ns >= request->parked.deadline_ns) {
-        rn_reply_problem(&request->reply, 503, "busy",
+        rn_reply_problem(&request->reply, RN_PROBLEM_BUSY,
                          "no answer in time; the machine is busy, try again later");
         request->answered = true;
         rn_exchange_wake(request);

@@ -31,8 +31,7 @@ void rn_reply_bytes(struct rn_reply *reply, int status, const char *content_type
     reply->size = size;
 }
 
-void rn_reply_text(struct rn_reply *reply, int status, const char *content_type,
-                   const char *text) {
+void rn_reply_text(struct rn_reply *reply, int status, const char *content_type, const char *text) {
     char *copy = strdup(text);
     if (copy == NULL) {
         rn_reply_empty(reply, 500);

@@ -66,10 +66,14 @@ static ssize_t read_events(void *context, uint64_t position, char *bytes, size_t
     if (events->text != NULL) return send_text(events, bytes, capacity);
     events->sent = 0;
     switch (rn_ring_read(&events->reader, &events->text, &events->size)) {
-    case RN_RING_EVENT: return send_text(events, bytes, capacity);
-    case RN_RING_EMPTY: return idle(request, bytes, capacity);
-    case RN_RING_ENDED: return MHD_CONTENT_READER_END_OF_STREAM;
-    case RN_RING_NO_MEMORY: break;
+    case RN_RING_EVENT:
+        return send_text(events, bytes, capacity);
+    case RN_RING_EMPTY:
+        return idle(request, bytes, capacity);
+    case RN_RING_ENDED:
+        return MHD_CONTENT_READER_END_OF_STREAM;
+    case RN_RING_NO_MEMORY:
+        break;
     }
     return MHD_CONTENT_READER_END_WITH_ERROR;
 }
@@ -123,7 +127,8 @@ static struct MHD_Response *open_stream(struct rn_reply *reply) {
 static struct MHD_Response *open_response(struct rn_request *request, struct rn_reply *reply) {
     struct MHD_Response *response = NULL;
     switch (reply->body) {
-    case RN_BODY_NONE: return MHD_create_response_from_buffer(0, NULL, MHD_RESPMEM_PERSISTENT);
+    case RN_BODY_NONE:
+        return MHD_create_response_from_buffer(0, NULL, MHD_RESPMEM_PERSISTENT);
     case RN_BODY_BYTES:
         response =
             MHD_create_response_from_buffer(reply->size, reply->bytes, MHD_RESPMEM_MUST_FREE);
@@ -133,8 +138,10 @@ static struct MHD_Response *open_response(struct rn_request *request, struct rn_
         response = MHD_create_response_from_fd64(reply->size, reply->fd);
         if (response != NULL) reply->fd = -1;
         return response;
-    case RN_BODY_STREAM: return open_stream(reply);
-    case RN_BODY_EVENTS: return open_events(request, reply);
+    case RN_BODY_STREAM:
+        return open_stream(reply);
+    case RN_BODY_EVENTS:
+        return open_events(request, reply);
     }
     return NULL;
 }

@@ -150,8 +150,7 @@ static const struct event *find_after(const struct rn_ring *ring, uint64_t after
     return low < ring->count ? &ring->events[low] : NULL;
 }
 
-enum rn_ring_result rn_ring_read(struct rn_ring_reader *reader, char **ret_text,
-                                 size_t *ret_size) {
+enum rn_ring_result rn_ring_read(struct rn_ring_reader *reader, char **ret_text, size_t *ret_size) {
     struct rn_ring *ring = reader->ring;
     enum rn_ring_result result = RN_RING_EVENT;
     pthread_mutex_lock(&ring->lock);

@@ -46,8 +46,7 @@ void rn_ring_detach(struct rn_ring_reader *reader);
 
 enum rn_ring_result { RN_RING_EVENT, RN_RING_EMPTY, RN_RING_ENDED, RN_RING_NO_MEMORY };
 // The next event as server-sent text ("id: …\nevent: …\ndata: …\n\n"), malloc.
-enum rn_ring_result rn_ring_read(struct rn_ring_reader *reader, char **ret_text,
-                                 size_t *ret_size);
+enum rn_ring_result rn_ring_read(struct rn_ring_reader *reader, char **ret_text, size_t *ret_size);
 
 // Whether rn_ring_read would return something other than RN_RING_EMPTY.
 bool rn_ring_pending(struct rn_ring_reader *reader);

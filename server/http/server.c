@@ -91,13 +91,13 @@ static enum MHD_Result handle(struct rn_request *request) {
     else
         request->match.route->handle(http->options.context, request, &reply);
     if (reply.status == 0 && request->is_parked) return go_on(request);
-    if (reply.status == 0) rn_reply_problem(&reply, 500, "internal", "no answer was made");
+    if (reply.status == 0) rn_reply_problem(&reply, RN_PROBLEM_INTERNAL, "no answer was made");
     return rn_respond(request, &reply);
 }
 
-static enum MHD_Result on_request(void *context, struct MHD_Connection *connection,
-                                  const char *url, const char *method, const char *version,
-                                  const char *upload, size_t *upload_size, void **state) {
+static enum MHD_Result on_request(void *context, struct MHD_Connection *connection, const char *url,
+                                  const char *method, const char *version, const char *upload,
+                                  size_t *upload_size, void **state) {
     struct rn_request *request = *state;
     if (request == NULL) {
         *state = request = create(context, connection, url);
@@ -109,8 +109,7 @@ static enum MHD_Result on_request(void *context, struct MHD_Connection *connecti
         return rn_respond(request, &reply);
     }
     if (*upload_size > 0) {
-        if (request->handled || !rn_sink_write(&request->sink, upload, *upload_size))
-            return MHD_NO;
+        if (request->handled || !rn_sink_write(&request->sink, upload, *upload_size)) return MHD_NO;
         *upload_size = 0;
         return MHD_YES;
     }
@@ -166,8 +165,8 @@ static enum rn_status open_socket(const struct rn_http_options *options, int *re
         getsockname(fd, (struct sockaddr *)&address, &size) != 0) {
         int errnum = errno;
         close(fd);
-        return rn_error_set(err, RN_ERROR_UNAVAILABLE, "listen", "%s port %u: %s",
-                            options->address, options->port, strerror(errnum));
+        return rn_error_set(err, RN_ERROR_UNAVAILABLE, "listen", "%s port %u: %s", options->address,
+                            options->port, strerror(errnum));
     }
     *ret_fd = fd;
     *ret_family = family;
@@ -181,7 +180,8 @@ static enum rn_status start_daemon(struct rn_http *http, struct rn_error *err) {
     enum rn_status status = open_socket(&http->options, &fd, &family, &http->port, err);
     if (status != RN_OK) return status;
     unsigned flags = MHD_USE_EPOLL | MHD_USE_INTERNAL_POLLING_THREAD | MHD_USE_ERROR_LOG |
-                     MHD_ALLOW_SUSPEND_RESUME | MHD_USE_ITC | (family == AF_INET6 ? MHD_USE_IPv6 : 0);
+                     MHD_ALLOW_SUSPEND_RESUME | MHD_USE_ITC |
+                     (family == AF_INET6 ? MHD_USE_IPv6 : 0);
     http->daemon = MHD_start_daemon(
         flags, 0, NULL, NULL, on_request, http, MHD_OPTION_EXTERNAL_LOGGER, on_log, http,
         MHD_OPTION_LISTEN_SOCKET, fd, MHD_OPTION_CONNECTION_LIMIT,

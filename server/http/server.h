@@ -8,9 +8,9 @@
 struct rn_http;
 
 struct rn_http_options {
-    const char *address; // IPv4 or IPv6, numeric, or "localhost"
-    uint16_t port;       // 0: any free one
-    const char *token;   // NULL: none; then only requests to a loopback name are served
+    const char *address;           // IPv4 or IPv6, numeric, or "localhost"
+    uint16_t port;                 // 0: any free one
+    const char *token;             // NULL: none; then only requests to a loopback name are served
     const struct rn_route *routes; // outlives the server
     void *context;                 // given to the handlers
     unsigned max_connections;      // further ones are told 503; 0: 448

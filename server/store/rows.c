@@ -7,15 +7,22 @@
 #include "server/store/table.h"
 
 #define COUNT(array) ((int)(sizeof(array) / sizeof((array)[0])))
-#define SEQ(row) {"seq", RN_COLUMN_INT64, offsetof(struct row, seq), 0, NULL}
-#define TEXT(row, field) \
-    {#field, RN_COLUMN_TEXT, offsetof(struct row, field), sizeof((struct row *)0)->field, NULL}
-#define DOCUMENT(row, field) {#field, RN_COLUMN_DOCUMENT, offsetof(struct row, field), 0, NULL}
-#define INT(row, field) {#field, RN_COLUMN_INT, offsetof(struct row, field), 0, NULL}
-#define INT64(row, field) {#field, RN_COLUMN_INT64, offsetof(struct row, field), 0, NULL}
-#define REAL(row, field) {#field, RN_COLUMN_REAL, offsetof(struct row, field), 0, NULL}
-#define NAME(row, field, names) {#field, RN_COLUMN_NAME, offsetof(struct row, field), 0, names}
-#define TABLE(sql_name, row, columns) {sql_name, sizeof(struct row), columns, COUNT(columns)}
+#define SEQ(row)                                                                                   \
+    { "seq", RN_COLUMN_INT64, offsetof(struct row, seq), 0, NULL }
+#define TEXT(row, field)                                                                           \
+    { #field, RN_COLUMN_TEXT, offsetof(struct row, field), sizeof((struct row *)0)->field, NULL }
+#define DOCUMENT(row, field)                                                                       \
+    { #field, RN_COLUMN_DOCUMENT, offsetof(struct row, field), 0, NULL }
+#define INT(row, field)                                                                            \
+    { #field, RN_COLUMN_INT, offsetof(struct row, field), 0, NULL }
+#define INT64(row, field)                                                                          \
+    { #field, RN_COLUMN_INT64, offsetof(struct row, field), 0, NULL }
+#define REAL(row, field)                                                                           \
+    { #field, RN_COLUMN_REAL, offsetof(struct row, field), 0, NULL }
+#define NAME(row, field, names)                                                                    \
+    { #field, RN_COLUMN_NAME, offsetof(struct row, field), 0, names }
+#define TABLE(sql_name, row, columns)                                                              \
+    { sql_name, sizeof(struct row), columns, COUNT(columns) }
 
 static const struct rn_column dataset_columns[] = {
     SEQ(rn_dataset_row),
@@ -24,7 +31,7 @@ static const struct rn_column dataset_columns[] = {
     INT64(rn_dataset_row, created_ms),
     DOCUMENT(rn_dataset_row, record),
 };
-const struct rn_table rn_datasets = TABLE("datasets", rn_dataset_row, dataset_columns);
+const struct rn_store_table rn_datasets = TABLE("datasets", rn_dataset_row, dataset_columns);
 
 static const struct rn_column scene_columns[] = {
     SEQ(rn_scene_row),
@@ -41,7 +48,7 @@ static const struct rn_column scene_columns[] = {
     INT64(rn_scene_row, memory_bytes),
     DOCUMENT(rn_scene_row, record),
 };
-const struct rn_table rn_scenes = TABLE("scenes", rn_scene_row, scene_columns);
+const struct rn_store_table rn_scenes = TABLE("scenes", rn_scene_row, scene_columns);
 
 static const struct rn_column job_columns[] = {
     SEQ(rn_job_row),
@@ -63,7 +70,7 @@ static const struct rn_column job_columns[] = {
     DOCUMENT(rn_job_row, result),
     DOCUMENT(rn_job_row, problem),
 };
-const struct rn_table rn_jobs_table = TABLE("jobs", rn_job_row, job_columns);
+const struct rn_store_table rn_jobs_table = TABLE("jobs", rn_job_row, job_columns);
 
 static const struct rn_column checkpoint_columns[] = {
     SEQ(rn_checkpoint_row),
@@ -75,7 +82,8 @@ static const struct rn_column checkpoint_columns[] = {
     TEXT(rn_checkpoint_row, sha256),
     DOCUMENT(rn_checkpoint_row, path),
 };
-const struct rn_table rn_checkpoints = TABLE("checkpoints", rn_checkpoint_row, checkpoint_columns);
+const struct rn_store_table rn_checkpoints =
+    TABLE("checkpoints", rn_checkpoint_row, checkpoint_columns);
 
 static const struct rn_column camera_path_columns[] = {
     SEQ(rn_camera_path_row),
@@ -84,28 +92,29 @@ static const struct rn_column camera_path_columns[] = {
     INT64(rn_camera_path_row, created_ms),
     DOCUMENT(rn_camera_path_row, document),
 };
-const struct rn_table rn_camera_paths =
+const struct rn_store_table rn_camera_paths =
     TABLE("camera_paths", rn_camera_path_row, camera_path_columns);
 
 static const struct rn_column key_columns[] = {
-    SEQ(rn_key_row),
-    TEXT(rn_key_row, id),
-    TEXT(rn_key_row, digest),
-    TEXT(rn_key_row, job),
-    INT64(rn_key_row, created_ms),
+    SEQ(rn_key_row),       TEXT(rn_key_row, id),          TEXT(rn_key_row, digest),
+    TEXT(rn_key_row, job), INT64(rn_key_row, created_ms),
 };
-const struct rn_table rn_keys = TABLE("keys", rn_key_row, key_columns);
+const struct rn_store_table rn_keys = TABLE("keys", rn_key_row, key_columns);
 
 static int bind(sqlite3_stmt *statement, int place, const struct rn_column *column,
                 const void *row) {
     const void *field = (const char *)row + column->offset;
     switch (column->kind) {
-    case RN_COLUMN_TEXT: return sqlite3_bind_text(statement, place, field, -1, SQLITE_STATIC);
+    case RN_COLUMN_TEXT:
+        return sqlite3_bind_text(statement, place, field, -1, SQLITE_STATIC);
     case RN_COLUMN_DOCUMENT:
         return sqlite3_bind_text(statement, place, *(char *const *)field, -1, SQLITE_STATIC);
-    case RN_COLUMN_INT: return sqlite3_bind_int(statement, place, *(const int *)field);
-    case RN_COLUMN_INT64: return sqlite3_bind_int64(statement, place, *(const int64_t *)field);
-    case RN_COLUMN_REAL: return sqlite3_bind_double(statement, place, *(const double *)field);
+    case RN_COLUMN_INT:
+        return sqlite3_bind_int(statement, place, *(const int *)field);
+    case RN_COLUMN_INT64:
+        return sqlite3_bind_int64(statement, place, *(const int64_t *)field);
+    case RN_COLUMN_REAL:
+        return sqlite3_bind_double(statement, place, *(const double *)field);
     case RN_COLUMN_NAME:
         return sqlite3_bind_text(statement, place, column->names[*(const unsigned *)field], -1,
                                  SQLITE_STATIC);
@@ -113,9 +122,8 @@ static int bind(sqlite3_stmt *statement, int place, const struct rn_column *colu
     return SQLITE_MISUSE;
 }
 
-static enum rn_status read_text(sqlite3_stmt *statement, int place,
-                                const struct rn_column *column, void *field,
-                                struct rn_error *err) {
+static enum rn_status read_text(sqlite3_stmt *statement, int place, const struct rn_column *column,
+                                void *field, struct rn_error *err) {
     const char *text = (const char *)sqlite3_column_text(statement, place);
     if (column->kind == RN_COLUMN_DOCUMENT) {
         char *copy = text != NULL ? strdup(text) : NULL;
@@ -139,8 +147,8 @@ static enum rn_status read_text(sqlite3_stmt *statement, int place,
     return RN_OK;
 }
 
-static enum rn_status read_row(sqlite3_stmt *statement, const struct rn_table *table, void *row,
-                               struct rn_error *err) {
+static enum rn_status read_row(sqlite3_stmt *statement, const struct rn_store_table *table,
+                               void *row, struct rn_error *err) {
     memset(row, 0, table->row_size);
     for (int i = 0; i < table->column_count; i++) {
         const struct rn_column *column = &table->columns[i];
@@ -163,7 +171,7 @@ static enum rn_status read_row(sqlite3_stmt *statement, const struct rn_table *t
     return RN_OK;
 }
 
-void rn_row_finish(const struct rn_table *table, void *row) {
+void rn_row_finish(const struct rn_store_table *table, void *row) {
     for (int i = 0; i < table->column_count; i++) {
         if (table->columns[i].kind != RN_COLUMN_DOCUMENT) continue;
         char **field = (char **)(void *)((char *)row + table->columns[i].offset);
@@ -172,7 +180,7 @@ void rn_row_finish(const struct rn_table *table, void *row) {
     }
 }
 
-void rn_rows_finish(const struct rn_table *table, void *rows, size_t count) {
+void rn_rows_finish(const struct rn_store_table *table, void *rows, size_t count) {
     for (size_t i = 0; i < count; i++)
         rn_row_finish(table, (char *)rows + i * table->row_size);
     free(rows);
@@ -183,8 +191,8 @@ static enum rn_status prepare(struct rn_store *store, const struct rn_buf *sql,
                               sqlite3_stmt **ret_statement, struct rn_error *err) {
     if (sql->failed) return rn_error_set(err, RN_ERROR_NO_MEMORY, "ripnerf.db", "no memory");
     pthread_mutex_lock(&store->lock);
-    int code = sqlite3_prepare_v2(store->db, (const char *)sql->data, (int)sql->size,
-                                  ret_statement, NULL);
+    int code =
+        sqlite3_prepare_v2(store->db, (const char *)sql->data, (int)sql->size, ret_statement, NULL);
     if (code == SQLITE_OK) return RN_OK;
     enum rn_status status = rn_sqlite_error(store->db, code, "preparing a statement", err);
     pthread_mutex_unlock(&store->lock);
@@ -196,7 +204,7 @@ static void finish(struct rn_store *store, sqlite3_stmt *statement) {
     pthread_mutex_unlock(&store->lock);
 }
 
-static enum rn_status write_row(struct rn_store *store, const struct rn_table *table,
+static enum rn_status write_row(struct rn_store *store, const struct rn_store_table *table,
                                 const struct rn_buf *sql, const void *row, struct rn_error *err) {
     sqlite3_stmt *statement;
     enum rn_status status = prepare(store, sql, &statement, err);
@@ -213,8 +221,8 @@ static enum rn_status write_row(struct rn_store *store, const struct rn_table *t
     return status;
 }
 
-enum rn_status rn_store_insert(struct rn_store *store, const struct rn_table *table, void *row,
-                               struct rn_error *err) {
+enum rn_status rn_store_insert(struct rn_store *store, const struct rn_store_table *table,
+                               void *row, struct rn_error *err) {
     struct rn_buf sql;
     rn_buf_init(&sql, 4096);
     rn_buf_printf(&sql, "INSERT INTO %s (id", table->name);
@@ -232,7 +240,7 @@ enum rn_status rn_store_insert(struct rn_store *store, const struct rn_table *ta
     return status;
 }
 
-enum rn_status rn_store_update(struct rn_store *store, const struct rn_table *table,
+enum rn_status rn_store_update(struct rn_store *store, const struct rn_store_table *table,
                                const void *row, struct rn_error *err) {
     struct rn_buf sql;
     rn_buf_init(&sql, 4096);
@@ -245,7 +253,7 @@ enum rn_status rn_store_update(struct rn_store *store, const struct rn_table *ta
     return status;
 }
 
-enum rn_status rn_store_delete(struct rn_store *store, const struct rn_table *table,
+enum rn_status rn_store_delete(struct rn_store *store, const struct rn_store_table *table,
                                const char *id, struct rn_error *err) {
     struct rn_buf sql;
     sqlite3_stmt *statement;
@@ -261,7 +269,7 @@ enum rn_status rn_store_delete(struct rn_store *store, const struct rn_table *ta
     return status;
 }
 
-static void select_sql(const struct rn_table *table, const struct rn_query *query,
+static void select_sql(const struct rn_store_table *table, const struct rn_query *query,
                        struct rn_buf *sql) {
     rn_buf_init(sql, 4096);
     rn_buf_printf(sql, "SELECT seq");
@@ -274,7 +282,7 @@ static void select_sql(const struct rn_table *table, const struct rn_query *quer
     rn_buf_printf(sql, " ORDER BY seq DESC LIMIT %d", query->limit > 0 ? query->limit : -1);
 }
 
-static enum rn_status read_rows(struct rn_store *store, const struct rn_table *table,
+static enum rn_status read_rows(struct rn_store *store, const struct rn_store_table *table,
                                 sqlite3_stmt *statement, struct rn_buf *rows,
                                 struct rn_error *err) {
     int code;
@@ -297,7 +305,7 @@ static enum rn_status read_rows(struct rn_store *store, const struct rn_table *t
     return code == SQLITE_DONE ? RN_OK : rn_sqlite_error(store->db, code, table->name, err);
 }
 
-enum rn_status rn_store_list(struct rn_store *store, const struct rn_table *table,
+enum rn_status rn_store_list(struct rn_store *store, const struct rn_store_table *table,
                              const struct rn_query *query, void **ret_rows, size_t *ret_count,
                              struct rn_error *err) {
     struct rn_buf sql, rows;
@@ -326,7 +334,7 @@ enum rn_status rn_store_list(struct rn_store *store, const struct rn_table *tabl
     return RN_OK;
 }
 
-enum rn_status rn_store_find(struct rn_store *store, const struct rn_table *table,
+enum rn_status rn_store_find(struct rn_store *store, const struct rn_store_table *table,
                              const char *column, const char *text, void *row,
                              struct rn_error *err) {
     void *rows;

@@ -20,16 +20,25 @@ enum rn_status rn_sqlite_error(sqlite3 *db, int code, const char *what, struct r
     int errnum = sqlite3_system_errno(db);
     enum rn_status status = RN_ERROR_IO;
     switch (code & 0xff) {
-    case SQLITE_FULL: status = RN_ERROR_NO_SPACE; break;
-    case SQLITE_CONSTRAINT: status = RN_ERROR_CONFLICT; break;
-    case SQLITE_NOMEM: status = RN_ERROR_NO_MEMORY; break;
+    case SQLITE_FULL:
+        status = RN_ERROR_NO_SPACE;
+        break;
+    case SQLITE_CONSTRAINT:
+        status = RN_ERROR_CONFLICT;
+        break;
+    case SQLITE_NOMEM:
+        status = RN_ERROR_NO_MEMORY;
+        break;
     case SQLITE_CORRUPT:
-    case SQLITE_NOTADB: status = RN_ERROR_CORRUPT; break;
+    case SQLITE_NOTADB:
+        status = RN_ERROR_CORRUPT;
+        break;
     case SQLITE_IOERR:
     case SQLITE_CANTOPEN:
         if (errnum == ENOSPC || errnum == EDQUOT) status = RN_ERROR_NO_SPACE;
         break;
-    default: break;
+    default:
+        break;
     }
     if (status == RN_ERROR_NO_SPACE)
         return rn_error_set(err, status, "ripnerf.db", "the disk is full (%s); make room", what);
@@ -89,8 +98,7 @@ static enum rn_status open_database(struct rn_store *store, struct rn_error *err
     int code = sqlite3_open_v2(
         path, &store->db, SQLITE_OPEN_READWRITE | SQLITE_OPEN_CREATE | SQLITE_OPEN_FULLMUTEX, NULL);
     free(path);
-    if (store->db == NULL)
-        return rn_error_set(err, RN_ERROR_NO_MEMORY, "ripnerf.db", "no memory");
+    if (store->db == NULL) return rn_error_set(err, RN_ERROR_NO_MEMORY, "ripnerf.db", "no memory");
     sqlite3_extended_result_codes(store->db, 1);
     sqlite3_busy_timeout(store->db, 2000);
     if (code == SQLITE_OK)
@@ -168,8 +176,7 @@ enum rn_status rn_store_begin(struct rn_store *store, struct rn_error *err) {
 
 enum rn_status rn_store_commit(struct rn_store *store, struct rn_error *err) {
     enum rn_status status = run(store, "COMMIT", err);
-    if (status != RN_OK && !sqlite3_get_autocommit(store->db))
-        (void)run(store, "ROLLBACK", NULL);
+    if (status != RN_OK && !sqlite3_get_autocommit(store->db)) (void)run(store, "ROLLBACK", NULL);
     pthread_mutex_unlock(&store->lock);
     return status;
 }
@@ -191,7 +198,7 @@ enum rn_status rn_store_new_id(const char *prefix, char ret_id[RN_ID_MAX], struc
     return RN_OK;
 }
 
-static bool is_wanted(struct rn_store *store, const struct rn_table *table, const char *name,
+static bool is_wanted(struct rn_store *store, const struct rn_store_table *table, const char *name,
                       bool spool) {
     struct rn_job_row job;
     char id[RN_ID_MAX];
@@ -212,7 +219,7 @@ static bool is_wanted(struct rn_store *store, const struct rn_table *table, cons
 }
 
 static enum rn_status sweep_folder(struct rn_store *store, const char *name,
-                                   const struct rn_table *table, struct rn_error *err) {
+                                   const struct rn_store_table *table, struct rn_error *err) {
     enum rn_status status = RN_OK;
     char *folder = rn_store_path(store, "%s", name);
     DIR *dir = folder != NULL ? opendir(folder) : NULL;

@@ -60,8 +60,8 @@ struct rn_job_row {
     char id[RN_ID_MAX];
     enum rn_job_type type;
     enum rn_job_state state;
-    int attempt;         // counts from 1
-    int stalls;          // attempts in a row that brought no progress
+    int attempt; // counts from 1
+    int stalls;  // attempts in a row that brought no progress
     int64_t created_ms;
     int64_t started_ms;  // 0: not yet
     int64_t finished_ms; // 0: not yet
@@ -104,8 +104,8 @@ struct rn_key_row { // Idempotency-Key
 };
 
 // A table's columns and how they lie in its row. See rows.c.
-struct rn_table;
-extern const struct rn_table rn_datasets, rn_scenes, rn_jobs_table, rn_checkpoints,
+struct rn_store_table;
+extern const struct rn_store_table rn_datasets, rn_scenes, rn_jobs_table, rn_checkpoints,
     rn_camera_paths, rn_keys;
 
 // ---- access -----------------------------------------------------------------------------------
@@ -117,15 +117,15 @@ enum rn_status rn_store_commit(struct rn_store *store, struct rn_error *err) RN_
 void rn_store_rollback(struct rn_store *store);
 
 // RN_ERROR_CONFLICT when the id or a unique name is taken. Writes row->seq.
-enum rn_status rn_store_insert(struct rn_store *store, const struct rn_table *table, void *row,
-                               struct rn_error *err) RN_MUST_CHECK;
+enum rn_status rn_store_insert(struct rn_store *store, const struct rn_store_table *table,
+                               void *row, struct rn_error *err) RN_MUST_CHECK;
 // Replaces the row with this id. RN_ERROR_NOT_FOUND when there is none.
-enum rn_status rn_store_update(struct rn_store *store, const struct rn_table *table,
+enum rn_status rn_store_update(struct rn_store *store, const struct rn_store_table *table,
                                const void *row, struct rn_error *err) RN_MUST_CHECK;
-enum rn_status rn_store_delete(struct rn_store *store, const struct rn_table *table,
+enum rn_status rn_store_delete(struct rn_store *store, const struct rn_store_table *table,
                                const char *id, struct rn_error *err) RN_MUST_CHECK;
 // The row whose `column` has this text. `row` is written on success only; rn_row_finish frees it.
-enum rn_status rn_store_find(struct rn_store *store, const struct rn_table *table,
+enum rn_status rn_store_find(struct rn_store *store, const struct rn_store_table *table,
                              const char *column, const char *text, void *row,
                              struct rn_error *err) RN_MUST_CHECK;
 
@@ -138,11 +138,11 @@ struct rn_query {
     int limit;          // 0: all
 };
 // Rows, newest first; malloc, rn_rows_finish frees them.
-enum rn_status rn_store_list(struct rn_store *store, const struct rn_table *table,
+enum rn_status rn_store_list(struct rn_store *store, const struct rn_store_table *table,
                              const struct rn_query *query, void **ret_rows, size_t *ret_count,
                              struct rn_error *err) RN_MUST_CHECK;
-void rn_row_finish(const struct rn_table *table, void *row);
-void rn_rows_finish(const struct rn_table *table, void *rows, size_t count);
+void rn_row_finish(const struct rn_store_table *table, void *row);
+void rn_rows_finish(const struct rn_store_table *table, void *rows, size_t count);
 
 // A fresh id: prefix and RN_ID_RANDOM random base32 characters.
 enum rn_status rn_store_new_id(const char *prefix, char ret_id[RN_ID_MAX],

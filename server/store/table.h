@@ -24,7 +24,7 @@ struct rn_column {
 };
 
 // The first column is always `seq`.
-struct rn_table {
+struct rn_store_table {
     const char *name;
     size_t row_size;
     const struct rn_column *columns;
