@@ -93,7 +93,7 @@ static enum rn_status read_split(struct rn_reader *reader, enum rn_split split,
         rn_problems_add(reader->problems, RN_SEVERITY_INFO, path, "is not there: no %s split",
                         rn_split_name(split));
     } else {
-        json_t *root;
+        json_t *root = NULL;
         status = rn_json_parse_file(path, &root, err);
         if (status == RN_OK) {
             status = read_document(reader, rn_json_root(root, path), split, err);

@@ -140,7 +140,7 @@ static enum rn_status read_document(struct rn_reader *reader, const struct rn_js
 enum rn_status rn_read_multiscale(struct rn_reader *reader, struct rn_error *err) {
     char *path = rn_reader_path(reader, "metadata.json");
     if (!path) return rn_error_set(err, RN_ERROR_NO_MEMORY, reader->folder, "out of memory");
-    json_t *root;
+    json_t *root = NULL;
     enum rn_status status = rn_json_parse_file(path, &root, err);
     if (status == RN_OK) {
         struct rn_json at = rn_json_root(root, path);

@@ -99,7 +99,7 @@ static enum rn_status parse(const char *json, size_t size_bytes, const char *whe
     if (size_bytes > RN_PATH_MAX_BYTES)
         return rn_error_set(err, RN_ERROR_LIMIT, where, "has %zu bytes; the limit is %u",
                             size_bytes, RN_PATH_MAX_BYTES);
-    json_t *root;
+    json_t *root = NULL;
     enum rn_status status = rn_json_parse(json, size_bytes, where, &root, err);
     if (status) return status;
     const char *const known[] = {key, NULL};
@@ -115,7 +115,7 @@ static enum rn_status parse(const char *json, size_t size_bytes, const char *whe
 
 enum rn_status rn_path_parse(const char *json, size_t size_bytes, const char *where,
                              struct rn_path **ret_path, struct rn_error *err) {
-    json_t *root;
+    json_t *root = NULL;
     struct rn_json at, object;
     enum rn_status status = parse(json, size_bytes, where, "path", &root, &at, &object, err);
     if (status) return status;
@@ -134,7 +134,7 @@ enum rn_status rn_path_parse(const char *json, size_t size_bytes, const char *wh
 
 enum rn_status rn_camera_parse(const char *json, size_t size_bytes, const char *where,
                                struct rn_camera *ret_camera, struct rn_error *err) {
-    json_t *root;
+    json_t *root = NULL;
     struct rn_json at, object;
     enum rn_status status = parse(json, size_bytes, where, "camera", &root, &at, &object, err);
     if (status) return status;
