@@ -4,7 +4,7 @@
 // duplicate, missing, mistyped and out-of-range fields and points at each; encoding writes the
 // fields in the table's order. A field that may be absent (not RN_REQUIRED) or null
 // (RN_NULLABLE) holds its type's absent value: RN_ABSENT, NAN, -1 for a name, "" or NULL. It is
-// left out when encoded, or written as null when RN_NULLABLE.
+// left out when encoded, or written as null when RN_NULLABLE; an infinite number counts as absent.
 #ifndef RN_PROTO_CODEC_H
 #define RN_PROTO_CODEC_H
 
@@ -13,6 +13,7 @@
 #include <stdint.h>
 
 #include "common/base/status.h"
+#include "proto/names.h"
 
 #define RN_ABSENT INT64_MIN // of an integer; a number's is NAN
 
@@ -32,10 +33,11 @@ enum rn_type {
 };
 
 enum {
-    RN_REQUIRED = 1, // must be there (null is there, with RN_NULLABLE)
-    RN_NULLABLE = 2, // null is a value: it means absent
-    RN_OVER_MIN = 4, // min itself is not allowed
-    RN_UNDER_MAX = 8 // max itself is not allowed
+    RN_REQUIRED = 1,  // must be there (null is there, with RN_NULLABLE)
+    RN_NULLABLE = 2,  // null is a value: it means absent
+    RN_OVER_MIN = 4,  // min itself is not allowed
+    RN_UNDER_MAX = 8, // max itself is not allowed
+    RN_IS_OBJECT = 16 // JSON: only an object will do
 };
 
 struct rn_field_spec {
@@ -50,7 +52,7 @@ struct rn_field_spec {
     size_t capacity; // INTS, NUMBERS, TEXTS
     const char *const *names;
     const struct rn_table *table;
-    const char *(*check)(const char *text); // TEXT: NULL, or what is wrong ("must be ...")
+    const char *(*check)(const char *text); // TEXT, STRING: NULL, or what is wrong ("must be ...")
 };
 
 // Thread-safety: constant.

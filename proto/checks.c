@@ -1,0 +1,71 @@
+#include "proto/checks.h"
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <string.h>
+
+#include "proto/job.h"
+#include "proto/names.h"
+
+#define LOWER "abcdefghijklmnopqrstuvwxyz"
+#define UPPER "ABCDEFGHIJKLMNOPQRSTUVWXYZ"
+#define DIGITS "0123456789"
+
+static bool made_of(const char *text, const char *set) {
+    return text[strspn(text, set)] == '\0';
+}
+
+const char *rn_check_reference(const char *text) {
+    if (*text && strlen(text) < RN_NAME_MAX && made_of(text, LOWER UPPER DIGITS "._-") &&
+        !strchr("._-", *text))
+        return NULL;
+    return "must be 1 to 64 letters, digits, '.', '_' and '-', the first a letter or digit";
+}
+
+const char *rn_check_name(const char *text) {
+    static const char *const prefixes[] = {RN_ID_DATASET, RN_ID_SCENE, RN_ID_JOB, RN_ID_PATH};
+    for (size_t i = 0; i < sizeof prefixes / sizeof *prefixes; i++)
+        if (strncmp(text, prefixes[i], strlen(prefixes[i])) == 0)
+            return "must not begin like an id (ds_, sc_, job_, path_)";
+    return rn_check_reference(text);
+}
+
+const char *rn_check_split_spec(const char *text) {
+    static const char prefix[] = "every:";
+    const char *number = text + strlen(prefix);
+    if (strcmp(text, "files") == 0) return NULL;
+    if (strncmp(text, prefix, strlen(prefix)) == 0 && *number >= '1' && *number <= '9' &&
+        made_of(number, DIGITS) && strlen(number) <= 6)
+        return NULL;
+    return "must be \"files\" or \"every:N\" with N from 1 to 999999";
+}
+
+const char *rn_check_device(const char *text) {
+    static const char prefix[] = "cuda:";
+    const char *number = text + strlen(prefix);
+    if (strcmp(text, "auto") == 0 || strcmp(text, "cpu") == 0) return NULL;
+    if (strncmp(text, prefix, strlen(prefix)) == 0 && *number && made_of(number, DIGITS) &&
+        strlen(number) <= 2)
+        return NULL;
+    return "must be auto, cpu or cuda:N";
+}
+
+const char *rn_check_kernels(const char *text) {
+    return *text && made_of(text, LOWER DIGITS "-") ? NULL
+                                                    : "must be the name of a kernel set, or auto";
+}
+
+const char *rn_check_view(const char *text) {
+    for (size_t i = 0; rn_split_names[i]; i++) {
+        size_t length = strlen(rn_split_names[i]);
+        if (strncmp(text, rn_split_names[i], length) == 0 && text[length] == ':' &&
+            text[length + 1])
+            return NULL;
+    }
+    return "must be SPLIT:INDEX or SPLIT:NAME, as test:12 or test:r_12";
+}
+
+const char *rn_check_sha256(const char *text) {
+    return strlen(text) == 64 && made_of(text, "abcdef" DIGITS) ? NULL
+                                                                : "must be 64 hexadecimal digits";
+}

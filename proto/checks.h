@@ -1,0 +1,13 @@
+// Inside proto/: checks of texts for the tables. NULL, or what is wrong.
+#ifndef RN_PROTO_CHECKS_H
+#define RN_PROTO_CHECKS_H
+
+const char *rn_check_name(const char *text);      // the name of a dataset, scene, path
+const char *rn_check_reference(const char *text); // an id or a name
+const char *rn_check_split_spec(const char *text);
+const char *rn_check_device(const char *text);
+const char *rn_check_kernels(const char *text);
+const char *rn_check_view(const char *text); // "test:12"
+const char *rn_check_sha256(const char *text);
+
+#endif

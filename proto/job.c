@@ -1,0 +1,343 @@
+#include "proto/job.h"
+
+#include <stdint.h>
+#include <stdlib.h>
+
+#include "proto/checks.h"
+#include "proto/dataset.h"
+
+#define MAX_SAFE 9007199254740991.0 // whole numbers that a double holds exactly
+#define MAX_SIZE 16384              // pixels
+
+const char *const rn_preset_names[] = {"draft", "standard", "paper", NULL};
+const char *const rn_train_split_names[] = {"train", "trainval", NULL};
+const char *const rn_orientation_names[] = {"platonic", "golden", "blue", "white", NULL};
+const char *const rn_footprint_names[] = {"rip", "mip", "point", NULL};
+const char *const rn_split_names[] = {"train", "val", "test", NULL};
+
+// ---- options ----
+
+#define S struct rn_train_options
+static const struct rn_field_spec train_options[] = {
+    RN_F_NAME(S, preset, 0, rn_preset_names),
+    RN_F_NAME(S, train_split, 0, rn_train_split_names),
+    RN_F_INT(S, planes, 0, 1, 16),
+    RN_F_NAME(S, orientation, 0, rn_orientation_names),
+    RN_F_NAME(S, footprint, 0, rn_footprint_names),
+    RN_F_INT(S, base, 0, 2, 4096),
+    RN_F_INT(S, channels, 0, 4, 16),
+    RN_F_NUMBER(S, max_time_s, RN_OVER_MIN, 0, 31536000),
+    RN_F_INT(S, max_steps, 0, 1, 1e9),
+    RN_F_NUMBER(S, until_psnr, RN_OVER_MIN, 0, 100),
+    RN_F_INT(S, seed, 0, 0, MAX_SAFE),
+    RN_F_INT(S, threads, 0, 0, 1024),
+    RN_F_TEXT(S, device, 0, rn_check_device),
+    RN_F_TEXT(S, kernels, 0, rn_check_kernels),
+    RN_F_NUMBER(S, checkpoint_interval_s, 0, 0, 86400),
+    RN_F_NUMBER(S, evaluate_interval_s, RN_OVER_MIN, 0, 86400),
+};
+const struct rn_table rn_train_options_table = RN_TABLE(S, "training options", train_options);
+#undef S
+
+#define S struct rn_path_options
+static const struct rn_field_spec path_options[] = {
+    RN_F_INT(S, width, 0, 1, MAX_SIZE),
+    RN_F_INT(S, height, 0, 1, MAX_SIZE),
+    RN_F_INT(S, first, 0, 0, 99999),
+    RN_F_INT(S, last, 0, 0, 99999),
+    RN_F_NAME(S, output, 0, rn_output_kind_names),
+};
+const struct rn_table rn_path_options_table = RN_TABLE(S, "path options", path_options);
+#undef S
+
+#define S struct rn_eval_options
+static const struct rn_field_spec eval_options[] = {
+    RN_F_NAME(S, split, 0, rn_split_names),
+    RN_F_INT(S, views, 0, 0, 1e6),
+    RN_F_INT(S, scale, 0, 0, 15),
+};
+const struct rn_table rn_eval_options_table = RN_TABLE(S, "evaluation options", eval_options);
+#undef S
+
+// ---- requests: one struct, a table for each type ----
+
+#define S struct rn_job_request
+static const struct rn_field_spec train_request[] = {
+    RN_F_NAME(S, type, RN_REQUIRED, rn_job_type_names),
+    RN_F_TEXT(S, dataset, RN_REQUIRED, rn_check_reference),
+    RN_F_TEXT(S, scene, RN_REQUIRED, rn_check_name),
+    {.name = "options",
+     .type = RN_TYPE_OBJECT,
+     .offset = offsetof(S, train),
+     .table = &rn_train_options_table},
+};
+static const struct rn_field_spec path_request[] = {
+    RN_F_NAME(S, type, RN_REQUIRED, rn_job_type_names),
+    RN_F_TEXT(S, scene, RN_REQUIRED, rn_check_reference),
+    RN_F_TEXT(S, path, 0, rn_check_reference),
+    RN_F_JSON(S, camera_path, RN_IS_OBJECT),
+    {.name = "options",
+     .type = RN_TYPE_OBJECT,
+     .offset = offsetof(S, path_options),
+     .table = &rn_path_options_table},
+};
+static const struct rn_field_spec eval_request[] = {
+    RN_F_NAME(S, type, RN_REQUIRED, rn_job_type_names),
+    RN_F_TEXT(S, scene, RN_REQUIRED, rn_check_reference),
+    {.name = "options",
+     .type = RN_TYPE_OBJECT,
+     .offset = offsetof(S, eval),
+     .table = &rn_eval_options_table},
+};
+// All fields of the struct: what an empty request is made of, and what is freed.
+static const struct rn_field_spec whole_request[] = {
+    RN_F_NAME(S, type, 0, rn_job_type_names),
+    RN_F_TEXT(S, dataset, 0, NULL),
+    RN_F_TEXT(S, scene, 0, NULL),
+    RN_F_TEXT(S, path, 0, NULL),
+    RN_F_JSON(S, camera_path, 0),
+    RN_F_OBJECT(S, train, 0, &rn_train_options_table),
+    RN_F_OBJECT(S, path_options, 0, &rn_path_options_table),
+    RN_F_OBJECT(S, eval, 0, &rn_eval_options_table),
+};
+static const struct rn_table whole_request_table = RN_TABLE(S, "a job", whole_request);
+static const struct rn_table request_tables[] = {
+    [RN_JOB_TRAIN] = RN_TABLE(S, "a training job", train_request),
+    [RN_JOB_PATH] = RN_TABLE(S, "a path job", path_request),
+    [RN_JOB_EVAL] = RN_TABLE(S, "an evaluation job", eval_request),
+};
+#undef S
+
+// What a table cannot say.
+static const char *check_request(const struct rn_job_request *request, const char **ret_pointer) {
+    *ret_pointer = "#/options/channels";
+    int64_t channels = request->train.channels;
+    if (channels != RN_ABSENT && channels != 4 && channels != 8 && channels != 16)
+        return "must be 4, 8 or 16";
+    if (request->type != RN_JOB_PATH) return NULL;
+    *ret_pointer = "#/path";
+    if (!*request->path == !request->camera_path)
+        return "exactly one of path and camera_path must be given";
+    const struct rn_path_options *options = &request->path_options;
+    *ret_pointer = "#/options/height";
+    if ((options->width == RN_ABSENT) != (options->height == RN_ABSENT))
+        return "width and height must be given together";
+    *ret_pointer = "#/options/last";
+    if (options->last != RN_ABSENT && options->last < rn_int_or(options->first, 0))
+        return "must not be less than first";
+    return NULL;
+}
+
+enum rn_status rn_job_request_decode(const char *json, size_t size,
+                                     struct rn_job_request *ret_request,
+                                     struct rn_field_errors *errors, struct rn_error *err) {
+    char type_name[16];
+    enum rn_status status =
+        rn_decode_peek(json, size, "type", sizeof type_name, type_name, errors, err);
+    if (status) return status;
+    int type = rn_name_index(rn_job_type_names, type_name);
+    if (type < 0 || type == RN_JOB_INGEST) {
+        rn_field_errors_add(errors, "#/type", "must be one of train, path, eval");
+        return rn_error_set(err, RN_ERROR_INVALID, "#/type", "must be one of train, path, eval");
+    }
+    struct rn_job_request request;
+    status = rn_decode(&request_tables[type], json, size, &request, errors, err);
+    if (status) return status;
+    // The type's own table has left the other types' options zero.
+    if (type != RN_JOB_TRAIN) rn_message_init(&rn_train_options_table, &request.train);
+    if (type != RN_JOB_PATH) rn_message_init(&rn_path_options_table, &request.path_options);
+    if (type != RN_JOB_EVAL) rn_message_init(&rn_eval_options_table, &request.eval);
+    const char *pointer, *wrong = check_request(&request, &pointer);
+    if (wrong) {
+        rn_field_errors_add(errors, pointer, "%s", wrong);
+        rn_job_request_finish(&request);
+        return rn_error_set(err, RN_ERROR_INVALID, pointer, "%s", wrong);
+    }
+    *ret_request = request;
+    return RN_OK;
+}
+
+void rn_job_request_finish(struct rn_job_request *request) {
+    rn_message_finish(&whole_request_table, request);
+}
+
+enum rn_status rn_job_request_options(const struct rn_job_request *request, char **ret_json,
+                                      struct rn_error *err) {
+    if (request->type == RN_JOB_TRAIN)
+        return rn_encode(&rn_train_options_table, &request->train, ret_json, NULL, err);
+    if (request->type == RN_JOB_PATH)
+        return rn_encode(&rn_path_options_table, &request->path_options, ret_json, NULL, err);
+    return rn_encode(&rn_eval_options_table, &request->eval, ret_json, NULL, err);
+}
+
+// ---- progress ----
+
+#define S struct rn_nonfinite
+static const struct rn_field_spec nonfinite[] = {
+    RN_F_INT(S, rays, RN_REQUIRED, 0, INFINITY),
+    RN_F_INT(S, steps_rejected, RN_REQUIRED, 0, INFINITY),
+    RN_F_INT(S, rollbacks, RN_REQUIRED, 0, INFINITY),
+};
+static const struct rn_table nonfinite_table = RN_TABLE(S, "nonfinite", nonfinite);
+#undef S
+
+#define S struct rn_train_progress
+static const struct rn_field_spec train_progress[] = {
+    RN_F_INT(S, step, RN_REQUIRED, 0, INFINITY),
+    RN_F_INT(S, max_steps, RN_REQUIRED, 0, INFINITY),
+    RN_F_NUMBER(S, train_seconds, RN_REQUIRED, 0, INFINITY),
+    RN_F_NUMBER(S, max_seconds, RN_REQUIRED, 0, INFINITY),
+    RN_F_NUMBER(S, load_seconds, RN_REQUIRED, 0, INFINITY),
+    RN_F_NUMBER(S, evaluate_seconds, RN_REQUIRED, 0, INFINITY),
+    RN_F_NUMBER(S, paused_seconds, RN_REQUIRED, 0, INFINITY),
+    RN_F_NUMBER(S, yielded_seconds, RN_REQUIRED, 0, INFINITY),
+    RN_F_NUMBER(S, loss, RN_REQUIRED | RN_NULLABLE, -INFINITY, INFINITY),
+    RN_F_NUMBER(S, rays_per_second, RN_REQUIRED, 0, INFINITY),
+    RN_F_NUMBER(S, samples_per_second, RN_REQUIRED, 0, INFINITY),
+    RN_F_INT(S, samples, RN_REQUIRED, 0, INFINITY),
+    RN_F_INTS(S, level_samples, level_count, RN_REQUIRED, 0, INFINITY),
+    RN_F_NUMBER(S, psnr, RN_REQUIRED | RN_NULLABLE, -INFINITY, INFINITY),
+    RN_F_INT(S, psnr_step, RN_REQUIRED | RN_NULLABLE, 0, INFINITY),
+    RN_F_OBJECT(S, nonfinite, RN_REQUIRED, &nonfinite_table),
+    RN_F_NUMBER(S, eta_seconds, RN_REQUIRED | RN_NULLABLE, 0, INFINITY),
+    RN_F_NUMBER(S, fraction, RN_REQUIRED | RN_NULLABLE, 0, 1),
+    RN_F_BOOL(S, evaluating_first, RN_REQUIRED),
+};
+const struct rn_table rn_train_progress_table = RN_TABLE(S, "training progress", train_progress);
+#undef S
+
+#define S struct rn_work_progress
+static const struct rn_field_spec work_progress[] = {
+    RN_F_INT(S, done, RN_REQUIRED, 0, INFINITY),
+    RN_F_INT(S, total, RN_REQUIRED | RN_NULLABLE, 0, INFINITY),
+    RN_F_NUMBER(S, fraction, RN_REQUIRED | RN_NULLABLE, 0, 1),
+    RN_F_NUMBER(S, eta_seconds, RN_REQUIRED | RN_NULLABLE, 0, INFINITY),
+};
+const struct rn_table rn_work_progress_table = RN_TABLE(S, "progress", work_progress);
+#undef S
+
+#define S struct rn_metric_event
+static const struct rn_field_spec metric_event[] = {
+    RN_F_INT(S, step, RN_REQUIRED, 0, INFINITY),
+    RN_F_NUMBER(S, train_seconds, RN_REQUIRED, 0, INFINITY),
+    RN_F_NUMBER(S, psnr, RN_REQUIRED | RN_NULLABLE, -INFINITY, INFINITY),
+};
+const struct rn_table rn_metric_event_table = RN_TABLE(S, "metric", metric_event);
+#undef S
+
+// ---- results ----
+
+#define S struct rn_train_result
+static const struct rn_field_spec train_result[] = {
+    RN_F_INT(S, steps, RN_REQUIRED, 0, INFINITY),
+    RN_F_NUMBER(S, train_seconds, RN_REQUIRED, 0, INFINITY),
+    RN_F_INT(S, samples, RN_REQUIRED, 0, INFINITY),
+    RN_F_NUMBER(S, psnr, RN_REQUIRED | RN_NULLABLE, -INFINITY, INFINITY),
+    RN_F_TEXT(S, parameters_sha256, RN_REQUIRED, rn_check_sha256),
+    RN_F_NAME(S, finished_by, RN_REQUIRED, rn_finished_by_names),
+};
+const struct rn_table rn_train_result_table = RN_TABLE(S, "training result", train_result);
+#undef S
+
+#define S struct rn_path_result
+static const struct rn_field_spec path_result[] = {
+    RN_F_INT(S, frames, RN_REQUIRED, 0, 100000),
+    RN_F_INT(S, width, RN_REQUIRED, 1, MAX_SIZE),
+    RN_F_INT(S, height, RN_REQUIRED, 1, MAX_SIZE),
+    RN_F_NUMBER(S, render_ms_median, RN_REQUIRED | RN_NULLABLE, 0, INFINITY),
+};
+const struct rn_table rn_path_result_table = RN_TABLE(S, "path result", path_result);
+#undef S
+
+#define S struct rn_scale_score
+static const struct rn_field_spec scale_score[] = {
+    RN_F_INT(S, scale, RN_REQUIRED, 0, 64),
+    RN_F_NUMBER(S, psnr, RN_REQUIRED | RN_NULLABLE, -INFINITY, INFINITY),
+    RN_F_NUMBER(S, ssim, RN_REQUIRED, -INFINITY, INFINITY),
+};
+static const struct rn_table scale_score_table = RN_TABLE(S, "scale score", scale_score);
+#undef S
+
+#define S struct rn_view_result
+static const struct rn_field_spec view_result[] = {
+    RN_F_TEXT(S, name, RN_REQUIRED, NULL),
+    RN_F_INT(S, index, RN_REQUIRED, 0, INFINITY),
+    RN_F_INT(S, scale, RN_REQUIRED, 0, 64),
+    RN_F_NUMBER(S, psnr, RN_REQUIRED | RN_NULLABLE, -INFINITY, INFINITY),
+    RN_F_NUMBER(S, ssim, RN_REQUIRED, -INFINITY, INFINITY),
+    RN_F_NUMBER(S, render_ms, RN_REQUIRED, 0, INFINITY),
+};
+static const struct rn_table view_result_table = RN_TABLE(S, "view score", view_result);
+#undef S
+
+#define S struct rn_protocol
+static const struct rn_field_spec protocol[] = {
+    RN_F_NAME(S, split, RN_REQUIRED, rn_split_names),
+    RN_F_NUMBERS(S, background, RN_REQUIRED, 0, 1),
+    RN_F_NAME(S, downscale, RN_REQUIRED, rn_alpha_mode_names),
+    RN_F_TEXT(S, rounding, RN_REQUIRED, NULL),
+    RN_F_INT(S, seed, RN_REQUIRED, 0, INFINITY),
+    RN_F_NAME(S, train_split, RN_REQUIRED, rn_train_split_names),
+    RN_F_INT(S, step, RN_REQUIRED, 0, INFINITY),
+    RN_F_TEXT(S, version, RN_REQUIRED, NULL),
+    RN_F_TEXT(S, device, RN_REQUIRED, NULL),
+    RN_F_TEXT(S, kernels, RN_REQUIRED, NULL),
+    RN_F_INT(S, threads, RN_REQUIRED, 1, 1024),
+};
+static const struct rn_table protocol_table = RN_TABLE(S, "protocol", protocol);
+#undef S
+
+#define S struct rn_eval_result
+static const struct rn_field_spec eval_result[] = {
+    RN_F_NUMBER(S, psnr, RN_REQUIRED | RN_NULLABLE, -INFINITY, INFINITY),
+    RN_F_NUMBER(S, ssim, RN_REQUIRED, -INFINITY, INFINITY),
+    RN_F_INT(S, views, RN_REQUIRED, 1, INFINITY),
+    RN_F_NUMBER(S, psnr_spread, RN_REQUIRED | RN_NULLABLE, 0, INFINITY),
+    RN_F_NUMBER(S, ssim_spread, RN_REQUIRED | RN_NULLABLE, 0, INFINITY),
+    RN_F_OBJECTS(S, scales, scale_count, RN_REQUIRED, &scale_score_table, 16),
+    RN_F_OBJECTS(S, per_view, view_count, RN_REQUIRED, &view_result_table, 1e6),
+    RN_F_NUMBER(S, render_ms_median, RN_REQUIRED, 0, INFINITY),
+    RN_F_OBJECT(S, protocol, RN_REQUIRED, &protocol_table),
+};
+const struct rn_table rn_eval_result_table = RN_TABLE(S, "evaluation result", eval_result);
+#undef S
+
+#define S struct rn_ingest_result
+static const struct rn_field_spec ingest_result[] = {
+    RN_F_TEXT(S, dataset, RN_REQUIRED, NULL),
+};
+const struct rn_table rn_ingest_result_table = RN_TABLE(S, "import result", ingest_result);
+#undef S
+
+// ---- the resource ----
+
+#define S struct rn_job
+static const struct rn_field_spec job[] = {
+    RN_F_TEXT(S, id, RN_REQUIRED, NULL),
+    RN_F_NAME(S, type, RN_REQUIRED, rn_job_type_names),
+    RN_F_NAME(S, state, RN_REQUIRED, rn_job_state_names),
+    RN_F_INT(S, attempt, RN_REQUIRED, 1, INFINITY),
+    RN_F_TEXT(S, created_at, RN_REQUIRED, NULL),
+    RN_F_TEXT(S, started_at, RN_REQUIRED | RN_NULLABLE, NULL),
+    RN_F_TEXT(S, finished_at, RN_REQUIRED | RN_NULLABLE, NULL),
+    RN_F_TEXT(S, dataset, 0, NULL),
+    RN_F_TEXT(S, dataset_name, 0, NULL),
+    RN_F_TEXT(S, scene, 0, NULL),
+    RN_F_TEXT(S, scene_name, 0, NULL),
+    RN_F_JSON(S, options, RN_REQUIRED | RN_IS_OBJECT),
+    RN_F_JSON(S, progress, RN_REQUIRED | RN_NULLABLE | RN_IS_OBJECT),
+    RN_F_JSON(S, result, RN_IS_OBJECT),
+    RN_F_JSON(S, problem, RN_IS_OBJECT),
+};
+const struct rn_table rn_job_table = RN_TABLE(S, "a job", job);
+#undef S
+
+#define S struct rn_evaluation
+static const struct rn_field_spec evaluation[] = {
+    RN_F_TEXT(S, job, RN_REQUIRED, NULL),
+    RN_F_TEXT(S, finished_at, RN_REQUIRED, NULL),
+    RN_F_JSON(S, options, RN_REQUIRED | RN_IS_OBJECT),
+    RN_F_JSON(S, result, RN_REQUIRED | RN_IS_OBJECT),
+};
+const struct rn_table rn_evaluation_table = RN_TABLE(S, "an evaluation", evaluation);
+#undef S

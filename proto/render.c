@@ -1,0 +1,85 @@
+#include "proto/render.h"
+
+#include "proto/checks.h"
+
+#define S struct rn_size
+static const struct rn_field_spec size[] = {
+    RN_F_INT(S, width, RN_REQUIRED, 1, 16384),
+    RN_F_INT(S, height, RN_REQUIRED, 1, 16384),
+};
+static const struct rn_table size_table = RN_TABLE(S, "a size", size);
+#undef S
+
+#define S struct rn_render_request
+static const struct rn_field_spec request[] = {
+    RN_F_JSON(S, camera, RN_IS_OBJECT),
+    RN_F_TEXT(S, view, 0, rn_check_view),
+    RN_F_INT(S, scale, 0, 0, 15),
+    RN_F_OBJECT(S, size, 0, &size_table),
+    RN_F_NAME(S, output, 0, rn_output_kind_names),
+    RN_F_NUMBERS(S, background, 0, 0, 1),
+    RN_F_NAME(S, format, 0, rn_picture_format_names),
+    RN_F_INT(S, jpeg_quality, 0, 1, 100),
+    RN_F_NUMBER(S, step, RN_OVER_MIN, 0, 1),
+    RN_F_NUMBER(S, stop, RN_OVER_MIN | RN_UNDER_MAX, 0, 1),
+    RN_F_INT(S, subsample, 0, 1, 16),
+};
+const struct rn_table rn_render_request_table = RN_TABLE(S, "a render request", request);
+#undef S
+
+// What a table cannot say.
+static const char *check_request(const struct rn_render_request *r, const char **ret_pointer) {
+    *ret_pointer = "#/view";
+    if (!*r->view == !r->camera) return "exactly one of camera and view must be given";
+    *ret_pointer = "#/scale";
+    if (r->camera && rn_int_or(r->scale, 0) != 0) return "goes with view only";
+    *ret_pointer = "#/format";
+    if (r->output == RN_OUTPUT_KIND_DEPTH && r->format == RN_FORMAT_JPEG)
+        return "must be png for depth";
+    return NULL;
+}
+
+enum rn_status rn_render_request_decode(const char *json, size_t json_size,
+                                        struct rn_render_request *ret_request,
+                                        struct rn_field_errors *errors, struct rn_error *err) {
+    struct rn_render_request decoded;
+    enum rn_status status =
+        rn_decode(&rn_render_request_table, json, json_size, &decoded, errors, err);
+    if (status) return status;
+    const char *pointer, *wrong = check_request(&decoded, &pointer);
+    if (wrong) {
+        rn_field_errors_add(errors, pointer, "%s", wrong);
+        rn_message_finish(&rn_render_request_table, &decoded);
+        return rn_error_set(err, RN_ERROR_INVALID, pointer, "%s", wrong);
+    }
+    *ret_request = decoded;
+    return RN_OK;
+}
+
+void rn_render_request_settle(struct rn_render_request *r, enum rn_picture_format format) {
+    r->scale = rn_int_or(r->scale, 0);
+    r->output = rn_name_or(r->output, RN_OUTPUT_KIND_RGB);
+    r->format = rn_name_or(r->format, (int)format);
+    if (r->output == RN_OUTPUT_KIND_DEPTH) r->format = RN_FORMAT_PNG;
+    r->jpeg_quality = rn_int_or(r->jpeg_quality, 90);
+    r->subsample = rn_int_or(r->subsample, 1);
+}
+
+#define S struct rn_camera_path_request
+static const struct rn_field_spec path_request[] = {
+    RN_F_TEXT(S, name, RN_REQUIRED, rn_check_name),
+    RN_F_JSON(S, path, RN_REQUIRED | RN_IS_OBJECT),
+};
+const struct rn_table rn_camera_path_request_table =
+    RN_TABLE(S, "a camera path request", path_request);
+#undef S
+
+#define S struct rn_camera_path_record
+static const struct rn_field_spec path_record[] = {
+    RN_F_TEXT(S, id, RN_REQUIRED, NULL),
+    RN_F_TEXT(S, name, RN_REQUIRED, NULL),
+    RN_F_TEXT(S, created_at, RN_REQUIRED, NULL),
+    RN_F_JSON(S, path, RN_REQUIRED | RN_IS_OBJECT),
+};
+const struct rn_table rn_camera_path_record_table = RN_TABLE(S, "a camera path", path_record);
+#undef S
