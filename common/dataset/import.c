@@ -69,7 +69,7 @@ static enum rn_status check_options(const struct rn_dataset *source,
     return RN_OK;
 }
 
-static enum rn_status check_target(const char *target, struct rn_error *err) {
+enum rn_status rn_check_new_folder(const char *target, struct rn_error *err) {
     DIR *folder = opendir(target);
     if (!folder) return errno == ENOENT ? RN_OK : rn_error_from_errno(err, errno, target, "open");
     int entries = 0;
@@ -325,8 +325,9 @@ enum rn_status rn_dataset_import(const struct rn_dataset *source, const char *na
                             .context = context,
                             .lock = PTHREAD_MUTEX_INITIALIZER};
     enum rn_status status;
-    if ((status = check_options(source, &chosen, err)) || (status = check_target(target, err)) ||
-        (status = make_folders(target, err)) || (status = choose_views(&import, source, err)))
+    if ((status = check_options(source, &chosen, err)) ||
+        (status = rn_check_new_folder(target, err)) || (status = make_folders(target, err)) ||
+        (status = choose_views(&import, source, err)))
         goto done;
     rn_parallel_for(options->threads, import.view_count, import_work, &import);
     if (import.stopped)

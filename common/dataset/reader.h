@@ -68,6 +68,8 @@ bool rn_camera_looks_at(const struct rn_camera *camera, const struct rn_bounds *
 enum rn_status rn_dataset_seal(struct rn_dataset *dataset, const char *where,
                                const struct rn_problems *problems,
                                struct rn_error *err) RN_MUST_CHECK;
+// RN_ERROR_CONFLICT when the folder exists and is not empty.
+enum rn_status rn_check_new_folder(const char *folder, struct rn_error *err) RN_MUST_CHECK;
 void rn_frame_finish(struct rn_frame *frame);
 
 #endif

@@ -1,0 +1,277 @@
+// Synthetic datasets: cameras around a scene, supersampled pictures, NeRF-synthetic layout.
+#include <math.h>
+#include <pthread.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "common/base/file.h"
+#include "common/base/threads.h"
+#include "common/dataset/reader.h"
+#include "common/dataset/synth_scenes.h"
+#include "common/math/rng.h"
+
+#define CAMERA_DISTANCE 4.0311289
+#define CAMERA_ANGLE_X 0.6911112 // radians
+#define DEFAULT_SAMPLES 64
+#define MAX_SAMPLES 4096
+#define MAX_SIZE 4096
+#define MAX_VIEWS 10000
+#define PNG_LEVEL 6
+
+// The mean over one pixel: `side` x `side` strata with one jittered ray each.
+static void render_pixel(const struct rn_synth_scene *scene, const struct rn_camera *camera, int x,
+                         int y, int side, float rgba[4]) {
+    double sum[3] = {0};
+    int hits = 0, samples = side * side;
+    uint64_t stream = (uint64_t)y * (uint64_t)camera->width + (uint64_t)x;
+    struct rn_rng4 jitter = {{0}};
+    for (int s = 0; s < samples; s++) {
+        if (s % 2 == 0) jitter = rn_rng_draw(0, stream, (uint64_t)s / 2);
+        double u = (s % side + (double)rn_rng_unit(jitter.v[s % 2 * 2])) / side;
+        double v = ((double)(s / side) + (double)rn_rng_unit(jitter.v[s % 2 * 2 + 1])) / side;
+        struct rn_ray cone = rn_camera_ray(camera, x + u, y + v);
+        struct ray ray = {{cone.origin[0], cone.origin[1], cone.origin[2]},
+                          {cone.direction[0], cone.direction[1], cone.direction[2]}};
+        double rgb[3];
+        if (!rn_synth_trace(scene, &ray, rgb)) continue;
+        hits++;
+        for (int i = 0; i < 3; i++)
+            sum[i] += rgb[i];
+    }
+    for (int i = 0; i < 3; i++)
+        rgba[i] = hits ? (float)(sum[i] / hits) : 0;
+    rgba[3] = (float)hits / (float)samples;
+}
+
+// Whether no ray of the pixel can meet the scene's sphere: the centre ray stays away from it by
+// more than the pixel's diagonal.
+static bool pixel_is_empty(const struct rn_synth_scene *scene, const struct rn_camera *camera,
+                           int x, int y) {
+    struct rn_ray cone = rn_camera_ray(camera, x + 0.5, y + 0.5);
+    double along = 0, squared = 0;
+    for (int i = 0; i < 3; i++) {
+        along -= cone.origin[i] * cone.direction[i];
+        squared += cone.origin[i] * cone.origin[i];
+    }
+    double distance = sqrt(squared), half_diagonal = 0.7072 * 1.7725 * cone.radius;
+    double reach = rn_synth_radius(scene) + half_diagonal * distance;
+    return along > 0 && squared - along * along > reach * reach;
+}
+
+static void render(const struct rn_synth_scene *scene, const struct rn_camera *camera, int side,
+                   struct rn_picture *picture) {
+    for (int y = 0; y < camera->height; y++)
+        for (int x = 0; x < camera->width; x++) {
+            float *rgba = picture->values + 4 * ((size_t)y * (size_t)camera->width + (size_t)x);
+            if (pixel_is_empty(scene, camera, x, y))
+                memset(rgba, 0, 4 * sizeof *rgba);
+            else
+                render_pixel(scene, camera, x, y, side, rgba);
+        }
+}
+
+static enum rn_status check_scene(const char *name, int samples,
+                                  const struct rn_synth_scene **ret_scene, int *ret_side,
+                                  struct rn_error *err) {
+    const struct rn_synth_scene *scene = rn_synth_find(name);
+    if (!scene)
+        return rn_error_set(err, RN_ERROR_INVALID, "scene",
+                            "no synthetic scene \"%.40s\"; there are sphere, fence and nested",
+                            name);
+    if (samples == 0) samples = DEFAULT_SAMPLES;
+    int side = (int)lround(sqrt(samples > 0 ? samples : 0));
+    if (side < 1 || samples > MAX_SAMPLES || side * side != samples)
+        return rn_error_set(err, RN_ERROR_INVALID, "samples",
+                            "%d is not a square number from 1 to %d", samples, MAX_SAMPLES);
+    *ret_scene = scene;
+    *ret_side = side;
+    return RN_OK;
+}
+
+enum rn_status rn_synth_render(const char *scene, const struct rn_camera *camera, int samples,
+                               struct rn_picture *ret_rgba, struct rn_error *err) {
+    const struct rn_synth_scene *found = NULL;
+    struct rn_picture picture;
+    int side = 0;
+    enum rn_status status;
+    if ((status = check_scene(scene, samples, &found, &side, err)) ||
+        (status = rn_camera_check(camera, "camera", err)) ||
+        (status = rn_picture_init(camera->width, camera->height, 4, &picture, err)))
+        return status;
+    render(found, camera, side, &picture);
+    *ret_rgba = picture;
+    return RN_OK;
+}
+
+// View `index` of `count` on a golden spiral over part of a sphere. Splits have their own spirals.
+static enum rn_status place_camera(enum rn_split split, int index, int count, int size,
+                                   struct rn_camera *ret_camera) {
+    static const double low[RN_SPLIT_COUNT] = {-0.3, -0.2, -0.22},
+                        high[RN_SPLIT_COUNT] = {0.97, 0.9, 0.93}, shift[RN_SPLIT_COUNT] = {0, 2, 4};
+    static const double up[3] = {0, 0, 1}, target[3] = {0, 0, 0};
+    double z = low[split] + (high[split] - low[split]) * (index + 0.5) / count;
+    double azimuth = shift[split] + index * M_PI * (3 - sqrt(5));
+    double across = CAMERA_DISTANCE * sqrt(1 - z * z);
+    double eye[3] = {across * cos(azimuth), across * sin(azimuth), CAMERA_DISTANCE * z};
+    struct rn_camera camera = {.model = RN_CAMERA_PINHOLE, .width = size, .height = size};
+    camera.fx = camera.fy = rn_camera_focal_from_fov(CAMERA_ANGLE_X, size);
+    camera.cx = camera.cy = 0.5 * size;
+    enum rn_status status = rn_camera_look_at(eye, target, up, camera.world_from_camera);
+    if (status == RN_OK) *ret_camera = camera;
+    return status;
+}
+
+struct synth {
+    const struct rn_synth_scene *scene;
+    const struct rn_synth_options *options;
+    int side;
+    const char *target;
+    int count[RN_SPLIT_COUNT];
+    bool (*progress)(void *context, size_t done, size_t total);
+    void *context;
+    pthread_mutex_t lock; // guards what follows
+    size_t done;
+    bool stopped;
+    struct rn_error failure;
+};
+
+static size_t total_views(const struct synth *synth) {
+    return (size_t)(synth->count[0] + synth->count[1] + synth->count[2]);
+}
+
+static enum rn_status write_view(const struct synth *synth, const struct rn_picture *picture,
+                                 enum rn_split split, int index, struct rn_error *err) {
+    struct rn_image image;
+    char *path;
+    if (asprintf(&path, "%s/%s/r_%d.png", synth->target, rn_split_name(split), index) < 0)
+        return rn_error_set(err, RN_ERROR_NO_MEMORY, synth->target, "out of memory");
+    enum rn_status status = rn_picture_to_image(picture, &image, err);
+    if (status == RN_OK) {
+        image.has_alpha = true;
+        status = rn_image_write_png(&image, path, PNG_LEVEL, err);
+        rn_image_finish(&image);
+    }
+    free(path);
+    return status;
+}
+
+static enum rn_status make_view(const struct synth *synth, size_t view, struct rn_error *err) {
+    int index = (int)view, split = 0, size = synth->options->size;
+    while (index >= synth->count[split])
+        index -= synth->count[split++];
+    struct rn_camera camera;
+    struct rn_picture picture;
+    enum rn_status status =
+        place_camera((enum rn_split)split, index, synth->count[split], size, &camera);
+    if (status) return rn_error_set(err, status, synth->target, "degenerate camera");
+    if ((status = rn_picture_init(size, size, 4, &picture, err))) return status;
+    render(synth->scene, &camera, synth->side, &picture);
+    status = write_view(synth, &picture, (enum rn_split)split, index, err);
+    rn_picture_finish(&picture);
+    return status;
+}
+
+static void synth_work(void *context, size_t view) {
+    struct synth *synth = context;
+    pthread_mutex_lock(&synth->lock);
+    bool stopped = synth->stopped;
+    pthread_mutex_unlock(&synth->lock);
+    if (stopped) return;
+    struct rn_error err = {.status = RN_OK};
+    enum rn_status status = make_view(synth, view, &err);
+    pthread_mutex_lock(&synth->lock);
+    if (status && !synth->stopped) {
+        synth->stopped = true;
+        synth->failure = err;
+    }
+    synth->done++;
+    if (!synth->stopped && synth->progress &&
+        !synth->progress(synth->context, synth->done, total_views(synth))) {
+        synth->stopped = true;
+        rn_error_set(&synth->failure, RN_ERROR_CANCELLED, synth->target, "synthesis cancelled");
+    }
+    pthread_mutex_unlock(&synth->lock);
+}
+
+static json_t *frame_to_json(enum rn_split split, int index, int count, int size) {
+    struct rn_camera camera;
+    char file[64];
+    snprintf(file, sizeof file, "./%s/r_%d", rn_split_name(split), index);
+    if (place_camera(split, index, count, size, &camera)) return NULL;
+    double(*m)[4] = camera.world_from_camera; // to OpenGL axes: columns 1 and 2 negated
+    return json_pack("{s:s s:[[ffff][ffff][ffff][ffff]]}", "file_path", file, "transform_matrix",
+                     m[0][0], -m[0][1], -m[0][2], m[0][3], m[1][0], -m[1][1], -m[1][2], m[1][3],
+                     m[2][0], -m[2][1], -m[2][2], m[2][3], 0.0, 0.0, 0.0, 1.0);
+}
+
+static char *transforms_text(const struct synth *synth, enum rn_split split) {
+    json_t *frames = json_array(), *root;
+    int count = synth->count[split];
+    for (int i = 0; i < count; i++)
+        if (json_array_append_new(frames, frame_to_json(split, i, count, synth->options->size))) {
+            json_decref(frames);
+            return NULL;
+        }
+    root = json_pack("{s:f s:o}", "camera_angle_x", CAMERA_ANGLE_X, "frames", frames);
+    char *text = root ? json_dumps(root, JSON_INDENT(1) | JSON_REAL_PRECISION(17)) : NULL;
+    json_decref(root);
+    return text;
+}
+
+static enum rn_status write_transforms(const struct synth *synth, enum rn_split split,
+                                       struct rn_error *err) {
+    char *text = transforms_text(synth, split), *path = NULL;
+    enum rn_status status;
+    if (!text || asprintf(&path, "%s/transforms_%s.json", synth->target, rn_split_name(split)) < 0)
+        status = rn_error_set(err, RN_ERROR_NO_MEMORY, synth->target, "out of memory");
+    else
+        status = rn_file_write_atomic(path, text, strlen(text), err);
+    if (text) free(path);
+    free(text);
+    return status;
+}
+
+static enum rn_status make_folder(const struct synth *synth, enum rn_split split,
+                                  struct rn_error *err) {
+    char *path;
+    if (asprintf(&path, "%s/%s", synth->target, rn_split_name(split)) < 0)
+        return rn_error_set(err, RN_ERROR_NO_MEMORY, synth->target, "out of memory");
+    enum rn_status status = rn_mkdirs(path, 0777, err);
+    free(path);
+    return status;
+}
+
+static enum rn_status check_options(const struct rn_synth_options *options, struct rn_error *err) {
+    if (options->size < 1 || options->size > MAX_SIZE)
+        return rn_error_set(err, RN_ERROR_INVALID, "size", "must be 1 to %d pixels", MAX_SIZE);
+    if (options->views < 1 || options->views > MAX_VIEWS)
+        return rn_error_set(err, RN_ERROR_INVALID, "views", "must be 1 to %d", MAX_VIEWS);
+    return RN_OK;
+}
+
+enum rn_status rn_synthesise(const char *scene, const struct rn_synth_options *options,
+                             const char *target,
+                             bool (*progress)(void *context, size_t done, size_t total),
+                             void *context, struct rn_error *err) {
+    int others = options->views / 4 > 8 ? options->views / 4 : 8;
+    struct synth synth = {.options = options,
+                          .target = target,
+                          .count = {options->views, others, others},
+                          .progress = progress,
+                          .context = context,
+                          .lock = PTHREAD_MUTEX_INITIALIZER};
+    enum rn_status status;
+    if ((status = check_scene(scene, options->samples, &synth.scene, &synth.side, err)) ||
+        (status = check_options(options, err)) || (status = rn_check_new_folder(target, err)))
+        return status;
+    for (int split = 0; split < RN_SPLIT_COUNT; split++)
+        if ((status = make_folder(&synth, (enum rn_split)split, err))) return status;
+    rn_parallel_for(options->threads, total_views(&synth), synth_work, &synth);
+    if (synth.stopped)
+        return rn_error_set(err, synth.failure.status, synth.failure.where, "%s",
+                            synth.failure.text);
+    for (int split = 0; split < RN_SPLIT_COUNT; split++)
+        if ((status = write_transforms(&synth, (enum rn_split)split, err))) return status;
+    return RN_OK;
+}
