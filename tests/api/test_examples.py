@@ -1,0 +1,64 @@
+"""The examples of the contract are valid, and the document itself is consistent."""
+
+import json
+from pathlib import Path
+
+import jsonschema
+import pytest
+import yaml
+
+PROTO = Path(__file__).resolve().parents[2] / "proto"
+EXAMPLES = sorted(PROTO.glob("examples/*.json"))
+
+
+@pytest.fixture(scope="module")
+def document():
+    return yaml.safe_load((PROTO / "openapi.yaml").read_text(encoding="utf-8"))
+
+
+def references(node):
+    if isinstance(node, dict):
+        if "$ref" in node:
+            yield node["$ref"]
+        for value in node.values():
+            yield from references(value)
+    elif isinstance(node, list):
+        for value in node:
+            yield from references(value)
+
+
+def test_schemas_are_schemas(document):
+    jsonschema.Draft202012Validator.check_schema({"$defs": document["components"]["schemas"]})
+
+
+def test_references_resolve(document):
+    for reference in set(references(document)):
+        node = document
+        for key in reference.removeprefix("#/").split("/"):
+            node = node[key]
+
+
+def test_operations_are_named_once(document):
+    names = [operation["operationId"] for path in document["paths"].values()
+             for method, operation in path.items() if method in ("get", "post", "delete")]
+    assert len(names) == len(set(names))
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+def test_example_is_valid(document, path):
+    schema = {"$ref": "#/components/schemas/" + path.name.split(".")[0],
+              "components": document["components"]}
+    jsonschema.Draft202012Validator(schema).validate(json.loads(path.read_text(encoding="utf-8")))
+
+
+def test_problems_are_listed():
+    table = (PROTO / "problems.md").read_text(encoding="utf-8")
+    source = (PROTO / "problem.c").read_text(encoding="utf-8")
+    listed = {line.split("`")[1]: int(line.split("|")[2]) for line in table.splitlines()
+              if line.startswith("| `")}
+    used = {}
+    for line in source.splitlines():
+        if line.strip().startswith("[RN_PROBLEM_") and '{"' in line:
+            fields = line.split('"')
+            used[fields[1]] = int(fields[-1].strip(" ,};"))
+    assert used == listed
