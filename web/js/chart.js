@@ -1,0 +1,95 @@
+// A small line chart in SVG: PSNR over seconds of training.
+import { fill, s } from './dom.js';
+
+/**
+ * Round tick positions covering [low, high], at most `count` + 1 of them.
+ * @returns {number[]}
+ */
+export function ticks(low, high, count) {
+  const span = high - low || 1;
+  const raw = span / count;
+  const power = 10 ** Math.floor(Math.log10(raw));
+  const unit = [1, 2, 5, 10].find((m) => m * power >= raw * 0.999) * power;
+  const result = [];
+  for (let i = Math.ceil(low / unit - 1e-9); i * unit <= high + 1e-9 * unit; i++) result.push(Number((i * unit).toPrecision(12)));
+  return result;
+}
+
+/** The value axis: whole decibels around the points, at least 2 dB tall. */
+export function valueRange(points) {
+  const values = points.map((p) => p.y);
+  let low = Math.floor(Math.min(...values));
+  let high = Math.ceil(Math.max(...values) + 0.15);
+  if (high - low < 2) { low -= 1; high = low + 3; }
+  return [low, high];
+}
+
+const MARGIN = { left: 34, right: 14, top: 26, bottom: 34 };
+
+/**
+ * Draws into `host`; the size follows its box.
+ * @param {HTMLElement} host
+ * @param {{x: number, y: number, step: number}[]} points by x, ascending
+ * @param {{limitX: number, running: boolean, now: number}} options limitX and now in seconds, 0 = unknown
+ */
+export function drawChart(host, points, { limitX, running, now }) {
+  const width = Math.max(220, host.clientWidth);
+  const height = Math.max(140, host.clientHeight);
+  const inner = { w: width - MARGIN.left - MARGIN.right, h: height - MARGIN.top - MARGIN.bottom };
+  const xHigh = Math.max(limitX || 0, now || 0, points.at(-1)?.x ?? 0, 10);
+  const [yLow, yHigh] = points.length ? valueRange(points) : [10, 35];
+  const X = (x) => MARGIN.left + (x / xHigh) * inner.w;
+  const Y = (y) => MARGIN.top + (1 - (y - yLow) / (yHigh - yLow)) * inner.h;
+  const last = points.at(-1);
+  const root = s('svg', { viewBox: `0 0 ${width} ${height}`, width, height, role: 'img', 'aria-label': summary(points), class: 'chart' });
+  for (const y of ticks(yLow, yHigh, Math.max(2, Math.floor(inner.h / 34)))) {
+    root.append(s('line', { class: 'grid', x1: MARGIN.left, x2: width - MARGIN.right, y1: Y(y), y2: Y(y) }),
+      s('text', { class: 'tick', x: MARGIN.left - 7, y: Y(y) + 4, 'text-anchor': 'end' }, y));
+  }
+  for (const x of ticks(0, xHigh, Math.max(2, Math.floor(inner.w / 64)))) {
+    root.append(s('line', { class: 'grid', x1: X(x), x2: X(x), y1: height - MARGIN.bottom, y2: height - MARGIN.bottom + 4 }),
+      s('text', { class: 'tick', x: X(x), y: height - MARGIN.bottom + 16, 'text-anchor': 'middle' }, x));
+  }
+  root.append(
+    s('line', { class: 'axis', x1: MARGIN.left, x2: width - MARGIN.right, y1: height - MARGIN.bottom, y2: height - MARGIN.bottom }),
+    s('text', { class: 'unit', x: width - MARGIN.right, y: height - 4, 'text-anchor': 'end' }, 'seconds of training'),
+    s('text', { class: 'unit', x: 4, y: 11 }, 'PSNR, dB'));
+  if (now && running) root.append(s('line', { class: 'now', x1: X(now), x2: X(now), y1: MARGIN.top, y2: height - MARGIN.bottom }));
+  if (points.length) {
+    const line = points.map((p, i) => `${i ? 'L' : 'M'}${X(p.x).toFixed(1)},${Y(p.y).toFixed(1)}`).join('');
+    root.append(s('path', { class: 'line', d: line }));
+    if (points.length < 80) points.forEach((p) => root.append(s('circle', { class: 'dot', cx: X(p.x), cy: Y(p.y), r: 2.2 })));
+    const end = X(last.x) > width - 80;
+    root.append(s('circle', { class: 'last', cx: X(last.x), cy: Y(last.y), r: 4 }),
+      s('text', { class: 'value', x: X(last.x) + (end ? -9 : 9), y: Math.max(Y(last.y) - 8, 11), 'text-anchor': end ? 'end' : 'start' }, last.y.toFixed(2)));
+  } else {
+    root.append(s('text', { class: 'nothing', x: MARGIN.left + inner.w / 2, y: MARGIN.top + inner.h / 2, 'text-anchor': 'middle' },
+      running ? 'The first figure comes with the first evaluation' : 'No figures recorded'));
+  }
+  fill(host, root);
+  if (points.length) followPointer(root, points, X, Y, height);
+}
+
+/** Shows the point nearest to the pointer. */
+function followPointer(root, points, X, Y, height) {
+  const mark = s('g', { class: 'probe', visibility: 'hidden' });
+  root.append(mark);
+  root.addEventListener('pointerleave', () => mark.setAttribute('visibility', 'hidden'));
+  root.addEventListener('pointermove', (event) => {
+    const at = event.clientX - root.getBoundingClientRect().left;
+    const near = points.reduce((best, p) => (Math.abs(X(p.x) - at) < Math.abs(X(best.x) - at) ? p : best));
+    const x = X(near.x);
+    const flip = x > root.clientWidth / 2;
+    fill(mark, s('line', { x1: x, x2: x, y1: MARGIN.top, y2: height - MARGIN.bottom }), s('circle', { cx: x, cy: Y(near.y), r: 4 }),
+      s('text', { x: x + (flip ? -8 : 8), y: height - MARGIN.bottom - 8, 'text-anchor': flip ? 'end' : 'start' },
+        `${near.y.toFixed(2)} dB · ${near.x.toFixed(1)} s · step ${near.step}`));
+    mark.setAttribute('visibility', 'visible');
+  });
+}
+
+/** The chart in a sentence. */
+export function summary(points) {
+  if (!points.length) return 'PSNR over seconds of training: no figures yet';
+  const [first, last] = [points[0], points.at(-1)];
+  return `PSNR over seconds of training: from ${first.y.toFixed(1)} dB at ${first.x.toFixed(0)} s to ${last.y.toFixed(2)} dB at ${last.x.toFixed(0)} s`;
+}

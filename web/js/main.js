@@ -1,0 +1,93 @@
+// Starts the page: header, connection banner, token dialog, router, event stream.
+import { hooks, token } from './api.js';
+import { fill, h, text } from './dom.js';
+import { startRouter } from './router.js';
+import { isActive, retryNow, startSync, state, watch } from './store.js';
+import { announce, kindOf, problemBox, subjectOf } from './ui.js';
+import { homeView } from './views/home.js';
+import { datasetView } from './views/dataset.js';
+import { sceneView } from './views/scene.js';
+import { jobView } from './views/job.js';
+import { jobsView } from './views/jobs.js';
+import { systemView } from './views/system.js';
+
+const views = { home: homeView, dataset: datasetView, scene: sceneView, job: jobView, jobs: jobsView, system: systemView };
+const main = document.getElementById('main');
+let leave = null;
+
+function show(route) {
+  leave?.abort();
+  leave = new AbortController();
+  const view = views[route.view];
+  const root = h('div', { class: `view view-${route.view}` });
+  fill(main, root);
+  document.querySelectorAll('.top nav a').forEach((a) => (a.dataset.view === route.view ? a.setAttribute('aria-current', 'page') : a.removeAttribute('aria-current')));
+  setTitle(route.id ?? route.view);
+  scrollTo(0, 0);
+  if (view) view(root, { ...route, signal: leave.signal });
+  else fill(root, problemBox({ title: 'No such page', message: '', detail: `There is nothing at ${location.hash}.` }));
+  if (document.activeElement && document.activeElement !== document.body && !document.activeElement.closest('.top')) main.focus({ preventScroll: true });
+}
+
+function setTitle(words) { document.title = words === 'home' ? 'ripnerf' : `${words} · ripnerf`; }
+
+/** The token dialog; resolves with what was typed, or null when it was closed. */
+function askToken() {
+  const dialog = document.getElementById('token-dialog');
+  const input = document.getElementById('token-input');
+  input.value = '';
+  dialog.returnValue = '';
+  if (!dialog.open) dialog.showModal();
+  return new Promise((resolve) => dialog.addEventListener('close', () => resolve(dialog.returnValue === 'ok' ? input.value.trim() : null), { once: true }));
+}
+
+function showConnection({ connection, jobs }) {
+  const node = document.getElementById('connection');
+  const label = { connecting: 'connecting', online: 'connected', offline: 'not connected' }[connection.status];
+  text(node, label);
+  node.dataset.status = connection.status;
+  const active = jobs.filter(isActive);
+  const count = (name) => active.filter((job) => job.state === name).length;
+  text(document.getElementById('activity'), ['running', 'queued', 'paused'].filter(count).map((name) => `${count(name)} ${name}`).join(', '));
+  document.getElementById('banner').hidden = connection.status !== 'offline';
+}
+
+/** The banner's words count down, so they are set apart from the store's changes. */
+function startBanner() {
+  const banner = document.getElementById('banner');
+  const words = h('span');
+  const refused = () => state.connection.problem?.status === 401;
+  fill(banner, h('strong', null, 'No connection to the daemon. '), words, ' ',
+    h('button', { type: 'button', onclick: retryNow }, 'Try now'));
+  setInterval(() => {
+    if (banner.hidden) return;
+    const left = Math.max(0, Math.ceil((state.connection.retryAt - Date.now()) / 1000));
+    const why = refused() ? 'It refuses this page without a valid token.' : state.connection.problem?.message ?? 'What is shown is from before; jobs go on without this page.';
+    text(words, `${why} ${left ? `Trying again in ${left} s.` : 'Trying…'}`);
+  }, 250);
+}
+
+/** Tells ends of jobs and losses of connection to a screen reader. */
+function startAnnouncer() {
+  const known = new Map();
+  let connection = null;
+  watch(({ jobs, connection: now }) => {
+    for (const job of jobs) {
+      const before = known.get(job.id);
+      if (before && before !== job.state) announce(`${kindOf(job)} ${subjectOf(job)}: ${job.state}`);
+      known.set(job.id, job.state);
+    }
+    if (connection && connection !== now.status) announce(now.status === 'online' ? 'Connected to the daemon' : now.status === 'offline' ? 'The daemon does not answer' : '');
+    connection = now.status;
+  });
+}
+
+hooks.askToken = async () => {
+  token.set(null);
+  return askToken();
+};
+watch(showConnection);
+startBanner();
+startAnnouncer();
+startRouter(show);
+startSync();

@@ -1,0 +1,131 @@
+// What the page knows: lists of records kept fresh by the daemon's event stream.
+import { api, hooks, Problem } from './api.js';
+import { readEvents } from './events.js';
+import { sleep } from './dom.js';
+
+export const state = {
+  /** status: connecting | online | offline */
+  connection: { status: 'connecting', retryAt: 0, problem: null },
+  loaded: false,
+  info: null,
+  /** @type {any[]} newest first */ datasets: [],
+  /** @type {any[]} */ scenes: [],
+  /** @type {any[]} */ jobs: [],
+};
+
+const watchers = new Set();
+let planned = false;
+
+function changed() {
+  if (planned) return;
+  planned = true;
+  queueMicrotask(() => {
+    planned = false;
+    for (const watcher of [...watchers]) watcher(state);
+  });
+}
+
+/** Calls `watcher` now and after every change, until the signal aborts. */
+export function watch(watcher, signal) {
+  watchers.add(watcher);
+  signal?.addEventListener('abort', () => watchers.delete(watcher), { once: true });
+  watcher(state);
+}
+
+const TERMINAL = new Set(['succeeded', 'failed', 'cancelled']);
+export const isOver = (job) => TERMINAL.has(job.state);
+export const isActive = (job) => Boolean(job) && !isOver(job);
+const newestFirst = (a, b) => time(b.created_at) - time(a.created_at);
+const time = (value) => (typeof value === 'number' ? value : Date.parse(value) || 0);
+
+export const find = (items, id) => items.find((item) => item.id === id || item.name === id) ?? null;
+/** Whether a job's `scene` or `dataset` field (a name or an id) means this record. */
+export const means = (field, record) => Boolean(record) && (field === record.id || field === record.name);
+
+/** The training job of a scene: the one it names, else the newest that names it. */
+export function trainingOf(scene) {
+  return find(state.jobs, scene.job) ?? state.jobs.find((job) => job.type === 'train' && means(job.scene, scene)) ?? null;
+}
+
+/** Takes in one job record (from an answer or an event) and returns it. */
+export function putJob(job) {
+  const at = state.jobs.findIndex((old) => old.id === job.id);
+  const before = at < 0 ? null : state.jobs[at];
+  if (at < 0) state.jobs = [job, ...state.jobs].sort(newestFirst);
+  else state.jobs[at] = { ...before, ...job };
+  if (!before || before.state !== job.state) refreshSoon();
+  changed();
+  return job;
+}
+
+function putProgress(id, progress) {
+  const job = find(state.jobs, id);
+  if (!job) { refreshSoon(); return; }
+  job.progress = progress;
+  changed();
+}
+
+/** Reads all lists again. */
+export async function refresh(signal) {
+  const [info, datasets, scenes, jobs] = await Promise.all(
+    [api.info(signal), api.datasets(signal), api.scenes(signal), api.jobs(signal)]);
+  Object.assign(state, { info, loaded: true });
+  state.datasets = datasets.sort(newestFirst);
+  state.scenes = scenes.sort(newestFirst);
+  state.jobs = jobs.sort(newestFirst);
+  changed();
+}
+
+let soon = 0;
+export function refreshSoon() {
+  clearTimeout(soon);
+  soon = setTimeout(() => refresh().catch(() => {}), 120);
+}
+
+function take(type, data) {
+  if (type === 'state') putJob(data.job && typeof data.job === 'object' ? data.job : data);
+  else if (type === 'progress') putProgress(data.job ?? data.id, data.progress ?? data);
+}
+
+let wake = () => {};
+/** Tries to reach the daemon now instead of at the end of the wait. */
+export const retryNow = () => wake();
+
+function setConnection(values) {
+  Object.assign(state.connection, values);
+  changed();
+}
+
+async function waitToRetry(failures) {
+  const wait = [1000, 2000, 4000, 8000][Math.min(failures, 3)];
+  const own = new AbortController();
+  wake = () => own.abort();
+  setConnection({ status: 'offline', retryAt: Date.now() + wait });
+  await sleep(wait, own.signal);
+}
+
+/** Follows the daemon for as long as the page lives; a hidden page lets its connection go. */
+export async function startSync() {
+  let failures = 0;
+  hooks.unreachable = () => { if (state.connection.status === 'online') current?.abort(); };
+  let current = null;
+  document.addEventListener('visibilitychange', () => (document.hidden ? current?.abort() : wake()));
+  for (;;) {
+    while (document.hidden) await new Promise((resolve) => { wake = resolve; });
+    current = new AbortController();
+    try {
+      await readEvents((headers, signal) => api.stream('v1/events', headers, signal), {
+        signal: current.signal,
+        onEvent: take,
+        onOpen: () => refresh(current.signal).then(() => {
+          failures = 0;
+          setConnection({ status: 'online', problem: null });
+        }, () => current.abort()),
+      });
+    } catch (error) {
+      state.connection.problem = error instanceof Problem ? error : null;
+    }
+    if (document.hidden) continue;
+    await waitToRetry(failures++);
+  }
+}

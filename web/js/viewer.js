@@ -1,0 +1,143 @@
+// Keeps a canvas showing a scene: coarse while the camera moves, refined when it rests. One request
+// is under way at a time, and the latest camera wins.
+import { Problem, Unreachable } from './api.js';
+
+const STILL_MS = 150;
+const COARSE_MS = 90; // what a coarse picture may take, answer included
+const HALF_FIRST_MS = 500; // a full picture that takes longer is preceded by one of half the size
+const REFRESH_MS = 2000; // while training; renders take at most about an eighth of the time
+const [COARSE, HALF, FULL] = [0, 1, 2];
+
+const even = (x) => Math.max(8, 2 * Math.round(x / 2));
+
+/**
+ * Width and height with about `pixels` pixels in the full picture's shape.
+ * @param {{width: number, height: number}} full @param {number} pixels
+ */
+export function sizeFor(full, pixels) {
+  const k = Math.min(1, Math.sqrt(pixels / (full.width * full.height)));
+  return { width: even(full.width * k), height: even(full.height * k) };
+}
+
+/** The next coarse picture's pixels, from what the last one took. */
+export const nextBudget = (pixels, ms) => Math.min(480 * 360, Math.max(64 * 48, pixels * Math.min(1.6, Math.max(0.5, COARSE_MS / ms))));
+
+/**
+ * @param {HTMLCanvasElement} canvas
+ * @param {{camera: (width: number, height: number) => any, fullSize: () => {width: number, height: number},
+ *   output: () => string, send: (body: any, signal: AbortSignal) => Promise<{blob: Blob, facts: any}>,
+ *   live: () => boolean, onPicture: (facts: any) => void, onTrouble: (trouble: Error|null) => void}} host
+ * @param {AbortSignal} signal
+ */
+export function createViewer(canvas, host, signal) {
+  let version = 0;
+  let shown = { version: -1, level: -1 };
+  let flying = null;
+  let movedAt = 0;
+  let budget = 200 * 150;
+  let msPerPixel = 0;
+  let waitUntil = 0;
+  let refreshAt = Infinity;
+  let timer = 0;
+
+  const poke = (ms) => { clearTimeout(timer); timer = setTimeout(pump, Math.max(0, ms)); };
+
+  function changed() {
+    version++;
+    movedAt = performance.now();
+    if (flying && flying.level > COARSE) flying.stop.abort();
+    pump();
+  }
+
+  function nextLevel(now) {
+    if (shown.version !== version) return COARSE;
+    if (now - movedAt < STILL_MS) return null;
+    const full = host.fullSize();
+    if (shown.level === COARSE) return msPerPixel * full.width * full.height > HALF_FIRST_MS ? HALF : FULL;
+    if (shown.level === HALF) return FULL;
+    return host.live() && now >= refreshAt ? FULL : null;
+  }
+
+  function pump() {
+    if (flying || signal.aborted || document.hidden) return;
+    const now = performance.now();
+    if (now < waitUntil) { poke(waitUntil - now); return; }
+    const level = nextLevel(now);
+    if (level !== null) { fly(level); return; }
+    if (now - movedAt < STILL_MS) poke(STILL_MS - (now - movedAt));
+    else if (host.live()) poke(refreshAt - now);
+  }
+
+  function requestFor(level) {
+    const full = host.fullSize();
+    const size = level === FULL ? full : sizeFor(full, level === HALF ? full.width * full.height / 4 : budget);
+    const output = host.output();
+    const lossy = level !== FULL && output === 'rgb';
+    return { camera: host.camera(size.width, size.height), output, ...(lossy ? { format: 'jpeg', jpeg_quality: level === COARSE ? 75 : 90 } : { format: 'png' }) };
+  }
+
+  async function fly(level) {
+    const flight = { level, version, stop: new AbortController() };
+    flying = flight;
+    const body = requestFor(level);
+    try {
+      const { blob, facts } = await host.send(body, AbortSignal.any([flight.stop.signal, signal]));
+      const picture = await createImageBitmap(blob);
+      if (signal.aborted) return;
+      learn(level, body.camera, facts);
+      draw(canvas, picture, body.output);
+      shown = { version: flight.version, level };
+      host.onTrouble(null);
+      host.onPicture({ ...facts, width: body.camera.width, height: body.camera.height, level, bytes: blob.size });
+    } catch (error) {
+      if (signal.aborted) return;
+      if (!flight.stop.signal.aborted) trouble(error);
+    } finally {
+      flying = null;
+      if (!signal.aborted) poke(0);
+    }
+  }
+
+  function learn(level, { width, height }, facts) {
+    const spent = Number.isFinite(facts.renderMs) ? facts.renderMs : facts.totalMs;
+    msPerPixel = spent / (width * height);
+    if (level === COARSE) budget = nextBudget(budget, facts.totalMs);
+    if (level === FULL) refreshAt = performance.now() + Math.max(REFRESH_MS, 8 * spent);
+  }
+
+  function trouble(error) {
+    const wait = error instanceof Problem ? 1000 * (error.retryAfter || 2) : error instanceof Unreachable ? 1500 : 4000;
+    waitUntil = performance.now() + wait;
+    host.onTrouble(error);
+  }
+
+  document.addEventListener('visibilitychange', pump, { signal });
+  signal.addEventListener('abort', () => clearTimeout(timer), { once: true });
+  return {
+    changed,
+    /** Draws again with the same camera: another output, another size, newer parameters. */
+    refresh() { shown = { ...shown, level: COARSE }; movedAt = 0; waitUntil = 0; pump(); },
+  };
+}
+
+function draw(canvas, picture, output) {
+  const context = canvas.getContext('2d');
+  context.imageSmoothingQuality = 'high';
+  context.drawImage(picture, 0, 0, canvas.width, canvas.height);
+  if (output === 'depth') stretch(context, canvas.width, canvas.height);
+  picture.close();
+}
+
+/** Depth for the eye: near is bright, what was not hit stays black. */
+function stretch(context, width, height) {
+  const image = context.getImageData(0, 0, width, height);
+  const { data } = image;
+  let [low, high] = [255, 0];
+  for (let i = 0; i < data.length; i += 4) if (data[i]) { low = Math.min(low, data[i]); high = Math.max(high, data[i]); }
+  const gain = 215 / Math.max(1, high - low);
+  for (let i = 0; i < data.length; i += 4) {
+    const value = data[i] ? 40 + (high - data[i]) * gain : 0;
+    data[i] = data[i + 1] = data[i + 2] = value;
+  }
+  context.putImageData(image, 0, 0);
+}
