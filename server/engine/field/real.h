@@ -29,4 +29,16 @@ RN_HD rn_real rn_difference_of_products(rn_real a, rn_real b, rn_real c, rn_real
     return fma(a, b, -cd) + error;
 }
 
+// a . b with the rounding of every product and sum carried along (Ogita, Rump & Oishi 2005, Dot2):
+// error at most 1 ULP of the result plus 8 u^2 |a||b|, u the unit roundoff.
+RN_HD rn_real rn_dot3(const rn_real a[3], const rn_real b[3]) {
+    rn_real sum = a[0] * b[0], error = fma(a[0], b[0], -sum);
+    for (int i = 1; i < 3; i++) {
+        rn_real product = a[i] * b[i], next = sum + product, part = next - sum;
+        error += fma(a[i], b[i], -product) + ((sum - (next - part)) + (product - part));
+        sum = next;
+    }
+    return sum + error;
+}
+
 #endif
