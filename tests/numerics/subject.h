@@ -1,0 +1,33 @@
+// What the numerics cases examine: the field's mathematics as one number type computes it. Numbers
+// travel as float64, which holds every float; inputs must be numbers of the subject's type.
+#ifndef RN_TESTS_NUMERICS_SUBJECT_H
+#define RN_TESTS_NUMERICS_SUBJECT_H
+
+// A constant table of functions. Thread-safety: all.
+struct subject {
+    const char *name; // "float64", "float32"
+    int digits;       // bits of its significand: 53 or 24
+    double (*nearest)(double x);
+    // mean, axial, radial; then the forms that lose digits: from end points by t^5 (the paper's
+    // appendix) and mip-NeRF's stable form with its subtraction.
+    void (*moments)(double mid, double width, double radius, double ret[3]);
+    void (*moments_powers)(double mid, double width, double radius, double ret[3]);
+    void (*moments_mipnerf)(double mid, double width, double radius, double ret[3]);
+    double (*variance)(const double axis[3], const double d[3], double axial, double radial);
+    double (*level)(double variance, int size, int levels);
+    double (*ball_level)(double ball, int size, int levels);
+    int (*taps)(int size, int i, int *ret_first, double weight[3]);
+    void (*lerp)(double p, int size, int *ret_low, int *ret_high, double *ret_fraction);
+    double (*density)(double logit);
+    double (*alpha)(double x);
+    // `n` up to SUBJECT_MAX_SAMPLES.
+    double (*composite)(int n, const double *x, double *weights, double *after);
+    void (*composite_backward)(int n, const double *weights, const double *after, const double *g,
+                               double *grad);
+};
+
+#define SUBJECT_MAX_SAMPLES 4096
+
+extern const struct subject subject_float64, subject_float32;
+
+#endif
