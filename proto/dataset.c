@@ -6,8 +6,6 @@
 #include "proto/checks.h"
 
 const char *const rn_alpha_mode_names[] = {"premultiplied", "straight", NULL};
-const char *const rn_bounds_source_names[] = {"given", "layout", "cameras", NULL};
-const char *const rn_layout_names[] = {"blender", "multiscale", "native", NULL};
 const char *const rn_severity_names[] = {"info", "warning", "error", NULL};
 
 #define S struct rn_ingest_options

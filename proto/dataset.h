@@ -2,13 +2,12 @@
 #ifndef RN_PROTO_DATASET_H
 #define RN_PROTO_DATASET_H
 
+#include "common/dataset/dataset.h"
 #include "proto/codec.h"
 #include "proto/names.h"
 
-extern const char *const rn_alpha_mode_names[];    // "premultiplied", "straight"
-extern const char *const rn_bounds_source_names[]; // "given", "layout", "cameras"
-extern const char *const rn_layout_names[];        // "blender", "multiscale", "native"
-extern const char *const rn_severity_names[];      // "info", "warning", "error"
+extern const char *const rn_alpha_mode_names[]; // "premultiplied", "straight"
+extern const char *const rn_severity_names[];   // "info", "warning", "error"
 
 struct rn_ingest_options {
     int64_t max_size, scales;

@@ -12,8 +12,8 @@
 
 #define LAYOUT_RADIUS 1.5 // of the NeRF-synthetic scenes, about the origin
 
-const char *const rn_layout_names[3] = {"blender", "multiscale", "native"};
-const char *const rn_bounds_source_names[3] = {"given", "layout", "cameras"};
+const char *const rn_layout_names[] = {"blender", "multiscale", "native", NULL};
+const char *const rn_bounds_source_names[] = {"given", "layout", "cameras", NULL};
 const char *const rn_downscale_names[2] = {"premultiplied", "straight"};
 
 void rn_frame_finish(struct rn_frame *frame) {

@@ -16,6 +16,7 @@ enum rn_split { RN_SPLIT_TRAIN, RN_SPLIT_VAL, RN_SPLIT_TEST, RN_SPLIT_COUNT };
 const char *rn_split_name(enum rn_split split); // "train", "val", "test"
 
 enum rn_layout { RN_LAYOUT_BLENDER, RN_LAYOUT_MULTISCALE, RN_LAYOUT_NATIVE };
+extern const char *const rn_layout_names[]; // "blender", "multiscale", "native", NULL
 
 // One image file. A view photographed once and kept at several scales has one frame a scale.
 struct rn_frame {
@@ -31,6 +32,7 @@ struct rn_frame {
 };
 
 enum rn_bounds_source { RN_BOUNDS_GIVEN, RN_BOUNDS_LAYOUT, RN_BOUNDS_CAMERAS };
+extern const char *const rn_bounds_source_names[]; // "given", "layout", "cameras", NULL
 
 // The sphere that holds the scene, dataset units.
 struct rn_bounds {

@@ -11,9 +11,7 @@
 #define RN_NATIVE_FORMAT "ripnerf-dataset"
 #define RN_NATIVE_VERSION 1
 
-extern const char *const rn_layout_names[3];        // by enum rn_layout
-extern const char *const rn_bounds_source_names[3]; // by enum rn_bounds_source
-extern const char *const rn_downscale_names[2];     // by enum rn_downscale
+extern const char *const rn_downscale_names[2]; // by enum rn_downscale
 
 // A dataset being filled. Thread-safety: one thread. Owner: rn_dataset_read.
 struct rn_reader {

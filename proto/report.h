@@ -1,0 +1,21 @@
+// A reader's findings as the message that `validate`, imports and dataset records show.
+#ifndef RN_PROTO_REPORT_H
+#define RN_PROTO_REPORT_H
+
+#include "common/dataset/dataset.h"
+#include "proto/dataset.h"
+
+// Fills *ret_report from what was read and the problems on the way. The caller finishes it with
+// rn_message_finish(&rn_dataset_report_table). At most RN_REPORT_PROBLEMS_MAX problems are listed;
+// `dropped` counts the others. RN_ERROR_NO_MEMORY (nothing to finish then).
+enum rn_status rn_dataset_report_fill(const struct rn_dataset *dataset,
+                                      const struct rn_problems *problems,
+                                      struct rn_dataset_report_record *ret_report,
+                                      struct rn_error *err) RN_MUST_CHECK;
+
+// The problems alone, for when nothing could be read: as above.
+enum rn_status rn_report_problems_fill(const struct rn_problems *problems,
+                                       struct rn_dataset_report_record *ret_report,
+                                       struct rn_error *err) RN_MUST_CHECK;
+
+#endif
