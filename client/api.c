@@ -1,0 +1,235 @@
+#include "client/api.h"
+
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "proto/problem.h"
+
+#define ANSWER_IDLE_S 120 // seconds without a byte before an answer is given up
+
+static enum rn_exit exit_of_http(int64_t status) {
+    switch (status) {
+    case 400:
+    case 422:
+        return RN_EXIT_INVALID;
+    case 401:
+    case 403:
+        return RN_EXIT_UNAUTHORISED;
+    case 404:
+        return RN_EXIT_NOT_FOUND;
+    default:
+        return status / 100 == 2 ? RN_EXIT_OK : RN_EXIT_FAILED;
+    }
+}
+
+static enum rn_exit exit_of_status(enum rn_status status) {
+    switch (status) {
+    case RN_OK:
+        return RN_EXIT_OK;
+    case RN_ERROR_INVALID:
+        return RN_EXIT_INVALID;
+    case RN_ERROR_NOT_FOUND:
+        return RN_EXIT_NOT_FOUND;
+    case RN_ERROR_CANCELLED:
+        return RN_EXIT_CANCELLED;
+    case RN_ERROR_UNAVAILABLE:
+        return RN_EXIT_UNREACHABLE;
+    case RN_ERROR_UNAUTHORISED:
+        return RN_EXIT_UNAUTHORISED;
+    default:
+        return RN_EXIT_FAILED;
+    }
+}
+
+enum rn_exit rn_client_fail(const struct rn_error *err) {
+    fprintf(stderr, "ripnerf: %s%s%s\n", err->where, *err->where ? ": " : "", err->text);
+    return exit_of_status(err->status);
+}
+
+enum rn_exit rn_client_usage(const char *where, const char *fmt, ...) {
+    va_list args;
+    fprintf(stderr, "ripnerf: %s: ", where);
+    va_start(args, fmt);
+    vfprintf(stderr, fmt, args);
+    va_end(args);
+    fputc('\n', stderr);
+    return RN_EXIT_USAGE;
+}
+
+void rn_api_exchange(struct rn_client *client, const struct rn_http_request *request,
+                     struct rn_api_reply *ret_reply) {
+    memset(ret_reply, 0, sizeof *ret_reply);
+    enum rn_status status =
+        rn_http_perform(client->http, request, &ret_reply->http, &ret_reply->err);
+    ret_reply->code =
+        status == RN_OK ? exit_of_http(ret_reply->http.status) : exit_of_status(status);
+}
+
+void rn_api_send(struct rn_client *client, const char *method, const char *path, const char *body,
+                 struct rn_api_reply *ret_reply) {
+    struct rn_http_request request = {.method = method,
+                                      .path = path,
+                                      .content_type = body ? "application/json" : NULL,
+                                      .body = body,
+                                      .body_size = body ? strlen(body) : 0,
+                                      .idle_s = ANSWER_IDLE_S};
+    rn_api_exchange(client, &request, ret_reply);
+}
+
+void rn_api_reply_finish(struct rn_api_reply *reply) {
+    rn_http_reply_finish(&reply->http);
+}
+
+enum rn_exit rn_api_print_problem(const char *json) {
+    struct rn_api_problem problem;
+    struct rn_error err = {0};
+    if (rn_decode(&rn_api_problem_table, json, strlen(json), &problem, NULL, &err) != RN_OK) {
+        fprintf(stderr, "ripnerf: an answer that is no problem document: %.200s\n", json);
+        return RN_EXIT_FAILED;
+    }
+    fprintf(stderr, "ripnerf: %s: %s\n", problem.title, problem.detail);
+    for (size_t i = 0; i < problem.error_count; i++)
+        fprintf(stderr, "  %s: %s\n", problem.errors[i].pointer, problem.errors[i].detail);
+    enum rn_exit code = exit_of_http(problem.status);
+    rn_message_finish(&rn_api_problem_table, &problem);
+    return code;
+}
+
+enum rn_exit rn_api_complain(const struct rn_api_reply *reply) {
+    const char *body = reply->http.body.data ? (const char *)reply->http.body.data : "";
+    if (reply->err.status != RN_OK) return rn_client_fail(&reply->err);
+    if (strncmp(reply->http.content_type, "application/problem+json", 24) == 0)
+        rn_api_print_problem(body);
+    else
+        fprintf(stderr, "ripnerf: HTTP %d: %.200s\n", reply->http.status, body);
+    if (reply->http.retry_after_s)
+        fprintf(stderr, "  try again in %d s\n", reply->http.retry_after_s);
+    return reply->code;
+}
+
+enum rn_exit rn_api_decode(const struct rn_api_reply *reply, const struct rn_table *table,
+                           void *ret_message) {
+    struct rn_error err = {0};
+    const struct rn_buf *body = &reply->http.body;
+    if (rn_decode(table, body->data ? (const char *)body->data : "", body->size, ret_message, NULL,
+                  &err) == RN_OK)
+        return RN_EXIT_OK;
+    fprintf(stderr, "ripnerf: an answer that this client does not understand: %s: %s\n", err.where,
+            err.text);
+    return RN_EXIT_FAILED;
+}
+
+char *rn_api_encode(const struct rn_table *table, const void *message) {
+    struct rn_error err = {0};
+    char *json = NULL;
+    if (rn_encode(table, message, &json, NULL, &err) != RN_OK) rn_client_fail(&err);
+    return json;
+}
+
+char *rn_api_path(const char *kind, const char *reference, const char *tail) {
+    struct rn_buf path;
+    rn_buf_init(&path, 4096);
+    rn_buf_printf(&path, "/v1/%s/", kind);
+    rn_http_escape(&path, reference);
+    rn_buf_printf(&path, "%s", tail);
+    return (char *)rn_buf_take(&path, &(size_t){0});
+}
+
+static const struct {
+    enum rn_kind kind;
+    const char *prefix, *collection, *word;
+} kind_table[] = {{RN_KIND_SCENE, RN_ID_SCENE, "scenes", "scene"},
+                  {RN_KIND_DATASET, RN_ID_DATASET, "datasets", "dataset"},
+                  {RN_KIND_PATH, RN_ID_PATH, "camera-paths", "camera path"},
+                  {RN_KIND_JOB, RN_ID_JOB, "jobs", "job"}};
+#define KIND_COUNT (sizeof kind_table / sizeof *kind_table)
+
+const char *rn_api_collection(enum rn_kind kind) {
+    for (size_t i = 0; i < KIND_COUNT; i++)
+        if (kind_table[i].kind == kind) return kind_table[i].collection;
+    return "";
+}
+
+static bool has_prefix(const char *text, const char *prefix) {
+    return strncmp(text, prefix, strlen(prefix)) == 0;
+}
+
+// The kinds that a reference can be of: one for an id, all that have names for a name.
+static unsigned kinds_of(const char *reference) {
+    for (size_t i = 0; i < KIND_COUNT; i++)
+        if (has_prefix(reference, kind_table[i].prefix)) return kind_table[i].kind;
+    return RN_KIND_DATASET | RN_KIND_SCENE | RN_KIND_PATH;
+}
+
+static void get_thing(struct rn_client *client, const char *collection, const char *reference,
+                      struct rn_api_reply *ret_reply) {
+    char *path = rn_api_path(collection, reference, "");
+    memset(ret_reply, 0, sizeof *ret_reply);
+    if (path) {
+        rn_api_send(client, "GET", path, NULL, ret_reply);
+    } else {
+        rn_error_set(&ret_reply->err, RN_ERROR_LIMIT, reference, "is too long a name");
+        ret_reply->code = RN_EXIT_NOT_FOUND;
+    }
+    free(path);
+}
+
+enum rn_exit rn_api_find(struct rn_client *client, unsigned kinds, const char *reference,
+                         enum rn_kind *ret_kind, struct rn_api_reply *ret_reply) {
+    size_t found = 0;
+    unsigned candidates = kinds & kinds_of(reference);
+    char wanted[80] = "", matches[80] = "";
+    for (size_t i = 0; i < KIND_COUNT; i++) {
+        if (!(kinds & kind_table[i].kind)) continue;
+        snprintf(wanted + strlen(wanted), sizeof wanted - strlen(wanted), "%s%s",
+                 *wanted ? " or " : "", kind_table[i].word);
+        if (!(candidates & kind_table[i].kind)) continue;
+        struct rn_api_reply reply;
+        get_thing(client, kind_table[i].collection, reference, &reply);
+        if (reply.code == RN_EXIT_OK && found++ == 0) {
+            *ret_kind = kind_table[i].kind;
+            *ret_reply = reply;
+        } else if (reply.code != RN_EXIT_OK && reply.code != RN_EXIT_NOT_FOUND) {
+            rn_api_complain(&reply);
+            rn_api_reply_finish(&reply);
+            if (found) rn_api_reply_finish(ret_reply);
+            return reply.code;
+        } else {
+            rn_api_reply_finish(&reply);
+        }
+        if (reply.code == RN_EXIT_OK)
+            snprintf(matches + strlen(matches), sizeof matches - strlen(matches), "%sa %s",
+                     *matches ? " and " : "", kind_table[i].word);
+    }
+    if (found == 1) return RN_EXIT_OK;
+    if (found) {
+        rn_api_reply_finish(ret_reply);
+        return rn_client_usage(reference, "is ambiguous: there is %s of that name; give the id",
+                               matches);
+    }
+    fprintf(stderr, "ripnerf: %s: there is no %s of that name or id\n", reference, wanted);
+    return RN_EXIT_NOT_FOUND;
+}
+
+// The members of a Scene or Job that lead to a job.
+static enum rn_exit job_of(enum rn_kind kind, const struct rn_api_reply *reply,
+                           char ret_id[RN_ID_MAX]) {
+    struct rn_error err = {0};
+    const struct rn_buf *body = &reply->http.body;
+    enum rn_status status =
+        rn_decode_peek((const char *)body->data, body->size, kind == RN_KIND_JOB ? "id" : "job",
+                       RN_ID_MAX, ret_id, NULL, &err);
+    return status == RN_OK ? RN_EXIT_OK : rn_client_fail(&err);
+}
+
+enum rn_exit rn_api_find_job(struct rn_client *client, const char *reference,
+                             char ret_id[RN_ID_MAX]) {
+    struct rn_api_reply reply;
+    enum rn_kind kind;
+    enum rn_exit code = rn_api_find(client, RN_KIND_JOB | RN_KIND_SCENE, reference, &kind, &reply);
+    if (code != RN_EXIT_OK) return code;
+    code = job_of(kind, &reply, ret_id);
+    rn_api_reply_finish(&reply);
+    return code;
+}

@@ -1,0 +1,55 @@
+// What every verb of the client gets, and what it says when it is done.
+#ifndef RN_CLIENT_CLIENT_H
+#define RN_CLIENT_CLIENT_H
+
+#include <stdbool.h>
+#include <stddef.h>
+
+#include "client/http.h"
+#include "client/options.h"
+#include "common/base/status.h"
+
+// Scripts depend on these numbers.
+enum rn_exit {
+    RN_EXIT_OK = 0,
+    RN_EXIT_FAILED = 1,
+    RN_EXIT_USAGE = 2,
+    RN_EXIT_NOT_FOUND = 3,
+    RN_EXIT_INVALID = 4, // validation failed, here or in the daemon
+    RN_EXIT_CANCELLED = 5,
+    RN_EXIT_UNREACHABLE = 6,
+    RN_EXIT_UNAUTHORISED = 7,
+};
+
+// Thread-safety: one thread at a time.
+struct rn_client {
+    struct rn_http *http; // NULL for a verb that needs no daemon
+    bool json;            // results as JSON
+};
+
+// A verb of the command line.
+struct rn_verb {
+    const char *name, *arguments, *summary;
+    const char *details; // more lines of help, or NULL
+    size_t args_min, args_max;
+    const struct rn_option *table; // into the struct of options_size bytes
+    size_t options_size;
+    bool local; // needs no daemon
+    // `args` are args_min..args_max words and a NULL.
+    enum rn_exit (*run)(struct rn_client *client, const void *options, const char **args);
+};
+#define RN_VERB_MAX_ARGS 2
+#define RN_VERB_MAX_OPTIONS 512 // bytes of the largest options struct
+
+// Each ends with a NULL name.
+extern const struct rn_verb rn_verbs_dataset[]; // validate import synth datasets
+extern const struct rn_verb rn_verbs_job[];     // train jobs watch pause resume finish cancel
+extern const struct rn_verb rn_verbs_scene[];   // scenes show rm info
+extern const struct rn_verb rn_verbs_render[];  // render path eval
+
+// Prints "ripnerf: where: text" on stderr and returns the exit code that the status stands for.
+enum rn_exit rn_client_fail(const struct rn_error *err);
+// As rn_client_fail, for a wrong command line.
+enum rn_exit rn_client_usage(const char *where, const char *fmt, ...) RN_PRINTF(2, 3);
+
+#endif

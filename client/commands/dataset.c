@@ -1,0 +1,425 @@
+// validate, import, synth, datasets: photographs before they are a scene.
+
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <unistd.h>
+
+#include "client/follow.h"
+#include "client/table.h"
+#include "client/tar.h"
+#include "common/dataset/dataset.h"
+#include "proto/dataset.h"
+#include "proto/report.h"
+
+static const struct rn_option no_options[] = {{0}};
+
+// ---- validate ----
+
+// Only the problems of a report: all there is to say when nothing could be read.
+static const struct rn_field_spec problem_fields[] = {
+    RN_F_NAME(struct rn_report_problem, severity, RN_REQUIRED, rn_severity_names),
+    RN_F_TEXT(struct rn_report_problem, where, RN_REQUIRED, NULL),
+    RN_F_TEXT(struct rn_report_problem, text, RN_REQUIRED, NULL)};
+static const struct rn_table problem_table =
+    RN_TABLE(struct rn_report_problem, "problem", problem_fields);
+static const struct rn_field_spec bad_fields[] = {
+    RN_F_INT(struct rn_dataset_report_record, errors, RN_REQUIRED, 0, 1e9),
+    RN_F_INT(struct rn_dataset_report_record, warnings, RN_REQUIRED, 0, 1e9),
+    RN_F_INT(struct rn_dataset_report_record, dropped, RN_REQUIRED, 0, 1e9),
+    RN_F_OBJECTS(struct rn_dataset_report_record, problems, problem_count, RN_REQUIRED,
+                 &problem_table, RN_REPORT_PROBLEMS_MAX)};
+static const struct rn_table bad_table =
+    RN_TABLE(struct rn_dataset_report_record, "report", bad_fields);
+
+static void print_problems(const struct rn_dataset_report_record *report) {
+    for (size_t i = 0; i < report->problem_count; i++)
+        printf("%-7s  %s: %s\n", rn_severity_names[report->problems[i].severity],
+               report->problems[i].where, report->problems[i].text);
+    if (report->dropped) printf("and %lld more\n", (long long)report->dropped);
+}
+
+static void print_report(const char *folder, const struct rn_dataset *dataset,
+                         const struct rn_dataset_report_record *report) {
+    static const char *const sources[] = {"given", "by layout", "from the cameras"};
+    const struct rn_bounds *bounds = &dataset->bounds;
+    const struct rn_split_counts *usable = &report->usable, *bad = &report->unusable;
+    int64_t images = usable->train + usable->val + usable->test;
+    printf("%s: %s layout\n\n", folder, rn_layout_names[report->layout]);
+    printf("             train    val   test\n");
+    printf("usable      %6lld %6lld %6lld\n", (long long)usable->train, (long long)usable->val,
+           (long long)usable->test);
+    printf("unusable    %6lld %6lld %6lld\n\n", (long long)bad->train, (long long)bad->val,
+           (long long)bad->test);
+    printf("images      %gx%g", report->width.min, report->height.min);
+    if (report->width.max > report->width.min || report->height.max > report->height.min)
+        printf(" to %gx%g", report->width.max, report->height.max);
+    printf(", %lld scale%s, %lld of %lld with alpha\n", (long long)report->scales,
+           report->scales == 1 ? "" : "s", (long long)report->with_alpha, (long long)images);
+    printf("cameras     %.3g to %.3g from the centre, %.0f %% look at the scene\n",
+           report->camera_distance.min, report->camera_distance.max,
+           report->looking_at_bounds * 100);
+    printf("footprint   %.3g to %.3g at the centre\n", report->footprint.min,
+           report->footprint.max);
+    printf("bounds      centre (%g, %g, %g), radius %g, %s\n\n", bounds->centre[0],
+           bounds->centre[1], bounds->centre[2], bounds->radius, sources[bounds->source]);
+    print_problems(report);
+    printf("%lld errors, %lld warnings\n", (long long)report->errors, (long long)report->warnings);
+}
+
+// Reads a dataset without any daemon. RN_EXIT_INVALID when it cannot be used as it is; *ret_dataset
+// is then NULL or what is left. `show` prints the report.
+static enum rn_exit examine(const char *folder, bool json, bool show,
+                            struct rn_dataset **ret_dataset) {
+    struct rn_problems problems = {0};
+    struct rn_dataset_report_record report;
+    struct rn_error err = {0};
+    *ret_dataset = NULL;
+    enum rn_status status = rn_dataset_read(folder, &problems, ret_dataset, &err);
+    if (status != RN_OK) rn_problems_add(&problems, RN_SEVERITY_ERROR, err.where, "%s", err.text);
+    bool failed = problems.errors > 0;
+    enum rn_exit code = failed ? RN_EXIT_INVALID : RN_EXIT_OK;
+    status = *ret_dataset ? rn_dataset_report_fill(*ret_dataset, &problems, &report, &err)
+                          : rn_report_problems_fill(&problems, &report, &err);
+    rn_problems_finish(&problems);
+    if (status != RN_OK) return rn_client_fail(&err);
+    const struct rn_table *table = *ret_dataset ? &rn_dataset_report_table : &bad_table;
+    char *text = json && show ? rn_api_encode(table, &report) : NULL;
+    if (text)
+        puts(text);
+    else if (show && *ret_dataset)
+        print_report(folder, *ret_dataset, &report);
+    else if (show || failed)
+        print_problems(&report);
+    free(text);
+    rn_message_finish(&rn_dataset_report_table, &report);
+    return code;
+}
+
+static enum rn_exit run_validate(struct rn_client *client, const void *options, const char **args) {
+    struct rn_dataset *dataset = NULL;
+    enum rn_exit code = examine(args[0], client->json, true, &dataset);
+    rn_dataset_destroy(&dataset);
+    return code;
+}
+
+// ---- import ----
+
+struct import_options {
+    const char *name, *alpha, *split;
+    int64_t max_size, scales;
+};
+#define IMPORT(m) .offset = offsetof(struct import_options, m)
+static const struct rn_option import_table[] = {
+    {.name = "name",
+     .kind = RN_OPTION_TEXT,
+     IMPORT(name),
+     .value = "N",
+     .help = "the dataset's name in the daemon"},
+    {.name = "max-size",
+     .kind = RN_OPTION_INTEGER,
+     IMPORT(max_size),
+     .value = "PX",
+     .min = 1,
+     .max = 16384,
+     .help = "scale images down until the longest side has PX pixels"},
+    {.name = "scales",
+     .kind = RN_OPTION_INTEGER,
+     IMPORT(scales),
+     .value = "K",
+     .min = 1,
+     .max = 8,
+     .help = "keep each image at K sizes, each half of the one before"},
+    {.name = "alpha",
+     .kind = RN_OPTION_CHOICE,
+     IMPORT(alpha),
+     .choices = "premultiplied|straight",
+     .help = "how sizes are averaged; straight as in the published benchmark"},
+    {.name = "split",
+     .kind = RN_OPTION_TEXT,
+     IMPORT(split),
+     .value = "SPEC",
+     .help = "files, or every:N to make each N-th training view a test view"},
+    {0}};
+
+static int compare_names(const void *a, const void *b) {
+    return strcmp(*(const char *const *)a, *(const char *const *)b);
+}
+
+// The path of a frame below the dataset's folder.
+static const char *below(const char *folder, const char *path) {
+    size_t size = strlen(folder);
+    if (strncmp(path, folder, size) != 0) return path;
+    path += size;
+    return path + strspn(path, "/");
+}
+
+static enum rn_status add_images(struct rn_tar *tar, const char *folder,
+                                 const struct rn_dataset *dataset, struct rn_error *err) {
+    enum rn_status status = RN_OK;
+    const char **names = calloc(dataset->frame_count, sizeof *names);
+    if (!names) return rn_error_set(err, RN_ERROR_NO_MEMORY, folder, "memory ran out");
+    for (size_t i = 0; i < dataset->frame_count; i++)
+        names[i] = below(folder, dataset->frames[i].path);
+    qsort(names, dataset->frame_count, sizeof *names, compare_names);
+    for (size_t i = 0; i < dataset->frame_count && status == RN_OK; i++)
+        status = rn_tar_add(tar, names[i], err);
+    free(names);
+    return status;
+}
+
+// The JSON files of the dataset's layout; of the NeRF-synthetic one, those that are there.
+static enum rn_status add_documents(struct rn_tar *tar, const struct rn_dataset *dataset,
+                                    struct rn_error *err) {
+    if (dataset->layout == RN_LAYOUT_NATIVE) return rn_tar_add(tar, "dataset.json", err);
+    if (dataset->layout == RN_LAYOUT_MULTISCALE) return rn_tar_add(tar, "metadata.json", err);
+    for (int split = 0; split < RN_SPLIT_COUNT; split++) {
+        char name[64];
+        snprintf(name, sizeof name, "transforms_%s.json", rn_split_name((enum rn_split)split));
+        enum rn_status status = rn_tar_add(tar, name, err);
+        if (status != RN_OK && (status != RN_ERROR_NOT_FOUND || split == RN_SPLIT_TRAIN))
+            return status;
+    }
+    return RN_OK;
+}
+
+struct upload {
+    struct rn_tar *tar;
+    struct rn_progress progress;
+};
+
+static size_t send_tar(void *context, char *buffer, size_t capacity) {
+    struct upload *upload = context;
+    char sent[24], size[24];
+    size_t got = rn_tar_read(upload->tar, buffer, capacity);
+    rn_format_bytes((double)rn_tar_sent(upload->tar), sent, sizeof sent);
+    rn_format_bytes((double)rn_tar_size(upload->tar), size, sizeof size);
+    rn_progress_update(&upload->progress,
+                       (double)rn_tar_sent(upload->tar) / (double)rn_tar_size(upload->tar),
+                       "sending %s of %s", sent, size);
+    return got;
+}
+
+static void add_query(struct rn_buf *query, const char *key, const char *value) {
+    rn_buf_printf(query, "%s%s=", query->size ? "&" : "/v1/datasets?", key);
+    rn_http_escape(query, value);
+}
+
+static void import_query(const struct import_options *options, struct rn_buf *ret_query) {
+    char number[24];
+    rn_buf_init(ret_query, 4096);
+    add_query(ret_query, "name", options->name);
+    if (options->max_size != RN_OPTION_ABSENT) {
+        snprintf(number, sizeof number, "%lld", (long long)options->max_size);
+        add_query(ret_query, "max_size", number);
+    }
+    if (options->scales != RN_OPTION_ABSENT) {
+        snprintf(number, sizeof number, "%lld", (long long)options->scales);
+        add_query(ret_query, "scales", number);
+    }
+    if (options->alpha) add_query(ret_query, "alpha", options->alpha);
+    if (options->split) add_query(ret_query, "split", options->split);
+}
+
+// Sends the archive; the reply is the ingest job's.
+static enum rn_exit upload(struct rn_client *client, struct rn_tar *tar,
+                           const struct import_options *options, char ret_job[RN_ID_MAX]) {
+    struct upload upload = {.tar = tar};
+    struct rn_api_reply reply;
+    struct rn_buf query;
+    import_query(options, &query);
+    if (query.failed) return rn_client_usage("--name", "is too long");
+    rn_progress_init(&upload.progress, !client->json);
+    struct rn_http_request request = {.method = "POST",
+                                      .path = (char *)query.data,
+                                      .content_type = "application/x-tar",
+                                      .read = send_tar,
+                                      .body_size = (size_t)rn_tar_size(tar),
+                                      .context = &upload,
+                                      .idle_s = 300};
+    rn_api_exchange(client, &request, &reply);
+    rn_progress_finish(&upload.progress);
+    rn_buf_finish(&query);
+    struct rn_job job;
+    enum rn_exit code = reply.code;
+    if (rn_tar_error(tar)->status != RN_OK)
+        code = rn_client_fail(rn_tar_error(tar));
+    else if (code != RN_EXIT_OK)
+        rn_api_complain(&reply);
+    else
+        code = rn_api_decode(&reply, &rn_job_table, &job);
+    rn_api_reply_finish(&reply);
+    if (code == RN_EXIT_OK) {
+        memcpy(ret_job, job.id, RN_ID_MAX);
+        rn_message_finish(&rn_job_table, &job);
+    }
+    return code;
+}
+
+static enum rn_exit print_dataset(struct rn_client *client, const char *id) {
+    enum rn_kind kind;
+    struct rn_api_reply reply;
+    struct rn_dataset_record dataset;
+    enum rn_exit code = rn_api_find(client, RN_KIND_DATASET, id, &kind, &reply);
+    if (code != RN_EXIT_OK) return code;
+    if (client->json) {
+        puts((char *)reply.http.body.data);
+    } else if ((code = rn_api_decode(&reply, &rn_dataset_table, &dataset)) == RN_EXIT_OK) {
+        printf("dataset %s (%s): %lld views to train, %lld to validate, %lld to test, %lldx%lld, "
+               "%lld scale%s\n",
+               dataset.name, dataset.id, (long long)dataset.views.train,
+               (long long)dataset.views.val, (long long)dataset.views.test,
+               (long long)dataset.width, (long long)dataset.height, (long long)dataset.scales,
+               dataset.scales == 1 ? "" : "s");
+        rn_message_finish(&rn_dataset_table, &dataset);
+    }
+    rn_api_reply_finish(&reply);
+    return code;
+}
+
+static enum rn_exit pack(const char *folder, const struct rn_dataset *dataset,
+                         struct rn_tar **ret_tar) {
+    struct rn_error err = {0};
+    enum rn_status status = rn_tar_create(folder, ret_tar, &err);
+    if (status == RN_OK) status = add_documents(*ret_tar, dataset, &err);
+    if (status == RN_OK) status = add_images(*ret_tar, folder, dataset, &err);
+    return status == RN_OK ? RN_EXIT_OK : rn_client_fail(&err);
+}
+
+static enum rn_exit run_import(struct rn_client *client, const void *context, const char **args) {
+    const struct import_options *options = context;
+    struct rn_dataset *dataset = NULL;
+    struct rn_tar *tar = NULL;
+    char job[RN_ID_MAX];
+    if (!options->name) return rn_client_usage("import", "needs --name N");
+    enum rn_exit code = examine(args[0], false, false, &dataset);
+    if (code != RN_EXIT_OK) {
+        fprintf(stderr, "ripnerf: %s: nothing was sent; see ripnerf validate %s\n", args[0],
+                args[0]);
+    } else {
+        code = pack(args[0], dataset, &tar);
+    }
+    if (code == RN_EXIT_OK) code = upload(client, tar, options, job);
+    if (tar) rn_tar_destroy(&tar);
+    rn_dataset_destroy(&dataset);
+    if (code != RN_EXIT_OK) return code;
+    struct rn_follow follow = {.client = client, .quiet = client->json};
+    code = rn_follow_job(&follow, job);
+    if (code == RN_EXIT_OK) code = print_dataset(client, follow.job.dataset);
+    rn_follow_finish(&follow);
+    return code;
+}
+
+// ---- synth ----
+
+struct synth_options {
+    int64_t size, views;
+};
+#define SYNTH(m) .offset = offsetof(struct synth_options, m)
+static const struct rn_option synth_table[] = {
+    {.name = "size",
+     .kind = RN_OPTION_INTEGER,
+     SYNTH(size),
+     .value = "N",
+     .min = 8,
+     .max = 4096,
+     .help = "pixels a side (200)"},
+    {.name = "views",
+     .kind = RN_OPTION_INTEGER,
+     SYNTH(views),
+     .value = "N",
+     .min = 1,
+     .max = 10000,
+     .help = "training views (60); a quarter as many to validate and to test"},
+    {0}};
+
+static bool show_synth(void *context, size_t done, size_t total) {
+    rn_progress_update(context, (double)done / (double)total, "%zu of %zu images", done, total);
+    return true;
+}
+
+static enum rn_exit run_synth(struct rn_client *client, const void *context, const char **args) {
+    const struct synth_options *options = context;
+    struct rn_progress progress;
+    struct rn_error err = {0};
+    long cores = sysconf(_SC_NPROCESSORS_ONLN);
+    struct rn_synth_options synth = {.size = 200, .views = 60};
+    synth.threads = cores < 1 ? 1 : cores > 256 ? 256 : (int)cores;
+    if (options->size != RN_OPTION_ABSENT) synth.size = (int)options->size;
+    if (options->views != RN_OPTION_ABSENT) synth.views = (int)options->views;
+    rn_progress_init(&progress, !client->json);
+    enum rn_status status = rn_synthesise(args[0], &synth, args[1], show_synth, &progress, &err);
+    rn_progress_finish(&progress);
+    if (status == RN_ERROR_NOT_FOUND || status == RN_ERROR_INVALID)
+        return rn_client_usage(err.where, "%s", err.text);
+    if (status != RN_OK) return rn_client_fail(&err);
+    struct rn_dataset *dataset = NULL;
+    enum rn_exit code = examine(args[1], client->json, client->json, &dataset);
+    if (code == RN_EXIT_OK && !client->json)
+        printf("%s: %d views to train, %d to validate, %d to test\n", args[1],
+               dataset->view_count[RN_SPLIT_TRAIN], dataset->view_count[RN_SPLIT_VAL],
+               dataset->view_count[RN_SPLIT_TEST]);
+    rn_dataset_destroy(&dataset);
+    return code;
+}
+
+// ---- datasets ----
+
+static void add_dataset_row(struct rn_text_table *table, const void *message) {
+    const struct rn_dataset_record *dataset = message;
+    char bytes[24];
+    rn_format_bytes((double)dataset->size_bytes, bytes, sizeof bytes);
+    rn_text_table_row(table, "%s|%s|%lld|%lld|%lld|%lldx%lld|%lld|%s|%s", dataset->name,
+                      dataset->id, (long long)dataset->views.train, (long long)dataset->views.val,
+                      (long long)dataset->views.test, (long long)dataset->width,
+                      (long long)dataset->height, (long long)dataset->scales, bytes,
+                      dataset->created_at);
+}
+
+static enum rn_exit run_datasets(struct rn_client *client, const void *options, const char **args) {
+    static const struct rn_api_list list = {
+        .kind = RN_KIND_DATASET,
+        .table = &rn_dataset_table,
+        .heading = "NAME|ID|>TRAIN|>VAL|>TEST|>SIZE|>SCALES|>ON DISK|CREATED",
+        .row = add_dataset_row};
+    return rn_api_print_list(client, &list);
+}
+
+const struct rn_verb rn_verbs_dataset[] = {
+    {.name = "validate",
+     .arguments = "DIR",
+     .summary = "check a dataset here, before anything is sent",
+     .details =
+         "Reads the JSON files (NeRF-synthetic transforms_*.json, multi-scale metadata.json,\n"
+         "or dataset.json) and the headers of the images they name. Exit code 4 when there\n"
+         "is an error.",
+     .args_min = 1,
+     .args_max = 1,
+     .table = no_options,
+     .local = true,
+     .run = run_validate},
+    {.name = "import",
+     .arguments = "DIR --name N",
+     .summary = "check a dataset, send it to the daemon, wait until it is there",
+     .details = "Sends exactly the files that the dataset's JSON names. A dataset with errors is\n"
+                "not sent (exit code 4).",
+     .args_min = 1,
+     .args_max = 1,
+     .table = import_table,
+     .options_size = sizeof(struct import_options),
+     .run = run_import},
+    {.name = "synth",
+     .arguments = "NAME DIR",
+     .summary = "make a dataset with known truth: sphere, fence or nested",
+     .args_min = 2,
+     .args_max = 2,
+     .table = synth_table,
+     .options_size = sizeof(struct synth_options),
+     .local = true,
+     .run = run_synth},
+    {.name = "datasets",
+     .arguments = "",
+     .summary = "list datasets",
+     .table = no_options,
+     .run = run_datasets},
+    {0}};

@@ -1,0 +1,524 @@
+// render, path, eval.
+
+#include <errno.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <strings.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include "client/commands/submit.h"
+#include "client/follow.h"
+#include "common/base/file.h"
+#include "common/path/path.h"
+#include "proto/dataset.h"
+#include "proto/event.h"
+#include "proto/render.h"
+
+// Reads a JSON file of at most RN_PATH_MAX_BYTES; the text is the caller's to free.
+static enum rn_exit read_document(const char *path, char **ret_text, size_t *ret_size) {
+    struct rn_error err = {0};
+    uint8_t *bytes = NULL;
+    if (rn_file_read(path, RN_PATH_MAX_BYTES, &bytes, ret_size, &err) != RN_OK)
+        return rn_client_fail(&err);
+    *ret_text = (char *)bytes;
+    return RN_EXIT_OK;
+}
+
+// The documents are {"camera": {...}} and {"path": {...}}; the API takes what is inside.
+struct document {
+    char *camera, *path; // owned
+};
+static const struct rn_field_spec camera_document_fields[] = {
+    RN_F_JSON(struct document, camera, RN_REQUIRED)};
+static const struct rn_table camera_document_table =
+    RN_TABLE(struct document, "camera file", camera_document_fields);
+static const struct rn_field_spec path_document_fields[] = {
+    RN_F_JSON(struct document, path, RN_REQUIRED)};
+static const struct rn_table path_document_table =
+    RN_TABLE(struct document, "camera path file", path_document_fields);
+
+// ---- render ----
+
+struct render_options {
+    const char *view, *camera, *output, *file;
+    struct rn_option_pair size;
+};
+#define RENDER(m) .offset = offsetof(struct render_options, m)
+#define SIZE_OPTION(place)                                                                         \
+    {                                                                                              \
+        .name = "size", .kind = RN_OPTION_SIZE, place, .value = "WxH", .min = 1, .max = 16384,     \
+        .help = "pixels; else as the camera says"                                                  \
+    }
+static const struct rn_option render_table[] = {
+    {.name = "view",
+     .kind = RN_OPTION_TEXT,
+     RENDER(view),
+     .value = "SPLIT:N",
+     .help = "a view of the dataset: test:12 by index, test:r_12 by name"},
+    {.name = "camera",
+     .kind = RN_OPTION_TEXT,
+     RENDER(camera),
+     .value = "FILE",
+     .help = "a camera of your own, JSON"},
+    SIZE_OPTION(RENDER(size)),
+    {.name = "output",
+     .kind = RN_OPTION_CHOICE,
+     RENDER(output),
+     .choices = "rgb|depth|alpha",
+     .help = "what the picture shows (rgb)"},
+    {.name = "out",
+     .letter = 'o',
+     .kind = RN_OPTION_TEXT,
+     RENDER(file),
+     .value = "FILE",
+     .help = "the picture: .png, .jpg or .jpeg"},
+    {0}};
+
+static int format_of(const char *file) {
+    const char *dot = strrchr(file, '.');
+    if (dot && strcasecmp(dot, ".png") == 0) return RN_FORMAT_PNG;
+    if (dot && (strcasecmp(dot, ".jpg") == 0 || strcasecmp(dot, ".jpeg") == 0))
+        return RN_FORMAT_JPEG;
+    return -1;
+}
+
+// The camera file's inside, checked here first. malloc'd.
+static enum rn_exit load_camera(const char *file, char **ret_camera) {
+    struct rn_error err = {0};
+    struct rn_camera camera;
+    struct document document;
+    char *text = NULL;
+    size_t size = 0;
+    enum rn_exit code = read_document(file, &text, &size);
+    if (code != RN_EXIT_OK) return code;
+    enum rn_status status = rn_camera_parse(text, size, file, &camera, &err);
+    if (status == RN_OK)
+        status = rn_decode(&camera_document_table, text, size, &document, NULL, &err);
+    free(text);
+    if (status != RN_OK) return rn_client_fail(&err);
+    *ret_camera = document.camera;
+    return RN_EXIT_OK;
+}
+
+static enum rn_exit render_body(const struct render_options *options, char **ret_body) {
+    struct rn_render_request request;
+    rn_message_init(&rn_render_request_table, &request);
+    if (options->camera) {
+        enum rn_exit code = load_camera(options->camera, &request.camera);
+        if (code != RN_EXIT_OK) return code;
+    } else if (strlen(options->view) >= sizeof request.view) {
+        return rn_client_usage("--view", "is too long");
+    } else {
+        snprintf(request.view, sizeof request.view, "%s", options->view);
+    }
+    request.size.width = options->size.first;
+    request.size.height = options->size.second;
+    request.format = format_of(options->file);
+    request.output = options->output ? rn_name_index(rn_output_kind_names, options->output) : -1;
+    *ret_body = rn_api_encode(&rn_render_request_table, &request);
+    rn_message_finish(&rn_render_request_table, &request);
+    return *ret_body ? RN_EXIT_OK : RN_EXIT_FAILED;
+}
+
+// What `render --json` prints.
+struct render_summary {
+    char *file; // borrowed
+    int64_t step;
+    double render_ms;
+};
+static const struct rn_field_spec render_summary_fields[] = {
+    RN_F_STRING(struct render_summary, file, RN_REQUIRED, 4096),
+    RN_F_INT(struct render_summary, step, RN_REQUIRED | RN_NULLABLE, 0, INT64_MAX),
+    RN_F_NUMBER(struct render_summary, render_ms, RN_REQUIRED | RN_NULLABLE, 0, INFINITY)};
+static const struct rn_table render_summary_table =
+    RN_TABLE(struct render_summary, "summary", render_summary_fields);
+
+static void print_render(struct rn_client *client, const char *file,
+                         const struct rn_http_reply *reply) {
+    const char *timing = strstr(reply->server_timing, "render;dur=");
+    struct render_summary summary = {.file = (char *)file,
+                                     .step = *reply->step ? atoll(reply->step) : RN_ABSENT,
+                                     .render_ms = timing ? atof(timing + 11) : NAN};
+    if (client->json) {
+        char *json = rn_api_encode(&render_summary_table, &summary);
+        if (json) puts(json);
+        free(json);
+        return;
+    }
+    printf("%s", file);
+    if (*reply->step) printf(": step %s", reply->step);
+    if (timing) printf(", rendered in %.1f ms", summary.render_ms);
+    putchar('\n');
+}
+
+static enum rn_exit check_render(const struct render_options *options) {
+    if (!options->view == !options->camera)
+        return rn_client_usage("render", "needs one of --view SPLIT:N and --camera FILE");
+    if (!options->file) return rn_client_usage("render", "needs -o FILE");
+    if (format_of(options->file) < 0)
+        return rn_client_usage(options->file, "must end in .png, .jpg or .jpeg");
+    return RN_EXIT_OK;
+}
+
+static enum rn_exit run_render(struct rn_client *client, const void *context, const char **args) {
+    const struct render_options *options = context;
+    struct rn_error err = {0};
+    char *body = NULL;
+    enum rn_exit code = check_render(options);
+    if (code == RN_EXIT_OK) code = render_body(options, &body);
+    if (code != RN_EXIT_OK) return code;
+    char *path = rn_api_path("scenes", args[0], "/render");
+    struct rn_http_request request = {.method = "POST",
+                                      .path = path ? path : "/",
+                                      .content_type = "application/json",
+                                      .body = body,
+                                      .body_size = strlen(body)};
+    struct rn_api_reply reply;
+    rn_api_exchange(client, &request, &reply); // a large picture may take its time
+    free(path);
+    free(body);
+    code = reply.code == RN_EXIT_OK ? RN_EXIT_OK : rn_api_complain(&reply);
+    if (code == RN_EXIT_OK && rn_file_write_atomic(options->file, reply.http.body.data,
+                                                   reply.http.body.size, &err) != RN_OK)
+        code = (rn_client_fail(&err), RN_EXIT_FAILED);
+    if (code == RN_EXIT_OK) print_render(client, options->file, &reply.http);
+    rn_api_reply_finish(&reply);
+    return code;
+}
+
+// ---- path ----
+
+struct path_options {
+    const char *folder;
+    struct rn_option_pair size, frames;
+};
+#define PATH(m) .offset = offsetof(struct path_options, m)
+static const struct rn_option path_table[] = {SIZE_OPTION(PATH(size)),
+                                              {.name = "frames",
+                                               .kind = RN_OPTION_RANGE,
+                                               PATH(frames),
+                                               .value = "A-B",
+                                               .min = 0,
+                                               .max = RN_PATH_MAX_FRAMES - 1,
+                                               .help = "only the frames A to B, both included"},
+                                              {.name = "out",
+                                               .letter = 'o',
+                                               .kind = RN_OPTION_TEXT,
+                                               PATH(folder),
+                                               .value = "DIR",
+                                               .help = "the folder for 00000.png, 00001.png, ..."},
+                                              {0}};
+
+struct path_request {
+    int type;
+    char *scene, *path, *camera_path;
+    struct rn_path_options options;
+};
+static const struct rn_field_spec path_request_fields[] = {
+    RN_F_NAME(struct path_request, type, RN_REQUIRED, rn_job_type_names),
+    RN_F_STRING(struct path_request, scene, RN_REQUIRED, 4096),
+    RN_F_STRING(struct path_request, path, 0, 4096), RN_F_JSON(struct path_request, camera_path, 0),
+    RN_F_OBJECT(struct path_request, options, 0, &rn_path_options_table)};
+static const struct rn_table path_request_table =
+    RN_TABLE(struct path_request, "path request", path_request_fields);
+
+// The path file's inside, checked here first. malloc'd.
+static enum rn_exit load_path(const char *file, char **ret_path) {
+    struct rn_error err = {0};
+    struct rn_path *path = NULL;
+    struct document document;
+    char *text = NULL;
+    size_t size = 0;
+    enum rn_exit code = read_document(file, &text, &size);
+    if (code != RN_EXIT_OK) return code;
+    enum rn_status status = rn_path_parse(text, size, file, &path, &err);
+    if (status == RN_OK) {
+        rn_path_destroy(&path);
+        status = rn_decode(&path_document_table, text, size, &document, NULL, &err);
+    }
+    free(text);
+    if (status != RN_OK) return rn_client_fail(&err);
+    *ret_path = document.path;
+    return RN_EXIT_OK;
+}
+
+// FILE is a path file, or where there is no such file a camera path of the daemon's.
+static enum rn_exit path_body(const struct path_options *options, const char **args,
+                              char **ret_body) {
+    struct path_request request;
+    rn_message_init(&path_request_table, &request);
+    request.type = RN_JOB_PATH;
+    request.scene = (char *)args[0]; // only read
+    if (access(args[1], F_OK) == 0 || strpbrk(args[1], "/.")) {
+        enum rn_exit code = load_path(args[1], &request.camera_path);
+        if (code != RN_EXIT_OK) return code;
+    } else {
+        request.path = (char *)args[1];
+    }
+    request.options.width = options->size.first;
+    request.options.height = options->size.second;
+    request.options.first = options->frames.first;
+    request.options.last = options->frames.second;
+    *ret_body = rn_api_encode(&path_request_table, &request);
+    free(request.camera_path);
+    return *ret_body ? RN_EXIT_OK : RN_EXIT_FAILED;
+}
+
+// Frames on their way into a folder. A frame that is there is not fetched again.
+struct frames {
+    struct rn_client client; // with a connection of its own: the events' one is busy
+    const char *folder, *job;
+    size_t written;
+    unsigned char seen[(RN_PATH_MAX_FRAMES + 7) / 8]; // a bit each
+};
+
+static enum rn_exit fetch_frame(struct frames *frames, int64_t index) {
+    struct rn_error err = {0};
+    char path[128], file[4096];
+    struct rn_api_reply reply;
+    unsigned char bit = (unsigned char)(1u << (index % 8));
+    if (index < 0 || index >= RN_PATH_MAX_FRAMES || (frames->seen[index / 8] & bit))
+        return RN_EXIT_OK;
+    snprintf(path, sizeof path, "/v1/jobs/%s/frames/%lld", frames->job, (long long)index);
+    int size = snprintf(file, sizeof file, "%s/%05lld.png", frames->folder, (long long)index);
+    if (size < 0 || (size_t)size >= sizeof file) return rn_client_usage("-o", "is too long");
+    rn_api_send(&frames->client, "GET", path, NULL, &reply);
+    enum rn_exit code = reply.code == RN_EXIT_OK ? RN_EXIT_OK : rn_api_complain(&reply);
+    if (code == RN_EXIT_OK &&
+        rn_file_write_atomic(file, reply.http.body.data, reply.http.body.size, &err) != RN_OK)
+        code = (rn_client_fail(&err), RN_EXIT_FAILED);
+    rn_api_reply_finish(&reply);
+    if (code == RN_EXIT_OK) {
+        frames->seen[index / 8] |= bit;
+        frames->written++;
+    }
+    return code;
+}
+
+static bool on_frame(struct rn_follow *follow, const struct rn_sse_event *event) {
+    struct rn_frame_event frame;
+    if (strcmp(event->type, RN_EVENT_FRAME) != 0 ||
+        rn_decode(&rn_frame_event_table, event->data, event->size_bytes, &frame, NULL, NULL) !=
+            RN_OK)
+        return true;
+    follow->code = fetch_frame(follow->context, frame.index);
+    return follow->code == RN_EXIT_OK;
+}
+
+// The frames whose events were missed.
+static enum rn_exit fetch_rest(struct frames *frames, const struct path_options *options,
+                               const struct rn_job *job) {
+    struct rn_path_result result;
+    struct rn_error err = {0};
+    int64_t first = rn_int_or(options->frames.first, 0);
+    enum rn_exit code = RN_EXIT_OK;
+    if (!job->result || rn_decode(&rn_path_result_table, job->result, strlen(job->result), &result,
+                                  NULL, &err) != RN_OK)
+        return rn_client_fail(&err);
+    for (int64_t i = 0; i < result.frames && code == RN_EXIT_OK; i++)
+        code = fetch_frame(frames, first + i);
+    return code;
+}
+
+struct path_summary {
+    char job[RN_ID_MAX];
+    char *folder; // borrowed
+    int64_t frames;
+};
+static const struct rn_field_spec path_summary_fields[] = {
+    RN_F_TEXT(struct path_summary, job, RN_REQUIRED, NULL),
+    RN_F_STRING(struct path_summary, folder, RN_REQUIRED, 4096),
+    RN_F_INT(struct path_summary, frames, RN_REQUIRED, 0, RN_PATH_MAX_FRAMES)};
+static const struct rn_table path_summary_table =
+    RN_TABLE(struct path_summary, "summary", path_summary_fields);
+
+static void print_path_summary(bool json, const struct frames *frames) {
+    struct path_summary summary = {.folder = (char *)frames->folder,
+                                   .frames = (int64_t)frames->written};
+    snprintf(summary.job, sizeof summary.job, "%s", frames->job);
+    char *text = json ? rn_api_encode(&path_summary_table, &summary) : NULL;
+    if (text)
+        puts(text);
+    else if (!json)
+        printf("%zu frames in %s\n", frames->written, frames->folder);
+    free(text);
+}
+
+// Follows the path job, writing its frames as they come.
+static enum rn_exit gather_frames(struct rn_client *client, const struct path_options *options,
+                                  const char *job) {
+    struct rn_error err = {0};
+    struct frames *frames = calloc(1, sizeof *frames);
+    struct rn_follow follow = {
+        .client = client, .quiet = client->json, .event = on_frame, .context = frames};
+    if (!frames) return RN_EXIT_FAILED;
+    frames->client = *client;
+    frames->folder = options->folder;
+    frames->job = job;
+    enum rn_exit code = RN_EXIT_OK;
+    if (rn_http_create_twin(client->http, &frames->client.http, &err) != RN_OK)
+        code = rn_client_fail(&err);
+    if (code == RN_EXIT_OK) code = rn_follow_job(&follow, job);
+    if (code == RN_EXIT_OK) code = fetch_rest(frames, options, &follow.job);
+    if (code == RN_EXIT_OK) print_path_summary(client->json, frames);
+    rn_follow_finish(&follow);
+    rn_http_destroy(&frames->client.http);
+    free(frames);
+    return code;
+}
+
+static enum rn_exit run_path(struct rn_client *client, const void *context, const char **args) {
+    const struct path_options *options = context;
+    struct rn_error err = {0};
+    char job[RN_ID_MAX], *body = NULL, *answer = NULL;
+    if (!options->folder) return rn_client_usage("path", "needs -o DIR");
+    enum rn_exit code = path_body(options, args, &body);
+    if (code == RN_EXIT_OK && rn_mkdirs(options->folder, 0777, &err) != RN_OK)
+        code = (rn_client_fail(&err), RN_EXIT_FAILED);
+    if (code == RN_EXIT_OK) code = rn_submit(client, body, job, &answer);
+    free(body);
+    free(answer);
+    return code == RN_EXIT_OK ? gather_frames(client, options, job) : code;
+}
+
+// ---- eval ----
+
+struct eval_options {
+    const char *split;
+    int64_t views, scale;
+};
+#define EVAL(m) .offset = offsetof(struct eval_options, m)
+static const struct rn_option eval_table[] = {{.name = "split",
+                                               .kind = RN_OPTION_CHOICE,
+                                               EVAL(split),
+                                               .choices = "train|val|test",
+                                               .help = "the photographs to compare with (test)"},
+                                              {.name = "views",
+                                               .kind = RN_OPTION_INTEGER,
+                                               EVAL(views),
+                                               .value = "N",
+                                               .min = 0,
+                                               .max = 1e6,
+                                               .help = "that many, evenly spaced; 0 takes all"},
+                                              {.name = "scale",
+                                               .kind = RN_OPTION_INTEGER,
+                                               EVAL(scale),
+                                               .value = "J",
+                                               .min = 0,
+                                               .max = 15,
+                                               .help = "only the images 2^J times smaller"},
+                                              {0}};
+
+struct eval_request {
+    int type;
+    char *scene;
+    struct rn_eval_options options;
+};
+static const struct rn_field_spec eval_request_fields[] = {
+    RN_F_NAME(struct eval_request, type, RN_REQUIRED, rn_job_type_names),
+    RN_F_STRING(struct eval_request, scene, RN_REQUIRED, 4096),
+    RN_F_OBJECT(struct eval_request, options, 0, &rn_eval_options_table)};
+static const struct rn_table eval_request_table =
+    RN_TABLE(struct eval_request, "evaluation request", eval_request_fields);
+
+static char *eval_body(const struct eval_options *options, const char *scene) {
+    struct eval_request request;
+    rn_message_init(&eval_request_table, &request);
+    request.type = RN_JOB_EVAL;
+    request.scene = (char *)scene; // only read
+    request.options.split = options->split ? rn_name_index(rn_split_names, options->split) : -1;
+    request.options.views = options->views;
+    request.options.scale = options->scale;
+    return rn_api_encode(&eval_request_table, &request);
+}
+
+static void format_psnr(double psnr, char text[24]) {
+    snprintf(text, 24, "%s", "identical");
+    if (!isnan(psnr)) snprintf(text, 24, "%.2f", psnr);
+}
+
+static enum rn_exit print_evaluation(const char *json) {
+    struct rn_eval_result result;
+    struct rn_text_table table;
+    struct rn_error err = {0};
+    char psnr[24];
+    if (rn_decode(&rn_eval_result_table, json, strlen(json), &result, NULL, &err) != RN_OK)
+        return rn_client_fail(&err);
+    rn_text_table_init(&table, ">SCALE|>PSNR|>SSIM");
+    for (size_t i = 0; i < result.scale_count; i++) {
+        format_psnr(result.scales[i].psnr, psnr);
+        rn_text_table_row(&table, "%lld|%s|%.4f", (long long)result.scales[i].scale, psnr,
+                          result.scales[i].ssim);
+    }
+    format_psnr(result.psnr, psnr);
+    rn_text_table_row(&table, "mean|%s|%.4f", psnr, result.ssim);
+    enum rn_status status = rn_text_table_print(&table, &err);
+    rn_text_table_finish(&table);
+    printf("\n%lld %s views, spread over views %.2f dB and %.4f, %.1f ms a frame (median)\n",
+           (long long)result.views, rn_split_names[result.protocol.split], result.psnr_spread,
+           result.ssim_spread, result.render_ms_median);
+    printf("protocol: step %lld, background (%g, %g, %g), scales averaged %s, rounding %s, "
+           "trained on %s, seed %lld, %s, %s\n",
+           (long long)result.protocol.step, result.protocol.background[0],
+           result.protocol.background[1], result.protocol.background[2],
+           rn_alpha_mode_names[result.protocol.downscale], result.protocol.rounding,
+           rn_train_split_names[result.protocol.train_split], (long long)result.protocol.seed,
+           result.protocol.device, result.protocol.kernels);
+    rn_message_finish(&rn_eval_result_table, &result);
+    return status == RN_OK ? RN_EXIT_OK : rn_client_fail(&err);
+}
+
+static enum rn_exit run_eval(struct rn_client *client, const void *context, const char **args) {
+    char job[RN_ID_MAX], *answer = NULL;
+    char *body = eval_body(context, args[0]);
+    if (!body) return RN_EXIT_FAILED;
+    enum rn_exit code = rn_submit(client, body, job, &answer);
+    free(body);
+    free(answer);
+    if (code != RN_EXIT_OK) return code;
+    struct rn_follow follow = {.client = client, .quiet = client->json};
+    code = rn_follow_job(&follow, job);
+    if (code == RN_EXIT_OK && follow.job.result) {
+        if (client->json)
+            puts(follow.job.result);
+        else
+            code = print_evaluation(follow.job.result);
+    }
+    rn_follow_finish(&follow);
+    return code;
+}
+
+const struct rn_verb rn_verbs_render[] = {
+    {.name = "render",
+     .arguments = "SCENE -o FILE",
+     .summary = "one picture of a scene, also while it trains",
+     .details =
+         "A camera file is {\"camera\": {\"world_from_camera\": [[4],[4],[4]],\n"
+         "\"axes\": \"opencv\" or \"opengl\", \"width\", \"height\", \"fov_y_deg\"}}, or with\n"
+         "fx, fy, cx, cy in the field of view's place.",
+     .args_min = 1,
+     .args_max = 1,
+     .table = render_table,
+     .options_size = sizeof(struct render_options),
+     .run = run_render},
+    {.name = "path",
+     .arguments = "SCENE FILE -o DIR",
+     .summary = "the frames of a camera path, as they are rendered",
+     .details =
+         "FILE is a camera path, {\"path\": {...}}, or the name of one that the daemon keeps.",
+     .args_min = 2,
+     .args_max = 2,
+     .table = path_table,
+     .options_size = sizeof(struct path_options),
+     .run = run_path},
+    {.name = "eval",
+     .arguments = "SCENE",
+     .summary = "PSNR and SSIM against photographs",
+     .args_min = 1,
+     .args_max = 1,
+     .table = eval_table,
+     .options_size = sizeof(struct eval_options),
+     .run = run_eval},
+    {0}};

@@ -1,0 +1,291 @@
+// scenes, show, rm, info.
+
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "client/follow.h"
+#include "proto/event.h"
+#include "proto/render.h"
+#include "proto/scene.h"
+
+static const struct rn_option no_options[] = {{0}};
+
+static const char *format_psnr(double psnr, char text[24]) {
+    snprintf(text, 24, "%s", "-");
+    if (!isnan(psnr)) snprintf(text, 24, "%.2f", psnr);
+    return text;
+}
+
+static void add_scene_row(struct rn_text_table *table, const void *message) {
+    const struct rn_scene *scene = message;
+    char psnr[24], seconds[24];
+    rn_format_seconds(scene->train_seconds, seconds, sizeof seconds);
+    rn_text_table_row(table, "%s|%s|%s|%lld|%s|%s|%s|%s", scene->name, scene->id,
+                      rn_scene_state_names[scene->state], (long long)scene->steps, seconds,
+                      format_psnr(scene->psnr, psnr), scene->dataset_name, scene->created_at);
+}
+
+static enum rn_exit run_scenes(struct rn_client *client, const void *options, const char **args) {
+    static const struct rn_api_list list = {
+        .kind = RN_KIND_SCENE,
+        .table = &rn_scene_table,
+        .heading = "NAME|ID|STATE|>STEPS|>TRAINED|>PSNR|DATASET|CREATED",
+        .row = add_scene_row};
+    return rn_api_print_list(client, &list);
+}
+
+// ---- show ----
+
+static void print_field(const char *name, const char *fmt, ...) RN_PRINTF(2, 3);
+static void print_field(const char *name, const char *fmt, ...) {
+    va_list args;
+    printf("%-12s", name);
+    va_start(args, fmt);
+    vprintf(fmt, args);
+    va_end(args);
+    putchar('\n');
+}
+
+static void print_config(const struct rn_field_config_record *config) {
+    print_field("field", "%lld planes (%s), base %lld, %lld channels, %lld levels, footprint %s",
+                (long long)config->planes, rn_orientation_names[config->orientation],
+                (long long)config->base, (long long)config->channels, (long long)config->levels,
+                rn_footprint_names[config->footprint]);
+    print_field("networks", "width %lld, %lld + %lld hidden layers, shaded per %s",
+                (long long)config->width, (long long)config->base_layers,
+                (long long)config->head_layers, rn_shading_names[config->shading]);
+    print_field("preset", "%s, seed %lld, trained on %s", config->preset, (long long)config->seed,
+                rn_train_split_names[config->train_split]);
+}
+
+static void print_effects(const struct rn_scene_description *description) {
+    if (description->effect_count) puts("\neffects");
+    for (size_t i = 0; i < description->effect_count; i++) {
+        const struct rn_effect_entry *effect = &description->effects[i];
+        printf("  %-16s %-8s  %s", effect->name,
+               effect->decided ? effect->on ? "on" : "off" : "not yet", effect->reason);
+        if (!isnan(effect->number) && !isnan(effect->threshold))
+            printf(" (%.3g, threshold %.3g)", effect->number, effect->threshold);
+        putchar('\n');
+    }
+    if (description->difference_count) puts("\ndiffers from the paper");
+    for (size_t i = 0; i < description->difference_count; i++)
+        printf("  %s: %s\n", description->differences[i].what,
+               description->differences[i].measured);
+}
+
+// The parts of a scene that its record keeps as JSON text.
+static void print_description(const struct rn_scene *scene) {
+    struct rn_scene_description description;
+    struct rn_buf json;
+    struct rn_error err = {0};
+    if (!scene->config || !scene->bounds) return;
+    rn_buf_init(&json, 1 << 20);
+    rn_buf_printf(&json,
+                  "{\"config\":%s,\"differences\":%s,\"effects\":%s,\"bounds\":%s,"
+                  "\"held_out\":null,\"memory_bytes\":0,\"kernels\":\"-\"}",
+                  scene->config, scene->differences, scene->effects, scene->bounds);
+    if (json.failed || rn_decode(&rn_scene_description_table, (char *)json.data, json.size,
+                                 &description, NULL, &err) != RN_OK) {
+        fprintf(stderr, "ripnerf: %s: %s\n", err.where, err.text);
+    } else {
+        print_config(&description.config);
+        print_field("bounds", "centre (%g, %g, %g), radius %g", description.bounds.centre[0],
+                    description.bounds.centre[1], description.bounds.centre[2],
+                    description.bounds.radius);
+        print_effects(&description);
+        rn_message_finish(&rn_scene_description_table, &description);
+    }
+    rn_buf_finish(&json);
+}
+
+static void print_scene(const void *message) {
+    const struct rn_scene *scene = message;
+    char psnr[24], seconds[24], bytes[24];
+    rn_format_seconds(scene->train_seconds, seconds, sizeof seconds);
+    print_field("scene", "%s (%s)", scene->name, scene->id);
+    print_field("state", "%s%s", rn_scene_state_names[scene->state],
+                scene->loaded ? ", loaded" : "");
+    print_field("dataset", "%s (%s)", scene->dataset_name, scene->dataset);
+    print_field("trained", "%lld steps in %s by %s", (long long)scene->steps, seconds, scene->job);
+    print_field("PSNR", "%s dB%s%s", format_psnr(scene->psnr, psnr), *scene->held_out ? " on " : "",
+                scene->held_out);
+    print_field("parameters", "%s",
+                *scene->parameters_sha256 ? scene->parameters_sha256 : "no checkpoint yet");
+    if (*scene->kernels) print_field("kernels", "%s", scene->kernels);
+    if (scene->memory_bytes != RN_ABSENT) {
+        rn_format_bytes((double)scene->memory_bytes, bytes, sizeof bytes);
+        print_field("memory", "%s", bytes);
+    }
+    for (size_t i = 0; i < scene->checkpoint_count; i++) {
+        rn_format_bytes((double)scene->checkpoints[i].size_bytes, bytes, sizeof bytes);
+        print_field(i ? "" : "checkpoints", "step %lld, %s, %s",
+                    (long long)scene->checkpoints[i].step, bytes, scene->checkpoints[i].created_at);
+    }
+    print_description(scene);
+}
+
+static void print_dataset(const void *message) {
+    const struct rn_dataset_record *dataset = message;
+    char bytes[24];
+    rn_format_bytes((double)dataset->size_bytes, bytes, sizeof bytes);
+    print_field("dataset", "%s (%s)", dataset->name, dataset->id);
+    print_field("views", "%lld to train, %lld to validate, %lld to test",
+                (long long)dataset->views.train, (long long)dataset->views.val,
+                (long long)dataset->views.test);
+    print_field("images", "%lldx%lld, %lld scale%s, %s alpha, %s on disk",
+                (long long)dataset->width, (long long)dataset->height, (long long)dataset->scales,
+                dataset->scales == 1 ? "" : "s", dataset->has_alpha ? "with" : "without", bytes);
+    print_field("averaged", "%s", dataset->premultiplied ? "premultiplied" : "straight");
+    print_field("bounds", "centre (%g, %g, %g), radius %g, source: %s", dataset->bounds.centre[0],
+                dataset->bounds.centre[1], dataset->bounds.centre[2], dataset->bounds.radius,
+                rn_bounds_source_names[dataset->bounds.source]);
+    print_field("footprint", "%.3g to %.3g", dataset->footprint.min, dataset->footprint.max);
+    print_field("created", "%s", dataset->created_at);
+}
+
+static void print_job(const void *message) {
+    const struct rn_job *job = message;
+    char text[200];
+    double fraction;
+    rn_format_progress((enum rn_job_type)job->type, job->progress, &fraction, text, sizeof text);
+    print_field("job", "%s, %s, attempt %lld", job->id, rn_job_type_names[job->type],
+                (long long)job->attempt);
+    print_field("state", "%s", rn_job_state_names[job->state]);
+    if (*job->scene_name) print_field("scene", "%s (%s)", job->scene_name, job->scene);
+    if (*job->dataset_name) print_field("dataset", "%s (%s)", job->dataset_name, job->dataset);
+    print_field("created", "%s", job->created_at);
+    if (*job->started_at) print_field("started", "%s", job->started_at);
+    if (*job->finished_at) print_field("finished", "%s", job->finished_at);
+    print_field("options", "%s", job->options);
+    if (*text) print_field("progress", "%s", text);
+    if (job->result) print_field("result", "%s", job->result);
+    if (job->problem) print_field("problem", "%s", job->problem);
+}
+
+static void print_path(const void *message) {
+    const struct rn_camera_path_record *path = message;
+    print_field("camera path", "%s (%s)", path->name, path->id);
+    print_field("created", "%s", path->created_at);
+    puts(path->path);
+}
+
+static const struct {
+    enum rn_kind kind;
+    const struct rn_table *table;
+    void (*print)(const void *message);
+} shown[] = {{RN_KIND_SCENE, &rn_scene_table, print_scene},
+             {RN_KIND_DATASET, &rn_dataset_table, print_dataset},
+             {RN_KIND_JOB, &rn_job_table, print_job},
+             {RN_KIND_PATH, &rn_camera_path_record_table, print_path}};
+
+static enum rn_exit print_decoded(const struct rn_api_reply *reply, const struct rn_table *table,
+                                  void (*print)(const void *message)) {
+    void *message = malloc(table->size);
+    enum rn_exit code = message ? rn_api_decode(reply, table, message) : RN_EXIT_FAILED;
+    if (code == RN_EXIT_OK) {
+        print(message);
+        rn_message_finish(table, message);
+    }
+    free(message);
+    return code;
+}
+
+static enum rn_exit run_show(struct rn_client *client, const void *options, const char **args) {
+    struct rn_api_reply reply;
+    enum rn_kind kind;
+    enum rn_exit code =
+        rn_api_find(client, RN_KIND_SCENE | RN_KIND_DATASET | RN_KIND_JOB | RN_KIND_PATH, args[0],
+                    &kind, &reply);
+    if (code != RN_EXIT_OK) return code;
+    if (client->json) puts((char *)reply.http.body.data);
+    for (size_t i = 0; !client->json && i < sizeof shown / sizeof *shown; i++)
+        if (shown[i].kind == kind) code = print_decoded(&reply, shown[i].table, shown[i].print);
+    rn_api_reply_finish(&reply);
+    return code;
+}
+
+// ---- rm ----
+
+static enum rn_exit run_rm(struct rn_client *client, const void *options, const char **args) {
+    struct rn_api_reply reply;
+    enum rn_kind kind;
+    if (strncmp(args[0], RN_ID_JOB, strlen(RN_ID_JOB)) == 0)
+        return rn_client_usage(args[0], "jobs are not removed; to stop one: ripnerf cancel %s",
+                               args[0]);
+    enum rn_exit code =
+        rn_api_find(client, RN_KIND_SCENE | RN_KIND_DATASET | RN_KIND_PATH, args[0], &kind, &reply);
+    if (code != RN_EXIT_OK) return code;
+    rn_api_reply_finish(&reply);
+    char *path = rn_api_path(rn_api_collection(kind), args[0], "");
+    if (!path) return RN_EXIT_FAILED;
+    rn_api_send(client, "DELETE", path, NULL, &reply);
+    free(path);
+    code = reply.code == RN_EXIT_OK ? RN_EXIT_OK : rn_api_complain(&reply);
+    if (code == RN_EXIT_OK && !client->json) printf("removed %s\n", args[0]);
+    rn_api_reply_finish(&reply);
+    return code;
+}
+
+// ---- info ----
+
+static void print_info(const void *message) {
+    const struct rn_info *info = message;
+    char seconds[24], bytes[24];
+    rn_format_seconds(info->uptime_s, seconds, sizeof seconds);
+    rn_format_bytes((double)info->memory_limit_bytes, bytes, sizeof bytes);
+    print_field("version", "%s, up for %s", info->version, seconds);
+    print_field("device", "%s %s, %lld threads", info->device, info->device_name,
+                (long long)info->threads);
+    printf("%-12s%s, of", "kernels", info->kernels);
+    for (size_t i = 0; i < info->available_kernel_count; i++)
+        printf(" %s", info->available_kernels[i]);
+    putchar('\n');
+    print_field("memory", "%s for all scenes", info->memory_limit_bytes ? bytes : "no limit");
+    print_field("limits", "%lld training jobs, %lld queued, %lld scenes loaded",
+                (long long)info->limits.max_training_jobs, (long long)info->limits.max_queued_jobs,
+                (long long)info->limits.max_scenes_loaded);
+    print_field("roots", "%s", info->roots);
+}
+
+static enum rn_exit run_info(struct rn_client *client, const void *options, const char **args) {
+    struct rn_api_reply reply;
+    rn_api_send(client, "GET", "/v1/info", NULL, &reply);
+    enum rn_exit code = reply.code;
+    if (code != RN_EXIT_OK)
+        rn_api_complain(&reply);
+    else if (client->json)
+        puts((char *)reply.http.body.data);
+    else
+        code = print_decoded(&reply, &rn_info_table, print_info);
+    rn_api_reply_finish(&reply);
+    return code;
+}
+
+const struct rn_verb rn_verbs_scene[] = {
+    {.name = "scenes",
+     .arguments = "",
+     .summary = "list scenes",
+     .table = no_options,
+     .run = run_scenes},
+    {.name = "show",
+     .arguments = "ID",
+     .summary = "all about a scene, dataset, job or camera path",
+     .args_min = 1,
+     .args_max = 1,
+     .table = no_options,
+     .run = run_show},
+    {.name = "rm",
+     .arguments = "ID",
+     .summary = "remove a scene, dataset or camera path",
+     .args_min = 1,
+     .args_max = 1,
+     .table = no_options,
+     .run = run_rm},
+    {.name = "info",
+     .arguments = "",
+     .summary = "the daemon's version, device and limits",
+     .table = no_options,
+     .run = run_info},
+    {0}};

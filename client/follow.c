@@ -1,0 +1,198 @@
+#include "client/follow.h"
+
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "client/interrupt.h"
+#include "common/base/clock.h"
+
+#define STREAM_IDLE_S 45 // three heartbeats missed
+#define RETRY_MS 500
+
+bool rn_job_has_ended(const struct rn_job *job) {
+    return job->state == RN_JOB_SUCCEEDED || job->state == RN_JOB_FAILED ||
+           job->state == RN_JOB_CANCELLED;
+}
+
+static void format_train(const struct rn_train_progress *progress, char *ret_text,
+                         size_t capacity) {
+    char seconds[24], limit[32] = "", psnr[24] = "-", rate[16], eta[24];
+    rn_format_seconds(progress->train_seconds, seconds, sizeof seconds);
+    if (progress->max_seconds > 0) {
+        memcpy(limit, " of ", 5);
+        rn_format_seconds(progress->max_seconds, limit + 4, sizeof limit - 4);
+    }
+    if (!isnan(progress->psnr)) snprintf(psnr, sizeof psnr, "%.2f dB", progress->psnr);
+    rn_format_count(progress->samples_per_second, rate, sizeof rate);
+    rn_format_seconds(progress->eta_seconds, eta, sizeof eta);
+    snprintf(ret_text, capacity, "step %lld  %s%s  PSNR %s  %s samples/s  %s%s",
+             (long long)progress->step, seconds, limit, psnr, rate,
+             progress->evaluating_first ? "last evaluation" : "ETA ",
+             progress->evaluating_first ? "" : eta);
+}
+
+static void format_work(const struct rn_work_progress *progress, char *ret_text, size_t capacity) {
+    char total[32] = "", eta[24];
+    if (progress->total != RN_ABSENT)
+        snprintf(total, sizeof total, " of %lld", (long long)progress->total);
+    rn_format_seconds(progress->eta_seconds, eta, sizeof eta);
+    snprintf(ret_text, capacity, "%lld%s  ETA %s", (long long)progress->done, total, eta);
+}
+
+void rn_format_progress(enum rn_job_type type, const char *progress_json, double *ret_fraction,
+                        char *ret_text, size_t capacity) {
+    struct rn_train_progress train;
+    struct rn_work_progress work;
+    *ret_fraction = NAN;
+    snprintf(ret_text, capacity, "%s", "");
+    if (!progress_json) return;
+    size_t size = strlen(progress_json);
+    if (type == RN_JOB_TRAIN) {
+        if (rn_decode(&rn_train_progress_table, progress_json, size, &train, NULL, NULL) != RN_OK)
+            return;
+        format_train(&train, ret_text, capacity);
+        *ret_fraction = train.fraction;
+        rn_message_finish(&rn_train_progress_table, &train);
+    } else {
+        if (rn_decode(&rn_work_progress_table, progress_json, size, &work, NULL, NULL) != RN_OK)
+            return;
+        format_work(&work, ret_text, capacity);
+        *ret_fraction = work.fraction;
+        rn_message_finish(&rn_work_progress_table, &work);
+    }
+}
+
+static void show(struct rn_follow *follow, const char *progress_json) {
+    char text[200];
+    double fraction;
+    rn_format_progress((enum rn_job_type)follow->job.type, progress_json, &fraction, text,
+                       sizeof text);
+    if (follow->job.state != RN_JOB_RUNNING)
+        rn_progress_update(&follow->progress, fraction, "%s%s%s",
+                           rn_job_state_names[follow->job.state], *text ? "  " : "", text);
+    else
+        rn_progress_update(&follow->progress, fraction, "%s", *text ? text : "starting");
+}
+
+// Takes over a Job's JSON. A job that this client cannot read keeps its last known state.
+static void take_job(struct rn_follow *follow, const char *json, size_t size) {
+    struct rn_job job;
+    struct rn_error err = {0};
+    if (rn_decode(&rn_job_table, json, size, &job, NULL, &err) != RN_OK) {
+        rn_progress_note(&follow->progress, "ripnerf: an event that is no job: %s: %s", err.where,
+                         err.text);
+        return;
+    }
+    bool changed = !follow->known || job.state != follow->job.state;
+    rn_follow_finish(follow);
+    follow->job = job;
+    follow->known = true;
+    if (changed) follow->progress.last_ns = INT64_MIN / 2; // a change of state is shown at once
+    show(follow, job.progress);
+}
+
+static bool on_event(void *context, const struct rn_sse_event *event) {
+    struct rn_follow *follow = context;
+    if (strcmp(event->type, RN_EVENT_STATE) == 0)
+        take_job(follow, event->data, event->size_bytes);
+    else if (strcmp(event->type, RN_EVENT_PROGRESS) == 0 && follow->known)
+        show(follow, event->data);
+    return !follow->event || follow->event(follow, event);
+}
+
+static bool on_bytes(void *context, const char *bytes, size_t size) {
+    return rn_sse_feed(context, bytes, size);
+}
+
+// One connection's worth of events.
+static void stream(struct rn_follow *follow, const char *path, struct rn_sse *sse,
+                   struct rn_api_reply *ret_reply) {
+    struct rn_http_request request = {.method = "GET",
+                                      .path = path,
+                                      .accept = "text/event-stream",
+                                      .last_event_id = *sse->last_id ? sse->last_id : NULL,
+                                      .receive = on_bytes,
+                                      .context = sse,
+                                      .idle_s = STREAM_IDLE_S,
+                                      .interrupt_fd = rn_interrupt_fd()};
+    rn_sse_restart(sse);
+    rn_api_exchange(follow->client, &request, ret_reply);
+}
+
+// Whether a reply means that the daemon is away for a moment.
+static bool is_outage(const struct rn_api_reply *reply) {
+    return reply->code == RN_EXIT_OK || reply->code == RN_EXIT_UNREACHABLE ||
+           reply->http.status == 503;
+}
+
+static bool is_over(const struct rn_follow *follow) {
+    return rn_interrupt_seen() || follow->code != RN_EXIT_OK ||
+           (follow->known && rn_job_has_ended(&follow->job));
+}
+
+// Streams again and again until the job ends, the user detaches or the daemon is lost.
+static enum rn_exit stream_to_end(struct rn_follow *follow, const char *path) {
+    struct rn_sse sse;
+    enum rn_exit code = RN_EXIT_OK;
+    int64_t lost_ns = 0; // when the daemon went away; 0: it is there
+    rn_sse_init(&sse, on_event, follow);
+    for (;;) {
+        struct rn_api_reply reply;
+        stream(follow, path, &sse, &reply);
+        if (is_over(follow)) {
+            rn_api_reply_finish(&reply);
+            break;
+        }
+        int64_t now = rn_clock_ns();
+        if (reply.code == RN_EXIT_OK)
+            lost_ns = 0;
+        else if (!lost_ns)
+            lost_ns = now;
+        bool patient = now - lost_ns < (int64_t)RN_FOLLOW_PATIENCE_S * 1000000000;
+        if (!is_outage(&reply) || (lost_ns && !patient)) {
+            code = rn_api_complain(&reply);
+            rn_api_reply_finish(&reply);
+            break;
+        }
+        if (lost_ns == now && !follow->quiet)
+            rn_progress_note(&follow->progress, "the daemon does not answer; trying for %d s",
+                             RN_FOLLOW_PATIENCE_S);
+        rn_api_reply_finish(&reply);
+        rn_interrupt_sleep(RETRY_MS);
+    }
+    rn_sse_finish(&sse);
+    return code == RN_EXIT_OK ? follow->code : code;
+}
+
+static enum rn_exit code_of_end(const struct rn_follow *follow) {
+    if (follow->job.state == RN_JOB_SUCCEEDED) return RN_EXIT_OK;
+    if (follow->job.state == RN_JOB_CANCELLED) {
+        fprintf(stderr, "ripnerf: %s was cancelled\n", follow->job.id);
+        return RN_EXIT_CANCELLED;
+    }
+    enum rn_exit code = RN_EXIT_FAILED;
+    if (follow->job.problem) code = rn_api_print_problem(follow->job.problem);
+    return code == RN_EXIT_INVALID ? RN_EXIT_INVALID : RN_EXIT_FAILED;
+}
+
+enum rn_exit rn_follow_job(struct rn_follow *follow, const char *job_id) {
+    struct rn_error err = {0};
+    if (!rn_interrupt_fd() && rn_interrupt_catch(&err) != RN_OK) return rn_client_fail(&err);
+    char *path = rn_api_path("jobs", job_id, "/events");
+    if (!path) return RN_EXIT_FAILED;
+    rn_progress_init(&follow->progress, !follow->quiet);
+    enum rn_exit code = stream_to_end(follow, path);
+    free(path);
+    rn_progress_finish(&follow->progress);
+    if (code != RN_EXIT_OK) return code;
+    if (follow->known && rn_job_has_ended(&follow->job)) return code_of_end(follow);
+    follow->detached = true;
+    fprintf(stderr, "detached; job %s goes on. Come back with: ripnerf watch %s\n", job_id, job_id);
+    return RN_EXIT_FAILED;
+}
+
+void rn_follow_finish(struct rn_follow *follow) {
+    if (follow->known) rn_message_finish(&rn_job_table, &follow->job);
+    follow->known = false;
+}

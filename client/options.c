@@ -1,0 +1,202 @@
+#include "client/options.h"
+
+#include <errno.h>
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+static void *field_of(const struct rn_option *option, void *options) {
+    return (char *)options + option->offset;
+}
+
+void rn_options_clear(const struct rn_option *table, void *options) {
+    for (const struct rn_option *option = table; option->name; option++) {
+        void *field = field_of(option, options);
+        switch (option->kind) {
+        case RN_OPTION_FLAG:
+            *(bool *)field = false;
+            break;
+        case RN_OPTION_TEXT:
+        case RN_OPTION_CHOICE:
+            *(const char **)field = NULL;
+            break;
+        case RN_OPTION_INTEGER:
+            *(int64_t *)field = RN_OPTION_ABSENT;
+            break;
+        case RN_OPTION_NUMBER:
+        case RN_OPTION_SECONDS:
+            *(double *)field = NAN;
+            break;
+        case RN_OPTION_SIZE:
+        case RN_OPTION_RANGE:
+            *(struct rn_option_pair *)field =
+                (struct rn_option_pair){RN_OPTION_ABSENT, RN_OPTION_ABSENT};
+            break;
+        }
+    }
+}
+
+// An integer of the option's range that ends where `end` says (a NUL or a separator).
+static bool parse_integer(const struct rn_option *option, const char *text, char end,
+                          int64_t *ret_value, const char **ret_rest) {
+    char *rest = NULL;
+    if (*text < '0' || *text > '9') return false;
+    errno = 0;
+    long long value = strtoll(text, &rest, 10);
+    if (errno || *rest != end || (double)value < option->min || (double)value > option->max)
+        return false;
+    *ret_value = value;
+    *ret_rest = rest + 1;
+    return true;
+}
+
+static bool parse_number(const struct rn_option *option, const char *text, double *ret_value) {
+    char *rest = NULL;
+    double value = strtod(text, &rest);
+    if (rest == text) return false;
+    if (option->kind == RN_OPTION_SECONDS && *rest && strchr("smh", *rest))
+        value *= *rest == 'h' ? 3600 : *rest == 'm' ? 60 : 1, rest++;
+    if (*rest || !(value >= option->min && value <= option->max)) return false;
+    *ret_value = value;
+    return true;
+}
+
+static bool parse_pair(const struct rn_option *option, const char *text,
+                       struct rn_option_pair *ret_pair) {
+    struct rn_option_pair pair = {0};
+    const char *rest = NULL;
+    char separator = option->kind == RN_OPTION_SIZE ? 'x' : '-';
+    if (option->kind == RN_OPTION_RANGE && parse_integer(option, text, '\0', &pair.first, &rest))
+        pair.second = pair.first;
+    else if (!parse_integer(option, text, separator, &pair.first, &rest) ||
+             !parse_integer(option, rest, '\0', &pair.second, &rest))
+        return false;
+    if (option->kind == RN_OPTION_RANGE && pair.first > pair.second) return false;
+    *ret_pair = pair;
+    return true;
+}
+
+static bool is_choice(const char *choices, const char *text) {
+    size_t size = strlen(text);
+    for (const char *choice = choices; size; choice++) {
+        size_t choice_size = strcspn(choice, "|");
+        if (choice_size == size && memcmp(choice, text, size) == 0) return true;
+        choice += choice_size;
+        if (!*choice) return false;
+    }
+    return false;
+}
+
+static bool set_value(const struct rn_option *option, const char *value, void *field) {
+    const char *rest = NULL;
+    switch (option->kind) {
+    case RN_OPTION_FLAG:
+        *(bool *)field = true;
+        return true;
+    case RN_OPTION_CHOICE:
+        if (!is_choice(option->choices, value)) return false;
+        *(const char **)field = value;
+        return true;
+    case RN_OPTION_TEXT:
+        *(const char **)field = value;
+        return *value != '\0';
+    case RN_OPTION_INTEGER:
+        return parse_integer(option, value, '\0', field, &rest);
+    case RN_OPTION_NUMBER:
+    case RN_OPTION_SECONDS:
+        return parse_number(option, value, field);
+    case RN_OPTION_SIZE:
+    case RN_OPTION_RANGE:
+        return parse_pair(option, value, field);
+    }
+    return false;
+}
+
+static enum rn_status complain(const struct rn_option *option, const char *value,
+                               struct rn_error *err) {
+    char where[64];
+    snprintf(where, sizeof where, "--%s", option->name);
+    if (option->choices)
+        return rn_error_set(err, RN_ERROR_INVALID, where, "must be one of %s, is '%s'",
+                            option->choices, value);
+    if (option->kind == RN_OPTION_TEXT)
+        return rn_error_set(err, RN_ERROR_INVALID, where, "must not be empty");
+    return rn_error_set(err, RN_ERROR_INVALID, where,
+                        "must be %s with numbers from %g to %g, is '%s'", option->value,
+                        option->min, option->max, value);
+}
+
+// The option that an argument names; *ret_value is what follows its '='.
+static const struct rn_option *find(const struct rn_option *table, const char *argument,
+                                    const char **ret_value) {
+    size_t size = strcspn(argument, "=");
+    for (const struct rn_option *option = table; option->name; option++) {
+        bool is_long = size > 2 && strlen(option->name) == size - 2 && argument[1] == '-' &&
+                       memcmp(option->name, argument + 2, size - 2) == 0;
+        bool is_short = option->letter && argument[1] == option->letter && !argument[2];
+        if (is_long || is_short) {
+            *ret_value = is_long && argument[size] ? argument + size + 1 : NULL;
+            return option;
+        }
+    }
+    return NULL;
+}
+
+// Takes one option and its value; *i moves behind them.
+static enum rn_status take_option(const struct rn_option_tables *tables, int argc, char **argv,
+                                  int *i, struct rn_error *err) {
+    const char *argument = argv[(*i)++], *value = NULL;
+    void *options = tables->options;
+    const struct rn_option *option = find(tables->table, argument, &value);
+    if (!option) {
+        option = find(tables->global_table, argument, &value);
+        options = tables->globals;
+    }
+    if (!option) return rn_error_set(err, RN_ERROR_INVALID, argument, "there is no such option");
+    if (option->kind == RN_OPTION_FLAG && value)
+        return rn_error_set(err, RN_ERROR_INVALID, argument, "takes no value");
+    if (option->kind != RN_OPTION_FLAG && !value) {
+        if (*i >= argc)
+            return rn_error_set(err, RN_ERROR_INVALID, argument, "needs a value: %s",
+                                option->value);
+        value = argv[(*i)++];
+    }
+    if (!set_value(option, value, field_of(option, options))) return complain(option, value, err);
+    return RN_OK;
+}
+
+enum rn_status rn_options_parse(const struct rn_option_tables *tables, int argc, char **argv,
+                                size_t arg_max, const char **ret_args, size_t *ret_arg_count,
+                                struct rn_error *err) {
+    size_t count = 0;
+    bool options_end = false;
+    for (int i = 0; i < argc;) {
+        if (!options_end && strcmp(argv[i], "--") == 0) {
+            options_end = true;
+            i++;
+        } else if (!options_end && argv[i][0] == '-' && argv[i][1]) {
+            enum rn_status status = take_option(tables, argc, argv, &i, err);
+            if (status != RN_OK) return status;
+        } else if (count == arg_max) {
+            return rn_error_set(err, RN_ERROR_INVALID, argv[i], "is one argument too many");
+        } else {
+            ret_args[count++] = argv[i++];
+        }
+    }
+    ret_args[count] = NULL;
+    *ret_arg_count = count;
+    return RN_OK;
+}
+
+void rn_options_print(const struct rn_option *table) {
+    for (const struct rn_option *option = table; option->name; option++) {
+        char left[80];
+        const char *value = option->choices ? option->choices : option->value;
+        char letter[5] = {'-', option->letter, ',', ' ', '\0'};
+        snprintf(left, sizeof left, "%s--%s%s%s", option->letter ? letter : "", option->name,
+                 value ? " " : "", value ? value : "");
+        printf(strlen(left) <= 30 ? "  %-30s  %s\n" : "  %s\n%34s%s\n", left,
+               strlen(left) <= 30 ? option->help : "", option->help);
+    }
+}

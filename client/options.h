@@ -1,0 +1,57 @@
+// Command lines: options by table, anywhere among the arguments.
+#ifndef RN_CLIENT_OPTIONS_H
+#define RN_CLIENT_OPTIONS_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#include "common/base/status.h"
+
+// What an option's field is and what it accepts.
+enum rn_option_kind {
+    RN_OPTION_FLAG,    // bool; takes no value
+    RN_OPTION_TEXT,    // const char *, NULL when absent; points into argv
+    RN_OPTION_CHOICE,  // as TEXT, one of `choices`
+    RN_OPTION_INTEGER, // int64_t in [min, max], RN_OPTION_ABSENT when absent
+    RN_OPTION_NUMBER,  // double in [min, max], NAN when absent
+    RN_OPTION_SECONDS, // as NUMBER; "90", "60s", "10m", "1.5h"
+    RN_OPTION_SIZE,    // struct rn_option_pair, "WxH"
+    RN_OPTION_RANGE,   // struct rn_option_pair, "A-B" with A <= B, or "A"
+};
+
+#define RN_OPTION_ABSENT INT64_MIN
+
+struct rn_option_pair {
+    int64_t first, second; // RN_OPTION_ABSENT when absent
+};
+
+// A table of them ends with a NULL name.
+struct rn_option {
+    const char *name; // without the dashes
+    char letter;      // "-o", 0 for none
+    enum rn_option_kind kind;
+    size_t offset;       // of the field in the options' struct
+    const char *value;   // the value's name in the usage
+    const char *help;    // one line
+    double min, max;     // of numbers, and of both numbers of a pair
+    const char *choices; // "a|b|c"
+};
+
+// Fills `options` (the struct that the table's offsets mean, of size_bytes) and `globals` (that of
+// global_table) from the arguments, and gathers the others in ret_args, which has room for
+// arg_max + 1 and ends with NULL. "--" ends the options. RN_ERROR_INVALID names the option.
+struct rn_option_tables {
+    const struct rn_option *table, *global_table;
+    void *options, *globals;
+};
+enum rn_status rn_options_parse(const struct rn_option_tables *tables, int argc, char **argv,
+                                size_t arg_max, const char **ret_args, size_t *ret_arg_count,
+                                struct rn_error *err) RN_MUST_CHECK;
+
+// Sets every field of a table to "absent".
+void rn_options_clear(const struct rn_option *table, void *options);
+// One line an option, on stdout.
+void rn_options_print(const struct rn_option *table);
+
+#endif

@@ -1,0 +1,180 @@
+// ripnerf: the command line of a ripnerfd.
+
+#include <signal.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "client/client.h"
+#include "common/base/file.h"
+
+#define TOKEN_MAX 4096
+
+struct globals {
+    const char *host, *token_file;
+    bool json, help;
+};
+
+static const struct rn_option global_table[] = {
+    {.name = "host",
+     .kind = RN_OPTION_TEXT,
+     .offset = offsetof(struct globals, host),
+     .value = "URL",
+     .help = "the daemon; else RIPNERF_HOST, else " RN_HTTP_DEFAULT_HOST},
+    {.name = "token-file",
+     .kind = RN_OPTION_TEXT,
+     .offset = offsetof(struct globals, token_file),
+     .value = "FILE",
+     .help = "holds the daemon's token; else RIPNERF_TOKEN is the token"},
+    {.name = "json",
+     .kind = RN_OPTION_FLAG,
+     .offset = offsetof(struct globals, json),
+     .help = "results as JSON on standard output"},
+    {.name = "help",
+     .letter = 'h',
+     .kind = RN_OPTION_FLAG,
+     .offset = offsetof(struct globals, help),
+     .help = "explain the verb"},
+    {0}};
+
+static const struct rn_verb *const groups[] = {rn_verbs_dataset, rn_verbs_job, rn_verbs_scene,
+                                               rn_verbs_render};
+#define GROUP_COUNT (sizeof groups / sizeof *groups)
+
+static const struct rn_verb *find_verb(const char *name) {
+    for (size_t i = 0; i < GROUP_COUNT; i++)
+        for (const struct rn_verb *verb = groups[i]; verb->name; verb++)
+            if (strcmp(verb->name, name) == 0) return verb;
+    return NULL;
+}
+
+static void print_overview(void) {
+    puts("ripnerf: radiance fields from posed photographs, trained and rendered by ripnerfd\n\n"
+         "usage: ripnerf [options] VERB ...\n");
+    for (size_t i = 0; i < GROUP_COUNT; i++) {
+        for (const struct rn_verb *verb = groups[i]; verb->name; verb++) {
+            char left[48];
+            snprintf(left, sizeof left, "%s %s", verb->name, verb->arguments);
+            printf("  %-26s  %s\n", left, verb->summary);
+        }
+        putchar('\n');
+    }
+    puts("  help VERB                   what a verb does and its options\n\noptions");
+    rn_options_print(global_table);
+    puts(
+        "\nDatasets, scenes and jobs go by id; datasets and scenes also by name. A verb for a job\n"
+        "takes a scene too and means the job that trains it.\n\n"
+        "exit codes: 0 ok, 1 failed, 2 usage, 3 not found, 4 validation failed, 5 cancelled,\n"
+        "            6 daemon unreachable, 7 unauthorised");
+}
+
+static void print_verb(const struct rn_verb *verb) {
+    printf("usage: ripnerf %s%s%s%s\n\n%s\n", verb->name, *verb->arguments ? " " : "",
+           verb->arguments, verb->table->name ? " [options]" : "", verb->summary);
+    if (verb->details) printf("\n%s\n", verb->details);
+    if (verb->table->name) {
+        puts("\noptions");
+        rn_options_print(verb->table);
+    }
+    puts("\noptions of every verb");
+    rn_options_print(global_table);
+}
+
+static enum rn_exit help(const char *name) {
+    const struct rn_verb *verb = name ? find_verb(name) : NULL;
+    if (name && !verb) return rn_client_usage(name, "there is no such verb; see ripnerf help");
+    if (verb)
+        print_verb(verb);
+    else
+        print_overview();
+    return RN_EXIT_OK;
+}
+
+// The token of --token-file (its first line) or of RIPNERF_TOKEN, into a buffer of TOKEN_MAX.
+static enum rn_status read_token(const char *file, char *ret_token, struct rn_error *err) {
+    const char *environment = getenv("RIPNERF_TOKEN");
+    if (!file) {
+        if (environment && strlen(environment) >= TOKEN_MAX)
+            return rn_error_set(err, RN_ERROR_LIMIT, "RIPNERF_TOKEN", "is too long");
+        snprintf(ret_token, TOKEN_MAX, "%s", environment ? environment : "");
+        return RN_OK;
+    }
+    uint8_t *bytes = NULL;
+    size_t size = 0;
+    enum rn_status status = rn_file_read(file, TOKEN_MAX - 1, &bytes, &size, err);
+    if (status != RN_OK) return status;
+    size_t end = strcspn((char *)bytes, "\r\n");
+    memcpy(ret_token, bytes, end);
+    ret_token[end] = '\0';
+    free(bytes);
+    if (!end) return rn_error_set(err, RN_ERROR_INVALID, file, "holds no token in its first line");
+    return RN_OK;
+}
+
+static enum rn_exit run_verb(const struct rn_verb *verb, const struct globals *globals,
+                             const void *options, const char **args) {
+    struct rn_error err = {0};
+    struct rn_client client = {.json = globals->json};
+    const char *host = globals->host ? globals->host : getenv("RIPNERF_HOST");
+    char token[TOKEN_MAX];
+    if (!verb->local) {
+        // A token that cannot be read is the command line's mistake, whatever the file's trouble.
+        if (read_token(globals->token_file, token, &err) != RN_OK ||
+            rn_http_create(host && *host ? host : RN_HTTP_DEFAULT_HOST, *token ? token : NULL,
+                           &client.http, &err) != RN_OK)
+            return rn_client_usage(err.where, "%s", err.text);
+    }
+    enum rn_exit code = verb->run(&client, options, args);
+    rn_http_destroy(&client.http);
+    return code;
+}
+
+// The verb is the first argument that is neither an option nor a global option's value.
+static int find_verb_word(int argc, char **argv) {
+    for (int i = 1; i < argc; i++) {
+        if (argv[i][0] != '-') return i;
+        if (strcmp(argv[i], "--host") == 0 || strcmp(argv[i], "--token-file") == 0) i++;
+    }
+    return argc;
+}
+
+static enum rn_exit run(int argc, char **argv) {
+    struct globals globals = {0};
+    struct rn_error err = {0};
+    _Alignas(max_align_t) char options[RN_VERB_MAX_OPTIONS];
+    static const struct rn_option none[] = {{0}};
+    const char *args[RN_VERB_MAX_ARGS + 2];
+    size_t count = 0;
+    int word = find_verb_word(argc, argv);
+    const struct rn_verb *verb = word < argc ? find_verb(argv[word]) : NULL;
+    bool is_help = word < argc && strcmp(argv[word], "help") == 0;
+    if (word < argc && !verb && !is_help)
+        return rn_client_usage(argv[word], "there is no such verb; see ripnerf help");
+    // What stands before the verb are global options; the verb's own follow it.
+    struct rn_option_tables tables = {.table = verb ? verb->table : none,
+                                      .global_table = global_table,
+                                      .options = options,
+                                      .globals = &globals};
+    rn_options_clear(tables.table, options);
+    memmove(argv + 1 + (word < argc), argv + 1, (size_t)(word - 1) * sizeof *argv);
+    if (rn_options_parse(&tables, argc - 1 - (word < argc), argv + 1 + (word < argc),
+                         verb ? verb->args_max : 1, args, &count, &err) != RN_OK)
+        return rn_client_usage(err.where, "%s", err.text);
+    if (is_help || globals.help || !verb)
+        return is_help || globals.help ? help(verb ? verb->name : args[0])
+                                       : (print_overview(), RN_EXIT_USAGE);
+    if (count < verb->args_min)
+        return rn_client_usage(verb->name, "is missing something: ripnerf %s %s", verb->name,
+                               verb->arguments);
+    return run_verb(verb, &globals, options, args);
+}
+
+int main(int argc, char **argv) {
+    signal(SIGPIPE, SIG_IGN);
+    enum rn_exit code = run(argc, argv);
+    if (fflush(stdout) != 0 || ferror(stdout)) {
+        fputs("ripnerf: standard output cannot be written\n", stderr);
+        return code == RN_EXIT_OK ? RN_EXIT_FAILED : code;
+    }
+    return code;
+}
