@@ -9,10 +9,9 @@ bool rn_jpeg_is(const uint8_t *bytes, size_t size_bytes) {
     return size_bytes >= 3 && bytes[0] == 0xff && bytes[1] == 0xd8 && bytes[2] == 0xff;
 }
 
-static enum rn_status damaged(tjhandle handle, const char *where, struct rn_error *err) {
+static enum rn_status damaged(const char *problem, const char *where, struct rn_error *err) {
     return rn_error_set(err, RN_ERROR_INVALID, where,
-                        "the JPEG file is damaged (%s): copy or export it again",
-                        tjGetErrorStr2(handle));
+                        "the JPEG file is damaged (%s): copy or export it again", problem);
 }
 
 static enum rn_status read_header(tjhandle handle, const uint8_t *bytes, size_t size_bytes,
@@ -22,7 +21,9 @@ static enum rn_status read_header(tjhandle handle, const uint8_t *bytes, size_t 
     int subsampling, colour_space;
     if (tjDecompressHeader3(handle, bytes, (unsigned long)size_bytes, &info.width, &info.height,
                             &subsampling, &colour_space) != 0)
-        return damaged(handle, where, err);
+        return damaged(tjGetErrorStr2(handle), where, err);
+    if (info.width < 1 || info.height < 1) // the library takes an early end for a file of tables
+        return damaged("the file ends before the picture's header", where, err);
     if (colour_space == TJCS_CMYK || colour_space == TJCS_YCCK)
         return rn_error_set(err, RN_ERROR_UNSUPPORTED, where,
                             "the JPEG file has CMYK colours: convert it to RGB");
@@ -58,7 +59,7 @@ static enum rn_status decode(tjhandle handle, const uint8_t *bytes, size_t size_
     if (tjDecompress2(handle, bytes, (unsigned long)size_bytes, image.pixels, image.width, 0,
                       image.height, TJPF_RGBA, TJFLAG_ACCURATEDCT | TJFLAG_LIMITSCANS) != 0 &&
         lost_pixels(handle)) {
-        status = damaged(handle, where, err);
+        status = damaged(tjGetErrorStr2(handle), where, err);
         rn_image_finish(&image);
         return status;
     }

@@ -38,10 +38,12 @@ static void take_bytes(png_structp png, png_bytep to, size_t size) {
 }
 
 // Up to the first pixel data; everything but sizes, palette and transparency is skipped. libpng's
-// own size limit is lifted: ours, which the caller checks next, names itself.
+// own size limit is lifted: ours, which the caller checks next, names itself. Damage in a chunk
+// that libpng calls ancillary is an error too, or transparency could get lost silently.
 static void read_header(struct reader *reader) {
     png_set_read_fn(reader->png, reader, take_bytes);
     png_set_user_limits(reader->png, PNG_UINT_31_MAX, PNG_UINT_31_MAX);
+    png_set_crc_action(reader->png, PNG_CRC_ERROR_QUIT, PNG_CRC_ERROR_QUIT);
     png_set_keep_unknown_chunks(reader->png, PNG_HANDLE_CHUNK_NEVER, NULL, -1);
     png_read_info(reader->png, reader->info);
 }
