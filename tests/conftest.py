@@ -4,11 +4,13 @@ RIPNERF_BUILD names the build folder (default: build/ beside tests/).
 """
 
 import os
+import sys
 from pathlib import Path
 
 import pytest
 
 SOURCE = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(SOURCE / "tests"))
 
 
 @pytest.fixture(scope="session")

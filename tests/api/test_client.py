@@ -1,0 +1,478 @@
+"""The client's contract, against a daemon without an engine: verbs, output, exit codes."""
+
+import json
+import os
+import pty
+import signal
+import socket
+import struct
+import subprocess
+import time
+import zlib
+
+import pytest
+
+from support import contract
+from support.fake_daemon import PNG, FakeDaemon
+
+OK, FAILED, USAGE, NOT_FOUND, INVALID, CANCELLED, UNREACHABLE, UNAUTHORISED = range(8)
+
+
+@pytest.fixture
+def daemon():
+    with FakeDaemon() as fake:
+        yield fake
+
+
+class Client:
+    def __init__(self, program, cwd, url):
+        self.program, self.cwd = str(program), cwd
+        self.environment = {"PATH": os.environ["PATH"], "RIPNERF_HOST": url}
+
+    def command(self, *arguments):
+        return [self.program, *map(str, arguments)]
+
+    def run(self, *arguments, code=OK, **environment):
+        result = subprocess.run(self.command(*arguments), cwd=self.cwd, text=True,
+                                capture_output=True, timeout=30, check=False,
+                                stdin=subprocess.DEVNULL, env=self.environment | environment)
+        assert result.returncode == code, result.stdout + result.stderr
+        return result
+
+    def json(self, *arguments, code=OK):
+        return json.loads(self.run(*arguments, "--json", code=code).stdout)
+
+    def start(self, *arguments):
+        return subprocess.Popen(self.command(*arguments), cwd=self.cwd, text=True,
+                                stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+                                stdin=subprocess.DEVNULL, env=self.environment)
+
+
+@pytest.fixture
+def client(build, daemon, tmp_path):
+    return Client(build / "client" / "ripnerf", tmp_path, daemon.url)
+
+
+def write_png(path, width, height):
+    def chunk(kind, data):
+        body = kind + data
+        return struct.pack(">I", len(data)) + body + struct.pack(">I", zlib.crc32(body))
+    header = struct.pack(">IIBBBBB", width, height, 8, 6, 0, 0, 0)
+    rows = (b"\0" + bytes(4 * width)) * height
+    path.write_bytes(b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) +
+                     chunk(b"IDAT", zlib.compress(rows)) + chunk(b"IEND", b""))
+
+
+def write_dataset(folder, views=3):
+    """A NeRF-synthetic dataset of blank images, with a file that no JSON names."""
+    pose = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 4], [0, 0, 0, 1]]
+    for split in ("train", "val", "test"):
+        (folder / split).mkdir(parents=True)
+        for i in range(views):
+            write_png(folder / split / f"r_{i}.png", 16, 12)
+        frames = [{"file_path": f"./{split}/r_{i}", "transform_matrix": pose}
+                  for i in range(views)]
+        (folder / f"transforms_{split}.json").write_text(
+            json.dumps({"camera_angle_x": 0.69, "frames": frames}))
+    write_png(folder / "test" / "r_0_depth_0001.png", 16, 12)
+    return folder
+
+
+@pytest.fixture
+def folder(tmp_path):
+    return write_dataset(tmp_path / "blank")
+
+
+@pytest.fixture
+def scene(daemon):
+    return daemon.add_scene("lego", daemon.add_dataset("lego-400"))
+
+
+# ---- usage ----
+
+@pytest.mark.parametrize("arguments", [
+    [], ["fly"], ["train", "lego"], ["train", "lego", "--name"], ["datasets", "extra"],
+    ["train", "lego", "--name", "x", "--planes", "5"],
+    ["train", "lego", "--name", "x", "--max-time", "soon"],
+    ["train", "lego", "--name", "x", "--max-steps", "0"],
+    ["train", "lego", "--name", "x", "--speed", "9"],
+    ["render", "lego", "-o", "a.png"], ["render", "lego", "--view", "test:0"],
+    ["render", "lego", "--view", "test:0", "--camera", "c.json", "-o", "a.png"],
+    ["render", "lego", "--view", "test:0", "-o", "a.gif"],
+    ["render", "lego", "--view", "test:0", "--size", "4by3", "-o", "a.png"],
+    ["path", "lego", "p.json"], ["path", "lego", "p.json", "--frames", "9-3", "-o", "out"],
+    ["import", "somewhere"], ["rm", "job_aaaaaaaaaaaa"], ["help", "fly"],
+    ["info", "--host", "ftp://127.0.0.1"], ["info", "--token-file", "missing"],
+])
+def test_a_wrong_command_line_is_a_usage_error(client, arguments, daemon):
+    client.run(*arguments, code=USAGE)
+    assert not daemon.requests
+
+
+@pytest.mark.parametrize("verb", ["validate", "import", "synth", "train", "jobs", "show", "watch",
+                                  "pause", "resume", "finish", "cancel", "datasets", "scenes",
+                                  "rm", "render", "path", "eval", "info"])
+def test_every_verb_explains_itself(client, verb):
+    text = client.run("help", verb).stdout
+    assert text.startswith(f"usage: ripnerf {verb}") and "--json" in text
+    assert client.run(verb, "--help").stdout == text
+
+
+def test_global_options_stand_before_or_behind_the_verb(client, daemon):
+    before = client.run("--host", daemon.url, "--json", "info", RIPNERF_HOST="http://127.0.0.1:1")
+    behind = client.run("info", "--json", f"--host={daemon.url}", RIPNERF_HOST="http://127.0.0.1:1")
+    assert json.loads(before.stdout) == json.loads(behind.stdout) == contract.example("Info")
+
+
+# ---- reaching the daemon ----
+
+def test_no_daemon(client):
+    with socket.socket() as unused:
+        unused.bind(("127.0.0.1", 0))
+        port = unused.getsockname()[1]
+        for verb in (["info"], ["jobs"], ["train", "a", "--name", "b"], ["watch", "a"],
+                     ["render", "a", "--view", "test:0", "-o", "a.png"]):
+            result = client.run(*verb, "--host", f"127.0.0.1:{port}", code=UNREACHABLE)
+            assert "cannot be reached" in result.stderr and not result.stdout
+
+
+def test_token(build, tmp_path):
+    with FakeDaemon(token="secret") as daemon:
+        client = Client(build / "client" / "ripnerf", tmp_path, daemon.url)
+        (tmp_path / "token").write_text("secret\n")
+        client.run("info", code=UNAUTHORISED)
+        client.run("info", code=UNAUTHORISED, RIPNERF_TOKEN="wrong")
+        client.run("info", RIPNERF_TOKEN="secret")
+        client.run("info", "--token-file", "token", RIPNERF_TOKEN="wrong")
+
+
+# ---- validate, import ----
+
+def test_validate_needs_no_daemon_and_reports(client, folder, daemon):
+    report = client.json("validate", folder)
+    contract.check("DatasetReport", report)
+    assert report["usable"] == {"train": 3, "val": 3, "test": 3} and report["errors"] == 0
+    assert "usable" in client.run("validate", folder).stdout
+    assert not daemon.requests
+
+
+def test_validate_names_file_and_field(client, folder):
+    (folder / "train" / "r_1.png").unlink()
+    report = client.json("validate", folder, code=INVALID)
+    contract.check("DatasetReport", report)
+    assert report["unusable"]["train"] == 1
+    assert any("r_1" in problem["where"] + problem["text"] for problem in report["problems"])
+    assert "r_1" in client.run("validate", folder, code=INVALID).stdout
+
+
+def test_validate_of_nothing(client, tmp_path):
+    assert client.json("validate", tmp_path, code=INVALID)["errors"] == 1
+    client.run("validate", tmp_path / "missing", code=INVALID)
+
+
+def test_import_sends_exactly_the_files_that_the_json_names(client, folder, daemon):
+    dataset = client.json("import", folder, "--name", "blank", "--max-size", 8, "--scales", 2,
+                          "--alpha", "straight", "--split", "every:8")
+    assert dataset["name"] == "blank"
+    sent = daemon.uploads["blank"]
+    splits = ("train", "val", "test")
+    assert set(sent) == {f"transforms_{split}.json" for split in splits} | {
+        f"{split}/r_{i}.png" for split in splits for i in range(3)}
+    for name, data in sent.items():
+        assert data == (folder / name).read_bytes()
+    options = next(iter(daemon.jobs.values())).record["options"]
+    assert options == {"max_size": 8, "scales": 2, "alpha": "straight", "split": "every:8"}
+
+
+def test_import_with_a_slash_and_long_names(client, tmp_path, daemon):
+    deep = tmp_path / "deep"
+    write_dataset(deep, views=1)
+    inner = "a" * 90 + "/" + "b" * 90
+    (deep / inner).mkdir(parents=True)
+    (deep / "train" / "r_0.png").rename(deep / inner / "r_0.png")
+    document = json.loads((deep / "transforms_train.json").read_text())
+    document["frames"][0]["file_path"] = inner + "/r_0"
+    (deep / "transforms_train.json").write_text(json.dumps(document))
+    client.run("import", f"{deep}/", "--name", "deep")
+    assert inner + "/r_0.png" in daemon.uploads["deep"]
+
+
+def test_import_refuses_a_dataset_with_errors_before_sending(client, folder, daemon):
+    (folder / "test" / "r_2.png").write_bytes(b"no picture")
+    result = client.run("import", folder, "--name", "blank", code=INVALID)
+    assert "r_2" in result.stdout and "nothing was sent" in result.stderr
+    assert not daemon.requests
+
+
+def test_import_under_a_taken_or_a_bad_name(client, folder, daemon):
+    daemon.add_dataset("blank")
+    assert "already" in client.run("import", folder, "--name", "blank", code=FAILED).stderr
+    result = client.run("import", folder, "--name", "a b/ü", code=INVALID)
+    assert "#/name" in result.stderr
+
+
+def test_import_whose_job_fails(client, folder):
+    result = client.run("import", folder, "--name", "fail", code=FAILED)
+    assert "the loss is not finite" in result.stderr
+
+
+# ---- lists, show, rm ----
+
+def test_lists_follow_every_page(client, daemon):
+    assert client.json("scenes") == {"items": [], "next_cursor": None}
+    dataset = daemon.add_dataset("one")
+    names = [f"scene-{i}" for i in range(5)]
+    for name in names:
+        daemon.add_scene(name, dataset)
+    for name in names:
+        client.run("eval", name)
+    for verb, schema, count in (("datasets", "DatasetList", 1), ("scenes", "SceneList", 5),
+                                ("jobs", "JobList", 5)):
+        listed = client.json(verb)
+        contract.check(schema, listed)
+        assert len(listed["items"]) == count
+        lines = client.run(verb).stdout.splitlines()
+        assert len(lines) == count + 1
+        assert all(item["id"] in line for item, line in zip(listed["items"], lines[1:]))
+
+
+def test_show_by_name_and_by_id(client, scene, daemon):
+    dataset = next(iter(daemon.datasets.values()))
+    for reference, record in ((scene["id"], scene), ("lego", scene), ("lego-400", dataset),
+                              (dataset["id"], dataset)):
+        assert client.json("show", reference) == record
+        assert record["name"] in client.run("show", reference).stdout
+    text = client.run("show", "lego").stdout
+    assert scene["parameters_sha256"] in text and "background" in text
+
+
+def test_show_job(client, scene):
+    job = client.json("train", "lego-400", "--name", "slow")["id"]
+    assert client.json("show", job)["state"] in ("queued", "running")
+    client.run("cancel", job)
+
+
+def test_what_is_not_there(client, daemon):
+    for verb in (["show", "nothing"], ["show", "sc_aaaaaaaaaaaa"], ["show", "job_aaaaaaaaaaaa"],
+                 ["rm", "nothing"], ["watch", "nothing"], ["cancel", "job_aaaaaaaaaaaa"],
+                 ["train", "nothing", "--name", "x"], ["eval", "nothing"],
+                 ["render", "nothing", "--view", "test:0", "-o", "a.png"],
+                 ["show", "../../etc"], ["show", "a b%"], ["show", "n" * 5000]):
+        assert "there is no" in client.run(*verb, code=NOT_FOUND).stderr
+
+
+def test_an_ambiguous_name(client, daemon):
+    dataset = daemon.add_dataset("twin")
+    scene = daemon.add_scene("twin", dataset)
+    result = client.run("show", "twin", code=USAGE)
+    assert "a scene and a dataset" in result.stderr
+    client.run("rm", "twin", code=USAGE)
+    assert client.json("show", scene["id"])["id"] == scene["id"]
+
+
+def test_rm(client, scene, daemon):
+    assert "uses the dataset" in client.run("rm", "lego-400", code=FAILED).stderr
+    client.run("rm", scene["id"])
+    client.run("rm", "lego-400")
+    assert not daemon.scenes and not daemon.datasets
+
+
+# ---- train and its job ----
+
+def submitted(daemon):
+    return next(json.loads(body) for command, path, _, body in daemon.requests
+                if (command, path) == ("POST", "/v1/jobs"))
+
+
+def test_train_sends_what_was_asked_for_and_nothing_else(client, daemon):
+    daemon.add_dataset("lego")
+    client.run("train", "lego", "--name", "plain")
+    assert submitted(daemon) == {"type": "train", "dataset": "lego", "scene": "plain"}
+    daemon.requests.clear()
+    client.run("train", "lego", "--name", "full", "--preset", "draft", "--train-split", "trainval",
+               "--planes", 10, "--footprint", "mip", "--max-time", "1.5m", "--max-steps", 1000,
+               "--until-psnr", 33.5, "--seed", 7, "--threads", 2, "--device", "cpu")
+    assert submitted(daemon)["options"] == {
+        "preset": "draft", "train_split": "trainval", "planes": 10, "footprint": "mip",
+        "max_time_s": 90, "max_steps": 1000, "until_psnr": 33.5, "seed": 7, "threads": 2,
+        "device": "cpu"}
+
+
+def test_train_wait_ends_with_one_object(client, daemon):
+    daemon.add_dataset("lego")
+    result = client.run("train", "lego", "--name", "a", "--wait", "--json")
+    end = json.loads(result.stdout.splitlines()[-1])
+    expected = contract.example("TrainResult")
+    job = next(iter(daemon.jobs.values())).record
+    assert end["job"] == job["id"] and end["scene"] == job["scene"]
+    assert end["scene_name"] == "a" and end["state"] == "succeeded"
+    for key in ("steps", "train_seconds", "samples", "psnr", "parameters_sha256"):
+        assert end[key] == expected[key]
+
+
+def test_train_wait_shows_progress_and_the_end(client, daemon):
+    daemon.add_dataset("lego")
+    result = client.run("train", "lego", "--name", "a", "--wait")
+    assert "PSNR" in result.stderr and "\033" not in result.stderr
+    assert result.stdout.startswith("scene a (sc_")
+
+
+def test_a_terminal_gets_one_line_that_is_rewritten(client, daemon):
+    daemon.add_dataset("lego")
+    ours, theirs = pty.openpty()
+    subprocess.run(client.command("train", "lego", "--name", "a", "--wait"), cwd=client.cwd,
+                   env=client.environment, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
+                   stderr=theirs, timeout=30, check=True)
+    os.close(theirs)
+    text = os.read(ours, 65536).decode()
+    os.close(ours)
+    assert "\r\033[K[" in text and "samples/s" in text and "ETA" in text
+    assert text.count("\n") == 1
+
+
+def test_a_failing_job(client, daemon):
+    daemon.add_dataset("lego")
+    result = client.run("train", "lego", "--name", "fail", "--wait", "--json", code=FAILED)
+    end = json.loads(result.stdout)
+    assert end["state"] == "failed" and end["steps"] == 300
+    assert end["problem"]["detail"] == "the loss is not finite"
+    assert "the loss is not finite" in result.stderr
+
+
+def test_a_lost_connection_is_taken_up_where_it_broke(client, daemon):
+    daemon.add_dataset("lego")
+    client.run("train", "lego", "--name", "drop", "--wait")
+    streams = [headers.get("Last-Event-ID") for _, path, headers, _ in daemon.requests
+               if path.endswith("/events")]
+    assert streams == [None, "4"]
+
+
+def test_conflict_and_bad_value(client, scene):
+    assert "already" in client.run("train", "lego-400", "--name", "lego", code=FAILED).stderr
+    result = client.run("train", "lego-400", "--name", "x", "--device", "gpu", code=INVALID)
+    assert "#/options/device" in result.stderr
+
+
+def wait_for(condition):
+    deadline = time.monotonic() + 20
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+
+
+def is_followed(daemon):
+    return any(path.endswith("/events") for _, path, _, _ in daemon.requests)
+
+
+def test_cancel_while_someone_waits(client, daemon):
+    daemon.add_dataset("lego")
+    waiting = client.start("train", "lego", "--name", "slow", "--wait", "--json")
+    wait_for(lambda: is_followed(daemon))
+    job = next(iter(daemon.jobs))
+    client.run("cancel", "slow")  # by the scene's name
+    out, err = waiting.communicate(timeout=20)
+    assert waiting.returncode == CANCELLED, err
+    assert json.loads(out)["state"] == "cancelled"
+    client.run("cancel", job)  # again: no error
+
+
+def test_ctrl_c_detaches_and_says_so(client, daemon):
+    daemon.add_dataset("lego")
+    waiting = client.start("train", "lego", "--name", "slow", "--wait")
+    wait_for(lambda: is_followed(daemon))
+    job = next(iter(daemon.jobs))
+    time.sleep(0.1)
+    waiting.send_signal(signal.SIGINT)
+    _, err = waiting.communicate(timeout=2)
+    assert "detached" in err and f"ripnerf watch {job}" in err
+    assert waiting.returncode == FAILED
+    assert daemon.jobs[job].record["state"] == "running"
+    watching = client.start("watch", job)
+    time.sleep(0.2)
+    watching.send_signal(signal.SIGINT)
+    watching.communicate(timeout=2)
+    assert watching.returncode == OK
+    client.run("finish", job)
+
+
+def test_pause_resume_finish(client, daemon):
+    daemon.add_dataset("lego")
+    job = client.json("train", "lego", "--name", "slow")["id"]
+    assert client.json("pause", "slow")["state"] == "paused"
+    assert client.json("resume", job)["state"] == "running"
+    client.run("finish", job)
+    assert "scene slow" in client.run("watch", job).stdout
+    assert "succeeded" in client.run("pause", job, code=FAILED).stderr
+
+
+def test_watch_json_is_a_line_an_event(client, daemon):
+    daemon.add_dataset("lego")
+    job = client.json("train", "lego", "--name", "a")["id"]
+    events = [json.loads(line) for line in client.run("watch", job, "--json").stdout.splitlines()]
+    assert [event["event"] for event in events] == [
+        "state", "state", "progress", "metric", "progress", "progress", "state"]
+    assert events[-1]["data"]["state"] == "succeeded"
+
+
+# ---- render, path, eval ----
+
+def test_render_writes_the_picture(client, scene, tmp_path, daemon):
+    result = client.json("render", "lego", "--view", "test:12", "--size", "80x60", "--output",
+                         "depth", "-o", "a.png")
+    assert (tmp_path / "a.png").read_bytes() == PNG
+    assert result == {"file": "a.png", "step": 2016, "render_ms": 12.5}
+    assert json.loads(daemon.requests[-1][3]) == {
+        "view": "test:12", "size": {"width": 80, "height": 60}, "output": "depth",
+        "format": "png"}
+    client.run("render", "lego", "--view", "test:r_12", "-o", "a.JPG")
+    assert json.loads(daemon.requests[-1][3])["format"] == "jpeg"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.JPG", "a.png"]
+
+
+def test_render_with_a_camera_file(client, scene, tmp_path, daemon):
+    (tmp_path / "camera.json").write_text(json.dumps(contract.example("CameraFile")))
+    client.run("render", "lego", "--camera", "camera.json", "-o", "a.png")
+    assert json.loads(daemon.requests[-1][3])["camera"] == contract.example("CameraFile")["camera"]
+    (tmp_path / "camera.json").write_text('{"camera": {"width": 5}}')
+    client.run("render", "lego", "--camera", "camera.json", "-o", "b.png", code=INVALID)
+    client.run("render", "lego", "--camera", "missing.json", "-o", "b.png", code=NOT_FOUND)
+    assert not (tmp_path / "b.png").exists()
+
+
+def test_render_that_fails_leaves_no_file(client, scene, tmp_path):
+    client.run("render", "lego", "--view", "test:999", "-o", "a.png", code=NOT_FOUND)
+    assert not list(tmp_path.iterdir())
+    client.run("render", "lego", "--view", "test:0", "-o", "missing/a.png", code=FAILED)
+
+
+@pytest.mark.parametrize("frames, expected", [([], range(6)), (["--frames", "2-4"], range(2, 5))])
+def test_path_brings_the_frames_as_they_come(client, scene, tmp_path, daemon, frames, expected):
+    (tmp_path / "path.json").write_text(json.dumps(contract.example("PathFile")))
+    result = client.json("path", "lego", "path.json", "--size", "32x24", *frames, "-o", "out/run")
+    files = sorted((tmp_path / "out" / "run").iterdir())
+    assert [file.name for file in files] == [f"{i:05d}.png" for i in expected]
+    assert [file.read_bytes() for file in files] == [PNG + bytes([i]) for i in expected]
+    assert result["frames"] == len(files) and result["folder"] == "out/run"
+    assert submitted(daemon)["camera_path"] == contract.example("PathFile")["path"]
+    assert submitted(daemon)["options"]["width"] == 32
+
+
+def test_path_over_a_lost_connection(client, daemon, tmp_path):
+    daemon.add_scene("drop", daemon.add_dataset("lego"))
+    (tmp_path / "path.json").write_text(json.dumps(contract.example("PathFile")))
+    client.run("path", "drop", "path.json", "-o", "out")
+    assert len(list((tmp_path / "out").iterdir())) == 6
+    fetched = [path for _, path, _, _ in daemon.requests if "/frames/" in path]
+    assert len(fetched) == len(set(fetched)) == 6
+
+
+def test_path_file_that_is_wrong(client, scene, tmp_path):
+    (tmp_path / "path.json").write_text('{"path": {"axes": "opencv"}}')
+    assert "path.json" in client.run("path", "lego", "path.json", "-o", "out", code=INVALID).stderr
+
+
+def test_eval(client, scene, daemon):
+    result = client.json("eval", "lego", "--split", "val", "--views", 4, "--scale", 1)
+    assert result == contract.example("EvalResult")
+    assert submitted(daemon)["options"] == {"split": "val", "views": 4, "scale": 1}
+    assert "mean" in client.run("eval", "lego").stdout
