@@ -18,7 +18,7 @@ RN_HD int rn_rip_size(int base, int level) {
 }
 
 // The taps of pooled texel i of a line of `size` texels: *ret_first and up to three weights that
-// sum to 1; returns their count.
+// sum to 1 (weights and sum within 1 ULP of 1); returns their count.
 RN_HD int rn_rip_taps(int size, int i, int *ret_first, rn_real weight[3]) {
     if (size == 1) {
         *ret_first = 0;
@@ -44,7 +44,7 @@ struct rn_lerp {
 };
 
 // Coordinate p in [-1, 1] on a line of `size` texels with centres at (i + 1/2) / size; clamped to
-// the edge texels outside; NaN goes to the low edge.
+// the edge texels outside; NaN goes to the low edge. low + fraction: error at most 2 ULP of `size`.
 RN_HD struct rn_lerp rn_rip_lerp(rn_real p, int size) {
     struct rn_lerp out;
     rn_real x =

@@ -1,0 +1,47 @@
+"""Holds every compile command of a build to the stated floating point: flags.py BUILD.
+
+No flag may change values, and each command states -ffp-contract: `off`, or `fast` for the kernel
+sets, whose bounds are proved with contraction.
+"""
+
+import json
+import shlex
+import sys
+from pathlib import Path
+
+FORBIDDEN = {
+    "-ffast-math", "-Ofast", "-funsafe-math-optimizations", "-fassociative-math",
+    "-freciprocal-math", "-ffinite-math-only", "-fno-signed-zeros",
+    "-fsingle-precision-constant", "-mfpmath=387", "-mrecip", "-mdaz-ftz", "-fcx-limited-range",
+}
+KERNELS = "server/engine/cpu/"
+PROVED_WITH = ("tests/numerics/",)  # the cases' own instances of the kernel sets
+
+
+def last(flags, prefix):
+    values = [flag[len(prefix):] for flag in flags if flag.startswith(prefix)]
+    return values[-1] if values else None
+
+
+def complaints(command):
+    flags = shlex.split(command["command"])
+    file = command["file"]
+    for flag in flags:
+        if flag in FORBIDDEN or flag.startswith("-mrecip="):
+            yield f"{file}: {flag}"
+    contract = last(flags, "-ffp-contract=")
+    free = KERNELS in file or any(folder in file for folder in PROVED_WITH)
+    if contract not in (("off", "fast") if free else ("off",)):
+        yield f"{file}: -ffp-contract={contract}"
+
+
+def main(build):
+    commands = json.loads((Path(build) / "compile_commands.json").read_text(encoding="utf-8"))
+    commands = [command for command in commands if command["file"].endswith(".c")]
+    findings = [line for command in commands for line in complaints(command)]
+    print("\n".join(findings) or f"{len(commands)} compile commands: no flag changes values")
+    return 1 if findings or not commands else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(*sys.argv[1:]))
