@@ -10,7 +10,8 @@ RN_INLINE void axpy(size_t n, float weight, const float *in, float *out, bool fi
     size_t i = 0;
     for (; i + 4 <= n; i += 4) {
         v4 value = *(const v4 *)(in + i) * weight;
-        *(v4 *)(out + i) = first ? value : *(const v4 *)(out + i) + value;
+        if (!first) value += *(const v4 *)(out + i);
+        *(v4 *)(out + i) = value;
     }
 }
 
