@@ -328,6 +328,7 @@ void rn_field_refresh_occupancy(struct rn_field *field) {
 
 enum rn_status rn_engine_prepare(struct rn_engine *engine, const struct rn_field *field,
                                  struct rn_error *err) {
+    if (engine->prepared == field) return RN_OK;
     double step = field->config.step;
     size_t bytes = (rn_workspace_size(&field->cpu, step) + 4095) / 4096 * 4096;
     if (bytes > engine->workspace_bytes) {

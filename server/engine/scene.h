@@ -11,9 +11,10 @@ struct rn_engine {
     struct rn_pool *pool;
     const struct rn_kernels *kernels;
     struct rn_device_info info;
-    void *workspaces;          // one a thread, for the field they were last laid out for
-    size_t workspace_bytes;    // of one
-    struct rn_march_ray *rays; // scratch of the renderer, RN_RENDER_BLOCK
+    void *workspaces;                // one a thread, for the field they were last laid out for
+    size_t workspace_bytes;          // of one
+    const struct rn_field *prepared; // the field they are laid out for
+    struct rn_march_ray *rays;       // scratch of the renderer, RN_RENDER_BLOCK
     struct rn_pixel *pixels;
 };
 

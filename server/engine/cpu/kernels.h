@@ -75,6 +75,7 @@ struct rn_march_options {
     float background[3];
     float roulette;         // weight below which a sample's backward is a lottery; 0 = off
     uint64_t seed, counter; // of the roulette
+    const float *look;      // NULL, or a direction for the colour network instead of the ray's
 };
 
 // What one group of rays leaves for the scatter: samples with gradients, in order.

@@ -231,7 +231,7 @@ static int shade_rays(const struct rn_cpu_field *field, const struct rn_march_op
         hit[hits] = (int16_t)r;
         float *in = w->head_in + (size_t)hits++ * RN_HEAD_INPUTS;
         if (!field->config.view_dependence) continue;
-        directions(field, rays[r].direction, in);
+        directions(field, options->look ? options->look : rays[r].direction, in);
         for (int i = 0; i < 12; i++)
             in[16 + i] = sums[r].sum[4 + i];
         for (int c = 0; c < 3; c++)
@@ -254,14 +254,15 @@ static int shade_rays(const struct rn_cpu_field *field, const struct rn_march_op
 }
 
 // Sample shading: colours of the samples listed in `kept`, head row j = kept[j], sigmoid in place.
-static void shade_samples(const struct rn_cpu_field *field, const struct rn_march_ray *rays,
-                          int kept, struct rn_workspace *w) {
+static void shade_samples(const struct rn_cpu_field *field, const struct rn_march_options *options,
+                          const struct rn_march_ray *rays, int kept, struct rn_workspace *w) {
     float sh[RN_SH_COUNT];
     int last = -1;
     for (int j = 0; j < kept; j++) {
         int i = w->kept[j];
         float *in = w->head_in + (size_t)j * RN_HEAD_INPUTS;
-        if (w->ray[i] != last) directions(field, rays[w->ray[i]].direction, sh);
+        if (w->ray[i] != last)
+            directions(field, options->look ? options->look : rays[w->ray[i]].direction, sh);
         last = w->ray[i];
         memcpy(in, sh, sizeof sh);
         memcpy(in + RN_SH_COUNT, w->geometry + (size_t)i * RN_GEOMETRY + 1, 15 * sizeof(float));
@@ -288,7 +289,7 @@ static void shade_packet_by_samples(const struct rn_cpu_field *field,
                                     const struct rn_march_ray *rays, int ray_count, int kept,
                                     struct rn_workspace *w, struct ray_sums *sums,
                                     float (*rgb)[3]) {
-    shade_samples(field, rays, kept, w);
+    shade_samples(field, options, rays, kept, w);
     for (int r = 0; r < ray_count; r++) {
         if (w->ray_first[r] < 0) continue;
         sums[r] = sum_ray(&rays[r], r, false, w);
