@@ -58,7 +58,7 @@ RN_INLINE float sum16(row16 x) {
 // Ray shading: dL/d(sums) per ray through the head, then per sample dL/dw and dL/d(geometry).
 static void backward_rays(const struct rn_cpu_field *field, const struct rn_march_options *options,
                           int hits, const int16_t *hit, const struct ray_sums *sums,
-                          const float (*rgb_grad)[3], struct rn_workspace *w,
+                          float (*rgb_grad)[3], struct rn_workspace *w,
                           struct rn_group *group) {
     row16 ray_grad[RN_PACKET_RAYS];
     for (int j = 0; j < hits; j++) {
@@ -117,7 +117,7 @@ static void backward_rays(const struct rn_cpu_field *field, const struct rn_marc
 // Sample shading: the same, through a head per sample; `kept` rows of the head.
 static void backward_samples(const struct rn_cpu_field *field,
                              const struct rn_march_options *options, int kept,
-                             const float (*rgb_grad)[3], struct rn_workspace *w,
+                             float (*rgb_grad)[3], struct rn_workspace *w,
                              struct rn_group *group) {
     memset(w->geometry_grad, 0, (size_t)w->count * RN_GEOMETRY * sizeof(float));
     for (int i = 0; i < w->count; i++) {

@@ -35,7 +35,7 @@ static uint64_t render(const struct rn_cpu_field *field, const struct rn_march_o
     return samples;
 }
 
-static void density(const struct rn_cpu_field *field, const float (*points)[3], int count,
+static void density(const struct rn_cpu_field *field, float (*points)[3], int count,
                     float level, struct rn_workspace *w, float *ret_density) {
     int levels =
         field->built_levels < field->config.levels ? field->built_levels : field->config.levels;

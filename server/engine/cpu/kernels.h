@@ -151,7 +151,7 @@ struct rn_kernels {
                        const struct rn_march_ray *rays, int count, struct rn_workspace *workspace,
                        struct rn_pixel *ret_pixels);
     // Densities at `count` points [x, y, z], all at one level of every plane.
-    void (*density)(const struct rn_cpu_field *field, const float (*points)[3], int count,
+    void (*density)(const struct rn_cpu_field *field, float (*points)[3], int count,
                     float level, struct rn_workspace *workspace, float *ret_density);
     // Adds a slab's gradients of one plane to `grad_maps` (indexed as field->maps), rows of level
     // 0 in [row_begin, row_end) and the rows of coarser maps they pool into; marks touched

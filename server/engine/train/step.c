@@ -101,6 +101,11 @@ static const struct rn_pixel_frame *frame_of(const struct rn_pixels *p, int scal
     return &p->frames[low];
 }
 
+// Uniform in [0, n) from 64 random bits, n < 2^53.
+static size_t below(uint64_t wide, size_t n) {
+    return (size_t)((double)(wide >> 11) * 0x1p-53 * (double)n);
+}
+
 // Ray r of this step: a pixel drawn uniformly, or evenly over scales.
 static struct rn_march_ray draw_ray(const struct rn_trainer *t, int r) {
     const struct rn_train_config *config = &t->field->config;
@@ -111,9 +116,9 @@ static struct rn_march_ray draw_ray(const struct rn_trainer *t, int r) {
     size_t pixel;
     if (config->equal_scales) {
         scale = r % t->train.scale_count;
-        pixel = (size_t)((unsigned __int128)wide * t->train.scale_pixels[scale] >> 64);
+        pixel = below(wide, t->train.scale_pixels[scale]);
     } else {
-        pixel = (size_t)((unsigned __int128)wide * t->train.pixel_count >> 64);
+        pixel = below(wide, t->train.pixel_count);
         while (pixel >= t->train.scale_pixels[scale])
             pixel -= t->train.scale_pixels[scale++];
     }
