@@ -32,34 +32,57 @@ static bool set_option(struct run *run, const char *name, const char *value) {
         int *i;
         double *d;
     } table[] = {
-        {"planes", &f->planes, NULL}, {"base", &f->base, NULL}, {"channels", &f->channels, NULL},
-        {"levels", &f->levels, NULL}, {"width", &f->width, NULL},
-        {"base_layers", &f->base_layers, NULL}, {"head_layers", &f->head_layers, NULL},
-        {"samples", &c->target_samples, NULL}, {"rays", &c->initial_rays, NULL},
-        {"threads", &run->threads, NULL}, {"test", &run->test, NULL},
-        {"every", NULL, &run->every}, {"time", NULL, &c->max_seconds}, {"step", NULL, &c->step},
-        {"rate", NULL, &c->learning_rate}, {"plane_rate", NULL, &c->plane_rate},
-        {"decay", NULL, &c->weight_decay}, {"roulette", NULL, &c->roulette},
-        {"stop", NULL, &c->stop}, {"until", NULL, &c->until_psnr},
+        {"planes", &f->planes, NULL},
+        {"base", &f->base, NULL},
+        {"channels", &f->channels, NULL},
+        {"levels", &f->levels, NULL},
+        {"width", &f->width, NULL},
+        {"base_layers", &f->base_layers, NULL},
+        {"head_layers", &f->head_layers, NULL},
+        {"samples", &c->target_samples, NULL},
+        {"rays", &c->initial_rays, NULL},
+        {"threads", &run->threads, NULL},
+        {"test", &run->test, NULL},
+        {"every", NULL, &run->every},
+        {"time", NULL, &c->max_seconds},
+        {"step", NULL, &c->step},
+        {"rate", NULL, &c->learning_rate},
+        {"plane_rate", NULL, &c->plane_rate},
+        {"decay", NULL, &c->weight_decay},
+        {"roulette", NULL, &c->roulette},
+        {"stop", NULL, &c->stop},
+        {"until", NULL, &c->until_psnr},
     };
     for (size_t i = 0; i < sizeof table / sizeof *table; i++) {
         if (strcmp(name, table[i].name) != 0) continue;
-        if (table[i].i) *table[i].i = (int)v;
-        else *table[i].d = v;
+        if (table[i].i)
+            *table[i].i = (int)v;
+        else
+            *table[i].d = v;
         return true;
     }
-    if (strcmp(name, "steps") == 0) c->max_steps = (int64_t)v, c->max_seconds = 0;
-    else if (strcmp(name, "seed") == 0) c->seed = (uint64_t)v;
-    else if (strcmp(name, "carve") == 0) c->carve = v != 0;
-    else if (strcmp(name, "sparse") == 0) c->sparse = v != 0;
-    else if (strcmp(name, "auto") == 0) c->auto_effects = v != 0;
-    else if (strcmp(name, "equal") == 0) c->equal_scales = v != 0;
+    if (strcmp(name, "steps") == 0)
+        c->max_steps = (int64_t)v, c->max_seconds = 0;
+    else if (strcmp(name, "seed") == 0)
+        c->seed = (uint64_t)v;
+    else if (strcmp(name, "carve") == 0)
+        c->carve = v != 0;
+    else if (strcmp(name, "sparse") == 0)
+        c->sparse = v != 0;
+    else if (strcmp(name, "auto") == 0)
+        c->auto_effects = v != 0;
+    else if (strcmp(name, "equal") == 0)
+        c->equal_scales = v != 0;
     else if (strcmp(name, "shading") == 0)
         f->shading = strcmp(value, "ray") == 0 ? RN_SHADING_RAY : RN_SHADING_SAMPLE;
-    else if (strcmp(name, "footprint") == 0) return rn_footprint_parse(value, &f->footprint) == RN_OK;
-    else if (strcmp(name, "kernels") == 0) run->kernels = value;
-    else if (strcmp(name, "out") == 0) run->out = value;
-    else return strcmp(name, "preset") == 0;
+    else if (strcmp(name, "footprint") == 0)
+        return rn_footprint_parse(value, &f->footprint) == RN_OK;
+    else if (strcmp(name, "kernels") == 0)
+        run->kernels = value;
+    else if (strcmp(name, "out") == 0)
+        run->out = value;
+    else
+        return strcmp(name, "preset") == 0;
     return true;
 }
 
@@ -97,7 +120,8 @@ static void test(struct run *run, struct rn_engine *engine, struct rn_field *fie
             const struct rn_frame *f = &dataset->frames[i];
             if (f->split != RN_SPLIT_TEST || f->scale != scale || seen++ % stride) continue;
             struct rn_view_score s;
-            if (rn_evaluate_view(engine, field, f, run->config.background, NULL, NULL, &s, &err) != RN_OK)
+            if (rn_evaluate_view(engine, field, f, run->config.background, NULL, NULL, &s, &err) !=
+                RN_OK)
                 die(&err);
             if (run->out && n < 4) write_view(run, engine, field, f);
             psnr += s.psnr;
@@ -115,11 +139,12 @@ static void test(struct run *run, struct rn_engine *engine, struct rn_field *fie
 static void report(struct rn_trainer *trainer) {
     struct rn_progress p;
     rn_trainer_progress(trainer, &p);
-    printf("step %6lld  %6.2f s  psnr %.2f  loss %.6f  %.2f Msamples/s  %.0f krays/s  rays/step %.0f  "
-           "levels %.2f\n",
-           (long long)p.step, p.train_seconds, p.psnr, p.loss, p.samples_per_second * 1e-6,
-           p.rays_per_second * 1e-3, (double)p.rays / (double)(p.step ? p.step : 1),
-           p.samples ? 1 - (double)p.level_samples[0] / (double)p.samples : 0);
+    printf(
+        "step %6lld  %6.2f s  psnr %.2f  loss %.6f  %.2f Msamples/s  %.0f krays/s  rays/step %.0f  "
+        "levels %.2f\n",
+        (long long)p.step, p.train_seconds, p.psnr, p.loss, p.samples_per_second * 1e-6,
+        p.rays_per_second * 1e-3, (double)p.rays / (double)(p.step ? p.step : 1),
+        p.samples ? 1 - (double)p.level_samples[0] / (double)p.samples : 0);
     fflush(stdout);
 }
 
