@@ -2,6 +2,8 @@
 #ifndef RN_ENGINE_CPU_GEMM_H
 #define RN_ENGINE_CPU_GEMM_H
 
+#include <stdbool.h>
+
 #include "server/engine/cpu/simd.h"
 
 // c[i][:] (+)= sum over k of a[i * a_row + k * a_k] * b[k][:]. With a_row = stride, a_k = 1 that is
