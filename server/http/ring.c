@@ -11,7 +11,7 @@
 struct event {
     uint64_t id;
     const char *name;
-    bool latest;
+    char key[RN_RING_KEY]; // empty: replaces none
     char *data;
     size_t size;
 };
@@ -75,16 +75,17 @@ static void drop(struct rn_ring *ring, size_t i) {
     memmove(&ring->events[i], &ring->events[i + 1], (ring->count - i) * sizeof ring->events[0]);
 }
 
-static void drop_superseded(struct rn_ring *ring, const char *name) {
+static void drop_superseded(struct rn_ring *ring, const char *name, const char *key) {
     for (size_t i = ring->count; i-- > 0;) {
-        if (!ring->events[i].latest || strcmp(ring->events[i].name, name) != 0) continue;
+        const struct event *event = &ring->events[i];
+        if (strcmp(event->key, key) != 0 || strcmp(event->name, name) != 0) continue;
         drop(ring, i);
         return;
     }
 }
 
 void rn_ring_publish(struct rn_ring *ring, uint64_t id, const char *name, const char *data,
-                     bool latest) {
+                     const char *key) {
     size_t size = strlen(data);
     char *copy = size <= ring->max_bytes ? strdup(data) : NULL;
     pthread_mutex_lock(&ring->lock);
@@ -92,10 +93,12 @@ void rn_ring_publish(struct rn_ring *ring, uint64_t id, const char *name, const 
         ring->lost++;
         free(copy);
     } else {
-        if (latest) drop_superseded(ring, name);
+        if (key != NULL) drop_superseded(ring, name, key);
         while (ring->count == ring->max_events || ring->bytes + size > ring->max_bytes)
             drop(ring, 0);
-        ring->events[ring->count++] = (struct event){id, name, latest, copy, size};
+        struct event *event = &ring->events[ring->count++];
+        *event = (struct event){.id = id, .name = name, .data = copy, .size = size};
+        if (key != NULL) snprintf(event->key, sizeof event->key, "%s", key);
         ring->bytes += size;
     }
     for (struct rn_ring_reader *reader = ring->readers; reader != NULL; reader = reader->next)

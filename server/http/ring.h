@@ -1,8 +1,8 @@
 // A bounded list of events with a replayable past: what server-sent events are read from.
 //
 // Every event has an id that grows over all rings and restarts of the daemon. A full ring forgets
-// its oldest events. An event published as `latest` replaces the one of the same name before it:
-// a reader that was away gets the newest progress, not all of it.
+// its oldest events. An event published with a key replaces the one of the same name and key
+// before it: a reader that was away gets the newest progress, not all of it.
 #ifndef RN_SERVER_HTTP_RING_H
 #define RN_SERVER_HTTP_RING_H
 
@@ -32,10 +32,12 @@ void rn_ring_unref(struct rn_ring **ring);
 // The next event id; starts from the wall clock, so that ids of an earlier run are smaller.
 uint64_t rn_ring_next_id(void);
 
-// Publishes an event. `name` is static text, `data` one line (JSON), copied. An event that does
-// not fit (allocation, max_bytes) is lost and counted.
+// Publishes an event. `name` is static text, `data` one line (JSON), copied; `key` (fewer than
+// RN_RING_KEY bytes) may be NULL: the event replaces none. An event that does not fit
+// (allocation, max_bytes) is lost and counted.
+#define RN_RING_KEY 24
 void rn_ring_publish(struct rn_ring *ring, uint64_t id, const char *name, const char *data,
-                     bool latest);
+                     const char *key);
 // No further events: readers end when they have read what is left.
 void rn_ring_close(struct rn_ring *ring);
 uint64_t rn_ring_lost(struct rn_ring *ring);

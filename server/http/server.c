@@ -81,15 +81,23 @@ static enum MHD_Result go_on(struct rn_request *request) {
     return answered ? rn_respond(request, &reply) : MHD_YES;
 }
 
+static void count_upload(struct rn_http *http) {
+    pthread_mutex_lock(&http->lock);
+    http->stats.uploads++;
+    pthread_mutex_unlock(&http->lock);
+}
+
 static enum MHD_Result handle(struct rn_request *request) {
     struct rn_http *http = request->http;
     struct rn_reply reply = {0};
     struct rn_error err = {0};
     request->handled = true;
+    bool spooled = request->sink.path != NULL;
     if (rn_sink_close(&request->sink, &err) != RN_OK)
         rn_reply_error(&reply, &err);
     else
         request->match.route->handle(http->options.context, request, &reply);
+    if (spooled && reply.status == 202) count_upload(http);
     if (reply.status == 0 && request->is_parked) return go_on(request);
     if (reply.status == 0) rn_reply_problem(&reply, RN_PROBLEM_INTERNAL, "no answer was made");
     return rn_respond(request, &reply);
@@ -209,6 +217,7 @@ enum rn_status rn_http_start(const struct rn_http_options *options, struct rn_ht
     if (http->options.idle_timeout_s == 0) http->options.idle_timeout_s = 30;
     enum rn_status status = RN_ERROR_NO_MEMORY;
     if (http->address == NULL || (options->token != NULL && http->token == NULL)) goto fail;
+    *ret_http = http; // handlers may look at it from the first request on
     status = start_daemon(http, err);
     if (status != RN_OK) goto fail;
     http->keeper_runs = true;
@@ -217,9 +226,9 @@ enum rn_status rn_http_start(const struct rn_http_options *options, struct rn_ht
         status = rn_error_set(err, RN_ERROR_IO, "http", "a thread cannot be started");
         goto fail;
     }
-    *ret_http = http;
     return RN_OK;
 fail:
+    *ret_http = NULL;
     rn_http_destroy(&http);
     return status;
 }

@@ -24,6 +24,7 @@ struct rn_http_stats {
     uint64_t refused;     // over the admission limit
     uint64_t gone;        // clients that left before their answer
     uint64_t body_bytes;  // received
+    uint64_t uploads;     // bodies that were spooled whole
     unsigned connections; // open now
     unsigned streams;     // event streams open now
 };

@@ -21,8 +21,8 @@
     { #field, RN_COLUMN_REAL, offsetof(struct row, field), 0, NULL }
 #define NAME(row, field, names)                                                                    \
     { #field, RN_COLUMN_NAME, offsetof(struct row, field), 0, names }
-#define TABLE(sql_name, row, columns)                                                              \
-    { sql_name, sizeof(struct row), columns, COUNT(columns) }
+#define TABLE(sql_name, title, row, columns)                                                       \
+    { sql_name, title, sizeof(struct row), columns, COUNT(columns) }
 
 static const struct rn_column dataset_columns[] = {
     SEQ(rn_dataset_row),
@@ -31,7 +31,8 @@ static const struct rn_column dataset_columns[] = {
     INT64(rn_dataset_row, created_ms),
     DOCUMENT(rn_dataset_row, record),
 };
-const struct rn_store_table rn_datasets = TABLE("datasets", rn_dataset_row, dataset_columns);
+const struct rn_store_table rn_datasets =
+    TABLE("datasets", "dataset", rn_dataset_row, dataset_columns);
 
 static const struct rn_column scene_columns[] = {
     SEQ(rn_scene_row),
@@ -48,7 +49,7 @@ static const struct rn_column scene_columns[] = {
     INT64(rn_scene_row, memory_bytes),
     DOCUMENT(rn_scene_row, record),
 };
-const struct rn_store_table rn_scenes = TABLE("scenes", rn_scene_row, scene_columns);
+const struct rn_store_table rn_scenes = TABLE("scenes", "scene", rn_scene_row, scene_columns);
 
 static const struct rn_column job_columns[] = {
     SEQ(rn_job_row),
@@ -70,7 +71,7 @@ static const struct rn_column job_columns[] = {
     DOCUMENT(rn_job_row, result),
     DOCUMENT(rn_job_row, problem),
 };
-const struct rn_store_table rn_jobs_table = TABLE("jobs", rn_job_row, job_columns);
+const struct rn_store_table rn_jobs_table = TABLE("jobs", "job", rn_job_row, job_columns);
 
 static const struct rn_column checkpoint_columns[] = {
     SEQ(rn_checkpoint_row),
@@ -83,7 +84,7 @@ static const struct rn_column checkpoint_columns[] = {
     DOCUMENT(rn_checkpoint_row, path),
 };
 const struct rn_store_table rn_checkpoints =
-    TABLE("checkpoints", rn_checkpoint_row, checkpoint_columns);
+    TABLE("checkpoints", "checkpoint", rn_checkpoint_row, checkpoint_columns);
 
 static const struct rn_column camera_path_columns[] = {
     SEQ(rn_camera_path_row),
@@ -93,13 +94,13 @@ static const struct rn_column camera_path_columns[] = {
     DOCUMENT(rn_camera_path_row, document),
 };
 const struct rn_store_table rn_camera_paths =
-    TABLE("camera_paths", rn_camera_path_row, camera_path_columns);
+    TABLE("camera_paths", "camera path", rn_camera_path_row, camera_path_columns);
 
 static const struct rn_column key_columns[] = {
     SEQ(rn_key_row),       TEXT(rn_key_row, id),          TEXT(rn_key_row, digest),
     TEXT(rn_key_row, job), INT64(rn_key_row, created_ms),
 };
-const struct rn_store_table rn_keys = TABLE("keys", rn_key_row, key_columns);
+const struct rn_store_table rn_keys = TABLE("keys", "key", rn_key_row, key_columns);
 
 static int bind(sqlite3_stmt *statement, int place, const struct rn_column *column,
                 const void *row) {
@@ -350,4 +351,24 @@ enum rn_status rn_store_find(struct rn_store *store, const struct rn_store_table
     memcpy(row, rows, table->row_size);
     free(rows);
     return RN_OK;
+}
+
+static bool has_names(const struct rn_store_table *table) {
+    for (int i = 0; i < table->column_count; i++)
+        if (strcmp(table->columns[i].name, "name") == 0) return true;
+    return false;
+}
+
+enum rn_status rn_store_resolve(struct rn_store *store, const struct rn_store_table *table,
+                                const char *prefix, const char *reference, void *row,
+                                struct rn_error *err) {
+    bool is_id = strncmp(reference, prefix, strlen(prefix)) == 0 || !has_names(table);
+    enum rn_status status = rn_store_find(store, table, is_id ? "id" : "name", reference, row, err);
+    if (status == RN_ERROR_NOT_FOUND)
+        return rn_error_set(err, status, "", "there is no %s '%.64s'", table->title, reference);
+    return status;
+}
+
+size_t rn_store_row_size(const struct rn_store_table *table) {
+    return table->row_size;
 }

@@ -129,6 +129,13 @@ enum rn_status rn_store_find(struct rn_store *store, const struct rn_store_table
                              const char *column, const char *text, void *row,
                              struct rn_error *err) RN_MUST_CHECK;
 
+// The row with this id, or with this name when `reference` does not begin with `prefix` (jobs have
+// no names).
+// RN_ERROR_NOT_FOUND names it: "there is no scene 'x'".
+enum rn_status rn_store_resolve(struct rn_store *store, const struct rn_store_table *table,
+                                const char *prefix, const char *reference, void *row,
+                                struct rn_error *err) RN_MUST_CHECK;
+
 struct rn_query {
     struct {
         const char *column; // NULL: no such condition
@@ -141,6 +148,7 @@ struct rn_query {
 enum rn_status rn_store_list(struct rn_store *store, const struct rn_store_table *table,
                              const struct rn_query *query, void **ret_rows, size_t *ret_count,
                              struct rn_error *err) RN_MUST_CHECK;
+size_t rn_store_row_size(const struct rn_store_table *table);
 void rn_row_finish(const struct rn_store_table *table, void *row);
 void rn_rows_finish(const struct rn_store_table *table, void *rows, size_t count);
 

@@ -26,6 +26,7 @@ struct rn_column {
 // The first column is always `seq`.
 struct rn_store_table {
     const char *name;
+    const char *title; // for errors
     size_t row_size;
     const struct rn_column *columns;
     int column_count;

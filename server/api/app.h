@@ -1,0 +1,94 @@
+// What the handlers share, and the helpers that keep them short: parse, call, encode.
+#ifndef RN_SERVER_API_APP_H
+#define RN_SERVER_API_APP_H
+
+#include "common/dataset/dataset.h"
+#include "server/http/router.h"
+#include "server/http/server.h"
+#include "server/jobs/control.h"
+
+#define RN_MAX_BODY (9u << 20) // a camera path has at most 8 MiB
+
+// Everything here is used on the HTTP thread alone and outlives the server.
+struct rn_app {
+    struct rn_store *store;
+    struct rn_control *control;
+    struct rn_http *http; // for its statistics
+    const char *web;      // folder of the page
+    const char *const *roots;
+    size_t root_count;
+    int64_t memory_limit_bytes, max_upload_bytes, max_upload_entries;
+    int64_t training_slots, max_queued, max_loaded;
+    int64_t start_ns;
+    // The dataset whose cameras or images were asked for last.
+    char dataset_id[RN_ID_MAX];
+    struct rn_dataset *dataset;
+};
+
+extern const struct rn_route rn_api_routes[];
+void rn_app_finish(struct rn_app *app);
+
+// Replies with JSON text, taken.
+void rn_api_json(struct rn_reply *reply, int status, char *json);
+// Replies with a problem when `status` is an error; true when it was.
+bool rn_api_failed(enum rn_status status, const struct rn_error *err, struct rn_reply *reply);
+
+// One page of a table's rows, newest first: the query's limit and cursor, `query` with its
+// conditions set. `encode` makes an item's JSON of a row.
+void rn_api_list(struct rn_app *app, struct rn_request *request, const struct rn_store_table *table,
+                 struct rn_query *query,
+                 enum rn_status (*encode)(struct rn_app *app, void *row, char **ret_json,
+                                          struct rn_error *err),
+                 struct rn_reply *reply);
+// The query's limit (1..200, default 50) and cursor (0 without one).
+enum rn_status rn_api_page(const struct rn_request *request, int *ret_limit, int64_t *ret_cursor,
+                           struct rn_error *err) RN_MUST_CHECK;
+// A whole decimal number in [min, max]; `where` names it in the error.
+enum rn_status rn_api_number(const char *text, int64_t min, int64_t max, const char *where,
+                             int64_t *ret_value, struct rn_error *err) RN_MUST_CHECK;
+
+// Checks a camera path's JSON (the value of "path" in a path file). camera_paths.c
+enum rn_status rn_api_check_path(const char *json, const char *where,
+                                 struct rn_error *err) RN_MUST_CHECK;
+
+// Handlers, by file.
+#define RN_HANDLER(name)                                                                           \
+    void name(void *context, struct rn_request *request, struct rn_reply *reply)
+RN_HANDLER(rn_get_health); // service.c
+RN_HANDLER(rn_get_ready);
+RN_HANDLER(rn_get_info);
+RN_HANDLER(rn_get_openapi);
+RN_HANDLER(rn_get_metrics); // metrics.c
+RN_HANDLER(rn_get_page);    // page.c
+RN_HANDLER(rn_get_page_file);
+RN_HANDLER(rn_list_datasets); // datasets.c
+RN_HANDLER(rn_get_dataset);
+RN_HANDLER(rn_delete_dataset);
+RN_HANDLER(rn_create_dataset); // imports.c
+RN_HANDLER(rn_begin_dataset);
+RN_HANDLER(rn_list_cameras); // views.c
+RN_HANDLER(rn_get_image);
+RN_HANDLER(rn_list_scenes); // scenes.c
+RN_HANDLER(rn_get_scene);
+RN_HANDLER(rn_delete_scene);
+RN_HANDLER(rn_list_evaluations);
+RN_HANDLER(rn_get_checkpoint);
+RN_HANDLER(rn_render_scene); // render.c
+RN_HANDLER(rn_list_jobs);    // jobs.c
+RN_HANDLER(rn_create_job);
+RN_HANDLER(rn_get_job);
+RN_HANDLER(rn_pause_job);
+RN_HANDLER(rn_resume_job);
+RN_HANDLER(rn_finish_job);
+RN_HANDLER(rn_cancel_job);
+RN_HANDLER(rn_list_frames); // frames.c
+RN_HANDLER(rn_get_frame);
+RN_HANDLER(rn_get_frames_tar);
+RN_HANDLER(rn_follow_job); // events.c
+RN_HANDLER(rn_follow_all);
+RN_HANDLER(rn_list_camera_paths); // camera_paths.c
+RN_HANDLER(rn_create_camera_path);
+RN_HANDLER(rn_get_camera_path);
+RN_HANDLER(rn_delete_camera_path);
+
+#endif

@@ -1,0 +1,112 @@
+// Cameras and photographs of a dataset.
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "common/base/buf.h"
+#include "proto/camera.h"
+#include "proto/job.h"
+#include "server/api/app.h"
+
+// The dataset that the path names, kept for the next request. NULL: replied with an error.
+static const struct rn_dataset *open_dataset(struct rn_app *app, struct rn_request *request,
+                                             struct rn_reply *reply) {
+    struct rn_error err = {0};
+    struct rn_dataset_row row;
+    enum rn_status status = rn_store_resolve(app->store, &rn_datasets, RN_ID_DATASET,
+                                             rn_request_param(request, 0), &row, &err);
+    if (rn_api_failed(status, &err, reply)) return NULL;
+    if (app->dataset == NULL || strcmp(app->dataset_id, row.id) != 0) {
+        char *folder = rn_store_path(app->store, "datasets/%s", row.id);
+        rn_dataset_destroy(&app->dataset);
+        snprintf(app->dataset_id, sizeof app->dataset_id, "%s", row.id);
+        status = folder == NULL ? rn_error_set(&err, RN_ERROR_NO_MEMORY, "", "no memory")
+                                : rn_dataset_read(folder, NULL, &app->dataset, &err);
+        free(folder);
+    }
+    rn_row_finish(&rn_datasets, &row);
+    return rn_api_failed(status, &err, reply) ? NULL : app->dataset;
+}
+
+static enum rn_status encode_frame(const struct rn_frame *frame, char **ret_json,
+                                   struct rn_error *err) {
+    struct rn_dataset_camera item = {
+        .split = (int)frame->split, .index = frame->index, .scale = frame->scale};
+    snprintf(item.name, sizeof item.name, "%s", frame->name);
+    enum rn_status status = rn_camera_json(&frame->camera, &item.camera, err);
+    if (status == RN_OK) status = rn_encode(&rn_dataset_camera_table, &item, ret_json, NULL, err);
+    rn_message_finish(&rn_dataset_camera_table, &item);
+    return status;
+}
+
+static enum rn_status encode_frames(const struct rn_dataset *dataset, int split,
+                                    struct rn_buf *json, struct rn_error *err) {
+    bool first = true;
+    rn_buf_printf(json, "{\"items\":[");
+    for (size_t i = 0; i < dataset->frame_count; i++) {
+        char *item = NULL;
+        if (split >= 0 && (int)dataset->frames[i].split != split) continue;
+        enum rn_status status = encode_frame(&dataset->frames[i], &item, err);
+        if (status != RN_OK) return status;
+        rn_buf_printf(json, "%s", first ? "" : ",");
+        rn_buf_append(json, item, strlen(item));
+        free(item);
+        first = false;
+    }
+    rn_buf_printf(json, "]}");
+    return rn_buf_status(json, "the list of cameras", err);
+}
+
+static enum rn_status parse_split(const char *text, int *ret_split, struct rn_error *err) {
+    int split = text != NULL ? rn_name_index(rn_split_names, text) : -1;
+    if (text != NULL && split < 0)
+        return rn_error_set(err, RN_ERROR_INVALID, "split", "must be train, val or test");
+    *ret_split = split;
+    return RN_OK;
+}
+
+void rn_list_cameras(void *context, struct rn_request *request, struct rn_reply *reply) {
+    static const char *const known[] = {"split", NULL};
+    struct rn_error err = {0};
+    struct rn_buf json;
+    int split = -1;
+    size_t size;
+    enum rn_status status = rn_request_check_query(request, known, &err);
+    if (status == RN_OK) status = parse_split(rn_request_query(request, "split"), &split, &err);
+    if (rn_api_failed(status, &err, reply)) return;
+    const struct rn_dataset *dataset = open_dataset(context, request, reply);
+    if (dataset == NULL) return;
+    rn_buf_init(&json, 256u << 20);
+    status = encode_frames(dataset, split, &json, &err);
+    if (!rn_api_failed(status, &err, reply)) {
+        uint8_t *bytes = rn_buf_take(&json, &size);
+        rn_reply_bytes(reply, 200, "application/json", bytes, size);
+    }
+    rn_buf_finish(&json);
+}
+
+void rn_get_image(void *context, struct rn_request *request, struct rn_reply *reply) {
+    static const char *const known[] = {"scale", NULL};
+    struct rn_error err = {0};
+    int split = -1;
+    int64_t index, scale = 0;
+    const char *scale_text = rn_request_query(request, "scale");
+    enum rn_status status = rn_request_check_query(request, known, &err);
+    if (status == RN_OK) status = parse_split(rn_request_param(request, 1), &split, &err);
+    if (status == RN_OK)
+        status = rn_api_number(rn_request_param(request, 2), 0, 1000000, "index", &index, &err);
+    if (status == RN_OK && scale_text != NULL)
+        status = rn_api_number(scale_text, 0, 15, "scale", &scale, &err);
+    if (rn_api_failed(status, &err, reply)) return;
+    const struct rn_dataset *dataset = open_dataset(context, request, reply);
+    if (dataset == NULL) return;
+    const struct rn_frame *frame =
+        rn_dataset_frame(dataset, (enum rn_split)split, (int)index, (int)scale);
+    if (frame == NULL) {
+        rn_reply_problem(reply, RN_PROBLEM_NOT_FOUND, "there is no view %s:%lld at scale %lld",
+                         rn_split_names[split], (long long)index, (long long)scale);
+        return;
+    }
+    rn_reply_file(reply, "image/png", frame->path);
+    rn_reply_header(reply, "Cache-Control", "private, max-age=3600");
+}

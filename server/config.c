@@ -1,0 +1,371 @@
+#include "server/config.h"
+
+#include <ctype.h>
+#include <errno.h>
+#include <limits.h>
+#include <stddef.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "common/base/buf.h"
+#include "common/base/file.h"
+#include "server/http/guard.h"
+
+#define MAX_CONFIG_BYTES (64u << 10)
+#define MIN_TOKEN 16
+
+enum kind { KIND_TEXT, KIND_COUNT, KIND_SIZE, KIND_SECONDS, KIND_ROOT, KIND_FLAG };
+
+struct option {
+    const char *name; // flag "--name", variable RIPNERFD_NAME, file key "name"
+    enum kind kind;
+    size_t offset;
+    const char *initial; // default; NULL: none
+    double min, max;
+    const char *value, *help;
+};
+
+#define AT(member) offsetof(struct rn_config, member)
+
+static const struct option options[] = {
+    {"data", KIND_TEXT, AT(data), NULL, 0, 0, "DIR", "where everything is kept (required)"},
+    {"listen", KIND_TEXT, AT(listen), "127.0.0.1:7373", 0, 0, "ADDR:PORT",
+     "port 0 takes a free one; an address other than loopback needs --token-file"},
+    {"config", KIND_TEXT, AT(config), NULL, 0, 0, "FILE", "options, one 'name = value' a line"},
+    {"dataset-root", KIND_ROOT, 0, NULL, 0, 0, "DIR",
+     "datasets under DIR may be imported by path; repeatable"},
+    {"token-file", KIND_TEXT, AT(token_file), NULL, 0, 0, "FILE",
+     "clients must send this file's first line as a bearer token"},
+    {"threads", KIND_COUNT, AT(threads), "0", 0, 1024, "N", "of each runner; 0 takes all cores"},
+    {"memory-limit", KIND_SIZE, AT(memory_limit_bytes), "0", 0, 1e15, "BYTES",
+     "of all runners together; 0 is no limit"},
+    {"max-upload", KIND_SIZE, AT(max_upload_bytes), "16G", 1, 1e15, "BYTES",
+     "largest uploaded dataset"},
+    {"max-entries", KIND_COUNT, AT(max_upload_entries), "100000", 1, 1e7, "N",
+     "most files in an uploaded dataset"},
+    {"training-slots", KIND_COUNT, AT(training_slots), "1", 1, 64, "N",
+     "scenes that train at once; further ones queue"},
+    {"max-queued", KIND_COUNT, AT(max_queued), "256", 1, 10000, "N", "unfinished jobs"},
+    {"max-loaded", KIND_COUNT, AT(max_loaded), "8", 1, 128, "N", "scenes held ready for renders"},
+    {"max-connections", KIND_COUNT, AT(max_connections), "448", 1, 10000, "N",
+     "further ones are told to try again"},
+    {"keep-alive", KIND_SECONDS, AT(keep_alive_s), "10m", 0, 31536000, "TIME",
+     "an idle scene is unloaded after this long"},
+    {"drain", KIND_SECONDS, AT(drain_s), "10", 0, 3600, "TIME",
+     "how long SIGTERM waits for runners to save"},
+    {"web", KIND_TEXT, AT(web), NULL, 0, 0, "DIR", "the page's files"},
+    {"runner", KIND_TEXT, AT(runner), NULL, 0, 0, "FILE", "the ripnerf-runner program"},
+    {"log-level", KIND_TEXT, AT(log_level), "info", 0, 0, "LEVEL", "error, warn, info or debug"},
+    {"help", KIND_FLAG, AT(help), NULL, 0, 0, "", "print this text"},
+    {"version", KIND_FLAG, AT(version), NULL, 0, 0, "", "print the version"},
+};
+#define OPTION_COUNT (sizeof options / sizeof options[0])
+
+static const struct option *find(const char *name, size_t size) {
+    for (size_t i = 0; i < OPTION_COUNT; i++)
+        if (strlen(options[i].name) == size && strncmp(options[i].name, name, size) == 0)
+            return &options[i];
+    return NULL;
+}
+
+// 8, 1.5G (binary multiples), 90s, 10m, 2h.
+static bool parse_number(const struct option *option, const char *text, int64_t *ret_value) {
+    char *end;
+    errno = 0;
+    double value = strtod(text, &end), scale = 1;
+    if (end == text || errno != 0 || isspace((unsigned char)text[0])) return false;
+    if (option->kind == KIND_SIZE && *end != '\0') {
+        static const char units[] = "KMGT";
+        const char *unit = strchr(units, toupper((unsigned char)*end));
+        if (unit == NULL) return false;
+        for (const char *i = units; i <= unit; i++)
+            scale *= 1024;
+        end++;
+    } else if (option->kind == KIND_SECONDS && *end != '\0') {
+        if (*end != 's' && *end != 'm' && *end != 'h') return false;
+        scale = *end == 'h' ? 3600 : *end == 'm' ? 60 : 1;
+        end++;
+    }
+    value *= scale;
+    if (*end != '\0' || !(value >= option->min && value <= option->max)) return false;
+    *ret_value = (int64_t)value;
+    return option->kind == KIND_SIZE || (double)*ret_value == value;
+}
+
+static enum rn_status set_text(char **target, const char *value, struct rn_error *err) {
+    char *copy = strdup(value);
+    if (copy == NULL) return rn_error_set(err, RN_ERROR_NO_MEMORY, "options", "no memory");
+    free(*target);
+    *target = copy;
+    return RN_OK;
+}
+
+static enum rn_status add_root(struct rn_config *config, const char *value, const char *where,
+                               struct rn_error *err) {
+    if (config->root_count == RN_CONFIG_MAX_ROOTS)
+        return rn_error_set(err, RN_ERROR_LIMIT, where, "more than %d dataset roots",
+                            RN_CONFIG_MAX_ROOTS);
+    char *path = realpath(value, NULL);
+    if (path == NULL) return rn_error_from_errno(err, errno, where, value);
+    config->roots[config->root_count++] = path;
+    return RN_OK;
+}
+
+static void clear_roots(struct rn_config *config) {
+    while (config->root_count > 0)
+        free(config->roots[--config->root_count]);
+}
+
+static enum rn_status set(struct rn_config *config, const struct option *option, const char *value,
+                          const char *where, struct rn_error *err) {
+    void *target = (char *)config + option->offset;
+    switch (option->kind) {
+    case KIND_TEXT:
+        return set_text(target, value, err);
+    case KIND_ROOT:
+        return add_root(config, value, where, err);
+    case KIND_FLAG:
+        *(bool *)target = true;
+        return RN_OK;
+    default:
+        break;
+    }
+    if (parse_number(option, value, target)) return RN_OK;
+    return rn_error_set(err, RN_ERROR_INVALID, where, "'%s' is not a %s between %.0f and %.0f",
+                        value,
+                        option->kind == KIND_SECONDS ? "time (90s, 10m, 2h)"
+                        : option->kind == KIND_SIZE  ? "size (512M, 8G)"
+                                                     : "whole number",
+                        option->min, option->max);
+}
+
+static enum rn_status set_defaults(struct rn_config *config, struct rn_error *err) {
+    enum rn_status status = RN_OK;
+    for (size_t i = 0; status == RN_OK && i < OPTION_COUNT; i++)
+        if (options[i].initial != NULL)
+            status = set(config, &options[i], options[i].initial, options[i].name, err);
+    return status;
+}
+
+static char *trim(char *text) {
+    while (isspace((unsigned char)*text))
+        text++;
+    char *end = text + strlen(text);
+    while (end > text && isspace((unsigned char)end[-1]))
+        *--end = '\0';
+    return text;
+}
+
+static enum rn_status read_line(struct rn_config *config, char *line, const char *where,
+                                bool *has_roots, struct rn_error *err) {
+    line = trim(line);
+    if (*line == '\0' || *line == '#') return RN_OK;
+    char *equals = strchr(line, '=');
+    if (equals == NULL) return rn_error_set(err, RN_ERROR_INVALID, where, "write 'name = value'");
+    *equals = '\0';
+    char *name = trim(line), *value = trim(equals + 1);
+    const struct option *option = find(name, strlen(name));
+    if (option == NULL || option->kind == KIND_FLAG || strcmp(name, "config") == 0)
+        return rn_error_set(err, RN_ERROR_INVALID, where, "unknown option '%.40s'", name);
+    if (option->kind == KIND_ROOT && !*has_roots) {
+        clear_roots(config);
+        *has_roots = true;
+    }
+    return set(config, option, value, where, err);
+}
+
+static enum rn_status read_file(struct rn_config *config, const char *path, struct rn_error *err) {
+    uint8_t *bytes = NULL;
+    size_t size;
+    bool has_roots = false;
+    enum rn_status status = rn_file_read(path, MAX_CONFIG_BYTES, &bytes, &size, err);
+    char *line = (char *)bytes;
+    for (int number = 1; status == RN_OK && line != NULL; number++) {
+        char *next = strchr(line, '\n'), where[256];
+        if (next != NULL) *next++ = '\0';
+        snprintf(where, sizeof where, "%.240s:%d", path, number);
+        status = read_line(config, line, where, &has_roots, err);
+        line = next;
+    }
+    free(bytes);
+    return status;
+}
+
+static void variable_name(const struct option *option, char name[64]) {
+    int size = snprintf(name, 64, "RIPNERFD_%s", option->name);
+    for (int i = 0; i < size; i++)
+        name[i] = name[i] == '-' ? '_' : (char)toupper((unsigned char)name[i]);
+}
+
+static enum rn_status read_roots(struct rn_config *config, const char *value, const char *where,
+                                 struct rn_error *err) {
+    char *copy = strdup(value), *rest = copy, *root;
+    if (copy == NULL) return rn_error_set(err, RN_ERROR_NO_MEMORY, where, "no memory");
+    enum rn_status status = RN_OK;
+    clear_roots(config);
+    while (status == RN_OK && (root = strsep(&rest, ":")) != NULL)
+        if (*root != '\0') status = add_root(config, root, where, err);
+    free(copy);
+    return status;
+}
+
+static enum rn_status read_environment(struct rn_config *config,
+                                       const char *(*get_env)(const char *), struct rn_error *err) {
+    enum rn_status status = RN_OK;
+    for (size_t i = 0; status == RN_OK && i < OPTION_COUNT; i++) {
+        char name[64];
+        variable_name(&options[i], name);
+        const char *value = get_env(name);
+        if (value == NULL || options[i].kind == KIND_FLAG) continue;
+        status = options[i].kind == KIND_ROOT ? read_roots(config, value, name, err)
+                                              : set(config, &options[i], value, name, err);
+    }
+    return status;
+}
+
+// One flag at argv[*i], its value in the same word or the next.
+static enum rn_status read_flag(struct rn_config *config, int argc, char **argv, int *i,
+                                bool *has_roots, struct rn_error *err) {
+    const char *word = argv[*i];
+    if (strncmp(word, "--", 2) != 0)
+        return rn_error_set(err, RN_ERROR_INVALID, word, "not an option; see ripnerfd --help");
+    size_t size = strcspn(word + 2, "=");
+    const struct option *option = find(word + 2, size);
+    if (option == NULL)
+        return rn_error_set(err, RN_ERROR_INVALID, word, "unknown option; see ripnerfd --help");
+    const char *value = word[2 + size] == '=' ? word + 3 + size : NULL;
+    if (option->kind == KIND_FLAG && value != NULL)
+        return rn_error_set(err, RN_ERROR_INVALID, word, "this option takes no value");
+    if (option->kind != KIND_FLAG && value == NULL) {
+        if (*i + 1 == argc)
+            return rn_error_set(err, RN_ERROR_INVALID, word, "the value %s is missing",
+                                option->value);
+        value = argv[++*i];
+    }
+    if (option->kind == KIND_ROOT && !*has_roots) {
+        clear_roots(config);
+        *has_roots = true;
+    }
+    return set(config, option, value, word, err);
+}
+
+static enum rn_status read_flags(struct rn_config *config, int argc, char **argv,
+                                 struct rn_error *err) {
+    enum rn_status status = RN_OK;
+    bool has_roots = false;
+    for (int i = 1; status == RN_OK && i < argc; i++)
+        status = read_flag(config, argc, argv, &i, &has_roots, err);
+    return status;
+}
+
+static enum rn_status split_listen(struct rn_config *config, struct rn_error *err) {
+    const char *colon = strrchr(config->listen, ':');
+    char *end = NULL;
+    unsigned long port = colon != NULL ? strtoul(colon + 1, &end, 10) : 0;
+    const char *start = config->listen;
+    size_t size = colon != NULL ? (size_t)(colon - start) : 0;
+    if (size >= 2 && start[0] == '[' && start[size - 1] == ']') {
+        start++;
+        size -= 2;
+    }
+    if (colon == NULL || end == colon + 1 || *end != '\0' || port > 65535 || size == 0 ||
+        size >= sizeof config->address)
+        return rn_error_set(err, RN_ERROR_INVALID, "listen", "'%s' is not ADDR:PORT",
+                            config->listen);
+    memcpy(config->address, start, size);
+    config->address[size] = '\0';
+    config->port = (uint16_t)port;
+    return RN_OK;
+}
+
+static enum rn_status read_token(struct rn_config *config, struct rn_error *err) {
+    if (config->token_file == NULL) {
+        if (rn_guard_address_is_loopback(config->address)) return RN_OK;
+        return rn_error_set(err, RN_ERROR_INVALID, "listen",
+                            "%s is not loopback: give a token with --token-file", config->address);
+    }
+    uint8_t *bytes = NULL;
+    size_t size;
+    enum rn_status status = rn_file_read(config->token_file, 4096, &bytes, &size, err);
+    if (status != RN_OK) return status;
+    char *text = (char *)bytes;
+    text[strcspn(text, "\r\n")] = '\0';
+    if (strlen(text) < MIN_TOKEN || text[strspn(text, "!\"#$%&'()*+,-./0123456789:;<=>?@"
+                                                      "ABCDEFGHIJKLMNOPQRSTUVWXYZ[\\]^_`"
+                                                      "abcdefghijklmnopqrstuvwxyz{|}~")] != '\0')
+        status = rn_error_set(err, RN_ERROR_INVALID, config->token_file,
+                              "the first line must be a token of at least %d printable ASCII "
+                              "characters without spaces",
+                              MIN_TOKEN);
+    else
+        status = set_text(&config->token, text, err);
+    free(bytes);
+    return status;
+}
+
+// The file's name comes from the flags or the environment, its options count least.
+static enum rn_status read_all(struct rn_config *config, int argc, char **argv,
+                               const char *(*get_env)(const char *), struct rn_error *err) {
+    enum rn_status status = read_flags(config, argc, argv, err);
+    const char *path = config->config != NULL ? config->config : get_env("RIPNERFD_CONFIG");
+    char *file = path != NULL ? strdup(path) : NULL;
+    if (status == RN_OK && file != NULL) {
+        rn_config_finish(config);
+        status = set_defaults(config, err);
+        if (status == RN_OK) status = read_file(config, file, err);
+        if (status == RN_OK) status = read_environment(config, get_env, err);
+        if (status == RN_OK) status = read_flags(config, argc, argv, err);
+    } else if (status == RN_OK) {
+        status = read_environment(config, get_env, err);
+        if (status == RN_OK) status = read_flags(config, argc, argv, err);
+    }
+    free(file);
+    return status;
+}
+
+enum rn_status rn_config_load(int argc, char **argv, const char *(*get_env)(const char *name),
+                              struct rn_config *ret_config, struct rn_error *err) {
+    struct rn_config config = {0};
+    enum rn_status status = set_defaults(&config, err);
+    if (status == RN_OK) status = read_all(&config, argc, argv, get_env, err);
+    if (status == RN_OK && !config.help && !config.version) {
+        if (config.data == NULL)
+            status = rn_error_set(err, RN_ERROR_INVALID, "data", "give a folder with --data DIR");
+        if (status == RN_OK) status = split_listen(&config, err);
+        if (status == RN_OK) status = read_token(&config, err);
+    }
+    if (status == RN_OK)
+        *ret_config = config;
+    else
+        rn_config_finish(&config);
+    return status;
+}
+
+void rn_config_finish(struct rn_config *config) {
+    clear_roots(config);
+    for (size_t i = 0; i < OPTION_COUNT; i++)
+        if (options[i].kind == KIND_TEXT)
+            free(*(char **)(void *)((char *)config + options[i].offset));
+    free(config->token);
+    *config = (struct rn_config){0};
+}
+
+char *rn_config_help(void) {
+    struct rn_buf text;
+    size_t size;
+    rn_buf_init(&text, 64u << 10);
+    rn_buf_printf(&text, "usage: ripnerfd --data DIR [OPTION]...\n\n"
+                         "Trains and renders radiance fields; HTTP/JSON on --listen.\n\n");
+    for (size_t i = 0; i < OPTION_COUNT; i++) {
+        char flag[64];
+        snprintf(flag, sizeof flag, "--%s %s", options[i].name, options[i].value);
+        rn_buf_printf(&text, "  %-24s %s", flag, options[i].help);
+        if (options[i].initial != NULL) rn_buf_printf(&text, " (%s)", options[i].initial);
+        rn_buf_printf(&text, "\n");
+    }
+    rn_buf_printf(&text, "\nEvery option may also stand in the --config file (name = value) or in "
+                         "the environment\n(RIPNERFD_NAME); flags win over the environment, that "
+                         "over the file.\n");
+    return (char *)rn_buf_take(&text, &size);
+}

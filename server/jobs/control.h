@@ -1,0 +1,118 @@
+// Jobs, scenes and their runners: what the API calls.
+//
+// One lock guards all state; it is held for short sections (records are written under it). One
+// thread supervises the runners. JSON texts returned are malloc'd and the caller's.
+#ifndef RN_SERVER_JOBS_CONTROL_H
+#define RN_SERVER_JOBS_CONTROL_H
+
+#include "proto/render.h"
+#include "server/http/message.h"
+#include "server/http/ring.h"
+#include "server/jobs/executor.h"
+#include "server/jobs/machine.h"
+#include "server/store/store.h"
+
+// Thread-safety: any thread, but for create, drain and destroy.
+struct rn_control;
+
+struct rn_control_options {
+    int training_slots;         // jobs that train at once
+    int max_queued;             // unfinished jobs
+    int max_loaded;             // scenes with a runner
+    int64_t memory_limit_bytes; // of all runners together; 0: none
+    int64_t keep_alive_s;       // an idle runner is ended after this long
+    int threads;                // of each runner; 0: all cores
+    int64_t max_upload_bytes, max_upload_entries;
+    const char *version; // static text
+};
+
+// Requeues what an earlier daemon left unfinished and starts supervising. The store and executor
+// outlive the control.
+enum rn_status rn_control_create(const struct rn_control_options *options, struct rn_store *store,
+                                 struct rn_executor *executor, struct rn_control **ret_control,
+                                 struct rn_error *err) RN_MUST_CHECK;
+// Asks all runners to save and end, waits for up to timeout_ms, kills the rest. Waiting renders
+// are answered. Unfinished jobs are requeued by the next daemon.
+void rn_control_drain(struct rn_control *control, int64_t timeout_ms);
+void rn_control_destroy(struct rn_control **control);
+
+// ---- jobs -------------------------------------------------------------------------------------
+
+struct rn_submission {
+    enum rn_job_type type;
+    const char *dataset;      // train: id or name; ingest: the new dataset's name
+    const char *scene;        // train: the new scene's name; path, eval: id or name
+    const char *source;       // ingest: the directory, NULL with `spooled`; path: the path's JSON
+    const char *spooled;      // ingest: an uploaded tar, taken over on success
+    const char *options;      // JSON
+    const char *key, *digest; // Idempotency-Key and a digest of the request; NULL: none
+};
+// The job's JSON; it is on disk. RN_ERROR_CONFLICT (name taken, scene training, key used for
+// another request), RN_ERROR_NOT_FOUND, RN_ERROR_BUSY when the queue is full, RN_ERROR_NO_SPACE.
+enum rn_status rn_control_submit(struct rn_control *control, const struct rn_submission *submission,
+                                 char ret_id[RN_ID_MAX], char **ret_json,
+                                 struct rn_error *err) RN_MUST_CHECK;
+// RN_JOB_PAUSE, _RESUME, _FINISH or _CANCEL. RN_ERROR_CONFLICT names the current state.
+enum rn_status rn_control_command(struct rn_control *control, const char *id,
+                                  enum rn_job_event event, char **ret_json,
+                                  struct rn_error *err) RN_MUST_CHECK;
+enum rn_status rn_control_job_json(struct rn_control *control, const char *id, char **ret_json,
+                                   struct rn_error *err) RN_MUST_CHECK;
+// The same from a row that was read before; progress is the latest.
+enum rn_status rn_control_row_json(struct rn_control *control, struct rn_job_row *row,
+                                   char **ret_json, struct rn_error *err) RN_MUST_CHECK;
+// The events of a job, or of all when id is NULL. A reference.
+enum rn_status rn_control_events(struct rn_control *control, const char *id,
+                                 struct rn_ring **ret_ring, struct rn_error *err) RN_MUST_CHECK;
+
+// ---- scenes and datasets ----------------------------------------------------------------------
+
+enum rn_status rn_control_scene_json(struct rn_control *control, struct rn_scene_row *row,
+                                     char **ret_json, struct rn_error *err) RN_MUST_CHECK;
+// Removes record and files. RN_ERROR_CONFLICT while an unfinished job or (datasets) a scene uses
+// it.
+enum rn_status rn_control_delete_scene(struct rn_control *control, const char *reference,
+                                       struct rn_error *err) RN_MUST_CHECK;
+enum rn_status rn_control_delete_dataset(struct rn_control *control, const char *reference,
+                                         struct rn_error *err) RN_MUST_CHECK;
+
+// ---- rendering --------------------------------------------------------------------------------
+
+#define RN_ETAG_MAX 72
+// The strong tag of a picture, known before it is rendered: scene, checkpoint, request, kernels
+// and version. Empty while the scene trains. `request` is settled.
+// RN_ERROR_CONFLICT when there is nothing to render yet.
+enum rn_status rn_control_etag(struct rn_control *control, const struct rn_scene_row *scene,
+                               const struct rn_render_request *request, char ret_etag[RN_ETAG_MAX],
+                               struct rn_error *err) RN_MUST_CHECK;
+// Answers the HTTP request with a picture: at once with an error, or later by parking it. Equal
+// requests of a scene at rest share one computation.
+void rn_control_render(struct rn_control *control, const struct rn_scene_row *scene,
+                       const struct rn_render_request *render, const char *etag,
+                       struct rn_request *request, struct rn_reply *reply);
+
+// ---- what it does -----------------------------------------------------------------------------
+
+struct rn_control_stats {
+    uint64_t jobs_ended[RN_JOB_INTERRUPTED + 1]; // by state reached: succeeded, failed, ...
+    unsigned jobs_open[RN_JOB_INTERRUPTED + 1];
+    unsigned runners, scenes_loaded, renders_waiting;
+    int64_t memory_bytes;
+    uint64_t runners_started, runners_lost;
+    uint64_t nonfinite_rays, steps_rejected, rollbacks; // of the jobs that run
+    uint64_t renders, renders_failed, renders_cancelled;
+    uint64_t render_ms_buckets[10]; // cumulative is made by the reader; bounds below
+    double render_ms_sum;
+    bool can_start; // a runner could be started when last tried
+};
+extern const double rn_render_ms_bounds[9]; // upper bounds; the last bucket has none
+void rn_control_stats(struct rn_control *control, struct rn_control_stats *ret_stats);
+
+struct rn_device {
+    char device[16], name[128], kernels[32], available[128];
+    int64_t threads;
+};
+// Empty until the probe has answered.
+void rn_control_device(struct rn_control *control, struct rn_device *ret_device);
+
+#endif

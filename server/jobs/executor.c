@@ -1,0 +1,121 @@
+#include "server/jobs/executor.h"
+
+#include <errno.h>
+#include <fcntl.h>
+#include <signal.h>
+#include <spawn.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/socket.h>
+#include <sys/wait.h>
+#include <time.h>
+#include <unistd.h>
+
+extern char **environ;
+
+#define CHILD_FD 3
+// How long a runner that closed its connection may take to end by itself.
+#define GRACE_MS 200
+
+struct local {
+    struct rn_executor base;
+    char *program;
+};
+
+static int spawn(const char *program, const char *mode, const char *log_path, int fd,
+                 pid_t *ret_pid) {
+    char *argv[] = {(char *)program, "--mode", (char *)mode, NULL};
+    posix_spawn_file_actions_t actions;
+    posix_spawnattr_t attributes;
+    sigset_t none, all;
+    sigemptyset(&none);
+    sigfillset(&all);
+    posix_spawn_file_actions_init(&actions);
+    posix_spawnattr_init(&attributes);
+    posix_spawnattr_setsigmask(&attributes, &none);
+    posix_spawnattr_setsigdefault(&attributes, &all);
+    // Its own process group: a Ctrl-C at the terminal is for the daemon alone.
+    posix_spawnattr_setpgroup(&attributes, 0);
+    posix_spawnattr_setflags(&attributes, POSIX_SPAWN_SETSIGMASK | POSIX_SPAWN_SETSIGDEF |
+                                              POSIX_SPAWN_SETPGROUP);
+    int errnum = posix_spawn_file_actions_addopen(&actions, 0, "/dev/null", O_RDONLY, 0);
+    if (errnum == 0) errnum = posix_spawn_file_actions_adddup2(&actions, 2, 1);
+    if (errnum == 0 && log_path != NULL) {
+        errnum = posix_spawn_file_actions_addopen(&actions, 2, log_path,
+                                                  O_WRONLY | O_CREAT | O_APPEND, 0600);
+        if (errnum == 0) errnum = posix_spawn_file_actions_adddup2(&actions, 2, 1);
+    }
+    if (errnum == 0) errnum = posix_spawn_file_actions_adddup2(&actions, fd, CHILD_FD);
+    if (errnum == 0) errnum = posix_spawn(ret_pid, program, &actions, &attributes, argv, environ);
+    posix_spawn_file_actions_destroy(&actions);
+    posix_spawnattr_destroy(&attributes);
+    return errnum;
+}
+
+static enum rn_status local_start(struct rn_executor *executor, const char *mode,
+                                  const char *log_path, struct rn_process *ret_process,
+                                  struct rn_error *err) {
+    struct local *local = (struct local *)executor;
+    int pair[2];
+    if (socketpair(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0, pair) != 0)
+        return rn_error_from_errno(err, errno, local->program, "opening a socket pair");
+    // The child's end must not be CHILD_FD itself: dup2 to the same number keeps close-on-exec.
+    int child = fcntl(pair[1], F_DUPFD_CLOEXEC, CHILD_FD + 1);
+    int errnum = child < 0 ? errno : 0;
+    pid_t pid = 0;
+    if (errnum == 0 && fcntl(pair[0], F_SETFL, O_NONBLOCK) != 0) errnum = errno;
+    if (errnum == 0) errnum = spawn(local->program, mode, log_path, child, &pid);
+    close(pair[1]);
+    if (child >= 0) close(child);
+    if (errnum != 0) {
+        close(pair[0]);
+        return rn_error_from_errno(err, errnum, local->program, "starting a runner");
+    }
+    *ret_process = (struct rn_process){pid, pair[0]};
+    return RN_OK;
+}
+
+static void local_end(struct rn_executor *executor, const struct rn_process *process, bool now,
+                      char *ret_how, size_t how_size) {
+    int status = 0;
+    pid_t pid = 0;
+    for (int i = 0; !now && i < GRACE_MS / 5 && pid == 0; i++) {
+        pid = waitpid(process->pid, &status, WNOHANG);
+        if (pid == 0) nanosleep(&(struct timespec){.tv_nsec = 5000000}, NULL);
+    }
+    if (pid == 0) {
+        kill(process->pid, SIGKILL);
+        do
+            pid = waitpid(process->pid, &status, 0);
+        while (pid < 0 && errno == EINTR);
+    }
+    if (pid < 0)
+        snprintf(ret_how, how_size, "lost: %s", strerror(errno));
+    else if (WIFSIGNALED(status))
+        snprintf(ret_how, how_size, "killed by signal %d (%s)", WTERMSIG(status),
+                 strsignal(WTERMSIG(status)));
+    else
+        snprintf(ret_how, how_size, "exit code %d", WEXITSTATUS(status));
+}
+
+static void local_destroy(struct rn_executor *executor) {
+    struct local *local = (struct local *)executor;
+    free(local->program);
+    free(local);
+}
+
+enum rn_status rn_local_executor_create(const char *program, struct rn_executor **ret_executor,
+                                        struct rn_error *err) {
+    struct local *local = calloc(1, sizeof *local);
+    char *copy = strdup(program);
+    if (local == NULL || copy == NULL) {
+        free(local);
+        free(copy);
+        return rn_error_set(err, RN_ERROR_NO_MEMORY, "executor", "no memory");
+    }
+    local->base = (struct rn_executor){local_start, local_end, local_destroy};
+    local->program = copy;
+    *ret_executor = &local->base;
+    return RN_OK;
+}

@@ -1,0 +1,166 @@
+// Inside of server/jobs. Everything here is used with control->lock held.
+#ifndef RN_SERVER_JOBS_INSIDE_H
+#define RN_SERVER_JOBS_INSIDE_H
+
+#include <pthread.h>
+
+#include "proto/wire_messages.h"
+#include "server/jobs/control.h"
+
+#define RN_MAX_STALLS 3
+#define RN_RING_EVENTS 1024
+#define RN_RING_BYTES (4u << 20)
+#define RN_MAX_RECENT 64
+
+// An unfinished job (and a finished one until its last record is on disk).
+struct rn_task {
+    struct rn_task *next; // in the order of creation
+    struct rn_job_row row;
+    struct rn_ring *ring;
+    struct rn_runner *runner;      // NULL: no runner has it
+    bool sent;                     // the runner was told to begin
+    bool finish;                   // `finish` was asked for
+    bool dirty;                    // the row on disk is older
+    bool progressed;               // this attempt has brought something
+    int64_t not_before_ns;         // of the next start
+    struct rn_train_progress live; // train: the latest report; step RN_ABSENT before
+    int64_t live_done;             // others: the latest report
+};
+
+struct rn_waiter {
+    struct rn_parked *parked;
+    struct rn_waiter *next;
+};
+
+// One picture being made, for all who asked for it.
+struct rn_render {
+    struct rn_render *next;
+    int64_t number;
+    char etag[RN_ETAG_MAX]; // empty: not to be shared or cached
+    struct rn_waiter *waiters;
+    int64_t begin_ns;
+    struct rn_render_request request;
+    bool sent;
+};
+
+enum rn_runner_state {
+    RN_RUNNER_STARTING, // no hello, or not opened yet
+    RN_RUNNER_READY,
+    RN_RUNNER_ENDING, // asked to end
+};
+
+struct rn_runner {
+    struct rn_runner *next;
+    char mode[8]; // "field", "ingest", "probe"
+    char scene[RN_ID_MAX];
+    struct rn_process process;
+    struct rn_wire_reader reader;
+    struct rn_wire_writer writer;
+    enum rn_runner_state state;
+    struct rn_task *train, *work; // work: path, eval or ingest
+    struct rn_render *renders;
+    int64_t memory_bytes;
+    int64_t last_used_ns;
+    int64_t deadline_ns; // it must have opened, or ended, by then
+    bool broken;         // the connection is of no more use
+};
+
+struct rn_recent {
+    char id[RN_ID_MAX];
+    struct rn_ring *ring;
+};
+
+struct rn_control {
+    struct rn_control_options options;
+    struct rn_store *store;
+    struct rn_executor *executor;
+    pthread_mutex_t lock;
+    pthread_t thread;
+    bool thread_runs, stopping, quit;
+    int wake_fd;
+    struct rn_task *tasks;
+    struct rn_runner *runners;
+    struct rn_ring *ring; // of all jobs
+    struct rn_recent recent[RN_MAX_RECENT];
+    unsigned recent_next;
+    int64_t next_render;
+    struct rn_device device;
+    bool schedule_due;
+    struct rn_control_stats stats;
+};
+
+// document.c
+enum rn_status rn_document_job(struct rn_control *control, struct rn_job_row *row, char **ret_json,
+                               struct rn_error *err) RN_MUST_CHECK;
+enum rn_status rn_document_scene(struct rn_control *control, struct rn_scene_row *row,
+                                 char **ret_json, struct rn_error *err) RN_MUST_CHECK;
+
+// task.c
+struct rn_task *rn_task_find(struct rn_control *control, const char *id);
+// The unfinished training job of a scene, or any unfinished job of it.
+struct rn_task *rn_task_training(struct rn_control *control, const char *scene);
+struct rn_task *rn_task_of_scene(struct rn_control *control, const char *scene);
+// A task for a row (moved in) at the end of the list.
+enum rn_status rn_task_add(struct rn_control *control, struct rn_job_row *row,
+                           struct rn_task **ret_task, struct rn_error *err) RN_MUST_CHECK;
+// Publishes its state as it is.
+void rn_task_announce(struct rn_control *control, struct rn_task *task);
+// The one function that makes a transition: one record, one event. When the record cannot be
+// written, nothing changes and the error is returned; with `must` (it has happened, whatever the
+// disk says) the record is written later.
+enum rn_status rn_task_apply(struct rn_control *control, struct rn_task *task,
+                             enum rn_job_event event, bool must,
+                             struct rn_error *err) RN_MUST_CHECK;
+void rn_task_happened(struct rn_control *control, struct rn_task *task, enum rn_job_event event);
+// Ends a job with a problem.
+void rn_task_fail(struct rn_control *control, struct rn_task *task, const struct rn_error *err);
+// Its runner is gone: another attempt, or the end.
+void rn_task_lost(struct rn_control *control, struct rn_task *task, const char *how);
+void rn_task_detach(struct rn_task *task);
+void rn_task_publish(struct rn_control *control, struct rn_task *task, const char *name,
+                     const char *json, bool latest);
+// Writes late records, and forgets finished tasks.
+void rn_tasks_tidy(struct rn_control *control);
+void rn_task_free(struct rn_task *task);
+// Follows from the record and its training job.
+enum rn_scene_state rn_scene_state_of(const struct rn_scene_row *row, const struct rn_task *task);
+
+// runner.c
+enum rn_status rn_runner_start(struct rn_control *control, const char *mode, const char *scene,
+                               const char *log_path, struct rn_runner **ret_runner,
+                               struct rn_error *err) RN_MUST_CHECK;
+// The scene's runner; started when there is none. RN_ERROR_BUSY while an old one is ending.
+enum rn_status rn_runner_for_scene(struct rn_control *control, const char *scene, bool load,
+                                   struct rn_runner **ret_runner,
+                                   struct rn_error *err) RN_MUST_CHECK;
+struct rn_runner *rn_runner_find(struct rn_control *control, const char *scene);
+void rn_runner_post(struct rn_control *control, struct rn_runner *runner, enum rn_wire_type type,
+                    const void *message);
+void rn_runner_post_job(struct rn_control *control, struct rn_runner *runner,
+                        enum rn_wire_type type, const char *job);
+// Tells the runner to begin the task; it is attached and the runner ready.
+void rn_runner_begin(struct rn_control *control, struct rn_task *task);
+void rn_runner_shutdown(struct rn_control *control, struct rn_runner *runner);
+bool rn_runner_is_idle(const struct rn_runner *runner);
+// Removes it from the list; what it had is lost or, when `now`, simply ended.
+void rn_runner_remove(struct rn_control *control, struct rn_runner *runner, bool now);
+
+// message.c
+void rn_runner_receive(struct rn_control *control, struct rn_runner *runner,
+                       const struct rn_wire_message *message);
+
+// schedule.c
+void rn_schedule(struct rn_control *control);
+
+// render.c
+void rn_render_send(struct rn_control *control, struct rn_runner *runner);
+void rn_render_done(struct rn_control *control, struct rn_runner *runner,
+                    const struct rn_wire_rendered *rendered, const uint8_t *blob, size_t size);
+void rn_render_failed(struct rn_control *control, struct rn_runner *runner, int64_t number,
+                      const struct rn_error *err);
+void rn_render_fail_all(struct rn_control *control, struct rn_runner *runner,
+                        const struct rn_error *err);
+
+void rn_control_wake(struct rn_control *control);
+
+#endif

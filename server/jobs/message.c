@@ -1,0 +1,334 @@
+// What runners report.
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "common/base/clock.h"
+#include "common/base/log.h"
+#include "proto/event.h"
+#include "server/jobs/inside.h"
+
+// Checkpoints that are kept; the runner removes the files of older ones.
+#define KEPT_CHECKPOINTS 2
+
+// The runner's task with this id, or NULL.
+static struct rn_task *task_of(struct rn_runner *runner, const char *job) {
+    if (runner->train != NULL && strcmp(runner->train->row.id, job) == 0) return runner->train;
+    if (runner->work != NULL && strcmp(runner->work->row.id, job) == 0) return runner->work;
+    return NULL;
+}
+
+static char *take(char **text) {
+    char *taken = *text;
+    *text = NULL;
+    return taken;
+}
+
+static void set_document(char **document, char **text) {
+    free(*document);
+    *document = take(text);
+}
+
+static void update_scene(struct rn_control *control, struct rn_scene_row *scene) {
+    struct rn_error err = {0};
+    if (rn_store_update(control->store, &rn_scenes, scene, &err) != RN_OK)
+        rn_log(RN_LOG_ERROR, "scene %s: %s", scene->id, err.text);
+}
+
+static bool find_scene(struct rn_control *control, const char *id, struct rn_scene_row *scene) {
+    struct rn_error err = {0};
+    if (rn_store_find(control->store, &rn_scenes, "id", id, scene, &err) == RN_OK) return true;
+    rn_log(RN_LOG_ERROR, "scene %s: %s", id, err.text);
+    return false;
+}
+
+static void on_opened(struct rn_control *control, struct rn_runner *runner,
+                      struct rn_wire_opened *opened) {
+    struct rn_scene_row scene;
+    runner->state = RN_RUNNER_READY;
+    runner->memory_bytes = opened->memory_bytes;
+    if (opened->loaded && find_scene(control, runner->scene, &scene)) {
+        if (opened->memory_bytes > 0) scene.memory_bytes = opened->memory_bytes;
+        if (opened->scene != NULL) set_document(&scene.record, &opened->scene);
+        update_scene(control, &scene);
+        rn_row_finish(&rn_scenes, &scene);
+    }
+    if (runner->train != NULL) rn_runner_begin(control, runner->train);
+    if (runner->work != NULL) rn_runner_begin(control, runner->work);
+    rn_render_send(control, runner);
+    control->schedule_due = true; // memory is known now
+}
+
+static void on_state(struct rn_control *control, struct rn_runner *runner,
+                     struct rn_wire_state *state) {
+    struct rn_scene_row scene;
+    if (state->scene == NULL || !find_scene(control, runner->scene, &scene)) return;
+    set_document(&scene.record, &state->scene);
+    update_scene(control, &scene);
+    rn_row_finish(&rn_scenes, &scene);
+}
+
+static void on_progress(struct rn_control *control, struct rn_runner *runner,
+                        struct rn_wire_progress *progress) {
+    struct rn_task *task = task_of(runner, progress->job);
+    if (task == NULL || progress->progress == NULL) return;
+    if (task->row.type == RN_JOB_TRAIN) {
+        struct rn_train_progress live;
+        if (rn_decode(&rn_train_progress_table, progress->progress, strlen(progress->progress),
+                      &live, NULL, NULL) == RN_OK)
+            task->live = live;
+    } else {
+        struct rn_work_progress work;
+        if (rn_decode(&rn_work_progress_table, progress->progress, strlen(progress->progress),
+                      &work, NULL, NULL) == RN_OK) {
+            if (work.done > task->live_done && task->row.type == RN_JOB_PATH)
+                task->progressed = true;
+            task->live_done = work.done;
+        }
+    }
+    set_document(&task->row.progress, &progress->progress);
+    rn_task_publish(control, task, RN_EVENT_PROGRESS, task->row.progress, true);
+}
+
+static void on_metric(struct rn_control *control, struct rn_runner *runner,
+                      const struct rn_wire_metric *metric) {
+    struct rn_task *task = task_of(runner, metric->job);
+    char *json = NULL;
+    if (task == NULL) return;
+    if (rn_encode(&rn_metric_event_table, &metric->metric, &json, NULL, NULL) == RN_OK)
+        rn_task_publish(control, task, RN_EVENT_METRIC, json, false);
+    free(json);
+}
+
+static enum rn_status insert_checkpoint(struct rn_control *control,
+                                        const struct rn_scene_row *scene,
+                                        const struct rn_wire_checkpoint *checkpoint,
+                                        struct rn_error *err) {
+    struct rn_checkpoint_row row = {.step = checkpoint->step,
+                                    .size_bytes = checkpoint->size_bytes,
+                                    .created_ms = rn_clock_wall_ms()};
+    char path[96];
+    snprintf(row.id, sizeof row.id, "%s/%lld", scene->id, (long long)checkpoint->step);
+    snprintf(row.scene, sizeof row.scene, "%s", scene->id);
+    snprintf(row.sha256, sizeof row.sha256, "%s", checkpoint->parameters_sha256);
+    snprintf(path, sizeof path, "checkpoints/%s", checkpoint->file);
+    row.path = path;
+    enum rn_status status = rn_store_delete(control->store, &rn_checkpoints, row.id, err);
+    if (status == RN_OK) status = rn_store_insert(control->store, &rn_checkpoints, &row, err);
+    return status;
+}
+
+static enum rn_status prune_checkpoints(struct rn_control *control, const char *scene,
+                                        struct rn_error *err) {
+    struct rn_query query = {.equal = {{"scene", scene}}};
+    void *rows = NULL;
+    size_t count = 0;
+    enum rn_status status =
+        rn_store_list(control->store, &rn_checkpoints, &query, &rows, &count, err);
+    const struct rn_checkpoint_row *row = rows;
+    for (size_t i = KEPT_CHECKPOINTS; status == RN_OK && i < count; i++)
+        status = rn_store_delete(control->store, &rn_checkpoints, row[i].id, err);
+    rn_rows_finish(&rn_checkpoints, rows, count);
+    return status;
+}
+
+static enum rn_status record_checkpoint(struct rn_control *control, struct rn_scene_row *scene,
+                                        const struct rn_wire_checkpoint *checkpoint,
+                                        struct rn_error *err) {
+    enum rn_status status = rn_store_begin(control->store, err);
+    if (status != RN_OK) return status;
+    status = rn_store_update(control->store, &rn_scenes, scene, err);
+    if (status == RN_OK) status = insert_checkpoint(control, scene, checkpoint, err);
+    if (status == RN_OK) status = prune_checkpoints(control, scene->id, err);
+    if (status == RN_OK) return rn_store_commit(control->store, err);
+    rn_store_rollback(control->store);
+    return status;
+}
+
+static void on_checkpoint(struct rn_control *control, struct rn_runner *runner,
+                          struct rn_wire_checkpoint *checkpoint) {
+    struct rn_error err = {0};
+    struct rn_scene_row scene;
+    struct rn_task *task = task_of(runner, checkpoint->job);
+    if (!find_scene(control, runner->scene, &scene)) return;
+    if (task != NULL && checkpoint->step > scene.steps) task->progressed = true;
+    scene.steps = checkpoint->step;
+    scene.train_seconds = checkpoint->train_seconds;
+    scene.psnr = checkpoint->psnr;
+    snprintf(scene.sha256, sizeof scene.sha256, "%s", checkpoint->parameters_sha256);
+    if (checkpoint->scene != NULL) set_document(&scene.record, &checkpoint->scene);
+    if (record_checkpoint(control, &scene, checkpoint, &err) != RN_OK)
+        rn_log(RN_LOG_ERROR, "scene %s, checkpoint %s: %s", scene.id, checkpoint->file, err.text);
+    rn_row_finish(&rn_scenes, &scene);
+}
+
+static void on_frame(struct rn_control *control, struct rn_runner *runner,
+                     const struct rn_wire_frame *frame) {
+    struct rn_task *task = task_of(runner, frame->job);
+    struct rn_frame_event event = {.index = frame->index};
+    char *json = NULL;
+    if (task == NULL) return;
+    task->progressed = true;
+    snprintf(event.url, sizeof event.url, "/v1/jobs/%s/frames/%lld", frame->job,
+             (long long)frame->index);
+    if (rn_encode(&rn_frame_event_table, &event, &json, NULL, NULL) == RN_OK)
+        rn_task_publish(control, task, RN_EVENT_FRAME, json, false);
+    free(json);
+}
+
+// The dataset comes into being: its record, named as the job said.
+static enum rn_status finish_ingest(struct rn_control *control, struct rn_task *task, char **result,
+                                    struct rn_error *err) {
+    struct rn_dataset_row dataset = {.created_ms = rn_clock_wall_ms(), .record = *result};
+    struct rn_ingest_result ingest;
+    snprintf(dataset.id, sizeof dataset.id, "%s", task->row.dataset);
+    snprintf(dataset.name, sizeof dataset.name, "%s", task->row.dataset_name);
+    snprintf(ingest.dataset, sizeof ingest.dataset, "%s", task->row.dataset);
+    enum rn_status status = rn_store_insert(control->store, &rn_datasets, &dataset, err);
+    if (status != RN_OK) return status;
+    free(take(result));
+    return rn_encode(&rn_ingest_result_table, &ingest, result, NULL, err);
+}
+
+static void on_done(struct rn_control *control, struct rn_runner *runner,
+                    struct rn_wire_done *done) {
+    struct rn_error err = {0};
+    struct rn_task *task = task_of(runner, done->job);
+    if (task == NULL) return;
+    if (task->row.type == RN_JOB_INGEST &&
+        finish_ingest(control, task, &done->result, &err) != RN_OK) {
+        rn_task_fail(control, task, &err);
+    } else {
+        set_document(&task->row.result, &done->result);
+        rn_task_happened(control, task, RN_JOB_DONE);
+        rn_task_detach(task);
+    }
+    if (strcmp(runner->mode, "ingest") == 0) rn_runner_shutdown(control, runner);
+}
+
+// The scene could not be opened: all that waits for it fails.
+static void open_failed(struct rn_control *control, struct rn_runner *runner,
+                        const struct rn_error *err) {
+    if (err->status == RN_ERROR_BUSY) { // an orphan still holds the scene's folder
+        runner->broken = true;
+        return;
+    }
+    if (runner->train != NULL) rn_task_fail(control, runner->train, err);
+    if (runner->work != NULL) rn_task_fail(control, runner->work, err);
+    rn_render_fail_all(control, runner, err);
+    rn_runner_shutdown(control, runner);
+}
+
+static void on_failed(struct rn_control *control, struct rn_runner *runner,
+                      const struct rn_wire_failed *failed) {
+    struct rn_error err = {.status = rn_status_from_name(failed->status)};
+    struct rn_task *task = task_of(runner, failed->job);
+    snprintf(err.where, sizeof err.where, "%s", failed->where);
+    snprintf(err.text, sizeof err.text, "%s", failed->text);
+    if (failed->request != RN_ABSENT) {
+        rn_render_failed(control, runner, failed->request, &err);
+    } else if (failed->job[0] == '\0') {
+        open_failed(control, runner, &err);
+    } else if (task != NULL && err.status == RN_ERROR_CANCELLED) {
+        rn_task_happened(control, task, RN_JOB_STOPPED);
+        rn_task_detach(task);
+    } else if (task != NULL) {
+        rn_task_fail(control, task, &err);
+    }
+    if (strcmp(runner->mode, "ingest") == 0) rn_runner_shutdown(control, runner);
+}
+
+static void on_info(struct rn_control *control, struct rn_runner *runner,
+                    const struct rn_wire_info *info) {
+    struct rn_device *device = &control->device;
+    snprintf(device->device, sizeof device->device, "%s", info->device);
+    snprintf(device->name, sizeof device->name, "%s", info->device_name);
+    snprintf(device->kernels, sizeof device->kernels, "%s", info->kernels);
+    snprintf(device->available, sizeof device->available, "%s", info->available);
+    device->threads = info->threads;
+    runner->state = RN_RUNNER_ENDING;
+}
+
+static void on_hello(struct rn_control *control, struct rn_runner *runner,
+                     const struct rn_wire_hello *hello) {
+    if (hello->protocol != RN_WIRE_PROTOCOL || strcmp(hello->mode, runner->mode) != 0) {
+        rn_log(RN_LOG_ERROR, "runner %d: version %s speaks protocol %lld in mode %s",
+               (int)runner->process.pid, hello->version, (long long)hello->protocol, hello->mode);
+        runner->broken = true;
+    } else if (strcmp(runner->mode, "ingest") == 0) {
+        runner->state = RN_RUNNER_READY;
+        if (runner->work != NULL) rn_runner_begin(control, runner->work);
+    }
+}
+
+union any {
+    struct rn_wire_hello hello;
+    struct rn_wire_opened opened;
+    struct rn_wire_state state;
+    struct rn_wire_progress progress;
+    struct rn_wire_metric metric;
+    struct rn_wire_checkpoint checkpoint;
+    struct rn_wire_frame frame;
+    struct rn_wire_rendered rendered;
+    struct rn_wire_done done;
+    struct rn_wire_failed failed;
+    struct rn_wire_info info;
+};
+
+static void dispatch(struct rn_control *control, struct rn_runner *runner,
+                     const struct rn_wire_message *message, union any *any) {
+    switch (message->type) {
+    case RN_WIRE_HELLO:
+        on_hello(control, runner, &any->hello);
+        break;
+    case RN_WIRE_OPENED:
+        on_opened(control, runner, &any->opened);
+        break;
+    case RN_WIRE_STATE:
+        on_state(control, runner, &any->state);
+        break;
+    case RN_WIRE_PROGRESS:
+        on_progress(control, runner, &any->progress);
+        break;
+    case RN_WIRE_METRIC:
+        on_metric(control, runner, &any->metric);
+        break;
+    case RN_WIRE_CHECKPOINT:
+        on_checkpoint(control, runner, &any->checkpoint);
+        break;
+    case RN_WIRE_FRAME:
+        on_frame(control, runner, &any->frame);
+        break;
+    case RN_WIRE_RENDERED:
+        rn_render_done(control, runner, &any->rendered, message->blob, message->blob_size);
+        break;
+    case RN_WIRE_DONE:
+        on_done(control, runner, &any->done);
+        break;
+    case RN_WIRE_FAILED:
+        on_failed(control, runner, &any->failed);
+        break;
+    case RN_WIRE_INFO:
+        on_info(control, runner, &any->info);
+        break;
+    default:
+        break;
+    }
+}
+
+void rn_runner_receive(struct rn_control *control, struct rn_runner *runner,
+                       const struct rn_wire_message *message) {
+    const struct rn_table *table =
+        message->type >= RN_WIRE_HELLO ? rn_wire_table(message->type) : NULL;
+    struct rn_error err = {0};
+    union any any;
+    if (table == NULL || rn_wire_take(message, &any, &err) != RN_OK) {
+        rn_log(RN_LOG_ERROR, "runner %d: bad %s message: %s %s", (int)runner->process.pid,
+               rn_wire_type_name(message->type), err.where, err.text);
+        runner->broken = true;
+        return;
+    }
+    dispatch(control, runner, message, &any);
+    rn_message_finish(table, &any);
+}

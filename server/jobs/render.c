@@ -1,0 +1,233 @@
+// Interactive renders: parked HTTP requests that a runner's picture answers.
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "common/base/clock.h"
+#include "common/base/sha256.h"
+#include "server/jobs/inside.h"
+
+#define RENDER_TIMEOUT_MS 120000
+
+const double rn_render_ms_bounds[9] = {10, 25, 50, 100, 250, 500, 1000, 2500, 10000};
+
+enum rn_status rn_control_etag(struct rn_control *control, const struct rn_scene_row *scene,
+                               const struct rn_render_request *request, char ret_etag[RN_ETAG_MAX],
+                               struct rn_error *err) {
+    ret_etag[0] = '\0';
+    pthread_mutex_lock(&control->lock);
+    const struct rn_task *task = rn_task_training(control, scene->id);
+    bool trains = task != NULL;
+    bool has_runner = trains && task->runner != NULL;
+    struct rn_device device = control->device;
+    pthread_mutex_unlock(&control->lock);
+    if (scene->sha256[0] == '\0' && !has_runner)
+        return rn_error_set(err, RN_ERROR_CONFLICT, "",
+                            "scene '%s' has no checkpoint yet: there is nothing to render",
+                            scene->name);
+    if (trains) return RN_OK;
+    char *json = NULL, head[256], hex[65];
+    size_t size;
+    enum rn_status status = rn_encode(&rn_render_request_table, request, &json, &size, err);
+    if (status != RN_OK) return status;
+    struct rn_sha256 hash;
+    int head_size =
+        snprintf(head, sizeof head, "%s %lld %s %s %s ", scene->id, (long long)scene->steps,
+                 scene->sha256, device.kernels, control->options.version);
+    rn_sha256_init(&hash);
+    rn_sha256_update(&hash, head, (size_t)head_size);
+    rn_sha256_update(&hash, json, size);
+    rn_sha256_final_hex(&hash, hex);
+    free(json);
+    snprintf(ret_etag, RN_ETAG_MAX, "\"%.40s\"", hex);
+    return RN_OK;
+}
+
+static void free_render(struct rn_render *render) {
+    rn_message_finish(&rn_render_request_table, &render->request);
+    free(render);
+}
+
+static struct rn_render *take(struct rn_runner *runner, int64_t number) {
+    for (struct rn_render **link = &runner->renders; *link != NULL; link = &(*link)->next) {
+        struct rn_render *render = *link;
+        if (render->number != number) continue;
+        *link = render->next;
+        return render;
+    }
+    return NULL;
+}
+
+// A client has left, or was told that it took too long.
+static void on_gone(void *context, struct rn_parked *parked) {
+    struct rn_control *control = context;
+    bool found = false;
+    pthread_mutex_lock(&control->lock);
+    for (struct rn_runner *runner = control->runners; runner != NULL; runner = runner->next) {
+        for (struct rn_render *render = runner->renders; render != NULL; render = render->next) {
+            struct rn_waiter **link = &render->waiters;
+            while (*link != NULL && (*link)->parked != parked)
+                link = &(*link)->next;
+            struct rn_waiter *waiter = *link;
+            if (waiter == NULL) continue;
+            found = true;
+            *link = waiter->next;
+            free(waiter);
+            if (render->waiters != NULL || !render->sent) continue;
+            struct rn_wire_cancel cancel = {.request = render->number};
+            control->stats.renders_cancelled++;
+            rn_runner_post(control, runner, RN_WIRE_CANCEL, &cancel);
+        }
+    }
+    if (found) rn_parked_answer(parked, NULL);
+    pthread_mutex_unlock(&control->lock);
+}
+
+static struct rn_render *find_equal(struct rn_runner *runner, const char *etag) {
+    if (etag[0] == '\0') return NULL;
+    for (struct rn_render *render = runner->renders; render != NULL; render = render->next)
+        if (strcmp(render->etag, etag) == 0 && render->waiters != NULL) return render;
+    return NULL;
+}
+
+static struct rn_render *add_render(struct rn_control *control, struct rn_runner *runner,
+                                    const struct rn_render_request *request, const char *etag) {
+    struct rn_render *render = calloc(1, sizeof *render);
+    if (render == NULL) return NULL;
+    render->request = *request;
+    if (request->camera != NULL) render->request.camera = strdup(request->camera);
+    if (request->camera != NULL && render->request.camera == NULL) {
+        free(render);
+        return NULL;
+    }
+    snprintf(render->etag, sizeof render->etag, "%s", etag);
+    render->number = ++control->next_render;
+    render->begin_ns = rn_clock_ns();
+    struct rn_render **link = &runner->renders;
+    while (*link != NULL)
+        link = &(*link)->next;
+    *link = render;
+    return render;
+}
+
+static enum rn_status enqueue(struct rn_control *control, const struct rn_scene_row *scene,
+                              const struct rn_render_request *render_request, const char *etag,
+                              struct rn_request *request, struct rn_error *err) {
+    struct rn_runner *runner;
+    struct rn_waiter *waiter = calloc(1, sizeof *waiter);
+    if (waiter == NULL) return rn_error_set(err, RN_ERROR_NO_MEMORY, "render", "no memory");
+    enum rn_status status = rn_runner_for_scene(control, scene->id, true, &runner, err);
+    if (status == RN_OK)
+        status =
+            rn_request_park(request, RENDER_TIMEOUT_MS, on_gone, control, &waiter->parked, err);
+    if (status != RN_OK) {
+        free(waiter);
+        return status;
+    }
+    struct rn_render *render = find_equal(runner, etag);
+    if (render == NULL) render = add_render(control, runner, render_request, etag);
+    if (render == NULL) {
+        struct rn_reply reply = {0};
+        rn_reply_problem(&reply, RN_PROBLEM_INTERNAL, "no memory for a render");
+        rn_parked_answer(waiter->parked, &reply);
+        free(waiter);
+        return RN_OK;
+    }
+    waiter->next = render->waiters;
+    render->waiters = waiter;
+    if (runner->state == RN_RUNNER_READY) rn_render_send(control, runner);
+    return RN_OK;
+}
+
+void rn_control_render(struct rn_control *control, const struct rn_scene_row *scene,
+                       const struct rn_render_request *render, const char *etag,
+                       struct rn_request *request, struct rn_reply *reply) {
+    struct rn_error err = {0};
+    pthread_mutex_lock(&control->lock);
+    enum rn_status status = enqueue(control, scene, render, etag, request, &err);
+    pthread_mutex_unlock(&control->lock);
+    if (status != RN_OK) rn_reply_error(reply, &err);
+}
+
+void rn_render_send(struct rn_control *control, struct rn_runner *runner) {
+    for (struct rn_render *render = runner->renders; render != NULL; render = render->next) {
+        if (render->sent) continue;
+        struct rn_wire_render message = {.request = render->number, .render = render->request};
+        render->sent = true;
+        rn_runner_post(control, runner, RN_WIRE_RENDER, &message);
+    }
+}
+
+static void fill_reply(struct rn_reply *reply, const struct rn_render *render,
+                       const struct rn_wire_rendered *rendered, uint8_t *copy, size_t size) {
+    double total_ms = (double)(rn_clock_ns() - render->begin_ns) * 1e-6;
+    double queue_ms = total_ms - rendered->render_ms - rendered->encode_ms;
+    bool cacheable = render->etag[0] != '\0' && !rendered->training;
+    rn_reply_bytes(reply, 200, rendered->format == RN_FORMAT_JPEG ? "image/jpeg" : "image/png",
+                   copy, size);
+    rn_reply_header(reply, "Server-Timing", "queue;dur=%.1f, render;dur=%.1f, encode;dur=%.1f",
+                    queue_ms > 0 ? queue_ms : 0, rendered->render_ms, rendered->encode_ms);
+    rn_reply_header(reply, "X-Ripnerf-Step", "%lld", (long long)rendered->step);
+    rn_reply_header(reply, "X-Ripnerf-Samples", "%lld", (long long)rendered->samples);
+    rn_reply_header(reply, "Cache-Control", cacheable ? "no-cache" : "no-store");
+    if (cacheable) rn_reply_header(reply, "ETag", "%s", render->etag);
+}
+
+static void count(struct rn_control *control, const struct rn_render *render) {
+    double ms = (double)(rn_clock_ns() - render->begin_ns) * 1e-6;
+    int bucket = 0;
+    while (bucket < 9 && ms > rn_render_ms_bounds[bucket])
+        bucket++;
+    control->stats.render_ms_buckets[bucket]++;
+    control->stats.render_ms_sum += ms;
+    control->stats.renders++;
+}
+
+void rn_render_done(struct rn_control *control, struct rn_runner *runner,
+                    const struct rn_wire_rendered *rendered, const uint8_t *blob, size_t size) {
+    struct rn_render *render = take(runner, rendered->request);
+    if (render == NULL) return;
+    count(control, render);
+    runner->last_used_ns = rn_clock_ns();
+    while (render->waiters != NULL) {
+        struct rn_waiter *waiter = render->waiters;
+        struct rn_reply reply = {0};
+        uint8_t *copy = malloc(size > 0 ? size : 1);
+        if (copy != NULL && size > 0) {
+            memcpy(copy, blob, size);
+            fill_reply(&reply, render, rendered, copy, size);
+        } else {
+            free(copy);
+            rn_reply_problem(&reply, RN_PROBLEM_INTERNAL, "no memory for the picture");
+        }
+        render->waiters = waiter->next;
+        rn_parked_answer(waiter->parked, &reply);
+        free(waiter);
+    }
+    free_render(render);
+}
+
+static void fail(struct rn_control *control, struct rn_render *render, const struct rn_error *err) {
+    if (err->status != RN_ERROR_CANCELLED) control->stats.renders_failed++;
+    while (render->waiters != NULL) {
+        struct rn_waiter *waiter = render->waiters;
+        struct rn_reply reply = {0};
+        rn_reply_error(&reply, err);
+        render->waiters = waiter->next;
+        rn_parked_answer(waiter->parked, &reply);
+        free(waiter);
+    }
+    free_render(render);
+}
+
+void rn_render_failed(struct rn_control *control, struct rn_runner *runner, int64_t number,
+                      const struct rn_error *err) {
+    struct rn_render *render = take(runner, number);
+    if (render != NULL) fail(control, render, err);
+}
+
+void rn_render_fail_all(struct rn_control *control, struct rn_runner *runner,
+                        const struct rn_error *err) {
+    while (runner->renders != NULL)
+        fail(control, take(runner, runner->renders->number), err);
+}

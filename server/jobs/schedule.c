@@ -1,0 +1,115 @@
+// Who runs next, and which idle runners end.
+#include <stdlib.h>
+#include <string.h>
+
+#include "common/base/clock.h"
+#include "server/jobs/inside.h"
+
+// While the scene's old runner is ending.
+#define RETRY_NS 200000000ll
+
+static bool is_active(const struct rn_task *task) {
+    return task->row.state == RN_JOB_RUNNING || task->row.state == RN_JOB_CANCELLING;
+}
+
+static int count_active(const struct rn_control *control, enum rn_job_type a, enum rn_job_type b) {
+    int count = 0;
+    for (const struct rn_task *task = control->tasks; task != NULL; task = task->next)
+        if ((task->row.type == a || task->row.type == b) && is_active(task)) count++;
+    return count;
+}
+
+// Whether a slot is free for the task and nothing else works on its scene.
+static bool may_start(struct rn_control *control, const struct rn_task *task) {
+    const struct rn_runner *runner =
+        task->row.scene[0] != '\0' ? rn_runner_find(control, task->row.scene) : NULL;
+    switch (task->row.type) {
+    case RN_JOB_TRAIN:
+        return count_active(control, RN_JOB_TRAIN, RN_JOB_TRAIN) <
+                   control->options.training_slots &&
+               (runner == NULL || runner->work == NULL);
+    case RN_JOB_INGEST:
+        return count_active(control, RN_JOB_INGEST, RN_JOB_INGEST) == 0;
+    case RN_JOB_PATH:
+    case RN_JOB_EVAL:
+        return count_active(control, RN_JOB_PATH, RN_JOB_EVAL) == 0 &&
+               (runner == NULL || runner->work == NULL) &&
+               (runner == NULL || runner->train == NULL || !is_active(runner->train));
+    }
+    return false;
+}
+
+static enum rn_status find_runner(struct rn_control *control, struct rn_task *task,
+                                  struct rn_runner **ret_runner, struct rn_error *err) {
+    if (task->row.type != RN_JOB_INGEST)
+        return rn_runner_for_scene(control, task->row.scene, task->row.type != RN_JOB_TRAIN,
+                                   ret_runner, err);
+    char *log = rn_store_path(control->store, "jobs/%s/log", task->row.id);
+    enum rn_status status = rn_runner_start(control, "ingest", "", log, ret_runner, err);
+    free(log);
+    return status;
+}
+
+static void start(struct rn_control *control, struct rn_task *task) {
+    struct rn_error err = {0};
+    struct rn_runner *runner = task->runner;
+    enum rn_status status = RN_OK;
+    if (runner == NULL) status = find_runner(control, task, &runner, &err);
+    if (status == RN_ERROR_BUSY || status == RN_ERROR_UNAVAILABLE) {
+        task->not_before_ns = rn_clock_ns() + RETRY_NS;
+        return;
+    }
+    if (status != RN_OK) {
+        rn_task_fail(control, task, &err);
+        return;
+    }
+    task->runner = runner;
+    if (task->row.type == RN_JOB_TRAIN)
+        runner->train = task;
+    else
+        runner->work = task;
+    rn_task_happened(control, task, RN_JOB_START);
+    if (runner->state == RN_RUNNER_READY) rn_runner_begin(control, task);
+}
+
+// The idle runner that was used longest ago.
+static struct rn_runner *oldest_idle(struct rn_control *control) {
+    struct rn_runner *oldest = NULL;
+    for (struct rn_runner *runner = control->runners; runner != NULL; runner = runner->next)
+        if (rn_runner_is_idle(runner) &&
+            (oldest == NULL || runner->last_used_ns < oldest->last_used_ns))
+            oldest = runner;
+    return oldest;
+}
+
+static void evict(struct rn_control *control) {
+    int64_t memory = 0, now_ns = rn_clock_ns();
+    int loaded = 0;
+    for (struct rn_runner *runner = control->runners; runner != NULL; runner = runner->next) {
+        if (runner->state == RN_RUNNER_ENDING) continue;
+        memory += runner->memory_bytes;
+        loaded += strcmp(runner->mode, "field") == 0;
+    }
+    struct rn_runner *oldest;
+    while ((oldest = oldest_idle(control)) != NULL) {
+        bool over = loaded > control->options.max_loaded ||
+                    (control->options.memory_limit_bytes > 0 && loaded > 1 &&
+                     memory > control->options.memory_limit_bytes);
+        bool stale = now_ns - oldest->last_used_ns > control->options.keep_alive_s * 1000000000ll;
+        if (!over && !stale) return;
+        memory -= oldest->memory_bytes;
+        loaded--;
+        rn_runner_shutdown(control, oldest);
+    }
+}
+
+void rn_schedule(struct rn_control *control) {
+    control->schedule_due = false;
+    if (control->stopping) return;
+    int64_t now_ns = rn_clock_ns();
+    for (struct rn_task *task = control->tasks; task != NULL; task = task->next)
+        if (task->row.state == RN_JOB_QUEUED && now_ns >= task->not_before_ns &&
+            may_start(control, task))
+            start(control, task);
+    evict(control);
+}

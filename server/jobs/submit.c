@@ -1,0 +1,350 @@
+// New jobs, commands to jobs, and the end of scenes and datasets.
+#include <errno.h>
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "common/base/clock.h"
+#include "common/base/file.h"
+#include "common/base/log.h"
+#include "proto/event.h"
+#include "server/jobs/inside.h"
+
+// What a submission will write.
+struct draft {
+    struct rn_job_row job;
+    struct rn_scene_row scene; // train
+};
+
+static void set_text(char *target, size_t size, const char *text) {
+    snprintf(target, size, "%s", text);
+}
+
+static enum rn_status check_queue(struct rn_control *control, struct rn_error *err) {
+    int open = 0;
+    for (const struct rn_task *task = control->tasks; task != NULL; task = task->next)
+        open += !rn_job_is_over(task->row.state);
+    if (control->stopping)
+        return rn_error_set(err, RN_ERROR_UNAVAILABLE, "", "the daemon is shutting down");
+    if (open >= control->options.max_queued)
+        return rn_error_set(err, RN_ERROR_BUSY, "", "%d jobs wait or run already, the limit", open);
+    return RN_OK;
+}
+
+static enum rn_status draft_train(struct rn_control *control, const struct rn_submission *wanted,
+                                  struct draft *draft, struct rn_error *err) {
+    struct rn_dataset_row dataset;
+    struct rn_scene_row scene;
+    struct rn_error absent;
+    enum rn_status status = rn_store_resolve(control->store, &rn_datasets, RN_ID_DATASET,
+                                             wanted->dataset, &dataset, err);
+    if (status != RN_OK) return status;
+    set_text(draft->job.dataset, sizeof draft->job.dataset, dataset.id);
+    set_text(draft->job.dataset_name, sizeof draft->job.dataset_name, dataset.name);
+    rn_row_finish(&rn_datasets, &dataset);
+    status = rn_store_find(control->store, &rn_scenes, "name", wanted->scene, &scene, &absent);
+    if (status == RN_OK) {
+        const struct rn_task *task = rn_task_training(control, scene.id);
+        status = rn_error_set(err, RN_ERROR_CONFLICT, "#/scene", "there is a scene '%s'%s%s%s",
+                              scene.name, task != NULL ? ", and job " : "",
+                              task != NULL ? task->row.id : "",
+                              task != NULL ? " is training it" : "; choose another name");
+        rn_row_finish(&rn_scenes, &scene);
+        return status;
+    }
+    status = rn_store_new_id(RN_ID_SCENE, draft->scene.id, err);
+    set_text(draft->scene.name, sizeof draft->scene.name, wanted->scene);
+    set_text(draft->scene.dataset, sizeof draft->scene.dataset, draft->job.dataset);
+    set_text(draft->scene.job, sizeof draft->scene.job, draft->job.id);
+    draft->scene.created_ms = draft->job.created_ms;
+    draft->scene.psnr = NAN;
+    set_text(draft->job.scene, sizeof draft->job.scene, draft->scene.id);
+    set_text(draft->job.scene_name, sizeof draft->job.scene_name, draft->scene.name);
+    return status;
+}
+
+static enum rn_status draft_work(struct rn_control *control, const struct rn_submission *wanted,
+                                 struct draft *draft, struct rn_error *err) {
+    struct rn_scene_row scene;
+    enum rn_status status =
+        rn_store_resolve(control->store, &rn_scenes, RN_ID_SCENE, wanted->scene, &scene, err);
+    if (status != RN_OK) return status;
+    const struct rn_task *task = rn_task_training(control, scene.id);
+    set_text(draft->job.scene, sizeof draft->job.scene, scene.id);
+    set_text(draft->job.scene_name, sizeof draft->job.scene_name, scene.name);
+    if (task != NULL && task->row.state != RN_JOB_PAUSED)
+        status = rn_error_set(err, RN_ERROR_CONFLICT, "#/scene",
+                              "scene '%s' is training (job %s is %s); wait for its end or pause "
+                              "it",
+                              scene.name, task->row.id, rn_job_state_names[task->row.state]);
+    else if (scene.sha256[0] == '\0')
+        status = rn_error_set(err, RN_ERROR_CONFLICT, "#/scene",
+                              "scene '%s' has no checkpoint to work with", scene.name);
+    rn_row_finish(&rn_scenes, &scene);
+    return status;
+}
+
+static enum rn_status draft_ingest(struct rn_control *control, const struct rn_submission *wanted,
+                                   struct draft *draft, struct rn_error *err) {
+    struct rn_dataset_row dataset;
+    struct rn_error absent;
+    if (rn_store_find(control->store, &rn_datasets, "name", wanted->dataset, &dataset, &absent) ==
+        RN_OK) {
+        rn_row_finish(&rn_datasets, &dataset);
+        return rn_error_set(err, RN_ERROR_CONFLICT, "#/name",
+                            "there is a dataset '%s'; choose another name or delete that one",
+                            wanted->dataset);
+    }
+    for (const struct rn_task *task = control->tasks; task != NULL; task = task->next)
+        if (task->row.type == RN_JOB_INGEST && !rn_job_is_over(task->row.state) &&
+            strcmp(task->row.dataset_name, wanted->dataset) == 0)
+            return rn_error_set(err, RN_ERROR_CONFLICT, "#/name",
+                                "job %s imports a dataset '%s' already", task->row.id,
+                                wanted->dataset);
+    set_text(draft->job.dataset_name, sizeof draft->job.dataset_name, wanted->dataset);
+    return rn_store_new_id(RN_ID_DATASET, draft->job.dataset, err);
+}
+
+static enum rn_status make_draft(struct rn_control *control, const struct rn_submission *wanted,
+                                 struct draft *draft, struct rn_error *err) {
+    struct rn_job_row *job = &draft->job;
+    job->type = wanted->type;
+    job->state = RN_JOB_QUEUED;
+    job->attempt = 1;
+    job->created_ms = rn_clock_wall_ms();
+    enum rn_status status = rn_store_new_id(RN_ID_JOB, job->id, err);
+    if (status != RN_OK) return status;
+    if (wanted->type == RN_JOB_TRAIN)
+        status = draft_train(control, wanted, draft, err);
+    else if (wanted->type == RN_JOB_INGEST)
+        status = draft_ingest(control, wanted, draft, err);
+    else
+        status = draft_work(control, wanted, draft, err);
+    if (status != RN_OK) return status;
+    job->options = strdup(wanted->options);
+    if (wanted->spooled != NULL)
+        job->source = rn_store_path(control->store, "spool/%s.tar", job->id);
+    else if (wanted->source != NULL)
+        job->source = strdup(wanted->source);
+    bool needs_source = wanted->spooled != NULL || wanted->source != NULL;
+    if (job->options == NULL || (needs_source && job->source == NULL))
+        return rn_error_set(err, RN_ERROR_NO_MEMORY, "job", "no memory for a job");
+    return RN_OK;
+}
+
+static enum rn_status make_folder(struct rn_control *control, const char *job,
+                                  struct rn_error *err) {
+    char *path = rn_store_path(control->store, "jobs/%s/frames", job);
+    if (path == NULL) return rn_error_set(err, RN_ERROR_NO_MEMORY, "job", "no memory for a job");
+    enum rn_status status = rn_mkdirs(path, 0700, err);
+    free(path);
+    return status;
+}
+
+static enum rn_status write_draft(struct rn_control *control, const struct rn_submission *wanted,
+                                  struct draft *draft, struct rn_error *err) {
+    enum rn_status status = make_folder(control, draft->job.id, err);
+    if (status != RN_OK) return status;
+    if (wanted->spooled != NULL && rename(wanted->spooled, draft->job.source) != 0)
+        return rn_error_from_errno(err, errno, draft->job.source, "keeping the upload");
+    status = rn_store_begin(control->store, err);
+    if (status != RN_OK) return status;
+    status = rn_store_insert(control->store, &rn_jobs_table, &draft->job, err);
+    if (status == RN_OK && wanted->type == RN_JOB_TRAIN)
+        status = rn_store_insert(control->store, &rn_scenes, &draft->scene, err);
+    if (status == RN_OK && wanted->key != NULL) {
+        struct rn_key_row key = {.created_ms = draft->job.created_ms};
+        set_text(key.id, sizeof key.id, wanted->key);
+        set_text(key.digest, sizeof key.digest, wanted->digest);
+        set_text(key.job, sizeof key.job, draft->job.id);
+        status = rn_store_insert(control->store, &rn_keys, &key, err);
+    }
+    if (status == RN_OK) return rn_store_commit(control->store, err);
+    rn_store_rollback(control->store);
+    return status;
+}
+
+// The job of an earlier request with the same key; RN_ERROR_NOT_FOUND when there was none.
+static enum rn_status find_key(struct rn_control *control, const struct rn_submission *wanted,
+                               char ret_id[RN_ID_MAX], struct rn_error *err) {
+    struct rn_key_row key;
+    enum rn_status status = rn_store_find(control->store, &rn_keys, "id", wanted->key, &key, err);
+    if (status != RN_OK) return status;
+    if (strcmp(key.digest, wanted->digest) != 0)
+        return rn_error_set(err, RN_ERROR_CONFLICT, "Idempotency-Key",
+                            "the key was used for another request (job %s)", key.job);
+    set_text(ret_id, RN_ID_MAX, key.job);
+    return RN_OK;
+}
+
+static enum rn_status submit(struct rn_control *control, const struct rn_submission *wanted,
+                             char ret_id[RN_ID_MAX], char **ret_json, struct rn_error *err) {
+    struct draft draft = {0};
+    struct rn_task *task = NULL;
+    enum rn_status status = check_queue(control, err);
+    if (status == RN_OK) status = make_draft(control, wanted, &draft, err);
+    if (status == RN_OK) status = write_draft(control, wanted, &draft, err);
+    if (status == RN_OK) status = rn_task_add(control, &draft.job, &task, err);
+    if (status == RN_OK) {
+        set_text(ret_id, RN_ID_MAX, task->row.id);
+        rn_task_announce(control, task);
+        rn_schedule(control);
+        rn_control_wake(control);
+        status = rn_document_job(control, &task->row, ret_json, err);
+    }
+    rn_row_finish(&rn_jobs_table, &draft.job);
+    return status;
+}
+
+enum rn_status rn_control_submit(struct rn_control *control, const struct rn_submission *wanted,
+                                 char ret_id[RN_ID_MAX], char **ret_json, struct rn_error *err) {
+    enum rn_status status = RN_ERROR_NOT_FOUND;
+    pthread_mutex_lock(&control->lock);
+    if (wanted->key != NULL) status = find_key(control, wanted, ret_id, err);
+    bool again = status == RN_OK;
+    if (status == RN_ERROR_NOT_FOUND) status = submit(control, wanted, ret_id, ret_json, err);
+    pthread_mutex_unlock(&control->lock);
+    return again ? rn_control_job_json(control, ret_id, ret_json, err) : status;
+}
+
+// Passes a command that changed the state on to the job's runner.
+static void tell_runner(struct rn_control *control, struct rn_task *task, enum rn_job_event event) {
+    static const enum rn_wire_type types[RN_JOB_EVENT_COUNT] = {
+        [RN_JOB_PAUSE] = RN_WIRE_PAUSE,
+        [RN_JOB_FINISH] = RN_WIRE_FINISH,
+        [RN_JOB_CANCEL] = RN_WIRE_CANCEL,
+    };
+    if (event == RN_JOB_FINISH) task->finish = true;
+    // What was not sent yet is told its state when it is; resuming is the scheduler's.
+    if (task->runner == NULL || !task->sent || event == RN_JOB_RESUME) return;
+    rn_runner_post_job(control, task->runner, types[event], task->row.id);
+}
+
+// A finished job's answer to a command: only cancelling a cancelled one is no conflict.
+static enum rn_status command_over(struct rn_control *control, const char *id,
+                                   enum rn_job_event event, char **ret_json, struct rn_error *err) {
+    struct rn_job_row row;
+    enum rn_job_state next;
+    enum rn_status status =
+        rn_store_resolve(control->store, &rn_jobs_table, RN_ID_JOB, id, &row, err);
+    if (status != RN_OK) return status;
+    status = rn_job_next(row.type, row.state, event, false, &next, err);
+    if (status == RN_OK) status = rn_document_job(control, &row, ret_json, err);
+    rn_row_finish(&rn_jobs_table, &row);
+    return status;
+}
+
+enum rn_status rn_control_command(struct rn_control *control, const char *id,
+                                  enum rn_job_event event, char **ret_json, struct rn_error *err) {
+    pthread_mutex_lock(&control->lock);
+    struct rn_task *task = rn_task_find(control, id);
+    enum rn_status status;
+    if (task == NULL) {
+        status = command_over(control, id, event, ret_json, err);
+    } else {
+        enum rn_job_state before = task->row.state;
+        status = rn_task_apply(control, task, event, false, err);
+        bool changed = status == RN_OK && task->row.state != before;
+        if (changed || (status == RN_OK && event == RN_JOB_FINISH && !task->finish))
+            tell_runner(control, task, event);
+        if (status == RN_OK) {
+            rn_schedule(control);
+            rn_control_wake(control);
+            status = rn_document_job(control, &task->row, ret_json, err);
+        }
+    }
+    pthread_mutex_unlock(&control->lock);
+    return status;
+}
+
+static void remove_folder(struct rn_control *control, const char *kind, const char *id) {
+    struct rn_error err = {0};
+    char *path = rn_store_path(control->store, "%s/%s", kind, id);
+    // What is left over is removed at the next start.
+    if (path == NULL || rn_remove_tree(path, &err) != RN_OK)
+        rn_log(RN_LOG_WARN, "%s/%s: %s", kind, id, err.text);
+    free(path);
+}
+
+static enum rn_status delete_checkpoints(struct rn_control *control, const char *scene,
+                                         struct rn_error *err) {
+    struct rn_query query = {.equal = {{"scene", scene}}};
+    void *rows = NULL;
+    size_t count = 0;
+    enum rn_status status =
+        rn_store_list(control->store, &rn_checkpoints, &query, &rows, &count, err);
+    const struct rn_checkpoint_row *row = rows;
+    for (size_t i = 0; status == RN_OK && i < count; i++)
+        status = rn_store_delete(control->store, &rn_checkpoints, row[i].id, err);
+    rn_rows_finish(&rn_checkpoints, rows, count);
+    return status;
+}
+
+static enum rn_status delete_scene(struct rn_control *control, const struct rn_scene_row *scene,
+                                   struct rn_error *err) {
+    const struct rn_task *task = rn_task_of_scene(control, scene->id);
+    if (task != NULL)
+        return rn_error_set(err, RN_ERROR_CONFLICT, "", "job %s works on scene '%s' (%s)",
+                            task->row.id, scene->name, rn_job_state_names[task->row.state]);
+    enum rn_status status = rn_store_begin(control->store, err);
+    if (status != RN_OK) return status;
+    status = delete_checkpoints(control, scene->id, err);
+    if (status == RN_OK) status = rn_store_delete(control->store, &rn_scenes, scene->id, err);
+    if (status == RN_OK) {
+        status = rn_store_commit(control->store, err);
+    } else {
+        rn_store_rollback(control->store);
+    }
+    if (status != RN_OK) return status;
+    struct rn_runner *runner = rn_runner_find(control, scene->id);
+    if (runner != NULL) rn_runner_remove(control, runner, true);
+    remove_folder(control, "scenes", scene->id);
+    return RN_OK;
+}
+
+enum rn_status rn_control_delete_scene(struct rn_control *control, const char *reference,
+                                       struct rn_error *err) {
+    struct rn_scene_row scene;
+    pthread_mutex_lock(&control->lock);
+    enum rn_status status =
+        rn_store_resolve(control->store, &rn_scenes, RN_ID_SCENE, reference, &scene, err);
+    if (status == RN_OK) {
+        status = delete_scene(control, &scene, err);
+        rn_row_finish(&rn_scenes, &scene);
+    }
+    pthread_mutex_unlock(&control->lock);
+    return status;
+}
+
+static enum rn_status check_unused(struct rn_control *control, const struct rn_dataset_row *dataset,
+                                   struct rn_error *err) {
+    struct rn_query query = {.equal = {{"dataset", dataset->id}}, .limit = 1};
+    void *rows = NULL;
+    size_t count = 0;
+    enum rn_status status = rn_store_list(control->store, &rn_scenes, &query, &rows, &count, err);
+    if (status != RN_OK) return status;
+    if (count > 0)
+        status = rn_error_set(err, RN_ERROR_CONFLICT, "",
+                              "scene '%s' was made from dataset '%s'; delete it first",
+                              ((struct rn_scene_row *)rows)->name, dataset->name);
+    rn_rows_finish(&rn_scenes, rows, count);
+    return status;
+}
+
+enum rn_status rn_control_delete_dataset(struct rn_control *control, const char *reference,
+                                         struct rn_error *err) {
+    struct rn_dataset_row dataset;
+    pthread_mutex_lock(&control->lock);
+    enum rn_status status =
+        rn_store_resolve(control->store, &rn_datasets, RN_ID_DATASET, reference, &dataset, err);
+    if (status == RN_OK) {
+        status = check_unused(control, &dataset, err);
+        if (status == RN_OK)
+            status = rn_store_delete(control->store, &rn_datasets, dataset.id, err);
+        if (status == RN_OK) remove_folder(control, "datasets", dataset.id);
+        rn_row_finish(&rn_datasets, &dataset);
+    }
+    pthread_mutex_unlock(&control->lock);
+    return status;
+}

@@ -1,0 +1,214 @@
+// ripnerfd: the control plane. Start: options, records, supervision, HTTP. Stop, on SIGTERM or
+// SIGINT: refuse requests, let runners save, close; a second signal ends the process at once.
+#include <errno.h>
+#include <libgen.h>
+#include <limits.h>
+#include <signal.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/resource.h>
+#include <unistd.h>
+
+#include "common/base/clock.h"
+#include "common/base/log.h"
+#include "server/api/app.h"
+#include "server/config.h"
+
+#define HTTP_DRAIN_MS 1000
+
+struct server {
+    struct rn_config config;
+    struct rn_store *store;
+    struct rn_executor *executor;
+    struct rn_control *control;
+    struct rn_app app;
+    char web[PATH_MAX], runner[PATH_MAX];
+};
+
+static const char *get_env(const char *name) {
+    return getenv(name);
+}
+
+static void exit_now(int signal_number) {
+    _exit(128 + signal_number);
+}
+
+static void block_signals(sigset_t *ret_set) {
+    sigemptyset(ret_set);
+    sigaddset(ret_set, SIGTERM);
+    sigaddset(ret_set, SIGINT);
+    pthread_sigmask(SIG_BLOCK, ret_set, NULL);
+    signal(SIGPIPE, SIG_IGN);
+}
+
+// From here on a signal ends the process.
+static void arm_second_signal(const sigset_t *set) {
+    struct sigaction action = {.sa_handler = exit_now};
+    sigaction(SIGTERM, &action, NULL);
+    sigaction(SIGINT, &action, NULL);
+    pthread_sigmask(SIG_UNBLOCK, set, NULL);
+}
+
+// A connection, a spooled body and a picture may each hold a descriptor.
+static void raise_file_limit(void) {
+    struct rlimit limit;
+    if (getrlimit(RLIMIT_NOFILE, &limit) != 0) return;
+    limit.rlim_cur = limit.rlim_max;
+    if (setrlimit(RLIMIT_NOFILE, &limit) != 0)
+        rn_log(RN_LOG_WARN, "the limit of open files stays low: %s", strerror(errno));
+}
+
+static bool own_folder(char folder[PATH_MAX]) {
+    ssize_t size = readlink("/proc/self/exe", folder, PATH_MAX - 1);
+    if (size <= 0) return false;
+    folder[size] = '\0';
+    dirname(folder);
+    return true;
+}
+
+// The first of the candidates that is there; `target` holds the last one otherwise.
+static void find_file(const char *given, const char *const *candidates, char target[PATH_MAX]) {
+    char folder[PATH_MAX] = "";
+    if (given != NULL) {
+        snprintf(target, PATH_MAX, "%s", given);
+        return;
+    }
+    if (!own_folder(folder)) folder[0] = '\0';
+    for (; *candidates != NULL; candidates++) {
+        bool absolute = (*candidates)[0] == '/';
+        int size = snprintf(target, PATH_MAX, "%s%s%s", absolute ? "" : folder, absolute ? "" : "/",
+                            *candidates);
+        if (size < PATH_MAX && access(target, F_OK) == 0) return;
+    }
+}
+
+static void find_files(struct server *server) {
+    static const char *const runners[] = {"ripnerf-runner", "../libexec/ripnerf/ripnerf-runner",
+                                          NULL};
+    static const char *const webs[] = {"../share/ripnerf/web/index.html",
+                                       RN_SOURCE_WEB "/index.html", NULL};
+    find_file(server->config.runner, runners, server->runner);
+    find_file(NULL, webs, server->web);
+    dirname(server->web);
+    if (server->config.web != NULL)
+        snprintf(server->web, sizeof server->web, "%s", server->config.web);
+}
+
+static enum rn_status set_log_level(const char *name, struct rn_error *err) {
+    static const char *const names[] = {"error", "warn", "info", "debug", NULL};
+    int level = rn_name_index(names, name);
+    if (level < 0)
+        return rn_error_set(err, RN_ERROR_INVALID, "log-level",
+                            "'%s' is not error, warn, info or debug", name);
+    rn_log_set_level((enum rn_log_level)level);
+    return RN_OK;
+}
+
+static enum rn_status start_control(struct server *server, struct rn_error *err) {
+    const struct rn_config *config = &server->config;
+    struct rn_control_options options = {
+        .training_slots = (int)config->training_slots,
+        .max_queued = (int)config->max_queued,
+        .max_loaded = (int)config->max_loaded,
+        .memory_limit_bytes = config->memory_limit_bytes,
+        .keep_alive_s = config->keep_alive_s,
+        .threads = (int)config->threads,
+        .max_upload_bytes = config->max_upload_bytes,
+        .max_upload_entries = config->max_upload_entries,
+        .version = RN_VERSION,
+    };
+    enum rn_status status = rn_store_open(config->data, &server->store, err);
+    if (status == RN_OK) status = rn_store_sweep(server->store, err);
+    if (status == RN_OK) status = rn_local_executor_create(server->runner, &server->executor, err);
+    if (status == RN_OK)
+        status =
+            rn_control_create(&options, server->store, server->executor, &server->control, err);
+    return status;
+}
+
+static enum rn_status start_http(struct server *server, struct rn_error *err) {
+    const struct rn_config *config = &server->config;
+    server->app = (struct rn_app){
+        .store = server->store,
+        .control = server->control,
+        .web = server->web,
+        .roots = (const char *const *)config->roots,
+        .root_count = (size_t)config->root_count,
+        .memory_limit_bytes = config->memory_limit_bytes,
+        .max_upload_bytes = config->max_upload_bytes,
+        .max_upload_entries = config->max_upload_entries,
+        .training_slots = config->training_slots,
+        .max_queued = config->max_queued,
+        .max_loaded = config->max_loaded,
+        .start_ns = rn_clock_ns(),
+    };
+    struct rn_http_options options = {
+        .address = config->address,
+        .port = config->port,
+        .token = config->token,
+        .routes = rn_api_routes,
+        .context = &server->app,
+        .max_connections = (unsigned)config->max_connections,
+    };
+    return rn_http_start(&options, &server->app.http, err);
+}
+
+static void stop(struct server *server) {
+    if (server->app.http != NULL) rn_http_drain(server->app.http, HTTP_DRAIN_MS);
+    if (server->control != NULL) rn_control_drain(server->control, server->config.drain_s * 1000);
+    rn_http_destroy(&server->app.http);
+    if (server->control != NULL) rn_control_destroy(&server->control);
+    if (server->executor != NULL) server->executor->destroy(server->executor);
+    rn_store_close(&server->store);
+    rn_app_finish(&server->app);
+    rn_config_finish(&server->config);
+}
+
+static void announce(const struct server *server) {
+    bool v6 = strchr(server->config.address, ':') != NULL;
+    printf("ripnerfd: listening on http://%s%s%s:%u\n", v6 ? "[" : "", server->config.address,
+           v6 ? "]" : "", rn_http_port(server->app.http));
+    fflush(stdout);
+}
+
+static int print_help(void) {
+    char *text = rn_config_help();
+    if (text != NULL) fputs(text, stdout);
+    free(text);
+    return text == NULL;
+}
+
+static int complain(const struct rn_error *err) {
+    fprintf(stderr, "ripnerfd: %s%s%s\n", err->where, err->where[0] != '\0' ? ": " : "", err->text);
+    return err->status == RN_ERROR_INVALID ? 2 : 1;
+}
+
+int main(int argc, char **argv) {
+    static struct server server;
+    struct rn_error err = {0};
+    sigset_t signals;
+    int signal_number = 0;
+    if (rn_config_load(argc, argv, get_env, &server.config, &err) != RN_OK) return complain(&err);
+    if (server.config.help) return print_help();
+    if (server.config.version) {
+        puts("ripnerfd " RN_VERSION);
+        return 0;
+    }
+    block_signals(&signals);
+    raise_file_limit();
+    find_files(&server);
+    enum rn_status status = set_log_level(server.config.log_level, &err);
+    if (status == RN_OK) status = start_control(&server, &err);
+    if (status == RN_OK) status = start_http(&server, &err);
+    if (status != RN_OK) {
+        stop(&server);
+        return complain(&err);
+    }
+    announce(&server);
+    sigwait(&signals, &signal_number);
+    rn_log(RN_LOG_INFO, "stopping: %s", strsignal(signal_number));
+    arm_second_signal(&signals);
+    stop(&server);
+    return 0;
+}
