@@ -21,6 +21,9 @@ from pathlib import Path
 
 import numpy as np
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from support import contract  # noqa: E402
+
 WEB = Path(__file__).resolve().parents[2] / "web"
 CSP = "default-src 'self'; img-src 'self' blob:"
 TYPES = {".html": "text/html", ".css": "text/css", ".js": "text/javascript", ".svg": "image/svg+xml"}
@@ -113,7 +116,7 @@ class World:
         self.news = threading.Condition(self.lock)
         self.datasets, self.scenes, self.jobs, self.paths, self.evaluations = [], [], [], [], []
         self.events = []  # (id, job id, type, data)
-        self.metrics, self.frames = {}, {}
+        self.frames, self.done, self.routes = {}, {}, {}  # by job id; routes are the camera paths
         self.serial = 0
         self.uploads = []
         if scenario != "empty":
@@ -125,7 +128,8 @@ class World:
 
     def new_id(self, prefix):
         self.serial += 1
-        return f"{prefix}_{'a' * 8}{np.base_repr(self.serial + 4096, 32)[-4:].lower().translate(str.maketrans('0189', 'wxyz'))}"
+        digits = "abcdefghijklmnopqrstuvwxyz234567"
+        return f"{prefix}_{'a' * 9}" + "".join(digits[self.serial >> shift & 31] for shift in (10, 5, 0))
 
     def populate(self):
         done = self.train({"dataset": "sphere", "scene": "sphere-draft", "options": {"preset": "draft", "max_time_s": 30}})
@@ -175,14 +179,15 @@ class World:
         if any(scene["name"] == body["scene"] for scene in self.scenes):
             raise Refusal(409, "Conflict", f"The scene {body['scene']} exists.", [{"pointer": "#/scene", "detail": "this name is taken"}])
         options = {"preset": "standard", **body.get("options", {})}
-        if options.get("seed", 0) > 2 ** 53:
-            raise Refusal(422, "Invalid", "A value is out of range.", [{"pointer": "#/options/seed", "detail": "at most 9007199254740991"}])
         planes = options.get("planes", 3)
         scene = {"id": self.new_id("sc"), "name": body["scene"], "dataset": dataset["id"], "dataset_name": dataset["name"], "created_at": now(), "state": "new",
                  "job": "", "steps": 0, "train_seconds": 0, "psnr": None, "parameters_sha256": None, "bounds": dataset["bounds"], "loaded": True,
                  "held_out": "8 evenly spaced views of the validation split", "checkpoints": [], "memory_bytes": 412_000_000, "kernels": "avx512",
                  "config": {"preset": options["preset"], "planes": planes, "orientation": "platonic", "base": 256, "channels": 8, "levels": 4,
-                            "footprint": options.get("footprint", "rip"), "shading": "ray", "width": 32, "base_layers": 1, "head_layers": 2, "seed": 1, "train_split": "train"},
+                            "footprint": options.get("footprint", "rip"), "shading": "ray", "width": 32, "base_layers": 1, "head_layers": 2,
+                            "view_dependence": True, "occupancy": 128, "step": 0.004, "target_samples": 65536, "initial_rays": 4096, "learning_rate": 0.004,
+                            "plane_rate": 1, "weight_decay": 0, "adam_eps": 1e-15, "max_steps": 0, "max_seconds": 0, "until_psnr": 0, "carve": True,
+                            "roulette": True, "sparse": True, "grow": False, "stop": 0.001, "seed": 1, "train_split": "train", "background": [1, 1, 1]},
                  "differences": [{"what": "3 planes instead of 10", "measured": "+1.2 dB at 60 s (lego 400)"}, {"what": "one colour network a ray", "measured": "+0.4 dB"}],
                  "effects": [{"name": "background", "on": True, "decided": True, "number": 0.62, "threshold": 0.01, "reason": "62 % of pixels are transparent"},
                              {"name": "scale-pyramid", "on": False, "decided": True, "number": 1.04, "threshold": 1.5, "reason": "footprints differ by a factor of 1.04 only"},
@@ -258,10 +263,9 @@ class World:
         self.set_state(job, "succeeded")
 
     def work(self, job, total, rate, dt):
-        done = min(total, (job["progress"]["done"] if job["progress"] else 0) + rate * dt)
-        job["progress"] = {"done": int(done) if done == total else round(done, 2), "total": total, "fraction": done / total, "eta_seconds": (total - done) / rate}
-        shown = {**job["progress"], "done": int(done)}
-        self.emit(job, "progress", shown)
+        done = self.done[job["id"]] = min(total, self.done.get(job["id"], 0) + rate * dt)
+        job["progress"] = {"done": int(done), "total": total, "fraction": done / total, "eta_seconds": (total - done) / rate}
+        self.emit(job, "progress", job["progress"])
         return int(done)
 
     def advance_ingest(self, job, dt):
@@ -272,7 +276,7 @@ class World:
             self.set_state(job, "succeeded")
 
     def advance_path(self, job, dt):
-        path = job["path"]
+        path = self.routes[job["id"]]
         keys = path["keys"]
         total = max(1, int((keys[-1]["time"] - keys[0]["time"]) * path["fps"]) + 1)
         done = self.work(job, total, 12, dt)
@@ -300,8 +304,9 @@ class World:
         if body["type"] == "train":
             return self.train(body)
         scene = self.find(self.scenes, body["scene"], "scene")
-        fields = {"scene": scene["id"], "scene_name": scene["name"], "options": body.get("options", {})}
-        return self.job(body["type"], **fields, **({"path": body["camera_path"]} if body["type"] == "path" else {}))
+        job = self.job(body["type"], scene=scene["id"], scene_name=scene["name"], options=body.get("options", {}))
+        self.routes[job["id"]] = body.get("camera_path")
+        return job
 
     def act(self, job, verb):
         target = {"pause": ("running", "queued"), "resume": ("paused",), "finish": ("running", "paused"), "cancel": ("queued", "running", "paused", "cancelled", "interrupted")}[verb]
@@ -337,6 +342,9 @@ class Handler(BaseHTTPRequestHandler):
         self.wfile.flush()
 
     def answer(self):
+        if self.server.stopping:
+            self.close_connection = True
+            return
         url = urllib.parse.urlsplit(self.path)
         self.query = dict(urllib.parse.parse_qsl(url.query))
         self.body = self.rfile.read(int(self.headers.get("Content-Length") or 0))
@@ -354,6 +362,15 @@ class Handler(BaseHTTPRequestHandler):
             self.close_connection = True
 
     do_GET = do_POST = do_DELETE = answer
+
+    def json_body(self, schema):
+        """The request's JSON, refused where it does not fit the API document; without a schema, a job."""
+        body = json.loads(self.body)
+        schema = schema or {"train": "TrainRequest", "path": "PathRequest", "eval": "EvalRequest"}[body["type"]]
+        errors = contract.errors(schema, body)
+        if errors:
+            raise Refusal(422, "Invalid", "A value is wrong.", errors)
+        return body
 
     def page(self, path):
         file = WEB / ("index.html" if path == "/" else path.removeprefix("/web/"))
@@ -378,10 +395,9 @@ class Handler(BaseHTTPRequestHandler):
                                     "max_training_jobs": 1, "max_render_pixels": 67108864, "max_scenes_loaded": 4}})
 
     def lists(self, world, what):
-        hidden = ("path",)
         with world.lock:
             items = {"datasets": world.datasets, "scenes": world.scenes, "jobs": world.jobs, "camera-paths": world.paths}[what]
-            self.items([{k: v for k, v in item.items() if k not in hidden or what == "camera-paths"} for item in items])
+            self.items(items)
 
     def one(self, world, what, key):
         with world.lock:
@@ -403,6 +419,7 @@ class Handler(BaseHTTPRequestHandler):
     def add_dataset(self, world):
         with world.lock:
             if self.headers["Content-Type"] != "application/x-tar":
+                self.json_body("DatasetRequest")
                 raise Refusal(403, "Forbidden", "The daemon was started without --dataset-root.", [{"pointer": "#/directory", "detail": "no folder of this machine may be read"}])
             with tarfile.open(fileobj=io.BytesIO(self.body)) as tar:
                 entries = [(member.name, member.size) for member in tar]
@@ -410,7 +427,7 @@ class Handler(BaseHTTPRequestHandler):
 
     def submit(self, world):
         with world.lock:
-            self.reply(202, {k: v for k, v in world.submit(json.loads(self.body)).items() if k != "path"})
+            self.reply(202, world.submit(self.json_body(None)))
 
     def act(self, world, key, verb):
         with world.lock:
@@ -421,7 +438,7 @@ class Handler(BaseHTTPRequestHandler):
             scene = world.find(world.scenes, key, "scene")
             if not scene["steps"]:
                 raise Refusal(409, "Conflict", "The scene has no parameters yet.")
-        body = json.loads(self.body)
+        body = self.json_body("RenderRequest")
         camera = body.get("camera") or {**world.cameras()[0]["camera"], **body["size"]}
         started = time.perf_counter()
         picture = draw(camera, body.get("output", "rgb"), min(1, 0.35 + scene["train_seconds"] / 30))
@@ -455,10 +472,8 @@ class Handler(BaseHTTPRequestHandler):
         self.reply(200, out.getvalue(), "application/x-tar")
 
     def keep_path(self, world):
-        body = json.loads(self.body)
+        body = self.json_body("CameraPathRequest")
         with world.lock:
-            if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}", body["name"]):
-                raise Refusal(422, "Invalid", "The name is not allowed.", [{"pointer": "#/name", "detail": "letters, digits, dot, dash, underscore"}])
             record = {"id": world.new_id("path"), "created_at": now(), **body}
             world.paths.insert(0, record)
             self.reply(201, record)
@@ -480,7 +495,7 @@ class Handler(BaseHTTPRequestHandler):
             for number, job, kind, data in fresh:
                 if key not in (None, job) or key is None and kind in ("metric", "frame"):
                     continue
-                body = {"job": job, "progress": data} if key is None and kind == "progress" else {k: v for k, v in data.items() if k != "path"}
+                body = {"job": job, "progress": data} if key is None and kind == "progress" else data
                 self.wfile.write(f"id: {number}\nevent: {kind}\ndata: {json.dumps(body)}\n\n".encode())
                 if key and kind == "state" and data["state"] in OVER:
                     self.wfile.flush()

@@ -1,6 +1,7 @@
 // Keeps a canvas showing a scene: coarse while the camera moves, refined when it rests. One request
 // is under way at a time, and the latest camera wins.
 import { Problem, Unreachable } from './api.js';
+import { pictureOf } from './grey16.js';
 
 const STILL_MS = 150;
 const COARSE_MS = 90; // what a coarse picture may take, answer included
@@ -82,10 +83,10 @@ export function createViewer(canvas, host, signal) {
     const body = requestFor(level);
     try {
       const { blob, facts } = await host.send(body, AbortSignal.any([flight.stop.signal, signal]));
-      const picture = await createImageBitmap(blob);
+      const picture = await pictureOf(blob, body.output);
       if (signal.aborted) return;
       learn(level, body.camera, facts);
-      draw(canvas, picture, body.output);
+      draw(canvas, picture);
       shown = { version: flight.version, level };
       host.onTrouble(null);
       host.onPicture({ ...facts, width: body.camera.width, height: body.camera.height, level, bytes: blob.size });
@@ -120,24 +121,9 @@ export function createViewer(canvas, host, signal) {
   };
 }
 
-function draw(canvas, picture, output) {
+function draw(canvas, picture) {
   const context = canvas.getContext('2d');
   context.imageSmoothingQuality = 'high';
   context.drawImage(picture, 0, 0, canvas.width, canvas.height);
-  if (output === 'depth') stretch(context, canvas.width, canvas.height);
   picture.close();
-}
-
-/** Depth for the eye: near is bright, what was not hit stays black. */
-function stretch(context, width, height) {
-  const image = context.getImageData(0, 0, width, height);
-  const { data } = image;
-  let [low, high] = [255, 0];
-  for (let i = 0; i < data.length; i += 4) if (data[i]) { low = Math.min(low, data[i]); high = Math.max(high, data[i]); }
-  const gain = 215 / Math.max(1, high - low);
-  for (let i = 0; i < data.length; i += 4) {
-    const value = data[i] ? 40 + (high - data[i]) * gain : 0;
-    data[i] = data[i + 1] = data[i + 2] = value;
-  }
-  context.putImageData(image, 0, 0);
 }

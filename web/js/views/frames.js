@@ -2,6 +2,7 @@
 import { api, token } from '../api.js';
 import { fill, h, saveBlob, text } from '../dom.js';
 import { followJob } from '../follow.js';
+import { pictureOf } from '../grey16.js';
 import { find, state, watch } from '../store.js';
 import { plural } from '../format.js';
 import { action, announce, panel } from '../ui.js';
@@ -36,7 +37,7 @@ export function framesPanel(job, signal) {
 
   async function picture(index) {
     if (!pictures.has(index)) {
-      pictures.set(index, api.frame(job.id, index, signal).then(createImageBitmap));
+      pictures.set(index, api.frame(job.id, index, signal).then((blob) => pictureOf(blob, job.options?.output ?? 'rgb')));
       if (pictures.size > KEPT) pictures.delete(pictures.keys().next().value);
     }
     try { return await pictures.get(index); } catch (error) { pictures.delete(index); throw error; }

@@ -16,7 +16,7 @@ export function homeView(root, { signal }) {
   const running = h('div', { class: 'rows' });
   const runningBox = panel('Under way', { class: 'panel', hidden: true }, running);
   const table = h('div', { class: 'scroll' }, h('table', { class: 'table' },
-    h('thead', null, h('tr', null, ['Dataset', 'Views', 'Size', 'Scales', 'On disk', ''].map((t, i) => h('th', { scope: 'col', class: i > 1 ? 'number' : null }, t)))), tableBody));
+    h('thead', null, h('tr', null, ['Dataset', 'Views', 'Size', 'Scales', 'On disk', ''].map((t, i) => h('th', { scope: 'col', class: ['', '', 'number', 'number optional', 'number optional', ''][i] }, t)))), tableBody));
   fill(root,
     h('h1', { class: 'unseen' }, 'Scenes and datasets'),
     h('div', { class: 'columns' },
@@ -89,8 +89,8 @@ function datasetRow(set) {
     h('th', { scope: 'row' }, h('a', { href: link.dataset(set.name) }, set.name)),
     h('td', null, ['train', 'val', 'test'].filter((split) => set.views[split]).map((split) => `${set.views[split]} ${split}`).join(', ')),
     h('td', { class: 'number' }, `${set.width} × ${set.height}`),
-    h('td', { class: 'number' }, set.scales),
-    h('td', { class: 'number' }, bytes(set.size_bytes)),
+    h('td', { class: 'number optional' }, set.scales),
+    h('td', { class: 'number optional' }, bytes(set.size_bytes)),
     h('td', { class: 'actions' },
       h('a', { class: 'button small', href: link.dataset(set.name) }, 'Train…'),
       h('button', { type: 'button', class: 'small bare', 'aria-label': `Delete dataset ${set.name}`, onclick: () => confirmFirst(

@@ -99,5 +99,5 @@ function evaluationResult(r) {
     h('div', { class: 'scroll' }, h('table', { class: 'table' }, h('caption', null, 'By scale'), headRow(['Scale', '', 'PSNR', 'SSIM']),
       h('tbody', null, r.scales.map((s) => h('tr', null, h('th', { scope: 'row' }, s.scale ? `1/${2 ** s.scale}` : 'full'), h('td'), h('td', { class: 'number' }, decibel(s.psnr)), h('td', { class: 'number' }, fixed(s.ssim, 4))))))),
     h('div', { class: 'scroll tall' }, h('table', { class: 'table' }, h('caption', null, 'By view, worst first'), headRow(['View', 'Scale', 'PSNR', 'SSIM', 'Rendering']),
-      h('tbody', null, views.map((v) => h('tr', null, h('th', { scope: 'row' }, v.name), h('td', null, v.scale), h('td', { class: 'number' }, decibel(v.psnr)), h('td', { class: 'number' }, fixed(v.ssim, 4)), h('td', { class: 'number' }, milliseconds(v.render_ms)))))))];
+      h('tbody', null, views.map((v) => h('tr', null, h('th', { scope: 'row' }, v.name), h('td', null, v.scale ? `1/${2 ** v.scale}` : 'full'), h('td', { class: 'number' }, decibel(v.psnr)), h('td', { class: 'number' }, fixed(v.ssim, 4)), h('td', { class: 'number' }, milliseconds(v.render_ms)))))))];
 }

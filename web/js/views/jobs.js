@@ -2,7 +2,7 @@
 import { api } from '../api.js';
 import { fill, follow, h, text } from '../dom.js';
 import { isActive, putJob, watch } from '../store.js';
-import { ago } from '../format.js';
+import { ago, decibel, fixed, plural, seconds, whole } from '../format.js';
 import { action, chip, choice, empty, kindOf, meter, panel, progressWords, setChip, skeleton, subjectOf } from '../ui.js';
 import { link } from '../router.js';
 
@@ -37,19 +37,31 @@ export function jobButtons(small) {
 /** Where a job is best looked at: training on its scene's page. */
 export const placeOf = (job) => (job.type === 'train' && (job.scene_name ?? job.scene) ? link.scene(job.scene_name ?? job.scene) : link.job(job.id));
 
+/** How a job that is over went, in one line. */
+function outcomeOf(job) {
+  const { result: r, problem } = job;
+  if (problem) return [problem.title, problem.detail].filter(Boolean).join(': ');
+  if (!r) return '';
+  if (job.type === 'train') return `${decibel(r.psnr)} after ${whole(r.steps)} steps in ${seconds(r.train_seconds)}`;
+  if (job.type === 'eval') return `${decibel(r.psnr)}, SSIM ${fixed(r.ssim, 4)} over ${plural(r.views, 'view')}`;
+  return job.type === 'path' ? `${plural(r.frames, 'frame')} of ${r.width} × ${r.height}` : '';
+}
+
 export function jobRow(first) {
   const state = chip(first.state);
   const bar = meter(`${kindOf(first)} ${subjectOf(first)}`);
   const buttons = jobButtons(true);
   const when = h('span', { class: 'quiet' });
+  const outcome = h('p', { class: 'outcome quiet' });
   const node = h('article', { class: 'job-row' },
     h('div', { class: 'row' }, h('a', { href: placeOf(first) }, `${kindOf(first)} `, h('strong', null, subjectOf(first))), state, when),
-    bar.node, buttons.node);
+    bar.node, outcome, buttons.node);
   const update = (job) => {
     setChip(state, job.state);
     bar.node.hidden = !isActive(job);
     bar.set(job.state === 'queued' ? 0 : job.progress?.fraction ?? (job.state === 'running' ? null : 0), progressWords(job));
     text(when, `${ago(job.finished_at ?? job.started_at ?? job.created_at)}${job.attempt > 1 ? `, attempt ${job.attempt}` : ''}`);
+    text(outcome, outcomeOf(job));
     buttons.update(job);
   };
   return { node, update };

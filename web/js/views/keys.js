@@ -139,7 +139,7 @@ function keyRow(first, host) {
 /** Frames per second, size, interpolation, loop, output. */
 function optionsForm(path, change) {
   const number = (label, key, props, unit, pointer) => {
-    const item = field(label, h('input', { type: 'number', ...props, onchange: () => change({ [key]: Number(item.control.value) }) }), { unit, pointer });
+    const item = field(label, h('input', { type: 'number', ...props, oninput: () => change({ [key]: Number(item.control.value) }) }), { unit, pointer });
     return item;
   };
   const width = number('Width', 'width', { min: 1, max: 16384 }, 'px', '/camera_path/width');

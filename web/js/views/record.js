@@ -10,7 +10,7 @@ const EFFECTS = { background: 'Background', 'scale-pyramid': 'Scale pyramid', an
 
 export function effectsPanel(scene) {
   const number = (x) => (x === null ? '–' : String(Number(x.toPrecision(3))));
-  const rows = scene.effects.map((effect) => h('li', { class: 'effect', 'data-on': String(effect.on) },
+  const rows = scene.effects.map((effect) => h('li', { class: 'effect', 'data-on': String(effect.on && effect.decided) },
     h('span', { class: 'effect-mark' }, effect.decided ? effect.on ? 'on' : 'off' : 'open'),
     h('div', null, h('strong', null, EFFECTS[effect.name] ?? effect.name), h('p', { class: 'quiet' }, effect.reason)),
     h('span', { class: 'number' }, number(effect.number), effect.threshold === null ? null : h('small', null, ` / ${number(effect.threshold)}`))));

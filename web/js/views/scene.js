@@ -47,7 +47,7 @@ function page(scene, cameras, mark, signal) {
   const dataset = find(state.datasets, scene.dataset);
   const training = () => isActive(trainingOf(find(state.scenes, scene.id) ?? scene));
   let keys = null;
-  const view = createViewport(scene, cameras, { live: training, onKey: () => keys.record() }, signal);
+  const view = createViewport(scene, cameras, { live: training, failed: () => find(state.scenes, scene.id)?.state === 'failed', onKey: () => keys.record() }, signal);
   keys = createKeys(scene, { width: dataset?.width ?? 400, height: dataset?.height ?? 400 }, view, signal);
   const record = h('div', { class: 'stack' });
   watch(() => {

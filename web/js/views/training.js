@@ -6,6 +6,7 @@ import { isActive, trainingOf, find, state, watch } from '../store.js';
 import { compact, decibel, fixed, seconds, whole } from '../format.js';
 import { announce, chip, facts, meter, panel, progressWords, recordedProblem, setChip } from '../ui.js';
 import { jobButtons } from './jobs.js';
+import { link } from '../router.js';
 
 const ANNOUNCE_MS = 15_000;
 
@@ -62,7 +63,8 @@ export function trainingPanel(sceneId, signal) {
     if (job) { buttons.update(job); bar.set(active ? job.progress?.fraction ?? (job.state === 'running' ? null : 0) : 1, active ? underWay(job) : ended(job, figures)); }
     STATS.forEach(([, read], i) => text(stats[i].value, read(figures)));
     drawChart(chart, chartPoints(points, figures), { limitX: active ? figures.max_seconds : 0, running: active, now: figures.train_seconds });
-    showProblem(job);
+    bar.node.hidden = job?.state === 'failed';
+    showProblem(job, scene);
     showMore(figures);
     if (active && figures.psnr && performance.now() - said > ANNOUNCE_MS) {
       said = performance.now();
@@ -70,11 +72,11 @@ export function trainingPanel(sceneId, signal) {
     }
   }
 
-  function showProblem(job) {
+  function showProblem(job, scene) {
     const problem = job?.problem ?? null;
     if (JSON.stringify(problem) === shownProblem) return;
     shownProblem = JSON.stringify(problem);
-    fill(trouble, problem ? recordedProblem(problem) : null);
+    fill(trouble, problem ? [recordedProblem(problem), isActive(job) ? null : h('a', { class: 'button', href: link.dataset(scene.dataset_name) }, 'Train again')] : null);
   }
 
   function showMore(p) {

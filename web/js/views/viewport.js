@@ -11,7 +11,7 @@ const MAX_SIDE = 1280;
 
 /**
  * @param {any} scene @param {any[]} cameras the dataset's, all splits
- * @param {{live: () => boolean, onKey: () => void}} host @param {AbortSignal} signal
+ * @param {{live: () => boolean, failed: () => boolean, onKey: () => void}} host @param {AbortSignal} signal
  */
 export function createViewport(scene, cameras, host, signal) {
   const bounds = scene.bounds ?? { centre: [0, 0, 0], radius: 1.5 };
@@ -66,6 +66,7 @@ export function createViewport(scene, cameras, host, signal) {
     cover.hidden = !error && stage.dataset.ready === 'true';
     stage.dataset.trouble = String(Boolean(error));
     if (!error) return;
+    if (host.failed()) { fill(cover, 'No picture: training ended without a checkpoint.'); return; }
     const waits = error instanceof Unreachable || error instanceof Problem && (error.status === 503 || error.status === 409);
     fill(cover, waits ? h('span', { class: 'spinner', 'aria-hidden': 'true' }) : null,
       h('span', null, error instanceof Unreachable ? 'The daemon does not answer; the picture comes back with it.' : `${error.title ?? 'No picture'}: ${error.detail || error.message}`));

@@ -1,0 +1,244 @@
+"""Every state of the page against a stand-in for the daemon."""
+
+import json
+import time
+
+import pytest
+from fake_api import draw, ring
+
+pytest.importorskip("selenium", reason="python3-selenium is not installed")
+from selenium.webdriver.common.action_chains import ActionChains  # noqa: E402
+from selenium.webdriver.common.keys import Keys  # noqa: E402
+
+
+def quiet(page):
+    """The browser has nothing to complain about: no script error, no breach of the CSP."""
+    assert page.complaints() == []
+
+
+def test_empty(page, fake):
+    page.open(fake("empty").url)
+    page.says("From photographs to a scene")
+    page.says("No datasets")
+    page.says("connected", ".connection")
+    page.open(page.driver.current_url.split("#")[0] + "#/jobs")
+    page.says("No jobs")
+    quiet(page)
+
+
+def test_an_unknown_scene_and_page(page, fake):
+    api = fake("empty")
+    page.open(api.url + "#/scene/nowhere")
+    page.says("There is no scene nowhere.", ".problem")
+    page.open(api.url + "#/nothing")
+    page.says("No such page", ".problem")
+
+
+def test_upload_import_and_train(page, fake, tmp_path):
+    api = fake("empty")
+    folder = tmp_path / "ball"
+    (folder / "train").mkdir(parents=True)
+    frames = []
+    for i, pose in enumerate(ring(5)):
+        frames.append({"file_path": f"./train/r_{i}", "transform_matrix": pose + [[0, 0, 0, 1]]})
+        if i:
+            (folder / "train" / f"r_{i}.png").write_bytes(draw({"world_from_camera": pose, "axes": "opengl", "width": 20, "height": 20, "fov_y_deg": 40}))
+    (folder / "transforms_train.json").write_text(json.dumps({"camera_angle_x": 0.7, "frames": frames}))
+    (folder / "notes.txt").write_text("not for upload")
+    page.open(api.url)
+    page.find(".drop")
+    page.all("#folder-input")[0].send_keys(str(folder))
+    page.says("views: 5 train")
+    page.says("1 image named but not in the folder")
+    page.says("1 file that the JSON does not name")
+    assert page.field("Name").get_attribute("value") == "ball"
+    page.press("Upload and import")
+    page.says("ball is imported.")
+    names = [name for name, _ in api.world.uploads[0]]
+    assert sorted(names) == ["train/r_1.png", "train/r_2.png", "train/r_3.png", "train/r_4.png", "transforms_train.json"]
+    page.press("Look at it and train")
+    page.says("What the import found")
+    page.press("draft")
+    page.press("Start training")
+    page.says("training", ".page-head .chip")
+    page.until(lambda: page.all(".chart .last"), "a point on the chart")
+    job = api.world.jobs[0]
+    assert job["type"] == "train" and job["options"] == {"preset": "draft", "train_split": "train", "max_time_s": 60}
+    quiet(page)
+
+
+def test_faults_are_shown_at_their_fields(page, fake):
+    api = fake("busy")
+    page.open(api.url + "#/dataset/sphere")
+    page.type(page.field("Scene’s name"), "sphere-draft")
+    page.press("Start training")
+    page.says("this name is taken", ".faulty .note")
+    page.says("The scene sphere-draft exists.", ".problem")
+    assert page.field("Scene’s name").get_attribute("aria-invalid") == "true"
+    page.type(page.field("Scene’s name"), "another")
+    page.press("More")
+    page.type(page.field("Seed"), 2 ** 53 + 2)
+    page.press("Start training")
+    page.says("maximum of 9007199254740991", ".faulty .note")
+
+
+def test_directory_is_refused_with_its_reason(page, fake):
+    page.open(fake("empty").url)
+    page.press("Or a folder on the daemon’s machine")
+    page.says("--dataset-root")
+    page.type(page.field("Folder on the daemon’s machine"), "/data/lego")
+    page.type(page.field("Name"), "lego")
+    page.press("Import")
+    page.says("no folder of this machine may be read", ".faulty .note")
+
+
+def test_orbit_while_training_and_pause(page, fake):
+    api = fake("bare")
+    page.open(api.url + "#/dataset/sphere")
+    page.type(page.field("Time"), 3000)
+    page.press("Start training")
+    page.until(lambda: page.ink() > 100, "a picture")
+    stage = page.find(".stage")
+    page.until(lambda: stage.get_attribute("data-level") == "refined", "the refined picture")
+    before = page.run("return document.querySelector('canvas.picture').toDataURL().length + document.querySelector('.hud').textContent;")
+    ActionChains(page.driver).click_and_hold(stage).move_by_offset(60, 10).move_by_offset(60, 5).perform()
+    page.until(lambda: stage.get_attribute("data-level") == "coarse", "a coarse picture while moving")
+    ActionChains(page.driver).release().perform()
+    page.until(lambda: stage.get_attribute("data-level") == "refined", "the refined picture")
+    hud = page.text(".hud")
+    for part in ("refined", "step", "ms rendering", "samples"):
+        assert part in hud
+    assert page.run("return document.querySelector('canvas.picture').toDataURL().length + document.querySelector('.hud').textContent;") != before
+    step = int("".join(c for c in hud.split("step ")[1].split("·")[0] if c.isdigit()))
+    page.until(lambda: int("".join(c for c in page.text(".hud").split("step ")[1].split("·")[0] if c.isdigit())) > step, "a fresh picture while it trains")
+    page.press("Pause")
+    page.says("paused", ".page-head .chip")
+    page.press("Resume")
+    page.says("training", ".page-head .chip")
+    page.press("Finish")
+    page.says("finished by hand")
+    page.says("ready", ".page-head .chip")
+    quiet(page)
+
+
+def test_keyboard_orbits_and_records(page, fake):
+    page.open(fake("busy").url + "#/scene/sphere-draft")
+    page.until(lambda: page.ink() > 100, "a picture")
+    page.find(".stage").send_keys("k", Keys.ARROW_LEFT * 4, "+", "k", Keys.SHIFT + Keys.ARROW_UP, "k")
+    page.until(lambda: len(page.all(".key")) == 3, "three keys")
+    poses = page.run("const p = JSON.parse(Object.entries(sessionStorage).find(([k]) => k.startsWith('ripnerf-path'))[1]); return p.keys.map((k) => k.pose.map((r) => r[3]));")
+    assert poses[0] != poses[1] != poses[2]
+    page.until(lambda: len([i for i in page.all(".key img") if i.is_displayed()]) == 3, "three thumbnails")
+    page.all(".key")[2].find_element("css selector", "[aria-label=Earlier]").click()
+    moved = page.run("const p = JSON.parse(Object.entries(sessionStorage).find(([k]) => k.startsWith('ripnerf-path'))[1]); return p.keys.map((k) => [k.time, ...k.pose.map((r) => r[3])]);")
+    assert [key[0] for key in moved] == [0, 1, 2] and moved[1][1:] == poses[2]
+    page.type(page.all(".key")[1].find_element("css selector", "input"), 0)
+    page.find(".stage").click()
+    page.says("its time must be later")
+    page.all(".key")[1].find_element("css selector", "[aria-label='Delete key']").click()
+    page.until(lambda: len(page.all(".key")) == 2, "two keys")
+    page.driver.refresh()
+    page.until(lambda: len(page.all(".key")) == 2, "the keys after a reload")
+
+
+def test_path_frames_arrive_and_play(page, fake, downloads):
+    page.open(fake("busy").url + "#/scene/sphere-draft")
+    page.until(lambda: page.ink() > 100, "a picture")
+    page.press("Whole turn")
+    page.type(page.field("Width"), 48)
+    page.type(page.field("Height"), 32)
+    page.type(page.field("Frames"), 4)
+    page.says("24 frames of 48 × 32")
+    page.press("Render the path")
+    page.says("Camera path sphere-draft", "h1")
+    page.until(lambda: page.ink("canvas.frame") > 100, "a frame")
+    page.says("succeeded", ".page-head .chip")
+    page.until(lambda: not page.all(".cells span:not([data-there])"), "all frames")
+    first = page.text(".player output")
+    page.press("Play")
+    page.until(lambda: page.text(".player output") != first, "another frame")
+    page.press("Download")
+    page.until(lambda: list(downloads.glob("*-frames.tar")), "the tar")
+    quiet(page)
+
+
+def test_failed_training_says_why(page, fake):
+    page.open(fake("failed").url + "#/scene/sphere-paper")
+    page.says("Out of memory", ".problem")
+    page.says("512 needs 9.1 GiB", ".problem")
+    page.says("training ended without a checkpoint", ".stage")
+    page.button("Train again")
+
+
+def test_evaluation(page, fake):
+    page.open(fake("busy").url + "#/scene/sphere-draft")
+    page.says("Not evaluated yet")
+    page.press("Evaluate")
+    page.says("30.40 dB")
+    page.find(".evaluation a").click()
+    page.says("By view, worst first")
+    assert page.text(".scroll.tall tbody tr").startswith("r_0")
+
+
+def test_token_is_asked_for_once(page, fake):
+    page.open(fake("token").url)
+    page.type(page.find("#token-input"), "wrong")
+    page.press("Use it")
+    page.until(lambda: page.find("#token-input").get_attribute("value") == "", "the question again")
+    page.type(page.find("#token-input"), "secret")
+    page.press("Use it")
+    page.says("sphere-draft")
+    page.driver.refresh()
+    page.says("sphere-draft")
+    assert page.run("return sessionStorage.getItem('ripnerf-token');") == "secret"
+    page.until(lambda: page.all(".card .thumb[data-state=ready]"), "a picture behind the token")
+
+
+def test_daemon_goes_and_comes_back(page, fake):
+    api = fake("busy")
+    port = api.server_address[1]
+    page.open(api.url)
+    page.says("sphere-draft")
+    api.stop()
+    page.says("No connection to the daemon", "#banner")
+    page.says("not connected", ".connection")
+    page.says("sphere-draft")
+    again = fake("failed", port)
+    page.says("sphere-paper", wait_s=30)
+    page.says("connected", ".connection")
+    assert not page.find("main").find_elements("css selector", "#banner")
+    assert again.url == api.url
+
+
+def test_behind_a_prefix_all_addresses_stay_below_it(page, fake):
+    page.open(fake("busy").url)
+    page.says("sphere-draft")
+    addresses = page.run("const { address } = await load('api.js'); return ['v1/info', '/v1/jobs/x/frames/0'].map(address).concat([...document.querySelectorAll('link[href], script[src], img[src]')].map((e) => e.getAttribute('href') ?? e.getAttribute('src')));")
+    base = page.driver.current_url.split("#")[0]
+    assert addresses[0] == base + "v1/info" and addresses[1] == base + "v1/jobs/x/frames/0"
+    assert not [a for a in addresses[2:] if a.startswith("/")]
+
+
+def test_no_wide_overflow_on_a_phone(page, fake):
+    api = fake("busy")
+    page.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", {"width": 390, "height": 800, "deviceScaleFactor": 2, "mobile": True})
+    for place in ("", "#/dataset/sphere", "#/scene/sphere-draft", "#/jobs", "#/system"):
+        page.open(api.url + place)
+        page.find("main .panel")
+        time.sleep(0.4)
+        assert page.run("return document.documentElement.scrollWidth;") <= 391, place
+
+
+def test_every_control_has_a_name(page, fake):
+    """Buttons, fields and pictures are named for a screen reader."""
+    api = fake("busy")
+    for place in ("", "#/dataset/sphere", "#/scene/sphere-draft", "#/jobs", "#/system"):
+        page.open(api.url + place)
+        page.find("main .panel")
+        time.sleep(0.5)
+        nameless = page.run("""
+            const named = (e) => e.getAttribute('aria-label') || e.getAttribute('aria-labelledby') || e.textContent.trim() || e.title || [...(e.labels ?? [])].some((l) => l.textContent.trim());
+            return [...document.querySelectorAll('main button, main a, main input, main select, main progress, main canvas[role], main [role=application]')]
+              .filter((e) => !named(e)).map((e) => e.outerHTML.slice(0, 120))
+              .concat([...document.querySelectorAll('img')].filter((e) => !e.hasAttribute('alt')).map((e) => e.outerHTML));""")
+        assert nameless == [], place
