@@ -91,7 +91,8 @@ enum rn_exit rn_api_print_problem(const char *json) {
     fprintf(stderr, "ripnerf: %s: %s\n", problem.title, problem.detail);
     for (size_t i = 0; i < problem.error_count; i++)
         fprintf(stderr, "  %s: %s\n", problem.errors[i].pointer, problem.errors[i].detail);
-    enum rn_exit code = exit_of_http(problem.status);
+    bool unsupported = strcmp(problem.type, "/problems/unsupported") == 0; // shares 422
+    enum rn_exit code = unsupported ? RN_EXIT_FAILED : exit_of_http(problem.status);
     rn_message_finish(&rn_api_problem_table, &problem);
     return code;
 }
@@ -99,13 +100,14 @@ enum rn_exit rn_api_print_problem(const char *json) {
 enum rn_exit rn_api_complain(const struct rn_api_reply *reply) {
     const char *body = reply->http.body.data ? (const char *)reply->http.body.data : "";
     if (reply->err.status != RN_OK) return rn_client_fail(&reply->err);
+    enum rn_exit code = reply->code;
     if (strncmp(reply->http.content_type, "application/problem+json", 24) == 0)
-        rn_api_print_problem(body);
+        code = rn_api_print_problem(body);
     else
         fprintf(stderr, "ripnerf: HTTP %d: %.200s\n", reply->http.status, body);
     if (reply->http.retry_after_s)
         fprintf(stderr, "  try again in %d s\n", reply->http.retry_after_s);
-    return reply->code;
+    return code;
 }
 
 enum rn_exit rn_api_decode(const struct rn_api_reply *reply, const struct rn_table *table,

@@ -32,10 +32,10 @@ static const struct rn_field_spec bad_fields[] = {
 static const struct rn_table bad_table =
     RN_TABLE(struct rn_dataset_report_record, "report", bad_fields);
 
-static void print_problems(const struct rn_dataset_report_record *report) {
+static void print_problems(FILE *out, const struct rn_dataset_report_record *report) {
     for (size_t i = 0; i < report->problem_count; i++)
-        printf("%-7s  %s: %s\n", rn_severity_names[report->problems[i].severity],
-               report->problems[i].where, report->problems[i].text);
+        fprintf(out, "%-7s  %s: %s\n", rn_severity_names[report->problems[i].severity],
+                report->problems[i].where, report->problems[i].text);
     if (report->dropped) printf("and %lld more\n", (long long)report->dropped);
 }
 
@@ -63,12 +63,13 @@ static void print_report(const char *folder, const struct rn_dataset *dataset,
            report->footprint.max);
     printf("bounds      centre (%g, %g, %g), radius %g, %s\n\n", bounds->centre[0],
            bounds->centre[1], bounds->centre[2], bounds->radius, sources[bounds->source]);
-    print_problems(report);
+    print_problems(stdout, report);
     printf("%lld errors, %lld warnings\n", (long long)report->errors, (long long)report->warnings);
 }
 
 // Reads a dataset without any daemon. RN_EXIT_INVALID when it cannot be used as it is; *ret_dataset
-// is then NULL or what is left. `show` prints the report.
+// is then NULL or what is left. `show` prints the report; without it the problems of an unusable
+// dataset go to stderr.
 static enum rn_exit examine(const char *folder, bool json, bool show,
                             struct rn_dataset **ret_dataset) {
     struct rn_problems problems = {0};
@@ -90,7 +91,7 @@ static enum rn_exit examine(const char *folder, bool json, bool show,
     else if (show && *ret_dataset)
         print_report(folder, *ret_dataset, &report);
     else if (show || failed)
-        print_problems(&report);
+        print_problems(show ? stdout : stderr, &report);
     free(text);
     rn_message_finish(&rn_dataset_report_table, &report);
     return code;

@@ -200,7 +200,8 @@ def test_import_with_a_slash_and_long_names(client, tmp_path, daemon):
 def test_import_refuses_a_dataset_with_errors_before_sending(client, folder, daemon):
     (folder / "test" / "r_2.png").write_bytes(b"no picture")
     result = client.run("import", folder, "--name", "blank", code=INVALID)
-    assert "r_2" in result.stdout and "nothing was sent" in result.stderr
+    assert "r_2" in result.stderr and "nothing was sent" in result.stderr
+    assert not result.stdout
     assert not daemon.requests
 
 
