@@ -17,17 +17,14 @@ bool rn_job_has_ended(const struct rn_job *job) {
 
 static void format_train(const struct rn_train_progress *progress, char *ret_text,
                          size_t capacity) {
-    char seconds[24], limit[32] = "", psnr[24] = "-", rate[16], eta[24];
+    char seconds[24], limit[32] = "", psnr[24] = "- dB", rate[16], eta[24];
     rn_format_seconds(progress->train_seconds, seconds, sizeof seconds);
-    if (progress->max_seconds > 0) {
-        memcpy(limit, " of ", 5);
-        rn_format_seconds(progress->max_seconds, limit + 4, sizeof limit - 4);
-    }
+    if (progress->max_seconds > 0) rn_format_seconds(progress->max_seconds, limit, sizeof limit);
     if (!isnan(progress->psnr)) snprintf(psnr, sizeof psnr, "%.2f dB", progress->psnr);
     rn_format_count(progress->samples_per_second, rate, sizeof rate);
     rn_format_seconds(progress->eta_seconds, eta, sizeof eta);
-    snprintf(ret_text, capacity, "step %lld  %s%s  PSNR %s  %s samples/s  %s%s",
-             (long long)progress->step, seconds, limit, psnr, rate,
+    snprintf(ret_text, capacity, "step %lld  %s%s%s  %s  %s samples/s  %s%s",
+             (long long)progress->step, seconds, *limit ? " of " : "", limit, psnr, rate,
              progress->evaluating_first ? "last evaluation" : "ETA ",
              progress->evaluating_first ? "" : eta);
 }
@@ -68,11 +65,12 @@ static void show(struct rn_follow *follow, const char *progress_json) {
     double fraction;
     rn_format_progress((enum rn_job_type)follow->job.type, progress_json, &fraction, text,
                        sizeof text);
-    if (follow->job.state != RN_JOB_RUNNING)
+    if (follow->job.state != RN_JOB_RUNNING && !rn_job_has_ended(&follow->job))
         rn_progress_update(&follow->progress, fraction, "%s%s%s",
                            rn_job_state_names[follow->job.state], *text ? "  " : "", text);
     else
-        rn_progress_update(&follow->progress, fraction, "%s", *text ? text : "starting");
+        rn_progress_update(&follow->progress, fraction, "%s",
+                           *text ? text : rn_job_state_names[follow->job.state]);
 }
 
 // Takes over a Job's JSON. A job that this client cannot read keeps its last known state.

@@ -8,8 +8,13 @@
 
 #include "common/base/clock.h"
 
-#define BAR_WIDTH 24
+#define BAR_MIN 4
+#define BAR_MAX 24
 #define REDRAW_NS 80000000 // a terminal is redrawn at most so often
+
+static const char bar_full[] = "########################";
+static const char bar_empty[] = "........................";
+_Static_assert(sizeof bar_full == BAR_MAX + 1 && sizeof bar_empty == BAR_MAX + 1, "a bar's width");
 
 void rn_progress_init(struct rn_progress *progress, bool shown) {
     memset(progress, 0, sizeof *progress);
@@ -23,20 +28,19 @@ static int terminal_columns(void) {
     return ioctl(STDERR_FILENO, TIOCGWINSZ, &size) == 0 && size.ws_col > 0 ? size.ws_col : 80;
 }
 
+// The bar takes the room that percentage and text leave, and goes without less than BAR_MIN.
 static void draw(struct rn_progress *progress) {
-    char line[BAR_WIDTH + sizeof progress->text + 16] = "";
-    size_t used = 0;
+    int columns = terminal_columns() - 1;
+    fputs("\r\033[K", stderr);
     if (isfinite(progress->fraction)) {
-        char bar[BAR_WIDTH + 1];
-        int filled = (int)(progress->fraction * BAR_WIDTH + 0.5);
-        for (int i = 0; i < BAR_WIDTH; i++)
-            bar[i] = i < filled ? '#' : '.';
-        bar[BAR_WIDTH] = '\0';
-        used = (size_t)snprintf(line, sizeof line, "[%s] %3d%%  ", bar,
-                                (int)(progress->fraction * 100));
+        int width = columns - (int)strlen(progress->text) - (int)strlen("[] 100%  ");
+        width = width < BAR_MAX ? width : BAR_MAX;
+        int filled = (int)(progress->fraction * width + 0.5);
+        if (width >= BAR_MIN)
+            columns -= fprintf(stderr, "[%.*s%.*s] ", filled, bar_full, width - filled, bar_empty);
+        columns -= fprintf(stderr, "%3d%%  ", (int)(progress->fraction * 100));
     }
-    snprintf(line + used, sizeof line - used, "%s", progress->text);
-    fprintf(stderr, "\r\033[K%.*s", terminal_columns() - 1, line);
+    fprintf(stderr, "%.*s", columns > 0 ? columns : 0, progress->text);
     fflush(stderr);
     progress->drawn = true;
 }

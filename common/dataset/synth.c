@@ -33,8 +33,8 @@ static void render_pixel(const struct rn_synth_scene *scene, const struct rn_cam
         struct rn_ray cone = rn_camera_ray(camera, x + u, y + v);
         struct ray ray = {{cone.origin[0], cone.origin[1], cone.origin[2]},
                           {cone.direction[0], cone.direction[1], cone.direction[2]}};
-        double rgb[3];
-        if (!rn_synth_trace(scene, &ray, rgb)) continue;
+        double rgb[3], distance;
+        if (!rn_synth_trace(scene, &ray, rgb, &distance)) continue;
         hits++;
         for (int i = 0; i < 3; i++)
             sum[i] += rgb[i];

@@ -270,7 +270,8 @@ static bool in_shadow(const struct rn_synth_scene *scene, struct vec point, stru
     return hit.t < INFINITY;
 }
 
-bool rn_synth_trace(const struct rn_synth_scene *scene, const struct ray *ray, double rgb[3]) {
+bool rn_synth_trace(const struct rn_synth_scene *scene, const struct ray *ray, double rgb[3],
+                    double *ret_distance) {
     static const struct vec light = {0.40824829046386302, -0.40824829046386302,
                                      0.81649658092772603}; // (1, -1, 2) / sqrt 6
     double begin, end;
@@ -292,5 +293,6 @@ bool rn_synth_trace(const struct rn_synth_scene *scene, const struct ray *ray, d
     }
     for (int i = 0; i < 3; i++)
         rgb[i] = fmin(1, surface.colour[i] * diffuse + highlight);
+    *ret_distance = hit.t;
     return true;
 }

@@ -36,7 +36,8 @@ struct rn_ray {
 //
 // The pixel's square [px-1/2, px+1/2] x [py-1/2, py+1/2] maps to the plane z = 1 with area
 // 1/(fx fy); the released code's cone has the disc of that area, radius sqrt(1/(pi fx fy)), per
-// unit of z, used with the Euclidean distance. Error: every component within 4 ULP.
+// unit of z, used with the Euclidean distance. Errors: a component of the direction 4 ULP of 1,
+// the radius 4 ULP.
 RN_HD struct rn_ray rn_camera_ray(const struct rn_camera *camera, double px, double py) {
     struct rn_ray ray;
     double x = (px - camera->cx) / camera->fx, y = (py - camera->cy) / camera->fy;
@@ -58,7 +59,8 @@ struct rn_camera rn_camera_resized(const struct rn_camera *camera, int width, in
 enum rn_status rn_camera_check(const struct rn_camera *camera, const char *where,
                                struct rn_error *err) RN_MUST_CHECK;
 
-// Vertical field of view in radians, in (0, pi), and the square-pixel focal length it gives.
+// Vertical field of view in radians, in (0, pi), and the square-pixel focal length it gives; each
+// within 4 ULP.
 double rn_camera_fov_y(const struct rn_camera *camera);
 double rn_camera_focal_from_fov(double fov_rad, int size_px);
 

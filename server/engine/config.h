@@ -11,7 +11,7 @@
 #define RN_MAX_PLANES 16
 #define RN_MAX_LEVELS 10
 
-enum rn_orientation { // where the planes' normals come from
+enum rn_orientation {        // where the planes' normals come from
     RN_ORIENTATION_PLATONIC, // 3, 4, 6, 10: vertices of the dual solid, antipodes merged
     RN_ORIENTATION_GOLDEN,   // golden spiral
     RN_ORIENTATION_BLUE,     // blue noise on the sphere
@@ -37,34 +37,36 @@ struct rn_field_config {
     int levels;   // per axis, 1..RN_MAX_LEVELS
     enum rn_footprint footprint;
     enum rn_shading shading;
-    int width;         // of every hidden layer, a multiple of 16
-    int base_layers;   // hidden layers of the density network
-    int head_layers;   // hidden layers of the colour network
+    int width;            // of every hidden layer, a multiple of 16
+    int base_layers;      // hidden layers of the density network
+    int head_layers;      // hidden layers of the colour network
     bool view_dependence; // false: the colour network does not see the direction
-    int occupancy;     // cells a side, a power of two, 16..256
+    int occupancy;        // cells a side, a power of two, 16..256
 };
 
 struct rn_train_config {
     char preset[16];
     struct rn_field_config field;
-    double step;            // marching step, in scene radii (the paper: 2 sqrt(3)/1024)
-    int target_samples;     // samples a step that the dynamic ray batch aims at
+    double step;        // marching step, in scene radii (the paper: 2 sqrt(3)/1024)
+    int target_samples; // samples a step that the dynamic ray batch aims at
     int initial_rays;
-    double learning_rate;   // networks
-    double plane_rate;      // factor on the learning rate for the planes
-    double weight_decay;    // decoupled
+    double learning_rate; // networks
+    double plane_rate;    // factor on the learning rate for the planes
+    double weight_decay;  // decoupled
     double adam_eps;
-    int64_t max_steps;      // 0: no limit
-    double max_seconds;     // 0: no limit
-    double until_psnr;      // 0: no limit
-    bool carve;             // occupancy from the images' alpha before the first step
-    bool roulette;          // unbiased: samples of tiny weight dropped or reweighted
-    bool sparse;            // optimiser visits touched texels only
-    bool grow;              // planes grow from coarse to fine
-    double stop;            // early stop: transmittance below which a ray ends
+    int64_t max_steps;    // 0: no limit
+    double max_seconds;   // 0: no limit
+    double until_psnr;    // 0: no limit
+    bool carve;           // occupancy from the images' alpha before the first step
+    bool sparse;          // the optimiser visits only texels that the step touched
+    bool multi_step_rate; // the paper's rate schedule; else one decay made for the time given
+    bool equal_scales;    // rays drawn evenly over scales, weight 1; else by pixels, area weight
+    bool auto_effects;    // effects that the data does not call for may be switched off
+    double roulette;      // contribution below which a sample's backward is a lottery; 0 = off
+    double stop;          // early stop: transmittance below which a ray ends
     uint64_t seed;
-    bool train_val;         // train on train+val
-    float background[3];    // white unless the scene says otherwise
+    bool train_val;      // train on train+val
+    float background[3]; // white unless the scene says otherwise
 };
 
 // "draft", "standard", "paper". `multi_scale` says whether the dataset has several scales (the
@@ -77,8 +79,9 @@ enum rn_status rn_train_config_check(const struct rn_train_config *config,
 
 // One line for each thing in which `config` differs from the paper, for `show`.
 struct rn_difference {
-    const char *what;     // "3 planes instead of 10"
-    const char *measured; // the gain as measured, with where: "+1.2 dB at 60 s (lego 400)"; may be ""
+    const char *what; // "3 planes instead of 10"
+    const char
+        *measured; // the gain as measured, with where: "+1.2 dB at 60 s (lego 400)"; may be ""
 };
 // Fills at most `capacity` items and returns how many there are.
 int rn_train_config_differences(const struct rn_train_config *config, struct rn_difference *items,

@@ -28,9 +28,9 @@ struct rn_engine_options {
     int threads;         // 0 = all cores this process may use
 };
 struct rn_device_info {
-    char device[16];  // "cpu"
-    char name[128];   // CPU model
-    char kernels[32]; // the kernel set in use
+    char device[16];     // "cpu"
+    char name[128];      // CPU model
+    char kernels[32];    // the kernel set in use
     char available[128]; // comma separated kernel sets this machine can run
     int threads;
 };
@@ -50,12 +50,12 @@ enum rn_effect {
     RN_EFFECT_COUNT
 };
 struct rn_effect_record {
-    const char *name;  // "background", "scale-pyramid", "anisotropy", "view-dependence"
+    const char *name; // "background", "scale-pyramid", "anisotropy", "view-dependence"
     bool on;
-    bool decided;      // false: measured later in training (view dependence)
-    double number;     // the evidence
-    double threshold;  // what the number is compared with
-    char reason[160];  // one sentence with the number and its unit
+    bool decided;     // false: measured later in training (view dependence)
+    double number;    // the evidence
+    double threshold; // what the number is compared with
+    char reason[160]; // one sentence with the number and its unit
 };
 
 // ---- training -------------------------------------------------------------------------------
@@ -63,20 +63,20 @@ struct rn_effect_record {
 #define RN_PROGRESS_LEVELS 16
 struct rn_progress {
     int64_t step;
-    double train_seconds;    // the --max-time clock
-    double load_seconds;     // decoding, before the clock starts
-    double evaluate_seconds; // held-out evaluation, not on the clock
-    double loss;             // of the last step
+    double train_seconds;                       // the --max-time clock
+    double load_seconds;                        // decoding, before the clock starts
+    double evaluate_seconds;                    // held-out evaluation, not on the clock
+    double loss;                                // of the last step
     double rays_per_second, samples_per_second; // over the last second or so
-    uint64_t samples;        // field evaluations that entered the loss, total
+    uint64_t samples;                           // field evaluations that entered the loss, total
     uint64_t rays;
     uint64_t level_samples[RN_PROGRESS_LEVELS]; // per ripmap level (the larger of the two axes)
-    double psnr;             // latest held-out figure, dB; NAN before the first
+    double psnr;                                // latest held-out figure, dB; NAN before the first
     int64_t psnr_step;
     uint64_t nonfinite_rays, steps_rejected, rollbacks;
-    double eta_seconds;      // on the clock, NAN when unknown
-    double fraction;         // 0..1 of the binding limit, NAN when there is no limit
-    bool done;               // a limit is reached: nothing left to train
+    double eta_seconds; // on the clock, NAN when unknown
+    double fraction;    // 0..1 of the binding limit, NAN when there is no limit
+    bool done;          // a limit is reached: nothing left to train
 };
 
 // Decodes the training and held-out pixels, detects effects, carves, initialises. Memory is
@@ -144,9 +144,9 @@ struct rn_render_options {
     struct rn_camera camera; // dataset coordinates
     unsigned outputs;        // RN_OUTPUT_* ORed
     float background[3];
-    double step;       // marching step in scene radii; 0 = as trained
-    double stop;       // early-stop transmittance; 0 = as trained
-    int subsample;     // render every n-th pixel each way and enlarge; 1 = full
+    double step;   // marching step in scene radii; 0 = as trained
+    double stop;   // early-stop transmittance; 0 = as trained
+    int subsample; // render every n-th pixel each way and enlarge; 1 = full
 };
 struct rn_render_stats {
     double render_ms;
@@ -160,9 +160,9 @@ struct rn_render_result {
 // RN_ERROR_CANCELLED. Depth is the distance along the ray over opacity, dataset units, 0 where
 // nothing was hit. Every value written is finite.
 enum rn_status rn_render(struct rn_engine *engine, struct rn_field *field,
-                         const struct rn_render_options *options,
-                         bool (*keep_going)(void *context), void *context,
-                         struct rn_render_result *ret_result, struct rn_error *err) RN_MUST_CHECK;
+                         const struct rn_render_options *options, bool (*keep_going)(void *context),
+                         void *context, struct rn_render_result *ret_result,
+                         struct rn_error *err) RN_MUST_CHECK;
 void rn_render_result_finish(struct rn_render_result *result);
 
 // One view against its photograph, composited over the options' background.

@@ -314,7 +314,7 @@ def test_train_wait_ends_with_one_object(client, daemon):
 def test_train_wait_shows_progress_and_the_end(client, daemon):
     daemon.add_dataset("lego")
     result = client.run("train", "lego", "--name", "a", "--wait")
-    assert "PSNR" in result.stderr and "\033" not in result.stderr
+    assert "28.40 dB" in result.stderr and "\033" not in result.stderr
     assert result.stdout.startswith("scene a (sc_")
 
 

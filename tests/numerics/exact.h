@@ -65,9 +65,16 @@ EXACT_UNARY(root, mpfr_sqrt)
 EXACT_UNARY(exponential, mpfr_exp)
 EXACT_UNARY(exponential_minus_1, mpfr_expm1)
 EXACT_UNARY(logarithm_2, mpfr_log2)
+EXACT_UNARY(tangent, mpfr_tan)
+EXACT_UNARY(arc_tangent, mpfr_atan)
 EXACT_UNARY(negative, mpfr_neg)
 EXACT_UNARY(size_of, mpfr_abs)
 
+static inline exact exact_pi(void) {
+    exact out = exact_new();
+    mpfr_const_pi(out, MPFR_RNDN);
+    return out;
+}
 static inline exact square(exact a) {
     return times(a, a);
 }

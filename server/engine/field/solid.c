@@ -111,7 +111,7 @@ enum rn_status rn_solid_init(int planes, enum rn_orientation orientation, uint64
                             RN_MAX_PLANES);
     ret_solid->planes = planes;
     for (int k = 0; k < planes; k++) {
-        vec3 direction;
+        vec3 direction = {0, 0, 1};
         switch (orientation) {
         case RN_ORIENTATION_PLATONIC:
             for (int i = 0; i < 3; i++)

@@ -517,7 +517,8 @@ enum rn_status rn_reference_loss(struct rn_reference *ref, const struct rn_refer
 
 void rn_reference_adamw(size_t n, double *parameter, const double *grad, double *m, double *v,
                         double rate, double decay, double eps, int64_t step) {
-    double c1 = -expm1((double)step * log(0.9)), c2 = -expm1((double)step * log(0.999));
+    // log1p: 0.999 as a number is 5e-14 from 1 - 0.001, relative to the difference from 1.
+    double c1 = -expm1((double)step * log1p(-0.1)), c2 = -expm1((double)step * log1p(-0.001));
     for (size_t i = 0; i < n; i++) {
         m[i] = 0.9 * m[i] + 0.1 * grad[i];
         v[i] = 0.999 * v[i] + 0.001 * grad[i] * grad[i];

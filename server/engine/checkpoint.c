@@ -1,0 +1,267 @@
+#include "server/engine/checkpoint.h"
+
+#include <errno.h>
+#include <fcntl.h>
+#include <inttypes.h>
+#include <libgen.h>
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <unistd.h>
+
+#include "server/engine/checkpoint_state.h"
+
+#define MAX_HEADER (100u << 20)
+#define MAX_TENSORS 32
+
+struct tensor {
+    char name[24];
+    const char *dtype; // "F32" or "U8"
+    int rank;
+    size_t shape[4];
+    void *data;
+    size_t bytes;
+};
+
+// ---- the list of tensors, the same for writing and reading -----------------------------------
+
+static void add(struct tensor *list, int *count, const char *name, const char *dtype, int rank,
+                const size_t *shape, void *data) {
+    struct tensor *t = &list[(*count)++];
+    snprintf(t->name, sizeof t->name, "%s", name);
+    t->dtype = dtype;
+    t->rank = rank;
+    t->data = data;
+    t->bytes = strcmp(dtype, "U8") == 0 ? 1 : 4;
+    for (int i = 0; i < rank; i++) {
+        t->shape[i] = shape[i];
+        t->bytes *= shape[i];
+    }
+}
+
+static void add_network(struct tensor *list, int *count, const char *prefix,
+                        const struct rn_mlp_shape *shape, float *weights) {
+    for (int l = 0; l < shape->layers; l++) {
+        char name[24];
+        snprintf(name, sizeof name, "%s.%d", prefix, l);
+        add(list, count, name, "F32", 2, (size_t[]){(size_t)shape->in[l], (size_t)shape->out[l]},
+            weights + shape->offset[l]);
+    }
+}
+
+static int list_tensors(struct rn_field *field, float *m, float *v, struct tensor *list) {
+    const struct rn_field_config *c = &field->config.field;
+    const struct rn_parameters *p = &field->parameters;
+    size_t base = (size_t)c->base, cells = (size_t)c->occupancy;
+    int count = 0;
+    add(list, &count, "planes", "F32", 4,
+        (size_t[]){(size_t)c->planes, base, base, (size_t)c->channels}, p->values);
+    add_network(list, &count, "base", &field->cpu.base_shape, p->values + p->plane_count);
+    add_network(list, &count, "head", &field->cpu.head_shape,
+                p->values + p->plane_count + p->base_count);
+    add(list, &count, "occupancy", "F32", 3, (size_t[]){cells, cells, cells}, field->occupancy);
+    add(list, &count, "hull", "U8", 3, (size_t[]){cells, cells, cells}, field->hull);
+    if (m) {
+        add(list, &count, "adam.m", "F32", 1, &p->count, m);
+        add(list, &count, "adam.v", "F32", 1, &p->count, v);
+    }
+    return count;
+}
+
+// ---- writing --------------------------------------------------------------------------------
+
+static json_t *make_header(const struct rn_trainer *t, const struct tensor *list, int count) {
+    json_t *state = rn_checkpoint_state(t);
+    char *text = state ? json_dumps(state, JSON_COMPACT | JSON_REAL_PRECISION(17)) : NULL;
+    json_decref(state);
+    if (!text) return NULL;
+    json_t *header =
+        json_pack("{s:{s:s,s:s}}", "__metadata__", "format", "ripnerf", "ripnerf", text);
+    free(text);
+    size_t at = 0;
+    for (int i = 0; header && i < count; i++) {
+        json_t *shape = json_array();
+        for (int k = 0; k < list[i].rank; k++)
+            json_array_append_new(shape, json_integer((json_int_t)list[i].shape[k]));
+        json_t *entry = json_pack("{s:s,s:o,s:[I,I]}", "dtype", list[i].dtype, "shape", shape,
+                                  "data_offsets", (json_int_t)at, (json_int_t)(at + list[i].bytes));
+        at += list[i].bytes;
+        json_object_set_new(header, list[i].name, entry);
+    }
+    return header;
+}
+
+static bool write_all(int fd, const void *data, size_t bytes) {
+    const char *at = data;
+    while (bytes > 0) {
+        ssize_t n = write(fd, at, bytes);
+        if (n < 0 && errno == EINTR) continue;
+        if (n <= 0) return false;
+        at += n;
+        bytes -= (size_t)n;
+    }
+    return true;
+}
+
+static bool write_file(int fd, const char *header, const struct tensor *list, int count) {
+    uint64_t length = strlen(header), padded = (length + 7) / 8 * 8;
+    bool ok = write_all(fd, &padded, sizeof padded) && write_all(fd, header, length) &&
+              write_all(fd, "       ", padded - length);
+    for (int i = 0; ok && i < count; i++)
+        ok = write_all(fd, list[i].data, list[i].bytes);
+    return ok && fsync(fd) == 0;
+}
+
+static bool sync_folder(const char *path) {
+    char copy[4096];
+    snprintf(copy, sizeof copy, "%s", path);
+    int fd = open(dirname(copy), O_RDONLY | O_DIRECTORY | O_CLOEXEC);
+    bool ok = fd >= 0 && fsync(fd) == 0;
+    if (fd >= 0) close(fd);
+    return ok;
+}
+
+enum rn_status rn_checkpoint_write(const struct rn_trainer *t, const char *path,
+                                   struct rn_error *err) {
+    struct tensor list[MAX_TENSORS];
+    int count = list_tensors(t->field, t->m, t->v, list);
+    json_t *header = make_header(t, list, count);
+    char *text = header ? json_dumps(header, JSON_COMPACT) : NULL;
+    json_decref(header);
+    if (!text) return rn_error_set(err, RN_ERROR_NO_MEMORY, path, "out of memory");
+    char temporary[4200];
+    snprintf(temporary, sizeof temporary, "%s.partial", path);
+    int fd = open(temporary, O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC, 0644);
+    bool ok = fd >= 0 && write_file(fd, text, list, count);
+    int error = errno;
+    if (fd >= 0 && close(fd) != 0 && ok) {
+        error = errno;
+        ok = false;
+    }
+    if (ok && (rename(temporary, path) != 0 || !sync_folder(path))) {
+        error = errno;
+        ok = false;
+    }
+    free(text);
+    if (ok) return RN_OK;
+    unlink(temporary);
+    return rn_error_from_errno(err, error, path, "write the checkpoint");
+}
+
+// ---- reading --------------------------------------------------------------------------------
+
+static bool read_all(int fd, void *data, size_t bytes, uint64_t at) {
+    char *to = data;
+    while (bytes > 0) {
+        ssize_t n = pread(fd, to, bytes, (off_t)at);
+        if (n < 0 && errno == EINTR) continue;
+        if (n <= 0) return false;
+        to += n;
+        at += (uint64_t)n;
+        bytes -= (size_t)n;
+    }
+    return true;
+}
+
+static json_t *read_header(int fd, uint64_t *ret_data_start) {
+    uint64_t length;
+    if (!read_all(fd, &length, sizeof length, 0) || length > MAX_HEADER) return NULL;
+    char *text = malloc(length + 1);
+    json_t *header = NULL;
+    if (text && read_all(fd, text, length, sizeof length))
+        header = json_loadb(text, length, JSON_REJECT_DUPLICATES, NULL);
+    free(text);
+    *ret_data_start = sizeof length + length;
+    return header;
+}
+
+enum rn_status rn_checkpoint_open(const char *path, struct rn_checkpoint *ret,
+                                  struct rn_error *err) {
+    memset(ret, 0, sizeof *ret);
+    snprintf(ret->path, sizeof ret->path, "%s", path);
+    ret->fd = open(path, O_RDONLY | O_CLOEXEC);
+    if (ret->fd < 0) return rn_error_from_errno(err, errno, path, "open the checkpoint");
+    json_t *header = ret->header = read_header(ret->fd, &ret->data_start);
+    const char *text =
+        json_string_value(json_object_get(json_object_get(header, "__metadata__"), "ripnerf"));
+    json_t *state = text ? json_loads(text, JSON_REJECT_DUPLICATES, NULL) : NULL;
+    enum rn_status status = RN_ERROR_CORRUPT;
+    if (state)
+        status = rn_checkpoint_parse_state(state, path, ret, err);
+    else
+        rn_error_set(err, status, path, "is no checkpoint of this program, or is damaged");
+    json_decref(state);
+    ret->has_trainer = json_object_get(header, "adam.m") != NULL;
+    if (status != RN_OK) rn_checkpoint_close(ret);
+    return status;
+}
+
+void rn_checkpoint_close(struct rn_checkpoint *c) {
+    if (c->fd >= 0 && c->header) close(c->fd);
+    json_decref(c->header);
+    c->header = NULL;
+    c->fd = -1;
+}
+
+static bool all_finite(const float *values, size_t count) {
+    for (size_t i = 0; i < count; i++)
+        if (!isfinite(values[i])) return false;
+    return true;
+}
+
+static enum rn_status read_tensor(const struct rn_checkpoint *c, const struct tensor *t,
+                                  struct rn_error *err) {
+    const json_t *entry = json_object_get(c->header, t->name);
+    const json_t *shape = json_object_get(entry, "shape"),
+                 *at = json_object_get(entry, "data_offsets");
+    const char *dtype = json_string_value(json_object_get(entry, "dtype"));
+    bool same = dtype && strcmp(dtype, t->dtype) == 0 && (int)json_array_size(shape) == t->rank;
+    for (int i = 0; same && i < t->rank; i++)
+        same = (size_t)json_integer_value(json_array_get(shape, (size_t)i)) == t->shape[i];
+    int64_t begin = json_integer_value(json_array_get(at, 0));
+    int64_t end = json_integer_value(json_array_get(at, 1));
+    if (!same || begin < 0 || end - begin != (int64_t)t->bytes)
+        return rn_error_set(err, RN_ERROR_CORRUPT, c->path, "tensor '%s' is missing or misshapen",
+                            t->name);
+    if (!read_all(c->fd, t->data, t->bytes, c->data_start + (uint64_t)begin))
+        return rn_error_set(err, RN_ERROR_CORRUPT, c->path, "ends before tensor '%s' does",
+                            t->name);
+    if (t->dtype[0] == 'F' && !all_finite(t->data, t->bytes / 4))
+        return rn_error_set(err, RN_ERROR_CORRUPT, c->path, "tensor '%s' holds non-finite numbers",
+                            t->name);
+    return RN_OK;
+}
+
+static enum rn_status read_tensors(const struct rn_checkpoint *c, struct rn_field *field, float *m,
+                                   float *v, struct rn_error *err) {
+    struct tensor list[MAX_TENSORS];
+    int count = list_tensors(field, m, v, list);
+    for (int i = 0; i < count; i++) {
+        enum rn_status status = read_tensor(c, &list[i], err);
+        if (status != RN_OK) return status;
+    }
+    memcpy(field->effects, c->effects, sizeof field->effects);
+    snprintf(field->kernels, sizeof field->kernels, "%s", c->kernels);
+    field->steps = c->progress.step;
+    field->train_seconds = c->progress.train_seconds;
+    field->psnr = c->progress.psnr;
+    return RN_OK;
+}
+
+enum rn_status rn_checkpoint_read_field(const struct rn_checkpoint *c, struct rn_field *field,
+                                        struct rn_error *err) {
+    return read_tensors(c, field, NULL, NULL, err);
+}
+
+enum rn_status rn_checkpoint_read_trainer(const struct rn_checkpoint *c, struct rn_trainer *t,
+                                          struct rn_error *err) {
+    double load_seconds = t->progress.load_seconds;
+    enum rn_status status = read_tensors(c, t->field, t->m, t->v, err);
+    if (status != RN_OK) return status;
+    t->progress = c->progress;
+    t->progress.load_seconds = load_seconds;
+    t->updates = c->updates;
+    t->next_rays = c->next_rays;
+    return RN_OK;
+}

@@ -1,0 +1,42 @@
+// Checkpoints: one safetensors file with parameters, optimiser, occupancy, counters and config.
+//
+// Tensors: planes F32 [plane][v][u][channel]; base.N and head.N F32 [input][output] (the colour
+// network's last layer is padded to 16 outputs, columns 3.. are zero); adam.m and adam.v F32, in
+// the order of all the former; occupancy F32 and hull U8 [x][y][z]. Everything else is one JSON
+// object in __metadata__["ripnerf"]. Random numbers need no state: they are counters of the step.
+#ifndef RN_ENGINE_CHECKPOINT_H
+#define RN_ENGINE_CHECKPOINT_H
+
+#include "server/engine/train/trainer.h"
+
+// An open checkpoint: header read and checked, tensors not yet. Owner: rn_checkpoint_close.
+struct rn_checkpoint {
+    char path[4096];
+    struct rn_train_config config;
+    struct rn_bounds bounds;
+    char kernels[32];
+    struct rn_effect_record effects[RN_EFFECT_COUNT];
+    struct rn_progress progress;
+    int64_t updates;
+    int next_rays;
+    bool has_trainer; // optimiser state is in the file
+    void *header;     // the parsed JSON
+    int fd;
+    uint64_t data_start;
+};
+
+// RN_ERROR_NOT_FOUND; RN_ERROR_CORRUPT names what is wrong with the file.
+enum rn_status rn_checkpoint_open(const char *path, struct rn_checkpoint *ret_checkpoint,
+                                  struct rn_error *err) RN_MUST_CHECK;
+void rn_checkpoint_close(struct rn_checkpoint *checkpoint);
+// Fill a field or trainer made for checkpoint->config. Non-finite numbers are RN_ERROR_CORRUPT.
+enum rn_status rn_checkpoint_read_field(const struct rn_checkpoint *checkpoint,
+                                        struct rn_field *field, struct rn_error *err) RN_MUST_CHECK;
+enum rn_status rn_checkpoint_read_trainer(const struct rn_checkpoint *checkpoint,
+                                          struct rn_trainer *trainer,
+                                          struct rn_error *err) RN_MUST_CHECK;
+// Temporary file, fsync, rename, fsync of the folder: seen whole or not at all. Changes no state.
+enum rn_status rn_checkpoint_write(const struct rn_trainer *trainer, const char *path,
+                                   struct rn_error *err) RN_MUST_CHECK;
+
+#endif

@@ -1,0 +1,222 @@
+#include "server/engine/checkpoint_state.h"
+
+#include <math.h>
+#include <stddef.h>
+#include <stdio.h>
+#include <string.h>
+
+enum kind { KIND_INT, KIND_INT64, KIND_UINT64, KIND_DOUBLE, KIND_BOOL, KIND_TEXT16, KIND_COLOUR };
+
+struct member {
+    const char *name;
+    enum kind kind;
+    size_t offset;
+};
+
+#define CONFIG(name, kind)                                                                         \
+    { #name, kind, offsetof(struct rn_train_config, name) }
+#define FIELD(name, kind)                                                                          \
+    { #name, kind, offsetof(struct rn_train_config, field.name) }
+static const struct member config_members[] = {
+    CONFIG(preset, KIND_TEXT16),
+    FIELD(planes, KIND_INT),
+    FIELD(orientation, KIND_INT),
+    FIELD(base, KIND_INT),
+    FIELD(channels, KIND_INT),
+    FIELD(levels, KIND_INT),
+    FIELD(footprint, KIND_INT),
+    FIELD(shading, KIND_INT),
+    FIELD(width, KIND_INT),
+    FIELD(base_layers, KIND_INT),
+    FIELD(head_layers, KIND_INT),
+    FIELD(view_dependence, KIND_BOOL),
+    FIELD(occupancy, KIND_INT),
+    CONFIG(step, KIND_DOUBLE),
+    CONFIG(target_samples, KIND_INT),
+    CONFIG(initial_rays, KIND_INT),
+    CONFIG(learning_rate, KIND_DOUBLE),
+    CONFIG(plane_rate, KIND_DOUBLE),
+    CONFIG(weight_decay, KIND_DOUBLE),
+    CONFIG(adam_eps, KIND_DOUBLE),
+    CONFIG(max_steps, KIND_INT64),
+    CONFIG(max_seconds, KIND_DOUBLE),
+    CONFIG(until_psnr, KIND_DOUBLE),
+    CONFIG(carve, KIND_BOOL),
+    CONFIG(sparse, KIND_BOOL),
+    CONFIG(equal_scales, KIND_BOOL),
+    CONFIG(auto_effects, KIND_BOOL),
+    CONFIG(multi_step_rate, KIND_BOOL),
+    CONFIG(roulette, KIND_DOUBLE),
+    CONFIG(stop, KIND_DOUBLE),
+    CONFIG(seed, KIND_UINT64),
+    CONFIG(train_val, KIND_BOOL),
+    CONFIG(background, KIND_COLOUR),
+};
+
+#define PROGRESS(name, kind)                                                                       \
+    { #name, kind, offsetof(struct rn_progress, name) }
+static const struct member progress_members[] = {
+    PROGRESS(step, KIND_INT64),
+    PROGRESS(train_seconds, KIND_DOUBLE),
+    PROGRESS(evaluate_seconds, KIND_DOUBLE),
+    PROGRESS(loss, KIND_DOUBLE),
+    PROGRESS(samples, KIND_UINT64),
+    PROGRESS(rays, KIND_UINT64),
+    PROGRESS(psnr, KIND_DOUBLE),
+    PROGRESS(psnr_step, KIND_INT64),
+    PROGRESS(nonfinite_rays, KIND_UINT64),
+    PROGRESS(steps_rejected, KIND_UINT64),
+    PROGRESS(rollbacks, KIND_UINT64),
+};
+#define COUNT(a) (sizeof(a) / sizeof *(a))
+
+static json_t *number(double v) {
+    return isfinite(v) ? json_real(v) : json_null();
+}
+
+static json_t *encode_member(const struct member *m, const char *base) {
+    const void *at = base + m->offset;
+    switch (m->kind) {
+    case KIND_INT:
+        return json_integer(*(const int *)at);
+    case KIND_INT64:
+        return json_integer(*(const int64_t *)at);
+    case KIND_UINT64:
+        return json_integer((json_int_t) * (const uint64_t *)at);
+    case KIND_DOUBLE:
+        return number(*(const double *)at);
+    case KIND_BOOL:
+        return json_boolean(*(const bool *)at);
+    case KIND_TEXT16:
+        return json_string(at);
+    case KIND_COLOUR: {
+        const float *c = at;
+        return json_pack("[f,f,f]", (double)c[0], (double)c[1], (double)c[2]);
+    }
+    }
+    return NULL;
+}
+
+static bool decode_member(const struct member *m, const json_t *value, char *base) {
+    void *at = base + m->offset;
+    switch (m->kind) {
+    case KIND_INT:
+        *(int *)at = (int)json_integer_value(value);
+        return json_is_integer(value);
+    case KIND_INT64:
+        *(int64_t *)at = json_integer_value(value);
+        return json_is_integer(value);
+    case KIND_UINT64:
+        *(uint64_t *)at = (uint64_t)json_integer_value(value);
+        return json_is_integer(value);
+    case KIND_DOUBLE:
+        *(double *)at = json_is_null(value) ? NAN : json_number_value(value);
+        return json_is_number(value) || json_is_null(value);
+    case KIND_BOOL:
+        *(bool *)at = json_is_true(value);
+        return json_is_boolean(value);
+    case KIND_TEXT16:
+        if (json_is_string(value)) snprintf(at, 16, "%s", json_string_value(value));
+        return json_is_string(value);
+    case KIND_COLOUR:
+        for (size_t c = 0; c < 3; c++)
+            ((float *)at)[c] = (float)json_number_value(json_array_get(value, c));
+        return json_array_size(value) == 3;
+    }
+    return false;
+}
+
+static json_t *encode_all(const struct member *members, size_t count, const void *base) {
+    json_t *object = json_object();
+    for (size_t i = 0; i < count; i++)
+        if (json_object_set_new(object, members[i].name, encode_member(&members[i], base)) != 0) {
+            json_decref(object);
+            return NULL;
+        }
+    return object;
+}
+
+static enum rn_status decode_all(const struct member *members, size_t count, const json_t *object,
+                                 void *base, const char *path, struct rn_error *err) {
+    for (size_t i = 0; i < count; i++)
+        if (!decode_member(&members[i], json_object_get(object, members[i].name), base))
+            return rn_error_set(err, RN_ERROR_CORRUPT, path,
+                                "its state lacks a valid '%s'; use an older checkpoint",
+                                members[i].name);
+    return RN_OK;
+}
+
+static const char *const effect_names[RN_EFFECT_COUNT] = {"background", "scale-pyramid",
+                                                          "anisotropy", "view-dependence"};
+
+static json_t *encode_effects(const struct rn_effect_record *effects) {
+    json_t *list = json_array();
+    for (int i = 0; i < RN_EFFECT_COUNT; i++) {
+        const struct rn_effect_record *e = &effects[i];
+        json_array_append_new(list, json_pack("{s:b,s:b,s:o,s:f,s:s}", "on", e->on, "decided",
+                                              e->decided, "number", number(e->number), "threshold",
+                                              e->threshold, "reason", e->reason));
+    }
+    return list;
+}
+
+static void decode_effects(const json_t *list, struct rn_effect_record *effects) {
+    for (int i = 0; i < RN_EFFECT_COUNT; i++) {
+        const json_t *e = json_array_get(list, (size_t)i);
+        const json_t *value = json_object_get(e, "number");
+        const char *reason = json_string_value(json_object_get(e, "reason"));
+        effects[i].name = effect_names[i];
+        effects[i].on = json_is_true(json_object_get(e, "on"));
+        effects[i].decided = json_is_true(json_object_get(e, "decided"));
+        effects[i].number = json_is_number(value) ? json_number_value(value) : NAN;
+        effects[i].threshold = json_number_value(json_object_get(e, "threshold"));
+        snprintf(effects[i].reason, sizeof effects[i].reason, "%s", reason ? reason : "");
+    }
+}
+
+json_t *rn_checkpoint_state(const struct rn_trainer *t) {
+    const struct rn_bounds *b = &t->field->bounds;
+    json_t *levels = json_array();
+    for (int l = 0; l < RN_PROGRESS_LEVELS; l++)
+        json_array_append_new(levels, json_integer((json_int_t)t->progress.level_samples[l]));
+    return json_pack(
+        "{s:i,s:o,s:o,s:o,s:o,s:I,s:i,s:s,s:{s:[f,f,f],s:f,s:i}}", "version", 1, "config",
+        encode_all(config_members, COUNT(config_members), &t->field->config), "progress",
+        encode_all(progress_members, COUNT(progress_members), &t->progress), "levels", levels,
+        "effects", encode_effects(t->field->effects), "updates", (json_int_t)t->updates,
+        "next_rays", t->next_rays, "kernels", t->field->kernels, "bounds", "centre", b->centre[0],
+        b->centre[1], b->centre[2], "radius", b->radius, "source", (int)b->source);
+}
+
+enum rn_status rn_checkpoint_parse_state(const json_t *state, const char *path,
+                                         struct rn_checkpoint *c, struct rn_error *err) {
+    const json_t *bounds = json_object_get(state, "bounds");
+    const char *kernels = json_string_value(json_object_get(state, "kernels"));
+    if (json_integer_value(json_object_get(state, "version")) != 1 || !bounds || !kernels)
+        return rn_error_set(err, RN_ERROR_CORRUPT, path,
+                            "holds no state of a version this program reads (1)");
+    enum rn_status status = decode_all(config_members, COUNT(config_members),
+                                       json_object_get(state, "config"), &c->config, path, err);
+    if (status == RN_OK)
+        status = decode_all(progress_members, COUNT(progress_members),
+                            json_object_get(state, "progress"), &c->progress, path, err);
+    if (status == RN_OK) status = rn_train_config_check(&c->config, err);
+    if (status != RN_OK) return status;
+    for (size_t l = 0; l < RN_PROGRESS_LEVELS; l++)
+        c->progress.level_samples[l] =
+            (uint64_t)json_integer_value(json_array_get(json_object_get(state, "levels"), l));
+    for (size_t i = 0; i < 3; i++)
+        c->bounds.centre[i] =
+            json_number_value(json_array_get(json_object_get(bounds, "centre"), i));
+    c->bounds.radius = json_number_value(json_object_get(bounds, "radius"));
+    c->bounds.source = (enum rn_bounds_source)json_integer_value(json_object_get(bounds, "source"));
+    if (!(c->bounds.radius > 0))
+        return rn_error_set(err, RN_ERROR_CORRUPT, path, "its scene radius is not positive");
+    decode_effects(json_object_get(state, "effects"), c->effects);
+    snprintf(c->kernels, sizeof c->kernels, "%s", kernels);
+    c->updates = json_integer_value(json_object_get(state, "updates"));
+    c->next_rays = (int)json_integer_value(json_object_get(state, "next_rays"));
+    if (c->next_rays < 1 || c->next_rays > RN_MAX_RAYS || c->updates < 0)
+        return rn_error_set(err, RN_ERROR_CORRUPT, path, "its step counters are out of range");
+    return RN_OK;
+}

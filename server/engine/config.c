@@ -1,0 +1,186 @@
+#include "server/engine/config.h"
+
+#include <math.h>
+#include <stdio.h>
+#include <string.h>
+
+#include "server/engine/field/solid.h"
+
+static const struct rn_train_config paper = {
+    .preset = "paper",
+    .field = {.planes = 10,
+              .orientation = RN_ORIENTATION_PLATONIC,
+              .base = 512,
+              .channels = 16,
+              .levels = 8,
+              .footprint = RN_FOOTPRINT_RIP,
+              .shading = RN_SHADING_SAMPLE,
+              .width = 128,
+              .base_layers = 2,
+              .head_layers = 4,
+              .view_dependence = true,
+              .occupancy = 128},
+    .step = 2 * 1.7320508075688772 / 1024,
+    .target_samples = 262144,
+    .initial_rays = 8192,
+    .learning_rate = 2e-3,
+    .plane_rate = 10,
+    .weight_decay = 1e-5,
+    .adam_eps = 1e-15,
+    .max_steps = 120000,
+    .multi_step_rate = true,
+    .stop = 1e-4,
+    .background = {1, 1, 1},
+};
+
+static const struct rn_train_config standard = {
+    .preset = "standard",
+    .field = {.planes = 3,
+              .orientation = RN_ORIENTATION_PLATONIC,
+              .base = 256,
+              .channels = 8,
+              .levels = 8,
+              .footprint = RN_FOOTPRINT_RIP,
+              .shading = RN_SHADING_RAY,
+              .width = 32,
+              .base_layers = 1,
+              .head_layers = 1,
+              .view_dependence = true,
+              .occupancy = 128},
+    .step = 2 * 1.7320508075688772 / 512,
+    .target_samples = 32768,
+    .initial_rays = 4096,
+    .learning_rate = 4e-3,
+    .plane_rate = 4,
+    .weight_decay = 0,
+    .adam_eps = 1e-15,
+    .max_seconds = 60,
+    .carve = true,
+    .roulette = 1e-3,
+    .sparse = true,
+    .equal_scales = true,
+    .auto_effects = true,
+    .stop = 1e-3,
+    .background = {1, 1, 1},
+};
+
+enum rn_status rn_preset(const char *name, bool multi_scale, struct rn_train_config *ret_config,
+                         struct rn_error *err) {
+    (void)multi_scale;
+    if (strcmp(name, "paper") == 0) {
+        *ret_config = paper;
+        return RN_OK;
+    }
+    if (strcmp(name, "standard") != 0 && strcmp(name, "draft") != 0)
+        return rn_error_set(err, RN_ERROR_INVALID, "preset",
+                            "'%s' is no preset; use draft, standard or paper", name);
+    *ret_config = standard;
+    if (strcmp(name, "draft") == 0) {
+        snprintf(ret_config->preset, sizeof ret_config->preset, "draft");
+        ret_config->field.base = 128;
+        ret_config->max_seconds = 15;
+    }
+    return RN_OK;
+}
+
+static bool power_of_two(int n) {
+    return n > 0 && (n & (n - 1)) == 0;
+}
+
+enum rn_status rn_train_config_check(const struct rn_train_config *c, struct rn_error *err) {
+    const struct rn_field_config *f = &c->field;
+#define REQUIRE(condition, name, text)                                                             \
+    if (!(condition)) return rn_error_set(err, RN_ERROR_INVALID, name, text)
+    struct rn_solid solid;
+    enum rn_status status = rn_solid_init(f->planes, f->orientation, c->seed, &solid, err);
+    if (status != RN_OK) return status;
+    REQUIRE(f->base >= 2 && f->base <= 4096, "base", "must be 2 to 4096 texels");
+    REQUIRE(f->channels == 4 || f->channels == 8 || f->channels == 16, "channels",
+            "must be 4, 8 or 16");
+    REQUIRE(f->levels >= 1 && f->levels <= RN_MAX_LEVELS, "levels", "must be 1 to 10");
+    REQUIRE(f->footprint >= RN_FOOTPRINT_RIP && f->footprint <= RN_FOOTPRINT_POINT, "footprint",
+            "must be rip, mip or point");
+    REQUIRE(f->shading == RN_SHADING_SAMPLE || f->shading == RN_SHADING_RAY, "shading",
+            "must be sample or ray");
+    REQUIRE(f->width >= 16 && f->width <= 256 && f->width % 16 == 0, "width",
+            "must be a multiple of 16, 16 to 256");
+    REQUIRE(f->base_layers >= 1 && f->base_layers <= 5, "base_layers", "must be 1 to 5");
+    REQUIRE(f->head_layers >= 1 && f->head_layers <= 5, "head_layers", "must be 1 to 5");
+    REQUIRE(power_of_two(f->occupancy) && f->occupancy >= 16 && f->occupancy <= 256, "occupancy",
+            "must be a power of two, 16 to 256");
+    REQUIRE(c->step >= 1e-3 && c->step <= 1, "step", "must be 0.001 to 1 scene radii");
+    REQUIRE(c->target_samples >= 1024 && c->target_samples <= 1 << 22, "target_samples",
+            "must be 1024 to 4194304");
+    REQUIRE(c->initial_rays >= 1 && c->initial_rays <= 1 << 17, "initial_rays",
+            "must be 1 to 131072");
+    REQUIRE(c->learning_rate > 0 && c->learning_rate <= 10, "learning_rate", "must be in (0, 10]");
+    REQUIRE(c->plane_rate > 0 && c->plane_rate <= 1000, "plane_rate", "must be in (0, 1000]");
+    REQUIRE(c->weight_decay >= 0 && c->weight_decay < 1, "weight_decay", "must be in [0, 1)");
+    REQUIRE(c->adam_eps > 0 && c->adam_eps < 1, "adam_eps", "must be in (0, 1)");
+    REQUIRE(c->max_steps >= 0, "max_steps", "must not be negative");
+    REQUIRE(c->max_seconds >= 0 && c->max_seconds < 1e9, "max_time", "must not be negative");
+    REQUIRE(c->until_psnr >= 0 && c->until_psnr < 100, "until_psnr", "must be 0 to 100 dB");
+    REQUIRE(c->roulette >= 0 && c->roulette < 1, "roulette", "must be in [0, 1)");
+    REQUIRE(c->stop > 0 && c->stop < 1, "stop", "must be in (0, 1)");
+    for (int i = 0; i < 3; i++)
+        REQUIRE(c->background[i] >= 0 && c->background[i] <= 1, "background", "must be in [0, 1]");
+    return RN_OK;
+#undef REQUIRE
+}
+
+int rn_train_config_differences(const struct rn_train_config *c, struct rn_difference *items,
+                                int capacity) {
+    const struct rn_field_config *f = &c->field;
+    int n = 0;
+#define DIFFERS(condition, text, gain)                                                             \
+    if (condition) {                                                                               \
+        if (n < capacity) items[n] = (struct rn_difference){text, gain};                           \
+        n++;                                                                                       \
+    }
+    DIFFERS(f->planes != paper.field.planes, "fewer planes than the paper's 10", "")
+    DIFFERS(f->orientation != paper.field.orientation, "planes not along a Platonic solid", "")
+    DIFFERS(f->base != paper.field.base, "another base grid than the paper's 512 x 512", "")
+    DIFFERS(f->channels != paper.field.channels, "fewer channels than the paper's 16", "")
+    DIFFERS(f->footprint != paper.field.footprint, "another footprint than the paper's ripmap", "")
+    DIFFERS(f->shading != paper.field.shading,
+            "view-dependent colour once a ray instead of once a sample", "")
+    DIFFERS(f->width != paper.field.width, "narrower networks than the paper's 128", "")
+    DIFFERS(f->base_layers != paper.field.base_layers || f->head_layers != paper.field.head_layers,
+            "fewer hidden layers", "")
+    DIFFERS(fabs(c->step - paper.step) > 1e-9, "another marching step than diagonal / 1024", "")
+    DIFFERS(c->target_samples != paper.target_samples, "smaller batch than 262,144 samples", "")
+    DIFFERS(c->carve, "occupancy carved from alpha before the first step", "")
+    DIFFERS(c->roulette > 0, "roulette on samples of tiny weight (unbiased)", "")
+    DIFFERS(c->sparse, "optimiser visits touched texels only", "")
+    DIFFERS(c->equal_scales, "rays drawn evenly over scales instead of weighted by area", "")
+    DIFFERS(!c->multi_step_rate, "rate schedule made for the time given", "")
+    DIFFERS(fabs(c->stop - paper.stop) > 1e-12, "rays end at another transmittance than 1e-4", "")
+    return n;
+#undef DIFFERS
+}
+
+static const char *const footprints[] = {"rip", "mip", "point"};
+static const char *const orientations[] = {"platonic", "golden", "blue", "white"};
+
+const char *rn_footprint_name(enum rn_footprint footprint) {
+    return (unsigned)footprint < 3 ? footprints[footprint] : "?";
+}
+const char *rn_orientation_name(enum rn_orientation orientation) {
+    return (unsigned)orientation < 4 ? orientations[orientation] : "?";
+}
+enum rn_status rn_footprint_parse(const char *name, enum rn_footprint *ret) {
+    for (int i = 0; i < 3; i++)
+        if (strcmp(name, footprints[i]) == 0) {
+            *ret = (enum rn_footprint)i;
+            return RN_OK;
+        }
+    return RN_ERROR_INVALID;
+}
+enum rn_status rn_orientation_parse(const char *name, enum rn_orientation *ret) {
+    for (int i = 0; i < 4; i++)
+        if (strcmp(name, orientations[i]) == 0) {
+            *ret = (enum rn_orientation)i;
+            return RN_OK;
+        }
+    return RN_ERROR_INVALID;
+}

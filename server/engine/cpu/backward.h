@@ -1,0 +1,268 @@
+// The backward of one packet: from the pixels' errors to the slab that the scatter reads.
+#ifndef RN_ENGINE_CPU_BACKWARD_H
+#define RN_ENGINE_CPU_BACKWARD_H
+
+#include <math.h>
+
+#include "server/engine/cpu/packet.h"
+
+// Loss and dL/d(rgb) of one ray (smooth L1, beta 1, times the area weight). A ray that is not
+// finite counts as such and gets no gradient.
+static void ray_loss(const struct rn_march_ray *ray, const float rgb[3], float ret_grad[3],
+                     struct rn_group *group) {
+    double loss = 0;
+    for (int c = 0; c < 3; c++) {
+        float d = rgb[c] - ray->target[c], size = fabsf(d);
+        loss += size < 1 ? 0.5 * (double)d * (double)d : (double)size - 0.5;
+        ret_grad[c] = ray->weight * (d < -1 ? -1 : d > 1 ? 1 : d);
+    }
+    if (!isfinite(loss)) {
+        ret_grad[0] = ret_grad[1] = ret_grad[2] = 0;
+        group->nonfinite_rays++;
+        return;
+    }
+    group->loss += (double)ray->weight * loss;
+    group->weight += (double)ray->weight;
+    group->rays_hit++;
+}
+
+// Composite backward along one ray, in place: w->slope holds dL/dw_i and becomes dL/dx_i.
+static void composite_backward(int r, struct rn_workspace *w) {
+    int16_t segments[RN_PACKET_SAMPLES / RN_ROUND + 1];
+    int n = 0;
+    for (int s = w->ray_first[r]; s >= 0; s = w->segment_next[s])
+        segments[n++] = (int16_t)s;
+    double suffix = 0;
+    while (n-- > 0) {
+        int start = w->segment_start[segments[n]];
+        for (int i = start + w->segment_size[segments[n]] - 1; i >= start; i--) {
+            float g = w->slope[i];
+            w->slope[i] = (float)((double)w->after[i] * (double)g - suffix);
+            suffix += (double)w->weight[i] * (double)g;
+        }
+    }
+}
+
+RN_INLINE float sum16(row16 x) {
+    float lane[16];
+    *(row16 *)lane = x;
+    float sum = 0;
+    for (int i = 0; i < 8; i++)
+        lane[i] += lane[i + 8];
+    for (int i = 0; i < 4; i++)
+        lane[i] += lane[i + 4];
+    sum = (lane[0] + lane[2]) + (lane[1] + lane[3]);
+    return sum;
+}
+
+// Ray shading: dL/d(sums) per ray through the head, then per sample dL/dw and dL/d(geometry).
+static void backward_rays(const struct rn_cpu_field *field, const struct rn_march_options *options,
+                          int hits, const int16_t *hit, const struct ray_sums *sums,
+                          float (*rgb_grad)[3], struct rn_workspace *w,
+                          struct rn_group *group) {
+    row16 ray_grad[RN_PACKET_RAYS];
+    for (int j = 0; j < hits; j++) {
+        const float *g = rgb_grad[hit[j]];
+        row16 d = {0, g[0], g[1], g[2]};
+        for (int c = 0; c < 3; c++)
+            d[0] -= g[c] * options->background[c];
+        if (field->config.view_dependence) {
+            float *out = w->head_out + (size_t)j * RN_HEAD_OUTPUTS;
+            for (int c = 0; c < 3; c++) {
+                d[0] += g[c] * out[c];
+                out[c] = g[c] * sums[hit[j]].opacity;
+            }
+            memset(out + 3, 0, (RN_HEAD_OUTPUTS - 3) * sizeof *out);
+        }
+        ray_grad[j] = d;
+    }
+    if (field->config.view_dependence) {
+        const float *in_grad =
+            mlp_backward(&field->head_shape, field->head_transposed, w->head_in, RN_HEAD_INPUTS,
+                         w->head_hidden, w->head_out, w->grad_a, w->grad_b, hits, group->head_grad);
+        for (int j = 0; j < hits; j++, in_grad += RN_HEAD_INPUTS) {
+            for (int i = 0; i < 12; i++)
+                ray_grad[j][4 + i] += in_grad[16 + i];
+            for (int c = 0; c < 3; c++)
+                ray_grad[j][1 + c] += in_grad[28 + c];
+            ray_grad[j][0] += in_grad[31];
+        }
+    }
+    for (int j = 0; j < hits; j++)
+        for (int s = w->ray_first[hit[j]]; s >= 0; s = w->segment_next[s])
+            for (int i = w->segment_start[s]; i < w->segment_start[s] + w->segment_size[s]; i++) {
+                row16 value = *(const row16 *)(w->geometry + (size_t)i * RN_GEOMETRY);
+                w->slope[i] = sum16(ray_grad[j] * value);
+                row16 slope = {0,
+                               value[1] * (1 - value[1]),
+                               value[2] * (1 - value[2]),
+                               value[3] * (1 - value[3]),
+                               1,
+                               1,
+                               1,
+                               1,
+                               1,
+                               1,
+                               1,
+                               1,
+                               1,
+                               1,
+                               1,
+                               1};
+                *(row16 *)(w->geometry_grad + (size_t)i * RN_GEOMETRY) =
+                    ray_grad[j] * slope * w->weight[i];
+            }
+}
+
+// Sample shading: the same, through a head per sample; `kept` rows of the head.
+static void backward_samples(const struct rn_cpu_field *field,
+                             const struct rn_march_options *options, int kept,
+                             float (*rgb_grad)[3], struct rn_workspace *w,
+                             struct rn_group *group) {
+    memset(w->geometry_grad, 0, (size_t)w->count * RN_GEOMETRY * sizeof(float));
+    for (int i = 0; i < w->count; i++) {
+        const float *g = rgb_grad[w->ray[i]];
+        w->slope[i] = -(g[0] * options->background[0] + g[1] * options->background[1] +
+                        g[2] * options->background[2]);
+    }
+    for (int j = 0; j < kept; j++) {
+        int i = w->kept[j];
+        const float *g = rgb_grad[w->ray[i]];
+        float *out = w->head_out + (size_t)j * RN_HEAD_OUTPUTS;
+        for (int c = 0; c < 3; c++) {
+            float colour = out[c];
+            w->slope[i] += g[c] * colour;
+            out[c] = g[c] * w->weight[i] * colour * (1 - colour);
+        }
+        memset(out + 3, 0, (RN_HEAD_OUTPUTS - 3) * sizeof *out);
+    }
+    const float *in_grad =
+        mlp_backward(&field->head_shape, field->head_transposed, w->head_in, RN_HEAD_INPUTS,
+                     w->head_hidden, w->head_out, w->grad_a, w->grad_b, kept, group->head_grad);
+    for (int j = 0; j < kept; j++)
+        memcpy(w->geometry_grad + (size_t)w->kept[j] * RN_GEOMETRY + 1,
+               in_grad + (size_t)j * RN_HEAD_INPUTS + RN_SH_COUNT, 15 * sizeof(float));
+}
+
+// Chooses the samples that go back through the density network: all that the early stop left
+// with a gradient, or with roulette those of tiny contribution q = T x < threshold only with
+// probability q / threshold, their gradient scaled by the inverse (unbiased). Their rows move to
+// the front. Returns their count.
+static int backward_select(const struct rn_cpu_field *field, const struct rn_march_options *options,
+                           const struct rn_march_ray *rays, struct rn_workspace *w) {
+    int n = 0;
+    for (int i = 0; i < w->count; i++) {
+        float q = w->weight[i] > 0 ? (w->after[i] + w->weight[i]) * w->x[i] : 0;
+        if (!(q > 0)) continue;
+        float *grad = w->geometry_grad + (size_t)i * RN_GEOMETRY, scale = 1;
+        if (q < options->roulette) {
+            uint64_t place = (uint64_t)rays[w->ray[i]].id << 20 | (uint32_t)i;
+            float p = q / options->roulette;
+            if (rn_rng_unit(rn_rng_draw(options->seed, options->counter, place).v[0]) >= p)
+                continue;
+            scale = 1 / p;
+        }
+        grad[0] = w->slope[i] * w->x[i]; // density' = density
+        row16 row = *(const row16 *)grad * scale;
+        *(row16 *)(w->geometry_grad + (size_t)n * RN_GEOMETRY) = row;
+        w->kept[n++] = i;
+    }
+    const struct rn_mlp_shape *shape = &field->base_shape;
+    size_t stride = (size_t)field->feature_stride, width = (size_t)field->config.width;
+    for (int j = 0; j < n; j++) {
+        if (w->kept[j] == j) continue;
+        memcpy(w->features + j * stride, w->features + w->kept[j] * stride, stride * sizeof(float));
+        for (int l = 0; l + 1 < shape->layers; l++)
+            memcpy(w->hidden[l] + j * width, w->hidden[l] + w->kept[j] * width,
+                   width * sizeof(float));
+    }
+    return n;
+}
+
+static void count_levels(const struct rn_cpu_field *field, bool leveled, int n,
+                         const struct rn_workspace *w, struct rn_group *group) {
+    if (!leveled) {
+        group->level_samples[0] += (uint64_t)n;
+        return;
+    }
+    for (int j = 0; j < n; j++) {
+        float level = 0;
+        for (int p = 0; p < field->config.planes; p++) {
+            level = fmaxf(level, w->lx[p][w->kept[j]]);
+            level = fmaxf(level, w->ly[p][w->kept[j]]);
+        }
+        group->level_samples[(int)level]++;
+    }
+}
+
+// Appends the kept samples' plane coordinates and feature gradients.
+static void slab_append(const struct rn_cpu_field *field, bool leveled, int n,
+                        const float *feature_grad, const struct rn_workspace *w,
+                        struct rn_slab *slab) {
+    int channels = field->config.channels;
+    bool levels = field->built_levels > 1 && field->config.footprint != RN_FOOTPRINT_POINT;
+    for (int p = 0; p < field->config.planes; p++) {
+        float *grad = slab->grad[p] + (size_t)slab->count * channels;
+        const float *from = feature_grad + p * channels;
+        for (int j = 0; j < n; j++) {
+            int i = w->kept[j], at = slab->count + j;
+            slab->u[p][at] = w->u[p][i];
+            slab->v[p][at] = w->v[p][i];
+            if (levels) {
+                slab->lx[p][at] = leveled ? w->lx[p][i] : 0;
+                slab->ly[p][at] = leveled ? w->ly[p][i] : 0;
+            }
+            memcpy(grad + (size_t)j * channels, from + (size_t)j * field->feature_stride,
+                   (size_t)channels * sizeof(float));
+        }
+    }
+    slab->count += n;
+}
+
+static void packet_backward(const struct rn_cpu_field *field,
+                            const struct rn_march_options *options, const struct rn_march_ray *rays,
+                            int ray_count, bool leveled, struct rn_workspace *w,
+                            struct rn_group *group) {
+    for (int r = 0; r < ray_count; r++)
+        composite_backward(r, w);
+    int n = backward_select(field, options, rays, w);
+    const float *feature_grad =
+        mlp_backward(&field->base_shape, field->base_transposed, w->features, field->feature_stride,
+                     w->hidden, w->geometry_grad, w->grad_a, w->grad_b, n, group->base_grad);
+    count_levels(field, leveled, n, w, group);
+    slab_append(field, leveled, n, feature_grad, w, &group->slab);
+    group->samples += (uint64_t)n;
+    group->evaluated += (uint64_t)w->count;
+}
+
+static void train(const struct rn_cpu_field *field, const struct rn_march_options *options,
+                  const struct rn_march_ray *rays, struct rn_workspace *w, struct rn_group *group) {
+    bool per_ray = field->config.shading == RN_SHADING_RAY;
+    while (group->cursor < group->end && group->slab.capacity - group->slab.count >= w->capacity) {
+        const struct rn_march_ray *packet = rays + group->cursor;
+        int n = packet_march(field, options, packet, group->end - group->cursor, w), hits = 0,
+            kept = 0;
+        group->cursor += n;
+        if (w->candidate_begin[n] == 0) continue;
+        struct ray_sums sums[RN_PACKET_RAYS];
+        float rgb[RN_PACKET_RAYS][3], rgb_grad[RN_PACKET_RAYS][3] = {{0}};
+        int16_t hit[RN_PACKET_RAYS];
+        bool leveled = packet_density(field, options, packet, n, w);
+        if (per_ray) {
+            hits = shade_rays(field, options, packet, n, w, sums, rgb, hit);
+        } else {
+            kept = keep_samples(0, w);
+            shade_packet_by_samples(field, options, packet, n, kept, w, sums, rgb);
+        }
+        for (int r = 0; r < n; r++)
+            if (w->ray_first[r] >= 0 && !(sums[r].opacity <= 0))
+                ray_loss(&packet[r], rgb[r], rgb_grad[r], group);
+        if (per_ray)
+            backward_rays(field, options, hits, hit, sums, rgb_grad, w, group);
+        else
+            backward_samples(field, options, kept, rgb_grad, w, group);
+        packet_backward(field, options, packet, n, leveled, w, group);
+    }
+}
+
+#endif

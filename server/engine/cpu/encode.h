@@ -1,0 +1,244 @@
+// Samples to features: positions, footprints, and the ripmap fetch (paper, section 3.3).
+#ifndef RN_ENGINE_CPU_ENCODE_H
+#define RN_ENGINE_CPU_ENCODE_H
+
+#include <stdbool.h>
+
+#include "server/engine/cpu/kernels.h"
+#include "server/engine/cpu/simd.h"
+#include "server/engine/field/footprint.h"
+#include "server/engine/field/volume.h"
+
+typedef float v4 __attribute__((vector_size(16), aligned(4), may_alias));
+typedef float v8 __attribute__((vector_size(32), aligned(4), may_alias));
+typedef float v16 __attribute__((vector_size(64), aligned(4), may_alias));
+
+// Frustum moments (field/frustum.h) in fp32: mean - t, axial and radial variance.
+RN_INLINE void frustum_moments(vf t, float half, float radius, vf *ret_shift, vf *ret_axial,
+                               vf *ret_radial) {
+    vf ratio = vf_set(half) / vf_max(t, vf_set(1e-30f)), q = ratio * ratio;
+    vf s = 1.0f / (q + 3.0f), hs = half * s, rt = radius * t;
+    *ret_shift = t * (2.0f * q * s);
+    *ret_axial = (0.6f * hs) * hs * (q * (q - 2.0f) + 5.0f);
+    *ret_radial = rt * rt * (0.15f * s) * (q * (q + 10.0f) + 5.0f);
+}
+
+// The part of the projected variances that is the same along a ray: (x.d)^2 and |x cross d|^2.
+struct ray_footprint {
+    float axial_u[RN_MAX_PLANES], radial_u[RN_MAX_PLANES];
+    float axial_v[RN_MAX_PLANES], radial_v[RN_MAX_PLANES];
+    bool leveled; // some sample of the ray may lie above level 0
+};
+
+static void footprint_factors(const double axis[3], const float d[3], float *ret_axial,
+                              float *ret_radial) {
+    double direction[3] = {d[0], d[1], d[2]};
+    *ret_axial = (float)rn_projected_variance(axis, direction, 1, 0);
+    *ret_radial = (float)rn_projected_variance(axis, direction, 0, 1);
+}
+
+// Whether the footprint at the ray's far end exceeds a texel of level 0 anywhere.
+static void ray_footprint_init(const struct rn_cpu_field *field, const struct rn_march_ray *ray,
+                               float step, struct ray_footprint *ret) {
+    int levels =
+        field->built_levels < field->config.levels ? field->built_levels : field->config.levels;
+    ret->leveled = false;
+    if (levels < 2 || field->config.footprint == RN_FOOTPRINT_POINT) return;
+    float far = ray->near + ray->length, size = (float)field->config.base;
+    if (field->config.footprint == RN_FOOTPRINT_MIP) {
+        ret->leveled = far * ray->radius * size > 1;
+        return;
+    }
+    float radial = far * ray->radius, limit = 1 / ((float)RN_FOOTPRINT_SCALE * size);
+    radial = radial * radial * 0.26f + step * step * 0.05f; // a bound on 3/20 .. 1/4 of r^2 t^2
+    float axial = step * step / 12 * 1.01f;
+    for (int p = 0; p < field->config.planes; p++) {
+        footprint_factors(field->solid.axis_u[p], ray->direction, &ret->axial_u[p],
+                          &ret->radial_u[p]);
+        footprint_factors(field->solid.axis_v[p], ray->direction, &ret->axial_v[p],
+                          &ret->radial_v[p]);
+        float u = ret->axial_u[p] * axial + ret->radial_u[p] * radial;
+        float v = ret->axial_v[p] * axial + ret->radial_v[p] * radial;
+        if (u > limit * limit || v > limit * limit) ret->leveled = true;
+    }
+}
+
+RN_INLINE vf level_from_variance(vf variance, int size, int levels) {
+    float unit = (float)RN_FOOTPRINT_SCALE * (float)size, top = (float)(1u << (2 * (levels - 1)));
+    return 0.5f * vf_log2(vf_clamp(variance * (unit * unit), 1.0f, top));
+}
+
+// Positions, plane coordinates and levels of one segment: `n` samples of `ray` at march indices
+// k[0..n), written to sample slots [slot, slot + n) (and up to a vector beyond).
+static void place_segment(const struct rn_cpu_field *field, const struct rn_march_options *options,
+                          const struct rn_march_ray *ray, const struct ray_footprint *footprint,
+                          bool leveled, const uint16_t *k, int n, int slot,
+                          struct rn_workspace *w) {
+    int levels = field->built_levels, base = field->config.base;
+    if (levels > field->config.levels) levels = field->config.levels;
+    float half = options->step * 0.5f;
+    for (int j = 0; j < n; j += RN_VL) {
+        vf index;
+        for (int i = 0; i < RN_VL; i++)
+            index[i] = (float)k[j + i];
+        vf s = (index + 0.5f) * options->step, t = s + ray->near;
+        vf shift, axial, radial;
+        frustum_moments(t, half, ray->radius, &shift, &axial, &radial);
+        vf m = s + shift;
+        vf x = ray->direction[0] * m + ray->origin[0], y = ray->direction[1] * m + ray->origin[1];
+        vf z = ray->direction[2] * m + ray->origin[2];
+        vi inside = x * x + y * y + z * z <= 1.0f;
+        int at = slot + j;
+        vf_store(w->s + at, s);
+        vf_store(w->interval + at,
+                 vf_bits(inside & vi_bits(vf_set(options->step * (float)RN_DENSITY_UNIT))));
+        vf ball = vf_set(0);
+        if (leveled && field->config.footprint == RN_FOOTPRINT_MIP)
+            ball = vf_log2(
+                vf_clamp(t * (ray->radius * (float)base), 1.0f, (float)(1u << (levels - 1))));
+        for (int p = 0; p < field->config.planes; p++) {
+            const double *au = field->solid.axis_u[p], *av = field->solid.axis_v[p];
+            vf_store(w->u[p] + at, (float)au[0] * x + (float)au[1] * y + (float)au[2] * z);
+            vf_store(w->v[p] + at, (float)av[0] * x + (float)av[1] * y + (float)av[2] * z);
+            if (!leveled) continue;
+            vf lx = ball, ly = ball;
+            if (field->config.footprint == RN_FOOTPRINT_RIP) {
+                lx = level_from_variance(
+                    axial * footprint->axial_u[p] + radial * footprint->radial_u[p], base, levels);
+                ly = level_from_variance(
+                    axial * footprint->axial_v[p] + radial * footprint->radial_v[p], base, levels);
+            }
+            vf_store(w->lx[p] + at, lx);
+            vf_store(w->ly[p] + at, ly);
+        }
+    }
+}
+
+// Texel coordinate of p in [-1, 1] on `size` texels: *ret_low and the weight of low + 1.
+RN_INLINE void lerp_vector(vf p, int size, vi *ret_low, vf *ret_fraction) {
+    float half = 0.5f * (float)size;
+    vf x = vf_clamp(p * half + (half - 0.5f), 0.0f, (float)(size - 1));
+    vf low = vf_from_int(vi_from_float(x));
+    low = vf_min(low, vf_set((float)(size > 1 ? size - 2 : 0)));
+    *ret_low = vi_from_float(low);
+    *ret_fraction = x - low;
+}
+
+struct lerp_scalar {
+    int low;
+    float fraction;
+};
+RN_INLINE struct lerp_scalar lerp_coordinate(float p, int size) {
+    float half = 0.5f * (float)size, x = p * half + (half - 0.5f), top = (float)(size - 1);
+    x = x > 0 ? (x < top ? x : top) : 0;
+    int low = (int)x, last = size > 1 ? size - 2 : 0;
+    if (low > last) low = last;
+    return (struct lerp_scalar){low, x - (float)low};
+}
+
+// A vector of CHANNELS numbers; the compiler splits it where the machine's are narrower.
+#define RN_FETCH(NAME, TYPE, CHANNELS)                                                             \
+    RN_INLINE TYPE fetch_##NAME(const float *texel, size_t row, float fx, float fy) {              \
+        TYPE a = *(const TYPE *)texel, b = *(const TYPE *)(texel + CHANNELS);                      \
+        TYPE c = *(const TYPE *)(texel + row), d = *(const TYPE *)(texel + row + CHANNELS);        \
+        TYPE top = a + fx * (b - a), bottom = c + fx * (d - c);                                    \
+        return top + fy * (bottom - top);                                                          \
+    }                                                                                              \
+    RN_INLINE void spread_##NAME(float *texel, size_t row, float fx, float fy, float weight,       \
+                                 bool upper, bool lower, TYPE g) {                                 \
+        TYPE low = g * (weight * (1 - fy)), high = g * (weight * fy);                              \
+        if (upper) {                                                                               \
+            *(TYPE *)texel += low * (1 - fx);                                                      \
+            *(TYPE *)(texel + CHANNELS) += low * fx;                                               \
+        }                                                                                          \
+        if (lower) {                                                                               \
+            *(TYPE *)(texel + row) += high * (1 - fx);                                             \
+            *(TYPE *)(texel + row + CHANNELS) += high * fx;                                        \
+        }                                                                                          \
+    }                                                                                              \
+    static void encode_flat_##NAME(const struct rn_map *map, const float *u, const float *v,       \
+                                   int begin, int end, float *out, int stride) {                   \
+        size_t row = (size_t)map->width * CHANNELS;                                                \
+        for (int i = begin; i < end; i += RN_VL) {                                                 \
+            vi column, line;                                                                       \
+            vf fx, fy;                                                                             \
+            lerp_vector(vf_load(u + i), map->width, &column, &fx);                                 \
+            lerp_vector(vf_load(v + i), map->height, &line, &fy);                                  \
+            vi offset = (line * map->width + column) * CHANNELS;                                   \
+            int n = end - i < RN_VL ? end - i : RN_VL;                                             \
+            for (int j = 0; j < n; j++)                                                            \
+                *(TYPE *)(out + (size_t)(i + j) * stride) =                                        \
+                    fetch_##NAME(map->texels + offset[j], row, fx[j], fy[j]);                      \
+        }                                                                                          \
+    }                                                                                              \
+    RN_INLINE TYPE fetch_map_##NAME(const struct rn_map *map, float u, float v) {                  \
+        struct lerp_scalar x = lerp_coordinate(u, map->width),                                     \
+                           y = lerp_coordinate(v, map->height);                                    \
+        size_t row = map->height > 1 ? (size_t)map->width * CHANNELS : 0;                          \
+        return fetch_##NAME(map->texels + ((size_t)y.low * map->width + x.low) * CHANNELS, row,    \
+                            x.fraction, y.fraction);                                               \
+    }                                                                                              \
+    static void encode_leveled_##NAME(                                                             \
+        const struct rn_map(*maps)[RN_MAX_LEVELS], bool mip, const float *u, const float *v,       \
+        const float *lx, const float *ly, int begin, int end, float *out, int stride) {            \
+        for (int i = begin; i < end; i++) {                                                        \
+            int x = (int)lx[i], y = (int)ly[i];                                                    \
+            float fx = lx[i] - (float)x, fy = ly[i] - (float)y;                                    \
+            TYPE value = fetch_map_##NAME(&maps[y][x], u[i], v[i]);                                \
+            if (mip) {                                                                             \
+                if (fx > 0)                                                                        \
+                    value += fx * (fetch_map_##NAME(&maps[y + 1][x + 1], u[i], v[i]) - value);     \
+            } else {                                                                               \
+                if (fx > 0) value += fx * (fetch_map_##NAME(&maps[y][x + 1], u[i], v[i]) - value); \
+                if (fy > 0) {                                                                      \
+                    TYPE upper = fetch_map_##NAME(&maps[y + 1][x], u[i], v[i]);                    \
+                    if (fx > 0)                                                                    \
+                        upper += fx * (fetch_map_##NAME(&maps[y + 1][x + 1], u[i], v[i]) - upper); \
+                    value += fy * (upper - value);                                                 \
+                }                                                                                  \
+            }                                                                                      \
+            *(TYPE *)(out + (size_t)i * stride) = value;                                           \
+        }                                                                                          \
+    }                                                                                              \
+    RN_INLINE void spread_map_##NAME(struct rn_map *map, float u, float v, float weight,           \
+                                     int row_begin, int row_end, TYPE g) {                         \
+        struct lerp_scalar x = lerp_coordinate(u, map->width),                                     \
+                           y = lerp_coordinate(v, map->height);                                    \
+        bool upper = y.low >= row_begin && y.low < row_end;                                        \
+        bool lower = map->height > 1 && y.low + 1 >= row_begin && y.low + 1 < row_end;             \
+        if (!upper && !lower) return;                                                              \
+        spread_##NAME(map->texels + ((size_t)y.low * map->width + x.low) * CHANNELS,               \
+                      (size_t)map->width * CHANNELS, x.fraction, y.fraction, weight, upper, lower, \
+                      g);                                                                          \
+    }
+
+RN_FETCH(4, v4, 4)
+RN_FETCH(8, v8, 8)
+RN_FETCH(16, v16, 16)
+
+// Features of samples [begin, end) of the workspace.
+static void encode(const struct rn_cpu_field *field, bool leveled, int begin, int end,
+                   struct rn_workspace *w) {
+    int channels = field->config.channels, stride = field->feature_stride;
+    bool mip = field->config.footprint == RN_FOOTPRINT_MIP;
+    for (int p = 0; p < field->config.planes; p++) {
+        float *out = w->features + p * channels;
+        const struct rn_map(*maps)[RN_MAX_LEVELS] = field->maps[p];
+#define RN_ENCODE(C)                                                                               \
+    if (leveled)                                                                                   \
+        encode_leveled_##C(maps, mip, w->u[p], w->v[p], w->lx[p], w->ly[p], begin, end, out,       \
+                           stride);                                                                \
+    else                                                                                           \
+        encode_flat_##C(&maps[0][0], w->u[p], w->v[p], begin, end, out, stride)
+        if (channels == 4) {
+            RN_ENCODE(4);
+        } else if (channels == 8) {
+            RN_ENCODE(8);
+        } else {
+            RN_ENCODE(16);
+        }
+#undef RN_ENCODE
+    }
+}
+
+#endif

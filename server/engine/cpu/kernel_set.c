@@ -1,0 +1,213 @@
+// One kernel set: this file is compiled once for each, with RN_KERNEL_SET naming it.
+#include "server/engine/cpu/backward.h"
+#include "server/engine/cpu/kernels.h"
+#include "server/engine/cpu/pyramid.h"
+
+static uint64_t render(const struct rn_cpu_field *field, const struct rn_march_options *options,
+                       const struct rn_march_ray *rays, int count, struct rn_workspace *w,
+                       struct rn_pixel *ret_pixels) {
+    uint64_t samples = 0;
+    bool per_ray = field->config.shading == RN_SHADING_RAY;
+    for (int begin = 0; begin < count;) {
+        const struct rn_march_ray *packet = rays + begin;
+        struct ray_sums sums[RN_PACKET_RAYS];
+        float rgb[RN_PACKET_RAYS][3];
+        int16_t hit[RN_PACKET_RAYS];
+        int n = packet_march(field, options, packet, count - begin, w);
+        packet_density(field, options, packet, n, w);
+        if (per_ray)
+            shade_rays(field, options, packet, n, w, sums, rgb, hit);
+        else
+            shade_packet_by_samples(field, options, packet, n, keep_samples(0, w), w, sums, rgb);
+        for (int r = 0; r < n; r++) {
+            struct rn_pixel pixel = {
+                {options->background[0], options->background[1], options->background[2]}, 0, 0};
+            if (w->ray_first[r] >= 0) {
+                memcpy(pixel.rgb, rgb[r], sizeof pixel.rgb);
+                pixel.alpha = sums[r].opacity < 1 ? sums[r].opacity : 1;
+                pixel.depth = sums[r].opacity > 0 ? sums[r].depth / sums[r].opacity : 0;
+            }
+            ret_pixels[begin + r] = pixel;
+        }
+        samples += (uint64_t)w->count;
+        begin += n;
+    }
+    return samples;
+}
+
+static void density(const struct rn_cpu_field *field, float (*points)[3], int count,
+                    float level, struct rn_workspace *w, float *ret_density) {
+    int levels =
+        field->built_levels < field->config.levels ? field->built_levels : field->config.levels;
+    bool leveled = level > 0 && levels > 1 && field->config.footprint != RN_FOOTPRINT_POINT;
+    if (level > (float)(levels - 1)) level = (float)(levels - 1);
+    for (int begin = 0; begin < count; begin += w->capacity) {
+        int n = count - begin < w->capacity ? count - begin : w->capacity;
+        for (int i = 0; i < n; i++) {
+            const float *x = points[begin + i];
+            for (int p = 0; p < field->config.planes; p++) {
+                const double *au = field->solid.axis_u[p], *av = field->solid.axis_v[p];
+                w->u[p][i] = (float)au[0] * x[0] + (float)au[1] * x[1] + (float)au[2] * x[2];
+                w->v[p][i] = (float)av[0] * x[0] + (float)av[1] * x[1] + (float)av[2] * x[2];
+                w->lx[p][i] = w->ly[p][i] = level;
+            }
+            float inside = x[0] * x[0] + x[1] * x[1] + x[2] * x[2];
+            w->interval[i] = inside <= 1 ? 1 : 0;
+        }
+        encode(field, leveled, 0, n, w);
+        mlp_forward(&field->base_shape, field->base_weights, w->features, field->feature_stride,
+                    w->hidden, w->geometry, 0, n);
+        activate(field, 0, n, w);
+        memcpy(ret_density + begin, w->x, (size_t)n * sizeof(float));
+    }
+}
+
+#define RN_SCATTER(NAME, TYPE, CHANNELS)                                                           \
+    static void scatter_flat_##NAME(const struct rn_slab *slab, int plane, int row_begin,          \
+                                    int row_end, struct rn_map *map, uint8_t *touched) {           \
+        const float *u = slab->u[plane], *v = slab->v[plane];                                      \
+        size_t row = (size_t)map->width * CHANNELS, blocks = (size_t)map->width / RN_BLOCK + 1;    \
+        for (int i = 0; i < slab->count; i += RN_VL) {                                             \
+            vi column, line;                                                                       \
+            vf fx, fy;                                                                             \
+            lerp_vector(vf_load(v + i), map->height, &line, &fy);                                  \
+            unsigned bits = vi_mask_bits((line >= row_begin - 1) & (line < row_end));              \
+            if (slab->count - i < RN_VL) bits &= (1u << (slab->count - i)) - 1;                    \
+            if (!bits) continue;                                                                   \
+            lerp_vector(vf_load(u + i), map->width, &column, &fx);                                 \
+            for (; bits; bits &= bits - 1) {                                                       \
+                int j = __builtin_ctz(bits);                                                       \
+                bool upper = line[j] >= row_begin, lower = line[j] + 1 < row_end;                  \
+                uint8_t *mark = touched + (size_t)line[j] * blocks;                                \
+                int first = column[j] / RN_BLOCK, last = (column[j] + 1) / RN_BLOCK;               \
+                if (upper) mark[first] = mark[last] = 1;                                           \
+                if (lower) mark[blocks + first] = mark[blocks + last] = 1;                         \
+                TYPE g = *(const TYPE *)(slab->grad[plane] + (size_t)(i + j) * CHANNELS);          \
+                spread_##NAME(map->texels + ((size_t)line[j] * map->width + column[j]) * CHANNELS, \
+                              row, fx[j], fy[j], 1, upper, lower, g);                              \
+            }                                                                                      \
+        }                                                                                          \
+    }                                                                                              \
+    static void scatter_leveled_##NAME(const struct rn_slab *slab, int plane, bool mip,            \
+                                       int row_begin, int row_end,                                 \
+                                       struct rn_map(*maps)[RN_MAX_LEVELS]) {                      \
+        for (int i = 0; i < slab->count; i++) {                                                    \
+            float u = slab->u[plane][i], v = slab->v[plane][i];                                    \
+            float lx = slab->lx[plane][i], ly = slab->ly[plane][i];                                \
+            int x = (int)lx, y = (int)ly;                                                          \
+            float fx = lx - (float)x, fy = ly - (float)y;                                          \
+            TYPE g = *(const TYPE *)(slab->grad[plane] + (size_t)i * CHANNELS);                    \
+            for (int corner = 0; corner < 4; corner++) {                                           \
+                if (mip && (corner == 1 || corner == 2)) continue;                                 \
+                float weight = mip ? (corner ? fx : 1 - fx)                                        \
+                                   : (corner & 1 ? fx : 1 - fx) * (corner & 2 ? fy : 1 - fy);      \
+                if (!(weight > 0)) continue;                                                       \
+                int map_x = x + (corner & 1), map_y = y + (corner >> 1);                           \
+                spread_map_##NAME(&maps[map_y][map_x], u, v, weight, row_begin >> map_y,           \
+                                  row_end >> map_y, g);                                            \
+            }                                                                                      \
+        }                                                                                          \
+    }
+
+RN_SCATTER(4, v4, 4)
+RN_SCATTER(8, v8, 8)
+RN_SCATTER(16, v16, 16)
+
+static void scatter(const struct rn_cpu_field *field, const struct rn_slab *slab, int plane,
+                    bool leveled, int row_begin, int row_end,
+                    struct rn_map (*grad_maps)[RN_MAX_LEVELS], uint8_t *touched) {
+    bool mip = field->config.footprint == RN_FOOTPRINT_MIP;
+#define RN_SCATTER_CALL(C)                                                                         \
+    if (leveled)                                                                                   \
+        scatter_leveled_##C(slab, plane, mip, row_begin, row_end, grad_maps);                      \
+    else                                                                                           \
+        scatter_flat_##C(slab, plane, row_begin, row_end, &grad_maps[0][0], touched)
+    if (field->config.channels == 4) {
+        RN_SCATTER_CALL(4);
+    } else if (field->config.channels == 8) {
+        RN_SCATTER_CALL(8);
+    } else {
+        RN_SCATTER_CALL(16);
+    }
+}
+
+RN_INLINE void adamw_vector(const struct rn_adamw *o, float *parameter, float *grad, float *m,
+                            float *v) {
+    float rate = o->rate / o->correction1, keep = 1 - o->rate * o->decay;
+    float root = 1 / __builtin_sqrtf(o->correction2);
+    vf g = vf_load(grad) * o->scale;
+    vf first = vf_load(m) * 0.9f + g * 0.1f, second = vf_load(v) * 0.999f + g * g * 0.001f;
+    vf_store(m, first);
+    vf_store(v, second);
+    vf_store(parameter,
+             vf_load(parameter) * keep - rate * first / (vf_sqrt(second) * root + o->eps));
+    vf_store(grad, vf_set(0));
+}
+
+static void adamw(const struct rn_adamw *o, size_t n, float *parameter, float *grad, float *m,
+                  float *v) {
+    size_t i = 0;
+    for (; i + RN_VL <= n; i += RN_VL)
+        adamw_vector(o, parameter + i, grad + i, m + i, v + i);
+    if (i == n) return;
+    float tail[4][RN_VL] = {{0}}, *all[4] = {parameter + i, grad + i, m + i, v + i};
+    for (int k = 0; k < 4; k++)
+        memcpy(tail[k], all[k], (n - i) * sizeof(float));
+    adamw_vector(o, tail[0], tail[1], tail[2], tail[3]);
+    for (int k = 0; k < 4; k++)
+        memcpy(all[k], tail[k], (n - i) * sizeof(float));
+}
+
+static void gemm_public(int rows, int k, int n, const float *a, int a_stride, const float *b,
+                        int b_stride, float *c, int c_stride) {
+    struct rn_gemm g = {.a = a,
+                        .a_row = a_stride,
+                        .a_k = 1,
+                        .b = b,
+                        .b_stride = b_stride,
+                        .c = c,
+                        .c_stride = c_stride};
+    gemm(&g, rows, k, n);
+}
+
+#define RN_MAP_FUNCTION(NAME, CALL)                                                                \
+    static void NAME(size_t n, const float *x, float *y) {                                         \
+        for (size_t i = 0; i < n; i += RN_VL)                                                      \
+            vf_store(y + i, CALL(vf_load(x + i)));                                                 \
+    }
+RN_MAP_FUNCTION(exp_public, vf_exp)
+RN_MAP_FUNCTION(one_minus_exp_public, vf_one_minus_exp)
+RN_MAP_FUNCTION(log2_public, vf_log2)
+
+static void moments_public(size_t n, const float *t, float width, float radius, float *shift,
+                           float *axial, float *radial) {
+    for (size_t i = 0; i < n; i += RN_VL) {
+        vf s, a, r;
+        frustum_moments(vf_load(t + i), 0.5f * width, radius, &s, &a, &r);
+        vf_store(shift + i, s);
+        vf_store(axial + i, a);
+        vf_store(radial + i, r);
+    }
+}
+
+#define RN_PASTE2(a, b) a##b
+#define RN_PASTE(a, b) RN_PASTE2(a, b)
+#define RN_STRING2(a) #a
+#define RN_STRING(a) RN_STRING2(a)
+
+extern const struct rn_kernels RN_PASTE(rn_kernels_, RN_KERNEL_SET);
+const struct rn_kernels RN_PASTE(rn_kernels_, RN_KERNEL_SET) = {
+    .name = RN_STRING(RN_KERNEL_SET),
+    .train = train,
+    .render = render,
+    .density = density,
+    .scatter = scatter,
+    .build = build_plane,
+    .pull_down = pull_down_plane,
+    .adamw = adamw,
+    .gemm = gemm_public,
+    .exp = exp_public,
+    .one_minus_exp = one_minus_exp_public,
+    .log2 = log2_public,
+    .moments = moments_public,
+};

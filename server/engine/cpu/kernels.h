@@ -1,0 +1,189 @@
+// The CPU kernels' data and their table. One source (kernel_set.c) is compiled once a kernel set;
+// which set runs is chosen at start by a short timing and recorded with the scene.
+//
+// All positions are in the normalised frame: the scene's ball is the unit ball.
+#ifndef RN_ENGINE_CPU_KERNELS_H
+#define RN_ENGINE_CPU_KERNELS_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#include "server/engine/config.h"
+#include "server/engine/field/mlp.h"
+#include "server/engine/field/solid.h"
+
+#define RN_PACKET_RAYS 128     // rays marched together
+#define RN_PACKET_SAMPLES 4096 // candidate samples evaluated together; bounds a ray's samples too
+#define RN_PACKET_SLACK 32     // numbers a vector store may overrun an array by
+#define RN_ROUND 16            // samples of a ray evaluated before its transmittance is looked at
+#define RN_GROUPS 16           // fixed partition of a step's rays: the unit of ordered accumulation
+#define RN_BLOCK 8             // texels along u that the optimiser visits together
+#define RN_BRICK 8             // occupancy cells a side of a brick
+
+// One map of one plane: [v][u][channel], rows of width * channels numbers and room for one texel
+// more after the last.
+struct rn_map {
+    float *texels;
+    int width, height;
+};
+
+// Whether map (x, y) of a pyramid is built: all of a ripmap, the zigzag diagonal of a mipmap.
+static inline bool rn_map_exists(bool mip, int x, int y) {
+    return !mip || x == y || x == y + 1;
+}
+
+// The occupancy grid as the march reads it. Cell (x, y, z) covers [-1 + 2x/n, -1 + 2(x+1)/n] ...
+// Bricks of 8^3 cells, 16 words each: bit (y & 3) * 8 + x of word 2 z + (y >> 2).
+struct rn_occupancy_bits {
+    int cells;             // n a side, a multiple of RN_BRICK
+    uint32_t *words;       // (n/8)^3 * 16
+    uint8_t *distance;     // (n/8)^3: bricks to the nearest occupied one (Chebyshev), 0 = occupied
+    float low[3], high[3]; // box around all occupied cells; low > high when none
+};
+
+// A field as the kernels read it. Plain pointers, owned by struct rn_field (cpu/field.c).
+struct rn_cpu_field {
+    struct rn_field_config config;
+    struct rn_solid solid;
+    struct rn_mlp_shape base_shape, head_shape;
+    int features;                                   // planes * channels
+    int feature_stride;                             // features rounded up to 16
+    const float *base_weights, *head_weights;       // [in][out] as the shapes say
+    const float *base_transposed, *head_transposed; // [out][in rounded up to 16], for backward
+    struct rn_map maps[RN_MAX_PLANES][RN_MAX_LEVELS][RN_MAX_LEVELS]; // [plane][ly][lx]
+    int built_levels; // maps with lx, ly < built_levels exist
+    struct rn_occupancy_bits occupancy;
+};
+
+// A cone to march. `origin` lies on the ray where it enters the scene's box, `near` from the
+// camera, so that far cameras lose no digits: position = origin + direction * s,
+// distance = near + s, s = (k + 1/2) step.
+struct rn_march_ray {
+    float origin[3], direction[3];
+    float near;      // distance of `origin` from the camera
+    float length;    // of the ray's part inside box and ball, from origin; <= 0: misses
+    float radius;    // of the cone, per unit of distance
+    float target[3]; // training: the pixel over the background
+    float weight;    // training: area weight; <= 0 means absent
+    uint32_t id;     // for the counter-based random numbers
+};
+
+struct rn_march_options {
+    float step;       // normalised
+    float stop_depth; // -ln of the early-stop transmittance
+    float background[3];
+    float roulette;         // weight below which a sample's backward is a lottery; 0 = off
+    uint64_t seed, counter; // of the roulette
+    const float *look;      // NULL, or a direction for the colour network instead of the ray's
+};
+
+// What one group of rays leaves for the scatter: samples with gradients, in order.
+struct rn_slab {
+    int count, capacity;
+    float *u[RN_MAX_PLANES], *v[RN_MAX_PLANES];   // plane coordinates, [-1, 1]
+    float *lx[RN_MAX_PLANES], *ly[RN_MAX_PLANES]; // levels; unused when every sample is at level 0
+    float *grad[RN_MAX_PLANES];                   // [sample][channel]
+};
+
+// Sums over the rays of one group, in order. Cleared at the start of a step.
+struct rn_group {
+    struct rn_slab slab;
+    int cursor, end; // rays of the batch still to do: [cursor, end)
+    float *base_grad, *head_grad;
+    double loss, weight;
+    uint64_t samples, evaluated, rays_hit, nonfinite_rays;
+    uint64_t level_samples[RN_MAX_LEVELS];
+};
+
+// Thread-local scratch of one packet. Arrays lie in one block behind the structure.
+struct rn_workspace {
+    int capacity;        // samples
+    uint16_t *candidate; // [capacity * 2]: march indices k, ray after ray
+    int candidate_begin[RN_PACKET_RAYS + 1];
+    // Segments of at most RN_ROUND samples of one ray, in the order of evaluation.
+    int segment_count;
+    int32_t *segment_start;               // [capacity]: first sample
+    int16_t *segment_size, *segment_next; // [capacity]; next segment of the ray or -1
+    int16_t ray_first[RN_PACKET_RAYS], ray_last[RN_PACKET_RAYS];
+    int ray_next[RN_PACKET_RAYS];     // candidate to evaluate next
+    double ray_depth[RN_PACKET_RAYS]; // optical depth so far
+    // Samples, in the order of evaluation.
+    int count;
+    uint8_t *ray;    // of each sample
+    float *s;        // distance behind ray.origin of the frustum's middle
+    float *interval; // in density units; 0 outside the ball
+    float *u[RN_MAX_PLANES], *v[RN_MAX_PLANES], *lx[RN_MAX_PLANES], *ly[RN_MAX_PLANES];
+    float *features;                    // [capacity][feature_stride]
+    float *hidden[RN_MLP_MAX_LAYERS];   // [capacity][width]
+    float *geometry;                    // [capacity][16]: outputs, then activated in place
+    float *x, *before, *weight, *after; // optical depth; depth before; weight; T behind
+    float *head_in, *head_hidden[RN_MLP_MAX_LAYERS], *head_out; // rows: samples or rays
+    float *slope;                           // [capacity]: dL/d(weight), then dL/d(optical depth)
+    float *geometry_grad, *grad_a, *grad_b; // [capacity][16], [capacity][widest] twice
+    int32_t *kept;                          // [capacity]
+};
+// Bytes of a workspace for a field, and its layout in `memory` (64-byte aligned).
+size_t rn_workspace_size(const struct rn_cpu_field *field, double step);
+struct rn_workspace *rn_workspace_init(const struct rn_cpu_field *field, double step, void *memory);
+
+struct rn_pixel {
+    float rgb[3], alpha, depth; // depth: sum of weight * distance over alpha, normalised; 0 if none
+};
+
+// One contiguous part of the planes' optimiser state.
+struct rn_adamw {
+    float scale; // of the gradients, before anything else
+    float rate, decay, eps;
+    float correction1, correction2; // 1 - 0.9^t, 1 - 0.999^t
+};
+
+struct rn_kernels {
+    const char *name;
+    // Forward and backward of rays[group->cursor .. group->end) until the group's slab has no room
+    // for another packet. Gradients are of the sum over rays of weight * smooth-L1: the division by
+    // the sum of weights is the optimiser's (rn_adamw.scale).
+    void (*train)(const struct rn_cpu_field *field, const struct rn_march_options *options,
+                  const struct rn_march_ray *rays, struct rn_workspace *workspace,
+                  struct rn_group *group);
+    // Forward of `count` rays. Returns the number of samples evaluated.
+    uint64_t (*render)(const struct rn_cpu_field *field, const struct rn_march_options *options,
+                       const struct rn_march_ray *rays, int count, struct rn_workspace *workspace,
+                       struct rn_pixel *ret_pixels);
+    // Densities at `count` points [x, y, z], all at one level of every plane.
+    void (*density)(const struct rn_cpu_field *field, float (*points)[3], int count,
+                    float level, struct rn_workspace *workspace, float *ret_density);
+    // Adds a slab's gradients of one plane to `grad_maps` (indexed as field->maps), rows of level
+    // 0 in [row_begin, row_end) and the rows of coarser maps they pool into; marks touched
+    // optimiser blocks of level 0 in `touched` ([row][block]). `leveled`: the slab has levels.
+    void (*scatter)(const struct rn_cpu_field *field, const struct rn_slab *slab, int plane,
+                    bool leveled, int row_begin, int row_end,
+                    struct rn_map (*grad_maps)[RN_MAX_LEVELS], uint8_t *touched);
+    // Pools a plane's maps from maps[0][0] up to `levels` a side (mip: the diagonal chain only);
+    // and the adjoint, which leaves all gradient in maps[0][0] and clears the others.
+    void (*build)(struct rn_map (*maps)[RN_MAX_LEVELS], int levels, bool mip, int channels);
+    void (*pull_down)(struct rn_map (*grad_maps)[RN_MAX_LEVELS], int levels, bool mip,
+                      int channels);
+    // AdamW over n numbers (Loshchilov & Hutter 2019); clears grad.
+    void (*adamw)(const struct rn_adamw *options, size_t n, float *parameter, float *grad, float *m,
+                  float *v);
+    // One fp32 product for tests and benchmarks: c[rows][n] = a[rows][k] b[k][n], n a multiple
+    // of 16.
+    void (*gemm)(int rows, int k, int n, const float *a, int a_stride, const float *b, int b_stride,
+                 float *c, int c_stride);
+    // Vector functions for tests: y[i] = f(x[i]), n a multiple of 16.
+    void (*exp)(size_t n, const float *x, float *y);
+    void (*one_minus_exp)(size_t n, const float *x, float *y);
+    void (*log2)(size_t n, const float *x, float *y);
+    // Moments and footprint of one ray's samples as the encoder computes them, for tests: for
+    // distance t[i] and a width and radius; mean shift (mean - t), axial and radial variance.
+    void (*moments)(size_t n, const float *t, float width, float radius, float *shift, float *axial,
+                    float *radial);
+};
+
+// NULL when this build or machine does not have the set.
+const struct rn_kernels *rn_kernels_find(const char *name);
+// The i-th set that this machine can run, from plain to wide; NULL past the end.
+const struct rn_kernels *rn_kernels_available(int i);
+
+#endif

@@ -1,0 +1,306 @@
+// One packet of rays: march, evaluate in rounds front to back, composite, shade; and backward.
+#ifndef RN_ENGINE_CPU_PACKET_H
+#define RN_ENGINE_CPU_PACKET_H
+
+#include "common/math/rng.h"
+#include "server/engine/cpu/encode.h"
+#include "server/engine/cpu/gemm.h"
+#include "server/engine/cpu/march.h"
+#include "server/engine/field/sh.h"
+
+// Marches rays until the packet is full; returns how many it took (at least one).
+static int packet_march(const struct rn_cpu_field *field, const struct rn_march_options *options,
+                        const struct rn_march_ray *rays, int count, struct rn_workspace *w) {
+    int n = 0, total = 0;
+    w->candidate_begin[0] = 0;
+    while (n < count && n < RN_PACKET_RAYS) {
+        int found =
+            march(&field->occupancy, &rays[n], options->step, w->candidate + total, w->capacity);
+        if (total + found > w->capacity && n > 0) break;
+        total += found;
+        w->candidate_begin[++n] = total;
+    }
+    memset(w->candidate + total, 0, RN_PACKET_SLACK * sizeof *w->candidate);
+    return n;
+}
+
+// ---- networks -------------------------------------------------------------------------------
+
+// rows [begin, begin + n) through a network; hidden[l] has stride `width`.
+static void mlp_forward(const struct rn_mlp_shape *shape, const float *weights, const float *in,
+                        int in_stride, float *const *hidden, float *out, int begin, int n) {
+    for (int l = 0; l < shape->layers; l++) {
+        bool last = l + 1 == shape->layers;
+        int stride = l == 0 ? in_stride : shape->in[l], out_stride = shape->out[l];
+        const float *a = l == 0 ? in : hidden[l - 1];
+        float *c = last ? out : hidden[l];
+        struct rn_gemm g = {.a = a + (size_t)begin * stride,
+                            .a_row = stride,
+                            .a_k = 1,
+                            .b = weights + shape->offset[l],
+                            .b_stride = shape->out[l],
+                            .c = c + (size_t)begin * out_stride,
+                            .c_stride = out_stride,
+                            .relu = !last};
+        gemm(&g, n, shape->in[l], shape->out[l]);
+    }
+}
+
+RN_INLINE int round16(int n) {
+    return (n + 15) & ~15;
+}
+
+// Backward of n rows: out_grad in `grad`, weights' gradients added to weight_grad; the inputs'
+// gradient ([n][in rounded up to 16]) is in the returned one of a and b.
+static float *mlp_backward(const struct rn_mlp_shape *shape, const float *transposed,
+                           const float *in, int in_stride, float *const *hidden, float *grad,
+                           float *a, float *b, int n, float *weight_grad) {
+    const float *t = transposed;
+    for (int l = 0; l < shape->layers; l++)
+        t += (size_t)shape->out[l] * round16(shape->in[l]);
+    float *out_grad = grad;
+    for (int l = shape->layers - 1; l >= 0; l--) {
+        int stride = l == 0 ? in_stride : shape->in[l], padded = round16(shape->in[l]);
+        const float *activation = l == 0 ? in : hidden[l - 1];
+        struct rn_gemm dw = {.a = activation,
+                             .a_row = 1,
+                             .a_k = stride,
+                             .b = out_grad,
+                             .b_stride = shape->out[l],
+                             .c = weight_grad + shape->offset[l],
+                             .c_stride = shape->out[l],
+                             .accumulate = true};
+        gemm(&dw, shape->in[l], n, shape->out[l]);
+        t -= (size_t)shape->out[l] * padded;
+        float *in_grad = out_grad == a ? b : a;
+        struct rn_gemm dx = {.a = out_grad,
+                             .a_row = shape->out[l],
+                             .a_k = 1,
+                             .b = t,
+                             .b_stride = padded,
+                             .c = in_grad,
+                             .c_stride = padded,
+                             .mask = l > 0 ? activation : NULL,
+                             .mask_stride = stride};
+        gemm(&dx, n, shape->out[l], padded);
+        out_grad = in_grad;
+    }
+    return out_grad;
+}
+
+// ---- forward --------------------------------------------------------------------------------
+
+// Logits to densities and optical depths; with ray shading also activates the outputs in place:
+// row = [1, sigmoid(diffuse), features].
+static void activate(const struct rn_cpu_field *field, int begin, int end, struct rn_workspace *w) {
+    bool per_ray = field->config.shading == RN_SHADING_RAY;
+    vf lane = vf_iota();
+    vi first = lane < 0.5f, diffuse = (lane > 0.5f) & (lane < 3.5f);
+    for (int i = begin; i < end; i++) {
+        float *row = w->geometry + (size_t)i * RN_GEOMETRY;
+        vf y = vf_load(row);
+        vf logit = vf_clamp(y - (float)RN_DENSITY_SHIFT, -(float)RN_DENSITY_CLAMP,
+                            (float)RN_DENSITY_CLAMP);
+        vf e = vf_exp(vf_select(first, logit, -y));
+        w->x[i] = e[0] * w->interval[i];
+        if (per_ray)
+            vf_store(row, vf_select(first, vf_set(1), vf_select(diffuse, 1.0f / (1.0f + e), y)));
+    }
+}
+
+// Appends the next samples of every ray still alive; returns whether there were any.
+static bool round_place(const struct rn_cpu_field *field, const struct rn_march_options *options,
+                        const struct rn_march_ray *rays, const struct ray_footprint *footprints,
+                        bool leveled, int ray_count, struct rn_workspace *w) {
+    bool any = false;
+    for (int r = 0; r < ray_count; r++) {
+        int left = w->candidate_begin[r + 1] - w->ray_next[r];
+        if (left <= 0 || w->ray_depth[r] > options->stop_depth) continue;
+        int n = left < RN_ROUND ? left : RN_ROUND, segment = w->segment_count++;
+        place_segment(field, options, &rays[r], &footprints[r], leveled,
+                      w->candidate + w->ray_next[r], n, w->count, w);
+        memset(w->ray + w->count, r, (size_t)n);
+        w->segment_start[segment] = w->count;
+        w->segment_size[segment] = (int16_t)n;
+        w->segment_next[segment] = -1;
+        if (w->ray_first[r] < 0)
+            w->ray_first[r] = (int16_t)segment;
+        else
+            w->segment_next[w->ray_last[r]] = (int16_t)segment;
+        w->ray_last[r] = (int16_t)segment;
+        w->ray_next[r] += n;
+        w->count += n;
+        any = true;
+    }
+    return any;
+}
+
+// Transmittance behind the samples of the segments from `first` on.
+static void round_attenuate(int first, struct rn_workspace *w) {
+    for (int segment = first; segment < w->segment_count; segment++) {
+        int start = w->segment_start[segment], r = w->ray[start];
+        double depth = w->ray_depth[r];
+        for (int i = start; i < start + w->segment_size[segment]; i++) {
+            w->before[i] = (float)depth;
+            depth += (double)w->x[i];
+        }
+        w->ray_depth[r] = depth;
+    }
+}
+
+// weight and transmittance behind every sample; samples behind the early stop weigh nothing.
+static void finish_weights(const struct rn_march_options *options, struct rn_workspace *w) {
+    for (int i = 0; i < w->count; i += RN_VL) {
+        vf x = vf_load(w->x + i), before = vf_load(w->before + i);
+        vi alive = before <= options->stop_depth;
+        vf t = vf_bits(vi_bits(vf_exp(-before)) & alive);
+        vf_store(w->weight + i, t * vf_one_minus_exp(x));
+        vf_store(w->after + i, t * vf_exp(-x));
+    }
+}
+
+// Density and geometry of all samples that can be seen, in rounds along the rays.
+static bool packet_density(const struct rn_cpu_field *field, const struct rn_march_options *options,
+                           const struct rn_march_ray *rays, int ray_count, struct rn_workspace *w) {
+    struct ray_footprint footprints[RN_PACKET_RAYS];
+    bool leveled = false;
+    w->count = w->segment_count = 0;
+    for (int r = 0; r < ray_count; r++) {
+        w->ray_first[r] = w->ray_last[r] = -1;
+        w->ray_next[r] = w->candidate_begin[r];
+        w->ray_depth[r] = 0;
+        if (w->candidate_begin[r] == w->candidate_begin[r + 1]) continue;
+        ray_footprint_init(field, &rays[r], options->step, &footprints[r]);
+        leveled |= footprints[r].leveled;
+    }
+    for (;;) {
+        int begin = w->count, first = w->segment_count;
+        if (!round_place(field, options, rays, footprints, leveled, ray_count, w)) break;
+        encode(field, leveled, begin, w->count, w);
+        mlp_forward(&field->base_shape, field->base_weights, w->features, field->feature_stride,
+                    w->hidden, w->geometry, begin, w->count - begin);
+        activate(field, begin, w->count, w);
+        round_attenuate(first, w);
+    }
+    finish_weights(options, w);
+    return leveled;
+}
+
+static void directions(const struct rn_cpu_field *field, const float d[3], float *out) {
+    double sh[RN_SH_COUNT] = {0};
+    if (field->config.view_dependence) rn_sh_encode((const double[3]){d[0], d[1], d[2]}, sh);
+    for (int i = 0; i < RN_SH_COUNT; i++)
+        out[i] = (float)sh[i];
+}
+
+typedef float row16 __attribute__((vector_size(64), aligned(4), may_alias));
+
+// Sums over a ray: [opacity, D, F] with ray shading; and the depth.
+struct ray_sums {
+    row16 sum;
+    float opacity, depth;
+};
+
+static struct ray_sums sum_ray(const struct rn_march_ray *ray, int r, bool per_ray,
+                               const struct rn_workspace *w) {
+    struct ray_sums out = {0};
+    double opacity = 0, depth = 0;
+    for (int segment = w->ray_first[r]; segment >= 0; segment = w->segment_next[segment]) {
+        int start = w->segment_start[segment], end = start + w->segment_size[segment];
+        for (int i = start; i < end; i++) {
+            float weight = w->weight[i];
+            opacity += (double)weight;
+            depth += (double)weight * (double)(ray->near + w->s[i]);
+            if (per_ray)
+                out.sum += weight * *(const row16 *)(w->geometry + (size_t)i * RN_GEOMETRY);
+        }
+    }
+    out.opacity = (float)opacity;
+    out.depth = (float)depth;
+    return out;
+}
+
+// Ray shading: colour of every ray of the packet that hit something. head row j = hit[j].
+static int shade_rays(const struct rn_cpu_field *field, const struct rn_march_options *options,
+                      const struct rn_march_ray *rays, int ray_count, struct rn_workspace *w,
+                      struct ray_sums *sums, float (*rgb)[3], int16_t *hit) {
+    int hits = 0;
+    for (int r = 0; r < ray_count; r++) {
+        if (w->ray_first[r] < 0) continue;
+        sums[r] = sum_ray(&rays[r], r, true, w);
+        hit[hits] = (int16_t)r;
+        float *in = w->head_in + (size_t)hits++ * RN_HEAD_INPUTS;
+        if (!field->config.view_dependence) continue;
+        directions(field, options->look ? options->look : rays[r].direction, in);
+        for (int i = 0; i < 12; i++)
+            in[16 + i] = sums[r].sum[4 + i];
+        for (int c = 0; c < 3; c++)
+            in[28 + c] = sums[r].sum[1 + c];
+        in[31] = sums[r].opacity;
+    }
+    if (field->config.view_dependence)
+        mlp_forward(&field->head_shape, field->head_weights, w->head_in, RN_HEAD_INPUTS,
+                    w->head_hidden, w->head_out, 0, hits);
+    for (int j = 0; j < hits; j++) {
+        const struct ray_sums *s = &sums[hit[j]];
+        for (int c = 0; c < 3; c++) {
+            float specular =
+                field->config.view_dependence ? w->head_out[(size_t)j * RN_HEAD_OUTPUTS + c] : 0;
+            rgb[hit[j]][c] =
+                s->sum[1 + c] + s->opacity * specular + (1 - s->opacity) * options->background[c];
+        }
+    }
+    return hits;
+}
+
+// Sample shading: colours of the samples listed in `kept`, head row j = kept[j], sigmoid in place.
+static void shade_samples(const struct rn_cpu_field *field, const struct rn_march_options *options,
+                          const struct rn_march_ray *rays, int kept, struct rn_workspace *w) {
+    float sh[RN_SH_COUNT];
+    int last = -1;
+    for (int j = 0; j < kept; j++) {
+        int i = w->kept[j];
+        float *in = w->head_in + (size_t)j * RN_HEAD_INPUTS;
+        if (w->ray[i] != last)
+            directions(field, options->look ? options->look : rays[w->ray[i]].direction, sh);
+        last = w->ray[i];
+        memcpy(in, sh, sizeof sh);
+        memcpy(in + RN_SH_COUNT, w->geometry + (size_t)i * RN_GEOMETRY + 1, 15 * sizeof(float));
+        in[31] = 1;
+    }
+    mlp_forward(&field->head_shape, field->head_weights, w->head_in, RN_HEAD_INPUTS, w->head_hidden,
+                w->head_out, 0, kept);
+    for (int j = 0; j < kept; j++) {
+        float *out = w->head_out + (size_t)j * RN_HEAD_OUTPUTS;
+        vf_store(out, 1.0f / (1.0f + vf_exp(-vf_load(out)))); // the first RN_VL >= 4
+    }
+}
+
+// Lists the samples whose weight exceeds `threshold`; returns their count.
+static int keep_samples(float threshold, struct rn_workspace *w) {
+    int kept = 0;
+    for (int i = 0; i < w->count; i++)
+        if (w->weight[i] > threshold) w->kept[kept++] = i;
+    return kept;
+}
+
+static void shade_packet_by_samples(const struct rn_cpu_field *field,
+                                    const struct rn_march_options *options,
+                                    const struct rn_march_ray *rays, int ray_count, int kept,
+                                    struct rn_workspace *w, struct ray_sums *sums,
+                                    float (*rgb)[3]) {
+    shade_samples(field, options, rays, kept, w);
+    for (int r = 0; r < ray_count; r++) {
+        if (w->ray_first[r] < 0) continue;
+        sums[r] = sum_ray(&rays[r], r, false, w);
+        for (int c = 0; c < 3; c++)
+            rgb[r][c] = (1 - sums[r].opacity) * options->background[c];
+    }
+    for (int j = 0; j < kept; j++) {
+        int i = w->kept[j];
+        for (int c = 0; c < 3; c++)
+            rgb[w->ray[i]][c] += w->weight[i] * w->head_out[(size_t)j * RN_HEAD_OUTPUTS + c];
+    }
+}
+
+#endif

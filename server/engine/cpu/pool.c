@@ -1,0 +1,170 @@
+#include "server/engine/cpu/pool.h"
+
+#include <pthread.h>
+#include <sched.h>
+#include <stdatomic.h>
+#include <stdlib.h>
+#include <time.h>
+
+#define SPIN_NS 50000 // how long a waiting thread spins before it sleeps
+
+struct worker {
+    struct rn_pool *pool;
+    pthread_t thread;
+    int index;
+};
+
+struct rn_pool {
+    int threads;
+    struct worker *workers; // threads - 1
+    void (*work)(void *context, int index, int thread);
+    void *context;
+    int count;
+    _Alignas(64) atomic_int next;        // index to hand out
+    _Alignas(64) atomic_uint generation; // of the current run
+    _Alignas(64) atomic_int running;     // workers still in the current run
+    bool stopping;
+    pthread_mutex_t lock;
+    pthread_cond_t started, finished;
+};
+
+static int64_t now_ns(void) {
+    struct timespec t;
+    clock_gettime(CLOCK_MONOTONIC, &t);
+    return (int64_t)t.tv_sec * 1000000000 + t.tv_nsec;
+}
+
+static void relax(void) {
+#if defined(__x86_64__)
+    __builtin_ia32_pause();
+#endif
+}
+
+static void drain(struct rn_pool *pool, int thread) {
+    for (;;) {
+        int index = atomic_fetch_add_explicit(&pool->next, 1, memory_order_relaxed);
+        if (index >= pool->count) return;
+        pool->work(pool->context, index, thread);
+    }
+}
+
+static unsigned wait_for_run(struct rn_pool *pool, unsigned seen) {
+    int64_t until = now_ns() + SPIN_NS;
+    do {
+        for (int i = 0; i < 64; i++) {
+            unsigned generation = atomic_load_explicit(&pool->generation, memory_order_acquire);
+            if (generation != seen) return generation;
+            relax();
+        }
+    } while (now_ns() < until);
+    pthread_mutex_lock(&pool->lock);
+    while (atomic_load(&pool->generation) == seen)
+        pthread_cond_wait(&pool->started, &pool->lock);
+    pthread_mutex_unlock(&pool->lock);
+    return atomic_load(&pool->generation);
+}
+
+static void *worker_main(void *argument) {
+    struct worker *worker = argument;
+    struct rn_pool *pool = worker->pool;
+    unsigned seen = 0;
+    for (;;) {
+        seen = wait_for_run(pool, seen);
+        if (pool->stopping) return NULL;
+        drain(pool, worker->index);
+        if (atomic_fetch_sub_explicit(&pool->running, 1, memory_order_acq_rel) == 1) {
+            pthread_mutex_lock(&pool->lock);
+            pthread_cond_signal(&pool->finished);
+            pthread_mutex_unlock(&pool->lock);
+        }
+    }
+}
+
+static void start_run(struct rn_pool *pool) {
+    atomic_store(&pool->running, pool->threads - 1);
+    atomic_store(&pool->next, 0);
+    pthread_mutex_lock(&pool->lock);
+    atomic_fetch_add_explicit(&pool->generation, 1, memory_order_release);
+    pthread_cond_broadcast(&pool->started);
+    pthread_mutex_unlock(&pool->lock);
+}
+
+static void wait_for_workers(struct rn_pool *pool) {
+    int64_t until = now_ns() + SPIN_NS;
+    do {
+        for (int i = 0; i < 64; i++) {
+            if (atomic_load_explicit(&pool->running, memory_order_acquire) == 0) return;
+            relax();
+        }
+    } while (now_ns() < until);
+    pthread_mutex_lock(&pool->lock);
+    while (atomic_load(&pool->running) > 0)
+        pthread_cond_wait(&pool->finished, &pool->lock);
+    pthread_mutex_unlock(&pool->lock);
+}
+
+void rn_pool_run(struct rn_pool *pool, int count,
+                 void (*work)(void *context, int index, int thread), void *context) {
+    if (pool->threads == 1 || count <= 1) {
+        for (int i = 0; i < count; i++)
+            work(context, i, 0);
+        return;
+    }
+    pool->work = work;
+    pool->context = context;
+    pool->count = count;
+    start_run(pool);
+    drain(pool, 0);
+    wait_for_workers(pool);
+}
+
+enum rn_status rn_pool_create(int threads, struct rn_pool **ret_pool, struct rn_error *err) {
+    struct rn_pool *pool = aligned_alloc(64, (sizeof *pool + 63) / 64 * 64);
+    struct worker *workers = calloc((size_t)threads, sizeof *workers);
+    if (!pool || !workers) {
+        free(pool);
+        free(workers);
+        return rn_error_set(err, RN_ERROR_NO_MEMORY, "threads", "out of memory");
+    }
+    *pool = (struct rn_pool){.threads = 1, .workers = workers};
+    pthread_mutex_init(&pool->lock, NULL);
+    pthread_cond_init(&pool->started, NULL);
+    pthread_cond_init(&pool->finished, NULL);
+    for (int i = 1; i < threads; i++) {
+        workers[i - 1] = (struct worker){.pool = pool, .index = i};
+        if (pthread_create(&workers[i - 1].thread, NULL, worker_main, &workers[i - 1]) != 0) {
+            rn_pool_destroy(&pool);
+            return rn_error_set(err, RN_ERROR_LIMIT, "threads",
+                                "cannot start thread %d of %d; use fewer", i + 1, threads);
+        }
+        pool->threads++;
+    }
+    *ret_pool = pool;
+    return RN_OK;
+}
+
+void rn_pool_destroy(struct rn_pool **pool) {
+    struct rn_pool *p = *pool;
+    if (!p) return;
+    p->stopping = true;
+    start_run(p);
+    for (int i = 0; i < p->threads - 1; i++)
+        pthread_join(p->workers[i].thread, NULL);
+    pthread_mutex_destroy(&p->lock);
+    pthread_cond_destroy(&p->started);
+    pthread_cond_destroy(&p->finished);
+    free(p->workers);
+    free(p);
+    *pool = NULL;
+}
+
+int rn_pool_threads(const struct rn_pool *pool) {
+    return pool->threads;
+}
+
+int rn_pool_cores(void) {
+    cpu_set_t set;
+    if (sched_getaffinity(0, sizeof set, &set) != 0) return 1;
+    int n = CPU_COUNT(&set);
+    return n > 0 ? n : 1;
+}

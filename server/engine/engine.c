@@ -1,0 +1,150 @@
+// Devices and fields: the engine's outermost functions.
+#include "server/engine/engine.h"
+
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "common/base/clock.h"
+#include "common/base/sha256.h"
+#include "server/engine/checkpoint.h"
+#include "server/engine/scene.h"
+
+// ---- device ---------------------------------------------------------------------------------
+
+// Seconds of a small product with a kernel set: the least of five.
+static double time_kernels(const struct rn_kernels *kernels) {
+    enum { ROWS = 256, K = 32, N = 32 };
+    static float a[ROWS * K], b[K * N], c[ROWS * N];
+    double best = 1e30;
+    for (int i = 0; i < 6; i++) {
+        int64_t begin = rn_clock_ns();
+        for (int k = 0; k < 8; k++)
+            kernels->gemm(ROWS, K, N, a, K, b, N, c, N);
+        double seconds = (double)(rn_clock_ns() - begin) * 1e-9;
+        if (i > 0 && seconds < best) best = seconds;
+    }
+    return best;
+}
+
+static const struct rn_kernels *fastest_kernels(void) {
+    const struct rn_kernels *best = NULL, *k;
+    double least = 1e30;
+    for (int i = 0; (k = rn_kernels_available(i)); i++) {
+        double seconds = time_kernels(k);
+        if (seconds < least) {
+            least = seconds;
+            best = k;
+        }
+    }
+    return best;
+}
+
+static void cpu_name(char *ret, size_t size) {
+    snprintf(ret, size, "CPU");
+    FILE *f = fopen("/proc/cpuinfo", "re");
+    if (!f) return;
+    char line[256];
+    while (fgets(line, sizeof line, f)) {
+        char *colon = strchr(line, ':');
+        if (strncmp(line, "model name", 10) != 0 || !colon) continue;
+        line[strcspn(line, "\n")] = 0;
+        snprintf(ret, size, "%s", colon + 2);
+        break;
+    }
+    fclose(f);
+}
+
+static void fill_info(struct rn_engine *e) {
+    const struct rn_kernels *k;
+    snprintf(e->info.device, sizeof e->info.device, "cpu");
+    cpu_name(e->info.name, sizeof e->info.name);
+    for (int i = 0; (k = rn_kernels_available(i)); i++) {
+        size_t used = strlen(e->info.available);
+        snprintf(e->info.available + used, sizeof e->info.available - used, "%s%s", i ? "," : "",
+                 k->name);
+    }
+    e->info.threads = rn_pool_threads(e->pool);
+}
+
+enum rn_status rn_engine_create(const struct rn_engine_options *options,
+                                struct rn_engine **ret_engine, struct rn_error *err) {
+    const char *device = options->device ? options->device : "auto";
+    const char *kernels = options->kernels ? options->kernels : "auto";
+    if (strcmp(device, "auto") != 0 && strcmp(device, "cpu") != 0)
+        return rn_error_set(err, RN_ERROR_UNSUPPORTED, "device",
+                            "'%s' is not available in this build; use auto or cpu", device);
+    if (options->threads < 0 || options->threads > 1024)
+        return rn_error_set(err, RN_ERROR_INVALID, "threads", "must be 0 to 1024");
+    const struct rn_kernels *chosen =
+        strcmp(kernels, "auto") == 0 ? fastest_kernels() : rn_kernels_find(kernels);
+    if (!chosen)
+        return rn_error_set(err, RN_ERROR_UNSUPPORTED, "kernels",
+                            "this machine has no kernel set '%s'", kernels);
+    struct rn_engine *e = calloc(1, sizeof *e);
+    if (!e) return rn_error_set(err, RN_ERROR_NO_MEMORY, "engine", "out of memory");
+    e->kernels = chosen;
+    enum rn_status status =
+        rn_pool_create(options->threads ? options->threads : rn_pool_cores(), &e->pool, err);
+    if (status != RN_OK) {
+        free(e);
+        return status;
+    }
+    fill_info(e);
+    *ret_engine = e;
+    return RN_OK;
+}
+
+void rn_engine_destroy(struct rn_engine **engine) {
+    if (!*engine) return;
+    rn_pool_destroy(&(*engine)->pool);
+    free((*engine)->workspaces);
+    free(*engine);
+    *engine = NULL;
+}
+
+void rn_engine_describe(const struct rn_engine *engine, struct rn_device_info *ret_info) {
+    *ret_info = engine->info;
+    snprintf(ret_info->kernels, sizeof ret_info->kernels, "%s", engine->kernels->name);
+}
+
+// ---- fields ---------------------------------------------------------------------------------
+
+enum rn_status rn_field_load(struct rn_engine *engine, const char *checkpoint_path,
+                             struct rn_field **ret_field, struct rn_error *err) {
+    struct rn_checkpoint checkpoint;
+    struct rn_field *field = NULL;
+    enum rn_status status = rn_checkpoint_open(checkpoint_path, &checkpoint, err);
+    if (status != RN_OK) return status;
+    status = rn_field_create(&checkpoint.config, &checkpoint.bounds, &field, err);
+    if (status == RN_OK) status = rn_checkpoint_read_field(&checkpoint, field, err);
+    rn_checkpoint_close(&checkpoint);
+    if (status != RN_OK) {
+        rn_field_destroy(&field);
+        return status;
+    }
+    rn_field_refresh(field, engine);
+    rn_field_refresh_occupancy(field);
+    *ret_field = field;
+    return RN_OK;
+}
+
+void rn_field_describe(const struct rn_field *field, struct rn_field_info *ret) {
+    *ret = (struct rn_field_info){.config = field->config,
+                                  .bounds = field->bounds,
+                                  .steps = field->steps,
+                                  .train_seconds = field->train_seconds,
+                                  .psnr = field->psnr,
+                                  .parameter_count = field->parameters.count};
+    ret->memory_bytes = rn_field_bytes(&field->config, field->cpu.built_levels);
+    memcpy(ret->effects, field->effects, sizeof ret->effects);
+    snprintf(ret->kernels, sizeof ret->kernels, "%s", field->kernels);
+}
+
+void rn_field_sha256(const struct rn_field *field, char ret_hex[65]) {
+    struct rn_sha256 hash;
+    rn_sha256_init(&hash);
+    rn_sha256_update(&hash, field->parameters.values, field->parameters.count * sizeof(float));
+    rn_sha256_final_hex(&hash, ret_hex);
+}

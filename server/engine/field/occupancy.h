@@ -1,0 +1,34 @@
+// The occupancy grid: which cells of the [-1, 1] cube may hold matter (paper, section 3.4; the
+// released code's 128^3 grid).
+#ifndef RN_ENGINE_FIELD_OCCUPANCY_H
+#define RN_ENGINE_FIELD_OCCUPANCY_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+#include "server/engine/field/real.h"
+
+#define RN_OCCUPANCY_DECAY 0.95
+#define RN_OCCUPANCY_LIMIT 5e-3 // of density times step, with the mean as the lower threshold
+
+// Cell of a coordinate in [-1, 1]; clamped. NaN gives 0.
+RN_HD int rn_cell_of(rn_real p, int cells) {
+    return (int)rn_clamp((p + 1) * (rn_real)0.5 * (rn_real)cells, 0, (rn_real)(cells - 1));
+}
+
+// Index of cell (x, y, z) in a row-major grid.
+RN_HD size_t rn_cell_index(int x, int y, int z, int cells) {
+    return ((size_t)x * (size_t)cells + (size_t)y) * (size_t)cells + (size_t)z;
+}
+
+// Word and bit of a cell in the bricked bit grid (cpu/kernels.h).
+RN_HD size_t rn_brick_word(int x, int y, int z, int cells) {
+    size_t bricks = (size_t)cells / 8;
+    size_t brick = ((size_t)(x >> 3) * bricks + (size_t)(y >> 3)) * bricks + (size_t)(z >> 3);
+    return brick * 16 + (size_t)((z & 7) * 2 + ((y >> 2) & 1));
+}
+RN_HD uint32_t rn_brick_bit(int x, int y) {
+    return (uint32_t)1 << ((y & 3) * 8 + (x & 7));
+}
+
+#endif

@@ -1,0 +1,178 @@
+// Rendering: tiles of rays, front to back, over the engine's threads.
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "common/base/clock.h"
+#include "common/image/metrics.h"
+#include "server/engine/scene.h"
+
+#define TILE 16         // pixels a side; two tiles fill a packet twice
+#define TILES_A_POLL 64 // tiles between two looks at keep_going
+
+struct frame {
+    struct rn_engine *engine;
+    struct rn_field *field;
+    const struct rn_render_options *options;
+    struct rn_march_options march;
+    struct rn_camera camera; // at the resolution that is rendered
+    int tiles_x, first_tile;
+    struct rn_pixel *pixels; // width * height of `camera`
+    uint64_t samples[TILES_A_POLL];
+};
+
+static void render_tile(void *context, int index, int thread) {
+    struct frame *f = context;
+    struct rn_march_ray rays[TILE * TILE];
+    struct rn_pixel pixels[TILE * TILE];
+    int tile = f->first_tile + index, n = 0;
+    int x0 = tile % f->tiles_x * TILE, y0 = tile / f->tiles_x * TILE;
+    int x1 = x0 + TILE < f->camera.width ? x0 + TILE : f->camera.width;
+    int y1 = y0 + TILE < f->camera.height ? y0 + TILE : f->camera.height;
+    for (int y = y0; y < y1; y++)
+        for (int x = x0; x < x1; x++) {
+            struct rn_ray ray = rn_camera_ray(&f->camera, x + 0.5, y + 0.5);
+            rays[n++] = rn_march_ray_from(&ray, &f->field->bounds, 0);
+        }
+    f->samples[index] = f->engine->kernels->render(&f->field->cpu, &f->march, rays, n,
+                                                   rn_engine_workspace(f->engine, thread), pixels);
+    n = 0;
+    for (int y = y0; y < y1; y++)
+        for (int x = x0; x < x1; x++)
+            f->pixels[(size_t)y * f->camera.width + x] = pixels[n++];
+}
+
+static float finite_or(float value, float other) {
+    return isfinite(value) ? value : other;
+}
+
+// Spreads the rendered pixels over the pictures asked for, each `subsample` pixels a side.
+static enum rn_status fill_pictures(const struct frame *f, struct rn_render_result *result,
+                                    struct rn_error *err) {
+    const struct rn_render_options *o = f->options;
+    struct rn_picture *pictures[3] = {&result->rgb, &result->depth, &result->alpha};
+    const unsigned outputs[3] = {RN_OUTPUT_RGB, RN_OUTPUT_DEPTH, RN_OUTPUT_ALPHA};
+    for (int i = 0; i < 3; i++) {
+        if (!(o->outputs & outputs[i])) continue;
+        enum rn_status status =
+            rn_picture_init(o->camera.width, o->camera.height, i == 0 ? 3 : 1, pictures[i], err);
+        if (status != RN_OK) return status;
+    }
+    int n = o->subsample > 1 ? o->subsample : 1;
+    for (int y = 0; y < o->camera.height; y++)
+        for (int x = 0; x < o->camera.width; x++) {
+            const struct rn_pixel *p = &f->pixels[(size_t)(y / n) * f->camera.width + x / n];
+            size_t at = (size_t)y * o->camera.width + x;
+            if (result->rgb.values)
+                for (int c = 0; c < 3; c++)
+                    result->rgb.values[3 * at + c] = finite_or(p->rgb[c], o->background[c]);
+            if (result->depth.values)
+                result->depth.values[at] = finite_or(p->depth, 0) * (float)f->field->bounds.radius;
+            if (result->alpha.values) result->alpha.values[at] = finite_or(p->alpha, 0);
+        }
+    return RN_OK;
+}
+
+static enum rn_status check_options(const struct rn_render_options *o, struct rn_error *err) {
+    enum rn_status status = rn_camera_check(&o->camera, "camera", err);
+    if (status != RN_OK) return status;
+    if (!(o->outputs & (RN_OUTPUT_RGB | RN_OUTPUT_DEPTH | RN_OUTPUT_ALPHA)))
+        return rn_error_set(err, RN_ERROR_INVALID, "output", "must be rgb, depth or alpha");
+    if (!(o->step == 0 || (o->step >= 1e-3 && o->step <= 1)))
+        return rn_error_set(err, RN_ERROR_INVALID, "step", "must be 0 or 0.001 to 1 scene radii");
+    if (!(o->stop >= 0 && o->stop < 1))
+        return rn_error_set(err, RN_ERROR_INVALID, "stop", "must be in [0, 1)");
+    if (o->subsample < 0 || o->subsample > 64)
+        return rn_error_set(err, RN_ERROR_INVALID, "subsample", "must be 1 to 64");
+    return RN_OK;
+}
+
+// Pyramid levels that this camera may touch; the training's own when rays are shorter.
+static enum rn_status prepare(struct frame *f, struct rn_error *err) {
+    int levels = rn_levels_for_camera(f->field, &f->camera, f->march.step);
+    enum rn_status status = rn_field_need_levels(f->field, levels, err);
+    if (status == RN_OK) status = rn_engine_prepare(f->engine, f->field, err);
+    if (status == RN_OK && f->field->pyramid_stale) rn_field_refresh(f->field, f->engine);
+    return status;
+}
+
+enum rn_status rn_render(struct rn_engine *engine, struct rn_field *field,
+                         const struct rn_render_options *options, bool (*keep_going)(void *context),
+                         void *context, struct rn_render_result *ret_result, struct rn_error *err) {
+    int64_t begin = rn_clock_ns();
+    enum rn_status status = check_options(options, err);
+    if (status != RN_OK) return status;
+    int n = options->subsample > 1 ? options->subsample : 1;
+    struct frame f = {.engine = engine, .field = field, .options = options};
+    f.camera = rn_camera_resized(&options->camera, (options->camera.width + n - 1) / n,
+                                 (options->camera.height + n - 1) / n);
+    double stop = options->stop > 0 ? options->stop : field->config.stop;
+    f.march.step =
+        (float)(options->step > 0 ? fmax(options->step, field->config.step) : field->config.step);
+    f.march.stop_depth = (float)-log(stop);
+    memcpy(f.march.background, options->background, sizeof f.march.background);
+    status = prepare(&f, err);
+    if (status != RN_OK) return status;
+    f.tiles_x = (f.camera.width + TILE - 1) / TILE;
+    int tiles = f.tiles_x * ((f.camera.height + TILE - 1) / TILE);
+    size_t pixels = (size_t)f.camera.width * (size_t)f.camera.height;
+    f.pixels = malloc(pixels * sizeof *f.pixels);
+    if (!f.pixels)
+        return rn_error_set(err, RN_ERROR_NO_MEMORY, "camera", "a %dx%d picture needs %zu MiB",
+                            f.camera.width, f.camera.height, pixels * sizeof *f.pixels >> 20);
+    struct rn_render_result result = {.stats.rays = pixels};
+    for (; f.first_tile < tiles && status == RN_OK; f.first_tile += TILES_A_POLL) {
+        int count = tiles - f.first_tile < TILES_A_POLL ? tiles - f.first_tile : TILES_A_POLL;
+        if (keep_going && !keep_going(context))
+            status = rn_error_set(err, RN_ERROR_CANCELLED, "render", "stopped on request");
+        else
+            rn_pool_run(engine->pool, count, render_tile, &f);
+        for (int i = 0; i < count && status == RN_OK; i++)
+            result.stats.samples += f.samples[i];
+    }
+    if (status == RN_OK) status = fill_pictures(&f, &result, err);
+    free(f.pixels);
+    if (status != RN_OK) {
+        rn_render_result_finish(&result);
+        return status;
+    }
+    result.stats.render_ms = (double)(rn_clock_ns() - begin) * 1e-6;
+    *ret_result = result;
+    return RN_OK;
+}
+
+void rn_render_result_finish(struct rn_render_result *result) {
+    rn_picture_finish(&result->rgb);
+    rn_picture_finish(&result->depth);
+    rn_picture_finish(&result->alpha);
+}
+
+enum rn_status rn_evaluate_view(struct rn_engine *engine, struct rn_field *field,
+                                const struct rn_frame *frame, const float background[3],
+                                bool (*keep_going)(void *context), void *context,
+                                struct rn_view_score *ret_score, struct rn_error *err) {
+    struct rn_render_options options = {.camera = frame->camera, .outputs = RN_OUTPUT_RGB};
+    memcpy(options.background, background, sizeof options.background);
+    struct rn_render_result result = {0};
+    struct rn_picture truth = {0};
+    struct rn_image photograph;
+    enum rn_status status = rn_image_read(frame->path, &rn_image_default_limits, &photograph, err);
+    if (status != RN_OK) return status;
+    status = rn_image_composite(&photograph, background, &truth, err);
+    rn_image_finish(&photograph);
+    if (status == RN_OK)
+        status = rn_render(engine, field, &options, keep_going, context, &result, err);
+    if (status == RN_OK) {
+        size_t n = (size_t)result.rgb.width * (size_t)result.rgb.height * 3;
+        for (size_t i = 0; i < n; i++)
+            result.rgb.values[i] = fminf(fmaxf(result.rgb.values[i], 0), 1);
+        ret_score->render_ms = result.stats.render_ms;
+        status = rn_psnr(&result.rgb, &truth, &ret_score->psnr);
+        if (status == RN_OK) status = rn_ssim(&result.rgb, &truth, &ret_score->ssim);
+        if (status != RN_OK)
+            rn_error_set(err, status, frame->path, "cannot be compared with its rendering");
+    }
+    rn_render_result_finish(&result);
+    rn_picture_finish(&truth);
+    return status;
+}

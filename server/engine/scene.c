@@ -1,0 +1,407 @@
+#include "server/engine/scene.h"
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "common/math/rng.h"
+#include "server/engine/field/footprint.h"
+#include "server/engine/field/occupancy.h"
+#include "server/engine/field/ripmap.h"
+
+static void *aligned_zero(size_t bytes) {
+    size_t rounded = (bytes + 4095) / 4096 * 4096;
+    void *block = aligned_alloc(4096, rounded);
+    if (block) memset(block, 0, rounded);
+    return block;
+}
+
+static size_t round16(size_t n) {
+    return (n + 15) / 16 * 16;
+}
+
+static size_t transposed_count(const struct rn_mlp_shape *shape) {
+    size_t count = 0;
+    for (int l = 0; l < shape->layers; l++)
+        count += (size_t)shape->out[l] * round16((size_t)shape->in[l]);
+    return count;
+}
+
+// ---- pyramid --------------------------------------------------------------------------------
+
+static size_t map_count(const struct rn_field_config *c, int x, int y) {
+    return (size_t)rn_rip_size(c->base, x) * (size_t)rn_rip_size(c->base, y) * (size_t)c->channels +
+           (size_t)c->channels * 2; // a fetch may read one texel behind the last
+}
+
+size_t rn_pyramid_count(const struct rn_field_config *c, int levels) {
+    size_t count = 0;
+    bool mip = c->footprint == RN_FOOTPRINT_MIP;
+    for (int y = 0; y < levels; y++)
+        for (int x = 0; x < levels; x++)
+            if (x + y > 0 && rn_map_exists(mip, x, y)) count += map_count(c, x, y);
+    return count;
+}
+
+void rn_pyramid_lay_out(const struct rn_field_config *c, int levels, float *base, float *block,
+                        struct rn_map maps[RN_MAX_PLANES][RN_MAX_LEVELS][RN_MAX_LEVELS]) {
+    bool mip = c->footprint == RN_FOOTPRINT_MIP;
+    for (int p = 0; p < c->planes; p++)
+        for (int y = 0; y < levels; y++)
+            for (int x = 0; x < levels; x++) {
+                if (!rn_map_exists(mip, x, y)) continue;
+                struct rn_map *map = &maps[p][y][x];
+                map->width = rn_rip_size(c->base, x);
+                map->height = rn_rip_size(c->base, y);
+                if (x + y == 0) {
+                    map->texels = base + (size_t)p * c->base * c->base * c->channels;
+                    continue;
+                }
+                map->texels = block;
+                block += map_count(c, x, y);
+            }
+}
+
+enum rn_status rn_field_need_levels(struct rn_field *field, int levels, struct rn_error *err) {
+    const struct rn_field_config *c = &field->config.field;
+    if (levels > c->levels) levels = c->levels;
+    if (c->footprint == RN_FOOTPRINT_POINT) levels = 1;
+    if (levels <= field->cpu.built_levels) return RN_OK;
+    size_t count = rn_pyramid_count(c, levels) * (size_t)c->planes;
+    float *block = aligned_zero(count * sizeof *block);
+    if (!block)
+        return rn_error_set(err, RN_ERROR_NO_MEMORY, "pyramid",
+                            "cannot allocate %zu MiB for %d ripmap levels", count >> 18, levels);
+    free(field->pyramid);
+    field->pyramid = block;
+    field->cpu.built_levels = levels;
+    rn_pyramid_lay_out(c, levels, field->parameters.values, block, field->cpu.maps);
+    field->pyramid_stale = true;
+    return RN_OK;
+}
+
+// ---- field ----------------------------------------------------------------------------------
+
+static void set_shapes(struct rn_cpu_field *cpu, const struct rn_field_config *c) {
+    cpu->config = *c;
+    cpu->features = c->planes * c->channels;
+    cpu->feature_stride = (cpu->features + 15) / 16 * 16;
+    cpu->base_shape = rn_mlp_shape(cpu->features, c->width, c->base_layers, RN_GEOMETRY);
+    cpu->head_shape = rn_mlp_shape(RN_HEAD_INPUTS, c->width, c->head_layers, RN_HEAD_OUTPUTS);
+    cpu->built_levels = 1;
+}
+
+static void set_parameter_counts(struct rn_parameters *p, const struct rn_cpu_field *cpu) {
+    const struct rn_field_config *c = &cpu->config;
+    p->plane_count = (size_t)c->planes * (size_t)c->base * (size_t)c->base * (size_t)c->channels;
+    p->base_count = cpu->base_shape.count;
+    p->head_count = cpu->head_shape.count;
+    p->count = p->plane_count + p->base_count + p->head_count;
+}
+
+size_t rn_field_bytes(const struct rn_train_config *config, int levels) {
+    struct rn_cpu_field cpu;
+    struct rn_parameters parameters;
+    set_shapes(&cpu, &config->field);
+    set_parameter_counts(&parameters, &cpu);
+    size_t cells = (size_t)config->field.occupancy;
+    return (parameters.count + rn_pyramid_count(&config->field, levels) * config->field.planes) *
+               sizeof(float) +
+           cells * cells * cells * 5 + cells * cells * cells / 8;
+}
+
+static enum rn_status allocate(struct rn_field *field) {
+    size_t cells = (size_t)field->config.field.occupancy, n = cells * cells * cells;
+    size_t bricks = n / (RN_BRICK * RN_BRICK * RN_BRICK);
+    struct rn_cpu_field *cpu = &field->cpu;
+    field->parameters.values = aligned_zero((field->parameters.count + 64) * sizeof(float));
+    field->transposed = aligned_zero(
+        (transposed_count(&cpu->base_shape) + transposed_count(&cpu->head_shape)) * sizeof(float));
+    field->occupancy = aligned_zero(n * sizeof(float));
+    field->hull = aligned_zero(n);
+    cpu->occupancy.cells = (int)cells;
+    cpu->occupancy.words = aligned_zero(bricks * 16 * sizeof(uint32_t));
+    cpu->occupancy.distance = aligned_zero(bricks);
+    bool all = field->parameters.values && field->transposed && field->occupancy && field->hull &&
+               cpu->occupancy.words && cpu->occupancy.distance;
+    return all ? RN_OK : RN_ERROR_NO_MEMORY;
+}
+
+// Every cell that meets the ball may hold matter, and is occupied until measured.
+static void fill_ball(struct rn_field *field) {
+    int cells = field->config.field.occupancy;
+    field->hull_cells = 0;
+    for (int x = 0; x < cells; x++)
+        for (int y = 0; y < cells; y++)
+            for (int z = 0; z < cells; z++) {
+                int index[3] = {x, y, z};
+                double nearest = 0;
+                for (int i = 0; i < 3; i++) {
+                    double low = 2.0 * index[i] / cells - 1, high = low + 2.0 / cells;
+                    double d = low > 0 ? low : high < 0 ? high : 0;
+                    nearest += d * d;
+                }
+                size_t at = rn_cell_index(x, y, z, cells);
+                field->hull[at] = nearest <= 1;
+                field->occupancy[at] = field->hull[at] ? 1.0f : 0.0f;
+                field->hull_cells += field->hull[at];
+            }
+}
+
+enum rn_status rn_field_create(const struct rn_train_config *config, const struct rn_bounds *bounds,
+                               struct rn_field **ret_field, struct rn_error *err) {
+    struct rn_field *field = calloc(1, sizeof *field);
+    if (!field) return rn_error_set(err, RN_ERROR_NO_MEMORY, "field", "out of memory");
+    field->config = *config;
+    field->bounds = *bounds;
+    field->psnr = NAN;
+    set_shapes(&field->cpu, &config->field);
+    set_parameter_counts(&field->parameters, &field->cpu);
+    enum rn_status status = rn_solid_init(config->field.planes, config->field.orientation,
+                                          config->seed, &field->cpu.solid, err);
+    if (status == RN_OK) {
+        status = allocate(field);
+        if (status != RN_OK)
+            rn_error_set(err, status, "field", "cannot allocate %zu MiB for this configuration",
+                         rn_field_bytes(config, 1) >> 20);
+    }
+    if (status != RN_OK) {
+        rn_field_destroy(&field);
+        return status;
+    }
+    float *values = field->parameters.values;
+    rn_pyramid_lay_out(&config->field, 1, values, NULL, field->cpu.maps);
+    field->cpu.base_weights = values + field->parameters.plane_count;
+    field->cpu.head_weights = field->cpu.base_weights + field->parameters.base_count;
+    field->cpu.base_transposed = field->transposed;
+    field->cpu.head_transposed = field->transposed + transposed_count(&field->cpu.base_shape);
+    fill_ball(field);
+    rn_field_refresh_occupancy(field);
+    *ret_field = field;
+    return RN_OK;
+}
+
+void rn_field_destroy(struct rn_field **field) {
+    struct rn_field *f = *field;
+    if (!f) return;
+    free(f->parameters.values);
+    free(f->transposed);
+    free(f->pyramid);
+    free(f->occupancy);
+    free(f->hull);
+    free(f->cpu.occupancy.words);
+    free(f->cpu.occupancy.distance);
+    free(f);
+    *field = NULL;
+}
+
+static float uniform(uint64_t seed, uint64_t stream, size_t i, float bound) {
+    struct rn_rng4 draw = rn_rng_draw(seed, stream, i / 4);
+    return (2 * rn_rng_unit(draw.v[i % 4]) - 1) * bound;
+}
+
+static void randomise_network(const struct rn_mlp_shape *shape, uint64_t seed, uint64_t stream,
+                              int used_outputs, float *weights) {
+    for (int l = 0; l < shape->layers; l++) {
+        size_t in = round16((size_t)shape->in[l]), out = (size_t)shape->out[l];
+        float bound = sqrtf(6.0f / (float)(in + out));
+        for (size_t i = 0; i < (size_t)shape->in[l] * out; i++) {
+            bool unused = l + 1 == shape->layers && (int)(i % out) >= used_outputs;
+            weights[shape->offset[l] + i] =
+                unused ? 0 : uniform(seed, stream + (uint64_t)l, i, bound);
+        }
+    }
+}
+
+void rn_field_randomise(struct rn_field *field, uint64_t seed) {
+    struct rn_parameters *p = &field->parameters;
+    for (size_t i = 0; i < p->plane_count; i++)
+        p->values[i] = uniform(seed, 100, i, 0.01f);
+    randomise_network(&field->cpu.base_shape, seed, 200, RN_GEOMETRY, p->values + p->plane_count);
+    randomise_network(&field->cpu.head_shape, seed, 300, 3,
+                      p->values + p->plane_count + p->base_count);
+}
+
+// ---- refresh --------------------------------------------------------------------------------
+
+static void transpose(const struct rn_mlp_shape *shape, const float *weights, float *out) {
+    for (int l = 0; l < shape->layers; l++) {
+        size_t padded = round16((size_t)shape->in[l]);
+        for (int o = 0; o < shape->out[l]; o++, out += padded)
+            for (int i = 0; i < shape->in[l]; i++)
+                out[i] = weights[shape->offset[l] + (size_t)i * (size_t)shape->out[l] + o];
+    }
+}
+
+struct build {
+    struct rn_field *field;
+    const struct rn_kernels *kernels;
+};
+static void build_plane(void *context, int plane, int thread) {
+    (void)thread;
+    const struct build *build = context;
+    struct rn_cpu_field *cpu = &build->field->cpu;
+    build->kernels->build(cpu->maps[plane], cpu->built_levels,
+                          cpu->config.footprint == RN_FOOTPRINT_MIP, cpu->config.channels);
+}
+
+void rn_field_refresh(struct rn_field *field, struct rn_engine *engine) {
+    struct rn_cpu_field *cpu = &field->cpu;
+    transpose(&cpu->base_shape, cpu->base_weights, field->transposed);
+    transpose(&cpu->head_shape, cpu->head_weights,
+              field->transposed + transposed_count(&cpu->base_shape));
+    if (cpu->built_levels > 1) {
+        struct build build = {field, engine->kernels};
+        rn_pool_run(engine->pool, cpu->config.planes, build_plane, &build);
+    }
+    field->pyramid_stale = false;
+}
+
+static double occupancy_threshold(const struct rn_field *field) {
+    size_t cells = (size_t)field->config.field.occupancy, n = cells * cells * cells;
+    double sum = 0;
+    for (size_t i = 0; i < n; i++)
+        sum += (double)field->occupancy[i];
+    double mean = sum / (double)n;
+    return mean < RN_OCCUPANCY_LIMIT ? mean : RN_OCCUPANCY_LIMIT;
+}
+
+static void grow_box(struct rn_occupancy_bits *bits, const int cell[3]) {
+    for (int i = 0; i < 3; i++) {
+        float low = 2.0f * (float)cell[i] / (float)bits->cells - 1;
+        float high = 2.0f * (float)(cell[i] + 1) / (float)bits->cells - 1;
+        if (low < bits->low[i]) bits->low[i] = low;
+        if (high > bits->high[i]) bits->high[i] = high;
+    }
+}
+
+// Chebyshev distance by one pass a direction along each axis.
+static void spread_distance(uint8_t *distance, int bricks) {
+    size_t strides[3] = {(size_t)bricks * bricks, (size_t)bricks, 1};
+    for (int axis = 0; axis < 3; axis++) {
+        size_t s = strides[axis], a = strides[(axis + 1) % 3], b = strides[(axis + 2) % 3];
+        for (int i = 0; i < bricks; i++)
+            for (int j = 0; j < bricks; j++) {
+                uint8_t *line = distance + (size_t)i * a + (size_t)j * b;
+                // exact for Chebyshev only if each axis takes the lower envelope of max(|d|, f)
+                uint8_t out[512];
+                for (int k = 0; k < bricks; k++) {
+                    int best = 255;
+                    for (int q = 0; q < bricks; q++) {
+                        int d = k > q ? k - q : q - k, f = line[(size_t)q * s];
+                        int m = d > f ? d : f;
+                        if (m < best) best = m;
+                    }
+                    out[k] = (uint8_t)best;
+                }
+                for (int k = 0; k < bricks; k++)
+                    line[(size_t)k * s] = out[k];
+            }
+    }
+}
+
+void rn_field_refresh_occupancy(struct rn_field *field) {
+    struct rn_occupancy_bits *bits = &field->cpu.occupancy;
+    int cells = bits->cells, bricks = cells / RN_BRICK;
+    size_t brick_count = (size_t)bricks * bricks * bricks;
+    float threshold = (float)occupancy_threshold(field);
+    memset(bits->words, 0, brick_count * 16 * sizeof *bits->words);
+    memset(bits->distance, 255, brick_count);
+    for (int i = 0; i < 3; i++) {
+        bits->low[i] = 2;
+        bits->high[i] = -2;
+    }
+    for (int x = 0; x < cells; x++)
+        for (int y = 0; y < cells; y++)
+            for (int z = 0; z < cells; z++) {
+                size_t at = rn_cell_index(x, y, z, cells);
+                if (!field->hull[at] || !(field->occupancy[at] > threshold)) continue;
+                size_t word = rn_brick_word(x, y, z, cells);
+                bits->words[word] |= rn_brick_bit(x, y);
+                bits->distance[word / 16] = 0;
+                grow_box(bits, (const int[3]){x, y, z});
+            }
+    spread_distance(bits->distance, bricks);
+}
+
+// ---- workspaces and rays ---------------------------------------------------------------------
+
+enum rn_status rn_engine_prepare(struct rn_engine *engine, const struct rn_field *field,
+                                 struct rn_error *err) {
+    if (engine->prepared == field) return RN_OK;
+    double step = field->config.step;
+    size_t bytes = (rn_workspace_size(&field->cpu, step) + 4095) / 4096 * 4096;
+    if (bytes > engine->workspace_bytes) {
+        free(engine->workspaces);
+        engine->workspace_bytes = 0;
+        engine->workspaces = aligned_zero(bytes * (size_t)rn_pool_threads(engine->pool));
+        if (!engine->workspaces)
+            return rn_error_set(err, RN_ERROR_NO_MEMORY, "workspaces", "cannot allocate %zu MiB",
+                                bytes * (size_t)rn_pool_threads(engine->pool) >> 20);
+        engine->workspace_bytes = bytes;
+    }
+    for (int t = 0; t < rn_pool_threads(engine->pool); t++)
+        rn_workspace_init(&field->cpu, step, rn_engine_workspace(engine, t));
+    return RN_OK;
+}
+
+struct rn_workspace *rn_engine_workspace(const struct rn_engine *engine, int thread) {
+    return (struct rn_workspace *)((char *)engine->workspaces +
+                                   (size_t)thread * engine->workspace_bytes);
+}
+
+// Where the ray enters the cube [-1, 1]^3, at least 0; false when it misses.
+static bool enter_cube(const double o[3], const double d[3], double *ret_enter) {
+    double enter = 0, leave = 1e300;
+    for (int i = 0; i < 3; i++) {
+        double direction = fabs(d[i]) < 1e-12 ? copysign(1e-12, d[i]) : d[i];
+        double a = (-1 - o[i]) / direction, b = (1 - o[i]) / direction;
+        enter = fmax(enter, fmin(a, b));
+        leave = fmin(leave, fmax(a, b));
+    }
+    *ret_enter = enter;
+    return leave > enter;
+}
+
+struct rn_march_ray rn_march_ray_from(const struct rn_ray *ray, const struct rn_bounds *bounds,
+                                      double offset) {
+    struct rn_march_ray out = {.length = 0, .weight = 1};
+    double o[3], enter, along = 0, across = 0;
+    for (int i = 0; i < 3; i++) {
+        o[i] = (ray->origin[i] - bounds->centre[i]) / bounds->radius;
+        along += o[i] * ray->direction[i];
+    }
+    for (int i = 0; i < 3; i++) {
+        double foot = o[i] - along * ray->direction[i]; // the point nearest the centre
+        across += foot * foot;
+    }
+    for (int i = 0; i < 3; i++)
+        out.direction[i] = (float)ray->direction[i];
+    out.radius = (float)ray->radius;
+    if (!(across <= 1) || !enter_cube(o, ray->direction, &enter)) return out;
+    double near = enter + offset, length = sqrt(1 - across) - along - near;
+    for (int i = 0; i < 3; i++)
+        out.origin[i] = (float)(o[i] + ray->direction[i] * near);
+    out.near = (float)near;
+    out.length = (float)length;
+    return out;
+}
+
+int rn_levels_for_camera(const struct rn_field *field, const struct rn_camera *camera,
+                         double step) {
+    const struct rn_field_config *c = &field->config.field;
+    if (c->footprint == RN_FOOTPRINT_POINT || c->levels == 1) return 1;
+    struct rn_ray ray = rn_camera_ray(camera, camera->cx, camera->cy);
+    double far = 0;
+    for (int i = 0; i < 3; i++) {
+        double d = (ray.origin[i] - field->bounds.centre[i]) / field->bounds.radius;
+        far += d * d;
+    }
+    far = (sqrt(far) + 1) * ray.radius; // cone radius at the far side of the ball
+    double level = rn_level_from_ball(far, c->base, c->levels);
+    if (c->footprint == RN_FOOTPRINT_RIP) {
+        double variance = fmax(step * step / 12, far * far * 0.26 + step * step * 0.05);
+        level = rn_level_from_variance(variance, c->base, c->levels);
+    }
+    return (int)ceil(level - 1e-4) + 1;
+}

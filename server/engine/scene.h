@@ -1,0 +1,80 @@
+// A field in memory: parameters, pyramid, occupancy and what is known about them. Inside the
+// engine only.
+#ifndef RN_ENGINE_SCENE_H
+#define RN_ENGINE_SCENE_H
+
+#include "server/engine/cpu/kernels.h"
+#include "server/engine/cpu/pool.h"
+#include "server/engine/engine.h"
+
+struct rn_engine {
+    struct rn_pool *pool;
+    const struct rn_kernels *kernels;
+    struct rn_device_info info;
+    void *workspaces;                // one a thread, for the field they were last laid out for
+    size_t workspace_bytes;          // of one
+    const struct rn_field *prepared; // the field they are laid out for
+    struct rn_march_ray *rays;       // scratch of the renderer, RN_RENDER_BLOCK
+    struct rn_pixel *pixels;
+};
+
+// Numbers of one field: planes, density network, colour network, in one block in this order.
+struct rn_parameters {
+    size_t plane_count, base_count, head_count, count;
+    float *values; // 64-byte aligned, owned by whoever made the block
+};
+
+// Thread-safety: as the engine. Owner: rn_field_load's caller or the trainer.
+struct rn_field {
+    struct rn_cpu_field cpu;
+    struct rn_train_config config;
+    struct rn_bounds bounds;
+    struct rn_parameters parameters;
+    float *transposed; // networks for the backward: base, then head
+    float *pyramid;    // every map but the base ones, for built_levels
+    bool pyramid_stale;
+    float *occupancy; // decayed maxima of density * step, cells^3
+    uint8_t *hull;    // cells^3: 1 where matter is possible at all (carving)
+    uint64_t hull_cells;
+    int64_t steps;
+    double train_seconds, psnr;
+    struct rn_effect_record effects[RN_EFFECT_COUNT];
+    char kernels[32];
+};
+
+// Allocates everything for a configuration; parameters zero, all cells of the ball occupied.
+enum rn_status rn_field_create(const struct rn_train_config *config, const struct rn_bounds *bounds,
+                               struct rn_field **ret_field, struct rn_error *err) RN_MUST_CHECK;
+// Random parameters: planes U(-0.01, 0.01), networks Xavier-uniform over padded sizes.
+void rn_field_randomise(struct rn_field *field, uint64_t seed);
+// Bytes that rn_field_create will take, the pyramid at `levels` included.
+size_t rn_field_bytes(const struct rn_train_config *config, int levels);
+
+// Makes maps up to `levels` a side exist (never fewer than now); their content is stale until
+// rn_field_refresh. RN_ERROR_NO_MEMORY.
+enum rn_status rn_field_need_levels(struct rn_field *field, int levels,
+                                    struct rn_error *err) RN_MUST_CHECK;
+// After a change of parameters: transposes the networks, rebuilds the pyramid.
+void rn_field_refresh(struct rn_field *field, struct rn_engine *engine);
+// Rebuilds the bits and distances that the march reads from `occupancy` and `hull`.
+void rn_field_refresh_occupancy(struct rn_field *field);
+
+// Numbers of a pyramid of one plane beyond its base map, and the maps' places in a block that
+// starts with plane 0's.
+size_t rn_pyramid_count(const struct rn_field_config *config, int levels);
+void rn_pyramid_lay_out(const struct rn_field_config *config, int levels, float *base, float *block,
+                        struct rn_map maps[RN_MAX_PLANES][RN_MAX_LEVELS][RN_MAX_LEVELS]);
+
+// The engine's workspace of one thread for a field; all are laid out on first use or change.
+enum rn_status rn_engine_prepare(struct rn_engine *engine, const struct rn_field *field,
+                                 struct rn_error *err) RN_MUST_CHECK;
+struct rn_workspace *rn_engine_workspace(const struct rn_engine *engine, int thread);
+
+// The ray of a cone in dataset coordinates as the kernels want it: normalised, cut to the ball,
+// starting where it enters the scene's cube plus `offset` (normalised).
+struct rn_march_ray rn_march_ray_from(const struct rn_ray *ray, const struct rn_bounds *bounds,
+                                      double offset);
+// Levels per axis that a camera's rays can reach, 1 = only the base map.
+int rn_levels_for_camera(const struct rn_field *field, const struct rn_camera *camera, double step);
+
+#endif

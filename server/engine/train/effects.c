@@ -1,0 +1,160 @@
+// Which effects a scene calls for, each with its number.
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "common/math/rng.h"
+#include "server/engine/field/footprint.h"
+#include "server/engine/field/frustum.h"
+#include "server/engine/train/trainer.h"
+
+#define PROBES 512                 // rays looked at
+#define ANISOTROPY_THRESHOLD 0.585 // levels: a footprint 1.5 times as long as wide
+#define VIEW_THRESHOLD (2.0 / 255) // colour change over directions that counts as noise
+
+static struct rn_effect_record *record(struct rn_trainer *t, enum rn_effect effect,
+                                       const char *name) {
+    struct rn_effect_record *r = &t->field->effects[effect];
+    *r = (struct rn_effect_record){.name = name, .decided = true};
+    return r;
+}
+
+static void detect_background(struct rn_trainer *t) {
+    struct rn_effect_record *r = record(t, RN_EFFECT_BACKGROUND, "background");
+    size_t open = 0;
+    for (size_t i = 0; i < t->train.pixel_count; i++)
+        open += t->train.rgba[4 * i + 3] < 255;
+    r->number = (double)open / (double)t->train.pixel_count;
+    r->on = r->number > r->threshold;
+    snprintf(r->reason, sizeof r->reason, "%.1f %% of the training pixels have alpha below 255",
+             100 * r->number);
+}
+
+// Footprint statistics over random training rays: the largest level reached anywhere in the ball,
+// and the 95th percentile of the difference of the two axes' levels, at most `levels` up.
+static int compare_doubles(const void *a, const void *b) {
+    double x = *(const double *)a, y = *(const double *)b;
+    return (x > y) - (x < y);
+}
+
+static void probe_footprints(const struct rn_trainer *t, double *ret_top, double *ret_spread) {
+    const struct rn_train_config *config = &t->field->config;
+    const struct rn_field_config *c = &config->field;
+    double spread[PROBES];
+    *ret_top = 0;
+    for (int i = 0; i < PROBES; i++) {
+        struct rn_rng4 draw = rn_rng_draw(config->seed, 0x6566666563747300u, (uint64_t)i);
+        const struct rn_pixel_frame *f =
+            &t->train.frames[rn_rng_below(draw.v[0], (uint32_t)t->train.frame_count)];
+        int x = (int)rn_rng_below(draw.v[1], (uint32_t)f->frame->camera.width);
+        int y = (int)rn_rng_below(draw.v[2], (uint32_t)f->frame->camera.height);
+        struct rn_march_ray ray = rn_trainer_ray(t, &t->train, f, x, y, 0);
+        double d[3] = {ray.direction[0], ray.direction[1], ray.direction[2]};
+        double length = ray.length > 0 ? ray.length : 0;
+        double mid = ray.near + length * rn_rng_unit(draw.v[3]);
+        struct rn_moments m = rn_frustum_moments(mid, config->step, ray.radius);
+        double worst = 0;
+        for (int p = 0; p < c->planes; p++) {
+            double u = rn_projected_variance(t->field->cpu.solid.axis_u[p], d, m.axial, m.radial);
+            double v = rn_projected_variance(t->field->cpu.solid.axis_v[p], d, m.axial, m.radial);
+            double lu = rn_level_from_variance(u, c->base, c->levels);
+            double lv = rn_level_from_variance(v, c->base, c->levels);
+            *ret_top = fmax(*ret_top, fmax(lu, lv));
+            worst = fmax(worst, fabs(lu - lv));
+        }
+        spread[i] = worst;
+    }
+    qsort(spread, PROBES, sizeof *spread, compare_doubles);
+    *ret_spread = spread[PROBES * 95 / 100];
+}
+
+static void detect_footprints(struct rn_trainer *t) {
+    struct rn_field_config *c = &t->field->cpu.config;
+    double top, spread;
+    probe_footprints(t, &top, &spread);
+    bool can = c->footprint != RN_FOOTPRINT_POINT && c->levels > 1;
+    struct rn_effect_record *pyramid = record(t, RN_EFFECT_SCALE_PYRAMID, "scale-pyramid");
+    pyramid->number = top;
+    pyramid->on = can && top > pyramid->threshold;
+    snprintf(pyramid->reason, sizeof pyramid->reason,
+             "footprints of the training rays span up to %.2f texels of the base grid%s", exp2(top),
+             can ? "" : "; point sampling was asked for");
+    struct rn_effect_record *anisotropy = record(t, RN_EFFECT_ANISOTROPY, "anisotropy");
+    anisotropy->number = spread;
+    anisotropy->threshold = ANISOTROPY_THRESHOLD;
+    anisotropy->on = pyramid->on && c->footprint == RN_FOOTPRINT_RIP &&
+                     (spread > ANISOTROPY_THRESHOLD || !t->field->config.auto_effects);
+    snprintf(anisotropy->reason, sizeof anisotropy->reason,
+             "95 %% of footprints are at most %.2f times as long as wide%s", exp2(spread),
+             c->footprint == RN_FOOTPRINT_RIP ? "" : "; an isotropic footprint was asked for");
+}
+
+static void detect_view_dependence(struct rn_trainer *t) {
+    struct rn_effect_record *r = record(t, RN_EFFECT_VIEW_DEPENDENCE, "view-dependence");
+    r->threshold = VIEW_THRESHOLD;
+    r->on = t->field->config.field.view_dependence;
+    r->decided = !t->field->config.auto_effects;
+    r->number = NAN;
+    snprintf(r->reason, sizeof r->reason, "%s",
+             r->decided ? "as asked for" : "on until measured on the field after its warm-up");
+}
+
+// Switches off what the data does not call for, before anything is allocated for it.
+void rn_trainer_detect_effects(struct rn_trainer *t) {
+    struct rn_train_config *config = &t->field->config;
+    detect_background(t);
+    detect_footprints(t);
+    detect_view_dependence(t);
+    if (!t->field->effects[RN_EFFECT_BACKGROUND].on) {
+        config->carve = false;
+        memset(config->background, 0, sizeof config->background);
+    }
+    bool anisotropy = t->field->effects[RN_EFFECT_ANISOTROPY].on;
+    if (config->auto_effects && config->field.footprint == RN_FOOTPRINT_RIP && !anisotropy)
+        config->field.footprint = t->field->cpu.config.footprint = RN_FOOTPRINT_MIP;
+}
+
+// RMS change of the colours of training rays when another camera's direction is put into the
+// colour network in place of their own.
+static double direction_change(struct rn_trainer *t) {
+    struct rn_march_options options = t->march;
+    double sum = 0;
+    int hits = 0;
+    for (int i = 0; i < PROBES; i++) {
+        struct rn_rng4 draw = rn_rng_draw(t->field->config.seed, 0x76696577u, (uint64_t)i);
+        const struct rn_pixel_frame *f =
+            &t->train.frames[rn_rng_below(draw.v[0], (uint32_t)t->train.frame_count)];
+        const struct rn_pixel_frame *g =
+            &t->train.frames[rn_rng_below(draw.v[3], (uint32_t)t->train.frame_count)];
+        int x = (int)rn_rng_below(draw.v[1], (uint32_t)f->frame->camera.width);
+        int y = (int)rn_rng_below(draw.v[2], (uint32_t)f->frame->camera.height);
+        struct rn_march_ray ray = rn_trainer_ray(t, &t->train, f, x, y, 0);
+        float look[3];
+        for (int k = 0; k < 3; k++)
+            look[k] = (float)g->frame->camera.world_from_camera[k][2];
+        struct rn_pixel own, other;
+        struct rn_workspace *w = rn_engine_workspace(t->engine, 0);
+        options.look = NULL;
+        t->engine->kernels->render(&t->field->cpu, &options, &ray, 1, w, &own);
+        if (own.alpha < 0.5f) continue;
+        options.look = look;
+        t->engine->kernels->render(&t->field->cpu, &options, &ray, 1, w, &other);
+        for (int k = 0; k < 3; k++)
+            sum += pow(fmin(fmax(own.rgb[k], 0), 1) - fmin(fmax(other.rgb[k], 0), 1), 2) / 3;
+        hits++;
+    }
+    return hits > 0 ? sqrt(sum / hits) : 0;
+}
+
+void rn_trainer_decide_view_dependence(struct rn_trainer *t) {
+    struct rn_effect_record *r = &t->field->effects[RN_EFFECT_VIEW_DEPENDENCE];
+    if (r->decided) return;
+    r->decided = true;
+    r->number = direction_change(t);
+    r->on = r->number > r->threshold;
+    snprintf(r->reason, sizeof r->reason,
+             "another camera's direction changes the colours by %.2f/255 RMS (noise: %.0f/255)",
+             255 * r->number, 255 * r->threshold);
+    t->field->config.field.view_dependence = t->field->cpu.config.view_dependence = r->on;
+}

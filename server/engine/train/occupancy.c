@@ -1,0 +1,182 @@
+// The occupancy grid in training: carving from alpha, and the decayed maximum of density.
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "common/math/rng.h"
+#include "server/engine/field/occupancy.h"
+#include "server/engine/field/volume.h"
+#include "server/engine/train/trainer.h"
+
+#define STREAM_OCCUPANCY 0x6f63637570000000u
+#define CHUNK 2048 // cells a task
+
+// ---- hull -----------------------------------------------------------------------------------
+
+enum rn_status rn_trainer_list_hull(struct rn_trainer *t, struct rn_error *err) {
+    struct rn_field *field = t->field;
+    size_t cells = (size_t)field->config.field.occupancy, n = cells * cells * cells;
+    field->hull_cells = 0;
+    for (size_t i = 0; i < n; i++)
+        field->hull_cells += field->hull[i];
+    free(t->hull_list);
+    t->hull_list = malloc((field->hull_cells + 1) * sizeof *t->hull_list);
+    if (!t->hull_list) return rn_error_set(err, RN_ERROR_NO_MEMORY, "occupancy", "out of memory");
+    t->hull_count = 0;
+    for (size_t i = 0; i < n; i++)
+        if (field->hull[i]) t->hull_list[t->hull_count++] = (uint32_t)i;
+    return RN_OK;
+}
+
+// ---- carving --------------------------------------------------------------------------------
+
+// One photograph as the carver sees it: how many pixels with alpha lie above and left of (x, y).
+struct silhouette {
+    const struct rn_camera *camera;
+    uint32_t *table; // (width + 1) * (height + 1)
+};
+
+static void fill_table(struct silhouette *s, const uint8_t *rgba) {
+    int w = s->camera->width, h = s->camera->height;
+    memset(s->table, 0, (size_t)(w + 1) * sizeof *s->table);
+    for (int y = 0; y < h; y++) {
+        uint32_t row = 0, *above = s->table + (size_t)y * (w + 1), *line = above + w + 1;
+        line[0] = 0;
+        for (int x = 0; x < w; x++) {
+            row += rgba[((size_t)y * w + x) * 4 + 3] > 0;
+            line[x + 1] = above[x + 1] + row;
+        }
+    }
+}
+
+static int clamp_int(double v, int low, int high) {
+    return v < low ? low : v > high ? high : (int)v;
+}
+
+// Whether the ball around a point (dataset units) projects wholly inside the image onto pixels
+// without alpha. Anything in doubt is kept.
+static bool sees_nothing(const struct silhouette *s, const double centre[3], double radius) {
+    const struct rn_camera *c = s->camera;
+    double p[3];
+    for (int i = 0; i < 3; i++) {
+        p[i] = 0;
+        for (int j = 0; j < 3; j++)
+            p[i] += c->world_from_camera[j][i] * (centre[j] - c->world_from_camera[j][3]);
+    }
+    double nearest = p[2] - radius;
+    if (nearest <= radius) return false;
+    double x = p[0] / p[2] * c->fx + c->cx, y = p[1] / p[2] * c->fy + c->cy;
+    // A ball's image reaches at most f r sqrt(1 + tan^2) / nearest from its centre's image.
+    double slope = sqrt(1 + (p[0] * p[0] + p[1] * p[1]) / (p[2] * p[2]));
+    double rx = c->fx * radius * slope / nearest + 1, ry = c->fy * radius * slope / nearest + 1;
+    if (x - rx < 0 || y - ry < 0 || x + rx > c->width || y + ry > c->height) return false;
+    int x0 = clamp_int(floor(x - rx), 0, c->width), x1 = clamp_int(ceil(x + rx), 0, c->width);
+    int y0 = clamp_int(floor(y - ry), 0, c->height), y1 = clamp_int(ceil(y + ry), 0, c->height);
+    size_t stride = (size_t)c->width + 1;
+    const uint32_t *top = s->table + (size_t)y0 * stride, *bottom = s->table + (size_t)y1 * stride;
+    return bottom[x1] - bottom[x0] - top[x1] + top[x0] == 0;
+}
+
+struct carving {
+    struct rn_trainer *trainer;
+    struct silhouette silhouette;
+};
+
+static void cell_centre(const struct rn_trainer *t, double x, double y, double z, double ret[3]) {
+    double at[3] = {x, y, z}, cells = t->field->config.field.occupancy;
+    for (int i = 0; i < 3; i++)
+        ret[i] = t->field->bounds.centre[i] + t->field->bounds.radius * (2 * at[i] / cells - 1);
+}
+
+// Carves the bricks of one layer: whole bricks first, then their cells.
+static void carve_layer(void *context, int layer, int thread) {
+    (void)thread;
+    const struct carving *carving = context;
+    struct rn_trainer *t = carving->trainer;
+    int cells = t->field->config.field.occupancy, bricks = cells / RN_BRICK;
+    double cell_radius = 1.7320508 * t->field->bounds.radius / cells, centre[3];
+    for (int b = 0; b < bricks * bricks; b++) {
+        int x0 = layer * RN_BRICK, y0 = b / bricks * RN_BRICK, z0 = b % bricks * RN_BRICK;
+        cell_centre(t, x0 + 4, y0 + 4, z0 + 4, centre);
+        bool all = sees_nothing(&carving->silhouette, centre, cell_radius * RN_BRICK);
+        for (int i = 0; i < RN_BRICK * RN_BRICK * RN_BRICK; i++) {
+            int x = x0 + i / 64, y = y0 + i / 8 % 8, z = z0 + i % 8;
+            uint8_t *keep = &t->field->hull[rn_cell_index(x, y, z, cells)];
+            if (!*keep) continue;
+            cell_centre(t, x + 0.5, y + 0.5, z + 0.5, centre);
+            if (all || sees_nothing(&carving->silhouette, centre, cell_radius)) *keep = 0;
+        }
+    }
+}
+
+void rn_trainer_carve(struct rn_trainer *t) {
+    size_t largest = 0;
+    for (int f = 0; f < t->train.frame_count; f++) {
+        const struct rn_camera *c = &t->train.frames[f].frame->camera;
+        size_t n = (size_t)(c->width + 1) * (size_t)(c->height + 1);
+        if (n > largest) largest = n;
+    }
+    struct carving carving = {.trainer = t};
+    carving.silhouette.table = malloc(largest * sizeof(uint32_t));
+    if (!carving.silhouette.table) return; // carving only saves time
+    int finest = t->train.scale_count > 1 ? t->train.scale_first[1] : t->train.frame_count;
+    for (int f = 0; f < finest; f++) {
+        const struct rn_pixel_frame *frame = &t->train.frames[f];
+        if (!frame->frame->has_alpha) continue;
+        carving.silhouette.camera = &frame->frame->camera;
+        fill_table(&carving.silhouette, t->train.rgba + 4 * frame->offset);
+        rn_pool_run(t->engine->pool, t->field->config.field.occupancy / RN_BRICK, carve_layer,
+                    &carving);
+    }
+    free(carving.silhouette.table);
+    int cells = t->field->config.field.occupancy;
+    for (size_t i = 0; i < (size_t)cells * cells * cells; i++)
+        if (!t->field->hull[i]) t->field->occupancy[i] = 0;
+}
+
+// ---- measuring ------------------------------------------------------------------------------
+
+struct measurement {
+    struct rn_trainer *trainer;
+    size_t first, stride, count; // cells hull_list[first + i * stride]
+    float level;
+};
+
+static void measure_chunk(void *context, int index, int thread) {
+    const struct measurement *m = context;
+    struct rn_trainer *t = m->trainer;
+    const struct rn_train_config *config = &t->field->config;
+    int cells = config->field.occupancy, n = 0;
+    uint32_t at[CHUNK];
+    float points[CHUNK][3], density[CHUNK];
+    for (size_t i = (size_t)index * CHUNK; i < m->count && n < CHUNK; i++, n++) {
+        uint32_t cell = at[n] = t->hull_list[m->first + i * m->stride];
+        struct rn_rng4 draw =
+            rn_rng_draw(config->seed, STREAM_OCCUPANCY + cell, (uint64_t)t->progress.step);
+        uint32_t z = cell % (uint32_t)cells, y = cell / (uint32_t)cells % (uint32_t)cells;
+        uint32_t x = cell / (uint32_t)cells / (uint32_t)cells, index3[3] = {x, y, z};
+        for (int k = 0; k < 3; k++)
+            points[n][k] = ((float)index3[k] + rn_rng_unit(draw.v[k])) * 2 / (float)cells - 1;
+    }
+    t->engine->kernels->density(&t->field->cpu, points, n, m->level,
+                                rn_engine_workspace(t->engine, thread), density);
+    for (int i = 0; i < n; i++) {
+        float value = density[i] * (float)(config->step * RN_DENSITY_UNIT);
+        float old = t->field->occupancy[at[i]] * (float)RN_OCCUPANCY_DECAY;
+        t->field->occupancy[at[i]] = value > old ? value : old;
+    }
+}
+
+void rn_trainer_update_occupancy(struct rn_trainer *t) {
+    const struct rn_field_config *c = &t->field->config.field;
+    int64_t round = t->progress.step / RN_OCCUPANCY_EVERY;
+    bool all = t->progress.step < RN_OCCUPANCY_WARM_UP && !t->field->config.carve;
+    struct measurement m = {.trainer = t, .stride = all ? 1 : 4};
+    m.first = all ? 0 : (size_t)(round % 4);
+    if (t->hull_count <= m.first) return;
+    m.count = (t->hull_count - m.first + m.stride - 1) / m.stride;
+    float level = log2f((float)c->base / (float)c->occupancy);
+    m.level = level > 0 ? level : 0;
+    rn_pool_run(t->engine->pool, (int)((m.count + CHUNK - 1) / CHUNK), measure_chunk, &m);
+    rn_field_refresh_occupancy(t->field);
+}

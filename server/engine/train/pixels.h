@@ -1,0 +1,40 @@
+// Decoded photographs, kept compactly: 8-bit RGBA, one block.
+#ifndef RN_ENGINE_TRAIN_PIXELS_H
+#define RN_ENGINE_TRAIN_PIXELS_H
+
+#include "server/engine/cpu/pool.h"
+#include "server/engine/engine.h"
+
+struct rn_pixel_frame {
+    const struct rn_frame *frame;
+    size_t offset; // of its first pixel in `rgba`, in pixels
+    size_t before; // pixels of the frames of the same scale before this one
+};
+
+// Frames ordered by scale. Thread-safety: immutable once loaded. Owner: rn_pixels_finish.
+struct rn_pixels {
+    struct rn_pixel_frame *frames;
+    int frame_count;
+    int scale_count;
+    int scale_first[16];     // first frame of each scale
+    size_t scale_pixels[16]; // pixels of each scale
+    size_t pixel_count;
+    uint8_t *rgba; // straight alpha
+};
+
+// Chooses frames by `wanted` (called once a frame of the dataset, in order) and decodes them in
+// parallel. RN_ERROR_LIMIT when the pixels exceed limit_bytes (0 = none); errors of a file name it.
+enum rn_status rn_pixels_load(const struct rn_dataset *dataset,
+                              bool (*wanted)(void *context, const struct rn_frame *frame),
+                              void *context, struct rn_pool *pool, size_t limit_bytes,
+                              struct rn_pixels *ret_pixels, struct rn_error *err) RN_MUST_CHECK;
+void rn_pixels_finish(struct rn_pixels *pixels);
+
+// Pixel (x, y) of a frame over a background, in [0, 1].
+static inline void rn_pixel_over(const uint8_t rgba[4], const float background[3], float rgb[3]) {
+    float alpha = (float)rgba[3] * (1 / 255.0f);
+    for (int c = 0; c < 3; c++)
+        rgb[c] = (float)rgba[c] * (1 / 255.0f) * alpha + (1 - alpha) * background[c];
+}
+
+#endif

@@ -1,0 +1,338 @@
+// One training step: rays, waves of forward and backward, the update.
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "common/math/rng.h"
+#include "server/engine/field/volume.h"
+#include "server/engine/train/trainer.h"
+
+#define STREAM_RAYS 0x7261797300000000u // random numbers of the ray batch, one stream a step
+
+// ---- memory ---------------------------------------------------------------------------------
+
+static size_t slab_numbers(const struct rn_trainer *t, size_t capacity) {
+    size_t per_plane = 4 + (size_t)t->field->config.field.channels;
+    return (capacity + RN_PACKET_SLACK) * per_plane * (size_t)t->field->config.field.planes;
+}
+
+static float *slab_lay_out(const struct rn_trainer *t, struct rn_slab *slab, float *at) {
+    size_t n = (size_t)slab->capacity + RN_PACKET_SLACK;
+    const struct rn_field_config *c = &t->field->config.field;
+    for (int p = 0; p < c->planes; p++) {
+        slab->u[p] = at;
+        slab->v[p] = at + n;
+        slab->lx[p] = at + 2 * n;
+        slab->ly[p] = at + 3 * n;
+        slab->grad[p] = at + 4 * n;
+        at += n * (4 + (size_t)c->channels);
+    }
+    return at;
+}
+
+static enum rn_status allocate_groups(struct rn_trainer *t) {
+    const struct rn_parameters *p = &t->field->parameters;
+    int capacity = 2 * rn_engine_workspace(t->engine, 0)->capacity;
+    size_t networks = p->base_count + p->head_count;
+    size_t numbers = RN_GROUPS * (slab_numbers(t, (size_t)capacity) + networks);
+    t->group_memory = calloc(numbers, sizeof(float));
+    if (!t->group_memory) return RN_ERROR_NO_MEMORY;
+    float *at = t->group_memory;
+    for (int g = 0; g < RN_GROUPS; g++) {
+        t->groups[g].slab.capacity = capacity;
+        at = slab_lay_out(t, &t->groups[g].slab, at);
+        t->groups[g].base_grad = at;
+        t->groups[g].head_grad = at + p->base_count;
+        at += networks;
+    }
+    return RN_OK;
+}
+
+// Bands of rows: four a plane, each a whole number of the coarsest level's rows; one where the
+// size does not divide.
+static int choose_bands(const struct rn_trainer *t) {
+    int base = t->field->config.field.base, unit = 1 << (t->field->cpu.built_levels - 1);
+    return base % (4 * unit) == 0 ? 4 : 1;
+}
+
+enum rn_status rn_trainer_allocate(struct rn_trainer *t, struct rn_error *err) {
+    const struct rn_field_config *c = &t->field->config.field;
+    size_t count = t->field->parameters.count + 64;
+    size_t pyramid = rn_pyramid_count(c, t->field->cpu.built_levels) * (size_t)c->planes;
+    t->bands = choose_bands(t);
+    t->blocks_per_row = (size_t)c->base / RN_BLOCK + 1;
+    t->grad = calloc(3 * count, sizeof(float));
+    t->grad_pyramid = calloc(pyramid + 64, sizeof(float));
+    t->touched = calloc((size_t)c->planes * ((size_t)c->base + 1) * t->blocks_per_row, 1);
+    t->rays = malloc(RN_MAX_RAYS * sizeof *t->rays);
+    if (!t->grad || !t->grad_pyramid || !t->touched || !t->rays || allocate_groups(t) != RN_OK)
+        return rn_error_set(err, RN_ERROR_NO_MEMORY, "trainer", "out of memory");
+    t->m = t->grad + count;
+    t->v = t->m + count;
+    rn_pyramid_lay_out(c, t->field->cpu.built_levels, t->grad, t->grad_pyramid, t->grad_maps);
+    return RN_OK;
+}
+
+// ---- rays -----------------------------------------------------------------------------------
+
+struct rn_march_ray rn_trainer_ray(const struct rn_trainer *t, const struct rn_pixels *pixels,
+                                   const struct rn_pixel_frame *frame, int x, int y,
+                                   double offset) {
+    const struct rn_camera *camera = &frame->frame->camera;
+    struct rn_ray ray = rn_camera_ray(camera, x + 0.5, y + 0.5);
+    struct rn_march_ray out = rn_march_ray_from(&ray, &t->field->bounds, offset);
+    const uint8_t *rgba =
+        pixels->rgba + 4 * (frame->offset + (size_t)y * (size_t)camera->width + (size_t)x);
+    rn_pixel_over(rgba, t->field->config.background, out.target);
+    return out;
+}
+
+// The frame of a scale that holds the scale's i-th pixel.
+static const struct rn_pixel_frame *frame_of(const struct rn_pixels *p, int scale, size_t i) {
+    int low = p->scale_first[scale];
+    int high = scale + 1 < p->scale_count ? p->scale_first[scale + 1] : p->frame_count;
+    while (high - low > 1) {
+        int middle = (low + high) / 2;
+        if (p->frames[middle].before <= i)
+            low = middle;
+        else
+            high = middle;
+    }
+    return &p->frames[low];
+}
+
+// Uniform in [0, n) from 64 random bits, n < 2^53.
+static size_t below(uint64_t wide, size_t n) {
+    return (size_t)((double)(wide >> 11) * 0x1p-53 * (double)n);
+}
+
+// Ray r of this step: a pixel drawn uniformly, or evenly over scales.
+static struct rn_march_ray draw_ray(const struct rn_trainer *t, int r) {
+    const struct rn_train_config *config = &t->field->config;
+    struct rn_rng4 draw =
+        rn_rng_draw(config->seed, STREAM_RAYS | (uint32_t)r, (uint64_t)t->progress.step);
+    uint64_t wide = (uint64_t)draw.v[0] << 32 | draw.v[1];
+    int scale = 0;
+    size_t pixel;
+    if (config->equal_scales) {
+        scale = r % t->train.scale_count;
+        pixel = below(wide, t->train.scale_pixels[scale]);
+    } else {
+        pixel = below(wide, t->train.pixel_count);
+        while (pixel >= t->train.scale_pixels[scale])
+            pixel -= t->train.scale_pixels[scale++];
+    }
+    const struct rn_pixel_frame *frame = frame_of(&t->train, scale, pixel);
+    size_t within = pixel - frame->before, width = (size_t)frame->frame->camera.width;
+    double offset = (double)rn_rng_unit(draw.v[2]) * config->step;
+    struct rn_march_ray ray =
+        rn_trainer_ray(t, &t->train, frame, (int)(within % width), (int)(within / width), offset);
+    ray.weight = config->equal_scales ? 1 : (float)frame->frame->loss_weight;
+    ray.id = (uint32_t)r;
+    return ray;
+}
+
+// ---- waves ----------------------------------------------------------------------------------
+
+static void forward_backward(void *context, int index, int thread) {
+    struct rn_trainer *t = context;
+    struct rn_group *group = &t->groups[index];
+    if (group->cursor == group->end) return;
+    int first = (int)((int64_t)t->ray_count * index / RN_GROUPS);
+    if (group->cursor == first && group->slab.count == 0)
+        for (int r = first; r < group->end; r++)
+            t->rays[r] = draw_ray(t, r);
+    t->engine->kernels->train(&t->field->cpu, &t->march, t->rays,
+                              rn_engine_workspace(t->engine, thread), group);
+}
+
+static bool leveled(const struct rn_trainer *t) {
+    return t->field->cpu.built_levels > 1;
+}
+
+static void scatter_band(void *context, int index, int thread) {
+    (void)thread;
+    struct rn_trainer *t = context;
+    int plane = index / t->bands, band = index % t->bands, base = t->field->config.field.base;
+    uint8_t *touched = t->touched + (size_t)plane * ((size_t)base + 1) * t->blocks_per_row;
+    for (int g = 0; g < RN_GROUPS; g++)
+        if (t->groups[g].slab.count > 0)
+            t->engine->kernels->scatter(&t->field->cpu, &t->groups[g].slab, plane, leveled(t),
+                                        base * band / t->bands, base * (band + 1) / t->bands,
+                                        t->grad_maps[plane], touched);
+}
+
+void rn_trainer_begin_step(struct rn_trainer *t) {
+    const struct rn_train_config *config = &t->field->config;
+    const struct rn_parameters *p = &t->field->parameters;
+    t->stepping = true;
+    t->ray_count = t->next_rays;
+    t->march = (struct rn_march_options){.step = (float)config->step,
+                                         .stop_depth = (float)-log(config->stop),
+                                         .roulette = (float)config->roulette,
+                                         .seed = config->seed,
+                                         .counter = (uint64_t)t->progress.step};
+    memcpy(t->march.background, config->background, sizeof config->background);
+    for (int g = 0; g < RN_GROUPS; g++) {
+        struct rn_group *group = &t->groups[g];
+        struct rn_slab slab = group->slab;
+        slab.count = 0;
+        *group = (struct rn_group){
+            .slab = slab, .base_grad = group->base_grad, .head_grad = group->head_grad};
+        group->cursor = (int)((int64_t)t->ray_count * g / RN_GROUPS);
+        group->end = (int)((int64_t)t->ray_count * (g + 1) / RN_GROUPS);
+        memset(group->base_grad, 0, (p->base_count + p->head_count) * sizeof(float));
+    }
+}
+
+// ---- update ---------------------------------------------------------------------------------
+
+struct update {
+    struct rn_trainer *trainer;
+    struct rn_adamw planes;
+};
+
+static void pull_down_plane(void *context, int plane, int thread) {
+    (void)thread;
+    struct rn_trainer *t = context;
+    const struct rn_field_config *c = &t->field->config.field;
+    t->engine->kernels->pull_down(t->grad_maps[plane], t->field->cpu.built_levels,
+                                  c->footprint == RN_FOOTPRINT_MIP, c->channels);
+}
+
+static void update_band(void *context, int index, int thread) {
+    (void)thread;
+    const struct update *u = context;
+    struct rn_trainer *t = u->trainer;
+    const struct rn_field_config *c = &t->field->config.field;
+    int plane = index / t->bands, band = index % t->bands;
+    bool dense = !t->field->config.sparse || leveled(t);
+    size_t row_size = (size_t)c->base * (size_t)c->channels;
+    size_t block_size = (size_t)RN_BLOCK * (size_t)c->channels;
+    for (int row = c->base * band / t->bands; row < c->base * (band + 1) / t->bands; row++) {
+        size_t at = ((size_t)plane * c->base + (size_t)row) * row_size;
+        uint8_t *marks =
+            t->touched + ((size_t)plane * (c->base + 1) + (size_t)row) * t->blocks_per_row;
+        float *values = t->field->parameters.values;
+        for (size_t b = 0; b * block_size < row_size; b++) {
+            if (!dense && !marks[b]) continue;
+            marks[b] = 0;
+            size_t i = at + b * block_size;
+            size_t n =
+                row_size - b * block_size < block_size ? row_size - b * block_size : block_size;
+            t->engine->kernels->adamw(&u->planes, n, values + i, t->grad + i, t->m + i, t->v + i);
+        }
+    }
+}
+
+// Adds the groups' gradients in order into the first; false when anything is not finite.
+static bool sum_groups(struct rn_trainer *t, double *ret_loss, double *ret_weight) {
+    const struct rn_parameters *p = &t->field->parameters;
+    size_t n = p->base_count + p->head_count;
+    float *sum = t->grad + p->plane_count;
+    double loss = 0, weight = 0, check = 0;
+    for (int g = 0; g < RN_GROUPS; g++) {
+        const struct rn_group *group = &t->groups[g];
+        loss += group->loss;
+        weight += group->weight;
+        t->progress.nonfinite_rays += group->nonfinite_rays;
+        for (size_t i = 0; i < n; i++)
+            sum[i] += group->base_grad[i];
+    }
+    for (size_t i = 0; i < n; i++)
+        check += (double)sum[i] * 0;
+    *ret_loss = loss;
+    *ret_weight = weight;
+    return check == 0 && isfinite(loss);
+}
+
+double rn_trainer_fraction(const struct rn_trainer *t) {
+    const struct rn_train_config *config = &t->field->config;
+    double fraction = NAN;
+    if (config->max_steps > 0) fraction = (double)t->progress.step / (double)config->max_steps;
+    if (config->max_seconds > 0)
+        fraction =
+            fmax(isnan(fraction) ? 0 : fraction, t->progress.train_seconds / config->max_seconds);
+    return fraction;
+}
+
+// The paper: x 0.6 at 1/2, 3/4, 5/6, 9/10 of the run. Ours: constant, then an exponential decay to
+// 1/20, made for the time given; without a limit the rate stays.
+static double rate_factor(const struct rn_trainer *t) {
+    double f = rn_trainer_fraction(t);
+    if (isnan(f)) return 1;
+    if (t->field->config.multi_step_rate)
+        return pow(0.6, (f >= 0.5) + (f >= 0.75) + (f >= 5.0 / 6) + (f >= 0.9));
+    double decay = f < 0.2 ? 0 : fmin(1, (f - 0.2) / 0.8);
+    return exp(-3.0 * decay);
+}
+
+static void apply(struct rn_trainer *t, double weight) {
+    const struct rn_train_config *config = &t->field->config;
+    const struct rn_parameters *p = &t->field->parameters;
+    double n = (double)++t->updates, rate = config->learning_rate * rate_factor(t);
+    struct rn_adamw networks = {.scale = (float)(1 / weight),
+                                .rate = (float)rate,
+                                .decay = (float)config->weight_decay,
+                                .eps = (float)config->adam_eps,
+                                .correction1 = (float)-expm1(n * log(0.9)),
+                                .correction2 = (float)-expm1(n * log(0.999))};
+    struct update u = {t, networks};
+    u.planes.rate = (float)(rate * config->plane_rate);
+    if (leveled(t)) rn_pool_run(t->engine->pool, config->field.planes, pull_down_plane, t);
+    rn_pool_run(t->engine->pool, config->field.planes * t->bands, update_band, &u);
+    size_t at = p->plane_count;
+    t->engine->kernels->adamw(&networks, p->base_count + p->head_count, p->values + at,
+                              t->grad + at, t->m + at, t->v + at);
+    t->field->pyramid_stale = true;
+    rn_field_refresh(t->field, t->engine);
+}
+
+static void reject(struct rn_trainer *t) {
+    const struct rn_field_config *c = &t->field->config.field;
+    t->progress.steps_rejected++;
+    memset(t->grad, 0, t->field->parameters.count * sizeof(float));
+    memset(t->grad_pyramid, 0,
+           rn_pyramid_count(c, t->field->cpu.built_levels) * (size_t)c->planes * sizeof(float));
+    memset(t->touched, 0, (size_t)c->planes * ((size_t)c->base + 1) * t->blocks_per_row);
+}
+
+static void count_step(struct rn_trainer *t) {
+    uint64_t samples = 0;
+    for (int g = 0; g < RN_GROUPS; g++) {
+        samples += t->groups[g].samples;
+        for (int l = 0; l < RN_MAX_LEVELS; l++)
+            t->progress.level_samples[l] += t->groups[g].level_samples[l];
+    }
+    t->progress.samples += samples;
+    t->progress.rays += (uint64_t)t->ray_count;
+    t->window_samples += samples;
+    t->window_rays += (uint64_t)t->ray_count;
+    if (samples == 0) return;
+    double next = (double)t->ray_count * t->field->config.target_samples / (double)samples + 1;
+    t->next_rays = next < RN_MIN_RAYS ? RN_MIN_RAYS : next > RN_MAX_RAYS ? RN_MAX_RAYS : (int)next;
+}
+
+static void finish_step(struct rn_trainer *t) {
+    double loss, weight;
+    bool finite = sum_groups(t, &loss, &weight);
+    if (!finite)
+        reject(t);
+    else if (weight > 0)
+        apply(t, weight);
+    if (finite && weight > 0) t->progress.loss = loss / weight;
+    count_step(t);
+    t->stepping = false;
+    t->field->steps = ++t->progress.step;
+}
+
+void rn_trainer_run_wave(struct rn_trainer *t) {
+    rn_pool_run(t->engine->pool, RN_GROUPS, forward_backward, t);
+    rn_pool_run(t->engine->pool, t->field->config.field.planes * t->bands, scatter_band, t);
+    bool complete = true;
+    for (int g = 0; g < RN_GROUPS; g++) {
+        t->groups[g].slab.count = 0;
+        complete &= t->groups[g].cursor == t->groups[g].end;
+    }
+    if (complete) finish_step(t);
+}

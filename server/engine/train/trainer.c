@@ -1,0 +1,367 @@
+// The trainer: set-up, training in blocks, held-out evaluation.
+#include "server/engine/train/trainer.h"
+
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "common/base/clock.h"
+#include "server/engine/checkpoint.h"
+
+#define HELD_OUT_VIEWS 8
+#define WARM_UP_FRACTION 0.3 // of the run, before view dependence is measured
+#define WARM_UP_STEPS 2000   // at most
+
+// ---- which frames ---------------------------------------------------------------------------
+
+struct selection {
+    const struct rn_dataset *dataset;
+    bool train_val;
+    bool held; // the held-out frames rather than the training ones
+};
+
+// Eight evenly spaced validation views, or every 8th training view where there are none.
+static bool is_held_out(const struct rn_dataset *d, const struct rn_frame *frame) {
+    int views = d->view_count[RN_SPLIT_VAL];
+    if (views == 0) return frame->split == RN_SPLIT_TRAIN && frame->index % 8 == 7;
+    if (frame->split != RN_SPLIT_VAL) return false;
+    int held = views < HELD_OUT_VIEWS ? views : HELD_OUT_VIEWS;
+    for (int i = 0; i < held; i++)
+        if (frame->index == i * views / held) return true;
+    return false;
+}
+
+static bool wanted(void *context, const struct rn_frame *frame) {
+    const struct selection *s = context;
+    bool held = is_held_out(s->dataset, frame);
+    if (s->held) return held;
+    return !held &&
+           (frame->split == RN_SPLIT_TRAIN || (s->train_val && frame->split == RN_SPLIT_VAL));
+}
+
+static void describe_held_out(struct rn_trainer *t) {
+    int views = t->dataset->view_count[RN_SPLIT_VAL];
+    int held = t->held.frame_count / (t->held.scale_count > 0 ? t->held.scale_count : 1);
+    if (views > 0)
+        snprintf(t->held_out, sizeof t->held_out, "%d evenly spaced views of %d validation views%s",
+                 held, views, t->field->config.train_val ? ", withheld from training" : "");
+    else
+        snprintf(t->held_out, sizeof t->held_out,
+                 "%d training views (every 8th) withheld: the dataset has no validation split",
+                 held);
+}
+
+static enum rn_status load_pixels(struct rn_trainer *t, size_t limit, struct rn_error *err) {
+    struct selection s = {t->dataset, t->field->config.train_val, false};
+    double start = (double)rn_clock_ns();
+    enum rn_status status =
+        rn_pixels_load(t->dataset, wanted, &s, t->engine->pool, limit, &t->train, err);
+    if (status != RN_OK) return status;
+    if (limit) {
+        size_t used = t->train.pixel_count * 4;
+        limit = limit > used ? limit - used : 1;
+    }
+    s.held = true;
+    status = rn_pixels_load(t->dataset, wanted, &s, t->engine->pool, limit, &t->held, err);
+    if (status == RN_ERROR_INVALID) status = RN_OK; // nothing to hold out
+    describe_held_out(t);
+    t->progress.load_seconds = ((double)rn_clock_ns() - start) * 1e-9;
+    return status;
+}
+
+// ---- set-up ---------------------------------------------------------------------------------
+
+static int training_levels(const struct rn_trainer *t) {
+    int levels = 1;
+    for (int f = 0; f < t->train.frame_count; f++) {
+        int need = rn_levels_for_camera(t->field, &t->train.frames[f].frame->camera,
+                                        t->field->config.step);
+        if (need > levels) levels = need;
+    }
+    return levels < t->field->config.field.levels ? levels : t->field->config.field.levels;
+}
+
+// Everything that follows from the pixels and the configuration.
+static enum rn_status set_up(struct rn_trainer *t, struct rn_error *err) {
+    enum rn_status status = rn_field_need_levels(t->field, training_levels(t), err);
+    if (status == RN_OK) status = rn_engine_prepare(t->engine, t->field, err);
+    if (status == RN_OK) status = rn_trainer_allocate(t, err);
+    return status;
+}
+
+static enum rn_status check_memory(const struct rn_trainer *t, const struct rn_train_config *config,
+                                   size_t limit, size_t *ret_left, struct rn_error *err) {
+    size_t need = 4 * rn_field_bytes(config, 1) + RN_MAX_RAYS * sizeof(struct rn_march_ray);
+    *ret_left = 0;
+    if (!limit) return RN_OK;
+    if (need >= limit)
+        return rn_error_set(err, RN_ERROR_LIMIT, t->dataset->name,
+                            "training needs %zu MiB besides the pixels and the limit is %zu MiB; "
+                            "use fewer planes or a smaller base",
+                            need >> 20, limit >> 20);
+    *ret_left = limit - need;
+    return RN_OK;
+}
+
+static enum rn_status start(struct rn_engine *engine, const struct rn_dataset *dataset,
+                            const struct rn_train_config *config, struct rn_trainer **ret_trainer,
+                            struct rn_error *err) {
+    struct rn_trainer *t = calloc(1, sizeof *t);
+    if (!t) return rn_error_set(err, RN_ERROR_NO_MEMORY, "trainer", "out of memory");
+    t->engine = engine;
+    t->dataset = dataset;
+    t->next_rays = config->initial_rays;
+    t->progress.psnr = t->progress.eta_seconds = t->progress.fraction = NAN;
+    enum rn_status status = rn_field_create(config, &dataset->bounds, &t->field, err);
+    if (status != RN_OK) {
+        rn_trainer_destroy(&t);
+        return status;
+    }
+    snprintf(t->field->kernels, sizeof t->field->kernels, "%s", engine->kernels->name);
+    *ret_trainer = t;
+    return RN_OK;
+}
+
+enum rn_status rn_trainer_create(struct rn_engine *engine, const struct rn_dataset *dataset,
+                                 const struct rn_train_config *config, size_t memory_limit_bytes,
+                                 struct rn_trainer **ret_trainer, struct rn_error *err) {
+    struct rn_trainer *t = NULL;
+    size_t left;
+    enum rn_status status = rn_train_config_check(config, err);
+    if (status == RN_OK) status = start(engine, dataset, config, &t, err);
+    if (status == RN_OK) status = check_memory(t, config, memory_limit_bytes, &left, err);
+    if (status == RN_OK) status = load_pixels(t, left, err);
+    if (status != RN_OK) goto fail;
+    double begin = (double)rn_clock_ns();
+    rn_trainer_detect_effects(t);
+    rn_field_randomise(t->field, config->seed);
+    status = set_up(t, err);
+    if (status != RN_OK) goto fail;
+    if (t->field->config.carve) rn_trainer_carve(t);
+    status = rn_trainer_list_hull(t, err);
+    if (status != RN_OK) goto fail;
+    rn_field_refresh(t->field, engine);
+    rn_field_refresh_occupancy(t->field);
+    t->progress.train_seconds = ((double)rn_clock_ns() - begin) * 1e-9;
+    *ret_trainer = t;
+    return RN_OK;
+fail:
+    rn_trainer_destroy(&t);
+    return status;
+}
+
+enum rn_status rn_trainer_restore(struct rn_engine *engine, const struct rn_dataset *dataset,
+                                  const char *checkpoint_path, size_t memory_limit_bytes,
+                                  struct rn_trainer **ret_trainer, struct rn_error *err) {
+    struct rn_trainer *t = NULL;
+    struct rn_checkpoint checkpoint;
+    size_t left;
+    enum rn_status status = rn_checkpoint_open(checkpoint_path, &checkpoint, err);
+    if (status != RN_OK) return status;
+    const struct rn_kernels *kernels = rn_kernels_find(checkpoint.kernels);
+    if (!kernels) {
+        status = rn_error_set(err, RN_ERROR_UNSUPPORTED, checkpoint_path,
+                              "was trained with the kernel set '%s', which this machine lacks; "
+                              "train a new scene",
+                              checkpoint.kernels);
+        goto fail;
+    }
+    engine->kernels = kernels;
+    status = start(engine, dataset, &checkpoint.config, &t, err);
+    if (status == RN_OK)
+        status = check_memory(t, &checkpoint.config, memory_limit_bytes, &left, err);
+    if (status == RN_OK) status = load_pixels(t, left, err);
+    if (status == RN_OK) status = set_up(t, err);
+    if (status == RN_OK) status = rn_checkpoint_read_trainer(&checkpoint, t, err);
+    if (status == RN_OK) status = rn_trainer_list_hull(t, err);
+    if (status != RN_OK) goto fail;
+    rn_field_refresh(t->field, engine);
+    rn_field_refresh_occupancy(t->field);
+    rn_checkpoint_close(&checkpoint);
+    *ret_trainer = t;
+    return RN_OK;
+fail:
+    rn_checkpoint_close(&checkpoint);
+    rn_trainer_destroy(&t);
+    return status;
+}
+
+void rn_trainer_destroy(struct rn_trainer **trainer) {
+    struct rn_trainer *t = *trainer;
+    if (!t) return;
+    if (t->field && t->engine->prepared == t->field) t->engine->prepared = NULL;
+    rn_field_destroy(&t->field);
+    rn_pixels_finish(&t->train);
+    rn_pixels_finish(&t->held);
+    free(t->grad);
+    free(t->grad_pyramid);
+    free(t->touched);
+    free(t->rays);
+    free(t->group_memory);
+    free(t->hull_list);
+    free(t);
+    *trainer = NULL;
+}
+
+// ---- training -------------------------------------------------------------------------------
+
+static bool reached_limit(const struct rn_trainer *t) {
+    const struct rn_train_config *config = &t->field->config;
+    if (config->until_psnr > 0 && t->progress.psnr >= config->until_psnr) return true;
+    return rn_trainer_fraction(t) >= 1;
+}
+
+static void before_step(struct rn_trainer *t) {
+    int64_t step = t->progress.step;
+    double fraction = rn_trainer_fraction(t);
+    if (step >= WARM_UP_STEPS || fraction >= WARM_UP_FRACTION) rn_trainer_decide_view_dependence(t);
+    if (step % RN_OCCUPANCY_EVERY == 0) rn_trainer_update_occupancy(t);
+}
+
+static void update_rates(struct rn_trainer *t, double seconds) {
+    t->window_seconds += seconds;
+    if (t->window_seconds < 0.5) return;
+    t->progress.rays_per_second = (double)t->window_rays / t->window_seconds;
+    t->progress.samples_per_second = (double)t->window_samples / t->window_seconds;
+    t->window_seconds = 0;
+    t->window_rays = t->window_samples = 0;
+}
+
+static void run_block(struct rn_trainer *t) {
+    double begin = (double)rn_clock_ns();
+    if (!t->stepping) {
+        before_step(t);
+        rn_trainer_begin_step(t);
+    }
+    rn_trainer_run_wave(t);
+    double seconds = ((double)rn_clock_ns() - begin) * 1e-9;
+    t->progress.train_seconds += seconds;
+    t->field->train_seconds = t->progress.train_seconds;
+    update_rates(t, seconds);
+}
+
+enum rn_status rn_trainer_advance(struct rn_trainer *t, double budget_ms, struct rn_error *err) {
+    int64_t until = rn_clock_ns() + (int64_t)(budget_ms * 1e6);
+    enum rn_status status = rn_engine_prepare(t->engine, t->field, err);
+    if (status != RN_OK) return status;
+    do {
+        if (!t->stepping && reached_limit(t)) {
+            t->progress.done = true;
+            return RN_OK;
+        }
+        run_block(t);
+        if (t->progress.steps_rejected > 100 && t->updates == 0)
+            return rn_error_set(err, RN_ERROR_NUMERIC, t->dataset->name,
+                                "every training step was rejected: losses are not finite");
+    } while (rn_clock_ns() < until);
+    return RN_OK;
+}
+
+void rn_trainer_progress(const struct rn_trainer *t, struct rn_progress *ret_progress) {
+    *ret_progress = t->progress;
+    double f = rn_trainer_fraction(t), spent = t->progress.train_seconds;
+    ret_progress->fraction = f > 1 ? 1 : f;
+    ret_progress->eta_seconds = f > 0 ? fmax(0, spent / f - spent) : NAN;
+    if (t->field->config.max_seconds > 0)
+        ret_progress->eta_seconds =
+            fmin(isnan(ret_progress->eta_seconds) ? 1e30 : ret_progress->eta_seconds,
+                 fmax(0, t->field->config.max_seconds - spent));
+    ret_progress->done = t->progress.done || (!t->stepping && reached_limit(t));
+}
+
+// ---- held-out evaluation --------------------------------------------------------------------
+
+struct validate_block {
+    struct rn_trainer *trainer;
+    const struct rn_pixel_frame *frame;
+    size_t first, count;
+    struct rn_march_options march;
+    double squares[RN_VALIDATE_BLOCK / RN_PACKET_RAYS];
+};
+
+static void validate_packet(void *context, int index, int thread) {
+    struct validate_block *b = context;
+    struct rn_trainer *t = b->trainer;
+    struct rn_march_ray rays[RN_PACKET_RAYS];
+    struct rn_pixel pixels[RN_PACKET_RAYS];
+    size_t first = b->first + (size_t)index * RN_PACKET_RAYS,
+           width = (size_t)b->frame->frame->camera.width;
+    int n = 0;
+    for (; n < RN_PACKET_RAYS && first + (size_t)n < b->first + b->count; n++) {
+        size_t i = first + (size_t)n;
+        rays[n] = rn_trainer_ray(t, &t->held, b->frame, (int)(i % width), (int)(i / width), 0);
+    }
+    t->engine->kernels->render(&t->field->cpu, &b->march, rays, n,
+                               rn_engine_workspace(t->engine, thread), pixels);
+    double sum = 0;
+    for (int i = 0; i < n; i++)
+        for (int c = 0; c < 3; c++) {
+            double d = fmin(fmax((double)pixels[i].rgb[c], 0), 1) - (double)rays[i].target[c];
+            sum += d * d;
+        }
+    b->squares[index] = sum;
+}
+
+static void validate_next(struct rn_trainer *t) {
+    struct rn_validation *v = &t->validation;
+    const struct rn_train_config *config = &t->field->config;
+    struct validate_block b = {.trainer = t, .frame = &t->held.frames[v->frame], .first = v->pixel};
+    size_t pixels = (size_t)b.frame->frame->camera.width * (size_t)b.frame->frame->camera.height;
+    b.count = pixels - v->pixel < RN_VALIDATE_BLOCK ? pixels - v->pixel : RN_VALIDATE_BLOCK;
+    b.march = (struct rn_march_options){.step = (float)config->step,
+                                        .stop_depth = (float)-log(config->stop)};
+    memcpy(b.march.background, config->background, sizeof config->background);
+    int packets = (int)((b.count + RN_PACKET_RAYS - 1) / RN_PACKET_RAYS);
+    rn_pool_run(t->engine->pool, packets, validate_packet, &b);
+    for (int i = 0; i < packets; i++)
+        v->squares += b.squares[i];
+    v->pixel += b.count;
+    if (v->pixel < pixels) return;
+    v->psnr_sum += -10 * log10(fmax(v->squares / (3.0 * (double)pixels), 1e-10));
+    v->squares = 0;
+    v->pixel = 0;
+    v->frame++;
+}
+
+enum rn_status rn_trainer_validate(struct rn_trainer *t, double budget_ms, bool *ret_done,
+                                   struct rn_error *err) {
+    int64_t begin = rn_clock_ns(), until = begin + (int64_t)(budget_ms * 1e6);
+    struct rn_validation *v = &t->validation;
+    *ret_done = t->held.frame_count == 0;
+    if (*ret_done) return RN_OK;
+    enum rn_status status = rn_engine_prepare(t->engine, t->field, err);
+    if (status != RN_OK) return status;
+    if (!v->active) *v = (struct rn_validation){.active = true};
+    do
+        validate_next(t);
+    while (v->frame < t->held.frame_count && rn_clock_ns() < until);
+    if (v->frame == t->held.frame_count) {
+        t->field->psnr = t->progress.psnr = v->psnr_sum / t->held.frame_count;
+        t->progress.psnr_step = t->progress.step;
+        v->active = false;
+        *ret_done = true;
+    }
+    t->progress.evaluate_seconds += (double)(rn_clock_ns() - begin) * 1e-9;
+    return RN_OK;
+}
+
+// ---- access ---------------------------------------------------------------------------------
+
+const char *rn_trainer_held_out(const struct rn_trainer *t) {
+    return t->held_out;
+}
+const struct rn_train_config *rn_trainer_config(const struct rn_trainer *t) {
+    return &t->field->config;
+}
+struct rn_field *rn_trainer_field(struct rn_trainer *t) {
+    return t->field;
+}
+
+enum rn_status rn_trainer_save(struct rn_trainer *t, const char *path, struct rn_error *err) {
+    enum rn_status status = rn_engine_prepare(t->engine, t->field, err);
+    if (status != RN_OK) return status;
+    while (t->stepping)
+        run_block(t);
+    return rn_checkpoint_write(t, path, err);
+}

@@ -1,0 +1,74 @@
+// The trainer's insides, shared by the files of this folder.
+#ifndef RN_ENGINE_TRAIN_TRAINER_H
+#define RN_ENGINE_TRAIN_TRAINER_H
+
+#include "server/engine/scene.h"
+#include "server/engine/train/pixels.h"
+
+#define RN_MAX_RAYS (1 << 17) // of one step
+#define RN_MIN_RAYS 64
+#define RN_OCCUPANCY_EVERY 16    // steps
+#define RN_OCCUPANCY_WARM_UP 256 // steps with every cell measured
+#define RN_VALIDATE_BLOCK 4096   // rays a block of held-out evaluation
+
+// Held-out evaluation under way.
+struct rn_validation {
+    bool active;
+    int frame;      // of `held`
+    size_t pixel;   // next pixel of the frame
+    double squares; // of the frame's errors so far
+    double psnr_sum;
+};
+
+struct rn_trainer {
+    struct rn_engine *engine;
+    const struct rn_dataset *dataset;
+    struct rn_field *field;
+    struct rn_pixels train, held;
+    char held_out[160];
+
+    // Optimiser, laid out as field->parameters; grad_pyramid as field->pyramid.
+    float *grad, *m, *v;
+    float *grad_pyramid;
+    struct rn_map grad_maps[RN_MAX_PLANES][RN_MAX_LEVELS][RN_MAX_LEVELS];
+    uint8_t *touched; // [plane][row][block of RN_BLOCK texels]
+    size_t blocks_per_row;
+    int64_t updates; // steps that were not rejected
+
+    // The step under way.
+    bool stepping;
+    int ray_count;
+    struct rn_march_ray *rays;
+    struct rn_march_options march;
+    struct rn_group groups[RN_GROUPS];
+    float *group_memory;
+    int bands;           // of rows a plane, for the scatter and the optimiser
+    uint32_t *hull_list; // cells that may hold matter
+    size_t hull_count;
+    int next_rays; // of the next step
+
+    struct rn_progress progress;
+    double window_seconds; // for the rates
+    uint64_t window_rays, window_samples;
+    double clock_start; // of the advance under way
+    struct rn_validation validation;
+};
+
+// occupancy.c
+enum rn_status rn_trainer_list_hull(struct rn_trainer *trainer, struct rn_error *err) RN_MUST_CHECK;
+void rn_trainer_carve(struct rn_trainer *trainer);
+void rn_trainer_update_occupancy(struct rn_trainer *trainer);
+// effects.c
+void rn_trainer_detect_effects(struct rn_trainer *trainer);
+void rn_trainer_decide_view_dependence(struct rn_trainer *trainer);
+// step.c
+enum rn_status rn_trainer_allocate(struct rn_trainer *trainer, struct rn_error *err) RN_MUST_CHECK;
+void rn_trainer_begin_step(struct rn_trainer *trainer);
+void rn_trainer_run_wave(struct rn_trainer *trainer); // clears `stepping` when the step is complete
+// The ray through pixel (x, y) of a frame, target over the background.
+struct rn_march_ray rn_trainer_ray(const struct rn_trainer *trainer, const struct rn_pixels *pixels,
+                                   const struct rn_pixel_frame *frame, int x, int y, double offset);
+// 0..1 of the binding limit so far, NAN without one.
+double rn_trainer_fraction(const struct rn_trainer *trainer);
+
+#endif

@@ -1,0 +1,204 @@
+// Quality over seconds: trains on a dataset and prints held-out and test PSNR with their times.
+//
+//   quality DATASET [preset=standard] [time=60] [steps=0] [seed=1] [threads=0] [kernels=auto]
+//           [planes=] [base=] [channels=] [footprint=] [width=] ... [test=0] [every=5] [out=PREFIX]
+//
+// One line per held-out evaluation, one line per test scale. No test: a tool to measure with.
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "server/engine/engine.h"
+
+struct run {
+    const char *dataset, *preset, *kernels, *out;
+    double every;
+    int threads, test;
+    struct rn_train_config config;
+};
+
+static void die(const struct rn_error *err) {
+    fprintf(stderr, "quality: %s: %s\n", err->where, err->text);
+    exit(1);
+}
+
+static bool set_option(struct run *run, const char *name, const char *value) {
+    struct rn_train_config *c = &run->config;
+    struct rn_field_config *f = &c->field;
+    double v = atof(value);
+    const struct {
+        const char *name;
+        int *i;
+        double *d;
+    } table[] = {
+        {"planes", &f->planes, NULL},
+        {"base", &f->base, NULL},
+        {"channels", &f->channels, NULL},
+        {"levels", &f->levels, NULL},
+        {"width", &f->width, NULL},
+        {"base_layers", &f->base_layers, NULL},
+        {"head_layers", &f->head_layers, NULL},
+        {"samples", &c->target_samples, NULL},
+        {"rays", &c->initial_rays, NULL},
+        {"threads", &run->threads, NULL},
+        {"test", &run->test, NULL},
+        {"every", NULL, &run->every},
+        {"time", NULL, &c->max_seconds},
+        {"step", NULL, &c->step},
+        {"rate", NULL, &c->learning_rate},
+        {"plane_rate", NULL, &c->plane_rate},
+        {"decay", NULL, &c->weight_decay},
+        {"roulette", NULL, &c->roulette},
+        {"stop", NULL, &c->stop},
+        {"until", NULL, &c->until_psnr},
+    };
+    for (size_t i = 0; i < sizeof table / sizeof *table; i++) {
+        if (strcmp(name, table[i].name) != 0) continue;
+        if (table[i].i)
+            *table[i].i = (int)v;
+        else
+            *table[i].d = v;
+        return true;
+    }
+    if (strcmp(name, "steps") == 0)
+        c->max_steps = (int64_t)v, c->max_seconds = 0;
+    else if (strcmp(name, "seed") == 0)
+        c->seed = (uint64_t)v;
+    else if (strcmp(name, "carve") == 0)
+        c->carve = v != 0;
+    else if (strcmp(name, "sparse") == 0)
+        c->sparse = v != 0;
+    else if (strcmp(name, "auto") == 0)
+        c->auto_effects = v != 0;
+    else if (strcmp(name, "equal") == 0)
+        c->equal_scales = v != 0;
+    else if (strcmp(name, "shading") == 0)
+        f->shading = strcmp(value, "ray") == 0 ? RN_SHADING_RAY : RN_SHADING_SAMPLE;
+    else if (strcmp(name, "footprint") == 0)
+        return rn_footprint_parse(value, &f->footprint) == RN_OK;
+    else if (strcmp(name, "kernels") == 0)
+        run->kernels = value;
+    else if (strcmp(name, "out") == 0)
+        run->out = value;
+    else
+        return strcmp(name, "preset") == 0;
+    return true;
+}
+
+static void write_view(struct run *run, struct rn_engine *engine, struct rn_field *field,
+                       const struct rn_frame *frame) {
+    struct rn_error err;
+    struct rn_render_options options = {.camera = frame->camera, .outputs = RN_OUTPUT_RGB};
+    memcpy(options.background, run->config.background, sizeof options.background);
+    struct rn_render_result result;
+    struct rn_image image;
+    char path[512];
+    snprintf(path, sizeof path, "%s%s_%d.png", run->out, frame->name, frame->scale);
+    if (rn_render(engine, field, &options, NULL, NULL, &result, &err) != RN_OK ||
+        rn_picture_to_image(&result.rgb, &image, &err) != RN_OK ||
+        rn_image_write_png(&image, path, 3, &err) != RN_OK)
+        die(&err);
+    rn_image_finish(&image);
+    rn_render_result_finish(&result);
+}
+
+static void test(struct run *run, struct rn_engine *engine, struct rn_field *field,
+                 const struct rn_dataset *dataset) {
+    struct rn_error err;
+    int views = 0;
+    for (size_t i = 0; i < dataset->frame_count; i++) {
+        const struct rn_frame *f = &dataset->frames[i];
+        views += f->split == RN_SPLIT_TEST && f->scale == 0;
+    }
+    int stride = run->test < views ? views / run->test : 1;
+    double total = 0;
+    for (int scale = 0; scale < dataset->scale_count; scale++) {
+        double psnr = 0, ssim = 0, ms = 0;
+        int n = 0, seen = 0;
+        for (size_t i = 0; i < dataset->frame_count; i++) {
+            const struct rn_frame *f = &dataset->frames[i];
+            if (f->split != RN_SPLIT_TEST || f->scale != scale || seen++ % stride) continue;
+            struct rn_view_score s;
+            if (rn_evaluate_view(engine, field, f, run->config.background, NULL, NULL, &s, &err) !=
+                RN_OK)
+                die(&err);
+            if (run->out && n < 4) write_view(run, engine, field, f);
+            psnr += s.psnr;
+            ssim += s.ssim;
+            ms += s.render_ms;
+            n++;
+        }
+        printf("test scale %d: psnr %.2f ssim %.4f views %d render_ms %.1f\n", scale, psnr / n,
+               ssim / n, n, ms / n);
+        total += psnr / n;
+    }
+    printf("test mean over scales: %.2f\n", total / dataset->scale_count);
+}
+
+static void report(struct rn_trainer *trainer) {
+    struct rn_progress p;
+    rn_trainer_progress(trainer, &p);
+    printf(
+        "step %6lld  %6.2f s  psnr %.2f  loss %.6f  %.2f Msamples/s  %.0f krays/s  rays/step %.0f  "
+        "levels %.2f\n",
+        (long long)p.step, p.train_seconds, p.psnr, p.loss, p.samples_per_second * 1e-6,
+        p.rays_per_second * 1e-3, (double)p.rays / (double)(p.step ? p.step : 1),
+        p.samples ? 1 - (double)p.level_samples[0] / (double)p.samples : 0);
+    fflush(stdout);
+}
+
+int main(int argc, char **argv) {
+    struct rn_error err = {0};
+    struct run run = {.preset = "standard", .every = 5};
+    if (argc < 2) {
+        fprintf(stderr, "usage: quality DATASET [name=value ...]\n");
+        return 2;
+    }
+    struct rn_dataset *dataset;
+    if (rn_dataset_read(argv[1], NULL, &dataset, &err) != RN_OK) die(&err);
+    for (int i = 2; i < argc; i++)
+        if (strncmp(argv[i], "preset=", 7) == 0) run.preset = argv[i] + 7;
+    if (rn_preset(run.preset, dataset->scale_count > 1, &run.config, &err) != RN_OK) die(&err);
+    for (int i = 2; i < argc; i++) {
+        char *value = strchr(argv[i], '=');
+        if (value) *value++ = 0;
+        if (!value || !set_option(&run, argv[i], value)) {
+            fprintf(stderr, "quality: no option '%s'\n", argv[i]);
+            return 2;
+        }
+    }
+    struct rn_engine *engine;
+    struct rn_trainer *trainer;
+    struct rn_engine_options options = {.threads = run.threads, .kernels = run.kernels};
+    if (rn_engine_create(&options, &engine, &err) != RN_OK) die(&err);
+    if (rn_trainer_create(engine, dataset, &run.config, 0, &trainer, &err) != RN_OK) die(&err);
+    run.config = *rn_trainer_config(trainer);
+    double next = run.every;
+    for (;;) {
+        struct rn_progress p;
+        if (rn_trainer_advance(trainer, 50, &err) != RN_OK) die(&err);
+        rn_trainer_progress(trainer, &p);
+        if (!p.done && p.train_seconds < next) continue;
+        bool done = false;
+        while (!done)
+            if (rn_trainer_validate(trainer, 1000, &done, &err) != RN_OK) die(&err);
+        report(trainer);
+        next += run.every;
+        rn_trainer_progress(trainer, &p);
+        if (p.done) break;
+    }
+    struct rn_field_info info;
+    rn_field_describe(rn_trainer_field(trainer), &info);
+    for (int i = 0; i < RN_EFFECT_COUNT; i++)
+        printf("effect %s: %s (%s)\n", info.effects[i].name, info.effects[i].on ? "on" : "off",
+               info.effects[i].reason);
+    char hash[65];
+    rn_field_sha256(rn_trainer_field(trainer), hash);
+    printf("load %.2f s, parameters %.16s\n", 0.0, hash);
+    if (run.test > 0) test(&run, engine, rn_trainer_field(trainer), dataset);
+    rn_trainer_destroy(&trainer);
+    rn_engine_destroy(&engine);
+    rn_dataset_destroy(&dataset);
+    return 0;
+}

@@ -1,0 +1,271 @@
+// The CPU kernels against the float64 reference: pixels, loss and every gradient, for every kernel
+// set this machine can run.
+#include <check.h>
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "common/math/rng.h"
+#include "server/engine/reference/reference.h"
+#include "server/engine/scene.h"
+
+#define RAYS 24
+
+struct setup {
+    struct rn_engine engine;
+    struct rn_field *field;
+    struct rn_reference *reference;
+    struct rn_march_ray rays[RAYS];
+    struct rn_reference_ray exact[RAYS];
+    double *mid[RAYS];
+    struct rn_march_options options;
+    struct rn_group group;
+    struct rn_workspace *workspace;
+    float *memory;
+};
+
+static struct rn_train_config small_config(void) {
+    struct rn_error err;
+    struct rn_train_config config;
+    ck_assert(rn_preset("standard", false, &config, &err) == RN_OK);
+    config.field.planes = 3;
+    config.field.base = 32;
+    config.field.channels = 8;
+    config.field.levels = 4;
+    config.field.width = 16;
+    config.field.base_layers = config.field.head_layers = 2;
+    config.field.occupancy = 16;
+    config.step = 0.05;
+    config.seed = 7;
+    return config;
+}
+
+static float unit(uint64_t i) {
+    return rn_rng_unit(rn_rng_draw(99, 1, i).v[0]);
+}
+
+static void copy_parameters(struct setup *s) {
+    const struct rn_parameters *p = &s->field->parameters;
+    for (size_t i = 0; i < p->plane_count; i++)
+        s->reference->planes[i] = p->values[i];
+    for (size_t i = 0; i < p->base_count; i++)
+        s->reference->base[i] = p->values[p->plane_count + i];
+    for (size_t i = 0; i < p->head_count; i++)
+        s->reference->head[i] = p->values[p->plane_count + p->base_count + i];
+    rn_reference_build(s->reference);
+}
+
+// Rays through the ball from outside; some wide cones, so that levels differ.
+static void make_rays(struct setup *s) {
+    struct rn_bounds bounds = {.radius = 1};
+    for (int r = 0; r < RAYS; r++) {
+        struct rn_ray ray = {.radius = r % 3 == 0 ? 0.1 : 0.01};
+        double norm = 0;
+        for (int i = 0; i < 3; i++) {
+            ray.origin[i] = 2.0 * unit(10 * r + i) - 1 + (i == 2 ? -3 : 0);
+            ray.direction[i] = 0.6 * unit(10 * r + 3 + i) - 0.3 - 0.3 * ray.origin[i] * (i < 2);
+        }
+        ray.direction[2] = 1;
+        for (int i = 0; i < 3; i++)
+            norm += ray.direction[i] * ray.direction[i];
+        for (int i = 0; i < 3; i++)
+            ray.direction[i] /= sqrt(norm);
+        s->rays[r] = rn_march_ray_from(&ray, &bounds, 0.01);
+        s->rays[r].weight = 1 + (float)(r % 2);
+        s->rays[r].id = (uint32_t)r;
+        struct rn_reference_ray *e = &s->exact[r];
+        int n = 0;
+        double length = s->rays[r].length > 0 ? s->rays[r].length : 0;
+        s->mid[r] = calloc(1000, sizeof(double));
+        while ((n + 0.5) * s->options.step < length) {
+            s->mid[r][n] = (double)s->rays[r].near + (n + 0.5) * (double)s->options.step;
+            n++;
+        }
+        *e = (struct rn_reference_ray){.radius = s->rays[r].radius,
+                                       .count = n,
+                                       .mid = s->mid[r],
+                                       .width = s->options.step,
+                                       .weight = s->rays[r].weight};
+        for (int i = 0; i < 3; i++) {
+            e->direction[i] = s->rays[r].direction[i];
+            e->origin[i] = (double)s->rays[r].origin[i] - e->direction[i] * (double)s->rays[r].near;
+            s->rays[r].target[i] = unit(1000 + 10 * r + i);
+            e->target[i] = s->rays[r].target[i];
+            e->background[i] = s->options.background[i];
+        }
+    }
+}
+
+static void set_up(struct setup *s, const struct rn_kernels *kernels,
+                   const struct rn_train_config *config) {
+    struct rn_error err;
+    struct rn_bounds bounds = {.radius = 1};
+    memset(s, 0, sizeof *s);
+    s->engine.kernels = kernels;
+    ck_assert(rn_pool_create(1, &s->engine.pool, &err) == RN_OK);
+    ck_assert(rn_field_create(config, &bounds, &s->field, &err) == RN_OK);
+    ck_assert(rn_field_need_levels(s->field, config->field.levels, &err) == RN_OK);
+    rn_field_randomise(s->field, 5);
+    for (size_t i = 0; i < s->field->parameters.plane_count; i++)
+        s->field->parameters.values[i] = 2 * unit(5000 + i) - 1;
+    rn_field_refresh(s->field, &s->engine);
+    ck_assert(rn_engine_prepare(&s->engine, s->field, &err) == RN_OK);
+    s->workspace = rn_engine_workspace(&s->engine, 0);
+    ck_assert(rn_reference_create(&config->field, config->seed, &s->reference, &err) == RN_OK);
+    copy_parameters(s);
+    s->options = (struct rn_march_options){
+        .step = (float)config->step, .stop_depth = 1e9f, .background = {1, 0.5f, 0.25f}};
+    make_rays(s);
+}
+
+static void prepare_group(struct setup *s) {
+    const struct rn_parameters *p = &s->field->parameters;
+    int capacity = s->workspace->capacity + 4096, planes = s->field->config.field.planes;
+    size_t n = (size_t)capacity + RN_PACKET_SLACK,
+           channels = (size_t)s->field->config.field.channels;
+    s->memory = calloc(n * (4 + channels) * (size_t)planes + p->base_count + p->head_count, 4);
+    float *at = s->memory;
+    s->group.slab.capacity = capacity;
+    for (int k = 0; k < planes; k++) {
+        s->group.slab.u[k] = at;
+        s->group.slab.v[k] = at + n;
+        s->group.slab.lx[k] = at + 2 * n;
+        s->group.slab.ly[k] = at + 3 * n;
+        s->group.slab.grad[k] = at + 4 * n;
+        at += n * (4 + channels);
+    }
+    s->group.base_grad = at;
+    s->group.head_grad = at + p->base_count;
+    s->group.end = RAYS;
+}
+
+static void tear_down(struct setup *s) {
+    for (int r = 0; r < RAYS; r++)
+        free(s->mid[r]);
+    free(s->memory);
+    free(s->engine.workspaces);
+    rn_field_destroy(&s->field);
+    rn_reference_destroy(&s->reference);
+    rn_pool_destroy(&s->engine.pool);
+}
+
+// Largest difference relative to the largest magnitude of the reference.
+static double worst(const float *fast, const double *exact, size_t n, double scale) {
+    double largest = 1e-30, difference = 0;
+    for (size_t i = 0; i < n; i++) {
+        largest = fmax(largest, fabs(exact[i]));
+        difference = fmax(difference, fabs((double)fast[i] * scale - exact[i]));
+    }
+    return difference / largest;
+}
+
+static void check_training(const struct rn_kernels *kernels, const struct rn_train_config *config) {
+    struct setup s;
+    set_up(&s, kernels, config);
+    prepare_group(&s);
+    kernels->train(&s.field->cpu, &s.options, s.rays, s.workspace, &s.group);
+    ck_assert_int_eq(s.group.cursor, RAYS);
+    double loss, weight = s.group.weight;
+    ck_assert(rn_reference_loss(s.reference, s.exact, RAYS, &loss) == RN_OK);
+    ck_assert_double_eq_tol(s.group.loss / weight, loss, 2e-5 * loss);
+
+    const struct rn_field_config *c = &config->field;
+    size_t count = s.field->parameters.plane_count;
+    float *grad = calloc(count + 64, 4);
+    float *pyramid = calloc(rn_pyramid_count(c, c->levels) * (size_t)c->planes + 64, 4);
+    struct rn_map maps[RN_MAX_PLANES][RN_MAX_LEVELS][RN_MAX_LEVELS];
+    uint8_t *touched = calloc((size_t)c->base + 1, (size_t)c->base / RN_BLOCK + 1);
+    rn_pyramid_lay_out(c, c->levels, grad, pyramid, maps);
+    bool leveled = c->footprint != RN_FOOTPRINT_POINT;
+    for (int p = 0; p < c->planes; p++) {
+        if (leveled) {
+            kernels->scatter(&s.field->cpu, &s.group.slab, p, true, 0, c->base, maps[p], touched);
+            kernels->pull_down(maps[p], c->levels, c->footprint == RN_FOOTPRINT_MIP, c->channels);
+        } else { // in two bands, as threads do
+            kernels->scatter(&s.field->cpu, &s.group.slab, p, false, 0, c->base / 2, maps[p],
+                             touched);
+            kernels->scatter(&s.field->cpu, &s.group.slab, p, false, c->base / 2, c->base, maps[p],
+                             touched);
+        }
+    }
+    double planes = worst(grad, s.reference->plane_grad, count, 1 / weight);
+    double base =
+        worst(s.group.base_grad, s.reference->base_grad, s.reference->base_shape.count, 1 / weight);
+    double head =
+        worst(s.group.head_grad, s.reference->head_grad, s.reference->head_shape.count, 1 / weight);
+    printf("%s %d planes %s %s: gradients planes %.1e base %.1e head %.1e\n", kernels->name,
+           c->planes, rn_footprint_name(c->footprint),
+           c->shading == RN_SHADING_RAY ? "ray" : "sample", planes, base, head);
+    ck_assert_double_lt(planes, 1e-4);
+    ck_assert_double_lt(base, 1e-4);
+    ck_assert_double_lt(head, 1e-4);
+    free(grad);
+    free(pyramid);
+    free(touched);
+    tear_down(&s);
+}
+
+static void check_rendering(const struct rn_kernels *kernels,
+                            const struct rn_train_config *config) {
+    struct setup s;
+    set_up(&s, kernels, config);
+    struct rn_pixel pixels[RAYS];
+    kernels->render(&s.field->cpu, &s.options, s.rays, RAYS, s.workspace, pixels);
+    for (int r = 0; r < RAYS; r++) {
+        double rgb[3], opacity, depth;
+        ck_assert(rn_reference_render(s.reference, &s.exact[r], rgb, &opacity, &depth) == RN_OK);
+        for (int c = 0; c < 3; c++)
+            ck_assert_double_eq_tol(pixels[r].rgb[c], rgb[c], 2e-5);
+        ck_assert_double_eq_tol(pixels[r].alpha, opacity, 1e-5);
+        if (opacity > 1e-3) ck_assert_double_eq_tol(pixels[r].depth, depth / opacity, 1e-4);
+    }
+    tear_down(&s);
+}
+
+static void each_case(void (*check)(const struct rn_kernels *, const struct rn_train_config *)) {
+    const struct rn_kernels *kernels;
+    for (int i = 0; (kernels = rn_kernels_available(i)); i++)
+        for (int f = RN_FOOTPRINT_RIP; f <= RN_FOOTPRINT_POINT; f++)
+            for (int shading = RN_SHADING_SAMPLE; shading <= RN_SHADING_RAY; shading++) {
+                struct rn_train_config config = small_config();
+                config.field.footprint = (enum rn_footprint)f;
+                config.field.shading = (enum rn_shading)shading;
+                config.field.planes = f == RN_FOOTPRINT_RIP ? 4 : 3;
+                config.field.channels = f == RN_FOOTPRINT_MIP ? 4 : f == RN_FOOTPRINT_RIP ? 16 : 8;
+                check(kernels, &config);
+            }
+}
+
+START_TEST(gradients_match_reference) {
+    each_case(check_training);
+}
+END_TEST
+START_TEST(pixels_match_reference) {
+    each_case(check_rendering);
+}
+END_TEST
+
+START_TEST(odd_base_matches_reference) {
+    struct rn_train_config config = small_config();
+    config.field.base = 37;
+    const struct rn_kernels *kernels;
+    for (int i = 0; (kernels = rn_kernels_available(i)); i++)
+        check_training(kernels, &config);
+}
+END_TEST
+
+int main(void) {
+    Suite *suite = suite_create("cpu kernels");
+    TCase *tests = tcase_create("reference");
+    tcase_set_timeout(tests, 120);
+    tcase_add_test(tests, gradients_match_reference);
+    tcase_add_test(tests, pixels_match_reference);
+    tcase_add_test(tests, odd_base_matches_reference);
+    suite_add_tcase(suite, tests);
+    SRunner *runner = srunner_create(suite);
+    srunner_run_all(runner, CK_NORMAL);
+    int failed = srunner_ntests_failed(runner);
+    srunner_free(runner);
+    return failed != 0;
+}

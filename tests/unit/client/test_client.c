@@ -1,0 +1,359 @@
+// The client's parts that need no daemon: event streams, command lines, archives, figures.
+#include <archive.h>
+#include <archive_entry.h>
+#include <check.h>
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include "client/http.h"
+#include "client/options.h"
+#include "client/progress.h"
+#include "client/sse.h"
+#include "client/tar.h"
+#include "common/base/file.h"
+
+// ---- server-sent events ----
+
+struct events {
+    char text[512]; // "type=data;" for each event
+    int limit;      // after which no more are wanted
+};
+
+static bool note_event(void *context, const struct rn_sse_event *event) {
+    struct events *events = context;
+    size_t used = strlen(events->text);
+    ck_assert_uint_eq(strlen(event->data), event->size_bytes);
+    snprintf(events->text + used, sizeof events->text - used, "%s=%s;", event->type, event->data);
+    return --events->limit > 0;
+}
+
+static const char stream[] =
+    ": comment\n\nid: 1\nevent: state\ndata: {\"a\":1}\n\n"
+    "id:2\r\nevent:progress\r\ndata:one\r\ndata: two\r\n\r\n"
+    "retry: 5\nid: 3\n\ndata\n\nunknown: x\ndata: last\nid: 4\n\ndata: cut";
+
+START_TEST(events_in_pieces_of_any_size) {
+    for (size_t piece = 1; piece < sizeof stream; piece++) {
+        struct events events = {.limit = 100};
+        struct rn_sse sse;
+        rn_sse_init(&sse, note_event, &events);
+        for (size_t at = 0; at < sizeof stream - 1; at += piece) {
+            size_t left = sizeof stream - 1 - at;
+            ck_assert(rn_sse_feed(&sse, stream + at, left < piece ? left : piece));
+        }
+        ck_assert_str_eq(events.text, "state={\"a\":1};progress=one\ntwo;message=last;");
+        ck_assert_str_eq(sse.last_id, "4");
+        rn_sse_finish(&sse);
+    }
+}
+END_TEST
+
+START_TEST(events_after_a_lost_connection) {
+    struct events events = {.limit = 100};
+    struct rn_sse sse;
+    rn_sse_init(&sse, note_event, &events);
+    ck_assert(rn_sse_feed(&sse, "id: 7\ndata: a\n\nid: 8\ndata: ha", 29));
+    ck_assert_str_eq(sse.last_id, "7");
+    rn_sse_restart(&sse);
+    ck_assert(rn_sse_feed(&sse, "data: b\n\n", 9));
+    ck_assert_str_eq(events.text, "message=a;message=b;");
+    ck_assert_str_eq(sse.last_id, "7");
+    rn_sse_finish(&sse);
+}
+END_TEST
+
+START_TEST(events_stop_when_told_and_are_bounded) {
+    struct events events = {.limit = 1};
+    struct rn_sse sse;
+    rn_sse_init(&sse, note_event, &events);
+    ck_assert(!rn_sse_feed(&sse, "data: a\n\ndata: b\n\n", 18));
+    ck_assert_str_eq(events.text, "message=a;");
+    rn_sse_finish(&sse);
+    events.limit = 100;
+    rn_sse_init(&sse, note_event, &events);
+    static char megabyte[1 << 20];
+    memset(megabyte, 'x', sizeof megabyte);
+    bool taken = rn_sse_feed(&sse, "data: ", 6);
+    for (size_t i = 0; taken && i <= RN_SSE_MAX_LINE / sizeof megabyte; i++)
+        taken = rn_sse_feed(&sse, megabyte, sizeof megabyte);
+    ck_assert(!taken);
+    rn_sse_finish(&sse);
+}
+END_TEST
+
+// ---- command lines ----
+
+struct wanted {
+    bool flag;
+    const char *text, *choice;
+    int64_t integer;
+    double number, seconds;
+    struct rn_option_pair size, range;
+};
+#define FIELD(m) .name = #m, .offset = offsetof(struct wanted, m)
+static const struct rn_option wanted_table[] = {
+    {FIELD(flag), .letter = 'f', .kind = RN_OPTION_FLAG},
+    {FIELD(text), .letter = 't', .kind = RN_OPTION_TEXT},
+    {FIELD(choice), .kind = RN_OPTION_CHOICE, .choices = "one|three"},
+    {FIELD(integer), .kind = RN_OPTION_INTEGER, .value = "N", .min = 1, .max = 100},
+    {FIELD(number), .kind = RN_OPTION_NUMBER, .value = "X", .min = 0, .max = 1},
+    {FIELD(seconds), .kind = RN_OPTION_SECONDS, .value = "T", .min = 0, .max = 1e6},
+    {FIELD(size), .kind = RN_OPTION_SIZE, .value = "WxH", .min = 1, .max = 100},
+    {FIELD(range), .kind = RN_OPTION_RANGE, .value = "A-B", .min = 0, .max = 100},
+    {0}};
+static const struct rn_option no_table[] = {{0}};
+
+// Parses words separated by blanks.
+static enum rn_status parse(const char *line, struct wanted *ret_wanted, const char **args,
+                            size_t *count) {
+    static char words[256];
+    char *argv[16];
+    int argc = 0;
+    struct rn_error err = {0};
+    struct rn_option_tables tables = {wanted_table, no_table, ret_wanted, NULL};
+    snprintf(words, sizeof words, "%s", line);
+    for (char *word = strtok(words, " "); word; word = strtok(NULL, " "))
+        argv[argc++] = word;
+    rn_options_clear(wanted_table, ret_wanted);
+    return rn_options_parse(&tables, argc, argv, 2, args, count, &err);
+}
+
+START_TEST(options_of_every_kind) {
+    struct wanted wanted;
+    const char *args[3];
+    size_t count;
+    ck_assert_int_eq(parse("a -f --text=x --choice three --integer 7 --number .5 --seconds 1.5m "
+                           "--size 4x3 --range 2-5 -- -b",
+                           &wanted, args, &count),
+                     RN_OK);
+    ck_assert(wanted.flag && wanted.integer == 7 && wanted.number == .5 && wanted.seconds == 90);
+    ck_assert_str_eq(wanted.text, "x");
+    ck_assert_str_eq(wanted.choice, "three");
+    ck_assert(wanted.size.first == 4 && wanted.size.second == 3);
+    ck_assert(wanted.range.first == 2 && wanted.range.second == 5);
+    ck_assert_uint_eq(count, 2);
+    ck_assert_str_eq(args[1], "-b");
+    ck_assert_int_eq(parse("--range 9 --seconds 60s -t -", &wanted, args, &count), RN_OK);
+    ck_assert(wanted.range.first == 9 && wanted.range.second == 9 && wanted.seconds == 60);
+    ck_assert(!wanted.flag && !wanted.choice && wanted.integer == RN_OPTION_ABSENT);
+    ck_assert(isnan(wanted.number) && wanted.size.first == RN_OPTION_ABSENT);
+}
+END_TEST
+
+START_TEST(options_that_are_refused) {
+    static const char *const lines[] = {"--flag=1",
+                                        "--text",
+                                        "--text=",
+                                        "--choice on",
+                                        "--choice one|three",
+                                        "--integer 0",
+                                        "--integer 101",
+                                        "--integer 1x",
+                                        "--integer -5",
+                                        "--integer 99999999999999999999",
+                                        "--number nan",
+                                        "--number 2",
+                                        "--number 1e999",
+                                        "--seconds 5d",
+                                        "--seconds -1s",
+                                        "--size 4x",
+                                        "--size 4x3x2",
+                                        "--size 0x3",
+                                        "--size 4,3",
+                                        "--range 5-2",
+                                        "--range -2",
+                                        "--unknown 1",
+                                        "--tex x",
+                                        "-x",
+                                        "a b c",
+                                        "--textual x"};
+    for (size_t i = 0; i < sizeof lines / sizeof *lines; i++) {
+        struct wanted wanted;
+        const char *args[3];
+        size_t count;
+        ck_assert_msg(parse(lines[i], &wanted, args, &count) == RN_ERROR_INVALID, "%s", lines[i]);
+    }
+}
+END_TEST
+
+// ---- archives ----
+
+static char folder[] = "/tmp/ripnerf-test-XXXXXX";
+
+static void make_folder(void) {
+    struct rn_error err;
+    strcpy(folder + sizeof folder - 7, "XXXXXX");
+    ck_assert_ptr_nonnull(mkdtemp(folder));
+    ck_assert_int_eq(chdir(folder), 0);
+    ck_assert_int_eq(rn_mkdirs("in/sub", 0777, &err), RN_OK);
+}
+
+static void remove_folder(void) {
+    struct rn_error err;
+    ck_assert_int_eq(chdir("/"), 0);
+    ck_assert_int_eq(rn_remove_tree(folder, &err), RN_OK);
+}
+
+static void write_file(const char *name, size_t size) {
+    struct rn_error err;
+    char *bytes = malloc(size + 1);
+    ck_assert_ptr_nonnull(bytes);
+    for (size_t i = 0; i < size; i++)
+        bytes[i] = (char)(i * 7 + size);
+    ck_assert_int_eq(rn_file_write_atomic(name, bytes, size, &err), RN_OK);
+    free(bytes);
+}
+
+// Reads the whole archive in pieces of `piece` bytes into malloc'd memory.
+static char *read_all(struct rn_tar *tar, size_t piece) {
+    size_t size = (size_t)rn_tar_size(tar), used = 0;
+    char *bytes = malloc(size + piece);
+    ck_assert_ptr_nonnull(bytes);
+    for (size_t got; (got = rn_tar_read(tar, bytes + used, piece)) > 0; used += got)
+        ck_assert(got <= piece && used + got <= size);
+    ck_assert_uint_eq(used, size);
+    return bytes;
+}
+
+START_TEST(archives_are_read_back_by_libarchive) {
+    static const struct {
+        const char *name;
+        size_t size;
+    } files[] = {{"a.json", 0},
+                 {"sub/b.png", 1},
+                 {"sub/c.png", 511},
+                 {"sub/d.png", 512},
+                 {"sub/e.png", 100000}};
+    static const size_t pieces[] = {1, 7, 512, 65536};
+    struct rn_error err;
+    for (size_t i = 0; i < 5; i++) {
+        char path[64];
+        snprintf(path, sizeof path, "in/%s", files[i].name);
+        write_file(path, files[i].size);
+    }
+    for (size_t p = 0; p < 4; p++) {
+        struct rn_tar *tar = NULL;
+        ck_assert_int_eq(rn_tar_create("in", &tar, &err), RN_OK);
+        for (size_t i = 0; i < 5; i++) {
+            ck_assert_int_eq(rn_tar_add(tar, files[i].name, &err), RN_OK);
+            ck_assert_int_eq(rn_tar_add(tar, files[i].name, &err), RN_OK); // once is enough
+        }
+        ck_assert_uint_eq(rn_tar_files(tar), 5);
+        char *bytes = read_all(tar, pieces[p]);
+        struct archive *archive = archive_read_new();
+        struct archive_entry *entry;
+        archive_read_support_format_tar(archive);
+        ck_assert_int_eq(archive_read_open_memory(archive, bytes, (size_t)rn_tar_size(tar)), 0);
+        for (size_t i = 0; i < 5; i++) {
+            static char data[100001];
+            ck_assert_int_eq(archive_read_next_header(archive, &entry), ARCHIVE_OK);
+            ck_assert_str_eq(archive_entry_pathname(entry), files[i].name);
+            ck_assert_int_eq(archive_entry_filetype(entry), AE_IFREG);
+            ck_assert_int_eq(archive_read_data(archive, data, sizeof data), (int)files[i].size);
+            for (size_t k = 0; k < files[i].size; k++)
+                ck_assert_int_eq(data[k], (char)(k * 7 + files[i].size));
+        }
+        ck_assert_int_eq(archive_read_next_header(archive, &entry), ARCHIVE_EOF);
+        archive_read_free(archive);
+        free(bytes);
+        rn_tar_destroy(&tar);
+    }
+}
+END_TEST
+
+START_TEST(archives_refuse_what_is_not_theirs) {
+    struct rn_tar *tar = NULL;
+    struct rn_error err;
+    char name[512];
+    write_file("outside", 3);
+    ck_assert_int_eq(rn_tar_create("in", &tar, &err), RN_OK);
+    ck_assert_int_eq(rn_tar_add(tar, "../outside", &err), RN_ERROR_INVALID);
+    ck_assert_int_eq(rn_tar_add(tar, "sub/../../outside", &err), RN_ERROR_INVALID);
+    ck_assert_int_eq(rn_tar_add(tar, "/etc/passwd", &err), RN_ERROR_INVALID);
+    ck_assert_int_eq(rn_tar_add(tar, "", &err), RN_ERROR_INVALID);
+    ck_assert_int_ne(rn_tar_add(tar, "sub", &err), RN_OK);
+    ck_assert_int_eq(rn_tar_add(tar, "missing", &err), RN_ERROR_NOT_FOUND);
+    memset(name, 'n', sizeof name);
+    name[101] = '\0';
+    ck_assert_int_eq(rn_tar_add(tar, name, &err), RN_ERROR_INVALID);
+    ck_assert_uint_eq(rn_tar_files(tar), 0);
+    rn_tar_destroy(&tar);
+}
+END_TEST
+
+START_TEST(archives_notice_a_file_that_shrinks) {
+    struct rn_tar *tar = NULL;
+    struct rn_error err;
+    char buffer[4096];
+    write_file("in/a", 3000);
+    ck_assert_int_eq(rn_tar_create("in", &tar, &err), RN_OK);
+    ck_assert_int_eq(rn_tar_add(tar, "a", &err), RN_OK);
+    ck_assert_int_eq(truncate("in/a", 1000), 0);
+    ck_assert(rn_tar_read(tar, buffer, sizeof buffer) == SIZE_MAX);
+    ck_assert_int_eq(rn_tar_error(tar)->status, RN_ERROR_IO);
+    ck_assert_str_eq(rn_tar_error(tar)->where, "a");
+    rn_tar_destroy(&tar);
+}
+END_TEST
+
+// ---- figures and paths ----
+
+START_TEST(figures_for_people) {
+    static const struct {
+        double value;
+        const char *count, *seconds, *bytes;
+    } cases[] = {{0, "0", "0.0 s", "0 B"},
+                 {999.4, "999", "16:39", "999 B"},
+                 {999.6, "1.00k", "16:39", "1.00 kB"},
+                 {99.9, "100", "99.9 s", "100 B"},
+                 {12345, "12.3k", "3:25:45", "12.3 kB"},
+                 {3.1e6, "3.10M", "861:06:40", "3.10 MB"}};
+    char text[32];
+    for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
+        rn_format_count(cases[i].value, text, sizeof text);
+        ck_assert_str_eq(text, cases[i].count);
+        rn_format_seconds(cases[i].value, text, sizeof text);
+        ck_assert_str_eq(text, cases[i].seconds);
+        rn_format_bytes(cases[i].value, text, sizeof text);
+        ck_assert_str_eq(text, cases[i].bytes);
+    }
+    rn_format_seconds(NAN, text, sizeof text);
+    ck_assert_str_eq(text, "-");
+}
+END_TEST
+
+START_TEST(names_are_escaped_in_paths) {
+    struct rn_buf buf;
+    rn_buf_init(&buf, 256);
+    rn_http_escape(&buf, "a-b_c.d~/ ü?&%");
+    ck_assert_str_eq((char *)buf.data, "a-b_c.d~%2F%20%C3%BC%3F%26%25");
+    rn_buf_finish(&buf);
+}
+END_TEST
+
+int main(void) {
+    Suite *suite = suite_create("client");
+    TCase *plain = tcase_create("plain"), *files = tcase_create("files");
+    tcase_add_test(plain, events_in_pieces_of_any_size);
+    tcase_add_test(plain, events_after_a_lost_connection);
+    tcase_add_test(plain, events_stop_when_told_and_are_bounded);
+    tcase_add_test(plain, options_of_every_kind);
+    tcase_add_test(plain, options_that_are_refused);
+    tcase_add_test(plain, figures_for_people);
+    tcase_add_test(plain, names_are_escaped_in_paths);
+    tcase_add_checked_fixture(files, make_folder, remove_folder);
+    tcase_add_test(files, archives_are_read_back_by_libarchive);
+    tcase_add_test(files, archives_refuse_what_is_not_theirs);
+    tcase_add_test(files, archives_notice_a_file_that_shrinks);
+    suite_add_tcase(suite, plain);
+    suite_add_tcase(suite, files);
+    SRunner *runner = srunner_create(suite);
+    srunner_run_all(runner, CK_ENV);
+    int failed = srunner_ntests_failed(runner);
+    srunner_free(runner);
+    return failed != 0;
+}
