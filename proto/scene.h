@@ -21,8 +21,8 @@ struct rn_field_config_record {
     double learning_rate, plane_rate, weight_decay, adam_eps;
     int64_t max_steps;
     double max_seconds, until_psnr;
-    bool carve, roulette, sparse, grow;
-    double stop;
+    bool carve, sparse, multi_step_rate, equal_scales, auto_effects;
+    double roulette, stop;
     int64_t seed;
     int train_split; // rn_train_split_names
     double background[3];

@@ -39,7 +39,6 @@ static const struct rn_field_spec opened[] = {
     RN_F_NUMBER(S, psnr, RN_REQUIRED | RN_NULLABLE, -INFINITY, INFINITY),
     RN_F_TEXT(S, parameters_sha256, 0, NULL),
     RN_F_INT(S, memory_bytes, RN_REQUIRED, 0, INFINITY),
-    RN_F_JSON(S, scene, RN_IS_OBJECT),
 };
 static const struct rn_table opened_table = RN_TABLE(S, "opened", opened);
 #undef S

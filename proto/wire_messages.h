@@ -69,7 +69,6 @@ struct rn_wire_opened {
     double train_seconds, psnr; // psnr NAN = null
     char parameters_sha256[65]; // "" = absent
     int64_t memory_bytes;
-    char *scene; // JSON of rn_scene_description_table, owned; NULL when not loaded
 };
 
 // Continues from the newest good checkpoint when there is one, else starts. While it loads, no

@@ -1,0 +1,245 @@
+#include "server/runner/describe.h"
+
+#include <inttypes.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <unistd.h>
+
+#include "proto/scene.h"
+
+int64_t rn_resident_bytes(void) {
+    FILE *file = fopen("/proc/self/statm", "r");
+    long total, resident = 0;
+    if (!file) return 0;
+    if (fscanf(file, "%ld %ld", &total, &resident) != 2) resident = 0;
+    fclose(file);
+    return (int64_t)resident * sysconf(_SC_PAGESIZE);
+}
+
+// ---- configuration -------------------------------------------------------------------------
+
+static void override_int(int64_t option, int *value) {
+    if (option != RN_ABSENT) *value = (int)option; // bounded by the options' table
+}
+
+enum rn_status rn_configure(const struct rn_train_options *options, bool multi_scale,
+                            struct rn_train_config *ret_config, struct rn_error *err) {
+    struct rn_train_config config;
+    const char *preset = rn_preset_names[rn_name_or(options->preset, 1)];
+    enum rn_status status = rn_preset(preset, multi_scale, &config, err);
+    if (status) return status;
+    override_int(options->planes, &config.field.planes);
+    override_int(options->base, &config.field.base);
+    override_int(options->channels, &config.field.channels);
+    if (options->orientation >= 0)
+        config.field.orientation = (enum rn_orientation)options->orientation;
+    if (options->footprint >= 0) config.field.footprint = (enum rn_footprint)options->footprint;
+    if (options->seed != RN_ABSENT) config.seed = (uint64_t)options->seed;
+    config.train_val = options->train_split == 1;
+    if (options->max_steps != RN_ABSENT || !isnan(options->max_time_s)) {
+        // A limit of the user's takes the place of the preset's.
+        config.max_steps = rn_int_or(options->max_steps, 0);
+        config.max_seconds = rn_number_or(options->max_time_s, 0);
+    }
+    config.until_psnr = rn_number_or(options->until_psnr, config.until_psnr);
+    status = rn_train_config_check(&config, err);
+    if (!status) *ret_config = config;
+    return status;
+}
+
+static void fill_config(const struct rn_train_config *config,
+                        struct rn_field_config_record *record) {
+    const struct rn_field_config *field = &config->field;
+    *record = (struct rn_field_config_record){
+        .planes = field->planes,
+        .orientation = (int)field->orientation,
+        .base = field->base,
+        .channels = field->channels,
+        .levels = field->levels,
+        .footprint = (int)field->footprint,
+        .shading = (int)field->shading,
+        .width = field->width,
+        .base_layers = field->base_layers,
+        .head_layers = field->head_layers,
+        .view_dependence = field->view_dependence,
+        .occupancy = field->occupancy,
+        .step = config->step,
+        .target_samples = config->target_samples,
+        .initial_rays = config->initial_rays,
+        .learning_rate = config->learning_rate,
+        .plane_rate = config->plane_rate,
+        .weight_decay = config->weight_decay,
+        .adam_eps = config->adam_eps,
+        .max_steps = config->max_steps,
+        .max_seconds = config->max_seconds,
+        .until_psnr = config->until_psnr,
+        .carve = config->carve,
+        .sparse = config->sparse,
+        .multi_step_rate = config->multi_step_rate,
+        .equal_scales = config->equal_scales,
+        .auto_effects = config->auto_effects,
+        .roulette = config->roulette,
+        .stop = config->stop,
+        .seed = (int64_t)config->seed,
+        .train_split = config->train_val,
+    };
+    snprintf(record->preset, sizeof record->preset, "%s", config->preset);
+    for (int i = 0; i < 3; i++)
+        record->background[i] = (double)config->background[i];
+}
+
+static struct rn_bounds_record bounds_record(const struct rn_bounds *bounds) {
+    return (struct rn_bounds_record){
+        .centre = {bounds->centre[0], bounds->centre[1], bounds->centre[2]},
+        .radius = bounds->radius,
+        .source = (int)bounds->source};
+}
+
+// ---- scene ---------------------------------------------------------------------------------
+
+enum { MAX_DIFFERENCES = 64 };
+
+static size_t fill_differences(const struct rn_train_config *config,
+                               struct rn_difference_record *records) {
+    struct rn_difference items[MAX_DIFFERENCES];
+    int count = rn_train_config_differences(config, items, MAX_DIFFERENCES);
+    for (int i = 0; i < count; i++) {
+        snprintf(records[i].what, sizeof records[i].what, "%s", items[i].what);
+        snprintf(records[i].measured, sizeof records[i].measured, "%s", items[i].measured);
+    }
+    return (size_t)count;
+}
+
+static struct rn_effect_entry effect_entry(const struct rn_effect_record *effect) {
+    struct rn_effect_entry entry = {.on = effect->on,
+                                    .decided = effect->decided,
+                                    .number = effect->number,
+                                    .threshold = effect->threshold};
+    snprintf(entry.name, sizeof entry.name, "%s", effect->name);
+    snprintf(entry.reason, sizeof entry.reason, "%s", effect->reason);
+    return entry;
+}
+
+enum rn_status rn_describe_scene(const struct rn_field_info *info, const char *held_out,
+                                 char **ret_json, struct rn_error *err) {
+    struct rn_difference_record differences[MAX_DIFFERENCES];
+    struct rn_effect_entry effects[RN_EFFECT_COUNT];
+    struct rn_scene_description scene = {
+        .differences = differences,
+        .difference_count = fill_differences(&info->config, differences),
+        .effects = effects,
+        .effect_count = RN_EFFECT_COUNT,
+        .bounds = bounds_record(&info->bounds),
+        .memory_bytes = rn_resident_bytes(),
+    };
+    for (int i = 0; i < RN_EFFECT_COUNT; i++)
+        effects[i] = effect_entry(&info->effects[i]);
+    fill_config(&info->config, &scene.config);
+    snprintf(scene.held_out, sizeof scene.held_out, "%s", held_out ? held_out : "");
+    snprintf(scene.kernels, sizeof scene.kernels, "%s", info->kernels);
+    return rn_encode(&rn_scene_description_table, &scene, ret_json, NULL, err);
+}
+
+struct rn_train_progress rn_describe_progress(const struct rn_progress *progress,
+                                              const struct rn_train_config *config) {
+    struct rn_train_progress message = {
+        .step = progress->step,
+        .max_steps = config->max_steps,
+        .train_seconds = progress->train_seconds,
+        .max_seconds = config->max_seconds,
+        .load_seconds = progress->load_seconds,
+        .evaluate_seconds = progress->evaluate_seconds,
+        .loss = progress->loss,
+        .rays_per_second = progress->rays_per_second,
+        .samples_per_second = progress->samples_per_second,
+        .samples = (int64_t)progress->samples,
+        .psnr = progress->psnr,
+        .psnr_step = isnan(progress->psnr) ? RN_ABSENT : progress->psnr_step,
+        .nonfinite = {.rays = (int64_t)progress->nonfinite_rays,
+                      .steps_rejected = (int64_t)progress->steps_rejected,
+                      .rollbacks = (int64_t)progress->rollbacks},
+        .eta_seconds = progress->eta_seconds,
+        .fraction = progress->fraction,
+    };
+    for (size_t i = 0; i < RN_PROGRESS_LEVELS; i++) {
+        message.level_samples[i] = (int64_t)progress->level_samples[i];
+        if (message.level_samples[i]) message.level_count = i + 1;
+    }
+    return message;
+}
+
+// ---- dataset -------------------------------------------------------------------------------
+
+static struct rn_split_counts split_counts(const int counts[RN_SPLIT_COUNT]) {
+    return (struct rn_split_counts){.train = counts[RN_SPLIT_TRAIN],
+                                    .val = counts[RN_SPLIT_VAL],
+                                    .test = counts[RN_SPLIT_TEST]};
+}
+
+const char *rn_relative_place(const char *place, const char *root) {
+    size_t length = strlen(root);
+    return strncmp(place, root, length) == 0 && place[length] == '/' ? place + length + 1 : place;
+}
+
+// JSON of rn_dataset_report_table.
+static enum rn_status report_json(const struct rn_dataset *source, const char *root,
+                                  const struct rn_problems *problems, char **ret_json,
+                                  struct rn_error *err) {
+    struct rn_dataset_report report;
+    rn_dataset_describe(source, &report);
+    size_t count =
+        problems->count < RN_REPORT_PROBLEMS_MAX ? problems->count : RN_REPORT_PROBLEMS_MAX;
+    struct rn_dataset_report_record record = {
+        .layout = (int)source->layout,
+        .usable = split_counts(report.usable),
+        .unusable = split_counts(report.unusable),
+        .scales = report.scale_count,
+        .footprint = {report.footprint_min, report.footprint_max},
+        .camera_distance = {report.camera_distance_min, report.camera_distance_max},
+        .looking_at_bounds = report.looking_at_bounds,
+        .with_alpha = report.with_alpha,
+        .width = {report.width_min, report.width_max},
+        .height = {report.height_min, report.height_max},
+        .errors = (int64_t)problems->errors,
+        .warnings = (int64_t)problems->warnings,
+        .dropped = (int64_t)(problems->dropped + problems->count - count),
+        .problems = calloc(count + 1, sizeof *record.problems),
+        .problem_count = count,
+    };
+    if (!record.problems) return rn_error_set(err, RN_ERROR_NO_MEMORY, "report", "out of memory");
+    for (size_t i = 0; i < count; i++) {
+        struct rn_report_problem *problem = &record.problems[i];
+        problem->severity = (int)problems->items[i].severity;
+        snprintf(problem->where, sizeof problem->where, "%s",
+                 rn_relative_place(problems->items[i].where, root));
+        snprintf(problem->text, sizeof problem->text, "%s", problems->items[i].text);
+    }
+    enum rn_status status = rn_encode(&rn_dataset_report_table, &record, ret_json, NULL, err);
+    free(record.problems);
+    return status;
+}
+
+enum rn_status rn_describe_dataset(const struct rn_dataset *dataset, int64_t size_bytes,
+                                   const struct rn_dataset *source, const char *root,
+                                   const struct rn_problems *problems, char **ret_json,
+                                   struct rn_error *err) {
+    struct rn_dataset_report report;
+    rn_dataset_describe(dataset, &report);
+    struct rn_dataset_record record = {
+        .views = split_counts(dataset->view_count),
+        .scales = dataset->scale_count,
+        .frames = (int64_t)dataset->frame_count,
+        .width = report.width_max,
+        .height = report.height_max,
+        .has_alpha = report.with_alpha > 0,
+        .bounds = bounds_record(&dataset->bounds),
+        .footprint = {report.footprint_min, report.footprint_max},
+        .size_bytes = size_bytes,
+        .premultiplied = dataset->premultiplied_scales,
+    };
+    enum rn_status status = report_json(source, root, problems, &record.report, err);
+    if (!status) status = rn_encode(&rn_dataset_contents_table, &record, ret_json, NULL, err);
+    free(record.report);
+    return status;
+}

@@ -1,0 +1,284 @@
+#include "server/runner/host.h"
+
+#include <errno.h>
+#include <fcntl.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/file.h>
+#include <unistd.h>
+
+#include "common/base/clock.h"
+#include "common/base/file.h"
+#include "common/base/log.h"
+#include "server/runner/checkpoints.h"
+
+// ---- what jobs and renders need ------------------------------------------------------------
+
+enum rn_status rn_host_need_engine(struct rn_host *host, const char *device, const char *kernels,
+                                   int threads, struct rn_error *err) {
+    if (host->engine && strcmp(host->engine_device, device) == 0 &&
+        strcmp(host->engine_kernels, kernels) == 0 && host->engine_options.threads == threads)
+        return RN_OK;
+    if (host->training)
+        return rn_error_set(err, RN_ERROR_CONFLICT, "device",
+                            "the engine is training; its device cannot be changed");
+    if (host->loaded) rn_field_destroy(&host->loaded);
+    if (host->engine) rn_engine_destroy(&host->engine);
+    snprintf(host->engine_device, sizeof host->engine_device, "%s", device);
+    snprintf(host->engine_kernels, sizeof host->engine_kernels, "%s", kernels);
+    host->engine_options =
+        (struct rn_engine_options){.device = *device ? host->engine_device : NULL,
+                                   .kernels = *kernels ? host->engine_kernels : NULL,
+                                   .threads = threads};
+    return rn_engine_create(&host->engine_options, &host->engine, err);
+}
+
+enum rn_status rn_host_need_dataset(struct rn_host *host, struct rn_error *err) {
+    return host->dataset ? RN_OK
+                         : rn_dataset_read(host->place.dataset_folder, NULL, &host->dataset, err);
+}
+
+// The engine as it is, or as `open` wanted it.
+static enum rn_status need_any_engine(struct rn_host *host, struct rn_error *err) {
+    if (host->engine) return RN_OK;
+    return rn_host_need_engine(host, host->place.device, host->place.kernels,
+                               (int)rn_int_or(host->place.threads, 0), err);
+}
+
+enum rn_status rn_host_load(struct rn_host *host, struct rn_error *err) {
+    if (host->loaded) return RN_OK;
+    enum rn_status status = need_any_engine(host, err);
+    while (!status) {
+        int64_t step;
+        char path[PATH_MAX];
+        status = rn_checkpoints_newest(host->place.scene_folder, INT64_MAX, &step, err);
+        if (!status) status = rn_checkpoint_path(host->place.scene_folder, step, path, err);
+        if (status) break;
+        status = rn_field_load(host->engine, path, &host->loaded, err);
+        if (status != RN_ERROR_CORRUPT) break;
+        rn_checkpoint_set_aside(host->place.scene_folder, step, err);
+        status = RN_OK;
+    }
+    return status;
+}
+
+enum rn_status rn_host_field(struct rn_host *host, struct rn_field **ret_field,
+                             struct rn_error *err) {
+    struct rn_field *field = host->training ? rn_training_field(host->training) : host->loaded;
+    if (!field)
+        return rn_error_set(err, RN_ERROR_CONFLICT, "scene",
+                            "the scene has no parameters yet; wait until its training has begun");
+    *ret_field = field;
+    return RN_OK;
+}
+
+// ---- open ----------------------------------------------------------------------------------
+
+// A runner of a killed daemon ends as soon as its slice is done: the lock is worth waiting for.
+enum { LOCK_WAIT_MS = 15000, LOCK_POLL_MS = 50 };
+
+static enum rn_status lock_scene(struct rn_host *host, struct rn_error *err) {
+    char path[PATH_MAX];
+    if (snprintf(path, sizeof path, "%s/lock", host->place.scene_folder) >= (int)sizeof path)
+        return rn_error_set(err, RN_ERROR_LIMIT, host->place.scene_folder, "the path is too long");
+    host->lock_fd = open(path, O_RDWR | O_CREAT | O_CLOEXEC, 0666);
+    if (host->lock_fd < 0) return rn_error_from_errno(err, errno, path, "open the lock");
+    for (int waited_ms = 0; flock(host->lock_fd, LOCK_EX | LOCK_NB) < 0;
+         waited_ms += LOCK_POLL_MS) {
+        if (errno != EWOULDBLOCK && errno != EINTR)
+            return rn_error_from_errno(err, errno, path, "lock the scene");
+        rn_link_pump(&host->link, 0);
+        if (waited_ms >= LOCK_WAIT_MS || rn_link_must_stop(&host->link))
+            return rn_error_set(err, RN_ERROR_BUSY, path, "another runner holds the scene");
+        usleep(LOCK_POLL_MS * 1000);
+    }
+    return RN_OK;
+}
+
+static void post_opened(struct rn_host *host) {
+    struct rn_wire_opened opened = {.loaded = host->loaded != NULL, .psnr = NAN, .memory_bytes = 0};
+    if (host->loaded) {
+        struct rn_field_info info;
+        rn_field_describe(host->loaded, &info);
+        opened.steps = info.steps;
+        opened.train_seconds = info.train_seconds;
+        opened.psnr = info.psnr;
+        opened.memory_bytes = (int64_t)info.memory_bytes;
+        rn_field_sha256(host->loaded, opened.parameters_sha256);
+    }
+    rn_link_post(&host->link, RN_WIRE_OPENED, &opened, NULL, 0);
+}
+
+static void handle_open(struct rn_host *host, struct rn_wire_open *open) {
+    struct rn_error err = {0};
+    enum rn_status status = RN_OK;
+    if (host->opened) {
+        status = rn_error_set(&err, RN_ERROR_CONFLICT, "open", "a scene is open already");
+        rn_message_finish(rn_wire_table(RN_WIRE_OPEN), open);
+    } else {
+        host->place = *open; // with its texts
+        host->opened = true;
+        status = rn_mkdirs(host->place.scene_folder, 0777, &err);
+        if (!status) status = lock_scene(host, &err);
+        if (!status) status = rn_checkpoints_prepare(host->place.scene_folder, &err);
+        if (!status && host->place.load) status = rn_host_load(host, &err);
+    }
+    if (status)
+        rn_link_fail(&host->link, "", RN_ABSENT, &err);
+    else
+        post_opened(host);
+}
+
+// ---- messages ------------------------------------------------------------------------------
+
+// A message, decoded: the union of what field mode takes.
+union request {
+    struct rn_wire_open open;
+    struct rn_wire_train train;
+    struct rn_wire_path path;
+    struct rn_wire_eval eval;
+    struct rn_wire_job job;
+    struct rn_wire_cancel cancel;
+    struct rn_wire_render render;
+};
+
+static void refuse(struct rn_host *host, const char *job, int64_t request, const char *text) {
+    struct rn_error err;
+    rn_error_set(&err, RN_ERROR_CONFLICT, "", "%s", text);
+    rn_link_fail(&host->link, job, request, &err);
+}
+
+// pause, resume, finish: a training job's. A job that has just ended is no error.
+static void handle_control(struct rn_host *host, int type, const char *job) {
+    if (!rn_training_is(host, job)) {
+        rn_log(RN_LOG_INFO, "%s of %s: no such training job", rn_wire_type_name(type), job);
+        return;
+    }
+    if (type == RN_WIRE_PAUSE) rn_training_pause(host);
+    if (type == RN_WIRE_RESUME) rn_training_resume(host);
+    if (type == RN_WIRE_FINISH) rn_training_finish(host);
+}
+
+static void handle_cancel(struct rn_host *host, const struct rn_wire_cancel *cancel) {
+    if (rn_training_is(host, cancel->job))
+        rn_training_cancel(host);
+    else if (!rn_work_cancel(host, cancel->job)) // also of a render that has been answered
+        rn_log(RN_LOG_DEBUG, "cancel of what has ended");
+}
+
+static void handle_render(struct rn_host *host, const struct rn_wire_render *render,
+                          int64_t arrived_ns) {
+    int64_t begin_ns = rn_clock_ns();
+    rn_picture_serve(host, render, arrived_ns);
+    rn_training_yielded(host, (double)(rn_clock_ns() - begin_ns) * 1e-9);
+}
+
+static void dispatch(struct rn_host *host, const struct rn_letter *letter, union request *request) {
+    switch ((enum rn_wire_type)letter->message.type) {
+    case RN_WIRE_TRAIN:
+        if (host->training)
+            refuse(host, request->train.job, RN_ABSENT, "the scene is training already");
+        else
+            rn_training_start(host, &request->train);
+        break;
+    case RN_WIRE_PATH:
+        rn_work_add_path(host, &request->path);
+        break;
+    case RN_WIRE_EVAL:
+        rn_work_add_eval(host, &request->eval);
+        break;
+    case RN_WIRE_PAUSE:
+    case RN_WIRE_RESUME:
+    case RN_WIRE_FINISH:
+        handle_control(host, letter->message.type, request->job.job);
+        break;
+    case RN_WIRE_CANCEL:
+        handle_cancel(host, &request->cancel);
+        break;
+    case RN_WIRE_RENDER:
+        handle_render(host, &request->render, letter->arrived_ns);
+        break;
+    default:
+        rn_log(RN_LOG_WARN, "a %s message is not for this mode",
+               rn_wire_type_name(letter->message.type));
+        break;
+    }
+}
+
+static void handle(struct rn_host *host, struct rn_letter *letter) {
+    union request request;
+    struct rn_error err = {0};
+    int type = letter->message.type;
+    if (type >= RN_WIRE_HELLO || type == RN_WIRE_INGEST ||
+        rn_wire_take(&letter->message, &request, &err)) {
+        rn_log(RN_LOG_ERROR, "a message that cannot be read (%s): %s %s", rn_wire_type_name(type),
+               err.where, err.text);
+        host->link.closed = true; // the two programs do not fit together
+        return;
+    }
+    if (type == RN_WIRE_OPEN) {
+        handle_open(host, &request.open);
+        return;
+    }
+    if (host->opened)
+        dispatch(host, letter, &request);
+    else
+        rn_log(RN_LOG_WARN, "%s before open", rn_wire_type_name(type));
+    rn_message_finish(rn_wire_table(type), &request);
+}
+
+// Handles what has arrived, up to and including one render, so that training goes on between
+// renders. false: the end was asked for.
+static bool handle_letters(struct rn_host *host) {
+    struct rn_letter letter;
+    int type = 0;
+    while (type != RN_WIRE_RENDER && !host->link.closed && rn_link_take(&host->link, &letter)) {
+        type = letter.message.type;
+        if (type != RN_WIRE_SHUTDOWN) handle(host, &letter);
+        rn_wire_message_finish(&letter.message);
+        if (type == RN_WIRE_SHUTDOWN) return false;
+    }
+    return true;
+}
+
+// ---- the loop ------------------------------------------------------------------------------
+
+static void do_some_work(struct rn_host *host) {
+    if (host->works) {
+        int64_t begin_ns = rn_clock_ns();
+        rn_work_unit(host);
+        rn_training_yielded(host, (double)(rn_clock_ns() - begin_ns) * 1e-9);
+    } else if (rn_training_runs(host)) {
+        rn_training_slice(host);
+    }
+}
+
+static void finish(struct rn_host *host) {
+    rn_work_drop_all(host);
+    rn_training_drop(host);
+    if (host->loaded) rn_field_destroy(&host->loaded);
+    if (host->dataset) rn_dataset_destroy(&host->dataset);
+    if (host->engine) rn_engine_destroy(&host->engine);
+    if (host->opened) rn_message_finish(rn_wire_table(RN_WIRE_OPEN), &host->place);
+    if (host->lock_fd >= 0) close(host->lock_fd);
+    rn_link_finish(&host->link);
+}
+
+int rn_host_run(int fd) {
+    struct rn_host host = {.lock_fd = -1};
+    rn_link_init(&host.link, fd);
+    struct rn_wire_hello hello = {
+        .version = RIPNERF_VERSION, .protocol = RN_WIRE_PROTOCOL, .mode = "field", .pid = getpid()};
+    rn_link_post(&host.link, RN_WIRE_HELLO, &hello, NULL, 0);
+    bool go_on = true;
+    while (go_on && !host.link.closed) {
+        bool busy = host.works || rn_training_runs(&host);
+        rn_link_pump(&host.link, busy ? 0 : -1);
+        go_on = handle_letters(&host);
+        if (go_on && !host.link.closed) do_some_work(&host);
+    }
+    if (!go_on) rn_training_save(&host);
+    finish(&host);
+    return 0;
+}

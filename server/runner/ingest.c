@@ -1,0 +1,214 @@
+#include "server/runner/ingest.h"
+
+#include <dirent.h>
+#include <errno.h>
+#include <limits.h>
+#include <math.h>
+#include <sched.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include "common/base/clock.h"
+#include "common/base/file.h"
+#include "common/base/log.h"
+#include "common/dataset/dataset.h"
+#include "server/runner/describe.h"
+#include "server/runner/link.h"
+#include "server/runner/unpack.h"
+
+#define PROGRESS_INTERVAL_S 0.5
+
+struct ingest {
+    struct rn_link link;
+    struct rn_wire_ingest order;
+    struct rn_watch watch;
+    const char *folder; // where the dataset lies: the source, or the unpacked tar
+    char unpacked[PATH_MAX];
+    int64_t began_ns, reported_ns;
+};
+
+static int usable_cores(void) {
+    cpu_set_t cores;
+    int count = sched_getaffinity(0, sizeof cores, &cores) == 0 ? CPU_COUNT(&cores) : 1;
+    return count > 0 ? count : 1;
+}
+
+static void post_progress(struct ingest *ingest, size_t done, size_t total) {
+    int64_t now = rn_clock_ns();
+    if (done < total && (double)(now - ingest->reported_ns) * 1e-9 < PROGRESS_INTERVAL_S) return;
+    ingest->reported_ns = now;
+    double elapsed = (double)(now - ingest->began_ns) * 1e-9;
+    struct rn_work_progress record = {
+        .done = (int64_t)done,
+        .total = total ? (int64_t)total : RN_ABSENT,
+        .fraction = total ? (double)done / (double)total : NAN,
+        .eta_seconds = done ? elapsed * (double)(total - done) / (double)done : NAN};
+    struct rn_wire_progress message = {.progress = NULL};
+    memcpy(message.job, ingest->order.job, sizeof message.job);
+    if (rn_encode(&rn_work_progress_table, &record, &message.progress, NULL, NULL)) return;
+    rn_link_post(&ingest->link, RN_WIRE_PROGRESS, &message, NULL, 0);
+    free(message.progress);
+}
+
+// Called by the import's workers, one at a time.
+static bool on_progress(void *context, size_t done, size_t total) {
+    struct ingest *ingest = context;
+    post_progress(ingest, done, total);
+    return rn_watch_keep_going(&ingest->watch);
+}
+
+static int is_visible(const struct dirent *entry) {
+    return entry->d_name[0] != '.';
+}
+
+// A tar of a folder rather than of its contents: all is one level deeper.
+static enum rn_status descend(struct ingest *ingest, struct rn_error *err) {
+    struct dirent **entries;
+    struct stat about;
+    const char *work = ingest->order.work;
+    int count = scandir(work, &entries, is_visible, NULL);
+    if (count < 0) return rn_error_from_errno(err, errno, work, "list");
+    if (count == 1) {
+        snprintf(ingest->unpacked, sizeof ingest->unpacked, "%s/%s", work, entries[0]->d_name);
+        if (stat(ingest->unpacked, &about) == 0 && S_ISDIR(about.st_mode))
+            ingest->folder = ingest->unpacked;
+    }
+    while (count > 0)
+        free(entries[--count]);
+    free(entries);
+    return RN_OK;
+}
+
+static enum rn_status find_source(struct ingest *ingest, struct rn_error *err) {
+    struct stat about;
+    const struct rn_wire_ingest *order = &ingest->order;
+    if (stat(order->source, &about) < 0)
+        return rn_error_from_errno(err, errno, order->source, "find the dataset");
+    ingest->folder = order->source;
+    if (S_ISDIR(about.st_mode)) return RN_OK;
+    struct rn_unpack_limits limits = {.max_bytes = (size_t)order->max_bytes,
+                                      .max_entries = (size_t)order->max_entries};
+    enum rn_status status = rn_mkdirs(order->work, 0777, err);
+    if (!status)
+        status = rn_unpack(order->source, order->work, &limits, rn_watch_keep_going, &ingest->watch,
+                           err);
+    ingest->folder = order->work;
+    return status ? status : descend(ingest, err);
+}
+
+static enum rn_status tree_bytes(const struct rn_dataset *dataset, int64_t *ret_bytes,
+                                 struct rn_error *err) {
+    int64_t bytes = 0;
+    for (size_t i = 0; i < dataset->frame_count; i++) {
+        struct stat about;
+        if (stat(dataset->frames[i].path, &about) < 0)
+            return rn_error_from_errno(err, errno, dataset->frames[i].path, "find");
+        bytes += about.st_size;
+    }
+    *ret_bytes = bytes;
+    return RN_OK;
+}
+
+static enum rn_status import(struct ingest *ingest, const struct rn_dataset *source,
+                             struct rn_problems *problems, char **ret_json, struct rn_error *err) {
+    const struct rn_wire_ingest *order = &ingest->order;
+    const struct rn_ingest_options *options = &order->options;
+    int threads = (int)rn_int_or(order->threads, 0);
+    struct rn_import_options import_options = {
+        .max_size = (int)rn_int_or(options->max_size, 0),
+        .scales = (int)rn_int_or(options->scales, 1),
+        .downscale = (enum rn_downscale)rn_name_or(options->alpha, RN_DOWNSCALE_PREMULTIPLIED),
+        .test_every = rn_ingest_split_every(options->split),
+        .threads = threads ? threads : usable_cores()};
+    enum rn_status status = rn_mkdirs(order->target, 0777, err);
+    if (!status)
+        status = rn_dataset_import(source, order->name, &import_options, order->target, problems,
+                                   on_progress, ingest, err);
+    struct rn_dataset *made = NULL;
+    int64_t bytes = 0;
+    if (!status) status = rn_dataset_read(order->target, NULL, &made, err);
+    if (!status) status = tree_bytes(made, &bytes, err);
+    if (!status)
+        status = rn_describe_dataset(made, bytes, source, ingest->folder, problems, ret_json, err);
+    if (made) rn_dataset_destroy(&made);
+    return status;
+}
+
+static enum rn_status ingest_all(struct ingest *ingest, char **ret_json, struct rn_error *err) {
+    struct rn_problems problems = {0};
+    struct rn_dataset *source = NULL;
+    post_progress(ingest, 0, 0);
+    enum rn_status status = find_source(ingest, err);
+    if (!status) status = rn_dataset_read(ingest->folder, &problems, &source, err);
+    if (!status) status = import(ingest, source, &problems, ret_json, err);
+    if (source) rn_dataset_destroy(&source);
+    rn_problems_finish(&problems);
+    return status;
+}
+
+static void remove_folder(const char *path) {
+    struct rn_error err = {0};
+    if (rn_remove_tree(path, &err)) rn_log(RN_LOG_WARN, "%s: %s", err.where, err.text);
+}
+
+static void carry_out(struct ingest *ingest) {
+    struct rn_error err = {0};
+    struct rn_wire_done done = {.result = NULL};
+    struct stat about;
+    ingest->watch =
+        (struct rn_watch){.link = &ingest->link, .job = ingest->order.job, .request = RN_ABSENT};
+    ingest->began_ns = ingest->reported_ns = rn_clock_ns();
+    bool target_is_ours = stat(ingest->order.target, &about) < 0;
+    enum rn_status status = target_is_ours
+                                ? ingest_all(ingest, &done.result, &err)
+                                : rn_error_set(&err, RN_ERROR_CONFLICT, ingest->order.target,
+                                               "the folder exists already");
+    remove_folder(ingest->order.work);
+    if (status && target_is_ours) remove_folder(ingest->order.target);
+    if (status) {
+        if (ingest->folder) {
+            const char *place = rn_relative_place(err.where, ingest->folder);
+            memmove(err.where, place, strlen(place) + 1);
+        }
+        rn_link_fail(&ingest->link, ingest->order.job, RN_ABSENT, &err);
+        return;
+    }
+    memcpy(done.job, ingest->order.job, sizeof done.job);
+    rn_link_post(&ingest->link, RN_WIRE_DONE, &done, NULL, 0);
+    free(done.result);
+}
+
+// Waits for the order; false when none came.
+static bool take_order(struct ingest *ingest) {
+    struct rn_letter letter;
+    struct rn_error err = {0};
+    while (!ingest->link.closed && !ingest->link.first)
+        rn_link_pump(&ingest->link, -1);
+    if (!rn_link_take(&ingest->link, &letter)) return false;
+    bool good = letter.message.type == RN_WIRE_INGEST &&
+                !rn_wire_take(&letter.message, &ingest->order, &err);
+    if (!good && letter.message.type != RN_WIRE_SHUTDOWN)
+        rn_log(RN_LOG_ERROR, "no import order: %s %s", err.where, err.text);
+    rn_wire_message_finish(&letter.message);
+    return good;
+}
+
+int rn_ingest_run(int fd) {
+    struct ingest ingest = {.folder = NULL};
+    rn_link_init(&ingest.link, fd);
+    struct rn_wire_hello hello = {.version = RIPNERF_VERSION,
+                                  .protocol = RN_WIRE_PROTOCOL,
+                                  .mode = "ingest",
+                                  .pid = getpid()};
+    rn_link_post(&ingest.link, RN_WIRE_HELLO, &hello, NULL, 0);
+    bool ordered = take_order(&ingest);
+    if (ordered) {
+        carry_out(&ingest);
+        rn_message_finish(rn_wire_table(RN_WIRE_INGEST), &ingest.order);
+    }
+    rn_link_finish(&ingest.link);
+    return ordered ? 0 : 1;
+}

@@ -1,0 +1,134 @@
+#include "server/runner/link.h"
+
+#include <errno.h>
+#include <poll.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "common/base/clock.h"
+#include "common/base/log.h"
+
+void rn_link_init(struct rn_link *link, int fd) {
+    *link = (struct rn_link){.closed = false};
+    rn_wire_reader_init(&link->reader, fd);
+    rn_wire_writer_init(&link->writer, fd, 0);
+}
+
+void rn_link_finish(struct rn_link *link) {
+    struct rn_letter letter;
+    while (rn_link_take(link, &letter))
+        rn_wire_message_finish(&letter.message);
+    rn_wire_reader_finish(&link->reader);
+    rn_wire_writer_finish(&link->writer);
+}
+
+static void close_link(struct rn_link *link, const struct rn_error *err) {
+    if (!link->closed && err->status != RN_ERROR_UNAVAILABLE)
+        rn_log(RN_LOG_ERROR, "the link to the daemon is lost: %s", err->text);
+    link->closed = true;
+}
+
+// Moves one message to the inbox; false when there is no whole one.
+static bool receive(struct rn_link *link) {
+    struct rn_wire_message message;
+    struct rn_error err = {0};
+    bool ready = false;
+    enum rn_status status = rn_wire_read(&link->reader, &ready, &message, &err);
+    if (status) close_link(link, &err);
+    if (status || !ready) return false;
+    struct rn_letter *letter = malloc(sizeof *letter);
+    if (!letter) {
+        rn_wire_message_finish(&message);
+        rn_error_set(&err, RN_ERROR_NO_MEMORY, "wire", "out of memory");
+        close_link(link, &err);
+        return false;
+    }
+    *letter = (struct rn_letter){.message = message, .arrived_ns = rn_clock_ns()};
+    *(link->last ? &link->last->next : &link->first) = letter;
+    link->last = letter;
+    link->count++;
+    return true;
+}
+
+void rn_link_pump(struct rn_link *link, int timeout_ms) {
+    if (timeout_ms != 0 && !link->first && !link->closed) {
+        struct pollfd wait = {.fd = link->reader.fd, .events = POLLIN};
+        if (poll(&wait, 1, timeout_ms) < 0 && errno != EINTR) {
+            struct rn_error err;
+            rn_error_from_errno(&err, errno, "wire", "wait");
+            close_link(link, &err);
+        }
+    }
+    while (!link->closed && link->count < RN_LINK_MAX_LETTERS && receive(link))
+        ;
+}
+
+// Takes out the letter that follows `before` (NULL: the first).
+static struct rn_letter *unlink_after(struct rn_link *link, struct rn_letter *before) {
+    struct rn_letter **slot = before ? &before->next : &link->first, *letter = *slot;
+    *slot = letter->next;
+    if (link->last == letter) link->last = before;
+    link->count--;
+    return letter;
+}
+
+bool rn_link_take(struct rn_link *link, struct rn_letter *ret_letter) {
+    if (!link->first) return false;
+    struct rn_letter *letter = unlink_after(link, NULL);
+    *ret_letter = *letter;
+    ret_letter->next = NULL;
+    free(letter);
+    return true;
+}
+
+static bool is_cancel_of(const struct rn_wire_message *message, const char *job, int64_t request) {
+    struct rn_wire_cancel cancel;
+    if (message->type != RN_WIRE_CANCEL || rn_wire_take(message, &cancel, NULL)) return false;
+    return (*job && strcmp(cancel.job, job) == 0) ||
+           (request != RN_ABSENT && cancel.request == request);
+}
+
+bool rn_link_take_cancel(struct rn_link *link, const char *job, int64_t request) {
+    struct rn_letter *before = NULL;
+    for (struct rn_letter *at = link->first; at; before = at, at = at->next) {
+        if (!is_cancel_of(&at->message, job, request)) continue;
+        at = unlink_after(link, before);
+        rn_wire_message_finish(&at->message);
+        free(at);
+        return true;
+    }
+    return false;
+}
+
+bool rn_link_must_stop(const struct rn_link *link) {
+    for (const struct rn_letter *at = link->first; at; at = at->next)
+        if (at->message.type == RN_WIRE_SHUTDOWN) return true;
+    return link->closed;
+}
+
+void rn_link_post(struct rn_link *link, enum rn_wire_type type, const void *message,
+                  const void *blob, size_t blob_size) {
+    struct rn_error err = {0};
+    if (link->closed) return;
+    enum rn_status status = rn_wire_post(&link->writer, type, message, blob, blob_size, &err);
+    if (!status) status = rn_wire_drain(&link->writer, &err);
+    if (status) close_link(link, &err);
+}
+
+void rn_link_fail(struct rn_link *link, const char *job, int64_t request,
+                  const struct rn_error *err) {
+    struct rn_wire_failed failed = {.request = request};
+    snprintf(failed.job, sizeof failed.job, "%s", job);
+    snprintf(failed.status, sizeof failed.status, "%s", rn_status_name(err->status));
+    snprintf(failed.where, sizeof failed.where, "%s", err->where);
+    snprintf(failed.text, sizeof failed.text, "%s", err->text);
+    rn_link_post(link, RN_WIRE_FAILED, &failed, NULL, 0);
+}
+
+bool rn_watch_keep_going(void *context) {
+    struct rn_watch *watch = context;
+    rn_link_pump(watch->link, 0);
+    if (rn_link_take_cancel(watch->link, watch->job, watch->request)) watch->cancelled = true;
+    return !watch->cancelled && !rn_link_must_stop(watch->link);
+}

@@ -1,0 +1,54 @@
+// The runner's end of the socket to the daemon: an inbox of whole messages, blocking sends.
+#ifndef RN_SERVER_RUNNER_LINK_H
+#define RN_SERVER_RUNNER_LINK_H
+
+#include "proto/wire_messages.h"
+
+// A message that has arrived and has not been dealt with. Owner: the inbox, then its taker.
+struct rn_letter {
+    struct rn_wire_message message;
+    int64_t arrived_ns; // rn_clock_ns
+    struct rn_letter *next;
+};
+
+// Thread-safety: owned by one thread.
+struct rn_link {
+    struct rn_wire_reader reader;
+    struct rn_wire_writer writer;
+    struct rn_letter *first, *last; // in order of arrival
+    size_t count;                   // at most RN_LINK_MAX_LETTERS; more wait in the socket
+    bool closed;                    // the daemon is gone, or does not speak the protocol
+};
+#define RN_LINK_MAX_LETTERS 256
+
+void rn_link_init(struct rn_link *link, int fd);
+void rn_link_finish(struct rn_link *link);
+
+// Waits up to timeout_ms (-1: without end) for something to arrive, then moves all that is there
+// to the inbox. With letters in the inbox it does not wait.
+void rn_link_pump(struct rn_link *link, int timeout_ms);
+// Takes the oldest letter; false when there is none. The caller finishes the message.
+bool rn_link_take(struct rn_link *link, struct rn_letter *ret_letter);
+// Whether a cancel for this job ("" for none) or request (RN_ABSENT for none) waits in the inbox;
+// it is taken out.
+bool rn_link_take_cancel(struct rn_link *link, const char *job, int64_t request);
+// Whether work must stop: the daemon is gone or has asked for the end.
+bool rn_link_must_stop(const struct rn_link *link);
+
+// Sends a message, waiting until it is out. A failure closes the link and is logged.
+void rn_link_post(struct rn_link *link, enum rn_wire_type type, const void *message,
+                  const void *blob, size_t blob_size);
+// Sends `failed` about a job ("" for none) or a request (RN_ABSENT for none).
+void rn_link_fail(struct rn_link *link, const char *job, int64_t request,
+                  const struct rn_error *err);
+
+// What a long computation polls: goes on until its job or request is cancelled.
+struct rn_watch {
+    struct rn_link *link;
+    const char *job;
+    int64_t request;
+    bool cancelled; // on request; false when it stopped because the runner must
+};
+bool rn_watch_keep_going(void *watch);
+
+#endif

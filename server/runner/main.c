@@ -1,0 +1,80 @@
+// ripnerf-runner: the process that owns one scene, does one import or describes the device.
+// Started by ripnerfd, which holds the other end of the socket.
+#include <getopt.h>
+#include <signal.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include "common/base/log.h"
+#include "server/engine/engine.h"
+#include "server/runner/host.h"
+#include "server/runner/ingest.h"
+
+static int probe(int fd) {
+    struct rn_link link;
+    struct rn_engine *engine = NULL;
+    struct rn_error err = {0};
+    rn_link_init(&link, fd);
+    struct rn_wire_hello hello = {
+        .version = RIPNERF_VERSION, .protocol = RN_WIRE_PROTOCOL, .mode = "probe", .pid = getpid()};
+    rn_link_post(&link, RN_WIRE_HELLO, &hello, NULL, 0);
+    struct rn_engine_options options = {.device = NULL};
+    if (rn_engine_create(&options, &engine, &err)) {
+        rn_link_fail(&link, "", RN_ABSENT, &err);
+    } else {
+        struct rn_device_info device;
+        rn_engine_describe(engine, &device);
+        struct rn_wire_info info = {.threads = device.threads};
+        snprintf(info.device, sizeof info.device, "%s", device.device);
+        snprintf(info.device_name, sizeof info.device_name, "%s", device.name);
+        snprintf(info.kernels, sizeof info.kernels, "%s", device.kernels);
+        snprintf(info.available, sizeof info.available, "%s", device.available);
+        rn_link_post(&link, RN_WIRE_INFO, &info, NULL, 0);
+        rn_engine_destroy(&engine);
+    }
+    rn_link_finish(&link);
+    return 0;
+}
+
+static int usage(const char *program) {
+    fprintf(stderr,
+            "usage: %s --mode field|ingest|probe --fd N\n"
+            "Started by ripnerfd; N is a connected stream socket.\n",
+            program);
+    return 2;
+}
+
+static bool is_socket(int fd) {
+    struct stat about;
+    return fstat(fd, &about) == 0 && S_ISSOCK(about.st_mode);
+}
+
+int main(int argc, char **argv) {
+    static const struct option options[] = {{"mode", required_argument, NULL, 'm'},
+                                            {"fd", required_argument, NULL, 'f'},
+                                            {"version", no_argument, NULL, 'v'},
+                                            {NULL, 0, NULL, 0}};
+    const char *mode = "";
+    int fd = -1, option;
+    while ((option = getopt_long(argc, argv, "", options, NULL)) != -1) {
+        char *end = "";
+        if (option == 'm') mode = optarg;
+        if (option == 'f') fd = (int)strtol(optarg, &end, 10);
+        if (option == 'v') {
+            puts("ripnerf-runner " RIPNERF_VERSION);
+            return 0;
+        }
+        if (option == '?' || *end) return usage(argv[0]);
+    }
+    if (optind != argc || !is_socket(fd)) return usage(argv[0]);
+    // A Ctrl-C at the terminal is the daemon's to deal with; it then tells its runners.
+    signal(SIGINT, SIG_IGN);
+    signal(SIGPIPE, SIG_IGN);
+    if (strcmp(mode, "field") == 0) return rn_host_run(fd);
+    if (strcmp(mode, "ingest") == 0) return rn_ingest_run(fd);
+    if (strcmp(mode, "probe") == 0) return probe(fd);
+    return usage(argv[0]);
+}

@@ -1,0 +1,380 @@
+#include <errno.h>
+#include <fcntl.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include "common/base/clock.h"
+#include "common/base/log.h"
+#include "server/runner/checkpoints.h"
+#include "server/runner/describe.h"
+#include "server/runner/host.h"
+
+#define PROGRESS_INTERVAL_S 0.5
+#define EVALUATIONS 10             // rounds over a run with a limit
+#define EVALUATION_INTERVAL_S 10.0 // without one
+#define CHECKPOINT_INTERVAL_S 30.0
+
+// A training job. Times are seconds of the monotonic clock, but evaluated_at: of the training
+// clock.
+struct rn_training {
+    char job[RN_ID_MAX];
+    struct rn_trainer *trainer;
+    double checkpoint_interval_s, evaluate_interval_s; // the latter NAN: by the share done
+    double paused_since, paused_seconds;               // since: NAN when it is not paused
+    double yielded_seconds;
+    double checkpointed_at, reported_at;
+    double evaluated_at, evaluated_share; // at the last round: training seconds, share of the run
+    int64_t evaluated_step;               // -1 before the first round
+    bool evaluating;                      // a round over the held-out views is under way
+    bool closing;                         // a limit is reached: the last round, then the end
+    bool finish_asked;
+};
+
+static double now_s(void) {
+    return (double)rn_clock_ns() * 1e-9;
+}
+
+bool rn_training_is(const struct rn_host *host, const char *job) {
+    return host->training && *job && strcmp(host->training->job, job) == 0;
+}
+
+bool rn_training_runs(const struct rn_host *host) {
+    return host->training && isnan(host->training->paused_since);
+}
+
+struct rn_field *rn_training_field(struct rn_training *training) {
+    return rn_trainer_field(training->trainer);
+}
+
+void rn_training_yielded(struct rn_host *host, double seconds) {
+    if (rn_training_runs(host)) host->training->yielded_seconds += seconds;
+}
+
+void rn_training_drop(struct rn_host *host) {
+    if (!host->training) return;
+    rn_trainer_destroy(&host->training->trainer);
+    free(host->training);
+    host->training = NULL;
+}
+
+// ---- messages ------------------------------------------------------------------------------
+
+static char *description(struct rn_training *training, struct rn_error *err) {
+    struct rn_field_info info;
+    rn_field_describe(rn_trainer_field(training->trainer), &info);
+    char *json = NULL;
+    if (rn_describe_scene(&info, rn_trainer_held_out(training->trainer), &json, err))
+        rn_log(RN_LOG_ERROR, "the scene cannot be described: %s", err->text);
+    return json;
+}
+
+static void post_state(struct rn_host *host, enum rn_job_state state) {
+    struct rn_error err = {0};
+    struct rn_wire_state message = {.state = (int)state,
+                                    .scene = description(host->training, &err)};
+    memcpy(message.job, host->training->job, sizeof message.job);
+    rn_link_post(&host->link, RN_WIRE_STATE, &message, NULL, 0);
+    free(message.scene);
+}
+
+static void post_progress(struct rn_host *host, const struct rn_progress *progress) {
+    struct rn_training *training = host->training;
+    struct rn_train_progress record =
+        rn_describe_progress(progress, rn_trainer_config(training->trainer));
+    record.paused_seconds = training->paused_seconds;
+    record.yielded_seconds = training->yielded_seconds;
+    record.evaluating_first = training->closing;
+    struct rn_wire_progress message = {.progress = NULL};
+    struct rn_error err = {0};
+    memcpy(message.job, training->job, sizeof message.job);
+    if (rn_encode(&rn_train_progress_table, &record, &message.progress, NULL, &err)) {
+        rn_log(RN_LOG_ERROR, "progress cannot be reported: %s", err.text);
+        return;
+    }
+    rn_link_post(&host->link, RN_WIRE_PROGRESS, &message, NULL, 0);
+    free(message.progress);
+    training->reported_at = now_s();
+}
+
+static void post_metric(struct rn_host *host, const struct rn_progress *progress) {
+    struct rn_wire_metric message = {.metric = {.step = progress->step,
+                                                .train_seconds = progress->train_seconds,
+                                                .psnr = progress->psnr}};
+    memcpy(message.job, host->training->job, sizeof message.job);
+    rn_link_post(&host->link, RN_WIRE_METRIC, &message, NULL, 0);
+}
+
+// ---- checkpoints ---------------------------------------------------------------------------
+
+static void post_checkpoint(struct rn_host *host, const struct rn_progress *progress,
+                            const char *path) {
+    struct rn_training *training = host->training;
+    struct rn_error err = {0};
+    struct stat about = {0};
+    if (stat(path, &about) < 0) rn_log(RN_LOG_WARN, "%s has vanished", path);
+    struct rn_wire_checkpoint message = {.step = progress->step,
+                                         .size_bytes = about.st_size,
+                                         .train_seconds = progress->train_seconds,
+                                         .psnr = progress->psnr,
+                                         .scene = description(training, &err)};
+    memcpy(message.job, training->job, sizeof message.job);
+    rn_checkpoint_name(progress->step, message.file);
+    rn_field_sha256(rn_trainer_field(training->trainer), message.parameters_sha256);
+    if (message.scene) rn_link_post(&host->link, RN_WIRE_CHECKPOINT, &message, NULL, 0);
+    free(message.scene);
+}
+
+// Makes a rename in the folder of checkpoints durable. -1 and errno on failure.
+static int sync_folder(const char *scene_folder) {
+    char path[PATH_MAX];
+    snprintf(path, sizeof path, "%s/checkpoints", scene_folder);
+    int fd = open(path, O_RDONLY | O_DIRECTORY | O_CLOEXEC);
+    int rc = fd < 0 ? -1 : fsync(fd), errnum = errno;
+    if (fd >= 0) close(fd);
+    errno = errnum;
+    return rc;
+}
+
+// The file bears the step at which it is written, which completing the step under way may raise:
+// rn_trainer_save is given a name of this process's and the file renamed when the step is known.
+static enum rn_status save(struct rn_host *host, struct rn_error *err) {
+    struct rn_training *training = host->training;
+    const char *folder = host->place.scene_folder;
+    char fresh[PATH_MAX], path[PATH_MAX];
+    if (snprintf(fresh, sizeof fresh, "%s/checkpoints/.fresh.tmp", folder) >= (int)sizeof fresh)
+        return rn_error_set(err, RN_ERROR_LIMIT, folder, "the path is too long");
+    enum rn_status status = rn_trainer_save(training->trainer, fresh, err);
+    struct rn_progress progress;
+    rn_trainer_progress(training->trainer, &progress);
+    if (!status) status = rn_checkpoint_path(folder, progress.step, path, err);
+    if (!status && (rename(fresh, path) < 0 || sync_folder(folder) < 0))
+        status = rn_error_from_errno(err, errno, path, "put the checkpoint in place");
+    training->checkpointed_at = now_s();
+    if (status) return status;
+    rn_checkpoints_prune(folder);
+    post_checkpoint(host, &progress, path);
+    return RN_OK;
+}
+
+// For checkpoints that the job can do without: a full disk must not end a training.
+static void save_or_warn(struct rn_host *host) {
+    struct rn_error err = {0};
+    if (save(host, &err))
+        rn_log(RN_LOG_WARN, "no checkpoint could be written: %s: %s", err.where, err.text);
+}
+
+void rn_training_save(struct rn_host *host) {
+    if (host->training) save_or_warn(host);
+}
+
+// ---- begin ---------------------------------------------------------------------------------
+
+// A trainer from the newest good checkpoint. RN_ERROR_NOT_FOUND when there is none.
+static enum rn_status restore(struct rn_host *host, struct rn_trainer **ret_trainer,
+                              struct rn_error *err) {
+    for (;;) {
+        int64_t step;
+        char path[PATH_MAX];
+        enum rn_status status =
+            rn_checkpoints_newest(host->place.scene_folder, INT64_MAX, &step, err);
+        if (!status) status = rn_checkpoint_path(host->place.scene_folder, step, path, err);
+        if (status) return status;
+        status = rn_trainer_restore(host->engine, host->dataset, path,
+                                    (size_t)rn_int_or(host->place.memory_limit_bytes, 0),
+                                    ret_trainer, err);
+        if (status != RN_ERROR_CORRUPT) return status;
+        rn_checkpoint_set_aside(host->place.scene_folder, step, err);
+    }
+}
+
+static enum rn_status create_trainer(struct rn_host *host, const struct rn_train_options *options,
+                                     struct rn_trainer **ret_trainer, struct rn_error *err) {
+    const struct rn_wire_open *place = &host->place;
+    enum rn_status status = rn_host_need_dataset(host, err);
+    if (!status)
+        status = rn_host_need_engine(host, *options->device ? options->device : place->device,
+                                     *options->kernels ? options->kernels : place->kernels,
+                                     (int)rn_int_or(options->threads, rn_int_or(place->threads, 0)),
+                                     err);
+    if (status) return status;
+    if (host->loaded) rn_field_destroy(&host->loaded); // room for the optimiser
+    status = restore(host, ret_trainer, err);
+    if (status != RN_ERROR_NOT_FOUND) return status;
+    struct rn_train_config config;
+    status = rn_configure(options, host->dataset->scale_count > 1, &config, err);
+    if (status) return status;
+    return rn_trainer_create(host->engine, host->dataset, &config,
+                             (size_t)rn_int_or(place->memory_limit_bytes, 0), ret_trainer, err);
+}
+
+void rn_training_start(struct rn_host *host, const struct rn_wire_train *train) {
+    const struct rn_train_options *options = &train->options;
+    struct rn_error err = {0};
+    struct rn_training *training = calloc(1, sizeof *training);
+    enum rn_status status =
+        training ? RN_OK : rn_error_set(&err, RN_ERROR_NO_MEMORY, "", "out of memory");
+    if (!status) status = create_trainer(host, options, &training->trainer, &err);
+    if (status) {
+        free(training);
+        rn_link_fail(&host->link, train->job, RN_ABSENT, &err);
+        return;
+    }
+    memcpy(training->job, train->job, sizeof training->job);
+    training->checkpoint_interval_s =
+        rn_number_or(options->checkpoint_interval_s, CHECKPOINT_INTERVAL_S);
+    training->evaluate_interval_s = options->evaluate_interval_s;
+    training->paused_since = NAN;
+    training->checkpointed_at = training->reported_at = now_s();
+    struct rn_progress progress;
+    rn_trainer_progress(training->trainer, &progress);
+    training->evaluated_step = isnan(progress.psnr) ? -1 : progress.psnr_step;
+    training->evaluated_at = progress.train_seconds;
+    training->evaluated_share = isnan(progress.fraction) ? 0 : progress.fraction;
+    host->training = training;
+    post_state(host, RN_JOB_RUNNING);
+    post_progress(host, &progress);
+}
+
+// ---- end -----------------------------------------------------------------------------------
+
+// The job is over: what is kept for rendering is the last checkpoint.
+static void leave(struct rn_host *host) {
+    struct rn_error err = {0};
+    rn_training_drop(host);
+    if (rn_host_load(host, &err) && err.status != RN_ERROR_NOT_FOUND)
+        rn_log(RN_LOG_ERROR, "the scene cannot be loaded after training: %s", err.text);
+}
+
+static void fail(struct rn_host *host, const struct rn_error *err) {
+    char job[RN_ID_MAX];
+    memcpy(job, host->training->job, sizeof job);
+    leave(host);
+    rn_link_fail(&host->link, job, RN_ABSENT, err);
+}
+
+static enum rn_finished_by reason(const struct rn_training *training,
+                                  const struct rn_progress *progress) {
+    const struct rn_train_config *config = rn_trainer_config(training->trainer);
+    if (training->finish_asked) return RN_FINISHED_REQUEST;
+    if (config->until_psnr > 0 && progress->psnr >= config->until_psnr) return RN_FINISHED_PSNR;
+    bool by_steps = config->max_steps > 0 && progress->step >= config->max_steps;
+    return by_steps ? RN_FINISHED_STEPS : RN_FINISHED_TIME;
+}
+
+static void complete(struct rn_host *host) {
+    struct rn_training *training = host->training;
+    struct rn_error err = {0};
+    if (save(host, &err)) {
+        fail(host, &err);
+        return;
+    }
+    struct rn_progress progress;
+    rn_trainer_progress(training->trainer, &progress);
+    post_progress(host, &progress);
+    struct rn_train_result result = {.steps = progress.step,
+                                     .train_seconds = progress.train_seconds,
+                                     .samples = (int64_t)progress.samples,
+                                     .psnr = progress.psnr,
+                                     .finished_by = (int)reason(training, &progress)};
+    rn_field_sha256(rn_trainer_field(training->trainer), result.parameters_sha256);
+    struct rn_wire_done done = {.result = NULL};
+    memcpy(done.job, training->job, sizeof done.job);
+    if (rn_encode(&rn_train_result_table, &result, &done.result, NULL, &err)) {
+        fail(host, &err);
+        return;
+    }
+    leave(host);
+    rn_link_post(&host->link, RN_WIRE_DONE, &done, NULL, 0);
+    free(done.result);
+}
+
+// ---- slices --------------------------------------------------------------------------------
+
+static bool evaluation_is_due(const struct rn_training *training,
+                              const struct rn_progress *progress) {
+    double since = progress->train_seconds - training->evaluated_at;
+    if (progress->step == training->evaluated_step) return false;
+    if (!isnan(training->evaluate_interval_s)) return since >= training->evaluate_interval_s;
+    if (isnan(progress->fraction)) return since >= EVALUATION_INTERVAL_S;
+    return progress->fraction >= training->evaluated_share + 1.0 / EVALUATIONS;
+}
+
+static enum rn_status advance(struct rn_host *host, struct rn_error *err) {
+    struct rn_training *training = host->training;
+    bool round_done = false;
+    enum rn_status status =
+        training->evaluating ? rn_trainer_validate(training->trainer, RN_SLICE_MS, &round_done, err)
+                             : rn_trainer_advance(training->trainer, RN_SLICE_MS, err);
+    if (status || !round_done) return status;
+    struct rn_progress progress;
+    rn_trainer_progress(training->trainer, &progress);
+    training->evaluating = false;
+    training->evaluated_step = progress.step;
+    training->evaluated_at = progress.train_seconds;
+    training->evaluated_share = isnan(progress.fraction) ? 0 : progress.fraction;
+    post_metric(host, &progress);
+    return RN_OK;
+}
+
+void rn_training_slice(struct rn_host *host) {
+    struct rn_training *training = host->training;
+    struct rn_error err = {0};
+    if (advance(host, &err)) {
+        fail(host, &err);
+        return;
+    }
+    struct rn_progress progress;
+    rn_trainer_progress(training->trainer, &progress);
+    if (!training->evaluating) {
+        training->closing = progress.done || training->finish_asked;
+        training->evaluating = training->closing ? progress.step != training->evaluated_step
+                                                 : evaluation_is_due(training, &progress);
+    }
+    if (training->closing && !training->evaluating) {
+        complete(host);
+        return;
+    }
+    double now = now_s();
+    if (now - training->reported_at >= PROGRESS_INTERVAL_S) post_progress(host, &progress);
+    if (!training->closing && now - training->checkpointed_at >= training->checkpoint_interval_s)
+        save_or_warn(host);
+}
+
+// ---- control -------------------------------------------------------------------------------
+
+void rn_training_pause(struct rn_host *host) {
+    struct rn_training *training = host->training;
+    if (isnan(training->paused_since)) {
+        save_or_warn(host);
+        training->paused_since = now_s();
+    }
+    struct rn_progress progress;
+    rn_trainer_progress(training->trainer, &progress);
+    post_progress(host, &progress);
+    post_state(host, RN_JOB_PAUSED);
+}
+
+void rn_training_resume(struct rn_host *host) {
+    struct rn_training *training = host->training;
+    if (!isnan(training->paused_since)) {
+        training->paused_seconds += now_s() - training->paused_since;
+        training->paused_since = NAN;
+        training->checkpointed_at = now_s();
+    }
+    post_state(host, RN_JOB_RUNNING);
+}
+
+void rn_training_finish(struct rn_host *host) {
+    rn_training_resume(host);
+    host->training->finish_asked = true;
+}
+
+void rn_training_cancel(struct rn_host *host) {
+    struct rn_error err;
+    save_or_warn(host);
+    rn_error_set(&err, RN_ERROR_CANCELLED, "", "cancelled; the last checkpoint is kept");
+    fail(host, &err);
+}

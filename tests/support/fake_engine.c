@@ -1,0 +1,410 @@
+// An engine that pretends: "training" counts steps, a render is a gradient, every figure is a
+// formula. Deterministic, so that the runner and the daemon can be tested in seconds.
+//
+// RIPNERF_FAKE_STEP_US: microseconds a step takes (1000). RIPNERF_FAKE_ROW_US: a rendered row (0).
+// RIPNERF_FAKE_LOAD_MS: making a trainer (0). RIPNERF_FAKE_DIVERGE_AT: the step that diverges.
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <unistd.h>
+
+#include "common/base/clock.h"
+#include "common/base/file.h"
+#include "common/base/sha256.h"
+#include "server/engine/engine.h"
+
+#define HELD_OUT 8
+#define SPARE 16 // samples a step "evaluates" per level
+
+struct rn_engine {
+    struct rn_device_info info;
+};
+
+struct rn_field {
+    char magic[8]; // the struct is also the checkpoint's content
+    struct rn_train_config config;
+    struct rn_bounds bounds;
+    int64_t steps;
+    double train_seconds, psnr;
+    uint64_t state; // stands for the parameters
+    bool has_alpha;
+    int scale_count;
+};
+
+struct rn_trainer {
+    struct rn_field field;
+    int64_t psnr_step;
+    double evaluate_seconds, load_seconds;
+    int validated; // views of the round under way
+};
+
+static long setting(const char *name, long fallback) {
+    const char *text = getenv(name);
+    return text ? atol(text) : fallback;
+}
+
+static double now_s(void) {
+    return (double)rn_clock_ns() * 1e-9;
+}
+
+// ---- configuration -------------------------------------------------------------------------
+
+static const char *const footprints[] = {"rip", "mip", "point"};
+static const char *const orientations[] = {"platonic", "golden", "blue", "white"};
+
+const char *rn_footprint_name(enum rn_footprint footprint) {
+    return footprints[footprint];
+}
+const char *rn_orientation_name(enum rn_orientation orientation) {
+    return orientations[orientation];
+}
+
+enum rn_status rn_preset(const char *name, bool multi_scale, struct rn_train_config *ret_config,
+                         struct rn_error *err) {
+    *ret_config = (struct rn_train_config){.field = {.planes = 3,
+                                                     .base = 32,
+                                                     .channels = 8,
+                                                     .levels = multi_scale ? 4 : 1,
+                                                     .width = 16,
+                                                     .base_layers = 1,
+                                                     .head_layers = 1,
+                                                     .view_dependence = true,
+                                                     .occupancy = 16},
+                                           .step = 0.01,
+                                           .target_samples = 1024,
+                                           .initial_rays = 64,
+                                           .learning_rate = 0.01,
+                                           .plane_rate = 1,
+                                           .adam_eps = 1e-15,
+                                           .max_seconds = 2,
+                                           .stop = 0.001,
+                                           .background = {1, 1, 1}};
+    snprintf(ret_config->preset, sizeof ret_config->preset, "%s", name);
+    return rn_train_config_check(ret_config, err);
+}
+
+enum rn_status rn_train_config_check(const struct rn_train_config *config, struct rn_error *err) {
+    int planes = config->field.planes;
+    bool solid = planes == 3 || planes == 4 || planes == 6 || planes == 10;
+    if (config->field.orientation == RN_ORIENTATION_PLATONIC && !solid)
+        return rn_error_set(err, RN_ERROR_INVALID, "#/options/planes", "must be 3, 4, 6 or 10");
+    return RN_OK;
+}
+
+int rn_train_config_differences(const struct rn_train_config *config, struct rn_difference *items,
+                                int capacity) {
+    if (capacity > 0) items[0] = (struct rn_difference){"nothing is trained", ""};
+    return capacity > 0;
+}
+
+// ---- device --------------------------------------------------------------------------------
+
+enum rn_status rn_engine_create(const struct rn_engine_options *options,
+                                struct rn_engine **ret_engine, struct rn_error *err) {
+    const char *kernels = options->kernels ? options->kernels : "auto";
+    if (strcmp(kernels, "auto") != 0 && strcmp(kernels, "scalar") != 0)
+        return rn_error_set(err, RN_ERROR_UNSUPPORTED, "#/options/kernels",
+                            "this machine has no kernel set %s", kernels);
+    if (options->device && strncmp(options->device, "cuda", 4) == 0)
+        return rn_error_set(err, RN_ERROR_UNSUPPORTED, "#/options/device", "there is no GPU");
+    struct rn_engine *engine = calloc(1, sizeof *engine);
+    if (!engine) return rn_error_set(err, RN_ERROR_NO_MEMORY, "", "out of memory");
+    engine->info = (struct rn_device_info){.device = "cpu",
+                                           .name = "pretended",
+                                           .kernels = "scalar",
+                                           .available = "scalar",
+                                           .threads = options->threads ? options->threads : 1};
+    *ret_engine = engine;
+    return RN_OK;
+}
+
+void rn_engine_destroy(struct rn_engine **engine) {
+    free(*engine);
+    *engine = NULL;
+}
+
+void rn_engine_describe(const struct rn_engine *engine, struct rn_device_info *ret_info) {
+    *ret_info = engine->info;
+}
+
+// ---- fields --------------------------------------------------------------------------------
+
+static const char magic[8] = "rnfake1";
+
+// Content, then the SHA-256 of it in hex.
+static enum rn_status write_field(const struct rn_field *field, const char *path,
+                                  struct rn_error *err) {
+    struct {
+        struct rn_field field;
+        char digest[65];
+    } file;
+    memset(&file, 0, sizeof file);
+    file.field = *field;
+    struct rn_sha256 hash;
+    rn_sha256_init(&hash);
+    rn_sha256_update(&hash, field, sizeof *field);
+    rn_sha256_final_hex(&hash, file.digest);
+    return rn_file_write_atomic(path, &file, sizeof file, err);
+}
+
+static enum rn_status read_field(const char *path, struct rn_field *ret_field,
+                                 struct rn_error *err) {
+    uint8_t *bytes;
+    size_t size;
+    enum rn_status status = rn_file_read(path, 1 << 20, &bytes, &size, err);
+    if (status) return status;
+    char digest[65] = "";
+    if (size >= sizeof *ret_field + sizeof digest) {
+        memcpy(ret_field, bytes, sizeof *ret_field);
+        struct rn_sha256 hash;
+        rn_sha256_init(&hash);
+        rn_sha256_update(&hash, bytes, sizeof *ret_field);
+        rn_sha256_final_hex(&hash, digest);
+    }
+    bool good = *digest && memcmp(ret_field->magic, magic, sizeof magic) == 0 &&
+                memcmp(digest, bytes + sizeof *ret_field, sizeof digest) == 0;
+    free(bytes);
+    return good ? RN_OK : rn_error_set(err, RN_ERROR_CORRUPT, path, "the checkpoint is damaged");
+}
+
+enum rn_status rn_field_load(struct rn_engine *engine, const char *checkpoint_path,
+                             struct rn_field **ret_field, struct rn_error *err) {
+    struct rn_field *field = calloc(1, sizeof *field);
+    if (!field) return rn_error_set(err, RN_ERROR_NO_MEMORY, "", "out of memory");
+    enum rn_status status = read_field(checkpoint_path, field, err);
+    if (status)
+        free(field);
+    else
+        *ret_field = field;
+    return status;
+}
+
+void rn_field_destroy(struct rn_field **field) {
+    free(*field);
+    *field = NULL;
+}
+
+void rn_field_describe(const struct rn_field *field, struct rn_field_info *ret_info) {
+    *ret_info = (struct rn_field_info){.config = field->config,
+                                       .bounds = field->bounds,
+                                       .steps = field->steps,
+                                       .train_seconds = field->train_seconds,
+                                       .psnr = field->psnr,
+                                       .memory_bytes = sizeof *field,
+                                       .parameter_count = 1,
+                                       .kernels = "scalar"};
+    static const char *const names[] = {"background", "scale-pyramid", "anisotropy",
+                                        "view-dependence"};
+    for (int i = 0; i < RN_EFFECT_COUNT; i++) {
+        ret_info->effects[i] = (struct rn_effect_record){
+            .name = names[i], .on = true, .decided = i != RN_EFFECT_VIEW_DEPENDENCE, .number = 1};
+        snprintf(ret_info->effects[i].reason, sizeof ret_info->effects[i].reason, "pretended");
+    }
+    ret_info->effects[RN_EFFECT_VIEW_DEPENDENCE].number = NAN;
+}
+
+void rn_field_sha256(const struct rn_field *field, char ret_hex[65]) {
+    struct rn_sha256 hash;
+    rn_sha256_init(&hash);
+    rn_sha256_update(&hash, &field->state, sizeof field->state);
+    rn_sha256_final_hex(&hash, ret_hex);
+}
+
+// ---- training ------------------------------------------------------------------------------
+
+static enum rn_status create(const struct rn_field *field, struct rn_trainer **ret_trainer,
+                             struct rn_error *err) {
+    struct rn_trainer *trainer = calloc(1, sizeof *trainer);
+    if (!trainer) return rn_error_set(err, RN_ERROR_NO_MEMORY, "", "out of memory");
+    double begin = now_s();
+    usleep((useconds_t)setting("RIPNERF_FAKE_LOAD_MS", 0) * 1000);
+    trainer->field = *field;
+    trainer->psnr_step = isnan(field->psnr) ? 0 : field->steps;
+    trainer->load_seconds = now_s() - begin;
+    *ret_trainer = trainer;
+    return RN_OK;
+}
+
+enum rn_status rn_trainer_create(struct rn_engine *engine, const struct rn_dataset *dataset,
+                                 const struct rn_train_config *config, size_t memory_limit_bytes,
+                                 struct rn_trainer **ret_trainer, struct rn_error *err) {
+    if (memory_limit_bytes && memory_limit_bytes < 4096)
+        return rn_error_set(err, RN_ERROR_LIMIT, "memory", "4096 bytes are needed");
+    struct rn_field field;
+    memset(&field, 0, sizeof field);
+    memcpy(field.magic, magic, sizeof magic);
+    field.config = *config;
+    field.bounds = dataset->bounds;
+    field.psnr = NAN;
+    field.state = config->seed;
+    field.scale_count = dataset->scale_count;
+    return create(&field, ret_trainer, err);
+}
+
+enum rn_status rn_trainer_restore(struct rn_engine *engine, const struct rn_dataset *dataset,
+                                  const char *checkpoint_path, size_t memory_limit_bytes,
+                                  struct rn_trainer **ret_trainer, struct rn_error *err) {
+    struct rn_field field;
+    enum rn_status status = read_field(checkpoint_path, &field, err);
+    return status ? status : create(&field, ret_trainer, err);
+}
+
+void rn_trainer_destroy(struct rn_trainer **trainer) {
+    free(*trainer);
+    *trainer = NULL;
+}
+
+static bool is_done(const struct rn_trainer *trainer) {
+    const struct rn_train_config *config = &trainer->field.config;
+    const struct rn_field *field = &trainer->field;
+    return (config->max_steps && field->steps >= config->max_steps) ||
+           (config->max_seconds > 0 && field->train_seconds >= config->max_seconds) ||
+           (config->until_psnr > 0 && field->psnr >= config->until_psnr);
+}
+
+enum rn_status rn_trainer_advance(struct rn_trainer *trainer, double budget_ms,
+                                  struct rn_error *err) {
+    struct rn_field *field = &trainer->field;
+    double begin = now_s(), last = begin;
+    long diverge_at = setting("RIPNERF_FAKE_DIVERGE_AT", -1);
+    useconds_t step_us = (useconds_t)setting("RIPNERF_FAKE_STEP_US", 1000);
+    while (!is_done(trainer) && (last - begin) * 1e3 < budget_ms) {
+        if (field->steps == diverge_at)
+            return rn_error_set(err, RN_ERROR_NUMERIC, "training", "diverged at step %lld",
+                                (long long)field->steps);
+        usleep(step_us);
+        field->state = field->state * 6364136223846793005u + 1442695040888963407u;
+        field->steps++;
+        double now = now_s();
+        field->train_seconds += now - last;
+        last = now;
+    }
+    return RN_OK;
+}
+
+enum rn_status rn_trainer_validate(struct rn_trainer *trainer, double budget_ms, bool *ret_done,
+                                   struct rn_error *err) {
+    double begin = now_s();
+    usleep(1000);
+    trainer->validated += 4;
+    *ret_done = trainer->validated >= HELD_OUT;
+    trainer->evaluate_seconds += now_s() - begin;
+    if (!*ret_done) return RN_OK;
+    trainer->validated = 0;
+    trainer->field.psnr = 20 + 15 * (1 - exp(-(double)trainer->field.steps / 200));
+    trainer->psnr_step = trainer->field.steps;
+    return RN_OK;
+}
+
+void rn_trainer_progress(const struct rn_trainer *trainer, struct rn_progress *ret_progress) {
+    const struct rn_field *field = &trainer->field;
+    const struct rn_train_config *config = &field->config;
+    double fraction = NAN;
+    if (config->max_steps) fraction = (double)field->steps / (double)config->max_steps;
+    if (config->max_seconds > 0)
+        fraction = fmax(isnan(fraction) ? 0 : fraction, field->train_seconds / config->max_seconds);
+    double rate = field->train_seconds > 0 ? (double)field->steps / field->train_seconds : 0;
+    *ret_progress = (struct rn_progress){
+        .step = field->steps,
+        .train_seconds = field->train_seconds,
+        .load_seconds = trainer->load_seconds,
+        .evaluate_seconds = trainer->evaluate_seconds,
+        .loss = exp(-(double)field->steps / 200),
+        .rays_per_second = 64 * rate,
+        .samples_per_second = 1024 * rate,
+        .samples = 1024 * (uint64_t)field->steps,
+        .rays = 64 * (uint64_t)field->steps,
+        .level_samples = {1008 * (uint64_t)field->steps, SPARE * (uint64_t)field->steps},
+        .psnr = field->psnr,
+        .psnr_step = trainer->psnr_step,
+        .eta_seconds = fraction > 0 ? field->train_seconds * (1 / fmin(fraction, 1) - 1) : NAN,
+        .fraction = fmin(fraction, 1),
+        .done = is_done(trainer)};
+    if (isnan(fraction)) ret_progress->fraction = NAN; // fmin prefers a number
+}
+
+const char *rn_trainer_held_out(const struct rn_trainer *trainer) {
+    return "8 pretended views";
+}
+
+const struct rn_train_config *rn_trainer_config(const struct rn_trainer *trainer) {
+    return &trainer->field.config;
+}
+
+struct rn_field *rn_trainer_field(struct rn_trainer *trainer) {
+    return &trainer->field;
+}
+
+enum rn_status rn_trainer_save(struct rn_trainer *trainer, const char *path, struct rn_error *err) {
+    return write_field(&trainer->field, path, err);
+}
+
+// ---- rendering -----------------------------------------------------------------------------
+
+static enum rn_status fill(struct rn_picture *picture, const struct rn_field *field,
+                           const struct rn_camera *camera, int channels, bool (*keep_going)(void *),
+                           void *context, struct rn_error *err) {
+    enum rn_status status = rn_picture_init(camera->width, camera->height, channels, picture, err);
+    if (status) return status;
+    useconds_t row_us = (useconds_t)setting("RIPNERF_FAKE_ROW_US", 0);
+    for (int y = 0; y < camera->height; y++) {
+        if (keep_going && !keep_going(context))
+            return rn_error_set(err, RN_ERROR_CANCELLED, "render", "cancelled");
+        if (row_us) usleep(row_us);
+        for (int x = 0; x < camera->width * channels; x++) {
+            float value = (float)(x / channels) / (float)camera->width;
+            if (x % channels == 1) value = (float)y / (float)camera->height;
+            if (x % channels == 2) value = (float)(field->steps % 256) / 255.0f;
+            picture->values[(size_t)y * (size_t)camera->width * (size_t)channels + (size_t)x] =
+                value;
+        }
+    }
+    return RN_OK;
+}
+
+enum rn_status rn_render(struct rn_engine *engine, struct rn_field *field,
+                         const struct rn_render_options *options, bool (*keep_going)(void *context),
+                         void *context, struct rn_render_result *ret_result, struct rn_error *err) {
+    struct rn_render_result result = {.stats = {.render_ms = 0}};
+    const struct rn_camera *camera = &options->camera;
+    double begin = now_s();
+    enum rn_status status = RN_OK;
+    if (options->outputs & RN_OUTPUT_RGB)
+        status = fill(&result.rgb, field, camera, 3, keep_going, context, err);
+    if (!status && options->outputs & RN_OUTPUT_DEPTH)
+        status = fill(&result.depth, field, camera, 1, keep_going, context, err);
+    if (!status && options->outputs & RN_OUTPUT_ALPHA)
+        status = fill(&result.alpha, field, camera, 1, keep_going, context, err);
+    if (status) {
+        rn_render_result_finish(&result);
+        return status;
+    }
+    result.stats.rays = (uint64_t)camera->width * (uint64_t)camera->height;
+    result.stats.samples = 8 * result.stats.rays;
+    result.stats.render_ms = (now_s() - begin) * 1e3;
+    *ret_result = result;
+    return RN_OK;
+}
+
+void rn_render_result_finish(struct rn_render_result *result) {
+    rn_picture_finish(&result->rgb);
+    rn_picture_finish(&result->depth);
+    rn_picture_finish(&result->alpha);
+}
+
+enum rn_status rn_evaluate_view(struct rn_engine *engine, struct rn_field *field,
+                                const struct rn_frame *frame, const float background[3],
+                                bool (*keep_going)(void *context), void *context,
+                                struct rn_view_score *ret_score, struct rn_error *err) {
+    struct rn_render_options options = {
+        .camera = frame->camera, .outputs = RN_OUTPUT_RGB, .subsample = 1};
+    struct rn_render_result result;
+    enum rn_status status = rn_render(engine, field, &options, keep_going, context, &result, err);
+    if (status) return status;
+    *ret_score = (struct rn_view_score){.psnr = 30 + frame->scale + 0.1 * (frame->index % 3),
+                                        .ssim = 0.9 + 0.01 * frame->scale,
+                                        .render_ms = result.stats.render_ms};
+    rn_render_result_finish(&result);
+    return RN_OK;
+}

@@ -1,0 +1,28 @@
+"""Small datasets in the NeRF-synthetic layout, made up."""
+
+import json
+import math
+
+from PIL import Image
+
+
+def pose(angle, distance=4.0):
+    """World-from-camera in OpenGL axes, on a circle, looking at the origin; z is up."""
+    c, s = math.cos(angle), math.sin(angle)
+    return [[-s, 0, c, distance * c], [c, 0, s, distance * s], [0, 1, 0, 0], [0, 0, 0, 1]]
+
+
+def write_dataset(folder, size=16, train=6, val=8, test=4):
+    folder.mkdir(parents=True, exist_ok=True)
+    for split, count in (("train", train), ("val", val), ("test", test)):
+        frames = []
+        (folder / split).mkdir(exist_ok=True)
+        for i in range(count):
+            image = Image.new("RGBA", (size, size), (40 * i % 256, 128, 200, 255))
+            image.putpixel((0, 0), (0, 0, 0, 0))
+            image.save(folder / split / f"r_{i}.png")
+            frames.append({"file_path": f"./{split}/r_{i}",
+                           "transform_matrix": pose(2 * math.pi * i / count)})
+        (folder / f"transforms_{split}.json").write_text(
+            json.dumps({"camera_angle_x": 0.7, "frames": frames}))
+    return folder

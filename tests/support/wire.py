@@ -1,0 +1,84 @@
+"""The daemon's end of the runner's protocol, for tests: frames over a socketpair."""
+
+import json
+import os
+import select
+import socket
+import struct
+import subprocess
+import time
+
+TYPES = {"open": 1, "train": 2, "path": 3, "eval": 4, "ingest": 5, "pause": 6, "resume": 7,
+         "finish": 8, "cancel": 9, "render": 10, "shutdown": 11, "hello": 64, "opened": 65,
+         "state": 66, "progress": 67, "metric": 68, "checkpoint": 69, "frame": 70,
+         "rendered": 71, "done": 72, "failed": 73, "info": 74}
+NAMES = {number: name for name, number in TYPES.items()}
+HEADER = struct.Struct("<IIII")
+MAGIC = 0x31574E52
+
+
+class Runner:
+    """A runner process. Messages are (name, content, blob); `seen` keeps all that arrived."""
+
+    def __init__(self, program, mode, environment=None):
+        ours, theirs = socket.socketpair()
+        self.socket = ours
+        self.seen = []
+        self.process = subprocess.Popen(
+            [str(program), "--mode", mode, "--fd", str(theirs.fileno())],
+            pass_fds=[theirs.fileno()], env={**os.environ, **(environment or {})})
+        theirs.close()
+        self.data = b""
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.socket.close()
+        try:
+            self.process.wait(10)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.process.wait()
+            raise
+
+    def send(self, name, /, **content):
+        self.send_raw(TYPES[name], json.dumps(content).encode())
+
+    def send_raw(self, number, body, magic=MAGIC):
+        self.socket.sendall(HEADER.pack(magic, number, len(body), 0) + body)
+
+    def receive(self, timeout=10):
+        """The next message, or None at the end of the stream."""
+        deadline = time.monotonic() + timeout
+        while True:
+            if len(self.data) >= HEADER.size:
+                magic, number, size, blob = HEADER.unpack_from(self.data)
+                assert magic == MAGIC
+                end = HEADER.size + size + blob
+                if len(self.data) >= end:
+                    body = self.data[HEADER.size:HEADER.size + size]
+                    message = (NAMES[number], json.loads(body),
+                               self.data[HEADER.size + size:end])
+                    self.data = self.data[end:]
+                    self.seen.append(message)
+                    return message
+            left = deadline - time.monotonic()
+            assert left > 0 and select.select([self.socket], [], [], left)[0], \
+                f"nothing came; seen: {[name for name, _, _ in self.seen]}"
+            try:
+                piece = self.socket.recv(1 << 20)
+            except ConnectionResetError:  # it ended without reading all that was sent
+                return None
+            if not piece:
+                return None
+            self.data += piece
+
+    def wait_for(self, *names, timeout=10, job=None):
+        """The next message of one of these names (and job); others are passed over."""
+        deadline = time.monotonic() + timeout
+        while True:
+            message = self.receive(deadline - time.monotonic())
+            assert message is not None, f"the runner ended; waited for {names}"
+            if message[0] in names and (job is None or message[1].get("job") == job):
+                return message
