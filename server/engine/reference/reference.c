@@ -517,7 +517,7 @@ enum rn_status rn_reference_loss(struct rn_reference *ref, const struct rn_refer
 
 void rn_reference_adamw(size_t n, double *parameter, const double *grad, double *m, double *v,
                         double rate, double decay, double eps, int64_t step) {
-    // log1p: 0.999 as a number is 5e-14 from 1 - 0.001, relative to the difference from 1.
+    // log1p: 1 - 0.999 as float64 has it is 4 ULP from 0.001.
     double c1 = -expm1((double)step * log1p(-0.1)), c2 = -expm1((double)step * log1p(-0.001));
     for (size_t i = 0; i < n; i++) {
         m[i] = 0.9 * m[i] + 0.1 * grad[i];
