@@ -1,0 +1,104 @@
+#!/bin/bash
+# Puts each naive formula back, in a scratch copy of the tree, and runs the case that must fail:
+# mutations.sh [SEED]. Closes with `N of N caught`; the exit code is 0 only when all were.
+set -u
+cd "$(dirname "$0")/../.." || exit 1
+tree=$PWD
+export RN_NUMERICS_SEED=${1:-1}
+scratch=$(mktemp -d) || exit 1
+trap 'rm -rf "$scratch"' EXIT
+tried=0
+caught=0
+
+give_up() {
+    echo "mutations.sh: $1" >&2
+    exit 1
+}
+
+# run PROGRAM: builds it and runs it; 0 passed, 1 failed, 2 did not build.
+run() {
+    ninja -C "$scratch/build" "tests/numerics/numerics_$1" >"$scratch/log" 2>&1 || return 2
+    "$scratch/build/tests/numerics/numerics_$1" >"$scratch/log" 2>&1 || return 1
+}
+
+# mutate PROGRAM FILE WHAT SED_SCRIPT
+mutate() {
+    local program=$1 file=$2 what=$3 script=$4
+    tried=$((tried + 1))
+    sed -i "$script" "$scratch/tree/$file"
+    if cmp -s "$tree/$file" "$scratch/tree/$file"; then
+        echo "NO CHANGE  $what ($file)"
+    else
+        run "$program"
+        case $? in
+        1) caught=$((caught + 1)) && echo "caught     $what ($program)" ;;
+        2) echo "NO BUILD   $what" && tail -5 "$scratch/log" ;;
+        *) echo "MISSED     $what ($program)" ;;
+        esac
+    fi
+    cp "$tree/$file" "$scratch/tree/$file"
+}
+
+mkdir "$scratch/tree"
+git ls-files --cached --others --exclude-standard -z | xargs -0 cp --parents -t "$scratch/tree"
+meson setup "$scratch/build" "$scratch/tree" --buildtype=release >"$scratch/log" 2>&1 ||
+    { cat "$scratch/log"; give_up "meson setup failed"; }
+for program in frustum footprint ripmap solid volume camera optimiser flags_fma; do
+    run "$program" || give_up "$program fails before any mutation: $(tail -3 "$scratch/log")"
+done
+
+field=server/engine/field
+ends='rn_real a = mid - width \/ 2, b = mid + width \/ 2'
+cubes='rn_real a3 = a * a * a, b3 = b * b * b'
+mutate frustum $field/frustum.h "moments: mean by powers of the end points" \
+    "s/out.mean = .*/$ends; $cubes; out.mean = (rn_real)0.75 * (b3 * b - a3 * a) \/ (b3 - a3);/"
+mutate frustum $field/frustum.h "moments: axial variance by powers of the end points" \
+    "s/out.axial = .*/$ends; $cubes; out.axial = (rn_real)0.6 * (b3 * b * b - a3 * a * a) \/ (b3 - a3) - out.mean * out.mean;/"
+mutate frustum $field/frustum.h "moments: axial variance by mip-NeRF's subtraction" \
+    's/out.axial = .*/out.axial = (rn_real)(h * h \/ 3 - 4 * h * h * h * h * (12 * m * m - h * h) \/ (15 * (3 * m * m + h * h) * (3 * m * m + h * h)));/'
+mutate frustum $field/frustum.h "moments: half width recovered from the end points" \
+    's/h = (rn_wide)width.*0.5,/h = ((mid + width \/ 2) - (mid - width \/ 2)) \/ 2,/'
+mutate footprint $field/footprint.h "footprint: plain dot product" \
+    's/rn_real dot = .*/rn_real dot = x[0] * d[0] + x[1] * d[1] + x[2] * d[2];/'
+mutate footprint $field/footprint.h "footprint: 1 - (x.d)^2 for the part across" \
+    's/return axial \* (dot.*/return axial * (dot * dot) + radial * (1 - dot * dot);/'
+mutate footprint $field/real.h "footprint: plain differences of products" \
+    's/return fma(a, b, -cd) + error;/(void)error; return a * b - cd;/'
+mutate footprint $field/footprint.h "level: clamped after the logarithm" \
+    's/rn_real v = rn_clamp(variance, unit \* unit, top \* top);/rn_real v = variance; (void)top;/;s/return rn_clamp(\((rn_real)0.5 \* log2.*\), 0, \(.*\));/rn_real level = \1; return level < 0 ? 0 : level > \2 ? \2 : level;/'
+mutate footprint $field/footprint.h "level: the paper's equation, without the size" \
+    's/(rn_real)RN_FOOTPRINT_SCALE \* (rn_real)size/(rn_real)RN_FOOTPRINT_SCALE/'
+mutate ripmap $field/ripmap.h "pooling: odd sizes drop their last texel" \
+    's/if (size % 2 == 0) {/if (size > 1) {/'
+mutate ripmap $field/ripmap.h "query: position not clamped above" \
+    's/0, (rn_real)(size - 1));/0, (rn_real)(2 * size));/'
+mutate ripmap $field/ripmap.h "query: corners aligned to the edges" \
+    's/(rn_real)size - (rn_real)0.5/(rn_real)(size - 1)/'
+mutate ripmap server/engine/reference/reference.c "pyramid: adjoint without the weights" \
+    's/+= weight\[t\] \* coarse/+= 0.5 * coarse/'
+mutate solid $field/solid.c "planes: computed in float64" \
+    's/typedef long double vec3/typedef double vec3/;s/sqrtl(/sqrt(/;s/long double norm/double norm/'
+mutate solid $field/solid.c "planes: golden ratio to ten digits" \
+    's/#define PHI .*/#define PHI 1.618033988L/'
+mutate volume $field/volume.h "density: not clamped" \
+    's/exp(rn_clamp(\(logit - RN_DENSITY_SHIFT\), .*/exp(\1);/'
+mutate volume $field/volume.h "opacity: 1 - exp(-x)" 's/return -expm1(-x);/return 1 - exp(-x);/'
+mutate volume $field/volume.h "compositing: product of 1 - opacity" \
+    's/before = after\[i\] = exp(-sum);/before = after[i] = before * (1 - rn_alpha(x[i]));/'
+mutate volume $field/volume.h "compositing: plain sum of optical depths" \
+    's/carry = (t - sum) - y;/carry = 0;/'
+mutate volume $field/volume.h "backward: total minus prefix" \
+    's/rn_real suffix = 0;/rn_real suffix = 0; for (int i = 0; i < n; i++) suffix += weights[i] * g[i]; for (int i = 0; i < n; i++) { rn_real gi = g[i]; suffix -= weights[i] * gi; grad[i] = after[i] * gi - suffix; } return;/'
+mutate volume $field/volume.h "backward: divided by 1 - opacity" \
+    's/grad\[i\] = after\[i\] \* gi - suffix;/grad[i] = after[i] * gi - suffix \/ (1 - weights[i]) * (1 - weights[i]);/'
+mutate optimiser server/engine/reference/reference.c "AdamW: 1 - 0.999^t by pow" \
+    's/c2 = -expm1(.*/c2 = 1 - pow(0.999, (double)step);/'
+mutate optimiser server/engine/reference/reference.c "AdamW: fp32 second moment" \
+    's/v\[i\] = 0.999 \* v\[i\].*/v[i] = (float)(0.999 * v[i] + 0.001 * grad[i] * grad[i]);/'
+mutate camera common/math/camera.h "cameras: direction in fp32" \
+    's/double inv_norm = 1.0 \/ sqrt(x \* x + y \* y + 1.0);/double inv_norm = 1.0f \/ sqrtf((float)(x * x + y * y + 1.0));/'
+mutate flags_fma meson.build "flags: contraction allowed" \
+    's/-ffp-contract=off/-ffp-contract=fast/'
+
+echo "$caught of $tried caught"
+[ "$caught" -eq "$tried" ]
