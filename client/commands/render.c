@@ -361,6 +361,9 @@ static enum rn_exit gather_frames(struct rn_client *client, const struct path_op
     if (rn_http_create_twin(client->http, &frames->client.http, &err) != RN_OK)
         code = rn_client_fail(&err);
     if (code == RN_EXIT_OK) code = rn_follow_job(&follow, job);
+    if (follow.detached)
+        fprintf(stderr, "Its frames will be at %s/v1/jobs/%s/frames.tar\n",
+                rn_http_host(client->http), job);
     if (code == RN_EXIT_OK) code = fetch_rest(frames, options, &follow.job);
     if (code == RN_EXIT_OK) print_path_summary(client->json, frames);
     rn_follow_finish(&follow);
