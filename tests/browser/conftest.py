@@ -99,6 +99,12 @@ class Page:
         return [entry["message"] for entry in self.driver.get_log("browser")
                 if entry["level"] == "SEVERE" and "Failed to load resource" not in entry["message"]]
 
+    def watch_levels(self):
+        """A function that returns how fine the pictures were that the view showed from now on."""
+        self.run("const stage = document.querySelector('.stage'); window.shownLevels = [];"
+                 "new MutationObserver(() => window.shownLevels.push(stage.dataset.level)).observe(stage, { attributeFilter: ['data-level'] });")
+        return lambda: self.run("return window.shownLevels;")
+
     def ink(self, css="canvas.picture"):
         """Whether a canvas shows something: the spread of its pixels, 0 when all are equal."""
         return self.driver.execute_script(

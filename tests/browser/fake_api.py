@@ -25,7 +25,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from support import contract  # noqa: E402
 
 WEB = Path(__file__).resolve().parents[2] / "web"
-CSP = "default-src 'self'; img-src 'self' blob:"
+CSP = ("default-src 'self'; img-src 'self' blob:; object-src 'none'; base-uri 'none'; form-action 'none'; "
+       "frame-ancestors 'none'")
 TYPES = {".html": "text/html", ".css": "text/css", ".js": "text/javascript", ".svg": "image/svg+xml"}
 OVER = ("succeeded", "failed", "cancelled")
 

@@ -47,10 +47,11 @@ export function trainingOf(scene) {
   return find(state.jobs, scene.job) ?? state.jobs.find((job) => job.type === 'train' && means(job.scene, scene)) ?? null;
 }
 
-/** Takes in one job record (from an answer or an event) and returns it. */
+/** Takes in one job record (from an answer or an event, perhaps an old one) and returns it. */
 export function putJob(job) {
   const at = state.jobs.findIndex((old) => old.id === job.id);
   const before = at < 0 ? null : state.jobs[at];
+  if (before && isOver(before) && !isOver(job)) return before;
   if (at < 0) state.jobs = [job, ...state.jobs].sort(newestFirst);
   else state.jobs[at] = { ...before, ...job };
   if (!before || before.state !== job.state) refreshSoon();
@@ -72,7 +73,8 @@ export async function refresh(signal) {
   Object.assign(state, { info, loaded: true });
   state.datasets = datasets.sort(newestFirst);
   state.scenes = scenes.sort(newestFirst);
-  state.jobs = jobs.sort(newestFirst);
+  const over = new Map(state.jobs.filter(isOver).map((job) => [job.id, job]));
+  state.jobs = jobs.map((job) => (isOver(job) ? job : over.get(job.id) ?? job)).sort(newestFirst);
   changed();
 }
 
@@ -107,6 +109,7 @@ async function waitToRetry(failures) {
 /** Follows the daemon for as long as the page lives; a hidden page lets its connection go. */
 export async function startSync() {
   let failures = 0;
+  let lastId = '';
   hooks.unreachable = () => { if (state.connection.status === 'online') current?.abort(); };
   let current = null;
   document.addEventListener('visibilitychange', () => (document.hidden ? current?.abort() : wake()));
@@ -115,8 +118,8 @@ export async function startSync() {
     current = new AbortController();
     try {
       await readEvents((headers, signal) => api.stream('v1/events', headers, signal), {
-        signal: current.signal,
-        onEvent: take,
+        lastId, signal: current.signal,
+        onEvent: (type, data, id) => { lastId = id || lastId; take(type, data); },
         onOpen: () => refresh(current.signal).then(() => {
           failures = 0;
           setConnection({ status: 'online', problem: null });
