@@ -50,7 +50,6 @@ static void on_opened(struct rn_control *control, struct rn_runner *runner,
     runner->memory_bytes = opened->memory_bytes;
     if (opened->loaded && find_scene(control, runner->scene, &scene)) {
         if (opened->memory_bytes > 0) scene.memory_bytes = opened->memory_bytes;
-        if (opened->scene != NULL) set_document(&scene.record, &opened->scene);
         update_scene(control, &scene);
         rn_row_finish(&rn_scenes, &scene);
     }

@@ -12,6 +12,7 @@
 #include "common/base/file.h"
 #include "common/base/log.h"
 #include "server/runner/checkpoints.h"
+#include "server/runner/describe.h"
 
 // ---- what jobs and renders need ------------------------------------------------------------
 
@@ -104,7 +105,7 @@ static void post_opened(struct rn_host *host) {
         opened.steps = info.steps;
         opened.train_seconds = info.train_seconds;
         opened.psnr = info.psnr;
-        opened.memory_bytes = (int64_t)info.memory_bytes;
+        opened.memory_bytes = rn_resident_bytes();
         rn_field_sha256(host->loaded, opened.parameters_sha256);
     }
     rn_link_post(&host->link, RN_WIRE_OPENED, &opened, NULL, 0);
