@@ -1,6 +1,5 @@
 // Where cameras look: bounds from cameras, and the figures of `validate`.
 #include <math.h>
-#include <stdlib.h>
 
 #include "common/dataset/reader.h"
 
@@ -57,22 +56,13 @@ static void nearest_to_axes(const struct rn_dataset *dataset, double centre[3]) 
         centre[i] = mean[i];
 }
 
-static int compare_doubles(const void *left, const void *right) {
-    double a = *(const double *)left, b = *(const double *)right;
-    return (a > b) - (a < b);
-}
-
 struct rn_bounds rn_bounds_from_cameras(const struct rn_dataset *dataset) {
     struct rn_bounds bounds = {.radius = 1, .source = RN_BOUNDS_CAMERAS};
     nearest_to_axes(dataset, bounds.centre);
-    double *distances = malloc((dataset->frame_count + 1) * sizeof *distances);
-    if (!distances) return bounds;
+    double sum = 0;
     for (size_t f = 0; f < dataset->frame_count; f++)
-        distances[f] = distance_to(&dataset->frames[f].camera, bounds.centre);
-    qsort(distances, dataset->frame_count, sizeof *distances, compare_doubles);
-    double median = dataset->frame_count ? distances[dataset->frame_count / 2] : 0;
-    if (median > 1e-6) bounds.radius = 0.5 * median;
-    free(distances);
+        sum += distance_to(&dataset->frames[f].camera, bounds.centre);
+    if (sum > 1e-6) bounds.radius = 0.5 * sum / (double)dataset->frame_count;
     return bounds;
 }
 

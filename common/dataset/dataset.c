@@ -1,11 +1,9 @@
 #include "common/dataset/dataset.h"
 
-#include <ctype.h>
-#include <math.h>
-#include <stdio.h>
+#include <errno.h>
+#include <fcntl.h>
 #include <stdlib.h>
 #include <string.h>
-#include <sys/stat.h>
 #include <unistd.h>
 
 #include "common/dataset/reader.h"
@@ -86,30 +84,28 @@ static void set_bounds(struct rn_reader *reader) {
                     dataset->bounds.centre[1], dataset->bounds.centre[2]);
 }
 
-static bool folder_has(const struct rn_reader *reader, const char *name) {
-    char *path = rn_reader_path(reader, name);
-    bool there = path && access(path, F_OK) == 0;
-    free(path);
-    return there;
-}
-
 static enum rn_status detect_layout(struct rn_reader *reader, struct rn_error *err) {
-    struct stat info;
-    if (stat(reader->folder, &info) != 0 || !S_ISDIR(info.st_mode))
-        return rn_error_set(err, RN_ERROR_NOT_FOUND, reader->folder, "is not a folder");
-    enum rn_layout *layout = &reader->dataset->layout;
-    if (folder_has(reader, "dataset.json"))
-        *layout = RN_LAYOUT_NATIVE;
-    else if (folder_has(reader, "metadata.json"))
-        *layout = RN_LAYOUT_MULTISCALE;
-    else if (folder_has(reader, "transforms_train.json") ||
-             folder_has(reader, "transforms_val.json") ||
-             folder_has(reader, "transforms_test.json"))
-        *layout = RN_LAYOUT_BLENDER;
-    else
+    static const struct {
+        const char *file;
+        enum rn_layout layout;
+    } signs[] = {{"dataset.json", RN_LAYOUT_NATIVE},
+                 {"metadata.json", RN_LAYOUT_MULTISCALE},
+                 {"transforms_train.json", RN_LAYOUT_BLENDER},
+                 {"transforms_val.json", RN_LAYOUT_BLENDER},
+                 {"transforms_test.json", RN_LAYOUT_BLENDER}};
+    int folder = open(reader->folder, O_PATH | O_DIRECTORY | O_CLOEXEC);
+    if (folder < 0 && errno == ENOTDIR)
+        return rn_error_set(err, RN_ERROR_INVALID, reader->folder, "is not a folder");
+    if (folder < 0) return rn_error_from_errno(err, errno, reader->folder, "open the folder");
+    size_t i = 0, count = sizeof signs / sizeof *signs;
+    while (i < count && faccessat(folder, signs[i].file, F_OK, 0) != 0)
+        i++;
+    close(folder);
+    if (i == count)
         return rn_error_set(err, RN_ERROR_NOT_FOUND, reader->folder,
                             "holds no dataset: none of dataset.json, metadata.json and "
                             "transforms_train.json is there");
+    reader->dataset->layout = signs[i].layout;
     return RN_OK;
 }
 

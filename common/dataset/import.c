@@ -1,14 +1,11 @@
 // Import: every view is decoded, scaled and encoded by one task; dataset.json comes last.
-#include <dirent.h>
-#include <errno.h>
 #include <math.h>
-#include <pthread.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
 #include "common/base/file.h"
-#include "common/base/threads.h"
+#include "common/dataset/output.h"
 #include "common/dataset/reader.h"
 
 #define PNG_LEVEL 1
@@ -22,12 +19,6 @@ struct import {
     struct rn_frame *outputs; // view_count * levels, then without those left out
     size_t output_count;
     struct rn_error *faults; // of each view; status RN_OK where none
-    bool (*progress)(void *context, size_t done, size_t total);
-    void *context;
-    pthread_mutex_t lock; // guards what follows
-    size_t done;
-    bool stopped;
-    struct rn_error failure; // the first that stops everything
 };
 
 static void scaled_size(const struct rn_frame *view, const struct rn_import_options *options,
@@ -69,17 +60,6 @@ static enum rn_status check_options(const struct rn_dataset *source,
     return RN_OK;
 }
 
-enum rn_status rn_check_new_folder(const char *target, struct rn_error *err) {
-    DIR *folder = opendir(target);
-    if (!folder) return errno == ENOENT ? RN_OK : rn_error_from_errno(err, errno, target, "open");
-    int entries = 0;
-    while (readdir(folder))
-        entries++;
-    closedir(folder);
-    if (entries > 2) return rn_error_set(err, RN_ERROR_CONFLICT, target, "is not an empty folder");
-    return RN_OK;
-}
-
 // Level `level` of a view: its place in the new dataset, its camera, its file.
 static enum rn_status describe_output(const struct import *import, const struct rn_frame *view,
                                       int level, struct rn_frame *output, struct rn_error *err) {
@@ -109,11 +89,11 @@ static enum rn_status write_level(const struct import *import, const struct rn_f
     if (status) return status;
     int width = output->camera.width, height = output->camera.height;
     if (image->width == width && image->height == height)
-        return rn_image_write_png(image, output->path, PNG_LEVEL, err);
+        return rn_output_png(image, output->path, PNG_LEVEL, err);
     struct rn_image scaled;
     status = rn_image_downscale(image, width, height, import->options->downscale, &scaled, err);
     if (status) return status;
-    status = rn_image_write_png(&scaled, output->path, PNG_LEVEL, err);
+    status = rn_output_png(&scaled, output->path, PNG_LEVEL, err);
     rn_image_finish(&scaled);
     return status;
 }
@@ -162,10 +142,10 @@ static enum rn_status decode(const struct rn_frame *view, struct rn_image *ret_i
     return RN_OK;
 }
 
-static enum rn_status import_view(const struct import *import, size_t index, struct rn_error *fault,
-                                  struct rn_error *err) {
+static enum rn_status import_view(void *context, size_t index, struct rn_error *err) {
+    struct import *import = context;
     const struct rn_frame *view = import->views[index];
-    struct rn_frame *outputs = import->outputs + index * (size_t)import->levels;
+    struct rn_error *fault = &import->faults[index];
     struct rn_image image;
     enum rn_status status = decode(view, &image, fault);
     if (status == RN_ERROR_NO_MEMORY) {
@@ -182,31 +162,10 @@ static enum rn_status import_view(const struct import *import, size_t index, str
         if (status) return status;
         image = full;
     }
-    status = write_levels(import, view, &image, outputs, err);
+    status =
+        write_levels(import, view, &image, import->outputs + index * (size_t)import->levels, err);
     rn_image_finish(&image);
     return status;
-}
-
-static void import_work(void *context, size_t index) {
-    struct import *import = context;
-    pthread_mutex_lock(&import->lock);
-    bool stopped = import->stopped;
-    pthread_mutex_unlock(&import->lock);
-    if (stopped) return;
-    struct rn_error err = {.status = RN_OK};
-    enum rn_status status = import_view(import, index, &import->faults[index], &err);
-    pthread_mutex_lock(&import->lock);
-    if (status && !import->stopped) {
-        import->stopped = true;
-        import->failure = err;
-    }
-    import->done++;
-    if (!import->stopped && import->progress &&
-        !import->progress(import->context, import->done, import->view_count)) {
-        import->stopped = true;
-        rn_error_set(&import->failure, RN_ERROR_CANCELLED, import->target, "import cancelled");
-    }
-    pthread_mutex_unlock(&import->lock);
 }
 
 static json_t *frame_to_json(const struct rn_frame *frame, const char *target) {
@@ -281,7 +240,8 @@ static enum rn_status conclude(struct import *import, const struct rn_dataset *s
     result.premultiplied_scales = options->downscale == RN_DOWNSCALE_PREMULTIPLIED &&
                                   (import->levels > 1 || source->premultiplied_scales);
     enum rn_status status = rn_dataset_seal(&result, import->target, problems, err);
-    return status ? status : write_json(&result, import->target, err);
+    if (status || (status = rn_output_sync(import->target, err))) return status;
+    return write_json(&result, import->target, err);
 }
 
 static enum rn_status choose_views(struct import *import, const struct rn_dataset *source,
@@ -318,23 +278,15 @@ enum rn_status rn_dataset_import(const struct rn_dataset *source, const char *na
                                  void *context, struct rn_error *err) {
     struct rn_import_options chosen = *options;
     if (source->view_count[RN_SPLIT_TEST]) chosen.test_every = 0;
-    struct import import = {.options = &chosen,
-                            .target = target,
-                            .levels = options->scales,
-                            .progress = progress,
-                            .context = context,
-                            .lock = PTHREAD_MUTEX_INITIALIZER};
+    struct import import = {.options = &chosen, .target = target, .levels = options->scales};
     enum rn_status status;
     if ((status = check_options(source, &chosen, err)) ||
-        (status = rn_check_new_folder(target, err)) || (status = make_folders(target, err)) ||
-        (status = choose_views(&import, source, err)))
+        (status = rn_output_check_new(target, err)) || (status = make_folders(target, err)) ||
+        (status = choose_views(&import, source, err)) ||
+        (status = rn_output_run(options->threads, import.view_count, import_view, &import, progress,
+                                context, target, err)))
         goto done;
-    rn_parallel_for(options->threads, import.view_count, import_work, &import);
-    if (import.stopped)
-        status = rn_error_set(err, import.failure.status, import.failure.where, "%s",
-                              import.failure.text);
-    else
-        status = conclude(&import, source, name, problems, err);
+    status = conclude(&import, source, name, problems, err);
 done:
     for (size_t i = 0; i < import.output_count; i++)
         rn_frame_finish(&import.outputs[i]);

@@ -35,7 +35,8 @@ static enum rn_status parse_in_place(char *json, size_t size_bytes, const char *
     quote_nonfinite(json, size_bytes);
     json_error_t error;
     json_t *root = json_loadb(json, size_bytes, JSON_REJECT_DUPLICATES, &error);
-    if (!root && json_error_code(&error) == json_error_out_of_memory)
+    // The library leaves the text empty when it cannot even begin.
+    if (!root && (!error.text[0] || json_error_code(&error) == json_error_out_of_memory))
         return rn_error_set(err, RN_ERROR_NO_MEMORY, where, "out of memory while reading JSON");
     if (!root) {
         char place[256];

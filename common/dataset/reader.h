@@ -56,7 +56,7 @@ enum rn_status rn_reader_add(struct rn_reader *reader, struct rn_frame *frame,
 void rn_reader_warn_unknown(struct rn_reader *reader, const struct rn_json *object,
                             const char *const *known);
 
-// From the cameras alone: the point nearest to all optical axes, half the median distance.
+// From the cameras alone: the point nearest to all optical axes, half the mean distance.
 struct rn_bounds rn_bounds_from_cameras(const struct rn_dataset *dataset);
 // Whether the camera's optical axis (forwards) meets the sphere.
 bool rn_camera_looks_at(const struct rn_camera *camera, const struct rn_bounds *bounds);
@@ -66,8 +66,6 @@ bool rn_camera_looks_at(const struct rn_camera *camera, const struct rn_bounds *
 enum rn_status rn_dataset_seal(struct rn_dataset *dataset, const char *where,
                                const struct rn_problems *problems,
                                struct rn_error *err) RN_MUST_CHECK;
-// RN_ERROR_CONFLICT when the folder exists and is not empty.
-enum rn_status rn_check_new_folder(const char *folder, struct rn_error *err) RN_MUST_CHECK;
 void rn_frame_finish(struct rn_frame *frame);
 
 #endif

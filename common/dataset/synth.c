@@ -1,12 +1,11 @@
 // Synthetic datasets: cameras around a scene, supersampled pictures, NeRF-synthetic layout.
 #include <math.h>
-#include <pthread.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
 #include "common/base/file.h"
-#include "common/base/threads.h"
+#include "common/dataset/output.h"
 #include "common/dataset/reader.h"
 #include "common/dataset/synth_scenes.h"
 #include "common/math/rng.h"
@@ -128,12 +127,6 @@ struct synth {
     int side;
     const char *target;
     int count[RN_SPLIT_COUNT];
-    bool (*progress)(void *context, size_t done, size_t total);
-    void *context;
-    pthread_mutex_t lock; // guards what follows
-    size_t done;
-    bool stopped;
-    struct rn_error failure;
 };
 
 static size_t total_views(const struct synth *synth) {
@@ -149,14 +142,15 @@ static enum rn_status write_view(const struct synth *synth, const struct rn_pict
     enum rn_status status = rn_picture_to_image(picture, &image, err);
     if (status == RN_OK) {
         image.has_alpha = true;
-        status = rn_image_write_png(&image, path, PNG_LEVEL, err);
+        status = rn_output_png(&image, path, PNG_LEVEL, err);
         rn_image_finish(&image);
     }
     free(path);
     return status;
 }
 
-static enum rn_status make_view(const struct synth *synth, size_t view, struct rn_error *err) {
+static enum rn_status make_view(void *context, size_t view, struct rn_error *err) {
+    const struct synth *synth = context;
     int index = (int)view, split = 0, size = synth->options->size;
     while (index >= synth->count[split])
         index -= synth->count[split++];
@@ -170,28 +164,6 @@ static enum rn_status make_view(const struct synth *synth, size_t view, struct r
     status = write_view(synth, &picture, (enum rn_split)split, index, err);
     rn_picture_finish(&picture);
     return status;
-}
-
-static void synth_work(void *context, size_t view) {
-    struct synth *synth = context;
-    pthread_mutex_lock(&synth->lock);
-    bool stopped = synth->stopped;
-    pthread_mutex_unlock(&synth->lock);
-    if (stopped) return;
-    struct rn_error err = {.status = RN_OK};
-    enum rn_status status = make_view(synth, view, &err);
-    pthread_mutex_lock(&synth->lock);
-    if (status && !synth->stopped) {
-        synth->stopped = true;
-        synth->failure = err;
-    }
-    synth->done++;
-    if (!synth->stopped && synth->progress &&
-        !synth->progress(synth->context, synth->done, total_views(synth))) {
-        synth->stopped = true;
-        rn_error_set(&synth->failure, RN_ERROR_CANCELLED, synth->target, "synthesis cancelled");
-    }
-    pthread_mutex_unlock(&synth->lock);
 }
 
 static json_t *frame_to_json(enum rn_split split, int index, int count, int size) {
@@ -255,22 +227,18 @@ enum rn_status rn_synthesise(const char *scene, const struct rn_synth_options *o
                              bool (*progress)(void *context, size_t done, size_t total),
                              void *context, struct rn_error *err) {
     int others = options->views / 4 > 8 ? options->views / 4 : 8;
-    struct synth synth = {.options = options,
-                          .target = target,
-                          .count = {options->views, others, others},
-                          .progress = progress,
-                          .context = context,
-                          .lock = PTHREAD_MUTEX_INITIALIZER};
+    struct synth synth = {
+        .options = options, .target = target, .count = {options->views, others, others}};
     enum rn_status status;
     if ((status = check_scene(scene, options->samples, &synth.scene, &synth.side, err)) ||
-        (status = check_options(options, err)) || (status = rn_check_new_folder(target, err)))
+        (status = check_options(options, err)) || (status = rn_output_check_new(target, err)))
         return status;
     for (int split = 0; split < RN_SPLIT_COUNT; split++)
         if ((status = make_folder(&synth, (enum rn_split)split, err))) return status;
-    rn_parallel_for(options->threads, total_views(&synth), synth_work, &synth);
-    if (synth.stopped)
-        return rn_error_set(err, synth.failure.status, synth.failure.where, "%s",
-                            synth.failure.text);
+    if ((status = rn_output_run(options->threads, total_views(&synth), make_view, &synth, progress,
+                                context, target, err)) ||
+        (status = rn_output_sync(target, err)))
+        return status;
     for (int split = 0; split < RN_SPLIT_COUNT; split++)
         if ((status = write_transforms(&synth, (enum rn_split)split, err))) return status;
     return RN_OK;

@@ -47,11 +47,15 @@ enum { SPHERE_OUTSIDE, SPHERE_INSIDE, SPHERE_RIM, SPHERE_BALL, SPHERE_STAND, SPH
 
 // Holes stand in rows of equal latitude; a row's are as far apart as the rows.
 static bool perforation(const void *holes, struct vec direction, struct vec *axis, double *cosine) {
-    double polar = acos(fmax(-1, fmin(1, direction.z)));
-    int row = (int)fmin(polar * HOLE_ROWS / M_PI, HOLE_ROWS - 1);
+    static const double sines[HOLE_ROWS] = {0.17364817766693036, 0.5, 0.76604444311897804,
+                                            0.93969262078590838, 1,   0.93969262078590838,
+                                            0.76604444311897804, 0.5, 0.17364817766693036};
+    double polar = acos(direction.z > 1 ? 1 : direction.z < -1 ? -1 : direction.z);
+    int row = (int)(polar * (HOLE_ROWS / M_PI));
+    if (row == HOLE_ROWS) row--;
     double row_polar = (row + 0.5) * M_PI / HOLE_ROWS;
     if (fabs(polar - row_polar) > 0.14) return false;
-    double sine = sin(row_polar), count = floor(2 * HOLE_ROWS * sine + 0.5);
+    double sine = sines[row], count = floor(2 * HOLE_ROWS * sine + 0.5);
     double step = 2 * M_PI / count, shift = 0.5 * (row & 1) * step;
     double azimuth = shift + step * floor((atan2(direction.y, direction.x) - shift) / step + 0.5);
     *axis = (struct vec){sine * cos(azimuth), sine * sin(azimuth), cos(row_polar)};
@@ -289,7 +293,8 @@ bool rn_synth_trace(const struct rn_synth_scene *scene, const struct ray *ray, d
     if (lit) {
         struct vec half = vec_unit(vec_add(light, -1, ray->direction)); // Blinn 1977
         diffuse += 0.65 * facing;
-        highlight = surface.gloss * pow(fmax(0, vec_dot(hit.normal, half)), 40);
+        double cosine = vec_dot(hit.normal, half);
+        if (surface.gloss > 0 && cosine > 0) highlight = surface.gloss * pow(cosine, 40);
     }
     for (int i = 0; i < 3; i++)
         rgb[i] = fmin(1, surface.colour[i] * diffuse + highlight);

@@ -90,14 +90,27 @@ static inline void cut(const struct ray *ray, struct vec normal, double d, struc
     }
 }
 
+// Between two planes across one axis; `axis` is its unit vector.
+static inline void cut_slab(double origin, double direction, double low, double high,
+                            struct vec axis, struct span *span) {
+    if (direction == 0) {
+        if (origin < low || origin > high) span->end = -INFINITY;
+        return;
+    }
+    double inverse = 1 / direction, t0 = (low - origin) * inverse, t1 = (high - origin) * inverse;
+    double begin = direction > 0 ? t0 : t1, end = direction > 0 ? t1 : t0;
+    if (end < span->end) span->end = end;
+    if (begin <= span->begin) return;
+    span->begin = begin;
+    span->normal = vec_scale(direction > 0 ? -1 : 1, axis);
+}
+
 static inline struct span box_span(const struct ray *ray, struct vec low, struct vec high) {
+    const struct vec *o = &ray->origin, *d = &ray->direction;
     struct span span = {.begin = -INFINITY, .end = INFINITY};
-    cut(ray, (struct vec){-1, 0, 0}, -low.x, &span);
-    cut(ray, (struct vec){1, 0, 0}, high.x, &span);
-    cut(ray, (struct vec){0, -1, 0}, -low.y, &span);
-    cut(ray, (struct vec){0, 1, 0}, high.y, &span);
-    cut(ray, (struct vec){0, 0, -1}, -low.z, &span);
-    cut(ray, (struct vec){0, 0, 1}, high.z, &span);
+    cut_slab(o->x, d->x, low.x, high.x, (struct vec){1, 0, 0}, &span);
+    cut_slab(o->y, d->y, low.y, high.y, (struct vec){0, 1, 0}, &span);
+    cut_slab(o->z, d->z, low.z, high.z, (struct vec){0, 0, 1}, &span);
     return span;
 }
 
