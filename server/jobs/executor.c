@@ -15,6 +15,7 @@
 extern char **environ;
 
 #define CHILD_FD 3
+#define CHILD_FD_TEXT "3"
 // How long a runner that closed its connection may take to end by itself.
 #define GRACE_MS 200
 
@@ -25,7 +26,7 @@ struct local {
 
 static int spawn(const char *program, const char *mode, const char *log_path, int fd,
                  pid_t *ret_pid) {
-    char *argv[] = {(char *)program, "--mode", (char *)mode, NULL};
+    char *argv[] = {(char *)program, "--mode", (char *)mode, "--fd", CHILD_FD_TEXT, NULL};
     posix_spawn_file_actions_t actions;
     posix_spawnattr_t attributes;
     sigset_t none, all;
