@@ -113,6 +113,12 @@ void rn_checkpoints_prune(const char *scene_folder) {
     }
 }
 
+bool rn_checkpoint_is_damaged(enum rn_status status, const struct rn_error *err, const char *path) {
+    // `where` may be cut.
+    size_t length = strlen(err->where);
+    return status == RN_ERROR_CORRUPT && length > 0 && strncmp(err->where, path, length) == 0;
+}
+
 void rn_checkpoint_set_aside(const char *scene_folder, int64_t step, const struct rn_error *why) {
     char path[PATH_MAX], aside[PATH_MAX + 16];
     if (rn_checkpoint_path(scene_folder, step, path, NULL)) return;

@@ -57,7 +57,7 @@ enum rn_status rn_host_load(struct rn_host *host, struct rn_error *err) {
         if (!status) status = rn_checkpoint_path(host->place.scene_folder, step, path, err);
         if (status) break;
         status = rn_field_load(host->engine, path, &host->loaded, err);
-        if (status != RN_ERROR_CORRUPT) break;
+        if (!rn_checkpoint_is_damaged(status, err, path)) break;
         rn_checkpoint_set_aside(host->place.scene_folder, step, err);
         status = RN_OK;
     }

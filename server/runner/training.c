@@ -15,6 +15,7 @@
 #define PROGRESS_INTERVAL_S 0.5
 #define EVALUATIONS 10             // rounds over a run with a limit
 #define EVALUATION_INTERVAL_S 10.0 // without one
+#define TRAIN_PER_EVALUATION 3.0   // seconds of training at least for one of evaluation
 #define CHECKPOINT_INTERVAL_S 30.0
 
 // A training job. Times are seconds of the monotonic clock, but evaluated_at: of the training
@@ -26,10 +27,11 @@ struct rn_training {
     double paused_since, paused_seconds;               // since: NAN when it is not paused
     double yielded_seconds;
     double checkpointed_at, reported_at;
-    double evaluated_at, evaluated_share; // at the last round: training seconds, share of the run
-    int64_t evaluated_step;               // -1 before the first round
-    bool evaluating;                      // a round over the held-out views is under way
-    bool closing;                         // a limit is reached: the last round, then the end
+    double evaluated_at, evaluated_share;   // at the last round: training seconds, share of the run
+    int64_t evaluated_step;                 // -1 before the first round
+    double evaluate_seconds, round_seconds; // of all rounds so far, of the last one
+    bool evaluating;                        // a round over the held-out views is under way
+    bool closing;                           // a limit is reached: the last round, then the end
     bool finish_asked;
 };
 
@@ -185,27 +187,37 @@ static enum rn_status restore(struct rn_host *host, struct rn_trainer **ret_trai
         status = rn_trainer_restore(host->engine, host->dataset, path,
                                     (size_t)rn_int_or(host->place.memory_limit_bytes, 0),
                                     ret_trainer, err);
-        if (status != RN_ERROR_CORRUPT) return status;
+        if (!rn_checkpoint_is_damaged(status, err, path)) return status;
         rn_checkpoint_set_aside(host->place.scene_folder, step, err);
     }
+}
+
+// An option that the engine refuses is named with its place in the request.
+static enum rn_status point_at_option(enum rn_status status, struct rn_error *err) {
+    if (status == RN_ERROR_INVALID || status == RN_ERROR_UNSUPPORTED) {
+        char name[64];
+        snprintf(name, sizeof name, "%.63s", err->where);
+        snprintf(err->where, sizeof err->where, "#/options/%s", name);
+    }
+    return status;
 }
 
 static enum rn_status create_trainer(struct rn_host *host, const struct rn_train_options *options,
                                      struct rn_trainer **ret_trainer, struct rn_error *err) {
     const struct rn_wire_open *place = &host->place;
     enum rn_status status = rn_host_need_dataset(host, err);
-    if (!status)
-        status = rn_host_need_engine(host, *options->device ? options->device : place->device,
-                                     *options->kernels ? options->kernels : place->kernels,
-                                     (int)rn_int_or(options->threads, rn_int_or(place->threads, 0)),
-                                     err);
     if (status) return status;
+    status =
+        rn_host_need_engine(host, *options->device ? options->device : place->device,
+                            *options->kernels ? options->kernels : place->kernels,
+                            (int)rn_int_or(options->threads, rn_int_or(place->threads, 0)), err);
+    if (status) return point_at_option(status, err);
     if (host->loaded) rn_field_destroy(&host->loaded); // room for the optimiser
     status = restore(host, ret_trainer, err);
     if (status != RN_ERROR_NOT_FOUND) return status;
     struct rn_train_config config;
     status = rn_configure(options, host->dataset->scale_count > 1, &config, err);
-    if (status) return status;
+    if (status) return point_at_option(status, err);
     return rn_trainer_create(host->engine, host->dataset, &config,
                              (size_t)rn_int_or(place->memory_limit_bytes, 0), ret_trainer, err);
 }
@@ -298,6 +310,7 @@ static bool evaluation_is_due(const struct rn_training *training,
     double since = progress->train_seconds - training->evaluated_at;
     if (progress->step == training->evaluated_step) return false;
     if (!isnan(training->evaluate_interval_s)) return since >= training->evaluate_interval_s;
+    if (since < TRAIN_PER_EVALUATION * training->round_seconds) return false;
     if (isnan(progress->fraction)) return since >= EVALUATION_INTERVAL_S;
     return progress->fraction >= training->evaluated_share + 1.0 / EVALUATIONS;
 }
@@ -312,6 +325,8 @@ static enum rn_status advance(struct rn_host *host, struct rn_error *err) {
     struct rn_progress progress;
     rn_trainer_progress(training->trainer, &progress);
     training->evaluating = false;
+    training->round_seconds = progress.evaluate_seconds - training->evaluate_seconds;
+    training->evaluate_seconds = progress.evaluate_seconds;
     training->evaluated_step = progress.step;
     training->evaluated_at = progress.train_seconds;
     training->evaluated_share = isnan(progress.fraction) ? 0 : progress.fraction;

@@ -88,7 +88,7 @@ enum rn_status rn_train_config_check(const struct rn_train_config *config, struc
     int planes = config->field.planes;
     bool solid = planes == 3 || planes == 4 || planes == 6 || planes == 10;
     if (config->field.orientation == RN_ORIENTATION_PLATONIC && !solid)
-        return rn_error_set(err, RN_ERROR_INVALID, "#/options/planes", "must be 3, 4, 6 or 10");
+        return rn_error_set(err, RN_ERROR_INVALID, "planes", "must be 3, 4, 6 or 10");
     return RN_OK;
 }
 
@@ -104,10 +104,10 @@ enum rn_status rn_engine_create(const struct rn_engine_options *options,
                                 struct rn_engine **ret_engine, struct rn_error *err) {
     const char *kernels = options->kernels ? options->kernels : "auto";
     if (strcmp(kernels, "auto") != 0 && strcmp(kernels, "scalar") != 0)
-        return rn_error_set(err, RN_ERROR_UNSUPPORTED, "#/options/kernels",
+        return rn_error_set(err, RN_ERROR_UNSUPPORTED, "kernels",
                             "this machine has no kernel set %s", kernels);
     if (options->device && strncmp(options->device, "cuda", 4) == 0)
-        return rn_error_set(err, RN_ERROR_UNSUPPORTED, "#/options/device", "there is no GPU");
+        return rn_error_set(err, RN_ERROR_UNSUPPORTED, "device", "there is no GPU");
     struct rn_engine *engine = calloc(1, sizeof *engine);
     if (!engine) return rn_error_set(err, RN_ERROR_NO_MEMORY, "", "out of memory");
     engine->info = (struct rn_device_info){.device = "cpu",
