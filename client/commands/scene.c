@@ -236,12 +236,17 @@ static void print_info(const void *message) {
     rn_format_seconds(info->uptime_s, seconds, sizeof seconds);
     rn_format_bytes((double)info->memory_limit_bytes, bytes, sizeof bytes);
     print_field("version", "%s, up for %s", info->version, seconds);
-    print_field("device", "%s %s, %lld threads", info->device, info->device_name,
-                (long long)info->threads);
-    printf("%-12s%s, of", "kernels", info->kernels);
-    for (size_t i = 0; i < info->available_kernel_count; i++)
-        printf(" %s", info->available_kernels[i]);
-    putchar('\n');
+    if (*info->device)
+        print_field("device", "%s, %s, %lld threads", info->device, info->device_name,
+                    (long long)info->threads);
+    else
+        print_field("device", "not known: no runner has answered");
+    if (*info->kernels) {
+        printf("%-12s%s, of", "kernels", info->kernels);
+        for (size_t i = 0; i < info->available_kernel_count; i++)
+            printf(" %s", info->available_kernels[i]);
+        putchar('\n');
+    }
     print_field("memory", "%s for all scenes", info->memory_limit_bytes ? bytes : "no limit");
     print_field("limits", "%lld training jobs, %lld queued, %lld scenes loaded",
                 (long long)info->limits.max_training_jobs, (long long)info->limits.max_queued_jobs,
