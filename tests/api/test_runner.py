@@ -17,9 +17,8 @@ from PIL import Image
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
 from photographs import pose, write_dataset  # noqa: E402
-from wire import Runner  # noqa: E402
+from wire import JOB, Runner, Scene, checkpoints, ingest, train  # noqa: E402
 
-JOB = "job_aaaaaaaaaaaa"
 OTHER = "job_bbbbbbbbbbbb"
 PROTO = Path(__file__).resolve().parents[2] / "proto"
 CAMERA = {"world_from_camera": [row[:] for row in pose(0.3)[:3]], "axes": "opengl",
@@ -47,19 +46,6 @@ def check():
     return validate
 
 
-def ingest(program, folder, source, name="d", options=None, limits=(1 << 30, 1000), job=JOB):
-    """(the last message, the target folder, all messages)"""
-    target, work = folder / "target", folder / "work"
-    with Runner(program, "ingest") as runner:
-        runner.send("ingest", job=job, name=name, source=str(source), target=str(target),
-                    work=str(work), options=options or {}, max_bytes=limits[0],
-                    max_entries=limits[1])
-        last = runner.wait_for("done", "failed")
-        assert runner.receive() is None
-    assert not work.exists()
-    return last, target, runner.seen
-
-
 @pytest.fixture(scope="session")
 def dataset(program, tmp_path_factory):
     folder = tmp_path_factory.mktemp("dataset")
@@ -69,35 +55,11 @@ def dataset(program, tmp_path_factory):
     return target
 
 
-class Scene:
-    """A field runner whose scene is open."""
-
-    def __init__(self, program, folder, dataset, load=False, environment=None):
-        self.runner = Runner(program, "field", environment)
-        self.folder = folder
-        assert self.runner.receive()[0] == "hello"
-        self.runner.send("open", scene_folder=str(folder), dataset_folder=str(dataset), load=load)
-
-    def __enter__(self):
-        return self.runner.__enter__()
-
-    def __exit__(self, *args):
-        return self.runner.__exit__(*args)
-
-
 @pytest.fixture
 def scene(program, dataset, tmp_path):
     with Scene(program, tmp_path / "scene", dataset) as runner:
         assert runner.receive()[0] == "opened"
         yield runner
-
-
-def train(runner, job=JOB, **options):
-    runner.send("train", job=job, options={"max_steps": 60, **options})
-
-
-def checkpoints(folder):
-    return sorted(path.name for path in (folder / "checkpoints").iterdir())
 
 
 # ---- probe and process ----------------------------------------------------------------------

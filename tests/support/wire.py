@@ -15,6 +15,7 @@ TYPES = {"open": 1, "train": 2, "path": 3, "eval": 4, "ingest": 5, "pause": 6, "
 NAMES = {number: name for name, number in TYPES.items()}
 HEADER = struct.Struct("<IIII")
 MAGIC = 0x31574E52
+JOB = "job_aaaaaaaaaaaa"
 
 
 class Runner:
@@ -82,3 +83,40 @@ class Runner:
             assert message is not None, f"the runner ended; waited for {names}"
             if message[0] in names and (job is None or message[1].get("job") == job):
                 return message
+
+
+def ingest(program, folder, source, name="d", options=None, limits=(1 << 30, 1000), job=JOB):
+    """(the last message, the target folder, all messages)"""
+    target, work = folder / "target", folder / "work"
+    with Runner(program, "ingest") as runner:
+        runner.send("ingest", job=job, name=name, source=str(source), target=str(target),
+                    work=str(work), options=options or {}, max_bytes=limits[0],
+                    max_entries=limits[1])
+        last = runner.wait_for("done", "failed")
+        assert runner.receive() is None
+    assert not work.exists()
+    return last, target, runner.seen
+
+
+class Scene:
+    """A field runner whose scene is open."""
+
+    def __init__(self, program, folder, dataset, load=False, environment=None):
+        self.runner = Runner(program, "field", environment)
+        self.folder = folder
+        assert self.runner.receive()[0] == "hello"
+        self.runner.send("open", scene_folder=str(folder), dataset_folder=str(dataset), load=load)
+
+    def __enter__(self):
+        return self.runner.__enter__()
+
+    def __exit__(self, *args):
+        return self.runner.__exit__(*args)
+
+
+def train(runner, job=JOB, **options):
+    runner.send("train", job=job, options={"max_steps": 60, **options})
+
+
+def checkpoints(folder):
+    return sorted(path.name for path in (folder / "checkpoints").iterdir())
