@@ -6,6 +6,7 @@
 #include <string.h>
 #include <unistd.h>
 
+#include "proto/report.h"
 #include "proto/scene.h"
 
 int64_t rn_resident_bytes(void) {
@@ -186,37 +187,16 @@ const char *rn_relative_place(const char *place, const char *root) {
 static enum rn_status report_json(const struct rn_dataset *source, const char *root,
                                   const struct rn_problems *problems, char **ret_json,
                                   struct rn_error *err) {
-    struct rn_dataset_report report;
-    rn_dataset_describe(source, &report);
-    size_t count =
-        problems->count < RN_REPORT_PROBLEMS_MAX ? problems->count : RN_REPORT_PROBLEMS_MAX;
-    struct rn_dataset_report_record record = {
-        .layout = (int)source->layout,
-        .usable = split_counts(report.usable),
-        .unusable = split_counts(report.unusable),
-        .scales = report.scale_count,
-        .footprint = {report.footprint_min, report.footprint_max},
-        .camera_distance = {report.camera_distance_min, report.camera_distance_max},
-        .looking_at_bounds = report.looking_at_bounds,
-        .with_alpha = report.with_alpha,
-        .width = {report.width_min, report.width_max},
-        .height = {report.height_min, report.height_max},
-        .errors = (int64_t)problems->errors,
-        .warnings = (int64_t)problems->warnings,
-        .dropped = (int64_t)(problems->dropped + problems->count - count),
-        .problems = calloc(count + 1, sizeof *record.problems),
-        .problem_count = count,
-    };
-    if (!record.problems) return rn_error_set(err, RN_ERROR_NO_MEMORY, "report", "out of memory");
-    for (size_t i = 0; i < count; i++) {
-        struct rn_report_problem *problem = &record.problems[i];
-        problem->severity = (int)problems->items[i].severity;
-        snprintf(problem->where, sizeof problem->where, "%s",
-                 rn_relative_place(problems->items[i].where, root));
-        snprintf(problem->text, sizeof problem->text, "%s", problems->items[i].text);
+    struct rn_dataset_report_record report;
+    enum rn_status status = rn_dataset_report_fill(source, problems, &report, err);
+    if (status) return status;
+    for (size_t i = 0; i < report.problem_count; i++) {
+        char *where = report.problems[i].where;
+        const char *place = rn_relative_place(where, root);
+        memmove(where, place, strlen(place) + 1);
     }
-    enum rn_status status = rn_encode(&rn_dataset_report_table, &record, ret_json, NULL, err);
-    free(record.problems);
+    status = rn_encode(&rn_dataset_report_table, &report, ret_json, NULL, err);
+    rn_message_finish(&rn_dataset_report_table, &report);
     return status;
 }
 
