@@ -1,0 +1,196 @@
+"""The page against ripnerfd, whole: submit a dataset, train it, orbit it meanwhile, record a path, get its frames.
+
+Once with the pretending engine, once with the real one on a small synthetic dataset.
+RIPNERF_SHOTS names a folder for screenshots on the way.
+"""
+
+import os
+import re
+import signal
+import subprocess
+import tarfile
+import time
+
+import pytest
+
+pytest.importorskip("selenium", reason="python3-selenium is not installed")
+from selenium.webdriver.common.action_chains import ActionChains  # noqa: E402
+
+LISTENING = re.compile(r"listening on (http://\S+)")
+
+
+class Daemon:
+    def __init__(self, build, folder, runner, environment=None):
+        self.arguments = [build / "server/ripnerfd", "--data", folder, "--listen", "127.0.0.1:0",
+                          *(["--runner", build / runner] if runner else [])]
+        self.log = folder.with_suffix(".log")
+        self.environment = {**os.environ, **(environment or {})}
+        with open(self.log, "w", encoding="utf-8") as log:
+            self.process = subprocess.Popen(self.arguments, stdout=log, stderr=subprocess.STDOUT, env=self.environment)
+        self.url = self.wait_for_address()
+
+    def wait_for_address(self):
+        end = time.monotonic() + 20
+        while time.monotonic() < end and self.process.poll() is None:
+            found = LISTENING.search(self.log.read_text(encoding="utf-8"))
+            if found:
+                return found.group(1) + "/"
+            time.sleep(0.05)
+        pytest.fail(f"ripnerfd did not start:\n{self.log.read_text(encoding='utf-8')}")
+
+    def stop(self):
+        self.process.send_signal(signal.SIGTERM)
+        try:
+            return self.process.wait(30)
+        finally:
+            self.process.kill()
+
+
+@pytest.fixture
+def daemon(build, tmp_path):
+    started = []
+
+    def start(runner=None, environment=None):
+        started.append(Daemon(build, tmp_path / "data", runner, environment))
+        return started[-1]
+
+    yield start
+    for one in started:
+        assert one.stop() == 0, one.log.read_text(encoding="utf-8")[-4000:]
+
+
+@pytest.fixture(scope="session")
+def sphere(build, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("synth") / "sphere"
+    subprocess.run([build / "client/ripnerf", "synth", "sphere", folder, "--size", "64", "--views", "16"],
+                   check=True, capture_output=True, timeout=120)
+    return folder
+
+
+def shoot(page, name):
+    folder = os.environ.get("RIPNERF_SHOTS")
+    if folder:
+        page.driver.save_screenshot(os.path.join(folder, f"{name}.png"))
+
+
+def upload(page, folder):
+    page.find(".drop")
+    page.all("#folder-input")[0].send_keys(str(folder))
+    page.says("views: 16 train")
+    page.type(page.field("Name"), "ball")
+    page.press("Upload and import")
+    page.says("ball is imported.", wait_s=60)
+    page.press("Look at it and train")
+    page.says("What the import found")
+    page.until(lambda: page.all(".photos .thumb[data-state=ready]"), "a photograph")
+
+
+def train(page, limits):
+    for label in ("Time", "Steps"):
+        page.type(page.field(label), limits.get(label, ""))
+    page.press("draft")
+    page.press("Start training")
+    page.says("training", ".page-head .chip", wait_s=30)
+    page.until(lambda: page.all(".chart .last"), "a point on the chart", 60)
+
+
+def orbit(page):
+    """Turns the scene while it trains: coarse pictures while moving, a refined one when still."""
+    stage = page.until(lambda: page.ink() > 30 and page.find(".stage"), "a picture", 60)
+    page.until(lambda: stage.get_attribute("data-level") == "refined", "a refined picture", 60)
+    levels = page.watch_levels()
+    hand = ActionChains(page.driver).click_and_hold(stage)
+    for _ in range(5):
+        hand.move_by_offset(25, 4)
+    hand.perform()
+    page.until(lambda: "coarse" in levels(), "a coarse picture", 30)
+    ActionChains(page.driver).release().perform()
+    page.until(lambda: levels()[-1] == "refined", "a refined picture", 60)
+    assert re.search(r"step [\d\u202f]+ .* rendering .* samples", page.text(".hud"))
+
+
+def record(page, keys):
+    stage = page.find(".stage")
+    for number in range(keys):
+        if number:
+            ActionChains(page.driver).click_and_hold(stage).move_by_offset(40, 0).release().perform()
+        page.press("Record key")
+    page.until(lambda: len(page.all(".key")) == keys, f"{keys} keys")
+    page.until(lambda: len([image for image in page.all(".key img") if image.is_displayed()]) == keys, "their pictures", 60)
+
+
+def render_path(page, downloads, width, height, frames_per_second, expected):
+    for label, value in (("Width", width), ("Height", height), ("Frames", frames_per_second)):
+        page.type(page.field(label), value)
+    page.says(f"{expected} frames of {width} × {height}")
+    shoot(page, "keys")
+    page.press("Render the path")
+    page.until(lambda: page.ink("canvas.frame") > 30, "the first frame", 60)
+    shoot(page, "frames")
+    page.says("succeeded", ".page-head .chip", wait_s=120)
+    page.until(lambda: len(page.all(".cells span[data-there]")) == expected, "all frames")
+    before = page.text(".player output")
+    page.press("Play")
+    page.until(lambda: page.text(".player output") != before, "the next frame")
+    for old in downloads.glob("*.tar"):
+        old.unlink()
+    page.press("Download")
+    name = page.until(lambda: next(iter(downloads.glob("*.tar")), None), "the tar")
+    with tarfile.open(name) as tar:
+        pictures = [member for member in tar.getmembers() if member.name.endswith(".png")]
+        assert len(pictures) == expected
+        assert tar.extractfile(pictures[0]).read(8) == b"\x89PNG\r\n\x1a\n"
+
+
+def test_whole_path_with_the_pretending_engine(page, daemon, sphere, downloads):
+    server = daemon("tests/support/ripnerf-runner-fake", {"RIPNERF_FAKE_STEP_US": "2000"})
+    page.open(server.url)
+    page.says("From photographs to a scene")
+    upload(page, sphere)
+    train(page, {"Time": 60})
+    orbit(page)
+    page.press("Pause")
+    page.says("paused", ".page-head .chip")
+    page.press("Resume")
+    page.says("training", ".page-head .chip")
+    record(page, 3)
+    page.press("Finish")
+    page.says("ready", ".page-head .chip", wait_s=30)
+    page.says("finished by hand")
+    render_path(page, downloads, 48, 32, 4, 9)
+    page.open(server.url)
+    page.says("ball", ".card-name")
+    assert page.complaints() == []
+
+
+def test_a_second_scene_of_the_same_name_is_refused_at_its_field(page, daemon, sphere):
+    server = daemon("tests/support/ripnerf-runner-fake")
+    page.open(server.url)
+    upload(page, sphere)
+    train(page, {"Steps": 200})
+    page.open(server.url + "#/dataset/ball")
+    page.type(page.field("Scene’s name"), "ball")
+    page.press("Start training")
+    page.says("ball", ".problem")
+    page.type(page.field("Scene’s name"), "no spaces here")
+    page.press("Start training")
+    page.until(lambda: page.field("Scene’s name").get_attribute("aria-invalid") == "true", "the field marked")
+
+
+def test_whole_path_with_the_real_engine(page, daemon, sphere, downloads):
+    server = daemon()
+    page.open(server.url)
+    upload(page, sphere)
+    shoot(page, "dataset")
+    train(page, {"Time": 25})
+    shoot(page, "training")
+    orbit(page)
+    shoot(page, "orbited")
+    record(page, 3)
+    page.says("ready", ".page-head .chip", wait_s=120)
+    psnr = float(re.search(r"([\d.]+) dB", page.text(".stats")).group(1))
+    assert psnr > 18
+    page.until(lambda: len(page.all(".effect")) >= 4, "the effects")
+    shoot(page, "ready")
+    render_path(page, downloads, 64, 64, 3, 7)
+    assert page.complaints() == []
