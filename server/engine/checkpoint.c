@@ -176,6 +176,18 @@ static json_t *read_header(int fd, uint64_t *ret_data_start) {
     return header;
 }
 
+// Whether the file is as long as its header says: the tensors' end is the file's.
+static bool complete(int fd, json_t *header, uint64_t data_start) {
+    int64_t last = 0;
+    const char *name;
+    json_t *entry;
+    json_object_foreach(header, name, entry) {
+        int64_t end = json_integer_value(json_array_get(json_object_get(entry, "data_offsets"), 1));
+        if (end > last) last = end;
+    }
+    return lseek(fd, 0, SEEK_END) == (off_t)data_start + last;
+}
+
 enum rn_status rn_checkpoint_open(const char *path, struct rn_checkpoint *ret,
                                   struct rn_error *err) {
     memset(ret, 0, sizeof *ret);
@@ -198,7 +210,7 @@ enum rn_status rn_checkpoint_open(const char *path, struct rn_checkpoint *ret,
 }
 
 void rn_checkpoint_close(struct rn_checkpoint *c) {
-    if (c->fd >= 0 && c->header) close(c->fd);
+    if (c->fd > 0) close(c->fd);
     json_decref(c->header);
     c->header = NULL;
     c->fd = -1;

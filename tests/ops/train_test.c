@@ -1,0 +1,254 @@
+// Training as a whole: the same bytes whatever the threads, pauses, checkpoints and resumes; it
+// learns; memory limits, damaged checkpoints and missing values are refused.
+#include <check.h>
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <unistd.h>
+
+#include "common/base/file.h"
+#include "server/engine/engine.h"
+
+static char folder[64];
+static struct rn_dataset *dataset, *scaled;
+
+static void make_dataset(void) {
+    struct rn_error err = {0};
+    char plain[128], pyramid[128];
+    snprintf(folder, sizeof folder, "/tmp/ripnerf-train-XXXXXX");
+    ck_assert_ptr_nonnull(mkdtemp(folder));
+    snprintf(plain, sizeof plain, "%s/plain", folder);
+    snprintf(pyramid, sizeof pyramid, "%s/pyramid", folder);
+    struct rn_synth_options synth = {.size = 48, .views = 12, .threads = 2, .samples = 4};
+    struct rn_import_options import = {.scales = 3, .threads = 2};
+    ck_assert(rn_mkdirs(plain, 0755, &err) == RN_OK && rn_mkdirs(pyramid, 0755, &err) == RN_OK);
+    ck_assert_msg(rn_synthesise("sphere", &synth, plain, NULL, NULL, &err) == RN_OK, "%s",
+                  err.text);
+    ck_assert_msg(rn_dataset_read(plain, NULL, &dataset, &err) == RN_OK, "%s", err.text);
+    ck_assert_msg(rn_dataset_import(dataset, "pyramid", &import, pyramid, NULL, NULL, NULL, &err) ==
+                      RN_OK,
+                  "%s", err.text);
+    ck_assert_msg(rn_dataset_read(pyramid, NULL, &scaled, &err) == RN_OK, "%s", err.text);
+}
+
+static void remove_dataset(void) {
+    struct rn_error err;
+    rn_dataset_destroy(&dataset);
+    rn_dataset_destroy(&scaled);
+    ck_assert(rn_remove_tree(folder, &err) == RN_OK);
+}
+
+static struct rn_train_config config_for(const struct rn_dataset *d) {
+    struct rn_error err;
+    struct rn_train_config config;
+    ck_assert(rn_preset("standard", d->scale_count > 1, &config, &err) == RN_OK);
+    config.field.base = 64;
+    config.field.occupancy = 32;
+    config.target_samples = 8192;
+    config.initial_rays = 1024;
+    config.max_seconds = 0;
+    config.max_steps = 50;
+    config.seed = 3;
+    return config;
+}
+
+static struct rn_engine *engine_with(int threads) {
+    struct rn_error err;
+    struct rn_engine *engine;
+    struct rn_engine_options options = {.threads = threads};
+    ck_assert(rn_engine_create(&options, &engine, &err) == RN_OK);
+    return engine;
+}
+
+static struct rn_trainer *trainer_for(struct rn_engine *engine, const struct rn_dataset *d,
+                                      const struct rn_train_config *config) {
+    struct rn_error err;
+    struct rn_trainer *trainer;
+    ck_assert_msg(rn_trainer_create(engine, d, config, 0, &trainer, &err) == RN_OK, "%s", err.text);
+    return trainer;
+}
+
+static bool done(const struct rn_trainer *trainer) {
+    struct rn_progress p;
+    rn_trainer_progress(trainer, &p);
+    return p.done;
+}
+
+static void run_to_end(struct rn_trainer *trainer) {
+    struct rn_error err;
+    while (!done(trainer))
+        ck_assert(rn_trainer_advance(trainer, 1, &err) == RN_OK);
+}
+
+static void hash_of_run(const struct rn_dataset *d, int threads, char hex[65]) {
+    struct rn_train_config config = config_for(d);
+    struct rn_engine *engine = engine_with(threads);
+    struct rn_trainer *trainer = trainer_for(engine, d, &config);
+    run_to_end(trainer);
+    rn_field_sha256(rn_trainer_field(trainer), hex);
+    rn_trainer_destroy(&trainer);
+    rn_engine_destroy(&engine);
+}
+
+START_TEST(threads_do_not_change_bytes) {
+    const struct rn_dataset *sets[2] = {dataset, scaled};
+    for (int s = 0; s < 2; s++) {
+        char one[65], other[65];
+        hash_of_run(sets[s], 1, one);
+        for (int threads = 2; threads <= 8; threads += threads == 3 ? 5 : 1) {
+            hash_of_run(sets[s], threads, other);
+            ck_assert_str_eq(one, other);
+        }
+    }
+}
+END_TEST
+
+// Renders, validates and saves between steps, and resumes three times from files.
+static void interrupted_run(const struct rn_dataset *d, char hex[65]) {
+    struct rn_error err;
+    struct rn_train_config config = config_for(d);
+    struct rn_engine *engine = engine_with(2);
+    struct rn_trainer *trainer = trainer_for(engine, d, &config);
+    char path[128];
+    snprintf(path, sizeof path, "%s/checkpoint.safetensors", folder);
+    for (int resumes = 0; !done(trainer);) {
+        ck_assert(rn_trainer_advance(trainer, 1, &err) == RN_OK);
+        struct rn_render_options options = {.camera = d->frames[0].camera,
+                                            .outputs = RN_OUTPUT_RGB | RN_OUTPUT_DEPTH};
+        options.camera.world_from_camera[2][3] *= 30; // far away: needs more ripmap levels
+        struct rn_render_result result;
+        ck_assert(rn_render(engine, rn_trainer_field(trainer), &options, NULL, NULL, &result,
+                            &err) == RN_OK);
+        rn_render_result_finish(&result);
+        bool finished;
+        ck_assert(rn_trainer_validate(trainer, 1, &finished, &err) == RN_OK);
+        ck_assert_msg(rn_trainer_save(trainer, path, &err) == RN_OK, "%s", err.text);
+        if (resumes++ >= 3) continue;
+        rn_trainer_destroy(&trainer);
+        ck_assert_msg(rn_trainer_restore(engine, d, path, 0, &trainer, &err) == RN_OK, "%s",
+                      err.text);
+    }
+    rn_field_sha256(rn_trainer_field(trainer), hex);
+    rn_trainer_destroy(&trainer);
+    rn_engine_destroy(&engine);
+}
+
+START_TEST(interruptions_do_not_change_bytes) {
+    const struct rn_dataset *sets[2] = {dataset, scaled};
+    for (int s = 0; s < 2; s++) {
+        char whole[65], pieces[65];
+        hash_of_run(sets[s], 2, whole);
+        interrupted_run(sets[s], pieces);
+        ck_assert_str_eq(whole, pieces);
+    }
+}
+END_TEST
+
+static double held_out_psnr(struct rn_trainer *trainer) {
+    struct rn_error err;
+    struct rn_progress p;
+    bool finished = false;
+    while (!finished)
+        ck_assert(rn_trainer_validate(trainer, 100, &finished, &err) == RN_OK);
+    rn_trainer_progress(trainer, &p);
+    return p.psnr;
+}
+
+START_TEST(it_learns_and_a_loaded_field_renders_the_same) {
+    struct rn_error err;
+    struct rn_train_config config = config_for(scaled);
+    config.max_steps = 400;
+    struct rn_engine *engine = engine_with(2);
+    struct rn_trainer *trainer = trainer_for(engine, scaled, &config);
+    double before = held_out_psnr(trainer);
+    run_to_end(trainer);
+    double after = held_out_psnr(trainer);
+    printf("held-out PSNR %.2f -> %.2f dB\n", before, after);
+    ck_assert_double_gt(after, before + 8);
+    char path[128], trained[65], loaded[65];
+    snprintf(path, sizeof path, "%s/learned.safetensors", folder);
+    ck_assert(rn_trainer_save(trainer, path, &err) == RN_OK);
+    struct rn_field *field;
+    ck_assert_msg(rn_field_load(engine, path, &field, &err) == RN_OK, "%s", err.text);
+    rn_field_sha256(rn_trainer_field(trainer), trained);
+    rn_field_sha256(field, loaded);
+    ck_assert_str_eq(trained, loaded);
+    const struct rn_frame *frame = rn_dataset_frame(scaled, RN_SPLIT_TEST, 0, 0);
+    struct rn_view_score a, b;
+    ck_assert(rn_evaluate_view(engine, rn_trainer_field(trainer), frame, config.background, NULL,
+                               NULL, &a, &err) == RN_OK);
+    ck_assert(rn_evaluate_view(engine, field, frame, config.background, NULL, NULL, &b, &err) ==
+              RN_OK);
+    ck_assert(a.psnr == b.psnr && a.ssim == b.ssim);
+    rn_field_destroy(&field);
+    rn_trainer_destroy(&trainer);
+    rn_engine_destroy(&engine);
+}
+END_TEST
+
+START_TEST(damaged_checkpoints_are_refused) {
+    struct rn_error err;
+    struct rn_train_config config = config_for(dataset);
+    config.max_steps = 1;
+    struct rn_engine *engine = engine_with(1);
+    struct rn_trainer *trainer = trainer_for(engine, dataset, &config);
+    run_to_end(trainer);
+    char path[128];
+    snprintf(path, sizeof path, "%s/damaged.safetensors", folder);
+    ck_assert(rn_trainer_save(trainer, path, &err) == RN_OK);
+    rn_trainer_destroy(&trainer);
+    uint8_t *bytes;
+    size_t size;
+    struct rn_field *field = NULL;
+    ck_assert(rn_file_read(path, 1u << 30, &bytes, &size, &err) == RN_OK);
+    const size_t lengths[] = {0, 4, 100, size / 2, size - 1};
+    for (size_t i = 0; i < sizeof lengths / sizeof *lengths; i++) {
+        ck_assert(rn_file_write_atomic(path, bytes, lengths[i], &err) == RN_OK);
+        ck_assert(rn_field_load(engine, path, &field, &err) == RN_ERROR_CORRUPT);
+        ck_assert_ptr_nonnull(strstr(err.where, "damaged"));
+    }
+    uint64_t header;
+    memcpy(&header, bytes, sizeof header);
+    const float nan_value = NAN;
+    memcpy(bytes + 8 + header + 400, &nan_value, sizeof nan_value); // a texel
+    ck_assert(rn_file_write_atomic(path, bytes, size, &err) == RN_OK);
+    ck_assert(rn_field_load(engine, path, &field, &err) == RN_ERROR_CORRUPT);
+    ck_assert_ptr_nonnull(strstr(err.text, "non-finite"));
+    ck_assert(rn_file_write_atomic(path, "hello", 5, &err) == RN_OK);
+    ck_assert(rn_trainer_restore(engine, dataset, path, 0, &trainer, &err) == RN_ERROR_CORRUPT);
+    free(bytes);
+    rn_engine_destroy(&engine);
+}
+END_TEST
+
+START_TEST(memory_limit_is_said_before_it_is_taken) {
+    struct rn_error err;
+    struct rn_train_config config = config_for(dataset);
+    struct rn_engine *engine = engine_with(1);
+    struct rn_trainer *trainer = NULL;
+    ck_assert(rn_trainer_create(engine, dataset, &config, 1 << 20, &trainer, &err) ==
+              RN_ERROR_LIMIT);
+    ck_assert_ptr_nonnull(strstr(err.text, "MiB"));
+    ck_assert_ptr_null(trainer);
+    rn_engine_destroy(&engine);
+}
+END_TEST
+
+int main(void) {
+    Suite *suite = suite_create("training");
+    TCase *tests = tcase_create("whole runs");
+    tcase_add_unchecked_fixture(tests, make_dataset, remove_dataset);
+    tcase_set_timeout(tests, 300);
+    tcase_add_test(tests, threads_do_not_change_bytes);
+    tcase_add_test(tests, interruptions_do_not_change_bytes);
+    tcase_add_test(tests, it_learns_and_a_loaded_field_renders_the_same);
+    tcase_add_test(tests, damaged_checkpoints_are_refused);
+    tcase_add_test(tests, memory_limit_is_said_before_it_is_taken);
+    suite_add_tcase(suite, tests);
+    SRunner *runner = srunner_create(suite);
+    srunner_run_all(runner, CK_NORMAL);
+    int failed = srunner_ntests_failed(runner);
+    srunner_free(runner);
+    return failed != 0;
+}
