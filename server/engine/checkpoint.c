@@ -199,7 +199,10 @@ enum rn_status rn_checkpoint_open(const char *path, struct rn_checkpoint *ret,
         json_string_value(json_object_get(json_object_get(header, "__metadata__"), "ripnerf"));
     json_t *state = text ? json_loads(text, JSON_REJECT_DUPLICATES, NULL) : NULL;
     enum rn_status status = RN_ERROR_CORRUPT;
-    if (state)
+    if (state && !complete(ret->fd, header, ret->data_start))
+        rn_error_set(err, status, path,
+                     "is cut off or has bytes too many; use an older checkpoint");
+    else if (state)
         status = rn_checkpoint_parse_state(state, path, ret, err);
     else
         rn_error_set(err, status, path, "is no checkpoint of this program, or is damaged");
