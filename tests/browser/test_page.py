@@ -20,8 +20,8 @@ LISTENING = re.compile(r"listening on (http://\S+)")
 
 
 class Daemon:
-    def __init__(self, build, folder, runner, environment=None):
-        self.arguments = [build / "server/ripnerfd", "--data", folder, "--listen", "127.0.0.1:0",
+    def __init__(self, build, folder, runner, environment=None, options=(), port=0):
+        self.arguments = [build / "server/ripnerfd", "--data", folder, "--listen", f"127.0.0.1:{port}", *options,
                           *(["--runner", build / runner] if runner else [])]
         self.log = folder.with_suffix(".log")
         self.environment = {**os.environ, **(environment or {})}
@@ -39,6 +39,8 @@ class Daemon:
         pytest.fail(f"ripnerfd did not start:\n{self.log.read_text(encoding='utf-8')}")
 
     def stop(self):
+        if self.process.poll() is not None:
+            return self.process.returncode
         self.process.send_signal(signal.SIGTERM)
         try:
             return self.process.wait(30)
@@ -50,13 +52,13 @@ class Daemon:
 def daemon(build, tmp_path):
     started = []
 
-    def start(runner=None, environment=None):
-        started.append(Daemon(build, tmp_path / "data", runner, environment))
+    def start(runner=None, environment=None, **options):
+        started.append(Daemon(build, tmp_path / "data", runner, environment, **options))
         return started[-1]
 
     yield start
     for one in started:
-        assert one.stop() == 0, one.log.read_text(encoding="utf-8")[-4000:]
+        assert one.stop() in (0, -signal.SIGKILL), one.log.read_text(encoding="utf-8")[-4000:]
 
 
 @pytest.fixture(scope="session")
@@ -175,6 +177,29 @@ def test_a_second_scene_of_the_same_name_is_refused_at_its_field(page, daemon, s
     page.type(page.field("Scene’s name"), "no spaces here")
     page.press("Start training")
     page.until(lambda: page.field("Scene’s name").get_attribute("aria-invalid") == "true", "the field marked")
+
+
+def test_token_and_a_killed_daemon(page, daemon, sphere, tmp_path):
+    """A token travels with every request; training goes on after kill -9, and the page shows it."""
+    (tmp_path / "token").write_text("a-token-of-this-test\n")
+    options = {"environment": {"RIPNERF_FAKE_STEP_US": "2000"}, "options": ["--token-file", tmp_path / "token"]}
+    server = daemon("tests/support/ripnerf-runner-fake", **options)
+    page.open(server.url)
+    page.type(page.find("#token-input"), "a-token-of-this-test")
+    page.press("Use it")
+    upload(page, sphere)
+    train(page, {"Time": 60})
+    page.until(lambda: page.ink() > 30, "a picture", 30)
+    server.process.kill()
+    server.process.wait()
+    page.says("No connection to the daemon.", "#banner")
+    daemon("tests/support/ripnerf-runner-fake", **options, port=server.url.rstrip("/").rsplit(":", 1)[1])
+    page.says("connected", ".connection", wait_s=30)
+    page.until(lambda: not any(e.is_displayed() for e in page.all("#banner")), "the banner gone")
+    page.says("training", ".page-head .chip", wait_s=30)
+    page.press("Finish")
+    page.says("ready", ".page-head .chip", wait_s=30)
+    page.says("finished by hand")
 
 
 def test_whole_path_with_the_real_engine(page, daemon, sphere, downloads):

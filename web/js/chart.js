@@ -67,24 +67,28 @@ export function drawChart(host, points, { limitX, running, now }) {
       running ? 'The first figure comes with the first evaluation' : 'No figures recorded'));
   }
   fill(host, root);
-  if (points.length) followPointer(root, points, X, Y, height);
+  if (points.length) showProbe(host, root, points, X, Y, height);
 }
 
+const pointers = new WeakMap(); // host -> where the pointer is, kept over redrawing
+
 /** Shows the point nearest to the pointer. */
-function followPointer(root, points, X, Y, height) {
-  const mark = s('g', { class: 'probe', visibility: 'hidden' });
+function showProbe(host, root, points, X, Y, height) {
+  const mark = s('g', { class: 'probe' });
   root.append(mark);
-  root.addEventListener('pointerleave', () => mark.setAttribute('visibility', 'hidden'));
-  root.addEventListener('pointermove', (event) => {
-    const at = event.clientX - root.getBoundingClientRect().left;
+  const draw = () => {
+    const at = pointers.get(host);
+    if (at === undefined) { fill(mark); return; }
     const near = points.reduce((best, p) => (Math.abs(X(p.x) - at) < Math.abs(X(best.x) - at) ? p : best));
     const x = X(near.x);
-    const flip = x > root.clientWidth / 2;
+    const flip = x > host.clientWidth / 2;
     fill(mark, s('line', { x1: x, x2: x, y1: MARGIN.top, y2: height - MARGIN.bottom }), s('circle', { cx: x, cy: Y(near.y), r: 4 }),
       s('text', { x: x + (flip ? -8 : 8), y: height - MARGIN.bottom - 8, 'text-anchor': flip ? 'end' : 'start' },
         `${near.y.toFixed(2)} dB · ${near.x.toFixed(1)} s · step ${near.step}`));
-    mark.setAttribute('visibility', 'visible');
-  });
+  };
+  root.addEventListener('pointerleave', () => { pointers.delete(host); draw(); });
+  root.addEventListener('pointermove', (event) => { pointers.set(host, event.clientX - root.getBoundingClientRect().left); draw(); });
+  draw();
 }
 
 /** The chart in a sentence. */

@@ -14,6 +14,7 @@ import { systemView } from './views/system.js';
 const views = { home: homeView, dataset: datasetView, scene: sceneView, job: jobView, jobs: jobsView, system: systemView };
 const main = document.getElementById('main');
 let leave = null;
+let tokenRefused = false; // the token dialog was closed without one: not asked again until the reader tries
 
 function show(route) {
   leave?.abort();
@@ -57,12 +58,14 @@ function startBanner() {
   const banner = document.getElementById('banner');
   const words = h('span');
   const refused = () => state.connection.problem?.status === 401;
-  fill(banner, h('strong', null, 'No connection to the daemon. '), words, ' ',
-    h('button', { type: 'button', onclick: retryNow }, 'Try now'));
+  const title = h('strong');
+  fill(banner, title, ' ', words, ' ',
+    h('button', { type: 'button', onclick: () => { tokenRefused = false; retryNow(); } }, 'Try now'));
   setInterval(() => {
     if (banner.hidden) return;
     const left = Math.max(0, Math.ceil((state.connection.retryAt - Date.now()) / 1000));
-    const why = refused() ? 'It refuses this page without a valid token.' : state.connection.problem?.message ?? 'What is shown is from before; jobs go on without this page.';
+    text(title, refused() ? 'The daemon asks for a token.' : 'No connection to the daemon.');
+    const why = refused() ? 'Nothing can be shown without one.' : state.connection.problem?.message ?? 'What is shown is from before; jobs go on without this page.';
     text(words, `${why} ${left ? `Trying again in ${left} s.` : 'Trying…'}`);
   }, 250);
 }
@@ -83,8 +86,11 @@ function startAnnouncer() {
 }
 
 hooks.askToken = async () => {
+  if (tokenRefused) return null;
   token.set(null);
-  return askToken();
+  const answer = await askToken();
+  tokenRefused = !answer;
+  return answer;
 };
 watch(showConnection);
 startBanner();

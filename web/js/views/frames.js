@@ -29,10 +29,8 @@ export function framesPanel(job, signal) {
   let said = 0;
 
   const first = () => Math.min(...there);
-  const total = () => {
-    const now = find(state.jobs, job.id) ?? job;
-    return Math.max(now.progress?.total ?? 0, there.size);
-  };
+  const known = () => (find(state.jobs, job.id) ?? job).progress?.total ?? 0;
+  const total = () => Math.max(known(), there.size);
   const origin = () => job.options?.first ?? 0;
 
   async function picture(index) {
@@ -63,7 +61,7 @@ export function framesPanel(job, signal) {
     for (const index of there) cells.children[index - origin()]?.setAttribute('data-there', '');
     scrub.min = origin();
     scrub.max = Math.max(origin(), origin() + all - 1);
-    text(count, all ? `${there.size} of ${plural(all, 'frame')}` : '');
+    text(count, known() ? `${there.size} of ${plural(all, 'frame')}` : plural(there.size, 'frame'));
     play.disabled = there.size < 2;
   }
 
@@ -72,7 +70,7 @@ export function framesPanel(job, signal) {
     there.add(index);
     update();
     if (!pinned && !timer) show(index);
-    if (performance.now() - said > ANNOUNCE_MS) { said = performance.now(); announce(`${there.size} of ${total()} frames rendered`); }
+    if (performance.now() - said > ANNOUNCE_MS) { said = performance.now(); announce(`${plural(there.size, 'frame')} rendered`); }
   }
 
   function step() {

@@ -43,7 +43,7 @@ export function createKeys(scene, size, view, signal) {
     play.disabled = Boolean(fault) || !many;
   }
 
-  const createRow = (key) => keyRow(key, { change: (id, values) => set(changeKey(path, id, values)), remove: (id) => set(removeKey(path, id)),
+  const createRow = (key) => keyRow(key, { change: (id, values) => { set(changeKey(path, id, values)); pictures(); }, remove: (id) => set(removeKey(path, id)),
     move: (id, by) => set(moveKey(path, id, path.keys.findIndex((item) => item.id === id) + by)),
     place: (id, target) => set(moveKey(path, id, path.keys.findIndex((item) => item.id === target))),
     show: (id) => { const item = path.keys.find((other) => other.id === id); view.show(item.pose, item.fovDeg); },

@@ -43,8 +43,9 @@ export function qualityPanel(scene, signal) {
     if (key !== known) { known = key; load(); }
   }, signal);
   load();
-  const start = action('Evaluate', async () => putJob(await api.submit({ type: 'eval', scene: scene.id, options: { split: splitOf(scene), views: 8 } })), { kind: 'small', title: '8 evenly spaced views' });
-  return panel('Quality', { tools: start }, now, list);
+  const views = h('select', { 'aria-label': 'Views to evaluate' }, h('option', { value: 8 }, '8 views'), h('option', { value: 0 }, 'all views'));
+  const start = action('Evaluate', async () => putJob(await api.submit({ type: 'eval', scene: scene.id, options: { split: splitOf(scene), views: Number(views.value) } })), { kind: 'small' });
+  return panel('Quality', { tools: h('div', { class: 'row' }, views, start) }, now, list);
 }
 
 const splitOf = (scene) => {

@@ -15,7 +15,7 @@ const RECORD_MS = 4000; // how often the record is read again while the scene tr
 export async function sceneView(root, { id, signal }) {
   const mark = chip('loading');
   const from = h('span', { class: 'quiet' });
-  const body = h('div', null, h('div', { class: 'columns wide' }, h('div', { class: 'main-column' }, h('div', { class: 'stage' })), h('div', { class: 'side-column' }, panel('Training', null, skeleton(4)))));
+  const body = h('div', null, h('div', { class: 'columns wide' }, h('div', { class: 'main-column' }, h('div', { class: 'stage' }, h('p', { class: 'cover-note', role: 'status' }, h('span', { class: 'spinner', 'aria-hidden': 'true' }), 'Loading the scene'))), h('div', { class: 'side-column' }, panel('Training', null, skeleton(4)))));
   fill(root, h('div', { class: 'page-head' }, h('a', { class: 'back', href: link.home() }, 'Scenes'), h('h1', null, id), mark, from), body);
   const load = async () => {
     try {
