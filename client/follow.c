@@ -86,7 +86,8 @@ static void take_job(struct rn_follow *follow, const char *json, size_t size) {
     rn_follow_finish(follow);
     follow->job = job;
     follow->known = true;
-    if (changed) follow->progress.last_ns = INT64_MIN / 2; // a change of state is shown at once
+    if (changed && !rn_job_has_ended(&job))
+        follow->progress.last_ns = INT64_MIN / 2; // a change of state is shown at once
     show(follow, job.progress);
 }
 

@@ -45,6 +45,17 @@ static void draw(struct rn_progress *progress) {
     progress->drawn = true;
 }
 
+static void write_state(struct rn_progress *progress) {
+    progress->last_ns = rn_clock_ns();
+    progress->pending = false;
+    if (progress->terminal)
+        draw(progress);
+    else if (isfinite(progress->fraction))
+        fprintf(stderr, "%3d%%  %s\n", (int)(progress->fraction * 100), progress->text);
+    else
+        fprintf(stderr, "%s\n", progress->text);
+}
+
 void rn_progress_update(struct rn_progress *progress, double fraction, const char *fmt, ...) {
     va_list args;
     int64_t now = rn_clock_ns();
@@ -53,14 +64,8 @@ void rn_progress_update(struct rn_progress *progress, double fraction, const cha
     vsnprintf(progress->text, sizeof progress->text, fmt, args);
     va_end(args);
     progress->fraction = isnan(fraction) ? NAN : fmin(fmax(fraction, 0), 1);
-    if (!progress->shown || now - progress->last_ns < interval) return;
-    progress->last_ns = now;
-    if (progress->terminal)
-        draw(progress);
-    else if (isfinite(progress->fraction))
-        fprintf(stderr, "%3d%%  %s\n", (int)(progress->fraction * 100), progress->text);
-    else
-        fprintf(stderr, "%s\n", progress->text);
+    progress->pending = true;
+    if (progress->shown && now - progress->last_ns >= interval) write_state(progress);
 }
 
 void rn_progress_note(struct rn_progress *progress, const char *fmt, ...) {
@@ -74,9 +79,8 @@ void rn_progress_note(struct rn_progress *progress, const char *fmt, ...) {
 }
 
 void rn_progress_finish(struct rn_progress *progress) {
-    if (!progress->shown || !progress->terminal || !*progress->text) return;
-    draw(progress);
-    fputc('\n', stderr);
+    if (progress->shown && progress->pending) write_state(progress);
+    if (progress->drawn) fputc('\n', stderr);
     progress->drawn = false;
 }
 

@@ -13,6 +13,7 @@ struct rn_progress {
     bool shown;      // false: nothing is ever written
     bool terminal;   // one line, rewritten in place
     bool drawn;      // the terminal's cursor stands behind a line that is not ended
+    bool pending;    // the text was not written yet
     int64_t last_ns; // when something was written last
     double fraction;
     char text[256];
@@ -27,7 +28,7 @@ void rn_progress_update(struct rn_progress *progress, double fraction, const cha
     RN_PRINTF(3, 4);
 // A line of its own, above the bar.
 void rn_progress_note(struct rn_progress *progress, const char *fmt, ...) RN_PRINTF(2, 3);
-// Leaves the last state on the screen and ends the line.
+// Writes the last state where it was not, and ends the line.
 void rn_progress_finish(struct rn_progress *progress);
 
 // "1.2k", "3.10M": three digits and a unit prefix.

@@ -67,6 +67,37 @@ static void print_report(const char *folder, const struct rn_dataset *dataset,
     printf("%lld errors, %lld warnings\n", (long long)report->errors, (long long)report->warnings);
 }
 
+static int core_count(void) {
+    long cores = sysconf(_SC_NPROCESSORS_ONLN);
+    return cores < 1 ? 1 : cores > 256 ? 256 : (int)cores;
+}
+
+static bool show_images(void *context, size_t done, size_t total) {
+    rn_progress_update(context, (double)done / (double)total, "%zu of %zu images", done, total);
+    return true;
+}
+
+// Reads a dataset and decodes its images; what is wrong goes into `problems`. NULL when nothing
+// usable is left.
+static struct rn_dataset *read_dataset(const char *folder, bool quiet,
+                                       struct rn_problems *problems) {
+    struct rn_dataset *dataset = NULL;
+    struct rn_progress progress;
+    struct rn_error err = {0};
+    enum rn_status status = rn_dataset_read(folder, problems, &dataset, &err);
+    if (status == RN_OK) {
+        rn_progress_init(&progress, !quiet);
+        status =
+            rn_dataset_check_images(dataset, core_count(), problems, show_images, &progress, &err);
+        rn_progress_finish(&progress);
+    }
+    if (status != RN_OK) {
+        rn_problems_add(problems, RN_SEVERITY_ERROR, err.where, "%s", err.text);
+        rn_dataset_destroy(&dataset);
+    }
+    return dataset;
+}
+
 // Reads a dataset without any daemon. RN_EXIT_INVALID when it cannot be used as it is; *ret_dataset
 // is then NULL or what is left. `show` prints the report; without it the problems of an unusable
 // dataset go to stderr.
@@ -75,13 +106,11 @@ static enum rn_exit examine(const char *folder, bool json, bool show,
     struct rn_problems problems = {0};
     struct rn_dataset_report_record report;
     struct rn_error err = {0};
-    *ret_dataset = NULL;
-    enum rn_status status = rn_dataset_read(folder, &problems, ret_dataset, &err);
-    if (status != RN_OK) rn_problems_add(&problems, RN_SEVERITY_ERROR, err.where, "%s", err.text);
+    *ret_dataset = read_dataset(folder, json, &problems);
     bool failed = problems.errors > 0;
-    enum rn_exit code = failed ? RN_EXIT_INVALID : RN_EXIT_OK;
-    status = *ret_dataset ? rn_dataset_report_fill(*ret_dataset, &problems, &report, &err)
-                          : rn_report_problems_fill(&problems, &report, &err);
+    enum rn_status status = *ret_dataset
+                                ? rn_dataset_report_fill(*ret_dataset, &problems, &report, &err)
+                                : rn_report_problems_fill(&problems, &report, &err);
     rn_problems_finish(&problems);
     if (status != RN_OK) return rn_client_fail(&err);
     const struct rn_table *table = *ret_dataset ? &rn_dataset_report_table : &bad_table;
@@ -94,7 +123,7 @@ static enum rn_exit examine(const char *folder, bool json, bool show,
         print_problems(show ? stdout : stderr, &report);
     free(text);
     rn_message_finish(&rn_dataset_report_table, &report);
-    return code;
+    return failed ? RN_EXIT_INVALID : RN_EXIT_OK;
 }
 
 static enum rn_exit run_validate(struct rn_client *client, const void *options, const char **args) {
@@ -293,7 +322,7 @@ static enum rn_exit run_import(struct rn_client *client, const void *context, co
     struct rn_tar *tar = NULL;
     char job[RN_ID_MAX];
     if (!options->name) return rn_client_usage("import", "needs --name N");
-    enum rn_exit code = examine(args[0], false, false, &dataset);
+    enum rn_exit code = examine(args[0], client->json, false, &dataset);
     if (code != RN_EXIT_OK) {
         fprintf(stderr, "ripnerf: %s: nothing was sent; see ripnerf validate %s\n", args[0],
                 args[0]);
@@ -334,22 +363,15 @@ static const struct rn_option synth_table[] = {
      .help = "training views (60); a quarter as many to validate and to test"},
     {0}};
 
-static bool show_synth(void *context, size_t done, size_t total) {
-    rn_progress_update(context, (double)done / (double)total, "%zu of %zu images", done, total);
-    return true;
-}
-
 static enum rn_exit run_synth(struct rn_client *client, const void *context, const char **args) {
     const struct synth_options *options = context;
     struct rn_progress progress;
     struct rn_error err = {0};
-    long cores = sysconf(_SC_NPROCESSORS_ONLN);
-    struct rn_synth_options synth = {.size = 200, .views = 60};
-    synth.threads = cores < 1 ? 1 : cores > 256 ? 256 : (int)cores;
+    struct rn_synth_options synth = {.size = 200, .views = 60, .threads = core_count()};
     if (options->size != RN_OPTION_ABSENT) synth.size = (int)options->size;
     if (options->views != RN_OPTION_ABSENT) synth.views = (int)options->views;
     rn_progress_init(&progress, !client->json);
-    enum rn_status status = rn_synthesise(args[0], &synth, args[1], show_synth, &progress, &err);
+    enum rn_status status = rn_synthesise(args[0], &synth, args[1], show_images, &progress, &err);
     rn_progress_finish(&progress);
     if (status == RN_ERROR_NOT_FOUND || status == RN_ERROR_INVALID)
         return rn_client_usage(err.where, "%s", err.text);
@@ -392,7 +414,7 @@ const struct rn_verb rn_verbs_dataset[] = {
      .summary = "check a dataset here, before anything is sent",
      .details =
          "Reads the JSON files (NeRF-synthetic transforms_*.json, multi-scale metadata.json,\n"
-         "or dataset.json) and the headers of the images they name. Exit code 4 when there\n"
+         "or dataset.json) and decodes the images they name. Exit code 4 when there\n"
          "is an error.",
      .args_min = 1,
      .args_max = 1,

@@ -71,7 +71,8 @@ static void print_effects(const struct rn_scene_description *description) {
     }
     if (description->difference_count) puts("\ndiffers from the paper");
     for (size_t i = 0; i < description->difference_count; i++)
-        printf("  %s: %s\n", description->differences[i].what,
+        printf("  %s%s%s\n", description->differences[i].what,
+               *description->differences[i].measured ? ": " : "",
                description->differences[i].measured);
 }
 

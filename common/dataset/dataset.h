@@ -81,6 +81,15 @@ enum rn_status rn_dataset_read(const char *folder, struct rn_problems *problems,
                                struct rn_dataset **ret_dataset, struct rn_error *err) RN_MUST_CHECK;
 void rn_dataset_destroy(struct rn_dataset **dataset);
 
+// Decodes every image, `threads` at a time, and leaves out those that cannot be decoded whole,
+// each with an error in `problems` (optional), as rn_dataset_read does with what headers tell.
+// `progress` as rn_dataset_import's. RN_ERROR_INVALID when no training view is left (the frames are
+// gone then); RN_ERROR_CANCELLED and RN_ERROR_NO_MEMORY leave the dataset as it was.
+enum rn_status rn_dataset_check_images(struct rn_dataset *dataset, int threads,
+                                       struct rn_problems *problems,
+                                       bool (*progress)(void *context, size_t done, size_t total),
+                                       void *context, struct rn_error *err) RN_MUST_CHECK;
+
 // First frame of (split, index, scale) or NULL. O(log n).
 const struct rn_frame *rn_dataset_frame(const struct rn_dataset *dataset, enum rn_split split,
                                         int index, int scale);

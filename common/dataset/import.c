@@ -126,28 +126,12 @@ static enum rn_status write_levels(const struct import *import, const struct rn_
     return status;
 }
 
-// Decodes one view. A failure that concerns only this image is its fault, not the import's.
-static enum rn_status decode(const struct rn_frame *view, struct rn_image *ret_image,
-                             struct rn_error *err) {
-    struct rn_image image;
-    enum rn_status status = rn_image_read(view->path, &rn_image_default_limits, &image, err);
-    if (status) return status;
-    if (image.width != view->camera.width || image.height != view->camera.height) {
-        status = rn_error_set(err, RN_ERROR_INVALID, view->path, "is %dx%d pixels, not %dx%d",
-                              image.width, image.height, view->camera.width, view->camera.height);
-        rn_image_finish(&image);
-        return status;
-    }
-    *ret_image = image;
-    return RN_OK;
-}
-
 static enum rn_status import_view(void *context, size_t index, struct rn_error *err) {
     struct import *import = context;
     const struct rn_frame *view = import->views[index];
     struct rn_error *fault = &import->faults[index];
     struct rn_image image;
-    enum rn_status status = decode(view, &image, fault);
+    enum rn_status status = rn_frame_decode(view, &image, fault); // its fault, not the import's
     if (status == RN_ERROR_NO_MEMORY) {
         *err = *fault;
         return status;

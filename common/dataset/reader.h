@@ -67,5 +67,8 @@ enum rn_status rn_dataset_seal(struct rn_dataset *dataset, const char *where,
                                const struct rn_problems *problems,
                                struct rn_error *err) RN_MUST_CHECK;
 void rn_frame_finish(struct rn_frame *frame);
+// Decodes a frame's image, which must have the size that its header had when it was read.
+enum rn_status rn_frame_decode(const struct rn_frame *frame, struct rn_image *ret_image,
+                               struct rn_error *err) RN_MUST_CHECK;
 
 #endif

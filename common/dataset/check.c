@@ -1,0 +1,74 @@
+// Whether the images are what their headers promise.
+#include <stdlib.h>
+
+#include "common/dataset/output.h"
+#include "common/dataset/reader.h"
+
+struct check {
+    const struct rn_dataset *dataset;
+    struct rn_error *faults; // of each frame; status RN_OK where none
+};
+
+enum rn_status rn_frame_decode(const struct rn_frame *frame, struct rn_image *ret_image,
+                               struct rn_error *err) {
+    struct rn_image image;
+    enum rn_status status = rn_image_read(frame->path, &rn_image_default_limits, &image, err);
+    if (status) return status;
+    if (image.width != frame->camera.width || image.height != frame->camera.height) {
+        status = rn_error_set(err, RN_ERROR_INVALID, frame->path, "is %dx%d pixels, not %dx%d",
+                              image.width, image.height, frame->camera.width,
+                              frame->camera.height);
+        rn_image_finish(&image);
+        return status;
+    }
+    *ret_image = image;
+    return RN_OK;
+}
+
+static enum rn_status check_frame(void *context, size_t index, struct rn_error *err) {
+    struct check *check = context;
+    struct rn_error *fault = &check->faults[index];
+    struct rn_image image;
+    if (rn_frame_decode(&check->dataset->frames[index], &image, fault) == RN_OK) {
+        rn_image_finish(&image);
+    } else if (fault->status == RN_ERROR_NO_MEMORY) {
+        *err = *fault;
+        return fault->status;
+    }
+    return RN_OK;
+}
+
+// Takes the faulty frames out and reports them.
+static void drop_faulty(struct rn_dataset *dataset, const struct rn_error *faults,
+                        struct rn_problems *problems) {
+    size_t kept = 0;
+    for (size_t i = 0; i < dataset->frame_count; i++) {
+        struct rn_frame *frame = &dataset->frames[i];
+        if (faults[i].status == RN_OK) {
+            dataset->frames[kept++] = *frame;
+            continue;
+        }
+        rn_problems_add(problems, RN_SEVERITY_ERROR, faults[i].where, "%s", faults[i].text);
+        dataset->unusable[frame->split]++;
+        rn_frame_finish(frame);
+    }
+    dataset->frame_count = kept;
+}
+
+enum rn_status rn_dataset_check_images(struct rn_dataset *dataset, int threads,
+                                       struct rn_problems *problems,
+                                       bool (*progress)(void *context, size_t done, size_t total),
+                                       void *context, struct rn_error *err) {
+    struct check check = {.dataset = dataset};
+    check.faults = calloc(dataset->frame_count, sizeof *check.faults);
+    if (!check.faults)
+        return rn_error_set(err, RN_ERROR_NO_MEMORY, dataset->name, "out of memory");
+    enum rn_status status = rn_output_run(threads, dataset->frame_count, check_frame, &check,
+                                          progress, context, dataset->name, err);
+    if (status == RN_OK) {
+        drop_faulty(dataset, check.faults, problems);
+        status = rn_dataset_seal(dataset, dataset->name, problems, err);
+    }
+    free(check.faults);
+    return status;
+}

@@ -1,0 +1,187 @@
+"""The whole path with the real parts: client, daemon, runner, engine, on a tiny scene."""
+
+import json
+import signal
+import time
+
+import pytest
+from PIL import Image
+
+from support import contract
+from support.client import CANCELLED, FAILED, INVALID, NOT_FOUND, OK, Client
+from support.daemon import Daemon
+
+STEPS = 40
+
+
+@pytest.fixture(scope="module")
+def daemon(build, tmp_path_factory):
+    with Daemon(build, tmp_path_factory.mktemp("data") / "daemon") as running:
+        yield running
+
+
+@pytest.fixture(scope="module")
+def client(build, daemon, tmp_path_factory):
+    return Client(build / "client" / "ripnerf", tmp_path_factory.mktemp("client"), daemon.url)
+
+
+@pytest.fixture(scope="module")
+def dataset(client):
+    client.run("synth", "sphere", "source", "--size", 32, "--views", 12)
+    return client.json("import", "source", "--name", "sphere", "--scales", 2)
+
+
+@pytest.fixture(scope="module")
+def trained(client, dataset):
+    """The end of `train --wait --json` and the scene it made."""
+    result = client.run("train", "sphere", "--name", "ball", "--preset", "draft", "--max-steps",
+                        STEPS, "--seed", 5, "--threads", 1, "--wait", "--json")
+    return json.loads(result.stdout.splitlines()[-1]), client.json("show", "ball")
+
+
+def train(client, name, *options):
+    return client.json("train", "sphere", "--name", name, "--preset", "draft", *options)["id"]
+
+
+def is_training(client, job):
+    record = client.json("show", job)
+    assert record["state"] in ("queued", "running"), record
+    return bool(record["progress"] and record["progress"]["step"])
+
+
+def test_the_dataset_is_what_was_sent(client, dataset):
+    contract.check("Dataset", dataset)
+    assert dataset["views"] == {"train": 12, "val": 8, "test": 8}
+    assert dataset["scales"] == 2 and (dataset["width"], dataset["height"]) == (32, 32)
+    assert dataset["report"]["errors"] == 0
+    assert client.json("show", "sphere") == dataset
+    assert client.json("datasets")["items"] == [dataset]
+
+
+def test_training_ends_with_its_figures(client, trained):
+    end, scene = trained
+    contract.check("Scene", scene)
+    contract.check("Job", client.json("show", end["job"]))
+    assert end["state"] == "succeeded" and end["steps"] == scene["steps"] == STEPS
+    assert end["scene"] == scene["id"] and end["samples"] > 0 and end["train_seconds"] > 0
+    assert end["parameters_sha256"] == scene["parameters_sha256"]
+    assert end["psnr"] == scene["psnr"] > 8
+    assert scene["state"] == "ready" and len(scene["effects"]) == 4
+    assert all(effect["reason"] for effect in scene["effects"])
+
+
+def test_bytes_do_not_depend_on_threads_or_pauses(client, trained):
+    end, _ = trained
+    job = train(client, "again", "--max-steps", STEPS, "--seed", 5, "--threads", 2)
+    client.run("pause", job)
+    client.run("resume", job)
+    client.run("watch", job)
+    assert client.json("show", "again")["parameters_sha256"] == end["parameters_sha256"]
+    client.run("rm", "again")
+
+
+def test_render(client, trained, tmp_path):
+    name = client.json("validate", "source")  # the names in the JSON are r_0, r_1, ...
+    assert name["layout"] == "blender"
+    for file, options in (("a.png", []), ("b.png", []), ("d.png", ["--output", "depth"]),
+                          ("m.png", ["--output", "alpha"]), ("j.jpg", []),
+                          ("s.png", ["--size", "20x12"])):
+        view = "test:r_3" if file == "b.png" else "test:3"
+        result = client.json("render", "ball", "--view", view, *options, "-o", tmp_path / file)
+        assert result["step"] == STEPS and result["render_ms"] > 0
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+    assert Image.open(tmp_path / "a.png").size == (32, 32)
+    assert Image.open(tmp_path / "s.png").size == (20, 12)
+    assert Image.open(tmp_path / "d.png").mode.startswith("I")
+    assert Image.open(tmp_path / "j.jpg").format == "JPEG"
+    client.run("render", "ball", "--view", "test:99", "-o", tmp_path / "x.png", code=NOT_FOUND)
+
+
+def test_path(client, trained, tmp_path):
+    document = contract.example("PathFile")
+    document["path"].update(width=24, height=16)
+    (tmp_path / "path.json").write_text(json.dumps(document))
+    result = client.json("path", "ball", tmp_path / "path.json", "-o", tmp_path / "all")
+    files = sorted((tmp_path / "all").iterdir())
+    assert result["frames"] == len(files) > 2
+    assert files[1].name == "00001.png" and Image.open(files[1]).size == (24, 16)
+    client.run("path", "ball", tmp_path / "path.json", "--frames", "1-2", "-o", tmp_path / "some")
+    some = sorted((tmp_path / "some").iterdir())
+    assert [file.name for file in some] == ["00001.png", "00002.png"]
+    assert some[0].read_bytes() == files[1].read_bytes()
+
+
+def test_eval(client, trained):
+    result = client.json("eval", "ball", "--views", 2)
+    contract.check("EvalResult", result)
+    assert [score["scale"] for score in result["scales"]] == [0, 1]
+    assert result["views"] == 2 and result["protocol"]["split"] == "test"
+    one = client.json("eval", "ball", "--views", 2, "--scale", 1)
+    assert one["scales"] == [result["scales"][1]]
+
+
+def test_cancel_finish_and_conflicts(client, daemon, dataset, trained):
+    waiting = client.start("train", "sphere", "--name", "long", "--max-time", "10m", "--wait",
+                           "--json")
+    daemon.wait_until(lambda: any(scene["name"] == "long" and scene["state"] == "training"
+                                  for scene in client.json("scenes")["items"]))
+    job = client.json("show", "long")["job"]
+    daemon.wait_until(lambda: is_training(client, job))
+    assert "long" in client.run("train", "sphere", "--name", "long", code=FAILED).stderr
+    client.run("rm", "long", code=FAILED)
+    client.run("rm", "sphere", code=FAILED)
+    before = time.monotonic()
+    client.run("cancel", "long")
+    out, _ = waiting.communicate(timeout=20)
+    assert time.monotonic() - before < 2
+    assert waiting.returncode == CANCELLED and json.loads(out)["state"] == "cancelled"
+    job = train(client, "short", "--max-time", "10m")
+    daemon.wait_until(lambda: is_training(client, job))
+    client.run("finish", job)
+    client.run("watch", job)
+    assert client.json("show", job)["result"]["finished_by"] == "finish"
+    for name in ("long", "short"):
+        client.run("rm", name)
+
+
+def test_ctrl_c_leaves_the_job_running(client, daemon, dataset):
+    waiting = client.start("train", "sphere", "--name", "left", "--max-time", "10m", "--wait")
+    daemon.wait_until(lambda: any(scene["name"] == "left"
+                                  for scene in client.json("scenes")["items"]))
+    job = client.json("show", "left")["job"]
+    daemon.wait_until(lambda: is_training(client, job))
+    waiting.send_signal(signal.SIGINT)
+    _, err = waiting.communicate(timeout=5)
+    assert waiting.returncode == FAILED and f"ripnerf watch {job}" in err
+    assert client.json("show", job)["state"] == "running"
+    client.run("cancel", job)
+    client.run("watch", job, code=CANCELLED)
+    client.run("rm", "left")
+
+
+def test_crashes_of_runner_and_daemon_change_nothing(client, daemon, trained):
+    end, _ = trained
+    waiting = client.start("train", "sphere", "--name", "crash", "--preset", "draft",
+                           "--max-steps", STEPS, "--seed", 5, "--wait", "--json")
+    daemon.wait_until(lambda: any(scene["name"] == "crash"
+                                  for scene in client.json("scenes")["items"]))
+    job = client.json("show", "crash")["job"]
+    daemon.wait_until(lambda: client.json("show", job)["state"] != "queued")
+    daemon.kill_runners()
+    daemon.kill()
+    daemon.start()
+    out, err = waiting.communicate(timeout=60)
+    assert waiting.returncode == OK, err
+    result = json.loads(out)
+    assert result["steps"] == STEPS
+    assert result["parameters_sha256"] == end["parameters_sha256"]
+    client.run("rm", "crash")
+
+
+def test_bad_photographs_are_refused_before_they_are_sent(client, tmp_path):
+    client.run("synth", "fence", tmp_path / "fence", "--size", 16, "--views", 4)
+    image = tmp_path / "fence" / "train" / "r_2.png"
+    image.write_bytes(image.read_bytes()[:60])
+    result = client.run("import", tmp_path / "fence", "--name", "fence", code=INVALID)
+    assert "r_2.png" in result.stderr
+    client.run("show", "fence", code=NOT_FOUND)
