@@ -35,8 +35,8 @@ static uint64_t render(const struct rn_cpu_field *field, const struct rn_march_o
     return samples;
 }
 
-static void density(const struct rn_cpu_field *field, float (*points)[3], int count,
-                    float level, struct rn_workspace *w, float *ret_density) {
+static void density(const struct rn_cpu_field *field, float (*points)[3], int count, float level,
+                    struct rn_workspace *w, float *ret_density) {
     int levels =
         field->built_levels < field->config.levels ? field->built_levels : field->config.levels;
     bool leveled = level > 0 && levels > 1 && field->config.footprint != RN_FOOTPRINT_POINT;
@@ -131,16 +131,19 @@ static void scatter(const struct rn_cpu_field *field, const struct rn_slab *slab
     }
 }
 
+// Gradients beyond 1.8e19, whose squares fp32 does not hold, count as 1.8e19; NaN stays NaN. The
+// decay is part of the change: 1 - rate * decay, in fp32, would be 1 for the networks. Error of the
+// change, beyond the parameter's own rounding: 8 ULP, for gradients of 1e-30 to 1e30.
 RN_INLINE void adamw_vector(const struct rn_adamw *o, float *parameter, float *grad, float *m,
                             float *v) {
-    float rate = o->rate / o->correction1, keep = 1 - o->rate * o->decay;
+    float rate = o->rate / o->correction1, fade = o->rate * o->decay;
     float root = 1 / __builtin_sqrtf(o->correction2);
-    vf g = vf_load(grad) * o->scale;
+    vf g = vf_min(vf_set(1.8e19f), vf_max(vf_set(-1.8e19f), vf_load(grad) * o->scale));
     vf first = vf_load(m) * 0.9f + g * 0.1f, second = vf_load(v) * 0.999f + g * g * 0.001f;
     vf_store(m, first);
     vf_store(v, second);
-    vf_store(parameter,
-             vf_load(parameter) * keep - rate * first / (vf_sqrt(second) * root + o->eps));
+    vf p = vf_load(parameter), change = p * fade + rate * first / (vf_sqrt(second) * root + o->eps);
+    vf_store(parameter, p - change);
     vf_store(grad, vf_set(0));
 }
 
