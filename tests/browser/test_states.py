@@ -163,20 +163,6 @@ def test_path_frames_arrive_and_play(page, fake, downloads):
     quiet(page)
 
 
-def test_a_view_is_compared_with_its_photograph(page, fake):
-    page.open(fake("busy").url + "#/scene/sphere-draft")
-    page.until(lambda: page.ink() > 100, "a picture")
-    page.find("#view-pick").send_keys("test:3")
-    page.says("Photograph test:3", ".wipe-bar")
-    page.until(lambda: page.run("return document.querySelector('.wipe img').naturalWidth;") == 200, "the photograph")
-    page.driver.execute_script("const r = document.getElementById('wipe'); r.value = 20; r.dispatchEvent(new Event('input'));")
-    assert page.run("return document.querySelector('.wipe img').style.clipPath;").startswith("inset(0px 80% 0px 0px")
-    page.find(".stage").send_keys(Keys.ARROW_LEFT)
-    page.until(lambda: not any(e.is_displayed() for e in page.all(".wipe")), "the comparison gone")
-    assert page.find("#view-pick").get_attribute("value") == ""
-    quiet(page)
-
-
 def test_failed_training_says_why(page, fake):
     page.open(fake("failed").url + "#/scene/sphere-paper")
     page.says("Out of memory", ".problem")

@@ -107,11 +107,11 @@ static int check_level(const struct subject *s, struct numerics_random *random) 
                      "variance %.9g size %d levels %d", v, size, levels);
         truth = isinf(v) ? number(levels - 1)
                          : exact_level(v > 0 ? v * v / 4 : 0, size, levels); // a ball is 2 sigma
-        if (n >= 20 * count || !(v > 0) || isinf(v))
+        if (s->ball_level && (n >= 20 * count || !(v > 0) || isinf(v)))
             numerics_see(&ball, level_error(s, s->ball_level(v, size, levels), truth),
                          "ball %.9g size %d levels %d", v, size, levels);
     }
-    return numerics_close(&c) + numerics_close(&ball);
+    return numerics_close(&c) + (s->ball_level ? numerics_close(&ball) : 0);
 }
 
 // Steps of one ULP of the variance across both clamps: the level neither jumps nor falls.
@@ -138,13 +138,13 @@ static int check_continuity(const struct subject *s) {
 }
 
 int main(void) {
-    const struct subject *const subjects[] = {&subject_float64, &subject_float32};
+    const struct subject *s;
     struct numerics_random random = numerics_random();
     int failed = 0;
-    for (int i = 0; i < 2; i++) {
-        failed += check_variance(subjects[i], &random);
-        failed += check_level(subjects[i], &random);
-        failed += check_continuity(subjects[i]);
+    for (int i = 0; (s = subject_at(i)); i++) {
+        failed += check_variance(s, &random);
+        failed += check_level(s, &random);
+        failed += check_continuity(s);
     }
     return failed > 0;
 }

@@ -43,11 +43,12 @@ mkdir "$scratch/tree"
 git ls-files --cached --others --exclude-standard -z | xargs -0 cp --parents -t "$scratch/tree"
 meson setup "$scratch/build" "$scratch/tree" --buildtype=release >"$scratch/log" 2>&1 ||
     { cat "$scratch/log"; give_up "meson setup failed"; }
-for program in frustum footprint ripmap solid volume camera optimiser flags_fma; do
+for program in frustum footprint ripmap solid volume camera optimiser kernels flags_fma; do
     run "$program" || give_up "$program fails before any mutation: $(tail -3 "$scratch/log")"
 done
 
 field=server/engine/field
+cpu=server/engine/cpu
 ends='rn_real a = mid - width \/ 2, b = mid + width \/ 2'
 cubes='rn_real a3 = a * a * a, b3 = b * b * b'
 mutate frustum $field/frustum.h "moments: mean by powers of the end points" \
@@ -97,6 +98,24 @@ mutate optimiser server/engine/reference/reference.c "AdamW: fp32 second moment"
     's/v\[i\] = 0.999 \* v\[i\].*/v[i] = (float)(0.999 * v[i] + 0.001 * grad[i] * grad[i]);/'
 mutate camera common/math/camera.h "cameras: direction in fp32" \
     's/double inv_norm = 1.0 \/ sqrt(x \* x + y \* y + 1.0);/double inv_norm = 1.0f \/ sqrtf((float)(x * x + y * y + 1.0));/'
+mutate kernels $cpu/simd.h "vector exp: one-part reduction" \
+    's/vf r = x - n \* 0.693145751953125f;.*/vf r = x - n * 0.693147180559945f;/;s/r = r - n \* 1.42860677e-6f;//'
+mutate kernels $cpu/simd.h "vector 1 - exp(-x): without the series" \
+    's/return vf_select(x < 0.5f, small, /return vf_select(x < 0.0f, small, /'
+mutate kernels $cpu/simd.h "vector log2: a series of two terms" \
+    's/p = p \* t2 + 0.4121986f;/p = vf_set(0.0f);/'
+mutate kernels $cpu/encode.h "vector moments: axial variance by mip-NeRF's subtraction" \
+    's/\*ret_axial = (0.6f.*/vf h2 = vf_set(half * half), t2 = t * t, z = 3.0f * t2 + h2; *ret_axial = h2 * (1 \/ 3.0f) - (4 \/ 15.0f) * (h2 * h2 * (12.0f * t2 - h2) \/ (z * z));/'
+mutate footprint $cpu/encode.h "vector level: variance not clamped" \
+    's/vf_log2(vf_clamp(variance \* (unit \* unit), 1.0f, top))/vf_log2(variance * (unit * unit) + 0 * top)/'
+mutate volume $cpu/packet.h "vector compositing: optical depth summed in fp32" \
+    's/double depth = w->ray_depth\[r\];/float depth = (float)w->ray_depth[r];/;s/depth += (double)w->x\[i\];/depth += w->x[i];/'
+mutate volume $cpu/packet.h "vector compositing: 1 - exp(-x)" \
+    's/t \* vf_one_minus_exp(x)/t * (1.0f - vf_exp(-x))/'
+mutate kernels $cpu/kernel_set.c "vector AdamW: squares that overflow" \
+    's/vf g = vf_min(.*/vf g = vf_load(grad) * o->scale;/'
+mutate kernels $cpu/kernel_set.c "vector AdamW: decay as 1 - rate * decay" \
+    's/change = p \* fade + rate/change = rate/;s/vf_store(parameter, p - change);/vf_store(parameter, p * (1 - fade) - change);/'
 mutate flags_fma meson.build "flags: contraction allowed" \
     's/-ffp-contract=off/-ffp-contract=fast/'
 

@@ -110,8 +110,10 @@ static void composite_backward(int n, const double *weights, const double *after
 #define SUBJECT_NAME "float64"
 #endif
 
+extern const struct subject SUBJECT;
 const struct subject SUBJECT = {SUBJECT_NAME,
                                 sizeof(rn_real) == 4 ? 24 : 53,
+                                false,
                                 nearest,
                                 moments,
                                 moments_powers,

@@ -1,12 +1,16 @@
-// What the numerics cases examine: the field's mathematics as one number type computes it. Numbers
-// travel as float64, which holds every float; inputs must be numbers of the subject's type.
+// What the numerics cases examine: the field's mathematics as one number type or one kernel set
+// computes it. Numbers travel as float64, which holds every float; inputs must be numbers of the
+// subject's type.
 #ifndef RN_TESTS_NUMERICS_SUBJECT_H
 #define RN_TESTS_NUMERICS_SUBJECT_H
 
+#include <stdbool.h>
+
 // A constant table of functions. Thread-safety: all.
 struct subject {
-    const char *name; // "float64", "float32"
+    const char *name; // "float64", "float32", or the kernel set's
     int digits;       // bits of its significand: 53 or 24
+    bool fast;        // a kernel set: functions marked * are NULL
     double (*nearest)(double x);
     // mean, axial, radial; then the forms that lose digits: from end points by t^5 (the paper's
     // appendix) and mip-NeRF's stable form with its subtraction.
@@ -15,7 +19,7 @@ struct subject {
     void (*moments_mipnerf)(double mid, double width, double radius, double ret[3]);
     double (*variance)(const double axis[3], const double d[3], double axial, double radial);
     double (*level)(double variance, int size, int levels);
-    double (*ball_level)(double ball, int size, int levels);
+    double (*ball_level)(double ball, int size, int levels); // *
     int (*taps)(int size, int i, int *ret_first, double weight[3]);
     void (*lerp)(double p, int size, int *ret_low, int *ret_high, double *ret_fraction);
     double (*density)(double logit);
@@ -28,6 +32,7 @@ struct subject {
 
 #define SUBJECT_MAX_SAMPLES 4096
 
-extern const struct subject subject_float64, subject_float32;
+// float64, float32, then the kernel sets this machine can run; NULL past the end.
+const struct subject *subject_at(int i);
 
 #endif

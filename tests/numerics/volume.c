@@ -191,7 +191,8 @@ static int check_backward(const struct subject *s, struct numerics_random *rando
 static int check_early_stop(const struct subject *s, struct numerics_random *random) {
     char name[80];
     snprintf(name, sizeof name, "5 early stop's error, %s", s->name);
-    struct numerics_case c = {name, "epsilon 1e-6..1e-1, 1..4096 samples", "of epsilon", 1, 0, ""};
+    struct numerics_case c = {name, "epsilon 1e-6..1e-1, 1..4096 samples", "of epsilon", 1.00001, 0,
+                              ""};
     static double x[MOST], weights[MOST], after[MOST];
     for (int trial = 0; trial < 300; trial++) {
         int n = draw_count(random, trial), kind = trial % KINDS, end = 0;
@@ -213,15 +214,15 @@ static int check_early_stop(const struct subject *s, struct numerics_random *ran
 }
 
 int main(void) {
-    const struct subject *const subjects[] = {&subject_float64, &subject_float32};
+    const struct subject *s;
     struct numerics_random random = numerics_random();
     int failed = 0;
-    for (int i = 0; i < 2; i++) {
-        failed += check_density(subjects[i], &random);
-        failed += check_alpha(subjects[i], &random);
-        failed += check_composite(subjects[i], &random);
-        failed += check_backward(subjects[i], &random);
-        failed += check_early_stop(subjects[i], &random);
+    for (int i = 0; (s = subject_at(i)); i++) {
+        failed += check_density(s, &random);
+        failed += check_alpha(s, &random);
+        failed += check_composite(s, &random);
+        failed += check_backward(s, &random);
+        failed += check_early_stop(s, &random);
     }
     return failed > 0;
 }

@@ -4,8 +4,7 @@ import { cameraOf, defaultOrbit, fovOf, keyMove, listen, openCvPose, orbitOfPose
 import { fill, h, text } from '../dom.js';
 import { compact, milliseconds, whole } from '../format.js';
 import { createViewer } from '../viewer.js';
-import { choice, toast } from '../ui.js';
-import { createWipe } from './wipe.js';
+import { choice } from '../ui.js';
 
 const LEVELS = ['coarse', 'half size', 'refined'];
 const MAX_SIDE = 1280;
@@ -32,11 +31,7 @@ export function createViewport(scene, cameras, host, signal) {
   const fov = h('input', { type: 'range', min: 5, max: 100, step: 0.5, value: orbit.fovDeg, id: 'fov' });
   const fovWords = h('output', { for: 'fov' });
   const detail = h('select', { id: 'detail' }, [['0.5', 'half'], ['1', 'normal'], ['2', 'sharp']].map(([value, words]) => h('option', { value, selected: value === '1' }, words)));
-  const wipe = createWipe(scene, signal);
-  const views = viewPicker(full, (item) => {
-    set(orbitAt(item), openCvPose(item.camera));
-    wipe.show(item).catch(toast);
-  });
+  const views = viewPicker(full, (item) => set(orbitAt(item)));
 
   const viewer = createViewer(canvas, {
     camera: (width, height) => (pose ? { world_from_camera: pose, axes: 'opencv', width, height, fov_y_deg: orbit.fovDeg } : cameraOf(orbit, width, height)),
@@ -54,8 +49,6 @@ export function createViewport(scene, cameras, host, signal) {
   function set(next, exactPose = null) {
     orbit = next;
     pose = exactPose;
-    wipe.hide();
-    views?.clear();
     fov.value = orbit.fovDeg;
     text(fovWords, `${Number(orbit.fovDeg.toFixed(1))}°`);
     viewer.changed();
@@ -105,11 +98,10 @@ export function createViewport(scene, cameras, host, signal) {
   signal.addEventListener('abort', () => observer.disconnect(), { once: true });
   text(fovWords, `${Number(orbit.fovDeg.toFixed(1))}°`);
 
-  stage.append(wipe.node);
   const node = h('section', { class: 'viewport', 'aria-label': 'View' }, stage,
     h('div', { class: 'viewport-tools' }, output.node,
       h('div', { class: 'tool' }, h('label', { for: 'fov' }, 'Field of view'), fov, fovWords),
-      h('div', { class: 'tool' }, h('label', { for: 'detail' }, 'Detail'), detail), views?.node,
+      h('div', { class: 'tool' }, h('label', { for: 'detail' }, 'Detail'), detail), views,
       h('button', { type: 'button', title: 'R', onclick: () => set(start) }, 'Reset'),
       h('button', { type: 'button', class: 'primary', title: 'K', onclick: () => host.onKey() }, 'Record key')),
     h('p', { class: 'quiet help', 'aria-hidden': 'true' }, 'Drag turns, Shift-drag moves, the wheel comes nearer. Keys: arrows, Shift-arrows, + and −, R resets, K records.'));
@@ -131,10 +123,9 @@ function viewPicker(cameras, show) {
   const splits = [...new Set(cameras.map((item) => item.split))];
   if (!splits.length) return null;
   const select = h('select', { id: 'view-pick', onchange: () => {
-    const { value } = select;
-    if (value !== '') show(cameras[Number(value)]);
-    select.value = value;
+    const item = cameras[Number(select.value)];
+    if (item) show(item);
   } }, h('option', { value: '' }, 'choose'), splits.map((split) => h('optgroup', { label: split },
     cameras.map((item, i) => (item.split === split ? h('option', { value: i }, `${split}:${item.index}`) : null)))));
-  return { node: h('div', { class: 'tool' }, h('label', { for: 'view-pick' }, 'View'), select), clear: () => { select.value = ''; } };
+  return h('div', { class: 'tool' }, h('label', { for: 'view-pick' }, 'View'), select);
 }

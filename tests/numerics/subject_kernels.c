@@ -1,0 +1,140 @@
+// One kernel set's fp32 vector code as a subject: the whole of kernel_set.c is compiled here once
+// more, with the set's flags, so that its inner functions can be called. RN_KERNEL_SET names the
+// copy's table, SUBJECT the set.
+#include "server/engine/cpu/kernel_set.c"
+
+#include "tests/numerics/subject.h"
+
+static float lane0(vf x) {
+    return x[0];
+}
+
+static double nearest(double x) {
+    return (double)(float)x;
+}
+
+static void moments(double mid, double width, double radius, double ret[3]) {
+    vf shift, axial, radial;
+    frustum_moments(vf_set((float)mid), 0.5f * (float)width, (float)radius, &shift, &axial,
+                    &radial);
+    ret[0] = (double)lane0(vf_set((float)mid) + shift);
+    ret[1] = (double)lane0(axial);
+    ret[2] = (double)lane0(radial);
+}
+
+static double variance(const double axis[3], const double d[3], double axial, double radial) {
+    float direction[3] = {(float)d[0], (float)d[1], (float)d[2]}, along, across;
+    footprint_factors(axis, direction, &along, &across);
+    return (double)lane0(vf_set((float)axial) * along + vf_set((float)radial) * across);
+}
+
+static double level(double v, int size, int levels) {
+    return (double)lane0(level_from_variance(vf_set((float)v), size, levels));
+}
+
+static int taps(int size, int i, int *ret_first, double weight[3]) {
+    float own[3];
+    int count = taps_of(size, i, ret_first, own);
+    for (int t = 0; t < 3; t++)
+        weight[t] = (double)own[t];
+    return count;
+}
+
+static void lerp(double p, int size, int *ret_low, int *ret_high, double *ret_fraction) {
+    vi low;
+    vf fraction;
+    lerp_vector(vf_set((float)p), size, &low, &fraction);
+    *ret_low = low[0];
+    *ret_high = low[0] + (size > 1);
+    *ret_fraction = (double)fraction[0];
+    struct lerp_scalar same = lerp_coordinate((float)p, size);
+    if (same.low != low[0] || same.fraction != fraction[0]) *ret_low = -1;
+}
+
+// One ray of up to SUBJECT_MAX_SAMPLES samples in a workspace of its own.
+#define ROOM (SUBJECT_MAX_SAMPLES + RN_PACKET_SLACK)
+static uint8_t ray_of[ROOM];
+static float x_of[ROOM], before_of[ROOM], weight_of[ROOM], after_of[ROOM], slope_of[ROOM];
+static float interval_of[ROOM], geometry_of[ROOM * RN_GEOMETRY];
+static int32_t start_of[ROOM];
+static int16_t size_of[ROOM], next_of[ROOM];
+
+static void one_ray(int n, struct rn_workspace *w) {
+    memset(w, 0, sizeof *w);
+    w->segment_start = start_of;
+    w->segment_size = size_of;
+    w->segment_next = next_of;
+    w->ray = ray_of;
+    w->x = x_of;
+    w->before = before_of;
+    w->weight = weight_of;
+    w->after = after_of;
+    w->slope = slope_of;
+    w->interval = interval_of;
+    w->geometry = geometry_of;
+    w->count = n;
+    for (int start = 0; start < n; start += RN_ROUND) {
+        int s = w->segment_count++;
+        start_of[s] = start;
+        size_of[s] = (int16_t)(n - start < RN_ROUND ? n - start : RN_ROUND);
+        next_of[s] = (int16_t)(start + RN_ROUND < n ? s + 1 : -1);
+    }
+}
+
+static double density_of(double logit) {
+    struct rn_workspace w;
+    struct rn_cpu_field field = {.config = {.shading = RN_SHADING_SAMPLE}};
+    one_ray(1, &w);
+    interval_of[0] = 1;
+    geometry_of[0] = (float)logit;
+    activate(&field, 0, 1, &w);
+    return (double)x_of[0];
+}
+
+static double alpha(double x) {
+    return (double)lane0(vf_one_minus_exp(vf_set((float)x)));
+}
+
+static double composite(int n, const double *x, double *weights, double *after) {
+    struct rn_workspace w;
+    struct rn_march_options options = {.stop_depth = INFINITY};
+    one_ray(n, &w);
+    for (int i = 0; i < n; i++)
+        x_of[i] = (float)x[i];
+    round_attenuate(0, &w);
+    finish_weights(&options, &w);
+    for (int i = 0; i < n; i++) {
+        weights[i] = (double)weight_of[i];
+        after[i] = (double)after_of[i];
+    }
+    return (double)(float)w.ray_depth[0];
+}
+
+static void composite_back(int n, const double *weights, const double *after, const double *g,
+                           double *grad) {
+    struct rn_workspace w;
+    one_ray(n, &w);
+    for (int i = 0; i < n; i++) {
+        weight_of[i] = (float)weights[i];
+        after_of[i] = (float)after[i];
+        slope_of[i] = (float)g[i];
+    }
+    composite_backward(0, &w);
+    for (int i = 0; i < n; i++)
+        grad[i] = (double)slope_of[i];
+}
+
+extern const struct subject SUBJECT;
+const struct subject SUBJECT = {.name = SUBJECT_NAME,
+                                .digits = 24,
+                                .fast = true,
+                                .nearest = nearest,
+                                .moments = moments,
+                                .variance = variance,
+                                .level = level,
+                                .taps = taps,
+                                .lerp = lerp,
+                                .density = density_of,
+                                .alpha = alpha,
+                                .composite = composite,
+                                .composite_backward = composite_back};

@@ -1,0 +1,22 @@
+// Every subject that this machine can run.
+#include <stddef.h>
+#include <string.h>
+
+#include "server/engine/cpu/kernels.h"
+#include "tests/numerics/subject.h"
+
+extern const struct subject subject_float64, subject_float32;
+#define SET(name) extern const struct subject subject_##name;
+SUBJECT_SETS
+#undef SET
+
+const struct subject *subject_at(int i) {
+#define SET(name) &subject_##name,
+    static const struct subject *const sets[] = {SUBJECT_SETS};
+#undef SET
+    if (i < 2) return i == 0 ? &subject_float64 : &subject_float32;
+    const struct rn_kernels *kernels = rn_kernels_available(i - 2);
+    for (size_t k = 0; kernels && k < sizeof sets / sizeof *sets; k++)
+        if (strcmp(sets[k]->name, kernels->name) == 0) return sets[k];
+    return NULL;
+}
