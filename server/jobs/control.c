@@ -56,6 +56,15 @@ static void serve_runners(struct rn_control *control) {
     }
 }
 
+// What a runner holds decides who is evicted; asked for at every tick.
+static void measure_memory(struct rn_control *control) {
+    int64_t now_ns = rn_clock_ns();
+    if (now_ns < control->next_measure_ns) return;
+    control->next_measure_ns = now_ns + TICK_MS * 1000000ll;
+    for (struct rn_runner *runner = control->runners; runner != NULL; runner = runner->next)
+        runner->memory_bytes = control->executor->memory(control->executor, &runner->process);
+}
+
 static nfds_t fill_polls(struct rn_control *control, struct pollfd *polls) {
     nfds_t count = 0;
     polls[count++] = (struct pollfd){.fd = control->wake_fd, .events = POLLIN};
@@ -74,6 +83,7 @@ static void *supervise(void *context) {
     pthread_mutex_lock(&control->lock);
     while (!control->quit) {
         serve_runners(control);
+        measure_memory(control);
         rn_schedule(control);
         rn_tasks_tidy(control);
         nfds_t count = fill_polls(control, polls);

@@ -100,6 +100,18 @@ static void local_end(struct rn_executor *executor, const struct rn_process *pro
         snprintf(ret_how, how_size, "exit code %d", WEXITSTATUS(status));
 }
 
+// The resident set, as the kernel counts it.
+static int64_t local_memory(struct rn_executor *executor, const struct rn_process *process) {
+    char path[64];
+    long long pages = 0, resident = 0;
+    snprintf(path, sizeof path, "/proc/%d/statm", (int)process->pid);
+    FILE *file = fopen(path, "re");
+    if (file == NULL) return 0;
+    if (fscanf(file, "%lld %lld", &pages, &resident) != 2) resident = 0;
+    fclose(file);
+    return (int64_t)resident * sysconf(_SC_PAGESIZE);
+}
+
 static void local_destroy(struct rn_executor *executor) {
     struct local *local = (struct local *)executor;
     free(local->program);
@@ -115,7 +127,7 @@ enum rn_status rn_local_executor_create(const char *program, struct rn_executor 
         free(copy);
         return rn_error_set(err, RN_ERROR_NO_MEMORY, "executor", "no memory");
     }
-    local->base = (struct rn_executor){local_start, local_end, local_destroy};
+    local->base = (struct rn_executor){local_start, local_end, local_memory, local_destroy};
     local->program = copy;
     *ret_executor = &local->base;
     return RN_OK;

@@ -2,6 +2,8 @@
 #ifndef RN_SERVER_JOBS_EXECUTOR_H
 #define RN_SERVER_JOBS_EXECUTOR_H
 
+#include <stddef.h>
+#include <stdint.h>
 #include <sys/types.h>
 
 #include "common/base/status.h"
@@ -23,6 +25,8 @@ struct rn_executor {
     // "killed by signal 9 (Killed)".
     void (*end)(struct rn_executor *executor, const struct rn_process *process, bool now,
                 char *ret_how, size_t how_size);
+    // Bytes of memory that it holds now, 0 when not known.
+    int64_t (*memory)(struct rn_executor *executor, const struct rn_process *process);
     void (*destroy)(struct rn_executor *executor);
 };
 

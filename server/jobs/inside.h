@@ -84,6 +84,7 @@ struct rn_control {
     struct rn_recent recent[RN_MAX_RECENT];
     unsigned recent_next;
     int64_t next_render;
+    int64_t next_measure_ns;
     struct rn_device device;
     bool schedule_due;
     struct rn_control_stats stats;

@@ -47,7 +47,6 @@ static void on_opened(struct rn_control *control, struct rn_runner *runner,
                       struct rn_wire_opened *opened) {
     struct rn_scene_row scene;
     runner->state = RN_RUNNER_READY;
-    runner->memory_bytes = opened->memory_bytes;
     if (opened->loaded && find_scene(control, runner->scene, &scene)) {
         if (opened->memory_bytes > 0) scene.memory_bytes = opened->memory_bytes;
         update_scene(control, &scene);
@@ -155,6 +154,7 @@ static void on_checkpoint(struct rn_control *control, struct rn_runner *runner,
     scene.steps = checkpoint->step;
     scene.train_seconds = checkpoint->train_seconds;
     scene.psnr = checkpoint->psnr;
+    if (runner->memory_bytes > 0) scene.memory_bytes = runner->memory_bytes;
     snprintf(scene.sha256, sizeof scene.sha256, "%s", checkpoint->parameters_sha256);
     if (checkpoint->scene != NULL) set_document(&scene.record, &checkpoint->scene);
     if (record_checkpoint(control, &scene, checkpoint, &err) != RN_OK)

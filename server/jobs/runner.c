@@ -6,6 +6,7 @@
 #include <unistd.h>
 
 #include "common/base/clock.h"
+#include "common/base/file.h"
 #include "common/base/log.h"
 #include "server/jobs/inside.h"
 
@@ -189,8 +190,10 @@ static enum rn_status begin_ingest(struct rn_control *control, struct rn_task *t
     ingest.threads = control->options.threads;
     if (ingest.source == NULL || ingest.target == NULL || ingest.work == NULL)
         status = rn_error_set(err, RN_ERROR_NO_MEMORY, "ingest", "no memory");
-    else
-        rn_runner_post(control, task->runner, RN_WIRE_INGEST, &ingest);
+    // What an earlier attempt left.
+    if (status == RN_OK) status = rn_remove_tree(ingest.target, err);
+    if (status == RN_OK) status = rn_remove_tree(ingest.work, err);
+    if (status == RN_OK) rn_runner_post(control, task->runner, RN_WIRE_INGEST, &ingest);
     rn_message_finish(rn_wire_table(RN_WIRE_INGEST), &ingest);
     return status;
 }
