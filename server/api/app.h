@@ -47,8 +47,8 @@ enum rn_status rn_api_page(const struct rn_request *request, int *ret_limit, int
 enum rn_status rn_api_number(const char *text, int64_t min, int64_t max, const char *where,
                              int64_t *ret_value, struct rn_error *err) RN_MUST_CHECK;
 
-// Checks a camera path's JSON (the value of "path" in a path file). camera_paths.c
-enum rn_status rn_api_check_path(const char *json, const char *where,
+// Checks a camera path's JSON; `pointer` is where it stands in the request. camera_paths.c
+enum rn_status rn_api_check_path(const char *json, const char *pointer,
                                  struct rn_error *err) RN_MUST_CHECK;
 
 // Handlers, by file.

@@ -7,7 +7,16 @@
 #include "common/path/path.h"
 #include "server/api/app.h"
 
-enum rn_status rn_api_check_path(const char *json, const char *where, struct rn_error *err) {
+// The parser points into a path file ("#/path/keys"); the request has the path at `pointer`.
+static void move_pointer(const char *pointer, struct rn_error *err) {
+    static const char in_file[] = "#/path";
+    char rest[sizeof err->where];
+    if (strncmp(err->where, in_file, sizeof in_file - 1) != 0) return;
+    snprintf(rest, sizeof rest, "%s", err->where + sizeof in_file - 1);
+    snprintf(err->where, sizeof err->where, "%s%.200s", pointer, rest);
+}
+
+enum rn_status rn_api_check_path(const char *json, const char *pointer, struct rn_error *err) {
     struct rn_path *path = NULL;
     struct rn_buf file;
     rn_buf_init(&file, RN_PATH_MAX_BYTES);
@@ -15,8 +24,8 @@ enum rn_status rn_api_check_path(const char *json, const char *where, struct rn_
     rn_buf_append(&file, json, strlen(json));
     rn_buf_append(&file, "}", 1);
     enum rn_status status = rn_buf_status(&file, "the camera path", err);
-    if (status == RN_OK)
-        status = rn_path_parse((const char *)file.data, file.size, where, &path, err);
+    if (status == RN_OK) status = rn_path_parse((const char *)file.data, file.size, "", &path, err);
+    if (status != RN_OK) move_pointer(pointer, err);
     rn_path_destroy(&path);
     rn_buf_finish(&file);
     return status;
@@ -42,7 +51,7 @@ void rn_list_camera_paths(void *context, struct rn_request *request, struct rn_r
 
 static enum rn_status insert(struct rn_app *app, const struct rn_camera_path_request *wanted,
                              struct rn_camera_path_row *row, struct rn_error *err) {
-    enum rn_status status = rn_api_check_path(wanted->path, "", err);
+    enum rn_status status = rn_api_check_path(wanted->path, "#/path", err);
     if (status == RN_OK) status = rn_store_new_id(RN_ID_PATH, row->id, err);
     if (status != RN_OK) return status;
     snprintf(row->name, sizeof row->name, "%s", wanted->name);

@@ -96,7 +96,7 @@ static char *find_directory(struct rn_app *app, const char *directory, struct rn
     char *path = realpath(directory, NULL);
     for (size_t i = 0; i < app->root_count; i++) {
         if (path != NULL && is_under(path, app->roots[i])) return path;
-        if (path == NULL && is_under(directory, app->roots[i])) {
+        if (path == NULL && is_under(directory, app->roots[i]) && strstr(directory, "..") == NULL) {
             rn_reply_problem(reply, RN_PROBLEM_NOT_FOUND, "there is no directory '%.300s'",
                              directory);
             return NULL;

@@ -3,7 +3,6 @@
 #include <string.h>
 
 #include "common/base/sha256.h"
-#include "common/path/path.h"
 #include "proto/job.h"
 #include "server/api/app.h"
 

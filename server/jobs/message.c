@@ -154,7 +154,8 @@ static void on_checkpoint(struct rn_control *control, struct rn_runner *runner,
     scene.steps = checkpoint->step;
     scene.train_seconds = checkpoint->train_seconds;
     scene.psnr = checkpoint->psnr;
-    if (runner->memory_bytes > 0) scene.memory_bytes = runner->memory_bytes;
+    runner->memory_bytes = control->executor->memory(control->executor, &runner->process);
+    scene.memory_bytes = runner->memory_bytes;
     snprintf(scene.sha256, sizeof scene.sha256, "%s", checkpoint->parameters_sha256);
     if (checkpoint->scene != NULL) set_document(&scene.record, &checkpoint->scene);
     if (record_checkpoint(control, &scene, checkpoint, &err) != RN_OK)

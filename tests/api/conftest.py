@@ -1,0 +1,49 @@
+import pytest
+
+from support.checked import Daemon
+from support.photographs import write_dataset
+
+
+@pytest.fixture(scope="session")
+def programs(build):
+    found = build / "server" / "ripnerfd", build / "tests" / "support" / "ripnerf-runner-fake"
+    for program in found:
+        assert program.is_file(), f"{program} was not built"
+    return found
+
+
+@pytest.fixture(scope="session")
+def photographs(tmp_path_factory):
+    return write_dataset(tmp_path_factory.mktemp("photographs") / "data")
+
+
+@pytest.fixture(scope="session")
+def shared(programs, photographs, tmp_path_factory):
+    """A daemon for tests that leave it as they found it, with dataset `data` and scene `ready`."""
+    data = tmp_path_factory.mktemp("shared") / "data"
+    with Daemon(*programs, data, dataset_root=photographs.parent) as daemon:
+        job = daemon.wait(daemon.upload("data", photographs))
+        assert job["state"] == "succeeded", job
+        daemon.train("ready")
+        yield daemon
+
+
+@pytest.fixture
+def make_daemon(programs, tmp_path):
+    """make_daemon(environment, **options): a daemon of the test's own, started; stopped later."""
+    made = []
+
+    def make(environment=None, **options):
+        made.append(Daemon(*programs, tmp_path / f"d{len(made)}", environment, **options))
+        return made[-1].start()
+    yield make
+    for daemon in made:
+        daemon.stop()
+
+
+@pytest.fixture
+def own(make_daemon, photographs):
+    """A daemon of the test's own with dataset `data`; steps take a while."""
+    daemon = make_daemon({"RIPNERF_FAKE_STEP_US": "2000"})
+    assert daemon.wait(daemon.upload("data", photographs))["state"] == "succeeded"
+    return daemon

@@ -1,0 +1,364 @@
+"""Jobs through their states, crashes of runner and daemon, restarts, shutdown."""
+
+import os
+import signal
+import subprocess
+import threading
+import time
+
+import pytest
+
+from support.checked import Daemon
+from support.photographs import pose
+
+LONG = {"max_steps": 100000}
+PATH = {"axes": "opengl", "fps": 20, "interpolation": "linear", "loop": False, "width": 8, "height": 8,
+        "keys": [{"time": t, "world_from_camera": pose(t)[:3], "fov_y_deg": 40} for t in (0, 1, 2)]}
+
+
+def train(daemon, scene, **options):
+    return daemon.submit(type="train", dataset="data", scene=scene, options=options or LONG)
+
+
+def step_of(daemon, job):
+    return (daemon.job(job)["progress"] or {"step": 0})["step"]
+
+
+def wait_for_step(daemon, job, step):
+    deadline = time.monotonic() + 20
+    while step_of(daemon, job) < step:
+        assert time.monotonic() < deadline, daemon.job(job)
+        time.sleep(0.03)
+
+
+def command(daemon, job, verb, status=200):
+    begin = time.monotonic()
+    reply = daemon.post(f"/v1/jobs/{job}/{verb}")
+    assert reply.status == status, reply.body
+    assert time.monotonic() - begin < 1
+    return reply.json
+
+
+def test_pause_and_resume(own):
+    job = train(own, "s", max_steps=600)
+    wait_for_step(own, job, 20)
+    command(own, job, "resume", 409)
+    assert command(own, job, "pause")["state"] == "paused"
+    time.sleep(0.7)
+    before = step_of(own, job)
+    time.sleep(0.7)
+    assert step_of(own, job) == before
+    scene = own.get("/v1/scenes/s").json
+    assert scene["state"] == "paused" and scene["checkpoints"]
+    command(own, job, "pause", 409)
+    assert own.post("/v1/scenes/s/render", {"view": "test:0"}).status == 200
+    evaluation = own.wait(own.submit(type="eval", scene="s", options={"views": 1}))
+    assert evaluation["state"] == "succeeded"
+    assert command(own, job, "resume")["state"] in ("queued", "running")
+    record = own.wait(job)
+    assert record["state"] == "succeeded" and record["attempt"] == 1
+    _, straight = own.train("straight", max_steps=600)
+    assert straight["parameters_sha256"] == record["result"]["parameters_sha256"]
+
+
+def test_finish(own):
+    job = train(own, "s")
+    wait_for_step(own, job, 10)
+    command(own, job, "finish")
+    record = own.wait(job)
+    assert record["state"] == "succeeded" and record["result"]["finished_by"] == "finish"
+    assert own.get("/v1/scenes/s").json["steps"] == record["result"]["steps"] < 100000
+    command(own, job, "finish", 409)
+
+
+def test_finish_while_paused(own):
+    job = train(own, "s")
+    wait_for_step(own, job, 10)
+    command(own, job, "pause")
+    command(own, job, "finish")
+    assert own.wait(job)["result"]["finished_by"] == "finish"
+
+
+def test_cancel(own):
+    job = train(own, "s")
+    wait_for_step(own, job, 10)
+    begin = time.monotonic()
+    assert command(own, job, "cancel")["state"] in ("cancelling", "cancelled")
+    own.wait(job, ["cancelled"])
+    assert time.monotonic() - begin < 1
+    assert command(own, job, "cancel")["state"] == "cancelled"
+    command(own, job, "pause", 409)
+    scene = own.get("/v1/scenes/s").json
+    assert scene["state"] == "ready" and scene["parameters_sha256"]
+    assert own.post("/v1/scenes/s/render", {"view": "test:0"}).status == 200
+
+
+def test_cancel_of_what_succeeded(shared):
+    job, _ = shared.train("done-already")
+    reply = shared.post(f"/v1/jobs/{job['id']}/cancel")
+    assert reply.status == 409 and "succeeded" in reply.json["detail"]
+
+
+def test_queue(own):
+    first, second, third = train(own, "a"), train(own, "b"), train(own, "c", max_steps=5)
+    wait_for_step(own, first, 1)
+    assert own.job(second)["state"] == own.job(third)["state"] == "queued"
+    assert own.get("/v1/scenes/b").json["state"] == "new"
+    assert own.post("/v1/scenes/b/render", {"view": "test:0"}).status == 409
+    assert own.get("/v1/scenes/b/checkpoint").status == 404
+    assert command(own, second, "pause")["state"] == "paused"
+    assert command(own, first, "cancel")
+    assert own.wait(third)["state"] == "succeeded"  # the paused one is passed over
+    command(own, second, "resume")
+    own.wait(second, ["running"])
+    assert command(own, second, "cancel")
+    own.wait(second, ["cancelled"])
+
+
+def test_second_job_on_a_training_scene(own):
+    job = train(own, "s")
+    own.wait(job, ["running"])
+    for request in ({"type": "train", "dataset": "data", "scene": "s"},
+                    {"type": "eval", "scene": "s"},
+                    {"type": "path", "scene": "s", "camera_path": PATH}):
+        reply = own.post("/v1/jobs", request)
+        assert reply.status == 409 and job in reply.json["detail"]
+        assert reply.json["errors"][0]["pointer"] == "#/scene"
+    assert own.delete("/v1/scenes/s").status == 409
+    assert own.delete("/v1/datasets/data").status == 409
+    command(own, job, "cancel")
+
+
+def test_full_queue(make_daemon, photographs):
+    daemon = make_daemon({"RIPNERF_FAKE_STEP_US": "2000"}, max_queued=2)
+    daemon.wait(daemon.upload("data", photographs))
+    jobs = [train(daemon, name) for name in "ab"]
+    reply = daemon.post("/v1/jobs", {"type": "train", "dataset": "data", "scene": "c"})
+    assert reply.status == 429 and int(reply.headers["Retry-After"]) > 0
+    assert daemon.get("/v1/scenes/c").status == 404
+    for job in jobs:
+        command(daemon, job, "cancel")
+        daemon.wait(job)
+    assert daemon.train("c")[0]["state"] == "succeeded"
+
+
+def test_two_train_at_once(make_daemon, photographs):
+    daemon = make_daemon({"RIPNERF_FAKE_STEP_US": "2000"}, training_slots=2)
+    daemon.wait(daemon.upload("data", photographs))
+    a, b = train(daemon, "a"), train(daemon, "b")
+    wait_for_step(daemon, a, 5)
+    wait_for_step(daemon, b, 5)
+
+
+def test_divergence(make_daemon, photographs):
+    daemon = make_daemon({"RIPNERF_FAKE_DIVERGE_AT": "20"})
+    daemon.wait(daemon.upload("data", photographs))
+    record = daemon.wait(train(daemon, "s"))
+    assert record["state"] == "failed" and record["problem"]["type"] == "/problems/numeric"
+    assert daemon.get("/healthz").status == 200
+
+
+# ---- crashes --------------------------------------------------------------------------------
+
+def test_kill_runner(own):
+    _, straight = own.train("straight", max_steps=500)
+    job = train(own, "s", max_steps=500, checkpoint_interval_s=0)
+    wait_for_step(own, job, 50)
+    idle = own.get("/v1/scenes/straight").json["loaded"]
+    assert idle
+    for pid in own.runners():
+        os.kill(pid, signal.SIGKILL)
+    record = own.wait(job)
+    assert record["state"] == "succeeded" and record["attempt"] == 2 and "problem" not in record
+    states = [data["state"] for _, name, data in own.events(f"/v1/jobs/{job}/events")
+              if name == "state"]
+    assert states == ["queued", "running", "interrupted", "queued", "running", "succeeded"]
+    assert record["result"]["parameters_sha256"] == straight["parameters_sha256"]
+
+
+def test_runner_that_always_dies(programs, photographs, tmp_path):
+    """Three attempts without progress, then the job has failed and says so."""
+    gate = tmp_path / "gate"
+    runner = tmp_path / "runner"
+    runner.write_text(f"#!/bin/sh\n[ -e {gate} ] && echo out of luck >&2 && exit 7\n"
+                      f"exec {programs[1]} \"$@\"\n")
+    runner.chmod(0o755)
+    with Daemon(programs[0], runner, tmp_path / "d") as daemon:
+        daemon.wait(daemon.upload("data", photographs))
+        gate.touch()
+        job = train(daemon, "s")
+        record = daemon.wait(job)
+        assert record["state"] == "failed" and record["attempt"] == 3
+        assert record["problem"]["type"] == "/problems/runner-lost"
+        assert "exit code 7" in record["problem"]["detail"]
+        assert "out of luck" in (tmp_path / "d" / "jobs" / job / "log").read_text()
+        assert daemon.get("/v1/scenes/s").json["state"] == "failed"
+        gate.unlink()
+        daemon.train("t")
+
+
+def test_runner_dies_in_a_render(make_daemon, photographs):
+    daemon = make_daemon({"RIPNERF_FAKE_ROW_US": "200000"})
+    daemon.wait(daemon.upload("data", photographs))
+    daemon.train("s", max_steps=2)
+    replies = []
+    thread = threading.Thread(target=lambda: replies.append(
+        daemon.post("/v1/scenes/s/render", {"view": "test:0"})))
+    thread.start()
+    time.sleep(0.6)
+    for pid in daemon.runners():
+        os.kill(pid, signal.SIGKILL)
+    thread.join(10)
+    assert replies[0].status == 503 and int(replies[0].headers["Retry-After"]) > 0
+
+
+def test_kill_daemon(programs, photographs, tmp_path):
+    daemon = Daemon(*programs, tmp_path / "d", {"RIPNERF_FAKE_STEP_US": "2000"}).start()
+    try:
+        daemon.wait(daemon.upload("data", photographs))
+        _, straight = daemon.train("straight", max_steps=400)
+        paused = train(daemon, "paused")
+        wait_for_step(daemon, paused, 5)
+        command(daemon, paused, "pause")
+        job = train(daemon, "s", max_steps=400, checkpoint_interval_s=0)
+        waiting = train(daemon, "w", max_steps=5)
+        wait_for_step(daemon, job, 50)
+        runners = daemon.runners()
+        daemon.stop(signal.SIGKILL)
+        deadline = time.monotonic() + 5
+        while any(os.path.exists(f"/proc/{pid}") for pid in runners):
+            assert time.monotonic() < deadline, "a runner outlives its daemon"
+            time.sleep(0.05)
+        daemon.start()
+        record = daemon.wait(job)
+        assert record["state"] == "succeeded" and record["attempt"] == 2
+        assert record["result"]["parameters_sha256"] == straight["parameters_sha256"]
+        assert daemon.wait(waiting)["attempt"] == 1
+        assert daemon.job(paused)["state"] == "paused"
+        command(daemon, paused, "finish")
+        assert daemon.wait(paused)["result"]["finished_by"] == "finish"
+    finally:
+        daemon.stop()
+
+
+def test_kill_daemon_in_an_import(programs, photographs, tmp_path):
+    """The upload was acknowledged: it is there, and imported in the end."""
+    slow = tmp_path / "runner"
+    slow.write_text(f"#!/bin/sh\n[ \"$2\" = ingest ] && sleep 1\nexec {programs[1]} \"$@\"\n")
+    slow.chmod(0o755)
+    daemon = Daemon(programs[0], slow, tmp_path / "d").start()
+    try:
+        job = daemon.upload("data", photographs)
+        daemon.wait(job, ["running"])
+        daemon.stop(signal.SIGKILL)
+        daemon.start()
+        record = daemon.wait(job)
+        assert record["state"] == "succeeded" and record["attempt"] == 2
+        assert daemon.get("/v1/datasets/data").status == 200
+        time.sleep(0.7)
+        assert not list((tmp_path / "d" / "spool").iterdir())
+    finally:
+        daemon.stop()
+
+
+def test_acknowledged_writes_survive(programs, tmp_path):
+    """kill -9 between requests: what was answered with 2xx is there."""
+    daemon = Daemon(*programs, tmp_path / "d")
+    path = {**PATH, "keys": PATH["keys"][:2]}
+    kept = set()
+    for round_number in range(3):
+        daemon.start()
+        assert {p["name"] for p in daemon.get("/v1/camera-paths").json["items"]} == kept
+        for i in range(4):
+            name = f"p{round_number}-{i}"
+            assert daemon.post("/v1/camera-paths", {"name": name, "path": path}).status == 201
+            kept.add(name)
+        gone = kept.pop()
+        assert daemon.delete(f"/v1/camera-paths/{gone}").status == 204
+        daemon.stop(signal.SIGKILL)
+
+
+# ---- shutdown -------------------------------------------------------------------------------
+
+def test_shutdown(make_daemon, photographs):
+    """With a training job, a parked render, a stream and an upload under way."""
+    daemon = make_daemon({"RIPNERF_FAKE_ROW_US": "300000"})
+    daemon.wait(daemon.upload("data", photographs))
+    daemon.train("s", max_steps=2)
+    job = train(daemon, "t")
+    daemon.wait(job, ["running"])
+    replies, events = [], []
+    threads = [
+        threading.Thread(target=lambda: replies.append(
+            daemon.post("/v1/scenes/s/render", {"view": "test:0"}))),
+        threading.Thread(target=lambda: events.extend(
+            name for _, name, _ in daemon.follow("/v1/events")))]
+    for thread in threads:
+        thread.start()
+    upload = daemon.socket()
+    upload.sendall(b"POST /v1/datasets?name=u HTTP/1.1\r\nHost: localhost\r\n"
+                   b"Content-Type: application/x-tar\r\nContent-Length: 1000000\r\n\r\nxxx")
+    time.sleep(0.6)
+    begin = time.monotonic()
+    assert daemon.stop() == 0
+    assert time.monotonic() - begin < 6
+    for thread in threads:
+        thread.join(5)
+    assert replies[0].status == 503 and "state" in events
+    upload.close()
+    daemon.start()
+    record = daemon.wait(job, ["running"])
+    assert record["attempt"] == 2
+    assert not [name for name in os.listdir(os.path.join(daemon.data, "spool"))]
+
+
+def test_second_signal(make_daemon, photographs):
+    daemon = make_daemon({"RIPNERF_FAKE_LOAD_MS": "20000"}, drain=60)
+    daemon.wait(daemon.upload("data", photographs))
+    daemon.wait(train(daemon, "s"), ["running"])
+    time.sleep(0.3)
+    process = daemon.process
+    process.send_signal(signal.SIGTERM)
+    time.sleep(0.5)
+    assert process.poll() is None
+    process.send_signal(signal.SIGTERM)
+    assert process.wait(2) == 128 + signal.SIGTERM
+
+
+# ---- starting -------------------------------------------------------------------------------
+
+def run(programs, *words, **environment):
+    return subprocess.run([programs[0], *map(str, words)], capture_output=True, text=True,
+                          env={**os.environ, **environment}, timeout=20, check=False)
+
+
+def test_options(programs, tmp_path):
+    assert "--training-slots" in run(programs, "--help").stdout
+    assert run(programs, "--version").stdout.startswith("ripnerfd ")
+    for words in ([], ["--data"], ["--data", tmp_path, "--nonsense", 1],
+                  ["--data", tmp_path, "--listen", "0.0.0.0:0"],
+                  ["--data", tmp_path, "--threads", "many"]):
+        result = run(programs, *words)
+        assert result.returncode == 2 and result.stderr.startswith("ripnerfd: "), words
+    assert run(programs, "--data", "/proc/none").returncode == 1
+
+
+def test_data_folder_in_use(programs, shared):
+    result = run(programs, "--data", shared.data, "--listen", "127.0.0.1:0")
+    assert result.returncode == 1 and "another ripnerfd" in result.stderr
+
+
+def test_port_in_use(programs, shared, tmp_path):
+    result = run(programs, "--data", tmp_path / "d", "--listen", f"127.0.0.1:{shared.port}")
+    assert result.returncode == 1 and "in use" in result.stderr
+
+
+@pytest.mark.parametrize("address", ["[::1]:0", "localhost:0"])
+def test_other_loopback(make_daemon, address):
+    assert make_daemon(listen=address).host in ("[::1]", "localhost")
+
+
+def test_no_runner(programs, tmp_path):
+    with Daemon(programs[0], tmp_path / "none", tmp_path / "d") as daemon:
+        assert daemon.get("/readyz").status == 503
+        assert daemon.get("/healthz").status == 200
