@@ -17,7 +17,7 @@ struct rn_moments {
 //   radial = 3/20 radius^2 mid^2 (5 + 10q + q^2) / (3 + q)
 // Every term is positive: no cancellation. The width is carried, never recovered from end points.
 // mid > 0 and 0 <= width <= 2 mid; mid = 0 is the degenerate point. Error: float64 within 1 ULP
-// (80-bit inside); float within 8 ULP.
+// (80-bit inside); float within 8 ULP (tests/numerics/proofs/frustum.gappa).
 RN_HD struct rn_moments rn_frustum_moments(rn_real mid, rn_real width, rn_real radius) {
     rn_wide m = mid, h = (rn_wide)width * (rn_wide)0.5, r = radius;
     rn_wide ratio = m > 0 ? h / m : 0;
