@@ -43,12 +43,22 @@ static bool find_scene(struct rn_control *control, const char *id, struct rn_sce
     return false;
 }
 
+// A daemon that was killed may have missed the runner's last checkpoint.
+static void adopt_checkpoint(struct rn_scene_row *scene, const struct rn_wire_opened *opened) {
+    if (opened->parameters_sha256[0] == '\0') return;
+    scene->steps = opened->steps;
+    scene->train_seconds = opened->train_seconds;
+    scene->psnr = opened->psnr;
+    snprintf(scene->sha256, sizeof scene->sha256, "%s", opened->parameters_sha256);
+}
+
 static void on_opened(struct rn_control *control, struct rn_runner *runner,
                       struct rn_wire_opened *opened) {
     struct rn_scene_row scene;
     runner->state = RN_RUNNER_READY;
     if (opened->loaded && find_scene(control, runner->scene, &scene)) {
         if (opened->memory_bytes > 0) scene.memory_bytes = opened->memory_bytes;
+        adopt_checkpoint(&scene, opened);
         update_scene(control, &scene);
         rn_row_finish(&rn_scenes, &scene);
     }

@@ -158,6 +158,26 @@ def test_divergence(make_daemon, photographs):
     assert daemon.get("/healthz").status == 200
 
 
+def test_resume_of_a_scene_that_is_loaded(programs, photographs, tmp_path):
+    """Paused, restarted, rendered (a runner loads the checkpoint), resumed on that runner."""
+    daemon = Daemon(*programs, tmp_path / "d", {"RIPNERF_FAKE_STEP_US": "2000"}).start()
+    try:
+        daemon.wait(daemon.upload("data", photographs))
+        _, straight = daemon.train("straight", max_steps=300)
+        job = train(daemon, "s", max_steps=300)
+        wait_for_step(daemon, job, 20)
+        command(daemon, job, "pause")
+        assert daemon.stop() == 0
+        daemon.start()
+        assert daemon.job(job)["state"] == "paused"
+        assert daemon.post("/v1/scenes/s/render", {"view": "test:0"}).status == 200
+        command(daemon, job, "resume")
+        record = daemon.wait(job)
+        assert record["result"]["parameters_sha256"] == straight["parameters_sha256"]
+    finally:
+        daemon.stop()
+
+
 # ---- crashes --------------------------------------------------------------------------------
 
 def test_kill_runner(own):

@@ -335,6 +335,18 @@ def test_several_scenes(make_daemon, photographs):
     assert len(loaded) == 2 and "a" in loaded and "b" not in loaded
 
 
+def test_memory_limit(make_daemon, photographs):
+    """Over the limit the scene that was used longest ago is unloaded, never the last one."""
+    daemon = make_daemon(memory_limit="1M")
+    daemon.wait(daemon.upload("data", photographs))
+    for name in ("a", "b"):
+        daemon.train(name)
+    time.sleep(1.5)
+    loaded = [s["name"] for s in daemon.get("/v1/scenes").json["items"] if s["loaded"]]
+    assert loaded == ["b"]
+    assert render(daemon, scene="b", view="test:0").status == 200
+
+
 def test_idle_runner_ends(make_daemon, photographs):
     daemon = make_daemon(keep_alive="1s")
     daemon.wait(daemon.upload("data", photographs))
