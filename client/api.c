@@ -42,18 +42,32 @@ static enum rn_exit exit_of_status(enum rn_status status) {
     }
 }
 
+void rn_client_print(FILE *out, const char *text) {
+    for (; *text; text++)
+        fputc((unsigned char)*text < ' ' || *text == 0x7f ? '?' : *text, out);
+}
+
+// "ripnerf: where: text"
+static void print_error(const char *where, const char *text) {
+    fputs("ripnerf: ", stderr);
+    rn_client_print(stderr, where);
+    if (*where) fputs(": ", stderr);
+    rn_client_print(stderr, text);
+    fputc('\n', stderr);
+}
+
 enum rn_exit rn_client_fail(const struct rn_error *err) {
-    fprintf(stderr, "ripnerf: %s%s%s\n", err->where, *err->where ? ": " : "", err->text);
+    print_error(err->where, err->text);
     return exit_of_status(err->status);
 }
 
 enum rn_exit rn_client_usage(const char *where, const char *fmt, ...) {
+    char text[512];
     va_list args;
-    fprintf(stderr, "ripnerf: %s: ", where);
     va_start(args, fmt);
-    vfprintf(stderr, fmt, args);
+    vsnprintf(text, sizeof text, fmt, args);
     va_end(args);
-    fputc('\n', stderr);
+    print_error(where, text);
     return RN_EXIT_USAGE;
 }
 
@@ -88,9 +102,14 @@ enum rn_exit rn_api_print_problem(const char *json) {
         fprintf(stderr, "ripnerf: an answer that is no problem document: %.200s\n", json);
         return RN_EXIT_FAILED;
     }
-    fprintf(stderr, "ripnerf: %s: %s\n", problem.title, problem.detail);
-    for (size_t i = 0; i < problem.error_count; i++)
-        fprintf(stderr, "  %s: %s\n", problem.errors[i].pointer, problem.errors[i].detail);
+    print_error(problem.title, problem.detail);
+    for (size_t i = 0; i < problem.error_count; i++) {
+        fputs("  ", stderr);
+        rn_client_print(stderr, problem.errors[i].pointer);
+        fputs(": ", stderr);
+        rn_client_print(stderr, problem.errors[i].detail);
+        fputc('\n', stderr);
+    }
     bool unsupported = strcmp(problem.type, "/problems/unsupported") == 0; // shares 422
     enum rn_exit code = unsupported ? RN_EXIT_FAILED : exit_of_http(problem.status);
     rn_message_finish(&rn_api_problem_table, &problem);

@@ -4,6 +4,7 @@
 
 #include <stdbool.h>
 #include <stddef.h>
+#include <stdio.h>
 
 #include "client/http.h"
 #include "client/options.h"
@@ -46,6 +47,9 @@ extern const struct rn_verb rn_verbs_dataset[]; // validate import synth dataset
 extern const struct rn_verb rn_verbs_job[];     // train jobs watch pause resume finish cancel
 extern const struct rn_verb rn_verbs_scene[];   // scenes show rm info
 extern const struct rn_verb rn_verbs_render[];  // render path eval
+
+// Prints text from outside with '?' for control characters, which a terminal might obey.
+void rn_client_print(FILE *out, const char *text);
 
 // Prints "ripnerf: where: text" on stderr and returns the exit code that the status stands for.
 enum rn_exit rn_client_fail(const struct rn_error *err);

@@ -17,60 +17,68 @@ bool rn_job_has_ended(const struct rn_job *job) {
 
 static void format_train(const struct rn_train_progress *progress, char *ret_text,
                          size_t capacity) {
-    char seconds[24], limit[32] = "", psnr[24] = "- dB", rate[16], eta[24];
+    char seconds[24], limit[32] = "", psnr[24] = "- dB", rate[16];
     rn_format_seconds(progress->train_seconds, seconds, sizeof seconds);
     if (progress->max_seconds > 0) rn_format_seconds(progress->max_seconds, limit, sizeof limit);
     if (!isnan(progress->psnr)) snprintf(psnr, sizeof psnr, "%.2f dB", progress->psnr);
     rn_format_count(progress->samples_per_second, rate, sizeof rate);
-    rn_format_seconds(progress->eta_seconds, eta, sizeof eta);
-    snprintf(ret_text, capacity, "step %lld  %s%s%s  %s  %s samples/s  %s%s",
-             (long long)progress->step, seconds, *limit ? " of " : "", limit, psnr, rate,
-             progress->evaluating_first ? "last evaluation" : "ETA ",
-             progress->evaluating_first ? "" : eta);
+    int used =
+        snprintf(ret_text, capacity, "step %lld  %s%s%s  %s  %s samples/s",
+                 (long long)progress->step, seconds, *limit ? " of " : "", limit, psnr, rate);
+    int64_t rejected = progress->nonfinite.rays + progress->nonfinite.steps_rejected;
+    if (rejected && used > 0 && (size_t)used < capacity)
+        snprintf(ret_text + used, capacity - (size_t)used, "  %lld non-finite",
+                 (long long)rejected);
 }
 
 static void format_work(const struct rn_work_progress *progress, char *ret_text, size_t capacity) {
-    char total[32] = "", eta[24];
+    char total[32] = "";
     if (progress->total != RN_ABSENT)
         snprintf(total, sizeof total, " of %lld", (long long)progress->total);
-    rn_format_seconds(progress->eta_seconds, eta, sizeof eta);
-    snprintf(ret_text, capacity, "%lld%s  ETA %s", (long long)progress->done, total, eta);
+    snprintf(ret_text, capacity, "%lld%s", (long long)progress->done, total);
 }
 
-void rn_format_progress(enum rn_job_type type, const char *progress_json, double *ret_fraction,
+void rn_format_progress(const struct rn_job *job, const char *json, double *ret_fraction,
                         char *ret_text, size_t capacity) {
-    struct rn_train_progress train;
-    struct rn_work_progress work;
+    union {
+        struct rn_train_progress train;
+        struct rn_work_progress work;
+    } progress;
+    bool train = job->type == RN_JOB_TRAIN;
+    const struct rn_table *table = train ? &rn_train_progress_table : &rn_work_progress_table;
+    char ending[48] = "last evaluation", eta[24];
     *ret_fraction = NAN;
     snprintf(ret_text, capacity, "%s", "");
-    if (!progress_json) return;
-    size_t size = strlen(progress_json);
-    if (type == RN_JOB_TRAIN) {
-        if (rn_decode(&rn_train_progress_table, progress_json, size, &train, NULL, NULL) != RN_OK)
-            return;
-        format_train(&train, ret_text, capacity);
-        *ret_fraction = train.fraction;
-        rn_message_finish(&rn_train_progress_table, &train);
-    } else {
-        if (rn_decode(&rn_work_progress_table, progress_json, size, &work, NULL, NULL) != RN_OK)
-            return;
-        format_work(&work, ret_text, capacity);
-        *ret_fraction = work.fraction;
-        rn_message_finish(&rn_work_progress_table, &work);
+    if (!json || rn_decode(table, json, strlen(json), &progress, NULL, NULL) != RN_OK) return;
+    if (train)
+        format_train(&progress.train, ret_text, capacity);
+    else
+        format_work(&progress.work, ret_text, capacity);
+    *ret_fraction = train ? progress.train.fraction : progress.work.fraction;
+    if (!train || !progress.train.evaluating_first) {
+        rn_format_seconds(train ? progress.train.eta_seconds : progress.work.eta_seconds, eta,
+                          sizeof eta);
+        snprintf(ending, sizeof ending, "ETA %s", eta);
     }
+    size_t used = strlen(ret_text);
+    if (!rn_job_has_ended(job)) snprintf(ret_text + used, capacity - used, "  %s", ending);
+    rn_message_finish(table, &progress);
 }
 
 static void show(struct rn_follow *follow, const char *progress_json) {
     char text[200];
     double fraction;
-    rn_format_progress((enum rn_job_type)follow->job.type, progress_json, &fraction, text,
-                       sizeof text);
-    if (follow->job.state != RN_JOB_RUNNING && !rn_job_has_ended(&follow->job))
-        rn_progress_update(&follow->progress, fraction, "%s%s%s",
-                           rn_job_state_names[follow->job.state], *text ? "  " : "", text);
+    const struct rn_job *job = &follow->job;
+    const char *state = rn_job_state_names[job->state];
+    rn_format_progress(job, progress_json, &fraction, text, sizeof text);
+    // Events are few, and what is not shown now might have to wait long for the next one.
+    if (follow->progress.terminal) rn_progress_hurry(&follow->progress);
+    if (!*text)
+        rn_progress_update(&follow->progress, fraction, "%s", state);
+    else if (job->state == RN_JOB_RUNNING || rn_job_has_ended(job))
+        rn_progress_update(&follow->progress, fraction, "%s", text);
     else
-        rn_progress_update(&follow->progress, fraction, "%s",
-                           *text ? text : rn_job_state_names[follow->job.state]);
+        rn_progress_update(&follow->progress, fraction, "%s  %s", state, text);
 }
 
 // Takes over a Job's JSON. A job that this client cannot read keeps its last known state.
@@ -86,8 +94,7 @@ static void take_job(struct rn_follow *follow, const char *json, size_t size) {
     rn_follow_finish(follow);
     follow->job = job;
     follow->known = true;
-    if (changed && !rn_job_has_ended(&job))
-        follow->progress.last_ns = INT64_MIN / 2; // a change of state is shown at once
+    if (changed && !rn_job_has_ended(&job)) rn_progress_hurry(&follow->progress);
     show(follow, job.progress);
 }
 

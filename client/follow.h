@@ -31,8 +31,9 @@ enum rn_exit rn_follow_job(struct rn_follow *follow, const char *job_id);
 void rn_follow_finish(struct rn_follow *follow);
 
 bool rn_job_has_ended(const struct rn_job *job);
-// One line about a training job's progress, or a working job's ("12 of 200  ETA 3.2 s").
-void rn_format_progress(enum rn_job_type type, const char *progress_json, double *ret_fraction,
+// One line about a job's progress (its JSON, NULL: none yet): "step 412  12.4 s ...", "12 of 200
+// ETA 3.2 s"; "" when there is none. The fraction is NAN where it is not known.
+void rn_format_progress(const struct rn_job *job, const char *json, double *ret_fraction,
                         char *ret_text, size_t capacity);
 
 #endif

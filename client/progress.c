@@ -20,6 +20,10 @@ void rn_progress_init(struct rn_progress *progress, bool shown) {
     memset(progress, 0, sizeof *progress);
     progress->shown = shown;
     progress->terminal = isatty(STDERR_FILENO);
+    rn_progress_hurry(progress);
+}
+
+void rn_progress_hurry(struct rn_progress *progress) {
     progress->last_ns = INT64_MIN / 2;
 }
 

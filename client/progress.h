@@ -26,6 +26,8 @@ void rn_progress_init(struct rn_progress *progress, bool shown);
 // `fraction` in [0, 1], or NAN where the end is not known.
 void rn_progress_update(struct rn_progress *progress, double fraction, const char *fmt, ...)
     RN_PRINTF(3, 4);
+// Has the next update written at once, however soon it follows the last.
+void rn_progress_hurry(struct rn_progress *progress);
 // A line of its own, above the bar.
 void rn_progress_note(struct rn_progress *progress, const char *fmt, ...) RN_PRINTF(2, 3);
 // Writes the last state where it was not, and ends the line.

@@ -33,9 +33,13 @@ static const struct rn_table bad_table =
     RN_TABLE(struct rn_dataset_report_record, "report", bad_fields);
 
 static void print_problems(FILE *out, const struct rn_dataset_report_record *report) {
-    for (size_t i = 0; i < report->problem_count; i++)
-        fprintf(out, "%-7s  %s: %s\n", rn_severity_names[report->problems[i].severity],
-                report->problems[i].where, report->problems[i].text);
+    for (size_t i = 0; i < report->problem_count; i++) {
+        fprintf(out, "%-7s  ", rn_severity_names[report->problems[i].severity]);
+        rn_client_print(out, report->problems[i].where);
+        fputs(": ", out);
+        rn_client_print(out, report->problems[i].text);
+        fputc('\n', out);
+    }
     if (report->dropped) printf("and %lld more\n", (long long)report->dropped);
 }
 

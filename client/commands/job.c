@@ -234,8 +234,7 @@ static void add_job_row(struct rn_text_table *table, const void *message) {
     char text[RN_TEXT_TABLE_CELL] = "";
     double fraction = NAN;
     if (!rn_job_has_ended(job))
-        rn_format_progress((enum rn_job_type)job->type, job->progress, &fraction, text,
-                           sizeof text);
+        rn_format_progress(job, job->progress, &fraction, text, sizeof text);
     rn_text_table_row(table, "%s|%s|%s|%s|%s|%s", job->id, rn_job_type_names[job->type],
                       rn_job_state_names[job->state],
                       *job->scene_name ? job->scene_name : job->dataset_name, job->created_at,

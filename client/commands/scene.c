@@ -150,7 +150,7 @@ static void print_job(const void *message) {
     const struct rn_job *job = message;
     char text[200];
     double fraction;
-    rn_format_progress((enum rn_job_type)job->type, job->progress, &fraction, text, sizeof text);
+    rn_format_progress(job, job->progress, &fraction, text, sizeof text);
     print_field("job", "%s, %s, attempt %lld", job->id, rn_job_type_names[job->type],
                 (long long)job->attempt);
     print_field("state", "%s", rn_job_state_names[job->state]);

@@ -140,6 +140,14 @@ def test_validate_names_file_and_field(client, folder):
     assert "r_1" in client.run("validate", folder, code=INVALID).stdout
 
 
+def test_names_in_a_dataset_cannot_command_the_terminal(client, folder):
+    document = json.loads((folder / "transforms_train.json").read_text())
+    document["frames"][0]["file_path"] = "r_\033[31m"
+    (folder / "transforms_train.json").write_text(json.dumps(document))
+    text = client.run("validate", folder, code=INVALID).stdout
+    assert "r_" in text and "\033" not in text
+
+
 def test_validate_of_nothing(client, tmp_path):
     assert client.json("validate", tmp_path, code=INVALID)["errors"] == 1
     client.run("validate", tmp_path / "missing", code=INVALID)
@@ -296,14 +304,19 @@ def test_train_wait_shows_progress_and_the_end(client, daemon):
 def test_a_terminal_gets_one_line_that_is_rewritten(client, daemon):
     daemon.add_dataset("lego")
     ours, theirs = pty.openpty()
-    subprocess.run(client.command("train", "lego", "--name", "a", "--wait"), cwd=client.cwd,
-                   env=client.environment, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
-                   stderr=theirs, timeout=30, check=True)
-    os.close(theirs)
-    text = os.read(ours, 65536).decode()
+    with subprocess.Popen(client.command("train", "lego", "--name", "slow", "--wait"),
+                          cwd=client.cwd, env=client.environment, stdin=subprocess.DEVNULL,
+                          stdout=subprocess.DEVNULL, stderr=theirs) as waiting:
+        os.close(theirs)
+        text = ""
+        while "ETA" not in text:
+            text += os.read(ours, 65536).decode()
+        next(iter(daemon.jobs.values())).want("finish")
+        assert waiting.wait(20) == OK
+        text += os.read(ours, 65536).decode()
     os.close(ours)
-    assert "\r\033[K[" in text and "samples/s" in text and "ETA" in text
-    assert text.count("\n") == 1
+    assert "\r\033[K[" in text and "samples/s" in text
+    assert text.count("\n") == 1 and text.endswith("\n")
 
 
 def test_a_failing_job(client, daemon):
