@@ -127,7 +127,7 @@ static enum rn_status allocate(struct rn_field *field) {
     return all ? RN_OK : RN_ERROR_NO_MEMORY;
 }
 
-// Every cell that meets the ball may hold matter, and is occupied until measured.
+// Every cell that meets the ball may hold matter.
 static void fill_ball(struct rn_field *field) {
     int cells = field->config.field.occupancy;
     field->hull_cells = 0;
@@ -143,7 +143,6 @@ static void fill_ball(struct rn_field *field) {
                 }
                 size_t at = rn_cell_index(x, y, z, cells);
                 field->hull[at] = nearest <= 1;
-                field->occupancy[at] = field->hull[at] ? 1.0f : 0.0f;
                 field->hull_cells += field->hull[at];
             }
 }

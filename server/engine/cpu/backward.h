@@ -179,20 +179,18 @@ static int backward_select(const struct rn_cpu_field *field, const struct rn_mar
     return n;
 }
 
-static void count_levels(const struct rn_cpu_field *field, bool leveled, int n,
-                         const struct rn_workspace *w, struct rn_group *group) {
-    if (!leveled) {
-        group->level_samples[0] += (uint64_t)n;
-        return;
-    }
-    for (int j = 0; j < n; j++) {
+// Counts the samples that enter the loss, by the larger level of any axis.
+static void count_samples(const struct rn_cpu_field *field, bool leveled,
+                          const struct rn_workspace *w, struct rn_group *group) {
+    for (int i = 0; i < w->count; i++) {
+        if (!(w->weight[i] > 0)) continue;
         float level = 0;
-        for (int p = 0; p < field->config.planes; p++) {
-            level = fmaxf(level, w->lx[p][w->kept[j]]);
-            level = fmaxf(level, w->ly[p][w->kept[j]]);
-        }
+        for (int p = 0; leveled && p < field->config.planes; p++)
+            level = fmaxf(level, fmaxf(w->lx[p][i], w->ly[p][i]));
         group->level_samples[(int)level]++;
+        group->samples++;
     }
+    group->evaluated += (uint64_t)w->count;
 }
 
 // Appends the kept samples' plane coordinates and feature gradients.
@@ -229,10 +227,9 @@ static void packet_backward(const struct rn_cpu_field *field,
     const float *feature_grad =
         mlp_backward(&field->base_shape, field->base_transposed, w->features, field->feature_stride,
                      w->hidden, w->geometry_grad, w->grad_a, w->grad_b, n, group->base_grad);
-    count_levels(field, leveled, n, w, group);
+    count_samples(field, leveled, w, group);
     slab_append(field, leveled, n, feature_grad, w, &group->slab);
-    group->samples += (uint64_t)n;
-    group->evaluated += (uint64_t)w->count;
+    group->returned += (uint64_t)n;
 }
 
 static void train(const struct rn_cpu_field *field, const struct rn_march_options *options,

@@ -92,7 +92,10 @@ struct rn_group {
     int cursor, end; // rays of the batch still to do: [cursor, end)
     float *base_grad, *head_grad;
     double loss, weight;
-    uint64_t samples, evaluated, rays_hit, nonfinite_rays;
+    uint64_t evaluated;      // samples whose density was computed
+    uint64_t samples;        // of these, the ones that enter the loss
+    uint64_t returned;       // of these, the ones whose gradient went back (roulette)
+    uint64_t rays_hit, nonfinite_rays;
     uint64_t level_samples[RN_MAX_LEVELS];
 };
 

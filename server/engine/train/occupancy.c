@@ -139,7 +139,7 @@ void rn_trainer_carve(struct rn_trainer *t) {
 struct measurement {
     struct rn_trainer *trainer;
     size_t first, stride, count; // cells hull_list[first + i * stride]
-    float level;
+    float level, decay;
 };
 
 static void measure_chunk(void *context, int index, int thread) {
@@ -162,7 +162,7 @@ static void measure_chunk(void *context, int index, int thread) {
                                 rn_engine_workspace(t->engine, thread), density);
     for (int i = 0; i < n; i++) {
         float value = density[i] * (float)(config->step * RN_DENSITY_UNIT);
-        float old = t->field->occupancy[at[i]] * (float)RN_OCCUPANCY_DECAY;
+        float old = t->field->occupancy[at[i]] * m->decay;
         t->field->occupancy[at[i]] = value > old ? value : old;
     }
 }
@@ -170,9 +170,10 @@ static void measure_chunk(void *context, int index, int thread) {
 void rn_trainer_update_occupancy(struct rn_trainer *t) {
     const struct rn_field_config *c = &t->field->config.field;
     int64_t round = t->progress.step / RN_OCCUPANCY_EVERY;
-    bool all = t->progress.step < RN_OCCUPANCY_WARM_UP && !t->field->config.carve;
+    bool all = t->progress.step < (t->field->config.carve ? 1 : RN_OCCUPANCY_WARM_UP);
     struct measurement m = {.trainer = t, .stride = all ? 1 : 4};
     m.first = all ? 0 : (size_t)(round % 4);
+    m.decay = (float)pow(RN_OCCUPANCY_DECAY, (double)m.stride); // a cell's turn comes every stride
     if (t->hull_count <= m.first) return;
     m.count = (t->hull_count - m.first + m.stride - 1) / m.stride;
     float level = log2f((float)c->base / (float)c->occupancy);
