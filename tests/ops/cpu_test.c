@@ -109,6 +109,11 @@ static void set_up(struct setup *s, const struct rn_kernels *kernels,
     rn_field_randomise(s->field, 5);
     for (size_t i = 0; i < s->field->parameters.plane_count; i++)
         s->field->parameters.values[i] = 2 * unit(5000 + i) - 1;
+    for (uint64_t i = 0, n = s->field->hull_cells; n > 0; i++) {
+        s->field->occupancy[i] = s->field->hull[i];
+        n -= s->field->hull[i];
+    }
+    rn_field_refresh_occupancy(s->field);
     rn_field_refresh(s->field, &s->engine);
     ck_assert(rn_engine_prepare(&s->engine, s->field, &err) == RN_OK);
     s->workspace = rn_engine_workspace(&s->engine, 0);

@@ -44,22 +44,18 @@ static void composite_backward(int r, struct rn_workspace *w) {
 }
 
 RN_INLINE float sum16(row16 x) {
-    float lane[16];
-    *(row16 *)lane = x;
-    float sum = 0;
-    for (int i = 0; i < 8; i++)
-        lane[i] += lane[i + 8];
-    for (int i = 0; i < 4; i++)
-        lane[i] += lane[i + 4];
-    sum = (lane[0] + lane[2]) + (lane[1] + lane[3]);
-    return sum;
+    typedef float half8 __attribute__((vector_size(32)));
+    typedef float half4 __attribute__((vector_size(16)));
+    half8 a = __builtin_shufflevector(x, x, 0, 1, 2, 3, 4, 5, 6, 7) +
+              __builtin_shufflevector(x, x, 8, 9, 10, 11, 12, 13, 14, 15);
+    half4 b = __builtin_shufflevector(a, a, 0, 1, 2, 3) + __builtin_shufflevector(a, a, 4, 5, 6, 7);
+    return (b[0] + b[2]) + (b[1] + b[3]);
 }
 
 // Ray shading: dL/d(sums) per ray through the head, then per sample dL/dw and dL/d(geometry).
 static void backward_rays(const struct rn_cpu_field *field, const struct rn_march_options *options,
                           int hits, const int16_t *hit, const struct ray_sums *sums,
-                          float (*rgb_grad)[3], struct rn_workspace *w,
-                          struct rn_group *group) {
+                          float (*rgb_grad)[3], struct rn_workspace *w, struct rn_group *group) {
     row16 ray_grad[RN_PACKET_RAYS];
     for (int j = 0; j < hits; j++) {
         const float *g = rgb_grad[hit[j]];
@@ -88,37 +84,24 @@ static void backward_rays(const struct rn_cpu_field *field, const struct rn_marc
             ray_grad[j][0] += in_grad[31];
         }
     }
-    for (int j = 0; j < hits; j++)
+    const row16 one_of = {0, 1, 1, 1}; // lanes that went through the sigmoid
+    const row16 linear = {0, 0, 0, 0, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1};
+    for (int j = 0; j < hits; j++) {
+        row16 d = ray_grad[j];
         for (int s = w->ray_first[hit[j]]; s >= 0; s = w->segment_next[s])
             for (int i = w->segment_start[s]; i < w->segment_start[s] + w->segment_size[s]; i++) {
                 row16 value = *(const row16 *)(w->geometry + (size_t)i * RN_GEOMETRY);
-                w->slope[i] = sum16(ray_grad[j] * value);
-                row16 slope = {0,
-                               value[1] * (1 - value[1]),
-                               value[2] * (1 - value[2]),
-                               value[3] * (1 - value[3]),
-                               1,
-                               1,
-                               1,
-                               1,
-                               1,
-                               1,
-                               1,
-                               1,
-                               1,
-                               1,
-                               1,
-                               1};
-                *(row16 *)(w->geometry_grad + (size_t)i * RN_GEOMETRY) =
-                    ray_grad[j] * slope * w->weight[i];
+                row16 slope = one_of * value * (1.0f - value) + linear;
+                w->slope[i] = sum16(d * value);
+                *(row16 *)(w->geometry_grad + (size_t)i * RN_GEOMETRY) = d * slope * w->weight[i];
             }
+    }
 }
 
 // Sample shading: the same, through a head per sample; `kept` rows of the head.
 static void backward_samples(const struct rn_cpu_field *field,
-                             const struct rn_march_options *options, int kept,
-                             float (*rgb_grad)[3], struct rn_workspace *w,
-                             struct rn_group *group) {
+                             const struct rn_march_options *options, int kept, float (*rgb_grad)[3],
+                             struct rn_workspace *w, struct rn_group *group) {
     memset(w->geometry_grad, 0, (size_t)w->count * RN_GEOMETRY * sizeof(float));
     for (int i = 0; i < w->count; i++) {
         const float *g = rgb_grad[w->ray[i]];
@@ -142,6 +125,12 @@ static void backward_samples(const struct rn_cpu_field *field,
     for (int j = 0; j < kept; j++)
         memcpy(w->geometry_grad + (size_t)w->kept[j] * RN_GEOMETRY + 1,
                in_grad + (size_t)j * RN_HEAD_INPUTS + RN_SH_COUNT, 15 * sizeof(float));
+}
+
+// n a multiple of 16.
+RN_INLINE void copy_row(float *to, const float *from, size_t n) {
+    for (size_t i = 0; i < n; i += 16)
+        *(row16 *)(to + i) = *(const row16 *)(from + i);
 }
 
 // Chooses the samples that go back through the density network: all that the early stop left
@@ -171,10 +160,9 @@ static int backward_select(const struct rn_cpu_field *field, const struct rn_mar
     size_t stride = (size_t)field->feature_stride, width = (size_t)field->config.width;
     for (int j = 0; j < n; j++) {
         if (w->kept[j] == j) continue;
-        memcpy(w->features + j * stride, w->features + w->kept[j] * stride, stride * sizeof(float));
+        copy_row(w->features + j * stride, w->features + w->kept[j] * stride, stride);
         for (int l = 0; l + 1 < shape->layers; l++)
-            memcpy(w->hidden[l] + j * width, w->hidden[l] + w->kept[j] * width,
-                   width * sizeof(float));
+            copy_row(w->hidden[l] + j * width, w->hidden[l] + w->kept[j] * width, width);
     }
     return n;
 }
@@ -210,8 +198,9 @@ static void slab_append(const struct rn_cpu_field *field, bool leveled, int n,
                 slab->lx[p][at] = leveled ? w->lx[p][i] : 0;
                 slab->ly[p][at] = leveled ? w->ly[p][i] : 0;
             }
-            memcpy(grad + (size_t)j * channels, from + (size_t)j * field->feature_stride,
-                   (size_t)channels * sizeof(float));
+            for (int c = 0; c < channels; c += 4)
+                *(v4 *)(grad + (size_t)j * channels + c) =
+                    *(const v4 *)(from + (size_t)j * field->feature_stride + c);
         }
     }
     slab->count += n;

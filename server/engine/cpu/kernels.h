@@ -92,9 +92,9 @@ struct rn_group {
     int cursor, end; // rays of the batch still to do: [cursor, end)
     float *base_grad, *head_grad;
     double loss, weight;
-    uint64_t evaluated;      // samples whose density was computed
-    uint64_t samples;        // of these, the ones that enter the loss
-    uint64_t returned;       // of these, the ones whose gradient went back (roulette)
+    uint64_t evaluated; // samples whose density was computed
+    uint64_t samples;   // of these, the ones that enter the loss
+    uint64_t returned;  // of these, the ones whose gradient went back (roulette)
     uint64_t rays_hit, nonfinite_rays;
     uint64_t level_samples[RN_MAX_LEVELS];
 };
@@ -154,8 +154,8 @@ struct rn_kernels {
                        const struct rn_march_ray *rays, int count, struct rn_workspace *workspace,
                        struct rn_pixel *ret_pixels);
     // Densities at `count` points [x, y, z], all at one level of every plane.
-    void (*density)(const struct rn_cpu_field *field, float (*points)[3], int count,
-                    float level, struct rn_workspace *workspace, float *ret_density);
+    void (*density)(const struct rn_cpu_field *field, float (*points)[3], int count, float level,
+                    struct rn_workspace *workspace, float *ret_density);
     // Adds a slab's gradients of one plane to `grad_maps` (indexed as field->maps), rows of level
     // 0 in [row_begin, row_end) and the rows of coarser maps they pool into; marks touched
     // optimiser blocks of level 0 in `touched` ([row][block]). `leveled`: the slab has levels.

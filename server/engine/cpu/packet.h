@@ -91,20 +91,28 @@ static float *mlp_backward(const struct rn_mlp_shape *shape, const float *transp
 // ---- forward --------------------------------------------------------------------------------
 
 // Logits to densities and optical depths; with ray shading also activates the outputs in place:
-// row = [1, sigmoid(diffuse), features].
+// row = [1, sigmoid(diffuse), features]. Only the first four outputs of a row go through an
+// exponential: RN_VL / 4 rows share a vector.
 static void activate(const struct rn_cpu_field *field, int begin, int end, struct rn_workspace *w) {
+    enum { ROWS = RN_VL / 4 };
     bool per_ray = field->config.shading == RN_SHADING_RAY;
-    vf lane = vf_iota();
-    vi first = lane < 0.5f, diffuse = (lane > 0.5f) & (lane < 3.5f);
-    for (int i = begin; i < end; i++) {
-        float *row = w->geometry + (size_t)i * RN_GEOMETRY;
-        vf y = vf_load(row);
+    vi first;
+    for (int i = 0; i < RN_VL; i++)
+        first[i] = i % 4 == 0 ? -1 : 0;
+    for (int i = begin; i < end; i += ROWS) {
+        float *row = w->geometry + (size_t)i * RN_GEOMETRY, packed[RN_VL], density[RN_VL];
+        for (int j = 0; j < ROWS; j++)
+            *(v4 *)(packed + 4 * j) = *(const v4 *)(row + (size_t)j * RN_GEOMETRY);
+        vf y = vf_load(packed);
         vf logit = vf_clamp(y - (float)RN_DENSITY_SHIFT, -(float)RN_DENSITY_CLAMP,
                             (float)RN_DENSITY_CLAMP);
         vf e = vf_exp(vf_select(first, logit, -y));
-        w->x[i] = e[0] * w->interval[i];
-        if (per_ray)
-            vf_store(row, vf_select(first, vf_set(1), vf_select(diffuse, 1.0f / (1.0f + e), y)));
+        vf_store(density, e);
+        vf_store(packed, vf_select(first, vf_set(1), 1.0f / (1.0f + e)));
+        for (int j = 0; j < ROWS && i + j < end; j++) {
+            w->x[i + j] = density[4 * j] * w->interval[i + j];
+            if (per_ray) *(v4 *)(row + (size_t)j * RN_GEOMETRY) = *(const v4 *)(packed + 4 * j);
+        }
     }
 }
 

@@ -9,7 +9,8 @@
 #include "server/engine/train/trainer.h"
 
 #define STREAM_OCCUPANCY 0x6f63637570000000u
-#define CHUNK 2048 // cells a task
+#define CHUNK 2048     // cells a task
+#define CARVE_VIEWS 48 // views carved from, evenly spaced: more remove little
 
 // ---- hull -----------------------------------------------------------------------------------
 
@@ -120,8 +121,9 @@ void rn_trainer_carve(struct rn_trainer *t) {
     carving.silhouette.table = malloc(largest * sizeof(uint32_t));
     if (!carving.silhouette.table) return; // carving only saves time
     int finest = t->train.scale_count > 1 ? t->train.scale_first[1] : t->train.frame_count;
-    for (int f = 0; f < finest; f++) {
-        const struct rn_pixel_frame *frame = &t->train.frames[f];
+    int views = finest < CARVE_VIEWS ? finest : CARVE_VIEWS;
+    for (int f = 0; f < views; f++) {
+        const struct rn_pixel_frame *frame = &t->train.frames[f * finest / views];
         if (!frame->frame->has_alpha) continue;
         carving.silhouette.camera = &frame->frame->camera;
         fill_table(&carving.silhouette, t->train.rgba + 4 * frame->offset);
