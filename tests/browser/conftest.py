@@ -40,6 +40,7 @@ class Page:
     def until(self, what, describe, wait_s=WAIT_S):
         """The first true value of what(), polled; stale elements are looked for again."""
         from selenium.common.exceptions import StaleElementReferenceException
+
         end = time.monotonic() + wait_s
         while True:
             try:
@@ -49,23 +50,36 @@ class Page:
             if value:
                 return value
             if time.monotonic() > end:
-                pytest.fail(f"waited {wait_s} s for {describe}\nthe page says:\n{self.text('body')[:3000]}\n{self.complaints()}")
+                pytest.fail(
+                    f"waited {wait_s} s for {describe}\nthe page says:\n{self.text('body')[:3000]}\n{self.complaints()}"
+                )
             time.sleep(0.05)
 
     def find(self, css, wait_s=WAIT_S):
-        return self.until(lambda: next((e for e in self.all(css) if e.is_displayed()), None), css, wait_s)
+        return self.until(
+            lambda: next((e for e in self.all(css) if e.is_displayed()), None), css, wait_s
+        )
 
     def text(self, css):
         elements = self.all(css)
         return elements[0].text if elements else ""
 
     def says(self, words, css="main", wait_s=WAIT_S):
-        return self.until(lambda: any(words in e.text for e in self.all(css)), f"{words!r} in {css}", wait_s)
+        return self.until(
+            lambda: any(words in e.text for e in self.all(css)), f"{words!r} in {css}", wait_s
+        )
 
     def button(self, words, wait_s=WAIT_S):
         def look():
-            return next((e for e in self.all("button, a.button, label.button, summary, .segments label")
-                         if e.text.strip() == words and e.is_displayed() and e.is_enabled()), None)
+            return next(
+                (
+                    e
+                    for e in self.all("button, a.button, label.button, summary, .segments label")
+                    if e.text.strip() == words and e.is_displayed() and e.is_enabled()
+                ),
+                None,
+            )
+
         return self.until(look, f"a button {words!r}", wait_s)
 
     def press(self, words):
@@ -79,9 +93,17 @@ class Page:
 
     def field(self, label, within="main"):
         """The visible control that carries this label."""
+
         def look():
-            return next((self.driver.find_element("id", e.get_attribute("for")) for e in self.all(f"{within} label")
-                         if e.text == label and e.is_displayed() and e.get_attribute("for")), None)
+            return next(
+                (
+                    self.driver.find_element("id", e.get_attribute("for"))
+                    for e in self.all(f"{within} label")
+                    if e.text == label and e.is_displayed() and e.get_attribute("for")
+                ),
+                None,
+            )
+
         return self.until(look, f"a field {label!r}")
 
     def run(self, body, *args):
@@ -90,19 +112,27 @@ class Page:
             "const done = arguments[arguments.length - 1];"
             "const load = (file) => import(new URL('web/js/' + file, document.baseURI).href);"
             f"(async (...args) => {{ {body} }})(...[...arguments].slice(0, -1))"
-            ".then((value) => done({value}), (error) => done({error: String(error.stack)}));", *args)
+            ".then((value) => done({value}), (error) => done({error: String(error.stack)}));",
+            *args,
+        )
         assert "error" not in result, result["error"]
         return result["value"]
 
     def complaints(self):
         """Errors that the browser logged, such as a script's or of the content security policy."""
-        return [entry["message"] for entry in self.driver.get_log("browser")
-                if entry["level"] == "SEVERE" and "Failed to load resource" not in entry["message"]]
+        return [
+            entry["message"]
+            for entry in self.driver.get_log("browser")
+            if entry["level"] == "SEVERE" and "Failed to load resource" not in entry["message"]
+        ]
 
     def watch_levels(self):
         """A function that returns how fine the pictures were that the view showed from now on."""
-        self.run("const stage = document.querySelector('.stage'); window.shownLevels = [];"
-                 "new MutationObserver(() => window.shownLevels.push(stage.dataset.level)).observe(stage, { attributeFilter: ['data-level'] });")
+        self.run(
+            "const stage = document.querySelector('.stage'); window.shownLevels = [];"
+            "const note = () => window.shownLevels.push(stage.dataset.level);"
+            "new MutationObserver(note).observe(stage, { attributeFilter: ['data-level'] });"
+        )
         return lambda: self.run("return window.shownLevels;")
 
     def ink(self, css="canvas.picture"):
@@ -113,7 +143,9 @@ class Page:
             "const d = c.getContext('2d').getImageData(0, 0, c.width, c.height).data;"
             "let low = 255, high = 0;"
             "for (let i = 0; i < d.length; i += 64) { low = Math.min(low, d[i]); high = Math.max(high, d[i]); }"
-            "return high - low;", css)
+            "return high - low;",
+            css,
+        )
 
 
 @pytest.fixture(scope="session")
@@ -127,16 +159,28 @@ def driver(tmp_path_factory, downloads):
     if why:
         pytest.skip(why)
     from selenium import webdriver
+
     options = webdriver.ChromeOptions()
     options.binary_location = CHROMIUM
-    for flag in ("--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", "--disable-background-networking",
-                 "--disable-component-update", "--disable-sync", "--no-first-run", "--window-size=1440,1000",
-                 f"--user-data-dir={tmp_path_factory.mktemp('profile')}"):
+    for flag in (
+        "--headless=new",
+        "--no-sandbox",
+        "--disable-gpu",
+        "--disable-dev-shm-usage",
+        "--disable-background-networking",
+        "--disable-component-update",
+        "--disable-sync",
+        "--no-first-run",
+        "--window-size=1440,1000",
+        f"--user-data-dir={tmp_path_factory.mktemp('profile')}",
+    ):
         options.add_argument(flag)
     options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
     chrome = webdriver.Chrome(service=webdriver.chrome.service.Service(DRIVER), options=options)
     chrome.set_script_timeout(60)
-    chrome.execute_cdp_cmd("Browser.setDownloadBehavior", {"behavior": "allow", "downloadPath": str(downloads)})
+    chrome.execute_cdp_cmd(
+        "Browser.setDownloadBehavior", {"behavior": "allow", "downloadPath": str(downloads)}
+    )
     yield chrome
     chrome.quit()
 
@@ -153,6 +197,7 @@ def page(driver):
 def fake():
     """fake(scenario) starts a stand-in for the daemon; all are stopped at the end."""
     from fake_api import FakeApi
+
     started = []
 
     def start(scenario, port=0):

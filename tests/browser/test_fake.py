@@ -1,4 +1,4 @@
-"""The stand-in answers in the shapes of the API document, so that the states shown are real ones."""
+"""The stand-in answers in the shapes of the API document: the states shown are real ones."""
 
 import json
 import time
@@ -14,7 +14,9 @@ def get(api, path):
 
 
 def submit(api, body):
-    request = urllib.request.Request(api.url + "v1/jobs", json.dumps(body).encode(), {"Content-Type": "application/json"})
+    request = urllib.request.Request(
+        api.url + "v1/jobs", json.dumps(body).encode(), {"Content-Type": "application/json"}
+    )
     with urllib.request.urlopen(request) as reply:
         return json.load(reply)
 
@@ -24,12 +26,24 @@ def test_answers_conform(fake):
     contract.check("Info", get(api, "v1/info"))
     path = contract.example("CameraPath")
     path["keys"] = path["keys"][:1]
-    done = [submit(api, {"type": "eval", "scene": "sphere-draft"}), submit(api, {"type": "path", "scene": "sphere-draft", "camera_path": path})]
+    done = [
+        submit(api, {"type": "eval", "scene": "sphere-draft"}),
+        submit(api, {"type": "path", "scene": "sphere-draft", "camera_path": path}),
+    ]
     end = time.monotonic() + 20
-    while any(get(api, f"v1/jobs/{job['id']}")["state"] != "succeeded" for job in done) and time.monotonic() < end:
+    while (
+        any(get(api, f"v1/jobs/{job['id']}")["state"] != "succeeded" for job in done)
+        and time.monotonic() < end
+    ):
         time.sleep(0.1)
-    for what, schema in (("datasets", "DatasetList"), ("scenes", "SceneList"), ("jobs", "JobList"), ("datasets/sphere/cameras", "DatasetCameraList"),
-                         (f"jobs/{done[1]['id']}/frames", "FrameList"), ("scenes/sphere-draft/evaluations", "EvaluationList")):
+    for what, schema in (
+        ("datasets", "DatasetList"),
+        ("scenes", "SceneList"),
+        ("jobs", "JobList"),
+        ("datasets/sphere/cameras", "DatasetCameraList"),
+        (f"jobs/{done[1]['id']}/frames", "FrameList"),
+        ("scenes/sphere-draft/evaluations", "EvaluationList"),
+    ):
         answer = get(api, f"v1/{what}")
         assert answer["items"], what
         contract.check(schema, answer)

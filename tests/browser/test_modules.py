@@ -6,7 +6,7 @@ import tarfile
 
 import numpy as np
 import pytest
-from fake_api import png
+from fake_pictures import png
 
 
 @pytest.fixture
@@ -16,12 +16,22 @@ def blank(page, fake):
 
 
 def test_tar_is_read_by_another_reader(blank):
-    names = ["transforms_train.json", "train/r_0.png", "train/" + "x" * 120 + "/" + "y" * 90 + ".png", "train/ü.png"]
+    names = [
+        "transforms_train.json",
+        "train/r_0.png",
+        "train/" + "x" * 120 + "/" + "y" * 90 + ".png",
+        "train/ü.png",
+    ]
     sizes = [5, 512, 0, 1025]
-    data = blank.run("""
-        const { tarOf } = await load('tar.js');
-        const entries = args[0].map((path, i) => ({ path, file: new Blob([new Uint8Array(args[1][i]).fill(i + 1)]) }));
-        return [...new Uint8Array(await tarOf(entries).arrayBuffer())];""", names, sizes)
+    data = blank.run(
+        """
+        const {tarOf} = await load('tar.js');
+        const entries = args[0].map(
+            (path, i) => ({path, file: new Blob([new Uint8Array(args[1][i]).fill(i + 1)])}));
+        return [...new Uint8Array(await tarOf(entries).arrayBuffer())];""",
+        names,
+        sizes,
+    )
     with tarfile.open(fileobj=io.BytesIO(bytes(data))) as tar:
         members = tar.getmembers()
         assert [member.name for member in members] == names
@@ -32,16 +42,22 @@ def test_tar_is_read_by_another_reader(blank):
 
 
 def test_tar_refuses_a_name_that_does_not_fit(blank):
-    refused = blank.run("""
-        const { tarOf } = await load('tar.js');
-        try { tarOf([{ path: 'x'.repeat(101), file: new Blob([]) }]); return ''; } catch (error) { return error.message; }""")
+    refused = blank.run(
+        """
+        const {tarOf} = await load('tar.js');
+        try {
+          tarOf([{path: 'x'.repeat(101), file: new Blob([])}]);
+          return '';
+        } catch (error) { return error.message; }"""
+    )
     assert "too long" in refused
 
 
 def test_event_parser_survives_any_split(blank):
-    stream = ": hello\r\nid: 1\r\nevent: state\r\ndata: {\"a\":1}\r\n\r\nid: 2\ndata: x\ndata: y\n\nevent: progress\rdata:z\r\r\n"
+    stream = ': hello\r\nid: 1\r\nevent: state\r\ndata: {"a":1}\r\n\r\nid: 2\ndata: x\ndata: y\n\nevent: progress\rdata:z\r\r\n'
     expected = [["1", "state", '{"a":1}'], ["2", "message", "x\ny"], ["2", "progress", "z"]]
-    seen = blank.run("""
+    seen = blank.run(
+        """
         const { createParser } = await load('events.js');
         const results = [];
         for (let size = 1; size <= args[0].length; size++) {
@@ -50,19 +66,29 @@ def test_event_parser_survives_any_split(blank):
           for (let i = 0; i < args[0].length; i += size) parse(args[0].slice(i, i + size));
           results.push(events);
         }
-        return results;""", stream)
+        return results;""",
+        stream,
+    )
     assert all(events == expected for events in seen)
 
 
 def test_orbit_cameras_are_rigid_and_come_back(blank):
-    result = blank.run("""
-        const { poseOfOrbit, orbitOfPose, turn, pan, dolly } = await load('orbit.js');
-        const bounds = { centre: [0.2, -0.3, 0.1], radius: 1.5 };
-        let orbit = { target: bounds.centre, distance: 4, yaw: 0.7, pitch: 0.4, up: args[0], fovDeg: 40 };
+    result = blank.run(
+        """
+        const {poseOfOrbit, orbitOfPose, turn, pan, dolly} = await load('orbit.js');
+        const bounds = {centre: [0.2, -0.3, 0.1], radius: 1.5};
+        let orbit =
+            {target: bounds.centre, distance: 4, yaw: 0.7, pitch: 0.4, up: args[0], fovDeg: 40};
         orbit = dolly(turn(orbit, 1.1, -0.2), 0.9);
         const pose = poseOfOrbit(orbit);
-        return { pose, back: poseOfOrbit(orbitOfPose(pose, 40, args[0], bounds)), panned: poseOfOrbit(pan(orbit, 0.25, 0)), high: turn(orbit, 0, 99).pitch };
-        """, [0, 0.6, 0.8])
+        return {
+          pose,
+          back: poseOfOrbit(orbitOfPose(pose, 40, args[0], bounds)),
+          panned: poseOfOrbit(pan(orbit, 0.25, 0)),
+          high: turn(orbit, 0, 99).pitch
+        };""",
+        [0, 0.6, 0.8],
+    )
     pose, back, panned = (np.array(result[key]) for key in ("pose", "back", "panned"))
     rotation = pose[:, :3]
     assert np.allclose(rotation.T @ rotation, np.eye(3), atol=1e-12)
@@ -78,44 +104,82 @@ def test_orbit_cameras_are_rigid_and_come_back(blank):
 
 
 def test_axes_and_up_of_a_dataset(blank):
-    result = blank.run("""
-        const { openCvPose, upOf, fovOf } = await load('orbit.js');
-        const camera = { world_from_camera: [[1, 0, 0, 1], [0, 0, -1, 2], [0, 1, 0, 3]], axes: 'opengl', width: 8, height: 6, fx: 3, fy: 3, cx: 4, cy: 3 };
-        return { pose: openCvPose(camera), up: upOf([camera]), fov: fovOf(camera) };""")
+    result = blank.run(
+        """
+        const {openCvPose, upOf, fovOf} = await load('orbit.js');
+        const camera = {
+          world_from_camera: [[1, 0, 0, 1], [0, 0, -1, 2], [0, 1, 0, 3]],
+          axes: 'opengl',
+          width: 8,
+          height: 6,
+          fx: 3,
+          fy: 3,
+          cx: 4,
+          cy: 3
+        };
+        return {pose: openCvPose(camera), up: upOf([camera]), fov: fovOf(camera)};"""
+    )
     assert result["pose"] == [[1, 0, 0, 1], [0, 0, 1, 2], [0, -1, 0, 3]]
     assert result["up"] == [0, 0, 1]
     assert result["fov"] == pytest.approx(90)
 
 
 def test_path_edits_and_motion(blank):
-    result = blank.run("""
+    result = blank.run(
+        """
         const p = await load('path.js');
         const pose = (x) => [[1, 0, 0, x], [0, 1, 0, 0], [0, 0, 1, 0]];
         let path = p.emptyPath(64, 48);
         for (const x of [0, 2, 3]) path = p.addKey(path, pose(x), 40 + x);
-        const at = (t) => { const c = p.cameraAt(path, t); return [c.pose[0][3], c.fovDeg]; };
+        const at = (t) => {
+          const c = p.cameraAt(path, t);
+          return [c.pose[0][3], c.fovDeg];
+        };
         const through = [0, 1, 2].map(at);
         const moved = p.moveKey(path, path.keys[2].id, 0);
-        const linear = p.cameraAt({ ...path, interpolation: 'linear' }, 0.5).pose[0][3];
-        const late = p.problemOf(p.changeKey(path, path.keys[1].id, { time: 2 }));
-        const back = p.documentOf(p.pathOfDocument({ ...p.documentOf(path), axes: 'opengl' }));
-        return { through, linear, late, document: p.documentOf(path), frames: p.frameCount(path), looped: p.frameCount({ ...path, loop: true }),
-          moved: moved.keys.map((k) => [k.time, k.pose[0][3]]), fine: p.problemOf(path), none: p.problemOf(p.emptyPath(1, 1)), back: back.keys[1].world_from_camera };""")
+        const linear = p.cameraAt({...path, interpolation: 'linear'}, 0.5).pose[0][3];
+        const late = p.problemOf(p.changeKey(path, path.keys[1].id, {time: 2}));
+        const back = p.documentOf(p.pathOfDocument({...p.documentOf(path), axes: 'opengl'}));
+        return {
+          through,
+          linear,
+          late,
+          document: p.documentOf(path),
+          frames: p.frameCount(path),
+          looped: p.frameCount({...path, loop: true}),
+          moved: moved.keys.map((k) => [k.time, k.pose[0][3]]),
+          fine: p.problemOf(path),
+          none: p.problemOf(p.emptyPath(1, 1)),
+          back: back.keys[1].world_from_camera
+        };"""
+    )
     assert np.allclose(result["through"], [[0, 40], [2, 42], [3, 43]])
     assert result["linear"] == pytest.approx(1)
     assert "later" in result["late"] and result["fine"] is None and "one key" in result["none"]
     assert result["frames"] == 2 * 24 + 1 and result["looped"] == 3 * 24
     assert result["moved"] == [[0, 3], [1, 0], [2, 2]]
     assert result["back"] == [[1, 0, 0, 2], [0, -1, 0, 0], [0, 0, -1, 0]]
-    assert set(result["document"]) == {"axes", "fps", "interpolation", "loop", "width", "height", "keys"}
+    assert set(result["document"]) == {
+        "axes",
+        "fps",
+        "interpolation",
+        "loop",
+        "width",
+        "height",
+        "keys",
+    }
 
 
 def test_slerp_halves_an_angle_either_way(blank):
-    poses = blank.run("""
+    poses = blank.run(
+        """
         const v = await load('vector.js');
-        const about = (a) => [[Math.cos(a), -Math.sin(a), 0, 0], [Math.sin(a), Math.cos(a), 0, 0], [0, 0, 1, 0]];
-        const half = (a, b) => v.poseOfQuaternion(v.slerp(v.quaternionOf(about(a)), v.quaternionOf(about(b)), 0.5), [0, 0, 0]);
-        return [half(0, 1), half(3, 3.4), half(-3.1, 3.1)];""")
+        const about = (a) => [
+            [Math.cos(a), -Math.sin(a), 0, 0], [Math.sin(a), Math.cos(a), 0, 0], [0, 0, 1, 0]];
+        const half = (a, b) => v.poseOfQuaternion(
+            v.slerp(v.quaternionOf(about(a)), v.quaternionOf(about(b)), 0.5), [0, 0, 0]);
+        return [half(0, 1), half(3, 3.4), half(-3.1, 3.1)];"""
+    )
     angles = [math.atan2(pose[1][0], pose[0][0]) for pose in poses]
     assert angles[0] == pytest.approx(0.5)
     assert math.cos(angles[1] - 3.2) == pytest.approx(1)
@@ -123,9 +187,17 @@ def test_slerp_halves_an_angle_either_way(blank):
 
 
 def test_chart_axes(blank):
-    result = blank.run("""
-        const { ticks, valueRange, summary } = await load('chart.js');
-        return { a: ticks(0, 60, 5), b: ticks(20, 34, 4), c: ticks(0, 0.3, 3), range: valueRange([{ y: 28.2 }, { y: 28.4 }]), words: summary([{ x: 0, y: 9 }, { x: 61, y: 30.25 }]) };""")
+    result = blank.run(
+        """
+        const {ticks, valueRange, summary} = await load('chart.js');
+        return {
+          a: ticks(0, 60, 5),
+          b: ticks(20, 34, 4),
+          c: ticks(0, 0.3, 3),
+          range: valueRange([{y: 28.2}, {y: 28.4}]),
+          words: summary([{x: 0, y: 9}, {x: 61, y: 30.25}])
+        };"""
+    )
     assert result["a"] == [0, 20, 40, 60]
     assert result["b"] == [20, 25, 30]
     assert result["c"] == [0, 0.1, 0.2, 0.3]
@@ -135,38 +207,83 @@ def test_chart_axes(blank):
 
 def test_grey16_reads_every_bit(blank):
     values = (np.arange(6 * 5, dtype=np.uint32).reshape(5, 6) * 2111 % 65536).astype(np.uint16)
-    read = blank.run("""
-        const { readGrey16 } = await load('grey16.js');
+    read = blank.run(
+        """
+        const {readGrey16} = await load('grey16.js');
         const image = await readGrey16(new Blob([new Uint8Array(args[0])]));
-        return { width: image.width, values: [...image.values], other: await readGrey16(new Blob([new Uint8Array(args[1])])) };""",
-                     list(png(values)), list(png(np.zeros((2, 2, 3), np.uint8))))
-    assert read["width"] == 6 and read["values"] == values.ravel().tolist() and read["other"] is None
+        return {
+          width: image.width,
+          values: [...image.values],
+          other: await readGrey16(new Blob([new Uint8Array(args[1])]))
+        };""",
+        list(png(values)),
+        list(png(np.zeros((2, 2, 3), np.uint8))),
+    )
+    assert (
+        read["width"] == 6 and read["values"] == values.ravel().tolist() and read["other"] is None
+    )
 
 
 def test_upload_takes_what_the_json_names(blank):
-    result = blank.run("""
-        const { planUpload } = await load('folder.js');
-        const file = (path, body) => ({ path, file: new File([body], path) });
-        const json = (names) => JSON.stringify({ frames: names.map((file_path) => ({ file_path })) });
-        const good = await planUpload([file('my lego/transforms_train.json', json(['./train/r_0', 'train/r_1'])), file('my lego/transforms_test.json', json(['test/r_0.jpg'])),
-          file('my lego/train/r_0.png', 'abc'), file('my lego/test/r_0.jpg', 'de'), file('my lego/test/r_0_depth.png', 'xxxxxx')]);
-        const multi = await planUpload([file('m/metadata.json', JSON.stringify({ train: { file_path: ['images_train/000_d0.png'] } })), file('m/images_train/000_d0.png', 'a')]);
+    result = blank.run(
+        """
+        const {planUpload} = await load('folder.js');
+        const file = (path, body) => ({path, file: new File([body], path)});
+        const json = (names) => JSON.stringify({frames: names.map((file_path) => ({file_path}))});
+        const good = await planUpload([
+          file('my lego/transforms_train.json', json(['./train/r_0', 'train/r_1'])),
+          file('my lego/transforms_test.json', json(['test/r_0.jpg'])),
+          file('my lego/train/r_0.png', 'abc'), file('my lego/test/r_0.jpg', 'de'),
+          file('my lego/test/r_0_depth.png', 'xxxxxx')
+        ]);
+        const multi = await planUpload([
+          file(
+              'm/metadata.json',
+              JSON.stringify({train: {file_path: ['images_train/000_d0.png']}})),
+          file('m/images_train/000_d0.png', 'a')
+        ]);
         const none = await planUpload([file('x/a.png', '')]);
         const broken = await planUpload([file('x/transforms_train.json', '{')]);
-        const many = await planUpload([file('a/transforms_train.json', json([])), file('b/transforms_train.json', json([]))]);
-        return { good: { ...good, entries: good.entries.map((e) => e.path) }, multi: multi.layout, none: none.problem, broken: broken.problem, many: many.problem };""")
+        const many = await planUpload([
+          file('a/transforms_train.json', json([])), file('b/transforms_train.json', json([]))
+        ]);
+        return {
+          good: {...good, entries: good.entries.map((e) => e.path)},
+          multi: multi.layout,
+          none: none.problem,
+          broken: broken.problem,
+          many: many.problem
+        };"""
+    )
     good = result["good"]
     assert good["name"] == "my-lego" and good["views"] == {"train": 2, "test": 1}
-    assert sorted(good["entries"]) == ["test/r_0.jpg", "train/r_0.png", "transforms_test.json", "transforms_train.json"]
+    assert sorted(good["entries"]) == [
+        "test/r_0.jpg",
+        "train/r_0.png",
+        "transforms_test.json",
+        "transforms_train.json",
+    ]
     assert good["missing"] == ["train/r_1.png"] and good["left"] == 1
     assert result["multi"] == "multi-scale Blender"
-    assert "transforms_train.json" in result["none"] and "transforms_train.json" in result["broken"] and "Several" in result["many"]
+    assert (
+        "transforms_train.json" in result["none"]
+        and "transforms_train.json" in result["broken"]
+        and "Several" in result["many"]
+    )
 
 
 def test_coarse_pictures_keep_the_shape_and_a_budget(blank):
-    result = blank.run("""
-        const { sizeFor, nextBudget } = await load('viewer.js');
-        return { small: sizeFor({ width: 900, height: 600 }, 10000), all: sizeFor({ width: 30, height: 20 }, 1e9), slow: nextBudget(40000, 900), quick: nextBudget(40000, 10), floor: nextBudget(3200, 1e5) };""")
+    result = blank.run(
+        """
+        const {sizeFor, nextBudget} = await load('viewer.js');
+        return {
+          small: sizeFor({width: 900, height: 600}, 10000),
+          all: sizeFor({width: 30, height: 20}, 1e9),
+          slow: nextBudget(40000, 900),
+          quick: nextBudget(40000, 10),
+          floor: nextBudget(3200, 1e5)
+        };"""
+    )
     assert result["small"]["width"] / result["small"]["height"] == pytest.approx(1.5, rel=0.05)
     assert 7000 < result["small"]["width"] * result["small"]["height"] < 13000
     assert result["all"] == {"width": 30, "height": 20}

@@ -1,4 +1,4 @@
-"""The page against ripnerfd, whole: submit a dataset, train it, orbit it meanwhile, record a path, get its frames.
+"""The page against ripnerfd: submit a dataset, train, orbit meanwhile, record a path, get frames.
 
 Once with the pretending engine, once with the real one on a small synthetic dataset.
 RIPNERF_SHOTS names a folder for screenshots on the way.
@@ -21,12 +21,21 @@ LISTENING = re.compile(r"listening on (http://\S+)")
 
 class Daemon:
     def __init__(self, build, folder, runner, environment=None, options=(), port=0):
-        self.arguments = [build / "server/ripnerfd", "--data", folder, "--listen", f"127.0.0.1:{port}", *options,
-                          *(["--runner", build / runner] if runner else [])]
+        self.arguments = [
+            build / "server/ripnerfd",
+            "--data",
+            folder,
+            "--listen",
+            f"127.0.0.1:{port}",
+            *options,
+            *(["--runner", build / runner] if runner else []),
+        ]
         self.log = folder.with_suffix(".log")
         self.environment = {**os.environ, **(environment or {})}
         with open(self.log, "w", encoding="utf-8") as log:
-            self.process = subprocess.Popen(self.arguments, stdout=log, stderr=subprocess.STDOUT, env=self.environment)
+            self.process = subprocess.Popen(
+                self.arguments, stdout=log, stderr=subprocess.STDOUT, env=self.environment
+            )
         self.url = self.wait_for_address()
 
     def wait_for_address(self):
@@ -64,8 +73,12 @@ def daemon(build, tmp_path):
 @pytest.fixture(scope="session")
 def sphere(build, tmp_path_factory):
     folder = tmp_path_factory.mktemp("synth") / "sphere"
-    subprocess.run([build / "client/ripnerf", "synth", "sphere", folder, "--size", "64", "--views", "16"],
-                   check=True, capture_output=True, timeout=120)
+    subprocess.run(
+        [build / "client/ripnerf", "synth", "sphere", folder, "--size", "64", "--views", "16"],
+        check=True,
+        capture_output=True,
+        timeout=120,
+    )
     return folder
 
 
@@ -115,10 +128,16 @@ def record(page, keys):
     stage = page.find(".stage")
     for number in range(keys):
         if number:
-            ActionChains(page.driver).click_and_hold(stage).move_by_offset(40, 0).release().perform()
+            ActionChains(page.driver).click_and_hold(stage).move_by_offset(
+                40, 0
+            ).release().perform()
         page.press("Record key")
     page.until(lambda: len(page.all(".key")) == keys, f"{keys} keys")
-    page.until(lambda: len([image for image in page.all(".key img") if image.is_displayed()]) == keys, "their pictures", 60)
+    page.until(
+        lambda: len([image for image in page.all(".key img") if image.is_displayed()]) == keys,
+        "their pictures",
+        60,
+    )
 
 
 def render_path(page, downloads, width, height, frames_per_second, expected):
@@ -176,13 +195,19 @@ def test_a_second_scene_of_the_same_name_is_refused_at_its_field(page, daemon, s
     page.says("ball", ".problem")
     page.type(page.field("Scene’s name"), "no spaces here")
     page.press("Start training")
-    page.until(lambda: page.field("Scene’s name").get_attribute("aria-invalid") == "true", "the field marked")
+    page.until(
+        lambda: page.field("Scene’s name").get_attribute("aria-invalid") == "true",
+        "the field marked",
+    )
 
 
 def test_token_and_a_killed_daemon(page, daemon, sphere, tmp_path):
     """A token travels with every request; training goes on after kill -9, and the page shows it."""
     (tmp_path / "token").write_text("a-token-of-this-test\n")
-    options = {"environment": {"RIPNERF_FAKE_STEP_US": "2000"}, "options": ["--token-file", tmp_path / "token"]}
+    options = {
+        "environment": {"RIPNERF_FAKE_STEP_US": "2000"},
+        "options": ["--token-file", tmp_path / "token"],
+    }
     server = daemon("tests/support/ripnerf-runner-fake", **options)
     page.open(server.url)
     page.type(page.find("#token-input"), "a-token-of-this-test")
@@ -193,7 +218,11 @@ def test_token_and_a_killed_daemon(page, daemon, sphere, tmp_path):
     server.process.kill()
     server.process.wait()
     page.says("No connection to the daemon.", "#banner")
-    daemon("tests/support/ripnerf-runner-fake", **options, port=server.url.rstrip("/").rsplit(":", 1)[1])
+    daemon(
+        "tests/support/ripnerf-runner-fake",
+        **options,
+        port=server.url.rstrip("/").rsplit(":", 1)[1],
+    )
     page.says("connected", ".connection", wait_s=30)
     page.until(lambda: not any(e.is_displayed() for e in page.all("#banner")), "the banner gone")
     page.says("training", ".page-head .chip", wait_s=30)

@@ -4,7 +4,7 @@ import json
 import time
 
 import pytest
-from fake_api import draw, ring
+from fake_pictures import draw, ring
 
 pytest.importorskip("selenium", reason="python3-selenium is not installed")
 from selenium.webdriver.common.action_chains import ActionChains  # noqa: E402
@@ -42,8 +42,20 @@ def test_upload_import_and_train(page, fake, tmp_path):
     for i, pose in enumerate(ring(5)):
         frames.append({"file_path": f"./train/r_{i}", "transform_matrix": pose + [[0, 0, 0, 1]]})
         if i:
-            (folder / "train" / f"r_{i}.png").write_bytes(draw({"world_from_camera": pose, "axes": "opengl", "width": 20, "height": 20, "fov_y_deg": 40}))
-    (folder / "transforms_train.json").write_text(json.dumps({"camera_angle_x": 0.7, "frames": frames}))
+            (folder / "train" / f"r_{i}.png").write_bytes(
+                draw(
+                    {
+                        "world_from_camera": pose,
+                        "axes": "opengl",
+                        "width": 20,
+                        "height": 20,
+                        "fov_y_deg": 40,
+                    }
+                )
+            )
+    (folder / "transforms_train.json").write_text(
+        json.dumps({"camera_angle_x": 0.7, "frames": frames})
+    )
     (folder / "notes.txt").write_text("not for upload")
     page.open(api.url)
     page.find(".drop")
@@ -55,7 +67,13 @@ def test_upload_import_and_train(page, fake, tmp_path):
     page.press("Upload and import")
     page.says("ball is imported.")
     names = [name for name, _ in api.world.uploads[0]]
-    assert sorted(names) == ["train/r_1.png", "train/r_2.png", "train/r_3.png", "train/r_4.png", "transforms_train.json"]
+    assert sorted(names) == [
+        "train/r_1.png",
+        "train/r_2.png",
+        "train/r_3.png",
+        "train/r_4.png",
+        "transforms_train.json",
+    ]
     page.press("Look at it and train")
     page.says("What the import found")
     page.press("draft")
@@ -63,7 +81,11 @@ def test_upload_import_and_train(page, fake, tmp_path):
     page.says("training", ".page-head .chip")
     page.until(lambda: page.all(".chart .last"), "a point on the chart")
     job = api.world.jobs[0]
-    assert job["type"] == "train" and job["options"] == {"preset": "draft", "train_split": "train", "max_time_s": 60}
+    assert job["type"] == "train" and job["options"] == {
+        "preset": "draft",
+        "train_split": "train",
+        "max_time_s": 60,
+    }
     quiet(page)
 
 
@@ -77,7 +99,7 @@ def test_faults_are_shown_at_their_fields(page, fake):
     assert page.field("Scene’s name").get_attribute("aria-invalid") == "true"
     page.type(page.field("Scene’s name"), "another")
     page.press("More")
-    page.type(page.field("Seed"), 2 ** 53 + 2)
+    page.type(page.field("Seed"), 2**53 + 2)
     page.press("Start training")
     page.says("maximum of 9007199254740991", ".faulty .note")
 
@@ -100,18 +122,37 @@ def test_orbit_while_training_and_pause(page, fake):
     page.until(lambda: page.ink() > 100, "a picture")
     stage = page.find(".stage")
     page.until(lambda: stage.get_attribute("data-level") == "refined", "the refined picture")
-    before = page.run("return document.querySelector('canvas.picture').toDataURL().length + document.querySelector('.hud').textContent;")
+    before = page.run(
+        """
+        return document.querySelector('canvas.picture').toDataURL().length +
+            document.querySelector('.hud').textContent;"""
+    )
     levels = page.watch_levels()
-    ActionChains(page.driver).click_and_hold(stage).move_by_offset(60, 10).move_by_offset(60, 5).perform()
+    ActionChains(page.driver).click_and_hold(stage).move_by_offset(60, 10).move_by_offset(
+        60, 5
+    ).perform()
     page.until(lambda: "coarse" in levels(), "a coarse picture while moving")
     ActionChains(page.driver).release().perform()
     page.until(lambda: levels()[-1] == "refined", "the refined picture")
     hud = page.text(".hud")
     for part in ("refined", "step", "ms rendering", "samples"):
         assert part in hud
-    assert page.run("return document.querySelector('canvas.picture').toDataURL().length + document.querySelector('.hud').textContent;") != before
+    assert (
+        page.run(
+            """
+        return document.querySelector('canvas.picture').toDataURL().length +
+            document.querySelector('.hud').textContent;"""
+        )
+        != before
+    )
     step = int("".join(c for c in hud.split("step ")[1].split("·")[0] if c.isdigit()))
-    page.until(lambda: int("".join(c for c in page.text(".hud").split("step ")[1].split("·")[0] if c.isdigit())) > step, "a fresh picture while it trains")
+    page.until(
+        lambda: int(
+            "".join(c for c in page.text(".hud").split("step ")[1].split("·")[0] if c.isdigit())
+        )
+        > step,
+        "a fresh picture while it trains",
+    )
     page.press("Pause")
     page.says("paused", ".page-head .chip")
     page.press("Resume")
@@ -125,13 +166,27 @@ def test_orbit_while_training_and_pause(page, fake):
 def test_keyboard_orbits_and_records(page, fake):
     page.open(fake("busy").url + "#/scene/sphere-draft")
     page.until(lambda: page.ink() > 100, "a picture")
-    page.find(".stage").send_keys("k", Keys.ARROW_LEFT * 4, "+", "k", Keys.SHIFT + Keys.ARROW_UP, "k")
+    page.find(".stage").send_keys(
+        "k", Keys.ARROW_LEFT * 4, "+", "k", Keys.SHIFT + Keys.ARROW_UP, "k"
+    )
     page.until(lambda: len(page.all(".key")) == 3, "three keys")
-    poses = page.run("const p = JSON.parse(Object.entries(sessionStorage).find(([k]) => k.startsWith('ripnerf-path'))[1]); return p.keys.map((k) => k.pose.map((r) => r[3]));")
+    poses = page.run(
+        """
+        const p = JSON.parse(
+            Object.entries(sessionStorage).find(([k]) => k.startsWith('ripnerf-path'))[1]);
+        return p.keys.map((k) => k.pose.map((r) => r[3]));"""
+    )
     assert poses[0] != poses[1] != poses[2]
-    page.until(lambda: len([i for i in page.all(".key img") if i.is_displayed()]) == 3, "three thumbnails")
+    page.until(
+        lambda: len([i for i in page.all(".key img") if i.is_displayed()]) == 3, "three thumbnails"
+    )
     page.all(".key")[2].find_element("css selector", "[aria-label=Earlier]").click()
-    moved = page.run("const p = JSON.parse(Object.entries(sessionStorage).find(([k]) => k.startsWith('ripnerf-path'))[1]); return p.keys.map((k) => [k.time, ...k.pose.map((r) => r[3])]);")
+    moved = page.run(
+        """
+        const p = JSON.parse(
+            Object.entries(sessionStorage).find(([k]) => k.startsWith('ripnerf-path'))[1]);
+        return p.keys.map((k) => [k.time, ...k.pose.map((r) => r[3])]);"""
+    )
     assert [key[0] for key in moved] == [0, 1, 2] and moved[1][1:] == poses[2]
     page.type(page.all(".key")[1].find_element("css selector", "input"), 0)
     page.find(".stage").click()
@@ -160,6 +215,27 @@ def test_path_frames_arrive_and_play(page, fake, downloads):
     page.until(lambda: page.text(".player output") != first, "another frame")
     page.press("Download")
     page.until(lambda: list(downloads.glob("*-frames.tar")), "the tar")
+    quiet(page)
+
+
+def test_a_view_is_compared_with_its_photograph(page, fake):
+    page.open(fake("busy").url + "#/scene/sphere-draft")
+    page.until(lambda: page.ink() > 100, "a picture")
+    page.find("#view-pick").send_keys("test:3")
+    page.says("Photograph test:3", ".wipe-bar")
+    page.until(
+        lambda: page.run("return document.querySelector('.wipe img').naturalWidth;") == 200,
+        "the photograph",
+    )
+    page.driver.execute_script(
+        "const r = document.getElementById('wipe'); r.value = 20; r.dispatchEvent(new Event('input'));"
+    )
+    assert page.run("return document.querySelector('.wipe img').style.clipPath;").startswith(
+        "inset(0px 80% 0px 0px"
+    )
+    page.find(".stage").send_keys(Keys.ARROW_LEFT)
+    page.until(lambda: not any(e.is_displayed() for e in page.all(".wipe")), "the comparison gone")
+    assert page.find("#view-pick").get_attribute("value") == ""
     quiet(page)
 
 
@@ -214,7 +290,13 @@ def test_daemon_goes_and_comes_back(page, fake):
 def test_behind_a_prefix_all_addresses_stay_below_it(page, fake):
     page.open(fake("busy").url)
     page.says("sphere-draft")
-    addresses = page.run("const { address } = await load('api.js'); return ['v1/info', '/v1/jobs/x/frames/0'].map(address).concat([...document.querySelectorAll('link[href], script[src], img[src]')].map((e) => e.getAttribute('href') ?? e.getAttribute('src')));")
+    addresses = page.run(
+        """
+        const {address} = await load('api.js');
+        return ['v1/info', '/v1/jobs/x/frames/0'].map(address).concat([
+          ...document.querySelectorAll('link[href], script[src], img[src]')
+        ].map((e) => e.getAttribute('href') ?? e.getAttribute('src')));"""
+    )
     base = page.driver.current_url.split("#")[0]
     assert addresses[0] == base + "v1/info" and addresses[1] == base + "v1/jobs/x/frames/0"
     assert not [a for a in addresses[2:] if a.startswith("/")]
@@ -222,7 +304,10 @@ def test_behind_a_prefix_all_addresses_stay_below_it(page, fake):
 
 def test_no_wide_overflow_on_a_phone(page, fake):
     api = fake("busy")
-    page.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", {"width": 390, "height": 800, "deviceScaleFactor": 2, "mobile": True})
+    page.driver.execute_cdp_cmd(
+        "Emulation.setDeviceMetricsOverride",
+        {"width": 390, "height": 800, "deviceScaleFactor": 2, "mobile": True},
+    )
     for place in ("", "#/dataset/sphere", "#/scene/sphere-draft", "#/jobs", "#/system"):
         page.open(api.url + place)
         page.find("main .panel")
@@ -237,9 +322,18 @@ def test_every_control_has_a_name(page, fake):
         page.open(api.url + place)
         page.find("main .panel")
         time.sleep(0.5)
-        nameless = page.run("""
-            const named = (e) => e.getAttribute('aria-label') || e.getAttribute('aria-labelledby') || e.textContent.trim() || e.title || [...(e.labels ?? [])].some((l) => l.textContent.trim());
-            return [...document.querySelectorAll('main button, main a, main input, main select, main progress, main canvas[role], main [role=application]')]
-              .filter((e) => !named(e)).map((e) => e.outerHTML.slice(0, 120))
-              .concat([...document.querySelectorAll('img')].filter((e) => !e.hasAttribute('alt')).map((e) => e.outerHTML));""")
+        nameless = page.run(
+            """
+        const named = (e) => e.getAttribute('aria-label') || e.getAttribute('aria-labelledby') ||
+            e.textContent.trim() || e.title ||
+            [...(e.labels ?? [])].some((l) => l.textContent.trim());
+        return [
+          ...document.querySelectorAll(
+              'main button, main a, main input, main select, main progress, main canvas[role], main [role=application]')
+        ].filter((e) => !named(e))
+            .map((e) => e.outerHTML.slice(0, 120))
+            .concat([...document.querySelectorAll('img')]
+                        .filter((e) => !e.hasAttribute('alt'))
+                        .map((e) => e.outerHTML));"""
+        )
         assert nameless == [], place

@@ -1,4 +1,5 @@
-// The daemon's HTTP interface. Addresses are relative to the page, so that a proxy may add a prefix.
+// The daemon's HTTP interface. Addresses are relative to the page, so that a proxy may add a
+// prefix.
 
 const base = new URL('.', document.baseURI);
 const TOKEN = 'ripnerf-token';
@@ -18,11 +19,18 @@ export class Problem extends Error {
 
 /** The daemon did not answer at all. */
 export class Unreachable extends Error {
-  constructor() { super('The daemon does not answer'); this.title = 'Daemon unreachable'; this.errors = []; }
+  constructor() {
+    super('The daemon does not answer');
+    this.title = 'Daemon unreachable';
+    this.errors = [];
+  }
 }
 
 /** Hooks the page installs: ask for a token; hear that the daemon did not answer. */
-export const hooks = { askToken: async () => null, unreachable: () => {} };
+export const hooks = {
+  askToken: async () => null,
+  unreachable: () => {}
+};
 
 export const token = {
   get: () => sessionStorage.getItem(TOKEN),
@@ -32,13 +40,16 @@ export const token = {
 /** The absolute address of an API path ("/v1/…" or "v1/…"). */
 export const address = (path) => new URL(path.replace(/^\//, ''), base).href;
 
-const withToken = (headers) => (token.get() ? { ...headers, Authorization: `Bearer ${token.get()}` } : headers);
+const withToken = (headers) =>
+    (token.get() ? {...headers, Authorization: `Bearer ${token.get()}`} : headers);
 
-let asking = null; // one question at a time, however many requests were refused
+let asking = null;  // one question at a time, however many requests were refused
 
 async function renewToken(used) {
   if (token.get() !== used) return true;
-  asking ??= hooks.askToken().finally(() => { asking = null; });
+  asking ??= hooks.askToken().finally(() => {
+    asking = null;
+  });
   const answer = await asking;
   if (answer) token.set(answer);
   return Boolean(answer);
@@ -46,7 +57,8 @@ async function renewToken(used) {
 
 async function problemOf(response) {
   const isJson = (response.headers.get('Content-Type') ?? '').includes('json');
-  const problem = new Problem(response.status, isJson ? await response.json().catch(() => ({})) : {});
+  const problem =
+      new Problem(response.status, isJson ? await response.json().catch(() => ({})) : {});
   problem.retryAfter = Number(response.headers.get('Retry-After')) || 0;
   return problem;
 }
@@ -57,13 +69,16 @@ async function problemOf(response) {
  * @param {{json?: any, headers?: object, signal?: AbortSignal}} [options]
  * @returns {Promise<Response>} with a 2xx status
  */
-export async function request(method, path, { json, headers = {}, signal } = {}) {
+export async function request(method, path, {json, headers = {}, signal} = {}) {
   const used = token.get();
   let response;
   try {
     response = await fetch(address(path), {
-      method, signal, body: json === undefined ? undefined : JSON.stringify(json),
-      headers: withToken(json === undefined ? headers : { 'Content-Type': 'application/json', ...headers }),
+      method,
+      signal,
+      body: json === undefined ? undefined : JSON.stringify(json),
+      headers: withToken(
+          json === undefined ? headers : {'Content-Type': 'application/json', ...headers}),
     });
   } catch (error) {
     if (signal?.aborted) throw error;
@@ -71,7 +86,8 @@ export async function request(method, path, { json, headers = {}, signal } = {})
     throw new Unreachable();
   }
   if (response.ok) return response;
-  if (response.status === 401 && await renewToken(used)) return request(method, path, { json, headers, signal });
+  if (response.status === 401 && await renewToken(used))
+    return request(method, path, {json, headers, signal});
   throw await problemOf(response);
 }
 
@@ -84,8 +100,9 @@ async function list(path, signal) {
   const items = [];
   let cursor = null;
   for (let page = 0; page < 40; page++) {
-    const mark = `${path.includes('?') ? '&' : '?'}limit=100${cursor ? `&cursor=${name(cursor)}` : ''}`;
-    const part = await json('GET', path + mark, { signal });
+    const mark =
+        `${path.includes('?') ? '&' : '?'}limit=100${cursor ? `&cursor=${name(cursor)}` : ''}`;
+    const part = await json('GET', path + mark, {signal});
     items.push(...part.items);
     cursor = part.next_cursor;
     if (!cursor) break;
@@ -99,43 +116,50 @@ function renderFacts(response, started) {
   const duration = (key) => Number(new RegExp(`${key};dur=([0-9.]+)`).exec(timing)?.[1] ?? NaN);
   const number = (key) => (response.headers.has(key) ? Number(response.headers.get(key)) : NaN);
   return {
-    renderMs: duration('render'), queueMs: duration('queue'), encodeMs: duration('encode'),
-    totalMs: performance.now() - started, step: number('X-Ripnerf-Step'), samples: number('X-Ripnerf-Samples'),
+    renderMs: duration('render'),
+    queueMs: duration('queue'),
+    encodeMs: duration('encode'),
+    totalMs: performance.now() - started,
+    step: number('X-Ripnerf-Step'),
+    samples: number('X-Ripnerf-Samples'),
   };
 }
 
 export const api = {
-  info: (signal) => json('GET', 'v1/info', { signal }),
+  info: (signal) => json('GET', 'v1/info', {signal}),
   datasets: (signal) => list('v1/datasets', signal),
-  dataset: (id, signal) => json('GET', `v1/datasets/${name(id)}`, { signal }),
+  dataset: (id, signal) => json('GET', `v1/datasets/${name(id)}`, {signal}),
   /** Cameras of all splits and scales. */
-  cameras: async (id, signal) => (await json('GET', `v1/datasets/${name(id)}/cameras`, { signal })).items,
+  cameras: async (id, signal) =>
+      (await json('GET', `v1/datasets/${name(id)}/cameras`, {signal})).items,
   photo: (id, split, index, scale, signal) =>
-    blob(`v1/datasets/${name(id)}/images/${name(split)}/${index}?scale=${scale}`, { signal }),
-  addDirectory: (body) => json('POST', 'v1/datasets', { json: body }),
+      blob(`v1/datasets/${name(id)}/images/${name(split)}/${index}?scale=${scale}`, {signal}),
+  addDirectory: (body) => json('POST', 'v1/datasets', {json: body}),
   removeDataset: (id) => request('DELETE', `v1/datasets/${name(id)}`),
   scenes: (signal) => list('v1/scenes', signal),
-  scene: (id, signal) => json('GET', `v1/scenes/${name(id)}`, { signal }),
+  scene: (id, signal) => json('GET', `v1/scenes/${name(id)}`, {signal}),
   removeScene: (id) => request('DELETE', `v1/scenes/${name(id)}`),
   evaluations: (id, signal) => list(`v1/scenes/${name(id)}/evaluations`, signal),
   jobs: (signal) => list('v1/jobs', signal),
-  job: (id, signal) => json('GET', `v1/jobs/${name(id)}`, { signal }),
-  submit: (body) => json('POST', 'v1/jobs', { json: body, headers: { 'Idempotency-Key': crypto.randomUUID?.() ?? String(Math.random()) } }),
+  job: (id, signal) => json('GET', `v1/jobs/${name(id)}`, {signal}),
+  submit: (body) => json(
+      'POST', 'v1/jobs',
+      {json: body, headers: {'Idempotency-Key': crypto.randomUUID?.() ?? String(Math.random())}}),
   act: (id, verb) => json('POST', `v1/jobs/${name(id)}/${verb}`),
   frames: (id, signal) => list(`v1/jobs/${name(id)}/frames`, signal),
-  frame: (id, index, signal) => blob(`v1/jobs/${name(id)}/frames/${index}`, { signal }),
+  frame: (id, index, signal) => blob(`v1/jobs/${name(id)}/frames/${index}`, {signal}),
   paths: (signal) => list('v1/camera-paths', signal),
-  path: (id, signal) => json('GET', `v1/camera-paths/${name(id)}`, { signal }),
-  savePath: (body) => json('POST', 'v1/camera-paths', { json: body }),
+  path: (id, signal) => json('GET', `v1/camera-paths/${name(id)}`, {signal}),
+  savePath: (body) => json('POST', 'v1/camera-paths', {json: body}),
   removePath: (id) => request('DELETE', `v1/camera-paths/${name(id)}`),
-  stream: (path, headers, signal) => request('GET', path, { headers, signal }),
+  stream: (path, headers, signal) => request('GET', path, {headers, signal}),
 
   /** @returns {Promise<{blob: Blob, facts: ReturnType<typeof renderFacts>}>} */
   async render(id, body, signal) {
     const started = performance.now();
-    const response = await request('POST', `v1/scenes/${name(id)}/render`, { json: body, signal });
+    const response = await request('POST', `v1/scenes/${name(id)}/render`, {json: body, signal});
     const picture = await response.blob();
-    return { blob: picture, facts: renderFacts(response, started) };
+    return {blob: picture, facts: renderFacts(response, started)};
   },
 
   /** A file to keep: a plain link where no token is needed, else fetched and handed over. */
@@ -148,27 +172,37 @@ export const api = {
    * @returns {Promise<any>} the import job
    */
   upload(query, tar, onProgress, signal) {
-    const words = new URLSearchParams(Object.entries(query).filter(([, value]) => value !== null && value !== ''));
+    const words = new URLSearchParams(
+        Object.entries(query).filter(([, value]) => value !== null && value !== ''));
     const used = token.get();
     return new Promise((resolve, reject) => {
       const call = new XMLHttpRequest();
       call.open('POST', address(`v1/datasets?${words}`));
-      for (const [key, value] of Object.entries(withToken({ 'Content-Type': 'application/x-tar' }))) call.setRequestHeader(key, value);
+      for (const [key, value] of Object.entries(withToken({'Content-Type': 'application/x-tar'})))
+        call.setRequestHeader(key, value);
       call.upload.onprogress = (event) => onProgress(event.loaded);
-      call.onerror = () => { hooks.unreachable(); reject(new Unreachable()); };
+      call.onerror = () => {
+        hooks.unreachable();
+        reject(new Unreachable());
+      };
       call.onabort = () => reject(new DOMException('upload cancelled', 'AbortError'));
       call.onload = async () => {
         const body = parseJson(call.responseText);
-        if (call.status >= 200 && call.status < 300) resolve(body);
-        else if (call.status === 401 && await renewToken(used)) resolve(api.upload(query, tar, onProgress, signal));
-        else reject(new Problem(call.status, body));
+        if (call.status >= 200 && call.status < 300)
+          resolve(body);
+        else if (call.status === 401 && await renewToken(used))
+          resolve(api.upload(query, tar, onProgress, signal));
+        else
+          reject(new Problem(call.status, body));
       };
-      signal?.addEventListener('abort', () => call.abort(), { once: true });
+      signal?.addEventListener('abort', () => call.abort(), {once: true});
       call.send(tar);
     });
   },
 };
 
 function parseJson(text) {
-  try { return JSON.parse(text); } catch { return {}; }
+  try {
+    return JSON.parse(text);
+  } catch { return {}; }
 }

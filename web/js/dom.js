@@ -1,15 +1,20 @@
 // Small helpers over the DOM. No markup strings anywhere: text is always text.
 
-const PROPERTIES = new Set(['value', 'checked', 'disabled', 'hidden', 'indeterminate', 'selected',
-  'open', 'required', 'readOnly', 'multiple', 'max', 'srcObject']);
+const PROPERTIES = new Set([
+  'value', 'checked', 'disabled', 'hidden', 'indeterminate', 'selected', 'open', 'required',
+  'readOnly', 'multiple', 'max', 'srcObject'
+]);
 const SVG = 'http://www.w3.org/2000/svg';
 
 function assign(node, props) {
   for (const [name, value] of Object.entries(props ?? {})) {
     if (value === null || value === undefined || value === false && !PROPERTIES.has(name)) continue;
-    if (name.startsWith('on')) node.addEventListener(name.slice(2), value);
-    else if (PROPERTIES.has(name) && !(node instanceof SVGElement)) node[name] = value;
-    else node.setAttribute(name, value === true ? '' : String(value));
+    if (name.startsWith('on'))
+      node.addEventListener(name.slice(2), value);
+    else if (PROPERTIES.has(name) && !(node instanceof SVGElement))
+      node[name] = value;
+    else
+      node.setAttribute(name, value === true ? '' : String(value));
   }
 }
 
@@ -37,8 +42,9 @@ export function s(tag, props, ...children) {
 }
 
 function flat(children) {
-  return children.flat(Infinity).filter((c) => c !== null && c !== undefined && c !== false)
-    .map((c) => (c instanceof Node ? c : String(c)));
+  return children.flat(Infinity)
+      .filter((c) => c !== null && c !== undefined && c !== false)
+      .map((c) => (c instanceof Node ? c : String(c)));
 }
 
 /** Replaces what `node` holds. */
@@ -71,16 +77,20 @@ export function follow(parent, items, keyOf, create) {
     old.delete(key);
     now.set(key, row);
     row.update?.(item);
-    if (parent.children[index] !== row.node) parent.insertBefore(row.node, parent.children[index] ?? null);
+    if (parent.children[index] !== row.node)
+      parent.insertBefore(row.node, parent.children[index] ?? null);
   });
-  for (const row of old.values()) { row.node.remove(); row.remove?.(); }
+  for (const row of old.values()) {
+    row.node.remove();
+    row.remove?.();
+  }
   rows.set(parent, now);
 }
 
 /** Calls `work` now and every `ms`, until the signal aborts. */
 export function every(ms, work, signal) {
   const timer = setInterval(work, ms);
-  signal.addEventListener('abort', () => clearInterval(timer), { once: true });
+  signal.addEventListener('abort', () => clearInterval(timer), {once: true});
   work();
 }
 
@@ -88,26 +98,27 @@ export function every(ms, work, signal) {
 export function sleep(ms, signal) {
   return new Promise((resolve) => {
     const timer = setTimeout(resolve, ms);
-    signal?.addEventListener('abort', () => { clearTimeout(timer); resolve(); }, { once: true });
+    signal?.addEventListener('abort', () => {
+      clearTimeout(timer);
+      resolve();
+    }, {once: true});
   });
 }
 
 /** An image element whose bytes come from `load` (a token may be needed) once it is in sight. */
 export function lazyImage(load, props, signal) {
-  const image = h('img', { alt: '', draggable: 'false', ...props });
-  const frame = h('span', { class: 'thumb', 'data-state': 'loading' }, image);
+  const image = h('img', {alt: '', draggable: 'false', ...props});
+  const frame = h('span', {class: 'thumb', 'data-state': 'loading'}, image);
   const seen = new IntersectionObserver(async (entries) => {
     if (!entries.some((entry) => entry.isIntersecting)) return;
     seen.disconnect();
     try {
       showBlob(image, await load(signal), signal);
       frame.dataset.state = 'ready';
-    } catch {
-      frame.dataset.state = 'error';
-    }
-  }, { rootMargin: '200px' });
+    } catch { frame.dataset.state = 'error'; }
+  }, {rootMargin: '200px'});
   seen.observe(frame);
-  signal.addEventListener('abort', () => seen.disconnect(), { once: true });
+  signal.addEventListener('abort', () => seen.disconnect(), {once: true});
   return frame;
 }
 
@@ -115,13 +126,13 @@ export function lazyImage(load, props, signal) {
 export function showBlob(image, blob, signal) {
   const address = URL.createObjectURL(blob);
   image.src = address;
-  signal.addEventListener('abort', () => URL.revokeObjectURL(address), { once: true });
+  signal.addEventListener('abort', () => URL.revokeObjectURL(address), {once: true});
 }
 
 /** Hands a blob to the browser as a file. */
 export function saveBlob(blob, name) {
   const address = URL.createObjectURL(blob);
-  const link = h('a', { href: address, download: name });
+  const link = h('a', {href: address, download: name});
   document.body.append(link);
   link.click();
   link.remove();

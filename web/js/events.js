@@ -12,7 +12,7 @@ export function createParser(emit) {
   let data = [];
   const line = (text) => {
     if (text === '') {
-      if (data.length) emit({ id, type: type || 'message', data: data.join('\n') });
+      if (data.length) emit({id, type: type || 'message', data: data.join('\n')});
       type = '';
       data = [];
       return;
@@ -21,9 +21,12 @@ export function createParser(emit) {
     if (colon === 0) return;
     const name = colon < 0 ? text : text.slice(0, colon);
     const value = colon < 0 ? '' : text.slice(colon + 1).replace(/^ /, '');
-    if (name === 'id') id = value;
-    else if (name === 'event') type = value;
-    else if (name === 'data') data.push(value);
+    if (name === 'id')
+      id = value;
+    else if (name === 'event')
+      type = value;
+    else if (name === 'data')
+      data.push(value);
   };
   return (chunk) => {
     rest += chunk;
@@ -37,7 +40,7 @@ export function createParser(emit) {
   };
 }
 
-const SILENCE_MS = 45_000; // three heartbeats
+const SILENCE_MS = 45_000;  // three heartbeats
 
 /**
  * Reads one stream to its end. Resolves when the server ends it; throws what `open` throws, and
@@ -46,22 +49,25 @@ const SILENCE_MS = 45_000; // three heartbeats
  * @param {{lastId?: string, signal: AbortSignal, onOpen?: () => void,
  *          onEvent: (type: string, data: any, id: string) => void}} options
  */
-export async function readEvents(open, { lastId, signal, onOpen, onEvent }) {
+export async function readEvents(open, {lastId, signal, onOpen, onEvent}) {
   const own = new AbortController();
   const stop = () => own.abort();
-  signal.addEventListener('abort', stop, { once: true });
+  signal.addEventListener('abort', stop, {once: true});
   let timer = 0;
-  const alive = () => { clearTimeout(timer); timer = setTimeout(stop, SILENCE_MS); };
+  const alive = () => {
+    clearTimeout(timer);
+    timer = setTimeout(stop, SILENCE_MS);
+  };
   try {
     alive();
-    const headers = { Accept: 'text/event-stream' };
+    const headers = {Accept: 'text/event-stream'};
     if (lastId) headers['Last-Event-ID'] = lastId;
     const response = await open(headers, own.signal);
     onOpen?.();
-    const parse = createParser(({ id, type, data }) => onEvent(type, JSON.parse(data), id));
+    const parse = createParser(({id, type, data}) => onEvent(type, JSON.parse(data), id));
     const reader = response.body.pipeThrough(new TextDecoderStream()).getReader();
     for (;;) {
-      const { done, value } = await reader.read();
+      const {done, value} = await reader.read();
       if (done) return;
       alive();
       parse(value);

@@ -6,7 +6,8 @@ const known = (x) => typeof x === 'number' && Number.isFinite(x);
 /** "28.31 dB" */
 export const decibel = (x, digits = 2) => (known(x) ? `${x.toFixed(digits)} dB` : NONE);
 /** Grouped by thin spaces: "12 400" */
-export const whole = (x) => (known(x) ? Math.round(x).toString().replace(/\B(?=(\d{3})+$)/g, '\u202f') : NONE);
+export const whole = (x) =>
+    (known(x) ? Math.round(x).toString().replace(/\B(?=(\d{3})+$)/g, '\u202f') : NONE);
 export const fixed = (x, digits) => (known(x) ? x.toFixed(digits) : NONE);
 
 /** Three significant digits and a decimal prefix: "3.41 M" */
@@ -37,7 +38,8 @@ export function seconds(x) {
   return `${Math.floor(all / 3600)} h ${String(Math.floor(all / 60) % 60).padStart(2, '0')} min`;
 }
 
-export const milliseconds = (x) => (known(x) ? `${x < 10 ? x.toFixed(1) : Math.round(x)} ms` : NONE);
+export const milliseconds = (x) =>
+    (known(x) ? `${x < 10 ? x.toFixed(1) : Math.round(x)} ms` : NONE);
 export const percent = (x) => (known(x) ? `${Math.round(100 * x)} %` : NONE);
 
 /** A point in time (ISO text or ms since 1970) beside now: "3 min ago". */
@@ -51,4 +53,5 @@ export function ago(when, now = Date.now()) {
   return new Date(time).toISOString().slice(0, 10);
 }
 
-export const plural = (count, one, many = `${one}s`) => `${whole(count)} ${count === 1 ? one : many}`;
+export const plural = (count, one, many = `${one}s`) =>
+    `${whole(count)} ${count === 1 ? one : many}`;

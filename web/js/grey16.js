@@ -2,7 +2,10 @@
 
 const CHUNKS_AT = 8;
 
-/** @param {Uint8Array} bytes @returns {{width: number, height: number, packed: Blob}|null} null when not 16-bit grey */
+/**
+ * @param {Uint8Array} bytes @returns {{width: number, height: number, packed: Blob}|null} null
+ *     when not 16-bit grey
+ */
 function open(bytes) {
   const view = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength);
   const parts = [];
@@ -13,12 +16,12 @@ function open(bytes) {
     const body = bytes.subarray(at + 8, at + 8 + length);
     if (type === 'IHDR') {
       if (body[8] !== 16 || body[9] !== 0 || body[12] !== 0) return null;
-      size = { width: view.getUint32(at + 8), height: view.getUint32(at + 12) };
+      size = {width: view.getUint32(at + 8), height: view.getUint32(at + 12)};
     }
     if (type === 'IDAT') parts.push(body);
     at += 12 + length;
   }
-  return size && { ...size, packed: new Blob(parts) };
+  return size && {...size, packed: new Blob(parts)};
 }
 
 const paeth = (a, b, c) => {
@@ -38,7 +41,8 @@ function unfilter(kind, row, above) {
 
 /**
  * @param {Blob} blob
- * @returns {Promise<{width: number, height: number, values: Uint16Array}|null>} null when it is another kind of picture
+ * @returns {Promise<{width: number, height: number, values: Uint16Array}|null>} null when it is
+ *     another kind of picture
  */
 export async function readGrey16(blob) {
   const png = open(new Uint8Array(await blob.arrayBuffer()));
@@ -52,19 +56,24 @@ export async function readGrey16(blob) {
     const start = y * (stride + 1);
     const row = raw.subarray(start + 1, start + 1 + stride);
     unfilter(raw[start], row, above);
-    for (let x = 0; x < png.width; x++) values[y * png.width + x] = (row[2 * x] << 8) | row[2 * x + 1];
+    for (let x = 0; x < png.width; x++)
+      values[y * png.width + x] = (row[2 * x] << 8) | row[2 * x + 1];
     above = row;
   }
-  return { width: png.width, height: png.height, values };
+  return {width: png.width, height: png.height, values};
 }
 
 /**
  * Depth for the eye: near is bright, far is dark, 0 (nothing hit) is black.
  * @param {{width: number, height: number, values: Uint16Array}} depth
  */
-export function depthImage({ width, height, values }) {
+export function depthImage({width, height, values}) {
   let [low, high] = [65535, 0];
-  for (const value of values) if (value) { low = Math.min(low, value); high = Math.max(high, value); }
+  for (const value of values)
+    if (value) {
+      low = Math.min(low, value);
+      high = Math.max(high, value);
+    }
   const image = new ImageData(width, height);
   const gain = 205 / Math.max(1, high - low);
   values.forEach((value, i) => {
@@ -74,7 +83,10 @@ export function depthImage({ width, height, values }) {
   return image;
 }
 
-/** A picture to draw, depth stretched for the eye. @param {Blob} blob @param {string} output rgb, depth or alpha */
+/**
+ * A picture to draw, depth stretched for the eye. @param {Blob} blob @param {string} output rgb,
+ * depth or alpha
+ */
 export async function pictureOf(blob, output) {
   const depth = output === 'depth' ? await readGrey16(blob) : null;
   return createImageBitmap(depth ? depthImage(depth) : blob);

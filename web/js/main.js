@@ -1,33 +1,52 @@
 // Starts the page: header, connection banner, token dialog, router, event stream.
-import { hooks, token } from './api.js';
-import { fill, h, text } from './dom.js';
-import { startRouter } from './router.js';
-import { isActive, retryNow, startSync, state, watch } from './store.js';
-import { announce, kindOf, problemBox, subjectOf } from './ui.js';
-import { homeView } from './views/home.js';
-import { datasetView } from './views/dataset.js';
-import { sceneView } from './views/scene.js';
-import { jobView } from './views/job.js';
-import { jobsView } from './views/jobs.js';
-import { systemView } from './views/system.js';
+import {hooks, token} from './api.js';
+import {fill, h, text} from './dom.js';
+import {startRouter} from './router.js';
+import {isActive, retryNow, startSync, state, watch} from './store.js';
+import {announce, kindOf, problemBox, subjectOf} from './ui.js';
+import {homeView} from './views/home.js';
+import {datasetView} from './views/dataset.js';
+import {sceneView} from './views/scene.js';
+import {jobView} from './views/job.js';
+import {jobsView} from './views/jobs.js';
+import {systemView} from './views/system.js';
 
-const views = { home: homeView, dataset: datasetView, scene: sceneView, job: jobView, jobs: jobsView, system: systemView };
+const views = {
+  home: homeView,
+  dataset: datasetView,
+  scene: sceneView,
+  job: jobView,
+  jobs: jobsView,
+  system: systemView
+};
 const main = document.getElementById('main');
 let leave = null;
-let tokenRefused = false; // the token dialog was closed without one: not asked again until the reader tries
+let tokenRefused =
+    false;  // the token dialog was closed without one: not asked again until the reader tries
 
 function show(route) {
   leave?.abort();
   leave = new AbortController();
   const view = views[route.view];
-  const root = h('div', { class: `view view-${route.view}` });
+  const root = h('div', {class: `view view-${route.view}`});
   fill(main, root);
-  document.querySelectorAll('.top nav a').forEach((a) => (a.dataset.view === route.view ? a.setAttribute('aria-current', 'page') : a.removeAttribute('aria-current')));
+  document.querySelectorAll('.top nav a')
+      .forEach(
+          (a) =>
+              (a.dataset.view === route.view ? a.setAttribute('aria-current', 'page') :
+                                               a.removeAttribute('aria-current')));
   setTitle(route.id ?? route.view);
   scrollTo(0, 0);
-  if (view) view(root, { ...route, signal: leave.signal });
-  else fill(root, problemBox({ title: 'No such page', message: '', detail: `There is nothing at ${location.hash}.` }));
-  if (document.activeElement && document.activeElement !== document.body && !document.activeElement.closest('.top')) main.focus({ preventScroll: true });
+  if (view)
+    view(root, {...route, signal: leave.signal});
+  else
+    fill(
+        root,
+        problemBox(
+            {title: 'No such page', message: '', detail: `There is nothing at ${location.hash}.`}));
+  if (document.activeElement && document.activeElement !== document.body &&
+      !document.activeElement.closest('.top'))
+    main.focus({preventScroll: true});
 }
 
 function setTitle(words) { document.title = words === 'home' ? 'ripnerf' : `${words} · ripnerf`; }
@@ -39,17 +58,29 @@ function askToken() {
   input.value = '';
   dialog.returnValue = '';
   if (!dialog.open) dialog.showModal();
-  return new Promise((resolve) => dialog.addEventListener('close', () => resolve(dialog.returnValue === 'ok' ? input.value.trim() : null), { once: true }));
+  return new Promise(
+      (resolve) => dialog.addEventListener(
+          'close', () => resolve(dialog.returnValue === 'ok' ? input.value.trim() : null),
+          {once: true}));
 }
 
-function showConnection({ connection, jobs }) {
+function showConnection({connection, jobs}) {
   const node = document.getElementById('connection');
-  const label = { connecting: 'connecting', online: 'connected', offline: 'not connected' }[connection.status];
+  const label = {
+    connecting: 'connecting',
+    online: 'connected',
+    offline: 'not connected'
+  }[connection.status];
   text(node, label);
   node.dataset.status = connection.status;
   const active = jobs.filter(isActive);
   const count = (name) => active.filter((job) => job.state === name).length;
-  text(document.getElementById('activity'), ['running', 'queued', 'paused'].filter(count).map((name) => `${count(name)} ${name}`).join(', '));
+  text(
+      document.getElementById('activity'),
+      ['running', 'queued', 'paused']
+          .filter(count)
+          .map((name) => `${count(name)} ${name}`)
+          .join(', '));
   document.getElementById('banner').hidden = connection.status !== 'offline';
 }
 
@@ -59,13 +90,23 @@ function startBanner() {
   const words = h('span');
   const refused = () => state.connection.problem?.status === 401;
   const title = h('strong');
-  fill(banner, title, ' ', words, ' ',
-    h('button', { type: 'button', onclick: () => { tokenRefused = false; retryNow(); } }, 'Try now'));
+  fill(
+      banner, title, ' ', words, ' ',
+      h('button', {
+        type: 'button',
+        onclick: () => {
+          tokenRefused = false;
+          retryNow();
+        }
+      },
+        'Try now'));
   setInterval(() => {
     if (banner.hidden) return;
     const left = Math.max(0, Math.ceil((state.connection.retryAt - Date.now()) / 1000));
     text(title, refused() ? 'The daemon asks for a token.' : 'No connection to the daemon.');
-    const why = refused() ? 'Nothing can be shown without one.' : state.connection.problem?.message ?? 'What is shown is from before; jobs go on without this page.';
+    const why = refused() ? 'Nothing can be shown without one.' :
+                            state.connection.problem?.message ??
+            'What is shown is from before; jobs go on without this page.';
     text(words, `${why} ${left ? `Trying again in ${left} s.` : 'Trying…'}`);
   }, 250);
 }
@@ -74,13 +115,18 @@ function startBanner() {
 function startAnnouncer() {
   const known = new Map();
   let connection = null;
-  watch(({ jobs, connection: now }) => {
+  watch(({jobs, connection: now}) => {
     for (const job of jobs) {
       const before = known.get(job.id);
-      if (before && before !== job.state) announce(`${kindOf(job)} ${subjectOf(job)}: ${job.state}`);
+      if (before && before !== job.state)
+        announce(`${kindOf(job)} ${subjectOf(job)}: ${job.state}`);
       known.set(job.id, job.state);
     }
-    if (connection && connection !== now.status) announce(now.status === 'online' ? 'Connected to the daemon' : now.status === 'offline' ? 'The daemon does not answer' : '');
+    if (connection && connection !== now.status)
+      announce(
+          now.status === 'online'      ? 'Connected to the daemon' :
+              now.status === 'offline' ? 'The daemon does not answer' :
+                                         '');
     connection = now.status;
   });
 }

@@ -1,11 +1,13 @@
-// A camera that turns about a target: pure functions over a plain state, and the input that drives it.
-import { add, column, cross, dot, norm, poseOf, scale, sub, unit } from './vector.js';
+// A camera that turns about a target: pure functions over a plain state, and the input that drives
+// it.
+import {add, column, cross, dot, norm, poseOf, scale, sub, unit} from './vector.js';
 
 const MAX_PITCH = (89.5 * Math.PI) / 180;
 
 /**
  * Angles in radians, lengths in dataset units; `up` is a unit vector.
- * @typedef {{target: number[], distance: number, yaw: number, pitch: number, up: number[], fovDeg: number}} Orbit
+ * @typedef {{target: number[], distance: number, yaw: number, pitch: number, up: number[], fovDeg:
+ * number}} Orbit
  */
 
 /** Two axes that complete `up` to a right-handed frame, the first as near to world x as can be. */
@@ -16,7 +18,7 @@ function ground(up) {
 }
 
 /** From the target towards the eye. */
-function outward({ yaw, pitch, up }) {
+function outward({yaw, pitch, up}) {
   const [a, b] = ground(up);
   const flat = add(scale(a, Math.cos(yaw)), scale(b, Math.sin(yaw)));
   return add(scale(flat, Math.cos(pitch)), scale(up, Math.sin(pitch)));
@@ -27,23 +29,34 @@ export function poseOfOrbit(orbit) {
   const out = outward(orbit);
   const forward = scale(out, -1);
   const right = unit(cross(forward, orbit.up));
-  return poseOf(right, cross(forward, right), forward, add(orbit.target, scale(out, orbit.distance)));
+  return poseOf(
+      right, cross(forward, right), forward, add(orbit.target, scale(out, orbit.distance)));
 }
 
 /** A native camera object for a picture of the given size. @param {Orbit} orbit */
-export const cameraOf = (orbit, width, height) => (
-  { world_from_camera: poseOfOrbit(orbit), axes: 'opencv', width, height, fov_y_deg: orbit.fovDeg });
+export const cameraOf = (orbit, width, height) => ({
+  world_from_camera: poseOfOrbit(orbit),
+  axes: 'opencv',
+  width,
+  height,
+  fov_y_deg: orbit.fovDeg
+});
 
 /** A camera's pose in OpenCV axes, whatever axes it is given in. */
 export function openCvPose(camera) {
   const sign = camera.axes === 'opengl' ? -1 : 1;
-  return camera.world_from_camera.slice(0, 3).map((row) => [row[0], sign * row[1], sign * row[2], row[3]]);
+  return camera.world_from_camera.slice(0, 3).map(
+      (row) => [row[0], sign * row[1], sign * row[2], row[3]]);
 }
 
 /** Vertical field of view in degrees. */
-export const fovOf = (camera) => camera.fov_y_deg ?? (2 * Math.atan(camera.height / 2 / camera.fy) * 180) / Math.PI;
+export const fovOf = (camera) =>
+    camera.fov_y_deg ?? (2 * Math.atan(camera.height / 2 / camera.fy) * 180) / Math.PI;
 
-/** The mean of the cameras' up directions; an axis of the world where it is within 25 degrees of one. */
+/**
+ * The mean of the cameras' up directions; an axis of the world where it is within 25 degrees of
+ * one.
+ */
 export function upOf(cameras) {
   let sum = [0, 0, 0];
   for (const camera of cameras) sum = sub(sum, column(openCvPose(camera), 1));
@@ -55,7 +68,9 @@ export function upOf(cameras) {
   return up;
 }
 
-/** The orbit whose camera is (but for roll) the given one; its target is near the bounds' centre. */
+/**
+ * The orbit whose camera is (but for roll) the given one; its target is near the bounds' centre.
+ */
 export function orbitOfPose(pose, fovDeg, up, bounds) {
   const eye = column(pose, 3);
   const forward = unit(column(pose, 2));
@@ -63,36 +78,49 @@ export function orbitOfPose(pose, fovDeg, up, bounds) {
   const out = scale(forward, -1);
   const [a, b] = ground(up);
   return {
-    target: add(eye, scale(forward, distance)), distance, up, fovDeg,
+    target: add(eye, scale(forward, distance)),
+    distance,
+    up,
+    fovDeg,
     yaw: Math.atan2(dot(out, b), dot(out, a)),
     pitch: clamp(Math.asin(clamp(dot(out, up), -1, 1)), -MAX_PITCH, MAX_PITCH),
   };
 }
 
 /** Where to begin without cameras: outside the bounds, a little above. */
-export const defaultOrbit = (bounds, up = [0, 0, 1]) => (
-  { target: [...bounds.centre], distance: 2.7 * bounds.radius, yaw: -0.9, pitch: 0.45, up, fovDeg: 40 });
+export const defaultOrbit = (bounds, up = [0, 0, 1]) => ({
+  target: [...bounds.centre],
+  distance: 2.7 * bounds.radius,
+  yaw: -0.9,
+  pitch: 0.45,
+  up,
+  fovDeg: 40
+});
 
 const clamp = (x, low, high) => Math.min(high, Math.max(low, x));
 
-export const turn = (orbit, dYaw, dPitch) => (
-  { ...orbit, yaw: orbit.yaw + dYaw, pitch: clamp(orbit.pitch + dPitch, -MAX_PITCH, MAX_PITCH) });
-export const dolly = (orbit, factor) => ({ ...orbit, distance: clamp(orbit.distance * factor, 1e-3, 1e6) });
+export const turn = (orbit, dYaw, dPitch) =>
+    ({...orbit, yaw: orbit.yaw + dYaw, pitch: clamp(orbit.pitch + dPitch, -MAX_PITCH, MAX_PITCH)});
+export const dolly = (orbit, factor) =>
+    ({...orbit, distance: clamp(orbit.distance * factor, 1e-3, 1e6)});
 
 /** Moves the target in the picture's plane by a share of its height. */
 export function pan(orbit, dx, dy) {
   const pose = poseOfOrbit(orbit);
   const height = 2 * orbit.distance * Math.tan((orbit.fovDeg * Math.PI) / 360);
   const shift = add(scale(column(pose, 0), -dx * height), scale(column(pose, 1), -dy * height));
-  return { ...orbit, target: add(orbit.target, shift) };
+  return {...orbit, target: add(orbit.target, shift)};
 }
 
 /** What a key does to an orbit, or null. @param {KeyboardEvent} event @param {Orbit} orbit */
 export function keyMove(event, orbit) {
   if (event.ctrlKey || event.metaKey || event.altKey) return null;
   const step = (4 * Math.PI) / 180;
-  const [x, y] = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] }[event.key] ?? [0, 0];
-  if (x || y) return event.shiftKey ? pan(orbit, -x * 0.04, y * 0.04) : turn(orbit, x * step, y * step);
+  const [x, y] =
+      {ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1]}[event.key] ??
+      [0, 0];
+  if (x || y)
+    return event.shiftKey ? pan(orbit, -x * 0.04, y * 0.04) : turn(orbit, x * step, y * step);
   if (event.key === '+' || event.key === '=') return dolly(orbit, 1 / 1.08);
   if (event.key === '-' || event.key === '_') return dolly(orbit, 1.08);
   return null;
@@ -105,7 +133,7 @@ export function keyMove(event, orbit) {
  */
 export function listen(element, get, set, signal) {
   const fingers = new Map();
-  const options = { signal };
+  const options = {signal};
   element.addEventListener('pointerdown', (event) => {
     if (event.pointerType === 'mouse' && event.button > 2) return;
     element.setPointerCapture(event.pointerId);
@@ -117,17 +145,21 @@ export function listen(element, get, set, signal) {
     const now = [event.clientX, event.clientY];
     const size = element.clientHeight || 1;
     const [dx, dy] = [(now[0] - before[0]) / size, (now[1] - before[1]) / size];
-    if (fingers.size === 2) set(pinch(get(), fingers, event.pointerId, now, dx, dy));
-    else if (event.shiftKey || event.buttons & 6) set(pan(get(), dx, dy));
-    else set(turn(get(), -dx * Math.PI, dy * Math.PI));
+    if (fingers.size === 2)
+      set(pinch(get(), fingers, event.pointerId, now, dx, dy));
+    else if (event.shiftKey || event.buttons & 6)
+      set(pan(get(), dx, dy));
+    else
+      set(turn(get(), -dx * Math.PI, dy * Math.PI));
     fingers.set(event.pointerId, now);
   }, options);
-  for (const type of ['pointerup', 'pointercancel']) element.addEventListener(type, (event) => fingers.delete(event.pointerId), options);
+  for (const type of ['pointerup', 'pointercancel'])
+    element.addEventListener(type, (event) => fingers.delete(event.pointerId), options);
   element.addEventListener('contextmenu', (event) => event.preventDefault(), options);
   element.addEventListener('wheel', (event) => {
     event.preventDefault();
     set(dolly(get(), Math.exp(clamp(event.deltaY, -240, 240) * 0.0012)));
-  }, { signal, passive: false });
+  }, {signal, passive: false});
   element.addEventListener('keydown', (event) => {
     const moved = keyMove(event, get());
     if (!moved) return;

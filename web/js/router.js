@@ -7,9 +7,11 @@
 export function parseRoute(hash) {
   const [path, query = ''] = hash.replace(/^#\/?/, '').split('?');
   const [view = '', id = null] = path.split('/').map((part) => {
-    try { return decodeURIComponent(part); } catch { return part; }
+    try {
+      return decodeURIComponent(part);
+    } catch { return part; }
   });
-  return { view: view || 'home', id: id || null, query: new URLSearchParams(query) };
+  return {view: view || 'home', id: id || null, query: new URLSearchParams(query)};
 }
 
 export const link = {
@@ -21,7 +23,9 @@ export const link = {
   job: (id) => `#/job/${encodeURIComponent(id)}`,
 };
 
-export const go = (hash) => { location.hash = hash; };
+export const go = (hash) => {
+  location.hash = hash;
+};
 
 /** Calls `show` now and at every change of the hash. */
 export function startRouter(show) {

@@ -1,16 +1,19 @@
 // What the page knows: lists of records kept fresh by the daemon's event stream.
-import { api, hooks, Problem } from './api.js';
-import { readEvents } from './events.js';
-import { sleep } from './dom.js';
+import {api, hooks, Problem} from './api.js';
+import {readEvents} from './events.js';
+import {sleep} from './dom.js';
 
 export const state = {
   /** status: connecting | online | offline */
-  connection: { status: 'connecting', retryAt: 0, problem: null },
+  connection: {status: 'connecting', retryAt: 0, problem: null},
   loaded: false,
   info: null,
-  /** @type {any[]} newest first */ datasets: [],
-  /** @type {any[]} */ scenes: [],
-  /** @type {any[]} */ jobs: [],
+  /** @type {any[]} newest first */
+  datasets: [],
+  /** @type {any[]} */
+  scenes: [],
+  /** @type {any[]} */
+  jobs: [],
 };
 
 const watchers = new Set();
@@ -28,7 +31,7 @@ function changed() {
 /** Calls `watcher` now and after every change, until the signal aborts. */
 export function watch(watcher, signal) {
   watchers.add(watcher);
-  signal?.addEventListener('abort', () => watchers.delete(watcher), { once: true });
+  signal?.addEventListener('abort', () => watchers.delete(watcher), {once: true});
   watcher(state);
 }
 
@@ -40,11 +43,13 @@ const time = (value) => (typeof value === 'number' ? value : Date.parse(value) |
 
 export const find = (items, id) => items.find((item) => item.id === id || item.name === id) ?? null;
 /** Whether a job's `scene` or `dataset` field (a name or an id) means this record. */
-export const means = (field, record) => Boolean(record) && (field === record.id || field === record.name);
+export const means = (field, record) =>
+    Boolean(record) && (field === record.id || field === record.name);
 
 /** The training job of a scene: the one it names, else the newest that names it. */
 export function trainingOf(scene) {
-  return find(state.jobs, scene.job) ?? state.jobs.find((job) => job.type === 'train' && means(job.scene, scene)) ?? null;
+  return find(state.jobs, scene.job) ??
+      state.jobs.find((job) => job.type === 'train' && means(job.scene, scene)) ?? null;
 }
 
 /** Takes in one job record (from an answer or an event, perhaps an old one) and returns it. */
@@ -52,8 +57,10 @@ export function putJob(job) {
   const at = state.jobs.findIndex((old) => old.id === job.id);
   const before = at < 0 ? null : state.jobs[at];
   if (before && isOver(before) && !isOver(job)) return before;
-  if (at < 0) state.jobs = [job, ...state.jobs].sort(newestFirst);
-  else state.jobs[at] = { ...before, ...job };
+  if (at < 0)
+    state.jobs = [job, ...state.jobs].sort(newestFirst);
+  else
+    state.jobs[at] = {...before, ...job};
   if (!before || before.state !== job.state) refreshSoon();
   changed();
   return job;
@@ -61,7 +68,10 @@ export function putJob(job) {
 
 function putProgress(id, progress) {
   const job = find(state.jobs, id);
-  if (!job) { refreshSoon(); return; }
+  if (!job) {
+    refreshSoon();
+    return;
+  }
   job.progress = progress;
   changed();
 }
@@ -69,8 +79,8 @@ function putProgress(id, progress) {
 /** Reads all lists again. */
 export async function refresh(signal) {
   const [info, datasets, scenes, jobs] = await Promise.all(
-    [api.info(signal), api.datasets(signal), api.scenes(signal), api.jobs(signal)]);
-  Object.assign(state, { info, loaded: true });
+      [api.info(signal), api.datasets(signal), api.scenes(signal), api.jobs(signal)]);
+  Object.assign(state, {info, loaded: true});
   state.datasets = datasets.sort(newestFirst);
   state.scenes = scenes.sort(newestFirst);
   const over = new Map(state.jobs.filter(isOver).map((job) => [job.id, job]));
@@ -85,8 +95,10 @@ export function refreshSoon() {
 }
 
 function take(type, data) {
-  if (type === 'state') putJob(data.job && typeof data.job === 'object' ? data.job : data);
-  else if (type === 'progress') putProgress(data.job ?? data.id, data.progress ?? data);
+  if (type === 'state')
+    putJob(data.job && typeof data.job === 'object' ? data.job : data);
+  else if (type === 'progress')
+    putProgress(data.job ?? data.id, data.progress ?? data);
 }
 
 let wake = () => {};
@@ -102,7 +114,7 @@ async function waitToRetry(failures) {
   const wait = [1000, 2000, 4000, 8000][Math.min(failures, 3)];
   const own = new AbortController();
   wake = () => own.abort();
-  setConnection({ status: 'offline', retryAt: Date.now() + wait });
+  setConnection({status: 'offline', retryAt: Date.now() + wait});
   await sleep(wait, own.signal);
 }
 
@@ -110,24 +122,35 @@ async function waitToRetry(failures) {
 export async function startSync() {
   let failures = 0;
   let lastId = '';
-  hooks.unreachable = () => { if (state.connection.status === 'online') current?.abort(); };
+  hooks.unreachable = () => {
+    if (state.connection.status === 'online') current?.abort();
+  };
   let current = null;
-  document.addEventListener('visibilitychange', () => (document.hidden ? current?.abort() : wake()));
+  document.addEventListener(
+      'visibilitychange', () => (document.hidden ? current?.abort() : wake()));
   for (;;) {
-    while (document.hidden) await new Promise((resolve) => { wake = resolve; });
+    while (document.hidden)
+      await new Promise((resolve) => {
+        wake = resolve;
+      });
     current = new AbortController();
     try {
       await readEvents((headers, signal) => api.stream('v1/events', headers, signal), {
-        lastId, signal: current.signal,
-        onEvent: (type, data, id) => { lastId = id || lastId; take(type, data); },
-        onOpen: () => refresh(current.signal).then(() => {
-          failures = 0;
-          setConnection({ status: 'online', problem: null });
-        }, () => current.abort()),
+        lastId,
+        signal: current.signal,
+        onEvent: (type, data, id) => {
+          lastId = id || lastId;
+          take(type, data);
+        },
+        onOpen: () => refresh(current.signal)
+                          .then(
+                              () => {
+                                failures = 0;
+                                setConnection({status: 'online', problem: null});
+                              },
+                              () => current.abort()),
       });
-    } catch (error) {
-      state.connection.problem = error instanceof Problem ? error : null;
-    }
+    } catch (error) { state.connection.problem = error instanceof Problem ? error : null; }
     if (document.hidden) continue;
     await waitToRetry(failures++);
   }

@@ -12,9 +12,10 @@ function octal(header, at, size, value) {
 
 /** Splits a name at a slash into prefix (at most 155 bytes) and name (at most 100). */
 function splitName(bytes) {
-  if (bytes.length <= 100) return { prefix: new Uint8Array(), name: bytes };
+  if (bytes.length <= 100) return {prefix: new Uint8Array(), name: bytes};
   for (let at = bytes.length - 101; at < bytes.length && at <= 155; at++) {
-    if (bytes[at] === 0x2f && at > 0) return { prefix: bytes.slice(0, at), name: bytes.slice(at + 1) };
+    if (bytes[at] === 0x2f && at > 0)
+      return {prefix: bytes.slice(0, at), name: bytes.slice(at + 1)};
   }
   return null;
 }
@@ -51,11 +52,11 @@ export const tarHeader = (name, size, modifiedS = 0) => header(name, size, '0', 
  */
 export function tarOf(entries) {
   const parts = [];
-  for (const { path, file } of entries) {
+  for (const {path, file} of entries) {
     parts.push(tarHeader(path, file.size), file);
     const rest = file.size % BLOCK;
     if (rest) parts.push(new Uint8Array(BLOCK - rest));
   }
   parts.push(new Uint8Array(2 * BLOCK));
-  return new Blob(parts, { type: 'application/x-tar' });
+  return new Blob(parts, {type: 'application/x-tar'});
 }

@@ -1,6 +1,6 @@
 // Parts that several views share: state chips, problems, meters, fields, buttons, announcements.
-import { fill, h, text } from './dom.js';
-import { Unreachable } from './api.js';
+import {fill, h, text} from './dom.js';
+import {Unreachable} from './api.js';
 import * as format from './format.js';
 
 let serial = 0;
@@ -8,7 +8,7 @@ const freshId = (word) => `${word}-${++serial}`;
 
 /** A record's state as a word with a mark; colour is never the only sign. */
 export function chip(state) {
-  const node = h('span', { class: 'chip' }, state);
+  const node = h('span', {class: 'chip'}, state);
   setChip(node, state);
   return node;
 }
@@ -18,53 +18,69 @@ export function setChip(node, state) {
 }
 
 /** A problem's title, detail and every field it points at. @param {Error} error */
-export function problemBox(error, { again } = {}) {
-  return h('div', { class: 'problem', role: 'alert' },
-    h('p', { class: 'problem-title' }, error.title ?? 'That did not work'),
-    h('p', null, error.detail || (error.title === error.message ? null : error.message)),
-    error.errors?.length ? h('ul', null, error.errors.map((e) => h('li', null, h('code', null, e.pointer), ' ', e.detail))) : null,
-    again ? h('button', { type: 'button', onclick: again }, 'Try again') : null);
+export function problemBox(error, {again} = {}) {
+  return h(
+      'div', {class: 'problem', role: 'alert'},
+      h('p', {class: 'problem-title'}, error.title ?? 'That did not work'),
+      h('p', null, error.detail || (error.title === error.message ? null : error.message)),
+      error.errors?.length ?
+          h('ul', null,
+            error.errors.map((e) => h('li', null, h('code', null, e.pointer), ' ', e.detail))) :
+          null,
+      again ? h('button', {type: 'button', onclick: again}, 'Try again') : null);
 }
 
 /** The problem that a record carries. */
-export const recordedProblem = (problem) => problemBox({ title: problem.title, detail: problem.detail, errors: problem.errors ?? [], message: '' });
+export const recordedProblem = (problem) => problemBox(
+    {title: problem.title, detail: problem.detail, errors: problem.errors ?? [], message: ''});
 
 /** A progress bar with its own words below. `set(fraction|null, words)` */
 export function meter(label) {
-  const bar = h('progress', { max: 1, 'aria-label': label });
-  const words = h('span', { class: 'meter-words' });
-  const node = h('div', { class: 'meter' }, bar, words);
+  const bar = h('progress', {max: 1, 'aria-label': label});
+  const words = h('span', {class: 'meter-words'});
+  const node = h('div', {class: 'meter'}, bar, words);
   const set = (fraction, description) => {
-    if (typeof fraction === 'number') bar.value = fraction;
-    else bar.removeAttribute('value');
+    if (typeof fraction === 'number')
+      bar.value = fraction;
+    else
+      bar.removeAttribute('value');
     text(words, description);
   };
-  return { node, set };
+  return {node, set};
 }
 
 /** A labelled control; `pointer` is where the daemon's errors name it ("/options/planes"). */
-export function field(label, control, { hint, pointer, unit } = {}) {
+export function field(label, control, {hint, pointer, unit} = {}) {
   const id = control.id || freshId('field');
   control.id = id;
-  const note = h('span', { class: 'note', id: `${id}-note` }, hint ?? '');
+  const note = h('span', {class: 'note', id: `${id}-note`}, hint ?? '');
   control.setAttribute('aria-describedby', note.id);
-  const node = h('div', { class: 'field' }, h('label', { for: id }, label),
-    unit ? h('span', { class: 'with-unit' }, control, h('span', { class: 'unit' }, unit)) : control, note);
-  return { node, control, pointer, fault: (why) => setFault(node, control, note, why, hint) };
+  const node =
+      h('div', {class: 'field'}, h('label', {'for': id}, label),
+        unit ? h('span', {class: 'with-unit'}, control, h('span', {class: 'unit'}, unit)) : control,
+        note);
+  return {node, control, pointer, fault: (why) => setFault(node, control, note, why, hint)};
 }
 
 /** One of a few: radio buttons that look like one control. */
-export function choice(label, options, value, { pointer, hint } = {}) {
+export function choice(label, options, value, {pointer, hint} = {}) {
   const name = freshId('choice');
-  const note = h('span', { class: 'note' }, hint ?? '');
-  const inputs = options.map(([key]) => h('input', { type: 'radio', name, value: key, checked: key === value, id: `${name}-${key}` }));
-  const node = h('fieldset', { class: 'field choice' }, h('legend', null, label),
-    h('div', { class: 'segments' }, options.map(([key, words], i) => [inputs[i], h('label', { for: `${name}-${key}` }, words)])), note);
+  const note = h('span', {class: 'note'}, hint ?? '');
+  const inputs = options.map(
+      ([key]) =>
+          h('input',
+            {type: 'radio', name, value: key, checked: key === value, id: `${name}-${key}`}));
+  const node =
+      h('fieldset', {class: 'field choice'}, h('legend', null, label),
+        h('div', {class: 'segments'},
+          options.map(
+              ([key, words], i) => [inputs[i], h('label', {'for': `${name}-${key}`}, words)])),
+        note);
   const control = {
     get value() { return inputs.find((input) => input.checked)?.value ?? ''; },
     onChange: (listener) => node.addEventListener('change', listener),
   };
-  return { node, control, pointer, fault: (why) => setFault(node, null, note, why, hint) };
+  return {node, control, pointer, fault: (why) => setFault(node, null, note, why, hint)};
 }
 
 function setFault(node, control, note, why, hint) {
@@ -80,32 +96,57 @@ export function showFaults(fields, box, error) {
   const rest = [];
   for (const item of fields) item.fault(null);
   for (const fault of error?.errors ?? []) {
-    const hit = fields.find((item) => item.pointer && plainPointer(fault.pointer).startsWith(item.pointer));
-    if (hit) hit.fault(fault.detail);
-    else rest.push(fault);
+    const hit =
+        fields.find((item) => item.pointer && plainPointer(fault.pointer).startsWith(item.pointer));
+    if (hit)
+      hit.fault(fault.detail);
+    else
+      rest.push(fault);
   }
-  const all = error && rest.length < (error.errors?.length ?? 0) ? Object.assign(Object.create(error), { errors: rest, title: error.title, detail: error.detail }) : error;
+  const all = error && rest.length < (error.errors?.length ?? 0) ?
+      Object.assign(
+          Object.create(error), {errors: rest, title: error.title, detail: error.detail}) :
+      error;
   fill(box, all ? problemBox(all) : null);
 }
 
 /** A button that works on something: disabled meanwhile, its failure told. */
-export function action(label, work, { kind = '', title, onError = toast } = {}) {
-  const node = h('button', { type: 'button', class: kind, title, onclick: async () => {
-    if (node.getAttribute('aria-disabled') === 'true') return;
-    node.setAttribute('aria-disabled', 'true');
-    try { await work(); } catch (error) { if (error.name !== 'AbortError') onError(error); } finally { node.removeAttribute('aria-disabled'); }
-  } }, label);
+export function action(label, work, {kind = '', title, onError = toast} = {}) {
+  const node =
+      h('button', {
+        type: 'button',
+        class: kind,
+        title,
+        onclick: async () => {
+          if (node.getAttribute('aria-disabled') === 'true') return;
+          node.setAttribute('aria-disabled', 'true');
+          try {
+            await work();
+          } catch (error) {
+            if (error.name !== 'AbortError') onError(error);
+          } finally { node.removeAttribute('aria-disabled'); }
+        }
+      },
+        label);
   return node;
 }
 
 /** Asks before something that cannot be undone. */
 export function confirmFirst(question, verb, work) {
-  const dialog = h('dialog', { class: 'dialog', 'aria-label': question });
-  const close = () => { dialog.close(); dialog.remove(); };
+  const dialog = h('dialog', {class: 'dialog', 'aria-label': question});
+  const close = () => {
+    dialog.close();
+    dialog.remove();
+  };
   const box = h('div');
-  fill(dialog, h('p', null, question), box, h('div', { class: 'row end' },
-    h('button', { type: 'button', onclick: close, autofocus: true }, 'Keep'),
-    action(verb, async () => { await work(); close(); }, { kind: 'danger', onError: (error) => fill(box, problemBox(error)) })));
+  fill(
+      dialog, h('p', null, question), box,
+      h('div', {class: 'row end'},
+        h('button', {type: 'button', onclick: close, autofocus: true}, 'Keep'),
+        action(verb, async () => {
+          await work();
+          close();
+        }, {kind: 'danger', onError: (error) => fill(box, problemBox(error))})));
   document.body.append(dialog);
   dialog.addEventListener('cancel', () => dialog.remove());
   dialog.showModal();
@@ -117,36 +158,65 @@ export function announce(words) { text(document.getElementById('announcer'), wor
 /** A message that goes away by itself; errors stay longer. */
 export function toast(error) {
   const box = document.getElementById('toasts');
-  if (error instanceof Unreachable) return; // the banner says it
-  const node = h('div', { class: error instanceof Error ? 'toast bad' : 'toast', role: 'status' },
-    error instanceof Error ? [h('strong', null, error.title ?? 'Error'), ' ', error.detail || error.message] : String(error),
-    h('button', { type: 'button', class: 'bare', 'aria-label': 'Dismiss', onclick: () => node.remove() }, '×'));
+  if (error instanceof Unreachable) return;  // the banner says it
+  const node =
+      h('div', {class: error instanceof Error ? 'toast bad' : 'toast', role: 'status'},
+        error instanceof Error ?
+            [h('strong', null, error.title ?? 'Error'), ' ', error.detail || error.message] :
+            String(error),
+        h('button',
+          {type: 'button', class: 'bare', 'aria-label': 'Dismiss', onclick: () => node.remove()},
+          '×'));
   box.append(node);
   setTimeout(() => node.remove(), error instanceof Error ? 12_000 : 5_000);
 }
 
 /** Terms and values, dense. @param {[string, any][]} pairs */
-export const facts = (pairs) => h('dl', { class: 'facts' }, pairs.filter(([, value]) => value !== undefined && value !== null)
-  .map(([term, value]) => h('div', null, h('dt', null, term), h('dd', null, value))));
+export const facts = (pairs) =>
+    h('dl', {class: 'facts'},
+      pairs.filter(([, value]) => value !== undefined && value !== null)
+          .map(([term, value]) => h('div', null, h('dt', null, term), h('dd', null, value))));
 
 /** A section with a heading; `tools` stand at its right. */
-export const panel = (title, props, ...children) => h('section', { class: 'panel', 'aria-label': title, ...props },
-  h('header', null, h('h2', null, title), props?.tools ?? null), ...children);
+export const panel = (title, props, ...children) =>
+    h('section', {class: 'panel', 'aria-label': title, ...props},
+      h('header', null, h('h2', null, title), props?.tools ?? null), ...children);
 
-export const empty = (title, ...more) => h('div', { class: 'empty' }, h('p', { class: 'empty-title' }, title), ...more);
-export const skeleton = (lines = 3) => h('div', { class: 'skeleton', 'aria-hidden': 'true' }, Array.from({ length: lines }, () => h('span')));
+export const empty = (title, ...more) =>
+    h('div', {class: 'empty'}, h('p', {class: 'empty-title'}, title), ...more);
+export const skeleton = (lines = 3) =>
+    h('div', {class: 'skeleton', 'aria-hidden': 'true'},
+      Array.from({length: lines}, () => h('span')));
 
-const VERBS = { train: 'Training', path: 'Camera path', eval: 'Evaluation', ingest: 'Import' };
+const VERBS = {
+  train: 'Training',
+  path: 'Camera path',
+  eval: 'Evaluation',
+  ingest: 'Import'
+};
 export const kindOf = (job) => VERBS[job.type] ?? job.type;
-export const subjectOf = (job) => job.scene_name ?? job.scene ?? job.dataset_name ?? job.dataset ?? '';
+export const subjectOf = (job) =>
+    job.scene_name ?? job.scene ?? job.dataset_name ?? job.dataset ?? '';
 
 /** A job's progress in a few words. */
 export function progressWords(job) {
   const p = job.progress;
   if (!p) return job.state === 'queued' ? 'waiting for its turn' : '';
-  const left = job.state === 'running' && p.eta_seconds > 0.5 ? `${format.seconds(p.eta_seconds)} left` : '';
-  if (job.type !== 'train') return [p.total ? `${format.whole(p.done)} of ${format.whole(p.total)}` : `${format.whole(p.done)} done`, left].filter(Boolean).join(' · ');
+  const left =
+      job.state === 'running' && p.eta_seconds > 0.5 ? `${format.seconds(p.eta_seconds)} left` : '';
+  if (job.type !== 'train')
+    return [
+      p.total ? `${format.whole(p.done)} of ${format.whole(p.total)}` :
+                `${format.whole(p.done)} done`,
+      left
+    ].filter(Boolean)
+        .join(' · ');
   if (p.evaluating_first) return `last evaluation after ${format.seconds(p.train_seconds)}`;
-  return [`step ${format.whole(p.step)}`, p.max_seconds ? `${format.seconds(p.train_seconds)} of ${format.seconds(p.max_seconds)}` : format.seconds(p.train_seconds),
-    p.psnr ? format.decibel(p.psnr) : '', left].filter(Boolean).join(' · ');
+  return [
+    `step ${format.whole(p.step)}`,
+    p.max_seconds ? `${format.seconds(p.train_seconds)} of ${format.seconds(p.max_seconds)}` :
+                    format.seconds(p.train_seconds),
+    p.psnr ? format.decibel(p.psnr) : '', left
+  ].filter(Boolean)
+      .join(' · ');
 }

@@ -4,7 +4,8 @@ export const add = (a, b) => [a[0] + b[0], a[1] + b[1], a[2] + b[2]];
 export const sub = (a, b) => [a[0] - b[0], a[1] - b[1], a[2] - b[2]];
 export const scale = (a, k) => [a[0] * k, a[1] * k, a[2] * k];
 export const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-export const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
+export const cross =
+    (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
 export const norm = (a) => Math.hypot(a[0], a[1], a[2]);
 export const unit = (a) => scale(a, 1 / (norm(a) || 1));
 export const mix = (a, b, t) => a.map((x, i) => x + (b[i] - x) * t);
@@ -46,7 +47,9 @@ export function slerp(a, b, t) {
   const sign = cosine < 0 ? -1 : 1;
   cosine = Math.min(1, Math.abs(cosine));
   const angle = Math.acos(cosine);
-  const weights = angle < 1e-6 ? [1 - t, t] : [Math.sin((1 - t) * angle) / Math.sin(angle), Math.sin(t * angle) / Math.sin(angle)];
+  const weights = angle < 1e-6 ?
+      [1 - t, t] :
+      [Math.sin((1 - t) * angle) / Math.sin(angle), Math.sin(t * angle) / Math.sin(angle)];
   const q = a.map((x, i) => weights[0] * x + weights[1] * sign * b[i]);
   const length = Math.hypot(...q);
   return q.map((x) => x / length);

@@ -1,12 +1,12 @@
 // Keeps a canvas showing a scene: coarse while the camera moves, refined when it rests. One request
 // is under way at a time, and the latest camera wins.
-import { Problem, Unreachable } from './api.js';
-import { pictureOf } from './grey16.js';
+import {Problem, Unreachable} from './api.js';
+import {pictureOf} from './grey16.js';
 
 const STILL_MS = 150;
-const COARSE_MS = 90; // what a coarse picture may take, answer included
-const HALF_FIRST_MS = 500; // a full picture that takes longer is preceded by one of half the size
-const REFRESH_MS = 2000; // while training; renders take at most about an eighth of the time
+const COARSE_MS = 90;       // what a coarse picture may take, answer included
+const HALF_FIRST_MS = 500;  // a full picture that takes longer is preceded by one of half the size
+const REFRESH_MS = 2000;    // while training; renders take at most about an eighth of the time
 const [COARSE, HALF, FULL] = [0, 1, 2];
 
 const even = (x) => Math.max(8, 2 * Math.round(x / 2));
@@ -17,22 +17,25 @@ const even = (x) => Math.max(8, 2 * Math.round(x / 2));
  */
 export function sizeFor(full, pixels) {
   const k = Math.min(1, Math.sqrt(pixels / (full.width * full.height)));
-  return { width: even(full.width * k), height: even(full.height * k) };
+  return {width: even(full.width * k), height: even(full.height * k)};
 }
 
 /** The next coarse picture's pixels, from what the last one took. */
-export const nextBudget = (pixels, ms) => Math.min(480 * 360, Math.max(64 * 48, pixels * Math.min(1.6, Math.max(0.5, COARSE_MS / ms))));
+export const nextBudget = (pixels, ms) =>
+    Math.min(480 * 360, Math.max(64 * 48, pixels * Math.min(1.6, Math.max(0.5, COARSE_MS / ms))));
 
 /**
  * @param {HTMLCanvasElement} canvas
- * @param {{camera: (width: number, height: number) => any, fullSize: () => {width: number, height: number},
- *   output: () => string, send: (body: any, signal: AbortSignal) => Promise<{blob: Blob, facts: any}>,
- *   live: () => boolean, onPicture: (facts: any) => void, onTrouble: (trouble: Error|null) => void}} host
+ * @param {{camera: (width: number, height: number) => any, fullSize: () => {width: number, height:
+ *     number},
+ *   output: () => string, send: (body: any, signal: AbortSignal) => Promise<{blob: Blob, facts:
+ * any}>, live: () => boolean, onPicture: (facts: any) => void, onTrouble: (trouble: Error|null) =>
+ * void}} host
  * @param {AbortSignal} signal
  */
 export function createViewer(canvas, host, signal) {
   let version = 0;
-  let shown = { version: -1, level: -1 };
+  let shown = {version: -1, level: -1};
   let flying = null;
   let movedAt = 0;
   let budget = 200 * 150;
@@ -41,7 +44,10 @@ export function createViewer(canvas, host, signal) {
   let refreshAt = Infinity;
   let timer = 0;
 
-  const poke = (ms) => { clearTimeout(timer); timer = setTimeout(pump, Math.max(0, ms)); };
+  const poke = (ms) => {
+    clearTimeout(timer);
+    timer = setTimeout(pump, Math.max(0, ms));
+  };
 
   function changed() {
     version++;
@@ -54,7 +60,8 @@ export function createViewer(canvas, host, signal) {
     if (shown.version !== version) return COARSE;
     if (now - movedAt < STILL_MS) return null;
     const full = host.fullSize();
-    if (shown.level === COARSE) return msPerPixel * full.width * full.height > HALF_FIRST_MS ? HALF : FULL;
+    if (shown.level === COARSE)
+      return msPerPixel * full.width * full.height > HALF_FIRST_MS ? HALF : FULL;
     if (shown.level === HALF) return FULL;
     return host.live() && now >= refreshAt ? FULL : null;
   }
@@ -62,34 +69,54 @@ export function createViewer(canvas, host, signal) {
   function pump() {
     if (flying || signal.aborted || document.hidden) return;
     const now = performance.now();
-    if (now < waitUntil) { poke(waitUntil - now); return; }
+    if (now < waitUntil) {
+      poke(waitUntil - now);
+      return;
+    }
     const level = nextLevel(now);
-    if (level !== null) { fly(level); return; }
-    if (now - movedAt < STILL_MS) poke(STILL_MS - (now - movedAt));
-    else if (host.live()) poke(refreshAt - now);
+    if (level !== null) {
+      fly(level);
+      return;
+    }
+    if (now - movedAt < STILL_MS)
+      poke(STILL_MS - (now - movedAt));
+    else if (host.live())
+      poke(refreshAt - now);
   }
 
   function requestFor(level) {
     const full = host.fullSize();
-    const size = level === FULL ? full : sizeFor(full, level === HALF ? full.width * full.height / 4 : budget);
+    const size = level === FULL ?
+        full :
+        sizeFor(full, level === HALF ? full.width * full.height / 4 : budget);
     const output = host.output();
     const lossy = level !== FULL && output === 'rgb';
-    return { camera: host.camera(size.width, size.height), output, ...(lossy ? { format: 'jpeg', jpeg_quality: level === COARSE ? 75 : 90 } : { format: 'png' }) };
+    return {
+      camera: host.camera(size.width, size.height),
+      output,
+      ...(lossy ? {format: 'jpeg', jpeg_quality: level === COARSE ? 75 : 90} : {format: 'png'})
+    };
   }
 
   async function fly(level) {
-    const flight = { level, version, stop: new AbortController() };
+    const flight = {level, version, stop: new AbortController()};
     flying = flight;
     const body = requestFor(level);
     try {
-      const { blob, facts } = await host.send(body, AbortSignal.any([flight.stop.signal, signal]));
+      const {blob, facts} = await host.send(body, AbortSignal.any([flight.stop.signal, signal]));
       const picture = await pictureOf(blob, body.output);
       if (signal.aborted) return;
       learn(level, body.camera, facts);
       draw(canvas, picture);
-      shown = { version: flight.version, level };
+      shown = {version: flight.version, level};
       host.onTrouble(null);
-      host.onPicture({ ...facts, width: body.camera.width, height: body.camera.height, level, bytes: blob.size });
+      host.onPicture({
+        ...facts,
+        width: body.camera.width,
+        height: body.camera.height,
+        level,
+        bytes: blob.size
+      });
     } catch (error) {
       if (signal.aborted) return;
       if (!flight.stop.signal.aborted) trouble(error);
@@ -99,7 +126,7 @@ export function createViewer(canvas, host, signal) {
     }
   }
 
-  function learn(level, { width, height }, facts) {
+  function learn(level, {width, height}, facts) {
     const spent = Number.isFinite(facts.renderMs) ? facts.renderMs : facts.totalMs;
     msPerPixel = spent / (width * height);
     if (level === COARSE) budget = nextBudget(budget, facts.totalMs);
@@ -107,17 +134,24 @@ export function createViewer(canvas, host, signal) {
   }
 
   function trouble(error) {
-    const wait = error instanceof Problem ? 1000 * (error.retryAfter || 2) : error instanceof Unreachable ? 1500 : 4000;
+    const wait = error instanceof Problem ? 1000 * (error.retryAfter || 2) :
+        error instanceof Unreachable      ? 1500 :
+                                            4000;
     waitUntil = performance.now() + wait;
     host.onTrouble(error);
   }
 
-  document.addEventListener('visibilitychange', pump, { signal });
-  signal.addEventListener('abort', () => clearTimeout(timer), { once: true });
+  document.addEventListener('visibilitychange', pump, {signal});
+  signal.addEventListener('abort', () => clearTimeout(timer), {once: true});
   return {
     changed,
     /** Draws again with the same camera: another output, another size, newer parameters. */
-    refresh() { shown = { ...shown, level: COARSE }; movedAt = 0; waitUntil = 0; pump(); },
+    refresh() {
+      shown = {...shown, level: COARSE};
+      movedAt = 0;
+      waitUntil = 0;
+      pump();
+    },
   };
 }
 

@@ -1,90 +1,158 @@
 // One dataset: its photographs, what the import found, its facts, and the way to train it.
-import { api } from '../api.js';
-import { fill, h, lazyImage } from '../dom.js';
-import { refreshSoon, state, watch } from '../store.js';
-import { ago, bytes, percent, plural } from '../format.js';
-import { choice, confirmFirst, empty, facts, panel, problemBox, skeleton } from '../ui.js';
-import { go, link } from '../router.js';
-import { trainPanel } from './train.js';
+import {api} from '../api.js';
+import {fill, h, lazyImage} from '../dom.js';
+import {refreshSoon, state, watch} from '../store.js';
+import {ago, bytes, percent, plural} from '../format.js';
+import {choice, confirmFirst, empty, facts, panel, problemBox, skeleton} from '../ui.js';
+import {go, link} from '../router.js';
+import {trainPanel} from './train.js';
 
 const FIRST = 24;
 
-export async function datasetView(root, { id, signal }) {
+export async function datasetView(root, {id, signal}) {
   const title = h('h1', null, id);
   const body = h('div', null, panel('Photographs', null, skeleton(4)));
-  fill(root, h('div', { class: 'page-head' }, h('a', { class: 'back', href: link.home() }, 'Datasets'), title), body);
+  fill(
+      root,
+      h('div', {class: 'page-head'}, h('a', {class: 'back', href: link.home()}, 'Datasets'), title),
+      body);
   const load = async () => {
     try {
       const dataset = await api.dataset(id, signal);
-      if (!state.loaded) await new Promise((ready) => { const stop = new AbortController(); watch((s) => { if (s.loaded) { stop.abort(); ready(); } }, stop.signal); });
+      if (!state.loaded)
+        await new Promise((ready) => {
+          const stop = new AbortController();
+          watch((s) => {
+            if (s.loaded) {
+              stop.abort();
+              ready();
+            }
+          }, stop.signal);
+        });
       if (!signal.aborted) fill(body, page(dataset, signal));
     } catch (error) {
-      if (!signal.aborted) fill(body, problemBox(error, { again: load }));
+      if (!signal.aborted) fill(body, problemBox(error, {again: load}));
     }
   };
   await load();
 }
 
 function page(dataset, signal) {
-  return h('div', { class: 'columns' },
-    h('div', { class: 'main-column' }, photographs(dataset, signal), report(dataset.report)),
-    h('div', { class: 'side-column' }, trainPanel(dataset), about(dataset), scenesOf(dataset, signal)));
+  return h(
+      'div', {class: 'columns'},
+      h('div', {class: 'main-column'}, photographs(dataset, signal), report(dataset.report)),
+      h('div', {class: 'side-column'}, trainPanel(dataset), about(dataset),
+        scenesOf(dataset, signal)));
 }
 
 function photographs(dataset, signal) {
   const splits = ['train', 'val', 'test'].filter((split) => dataset.views[split]);
-  const pick = choice('Split', splits.map((split) => [split, `${split} ${dataset.views[split]}`]), splits[0]);
-  const grid = h('div', { class: 'photos' });
-  const more = h('div', { class: 'row' });
-  const scale = Math.max(0, Math.min(dataset.scales - 1, Math.floor(Math.log2(Math.max(dataset.width, dataset.height) / 160))));
-  const photo = (split) => (_, index) => h('figure', null,
-    lazyImage((stop) => api.photo(dataset.id, split, index, scale, stop), { alt: `${split} view ${index}` }, signal), h('figcaption', null, `${split}:${index}`));
+  const pick = choice(
+      'Split', splits.map((split) => [split, `${split} ${dataset.views[split]}`]), splits[0]);
+  const grid = h('div', {class: 'photos'});
+  const more = h('div', {class: 'row'});
+  const scale = Math.max(
+      0,
+      Math.min(
+          dataset.scales - 1,
+          Math.floor(Math.log2(Math.max(dataset.width, dataset.height) / 160))));
+  const photo = (split) => (_, index) =>
+      h('figure', null,
+        lazyImage(
+            (stop) => api.photo(dataset.id, split, index, scale, stop),
+            {alt: `${split} view ${index}`}, signal),
+        h('figcaption', null, `${split}:${index}`));
   const show = (all) => {
     const split = pick.control.value;
     const count = all ? dataset.views[split] : Math.min(FIRST, dataset.views[split]);
-    fill(grid, Array.from({ length: count }, photo(split)));
-    fill(more, count < dataset.views[split] ? h('button', { type: 'button', onclick: () => show(true) }, `Show all ${dataset.views[split]}`) : null);
+    fill(grid, Array.from({length: count}, photo(split)));
+    fill(
+        more,
+        count < dataset.views[split] ? h('button', {type: 'button', onclick: () => show(true)},
+                                         `Show all ${dataset.views[split]}`) :
+                                       null);
   };
   pick.control.onChange(() => show(false));
   show(false);
-  return panel('Photographs', { tools: pick.node }, grid, more);
+  return panel('Photographs', {tools: pick.node}, grid, more);
 }
 
 function report(found) {
   const words = [plural(found.errors, 'error'), plural(found.warnings, 'warning')].join(', ');
-  const rows = found.problems.map((item) => h('tr', { 'data-severity': item.severity }, h('td', null, item.severity), h('td', null, h('code', null, item.where)), h('td', null, item.text)));
-  return panel('What the import found', null,
-    rows.length ? h('div', { class: 'scroll' }, h('table', { class: 'table' }, h('caption', null, words, found.dropped ? `; ${found.dropped} more not listed` : ''),
-      h('thead', null, h('tr', null, ['', 'Where', 'What'].map((t) => h('th', { scope: 'col' }, t)))), h('tbody', null, rows)))
-      : h('p', { class: 'good' }, 'Nothing to complain about: every image is usable.'));
+  const rows = found.problems.map(
+      (item) =>
+          h('tr', {'data-severity': item.severity}, h('td', null, item.severity),
+            h('td', null, h('code', null, item.where)), h('td', null, item.text)));
+  const clean = h('p', {class: 'good'}, 'Nothing to complain about: every image is usable.');
+  const head = h('tr', null, ['', 'Where', 'What'].map((t) => h('th', {scope: 'col'}, t)));
+  const more = found.dropped ? `; ${found.dropped} more not listed` : '';
+  const table =
+      h('table', {class: 'table'}, h('caption', null, words, more), h('thead', null, head),
+        h('tbody', null, rows));
+  const list = h('div', {class: 'scroll'}, table);
+  return panel('What the import found', null, rows.length ? list : clean);
 }
 
 const three = (numbers) => numbers.map((x) => Number(x.toPrecision(4))).join(', ');
-const range = ({ min, max }) => (min === max ? min.toPrecision(3) : `${min.toPrecision(3)} to ${max.toPrecision(3)}`);
+const range = ({min, max}) =>
+    (min === max ? min.toPrecision(3) : `${min.toPrecision(3)} to ${max.toPrecision(3)}`);
 
 function about(dataset) {
-  const { views, report: found } = dataset;
-  return panel('About', { tools: h('button', { type: 'button', class: 'small bare', onclick: () => confirmFirst(`Delete the dataset ${dataset.name}?`, 'Delete',
-    async () => { await api.removeDataset(dataset.id); refreshSoon(); go(link.home()); }) }, 'Delete') }, facts([
-    ['Views', `${views.train} train, ${views.val} val, ${views.test} test`],
-    ['Unusable', `${found.unusable.train + found.unusable.val + found.unusable.test}`],
-    ['Largest image', `${dataset.width} × ${dataset.height} px`],
-    ['Scales', `${dataset.scales}${dataset.scales > 1 ? dataset.premultiplied ? ', premultiplied alpha' : ', as the benchmark' : ''}`],
-    ['Alpha', dataset.has_alpha ? 'yes' : 'no'],
-    ['Bounds', `radius ${Number(dataset.bounds.radius.toPrecision(4))} about (${three(dataset.bounds.centre)}), ${{ given: 'as given', layout: 'from the layout', cameras: 'from the cameras' }[dataset.bounds.source]}`],
-    ['Pixel’s footprint', range(dataset.footprint)],
-    ['Looking at the bounds', percent(found.looking_at_bounds)],
-    ['Layout', found.layout],
-    ['On disk', bytes(dataset.size_bytes)],
-    ['Imported', ago(dataset.created_at)]]));
+  const {views, report: found} = dataset;
+  return panel(
+      'About', {
+        tools:
+            h('button', {
+              type: 'button',
+              class: 'small bare',
+              onclick: () => confirmFirst(
+                  `Delete the dataset ${dataset.name}?`, 'Delete',
+                  async () => {
+                    await api.removeDataset(dataset.id);
+                    refreshSoon();
+                    go(link.home());
+                  })
+            },
+              'Delete')
+      },
+      facts([
+        ['Views', `${views.train} train, ${views.val} val, ${views.test} test`],
+        ['Unusable', `${found.unusable.train + found.unusable.val + found.unusable.test}`],
+        ['Largest image', `${dataset.width} × ${dataset.height} px`],
+        [
+          'Scales',
+          `${dataset.scales}${
+              dataset.scales > 1 ?
+                  dataset.premultiplied ? ', premultiplied alpha' : ', as the benchmark' :
+                  ''}`
+        ],
+        ['Alpha', dataset.has_alpha ? 'yes' : 'no'],
+        [
+          'Bounds',
+          `radius ${Number(dataset.bounds.radius.toPrecision(4))} about (${
+              three(dataset.bounds.centre)}), ${
+              {given: 'as given',
+               layout: 'from the layout',
+               cameras: 'from the cameras'}[dataset.bounds.source]}`
+        ],
+        ['Pixel’s footprint', range(dataset.footprint)],
+        ['Looking at the bounds', percent(found.looking_at_bounds)], ['Layout', found.layout],
+        ['On disk', bytes(dataset.size_bytes)], ['Imported', ago(dataset.created_at)]
+      ]));
 }
 
 function scenesOf(dataset, signal) {
   const list = h('div');
-  watch(({ scenes }) => {
+  watch(({scenes}) => {
     const own = scenes.filter((scene) => scene.dataset === dataset.id);
-    fill(list, own.length ? h('ul', { class: 'links' }, own.map((scene) => h('li', null, h('a', { href: link.scene(scene.name) }, scene.name), ` ${scene.state}`)))
-      : empty('No scene has been trained from it'));
+    fill(
+        list,
+        own.length ? h('ul', {class: 'links'},
+                       own.map(
+                           (scene) =>
+                               h('li', null, h('a', {href: link.scene(scene.name)}, scene.name),
+                                 ` ${scene.state}`))) :
+                     empty('No scene has been trained from it'));
   }, signal);
   return panel('Scenes', null, list);
 }

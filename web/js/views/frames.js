@@ -1,30 +1,42 @@
 // The frames of a path job as they arrive: a player, a scrubber, a strip and the download.
-import { api, token } from '../api.js';
-import { fill, h, saveBlob, text } from '../dom.js';
-import { followJob } from '../follow.js';
-import { pictureOf } from '../grey16.js';
-import { find, state, watch } from '../store.js';
-import { plural } from '../format.js';
-import { action, announce, panel } from '../ui.js';
+import {api, token} from '../api.js';
+import {fill, h, saveBlob, text} from '../dom.js';
+import {followJob} from '../follow.js';
+import {pictureOf} from '../grey16.js';
+import {find, state, watch} from '../store.js';
+import {plural} from '../format.js';
+import {action, announce, panel} from '../ui.js';
 
-const KEPT = 240; // decoded pictures held for playing
+const KEPT = 240;  // decoded pictures held for playing
 const ANNOUNCE_MS = 10_000;
 
 /** @param {any} job @param {AbortSignal} signal */
 export function framesPanel(job, signal) {
   const there = new Set();
   const pictures = new Map();
-  const canvas = h('canvas', { class: 'frame', role: 'img', 'aria-label': 'Frame' });
-  const waiting = h('p', { class: 'cover-note', role: 'status' }, h('span', { class: 'spinner', 'aria-hidden': 'true' }), 'Waiting for the first frame');
-  const scrub = h('input', { type: 'range', min: 0, max: 0, value: 0, step: 1, id: 'scrub', 'aria-label': 'Frame number' });
-  const at = h('output', { for: 'scrub' });
-  const cells = h('div', { class: 'cells', 'aria-hidden': 'true' });
-  const count = h('span', { class: 'quiet' });
-  const play = h('button', { type: 'button', disabled: true, onclick: () => (timer ? stop() : start()) }, 'Play');
-  const rate = h('input', { type: 'number', min: 1, max: 60, value: 24, id: 'play-rate' });
+  const canvas = h('canvas', {class: 'frame', role: 'img', 'aria-label': 'Frame'});
+  const waiting =
+      h('p', {class: 'cover-note', role: 'status'},
+        h('span', {class: 'spinner', 'aria-hidden': 'true'}), 'Waiting for the first frame');
+  const scrub = h('input', {
+    type: 'range',
+    min: 0,
+    max: 0,
+    value: 0,
+    step: 1,
+    id: 'scrub',
+    'aria-label': 'Frame number'
+  });
+  const at = h('output', {'for': 'scrub'});
+  const cells = h('div', {class: 'cells', 'aria-hidden': 'true'});
+  const count = h('span', {class: 'quiet'});
+  const play =
+      h('button', {type: 'button', disabled: true, onclick: () => (timer ? stop() : start())},
+        'Play');
+  const rate = h('input', {type: 'number', min: 1, max: 60, value: 24, id: 'play-rate'});
   let current = -1;
   let wanted = -1;
-  let pinned = false; // the reader chose a frame: new ones no longer come up by themselves
+  let pinned = false;  // the reader chose a frame: new ones no longer come up by themselves
   let timer = 0;
   let said = 0;
 
@@ -35,24 +47,36 @@ export function framesPanel(job, signal) {
 
   async function picture(index) {
     if (!pictures.has(index)) {
-      pictures.set(index, api.frame(job.id, index, signal).then((blob) => pictureOf(blob, job.options?.output ?? 'rgb')));
+      pictures.set(
+          index,
+          api.frame(job.id, index, signal)
+              .then((blob) => pictureOf(blob, job.options?.output ?? 'rgb')));
       if (pictures.size > KEPT) pictures.delete(pictures.keys().next().value);
     }
-    try { return await pictures.get(index); } catch (error) { pictures.delete(index); throw error; }
+    try {
+      return await pictures.get(index);
+    } catch (error) {
+      pictures.delete(index);
+      throw error;
+    }
   }
 
   async function show(index) {
     wanted = index;
     const bitmap = await picture(index).catch(() => null);
     if (!bitmap || wanted !== index || signal.aborted) return;
-    if (canvas.width !== bitmap.width || canvas.height !== bitmap.height) Object.assign(canvas, { width: bitmap.width, height: bitmap.height });
+    if (canvas.width !== bitmap.width || canvas.height !== bitmap.height)
+      Object.assign(canvas, {width: bitmap.width, height: bitmap.height});
     canvas.getContext('2d').drawImage(bitmap, 0, 0);
     current = index;
     waiting.hidden = true;
     canvas.setAttribute('aria-label', `Frame ${index}`);
     scrub.value = index;
     text(at, `frame ${index}`);
-    [...cells.children].forEach((cell, i) => (i + origin() === index ? cell.setAttribute('data-current', '') : cell.removeAttribute('data-current')));
+    [...cells.children].forEach(
+        (cell, i) =>
+            (i + origin() === index ? cell.setAttribute('data-current', '') :
+                                      cell.removeAttribute('data-current')));
   }
 
   function update() {
@@ -70,7 +94,10 @@ export function framesPanel(job, signal) {
     there.add(index);
     update();
     if (!pinned && !timer) show(index);
-    if (performance.now() - said > ANNOUNCE_MS) { said = performance.now(); announce(`${plural(there.size, 'frame')} rendered`); }
+    if (performance.now() - said > ANNOUNCE_MS) {
+      said = performance.now();
+      announce(`${plural(there.size, 'frame')} rendered`);
+    }
   }
 
   function step() {
@@ -79,23 +106,46 @@ export function framesPanel(job, signal) {
     picture(order[(order.indexOf(next) + 4) % order.length]).catch(() => {});
     show(next);
   }
-  function start() { pinned = true; text(play, 'Pause'); timer = setInterval(step, 1000 / Math.min(60, Math.max(1, Number(rate.value) || 24))); step(); }
-  function stop() { clearInterval(timer); timer = 0; text(play, 'Play'); }
-  rate.addEventListener('change', () => { if (timer) { stop(); start(); } });
-  scrub.addEventListener('input', () => { pinned = true; stop(); if (there.has(Number(scrub.value))) show(Number(scrub.value)); });
-  signal.addEventListener('abort', stop, { once: true });
+  function start() {
+    pinned = true;
+    text(play, 'Pause');
+    timer = setInterval(step, 1000 / Math.min(60, Math.max(1, Number(rate.value) || 24)));
+    step();
+  }
+  function stop() {
+    clearInterval(timer);
+    timer = 0;
+    text(play, 'Play');
+  }
+  rate.addEventListener('change', () => {
+    if (timer) {
+      stop();
+      start();
+    }
+  });
+  scrub.addEventListener('input', () => {
+    pinned = true;
+    stop();
+    if (there.has(Number(scrub.value))) show(Number(scrub.value));
+  });
+  signal.addEventListener('abort', stop, {once: true});
 
-  api.frames(job.id, signal).then((items) => items.forEach((item) => arrived(item.index)), () => {});
+  api.frames(job.id, signal)
+      .then((items) => items.forEach((item) => arrived(item.index)), () => {});
   followJob(job.id, (type, data) => type === 'frame' && arrived(data.index), signal);
   watch(update, signal);
-  return panel('Frames', { tools: h('div', { class: 'row' }, count, download(job)) },
-    h('div', { class: 'screen' }, canvas, waiting),
-    h('div', { class: 'row player' }, play, scrub, at, h('label', { for: 'play-rate' }, 'at'), rate, h('span', { class: 'quiet' }, 'frames/s')), cells);
+  return panel(
+      'Frames', {tools: h('div', {class: 'row'}, count, download(job))},
+      h('div', {class: 'screen'}, canvas, waiting),
+      h('div', {class: 'row player'}, play, scrub, at, h('label', {'for': 'play-rate'}, 'at'), rate,
+        h('span', {class: 'quiet'}, 'frames/s')),
+      cells);
 }
 
 function download(job) {
   const path = `v1/jobs/${encodeURIComponent(job.id)}/frames.tar`;
   const name = `${job.scene_name ?? job.id}-frames.tar`;
-  return token.get() ? action('Download', async () => saveBlob(await api.download(path), name), { kind: 'small' })
-    : h('a', { class: 'button small', href: path, download: name }, 'Download');
+  return token.get() ?
+      action('Download', async () => saveBlob(await api.download(path), name), {kind: 'small'}) :
+      h('a', {class: 'button small', href: path, download: name}, 'Download');
 }

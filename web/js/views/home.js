@@ -1,99 +1,164 @@
 // Scenes, datasets, what runs, and a place to add a dataset.
-import { api } from '../api.js';
-import { fill, follow, h, lazyImage, text } from '../dom.js';
-import { isActive, refreshSoon, trainingOf, watch } from '../store.js';
-import { ago, bytes, decibel, plural, seconds, whole } from '../format.js';
-import { chip, confirmFirst, empty, panel, setChip, skeleton } from '../ui.js';
-import { link } from '../router.js';
-import { jobRow } from './jobs.js';
-import { uploadPanel } from './upload.js';
+import {api} from '../api.js';
+import {fill, follow, h, lazyImage, text} from '../dom.js';
+import {isActive, refreshSoon, trainingOf, watch} from '../store.js';
+import {ago, bytes, decibel, plural, seconds, whole} from '../format.js';
+import {chip, confirmFirst, empty, panel, setChip, skeleton} from '../ui.js';
+import {link} from '../router.js';
+import {jobRow} from './jobs.js';
+import {uploadPanel} from './upload.js';
 
-export function homeView(root, { signal }) {
-  const scenes = h('div', { class: 'cards' });
+export function homeView(root, {signal}) {
+  const scenes = h('div', {class: 'cards'});
   const sceneBox = h('div');
   const tableBody = h('tbody');
   const datasetBox = h('div');
-  const running = h('div', { class: 'rows' });
-  const runningBox = panel('Under way', { class: 'panel', hidden: true }, running);
-  const table = h('div', { class: 'scroll' }, h('table', { class: 'table' },
-    h('thead', null, h('tr', null, ['Dataset', 'Views', 'Size', 'Scales', 'On disk', ''].map((t, i) => h('th', { scope: 'col', class: ['', '', 'number', 'number optional', 'number optional', ''][i] }, t)))), tableBody));
-  fill(root,
-    h('h1', { class: 'unseen' }, 'Scenes and datasets'),
-    h('div', { class: 'columns' },
-      h('div', { class: 'main-column' }, panel('Scenes', null, sceneBox), panel('Datasets', null, datasetBox)),
-      h('div', { class: 'side-column' }, runningBox, uploadPanel(signal))));
+  const running = h('div', {class: 'rows'});
+  const runningBox = panel('Under way', {class: 'panel', hidden: true}, running);
+  const table =
+      h(
+          'div', {class: 'scroll'},
+          h(
+              'table', {class: 'table'},
+              h('thead', null,
+                h('tr', null,
+                  ['Dataset', 'Views', 'Size', 'Scales', 'On disk', ''].map(
+                      (t, i) =>
+                          h(
+                              'th', {
+                                scope: 'col',
+                                class: ['', '', 'number', 'number optional', 'number optional', '']
+                                    [i]
+                              },
+                              t)))),
+              tableBody));
+  fill(
+      root, h('h1', {class: 'unseen'}, 'Scenes and datasets'),
+      h('div', {class: 'columns'},
+        h('div', {class: 'main-column'}, panel('Scenes', null, sceneBox),
+          panel('Datasets', null, datasetBox)),
+        h('div', {class: 'side-column'}, runningBox, uploadPanel(signal))));
 
   watch((state) => {
     const active = state.jobs.filter(isActive);
     runningBox.hidden = !active.length;
     follow(running, active, (job) => job.id, jobRow);
-    if (!state.loaded) { fill(sceneBox, skeleton(3)); fill(datasetBox, skeleton(2)); return; }
+    if (!state.loaded) {
+      fill(sceneBox, skeleton(3));
+      fill(datasetBox, skeleton(2));
+      return;
+    }
     if (state.scenes.length) {
       if (sceneBox.firstChild !== scenes) fill(sceneBox, scenes);
       follow(scenes, state.scenes, (scene) => scene.id, (scene) => sceneCard(scene, signal));
-    } else fill(sceneBox, noScenes(state.datasets));
+    } else
+      fill(sceneBox, noScenes(state.datasets));
     if (state.datasets.length) {
       if (datasetBox.firstChild !== table) fill(datasetBox, table);
       follow(tableBody, state.datasets, (set) => set.id, datasetRow);
-    } else fill(datasetBox, empty('No datasets', h('p', null, 'Photographs with known cameras: a folder in NeRF-synthetic or multi-scale Blender layout.')));
+    } else
+      fill(
+          datasetBox,
+          empty(
+              'No datasets',
+              h('p', null,
+                'Photographs with known cameras: a folder in NeRF-synthetic or multi-scale Blender layout.')));
   }, signal);
 }
 
 function noScenes(datasets) {
   if (datasets.length) {
-    return empty('No scenes yet', h('p', null, 'A scene is trained from a dataset.'),
-      h('a', { class: 'button primary', href: link.dataset(datasets[0].name) }, `Train ${datasets[0].name}`));
+    return empty(
+        'No scenes yet', h('p', null, 'A scene is trained from a dataset.'),
+        h('a', {class: 'button primary', href: link.dataset(datasets[0].name)},
+          `Train ${datasets[0].name}`));
   }
-  return empty('From photographs to a scene',
-    h('ol', { class: 'steps' },
-      h('li', null, h('strong', null, 'Add a dataset. '), 'Choose or drop its folder at the right.'),
-      h('li', null, h('strong', null, 'Train. '), 'A minute on a few cores is enough for a first look.'),
-      h('li', null, h('strong', null, 'Look around. '), 'Orbit the scene while it trains, record a camera path, render it.')),
-    h('p', { class: 'quiet' }, 'No photographs at hand? ', h('code', null, 'ripnerf synth sphere FOLDER'), ' makes a small dataset.'));
+  return empty(
+      'From photographs to a scene',
+      h('ol', {class: 'steps'},
+        h('li', null, h('strong', null, 'Add a dataset. '),
+          'Choose or drop its folder at the right.'),
+        h('li', null, h('strong', null, 'Train. '),
+          'A minute on a few cores is enough for a first look.'),
+        h('li', null, h('strong', null, 'Look around. '),
+          'Orbit the scene while it trains, record a camera path, render it.')),
+      h('p', {class: 'quiet'}, 'No photographs at hand? ',
+        h('code', null, 'ripnerf synth sphere FOLDER'), ' makes a small dataset.'));
 }
 
 /** Figures of a scene, from its training job while that runs. */
 export function liveFigures(scene) {
   const job = trainingOf(scene);
   const p = job && isActive(job) ? job.progress : null;
-  return { steps: p?.step ?? scene.steps, seconds: p?.train_seconds ?? scene.train_seconds, psnr: p?.psnr ?? scene.psnr };
+  return {
+    steps: p?.step ?? scene.steps,
+    seconds: p?.train_seconds ?? scene.train_seconds,
+    psnr: p?.psnr ?? scene.psnr
+  };
 }
 
 function sceneCard(scene, signal) {
   const state = chip(scene.state);
-  const figures = h('p', { class: 'figures' });
-  const name = h('a', { class: 'card-name', href: link.scene(scene.name) }, scene.name);
-  const picture = lazyImage((stop) => sceneThumb(scene, stop), { class: 'cover' }, signal);
-  const node = h('article', { class: 'card' }, picture, h('div', { class: 'card-body' },
-    h('div', { class: 'row' }, name, state), figures, h('p', { class: 'quiet' }, `from ${scene.dataset_name} · ${ago(scene.created_at)}`)));
+  const figures = h('p', {class: 'figures'});
+  const name = h('a', {class: 'card-name', href: link.scene(scene.name)}, scene.name);
+  const picture = lazyImage((stop) => sceneThumb(scene, stop), {class: 'cover'}, signal);
+  const node =
+      h('article', {class: 'card'}, picture,
+        h('div', {class: 'card-body'}, h('div', {class: 'row'}, name, state), figures,
+          h('p', {class: 'quiet'}, `from ${scene.dataset_name} · ${ago(scene.created_at)}`)));
   const update = (now) => {
     setChip(state, now.state);
     const live = liveFigures(now);
-    text(figures, live.steps ? `${decibel(live.psnr)} · ${seconds(live.seconds)} · ${whole(live.steps)} steps` : 'not trained yet');
+    text(
+        figures,
+        live.steps ?
+            `${decibel(live.psnr)} · ${seconds(live.seconds)} · ${whole(live.steps)} steps` :
+            'not trained yet');
   };
-  return { node, update };
+  return {node, update};
 }
 
-/** A loaded scene is rendered; for others a photograph stands in, so that a list loads no runner. */
+/**
+ * A loaded scene is rendered; for others a photograph stands in, so that a list loads no runner.
+ */
 async function sceneThumb(scene, signal) {
   if (scene.loaded && scene.steps > 0) {
     try {
-      return (await api.render(scene.id, { view: 'train:0', size: { width: 240, height: 180 }, format: 'jpeg' }, signal)).blob;
-    } catch (error) { if (signal.aborted) throw error; }
+      return (await api.render(
+                  scene.id, {view: 'train:0', size: {width: 240, height: 180}, format: 'jpeg'},
+                  signal))
+          .blob;
+    } catch (error) {
+      if (signal.aborted) throw error;
+    }
   }
   return api.photo(scene.dataset, 'train', 0, 0, signal);
 }
 
 function datasetRow(set) {
-  const node = h('tr', null,
-    h('th', { scope: 'row' }, h('a', { href: link.dataset(set.name) }, set.name)),
-    h('td', null, ['train', 'val', 'test'].filter((split) => set.views[split]).map((split) => `${set.views[split]} ${split}`).join(', ')),
-    h('td', { class: 'number' }, `${set.width} × ${set.height}`),
-    h('td', { class: 'number optional' }, set.scales),
-    h('td', { class: 'number optional' }, bytes(set.size_bytes)),
-    h('td', { class: 'actions' },
-      h('a', { class: 'button small', href: link.dataset(set.name) }, 'Train…'),
-      h('button', { type: 'button', class: 'small bare', 'aria-label': `Delete dataset ${set.name}`, onclick: () => confirmFirst(
-        `Delete the dataset ${set.name} with its ${plural(set.frames, 'image')}?`, 'Delete', async () => { await api.removeDataset(set.id); refreshSoon(); }) }, 'Delete')));
-  return { node };
+  const node =
+      h('tr', null, h('th', {scope: 'row'}, h('a', {href: link.dataset(set.name)}, set.name)),
+        h('td', null,
+          ['train', 'val', 'test']
+              .filter((split) => set.views[split])
+              .map((split) => `${set.views[split]} ${split}`)
+              .join(', ')),
+        h('td', {class: 'number'}, `${set.width} × ${set.height}`),
+        h('td', {class: 'number optional'}, set.scales),
+        h('td', {class: 'number optional'}, bytes(set.size_bytes)),
+        h('td', {class: 'actions'},
+          h('a', {class: 'button small', href: link.dataset(set.name)}, 'Train…'),
+          h('button', {
+            type: 'button',
+            class: 'small bare',
+            'aria-label': `Delete dataset ${set.name}`,
+            onclick: () => confirmFirst(
+                `Delete the dataset ${set.name} with its ${plural(set.frames, 'image')}?`, 'Delete',
+                async () => {
+                  await api.removeDataset(set.id);
+                  refreshSoon();
+                })
+          },
+            'Delete')));
+  return {node};
 }

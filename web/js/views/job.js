@@ -1,14 +1,27 @@
 // One job of any kind: its state and what came of it.
-import { api } from '../api.js';
-import { fill, h, text } from '../dom.js';
-import { find, isActive, putJob, state, watch } from '../store.js';
-import { ago, decibel, fixed, milliseconds, plural, seconds } from '../format.js';
-import { chip, empty, facts, kindOf, meter, panel, problemBox, progressWords, recordedProblem, setChip, skeleton, subjectOf } from '../ui.js';
-import { link } from '../router.js';
-import { framesPanel } from './frames.js';
-import { jobButtons } from './jobs.js';
+import {api} from '../api.js';
+import {fill, h, text} from '../dom.js';
+import {find, isActive, putJob, state, watch} from '../store.js';
+import {ago, decibel, fixed, milliseconds, plural, seconds} from '../format.js';
+import {
+  chip,
+  empty,
+  facts,
+  kindOf,
+  meter,
+  panel,
+  problemBox,
+  progressWords,
+  recordedProblem,
+  setChip,
+  skeleton,
+  subjectOf
+} from '../ui.js';
+import {link} from '../router.js';
+import {framesPanel} from './frames.js';
+import {jobButtons} from './jobs.js';
 
-export async function jobView(root, { id, signal }) {
+export async function jobView(root, {id, signal}) {
   const body = h('div', null, panel('Job', null, skeleton(4)));
   fill(root, body);
   const load = async () => {
@@ -16,7 +29,7 @@ export async function jobView(root, { id, signal }) {
       const job = putJob(await api.job(id, signal));
       if (!signal.aborted) fill(root, head(job, signal), page(job, signal));
     } catch (error) {
-      if (!signal.aborted) fill(body, problemBox(error, { again: load }));
+      if (!signal.aborted) fill(body, problemBox(error, {again: load}));
     }
   };
   await load();
@@ -25,13 +38,20 @@ export async function jobView(root, { id, signal }) {
 function head(job, signal) {
   const mark = chip(job.state);
   watch(() => setChip(mark, find(state.jobs, job.id)?.state ?? job.state), signal);
-  return h('div', { class: 'page-head' }, h('a', { class: 'back', href: link.jobs() }, 'Jobs'), h('h1', null, `${kindOf(job)} ${subjectOf(job)}`), mark);
+  return h(
+      'div', {class: 'page-head'}, h('a', {class: 'back', href: link.jobs()}, 'Jobs'),
+      h('h1', null, `${kindOf(job)} ${subjectOf(job)}`), mark);
 }
 
 function page(job, signal) {
   const side = [statePanel(job, signal), aboutJob(job, signal)];
-  if (job.type === 'path') return h('div', { class: 'columns wide' }, h('div', { class: 'main-column' }, framesPanel(job, signal)), h('div', { class: 'side-column' }, side));
-  return h('div', { class: 'columns wide' }, h('div', { class: 'main-column' }, resultPanel(job, signal)), h('div', { class: 'side-column' }, side));
+  if (job.type === 'path')
+    return h(
+        'div', {class: 'columns wide'}, h('div', {class: 'main-column'}, framesPanel(job, signal)),
+        h('div', {class: 'side-column'}, side));
+  return h(
+      'div', {class: 'columns wide'}, h('div', {class: 'main-column'}, resultPanel(job, signal)),
+      h('div', {class: 'side-column'}, side));
 }
 
 function statePanel(job, signal) {
@@ -41,26 +61,56 @@ function statePanel(job, signal) {
   let shown = '';
   watch(() => {
     const now = find(state.jobs, job.id) ?? job;
-    bar.set(isActive(now) ? now.progress?.fraction ?? (now.state === 'running' ? null : 0) : now.progress?.fraction ?? 1, progressWords(now) || now.state);
+    bar.set(
+        isActive(now) ? now.progress?.fraction ?? (now.state === 'running' ? null : 0) :
+                        now.progress?.fraction ?? 1,
+        progressWords(now) || now.state);
     buttons.update(now);
     const key = JSON.stringify(now.problem ?? null);
-    if (key !== shown) { shown = key; fill(trouble, now.problem ? recordedProblem(now.problem) : null); }
+    if (key !== shown) {
+      shown = key;
+      fill(trouble, now.problem ? recordedProblem(now.problem) : null);
+    }
   }, signal);
   return panel('Progress', null, trouble, bar.node, buttons.node);
 }
 
 function aboutJob(job, signal) {
   const box = h('div');
-  const options = Object.entries(job.options ?? {}).filter(([, value]) => value !== null && typeof value !== 'object');
+  const options = Object.entries(job.options ?? {})
+                      .filter(([, value]) => value !== null && typeof value !== 'object');
   watch(() => {
     const now = find(state.jobs, job.id) ?? job;
-    fill(box, facts([['Scene', now.scene ? h('a', { href: link.scene(now.scene_name ?? now.scene) }, now.scene_name ?? now.scene) : null],
-      ['Dataset', now.dataset ? h('a', { href: link.dataset(now.dataset_name ?? now.dataset) }, now.dataset_name ?? now.dataset) : null],
-      ['Submitted', ago(now.created_at)], ['Started', now.started_at ? ago(now.started_at) : 'not yet'], ['Ended', now.finished_at ? ago(now.finished_at) : null],
-      ['Took', now.finished_at && now.started_at ? seconds((Date.parse(now.finished_at) - Date.parse(now.started_at)) / 1000) : null],
-      ['Attempt', now.attempt > 1 ? now.attempt : null],
-      ['A frame took', now.result?.render_ms_median ? milliseconds(now.result.render_ms_median) : null],
-      ...options.map(([key, value]) => [key.replaceAll('_', ' '), String(value)]), ['Id', h('code', null, now.id)]]));
+    fill(box, facts([
+           [
+             'Scene',
+             now.scene ? h('a', {href: link.scene(now.scene_name ?? now.scene)},
+                           now.scene_name ?? now.scene) :
+                         null
+           ],
+           [
+             'Dataset',
+             now.dataset ? h('a', {href: link.dataset(now.dataset_name ?? now.dataset)},
+                             now.dataset_name ?? now.dataset) :
+                           null
+           ],
+           ['Submitted', ago(now.created_at)],
+           ['Started', now.started_at ? ago(now.started_at) : 'not yet'],
+           ['Ended', now.finished_at ? ago(now.finished_at) : null],
+           [
+             'Took',
+             now.finished_at && now.started_at ?
+                 seconds((Date.parse(now.finished_at) - Date.parse(now.started_at)) / 1000) :
+                 null
+           ],
+           ['Attempt', now.attempt > 1 ? now.attempt : null],
+           [
+             'A frame took',
+             now.result?.render_ms_median ? milliseconds(now.result.render_ms_median) : null
+           ],
+           ...options.map(([key, value]) => [key.replaceAll('_', ' '), String(value)]),
+           ['Id', h('code', null, now.id)]
+         ]));
   }, signal);
   return panel('About', null, box);
 }
@@ -83,21 +133,56 @@ function result(job) {
   if (isActive(job)) return empty('Not there yet');
   if (!job.result) return empty(`This job was ${job.state}`, h('p', null, 'It left no result.'));
   if (job.type === 'eval') return evaluationResult(job.result);
-  if (job.type === 'ingest') return h('p', null, 'The dataset is imported: ', h('a', { href: link.dataset(job.dataset_name ?? job.result.dataset) }, job.dataset_name ?? job.result.dataset), '.');
-  return h('p', null, 'The scene is trained: ', h('a', { href: link.scene(job.scene_name ?? job.scene) }, job.scene_name ?? job.scene), '.');
+  if (job.type === 'ingest')
+    return h(
+        'p', null, 'The dataset is imported: ',
+        h('a', {href: link.dataset(job.dataset_name ?? job.result.dataset)},
+          job.dataset_name ?? job.result.dataset),
+        '.');
+  return h(
+      'p', null, 'The scene is trained: ',
+      h('a', {href: link.scene(job.scene_name ?? job.scene)}, job.scene_name ?? job.scene), '.');
 }
 
-const headRow = (names) => h('thead', null, h('tr', null, names.map((name, i) => h('th', { scope: 'col', class: i > 1 ? 'number' : null }, name))));
+const headRow = (names) =>
+    h('thead', null,
+      h('tr', null,
+        names.map((name, i) => h('th', {scope: 'col', class: i > 1 ? 'number' : null}, name))));
 
 function evaluationResult(r) {
   const p = r.protocol;
   const views = [...r.per_view].sort((a, b) => (a.psnr ?? Infinity) - (b.psnr ?? Infinity));
-  const summary = h('p', { class: 'headline' });
-  text(summary, `${decibel(r.psnr)} ± ${fixed(r.psnr_spread, 2)}, SSIM ${fixed(r.ssim, 4)}, ${milliseconds(r.render_ms_median)} a picture`);
-  return [summary,
-    h('p', { class: 'quiet' }, `${plural(r.views, 'view')} of ${p.split} at step ${p.step}; background ${p.background.join(' ')}, ${p.downscale} scaling, rounded to ${p.rounding}; trained on ${p.train_split} with seed ${p.seed}; ${p.version}, ${p.device} ${p.kernels}, ${plural(p.threads, 'thread')}.`),
-    h('div', { class: 'scroll' }, h('table', { class: 'table' }, h('caption', null, 'By scale'), headRow(['Scale', '', 'PSNR', 'SSIM']),
-      h('tbody', null, r.scales.map((s) => h('tr', null, h('th', { scope: 'row' }, s.scale ? `1/${2 ** s.scale}` : 'full'), h('td'), h('td', { class: 'number' }, decibel(s.psnr)), h('td', { class: 'number' }, fixed(s.ssim, 4))))))),
-    h('div', { class: 'scroll tall' }, h('table', { class: 'table' }, h('caption', null, 'By view, worst first'), headRow(['View', 'Scale', 'PSNR', 'SSIM', 'Rendering']),
-      h('tbody', null, views.map((v) => h('tr', null, h('th', { scope: 'row' }, v.name), h('td', null, v.scale ? `1/${2 ** v.scale}` : 'full'), h('td', { class: 'number' }, decibel(v.psnr)), h('td', { class: 'number' }, fixed(v.ssim, 4)), h('td', { class: 'number' }, milliseconds(v.render_ms)))))))];
+  const summary = h('p', {class: 'headline'});
+  text(
+      summary,
+      `${decibel(r.psnr)} ± ${fixed(r.psnr_spread, 2)}, SSIM ${fixed(r.ssim, 4)}, ${
+          milliseconds(r.render_ms_median)} a picture`);
+  return [
+    summary,
+    h('p', {class: 'quiet'},
+      `${plural(r.views, 'view')} of ${p.split} at step ${p.step}; background ${
+          p.background.join(' ')}, ${p.downscale} scaling, rounded to ${p.rounding}; trained on ${
+          p.train_split} with seed ${p.seed}; ${p.version}, ${p.device} ${p.kernels}, ${
+          plural(p.threads, 'thread')}.`),
+    h('div', {class: 'scroll'},
+      h('table', {class: 'table'}, h('caption', null, 'By scale'),
+        headRow(['Scale', '', 'PSNR', 'SSIM']),
+        h('tbody', null,
+          r.scales.map(
+              (s) =>
+                  h('tr', null, h('th', {scope: 'row'}, s.scale ? `1/${2 ** s.scale}` : 'full'),
+                    h('td'), h('td', {class: 'number'}, decibel(s.psnr)),
+                    h('td', {class: 'number'}, fixed(s.ssim, 4))))))),
+    h('div', {class: 'scroll tall'},
+      h('table', {class: 'table'}, h('caption', null, 'By view, worst first'),
+        headRow(['View', 'Scale', 'PSNR', 'SSIM', 'Rendering']),
+        h('tbody', null,
+          views.map(
+              (v) =>
+                  h('tr', null, h('th', {scope: 'row'}, v.name),
+                    h('td', null, v.scale ? `1/${2 ** v.scale}` : 'full'),
+                    h('td', {class: 'number'}, decibel(v.psnr)),
+                    h('td', {class: 'number'}, fixed(v.ssim, 4)),
+                    h('td', {class: 'number'}, milliseconds(v.render_ms)))))))
+  ];
 }

@@ -1,27 +1,60 @@
 // A scene's record: effects, differences from the paper, evaluations, checkpoints, deletion.
-import { api, token } from '../api.js';
-import { fill, h, saveBlob } from '../dom.js';
-import { find, isActive, means, putJob, refreshSoon, state, watch } from '../store.js';
-import { ago, bytes, decibel, fixed, milliseconds, plural, seconds, whole } from '../format.js';
-import { action, confirmFirst, empty, facts, meter, panel, progressWords, recordedProblem } from '../ui.js';
-import { go, link } from '../router.js';
+import {api, token} from '../api.js';
+import {fill, h, saveBlob} from '../dom.js';
+import {find, isActive, means, putJob, refreshSoon, state, watch} from '../store.js';
+import {ago, bytes, decibel, fixed, milliseconds, plural, seconds, whole} from '../format.js';
+import {
+  action,
+  confirmFirst,
+  empty,
+  facts,
+  meter,
+  panel,
+  progressWords,
+  recordedProblem
+} from '../ui.js';
+import {go, link} from '../router.js';
 
-const EFFECTS = { background: 'Background', 'scale-pyramid': 'Scale pyramid', anisotropy: 'Anisotropy', 'view-dependence': 'View dependence' };
+const EFFECTS = {
+  background: 'Background',
+  'scale-pyramid': 'Scale pyramid',
+  anisotropy: 'Anisotropy',
+  'view-dependence': 'View dependence'
+};
 
 export function effectsPanel(scene) {
   const number = (x) => (x === null ? '–' : String(Number(x.toPrecision(3))));
-  const rows = scene.effects.map((effect) => h('li', { class: 'effect', 'data-on': String(effect.on && effect.decided) },
-    h('span', { class: 'effect-mark' }, effect.decided ? effect.on ? 'on' : 'off' : 'open'),
-    h('div', null, h('strong', null, EFFECTS[effect.name] ?? effect.name), h('p', { class: 'quiet' }, effect.reason)),
-    h('span', { class: 'number' }, number(effect.number), effect.threshold === null ? null : h('small', null, ` / ${number(effect.threshold)}`))));
-  return panel('Effects', null, rows.length ? [h('p', { class: 'quiet' }, 'Computed only where the scene calls for it. Right: the number behind it, and its threshold.'), h('ul', { class: 'effects' }, rows)]
-    : empty('Decided when training begins'));
+  const rows = scene.effects.map(
+      (effect) =>
+          h('li', {class: 'effect', 'data-on': String(effect.on && effect.decided)},
+            h('span', {class: 'effect-mark'}, effect.decided ? effect.on ? 'on' : 'off' : 'open'),
+            h('div', null, h('strong', null, EFFECTS[effect.name] ?? effect.name),
+              h('p', {class: 'quiet'}, effect.reason)),
+            h('span', {class: 'number'}, number(effect.number),
+              effect.threshold === null ? null :
+                                          h('small', null, ` / ${number(effect.threshold)}`))));
+  return panel(
+      'Effects', null,
+      rows.length ?
+          [
+            h('p', {class: 'quiet'},
+              'Computed only where the scene calls for it. Right: the number behind it, and its threshold.'),
+            h('ul', {class: 'effects'}, rows)
+          ] :
+          empty('Decided when training begins'));
 }
 
 export function differencesPanel(scene) {
-  return panel('Differences from the paper', null, scene.differences.length
-    ? h('ul', { class: 'differences' }, scene.differences.map((item) => h('li', null, item.what, item.measured ? h('span', { class: 'quiet' }, ` ${item.measured}`) : null)))
-    : h('p', { class: 'quiet' }, scene.config ? 'None: this is the published method.' : 'Known when training begins.'));
+  return panel(
+      'Differences from the paper', null,
+      scene.differences.length ?
+          h('ul', {class: 'differences'},
+            scene.differences.map(
+                (item) =>
+                    h('li', null, item.what,
+                      item.measured ? h('span', {class: 'quiet'}, ` ${item.measured}`) : null))) :
+          h('p', {class: 'quiet'},
+            scene.config ? 'None: this is the published method.' : 'Known when training begins.'));
 }
 
 /** Finished evaluations, one under way, and the way to start one. */
@@ -32,20 +65,40 @@ export function qualityPanel(scene, signal) {
   let known = '';
   const load = async () => {
     const items = await api.evaluations(scene.id, signal).catch(() => null);
-    if (items && !signal.aborted) fill(list, items.length ? items.slice(0, 3).map(evaluation) : h('p', { class: 'quiet' }, 'Not evaluated yet: PSNR and SSIM on the test views.'));
+    if (items && !signal.aborted)
+      fill(
+          list,
+          items.length ?
+              items.slice(0, 3).map(evaluation) :
+              h('p', {class: 'quiet'}, 'Not evaluated yet: PSNR and SSIM on the test views.'));
   };
-  watch(({ jobs }) => {
+  watch(({jobs}) => {
     const own = jobs.filter((job) => job.type === 'eval' && means(job.scene, scene));
     const active = own.find(isActive);
     const failed = own[0]?.state === 'failed' ? own[0] : null;
-    if (active) { fill(now, bar.node); bar.set(active.progress?.fraction ?? null, progressWords(active)); } else fill(now, failed?.problem ? recordedProblem(failed.problem) : null);
+    if (active) {
+      fill(now, bar.node);
+      bar.set(active.progress?.fraction ?? null, progressWords(active));
+    } else
+      fill(now, failed?.problem ? recordedProblem(failed.problem) : null);
     const key = own.map((job) => `${job.id}${job.state}`).join();
-    if (key !== known) { known = key; load(); }
+    if (key !== known) {
+      known = key;
+      load();
+    }
   }, signal);
   load();
-  const views = h('select', { 'aria-label': 'Views to evaluate' }, h('option', { value: 8 }, '8 views'), h('option', { value: 0 }, 'all views'));
-  const start = action('Evaluate', async () => putJob(await api.submit({ type: 'eval', scene: scene.id, options: { split: splitOf(scene), views: Number(views.value) } })), { kind: 'small' });
-  return panel('Quality', { tools: h('div', { class: 'row' }, views, start) }, now, list);
+  const views =
+      h('select', {'aria-label': 'Views to evaluate'}, h('option', {value: 8}, '8 views'),
+        h('option', {value: 0}, 'all views'));
+  const start = action(
+      'Evaluate', async () => putJob(await api.submit({
+                    type: 'eval',
+                    scene: scene.id,
+                    options: {split: splitOf(scene), views: Number(views.value)}
+                  })),
+      {kind: 'small'});
+  return panel('Quality', {tools: h('div', {class: 'row'}, views, start)}, now, list);
 }
 
 const splitOf = (scene) => {
@@ -53,31 +106,90 @@ const splitOf = (scene) => {
   return !views || views.test ? 'test' : views.val ? 'val' : 'train';
 };
 
-function evaluation({ job, finished_at: when, result }) {
+function evaluation({job, finished_at: when, result}) {
   const p = result.protocol;
-  return h('div', { class: 'evaluation' },
-    h('p', null, h('strong', null, decibel(result.psnr)), ` ± ${fixed(result.psnr_spread, 2)} · SSIM ${fixed(result.ssim, 4)} · `, h('a', { href: link.job(job) }, `${plural(result.views, 'view')} of ${p.split}`)),
-    result.scales.length > 1 ? h('p', { class: 'quiet' }, result.scales.map((s) => `1/${2 ** s.scale}: ${decibel(s.psnr)}`).join(' · ')) : null,
-    h('p', { class: 'quiet' }, `step ${whole(p.step)}, ${milliseconds(result.render_ms_median)} a picture, ${ago(when)}`));
+  return h(
+      'div', {class: 'evaluation'},
+      h('p', null, h('strong', null, decibel(result.psnr)),
+        ` ± ${fixed(result.psnr_spread, 2)} · SSIM ${fixed(result.ssim, 4)} · `,
+        h('a', {href: link.job(job)}, `${plural(result.views, 'view')} of ${p.split}`)),
+      result.scales.length > 1 ?
+          h('p', {class: 'quiet'},
+            result.scales.map((s) => `1/${2 ** s.scale}: ${decibel(s.psnr)}`).join(' · ')) :
+          null,
+      h('p', {class: 'quiet'},
+        `step ${whole(p.step)}, ${milliseconds(result.render_ms_median)} a picture, ${ago(when)}`));
 }
 
 export function aboutPanel(scene) {
-  const { config } = scene;
+  const {config} = scene;
   const file = `${scene.name}.safetensors`;
   const path = `v1/scenes/${encodeURIComponent(scene.id)}/checkpoint`;
-  const checkpoint = !scene.checkpoints.length ? null : token.get()
-    ? action('Download checkpoint', async () => saveBlob(await api.download(path), file))
-    : h('a', { class: 'button', href: path, download: file }, 'Download checkpoint');
-  return panel('Record', { tools: h('button', { type: 'button', class: 'small bare', onclick: () => confirmFirst(`Delete the scene ${scene.name} with its checkpoints?`, 'Delete',
-    async () => { await api.removeScene(scene.id); refreshSoon(); go(link.home()); }) }, 'Delete') },
-  facts([
-    ['Dataset', h('a', { href: link.dataset(scene.dataset_name) }, scene.dataset_name)],
-    ['Preset', config ? `${config.preset}, seed ${config.seed}, trained on ${config.train_split}` : null],
-    ['Field', config ? `${config.planes} planes (${config.orientation}), base ${config.base}, ${plural(config.channels, 'channel')}, ${plural(config.levels, 'level')}, ${config.footprint}` : null],
-    ['Networks', config ? `width ${config.width}, ${config.base_layers} + ${config.head_layers} layers, shading a ${config.shading}` : null],
-    ['Held out', scene.held_out], ['Kernels', scene.kernels], ['Memory', scene.memory_bytes ? `${bytes(scene.memory_bytes)}${scene.loaded ? ', loaded' : ''}` : null],
-    ['Trained', scene.steps ? `${whole(scene.steps)} steps, ${seconds(scene.train_seconds)}` : null],
-    ['Checkpoints', scene.checkpoints.length ? scene.checkpoints.slice(0, 4).map((c) => h('span', { class: 'line' }, `step ${whole(c.step)}, ${bytes(c.size_bytes)}, ${ago(c.created_at)}`)) : 'none yet'],
-    ['Parameters', scene.parameters_sha256 ? h('code', { title: `SHA-256 ${scene.parameters_sha256}` }, scene.parameters_sha256.slice(0, 16), '…') : null]]),
-  checkpoint ? h('div', { class: 'row' }, checkpoint) : null);
+  const checkpoint = !scene.checkpoints.length ?
+      null :
+      token.get() ?
+      action('Download checkpoint', async () => saveBlob(await api.download(path), file)) :
+      h('a', {class: 'button', href: path, download: file}, 'Download checkpoint');
+  return panel(
+      'Record', {
+        tools:
+            h('button', {
+              type: 'button',
+              class: 'small bare',
+              onclick: () => confirmFirst(
+                  `Delete the scene ${scene.name} with its checkpoints?`, 'Delete',
+                  async () => {
+                    await api.removeScene(scene.id);
+                    refreshSoon();
+                    go(link.home());
+                  })
+            },
+              'Delete')
+      },
+      facts([
+        ['Dataset', h('a', {href: link.dataset(scene.dataset_name)}, scene.dataset_name)],
+        [
+          'Preset',
+          config ? `${config.preset}, seed ${config.seed}, trained on ${config.train_split}` : null
+        ],
+        [
+          'Field',
+          config ? `${config.planes} planes (${config.orientation}), base ${config.base}, ${
+                       plural(config.channels, 'channel')}, ${plural(config.levels, 'level')}, ${
+                       config.footprint}` :
+                   null
+        ],
+        [
+          'Networks',
+          config ? `width ${config.width}, ${config.base_layers} + ${
+                       config.head_layers} layers, shading a ${config.shading}` :
+                   null
+        ],
+        ['Held out', scene.held_out], ['Kernels', scene.kernels],
+        [
+          'Memory',
+          scene.memory_bytes ? `${bytes(scene.memory_bytes)}${scene.loaded ? ', loaded' : ''}` :
+                               null
+        ],
+        [
+          'Trained',
+          scene.steps ? `${whole(scene.steps)} steps, ${seconds(scene.train_seconds)}` : null
+        ],
+        [
+          'Checkpoints',
+          scene.checkpoints.length ?
+              scene.checkpoints.slice(0, 4).map(
+                  (c) =>
+                      h('span', {class: 'line'},
+                        `step ${whole(c.step)}, ${bytes(c.size_bytes)}, ${ago(c.created_at)}`)) :
+              'none yet'
+        ],
+        [
+          'Parameters',
+          scene.parameters_sha256 ? h('code', {title: `SHA-256 ${scene.parameters_sha256}`},
+                                      scene.parameters_sha256.slice(0, 16), '…') :
+                                    null
+        ]
+      ]),
+      checkpoint ? h('div', {class: 'row'}, checkpoint) : null);
 }

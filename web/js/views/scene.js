@@ -1,34 +1,45 @@
 // One scene: look at it while it trains, record a path, see how it does.
-import { api } from '../api.js';
-import { every, fill, follow, h } from '../dom.js';
-import { find, isActive, means, state, trainingOf, watch } from '../store.js';
-import { chip, panel, problemBox, setChip, skeleton } from '../ui.js';
-import { link } from '../router.js';
-import { createKeys } from './keys.js';
-import { createViewport } from './viewport.js';
-import { trainingPanel } from './training.js';
-import { aboutPanel, differencesPanel, effectsPanel, qualityPanel } from './record.js';
-import { jobRow } from './jobs.js';
+import {api} from '../api.js';
+import {every, fill, follow, h} from '../dom.js';
+import {find, isActive, means, state, trainingOf, watch} from '../store.js';
+import {chip, panel, problemBox, setChip, skeleton} from '../ui.js';
+import {link} from '../router.js';
+import {createKeys} from './keys.js';
+import {createViewport} from './viewport.js';
+import {trainingPanel} from './training.js';
+import {aboutPanel, differencesPanel, effectsPanel, qualityPanel} from './record.js';
+import {jobRow} from './jobs.js';
 
-const RECORD_MS = 4000; // how often the record is read again while the scene trains
+const RECORD_MS = 4000;  // how often the record is read again while the scene trains
 
-export async function sceneView(root, { id, signal }) {
+export async function sceneView(root, {id, signal}) {
   const mark = chip('loading');
-  const from = h('span', { class: 'quiet' });
-  const body = h('div', null, h('div', { class: 'columns wide' }, h('div', { class: 'main-column' }, h('div', { class: 'stage' }, h('p', { class: 'cover-note', role: 'status' }, h('span', { class: 'spinner', 'aria-hidden': 'true' }), 'Loading the scene'))), h('div', { class: 'side-column' }, panel('Training', null, skeleton(4)))));
-  fill(root, h('div', { class: 'page-head' }, h('a', { class: 'back', href: link.home() }, 'Scenes'), h('h1', null, id), mark, from), body);
+  const from = h('span', {class: 'quiet'});
+  const body =
+      h('div', null,
+        h('div', {class: 'columns wide'},
+          h('div', {class: 'main-column'},
+            h('div', {class: 'stage'},
+              h('p', {class: 'cover-note', role: 'status'},
+                h('span', {class: 'spinner', 'aria-hidden': 'true'}), 'Loading the scene'))),
+          h('div', {class: 'side-column'}, panel('Training', null, skeleton(4)))));
+  fill(
+      root,
+      h('div', {class: 'page-head'}, h('a', {class: 'back', href: link.home()}, 'Scenes'),
+        h('h1', null, id), mark, from),
+      body);
   const load = async () => {
     try {
       const scene = await api.scene(id, signal);
       const cameras = await api.cameras(scene.dataset, signal).catch(() => []);
       await listed(scene.id, signal);
       if (signal.aborted) return;
-      fill(from, 'from ', h('a', { href: link.dataset(scene.dataset_name) }, scene.dataset_name));
+      fill(from, 'from ', h('a', {href: link.dataset(scene.dataset_name)}, scene.dataset_name));
       fill(body, page(scene, cameras, mark, signal));
     } catch (error) {
       if (signal.aborted) return;
       setChip(mark, 'error');
-      fill(body, problemBox(error, { again: load }));
+      fill(body, problemBox(error, {again: load}));
     }
   };
   await load();
@@ -38,8 +49,16 @@ export async function sceneView(root, { id, signal }) {
 function listed(id, signal) {
   return new Promise((resolve) => {
     const stop = new AbortController();
-    signal.addEventListener('abort', () => { stop.abort(); resolve(); }, { once: true });
-    watch(({ loaded, scenes }) => { if (loaded && find(scenes, id)) { stop.abort(); resolve(); } }, stop.signal);
+    signal.addEventListener('abort', () => {
+      stop.abort();
+      resolve();
+    }, {once: true});
+    watch(({loaded, scenes}) => {
+      if (loaded && find(scenes, id)) {
+        stop.abort();
+        resolve();
+      }
+    }, stop.signal);
   });
 }
 
@@ -47,17 +66,25 @@ function page(scene, cameras, mark, signal) {
   const dataset = find(state.datasets, scene.dataset);
   const training = () => isActive(trainingOf(find(state.scenes, scene.id) ?? scene));
   let keys = null;
-  const view = createViewport(scene, cameras, { live: training, failed: () => find(state.scenes, scene.id)?.state === 'failed', onKey: () => keys.record() }, signal);
-  keys = createKeys(scene, { width: dataset?.width ?? 400, height: dataset?.height ?? 400 }, view, signal);
-  const record = h('div', { class: 'stack' });
+  const view = createViewport(
+      scene, cameras, {
+        live: training,
+        failed: () => find(state.scenes, scene.id)?.state === 'failed',
+        onKey: () => keys.record()
+      },
+      signal);
+  keys = createKeys(
+      scene, {width: dataset?.width ?? 400, height: dataset?.height ?? 400}, view, signal);
+  const record = h('div', {class: 'stack'});
   watch(() => {
     const now = find(state.scenes, scene.id);
     if (now) setChip(mark, now.state);
   }, signal);
   keepRecord(scene, record, training, view, signal);
-  return h('div', { class: 'columns wide' },
-    h('div', { class: 'main-column' }, view.node, keys.node),
-    h('div', { class: 'side-column' }, trainingPanel(scene.id, signal), pathsPanel(scene, signal), qualityPanel(scene, signal), record));
+  return h(
+      'div', {class: 'columns wide'}, h('div', {class: 'main-column'}, view.node, keys.node),
+      h('div', {class: 'side-column'}, trainingPanel(scene.id, signal), pathsPanel(scene, signal),
+        qualityPanel(scene, signal), record));
 }
 
 /** Effects, differences and facts, read again while they can change. */
@@ -65,26 +92,32 @@ function keepRecord(scene, box, training, view, signal) {
   let shown = '';
   let before = null;
   const show = (now) => {
-    const key = JSON.stringify([now.effects, now.differences, now.checkpoints, now.config, now.loaded, now.memory_bytes]);
+    const key = JSON.stringify(
+        [now.effects, now.differences, now.checkpoints, now.config, now.loaded, now.memory_bytes]);
     if (key === shown) return;
     shown = key;
     fill(box, effectsPanel(now), differencesPanel(now), aboutPanel(now));
   };
   show(scene);
   const read = () => api.scene(scene.id, signal).then(show, () => {});
-  every(RECORD_MS, () => { if (training()) read(); }, signal);
+  every(RECORD_MS, () => {
+    if (training()) read();
+  }, signal);
   watch(() => {
     const now = find(state.scenes, scene.id)?.state;
-    if (before && now !== before) { read(); view.refresh(); }
+    if (before && now !== before) {
+      read();
+      view.refresh();
+    }
     before = now;
   }, signal);
 }
 
 /** Path jobs of this scene, newest first. */
 function pathsPanel(scene, signal) {
-  const rows = h('div', { class: 'rows' });
-  const node = panel('Rendered paths', { class: 'panel', hidden: true }, rows);
-  watch(({ jobs }) => {
+  const rows = h('div', {class: 'rows'});
+  const node = panel('Rendered paths', {class: 'panel', hidden: true}, rows);
+  watch(({jobs}) => {
     const own = jobs.filter((job) => job.type === 'path' && means(job.scene, scene)).slice(0, 4);
     node.hidden = !own.length;
     follow(rows, own, (job) => job.id, jobRow);

@@ -1,40 +1,71 @@
 // The form that starts a training job.
-import { api } from '../api.js';
-import { fill, h } from '../dom.js';
-import { find, putJob, state } from '../store.js';
-import { choice, field, panel, showFaults } from '../ui.js';
-import { go, link } from '../router.js';
+import {api} from '../api.js';
+import {fill, h} from '../dom.js';
+import {find, putJob, state} from '../store.js';
+import {choice, field, panel, showFaults} from '../ui.js';
+import {go, link} from '../router.js';
 
-const PRESETS = { draft: 'Quickest to a picture.', standard: 'The default for CPUs.', paper: 'The published settings; slow without a GPU.' };
+const PRESETS = {
+  draft: 'Quickest to a picture.',
+  standard: 'The default for CPUs.',
+  paper: 'The published settings; slow without a GPU.'
+};
 
 /** A name that no scene has: lego, lego-2, … */
 export function freeName(name, scenes) {
   if (!find(scenes, name)) return name;
-  for (let i = 2; ; i++) if (!find(scenes, `${name}-${i}`)) return `${name}-${i}`;
+  for (let i = 2;; i++)
+    if (!find(scenes, `${name}-${i}`)) return `${name}-${i}`;
 }
 
-const numeric = (label, unit, pointer, props, hint) => field(label, h('input', { type: 'number', ...props }), { unit, pointer, hint });
+const numeric = (label, unit, pointer, props, hint) =>
+    field(label, h('input', {type: 'number', ...props}), {unit, pointer, hint});
 
 /** @param {any} dataset */
 export function trainPanel(dataset) {
-  const name = field('Scene’s name', h('input', { type: 'text', required: true, maxLength: 64, spellcheck: 'false', autocomplete: 'off', value: freeName(dataset.name, state.scenes) }), { pointer: '/scene' });
-  const preset = choice('Preset', Object.keys(PRESETS).map((key) => [key, key]), 'standard', { pointer: '/options/preset', hint: PRESETS.standard });
-  const time = numeric('Time', 's', '/options/max_time_s', { min: 1, step: 'any', value: 60 });
-  const steps = numeric('Steps', '', '/options/max_steps', { min: 1, placeholder: 'any' });
-  const psnr = numeric('PSNR', 'dB', '/options/until_psnr', { min: 1, max: 100, step: 'any', placeholder: 'any' });
-  const planes = choice('Planes', [['', 'preset'], ['3', '3'], ['4', '4'], ['6', '6'], ['10', '10']], '', { pointer: '/options/planes' });
-  const footprint = choice('Footprint', [['', 'preset'], ['rip', 'rip'], ['mip', 'mip'], ['point', 'point']], '', { pointer: '/options/footprint', hint: 'rip: anisotropic, mip: one level, point: none' });
-  const split = choice('Train on', [['train', 'train'], ['trainval', 'train and val']], 'train', { pointer: '/options/train_split' });
-  const seed = numeric('Seed', '', '/options/seed', { min: 0, placeholder: 'preset' });
-  const threads = numeric('Threads', '', '/options/threads', { min: 0, placeholder: 'all' });
+  const name = field(
+      'Scene’s name', h('input', {
+        type: 'text',
+        required: true,
+        maxLength: 64,
+        spellcheck: 'false',
+        autocomplete: 'off',
+        value: freeName(dataset.name, state.scenes)
+      }),
+      {pointer: '/scene'});
+  const preset = choice(
+      'Preset', Object.keys(PRESETS).map((key) => [key, key]), 'standard',
+      {pointer: '/options/preset', hint: PRESETS.standard});
+  const time = numeric('Time', 's', '/options/max_time_s', {min: 1, step: 'any', value: 60});
+  const steps = numeric('Steps', '', '/options/max_steps', {min: 1, placeholder: 'any'});
+  const psnr = numeric(
+      'PSNR', 'dB', '/options/until_psnr', {min: 1, max: 100, step: 'any', placeholder: 'any'});
+  const planes = choice(
+      'Planes', [['', 'preset'], ['3', '3'], ['4', '4'], ['6', '6'], ['10', '10']], '',
+      {pointer: '/options/planes'});
+  const footprint = choice(
+      'Footprint', [['', 'preset'], ['rip', 'rip'], ['mip', 'mip'], ['point', 'point']], '',
+      {pointer: '/options/footprint', hint: 'rip: anisotropic, mip: one level, point: none'});
+  const split = choice(
+      'Train on', [['train', 'train'], ['trainval', 'train and val']], 'train',
+      {pointer: '/options/train_split'});
+  const seed = numeric('Seed', '', '/options/seed', {min: 0, placeholder: 'preset'});
+  const threads = numeric('Threads', '', '/options/threads', {min: 0, placeholder: 'all'});
   const fields = [name, preset, time, steps, psnr, planes, footprint, split, seed, threads];
   const problem = h('div');
-  const start = h('button', { type: 'submit', class: 'primary' }, 'Start training');
-  preset.control.onChange(() => preset.fault(null) || fill(preset.node.querySelector('.note'), PRESETS[preset.control.value]));
+  const start = h('button', {type: 'submit', class: 'primary'}, 'Start training');
+  preset.control.onChange(
+      () => preset.fault(null) ||
+          fill(preset.node.querySelector('.note'), PRESETS[preset.control.value]));
   async function submit() {
     start.disabled = true;
     try {
-      putJob(await api.submit({ type: 'train', dataset: dataset.id, scene: name.control.value.trim(), options: values() }));
+      putJob(await api.submit({
+        type: 'train',
+        dataset: dataset.id,
+        scene: name.control.value.trim(),
+        options: values()
+      }));
       go(link.scene(name.control.value.trim()));
     } catch (error) {
       showFaults(fields, problem, error);
@@ -42,18 +73,28 @@ export function trainPanel(dataset) {
     }
   }
   function values() {
-    const options = { preset: preset.control.value, train_split: split.control.value };
-    const numbers = { max_time_s: time, max_steps: steps, until_psnr: psnr, seed, threads };
-    for (const [key, item] of Object.entries(numbers)) if (item.control.value !== '') options[key] = Number(item.control.value);
+    const options = {preset: preset.control.value, train_split: split.control.value};
+    const numbers = {max_time_s: time, max_steps: steps, until_psnr: psnr, seed, threads};
+    for (const [key, item] of Object.entries(numbers))
+      if (item.control.value !== '') options[key] = Number(item.control.value);
     if (planes.control.value) options.planes = Number(planes.control.value);
     if (footprint.control.value) options.footprint = footprint.control.value;
     return options;
   }
-  return panel('Train a scene', { class: 'panel', id: 'train' }, h('form', { onsubmit: (event) => { event.preventDefault(); submit(); } },
-    name.node, preset.node,
-    h('fieldset', { class: 'field' }, h('legend', null, 'Stop at whichever comes first'), h('div', { class: 'form-grid three' }, time.node, steps.node, psnr.node),
-      h('span', { class: 'note' }, 'All empty: until you finish it.')),
-    planes.node, footprint.node,
-    h('details', null, h('summary', null, 'More'), h('div', { class: 'form-grid' }, split.node, seed.node, threads.node)),
-    problem, h('div', { class: 'row end' }, start)));
+  return panel(
+      'Train a scene', {class: 'panel', id: 'train'},
+      h('form', {
+        onsubmit: (event) => {
+          event.preventDefault();
+          submit();
+        }
+      },
+        name.node, preset.node,
+        h('fieldset', {class: 'field'}, h('legend', null, 'Stop at whichever comes first'),
+          h('div', {class: 'form-grid three'}, time.node, steps.node, psnr.node),
+          h('span', {class: 'note'}, 'All empty: until you finish it.')),
+        planes.node, footprint.node,
+        h('details', null, h('summary', null, 'More'),
+          h('div', {class: 'form-grid'}, split.node, seed.node, threads.node)),
+        problem, h('div', {class: 'row end'}, start)));
 }

@@ -1,26 +1,47 @@
 // The training of a scene: state, controls, PSNR over seconds, rates and clocks.
-import { drawChart } from '../chart.js';
-import { fill, h, text } from '../dom.js';
-import { followJob } from '../follow.js';
-import { isActive, trainingOf, find, state, watch } from '../store.js';
-import { compact, decibel, fixed, seconds, whole } from '../format.js';
-import { announce, chip, facts, meter, panel, progressWords, recordedProblem, setChip } from '../ui.js';
-import { jobButtons } from './jobs.js';
-import { link } from '../router.js';
+import {drawChart} from '../chart.js';
+import {fill, h, text} from '../dom.js';
+import {followJob} from '../follow.js';
+import {isActive, trainingOf, find, state, watch} from '../store.js';
+import {compact, decibel, fixed, seconds, whole} from '../format.js';
+import {
+  announce,
+  chip,
+  facts,
+  meter,
+  panel,
+  progressWords,
+  recordedProblem,
+  setChip
+} from '../ui.js';
+import {jobButtons} from './jobs.js';
+import {link} from '../router.js';
 
 const ANNOUNCE_MS = 15_000;
 
 /** Figures worth a place of their own. */
 const STATS = [
-  ['PSNR', (p) => decibel(p.psnr)], ['Step', (p) => whole(p.step)], ['Trained', (p) => seconds(p.train_seconds)],
-  ['Rays', (p) => `${compact(p.rays_per_second)}/s`], ['Samples', (p) => `${compact(p.samples_per_second)}/s`], ['Loss', (p) => (p.loss === null ? '–' : Number(p.loss.toPrecision(3)).toString())],
+  ['PSNR', (p) => decibel(p.psnr)],
+  ['Step', (p) => whole(p.step)],
+  ['Trained', (p) => seconds(p.train_seconds)],
+  ['Rays', (p) => `${compact(p.rays_per_second)}/s`],
+  ['Samples', (p) => `${compact(p.samples_per_second)}/s`],
+  ['Loss', (p) => (p.loss === null ? '–' : Number(p.loss.toPrecision(3)).toString())],
 ];
 
 /** What a finished job's record gives in place of live progress. */
 function finalFigures(scene, job) {
   const p = job?.progress;
   const r = job?.result;
-  return { loss: null, rays_per_second: NaN, samples_per_second: NaN, ...p, psnr: r?.psnr ?? p?.psnr ?? scene.psnr, step: r?.steps ?? p?.step ?? scene.steps, train_seconds: r?.train_seconds ?? p?.train_seconds ?? scene.train_seconds };
+  return {
+    loss: null,
+    rays_per_second: NaN,
+    samples_per_second: NaN,
+    ...p,
+    psnr: r?.psnr ?? p?.psnr ?? scene.psnr,
+    step: r?.steps ?? p?.step ?? scene.steps,
+    train_seconds: r?.train_seconds ?? p?.train_seconds ?? scene.train_seconds
+  };
 }
 
 /** @param {string} sceneId @param {AbortSignal} signal */
@@ -28,10 +49,10 @@ export function trainingPanel(sceneId, signal) {
   const mark = chip('new');
   const buttons = jobButtons(false);
   const bar = meter('Training');
-  const chart = h('div', { class: 'chart-box' });
-  const stats = STATS.map(([label]) => ({ label, value: h('dd', null, '–') }));
+  const chart = h('div', {class: 'chart-box'});
+  const stats = STATS.map(([label]) => ({label, value: h('dd', null, '–')}));
   const trouble = h('div');
-  const stable = h('p', { class: 'stable' });
+  const stable = h('p', {class: 'stable'});
   const clocks = h('div');
   const levels = h('div');
   const points = [];
@@ -46,7 +67,7 @@ export function trainingPanel(sceneId, signal) {
     followJob(job.id, (type, data) => {
       if (type !== 'metric' || data.psnr === null) return;
       if (points.some((p) => p.step === data.step)) return;
-      points.push({ x: data.train_seconds, y: data.psnr, step: data.step });
+      points.push({x: data.train_seconds, y: data.psnr, step: data.step});
       points.sort((a, b) => a.x - b.x);
       update();
     }, signal);
@@ -59,16 +80,27 @@ export function trainingPanel(sceneId, signal) {
     follow(job);
     const figures = finalFigures(scene, job);
     const active = isActive(job);
-    setChip(mark, job && (active || job.state === 'failed' || job.state === 'cancelled') ? job.state : scene.state);
-    if (job) { buttons.update(job); bar.set(active ? job.progress?.fraction ?? (job.state === 'running' ? null : 0) : 1, active ? underWay(job) : ended(job, figures)); }
+    setChip(
+        mark,
+        job && (active || job.state === 'failed' || job.state === 'cancelled') ? job.state :
+                                                                                 scene.state);
+    if (job) {
+      buttons.update(job);
+      bar.set(
+          active ? job.progress?.fraction ?? (job.state === 'running' ? null : 0) : 1,
+          active ? underWay(job) : ended(job, figures));
+    }
     STATS.forEach(([, read], i) => text(stats[i].value, read(figures)));
-    drawChart(chart, chartPoints(points, figures), { limitX: active ? figures.max_seconds : 0, running: active, now: figures.train_seconds });
+    drawChart(
+        chart, chartPoints(points, figures),
+        {limitX: active ? figures.max_seconds : 0, running: active, now: figures.train_seconds});
     bar.node.hidden = job?.state === 'failed';
     showProblem(job, scene);
     showMore(figures);
     if (active && figures.psnr && performance.now() - said > ANNOUNCE_MS) {
       said = performance.now();
-      announce(`${scene.name}: ${figures.psnr.toFixed(1)} decibel after ${Math.round(figures.train_seconds)} seconds`);
+      announce(`${scene.name}: ${figures.psnr.toFixed(1)} decibel after ${
+          Math.round(figures.train_seconds)} seconds`);
     }
   }
 
@@ -76,52 +108,84 @@ export function trainingPanel(sceneId, signal) {
     const problem = job?.problem ?? null;
     if (JSON.stringify(problem) === shownProblem) return;
     shownProblem = JSON.stringify(problem);
-    fill(trouble, problem ? [recordedProblem(problem), isActive(job) ? null : h('a', { class: 'button', href: link.dataset(scene.dataset_name) }, 'Train again')] : null);
+    fill(
+        trouble,
+        problem ?
+            [
+              recordedProblem(problem),
+              isActive(job) ?
+                  null :
+                  h('a', {class: 'button', href: link.dataset(scene.dataset_name)}, 'Train again')
+            ] :
+            null);
   }
 
   function showMore(p) {
     if (!p.nonfinite) return;
-    const { rays, steps_rejected: steps, rollbacks } = p.nonfinite;
+    const {rays, steps_rejected: steps, rollbacks} = p.nonfinite;
     stable.dataset.bad = String(rays + steps + rollbacks > 0);
-    text(stable, `Non-finite: ${whole(rays)} rays, ${whole(steps)} steps rejected, ${whole(rollbacks)} rollbacks`);
-    fill(clocks, facts([['Loading', seconds(p.load_seconds)], ['Evaluating', seconds(p.evaluate_seconds)], ['Paused', seconds(p.paused_seconds)], ['Given to renders', seconds(p.yielded_seconds)], ['Samples in all', compact(p.samples)]]));
+    text(
+        stable,
+        `Non-finite: ${whole(rays)} rays, ${whole(steps)} steps rejected, ${
+            whole(rollbacks)} rollbacks`);
+    fill(clocks, facts([
+           ['Loading', seconds(p.load_seconds)], ['Evaluating', seconds(p.evaluate_seconds)],
+           ['Paused', seconds(p.paused_seconds)], ['Given to renders', seconds(p.yielded_seconds)],
+           ['Samples in all', compact(p.samples)]
+         ]));
     fill(levels, levelBars(p.level_samples ?? []));
   }
 
   const observer = new ResizeObserver(() => update());
   observer.observe(chart);
-  signal.addEventListener('abort', () => observer.disconnect(), { once: true });
+  signal.addEventListener('abort', () => observer.disconnect(), {once: true});
   watch(update, signal);
-  return panel('Training', { tools: mark }, trouble, buttons.node, bar.node, chart,
-    h('dl', { class: 'stats' }, stats.map(({ label, value }) => h('div', null, h('dt', null, label), value))), stable,
-    h('details', null, h('summary', null, 'Clocks and levels'), clocks, levels));
+  return panel(
+      'Training', {tools: mark}, trouble, buttons.node, bar.node, chart,
+      h('dl', {class: 'stats'},
+        stats.map(({label, value}) => h('div', null, h('dt', null, label), value))),
+      stable, h('details', null, h('summary', null, 'Clocks and levels'), clocks, levels));
 }
 
 /** How far towards the limits; the figures below say the rest. */
 function underWay(job) {
   const p = job.progress;
-  if (!p || p.evaluating_first) return progressWords(job) || (job.state === 'running' ? 'loading the photographs' : '');
-  const limits = [p.max_seconds ? `${seconds(p.train_seconds)} of ${seconds(p.max_seconds)}` : '', p.max_steps ? `step ${whole(p.step)} of ${whole(p.max_steps)}` : ''].filter(Boolean);
+  if (!p || p.evaluating_first)
+    return progressWords(job) || (job.state === 'running' ? 'loading the photographs' : '');
+  const limits = [
+    p.max_seconds ? `${seconds(p.train_seconds)} of ${seconds(p.max_seconds)}` : '',
+    p.max_steps ? `step ${whole(p.step)} of ${whole(p.max_steps)}` : ''
+  ].filter(Boolean);
   const left = job.state === 'running' && p.eta_seconds ? `${seconds(p.eta_seconds)} left` : '';
   return [...(limits.length ? limits : ['until it is finished']), left].filter(Boolean).join(' · ');
 }
 
 function ended(job, figures) {
-  const why = { time: 'time is up', steps: 'steps done', psnr: 'PSNR reached', finish: 'finished by hand' }[job.result?.finished_by];
-  return `${job.state}${why ? `: ${why}` : ''} · ${whole(figures.step)} steps in ${seconds(figures.train_seconds)}`;
+  const why = {
+    time: 'time is up',
+    steps: 'steps done',
+    psnr: 'PSNR reached',
+    finish: 'finished by hand'
+  }[job.result?.finished_by];
+  return `${job.state}${why ? `: ${why}` : ''} · ${whole(figures.step)} steps in ${
+      seconds(figures.train_seconds)}`;
 }
 
 /** The recorded points; the last known figure where none are held any more. */
 function chartPoints(points, figures) {
   if (points.length || !figures.psnr || !figures.train_seconds) return points;
-  return [{ x: figures.train_seconds, y: figures.psnr, step: figures.step }];
+  return [{x: figures.train_seconds, y: figures.psnr, step: figures.step}];
 }
 
 function levelBars(samples) {
   const all = samples.reduce((sum, x) => sum + x, 0);
   if (!all) return null;
-  return h('div', { class: 'levels' }, h('h3', null, 'Samples by ripmap level'), samples.map((count, level) => {
-    const bar = h('progress', { max: 1, value: count / all, 'aria-label': `level ${level}` });
-    return h('div', null, h('span', null, level), bar, h('span', { class: 'number' }, `${fixed((100 * count) / all, 1)} %`));
-  }));
+  return h(
+      'div', {class: 'levels'}, h('h3', null, 'Samples by ripmap level'),
+      samples.map((count, level) => {
+        const bar = h('progress', {max: 1, value: count / all, 'aria-label': `level ${level}`});
+        return h(
+            'div', null, h('span', null, level), bar,
+            h('span', {class: 'number'}, `${fixed((100 * count) / all, 1)} %`));
+      }));
 }

@@ -1,23 +1,38 @@
 // Add a dataset: drop or choose a folder, see what would be sent, send it, watch the import.
-import { api, Problem } from '../api.js';
-import { entriesOfDrop, entriesOfInput, planUpload, safeName } from '../folder.js';
-import { fill, h } from '../dom.js';
-import { find, isActive, putJob, state, watch } from '../store.js';
-import { bytes, plural } from '../format.js';
-import { action, choice, field, meter, panel, problemBox, progressWords, recordedProblem, showFaults } from '../ui.js';
-import { tarOf } from '../tar.js';
-import { link } from '../router.js';
+import {api, Problem} from '../api.js';
+import {entriesOfDrop, entriesOfInput, planUpload, safeName} from '../folder.js';
+import {fill, h} from '../dom.js';
+import {find, isActive, putJob, state, watch} from '../store.js';
+import {bytes, plural} from '../format.js';
+import {
+  action,
+  choice,
+  field,
+  meter,
+  panel,
+  problemBox,
+  progressWords,
+  recordedProblem,
+  showFaults
+} from '../ui.js';
+import {tarOf} from '../tar.js';
+import {link} from '../router.js';
 
 /** @param {AbortSignal} signal */
 export function uploadPanel(signal) {
   const body = h('div');
   const node = panel('Add a dataset', null, body);
-  const begin = (problem) => fill(body, chooser(take), problem ? problemBox(problem) : null, directoryForm(follow));
+  const begin = (problem) =>
+      fill(body, chooser(take), problem ? problemBox(problem) : null, directoryForm(follow));
   async function take(entries) {
-    fill(body, h('p', { class: 'quiet', role: 'status' }, `Reading ${plural(entries.length, 'file')}…`));
+    fill(
+        body,
+        h('p', {class: 'quiet', role: 'status'}, `Reading ${plural(entries.length, 'file')}…`));
     const plan = await planUpload(entries);
-    if (plan.problem) begin({ title: 'Not a dataset', detail: plan.problem, message: plan.problem });
-    else fill(body, planForm(plan, { back: () => begin(), follow }));
+    if (plan.problem)
+      begin({title: 'Not a dataset', detail: plan.problem, message: plan.problem});
+    else
+      fill(body, planForm(plan, {back: () => begin(), follow}));
   }
   function follow(job) { fill(body, importing(job, begin, signal)); }
   dropTarget(node, take, signal);
@@ -26,31 +41,50 @@ export function uploadPanel(signal) {
 }
 
 function chooser(take) {
-  const input = h('input', { type: 'file', id: 'folder-input', class: 'unseen', webkitdirectory: true, multiple: true,
-    onchange: () => input.files.length && take(entriesOfInput(input.files)) });
-  return h('div', { class: 'drop' },
-    h('p', { class: 'drop-title' }, 'Drop a dataset’s folder here'),
-    h('p', { class: 'quiet' }, 'with ', h('code', null, 'transforms_train.json'), ' or ', h('code', null, 'metadata.json')),
-    input, h('label', { class: 'button', for: 'folder-input' }, 'Choose a folder'));
+  const input = h('input', {
+    type: 'file',
+    id: 'folder-input',
+    class: 'unseen',
+    webkitdirectory: true,
+    multiple: true,
+    onchange: () => input.files.length && take(entriesOfInput(input.files))
+  });
+  return h(
+      'div', {class: 'drop'}, h('p', {class: 'drop-title'}, 'Drop a dataset’s folder here'),
+      h('p', {class: 'quiet'}, 'with ', h('code', null, 'transforms_train.json'), ' or ',
+        h('code', null, 'metadata.json')),
+      input, h('label', {class: 'button', 'for': 'folder-input'}, 'Choose a folder'));
 }
 
 function dropTarget(node, take, signal) {
-  const over = (on) => (event) => { event.preventDefault(); node.classList.toggle('over', on); };
-  node.addEventListener('dragenter', over(true), { signal });
-  node.addEventListener('dragover', over(true), { signal });
-  node.addEventListener('dragleave', over(false), { signal });
+  const over = (on) => (event) => {
+    event.preventDefault();
+    node.classList.toggle('over', on);
+  };
+  node.addEventListener('dragenter', over(true), {signal});
+  node.addEventListener('dragover', over(true), {signal});
+  node.addEventListener('dragleave', over(false), {signal});
   node.addEventListener('drop', (event) => {
     over(false)(event);
     entriesOfDrop(event.dataTransfer.items).then(take);
-  }, { signal });
+  }, {signal});
 }
 
 /** Import options that both ways share. */
 function importOptions() {
-  const size = field('Longest side', h('input', { type: 'number', min: 8, max: 16384, placeholder: 'as it is' }), { unit: 'px', pointer: '/options/max_size' });
-  const scales = field('Scales', h('input', { type: 'number', min: 1, max: 8, placeholder: '1' }), { pointer: '/options/scales', hint: 'Each half the size of the one before' });
-  const alpha = choice('Scaling of alpha', [['premultiplied', 'premultiplied'], ['straight', 'as the benchmark']], 'premultiplied', { pointer: '/options/alpha' });
-  const split = field('Test split from every N-th view', h('input', { type: 'number', min: 1, max: 100000, placeholder: 'as in the files' }), { pointer: '/options/split' });
+  const size = field(
+      'Longest side', h('input', {type: 'number', min: 8, max: 16384, placeholder: 'as it is'}),
+      {unit: 'px', pointer: '/options/max_size'});
+  const scales = field(
+      'Scales', h('input', {type: 'number', min: 1, max: 8, placeholder: '1'}),
+      {pointer: '/options/scales', hint: 'Each half the size of the one before'});
+  const alpha = choice(
+      'Scaling of alpha', [['premultiplied', 'premultiplied'], ['straight', 'as the benchmark']],
+      'premultiplied', {pointer: '/options/alpha'});
+  const split = field(
+      'Test: every N-th view',
+      h('input', {type: 'number', min: 1, max: 100000, placeholder: 'as in the files'}),
+      {pointer: '/options/split'});
   const values = () => {
     const options = {};
     if (size.control.value) options.max_size = Number(size.control.value);
@@ -59,18 +93,29 @@ function importOptions() {
     if (split.control.value) options.split = `every:${split.control.value}`;
     return options;
   };
-  const node = h('details', null, h('summary', null, 'Import options'), h('div', { class: 'form-grid' }, size.node, scales.node, alpha.node, split.node));
-  return { node, values, fields: [size, scales, alpha, split] };
+  const node =
+      h('details', null, h('summary', null, 'Import options'),
+        h('div', {class: 'form-grid'}, size.node, scales.node, split.node, alpha.node));
+  return {node, values, fields: [size, scales, alpha, split]};
 }
 
-const nameField = (value) => field('Name', h('input', { type: 'text', value, required: true, maxLength: 64, spellcheck: 'false', autocomplete: 'off' }), { pointer: '/name' });
+const nameField = (value) => field(
+    'Name', h('input', {
+      type: 'text',
+      value,
+      required: true,
+      maxLength: 64,
+      spellcheck: 'false',
+      autocomplete: 'off'
+    }),
+    {pointer: '/name'});
 
-function planForm(plan, { back, follow }) {
+function planForm(plan, {back, follow}) {
   const name = nameField(plan.name);
   const options = importOptions();
   const problem = h('div');
   const progress = h('div');
-  const buttons = h('div', { class: 'row end' });
+  const buttons = h('div', {class: 'row end'});
   const splits = Object.entries(plan.views).map(([split, count]) => `${count} ${split}`).join(', ');
   async function send() {
     const stop = new AbortController();
@@ -79,12 +124,16 @@ function planForm(plan, { back, follow }) {
     const started = performance.now();
     showFaults([name, ...options.fields], problem, null);
     fill(progress, bar.node);
-    fill(buttons, h('button', { type: 'button', onclick: () => stop.abort() }, 'Cancel'));
+    fill(buttons, h('button', {type: 'button', onclick: () => stop.abort()}, 'Cancel'));
     try {
-      const job = await api.upload({ name: name.control.value.trim(), ...options.values() }, tar, (sent) => {
-        const rate = sent / Math.max(0.05, (performance.now() - started) / 1000);
-        bar.set(sent / tar.size, sent < tar.size ? `sent ${bytes(sent)} of ${bytes(tar.size)} · ${bytes(rate)}/s` : 'sent; the daemon takes it in');
-      }, stop.signal);
+      const job =
+          await api.upload({name: name.control.value.trim(), ...options.values()}, tar, (sent) => {
+            const rate = sent / Math.max(0.05, (performance.now() - started) / 1000);
+            bar.set(
+                sent / tar.size,
+                sent < tar.size ? `sent ${bytes(sent)} of ${bytes(tar.size)} · ${bytes(rate)}/s` :
+                                  'sent; the daemon takes it in');
+          }, stop.signal);
       follow(putJob(job));
     } catch (error) {
       fill(progress);
@@ -92,45 +141,86 @@ function planForm(plan, { back, follow }) {
       ready();
     }
   }
-  const ready = () => fill(buttons, h('button', { type: 'button', onclick: back }, 'Back'), h('button', { type: 'submit', class: 'primary' }, 'Upload and import'));
+  const ready = () => fill(
+      buttons, h('button', {type: 'button', onclick: back}, 'Back'),
+      h('button', {type: 'submit', class: 'primary'}, 'Upload and import'));
   ready();
-  return h('form', { onsubmit: (event) => { event.preventDefault(); send(); } },
-    h('p', null, h('strong', null, plan.layout), ` · views: ${splits}`),
-    h('p', { class: 'quiet' }, `${plural(plan.entries.length, 'file')}, ${bytes(plan.bytes)} to send`,
-      plan.left ? `; ${plural(plan.left, 'file')} that the JSON does not name stay here` : '', '.'),
-    plan.missing.length ? h('div', { class: 'problem warn' }, h('p', { class: 'problem-title' }, `${plural(plan.missing.length, 'image')} named but not in the folder`),
-      h('ul', null, plan.missing.slice(0, 5).map((path) => h('li', null, h('code', null, path))), plan.missing.length > 5 ? h('li', null, `and ${plan.missing.length - 5} more`) : null)) : null,
-    name.node, options.node, problem, progress, buttons);
+  return h(
+      'form', {
+        onsubmit: (event) => {
+          event.preventDefault();
+          send();
+        }
+      },
+      h('p', null, h('strong', null, plan.layout), ` · views: ${splits}`),
+      h('p', {class: 'quiet'},
+        `${plural(plan.entries.length, 'file')}, ${bytes(plan.bytes)} to send`,
+        plan.left ? `; ${plural(plan.left, 'file')} that the JSON does not name stay here` : '',
+        '.'),
+      plan.missing.length ?
+          h('div', {class: 'problem warn'},
+            h('p', {class: 'problem-title'},
+              `${plural(plan.missing.length, 'image')} named but not in the folder`),
+            h('ul', null,
+              plan.missing.slice(0, 5).map((path) => h('li', null, h('code', null, path))),
+              plan.missing.length > 5 ? h('li', null, `and ${plan.missing.length - 5} more`) :
+                                        null)) :
+          null,
+      name.node, options.node, problem, progress, buttons);
 }
 
 function directoryForm(follow) {
-  const directory = field('Folder on the daemon’s machine', h('input', { type: 'text', required: true, spellcheck: 'false', placeholder: '/data/lego' }), { pointer: '/directory' });
+  const directory = field(
+      'Folder on the daemon’s machine',
+      h('input', {type: 'text', required: true, spellcheck: 'false', placeholder: '/data/lego'}),
+      {pointer: '/directory'});
   const name = nameField('');
   const options = importOptions();
   const problem = h('div');
   const roots = state.info?.roots ?? [];
-  directory.control.addEventListener('change', () => { name.control.value ||= safeName(directory.control.value.split('/').filter(Boolean).at(-1) ?? ''); });
+  directory.control.addEventListener('change', () => {
+    name.control.value ||=
+        safeName(directory.control.value.split('/').filter(Boolean).at(-1) ?? '');
+  });
   async function submit() {
     const values = options.values();
     try {
-      const body = { name: name.control.value.trim(), directory: directory.control.value.trim(), ...(Object.keys(values).length ? { options: values } : {}) };
+      const body = {
+        name: name.control.value.trim(),
+        directory: directory.control.value.trim(),
+        ...(Object.keys(values).length ? {options: values} : {})
+      };
       follow(putJob(await api.addDirectory(body)));
     } catch (error) {
       showFaults([directory, name, ...options.fields], problem, error);
       if (!(error instanceof Problem)) return;
     }
   }
-  return h('details', { class: 'alternative' }, h('summary', null, 'Or a folder on the daemon’s machine'),
-    h('form', { onsubmit: (event) => { event.preventDefault(); submit(); } },
-      h('p', { class: 'quiet' }, roots.length ? ['It must lie under ', roots.map((root, i) => [i ? ', ' : '', h('code', null, root)]), '.']
-        : ['The daemon was started without ', h('code', null, '--dataset-root'), ': it reads no folders of its own machine.']),
-      directory.node, name.node, options.node, problem,
-      h('div', { class: 'row end' }, h('button', { type: 'submit' }, 'Import'))));
+  return h(
+      'details', {class: 'alternative'}, h('summary', null, 'Or a folder on the daemon’s machine'),
+      h('form', {
+        onsubmit: (event) => {
+          event.preventDefault();
+          submit();
+        }
+      },
+        h('p', {class: 'quiet'},
+          roots.length ?
+              [
+                'It must lie under ',
+                roots.map((root, i) => [i ? ', ' : '', h('code', null, root)]), '.'
+              ] :
+              [
+                'The daemon was started without ', h('code', null, '--dataset-root'),
+                ': it reads no folders of its own machine.'
+              ]),
+        directory.node, name.node, options.node, problem,
+        h('div', {class: 'row end'}, h('button', {type: 'submit'}, 'Import'))));
 }
 
 /** The import job's progress, then what to do next. */
 function importing(job, begin, signal) {
-  const box = h('div', { role: 'status' });
+  const box = h('div', {role: 'status'});
   const bar = meter('Import');
   let over = null;
   const cancel = action('Cancel', async () => putJob(await api.act(job.id, 'cancel')));
@@ -138,15 +228,27 @@ function importing(job, begin, signal) {
     const now = find(state.jobs, job.id) ?? job;
     if (over === now.state) return;
     if (isActive(now)) {
-      bar.set(now.progress?.fraction ?? null, `${now.state === 'queued' ? 'queued' : 'reading and checking images'} · ${progressWords(now)}`);
-      if (box.firstChild !== bar.node) fill(box, bar.node, h('div', { class: 'row end' }, cancel));
+      bar.set(
+          now.progress?.fraction ?? null,
+          `${now.state === 'queued' ? 'queued' : 'reading and checking images'} · ${
+              progressWords(now)}`);
+      if (box.firstChild !== bar.node) fill(box, bar.node, h('div', {class: 'row end'}, cancel));
       return;
     }
     over = now.state;
-    const more = h('button', { type: 'button', onclick: () => begin() }, 'Add another');
+    const more = h('button', {type: 'button', onclick: () => begin()}, 'Add another');
     const name = now.dataset_name ?? now.dataset;
-    if (now.state === 'succeeded') fill(box, h('p', { class: 'good' }, `${name} is imported.`), h('div', { class: 'row' }, h('a', { class: 'button primary', href: link.dataset(name) }, 'Look at it and train'), more));
-    else fill(box, now.problem ? recordedProblem(now.problem) : h('p', null, `The import was ${now.state}.`), h('div', { class: 'row' }, more));
+    if (now.state === 'succeeded')
+      fill(
+          box, h('p', {class: 'good'}, `${name} is imported.`),
+          h('div', {class: 'row'},
+            h('a', {class: 'button primary', href: link.dataset(name)}, 'Look at it and train'),
+            more));
+    else
+      fill(
+          box,
+          now.problem ? recordedProblem(now.problem) : h('p', null, `The import was ${now.state}.`),
+          h('div', {class: 'row'}, more));
   }, signal);
   return box;
 }
