@@ -7,7 +7,8 @@
 #include "server/http/server.h"
 #include "server/jobs/control.h"
 
-#define RN_MAX_BODY (9u << 20) // a camera path has at most 8 MiB
+#define RN_MAX_BODY (9u << 20)                   // a camera path has at most 8 MiB
+#define RN_MAX_RENDER_PIXELS ((int64_t)32 << 20) // of one picture, e.g. 8192 x 4096
 
 // Everything here is used on the HTTP thread alone and outlives the server.
 struct rn_app {
@@ -47,6 +48,9 @@ enum rn_status rn_api_page(const struct rn_request *request, int *ret_limit, int
 enum rn_status rn_api_number(const char *text, int64_t min, int64_t max, const char *where,
                              int64_t *ret_value, struct rn_error *err) RN_MUST_CHECK;
 
+// RN_ERROR_LIMIT when a picture of this size would have more than RN_MAX_RENDER_PIXELS. render.c
+enum rn_status rn_api_check_pixels(int64_t width, int64_t height, const char *pointer,
+                                   struct rn_error *err) RN_MUST_CHECK;
 // Checks a camera path's JSON; `pointer` is where it stands in the request. camera_paths.c
 enum rn_status rn_api_check_path(const char *json, const char *pointer,
                                  struct rn_error *err) RN_MUST_CHECK;

@@ -25,6 +25,7 @@ enum rn_status rn_api_check_path(const char *json, const char *pointer, struct r
     rn_buf_append(&file, "}", 1);
     enum rn_status status = rn_buf_status(&file, "the camera path", err);
     if (status == RN_OK) status = rn_path_parse((const char *)file.data, file.size, "", &path, err);
+    if (status == RN_OK) status = rn_api_check_pixels(path->width, path->height, "#/path", err);
     if (status != RN_OK) move_pointer(pointer, err);
     rn_path_destroy(&path);
     rn_buf_finish(&file);

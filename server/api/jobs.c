@@ -68,6 +68,9 @@ static enum rn_status submit(struct rn_app *app, const struct rn_job_request *wa
                              char **ret_json, struct rn_error *err) {
     char *options = NULL, *path = NULL;
     enum rn_status status = find_path(app, wanted, &path, err);
+    if (status == RN_OK && wanted->type == RN_JOB_PATH)
+        status = rn_api_check_pixels(rn_int_or(wanted->path_options.width, 0),
+                                     rn_int_or(wanted->path_options.height, 0), "#/options", err);
     if (status == RN_OK) status = rn_job_request_options(wanted, &options, err);
     if (status == RN_OK) {
         struct rn_submission submission = {.type = (enum rn_job_type)wanted->type,

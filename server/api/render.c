@@ -3,7 +3,38 @@
 #include <string.h>
 #include <strings.h>
 
+#include "common/base/buf.h"
+#include "common/path/path.h"
 #include "server/api/app.h"
+
+enum rn_status rn_api_check_pixels(int64_t width, int64_t height, const char *pointer,
+                                   struct rn_error *err) {
+    if (width * height <= RN_MAX_RENDER_PIXELS) return RN_OK;
+    return rn_error_set(err, RN_ERROR_LIMIT, pointer,
+                        "%lld x %lld is more than the limit of %lld pixels a picture",
+                        (long long)width, (long long)height, (long long)RN_MAX_RENDER_PIXELS);
+}
+
+// A bad camera or size is refused here: no runner has to be started for it.
+static enum rn_status check_picture(const struct rn_render_request *wanted, struct rn_error *err) {
+    bool sized = wanted->size.width != RN_ABSENT && wanted->size.height != RN_ABSENT;
+    enum rn_status status = RN_OK;
+    if (sized) status = rn_api_check_pixels(wanted->size.width, wanted->size.height, "#/size", err);
+    if (status != RN_OK || wanted->camera == NULL) return status;
+    struct rn_camera camera;
+    struct rn_buf file;
+    rn_buf_init(&file, RN_MAX_BODY);
+    rn_buf_printf(&file, "{\"camera\":");
+    rn_buf_append(&file, wanted->camera, strlen(wanted->camera));
+    rn_buf_append(&file, "}", 1);
+    status = rn_buf_status(&file, "the camera", err);
+    if (status == RN_OK)
+        status = rn_camera_parse((const char *)file.data, file.size, "", &camera, err);
+    if (status == RN_OK && !sized)
+        status = rn_api_check_pixels(camera.width, camera.height, "#/camera", err);
+    rn_buf_finish(&file);
+    return status;
+}
 
 // Whether `Accept` lists a media type at all; ranges count, quality values do not.
 static bool lists(const char *accept, const char *type) {
@@ -55,6 +86,10 @@ void rn_render_scene(void *context, struct rn_request *request, struct rn_reply 
     const char *body = (const char *)rn_request_body(request, &size);
     if (rn_render_request_decode(body, size, &wanted, &errors, &err) != RN_OK) {
         rn_reply_invalid(reply, &errors, &err);
+        return;
+    }
+    if (rn_api_failed(check_picture(&wanted, &err), &err, reply)) {
+        rn_message_finish(&rn_render_request_table, &wanted);
         return;
     }
     if (!choose_format(rn_request_header(request, "Accept"), &format) && wanted.format < 0) {

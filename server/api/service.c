@@ -10,8 +10,6 @@
 #include "proto/openapi.h"
 #include "server/api/app.h"
 
-#define MAX_RENDER_PIXELS ((int64_t)16384 * 16384)
-
 void rn_get_health(void *context, struct rn_request *request, struct rn_reply *reply) {
     rn_reply_text(reply, 200, "application/json", "{\"status\":\"ok\"}");
 }
@@ -61,7 +59,7 @@ void rn_get_info(void *context, struct rn_request *request, struct rn_reply *rep
         .max_upload_entries = app->max_upload_entries,
         .max_queued_jobs = app->max_queued,
         .max_training_jobs = app->training_slots,
-        .max_render_pixels = MAX_RENDER_PIXELS,
+        .max_render_pixels = RN_MAX_RENDER_PIXELS,
         .max_scenes_loaded = app->max_loaded,
     };
     enum rn_status status = rn_encode_strings(app->roots, app->root_count, &info.roots, &err);

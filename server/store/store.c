@@ -10,11 +10,13 @@
 #include <sys/random.h>
 #include <unistd.h>
 
+#include "common/base/clock.h"
 #include "common/base/file.h"
 #include "common/base/log.h"
 #include "server/store/table.h"
 
 #define LAYOUT "1\n"
+#define KEY_AGE_MS (7 * 86400000ll) // how long an Idempotency-Key is remembered
 
 enum rn_status rn_sqlite_error(sqlite3 *db, int code, const char *what, struct rn_error *err) {
     int errnum = sqlite3_system_errno(db);
@@ -243,8 +245,19 @@ static enum rn_status sweep_folder(struct rn_store *store, const char *name,
     return status;
 }
 
+static enum rn_status forget_keys(struct rn_store *store, struct rn_error *err) {
+    char sql[128];
+    snprintf(sql, sizeof sql, "DELETE FROM keys WHERE created_ms < %lld",
+             (long long)(rn_clock_wall_ms() - KEY_AGE_MS));
+    pthread_mutex_lock(&store->lock);
+    enum rn_status status = run(store, sql, err);
+    pthread_mutex_unlock(&store->lock);
+    return status;
+}
+
 enum rn_status rn_store_sweep(struct rn_store *store, struct rn_error *err) {
-    enum rn_status status = sweep_folder(store, "datasets", &rn_datasets, err);
+    enum rn_status status = forget_keys(store, err);
+    if (status == RN_OK) status = sweep_folder(store, "datasets", &rn_datasets, err);
     if (status == RN_OK) status = sweep_folder(store, "scenes", &rn_scenes, err);
     if (status == RN_OK) status = sweep_folder(store, "jobs", &rn_jobs_table, err);
     if (status == RN_OK) status = sweep_folder(store, "spool", &rn_jobs_table, err);

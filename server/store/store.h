@@ -160,7 +160,8 @@ enum rn_status rn_store_new_id(const char *prefix, char ret_id[RN_ID_MAX],
 
 // "DIR/" and the formatted rest; malloc. NULL when memory is short.
 char *rn_store_path(const struct rn_store *store, const char *fmt, ...) RN_PRINTF(2, 3);
-// Removes content whose record is gone, and uploads that no unfinished job needs.
+// Removes content whose record is gone, uploads that no unfinished job needs, and idempotency keys
+// older than a week.
 enum rn_status rn_store_sweep(struct rn_store *store, struct rn_error *err) RN_MUST_CHECK;
 
 #endif

@@ -298,6 +298,19 @@ def test_bad_render(shared, request_body):
     assert shared.get("/healthz").status == 200
 
 
+def test_render_of_too_many_pixels(shared):
+    huge = {"width": 16384, "height": 16384}
+    for request, pointer in (({"view": "test:0", "size": huge}, "#/size"),
+                             ({"camera": {**CAMERA, **huge}}, "#/camera")):
+        reply = shared.post("/v1/scenes/ready/render", request)
+        assert reply.status == 413 and pointers(reply) == [pointer]
+    for request in ({"camera_path": {**PATH, **huge}}, {"camera_path": PATH, "options": huge}):
+        reply = shared.post("/v1/jobs", {"type": "path", "scene": "ready", **request})
+        assert reply.status == 413, reply.body
+    limit = shared.get("/v1/info").json["limits"]["max_render_pixels"]
+    assert limit < 16384 * 16384
+
+
 def test_render_unknown(shared):
     assert render(shared, scene="nothing", view="test:0").status == 404
 
