@@ -315,6 +315,64 @@ def test_no_wide_overflow_on_a_phone(page, fake):
         assert page.run("return document.documentElement.scrollWidth;") <= 391, place
 
 
+CONTRAST = """
+const parse = (colour) => {
+  const [r, g, b, a = 1] = colour.match(/[0-9.]+/g).map(Number);
+  return { rgb: [r, g, b], a };
+};
+const light = (rgb) => {
+  const [r, g, b] = rgb.map((x) => x / 255).map(
+      (x) => x <= 0.04045 ? x / 12.92 : ((x + 0.055) / 1.055) ** 2.4);
+  return 0.2126 * r + 0.7152 * g + 0.0722 * b;
+};
+const behind = (e) => {
+  for (; e; e = e.parentElement) {
+    const colour = parse(getComputedStyle(e).backgroundColor);
+    if (colour.a === 1) return colour.rgb;
+    if (colour.a > 0) return null; // over a picture
+  }
+  return [255, 255, 255];
+};
+const low = [];
+const walker = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
+while (walker.nextNode()) {
+  const e = walker.currentNode.parentElement;
+  if (!walker.currentNode.data.trim() || !e.checkVisibility() || e.closest('svg')) continue;
+  if (e.closest(':disabled, [aria-disabled=true], option')) continue;
+  const back = behind(e);
+  if (!back) continue;
+  const [a, b] = [light(parse(getComputedStyle(e).color).rgb), light(back)];
+  const ratio = (Math.max(a, b) + 0.05) / (Math.min(a, b) + 0.05);
+  if (ratio < 4.5) low.push(`${ratio.toFixed(2)} ${e.className} ${walker.currentNode.data.trim()}`);
+}
+return low;
+"""
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_text_stands_out_from_its_ground(page, fake, scheme):
+    """WCAG 2, success criterion 1.4.3: a contrast of at least 4.5."""
+    feature = {"name": "prefers-color-scheme", "value": scheme}
+    page.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": [feature]})
+    api = fake("failed")
+    places = ["", "#/dataset/sphere", "#/scene/sphere-draft", "#/scene/sphere-paper", "#/jobs"]
+    for place in places:
+        page.open(api.url + place)
+        page.find("main .panel")
+        page.says("connected", ".connection")
+        time.sleep(0.3)
+        assert page.run(CONTRAST) == [], place
+
+
+def test_the_skip_link_leads_to_the_content(page, fake):
+    page.open(fake("empty").url + "#/jobs")
+    page.says("No jobs")
+    page.driver.execute_script("document.querySelector('.skip').focus()")
+    page.find(".skip").send_keys(Keys.ENTER)
+    assert page.run("return document.activeElement.id;") == "main"
+    page.says("No jobs")
+
+
 def test_every_control_has_a_name(page, fake):
     """Buttons, fields and pictures are named for a screen reader."""
     api = fake("busy")

@@ -138,6 +138,10 @@ hooks.askToken = async () => {
   tokenRefused = !answer;
   return answer;
 };
+document.querySelector('.skip').addEventListener('click', (event) => {
+  event.preventDefault();  // the hash is the router's
+  main.focus();
+});
 watch(showConnection);
 startBanner();
 startAnnouncer();

@@ -145,6 +145,8 @@ export function createViewer(canvas, host, signal) {
   signal.addEventListener('abort', () => clearTimeout(timer), {once: true});
   return {
     changed,
+    /** What a pixel of the last picture took, ms; 0 before the first. */
+    msPerPixel: () => msPerPixel,
     /** Draws again with the same camera: another output, another size, newer parameters. */
     refresh() {
       shown = {...shown, level: COARSE};

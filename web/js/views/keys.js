@@ -61,16 +61,22 @@ export function createKeys(scene, size, view, signal) {
                 h('strong', null, 'Record key'), '. Or take a whole turn around it.')));
     const fault = problemOf(path);
     const many = path.keys.length > 1;
-    text(
-        words,
-        !path.keys.length ?
-            '' :
-            fault ??
-                `${plural(path.keys.length, 'key')} · ${seconds(duration(path))} · ${
-                    plural(frameCount(path), 'frame')} of ${path.width} × ${path.height}`);
+    text(words, path.keys.length ? fault ?? describe() : '');
     words.classList.toggle('bad', Boolean(path.keys.length && fault));
     submit.disabled = Boolean(fault);
     play.disabled = Boolean(fault) || !many;
+  }
+
+  /** Keys, duration, frames, and how long they will take by the pictures shown last. */
+  function describe() {
+    const frames = frameCount(path);
+    const cost = view.msPerPixel() * frames * path.width * path.height / 1000;
+    return [
+      plural(path.keys.length, 'key'), seconds(duration(path)),
+      `${plural(frames, 'frame')} of ${path.width} × ${path.height}`,
+      cost ? `about ${seconds(Math.max(1, Math.round(cost)))} to render` : ''
+    ].filter(Boolean)
+        .join(' · ');
   }
 
   const createRow = (key) => keyRow(key, {

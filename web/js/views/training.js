@@ -157,7 +157,9 @@ function underWay(job) {
     p.max_steps ? `step ${whole(p.step)} of ${whole(p.max_steps)}` : ''
   ].filter(Boolean);
   const left = job.state === 'running' && p.eta_seconds ? `${seconds(p.eta_seconds)} left` : '';
-  return [...(limits.length ? limits : ['until it is finished']), left].filter(Boolean).join(' · ');
+  const again = job.attempt > 1 ? `attempt ${job.attempt}` : '';
+  return [...(limits.length ? limits : ['until it is finished']), left, again].filter(Boolean).join(
+      ' · ');
 }
 
 function ended(job, figures) {

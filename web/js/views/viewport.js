@@ -190,6 +190,7 @@ export function createViewport(scene, cameras, host, signal) {
                                                    stop))
                                                   .blob,
     refresh: viewer.refresh,
+    msPerPixel: viewer.msPerPixel,
   };
 }
 
