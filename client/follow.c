@@ -46,7 +46,7 @@ void rn_format_progress(const struct rn_job *job, const char *json, double *ret_
     } progress;
     bool train = job->type == RN_JOB_TRAIN;
     const struct rn_table *table = train ? &rn_train_progress_table : &rn_work_progress_table;
-    char ending[48] = "last evaluation", eta[24];
+    char ending[48] = "evaluating", eta[24];
     *ret_fraction = NAN;
     snprintf(ret_text, capacity, "%s", "");
     if (!json || rn_decode(table, json, strlen(json), &progress, NULL, NULL) != RN_OK) return;
