@@ -23,11 +23,11 @@ static void put_jobs(struct rn_buf *text, const struct rn_control_stats *stats) 
     for (int state = 0; rn_job_state_names[state] != NULL; state++)
         rn_buf_printf(text, "ripnerf_job_transitions_total{state=\"%s\"} %llu\n",
                       rn_job_state_names[state], (unsigned long long)stats->jobs_ended[state]);
-    head(text, "nonfinite", "gauge", "Non-finite values met by running jobs.");
+    head(text, "nonfinite_total", "counter", "Non-finite values met by training jobs.");
     rn_buf_printf(text,
-                  "ripnerf_nonfinite{kind=\"rays\"} %llu\n"
-                  "ripnerf_nonfinite{kind=\"steps_rejected\"} %llu\n"
-                  "ripnerf_nonfinite{kind=\"rollbacks\"} %llu\n",
+                  "ripnerf_nonfinite_total{kind=\"rays\"} %llu\n"
+                  "ripnerf_nonfinite_total{kind=\"steps_rejected\"} %llu\n"
+                  "ripnerf_nonfinite_total{kind=\"rollbacks\"} %llu\n",
                   (unsigned long long)stats->nonfinite_rays,
                   (unsigned long long)stats->steps_rejected, (unsigned long long)stats->rollbacks);
 }

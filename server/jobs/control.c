@@ -266,13 +266,8 @@ enum rn_status rn_control_events(struct rn_control *control, const char *id,
 void rn_control_stats(struct rn_control *control, struct rn_control_stats *ret_stats) {
     pthread_mutex_lock(&control->lock);
     *ret_stats = control->stats;
-    for (const struct rn_task *task = control->tasks; task != NULL; task = task->next) {
+    for (const struct rn_task *task = control->tasks; task != NULL; task = task->next)
         ret_stats->jobs_open[task->row.state] += !rn_job_is_over(task->row.state);
-        if (task->live.step == RN_ABSENT) continue;
-        ret_stats->nonfinite_rays += (uint64_t)task->live.nonfinite.rays;
-        ret_stats->steps_rejected += (uint64_t)task->live.nonfinite.steps_rejected;
-        ret_stats->rollbacks += (uint64_t)task->live.nonfinite.rollbacks;
-    }
     for (const struct rn_runner *runner = control->runners; runner != NULL; runner = runner->next) {
         ret_stats->runners++;
         ret_stats->memory_bytes += runner->memory_bytes;

@@ -99,7 +99,7 @@ struct rn_control_stats {
     unsigned runners, scenes_loaded, renders_waiting;
     int64_t memory_bytes;
     uint64_t runners_started, runners_lost;
-    uint64_t nonfinite_rays, steps_rejected, rollbacks; // of the jobs that run
+    uint64_t nonfinite_rays, steps_rejected, rollbacks; // of all jobs
     uint64_t renders, renders_failed, renders_cancelled;
     uint64_t render_ms_buckets[10]; // cumulative is made by the reader; bounds below
     double render_ms_sum;

@@ -77,6 +77,21 @@ static void on_state(struct rn_control *control, struct rn_runner *runner,
     rn_row_finish(&rn_scenes, &scene);
 }
 
+// Counters of a job begin at zero, again after a restart of its runner.
+static uint64_t growth(int64_t before, int64_t now) {
+    return (uint64_t)(now >= before ? now - before : now);
+}
+
+static void count_nonfinite(struct rn_control *control, const struct rn_train_progress *before,
+                            const struct rn_train_progress *now) {
+    static const struct rn_nonfinite none;
+    const struct rn_nonfinite *old = before->step == RN_ABSENT ? &none : &before->nonfinite;
+    struct rn_control_stats *stats = &control->stats;
+    stats->nonfinite_rays += growth(old->rays, now->nonfinite.rays);
+    stats->steps_rejected += growth(old->steps_rejected, now->nonfinite.steps_rejected);
+    stats->rollbacks += growth(old->rollbacks, now->nonfinite.rollbacks);
+}
+
 static void on_progress(struct rn_control *control, struct rn_runner *runner,
                         struct rn_wire_progress *progress) {
     struct rn_task *task = task_of(runner, progress->job);
@@ -84,8 +99,10 @@ static void on_progress(struct rn_control *control, struct rn_runner *runner,
     if (task->row.type == RN_JOB_TRAIN) {
         struct rn_train_progress live;
         if (rn_decode(&rn_train_progress_table, progress->progress, strlen(progress->progress),
-                      &live, NULL, NULL) == RN_OK)
+                      &live, NULL, NULL) == RN_OK) {
+            count_nonfinite(control, &task->live, &live);
             task->live = live;
+        }
     } else {
         struct rn_work_progress work;
         if (rn_decode(&rn_work_progress_table, progress->progress, strlen(progress->progress),

@@ -43,7 +43,7 @@ def test_metrics(shared):
     assert float(values['ripnerf_http_responses_total{code="404"}']) >= 1
     assert float(values['ripnerf_job_transitions_total{state="succeeded"}']) >= 2
     assert float(values["ripnerf_http_uploads_total"]) >= 1
-    assert float(values['ripnerf_nonfinite{kind="rays"}']) == 0
+    assert float(values['ripnerf_nonfinite_total{kind="rays"}']) == 0
     assert float(values['ripnerf_render_milliseconds_bucket{le="+Inf"}']) == \
         float(values["ripnerf_render_milliseconds_count"])
 
