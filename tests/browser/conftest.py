@@ -190,6 +190,7 @@ def page(driver):
     driver.get_log("browser")
     yield Page(driver)
     driver.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+    driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
     driver.get("about:blank")
 
 
