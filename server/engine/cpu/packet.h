@@ -90,6 +90,36 @@ static float *mlp_backward(const struct rn_mlp_shape *shape, const float *transp
 
 // ---- forward --------------------------------------------------------------------------------
 
+// The first four outputs of RN_VL / 4 rows in one vector, and back.
+RN_INLINE vf gather_heads(const float *row) {
+    const v4 *r = (const v4 *)row;
+    (void)r;
+#if RN_VL == 16
+    v8 low = __builtin_shufflevector(r[0], r[4], 0, 1, 2, 3, 4, 5, 6, 7);
+    v8 high = __builtin_shufflevector(r[8], r[12], 0, 1, 2, 3, 4, 5, 6, 7);
+    return (vf)__builtin_shufflevector(low, high, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14,
+                                       15);
+#elif RN_VL == 8
+    return (vf)__builtin_shufflevector(r[0], r[4], 0, 1, 2, 3, 4, 5, 6, 7);
+#else
+    return (vf)r[0];
+#endif
+}
+RN_INLINE void spread_heads(float *row, vf x) {
+    v4 *r = (v4 *)row;
+#if RN_VL == 16
+    r[0] = __builtin_shufflevector(x, x, 0, 1, 2, 3);
+    r[4] = __builtin_shufflevector(x, x, 4, 5, 6, 7);
+    r[8] = __builtin_shufflevector(x, x, 8, 9, 10, 11);
+    r[12] = __builtin_shufflevector(x, x, 12, 13, 14, 15);
+#elif RN_VL == 8
+    r[0] = __builtin_shufflevector(x, x, 0, 1, 2, 3);
+    r[4] = __builtin_shufflevector(x, x, 4, 5, 6, 7);
+#else
+    r[0] = (v4)x;
+#endif
+}
+
 // Logits to densities and optical depths; with ray shading also activates the outputs in place:
 // row = [1, sigmoid(diffuse), features]. Only the first four outputs of a row go through an
 // exponential: RN_VL / 4 rows share a vector.
@@ -100,19 +130,14 @@ static void activate(const struct rn_cpu_field *field, int begin, int end, struc
     for (int i = 0; i < RN_VL; i++)
         first[i] = i % 4 == 0 ? -1 : 0;
     for (int i = begin; i < end; i += ROWS) {
-        float *row = w->geometry + (size_t)i * RN_GEOMETRY, packed[RN_VL], density[RN_VL];
-        for (int j = 0; j < ROWS; j++)
-            *(v4 *)(packed + 4 * j) = *(const v4 *)(row + (size_t)j * RN_GEOMETRY);
-        vf y = vf_load(packed);
+        float *row = w->geometry + (size_t)i * RN_GEOMETRY;
+        vf y = gather_heads(row);
         vf logit = vf_clamp(y - (float)RN_DENSITY_SHIFT, -(float)RN_DENSITY_CLAMP,
                             (float)RN_DENSITY_CLAMP);
         vf e = vf_exp(vf_select(first, logit, -y));
-        vf_store(density, e);
-        vf_store(packed, vf_select(first, vf_set(1), 1.0f / (1.0f + e)));
-        for (int j = 0; j < ROWS && i + j < end; j++) {
-            w->x[i + j] = density[4 * j] * w->interval[i + j];
-            if (per_ray) *(v4 *)(row + (size_t)j * RN_GEOMETRY) = *(const v4 *)(packed + 4 * j);
-        }
+        if (per_ray) spread_heads(row, vf_select(first, vf_set(1), 1.0f / (1.0f + e)));
+        for (int j = 0; j < ROWS && i + j < end; j++)
+            w->x[i + j] = e[4 * j] * w->interval[i + j];
     }
 }
 
