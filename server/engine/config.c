@@ -59,6 +59,7 @@ static const struct rn_train_config standard = {
     .roulette = 1e-3,
     .sparse = true,
     .equal_scales = true,
+    .cone_step = true,
     .auto_effects = true,
     .stop = 1e-3,
     .background = {1, 1, 1},
@@ -148,6 +149,7 @@ int rn_train_config_differences(const struct rn_train_config *c, struct rn_diffe
     DIFFERS(f->base_layers != paper.field.base_layers || f->head_layers != paper.field.head_layers,
             "fewer hidden layers", "")
     DIFFERS(fabs(c->step - paper.step) > 1e-9, "another marching step than diagonal / 1024", "")
+    DIFFERS(c->cone_step, "samples of wide cones span several marching steps", "")
     DIFFERS(c->target_samples != paper.target_samples, "smaller batch than 262,144 samples", "")
     DIFFERS(c->carve, "occupancy carved from alpha before the first step", "")
     DIFFERS(c->roulette > 0, "roulette on samples of tiny weight (unbiased)", "")

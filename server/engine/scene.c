@@ -362,9 +362,17 @@ static bool enter_cube(const double o[3], const double d[3], double *ret_enter) 
     return leave > enter;
 }
 
-struct rn_march_ray rn_march_ray_from(const struct rn_ray *ray, const struct rn_bounds *bounds,
-                                      double offset) {
-    struct rn_march_ray out = {.length = 0, .weight = 1};
+// Steps a sample spans: the power of two, at most 8, that makes the interval's standard deviation
+// (step / sqrt 12) nearest to the cone's across it (radius / 2) at the ball's middle.
+static int sample_stride(double radius, double step) {
+    double ratio = radius * 0.5 / (step / sqrt(12));
+    return ratio < 1.41421356 ? 1 : ratio < 2.82842712 ? 2 : ratio < 5.65685425 ? 4 : 8;
+}
+
+struct rn_march_ray rn_march_ray_from(const struct rn_field *field, const struct rn_ray *ray,
+                                      double step, double jitter) {
+    const struct rn_bounds *bounds = &field->bounds;
+    struct rn_march_ray out = {.length = 0, .weight = 1, .stride = 1};
     double o[3], enter, along = 0, across = 0;
     for (int i = 0; i < 3; i++) {
         o[i] = (ray->origin[i] - bounds->centre[i]) / bounds->radius;
@@ -378,7 +386,8 @@ struct rn_march_ray rn_march_ray_from(const struct rn_ray *ray, const struct rn_
         out.direction[i] = (float)ray->direction[i];
     out.radius = (float)ray->radius;
     if (!(across <= 1) || !enter_cube(o, ray->direction, &enter)) return out;
-    double near = enter + offset, length = sqrt(1 - across) - along - near;
+    if (field->config.cone_step) out.stride = sample_stride(-along * ray->radius, step);
+    double near = enter + jitter * step * out.stride, length = sqrt(1 - across) - along - near;
     for (int i = 0; i < 3; i++)
         out.origin[i] = (float)(o[i] + ray->direction[i] * near);
     out.near = (float)near;

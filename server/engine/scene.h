@@ -71,9 +71,10 @@ enum rn_status rn_engine_prepare(struct rn_engine *engine, const struct rn_field
 struct rn_workspace *rn_engine_workspace(const struct rn_engine *engine, int thread);
 
 // The ray of a cone in dataset coordinates as the kernels want it: normalised, cut to the ball,
-// starting where it enters the scene's cube plus `offset` (normalised).
-struct rn_march_ray rn_march_ray_from(const struct rn_ray *ray, const struct rn_bounds *bounds,
-                                      double offset);
+// starting where it enters the scene's cube plus `jitter` in [0, 1) of a sample's interval. With
+// config.cone_step a sample spans as many steps as its cone is wide.
+struct rn_march_ray rn_march_ray_from(const struct rn_field *field, const struct rn_ray *ray,
+                                      double step, double jitter);
 // Levels per axis that a camera's rays can reach, 1 = only the base map.
 int rn_levels_for_camera(const struct rn_field *field, const struct rn_camera *camera, double step);
 

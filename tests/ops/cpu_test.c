@@ -58,7 +58,6 @@ static void copy_parameters(struct setup *s) {
 
 // Rays through the ball from outside; some wide cones, so that levels differ.
 static void make_rays(struct setup *s) {
-    struct rn_bounds bounds = {.radius = 1};
     for (int r = 0; r < RAYS; r++) {
         struct rn_ray ray = {.radius = r % 3 == 0 ? 0.1 : 0.01};
         double norm = 0;
@@ -71,21 +70,23 @@ static void make_rays(struct setup *s) {
             norm += ray.direction[i] * ray.direction[i];
         for (int i = 0; i < 3; i++)
             ray.direction[i] /= sqrt(norm);
-        s->rays[r] = rn_march_ray_from(&ray, &bounds, 0.01);
+        s->rays[r] = rn_march_ray_from(s->field, &ray, (double)s->options.step, 0.2);
+        s->rays[r].stride = r % 4 == 1 ? 2 : 1;
         s->rays[r].weight = 1 + (float)(r % 2);
         s->rays[r].id = (uint32_t)r;
         struct rn_reference_ray *e = &s->exact[r];
         int n = 0;
         double length = s->rays[r].length > 0 ? s->rays[r].length : 0;
         s->mid[r] = calloc(1000, sizeof(double));
-        while ((n + 0.5) * s->options.step < length) {
-            s->mid[r][n] = (double)s->rays[r].near + (n + 0.5) * (double)s->options.step;
+        double step = (double)s->options.step * s->rays[r].stride;
+        while ((n * s->rays[r].stride + 0.5) * s->options.step < length) {
+            s->mid[r][n] = (double)s->rays[r].near + (n + 0.5) * step;
             n++;
         }
         *e = (struct rn_reference_ray){.radius = s->rays[r].radius,
                                        .count = n,
                                        .mid = s->mid[r],
-                                       .width = s->options.step,
+                                       .width = step,
                                        .weight = s->rays[r].weight};
         for (int i = 0; i < 3; i++) {
             e->direction[i] = s->rays[r].direction[i];

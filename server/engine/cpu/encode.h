@@ -76,12 +76,12 @@ static void place_segment(const struct rn_cpu_field *field, const struct rn_marc
                           struct rn_workspace *w) {
     int levels = field->built_levels, base = field->config.base;
     if (levels > field->config.levels) levels = field->config.levels;
-    float half = options->step * 0.5f;
+    float step = options->step * (float)ray->stride, half = step * 0.5f;
     for (int j = 0; j < n; j += RN_VL) {
         vf index;
         for (int i = 0; i < RN_VL; i++)
             index[i] = (float)k[j + i];
-        vf s = (index + 0.5f) * options->step, t = s + ray->near;
+        vf s = (index + 0.5f) * step, t = s + ray->near;
         vf shift, axial, radial;
         frustum_moments(t, half, ray->radius, &shift, &axial, &radial);
         vf m = s + shift;
@@ -91,7 +91,7 @@ static void place_segment(const struct rn_cpu_field *field, const struct rn_marc
         int at = slot + j;
         vf_store(w->s + at, s);
         vf_store(w->interval + at,
-                 vf_bits(inside & vi_bits(vf_set(options->step * (float)RN_DENSITY_UNIT))));
+                 vf_bits(inside & vi_bits(vf_set(step * (float)RN_DENSITY_UNIT))));
         vf ball = vf_set(0);
         if (leveled && field->config.footprint == RN_FOOTPRINT_MIP)
             ball = vf_log2(

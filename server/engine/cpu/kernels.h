@@ -15,7 +15,7 @@
 
 #define RN_PACKET_RAYS 128     // rays marched together
 #define RN_PACKET_SAMPLES 4096 // candidate samples evaluated together; bounds a ray's samples too
-#define RN_PACKET_SLACK 32     // numbers a vector store may overrun an array by
+#define RN_PACKET_SLACK 64     // numbers a vector store may overrun an array by
 #define RN_ROUND 16            // samples of a ray evaluated before its transmittance is looked at
 #define RN_GROUPS 16           // fixed partition of a step's rays: the unit of ordered accumulation
 #define RN_BLOCK 8             // texels along u that the optimiser visits together
@@ -58,12 +58,13 @@ struct rn_cpu_field {
 
 // A cone to march. `origin` lies on the ray where it enters the scene's box, `near` from the
 // camera, so that far cameras lose no digits: position = origin + direction * s,
-// distance = near + s, s = (k + 1/2) step.
+// distance = near + s, s = (k + 1/2) step stride.
 struct rn_march_ray {
     float origin[3], direction[3];
     float near;      // distance of `origin` from the camera
     float length;    // of the ray's part inside box and ball, from origin; <= 0: misses
     float radius;    // of the cone, per unit of distance
+    int stride;      // steps of the march that one sample spans: 1, 2, 4 or 8
     float target[3]; // training: the pixel over the background
     float weight;    // training: area weight; <= 0 means absent
     uint32_t id;     // for the counter-based random numbers

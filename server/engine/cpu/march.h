@@ -84,12 +84,14 @@ RN_INLINE unsigned test_cells(const struct rn_occupancy_bits *o, const struct rn
     return vi_mask_bits(((bits >> bit) & 1) != 0);
 }
 
-// Writes the march indices of the ray's samples in occupied cells, in order, at most `room`.
-// Terminates: every turn advances k.
+// Writes the indices of the ray's samples in occupied cells, in order, at most `room`. A sample
+// that spans several steps is there when any of them lies in an occupied cell. Terminates: every
+// turn advances k.
 static int march(const struct rn_occupancy_bits *o, const struct rn_march_ray *ray, float step,
                  uint16_t *ret_k, int room) {
     if (!(ray->length > 0) || o->low[0] > o->high[0]) return 0;
     float inverse_step = 1 / step;
+    int shift = __builtin_ctz((unsigned)ray->stride), last = -1;
     int begin = 0, end = index_at(ray->length, inverse_step), count = 0, distance;
     if (end > 65535) end = 65535;
     clip_to_box(o, ray, inverse_step, &begin, &end);
@@ -101,8 +103,11 @@ static int march(const struct rn_occupancy_bits *o, const struct rn_march_ray *r
         }
         unsigned bits = test_cells(o, ray, k, step);
         if (end - k < RN_VL) bits &= (1u << (end - k)) - 1;
-        for (; bits && count < room; bits &= bits - 1)
-            ret_k[count++] = (uint16_t)(k + __builtin_ctz(bits));
+        for (; bits && count < room; bits &= bits - 1) {
+            int sample = (k + __builtin_ctz(bits)) >> shift;
+            if (sample != last) ret_k[count++] = (uint16_t)sample;
+            last = sample;
+        }
         k += RN_VL;
     }
     return count;

@@ -203,7 +203,7 @@ static bool packet_density(const struct rn_cpu_field *field, const struct rn_mar
         w->ray_next[r] = w->candidate_begin[r];
         w->ray_depth[r] = 0;
         if (w->candidate_begin[r] == w->candidate_begin[r + 1]) continue;
-        ray_footprint_init(field, &rays[r], options->step, &footprints[r]);
+        ray_footprint_init(field, &rays[r], options->step * (float)rays[r].stride, &footprints[r]);
         leveled |= footprints[r].leveled;
     }
     for (;;) {

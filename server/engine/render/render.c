@@ -32,7 +32,7 @@ static void render_tile(void *context, int index, int thread) {
     for (int y = y0; y < y1; y++)
         for (int x = x0; x < x1; x++) {
             struct rn_ray ray = rn_camera_ray(&f->camera, x + 0.5, y + 0.5);
-            rays[n++] = rn_march_ray_from(&ray, &f->field->bounds, 0);
+            rays[n++] = rn_march_ray_from(f->field, &ray, (double)f->march.step, 0);
         }
     f->samples[index] = f->engine->kernels->render(&f->field->cpu, &f->march, rays, n,
                                                    rn_engine_workspace(f->engine, thread), pixels);

@@ -77,10 +77,10 @@ enum rn_status rn_trainer_allocate(struct rn_trainer *t, struct rn_error *err) {
 
 struct rn_march_ray rn_trainer_ray(const struct rn_trainer *t, const struct rn_pixels *pixels,
                                    const struct rn_pixel_frame *frame, int x, int y,
-                                   double offset) {
+                                   double jitter) {
     const struct rn_camera *camera = &frame->frame->camera;
     struct rn_ray ray = rn_camera_ray(camera, x + 0.5, y + 0.5);
-    struct rn_march_ray out = rn_march_ray_from(&ray, &t->field->bounds, offset);
+    struct rn_march_ray out = rn_march_ray_from(t->field, &ray, t->field->config.step, jitter);
     const uint8_t *rgba =
         pixels->rgba + 4 * (frame->offset + (size_t)y * (size_t)camera->width + (size_t)x);
     rn_pixel_over(rgba, t->field->config.background, out.target);
@@ -124,9 +124,9 @@ static struct rn_march_ray draw_ray(const struct rn_trainer *t, int r) {
     }
     const struct rn_pixel_frame *frame = frame_of(&t->train, scale, pixel);
     size_t within = pixel - frame->before, width = (size_t)frame->frame->camera.width;
-    double offset = (double)rn_rng_unit(draw.v[2]) * config->step;
+    double jitter = (double)rn_rng_unit(draw.v[2]);
     struct rn_march_ray ray =
-        rn_trainer_ray(t, &t->train, frame, (int)(within % width), (int)(within / width), offset);
+        rn_trainer_ray(t, &t->train, frame, (int)(within % width), (int)(within / width), jitter);
     ray.weight = config->equal_scales ? 1 : (float)frame->frame->loss_weight;
     ray.id = (uint32_t)r;
     return ray;

@@ -67,7 +67,7 @@ void rn_trainer_begin_step(struct rn_trainer *trainer);
 void rn_trainer_run_wave(struct rn_trainer *trainer); // clears `stepping` when the step is complete
 // The ray through pixel (x, y) of a frame, target over the background.
 struct rn_march_ray rn_trainer_ray(const struct rn_trainer *trainer, const struct rn_pixels *pixels,
-                                   const struct rn_pixel_frame *frame, int x, int y, double offset);
+                                   const struct rn_pixel_frame *frame, int x, int y, double jitter);
 // 0..1 of the binding limit so far, NAN without one.
 double rn_trainer_fraction(const struct rn_trainer *trainer);
 
