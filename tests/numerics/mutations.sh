@@ -1,10 +1,11 @@
 #!/bin/bash
 # Puts each naive formula back, in a scratch copy of the tree, and runs the case that must fail:
-# mutations.sh [SEED]. Closes with `N of N caught`; the exit code is 0 only when all were.
+# mutations.sh [SEED [PATTERN]], PATTERN choosing some by name. Closes with `N of N caught`; the exit code is 0 only when all were.
 set -u
 cd "$(dirname "$0")/../.." || exit 1
 tree=$PWD
 export RN_NUMERICS_SEED=${1:-1}
+pattern=${2:-}
 scratch=$(mktemp -d) || exit 1
 trap 'rm -rf "$scratch"' EXIT
 tried=0
@@ -24,6 +25,7 @@ run() {
 # mutate PROGRAM FILE WHAT SED_SCRIPT
 mutate() {
     local program=$1 file=$2 what=$3 script=$4
+    [[ $what == *$pattern* ]] || return
     tried=$((tried + 1))
     sed -i "$script" "$scratch/tree/$file"
     if cmp -s "$tree/$file" "$scratch/tree/$file"; then
@@ -43,7 +45,7 @@ mkdir "$scratch/tree"
 git ls-files --cached --others --exclude-standard -z | xargs -0 cp --parents -t "$scratch/tree"
 meson setup "$scratch/build" "$scratch/tree" --buildtype=release >"$scratch/log" 2>&1 ||
     { cat "$scratch/log"; give_up "meson setup failed"; }
-for program in frustum footprint ripmap solid volume camera optimiser kernels flags_fma; do
+for program in frustum footprint ripmap solid volume camera optimiser kernels rays flags_fma; do
     run "$program" || give_up "$program fails before any mutation: $(tail -3 "$scratch/log")"
 done
 
@@ -116,6 +118,14 @@ mutate kernels $cpu/kernel_set.c "vector AdamW: squares that overflow" \
     's/vf g = vf_min(.*/vf g = vf_load(grad) * o->scale;/'
 mutate kernels $cpu/kernel_set.c "vector AdamW: decay as 1 - rate * decay" \
     's/change = p \* fade + rate/change = rate/;s/vf_store(parameter, p - change);/vf_store(parameter, p * (1 - fade) - change);/'
+mutate rays server/engine/scene.c "rays: distance from the centre by |o|^2 - (o.d)^2" \
+    's/across += foot \* foot;/across += (foot, o[i] * o[i]);/;s/^    out.radius = (float)ray->radius;/    across -= along * along; &/'
+mutate rays server/engine/scene.c "rays: start left where the camera is" \
+    's/double near = enter + offset,/double near = offset,/'
+mutate rays $cpu/march.h "march: a brick skipped too far" \
+    's/return next > k ? next : k + 1;/return next > k ? next + 1 : k + 2;/'
+mutate rays $cpu/march.h "march: cells by truncation towards the centre" \
+    's/p \* half + half, 0.0f, top/p * half + half - 0.01f, 0.0f, top/'
 mutate flags_fma meson.build "flags: contraction allowed" \
     's/-ffp-contract=off/-ffp-contract=fast/'
 

@@ -2,6 +2,8 @@
 // and with RN_REAL=float.
 #include "tests/numerics/subject.h"
 
+#include <stddef.h>
+
 #include "server/engine/field/footprint.h"
 #include "server/engine/field/frustum.h"
 #include "server/engine/field/ripmap.h"
@@ -126,4 +128,5 @@ const struct subject SUBJECT = {SUBJECT_NAME,
                                 density,
                                 alpha,
                                 composite,
-                                composite_backward};
+                                composite_backward,
+                                NULL};

@@ -5,6 +5,10 @@
 #define RN_TESTS_NUMERICS_SUBJECT_H
 
 #include <stdbool.h>
+#include <stdint.h>
+
+struct rn_occupancy_bits;
+struct rn_march_ray;
 
 // A constant table of functions. Thread-safety: all.
 struct subject {
@@ -28,6 +32,9 @@ struct subject {
     double (*composite)(int n, const double *x, double *weights, double *after);
     void (*composite_backward)(int n, const double *weights, const double *after, const double *g,
                                double *grad);
+    // Kernel sets only: the march indices of samples in occupied cells, at most `room`.
+    int (*march)(const struct rn_occupancy_bits *grid, const struct rn_march_ray *ray, float step,
+                 uint16_t *ret_k, int room);
 };
 
 #define SUBJECT_MAX_SAMPLES 4096

@@ -137,4 +137,5 @@ const struct subject SUBJECT = {.name = SUBJECT_NAME,
                                 .density = density_of,
                                 .alpha = alpha,
                                 .composite = composite,
-                                .composite_backward = composite_back};
+                                .composite_backward = composite_back,
+                                .march = march};
