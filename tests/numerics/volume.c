@@ -74,9 +74,10 @@ struct truth {
     mpfr_t depth, carried, total;
 };
 
-// Weights: error in ULP per 1 + S, the optical depth in front (the condition number of exp(-S)).
-// Then the returned depth, the opacity, and the sum of the weights with the final transmittance,
-// itself summed in float64 for floats and exactly for float64.
+// Weights (normal ones; fp32 above 1.25e-38, as the vector exponential ends at exp(-87.3)): error
+// in ULP per 1 + S, the optical depth in front (the condition number of exp(-S)). Then the returned
+// depth, the opacity, and the sum of the weights with the final transmittance, itself summed in
+// float64 for floats and exactly for float64.
 static void see_composite(struct numerics_case cases[4], const struct subject *s, int n,
                           const double *x, const char *kind, struct truth *t) {
     static double weights[MOST], after[MOST];
@@ -88,7 +89,7 @@ static void see_composite(struct numerics_case cases[4], const struct subject *s
         exact weight =
             times(exponential(negative(t->depth)), negative(exponential_minus_1(number(-x[i]))));
         double front = rounded(t->depth);
-        if (rounded(weight) > (s->digits == 24 ? 0x1p-126 : 0x1p-1022))
+        if (rounded(weight) > (s->digits == 24 ? 1.25e-38 : 0x1p-1022))
             numerics_see(&cases[0], exact_ulps(weights[i], weight, s->digits) / (1 + front),
                          "%s, sample %d of %d", kind, i, n);
         mpfr_add_d(t->depth, t->depth, x[i], MPFR_RNDN);
