@@ -11,6 +11,7 @@
 
 // Checkpoints that are kept; the runner removes the files of older ones.
 #define KEPT_CHECKPOINTS 2
+#define BUSY_RETRY_NS 1000000000ll
 
 // The runner's task with this id, or NULL.
 static struct rn_task *task_of(struct rn_runner *runner, const char *job) {
@@ -234,11 +235,19 @@ static void on_done(struct rn_control *control, struct rn_runner *runner,
     if (strcmp(runner->mode, "ingest") == 0) rn_runner_shutdown(control, runner);
 }
 
+static void try_again(struct rn_task *task) {
+    rn_task_detach(task);
+    task->not_before_ns = rn_clock_ns() + BUSY_RETRY_NS;
+}
+
 // The scene could not be opened: all that waits for it fails.
 static void open_failed(struct rn_control *control, struct rn_runner *runner,
                         const struct rn_error *err) {
     if (err->status == RN_ERROR_BUSY) { // an orphan still holds the scene's folder
-        runner->broken = true;
+        if (runner->train != NULL) try_again(runner->train);
+        if (runner->work != NULL) try_again(runner->work);
+        rn_render_fail_all(control, runner, err);
+        rn_runner_shutdown(control, runner);
         return;
     }
     if (runner->train != NULL) rn_task_fail(control, runner->train, err);

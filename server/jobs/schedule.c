@@ -68,7 +68,7 @@ static void start(struct rn_control *control, struct rn_task *task) {
         runner->train = task;
     else
         runner->work = task;
-    rn_task_happened(control, task, RN_JOB_START);
+    if (task->row.state == RN_JOB_QUEUED) rn_task_happened(control, task, RN_JOB_START);
     if (runner->state == RN_RUNNER_READY) rn_runner_begin(control, task);
 }
 
@@ -107,9 +107,12 @@ void rn_schedule(struct rn_control *control) {
     control->schedule_due = false;
     if (control->stopping) return;
     int64_t now_ns = rn_clock_ns();
-    for (struct rn_task *task = control->tasks; task != NULL; task = task->next)
-        if (task->row.state == RN_JOB_QUEUED && now_ns >= task->not_before_ns &&
-            may_start(control, task))
-            start(control, task);
+    for (struct rn_task *task = control->tasks; task != NULL; task = task->next) {
+        if (now_ns < task->not_before_ns) continue;
+        bool queued = task->row.state == RN_JOB_QUEUED && may_start(control, task);
+        // It has its slot, but another process held its scene.
+        bool waits = task->row.state == RN_JOB_RUNNING && task->runner == NULL;
+        if (queued || waits) start(control, task);
+    }
     evict(control);
 }

@@ -1,5 +1,6 @@
 """Jobs through their states, crashes of runner and daemon, restarts, shutdown."""
 
+import fcntl
 import os
 import signal
 import subprocess
@@ -277,6 +278,29 @@ def test_kill_daemon_in_an_import(programs, photographs, tmp_path):
         assert daemon.get("/v1/datasets/data").status == 200
         time.sleep(0.7)
         assert not list((tmp_path / "d" / "spool").iterdir())
+    finally:
+        daemon.stop()
+
+
+def test_scene_is_held_by_an_orphan(programs, photographs, tmp_path):
+    """However long a runner of a killed daemon hangs (a new one waits 15 s for it), the job waits."""
+    daemon = Daemon(*programs, tmp_path / "d", {"RIPNERF_FAKE_STEP_US": "2000"}).start()
+    try:
+        daemon.wait(daemon.upload("data", photographs))
+        job = train(daemon, "s", max_steps=1000)
+        wait_for_step(daemon, job, 10)
+        scene = daemon.get("/v1/scenes/s").json["id"]
+        daemon.stop(signal.SIGKILL)
+        with open(tmp_path / "d" / "scenes" / scene / "lock", "a", encoding="utf-8") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            daemon.start()
+            deadline = time.monotonic() + 40
+            while daemon.log_text().count("started (field") < 3:  # before, refused, now
+                assert time.monotonic() < deadline
+                time.sleep(0.1)
+            assert daemon.job(job)["state"] == "running"
+        record = daemon.wait(job)
+        assert record["state"] == "succeeded" and record["attempt"] == 2
     finally:
         daemon.stop()
 
