@@ -88,6 +88,29 @@ static struct truth exact_truth(const struct rn_ray *ray) {
     return t;
 }
 
+// A grid of the ball's cells, `part` of them occupied, scattered or in runs.
+static struct rn_field *make_grid(struct numerics_random *random, int cells, double part) {
+    struct rn_train_config config;
+    struct rn_bounds bounds = {.radius = 1};
+    struct rn_field *field = NULL;
+    if (rn_preset("draft", false, &config, NULL) != RN_OK) exit(1);
+    config.field.occupancy = cells;
+    config.field.base = 16;
+    config.field.levels = 2;
+    config.cone_step = false;
+    if (rn_field_create(&config, &bounds, &field, NULL) != RN_OK) exit(1);
+    size_t count = (size_t)cells * (size_t)cells * (size_t)cells;
+    bool clustered = numerics_uniform(random, 0, 1) < 0.5;
+    for (size_t i = 0; i < count; i++) {
+        size_t key = clustered ? i / 64 : i; // runs along z
+        struct rn_rng4 draw = rn_rng_draw(random->seed, random->count, key);
+        field->occupancy[i] = rn_rng_unit(draw.v[0]) < part ? 1 : 0;
+    }
+    random->count++;
+    rn_field_refresh_occupancy(field);
+    return field;
+}
+
 // The start lies on the ray, before the ball and within the cube; the end is where the ray leaves
 // the ball. Errors in units of 2^-21 (fp32 positions) + 2^-50 times the distance (float64 origins)
 // times the condition of the chord's end.
@@ -96,11 +119,11 @@ static int check_entry(struct numerics_random *random) {
     struct numerics_case hits = {"6 ray meets the ball", range, "wrong", 0.5, 0, ""};
     struct numerics_case start = {"6 ray start on the ray, in the cube", range, unit, 1, 0, ""};
     struct numerics_case end = {"6 ray end on the ball", range, unit, 1, 0, ""};
-    const struct rn_bounds bounds = {.radius = 1};
+    struct rn_field *field = make_grid(random, 16, 1);
     for (int n = 0; n < 40000; n++) {
         int kind = n % KINDS;
         struct rn_ray ray = draw_ray(random, kind);
-        struct rn_march_ray got = rn_march_ray_from(&ray, &bounds, 0);
+        struct rn_march_ray got = rn_march_ray_from(field, &ray, 0.01, 0);
         exact_reset();
         struct truth t = exact_truth(&ray);
         double allowed = 0x1p-21 + 0x1p-50 * t.distance, exits = rounded(t.exits);
@@ -128,50 +151,31 @@ static int check_entry(struct numerics_random *random) {
         numerics_see(&end, fabs(reach) / (0x1p-21 + 0x1p-50 * t.distance * t.condition),
                      "%s, distance %.9g, half chord %.3g", kinds[kind], t.distance, t.half);
     }
+    rn_field_destroy(&field);
     return numerics_close(&hits) + numerics_close(&start) + numerics_close(&end);
 }
 
 // What no ray may do: be followed when it is not a number.
-static int check_wild(void) {
+static int check_wild(struct numerics_random *random) {
     struct numerics_case c = {
         "6 ray with NaN or infinity", "each number of a ray", "followed", 0.5, 0, ""};
     const double wild[] = {NAN, INFINITY, -INFINITY, DBL_MAX};
-    const struct rn_bounds bounds = {.radius = 1};
+    struct rn_field *field = make_grid(random, 16, 1);
     for (int n = 0; n < 24; n++) {
         struct rn_ray ray = {{0.1, 0.2, -3}, {0, 0, 1}, 1e-3};
         (n % 6 < 3 ? ray.origin : ray.direction)[n % 3] = wild[n / 6];
-        struct rn_march_ray got = rn_march_ray_from(&ray, &bounds, 0);
+        struct rn_march_ray got = rn_march_ray_from(field, &ray, 0.01, 0);
         bool finite = true;
         for (int i = 0; i < 3; i++)
             finite &= isfinite(got.origin[i]) && isfinite(got.direction[i]);
         numerics_see(&c, got.length > 0 && !(finite && isfinite(got.length)), "number %d is %g",
                      n % 6, wild[n / 6]);
     }
+    rn_field_destroy(&field);
     return numerics_close(&c);
 }
 
 // ---- the march ------------------------------------------------------------------------------
-
-static struct rn_field *make_grid(struct numerics_random *random, int cells, double part) {
-    struct rn_train_config config;
-    struct rn_bounds bounds = {.radius = 1};
-    struct rn_field *field = NULL;
-    if (rn_preset("draft", false, &config, NULL) != RN_OK) exit(1);
-    config.field.occupancy = cells;
-    config.field.base = 16;
-    config.field.levels = 2;
-    if (rn_field_create(&config, &bounds, &field, NULL) != RN_OK) exit(1);
-    size_t count = (size_t)cells * (size_t)cells * (size_t)cells;
-    bool clustered = numerics_uniform(random, 0, 1) < 0.5;
-    for (size_t i = 0; i < count; i++) {
-        size_t key = clustered ? i / 64 : i; // runs along z
-        struct rn_rng4 draw = rn_rng_draw(random->seed, random->count, key);
-        field->occupancy[i] = rn_rng_unit(draw.v[0]) < part ? 1 : 0;
-    }
-    random->count++;
-    rn_field_refresh_occupancy(field);
-    return field;
-}
 
 // Whether any (or all, for `all`) of the cells within `margin` of a position are occupied.
 static bool occupied(const struct rn_field *field, const double p[3], double margin, bool all) {
@@ -191,8 +195,8 @@ static bool occupied(const struct rn_field *field, const double p[3], double mar
     return all ? every : some;
 }
 
-// Every sample in an occupied cell is found, in order, and no other, but for samples within 2e-6 of
-// a cell's face.
+// Every sample with a step in an occupied cell is found, in order, and no other, but for steps
+// within 2e-6 of a cell's face.
 static void see_march(struct numerics_case *c, const struct subject *s,
                       const struct rn_field *field, const struct rn_march_ray *ray, double step,
                       int kind) {
@@ -202,36 +206,42 @@ static void see_march(struct numerics_case *c, const struct subject *s,
     double wrong = 0;
     for (int i = 1; i < n; i++)
         wrong += found[i] <= found[i - 1];
-    for (int k = 0; k < count; k++) {
-        double at = (k + 0.5) * (double)(float)step, p[3];
+    for (int k = 0; k * ray->stride < count; k++) {
+        bool must = false, may = false;
+        for (int j = k * ray->stride; j < (k + 1) * ray->stride && j <= count; j++) {
+            double at = (j + 0.5) * (double)(float)step, p[3];
+            for (int i = 0; i < 3; i++)
+                p[i] = (double)ray->origin[i] + (double)ray->direction[i] * at;
+            must |= occupied(field, p, 2e-6, true) && at < (double)ray->length - 1e-5;
+            may |= occupied(field, p, 2e-6, false);
+        }
         while (next < n && found[next] < k)
             next++;
         bool has = next < n && found[next] == k;
-        if (at > (double)ray->length - 1e-5) continue;
-        for (int i = 0; i < 3; i++)
-            p[i] = (double)ray->origin[i] + (double)ray->direction[i] * at;
-        wrong += has ? !occupied(field, p, 2e-6, false) : occupied(field, p, 2e-6, true);
+        wrong += has ? !may : must;
     }
-    numerics_see(c, wrong, "%s, step %.4g, %d of %d samples", kinds[kind], step, n, count);
+    numerics_see(c, wrong, "%s, step %.4g, stride %d, %d of %d samples", kinds[kind], step,
+                 ray->stride, n, count / ray->stride);
 }
 
 static int check_march(const struct subject *s, struct numerics_random *random) {
     char name[80];
     snprintf(name, sizeof name, "6 march finds the occupied samples, %s", s->name);
-    struct numerics_case c = {name,
-                              "9 kinds of rays, steps 1e-4..1, grids 16 and 64, 0.1..90 % full",
-                              "wrong samples",
-                              0.5,
-                              0,
-                              ""};
-    const struct rn_bounds bounds = {.radius = 1};
+    struct numerics_case c = {
+        name,
+        "9 kinds of rays, steps 1e-4..1, 1 to 8 a sample, grids 16 and 64, 0.1..90 % full",
+        "wrong samples",
+        0.5,
+        0,
+        ""};
     for (int g = 0; g < 12; g++) {
         struct rn_field *field =
             make_grid(random, g % 2 ? 64 : 16, numerics_spread(random, 1e-3, 0.9));
         for (int n = 0; n < 90; n++) {
             struct rn_ray ray = draw_ray(random, n % KINDS);
             double step = n < 9 ? 1e-4 : numerics_spread(random, 1e-3, 1);
-            struct rn_march_ray march = rn_march_ray_from(&ray, &bounds, 0);
+            struct rn_march_ray march = rn_march_ray_from(field, &ray, 0.01, 0);
+            march.stride = 1 << n / KINDS % 4;
             see_march(&c, s, field, &march, step, n % KINDS);
         }
         rn_field_destroy(&field);
@@ -247,13 +257,13 @@ static int check_ends(const struct subject *s, struct numerics_random *random) {
         name, "steps 1e-30..1e30, lengths and distances to 1e9, NaN", "over the room", 0.5, 0, ""};
     static uint16_t found[1024 + RN_PACKET_SLACK];
     const double wild[] = {NAN, INFINITY, 0, 1e-30, 1e30, 1e-7};
-    const struct rn_bounds bounds = {.radius = 1};
     struct rn_field *field = make_grid(random, 16, 0.3);
     for (int n = 0; n < 20000; n++) {
         struct rn_ray ray = draw_ray(random, n % KINDS);
-        struct rn_march_ray march = rn_march_ray_from(&ray, &bounds, 0);
+        struct rn_march_ray march = rn_march_ray_from(field, &ray, 0.01, 0);
         double step = n % 7 ? numerics_spread(random, 1e-9, 1e9) : wild[n / 7 % 6];
         if (n % 5 == 0) march.length = (float)numerics_spread(random, 1e-9, 1e9);
+        march.stride = 1 << n % 4;
         march.near = (float)numerics_spread(random, 1, 1e9);
         int count = s->march(&field->cpu.occupancy, &march, (float)step, found, 1024);
         numerics_see(&c, count < 0 || count > 1024, "step %g length %g", step,
@@ -266,7 +276,7 @@ static int check_ends(const struct subject *s, struct numerics_random *random) {
 int main(void) {
     struct numerics_random random = numerics_random();
     const struct subject *s;
-    int failed = check_entry(&random) + check_wild();
+    int failed = check_entry(&random) + check_wild(&random);
     for (int i = 0; (s = subject_at(i)); i++) {
         if (!s->fast) continue;
         failed += check_march(s, &random);
