@@ -261,6 +261,22 @@ START_TEST(odd_base_matches_reference) {
 }
 END_TEST
 
+START_TEST(other_solids_and_no_view_dependence_match_reference) {
+    const struct rn_kernels *kernels;
+    for (int i = 0; (kernels = rn_kernels_available(i)); i++)
+        for (int n = 0; n < 4; n++) {
+            struct rn_train_config config = small_config();
+            config.field.planes = n < 2 ? 6 : 10;
+            config.field.view_dependence = n == 3;
+            config.field.shading = n % 2 ? RN_SHADING_RAY : RN_SHADING_SAMPLE;
+            config.field.base_layers = 1 + n % 3;
+            config.field.head_layers = 4 - n;
+            check_training(kernels, &config);
+            check_rendering(kernels, &config);
+        }
+}
+END_TEST
+
 int main(void) {
     Suite *suite = suite_create("cpu kernels");
     TCase *tests = tcase_create("reference");
@@ -268,6 +284,7 @@ int main(void) {
     tcase_add_test(tests, gradients_match_reference);
     tcase_add_test(tests, pixels_match_reference);
     tcase_add_test(tests, odd_base_matches_reference);
+    tcase_add_test(tests, other_solids_and_no_view_dependence_match_reference);
     suite_add_tcase(suite, tests);
     SRunner *runner = srunner_create(suite);
     srunner_run_all(runner, CK_NORMAL);
