@@ -10,6 +10,7 @@
 
 #include "common/base/log.h"
 #include "server/engine/engine.h"
+#include "server/runner/bench.h"
 #include "server/runner/host.h"
 #include "server/runner/ingest.h"
 
@@ -42,8 +43,9 @@ static int probe(int fd) {
 static int usage(const char *program) {
     fprintf(stderr,
             "usage: %s --mode field|ingest|probe --fd N\n"
-            "Started by ripnerfd; N is a connected stream socket.\n",
-            program);
+            "       %s --mode bench [--preset NAME] [--kernels SET] [--threads N] [--seconds S]\n"
+            "Started by ripnerfd, N a connected stream socket; or by ripnerf bench.\n",
+            program, program);
     return 2;
 }
 
@@ -54,21 +56,31 @@ static bool is_socket(int fd) {
 
 int main(int argc, char **argv) {
     static const struct option options[] = {{"mode", required_argument, NULL, 'm'},
+                                            {"preset", required_argument, NULL, 'p'},
+                                            {"kernels", required_argument, NULL, 'k'},
+                                            {"threads", required_argument, NULL, 't'},
+                                            {"seconds", required_argument, NULL, 's'},
                                             {"fd", required_argument, NULL, 'f'},
                                             {"version", no_argument, NULL, 'v'},
                                             {NULL, 0, NULL, 0}};
     const char *mode = "";
+    struct rn_bench_options bench = {.seconds = 5};
     int fd = -1, option;
     while ((option = getopt_long(argc, argv, "", options, NULL)) != -1) {
         char *end = "";
         if (option == 'm') mode = optarg;
         if (option == 'f') fd = (int)strtol(optarg, &end, 10);
+        if (option == 'p') bench.preset = optarg;
+        if (option == 'k') bench.kernels = optarg;
+        if (option == 't') bench.threads = (int)strtol(optarg, &end, 10);
+        if (option == 's') bench.seconds = strtod(optarg, &end);
         if (option == 'v') {
             puts("ripnerf-runner " RIPNERF_VERSION);
             return 0;
         }
         if (option == '?' || *end) return usage(argv[0]);
     }
+    if (optind == argc && strcmp(mode, "bench") == 0) return rn_runner_bench(&bench);
     if (optind != argc || !is_socket(fd)) return usage(argv[0]);
     // A Ctrl-C at the terminal is the daemon's to deal with; it then tells its runners.
     signal(SIGINT, SIG_IGN);

@@ -2,6 +2,7 @@
 #include "server/engine/cpu/backward.h"
 #include "server/engine/cpu/kernels.h"
 #include "server/engine/cpu/pyramid.h"
+#include "server/engine/cpu/stage.h"
 
 static uint64_t render(const struct rn_cpu_field *field, const struct rn_march_options *options,
                        const struct rn_march_ray *rays, int count, struct rn_workspace *w,
@@ -208,6 +209,7 @@ const struct rn_kernels RN_PASTE(rn_kernels_, RN_KERNEL_SET) = {
     .build = build_plane,
     .pull_down = pull_down_plane,
     .adamw = adamw,
+    .stage = stage,
     .gemm = gemm_public,
     .exp = exp_public,
     .one_minus_exp = one_minus_exp_public,

@@ -142,6 +142,15 @@ struct rn_adamw {
     float correction1, correction2; // 1 - 0.9^t, 1 - 0.999^t
 };
 
+// The parts of a packet's work that can be run by themselves, for benchmarks.
+enum rn_stage {
+    RN_STAGE_MARCH,        // fills the candidates
+    RN_STAGE_ENCODE,       // positions, levels and features of every sample
+    RN_STAGE_MLP_FORWARD,  // both networks
+    RN_STAGE_COMPOSITE,    // densities, weights and sums along the rays
+    RN_STAGE_MLP_BACKWARD, // both networks, for the samples in the group's slab
+};
+
 struct rn_kernels {
     const char *name;
     // Forward and backward of rays[group->cursor .. group->end) until the group's slab has no room
@@ -171,6 +180,13 @@ struct rn_kernels {
     // AdamW over n numbers (Loshchilov & Hutter 2019); clears grad.
     void (*adamw)(const struct rn_adamw *options, size_t n, float *parameter, float *grad, float *m,
                   float *v);
+    // One part of a packet's work again, over what `train` left in the workspace for exactly these
+    // rays (march: any rays). Returns the rays taken (march), else the rows of the density network.
+    // The weights' gradients of the backward are added to the group's; the features' are returned
+    // in *ret_grad ([row][feature_stride], in the workspace), which may be NULL.
+    int (*stage)(const struct rn_cpu_field *field, const struct rn_march_options *options,
+                 const struct rn_march_ray *rays, int count, enum rn_stage stage,
+                 struct rn_workspace *workspace, struct rn_group *group, const float **ret_grad);
     // One fp32 product for tests and benchmarks: c[rows][n] = a[rows][k] b[k][n], n a multiple
     // of 16.
     void (*gemm)(int rows, int k, int n, const float *a, int a_stride, const float *b, int b_stride,

@@ -1,0 +1,137 @@
+#include "server/engine/bench/bench.h"
+
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "common/base/clock.h"
+#include "server/engine/bench/machine.h"
+#include "server/engine/bench/scene.h"
+#include "server/engine/bench/stages.h"
+
+// Shares of the time given: machine, training, stages; the rest is the scene and the frame.
+#define SHARE_MACHINE 0.2
+#define SHARE_TRAIN 0.3
+#define SHARE_STAGES 0.3
+#define SHARE_FRAME 0.05
+
+struct run {
+    const struct rn_bench_options *options;
+    struct rn_bench_result *result;
+    struct rn_engine *engine;
+    struct rn_bench_scene scene;
+    struct rn_trainer *trainer;
+    void (*progress)(const char *what);
+};
+
+static void say(const struct run *run, const char *what) {
+    if (run->progress) run->progress(what);
+}
+
+static enum rn_status create_trainer(struct run *run, struct rn_error *err) {
+    struct rn_train_config config;
+    const char *preset = run->options->preset ? run->options->preset : "standard";
+    enum rn_status status = rn_preset(preset, false, &config, err);
+    if (status != RN_OK) return status;
+    config.auto_effects = false; // the whole configuration is what is counted
+    config.max_steps = 0;
+    config.max_seconds = 1e6;
+    snprintf(run->result->preset, sizeof run->result->preset, "%s", preset);
+    return rn_trainer_create(run->engine, &run->scene.dataset, &config, 0, &run->trainer, err);
+}
+
+// Trains half of the time given unmeasured, so that the occupancy settles, then the other half.
+static enum rn_status train(struct run *run, struct rn_error *err) {
+    double seconds = run->options->seconds * SHARE_TRAIN / 2;
+    struct rn_progress before, after;
+    rn_trainer_progress(run->trainer, &before);
+    do {
+        if (rn_trainer_advance(run->trainer, 1, err) != RN_OK) return err->status;
+        rn_trainer_progress(run->trainer, &after);
+    } while (run->trainer->stepping || after.train_seconds - before.train_seconds < seconds);
+    before = after;
+    do {
+        if (rn_trainer_advance(run->trainer, 1, err) != RN_OK) return err->status;
+        rn_trainer_progress(run->trainer, &after);
+    } while (run->trainer->stepping || after.train_seconds - before.train_seconds < seconds);
+    double steps = (double)(after.step - before.step);
+    double spent = after.train_seconds - before.train_seconds;
+    double samples = (double)(after.samples - before.samples);
+    run->result->step.ms = spent * 1e3 / steps;
+    run->result->step.samples = samples / steps;
+    run->result->step.rays = (double)(after.rays - before.rays) / steps;
+    run->result->step.samples_per_second_per_core = samples / spent / run->result->threads;
+    return RN_OK;
+}
+
+static enum rn_status render_frame(struct run *run, struct rn_error *err) {
+    struct rn_render_options options = {.outputs = RN_OUTPUT_RGB, .background = {1, 1, 1}};
+    double least = INFINITY, seconds = run->options->seconds * SHARE_FRAME;
+    int64_t begin = rn_clock_ns();
+    enum rn_status status = rn_bench_camera(3, 7, &options.camera);
+    for (int i = 0; status == RN_OK && (i < 2 || (double)(rn_clock_ns() - begin) * 1e-9 < seconds);
+         i++) {
+        struct rn_render_result result;
+        status = rn_render(run->engine, run->trainer->field, &options, NULL, NULL, &result, err);
+        if (status != RN_OK) return status;
+        least = fmin(least, result.stats.render_ms);
+        run->result->frame.samples = (double)result.stats.samples;
+        rn_render_result_finish(&result);
+    }
+    run->result->frame.ms = least;
+    run->result->frame.width = options.camera.width;
+    run->result->frame.height = options.camera.height;
+    return status;
+}
+
+static enum rn_status measure_stages(struct run *run, struct rn_error *err) {
+    struct rn_bench_recording recording;
+    enum rn_status status = rn_engine_prepare(run->engine, run->trainer->field, err);
+    if (status == RN_OK) status = rn_bench_record(run->trainer, &recording, err);
+    if (status != RN_OK) return status;
+    rn_bench_stages(&recording, &run->result->machine, run->options->seconds * SHARE_STAGES,
+                    run->result);
+    rn_bench_recording_finish(&recording);
+    return RN_OK;
+}
+
+static enum rn_status run_all(struct run *run, struct rn_error *err) {
+    say(run, "photographs of a procedural scene");
+    enum rn_status status = rn_bench_scene_init(run->engine->pool, &run->scene, err);
+    if (status == RN_OK) status = create_trainer(run, err);
+    if (status != RN_OK) return status;
+    say(run, "training");
+    if ((status = train(run, err)) != RN_OK) return status;
+    say(run, "a frame");
+    if ((status = render_frame(run, err)) != RN_OK) return status;
+    say(run, "the machine");
+    rn_bench_machine_measure(run->engine->kernels->name, run->options->seconds * SHARE_MACHINE,
+                             &run->result->machine);
+    say(run, "each stage");
+    return measure_stages(run, err);
+}
+
+enum rn_status rn_bench_run(const struct rn_bench_options *options,
+                            void (*progress)(const char *what), struct rn_bench_result *ret_result,
+                            struct rn_error *err) {
+    struct rn_bench_result result = {0};
+    struct run run = {.options = options, .result = &result, .progress = progress};
+    struct rn_engine_options engine = {.kernels = options->kernels, .threads = options->threads};
+    struct rn_device_info info;
+    if (!(options->seconds >= 0.5 && options->seconds <= 3600))
+        return rn_error_set(err, RN_ERROR_INVALID, "seconds", "must be 0.5 to 3600");
+    if (getloadavg(&result.machine.load, 1) != 1) result.machine.load = NAN;
+    enum rn_status status = rn_engine_create(&engine, &run.engine, err);
+    if (status != RN_OK) return status;
+    rn_engine_describe(run.engine, &info);
+    result.threads = info.threads;
+    snprintf(result.kernels, sizeof result.kernels, "%s", info.kernels);
+    snprintf(result.machine.cpu, sizeof result.machine.cpu, "%s", info.name);
+    status = run_all(&run, err);
+    rn_trainer_destroy(&run.trainer);
+    rn_bench_scene_finish(&run.scene);
+    rn_engine_destroy(&run.engine);
+    if (status == RN_OK) *ret_result = result;
+    return status;
+}

@@ -1,0 +1,401 @@
+#include "server/engine/bench/check.h"
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "common/math/rng.h"
+#include "server/engine/field/frustum.h"
+#include "server/engine/field/occupancy.h"
+#include "server/engine/field/ripmap.h"
+#include "server/engine/field/volume.h"
+#include "server/engine/reference/reference.h"
+
+#define SAMPLES 512 // looked at a stage, evenly spaced
+
+struct worst {
+    double difference, magnitude;
+    bool bad;
+};
+
+static void compare(struct worst *w, double fast, double exact) {
+    if (!isfinite(fast) || !isfinite(exact)) w->bad = true;
+    w->difference = fmax(w->difference, fabs(fast - exact));
+    w->magnitude = fmax(w->magnitude, fabs(exact));
+}
+
+static double result(const struct worst *w) {
+    return w->bad || !(w->magnitude > 0) ? INFINITY : w->difference / w->magnitude;
+}
+
+static int stride(int count) {
+    return count > SAMPLES ? count / SAMPLES : 1;
+}
+
+// ---- rays and march ----------------------------------------------------------------------------------
+
+double rn_bench_check_rays(const struct rn_bench_recording *rec) {
+    const struct rn_trainer *t = rec->trainer;
+    struct worst worst = {0};
+    for (int f = 0; f < t->train.frame_count; f++) {
+        const struct rn_pixel_frame *frame = &t->train.frames[f];
+        const struct rn_camera *camera = &frame->frame->camera;
+        for (int y = 0; y < camera->height; y += 37) {
+            int x = y * 7919 % camera->width;
+            struct rn_march_ray ray = rn_trainer_ray(t, &t->train, frame, x, y, 0.01);
+            double p[3] = {0};
+            if (!(ray.length > 0)) continue;
+            for (int i = 0; i < 3; i++) {
+                double at = t->field->bounds.centre[i] +
+                            t->field->bounds.radius * (double)(ray.origin[i] + ray.direction[i]);
+                for (int k = 0; k < 3; k++)
+                    p[k] += camera->world_from_camera[i][k] *
+                            (at - camera->world_from_camera[i][3]);
+            }
+            compare(&worst, p[0] / p[2] * camera->fx + camera->cx, x + 0.5);
+            compare(&worst, p[1] / p[2] * camera->fy + camera->cy, y + 0.5);
+        }
+    }
+    return result(&worst);
+}
+
+static bool occupied(const struct rn_occupancy_bits *o, const struct rn_march_ray *ray, double s) {
+    int cell[3];
+    for (int i = 0; i < 3; i++)
+        cell[i] = rn_cell_of((double)ray->origin[i] + (double)ray->direction[i] * s, o->cells);
+    return o->words[rn_brick_word(cell[0], cell[1], cell[2], o->cells)] &
+           rn_brick_bit(cell[0], cell[1]);
+}
+
+double rn_bench_check_march(const struct rn_bench_recording *rec) {
+    double wrong = 0, all = 0;
+    for (int p = 0; p < rec->packet_count; p++) {
+        const struct rn_bench_packet *packet = &rec->packets[p];
+        const struct rn_workspace *w = packet->workspace;
+        double step = (double)rec->trainer->march.step;
+        rn_bench_stage_run(rec, packet, RN_STAGE_MARCH, NULL);
+        for (int r = 0; r < packet->ray_count; r++) {
+            const struct rn_march_ray *ray = &packet->rays[r];
+            int at = w->candidate_begin[r], end = w->candidate_begin[r + 1];
+            for (int k = 0; (k + 0.5) * step < (double)ray->length; k++) {
+                bool expected = occupied(&rec->field->occupancy, ray, (k + 0.5) * step);
+                bool found = at < end && w->candidate[at] == k;
+                at += found;
+                wrong += found != expected;
+                all += expected;
+            }
+        }
+    }
+    return all > 0 ? wrong / all : INFINITY;
+}
+
+// ---- encode ---------------------------------------------------------------------------------
+
+static int levels_of(const struct rn_cpu_field *f) {
+    return f->built_levels < f->config.levels ? f->built_levels : f->config.levels;
+}
+
+// The tetra-linear query of one plane (paper, section 3.3).
+static void fetch(const struct rn_cpu_field *f, int plane, const double uv[2], const double l[2],
+                  double ret[16]) {
+    int levels = levels_of(f), channels = f->config.channels;
+    bool mip = f->config.footprint == RN_FOOTPRINT_MIP;
+    struct rn_lerp x = rn_rip_level(l[0], levels), y = rn_rip_level(l[1], levels);
+    memset(ret, 0, 16 * sizeof *ret);
+    for (int i = 0; i < 4; i++) {
+        double wx = i & 1 ? x.fraction : 1 - x.fraction, wy = i & 2 ? y.fraction : 1 - y.fraction;
+        double weight = mip ? (i == 1 || i == 2 ? 0 : wx) : wx * wy;
+        if (!(weight > 0)) continue;
+        const struct rn_map *map = &f->maps[plane][i & 2 ? y.high : y.low][i & 1 ? x.high : x.low];
+        struct rn_lerp a = rn_rip_lerp(uv[0], map->width), b = rn_rip_lerp(uv[1], map->height);
+        for (int j = 0; j < 4; j++) {
+            size_t texel = (size_t)(j & 2 ? b.high : b.low) * (size_t)map->width +
+                           (size_t)(j & 1 ? a.high : a.low);
+            double corner = weight * (j & 1 ? a.fraction : 1 - a.fraction) *
+                            (j & 2 ? b.fraction : 1 - b.fraction);
+            for (int c = 0; c < channels; c++)
+                ret[c] += corner * (double)map->texels[texel * (size_t)channels + (size_t)c];
+        }
+    }
+}
+
+static double along(const double axis[3], const double x[3]) {
+    return axis[0] * x[0] + axis[1] * x[1] + axis[2] * x[2];
+}
+
+// Features of the sample at `s` behind the ray's origin.
+static void encode(const struct rn_bench_recording *rec, const struct rn_march_ray *ray, double s,
+                   double *ret_features) {
+    const struct rn_cpu_field *f = rec->field;
+    struct rn_reference ref = {.config = f->config, .solid = f->solid};
+    ref.config.levels = levels_of(f);
+    struct rn_reference_ray r = {.radius = (double)ray->radius,
+                                 .width = (double)rec->trainer->march.step};
+    double mid = (double)ray->near + s, x[3];
+    double shift = rn_frustum_moments(mid, r.width, r.radius).mean - mid;
+    for (int i = 0; i < 3; i++) {
+        r.direction[i] = (double)ray->direction[i];
+        x[i] = (double)ray->origin[i] + r.direction[i] * (s + shift);
+    }
+    for (int p = 0; p < f->config.planes; p++) {
+        double l[2] = {0, 0}, value[16];
+        double uv[2] = {along(f->solid.axis_u[p], x), along(f->solid.axis_v[p], x)};
+        rn_reference_levels(&ref, &r, p, mid, &l[0], &l[1]);
+        fetch(f, p, uv, l, value);
+        memcpy(ret_features + p * f->config.channels, value,
+               (size_t)f->config.channels * sizeof *value);
+    }
+}
+
+double rn_bench_check_encode(const struct rn_bench_recording *rec,
+                             const struct rn_bench_packet *packet) {
+    struct worst worst = {0};
+    const struct rn_workspace *w = packet->workspace;
+    double exact[RN_MAX_PLANES * 16];
+    rn_bench_stage_run(rec, packet, RN_STAGE_ENCODE, NULL);
+    for (int i = 0; i < w->count; i += stride(w->count)) {
+        encode(rec, &packet->rays[w->ray[i]], (double)w->s[i], exact);
+        for (int k = 0; k < rec->field->features; k++)
+            compare(&worst, (double)w->features[(size_t)i * rec->field->feature_stride + k],
+                    exact[k]);
+    }
+    return result(&worst);
+}
+
+// ---- networks -------------------------------------------------------------------------------
+
+// One network in float64: parameters, their gradient and one sample's activations and gradients.
+struct network {
+    const struct rn_mlp_shape *shape;
+    double *block, *weights, *weight_grad;
+    double *activation[RN_MLP_MAX_LAYERS + 1], *grad[RN_MLP_MAX_LAYERS + 1];
+};
+
+static bool network_init(const struct rn_mlp_shape *shape, const float *weights,
+                         struct network *net) {
+    size_t rows = 2 * (RN_MLP_MAX_LAYERS + 1);
+    *net = (struct network){.shape = shape};
+    net->block = calloc(2 * shape->count + rows * (size_t)shape->widest, sizeof(double));
+    if (!net->block) return false;
+    net->weights = net->block;
+    net->weight_grad = net->block + shape->count;
+    double *at = net->weight_grad + shape->count;
+    for (int l = 0; l <= RN_MLP_MAX_LAYERS; l++, at += 2 * shape->widest) {
+        net->activation[l] = at;
+        net->grad[l] = at + shape->widest;
+    }
+    for (size_t i = 0; i < shape->count; i++)
+        net->weights[i] = (double)weights[i];
+    return true;
+}
+
+static const double *network_forward(struct network *net, const float *in) {
+    for (int i = 0; i < net->shape->in[0]; i++)
+        net->activation[0][i] = (double)in[i];
+    rn_mlp_forward(net->shape, net->weights, net->activation);
+    return net->activation[net->shape->layers];
+}
+
+// A network's rows as the kernels hold them.
+struct rows {
+    const struct rn_mlp_shape *shape;
+    const float *weights, *in, *out;
+    int stride, count; // of `in`; rows
+};
+
+static struct rows base_rows(const struct rn_cpu_field *f, const struct rn_workspace *w,
+                             const float *out, int count) {
+    return (struct rows){&f->base_shape, f->base_weights, w->features, out,
+                         f->feature_stride, count};
+}
+
+static struct rows head_rows(const struct rn_cpu_field *f, const struct rn_bench_packet *packet) {
+    const struct rn_workspace *w = packet->workspace;
+    return (struct rows){&f->head_shape, f->head_weights, w->head_in, w->head_out,
+                         RN_HEAD_INPUTS, packet->heads};
+}
+
+// `out` against the outputs in float64.
+static double check_outputs(const struct rows *rows, int outputs) {
+    struct worst worst = {.bad = rows->count == 0};
+    struct network net;
+    if (!network_init(rows->shape, rows->weights, &net)) return INFINITY;
+    for (int i = 0; i < rows->count; i += stride(rows->count)) {
+        const double *out = network_forward(&net, rows->in + (size_t)i * (size_t)rows->stride);
+        for (int k = 0; k < outputs; k++)
+            compare(&worst, (double)rows->out[(size_t)i * RN_GEOMETRY + (size_t)k], out[k]);
+    }
+    free(net.block);
+    return result(&worst);
+}
+
+// Gradients of the weights, summed over all rows, and of the inputs (NULL: not looked at), where
+// `out` is the outputs' gradient.
+static double check_gradients(const struct rows *rows, const float *weight_grad,
+                              const float *in_grad, int inputs) {
+    struct worst weights = {0}, in = {0};
+    const struct rn_mlp_shape *shape = rows->shape;
+    struct network net;
+    if (!network_init(shape, rows->weights, &net)) return INFINITY;
+    for (int i = 0; i < rows->count; i++) {
+        network_forward(&net, rows->in + (size_t)i * (size_t)rows->stride);
+        for (int k = 0; k < RN_GEOMETRY; k++)
+            net.grad[shape->layers][k] = (double)rows->out[(size_t)i * RN_GEOMETRY + (size_t)k];
+        rn_mlp_backward(shape, net.weights, net.activation, net.grad, net.weight_grad);
+        for (int k = 0; k < inputs && in_grad; k++)
+            compare(&in, (double)in_grad[(size_t)i * (size_t)rows->stride + (size_t)k],
+                    net.grad[0][k]);
+    }
+    for (size_t i = 0; i < shape->count; i++)
+        compare(&weights, (double)weight_grad[i], net.weight_grad[i]);
+    free(net.block);
+    return in_grad ? fmax(result(&weights), result(&in)) : result(&weights);
+}
+
+double rn_bench_check_forward(const struct rn_bench_recording *rec,
+                              const struct rn_bench_packet *packet) {
+    const struct rn_workspace *w = packet->workspace;
+    rn_bench_stage_run(rec, packet, RN_STAGE_MLP_FORWARD, NULL);
+    struct rows base = base_rows(rec->field, w, w->geometry, w->count);
+    struct rows head = head_rows(rec->field, packet);
+    double error = check_outputs(&base, RN_GEOMETRY);
+    return packet->heads > 0 ? fmax(error, check_outputs(&head, 3)) : error;
+}
+
+double rn_bench_check_backward(const struct rn_bench_recording *rec,
+                               const struct rn_bench_packet *packet) {
+    const struct rn_cpu_field *f = rec->field;
+    const struct rn_workspace *w = packet->workspace;
+    struct rn_group *group = packet->group;
+    const float *grad = NULL;
+    memset(group->base_grad, 0, f->base_shape.count * sizeof(float));
+    memset(group->head_grad, 0, f->head_shape.count * sizeof(float));
+    rn_bench_stage_run(rec, packet, RN_STAGE_MLP_BACKWARD, &grad);
+    struct rows base = base_rows(f, w, w->geometry_grad, packet->returned);
+    struct rows head = head_rows(f, packet);
+    double error = check_gradients(&base, group->base_grad, grad, f->features);
+    if (packet->heads == 0) return error;
+    return fmax(error, check_gradients(&head, group->head_grad, NULL, 0));
+}
+
+// ---- composite ------------------------------------------------------------------------------
+
+static void composite_ray(const struct rn_bench_packet *packet, int r, const double *logits,
+                          double stop_depth, struct worst *worst) {
+    const struct rn_workspace *w = packet->workspace;
+    double depth = 0;
+    for (int segment = w->ray_first[r]; segment >= 0; segment = w->segment_next[segment])
+        for (int j = 0; j < w->segment_size[segment]; j++) {
+            int i = w->segment_start[segment] + j;
+            double x = rn_density(logits[i]) * (double)w->interval[i];
+            double weight = depth <= stop_depth ? exp(-depth) * rn_alpha(x) : 0;
+            // Where the stop falls is decided in float32.
+            if (fabs(depth - stop_depth) > 1e-4)
+                compare(worst, (double)w->weight[i], weight);
+            depth += x;
+        }
+}
+
+double rn_bench_check_composite(const struct rn_bench_recording *rec,
+                                const struct rn_bench_packet *packet) {
+    struct worst worst = {0};
+    const struct rn_workspace *w = packet->workspace;
+    double *logits = malloc(((size_t)w->count + 1) * sizeof *logits);
+    if (!logits) return INFINITY;
+    for (int i = 0; i < w->count; i++)
+        logits[i] = (double)w->geometry[(size_t)i * RN_GEOMETRY];
+    rn_bench_stage_run(rec, packet, RN_STAGE_COMPOSITE, NULL);
+    for (int r = 0; r < packet->ray_count; r++)
+        composite_ray(packet, r, logits, (double)rec->trainer->march.stop_depth, &worst);
+    free(logits);
+    return result(&worst);
+}
+
+// ---- scatter, optimiser, occupancy ----------------------------------------------------------
+
+double rn_bench_check_scatter(const struct rn_bench_recording *rec) {
+    const struct rn_cpu_field *f = rec->field;
+    int channels = f->config.channels, levels = f->built_levels;
+    double samples = 0, texels = 0, magnitude = 0;
+    rn_bench_scatter(rec);
+    for (int k = 0; k < rec->packet_count; k++) {
+        const struct rn_slab *slab = &rec->packets[k].group->slab;
+        for (int p = 0; p < f->config.planes; p++)
+            for (int i = 0; i < slab->count; i++) {
+                double value[16], uv[2] = {slab->u[p][i], slab->v[p][i]}, l[2] = {0, 0};
+                if (levels > 1 && f->config.footprint != RN_FOOTPRINT_POINT) {
+                    l[0] = slab->lx[p][i];
+                    l[1] = slab->ly[p][i];
+                }
+                fetch(f, p, uv, l, value);
+                for (int c = 0; c < channels; c++) {
+                    double product = (double)slab->grad[p][(size_t)i * channels + c] * value[c];
+                    samples += product;
+                    magnitude += fabs(product);
+                }
+            }
+    }
+    for (int p = 0; p < f->config.planes; p++)
+        for (int y = 0; y < levels; y++)
+            for (int x = 0; x < levels; x++) {
+                const struct rn_map *map = &f->maps[p][y][x];
+                const struct rn_map *grad = &rec->trainer->grad_maps[p][y][x];
+                if (!rn_map_exists(f->config.footprint == RN_FOOTPRINT_MIP, x, y)) continue;
+                size_t n = (size_t)map->width * (size_t)map->height * (size_t)channels;
+                for (size_t i = 0; i < n; i++)
+                    texels += (double)map->texels[i] * (double)grad->texels[i];
+            }
+    return magnitude > 0 && isfinite(texels) ? fabs(samples - texels) / magnitude : INFINITY;
+}
+
+double rn_bench_check_optimiser(const struct rn_bench_recording *rec) {
+    enum { N = 203, STEPS = 5 };
+    float parameter[N], grad[N], m[N] = {0}, v[N] = {0};
+    double exact[N], exact_grad[N], exact_m[N] = {0}, exact_v[N] = {0};
+    struct worst worst = {0};
+    for (int i = 0; i < N; i++)
+        exact[i] = (double)(parameter[i] = rn_rng_unit(rn_rng_draw(1, 2, (uint64_t)i).v[0]));
+    for (int step = 1; step <= STEPS; step++) {
+        struct rn_adamw o = {.scale = 1,
+                             .rate = 0.01f,
+                             .decay = 0.001f,
+                             .eps = 1e-15f,
+                             .correction1 = (float)(1 - pow(0.9, step)),
+                             .correction2 = (float)(1 - pow(0.999, step))};
+        for (int i = 0; i < N; i++) {
+            grad[i] = rn_rng_unit(rn_rng_draw(3, (uint64_t)step, (uint64_t)i).v[0]) - 0.5f;
+            exact_grad[i] = (double)grad[i];
+        }
+        rec->kernels->adamw(&o, N, parameter, grad, m, v);
+        rn_reference_adamw(N, exact, exact_grad, exact_m, exact_v, (double)o.rate, (double)o.decay,
+                           (double)o.eps, step);
+    }
+    for (int i = 0; i < N; i++)
+        compare(&worst, (double)parameter[i], exact[i]);
+    return result(&worst);
+}
+
+double rn_bench_check_occupancy(const struct rn_bench_recording *rec) {
+    enum { N = 128 };
+    const struct rn_cpu_field *f = rec->field;
+    float points[N][3], density[N], features[RN_MAX_PLANES * 16];
+    struct worst worst = {0};
+    struct network base;
+    if (!network_init(&f->base_shape, f->base_weights, &base)) return INFINITY;
+    for (int i = 0; i < N; i++)
+        for (int k = 0; k < 3; k++)
+            points[i][k] = rn_rng_unit(rn_rng_draw(5, 6, (uint64_t)i).v[k]) - 0.5f;
+    rec->kernels->density(f, points, N, 0, rec->packets[0].workspace, density);
+    for (int i = 0; i < N; i++) {
+        double x[3] = {points[i][0], points[i][1], points[i][2]};
+        for (int p = 0; p < f->config.planes; p++) {
+            double uv[2] = {along(f->solid.axis_u[p], x), along(f->solid.axis_v[p], x)}, value[16];
+            fetch(f, p, uv, (const double[2]){0, 0}, value);
+            for (int c = 0; c < f->config.channels; c++)
+                features[p * f->config.channels + c] = (float)value[c];
+        }
+        compare(&worst, (double)density[i], rn_density(network_forward(&base, features)[0]));
+    }
+    free(base.block);
+    return result(&worst);
+}

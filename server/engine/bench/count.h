@@ -1,0 +1,31 @@
+// What one unit of each stage's work takes at least: operations and bytes, counted from the
+// configuration and the recording. The table is explained in cpu/README.md.
+#ifndef RN_ENGINE_BENCH_COUNT_H
+#define RN_ENGINE_BENCH_COUNT_H
+
+#include "server/engine/bench/stages.h"
+
+struct rn_bench_count {
+    double amount;     // units of work that one timed call does on one thread
+    double operations; // a unit: lane operations, a multiply-add is one
+    double bytes;      // a unit: fewest to and from beyond the L2 cache
+    double lines;      // a unit: 64-byte lines at random places among them
+    double set_bytes;  // the memory that those lines or bytes lie in
+};
+
+// Units of work a second / 10^6 that the machine's figures allow: the slowest of arithmetic, lines
+// and stream, each as if alone.
+double rn_bench_ceiling(const struct rn_bench_count *count, const struct rn_bench_machine *machine);
+
+struct rn_bench_count rn_bench_count_rays(const struct rn_bench_recording *recording, int rays);
+struct rn_bench_count rn_bench_count_march(const struct rn_bench_recording *recording);
+struct rn_bench_count rn_bench_count_encode(const struct rn_bench_recording *recording);
+struct rn_bench_count rn_bench_count_forward(const struct rn_bench_recording *recording);
+struct rn_bench_count rn_bench_count_composite(const struct rn_bench_recording *recording);
+struct rn_bench_count rn_bench_count_backward(const struct rn_bench_recording *recording);
+struct rn_bench_count rn_bench_count_scatter(const struct rn_bench_recording *recording);
+// After the scatter, which marks what is touched.
+struct rn_bench_count rn_bench_count_optimiser(const struct rn_bench_recording *recording);
+struct rn_bench_count rn_bench_count_occupancy(const struct rn_bench_recording *recording);
+
+#endif

@@ -1,0 +1,178 @@
+#include "server/engine/bench/machine.h"
+
+#include <math.h>
+#include <stdint.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "common/base/clock.h"
+#include "server/engine/bench/peak.h"
+#include "server/engine/cpu/pool.h"
+
+#if defined(__x86_64__)
+#include <cpuid.h>
+#include <sys/syscall.h>
+#include <unistd.h>
+#endif
+
+double rn_bench_least(double seconds, void (*work)(void *context), void *context) {
+    double least = INFINITY;
+    int64_t begin = rn_clock_ns(), now = begin;
+    for (int calls = 0; calls < 3 || (double)(now - begin) * 1e-9 < seconds; calls++) {
+        int64_t start = rn_clock_ns();
+        work(context);
+        now = rn_clock_ns();
+        least = fmin(least, (double)(now - start) * 1e-9);
+    }
+    return least;
+}
+
+// ---- arithmetic -----------------------------------------------------------------------------
+
+struct peak {
+    rn_peak_function *function;
+    size_t rounds;
+    double macs;
+    float sink;
+};
+
+static void run_peak(void *context) {
+    struct peak *p = context;
+    p->macs = p->function(p->rounds, &p->sink);
+}
+
+static double measure_peak(rn_peak_function *function, double seconds) {
+    if (!function) return NAN;
+    struct peak p = {.function = function, .rounds = 20000};
+    double least = rn_bench_least(seconds, run_peak, &p);
+    return p.macs / least * 1e-9;
+}
+
+#if defined(__x86_64__)
+#define ARCH_REQ_XCOMP_PERM 0x1023
+#define XFEATURE_XTILEDATA 18
+
+static bool has_bf16(void) {
+    unsigned a, b, c, d;
+    return __builtin_cpu_supports("avx512f") && __get_cpuid_count(7, 1, &a, &b, &c, &d) &&
+           (a & 1u << 5);
+}
+
+// The CPU has the tiles, and the kernel lets this process use them (asked once a process).
+static bool has_amx(void) {
+    unsigned a, b, c, d;
+    const unsigned bf16 = 1u << 22, tiles = 1u << 24;
+    if (!__get_cpuid_count(7, 0, &a, &b, &c, &d) || !(d & bf16) || !(d & tiles)) return false;
+    return syscall(SYS_arch_prctl, ARCH_REQ_XCOMP_PERM, XFEATURE_XTILEDATA) == 0;
+}
+
+static rn_peak_function *fma_of(const char *kernels) {
+    __builtin_cpu_init();
+    if (strncmp(kernels, "avx2", 4) == 0 && __builtin_cpu_supports("fma")) return rn_peak_avx2;
+    bool wide = strncmp(kernels, "avx512", 6) == 0 || strncmp(kernels, "amx", 3) == 0;
+    if (wide && __builtin_cpu_supports("avx512dq")) return rn_peak_avx512;
+    return rn_peak_generic;
+}
+
+static void measure_units(double seconds, struct rn_bench_machine *m) {
+    m->bf16_dot = measure_peak(has_bf16() ? rn_peak_bf16 : NULL, seconds);
+    bool amx = has_amx();
+    m->amx_bf16 = measure_peak(amx ? rn_peak_amx : NULL, seconds);
+    m->amx_bf16_l1 = measure_peak(amx ? rn_peak_amx_l1 : NULL, seconds);
+}
+#else
+static rn_peak_function *fma_of(const char *kernels) {
+    (void)kernels;
+    return rn_peak_generic;
+}
+
+static void measure_units(double seconds, struct rn_bench_machine *m) {
+    (void)seconds;
+    m->bf16_dot = m->amx_bf16 = m->amx_bf16_l1 = NAN;
+}
+#endif
+
+// ---- memory ---------------------------------------------------------------------------------
+
+#define LINES_A_CALL 65536
+
+struct array {
+    const uint64_t *words;
+    size_t lines; // a power of two, 8 words each
+    uint64_t state, sum;
+};
+
+// Addresses from a counter's hash: every load may start before the last one ends.
+static void read_lines(void *context) {
+    struct array *a = context;
+    uint64_t sum = 0, x = a->state;
+    for (int i = 0; i < LINES_A_CALL; i++) {
+        x += 0x9e3779b97f4a7c15u;
+        sum += a->words[((x * 0xd1342543de82ef95u >> 32) & (a->lines - 1)) * 8];
+    }
+    a->state = x;
+    a->sum += sum;
+}
+
+#define STREAM_WORDS ((size_t)1 << 19) // 4 MB a call, or the whole array
+
+static void read_stream(void *context) {
+    struct array *a = context;
+    size_t words = a->lines * 8, n = words < STREAM_WORDS ? words : STREAM_WORDS;
+    const uint64_t *from = a->words + a->state % words;
+    uint64_t sum[16] = {0};
+    for (size_t i = 0; i < n; i += 16)
+        for (int j = 0; j < 16; j++)
+            sum[j] += from[i + (size_t)j];
+    for (int j = 0; j < 16; j++)
+        a->sum += sum[j];
+    a->state = (a->state + n) % words;
+}
+
+static void measure_array(int index, double seconds, struct rn_bench_machine *m) {
+    size_t bytes = (size_t)(m->array_mb[index] * 1048576);
+    void *memory = NULL;
+    m->random_line_ns[index] = m->stream_gbs[index] = NAN;
+    if (posix_memalign(&memory, 2u << 20, bytes) != 0) return;
+    memset(memory, 1, bytes);
+    struct array a = {.words = memory, .lines = bytes / 64, .state = 1};
+    m->random_line_ns[index] = rn_bench_least(seconds, read_lines, &a) * 1e9 / LINES_A_CALL;
+    a.state = 0;
+    double read = bytes < STREAM_WORDS * 8 ? (double)bytes : (double)STREAM_WORDS * 8;
+    m->stream_gbs[index] = read / rn_bench_least(seconds, read_stream, &a) * 1e-9;
+    volatile uint64_t keep = a.sum;
+    (void)keep;
+    free(memory);
+}
+
+void rn_bench_machine_measure(const char *kernels, double seconds, struct rn_bench_machine *m) {
+    static const double sizes[RN_BENCH_ARRAYS] = {1, 8, 32, 512};
+    double each = seconds / (4 + 2 * RN_BENCH_ARRAYS);
+    m->cores = rn_pool_cores();
+    m->fma = measure_peak(fma_of(kernels), each);
+    measure_units(each, m);
+    for (int i = 0; i < RN_BENCH_ARRAYS; i++) {
+        m->array_mb[i] = sizes[i];
+        measure_array(i, each, m);
+    }
+}
+
+// ---- between sizes --------------------------------------------------------------------------
+
+static double between(const double sizes[RN_BENCH_ARRAYS], const double values[RN_BENCH_ARRAYS],
+                      double bytes) {
+    double mb = bytes / 1048576, value = values[0];
+    for (int i = 1; i < RN_BENCH_ARRAYS && mb > sizes[i - 1] && !isnan(values[i]); i++) {
+        double share = fmin(1, log(mb / sizes[i - 1]) / log(sizes[i] / sizes[i - 1]));
+        value = values[i - 1] + share * (values[i] - values[i - 1]);
+    }
+    return value;
+}
+
+double rn_bench_line_ns(const struct rn_bench_machine *m, double bytes) {
+    return between(m->array_mb, m->random_line_ns, bytes);
+}
+
+double rn_bench_stream_gbs(const struct rn_bench_machine *m, double bytes) {
+    return between(m->array_mb, m->stream_gbs, bytes);
+}

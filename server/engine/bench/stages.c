@@ -1,0 +1,263 @@
+#include "server/engine/bench/stages.h"
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "common/math/rng.h"
+#include "server/engine/bench/check.h"
+#include "server/engine/bench/count.h"
+#include "server/engine/bench/machine.h"
+
+// ---- recording ------------------------------------------------------------------------------
+
+static int head_rows(const struct rn_cpu_field *field, const struct rn_bench_packet *packet) {
+    const struct rn_workspace *w = packet->workspace;
+    int rows = 0;
+    if (field->config.shading == RN_SHADING_RAY) {
+        for (int r = 0; r < packet->ray_count && field->config.view_dependence; r++)
+            rows += w->ray_first[r] >= 0;
+        return rows;
+    }
+    for (int i = 0; i < w->count; i++)
+        rows += w->weight[i] > 0;
+    return rows;
+}
+
+// The first packet with samples among rays [begin, end) of the trainer's last step.
+static bool record_packet(struct rn_bench_recording *rec, int begin, int end,
+                          struct rn_bench_packet *packet) {
+    struct rn_trainer *t = rec->trainer;
+    struct rn_workspace *w = packet->workspace;
+    struct rn_group *group = packet->group;
+    while (begin < end) {
+        int n = rec->kernels->stage(rec->field, &t->march, t->rays + begin, end - begin,
+                                    RN_STAGE_MARCH, w, group, NULL);
+        if (w->candidate_begin[n] > 0) {
+            group->slab.count = 0;
+            group->cursor = begin;
+            group->end = begin + n;
+            rec->kernels->train(rec->field, &t->march, t->rays, w, group);
+            packet->rays = t->rays + begin;
+            packet->ray_count = n;
+            packet->returned = group->slab.count;
+            packet->heads = head_rows(rec->field, packet);
+            if (packet->returned > 0) return true;
+        }
+        begin += n;
+    }
+    group->slab.count = 0;
+    return false;
+}
+
+enum rn_status rn_bench_record(struct rn_trainer *trainer, struct rn_bench_recording *ret,
+                               struct rn_error *err) {
+    struct rn_bench_recording rec = {.trainer = trainer,
+                                     .field = &trainer->field->cpu,
+                                     .kernels = trainer->engine->kernels};
+    size_t bytes = rn_workspace_size(rec.field, trainer->field->config.step);
+    bytes = (bytes + 4095) / 4096 * 4096;
+    rec.memory = aligned_alloc(4096, bytes * RN_GROUPS);
+    if (!rec.memory) return rn_error_set(err, RN_ERROR_NO_MEMORY, "bench", "out of memory");
+    int rays = trainer->ray_count;
+    rn_trainer_begin_step(trainer); // clears the groups
+    for (int g = 0; g < RN_GROUPS; g++) {
+        struct rn_bench_packet *packet = &rec.packets[rec.packet_count];
+        packet->workspace = rn_workspace_init(rec.field, trainer->field->config.step,
+                                              rec.memory + (size_t)rec.packet_count * bytes);
+        packet->group = &trainer->groups[g];
+        rec.packet_count += record_packet(&rec, (int)((int64_t)rays * g / RN_GROUPS),
+                                          (int)((int64_t)rays * (g + 1) / RN_GROUPS), packet);
+    }
+    if (rec.packet_count == 0) {
+        free(rec.memory);
+        return rn_error_set(err, RN_ERROR_INVALID, "bench", "no ray meets the scene");
+    }
+    *ret = rec;
+    return RN_OK;
+}
+
+void rn_bench_recording_finish(struct rn_bench_recording *rec) {
+    free(rec->memory);
+    rec->memory = NULL;
+}
+
+// ---- running --------------------------------------------------------------------------------
+
+void rn_bench_stage_run(const struct rn_bench_recording *rec, const struct rn_bench_packet *packet,
+                        enum rn_stage stage, const float **ret_grad) {
+    rec->kernels->stage(rec->field, &rec->trainer->march, packet->rays, packet->ray_count, stage,
+                        packet->workspace, packet->group, ret_grad);
+}
+
+void rn_bench_scatter(const struct rn_bench_recording *rec) {
+    struct rn_trainer *t = rec->trainer;
+    int base = rec->field->config.base;
+    for (int plane = 0; plane < rec->field->config.planes; plane++)
+        for (int band = 0; band < t->bands; band++)
+            for (int k = 0; k < rec->packet_count; k++)
+                rec->kernels->scatter(
+                    rec->field, &rec->packets[k].group->slab, plane, rec->field->built_levels > 1,
+                    base * band / t->bands, base * (band + 1) / t->bands, t->grad_maps[plane],
+                    t->touched + (size_t)plane * ((size_t)base + 1) * t->blocks_per_row);
+}
+
+size_t rn_bench_optimise(const struct rn_bench_recording *rec, bool count_only) {
+    struct rn_trainer *t = rec->trainer;
+    const struct rn_field_config *c = &rec->field->config;
+    struct rn_adamw o = {
+        .scale = 1, .rate = 1e-6f, .eps = 1e-15f, .correction1 = 0.9f, .correction2 = 0.9f};
+    bool dense = !t->field->config.sparse || rec->field->built_levels > 1;
+    size_t rows = (size_t)c->base, row = rows * (size_t)c->channels, done = 0;
+    size_t block = (size_t)RN_BLOCK * (size_t)c->channels;
+    for (size_t r = 0; r < (size_t)c->planes * rows; r++) {
+        const uint8_t *marks = t->touched + (r + r / rows) * t->blocks_per_row;
+        for (size_t b = 0; b * block < row; b++) {
+            if (!dense && !marks[b]) continue;
+            size_t i = r * row + b * block, n = row - b * block < block ? row - b * block : block;
+            if (!count_only)
+                rec->kernels->adamw(&o, n, t->field->parameters.values + i, t->grad + i, t->m + i,
+                                    t->v + i);
+            done += n;
+        }
+    }
+    return done;
+}
+
+// A stage over all packets. The features, activations and gradients of all of them lie in the
+// first one's memory, warm in the cache as in training; positions and candidates are their own.
+struct sweep {
+    const struct rn_bench_recording *rec;
+    enum rn_stage stage;
+};
+
+static void run_sweep(void *context) {
+    const struct sweep *sweep = context;
+    for (int k = 0; k < sweep->rec->packet_count; k++)
+        rn_bench_stage_run(sweep->rec, &sweep->rec->packets[k], sweep->stage, NULL);
+}
+
+static void run_first(void *context) {
+    const struct sweep *sweep = context;
+    rn_bench_stage_run(sweep->rec, &sweep->rec->packets[0], sweep->stage, NULL);
+}
+
+static void run_scatter(void *context) {
+    rn_bench_scatter(context);
+}
+static void run_optimise(void *context) {
+    rn_bench_optimise(context, false);
+}
+static void run_occupancy(void *context) {
+    const struct rn_bench_recording *rec = context;
+    rn_trainer_update_occupancy(rec->trainer);
+}
+
+#define RAYS_A_CALL 4096
+
+static void run_rays(void *context) {
+    const struct rn_bench_recording *rec = context;
+    struct rn_trainer *t = rec->trainer;
+    for (uint32_t i = 0; i < RAYS_A_CALL; i++) {
+        struct rn_rng4 draw = rn_rng_draw(1, 2, i);
+        const struct rn_pixel_frame *frame =
+            &t->train.frames[draw.v[0] % (uint32_t)t->train.frame_count];
+        uint32_t width = (uint32_t)frame->frame->camera.width;
+        uint32_t height = (uint32_t)frame->frame->camera.height;
+        t->rays[i] = rn_trainer_ray(t, &t->train, frame, (int)(draw.v[1] % width),
+                                    (int)(draw.v[2] % height), 0);
+    }
+}
+
+// ---- all stages -----------------------------------------------------------------------------
+
+struct bench {
+    struct rn_bench_recording *rec;
+    const struct rn_bench_machine *machine;
+    struct rn_bench_result *result;
+    double seconds; // a stage
+};
+
+// The stages in the order of a step, and the bound on the error of each.
+enum place { RAYS, MARCH, ENCODE, FORWARD, COMPOSITE, BACKWARD, SCATTER, OPTIMISER, OCCUPANCY, ALL };
+static const struct {
+    const char *name, *unit;
+    double bound;
+} places[ALL] = {
+    {"rays", "Mrays/s", 1e-5},           {"march", "Msamples/s", 5e-3},
+    {"encode", "Msamples/s", 1e-3},      {"mlp forward", "Msamples/s", 1e-4},
+    {"composite", "Msamples/s", 1e-4},   {"mlp backward", "Msamples/s", 1e-4},
+    {"scatter", "Msamples/s", 1e-4},     {"optimiser", "Mparameters/s", 1e-5},
+    {"occupancy", "Mcells/s", 1e-3},
+};
+
+static void time_stage(struct bench *b, enum place place, double error, struct rn_bench_count count,
+                       void (*work)(void *context), void *context) {
+    struct rn_bench_stage *s = &b->result->stages[place];
+    *s = (struct rn_bench_stage){.name = places[place].name,
+                                 .unit = places[place].unit,
+                                 .operations = count.operations,
+                                 .bytes = count.bytes,
+                                 .ceiling = rn_bench_ceiling(&count, b->machine),
+                                 .measured = NAN,
+                                 .ratio = NAN,
+                                 .error = error,
+                                 .passed = error <= places[place].bound};
+    if (!s->passed) return;
+    s->measured = count.amount / rn_bench_least(b->seconds, work, context) * 1e-6;
+    s->ratio = s->measured / s->ceiling;
+}
+
+// All packets work in the first one's rows.
+static void share_rows(struct rn_bench_recording *rec) {
+    const struct rn_workspace *first = rec->packets[0].workspace;
+    for (int k = 1; k < rec->packet_count; k++) {
+        struct rn_workspace *w = rec->packets[k].workspace;
+        w->features = first->features;
+        memcpy(w->hidden, first->hidden, sizeof w->hidden);
+        w->geometry = first->geometry;
+        w->grad_a = first->grad_a;
+        w->grad_b = first->grad_b;
+    }
+}
+
+// In the order that leaves each its inputs.
+static void time_packets(struct bench *b) {
+    struct rn_bench_recording *rec = b->rec;
+    const struct rn_bench_packet *first = &rec->packets[0];
+    struct sweep march = {rec, RN_STAGE_MARCH}, encode = {rec, RN_STAGE_ENCODE};
+    struct sweep forward = {rec, RN_STAGE_MLP_FORWARD}, composite = {rec, RN_STAGE_COMPOSITE};
+    struct sweep backward = {rec, RN_STAGE_MLP_BACKWARD};
+    time_stage(b, BACKWARD, rn_bench_check_backward(rec, first), rn_bench_count_backward(rec),
+               run_first, &backward);
+    time_stage(b, MARCH, rn_bench_check_march(rec), rn_bench_count_march(rec), run_sweep, &march);
+    share_rows(rec);
+    time_stage(b, ENCODE, rn_bench_check_encode(rec, first), rn_bench_count_encode(rec), run_sweep,
+               &encode);
+    rn_bench_stage_run(rec, first, RN_STAGE_ENCODE, NULL);
+    time_stage(b, FORWARD, rn_bench_check_forward(rec, first), rn_bench_count_forward(rec),
+               run_first, &forward);
+    rn_bench_stage_run(rec, first, RN_STAGE_MLP_FORWARD, NULL);
+    time_stage(b, COMPOSITE, rn_bench_check_composite(rec, first), rn_bench_count_composite(rec),
+               run_first, &composite);
+}
+
+static void time_update(struct bench *b) {
+    struct rn_bench_recording *rec = b->rec;
+    time_stage(b, SCATTER, rn_bench_check_scatter(rec), rn_bench_count_scatter(rec), run_scatter,
+               rec);
+    time_stage(b, OPTIMISER, rn_bench_check_optimiser(rec), rn_bench_count_optimiser(rec),
+               run_optimise, rec);
+    time_stage(b, OCCUPANCY, rn_bench_check_occupancy(rec), rn_bench_count_occupancy(rec),
+               run_occupancy, rec);
+}
+
+void rn_bench_stages(struct rn_bench_recording *rec, const struct rn_bench_machine *machine,
+                     double seconds, struct rn_bench_result *result) {
+    struct bench b = {rec, machine, result, seconds / ALL};
+    time_packets(&b);
+    time_update(&b);
+    time_stage(&b, RAYS, rn_bench_check_rays(rec), rn_bench_count_rays(rec, RAYS_A_CALL), run_rays,
+               rec);
+    result->stage_count = ALL;
+}
