@@ -55,14 +55,11 @@ static bool is_socket(int fd) {
 }
 
 int main(int argc, char **argv) {
-    static const struct option options[] = {{"mode", required_argument, NULL, 'm'},
-                                            {"preset", required_argument, NULL, 'p'},
-                                            {"kernels", required_argument, NULL, 'k'},
-                                            {"threads", required_argument, NULL, 't'},
-                                            {"seconds", required_argument, NULL, 's'},
-                                            {"fd", required_argument, NULL, 'f'},
-                                            {"version", no_argument, NULL, 'v'},
-                                            {NULL, 0, NULL, 0}};
+    static const struct option options[] = {
+        {"mode", required_argument, NULL, 'm'},    {"preset", required_argument, NULL, 'p'},
+        {"kernels", required_argument, NULL, 'k'}, {"threads", required_argument, NULL, 't'},
+        {"seconds", required_argument, NULL, 's'}, {"fd", required_argument, NULL, 'f'},
+        {"version", no_argument, NULL, 'v'},       {NULL, 0, NULL, 0}};
     const char *mode = "";
     struct rn_bench_options bench = {.seconds = 5};
     int fd = -1, option;

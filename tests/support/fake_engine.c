@@ -12,6 +12,7 @@
 #include "common/base/clock.h"
 #include "common/base/file.h"
 #include "common/base/sha256.h"
+#include "server/engine/bench/bench.h"
 #include "server/engine/engine.h"
 
 #define HELD_OUT 8
@@ -407,4 +408,12 @@ enum rn_status rn_evaluate_view(struct rn_engine *engine, struct rn_field *field
                                         .render_ms = result.stats.render_ms};
     rn_render_result_finish(&result);
     return RN_OK;
+}
+
+// ---- figures ----------------------------------------------------------------------------
+
+enum rn_status rn_bench_run(const struct rn_bench_options *options,
+                            void (*progress)(const char *what), struct rn_bench_result *ret_result,
+                            struct rn_error *err) {
+    return rn_error_set(err, RN_ERROR_UNSUPPORTED, "bench", "there is nothing to measure here");
 }

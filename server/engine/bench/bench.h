@@ -25,13 +25,13 @@ struct rn_bench_options {
 struct rn_bench_machine {
     char cpu[128];
     int cores;
-    double load;                           // load average of the last minute, at the start
-    double fma;                            // fp32, in the vectors of the kernel set: GMAC/s
-    double bf16_dot;                       // VDPBF16PS: GMAC/s
-    double amx_bf16, amx_bf16_l1;          // tiles in registers, tiles loaded from L1: GMAC/s
-    double array_mb[RN_BENCH_ARRAYS];      // 2^20 bytes
+    double load;                            // load average of the last minute, at the start
+    double fma;                             // fp32, in the vectors of the kernel set: GMAC/s
+    double bf16_dot;                        // VDPBF16PS: GMAC/s
+    double amx_bf16, amx_bf16_l1;           // tiles in registers, tiles loaded from L1: GMAC/s
+    double array_mb[RN_BENCH_ARRAYS];       // 2^20 bytes
     double random_line_ns[RN_BENCH_ARRAYS]; // one 64-byte line at random, addresses known ahead
-    double stream_gbs[RN_BENCH_ARRAYS];    // reading in order, 10^9 bytes a second
+    double stream_gbs[RN_BENCH_ARRAYS];     // reading in order, 10^9 bytes a second
 };
 
 struct rn_bench_stage {

@@ -32,7 +32,8 @@ static int stride(int count) {
     return count > SAMPLES ? count / SAMPLES : 1;
 }
 
-// ---- rays and march ----------------------------------------------------------------------------------
+// ---- rays and march
+// ----------------------------------------------------------------------------------
 
 double rn_bench_check_rays(const struct rn_bench_recording *rec) {
     const struct rn_trainer *t = rec->trainer;
@@ -49,8 +50,8 @@ double rn_bench_check_rays(const struct rn_bench_recording *rec) {
                 double at = t->field->bounds.centre[i] +
                             t->field->bounds.radius * (double)(ray.origin[i] + ray.direction[i]);
                 for (int k = 0; k < 3; k++)
-                    p[k] += camera->world_from_camera[i][k] *
-                            (at - camera->world_from_camera[i][3]);
+                    p[k] +=
+                        camera->world_from_camera[i][k] * (at - camera->world_from_camera[i][3]);
             }
             compare(&worst, p[0] / p[2] * camera->fx + camera->cx, x + 0.5);
             compare(&worst, p[1] / p[2] * camera->fy + camera->cy, y + 0.5);
@@ -205,14 +206,14 @@ struct rows {
 
 static struct rows base_rows(const struct rn_cpu_field *f, const struct rn_workspace *w,
                              const float *out, int count) {
-    return (struct rows){&f->base_shape, f->base_weights, w->features, out,
-                         f->feature_stride, count};
+    return (struct rows){&f->base_shape, f->base_weights, w->features, out, f->feature_stride,
+                         count};
 }
 
 static struct rows head_rows(const struct rn_cpu_field *f, const struct rn_bench_packet *packet) {
     const struct rn_workspace *w = packet->workspace;
-    return (struct rows){&f->head_shape, f->head_weights, w->head_in, w->head_out,
-                         RN_HEAD_INPUTS, packet->heads};
+    return (struct rows){&f->head_shape, f->head_weights, w->head_in,
+                         w->head_out,    RN_HEAD_INPUTS,  packet->heads};
 }
 
 // `out` against the outputs in float64.
@@ -290,8 +291,7 @@ static void composite_ray(const struct rn_bench_packet *packet, int r, const dou
             double x = rn_density(logits[i]) * (double)w->interval[i];
             double weight = depth <= stop_depth ? exp(-depth) * rn_alpha(x) : 0;
             // Where the stop falls is decided in float32.
-            if (fabs(depth - stop_depth) > 1e-4)
-                compare(worst, (double)w->weight[i], weight);
+            if (fabs(depth - stop_depth) > 1e-4) compare(worst, (double)w->weight[i], weight);
             depth += x;
         }
 }

@@ -4,10 +4,10 @@
 #include <stdint.h>
 #include <stdlib.h>
 
-#include "server/engine/bench/machine.h"
 #include "server/engine/field/ripmap.h"
 
 #define LINE 64
+#define MEMORY_SECONDS 0.03 // for one figure
 
 // Lane operations; a multiply-add, a comparison, a conversion is one each.
 enum {
@@ -23,11 +23,13 @@ enum {
 };
 
 double rn_bench_ceiling(const struct rn_bench_count *c, const struct rn_bench_machine *m) {
-    double arithmetic = c->operations / m->fma;
-    double lines = c->lines > 0 ? c->lines * rn_bench_line_ns(m, c->set_bytes) : 0;
-    double stream = c->bytes > 0 ? c->bytes / rn_bench_stream_gbs(m, c->set_bytes) : 0;
-    double ns = fmax(arithmetic, c->lines > 0 ? lines : stream);
-    return ns > 0 ? 1e3 / ns : NAN;
+    double ns = c->operations / m->fma;
+    double visits = c->memory == RN_BENCH_LINES ? c->lines : c->bytes;
+    if (visits > 0) {
+        double each = rn_bench_memory_ns(c->memory, c->set_bytes, MEMORY_SECONDS);
+        if (!isnan(each)) ns = fmax(ns, visits * each);
+    }
+    return 1e3 / ns;
 }
 
 static double samples_of(const struct rn_bench_recording *rec) {
@@ -82,7 +84,8 @@ static void visit(const struct rn_cpu_field *f, int plane, const double uv[2], c
         bool upper_x = i & 1, upper_y = i & 2;
         if ((upper_x && !(x.fraction > 0)) || (upper_y && !(y.fraction > 0))) continue;
         if (mip && upper_x != upper_y) continue;
-        const struct rn_map *map = &f->maps[plane][upper_y ? y.high : y.low][upper_x ? x.high : x.low];
+        const struct rn_map *map =
+            &f->maps[plane][upper_y ? y.high : y.low][upper_x ? x.high : x.low];
         struct rn_lerp a = rn_rip_lerp(uv[0], map->width), b = rn_rip_lerp(uv[1], map->height);
         fetches->maps++;
         for (int row = b.low; row <= b.high; row++) {
@@ -145,8 +148,8 @@ static void count_scatter(const struct rn_bench_recording *rec, double *ret_maps
 
 // Multiply-adds of fetching a sample, positions included.
 static double encode_operations(const struct rn_cpu_field *f, double maps) {
-    double plane = OPS_PROJECT + (maps > 1 ? OPS_LEVELS : 0) +
-                   maps * OPS_CORNERS * f->config.channels;
+    double plane =
+        OPS_PROJECT + (maps > 1 ? OPS_LEVELS : 0) + maps * OPS_CORNERS * f->config.channels;
     return OPS_PLACE + f->config.planes * plane;
 }
 
@@ -170,6 +173,7 @@ struct rn_bench_count rn_bench_count_march(const struct rn_bench_recording *rec)
     return (struct rn_bench_count){.amount = found,
                                    .operations = OPS_MARCH,
                                    .bytes = rays * sizeof(struct rn_march_ray) / found,
+                                   .memory = RN_BENCH_STREAM,
                                    .set_bytes = cells * cells * cells / 8};
 }
 
@@ -186,10 +190,10 @@ struct rn_bench_count rn_bench_count_encode(const struct rn_bench_recording *rec
 struct rn_bench_count rn_bench_count_forward(const struct rn_bench_recording *rec) {
     const struct rn_bench_packet *packet = &rec->packets[0];
     double samples = packet->workspace->count;
-    return (struct rn_bench_count){
-        .amount = samples,
-        .operations = (double)rec->field->base_shape.count +
-                      packet->heads / samples * (double)rec->field->head_shape.count};
+    return (struct rn_bench_count){.amount = samples,
+                                   .operations = (double)rec->field->base_shape.count +
+                                                 packet->heads / samples *
+                                                     (double)rec->field->head_shape.count};
 }
 
 struct rn_bench_count rn_bench_count_composite(const struct rn_bench_recording *rec) {
@@ -215,12 +219,12 @@ struct rn_bench_count rn_bench_count_scatter(const struct rn_bench_recording *re
     for (int k = 0; k < rec->packet_count; k++)
         samples += rec->packets[k].group->slab.count;
     double gradient = c->planes * (c->channels + (maps > 1 ? 4 : 2)) * (double)sizeof(float);
-    return (struct rn_bench_count){
-        .amount = samples,
-        .operations = c->planes * (12 + maps * OPS_CORNERS * c->channels),
-        .bytes = 2 * lines * LINE + gradient,
-        .lines = lines,
-        .set_bytes = map_numbers(rec->field) * sizeof(float)};
+    return (struct rn_bench_count){.amount = samples,
+                                   .operations =
+                                       c->planes * (12 + maps * OPS_CORNERS * c->channels),
+                                   .bytes = 2 * lines * LINE + gradient,
+                                   .lines = lines,
+                                   .set_bytes = map_numbers(rec->field) * sizeof(float)};
 }
 
 struct rn_bench_count rn_bench_count_optimiser(const struct rn_bench_recording *rec) {
@@ -229,6 +233,7 @@ struct rn_bench_count rn_bench_count_optimiser(const struct rn_bench_recording *
         .amount = numbers,
         .operations = OPS_ADAMW,
         .bytes = 8 * sizeof(float), // parameter, gradient and both moments, read and written
+        .memory = RN_BENCH_UPDATE,
         .set_bytes = 4 * sizeof(float) * numbers};
 }
 
@@ -237,9 +242,10 @@ struct rn_bench_count rn_bench_count_occupancy(const struct rn_bench_recording *
     const struct rn_cpu_field *f = rec->field;
     double cells = (double)t->hull_count;
     if (t->field->config.carve || t->progress.step >= RN_OCCUPANCY_WARM_UP) cells /= 4;
-    return (struct rn_bench_count){
-        .amount = cells / t->engine->info.threads,
-        .operations = encode_operations(f, 1) + OPS_EXP + (double)f->base_shape.count,
-        .bytes = 2 * sizeof(float),
-        .set_bytes = cells * sizeof(float)};
+    return (struct rn_bench_count){.amount = cells / t->engine->info.threads,
+                                   .operations = encode_operations(f, 1) + OPS_EXP +
+                                                 (double)f->base_shape.count,
+                                   .bytes = 2 * sizeof(float),
+                                   .memory = RN_BENCH_UPDATE,
+                                   .set_bytes = cells * sizeof(float)};
 }

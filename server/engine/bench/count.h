@@ -3,18 +3,20 @@
 #ifndef RN_ENGINE_BENCH_COUNT_H
 #define RN_ENGINE_BENCH_COUNT_H
 
+#include "server/engine/bench/machine.h"
 #include "server/engine/bench/stages.h"
 
 struct rn_bench_count {
-    double amount;     // units of work that one timed call does on one thread
-    double operations; // a unit: lane operations, a multiply-add is one
-    double bytes;      // a unit: fewest to and from beyond the L2 cache
-    double lines;      // a unit: 64-byte lines at random places among them
-    double set_bytes;  // the memory that those lines or bytes lie in
+    double amount;               // units of work that one timed call does on one thread
+    double operations;           // a unit: lane operations, a multiply-add is one
+    double bytes;                // a unit: fewest to and from beyond the L2 cache; 0: none
+    double lines;                // a unit, RN_BENCH_LINES: lines at random places
+    enum rn_bench_memory memory; // how the bytes are visited
+    double set_bytes;            // the memory that they lie in
 };
 
-// Units of work a second / 10^6 that the machine's figures allow: the slowest of arithmetic, lines
-// and stream, each as if alone.
+// Units of work a second / 10^6 that the machine allows: arithmetic at machine->fma or memory,
+// measured for this set, whichever is slower, each as if alone.
 double rn_bench_ceiling(const struct rn_bench_count *count, const struct rn_bench_machine *machine);
 
 struct rn_bench_count rn_bench_count_rays(const struct rn_bench_recording *recording, int rays);

@@ -95,10 +95,12 @@ static void measure_units(double seconds, struct rn_bench_machine *m) {
 // ---- memory ---------------------------------------------------------------------------------
 
 #define LINES_A_CALL 65536
+#define STREAMS 4                      // places at once, as the optimiser visits its arrays
+#define STREAM_WORDS ((size_t)1 << 17) // words of each stream a call, or all
 
 struct array {
-    const uint64_t *words;
-    size_t lines; // a power of two, 8 words each
+    uint64_t *words;
+    size_t lines; // of 8 words
     uint64_t state, sum;
 };
 
@@ -108,41 +110,79 @@ static void read_lines(void *context) {
     uint64_t sum = 0, x = a->state;
     for (int i = 0; i < LINES_A_CALL; i++) {
         x += 0x9e3779b97f4a7c15u;
-        sum += a->words[((x * 0xd1342543de82ef95u >> 32) & (a->lines - 1)) * 8];
+        uint64_t hash = (x ^ x >> 32) * 0xd1342543de82ef95u >> 32;
+        sum += a->words[(hash * a->lines >> 32) * 8];
     }
     a->state = x;
     a->sum += sum;
 }
 
-#define STREAM_WORDS ((size_t)1 << 19) // 4 MB a call, or the whole array
+// The next part of each stream: its first word and its words.
+static size_t next_part(struct array *a, size_t *ret_words) {
+    size_t words = a->lines / STREAMS * 8, n = words < STREAM_WORDS ? words : STREAM_WORDS;
+    size_t at = a->state + n <= words ? a->state : 0;
+    a->state = at + n;
+    *ret_words = n;
+    return at;
+}
 
 static void read_stream(void *context) {
     struct array *a = context;
-    size_t words = a->lines * 8, n = words < STREAM_WORDS ? words : STREAM_WORDS;
-    const uint64_t *from = a->words + a->state % words;
-    uint64_t sum[16] = {0};
-    for (size_t i = 0; i < n; i += 16)
-        for (int j = 0; j < 16; j++)
-            sum[j] += from[i + (size_t)j];
-    for (int j = 0; j < 16; j++)
+    size_t n, at = next_part(a, &n), stride = a->lines / STREAMS * 8;
+    uint64_t sum[8] = {0};
+    for (size_t i = at; i < at + n; i += 8)
+        for (size_t stream = 0; stream < STREAMS; stream++)
+            for (size_t j = 0; j < 8; j++)
+                sum[j] += a->words[stream * stride + i + j];
+    for (int j = 0; j < 8; j++)
         a->sum += sum[j];
-    a->state = (a->state + n) % words;
+}
+
+static void update_stream(void *context) {
+    struct array *a = context;
+    size_t n, at = next_part(a, &n), stride = a->lines / STREAMS * 8;
+    for (size_t i = at; i < at + n; i += 8)
+        for (size_t stream = 0; stream < STREAMS; stream++)
+            for (size_t j = 0; j < 8; j++)
+                a->words[stream * stride + i + j] += 3;
+}
+
+static bool array_init(double bytes, struct array *a) {
+    void *memory = NULL;
+    *a = (struct array){.lines = bytes > 65536 ? (size_t)bytes / 64 : 1024};
+    if (posix_memalign(&memory, 2u << 20, a->lines * 64) != 0) return false;
+    memset(memory, 1, a->lines * 64);
+    a->words = memory;
+    return true;
+}
+
+static double measure(enum rn_bench_memory kind, double seconds, struct array *a) {
+    static void (*const work[])(void *) = {read_lines, read_stream, update_stream};
+    size_t words = a->lines / STREAMS * 8, n = words < STREAM_WORDS ? words : STREAM_WORDS;
+    double bytes = (double)(n * STREAMS * sizeof(uint64_t));
+    a->state = 0;
+    double ns = rn_bench_least(seconds, work[kind], a) * 1e9;
+    volatile uint64_t keep = a->sum;
+    (void)keep;
+    if (kind == RN_BENCH_LINES) return ns / LINES_A_CALL;
+    return ns / (kind == RN_BENCH_UPDATE ? 2 * bytes : bytes);
+}
+
+double rn_bench_memory_ns(enum rn_bench_memory kind, double bytes, double seconds) {
+    struct array a;
+    if (!array_init(bytes, &a)) return NAN;
+    double ns = measure(kind, seconds, &a);
+    free(a.words);
+    return ns;
 }
 
 static void measure_array(int index, double seconds, struct rn_bench_machine *m) {
-    size_t bytes = (size_t)(m->array_mb[index] * 1048576);
-    void *memory = NULL;
+    struct array a;
     m->random_line_ns[index] = m->stream_gbs[index] = NAN;
-    if (posix_memalign(&memory, 2u << 20, bytes) != 0) return;
-    memset(memory, 1, bytes);
-    struct array a = {.words = memory, .lines = bytes / 64, .state = 1};
-    m->random_line_ns[index] = rn_bench_least(seconds, read_lines, &a) * 1e9 / LINES_A_CALL;
-    a.state = 0;
-    double read = bytes < STREAM_WORDS * 8 ? (double)bytes : (double)STREAM_WORDS * 8;
-    m->stream_gbs[index] = read / rn_bench_least(seconds, read_stream, &a) * 1e-9;
-    volatile uint64_t keep = a.sum;
-    (void)keep;
-    free(memory);
+    if (!array_init(m->array_mb[index] * 1048576, &a)) return;
+    m->random_line_ns[index] = measure(RN_BENCH_LINES, seconds, &a);
+    m->stream_gbs[index] = 1 / measure(RN_BENCH_STREAM, seconds, &a);
+    free(a.words);
 }
 
 void rn_bench_machine_measure(const char *kernels, double seconds, struct rn_bench_machine *m) {
@@ -155,24 +195,4 @@ void rn_bench_machine_measure(const char *kernels, double seconds, struct rn_ben
         m->array_mb[i] = sizes[i];
         measure_array(i, each, m);
     }
-}
-
-// ---- between sizes --------------------------------------------------------------------------
-
-static double between(const double sizes[RN_BENCH_ARRAYS], const double values[RN_BENCH_ARRAYS],
-                      double bytes) {
-    double mb = bytes / 1048576, value = values[0];
-    for (int i = 1; i < RN_BENCH_ARRAYS && mb > sizes[i - 1] && !isnan(values[i]); i++) {
-        double share = fmin(1, log(mb / sizes[i - 1]) / log(sizes[i] / sizes[i - 1]));
-        value = values[i - 1] + share * (values[i] - values[i - 1]);
-    }
-    return value;
-}
-
-double rn_bench_line_ns(const struct rn_bench_machine *m, double bytes) {
-    return between(m->array_mb, m->random_line_ns, bytes);
-}
-
-double rn_bench_stream_gbs(const struct rn_bench_machine *m, double bytes) {
-    return between(m->array_mb, m->stream_gbs, bytes);
 }

@@ -13,9 +13,13 @@ double rn_bench_least(double seconds, void (*work)(void *context), void *context
 void rn_bench_machine_measure(const char *kernels, double seconds,
                               struct rn_bench_machine *ret_machine);
 
-// Nanoseconds of one random line, and bytes a second of a stream, for a working set of `bytes`,
-// between the measured sizes (logarithmically).
-double rn_bench_line_ns(const struct rn_bench_machine *machine, double bytes);
-double rn_bench_stream_gbs(const struct rn_bench_machine *machine, double bytes);
+// Ways to use memory.
+enum rn_bench_memory {
+    RN_BENCH_LINES,  // 64-byte lines at random, addresses known ahead: ns a line
+    RN_BENCH_STREAM, // reading in order: ns a byte
+    RN_BENCH_UPDATE, // reading and writing back in order: ns a byte, each counted twice
+};
+// Measures a working set of `bytes` for `seconds`; NAN without that memory.
+double rn_bench_memory_ns(enum rn_bench_memory kind, double bytes, double seconds);
 
 #endif

@@ -23,7 +23,7 @@ static void configure(void) {
     _tile_loadconfig(&config);
 }
 
-// Tiles 0-3 are sums, 4-5 left and 6-7 right operands.
+// Tiles 0-3 are sums, the others operands.
 static double finish(size_t rounds, float *sink) {
     _Alignas(64) float out[256];
     _tile_stored(0, out, 64);
@@ -56,18 +56,22 @@ double rn_peak_amx(size_t rounds, float *sink) {
 }
 
 double rn_peak_amx_l1(size_t rounds, float *sink) {
-    _Alignas(64) static uint8_t operands[4][1024];
+    _Alignas(64) static uint8_t operands[8][1024];
     configure();
     clear_sums();
     for (size_t k = 0; k < rounds; k++) {
         _tile_loadd(4, operands[0], 64);
-        _tile_loadd(6, operands[2], 64);
-        _tile_dpbf16ps(0, 4, 6);
-        _tile_loadd(7, operands[3], 64);
-        _tile_dpbf16ps(1, 4, 7);
         _tile_loadd(5, operands[1], 64);
-        _tile_dpbf16ps(2, 5, 6);
-        _tile_dpbf16ps(3, 5, 7);
+        _tile_dpbf16ps(0, 4, 5);
+        _tile_loadd(6, operands[2], 64);
+        _tile_loadd(7, operands[3], 64);
+        _tile_dpbf16ps(1, 6, 7);
+        _tile_loadd(4, operands[4], 64);
+        _tile_loadd(5, operands[5], 64);
+        _tile_dpbf16ps(2, 4, 5);
+        _tile_loadd(6, operands[6], 64);
+        _tile_loadd(7, operands[7], 64);
+        _tile_dpbf16ps(3, 6, 7);
     }
     return finish(rounds, sink);
 }

@@ -7,7 +7,7 @@
 
 #include "common/base/file.h"
 
-#define SCENE "fence"
+#define SCENE "sphere"
 #define DISTANCE 4.0
 #define FOV_RAD 0.69
 #define RADIUS 1.5
@@ -87,11 +87,8 @@ enum rn_status rn_bench_scene_init(struct rn_pool *pool, struct rn_bench_scene *
     }
     for (int i = 0; i < RN_BENCH_VIEWS; i++) {
         snprintf(scene->paths[i], sizeof scene->paths[i], "%s/%d.png", scene->folder, i);
-        scene->frames[i] = (struct rn_frame){.name = name,
-                                             .path = scene->paths[i],
-                                             .index = i,
-                                             .loss_weight = 1,
-                                             .has_alpha = true};
+        scene->frames[i] = (struct rn_frame){
+            .name = name, .path = scene->paths[i], .index = i, .loss_weight = 1, .has_alpha = true};
         if (rn_bench_camera(i, RN_BENCH_VIEWS, &scene->frames[i].camera) != RN_OK)
             return rn_error_set(err, RN_ERROR_INVALID, "bench", "degenerate camera");
     }

@@ -10,10 +10,10 @@
 
 // Thread-safety: one thread. Owner: the caller; rn_bench_scene_finish removes the folder.
 struct rn_bench_scene {
-    char folder[64];
+    char folder[512];
     struct rn_dataset dataset;
     struct rn_frame frames[RN_BENCH_VIEWS];
-    char paths[RN_BENCH_VIEWS][96];
+    char paths[RN_BENCH_VIEWS][544];
 };
 
 // Renders and writes the photographs under $TMPDIR or /tmp. Errors as of files and memory.

@@ -52,9 +52,8 @@ static bool record_packet(struct rn_bench_recording *rec, int begin, int end,
 
 enum rn_status rn_bench_record(struct rn_trainer *trainer, struct rn_bench_recording *ret,
                                struct rn_error *err) {
-    struct rn_bench_recording rec = {.trainer = trainer,
-                                     .field = &trainer->field->cpu,
-                                     .kernels = trainer->engine->kernels};
+    struct rn_bench_recording rec = {
+        .trainer = trainer, .field = &trainer->field->cpu, .kernels = trainer->engine->kernels};
     size_t bytes = rn_workspace_size(rec.field, trainer->field->config.step);
     bytes = (bytes + 4095) / 4096 * 4096;
     rec.memory = aligned_alloc(4096, bytes * RN_GROUPS);
@@ -179,15 +178,26 @@ struct bench {
 };
 
 // The stages in the order of a step, and the bound on the error of each.
-enum place { RAYS, MARCH, ENCODE, FORWARD, COMPOSITE, BACKWARD, SCATTER, OPTIMISER, OCCUPANCY, ALL };
+enum place {
+    RAYS,
+    MARCH,
+    ENCODE,
+    FORWARD,
+    COMPOSITE,
+    BACKWARD,
+    SCATTER,
+    OPTIMISER,
+    OCCUPANCY,
+    ALL
+};
 static const struct {
     const char *name, *unit;
     double bound;
 } places[ALL] = {
-    {"rays", "Mrays/s", 1e-5},           {"march", "Msamples/s", 5e-3},
-    {"encode", "Msamples/s", 1e-3},      {"mlp forward", "Msamples/s", 1e-4},
-    {"composite", "Msamples/s", 1e-4},   {"mlp backward", "Msamples/s", 1e-4},
-    {"scatter", "Msamples/s", 1e-4},     {"optimiser", "Mparameters/s", 1e-5},
+    {"rays", "Mrays/s", 1e-5},         {"march", "Msamples/s", 5e-3},
+    {"encode", "Msamples/s", 1e-3},    {"mlp forward", "Msamples/s", 1e-4},
+    {"composite", "Msamples/s", 1e-4}, {"mlp backward", "Msamples/s", 1e-4},
+    {"scatter", "Msamples/s", 1e-4},   {"optimiser", "Mparameters/s", 1e-5},
     {"occupancy", "Mcells/s", 1e-3},
 };
 

@@ -42,8 +42,7 @@ void rn_bench_scatter(const struct rn_bench_recording *recording);
 size_t rn_bench_optimise(const struct rn_bench_recording *recording, bool count_only);
 
 // Checks and times every stage on the recording, about `seconds` in all.
-void rn_bench_stages(struct rn_bench_recording *recording,
-                     const struct rn_bench_machine *machine, double seconds,
-                     struct rn_bench_result *result);
+void rn_bench_stages(struct rn_bench_recording *recording, const struct rn_bench_machine *machine,
+                     double seconds, struct rn_bench_result *result);
 
 #endif
