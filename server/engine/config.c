@@ -67,7 +67,6 @@ static const struct rn_train_config standard = {
 
 enum rn_status rn_preset(const char *name, bool multi_scale, struct rn_train_config *ret_config,
                          struct rn_error *err) {
-    (void)multi_scale;
     if (strcmp(name, "paper") == 0) {
         *ret_config = paper;
         return RN_OK;
@@ -76,6 +75,9 @@ enum rn_status rn_preset(const char *name, bool multi_scale, struct rn_train_con
         return rn_error_set(err, RN_ERROR_INVALID, "preset",
                             "'%s' is no preset; use draft, standard or paper", name);
     *ret_config = standard;
+    // On several scales the isotropic pyramid is ahead of the ripmap at equal time (it costs half
+    // the fetches) and ahead of point sampling from half a minute on.
+    if (multi_scale) ret_config->field.footprint = RN_FOOTPRINT_MIP;
     if (strcmp(name, "draft") == 0) {
         snprintf(ret_config->preset, sizeof ret_config->preset, "draft");
         ret_config->field.base = 128;

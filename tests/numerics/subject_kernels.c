@@ -47,8 +47,9 @@ static void lerp(double p, int size, int *ret_low, int *ret_high, double *ret_fr
     *ret_low = low[0];
     *ret_high = low[0] + (size > 1);
     *ret_fraction = (double)fraction[0];
-    struct lerp_scalar same = lerp_coordinate((float)p, size);
-    if (same.low != low[0] || same.fraction != fraction[0]) *ret_low = -1;
+    struct axis_lookup same; // the pyramid's own at level 0
+    look_up_axis(vf_set((float)p), vf_set(0), size, &same);
+    if (same.low[0][0] != low[0] || same.fraction[0][0] != fraction[0]) *ret_low = -1;
 }
 
 // One ray of up to SUBJECT_MAX_SAMPLES samples in a workspace of its own.

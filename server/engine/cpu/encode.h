@@ -124,16 +124,34 @@ RN_INLINE void lerp_vector(vf p, int size, vi *ret_low, vf *ret_fraction) {
     *ret_fraction = x - low;
 }
 
-struct lerp_scalar {
-    int low;
-    float fraction;
+// Where RN_VL samples look on one axis of a pyramid: level, weight of the next level, and at both
+// levels the texel and the weight of its neighbour.
+struct axis_lookup {
+    int32_t level[RN_VL], low[2][RN_VL];
+    float upper[RN_VL], fraction[2][RN_VL];
 };
-RN_INLINE struct lerp_scalar lerp_coordinate(float p, int size) {
-    float half = 0.5f * (float)size, x = p * half + (half - 0.5f), top = (float)(size - 1);
-    x = x > 0 ? (x < top ? x : top) : 0;
-    int low = (int)x, last = size > 1 ? size - 2 : 0;
-    if (low > last) low = last;
-    return (struct lerp_scalar){low, x - (float)low};
+
+RN_INLINE void look_up_axis(vf p, vf level, int base, struct axis_lookup *ret) {
+    vi whole = vi_from_float(level);
+    vi_store(ret->level, whole);
+    vf_store(ret->upper, level - vf_from_int(whole));
+    for (int i = 0; i < 2; i++) {
+        vi size = base >> (whole + i);
+        vf texels = vf_max(vf_from_int(size), vf_set(1)), half = 0.5f * texels;
+        vf x = vf_min(vf_max(p * half + (half - 0.5f), vf_set(0)), texels - 1.0f);
+        vf low = vf_min(vf_from_int(vi_from_float(x)), vf_max(texels - 2.0f, vf_set(0)));
+        vi_store(ret->low[i], vi_from_float(low));
+        vf_store(ret->fraction[i], x - low);
+    }
+}
+
+// The maps of a query: bit 0 of a corner steps up along x, bit 1 along y. Returns the weight of
+// corner c of lane j; 0 for corners that do not take part.
+RN_INLINE float corner_weight(const struct axis_lookup *x, const struct axis_lookup *y, bool mip,
+                              int j, int c) {
+    float wx = c & 1 ? x->upper[j] : 1 - x->upper[j], wy = c & 2 ? y->upper[j] : 1 - y->upper[j];
+    if (!mip) return wx * wy;
+    return c == 0 || c == 3 ? wx : 0;
 }
 
 // A vector of CHANNELS numbers; the compiler splits it where the machine's are narrower.
@@ -171,45 +189,31 @@ RN_INLINE struct lerp_scalar lerp_coordinate(float p, int size) {
                     fetch_##NAME(map->texels + offset[j], row, fx[j], fy[j]);                      \
         }                                                                                          \
     }                                                                                              \
-    RN_INLINE TYPE fetch_map_##NAME(const struct rn_map *map, float u, float v) {                  \
-        struct lerp_scalar x = lerp_coordinate(u, map->width),                                     \
-                           y = lerp_coordinate(v, map->height);                                    \
-        size_t row = map->height > 1 ? (size_t)map->width * CHANNELS : 0;                          \
-        return fetch_##NAME(map->texels + ((size_t)y.low * map->width + x.low) * CHANNELS, row,    \
-                            x.fraction, y.fraction);                                               \
-    }                                                                                              \
     static void encode_leveled_##NAME(                                                             \
         const struct rn_map(*maps)[RN_MAX_LEVELS], bool mip, const float *u, const float *v,       \
         const float *lx, const float *ly, int begin, int end, float *out, int stride) {            \
-        for (int i = begin; i < end; i++) {                                                        \
-            int x = (int)lx[i], y = (int)ly[i];                                                    \
-            float fx = lx[i] - (float)x, fy = ly[i] - (float)y;                                    \
-            TYPE value = fetch_map_##NAME(&maps[y][x], u[i], v[i]);                                \
-            if (mip) {                                                                             \
-                if (fx > 0)                                                                        \
-                    value += fx * (fetch_map_##NAME(&maps[y + 1][x + 1], u[i], v[i]) - value);     \
-            } else {                                                                               \
-                if (fx > 0) value += fx * (fetch_map_##NAME(&maps[y][x + 1], u[i], v[i]) - value); \
-                if (fy > 0) {                                                                      \
-                    TYPE upper = fetch_map_##NAME(&maps[y + 1][x], u[i], v[i]);                    \
-                    if (fx > 0)                                                                    \
-                        upper += fx * (fetch_map_##NAME(&maps[y + 1][x + 1], u[i], v[i]) - upper); \
-                    value += fy * (upper - value);                                                 \
+        struct axis_lookup x, y;                                                                   \
+        int base = maps[0][0].width;                                                               \
+        for (int i = begin; i < end; i += RN_VL) {                                                 \
+            look_up_axis(vf_load(u + i), vf_load(lx + i), base, &x);                               \
+            look_up_axis(vf_load(v + i), vf_load(ly + i), base, &y);                               \
+            int n = end - i < RN_VL ? end - i : RN_VL;                                             \
+            for (int j = 0; j < n; j++) {                                                          \
+                TYPE value = {0};                                                                  \
+                for (int c = 0; c < 4; c++) {                                                      \
+                    float weight = corner_weight(&x, &y, mip, j, c);                               \
+                    if (!(weight > 0)) continue;                                                   \
+                    int up_x = c & 1, up_y = c >> 1;                                               \
+                    const struct rn_map *map = &maps[y.level[j] + up_y][x.level[j] + up_x];        \
+                    size_t row = (size_t)map->width * CHANNELS;                                    \
+                    const float *texel =                                                           \
+                        map->texels + y.low[up_y][j] * row + (size_t)x.low[up_x][j] * CHANNELS;    \
+                    value += weight * fetch_##NAME(texel, map->height > 1 ? row : 0,               \
+                                                   x.fraction[up_x][j], y.fraction[up_y][j]);      \
                 }                                                                                  \
+                *(TYPE *)(out + (size_t)(i + j) * stride) = value;                                 \
             }                                                                                      \
-            *(TYPE *)(out + (size_t)i * stride) = value;                                           \
         }                                                                                          \
-    }                                                                                              \
-    RN_INLINE void spread_map_##NAME(struct rn_map *map, float u, float v, float weight,           \
-                                     int row_begin, int row_end, TYPE g) {                         \
-        struct lerp_scalar x = lerp_coordinate(u, map->width),                                     \
-                           y = lerp_coordinate(v, map->height);                                    \
-        bool upper = y.low >= row_begin && y.low < row_end;                                        \
-        bool lower = map->height > 1 && y.low + 1 >= row_begin && y.low + 1 < row_end;             \
-        if (!upper && !lower) return;                                                              \
-        spread_##NAME(map->texels + ((size_t)y.low * map->width + x.low) * CHANNELS,               \
-                      (size_t)map->width * CHANNELS, x.fraction, y.fraction, weight, upper, lower, \
-                      g);                                                                          \
     }
 
 RN_FETCH(4, v4, 4)

@@ -92,20 +92,28 @@ static void density(const struct rn_cpu_field *field, float (*points)[3], int co
     static void scatter_leveled_##NAME(const struct rn_slab *slab, int plane, bool mip,            \
                                        int row_begin, int row_end,                                 \
                                        struct rn_map(*maps)[RN_MAX_LEVELS]) {                      \
-        for (int i = 0; i < slab->count; i++) {                                                    \
-            float u = slab->u[plane][i], v = slab->v[plane][i];                                    \
-            float lx = slab->lx[plane][i], ly = slab->ly[plane][i];                                \
-            int x = (int)lx, y = (int)ly;                                                          \
-            float fx = lx - (float)x, fy = ly - (float)y;                                          \
-            TYPE g = *(const TYPE *)(slab->grad[plane] + (size_t)i * CHANNELS);                    \
-            for (int corner = 0; corner < 4; corner++) {                                           \
-                if (mip && (corner == 1 || corner == 2)) continue;                                 \
-                float weight = mip ? (corner ? fx : 1 - fx)                                        \
-                                   : (corner & 1 ? fx : 1 - fx) * (corner & 2 ? fy : 1 - fy);      \
-                if (!(weight > 0)) continue;                                                       \
-                int map_x = x + (corner & 1), map_y = y + (corner >> 1);                           \
-                spread_map_##NAME(&maps[map_y][map_x], u, v, weight, row_begin >> map_y,           \
-                                  row_end >> map_y, g);                                            \
+        struct axis_lookup x, y;                                                                   \
+        int base = maps[0][0].width;                                                               \
+        for (int i = 0; i < slab->count; i += RN_VL) {                                             \
+            look_up_axis(vf_load(slab->u[plane] + i), vf_load(slab->lx[plane] + i), base, &x);     \
+            look_up_axis(vf_load(slab->v[plane] + i), vf_load(slab->ly[plane] + i), base, &y);     \
+            int n = slab->count - i < RN_VL ? slab->count - i : RN_VL;                             \
+            for (int j = 0; j < n; j++) {                                                          \
+                TYPE g = *(const TYPE *)(slab->grad[plane] + (size_t)(i + j) * CHANNELS);          \
+                for (int c = 0; c < 4; c++) {                                                      \
+                    float weight = corner_weight(&x, &y, mip, j, c);                               \
+                    if (!(weight > 0)) continue;                                                   \
+                    int up_x = c & 1, up_y = c >> 1, level = y.level[j] + up_y;                    \
+                    int line = y.low[up_y][j], begin = row_begin >> level, end = row_end >> level; \
+                    struct rn_map *map = &maps[level][x.level[j] + up_x];                          \
+                    if (row_end == base) end = map->height;                                        \
+                    bool upper = line >= begin && line < end;                                      \
+                    bool lower = map->height > 1 && line + 1 >= begin && line + 1 < end;           \
+                    size_t row = (size_t)map->width * CHANNELS;                                    \
+                    float *texel = map->texels + line * row + (size_t)x.low[up_x][j] * CHANNELS;   \
+                    spread_##NAME(texel, row, x.fraction[up_x][j], y.fraction[up_y][j], weight,    \
+                                  upper, lower, g);                                                \
+                }                                                                                  \
             }                                                                                      \
         }                                                                                          \
     }

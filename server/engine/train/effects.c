@@ -79,7 +79,7 @@ static void detect_footprints(struct rn_trainer *t) {
     pyramid->on = can && top > pyramid->threshold;
     snprintf(pyramid->reason, sizeof pyramid->reason,
              "footprints of the training rays span up to %.2f texels of the base grid%s", exp2(top),
-             can ? "" : "; point sampling was asked for");
+             can ? "" : "; the field samples points");
     struct rn_effect_record *anisotropy = record(t, RN_EFFECT_ANISOTROPY, "anisotropy");
     anisotropy->number = spread;
     anisotropy->threshold = ANISOTROPY_THRESHOLD;
@@ -87,7 +87,7 @@ static void detect_footprints(struct rn_trainer *t) {
                      (spread > ANISOTROPY_THRESHOLD || !t->field->config.auto_effects);
     snprintf(anisotropy->reason, sizeof anisotropy->reason,
              "95 %% of footprints are at most %.2f times as long as wide%s", exp2(spread),
-             c->footprint == RN_FOOTPRINT_RIP ? "" : "; an isotropic footprint was asked for");
+             c->footprint == RN_FOOTPRINT_RIP ? "" : "; the field's footprint is isotropic");
 }
 
 static void detect_view_dependence(struct rn_trainer *t) {
