@@ -45,6 +45,7 @@ static const struct member config_members[] = {
     CONFIG(sparse, KIND_BOOL),
     CONFIG(equal_scales, KIND_BOOL),
     CONFIG(auto_effects, KIND_BOOL),
+    CONFIG(footprint_given, KIND_BOOL),
     CONFIG(cone_step, KIND_BOOL),
     CONFIG(multi_step_rate, KIND_BOOL),
     CONFIG(roulette, KIND_DOUBLE),

@@ -63,6 +63,7 @@ struct rn_train_config {
     bool equal_scales;    // rays drawn evenly over scales, weight 1; else by pixels, area weight
     bool auto_effects;    // effects that the data does not call for may be switched off
     double roulette;      // contribution below which a sample's backward is a lottery; 0 = off
+    bool footprint_given; // asked for by name: not switched off though the data calls for less
     bool cone_step;       // a sample spans as many steps as its cone is wide, at most 8
     double stop;          // early stop: transmittance below which a ray ends
     uint64_t seed;

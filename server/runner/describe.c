@@ -35,7 +35,10 @@ enum rn_status rn_configure(const struct rn_train_options *options, bool multi_s
     override_int(options->channels, &config.field.channels);
     if (options->orientation >= 0)
         config.field.orientation = (enum rn_orientation)options->orientation;
-    if (options->footprint >= 0) config.field.footprint = (enum rn_footprint)options->footprint;
+    if (options->footprint >= 0) {
+        config.field.footprint = (enum rn_footprint)options->footprint;
+        config.footprint_given = true;
+    }
     if (options->seed != RN_ABSENT) config.seed = (uint64_t)options->seed;
     config.train_val = options->train_split == 1;
     if (options->max_steps != RN_ABSENT || !isnan(options->max_time_s)) {

@@ -84,7 +84,8 @@ static void detect_footprints(struct rn_trainer *t) {
     anisotropy->number = spread;
     anisotropy->threshold = ANISOTROPY_THRESHOLD;
     anisotropy->on = pyramid->on && c->footprint == RN_FOOTPRINT_RIP &&
-                     (spread > ANISOTROPY_THRESHOLD || !t->field->config.auto_effects);
+                     (spread > ANISOTROPY_THRESHOLD || !t->field->config.auto_effects ||
+                      t->field->config.footprint_given);
     snprintf(anisotropy->reason, sizeof anisotropy->reason,
              "95 %% of footprints are at most %.2f times as long as wide%s", exp2(spread),
              c->footprint == RN_FOOTPRINT_RIP ? "" : "; the field's footprint is isotropic");
@@ -111,7 +112,8 @@ void rn_trainer_detect_effects(struct rn_trainer *t) {
         memset(config->background, 0, sizeof config->background);
     }
     bool anisotropy = t->field->effects[RN_EFFECT_ANISOTROPY].on;
-    if (config->auto_effects && config->field.footprint == RN_FOOTPRINT_RIP && !anisotropy)
+    bool may_switch = config->auto_effects && !config->footprint_given;
+    if (may_switch && config->field.footprint == RN_FOOTPRINT_RIP && !anisotropy)
         config->field.footprint = t->field->cpu.config.footprint = RN_FOOTPRINT_MIP;
 }
 
