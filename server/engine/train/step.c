@@ -270,7 +270,8 @@ static double rate_factor(const struct rn_trainer *t) {
 static void apply(struct rn_trainer *t, double weight) {
     const struct rn_train_config *config = &t->field->config;
     const struct rn_parameters *p = &t->field->parameters;
-    double n = (double)++t->updates, rate = config->learning_rate * rate_factor(t);
+    double n = (double)++t->updates,
+           rate = ldexp(config->learning_rate * rate_factor(t), -(int)t->progress.rollbacks);
     struct rn_adamw networks = {.scale = (float)(1 / weight),
                                 .rate = (float)rate,
                                 .decay = (float)config->weight_decay,
@@ -322,6 +323,7 @@ static void finish_step(struct rn_trainer *t) {
         apply(t, weight);
     if (finite && weight > 0) t->progress.loss = loss / weight;
     count_step(t);
+    rn_trainer_guard_step(t, finite);
     t->stepping = false;
     t->field->steps = ++t->progress.step;
 }

@@ -92,7 +92,7 @@ static enum rn_status set_up(struct rn_trainer *t, struct rn_error *err) {
 
 static enum rn_status check_memory(const struct rn_trainer *t, const struct rn_train_config *config,
                                    size_t limit, size_t *ret_left, struct rn_error *err) {
-    size_t need = 4 * rn_field_bytes(config, 1) + RN_MAX_RAYS * sizeof(struct rn_march_ray);
+    size_t need = 5 * rn_field_bytes(config, 1) + RN_MAX_RAYS * sizeof(struct rn_march_ray);
     *ret_left = 0;
     if (!limit) return RN_OK;
     if (need >= limit)
@@ -140,6 +140,7 @@ enum rn_status rn_trainer_create(struct rn_engine *engine, const struct rn_datas
     if (status != RN_OK) goto fail;
     if (t->field->config.carve) rn_trainer_carve(t);
     status = rn_trainer_list_hull(t, err);
+    if (status == RN_OK) status = rn_trainer_keep_good(t, err);
     if (status != RN_OK) goto fail;
     rn_field_refresh(t->field, engine);
     rn_field_refresh_occupancy(t->field);
@@ -175,6 +176,7 @@ enum rn_status rn_trainer_restore(struct rn_engine *engine, const struct rn_data
     if (status == RN_OK) status = set_up(t, err);
     if (status == RN_OK) status = rn_checkpoint_read_trainer(&checkpoint, t, err);
     if (status == RN_OK) status = rn_trainer_list_hull(t, err);
+    if (status == RN_OK) status = rn_trainer_keep_good(t, err);
     if (status != RN_OK) goto fail;
     rn_field_refresh(t->field, engine);
     rn_field_refresh_occupancy(t->field);
@@ -200,6 +202,7 @@ void rn_trainer_destroy(struct rn_trainer **trainer) {
     free(t->rays);
     free(t->group_memory);
     free(t->hull_list);
+    free(t->good);
     free(t);
     *trainer = NULL;
 }
@@ -251,9 +254,8 @@ enum rn_status rn_trainer_advance(struct rn_trainer *t, double budget_ms, struct
             return RN_OK;
         }
         run_block(t);
-        if (t->progress.steps_rejected > 100 && t->updates == 0)
-            return rn_error_set(err, RN_ERROR_NUMERIC, t->dataset->name,
-                                "every training step was rejected: losses are not finite");
+        status = rn_trainer_guard_check(t, err);
+        if (status != RN_OK) return status;
     } while (rn_clock_ns() < until);
     return RN_OK;
 }
@@ -363,5 +365,6 @@ enum rn_status rn_trainer_save(struct rn_trainer *t, const char *path, struct rn
     if (status != RN_OK) return status;
     while (t->stepping)
         run_block(t);
+    rn_trainer_guard_save(t);
     return rn_checkpoint_write(t, path, err);
 }

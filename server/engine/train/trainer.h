@@ -10,6 +10,7 @@
 #define RN_OCCUPANCY_EVERY 16    // steps
 #define RN_OCCUPANCY_WARM_UP 256 // steps with every cell measured
 #define RN_VALIDATE_BLOCK 4096   // rays a block of held-out evaluation
+#define RN_MAX_ROLLBACKS 3       // one more ends the training
 
 // Held-out evaluation under way.
 struct rn_validation {
@@ -33,7 +34,9 @@ struct rn_trainer {
     struct rn_map grad_maps[RN_MAX_PLANES][RN_MAX_LEVELS][RN_MAX_LEVELS];
     uint8_t *touched; // [plane][row][block of RN_BLOCK texels]
     size_t blocks_per_row;
-    int64_t updates; // steps that were not rejected
+    int64_t updates; // steps that were not rejected, since the last rollback
+    float *good;     // the parameters a rollback returns to
+    int rejected;    // steps in a row
 
     // The step under way.
     bool stepping;
@@ -68,6 +71,14 @@ void rn_trainer_run_wave(struct rn_trainer *trainer); // clears `stepping` when 
 // The ray through pixel (x, y) of a frame, target over the background.
 struct rn_march_ray rn_trainer_ray(const struct rn_trainer *trainer, const struct rn_pixels *pixels,
                                    const struct rn_pixel_frame *frame, int x, int y, double jitter);
+// guard.c: after every step the parameters are finite. When they are not, or when 16 steps in a row
+// were rejected, training returns to the last good parameters (at most 64 updates old) with a fresh
+// optimiser at half the rate. After RN_MAX_ROLLBACKS such returns it fails: RN_ERROR_NUMERIC.
+enum rn_status rn_trainer_keep_good(struct rn_trainer *trainer, struct rn_error *err) RN_MUST_CHECK;
+void rn_trainer_guard_step(struct rn_trainer *trainer, bool accepted);
+void rn_trainer_guard_save(struct rn_trainer *trainer); // the optimiser's numbers too
+enum rn_status rn_trainer_guard_check(const struct rn_trainer *trainer,
+                                      struct rn_error *err) RN_MUST_CHECK;
 // 0..1 of the binding limit so far, NAN without one.
 double rn_trainer_fraction(const struct rn_trainer *trainer);
 

@@ -1,0 +1,77 @@
+// The guard: no step leaves a parameter behind that is not a finite number.
+#include <stdatomic.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "server/engine/train/trainer.h"
+
+#define CHUNK 65536      // numbers looked at together
+#define GOOD_EVERY 64    // updates between two copies of the parameters
+#define MOST_REJECTED 16 // steps in a row
+
+struct scan {
+    const float *numbers;
+    size_t count;
+    atomic_bool found;
+};
+
+static void scan_chunk(void *context, int index, int thread) {
+    (void)thread;
+    struct scan *scan = context;
+    size_t begin = (size_t)index * CHUNK, end = begin + CHUNK;
+    uint32_t found = 0;
+    for (size_t i = begin; i < end && i < scan->count; i++) {
+        uint32_t bits;
+        memcpy(&bits, scan->numbers + i, sizeof bits);
+        found |= (bits & 0x7f800000u) == 0x7f800000u;
+    }
+    if (found) atomic_store(&scan->found, true);
+}
+
+static bool all_finite(const struct rn_trainer *t, const float *numbers) {
+    struct scan scan = {numbers, t->field->parameters.count, false};
+    rn_pool_run(t->engine->pool, (int)((scan.count + CHUNK - 1) / CHUNK), scan_chunk, &scan);
+    return !atomic_load(&scan.found);
+}
+
+enum rn_status rn_trainer_keep_good(struct rn_trainer *t, struct rn_error *err) {
+    size_t bytes = t->field->parameters.count * sizeof *t->good;
+    if (!t->good) t->good = malloc(bytes);
+    if (!t->good) return rn_error_set(err, RN_ERROR_NO_MEMORY, "trainer", "out of memory");
+    memcpy(t->good, t->field->parameters.values, bytes);
+    return RN_OK;
+}
+
+// Back to the last good parameters; the optimiser, whose moments may be spoilt too, starts anew at
+// half the rate.
+static void roll_back(struct rn_trainer *t) {
+    size_t bytes = t->field->parameters.count * sizeof *t->good;
+    memcpy(t->field->parameters.values, t->good, bytes);
+    memset(t->m, 0, bytes);
+    memset(t->v, 0, bytes);
+    t->updates = t->rejected = 0;
+    t->progress.rollbacks++;
+    t->field->pyramid_stale = true;
+    rn_field_refresh(t->field, t->engine);
+}
+
+void rn_trainer_guard_step(struct rn_trainer *t, bool accepted) {
+    t->rejected = accepted ? 0 : t->rejected + 1;
+    if (!all_finite(t, t->field->parameters.values) || t->rejected >= MOST_REJECTED)
+        roll_back(t);
+    else if (accepted && t->updates % GOOD_EVERY == 0)
+        memcpy(t->good, t->field->parameters.values, t->field->parameters.count * sizeof *t->good);
+}
+
+void rn_trainer_guard_save(struct rn_trainer *t) {
+    if (!all_finite(t, t->field->parameters.values) || !all_finite(t, t->m) || !all_finite(t, t->v))
+        roll_back(t);
+}
+
+enum rn_status rn_trainer_guard_check(const struct rn_trainer *t, struct rn_error *err) {
+    if (t->progress.rollbacks <= RN_MAX_ROLLBACKS) return RN_OK;
+    return rn_error_set(err, RN_ERROR_NUMERIC, t->dataset->name,
+                        "training diverged %d times, each time from the last good state and at "
+                        "half the rate; the scene keeps that state; try a lower learning rate",
+                        (int)t->progress.rollbacks);
+}
