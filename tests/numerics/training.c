@@ -1,0 +1,243 @@
+// Case 9: training that would diverge. Non-finite numbers planted where they hurt are found within
+// a step; hostile data and rates leave nothing behind, in memory, in a picture or in a checkpoint,
+// that is not a number; training that cannot be saved says so.
+#include <string.h>
+#include <unistd.h>
+
+#include "common/base/file.h"
+#include "server/engine/train/trainer.h"
+#include "tests/support/numerics.h"
+
+#define STEPS 60
+
+static char folder[] = "/tmp/ripnerf-numerics-XXXXXX";
+
+static void must(enum rn_status status, const struct rn_error *err) {
+    if (status == RN_OK) return;
+    fprintf(stderr, "%s: %s\n", err->where, err->text);
+    exit(1);
+}
+
+static struct rn_dataset *read_views(int views) {
+    struct rn_error err = {0};
+    struct rn_dataset *dataset;
+    struct rn_synth_options options = {.size = 24, .views = views, .threads = 1, .samples = 4};
+    static int count;
+    char path[64];
+    snprintf(path, sizeof path, "%s/%d", folder, count++);
+    must(rn_mkdirs(path, 0755, &err), &err);
+    must(rn_synthesise("sphere", &options, path, NULL, NULL, &err), &err);
+    must(rn_dataset_read(path, NULL, &dataset, &err), &err);
+    return dataset;
+}
+
+static struct rn_trainer *make_trainer(struct rn_engine *engine, const struct rn_dataset *dataset,
+                                       double rate) {
+    struct rn_error err = {0};
+    struct rn_train_config config;
+    struct rn_trainer *trainer;
+    must(rn_preset("standard", false, &config, &err), &err);
+    config.field.base = 64;
+    config.field.occupancy = 32;
+    config.target_samples = 8192;
+    config.initial_rays = 1024;
+    config.learning_rate *= rate;
+    config.max_seconds = 0;
+    config.max_steps = STEPS;
+    must(rn_trainer_create(engine, dataset, &config, 0, &trainer, &err), &err);
+    return trainer;
+}
+
+// One whole step; whether training goes on.
+static bool advance(struct rn_trainer *t) {
+    struct rn_error err;
+    int64_t step = t->progress.step;
+    enum rn_status status = RN_OK;
+    while (status == RN_OK && t->progress.step == step && step < STEPS)
+        status = rn_trainer_advance(t, 0, &err);
+    return status == RN_OK && t->progress.step < STEPS;
+}
+
+static double count_wild(const float *numbers, size_t n) {
+    double wild = 0;
+    for (size_t i = 0; i < n; i++)
+        wild += !isfinite(numbers[i]);
+    return wild;
+}
+
+// Non-finite numbers in the parameters, in a rendered picture and in a checkpoint read again.
+static double count_left(struct rn_engine *engine, struct rn_trainer *t) {
+    struct rn_error err = {0};
+    struct rn_render_options options = {.camera = t->dataset->frames[0].camera,
+                                        .outputs = RN_OUTPUT_RGB | RN_OUTPUT_DEPTH};
+    struct rn_render_result result;
+    char path[64];
+    double wild = count_wild(t->field->parameters.values, t->field->parameters.count);
+    must(rn_render(engine, rn_trainer_field(t), &options, NULL, NULL, &result, &err), &err);
+    size_t pixels = (size_t)result.rgb.width * (size_t)result.rgb.height;
+    wild += count_wild(result.rgb.values, 3 * pixels) + count_wild(result.depth.values, pixels);
+    rn_render_result_finish(&result);
+    snprintf(path, sizeof path, "%s/checkpoint", folder);
+    must(rn_trainer_save(t, path, &err), &err);
+    struct rn_field *field;
+    if (rn_field_load(engine, path, &field, &err) != RN_OK) return wild + 1;
+    rn_field_destroy(&field);
+    return wild;
+}
+
+// ---- planted numbers ------------------------------------------------------------------------
+
+#define PLANTS 7
+static const char *const plant_names[PLANTS] = {
+    "NaN in a texel",          "infinity in the density network",    "NaN in the colour network",
+    "NaN in a texel's slope",  "NaN in a first moment of a network", "NaN in a second moment",
+    "NaN in all of the planes"};
+
+static void plant(struct rn_trainer *t, int what) {
+    const struct rn_parameters *p = &t->field->parameters;
+    size_t texel = p->plane_count / 2 + (size_t)p->plane_count / 37, base = p->plane_count;
+    if (what == 0) p->values[texel] = NAN;
+    if (what == 1) p->values[base + 11] = INFINITY;
+    if (what == 2) p->values[base + p->base_count + 3] = NAN;
+    if (what == 3) t->grad[texel] = NAN;
+    if (what == 4) t->m[base + 17] = NAN;
+    if (what == 5) t->v[base + 17] = NAN;
+    for (size_t i = 0; i < p->plane_count && what == 6; i++)
+        p->values[i] = NAN;
+}
+
+// Planted after step 10: gone after step 11, with one rollback, and training goes on to the end.
+static int check_planted(struct rn_engine *engine, const struct rn_dataset *dataset) {
+    struct numerics_case found = {
+        "9 non-finite number found", "planted in seven places", "steps", 1, 0, ""};
+    struct numerics_case left = {"9 non-finite numbers left by planted ones",
+                                 "parameters, picture, checkpoint",
+                                 "numbers",
+                                 0.5,
+                                 0,
+                                 ""};
+    for (int what = 0; what < PLANTS; what++) {
+        struct rn_trainer *t = make_trainer(engine, dataset, 1);
+        while (t->progress.step < 10)
+            advance(t);
+        plant(t, what);
+        int steps = 0;
+        while (t->progress.rollbacks == 0 && advance(t))
+            steps++;
+        steps += t->progress.rollbacks > 0 && t->progress.step >= STEPS;
+        numerics_see(&found, t->progress.rollbacks == 1 ? steps : INFINITY, "%s",
+                     plant_names[what]);
+        while (advance(t))
+            continue;
+        bool finished = t->progress.step == STEPS && isfinite(t->progress.loss);
+        numerics_see(&left, finished ? count_left(engine, t) : INFINITY, "%s", plant_names[what]);
+        rn_trainer_destroy(&t);
+    }
+    return numerics_close(&found) + numerics_close(&left);
+}
+
+// Saved at once, without a step in between.
+static int check_saved(struct rn_engine *engine, const struct rn_dataset *dataset) {
+    struct numerics_case c = {"9 non-finite numbers saved right after planting",
+                              "parameters, moments",
+                              "numbers",
+                              0.5,
+                              0,
+                              ""};
+    static const int at_once[] = {0, 2, 4, 5, 6};
+    for (int i = 0; i < 5; i++) {
+        struct rn_trainer *t = make_trainer(engine, dataset, 1);
+        while (t->progress.step < 3)
+            advance(t);
+        plant(t, at_once[i]);
+        struct rn_error err = {0};
+        char path[64];
+        snprintf(path, sizeof path, "%s/checkpoint", folder);
+        must(rn_trainer_save(t, path, &err), &err);
+        numerics_see(&c, count_left(engine, t), "%s", plant_names[at_once[i]]);
+        rn_trainer_destroy(&t);
+        must(rn_trainer_restore(engine, dataset, path, 0, &t, &err), &err);
+        numerics_see(&c, count_wild(t->m, t->field->parameters.count), "restored moments");
+        rn_trainer_destroy(&t);
+    }
+    return numerics_close(&c);
+}
+
+// A number that comes back after every step: after three rollbacks training fails and says so; the
+// parameters stay good.
+static int check_hopeless(struct rn_engine *engine, const struct rn_dataset *dataset) {
+    struct numerics_case c = {"9 rollbacks before hopeless training fails",
+                              "NaN before every step",
+                              "off four",
+                              0.5,
+                              0,
+                              ""};
+    struct rn_trainer *t = make_trainer(engine, dataset, 1);
+    do
+        plant(t, 1);
+    while (advance(t));
+    struct rn_error err = {0};
+    bool said = rn_trainer_advance(t, 0, &err) == RN_ERROR_NUMERIC && strstr(err.text, "diverged");
+    double wild = count_left(engine, t);
+    numerics_see(&c, said && wild == 0 ? fabs((double)t->progress.rollbacks - 4) : INFINITY,
+                 "%d rollbacks, %g numbers: %s", (int)t->progress.rollbacks, wild, err.text);
+    rn_trainer_destroy(&t);
+    return numerics_close(&c);
+}
+
+// ---- hostile data ---------------------------------------------------------------------------
+
+#define HOSTILE 8
+static const char *const hostile_names[HOSTILE] = {
+    "rate x 100", "all black",     "all white",           "all transparent",
+    "one view",   "equal cameras", "contradictory views", "random pixels, rate x 100"};
+
+static void spoil_pixels(struct rn_trainer *t, int what, uint64_t seed) {
+    size_t n = 4 * t->train.pixel_count;
+    uint8_t *rgba = t->train.rgba;
+    if (what >= 1 && what <= 3) memset(rgba, what == 2 ? 255 : 0, n);
+    for (size_t i = 0; i < n; i++) {
+        if (what == 1 && i % 4 == 3) rgba[i] = 255;
+        if (what == 6 && i / 400 % 2) rgba[i] = (uint8_t)(255 - rgba[i]);
+        if (what == 7) rgba[i] = (uint8_t)rn_rng_draw(seed, 5, i).v[0];
+    }
+}
+
+static int check_hostile(struct rn_engine *engine, uint64_t seed) {
+    struct numerics_case c = {"9 non-finite numbers left by hostile data",
+                              "eight kinds, 60 steps",
+                              "numbers",
+                              0.5,
+                              0,
+                              ""};
+    for (int what = 0; what < HOSTILE; what++) {
+        struct rn_dataset *dataset = read_views(what == 4 ? 1 : 6);
+        for (size_t f = 1; f < dataset->frame_count && what == 5; f++)
+            dataset->frames[f].camera = dataset->frames[0].camera;
+        struct rn_trainer *t = make_trainer(engine, dataset, what == 0 || what == 7 ? 100 : 1);
+        spoil_pixels(t, what, seed);
+        while (advance(t))
+            continue;
+        numerics_see(&c, isfinite(t->progress.loss) ? count_left(engine, t) : INFINITY, "%s",
+                     hostile_names[what]);
+        rn_trainer_destroy(&t);
+        rn_dataset_destroy(&dataset);
+    }
+    return numerics_close(&c);
+}
+
+int main(void) {
+    struct numerics_random random = numerics_random();
+    struct rn_engine_options options = {.threads = 1};
+    struct rn_engine *engine;
+    struct rn_error err = {0};
+    if (!mkdtemp(folder)) return 1;
+    must(rn_engine_create(&options, &engine, &err), &err);
+    struct rn_dataset *dataset = read_views(6);
+    int failed = check_planted(engine, dataset) + check_saved(engine, dataset);
+    failed += check_hopeless(engine, dataset) + check_hostile(engine, random.seed);
+    rn_dataset_destroy(&dataset);
+    rn_engine_destroy(&engine);
+    must(rn_remove_tree(folder, &err), &err);
+    return failed > 0;
+}
