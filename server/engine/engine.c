@@ -104,6 +104,11 @@ void rn_engine_destroy(struct rn_engine **engine) {
     *engine = NULL;
 }
 
+void rn_engine_watch(struct rn_engine *engine, bool (*keep_going)(void *context), void *context) {
+    engine->keep_going = keep_going;
+    engine->watcher = context;
+}
+
 void rn_engine_describe(const struct rn_engine *engine, struct rn_device_info *ret_info) {
     *ret_info = engine->info;
     snprintf(ret_info->kernels, sizeof ret_info->kernels, "%s", engine->kernels->name);

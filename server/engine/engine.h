@@ -37,6 +37,9 @@ struct rn_device_info {
 enum rn_status rn_engine_create(const struct rn_engine_options *options,
                                 struct rn_engine **ret_engine, struct rn_error *err) RN_MUST_CHECK;
 void rn_engine_destroy(struct rn_engine **engine);
+// Asked between images while a trainer loads its pixels; false makes rn_trainer_create and
+// rn_trainer_restore end with RN_ERROR_CANCELLED. NULL = never.
+void rn_engine_watch(struct rn_engine *engine, bool (*keep_going)(void *context), void *context);
 void rn_engine_describe(const struct rn_engine *engine, struct rn_device_info *ret_info);
 
 // ---- effects --------------------------------------------------------------------------------

@@ -16,6 +16,8 @@ struct rn_engine {
     const struct rn_field *prepared; // the field they are laid out for
     struct rn_march_ray *rays;       // scratch of the renderer, RN_RENDER_BLOCK
     struct rn_pixel *pixels;
+    bool (*keep_going)(void *context); // rn_engine_watch; NULL = never asked
+    void *watcher;
 };
 
 // Numbers of one field: planes, density network, colour network, in one block in this order.

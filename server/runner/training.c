@@ -202,7 +202,21 @@ static enum rn_status point_at_option(enum rn_status status, struct rn_error *er
     return status;
 }
 
-static enum rn_status create_trainer(struct rn_host *host, const struct rn_train_options *options,
+static enum rn_status restore_or_create(struct rn_host *host,
+                                        const struct rn_train_options *options,
+                                        struct rn_trainer **ret_trainer, struct rn_error *err) {
+    enum rn_status status = restore(host, ret_trainer, err);
+    if (status != RN_ERROR_NOT_FOUND) return status;
+    struct rn_train_config config;
+    status = rn_configure(options, host->dataset->scale_count > 1, &config, err);
+    if (status) return point_at_option(status, err);
+    return rn_trainer_create(host->engine, host->dataset, &config,
+                             (size_t)rn_int_or(host->place.memory_limit_bytes, 0), ret_trainer,
+                             err);
+}
+
+static enum rn_status create_trainer(struct rn_host *host, const char *job,
+                                     const struct rn_train_options *options,
                                      struct rn_trainer **ret_trainer, struct rn_error *err) {
     const struct rn_wire_open *place = &host->place;
     enum rn_status status = rn_host_need_dataset(host, err);
@@ -213,13 +227,11 @@ static enum rn_status create_trainer(struct rn_host *host, const struct rn_train
                             (int)rn_int_or(options->threads, rn_int_or(place->threads, 0)), err);
     if (status) return point_at_option(status, err);
     if (host->loaded) rn_field_destroy(&host->loaded); // room for the optimiser
-    status = restore(host, ret_trainer, err);
-    if (status != RN_ERROR_NOT_FOUND) return status;
-    struct rn_train_config config;
-    status = rn_configure(options, host->dataset->scale_count > 1, &config, err);
-    if (status) return point_at_option(status, err);
-    return rn_trainer_create(host->engine, host->dataset, &config,
-                             (size_t)rn_int_or(place->memory_limit_bytes, 0), ret_trainer, err);
+    struct rn_watch watch = {.link = &host->link, .job = job, .request = RN_ABSENT};
+    rn_engine_watch(host->engine, rn_watch_keep_going, &watch);
+    status = restore_or_create(host, options, ret_trainer, err);
+    rn_engine_watch(host->engine, NULL, NULL);
+    return status;
 }
 
 void rn_training_start(struct rn_host *host, const struct rn_wire_train *train) {
@@ -228,7 +240,7 @@ void rn_training_start(struct rn_host *host, const struct rn_wire_train *train) 
     struct rn_training *training = calloc(1, sizeof *training);
     enum rn_status status =
         training ? RN_OK : rn_error_set(&err, RN_ERROR_NO_MEMORY, "", "out of memory");
-    if (!status) status = create_trainer(host, options, &training->trainer, &err);
+    if (!status) status = create_trainer(host, train->job, options, &training->trainer, &err);
     if (status) {
         free(training);
         rn_link_fail(&host->link, train->job, RN_ABSENT, &err);

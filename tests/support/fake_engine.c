@@ -129,6 +129,8 @@ void rn_engine_describe(const struct rn_engine *engine, struct rn_device_info *r
     *ret_info = engine->info;
 }
 
+void rn_engine_watch(struct rn_engine *engine, bool (*keep_going)(void *context), void *context) {}
+
 // ---- fields --------------------------------------------------------------------------------
 
 static const char magic[8] = "rnfake1";

@@ -1,5 +1,6 @@
 #include "server/engine/train/pixels.h"
 
+#include <stdatomic.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -38,14 +39,19 @@ static enum rn_status list_frames(const struct rn_dataset *dataset,
 }
 
 struct decode {
+    struct rn_engine *engine;
     struct rn_pixels *pixels;
+    atomic_bool cancelled;
     enum rn_status *status; // per frame
     struct rn_error *errors;
 };
 
 static void decode_frame(void *context, int index, int thread) {
-    (void)thread;
     struct decode *decode = context;
+    const struct rn_engine *engine = decode->engine; // its watcher is asked on its own thread
+    if (thread == 0 && engine->keep_going && !engine->keep_going(engine->watcher))
+        decode->cancelled = true;
+    if (decode->cancelled) return;
     const struct rn_pixel_frame *f = &decode->pixels->frames[index];
     struct rn_error *err = &decode->errors[index];
     struct rn_image image;
@@ -63,15 +69,19 @@ static void decode_frame(void *context, int index, int thread) {
     decode->status[index] = status;
 }
 
-static enum rn_status decode_all(struct rn_pixels *pixels, struct rn_pool *pool,
+static enum rn_status decode_all(struct rn_pixels *pixels, struct rn_engine *engine,
                                  struct rn_error *err) {
     size_t n = (size_t)pixels->frame_count;
-    struct decode decode = {pixels, calloc(n + 1, sizeof(enum rn_status)),
-                            calloc(n + 1, sizeof(struct rn_error))};
+    struct decode decode = {.engine = engine,
+                            .pixels = pixels,
+                            .status = calloc(n + 1, sizeof(enum rn_status)),
+                            .errors = calloc(n + 1, sizeof(struct rn_error))};
     enum rn_status status = RN_ERROR_NO_MEMORY;
     if (decode.status && decode.errors) {
-        rn_pool_run(pool, pixels->frame_count, decode_frame, &decode);
+        rn_pool_run(engine->pool, pixels->frame_count, decode_frame, &decode);
         status = RN_OK;
+        if (decode.cancelled)
+            status = rn_error_set(err, RN_ERROR_CANCELLED, "images", "stopped while loading");
         for (size_t i = 0; i < n && status == RN_OK; i++) {
             status = decode.status[i];
             if (status != RN_OK && err) *err = decode.errors[i];
@@ -84,7 +94,7 @@ static enum rn_status decode_all(struct rn_pixels *pixels, struct rn_pool *pool,
 
 enum rn_status rn_pixels_load(const struct rn_dataset *dataset,
                               bool (*wanted)(void *, const struct rn_frame *), void *context,
-                              struct rn_pool *pool, size_t limit_bytes,
+                              struct rn_engine *engine, size_t limit_bytes,
                               struct rn_pixels *ret_pixels, struct rn_error *err) {
     struct rn_pixels pixels = {0};
     enum rn_status status = list_frames(dataset, wanted, context, &pixels, err);
@@ -108,7 +118,7 @@ enum rn_status rn_pixels_load(const struct rn_dataset *dataset,
                               bytes >> 20);
         goto fail;
     }
-    status = decode_all(&pixels, pool, err);
+    status = decode_all(&pixels, engine, err);
     if (status != RN_OK) goto fail;
     *ret_pixels = pixels;
     return RN_OK;

@@ -2,8 +2,7 @@
 #ifndef RN_ENGINE_TRAIN_PIXELS_H
 #define RN_ENGINE_TRAIN_PIXELS_H
 
-#include "server/engine/cpu/pool.h"
-#include "server/engine/engine.h"
+#include "server/engine/scene.h"
 
 struct rn_pixel_frame {
     const struct rn_frame *frame;
@@ -23,10 +22,11 @@ struct rn_pixels {
 };
 
 // Chooses frames by `wanted` (called once a frame of the dataset, in order) and decodes them in
-// parallel. RN_ERROR_LIMIT when the pixels exceed limit_bytes (0 = none); errors of a file name it.
+// parallel on the engine's threads. RN_ERROR_CANCELLED when the engine's watcher says so;
+// RN_ERROR_LIMIT when the pixels exceed limit_bytes (0 = none); errors of a file name it.
 enum rn_status rn_pixels_load(const struct rn_dataset *dataset,
                               bool (*wanted)(void *context, const struct rn_frame *frame),
-                              void *context, struct rn_pool *pool, size_t limit_bytes,
+                              void *context, struct rn_engine *engine, size_t limit_bytes,
                               struct rn_pixels *ret_pixels, struct rn_error *err) RN_MUST_CHECK;
 void rn_pixels_finish(struct rn_pixels *pixels);
 

@@ -56,14 +56,14 @@ static enum rn_status load_pixels(struct rn_trainer *t, size_t limit, struct rn_
     struct selection s = {t->dataset, t->field->config.train_val, false};
     double start = (double)rn_clock_ns();
     enum rn_status status =
-        rn_pixels_load(t->dataset, wanted, &s, t->engine->pool, limit, &t->train, err);
+        rn_pixels_load(t->dataset, wanted, &s, t->engine, limit, &t->train, err);
     if (status != RN_OK) return status;
     if (limit) {
         size_t used = t->train.pixel_count * 4;
         limit = limit > used ? limit - used : 1;
     }
     s.held = true;
-    status = rn_pixels_load(t->dataset, wanted, &s, t->engine->pool, limit, &t->held, err);
+    status = rn_pixels_load(t->dataset, wanted, &s, t->engine, limit, &t->held, err);
     if (status == RN_ERROR_INVALID) status = RN_OK; // nothing to hold out
     describe_held_out(t);
     t->progress.load_seconds = ((double)rn_clock_ns() - start) * 1e-9;
