@@ -1,10 +1,11 @@
-// Case 9: training that would diverge. Non-finite numbers planted where they hurt are found within
-// a step; hostile data and rates leave nothing behind, in memory, in a picture or in a checkpoint,
-// that is not a number; training that cannot be saved says so.
+// Cases 9 and 10: training that would diverge, and long runs. Non-finite numbers planted where they
+// hurt are found within a step; hostile data and rates leave nothing behind, in memory, in a
+// picture or in a checkpoint, that is not a number; training that cannot be saved says so.
 #include <string.h>
 #include <unistd.h>
 
 #include "common/base/file.h"
+#include "server/engine/field/occupancy.h"
 #include "server/engine/train/trainer.h"
 #include "tests/support/numerics.h"
 
@@ -226,6 +227,68 @@ static int check_hostile(struct rn_engine *engine, uint64_t seed) {
     return numerics_close(&c);
 }
 
+// ---- long runs ------------------------------------------------------------------------------
+
+// A field that is dense where y * side > 0 and empty elsewhere: plane 0 (u = y) holds the sign, the
+// density network passes its first channel on, positive and negative part apart.
+static void set_halves(struct rn_trainer *t, float side) {
+    const struct rn_field_config *c = &t->field->config.field;
+    const struct rn_mlp_shape *shape = &t->field->cpu.base_shape;
+    float *planes = t->field->parameters.values;
+    float *base = planes + t->field->parameters.plane_count;
+    memset(planes, 0, t->field->parameters.count * sizeof *planes);
+    for (int i = 0; i < c->base * c->base; i++)
+        planes[(size_t)i * (size_t)c->channels] = i % c->base >= c->base / 2 ? side : -side;
+    base[0] = 1;
+    base[1] = -1;
+    for (int l = 1; l < shape->layers; l++) {
+        float *w = base + shape->offset[l];
+        bool last = l + 1 == shape->layers;
+        w[0] = last ? 10 : 1;
+        w[shape->out[l] + !last] = last ? -10 : 1;
+    }
+    t->field->pyramid_stale = true;
+    rn_field_refresh(t->field, t->engine);
+}
+
+// Cells wholly in the ball, more than a few from the border, whose bit is not what the field says.
+static double count_stuck(const struct rn_trainer *t, float side) {
+    int cells = t->field->cpu.occupancy.cells;
+    double stuck = 0;
+    for (int i = 0; i < cells * cells * cells; i++) {
+        int x = i / cells / cells, y = i / cells % cells, z = i % cells;
+        double at[3], far = 0, height = (2 * y + 1.0) / cells - 1;
+        for (int k = 0; k < 3; k++) {
+            at[k] = fabs((2.0 * (k == 0 ? x : k == 1 ? y : z) + 1) / cells - 1) + 1.0 / cells;
+            far += at[k] * at[k];
+        }
+        if (!t->field->hull[i] || far > 1 || fabs(height) < 4.0 / cells) continue;
+        bool set =
+            t->field->cpu.occupancy.words[rn_brick_word(x, y, z, cells)] & rn_brick_bit(x, y);
+        stuck += set != (height * (double)side > 0);
+    }
+    return stuck;
+}
+
+// Matter that moves to the other half and back, a thousand refreshes (16,000 steps) each time: no
+// cell stays set, none stays empty.
+static int check_occupancy(struct rn_engine *engine, const struct rn_dataset *dataset) {
+    struct numerics_case c = {
+        "10 occupancy cells stuck or dead", "320,000 steps, 20 moves", "cells", 0.5, 0, ""};
+    struct rn_trainer *t = make_trainer(engine, dataset, 1);
+    for (int move = 0; move < 20; move++) {
+        float side = move % 2 ? -1 : 1;
+        set_halves(t, side);
+        for (int i = 0; i < 1000; i++) {
+            rn_trainer_update_occupancy(t);
+            t->progress.step += RN_OCCUPANCY_EVERY;
+        }
+        numerics_see(&c, count_stuck(t, side), "move %d", move);
+    }
+    rn_trainer_destroy(&t);
+    return numerics_close(&c);
+}
+
 int main(void) {
     struct numerics_random random = numerics_random();
     struct rn_engine_options options = {.threads = 1};
@@ -236,6 +299,7 @@ int main(void) {
     struct rn_dataset *dataset = read_views(6);
     int failed = check_planted(engine, dataset) + check_saved(engine, dataset);
     failed += check_hopeless(engine, dataset) + check_hostile(engine, random.seed);
+    failed += check_occupancy(engine, dataset);
     rn_dataset_destroy(&dataset);
     rn_engine_destroy(&engine);
     must(rn_remove_tree(folder, &err), &err);
