@@ -106,27 +106,46 @@ static size_t below(uint64_t wide, size_t n) {
     return (size_t)((double)(wide >> 11) * 0x1p-53 * (double)n);
 }
 
-// Ray r of this step: a pixel drawn uniformly, or evenly over scales.
+// A pixel drawn uniformly over all scales: to the letter of the paper, dead ones too.
+static const struct rn_pixel_frame *draw_pixel(const struct rn_trainer *t, struct rn_rng4 draw,
+                                               int *ret_x, int *ret_y) {
+    int scale = 0;
+    size_t pixel = below((uint64_t)draw.v[0] << 32 | draw.v[1], t->train.pixel_count);
+    while (pixel >= t->train.scale_pixels[scale])
+        pixel -= t->train.scale_pixels[scale++];
+    const struct rn_pixel_frame *frame = frame_of(&t->train, scale, pixel);
+    size_t within = pixel - frame->before, width = (size_t)frame->frame->camera.width;
+    *ret_x = (int)(within % width);
+    *ret_y = (int)(within / width);
+    return frame;
+}
+
+// A pixel of ray r's scale, drawn uniformly over the blocks that may see the hull. NULL where the
+// block reaches over the image's edge.
+static const struct rn_pixel_frame *draw_live_pixel(const struct rn_trainer *t, int r,
+                                                    struct rn_rng4 draw, int *ret_x, int *ret_y) {
+    int scale = r % t->train.scale_count;
+    size_t first = t->live_first[scale], count = t->live_first[scale + 1] - first;
+    if (count == 0) return NULL;
+    const struct rn_live_block *block =
+        &t->live[first + below((uint64_t)draw.v[0] << 32 | draw.v[1], count)];
+    const struct rn_pixel_frame *frame = &t->train.frames[block->frame];
+    *ret_x = block->x + (int)(draw.v[3] % RN_LIVE_BLOCK);
+    *ret_y = block->y + (int)(draw.v[3] / RN_LIVE_BLOCK % RN_LIVE_BLOCK);
+    bool inside = *ret_x < frame->frame->camera.width && *ret_y < frame->frame->camera.height;
+    return inside ? frame : NULL;
+}
+
 static struct rn_march_ray draw_ray(const struct rn_trainer *t, int r) {
     const struct rn_train_config *config = &t->field->config;
     struct rn_rng4 draw =
         rn_rng_draw(config->seed, STREAM_RAYS | (uint32_t)r, (uint64_t)t->progress.step);
-    uint64_t wide = (uint64_t)draw.v[0] << 32 | draw.v[1];
-    int scale = 0;
-    size_t pixel;
-    if (config->equal_scales) {
-        scale = r % t->train.scale_count;
-        pixel = below(wide, t->train.scale_pixels[scale]);
-    } else {
-        pixel = below(wide, t->train.pixel_count);
-        while (pixel >= t->train.scale_pixels[scale])
-            pixel -= t->train.scale_pixels[scale++];
-    }
-    const struct rn_pixel_frame *frame = frame_of(&t->train, scale, pixel);
-    size_t within = pixel - frame->before, width = (size_t)frame->frame->camera.width;
-    double jitter = (double)rn_rng_unit(draw.v[2]);
+    int x, y;
+    const struct rn_pixel_frame *frame =
+        config->equal_scales ? draw_live_pixel(t, r, draw, &x, &y) : draw_pixel(t, draw, &x, &y);
+    if (!frame) return (struct rn_march_ray){.stride = 1};
     struct rn_march_ray ray =
-        rn_trainer_ray(t, &t->train, frame, (int)(within % width), (int)(within / width), jitter);
+        rn_trainer_ray(t, &t->train, frame, x, y, (double)rn_rng_unit(draw.v[2]));
     ray.weight = config->equal_scales ? 1 : (float)frame->frame->loss_weight;
     ray.id = (uint32_t)r;
     return ray;

@@ -140,6 +140,7 @@ enum rn_status rn_trainer_create(struct rn_engine *engine, const struct rn_datas
     if (status != RN_OK) goto fail;
     if (t->field->config.carve) rn_trainer_carve(t);
     status = rn_trainer_list_hull(t, err);
+    if (status == RN_OK) status = rn_trainer_list_live(t, err);
     if (status == RN_OK) status = rn_trainer_keep_good(t, err);
     if (status != RN_OK) goto fail;
     rn_field_refresh(t->field, engine);
@@ -176,6 +177,7 @@ enum rn_status rn_trainer_restore(struct rn_engine *engine, const struct rn_data
     if (status == RN_OK) status = set_up(t, err);
     if (status == RN_OK) status = rn_checkpoint_read_trainer(&checkpoint, t, err);
     if (status == RN_OK) status = rn_trainer_list_hull(t, err);
+    if (status == RN_OK) status = rn_trainer_list_live(t, err);
     if (status == RN_OK) status = rn_trainer_keep_good(t, err);
     if (status != RN_OK) goto fail;
     rn_field_refresh(t->field, engine);
@@ -202,6 +204,7 @@ void rn_trainer_destroy(struct rn_trainer **trainer) {
     free(t->rays);
     free(t->group_memory);
     free(t->hull_list);
+    free(t->live);
     free(t->good);
     free(t);
     *trainer = NULL;

@@ -12,6 +12,14 @@
 #define RN_VALIDATE_BLOCK 4096   // rays a block of held-out evaluation
 #define RN_MAX_ROLLBACKS 3       // one more ends the training
 
+#define RN_LIVE_BLOCK 8 // pixels a side
+
+// A block of pixels of a training frame whose cones may meet the hull.
+struct rn_live_block {
+    uint32_t frame;
+    uint16_t x, y; // its first pixel
+};
+
 // Held-out evaluation under way.
 struct rn_validation {
     bool active;
@@ -48,6 +56,8 @@ struct rn_trainer {
     int bands;           // of rows a plane, for the scatter and the optimiser
     uint32_t *hull_list; // cells that may hold matter
     size_t hull_count;
+    struct rn_live_block *live; // blocks to draw rays from, scale after scale
+    size_t live_count, live_first[17];
     int next_rays; // of the next step
 
     struct rn_progress progress;
@@ -61,6 +71,8 @@ struct rn_trainer {
 enum rn_status rn_trainer_list_hull(struct rn_trainer *trainer, struct rn_error *err) RN_MUST_CHECK;
 void rn_trainer_carve(struct rn_trainer *trainer);
 void rn_trainer_update_occupancy(struct rn_trainer *trainer);
+// live.c
+enum rn_status rn_trainer_list_live(struct rn_trainer *trainer, struct rn_error *err) RN_MUST_CHECK;
 // effects.c
 void rn_trainer_detect_effects(struct rn_trainer *trainer);
 void rn_trainer_decide_view_dependence(struct rn_trainer *trainer);
