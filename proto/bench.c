@@ -34,7 +34,9 @@ static const struct rn_field_spec step_fields[] = {
     RN_F_NUMBER(struct rn_bench_step_record, ms, RN_REQUIRED, 0, MOST),
     RN_F_NUMBER(struct rn_bench_step_record, samples, RN_REQUIRED, 0, MOST),
     RN_F_NUMBER(struct rn_bench_step_record, rays, RN_REQUIRED, 0, MOST),
-    RN_F_NUMBER(struct rn_bench_step_record, samples_per_second_per_core, RN_REQUIRED, 0, MOST)};
+    RN_F_NUMBER(struct rn_bench_step_record, samples_per_second_per_core, RN_REQUIRED, 0, MOST),
+    RN_F_NUMBER(struct rn_bench_step_record, ceiling_ms, RN_REQUIRED, 0, MOST),
+    RN_F_NUMBER(struct rn_bench_step_record, ratio, RN_REQUIRED, 0, MOST)};
 static const struct rn_table step_table =
     RN_TABLE(struct rn_bench_step_record, "step", step_fields);
 

@@ -28,6 +28,7 @@ struct rn_bench_stage_record {
 
 struct rn_bench_step_record {
     double ms, samples, rays, samples_per_second_per_core;
+    double ceiling_ms, ratio;
 };
 
 struct rn_bench_frame_record {

@@ -187,6 +187,8 @@ static enum rn_status print_report(const struct rn_bench_record *record, struct 
     printf("\nstep   %.1f ms, %.0f samples of %.0f rays: %.2f M samples/s and core\n",
            record->step.ms, record->step.samples, record->step.rays,
            record->step.samples_per_second_per_core * 1e-6);
+    printf("       all stages at their ceilings: %.2f ms, of which it reaches %.0f %%\n",
+           record->step.ceiling_ms, 100 * record->step.ratio);
     printf("frame  %lldx%lld in %.1f ms, %.0f samples\n", (long long)record->frame.width,
            (long long)record->frame.height, record->frame.ms, record->frame.samples);
     return status;

@@ -49,8 +49,13 @@ static enum rn_status fill(const struct rn_bench_result *r, struct rn_bench_reco
     snprintf(ret->kernels, sizeof ret->kernels, "%s", r->kernels);
     snprintf(ret->preset, sizeof ret->preset, "%s", r->preset);
     ret->threads = r->threads;
-    ret->step = (struct rn_bench_step_record){r->step.ms, r->step.samples, r->step.rays,
-                                              r->step.samples_per_second_per_core};
+    ret->step = (struct rn_bench_step_record){.ms = r->step.ms,
+                                              .samples = r->step.samples,
+                                              .rays = r->step.rays,
+                                              .samples_per_second_per_core =
+                                                  r->step.samples_per_second_per_core,
+                                              .ceiling_ms = r->step.ceiling_ms,
+                                              .ratio = r->step.ratio};
     ret->frame = (struct rn_bench_frame_record){r->frame.width, r->frame.height, r->frame.ms,
                                                 r->frame.samples};
     return RN_OK;

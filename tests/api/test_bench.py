@@ -53,10 +53,12 @@ def check_report(report, kernels=None):
     for stage in report["stages"]:
         check_stage(stage)
     assert kernels in (None, report["kernels"])
-    assert set(report["step"]) == {"ms", "samples", "rays", "samples_per_second_per_core"}
+    assert set(report["step"]) == {"ms", "samples", "rays", "samples_per_second_per_core",
+                                   "ceiling_ms", "ratio"}
     assert all(value > 0 for value in report["step"].values())
     assert set(report["frame"]) == {"width", "height", "ms", "samples"}
-    assert (report["frame"]["width"], report["frame"]["height"]) == (400, 400)
+    assert report["frame"]["width"] == report["frame"]["height"]
+    assert report["frame"]["width"] in (50, 100, 200, 400)
     assert report["frame"]["ms"] > 0 and report["frame"]["samples"] > 0
 
 

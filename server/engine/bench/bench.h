@@ -55,9 +55,11 @@ struct rn_bench_result {
     struct rn_bench_stage stages[RN_BENCH_STAGES];
     struct {
         double ms, samples, rays, samples_per_second_per_core;
-    } step; // means over whole training steps, occupancy updates included
+        double ceiling_ms; // all stages at their ceilings, one after the other, on all threads
+        double ratio;      // ceiling_ms / ms
+    } step; // means over whole training steps, occupancy updates included; samples enter the loss
     struct {
-        int width, height;
+        int width, height; // 400 a side; 200, 100 or 50 where that takes long
         double ms, samples;
     } frame;
 };

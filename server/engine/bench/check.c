@@ -313,10 +313,50 @@ double rn_bench_check_composite(const struct rn_bench_recording *rec,
 
 // ---- scatter, optimiser, occupancy ----------------------------------------------------------
 
+// Sums of parameter times gradient over all maps, or the base maps alone; and of their magnitudes.
+static double product(const struct rn_bench_recording *rec, int levels, double *ret_magnitude) {
+    const struct rn_cpu_field *f = rec->field;
+    double sum = 0, magnitude = 0;
+    for (int p = 0; p < f->config.planes; p++)
+        for (int y = 0; y < levels; y++)
+            for (int x = 0; x < levels; x++) {
+                const struct rn_map *map = &f->maps[p][y][x];
+                const struct rn_map *grad = &rec->trainer->grad_maps[p][y][x];
+                if (!rn_map_exists(f->config.footprint == RN_FOOTPRINT_MIP, x, y)) continue;
+                size_t n = (size_t)map->width * (size_t)map->height * (size_t)f->config.channels;
+                for (size_t i = 0; i < n; i++) {
+                    double one = (double)map->texels[i] * (double)grad->texels[i];
+                    sum += one;
+                    magnitude += fabs(one);
+                }
+            }
+    *ret_magnitude = magnitude;
+    return sum;
+}
+
+double rn_bench_check_pyramid(const struct rn_bench_recording *rec) {
+    const struct rn_cpu_field *f = rec->field;
+    double magnitude, after_magnitude;
+    rn_bench_pyramid(rec); // the optimiser changed the base maps: builds them anew
+    for (int p = 0; p < f->config.planes; p++)
+        for (int y = 0; y < f->built_levels; y++)
+            for (int x = 0; x < f->built_levels; x++) {
+                const struct rn_map *grad = &rec->trainer->grad_maps[p][y][x];
+                if (!rn_map_exists(f->config.footprint == RN_FOOTPRINT_MIP, x, y)) continue;
+                size_t n = (size_t)grad->width * (size_t)grad->height * (size_t)f->config.channels;
+                for (size_t i = 0; i < n; i++)
+                    grad->texels[i] = (float)(i * 2654435761u % 1024) / 512 - 1;
+            }
+    double all = product(rec, f->built_levels, &magnitude);
+    rn_bench_pyramid(rec);
+    double base = product(rec, 1, &after_magnitude);
+    return magnitude > 0 && isfinite(base) ? fabs(all - base) / magnitude : INFINITY;
+}
+
 double rn_bench_check_scatter(const struct rn_bench_recording *rec) {
     const struct rn_cpu_field *f = rec->field;
     int channels = f->config.channels, levels = f->built_levels;
-    double samples = 0, texels = 0, magnitude = 0;
+    double samples = 0, magnitude = 0, unused;
     rn_bench_scatter(rec);
     for (int k = 0; k < rec->packet_count; k++) {
         const struct rn_slab *slab = &rec->packets[k].group->slab;
@@ -335,16 +375,7 @@ double rn_bench_check_scatter(const struct rn_bench_recording *rec) {
                 }
             }
     }
-    for (int p = 0; p < f->config.planes; p++)
-        for (int y = 0; y < levels; y++)
-            for (int x = 0; x < levels; x++) {
-                const struct rn_map *map = &f->maps[p][y][x];
-                const struct rn_map *grad = &rec->trainer->grad_maps[p][y][x];
-                if (!rn_map_exists(f->config.footprint == RN_FOOTPRINT_MIP, x, y)) continue;
-                size_t n = (size_t)map->width * (size_t)map->height * (size_t)channels;
-                for (size_t i = 0; i < n; i++)
-                    texels += (double)map->texels[i] * (double)grad->texels[i];
-            }
+    double texels = product(rec, levels, &unused);
     return magnitude > 0 && isfinite(texels) ? fabs(samples - texels) / magnitude : INFINITY;
 }
 

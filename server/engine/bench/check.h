@@ -24,6 +24,8 @@ double rn_bench_check_backward(const struct rn_bench_recording *recording,
 // times parameter, summed over texels. Leaves the gradients in place.
 double rn_bench_check_scatter(const struct rn_bench_recording *recording);
 double rn_bench_check_optimiser(const struct rn_bench_recording *recording);
+// Pulling down is the adjoint of building. Overwrites the gradients.
+double rn_bench_check_pyramid(const struct rn_bench_recording *recording);
 double rn_bench_check_occupancy(const struct rn_bench_recording *recording);
 
 #endif

@@ -237,6 +237,18 @@ struct rn_bench_count rn_bench_count_optimiser(const struct rn_bench_recording *
         .set_bytes = 4 * sizeof(float) * numbers};
 }
 
+// A unit is a number of the base maps; `more` numbers of other maps hang on it. Building reads and
+// writes every number once; pulling down reads, adds and clears every other one.
+struct rn_bench_count rn_bench_count_pyramid(const struct rn_bench_recording *rec) {
+    double base = (double)rec->trainer->field->parameters.plane_count;
+    double more = map_numbers(rec->field) / base - 1;
+    return (struct rn_bench_count){.amount = base,
+                                   .operations = 4 * more,
+                                   .bytes = (3 + 3 * more) * sizeof(float),
+                                   .memory = RN_BENCH_UPDATE,
+                                   .set_bytes = 2 * (1 + more) * base * sizeof(float)};
+}
+
 struct rn_bench_count rn_bench_count_occupancy(const struct rn_bench_recording *rec) {
     const struct rn_trainer *t = rec->trainer;
     const struct rn_cpu_field *f = rec->field;

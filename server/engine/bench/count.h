@@ -28,6 +28,7 @@ struct rn_bench_count rn_bench_count_backward(const struct rn_bench_recording *r
 struct rn_bench_count rn_bench_count_scatter(const struct rn_bench_recording *recording);
 // After the scatter, which marks what is touched.
 struct rn_bench_count rn_bench_count_optimiser(const struct rn_bench_recording *recording);
+struct rn_bench_count rn_bench_count_pyramid(const struct rn_bench_recording *recording);
 struct rn_bench_count rn_bench_count_occupancy(const struct rn_bench_recording *recording);
 
 #endif

@@ -123,6 +123,16 @@ size_t rn_bench_optimise(const struct rn_bench_recording *rec, bool count_only) 
     return done;
 }
 
+void rn_bench_pyramid(const struct rn_bench_recording *rec) {
+    struct rn_trainer *t = rec->trainer;
+    const struct rn_field_config *c = &rec->field->config;
+    bool mip = c->footprint == RN_FOOTPRINT_MIP;
+    for (int p = 0; p < c->planes; p++) {
+        rec->kernels->pull_down(t->grad_maps[p], rec->field->built_levels, mip, c->channels);
+        rec->kernels->build(t->field->cpu.maps[p], rec->field->built_levels, mip, c->channels);
+    }
+}
+
 // A stage over all packets. The features, activations and gradients of all of them lie in the
 // first one's memory, warm in the cache as in training; positions and candidates are their own.
 struct sweep {
@@ -146,6 +156,9 @@ static void run_scatter(void *context) {
 }
 static void run_optimise(void *context) {
     rn_bench_optimise(context, false);
+}
+static void run_pyramid(void *context) {
+    rn_bench_pyramid(context);
 }
 static void run_occupancy(void *context) {
     const struct rn_bench_recording *rec = context;
@@ -187,18 +200,20 @@ enum place {
     BACKWARD,
     SCATTER,
     OPTIMISER,
+    PYRAMID,
     OCCUPANCY,
     ALL
 };
+_Static_assert(ALL <= RN_BENCH_STAGES, "stages of a result");
 static const struct {
     const char *name, *unit;
     double bound;
 } places[ALL] = {
-    {"rays", "Mrays/s", 1e-5},         {"march", "Msamples/s", 5e-3},
-    {"encode", "Msamples/s", 1e-3},    {"mlp forward", "Msamples/s", 1e-4},
-    {"composite", "Msamples/s", 1e-4}, {"mlp backward", "Msamples/s", 1e-4},
-    {"scatter", "Msamples/s", 1e-4},   {"optimiser", "Mparameters/s", 1e-5},
-    {"occupancy", "Mcells/s", 1e-3},
+    {"rays", "Mrays/s", 1e-5},          {"march", "Msamples/s", 5e-3},
+    {"encode", "Msamples/s", 1e-3},     {"mlp forward", "Msamples/s", 1e-4},
+    {"composite", "Msamples/s", 1e-4},  {"mlp backward", "Msamples/s", 1e-4},
+    {"scatter", "Msamples/s", 1e-4},    {"optimiser", "Mparameters/s", 1e-5},
+    {"pyramid", "Mparameters/s", 1e-5}, {"occupancy", "Mcells/s", 1e-3},
 };
 
 static void time_stage(struct bench *b, enum place place, double error, struct rn_bench_count count,
@@ -258,8 +273,38 @@ static void time_update(struct bench *b) {
                rec);
     time_stage(b, OPTIMISER, rn_bench_check_optimiser(rec), rn_bench_count_optimiser(rec),
                run_optimise, rec);
+    if (rec->field->built_levels > 1)
+        time_stage(b, PYRAMID, rn_bench_check_pyramid(rec), rn_bench_count_pyramid(rec),
+                   run_pyramid, rec);
     time_stage(b, OCCUPANCY, rn_bench_check_occupancy(rec), rn_bench_count_occupancy(rec),
                run_occupancy, rec);
+}
+
+// What a mean step takes when every stage runs at its ceiling: the recording's amounts, scaled to
+// the step's samples.
+static double step_ceiling_ms(const struct bench *b) {
+    const struct rn_bench_recording *rec = b->rec;
+    const struct rn_bench_stage *s = b->result->stages;
+    double entered = 0, found = 0, evaluated = 0, returned = 0;
+    for (int k = 0; k < rec->packet_count; k++) {
+        const struct rn_bench_packet *packet = &rec->packets[k];
+        entered += (double)packet->group->samples;
+        found += packet->workspace->candidate_begin[packet->ray_count];
+        evaluated += packet->workspace->count;
+        returned += packet->returned;
+    }
+    double scale = entered > 0 ? b->result->step.samples / entered : 1;
+    double numbers = (double)rn_bench_optimise(rec, true);
+    double cells = (double)rec->trainer->hull_count / 4 / RN_OCCUPANCY_EVERY;
+    double us = b->result->step.rays / s[RAYS].ceiling + numbers / s[OPTIMISER].ceiling +
+                cells / s[OCCUPANCY].ceiling;
+    us += scale * (found / s[MARCH].ceiling + returned / s[BACKWARD].ceiling +
+                   returned / s[SCATTER].ceiling);
+    us += scale * evaluated *
+          (1 / s[ENCODE].ceiling + 1 / s[FORWARD].ceiling + 1 / s[COMPOSITE].ceiling);
+    if (s[PYRAMID].name)
+        us += (double)rec->trainer->field->parameters.plane_count / s[PYRAMID].ceiling;
+    return us * 1e-3 / b->result->threads;
 }
 
 void rn_bench_stages(struct rn_bench_recording *rec, const struct rn_bench_machine *machine,
@@ -269,5 +314,8 @@ void rn_bench_stages(struct rn_bench_recording *rec, const struct rn_bench_machi
     time_update(&b);
     time_stage(&b, RAYS, rn_bench_check_rays(rec), rn_bench_count_rays(rec, RAYS_A_CALL), run_rays,
                rec);
-    result->stage_count = ALL;
+    result->step.ceiling_ms = step_ceiling_ms(&b);
+    result->step.ratio = result->step.ceiling_ms / result->step.ms;
+    for (int i = 0; i < ALL; i++) // a field without levels has no pyramid
+        if (result->stages[i].name) result->stages[result->stage_count++] = result->stages[i];
 }

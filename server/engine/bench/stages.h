@@ -41,6 +41,9 @@ void rn_bench_scatter(const struct rn_bench_recording *recording);
 // The optimiser over what the slabs touched, dense or sparse as configured. Returns its numbers.
 size_t rn_bench_optimise(const struct rn_bench_recording *recording, bool count_only);
 
+// Pulls the pyramids' gradients down and builds the pyramids again.
+void rn_bench_pyramid(const struct rn_bench_recording *recording);
+
 // Checks and times every stage on the recording, about `seconds` in all.
 void rn_bench_stages(struct rn_bench_recording *recording, const struct rn_bench_machine *machine,
                      double seconds, struct rn_bench_result *result);
