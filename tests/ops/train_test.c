@@ -134,6 +134,36 @@ static void interrupted_run(const struct rn_dataset *d, char hex[65]) {
     rn_engine_destroy(&engine);
 }
 
+// A field whose training needs no pyramid, with or without a render that does.
+static void hash_of_flat_run(bool far, char hex[65]) {
+    struct rn_error err;
+    struct rn_train_config config = config_for(dataset);
+    config.field.base = 16;
+    struct rn_engine *engine = engine_with(1);
+    struct rn_trainer *trainer = trainer_for(engine, dataset, &config);
+    ck_assert(rn_trainer_advance(trainer, 1, &err) == RN_OK);
+    struct rn_render_options options = {.camera = dataset->frames[0].camera,
+                                        .outputs = RN_OUTPUT_RGB};
+    for (int i = 0; far && i < 3; i++)
+        options.camera.world_from_camera[i][3] *= 30;
+    struct rn_render_result result;
+    ck_assert(rn_render(engine, rn_trainer_field(trainer), &options, NULL, NULL, &result, &err) ==
+              RN_OK);
+    rn_render_result_finish(&result);
+    run_to_end(trainer);
+    rn_field_sha256(rn_trainer_field(trainer), hex);
+    rn_trainer_destroy(&trainer);
+    rn_engine_destroy(&engine);
+}
+
+START_TEST(far_renders_do_not_change_bytes) {
+    char near[65], far[65];
+    hash_of_flat_run(false, near);
+    hash_of_flat_run(true, far);
+    ck_assert_str_eq(near, far);
+}
+END_TEST
+
 START_TEST(interruptions_do_not_change_bytes) {
     const struct rn_dataset *sets[2] = {dataset, scaled};
     for (int s = 0; s < 2; s++) {
@@ -241,6 +271,7 @@ int main(void) {
     tcase_add_unchecked_fixture(tests, make_dataset, remove_dataset);
     tcase_set_timeout(tests, 300);
     tcase_add_test(tests, threads_do_not_change_bytes);
+    tcase_add_test(tests, far_renders_do_not_change_bytes);
     tcase_add_test(tests, interruptions_do_not_change_bytes);
     tcase_add_test(tests, it_learns_and_a_loaded_field_renders_the_same);
     tcase_add_test(tests, damaged_checkpoints_are_refused);

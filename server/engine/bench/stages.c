@@ -96,7 +96,7 @@ void rn_bench_scatter(const struct rn_bench_recording *rec) {
         for (int band = 0; band < t->bands; band++)
             for (int k = 0; k < rec->packet_count; k++)
                 rec->kernels->scatter(
-                    rec->field, &rec->packets[k].group->slab, plane, rec->field->built_levels > 1,
+                    rec->field, &rec->packets[k].group->slab, plane, t->levels > 1,
                     base * band / t->bands, base * (band + 1) / t->bands, t->grad_maps[plane],
                     t->touched + (size_t)plane * ((size_t)base + 1) * t->blocks_per_row);
 }
@@ -106,7 +106,7 @@ size_t rn_bench_optimise(const struct rn_bench_recording *rec, bool count_only) 
     const struct rn_field_config *c = &rec->field->config;
     struct rn_adamw o = {
         .scale = 1, .rate = 1e-6f, .eps = 1e-15f, .correction1 = 0.9f, .correction2 = 0.9f};
-    bool dense = !t->field->config.sparse || rec->field->built_levels > 1;
+    bool dense = !t->field->config.sparse || t->levels > 1;
     size_t rows = (size_t)c->base, row = rows * (size_t)c->channels, done = 0;
     size_t block = (size_t)RN_BLOCK * (size_t)c->channels;
     for (size_t r = 0; r < (size_t)c->planes * rows; r++) {
@@ -128,7 +128,7 @@ void rn_bench_pyramid(const struct rn_bench_recording *rec) {
     const struct rn_field_config *c = &rec->field->config;
     bool mip = c->footprint == RN_FOOTPRINT_MIP;
     for (int p = 0; p < c->planes; p++) {
-        rec->kernels->pull_down(t->grad_maps[p], rec->field->built_levels, mip, c->channels);
+        rec->kernels->pull_down(t->grad_maps[p], t->levels, mip, c->channels);
         rec->kernels->build(t->field->cpu.maps[p], rec->field->built_levels, mip, c->channels);
     }
 }
@@ -273,7 +273,7 @@ static void time_update(struct bench *b) {
                rec);
     time_stage(b, OPTIMISER, rn_bench_check_optimiser(rec), rn_bench_count_optimiser(rec),
                run_optimise, rec);
-    if (rec->field->built_levels > 1)
+    if (rec->trainer->levels > 1)
         time_stage(b, PYRAMID, rn_bench_check_pyramid(rec), rn_bench_count_pyramid(rec),
                    run_pyramid, rec);
     time_stage(b, OCCUPANCY, rn_bench_check_occupancy(rec), rn_bench_count_occupancy(rec),

@@ -58,7 +58,8 @@ static int choose_bands(const struct rn_trainer *t) {
 enum rn_status rn_trainer_allocate(struct rn_trainer *t, struct rn_error *err) {
     const struct rn_field_config *c = &t->field->config.field;
     size_t count = t->field->parameters.count + 64;
-    size_t pyramid = rn_pyramid_count(c, t->field->cpu.built_levels) * (size_t)c->planes;
+    t->levels = t->field->cpu.built_levels;
+    size_t pyramid = rn_pyramid_count(c, t->levels) * (size_t)c->planes;
     t->bands = choose_bands(t);
     t->blocks_per_row = (size_t)c->base / RN_BLOCK + 1;
     t->grad = calloc(3 * count, sizeof(float));
@@ -69,7 +70,7 @@ enum rn_status rn_trainer_allocate(struct rn_trainer *t, struct rn_error *err) {
         return rn_error_set(err, RN_ERROR_NO_MEMORY, "trainer", "out of memory");
     t->m = t->grad + count;
     t->v = t->m + count;
-    rn_pyramid_lay_out(c, t->field->cpu.built_levels, t->grad, t->grad_pyramid, t->grad_maps);
+    rn_pyramid_lay_out(c, t->levels, t->grad, t->grad_pyramid, t->grad_maps);
     return RN_OK;
 }
 
@@ -166,7 +167,7 @@ static void forward_backward(void *context, int index, int thread) {
 }
 
 static bool leveled(const struct rn_trainer *t) {
-    return t->field->cpu.built_levels > 1;
+    return t->levels > 1;
 }
 
 static void scatter_band(void *context, int index, int thread) {
@@ -215,8 +216,8 @@ static void pull_down_plane(void *context, int plane, int thread) {
     (void)thread;
     struct rn_trainer *t = context;
     const struct rn_field_config *c = &t->field->config.field;
-    t->engine->kernels->pull_down(t->grad_maps[plane], t->field->cpu.built_levels,
-                                  c->footprint == RN_FOOTPRINT_MIP, c->channels);
+    t->engine->kernels->pull_down(t->grad_maps[plane], t->levels, c->footprint == RN_FOOTPRINT_MIP,
+                                  c->channels);
 }
 
 static void update_band(void *context, int index, int thread) {
@@ -312,8 +313,7 @@ static void reject(struct rn_trainer *t) {
     const struct rn_field_config *c = &t->field->config.field;
     t->progress.steps_rejected++;
     memset(t->grad, 0, t->field->parameters.count * sizeof(float));
-    memset(t->grad_pyramid, 0,
-           rn_pyramid_count(c, t->field->cpu.built_levels) * (size_t)c->planes * sizeof(float));
+    memset(t->grad_pyramid, 0, rn_pyramid_count(c, t->levels) * (size_t)c->planes * sizeof(float));
     memset(t->touched, 0, (size_t)c->planes * ((size_t)c->base + 1) * t->blocks_per_row);
 }
 

@@ -40,6 +40,7 @@ struct rn_trainer {
     float *grad, *m, *v;
     float *grad_pyramid;
     struct rn_map grad_maps[RN_MAX_PLANES][RN_MAX_LEVELS][RN_MAX_LEVELS];
+    int levels;       // of grad_maps: what the training cameras need; a render may build more
     uint8_t *touched; // [plane][row][block of RN_BLOCK texels]
     size_t blocks_per_row;
     int64_t updates; // steps that were not rejected, since the last rollback
