@@ -56,12 +56,12 @@ static const struct rn_train_config standard = {
     .adam_eps = 1e-15,
     .max_seconds = 60,
     .carve = true,
-    .roulette = 1e-3,
+    .roulette = 2e-3,
     .sparse = true,
     .equal_scales = true,
     .cone_step = true,
     .auto_effects = true,
-    .stop = 1e-3,
+    .stop = 2e-3,
     .background = {1, 1, 1},
 };
 
@@ -81,6 +81,8 @@ enum rn_status rn_preset(const char *name, bool multi_scale, struct rn_train_con
     if (strcmp(name, "draft") == 0) {
         snprintf(ret_config->preset, sizeof ret_config->preset, "draft");
         ret_config->field.base = 128;
+        ret_config->step = 0.01;
+        ret_config->stop = ret_config->roulette = 4e-3;
         ret_config->max_seconds = 15;
     }
     return RN_OK;
