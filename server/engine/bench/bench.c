@@ -16,7 +16,7 @@
 #define SHARE_FRAME 0.05
 #define SHARE_MACHINE 0.15
 #define SHARE_STAGES 0.2
-#define FRAME_SECONDS 1.0 // that a frame may take even when little time is given
+#define FRAME_SECONDS 3.0 // that a frame may take even when little time is given
 
 struct run {
     const struct rn_bench_options *options;
