@@ -212,7 +212,7 @@ static const struct {
     {"rays", "Mrays/s", 1e-5},          {"march", "Msamples/s", 5e-3},
     {"encode", "Msamples/s", 1e-3},     {"mlp forward", "Msamples/s", 1e-4},
     {"composite", "Msamples/s", 1e-4},  {"mlp backward", "Msamples/s", 1e-4},
-    {"scatter", "Msamples/s", 1e-4},    {"optimiser", "Mparameters/s", 1e-5},
+    {"scatter", "Msamples/s", 1e-5},    {"optimiser", "Mparameters/s", 1e-5},
     {"pyramid", "Mparameters/s", 1e-5}, {"occupancy", "Mcells/s", 1e-3},
 };
 
