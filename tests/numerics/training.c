@@ -274,9 +274,9 @@ static double count_stuck(const struct rn_trainer *t, float side) {
 // cell stays set, none stays empty.
 static int check_occupancy(struct rn_engine *engine, const struct rn_dataset *dataset) {
     struct numerics_case c = {
-        "10 occupancy cells stuck or dead", "320,000 steps, 20 moves", "cells", 0.5, 0, ""};
+        "10 occupancy cells stuck or dead", "128,000 steps, 8 moves", "cells", 0.5, 0, ""};
     struct rn_trainer *t = make_trainer(engine, dataset, 1);
-    for (int move = 0; move < 20; move++) {
+    for (int move = 0; move < 8; move++) {
         float side = move % 2 ? -1 : 1;
         set_halves(t, side);
         for (int i = 0; i < 1000; i++) {
