@@ -45,7 +45,7 @@ mkdir "$scratch/tree"
 git ls-files --cached --others --exclude-standard -z | xargs -0 cp --parents -t "$scratch/tree"
 # The kernel sets compile several times faster so, and compute the same.
 sed -i 's/-O3/-O1/' "$scratch/tree/server/engine/meson.build"
-meson setup "$scratch/build" "$scratch/tree" -Dbuildtype=plain -Doptimization=1 \
+meson setup "$scratch/build" "$scratch/tree" --buildtype=release \
     >"$scratch/log" 2>&1 ||
     { cat "$scratch/log"; give_up "meson setup failed"; }
 for program in frustum footprint ripmap solid volume camera optimiser kernels rays training flags_fma; do
@@ -109,8 +109,8 @@ mutate kernels $cpu/simd.h "vector 1 - exp(-x): without the series" \
     's/return vf_select(x < 0.5f, small, /return vf_select(x < 0.0f, small, /'
 mutate kernels $cpu/simd.h "vector log2: a series of two terms" \
     's/p = p \* t2 + 0.4121986f;/p = vf_set(0.0f);/'
-mutate kernels $cpu/encode.h "vector moments: axial variance by mip-NeRF's subtraction" \
-    's/\*ret_axial = (0.6f.*/vf h2 = vf_set(half * half), t2 = t * t, z = 3.0f * t2 + h2; *ret_axial = h2 * (1 \/ 3.0f) - (4 \/ 15.0f) * (h2 * h2 * (12.0f * t2 - h2) \/ (z * z));/'
+mutate kernels $cpu/encode.h "vector moments: half width recovered from the end points" \
+    's/\*ret_axial = (0.6f.*/vf far = t + half, near = t - half, hh = (far - near) * 0.5f * s; *ret_axial = (0.6f * hh) * hh * (q * (q - 2.0f) + 5.0f);/'
 mutate footprint $cpu/encode.h "vector level: variance not clamped" \
     's/vf_log2(vf_clamp(variance \* (unit \* unit), 1.0f, top))/vf_log2(variance * (unit * unit) + 0 * top)/'
 mutate volume $cpu/packet.h "vector compositing: optical depth summed in fp32" \
@@ -124,7 +124,7 @@ mutate kernels $cpu/kernel_set.c "vector AdamW: decay as 1 - rate * decay" \
 mutate rays server/engine/scene.c "rays: distance from the centre by |o|^2 - (o.d)^2" \
     's/across += foot \* foot;/across += (foot, o[i] * o[i]);/;s/^    out.radius = (float)ray->radius;/    across -= along * along; &/'
 mutate rays server/engine/scene.c "rays: start left where the camera is" \
-    's/double near = enter + offset,/double near = offset,/'
+    's/double near = enter + jitter/double near = jitter/'
 mutate rays $cpu/march.h "march: a brick skipped too far" \
     's/return next > k ? next : k + 1;/return next > k ? next + 1 : k + 2;/'
 mutate rays $cpu/march.h "march: cells by truncation towards the centre" \
