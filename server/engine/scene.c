@@ -20,13 +20,6 @@ static size_t round16(size_t n) {
     return (n + 15) / 16 * 16;
 }
 
-static size_t transposed_count(const struct rn_mlp_shape *shape) {
-    size_t count = 0;
-    for (int l = 0; l < shape->layers; l++)
-        count += (size_t)shape->out[l] * round16((size_t)shape->in[l]);
-    return count;
-}
-
 // ---- pyramid --------------------------------------------------------------------------------
 
 static size_t map_count(const struct rn_field_config *c, int x, int y) {
@@ -115,14 +108,15 @@ static enum rn_status allocate(struct rn_field *field) {
     size_t bricks = n / (RN_BRICK * RN_BRICK * RN_BRICK);
     struct rn_cpu_field *cpu = &field->cpu;
     field->parameters.values = aligned_zero((field->parameters.count + 64) * sizeof(float));
-    field->transposed = aligned_zero(
-        (transposed_count(&cpu->base_shape) + transposed_count(&cpu->head_shape)) * sizeof(float));
+    field->packed = aligned_zero(
+        (rn_mlp_packed_count(&cpu->base_shape) + rn_mlp_packed_count(&cpu->head_shape)) *
+        sizeof(float));
     field->occupancy = aligned_zero(n * sizeof(float));
     field->hull = aligned_zero(n);
     cpu->occupancy.cells = (int)cells;
     cpu->occupancy.words = aligned_zero(bricks * 16 * sizeof(uint32_t));
     cpu->occupancy.distance = aligned_zero(bricks);
-    bool all = field->parameters.values && field->transposed && field->occupancy && field->hull &&
+    bool all = field->parameters.values && field->packed && field->occupancy && field->hull &&
                cpu->occupancy.words && cpu->occupancy.distance;
     return all ? RN_OK : RN_ERROR_NO_MEMORY;
 }
@@ -172,8 +166,8 @@ enum rn_status rn_field_create(const struct rn_train_config *config, const struc
     rn_pyramid_lay_out(&config->field, 1, values, NULL, field->cpu.maps);
     field->cpu.base_weights = values + field->parameters.plane_count;
     field->cpu.head_weights = field->cpu.base_weights + field->parameters.base_count;
-    field->cpu.base_transposed = field->transposed;
-    field->cpu.head_transposed = field->transposed + transposed_count(&field->cpu.base_shape);
+    field->cpu.base_packed = field->packed;
+    field->cpu.head_packed = field->packed + rn_mlp_packed_count(&field->cpu.base_shape);
     fill_ball(field);
     rn_field_refresh_occupancy(field);
     *ret_field = field;
@@ -184,7 +178,7 @@ void rn_field_destroy(struct rn_field **field) {
     struct rn_field *f = *field;
     if (!f) return;
     free(f->parameters.values);
-    free(f->transposed);
+    free(f->packed);
     free(f->pyramid);
     free(f->occupancy);
     free(f->hull);
@@ -223,15 +217,6 @@ void rn_field_randomise(struct rn_field *field, uint64_t seed) {
 
 // ---- refresh --------------------------------------------------------------------------------
 
-static void transpose(const struct rn_mlp_shape *shape, const float *weights, float *out) {
-    for (int l = 0; l < shape->layers; l++) {
-        size_t padded = round16((size_t)shape->in[l]);
-        for (int o = 0; o < shape->out[l]; o++, out += padded)
-            for (int i = 0; i < shape->in[l]; i++)
-                out[i] = weights[shape->offset[l] + (size_t)i * (size_t)shape->out[l] + o];
-    }
-}
-
 struct build {
     struct rn_field *field;
     const struct rn_kernels *kernels;
@@ -246,9 +231,10 @@ static void build_plane(void *context, int plane, int thread) {
 
 void rn_field_refresh(struct rn_field *field, struct rn_engine *engine) {
     struct rn_cpu_field *cpu = &field->cpu;
-    transpose(&cpu->base_shape, cpu->base_weights, field->transposed);
-    transpose(&cpu->head_shape, cpu->head_weights,
-              field->transposed + transposed_count(&cpu->base_shape));
+    engine->kernels->pack(&cpu->base_shape, cpu->base_weights, field->packed);
+    engine->kernels->pack(&cpu->head_shape, cpu->head_weights,
+                          field->packed + rn_mlp_packed_count(&cpu->base_shape));
+    field->packed_for = engine->kernels;
     if (cpu->built_levels > 1) {
         struct build build = {field, engine->kernels};
         rn_pool_run(engine->pool, cpu->config.planes, build_plane, &build);

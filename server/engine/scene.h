@@ -32,8 +32,9 @@ struct rn_field {
     struct rn_train_config config;
     struct rn_bounds bounds;
     struct rn_parameters parameters;
-    float *transposed; // networks for the backward: base, then head
-    float *pyramid;    // every map but the base ones, for built_levels
+    float *packed; // networks as the kernel set `packed_for` reads them: base, then head
+    const struct rn_kernels *packed_for;
+    float *pyramid; // every map but the base ones, for built_levels
     bool pyramid_stale;
     float *occupancy; // decayed maxima of density * step, cells^3
     uint8_t *hull;    // cells^3: 1 where matter is possible at all (carving)
@@ -56,7 +57,7 @@ size_t rn_field_bytes(const struct rn_train_config *config, int levels);
 // rn_field_refresh. RN_ERROR_NO_MEMORY.
 enum rn_status rn_field_need_levels(struct rn_field *field, int levels,
                                     struct rn_error *err) RN_MUST_CHECK;
-// After a change of parameters: transposes the networks, rebuilds the pyramid.
+// After a change of parameters or kernel set: packs the networks, rebuilds the pyramid.
 void rn_field_refresh(struct rn_field *field, struct rn_engine *engine);
 // Rebuilds the bits and distances that the march reads from `occupancy` and `hull`.
 void rn_field_refresh_occupancy(struct rn_field *field);

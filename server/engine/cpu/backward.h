@@ -73,9 +73,8 @@ static void backward_rays(const struct rn_cpu_field *field, const struct rn_marc
         ray_grad[j] = d;
     }
     if (field->config.view_dependence) {
-        const float *in_grad =
-            mlp_backward(&field->head_shape, field->head_transposed, w->head_in, RN_HEAD_INPUTS,
-                         w->head_hidden, w->head_out, w->grad_a, w->grad_b, hits, group->head_grad);
+        struct mlp head = head_network(field, w);
+        const float *in_grad = mlp_backward(&head, w->head_out, hits, w, group->head_grad);
         for (int j = 0; j < hits; j++, in_grad += RN_HEAD_INPUTS) {
             for (int i = 0; i < 12; i++)
                 ray_grad[j][4 + i] += in_grad[16 + i];
@@ -119,9 +118,8 @@ static void backward_samples(const struct rn_cpu_field *field,
         }
         memset(out + 3, 0, (RN_HEAD_OUTPUTS - 3) * sizeof *out);
     }
-    const float *in_grad =
-        mlp_backward(&field->head_shape, field->head_transposed, w->head_in, RN_HEAD_INPUTS,
-                     w->head_hidden, w->head_out, w->grad_a, w->grad_b, kept, group->head_grad);
+    struct mlp head = head_network(field, w);
+    const float *in_grad = mlp_backward(&head, w->head_out, kept, w, group->head_grad);
     for (int j = 0; j < kept; j++)
         memcpy(w->geometry_grad + (size_t)w->kept[j] * RN_GEOMETRY + 1,
                in_grad + (size_t)j * RN_HEAD_INPUTS + RN_SH_COUNT, 15 * sizeof(float));
@@ -157,12 +155,12 @@ static int backward_select(const struct rn_cpu_field *field, const struct rn_mar
         w->kept[n++] = i;
     }
     const struct rn_mlp_shape *shape = &field->base_shape;
-    size_t stride = (size_t)field->feature_stride, width = (size_t)field->config.width;
+    size_t stride = (size_t)field->feature_stride, hidden = hidden_stride(field->config.width);
     for (int j = 0; j < n; j++) {
         if (w->kept[j] == j) continue;
         copy_row(w->features + j * stride, w->features + w->kept[j] * stride, stride);
         for (int l = 0; l + 1 < shape->layers; l++)
-            copy_row(w->hidden[l] + j * width, w->hidden[l] + w->kept[j] * width, width);
+            copy_row(w->hidden[l] + j * hidden, w->hidden[l] + w->kept[j] * hidden, hidden);
     }
     return n;
 }
@@ -213,9 +211,8 @@ static void packet_backward(const struct rn_cpu_field *field,
     for (int r = 0; r < ray_count; r++)
         composite_backward(r, w);
     int n = backward_select(field, options, rays, w);
-    const float *feature_grad =
-        mlp_backward(&field->base_shape, field->base_transposed, w->features, field->feature_stride,
-                     w->hidden, w->geometry_grad, w->grad_a, w->grad_b, n, group->base_grad);
+    struct mlp base = base_network(field, w);
+    const float *feature_grad = mlp_backward(&base, w->geometry_grad, n, w, group->base_grad);
     count_samples(field, leveled, w, group);
     slab_append(field, leveled, n, feature_grad, w, &group->slab);
     group->returned += (uint64_t)n;

@@ -41,6 +41,7 @@ static void density(const struct rn_cpu_field *field, float (*points)[3], int co
     int levels =
         field->built_levels < field->config.levels ? field->built_levels : field->config.levels;
     bool leveled = level > 0 && levels > 1 && field->config.footprint != RN_FOOTPRINT_POINT;
+    struct mlp base = base_network(field, w);
     if (level > (float)(levels - 1)) level = (float)(levels - 1);
     for (int begin = 0; begin < count; begin += w->capacity) {
         int n = count - begin < w->capacity ? count - begin : w->capacity;
@@ -56,8 +57,7 @@ static void density(const struct rn_cpu_field *field, float (*points)[3], int co
             w->interval[i] = inside <= 1 ? 1 : 0;
         }
         encode(field, leveled, 0, n, w);
-        mlp_forward(&field->base_shape, field->base_weights, w->features, field->feature_stride,
-                    w->hidden, w->geometry, 0, n);
+        mlp_forward(&base, 0, n);
         activate(field, 0, n, w);
         memcpy(ret_density + begin, w->x, (size_t)n * sizeof(float));
     }
@@ -213,6 +213,7 @@ const struct rn_kernels RN_PASTE(rn_kernels_, RN_KERNEL_SET) = {
     .train = train,
     .render = render,
     .density = density,
+    .pack = mlp_pack,
     .scatter = scatter,
     .build = build_plane,
     .pull_down = pull_down_plane,

@@ -47,14 +47,22 @@ struct rn_cpu_field {
     struct rn_field_config config;
     struct rn_solid solid;
     struct rn_mlp_shape base_shape, head_shape;
-    int features;                                   // planes * channels
-    int feature_stride;                             // features rounded up to 16
-    const float *base_weights, *head_weights;       // [in][out] as the shapes say
-    const float *base_transposed, *head_transposed; // [out][in rounded up to 16], for backward
+    int features;                             // planes * channels
+    int feature_stride;                       // features rounded up to 16
+    const float *base_weights, *head_weights; // [in][out] as the shapes say
+    const float *base_packed, *head_packed;   // what the kernel set's `pack` made of them
     struct rn_map maps[RN_MAX_PLANES][RN_MAX_LEVELS][RN_MAX_LEVELS]; // [plane][ly][lx]
     int built_levels; // maps with lx, ly < built_levels exist
     struct rn_occupancy_bits occupancy;
 };
+
+// Room for what a kernel set packs of a network, in numbers.
+static inline size_t rn_mlp_packed_count(const struct rn_mlp_shape *shape) {
+    size_t count = 0;
+    for (int l = 0; l < shape->layers; l++)
+        count += (size_t)((shape->in[l] + 31) / 32 * 32) * (size_t)((shape->out[l] + 31) / 32 * 32);
+    return count;
+}
 
 // A cone to march. `origin` lies on the ray where it enters the scene's box, `near` from the
 // camera, so that far cameras lose no digits: position = origin + direction * s,
@@ -119,7 +127,7 @@ struct rn_workspace {
     float *interval; // in density units; 0 outside the ball
     float *u[RN_MAX_PLANES], *v[RN_MAX_PLANES], *lx[RN_MAX_PLANES], *ly[RN_MAX_PLANES];
     float *features;                    // [capacity][feature_stride]
-    float *hidden[RN_MLP_MAX_LAYERS];   // [capacity][width]
+    float *hidden[RN_MLP_MAX_LAYERS];   // [capacity][width], in the kernel set's own form
     float *geometry;                    // [capacity][16]: outputs, then activated in place
     float *x, *before, *weight, *after; // optical depth; depth before; weight; T behind
     float *head_in, *head_hidden[RN_MLP_MAX_LAYERS], *head_out; // rows: samples or rays
@@ -153,6 +161,9 @@ enum rn_stage {
 
 struct rn_kernels {
     const char *name;
+    // After a change of a network's weights: writes `packed`, rn_mlp_packed_count numbers, from
+    // which this set's products read.
+    void (*pack)(const struct rn_mlp_shape *shape, const float *weights, float *ret_packed);
     // Forward and backward of rays[group->cursor .. group->end) until the group's slab has no room
     // for another packet. Gradients are of the sum over rays of weight * smooth-L1: the division by
     // the sum of weights is the optimiser's (rn_adamw.scale).

@@ -4,8 +4,8 @@
 
 #include "common/math/rng.h"
 #include "server/engine/cpu/encode.h"
-#include "server/engine/cpu/gemm.h"
 #include "server/engine/cpu/march.h"
+#include "server/engine/cpu/mlp.h"
 #include "server/engine/field/sh.h"
 
 // Marches rays until the packet is full; returns how many it took (at least one).
@@ -22,70 +22,6 @@ static int packet_march(const struct rn_cpu_field *field, const struct rn_march_
     }
     memset(w->candidate + total, 0, RN_PACKET_SLACK * sizeof *w->candidate);
     return n;
-}
-
-// ---- networks -------------------------------------------------------------------------------
-
-// rows [begin, begin + n) through a network; hidden[l] has stride `width`.
-static void mlp_forward(const struct rn_mlp_shape *shape, const float *weights, const float *in,
-                        int in_stride, float *const *hidden, float *out, int begin, int n) {
-    for (int l = 0; l < shape->layers; l++) {
-        bool last = l + 1 == shape->layers;
-        int stride = l == 0 ? in_stride : shape->in[l], out_stride = shape->out[l];
-        const float *a = l == 0 ? in : hidden[l - 1];
-        float *c = last ? out : hidden[l];
-        struct rn_gemm g = {.a = a + (size_t)begin * stride,
-                            .a_row = stride,
-                            .a_k = 1,
-                            .b = weights + shape->offset[l],
-                            .b_stride = shape->out[l],
-                            .c = c + (size_t)begin * out_stride,
-                            .c_stride = out_stride,
-                            .relu = !last};
-        gemm(&g, n, shape->in[l], shape->out[l]);
-    }
-}
-
-RN_INLINE int round16(int n) {
-    return (n + 15) & ~15;
-}
-
-// Backward of n rows: out_grad in `grad`, weights' gradients added to weight_grad; the inputs'
-// gradient ([n][in rounded up to 16]) is in the returned one of a and b.
-static float *mlp_backward(const struct rn_mlp_shape *shape, const float *transposed,
-                           const float *in, int in_stride, float *const *hidden, float *grad,
-                           float *a, float *b, int n, float *weight_grad) {
-    const float *t = transposed;
-    for (int l = 0; l < shape->layers; l++)
-        t += (size_t)shape->out[l] * round16(shape->in[l]);
-    float *out_grad = grad;
-    for (int l = shape->layers - 1; l >= 0; l--) {
-        int stride = l == 0 ? in_stride : shape->in[l], padded = round16(shape->in[l]);
-        const float *activation = l == 0 ? in : hidden[l - 1];
-        struct rn_gemm dw = {.a = activation,
-                             .a_row = 1,
-                             .a_k = stride,
-                             .b = out_grad,
-                             .b_stride = shape->out[l],
-                             .c = weight_grad + shape->offset[l],
-                             .c_stride = shape->out[l],
-                             .accumulate = true};
-        gemm(&dw, shape->in[l], n, shape->out[l]);
-        t -= (size_t)shape->out[l] * padded;
-        float *in_grad = out_grad == a ? b : a;
-        struct rn_gemm dx = {.a = out_grad,
-                             .a_row = shape->out[l],
-                             .a_k = 1,
-                             .b = t,
-                             .b_stride = padded,
-                             .c = in_grad,
-                             .c_stride = padded,
-                             .mask = l > 0 ? activation : NULL,
-                             .mask_stride = stride};
-        gemm(&dx, n, shape->out[l], padded);
-        out_grad = in_grad;
-    }
-    return out_grad;
 }
 
 // ---- forward --------------------------------------------------------------------------------
@@ -196,6 +132,7 @@ static void finish_weights(const struct rn_march_options *options, struct rn_wor
 static bool packet_density(const struct rn_cpu_field *field, const struct rn_march_options *options,
                            const struct rn_march_ray *rays, int ray_count, struct rn_workspace *w) {
     struct ray_footprint footprints[RN_PACKET_RAYS];
+    struct mlp base = base_network(field, w);
     bool leveled = false;
     w->count = w->segment_count = 0;
     for (int r = 0; r < ray_count; r++) {
@@ -210,8 +147,7 @@ static bool packet_density(const struct rn_cpu_field *field, const struct rn_mar
         int begin = w->count, first = w->segment_count;
         if (!round_place(field, options, rays, footprints, leveled, ray_count, w)) break;
         encode(field, leveled, begin, w->count, w);
-        mlp_forward(&field->base_shape, field->base_weights, w->features, field->feature_stride,
-                    w->hidden, w->geometry, begin, w->count - begin);
+        mlp_forward(&base, begin, w->count - begin);
         activate(field, begin, w->count, w);
         round_attenuate(first, w);
     }
@@ -271,9 +207,8 @@ static int shade_rays(const struct rn_cpu_field *field, const struct rn_march_op
             in[28 + c] = sums[r].sum[1 + c];
         in[31] = sums[r].opacity;
     }
-    if (field->config.view_dependence)
-        mlp_forward(&field->head_shape, field->head_weights, w->head_in, RN_HEAD_INPUTS,
-                    w->head_hidden, w->head_out, 0, hits);
+    struct mlp head = head_network(field, w);
+    if (field->config.view_dependence) mlp_forward(&head, 0, hits);
     for (int j = 0; j < hits; j++) {
         const struct ray_sums *s = &sums[hit[j]];
         for (int c = 0; c < 3; c++) {
@@ -301,8 +236,8 @@ static void shade_samples(const struct rn_cpu_field *field, const struct rn_marc
         memcpy(in + RN_SH_COUNT, w->geometry + (size_t)i * RN_GEOMETRY + 1, 15 * sizeof(float));
         in[31] = 1;
     }
-    mlp_forward(&field->head_shape, field->head_weights, w->head_in, RN_HEAD_INPUTS, w->head_hidden,
-                w->head_out, 0, kept);
+    struct mlp head = head_network(field, w);
+    mlp_forward(&head, 0, kept);
     for (int j = 0; j < kept; j++) {
         float *out = w->head_out + (size_t)j * RN_HEAD_OUTPUTS;
         vf_store(out, 1.0f / (1.0f + vf_exp(-vf_load(out)))); // the first RN_VL >= 4

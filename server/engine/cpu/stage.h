@@ -53,6 +53,7 @@ static int stage(const struct rn_cpu_field *field, const struct rn_march_options
                  const struct rn_march_ray *rays, int count, enum rn_stage what,
                  struct rn_workspace *w, struct rn_group *group, const float **ret_grad) {
     int heads = what == RN_STAGE_MARCH ? 0 : stage_heads(field, count, w);
+    struct mlp base = base_network(field, w), head = head_network(field, w);
     const float *grad;
     switch (what) {
     case RN_STAGE_MARCH:
@@ -61,20 +62,15 @@ static int stage(const struct rn_cpu_field *field, const struct rn_march_options
         stage_encode(field, options, rays, count, w);
         break;
     case RN_STAGE_MLP_FORWARD:
-        mlp_forward(&field->base_shape, field->base_weights, w->features, field->feature_stride,
-                    w->hidden, w->geometry, 0, w->count);
-        mlp_forward(&field->head_shape, field->head_weights, w->head_in, RN_HEAD_INPUTS,
-                    w->head_hidden, w->head_out, 0, heads);
+        mlp_forward(&base, 0, w->count);
+        mlp_forward(&head, 0, heads);
         break;
     case RN_STAGE_COMPOSITE:
         stage_composite(field, options, rays, count, w);
         break;
     case RN_STAGE_MLP_BACKWARD:
-        mlp_backward(&field->head_shape, field->head_transposed, w->head_in, RN_HEAD_INPUTS,
-                     w->head_hidden, w->head_out, w->grad_a, w->grad_b, heads, group->head_grad);
-        grad = mlp_backward(&field->base_shape, field->base_transposed, w->features,
-                            field->feature_stride, w->hidden, w->geometry_grad, w->grad_a,
-                            w->grad_b, group->slab.count, group->base_grad);
+        mlp_backward(&head, w->head_out, heads, w, group->head_grad);
+        grad = mlp_backward(&base, w->geometry_grad, group->slab.count, w, group->base_grad);
         if (ret_grad) *ret_grad = grad;
         return group->slab.count;
     }
