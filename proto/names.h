@@ -44,6 +44,7 @@ extern const char *const rn_picture_format_names[]; // "png", "jpeg"
 #define RN_EVENT_PROGRESS "progress"
 #define RN_EVENT_METRIC "metric"
 #define RN_EVENT_FRAME "frame"
+#define RN_EVENT_INCIDENT "incident"
 
 // Prefixes of ids; RN_ID_RANDOM base32 characters (a-z2-7) follow.
 #define RN_ID_DATASET "ds_"

@@ -146,6 +146,14 @@ static const struct rn_field_spec checkpoint[] = {
 static const struct rn_table checkpoint_table = RN_TABLE(S, "checkpoint", checkpoint);
 #undef S
 
+#define S struct rn_wire_incident
+static const struct rn_field_spec incident[] = {
+    RN_F_TEXT(S, job, RN_REQUIRED, NULL),
+    RN_F_OBJECT(S, incident, RN_REQUIRED, &rn_incident_event_table),
+};
+static const struct rn_table incident_table = RN_TABLE(S, "incident", incident);
+#undef S
+
 #define S struct rn_wire_frame
 static const struct rn_field_spec frame[] = {
     RN_F_TEXT(S, job, RN_REQUIRED, NULL),
@@ -224,6 +232,7 @@ static const struct {
     [RN_WIRE_DONE] = {"done", &done_table},
     [RN_WIRE_FAILED] = {"failed", &failed_table},
     [RN_WIRE_INFO] = {"info", &info_table},
+    [RN_WIRE_INCIDENT] = {"incident", &incident_table},
 };
 
 static bool is_known(int type) {

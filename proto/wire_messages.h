@@ -8,6 +8,7 @@
 #define RN_PROTO_WIRE_MESSAGES_H
 
 #include "proto/dataset.h"
+#include "proto/incident.h"
 #include "proto/job.h"
 #include "proto/render.h"
 #include "proto/wire.h"
@@ -37,6 +38,7 @@ enum rn_wire_type {
     RN_WIRE_DONE,       //                    rn_wire_done
     RN_WIRE_FAILED,     //                    rn_wire_failed
     RN_WIRE_INFO,       // mode probe         rn_wire_info, then EOF
+    RN_WIRE_INCIDENT,   // training           rn_wire_incident
 };
 
 #define RN_WIRE_PROTOCOL 1
@@ -130,6 +132,10 @@ struct rn_wire_checkpoint {
     char parameters_sha256[65];
     double train_seconds, psnr; // psnr NAN = null
     char *scene;                // JSON of rn_scene_description_table
+};
+struct rn_wire_incident {
+    char job[RN_ID_MAX];
+    struct rn_incident_event incident; // file "" when it could not be written
 };
 struct rn_wire_frame {
     char job[RN_ID_MAX];

@@ -6,6 +6,7 @@
 
 #include "client/commands/submit.h"
 #include "client/follow.h"
+#include "proto/incident.h"
 
 static const struct rn_option no_options[] = {{0}};
 
@@ -258,8 +259,21 @@ static bool print_event(struct rn_follow *follow, const struct rn_sse_event *eve
     return true;
 }
 
+static void note_incident(struct rn_follow *follow, const struct rn_sse_event *event) {
+    struct rn_incident_event incident;
+    if (rn_decode(&rn_incident_event_table, event->data, event->size_bytes, &incident, NULL,
+                  NULL) != RN_OK)
+        return;
+    rn_progress_note(&follow->progress,
+                     "step %lld  %s: %lld rays and %lld parameters were not finite  %s",
+                     (long long)incident.step, rn_incident_kind_names[incident.kind],
+                     (long long)incident.rays, (long long)incident.parameters, incident.file);
+    rn_message_finish(&rn_incident_event_table, &incident);
+}
+
 static bool note_event(struct rn_follow *follow, const struct rn_sse_event *event) {
     struct rn_metric_event metric;
+    if (strcmp(event->type, RN_EVENT_INCIDENT) == 0) note_incident(follow, event);
     if (strcmp(event->type, RN_EVENT_METRIC) != 0 ||
         rn_decode(&rn_metric_event_table, event->data, event->size_bytes, &metric, NULL, NULL) !=
             RN_OK)

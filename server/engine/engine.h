@@ -7,6 +7,7 @@
 #ifndef RN_SERVER_ENGINE_ENGINE_H
 #define RN_SERVER_ENGINE_ENGINE_H
 
+#include <stdbool.h>
 #include <stddef.h>
 #include <stdint.h>
 
@@ -101,6 +102,50 @@ void rn_trainer_destroy(struct rn_trainer **trainer);
 // RN_ERROR_NUMERIC: diverged beyond recovery; the last good state stays readable.
 enum rn_status rn_trainer_advance(struct rn_trainer *trainer, double budget_ms,
                                   struct rn_error *err) RN_MUST_CHECK;
+// What went wrong in training: a step that left something non-finite behind.
+enum rn_incident_kind {
+    RN_INCIDENT_RAYS,     // rays were not finite; the step went on without them
+    RN_INCIDENT_REJECTED, // a step whose loss or gradients were not finite was not applied
+    RN_INCIDENT_ROLLBACK, // back to the last good parameters, at half the rate
+    RN_INCIDENT_KINDS
+};
+enum rn_ray_fault {
+    RN_FAULT_NONE, // one of the step's rays, none of which is at fault by itself
+    RN_FAULT_COLOUR,
+    RN_FAULT_GRADIENT, // only what goes back through the networks is not finite
+    RN_FAULTS
+};
+// One ray as the kernels got it (normalised frame: the scene's ball is the unit ball), and the
+// pixel it was drawn through.
+struct rn_incident_ray {
+    uint32_t id; // of the step's rays
+    enum rn_ray_fault fault;
+    enum rn_split split;
+    int index, scale; // of the photograph
+    int x, y;         // pixel
+    float origin[3], direction[3], near, length, radius, target[3], weight;
+    int stride; // march steps a sample spans
+};
+struct rn_incident_parameter {
+    uint64_t index; // planes, then the networks: as rn_field_sha256
+    float value;    // NAN or infinite
+};
+#define RN_INCIDENT_KEPT 32  // rays and parameters listed
+#define RN_INCIDENTS_MOST 64 // of one trainer; later ones are only counted
+struct rn_incident {
+    enum rn_incident_kind kind;
+    int64_t step; // with `seed` it gives the rays, whatever the parameters are
+    uint64_t seed;
+    double rate;                                   // of the networks, when it happened
+    uint64_t nonfinite_rays, nonfinite_parameters; // all of them, listed or not
+    float march_step, background[3];
+    int ray_count, parameter_count;
+    struct rn_incident_ray rays[RN_INCIDENT_KEPT];
+    struct rn_incident_parameter parameters[RN_INCIDENT_KEPT];
+};
+// The oldest incident not taken yet; false when there is none. A few are held between two takes.
+bool rn_trainer_take_incident(struct rn_trainer *trainer, struct rn_incident *ret_incident);
+
 // Held-out PSNR, cut into blocks like training; changes no training state. *ret_done when a
 // whole round over the held-out views is finished and progress.psnr is new.
 enum rn_status rn_trainer_validate(struct rn_trainer *trainer, double budget_ms, bool *ret_done,

@@ -127,6 +127,20 @@ static void on_metric(struct rn_control *control, struct rn_runner *runner,
     free(json);
 }
 
+static void on_incident(struct rn_control *control, struct rn_runner *runner,
+                        const struct rn_wire_incident *incident) {
+    struct rn_task *task = task_of(runner, incident->job);
+    char *json = NULL;
+    if (task == NULL) return;
+    rn_log(RN_LOG_WARN, "job %s: step %lld: %s; %lld rays and %lld parameters were not finite: %s",
+           task->row.id, (long long)incident->incident.step,
+           rn_incident_kind_names[incident->incident.kind], (long long)incident->incident.rays,
+           (long long)incident->incident.parameters, incident->incident.file);
+    if (rn_encode(&rn_incident_event_table, &incident->incident, &json, NULL, NULL) == RN_OK)
+        rn_task_publish(control, task, RN_EVENT_INCIDENT, json, false);
+    free(json);
+}
+
 static enum rn_status insert_checkpoint(struct rn_control *control,
                                         const struct rn_scene_row *scene,
                                         const struct rn_wire_checkpoint *checkpoint,
@@ -305,6 +319,7 @@ union any {
     struct rn_wire_progress progress;
     struct rn_wire_metric metric;
     struct rn_wire_checkpoint checkpoint;
+    struct rn_wire_incident incident;
     struct rn_wire_frame frame;
     struct rn_wire_rendered rendered;
     struct rn_wire_done done;
@@ -332,6 +347,9 @@ static void dispatch(struct rn_control *control, struct rn_runner *runner,
         break;
     case RN_WIRE_CHECKPOINT:
         on_checkpoint(control, runner, &any->checkpoint);
+        break;
+    case RN_WIRE_INCIDENT:
+        on_incident(control, runner, &any->incident);
         break;
     case RN_WIRE_FRAME:
         on_frame(control, runner, &any->frame);

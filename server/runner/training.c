@@ -11,6 +11,7 @@
 #include "server/runner/checkpoints.h"
 #include "server/runner/describe.h"
 #include "server/runner/host.h"
+#include "server/runner/incidents.h"
 
 #define PROGRESS_INTERVAL_S 0.5
 #define EVALUATIONS 10             // rounds over a run with a limit
@@ -149,6 +150,7 @@ static enum rn_status save(struct rn_host *host, struct rn_error *err) {
     if (snprintf(fresh, sizeof fresh, "%s/checkpoints/.fresh.tmp", folder) >= (int)sizeof fresh)
         return rn_error_set(err, RN_ERROR_LIMIT, folder, "the path is too long");
     enum rn_status status = rn_trainer_save(training->trainer, fresh, err);
+    rn_incidents_report(host, training->trainer, training->job);
     struct rn_progress progress;
     rn_trainer_progress(training->trainer, &progress);
     if (!status) status = rn_checkpoint_path(folder, progress.step, path, err);
@@ -333,6 +335,7 @@ static enum rn_status advance(struct rn_host *host, struct rn_error *err) {
     enum rn_status status =
         training->evaluating ? rn_trainer_validate(training->trainer, RN_SLICE_MS, &round_done, err)
                              : rn_trainer_advance(training->trainer, RN_SLICE_MS, err);
+    rn_incidents_report(host, training->trainer, training->job);
     if (status || !round_done) return status;
     struct rn_progress progress;
     rn_trainer_progress(training->trainer, &progress);

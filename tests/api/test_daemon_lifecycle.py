@@ -1,6 +1,7 @@
 """Jobs through their states, crashes of runner and daemon, restarts, shutdown."""
 
 import fcntl
+import json
 import os
 import signal
 import subprocess
@@ -98,6 +99,27 @@ def test_cancel_of_what_succeeded(shared):
     job, _ = shared.train("done-already")
     reply = shared.post(f"/v1/jobs/{job['id']}/cancel")
     assert reply.status == 409 and "succeeded" in reply.json["detail"]
+
+
+def test_what_was_not_finite_is_recorded_counted_and_told(make_daemon, photographs, tmp_path):
+    daemon = make_daemon({"RIPNERF_FAKE_INCIDENT_AT": "40"})
+    assert daemon.wait(daemon.upload("data", photographs))["state"] == "succeeded"
+    job, scene = daemon.train("wild", max_steps=120)
+    assert job["progress"]["nonfinite"] == {"rays": 70, "steps_rejected": 0, "rollbacks": 1}
+    event = {"kind": "rollback", "step": 40, "rays": 70, "parameters": 1,
+             "file": "incidents/step-000000040-rollback.json"}
+    events = daemon.events(f"/v1/jobs/{job['id']}/events", {"Last-Event-ID": "0"})
+    assert [data for _, name, data in events if name == "incident"] == [event]
+    (path,) = tmp_path.glob(f"*/scenes/{scene['id']}/{event['file']}")
+    record = json.loads(path.read_text())
+    assert (record["step"], record["seed"]) == (40, job["options"].get("seed", record["seed"]))
+    assert [ray["fault"] for ray in record["rays"]] == ["colour", "colour"]
+    assert record["rays"][0]["target"] == [0, 0.5, 1] and record["rays"][1]["id"] == 1
+    assert record["parameters"] == [{"index": 5, "value": "-inf"}]
+    metrics = daemon.get("/metrics").body.decode()
+    assert 'ripnerf_nonfinite_total{kind="rays"} 70\n' in metrics
+    assert 'ripnerf_nonfinite_total{kind="rollbacks"} 1\n' in metrics
+    assert 'ripnerf_nonfinite_total{kind="steps_rejected"} 0\n' in metrics
 
 
 def test_queue(own):

@@ -249,6 +249,8 @@ def check_event(path, name, data):
         contract.check("JobProgressEvent" if path == "/v1/events" else "Progress", data)
     elif name == "metric":
         contract.check("MetricEvent", data)
+    elif name == "incident":
+        contract.check("IncidentEvent", data)
     else:
         assert name == "frame"
         contract.check("Frame", data)

@@ -3,6 +3,7 @@
 //
 // RIPNERF_FAKE_STEP_US: microseconds a step takes (1000). RIPNERF_FAKE_ROW_US: a rendered row (0).
 // RIPNERF_FAKE_LOAD_MS: making a trainer (0). RIPNERF_FAKE_DIVERGE_AT: the step that diverges.
+// RIPNERF_FAKE_INCIDENT_AT: the step that is rolled back.
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -38,6 +39,7 @@ struct rn_trainer {
     int64_t psnr_step;
     double evaluate_seconds, load_seconds;
     int validated; // views of the round under way
+    bool incident; // noted, not taken
 };
 
 static long setting(const char *name, long fallback) {
@@ -276,6 +278,7 @@ enum rn_status rn_trainer_advance(struct rn_trainer *trainer, double budget_ms,
         if (field->steps == diverge_at)
             return rn_error_set(err, RN_ERROR_NUMERIC, "training", "diverged at step %lld",
                                 (long long)field->steps);
+        trainer->incident |= field->steps == setting("RIPNERF_FAKE_INCIDENT_AT", -1);
         usleep(step_us);
         field->state = field->state * 6364136223846793005u + 1442695040888963407u;
         field->steps++;
@@ -284,6 +287,35 @@ enum rn_status rn_trainer_advance(struct rn_trainer *trainer, double budget_ms,
         last = now;
     }
     return RN_OK;
+}
+
+bool rn_trainer_take_incident(struct rn_trainer *trainer, struct rn_incident *ret_incident) {
+    if (!trainer->incident) return false;
+    trainer->incident = false;
+    *ret_incident = (struct rn_incident){.kind = RN_INCIDENT_ROLLBACK,
+                                         .step = setting("RIPNERF_FAKE_INCIDENT_AT", 0),
+                                         .seed = trainer->field.config.seed,
+                                         .rate = 0.01,
+                                         .nonfinite_rays = 70,
+                                         .nonfinite_parameters = 1,
+                                         .march_step = 0.01f,
+                                         .ray_count = 2,
+                                         .parameter_count = 1};
+    for (int i = 0; i < 2; i++)
+        ret_incident->rays[i] = (struct rn_incident_ray){.id = (uint32_t)i,
+                                                         .fault = RN_FAULT_COLOUR,
+                                                         .index = 1,
+                                                         .x = 2,
+                                                         .y = 3,
+                                                         .direction = {0, 0, 1},
+                                                         .near = 3,
+                                                         .length = 2,
+                                                         .radius = 1e-3f,
+                                                         .target = {NAN, 0.5f, 1},
+                                                         .weight = 1,
+                                                         .stride = 1};
+    ret_incident->parameters[0] = (struct rn_incident_parameter){5, -INFINITY};
+    return true;
 }
 
 enum rn_status rn_trainer_validate(struct rn_trainer *trainer, double budget_ms, bool *ret_done,
@@ -307,6 +339,8 @@ void rn_trainer_progress(const struct rn_trainer *trainer, struct rn_progress *r
     if (config->max_steps) fraction = (double)field->steps / (double)config->max_steps;
     if (config->max_seconds > 0)
         fraction = fmax(isnan(fraction) ? 0 : fraction, field->train_seconds / config->max_seconds);
+    long incident_at = setting("RIPNERF_FAKE_INCIDENT_AT", -1);
+    bool passed = incident_at >= 0 && field->steps > incident_at;
     double rate = field->train_seconds > 0 ? (double)field->steps / field->train_seconds : 0;
     *ret_progress = (struct rn_progress){
         .step = field->steps,
@@ -321,6 +355,8 @@ void rn_trainer_progress(const struct rn_trainer *trainer, struct rn_progress *r
         .level_samples = {1008 * (uint64_t)field->steps, SPARE * (uint64_t)field->steps},
         .psnr = field->psnr,
         .psnr_step = trainer->psnr_step,
+        .nonfinite_rays = passed ? 70 : 0,
+        .rollbacks = passed,
         .eta_seconds = fraction > 0 ? field->train_seconds * (1 / fmin(fraction, 1) - 1) : NAN,
         .fraction = fmin(fraction, 1),
         .done = is_done(trainer)};

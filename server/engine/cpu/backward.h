@@ -18,6 +18,7 @@ static void ray_loss(const struct rn_march_ray *ray, const float rgb[3], float r
     }
     if (!isfinite(loss)) {
         ret_grad[0] = ret_grad[1] = ret_grad[2] = 0;
+        if (group->nonfinite_rays < RN_OFFENDERS) group->offender[group->nonfinite_rays] = ray->id;
         group->nonfinite_rays++;
         return;
     }

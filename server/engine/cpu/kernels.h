@@ -18,6 +18,7 @@
 #define RN_PACKET_SLACK 64     // numbers a vector store may overrun an array by
 #define RN_ROUND 16            // samples of a ray evaluated before its transmittance is looked at
 #define RN_GROUPS 16           // fixed partition of a step's rays: the unit of ordered accumulation
+#define RN_OFFENDERS 4         // non-finite rays of a group that are remembered
 #define RN_BLOCK 8             // texels along u that the optimiser visits together
 #define RN_BRICK 8             // occupancy cells a side of a brick
 
@@ -105,6 +106,7 @@ struct rn_group {
     uint64_t samples;   // of these, the ones that enter the loss
     uint64_t returned;  // of these, the ones whose gradient went back (roulette)
     uint64_t rays_hit, nonfinite_rays;
+    uint32_t offender[RN_OFFENDERS]; // ids of the first non-finite rays
     uint64_t level_samples[RN_MAX_LEVELS];
 };
 

@@ -1,4 +1,5 @@
 // The guard: no step leaves a parameter behind that is not a finite number.
+#include <math.h>
 #include <stdatomic.h>
 #include <stdlib.h>
 #include <string.h>
@@ -45,6 +46,7 @@ enum rn_status rn_trainer_keep_good(struct rn_trainer *t, struct rn_error *err) 
 // Back to the last good parameters; the optimiser, whose moments may be spoilt too, starts anew at
 // half the rate.
 static void roll_back(struct rn_trainer *t) {
+    rn_trainer_note(t, RN_INCIDENT_ROLLBACK);
     size_t bytes = t->field->parameters.count * sizeof *t->good;
     memcpy(t->field->parameters.values, t->good, bytes);
     memset(t->m, 0, bytes);
@@ -55,8 +57,18 @@ static void roll_back(struct rn_trainer *t) {
     rn_field_refresh(t->field, t->engine);
 }
 
+static bool has_offenders(const struct rn_trainer *t) {
+    for (int g = 0; g < RN_GROUPS; g++)
+        if (t->groups[g].nonfinite_rays > 0) return true;
+    return false;
+}
+
 void rn_trainer_guard_step(struct rn_trainer *t, bool accepted) {
     t->rejected = accepted ? 0 : t->rejected + 1;
+    if (!accepted)
+        rn_trainer_note(t, RN_INCIDENT_REJECTED);
+    else if (has_offenders(t))
+        rn_trainer_note(t, RN_INCIDENT_RAYS);
     if (!all_finite(t, t->field->parameters.values) || t->rejected >= MOST_REJECTED)
         roll_back(t);
     else if (accepted && t->updates % GOOD_EVERY == 0)
@@ -64,6 +76,9 @@ void rn_trainer_guard_step(struct rn_trainer *t, bool accepted) {
 }
 
 void rn_trainer_guard_save(struct rn_trainer *t) {
+    size_t side = (size_t)t->field->config.field.occupancy;
+    for (size_t i = 0; i < side * side * side; i++)
+        if (!isfinite(t->field->occupancy[i])) t->field->occupancy[i] = 0;
     if (!all_finite(t, t->field->parameters.values) || !all_finite(t, t->m) || !all_finite(t, t->v))
         roll_back(t);
 }

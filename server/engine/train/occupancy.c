@@ -165,6 +165,7 @@ static void measure_chunk(void *context, int index, int thread) {
     for (int i = 0; i < n; i++) {
         float value = density[i] * (float)(config->step * RN_DENSITY_UNIT);
         float old = t->field->occupancy[at[i]] * m->decay;
+        if (!isfinite(old)) old = 0;
         t->field->occupancy[at[i]] = value > old ? value : old;
     }
 }

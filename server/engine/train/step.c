@@ -11,14 +11,12 @@
 
 // ---- memory ---------------------------------------------------------------------------------
 
-static size_t slab_numbers(const struct rn_trainer *t, size_t capacity) {
-    size_t per_plane = 4 + (size_t)t->field->config.field.channels;
-    return (capacity + RN_PACKET_SLACK) * per_plane * (size_t)t->field->config.field.planes;
+static size_t slab_numbers(const struct rn_field_config *c, int capacity) {
+    return ((size_t)capacity + RN_PACKET_SLACK) * (4 + (size_t)c->channels) * (size_t)c->planes;
 }
 
-static float *slab_lay_out(const struct rn_trainer *t, struct rn_slab *slab, float *at) {
+static float *slab_lay_out(const struct rn_field_config *c, struct rn_slab *slab, float *at) {
     size_t n = (size_t)slab->capacity + RN_PACKET_SLACK;
-    const struct rn_field_config *c = &t->field->config.field;
     for (int p = 0; p < c->planes; p++) {
         slab->u[p] = at;
         slab->v[p] = at + n;
@@ -30,21 +28,27 @@ static float *slab_lay_out(const struct rn_trainer *t, struct rn_slab *slab, flo
     return at;
 }
 
+size_t rn_group_numbers(const struct rn_cpu_field *field, int capacity) {
+    return slab_numbers(&field->config, capacity) + field->base_shape.count +
+           field->head_shape.count;
+}
+
+float *rn_group_lay_out(const struct rn_cpu_field *field, int capacity, float *at,
+                        struct rn_group *group) {
+    group->slab.capacity = capacity;
+    group->base_grad = slab_lay_out(&field->config, &group->slab, at);
+    group->head_grad = group->base_grad + field->base_shape.count;
+    return group->head_grad + field->head_shape.count;
+}
+
 static enum rn_status allocate_groups(struct rn_trainer *t) {
-    const struct rn_parameters *p = &t->field->parameters;
+    const struct rn_cpu_field *field = &t->field->cpu;
     int capacity = 2 * rn_engine_workspace(t->engine, 0)->capacity;
-    size_t networks = p->base_count + p->head_count;
-    size_t numbers = RN_GROUPS * (slab_numbers(t, (size_t)capacity) + networks);
-    t->group_memory = calloc(numbers, sizeof(float));
+    t->group_memory = calloc(RN_GROUPS * rn_group_numbers(field, capacity), sizeof(float));
     if (!t->group_memory) return RN_ERROR_NO_MEMORY;
     float *at = t->group_memory;
-    for (int g = 0; g < RN_GROUPS; g++) {
-        t->groups[g].slab.capacity = capacity;
-        at = slab_lay_out(t, &t->groups[g].slab, at);
-        t->groups[g].base_grad = at;
-        t->groups[g].head_grad = at + p->base_count;
-        at += networks;
-    }
+    for (int g = 0; g < RN_GROUPS; g++)
+        at = rn_group_lay_out(field, capacity, at, &t->groups[g]);
     return RN_OK;
 }
 
@@ -137,13 +141,21 @@ static const struct rn_pixel_frame *draw_live_pixel(const struct rn_trainer *t, 
     return inside ? frame : NULL;
 }
 
+static struct rn_rng4 draw_of(const struct rn_trainer *t, int r) {
+    return rn_rng_draw(t->march.seed, STREAM_RAYS | (uint32_t)r, t->march.counter);
+}
+
+const struct rn_pixel_frame *rn_trainer_place(const struct rn_trainer *t, int r, int *ret_x,
+                                              int *ret_y) {
+    if (t->field->config.equal_scales) return draw_live_pixel(t, r, draw_of(t, r), ret_x, ret_y);
+    return draw_pixel(t, draw_of(t, r), ret_x, ret_y);
+}
+
 static struct rn_march_ray draw_ray(const struct rn_trainer *t, int r) {
     const struct rn_train_config *config = &t->field->config;
-    struct rn_rng4 draw =
-        rn_rng_draw(config->seed, STREAM_RAYS | (uint32_t)r, (uint64_t)t->progress.step);
+    struct rn_rng4 draw = draw_of(t, r);
     int x, y;
-    const struct rn_pixel_frame *frame =
-        config->equal_scales ? draw_live_pixel(t, r, draw, &x, &y) : draw_pixel(t, draw, &x, &y);
+    const struct rn_pixel_frame *frame = rn_trainer_place(t, r, &x, &y);
     if (!frame) return (struct rn_march_ray){.stride = 1};
     struct rn_march_ray ray =
         rn_trainer_ray(t, &t->train, frame, x, y, (double)rn_rng_unit(draw.v[2]));
@@ -287,11 +299,14 @@ static double rate_factor(const struct rn_trainer *t) {
     return exp(-3.0 * decay);
 }
 
+double rn_trainer_rate(const struct rn_trainer *t) {
+    return ldexp(t->field->config.learning_rate * rate_factor(t), -(int)t->progress.rollbacks);
+}
+
 static void apply(struct rn_trainer *t, double weight) {
     const struct rn_train_config *config = &t->field->config;
     const struct rn_parameters *p = &t->field->parameters;
-    double n = (double)++t->updates,
-           rate = ldexp(config->learning_rate * rate_factor(t), -(int)t->progress.rollbacks);
+    double n = (double)++t->updates, rate = rn_trainer_rate(t);
     struct rn_adamw networks = {.scale = (float)(1 / weight),
                                 .rate = (float)rate,
                                 .decay = (float)config->weight_decay,

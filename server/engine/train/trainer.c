@@ -206,6 +206,7 @@ void rn_trainer_destroy(struct rn_trainer **trainer) {
     free(t->hull_list);
     free(t->live);
     free(t->good);
+    free(t->incidents);
     free(t);
     *trainer = NULL;
 }

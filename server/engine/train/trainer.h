@@ -11,6 +11,7 @@
 #define RN_OCCUPANCY_WARM_UP 256 // steps with every cell measured
 #define RN_VALIDATE_BLOCK 4096   // rays a block of held-out evaluation
 #define RN_MAX_ROLLBACKS 3       // one more ends the training
+#define RN_INCIDENTS_HELD 8      // between two takes
 
 #define RN_LIVE_BLOCK 8 // pixels a side
 
@@ -61,6 +62,9 @@ struct rn_trainer {
     size_t live_count, live_first[17];
     int next_rays; // of the next step
 
+    struct rn_incident *incidents; // RN_INCIDENTS_HELD, made with the first one
+    int incident_first, incident_count, incidents_noted;
+
     struct rn_progress progress;
     double window_seconds; // for the rates
     uint64_t window_rays, window_samples;
@@ -92,6 +96,25 @@ void rn_trainer_guard_step(struct rn_trainer *trainer, bool accepted);
 void rn_trainer_guard_save(struct rn_trainer *trainer); // the optimiser's numbers too
 enum rn_status rn_trainer_guard_check(const struct rn_trainer *trainer,
                                       struct rn_error *err) RN_MUST_CHECK;
+// One group's slab and gradients in a block of rn_group_numbers; the next free place is returned.
+size_t rn_group_numbers(const struct rn_cpu_field *field, int capacity);
+float *rn_group_lay_out(const struct rn_cpu_field *field, int capacity, float *memory,
+                        struct rn_group *ret_group);
+// incident.c: forward and backward of rays [first, first + n) in a scratch group, of which only
+// the memory is used; whether anything was not finite. *ret_group (may be NULL) has its counts.
+enum rn_ray_fault rn_try_rays(const struct rn_kernels *kernels, const struct rn_cpu_field *field,
+                              const struct rn_march_options *options,
+                              const struct rn_march_ray *rays, int first, int n,
+                              struct rn_workspace *workspace, const struct rn_group *scratch,
+                              struct rn_group *ret_group);
+// Records what went wrong in the step whose rays are in place, before anything is put
+// right. Without memory for it nothing is recorded.
+void rn_trainer_note(struct rn_trainer *trainer, enum rn_incident_kind kind);
+// The networks' learning rate as of now.
+double rn_trainer_rate(const struct rn_trainer *trainer);
+// The photograph and pixel of ray r of the step under way or just done; NULL for an absent ray.
+const struct rn_pixel_frame *rn_trainer_place(const struct rn_trainer *trainer, int r, int *ret_x,
+                                              int *ret_y);
 // 0..1 of the binding limit so far, NAN without one.
 double rn_trainer_fraction(const struct rn_trainer *trainer);
 

@@ -8,6 +8,7 @@
 
 #include "proto/dataset.h"
 #include "proto/event.h"
+#include "proto/incident.h"
 #include "proto/job.h"
 #include "proto/problem.h"
 #include "proto/render.h"
@@ -26,6 +27,7 @@ static const struct {
     {"DatasetRequest", &rn_dataset_request_table},
     {"EvalResult", &rn_eval_result_table},
     {"IngestResult", &rn_ingest_result_table},
+    {"IncidentEvent", &rn_incident_event_table},
     {"Info", &rn_info_table},
     {"Job", &rn_job_table},
     {"Job.failed", &rn_job_table},
