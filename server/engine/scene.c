@@ -3,16 +3,22 @@
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/mman.h>
 
 #include "common/math/rng.h"
 #include "server/engine/field/footprint.h"
 #include "server/engine/field/occupancy.h"
 #include "server/engine/field/ripmap.h"
 
-static void *aligned_zero(size_t bytes) {
-    size_t rounded = (bytes + 4095) / 4096 * 4096;
-    void *block = aligned_alloc(4096, rounded);
-    if (block) memset(block, 0, rounded);
+#define PAGE 4096
+#define HUGE_PAGE (2u << 20)
+
+void *rn_block_create(size_t bytes) {
+    size_t page = bytes > HUGE_PAGE ? HUGE_PAGE : PAGE, rounded = (bytes + page - 1) / page * page;
+    void *block = aligned_alloc(page, rounded);
+    if (!block) return NULL;
+    if (page == HUGE_PAGE) madvise(block, rounded, MADV_HUGEPAGE); // a hint: may be refused
+    memset(block, 0, rounded);
     return block;
 }
 
@@ -61,7 +67,7 @@ enum rn_status rn_field_need_levels(struct rn_field *field, int levels, struct r
     if (c->footprint == RN_FOOTPRINT_POINT) levels = 1;
     if (levels <= field->cpu.built_levels) return RN_OK;
     size_t count = rn_pyramid_count(c, levels) * (size_t)c->planes;
-    float *block = aligned_zero(count * sizeof *block);
+    float *block = rn_block_create(count * sizeof *block);
     if (!block)
         return rn_error_set(err, RN_ERROR_NO_MEMORY, "pyramid",
                             "cannot allocate %zu MiB for %d ripmap levels", count >> 18, levels);
@@ -107,15 +113,15 @@ static enum rn_status allocate(struct rn_field *field) {
     size_t cells = (size_t)field->config.field.occupancy, n = cells * cells * cells;
     size_t bricks = n / (RN_BRICK * RN_BRICK * RN_BRICK);
     struct rn_cpu_field *cpu = &field->cpu;
-    field->parameters.values = aligned_zero((field->parameters.count + 64) * sizeof(float));
-    field->packed = aligned_zero(
+    field->parameters.values = rn_block_create((field->parameters.count + 64) * sizeof(float));
+    field->packed = rn_block_create(
         (rn_mlp_packed_count(&cpu->base_shape) + rn_mlp_packed_count(&cpu->head_shape)) *
         sizeof(float));
-    field->occupancy = aligned_zero(n * sizeof(float));
-    field->hull = aligned_zero(n);
+    field->occupancy = rn_block_create(n * sizeof(float));
+    field->hull = rn_block_create(n);
     cpu->occupancy.cells = (int)cells;
-    cpu->occupancy.words = aligned_zero(bricks * 16 * sizeof(uint32_t));
-    cpu->occupancy.distance = aligned_zero(bricks);
+    cpu->occupancy.words = rn_block_create(bricks * 16 * sizeof(uint32_t));
+    cpu->occupancy.distance = rn_block_create(bricks);
     bool all = field->parameters.values && field->packed && field->occupancy && field->hull &&
                cpu->occupancy.words && cpu->occupancy.distance;
     return all ? RN_OK : RN_ERROR_NO_MEMORY;
@@ -319,7 +325,7 @@ enum rn_status rn_engine_prepare(struct rn_engine *engine, const struct rn_field
     if (bytes > engine->workspace_bytes) {
         free(engine->workspaces);
         engine->workspace_bytes = 0;
-        engine->workspaces = aligned_zero(bytes * (size_t)rn_pool_threads(engine->pool));
+        engine->workspaces = rn_block_create(bytes * (size_t)rn_pool_threads(engine->pool));
         if (!engine->workspaces)
             return rn_error_set(err, RN_ERROR_NO_MEMORY, "workspaces", "cannot allocate %zu MiB",
                                 bytes * (size_t)rn_pool_threads(engine->pool) >> 20);

@@ -45,6 +45,10 @@ struct rn_field {
     char kernels[32];
 };
 
+// A block of zeros, 4,096-byte aligned; on huge pages where it is large and the machine has them,
+// as texels are read at random. NULL without memory; free().
+void *rn_block_create(size_t bytes);
+
 // Allocates everything for a configuration; parameters zero, all cells of the ball occupied.
 enum rn_status rn_field_create(const struct rn_train_config *config, const struct rn_bounds *bounds,
                                struct rn_field **ret_field, struct rn_error *err) RN_MUST_CHECK;

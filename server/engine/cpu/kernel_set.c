@@ -143,8 +143,9 @@ static void scatter(const struct rn_cpu_field *field, const struct rn_slab *slab
 // Gradients beyond 1.8e19, whose squares fp32 does not hold, count as 1.8e19; NaN stays NaN. The
 // decay is part of the change: 1 - rate * decay, in fp32, would be 1 for the networks. Error of the
 // change, beyond the parameter's own rounding: 8 ULP, for gradients of 1e-30 to 1e30.
-RN_INLINE void adamw_vector(const struct rn_adamw *o, float *parameter, float *grad, float *m,
-                            float *v) {
+// Returns a mask of the new parameters that are not finite.
+RN_INLINE vi adamw_vector(const struct rn_adamw *o, float *parameter, float *grad, float *m,
+                          float *v) {
     float rate = o->rate / o->correction1, fade = o->rate * o->decay;
     float root = 1 / __builtin_sqrtf(o->correction2);
     vf g = vf_min(vf_set(1.8e19f), vf_max(vf_set(-1.8e19f), vf_load(grad) * o->scale));
@@ -152,22 +153,26 @@ RN_INLINE void adamw_vector(const struct rn_adamw *o, float *parameter, float *g
     vf_store(m, first);
     vf_store(v, second);
     vf p = vf_load(parameter), change = p * fade + rate * first / (vf_sqrt(second) * root + o->eps);
-    vf_store(parameter, p - change);
+    p = p - change;
+    vf_store(parameter, p);
     vf_store(grad, vf_set(0));
+    return (vi_bits(p) & 0x7f800000) == 0x7f800000;
 }
 
-static void adamw(const struct rn_adamw *o, size_t n, float *parameter, float *grad, float *m,
+static bool adamw(const struct rn_adamw *o, size_t n, float *parameter, float *grad, float *m,
                   float *v) {
     size_t i = 0;
+    vi wild = vi_set(0);
     for (; i + RN_VL <= n; i += RN_VL)
-        adamw_vector(o, parameter + i, grad + i, m + i, v + i);
-    if (i == n) return;
+        wild |= adamw_vector(o, parameter + i, grad + i, m + i, v + i);
+    if (i == n) return !vi_mask_bits(wild);
     float tail[4][RN_VL] = {{0}}, *all[4] = {parameter + i, grad + i, m + i, v + i};
     for (int k = 0; k < 4; k++)
         memcpy(tail[k], all[k], (n - i) * sizeof(float));
-    adamw_vector(o, tail[0], tail[1], tail[2], tail[3]);
+    wild |= adamw_vector(o, tail[0], tail[1], tail[2], tail[3]);
     for (int k = 0; k < 4; k++)
         memcpy(all[k], tail[k], (n - i) * sizeof(float));
+    return !vi_mask_bits(wild);
 }
 
 static void gemm_public(int rows, int k, int n, const float *a, int a_stride, const float *b,

@@ -190,8 +190,9 @@ struct rn_kernels {
     void (*build)(struct rn_map (*maps)[RN_MAX_LEVELS], int levels, bool mip, int channels);
     void (*pull_down)(struct rn_map (*grad_maps)[RN_MAX_LEVELS], int levels, bool mip,
                       int channels);
-    // AdamW over n numbers (Loshchilov & Hutter 2019); clears grad.
-    void (*adamw)(const struct rn_adamw *options, size_t n, float *parameter, float *grad, float *m,
+    // AdamW over n numbers (Loshchilov & Hutter 2019); clears grad. Returns whether all parameters
+    // are finite.
+    bool (*adamw)(const struct rn_adamw *options, size_t n, float *parameter, float *grad, float *m,
                   float *v);
     // One part of a packet's work again, over what `train` left in the workspace for exactly these
     // rays (march: any rays). Returns the rays taken (march), else the rows of the density network.

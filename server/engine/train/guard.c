@@ -52,6 +52,7 @@ static void roll_back(struct rn_trainer *t) {
     memset(t->m, 0, bytes);
     memset(t->v, 0, bytes);
     t->updates = t->rejected = 0;
+    t->wild = false;
     t->progress.rollbacks++;
     t->field->pyramid_stale = true;
     rn_field_refresh(t->field, t->engine);
@@ -63,15 +64,19 @@ static bool has_offenders(const struct rn_trainer *t) {
     return false;
 }
 
+// The optimiser looks at every number that it writes; all are looked at where a step was rejected,
+// which is what a number that is not finite leads to, and before a copy is called good.
 void rn_trainer_guard_step(struct rn_trainer *t, bool accepted) {
     t->rejected = accepted ? 0 : t->rejected + 1;
     if (!accepted)
         rn_trainer_note(t, RN_INCIDENT_REJECTED);
     else if (has_offenders(t))
         rn_trainer_note(t, RN_INCIDENT_RAYS);
-    if (!all_finite(t, t->field->parameters.values) || t->rejected >= MOST_REJECTED)
+    bool copy = accepted && t->updates % GOOD_EVERY == 0;
+    bool wild = t->wild || ((copy || !accepted) && !all_finite(t, t->field->parameters.values));
+    if (wild || t->rejected >= MOST_REJECTED)
         roll_back(t);
-    else if (accepted && t->updates % GOOD_EVERY == 0)
+    else if (copy)
         memcpy(t->good, t->field->parameters.values, t->field->parameters.count * sizeof *t->good);
 }
 

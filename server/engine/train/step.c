@@ -44,7 +44,8 @@ float *rn_group_lay_out(const struct rn_cpu_field *field, int capacity, float *a
 static enum rn_status allocate_groups(struct rn_trainer *t) {
     const struct rn_cpu_field *field = &t->field->cpu;
     int capacity = 2 * rn_engine_workspace(t->engine, 0)->capacity;
-    t->group_memory = calloc(RN_GROUPS * rn_group_numbers(field, capacity), sizeof(float));
+    t->group_memory =
+        rn_block_create(RN_GROUPS * rn_group_numbers(field, capacity) * sizeof(float));
     if (!t->group_memory) return RN_ERROR_NO_MEMORY;
     float *at = t->group_memory;
     for (int g = 0; g < RN_GROUPS; g++)
@@ -66,8 +67,8 @@ enum rn_status rn_trainer_allocate(struct rn_trainer *t, struct rn_error *err) {
     size_t pyramid = rn_pyramid_count(c, t->levels) * (size_t)c->planes;
     t->bands = choose_bands(t);
     t->blocks_per_row = (size_t)c->base / RN_BLOCK + 1;
-    t->grad = calloc(3 * count, sizeof(float));
-    t->grad_pyramid = calloc(pyramid + 64, sizeof(float));
+    t->grad = rn_block_create(3 * count * sizeof(float));
+    t->grad_pyramid = rn_block_create((pyramid + 64) * sizeof(float));
     t->touched = calloc((size_t)c->planes * ((size_t)c->base + 1) * t->blocks_per_row, 1);
     t->rays = malloc(RN_MAX_RAYS * sizeof *t->rays);
     if (!t->grad || !t->grad_pyramid || !t->touched || !t->rays || allocate_groups(t) != RN_OK)
@@ -252,7 +253,9 @@ static void update_band(void *context, int index, int thread) {
             size_t i = at + b * block_size;
             size_t n =
                 row_size - b * block_size < block_size ? row_size - b * block_size : block_size;
-            t->engine->kernels->adamw(&u->planes, n, values + i, t->grad + i, t->m + i, t->v + i);
+            if (!t->engine->kernels->adamw(&u->planes, n, values + i, t->grad + i, t->m + i,
+                                           t->v + i))
+                t->wild = true;
         }
     }
 }
@@ -318,8 +321,9 @@ static void apply(struct rn_trainer *t, double weight) {
     if (leveled(t)) rn_pool_run(t->engine->pool, config->field.planes, pull_down_plane, t);
     rn_pool_run(t->engine->pool, config->field.planes * t->bands, update_band, &u);
     size_t at = p->plane_count;
-    t->engine->kernels->adamw(&networks, p->base_count + p->head_count, p->values + at,
-                              t->grad + at, t->m + at, t->v + at);
+    if (!t->engine->kernels->adamw(&networks, p->base_count + p->head_count, p->values + at,
+                                   t->grad + at, t->m + at, t->v + at))
+        t->wild = true;
     t->field->pyramid_stale = true;
     rn_field_refresh(t->field, t->engine);
 }

@@ -2,6 +2,8 @@
 #ifndef RN_ENGINE_TRAIN_TRAINER_H
 #define RN_ENGINE_TRAIN_TRAINER_H
 
+#include <stdatomic.h>
+
 #include "server/engine/scene.h"
 #include "server/engine/train/pixels.h"
 
@@ -44,9 +46,10 @@ struct rn_trainer {
     int levels;       // of grad_maps: what the training cameras need; a render may build more
     uint8_t *touched; // [plane][row][block of RN_BLOCK texels]
     size_t blocks_per_row;
-    int64_t updates; // steps that were not rejected, since the last rollback
-    float *good;     // the parameters a rollback returns to
-    int rejected;    // steps in a row
+    int64_t updates;  // steps that were not rejected, since the last rollback
+    float *good;      // the parameters a rollback returns to
+    int rejected;     // steps in a row
+    atomic_bool wild; // the update made a parameter that is not finite
 
     // The step under way.
     bool stepping;
