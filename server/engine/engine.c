@@ -9,36 +9,17 @@
 #include "common/base/clock.h"
 #include "common/base/sha256.h"
 #include "server/engine/checkpoint.h"
+#include "server/engine/choose.h"
 #include "server/engine/scene.h"
 
 // ---- device ---------------------------------------------------------------------------------
 
-// Seconds of a small product with a kernel set: the least of five.
-static double time_kernels(const struct rn_kernels *kernels) {
-    enum { ROWS = 256, K = 32, N = 32 };
-    static float a[ROWS * K], b[K * N], c[ROWS * N];
-    double best = 1e30;
-    for (int i = 0; i < 6; i++) {
-        int64_t begin = rn_clock_ns();
-        for (int k = 0; k < 8; k++)
-            kernels->gemm(ROWS, K, N, a, K, b, N, c, N);
-        double seconds = (double)(rn_clock_ns() - begin) * 1e-9;
-        if (i > 0 && seconds < best) best = seconds;
-    }
-    return best;
-}
-
+// The set that is quickest with the standard networks.
 static const struct rn_kernels *fastest_kernels(void) {
-    const struct rn_kernels *best = NULL, *k;
-    double least = 1e30;
-    for (int i = 0; (k = rn_kernels_available(i)); i++) {
-        double seconds = time_kernels(k);
-        if (seconds < least) {
-            least = seconds;
-            best = k;
-        }
-    }
-    return best;
+    struct rn_train_config config;
+    struct rn_error err;
+    if (rn_preset("standard", false, &config, &err) != RN_OK) return rn_kernels_available(0);
+    return rn_choose_kernels(&config.field);
 }
 
 static void cpu_name(char *ret, size_t size) {

@@ -22,8 +22,16 @@ enum {
     OPS_COMPOSITE = 20, // depth 2, weight, both transmittances 6, opacity, distance, sums 12
 };
 
-double rn_bench_ceiling(const struct rn_bench_count *c, const struct rn_bench_machine *m) {
-    double ns = c->operations / m->fma;
+double rn_bench_product_peak(enum rn_product_unit unit, const struct rn_bench_machine *m) {
+    return unit == RN_PRODUCT_AMX        ? m->amx_bf16_l1
+           : unit == RN_PRODUCT_BF16_DOT ? m->bf16_dot
+                                         : m->fma;
+}
+
+double rn_bench_ceiling(const struct rn_bench_count *c, enum rn_product_unit unit,
+                        const struct rn_bench_machine *m) {
+    double ns =
+        (c->operations - c->products) / m->fma + c->products / rn_bench_product_peak(unit, m);
     double visits = c->memory == RN_BENCH_LINES ? c->lines : c->bytes;
     if (visits > 0) {
         double each = rn_bench_memory_ns(c->memory, c->set_bytes, MEMORY_SECONDS);
@@ -190,10 +198,9 @@ struct rn_bench_count rn_bench_count_encode(const struct rn_bench_recording *rec
 struct rn_bench_count rn_bench_count_forward(const struct rn_bench_recording *rec) {
     const struct rn_bench_packet *packet = &rec->packets[0];
     double samples = packet->workspace->count;
-    return (struct rn_bench_count){.amount = samples,
-                                   .operations = (double)rec->field->base_shape.count +
-                                                 packet->heads / samples *
-                                                     (double)rec->field->head_shape.count};
+    double products = (double)rec->field->base_shape.count +
+                      packet->heads / samples * (double)rec->field->head_shape.count;
+    return (struct rn_bench_count){.amount = samples, .operations = products, .products = products};
 }
 
 struct rn_bench_count rn_bench_count_composite(const struct rn_bench_recording *rec) {
@@ -206,10 +213,9 @@ struct rn_bench_count rn_bench_count_composite(const struct rn_bench_recording *
 struct rn_bench_count rn_bench_count_backward(const struct rn_bench_recording *rec) {
     const struct rn_bench_packet *packet = &rec->packets[0];
     double rows = packet->returned;
-    return (struct rn_bench_count){
-        .amount = rows,
-        .operations = 2 * ((double)rec->field->base_shape.count +
-                           packet->heads / rows * (double)rec->field->head_shape.count)};
+    double products = 2 * ((double)rec->field->base_shape.count +
+                           packet->heads / rows * (double)rec->field->head_shape.count);
+    return (struct rn_bench_count){.amount = rows, .operations = products, .products = products};
 }
 
 struct rn_bench_count rn_bench_count_scatter(const struct rn_bench_recording *rec) {
@@ -257,6 +263,7 @@ struct rn_bench_count rn_bench_count_occupancy(const struct rn_bench_recording *
     return (struct rn_bench_count){.amount = cells / t->engine->info.threads,
                                    .operations = encode_operations(f, 1) + OPS_EXP +
                                                  (double)f->base_shape.count,
+                                   .products = (double)f->base_shape.count,
                                    .bytes = 2 * sizeof(float),
                                    .memory = RN_BENCH_UPDATE,
                                    .set_bytes = cells * sizeof(float)};

@@ -9,15 +9,20 @@
 struct rn_bench_count {
     double amount;               // units of work that one timed call does on one thread
     double operations;           // a unit: lane operations, a multiply-add is one
+    double products;             // of these: multiply-adds of the networks
     double bytes;                // a unit: fewest to and from beyond the L2 cache; 0: none
     double lines;                // a unit, RN_BENCH_LINES: lines at random places
     enum rn_bench_memory memory; // how the bytes are visited
     double set_bytes;            // the memory that they lie in
 };
 
-// Units of work a second / 10^6 that the machine allows: arithmetic at machine->fma or memory,
-// measured for this set, whichever is slower, each as if alone.
-double rn_bench_ceiling(const struct rn_bench_count *count, const struct rn_bench_machine *machine);
+// What the machine does of a network's multiply-adds: GMAC/s, for AMX with operands from L1.
+double rn_bench_product_peak(enum rn_product_unit unit, const struct rn_bench_machine *machine);
+// Units of work a second / 10^6 that the machine allows: arithmetic, the networks' in their unit
+// and the rest at machine->fma, or memory, measured for this set, whichever is slower, each as if
+// alone.
+double rn_bench_ceiling(const struct rn_bench_count *count, enum rn_product_unit unit,
+                        const struct rn_bench_machine *machine);
 
 struct rn_bench_count rn_bench_count_rays(const struct rn_bench_recording *recording, int rays);
 struct rn_bench_count rn_bench_count_march(const struct rn_bench_recording *recording);

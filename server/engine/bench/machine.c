@@ -7,13 +7,8 @@
 
 #include "common/base/clock.h"
 #include "server/engine/bench/peak.h"
+#include "server/engine/cpu/dispatch.h"
 #include "server/engine/cpu/pool.h"
-
-#if defined(__x86_64__)
-#include <cpuid.h>
-#include <sys/syscall.h>
-#include <unistd.h>
-#endif
 
 double rn_bench_least(double seconds, void (*work)(void *context), void *context) {
     double least = INFINITY;
@@ -49,34 +44,17 @@ static double measure_peak(rn_peak_function *function, double seconds) {
 }
 
 #if defined(__x86_64__)
-#define ARCH_REQ_XCOMP_PERM 0x1023
-#define XFEATURE_XTILEDATA 18
-
-static bool has_bf16(void) {
-    unsigned a, b, c, d;
-    return __builtin_cpu_supports("avx512f") && __get_cpuid_count(7, 1, &a, &b, &c, &d) &&
-           (a & 1u << 5);
-}
-
-// The CPU has the tiles, and the kernel lets this process use them (asked once a process).
-static bool has_amx(void) {
-    unsigned a, b, c, d;
-    const unsigned bf16 = 1u << 22, tiles = 1u << 24;
-    if (!__get_cpuid_count(7, 0, &a, &b, &c, &d) || !(d & bf16) || !(d & tiles)) return false;
-    return syscall(SYS_arch_prctl, ARCH_REQ_XCOMP_PERM, XFEATURE_XTILEDATA) == 0;
-}
-
 static rn_peak_function *fma_of(const char *kernels) {
     __builtin_cpu_init();
     if (strncmp(kernels, "avx2", 4) == 0 && __builtin_cpu_supports("fma")) return rn_peak_avx2;
     bool wide = strncmp(kernels, "avx512", 6) == 0 || strncmp(kernels, "amx", 3) == 0;
-    if (wide && __builtin_cpu_supports("avx512dq")) return rn_peak_avx512;
+    if (wide && rn_cpu_has_avx512()) return rn_peak_avx512;
     return rn_peak_generic;
 }
 
 static void measure_units(double seconds, struct rn_bench_machine *m) {
-    m->bf16_dot = measure_peak(has_bf16() ? rn_peak_bf16 : NULL, seconds);
-    bool amx = has_amx();
+    m->bf16_dot = measure_peak(rn_cpu_has_bf16() ? rn_peak_bf16 : NULL, seconds);
+    bool amx = rn_cpu_has_amx();
     m->amx_bf16 = measure_peak(amx ? rn_peak_amx : NULL, seconds);
     m->amx_bf16_l1 = measure_peak(amx ? rn_peak_amx_l1 : NULL, seconds);
 }

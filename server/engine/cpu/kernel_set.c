@@ -175,18 +175,6 @@ static bool adamw(const struct rn_adamw *o, size_t n, float *parameter, float *g
     return !vi_mask_bits(wild);
 }
 
-static void gemm_public(int rows, int k, int n, const float *a, int a_stride, const float *b,
-                        int b_stride, float *c, int c_stride) {
-    struct rn_gemm g = {.a = a,
-                        .a_row = a_stride,
-                        .a_k = 1,
-                        .b = b,
-                        .b_stride = b_stride,
-                        .c = c,
-                        .c_stride = c_stride};
-    gemm(&g, rows, k, n);
-}
-
 #define RN_MAP_FUNCTION(NAME, CALL)                                                                \
     static void NAME(size_t n, const float *x, float *y) {                                         \
         for (size_t i = 0; i < n; i += RN_VL)                                                      \
@@ -215,6 +203,7 @@ static void moments_public(size_t n, const float *t, float width, float radius, 
 extern const struct rn_kernels RN_PASTE(rn_kernels_, RN_KERNEL_SET);
 const struct rn_kernels RN_PASTE(rn_kernels_, RN_KERNEL_SET) = {
     .name = RN_STRING(RN_KERNEL_SET),
+    .unit = PRODUCT_UNIT,
     .train = train,
     .render = render,
     .density = density,

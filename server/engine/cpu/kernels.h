@@ -135,6 +135,7 @@ struct rn_workspace {
     float *head_in, *head_hidden[RN_MLP_MAX_LAYERS], *head_out; // rows: samples or rays
     float *slope;                           // [capacity]: dL/d(weight), then dL/d(optical depth)
     float *geometry_grad, *grad_a, *grad_b; // [capacity][16], [capacity][widest] twice
+    float *weight_sums;                     // a network's weight gradients of one packet
     int32_t *kept;                          // [capacity]
 };
 // Bytes of a workspace for a field, and its layout in `memory` (64-byte aligned).
@@ -161,8 +162,12 @@ enum rn_stage {
     RN_STAGE_MLP_BACKWARD, // both networks, for the samples in the group's slab
 };
 
+// What the networks' products are made with.
+enum rn_product_unit { RN_PRODUCT_FMA, RN_PRODUCT_BF16_DOT, RN_PRODUCT_AMX };
+
 struct rn_kernels {
     const char *name;
+    enum rn_product_unit unit;
     // After a change of a network's weights: writes `packed`, rn_mlp_packed_count numbers, from
     // which this set's products read.
     void (*pack)(const struct rn_mlp_shape *shape, const float *weights, float *ret_packed);
@@ -201,8 +206,8 @@ struct rn_kernels {
     int (*stage)(const struct rn_cpu_field *field, const struct rn_march_options *options,
                  const struct rn_march_ray *rays, int count, enum rn_stage stage,
                  struct rn_workspace *workspace, struct rn_group *group, const float **ret_grad);
-    // One fp32 product for tests and benchmarks: c[rows][n] = a[rows][k] b[k][n], n a multiple
-    // of 16.
+    // One product as the networks make them, for tests: c[rows][n] = a[rows][k] b[k][n], n a
+    // multiple of 16.
     void (*gemm)(int rows, int k, int n, const float *a, int a_stride, const float *b, int b_stride,
                  float *c, int c_stride);
     // Vector functions for tests: y[i] = f(x[i]), n a multiple of 16.
@@ -214,6 +219,11 @@ struct rn_kernels {
     void (*moments)(size_t n, const float *t, float width, float radius, float *shift, float *axial,
                     float *radial);
 };
+
+// Whether the networks' operands are rounded to bf16.
+static inline bool rn_kernels_bf16(const struct rn_kernels *kernels) {
+    return kernels->unit != RN_PRODUCT_FMA;
+}
 
 // NULL when this build or machine does not have the set.
 const struct rn_kernels *rn_kernels_find(const char *name);

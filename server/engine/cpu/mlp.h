@@ -1,9 +1,9 @@
-// The tiny networks in fp32: forward and backward of a packet's rows, layer by layer.
+// The tiny networks: a packet's rows through them, forward and backward.
 #ifndef RN_ENGINE_CPU_MLP_H
 #define RN_ENGINE_CPU_MLP_H
 
-#include "server/engine/cpu/gemm.h"
 #include "server/engine/cpu/kernels.h"
+#include "server/engine/cpu/simd.h"
 
 // A network and the rows of a workspace that go through it.
 struct mlp {
@@ -11,7 +11,7 @@ struct mlp {
     const float *weights, *packed;
     const float *in; // [row][in_stride]; columns behind the inputs are zero
     int in_stride;
-    float *const *hidden; // [layer][row][hidden_stride]
+    float *const *hidden; // [layer][row], rows of hidden_stride(width) in the set's own form
     float *out;           // [row][outputs]
 };
 
@@ -41,78 +41,17 @@ RN_INLINE int round16(int n) {
     return (n + 15) & ~15;
 }
 
-// Numbers of a row of hidden activations.
-RN_INLINE size_t hidden_stride(int width) {
-    return (size_t)width;
-}
-
-// Transposed weights for the backward: layer after layer [out][in rounded up to 16].
-static void mlp_pack(const struct rn_mlp_shape *shape, const float *weights, float *packed) {
-    for (int l = 0; l < shape->layers; l++) {
-        int padded = round16(shape->in[l]);
-        const float *from = weights + shape->offset[l];
-        for (int o = 0; o < shape->out[l]; o++, packed += padded)
-            for (int i = 0; i < padded; i++)
-                packed[i] = i < shape->in[l] ? from[(size_t)i * shape->out[l] + o] : 0;
-    }
-}
-
-// Rows [begin, begin + n) through the network.
-static void mlp_forward(const struct mlp *net, int begin, int n) {
-    const struct rn_mlp_shape *shape = net->shape;
-    for (int l = 0; l < shape->layers; l++) {
-        bool last = l + 1 == shape->layers;
-        int stride = l == 0 ? net->in_stride : shape->in[l], out_stride = shape->out[l];
-        const float *a = l == 0 ? net->in : net->hidden[l - 1];
-        float *c = last ? net->out : net->hidden[l];
-        struct rn_gemm g = {.a = a + (size_t)begin * stride,
-                            .a_row = stride,
-                            .a_k = 1,
-                            .b = net->weights + shape->offset[l],
-                            .b_stride = shape->out[l],
-                            .c = c + (size_t)begin * out_stride,
-                            .c_stride = out_stride,
-                            .relu = !last};
-        gemm(&g, n, shape->in[l], shape->out[l]);
-    }
-}
-
-// Backward of rows [0, n) with the outputs' gradient `out_grad`, which may be written over. The
-// weights' gradients are added to weight_grad; returns the inputs' ([n][inputs rounded up to 16]),
-// in the workspace.
-static float *mlp_backward(const struct mlp *net, float *out_grad, int n, struct rn_workspace *w,
-                           float *weight_grad) {
-    const struct rn_mlp_shape *shape = net->shape;
-    const float *t = net->packed;
-    for (int l = 0; l < shape->layers; l++)
-        t += (size_t)shape->out[l] * round16(shape->in[l]);
-    for (int l = shape->layers - 1; l >= 0; l--) {
-        int stride = l == 0 ? net->in_stride : shape->in[l], padded = round16(shape->in[l]);
-        const float *activation = l == 0 ? net->in : net->hidden[l - 1];
-        struct rn_gemm dw = {.a = activation,
-                             .a_row = 1,
-                             .a_k = stride,
-                             .b = out_grad,
-                             .b_stride = shape->out[l],
-                             .c = weight_grad + shape->offset[l],
-                             .c_stride = shape->out[l],
-                             .accumulate = true};
-        gemm(&dw, shape->in[l], n, shape->out[l]);
-        t -= (size_t)shape->out[l] * padded;
-        float *in_grad = out_grad == w->grad_a ? w->grad_b : w->grad_a;
-        struct rn_gemm dx = {.a = out_grad,
-                             .a_row = shape->out[l],
-                             .a_k = 1,
-                             .b = t,
-                             .b_stride = padded,
-                             .c = in_grad,
-                             .c_stride = padded,
-                             .mask = l > 0 ? activation : NULL,
-                             .mask_stride = stride};
-        gemm(&dx, n, shape->out[l], padded);
-        out_grad = in_grad;
-    }
-    return out_grad;
-}
+// Each has mlp_pack, mlp_forward, mlp_backward, hidden_stride and gemm_public.
+#ifdef __AVX512BF16__
+#include "server/engine/cpu/mlp_bf16.h"
+#ifdef __AMX_BF16__
+#define PRODUCT_UNIT RN_PRODUCT_AMX
+#else
+#define PRODUCT_UNIT RN_PRODUCT_BF16_DOT
+#endif
+#else
+#define PRODUCT_UNIT RN_PRODUCT_FMA
+#include "server/engine/cpu/mlp_fp32.h"
+#endif
 
 #endif

@@ -3,7 +3,7 @@
 #include <string.h>
 
 // A packet's samples: 4,096, or fewer with wide networks so that a packet stays near the L2
-// cache, but never less than one ray can have.
+// cache, but never less than one ray can have; a multiple of 32.
 static int packet_capacity(const struct rn_cpu_field *field, double step) {
     int longest = (int)(2.0 * 1.7320508 / step) + 2 * RN_ROUND;
     size_t per_sample = (size_t)field->feature_stride + RN_GEOMETRY * 2 +
@@ -13,7 +13,7 @@ static int packet_capacity(const struct rn_cpu_field *field, double step) {
     int capacity = RN_PACKET_SAMPLES;
     while (capacity > 512 && (size_t)capacity * per_sample * sizeof(float) > (3u << 20))
         capacity /= 2;
-    return capacity > longest ? capacity : longest;
+    return capacity > longest ? capacity : (longest + 31) / 32 * 32;
 }
 
 // Hands out parts of one block; with memory == NULL only counts.
@@ -68,6 +68,9 @@ static size_t lay_out(const struct rn_cpu_field *field, double step, struct carv
     w->geometry_grad = carve(c, n * RN_GEOMETRY, f);
     w->grad_a = carve(c, n * widest, f);
     w->grad_b = carve(c, n * widest, f);
+    size_t base = rn_mlp_packed_count(&field->base_shape);
+    size_t head = rn_mlp_packed_count(&field->head_shape);
+    w->weight_sums = carve(c, base > head ? base : head, f);
     w->kept = carve(c, n, sizeof *w->kept);
     return c->used;
 }

@@ -1,0 +1,114 @@
+#include "server/engine/choose.h"
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "common/base/clock.h"
+#include "common/math/rng.h"
+
+#define CHOOSE_ROWS 512
+#define CHOOSE_SECONDS 1e-3 // a set
+
+// A field of the same networks whose planes are tiny, and one packet of samples.
+struct subject {
+    const struct rn_kernels *kernels;
+    struct rn_field *field;
+    struct rn_workspace *workspace;
+    struct rn_group group;
+    float *weight_grad;
+    int heads;
+};
+
+static bool subject_init(const struct rn_kernels *kernels, const struct rn_field_config *config,
+                         int rows, struct subject *s) {
+    struct rn_train_config train = {.field = *config, .step = 0.01};
+    struct rn_bounds bounds = {.radius = 1};
+    struct rn_error err;
+    *s = (struct subject){.kernels = kernels};
+    train.field.base = train.field.occupancy = 16;
+    train.field.levels = 1;
+    if (rn_field_create(&train, &bounds, &s->field, &err) != RN_OK) return false;
+    const struct rn_cpu_field *cpu = &s->field->cpu;
+    size_t bytes = (rn_workspace_size(cpu, train.step) + 63) / 64 * 64;
+    void *memory = aligned_alloc(64, bytes);
+    s->weight_grad = calloc(cpu->base_shape.count + cpu->head_shape.count, sizeof(float));
+    if (!memory || !s->weight_grad) {
+        free(memory);
+        return false;
+    }
+    s->workspace = rn_workspace_init(cpu, train.step, memory);
+    rn_field_randomise(s->field, 1);
+    rn_field_refresh(s->field, &(struct rn_engine){.kernels = kernels});
+    if (rows > s->workspace->capacity) rows = s->workspace->capacity;
+    s->workspace->count = s->group.slab.count = rows;
+    for (int i = 0; i < rows; i++) // with sample shading: all of them have a weight
+        s->workspace->weight[i] = 1;
+    s->heads = config->view_dependence ? (rows + 31) / 32 : 0;
+    if (s->heads > RN_PACKET_RAYS) s->heads = RN_PACKET_RAYS;
+    s->group.base_grad = s->weight_grad;
+    s->group.head_grad = s->weight_grad + cpu->base_shape.count;
+    return true;
+}
+
+static void subject_finish(struct subject *s) {
+    free(s->workspace);
+    free(s->weight_grad);
+    rn_field_destroy(&s->field);
+}
+
+// Values of the size that training has, anew: gradients take their outputs' place.
+static void fill(struct subject *s) {
+    struct rn_workspace *w = s->workspace;
+    size_t rows = (size_t)w->count, stride = (size_t)s->field->cpu.feature_stride;
+    for (size_t i = 0; i < rows * RN_GEOMETRY; i++)
+        w->geometry_grad[i] = rn_rng_unit(rn_rng_draw(1, 2, i).v[0]) - 0.5f;
+    for (size_t i = 0; i < rows * stride; i++)
+        w->features[i] = i % stride < (size_t)s->field->cpu.features
+                             ? rn_rng_unit(rn_rng_draw(1, 1, i).v[0]) - 0.5f
+                             : 0;
+}
+
+static double run(struct subject *s, enum rn_stage stage) {
+    struct rn_march_options options = {.step = 0.01f};
+    int64_t begin = rn_clock_ns();
+    s->kernels->stage(&s->field->cpu, &options, NULL, s->heads, stage, s->workspace, &s->group,
+                      NULL);
+    return (double)(rn_clock_ns() - begin) * 1e-9;
+}
+
+double rn_choose_time(const struct rn_kernels *kernels, const struct rn_field_config *config,
+                      int rows, double seconds, double *ret_parts) {
+    struct subject s;
+    double forward = INFINITY, backward = INFINITY, spent = 0;
+    if (subject_init(kernels, config, rows, &s)) {
+        fill(&s);
+        for (int i = 0; i < 2 || spent < seconds; i++) {
+            double first = run(&s, RN_STAGE_MLP_FORWARD), second = run(&s, RN_STAGE_MLP_BACKWARD);
+            forward = fmin(forward, first);
+            backward = fmin(backward, second);
+            spent += first + second;
+        }
+        forward *= rows / (double)s.workspace->count;
+        backward *= rows / (double)s.workspace->count;
+    }
+    subject_finish(&s);
+    if (ret_parts) {
+        ret_parts[0] = forward;
+        ret_parts[1] = backward;
+    }
+    return forward + backward;
+}
+
+const struct rn_kernels *rn_choose_kernels(const struct rn_field_config *config) {
+    const struct rn_kernels *best = NULL, *k;
+    double least = INFINITY;
+    for (int i = 0; (k = rn_kernels_available(i)); i++) {
+        double seconds = rn_choose_time(k, config, CHOOSE_ROWS, CHOOSE_SECONDS, NULL);
+        if (!best || seconds < least) {
+            least = seconds;
+            best = k;
+        }
+    }
+    return best;
+}

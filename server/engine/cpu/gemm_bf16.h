@@ -1,0 +1,242 @@
+// Products of bf16 numbers with fp32 sums, 32 rows at a time: AMX tiles where the set has them,
+// else VDPBF16PS. Denormal numbers count as zero in both.
+//
+// Three forms of a matrix, in bf16:
+//   rows:    [row][k], rows of a multiple of 32 numbers: the left operand.
+//   columns: the same of the transposed matrix, when the sum runs over its rows.
+//   pairs:   tiles of 32 k x 16 columns, [k / 2][column][k % 2]: the right operand.
+#ifndef RN_ENGINE_CPU_GEMM_BF16_H
+#define RN_ENGINE_CPU_GEMM_BF16_H
+
+#include <stdbool.h>
+
+#include "server/engine/cpu/simd.h"
+
+#define RN_TILE_K 32  // numbers of k in a tile
+#define RN_TILE 512   // numbers of a tile of pairs
+#define RN_TILES_M 32 // rows of a product
+
+RN_INLINE int round32(int n) {
+    return (n + 31) & ~31;
+}
+
+// c[32][16 or 32] (+)= a[32][k] b[k][16 or 32].
+struct bf16_product {
+    const uint16_t *a; // rows
+    int a_stride;      // numbers
+    const uint16_t *b; // pairs
+    int b_k, b_n;      // numbers from a tile of b to the next along k, and along the columns
+    int k;             // in tiles
+    float *c;
+    int c_stride;
+    bool accumulate, wide; // wide: 32 columns
+};
+
+#ifdef __AMX_BF16__
+
+struct tile_config {
+    uint8_t palette, start_row, reserved[14];
+    uint16_t row_bytes[16];
+    uint8_t rows[16];
+};
+
+// Every product lies between these two.
+static void products_begin(void) {
+    _Alignas(64) static const struct tile_config config = {
+        .palette = 1,
+        .row_bytes = {64, 64, 64, 64, 64, 64, 64, 64},
+        .rows = {16, 16, 16, 16, 16, 16, 16, 16}};
+    __asm__ volatile("" ::"m"(config) : "memory");
+    _tile_loadconfig(&config);
+}
+static void products_end(void) {
+    _tile_release();
+}
+
+// Tiles 0-3 are sums, 4 and 5 rows, 6 and 7 pairs.
+RN_INLINE void product_tiles(const struct bf16_product *p, const bool WIDE) {
+    size_t a_bytes = (size_t)p->a_stride * 2, c_bytes = (size_t)p->c_stride * 4;
+    const uint16_t *a = p->a, *b = p->b, *lower = p->a + (size_t)16 * p->a_stride;
+    float *c = p->c, *c_lower = p->c + (size_t)16 * p->c_stride;
+    __asm__ volatile("" ::: "memory"); // what the tiles read is stored before
+    if (p->accumulate) {
+        _tile_loadd(0, c, c_bytes);
+        _tile_loadd(1, c_lower, c_bytes);
+        if (WIDE) _tile_loadd(2, c + 16, c_bytes);
+        if (WIDE) _tile_loadd(3, c_lower + 16, c_bytes);
+    } else {
+        _tile_zero(0);
+        _tile_zero(1);
+        if (WIDE) _tile_zero(2);
+        if (WIDE) _tile_zero(3);
+    }
+    for (int k = 0; k < p->k; k++, a += RN_TILE_K, lower += RN_TILE_K, b += p->b_k) {
+        _tile_loadd(4, a, a_bytes);
+        _tile_loadd(6, b, 64);
+        _tile_loadd(5, lower, a_bytes);
+        if (WIDE) _tile_loadd(7, b + p->b_n, 64);
+        _tile_dpbf16ps(0, 4, 6);
+        _tile_dpbf16ps(1, 5, 6);
+        if (WIDE) _tile_dpbf16ps(2, 4, 7);
+        if (WIDE) _tile_dpbf16ps(3, 5, 7);
+    }
+    _tile_stored(0, c, c_bytes);
+    _tile_stored(1, c_lower, c_bytes);
+    if (WIDE) _tile_stored(2, c + 16, c_bytes);
+    if (WIDE) _tile_stored(3, c_lower + 16, c_bytes);
+}
+
+#else
+
+static void products_begin(void) {}
+static void products_end(void) {}
+
+enum { PRODUCT_ROWS = 8 }; // times 2 sums in registers
+
+RN_INLINE void product_rows(const struct bf16_product *p, int row, const bool WIDE) {
+    __m512 sum[PRODUCT_ROWS][2];
+    const uint16_t *a = p->a + (size_t)row * p->a_stride;
+    float *c = p->c + (size_t)row * p->c_stride;
+#pragma GCC unroll 8
+    for (int i = 0; i < PRODUCT_ROWS; i++)
+#pragma GCC unroll 2
+        for (int j = 0; j < 1 + WIDE; j++)
+            sum[i][j] = p->accumulate ? _mm512_loadu_ps(c + (size_t)i * p->c_stride + 16 * j)
+                                      : _mm512_setzero_ps();
+    for (int k = 0; k < p->k; k++)
+        for (int pair = 0; pair < RN_TILE_K / 2; pair++) {
+            const uint16_t *b = p->b + (size_t)k * p->b_k + pair * 32;
+            __m512i b0 = _mm512_loadu_si512(b);
+            __m512i b1 = WIDE ? _mm512_loadu_si512(b + p->b_n) : b0;
+#pragma GCC unroll 8
+            for (int i = 0; i < PRODUCT_ROWS; i++) {
+                int32_t both;
+                memcpy(&both, a + (size_t)i * p->a_stride + k * RN_TILE_K + pair * 2, 4);
+                __m512bh ai = (__m512bh)_mm512_set1_epi32(both);
+                sum[i][0] = _mm512_dpbf16_ps(sum[i][0], ai, (__m512bh)b0);
+                if (WIDE) sum[i][1] = _mm512_dpbf16_ps(sum[i][1], ai, (__m512bh)b1);
+            }
+        }
+#pragma GCC unroll 8
+    for (int i = 0; i < PRODUCT_ROWS; i++)
+#pragma GCC unroll 2
+        for (int j = 0; j < 1 + WIDE; j++)
+            _mm512_storeu_ps(c + (size_t)i * p->c_stride + 16 * j, sum[i][j]);
+}
+
+RN_INLINE void product_tiles(const struct bf16_product *p, const bool WIDE) {
+    for (int row = 0; row < RN_TILES_M; row += PRODUCT_ROWS)
+        product_rows(p, row, WIDE);
+}
+
+#endif
+
+static void product(const struct bf16_product *p) {
+    if (p->wide)
+        product_tiles(p, true);
+    else
+        product_tiles(p, false);
+}
+
+// ---- conversions, to nearest, ties to even ------------------------------------------------------
+
+RN_INLINE __m512i bf16_of(__m512 low, __m512 high) {
+    return (__m512i)_mm512_cvtne2ps_pbh(high, low);
+}
+
+RN_INLINE __m512 load_first(const float *from, int count) {
+    if (count >= 16) return _mm512_loadu_ps(from);
+    return _mm512_maskz_loadu_ps(count > 0 ? (__mmask16)((1u << count) - 1) : 0, from);
+}
+
+// rows of `count` numbers; columns from `count` to `to_stride` and rows up to a multiple of 32 are
+// zero.
+static void rows_from(const float *from, int from_stride, int rows, int count, uint16_t *to,
+                      int to_stride) {
+    for (int i = 0; i < rows; i++, from += from_stride, to += to_stride)
+        for (int k = 0; k < to_stride; k += 32)
+            _mm512_storeu_si512(to + k, bf16_of(load_first(from + k, count - k),
+                                                load_first(from + k + 16, count - k - 16)));
+    memset(to, 0, (size_t)(round32(rows) - rows) * (size_t)to_stride * sizeof *to);
+}
+
+// One line of a tile of pairs, from 16 columns of two rows of fp32 numbers.
+RN_INLINE __m512i pair_of(__m512 even, __m512 odd) {
+    const __m512i order =
+        _mm512_set_epi16(31, 15, 30, 14, 29, 13, 28, 12, 27, 11, 26, 10, 25, 9, 24, 8, 23, 7, 22, 6,
+                         21, 5, 20, 4, 19, 3, 18, 2, 17, 1, 16, 0);
+    return _mm512_permutexvar_epi16(order, bf16_of(even, odd));
+}
+
+// Tiles [column / 16][k / 32] of pairs from fp32 rows of `columns` numbers; k rounded up with zero.
+static void pairs_from(const float *from, int k_count, int columns, uint16_t *to) {
+    const __m512 zero = _mm512_setzero_ps();
+    for (int column = 0; column < columns; column += 16)
+        for (int k = 0; k < round32(k_count); k += 2, to += 32) {
+            const float *even = from + (size_t)k * columns + column;
+            __m512 a = k < k_count ? _mm512_loadu_ps(even) : zero;
+            __m512 b = k + 1 < k_count ? _mm512_loadu_ps(even + columns) : zero;
+            _mm512_storeu_si512(to, pair_of(a, b));
+        }
+}
+
+// Tiles [row / 32][column / 16] of pairs along the rows, from rows of a multiple of 32.
+static void pairs_of_rows(const uint16_t *from, int stride, int rows, int columns, uint16_t *to) {
+    const __m512i low = _mm512_set_epi16(47, 15, 46, 14, 45, 13, 44, 12, 43, 11, 42, 10, 41, 9, 40,
+                                         8, 39, 7, 38, 6, 37, 5, 36, 4, 35, 3, 34, 2, 33, 1, 32, 0);
+    const __m512i high = _mm512_add_epi16(low, _mm512_set1_epi16(16));
+    for (int i = 0; i < rows; i += 2, from += 2 * stride) {
+        uint16_t *line = to + (size_t)(i / 32) * (columns / 16) * RN_TILE + i % 32 * 16;
+        for (int column = 0; column < columns; column += 32, line += 2 * RN_TILE) {
+            __m512i even = _mm512_loadu_si512(from + column);
+            __m512i odd = _mm512_loadu_si512(from + stride + column);
+            _mm512_storeu_si512(line, _mm512_permutex2var_epi16(even, low, odd));
+            if (column + 16 < columns)
+                _mm512_storeu_si512(line + RN_TILE, _mm512_permutex2var_epi16(even, high, odd));
+        }
+    }
+}
+
+// 8 numbers of rows 0, 8, 16 and 24.
+RN_INLINE __m512i four_rows(const uint16_t *from, size_t stride) {
+    __m512i x = _mm512_castsi128_si512(_mm_loadu_si128((const __m128i *)from));
+    x = _mm512_inserti32x4(x, _mm_loadu_si128((const __m128i *)(from + 8 * stride)), 1);
+    x = _mm512_inserti32x4(x, _mm_loadu_si128((const __m128i *)(from + 16 * stride)), 2);
+    return _mm512_inserti32x4(x, _mm_loadu_si128((const __m128i *)(from + 24 * stride)), 3);
+}
+
+// 32 rows of 8 numbers to 8 rows of 32: words, double words and quad words change places.
+RN_INLINE void transpose_32x8(const uint16_t *from, size_t stride, uint16_t *to, size_t to_stride) {
+    __m512i x[8], y[8];
+#pragma GCC unroll 8
+    for (int i = 0; i < 8; i++)
+        x[i] = four_rows(from + (size_t)i * stride, stride);
+#pragma GCC unroll 4
+    for (int i = 0; i < 8; i += 2) {
+        y[i] = _mm512_unpacklo_epi16(x[i], x[i + 1]);
+        y[i + 1] = _mm512_unpackhi_epi16(x[i], x[i + 1]);
+    }
+#pragma GCC unroll 2
+    for (int i = 0; i < 8; i += 4)
+#pragma GCC unroll 2
+        for (int j = 0; j < 2; j++) {
+            x[i + 2 * j] = _mm512_unpacklo_epi32(y[i + j], y[i + j + 2]);
+            x[i + 2 * j + 1] = _mm512_unpackhi_epi32(y[i + j], y[i + j + 2]);
+        }
+#pragma GCC unroll 4
+    for (int i = 0; i < 4; i++) {
+        _mm512_storeu_si512(to + (2 * i) * to_stride, _mm512_unpacklo_epi64(x[i], x[i + 4]));
+        _mm512_storeu_si512(to + (2 * i + 1) * to_stride, _mm512_unpackhi_epi64(x[i], x[i + 4]));
+    }
+}
+
+// columns of rows: `rows` and `columns` multiples of 32.
+static void columns_of_rows(const uint16_t *from, int stride, int rows, int columns, uint16_t *to,
+                            int to_stride) {
+    for (int i = 0; i < rows; i += 32)
+        for (int k = 0; k < columns; k += 8)
+            transpose_32x8(from + (size_t)i * stride + k, (size_t)stride,
+                           to + (size_t)k * to_stride + i, (size_t)to_stride);
+}
+
+#endif
