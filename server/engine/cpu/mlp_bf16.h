@@ -8,7 +8,7 @@
 #define RN_ENGINE_CPU_MLP_BF16_H
 
 #include "server/engine/cpu/gemm_bf16.h"
-#include "server/engine/cpu/mlp.h"
+#include "server/engine/cpu/network.h"
 
 #define RN_MLP_WIDEST 256 // inputs and outputs of a layer
 #define RN_MLP_BLOCK 64   // rows of a backward's block, a multiple of 32

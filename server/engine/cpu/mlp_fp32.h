@@ -1,9 +1,9 @@
-// The tiny networks in fp32, layer by layer. Included by mlp.h.
+// The tiny networks in fp32, layer by layer.
 #ifndef RN_ENGINE_CPU_MLP_FP32_H
 #define RN_ENGINE_CPU_MLP_FP32_H
 
 #include "server/engine/cpu/gemm.h"
-#include "server/engine/cpu/mlp.h"
+#include "server/engine/cpu/network.h"
 
 // Numbers of a row of hidden activations.
 RN_INLINE size_t hidden_stride(int width) {

@@ -1,0 +1,43 @@
+// A tiny network and the rows of a workspace that go through it.
+#ifndef RN_ENGINE_CPU_NETWORK_H
+#define RN_ENGINE_CPU_NETWORK_H
+
+#include "server/engine/cpu/kernels.h"
+#include "server/engine/cpu/simd.h"
+
+struct mlp {
+    const struct rn_mlp_shape *shape;
+    const float *weights, *packed;
+    const float *in; // [row][in_stride]; columns behind the inputs are zero
+    int in_stride;
+    float *const *hidden; // [layer][row], rows of hidden_stride(width) in the set's own form
+    float *out;           // [row][outputs]
+};
+
+static inline struct mlp base_network(const struct rn_cpu_field *field,
+                                      const struct rn_workspace *w) {
+    return (struct mlp){.shape = &field->base_shape,
+                        .weights = field->base_weights,
+                        .packed = field->base_packed,
+                        .in = w->features,
+                        .in_stride = field->feature_stride,
+                        .hidden = w->hidden,
+                        .out = w->geometry};
+}
+
+static inline struct mlp head_network(const struct rn_cpu_field *field,
+                                      const struct rn_workspace *w) {
+    return (struct mlp){.shape = &field->head_shape,
+                        .weights = field->head_weights,
+                        .packed = field->head_packed,
+                        .in = w->head_in,
+                        .in_stride = RN_HEAD_INPUTS,
+                        .hidden = w->head_hidden,
+                        .out = w->head_out};
+}
+
+RN_INLINE int round16(int n) {
+    return (n + 15) & ~15;
+}
+
+#endif
