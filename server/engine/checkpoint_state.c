@@ -37,6 +37,7 @@ static const struct member config_members[] = {
     CONFIG(learning_rate, KIND_DOUBLE),
     CONFIG(plane_rate, KIND_DOUBLE),
     CONFIG(weight_decay, KIND_DOUBLE),
+    CONFIG(beta2, KIND_DOUBLE),
     CONFIG(adam_eps, KIND_DOUBLE),
     CONFIG(max_steps, KIND_INT64),
     CONFIG(max_seconds, KIND_DOUBLE),

@@ -26,6 +26,7 @@ static const struct rn_train_config paper = {
     .learning_rate = 2e-3,
     .plane_rate = 10,
     .weight_decay = 1e-5,
+    .beta2 = 0.999,
     .adam_eps = 1e-15,
     .max_steps = 120000,
     .multi_step_rate = true,
@@ -53,6 +54,7 @@ static const struct rn_train_config standard = {
     .learning_rate = 8e-3,
     .plane_rate = 10,
     .weight_decay = 0,
+    .beta2 = 0.99,
     .adam_eps = 1e-15,
     .max_seconds = 60,
     .carve = true,
@@ -121,6 +123,7 @@ enum rn_status rn_train_config_check(const struct rn_train_config *c, struct rn_
     REQUIRE(c->learning_rate > 0 && c->learning_rate <= 10, "learning_rate", "must be in (0, 10]");
     REQUIRE(c->plane_rate > 0 && c->plane_rate <= 1000, "plane_rate", "must be in (0, 1000]");
     REQUIRE(c->weight_decay >= 0 && c->weight_decay < 1, "weight_decay", "must be in [0, 1)");
+    REQUIRE(c->beta2 > 0 && c->beta2 < 1, "beta2", "must be in (0, 1)");
     REQUIRE(c->adam_eps > 0 && c->adam_eps < 1, "adam_eps", "must be in (0, 1)");
     REQUIRE(c->max_steps >= 0, "max_steps", "must not be negative");
     REQUIRE(c->max_seconds >= 0 && c->max_seconds < 1e9, "max_time", "must not be negative");

@@ -177,9 +177,14 @@ static int check_adamw(const struct rn_kernels *k, struct numerics_random *rando
     snprintf(names[1], sizeof names[1], "8 AdamW second moment, %s", k->name);
     for (int n = 0; n < 2000; n++) {
         double step = n % 3 == 0 ? 1 : n % 3 == 1 ? 1e7 : floor(numerics_spread(random, 1, 1e7));
-        struct rn_adamw o = {
-            1,      (float)numerics_spread(random, 1e-5, 0.1), 1e-5f,
-            1e-15f, (float)-expm1(step * log1p(-0.1)),         (float)-expm1(step * log1p(-0.001))};
+        struct rn_adamw o = {.scale = 1,
+                             .rate = (float)numerics_spread(random, 1e-5, 0.1),
+                             .decay = 1e-5f,
+                             .eps = 1e-15f,
+                             .keep = 0.999f,
+                             .fresh = 0.001f,
+                             .correction1 = (float)-expm1(step * log1p(-0.1)),
+                             .correction2 = (float)-expm1(step * log1p(-0.001))};
         struct lane lanes[LANES];
         float p[LANES], g[LANES], m[LANES], v[LANES];
         for (int i = 0; i < LANES; i++) {
@@ -217,12 +222,13 @@ static int check_denormals(const struct rn_kernels *k, struct numerics_random *r
         name, "gradients 1e-30..1e-10, steps 1 and 1000", "of the rate", 2e-5, 0, ""};
     for (int n = 0; n < 2000; n++) {
         double step = n % 2 ? 1 : 1000;
-        struct rn_adamw o = {1,
-                             0.02f,
-                             0,
-                             1e-15f,
-                             (float)-expm1(step * log1p(-0.1)),
-                             (float)-expm1(step * log1p(-0.001))};
+        struct rn_adamw o = {.scale = 1,
+                             .rate = 0.02f,
+                             .eps = 1e-15f,
+                             .keep = 0.999f,
+                             .fresh = 0.001f,
+                             .correction1 = (float)-expm1(step * log1p(-0.1)),
+                             .correction2 = (float)-expm1(step * log1p(-0.001))};
         float p[2][LANES] = {{0}}, g[2][LANES], m[2][LANES] = {{0}}, v[2][LANES] = {{0}};
         for (int i = 0; i < LANES; i++)
             g[0][i] = g[1][i] = (float)numerics_spread(random, 1e-30, 1e-10);

@@ -107,6 +107,8 @@ static const char *const plant_names[PLANTS] = {
 static inline void plant(struct rn_trainer *t, int what) {
     const struct rn_parameters *p = &t->field->parameters;
     size_t texel = p->plane_count / 2 + (size_t)p->plane_count / 37, base = p->plane_count;
+    while (t->m[texel] == 0) // one that the steps read
+        texel++;
     if (what == 0) p->values[texel] = NAN;
     if (what == 1) p->values[base + 11] = INFINITY;
     if (what == 2) p->values[base + p->base_count + 3] = NAN;

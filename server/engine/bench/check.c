@@ -391,6 +391,8 @@ double rn_bench_check_optimiser(const struct rn_bench_recording *rec) {
                              .rate = 0.01f,
                              .decay = 0.001f,
                              .eps = 1e-15f,
+                             .keep = 0.999f,
+                             .fresh = 0.001f,
                              .correction1 = (float)(1 - pow(0.9, step)),
                              .correction2 = (float)(1 - pow(0.999, step))};
         for (int i = 0; i < N; i++) {

@@ -104,8 +104,13 @@ void rn_bench_scatter(const struct rn_bench_recording *rec) {
 size_t rn_bench_optimise(const struct rn_bench_recording *rec, bool count_only) {
     struct rn_trainer *t = rec->trainer;
     const struct rn_field_config *c = &rec->field->config;
-    struct rn_adamw o = {
-        .scale = 1, .rate = 1e-6f, .eps = 1e-15f, .correction1 = 0.9f, .correction2 = 0.9f};
+    struct rn_adamw o = {.scale = 1,
+                         .rate = 1e-6f,
+                         .eps = 1e-15f,
+                         .keep = 0.999f,
+                         .fresh = 0.001f,
+                         .correction1 = 0.9f,
+                         .correction2 = 0.9f};
     bool dense = !t->field->config.sparse || t->levels > 1;
     size_t rows = (size_t)c->base, row = rows * (size_t)c->channels, done = 0;
     size_t block = (size_t)RN_BLOCK * (size_t)c->channels;

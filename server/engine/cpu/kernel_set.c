@@ -149,7 +149,7 @@ RN_INLINE vi adamw_vector(const struct rn_adamw *o, float *parameter, float *gra
     float rate = o->rate / o->correction1, fade = o->rate * o->decay;
     float root = 1 / __builtin_sqrtf(o->correction2);
     vf g = vf_min(vf_set(1.8e19f), vf_max(vf_set(-1.8e19f), vf_load(grad) * o->scale));
-    vf first = vf_load(m) * 0.9f + g * 0.1f, second = vf_load(v) * 0.999f + g * g * 0.001f;
+    vf first = vf_load(m) * 0.9f + g * 0.1f, second = vf_load(v) * o->keep + g * g * o->fresh;
     vf_store(m, first);
     vf_store(v, second);
     vf p = vf_load(parameter), change = p * fade + rate * first / (vf_sqrt(second) * root + o->eps);

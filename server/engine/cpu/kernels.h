@@ -150,7 +150,8 @@ struct rn_pixel {
 struct rn_adamw {
     float scale; // of the gradients, before anything else
     float rate, decay, eps;
-    float correction1, correction2; // 1 - 0.9^t, 1 - 0.999^t
+    float keep, fresh;              // of the second moment: beta2 and 1 - beta2; the first's 0.9
+    float correction1, correction2; // 1 - 0.9^t, 1 - beta2^t
 };
 
 // The parts of a packet's work that can be run by themselves, for benchmarks.

@@ -1,4 +1,6 @@
-// The guard: no step leaves a parameter behind that is not a finite number.
+// The guard: no step leaves a parameter behind that is not a finite number. All parameters are
+// looked at when a step met or wrote something that is not finite, before they are copied as good
+// (every 64 updates) and before they are saved; a number that no step reads waits till then.
 #include <math.h>
 #include <stdatomic.h>
 #include <stdlib.h>
@@ -73,7 +75,8 @@ void rn_trainer_guard_step(struct rn_trainer *t, bool accepted) {
     else if (has_offenders(t))
         rn_trainer_note(t, RN_INCIDENT_RAYS);
     bool copy = accepted && t->updates % GOOD_EVERY == 0;
-    bool wild = t->wild || ((copy || !accepted) && !all_finite(t, t->field->parameters.values));
+    bool wild = t->wild || ((copy || !accepted || has_offenders(t)) &&
+                            !all_finite(t, t->field->parameters.values));
     if (wild || t->rejected >= MOST_REJECTED)
         roll_back(t);
     else if (copy)

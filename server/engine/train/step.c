@@ -315,7 +315,9 @@ static void apply(struct rn_trainer *t, double weight) {
                                 .decay = (float)config->weight_decay,
                                 .eps = (float)config->adam_eps,
                                 .correction1 = (float)-expm1(n * log(0.9)),
-                                .correction2 = (float)-expm1(n * log(0.999))};
+                                .keep = (float)config->beta2,
+                                .fresh = (float)(1 - config->beta2),
+                                .correction2 = (float)-expm1(n * log(config->beta2))};
     struct update u = {t, networks};
     u.planes.rate = (float)(rate * config->plane_rate);
     if (leveled(t)) rn_pool_run(t->engine->pool, config->field.planes, pull_down_plane, t);
