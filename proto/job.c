@@ -244,6 +244,7 @@ static const struct rn_field_spec path_result[] = {
     RN_F_INT(S, frames, RN_REQUIRED, 0, 100000),
     RN_F_INT(S, width, RN_REQUIRED, 1, MAX_SIZE),
     RN_F_INT(S, height, RN_REQUIRED, 1, MAX_SIZE),
+    RN_F_INT(S, step, RN_REQUIRED, 0, INFINITY),
     RN_F_NUMBER(S, render_ms_median, RN_REQUIRED | RN_NULLABLE, 0, INFINITY),
 };
 const struct rn_table rn_path_result_table = RN_TABLE(S, "path result", path_result);

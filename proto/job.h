@@ -113,7 +113,7 @@ struct rn_train_result {
 extern const struct rn_table rn_train_result_table;
 
 struct rn_path_result {
-    int64_t frames, width, height;
+    int64_t frames, width, height, step;
     double render_ms_median;
 };
 extern const struct rn_table rn_path_result_table;

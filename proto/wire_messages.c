@@ -233,6 +233,7 @@ static const struct {
     [RN_WIRE_FAILED] = {"failed", &failed_table},
     [RN_WIRE_INFO] = {"info", &info_table},
     [RN_WIRE_INCIDENT] = {"incident", &incident_table},
+    [RN_WIRE_ALIVE] = {"alive", &empty_table},
 };
 
 static bool is_known(int type) {

@@ -3,7 +3,8 @@
 // The runner speaks first (hello). One runner holds one scene (mode field) or does one import (mode
 // ingest) or describes the device (mode probe). Jobs are named by the daemon's ids, renders by
 // numbers of the daemon's. Every job that was started ends in exactly one `done` or `failed`; every
-// render in one `rendered` or `failed`. The runner exits when the socket closes.
+// render in one `rendered` or `failed`. A runner that works is never silent for long: the daemon
+// ends one that is. The runner exits when the socket closes.
 #ifndef RN_PROTO_WIRE_MESSAGES_H
 #define RN_PROTO_WIRE_MESSAGES_H
 
@@ -39,9 +40,11 @@ enum rn_wire_type {
     RN_WIRE_FAILED,     //                    rn_wire_failed
     RN_WIRE_INFO,       // mode probe         rn_wire_info, then EOF
     RN_WIRE_INCIDENT,   // training           rn_wire_incident
+    RN_WIRE_ALIVE,      // nothing else said  rn_wire_empty, every RN_WIRE_ALIVE_S while it works
 };
 
-#define RN_WIRE_PROTOCOL 1
+#define RN_WIRE_PROTOCOL 2
+#define RN_WIRE_ALIVE_S 2
 
 struct rn_wire_empty {
     char unused[1];

@@ -52,6 +52,8 @@ static const struct option options[] = {
      "further ones are told to try again"},
     {"keep-alive", KIND_SECONDS, AT(keep_alive_s), "10m", 0, 31536000, "TIME",
      "an idle scene is unloaded after this long"},
+    {"runner-timeout", KIND_SECONDS, AT(runner_timeout_s), "2m", 1, 86400, "TIME",
+     "a runner that is busy and says nothing for so long is taken for hung and ended"},
     {"drain", KIND_SECONDS, AT(drain_s), "10", 0, 3600, "TIME",
      "how long SIGTERM waits for runners to save"},
     {"web", KIND_TEXT, AT(web), NULL, 0, 0, "DIR", "the page's files"},

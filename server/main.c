@@ -113,6 +113,7 @@ static enum rn_status start_control(struct server *server, struct rn_error *err)
         .max_loaded = (int)config->max_loaded,
         .memory_limit_bytes = config->memory_limit_bytes,
         .keep_alive_s = config->keep_alive_s,
+        .runner_timeout_s = config->runner_timeout_s,
         .threads = (int)config->threads,
         .max_upload_bytes = config->max_upload_bytes,
         .max_upload_entries = config->max_upload_entries,

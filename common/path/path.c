@@ -8,6 +8,7 @@
 #define MAX_KEYS 10000
 #define MAX_TIME_S 86400.0
 #define MAX_FPS 1000.0
+#define DEFAULT_FPS 30.0
 
 static enum rn_status read_key(const struct rn_json *object, bool opengl,
                                struct rn_path_key *ret_key, struct rn_error *err) {
@@ -66,29 +67,42 @@ static double span_frames(const struct rn_path *path) {
     return span_s * path->fps;
 }
 
+// What has a default and is absent keeps it.
+static enum rn_status read_motion(const struct rn_json *object, struct rn_path *path,
+                                  struct rn_error *err) {
+    static const char *const interpolations[] = {"spline", "linear"};
+    int interpolation = RN_INTERPOLATE_SPLINE;
+    struct rn_json member;
+    enum rn_status status = RN_OK;
+    path->fps = DEFAULT_FPS;
+    path->loop = false;
+    if (rn_json_find(object, "fps", &member))
+        status = rn_json_number(object, "fps", 1e-3, MAX_FPS, &path->fps, err);
+    if (!status && rn_json_find(object, "interpolation", &member))
+        status = rn_json_choice(object, "interpolation", interpolations, 2, &interpolation, err);
+    if (!status && rn_json_find(object, "loop", &member))
+        status = rn_json_boolean(object, "loop", &path->loop, err);
+    path->interpolation = (enum rn_interpolation)interpolation;
+    return status;
+}
+
 static enum rn_status read_path(const struct rn_json *object, struct rn_path *path,
                                 struct rn_error *err) {
     static const char *const known[] = {"axes",  "fps",    "interpolation", "loop",
                                         "width", "height", "keys",          NULL};
-    static const char *const interpolations[] = {"spline", "linear"};
-    int interpolation;
-    struct rn_json fps;
+    struct rn_json keys;
     enum rn_status status;
     if ((status = rn_json_refuse_unknown(object, known, err)) ||
-        (status = rn_json_number(object, "fps", 1e-3, MAX_FPS, &path->fps, err)) ||
-        (status =
-             rn_json_choice(object, "interpolation", interpolations, 2, &interpolation, err)) ||
-        (status = rn_json_boolean(object, "loop", &path->loop, err)) ||
+        (status = read_motion(object, path, err)) ||
         (status = rn_json_integer(object, "width", 1, RN_CAMERA_MAX_SIZE, &path->width, err)) ||
         (status = rn_json_integer(object, "height", 1, RN_CAMERA_MAX_SIZE, &path->height, err)) ||
         (status = read_keys(object, path, err)) ||
-        (status = rn_json_member(object, "fps", &fps, err)))
+        (status = rn_json_member(object, "keys", &keys, err)))
         return status;
-    path->interpolation = (enum rn_interpolation)interpolation;
     if (span_frames(path) >= RN_PATH_MAX_FRAMES)
-        return rn_json_error(&fps, RN_ERROR_LIMIT, err,
-                             "makes a path of %.0f frames; the limit is %d", span_frames(path),
-                             RN_PATH_MAX_FRAMES);
+        return rn_json_error(&keys, RN_ERROR_LIMIT, err,
+                             "make a path of %.0f frames at %g fps; the limit is %d",
+                             span_frames(path), path->fps, RN_PATH_MAX_FRAMES);
     return RN_OK;
 }
 

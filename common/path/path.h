@@ -3,7 +3,8 @@
 // Camera: {"camera": {"world_from_camera": [[4],[4],[4]], "axes": "opencv"|"opengl",
 //   "width", "height", and "fov_y_deg" or "fx","fy","cx","cy"}}.
 // Path: {"path": {"axes": "opencv"|"opengl", "fps", "interpolation": "spline"|"linear",
-//   "loop": bool, "width", "height", "keys": [{"time", "world_from_camera", "fov_y_deg"}]}}.
+//   "loop": bool, "width", "height", "keys": [{"time", "world_from_camera", "fov_y_deg"}]}}; absent
+//   are fps 30, interpolation "spline", loop false.
 #ifndef RN_COMMON_PATH_PATH_H
 #define RN_COMMON_PATH_PATH_H
 

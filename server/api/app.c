@@ -30,6 +30,7 @@ const struct rn_route rn_api_routes[] = {
     {GET, "/v1/jobs", 0, 0, rn_list_jobs, NULL},
     {POST, "/v1/jobs", 0, RN_MAX_BODY, rn_create_job, NULL},
     {GET, "/v1/jobs/{id}", 0, 0, rn_get_job, NULL},
+    {GET, "/v1/jobs/{id}/metrics", 0, 0, rn_list_metrics, NULL},
     {POST, "/v1/jobs/{id}/pause", 0, 0, rn_pause_job, NULL},
     {POST, "/v1/jobs/{id}/resume", 0, 0, rn_resume_job, NULL},
     {POST, "/v1/jobs/{id}/finish", 0, 0, rn_finish_job, NULL},

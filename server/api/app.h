@@ -81,6 +81,7 @@ RN_HANDLER(rn_render_scene); // render.c
 RN_HANDLER(rn_list_jobs);    // jobs.c
 RN_HANDLER(rn_create_job);
 RN_HANDLER(rn_get_job);
+RN_HANDLER(rn_list_metrics);
 RN_HANDLER(rn_pause_job);
 RN_HANDLER(rn_resume_job);
 RN_HANDLER(rn_finish_job);

@@ -123,6 +123,15 @@ void rn_get_job(void *context, struct rn_request *request, struct rn_reply *repl
     if (!rn_api_failed(status, &err, reply)) rn_api_json(reply, 200, json);
 }
 
+void rn_list_metrics(void *context, struct rn_request *request, struct rn_reply *reply) {
+    struct rn_app *app = context;
+    struct rn_error err = {0};
+    char *json = NULL;
+    enum rn_status status =
+        rn_control_metrics_json(app->control, rn_request_param(request, 0), &json, &err);
+    if (!rn_api_failed(status, &err, reply)) rn_api_json(reply, 200, json);
+}
+
 static void command(struct rn_app *app, struct rn_request *request, enum rn_job_event event,
                     struct rn_reply *reply) {
     struct rn_error err = {0};

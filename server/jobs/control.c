@@ -35,10 +35,17 @@ static void read_runner(struct rn_control *control, struct rn_runner *runner) {
                 rn_log(RN_LOG_WARN, "runner %d: %s", (int)runner->process.pid, err.text);
             runner->broken = true;
         } else if (ready) {
+            runner->heard_ns = rn_clock_ns();
             rn_runner_receive(control, runner, &message);
             rn_wire_message_finish(&message);
         }
     }
+}
+
+// Whether a runner that owes an answer has been silent for too long: it hangs.
+static bool is_silent(struct rn_control *control, struct rn_runner *runner, int64_t now_ns) {
+    if (runner->state != RN_RUNNER_READY || rn_runner_is_idle(runner)) runner->heard_ns = now_ns;
+    return now_ns - runner->heard_ns > control->options.runner_timeout_s * 1000000000ll;
 }
 
 static void serve_runners(struct rn_control *control) {
@@ -50,8 +57,9 @@ static void serve_runners(struct rn_control *control) {
         if (!runner->broken) read_runner(control, runner);
         if (!runner->broken && rn_wire_flush(&runner->writer, &empty, NULL) != RN_OK)
             read_runner(control, runner);
-        bool late = runner->state != RN_RUNNER_READY && now_ns > runner->deadline_ns;
-        if (late) rn_log(RN_LOG_WARN, "runner %d: does not answer", (int)runner->process.pid);
+        bool late = (runner->state != RN_RUNNER_READY && now_ns > runner->deadline_ns) ||
+                    is_silent(control, runner, now_ns);
+        if (late) runner->hangs = true;
         if (runner->broken || late) rn_runner_remove(control, runner, false);
     }
 }

@@ -21,6 +21,7 @@ struct rn_control_options {
     int max_loaded;             // scenes with a runner
     int64_t memory_limit_bytes; // of all runners together; 0: none
     int64_t keep_alive_s;       // an idle runner is ended after this long
+    int64_t runner_timeout_s;   // a busy runner that says nothing for so long is ended
     int threads;                // of each runner; 0: all cores
     int64_t max_upload_bytes, max_upload_entries;
     const char *version; // static text
@@ -61,6 +62,9 @@ enum rn_status rn_control_job_json(struct rn_control *control, const char *id, c
 // The same from a row that was read before; progress is the latest.
 enum rn_status rn_control_row_json(struct rn_control *control, struct rn_job_row *row,
                                    char **ret_json, struct rn_error *err) RN_MUST_CHECK;
+// The held-out figures of a job, oldest first: a list of MetricEvent.
+enum rn_status rn_control_metrics_json(struct rn_control *control, const char *id, char **ret_json,
+                                       struct rn_error *err) RN_MUST_CHECK;
 // The events of a job, or of all when id is NULL. A reference.
 enum rn_status rn_control_events(struct rn_control *control, const char *id,
                                  struct rn_ring **ret_ring, struct rn_error *err) RN_MUST_CHECK;

@@ -22,6 +22,7 @@ struct rn_task {
     bool finish;                   // `finish` was asked for
     bool dirty;                    // the row on disk is older
     bool progressed;               // this attempt has brought something
+    bool began;                    // train: its runner has parameters, which can be rendered
     int64_t not_before_ns;         // of the next start
     struct rn_train_progress live; // train: the latest report; step RN_ABSENT before
     int64_t live_done;             // others: the latest report
@@ -61,8 +62,10 @@ struct rn_runner {
     struct rn_render *renders;
     int64_t memory_bytes;
     int64_t last_used_ns;
+    int64_t heard_ns;    // when it said something, or when nothing was expected of it
     int64_t deadline_ns; // it must have opened, or ended, by then
     bool broken;         // the connection is of no more use
+    bool hangs;          // it has not answered in time
 };
 
 struct rn_recent {
@@ -149,6 +152,11 @@ void rn_runner_remove(struct rn_control *control, struct rn_runner *runner, bool
 // message.c
 void rn_runner_receive(struct rn_control *control, struct rn_runner *runner,
                        const struct rn_wire_message *message);
+
+// metrics.c: keeps a figure of a job; those of later steps, which a restart has undone, go.
+enum rn_status rn_metric_record(struct rn_control *control, const char *job,
+                                const struct rn_metric_event *metric,
+                                struct rn_error *err) RN_MUST_CHECK;
 
 // schedule.c
 void rn_schedule(struct rn_control *control);

@@ -103,6 +103,8 @@ static void on_progress(struct rn_control *control, struct rn_runner *runner,
                       &live, NULL, NULL) == RN_OK) {
             count_nonfinite(control, &task->live, &live);
             task->live = live;
+            if (!task->began) control->schedule_due = true; // paths may have waited for this
+            task->began = true;
         }
     } else {
         struct rn_work_progress work;
@@ -120,8 +122,11 @@ static void on_progress(struct rn_control *control, struct rn_runner *runner,
 static void on_metric(struct rn_control *control, struct rn_runner *runner,
                       const struct rn_wire_metric *metric) {
     struct rn_task *task = task_of(runner, metric->job);
+    struct rn_error err = {0};
     char *json = NULL;
     if (task == NULL) return;
+    if (rn_metric_record(control, task->row.id, &metric->metric, &err) != RN_OK)
+        rn_log(RN_LOG_ERROR, "job %s: a figure is not kept: %s", task->row.id, err.text);
     if (rn_encode(&rn_metric_event_table, &metric->metric, &json, NULL, NULL) == RN_OK)
         rn_task_publish(control, task, RN_EVENT_METRIC, json, false);
     free(json);

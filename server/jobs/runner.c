@@ -44,7 +44,7 @@ enum rn_status rn_runner_start(struct rn_control *control, const char *mode, con
     snprintf(runner->scene, sizeof runner->scene, "%s", scene);
     rn_wire_reader_init(&runner->reader, runner->process.fd);
     rn_wire_writer_init(&runner->writer, runner->process.fd, MAX_PENDING_BYTES);
-    runner->last_used_ns = rn_clock_ns();
+    runner->last_used_ns = runner->heard_ns = rn_clock_ns();
     runner->deadline_ns = runner->last_used_ns + START_NS;
     runner->next = control->runners;
     control->runners = runner;
@@ -261,7 +261,8 @@ void rn_runner_remove(struct rn_control *control, struct rn_runner *runner, bool
     *link = runner->next;
     close(runner->process.fd);
     control->executor->end(control->executor, &runner->process, now, how, sizeof how);
-    bool expected = runner->state == RN_RUNNER_ENDING || now;
+    bool expected = !runner->hangs && (runner->state == RN_RUNNER_ENDING || now);
+    if (runner->hangs) snprintf(how, sizeof how, "it hangs: it did not answer in time");
     rn_log(expected ? RN_LOG_INFO : RN_LOG_WARN, "runner %d: ended, %s", (int)runner->process.pid,
            how);
     if (!expected) control->stats.runners_lost++;

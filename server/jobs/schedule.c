@@ -19,7 +19,24 @@ static int count_active(const struct rn_control *control, enum rn_job_type a, en
     return count;
 }
 
-// Whether a slot is free for the task and nothing else works on its scene.
+static bool has_checkpoint(struct rn_control *control, const char *id) {
+    struct rn_scene_row scene;
+    if (rn_store_find(control->store, &rn_scenes, "id", id, &scene, NULL) != RN_OK) return false;
+    bool has = scene.sha256[0] != '\0';
+    rn_row_finish(&rn_scenes, &scene);
+    return has;
+}
+
+// Whether a path or an evaluation finds parameters. A training that is being loaded, or that a lost
+// runner has left without a checkpoint, will have some soon.
+static bool is_renderable(struct rn_control *control, const char *scene) {
+    const struct rn_task *train = rn_task_training(control, scene);
+    if (train == NULL || train->began) return true;
+    return !is_active(train) && has_checkpoint(control, scene);
+}
+
+// Whether a slot is free for the task and nothing else works on its scene; paths and evaluations
+// may, while it trains: the runner lets them go first.
 static bool may_start(struct rn_control *control, const struct rn_task *task) {
     const struct rn_runner *runner =
         task->row.scene[0] != '\0' ? rn_runner_find(control, task->row.scene) : NULL;
@@ -33,8 +50,7 @@ static bool may_start(struct rn_control *control, const struct rn_task *task) {
     case RN_JOB_PATH:
     case RN_JOB_EVAL:
         return count_active(control, RN_JOB_PATH, RN_JOB_EVAL) == 0 &&
-               (runner == NULL || runner->work == NULL) &&
-               (runner == NULL || runner->train == NULL || !is_active(runner->train));
+               (runner == NULL || runner->work == NULL) && is_renderable(control, task->row.scene);
     }
     return false;
 }

@@ -73,14 +73,13 @@ static enum rn_status draft_work(struct rn_control *control, const struct rn_sub
     const struct rn_task *task = rn_task_training(control, scene.id);
     set_text(draft->job.scene, sizeof draft->job.scene, scene.id);
     set_text(draft->job.scene_name, sizeof draft->job.scene_name, scene.name);
-    if (task != NULL && task->row.state != RN_JOB_PAUSED)
+    bool began = task != NULL && task->began;
+    if (scene.sha256[0] == '\0' && !began)
         status = rn_error_set(err, RN_ERROR_CONFLICT, "#/scene",
-                              "scene '%s' is training (job %s is %s); wait for its end or pause "
-                              "it",
-                              scene.name, task->row.id, rn_job_state_names[task->row.state]);
-    else if (scene.sha256[0] == '\0')
-        status = rn_error_set(err, RN_ERROR_CONFLICT, "#/scene",
-                              "scene '%s' has no checkpoint to work with", scene.name);
+                              "scene '%s' has nothing to render%s%s%s%s", scene.name,
+                              task != NULL ? " yet: its training, job " : " and nothing trains it",
+                              task != NULL ? task->row.id : "", task != NULL ? ", is " : "",
+                              task != NULL ? rn_job_state_names[task->row.state] : "");
     rn_row_finish(&rn_scenes, &scene);
     return status;
 }

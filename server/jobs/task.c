@@ -173,7 +173,7 @@ void rn_task_detach(struct rn_task *task) {
     if (task->runner->work == task) task->runner->work = NULL;
     task->runner->last_used_ns = rn_clock_ns();
     task->runner = NULL;
-    task->sent = false;
+    task->sent = task->began = false;
 }
 
 void rn_task_fail(struct rn_control *control, struct rn_task *task, const struct rn_error *err) {

@@ -229,6 +229,17 @@ static void handle(struct rn_host *host, struct rn_letter *letter) {
     rn_message_finish(rn_wire_table(type), &request);
 }
 
+void rn_host_serve_render(struct rn_host *host) {
+    struct rn_letter letter;
+    struct rn_wire_render render;
+    if (!rn_link_take_type(&host->link, RN_WIRE_RENDER, &letter)) return;
+    if (rn_wire_take(&letter.message, &render, NULL) == RN_OK) {
+        rn_picture_serve(host, &render, letter.arrived_ns);
+        rn_message_finish(rn_wire_table(RN_WIRE_RENDER), &render);
+    }
+    rn_wire_message_finish(&letter.message);
+}
+
 // Handles what has arrived, up to and including one render, so that training goes on between
 // renders. false: the end was asked for.
 static bool handle_letters(struct rn_host *host) {
@@ -245,6 +256,7 @@ static bool handle_letters(struct rn_host *host) {
 
 // ---- the loop ------------------------------------------------------------------------------
 
+// Path and evaluation jobs go first, and a training waits: so all of their pictures show one step.
 static void do_some_work(struct rn_host *host) {
     if (host->works) {
         int64_t begin_ns = rn_clock_ns();

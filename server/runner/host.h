@@ -43,6 +43,9 @@ enum rn_status rn_host_load(struct rn_host *host, struct rn_error *err) RN_MUST_
 enum rn_status rn_host_field(struct rn_host *host, struct rn_field **ret_field,
                              struct rn_error *err) RN_MUST_CHECK;
 
+// Serves one interactive render that waits in the inbox; for long computations to call in between.
+void rn_host_serve_render(struct rn_host *host);
+
 // ---- training.c ----
 
 // Starts or continues the job; a failure is reported to the daemon.

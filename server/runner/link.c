@@ -10,7 +10,7 @@
 #include "common/base/log.h"
 
 void rn_link_init(struct rn_link *link, int fd) {
-    *link = (struct rn_link){.closed = false};
+    *link = (struct rn_link){.said_ns = rn_clock_ns()};
     rn_wire_reader_init(&link->reader, fd);
     rn_wire_writer_init(&link->writer, fd, 0);
 }
@@ -51,7 +51,14 @@ static bool receive(struct rn_link *link) {
     return true;
 }
 
+static void say_alive(struct rn_link *link) {
+    struct rn_wire_empty empty = {""};
+    if (rn_clock_ns() - link->said_ns > RN_WIRE_ALIVE_S * 1000000000ll)
+        rn_link_post(link, RN_WIRE_ALIVE, &empty, NULL, 0);
+}
+
 void rn_link_pump(struct rn_link *link, int timeout_ms) {
+    say_alive(link);
     if (timeout_ms != 0 && !link->first && !link->closed) {
         struct pollfd wait = {.fd = link->reader.fd, .events = POLLIN};
         if (poll(&wait, 1, timeout_ms) < 0 && errno != EINTR) {
@@ -73,13 +80,27 @@ static struct rn_letter *unlink_after(struct rn_link *link, struct rn_letter *be
     return letter;
 }
 
-bool rn_link_take(struct rn_link *link, struct rn_letter *ret_letter) {
-    if (!link->first) return false;
-    struct rn_letter *letter = unlink_after(link, NULL);
+// Hands the letter after `before` to its taker.
+static bool take_after(struct rn_link *link, struct rn_letter *before,
+                       struct rn_letter *ret_letter) {
+    struct rn_letter *letter = unlink_after(link, before);
     *ret_letter = *letter;
     ret_letter->next = NULL;
     free(letter);
     return true;
+}
+
+bool rn_link_take(struct rn_link *link, struct rn_letter *ret_letter) {
+    return link->first && take_after(link, NULL, ret_letter);
+}
+
+bool rn_link_take_type(struct rn_link *link, enum rn_wire_type type, struct rn_letter *ret_letter) {
+    struct rn_letter *before = NULL, *at = link->first;
+    while (at && at->message.type != (int)type) {
+        before = at;
+        at = at->next;
+    }
+    return at && take_after(link, before, ret_letter);
 }
 
 static bool is_cancel_of(const struct rn_wire_message *message, const char *job, int64_t request) {
@@ -114,6 +135,7 @@ void rn_link_post(struct rn_link *link, enum rn_wire_type type, const void *mess
     enum rn_status status = rn_wire_post(&link->writer, type, message, blob, blob_size, &err);
     if (!status) status = rn_wire_drain(&link->writer, &err);
     if (status) close_link(link, &err);
+    link->said_ns = rn_clock_ns();
 }
 
 void rn_link_fail(struct rn_link *link, const char *job, int64_t request,

@@ -16,6 +16,7 @@ struct rn_link {
     struct rn_wire_reader reader;
     struct rn_wire_writer writer;
     struct rn_letter *first, *last; // in order of arrival
+    int64_t said_ns;                // when something was sent last
     size_t count;                   // at most RN_LINK_MAX_LETTERS; more wait in the socket
     bool closed;                    // the daemon is gone, or does not speak the protocol
 };
@@ -25,10 +26,13 @@ void rn_link_init(struct rn_link *link, int fd);
 void rn_link_finish(struct rn_link *link);
 
 // Waits up to timeout_ms (-1: without end) for something to arrive, then moves all that is there
-// to the inbox. With letters in the inbox it does not wait.
+// to the inbox. With letters in the inbox it does not wait. Tells the daemon now and then that this
+// runner is alive.
 void rn_link_pump(struct rn_link *link, int timeout_ms);
 // Takes the oldest letter; false when there is none. The caller finishes the message.
 bool rn_link_take(struct rn_link *link, struct rn_letter *ret_letter);
+// The oldest letter of this type, before those of others.
+bool rn_link_take_type(struct rn_link *link, enum rn_wire_type type, struct rn_letter *ret_letter);
 // Whether a cancel for this job ("" for none) or request (RN_ABSENT for none) waits in the inbox;
 // it is taken out.
 bool rn_link_take_cancel(struct rn_link *link, const char *job, int64_t request);

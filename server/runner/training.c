@@ -14,9 +14,11 @@
 #include "server/runner/incidents.h"
 
 #define PROGRESS_INTERVAL_S 0.5
-#define EVALUATIONS 10             // rounds over a run with a limit
-#define EVALUATION_INTERVAL_S 10.0 // without one
-#define TRAIN_PER_EVALUATION 3.0   // seconds of training at least for one of evaluation
+#define FIRST_EVALUATION_S 2.0     // of training, and not before FIRST_EVALUATION_STEPS
+#define FIRST_EVALUATION_STEPS 16  // so that a wide field's first steps are not waited on
+#define EVALUATION_GROWTH 0.5      // of the time trained so far, until the next round,
+#define EVALUATION_INTERVAL_S 30.0 // but this at most,
+#define TRAIN_PER_EVALUATION 4.0   // and this many times the last round's time at least
 #define CHECKPOINT_INTERVAL_S 30.0
 
 // A training job. Times are seconds of the monotonic clock, but evaluated_at: of the training
@@ -24,11 +26,11 @@
 struct rn_training {
     char job[RN_ID_MAX];
     struct rn_trainer *trainer;
-    double checkpoint_interval_s, evaluate_interval_s; // the latter NAN: by the share done
+    double checkpoint_interval_s, evaluate_interval_s; // the latter NAN: geometrically
     double paused_since, paused_seconds;               // since: NAN when it is not paused
     double yielded_seconds;
     double checkpointed_at, reported_at;
-    double evaluated_at, evaluated_share;   // at the last round: training seconds, share of the run
+    double evaluated_at;                    // training seconds at the last round
     int64_t evaluated_step;                 // -1 before the first round
     double evaluate_seconds, round_seconds; // of all rounds so far, of the last one
     bool evaluating;                        // a round over the held-out views is under way
@@ -257,8 +259,7 @@ void rn_training_start(struct rn_host *host, const struct rn_wire_train *train) 
     struct rn_progress progress;
     rn_trainer_progress(training->trainer, &progress);
     training->evaluated_step = isnan(progress.psnr) ? -1 : progress.psnr_step;
-    training->evaluated_at = progress.train_seconds;
-    training->evaluated_share = isnan(progress.fraction) ? 0 : progress.fraction;
+    training->evaluated_at = isnan(progress.psnr) ? 0 : progress.train_seconds;
     host->training = training;
     post_state(host, RN_JOB_RUNNING);
     post_progress(host, &progress);
@@ -319,14 +320,17 @@ static void complete(struct rn_host *host) {
 
 // ---- slices --------------------------------------------------------------------------------
 
+// A figure within seconds, then ever fewer: half as long again after each, a fifth of the time at
+// most. Training does not depend on it.
 static bool evaluation_is_due(const struct rn_training *training,
                               const struct rn_progress *progress) {
     double since = progress->train_seconds - training->evaluated_at;
     if (progress->step == training->evaluated_step) return false;
     if (!isnan(training->evaluate_interval_s)) return since >= training->evaluate_interval_s;
-    if (since < TRAIN_PER_EVALUATION * training->round_seconds) return false;
-    if (isnan(progress->fraction)) return since >= EVALUATION_INTERVAL_S;
-    return progress->fraction >= training->evaluated_share + 1.0 / EVALUATIONS;
+    if (training->evaluated_step < 0)
+        return since >= FIRST_EVALUATION_S && progress->step >= FIRST_EVALUATION_STEPS;
+    double wait = fmin(EVALUATION_GROWTH * training->evaluated_at, EVALUATION_INTERVAL_S);
+    return since >= fmax(wait, TRAIN_PER_EVALUATION * training->round_seconds);
 }
 
 static enum rn_status advance(struct rn_host *host, struct rn_error *err) {
@@ -344,7 +348,6 @@ static enum rn_status advance(struct rn_host *host, struct rn_error *err) {
     training->evaluate_seconds = progress.evaluate_seconds;
     training->evaluated_step = progress.step;
     training->evaluated_at = progress.train_seconds;
-    training->evaluated_share = isnan(progress.fraction) ? 0 : progress.fraction;
     post_metric(host, &progress);
     return RN_OK;
 }

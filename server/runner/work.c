@@ -1,9 +1,11 @@
+#include <errno.h>
 #include <limits.h>
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <sys/stat.h>
+#include <unistd.h>
 
 #include "common/base/clock.h"
 #include "common/base/file.h"
@@ -23,6 +25,9 @@ struct rn_work {
     double *render_ms;  // of the units that were rendered
     size_t rendered;    // how many
     double began_s, reported_s;
+    int64_t step; // the training step that all units show
+    struct rn_host *host;
+    struct rn_watch watch;
     struct rn_work *next;
 
     // a path job: unit i is frame first + i
@@ -62,6 +67,9 @@ static struct rn_work *append(struct rn_host *host, const char *job) {
         return NULL;
     }
     memcpy(work->job, job, sizeof work->job);
+    work->step = RN_ABSENT;
+    work->host = host;
+    work->watch = (struct rn_watch){.link = &host->link, .job = work->job, .request = RN_ABSENT};
     while (*slot)
         slot = &(*slot)->next;
     *slot = work;
@@ -145,6 +153,14 @@ static double median(double *values, size_t count) {
     return 0.5 * (values[(count - 1) / 2] + values[count / 2]);
 }
 
+// What a unit's rendering polls: interactive renders do not wait for it.
+static bool keep_going(void *context) {
+    struct rn_work *work = context;
+    if (!rn_watch_keep_going(&work->watch)) return false;
+    rn_host_serve_render(work->host);
+    return true;
+}
+
 // ---- camera paths --------------------------------------------------------------------------
 
 void rn_work_add_path(struct rn_host *host, const struct rn_wire_path *path) {
@@ -215,26 +231,52 @@ static enum rn_status prepare_path(struct rn_host *host, struct rn_work *work,
     return RN_OK;
 }
 
-static enum rn_status render_frame(struct rn_host *host, struct rn_work *work, const char *path,
-                                   struct rn_error *err) {
+static enum rn_status frame_path(const struct rn_work *work, size_t unit, char ret_path[PATH_MAX],
+                                 struct rn_error *err) {
+    const char *folder = work->path->folder;
+    if (snprintf(ret_path, PATH_MAX, "%s/%05zu.png", folder, work->first + unit) >= PATH_MAX)
+        return rn_error_set(err, RN_ERROR_LIMIT, folder, "the path is too long");
+    return RN_OK;
+}
+
+// Frames of an earlier attempt are kept when they show the same step; a hidden file tells.
+static enum rn_status claim_frames(const struct rn_work *work, struct rn_error *err) {
+    char path[PATH_MAX], step[32];
+    uint8_t *before = NULL;
+    size_t size = 0;
+    if (snprintf(path, sizeof path, "%s/.step", work->path->folder) >= (int)sizeof path)
+        return rn_error_set(err, RN_ERROR_LIMIT, work->path->folder, "the path is too long");
+    int length = snprintf(step, sizeof step, "%lld\n", (long long)work->step);
+    bool same = rn_file_read(path, sizeof step, &before, &size, NULL) == RN_OK &&
+                strcmp((const char *)before, step) == 0;
+    free(before);
+    if (same) return RN_OK;
+    char frame[PATH_MAX];
+    for (size_t i = 0; i < work->total; i++) {
+        enum rn_status status = frame_path(work, i, frame, err);
+        if (status) return status;
+        if (unlink(frame) < 0 && errno != ENOENT)
+            return rn_error_from_errno(err, errno, frame, "remove the frame");
+    }
+    return rn_file_write_atomic(path, step, (size_t)length, err);
+}
+
+static enum rn_status render_frame(struct rn_host *host, struct rn_work *work,
+                                   struct rn_field *field, const struct rn_field_info *info,
+                                   const char *path, struct rn_error *err) {
     static const unsigned outputs[] = {[RN_OUTPUT_KIND_RGB] = RN_OUTPUT_RGB,
                                        [RN_OUTPUT_KIND_DEPTH] = RN_OUTPUT_DEPTH,
                                        [RN_OUTPUT_KIND_ALPHA] = RN_OUTPUT_ALPHA};
     enum rn_output_kind output =
         (enum rn_output_kind)rn_name_or(work->path->options.output, RN_OUTPUT_KIND_RGB);
-    struct rn_watch watch = {.link = &host->link, .job = work->job, .request = RN_ABSENT};
     struct rn_render_options options = {
         .camera = frame_camera(work, work->done), .outputs = outputs[output], .subsample = 1};
-    struct rn_field *field;
-    struct rn_field_info info;
     struct rn_render_result result = {0};
     uint8_t *bytes = NULL;
     size_t size;
-    enum rn_status status = rn_host_field(host, &field, err);
-    if (status) return status;
-    rn_field_describe(field, &info);
-    memcpy(options.background, info.config.background, sizeof options.background);
-    status = rn_render(host->engine, field, &options, rn_watch_keep_going, &watch, &result, err);
+    memcpy(options.background, info->config.background, sizeof options.background);
+    enum rn_status status =
+        rn_render(host->engine, field, &options, keep_going, work, &result, err);
     if (status) return status;
     work->render_ms[work->rendered++] = result.stats.render_ms;
     status = rn_picture_encode(&result, output, RN_FORMAT_PNG, 0, FRAME_PNG_LEVEL,
@@ -245,16 +287,16 @@ static enum rn_status render_frame(struct rn_host *host, struct rn_work *work, c
     return status;
 }
 
-static enum rn_status path_unit(struct rn_host *host, struct rn_work *work, struct rn_error *err) {
+static enum rn_status path_unit(struct rn_host *host, struct rn_work *work, struct rn_field *field,
+                                const struct rn_field_info *info, struct rn_error *err) {
     char path[PATH_MAX];
-    size_t index = work->first + work->done;
     struct stat about;
-    if (snprintf(path, sizeof path, "%s/%05zu.png", work->path->folder, index) >= (int)sizeof path)
-        return rn_error_set(err, RN_ERROR_LIMIT, work->path->folder, "the path is too long");
-    if (stat(path, &about) == 0) return RN_OK; // a frame of an earlier attempt; it is whole
-    enum rn_status status = render_frame(host, work, path, err);
+    enum rn_status status = frame_path(work, work->done, path, err);
     if (status) return status;
-    struct rn_wire_frame frame = {.index = (int64_t)index};
+    if (stat(path, &about) == 0) return RN_OK; // a frame of an earlier attempt; it is whole
+    status = render_frame(host, work, field, info, path, err);
+    if (status) return status;
+    struct rn_wire_frame frame = {.index = (int64_t)(work->first + work->done)};
     memcpy(frame.job, work->job, sizeof frame.job);
     rn_link_post(&host->link, RN_WIRE_FRAME, &frame, NULL, 0);
     return RN_OK;
@@ -265,6 +307,7 @@ static void finish_path(struct rn_host *host, struct rn_work *work) {
     struct rn_path_result result = {.frames = (int64_t)work->total,
                                     .width = camera.width,
                                     .height = camera.height,
+                                    .step = work->step,
                                     .render_ms_median = median(work->render_ms, work->rendered)};
     struct rn_error err = {0};
     char *json = NULL;
@@ -321,17 +364,12 @@ static enum rn_status prepare_eval(struct rn_host *host, struct rn_work *work,
     return work->scores ? RN_OK : rn_error_set(err, RN_ERROR_NO_MEMORY, "", "out of memory");
 }
 
-static enum rn_status eval_unit(struct rn_host *host, struct rn_work *work, struct rn_error *err) {
+static enum rn_status eval_unit(struct rn_host *host, struct rn_work *work, struct rn_field *field,
+                                const struct rn_field_info *info, struct rn_error *err) {
     const struct rn_frame *frame = work->frames[work->done];
-    struct rn_watch watch = {.link = &host->link, .job = work->job, .request = RN_ABSENT};
-    struct rn_field *field;
-    struct rn_field_info info;
     struct rn_view_score score;
-    enum rn_status status = rn_host_field(host, &field, err);
-    if (status) return status;
-    rn_field_describe(field, &info);
-    status = rn_evaluate_view(host->engine, field, frame, info.config.background,
-                              rn_watch_keep_going, &watch, &score, err);
+    enum rn_status status = rn_evaluate_view(host->engine, field, frame, info->config.background,
+                                             keep_going, work, &score, err);
     if (status) return status;
     struct rn_view_result *result = &work->scores[work->done];
     *result = (struct rn_view_result){.index = frame->index,
@@ -445,11 +483,34 @@ static enum rn_status prepare(struct rn_host *host, struct rn_work *work, struct
     return RN_OK;
 }
 
+// The field as all units show it. A training that was cancelled meanwhile has left another step:
+// then everything begins anew.
+static enum rn_status take_field(struct rn_host *host, struct rn_work *work,
+                                 struct rn_field **ret_field, struct rn_field_info *ret_info,
+                                 struct rn_error *err) {
+    enum rn_status status = rn_host_field(host, ret_field, err);
+    if (status) return status;
+    rn_field_describe(*ret_field, ret_info);
+    if (ret_info->steps == work->step) return RN_OK;
+    work->step = ret_info->steps;
+    work->done = work->rendered = 0;
+    return work->path ? claim_frames(work, err) : RN_OK;
+}
+
+static enum rn_status do_unit(struct rn_host *host, struct rn_work *work, struct rn_error *err) {
+    struct rn_field *field;
+    struct rn_field_info info;
+    enum rn_status status = work->prepared ? RN_OK : prepare(host, work, err);
+    if (!status) status = take_field(host, work, &field, &info, err);
+    if (status) return status;
+    return work->path ? path_unit(host, work, field, &info, err)
+                      : eval_unit(host, work, field, &info, err);
+}
+
 void rn_work_unit(struct rn_host *host) {
     struct rn_work *work = host->works;
     struct rn_error err = {0};
-    enum rn_status status = work->prepared ? RN_OK : prepare(host, work, &err);
-    if (!status) status = work->path ? path_unit(host, work, &err) : eval_unit(host, work, &err);
+    enum rn_status status = do_unit(host, work, &err);
     // Stopped because the runner must end: the daemon will start the job again.
     if (status == RN_ERROR_CANCELLED && rn_link_must_stop(&host->link)) return;
     if (status == RN_ERROR_CANCELLED) {

@@ -96,6 +96,16 @@ static const struct rn_column camera_path_columns[] = {
 const struct rn_store_table rn_camera_paths =
     TABLE("camera_paths", "camera path", rn_camera_path_row, camera_path_columns);
 
+static const struct rn_column metric_columns[] = {
+    SEQ(rn_metric_row),
+    TEXT(rn_metric_row, id),
+    TEXT(rn_metric_row, job),
+    INT64(rn_metric_row, step),
+    REAL(rn_metric_row, train_seconds),
+    REAL(rn_metric_row, psnr),
+};
+const struct rn_store_table rn_metrics = TABLE("metrics", "metric", rn_metric_row, metric_columns);
+
 static const struct rn_column key_columns[] = {
     SEQ(rn_key_row),       TEXT(rn_key_row, id),          TEXT(rn_key_row, digest),
     TEXT(rn_key_row, job), INT64(rn_key_row, created_ms),
@@ -295,6 +305,7 @@ static enum rn_status read_rows(struct rn_store *store, const struct rn_store_ta
             struct rn_checkpoint_row checkpoint;
             struct rn_camera_path_row camera_path;
             struct rn_dataset_row dataset;
+            struct rn_metric_row metric;
         } row;
         enum rn_status status = read_row(statement, table, &row, err);
         if (status != RN_OK) return status;

@@ -28,6 +28,9 @@ const char *const rn_store_scripts[] = {
     " name TEXT NOT NULL UNIQUE, created_ms INTEGER NOT NULL, document TEXT NOT NULL);"
     "CREATE TABLE keys (seq INTEGER PRIMARY KEY AUTOINCREMENT, id TEXT NOT NULL UNIQUE,"
     " digest TEXT NOT NULL, job TEXT NOT NULL, created_ms INTEGER NOT NULL);",
+    "CREATE TABLE metrics (seq INTEGER PRIMARY KEY AUTOINCREMENT, id TEXT NOT NULL UNIQUE,"
+    " job TEXT NOT NULL, step INTEGER NOT NULL, train_seconds REAL NOT NULL, psnr REAL);"
+    "CREATE INDEX metrics_job ON metrics (job);",
 };
 const int rn_store_script_count = sizeof rn_store_scripts / sizeof rn_store_scripts[0];
 _Static_assert(sizeof rn_store_scripts / sizeof rn_store_scripts[0] == RN_STORE_VERSION,

@@ -16,7 +16,7 @@
 // Thread-safety: any thread. Owner: whoever opened it.
 struct rn_store;
 
-#define RN_STORE_VERSION 1
+#define RN_STORE_VERSION 2
 
 // Opens or creates DIR, brings an older schema up to date and takes DIR/lock.
 // RN_ERROR_CONFLICT when another daemon has it, RN_ERROR_UNSUPPORTED when a newer one wrote it,
@@ -95,6 +95,15 @@ struct rn_camera_path_row {
     char *document;
 };
 
+struct rn_metric_row { // a held-out figure of a training job
+    int64_t seq;
+    char id[48]; // job id and step
+    char job[RN_ID_MAX];
+    int64_t step;
+    double train_seconds;
+    double psnr; // NAN: there is nothing to compare with
+};
+
 struct rn_key_row { // Idempotency-Key
     int64_t seq;
     char id[129]; // the key
@@ -106,7 +115,7 @@ struct rn_key_row { // Idempotency-Key
 // A table's columns and how they lie in its row. See rows.c.
 struct rn_store_table;
 extern const struct rn_store_table rn_datasets, rn_scenes, rn_jobs_table, rn_checkpoints,
-    rn_camera_paths, rn_keys;
+    rn_camera_paths, rn_metrics, rn_keys;
 
 // ---- access -----------------------------------------------------------------------------------
 

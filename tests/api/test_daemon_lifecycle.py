@@ -141,14 +141,127 @@ def test_queue(own):
 def test_second_job_on_a_training_scene(own):
     job = train(own, "s")
     own.wait(job, ["running"])
-    for request in ({"type": "train", "dataset": "data", "scene": "s"},
-                    {"type": "eval", "scene": "s"},
-                    {"type": "path", "scene": "s", "camera_path": PATH}):
-        reply = own.post("/v1/jobs", request)
-        assert reply.status == 409 and job in reply.json["detail"]
-        assert reply.json["errors"][0]["pointer"] == "#/scene"
+    reply = own.post("/v1/jobs", {"type": "train", "dataset": "data", "scene": "s"})
+    assert reply.status == 409 and job in reply.json["detail"]
+    assert reply.json["errors"][0]["pointer"] == "#/scene"
     assert own.delete("/v1/scenes/s").status == 409
     assert own.delete("/v1/datasets/data").status == 409
+    command(own, job, "cancel")
+
+
+def test_path_and_evaluation_while_training(own):
+    """Each shows one step; the training waits for it, and that is not on its clock."""
+    job = train(own, "s")
+    wait_for_step(own, job, 20)
+    path = own.wait(own.submit(type="path", scene="s", camera_path=PATH))
+    assert path["state"] == "succeeded" and path["result"]["frames"] == 41
+    evaluation = own.wait(own.submit(type="eval", scene="s", options={"views": 1}))
+    steps = path["result"]["step"], evaluation["result"]["protocol"]["step"]
+    assert 20 <= steps[0] < steps[1]
+    wait_for_step(own, job, steps[1] + 50)
+    record = own.job(job)
+    assert record["state"] == "running" and record["attempt"] == 1
+    assert record["progress"]["yielded_seconds"] > 0
+    assert own.get("/v1/scenes/s").json["checkpoints"] == []
+    command(own, job, "cancel")
+
+
+def test_path_into_a_training_that_is_loading(make_daemon, photographs):
+    """Before there is anything to render it is a conflict."""
+    daemon = make_daemon({"RIPNERF_FAKE_LOAD_MS": "2000"})
+    daemon.wait(daemon.upload("data", photographs))
+    job = train(daemon, "s")
+    reply = daemon.post("/v1/jobs", {"type": "path", "scene": "s", "camera_path": PATH})
+    assert reply.status == 409 and job in reply.json["detail"]
+    wait_for_step(daemon, job, 1)
+    assert daemon.wait(daemon.submit(type="path", scene="s", camera_path=PATH))["state"] == \
+        "succeeded"
+    command(daemon, job, "cancel")
+
+
+def test_frames_of_another_step_are_not_kept(programs, photographs, tmp_path):
+    """A path cut off by a crash goes on; after a crash that threw the scene back it begins anew."""
+    daemon = Daemon(*programs, tmp_path / "d", {"RIPNERF_FAKE_STEP_US": "2000",
+                                                "RIPNERF_FAKE_ROW_US": "5000"}).start()
+    try:
+        daemon.wait(daemon.upload("data", photographs))
+        job = train(daemon, "s", max_steps=100000, checkpoint_interval_s=1000)
+        wait_for_step(daemon, job, 50)
+        path = daemon.submit(type="path", scene="s", camera_path=PATH)
+        folder = tmp_path / "d" / "jobs" / path / "frames"
+        while not (folder / "00003.png").exists():
+            time.sleep(0.02)
+        first = int((folder / ".step").read_text())
+        assert first >= 50
+        daemon.stop(signal.SIGKILL)
+        daemon.start()
+        record = daemon.wait(path, timeout=60)
+        assert record["state"] == "succeeded" and record["result"]["frames"] == 41
+        assert record["result"]["step"] < first  # there was no checkpoint: training began anew
+        assert int((folder / ".step").read_text()) == record["result"]["step"]
+        command(daemon, job, "cancel")
+    finally:
+        daemon.stop()
+
+
+def test_figures_outlive_the_daemon(programs, photographs, tmp_path):
+    daemon = Daemon(*programs, tmp_path / "d", {"RIPNERF_FAKE_STEP_US": "2000"}).start()
+    try:
+        daemon.wait(daemon.upload("data", photographs))
+        job = train(daemon, "s", max_steps=100000, evaluate_interval_s=0.02)
+        figures = f"/v1/jobs/{job}/metrics"
+        while len(daemon.get(figures).json["items"]) < 5:
+            time.sleep(0.05)
+        command(daemon, job, "pause")
+        time.sleep(0.2)
+        before = daemon.get(figures).json["items"]
+        assert [item["step"] for item in before] == sorted({item["step"] for item in before})
+        assert daemon.stop() == 0
+        daemon.start()
+        assert daemon.get(figures).json["items"] == before
+        command(daemon, job, "resume")
+        while len(daemon.get(figures).json["items"]) < len(before) + 3:
+            time.sleep(0.05)
+        command(daemon, job, "finish")
+        daemon.wait(job)
+        after = daemon.get(figures).json["items"]
+        assert after[:len(before)] == before
+        assert daemon.get("/v1/jobs/job_aaaaaaaaaaaa/metrics").status == 404
+        assert daemon.get(f"/v1/jobs/{daemon.upload('e', photographs)}/metrics").json["items"] == []
+    finally:
+        daemon.stop()
+
+
+def test_figures_that_a_crash_has_undone_go(own):
+    job = train(own, "s", max_steps=100000, evaluate_interval_s=0.02, checkpoint_interval_s=1000)
+    figures = f"/v1/jobs/{job}/metrics"
+    while len(own.get(figures).json["items"]) < 10:
+        time.sleep(0.05)
+    for pid in own.runners():
+        os.kill(pid, signal.SIGSTOP)  # nothing more is said
+    last = own.get(figures).json["items"][-1]["step"]
+    for pid in own.runners():
+        os.kill(pid, signal.SIGKILL)
+    own.wait(job, ["queued"])
+    deadline = time.monotonic() + 20
+    while own.get(figures).json["items"][-1]["step"] >= last:
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+    steps = [item["step"] for item in own.get(figures).json["items"]]
+    assert steps == sorted(set(steps))
+    command(own, job, "cancel")
+
+
+def test_figures_are_bounded(own):
+    job = train(own, "s", max_steps=100000, evaluate_interval_s=1e-9)
+    figures = f"/v1/jobs/{job}/metrics"
+    deadline, most, thinned = time.monotonic() + 60, 0, False
+    while not thinned:
+        assert time.monotonic() < deadline
+        count = len(own.get(figures).json["items"])
+        assert count <= 512
+        thinned, most = count < most, max(most, count)
+        time.sleep(0.05)
     command(own, job, "cancel")
 
 
@@ -217,6 +330,40 @@ def test_kill_runner(own):
               if name == "state"]
     assert states == ["queued", "running", "interrupted", "queued", "running", "succeeded"]
     assert record["result"]["parameters_sha256"] == straight["parameters_sha256"]
+
+
+def test_runner_that_hangs(make_daemon, photographs):
+    """A runner that says nothing is ended: its job goes on in another, no request waits for ever."""
+    daemon = make_daemon({"RIPNERF_FAKE_STEP_US": "2000"}, runner_timeout=4)
+    daemon.wait(daemon.upload("data", photographs))
+    _, straight = daemon.train("straight", max_steps=500)
+    job = train(daemon, "s", max_steps=500)
+    wait_for_step(daemon, job, 20)
+    for pid in daemon.runners():
+        os.kill(pid, signal.SIGSTOP)
+    begin = time.monotonic()
+    reply = daemon.post("/v1/scenes/s/render", {"view": "test:0"})
+    assert reply.status == 503 and "hangs" in reply.json["detail"], reply.body
+    idle = daemon.post("/v1/scenes/straight/render", {"view": "test:0"})
+    assert idle.status == 503 and int(idle.headers["Retry-After"]) > 0
+    assert time.monotonic() - begin < 15
+    record = daemon.wait(job)
+    assert record["state"] == "succeeded" and record["attempt"] == 2
+    assert record["result"]["parameters_sha256"] == straight["parameters_sha256"]
+    states = [data["state"] for _, name, data in daemon.events(f"/v1/jobs/{job}/events")
+              if name == "state"]
+    assert states == ["queued", "running", "interrupted", "queued", "running", "succeeded"]
+    assert daemon.post("/v1/scenes/straight/render", {"view": "test:0"}).status == 200
+
+
+def test_runner_that_works_in_silence(make_daemon, photographs):
+    """Long work is no hang: the runner says now and then that it is alive."""
+    daemon = make_daemon({"RIPNERF_FAKE_ROW_US": "600000"}, runner_timeout=4)
+    daemon.wait(daemon.upload("data", photographs))
+    daemon.train("s", max_steps=2)
+    camera = {"world_from_camera": pose(0)[:3], "axes": "opengl", "width": 12, "height": 12,
+              "fov_y_deg": 40}
+    assert daemon.post("/v1/scenes/s/render", {"camera": camera}).status == 200
 
 
 def test_runner_that_always_dies(programs, photographs, tmp_path):

@@ -51,6 +51,35 @@ def test_example_is_valid(document, path):
     jsonschema.Draft202012Validator(schema).validate(json.loads(path.read_text(encoding="utf-8")))
 
 
+def expanded(node, document):
+    """A schema with its references put in and its descriptions left out."""
+    if isinstance(node, list):
+        return [expanded(value, document) for value in node]
+    if not isinstance(node, dict):
+        return node
+    if "$ref" in node:
+        name, pointer = node["$ref"].split("#")
+        if name:
+            document = json.loads((PROTO / name).read_text(encoding="utf-8"))
+        target = document
+        for key in pointer.removeprefix("/").split("/"):
+            target = target[key]
+        return expanded(target, document)
+    dropped = {"description", "title", "$schema", "$id", "$defs"}
+    kept = {key: expanded(value, document) for key, value in node.items()
+            if key not in dropped}
+    return {key: value for key, value in kept.items()
+            if not (key == "type" and "enum" in kept)}
+
+
+@pytest.mark.parametrize("file, schema", [("camera.schema.json", "CameraFile"),
+                                          ("path.schema.json", "PathFile")])
+def test_file_schemas_are_those_of_the_document(document, file, schema):
+    alone = json.loads((PROTO / file).read_text(encoding="utf-8"))
+    shared = document["components"]["schemas"][schema]
+    assert expanded(alone, alone) == expanded(shared, document)
+
+
 def test_problems_are_listed():
     table = (PROTO / "problems.md").read_text(encoding="utf-8")
     source = (PROTO / "problem.c").read_text(encoding="utf-8")

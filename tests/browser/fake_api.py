@@ -221,6 +221,10 @@ class Handler(BaseHTTPRequestHandler):
                 ]
             )
 
+    def metrics(self, world, key):
+        with world.lock:
+            self.items([data for _, job, kind, data in world.events if (job, kind) == (key, "metric")])
+
     def frames(self, world, key):
         with world.lock:
             self.items(
@@ -296,6 +300,7 @@ ROUTES = [
     (rf"POST /v1/jobs/{ID}/(pause|resume|finish|cancel)", "act"),
     (rf"POST /v1/scenes/{ID}/render", "render"),
     (rf"GET /v1/scenes/{ID}/evaluations", "evaluations"),
+    (rf"GET /v1/jobs/{ID}/metrics", "metrics"),
     (rf"GET /v1/jobs/{ID}/frames", "frames"),
     (rf"GET /v1/jobs/{ID}/frames/(\d+)", "frame"),
     (rf"GET /v1/jobs/{ID}/frames\.tar", "frames_tar"),

@@ -403,6 +403,7 @@ class World:
                 "frames": total,
                 "width": path["width"],
                 "height": path["height"],
+                "step": 1234,
                 "render_ms_median": 83.0,
             }
             self.set_state(job, "succeeded")

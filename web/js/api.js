@@ -142,6 +142,8 @@ export const api = {
   evaluations: (id, signal) => list(`v1/scenes/${name(id)}/evaluations`, signal),
   jobs: (signal) => list('v1/jobs', signal),
   job: (id, signal) => json('GET', `v1/jobs/${name(id)}`, {signal}),
+  /** Held-out figures of a training job so far, oldest first. */
+  metrics: async (id, signal) => (await json('GET', `v1/jobs/${name(id)}/metrics`, {signal})).items,
   submit: (body) => json(
       'POST', 'v1/jobs',
       {json: body, headers: {'Idempotency-Key': crypto.randomUUID?.() ?? String(Math.random())}}),

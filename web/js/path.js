@@ -81,8 +81,8 @@ export const documentOf = (path) => ({
 export function pathOfDocument(document) {
   const sign = document.axes === 'opengl' ? -1 : 1;
   return {
-    fps: document.fps,
-    interpolation: document.interpolation,
+    fps: document.fps ?? 30,
+    interpolation: document.interpolation ?? 'spline',
     loop: Boolean(document.loop),
     width: document.width,
     height: document.height,

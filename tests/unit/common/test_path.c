@@ -46,6 +46,9 @@ START_TEST(frame_counts) {
         {PATH("spline", "false", 10, KEY(0, POSE_A, 40) "," KEY(0.7, POSE_B, 40)), 8},
         {PATH("linear", "false", 10, KEY(1, POSE_A, 40) "," KEY(1.75, POSE_B, 40)), 8},
         {PATH("spline", "true", 10, KEY(0, POSE_A, 40) "," KEY(1, POSE_B, 40)), 20},
+        {"{\"path\":{\"axes\":\"opencv\",\"width\":64,\"height\":48,\"keys\":[" KEY(
+             0, POSE_A, 40) "," KEY(1, POSE_B, 40) "]}}",
+         31}, // 30 a second, a spline, not looped
     };
     for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
         struct rn_path *path = parse(cases[i].json);
@@ -201,8 +204,8 @@ static const struct {
      RN_ERROR_INVALID},
     {PATH("spline", "1", 10, KEY(0, POSE_A, 40)), "p.json#/path/loop", "true", RN_ERROR_INVALID},
     {PATH("spline", "false", 0, KEY(0, POSE_A, 40)), "p.json#/path/fps", "is 0", RN_ERROR_INVALID},
-    {PATH("spline", "false", 1000, KEY(0, POSE_A, 40) "," KEY(200, POSE_B, 40)), "p.json#/path/fps",
-     "frames", RN_ERROR_LIMIT},
+    {PATH("spline", "false", 1000, KEY(0, POSE_A, 40) "," KEY(200, POSE_B, 40)),
+     "p.json#/path/keys", "frames", RN_ERROR_LIMIT},
     {PATH("spline", "false", 10, KEY(1, POSE_A, 40) "," KEY(1, POSE_B, 40)),
      "p.json#/path/keys/1/time", "later", RN_ERROR_INVALID},
     {PATH("spline", "false", 10, KEY(-1, POSE_A, 40)), "p.json#/path/keys/0/time", "is -1",

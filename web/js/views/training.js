@@ -1,4 +1,5 @@
 // The training of a scene: state, controls, PSNR over seconds, rates and clocks.
+import {api} from '../api.js';
 import {drawChart} from '../chart.js';
 import {fill, h, text} from '../dom.js';
 import {followJob} from '../follow.js';
@@ -55,7 +56,7 @@ export function trainingPanel(sceneId, signal) {
   const stable = h('p', {class: 'stable'});
   const clocks = h('div');
   const levels = h('div');
-  const points = [];
+  let points = [];
   let followed = null;
   let shownProblem = null;
   let said = 0;
@@ -63,14 +64,12 @@ export function trainingPanel(sceneId, signal) {
   function follow(job) {
     if (!job || followed === job.id) return;
     followed = job.id;
-    points.length = 0;
-    followJob(job.id, (type, data) => {
-      if (type !== 'metric' || data.psnr === null) return;
-      if (points.some((p) => p.step === data.step)) return;
-      points.push({x: data.train_seconds, y: data.psnr, step: data.step});
-      points.sort((a, b) => a.x - b.x);
+    points = [];
+    const load = curve(job.id, signal, (figures) => {
+      points = figures;
       update();
-    }, signal);
+    });
+    followJob(job.id, (type) => (type === 'metric' || type === 'state') && load(), signal);
   }
 
   function update() {
@@ -145,6 +144,30 @@ export function trainingPanel(sceneId, signal) {
       h('dl', {class: 'stats'},
         stats.map(({label, value}) => h('div', null, h('dt', null, label), value))),
       stable, h('details', null, h('summary', null, 'Clocks and levels'), clocks, levels));
+}
+
+/**
+ * The recorded figures of a job, read again whenever there is news: events are forgotten some day
+ * and what a restart has undone is not taken back in them. @returns {() => Promise<void>}
+ */
+function curve(id, signal, show) {
+  let loading = false;
+  let again = false;
+  return async () => {
+    again = true;
+    if (loading) return;
+    loading = true;
+    while (again && !signal.aborted) {
+      again = false;
+      try {
+        const figures = await api.metrics(id, signal);
+        show(
+            figures.filter((m) => m.psnr !== null)
+                .map((m) => ({x: m.train_seconds, y: m.psnr, step: m.step})));
+      } catch { /* the next event asks again */ }
+    }
+    loading = false;
+  };
 }
 
 /** How far towards the limits; the figures below say the rest. */
