@@ -115,6 +115,9 @@ enum rn_status rn_train_config_check(const struct rn_train_config *c, struct rn_
     REQUIRE(f->head_layers >= 1 && f->head_layers <= 5, "head_layers", "must be 1 to 5");
     REQUIRE(power_of_two(f->occupancy) && f->occupancy >= 16 && f->occupancy <= 256, "occupancy",
             "must be a power of two, 16 to 256");
+    REQUIRE(f->footprint_base >= 0 && f->footprint_base <= 4096, "footprint_base",
+            "must be 0 to 4096 texels");
+    REQUIRE(c->grow_to >= 0 && c->grow_to <= 4096, "grow_to", "must be 0 to 4096 texels");
     REQUIRE(c->step >= 1e-3 && c->step <= 1, "step", "must be 0.001 to 1 scene radii");
     REQUIRE(c->target_samples >= 1024 && c->target_samples <= 1 << 22, "target_samples",
             "must be 1024 to 4194304");

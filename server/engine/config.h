@@ -36,6 +36,7 @@ struct rn_field_config {
     int channels; // per texel: 4, 8 or 16
     int levels;   // per axis, 1..RN_MAX_LEVELS
     enum rn_footprint footprint;
+    int footprint_base; // side of the grid whose texels footprints are measured in; 0: base
     enum rn_shading shading;
     int width;            // of every hidden layer, a multiple of 16
     int base_layers;      // hidden layers of the density network
@@ -53,9 +54,10 @@ struct rn_train_config {
     double learning_rate; // networks
     double plane_rate;    // factor on the learning rate for the planes
     double weight_decay;  // decoupled
-    double beta2; // of AdamW's second moment; the first's is 0.9
+    double beta2;         // of AdamW's second moment; the first's is 0.9
     double adam_eps;
     int64_t max_steps;    // 0: no limit
+    int grow_to;          // base side that the planes grow to by doubling; 0: they do not grow
     double max_seconds;   // 0: no limit
     double until_psnr;    // 0: no limit
     bool carve;           // occupancy from the images' alpha before the first step
@@ -92,6 +94,11 @@ int rn_train_config_differences(const struct rn_train_config *config, struct rn_
 
 const char *rn_footprint_name(enum rn_footprint footprint);       // "rip", "mip", "point"
 const char *rn_orientation_name(enum rn_orientation orientation); // "platonic", ...
+// Texels a side of the grid whose texel a footprint of level 0 is as wide as.
+static inline int rn_footprint_base(const struct rn_field_config *config) {
+    return config->footprint_base > 0 ? config->footprint_base : config->base;
+}
+
 enum rn_status rn_footprint_parse(const char *name, enum rn_footprint *ret) RN_MUST_CHECK;
 enum rn_status rn_orientation_parse(const char *name, enum rn_orientation *ret) RN_MUST_CHECK;
 

@@ -387,10 +387,9 @@ struct rn_march_ray rn_march_ray_from(const struct rn_field *field, const struct
     return out;
 }
 
-int rn_levels_for_camera(const struct rn_field *field, const struct rn_camera *camera,
-                         double step) {
+double rn_top_level(const struct rn_field *field, const struct rn_camera *camera, double step) {
     const struct rn_field_config *c = &field->config.field;
-    if (c->footprint == RN_FOOTPRINT_POINT || c->levels == 1) return 1;
+    if (c->footprint == RN_FOOTPRINT_POINT || c->levels == 1) return 0;
     struct rn_ray ray = rn_camera_ray(camera, camera->cx, camera->cy);
     double far = 0;
     for (int i = 0; i < 3; i++) {
@@ -398,10 +397,15 @@ int rn_levels_for_camera(const struct rn_field *field, const struct rn_camera *c
         far += d * d;
     }
     far = (sqrt(far) + 1) * ray.radius; // cone radius at the far side of the ball
-    double level = rn_level_from_ball(far, c->base, c->levels);
+    double level = rn_level_from_ball(far, rn_footprint_base(c), c->levels);
     if (c->footprint == RN_FOOTPRINT_RIP) {
         double variance = fmax(step * step / 12, far * far * 0.26 + step * step * 0.05);
-        level = rn_level_from_variance(variance, c->base, c->levels);
+        level = rn_level_from_variance(variance, rn_footprint_base(c), c->levels);
     }
-    return (int)ceil(level - 1e-4) + 1;
+    return level;
+}
+
+int rn_levels_for_camera(const struct rn_field *field, const struct rn_camera *camera,
+                         double step) {
+    return (int)ceil(rn_top_level(field, camera, step) - 1e-4) + 1;
 }

@@ -44,6 +44,8 @@ static bool set_option(struct run *run, const char *name, const char *value) {
     } table[] = {
         {"planes", &f->planes, NULL},
         {"base", &f->base, NULL},
+        {"grow", &c->grow_to, NULL},
+        {"beta2", NULL, &c->beta2},
         {"channels", &f->channels, NULL},
         {"levels", &f->levels, NULL},
         {"width", &f->width, NULL},

@@ -44,7 +44,7 @@ static void ray_footprint_init(const struct rn_cpu_field *field, const struct rn
         field->built_levels < field->config.levels ? field->built_levels : field->config.levels;
     ret->leveled = false;
     if (levels < 2 || field->config.footprint == RN_FOOTPRINT_POINT) return;
-    float far = ray->near + ray->length, size = (float)field->config.base;
+    float far = ray->near + ray->length, size = (float)rn_footprint_base(&field->config);
     if (field->config.footprint == RN_FOOTPRINT_MIP) {
         ret->leveled = far * ray->radius * size > 1;
         return;
@@ -74,7 +74,7 @@ static void place_segment(const struct rn_cpu_field *field, const struct rn_marc
                           const struct rn_march_ray *ray, const struct ray_footprint *footprint,
                           bool leveled, const uint16_t *k, int n, int slot,
                           struct rn_workspace *w) {
-    int levels = field->built_levels, base = field->config.base;
+    int levels = field->built_levels, base = rn_footprint_base(&field->config);
     if (levels > field->config.levels) levels = field->config.levels;
     float step = options->step * (float)ray->stride, half = step * 0.5f;
     for (int j = 0; j < n; j += RN_VL) {

@@ -161,13 +161,14 @@ void rn_reference_levels(const struct rn_reference *ref, const struct rn_referen
     const struct rn_field_config *config = &ref->config;
     *ret_lx = *ret_ly = 0;
     if (config->footprint == RN_FOOTPRINT_MIP)
-        *ret_lx = *ret_ly = rn_level_from_ball(mid * ray->radius, config->base, config->levels);
+        *ret_lx = *ret_ly =
+            rn_level_from_ball(mid * ray->radius, rn_footprint_base(config), config->levels);
     if (config->footprint != RN_FOOTPRINT_RIP) return;
     struct rn_moments m = rn_frustum_moments(mid, ray->width, ray->radius);
     double vu = rn_projected_variance(ref->solid.axis_u[plane], ray->direction, m.axial, m.radial);
     double vv = rn_projected_variance(ref->solid.axis_v[plane], ray->direction, m.axial, m.radial);
-    *ret_lx = rn_level_from_variance(vu, config->base, config->levels);
-    *ret_ly = rn_level_from_variance(vv, config->base, config->levels);
+    *ret_lx = rn_level_from_variance(vu, rn_footprint_base(config), config->levels);
+    *ret_ly = rn_level_from_variance(vv, rn_footprint_base(config), config->levels);
 }
 
 // Visits the up to 16 texels of a query: calls for each with its offset and weight.

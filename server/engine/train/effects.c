@@ -10,6 +10,7 @@
 #include "server/engine/train/trainer.h"
 
 #define PROBES 512                 // rays looked at
+#define RANGE_THRESHOLD 0.5        // levels: footprints 1.4 times as large
 #define ANISOTROPY_THRESHOLD 0.585 // levels: a footprint 1.5 times as long as wide
 #define VIEW_THRESHOLD (2.0 / 255) // colour change over directions that counts as noise
 
@@ -31,18 +32,18 @@ static void detect_background(struct rn_trainer *t) {
              100 * r->number);
 }
 
-// Footprint statistics over random training rays: the largest level reached anywhere in the ball,
-// and the 95th percentile of the difference of the two axes' levels, at most `levels` up.
 static int compare_doubles(const void *a, const void *b) {
     double x = *(const double *)a, y = *(const double *)b;
     return (x > y) - (x < y);
 }
 
-static void probe_footprints(const struct rn_trainer *t, double *ret_top, double *ret_spread) {
+// 95th percentile, over random training rays, of the difference of the two axes' levels on the
+// plane where it is largest.
+static double probe_anisotropy(const struct rn_trainer *t) {
     const struct rn_train_config *config = &t->field->config;
     const struct rn_field_config *c = &config->field;
+    int base = rn_footprint_base(c);
     double spread[PROBES];
-    *ret_top = 0;
     for (int i = 0; i < PROBES; i++) {
         struct rn_rng4 draw = rn_rng_draw(config->seed, 0x6566666563747300u, (uint64_t)i);
         const struct rn_pixel_frame *f =
@@ -54,32 +55,64 @@ static void probe_footprints(const struct rn_trainer *t, double *ret_top, double
         double length = ray.length > 0 ? ray.length : 0;
         double mid = ray.near + length * rn_rng_unit(draw.v[3]);
         struct rn_moments m = rn_frustum_moments(mid, config->step, ray.radius);
-        double worst = 0;
+        spread[i] = 0;
         for (int p = 0; p < c->planes; p++) {
             double u = rn_projected_variance(t->field->cpu.solid.axis_u[p], d, m.axial, m.radial);
             double v = rn_projected_variance(t->field->cpu.solid.axis_v[p], d, m.axial, m.radial);
-            double lu = rn_level_from_variance(u, c->base, c->levels);
-            double lv = rn_level_from_variance(v, c->base, c->levels);
-            *ret_top = fmax(*ret_top, fmax(lu, lv));
-            worst = fmax(worst, fabs(lu - lv));
+            double lu = rn_level_from_variance(u, base, c->levels);
+            double lv = rn_level_from_variance(v, base, c->levels);
+            spread[i] = fmax(spread[i], fabs(lu - lv));
         }
-        spread[i] = worst;
     }
     qsort(spread, PROBES, sizeof *spread, compare_doubles);
-    *ret_spread = spread[PROBES * 95 / 100];
+    return spread[PROBES * 95 / 100];
+}
+
+// Range of the cones' radii at the scene's centre over the training cameras, in levels.
+static double footprint_range(const struct rn_trainer *t) {
+    const struct rn_bounds *bounds = &t->field->bounds;
+    double smallest = INFINITY, largest = 0;
+    for (int f = 0; f < t->train.frame_count; f++) {
+        const struct rn_camera *camera = &t->train.frames[f].frame->camera;
+        struct rn_ray ray = rn_camera_ray(camera, camera->cx, camera->cy);
+        double d[3];
+        for (int i = 0; i < 3; i++)
+            d[i] = ray.origin[i] - bounds->centre[i];
+        double radius = ray.radius * fmax(sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2]), 1e-30);
+        smallest = fmin(smallest, radius);
+        largest = fmax(largest, radius);
+    }
+    return largest > 0 ? log2(largest / smallest) : 0;
+}
+
+// Where footprints hardly differ, they are measured in texels so wide that all of them are at level
+// 0: no pyramid is built or read in training; a camera farther away still gets its levels.
+static void anchor_footprints(struct rn_trainer *t) {
+    struct rn_field_config *c = &t->field->config.field;
+    int base = t->field->config.grow_to > c->base ? t->field->config.grow_to : c->base;
+    double top = 0;
+    c->footprint_base = base;
+    for (int f = 0; f < t->train.frame_count; f++)
+        top = fmax(
+            top, rn_top_level(t->field, &t->train.frames[f].frame->camera, t->field->config.step));
+    if (top > 0) c->footprint_base = (int)(base / exp2(top));
+    if (c->footprint_base < 1) c->footprint_base = 1;
+    t->field->cpu.config.footprint_base = c->footprint_base;
 }
 
 static void detect_footprints(struct rn_trainer *t) {
     struct rn_field_config *c = &t->field->cpu.config;
-    double top, spread;
-    probe_footprints(t, &top, &spread);
+    double spread = probe_anisotropy(t);
     bool can = c->footprint != RN_FOOTPRINT_POINT && c->levels > 1;
     struct rn_effect_record *pyramid = record(t, RN_EFFECT_SCALE_PYRAMID, "scale-pyramid");
-    pyramid->number = top;
-    pyramid->on = can && top > pyramid->threshold;
-    snprintf(pyramid->reason, sizeof pyramid->reason,
-             "footprints of the training rays span up to %.2f texels of the base grid%s", exp2(top),
-             can ? "" : "; the field samples points");
+    pyramid->number = footprint_range(t);
+    pyramid->threshold = RANGE_THRESHOLD;
+    bool asked = !t->field->config.auto_effects || t->field->config.footprint_given;
+    pyramid->on = can && (asked || pyramid->number > pyramid->threshold);
+    snprintf(
+        pyramid->reason, sizeof pyramid->reason,
+        "footprints at the scene's centre differ by a factor of %.2f over the training cameras%s",
+        exp2(pyramid->number), can ? "" : "; the field samples points");
     struct rn_effect_record *anisotropy = record(t, RN_EFFECT_ANISOTROPY, "anisotropy");
     anisotropy->number = spread;
     anisotropy->threshold = ANISOTROPY_THRESHOLD;
@@ -115,6 +148,9 @@ void rn_trainer_detect_effects(struct rn_trainer *t) {
     bool may_switch = config->auto_effects && !config->footprint_given;
     if (may_switch && config->field.footprint == RN_FOOTPRINT_RIP && !anisotropy)
         config->field.footprint = t->field->cpu.config.footprint = RN_FOOTPRINT_MIP;
+    if (may_switch && !t->field->effects[RN_EFFECT_SCALE_PYRAMID].on &&
+        config->field.footprint != RN_FOOTPRINT_POINT)
+        anchor_footprints(t);
 }
 
 // RMS change of the colours of training rays when another camera's direction is put into the

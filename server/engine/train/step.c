@@ -60,6 +60,17 @@ static int choose_bands(const struct rn_trainer *t) {
     return base % (4 * unit) == 0 ? 4 : 1;
 }
 
+void rn_trainer_free_step(struct rn_trainer *t) {
+    free(t->grad_pyramid);
+    free(t->touched);
+    free(t->rays);
+    free(t->group_memory);
+    free(t->good);
+    t->grad_pyramid = t->group_memory = t->good = NULL;
+    t->touched = NULL;
+    t->rays = NULL;
+}
+
 enum rn_status rn_trainer_allocate(struct rn_trainer *t, struct rn_error *err) {
     const struct rn_field_config *c = &t->field->config.field;
     size_t count = t->field->parameters.count + 64;

@@ -83,7 +83,7 @@ static int training_levels(const struct rn_trainer *t) {
 }
 
 // Everything that follows from the pixels and the configuration.
-static enum rn_status set_up(struct rn_trainer *t, struct rn_error *err) {
+enum rn_status rn_trainer_set_up(struct rn_trainer *t, struct rn_error *err) {
     enum rn_status status = rn_field_need_levels(t->field, training_levels(t), err);
     if (status == RN_OK) status = rn_engine_prepare(t->engine, t->field, err);
     if (status == RN_OK) status = rn_trainer_allocate(t, err);
@@ -92,7 +92,9 @@ static enum rn_status set_up(struct rn_trainer *t, struct rn_error *err) {
 
 static enum rn_status check_memory(const struct rn_trainer *t, const struct rn_train_config *config,
                                    size_t limit, size_t *ret_left, struct rn_error *err) {
-    size_t need = 5 * rn_field_bytes(config, 1) + RN_MAX_RAYS * sizeof(struct rn_march_ray);
+    struct rn_train_config grown = *config;
+    if (config->grow_to > config->field.base) grown.field.base = config->grow_to;
+    size_t need = 5 * rn_field_bytes(&grown, 1) + RN_MAX_RAYS * sizeof(struct rn_march_ray);
     *ret_left = 0;
     if (!limit) return RN_OK;
     if (need >= limit)
@@ -136,7 +138,7 @@ enum rn_status rn_trainer_create(struct rn_engine *engine, const struct rn_datas
     double begin = (double)rn_clock_ns();
     rn_trainer_detect_effects(t);
     rn_field_randomise(t->field, config->seed);
-    status = set_up(t, err);
+    status = rn_trainer_set_up(t, err);
     if (status != RN_OK) goto fail;
     if (t->field->config.carve) rn_trainer_carve(t);
     status = rn_trainer_list_hull(t, err);
@@ -174,7 +176,7 @@ enum rn_status rn_trainer_restore(struct rn_engine *engine, const struct rn_data
     if (status == RN_OK)
         status = check_memory(t, &checkpoint.config, memory_limit_bytes, &left, err);
     if (status == RN_OK) status = load_pixels(t, left, err);
-    if (status == RN_OK) status = set_up(t, err);
+    if (status == RN_OK) status = rn_trainer_set_up(t, err);
     if (status == RN_OK) status = rn_checkpoint_read_trainer(&checkpoint, t, err);
     if (status == RN_OK) status = rn_trainer_list_hull(t, err);
     if (status == RN_OK) status = rn_trainer_list_live(t, err);
@@ -198,14 +200,10 @@ void rn_trainer_destroy(struct rn_trainer **trainer) {
     rn_field_destroy(&t->field);
     rn_pixels_finish(&t->train);
     rn_pixels_finish(&t->held);
+    rn_trainer_free_step(t);
     free(t->grad);
-    free(t->grad_pyramid);
-    free(t->touched);
-    free(t->rays);
-    free(t->group_memory);
     free(t->hull_list);
     free(t->live);
-    free(t->good);
     free(t->incidents);
     free(t);
     *trainer = NULL;
@@ -219,11 +217,13 @@ static bool reached_limit(const struct rn_trainer *t) {
     return rn_trainer_fraction(t) >= 1;
 }
 
-static void before_step(struct rn_trainer *t) {
+static enum rn_status before_step(struct rn_trainer *t, struct rn_error *err) {
     int64_t step = t->progress.step;
     double fraction = rn_trainer_fraction(t);
     if (step >= WARM_UP_STEPS || fraction >= WARM_UP_FRACTION) rn_trainer_decide_view_dependence(t);
-    if (step % RN_OCCUPANCY_EVERY == 0) rn_trainer_update_occupancy(t);
+    enum rn_status status = rn_trainer_grow(t, err);
+    if (status == RN_OK && step % RN_OCCUPANCY_EVERY == 0) rn_trainer_update_occupancy(t);
+    return status;
 }
 
 static void update_rates(struct rn_trainer *t, double seconds) {
@@ -235,10 +235,11 @@ static void update_rates(struct rn_trainer *t, double seconds) {
     t->window_rays = t->window_samples = 0;
 }
 
-static void run_block(struct rn_trainer *t) {
+static enum rn_status run_block(struct rn_trainer *t, struct rn_error *err) {
     double begin = (double)rn_clock_ns();
     if (!t->stepping) {
-        before_step(t);
+        enum rn_status status = before_step(t, err);
+        if (status != RN_OK) return status;
         rn_trainer_begin_step(t);
     }
     rn_trainer_run_wave(t);
@@ -246,6 +247,7 @@ static void run_block(struct rn_trainer *t) {
     t->progress.train_seconds += seconds;
     t->field->train_seconds = t->progress.train_seconds;
     update_rates(t, seconds);
+    return rn_trainer_guard_check(t, err);
 }
 
 enum rn_status rn_trainer_advance(struct rn_trainer *t, double budget_ms, struct rn_error *err) {
@@ -257,8 +259,7 @@ enum rn_status rn_trainer_advance(struct rn_trainer *t, double budget_ms, struct
             t->progress.done = true;
             return RN_OK;
         }
-        run_block(t);
-        status = rn_trainer_guard_check(t, err);
+        status = run_block(t, err);
         if (status != RN_OK) return status;
     } while (rn_clock_ns() < until);
     return RN_OK;
@@ -367,8 +368,9 @@ struct rn_field *rn_trainer_field(struct rn_trainer *t) {
 enum rn_status rn_trainer_save(struct rn_trainer *t, const char *path, struct rn_error *err) {
     enum rn_status status = rn_engine_prepare(t->engine, t->field, err);
     if (status != RN_OK) return status;
-    while (t->stepping)
-        run_block(t);
+    while (t->stepping && status == RN_OK)
+        status = run_block(t, err);
     rn_trainer_guard_save(t);
+    if (status != RN_OK) return status;
     return rn_checkpoint_write(t, path, err);
 }

@@ -84,7 +84,12 @@ enum rn_status rn_trainer_list_live(struct rn_trainer *trainer, struct rn_error 
 // effects.c
 void rn_trainer_detect_effects(struct rn_trainer *trainer);
 void rn_trainer_decide_view_dependence(struct rn_trainer *trainer);
+// trainer.c: everything that follows from the pixels and the configuration.
+enum rn_status rn_trainer_set_up(struct rn_trainer *trainer, struct rn_error *err) RN_MUST_CHECK;
+// grow.c: makes the planes as large as they should be by now. RN_ERROR_NO_MEMORY.
+enum rn_status rn_trainer_grow(struct rn_trainer *trainer, struct rn_error *err) RN_MUST_CHECK;
 // step.c
+void rn_trainer_free_step(struct rn_trainer *trainer); // what rn_trainer_allocate took, but grad
 enum rn_status rn_trainer_allocate(struct rn_trainer *trainer, struct rn_error *err) RN_MUST_CHECK;
 void rn_trainer_begin_step(struct rn_trainer *trainer);
 void rn_trainer_run_wave(struct rn_trainer *trainer); // clears `stepping` when the step is complete
