@@ -48,6 +48,7 @@ extern const struct rn_verb rn_verbs_job[];     // train jobs watch pause resume
 extern const struct rn_verb rn_verbs_scene[];   // scenes show rm info
 extern const struct rn_verb rn_verbs_render[];  // render path eval
 extern const struct rn_verb rn_verbs_bench[];   // bench
+extern const struct rn_verb rn_verbs_doctor[];  // doctor
 
 // Prints text from outside with '?' for control characters, which a terminal might obey.
 void rn_client_print(FILE *out, const char *text);

@@ -1,24 +1,12 @@
 // bench: what this machine can do, and what the engine makes of it. Needs no daemon.
 
-#include <errno.h>
-#include <fcntl.h>
-#include <libgen.h>
-#include <limits.h>
-#include <spawn.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-#include <sys/wait.h>
-#include <unistd.h>
 
-#include "client/client.h"
+#include "client/local.h"
 #include "client/table.h"
-#include "common/base/buf.h"
 #include "proto/bench.h"
-
-extern char **environ;
-
-#define REPORT_MAX (1 << 20)
 
 struct bench_options {
     const char *preset, *kernels;
@@ -53,76 +41,6 @@ static const struct rn_option bench_table[] = {
      .min = 0.5,
      .max = 3600},
     {0}};
-
-// The runner lies where the daemon looks for it: beside the programs of a build, or installed.
-static enum rn_status find_runner(char ret_path[PATH_MAX], struct rn_error *err) {
-    static const char *const places[] = {"../server/ripnerf-runner", "ripnerf-runner",
-                                         "../libexec/ripnerf/ripnerf-runner"};
-    char folder[PATH_MAX];
-    ssize_t size = readlink("/proc/self/exe", folder, sizeof folder - 1);
-    if (size <= 0) return rn_error_from_errno(err, errno, "/proc/self/exe", "reading");
-    folder[size] = '\0';
-    dirname(folder);
-    for (size_t i = 0; i < sizeof places / sizeof *places; i++)
-        if (snprintf(ret_path, PATH_MAX, "%s/%s", folder, places[i]) < PATH_MAX &&
-            access(ret_path, X_OK) == 0)
-            return RN_OK;
-    return rn_error_set(err, RN_ERROR_NOT_FOUND, "ripnerf-runner",
-                        "is neither beside ripnerf nor in ../server or ../libexec/ripnerf");
-}
-
-// Starts the runner with its standard output in a pipe.
-static enum rn_status start(const char *runner, const struct bench_options *options, pid_t *ret_pid,
-                            int *ret_fd, struct rn_error *err) {
-    char threads[24], seconds[32];
-    const char *argv[12] = {runner, "--mode", "bench", "--threads", threads, "--seconds", seconds};
-    int n = 7, ends[2];
-    posix_spawn_file_actions_t actions;
-    snprintf(threads, sizeof threads, "%lld",
-             options->threads == RN_OPTION_ABSENT ? 0LL : (long long)options->threads);
-    snprintf(seconds, sizeof seconds, "%.17g", rn_number_or(options->seconds, 10));
-    if (options->preset) argv[n++] = "--preset", argv[n++] = options->preset;
-    if (options->kernels) argv[n++] = "--kernels", argv[n++] = options->kernels;
-    if (pipe2(ends, O_CLOEXEC) != 0)
-        return rn_error_from_errno(err, errno, runner, "making a pipe");
-    posix_spawn_file_actions_init(&actions);
-    int errnum = posix_spawn_file_actions_adddup2(&actions, ends[1], STDOUT_FILENO);
-    if (errnum == 0)
-        errnum = posix_spawn(ret_pid, runner, &actions, NULL, (char *const *)argv, environ);
-    posix_spawn_file_actions_destroy(&actions);
-    close(ends[1]);
-    if (errnum != 0) {
-        close(ends[0]);
-        return rn_error_from_errno(err, errnum, runner, "starting");
-    }
-    *ret_fd = ends[0];
-    return RN_OK;
-}
-
-static enum rn_status read_all(int fd, struct rn_buf *report, struct rn_error *err) {
-    char part[4096];
-    ssize_t size;
-    while ((size = read(fd, part, sizeof part)) != 0) {
-        if (size < 0 && errno == EINTR) continue;
-        if (size < 0) return rn_error_from_errno(err, errno, "ripnerf-runner", "reading");
-        rn_buf_append(report, part, (size_t)size);
-    }
-    if (report->failed) return rn_error_set(err, RN_ERROR_LIMIT, "ripnerf-runner", "says too much");
-    return RN_OK;
-}
-
-static enum rn_exit wait_for(pid_t pid) {
-    int status = 0;
-    while (waitpid(pid, &status, 0) < 0)
-        if (errno != EINTR) return RN_EXIT_FAILED;
-    if (!WIFEXITED(status)) {
-        fprintf(stderr, "ripnerf: ripnerf-runner was killed by signal %d\n", WTERMSIG(status));
-        return RN_EXIT_FAILED;
-    }
-    return WEXITSTATUS(status) == 0   ? RN_EXIT_OK
-           : WEXITSTATUS(status) == 2 ? RN_EXIT_USAGE
-                                      : RN_EXIT_FAILED;
-}
 
 // ---- table ----
 
@@ -207,22 +125,17 @@ static enum rn_exit show(const struct rn_client *client, struct rn_buf *report) 
 }
 
 static enum rn_exit run_bench(struct rn_client *client, const void *context, const char **args) {
-    char runner[PATH_MAX];
-    struct rn_error err = {0};
+    const struct bench_options *options = context;
+    char threads[24], seconds[32];
+    const char *argv[12] = {NULL, "--mode", "bench", "--threads", threads, "--seconds", seconds};
+    int n = 7;
+    snprintf(threads, sizeof threads, "%lld", (long long)rn_int_or(options->threads, 0));
+    snprintf(seconds, sizeof seconds, "%.17g", rn_number_or(options->seconds, 10));
+    if (options->preset) argv[n++] = "--preset", argv[n++] = options->preset;
+    if (options->kernels) argv[n++] = "--kernels", argv[n++] = options->kernels;
     struct rn_buf report;
-    pid_t pid = 0;
-    int fd = -1;
-    enum rn_status status = find_runner(runner, &err);
-    if (status == RN_OK) status = start(runner, context, &pid, &fd, &err);
-    if (status != RN_OK) return rn_client_fail(&err);
-    rn_buf_init(&report, REPORT_MAX);
-    status = read_all(fd, &report, &err);
-    close(fd);
-    enum rn_exit code = wait_for(pid), shown = RN_EXIT_OK;
-    if (status != RN_OK)
-        shown = rn_client_fail(&err);
-    else if (report.size > 0)
-        shown = show(client, &report);
+    enum rn_exit code = rn_local_run(argv, &report), shown = RN_EXIT_OK;
+    if (report.size > 0) shown = show(client, &report);
     rn_buf_finish(&report);
     return code != RN_EXIT_OK ? code : shown;
 }

@@ -11,6 +11,7 @@
 #include "common/base/log.h"
 #include "server/engine/engine.h"
 #include "server/runner/bench.h"
+#include "server/runner/doctor.h"
 #include "server/runner/host.h"
 #include "server/runner/ingest.h"
 
@@ -41,11 +42,13 @@ static int probe(int fd) {
 }
 
 static int usage(const char *program) {
-    fprintf(stderr,
-            "usage: %s --mode field|ingest|probe --fd N\n"
-            "       %s --mode bench [--preset NAME] [--kernels SET] [--threads N] [--seconds S]\n"
-            "Started by ripnerfd, N a connected stream socket; or by ripnerf bench.\n",
-            program, program);
+    fprintf(
+        stderr,
+        "usage: %s --mode field|ingest|probe --fd N\n"
+        "       %s --mode bench [--preset NAME] [--kernels SET] [--threads N] [--seconds S]\n"
+        "       %s --mode doctor [--seed N] [--checkpoint FILE [--cameras FILE] [--replay FILE]]\n"
+        "Started by ripnerfd, N a connected stream socket; or by ripnerf bench and doctor.\n",
+        program, program, program);
     return 2;
 }
 
@@ -59,9 +62,12 @@ int main(int argc, char **argv) {
         {"mode", required_argument, NULL, 'm'},    {"preset", required_argument, NULL, 'p'},
         {"kernels", required_argument, NULL, 'k'}, {"threads", required_argument, NULL, 't'},
         {"seconds", required_argument, NULL, 's'}, {"fd", required_argument, NULL, 'f'},
+        {"seed", required_argument, NULL, 'e'},    {"checkpoint", required_argument, NULL, 'c'},
+        {"cameras", required_argument, NULL, 'a'}, {"replay", required_argument, NULL, 'r'},
         {"version", no_argument, NULL, 'v'},       {NULL, 0, NULL, 0}};
     const char *mode = "";
     struct rn_bench_options bench = {.seconds = 5};
+    struct rn_runner_doctor doctor = {.seed = 0};
     int fd = -1, option;
     while ((option = getopt_long(argc, argv, "", options, NULL)) != -1) {
         char *end = "";
@@ -71,6 +77,10 @@ int main(int argc, char **argv) {
         if (option == 'k') bench.kernels = optarg;
         if (option == 't') bench.threads = (int)strtol(optarg, &end, 10);
         if (option == 's') bench.seconds = strtod(optarg, &end);
+        if (option == 'e') doctor.seed = strtoull(optarg, &end, 10);
+        if (option == 'c') doctor.checkpoint = optarg;
+        if (option == 'a') doctor.cameras = optarg;
+        if (option == 'r') doctor.replay = optarg;
         if (option == 'v') {
             puts("ripnerf-runner " RIPNERF_VERSION);
             return 0;
@@ -78,6 +88,9 @@ int main(int argc, char **argv) {
         if (option == '?' || *end) return usage(argv[0]);
     }
     if (optind == argc && strcmp(mode, "bench") == 0) return rn_runner_bench(&bench);
+    if (optind == argc && strcmp(mode, "doctor") == 0 &&
+        (doctor.checkpoint || (!doctor.cameras && !doctor.replay)))
+        return rn_runner_doctor(&doctor);
     if (optind != argc || !is_socket(fd)) return usage(argv[0]);
     // A Ctrl-C at the terminal is the daemon's to deal with; it then tells its runners.
     signal(SIGINT, SIG_IGN);

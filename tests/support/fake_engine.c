@@ -14,6 +14,7 @@
 #include "common/base/file.h"
 #include "common/base/sha256.h"
 #include "server/engine/bench/bench.h"
+#include "server/engine/doctor/doctor.h"
 #include "server/engine/engine.h"
 
 #define HELD_OUT 8
@@ -446,6 +447,14 @@ enum rn_status rn_evaluate_view(struct rn_engine *engine, struct rn_field *field
                                         .render_ms = result.stats.render_ms};
     rn_render_result_finish(&result);
     return RN_OK;
+}
+
+// ---- doctor ------------------------------------------------------------------------------
+
+enum rn_status rn_doctor_run(const struct rn_doctor_options *options,
+                             void (*progress)(const char *what),
+                             struct rn_doctor_result *ret_result, struct rn_error *err) {
+    return rn_error_set(err, RN_ERROR_UNSUPPORTED, "doctor", "there is nothing to examine here");
 }
 
 // ---- figures ----------------------------------------------------------------------------

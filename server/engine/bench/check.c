@@ -5,10 +5,9 @@
 #include <string.h>
 
 #include "common/math/rng.h"
-#include "server/engine/field/frustum.h"
 #include "server/engine/field/occupancy.h"
-#include "server/engine/field/ripmap.h"
 #include "server/engine/field/volume.h"
+#include "server/engine/reference/exact.h"
 #include "server/engine/reference/reference.h"
 
 #define SAMPLES 512 // looked at a stage, evenly spaced
@@ -32,8 +31,7 @@ static int stride(int count) {
     return count > SAMPLES ? count / SAMPLES : 1;
 }
 
-// ---- rays and march
-// ----------------------------------------------------------------------------------
+// ---- rays and march -------------------------------------------------------------------------
 
 double rn_bench_check_rays(const struct rn_bench_recording *rec) {
     const struct rn_trainer *t = rec->trainer;
@@ -92,62 +90,6 @@ double rn_bench_check_march(const struct rn_bench_recording *rec) {
 
 // ---- encode ---------------------------------------------------------------------------------
 
-static int levels_of(const struct rn_cpu_field *f) {
-    return f->built_levels < f->config.levels ? f->built_levels : f->config.levels;
-}
-
-// The tetra-linear query of one plane (paper, section 3.3).
-static void fetch(const struct rn_cpu_field *f, int plane, const double uv[2], const double l[2],
-                  double ret[16]) {
-    int levels = levels_of(f), channels = f->config.channels;
-    bool mip = f->config.footprint == RN_FOOTPRINT_MIP;
-    struct rn_lerp x = rn_rip_level(l[0], levels), y = rn_rip_level(l[1], levels);
-    memset(ret, 0, 16 * sizeof *ret);
-    for (int i = 0; i < 4; i++) {
-        double wx = i & 1 ? x.fraction : 1 - x.fraction, wy = i & 2 ? y.fraction : 1 - y.fraction;
-        double weight = mip ? (i == 1 || i == 2 ? 0 : wx) : wx * wy;
-        if (!(weight > 0)) continue;
-        const struct rn_map *map = &f->maps[plane][i & 2 ? y.high : y.low][i & 1 ? x.high : x.low];
-        struct rn_lerp a = rn_rip_lerp(uv[0], map->width), b = rn_rip_lerp(uv[1], map->height);
-        for (int j = 0; j < 4; j++) {
-            size_t texel = (size_t)(j & 2 ? b.high : b.low) * (size_t)map->width +
-                           (size_t)(j & 1 ? a.high : a.low);
-            double corner = weight * (j & 1 ? a.fraction : 1 - a.fraction) *
-                            (j & 2 ? b.fraction : 1 - b.fraction);
-            for (int c = 0; c < channels; c++)
-                ret[c] += corner * (double)map->texels[texel * (size_t)channels + (size_t)c];
-        }
-    }
-}
-
-static double along(const double axis[3], const double x[3]) {
-    return axis[0] * x[0] + axis[1] * x[1] + axis[2] * x[2];
-}
-
-// Features of the sample at `s` behind the ray's origin.
-static void encode(const struct rn_bench_recording *rec, const struct rn_march_ray *ray, double s,
-                   double *ret_features) {
-    const struct rn_cpu_field *f = rec->field;
-    struct rn_reference ref = {.config = f->config, .solid = f->solid};
-    ref.config.levels = levels_of(f);
-    struct rn_reference_ray r = {.radius = (double)ray->radius,
-                                 .width = (double)rec->trainer->march.step};
-    double mid = (double)ray->near + s, x[3];
-    double shift = rn_frustum_moments(mid, r.width, r.radius).mean - mid;
-    for (int i = 0; i < 3; i++) {
-        r.direction[i] = (double)ray->direction[i];
-        x[i] = (double)ray->origin[i] + r.direction[i] * (s + shift);
-    }
-    for (int p = 0; p < f->config.planes; p++) {
-        double l[2] = {0, 0}, value[16];
-        double uv[2] = {along(f->solid.axis_u[p], x), along(f->solid.axis_v[p], x)};
-        rn_reference_levels(&ref, &r, p, mid, &l[0], &l[1]);
-        fetch(f, p, uv, l, value);
-        memcpy(ret_features + p * f->config.channels, value,
-               (size_t)f->config.channels * sizeof *value);
-    }
-}
-
 double rn_bench_check_encode(const struct rn_bench_recording *rec,
                              const struct rn_bench_packet *packet) {
     struct worst worst = {0};
@@ -155,7 +97,8 @@ double rn_bench_check_encode(const struct rn_bench_recording *rec,
     double exact[RN_MAX_PLANES * 16];
     rn_bench_stage_run(rec, packet, RN_STAGE_ENCODE, NULL);
     for (int i = 0; i < w->count; i += stride(w->count)) {
-        encode(rec, &packet->rays[w->ray[i]], (double)w->s[i], exact);
+        rn_exact_features(rec->field, &packet->rays[w->ray[i]], (double)rec->trainer->march.step,
+                          (double)w->s[i], exact, NULL);
         for (int k = 0; k < rec->field->features; k++)
             compare(&worst, (double)w->features[(size_t)i * rec->field->feature_stride + k],
                     exact[k]);
@@ -367,7 +310,7 @@ double rn_bench_check_scatter(const struct rn_bench_recording *rec) {
                     l[0] = slab->lx[p][i];
                     l[1] = slab->ly[p][i];
                 }
-                fetch(f, p, uv, l, value);
+                rn_exact_fetch(f, p, uv, l, value);
                 for (int c = 0; c < channels; c++) {
                     double product = (double)slab->grad[p][(size_t)i * channels + c] * value[c];
                     samples += product;
@@ -412,6 +355,7 @@ double rn_bench_check_occupancy(const struct rn_bench_recording *rec) {
     enum { N = 128 };
     const struct rn_cpu_field *f = rec->field;
     float points[N][3], density[N], features[RN_MAX_PLANES * 16];
+    double exact[RN_MAX_PLANES * 16];
     struct worst worst = {0};
     struct network base;
     if (!network_init(&f->base_shape, f->base_weights, &base)) return INFINITY;
@@ -420,13 +364,11 @@ double rn_bench_check_occupancy(const struct rn_bench_recording *rec) {
             points[i][k] = rn_rng_unit(rn_rng_draw(5, 6, (uint64_t)i).v[k]) - 0.5f;
     rec->kernels->density(f, points, N, 0, rec->packets[0].workspace, density);
     for (int i = 0; i < N; i++) {
-        double x[3] = {points[i][0], points[i][1], points[i][2]};
-        for (int p = 0; p < f->config.planes; p++) {
-            double uv[2] = {along(f->solid.axis_u[p], x), along(f->solid.axis_v[p], x)}, value[16];
-            fetch(f, p, uv, (const double[2]){0, 0}, value);
-            for (int c = 0; c < f->config.channels; c++)
-                features[p * f->config.channels + c] = (float)value[c];
-        }
+        struct rn_march_ray at = {.direction = {0, 0, 1}};
+        memcpy(at.origin, points[i], sizeof at.origin);
+        rn_exact_features(f, &at, 0, 0, exact, NULL);
+        for (int k = 0; k < f->features; k++)
+            features[k] = (float)exact[k];
         compare(&worst, (double)density[i], rn_density(network_forward(&base, features)[0]));
     }
     free(base.block);

@@ -1,0 +1,184 @@
+#include "server/engine/reference/exact.h"
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "server/engine/field/frustum.h"
+#include "server/engine/field/ripmap.h"
+#include "server/engine/field/sh.h"
+#include "server/engine/field/volume.h"
+#include "server/engine/reference/reference.h"
+
+// ---- features -------------------------------------------------------------------------------
+
+static int levels_of(const struct rn_cpu_field *f) {
+    return f->built_levels < f->config.levels ? f->built_levels : f->config.levels;
+}
+
+void rn_exact_fetch(const struct rn_cpu_field *f, int plane, const double uv[2], const double l[2],
+                    double *ret) {
+    int levels = levels_of(f), channels = f->config.channels;
+    bool mip = f->config.footprint == RN_FOOTPRINT_MIP;
+    struct rn_lerp x = rn_rip_level(l[0], levels), y = rn_rip_level(l[1], levels);
+    memset(ret, 0, (size_t)channels * sizeof *ret);
+    for (int i = 0; i < 4; i++) {
+        double wx = i & 1 ? x.fraction : 1 - x.fraction, wy = i & 2 ? y.fraction : 1 - y.fraction;
+        double weight = mip ? (i == 1 || i == 2 ? 0 : wx) : wx * wy;
+        if (!(weight > 0)) continue;
+        const struct rn_map *map = &f->maps[plane][i & 2 ? y.high : y.low][i & 1 ? x.high : x.low];
+        struct rn_lerp a = rn_rip_lerp(uv[0], map->width), b = rn_rip_lerp(uv[1], map->height);
+        for (int j = 0; j < 4; j++) {
+            size_t texel = (size_t)(j & 2 ? b.high : b.low) * (size_t)map->width +
+                           (size_t)(j & 1 ? a.high : a.low);
+            double corner = weight * (j & 1 ? a.fraction : 1 - a.fraction) *
+                            (j & 2 ? b.fraction : 1 - b.fraction);
+            for (int c = 0; c < channels; c++)
+                ret[c] += corner * (double)map->texels[texel * (size_t)channels + (size_t)c];
+        }
+    }
+}
+
+static double along(const double axis[3], const double x[3]) {
+    return axis[0] * x[0] + axis[1] * x[1] + axis[2] * x[2];
+}
+
+// The sample's mean position.
+static void place(const struct rn_march_ray *ray, double width, double s, double ret[3]) {
+    double mid = (double)ray->near + s;
+    double shift = rn_frustum_moments(mid, width, (double)ray->radius).mean - mid;
+    for (int i = 0; i < 3; i++)
+        ret[i] = (double)ray->origin[i] + (double)ray->direction[i] * (s + shift);
+}
+
+void rn_exact_features(const struct rn_cpu_field *f, const struct rn_march_ray *ray, double width,
+                       double s, double *ret_features, double *ret_level) {
+    struct rn_reference ref = {.config = f->config, .solid = f->solid};
+    ref.config.levels = levels_of(f);
+    struct rn_reference_ray r = {.radius = (double)ray->radius, .width = width};
+    double x[3], level = 0;
+    place(ray, width, s, x);
+    for (int i = 0; i < 3; i++)
+        r.direction[i] = (double)ray->direction[i];
+    for (int p = 0; p < f->config.planes; p++) {
+        double l[2] = {0, 0};
+        double uv[2] = {along(f->solid.axis_u[p], x), along(f->solid.axis_v[p], x)};
+        rn_reference_levels(&ref, &r, p, (double)ray->near + s, &l[0], &l[1]);
+        level = fmax(level, fmax(l[0], l[1]));
+        rn_exact_fetch(f, p, uv, l, ret_features + p * f->config.channels);
+    }
+    if (ret_level) *ret_level = level;
+}
+
+// ---- rays -----------------------------------------------------------------------------------
+
+struct rn_exact {
+    const struct rn_cpu_field *field;
+    double *block, *base, *head; // networks
+    double *activation[RN_MLP_MAX_LAYERS + 1];
+};
+
+enum rn_status rn_exact_create(const struct rn_cpu_field *field, struct rn_exact **ret_exact,
+                               struct rn_error *err) {
+    const struct rn_mlp_shape *base = &field->base_shape, *head = &field->head_shape;
+    size_t widest = (size_t)(base->widest > head->widest ? base->widest : head->widest);
+    size_t numbers = base->count + head->count + (RN_MLP_MAX_LAYERS + 1) * widest;
+    struct rn_exact *exact = calloc(1, sizeof *exact);
+    if (exact) exact->block = calloc(numbers, sizeof(double));
+    if (!exact || !exact->block) {
+        free(exact);
+        return rn_error_set(err, RN_ERROR_NO_MEMORY, "reference", "out of memory");
+    }
+    exact->field = field;
+    exact->base = exact->block;
+    exact->head = exact->base + base->count;
+    for (int l = 0; l <= RN_MLP_MAX_LAYERS; l++)
+        exact->activation[l] = exact->head + head->count + (size_t)l * widest;
+    for (size_t i = 0; i < base->count; i++)
+        exact->base[i] = (double)field->base_weights[i];
+    for (size_t i = 0; i < head->count; i++)
+        exact->head[i] = (double)field->head_weights[i];
+    *ret_exact = exact;
+    return RN_OK;
+}
+
+void rn_exact_destroy(struct rn_exact **exact) {
+    if (!*exact) return;
+    free((*exact)->block);
+    free(*exact);
+    *exact = NULL;
+}
+
+static double sigmoid(double x) {
+    return 1 / (1 + exp(-x));
+}
+
+// SH of the ray's direction into the colour network's inputs.
+static void set_direction(const struct rn_cpu_field *f, const struct rn_march_ray *ray,
+                          double *inputs) {
+    double d[3];
+    for (int i = 0; i < 3; i++)
+        d[i] = (double)ray->direction[i];
+    if (f->config.view_dependence)
+        rn_sh_encode(d, inputs);
+    else
+        memset(inputs, 0, RN_SH_COUNT * sizeof *inputs);
+}
+
+// Colours of one sample, from the density network's outputs.
+static void shade_sample(struct rn_exact *exact, const struct rn_march_ray *ray,
+                         const double *geometry, double rgb[3]) {
+    double outputs[RN_GEOMETRY];
+    memcpy(outputs, geometry, sizeof outputs); // the networks share their room
+    set_direction(exact->field, ray, exact->activation[0]);
+    memcpy(exact->activation[0] + RN_SH_COUNT, outputs + 1, 15 * sizeof(double));
+    exact->activation[0][31] = 1;
+    rn_mlp_forward(&exact->field->head_shape, exact->head, exact->activation);
+    for (int c = 0; c < 3; c++)
+        rgb[c] = sigmoid(exact->activation[exact->field->head_shape.layers][c]);
+}
+
+// Ray shading: the colour of a ray's sums.
+static void shade_ray(struct rn_exact *exact, const struct rn_march_ray *ray,
+                      const double sums[RN_GEOMETRY], double opacity, double rgb[3]) {
+    memcpy(rgb, sums + 1, 3 * sizeof *rgb);
+    if (!exact->field->config.view_dependence) return;
+    set_direction(exact->field, ray, exact->activation[0]);
+    memcpy(exact->activation[0] + 16, sums + 4, 12 * sizeof(double));
+    memcpy(exact->activation[0] + 28, sums + 1, 3 * sizeof(double));
+    exact->activation[0][31] = opacity;
+    rn_mlp_forward(&exact->field->head_shape, exact->head, exact->activation);
+    for (int c = 0; c < 3; c++)
+        rgb[c] += opacity * exact->activation[exact->field->head_shape.layers][c];
+}
+
+void rn_exact_render(struct rn_exact *exact, const struct rn_march_options *options,
+                     const struct rn_march_ray *ray, const uint16_t *k, int n,
+                     struct rn_exact_pixel *ret_pixel) {
+    const struct rn_cpu_field *f = exact->field;
+    bool per_ray = f->config.shading == RN_SHADING_RAY;
+    double width = (double)options->step * ray->stride, depth = 0, sums[RN_GEOMETRY] = {0};
+    double rgb[3] = {0}, level;
+    *ret_pixel = (struct rn_exact_pixel){.level = 0};
+    for (int j = 0; j < n; j++) {
+        double s = (k[j] + 0.5) * width, x[3], colour[3];
+        place(ray, width, s, x);
+        if (!(x[0] * x[0] + x[1] * x[1] + x[2] * x[2] <= 1)) continue;
+        rn_exact_features(f, ray, width, s, exact->activation[0], &level);
+        rn_mlp_forward(&f->base_shape, exact->base, exact->activation);
+        const double *out = exact->activation[f->base_shape.layers];
+        double thickness = rn_density(out[0]) * width * RN_DENSITY_UNIT;
+        double weight = exp(-depth) * rn_alpha(thickness);
+        depth += thickness;
+        ret_pixel->level = fmax(ret_pixel->level, level);
+        for (int i = 1; i < RN_GEOMETRY && per_ray; i++)
+            sums[i] += weight * (i < 4 ? sigmoid(out[i]) : out[i]);
+        if (!per_ray) shade_sample(exact, ray, out, colour);
+        for (int c = 0; c < 3 && !per_ray; c++)
+            rgb[c] += weight * colour[c];
+    }
+    ret_pixel->alpha = rn_alpha(depth);
+    if (per_ray) shade_ray(exact, ray, sums, ret_pixel->alpha, rgb);
+    for (int c = 0; c < 3; c++)
+        ret_pixel->rgb[c] = rgb[c] + (1 - ret_pixel->alpha) * (double)options->background[c];
+}
