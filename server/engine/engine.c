@@ -90,6 +90,16 @@ void rn_engine_watch(struct rn_engine *engine, bool (*keep_going)(void *context)
     engine->watcher = context;
 }
 
+void rn_engine_yield_to(struct rn_engine *engine, bool (*wanted)(void *context), void *context) {
+    engine->wanted = wanted;
+    engine->wanter = context;
+}
+
+bool rn_engine_is_wanted(void *engine) {
+    struct rn_engine *e = engine;
+    return e->wanted && e->wanted(e->wanter);
+}
+
 void rn_engine_describe(const struct rn_engine *engine, struct rn_device_info *ret_info) {
     *ret_info = engine->info;
     snprintf(ret_info->kernels, sizeof ret_info->kernels, "%s", engine->kernels->name);

@@ -3,7 +3,8 @@
 //
 // One thread calls into an engine and everything made from it (the engine has its own worker
 // threads inside). Work is cut into blocks of a few milliseconds: rn_trainer_advance and
-// rn_trainer_validate return after `budget_ms`, so that the caller can render or cancel between.
+// rn_trainer_validate return after `budget_ms`, or when something else is wanted of the thread, so
+// that the caller can render or cancel between.
 #ifndef RN_SERVER_ENGINE_ENGINE_H
 #define RN_SERVER_ENGINE_ENGINE_H
 
@@ -41,6 +42,10 @@ void rn_engine_destroy(struct rn_engine **engine);
 // Asked between images while a trainer loads its pixels; false makes rn_trainer_create and
 // rn_trainer_restore end with RN_ERROR_CANCELLED. NULL = never.
 void rn_engine_watch(struct rn_engine *engine, bool (*keep_going)(void *context), void *context);
+// Asked by the calling thread every few milliseconds of training and evaluation: true makes
+// rn_trainer_advance and rn_trainer_validate return early, and go on with the next call. It changes
+// no number. NULL = never.
+void rn_engine_yield_to(struct rn_engine *engine, bool (*wanted)(void *context), void *context);
 void rn_engine_describe(const struct rn_engine *engine, struct rn_device_info *ret_info);
 
 // ---- effects --------------------------------------------------------------------------------

@@ -18,7 +18,12 @@ struct rn_engine {
     struct rn_pixel *pixels;
     bool (*keep_going)(void *context); // rn_engine_watch; NULL = never asked
     void *watcher;
+    bool (*wanted)(void *context); // rn_engine_yield_to; NULL = never asked
+    void *wanter;
 };
+
+// Whether something else is wanted of the calling thread. `engine`: struct rn_engine.
+bool rn_engine_is_wanted(void *engine);
 
 // Numbers of one field: planes, density network, colour network, in one block in this order.
 struct rn_parameters {

@@ -32,7 +32,9 @@ enum rn_status rn_host_need_engine(struct rn_host *host, const char *device, con
         (struct rn_engine_options){.device = *device ? host->engine_device : NULL,
                                    .kernels = *kernels ? host->engine_kernels : NULL,
                                    .threads = threads};
-    return rn_engine_create(&host->engine_options, &host->engine, err);
+    enum rn_status status = rn_engine_create(&host->engine_options, &host->engine, err);
+    if (!status) rn_engine_yield_to(host->engine, rn_link_has_news, &host->link);
+    return status;
 }
 
 enum rn_status rn_host_need_dataset(struct rn_host *host, struct rn_error *err) {

@@ -122,6 +122,12 @@ bool rn_link_take_cancel(struct rn_link *link, const char *job, int64_t request)
     return false;
 }
 
+bool rn_link_has_news(void *context) {
+    struct rn_link *link = context;
+    struct pollfd look = {.fd = link->reader.fd, .events = POLLIN};
+    return link->closed || link->first || poll(&look, 1, 0) > 0;
+}
+
 bool rn_link_must_stop(const struct rn_link *link) {
     for (const struct rn_letter *at = link->first; at; at = at->next)
         if (at->message.type == RN_WIRE_SHUTDOWN) return true;

@@ -36,6 +36,8 @@ bool rn_link_take_type(struct rn_link *link, enum rn_wire_type type, struct rn_l
 // Whether a cancel for this job ("" for none) or request (RN_ABSENT for none) waits in the inbox;
 // it is taken out.
 bool rn_link_take_cancel(struct rn_link *link, const char *job, int64_t request);
+// Whether something has arrived that was not taken yet. `link`: struct rn_link.
+bool rn_link_has_news(void *link);
 // Whether work must stop: the daemon is gone or has asked for the end.
 bool rn_link_must_stop(const struct rn_link *link);
 

@@ -133,6 +133,7 @@ void rn_engine_describe(const struct rn_engine *engine, struct rn_device_info *r
 }
 
 void rn_engine_watch(struct rn_engine *engine, bool (*keep_going)(void *context), void *context) {}
+void rn_engine_yield_to(struct rn_engine *engine, bool (*wanted)(void *context), void *context) {}
 
 // ---- fields --------------------------------------------------------------------------------
 

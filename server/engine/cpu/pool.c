@@ -48,6 +48,18 @@ static void drain(struct rn_pool *pool, int thread) {
     }
 }
 
+// The caller's share of a run that may be cut short; returns the first index that nobody has taken.
+static int drain_until(struct rn_pool *pool, bool (*stop)(void *context), void *context) {
+    for (;;) {
+        int index = atomic_fetch_add_explicit(&pool->next, 1, memory_order_relaxed);
+        if (index >= pool->count) return pool->count;
+        pool->work(pool->context, index, 0);
+        if (!stop(context)) continue;
+        index = atomic_exchange_explicit(&pool->next, pool->count, memory_order_relaxed);
+        return index < pool->count ? index : pool->count;
+    }
+}
+
 static unsigned wait_for_run(struct rn_pool *pool, unsigned seen) {
     int64_t until = now_ns() + SPIN_NS;
     do {
@@ -80,9 +92,9 @@ static void *worker_main(void *argument) {
     }
 }
 
-static void start_run(struct rn_pool *pool) {
+static void start_run(struct rn_pool *pool, int first) {
     atomic_store(&pool->running, pool->threads - 1);
-    atomic_store(&pool->next, 0);
+    atomic_store(&pool->next, first);
     pthread_mutex_lock(&pool->lock);
     atomic_fetch_add_explicit(&pool->generation, 1, memory_order_release);
     pthread_cond_broadcast(&pool->started);
@@ -113,9 +125,22 @@ void rn_pool_run(struct rn_pool *pool, int count,
     pool->work = work;
     pool->context = context;
     pool->count = count;
-    start_run(pool);
+    start_run(pool, 0);
     drain(pool, 0);
     wait_for_workers(pool);
+}
+
+bool rn_pool_run_some(struct rn_pool *pool, int count, int *next,
+                      void (*work)(void *context, int index, int thread), void *context,
+                      bool (*stop)(void *stop_context), void *stop_context) {
+    if (*next >= count) return true;
+    pool->work = work;
+    pool->context = context;
+    pool->count = count;
+    start_run(pool, *next);
+    *next = drain_until(pool, stop, stop_context);
+    wait_for_workers(pool);
+    return *next == count;
 }
 
 enum rn_status rn_pool_create(int threads, struct rn_pool **ret_pool, struct rn_error *err) {
@@ -147,7 +172,7 @@ void rn_pool_destroy(struct rn_pool **pool) {
     struct rn_pool *p = *pool;
     if (!p) return;
     p->stopping = true;
-    start_run(p);
+    start_run(p, 0);
     for (int i = 0; i < p->threads - 1; i++)
         pthread_join(p->workers[i].thread, NULL);
     pthread_mutex_destroy(&p->lock);

@@ -2,6 +2,8 @@
 #ifndef RN_ENGINE_CPU_POOL_H
 #define RN_ENGINE_CPU_POOL_H
 
+#include <stdbool.h>
+
 #include "common/base/status.h"
 
 // Thread-safety: one thread calls rn_pool_run; the workers are inside.
@@ -18,6 +20,13 @@ int rn_pool_threads(const struct rn_pool *pool);
 // on it.
 void rn_pool_run(struct rn_pool *pool, int count,
                  void (*work)(void *context, int index, int thread), void *context);
+
+// As rn_pool_run from index *next on, but no more are handed out once `stop` says so, which the
+// caller asks before each of its items but the first. *next becomes the first index that is left;
+// true: none is. So a long run can be cut short and taken up again; nothing is done twice.
+bool rn_pool_run_some(struct rn_pool *pool, int count, int *next,
+                      void (*work)(void *context, int index, int thread), void *context,
+                      bool (*stop)(void *stop_context), void *stop_context);
 
 // Cores this process may use (affinity and the container's quota).
 int rn_pool_cores(void);

@@ -170,17 +170,21 @@ static void measure_chunk(void *context, int index, int thread) {
     }
 }
 
-void rn_trainer_update_occupancy(struct rn_trainer *t) {
+bool rn_trainer_update_occupancy(struct rn_trainer *t) {
     const struct rn_field_config *c = &t->field->config.field;
     int64_t round = t->progress.step / RN_OCCUPANCY_EVERY;
     bool all = t->progress.step < (t->field->config.carve ? 1 : RN_OCCUPANCY_WARM_UP);
     struct measurement m = {.trainer = t, .stride = all ? 1 : 4};
     m.first = all ? 0 : (size_t)(round % 4);
     m.decay = (float)pow(RN_OCCUPANCY_DECAY, (double)m.stride); // a cell's turn comes every stride
-    if (t->hull_count <= m.first) return;
+    if (t->hull_count <= m.first) return true;
     m.count = (t->hull_count - m.first + m.stride - 1) / m.stride;
     float level = log2f((float)c->base / (float)c->occupancy);
     m.level = level > 0 ? level : 0;
-    rn_pool_run(t->engine->pool, (int)((m.count + CHUNK - 1) / CHUNK), measure_chunk, &m);
+    if (!rn_pool_run_some(t->engine->pool, (int)((m.count + CHUNK - 1) / CHUNK), &t->next_chunk,
+                          measure_chunk, &m, rn_engine_is_wanted, t->engine))
+        return false;
+    t->next_chunk = 0;
     rn_field_refresh_occupancy(t->field);
+    return true;
 }

@@ -379,9 +379,15 @@ static void finish_step(struct rn_trainer *t) {
     t->field->steps = ++t->progress.step;
 }
 
+// Parameters change at the end of a step alone, so that a wave that is cut short can be rendered.
 void rn_trainer_run_wave(struct rn_trainer *t) {
-    rn_pool_run(t->engine->pool, RN_GROUPS, forward_backward, t);
-    rn_pool_run(t->engine->pool, t->field->config.field.planes * t->bands, scatter_band, t);
+    struct rn_engine *engine = t->engine;
+    if (!rn_pool_run_some(engine->pool, RN_GROUPS, &t->next_group, forward_backward, t,
+                          rn_engine_is_wanted, engine) ||
+        !rn_pool_run_some(engine->pool, t->field->config.field.planes * t->bands, &t->next_band,
+                          scatter_band, t, rn_engine_is_wanted, engine))
+        return;
+    t->next_group = t->next_band = 0;
     bool complete = true;
     for (int g = 0; g < RN_GROUPS; g++) {
         t->groups[g].slab.count = 0;

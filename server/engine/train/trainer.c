@@ -217,13 +217,19 @@ static bool reached_limit(const struct rn_trainer *t) {
     return rn_trainer_fraction(t) >= 1;
 }
 
-static enum rn_status before_step(struct rn_trainer *t, struct rn_error *err) {
+// What comes before a step, and its beginning, unless it is cut short.
+static enum rn_status begin_step(struct rn_trainer *t, struct rn_error *err) {
     int64_t step = t->progress.step;
     double fraction = rn_trainer_fraction(t);
-    if (step >= WARM_UP_STEPS || fraction >= WARM_UP_FRACTION) rn_trainer_decide_view_dependence(t);
-    enum rn_status status = rn_trainer_grow(t, err);
-    if (status == RN_OK && step % RN_OCCUPANCY_EVERY == 0) rn_trainer_update_occupancy(t);
-    return status;
+    if (t->next_chunk == 0) {
+        if (step >= WARM_UP_STEPS || fraction >= WARM_UP_FRACTION)
+            rn_trainer_decide_view_dependence(t);
+        enum rn_status status = rn_trainer_grow(t, err);
+        if (status != RN_OK) return status;
+    }
+    if (step % RN_OCCUPANCY_EVERY == 0 && !rn_trainer_update_occupancy(t)) return RN_OK;
+    rn_trainer_begin_step(t);
+    return RN_OK;
 }
 
 static void update_rates(struct rn_trainer *t, double seconds) {
@@ -237,12 +243,9 @@ static void update_rates(struct rn_trainer *t, double seconds) {
 
 static enum rn_status run_block(struct rn_trainer *t, struct rn_error *err) {
     double begin = (double)rn_clock_ns();
-    if (!t->stepping) {
-        enum rn_status status = before_step(t, err);
-        if (status != RN_OK) return status;
-        rn_trainer_begin_step(t);
-    }
-    rn_trainer_run_wave(t);
+    enum rn_status status = t->stepping ? RN_OK : begin_step(t, err);
+    if (status != RN_OK) return status;
+    if (t->stepping) rn_trainer_run_wave(t);
     double seconds = ((double)rn_clock_ns() - begin) * 1e-9;
     t->progress.train_seconds += seconds;
     t->field->train_seconds = t->progress.train_seconds;
@@ -261,7 +264,7 @@ enum rn_status rn_trainer_advance(struct rn_trainer *t, double budget_ms, struct
         }
         status = run_block(t, err);
         if (status != RN_OK) return status;
-    } while (rn_clock_ns() < until);
+    } while (rn_clock_ns() < until && !rn_engine_is_wanted(t->engine));
     return RN_OK;
 }
 
@@ -284,7 +287,6 @@ struct validate_block {
     const struct rn_pixel_frame *frame;
     size_t first, count;
     struct rn_march_options march;
-    double squares[RN_VALIDATE_BLOCK / RN_PACKET_RAYS];
 };
 
 static void validate_packet(void *context, int index, int thread) {
@@ -307,9 +309,10 @@ static void validate_packet(void *context, int index, int thread) {
             double d = fmin(fmax((double)pixels[i].rgb[c], 0), 1) - (double)rays[i].target[c];
             sum += d * d;
         }
-    b->squares[index] = sum;
+    t->validation.packets[index] = sum;
 }
 
+// One block, or what is left of one that was cut short.
 static void validate_next(struct rn_trainer *t) {
     struct rn_validation *v = &t->validation;
     const struct rn_train_config *config = &t->field->config;
@@ -320,9 +323,12 @@ static void validate_next(struct rn_trainer *t) {
                                         .stop_depth = (float)-log(config->stop)};
     memcpy(b.march.background, config->background, sizeof config->background);
     int packets = (int)((b.count + RN_PACKET_RAYS - 1) / RN_PACKET_RAYS);
-    rn_pool_run(t->engine->pool, packets, validate_packet, &b);
+    if (!rn_pool_run_some(t->engine->pool, packets, &v->next_packet, validate_packet, &b,
+                          rn_engine_is_wanted, t->engine))
+        return;
+    v->next_packet = 0;
     for (int i = 0; i < packets; i++)
-        v->squares += b.squares[i];
+        v->squares += v->packets[i];
     v->pixel += b.count;
     if (v->pixel < pixels) return;
     v->psnr_sum += -10 * log10(fmax(v->squares / (3.0 * (double)pixels), 1e-10));
@@ -342,7 +348,8 @@ enum rn_status rn_trainer_validate(struct rn_trainer *t, double budget_ms, bool 
     if (!v->active) *v = (struct rn_validation){.active = true};
     do
         validate_next(t);
-    while (v->frame < t->held.frame_count && rn_clock_ns() < until);
+    while (v->frame < t->held.frame_count && rn_clock_ns() < until &&
+           !rn_engine_is_wanted(t->engine));
     if (v->frame == t->held.frame_count) {
         t->field->psnr = t->progress.psnr = v->psnr_sum / t->held.frame_count;
         t->progress.psnr_step = t->progress.step;
@@ -368,7 +375,7 @@ struct rn_field *rn_trainer_field(struct rn_trainer *t) {
 enum rn_status rn_trainer_save(struct rn_trainer *t, const char *path, struct rn_error *err) {
     enum rn_status status = rn_engine_prepare(t->engine, t->field, err);
     if (status != RN_OK) return status;
-    while (t->stepping && status == RN_OK)
+    while (status == RN_OK && (t->stepping || t->next_chunk > 0))
         status = run_block(t, err);
     rn_trainer_guard_save(t);
     if (status != RN_OK) return status;

@@ -26,9 +26,11 @@ struct rn_live_block {
 // Held-out evaluation under way.
 struct rn_validation {
     bool active;
-    int frame;      // of `held`
-    size_t pixel;   // next pixel of the frame
-    double squares; // of the frame's errors so far
+    int frame;                                          // of `held`
+    size_t pixel;                                       // where the block under way begins
+    int next_packet;                                    // of the block
+    double packets[RN_VALIDATE_BLOCK / RN_PACKET_RAYS]; // its packets' errors
+    double squares;                                     // of the frame's errors so far
     double psnr_sum;
 };
 
@@ -51,8 +53,10 @@ struct rn_trainer {
     int rejected;     // steps in a row
     atomic_bool wild; // the update made a parameter that is not finite
 
-    // The step under way.
+    // The step under way. What is cut short for a render goes on at the next chunk, group or band.
     bool stepping;
+    int next_chunk; // of the occupancy's cells, before the step
+    int next_group, next_band;
     int ray_count;
     struct rn_march_ray *rays;
     struct rn_march_options march;
@@ -78,7 +82,7 @@ struct rn_trainer {
 // occupancy.c
 enum rn_status rn_trainer_list_hull(struct rn_trainer *trainer, struct rn_error *err) RN_MUST_CHECK;
 void rn_trainer_carve(struct rn_trainer *trainer);
-void rn_trainer_update_occupancy(struct rn_trainer *trainer);
+bool rn_trainer_update_occupancy(struct rn_trainer *trainer); // false: cut short, call again
 // live.c
 enum rn_status rn_trainer_list_live(struct rn_trainer *trainer, struct rn_error *err) RN_MUST_CHECK;
 // effects.c
