@@ -133,7 +133,7 @@ void rn_field_describe(const struct rn_field *field, struct rn_field_info *ret) 
                                   .train_seconds = field->train_seconds,
                                   .psnr = field->psnr,
                                   .parameter_count = field->parameters.count};
-    ret->memory_bytes = rn_field_bytes(&field->config, field->cpu.built_levels);
+    ret->memory_bytes = rn_field_bytes(&field->config, field->pyramid_levels);
     memcpy(ret->effects, field->effects, sizeof ret->effects);
     snprintf(ret->kernels, sizeof ret->kernels, "%s", field->kernels);
 }

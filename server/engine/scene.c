@@ -65,7 +65,10 @@ enum rn_status rn_field_need_levels(struct rn_field *field, int levels, struct r
     const struct rn_field_config *c = &field->config.field;
     if (levels > c->levels) levels = c->levels;
     if (c->footprint == RN_FOOTPRINT_POINT) levels = 1;
-    if (levels <= field->cpu.built_levels) return RN_OK;
+    if (levels <= field->pyramid_levels) {
+        field->cpu.built_levels = field->pyramid_levels;
+        return RN_OK;
+    }
     size_t count = rn_pyramid_count(c, levels) * (size_t)c->planes;
     float *block = rn_block_create(count * sizeof *block);
     if (!block)
@@ -73,9 +76,9 @@ enum rn_status rn_field_need_levels(struct rn_field *field, int levels, struct r
                             "cannot allocate %zu MiB for %d ripmap levels", count >> 18, levels);
     free(field->pyramid);
     field->pyramid = block;
-    field->cpu.built_levels = levels;
+    field->pyramid_levels = field->cpu.built_levels = levels;
     rn_pyramid_lay_out(c, levels, field->parameters.values, block, field->cpu.maps);
-    field->pyramid_stale = true;
+    field->fresh_levels = 1;
     return RN_OK;
 }
 
@@ -156,6 +159,7 @@ enum rn_status rn_field_create(const struct rn_train_config *config, const struc
     field->psnr = NAN;
     set_shapes(&field->cpu, &config->field);
     set_parameter_counts(&field->parameters, &field->cpu);
+    field->pyramid_levels = field->fresh_levels = 1;
     enum rn_status status = rn_solid_init(config->field.planes, config->field.orientation,
                                           config->seed, &field->cpu.solid, err);
     if (status == RN_OK) {
@@ -235,17 +239,22 @@ static void build_plane(void *context, int plane, int thread) {
                           cpu->config.footprint == RN_FOOTPRINT_MIP, cpu->config.channels);
 }
 
-void rn_field_refresh(struct rn_field *field, struct rn_engine *engine) {
+void rn_field_pack(struct rn_field *field, struct rn_engine *engine) {
     struct rn_cpu_field *cpu = &field->cpu;
     engine->kernels->pack(&cpu->base_shape, cpu->base_weights, field->packed);
     engine->kernels->pack(&cpu->head_shape, cpu->head_weights,
                           field->packed + rn_mlp_packed_count(&cpu->base_shape));
     field->packed_for = engine->kernels;
+}
+
+void rn_field_refresh(struct rn_field *field, struct rn_engine *engine) {
+    struct rn_cpu_field *cpu = &field->cpu;
+    rn_field_pack(field, engine);
     if (cpu->built_levels > 1) {
         struct build build = {field, engine->kernels};
         rn_pool_run(engine->pool, cpu->config.planes, build_plane, &build);
     }
-    field->pyramid_stale = false;
+    field->fresh_levels = cpu->built_levels;
 }
 
 static double occupancy_threshold(const struct rn_field *field) {

@@ -39,10 +39,11 @@ struct rn_field {
     struct rn_parameters parameters;
     float *packed; // networks as the kernel set `packed_for` reads them: base, then head
     const struct rn_kernels *packed_for;
-    float *pyramid; // every map but the base ones, for built_levels
-    bool pyramid_stale;
-    float *occupancy; // decayed maxima of density * step, cells^3
-    uint8_t *hull;    // cells^3: 1 where matter is possible at all (carving)
+    float *pyramid;     // every map but the base ones, for pyramid_levels
+    int pyramid_levels; // maps with lx, ly < this exist; cpu.built_levels of them are in use
+    int fresh_levels;   // of them, the ones pooled from the parameters as they are
+    float *occupancy;   // decayed maxima of density * step, cells^3
+    uint8_t *hull;      // cells^3: 1 where matter is possible at all (carving)
     uint64_t hull_cells;
     int64_t steps;
     double train_seconds, psnr;
@@ -62,11 +63,13 @@ void rn_field_randomise(struct rn_field *field, uint64_t seed);
 // Bytes that rn_field_create will take, the pyramid at `levels` included.
 size_t rn_field_bytes(const struct rn_train_config *config, int levels);
 
-// Makes maps up to `levels` a side exist (never fewer than now); their content is stale until
-// rn_field_refresh. RN_ERROR_NO_MEMORY.
+// Makes maps up to `levels` a side exist (never fewer than now) and be in use; their content is
+// stale beyond fresh_levels until rn_field_refresh. RN_ERROR_NO_MEMORY.
 enum rn_status rn_field_need_levels(struct rn_field *field, int levels,
                                     struct rn_error *err) RN_MUST_CHECK;
-// After a change of parameters or kernel set: packs the networks, rebuilds the pyramid.
+// After a change of the networks or kernel set: packs them as the set reads them.
+void rn_field_pack(struct rn_field *field, struct rn_engine *engine);
+// After any change of parameters: rn_field_pack, and all maps in use are built anew.
 void rn_field_refresh(struct rn_field *field, struct rn_engine *engine);
 // Rebuilds the bits and distances that the march reads from `occupancy` and `hull`.
 void rn_field_refresh_occupancy(struct rn_field *field);

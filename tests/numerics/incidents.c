@@ -173,7 +173,7 @@ static int check_rendered(const struct rn_dataset *dataset, const struct rn_kern
     for (int i = 0; i < 4; i++) {
         struct rn_trainer *t = make_trainer(engine, dataset, 1);
         plant(t, kinds[i]);
-        t->field->pyramid_stale = true;
+        t->field->fresh_levels = 0;
         for (size_t f = 0; f < dataset->frame_count; f += 3)
             numerics_see(&c, count_rendered(engine, t, &dataset->frames[f].camera), "%s",
                          plant_names[kinds[i]]);

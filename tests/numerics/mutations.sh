@@ -117,10 +117,10 @@ mutate volume $cpu/packet.h "vector compositing: optical depth summed in fp32" \
     's/double depth = w->ray_depth\[r\];/float depth = (float)w->ray_depth[r];/;s/depth += (double)w->x\[i\];/depth += w->x[i];/'
 mutate volume $cpu/packet.h "vector compositing: 1 - exp(-x)" \
     's/t \* vf_one_minus_exp(x)/t * (1.0f - vf_exp(-x))/'
-mutate kernels $cpu/kernel_set.c "vector AdamW: squares that overflow" \
+mutate kernels $cpu/update.h "vector AdamW: squares that overflow" \
     's/vf g = vf_min(.*/vf g = vf_load(grad) * o->scale;/'
-mutate kernels $cpu/kernel_set.c "vector AdamW: decay as 1 - rate * decay" \
-    's/change = p \* fade + rate/change = rate/;s/vf_store(parameter, p - change);/vf_store(parameter, p * (1 - fade) - change);/'
+mutate kernels $cpu/update.h "vector AdamW: decay as 1 - rate * decay" \
+    's/change = p \* fade + rate/change = rate/;s/p = p - change;/p = p * (1 - fade) - change;/'
 mutate rays server/engine/scene.c "rays: distance from the centre by |o|^2 - (o.d)^2" \
     's/across += foot \* foot;/across += (foot, o[i] * o[i]);/;s/^    out.radius = (float)ray->radius;/    across -= along * along; &/'
 mutate rays server/engine/scene.c "rays: start left where the camera is" \

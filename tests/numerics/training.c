@@ -145,7 +145,6 @@ static void set_halves(struct rn_trainer *t, float side) {
         w[0] = last ? 10 : 1;
         w[shape->out[l] + !last] = last ? -10 : 1;
     }
-    t->field->pyramid_stale = true;
     rn_field_refresh(t->field, t->engine);
 }
 

@@ -189,6 +189,24 @@ static double worst(const float *fast, const double *exact, size_t n, double sca
     return difference / largest;
 }
 
+// No texel has a gradient whose tile is not marked.
+static void check_marks(const struct rn_field_config *c, int levels,
+                        struct rn_map (*grads)[RN_MAX_LEVELS], const uint8_t *touched) {
+    struct rn_tiling tiling = rn_tiling(c->base, levels);
+    int missed = 0, marked = 0;
+    for (int y = 0; y < c->base; y++)
+        for (int x = 0; x < c->base; x++) {
+            const float *g =
+                grads[0][0].texels + ((size_t)y * c->base + (size_t)x) * (size_t)c->channels;
+            bool mark = touched[(y >> tiling.shift_y) * tiling.columns + (x >> tiling.shift_x)];
+            marked += mark;
+            for (int k = 0; k < c->channels; k++)
+                missed += g[k] != 0 && !mark;
+        }
+    ck_assert_int_gt(marked, 0);
+    if (c->base % (1 << (levels - 1)) == 0) ck_assert_int_eq(missed, 0);
+}
+
 static void check_training(const struct rn_kernels *kernels, const struct rn_train_config *config) {
     struct bounds bounds = bounds_of(kernels);
     struct setup s;
@@ -205,19 +223,19 @@ static void check_training(const struct rn_kernels *kernels, const struct rn_tra
     float *grad = calloc(count + 64, 4);
     float *pyramid = calloc(rn_pyramid_count(c, c->levels) * (size_t)c->planes + 64, 4);
     struct rn_map maps[RN_MAX_PLANES][RN_MAX_LEVELS][RN_MAX_LEVELS];
-    uint8_t *touched = calloc((size_t)c->base + 1, (size_t)c->base / RN_BLOCK + 1);
+    bool leveled = c->footprint != RN_FOOTPRINT_POINT, mip = c->footprint == RN_FOOTPRINT_MIP;
+    int levels = leveled ? c->levels : 1, unit = 1 << (levels - 1);
+    struct rn_tiling tiling = rn_tiling(c->base, levels);
+    uint8_t *touched = calloc((size_t)tiling.columns, (size_t)tiling.rows);
     rn_pyramid_lay_out(c, c->levels, grad, pyramid, maps);
-    bool leveled = c->footprint != RN_FOOTPRINT_POINT;
     for (int p = 0; p < c->planes; p++) {
-        if (leveled) {
-            kernels->scatter(&s.field->cpu, &s.group.slab, p, true, 0, c->base, maps[p], touched);
-            kernels->pull_down(maps[p], c->levels, c->footprint == RN_FOOTPRINT_MIP, c->channels);
-        } else { // in two bands, as threads do
-            kernels->scatter(&s.field->cpu, &s.group.slab, p, false, 0, c->base / 2, maps[p],
-                             touched);
-            kernels->scatter(&s.field->cpu, &s.group.slab, p, false, c->base / 2, c->base, maps[p],
-                             touched);
-        }
+        int middle = c->base % unit == 0 ? c->base / unit / 2 * unit : 0; // bands, as threads do
+        kernels->scatter(&s.field->cpu, &s.group.slab, p, levels, 0, middle, maps[p], touched);
+        kernels->scatter(&s.field->cpu, &s.group.slab, p, levels, middle, c->base, maps[p],
+                         touched);
+        if (leveled) kernels->pull_down(maps[p], levels, mip, c->channels);
+        check_marks(c, levels, maps[p], touched);
+        memset(touched, 0, (size_t)tiling.columns * (size_t)tiling.rows);
     }
     double (*const error)(const float *, const double *, size_t, double) =
         rn_kernels_bf16(kernels) ? distance : worst;
@@ -279,6 +297,126 @@ START_TEST(pixels_match_reference) {
 }
 END_TEST
 
+// One plane with its gradients and moments.
+struct plane_state {
+    float *texels, *block, *grads, *grad_block, *m, *v;
+    struct rn_map maps[RN_MAX_PLANES][RN_MAX_LEVELS][RN_MAX_LEVELS];
+    struct rn_map grad_maps[RN_MAX_PLANES][RN_MAX_LEVELS][RN_MAX_LEVELS];
+    size_t count, pyramid;
+};
+
+static void plane_create(const struct rn_field_config *c, struct plane_state *s) {
+    s->count = (size_t)c->base * (size_t)c->base * (size_t)c->channels;
+    s->pyramid = rn_pyramid_count(c, c->levels);
+    float **all[] = {&s->texels, &s->grads, &s->m, &s->v, &s->block, &s->grad_block};
+    for (int k = 0; k < 6; k++) {
+        size_t n = k < 4 ? s->count : s->pyramid;
+        *all[k] = calloc(n + 64, sizeof(float));
+        for (size_t i = 0; i < n && k != 4; i++)
+            (*all[k])[i] = (k == 3 ? 0.5f : 0) + unit(((uint64_t)k << 32) + i) - 0.5f;
+    }
+    rn_pyramid_lay_out(c, c->levels, s->texels, s->block, s->maps);
+    rn_pyramid_lay_out(c, c->levels, s->grads, s->grad_block, s->grad_maps);
+    // What a fetch may read behind a map's last texel is no gradient, and a mip map's chain is
+    // pooled through maps that take none.
+    bool mip = c->footprint == RN_FOOTPRINT_MIP;
+    for (int y = 0; y < c->levels; y++)
+        for (int x = 0; x < c->levels; x++) {
+            struct rn_map *map = &s->grad_maps[0][y][x];
+            if (!rn_map_exists(mip, x, y)) continue;
+            size_t n = (size_t)map->width * (size_t)map->height * (size_t)c->channels;
+            if (mip && x != y) memset(map->texels, 0, n * sizeof(float));
+        }
+}
+
+static void plane_destroy(struct plane_state *s) {
+    float *all[] = {s->texels, s->grads, s->m, s->v, s->block, s->grad_block};
+    for (int k = 0; k < 6; k++)
+        free(all[k]);
+}
+
+static void ck_maps_eq(const struct rn_field_config *c, const struct plane_state *a,
+                       const struct plane_state *b) {
+    bool mip = c->footprint == RN_FOOTPRINT_MIP;
+    for (int y = 0; y < c->levels; y++)
+        for (int x = 0; x < c->levels; x++) {
+            const struct rn_map *map = &a->maps[0][y][x], *grad = &a->grad_maps[0][y][x];
+            if (!rn_map_exists(mip, x, y) || (mip && x != y)) continue;
+            size_t n = (size_t)map->width * (size_t)map->height * (size_t)c->channels;
+            ck_assert_mem_eq(map->texels, b->maps[0][y][x].texels, n * sizeof(float));
+            for (size_t i = 0; i < n; i++)
+                ck_assert(grad->texels[i] == 0);
+        }
+}
+
+// The update by tiles against pulling down, AdamW and building on the whole plane: the same
+// bytes; and tiles that are not marked stay as they are.
+static void check_update(const struct rn_kernels *kernels, const struct rn_field_config *c) {
+    struct plane_state whole, tiled;
+    bool mip = c->footprint == RN_FOOTPRINT_MIP;
+    struct rn_adamw o = {.scale = 0.5f,
+                         .rate = 0.01f,
+                         .decay = 0.001f,
+                         .eps = 1e-15f,
+                         .keep = 0.99f,
+                         .fresh = 0.01f,
+                         .correction1 = 0.5f,
+                         .correction2 = 0.25f};
+    plane_create(c, &whole);
+    plane_create(c, &tiled);
+    kernels->pull_down(whole.grad_maps[0], c->levels, mip, c->channels);
+    ck_assert(kernels->adamw(&o, whole.count, whole.texels, whole.grads, whole.m, whole.v));
+    kernels->build(whole.maps[0], c->levels, mip, c->channels);
+    struct rn_plane_update u = {.options = &o,
+                                .maps = tiled.maps[0],
+                                .grad_maps = tiled.grad_maps[0],
+                                .m = tiled.m,
+                                .v = tiled.v,
+                                .levels = c->levels,
+                                .channels = c->channels,
+                                .mip = mip};
+    int middle = c->base / 3 * 2;
+    ck_assert(kernels->update(&u, 0, middle) && kernels->update(&u, middle, c->base));
+    ck_maps_eq(c, &tiled, &whole);
+    ck_assert_mem_eq(tiled.m, whole.m, whole.count * sizeof(float));
+
+    struct rn_tiling tiling = rn_tiling(c->base, c->levels);
+    size_t tiles = (size_t)tiling.columns * (size_t)tiling.rows;
+    u.touched = calloc(tiles, 1);
+    u.touched[tiling.columns + 1] = 1; // one tile, not at the edge
+    for (size_t i = 0; i < whole.count; i++)
+        tiled.grads[i] = 1;
+    ck_assert(kernels->update(&u, 0, c->base));
+    for (size_t i = 0; i < whole.count; i++) {
+        int x = (int)(i / (size_t)c->channels) % c->base >> tiling.shift_x;
+        int y = (int)(i / (size_t)c->channels) / c->base >> tiling.shift_y;
+        ck_assert((tiled.texels[i] != whole.texels[i]) == (x == 1 && y == 1));
+    }
+    ck_assert_int_eq(u.touched[tiling.columns + 1], 0);
+    tiled.texels[0] = NAN;
+    u.touched[0] = 1;
+    ck_assert(!kernels->update(&u, 0, c->base));
+    free(u.touched);
+    plane_destroy(&whole);
+    plane_destroy(&tiled);
+}
+
+START_TEST(tiles_match_whole_planes) {
+    const struct rn_kernels *kernels;
+    for (int i = 0; (kernels = rn_kernels_available(i)); i++)
+        for (int channels = 4; channels <= 16; channels *= 2)
+            for (int levels = 1; levels <= 5; levels += 2)
+                for (int f = RN_FOOTPRINT_RIP; f <= RN_FOOTPRINT_MIP; f++) {
+                    struct rn_field_config c = small_config().field;
+                    c.base = 48;
+                    c.channels = channels;
+                    c.levels = levels;
+                    c.footprint = (enum rn_footprint)f;
+                    check_update(kernels, &c);
+                }
+}
+END_TEST
+
 START_TEST(odd_base_matches_reference) {
     struct rn_train_config config = small_config();
     config.field.base = 37;
@@ -310,6 +448,7 @@ int main(void) {
     tcase_set_timeout(tests, 120);
     tcase_add_test(tests, gradients_match_reference);
     tcase_add_test(tests, pixels_match_reference);
+    tcase_add_test(tests, tiles_match_whole_planes);
     tcase_add_test(tests, odd_base_matches_reference);
     tcase_add_test(tests, other_solids_and_no_view_dependence_match_reference);
     suite_add_tcase(suite, tests);

@@ -57,7 +57,11 @@ enum rn_status rn_bench_record(struct rn_trainer *trainer, struct rn_bench_recor
     size_t bytes = rn_workspace_size(rec.field, trainer->field->config.step);
     bytes = (bytes + 4095) / 4096 * 4096;
     rec.memory = aligned_alloc(4096, bytes * RN_GROUPS);
-    if (!rec.memory) return rn_error_set(err, RN_ERROR_NO_MEMORY, "bench", "out of memory");
+    rec.marks = malloc(trainer->tiles * (size_t)rec.field->config.planes);
+    if (!rec.memory || !rec.marks) {
+        rn_bench_recording_finish(&rec);
+        return rn_error_set(err, RN_ERROR_NO_MEMORY, "bench", "out of memory");
+    }
     int rays = trainer->ray_count;
     rn_trainer_begin_step(trainer); // clears the groups
     for (int g = 0; g < RN_GROUPS; g++) {
@@ -69,7 +73,7 @@ enum rn_status rn_bench_record(struct rn_trainer *trainer, struct rn_bench_recor
                                           (int)((int64_t)rays * (g + 1) / RN_GROUPS), packet);
     }
     if (rec.packet_count == 0) {
-        free(rec.memory);
+        rn_bench_recording_finish(&rec);
         return rn_error_set(err, RN_ERROR_INVALID, "bench", "no ray meets the scene");
     }
     *ret = rec;
@@ -78,7 +82,9 @@ enum rn_status rn_bench_record(struct rn_trainer *trainer, struct rn_bench_recor
 
 void rn_bench_recording_finish(struct rn_bench_recording *rec) {
     free(rec->memory);
+    free(rec->marks);
     rec->memory = NULL;
+    rec->marks = NULL;
 }
 
 // ---- running --------------------------------------------------------------------------------
@@ -91,17 +97,16 @@ void rn_bench_stage_run(const struct rn_bench_recording *rec, const struct rn_be
 
 void rn_bench_scatter(const struct rn_bench_recording *rec) {
     struct rn_trainer *t = rec->trainer;
-    int base = rec->field->config.base;
     for (int plane = 0; plane < rec->field->config.planes; plane++)
         for (int band = 0; band < t->bands; band++)
             for (int k = 0; k < rec->packet_count; k++)
-                rec->kernels->scatter(
-                    rec->field, &rec->packets[k].group->slab, plane, t->levels > 1,
-                    base * band / t->bands, base * (band + 1) / t->bands, t->grad_maps[plane],
-                    t->touched + (size_t)plane * ((size_t)base + 1) * t->blocks_per_row);
+                rec->kernels->scatter(rec->field, &rec->packets[k].group->slab, plane, t->levels,
+                                      rn_trainer_band(t, band), rn_trainer_band(t, band + 1),
+                                      t->grad_maps[plane], t->touched + (size_t)plane * t->tiles);
 }
 
-size_t rn_bench_optimise(const struct rn_bench_recording *rec, bool count_only) {
+// The update clears its marks: it gets a copy.
+void rn_bench_optimise(const struct rn_bench_recording *rec) {
     struct rn_trainer *t = rec->trainer;
     const struct rn_field_config *c = &rec->field->config;
     struct rn_adamw o = {.scale = 1,
@@ -111,21 +116,32 @@ size_t rn_bench_optimise(const struct rn_bench_recording *rec, bool count_only) 
                          .fresh = 0.001f,
                          .correction1 = 0.9f,
                          .correction2 = 0.9f};
-    bool dense = !t->field->config.sparse || t->levels > 1;
-    size_t rows = (size_t)c->base, row = rows * (size_t)c->channels, done = 0;
-    size_t block = (size_t)RN_BLOCK * (size_t)c->channels;
-    for (size_t r = 0; r < (size_t)c->planes * rows; r++) {
-        const uint8_t *marks = t->touched + (r + r / rows) * t->blocks_per_row;
-        for (size_t b = 0; b * block < row; b++) {
-            if (!dense && !marks[b]) continue;
-            size_t i = r * row + b * block, n = row - b * block < block ? row - b * block : block;
-            if (!count_only)
-                rec->kernels->adamw(&o, n, t->field->parameters.values + i, t->grad + i, t->m + i,
-                                    t->v + i);
-            done += n;
-        }
+    size_t plane = (size_t)c->base * (size_t)c->base * (size_t)c->channels;
+    bool sparse = t->field->config.sparse && t->tiled;
+    memcpy(rec->marks, t->touched, t->tiles * (size_t)c->planes);
+    for (size_t p = 0; p < (size_t)c->planes; p++) {
+        struct rn_plane_update update = {.options = &o,
+                                         .maps = t->field->cpu.maps[p],
+                                         .grad_maps = t->grad_maps[p],
+                                         .m = t->m + p * plane,
+                                         .v = t->v + p * plane,
+                                         .touched = sparse ? rec->marks + p * t->tiles : NULL,
+                                         .levels = t->tiled ? t->levels : 1,
+                                         .channels = c->channels,
+                                         .mip = c->footprint == RN_FOOTPRINT_MIP};
+        rec->kernels->update(&update, 0, c->base);
     }
-    return done;
+}
+
+size_t rn_bench_touched(const struct rn_bench_recording *rec) {
+    const struct rn_trainer *t = rec->trainer;
+    const struct rn_field_config *c = &rec->field->config;
+    struct rn_tiling tiling = rn_tiling(c->base, t->levels);
+    size_t tiles = 0, all = t->tiles * (size_t)c->planes;
+    if (!t->field->config.sparse || !t->tiled) return t->field->parameters.plane_count;
+    for (size_t i = 0; i < all; i++)
+        tiles += t->touched[i];
+    return (tiles * (size_t)c->channels) << (tiling.shift_x + tiling.shift_y);
 }
 
 void rn_bench_pyramid(const struct rn_bench_recording *rec) {
@@ -160,7 +176,7 @@ static void run_scatter(void *context) {
     rn_bench_scatter(context);
 }
 static void run_optimise(void *context) {
-    rn_bench_optimise(context, false);
+    rn_bench_optimise(context);
 }
 static void run_pyramid(void *context) {
     rn_bench_pyramid(context);
@@ -303,7 +319,7 @@ static double step_ceiling_ms(const struct bench *b) {
         returned += packet->returned;
     }
     double scale = entered > 0 ? b->result->step.samples / entered : 1;
-    double numbers = (double)rn_bench_optimise(rec, true);
+    double numbers = (double)rn_bench_touched(rec);
     double cells = (double)rec->trainer->hull_count / 4 / RN_OCCUPANCY_EVERY;
     double us = b->result->step.rays / s[RAYS].ceiling + numbers / s[OPTIMISER].ceiling +
                 cells / s[OCCUPANCY].ceiling;

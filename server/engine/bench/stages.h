@@ -22,7 +22,8 @@ struct rn_bench_recording {
     const struct rn_kernels *kernels;
     int packet_count;
     struct rn_bench_packet packets[RN_GROUPS];
-    char *memory; // workspaces
+    char *memory;   // workspaces
+    uint8_t *marks; // as the trainer's touched tiles
 };
 
 // Runs `train` on one packet of each group of the trainer's last step. The trainer must have
@@ -38,8 +39,10 @@ void rn_bench_stage_run(const struct rn_bench_recording *recording,
                         const float **ret_grad);
 // Adds all slabs to the trainer's gradient maps, which must be clear, band by band.
 void rn_bench_scatter(const struct rn_bench_recording *recording);
-// The optimiser over what the slabs touched, dense or sparse as configured. Returns its numbers.
-size_t rn_bench_optimise(const struct rn_bench_recording *recording, bool count_only);
+// The optimiser over what the slabs touched, dense or sparse as configured.
+void rn_bench_optimise(const struct rn_bench_recording *recording);
+// Numbers of the base maps that it visits.
+size_t rn_bench_touched(const struct rn_bench_recording *recording);
 
 // Pulls the pyramids' gradients down and builds the pyramids again.
 void rn_bench_pyramid(const struct rn_bench_recording *recording);

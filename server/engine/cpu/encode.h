@@ -1,17 +1,12 @@
-// Samples to features: positions, footprints, and the ripmap fetch (paper, section 3.3).
+// Where samples lie: positions, plane coordinates, and levels from their footprints.
 #ifndef RN_ENGINE_CPU_ENCODE_H
 #define RN_ENGINE_CPU_ENCODE_H
 
 #include <stdbool.h>
 
-#include "server/engine/cpu/kernels.h"
-#include "server/engine/cpu/simd.h"
+#include "server/engine/cpu/fetch.h"
 #include "server/engine/field/footprint.h"
 #include "server/engine/field/volume.h"
-
-typedef float v4 __attribute__((vector_size(16), aligned(4), may_alias));
-typedef float v8 __attribute__((vector_size(32), aligned(4), may_alias));
-typedef float v16 __attribute__((vector_size(64), aligned(4), may_alias));
 
 // Frustum moments (field/frustum.h) in fp32: mean - t, axial and radial variance.
 RN_INLINE void frustum_moments(vf t, float half, float radius, vf *ret_shift, vf *ret_axial,
@@ -111,137 +106,6 @@ static void place_segment(const struct rn_cpu_field *field, const struct rn_marc
             vf_store(w->lx[p] + at, lx);
             vf_store(w->ly[p] + at, ly);
         }
-    }
-}
-
-// Texel coordinate of p in [-1, 1] on `size` texels: *ret_low and the weight of low + 1.
-RN_INLINE void lerp_vector(vf p, int size, vi *ret_low, vf *ret_fraction) {
-    float half = 0.5f * (float)size;
-    vf x = vf_clamp(p * half + (half - 0.5f), 0.0f, (float)(size - 1));
-    vf low = vf_from_int(vi_from_float(x));
-    low = vf_min(low, vf_set((float)(size > 1 ? size - 2 : 0)));
-    *ret_low = vi_from_float(low);
-    *ret_fraction = x - low;
-}
-
-// Where RN_VL samples look on one axis of a pyramid: level, weight of the next level, and at both
-// levels the texel and the weight of its neighbour.
-struct axis_lookup {
-    int32_t level[RN_VL], low[2][RN_VL];
-    float upper[RN_VL], fraction[2][RN_VL];
-};
-
-RN_INLINE void look_up_axis(vf p, vf level, int base, struct axis_lookup *ret) {
-    vi whole = vi_from_float(level);
-    vi_store(ret->level, whole);
-    vf_store(ret->upper, level - vf_from_int(whole));
-    for (int i = 0; i < 2; i++) {
-        vi size = base >> (whole + i);
-        vf texels = vf_max(vf_from_int(size), vf_set(1)), half = 0.5f * texels;
-        vf x = vf_min(vf_max(p * half + (half - 0.5f), vf_set(0)), texels - 1.0f);
-        vf low = vf_min(vf_from_int(vi_from_float(x)), vf_max(texels - 2.0f, vf_set(0)));
-        vi_store(ret->low[i], vi_from_float(low));
-        vf_store(ret->fraction[i], x - low);
-    }
-}
-
-// The maps of a query: bit 0 of a corner steps up along x, bit 1 along y. Returns the weight of
-// corner c of lane j; 0 for corners that do not take part.
-RN_INLINE float corner_weight(const struct axis_lookup *x, const struct axis_lookup *y, bool mip,
-                              int j, int c) {
-    float wx = c & 1 ? x->upper[j] : 1 - x->upper[j], wy = c & 2 ? y->upper[j] : 1 - y->upper[j];
-    if (!mip) return wx * wy;
-    return c == 0 || c == 3 ? wx : 0;
-}
-
-// A vector of CHANNELS numbers; the compiler splits it where the machine's are narrower.
-#define RN_FETCH(NAME, TYPE, CHANNELS)                                                             \
-    RN_INLINE TYPE fetch_##NAME(const float *texel, size_t row, float fx, float fy) {              \
-        TYPE a = *(const TYPE *)texel, b = *(const TYPE *)(texel + CHANNELS);                      \
-        TYPE c = *(const TYPE *)(texel + row), d = *(const TYPE *)(texel + row + CHANNELS);        \
-        TYPE top = a + fx * (b - a), bottom = c + fx * (d - c);                                    \
-        return top + fy * (bottom - top);                                                          \
-    }                                                                                              \
-    RN_INLINE void spread_##NAME(float *texel, size_t row, float fx, float fy, float weight,       \
-                                 bool upper, bool lower, TYPE g) {                                 \
-        TYPE low = g * (weight * (1 - fy)), high = g * (weight * fy);                              \
-        if (upper) {                                                                               \
-            *(TYPE *)texel += low * (1 - fx);                                                      \
-            *(TYPE *)(texel + CHANNELS) += low * fx;                                               \
-        }                                                                                          \
-        if (lower) {                                                                               \
-            *(TYPE *)(texel + row) += high * (1 - fx);                                             \
-            *(TYPE *)(texel + row + CHANNELS) += high * fx;                                        \
-        }                                                                                          \
-    }                                                                                              \
-    static void encode_flat_##NAME(const struct rn_map *map, const float *u, const float *v,       \
-                                   int begin, int end, float *out, int stride) {                   \
-        size_t row = (size_t)map->width * CHANNELS;                                                \
-        for (int i = begin; i < end; i += RN_VL) {                                                 \
-            vi column, line;                                                                       \
-            vf fx, fy;                                                                             \
-            lerp_vector(vf_load(u + i), map->width, &column, &fx);                                 \
-            lerp_vector(vf_load(v + i), map->height, &line, &fy);                                  \
-            vi offset = (line * map->width + column) * CHANNELS;                                   \
-            int n = end - i < RN_VL ? end - i : RN_VL;                                             \
-            for (int j = 0; j < n; j++)                                                            \
-                *(TYPE *)(out + (size_t)(i + j) * stride) =                                        \
-                    fetch_##NAME(map->texels + offset[j], row, fx[j], fy[j]);                      \
-        }                                                                                          \
-    }                                                                                              \
-    static void encode_leveled_##NAME(                                                             \
-        const struct rn_map(*maps)[RN_MAX_LEVELS], bool mip, const float *u, const float *v,       \
-        const float *lx, const float *ly, int begin, int end, float *out, int stride) {            \
-        struct axis_lookup x, y;                                                                   \
-        int base = maps[0][0].width;                                                               \
-        for (int i = begin; i < end; i += RN_VL) {                                                 \
-            look_up_axis(vf_load(u + i), vf_load(lx + i), base, &x);                               \
-            look_up_axis(vf_load(v + i), vf_load(ly + i), base, &y);                               \
-            int n = end - i < RN_VL ? end - i : RN_VL;                                             \
-            for (int j = 0; j < n; j++) {                                                          \
-                TYPE value = {0};                                                                  \
-                for (int c = 0; c < 4; c++) {                                                      \
-                    float weight = corner_weight(&x, &y, mip, j, c);                               \
-                    if (!(weight > 0)) continue;                                                   \
-                    int up_x = c & 1, up_y = c >> 1;                                               \
-                    const struct rn_map *map = &maps[y.level[j] + up_y][x.level[j] + up_x];        \
-                    size_t row = (size_t)map->width * CHANNELS;                                    \
-                    const float *texel =                                                           \
-                        map->texels + y.low[up_y][j] * row + (size_t)x.low[up_x][j] * CHANNELS;    \
-                    value += weight * fetch_##NAME(texel, map->height > 1 ? row : 0,               \
-                                                   x.fraction[up_x][j], y.fraction[up_y][j]);      \
-                }                                                                                  \
-                *(TYPE *)(out + (size_t)(i + j) * stride) = value;                                 \
-            }                                                                                      \
-        }                                                                                          \
-    }
-
-RN_FETCH(4, v4, 4)
-RN_FETCH(8, v8, 8)
-RN_FETCH(16, v16, 16)
-
-// Features of samples [begin, end) of the workspace.
-static void encode(const struct rn_cpu_field *field, bool leveled, int begin, int end,
-                   struct rn_workspace *w) {
-    int channels = field->config.channels, stride = field->feature_stride;
-    bool mip = field->config.footprint == RN_FOOTPRINT_MIP;
-    for (int p = 0; p < field->config.planes; p++) {
-        float *out = w->features + p * channels;
-        const struct rn_map(*maps)[RN_MAX_LEVELS] = field->maps[p];
-#define RN_ENCODE(C)                                                                               \
-    if (leveled)                                                                                   \
-        encode_leveled_##C(maps, mip, w->u[p], w->v[p], w->lx[p], w->ly[p], begin, end, out,       \
-                           stride);                                                                \
-    else                                                                                           \
-        encode_flat_##C(&maps[0][0], w->u[p], w->v[p], begin, end, out, stride)
-        if (channels == 4) {
-            RN_ENCODE(4);
-        } else if (channels == 8) {
-            RN_ENCODE(8);
-        } else {
-            RN_ENCODE(16);
-        }
-#undef RN_ENCODE
     }
 }
 

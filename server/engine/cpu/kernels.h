@@ -19,7 +19,6 @@
 #define RN_ROUND 16            // samples of a ray evaluated before its transmittance is looked at
 #define RN_GROUPS 16           // fixed partition of a step's rays: the unit of ordered accumulation
 #define RN_OFFENDERS 4         // non-finite rays of a group that are remembered
-#define RN_BLOCK 8             // texels along u that the optimiser visits together
 #define RN_BRICK 8             // occupancy cells a side of a brick
 
 // One map of one plane: [v][u][channel], rows of width * channels numbers and room for one texel
@@ -154,6 +153,31 @@ struct rn_adamw {
     float correction1, correction2; // 1 - 0.9^t, 1 - beta2^t
 };
 
+// The tiles of a plane that the optimiser visits as a whole or not at all: as large as a texel of
+// the coarsest map, at least 8 along u. Shifts from texels of level 0; tiles a row and a column,
+// with room for one more.
+struct rn_tiling {
+    int shift_x, shift_y, columns, rows;
+};
+
+static inline struct rn_tiling rn_tiling(int base, int levels) {
+    struct rn_tiling t = {.shift_x = levels > 3 ? levels - 1 : 3, .shift_y = levels - 1};
+    t.columns = (base >> t.shift_x) + 2;
+    t.rows = (base >> t.shift_y) + 2;
+    return t;
+}
+
+// One plane's update. A base that is not a multiple of 2^(levels - 1) texels has no such tiles:
+// pull_down, the update of level 0 alone, build.
+struct rn_plane_update {
+    const struct rn_adamw *options;
+    struct rn_map (*maps)[RN_MAX_LEVELS], (*grad_maps)[RN_MAX_LEVELS];
+    float *m, *v;     // as maps[0][0]
+    uint8_t *touched; // marks of rn_tiling(base, levels), cleared; NULL: every tile
+    int levels, channels;
+    bool mip;
+};
+
 // The parts of a packet's work that can be run by themselves, for benchmarks.
 enum rn_stage {
     RN_STAGE_MARCH,        // fills the candidates
@@ -186,13 +210,18 @@ struct rn_kernels {
     void (*density)(const struct rn_cpu_field *field, float (*points)[3], int count, float level,
                     struct rn_workspace *workspace, float *ret_density);
     // Adds a slab's gradients of one plane to `grad_maps` (indexed as field->maps), rows of level
-    // 0 in [row_begin, row_end) and the rows of coarser maps they pool into; marks touched
-    // optimiser blocks of level 0 in `touched` ([row][block]). `leveled`: the slab has levels.
+    // 0 in [row_begin, row_end) and the rows of coarser maps they pool into; marks the touched
+    // tiles of rn_tiling(base, levels) in `touched`. Of `levels` maps a side gradients are kept;
+    // 1: the slab has no levels.
     void (*scatter)(const struct rn_cpu_field *field, const struct rn_slab *slab, int plane,
-                    bool leveled, int row_begin, int row_end,
+                    int levels, int row_begin, int row_end,
                     struct rn_map (*grad_maps)[RN_MAX_LEVELS], uint8_t *touched);
-    // Pools a plane's maps from maps[0][0] up to `levels` a side (mip: the diagonal chain only);
-    // and the adjoint, which leaves all gradient in maps[0][0] and clears the others.
+    // AdamW on the tiles of the plane's rows [row_begin, row_end), whole tiles. Their part of all
+    // maps is up to date afterwards, and of all gradients zero. Returns whether all new parameters
+    // are finite.
+    bool (*update)(const struct rn_plane_update *update, int row_begin, int row_end);
+    // Pools a plane's maps of any size from maps[0][0] up to `levels` a side (mip: the diagonal
+    // chain only); and the adjoint, which leaves all gradient in maps[0][0] and clears the others.
     void (*build)(struct rn_map (*maps)[RN_MAX_LEVELS], int levels, bool mip, int channels);
     void (*pull_down)(struct rn_map (*grad_maps)[RN_MAX_LEVELS], int levels, bool mip,
                       int channels);

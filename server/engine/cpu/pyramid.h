@@ -2,7 +2,7 @@
 #ifndef RN_ENGINE_CPU_PYRAMID_H
 #define RN_ENGINE_CPU_PYRAMID_H
 
-#include "server/engine/cpu/encode.h"
+#include "server/engine/cpu/fetch.h"
 #include "server/engine/field/ripmap.h"
 
 // One pooled line element: out += weight * in over `n` numbers (or the first tap: out = ...).

@@ -92,7 +92,8 @@ static enum rn_status prepare(struct frame *f, struct rn_error *err) {
     int levels = rn_levels_for_camera(f->field, &f->camera, f->march.step);
     enum rn_status status = rn_field_need_levels(f->field, levels, err);
     if (status == RN_OK) status = rn_engine_prepare(f->engine, f->field, err);
-    bool fresh = !f->field->pyramid_stale && f->field->packed_for == f->engine->kernels;
+    bool fresh = f->field->fresh_levels >= f->field->cpu.built_levels &&
+                 f->field->packed_for == f->engine->kernels;
     if (status == RN_OK && !fresh) rn_field_refresh(f->field, f->engine);
     return status;
 }

@@ -56,7 +56,6 @@ static void roll_back(struct rn_trainer *t) {
     t->updates = t->rejected = 0;
     t->wild = false;
     t->progress.rollbacks++;
-    t->field->pyramid_stale = true;
     rn_field_refresh(t->field, t->engine);
 }
 

@@ -53,11 +53,10 @@ static enum rn_status allocate_groups(struct rn_trainer *t) {
     return RN_OK;
 }
 
-// Bands of rows: four a plane, each a whole number of the coarsest level's rows; one where the
-// size does not divide.
-static int choose_bands(const struct rn_trainer *t) {
-    int base = t->field->config.field.base, unit = 1 << (t->field->cpu.built_levels - 1);
-    return base % (4 * unit) == 0 ? 4 : 1;
+// The first row of a band: bands are whole numbers of tiles.
+int rn_trainer_band(const struct rn_trainer *t, int band) {
+    int base = t->field->config.field.base, unit = t->tiled ? 1 << (t->levels - 1) : base;
+    return base / unit * band / t->bands * unit;
 }
 
 void rn_trainer_free_step(struct rn_trainer *t) {
@@ -76,11 +75,13 @@ enum rn_status rn_trainer_allocate(struct rn_trainer *t, struct rn_error *err) {
     size_t count = t->field->parameters.count + 64;
     t->levels = t->field->cpu.built_levels;
     size_t pyramid = rn_pyramid_count(c, t->levels) * (size_t)c->planes;
-    t->bands = choose_bands(t);
-    t->blocks_per_row = (size_t)c->base / RN_BLOCK + 1;
+    t->tiled = c->base % (1 << (t->levels - 1)) == 0;
+    t->bands = t->tiled ? 4 : 1;
+    struct rn_tiling tiling = rn_tiling(c->base, t->levels);
+    t->tiles = (size_t)tiling.columns * (size_t)tiling.rows;
     t->grad = rn_block_create(3 * count * sizeof(float));
     t->grad_pyramid = rn_block_create((pyramid + 64) * sizeof(float));
-    t->touched = calloc((size_t)c->planes * ((size_t)c->base + 1) * t->blocks_per_row, 1);
+    t->touched = calloc((size_t)c->planes * t->tiles, 1);
     t->rays = malloc(RN_MAX_RAYS * sizeof *t->rays);
     if (!t->grad || !t->grad_pyramid || !t->touched || !t->rays || allocate_groups(t) != RN_OK)
         return rn_error_set(err, RN_ERROR_NO_MEMORY, "trainer", "out of memory");
@@ -190,20 +191,15 @@ static void forward_backward(void *context, int index, int thread) {
                               rn_engine_workspace(t->engine, thread), group);
 }
 
-static bool leveled(const struct rn_trainer *t) {
-    return t->levels > 1;
-}
-
 static void scatter_band(void *context, int index, int thread) {
     (void)thread;
     struct rn_trainer *t = context;
-    int plane = index / t->bands, band = index % t->bands, base = t->field->config.field.base;
-    uint8_t *touched = t->touched + (size_t)plane * ((size_t)base + 1) * t->blocks_per_row;
+    int plane = index / t->bands, band = index % t->bands;
     for (int g = 0; g < RN_GROUPS; g++)
         if (t->groups[g].slab.count > 0)
-            t->engine->kernels->scatter(&t->field->cpu, &t->groups[g].slab, plane, leveled(t),
-                                        base * band / t->bands, base * (band + 1) / t->bands,
-                                        t->grad_maps[plane], touched);
+            t->engine->kernels->scatter(&t->field->cpu, &t->groups[g].slab, plane, t->levels,
+                                        rn_trainer_band(t, band), rn_trainer_band(t, band + 1),
+                                        t->grad_maps[plane], t->touched + (size_t)plane * t->tiles);
 }
 
 void rn_trainer_begin_step(struct rn_trainer *t) {
@@ -249,26 +245,22 @@ static void update_band(void *context, int index, int thread) {
     const struct update *u = context;
     struct rn_trainer *t = u->trainer;
     const struct rn_field_config *c = &t->field->config.field;
-    int plane = index / t->bands, band = index % t->bands;
-    bool dense = !t->field->config.sparse || leveled(t);
-    size_t row_size = (size_t)c->base * (size_t)c->channels;
-    size_t block_size = (size_t)RN_BLOCK * (size_t)c->channels;
-    for (int row = c->base * band / t->bands; row < c->base * (band + 1) / t->bands; row++) {
-        size_t at = ((size_t)plane * c->base + (size_t)row) * row_size;
-        uint8_t *marks =
-            t->touched + ((size_t)plane * (c->base + 1) + (size_t)row) * t->blocks_per_row;
-        float *values = t->field->parameters.values;
-        for (size_t b = 0; b * block_size < row_size; b++) {
-            if (!dense && !marks[b]) continue;
-            marks[b] = 0;
-            size_t i = at + b * block_size;
-            size_t n =
-                row_size - b * block_size < block_size ? row_size - b * block_size : block_size;
-            if (!t->engine->kernels->adamw(&u->planes, n, values + i, t->grad + i, t->m + i,
-                                           t->v + i))
-                t->wild = true;
-        }
-    }
+    size_t plane = (size_t)(index / t->bands), base = (size_t)c->base;
+    size_t at = plane * base * base * (size_t)c->channels;
+    int band = index % t->bands;
+    bool sparse = t->field->config.sparse && t->tiled;
+    struct rn_plane_update update = {.options = &u->planes,
+                                     .maps = t->field->cpu.maps[plane],
+                                     .grad_maps = t->grad_maps[plane],
+                                     .m = t->m + at,
+                                     .v = t->v + at,
+                                     .touched = sparse ? t->touched + plane * t->tiles : NULL,
+                                     .levels = t->tiled ? t->levels : 1,
+                                     .channels = c->channels,
+                                     .mip = c->footprint == RN_FOOTPRINT_MIP};
+    if (!t->engine->kernels->update(&update, rn_trainer_band(t, band),
+                                    rn_trainer_band(t, band + 1)))
+        t->wild = true;
 }
 
 // Adds the groups' gradients in order into the first; false when anything is not finite.
@@ -331,14 +323,17 @@ static void apply(struct rn_trainer *t, double weight) {
                                 .correction2 = (float)-expm1(n * log(config->beta2))};
     struct update u = {t, networks};
     u.planes.rate = (float)(rate * config->plane_rate);
-    if (leveled(t)) rn_pool_run(t->engine->pool, config->field.planes, pull_down_plane, t);
+    if (!t->tiled) rn_pool_run(t->engine->pool, config->field.planes, pull_down_plane, t);
     rn_pool_run(t->engine->pool, config->field.planes * t->bands, update_band, &u);
     size_t at = p->plane_count;
     if (!t->engine->kernels->adamw(&networks, p->base_count + p->head_count, p->values + at,
                                    t->grad + at, t->m + at, t->v + at))
         t->wild = true;
-    t->field->pyramid_stale = true;
-    rn_field_refresh(t->field, t->engine);
+    t->field->fresh_levels = t->levels;
+    if (t->tiled)
+        rn_field_pack(t->field, t->engine);
+    else
+        rn_field_refresh(t->field, t->engine);
 }
 
 static void reject(struct rn_trainer *t) {
@@ -346,7 +341,7 @@ static void reject(struct rn_trainer *t) {
     t->progress.steps_rejected++;
     memset(t->grad, 0, t->field->parameters.count * sizeof(float));
     memset(t->grad_pyramid, 0, rn_pyramid_count(c, t->levels) * (size_t)c->planes * sizeof(float));
-    memset(t->touched, 0, (size_t)c->planes * ((size_t)c->base + 1) * t->blocks_per_row);
+    memset(t->touched, 0, (size_t)c->planes * t->tiles);
 }
 
 static void count_step(struct rn_trainer *t) {

@@ -209,6 +209,15 @@ void rn_trainer_destroy(struct rn_trainer **trainer) {
     *trainer = NULL;
 }
 
+// Before training goes on: the field may have been rendered in between, with more levels.
+static enum rn_status enter(struct rn_trainer *t, struct rn_error *err) {
+    enum rn_status status = rn_engine_prepare(t->engine, t->field, err);
+    t->field->cpu.built_levels = t->levels;
+    if (status == RN_OK && t->field->fresh_levels < t->levels)
+        rn_field_refresh(t->field, t->engine);
+    return status;
+}
+
 // ---- training -------------------------------------------------------------------------------
 
 static bool reached_limit(const struct rn_trainer *t) {
@@ -255,7 +264,7 @@ static enum rn_status run_block(struct rn_trainer *t, struct rn_error *err) {
 
 enum rn_status rn_trainer_advance(struct rn_trainer *t, double budget_ms, struct rn_error *err) {
     int64_t until = rn_clock_ns() + (int64_t)(budget_ms * 1e6);
-    enum rn_status status = rn_engine_prepare(t->engine, t->field, err);
+    enum rn_status status = enter(t, err);
     if (status != RN_OK) return status;
     do {
         if (!t->stepping && reached_limit(t)) {
@@ -343,7 +352,7 @@ enum rn_status rn_trainer_validate(struct rn_trainer *t, double budget_ms, bool 
     struct rn_validation *v = &t->validation;
     *ret_done = t->held.frame_count == 0;
     if (*ret_done) return RN_OK;
-    enum rn_status status = rn_engine_prepare(t->engine, t->field, err);
+    enum rn_status status = enter(t, err);
     if (status != RN_OK) return status;
     if (!v->active) *v = (struct rn_validation){.active = true};
     do
@@ -373,7 +382,7 @@ struct rn_field *rn_trainer_field(struct rn_trainer *t) {
 }
 
 enum rn_status rn_trainer_save(struct rn_trainer *t, const char *path, struct rn_error *err) {
-    enum rn_status status = rn_engine_prepare(t->engine, t->field, err);
+    enum rn_status status = enter(t, err);
     if (status != RN_OK) return status;
     while (status == RN_OK && (t->stepping || t->next_chunk > 0))
         status = run_block(t, err);

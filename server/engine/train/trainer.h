@@ -46,8 +46,9 @@ struct rn_trainer {
     float *grad_pyramid;
     struct rn_map grad_maps[RN_MAX_PLANES][RN_MAX_LEVELS][RN_MAX_LEVELS];
     int levels;       // of grad_maps: what the training cameras need; a render may build more
-    uint8_t *touched; // [plane][row][block of RN_BLOCK texels]
-    size_t blocks_per_row;
+    bool tiled;       // the base is a multiple of the coarsest level's texels
+    uint8_t *touched; // [plane][tile], as rn_tiling(base, levels)
+    size_t tiles;     // of a plane
     int64_t updates;  // steps that were not rejected, since the last rollback
     float *good;      // the parameters a rollback returns to
     int rejected;     // steps in a row
@@ -95,6 +96,8 @@ enum rn_status rn_trainer_grow(struct rn_trainer *trainer, struct rn_error *err)
 // step.c
 void rn_trainer_free_step(struct rn_trainer *trainer); // what rn_trainer_allocate took, but grad
 enum rn_status rn_trainer_allocate(struct rn_trainer *trainer, struct rn_error *err) RN_MUST_CHECK;
+// The first row of a plane's band, 0 to `bands`.
+int rn_trainer_band(const struct rn_trainer *trainer, int band);
 void rn_trainer_begin_step(struct rn_trainer *trainer);
 void rn_trainer_run_wave(struct rn_trainer *trainer); // clears `stepping` when the step is complete
 // The ray through pixel (x, y) of a frame, target over the background.

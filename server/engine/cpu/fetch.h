@@ -1,0 +1,174 @@
+// Reading texels: where samples look in a plane's maps, and their features (paper, section 3.3).
+#ifndef RN_ENGINE_CPU_FETCH_H
+#define RN_ENGINE_CPU_FETCH_H
+
+#include <stdbool.h>
+
+#include "server/engine/cpu/kernels.h"
+#include "server/engine/cpu/simd.h"
+
+typedef float v4 __attribute__((vector_size(16), aligned(4), may_alias));
+typedef float v8 __attribute__((vector_size(32), aligned(4), may_alias));
+typedef float v16 __attribute__((vector_size(64), aligned(4), may_alias));
+
+// Texel coordinate of p in [-1, 1] on `size` texels: *ret_low and the weight of low + 1.
+RN_INLINE void lerp_vector(vf p, int size, vi *ret_low, vf *ret_fraction) {
+    float half = 0.5f * (float)size;
+    vf x = vf_clamp(p * half + (half - 0.5f), 0.0f, (float)(size - 1));
+    vf low = vf_from_int(vi_from_float(x));
+    low = vf_min(low, vf_set((float)(size > 1 ? size - 2 : 0)));
+    *ret_low = vi_from_float(low);
+    *ret_fraction = x - low;
+}
+
+// Where RN_VL samples look on one axis of a pyramid: level, weight of the next level, and at both
+// levels the map's size, the texel and the weight of its neighbour.
+struct axis_lookup {
+    vi level, size[2], low[2];
+    vf upper, fraction[2];
+};
+
+RN_INLINE void look_up_axis(vf p, vf level, int base, struct axis_lookup *ret) {
+    vi whole = vi_from_float(level);
+    ret->level = whole;
+    ret->upper = level - vf_from_int(whole);
+    for (int i = 0; i < 2; i++) {
+        vf texels = vf_max(vf_from_int(base >> (whole + i)), vf_set(1)), half = 0.5f * texels;
+        vf x = vf_min(vf_max(p * half + (half - 0.5f), vf_set(0)), texels - 1.0f);
+        vf low = vf_min(vf_from_int(vi_from_float(x)), vf_max(texels - 2.0f, vf_set(0)));
+        ret->size[i] = vi_from_float(texels);
+        ret->low[i] = vi_from_float(low);
+        ret->fraction[i] = x - low;
+    }
+}
+
+// The maps of a query: corner 0, and with weights between levels 1, 2 and 3 (bit 0 steps up along
+// x, bit 1 along y), of which a mipmap has 3 alone.
+#define RN_MAPS_RIP 4
+#define RN_MAPS_MIP 2
+
+// Where RN_VL samples look in the maps of one corner: which map, of maps[ly][lx]; the first of
+// their four texels, and how far the row below is (0 where there is none); the texels' weights.
+// Lanes without a weight are given a valid place too.
+struct map_lookup {
+    int32_t map[RN_VL], offset[RN_VL], row[RN_VL];
+    float weight[4][RN_VL];
+    unsigned active; // a bit a lane that has a weight
+};
+
+RN_INLINE void look_up_map(const struct axis_lookup *x, const struct axis_lookup *y, bool mip,
+                           int corner, struct map_lookup *ret) {
+    int up_x = corner & 1, up_y = corner >> 1;
+    vf weight = up_x ? x->upper : 1.0f - x->upper;
+    if (!mip) weight = weight * (up_y ? y->upper : 1.0f - y->upper);
+    vi active = weight > 0.0f, level = y->level * RN_MAX_LEVELS + x->level;
+    if (corner) level += active & (up_y * RN_MAX_LEVELS + up_x);
+    vi_store(ret->map, level);
+    vi_store(ret->offset, y->low[up_y] * x->size[up_x] + x->low[up_x]);
+    vi_store(ret->row, x->size[up_x] & (y->size[up_y] > 1));
+    vf right = x->fraction[up_x], below = y->fraction[up_y] * weight;
+    vf above = weight - below;
+    vf_store(ret->weight[0], above - above * right);
+    vf_store(ret->weight[1], above * right);
+    vf_store(ret->weight[2], below - below * right);
+    vf_store(ret->weight[3], below * right);
+    ret->active = vi_mask_bits(active);
+}
+
+// All of a query's maps; returns their count.
+RN_INLINE int look_up_maps(const struct axis_lookup *x, const struct axis_lookup *y, bool mip,
+                           struct map_lookup ret[RN_MAPS_RIP]) {
+    look_up_map(x, y, mip, 0, &ret[0]);
+    if (mip) {
+        look_up_map(x, y, true, 3, &ret[1]);
+        return RN_MAPS_MIP;
+    }
+    look_up_map(x, y, false, 1, &ret[1]);
+    look_up_map(x, y, false, 2, &ret[2]);
+    look_up_map(x, y, false, 3, &ret[3]);
+    return RN_MAPS_RIP;
+}
+
+// A vector of CHANNELS numbers; the compiler splits it where the machine's are narrower.
+#define RN_FETCH(NAME, TYPE, CHANNELS)                                                             \
+    RN_INLINE TYPE fetch_##NAME(const float *texel, size_t row, float fx, float fy) {              \
+        TYPE a = *(const TYPE *)texel, b = *(const TYPE *)(texel + CHANNELS);                      \
+        TYPE c = *(const TYPE *)(texel + row), d = *(const TYPE *)(texel + row + CHANNELS);        \
+        TYPE top = a + fx * (b - a), bottom = c + fx * (d - c);                                    \
+        return top + fy * (bottom - top);                                                          \
+    }                                                                                              \
+    static void encode_flat_##NAME(const struct rn_map *map, const float *u, const float *v,       \
+                                   int begin, int end, float *out, int stride) {                   \
+        size_t row = (size_t)map->width * CHANNELS;                                                \
+        for (int i = begin; i < end; i += RN_VL) {                                                 \
+            vi column, line;                                                                       \
+            vf fx, fy;                                                                             \
+            lerp_vector(vf_load(u + i), map->width, &column, &fx);                                 \
+            lerp_vector(vf_load(v + i), map->height, &line, &fy);                                  \
+            vi offset = (line * map->width + column) * CHANNELS;                                   \
+            int n = end - i < RN_VL ? end - i : RN_VL;                                             \
+            for (int j = 0; j < n; j++)                                                            \
+                *(TYPE *)(out + (size_t)(i + j) * stride) =                                        \
+                    fetch_##NAME(map->texels + offset[j], row, fx[j], fy[j]);                      \
+        }                                                                                          \
+    }                                                                                              \
+    RN_INLINE TYPE fetch_map_##NAME(const struct rn_map *maps, const struct map_lookup *l, int j,  \
+                                    TYPE value) {                                                  \
+        const float *texel = maps[l->map[j]].texels + (size_t)l->offset[j] * CHANNELS;             \
+        const float *below = texel + (size_t)l->row[j] * CHANNELS;                                 \
+        value += l->weight[0][j] * *(const TYPE *)texel;                                           \
+        value += l->weight[1][j] * *(const TYPE *)(texel + CHANNELS);                              \
+        value += l->weight[2][j] * *(const TYPE *)below;                                           \
+        return value + l->weight[3][j] * *(const TYPE *)(below + CHANNELS);                        \
+    }                                                                                              \
+    static void encode_leveled_##NAME(                                                             \
+        const struct rn_map(*maps)[RN_MAX_LEVELS], bool mip, const float *u, const float *v,       \
+        const float *lx, const float *ly, int begin, int end, float *out, int stride) {            \
+        struct axis_lookup x, y;                                                                   \
+        struct map_lookup lookups[RN_MAPS_RIP];                                                    \
+        int base = maps[0][0].width;                                                               \
+        for (int i = begin; i < end; i += RN_VL) {                                                 \
+            look_up_axis(vf_load(u + i), vf_load(lx + i), base, &x);                               \
+            look_up_axis(vf_load(v + i), vf_load(ly + i), base, &y);                               \
+            int count = look_up_maps(&x, &y, mip, lookups);                                        \
+            int n = end - i < RN_VL ? end - i : RN_VL;                                             \
+            for (int j = 0; j < n; j++) {                                                          \
+                TYPE value = {0};                                                                  \
+                for (int k = 0; k < count; k++)                                                    \
+                    if (lookups[k].active >> j & 1)                                                \
+                        value = fetch_map_##NAME(maps[0], &lookups[k], j, value);                  \
+                *(TYPE *)(out + (size_t)(i + j) * stride) = value;                                 \
+            }                                                                                      \
+        }                                                                                          \
+    }
+
+RN_FETCH(4, v4, 4)
+RN_FETCH(8, v8, 8)
+RN_FETCH(16, v16, 16)
+
+// Features of samples [begin, end) of the workspace.
+static void encode(const struct rn_cpu_field *field, bool leveled, int begin, int end,
+                   struct rn_workspace *w) {
+    int channels = field->config.channels, stride = field->feature_stride;
+    bool mip = field->config.footprint == RN_FOOTPRINT_MIP;
+    for (int p = 0; p < field->config.planes; p++) {
+        float *out = w->features + p * channels;
+        const struct rn_map(*maps)[RN_MAX_LEVELS] = field->maps[p];
+#define RN_ENCODE(C)                                                                               \
+    if (leveled)                                                                                   \
+        encode_leveled_##C(maps, mip, w->u[p], w->v[p], w->lx[p], w->ly[p], begin, end, out,       \
+                           stride);                                                                \
+    else                                                                                           \
+        encode_flat_##C(&maps[0][0], w->u[p], w->v[p], begin, end, out, stride)
+        if (channels == 4) {
+            RN_ENCODE(4);
+        } else if (channels == 8) {
+            RN_ENCODE(8);
+        } else {
+            RN_ENCODE(16);
+        }
+#undef RN_ENCODE
+    }
+}
+
+#endif

@@ -1,0 +1,164 @@
+// Adding samples' gradients to texels: the adjoint of cpu/fetch.h, for a band of rows.
+#ifndef RN_ENGINE_CPU_SCATTER_H
+#define RN_ENGINE_CPU_SCATTER_H
+
+#include "server/engine/cpu/fetch.h"
+
+// A band of a plane's rows, of level 0 and of the rows pooled from them.
+struct band {
+    int begin, end; // level 0
+    bool last;
+};
+
+// Bits of the lanes whose texels on one of the two levels may lie in the band.
+RN_INLINE unsigned lanes_in_band(const struct axis_lookup *y, const struct band *band) {
+    vi inside = vi_set(0);
+    for (int k = 0; k < 2; k++) {
+        vi level = y->level + k, end = vi_set(band->end) >> level;
+        if (band->last) end = y->size[k];
+        inside |= (y->low[k] + 1 >= vi_set(band->begin) >> level) & (y->low[k] < end);
+    }
+    return vi_mask_bits(inside);
+}
+
+// What a scatter to the maps of one corner needs beside the fetch: which of the two rows are in
+// the band, and the tile of the first texel with the steps to its neighbours' tiles.
+struct map_target {
+    struct map_lookup at;
+    unsigned upper, lower; // a bit a lane
+    int32_t tile[RN_VL], right[RN_VL], below[RN_VL];
+};
+
+RN_INLINE void look_up_target(const struct axis_lookup *x, const struct axis_lookup *y, bool mip,
+                              int corner, const struct band *band, const struct rn_tiling *tiling,
+                              struct map_target *ret) {
+    int up_x = corner & 1, up_y = corner >> 1;
+    look_up_map(x, y, mip, corner, &ret->at);
+    vi level = y->level + up_y, row = y->low[up_y], column = x->low[up_x];
+    vi begin = vi_set(band->begin) >> level, end = vi_set(band->end) >> level;
+    if (band->last) end = y->size[up_y];
+    ret->upper = ret->at.active & vi_mask_bits((row >= begin) & (row < end));
+    ret->lower =
+        ret->at.active & vi_mask_bits((row + 1 >= begin) & (row + 1 < end) & (y->size[up_y] > 1));
+    vi shift_x = tiling->shift_x - x->level - up_x, shift_y = tiling->shift_y - level;
+    shift_x &= shift_x > 0; // lanes that are not active
+    shift_y &= shift_y > 0;
+    vi tile_x = column >> shift_x, tile_y = row >> shift_y;
+    vi_store(ret->tile, tile_y * tiling->columns + tile_x);
+    vi_store(ret->right, ((column + 1) >> shift_x) - tile_x);
+    vi_store(ret->below, (((row + 1) >> shift_y) - tile_y) * tiling->columns);
+}
+
+RN_INLINE void look_up_targets(const struct axis_lookup *x, const struct axis_lookup *y, bool mip,
+                               const struct band *band, const struct rn_tiling *tiling,
+                               struct map_target ret[RN_MAPS_RIP]) {
+    look_up_target(x, y, mip, 0, band, tiling, &ret[0]);
+    if (mip) {
+        look_up_target(x, y, true, 3, band, tiling, &ret[1]);
+        return;
+    }
+    look_up_target(x, y, false, 1, band, tiling, &ret[1]);
+    look_up_target(x, y, false, 2, band, tiling, &ret[2]);
+    look_up_target(x, y, false, 3, band, tiling, &ret[3]);
+}
+
+#define RN_SCATTER(NAME, TYPE, CHANNELS)                                                           \
+    RN_INLINE void add_row_##NAME(float *texel, float left, float right, TYPE g) {                 \
+        *(TYPE *)texel += g * left;                                                                \
+        *(TYPE *)(texel + CHANNELS) += g * right;                                                  \
+    }                                                                                              \
+    static void scatter_flat_##NAME(const struct rn_slab *slab, int plane,                         \
+                                    const struct band *band, const struct rn_tiling *tiling,       \
+                                    struct rn_map *map, uint8_t *touched) {                        \
+        const float *u = slab->u[plane], *v = slab->v[plane];                                      \
+        size_t row = (size_t)map->width * CHANNELS, tiles = (size_t)tiling->columns;               \
+        for (int i = 0; i < slab->count; i += RN_VL) {                                             \
+            vi column, line;                                                                       \
+            vf fx, fy;                                                                             \
+            lerp_vector(vf_load(v + i), map->height, &line, &fy);                                  \
+            unsigned bits = vi_mask_bits((line >= band->begin - 1) & (line < band->end));          \
+            if (slab->count - i < RN_VL) bits &= (1u << (slab->count - i)) - 1;                    \
+            if (!bits) continue;                                                                   \
+            lerp_vector(vf_load(u + i), map->width, &column, &fx);                                 \
+            vi first = column >> tiling->shift_x, last = (column + 1) >> tiling->shift_x;          \
+            for (; bits; bits &= bits - 1) {                                                       \
+                int j = __builtin_ctz(bits);                                                       \
+                uint8_t *mark = touched + (size_t)line[j] * tiles;                                 \
+                TYPE g = *(const TYPE *)(slab->grad[plane] + (size_t)(i + j) * CHANNELS);          \
+                float *texel =                                                                     \
+                    map->texels + ((size_t)line[j] * map->width + column[j]) * CHANNELS;           \
+                TYPE low = g * (1 - fy[j]), high = g * fy[j];                                      \
+                if (line[j] >= band->begin) {                                                      \
+                    mark[first[j]] = mark[last[j]] = 1;                                            \
+                    add_row_##NAME(texel, 1 - fx[j], fx[j], low);                                  \
+                }                                                                                  \
+                if (line[j] + 1 < band->end) {                                                     \
+                    mark[tiles + first[j]] = mark[tiles + last[j]] = 1;                            \
+                    add_row_##NAME(texel + row, 1 - fx[j], fx[j], high);                           \
+                }                                                                                  \
+            }                                                                                      \
+        }                                                                                          \
+    }                                                                                              \
+    RN_INLINE void add_to_map_##NAME(const struct rn_map *maps, const struct map_target *t, int j, \
+                                     uint8_t *touched, TYPE g) {                                   \
+        float *texel = maps[t->at.map[j]].texels + (size_t)t->at.offset[j] * CHANNELS;             \
+        uint8_t *mark = touched + t->tile[j];                                                      \
+        if (t->upper >> j & 1) {                                                                   \
+            mark[0] = mark[t->right[j]] = 1;                                                       \
+            add_row_##NAME(texel, t->at.weight[0][j], t->at.weight[1][j], g);                      \
+        }                                                                                          \
+        if (t->lower >> j & 1) {                                                                   \
+            mark[t->below[j]] = mark[t->below[j] + t->right[j]] = 1;                               \
+            add_row_##NAME(texel + (size_t)t->at.row[j] * CHANNELS, t->at.weight[2][j],            \
+                           t->at.weight[3][j], g);                                                 \
+        }                                                                                          \
+    }                                                                                              \
+    static void scatter_leveled_##NAME(const struct rn_slab *slab, int plane, bool mip,            \
+                                       const struct band *band, const struct rn_tiling *tiling,    \
+                                       struct rn_map(*maps)[RN_MAX_LEVELS], uint8_t *touched) {    \
+        struct axis_lookup x, y;                                                                   \
+        struct map_target targets[RN_MAPS_RIP];                                                    \
+        int base = maps[0][0].width, count = mip ? RN_MAPS_MIP : RN_MAPS_RIP;                      \
+        for (int i = 0; i < slab->count; i += RN_VL) {                                             \
+            look_up_axis(vf_load(slab->v[plane] + i), vf_load(slab->ly[plane] + i), base, &y);     \
+            unsigned bits = lanes_in_band(&y, band);                                               \
+            if (slab->count - i < RN_VL) bits &= (1u << (slab->count - i)) - 1;                    \
+            if (!bits) continue;                                                                   \
+            look_up_axis(vf_load(slab->u[plane] + i), vf_load(slab->lx[plane] + i), base, &x);     \
+            look_up_targets(&x, &y, mip, band, tiling, targets);                                   \
+            for (; bits; bits &= bits - 1) {                                                       \
+                int j = __builtin_ctz(bits);                                                       \
+                TYPE g = *(const TYPE *)(slab->grad[plane] + (size_t)(i + j) * CHANNELS);          \
+                for (int k = 0; k < count; k++)                                                    \
+                    if (targets[k].at.active >> j & 1)                                             \
+                        add_to_map_##NAME(maps[0], &targets[k], j, touched, g);                    \
+            }                                                                                      \
+        }                                                                                          \
+    }
+
+RN_SCATTER(4, v4, 4)
+RN_SCATTER(8, v8, 8)
+RN_SCATTER(16, v16, 16)
+
+static void scatter(const struct rn_cpu_field *field, const struct rn_slab *slab, int plane,
+                    int levels, int row_begin, int row_end,
+                    struct rn_map (*grad_maps)[RN_MAX_LEVELS], uint8_t *touched) {
+    bool mip = field->config.footprint == RN_FOOTPRINT_MIP;
+    struct band band = {row_begin, row_end, row_end == field->config.base};
+    struct rn_tiling tiling = rn_tiling(field->config.base, levels);
+#define RN_SCATTER_CALL(C)                                                                         \
+    if (levels > 1)                                                                                \
+        scatter_leveled_##C(slab, plane, mip, &band, &tiling, grad_maps, touched);                 \
+    else                                                                                           \
+        scatter_flat_##C(slab, plane, &band, &tiling, &grad_maps[0][0], touched)
+    if (field->config.channels == 4) {
+        RN_SCATTER_CALL(4);
+    } else if (field->config.channels == 8) {
+        RN_SCATTER_CALL(8);
+    } else {
+        RN_SCATTER_CALL(16);
+    }
+#undef RN_SCATTER_CALL
+}
+
+#endif

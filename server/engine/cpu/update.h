@@ -1,0 +1,181 @@
+// The optimiser's step on planes, tile by tile: the gradients of a tile's coarser maps are pulled
+// down, its texels change, and its coarser maps are pooled anew, all while it is in the cache.
+#ifndef RN_ENGINE_CPU_UPDATE_H
+#define RN_ENGINE_CPU_UPDATE_H
+
+#include "server/engine/cpu/fetch.h"
+
+#define RN_RUN 64 // texels along u at most that are done together
+
+// Gradients beyond 1.8e19, whose squares fp32 does not hold, count as 1.8e19; NaN stays NaN. The
+// decay is part of the change: 1 - rate * decay, in fp32, would be 1 for the networks. Error of the
+// change, beyond the parameter's own rounding: 8 ULP, for gradients of 1e-30 to 1e30.
+// Returns a mask of the new parameters that are not finite.
+RN_INLINE vi adamw_vector(const struct rn_adamw *o, float *parameter, float *grad, float *m,
+                          float *v) {
+    float rate = o->rate / o->correction1, fade = o->rate * o->decay;
+    float root = 1 / __builtin_sqrtf(o->correction2);
+    vf g = vf_min(vf_set(1.8e19f), vf_max(vf_set(-1.8e19f), vf_load(grad) * o->scale));
+    vf first = vf_load(m) * 0.9f + g * 0.1f, second = vf_load(v) * o->keep + g * g * o->fresh;
+    vf_store(m, first);
+    vf_store(v, second);
+    vf p = vf_load(parameter), change = p * fade + rate * first / (vf_sqrt(second) * root + o->eps);
+    p = p - change;
+    vf_store(parameter, p);
+    vf_store(grad, vf_set(0));
+    return (vi_bits(p) & 0x7f800000) == 0x7f800000;
+}
+
+static bool adamw(const struct rn_adamw *o, size_t n, float *parameter, float *grad, float *m,
+                  float *v) {
+    size_t i = 0;
+    vi wild = vi_set(0);
+    for (; i + RN_VL <= n; i += RN_VL)
+        wild |= adamw_vector(o, parameter + i, grad + i, m + i, v + i);
+    if (i == n) return !vi_mask_bits(wild);
+    float tail[4][RN_VL] = {{0}}, *all[4] = {parameter + i, grad + i, m + i, v + i};
+    for (int k = 0; k < 4; k++)
+        memcpy(tail[k], all[k], (n - i) * sizeof(float));
+    wild |= adamw_vector(o, tail[0], tail[1], tail[2], tail[3]);
+    for (int k = 0; k < 4; k++)
+        memcpy(all[k], tail[k], (n - i) * sizeof(float));
+    return !vi_mask_bits(wild);
+}
+
+// A rectangle of a plane's texels at level 0; its sides are multiples of the coarsest level's.
+struct rect {
+    int column, row, width, height;
+};
+
+// The part of map (x, y) that a rectangle pools into: its first number, and numbers a row.
+RN_INLINE float *part_of(struct rn_map (*maps)[RN_MAX_LEVELS], int x, int y, int channels,
+                         const struct rect *rect, size_t *ret_row) {
+    const struct rn_map *map = &maps[y][x];
+    *ret_row = (size_t)map->width * (size_t)channels;
+    return map->texels + (size_t)(rect->row >> y) * *ret_row +
+           (size_t)(rect->column >> x) * (size_t)channels;
+}
+
+// Sizes here are even at every level but the coarsest: pooling is the mean of two (field/ripmap.h).
+#define RN_TILE(NAME, TYPE, CHANNELS)                                                              \
+    static void pool_square_##NAME(struct rn_map(*maps)[RN_MAX_LEVELS], int level,                 \
+                                   const struct rect *rect) {                                      \
+        size_t fine_row, row;                                                                      \
+        const float *fine = part_of(maps, level - 1, level - 1, CHANNELS, rect, &fine_row);        \
+        float *coarse = part_of(maps, level, level, CHANNELS, rect, &row);                         \
+        for (int y = 0; y < rect->height >> level; y++, fine += 2 * fine_row, coarse += row)       \
+            for (int x = 0; x < rect->width >> level; x++) {                                       \
+                const TYPE *a = (const TYPE *)fine + 2 * x;                                        \
+                const TYPE *b = (const TYPE *)(fine + fine_row) + 2 * x;                           \
+                ((TYPE *)coarse)[x] = ((a[0] + a[1]) + (b[0] + b[1])) * 0.25f;                     \
+            }                                                                                      \
+    }                                                                                              \
+    static void unpool_square_##NAME(struct rn_map(*maps)[RN_MAX_LEVELS], int level,               \
+                                     const struct rect *rect) {                                    \
+        size_t fine_row, row;                                                                      \
+        float *fine = part_of(maps, level - 1, level - 1, CHANNELS, rect, &fine_row);              \
+        float *coarse = part_of(maps, level, level, CHANNELS, rect, &row);                         \
+        for (int y = 0; y < rect->height >> level; y++, fine += 2 * fine_row, coarse += row)       \
+            for (int x = 0; x < rect->width >> level; x++) {                                       \
+                TYPE *a = (TYPE *)fine + 2 * x, *b = (TYPE *)(fine + fine_row) + 2 * x;            \
+                TYPE g = ((TYPE *)coarse)[x] * 0.25f;                                              \
+                ((TYPE *)coarse)[x] = (TYPE){0};                                                   \
+                a[0] += g, a[1] += g, b[0] += g, b[1] += g;                                        \
+            }                                                                                      \
+    }                                                                                              \
+    static void pool_pairs_##NAME(struct rn_map(*maps)[RN_MAX_LEVELS], int x, int y,               \
+                                  const struct rect *rect) {                                       \
+        size_t fine_row, row;                                                                      \
+        bool along_x = y == 0;                                                                     \
+        const float *fine = part_of(maps, x - along_x, y - !along_x, CHANNELS, rect, &fine_row);   \
+        float *coarse = part_of(maps, x, y, CHANNELS, rect, &row);                                 \
+        for (int j = 0; j < rect->height >> y; j++, coarse += row)                                 \
+            for (int i = 0; i < rect->width >> x; i++) {                                           \
+                const float *a = along_x ? fine + (size_t)j * fine_row + 2 * i * CHANNELS          \
+                                         : fine + (size_t)j * 2 * fine_row + i * CHANNELS;         \
+                const float *b = a + (along_x ? CHANNELS : fine_row);                              \
+                ((TYPE *)coarse)[i] = (*(const TYPE *)a + *(const TYPE *)b) * 0.5f;                \
+            }                                                                                      \
+    }                                                                                              \
+    static void unpool_pairs_##NAME(struct rn_map(*maps)[RN_MAX_LEVELS], int x, int y,             \
+                                    const struct rect *rect) {                                     \
+        size_t fine_row, row;                                                                      \
+        bool along_x = y == 0;                                                                     \
+        float *fine = part_of(maps, x - along_x, y - !along_x, CHANNELS, rect, &fine_row);         \
+        float *coarse = part_of(maps, x, y, CHANNELS, rect, &row);                                 \
+        for (int j = 0; j < rect->height >> y; j++, coarse += row)                                 \
+            for (int i = 0; i < rect->width >> x; i++) {                                           \
+                float *a = along_x ? fine + (size_t)j * fine_row + 2 * i * CHANNELS                \
+                                   : fine + (size_t)j * 2 * fine_row + i * CHANNELS;               \
+                TYPE g = ((TYPE *)coarse)[i] * 0.5f;                                               \
+                ((TYPE *)coarse)[i] = (TYPE){0};                                                   \
+                *(TYPE *)a += g;                                                                   \
+                *(TYPE *)(a + (along_x ? CHANNELS : fine_row)) += g;                               \
+            }                                                                                      \
+    }                                                                                              \
+    static void pull_down_##NAME(const struct rn_plane_update *u, const struct rect *rect) {       \
+        for (int level = u->levels - 1; u->mip && level > 0; level--)                              \
+            unpool_square_##NAME(u->grad_maps, level, rect);                                       \
+        for (int y = u->levels - 1; !u->mip && y >= 0; y--)                                        \
+            for (int x = u->levels - 1; x >= (y == 0); x--)                                        \
+                unpool_pairs_##NAME(u->grad_maps, x, y, rect);                                     \
+    }                                                                                              \
+    static void build_##NAME(const struct rn_plane_update *u, const struct rect *rect) {           \
+        for (int level = 1; u->mip && level < u->levels; level++)                                  \
+            pool_square_##NAME(u->maps, level, rect);                                              \
+        for (int y = 0; !u->mip && y < u->levels; y++)                                             \
+            for (int x = y == 0; x < u->levels; x++)                                               \
+                pool_pairs_##NAME(u->maps, x, y, rect);                                            \
+    }
+
+RN_TILE(4, v4, 4)
+RN_TILE(8, v8, 8)
+RN_TILE(16, v16, 16)
+
+static bool update_rect(const struct rn_plane_update *u, const struct rect *rect) {
+    size_t channels = (size_t)u->channels, row = (size_t)u->maps[0][0].width * channels;
+    size_t at = (size_t)rect->row * row + (size_t)rect->column * channels;
+    bool finite = true;
+#define RN_FOR_CHANNELS(WORK)                                                                      \
+    if (u->levels == 1) {                                                                          \
+    } else if (channels == 4) {                                                                    \
+        WORK##_4(u, rect);                                                                         \
+    } else if (channels == 8) {                                                                    \
+        WORK##_8(u, rect);                                                                         \
+    } else {                                                                                       \
+        WORK##_16(u, rect);                                                                        \
+    }
+    RN_FOR_CHANNELS(pull_down)
+    for (int y = 0; y < rect->height; y++, at += row)
+        finite &= adamw(u->options, (size_t)rect->width * channels, u->maps[0][0].texels + at,
+                        u->grad_maps[0][0].texels + at, u->m + at, u->v + at);
+    RN_FOR_CHANNELS(build)
+#undef RN_FOR_CHANNELS
+    return finite;
+}
+
+// Runs of neighbouring tiles that the step touched are done as one rectangle.
+static bool update(const struct rn_plane_update *u, int row_begin, int row_end) {
+    int base = u->maps[0][0].width;
+    struct rn_tiling tiling = rn_tiling(base, u->levels);
+    int width = 1 << tiling.shift_x, height = 1 << tiling.shift_y;
+    int most = RN_RUN > width ? RN_RUN : width;
+    bool finite = true;
+    for (int row = row_begin; row < row_end; row += height) {
+        uint8_t *marks =
+            u->touched ? u->touched + (size_t)(row >> tiling.shift_y) * tiling.columns : NULL;
+        for (int column = 0; column < base;) {
+            int end = column;
+            while (end < base && end - column < most && (!marks || marks[end >> tiling.shift_x])) {
+                if (marks) marks[end >> tiling.shift_x] = 0;
+                end += width;
+            }
+            struct rect rect = {column, row, (end < base ? end : base) - column, height};
+            if (end > column) finite &= update_rect(u, &rect);
+            column = end > column ? end : column + width;
+        }
+    }
+    return finite;
+}
+
+#endif
