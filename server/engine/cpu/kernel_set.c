@@ -64,7 +64,6 @@ static void density(const struct rn_cpu_field *field, float (*points)[3], int co
         memcpy(ret_density + begin, w->x, (size_t)n * sizeof(float));
     }
 }
-}
 
 #define RN_MAP_FUNCTION(NAME, CALL)                                                                \
     static void NAME(size_t n, const float *x, float *y) {                                         \

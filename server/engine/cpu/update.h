@@ -57,7 +57,7 @@ RN_INLINE float *part_of(struct rn_map (*maps)[RN_MAX_LEVELS], int x, int y, int
 }
 
 // Sizes here are even at every level but the coarsest: pooling is the mean of two (field/ripmap.h).
-#define RN_TILE(NAME, TYPE, CHANNELS)                                                              \
+#define RN_TILED(NAME, TYPE, CHANNELS)                                                             \
     static void pool_square_##NAME(struct rn_map(*maps)[RN_MAX_LEVELS], int level,                 \
                                    const struct rect *rect) {                                      \
         size_t fine_row, row;                                                                      \
@@ -128,9 +128,9 @@ RN_INLINE float *part_of(struct rn_map (*maps)[RN_MAX_LEVELS], int x, int y, int
                 pool_pairs_##NAME(u->maps, x, y, rect);                                            \
     }
 
-RN_TILE(4, v4, 4)
-RN_TILE(8, v8, 8)
-RN_TILE(16, v16, 16)
+RN_TILED(4, v4, 4)
+RN_TILED(8, v8, 8)
+RN_TILED(16, v16, 16)
 
 static bool update_rect(const struct rn_plane_update *u, const struct rect *rect) {
     size_t channels = (size_t)u->channels, row = (size_t)u->maps[0][0].width * channels;
