@@ -21,7 +21,7 @@ enum rn_wire_type {
     RN_WIRE_PATH,     //                      rn_wire_path
     RN_WIRE_EVAL,     //                      rn_wire_eval
     RN_WIRE_INGEST,   // mode ingest          rn_wire_ingest
-    RN_WIRE_PAUSE,    // training jobs        rn_wire_job -> checkpoint, state paused
+    RN_WIRE_PAUSE,    // training jobs        rn_wire_job -> state paused, checkpoint
     RN_WIRE_RESUME,   //                      rn_wire_job -> state running
     RN_WIRE_FINISH,   // training jobs        rn_wire_job -> checkpoint, done (finished_by finish)
     RN_WIRE_CANCEL,   // a job or a render    rn_wire_cancel -> failed (status "cancelled")

@@ -3,7 +3,6 @@
 #include <errno.h>
 #include <fcntl.h>
 #include <inttypes.h>
-#include <libgen.h>
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -13,22 +12,12 @@
 #include "server/engine/checkpoint_state.h"
 
 #define MAX_HEADER (100u << 20)
-#define MAX_TENSORS 32
-
-struct tensor {
-    char name[24];
-    const char *dtype; // "F32" or "U8"
-    int rank;
-    size_t shape[4];
-    void *data;
-    size_t bytes;
-};
 
 // ---- the list of tensors, the same for writing and reading -----------------------------------
 
-static void add(struct tensor *list, int *count, const char *name, const char *dtype, int rank,
+static void add(struct rn_tensor *list, int *count, const char *name, const char *dtype, int rank,
                 const size_t *shape, void *data) {
-    struct tensor *t = &list[(*count)++];
+    struct rn_tensor *t = &list[(*count)++];
     snprintf(t->name, sizeof t->name, "%s", name);
     t->dtype = dtype;
     t->rank = rank;
@@ -40,7 +29,7 @@ static void add(struct tensor *list, int *count, const char *name, const char *d
     }
 }
 
-static void add_network(struct tensor *list, int *count, const char *prefix,
+static void add_network(struct rn_tensor *list, int *count, const char *prefix,
                         const struct rn_mlp_shape *shape, float *weights) {
     for (int l = 0; l < shape->layers; l++) {
         char name[24];
@@ -50,7 +39,8 @@ static void add_network(struct tensor *list, int *count, const char *prefix,
     }
 }
 
-static int list_tensors(struct rn_field *field, float *m, float *v, struct tensor *list) {
+int rn_checkpoint_tensors(struct rn_field *field, float *m, float *v,
+                          struct rn_tensor list[RN_CHECKPOINT_TENSORS]) {
     const struct rn_field_config *c = &field->config.field;
     const struct rn_parameters *p = &field->parameters;
     size_t base = (size_t)c->base, cells = (size_t)c->occupancy;
@@ -67,86 +57,6 @@ static int list_tensors(struct rn_field *field, float *m, float *v, struct tenso
         add(list, &count, "adam.v", "F32", 1, &p->count, v);
     }
     return count;
-}
-
-// ---- writing --------------------------------------------------------------------------------
-
-static json_t *make_header(const struct rn_trainer *t, const struct tensor *list, int count) {
-    json_t *state = rn_checkpoint_state(t);
-    char *text = state ? json_dumps(state, JSON_COMPACT | JSON_REAL_PRECISION(17)) : NULL;
-    json_decref(state);
-    if (!text) return NULL;
-    json_t *header =
-        json_pack("{s:{s:s,s:s}}", "__metadata__", "format", "ripnerf", "ripnerf", text);
-    free(text);
-    size_t at = 0;
-    for (int i = 0; header && i < count; i++) {
-        json_t *shape = json_array();
-        for (int k = 0; k < list[i].rank; k++)
-            json_array_append_new(shape, json_integer((json_int_t)list[i].shape[k]));
-        json_t *entry = json_pack("{s:s,s:o,s:[I,I]}", "dtype", list[i].dtype, "shape", shape,
-                                  "data_offsets", (json_int_t)at, (json_int_t)(at + list[i].bytes));
-        at += list[i].bytes;
-        json_object_set_new(header, list[i].name, entry);
-    }
-    return header;
-}
-
-static bool write_all(int fd, const void *data, size_t bytes) {
-    const char *at = data;
-    while (bytes > 0) {
-        ssize_t n = write(fd, at, bytes);
-        if (n < 0 && errno == EINTR) continue;
-        if (n <= 0) return false;
-        at += n;
-        bytes -= (size_t)n;
-    }
-    return true;
-}
-
-static bool write_file(int fd, const char *header, const struct tensor *list, int count) {
-    uint64_t length = strlen(header), padded = (length + 7) / 8 * 8;
-    bool ok = write_all(fd, &padded, sizeof padded) && write_all(fd, header, length) &&
-              write_all(fd, "       ", padded - length);
-    for (int i = 0; ok && i < count; i++)
-        ok = write_all(fd, list[i].data, list[i].bytes);
-    return ok && fsync(fd) == 0;
-}
-
-static bool sync_folder(const char *path) {
-    char copy[4096];
-    snprintf(copy, sizeof copy, "%s", path);
-    int fd = open(dirname(copy), O_RDONLY | O_DIRECTORY | O_CLOEXEC);
-    bool ok = fd >= 0 && fsync(fd) == 0;
-    if (fd >= 0) close(fd);
-    return ok;
-}
-
-enum rn_status rn_checkpoint_write(const struct rn_trainer *t, const char *path,
-                                   struct rn_error *err) {
-    struct tensor list[MAX_TENSORS];
-    int count = list_tensors(t->field, t->m, t->v, list);
-    json_t *header = make_header(t, list, count);
-    char *text = header ? json_dumps(header, JSON_COMPACT) : NULL;
-    json_decref(header);
-    if (!text) return rn_error_set(err, RN_ERROR_NO_MEMORY, path, "out of memory");
-    char temporary[4200];
-    snprintf(temporary, sizeof temporary, "%s.partial", path);
-    int fd = open(temporary, O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC, 0644);
-    bool ok = fd >= 0 && write_file(fd, text, list, count);
-    int error = errno;
-    if (fd >= 0 && close(fd) != 0 && ok) {
-        error = errno;
-        ok = false;
-    }
-    if (ok && (rename(temporary, path) != 0 || !sync_folder(path))) {
-        error = errno;
-        ok = false;
-    }
-    free(text);
-    if (ok) return RN_OK;
-    unlink(temporary);
-    return rn_error_from_errno(err, error, path, "write the checkpoint");
 }
 
 // ---- reading --------------------------------------------------------------------------------
@@ -225,7 +135,7 @@ static bool all_finite(const float *values, size_t count) {
     return true;
 }
 
-static enum rn_status read_tensor(const struct rn_checkpoint *c, const struct tensor *t,
+static enum rn_status read_tensor(const struct rn_checkpoint *c, const struct rn_tensor *t,
                                   struct rn_error *err) {
     const json_t *entry = json_object_get(c->header, t->name);
     const json_t *shape = json_object_get(entry, "shape"),
@@ -250,8 +160,8 @@ static enum rn_status read_tensor(const struct rn_checkpoint *c, const struct te
 
 static enum rn_status read_tensors(const struct rn_checkpoint *c, struct rn_field *field, float *m,
                                    float *v, struct rn_error *err) {
-    struct tensor list[MAX_TENSORS];
-    int count = list_tensors(field, m, v, list);
+    struct rn_tensor list[RN_CHECKPOINT_TENSORS];
+    int count = rn_checkpoint_tensors(field, m, v, list);
     for (int i = 0; i < count; i++) {
         enum rn_status status = read_tensor(c, &list[i], err);
         if (status != RN_OK) return status;

@@ -35,8 +35,18 @@ enum rn_status rn_checkpoint_read_field(const struct rn_checkpoint *checkpoint,
 enum rn_status rn_checkpoint_read_trainer(const struct rn_checkpoint *checkpoint,
                                           struct rn_trainer *trainer,
                                           struct rn_error *err) RN_MUST_CHECK;
+
+// A checkpoint that a thread of its own writes. Thread-safety: one thread calls these functions.
+// Owner: whoever began it.
+struct rn_checkpoint_writer;
 // Temporary file, fsync, rename, fsync of the folder: seen whole or not at all. Changes no state.
-enum rn_status rn_checkpoint_write(const struct rn_trainer *trainer, const char *path,
+// The trainer's numbers are read until the stage is no longer RN_SAVE_READS.
+enum rn_status rn_checkpoint_begin(const struct rn_trainer *trainer, const char *path,
+                                   struct rn_checkpoint_writer **ret_writer,
                                    struct rn_error *err) RN_MUST_CHECK;
+enum rn_save_stage rn_checkpoint_stage(const struct rn_checkpoint_writer *writer);
+// Waits for the end; the digest is that of rn_field_sha256.
+enum rn_status rn_checkpoint_end(struct rn_checkpoint_writer **writer, char ret_sha256[65],
+                                 struct rn_error *err);
 
 #endif

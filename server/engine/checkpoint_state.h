@@ -1,10 +1,25 @@
-// The JSON half of a checkpoint: config, counters, effects.
+// A checkpoint's parts: the list of its tensors, and the JSON with config, counters, effects.
 #ifndef RN_ENGINE_CHECKPOINT_STATE_H
 #define RN_ENGINE_CHECKPOINT_STATE_H
 
 #include <jansson.h>
 
 #include "server/engine/checkpoint.h"
+
+#define RN_CHECKPOINT_TENSORS 32
+
+struct rn_tensor {
+    char name[24];
+    const char *dtype; // "F32" or "U8"
+    int rank;
+    size_t shape[4];
+    void *data; // the field's or the trainer's
+    size_t bytes;
+};
+// The tensors of a field, with m and v also the optimiser's, in the order of the file; returns how
+// many. The same list for writing and reading.
+int rn_checkpoint_tensors(struct rn_field *field, float *m, float *v,
+                          struct rn_tensor list[RN_CHECKPOINT_TENSORS]);
 
 // A new object, or NULL when out of memory.
 json_t *rn_checkpoint_state(const struct rn_trainer *trainer);

@@ -161,9 +161,27 @@ const char *rn_trainer_held_out(const struct rn_trainer *trainer);
 const struct rn_train_config *rn_trainer_config(const struct rn_trainer *trainer);
 // The field as of the last completed update; valid until the next advance.
 struct rn_field *rn_trainer_field(struct rn_trainer *trainer);
-// Completes the step under way, then writes a checkpoint atomically (temporary, fsync, rename).
+
+// ---- saving ----
+// A checkpoint is written atomically (temporary, fsync, rename) by a thread beside the caller's.
+enum rn_save_stage {
+    RN_SAVE_READS, // the trainer's numbers are being read: render and validate, but do not advance
+    RN_SAVE_SYNCS, // they were read: training may go on
+    RN_SAVE_OVER,  // rn_trainer_save_end will not wait
+};
+// Completes the step under way and begins to write. *ret_begun is false when something else was
+// wanted of the thread before the step was complete: call again. One at a time.
+enum rn_status rn_trainer_save_begin(struct rn_trainer *trainer, const char *path, bool *ret_begun,
+                                     struct rn_error *err) RN_MUST_CHECK;
+enum rn_save_stage rn_trainer_save_stage(const struct rn_trainer *trainer);
+// Waits for the end. The digest of what was written, as rn_field_sha256.
+enum rn_status rn_trainer_save_end(struct rn_trainer *trainer, char ret_sha256[65],
+                                   struct rn_error *err) RN_MUST_CHECK;
+// All of it at once.
 enum rn_status rn_trainer_save(struct rn_trainer *trainer, const char *path,
                                struct rn_error *err) RN_MUST_CHECK;
+// Ends the training and keeps its field, which is then as if it had been loaded: rn_field_destroy.
+struct rn_field *rn_trainer_finish(struct rn_trainer **trainer);
 
 // ---- fields ---------------------------------------------------------------------------------
 

@@ -260,11 +260,11 @@ static bool handle_letters(struct rn_host *host) {
 
 // Path and evaluation jobs go first, and a training waits: so all of their pictures show one step.
 static void do_some_work(struct rn_host *host) {
-    if (host->works) {
+    if (host->works && !rn_training_is_ending(host)) {
         int64_t begin_ns = rn_clock_ns();
         rn_work_unit(host);
         rn_training_yielded(host, (double)(rn_clock_ns() - begin_ns) * 1e-9);
-    } else if (rn_training_runs(host)) {
+    } else if (rn_training_is_busy(host)) {
         rn_training_slice(host);
     }
 }
@@ -288,7 +288,7 @@ int rn_host_run(int fd) {
     rn_link_post(&host.link, RN_WIRE_HELLO, &hello, NULL, 0);
     bool go_on = true;
     while (go_on && !host.link.closed) {
-        bool busy = host.works || rn_training_runs(&host);
+        bool busy = host.works || rn_training_is_busy(&host);
         rn_link_pump(&host.link, busy ? 0 : -1);
         go_on = handle_letters(&host);
         if (go_on && !host.link.closed) do_some_work(&host);

@@ -51,7 +51,9 @@ void rn_host_serve_render(struct rn_host *host);
 // Starts or continues the job; a failure is reported to the daemon.
 void rn_training_start(struct rn_host *host, const struct rn_wire_train *train);
 bool rn_training_is(const struct rn_host *host, const char *job);
-bool rn_training_runs(const struct rn_host *host); // there and not paused
+bool rn_training_runs(const struct rn_host *host);      // there and not paused
+bool rn_training_is_busy(const struct rn_host *host);   // has something to do, be it to save
+bool rn_training_is_ending(const struct rn_host *host); // was cancelled
 struct rn_field *rn_training_field(struct rn_training *training);
 void rn_training_slice(struct rn_host *host); // about RN_SLICE_MS of work
 void rn_training_pause(struct rn_host *host);

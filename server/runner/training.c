@@ -1,10 +1,7 @@
-#include <errno.h>
-#include <fcntl.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <sys/stat.h>
-#include <unistd.h>
 
 #include "common/base/clock.h"
 #include "common/base/log.h"
@@ -12,6 +9,7 @@
 #include "server/runner/describe.h"
 #include "server/runner/host.h"
 #include "server/runner/incidents.h"
+#include "server/runner/saving.h"
 
 #define PROGRESS_INTERVAL_S 0.5
 #define FIRST_EVALUATION_S 2.0     // of training, and not before FIRST_EVALUATION_STEPS
@@ -20,6 +18,8 @@
 #define EVALUATION_INTERVAL_S 30.0 // but this at most,
 #define TRAIN_PER_EVALUATION 4.0   // and this many times the last round's time at least
 #define CHECKPOINT_INTERVAL_S 30.0
+#define QUICK_STEP_S 0.1 // a step that is worth completing and saving before a cancel
+#define SAVING_POLL_MS 2
 
 // A training job. Times are seconds of the monotonic clock, but evaluated_at: of the training
 // clock.
@@ -36,6 +36,8 @@ struct rn_training {
     bool evaluating;                        // a round over the held-out views is under way
     bool closing;                           // a limit is reached: the last round, then the end
     bool finish_asked;
+    struct rn_saving saving;
+    enum { THEN_GO_ON, THEN_CANCELLED, THEN_DONE } then; // when it is saved
 };
 
 static double now_s(void) {
@@ -48,6 +50,14 @@ bool rn_training_is(const struct rn_host *host, const char *job) {
 
 bool rn_training_runs(const struct rn_host *host) {
     return host->training && isnan(host->training->paused_since);
+}
+
+bool rn_training_is_busy(const struct rn_host *host) {
+    return rn_training_runs(host) || (host->training && rn_saving_is_busy(&host->training->saving));
+}
+
+bool rn_training_is_ending(const struct rn_host *host) {
+    return host->training && host->training->then == THEN_CANCELLED;
 }
 
 struct rn_field *rn_training_field(struct rn_training *training) {
@@ -114,66 +124,40 @@ static void post_metric(struct rn_host *host, const struct rn_progress *progress
 
 // ---- checkpoints ---------------------------------------------------------------------------
 
-static void post_checkpoint(struct rn_host *host, const struct rn_progress *progress,
-                            const char *path) {
+static void post_checkpoint(struct rn_host *host) {
     struct rn_training *training = host->training;
+    const struct rn_progress *saved = &training->saving.progress;
     struct rn_error err = {0};
     struct stat about = {0};
-    if (stat(path, &about) < 0) rn_log(RN_LOG_WARN, "%s has vanished", path);
-    struct rn_wire_checkpoint message = {.step = progress->step,
+    char path[PATH_MAX];
+    if (rn_checkpoint_path(host->place.scene_folder, saved->step, path, &err) ||
+        stat(path, &about) < 0)
+        rn_log(RN_LOG_WARN, "%s has vanished", path);
+    struct rn_wire_checkpoint message = {.step = saved->step,
                                          .size_bytes = about.st_size,
-                                         .train_seconds = progress->train_seconds,
-                                         .psnr = progress->psnr,
+                                         .train_seconds = saved->train_seconds,
+                                         .psnr = saved->psnr,
                                          .scene = description(training, &err)};
     memcpy(message.job, training->job, sizeof message.job);
-    rn_checkpoint_name(progress->step, message.file);
-    rn_field_sha256(rn_trainer_field(training->trainer), message.parameters_sha256);
+    rn_checkpoint_name(saved->step, message.file);
+    memcpy(message.parameters_sha256, training->saving.sha256, sizeof message.parameters_sha256);
     if (message.scene) rn_link_post(&host->link, RN_WIRE_CHECKPOINT, &message, NULL, 0);
     free(message.scene);
 }
 
-// Makes a rename in the folder of checkpoints durable. -1 and errno on failure.
-static int sync_folder(const char *scene_folder) {
-    char path[PATH_MAX];
-    snprintf(path, sizeof path, "%s/checkpoints", scene_folder);
-    int fd = open(path, O_RDONLY | O_DIRECTORY | O_CLOEXEC);
-    int rc = fd < 0 ? -1 : fsync(fd), errnum = errno;
-    if (fd >= 0) close(fd);
-    errno = errnum;
-    return rc;
-}
-
-// The file bears the step at which it is written, which completing the step under way may raise:
-// rn_trainer_save is given a name of this process's and the file renamed when the step is known.
-static enum rn_status save(struct rn_host *host, struct rn_error *err) {
-    struct rn_training *training = host->training;
-    const char *folder = host->place.scene_folder;
-    char fresh[PATH_MAX], path[PATH_MAX];
-    if (snprintf(fresh, sizeof fresh, "%s/checkpoints/.fresh.tmp", folder) >= (int)sizeof fresh)
-        return rn_error_set(err, RN_ERROR_LIMIT, folder, "the path is too long");
-    enum rn_status status = rn_trainer_save(training->trainer, fresh, err);
-    rn_incidents_report(host, training->trainer, training->job);
-    struct rn_progress progress;
-    rn_trainer_progress(training->trainer, &progress);
-    if (!status) status = rn_checkpoint_path(folder, progress.step, path, err);
-    if (!status && (rename(fresh, path) < 0 || sync_folder(folder) < 0))
-        status = rn_error_from_errno(err, errno, path, "put the checkpoint in place");
-    training->checkpointed_at = now_s();
-    if (status) return status;
-    rn_checkpoints_prune(folder);
-    post_checkpoint(host, &progress, path);
-    return RN_OK;
-}
-
-// For checkpoints that the job can do without: a full disk must not end a training.
-static void save_or_warn(struct rn_host *host) {
-    struct rn_error err = {0};
-    if (save(host, &err))
-        rn_log(RN_LOG_WARN, "no checkpoint could be written: %s: %s", err.where, err.text);
+// A full disk must not end a training.
+static void warn(const struct rn_error *err) {
+    rn_log(RN_LOG_WARN, "no checkpoint could be written: %s: %s", err->where, err->text);
 }
 
 void rn_training_save(struct rn_host *host) {
-    if (host->training) save_or_warn(host);
+    struct rn_training *training = host->training;
+    struct rn_error err = {0};
+    if (!training) return;
+    if (rn_saving_finish(&training->saving, training->trainer, host->place.scene_folder, &err))
+        warn(&err);
+    else
+        post_checkpoint(host);
 }
 
 // ---- begin ---------------------------------------------------------------------------------
@@ -267,7 +251,7 @@ void rn_training_start(struct rn_host *host, const struct rn_wire_train *train) 
 
 // ---- end -----------------------------------------------------------------------------------
 
-// The job is over: what is kept for rendering is the last checkpoint.
+// The job is over: what is kept for rendering is its field, or the last checkpoint.
 static void leave(struct rn_host *host) {
     struct rn_error err = {0};
     rn_training_drop(host);
@@ -291,31 +275,71 @@ static enum rn_finished_by reason(const struct rn_training *training,
     return by_steps ? RN_FINISHED_STEPS : RN_FINISHED_TIME;
 }
 
-static void complete(struct rn_host *host) {
+// The scene is saved: the job's result, and the field stays for rendering.
+static void conclude(struct rn_host *host) {
     struct rn_training *training = host->training;
+    const struct rn_progress *progress = &training->saving.progress;
     struct rn_error err = {0};
-    if (save(host, &err)) {
-        fail(host, &err);
-        return;
-    }
-    struct rn_progress progress;
-    rn_trainer_progress(training->trainer, &progress);
-    post_progress(host, &progress);
-    struct rn_train_result result = {.steps = progress.step,
-                                     .train_seconds = progress.train_seconds,
-                                     .samples = (int64_t)progress.samples,
-                                     .psnr = progress.psnr,
-                                     .finished_by = (int)reason(training, &progress)};
-    rn_field_sha256(rn_trainer_field(training->trainer), result.parameters_sha256);
+    post_progress(host, progress);
+    struct rn_train_result result = {.steps = progress->step,
+                                     .train_seconds = progress->train_seconds,
+                                     .samples = (int64_t)progress->samples,
+                                     .psnr = progress->psnr,
+                                     .finished_by = (int)reason(training, progress)};
+    memcpy(result.parameters_sha256, training->saving.sha256, sizeof result.parameters_sha256);
     struct rn_wire_done done = {.result = NULL};
     memcpy(done.job, training->job, sizeof done.job);
     if (rn_encode(&rn_train_result_table, &result, &done.result, NULL, &err)) {
         fail(host, &err);
         return;
     }
+    host->loaded = rn_trainer_finish(&training->trainer);
     leave(host);
     rn_link_post(&host->link, RN_WIRE_DONE, &done, NULL, 0);
     free(done.result);
+}
+
+static void end_cancelled(struct rn_host *host) {
+    struct rn_error err;
+    rn_error_set(&err, RN_ERROR_CANCELLED, "", "cancelled; the last checkpoint is kept");
+    fail(host, &err);
+}
+
+// ---- saving --------------------------------------------------------------------------------
+
+static void after_saving(struct rn_host *host, enum rn_status status, const struct rn_error *err) {
+    struct rn_training *training = host->training;
+    training->checkpointed_at = now_s();
+    if (status && training->then == THEN_DONE) {
+        fail(host, err);
+        return;
+    }
+    if (status)
+        warn(err);
+    else
+        post_checkpoint(host);
+    if (rn_saving_is_busy(&training->saving)) return; // another one is wanted
+    if (training->then == THEN_CANCELLED)
+        end_cancelled(host);
+    else if (training->then == THEN_DONE)
+        conclude(host);
+}
+
+// Goes on with a checkpoint; false when there is nothing else to do for now.
+static bool go_on_saving(struct rn_host *host) {
+    struct rn_training *training = host->training;
+    struct rn_error err = {0};
+    bool saved = false;
+    enum rn_status status = rn_saving_go_on(&training->saving, training->trainer,
+                                            host->place.scene_folder, &saved, &err);
+    rn_incidents_report(host, training->trainer, training->job);
+    if (status || saved) after_saving(host, status, &err);
+    if (!host->training || !rn_saving_is_busy(&training->saving)) return host->training != NULL;
+    bool waits =
+        training->saving.begun && (training->then != THEN_GO_ON || !isnan(training->paused_since) ||
+                                   rn_saving_holds(&training->saving, training->trainer));
+    if (waits) rn_link_pump(&host->link, SAVING_POLL_MS);
+    return !waits && training->saving.begun;
 }
 
 // ---- slices --------------------------------------------------------------------------------
@@ -355,6 +379,8 @@ static enum rn_status advance(struct rn_host *host, struct rn_error *err) {
 void rn_training_slice(struct rn_host *host) {
     struct rn_training *training = host->training;
     struct rn_error err = {0};
+    if (rn_saving_is_busy(&training->saving) && !go_on_saving(host)) return;
+    if (!rn_training_runs(host)) return;
     if (advance(host, &err)) {
         fail(host, &err);
         return;
@@ -367,13 +393,15 @@ void rn_training_slice(struct rn_host *host) {
                                                  : evaluation_is_due(training, &progress);
     }
     if (training->closing && !training->evaluating) {
-        complete(host);
+        training->then = THEN_DONE;
+        training->saving.wanted = true;
         return;
     }
     double now = now_s();
     if (now - training->reported_at >= PROGRESS_INTERVAL_S) post_progress(host, &progress);
-    if (!training->closing && now - training->checkpointed_at >= training->checkpoint_interval_s)
-        save_or_warn(host);
+    if (!training->closing && !rn_saving_is_busy(&training->saving) &&
+        now - training->checkpointed_at >= training->checkpoint_interval_s)
+        training->saving.wanted = true;
 }
 
 // ---- control -------------------------------------------------------------------------------
@@ -381,7 +409,7 @@ void rn_training_slice(struct rn_host *host) {
 void rn_training_pause(struct rn_host *host) {
     struct rn_training *training = host->training;
     if (isnan(training->paused_since)) {
-        save_or_warn(host);
+        training->saving.wanted = true;
         training->paused_since = now_s();
     }
     struct rn_progress progress;
@@ -405,9 +433,13 @@ void rn_training_finish(struct rn_host *host) {
     host->training->finish_asked = true;
 }
 
+// Within a moment: what is being written is completed, and a step that takes long is given up.
 void rn_training_cancel(struct rn_host *host) {
-    struct rn_error err;
-    save_or_warn(host);
-    rn_error_set(&err, RN_ERROR_CANCELLED, "", "cancelled; the last checkpoint is kept");
-    fail(host, &err);
+    struct rn_training *training = host->training;
+    struct rn_progress progress;
+    rn_trainer_progress(training->trainer, &progress);
+    bool quick = progress.step > 0 && progress.train_seconds / (double)progress.step < QUICK_STEP_S;
+    training->then = THEN_CANCELLED;
+    training->saving.wanted = quick && !training->saving.begun;
+    if (!rn_saving_is_busy(&training->saving)) end_cancelled(host);
 }

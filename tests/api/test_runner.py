@@ -173,8 +173,8 @@ def test_pause_stops_the_clock_and_is_reported(scene):
     train(scene, max_steps=100000)
     scene.wait_for("state")
     scene.send("pause", job=JOB)
-    assert scene.wait_for("checkpoint")
     assert scene.wait_for("state")[1]["state"] == "paused"
+    assert scene.wait_for("checkpoint")
     before = [m[1]["progress"] for m in scene.seen if m[0] == "progress"][-1]
     time.sleep(0.3)
     scene.send("resume", job=JOB)

@@ -40,6 +40,7 @@ struct rn_trainer {
     int64_t psnr_step;
     double evaluate_seconds, load_seconds;
     int validated; // views of the round under way
+    char saved_sha256[65];
     bool incident; // noted, not taken
 };
 
@@ -377,8 +378,29 @@ struct rn_field *rn_trainer_field(struct rn_trainer *trainer) {
     return &trainer->field;
 }
 
-enum rn_status rn_trainer_save(struct rn_trainer *trainer, const char *path, struct rn_error *err) {
-    return write_field(&trainer->field, path, err);
+enum rn_status rn_trainer_save_begin(struct rn_trainer *trainer, const char *path, bool *ret_begun,
+                                     struct rn_error *err) {
+    enum rn_status status = write_field(&trainer->field, path, err);
+    rn_field_sha256(&trainer->field, trainer->saved_sha256);
+    *ret_begun = status == RN_OK;
+    return status;
+}
+
+enum rn_save_stage rn_trainer_save_stage(const struct rn_trainer *trainer) {
+    return RN_SAVE_OVER;
+}
+
+enum rn_status rn_trainer_save_end(struct rn_trainer *trainer, char ret_sha256[65],
+                                   struct rn_error *err) {
+    memcpy(ret_sha256, trainer->saved_sha256, sizeof trainer->saved_sha256);
+    return RN_OK;
+}
+
+struct rn_field *rn_trainer_finish(struct rn_trainer **trainer) {
+    struct rn_field *field = malloc(sizeof *field);
+    if (field) *field = (*trainer)->field;
+    rn_trainer_destroy(trainer);
+    return field;
 }
 
 // ---- rendering -----------------------------------------------------------------------------

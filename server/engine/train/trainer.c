@@ -195,7 +195,9 @@ fail:
 
 void rn_trainer_destroy(struct rn_trainer **trainer) {
     struct rn_trainer *t = *trainer;
+    char sha256[65];
     if (!t) return;
+    if (t->writer) (void)rn_checkpoint_end(&t->writer, sha256, NULL);
     if (t->field && t->engine->prepared == t->field) t->engine->prepared = NULL;
     rn_field_destroy(&t->field);
     rn_pixels_finish(&t->train);
@@ -381,12 +383,49 @@ struct rn_field *rn_trainer_field(struct rn_trainer *t) {
     return t->field;
 }
 
-enum rn_status rn_trainer_save(struct rn_trainer *t, const char *path, struct rn_error *err) {
+// ---- saving ---------------------------------------------------------------------------------
+
+static bool within_step(const struct rn_trainer *t) {
+    return t->stepping || t->next_chunk > 0;
+}
+
+enum rn_status rn_trainer_save_begin(struct rn_trainer *t, const char *path, bool *ret_begun,
+                                     struct rn_error *err) {
+    *ret_begun = false;
     enum rn_status status = enter(t, err);
     if (status != RN_OK) return status;
-    while (status == RN_OK && (t->stepping || t->next_chunk > 0))
+    while (status == RN_OK && within_step(t)) {
         status = run_block(t, err);
+        if (status == RN_OK && within_step(t) && rn_engine_is_wanted(t->engine)) return RN_OK;
+    }
     rn_trainer_guard_save(t);
-    if (status != RN_OK) return status;
-    return rn_checkpoint_write(t, path, err);
+    if (status == RN_OK) status = rn_checkpoint_begin(t, path, &t->writer, err);
+    *ret_begun = status == RN_OK;
+    return status;
+}
+
+enum rn_save_stage rn_trainer_save_stage(const struct rn_trainer *t) {
+    return rn_checkpoint_stage(t->writer);
+}
+
+enum rn_status rn_trainer_save_end(struct rn_trainer *t, char ret_sha256[65],
+                                   struct rn_error *err) {
+    return rn_checkpoint_end(&t->writer, ret_sha256, err);
+}
+
+enum rn_status rn_trainer_save(struct rn_trainer *t, const char *path, struct rn_error *err) {
+    bool begun = false;
+    char sha256[65];
+    while (!begun) {
+        enum rn_status status = rn_trainer_save_begin(t, path, &begun, err);
+        if (status != RN_OK) return status;
+    }
+    return rn_trainer_save_end(t, sha256, err);
+}
+
+struct rn_field *rn_trainer_finish(struct rn_trainer **trainer) {
+    struct rn_field *field = (*trainer)->field;
+    (*trainer)->field = NULL;
+    rn_trainer_destroy(trainer);
+    return field;
 }

@@ -78,6 +78,7 @@ struct rn_trainer {
     uint64_t window_rays, window_samples;
     double clock_start; // of the advance under way
     struct rn_validation validation;
+    struct rn_checkpoint_writer *writer; // NULL when none is being written
 };
 
 // occupancy.c
