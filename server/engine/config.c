@@ -126,6 +126,8 @@ enum rn_status rn_train_config_check(const struct rn_train_config *c, struct rn_
     REQUIRE(c->learning_rate > 0 && c->learning_rate <= 10, "learning_rate", "must be in (0, 10]");
     REQUIRE(c->plane_rate > 0 && c->plane_rate <= 1000, "plane_rate", "must be in (0, 1000]");
     REQUIRE(c->weight_decay >= 0 && c->weight_decay < 1, "weight_decay", "must be in [0, 1)");
+    REQUIRE(c->weight_decay == 0 || !c->sparse, "weight_decay",
+            "must be 0 where the optimiser visits touched texels only");
     REQUIRE(c->beta2 > 0 && c->beta2 < 1, "beta2", "must be in (0, 1)");
     REQUIRE(c->adam_eps > 0 && c->adam_eps < 1, "adam_eps", "must be in (0, 1)");
     REQUIRE(c->max_steps >= 0, "max_steps", "must not be negative");

@@ -1,4 +1,8 @@
-// Case 8: AdamW (Loshchilov & Hutter 2019) with betas of 9/10 and 999/1000.
+// Cases 8 and 10: AdamW (Loshchilov & Hutter 2019), single steps, long runs, and what sparse
+// updates leave out.
+#include <string.h>
+
+#include "server/engine/cpu/kernels.h"
 #include "server/engine/reference/reference.h"
 #include "tests/numerics/exact.h"
 #include "tests/support/numerics.h"
@@ -81,7 +85,195 @@ static int check_long_run(struct numerics_random *random) {
     return numerics_close(&c);
 }
 
+// ---- the fast paths ---------------------------------------------------------------------------
+
+#define LANES 16
+
+struct lanes {
+    float p[LANES], g[LANES], m[LANES], v[LANES];
+};
+
+static struct rn_adamw options_at(int64_t step, double rate, double decay, double beta2) {
+    return (struct rn_adamw){.scale = 1,
+                             .rate = (float)rate,
+                             .decay = (float)decay,
+                             .eps = 1e-15f,
+                             .keep = (float)beta2,
+                             .fresh = (float)(1 - beta2),
+                             .correction1 = (float)-expm1((double)step * log(0.9)),
+                             .correction2 = (float)-expm1((double)step * log(beta2))};
+}
+
+// A million steps in fp32 on a fixed problem: bowls of steepness 1e-3 to 1e3, the rate falling from
+// 1e-3 to 1e-6. Next to a float64 run of the same problem on the way down (near the bottom AdamW
+// steps by the sign of what is left); at the bottom for the last 100,000 steps.
+static int check_long_runs(const struct rn_kernels *k, struct numerics_random *random) {
+    char names[2][80];
+    snprintf(names[0], sizeof names[0], "10 AdamW a million steps on bowls, %s", k->name);
+    snprintf(names[1], sizeof names[1], "10 AdamW beside float64, %s", k->name);
+    struct numerics_case end = {
+        names[0],   "bottoms -1..1, steepness 1e-3..1e3, rate 1e-3 falling to 1e-6",
+        "absolute", 2e-6,
+        0,          ""};
+    struct numerics_case beside = {
+        names[1], "on the way to 0.01 from the bottom", "absolute", 2e-5, 0, ""};
+    struct lanes l = {0};
+    struct state truth[LANES];
+    bool arrived[LANES] = {false};
+    double bottom[LANES], steepness[LANES];
+    for (int i = 0; i < LANES; i++) {
+        bottom[i] = (double)(float)numerics_uniform(random, -1, 1);
+        steepness[i] = numerics_spread(random, 1e-3, 1e3);
+        truth[i] = (struct state){numerics_uniform(random, -1, 1), 0, 0};
+        l.p[i] = (float)truth[i].parameter;
+    }
+    for (int64_t step = 1; step <= 1000000; step++) {
+        double rate = step < 100000 ? 1e-3 : 1e-6;
+        struct rn_adamw o = options_at(step, rate, 0, 0.999);
+        for (int i = 0; i < LANES; i++)
+            l.g[i] = (float)(steepness[i] * ((double)l.p[i] - bottom[i]));
+        k->adamw(&o, LANES, l.p, l.g, l.m, l.v);
+        for (int i = 0; i < LANES; i++) {
+            struct state *s = &truth[i];
+            arrived[i] |= fabs(s->parameter - bottom[i]) < 0.01;
+            if (arrived[i]) continue;
+            double g = steepness[i] * (s->parameter - bottom[i]);
+            rn_reference_adamw(1, &s->parameter, &g, &s->m, &s->v, rate, 0, 1e-15, step);
+            numerics_see(&beside, fabs((double)l.p[i] - s->parameter),
+                         "bottom %.9g steepness %.3g step %lld", bottom[i], steepness[i],
+                         (long long)step);
+        }
+        for (int i = 0; i < LANES && step > 900000; i++)
+            numerics_see(&end, fabs((double)l.p[i] - bottom[i]),
+                         "bottom %.9g steepness %.3g step %lld", bottom[i], steepness[i],
+                         (long long)step);
+    }
+    return numerics_close(&end) + numerics_close(&beside);
+}
+
+// ---- sparse against dense -----------------------------------------------------------------------
+
+// How far dense AdamW moves a parameter whose gradients stay away, in units of the rate: the sum of
+// 0.9^j / beta2^(j/2) over j > 0, times the largest |m| / sqrt(v) there is (by Cauchy-Schwarz).
+static double forgotten_bound(double beta2) {
+    double ratio = 0.9 / sqrt(beta2);
+    return ratio / (1 - ratio) * 0.1 / sqrt((1 - beta2) * (1 - 0.81 / beta2));
+}
+
+// Gradients of a texel's past: steady, one peak at the end, alternating, rare, or growing (the
+// worst case: each 1/0.9 of the next).
+static double past_gradient(struct numerics_random *random, int lane, int step, int last) {
+    double peak = numerics_spread(random, 0.5, 2);
+    switch (lane % 5) {
+    case 0:
+        return peak;
+    case 1:
+        return step == last ? 1e3 * peak : 1e-3 * peak;
+    case 2:
+        return step % 2 ? peak : -peak;
+    case 3:
+        return step % 17 ? 0 : peak;
+    default:
+        return pow(0.9, last - step);
+    }
+}
+
+// Sparse updates leave out texels that no sample met: the parameter, its moments and its decay
+// stand still. What dense AdamW would have done meanwhile is bounded.
+static int check_forgotten(const struct rn_kernels *k, struct numerics_random *random) {
+    char names[2][80];
+    snprintf(names[0], sizeof names[0], "8 sparse against dense AdamW, texels left alone, %s",
+             k->name);
+    snprintf(names[1], sizeof names[1], "8 sparse against dense AdamW, texels met, %s", k->name);
+    struct numerics_case left = {
+        names[0],
+        "after 1..2000 updates, then 1..3000 without, beta2 0.99 and 0.999",
+        "of what is stated: 21 rates (beta2 0.99), 66 (0.999)",
+        1,
+        0,
+        ""};
+    struct numerics_case met = {names[1], "up to 2000 updates of the same texels", "bytes", 0, 0,
+                                ""};
+    for (int n = 0; n < 60; n++) {
+        double beta2 = n % 2 ? 0.999 : 0.99, rate = numerics_spread(random, 1e-4, 1e-1);
+        int last = (int)numerics_spread(random, 1, 2000);
+        int alone = (int)numerics_spread(random, 1, 3000);
+        struct lanes dense[2] = {0}; // with a neighbour that the sparse optimiser never visits
+        struct lanes sparse = {0};
+        int step = 1;
+        for (; step <= last; step++) {
+            struct rn_adamw o = options_at(step, rate, 0, beta2);
+            for (int i = 0; i < LANES; i++)
+                dense[0].g[i] = sparse.g[i] = (float)past_gradient(random, i, step, last);
+            k->adamw(&o, LANES, sparse.p, sparse.g, sparse.m, sparse.v);
+            for (int j = 0; j < 2; j++)
+                k->adamw(&o, LANES, dense[j].p, dense[j].g, dense[j].m, dense[j].v);
+        }
+        numerics_see(&met, memcmp(&dense[0], &sparse, sizeof sparse) != 0, "%d updates", last);
+        numerics_see(&met, memcmp(&dense[1], &(struct lanes){0}, sizeof sparse) != 0,
+                     "%d updates of a texel that is never met", last);
+        for (int j = 0; j < alone; j++, step++) {
+            struct rn_adamw o = options_at(step, rate, 0, beta2);
+            k->adamw(&o, LANES, dense[0].p, dense[0].g, dense[0].m, dense[0].v);
+        }
+        for (int i = 0; i < LANES; i++)
+            numerics_see(&left,
+                         fabs((double)dense[0].p[i] - (double)sparse.p[i]) / rate /
+                             forgotten_bound(beta2),
+                         "%d updates, %d without, lane %d, beta2 %g", last, alone, i, beta2);
+    }
+    return numerics_close(&left) + numerics_close(&met);
+}
+
+// A decay that sparse updates would leave out is refused; a dense one reaches every texel, but for
+// the rounding of each step, up to half a unit of the parameter (as in any fp32 AdamW).
+static int check_decay(const struct rn_kernels *k) {
+    char name[80];
+    snprintf(name, sizeof name, "8 weight decay of texels left alone, dense, %s", k->name);
+    struct numerics_case c = {
+        name, "10,000 steps of rate 0.02, decay 1e-5", "half ULP a step", 1, 0, ""};
+    struct lanes l = {0};
+    for (int i = 0; i < LANES; i++)
+        l.p[i] = (float)(i + 1) / LANES;
+    for (int64_t step = 1; step <= 10000; step++) {
+        struct rn_adamw o = options_at(step, 0.02, 1e-5, 0.999);
+        k->adamw(&o, LANES, l.p, l.g, l.m, l.v);
+    }
+    for (int i = 0; i < LANES; i++) {
+        double truth = (i + 1.0) / LANES * exp(10000 * log1p(-0.02 * 1e-5));
+        numerics_see(&c, fabs((double)l.p[i] - truth) / truth / (10000 * 0x1p-24), "from %g",
+                     (i + 1.0) / LANES);
+    }
+    return numerics_close(&c);
+}
+
+static int check_refusal(void) {
+    struct numerics_case c = {
+        "8 weight decay with sparse updates", "every preset", "accepted", 0.5, 0, ""};
+    const char *const presets[] = {"draft", "standard", "paper"};
+    for (int i = 0; i < 3; i++) {
+        struct rn_train_config config;
+        struct rn_error err;
+        if (rn_preset(presets[i], false, &config, &err) != RN_OK) return 1;
+        bool sound = rn_train_config_check(&config, &err) == RN_OK;
+        config.sparse = true;
+        config.weight_decay = 1e-5;
+        bool refused = rn_train_config_check(&config, &err) == RN_ERROR_INVALID &&
+                       strcmp(err.where, "weight_decay") == 0;
+        numerics_see(&c, !sound || !refused, "%s", presets[i]);
+    }
+    return numerics_close(&c);
+}
+
 int main(void) {
     struct numerics_random random = numerics_random();
-    return check_steps(&random) + check_long_run(&random) > 0;
+    const struct rn_kernels *k;
+    int failed = check_steps(&random) + check_long_run(&random) + check_refusal();
+    for (int i = 0; (k = rn_kernels_available(i)); i++) {
+        failed += check_long_runs(k, &random) + check_forgotten(k, &random) + check_decay(k);
+    }
+    numerics_skip("8 mixed-precision overflow skips the step and recovers",
+                  "no loss scale exists: gradients are fp32 in every kernel set, and what is not "
+                  "finite is rejected (case 9)");
+    return failed > 0;
 }

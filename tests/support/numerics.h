@@ -45,6 +45,12 @@ static inline int numerics_close(const struct numerics_case *c) {
     return failed;
 }
 
+// Names what this build or machine does not have, and why; neither passed nor failed:
+//   CASE <tab> skipped <tab> reason
+static inline void numerics_skip(const char *name, const char *reason) {
+    printf("%s\tskipped\t%s\n", name, reason);
+}
+
 // Fresh random numbers. Thread-safety: one thread.
 struct numerics_random {
     uint64_t seed, count;
