@@ -3,6 +3,7 @@
 #include <string.h>
 
 #include "server/engine/reference/reference.h"
+#include "server/engine/scene.h"
 #include "tests/numerics/exact.h"
 #include "tests/numerics/subject.h"
 #include "tests/support/numerics.h"
@@ -280,6 +281,199 @@ static int check_pyramid_adjoint(struct numerics_random *random) {
     return numerics_close(&c);
 }
 
+// ---- the fast paths ---------------------------------------------------------------------------
+
+#define SET_LEVELS 4
+#define ROOM (SUBJECT_QUERIES + 16)
+
+// One plane with its pyramid, and gradients of the same shape.
+struct plane {
+    struct rn_cpu_field field;
+    struct rn_map grad_maps[RN_MAX_PLANES][RN_MAX_LEVELS][RN_MAX_LEVELS];
+    float *memory, *grads;
+    uint8_t *touched;
+    size_t count;
+};
+
+static struct plane make_plane(const struct rn_kernels *k, int base, int channels, bool mip,
+                               float low, struct numerics_random *random) {
+    struct plane p = {.field = {.config = {.planes = 1,
+                                           .base = base,
+                                           .channels = channels,
+                                           .levels = SET_LEVELS,
+                                           .footprint = mip ? RN_FOOTPRINT_MIP : RN_FOOTPRINT_RIP},
+                                .features = channels,
+                                .feature_stride = 16,
+                                .built_levels = SET_LEVELS}};
+    const struct rn_field_config *c = &p.field.config;
+    size_t first = (size_t)(base * base * channels), rest = rn_pyramid_count(c, SET_LEVELS);
+    p.count = first + rest;
+    p.memory = calloc(2 * (p.count + 64), sizeof(float));
+    p.touched = calloc((size_t)(base + 1) * (size_t)(base / RN_BLOCK + 1), 1);
+    if (!p.memory || !p.touched) exit(1);
+    p.grads = p.memory + p.count + 64;
+    rn_pyramid_lay_out(c, SET_LEVELS, p.memory, p.memory + first, p.field.maps);
+    rn_pyramid_lay_out(c, SET_LEVELS, p.grads, p.grads + first, p.grad_maps);
+    for (size_t i = 0; i < first; i++)
+        p.memory[i] = (float)numerics_uniform(random, (double)low, 1);
+    k->build(p.field.maps[0], SET_LEVELS, mip, channels);
+    return p;
+}
+
+static void finish_plane(struct plane *p) {
+    free(p->memory);
+    free(p->touched);
+}
+
+struct query {
+    float u[ROOM], v[ROOM], lx[ROOM], ly[ROOM];
+};
+
+static void draw_query(struct numerics_random *random, bool mip, int i, struct query *q) {
+    q->u[i] = (float)numerics_uniform(random, -1.1, 1.1);
+    q->v[i] = (float)numerics_uniform(random, -1.1, 1.1);
+    q->lx[i] = (float)numerics_uniform(random, 0, SET_LEVELS - 1);
+    q->ly[i] = mip ? q->lx[i] : (float)numerics_uniform(random, 0, SET_LEVELS - 1);
+}
+
+// The adjoint of a query: adds n samples' gradients to the (cleared) gradient maps.
+static void scatter(const struct rn_kernels *k, struct plane *p, int n, struct query *q,
+                    float *grad) {
+    struct rn_slab slab = {.count = n, .capacity = n};
+    slab.u[0] = q->u;
+    slab.v[0] = q->v;
+    slab.lx[0] = q->lx;
+    slab.ly[0] = q->ly;
+    slab.grad[0] = grad;
+    memset(p->grads, 0, p->count * sizeof *p->grads);
+    k->scatter(&p->field, &slab, 0, true, 0, p->field.config.base, p->grad_maps[0], p->touched);
+}
+
+// <Q x, y> = <x, Q^T y>, and the partition of unity: planes of ones give ones.
+static int check_set_query(const struct subject *s, const struct rn_kernels *k,
+                           struct numerics_random *random) {
+    char names[2][80];
+    snprintf(names[0], sizeof names[0], "3 ripmap adjoint of the query, %s", s->name);
+    snprintf(names[1], sizeof names[1], "3 ripmap query of ones, %s", s->name);
+    const char *range = "bases 16..70, rip and mip, 4 to 16 channels, any position and level";
+    struct numerics_case adjoint = {names[0], range, "ULP of sum |x y|", 16, 0, ""};
+    struct numerics_case unity = {names[1], range, "ULP", 4, 0, ""};
+    for (int base = 16; base <= 70; base++) {
+        bool mip = base % 4 == 3;
+        int channels = 4 << base % 3;
+        struct plane p = make_plane(k, base, channels, mip, base % 2 ? 1 : -1, random);
+        struct query q;
+        float value[ROOM * 16], grad[ROOM * 16] = {0};
+        double forward = 0, backward = 0, scale = 0;
+        for (int i = 0; i < ROOM; i++)
+            draw_query(random, mip, i, &q);
+        q.u[0] = NAN;
+        q.v[1] = -INFINITY;
+        q.u[2] = FLT_MAX;
+        for (int i = 0; i < SUBJECT_QUERIES * channels; i++)
+            grad[i] = (float)numerics_uniform(random, -1, 1);
+        s->query(&p.field, SUBJECT_QUERIES, q.u, q.v, q.lx, q.ly, value);
+        scatter(k, &p, SUBJECT_QUERIES, &q, grad);
+        for (int i = 0; i < SUBJECT_QUERIES * channels; i++) {
+            forward += (double)value[i] * (double)grad[i];
+            scale += fabs((double)value[i] * (double)grad[i]);
+            if (base % 2) // texels in [1, 1)
+                numerics_see(&unity, fabs((double)value[i] - 1) * 0x1p23, "base %d sample %d", base,
+                             i / channels);
+        }
+        for (size_t i = 0; i < p.count; i++)
+            backward += (double)p.memory[i] * (double)p.grads[i];
+        numerics_see(&adjoint, fabs(forward - backward) / (scale * 0x1p-23),
+                     "base %d, %d channels%s", base, channels, mip ? ", mip" : "");
+        finish_plane(&p);
+    }
+    return numerics_close(&adjoint) + numerics_close(&unity);
+}
+
+// A position or a level at which one pair of texels or maps ends.
+static float border_of(struct numerics_random *random, int base, bool level) {
+    if (level) return (float)(1 + (int)numerics_uniform(random, 0, SET_LEVELS - 2));
+    int size = base >> (int)numerics_uniform(random, 0, SET_LEVELS);
+    return (2 * (float)(int)numerics_uniform(random, 0, size) + 1) / (float)size - 1;
+}
+
+// Value and texel gradient one ULP to either side of a border of texels or levels.
+static int check_set_borders(const struct subject *s, const struct rn_kernels *k,
+                             struct numerics_random *random) {
+    char names[2][80];
+    snprintf(names[0], sizeof names[0], "3 ripmap value across borders, %s", s->name);
+    snprintf(names[1], sizeof names[1], "3 ripmap texel gradient across borders, %s", s->name);
+    const char *range = "texel and level borders, bases 16..45";
+    struct numerics_case value = {names[0], range, "ULP of base", 8, 0, ""};
+    struct numerics_case slope = {names[1], range, "ULP of base", 8, 0, ""};
+    static const int bases[] = {16, 17, 23, 32, 45};
+    for (int b = 0; b < 5; b++) {
+        struct plane p = make_plane(k, bases[b], 4, b == 2, -1, random);
+        double unit = bases[b] * 0x1p-23, jump;
+        float *first = calloc(p.count, sizeof *first);
+        if (!first) exit(1);
+        for (int n = 0; n < 200; n++) {
+            struct query q = {{0}, {0}, {0}, {0}};
+            float got[2][ROOM * 4], one[ROOM * 4] = {1, 1, 1, 1};
+            draw_query(random, b == 2, 0, &q);
+            float *at = n % 4 == 0 ? q.u : n % 4 == 1 ? q.v : n % 4 == 2 ? q.lx : q.ly;
+            float border = border_of(random, bases[b], n % 4 > 1);
+            for (int side = 0; side < 2; side++) {
+                at[0] = nextafterf(border, side ? INFINITY : -INFINITY);
+                if (b == 2) q.ly[0] = n % 4 == 3 ? q.ly[0] : q.lx[0], q.lx[0] = q.ly[0];
+                s->query(&p.field, 1, q.u, q.v, q.lx, q.ly, got[side]);
+                scatter(k, &p, 1, &q, one);
+                if (side == 0) memcpy(first, p.grads, p.count * sizeof *first);
+            }
+            jump = 0;
+            for (size_t i = 0; i < p.count; i++)
+                jump = fmax(jump, fabs((double)p.grads[i] - (double)first[i]));
+            numerics_see(&slope, jump / unit, "base %d u %.9g v %.9g levels %.9g %.9g", bases[b],
+                         (double)q.u[0], (double)q.v[0], (double)q.lx[0], (double)q.ly[0]);
+            for (int c = 0; c < 4; c++)
+                numerics_see(&value, fabs((double)got[1][c] - (double)got[0][c]) / unit,
+                             "base %d u %.9g v %.9g levels %.9g %.9g", bases[b], (double)q.u[0],
+                             (double)q.v[0], (double)q.lx[0], (double)q.ly[0]);
+        }
+        free(first);
+        finish_plane(&p);
+    }
+    return numerics_close(&value) + numerics_close(&slope);
+}
+
+// <Q x, y> = <x, Q^T y> of the reference's query.
+static int check_query_adjoint(struct numerics_random *random) {
+    struct numerics_case c = {"3 ripmap adjoint of the query, reference",
+                              "bases 2..64, any position and level",
+                              "ULP of sum |x y|",
+                              16,
+                              0,
+                              ""};
+    for (int base = 2; base <= 64; base++) {
+        struct rn_reference *ref = make_field(base, 5, random);
+        double forward = 0, backward = 0, scale = 0;
+        memset(ref->map_grad, 0, ref->map_count * sizeof(double));
+        for (int n = 0; n < 50; n++) {
+            double at[4], value[4], grad[4];
+            for (int i = 0; i < 4; i++) {
+                at[i] = numerics_uniform(random, i < 2 ? -1.1 : 0, i < 2 ? 1.1 : 4);
+                grad[i] = numerics_uniform(random, -1, 1);
+            }
+            rn_reference_query(ref, 1, at[0], at[1], at[2], at[3], value);
+            rn_reference_query_backward(ref, 1, at[0], at[1], at[2], at[3], grad);
+            for (int i = 0; i < 4; i++) {
+                forward += value[i] * grad[i];
+                scale += fabs(value[i] * grad[i]);
+            }
+        }
+        for (size_t i = 0; i < ref->map_count; i++)
+            backward += ref->map_grad[i] * ref->maps[i];
+        numerics_see(&c, fabs(forward - backward) / (scale * DBL_EPSILON), "base %d", base);
+        rn_reference_destroy(&ref);
+    }
+    return numerics_close(&c);
+}
+
 int main(void) {
     const struct subject *s;
     struct numerics_random random = numerics_random();
@@ -289,7 +483,11 @@ int main(void) {
         failed += check_order(s, &random);
         failed += check_lerp(s, &random);
         failed += check_line_adjoint(s, &random);
+        const struct rn_kernels *k = s->fast ? rn_kernels_find(s->name) : NULL;
+        if (k) failed += check_set_query(s, k, &random) + check_set_borders(s, k, &random);
     }
+    failed += check_query_adjoint(&random);
+    numerics_skip("3 ripmap in bf16 or fp16 storage", "planes and maps are stored in fp32");
     failed += check_pyramid_adjoint(&random);
     failed += check_continuity(&random);
     failed += check_bounds(&random);

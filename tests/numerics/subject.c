@@ -129,4 +129,5 @@ const struct subject SUBJECT = {SUBJECT_NAME,
                                 alpha,
                                 composite,
                                 composite_backward,
+                                NULL,
                                 NULL};

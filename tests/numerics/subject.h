@@ -9,6 +9,7 @@
 
 struct rn_occupancy_bits;
 struct rn_march_ray;
+struct rn_cpu_field;
 
 // A constant table of functions. Thread-safety: all.
 struct subject {
@@ -32,12 +33,17 @@ struct subject {
     double (*composite)(int n, const double *x, double *weights, double *after);
     void (*composite_backward)(int n, const double *weights, const double *after, const double *g,
                                double *grad);
+    // Kernel sets only: features of n <= SUBJECT_QUERIES positions and levels on plane 0, each
+    // `channels` numbers; arrays have room for SUBJECT_QUERIES + 16.
+    void (*query)(const struct rn_cpu_field *field, int n, const float *u, const float *v,
+                  const float *lx, const float *ly, float *ret_features);
     // Kernel sets only: the march indices of samples in occupied cells, at most `room`.
     int (*march)(const struct rn_occupancy_bits *grid, const struct rn_march_ray *ray, float step,
                  uint16_t *ret_k, int room);
 };
 
 #define SUBJECT_MAX_SAMPLES 4096
+#define SUBJECT_QUERIES 64
 
 // float64, float32, then the kernel sets this machine can run; NULL past the end.
 const struct subject *subject_at(int i);

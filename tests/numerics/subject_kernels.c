@@ -125,6 +125,20 @@ static void composite_back(int n, const double *weights, const double *after, co
         grad[i] = (double)slope_of[i];
 }
 
+static void query(const struct rn_cpu_field *field, int n, const float *u, const float *v,
+                  const float *lx, const float *ly, float *ret_features) {
+    static float features[(SUBJECT_QUERIES + 16) * 16];
+    struct rn_workspace w = {.features = features};
+    w.u[0] = (float *)u;
+    w.v[0] = (float *)v;
+    w.lx[0] = (float *)lx;
+    w.ly[0] = (float *)ly;
+    encode(field, true, 0, n, &w);
+    for (int i = 0; i < n; i++)
+        memcpy(ret_features + i * field->config.channels, features + i * field->feature_stride,
+               (size_t)field->config.channels * sizeof(float));
+}
+
 extern const struct subject SUBJECT;
 const struct subject SUBJECT = {.name = SUBJECT_NAME,
                                 .digits = 24,
@@ -139,4 +153,5 @@ const struct subject SUBJECT = {.name = SUBJECT_NAME,
                                 .alpha = alpha,
                                 .composite = composite,
                                 .composite_backward = composite_back,
+                                .query = query,
                                 .march = march};
