@@ -40,37 +40,72 @@ struct tile_config {
     uint8_t rows[16];
 };
 
-// Every product lies between these two.
-static void products_begin(void) {
+// Products begin and end here; between, the tiles are in use. A product's sums are stored when the
+// next one needs their tiles, or by products_flush: a tile that is stored at once waits for its
+// products' latency, and all behind it.
+enum { PRODUCT_SUMS = 1 }; // places for sums that follow each other
+struct products {
+    float *c; // of the last product, NULL: stored
+    size_t c_bytes;
+    bool wide;
+};
+
+static void products_begin(struct products *s) {
     _Alignas(64) static const struct tile_config config = {
         .palette = 1,
         .row_bytes = {64, 64, 64, 64, 64, 64, 64, 64},
         .rows = {16, 16, 16, 16, 16, 16, 16, 16}};
     __asm__ volatile("" ::"m"(config) : "memory");
     _tile_loadconfig(&config);
+    s->c = NULL;
 }
-static void products_end(void) {
+
+static void products_flush(struct products *s) {
+    if (!s->c) return;
+    float *lower = s->c + s->c_bytes * 4; // 16 rows
+    _tile_stored(0, s->c, s->c_bytes);
+    _tile_stored(1, lower, s->c_bytes);
+    if (s->wide) _tile_stored(2, s->c + 16, s->c_bytes);
+    if (s->wide) _tile_stored(3, lower + 16, s->c_bytes);
+    s->c = NULL;
+}
+
+static void products_end(struct products *s) {
+    products_flush(s);
     _tile_release();
 }
 
+// Stores the last product's sum TILE, if it has that, and begins the next one's there.
+#define TURN_TILE(TILE, USED, STORED, C, A, B)                                                     \
+    if (last.c && (STORED)) _tile_stored(TILE, last.c + offset_##TILE, last.c_bytes);              \
+    if (USED) {                                                                                    \
+        if (p->accumulate)                                                                         \
+            _tile_loadd(TILE, C, c_bytes);                                                         \
+        else                                                                                       \
+            _tile_zero(TILE);                                                                      \
+        _tile_dpbf16ps(TILE, A, B);                                                                \
+    }
+
 // Tiles 0-3 are sums, 4 and 5 rows, 6 and 7 pairs.
-RN_INLINE void product_tiles(const struct bf16_product *p, const bool WIDE) {
+RN_INLINE void product_tiles(struct products *s, const struct bf16_product *p, const bool WIDE) {
+    const struct products last = *s;
+    const size_t offset_0 = 0, offset_1 = last.c_bytes * 4, offset_2 = 16, offset_3 = offset_1 + 16;
     size_t a_bytes = (size_t)p->a_stride * 2, c_bytes = (size_t)p->c_stride * 4;
     const uint16_t *a = p->a, *b = p->b, *lower = p->a + (size_t)16 * p->a_stride;
     float *c = p->c, *c_lower = p->c + (size_t)16 * p->c_stride;
     __asm__ volatile("" ::: "memory"); // what the tiles read is stored before
-    if (p->accumulate) {
-        _tile_loadd(0, c, c_bytes);
-        _tile_loadd(1, c_lower, c_bytes);
-        if (WIDE) _tile_loadd(2, c + 16, c_bytes);
-        if (WIDE) _tile_loadd(3, c_lower + 16, c_bytes);
-    } else {
-        _tile_zero(0);
-        _tile_zero(1);
-        if (WIDE) _tile_zero(2);
-        if (WIDE) _tile_zero(3);
-    }
-    for (int k = 0; k < p->k; k++, a += RN_TILE_K, lower += RN_TILE_K, b += p->b_k) {
+    _tile_loadd(4, a, a_bytes);
+    _tile_loadd(6, b, 64);
+    _tile_loadd(5, lower, a_bytes);
+    if (WIDE) _tile_loadd(7, b + p->b_n, 64);
+    TURN_TILE(0, true, true, c, 4, 6)
+    TURN_TILE(1, true, true, c_lower, 5, 6)
+    TURN_TILE(2, WIDE, last.wide, c + 16, 4, 7)
+    TURN_TILE(3, WIDE, last.wide, c_lower + 16, 5, 7)
+    for (int k = 1; k < p->k; k++) {
+        a += RN_TILE_K;
+        lower += RN_TILE_K;
+        b += p->b_k;
         _tile_loadd(4, a, a_bytes);
         _tile_loadd(6, b, 64);
         _tile_loadd(5, lower, a_bytes);
@@ -80,16 +115,18 @@ RN_INLINE void product_tiles(const struct bf16_product *p, const bool WIDE) {
         if (WIDE) _tile_dpbf16ps(2, 4, 7);
         if (WIDE) _tile_dpbf16ps(3, 5, 7);
     }
-    _tile_stored(0, c, c_bytes);
-    _tile_stored(1, c_lower, c_bytes);
-    if (WIDE) _tile_stored(2, c + 16, c_bytes);
-    if (WIDE) _tile_stored(3, c_lower + 16, c_bytes);
+    *s = (struct products){.c = c, .c_bytes = c_bytes, .wide = WIDE};
 }
 
 #else
 
-static void products_begin(void) {}
-static void products_end(void) {}
+enum { PRODUCT_SUMS = 2 };
+struct products {
+    bool unused;
+};
+static void products_begin(struct products *s) {}
+static void products_flush(struct products *s) {}
+static void products_end(struct products *s) {}
 
 enum { PRODUCT_ROWS = 8 }; // times 2 sums in registers
 
@@ -124,18 +161,18 @@ RN_INLINE void product_rows(const struct bf16_product *p, int row, const bool WI
             _mm512_storeu_ps(c + (size_t)i * p->c_stride + 16 * j, sum[i][j]);
 }
 
-RN_INLINE void product_tiles(const struct bf16_product *p, const bool WIDE) {
+RN_INLINE void product_tiles(struct products *s, const struct bf16_product *p, const bool WIDE) {
     for (int row = 0; row < RN_TILES_M; row += PRODUCT_ROWS)
         product_rows(p, row, WIDE);
 }
 
 #endif
 
-static void product(const struct bf16_product *p) {
+static void product(struct products *s, const struct bf16_product *p) {
     if (p->wide)
-        product_tiles(p, true);
+        product_tiles(s, p, true);
     else
-        product_tiles(p, false);
+        product_tiles(s, p, false);
 }
 
 // ---- conversions, to nearest, ties to even ------------------------------------------------------
@@ -144,20 +181,26 @@ RN_INLINE __m512i bf16_of(__m512 low, __m512 high) {
     return (__m512i)_mm512_cvtne2ps_pbh(high, low);
 }
 
-RN_INLINE __m512 load_first(const float *from, int count) {
-    if (count >= 16) return _mm512_loadu_ps(from);
-    return _mm512_maskz_loadu_ps(count > 0 ? (__mmask16)((1u << count) - 1) : 0, from);
+RN_INLINE __mmask16 first_lanes(int count) {
+    return count >= 16 ? 0xffff : count > 0 ? (__mmask16)((1u << count) - 1) : 0;
 }
 
 // rows of `count` numbers; columns from `count` to `to_stride` and rows up to a multiple of 32 are
 // zero.
 static void rows_from(const float *from, int from_stride, int rows, int count, uint16_t *to,
                       int to_stride) {
-    for (int i = 0; i < rows; i++, from += from_stride, to += to_stride)
-        for (int k = 0; k < to_stride; k += 32)
-            _mm512_storeu_si512(to + k, bf16_of(load_first(from + k, count - k),
-                                                load_first(from + k + 16, count - k - 16)));
-    memset(to, 0, (size_t)(round32(rows) - rows) * (size_t)to_stride * sizeof *to);
+    for (int k = 0; k < to_stride; k += 32) {
+        const __mmask16 low = first_lanes(count - k), high = first_lanes(count - k - 16);
+        for (int i = 0; i < rows; i++) {
+            const float *row = from + (size_t)i * from_stride + k;
+            _mm512_storeu_si512(
+                to + (size_t)i * to_stride + k,
+                bf16_of(_mm512_maskz_loadu_ps(low, row), _mm512_maskz_loadu_ps(high, row + 16)));
+        }
+    }
+    if (rows % 32)
+        memset(to + (size_t)rows * to_stride, 0,
+               (size_t)(round32(rows) - rows) * (size_t)to_stride * sizeof *to);
 }
 
 // One line of a tile of pairs, from 16 columns of two rows of fp32 numbers.
@@ -180,21 +223,13 @@ static void pairs_from(const float *from, int k_count, int columns, uint16_t *to
         }
 }
 
-// Tiles [row / 32][column / 16] of pairs along the rows, from rows of a multiple of 32.
-static void pairs_of_rows(const uint16_t *from, int stride, int rows, int columns, uint16_t *to) {
+// Two lines of tiles of pairs, from 32 columns of two rows.
+RN_INLINE void store_pairs(__m512i even, __m512i odd, bool wide, uint16_t *to) {
     const __m512i low = _mm512_set_epi16(47, 15, 46, 14, 45, 13, 44, 12, 43, 11, 42, 10, 41, 9, 40,
                                          8, 39, 7, 38, 6, 37, 5, 36, 4, 35, 3, 34, 2, 33, 1, 32, 0);
     const __m512i high = _mm512_add_epi16(low, _mm512_set1_epi16(16));
-    for (int i = 0; i < rows; i += 2, from += 2 * stride) {
-        uint16_t *line = to + (size_t)(i / 32) * (columns / 16) * RN_TILE + i % 32 * 16;
-        for (int column = 0; column < columns; column += 32, line += 2 * RN_TILE) {
-            __m512i even = _mm512_loadu_si512(from + column);
-            __m512i odd = _mm512_loadu_si512(from + stride + column);
-            _mm512_storeu_si512(line, _mm512_permutex2var_epi16(even, low, odd));
-            if (column + 16 < columns)
-                _mm512_storeu_si512(line + RN_TILE, _mm512_permutex2var_epi16(even, high, odd));
-        }
-    }
+    _mm512_storeu_si512(to, _mm512_permutex2var_epi16(even, low, odd));
+    if (wide) _mm512_storeu_si512(to + RN_TILE, _mm512_permutex2var_epi16(even, high, odd));
 }
 
 // 8 numbers of rows 0, 8, 16 and 24.

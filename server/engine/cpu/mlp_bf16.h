@@ -10,8 +10,9 @@
 #include "server/engine/cpu/gemm_bf16.h"
 #include "server/engine/cpu/network.h"
 
-#define RN_MLP_WIDEST 256 // inputs and outputs of a layer
-#define RN_MLP_BLOCK 64   // rows of a backward's block, a multiple of 32
+#define RN_MLP_WIDEST 256    // inputs and outputs of a layer
+#define RN_FORWARD_ROWS 64   // of a block; more than 32, a multiple of that
+#define RN_BACKWARD_ROWS 128 // of a block, a quarter for networks that then stay in L1
 
 // Numbers of a row of hidden activations: bf16, rounded up to 32.
 RN_INLINE size_t hidden_stride(int width) {
@@ -52,100 +53,189 @@ RN_INLINE uint16_t *activation(const struct mlp *net, int l, int row) {
     return (uint16_t *)(net->hidden[l - 1] + hidden_stride(net->shape->in[l]) * (size_t)row);
 }
 
-// ---- forward --------------------------------------------------------------------------------
+// ---- blocks ---------------------------------------------------------------------------------
 
-// ReLU and rounding of 32 rows of 16 or 32 sums.
-RN_INLINE void store_activation(const float *sums, bool wide, uint16_t *to, int stride) {
-    const __m512 none = _mm512_setzero_ps();
-    for (int i = 0; i < RN_TILES_M; i++, sums += 32, to += stride) {
-        __m512i x = bf16_of(_mm512_load_ps(sums), wide ? _mm512_load_ps(sums + 16) : none);
-        _mm512_storeu_si512(to, _mm512_max_epi16(x, _mm512_setzero_si512()));
+// What follows a product of 32 rows: its 16 or 32 sums a row become activations (ReLU) or their
+// gradient (where the activation is positive), in bf16.
+struct finish {
+    const float *sums;
+    bool wide;
+    const uint16_t *active; // of a gradient: the activations, rows
+    uint16_t *to;           // rows; NULL: nothing to do
+    int stride;             // of `active` and `to`
+    uint16_t *pairs;        // of a gradient: the same, pairs along the rows
+};
+
+RN_INLINE __m512i take_sums(const struct finish *f, int row) {
+    const float *sums = f->sums + row * 32;
+    return bf16_of(_mm512_load_ps(sums), f->wide ? _mm512_load_ps(sums + 16) : _mm512_setzero_ps());
+}
+
+RN_INLINE __m512i take_grad(const struct finish *f, int row) {
+    __m512i active = _mm512_loadu_si512(f->active + row * f->stride);
+    return _mm512_maskz_mov_epi16(_mm512_cmpgt_epi16_mask(active, _mm512_setzero_si512()),
+                                  take_sums(f, row));
+}
+
+static void finish(struct finish *f) {
+    uint16_t *to = f->to;
+    f->to = NULL;
+    if (!to) return;
+    if (!f->active) {
+        for (int i = 0; i < RN_TILES_M; i++)
+            _mm512_storeu_si512(to + i * f->stride,
+                                _mm512_max_epi16(take_sums(f, i), _mm512_setzero_si512()));
+        return;
+    }
+    for (int i = 0; i < RN_TILES_M; i += 2) {
+        __m512i even = take_grad(f, i), odd = take_grad(f, i + 1);
+        _mm512_storeu_si512(to + i * f->stride, even);
+        _mm512_storeu_si512(to + (i + 1) * f->stride, odd);
+        store_pairs(even, odd, f->wide, f->pairs + i * 16);
     }
 }
 
-// Up to 32 rows through all layers. Fewer pass through memory of their own, so that nothing behind
-// them is written.
-static void forward_block(const struct mlp *net, int row, int rows) {
-    _Alignas(64) uint16_t spare[2][RN_TILES_M * RN_MLP_WIDEST];
-    _Alignas(64) float sums[RN_TILES_M * 32];
-    const struct rn_mlp_shape *shape = net->shape;
-    const uint16_t *weights = (const uint16_t *)net->packed, *a = spare[0];
-    rows_from(net->in + (size_t)row * net->in_stride, net->in_stride, rows, shape->in[0], spare[0],
-              round32(shape->in[0]));
+// Rows on their way through the layers. A product's sums are finished after the next product is
+// begun, which has stored them.
+struct block {
+    const struct mlp *net;
+    int row, rows, padded; // first row, their number, and that rounded up to 32
+    struct products products;
+    struct finish next;
+    int turn; // of `sums`
+    _Alignas(64) float sums[PRODUCT_SUMS][RN_TILES_M * 32];
+    uint16_t *first, *second;  // gradients or activations of two layers in turn, rows
+    uint16_t *columns, *pairs; // backward: a layer's inputs, and their outputs' gradient
+};
+
+static void block_init(const struct mlp *net, int rows, struct block *b) {
+    size_t count = (size_t)rows * round32(net->shape->widest);
+    b->net = net;
+    b->next.to = NULL;
+    b->turn = 0;
+    b->first = net->scratch;
+    b->second = b->first + count;
+    b->columns = b->second + count;
+    b->pairs = b->columns + count;
+    products_begin(&b->products);
+}
+
+RN_INLINE void block_rows(struct block *b, int row, int rows) {
+    b->row = row;
+    b->rows = rows;
+    b->padded = round32(rows);
+}
+
+static void block_product(struct block *b, const struct bf16_product *p) {
+    product(&b->products, p);
+    finish(&b->next);
+}
+
+static void block_flush(struct block *b) {
+    products_flush(&b->products);
+    finish(&b->next);
+}
+
+RN_INLINE float *next_sums(struct block *b) {
+    b->turn = (b->turn + 1) % PRODUCT_SUMS;
+    return b->sums[b->turn];
+}
+
+// The network's inputs as rows.
+static void take_inputs(const struct block *b, uint16_t *to) {
+    const struct mlp *net = b->net;
+    rows_from(net->in + (size_t)b->row * net->in_stride, net->in_stride, b->rows, net->shape->in[0],
+              to, round32(net->shape->in[0]));
+}
+
+// ---- forward --------------------------------------------------------------------------------
+
+// Rows [row, row + 32) of the block through layer l.
+static void forward_layer(struct block *b, int l, int row, const uint16_t *weights,
+                          const uint16_t *from, uint16_t *to) {
+    const struct rn_mlp_shape *shape = b->net->shape;
+    int in = round32(shape->in[l]), out = shape->out[l], left = b->rows - row;
+    bool last = l + 1 == shape->layers, direct = last && left >= RN_TILES_M;
+    for (int n = 0; n < out; n += 32) {
+        float *sums = next_sums(b), *result = b->net->out + (size_t)(b->row + row) * out + n;
+        struct bf16_product p = {.a = from + (size_t)row * in,
+                                 .a_stride = in,
+                                 .b = weights + (size_t)n * in,
+                                 .b_k = RN_TILE,
+                                 .b_n = in * 16,
+                                 .k = in / RN_TILE_K,
+                                 .c = direct ? result : sums,
+                                 .c_stride = direct ? out : 32,
+                                 .wide = n + 16 < out};
+        block_product(b, &p);
+        if (!last)
+            b->next = (struct finish){.sums = sums,
+                                      .wide = p.wide,
+                                      .to = to + (size_t)row * round32(out) + n,
+                                      .stride = round32(out)};
+        if (!last || direct) continue;
+        block_flush(b);
+        for (int i = 0; i < left; i++)
+            memcpy(result + (size_t)i * out, sums + i * 32, p.wide ? 128 : 64);
+    }
+}
+
+// A block of rows through all layers. One that is not whole passes through memory of its own, so
+// that nothing behind it is written.
+static void forward_rows(struct block *b) {
+    const struct rn_mlp_shape *shape = b->net->shape;
+    const uint16_t *weights = (const uint16_t *)b->net->packed, *from = b->first;
+    take_inputs(b, b->first);
     for (int l = 0; l < shape->layers; l++) {
-        int in = round32(shape->in[l]), out = shape->out[l];
-        bool last = l + 1 == shape->layers, whole = rows == RN_TILES_M;
-        uint16_t *to = last ? NULL : whole ? activation(net, l + 1, row) : spare[(l + 1) % 2];
-        for (int n = 0; n < out; n += 32) {
-            bool wide = n + 16 < out, direct = last && whole;
-            float *result = net->out + (size_t)row * out + n;
-            struct bf16_product p = {.a = a,
-                                     .a_stride = in,
-                                     .b = weights + (size_t)n * in,
-                                     .b_k = RN_TILE,
-                                     .b_n = in * 16,
-                                     .k = in / RN_TILE_K,
-                                     .c = direct ? result : sums,
-                                     .c_stride = direct ? out : 32,
-                                     .wide = wide};
-            product(&p);
-            if (!last) store_activation(sums, wide, to + n, round32(out));
-            for (int i = 0; last && !whole && i < rows; i++)
-                memcpy(result + (size_t)i * out, sums + i * 32, wide ? 128 : 64);
-        }
-        if (!last && !whole)
-            memcpy(activation(net, l + 1, row), to, (size_t)rows * round32(out) * sizeof *to);
+        bool last = l + 1 == shape->layers, whole = b->rows == b->padded;
+        uint16_t *hidden = last ? NULL : activation(b->net, l + 1, b->row);
+        uint16_t *to = last || whole ? hidden : l % 2 ? b->first : b->second;
+        for (int row = 0; row < b->rows; row += RN_TILES_M)
+            forward_layer(b, l, row, weights, from, to);
+        // Else the next layer's first product, of other rows than the last, is in time.
+        if (!whole || b->rows == RN_TILES_M) block_flush(b);
+        if (to != hidden) memcpy(hidden, to, (size_t)b->rows * round32(shape->out[l]) * sizeof *to);
         weights += forward_count(shape, l);
-        a = to;
+        from = to;
     }
 }
 
 // Rows [begin, begin + n) through the network.
 static void mlp_forward(const struct mlp *net, int begin, int n) {
+    struct block b;
     if (n <= 0) return;
-    products_begin();
-    for (int row = 0; row < n; row += RN_TILES_M)
-        forward_block(net, begin + row, n - row < RN_TILES_M ? n - row : RN_TILES_M);
-    products_end();
+    block_init(net, RN_FORWARD_ROWS, &b);
+    for (int row = 0; row < n; row += RN_FORWARD_ROWS) {
+        block_rows(&b, begin + row, n - row < RN_FORWARD_ROWS ? n - row : RN_FORWARD_ROWS);
+        forward_rows(&b);
+    }
+    products_end(&b.products);
 }
 
 // ---- backward -------------------------------------------------------------------------------
 
-// One block of the backward: 32 or 64 rows, the last of them perhaps zero.
-struct backward_block {
-    const struct mlp *net;
-    int row, rows, padded;
-    _Alignas(64) uint16_t in[RN_MLP_BLOCK * RN_MLP_WIDEST];      // a layer's inputs, rows
-    _Alignas(64) uint16_t columns[RN_MLP_BLOCK * RN_MLP_WIDEST]; // the same, columns
-    _Alignas(64) uint16_t grad[2][RN_MLP_BLOCK * RN_MLP_WIDEST]; // gradient, rows
-    _Alignas(64) uint16_t pairs[RN_MLP_BLOCK * RN_MLP_WIDEST];   // the same, pairs along the rows
-    _Alignas(64) float sums[RN_TILES_M * 32];
-};
-
-// A layer's inputs as columns, zero behind the rows.
-static void take_columns(struct backward_block *b, int l) {
-    const struct mlp *net = b->net;
-    int in = round32(net->shape->in[l]);
-    const uint16_t *from = b->in;
+// A layer's inputs as columns, zero behind the rows; `spare` is overwritten.
+static void take_columns(struct block *b, int l, uint16_t *spare) {
+    int in = round32(b->net->shape->in[l]);
+    const uint16_t *from = spare;
     if (l == 0) {
-        rows_from(net->in + (size_t)b->row * net->in_stride, net->in_stride, b->rows,
-                  net->shape->in[0], b->in, in);
+        take_inputs(b, spare);
     } else if (b->rows == b->padded) {
-        from = activation(net, l, b->row);
+        from = activation(b->net, l, b->row);
     } else {
-        memcpy(b->in, activation(net, l, b->row), (size_t)b->rows * in * sizeof *b->in);
-        memset(b->in + (size_t)b->rows * in, 0, (size_t)(b->padded - b->rows) * in * 2);
+        memcpy(spare, activation(b->net, l, b->row), (size_t)b->rows * in * sizeof *spare);
+        memset(spare + (size_t)b->rows * in, 0, (size_t)(b->padded - b->rows) * in * sizeof *spare);
     }
-    columns_of_rows(from, in, b->padded, in, b->columns, RN_MLP_BLOCK);
+    columns_of_rows(from, in, b->padded, in, b->columns, b->padded);
 }
 
 // Adds inputs^T * gradient to the layer's sums, [round32(in)][round32(out)].
-static void add_weight_grad(struct backward_block *b, int l, float *sums) {
+static void add_weight_grad(struct block *b, int l, float *sums) {
     int in = round32(b->net->shape->in[l]), out = b->net->shape->out[l];
     for (int i = 0; i < in; i += 32)
         for (int o = 0; o < out; o += 32) {
-            struct bf16_product p = {.a = b->columns + i * RN_MLP_BLOCK,
-                                     .a_stride = RN_MLP_BLOCK,
+            struct bf16_product p = {.a = b->columns + i * b->padded,
+                                     .a_stride = b->padded,
                                      .b = b->pairs + o / 16 * RN_TILE,
                                      .b_k = out / 16 * RN_TILE,
                                      .b_n = RN_TILE,
@@ -154,63 +244,84 @@ static void add_weight_grad(struct backward_block *b, int l, float *sums) {
                                      .c_stride = round32(out),
                                      .accumulate = true,
                                      .wide = o + 16 < out};
-            product(&p);
+            block_product(b, &p);
         }
 }
 
-// The gradient of 32 rows of 16 or 32 activations: kept where the activation is positive.
-RN_INLINE void store_grad(const float *sums, bool wide, const uint16_t *active, uint16_t *to,
-                          int stride) {
-    const __m512 none = _mm512_setzero_ps();
-    for (int i = 0; i < RN_TILES_M; i++, sums += 32, active += stride, to += stride) {
-        __m512i x = bf16_of(_mm512_load_ps(sums), wide ? _mm512_load_ps(sums + 16) : none);
-        __mmask32 on = _mm512_cmpgt_epi16_mask(_mm512_loadu_si512(active), _mm512_setzero_si512());
-        _mm512_storeu_si512(to, _mm512_maskz_mov_epi16(on, x));
-    }
-}
-
-// gradient * weights^T: the gradient of a layer's inputs, to rows or, from the first layer, to
-// `ret_grad` ([row][inputs rounded up to 16]).
-static void in_gradient(struct backward_block *b, int l, const uint16_t *weights,
-                        const uint16_t *grad, uint16_t *to, float *ret_grad) {
+// gradient * weights^T: the gradient of a layer's inputs, to rows and pairs or, of the first layer,
+// to `ret_grad` ([row][inputs rounded up to 16]).
+static void take_in_grad(struct block *b, int l, const uint16_t *weights, const uint16_t *grad,
+                         uint16_t *to, float *ret_grad) {
     int in = round16(b->net->shape->in[l]), out = round32(b->net->shape->out[l]);
     for (int row = 0; row < b->padded; row += RN_TILES_M)
         for (int i = 0; i < in; i += 32) {
-            float *result = ret_grad + (size_t)(b->row + row) * in + i;
+            float *sums = next_sums(b), *result = ret_grad + (size_t)(b->row + row) * in + i;
             struct bf16_product p = {.a = grad + (size_t)row * out,
                                      .a_stride = out,
                                      .b = weights + (size_t)i * out,
                                      .b_k = RN_TILE,
                                      .b_n = out * 16,
                                      .k = out / RN_TILE_K,
-                                     .c = l == 0 ? result : b->sums,
+                                     .c = l == 0 ? result : sums,
                                      .c_stride = l == 0 ? in : 32,
                                      .wide = i + 16 < in};
-            product(&p);
-            int stride = round32(in);
-            if (l > 0)
-                store_grad(b->sums, p.wide, activation(b->net, l, b->row + row) + i,
-                           to + (size_t)row * stride + i, stride);
+            block_product(b, &p);
+            if (l == 0) continue;
+            b->next = (struct finish){.sums = sums,
+                                      .wide = p.wide,
+                                      .active = activation(b->net, l, b->row + row) + i,
+                                      .to = to + (size_t)row * round32(in) + i,
+                                      .stride = round32(in),
+                                      .pairs = b->pairs + (size_t)row * in + i * 32};
+        }
+    if (l > 0) block_flush(b);
+}
+
+// The outputs' gradient as rows and pairs.
+static void take_out_grad(struct block *b, const float *out_grad, int outputs, uint16_t *to) {
+    int stride = round32(outputs);
+    rows_from(out_grad + (size_t)b->row * outputs, outputs, b->rows, outputs, to, stride);
+    for (int row = 0; row < b->padded; row += 2)
+        for (int i = 0; i < outputs; i += 32) {
+            const uint16_t *from = to + row * stride + i;
+            uint16_t *line = b->pairs + (row / 32 * (outputs / 16) + i / 16) * RN_TILE;
+            store_pairs(_mm512_loadu_si512(from), _mm512_loadu_si512(from + stride),
+                        i + 16 < outputs, line + row % 32 * 16);
         }
 }
 
-static void backward_rows(struct backward_block *b, const float *out_grad, float *sums_end,
+static void backward_rows(struct block *b, const float *out_grad, float *sums_end,
                           float *ret_grad) {
     const struct rn_mlp_shape *shape = b->net->shape;
-    int last = shape->layers - 1, outputs = shape->out[last];
     const uint16_t *weights = (const uint16_t *)b->net->packed;
+    uint16_t *grad = b->first, *to = b->second;
+    int last = shape->layers - 1;
     for (int l = 0; l <= last; l++)
         weights += forward_count(shape, l) + backward_count(shape, l);
-    rows_from(out_grad + (size_t)b->row * outputs, outputs, b->rows, outputs, b->grad[last % 2],
-              round32(outputs));
+    take_out_grad(b, out_grad, shape->out[last], grad);
     for (int l = last; l >= 0; l--) {
-        const uint16_t *grad = b->grad[l % 2];
         weights -= backward_count(shape, l);
         sums_end -= (size_t)round32(shape->in[l]) * round32(shape->out[l]);
-        take_columns(b, l);
-        pairs_of_rows(grad, round32(shape->out[l]), b->padded, shape->out[l], b->pairs);
+        take_columns(b, l, to);
         add_weight_grad(b, l, sums_end);
-        in_gradient(b, l, weights, grad, b->grad[(l + 1) % 2], ret_grad);
+        take_in_grad(b, l, weights, grad, to, ret_grad);
+        uint16_t *swap = grad;
+        grad = to;
+        to = swap;
+    }
+}
+
+// Adds a packet's sums to the weights' gradients.
+static void add_sums(const struct rn_mlp_shape *shape, const float *sums, float *weight_grad) {
+    for (int l = 0; l < shape->layers; l++) {
+        float *to = weight_grad + shape->offset[l];
+        int out = shape->out[l];
+        for (int i = 0; i < shape->in[l]; i++, to += out)
+            for (int o = 0; o < out; o += 16)
+                _mm512_storeu_ps(
+                    to + o, _mm512_add_ps(_mm512_loadu_ps(to + o),
+                                          _mm512_loadu_ps(sums + (size_t)i * round32(out) + o)));
+        sums += (size_t)round32(shape->in[l]) * round32(out);
     }
 }
 
@@ -218,27 +329,18 @@ static void backward_rows(struct backward_block *b, const float *out_grad, float
 // to weight_grad; returns the inputs' ([n][inputs rounded up to 16]), in the workspace.
 static float *mlp_backward(const struct mlp *net, const float *out_grad, int n,
                            struct rn_workspace *w, float *weight_grad) {
-    const struct rn_mlp_shape *shape = net->shape;
-    struct backward_block b;
-    size_t count = rn_mlp_packed_count(shape);
+    size_t count = rn_mlp_packed_count(net->shape);
+    int rows = net->shape->widest <= 32 ? RN_BACKWARD_ROWS / 4 : RN_BACKWARD_ROWS;
+    struct block b;
     if (n <= 0) return w->grad_a;
-    b.net = net;
     memset(w->weight_sums, 0, count * sizeof *w->weight_sums);
-    products_begin();
-    for (b.row = 0; b.row < n; b.row += RN_MLP_BLOCK) {
-        b.rows = n - b.row < RN_MLP_BLOCK ? n - b.row : RN_MLP_BLOCK;
-        b.padded = round32(b.rows);
+    block_init(net, rows, &b);
+    for (int row = 0; row < n; row += rows) {
+        block_rows(&b, row, n - row < rows ? n - row : rows);
         backward_rows(&b, out_grad, w->weight_sums + count, w->grad_a);
     }
-    products_end();
-    const float *sums = w->weight_sums;
-    for (int l = 0; l < shape->layers; l++) {
-        float *to = weight_grad + shape->offset[l];
-        for (int i = 0; i < shape->in[l]; i++, to += shape->out[l])
-            for (int o = 0; o < shape->out[l]; o++)
-                to[o] += sums[(size_t)i * round32(shape->out[l]) + o];
-        sums += (size_t)round32(shape->in[l]) * round32(shape->out[l]);
-    }
+    products_end(&b.products);
+    add_sums(net->shape, w->weight_sums, weight_grad);
     return w->grad_a;
 }
 
@@ -247,7 +349,8 @@ static void gemm_public(int rows, int k, int n, const float *a, int a_stride, co
                         int b_stride, float *c, int c_stride) {
     _Alignas(64) uint16_t left[RN_TILES_M * RN_TILE_K], right[2 * RN_TILE];
     _Alignas(64) float sums[RN_TILES_M * 32], lines[RN_TILE_K * 16];
-    products_begin();
+    struct products products;
+    products_begin(&products);
     for (int row = 0; row < rows; row += RN_TILES_M)
         for (int column = 0; column < n; column += 16) {
             int here = rows - row < RN_TILES_M ? rows - row : RN_TILES_M;
@@ -259,12 +362,13 @@ static void gemm_public(int rows, int k, int n, const float *a, int a_stride, co
                 for (int i = 0; i < part; i++)
                     memcpy(lines + i * 16, b + (size_t)(from + i) * b_stride + column, 64);
                 pairs_from(lines, part, 16, right);
-                product(&p);
+                product(&products, &p);
+                products_flush(&products);
             }
             for (int i = 0; i < here; i++)
                 memcpy(c + (size_t)(row + i) * c_stride + column, sums + i * 32, 64);
         }
-    products_end();
+    products_end(&products);
 }
 
 #endif

@@ -12,6 +12,7 @@ struct mlp {
     int in_stride;
     float *const *hidden; // [layer][row], rows of hidden_stride(width) in the set's own form
     float *out;           // [row][outputs]
+    void *scratch;        // 2 KiB for each of the widest layer's numbers
 };
 
 static inline struct mlp base_network(const struct rn_cpu_field *field,
@@ -22,7 +23,8 @@ static inline struct mlp base_network(const struct rn_cpu_field *field,
                         .in = w->features,
                         .in_stride = field->feature_stride,
                         .hidden = w->hidden,
-                        .out = w->geometry};
+                        .out = w->geometry,
+                        .scratch = w->grad_b};
 }
 
 static inline struct mlp head_network(const struct rn_cpu_field *field,
@@ -33,7 +35,8 @@ static inline struct mlp head_network(const struct rn_cpu_field *field,
                         .in = w->head_in,
                         .in_stride = RN_HEAD_INPUTS,
                         .hidden = w->head_hidden,
-                        .out = w->head_out};
+                        .out = w->head_out,
+                        .scratch = w->grad_b};
 }
 
 RN_INLINE int round16(int n) {
