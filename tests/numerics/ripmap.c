@@ -309,7 +309,8 @@ static struct plane make_plane(const struct rn_kernels *k, int base, int channel
     size_t first = (size_t)(base * base * channels), rest = rn_pyramid_count(c, SET_LEVELS);
     p.count = first + rest;
     p.memory = calloc(2 * (p.count + 64), sizeof(float));
-    p.touched = calloc((size_t)(base + 1) * (size_t)(base / RN_BLOCK + 1), 1);
+    struct rn_tiling tiling = rn_tiling(base, SET_LEVELS);
+    p.touched = calloc((size_t)tiling.columns * (size_t)tiling.rows, 1);
     if (!p.memory || !p.touched) exit(1);
     p.grads = p.memory + p.count + 64;
     rn_pyramid_lay_out(c, SET_LEVELS, p.memory, p.memory + first, p.field.maps);
@@ -346,7 +347,8 @@ static void scatter(const struct rn_kernels *k, struct plane *p, int n, struct q
     slab.ly[0] = q->ly;
     slab.grad[0] = grad;
     memset(p->grads, 0, p->count * sizeof *p->grads);
-    k->scatter(&p->field, &slab, 0, true, 0, p->field.config.base, p->grad_maps[0], p->touched);
+    k->scatter(&p->field, &slab, 0, SET_LEVELS, 0, p->field.config.base, p->grad_maps[0],
+               p->touched);
 }
 
 // <Q x, y> = <x, Q^T y>, and the partition of unity: planes of ones give ones.
