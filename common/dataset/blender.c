@@ -54,6 +54,13 @@ static enum rn_status read_frames(struct rn_reader *reader, struct document *doc
     struct rn_json frames;
     enum rn_status status =
         rn_json_array(&document->root, "frames", 0, RN_DATASET_MAX_FRAMES, &frames, err);
+    if (status == RN_OK && json_array_size(frames.value) == 0) {
+        char where[256];
+        rn_json_where(&frames, where);
+        rn_problems_add(reader->problems,
+                        split == RN_SPLIT_TRAIN ? RN_SEVERITY_ERROR : RN_SEVERITY_WARNING, where,
+                        "has no views");
+    }
     for (size_t i = 0; status == RN_OK && i < json_array_size(frames.value); i++) {
         struct rn_json object = rn_json_element(&frames, i);
         struct rn_frame frame = {.split = split, .index = (int)i, .loss_weight = 1};

@@ -300,6 +300,8 @@ START_TEST(no_usable_view) {
     ck_assert_int_eq(rn_dataset_read(folder, &problems, &dataset, &err), RN_ERROR_INVALID);
     ck_assert_str_eq(err.where, folder);
     ck_assert_msg(strstr(err.text, "no usable training view") != NULL, "%s", err.text);
+    ck_assert_msg(strstr(err.text, "#/frames has no views") != NULL, "%s", err.text);
+    rn_problems_finish(&problems);
     put_transforms("train", FRAME("train/gone"));
     ck_assert_int_eq(rn_dataset_read(folder, NULL, &dataset, NULL), RN_ERROR_INVALID);
     ck_assert_int_eq(rn_dataset_read(folder, &problems, &dataset, &err), RN_ERROR_INVALID);

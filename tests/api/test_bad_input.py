@@ -1,0 +1,221 @@
+"""Bad datasets, one defect each: `validate` and the daemon's import name the file and the field."""
+
+import json
+import struct
+import subprocess
+import tarfile
+import zlib
+from pathlib import Path
+
+import pytest
+from PIL import Image
+
+from support.checked import Daemon, make_tar
+from support.client import INVALID, OK
+from support.photographs import pose, write_dataset
+
+TRAIN = "transforms_train.json"
+FIRST = f"{TRAIN}#/frames/0/file_path"
+
+
+@pytest.fixture(scope="module")
+def daemon(build, tmp_path_factory):
+    with Daemon(build / "server" / "ripnerfd", build / "server" / "ripnerf-runner",
+                tmp_path_factory.mktemp("bad") / "data") as running:
+        yield running
+
+
+def image(folder, name="r_0.png"):
+    return folder / "train" / name
+
+
+def edit(folder, change, name=TRAIN):
+    document = json.loads((folder / name).read_text())
+    change(document)
+    (folder / name).write_text(json.dumps(document))
+
+
+def put(folder, text, name=TRAIN):
+    (folder / name).write_text(text)
+
+
+def set_pose(matrix):
+    return lambda folder: edit(folder, lambda d: d["frames"][0].update(transform_matrix=matrix))
+
+
+def set_path(path):
+    return lambda folder: edit(folder, lambda d: d["frames"][0].update(file_path=path))
+
+
+def saved(mode, kind="png", size=(16, 16), **options):
+    """Replaces the first photograph by one of another kind under the same name."""
+    def spoil(folder):
+        Image.new(mode, size, 40).save(image(folder), kind, **options)
+    return spoil
+
+
+def chunk(name, data):
+    return struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
+
+
+def png(width, height, depth, colour, interlace, rows):
+    header = struct.pack(">IIBBBBB", width, height, depth, colour, 0, 0, interlace)
+    return (b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) +
+            chunk(b"IDAT", zlib.compress(rows)) + chunk(b"IEND", b""))
+
+
+def raw(content):
+    return lambda folder: image(folder).write_bytes(content)
+
+
+def duplicate_keys(folder):
+    put(folder, '{"camera_angle_x": 0.7, "camera_angle_x": 0.8, "frames": []}')
+
+
+SCALED = [[2 * value for value in row] for row in pose(0)[:3]] + [[0, 0, 0, 1]]
+MIRRORED = [[-row[0], *row[1:]] for row in pose(0)[:3]] + [[0, 0, 0, 1]]
+NOT_A_NUMBER = json.loads(json.dumps(pose(0)).replace("0.0", "0", 1))
+NOT_A_NUMBER[1][3] = float("nan")
+HUGE = png(100000, 100000, 8, 6, 0, b"\0" * 100)
+
+# What is spoilt, how, where the problem is said to be, and a word of what is said. An image that
+# cannot be used is reported and left out by the daemon; a document that cannot be read ends the job.
+IMAGES = {
+    "missing": (lambda folder: image(folder).unlink(), FIRST, "r_0"),
+    "truncated": (lambda folder: image(folder).write_bytes(image(folder).read_bytes()[:60]),
+                  "train/r_0.png", "damaged"),
+    "empty": (raw(b""), FIRST, ""),
+    "no image": (raw(b"#!/bin/sh\n" * 20), FIRST, ""),
+    "huge": (raw(HUGE), FIRST, "100000"),
+    "cmyk": (lambda folder: (saved("CMYK", "jpeg")(folder),
+                             image(folder).rename(image(folder, "r_0.jpg")),
+                             set_path("./train/r_0.jpg")(folder)), FIRST, "CMYK"),
+    "another size": (lambda folder: (edit(folder, lambda d: d.update(w=16, h=16)),
+                                     saved("RGB", size=(20, 12))(folder)), f"{TRAIN}#/frames/0",
+                     "20x12 pixels, the file says 16x16"),
+    "NaN in a pose": (set_pose(NOT_A_NUMBER), f"{TRAIN}#/frames/0/transform_matrix/1/3", "finite"),
+    "a scaled pose": (set_pose(SCALED), f"{TRAIN}#/frames/0/transform_matrix", "rotation"),
+    "a mirrored pose": (set_pose(MIRRORED), f"{TRAIN}#/frames/0/transform_matrix", "mirrored"),
+    "a name with ..": (set_path("../../etc/passwd"), FIRST, ""),
+    "an absolute name": (set_path("/etc/passwd"), FIRST, ""),
+}
+DOCUMENTS = {
+    "zero views": (lambda folder: edit(folder, lambda d: d.update(frames=[])), f"{TRAIN}#/frames",
+                   "no views"),
+    "duplicate keys": (duplicate_keys, TRAIN, "camera_angle_x"),
+    "no JSON": (lambda folder: put(folder, "{"), TRAIN, ""),
+    "a huge number": (lambda folder: put(folder, '{"camera_angle_x": 1e999, "frames": []}'), TRAIN,
+                      ""),
+    "no field of view": (lambda folder: edit(folder, lambda d: d.pop("camera_angle_x")), TRAIN,
+                         "camera_angle_x"),
+}
+# Unusual, and read all the same.
+GOOD = {
+    "16-bit": raw(png(16, 16, 16, 6, 0, (b"\0" + b"\x80\x01" * 64) * 16)),
+    "interlaced": raw(png(16, 16, 8, 6, 1, b"".join(
+        (b"\0" + b"\x80" * (4 * w)) * h
+        for w, h in ((2, 2), (2, 2), (4, 2), (4, 4), (8, 4), (8, 8), (16, 8))))),
+    "palette": saved("P"),
+    "grey": saved("L"),
+    "spaces and unicode": lambda folder: (
+        image(folder).rename(image(folder, "zwölf Äpfel 日本.png")),
+        set_path("./train/zwölf Äpfel 日本")(folder)),
+}
+
+
+def validate(build, folder):
+    done = subprocess.run([build / "client" / "ripnerf", "--json", "validate", folder],
+                          capture_output=True, text=True, timeout=60, check=False)
+    return done.returncode, json.loads(done.stdout)
+
+
+def upload(daemon, folder, name):
+    job = daemon.wait(daemon.upload(name.replace(" ", "-"), folder))
+    assert daemon.get("/healthz").status == 200
+    return job
+
+
+def is_said(problem, where, word):
+    return problem["where"].endswith(where) and word in problem["text"]
+
+
+@pytest.mark.parametrize("what", IMAGES)
+def test_bad_image(build, daemon, tmp_path, what):
+    spoil, where, word = IMAGES[what]
+    spoil(write_dataset(tmp_path / "data"))
+    code, report = validate(build, tmp_path / "data")
+    assert code == INVALID and report["errors"] == 1
+    assert is_said(report["problems"][0], where, word), report["problems"]
+    job = upload(daemon, tmp_path / "data", "image-" + what.replace("..", "dots"))
+    assert job["state"] == "succeeded", job
+    dataset = daemon.get(f"/v1/datasets/{job['dataset']}").json
+    assert dataset["views"] == {"train": 5, "val": 8, "test": 4}
+    assert any(is_said(problem, where, word) for problem in dataset["report"]["problems"])
+
+
+@pytest.mark.parametrize("what", DOCUMENTS)
+def test_bad_document(build, daemon, tmp_path, what):
+    spoil, where, word = DOCUMENTS[what]
+    spoil(write_dataset(tmp_path / "data"))
+    code, report = validate(build, tmp_path / "data")
+    assert code == INVALID and report["errors"] >= 1
+    assert any(where in problem["where"] and word in problem["where"] + problem["text"]
+               for problem in report["problems"]), report["problems"]
+    job = upload(daemon, tmp_path / "data", "document " + what)
+    assert job["state"] == "failed" and where in job["problem"]["detail"], job
+
+
+def test_unknown_members_are_named(build, daemon, tmp_path):
+    """Other programs write members of their own into this layout: a warning, no error."""
+    edit(write_dataset(tmp_path / "data"), lambda d: d["frames"][0].update(colour=3))
+    code, report = validate(build, tmp_path / "data")
+    assert code == OK and report["warnings"] == 1
+    assert "colour" in report["problems"][0]["where"] + report["problems"][0]["text"]
+    assert TRAIN in report["problems"][0]["where"]
+    job = upload(daemon, tmp_path / "data", "unknown")
+    assert daemon.get(f"/v1/datasets/{job['dataset']}").json["report"]["warnings"] == 1
+
+
+@pytest.mark.parametrize("what", GOOD)
+def test_unusual_image(build, daemon, tmp_path, what):
+    GOOD[what](write_dataset(tmp_path / "data"))
+    code, report = validate(build, tmp_path / "data")
+    assert code == OK and report["usable"]["train"] == 6, report["problems"]
+    job = upload(daemon, tmp_path / "data", "good " + what)
+    assert job["state"] == "succeeded", job
+    assert daemon.get(f"/v1/datasets/{job['dataset']}").json["views"]["train"] == 6
+
+
+def entry(name, kind=tarfile.REGTYPE, target="", size=0):
+    info = tarfile.TarInfo(name)
+    info.type, info.linkname, info.size = kind, target, size
+    return info
+
+
+@pytest.mark.parametrize("info", [
+    entry("link.png", tarfile.SYMTYPE, "/etc/passwd"), entry("hard.png", tarfile.LNKTYPE, "x"),
+    entry("/absolute.png"), entry("../outside.png"), entry("pipe.png", tarfile.FIFOTYPE),
+    entry("claims-too-much.png", size=1 << 40)], ids=lambda info: info.name)
+def test_bad_archive(daemon, tmp_path, info):
+    """The job fails and names the entry; nothing of it stays."""
+    archive = make_tar(write_dataset(tmp_path / "data"))
+    spoilt = info.tobuf(tarfile.USTAR_FORMAT if info.size < 1 << 33 else tarfile.GNU_FORMAT) + archive
+    reply = daemon.post("/v1/datasets", body=spoilt, query={"name": "archive"},
+                        headers={"Content-Type": "application/x-tar"})
+    assert reply.status == 202, reply.body
+    job = daemon.wait(reply.json["id"])
+    assert job["state"] == "failed" and info.name in job["problem"]["detail"], job
+    assert daemon.get("/v1/datasets/archive").status == 404
+    assert not (Path(daemon.data) / "datasets" / job["dataset"]).exists()
+    assert not list((Path(daemon.data) / "spool").glob(f"*{job['id']}*"))
+
+
+@pytest.mark.parametrize("name", ["..", "a/b", "two words", "größe", "a" * 65, ".hidden", "-x",
+                                  "ds_aaaaaaaaaaaa", ""])
+def test_bad_name(daemon, tmp_path, name):
+    archive = make_tar(write_dataset(tmp_path / "data"))
+    reply = daemon.post("/v1/datasets", body=archive, query={"name": name},
+                        headers={"Content-Type": "application/x-tar"})
+    assert reply.status == 422 and reply.json["detail"].startswith("name"), reply.body
+    reply = daemon.post("/v1/jobs", {"type": "train", "dataset": "x", "scene": name})
+    assert reply.status == 422 and reply.json["errors"][0]["pointer"] == "#/scene", reply.body
