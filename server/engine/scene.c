@@ -257,22 +257,27 @@ void rn_field_refresh(struct rn_field *field, struct rn_engine *engine) {
     field->fresh_levels = cpu->built_levels;
 }
 
+// Whether any of 8 cells in a row may hold matter.
+static bool any_of_8(const uint8_t *hull) {
+    uint64_t all;
+    memcpy(&all, hull, sizeof all);
+    return all != 0;
+}
+
+// The mean over all cells; outside the hull they are zero.
 static double occupancy_threshold(const struct rn_field *field) {
     size_t cells = (size_t)field->config.field.occupancy, n = cells * cells * cells;
     double sum = 0;
-    for (size_t i = 0; i < n; i++)
-        sum += (double)field->occupancy[i];
+    for (size_t i = 0; i < n; i += RN_BRICK) {
+        if (!any_of_8(field->hull + i)) continue;
+        float part[RN_BRICK];
+        for (int k = 0; k < RN_BRICK; k++)
+            part[k] = field->hull[i + k] ? field->occupancy[i + k] : 0;
+        sum += (double)(((part[0] + part[4]) + (part[1] + part[5])) +
+                        ((part[2] + part[6]) + (part[3] + part[7])));
+    }
     double mean = sum / (double)n;
     return mean < RN_OCCUPANCY_LIMIT ? mean : RN_OCCUPANCY_LIMIT;
-}
-
-static void grow_box(struct rn_occupancy_bits *bits, const int cell[3]) {
-    for (int i = 0; i < 3; i++) {
-        float low = 2.0f * (float)cell[i] / (float)bits->cells - 1;
-        float high = 2.0f * (float)(cell[i] + 1) / (float)bits->cells - 1;
-        if (low < bits->low[i]) bits->low[i] = low;
-        if (high > bits->high[i]) bits->high[i] = high;
-    }
 }
 
 // Chebyshev distance by one pass a direction along each axis.
@@ -300,27 +305,46 @@ static void spread_distance(uint8_t *distance, int bricks) {
     }
 }
 
+// Sets the bits of the 8 cells from (x, y, z) on that lie over the threshold; returns them.
+static unsigned set_bits(struct rn_field *field, float threshold, int x, int y, int z) {
+    struct rn_occupancy_bits *bits = &field->cpu.occupancy;
+    size_t at = rn_cell_index(x, y, z, bits->cells), word = rn_brick_word(x, y, z, bits->cells);
+    uint32_t bit = rn_brick_bit(x, y);
+    unsigned set = 0;
+    if (!any_of_8(field->hull + at)) return 0;
+    for (int k = 0; k < RN_BRICK; k++)
+        set |= (unsigned)(field->hull[at + k] && field->occupancy[at + k] > threshold) << k;
+    if (!set) return 0;
+    for (int k = 0; k < RN_BRICK; k++)
+        if (set >> k & 1) bits->words[word + 2 * (size_t)k] |= bit;
+    bits->distance[word / 16] = 0;
+    return set;
+}
+
 void rn_field_refresh_occupancy(struct rn_field *field) {
     struct rn_occupancy_bits *bits = &field->cpu.occupancy;
     int cells = bits->cells, bricks = cells / RN_BRICK;
+    int first[3] = {cells, cells, cells}, last[3] = {-1, -1, -1};
     size_t brick_count = (size_t)bricks * bricks * bricks;
     float threshold = (float)occupancy_threshold(field);
     memset(bits->words, 0, brick_count * 16 * sizeof *bits->words);
     memset(bits->distance, 255, brick_count);
-    for (int i = 0; i < 3; i++) {
-        bits->low[i] = 2;
-        bits->high[i] = -2;
-    }
     for (int x = 0; x < cells; x++)
         for (int y = 0; y < cells; y++)
-            for (int z = 0; z < cells; z++) {
-                size_t at = rn_cell_index(x, y, z, cells);
-                if (!field->hull[at] || !(field->occupancy[at] > threshold)) continue;
-                size_t word = rn_brick_word(x, y, z, cells);
-                bits->words[word] |= rn_brick_bit(x, y);
-                bits->distance[word / 16] = 0;
-                grow_box(bits, (const int[3]){x, y, z});
+            for (int z = 0; z < cells; z += RN_BRICK) {
+                unsigned set = set_bits(field, threshold, x, y, z);
+                if (!set) continue;
+                int low[3] = {x, y, z + __builtin_ctz(set)};
+                int high[3] = {x, y, z + 31 - __builtin_clz(set)};
+                for (int i = 0; i < 3; i++) {
+                    if (low[i] < first[i]) first[i] = low[i];
+                    if (high[i] > last[i]) last[i] = high[i];
+                }
             }
+    for (int i = 0; i < 3; i++) {
+        bits->low[i] = last[i] < 0 ? 2 : 2.0f * (float)first[i] / (float)cells - 1;
+        bits->high[i] = last[i] < 0 ? -2 : 2.0f * (float)(last[i] + 1) / (float)cells - 1;
+    }
     spread_distance(bits->distance, bricks);
 }
 
@@ -356,8 +380,9 @@ static bool enter_cube(const double o[3], const double d[3], double *ret_enter) 
     for (int i = 0; i < 3; i++) {
         double direction = fabs(d[i]) < 1e-12 ? copysign(1e-12, d[i]) : d[i];
         double a = (-1 - o[i]) / direction, b = (1 - o[i]) / direction;
-        enter = fmax(enter, fmin(a, b));
-        leave = fmin(leave, fmax(a, b));
+        double first = a < b ? a : b, last = a < b ? b : a;
+        enter = first > enter ? first : enter;
+        leave = last < leave ? last : leave;
     }
     *ret_enter = enter;
     return leave > enter;

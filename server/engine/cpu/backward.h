@@ -139,21 +139,27 @@ RN_INLINE void copy_row(float *to, const float *from, size_t n) {
 static int backward_select(const struct rn_cpu_field *field, const struct rn_march_options *options,
                            const struct rn_march_ray *rays, struct rn_workspace *w) {
     int n = 0;
-    for (int i = 0; i < w->count; i++) {
-        float q = w->weight[i] > 0 ? (w->after[i] + w->weight[i]) * w->x[i] : 0;
-        if (!(q > 0)) continue;
-        float *grad = w->geometry_grad + (size_t)i * RN_GEOMETRY, scale = 1;
-        if (q < options->roulette) {
-            uint64_t place = (uint64_t)rays[w->ray[i]].id << 20 | (uint32_t)i;
-            float p = q / options->roulette;
-            if (rn_rng_unit(rn_rng_draw(options->seed, options->counter, place).v[0]) >= p)
-                continue;
-            scale = 1 / p;
+    for (int begin = 0; begin < w->count; begin += RN_VL) {
+        vf weight = vf_load(w->weight + begin);
+        vf q = (vf_load(w->after + begin) + weight) * vf_load(w->x + begin);
+        unsigned some = vi_mask_bits((weight > 0.0f) & (q > 0.0f));
+        if (w->count - begin < RN_VL) some &= (1u << (w->count - begin)) - 1;
+        for (; some; some &= some - 1) {
+            int i = begin + __builtin_ctz(some);
+            float *grad = w->geometry_grad + (size_t)i * RN_GEOMETRY, scale = 1;
+            if (q[i - begin] < options->roulette) {
+                uint64_t place = (uint64_t)rays[w->ray[i]].id << 20 | (uint32_t)i;
+                float p = q[i - begin] / options->roulette;
+                if (rn_rng_unit(rn_rng_draw(options->seed, options->counter, place).v[0]) >= p)
+                    continue;
+                scale = 1 / p;
+            }
+            grad[0] = w->slope[i] * w->x[i]; // density' = density
+            if (i != n || scale > 1)
+                *(row16 *)(w->geometry_grad + (size_t)n * RN_GEOMETRY) =
+                    *(const row16 *)grad * scale;
+            w->kept[n++] = i;
         }
-        grad[0] = w->slope[i] * w->x[i]; // density' = density
-        row16 row = *(const row16 *)grad * scale;
-        *(row16 *)(w->geometry_grad + (size_t)n * RN_GEOMETRY) = row;
-        w->kept[n++] = i;
     }
     const struct rn_mlp_shape *shape = &field->base_shape;
     size_t stride = (size_t)field->feature_stride, hidden = hidden_stride(field->config.width);
@@ -169,38 +175,59 @@ static int backward_select(const struct rn_cpu_field *field, const struct rn_mar
 // Counts the samples that enter the loss, by the larger level of any axis.
 static void count_samples(const struct rn_cpu_field *field, bool leveled,
                           const struct rn_workspace *w, struct rn_group *group) {
-    for (int i = 0; i < w->count; i++) {
-        if (!(w->weight[i] > 0)) continue;
-        float level = 0;
-        for (int p = 0; leveled && p < field->config.planes; p++)
-            level = fmaxf(level, fmaxf(w->lx[p][i], w->ly[p][i]));
-        group->level_samples[(int)level]++;
-        group->samples++;
+    for (int i = 0; i < w->count; i += RN_VL) {
+        unsigned some = vi_mask_bits(vf_load(w->weight + i) > 0.0f);
+        if (w->count - i < RN_VL) some &= (1u << (w->count - i)) - 1;
+        group->samples += (unsigned)__builtin_popcount(some);
+        if (!leveled) {
+            group->level_samples[0] += (unsigned)__builtin_popcount(some);
+            continue;
+        }
+        vf most = vf_set(0);
+        for (int p = 0; p < field->config.planes; p++)
+            most = vf_max(most, vf_max(vf_load(w->lx[p] + i), vf_load(w->ly[p] + i)));
+        vi level = vi_from_float(most);
+        for (; some; some &= some - 1)
+            group->level_samples[level[__builtin_ctz(some)]]++;
     }
     group->evaluated += (uint64_t)w->count;
+}
+
+// to[j] = from[at[j]]; writes up to a vector beyond, reads at[] as far.
+RN_INLINE void gather(const float *from, const int32_t *at, int n, float *to) {
+    for (int j = 0; j < n; j += RN_VL)
+        vi_store((int32_t *)(to + j), vi_gather((const int32_t *)from, vi_load(at + j)));
 }
 
 // Appends the kept samples' plane coordinates and feature gradients.
 static void slab_append(const struct rn_cpu_field *field, bool leveled, int n,
                         const float *feature_grad, const struct rn_workspace *w,
                         struct rn_slab *slab) {
-    int channels = field->config.channels;
+    int channels = field->config.channels, stride = field->feature_stride, at = slab->count;
     bool levels = field->built_levels > 1 && field->config.footprint != RN_FOOTPRINT_POINT;
     for (int p = 0; p < field->config.planes; p++) {
-        float *grad = slab->grad[p] + (size_t)slab->count * channels;
-        const float *from = feature_grad + p * channels;
-        for (int j = 0; j < n; j++) {
-            int i = w->kept[j], at = slab->count + j;
-            slab->u[p][at] = w->u[p][i];
-            slab->v[p][at] = w->v[p][i];
-            if (levels) {
-                slab->lx[p][at] = leveled ? w->lx[p][i] : 0;
-                slab->ly[p][at] = leveled ? w->ly[p][i] : 0;
-            }
-            for (int c = 0; c < channels; c += 4)
-                *(v4 *)(grad + (size_t)j * channels + c) =
-                    *(const v4 *)(from + (size_t)j * field->feature_stride + c);
+        gather(w->u[p], w->kept, n, slab->u[p] + at);
+        gather(w->v[p], w->kept, n, slab->v[p] + at);
+        if (levels && leveled) {
+            gather(w->lx[p], w->kept, n, slab->lx[p] + at);
+            gather(w->ly[p], w->kept, n, slab->ly[p] + at);
+        } else if (levels) {
+            memset(slab->lx[p] + at, 0, (size_t)n * sizeof(float));
+            memset(slab->ly[p] + at, 0, (size_t)n * sizeof(float));
         }
+        float *grad = slab->grad[p] + (size_t)at * (size_t)channels;
+        const float *from = feature_grad + p * channels;
+#define RN_COPY(TYPE)                                                                              \
+    for (int j = 0; j < n; j++)                                                                    \
+    ((TYPE *)grad)[j] = *(const TYPE *)(from + (size_t)j * (size_t)stride)
+        if (channels == 4) {
+            RN_COPY(v4);
+        } else if (channels == 8) {
+            RN_COPY(v8);
+        } else {
+            RN_COPY(v16);
+        }
+#undef RN_COPY
     }
     slab->count += n;
 }

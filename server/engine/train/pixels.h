@@ -30,7 +30,14 @@ enum rn_status rn_pixels_load(const struct rn_dataset *dataset,
                               struct rn_pixels *ret_pixels, struct rn_error *err) RN_MUST_CHECK;
 void rn_pixels_finish(struct rn_pixels *pixels);
 
-// Pixel (x, y) of a frame over a background, in [0, 1].
+// Pixel (x, y) of a frame.
+static inline const uint8_t *rn_pixel_at(const struct rn_pixels *pixels,
+                                         const struct rn_pixel_frame *frame, int x, int y) {
+    return pixels->rgba +
+           4 * (frame->offset + (size_t)y * (size_t)frame->frame->camera.width + (size_t)x);
+}
+
+// A pixel over a background, in [0, 1].
 static inline void rn_pixel_over(const uint8_t rgba[4], const float background[3], float rgb[3]) {
     float alpha = (float)rgba[3] * (1 / 255.0f);
     for (int c = 0; c < 3; c++)

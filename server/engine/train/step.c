@@ -99,9 +99,7 @@ struct rn_march_ray rn_trainer_ray(const struct rn_trainer *t, const struct rn_p
     const struct rn_camera *camera = &frame->frame->camera;
     struct rn_ray ray = rn_camera_ray(camera, x + 0.5, y + 0.5);
     struct rn_march_ray out = rn_march_ray_from(t->field, &ray, t->field->config.step, jitter);
-    const uint8_t *rgba =
-        pixels->rgba + 4 * (frame->offset + (size_t)y * (size_t)camera->width + (size_t)x);
-    rn_pixel_over(rgba, t->field->config.background, out.target);
+    rn_pixel_over(rn_pixel_at(pixels, frame, x, y), t->field->config.background, out.target);
     return out;
 }
 
@@ -158,23 +156,52 @@ static struct rn_rng4 draw_of(const struct rn_trainer *t, int r) {
     return rn_rng_draw(t->march.seed, STREAM_RAYS | (uint32_t)r, t->march.counter);
 }
 
-const struct rn_pixel_frame *rn_trainer_place(const struct rn_trainer *t, int r, int *ret_x,
-                                              int *ret_y) {
-    if (t->field->config.equal_scales) return draw_live_pixel(t, r, draw_of(t, r), ret_x, ret_y);
-    return draw_pixel(t, draw_of(t, r), ret_x, ret_y);
+// Where ray r of a step starts. `frame` is NULL for an absent ray.
+struct place {
+    const struct rn_pixel_frame *frame;
+    int x, y;
+    float jitter;
+};
+
+static struct place place_of(const struct rn_trainer *t, int r) {
+    struct rn_rng4 draw = draw_of(t, r);
+    struct place place = {.jitter = rn_rng_unit(draw.v[2])};
+    place.frame = t->field->config.equal_scales ? draw_live_pixel(t, r, draw, &place.x, &place.y)
+                                                : draw_pixel(t, draw, &place.x, &place.y);
+    return place;
 }
 
-static struct rn_march_ray draw_ray(const struct rn_trainer *t, int r) {
-    const struct rn_train_config *config = &t->field->config;
-    struct rn_rng4 draw = draw_of(t, r);
-    int x, y;
-    const struct rn_pixel_frame *frame = rn_trainer_place(t, r, &x, &y);
-    if (!frame) return (struct rn_march_ray){.stride = 1};
+const struct rn_pixel_frame *rn_trainer_place(const struct rn_trainer *t, int r, int *ret_x,
+                                              int *ret_y) {
+    struct place place = place_of(t, r);
+    *ret_x = place.x;
+    *ret_y = place.y;
+    return place.frame;
+}
+
+static struct rn_march_ray ray_at(const struct rn_trainer *t, int r, const struct place *place) {
+    if (!place->frame) return (struct rn_march_ray){.stride = 1};
     struct rn_march_ray ray =
-        rn_trainer_ray(t, &t->train, frame, x, y, (double)rn_rng_unit(draw.v[2]));
-    ray.weight = config->equal_scales ? 1 : (float)frame->frame->loss_weight;
+        rn_trainer_ray(t, &t->train, place->frame, place->x, place->y, (double)place->jitter);
+    ray.weight = t->field->config.equal_scales ? 1 : (float)place->frame->frame->loss_weight;
     ray.id = (uint32_t)r;
     return ray;
+}
+
+// Rays [begin, end) of a step. All places first: their pixels lie anywhere in memory.
+static void draw_rays(struct rn_trainer *t, int begin, int end) {
+    struct place places[32];
+    for (; begin < end; begin += 32) {
+        int n = end - begin < 32 ? end - begin : 32;
+        for (int i = 0; i < n; i++) {
+            places[i] = place_of(t, begin + i);
+            if (places[i].frame)
+                __builtin_prefetch(
+                    rn_pixel_at(&t->train, places[i].frame, places[i].x, places[i].y));
+        }
+        for (int i = 0; i < n; i++)
+            t->rays[begin + i] = ray_at(t, begin + i, &places[i]);
+    }
 }
 
 // ---- waves ----------------------------------------------------------------------------------
@@ -184,9 +211,7 @@ static void forward_backward(void *context, int index, int thread) {
     struct rn_group *group = &t->groups[index];
     if (group->cursor == group->end) return;
     int first = (int)((int64_t)t->ray_count * index / RN_GROUPS);
-    if (group->cursor == first && group->slab.count == 0)
-        for (int r = first; r < group->end; r++)
-            t->rays[r] = draw_ray(t, r);
+    if (group->cursor == first && group->slab.count == 0) draw_rays(t, first, group->end);
     t->engine->kernels->train(&t->field->cpu, &t->march, t->rays,
                               rn_engine_workspace(t->engine, thread), group);
 }
