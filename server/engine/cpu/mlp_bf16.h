@@ -66,33 +66,48 @@ struct finish {
     uint16_t *pairs;        // of a gradient: the same, pairs along the rows
 };
 
-RN_INLINE __m512i take_sums(const struct finish *f, int row) {
-    const float *sums = f->sums + row * 32;
-    return bf16_of(_mm512_load_ps(sums), f->wide ? _mm512_load_ps(sums + 16) : _mm512_setzero_ps());
+RN_INLINE __m512i take_sums(const float *sums, const bool WIDE) {
+    return bf16_of(_mm512_load_ps(sums), WIDE ? _mm512_load_ps(sums + 16) : _mm512_setzero_ps());
 }
 
-RN_INLINE __m512i take_grad(const struct finish *f, int row) {
-    __m512i active = _mm512_loadu_si512(f->active + row * f->stride);
-    return _mm512_maskz_mov_epi16(_mm512_cmpgt_epi16_mask(active, _mm512_setzero_si512()),
-                                  take_sums(f, row));
+RN_INLINE __m512i take_grad(const float *sums, const uint16_t *active, const bool WIDE) {
+    __m512i is = _mm512_loadu_si512(active);
+    return _mm512_maskz_mov_epi16(_mm512_cmpgt_epi16_mask(is, _mm512_setzero_si512()),
+                                  take_sums(sums, WIDE));
 }
 
-static void finish(struct finish *f) {
-    uint16_t *to = f->to;
-    f->to = NULL;
-    if (!to) return;
-    if (!f->active) {
-        for (int i = 0; i < RN_TILES_M; i++)
-            _mm512_storeu_si512(to + i * f->stride,
-                                _mm512_max_epi16(take_sums(f, i), _mm512_setzero_si512()));
-        return;
+RN_INLINE void finish_activation(struct finish f, const bool WIDE) {
+#pragma GCC unroll 4
+    for (int i = 0; i < RN_TILES_M; i++, f.sums += 32, f.to += f.stride)
+        _mm512_storeu_si512(f.to,
+                            _mm512_max_epi16(take_sums(f.sums, WIDE), _mm512_setzero_si512()));
+}
+
+RN_INLINE void finish_grad(struct finish f, const bool WIDE) {
+#pragma GCC unroll 4
+    for (int i = 0; i < RN_TILES_M; i += 2, f.sums += 64, f.pairs += 32) {
+        __m512i even = take_grad(f.sums, f.active, WIDE);
+        __m512i odd = take_grad(f.sums + 32, f.active + f.stride, WIDE);
+        _mm512_storeu_si512(f.to, even);
+        _mm512_storeu_si512(f.to + f.stride, odd);
+        store_pairs(even, odd, WIDE, f.pairs);
+        f.to += 2 * f.stride;
+        f.active += 2 * f.stride;
     }
-    for (int i = 0; i < RN_TILES_M; i += 2) {
-        __m512i even = take_grad(f, i), odd = take_grad(f, i + 1);
-        _mm512_storeu_si512(to + i * f->stride, even);
-        _mm512_storeu_si512(to + (i + 1) * f->stride, odd);
-        store_pairs(even, odd, f->wide, f->pairs + i * 16);
-    }
+}
+
+static void finish(struct finish *next) {
+    const struct finish f = *next;
+    next->to = NULL;
+    if (!f.to) return;
+    if (f.active && f.wide)
+        finish_grad(f, true);
+    else if (f.active)
+        finish_grad(f, false);
+    else if (f.wide)
+        finish_activation(f, true);
+    else
+        finish_activation(f, false);
 }
 
 // Rows on their way through the layers. A product's sums are finished after the next product is
