@@ -5,7 +5,9 @@
 
 #include "tests/numerics/trainer.h"
 
-#define LONG_ENOUGH 40 // steps
+// Steps: the occupancy is refreshed and view dependence decided on the way.
+#define LONG_ENOUGH 24
+
 enum { PLAIN, PAUSED, SAVED, RESUMED, CRASHED, WAYS };
 static const char *const ways[WAYS] = {
     "undisturbed", "paused, rendered and evaluated between steps", "a checkpoint after every step",
@@ -144,7 +146,7 @@ static int check_ways(const char *kernels, const struct rn_dataset *sets[2], boo
         char name[120];
         snprintf(name, sizeof name, "11 %s, %s", ways[way], kernels);
         struct numerics_case c = {
-            name, "1, 2, 3, 8 threads, 40 steps, one scale and three", "bytes differ", 0, 0, ""};
+            name, "1, 2, 3, 8 threads, 24 steps, one scale and three", "bytes differ", 0, 0, ""};
         for (int i = 0; i < 8; i++) {
             if (way == PLAIN && i / 2 == 0) continue; // the truth itself
             float *got = parameters_of(kernels, sets[i % 2], threads[i / 2], way, &same, &steps);
@@ -172,7 +174,7 @@ int main(void) {
     while (rn_kernels_available(count))
         count++;
     for (int i = 0; (k = rn_kernels_available(i)); i++)
-        failed += check_ways(k->name, sets, true);
+        failed += check_ways(k->name, sets, i == 0 || i + 1 == count);
     rn_dataset_destroy(&plain);
     rn_dataset_destroy(&scaled);
     must(rn_remove_tree(folder, &err), &err);

@@ -156,7 +156,7 @@ void rn_trainer_detect_effects(struct rn_trainer *t) {
 // RMS change of the colours of training rays when another camera's direction is put into the
 // colour network in place of their own.
 static double direction_change(struct rn_trainer *t) {
-    struct rn_march_options options = t->march;
+    struct rn_march_options options = rn_trainer_march(t);
     double sum = 0;
     int hits = 0;
     for (int i = 0; i < PROBES; i++) {

@@ -227,17 +227,22 @@ static void scatter_band(void *context, int index, int thread) {
                                         t->grad_maps[plane], t->touched + (size_t)plane * t->tiles);
 }
 
-void rn_trainer_begin_step(struct rn_trainer *t) {
+struct rn_march_options rn_trainer_march(const struct rn_trainer *t) {
     const struct rn_train_config *config = &t->field->config;
+    struct rn_march_options march = {.step = (float)config->step,
+                                     .stop_depth = (float)-log(config->stop),
+                                     .roulette = (float)config->roulette,
+                                     .seed = config->seed,
+                                     .counter = (uint64_t)t->progress.step};
+    memcpy(march.background, config->background, sizeof config->background);
+    return march;
+}
+
+void rn_trainer_begin_step(struct rn_trainer *t) {
     const struct rn_parameters *p = &t->field->parameters;
     t->stepping = true;
     t->ray_count = t->next_rays;
-    t->march = (struct rn_march_options){.step = (float)config->step,
-                                         .stop_depth = (float)-log(config->stop),
-                                         .roulette = (float)config->roulette,
-                                         .seed = config->seed,
-                                         .counter = (uint64_t)t->progress.step};
-    memcpy(t->march.background, config->background, sizeof config->background);
+    t->march = rn_trainer_march(t);
     for (int g = 0; g < RN_GROUPS; g++) {
         struct rn_group *group = &t->groups[g];
         struct rn_slab slab = group->slab;

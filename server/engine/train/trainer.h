@@ -99,6 +99,8 @@ void rn_trainer_free_step(struct rn_trainer *trainer); // what rn_trainer_alloca
 enum rn_status rn_trainer_allocate(struct rn_trainer *trainer, struct rn_error *err) RN_MUST_CHECK;
 // The first row of a plane's band, 0 to `bands`.
 int rn_trainer_band(const struct rn_trainer *trainer, int band);
+// How the next step marches; nothing of the step before is in it.
+struct rn_march_options rn_trainer_march(const struct rn_trainer *trainer);
 void rn_trainer_begin_step(struct rn_trainer *trainer);
 void rn_trainer_run_wave(struct rn_trainer *trainer); // clears `stepping` when the step is complete
 // The ray through pixel (x, y) of a frame, target over the background.
