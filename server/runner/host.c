@@ -293,7 +293,7 @@ int rn_host_run(int fd) {
         go_on = handle_letters(&host);
         if (go_on && !host.link.closed) do_some_work(&host);
     }
-    if (!go_on) rn_training_save(&host);
+    rn_training_save(&host); // also when the daemon has died
     finish(&host);
     return 0;
 }

@@ -17,7 +17,8 @@
 #define EVALUATION_GROWTH 0.5      // of the time trained so far, until the next round,
 #define EVALUATION_INTERVAL_S 30.0 // but this at most,
 #define TRAIN_PER_EVALUATION 4.0   // and this many times the last round's time at least
-#define CHECKPOINT_INTERVAL_S 30.0
+#define CHECKPOINT_INTERVAL_S 30.0 // at most; a fifth of the time trained, but FIRST_ at least
+#define FIRST_CHECKPOINT_S 5.0
 #define QUICK_STEP_S 0.1 // a step that is worth completing and saving before a cancel
 #define SAVING_POLL_MS 2
 
@@ -26,7 +27,7 @@
 struct rn_training {
     char job[RN_ID_MAX];
     struct rn_trainer *trainer;
-    double checkpoint_interval_s, evaluate_interval_s; // the latter NAN: geometrically
+    double checkpoint_interval_s, evaluate_interval_s; // NAN: ever fewer as time goes on
     double paused_since, paused_seconds;               // since: NAN when it is not paused
     double yielded_seconds;
     double checkpointed_at, reported_at;
@@ -235,8 +236,7 @@ void rn_training_start(struct rn_host *host, const struct rn_wire_train *train) 
         return;
     }
     memcpy(training->job, train->job, sizeof training->job);
-    training->checkpoint_interval_s =
-        rn_number_or(options->checkpoint_interval_s, CHECKPOINT_INTERVAL_S);
+    training->checkpoint_interval_s = options->checkpoint_interval_s;
     training->evaluate_interval_s = options->evaluate_interval_s;
     training->paused_since = NAN;
     training->checkpointed_at = training->reported_at = now_s();
@@ -357,6 +357,14 @@ static bool evaluation_is_due(const struct rn_training *training,
     return since >= fmax(wait, TRAIN_PER_EVALUATION * training->round_seconds);
 }
 
+static bool checkpoint_is_due(const struct rn_training *training, double train_seconds,
+                              double now) {
+    double interval = fmin(fmax(0.2 * train_seconds, FIRST_CHECKPOINT_S), CHECKPOINT_INTERVAL_S);
+    return !rn_saving_is_busy(&training->saving) &&
+           now - training->checkpointed_at >=
+               rn_number_or(training->checkpoint_interval_s, interval);
+}
+
 static enum rn_status advance(struct rn_host *host, struct rn_error *err) {
     struct rn_training *training = host->training;
     bool round_done = false;
@@ -399,8 +407,7 @@ void rn_training_slice(struct rn_host *host) {
     }
     double now = now_s();
     if (now - training->reported_at >= PROGRESS_INTERVAL_S) post_progress(host, &progress);
-    if (!training->closing && !rn_saving_is_busy(&training->saving) &&
-        now - training->checkpointed_at >= training->checkpoint_interval_s)
+    if (!training->closing && checkpoint_is_due(training, progress.train_seconds, now))
         training->saving.wanted = true;
 }
 

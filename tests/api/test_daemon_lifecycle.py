@@ -180,7 +180,7 @@ def test_path_into_a_training_that_is_loading(make_daemon, photographs):
 
 
 def test_frames_of_another_step_are_not_kept(programs, photographs, tmp_path):
-    """A path cut off by a crash goes on; after a crash that threw the scene back it begins anew."""
+    """After a crash that threw the scene back a path begins anew."""
     daemon = Daemon(*programs, tmp_path / "d", {"RIPNERF_FAKE_STEP_US": "2000",
                                                 "RIPNERF_FAKE_ROW_US": "5000"}).start()
     try:
@@ -193,12 +193,29 @@ def test_frames_of_another_step_are_not_kept(programs, photographs, tmp_path):
             time.sleep(0.02)
         first = int((folder / ".step").read_text())
         assert first >= 50
-        daemon.stop(signal.SIGKILL)
-        daemon.start()
+        for pid in daemon.runners():
+            os.kill(pid, signal.SIGKILL)
         record = daemon.wait(path, timeout=60)
         assert record["state"] == "succeeded" and record["result"]["frames"] == 41
         assert record["result"]["step"] < first  # there was no checkpoint: training began anew
         assert int((folder / ".step").read_text()) == record["result"]["step"]
+        command(daemon, job, "cancel")
+    finally:
+        daemon.stop()
+
+
+def test_a_daemon_that_dies_loses_no_training(programs, photographs, tmp_path):
+    """Its runners notice, save and end."""
+    daemon = Daemon(*programs, tmp_path / "d", {"RIPNERF_FAKE_STEP_US": "2000"}).start()
+    try:
+        daemon.wait(daemon.upload("data", photographs))
+        job = train(daemon, "s", max_steps=100000, checkpoint_interval_s=1000)
+        wait_for_step(daemon, job, 300)
+        assert daemon.get("/v1/scenes/s").json["checkpoints"] == []
+        daemon.stop(signal.SIGKILL)
+        daemon.start()
+        wait_for_step(daemon, job, 1)
+        assert step_of(daemon, job) >= 300
         command(daemon, job, "cancel")
     finally:
         daemon.stop()

@@ -31,7 +31,7 @@ const STATS = [
 ];
 
 /** What a finished job's record gives in place of live progress. */
-function finalFigures(scene, job) {
+function finalFigures(scene, job, last) {
   const p = job?.progress;
   const r = job?.result;
   return {
@@ -39,7 +39,7 @@ function finalFigures(scene, job) {
     rays_per_second: NaN,
     samples_per_second: NaN,
     ...p,
-    psnr: r?.psnr ?? p?.psnr ?? scene.psnr,
+    psnr: r?.psnr ?? p?.psnr ?? last?.y ?? scene.psnr,
     step: r?.steps ?? p?.step ?? scene.steps,
     train_seconds: r?.train_seconds ?? p?.train_seconds ?? scene.train_seconds
   };
@@ -77,7 +77,7 @@ export function trainingPanel(sceneId, signal) {
     if (!scene) return;
     const job = trainingOf(scene);
     follow(job);
-    const figures = finalFigures(scene, job);
+    const figures = finalFigures(scene, job, points.at(-1));
     const active = isActive(job);
     setChip(
         mark,
