@@ -315,6 +315,45 @@ static int check_pyramid(const struct rn_kernels *k, struct numerics_random *ran
     return numerics_close(&c);
 }
 
+// What a product's error may be, relative to the sum of its terms' magnitudes: a rounding of each
+// term and sum; and where operands are rounded to bf16, 2^-8 for each: 2^-7 + 2^-16 together.
+static double product_bound(const struct rn_kernels *k, int terms) {
+    double sums = (terms + 2) * 0x1p-24;
+    return rn_kernels_bf16(k) ? sums + 0x1p-7 + 0x1p-16 : sums;
+}
+
+static int check_products(const struct rn_kernels *k, struct numerics_random *random) {
+    enum { ROWS = 70, K = 200, N = 64 };
+    static float a[ROWS * K], b[K * N], c[ROWS * N];
+    char name[80], unit[80];
+    snprintf(name, sizeof name, "5 networks' products, %s", k->name);
+    snprintf(unit, sizeof unit, "of (%s(K + 2) 2^-24) sum |a b|",
+             rn_kernels_bf16(k) ? "2^-7 + 2^-16 + " : "");
+    struct numerics_case cases = {name, "K 1..200, numbers 1e-4..1e4 of both signs", unit, 1, 0,
+                                  ""};
+    for (int trial = 0; trial < 60; trial++) {
+        int rows = 1 + trial, terms = 1 + trial * trial * 7 % K, columns = 16 + trial % 4 * 16;
+        for (int i = 0; i < ROWS * K; i++)
+            a[i] = (float)numerics_spread(random, 1e-4, 1e4) * (i % 3 ? 1 : -1);
+        for (int i = 0; i < K * N; i++)
+            b[i] = (float)numerics_spread(random, 1e-4, 1e4) * (i % 5 ? 1 : -1);
+        k->gemm(rows, terms, columns, a, K, b, N, c, N);
+        for (int i = 0; i < rows; i++)
+            for (int j = 0; j < columns; j++) {
+                long double sum = 0, size = 0;
+                for (int t = 0; t < terms; t++) {
+                    long double term = (long double)a[i * K + t] * (long double)b[t * N + j];
+                    sum += term;
+                    size += fabsl(term);
+                }
+                double error = (double)(fabsl((long double)c[i * N + j] - sum) / size);
+                numerics_see(&cases, error / product_bound(k, terms), "K %d, row %d, column %d",
+                             terms, i, j);
+            }
+    }
+    return numerics_close(&cases);
+}
+
 int main(void) {
     struct numerics_random random = numerics_random();
     const struct rn_kernels *k;
@@ -330,6 +369,7 @@ int main(void) {
         failed += check_adamw(k, &random);
         failed += check_denormals(k, &random);
         failed += check_pyramid(k, &random);
+        failed += check_products(k, &random);
     }
     return failed > 0;
 }

@@ -158,7 +158,7 @@ static void tear_down(struct setup *s) {
 
 // Error bounds against float64: of the loss (relative), of pixels and depth (absolute), and of
 // gradients (relative to the largest number; with bf16 products of the norm). bf16 products round
-// every operand, a relative error up to 2^-9 = 0.002 each, on random parameters without structure.
+// every operand, a relative error up to 2^-8 = 0.004 each, on random parameters without structure.
 struct bounds {
     double loss, colour, depth, gradient;
 };
