@@ -1,0 +1,183 @@
+"""The n-th allocation or system call fails, for n = 1, 2, 3 and so on, until a round meets none.
+
+The daemon must go on serving, answer what it documents (or nothing), and keep what it acknowledged.
+"""
+
+import errno
+import http.client
+import time
+
+import pytest
+
+from support.checked import Daemon
+from support.faults import Faults
+from support.photographs import pose, write_dataset
+
+PATH = {"axes": "opengl", "width": 8, "height": 8,
+        "keys": [{"time": 0, "world_from_camera": pose(0)[:3], "fov_y_deg": 40}]}
+FAILURES = [("malloc", 0), ("write", errno.ENOSPC), ("write", errno.EIO), ("short-write", 0),
+            ("sync", errno.EIO), ("open", errno.EMFILE), ("rename", errno.EIO),
+            ("mkdir", errno.ENOSPC), ("read", errno.EINTR)]
+
+
+@pytest.fixture(scope="module")
+def faults(build, tmp_path_factory):
+    return Faults(build, tmp_path_factory.mktemp("faults") / "plan", "ripnerfd")
+
+
+@pytest.fixture(scope="module")
+def daemon(programs, faults, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("faults")
+    with Daemon(*programs, folder / "data", faults.environment) as running:
+        running.wait(running.upload("data", write_dataset(folder / "photographs")))
+        running.train("s", max_steps=3)
+        yield running
+
+
+def post(daemon, path, body):
+    """The reply, or None when the connection ended without one."""
+    try:
+        return daemon.post(path, body)
+    except (http.client.HTTPException, ConnectionError):
+        return None
+
+
+def is_well(daemon):
+    """It serves again as soon as nothing fails any more."""
+    deadline = time.monotonic() + 10
+    while daemon.get("/readyz").status != 200:
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+
+
+def rounds(daemon, faults, kind, error, ask, most=400):
+    """Calls ask(n) with the n-th call failing; the first call without a failure ends it."""
+    for n in range(1, most):
+        faults.arm(kind, n, error)
+        try:
+            ask(n)
+        finally:
+            hits = faults.disarm()
+        assert daemon.process.poll() is None, daemon.log_text()[-3000:]
+        assert daemon.get("/healthz").status == 200
+        if not hits:
+            return n
+    return most
+
+
+@pytest.mark.parametrize("kind, error", FAILURES)
+def test_acknowledged_paths_are_kept(daemon, faults, kind, error):
+    kept = []
+
+    def ask(n):
+        name = f"{kind}-{error}-{n}"
+        reply = post(daemon, "/v1/camera-paths", {"name": name, "path": PATH})
+        faults.disarm()
+        there = daemon.get(f"/v1/camera-paths/{name}").status
+        if reply is not None and reply.status == 201:
+            kept.append(name)
+            assert there == 200, n
+        elif reply is not None and kind != "malloc":  # an answer may find no memory after the deed
+            assert there == 404, (n, reply.body)
+    assert rounds(daemon, faults, kind, error, ask) < 400
+    assert kept
+    is_well(daemon)
+
+
+@pytest.mark.parametrize("kind, error", FAILURES + [("socket", errno.EMFILE)])
+def test_jobs_end_whatever_fails(daemon, faults, kind, error):
+    """A submission that was acknowledged is a job, and every job ends."""
+    def ask(n):
+        reply = post(daemon, "/v1/jobs", {"type": "eval", "scene": "s", "options": {"views": 1}})
+        time.sleep(0.02)
+        faults.disarm()
+        if reply is not None and reply.status == 202:
+            record = daemon.wait(reply.json["id"])
+            assert record["state"] in ("succeeded", "failed"), record
+    rounds(daemon, faults, kind, error, ask, 60)
+    is_well(daemon)
+    job = daemon.submit(type="eval", scene="s", options={"views": 1})
+    assert daemon.wait(job)["state"] == "succeeded"
+
+
+def test_no_connection_can_be_accepted(daemon, faults):
+    """Out of descriptors for a moment: later ones are served."""
+    faults.arm("accept", 1, errno.EMFILE)
+    try:
+        daemon.get("/healthz")
+    except (http.client.HTTPException, OSError):
+        pass
+    faults.disarm()
+    assert daemon.get("/healthz").status == 200
+
+
+def test_all_is_there_after_a_restart(daemon):
+    names = [item["name"] for item in daemon.get("/v1/camera-paths?limit=200").json["items"]]
+    assert names
+    assert daemon.stop() == 0
+    daemon.start()
+    assert names == [item["name"]
+                     for item in daemon.get("/v1/camera-paths?limit=200").json["items"]]
+    assert daemon.train("after", max_steps=3)[0]["state"] == "succeeded"
+
+
+# ---- the runner -----------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def runner_faults(build, tmp_path_factory):
+    return Faults(build, tmp_path_factory.mktemp("faults") / "plan", "ripnerf-runner")
+
+
+@pytest.fixture(scope="module")
+def real(build, runner_faults, tmp_path_factory):
+    """A daemon with the real engine, whose runner's calls fail."""
+    folder = tmp_path_factory.mktemp("real")
+    with Daemon(build / "server" / "ripnerfd", build / "server" / "ripnerf-runner",
+                folder / "data", runner_faults.environment) as running:
+        running.wait(running.upload("data", write_dataset(folder / "photographs")))
+        yield running
+
+
+TRAIN = {"preset": "draft", "max_steps": 60, "seed": 3, "threads": 1}
+
+
+@pytest.mark.parametrize("kind, error", [("write", errno.ENOSPC), ("short-write", 0),
+                                         ("sync", errno.EIO), ("rename", errno.EIO),
+                                         ("open", errno.EMFILE), ("malloc", 0)])
+def test_training_survives_a_checkpoint_that_fails(real, runner_faults, kind, error):
+    """A checkpoint in between that cannot be written is done without."""
+    job = real.submit(type="train", dataset="data", scene=f"{kind}-{error}",
+                      options={**TRAIN, "max_steps": 400, "checkpoint_interval_s": 0.2})
+    real.wait(job, ["running"])
+    while not (real.job(job)["progress"] or {}).get("step"):
+        time.sleep(0.02)
+    runner_faults.arm(kind, 2, error)
+    time.sleep(0.6)
+    runner_faults.disarm()
+    record = real.wait(job, timeout=120)
+    if kind != "malloc":
+        assert record["state"] == "succeeded" and record["result"]["steps"] == 400, record
+    assert real.get("/healthz").status == 200
+
+
+def test_a_full_disk_ends_a_training_with_its_reason(real, runner_faults):
+    job = real.submit(type="train", dataset="data", scene="full", options=TRAIN)
+    runner_faults.arm("write", 1, errno.ENOSPC, for_good=True)
+    record = real.wait(job, timeout=60)
+    runner_faults.disarm()
+    assert record["state"] == "failed" and record["problem"]["type"] == "/problems/no-space", record
+    assert real.get("/v1/scenes/full").json["state"] == "failed"
+    assert real.train("healed", **TRAIN)[0]["state"] == "succeeded"
+
+
+def test_a_frame_that_cannot_be_written_fails_the_path(real, runner_faults):
+    real.train("for-frames", **TRAIN)
+    path = {**PATH, "fps": 10, "keys": [{**PATH["keys"][0], "time": t} for t in (0, 1)]}
+    real.wait(real.submit(type="path", scene="for-frames", camera_path=path))
+    runner_faults.arm("write", 3, errno.ENOSPC, for_good=True)
+    record = real.wait(real.submit(type="path", scene="for-frames", camera_path=path))
+    runner_faults.disarm()
+    assert record["state"] == "failed" and record["problem"]["type"] == "/problems/no-space", record
+    again = real.wait(real.submit(type="path", scene="for-frames", camera_path=path))
+    assert again["state"] == "succeeded" and again["result"]["frames"] == 11
