@@ -9,6 +9,7 @@
 #include "server/engine/field/footprint.h"
 #include "server/engine/field/occupancy.h"
 #include "server/engine/field/ripmap.h"
+#include "server/engine/ray.h"
 
 #define PAGE 4096
 #define HUGE_PAGE (2u << 20)
@@ -374,51 +375,10 @@ struct rn_workspace *rn_engine_workspace(const struct rn_engine *engine, int thr
                                    (size_t)thread * engine->workspace_bytes);
 }
 
-// Where the ray enters the cube [-1, 1]^3, at least 0; false when it misses.
-static bool enter_cube(const double o[3], const double d[3], double *ret_enter) {
-    double enter = 0, leave = 1e300;
-    for (int i = 0; i < 3; i++) {
-        double direction = fabs(d[i]) < 1e-12 ? copysign(1e-12, d[i]) : d[i];
-        double a = (-1 - o[i]) / direction, b = (1 - o[i]) / direction;
-        double first = a < b ? a : b, last = a < b ? b : a;
-        enter = first > enter ? first : enter;
-        leave = last < leave ? last : leave;
-    }
-    *ret_enter = enter;
-    return leave > enter;
-}
-
-// Steps a sample spans: the power of two, at most 8, that makes the interval's standard deviation
-// (step / sqrt 12) nearest to the cone's across it (radius / 2) at the ball's middle.
-static int sample_stride(double radius, double step) {
-    double ratio = radius * 0.5 / (step / sqrt(12));
-    return ratio < 1.41421356 ? 1 : ratio < 2.82842712 ? 2 : ratio < 5.65685425 ? 4 : 8;
-}
-
 struct rn_march_ray rn_march_ray_from(const struct rn_field *field, const struct rn_ray *ray,
                                       double step, double jitter) {
-    const struct rn_bounds *bounds = &field->bounds;
-    struct rn_march_ray out = {.length = 0, .weight = 1, .stride = 1};
-    double o[3], enter, along = 0, across = 0;
-    for (int i = 0; i < 3; i++) {
-        o[i] = (ray->origin[i] - bounds->centre[i]) / bounds->radius;
-        along += o[i] * ray->direction[i];
-    }
-    for (int i = 0; i < 3; i++) {
-        double foot = o[i] - along * ray->direction[i]; // the point nearest the centre
-        across += foot * foot;
-    }
-    for (int i = 0; i < 3; i++)
-        out.direction[i] = (float)ray->direction[i];
-    out.radius = (float)ray->radius;
-    if (!(across <= 1) || !enter_cube(o, ray->direction, &enter)) return out;
-    if (field->config.cone_step) out.stride = sample_stride(-along * ray->radius, step);
-    double near = enter + jitter * step * out.stride, length = sqrt(1 - across) - along - near;
-    for (int i = 0; i < 3; i++)
-        out.origin[i] = (float)(o[i] + ray->direction[i] * near);
-    out.near = (float)near;
-    out.length = (float)length;
-    return out;
+    return rn_ray_cut(field->bounds.centre, field->bounds.radius, field->config.cone_step, ray,
+                      step, jitter);
 }
 
 double rn_top_level(const struct rn_field *field, const struct rn_camera *camera, double step) {

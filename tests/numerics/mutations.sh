@@ -121,9 +121,9 @@ mutate kernels $cpu/update.h "vector AdamW: squares that overflow" \
     's/vf g = vf_min(.*/vf g = vf_load(grad) * o->scale;/'
 mutate kernels $cpu/update.h "vector AdamW: decay as 1 - rate * decay" \
     's/change = p \* fade + rate/change = rate/;s/p = p - change;/p = p * (1 - fade) - change;/'
-mutate rays server/engine/scene.c "rays: distance from the centre by |o|^2 - (o.d)^2" \
+mutate rays server/engine/ray.h "rays: distance from the centre by |o|^2 - (o.d)^2" \
     's/across += foot \* foot;/across += (foot, o[i] * o[i]);/;s/^    out.radius = (float)ray->radius;/    across -= along * along; &/'
-mutate rays server/engine/scene.c "rays: start left where the camera is" \
+mutate rays server/engine/ray.h "rays: start left where the camera is" \
     's/double near = enter + jitter/double near = jitter/'
 mutate rays $cpu/march.h "march: a brick skipped too far" \
     's/return next > k ? next : k + 1;/return next > k ? next + 1 : k + 2;/'

@@ -53,6 +53,28 @@ void rn_reference_destroy(struct rn_reference **reference) {
     *reference = NULL;
 }
 
+// x rounded to the nearest fp16 number.
+static double half_of(double x) {
+    int exponent;
+    frexp(x, &exponent);
+    int shift = 11 - (exponent > -13 ? exponent : -13); // digits behind the point
+    return ldexp(nearbyint(ldexp(x, shift)), -shift);
+}
+
+static void network_forward(const struct rn_reference *ref, const struct rn_mlp_shape *shape,
+                            const double *weights, double *const *activation) {
+    if (!ref->half) {
+        rn_mlp_forward(shape, weights, activation);
+        return;
+    }
+    for (int l = 0; l < shape->layers; l++) {
+        struct rn_mlp_shape one = {1, {shape->in[l]}, {shape->out[l]}, {shape->offset[l]}, 0, 0};
+        for (int i = 0; i < shape->in[l]; i++)
+            activation[l][i] = l > 0 && activation[l][i] < 0 ? 0 : half_of(activation[l][i]);
+        rn_mlp_forward(&one, weights, activation + l);
+    }
+}
+
 static size_t map_size(const struct rn_reference *ref, int lx, int ly) {
     return (size_t)rn_rip_size(ref->config.base, lx) * rn_rip_size(ref->config.base, ly) *
            ref->config.channels;
@@ -138,6 +160,8 @@ void rn_reference_build(struct rn_reference *ref) {
             for (int x = 0; x < levels; x++)
                 between(ref, ref->maps, k, x, y, false, pool_adapter);
     }
+    for (size_t i = 0; ref->half && i < ref->map_count; i++)
+        ref->maps[i] = half_of(ref->maps[i]);
 }
 
 void rn_reference_pull_down(struct rn_reference *ref) {
@@ -324,7 +348,7 @@ static void shade_samples(const struct rn_reference *ref, const struct rn_refere
         set_directions(ref, ray, head[0]);
         memcpy(head[0] + RN_SH_COUNT, geometry + 1, 15 * sizeof(double));
         head[0][31] = 1;
-        rn_mlp_forward(&ref->head_shape, ref->head, head);
+        network_forward(ref, &ref->head_shape, ref->head, head);
         for (int c = 0; c < 3; c++) {
             tape->colour[3 * s + c] = sigmoid(head[stride - 1][c]);
             tape->rgb[c] += tape->weights[s] * tape->colour[3 * s + c];
@@ -351,7 +375,7 @@ static void shade_ray(const struct rn_reference *ref, const struct rn_reference_
     memcpy(inputs + 16, tape->sums + 4, 12 * sizeof(double));
     memcpy(inputs + 28, tape->sums + 1, 3 * sizeof(double));
     inputs[31] = tape->opacity;
-    rn_mlp_forward(&ref->head_shape, ref->head, tape->head);
+    network_forward(ref, &ref->head_shape, ref->head, tape->head);
     for (int c = 0; c < 3; c++)
         tape->rgb[c] += tape->opacity * tape->head[ref->head_shape.layers][c];
 }
@@ -363,7 +387,7 @@ static void forward(const struct rn_reference *ref, const struct rn_reference_ra
         double **base = tape->base + s * (layers + 1);
         tape->inside[s] = inside(ray, ray->mid[s]);
         rn_reference_encode(ref, ray, ray->mid[s], base[0]);
-        rn_mlp_forward(&ref->base_shape, ref->base, base);
+        network_forward(ref, &ref->base_shape, ref->base, base);
         tape->x[s] =
             tape->inside[s] ? rn_density(base[layers][0]) * ray->width * RN_DENSITY_UNIT : 0;
     }

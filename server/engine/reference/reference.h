@@ -17,6 +17,8 @@ struct rn_reference {
     double *planes, *base, *head;               // parameters
     double *plane_grad, *base_grad, *head_grad; // dL/d(parameters), accumulated
     double *maps, *map_grad;                    // pyramids: [plane][ly][lx][v][u][channel]
+    bool half; // round to fp16 what a half-precision engine stores in it: maps, networks' inputs
+               // and hidden activations; a sign near 0 is then the same in both. false at creation
 };
 
 // One ray in the normalised frame (the scene's ball is the unit ball) with its samples.

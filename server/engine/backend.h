@@ -1,0 +1,115 @@
+// A device other than the CPU, behind one table of functions. The engine loads the module
+// ripnerf-cuda.so, asks it for the table, and keeps everything else: configuration, pixels,
+// schedule, checkpoints, pictures. C ABI; plain data crosses it.
+//
+// One thread calls into a backend. After RN_ERROR_UNAVAILABLE the device cannot be used again in
+// this process: the runner ends, and its job goes on from the last checkpoint in a new one.
+#ifndef RN_ENGINE_BACKEND_H
+#define RN_ENGINE_BACKEND_H
+
+#include "common/math/camera.h"
+#include "server/engine/cpu/kernels.h"
+
+#define RN_BACKEND_VERSION 1
+#define RN_BACKEND_SYMBOL "rn_backend_table"
+
+struct rn_device;       // owner: rn_backend.open's caller
+struct rn_device_field; // parameters, pyramid, occupancy on the device
+
+struct rn_device_about {
+    char name[128];      // "NVIDIA H200"
+    char kernels[32];    // "sm_90"
+    size_t memory_bytes; // of the device
+    size_t free_bytes;   // at the time of the call
+};
+
+// What a field on the device is made from. The arrays are the CPU field's, copied.
+struct rn_device_scene {
+    struct rn_train_config config;
+    double centre[3], radius; // of the scene's ball, dataset units
+    struct rn_solid solid;
+    struct rn_mlp_shape base_shape, head_shape;
+    int levels;             // of the pyramids
+    size_t parameter_count; // planes, density network, colour network
+    const float *parameters;
+    const float *occupancy; // cells^3
+    const uint8_t *hull;    // cells^3
+};
+
+// Where training rays come from.
+struct rn_device_frame {
+    struct rn_camera camera;
+    uint64_t offset; // of its first pixel in rgba, in pixels
+    uint64_t before; // pixels of the frames of the same scale before this one
+    float loss_weight;
+};
+struct rn_device_block { // of pixels that may see the hull (train/trainer.h)
+    uint32_t frame;
+    uint16_t x, y;
+};
+struct rn_device_pixels {
+    const struct rn_device_frame *frames;
+    const uint8_t *rgba; // straight alpha
+    const struct rn_device_block *live;
+    int frame_count, scale_count;
+    int scale_first[17];
+    uint64_t scale_pixels[16], pixel_count, live_first[17], live_count;
+};
+
+// State of a training that is not in the parameters.
+struct rn_device_training {
+    bool deterministic; // the same bytes every time, at a price (cuda/README.md)
+    int next_rays;
+    int64_t step, updates;
+    const float *m, *v; // NULL: zero
+};
+
+// What a step needs that the host decides.
+struct rn_device_step {
+    float network_rate, plane_rate;
+    bool measure;                           // the occupancy first
+    uint32_t measure_first, measure_stride; // which cells of the hull
+    float measure_decay;
+};
+
+struct rn_device_progress {
+    int64_t steps, updates;
+    uint64_t steps_rejected, nonfinite_rays, nonfinite_numbers, samples, rays;
+    uint64_t level_samples[RN_MAX_LEVELS];
+    double loss; // of the last step, per weight
+    int next_rays, rejected_in_a_row;
+};
+
+struct rn_backend {
+    int version;
+    const char *name; // "cuda"
+    // Device `ordinal`; takes at most `budget_bytes` of its memory (0: what is free). UNSUPPORTED
+    // when there is no such device, with the reason.
+    enum rn_status (*open)(int ordinal, size_t budget_bytes, struct rn_device **ret_device,
+                           struct rn_device_about *ret_about, struct rn_error *err);
+    void (*close)(struct rn_device **device);
+    // UNSUPPORTED names what of the configuration this backend cannot do. LIMIT says what is needed
+    // and what would fit, before anything is taken. `scene` need not outlive the call.
+    enum rn_status (*field_create)(struct rn_device *device, const struct rn_device_scene *scene,
+                                   struct rn_device_field **ret_field, struct rn_error *err);
+    void (*field_destroy)(struct rn_device_field **field);
+    // Adds what training needs; once a field.
+    enum rn_status (*train_begin)(struct rn_device_field *field,
+                                  const struct rn_device_pixels *pixels,
+                                  const struct rn_device_training *training, struct rn_error *err);
+    // Queues one step and returns; the host waits in train_finish.
+    enum rn_status (*train_step)(struct rn_device_field *field, const struct rn_device_step *step,
+                                 struct rn_error *err);
+    enum rn_status (*train_finish)(struct rn_device_field *field,
+                                   struct rn_device_progress *ret_progress, struct rn_error *err);
+    // Copies to the CPU's layout; m and v may be NULL.
+    enum rn_status (*download)(struct rn_device_field *field, float *parameters, float *m, float *v,
+                               float *occupancy, struct rn_error *err);
+    // Pixels of rows [first_row, first_row + rows) of a camera, row after row.
+    enum rn_status (*render)(struct rn_device_field *field, const struct rn_camera *camera,
+                             const struct rn_march_options *options, int first_row, int rows,
+                             struct rn_pixel *ret_pixels, uint64_t *ret_samples,
+                             struct rn_error *err);
+};
+
+#endif

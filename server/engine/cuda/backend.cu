@@ -1,0 +1,418 @@
+// The backend's table: devices, fields, training, rendering (backend.h says what each promises).
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "server/engine/cuda/field.cuh"
+
+// ---- shapes ---------------------------------------------------------------------------------
+
+#define RN_SHAPE(KT, WT)                                                                           \
+    {KT, WT, rn_forward_kernel<KT, WT, true>, rn_forward_kernel<KT, WT, false>,                    \
+     rn_head_backward_kernel<WT>, rn_base_backward_kernel<KT, WT>, rn_measure_kernel<KT, WT>}
+
+// From small to large; a field takes the first that holds it, padded with zeros.
+static const struct rn_kernel_shape shapes[] = {RN_SHAPE(4, 2), RN_SHAPE(10, 2), RN_SHAPE(4, 8),
+                                                RN_SHAPE(10, 8)};
+
+static const struct rn_kernel_shape *find_shape(int features, int width) {
+    for (const struct rn_kernel_shape &s : shapes)
+        if (features <= 16 * s.inputs16 && width <= 16 * s.width16) return &s;
+    return NULL;
+}
+
+// ---- devices --------------------------------------------------------------------------------
+
+static enum rn_status device_open(int ordinal, size_t budget_bytes, struct rn_device **ret_device,
+                                  struct rn_device_about *ret_about, struct rn_error *err) {
+    int count = 0;
+    size_t free_bytes, total;
+    cudaDeviceProp p;
+    cudaError_t outcome = cudaGetDeviceCount(&count);
+    if (outcome != cudaSuccess || ordinal >= count)
+        return rn_error_set(err, RN_ERROR_UNSUPPORTED, "device", "there is no cuda:%d: %s", ordinal,
+                            outcome == cudaSuccess ? "too few devices"
+                                                   : cudaGetErrorString(outcome));
+    enum rn_status status = rn_cuda_check(cudaSetDevice(ordinal), "choosing the device", err);
+    if (status == RN_OK)
+        status = rn_cuda_check(cudaGetDeviceProperties(&p, ordinal), "asking the device", err);
+    if (status == RN_OK)
+        status = rn_cuda_check(cudaMemGetInfo(&free_bytes, &total), "asking for memory", err);
+    if (status != RN_OK) return status;
+    if (p.major < 8)
+        return rn_error_set(err, RN_ERROR_UNSUPPORTED, "device",
+                            "%s has compute capability %d.%d; 8.0 is needed", p.name, p.major,
+                            p.minor);
+    struct rn_device *d = (struct rn_device *)calloc(1, sizeof *d);
+    if (!d) return rn_error_set(err, RN_ERROR_NO_MEMORY, "device", "out of memory");
+    d->ordinal = ordinal;
+    d->processors = p.multiProcessorCount;
+    d->shared_bytes = p.sharedMemPerBlockOptin;
+    d->budget_bytes = budget_bytes ? budget_bytes : free_bytes - free_bytes / 32;
+    status = rn_cuda_check(cudaStreamCreateWithFlags(&d->stream, cudaStreamNonBlocking),
+                           "making a stream", err);
+    if (status != RN_OK) {
+        free(d);
+        return status;
+    }
+    memset(ret_about, 0, sizeof *ret_about);
+    snprintf(ret_about->name, sizeof ret_about->name, "%.100s", p.name);
+    snprintf(ret_about->kernels, sizeof ret_about->kernels, "sm_%d%d", p.major, p.minor);
+    ret_about->memory_bytes = total;
+    ret_about->free_bytes = free_bytes;
+    *ret_device = d;
+    return RN_OK;
+}
+
+static void device_close(struct rn_device **device) {
+    if (!*device) return;
+    (void)cudaStreamDestroy((*device)->stream);
+    free(*device);
+    *device = NULL;
+}
+
+// ---- memory ---------------------------------------------------------------------------------
+
+// Takes `bytes` out of the device's budget, or says what would fit: the next smaller base halves
+// the sides, and so quarters what the planes need.
+static enum rn_status take(struct rn_device *d, const struct rn_device_field *f, const char *what,
+                           size_t bytes, void **ret, struct rn_error *err) {
+    size_t left = d->budget_bytes - d->used_bytes, need = bytes;
+    int base = f->config.field.base;
+    if (bytes > left) {
+        while (need > left && base > 64) {
+            need /= 4;
+            base /= 2;
+        }
+        return rn_error_set(err, RN_ERROR_LIMIT, "cuda",
+                            "%s needs %zu MiB and %zu MiB of the device's budget of %zu MiB are "
+                            "left; a base of %d texels would fit, or unload other scenes",
+                            what, bytes >> 20, left >> 20, d->budget_bytes >> 20, base);
+    }
+    cudaError_t outcome = cudaMalloc(ret, bytes);
+    if (outcome == cudaErrorMemoryAllocation) {
+        (void)cudaGetLastError(); // this error is over once it has been read
+        return rn_error_set(err, RN_ERROR_NO_MEMORY, "cuda",
+                            "%s needs %zu MiB, which the device does not have; other programs use "
+                            "its memory, or a base of %d texels would fit",
+                            what, bytes >> 20, base / 2);
+    }
+    if (outcome == cudaSuccess) d->used_bytes += bytes;
+    return rn_cuda_check(outcome, "taking device memory", err);
+}
+
+static void give_back(struct rn_device *d, void **memory, size_t bytes) {
+    if (!*memory) return;
+    (void)cudaFree(*memory);
+    d->used_bytes -= bytes;
+    *memory = NULL;
+}
+
+static cudaError_t copy_in(const struct rn_device *d, void *to, const void *from, size_t bytes) {
+    return cudaMemcpyAsync(to, from, bytes, cudaMemcpyHostToDevice, d->stream);
+}
+static cudaError_t copy_out(const struct rn_device *d, void *to, const void *from, size_t bytes) {
+    return to ? cudaMemcpyAsync(to, from, bytes, cudaMemcpyDeviceToHost, d->stream) : cudaSuccess;
+}
+
+// ---- fields ---------------------------------------------------------------------------------
+
+static enum rn_status check_config(const struct rn_device_scene *s, struct rn_error *err) {
+    const struct rn_field_config *c = &s->config.field;
+    int unit = 1 << (s->levels > 3 ? s->levels - 1 : 3);
+    if (!find_shape(c->planes * c->channels, c->width))
+        return rn_error_set(err, RN_ERROR_UNSUPPORTED, "width",
+                            "the CUDA kernels hold planes x channels up to 160 and widths up to "
+                            "128; use --device cpu or a smaller field");
+    if (c->shading != RN_SHADING_SAMPLE)
+        return rn_error_set(err, RN_ERROR_UNSUPPORTED, "shading",
+                            "the CUDA kernels shade every sample; use the paper preset, or --device "
+                            "cpu for colour once a ray");
+    if (c->base % unit != 0)
+        return rn_error_set(err, RN_ERROR_UNSUPPORTED, "base",
+                            "the CUDA kernels pool by whole factors of two: %d levels need a base "
+                            "that is a multiple of %d",
+                            s->levels, unit);
+    return RN_OK;
+}
+
+static void describe_scene(struct rn_device_field *f, const struct rn_device_scene *s) {
+    const struct rn_field_config *c = &s->config.field;
+    f->config = s->config;
+    memcpy(f->centre, s->centre, sizeof f->centre);
+    f->radius = s->radius;
+    f->shape = find_shape(c->planes * c->channels, c->width);
+    f->parameter_count = s->parameter_count;
+    rn_cuda_planes_init(&f->scene.planes, c, &s->solid, s->levels);
+    rn_cuda_network_init(&f->scene.base, &s->base_shape, f->shape->inputs16, f->shape->width16);
+    rn_cuda_network_init(&f->scene.head, &s->head_shape, 2, f->shape->width16);
+    f->scene.plane_count = s->parameter_count - s->base_shape.count - s->head_shape.count;
+    f->scene.per_ray = c->shading == RN_SHADING_RAY;
+    f->scene.view_dependence = c->view_dependence;
+    f->scene.occupancy.cells = c->occupancy;
+}
+
+// Uploads, and builds what the kernels read. The lists are the host's only until it returns.
+static enum rn_status upload(struct rn_device_field *f, const struct rn_device_scene *s,
+                             struct rn_error *err) {
+    struct rn_device *d = f->device;
+    struct rn_cuda_occupancy *o = &f->scene.occupancy;
+    size_t cells = (size_t)o->cells, n = cells * cells * cells;
+    size_t fragments = f->scene.base.packed_count + f->scene.head.packed_count;
+    uint32_t *list = (uint32_t *)malloc(n * sizeof *list);
+    if (!list) return rn_error_set(err, RN_ERROR_NO_MEMORY, "cuda", "out of memory");
+    o->count = 0;
+    for (size_t i = 0; i < n; i++)
+        if (s->hull[i]) list[o->count++] = (uint32_t)i;
+    cudaError_t e = copy_in(d, f->scene.parameters, s->parameters, f->parameter_count * 4);
+    if (!e) e = copy_in(d, o->values, s->occupancy, n * 4);
+    if (!e) e = copy_in(d, o->hull, s->hull, n);
+    if (!e) e = copy_in(d, o->list, list, o->count * sizeof *list);
+    if (!e) e = cudaMemsetAsync(f->scene.forward, 0, fragments * sizeof(uint4), d->stream);
+    if (!e) e = cudaMemsetAsync(f->scene.backward, 0, fragments * sizeof(uint4), d->stream);
+    if (!e) e = rn_queue_refresh(f);
+    if (!e) e = rn_queue_occupancy(f);
+    cudaError_t waited = cudaStreamSynchronize(d->stream);
+    free(list);
+    return rn_cuda_check(e ? e : waited, "loading a field", err);
+}
+
+static void field_destroy(struct rn_device_field **field) {
+    struct rn_device_field *f = *field;
+    if (!f) return;
+    if (f->graph) (void)cudaGraphExecDestroy(f->graph);
+    give_back(f->device, &f->train_memory, f->train_bytes);
+    give_back(f->device, &f->memory, f->memory_bytes);
+    free(f);
+    *field = NULL;
+}
+
+static enum rn_status field_create(struct rn_device *device, const struct rn_device_scene *scene,
+                                   struct rn_device_field **ret_field, struct rn_error *err) {
+    enum rn_status status = check_config(scene, err);
+    if (status != RN_OK) return status;
+    struct rn_device_field *f = (struct rn_device_field *)calloc(1, sizeof *f);
+    if (!f) return rn_error_set(err, RN_ERROR_NO_MEMORY, "cuda", "out of memory");
+    struct rn_arena arena = {NULL, 0};
+    f->device = device;
+    describe_scene(f, scene);
+    rn_field_lay_out(f, &arena);
+    status = take(device, f, "this field", arena.used, &f->memory, err);
+    if (status == RN_OK) {
+        f->memory_bytes = arena.used;
+        arena = rn_arena{(char *)f->memory, 0};
+        rn_field_lay_out(f, &arena);
+        status = upload(f, scene, err);
+    }
+    if (status != RN_OK)
+        field_destroy(&f);
+    else
+        *ret_field = f;
+    return status;
+}
+
+// ---- training -------------------------------------------------------------------------------
+
+// Tiles for a quarter more samples than aimed at, and for a part-filled one a ray.
+static void choose_capacities(struct rn_device_field *f) {
+    int target = f->config.target_samples, rays = 4 * target;
+    f->batch.ray_capacity = rays < RN_DEVICE_MAX_RAYS ? rays : RN_DEVICE_MAX_RAYS;
+    f->batch.tile_capacity = (uint32_t)(target / RN_TILE + target / RN_TILE / 4 + 4096);
+}
+
+// As many rays as fit even if every sample of each is seen.
+static int first_rays(const struct rn_device_field *f, int asked) {
+    int tiles = (int)(2.8 / f->config.step) / RN_TILE + 2;
+    int most = (int)(f->batch.tile_capacity / (uint32_t)tiles);
+    return asked < most ? asked : most;
+}
+
+static void describe_training(struct rn_device_field *f, const struct rn_device_pixels *pixels) {
+    const struct rn_train_config *c = &f->config;
+    struct rn_cuda_source *s = &f->source;
+    s->pixels = *pixels;
+    memcpy(s->centre, f->centre, sizeof s->centre);
+    s->radius = f->radius;
+    s->step = c->step;
+    memcpy(s->background, c->background, sizeof s->background);
+    s->seed = c->seed;
+    s->cone_step = c->cone_step;
+    s->equal_scales = c->equal_scales;
+    f->march.step = (float)c->step;
+    f->march.stop_depth = (float)-log(c->stop);
+    memcpy(f->march.background, c->background, sizeof f->march.background);
+    choose_capacities(f);
+}
+
+static cudaError_t upload_training(struct rn_device_field *f, const struct rn_device_pixels *p,
+                                   const struct rn_device_training *t) {
+    struct rn_device *d = f->device;
+    struct rn_cuda_status status = {};
+    status.ray_count = t->step == 0 ? first_rays(f, t->next_rays) : t->next_rays;
+    status.target_samples = f->config.target_samples;
+    status.steps = (uint64_t)t->step;
+    status.updates = (uint64_t)t->updates;
+    status.gradient_scale = RN_SCALE_FIRST;
+    cudaError_t e = cudaMemsetAsync(f->train_memory, 0, f->train_bytes, d->stream);
+    if (!e) e = copy_in(d, f->batch.status, &status, sizeof status);
+    if (!e)
+        e = copy_in(d, (void *)f->source.pixels.frames, p->frames,
+                    (size_t)p->frame_count * sizeof *p->frames);
+    if (!e) e = copy_in(d, (void *)f->source.pixels.rgba, p->rgba, 4 * p->pixel_count);
+    if (!e)
+        e = copy_in(d, (void *)f->source.pixels.live, p->live, p->live_count * sizeof *p->live);
+    if (!e && t->m) e = copy_in(d, f->optimiser.m, t->m, f->parameter_count * 4);
+    if (!e && t->v) e = copy_in(d, f->optimiser.v, t->v, f->parameter_count * 4);
+    cudaError_t waited = cudaStreamSynchronize(d->stream);
+    return e ? e : waited;
+}
+
+static cudaError_t capture_step(struct rn_device_field *f) {
+    cudaGraph_t graph;
+    cudaError_t e = cudaStreamBeginCapture(f->device->stream, cudaStreamCaptureModeThreadLocal);
+    if (e) return e;
+    cudaError_t queued = rn_queue_step(f);
+    e = cudaStreamEndCapture(f->device->stream, &graph);
+    if (queued || e) return queued ? queued : e;
+    e = cudaGraphInstantiate(&f->graph, graph, 0);
+    (void)cudaGraphDestroy(graph);
+    return e;
+}
+
+static enum rn_status train_begin(struct rn_device_field *f, const struct rn_device_pixels *pixels,
+                                  const struct rn_device_training *training, struct rn_error *err) {
+    if (f->train_memory)
+        return rn_error_set(err, RN_ERROR_CONFLICT, "cuda", "this field is being trained already");
+    struct rn_arena arena = {NULL, 0};
+    f->deterministic = training->deterministic;
+    describe_training(f, pixels);
+    rn_train_lay_out(f, pixels, &arena);
+    enum rn_status status =
+        take(f->device, f, "training this field", arena.used, &f->train_memory, err);
+    if (status != RN_OK) return status;
+    f->train_bytes = arena.used;
+    arena = rn_arena{(char *)f->train_memory, 0};
+    rn_train_lay_out(f, pixels, &arena);
+    f->steps = (uint64_t)training->step;
+    cudaError_t e = upload_training(f, pixels, training);
+    if (!e) e = capture_step(f);
+    return rn_cuda_check(e, "preparing to train", err);
+}
+
+// By value, so that the host need not wait before it changes them.
+__global__ void rn_rates_kernel(struct rn_cuda_rates rates, struct rn_cuda_rates *to) {
+    if (threadIdx.x == 0) *to = rates;
+}
+
+static enum rn_status train_step(struct rn_device_field *f, const struct rn_device_step *step,
+                                 struct rn_error *err) {
+    const struct rn_train_config *c = &f->config;
+    struct rn_cuda_rates rates = {step->network_rate, step->plane_rate, (float)c->weight_decay,
+                                  (float)c->adam_eps, c->sparse && f->scene.planes.levels == 1};
+    cudaError_t e = step->measure ? rn_queue_measurement(f, step) : cudaSuccess;
+    if (!e)
+        e = RN_LAUNCH(rn_rates_kernel, 1, 32, 0, f->device->stream, rates, f->optimiser.rates);
+    if (!e) e = cudaGraphLaunch(f->graph, f->device->stream);
+    f->steps++;
+    return rn_cuda_check(e, "a training step", err);
+}
+
+static enum rn_status train_finish(struct rn_device_field *f,
+                                   struct rn_device_progress *ret_progress, struct rn_error *err) {
+    struct rn_cuda_status s;
+    cudaError_t e = copy_out(f->device, &s, f->batch.status, sizeof s);
+    cudaError_t waited = cudaStreamSynchronize(f->device->stream);
+    if (e || waited) return rn_cuda_check(e ? e : waited, "training", err);
+    struct rn_device_progress p = {};
+    p.steps = (int64_t)s.steps;
+    p.updates = (int64_t)s.updates;
+    p.steps_rejected = s.steps_rejected;
+    p.nonfinite_rays = s.nonfinite_rays;
+    p.nonfinite_numbers = s.nonfinite_numbers;
+    p.samples = s.samples;
+    p.rays = s.rays;
+    memcpy(p.level_samples, s.level_samples, sizeof p.level_samples);
+    p.loss = s.weight > 0 ? s.loss / s.weight : 0;
+    p.next_rays = s.next_rays;
+    p.rejected_in_a_row = s.rejected_in_a_row;
+    *ret_progress = p;
+    return RN_OK;
+}
+
+static enum rn_status download(struct rn_device_field *f, float *parameters, float *m, float *v,
+                               float *occupancy, struct rn_error *err) {
+    struct rn_device *d = f->device;
+    size_t cells = (size_t)f->scene.occupancy.cells, bytes = f->parameter_count * sizeof(float);
+    if ((m || v) && !f->train_memory)
+        return rn_error_set(err, RN_ERROR_CONFLICT, "cuda", "this field is not being trained");
+    cudaError_t e = copy_out(d, parameters, f->scene.parameters, bytes);
+    if (!e) e = copy_out(d, m, f->optimiser.m, bytes);
+    if (!e) e = copy_out(d, v, f->optimiser.v, bytes);
+    if (!e) e = copy_out(d, occupancy, f->scene.occupancy.values, cells * cells * cells * 4);
+    cudaError_t waited = cudaStreamSynchronize(d->stream);
+    return rn_cuda_check(e ? e : waited, "reading a field", err);
+}
+
+// ---- rendering ------------------------------------------------------------------------------
+
+static struct rn_cuda_march march_of(const struct rn_march_options *o) {
+    struct rn_cuda_march m = {};
+    m.step = o->step;
+    m.stop_depth = o->stop_depth;
+    memcpy(m.background, o->background, sizeof m.background);
+    m.turned = o->look != NULL;
+    if (o->look) memcpy(m.look, o->look, sizeof m.look);
+    return m;
+}
+
+static cudaError_t queue_view(struct rn_device_field *f, const struct rn_cuda_view *view,
+                              const struct rn_cuda_march *march) {
+    struct rn_staging s = rn_staging_for(f->device, f->scene.base.packed_count,
+                                         f->scene.head.packed_count);
+    struct rn_cuda_view v = *view;
+    struct rn_cuda_march m = *march;
+    cudaError_t e = cudaFuncSetAttribute(
+        f->shape->render, cudaFuncAttributeMaxDynamicSharedMemorySize, (int)s.bytes);
+    if (!e)
+        e = RN_LAUNCH(rn_view_kernel, (unsigned)((v.count + 255) / 256), 256, 0, f->device->stream,
+                      v, f->view);
+    if (!e)
+        e = RN_LAUNCH(f->shape->render, (unsigned)f->device->processors, 384, s.bytes,
+                      f->device->stream, f->scene, f->view, m, s.networks);
+    return e;
+}
+
+static enum rn_status render(struct rn_device_field *f, const struct rn_camera *camera,
+                             const struct rn_march_options *options, int first_row, int rows,
+                             struct rn_pixel *ret_pixels, uint64_t *ret_samples,
+                             struct rn_error *err) {
+    struct rn_cuda_march march = march_of(options);
+    struct rn_cuda_view view = {*camera, {f->centre[0], f->centre[1], f->centre[2]}, f->radius,
+                                (double)options->step, f->config.cone_step, 0, 0};
+    int first = first_row * camera->width, end = first + rows * camera->width;
+    uint64_t samples = 0;
+    struct rn_cuda_status status;
+    for (; first < end; first += view.count) {
+        view.first = first;
+        view.count = end - first < RN_RENDER_PIXELS ? end - first : RN_RENDER_PIXELS;
+        cudaError_t e = queue_view(f, &view, &march);
+        if (!e)
+            e = copy_out(f->device, ret_pixels, f->view.pixels,
+                         (size_t)view.count * sizeof *ret_pixels);
+        if (!e) e = copy_out(f->device, &status, f->view.status, sizeof status);
+        cudaError_t waited = cudaStreamSynchronize(f->device->stream);
+        if (e || waited) return rn_cuda_check(e ? e : waited, "rendering", err);
+        ret_pixels += view.count;
+        samples += status.evaluated;
+    }
+    *ret_samples = samples;
+    return RN_OK;
+}
+
+extern "C" {
+extern const struct rn_backend rn_backend_table;
+const struct rn_backend rn_backend_table = {
+    RN_BACKEND_VERSION, "cuda",      device_open,  device_close, field_create, field_destroy,
+    train_begin,        train_step,  train_finish, download,     render,
+};
+}

@@ -1,0 +1,258 @@
+// Memory of fields, and the queues of kernels.
+#include "server/engine/cuda/field.cuh"
+
+#include <stdio.h>
+
+#define RN_BLOCKS(count) (unsigned)(((count) + 255) / 256)
+
+// ---- memory ---------------------------------------------------------------------------------
+
+static void lay_out_occupancy(struct rn_device_field *f, struct rn_arena *a) {
+    struct rn_cuda_occupancy *o = &f->scene.occupancy;
+    size_t n = (size_t)o->cells * (size_t)o->cells * (size_t)o->cells, bricks = n / 512;
+    rn_part(a, &o->words, bricks * 16);
+    rn_part(a, &o->distance, bricks);
+    rn_part(a, &f->spare_distance, bricks);
+    rn_part(a, &o->box, 6);
+    rn_part(a, &o->values, n);
+    rn_part(a, &o->hull, n);
+    rn_part(a, &o->list, n);
+    rn_part(a, &o->partial, RN_OCCUPANCY_PARTS);
+}
+
+void rn_field_lay_out(struct rn_device_field *f, struct rn_arena *a) {
+    struct rn_cuda_scene *s = &f->scene;
+    size_t fragments = s->base.packed_count + s->head.packed_count;
+    rn_part(a, &s->parameters, f->parameter_count);
+    rn_part(a, &s->texels,
+            (size_t)s->planes.planes * s->planes.plane_texels * (size_t)s->planes.channels);
+    rn_part(a, &s->forward, fragments);
+    rn_part(a, &s->backward, fragments);
+    lay_out_occupancy(f, a);
+    rn_part(a, &f->view.status, 1);
+    rn_part(a, &f->view.rays, RN_RENDER_PIXELS);
+    rn_part(a, &f->view.pixels, RN_RENDER_PIXELS);
+}
+
+static void lay_out_tiles(struct rn_device_field *f, struct rn_arena *a) {
+    struct rn_cuda_batch *b = &f->batch;
+    size_t tiles = b->tile_capacity, samples = tiles * RN_TILE, k = (size_t)f->scene.base.inputs16;
+    size_t base = rn_cuda_scratch_fragments(&f->scene.base);
+    size_t head = rn_cuda_scratch_fragments(&f->scene.head);
+    rn_part(a, &b->tile_ray, tiles);
+    rn_part(a, &b->tile_ordinal, tiles);
+    rn_part(a, &b->tile_previous, tiles);
+    rn_part(a, &b->order, tiles);
+    rn_part(a, &b->features, tiles * k * RN_LANES);
+    rn_part(a, &b->geometry, tiles * RN_LANES);
+    rn_part(a, &b->mid, samples);
+    rn_part(a, &b->depth, samples);
+    rn_part(a, &b->weight, samples);
+    rn_part(a, &b->after, samples);
+    rn_part(a, &b->colour, 3 * samples);
+    rn_part(a, &b->colour_grad, 3 * samples);
+    rn_part(a, &b->logit_grad, samples);
+    rn_part(a, &b->geometry_grad, tiles * RN_LANES);
+    rn_part(a, &b->feature_grad, tiles * k * 64);
+    rn_part(a, &b->scratch, tiles * (base > head ? base : head) * RN_LANES);
+}
+
+static void lay_out_pixels(struct rn_device_field *f, const struct rn_device_pixels *p,
+                           struct rn_arena *a) {
+    rn_part(a, (struct rn_device_frame **)&f->source.pixels.frames, (size_t)p->frame_count);
+    rn_part(a, (uint8_t **)&f->source.pixels.rgba, 4 * (size_t)p->pixel_count);
+    rn_part(a, (struct rn_device_block **)&f->source.pixels.live, (size_t)p->live_count);
+}
+
+void rn_train_lay_out(struct rn_device_field *f, const struct rn_device_pixels *pixels,
+                      struct rn_arena *a) {
+    struct rn_cuda_batch *b = &f->batch;
+    struct rn_cuda_optimiser *o = &f->optimiser;
+    const struct rn_cuda_planes *p = &f->scene.planes;
+    size_t rays = (size_t)b->ray_capacity;
+    size_t numbers = (size_t)p->planes * p->plane_texels * (size_t)p->channels;
+    rn_part(a, &b->status, 1);
+    rn_part(a, &b->rays, rays);
+    rn_part(a, &b->ray_loss, rays);
+    rn_part(a, &b->ray_weight, rays);
+    rn_part(a, &b->ray_samples, rays);
+    rn_part(a, &b->ray_tiles, rays);
+    rn_part(a, &b->ray_first, rays);
+    lay_out_tiles(f, a);
+    lay_out_pixels(f, pixels, a);
+    rn_part(a, &o->rates, 1);
+    rn_part(a, &o->m, f->parameter_count);
+    rn_part(a, &o->v, f->parameter_count);
+    rn_part(a, &o->base_sums, RN_CHUNKS * rn_cuda_gradient_count(&f->scene.base) / 4);
+    rn_part(a, &o->head_sums, RN_CHUNKS * rn_cuda_gradient_count(&f->scene.head) / 4);
+    if (f->deterministic)
+        rn_part(a, &o->gradients.fixed, numbers);
+    else
+        rn_part(a, &o->gradients.half, numbers / 4);
+    rn_part(a, &o->gradients.touched,
+            (size_t)p->planes * (size_t)p->update_side * (size_t)p->update_side);
+}
+
+enum rn_status rn_cuda_check(cudaError_t outcome, const char *doing, struct rn_error *err) {
+    if (outcome == cudaSuccess) return RN_OK;
+    enum rn_status status =
+        outcome == cudaErrorMemoryAllocation ? RN_ERROR_NO_MEMORY : RN_ERROR_UNAVAILABLE;
+    return rn_error_set(err, status, "cuda", "%s failed: %s", doing, cudaGetErrorString(outcome));
+}
+
+// ---- launches -------------------------------------------------------------------------------
+
+struct rn_staging rn_staging_for(const struct rn_device *device, size_t first, size_t second) {
+    size_t one = first * sizeof(uint4), both = (first + second) * sizeof(uint4);
+    if (both <= device->shared_bytes) return rn_staging{2, both};
+    if (one <= device->shared_bytes) return rn_staging{1, one};
+    return rn_staging{0, 0};
+}
+
+template <typename K> static cudaError_t allow_shared(K kernel, size_t bytes) {
+    return cudaFuncSetAttribute(kernel, cudaFuncAttributeMaxDynamicSharedMemorySize, (int)bytes);
+}
+
+#define RN_TRY(call)                                                                               \
+    do {                                                                                           \
+        cudaError_t outcome = (call);                                                              \
+        if (outcome != cudaSuccess) return outcome;                                                \
+    } while (0)
+
+// Blocks enough to fill the device once with kernels that take their work from a list.
+static unsigned persistent_blocks(const struct rn_device *d) {
+    return (unsigned)d->processors;
+}
+
+cudaError_t rn_queue_occupancy(struct rn_device_field *f) {
+    struct rn_cuda_occupancy *o = &f->scene.occupancy;
+    uint8_t *spare = f->spare_distance;
+    cudaStream_t stream = f->device->stream;
+    int bricks = o->cells / RN_BRICK;
+    size_t count = (size_t)bricks * (size_t)bricks * (size_t)bricks;
+    RN_TRY(cudaMemsetAsync(o->box, 0x7f, 3 * sizeof(int), stream));
+    RN_TRY(cudaMemsetAsync(o->box + 3, 0xff, 3 * sizeof(int), stream));
+    RN_TRY(cudaMemsetAsync(spare, 255, count, stream));
+    RN_TRY(RN_LAUNCH(rn_occupancy_sum_kernel, RN_OCCUPANCY_PARTS, 256, 0, stream, *o));
+    RN_TRY(RN_LAUNCH(rn_occupancy_bits_kernel, RN_BLOCKS(count * 16), 256, 0, stream, *o, spare));
+    RN_TRY(RN_LAUNCH(rn_distance_kernel, RN_BLOCKS(count), 256, 0, stream, bricks, 0, spare,
+                     o->distance));
+    RN_TRY(RN_LAUNCH(rn_distance_kernel, RN_BLOCKS(count), 256, 0, stream, bricks, 1, o->distance,
+                     spare));
+    return RN_LAUNCH(rn_distance_kernel, RN_BLOCKS(count), 256, 0, stream, bricks, 2, spare,
+                     o->distance);
+}
+
+cudaError_t rn_queue_measurement(struct rn_device_field *f, const struct rn_device_step *step) {
+    const struct rn_field_config *c = &f->config.field;
+    float level = log2f((float)c->base / (float)c->occupancy), top = (float)(f->scene.planes.levels - 1);
+    struct rn_cuda_measurement m = {step->measure_first, step->measure_stride, 0,
+                                    fminf(fmaxf(level, 0), top), step->measure_decay,
+                                    (float)f->config.step, f->config.seed, 0x6f63637570000000u,
+                                    f->steps};
+    if (f->scene.occupancy.count <= m.first) return cudaSuccess;
+    m.count = (f->scene.occupancy.count - m.first + m.stride - 1) / m.stride;
+    struct rn_staging s = rn_staging_for(f->device, f->scene.base.packed_count, (size_t)1 << 40);
+    RN_TRY(allow_shared(f->shape->measure, s.bytes));
+    struct rn_device_field *own = f;
+    RN_TRY(RN_LAUNCH(own->shape->measure, persistent_blocks(own->device), 256, s.bytes,
+                     own->device->stream, own->scene, m, s.networks));
+    return rn_queue_occupancy(f);
+}
+
+static cudaError_t queue_coarse(struct rn_device_field *f) {
+    if (f->scene.planes.levels <= RN_FINE_LEVELS) return cudaSuccess;
+    if (f->deterministic)
+        return RN_LAUNCH(rn_coarse_kernel<true>, 4 * persistent_blocks(f->device), 256, 0,
+                         f->device->stream, f->scene, f->optimiser.gradients);
+    return RN_LAUNCH(rn_coarse_kernel<false>, 4 * persistent_blocks(f->device), 256, 0,
+                     f->device->stream, f->scene, f->optimiser.gradients);
+}
+
+static unsigned update_blocks(const struct rn_cuda_planes *p) {
+    return (unsigned)(p->planes * p->update_side * p->update_side);
+}
+static unsigned update_threads(const struct rn_cuda_planes *p) {
+    return (unsigned)(RN_UPDATE * RN_UPDATE * p->channels / 4);
+}
+
+static cudaError_t queue_networks(struct rn_device_field *f, const struct rn_cuda_optimiser *o,
+                                  struct rn_cuda_status *status) {
+    struct rn_cuda_optimiser optimiser = *o;
+    for (int head = 0; head < 2; head++) {
+        const struct rn_cuda_network *n = head ? &f->scene.head : &f->scene.base;
+        RN_TRY(RN_LAUNCH(rn_update_network_kernel, RN_BLOCKS(rn_cuda_gradient_count(n)), 256, 0,
+                         f->device->stream, f->scene, optimiser, status, head != 0));
+    }
+    return cudaSuccess;
+}
+
+cudaError_t rn_queue_refresh(struct rn_device_field *f) {
+    struct rn_cuda_optimiser none = {};
+    RN_TRY(RN_LAUNCH(rn_build_kernel, update_blocks(&f->scene.planes),
+                     update_threads(&f->scene.planes), 0, f->device->stream, f->scene));
+    RN_TRY(queue_coarse(f));
+    return queue_networks(f, &none, NULL);
+}
+
+// Forward, loss, and the order of the tiles.
+static cudaError_t queue_forward(struct rn_device_field *f) {
+    const struct rn_cuda_scene *s = &f->scene;
+    cudaStream_t stream = f->device->stream;
+    struct rn_staging staging =
+        rn_staging_for(f->device, s->base.packed_count, s->head.packed_count);
+    RN_TRY(allow_shared(f->shape->train, staging.bytes));
+    RN_TRY(RN_LAUNCH(rn_rays_kernel, RN_BLOCKS(f->batch.ray_capacity), 256, 0, stream, f->source,
+                     f->batch));
+    RN_TRY(RN_LAUNCH(f->shape->train, persistent_blocks(f->device), 384, staging.bytes, stream,
+                     f->scene, f->batch, f->march, staging.networks));
+    RN_TRY(RN_LAUNCH(rn_order_kernel, 1, RN_ORDER_THREADS, 0, stream, f->batch));
+    return RN_LAUNCH(rn_place_kernel, RN_BLOCKS(f->batch.tile_capacity), 256, 0, stream, f->batch);
+}
+
+static cudaError_t queue_gradient(struct rn_device_field *f, const struct rn_cuda_network *n,
+                                  float4 *sums) {
+    unsigned blocks = (unsigned)(RN_CHUNKS * (n->hidden + 1));
+    struct rn_cuda_network network = *n;
+    RN_TRY(RN_LAUNCH(rn_gradient_kernel, blocks, 256, 0, f->device->stream, network,
+                     f->batch.status, f->batch.scratch, f->batch.tile_capacity, sums));
+    return RN_LAUNCH(rn_reduce_kernel, RN_BLOCKS(rn_cuda_gradient_count(n)), 256, 0,
+                     f->device->stream, (float *)sums, rn_cuda_gradient_count(&network),
+                     f->batch.status);
+}
+
+static cudaError_t queue_backward(struct rn_device_field *f) {
+    const struct rn_cuda_scene *s = &f->scene;
+    cudaStream_t stream = f->device->stream;
+    struct rn_staging head =
+        rn_staging_for(f->device, s->head.packed_count, s->head.packed_count);
+    struct rn_staging base =
+        rn_staging_for(f->device, s->base.packed_count, s->base.packed_count);
+    RN_TRY(allow_shared(f->shape->head_backward, head.bytes));
+    RN_TRY(allow_shared(f->shape->base_backward, base.bytes));
+    RN_TRY(RN_LAUNCH(f->shape->head_backward, persistent_blocks(f->device), 256, head.bytes, stream,
+                     f->scene, f->batch, head.networks));
+    RN_TRY(queue_gradient(f, &s->head, f->optimiser.head_sums));
+    RN_TRY(RN_LAUNCH(f->shape->base_backward, persistent_blocks(f->device), 256, base.bytes, stream,
+                     f->scene, f->batch, base.networks));
+    return queue_gradient(f, &s->base, f->optimiser.base_sums);
+}
+
+template <bool FIXED> static cudaError_t queue_planes(struct rn_device_field *f) {
+    cudaStream_t stream = f->device->stream;
+    float step = f->march.step;
+    RN_TRY(RN_LAUNCH(rn_scatter_kernel<FIXED>, 16 * persistent_blocks(f->device), 128, 0, stream,
+                     f->scene, f->batch, f->optimiser.gradients, step));
+    return RN_LAUNCH(rn_update_planes_kernel<FIXED>, update_blocks(&f->scene.planes),
+                     update_threads(&f->scene.planes), 0, stream, f->scene, f->optimiser,
+                     f->batch.status);
+}
+
+cudaError_t rn_queue_step(struct rn_device_field *f) {
+    RN_TRY(queue_forward(f));
+    RN_TRY(queue_backward(f));
+    RN_TRY(f->deterministic ? queue_planes<true>(f) : queue_planes<false>(f));
+    RN_TRY(queue_coarse(f));
+    RN_TRY(queue_networks(f, &f->optimiser, f->batch.status));
+    return RN_LAUNCH(rn_finish_kernel, 1, 32, 0, f->device->stream, f->batch.status);
+}

@@ -1,0 +1,85 @@
+// A field and its training on the device: host structures, memory, and which kernels serve a shape.
+#ifndef RN_ENGINE_CUDA_FIELD_CUH
+#define RN_ENGINE_CUDA_FIELD_CUH
+
+#include "server/engine/cuda/backward.cuh"
+#include "server/engine/cuda/occupancy.cuh"
+#include "server/engine/cuda/optimise.cuh"
+#include "server/engine/cuda/step.cuh"
+
+#define RN_DEVICE_MAX_RAYS (1 << 17)
+#define RN_RENDER_PIXELS (1 << 16) // of one launch
+
+struct rn_device {
+    int ordinal, processors;
+    size_t shared_bytes; // of one block
+    size_t budget_bytes, used_bytes;
+    cudaStream_t stream;
+};
+
+// The kernels of one padded shape.
+struct rn_kernel_shape {
+    int inputs16, width16;
+    void (*train)(struct rn_cuda_scene, struct rn_cuda_batch, struct rn_cuda_march, int);
+    void (*render)(struct rn_cuda_scene, struct rn_cuda_batch, struct rn_cuda_march, int);
+    void (*head_backward)(struct rn_cuda_scene, struct rn_cuda_batch, int);
+    void (*base_backward)(struct rn_cuda_scene, struct rn_cuda_batch, int);
+    void (*measure)(struct rn_cuda_scene, struct rn_cuda_measurement, int);
+};
+
+struct rn_device_field {
+    struct rn_device *device;
+    struct rn_train_config config;
+    double centre[3], radius;
+    const struct rn_kernel_shape *shape;
+    struct rn_cuda_scene scene;
+    uint8_t *spare_distance;
+    size_t parameter_count;
+    struct rn_cuda_batch view; // for rendering
+    void *memory, *train_memory;
+    size_t memory_bytes, train_bytes;
+    // training
+    bool deterministic;
+    struct rn_cuda_batch batch;
+    struct rn_cuda_optimiser optimiser;
+    struct rn_cuda_source source;
+    struct rn_cuda_march march;
+    cudaGraphExec_t graph;
+    uint64_t steps; // queued
+};
+
+// Hands out parts of one block, 256-byte aligned; with `base` NULL it only counts.
+struct rn_arena {
+    char *base;
+    size_t used;
+};
+template <typename T> static void rn_part(struct rn_arena *a, T **ret, size_t count) {
+    *ret = a->base ? (T *)(void *)(a->base + a->used) : NULL;
+    a->used += (count * sizeof(T) + 255) / 256 * 256;
+}
+
+// Parts of the field's block; of the training's block.
+void rn_field_lay_out(struct rn_device_field *field, struct rn_arena *arena);
+void rn_train_lay_out(struct rn_device_field *field, const struct rn_device_pixels *pixels,
+                      struct rn_arena *arena);
+
+// Turns an outcome of the runtime into a status: NO_MEMORY, or UNAVAILABLE for what the device does
+// not recover from.
+enum rn_status rn_cuda_check(cudaError_t outcome, const char *doing, struct rn_error *err);
+
+// Shared memory and the number of networks staged in it (forward.cuh): as many of the two as fit.
+struct rn_staging {
+    int networks;
+    size_t bytes;
+};
+struct rn_staging rn_staging_for(const struct rn_device *device, size_t first, size_t second);
+
+// Queues the refresh of the march's bits; the measurement of cells before it.
+cudaError_t rn_queue_occupancy(struct rn_device_field *field);
+cudaError_t rn_queue_measurement(struct rn_device_field *field, const struct rn_device_step *step);
+// Queues what new parameters entail: pyramids and fragments.
+cudaError_t rn_queue_refresh(struct rn_device_field *field);
+// Queues the kernels of one step.
+cudaError_t rn_queue_step(struct rn_device_field *field);
+
+#endif

@@ -1,0 +1,316 @@
+// A warp follows a ray: sixteen samples at a time are found, encoded, given density and colour, and
+// composited, until nothing behind can be seen. Rendering ends there; training also leaves tiles of
+// samples for the backward and takes the loss back to every sample's outputs.
+#ifndef RN_ENGINE_CUDA_FORWARD_CUH
+#define RN_ENGINE_CUDA_FORWARD_CUH
+
+#include "server/engine/cuda/encode.cuh"
+#include "server/engine/cuda/march.cuh"
+#include "server/engine/cuda/network.cuh"
+#include "server/engine/field/sh.h"
+
+// ---- pieces ---------------------------------------------------------------------------------
+
+// The direction's spherical harmonics as columns 0..15 of the colour network's input: words for
+// columns 2t, 2t + 1 and 2t + 8, 2t + 9, the same in all rows.
+RN_DEVICE void rn_direction(const struct rn_cuda_scene *scene, const float d[3], uint32_t ret[2]) {
+    double direction[3] = {(double)d[0], (double)d[1], (double)d[2]}, sh[RN_SH_COUNT];
+    float mine[4] = {0, 0, 0, 0};
+    rn_sh_encode(direction, sh);
+    RN_UNROLL
+    for (int k = 0; k < RN_SH_COUNT; k++)
+        if (k % 8 / 2 == RN_LANE % 4) mine[2 * (k / 8) + k % 2] = (float)sh[k];
+    for (int i = 0; i < 2; i++)
+        ret[i] = scene->view_dependence ? rn_pack(mine[2 * i], mine[2 * i + 1]) : 0;
+}
+
+// Column `column` of row i of the 16 outputs, for lane i (mod 16).
+RN_DEVICE float rn_column(const float (&c)[2][4], int column) {
+    int row = RN_LANE % RN_TILE, from = (row & 7) * 4 + column % 8 / 2;
+    float low = rn_shuffle(c[column / 8][column % 2], from);
+    float high = rn_shuffle(c[column / 8][2 + column % 2], from);
+    return row < 8 ? low : high;
+}
+
+// The density network's outputs as input columns 16..31 of the colour network: 1 in the logit's
+// place.
+RN_DEVICE void rn_geometry(const float (&c)[2][4], uint32_t ret[4]) {
+    bool first = RN_LANE % 4 == 0;
+    ret[0] = rn_pack(first ? 1 : c[0][0], c[0][1]);
+    ret[1] = rn_pack(first ? 1 : c[0][2], c[0][3]);
+    ret[2] = rn_pack(c[1][0], c[1][1]);
+    ret[3] = rn_pack(c[1][2], c[1][3]);
+}
+
+RN_DEVICE float rn_density_float(float logit) {
+    return expf(fminf(fmaxf(logit - RN_DENSITY_SHIFT, -RN_DENSITY_CLAMP), RN_DENSITY_CLAMP));
+}
+
+// Lanes 0..15 hold the samples of a tile.
+struct rn_shaded {
+    float x;             // optical depth
+    float weight, after; // and transmittance behind
+    float colour[3];
+};
+
+// Sum of x over the lanes before this one, of 16.
+RN_DEVICE float rn_sum_before(float x) {
+    float sum = x;
+    for (int d = 1; d < RN_TILE; d *= 2) {
+        float other = rn_shuffle(sum, RN_LANE - d);
+        if (RN_LANE % RN_TILE >= d) sum += other;
+    }
+    return sum - x;
+}
+// Sum over the lanes behind this one, of 16.
+RN_DEVICE float rn_sum_behind(float x) {
+    float sum = x;
+    for (int d = 1; d < RN_TILE; d *= 2) {
+        float other = rn_shuffle(sum, RN_LANE + d);
+        if (RN_LANE % RN_TILE + d < RN_TILE) sum += other;
+    }
+    float behind = rn_shuffle(sum, RN_LANE + 1);
+    return RN_LANE % RN_TILE == RN_TILE - 1 ? 0 : behind;
+}
+
+// Weights of a tile that begins at optical depth *depth, which moves to its end. Samples behind the
+// early stop weigh nothing (field/volume.h).
+RN_DEVICE void rn_attenuate(float stop_depth, double *depth, struct rn_shaded *s) {
+    float inside = rn_sum_before(s->x), before = (float)(*depth + (double)inside);
+    float t = before <= stop_depth ? expf(-before) : 0;
+    s->weight = t * -expm1f(-s->x);
+    s->after = t * expf(-s->x);
+    *depth += (double)rn_shuffle(inside + s->x, RN_TILE - 1);
+}
+
+// ---- a ray ----------------------------------------------------------------------------------
+
+struct rn_trace {
+    const struct rn_cuda_scene *scene;
+    const struct rn_cuda_march *march;
+    const struct rn_cuda_batch *batch;
+    const uint4 *base, *head; // fragments
+    struct rn_march_ray ray;
+    int index; // of the ray
+    uint32_t direction[2];
+    // sums over the lane's own samples: colour, opacity, opacity times distance
+    float colour[3], opacity, distance;
+    int last_tile, tiles, samples, evaluated;
+};
+
+// Stores a tile; its slot, or -1 where there is no room: the step is then rejected as a whole.
+template <int KT>
+RN_DEVICE int rn_save_tile(struct rn_trace *t, const uint32_t (&features)[KT][4],
+                           const uint32_t geometry[4], const struct rn_shaded *s, float mid) {
+    const struct rn_cuda_batch *b = t->batch;
+    int slot = 0;
+    if (RN_LANE == 0) slot = (int)atomicAdd(&b->status->tiles, 1u);
+    slot = rn_shuffle(slot, 0);
+    if ((uint32_t)slot >= b->tile_capacity) return -1;
+    RN_UNROLL
+    for (int k = 0; k < KT; k++)
+        b->features[((size_t)slot * KT + k) * RN_LANES + RN_LANE] =
+            uint4{features[k][0], features[k][1], features[k][2], features[k][3]};
+    b->geometry[(size_t)slot * RN_LANES + RN_LANE] =
+        uint4{geometry[0], geometry[1], geometry[2], geometry[3]};
+    if (RN_LANE < RN_TILE) {
+        size_t at = (size_t)slot * RN_TILE + RN_LANE;
+        b->mid[at] = mid;
+        b->depth[at] = s->x;
+        b->weight[at] = s->weight;
+        b->after[at] = s->after;
+        for (int c = 0; c < 3; c++)
+            b->colour[((size_t)slot * 3 + c) * RN_TILE + RN_LANE] = s->colour[c];
+    }
+    if (RN_LANE == 0) {
+        b->tile_ray[slot] = t->index;
+        b->tile_ordinal[slot] = t->tiles;
+        b->tile_previous[slot] = t->last_tile;
+    }
+    t->tiles++;
+    return slot;
+}
+
+// Counts samples by their largest level; `top` as rn_encode leaves it, lane i counts sample i.
+RN_DEVICE void rn_count_levels(struct rn_cuda_status *status, float (&top)[2], bool counts) {
+    for (int i = 0; i < 2; i++)
+        for (int mask = 1; mask < 4; mask *= 2)
+            top[i] = fmaxf(rn_shuffle_xor(top[i], mask), top[i]);
+    float low = rn_shuffle(top[0], RN_LANE % 8 * 4), high = rn_shuffle(top[1], RN_LANE % 8 * 4);
+    int level = (int)(RN_LANE < 8 ? low : high);
+    for (int l = 0; l < RN_MAX_LEVELS; l++) {
+        uint32_t bits = rn_ballot(counts && level == l);
+        if (bits && RN_LANE == 0)
+            atomicAdd((unsigned long long *)&status->level_samples[l],
+                      (unsigned long long)rn_popcount(bits));
+    }
+}
+
+// One tile: `n` samples at march indices `index` (lane i: sample i).
+template <int KT, int WT, bool TRAIN>
+RN_DEVICE void rn_trace_tile(struct rn_trace *t, const struct rn_encoder *encoder, int n, int index,
+                             double *depth) {
+    const struct rn_cuda_scene *scene = t->scene;
+    uint32_t a[KT][4], head_in[2][4];
+    float out[2][4], top[2], mid = ((float)index + 0.5f) * encoder->step;
+    struct rn_sample s[2];
+    for (int i = 0; i < 2; i++)
+        s[i] = rn_place(&t->ray, rn_shuffle(mid, RN_LANE / 4 + 8 * i), encoder->step);
+    rn_encode<KT>(&scene->planes, scene->texels, encoder, t->ray.radius, s, -1, a, top);
+    rn_forward<KT, WT>(&scene->base, t->base, a, out);
+    struct rn_sample own = rn_place(&t->ray, mid, encoder->step);
+    bool inside = own.x * own.x + own.y * own.y + own.z * own.z <= 1 && RN_LANE % RN_TILE < n;
+    struct rn_shaded shaded;
+    float density = rn_density_float(rn_column(out, 0));
+    shaded.x = inside ? density * (encoder->step * (float)RN_DENSITY_UNIT) : 0;
+    rn_attenuate(t->march->stop_depth, depth, &shaded);
+    rn_geometry(out, head_in[1]);
+    for (int i = 0; i < 4; i++)
+        head_in[0][i] = t->direction[i / 2];
+    uint32_t seen = rn_ballot(shaded.weight > 0 && RN_LANE < RN_TILE);
+    // A number that is not finite is seen too: it must reach the pixel, and be counted there.
+    uint32_t strange = rn_ballot(!(shaded.weight >= 0) && RN_LANE < RN_TILE);
+    t->evaluated += n;
+    if (!(seen | strange)) return;
+    rn_forward<2, WT>(&scene->head, t->head, head_in, out);
+    for (int c = 0; c < 3; c++) {
+        shaded.colour[c] = 1 / (1 + expf(-rn_column(out, c)));
+        t->colour[c] += shaded.weight != 0 ? shaded.weight * shaded.colour[c] : 0;
+    }
+    t->opacity += shaded.weight;
+    t->distance += shaded.weight * (t->ray.near + mid);
+    t->samples += rn_popcount(seen);
+    if constexpr (TRAIN) {
+        rn_count_levels(t->batch->status, top, shaded.weight > 0 && RN_LANE < RN_TILE);
+        int slot = rn_save_tile<KT>(t, a, head_in[1], &shaded, mid);
+        if (slot >= 0) t->last_tile = slot;
+    }
+}
+
+// Sum of lanes 0..15, in all lanes.
+RN_DEVICE float rn_tile_sum(float x) {
+    return rn_warp_sum(RN_LANE < RN_TILE ? x : 0);
+}
+
+// Follows the ray; afterwards the sums are those of the whole ray, in all lanes.
+template <int KT, int WT, bool TRAIN> RN_DEVICE void rn_trace_ray(struct rn_trace *t) {
+    const struct rn_cuda_scene *scene = t->scene;
+    t->last_tile = -1;
+    t->tiles = t->samples = t->evaluated = 0;
+    t->colour[0] = t->colour[1] = t->colour[2] = t->opacity = t->distance = 0;
+    struct rn_walk walk = rn_walk_start(&scene->occupancy, &t->ray, t->march->step);
+    if (walk.k >= walk.end) return;
+    struct rn_encoder encoder = rn_encoder_start(&scene->planes, &t->ray, t->march->step);
+    rn_direction(scene, t->march->turned ? t->march->look : t->ray.direction, t->direction);
+    double depth = 0;
+    int n, index;
+    while (depth <= (double)t->march->stop_depth &&
+           (n = rn_walk_next(&scene->occupancy, &t->ray, t->march->step, &walk, &index)) > 0)
+        rn_trace_tile<KT, WT, TRAIN>(t, &encoder, n, index, &depth);
+    for (int c = 0; c < 3; c++)
+        t->colour[c] = rn_tile_sum(t->colour[c]);
+    t->opacity = rn_tile_sum(t->opacity);
+    t->distance = rn_tile_sum(t->distance);
+}
+
+RN_DEVICE void rn_store_pixel(const struct rn_trace *t) {
+    struct rn_pixel pixel;
+    for (int c = 0; c < 3; c++)
+        pixel.rgb[c] = t->colour[c] + (1 - t->opacity) * t->march->background[c];
+    pixel.alpha = fminf(t->opacity, 1);
+    pixel.depth = t->opacity > 0 ? t->distance / t->opacity : 0;
+    t->batch->pixels[t->index] = pixel;
+}
+
+// ---- loss -----------------------------------------------------------------------------------
+
+// Loss of a finished ray and its gradient in `ret_grad`: smooth L1, beta 1, times the area weight.
+// False where the ray takes no part.
+RN_DEVICE bool rn_ray_loss(const struct rn_trace *t, float ret_grad[3], float *ret_loss) {
+    float loss = 0;
+    for (int c = 0; c < 3; c++) {
+        float value = t->colour[c] + (1 - t->opacity) * t->march->background[c];
+        float d = value - t->ray.target[c], size = fabsf(d);
+        loss += size < 1 ? 0.5f * d * d : size - 0.5f;
+        ret_grad[c] = t->ray.weight * fminf(fmaxf(d, -1), 1);
+    }
+    *ret_loss = loss;
+    return t->opacity > 0 && t->ray.weight > 0 && loss < 3e38f;
+}
+
+// dL/d(colour logits) and dL/d(density logit) of the tiles of one ray, from the last to the first:
+// dL/dx_i = after_i g_i - sum behind i of w g, g_i = grad . (colour_i - background).
+RN_DEVICE void rn_composite_backward(const struct rn_trace *t, const float grad[3], float scale) {
+    const struct rn_cuda_batch *b = t->batch;
+    double behind = 0;
+    for (int slot = t->last_tile; slot >= 0; slot = b->tile_previous[slot]) {
+        size_t at = (size_t)slot * RN_TILE + RN_LANE % RN_TILE;
+        float weight = b->weight[at], slope = 0, sigmoid[3];
+        for (int c = 0; c < 3; c++) {
+            float colour = b->colour[((size_t)slot * 3 + c) * RN_TILE + RN_LANE % RN_TILE];
+            sigmoid[c] = weight > 0 ? scale * grad[c] * weight * colour * (1 - colour) : 0;
+            slope += grad[c] * ((weight > 0 ? colour : 0) - t->march->background[c]);
+        }
+        float product = weight * slope, rest = rn_sum_behind(product);
+        float change = b->after[at] * slope - (float)(behind + (double)rest);
+        behind += (double)rn_shuffle(rest + product, 0);
+        if (RN_LANE >= RN_TILE) continue;
+        for (int c = 0; c < 3; c++)
+            b->colour_grad[((size_t)slot * 3 + c) * RN_TILE + RN_LANE] = sigmoid[c];
+        b->logit_grad[at] = scale * change * b->depth[at];
+    }
+}
+
+RN_DEVICE void rn_finish_ray(const struct rn_trace *t) {
+    const struct rn_cuda_batch *b = t->batch;
+    float grad[3], loss;
+    bool takes_part = rn_ray_loss(t, grad, &loss);
+    if (takes_part) {
+        __syncwarp(); // lane 0 wrote tile_previous
+        rn_composite_backward(t, grad, b->status->gradient_scale);
+    }
+    if (RN_LANE != 0) return;
+    b->ray_loss[t->index] = takes_part ? t->ray.weight * loss : 0;
+    b->ray_weight[t->index] = takes_part ? t->ray.weight : 0;
+    b->ray_samples[t->index] = takes_part ? t->samples : 0;
+    b->ray_tiles[t->index] = takes_part ? t->tiles : 0;
+    if (!takes_part && !(t->opacity <= 0))
+        atomicAdd((unsigned long long *)&b->status->nonfinite_rays, 1ull);
+}
+
+// ---- kernels --------------------------------------------------------------------------------
+
+// Rays 0 .. ray_count of the batch, each by the warp that comes first. Shared memory: the two
+// networks' fragments, as far as `staged` says (0 none, 1 the density network, 2 both).
+template <int KT, int WT, bool TRAIN>
+__global__ void __launch_bounds__(384, 1)
+    rn_forward_kernel(const __grid_constant__ rn_cuda_scene scene,
+                      const __grid_constant__ rn_cuda_batch batch,
+                      const __grid_constant__ rn_cuda_march march, int staged) {
+    uint4 *room = (uint4 *)rn_shared_memory();
+    struct rn_trace t;
+    t.scene = &scene;
+    t.march = &march;
+    t.batch = &batch;
+    t.base = rn_stage(staged > 0 ? room : NULL, scene.forward, scene.base.packed_count);
+    t.head = rn_stage(staged > 1 ? room + scene.base.packed_count : NULL,
+                      scene.forward + scene.base.packed_count, scene.head.packed_count);
+    rn_stage_finish();
+    unsigned long long evaluated = 0;
+    for (;;) {
+        int index = 0;
+        if (RN_LANE == 0) index = (int)atomicAdd(&batch.status->queue, 1u);
+        t.index = rn_shuffle(index, 0);
+        if (t.index >= batch.status->ray_count) break;
+        t.ray = batch.rays[t.index];
+        rn_trace_ray<KT, WT, TRAIN>(&t);
+        evaluated += (unsigned long long)t.evaluated;
+        if (TRAIN)
+            rn_finish_ray(&t);
+        else if (RN_LANE == 0)
+            rn_store_pixel(&t);
+    }
+    if (RN_LANE == 0) atomicAdd(&batch.status->evaluated, evaluated);
+}
+
+#endif

@@ -1,0 +1,147 @@
+// Marching by a warp: which samples of a ray lie in occupied cells, sixteen at a time (cpu/march.h
+// has the same walk by vectors).
+#ifndef RN_ENGINE_CUDA_MARCH_CUH
+#define RN_ENGINE_CUDA_MARCH_CUH
+
+#include "server/engine/cuda/scene.cuh"
+
+// A walk along one ray; the same in all lanes. `bits` are the samples found and not yet taken, of
+// the window of 32 steps that begins at `window`.
+struct rn_walk {
+    int k, end, window, shift;
+    uint32_t bits;
+};
+
+// First march index whose middle lies at or behind `s`.
+RN_DEVICE int rn_index_at(float s, float inverse_step) {
+    float k = s * inverse_step - 0.5f;
+    return k <= 0 ? 0 : k < 1e6f ? (int)k + 1 : 1000000;
+}
+
+// Restricts the walk to the box around all occupied cells.
+RN_DEVICE void rn_walk_clip(const struct rn_cuda_occupancy *o, const struct rn_march_ray *ray,
+                            float inverse_step, struct rn_walk *w) {
+    float enter = 0, leave = ray->length;
+    for (int i = 0; i < 3; i++) {
+        float d = ray->direction[i], at = ray->origin[i], side = 2.0f / (float)o->cells;
+        float low = (float)o->box[i] * side - 1, high = (float)(o->box[3 + i] + 1) * side - 1;
+        if (d > 1e-12f || d < -1e-12f) {
+            float inverse = 1 / d, a = (low - at) * inverse, b = (high - at) * inverse;
+            enter = fmaxf(enter, fminf(a, b));
+            leave = fminf(leave, fmaxf(a, b));
+        } else if (at < low || at > high) {
+            leave = -1;
+        }
+    }
+    w->k = leave > enter ? rn_index_at(enter, inverse_step) - 1 : w->end;
+    if (w->k < 0) w->k = 0;
+    int last = rn_index_at(leave, inverse_step) + 1;
+    if (last < w->end) w->end = last;
+}
+
+RN_DEVICE struct rn_walk rn_walk_start(const struct rn_cuda_occupancy *o,
+                                       const struct rn_march_ray *ray, float step) {
+    struct rn_walk w = {0, 0, 0, rn_lowest((uint32_t)ray->stride), 0};
+    if (!(ray->length > 0) || o->box[0] > o->box[3]) return w;
+    w.end = rn_index_at(ray->length, 1 / step);
+    if (w.end > 65535) w.end = 65535;
+    rn_walk_clip(o, ray, 1 / step, &w);
+    return w;
+}
+
+// Distance along one axis from `at` to the face of [low, high] that the ray leaves through.
+RN_DEVICE float rn_axis_exit(float at, float direction, float low, float high) {
+    if (direction > 1e-12f) return (high - at) / direction;
+    if (direction < -1e-12f) return (low - at) / direction;
+    return 1e30f;
+}
+
+// Index of the first sample behind the run of empty bricks around sample k; k where there is none.
+RN_DEVICE int rn_skip_empty(const struct rn_cuda_occupancy *o, const struct rn_march_ray *ray,
+                            int k, float step) {
+    int bricks = o->cells / RN_BRICK, index = 0, brick[3];
+    float at[3], s = ((float)k + 0.5f) * step, side = 2.0f / (float)bricks, leave = 1e30f;
+    for (int i = 0; i < 3; i++) {
+        at[i] = ray->origin[i] + ray->direction[i] * s;
+        float b = (at[i] + 1) * 0.5f * (float)bricks;
+        brick[i] = b > 0 ? (b < (float)bricks ? (int)b : bricks - 1) : 0;
+        index = index * bricks + brick[i];
+    }
+    int distance = o->distance[index];
+    if (distance == 0) return k;
+    for (int i = 0; i < 3; i++) {
+        float low = (float)(brick[i] - distance + 1) * side - 1;
+        float high = low + (float)(2 * distance - 1) * side;
+        leave = fminf(leave, rn_axis_exit(at[i], ray->direction[i], low, high));
+    }
+    int next = leave < 1e6f ? rn_index_at(s + leave, 1 / step) : 1000000;
+    return next > k ? next : k + 1;
+}
+
+// Whether step k lies in an occupied cell.
+RN_DEVICE bool rn_cell_occupied(const struct rn_cuda_occupancy *o, const struct rn_march_ray *ray,
+                                int k, float step) {
+    float s = ((float)k + 0.5f) * step, half = 0.5f * (float)o->cells;
+    int cell[3], bricks = o->cells / RN_BRICK;
+    for (int i = 0; i < 3; i++) {
+        float p = ray->direction[i] * s + ray->origin[i];
+        cell[i] = (int)fminf(fmaxf(p * half + half, 0), (float)(o->cells - 1));
+    }
+    int brick = ((cell[0] >> 3) * bricks + (cell[1] >> 3)) * bricks + (cell[2] >> 3);
+    uint32_t word = o->words[brick * 16 + (cell[2] & 7) * 2 + ((cell[1] >> 2) & 1)];
+    return word >> ((cell[1] & 3) * 8 + (cell[0] & 7)) & 1;
+}
+
+// Steps in the lowest bit of each group of 1 << shift: a sample is there when any of its steps is.
+RN_DEVICE uint32_t rn_merge_steps(uint32_t bits, int shift) {
+    if (shift > 0) bits = (bits | bits >> 1) & 0x55555555u;
+    if (shift > 1) bits = (bits | bits >> 2) & 0x11111111u;
+    if (shift > 2) bits = (bits | bits >> 4) & 0x01010101u;
+    return bits;
+}
+
+// Position of the n-th set bit, n from 0 and below the number of set bits.
+RN_DEVICE int rn_nth_bit(uint32_t bits, int n) {
+    int at = 0;
+    for (int width = 16; width > 0; width /= 2) {
+        int below = rn_popcount(bits & ((1u << width) - 1));
+        if (n >= below) {
+            n -= below;
+            bits >>= width;
+            at += width;
+        }
+    }
+    return at;
+}
+
+// The next samples, at most RN_TILE: lane i gets the march index of the i-th, in units of the ray's
+// stride. Returns how many there are; 0 at the ray's end. Ends: every turn advances k.
+RN_DEVICE int rn_walk_next(const struct rn_cuda_occupancy *o, const struct rn_march_ray *ray,
+                           float step, struct rn_walk *w, int *ret_index) {
+    int count = 0;
+    *ret_index = 0;
+    while (count < RN_TILE && (w->bits || w->k < w->end)) {
+        if (!w->bits) {
+            int next = rn_skip_empty(o, ray, w->k, step);
+            if (next != w->k) {
+                w->k = next;
+                continue;
+            }
+            w->window = w->k & -(1 << w->shift);
+            int mine = w->window + RN_LANE;
+            bool hit = mine < w->end && rn_cell_occupied(o, ray, mine, step);
+            w->bits = rn_merge_steps(rn_ballot(hit), w->shift);
+            w->k = w->window + RN_LANES;
+        }
+        int found = rn_popcount(w->bits), slot = RN_LANE - count;
+        if (slot >= 0 && slot < found && RN_LANE < RN_TILE)
+            *ret_index = (w->window + rn_nth_bit(w->bits, slot)) >> w->shift;
+        int taken = found < RN_TILE - count ? found : RN_TILE - count;
+        for (int i = 0; i < taken; i++)
+            w->bits &= w->bits - 1;
+        count += taken;
+    }
+    return count;
+}
+
+#endif

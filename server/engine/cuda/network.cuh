@@ -1,0 +1,170 @@
+// The tiny networks on tensor cores: a warp takes 16 rows through all layers, activations staying
+// in registers as fragments; fp16 products, fp32 sums (field/mlp.h has the mathematics).
+#ifndef RN_ENGINE_CUDA_NETWORK_CUH
+#define RN_ENGINE_CUDA_NETWORK_CUH
+
+#include "server/engine/cuda/scene.cuh"
+
+#define RN_HALF_MAX 65504.0f
+
+// One hidden layer: the results of two neighbouring 8-column products are the next layer's A
+// fragment as they are.
+enum rn_layer_mode {
+    RN_LAYER_RELU,   // keep the positive ones, and remember them in `mask`
+    RN_LAYER_MASKED, // backward: keep those in `mask`
+    RN_LAYER_PLAIN,
+};
+
+// out[16 rows][16 NT] = a[16][16 KT] times the fragments at w ([NT][KT][lane]). Bit 8 (j % 4) + i of
+// mask[j / 4] belongs to number i of fragment j. True when a number does not fit fp16.
+template <int KT, int NT, rn_layer_mode MODE>
+RN_DEVICE bool rn_layer(const uint32_t (&a)[KT][4], const uint4 *w, uint32_t (&out)[NT][4],
+                        uint32_t (&mask)[(NT + 3) / 4]) {
+    bool bad = false;
+    w += RN_LANE;
+    RN_UNROLL
+    for (int j = 0; j < NT; j++) {
+        float c[2][4] = {{0}};
+        RN_UNROLL
+        for (int k = 0; k < KT; k++) {
+            uint4 b = w[(j * KT + k) * RN_LANES];
+            rn_mma(c[0], a[k], b.x, b.y);
+            rn_mma(c[1], a[k], b.z, b.w);
+        }
+        uint32_t bits = 0;
+        RN_UNROLL
+        for (int i = 0; i < 8; i++) {
+            float &x = c[i / 4][i % 4];
+            if (MODE == RN_LAYER_RELU) {
+                bits |= (uint32_t)(x > 0) << i;
+                x = x < 0 ? 0 : x;
+            } else {
+                if (MODE == RN_LAYER_MASKED && !(mask[j / 4] >> (8 * (j % 4) + i) & 1)) x = 0;
+                bad |= !(fabsf(x) <= RN_HALF_MAX);
+            }
+        }
+        if (MODE == RN_LAYER_RELU)
+            mask[j / 4] = (j % 4 == 0 ? 0 : mask[j / 4]) | bits << (8 * (j % 4));
+        RN_UNROLL
+        for (int i = 0; i < 4; i++)
+            out[j][i] = rn_pack(c[i / 2][2 * (i % 2)], c[i / 2][2 * (i % 2) + 1]);
+    }
+    return bad;
+}
+
+// The last layer: 16 outputs as the two fragments of C.
+template <int KT>
+RN_DEVICE void rn_last_layer(const uint32_t (&a)[KT][4], const uint4 *w, float (&c)[2][4]) {
+    RN_UNROLL
+    for (int i = 0; i < 8; i++)
+        c[i / 4][i % 4] = 0;
+    w += RN_LANE;
+    RN_UNROLL
+    for (int k = 0; k < KT; k++) {
+        uint4 b = w[k * RN_LANES];
+        rn_mma(c[0], a[k], b.x, b.y);
+        rn_mma(c[1], a[k], b.z, b.w);
+    }
+}
+
+template <int NT> RN_DEVICE void rn_move(uint32_t (&to)[NT][4], const uint32_t (&from)[NT][4]) {
+    RN_UNROLL
+    for (int i = 0; i < 4 * NT; i++)
+        to[i / 4][i % 4] = from[i / 4][i % 4];
+}
+
+// Stores fragments transposed, [NT][lane], as the product A^T G wants both of its operands.
+template <int NT> RN_DEVICE void rn_keep_transposed(const uint32_t (&a)[NT][4], uint4 *to) {
+    RN_UNROLL
+    for (int j = 0; j < NT; j++) {
+        uint4 t;
+        t.x = rn_transpose(a[j][0]);
+        t.y = rn_transpose(a[j][1]);
+        t.z = rn_transpose(a[j][2]);
+        t.w = rn_transpose(a[j][3]);
+        to[j * RN_LANES + RN_LANE] = t;
+    }
+}
+
+// Forward of 16 rows. `a`: inputs.
+template <int KT, int WT>
+RN_DEVICE void rn_forward(const struct rn_cuda_network *n, const uint4 *weights,
+                          const uint32_t (&a)[KT][4], float (&out)[2][4]) {
+    uint32_t x[WT][4], y[WT][4], mask[(WT + 3) / 4];
+    rn_layer<KT, WT, RN_LAYER_RELU>(a, weights, x, mask);
+    for (int l = 1; l < n->hidden; l++) {
+        rn_layer<WT, WT, RN_LAYER_RELU>(x, weights + n->packed[l], y, mask);
+        rn_move<WT>(x, y);
+    }
+    rn_last_layer<WT>(x, weights + n->packed[n->hidden], out);
+}
+
+// What the backward of one network leaves for the weights' gradients, in one block: activations
+// that enter each layer, then gradients of what leaves it; [tile][16-column block][lane], every
+// 8x8 part transposed.
+struct rn_cuda_scratch {
+    uint4 *into[RN_MLP_MAX_LAYERS], *out_of[RN_MLP_MAX_LAYERS];
+};
+RN_HD size_t rn_cuda_scratch_fragments(const struct rn_cuda_network *n) {
+    return (size_t)(n->inputs16 + 2 * n->width16 * n->hidden + 1);
+}
+RN_DEVICE struct rn_cuda_scratch rn_scratch(const struct rn_cuda_network *n, uint4 *block,
+                                            size_t tiles) {
+    struct rn_cuda_scratch s;
+    for (int l = 0; l <= n->hidden; l++) {
+        s.into[l] = block;
+        block += tiles * (size_t)rn_cuda_layer_k16(n, l) * RN_LANES;
+        s.out_of[l] = block;
+        block += tiles * (size_t)rn_cuda_layer_n16(n, l) * RN_LANES;
+    }
+    return s;
+}
+
+// Backward of 16 rows through all layers but the first: the forward again, keeping activations and
+// the signs, then dL/d(outputs) `grad` back to dL/d(what leaves the first layer), in `x`, masked.
+// True on overflow.
+template <int KT, int WT>
+RN_DEVICE bool rn_backward(const struct rn_cuda_network *n, const uint4 *forward,
+                           const uint4 *backward, const struct rn_cuda_scratch *s, size_t place,
+                           const uint32_t (&a)[KT][4], const uint32_t (&grad)[1][4],
+                           uint32_t (&x)[WT][4]) {
+    uint32_t y[WT][4], mask[(WT + 3) / 4], masks[RN_MLP_MAX_LAYERS][(WT + 3) / 4];
+    rn_keep_transposed<KT>(a, s->into[0] + place * KT * RN_LANES);
+    rn_layer<KT, WT, RN_LAYER_RELU>(a, forward, x, mask);
+    for (int l = 1;; l++) {
+        for (int i = 0; i < (WT + 3) / 4; i++)
+            masks[l - 1][i] = mask[i];
+        rn_keep_transposed<WT>(x, s->into[l] + place * WT * RN_LANES);
+        if (l == n->hidden) break;
+        rn_layer<WT, WT, RN_LAYER_RELU>(x, forward + n->packed[l], y, mask);
+        rn_move<WT>(x, y);
+    }
+    rn_keep_transposed<1>(grad, s->out_of[n->hidden] + place * RN_LANES);
+    bool bad = rn_layer<1, WT, RN_LAYER_MASKED>(grad, backward + n->packed[n->hidden], x, mask);
+    rn_keep_transposed<WT>(x, s->out_of[n->hidden - 1] + place * WT * RN_LANES);
+    for (int l = n->hidden - 1; l > 0; l--) {
+        for (int i = 0; i < (WT + 3) / 4; i++)
+            mask[i] = masks[l - 1][i];
+        bad |= rn_layer<WT, WT, RN_LAYER_MASKED>(x, backward + n->packed[l], y, mask);
+        rn_move<WT>(x, y);
+        rn_keep_transposed<WT>(x, s->out_of[l - 1] + place * WT * RN_LANES);
+    }
+    return bad;
+}
+
+// Copies a network's fragments to the block's shared memory, asynchronously; where they do not fit
+// (`to` NULL) the kernels read them through the caches.
+RN_DEVICE const uint4 *rn_stage(uint4 *to, const uint4 *from, uint32_t count) {
+    if (!to) return from;
+    for (uint32_t i = threadIdx.x; i < count; i += blockDim.x)
+        rn_copy_async(to + i, from + i);
+    return to;
+}
+// Every thread's copies have arrived and all threads may read them.
+RN_DEVICE void rn_stage_finish() {
+    rn_copy_commit();
+    rn_copy_wait();
+    __syncthreads();
+}
+
+#endif

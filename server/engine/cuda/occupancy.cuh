@@ -1,0 +1,123 @@
+// The occupancy grid: densities of cells, their decayed maxima, and the bits and distances that the
+// march reads (scene.c and train/occupancy.c have the same on the CPU).
+#ifndef RN_ENGINE_CUDA_OCCUPANCY_CUH
+#define RN_ENGINE_CUDA_OCCUPANCY_CUH
+
+#include "common/math/rng.h"
+#include "server/engine/cuda/forward.cuh"
+#include "server/engine/field/occupancy.h"
+
+#define RN_OCCUPANCY_PARTS 256 // blocks that sum the grid
+
+// Which cells to measure: list[first + i stride], i < count.
+struct rn_cuda_measurement {
+    uint32_t first, stride, count;
+    float level, decay, step;
+    uint64_t seed, stream, counter;
+};
+
+// A random point of a cell.
+RN_DEVICE struct rn_sample rn_cell_point(const struct rn_cuda_measurement *m, uint32_t cell,
+                                         int cells) {
+    struct rn_rng4 draw = rn_rng_draw(m->seed, m->stream + cell, m->counter);
+    uint32_t n = (uint32_t)cells, at[3] = {cell / n / n, cell / n % n, cell % n};
+    float p[3];
+    for (int k = 0; k < 3; k++)
+        p[k] = ((float)at[k] + rn_rng_unit(draw.v[k])) * 2 / (float)cells - 1;
+    struct rn_sample s = {p[0], p[1], p[2], 0, 0, 0};
+    return s;
+}
+
+// Sixteen cells a warp: density at a point of each, all at one level.
+template <int KT, int WT>
+__global__ void __launch_bounds__(256, 1)
+    rn_measure_kernel(const __grid_constant__ rn_cuda_scene scene,
+                      const __grid_constant__ rn_cuda_measurement m, int staged) {
+    const struct rn_cuda_occupancy *o = &scene.occupancy;
+    const uint4 *weights = rn_stage(staged > 0 ? (uint4 *)rn_shared_memory() : NULL, scene.forward,
+                                    scene.base.packed_count);
+    rn_stage_finish();
+    struct rn_encoder flat = {{0, 0, 0, 0}, false, 0};
+    uint32_t warp = (blockIdx.x * blockDim.x + threadIdx.x) / RN_LANES;
+    for (uint32_t i = warp * RN_TILE; i < m.count; i += gridDim.x * blockDim.x / RN_LANES * RN_TILE) {
+        uint32_t a[KT][4];
+        float out[2][4], top[2];
+        struct rn_sample s[2];
+        for (int k = 0; k < 2; k++) {
+            uint32_t row = i + (uint32_t)(RN_LANE / 4 + 8 * k);
+            uint32_t cell = o->list[m.first + (row < m.count ? row : i) * m.stride];
+            s[k] = rn_cell_point(&m, cell, o->cells);
+        }
+        rn_encode<KT>(&scene.planes, scene.texels, &flat, 0, s, m.level, a, top);
+        rn_forward<KT, WT>(&scene.base, weights, a, out);
+        float density = rn_density_float(rn_column(out, 0));
+        uint32_t own = i + (uint32_t)RN_LANE;
+        if (RN_LANE >= RN_TILE || own >= m.count) continue;
+        uint32_t cell = o->list[m.first + own * m.stride];
+        struct rn_sample p = rn_cell_point(&m, cell, o->cells);
+        bool inside = p.x * p.x + p.y * p.y + p.z * p.z <= 1;
+        float value = inside ? density * (m.step * (float)RN_DENSITY_UNIT) : 0;
+        float old = o->values[cell] * m.decay;
+        o->values[cell] = value > old ? value : old;
+    }
+}
+
+// Sums of the grid's values, one a block.
+__global__ void __launch_bounds__(256) rn_occupancy_sum_kernel(struct rn_cuda_occupancy o) {
+    RN_SHARED double sums[256];
+    size_t n = (size_t)o.cells * (size_t)o.cells * (size_t)o.cells;
+    size_t part = n / RN_OCCUPANCY_PARTS, begin = blockIdx.x * part;
+    double sum = 0;
+    for (size_t i = threadIdx.x; i < part; i += 256)
+        sum += (double)o.values[begin + i];
+    sums[threadIdx.x] = sum;
+    for (unsigned half = 128; half > 0; half /= 2) {
+        __syncthreads();
+        if (threadIdx.x < half) sums[threadIdx.x] += sums[threadIdx.x + half];
+    }
+    if (threadIdx.x == 0) o.partial[blockIdx.x] = sums[0];
+}
+
+// One thread a word of 32 cells; `distance` gets 0 for bricks that hold an occupied cell.
+__global__ void __launch_bounds__(256)
+    rn_occupancy_bits_kernel(struct rn_cuda_occupancy o, uint8_t *distance) {
+    int bricks = o.cells / RN_BRICK, word = (int)(blockIdx.x * blockDim.x + threadIdx.x);
+    if (word >= bricks * bricks * bricks * 16) return;
+    double sum = 0;
+    for (int i = 0; i < RN_OCCUPANCY_PARTS; i++)
+        sum += o.partial[i];
+    double mean = sum / ((double)o.cells * (double)o.cells * (double)o.cells);
+    float threshold = (float)(mean < RN_OCCUPANCY_LIMIT ? mean : RN_OCCUPANCY_LIMIT);
+    int brick = word / 16, z = brick % bricks * RN_BRICK + word % 16 / 2;
+    int y0 = brick / bricks % bricks * RN_BRICK + word % 2 * 4;
+    int x0 = brick / bricks / bricks * RN_BRICK;
+    uint32_t bits = 0;
+    for (int i = 0; i < 32; i++) {
+        int cell[3] = {x0 + i % 8, y0 + i / 8, z};
+        size_t at = rn_cell_index(cell[0], cell[1], cell[2], o.cells);
+        if (!o.hull[at] || !(o.values[at] > threshold)) continue;
+        bits |= 1u << i;
+        for (int k = 0; k < 3; k++) {
+            atomicMin(o.box + k, cell[k]);
+            atomicMax(o.box + 3 + k, cell[k]);
+        }
+    }
+    o.words[word] = bits;
+    if (bits) distance[brick] = 0;
+}
+
+// Chebyshev distance along one axis: the lower envelope of max(|k - q|, from[q]).
+__global__ void __launch_bounds__(256)
+    rn_distance_kernel(int bricks, int axis, const uint8_t *from, uint8_t *to) {
+    int brick = (int)(blockIdx.x * blockDim.x + threadIdx.x);
+    if (brick >= bricks * bricks * bricks) return;
+    int stride = axis == 0 ? bricks * bricks : axis == 1 ? bricks : 1, best = 255;
+    int k = brick / stride % bricks, line = brick - k * stride;
+    for (int q = 0; q < bricks; q++) {
+        int d = k > q ? k - q : q - k, f = from[line + q * stride], m = d > f ? d : f;
+        if (m < best) best = m;
+    }
+    to[brick] = (uint8_t)best;
+}
+
+#endif

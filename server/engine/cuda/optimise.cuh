@@ -1,0 +1,287 @@
+// The update: AdamW on planes and networks, and what follows from new parameters at once: the
+// pyramids' fp16 maps, the networks' fragments (paper, section 3.3; Loshchilov & Hutter 2019).
+#ifndef RN_ENGINE_CUDA_OPTIMISE_CUH
+#define RN_ENGINE_CUDA_OPTIMISE_CUH
+
+#include "server/engine/cuda/gradient.cuh"
+#include "server/engine/cuda/scatter.cuh"
+
+// Written by the host before a step.
+struct rn_cuda_rates {
+    float network_rate, plane_rate, decay, eps;
+    int sparse; // blocks that no sample touched keep their parameters and moments
+};
+
+struct rn_cuda_optimiser {
+    struct rn_cuda_rates *rates;
+    float *m, *v; // laid out as the parameters
+    struct rn_cuda_gradients gradients;
+    float4 *base_sums, *head_sums; // [RN_CHUNKS] gradients of the networks; the total in the first
+};
+
+// One number (cpu/kernel_set.c). False where the outcome is not finite: then the parameter stays
+// and its moments start anew.
+RN_DEVICE bool rn_adamw(const struct rn_cuda_status *s, float rate, float decay, float eps,
+                        float grad, float *p, float *m, float *v) {
+    float g = fminf(fmaxf(grad, -1.8e19f), 1.8e19f);
+    float first = *m * 0.9f + g * 0.1f, second = *v * 0.999f + g * g * 0.001f;
+    float change = *p * (rate * decay) + rate / s->correction1 * first /
+                                             (sqrtf(second) / sqrtf(s->correction2) + eps);
+    bool finite = fabsf(*p - change) < 3e38f && second < 3e38f;
+    *p = finite ? *p - change : *p;
+    *m = finite ? first : 0;
+    *v = finite ? second : 0;
+    return finite;
+}
+
+// ---- planes ---------------------------------------------------------------------------------
+
+// One block of threads: RN_UPDATE^2 texels of a plane, four channels a thread.
+struct rn_update_block {
+    int plane, x, y; // first texel
+    int quads;       // of channels
+};
+
+RN_DEVICE struct rn_update_block rn_update_block(const struct rn_cuda_planes *p) {
+    int side = p->update_side, block = (int)blockIdx.x;
+    struct rn_update_block b = {block / (side * side), block % side * RN_UPDATE,
+                                block / side % side * RN_UPDATE, p->channels / 4};
+    return b;
+}
+
+// First number of four channels of a texel in the fp16 pyramids.
+RN_DEVICE size_t rn_texel_at(const struct rn_cuda_planes *p, const struct rn_update_block *b,
+                             int lx, int ly, int x, int y, int quad) {
+    uint32_t texel = (uint32_t)b->plane * p->plane_texels + p->map[ly][lx] +
+                     (uint32_t)(y * (p->base >> lx) + x);
+    return (size_t)texel * (size_t)p->channels + (size_t)(4 * quad);
+}
+
+// Adds the gradient of one texel of some map.
+template <bool FIXED>
+RN_DEVICE void rn_add_gradient(const struct rn_cuda_gradients *g, size_t at, float weight,
+                               float sum[4]) {
+    if (FIXED) {
+        for (int c = 0; c < 4; c++)
+            sum[c] += weight * (float)((double)(long long)g->fixed[at + c] / (double)RN_FIXED_ONE);
+        return;
+    }
+    uint2 v = g->half[at / 4];
+    weight /= RN_SCATTER_HEADROOM;
+    sum[0] += weight * rn_low(v.x);
+    sum[1] += weight * rn_high(v.x);
+    sum[2] += weight * rn_low(v.y);
+    sum[3] += weight * rn_high(v.y);
+}
+
+// The base texel's gradient: every map's texel above it hands down 2^-(lx + ly) of its own.
+template <bool FIXED>
+RN_DEVICE void rn_pull_down(const struct rn_cuda_planes *p, const struct rn_cuda_gradients *g,
+                            const struct rn_update_block *b, int x, int y, int quad, float sum[4]) {
+    float weight_y = 1;
+    for (int ly = 0; ly < p->levels; ly++, weight_y *= 0.5f) {
+        float weight = weight_y;
+        for (int lx = 0; lx < p->levels; lx++, weight *= 0.5f)
+            if (rn_cuda_map_exists(p->footprint, lx, ly))
+                rn_add_gradient<FIXED>(g, rn_texel_at(p, b, lx, ly, x >> lx, y >> ly, quad), weight,
+                                       sum);
+    }
+}
+
+// Pools the block's parameters into the fp16 maps of the fine levels.
+RN_DEVICE void rn_pool_block(const struct rn_cuda_planes *p, uint16_t *texels,
+                             const struct rn_update_block *b, const float *values) {
+    int levels = p->levels < RN_FINE_LEVELS ? p->levels : RN_FINE_LEVELS;
+    for (int map = 0; map < levels * levels; map++) {
+        int lx = map % levels, ly = map / levels, w = RN_UPDATE >> lx;
+        if (!rn_cuda_map_exists(p->footprint, lx, ly)) continue;
+        for (int i = (int)threadIdx.x; i < w * (RN_UPDATE >> ly) * b->quads;
+             i += (int)blockDim.x) {
+            int quad = i % b->quads, x = i / b->quads % w, y = i / b->quads / w;
+            float sum[4] = {0, 0, 0, 0}, weight = 1 / (float)(1 << (lx + ly));
+            for (int k = 0; k < 1 << (lx + ly); k++) {
+                int at = ((y << ly) + (k >> lx)) * RN_UPDATE + (x << lx) + (k & ((1 << lx) - 1));
+                for (int c = 0; c < 4; c++)
+                    sum[c] += values[(at * b->quads + quad) * 4 + c];
+            }
+            size_t to = rn_texel_at(p, b, lx, ly, (b->x >> lx) + x, (b->y >> ly) + y, quad);
+            *(uint2 *)(texels + to) = uint2{rn_pack(sum[0] * weight, sum[1] * weight),
+                                            rn_pack(sum[2] * weight, sum[3] * weight)};
+        }
+    }
+}
+
+// Clears the gradients that the block has read: those of the fine levels, which no other block
+// reads.
+template <bool FIXED>
+RN_DEVICE void rn_clear_block(const struct rn_cuda_planes *p, const struct rn_cuda_gradients *g,
+                              const struct rn_update_block *b) {
+    int levels = p->levels < RN_FINE_LEVELS ? p->levels : RN_FINE_LEVELS;
+    for (int map = 0; map < levels * levels; map++) {
+        int lx = map % levels, ly = map / levels, w = RN_UPDATE >> lx;
+        if (!rn_cuda_map_exists(p->footprint, lx, ly)) continue;
+        for (int i = (int)threadIdx.x; i < w * (RN_UPDATE >> ly) * b->quads;
+             i += (int)blockDim.x) {
+            int quad = i % b->quads, x = i / b->quads % w, y = i / b->quads / w;
+            size_t at = rn_texel_at(p, b, lx, ly, (b->x >> lx) + x, (b->y >> ly) + y, quad);
+            for (int c = 0; FIXED && c < 4; c++)
+                g->fixed[at + c] = 0;
+            if (!FIXED) g->half[at / 4] = uint2{0, 0};
+        }
+    }
+}
+
+// The parameters of one thread: index of the first of four channels.
+RN_DEVICE size_t rn_parameter_at(const struct rn_cuda_planes *p, const struct rn_update_block *b) {
+    int texel = (int)threadIdx.x / b->quads, quad = (int)threadIdx.x % b->quads;
+    size_t row = (size_t)b->plane * (size_t)p->base + (size_t)(b->y + texel / RN_UPDATE);
+    return (row * (size_t)p->base + (size_t)(b->x + texel % RN_UPDATE)) * (size_t)p->channels +
+           (size_t)(4 * quad);
+}
+
+// Pull-down, AdamW and pooling of one block a block of threads; 64 threads times channels / 4.
+template <bool FIXED>
+__global__ void __launch_bounds__(256)
+    rn_update_planes_kernel(const __grid_constant__ rn_cuda_scene scene,
+                            const __grid_constant__ rn_cuda_optimiser o,
+                            struct rn_cuda_status *status) {
+    RN_SHARED float values[RN_UPDATE * RN_UPDATE * 16];
+    const struct rn_cuda_planes *p = &scene.planes;
+    struct rn_update_block b = rn_update_block(p);
+    bool touched = o.gradients.touched[blockIdx.x] != 0;
+    if (rn_cuda_step_skipped(status) || (o.rates->sparse && !touched)) return;
+    size_t at = rn_parameter_at(p, &b);
+    int texel = (int)threadIdx.x / b.quads, quad = (int)threadIdx.x % b.quads;
+    float grad[4] = {0, 0, 0, 0}, scale = 1 / (status->gradient_scale * (float)status->weight);
+    if (touched)
+        rn_pull_down<FIXED>(p, &o.gradients, &b, b.x + texel % RN_UPDATE, b.y + texel / RN_UPDATE,
+                            quad, grad);
+    for (int c = 0; c < 4; c++) {
+        if (!(fabsf(grad[c]) < 3e38f)) {
+            grad[c] = 0;
+            status->overflowed = 1;
+        }
+        float value = scene.parameters[at + c], m = o.m[at + c], v = o.v[at + c];
+        if (!rn_adamw(status, o.rates->plane_rate, o.rates->decay, o.rates->eps, grad[c] * scale,
+                      &value, &m, &v))
+            atomicAdd((unsigned long long *)&status->nonfinite_numbers, 1ull);
+        scene.parameters[at + c] = value;
+        o.m[at + c] = m;
+        o.v[at + c] = v;
+        values[4 * threadIdx.x + c] = value;
+    }
+    __syncthreads();
+    rn_pool_block(p, scene.texels, &b, values);
+    if (!touched) return;
+    rn_clear_block<FIXED>(p, &o.gradients, &b);
+    if (threadIdx.x == 0) o.gradients.touched[blockIdx.x] = 0;
+}
+
+// Pooling alone, for parameters that came from elsewhere.
+__global__ void __launch_bounds__(256)
+    rn_build_kernel(const __grid_constant__ rn_cuda_scene scene) {
+    RN_SHARED float values[RN_UPDATE * RN_UPDATE * 16];
+    struct rn_update_block b = rn_update_block(&scene.planes);
+    size_t at = rn_parameter_at(&scene.planes, &b);
+    for (int c = 0; c < 4; c++)
+        values[4 * threadIdx.x + c] = scene.parameters[at + c];
+    __syncthreads();
+    rn_pool_block(&scene.planes, scene.texels, &b, values);
+}
+
+// Maps beyond the fine levels, from the coarsest fine map that reaches as far; clears their
+// gradients where there are any. One thread four channels of a texel.
+template <bool FIXED>
+__global__ void __launch_bounds__(256)
+    rn_coarse_kernel(const __grid_constant__ rn_cuda_scene scene,
+                     const __grid_constant__ rn_cuda_gradients g) {
+    const struct rn_cuda_planes *p = &scene.planes;
+    int quads = p->channels / 4, top = RN_FINE_LEVELS - 1;
+    for (int map = 0; map < p->levels * p->levels; map++) {
+        int lx = map % p->levels, ly = map / p->levels, w = p->base >> lx, h = p->base >> ly;
+        if (!rn_cuda_map_exists(p->footprint, lx, ly) || (lx <= top && ly <= top)) continue;
+        int dx = lx > top ? lx - top : 0, dy = ly > top ? ly - top : 0;
+        for (int i = (int)(blockIdx.x * blockDim.x + threadIdx.x); i < p->planes * w * h * quads;
+             i += (int)(gridDim.x * blockDim.x)) {
+            int quad = i % quads, x = i / quads % w, y = i / quads / w % h;
+            struct rn_update_block b = {i / quads / w / h, 0, 0, quads};
+            float sum[4] = {0, 0, 0, 0}, weight = 1 / (float)(1 << (dx + dy));
+            for (int k = 0; k < 1 << (dx + dy); k++)
+                rn_add_texel(scene.texels,
+                             rn_texel_at(p, &b, lx - dx, ly - dy, (x << dx) + (k & ((1 << dx) - 1)),
+                                         (y << dy) + (k >> dx), quad),
+                             weight, sum);
+            size_t at = rn_texel_at(p, &b, lx, ly, x, y, quad);
+            *(uint2 *)(scene.texels + at) =
+                uint2{rn_pack(sum[0], sum[1]), rn_pack(sum[2], sum[3])};
+            for (int c = 0; FIXED && g.fixed && c < 4; c++)
+                g.fixed[at + c] = 0;
+            if (!FIXED && g.half) g.half[at / 4] = uint2{0, 0};
+        }
+    }
+}
+
+// ---- networks -------------------------------------------------------------------------------
+
+// Adds the chunks' sums in order into the first; a sum that is not finite rejects the step.
+__global__ void __launch_bounds__(256)
+    rn_reduce_kernel(float *sums, size_t count, struct rn_cuda_status *status) {
+    for (size_t i = blockIdx.x * blockDim.x + threadIdx.x; i < count; i += gridDim.x * blockDim.x) {
+        float sum = 0;
+        for (int chunk = 0; chunk < RN_CHUNKS; chunk++)
+            sum += sums[(size_t)chunk * count + i];
+        if (!(fabsf(sum) < 3e38f)) status->rejected = 1;
+        sums[i] = sum;
+    }
+}
+
+RN_DEVICE void rn_store_half(uint4 *fragments, size_t at, float value) {
+    ((uint16_t *)fragments)[at] = (uint16_t)rn_pack(value, 0);
+}
+
+// Number i of a network's gradient: its layer, and the index of its parameter; -1 for padding.
+RN_DEVICE int rn_network_element(const struct rn_cuda_network *n, bool head, bool per_ray, size_t i,
+                                 int *ret_layer, int *ret_k, int *ret_n) {
+    int layer = n->hidden;
+    while (layer > 0 && i < (size_t)n->packed[layer] * 8)
+        layer--;
+    rn_cuda_gradient_element(i - (size_t)n->packed[layer] * 8, rn_cuda_layer_n16(n, layer), ret_k,
+                             ret_n);
+    *ret_layer = layer;
+    return rn_cuda_weight_index(n, head, per_ray, layer, *ret_k, *ret_n);
+}
+
+// AdamW (where `o.m` is not NULL) and the fragments of one network. One thread a number.
+__global__ void __launch_bounds__(256)
+    rn_update_network_kernel(const __grid_constant__ rn_cuda_scene scene,
+                             const __grid_constant__ rn_cuda_optimiser o,
+                             struct rn_cuda_status *status, bool head) {
+    const struct rn_cuda_network *n = head ? &scene.head : &scene.base;
+    size_t first = scene.plane_count, packed = head ? scene.base.packed_count : 0;
+    if (head) first += scene.base.source[scene.base.hidden] +
+                       (size_t)(scene.base.width * scene.base.outputs);
+    if (o.m && rn_cuda_step_skipped(status)) return;
+    const float *sums = (const float *)(head ? o.head_sums : o.base_sums);
+    for (size_t i = blockIdx.x * blockDim.x + threadIdx.x; i < rn_cuda_gradient_count(n);
+         i += gridDim.x * blockDim.x) {
+        int layer, k, column;
+        int index = rn_network_element(n, head, scene.per_ray, i, &layer, &k, &column);
+        if (index < 0) continue;
+        size_t at = first + (size_t)index;
+        float value = scene.parameters[at];
+        if (o.m) {
+            float scale = 1 / (status->gradient_scale * (float)status->weight);
+            if (!rn_adamw(status, o.rates->network_rate, o.rates->decay, o.rates->eps,
+                          sums[i] * scale, &value, o.m + at, o.v + at))
+                atomicAdd((unsigned long long *)&status->nonfinite_numbers, 1ull);
+            scene.parameters[at] = value;
+        }
+        uint4 *forward = scene.forward + packed + n->packed[layer];
+        uint4 *backward = scene.backward + packed + n->packed[layer];
+        rn_store_half(forward, rn_cuda_fragment_place(k, column, rn_cuda_layer_k16(n, layer)), value);
+        rn_store_half(backward, rn_cuda_fragment_place(column, k, rn_cuda_layer_n16(n, layer)),
+                      value);
+    }
+}
+
+#endif

@@ -1,0 +1,197 @@
+// The fetch's adjoint: feature gradients to the texels they came from. A thread follows a ray on
+// one plane with four channels and holds the sums of the texels around it; what it leaves behind
+// goes to memory, so that neighbouring samples' texels are written once.
+#ifndef RN_ENGINE_CUDA_SCATTER_CUH
+#define RN_ENGINE_CUDA_SCATTER_CUH
+
+#include "server/engine/cuda/encode.cuh"
+
+// fp16 sums of many gradients: this much is taken off them so that the sum does not overflow.
+#define RN_SCATTER_HEADROOM 0.0625f
+// Fixed point of the deterministic mode: sums of integers do not depend on their order.
+#define RN_FIXED_ONE 1073741824.0f
+
+// Gradients of the pyramids, laid out as the texels: fp16, or int64 where `fixed`. `touched`: one
+// byte a block of RN_UPDATE texels a side, [plane][row][column].
+struct rn_cuda_gradients {
+    uint2 *half;
+    unsigned long long *fixed;
+    uint8_t *touched;
+};
+
+// Sums of the four texels of one map around the ray, [row][column][channel].
+struct rn_nest {
+    int x, y; // of texel (0, 0); x < 0: empty
+    float sum[2][2][4];
+};
+
+// Where one thread scatters.
+struct rn_scatter_place {
+    const struct rn_cuda_planes *planes;
+    const struct rn_cuda_gradients *to;
+    int plane, channel;
+};
+
+RN_DEVICE void rn_mark_touched(const struct rn_scatter_place *p, int lx, int ly, int x, int y) {
+    int shift_x = lx - 3, shift_y = ly - 3, side = p->planes->update_side;
+    int x0 = shift_x > 0 ? x << shift_x : x >> -shift_x, nx = shift_x > 0 ? 1 << shift_x : 1;
+    int y0 = shift_y > 0 ? y << shift_y : y >> -shift_y, ny = shift_y > 0 ? 1 << shift_y : 1;
+    uint8_t *touched = p->to->touched + (size_t)p->plane * (size_t)(side * side);
+    for (int j = 0; j < ny; j++)
+        for (int i = 0; i < nx; i++)
+            touched[(y0 + j) * side + x0 + i] = 1;
+}
+
+// Adds four sums to texel (x, y) of map (lx, ly) and clears them.
+template <bool FIXED>
+RN_DEVICE void rn_flush(const struct rn_scatter_place *p, int lx, int ly, int x, int y,
+                        float sum[4]) {
+    if (sum[0] == 0 && sum[1] == 0 && sum[2] == 0 && sum[3] == 0) return;
+    uint32_t texel = (uint32_t)p->plane * p->planes->plane_texels + p->planes->map[ly][lx] +
+                     (uint32_t)(y * (p->planes->base >> lx) + x);
+    size_t at = (size_t)texel * (size_t)p->planes->channels + (size_t)p->channel;
+    if (FIXED) {
+        for (int c = 0; c < 4; c++)
+            atomicAdd(p->to->fixed + at + c,
+                      (unsigned long long)(long long)((double)sum[c] * (double)RN_FIXED_ONE));
+    } else {
+        rn_red_half4(p->to->half + at / 4,
+                     rn_pack(sum[0] * RN_SCATTER_HEADROOM, sum[1] * RN_SCATTER_HEADROOM),
+                     rn_pack(sum[2] * RN_SCATTER_HEADROOM, sum[3] * RN_SCATTER_HEADROOM));
+    }
+    rn_mark_touched(p, lx, ly, x, y);
+    sum[0] = sum[1] = sum[2] = sum[3] = 0;
+}
+
+template <bool FIXED>
+RN_DEVICE void rn_flush_all(const struct rn_scatter_place *p, int lx, int ly, struct rn_nest *n) {
+    if (n->x < 0) return;
+    RN_UNROLL
+    for (int i = 0; i < 4; i++)
+        rn_flush<FIXED>(p, lx, ly, n->x + i % 2, n->y + i / 2, n->sum[i / 2][i % 2]);
+    n->x = -1;
+}
+
+// Moves a nest to another place in its map: what both places share stays.
+template <bool FIXED>
+RN_DEVICE void rn_move_nest(const struct rn_scatter_place *p, int lx, int ly, int x, int y,
+                            struct rn_nest *n) {
+    int dx = x - n->x, dy = y - n->y;
+    if (n->x < 0 || dx < -1 || dx > 1 || dy < -1 || dy > 1) {
+        rn_flush_all<FIXED>(p, lx, ly, n);
+        dx = dy = 0;
+    }
+    RN_UNROLL
+    for (int i = 0; i < 2; i++) {
+        if (dx > 0) rn_flush<FIXED>(p, lx, ly, n->x, n->y + i, n->sum[i][0]);
+        if (dx < 0) rn_flush<FIXED>(p, lx, ly, n->x + 1, n->y + i, n->sum[i][1]);
+        RN_UNROLL
+        for (int c = 0; c < 4; c++) {
+            float left = n->sum[i][0][c], right = n->sum[i][1][c];
+            n->sum[i][0][c] = dx > 0 ? right : dx < 0 ? 0 : left;
+            n->sum[i][1][c] = dx > 0 ? 0 : dx < 0 ? left : right;
+        }
+    }
+    n->x = x;
+    RN_UNROLL
+    for (int i = 0; i < 2; i++) {
+        if (dy > 0) rn_flush<FIXED>(p, lx, ly, n->x + i, n->y, n->sum[0][i]);
+        if (dy < 0) rn_flush<FIXED>(p, lx, ly, n->x + i, n->y + 1, n->sum[1][i]);
+        RN_UNROLL
+        for (int c = 0; c < 4; c++) {
+            float top = n->sum[0][i][c], bottom = n->sum[1][i][c];
+            n->sum[0][i][c] = dy > 0 ? bottom : dy < 0 ? 0 : top;
+            n->sum[1][i][c] = dy > 0 ? 0 : dy < 0 ? top : bottom;
+        }
+    }
+    n->y = y;
+}
+
+// Four nests, one a corner of the levels, and the levels they are at.
+struct rn_nests {
+    int lx, ly;
+    struct rn_nest corner[4];
+};
+
+template <bool FIXED>
+RN_DEVICE void rn_flush_nests(const struct rn_scatter_place *p, struct rn_nests *n) {
+    RN_UNROLL
+    for (int c = 0; c < 4; c++)
+        rn_flush_all<FIXED>(p, n->lx + (c & 1), n->ly + (c >> 1), &n->corner[c]);
+}
+
+// Adds the adjoint of one query.
+template <bool FIXED>
+RN_DEVICE void rn_spread(const struct rn_scatter_place *p, const struct rn_query *q,
+                         const float grad[4], struct rn_nests *n) {
+    if (q->x.level != n->lx || q->y.level != n->ly) {
+        rn_flush_nests<FIXED>(p, n);
+        n->lx = q->x.level;
+        n->ly = q->y.level;
+    }
+    RN_UNROLL
+    for (int c = 0; c < 4; c++) {
+        float weight = rn_corner_weight(&q->x, &q->y, p->planes->footprint, c);
+        if (!(weight > 0)) continue;
+        int i = c & 1, j = c >> 1;
+        struct rn_nest *nest = &n->corner[c];
+        rn_move_nest<FIXED>(p, n->lx + i, n->ly + j, q->x.low[i], q->y.low[j], nest);
+        float fx = q->x.fraction[i], fy = q->y.fraction[j];
+        RN_UNROLL
+        for (int k = 0; k < 4; k++) {
+            float w = weight * (k & 1 ? fx : 1 - fx) * (k & 2 ? fy : 1 - fy);
+            RN_UNROLL
+            for (int e = 0; e < 4; e++)
+                nest->sum[k >> 1][k & 1][e] += w * grad[e];
+        }
+    }
+}
+
+// Follows ray `r` on the plane of fragment `k`, lane part `t` of four.
+template <bool FIXED>
+RN_DEVICE void rn_scatter_ray(const struct rn_cuda_scene *scene, const struct rn_cuda_batch *b,
+                              const struct rn_cuda_gradients *to, float step, int r, int k, int t) {
+    const struct rn_cuda_planes *planes = &scene->planes;
+    int feature = 16 * k + 4 * t, kt = scene->base.inputs16, tiles = b->ray_tiles[r];
+    struct rn_scatter_place p = {planes, to, feature / planes->channels,
+                                 feature % planes->channels};
+    if (p.plane >= planes->planes || tiles == 0) return;
+    struct rn_march_ray ray = b->rays[r];
+    step *= (float)ray.stride;
+    struct rn_footprint_factors f = rn_factors(planes->axis[p.plane], ray.direction);
+    struct rn_nests nests;
+    nests.lx = nests.ly = 0;
+    for (int c = 0; c < 4; c++) {
+        nests.corner[c].x = -1;
+        for (int i = 0; i < 16; i++)
+            nests.corner[c].sum[i / 8][i / 4 % 2][i % 4] = 0;
+    }
+    for (int place = b->ray_first[r]; place < b->ray_first[r] + tiles; place++)
+        for (int row = 0; row < RN_TILE; row++) {
+            size_t at = (size_t)b->order[place] * RN_TILE + (size_t)row;
+            if (!(b->depth[at] > 0)) continue;
+            uint2 g = b->feature_grad[((size_t)place * (size_t)kt + (size_t)k) * 64 + row * 4 + t];
+            float grad[4] = {rn_low(g.x), rn_high(g.x), rn_low(g.y), rn_high(g.y)};
+            struct rn_sample s = rn_place(&ray, b->mid[at], step);
+            float lx = 0, ly = 0;
+            if (planes->levels > 1) rn_levels(planes, &f, &s, ray.radius, &lx, &ly);
+            struct rn_query q = rn_query_plane(planes, p.plane, &s, lx, ly);
+            rn_spread<FIXED>(&p, &q, grad, &nests);
+        }
+    rn_flush_nests<FIXED>(&p, &nests);
+}
+
+// One thread a (ray, fragment, part).
+template <bool FIXED>
+__global__ void __launch_bounds__(128)
+    rn_scatter_kernel(const __grid_constant__ rn_cuda_scene scene,
+                      const __grid_constant__ rn_cuda_batch batch,
+                      const __grid_constant__ rn_cuda_gradients to, float step) {
+    int parts = 4 * scene.base.inputs16, all = batch.status->ray_count * parts;
+    if (rn_cuda_step_skipped(batch.status)) return;
+    for (int i = (int)(blockIdx.x * blockDim.x + threadIdx.x); i < all;
+         i += (int)(gridDim.x * blockDim.x))
+        rn_scatter_ray<FIXED>(&scene, &batch, &to, step, i / parts, i % parts / 4, i % 4);
+}
+
+#endif

@@ -1,0 +1,102 @@
+// The kernels' view of a field and of a batch of rays: pointers into device memory, all of one
+// allocation each (backend.cu).
+#ifndef RN_ENGINE_CUDA_SCENE_CUH
+#define RN_ENGINE_CUDA_SCENE_CUH
+
+#include "server/engine/cuda/device.cuh"
+
+#define RN_REAL double
+#define RN_WIDE double // devices have no wider type
+extern "C" {
+#include "server/engine/backend.h"
+#include "server/engine/cuda/layout.h"
+}
+
+// The occupancy grid as the march reads it (struct rn_occupancy_bits), and what it is made from.
+struct rn_cuda_occupancy {
+    int cells;
+    float threshold_limit;
+    uint32_t *words;
+    uint8_t *distance;
+    int *box;        // low x y z, high x y z in cells; low > high when none
+    float *values;   // cells^3
+    uint8_t *hull;   // cells^3
+    uint32_t *list;  // cells that may hold matter
+    uint32_t count;  // of `list`
+    double *partial; // sums of the values, one a block
+};
+
+struct rn_cuda_scene {
+    struct rn_cuda_planes planes;
+    struct rn_cuda_network base, head;
+    struct rn_cuda_occupancy occupancy;
+    bool per_ray, view_dependence;
+    uint16_t *texels;  // fp16 pyramids, [texel][channel]
+    uint4 *forward;    // the networks' fragments: base, then head
+    uint4 *backward;   // likewise
+    float *parameters; // planes [plane][v][u][channel], base, head, as the CPU has them
+    size_t plane_count;
+};
+
+// What a march needs besides the scene.
+struct rn_cuda_march {
+    float step, stop_depth, background[3];
+    bool turned;   // `look` replaces the rays' direction for the colour network
+    float look[3];
+};
+
+// Counters and sums of one step; the host reads a copy now and then.
+struct rn_cuda_status {
+    int ray_count, next_rays; // of this step, of the next one
+    int target_samples;       // that the number of rays aims at
+    uint32_t queue;           // next ray of the forward
+    uint32_t tiles;           // slots taken
+    uint32_t ordered;         // tiles that take part in the backward
+    int rejected;             // this step overflowed: nothing is updated
+    int crowded;              // the tiles did not suffice
+    int overflowed;           // a texel's gradient overflowed: it alone was left out
+    int rejected_in_a_row;
+    uint64_t updates, steps, steps_rejected, nonfinite_rays, nonfinite_numbers;
+    uint64_t samples, rays; // totals of training
+    uint64_t level_samples[RN_MAX_LEVELS];
+    unsigned long long evaluated; // samples of the last render or step
+    double loss, weight;          // of this step: sums over rays
+    float gradient_scale;         // of everything in fp16 that is a gradient
+    int good_steps;               // since the scale was last changed
+    float correction1, correction2; // of Adam, for the update under way
+};
+
+// Whether the step under way updates nothing.
+RN_HD bool rn_cuda_step_skipped(const struct rn_cuda_status *s) {
+    return s->rejected || !(s->weight > 0);
+}
+
+// A batch: rays, and tiles of samples that the forward leaves for the backward.
+struct rn_cuda_batch {
+    struct rn_cuda_status *status;
+    int ray_capacity;
+    uint32_t tile_capacity;
+    struct rn_march_ray *rays;
+    struct rn_pixel *pixels; // rendering only
+    // of each ray
+    float *ray_loss, *ray_weight;
+    int *ray_samples, *ray_tiles, *ray_first; // ray_first: its first place in `order`
+    // of each tile slot
+    int *tile_ray, *tile_ordinal, *tile_previous;
+    uint32_t *order;          // slots, ray after ray, front to back
+    uint4 *features;          // [slot][inputs16][lane]
+    uint4 *geometry;          // [slot][lane]
+    float *mid;               // [slot][16]: distance behind ray.origin
+    float *depth;             // optical depth of each sample
+    float *weight, *after;    // and transmittance behind it
+    float *colour;            // [slot][3][16]
+    // scaled gradients
+    float *colour_grad;       // [slot][3][16]: of the colour network's outputs
+    float *logit_grad;        // [slot][16]
+    // by place in `order`
+    uint4 *geometry_grad;     // [place][lane]
+    uint2 *feature_grad;      // [place][inputs16][16 rows][4 lanes]
+    uint4 *scratch;           // activations and gradients of one network's layers
+};
+
+#endif

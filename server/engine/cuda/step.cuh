@@ -1,0 +1,208 @@
+// The ends of a step: its rays, the order of its tiles, its sums, and what the next one is to be.
+#ifndef RN_ENGINE_CUDA_STEP_CUH
+#define RN_ENGINE_CUDA_STEP_CUH
+
+#include "common/math/rng.h"
+#include "server/engine/cuda/scene.cuh"
+#include "server/engine/ray.h"
+
+#define RN_STREAM_RAYS 0x7261797300000000u // as train/step.c
+#define RN_ORDER_THREADS 1024
+#define RN_FEWEST_RAYS 64
+#define RN_SCALE_PATIENCE 2000 // good steps before the gradients' scale is doubled
+#define RN_SCALE_FIRST 4096.0f
+#define RN_SCALE_MOST 65536.0f
+#define RN_SCALE_LEAST 0.0009765625f
+
+// ---- rays -----------------------------------------------------------------------------------
+
+// Pixels in device memory, and how rays are drawn from them.
+struct rn_cuda_source {
+    struct rn_device_pixels pixels;
+    double centre[3], radius, step;
+    float background[3];
+    uint64_t seed;
+    bool cone_step, equal_scales;
+};
+
+// Uniform in [0, n) from 64 random bits, n < 2^53.
+RN_DEVICE uint64_t rn_below(const struct rn_rng4 *draw, uint64_t n) {
+    uint64_t wide = (uint64_t)draw->v[0] << 32 | draw->v[1];
+    return (uint64_t)((double)(wide >> 11) * 0x1p-53 * (double)n);
+}
+
+// A pixel drawn uniformly over all scales; returns its frame.
+RN_DEVICE int rn_draw_pixel(const struct rn_device_pixels *p, const struct rn_rng4 *draw, int *ret_x,
+                            int *ret_y) {
+    int scale = 0;
+    uint64_t pixel = rn_below(draw, p->pixel_count);
+    while (pixel >= p->scale_pixels[scale])
+        pixel -= p->scale_pixels[scale++];
+    int low = p->scale_first[scale], high = p->scale_first[scale + 1];
+    while (high - low > 1) {
+        int middle = (low + high) / 2;
+        if (p->frames[middle].before <= pixel)
+            low = middle;
+        else
+            high = middle;
+    }
+    uint64_t within = pixel - p->frames[low].before;
+    *ret_x = (int)(within % (uint64_t)p->frames[low].camera.width);
+    *ret_y = (int)(within / (uint64_t)p->frames[low].camera.width);
+    return low;
+}
+
+// A pixel of ray r's scale, drawn uniformly over the blocks that may see the hull; -1 outside.
+RN_DEVICE int rn_draw_live(const struct rn_device_pixels *p, int r, const struct rn_rng4 *draw,
+                           int *ret_x, int *ret_y) {
+    int scale = r % p->scale_count;
+    uint64_t first = p->live_first[scale], count = p->live_first[scale + 1] - first;
+    if (count == 0) return -1;
+    const struct rn_device_block *block = &p->live[first + rn_below(draw, count)];
+    *ret_x = block->x + (int)(draw->v[3] % 8);
+    *ret_y = block->y + (int)(draw->v[3] / 8 % 8);
+    const struct rn_camera *c = &p->frames[block->frame].camera;
+    return *ret_x < c->width && *ret_y < c->height ? (int)block->frame : -1;
+}
+
+RN_DEVICE struct rn_march_ray rn_draw_ray(const struct rn_cuda_source *s, uint64_t step, int r) {
+    const struct rn_device_pixels *p = &s->pixels;
+    struct rn_rng4 draw = rn_rng_draw(s->seed, RN_STREAM_RAYS | (uint32_t)r, step);
+    int x, y, frame = s->equal_scales ? rn_draw_live(p, r, &draw, &x, &y)
+                                      : rn_draw_pixel(p, &draw, &x, &y);
+    struct rn_march_ray out = {{0, 0, 0}, {0, 0, 0}, 0, 0, 0, 1, {0, 0, 0}, 0, (uint32_t)r};
+    if (frame < 0) return out;
+    const struct rn_device_frame *f = &p->frames[frame];
+    struct rn_ray ray = rn_camera_ray(&f->camera, x + 0.5, y + 0.5);
+    out = rn_ray_cut(s->centre, s->radius, s->cone_step, &ray, s->step,
+                     (double)rn_rng_unit(draw.v[2]));
+    const uint8_t *rgba =
+        p->rgba + 4 * (f->offset + (uint64_t)y * (uint64_t)f->camera.width + (uint64_t)x);
+    float alpha = (float)rgba[3] * (1 / 255.0f);
+    for (int c = 0; c < 3; c++)
+        out.target[c] = (float)rgba[c] * (1 / 255.0f) * alpha + (1 - alpha) * s->background[c];
+    out.weight = s->equal_scales ? 1 : f->loss_weight;
+    out.id = (uint32_t)r;
+    return out;
+}
+
+__global__ void __launch_bounds__(256)
+    rn_rays_kernel(const __grid_constant__ rn_cuda_source source,
+                   const __grid_constant__ rn_cuda_batch batch) {
+    int r = (int)(blockIdx.x * blockDim.x + threadIdx.x);
+    if (r >= batch.status->ray_count) return;
+    batch.rays[r] = rn_draw_ray(&source, batch.status->steps, r);
+}
+
+// Rays of `count` pixels of a camera from pixel `first` on, row after row.
+struct rn_cuda_view {
+    struct rn_camera camera;
+    double centre[3], radius, step;
+    bool cone_step;
+    int first, count;
+};
+__global__ void __launch_bounds__(256)
+    rn_view_kernel(const __grid_constant__ rn_cuda_view view,
+                   const __grid_constant__ rn_cuda_batch batch) {
+    int r = (int)(blockIdx.x * blockDim.x + threadIdx.x);
+    if (r >= view.count) return;
+    int pixel = view.first + r, w = view.camera.width;
+    struct rn_ray ray = rn_camera_ray(&view.camera, pixel % w + 0.5, pixel / w + 0.5);
+    batch.rays[r] = rn_ray_cut(view.centre, view.radius, view.cone_step, &ray, view.step, 0);
+    if (r > 0) return;
+    batch.status->ray_count = view.count;
+    batch.status->queue = 0;
+    batch.status->evaluated = 0;
+}
+
+// ---- order and sums -------------------------------------------------------------------------
+
+struct rn_sums {
+    double loss, weight;
+    uint64_t samples;
+    uint32_t tiles;
+};
+
+// The first place of every ray's tiles, and the step's sums; one block. Ray after ray, so that
+// nothing depends on which warp came first.
+__global__ void __launch_bounds__(RN_ORDER_THREADS, 1)
+    rn_order_kernel(const __grid_constant__ rn_cuda_batch b) {
+    RN_SHARED struct rn_sums sums[RN_ORDER_THREADS];
+    struct rn_cuda_status *s = b.status;
+    int count = s->ray_count, thread = (int)threadIdx.x;
+    int begin = (int)((int64_t)count * thread / RN_ORDER_THREADS);
+    int end = (int)((int64_t)count * (thread + 1) / RN_ORDER_THREADS);
+    struct rn_sums own = {0, 0, 0, 0};
+    for (int r = begin; r < end; r++) {
+        own.loss += (double)b.ray_loss[r];
+        own.weight += (double)b.ray_weight[r];
+        own.samples += (uint64_t)b.ray_samples[r];
+        own.tiles += (uint32_t)b.ray_tiles[r];
+    }
+    sums[thread] = own;
+    __syncthreads();
+    if (thread == 0) {
+        struct rn_sums all = {0, 0, 0, 0};
+        for (int i = 0; i < RN_ORDER_THREADS; i++) {
+            uint32_t before = all.tiles;
+            all.loss += sums[i].loss;
+            all.weight += sums[i].weight;
+            all.samples += sums[i].samples;
+            all.tiles += sums[i].tiles;
+            sums[i].tiles = before;
+        }
+        s->loss = all.loss;
+        s->weight = all.weight;
+        s->samples += all.samples;
+        s->rays += (uint64_t)count;
+        s->crowded = s->tiles > b.tile_capacity;
+        s->rejected = s->crowded || !(all.loss < 1e300);
+        s->ordered = s->rejected ? 0 : all.tiles;
+        double n = (double)(s->updates + 1);
+        s->correction1 = (float)-expm1(n * log(0.9));
+        s->correction2 = (float)-expm1(n * log(0.999));
+        double next = (double)count * s->target_samples / (double)all.samples + 1;
+        if (s->crowded) next = count / 2;
+        if (all.samples == 0) next = count;
+        next = next < RN_FEWEST_RAYS ? RN_FEWEST_RAYS : next;
+        s->next_rays = next < b.ray_capacity ? (int)next : b.ray_capacity;
+    }
+    __syncthreads();
+    uint32_t first = sums[thread].tiles;
+    for (int r = begin; r < end; r++) {
+        b.ray_first[r] = (int)first;
+        first += (uint32_t)b.ray_tiles[r];
+    }
+}
+
+// Every tile to its place.
+__global__ void __launch_bounds__(256)
+    rn_place_kernel(const __grid_constant__ rn_cuda_batch b) {
+    uint32_t slot = blockIdx.x * blockDim.x + threadIdx.x;
+    if (b.status->rejected || slot >= b.status->tiles) return;
+    int r = b.tile_ray[slot];
+    if (b.ray_tiles[r] > 0) b.order[b.ray_first[r] + b.tile_ordinal[slot]] = slot;
+}
+
+// Counts the step and makes ready for the next; one thread.
+__global__ void rn_finish_kernel(struct rn_cuda_status *s) {
+    if (threadIdx.x != 0) return;
+    bool overflow = s->overflowed || (s->rejected && !s->crowded);
+    s->steps++;
+    s->steps_rejected += (uint64_t)(s->rejected != 0);
+    s->rejected_in_a_row = s->rejected ? s->rejected_in_a_row + 1 : 0;
+    s->updates += (uint64_t)!rn_cuda_step_skipped(s);
+    s->good_steps = overflow ? 0 : s->good_steps + 1;
+    float scale = overflow ? s->gradient_scale * 0.5f : s->gradient_scale;
+    if (s->good_steps == RN_SCALE_PATIENCE) {
+        scale *= 2;
+        s->good_steps = 0;
+    }
+    s->gradient_scale = fminf(fmaxf(scale, RN_SCALE_LEAST), RN_SCALE_MOST);
+    s->ray_count = s->next_rays;
+    s->queue = s->tiles = 0;
+    s->rejected = s->crowded = s->overflowed = 0;
+    s->evaluated = 0;
+}
+
+#endif

@@ -1,0 +1,38 @@
+// The emulator's state, and what tests in C set.
+#include "emulator.hpp"
+
+#include "knobs.h"
+
+emu::machine emu::m;
+size_t emu::memory_total = (size_t)2 << 30, emu::memory_used;
+long emu::allocations;
+cudaError_t emu::sticky;
+
+static const float *all_halves() {
+    static float values[65536];
+    for (uint32_t i = 0; i < 65536; i++) {
+        uint16_t bits = (uint16_t)i;
+        _Float16 h;
+        memcpy(&h, &bits, sizeof h);
+        values[i] = (float)h;
+    }
+    return values;
+}
+const float *const emu::half_values = all_halves();
+
+void rn_emulator_order(int order, uint64_t seed) {
+    emu::m.policy = (rn_emu_order)order;
+    emu::m.random = seed;
+}
+void rn_emulator_memory(size_t bytes) {
+    emu::memory_total = bytes;
+}
+size_t rn_emulator_memory_used(void) {
+    return emu::memory_used;
+}
+long rn_emulator_allocations(void) {
+    return emu::allocations;
+}
+void rn_emulator_fail(int error) {
+    emu::sticky = error;
+}

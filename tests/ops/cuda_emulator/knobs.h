@@ -1,0 +1,23 @@
+// What tests in C ask of the emulator.
+#ifndef RN_TESTS_EMULATOR_KNOBS_H
+#define RN_TESTS_EMULATOR_KNOBS_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+// In which order threads run to their next collective: 0 first to last, 1 last to first, 2 shuffled
+// by `seed`, 3 the first warp after all others.
+void rn_emulator_order(int order, uint64_t seed);
+void rn_emulator_memory(size_t bytes);
+size_t rn_emulator_memory_used(void);
+long rn_emulator_allocations(void);
+// From now on every call fails with this error; 0 ends it.
+void rn_emulator_fail(int error);
+#ifdef __cplusplus
+}
+#endif
+
+#endif

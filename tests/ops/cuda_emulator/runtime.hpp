@@ -1,0 +1,154 @@
+// The part of the CUDA runtime that the backend's host side uses, over the emulator: streams run at
+// once, a captured graph is the list of what was launched.
+#ifndef RN_TESTS_EMULATOR_RUNTIME_H
+#define RN_TESTS_EMULATOR_RUNTIME_H
+
+typedef int cudaError_t;
+enum {
+    cudaSuccess = 0,
+    cudaErrorMemoryAllocation = 2,
+    cudaErrorNoDevice = 100,
+    cudaErrorIllegalAddress = 700
+};
+enum { cudaMemcpyHostToDevice, cudaMemcpyDeviceToHost, cudaMemcpyDeviceToDevice };
+enum { cudaStreamCaptureModeThreadLocal, cudaStreamNonBlocking, cudaHostAllocDefault };
+enum { cudaFuncAttributeMaxDynamicSharedMemorySize };
+struct emu_stream {
+    bool capturing = false;
+    std::vector<std::function<void()>> operations;
+};
+typedef emu_stream *cudaStream_t;
+typedef std::vector<std::function<void()>> *cudaGraph_t, *cudaGraphExec_t;
+struct cudaDeviceProp {
+    char name[256];
+    size_t totalGlobalMem, sharedMemPerBlockOptin;
+    int multiProcessorCount, major, minor;
+};
+
+namespace emu {
+extern size_t memory_total, memory_used;
+extern long allocations;
+extern cudaError_t sticky; // what every call returns once it is set
+
+inline cudaError_t enqueue(cudaStream_t stream, std::function<void()> operation) {
+    if (sticky) return sticky;
+    if (stream && stream->capturing)
+        stream->operations.push_back(std::move(operation));
+    else
+        operation();
+    return cudaSuccess;
+}
+} // namespace emu
+
+inline const char *cudaGetErrorString(cudaError_t e) {
+    return e == cudaErrorMemoryAllocation ? "out of memory" : "emulated error";
+}
+inline cudaError_t cudaGetLastError() {
+    return emu::sticky;
+}
+inline cudaError_t cudaGetDeviceCount(int *count) {
+    *count = 1;
+    return cudaSuccess;
+}
+inline cudaError_t cudaSetDevice(int) {
+    return cudaSuccess;
+}
+inline cudaError_t cudaGetDeviceProperties(cudaDeviceProp *p, int) {
+    memset(p, 0, sizeof *p);
+    snprintf(p->name, sizeof p->name, "emulated");
+    p->totalGlobalMem = emu::memory_total;
+    p->sharedMemPerBlockOptin = emu::SHARED;
+    p->multiProcessorCount = 2;
+    p->major = 8;
+    return cudaSuccess;
+}
+inline cudaError_t cudaMemGetInfo(size_t *free, size_t *total) {
+    *total = emu::memory_total;
+    *free = emu::memory_total - emu::memory_used;
+    return cudaSuccess;
+}
+// NaN bytes, and the size in front.
+inline cudaError_t cudaMalloc(void **ret, size_t bytes) {
+    if (emu::sticky) return emu::sticky;
+    if (bytes > emu::memory_total - emu::memory_used) return cudaErrorMemoryAllocation;
+    size_t rounded = (bytes + 255) / 256 * 256 + 256;
+    unsigned char *block = (unsigned char *)aligned_alloc(256, rounded);
+    memcpy(block, &bytes, sizeof bytes);
+    memset(block + 256, 0xff, rounded - 256);
+    emu::memory_used += bytes;
+    emu::allocations++;
+    *ret = block + 256;
+    return cudaSuccess;
+}
+inline cudaError_t cudaFree(void *p) {
+    if (!p) return cudaSuccess;
+    size_t bytes;
+    memcpy(&bytes, (unsigned char *)p - 256, sizeof bytes);
+    emu::memory_used -= bytes;
+    free((unsigned char *)p - 256);
+    return cudaSuccess;
+}
+inline cudaError_t cudaHostAlloc(void **ret, size_t bytes, unsigned) {
+    *ret = malloc(bytes);
+    return *ret ? cudaSuccess : cudaErrorMemoryAllocation;
+}
+inline cudaError_t cudaFreeHost(void *p) {
+    free(p);
+    return cudaSuccess;
+}
+inline cudaError_t cudaMemcpyAsync(void *to, const void *from, size_t bytes, int, cudaStream_t s) {
+    return emu::enqueue(s, [=] { memcpy(to, from, bytes); });
+}
+inline cudaError_t cudaMemsetAsync(void *to, int value, size_t bytes, cudaStream_t s) {
+    return emu::enqueue(s, [=] { memset(to, value, bytes); });
+}
+inline cudaError_t cudaStreamCreateWithFlags(cudaStream_t *ret, unsigned) {
+    *ret = new emu_stream;
+    return cudaSuccess;
+}
+inline cudaError_t cudaStreamDestroy(cudaStream_t s) {
+    delete s;
+    return cudaSuccess;
+}
+inline cudaError_t cudaStreamSynchronize(cudaStream_t) {
+    return emu::sticky;
+}
+inline cudaError_t cudaStreamBeginCapture(cudaStream_t s, int) {
+    s->capturing = true;
+    s->operations.clear();
+    return cudaSuccess;
+}
+inline cudaError_t cudaStreamEndCapture(cudaStream_t s, cudaGraph_t *ret) {
+    s->capturing = false;
+    *ret = new std::vector<std::function<void()>>(s->operations);
+    return cudaSuccess;
+}
+inline cudaError_t cudaGraphInstantiate(cudaGraphExec_t *ret, cudaGraph_t graph, unsigned long) {
+    *ret = new std::vector<std::function<void()>>(*graph);
+    return cudaSuccess;
+}
+inline cudaError_t cudaGraphDestroy(cudaGraph_t g) {
+    delete g;
+    return cudaSuccess;
+}
+inline cudaError_t cudaGraphExecDestroy(cudaGraphExec_t g) {
+    delete g;
+    return cudaSuccess;
+}
+inline cudaError_t cudaGraphLaunch(cudaGraphExec_t g, cudaStream_t) {
+    if (emu::sticky) return emu::sticky;
+    for (const std::function<void()> &operation : *g)
+        operation();
+    return cudaSuccess;
+}
+template <typename F> cudaError_t cudaFuncSetAttribute(F, int, int) {
+    return cudaSuccess;
+}
+
+// kernel<<<grid, block, shared, stream>>>(...), the arguments taken by value now.
+#define RN_LAUNCH(kernel, grid, block, shared, stream, ...)                                        \
+    emu::enqueue(stream, [=] {                                                                     \
+        emu::launch(#kernel, grid, block, shared, [=] { kernel(__VA_ARGS__); });                   \
+    })
+
+#endif

@@ -1,0 +1,137 @@
+#!/bin/bash
+# Plants bugs in the CUDA kernels, one at a time in a scratch copy, and runs the emulated test that
+# must fail: cuda_mutations.sh [PATTERN], PATTERN choosing some by name. RIPNERF_BUILD names a build
+# folder whose libraries are used. Closes with `N of N caught`; the exit code is 0 only when all
+# were.
+set -u
+cd "$(dirname "$0")/../.." || exit 1
+tree=$PWD
+build=${RIPNERF_BUILD:?set RIPNERF_BUILD to a build folder}
+pattern=${1:-}
+scratch=$(mktemp -d) || exit 1
+trap 'rm -rf "$scratch"' EXIT
+tried=0
+caught=0
+
+give_up() {
+    echo "cuda_mutations.sh: $1" >&2
+    exit 1
+}
+
+# compile OBJECT SOURCE: the emulated backend out of the scratch copy.
+compile() {
+    "${CXX:-c++}" -std=c++17 -O1 -D_GNU_SOURCE -ffp-contract=off -w -I"$scratch/tree" \
+        -I"$scratch/tree/tests/ops/cuda_emulator" -c "$scratch/tree/tests/ops/cuda_emulator/$2" \
+        -o "$scratch/$1" >"$scratch/log" 2>&1
+}
+
+# run CASE: builds the test and runs one of its cases; 0 passed, 1 failed, 2 did not build.
+run() {
+    compile backend.o backend.cpp || return 2
+    # shellcheck disable=SC2046 # words on purpose
+    "${CXX:-c++}" -o "$scratch/test" "$build"/tests/ops/cuda_test.p/*.o "$scratch/backend.o" \
+        "$scratch/emulator.o" "$build/server/engine/libengine.a" \
+        "$build"/server/engine/libkernels_*.a "$build/server/engine/libfield.a" \
+        "$build/common/libcommon.a" \
+        $(pkg-config --libs check jansson libpng libturbojpeg libarchive) -ljpeg -lm -lpthread \
+        >"$scratch/log" 2>&1 || return 2
+    CK_RUN_CASE=$1 "$scratch/test" >"$scratch/log" 2>&1 || return 1
+}
+
+# mutate CASE FILE WHAT SED_SCRIPT
+mutate() {
+    local case=$1 file=server/engine/cuda/$2 what=$3 script=$4
+    [[ $what == *$pattern* ]] || return
+    tried=$((tried + 1))
+    sed -i "$script" "$scratch/tree/$file"
+    if cmp -s "$tree/$file" "$scratch/tree/$file"; then
+        echo "NO CHANGE  $what ($file)"
+    else
+        run "$case"
+        case $? in
+        1) caught=$((caught + 1)) && echo "caught     $what ($case)" ;;
+        2) echo "NO BUILD   $what" && tail -5 "$scratch/log" ;;
+        *) echo "MISSED     $what ($case)" ;;
+        esac
+    fi
+    cp "$tree/$file" "$scratch/tree/$file"
+}
+
+mkdir "$scratch/tree"
+cp -r --parents common server tests/ops "$scratch/tree"
+compile emulator.o emulator.cpp || give_up "the emulator does not build"
+
+# Synchronisation.
+mutate order network.cuh "weights: no barrier after the asynchronous copies" \
+    's/^    __syncthreads();//'
+mutate order network.cuh "weights: copies not waited for" 's/^    rn_copy_wait();//'
+mutate order network.cuh "weights: copies not committed" 's/^    rn_copy_commit();//'
+mutate order network.cuh "weights: waited for before they are committed" \
+    's/^    rn_copy_commit();/    rn_copy_wait();/;t;s/^    rn_copy_wait();/    rn_copy_commit();/'
+mutate order optimise.cuh "pooling: no barrier between update and pooling" \
+    's/^    __syncthreads();//'
+mutate order step.cuh "order: no barrier before the sums are read" \
+    '0,/^    __syncthreads();/s/^    __syncthreads();//'
+mutate order step.cuh "order: no barrier after the scan" \
+    's/^    uint32_t first = sums\[thread\].tiles;/&/;/s->next_rays = next < b.ray_capacity/,/first = sums/s/^    __syncthreads();//'
+mutate occupancy occupancy.cuh "occupancy: no barrier in the sum" 's/^        __syncthreads();//'
+mutate order forward.cuh "forward: a lane leaves before its warp" \
+    's/if (walk.k >= walk.end) return;/if (RN_LANE == 31) return;/'
+mutate order step.cuh "order: tiles in the order in which warps came" \
+    's/b.order\[b.ray_first\[r\] + b.tile_ordinal\[slot\]\] = slot/b.order[slot] = slot/'
+mutate order gradient.cuh "gradient: chunks that overlap" \
+    's/end = tiles \* (size_t)(chunk + 1)/end = 1 + tiles * (size_t)(chunk + 1)/'
+# March.
+mutate march march.cuh "march: a brick skipped too far" \
+    's/return next > k ? next : k + 1;/return next > k ? next + 1 : k + 2;/'
+mutate march march.cuh "march: taken samples are not taken off" 's/w->bits &= w->bits - 1;/w->bits = 0;/'
+mutate march march.cuh "march: the window of a wide sample is not aligned" \
+    's/w->window = w->k & -(1 << w->shift);/w->window = w->k;/'
+mutate march occupancy.cuh "occupancy: bits of y and x exchanged" \
+    's/{x0 + i % 8, y0 + i \/ 8, z}/{x0 + i \/ 8, y0 + i % 8, z}/'
+mutate march occupancy.cuh "occupancy: distance along two axes only" \
+    's/int stride = axis == 0 ? bricks \* bricks/int stride = axis == 0 ? bricks/'
+mutate march forward.cuh "compositing: the stop is not looked at" \
+    's/before <= stop_depth ? expf(-before) : 0/expf(-before)/'
+# Encoding and networks.
+mutate gradients encode.cuh "encode: levels exchanged" \
+    's/p->map\[ly\]\[lx\]/p->map[lx][ly]/'
+mutate gradients encode.cuh "encode: corners at the edges" 's/p \* half + (half - 0.5f)/p * half + half/'
+mutate gradients encode.cuh "encode: row above instead of below" \
+    's/weight \* fy \* (1 - fx), sum/weight * fy * fx, sum/'
+mutate gradients network.cuh "network: ReLU without its mask in the backward" \
+    's/if (MODE == RN_LAYER_MASKED \&\& .*//'
+mutate gradients network.cuh "network: masks of another layer" 's/mask\[i\] = masks\[l - 1\]\[i\]/mask[i] = masks[l][i]/'
+mutate gradients network.cuh "network: activations kept without transposing" \
+    's/t.y = rn_transpose(a\[j\]\[1\])/t.y = a[j][1]/'
+mutate gradients gradient.cuh "gradient: halves of a fragment exchanged" \
+    's/a\[i\]\[1\] = t.z;/a[i][1] = t.y;/;s/a\[i\]\[2\] = t.y;/a[i][2] = t.z;/'
+mutate gradients backward.cuh "backward: the logit's gradient left out" \
+    's/if (RN_LANE % 4 == 0) c\[0\]\[2 \* i\] = own;//'
+mutate gradients forward.cuh "forward: no constant input" 's/rn_pack(first ? 1 : c\[0\]\[0\]/rn_pack(c[0][0]/'
+mutate gradients forward.cuh "compositing: nothing of what lies behind" \
+    's/ - (float)(behind + (double)rest)//'
+mutate gradients forward.cuh "compositing: behind within a tile only" 's/^        behind += .*//'
+mutate gradients layout.h "fragments: channels in another order" 's/4 \* t + 2 \* high + q % 2/4 * t + high + 2 * (q % 2)/'
+# Scatter and update.
+mutate gradients scatter.cuh "scatter: a moved nest loses a column" \
+    's/if (dx > 0) rn_flush<FIXED>(p, lx, ly, n->x, n->y + i, n->sum\[i\]\[0\]);//'
+mutate gradients scatter.cuh "scatter: not flushed at the end" \
+    's/^    rn_flush_nests<FIXED>(&p, &nests);//'
+mutate gradients scatter.cuh "scatter: levels change without a flush" \
+    's/^        rn_flush_nests<FIXED>(p, n);//'
+mutate gradients scatter.cuh "scatter: blocks not marked as touched" 's/^    rn_mark_touched(p, lx, ly, x, y);//'
+mutate gradients optimise.cuh "pull-down: no weight for the level" 's/weight \*= 0.5f)$/weight *= 1)/'
+mutate learning optimise.cuh "update: gradients not cleared" 's/^    rn_clear_block<FIXED>(p, &o.gradients, &b);//'
+mutate learning optimise.cuh "update: the maps keep the old parameters" \
+    's/values\[4 \* threadIdx.x + c\] = value;/values[4 * threadIdx.x + c] = value - 0.5f;/'
+mutate gradients optimise.cuh "AdamW: decay left out" 's/rate \* decay/0 * decay/'
+mutate occupancy occupancy.cuh "occupancy: measured cells do not decay" 's/ \* m.decay;/;/'
+# Guards.
+mutate guards backward.cuh "overflow not reported" 's/batch.status->rejected = 1/batch.status->rejected = 0/'
+mutate guards step.cuh "too many tiles not noticed" 's/s->crowded = s->tiles > b.tile_capacity/s->crowded = 0/'
+mutate guards step.cuh "the gradients' scale stays after an overflow" 's/s->gradient_scale \* 0.5f/s->gradient_scale/'
+mutate guards backend.cu "memory taken without counting" 's/if (bytes > left) {/if (0) {/'
+
+echo "$caught of $tried caught"
+[ "$caught" -eq "$tried" ]

@@ -1,0 +1,176 @@
+#include "tests/ops/cuda_scene.h"
+
+#include <check.h>
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "common/math/rng.h"
+
+static float unit(uint64_t i) {
+    return rn_rng_unit(rn_rng_draw(99, 1, i).v[0]);
+}
+
+struct rn_train_config test_config(enum rn_footprint footprint, int planes, int channels, int width,
+                                   int levels) {
+    struct rn_error err;
+    struct rn_train_config config;
+    ck_assert(rn_preset("paper", false, &config, &err) == RN_OK);
+    config.field.planes = planes;
+    config.field.channels = channels;
+    config.field.width = width;
+    config.field.levels = levels;
+    config.field.footprint = footprint;
+    config.field.base = 32;
+    config.field.occupancy = 16;
+    config.step = 0.05;
+    config.stop = 1e-30;
+    config.target_samples = 1024;
+    config.seed = 7;
+    return config;
+}
+
+// Planes and weights multiples of 1/1024 below 2, which fp16 holds; the weights twice as large as
+// at the start of a training, so that densities and colours differ.
+static void fill_parameters(struct test_scene *s) {
+    struct rn_parameters *p = &s->field->parameters;
+    rn_field_randomise(s->field, 5);
+    for (size_t i = 0; i < p->plane_count; i++)
+        p->values[i] = floorf(2048 * unit(5000 + i) - 1024) / 1024;
+    for (size_t i = p->plane_count; i < p->count; i++)
+        p->values[i] = roundf(p->values[i] * 2 * 1024) / 1024;
+    for (size_t i = 0; i < p->plane_count; i++)
+        s->reference->planes[i] = (double)p->values[i];
+    for (size_t i = 0; i < p->base_count; i++)
+        s->reference->base[i] = (double)p->values[p->plane_count + i];
+    for (size_t i = 0; i < p->head_count; i++)
+        s->reference->head[i] = (double)p->values[p->plane_count + p->base_count + i];
+    rn_reference_build(s->reference);
+}
+
+static void fill_frames(struct test_scene *s) {
+    for (int f = 0; f < FRAMES; f++) {
+        struct rn_device_frame *frame = &s->frames[f];
+        double angle = 1.7 * f, eye[3] = {3 * cos(angle), 3 * sin(angle), 1.5 - f};
+        double focal = f % 2 ? SIDE * 1.4 : SIDE * 2.2;
+        frame->camera = (struct rn_camera){.width = SIDE,
+                                           .height = SIDE,
+                                           .fx = focal,
+                                           .fy = focal,
+                                           .cx = SIDE / 2.0,
+                                           .cy = SIDE / 2.0};
+        ck_assert(rn_camera_look_at(eye, (double[3]){0, 0, 0}, (double[3]){0, 0, 1},
+                                    frame->camera.world_from_camera) == RN_OK);
+        frame->offset = frame->before = (uint64_t)f * SIDE * SIDE;
+        frame->loss_weight = 1 + (float)(f % 2);
+    }
+    for (size_t i = 0; i < sizeof s->rgba; i++)
+        s->rgba[i] = (uint8_t)(255 * unit(90000 + i));
+}
+
+void test_scene_init(struct test_scene *s, const struct rn_train_config *config) {
+    struct rn_error err;
+    struct rn_bounds bounds = {.centre = {0.1, -0.05, 0}, .radius = 1.2};
+    memset(s, 0, sizeof *s);
+    s->config = *config;
+    s->engine.kernels = rn_kernels_available(0);
+    ck_assert(rn_pool_create(1, &s->engine.pool, &err) == RN_OK);
+    ck_assert_msg(rn_field_create(config, &bounds, &s->field, &err) == RN_OK, "%s", err.text);
+    ck_assert(rn_field_need_levels(s->field, config->field.levels, &err) == RN_OK);
+    ck_assert(rn_reference_create(&config->field, config->seed, &s->reference, &err) == RN_OK);
+    s->reference->half = true;
+    fill_parameters(s);
+    size_t cells = (size_t)config->field.occupancy;
+    for (size_t i = 0; i < cells * cells * cells; i++)
+        s->field->occupancy[i] = s->field->hull[i];
+    rn_field_refresh(s->field, &s->engine);
+    rn_field_refresh_occupancy(s->field);
+    ck_assert(rn_engine_prepare(&s->engine, s->field, &err) == RN_OK);
+    fill_frames(s);
+}
+
+enum rn_status test_scene_upload(struct test_scene *s, size_t budget, struct rn_error *err) {
+    struct rn_device_about about;
+    const struct rn_field *f = s->field;
+    struct rn_device_scene scene = {.config = s->config,
+                                    .radius = f->bounds.radius,
+                                    .solid = f->cpu.solid,
+                                    .base_shape = f->cpu.base_shape,
+                                    .head_shape = f->cpu.head_shape,
+                                    .levels = f->cpu.built_levels,
+                                    .parameter_count = f->parameters.count,
+                                    .parameters = f->parameters.values,
+                                    .occupancy = f->occupancy,
+                                    .hull = f->hull};
+    memcpy(scene.centre, f->bounds.centre, sizeof scene.centre);
+    enum rn_status status = rn_backend_table.open(0, budget, &s->device, &about, err);
+    if (status != RN_OK) return status;
+    return rn_backend_table.field_create(s->device, &scene, &s->on_device, err);
+}
+
+enum rn_status test_scene_train(struct test_scene *s, bool deterministic, struct rn_error *err) {
+    struct rn_device_pixels pixels = {.frames = s->frames,
+                                      .rgba = s->rgba,
+                                      .frame_count = FRAMES,
+                                      .scale_count = 1,
+                                      .scale_first = {0, FRAMES},
+                                      .scale_pixels = {FRAMES * SIDE * SIDE},
+                                      .pixel_count = FRAMES * SIDE * SIDE};
+    struct rn_device_training training = {.deterministic = deterministic, .next_rays = RAYS};
+    return rn_backend_table.train_begin(s->on_device, &pixels, &training, err);
+}
+
+void test_scene_finish(struct test_scene *s) {
+    if (s->device) {
+        rn_backend_table.field_destroy(&s->on_device);
+        rn_backend_table.close(&s->device);
+    }
+    free(s->engine.workspaces);
+    rn_field_destroy(&s->field);
+    rn_reference_destroy(&s->reference);
+    rn_pool_destroy(&s->engine.pool);
+}
+
+struct rn_reference_ray test_reference_ray(const struct test_scene *s,
+                                           const struct rn_camera *camera, int x, int y,
+                                           double jitter) {
+    struct rn_ray cone = rn_camera_ray(camera, x + 0.5, y + 0.5);
+    struct rn_march_ray ray = rn_march_ray_from(s->field, &cone, s->config.step, jitter);
+    double length = ray.length > 0 ? (double)ray.length : 0;
+    double width = s->config.step * ray.stride, *mid = calloc(2000, sizeof *mid);
+    struct rn_reference_ray out = {.radius = (double)ray.radius, .mid = mid, .width = width};
+    while ((out.count * ray.stride + 0.5) * s->config.step < length) {
+        mid[out.count] = (double)ray.near + (out.count + 0.5) * width;
+        out.count++;
+    }
+    for (int i = 0; i < 3; i++) {
+        out.direction[i] = (double)ray.direction[i];
+        out.origin[i] = (double)ray.origin[i] - out.direction[i] * (double)ray.near;
+        out.background[i] = (double)s->config.background[i];
+    }
+    return out;
+}
+
+void test_scene_rays(const struct test_scene *s, int64_t step, struct rn_reference_ray *rays,
+                     int count) {
+    for (int r = 0; r < count; r++) {
+        struct rn_rng4 draw =
+            rn_rng_draw(s->config.seed, 0x7261797300000000u | (uint32_t)r, (uint64_t)step);
+        uint64_t wide = (uint64_t)draw.v[0] << 32 | draw.v[1];
+        int pixel = (int)((double)(wide >> 11) * 0x1p-53 * (FRAMES * SIDE * SIDE));
+        int within = pixel % (SIDE * SIDE);
+        const struct rn_device_frame *frame = &s->frames[pixel / (SIDE * SIDE)];
+        rays[r] = test_reference_ray(s, &frame->camera, within % SIDE, within / SIDE,
+                                     (double)rn_rng_unit(draw.v[2]));
+        rays[r].weight = (double)frame->loss_weight;
+        const uint8_t *rgba = s->rgba + 4 * pixel;
+        for (int c = 0; c < 3; c++)
+            rays[r].target[c] = rgba[c] / 255.0 * (rgba[3] / 255.0) +
+                                (1 - rgba[3] / 255.0) * (double)s->config.background[c];
+    }
+}
+
+void test_rays_finish(struct rn_reference_ray *rays, int count) {
+    for (int r = 0; r < count; r++)
+        free((double *)rays[r].mid);
+}

@@ -1,0 +1,46 @@
+// A small field with cameras and pixels, once in the float64 reference and once behind a backend.
+#ifndef RN_TESTS_OPS_CUDA_SCENE_H
+#define RN_TESTS_OPS_CUDA_SCENE_H
+
+#include "server/engine/backend.h"
+#include "server/engine/reference/reference.h"
+#include "server/engine/scene.h"
+
+#define FRAMES 4
+#define SIDE 12 // pixels of a frame a side
+#define RAYS 96 // of a training step
+
+extern const struct rn_backend rn_backend_table;
+
+struct test_scene {
+    struct rn_train_config config;
+    struct rn_engine engine; // the CPU's kernels, to compare with
+    struct rn_field *field;
+    struct rn_reference *reference;
+    struct rn_device_frame frames[FRAMES];
+    uint8_t rgba[FRAMES * SIDE * SIDE * 4];
+    struct rn_device *device;
+    struct rn_device_field *on_device;
+};
+
+// A field of numbers that fp16 holds exactly, every cell of the ball occupied; a CPU field and a
+// reference of the same numbers.
+void test_scene_init(struct test_scene *s, const struct rn_train_config *config);
+// The same field on the device, with `budget` bytes (0: all).
+enum rn_status test_scene_upload(struct test_scene *s, size_t budget, struct rn_error *err);
+// Starts training with RAYS rays a step; one scale.
+enum rn_status test_scene_train(struct test_scene *s, bool deterministic, struct rn_error *err);
+void test_scene_finish(struct test_scene *s);
+// The rays of a training step as the reference takes them; `mid` for test_rays_finish.
+void test_scene_rays(const struct test_scene *s, int64_t step, struct rn_reference_ray *rays,
+                     int count);
+void test_rays_finish(struct rn_reference_ray *rays, int count);
+// One ray of a camera's pixel, every sample inside the ball.
+struct rn_reference_ray test_reference_ray(const struct test_scene *s,
+                                           const struct rn_camera *camera, int x, int y,
+                                           double jitter);
+
+struct rn_train_config test_config(enum rn_footprint footprint, int planes, int channels, int width,
+                                   int levels);
+
+#endif

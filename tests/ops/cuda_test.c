@@ -1,0 +1,523 @@
+// The CUDA backend against the float64 reference and the CPU's kernels, every kernel of it. On a
+// machine without a GPU the same source runs under the emulator (cuda_emulator/).
+//
+// Bounds: the kernels multiply fp16 numbers of 11 bits and add in fp32; the parameters here are
+// fp16 numbers, so what is measured is the rounding of features, activations and gradients.
+#include <check.h>
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "common/math/rng.h"
+#include "server/engine/cuda/layout.h"
+#include "tests/ops/cuda_emulator/knobs.h"
+#include "tests/ops/cuda_scene.h"
+
+#define GRADIENT_BOUND 2e-3 // of the largest number of its kind
+#define GRADIENT_OFF 2e-2
+#define GRADIENT_RMS 2e-2
+#define PIXEL_BOUND 2e-3
+
+static const struct rn_backend *const backend = &rn_backend_table;
+
+#define OK(call)                                                                                   \
+    do {                                                                                           \
+        struct rn_error err = {0};                                                                 \
+        enum rn_status status = (call);                                                            \
+        ck_assert_msg(status == RN_OK, "%s: %s", #call, err.text);                                 \
+    } while (0)
+
+struct numbers {
+    float *parameters, *m, *v;
+    struct rn_device_progress progress;
+};
+
+static const struct rn_device_step one_step = {.network_rate = 2e-3f, .plane_rate = 2e-2f};
+
+static void read_back(struct test_scene *s, struct numbers *ret) {
+    size_t n = s->field->parameters.count;
+    ret->parameters = malloc(n * sizeof(float));
+    ret->m = malloc(n * sizeof(float));
+    ret->v = malloc(n * sizeof(float));
+    OK(backend->train_finish(s->on_device, &ret->progress, &err));
+    OK(backend->download(s->on_device, ret->parameters, ret->m, ret->v, NULL, &err));
+}
+
+static void numbers_finish(struct numbers *n) {
+    free(n->parameters);
+    free(n->m);
+    free(n->v);
+}
+
+static void train(struct test_scene *s, int steps, bool deterministic, struct numbers *ret) {
+    OK(test_scene_upload(s, 0, &err));
+    OK(test_scene_train(s, deterministic, &err));
+    for (int i = 0; i < steps; i++)
+        OK(backend->train_step(s->on_device, &one_step, &err));
+    read_back(s, ret);
+}
+
+// Error of a gradient; after one step the first moment is a tenth of it. A sample whose hidden unit
+// lies within fp32's rounding of 0 has another gradient on either side: that happens to one sample
+// in a thousand, so what is bounded is the root mean square and the share of numbers that are off.
+struct error {
+    double rms; // of the differences over that of the reference
+    double off; // share of numbers that differ by more than GRADIENT_BOUND of the largest
+};
+static struct error gradient_error(const float *m, const double *exact, size_t n) {
+    double largest = 0, squares = 0, all = 0;
+    size_t off = 0;
+    for (size_t i = 0; i < n; i++)
+        largest = fmax(largest, fabs(exact[i]));
+    for (size_t i = 0; i < n; i++) {
+        double d = 10 * (double)m[i] - exact[i];
+        ck_assert(isfinite(m[i]));
+        squares += d * d;
+        all += exact[i] * exact[i];
+        off += fabs(d) > GRADIENT_BOUND * largest;
+    }
+    ck_assert_double_gt(all, 0);
+    return (struct error){sqrt(squares / all), (double)off / (double)n};
+}
+
+// AdamW's first step from the moments it left: parameter - rate (m / 0.1) / (sqrt(v / 0.001) +
+// eps).
+static void check_update(const struct test_scene *s, const struct numbers *n) {
+    const struct rn_parameters *p = &s->field->parameters;
+    for (size_t i = 0; i < p->count; i++) {
+        double rate = (double)(i < p->plane_count ? one_step.plane_rate : one_step.network_rate);
+        double old = (double)p->values[i], m = (double)n->m[i] / 0.1;
+        double v = (double)n->v[i] / (1 - 0.999);
+        double expected = old - old * rate * s->config.weight_decay - rate * m / (sqrt(v) + 1e-15);
+        ck_assert_double_eq_tol(n->parameters[i], expected, 2e-6);
+        ck_assert_double_eq_tol(v, m * m, 1e-5 * m * m + 1e-36);
+    }
+}
+
+static void check_training(const struct rn_train_config *config, bool deterministic) {
+    struct test_scene s;
+    struct numbers n;
+    struct rn_reference_ray rays[RAYS];
+    double loss;
+    test_scene_init(&s, config);
+    test_scene_rays(&s, 0, rays, RAYS);
+    OK(rn_reference_loss(s.reference, rays, RAYS, &loss));
+    train(&s, 1, deterministic, &n);
+    const struct rn_parameters *p = &s.field->parameters;
+    const double *exact[3] = {s.reference->plane_grad, s.reference->base_grad,
+                              s.reference->head_grad};
+    const size_t counts[3] = {p->plane_count, p->base_count, p->head_count};
+    printf("%d planes x %d, width %d, %s, %d levels, %llu samples: loss %.1e", config->field.planes,
+           config->field.channels, config->field.width, rn_footprint_name(config->field.footprint),
+           config->field.levels, (unsigned long long)n.progress.samples,
+           fabs(n.progress.loss - loss) / loss);
+    for (size_t i = 0, at = 0; i < 3; at += counts[i++]) {
+        struct error e = gradient_error(n.m + at, exact[i], counts[i]);
+        printf(", %s %.1e (%.2f %% off)",
+               i == 0   ? "planes"
+               : i == 1 ? "base"
+                        : "head",
+               e.rms, 100 * e.off);
+        ck_assert_double_lt(e.rms, GRADIENT_RMS);
+        ck_assert_double_lt(e.off, GRADIENT_OFF);
+    }
+    printf("\n");
+    ck_assert_int_eq(n.progress.steps_rejected, 0);
+    ck_assert_int_eq(n.progress.updates, 1);
+    ck_assert_double_eq_tol(n.progress.loss, loss, 1e-3 * loss);
+    check_update(&s, &n);
+    numbers_finish(&n);
+    test_rays_finish(rays, RAYS);
+    test_scene_finish(&s);
+}
+
+START_TEST(gradients_match_reference) {
+    struct rn_train_config configs[] = {
+        test_config(RN_FOOTPRINT_RIP, 4, 16, 32, 4), test_config(RN_FOOTPRINT_MIP, 3, 8, 16, 3),
+        test_config(RN_FOOTPRINT_POINT, 6, 4, 32, 1), test_config(RN_FOOTPRINT_RIP, 3, 16, 32, 6)};
+    configs[1].field.head_layers = 1;
+    configs[1].field.base_layers = 1;
+    configs[1].cone_step = true;
+    configs[2].field.base_layers = 3;
+    configs[3].field.view_dependence = false;
+    for (size_t i = 0; i < sizeof configs / sizeof *configs; i++)
+        check_training(&configs[i], i % 2);
+}
+END_TEST
+
+START_TEST(papers_networks_match_reference) {
+    struct rn_train_config config = test_config(RN_FOOTPRINT_RIP, 10, 16, 128, 4);
+    config.field.base = 16;
+    config.step = 0.1;
+    check_training(&config, false);
+}
+END_TEST
+
+START_TEST(pixels_match_reference) {
+    for (int i = 0; i < 3; i++) {
+        struct rn_train_config config = test_config((enum rn_footprint)i, i == 0 ? 10 : 3,
+                                                    i == 0 ? 16 : 8, i == 0 ? 32 : 64, 3);
+        struct test_scene s;
+        struct rn_pixel pixels[SIDE * SIDE];
+        struct rn_march_options options = {
+            .step = (float)config.step, .stop_depth = 1e9f, .background = {1, 0.5f, 0.25f}};
+        uint64_t samples;
+        double worst_pixel = 0;
+        test_scene_init(&s, &config);
+        OK(test_scene_upload(&s, 0, &err));
+        OK(backend->render(s.on_device, &s.frames[0].camera, &options, 2, 6, pixels, &samples,
+                           &err));
+        for (int k = 0; k < 6 * SIDE; k++) {
+            struct rn_reference_ray ray =
+                test_reference_ray(&s, &s.frames[0].camera, k % SIDE, 2 + k / SIDE, 0);
+            double rgb[3], opacity, depth;
+            for (int c = 0; c < 3; c++)
+                ray.background[c] = (double)options.background[c];
+            OK(rn_reference_render(s.reference, &ray, rgb, &opacity, &depth));
+            for (int c = 0; c < 3; c++)
+                worst_pixel = fmax(worst_pixel, fabs((double)pixels[k].rgb[c] - rgb[c]));
+            worst_pixel = fmax(worst_pixel, fabs((double)pixels[k].alpha - opacity));
+            if (opacity > 0.01)
+                ck_assert_double_eq_tol(pixels[k].depth, depth / opacity, PIXEL_BOUND);
+            test_rays_finish(&ray, 1);
+        }
+        printf("%s: pixels %.1e, %llu samples\n", rn_footprint_name((enum rn_footprint)i),
+               worst_pixel, (unsigned long long)samples);
+        ck_assert_double_lt(worst_pixel, PIXEL_BOUND);
+        test_scene_finish(&s);
+    }
+}
+END_TEST
+
+// Scattered cells: the same samples are evaluated as on the CPU, and give the same picture.
+START_TEST(march_finds_the_cells_that_the_cpu_finds) {
+    for (int stride = 0; stride < 2; stride++) {
+        struct rn_train_config config = test_config(RN_FOOTPRINT_MIP, 3, 8, 16, 3);
+        struct test_scene s;
+        struct rn_pixel pixels[SIDE * SIDE], expected[SIDE * SIDE];
+        struct rn_march_ray rays[SIDE * SIDE];
+        config.field.occupancy = 32;
+        config.step = 0.02;
+        config.cone_step = stride;
+        test_scene_init(&s, &config);
+        for (int i = 0; i < 32 * 32 * 32; i++)
+            s.field->occupancy[i] = i % 37 == 0 && i / 1024 % 16 > 9 && i % 32 > 5;
+        rn_field_refresh_occupancy(s.field);
+        OK(test_scene_upload(&s, 0, &err));
+        struct rn_march_options options = {.step = (float)config.step, .stop_depth = 1e9f};
+        for (int f = 0; f < FRAMES; f++) {
+            const struct rn_camera *camera = &s.frames[f].camera;
+            uint64_t samples, cpu;
+            OK(backend->render(s.on_device, camera, &options, 0, SIDE, pixels, &samples, &err));
+            for (int i = 0; i < SIDE * SIDE; i++) {
+                struct rn_ray ray = rn_camera_ray(camera, i % SIDE + 0.5, i / SIDE + 0.5);
+                rays[i] = rn_march_ray_from(s.field, &ray, config.step, 0);
+            }
+            cpu = s.engine.kernels->render(&s.field->cpu, &options, rays, SIDE * SIDE,
+                                           rn_engine_workspace(&s.engine, 0), expected);
+            ck_assert_uint_gt(cpu, 20);
+            ck_assert_uint_eq(samples, cpu);
+            for (int i = 0; i < SIDE * SIDE; i++)
+                ck_assert_double_eq_tol(pixels[i].rgb[0], expected[i].rgb[0], PIXEL_BOUND);
+        }
+        test_scene_finish(&s);
+    }
+}
+END_TEST
+
+// An early stop ends rays, and what lies behind it weighs nothing.
+START_TEST(rays_stop_where_nothing_can_be_seen) {
+    struct rn_train_config config = test_config(RN_FOOTPRINT_POINT, 3, 8, 16, 1);
+    struct test_scene s;
+    struct rn_pixel pixels[SIDE], expected[SIDE];
+    uint64_t all, samples;
+    test_scene_init(&s, &config);
+    OK(test_scene_upload(&s, 0, &err));
+    struct rn_march_options options = {.step = 0.05f, .stop_depth = 1e9f};
+    const struct rn_camera *camera = &s.frames[1].camera;
+    OK(backend->render(s.on_device, camera, &options, SIDE / 2, 1, pixels, &all, &err));
+    options.stop_depth = 0.3f;
+    OK(backend->render(s.on_device, camera, &options, SIDE / 2, 1, pixels, &samples, &err));
+    struct rn_march_ray rays[SIDE];
+    for (int i = 0; i < SIDE; i++) {
+        struct rn_ray ray = rn_camera_ray(camera, i + 0.5, SIDE / 2 + 0.5);
+        rays[i] = rn_march_ray_from(s.field, &ray, config.step, 0);
+    }
+    uint64_t cpu = s.engine.kernels->render(&s.field->cpu, &options, rays, SIDE,
+                                            rn_engine_workspace(&s.engine, 0), expected);
+    ck_assert_uint_lt(samples, all);
+    ck_assert_uint_eq(samples, cpu);
+    for (int i = 0; i < SIDE; i++)
+        ck_assert_double_eq_tol(pixels[i].alpha, expected[i].alpha, 0.02);
+    test_scene_finish(&s);
+}
+END_TEST
+
+// Cells are measured at the points and the level that the CPU takes.
+START_TEST(occupancy_is_measured_as_on_the_cpu) {
+    struct rn_train_config config = test_config(RN_FOOTPRINT_RIP, 4, 16, 32, 3);
+    struct test_scene s;
+    struct rn_device_step step = one_step;
+    struct rn_device_progress progress;
+    config.field.occupancy = 16;
+    test_scene_init(&s, &config);
+    for (int i = 0; i < 4096; i++)
+        s.field->occupancy[i] *= 1e-3f;
+    OK(test_scene_upload(&s, 0, &err));
+    OK(test_scene_train(&s, false, &err));
+    step.measure = true;
+    step.measure_first = 1;
+    step.measure_stride = 3;
+    step.measure_decay = 0.5f;
+    OK(backend->train_step(s.on_device, &step, &err));
+    OK(backend->train_finish(s.on_device, &progress, &err));
+    float *occupancy = malloc(4096 * sizeof(float));
+    OK(backend->download(s.on_device, NULL, NULL, NULL, occupancy, &err));
+    int listed = 0, raised = 0;
+    for (uint32_t cell = 0; cell < 4096; cell++) {
+        float old = s.field->occupancy[cell], density, point[1][3];
+        if (!s.field->hull[cell] || listed++ % 3 != 1) {
+            ck_assert(occupancy[cell] == old);
+            continue;
+        }
+        struct rn_rng4 draw = rn_rng_draw(config.seed, 0x6f63637570000000u + cell, 0);
+        uint32_t at[3] = {cell / 256, cell / 16 % 16, cell % 16};
+        for (int k = 0; k < 3; k++)
+            point[0][k] = ((float)at[k] + rn_rng_unit(draw.v[k])) * 2 / 16 - 1;
+        s.engine.kernels->density(&s.field->cpu, point, 1, 1, rn_engine_workspace(&s.engine, 0),
+                                  &density);
+        float value = density * (float)(config.step * 1.5);
+        float expected = fmaxf(value, old * 0.5f);
+        raised += value > old * 0.5f;
+        ck_assert_double_eq_tol(occupancy[cell], expected, 3e-3 * (double)expected);
+    }
+    ck_assert_int_gt(raised, 100);
+    free(occupancy);
+    test_scene_finish(&s);
+}
+END_TEST
+
+static void run_steps(int order, bool deterministic, struct numbers *ret) {
+    struct rn_train_config config = test_config(RN_FOOTPRINT_RIP, 3, 8, 16, 3);
+    struct test_scene s;
+    test_scene_init(&s, &config);
+    rn_emulator_order(order, (uint64_t)order + 1);
+    train(&s, 3, deterministic, ret);
+    rn_emulator_order(0, 0);
+    test_scene_finish(&s);
+}
+
+// Which warp takes which ray changes with the order of the threads; in the deterministic mode the
+// bytes do not. They are the orders that a missing barrier shows in, too.
+START_TEST(deterministic_mode_gives_the_same_bytes) {
+    struct numbers first;
+    run_steps(0, true, &first);
+    size_t n = (size_t)3 * 32 * 32 * 8;
+    for (int order = 1; order < 4; order++) {
+        struct numbers other;
+        run_steps(order, true, &other);
+        ck_assert(memcmp(first.parameters, other.parameters, n * sizeof(float)) == 0);
+        ck_assert(memcmp(first.v, other.v, n * sizeof(float)) == 0);
+        ck_assert(first.progress.loss == other.progress.loss);
+        numbers_finish(&other);
+        run_steps(order, false, &other);
+        for (size_t i = 0; i < n; i++)
+            ck_assert_double_eq_tol(first.m[i], other.m[i], 2e-4);
+        numbers_finish(&other);
+    }
+    numbers_finish(&first);
+}
+END_TEST
+
+// Gradients that fp16 cannot hold: no step is taken until the scale is low enough.
+START_TEST(overflow_skips_the_step) {
+    struct rn_train_config config = test_config(RN_FOOTPRINT_POINT, 3, 8, 16, 1);
+    struct test_scene s;
+    struct numbers n;
+    test_scene_init(&s, &config);
+    const struct rn_parameters *p = &s.field->parameters;
+    for (int f = 0; f < FRAMES; f++)
+        s.frames[f].loss_weight = 1e5f;
+    train(&s, 1, false, &n);
+    ck_assert_int_eq(n.progress.steps_rejected, 1);
+    ck_assert_int_eq(n.progress.updates, 0);
+    ck_assert(memcmp(n.parameters, p->values, p->count * sizeof(float)) == 0);
+    for (size_t i = 0; i < p->count; i++)
+        ck_assert(n.m[i] == 0 && n.v[i] == 0);
+    numbers_finish(&n);
+    for (int i = 0; i < 20; i++)
+        OK(backend->train_step(s.on_device, &one_step, &err));
+    read_back(&s, &n);
+    ck_assert_int_gt(n.progress.updates, 0);
+    for (size_t i = 0; i < p->count; i++)
+        ck_assert(isfinite(n.parameters[i]));
+    numbers_finish(&n);
+    test_scene_finish(&s);
+}
+END_TEST
+
+// More samples than there is room for: the step is not taken, the next has half the rays.
+START_TEST(crowded_steps_are_skipped) {
+    struct rn_train_config config = test_config(RN_FOOTPRINT_POINT, 3, 8, 16, 1);
+    struct test_scene s;
+    struct numbers n;
+    config.step = 0.004;
+    test_scene_init(&s, &config);
+    OK(test_scene_upload(&s, 0, &err));
+    struct rn_device_pixels pixels = {.frames = s.frames,
+                                      .rgba = s.rgba,
+                                      .frame_count = FRAMES,
+                                      .scale_count = 1,
+                                      .scale_first = {0, FRAMES},
+                                      .scale_pixels = {FRAMES * SIDE * SIDE},
+                                      .pixel_count = FRAMES * SIDE * SIDE};
+    struct rn_device_training training = {.next_rays = 400, .step = 1};
+    OK(backend->train_begin(s.on_device, &pixels, &training, &err));
+    OK(backend->train_step(s.on_device, &one_step, &err));
+    read_back(&s, &n);
+    const struct rn_parameters *p = &s.field->parameters;
+    ck_assert_int_eq(n.progress.steps_rejected, 1);
+    ck_assert_int_eq(n.progress.next_rays, 200);
+    ck_assert(memcmp(n.parameters, p->values, p->count * sizeof(float)) == 0);
+    numbers_finish(&n);
+    test_scene_finish(&s);
+}
+END_TEST
+
+START_TEST(it_learns_without_allocating) {
+    struct rn_train_config config = test_config(RN_FOOTPRINT_RIP, 3, 8, 16, 3);
+    struct test_scene s;
+    struct rn_device_progress first, last;
+    test_scene_init(&s, &config);
+    OK(test_scene_upload(&s, 0, &err));
+    OK(test_scene_train(&s, false, &err));
+    long allocations = rn_emulator_allocations();
+    OK(backend->train_step(s.on_device, &one_step, &err));
+    OK(backend->train_finish(s.on_device, &first, &err));
+    for (int i = 0; i < 30; i++)
+        OK(backend->train_step(s.on_device, &one_step, &err));
+    OK(backend->train_finish(s.on_device, &last, &err));
+    printf("loss %.4f, after 30 steps %.4f\n", first.loss, last.loss);
+    ck_assert_double_lt(last.loss, 0.6 * first.loss);
+    ck_assert_int_eq(rn_emulator_allocations(), allocations);
+    ck_assert_int_eq(last.steps, 31);
+    ck_assert_uint_gt(last.level_samples[0] + last.level_samples[1] + last.level_samples[2], 1000);
+    test_scene_finish(&s);
+    ck_assert_uint_eq(rn_emulator_memory_used(), 0);
+}
+END_TEST
+
+START_TEST(memory_is_counted_before_it_is_taken) {
+    struct rn_train_config config = test_config(RN_FOOTPRINT_RIP, 4, 16, 32, 3);
+    struct test_scene s;
+    struct rn_error err;
+    config.field.base = 128;
+    test_scene_init(&s, &config);
+    ck_assert(test_scene_upload(&s, 4 << 20, &err) == RN_ERROR_LIMIT);
+    ck_assert_msg(strstr(err.text, "needs") && strstr(err.text, "would fit"), "%s", err.text);
+    ck_assert_uint_eq(rn_emulator_memory_used(), 0);
+    backend->close(&s.device);
+    rn_emulator_memory(4 << 20);
+    ck_assert(test_scene_upload(&s, 1 << 30, &err) == RN_ERROR_NO_MEMORY);
+    rn_emulator_memory((size_t)2 << 30);
+    test_scene_finish(&s);
+}
+END_TEST
+
+START_TEST(a_broken_device_says_so) {
+    struct rn_train_config config = test_config(RN_FOOTPRINT_POINT, 3, 8, 16, 1);
+    struct test_scene s;
+    struct rn_error said;
+    struct rn_device_progress progress;
+    test_scene_init(&s, &config);
+    OK(test_scene_upload(&s, 0, &err));
+    OK(test_scene_train(&s, false, &err));
+    rn_emulator_fail(700);
+    ck_assert(backend->train_step(s.on_device, &one_step, &said) == RN_ERROR_UNAVAILABLE);
+    ck_assert(backend->train_finish(s.on_device, &progress, &said) == RN_ERROR_UNAVAILABLE);
+    rn_emulator_fail(0);
+    test_scene_finish(&s);
+}
+END_TEST
+
+START_TEST(what_it_cannot_do_is_refused) {
+    struct rn_train_config configs[3] = {test_config(RN_FOOTPRINT_RIP, 3, 8, 16, 3),
+                                         test_config(RN_FOOTPRINT_RIP, 3, 8, 16, 3),
+                                         test_config(RN_FOOTPRINT_RIP, 3, 8, 144, 3)};
+    const char *const where[3] = {"shading", "base", "width"};
+    configs[0].field.shading = RN_SHADING_RAY;
+    configs[1].field.base = 36;
+    for (int i = 0; i < 3; i++) {
+        struct test_scene s;
+        struct rn_error err;
+        test_scene_init(&s, &configs[i]);
+        ck_assert(test_scene_upload(&s, 0, &err) == RN_ERROR_UNSUPPORTED);
+        ck_assert_str_eq(err.where, where[i]);
+        test_scene_finish(&s);
+    }
+}
+END_TEST
+
+// Every number of a layer has one place among the fragments, and the gradient's places are where
+// the products leave them.
+START_TEST(fragments_hold_every_number_once) {
+    enum { K = 48, N = 32 };
+    static int seen[K * N], back[K * N];
+    for (int k = 0; k < K; k++)
+        for (int n = 0; n < N; n++) {
+            seen[rn_cuda_fragment_place(k, n, K / 16)]++;
+            back[rn_cuda_fragment_place(n, k, N / 16)]++;
+        }
+    for (int i = 0; i < K * N; i++) {
+        ck_assert_int_eq(seen[i], 1);
+        ck_assert_int_eq(back[i], 1);
+    }
+    memset(seen, 0, sizeof seen);
+    for (size_t i = 0; i < K * N; i++) {
+        int k, n;
+        rn_cuda_gradient_element(i, N / 16, &k, &n);
+        seen[k * N + n]++;
+    }
+    for (int i = 0; i < K * N; i++)
+        ck_assert_int_eq(seen[i], 1);
+    for (int per_ray = 0; per_ray < 2; per_ray++) {
+        int inputs[32] = {0};
+        for (int k = 0; k < 32; k++)
+            inputs[rn_cuda_head_input(k, per_ray)]++;
+        for (int k = 0; k < 32; k++)
+            ck_assert_int_eq(inputs[k], 1);
+    }
+}
+END_TEST
+
+static void add(Suite *suite, const char *name, const TTest *test) {
+    TCase *group = tcase_create(name); // CK_RUN_CASE chooses one
+    tcase_set_timeout(group, 120);
+    tcase_add_test(group, test);
+    suite_add_tcase(suite, group);
+}
+
+int main(void) {
+    setvbuf(stdout, NULL, _IOLBF, 0);
+    Suite *suite = suite_create("cuda kernels");
+    add(suite, "layout", fragments_hold_every_number_once);
+    add(suite, "gradients", gradients_match_reference);
+    add(suite, "paper", papers_networks_match_reference);
+    add(suite, "pixels", pixels_match_reference);
+    add(suite, "march", march_finds_the_cells_that_the_cpu_finds);
+    add(suite, "march", rays_stop_where_nothing_can_be_seen);
+    add(suite, "occupancy", occupancy_is_measured_as_on_the_cpu);
+    add(suite, "order", deterministic_mode_gives_the_same_bytes);
+    add(suite, "guards", overflow_skips_the_step);
+    add(suite, "guards", crowded_steps_are_skipped);
+    add(suite, "guards", memory_is_counted_before_it_is_taken);
+    add(suite, "guards", a_broken_device_says_so);
+    add(suite, "guards", what_it_cannot_do_is_refused);
+    add(suite, "learning", it_learns_without_allocating);
+    SRunner *runner = srunner_create(suite);
+    srunner_run_all(runner, CK_NORMAL);
+    int failed = srunner_ntests_failed(runner);
+    srunner_free(runner);
+    return failed != 0;
+}
