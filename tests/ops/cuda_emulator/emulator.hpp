@@ -4,8 +4,9 @@
 // What is checked: every warp collective is entered by all 32 lanes with the same operation and
 // __syncthreads by the whole block (anything else ends the program); memory from the allocator and
 // shared memory hold NaN bytes until written; asynchronous copies run as late as they may, when
-// their group is waited for, and must be waited for; threads run from one collective to the next in
-// an order that the test chooses, so that a missing barrier shows. What is not: weak memory order
+// their group is waited for, and must be waited for; a warp runs as far as it can before the next
+// one begins, first to last or last to first, or all threads shuffled, so that a missing barrier
+// shows. What is not: weak memory order
 // between blocks, timing, registers.
 #ifndef RN_TESTS_EMULATOR_H
 #define RN_TESTS_EMULATOR_H
@@ -85,8 +86,8 @@ struct machine {
     const char *kernel = "", *barrier = "";
     std::function<void()> body;
     jmp_buf scheduler;
-    unsigned turn = 0; // place in `order`; with `progress`, state that outlives a longjmp
-    bool progress = false;
+    unsigned first = 0, turn = 0; // places in `order`; like what follows, to outlive a longjmp
+    bool progress = false, unit_progress = false;
     unsigned current = 0, threads = 0, finished = 0, arrived = 0;
     uint64_t generation = 0, random = 1;
     rn_emu_order policy = RN_EMU_FORWARD;
@@ -147,6 +148,22 @@ inline void fiber_main() {
     _longjmp(m.scheduler, 1);
 }
 
+// Runs every runnable thread of a part of the order once.
+inline void run_unit(unsigned unit) {
+    m.unit_progress = false;
+    for (m.turn = m.first; m.turn < m.first + unit; m.turn++) {
+        m.current = m.order[m.turn];
+        fiber &f = m.fibers[m.current];
+        if (f.done || (f.waits_on && *f.waits_on == f.waited)) continue;
+        m.progress = m.unit_progress = true;
+        f.waits_on = NULL;
+        if (_setjmp(m.scheduler) != 0) continue;
+        if (f.started) _longjmp(f.jump, 1);
+        f.started = true;
+        setcontext(&f.context);
+    }
+}
+
 inline void run_block() {
     memset(m.shared, 0xff, sizeof m.shared);
     m.finished = m.arrived = 0;
@@ -159,17 +176,12 @@ inline void run_block() {
     }
     while (m.finished < m.threads) {
         m.progress = false;
-        for (m.turn = 0; m.turn < m.threads; m.turn++) {
-            m.current = m.order[m.turn];
-            fiber &f = m.fibers[m.current];
-            if (f.done || (f.waits_on && *f.waits_on == f.waited)) continue;
-            m.progress = true;
-            f.waits_on = NULL;
-            if (_setjmp(m.scheduler) != 0) continue;
-            if (f.started) _longjmp(f.jump, 1);
-            f.started = true;
-            setcontext(&f.context);
-        }
+        // A warp goes as far as it can before the next one begins, unless all are shuffled.
+        unsigned unit = m.policy == RN_EMU_RANDOM ? m.threads : (unsigned)LANES;
+        for (m.first = 0; m.first < m.threads; m.first += unit)
+            do
+                run_unit(unit);
+            while (m.unit_progress);
         if (!m.progress) die("the block waits for ever");
     }
 }
