@@ -74,12 +74,12 @@ mutate order step.cuh "order: no barrier before the sums are read" \
     '0,/^    __syncthreads();/s/^    __syncthreads();//'
 mutate order step.cuh "order: no barrier after the scan" \
     's/^    uint32_t first = sums\[thread\].tiles;/&/;/s->next_rays = next < b.ray_capacity/,/first = sums/s/^    __syncthreads();//'
-mutate occupancy occupancy.cuh "occupancy: no barrier in the sum" 's/^        __syncthreads();//'
+mutate march occupancy.cuh "occupancy: no barrier in the sum" 's/^        __syncthreads();//'
 mutate order forward.cuh "forward: a lane leaves before its warp" \
     's/if (walk.k >= walk.end) return;/if (RN_LANE == 31) return;/'
 mutate order step.cuh "order: tiles in the order in which warps came" \
     's/b.order\[b.ray_first\[r\] + b.tile_ordinal\[slot\]\] = slot/b.order[slot] = slot/'
-mutate order gradient.cuh "gradient: chunks that overlap" \
+mutate gradients gradient.cuh "gradient: chunks that overlap" \
     's/end = tiles \* (size_t)(chunk + 1)/end = 1 + tiles * (size_t)(chunk + 1)/'
 # March.
 mutate march march.cuh "march: a brick skipped too far" \

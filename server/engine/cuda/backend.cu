@@ -128,6 +128,9 @@ static enum rn_status check_config(const struct rn_device_scene *s, struct rn_er
         return rn_error_set(err, RN_ERROR_UNSUPPORTED, "shading",
                             "the CUDA kernels shade every sample; use the paper preset, or --device "
                             "cpu for colour once a ray");
+    if (s->config.grow_to > c->base)
+        return rn_error_set(err, RN_ERROR_UNSUPPORTED, "grow_to",
+                            "the CUDA kernels train planes of one size; use --device cpu");
     if (c->base % unit != 0)
         return rn_error_set(err, RN_ERROR_UNSUPPORTED, "base",
                             "the CUDA kernels pool by whole factors of two: %d levels need a base "
@@ -300,18 +303,30 @@ static enum rn_status train_begin(struct rn_device_field *f, const struct rn_dev
 }
 
 // By value, so that the host need not wait before it changes them.
-__global__ void rn_rates_kernel(struct rn_cuda_rates rates, struct rn_cuda_rates *to) {
-    if (threadIdx.x == 0) *to = rates;
+__global__ void rn_rates_kernel(struct rn_cuda_rates rates, struct rn_cuda_rates *to,
+                                struct rn_cuda_status *status) {
+    if (threadIdx.x != 0) return;
+    double n = (double)(status->updates + 1);
+    *to = rates;
+    status->correction1 = (float)-expm1(n * log(0.9));
+    status->correction2 = (float)-expm1(n * log(rates.beta2));
 }
 
 static enum rn_status train_step(struct rn_device_field *f, const struct rn_device_step *step,
                                  struct rn_error *err) {
     const struct rn_train_config *c = &f->config;
-    struct rn_cuda_rates rates = {step->network_rate, step->plane_rate, (float)c->weight_decay,
-                                  (float)c->adam_eps, c->sparse && f->scene.planes.levels == 1};
+    struct rn_cuda_rates rates = {step->network_rate,
+                                  step->plane_rate,
+                                  (float)c->weight_decay,
+                                  (float)c->adam_eps,
+                                  (float)c->beta2,
+                                  (float)(1 - c->beta2),
+                                  c->beta2,
+                                  c->sparse && f->scene.planes.levels == 1};
     cudaError_t e = step->measure ? rn_queue_measurement(f, step) : cudaSuccess;
     if (!e)
-        e = RN_LAUNCH(rn_rates_kernel, 1, 32, 0, f->device->stream, rates, f->optimiser.rates);
+        e = RN_LAUNCH(rn_rates_kernel, 1, 32, 0, f->device->stream, rates, f->optimiser.rates,
+                      f->batch.status);
     if (!e) e = cudaGraphLaunch(f->graph, f->device->stream);
     f->steps++;
     return rn_cuda_check(e, "a training step", err);

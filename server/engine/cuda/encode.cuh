@@ -32,7 +32,7 @@ RN_DEVICE struct rn_footprint_factors rn_factors(const float axis[6], const floa
 // Whether a footprint at the ray's far end exceeds a texel of level 0 on this plane.
 RN_DEVICE bool rn_ray_leveled(const struct rn_cuda_planes *p, const struct rn_march_ray *ray,
                               const struct rn_footprint_factors *f, float step) {
-    float far = ray->near + ray->length, size = (float)p->base;
+    float far = ray->near + ray->length, size = (float)p->footprint_base;
     if (p->levels < 2) return false;
     if (p->footprint == RN_FOOTPRINT_MIP) return far * ray->radius * size > 1;
     float radial = far * ray->radius, limit = 1 / ((float)RN_FOOTPRINT_SCALE * size);
@@ -62,7 +62,7 @@ RN_DEVICE struct rn_sample rn_place(const struct rn_march_ray *ray, float s, flo
 }
 
 RN_DEVICE float rn_level(const struct rn_cuda_planes *p, float variance) {
-    float unit = (float)RN_FOOTPRINT_SCALE * (float)p->base;
+    float unit = (float)RN_FOOTPRINT_SCALE * (float)p->footprint_base;
     float top = (float)(1u << (2 * (p->levels - 1)));
     return 0.5f * log2f(fminf(fmaxf(variance * (unit * unit), 1), top));
 }
@@ -72,7 +72,8 @@ RN_DEVICE void rn_levels(const struct rn_cuda_planes *p, const struct rn_footpri
                          const struct rn_sample *sample, float radius, float *ret_lx,
                          float *ret_ly) {
     if (p->footprint == RN_FOOTPRINT_MIP) {
-        float ball = sample->t * (radius * (float)p->base), top = (float)(1u << (p->levels - 1));
+        float ball = sample->t * (radius * (float)p->footprint_base);
+        float top = (float)(1u << (p->levels - 1));
         *ret_lx = *ret_ly = log2f(fminf(fmaxf(ball, 1), top));
         return;
     }

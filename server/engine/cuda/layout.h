@@ -19,9 +19,10 @@
 // with both levels below RN_FINE_LEVELS first. Plain value; kernels take it as a parameter.
 struct rn_cuda_planes {
     int planes, channels, base, levels, footprint;
-    int update_side;                            // blocks of RN_UPDATE texels a side
-    uint32_t plane_texels;                      // of one plane, all its maps
-    uint32_t fine_texels;                       // of these, the maps that update blocks pool
+    int footprint_base;    // side of the grid whose texels footprints are measured in
+    int update_side;       // blocks of RN_UPDATE texels a side
+    uint32_t plane_texels; // of one plane, all its maps
+    uint32_t fine_texels;  // of these, the maps that update blocks pool
     uint32_t map[RN_MAX_LEVELS][RN_MAX_LEVELS]; // [ly][lx]: first texel, where the map exists
     float axis[RN_MAX_PLANES][6];               // axis_u, axis_v
 };
@@ -37,6 +38,7 @@ static inline void rn_cuda_planes_init(struct rn_cuda_planes *p, const struct rn
     p->planes = c->planes;
     p->channels = c->channels;
     p->base = c->base;
+    p->footprint_base = rn_footprint_base(c);
     p->levels = c->footprint == RN_FOOTPRINT_POINT ? 1 : levels;
     p->footprint = c->footprint;
     p->update_side = c->base / RN_UPDATE;

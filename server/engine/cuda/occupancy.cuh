@@ -62,14 +62,14 @@ __global__ void __launch_bounds__(256, 1)
     }
 }
 
-// Sums of the grid's values, one a block.
+// Sums of the values of cells that may hold matter, one a block.
 __global__ void __launch_bounds__(256) rn_occupancy_sum_kernel(struct rn_cuda_occupancy o) {
     RN_SHARED double sums[256];
     size_t n = (size_t)o.cells * (size_t)o.cells * (size_t)o.cells;
     size_t part = n / RN_OCCUPANCY_PARTS, begin = blockIdx.x * part;
     double sum = 0;
     for (size_t i = threadIdx.x; i < part; i += 256)
-        sum += (double)o.values[begin + i];
+        sum += o.hull[begin + i] ? (double)o.values[begin + i] : 0;
     sums[threadIdx.x] = sum;
     for (unsigned half = 128; half > 0; half /= 2) {
         __syncthreads();

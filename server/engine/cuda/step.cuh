@@ -158,9 +158,6 @@ __global__ void __launch_bounds__(RN_ORDER_THREADS, 1)
         s->crowded = s->tiles > b.tile_capacity;
         s->rejected = s->crowded || !(all.loss < 1e300);
         s->ordered = s->rejected ? 0 : all.tiles;
-        double n = (double)(s->updates + 1);
-        s->correction1 = (float)-expm1(n * log(0.9));
-        s->correction2 = (float)-expm1(n * log(0.999));
         double next = (double)count * s->target_samples / (double)all.samples + 1;
         if (s->crowded) next = count / 2;
         if (all.samples == 0) next = count;
