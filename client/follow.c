@@ -6,6 +6,7 @@
 
 #include "client/interrupt.h"
 #include "common/base/clock.h"
+#include "proto/problem.h"
 
 #define STREAM_IDLE_S 45 // three heartbeats missed
 #define RETRY_MS 500
@@ -81,6 +82,17 @@ static void show(struct rn_follow *follow, const char *progress_json) {
         rn_progress_update(&follow->progress, fraction, "%s  %s", state, text);
 }
 
+// A lost runner is no end: the daemon starts the job again.
+static void tell_interruption(struct rn_follow *follow) {
+    struct rn_api_problem problem;
+    const char *json = follow->job.problem;
+    if (follow->quiet || !json ||
+        rn_decode(&rn_api_problem_table, json, strlen(json), &problem, NULL, NULL) != RN_OK)
+        return;
+    rn_progress_note(&follow->progress, "%s; it is started again", problem.detail);
+    rn_message_finish(&rn_api_problem_table, &problem);
+}
+
 // Takes over a Job's JSON. A job that this client cannot read keeps its last known state.
 static void take_job(struct rn_follow *follow, const char *json, size_t size) {
     struct rn_job job;
@@ -94,6 +106,7 @@ static void take_job(struct rn_follow *follow, const char *json, size_t size) {
     rn_follow_finish(follow);
     follow->job = job;
     follow->known = true;
+    if (changed && job.state == RN_JOB_INTERRUPTED) tell_interruption(follow);
     if (changed && !rn_job_has_ended(&job)) rn_progress_hurry(&follow->progress);
     show(follow, job.progress);
 }

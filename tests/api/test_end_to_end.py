@@ -178,6 +178,23 @@ def test_crashes_of_runner_and_daemon_change_nothing(client, daemon, trained):
     client.run("rm", "crash")
 
 
+def test_a_lost_runner_is_told(client, daemon, trained):
+    waiting = client.start("train", "sphere", "--name", "lost", "--preset", "draft", "--max-time",
+                           "10m", "--wait")
+    daemon.wait_until(lambda: any(scene["name"] == "lost"
+                                  for scene in client.json("scenes")["items"]))
+    job = client.json("show", "lost")["job"]
+    daemon.wait_until(lambda: is_training(client, job))
+    daemon.kill_runners()
+    daemon.wait_until(lambda: client.json("show", job)["attempt"] == 2)
+    client.run("cancel", job)
+    _, err = waiting.communicate(timeout=30)
+    assert waiting.returncode == CANCELLED
+    assert "the runner ended in attempt 1: killed by signal 9 (Killed)" in err
+    assert "it is started again" in err and "interrupted" in err
+    client.run("rm", "lost")
+
+
 def test_bad_photographs_are_refused_before_they_are_sent(client, tmp_path):
     client.run("synth", "fence", tmp_path / "fence", "--size", 16, "--views", 4)
     image = tmp_path / "fence" / "train" / "r_2.png"
