@@ -104,10 +104,12 @@ enum rn_exit rn_api_print_problem(const char *json) {
     }
     print_error(problem.title, problem.detail);
     for (size_t i = 0; i < problem.error_count; i++) {
+        const char *pointer = problem.errors[i].pointer, *detail = problem.errors[i].detail;
+        if (strstr(problem.detail, pointer) && strstr(problem.detail, detail)) continue; // is said
         fputs("  ", stderr);
-        rn_client_print(stderr, problem.errors[i].pointer);
+        rn_client_print(stderr, pointer);
         fputs(": ", stderr);
-        rn_client_print(stderr, problem.errors[i].detail);
+        rn_client_print(stderr, detail);
         fputc('\n', stderr);
     }
     bool unsupported = strcmp(problem.type, "/problems/unsupported") == 0; // shares 422

@@ -46,10 +46,10 @@ static enum rn_status draft_train(struct rn_control *control, const struct rn_su
     status = rn_store_find(control->store, &rn_scenes, "name", wanted->scene, &scene, &absent);
     if (status == RN_OK) {
         const struct rn_task *task = rn_task_training(control, scene.id);
-        status = rn_error_set(err, RN_ERROR_CONFLICT, "#/scene", "there is a scene '%s'%s%s%s",
-                              scene.name, task != NULL ? ", and job " : "",
-                              task != NULL ? task->row.id : "",
-                              task != NULL ? " is training it" : "; choose another name");
+        status = rn_error_set(
+            err, RN_ERROR_CONFLICT, "#/scene", "there is a scene '%s'%s%s%s", scene.name,
+            task != NULL ? ", and job " : "", task != NULL ? task->row.id : "",
+            task != NULL ? " is training it" : "; choose another name or delete that one");
         rn_row_finish(&rn_scenes, &scene);
         return status;
     }
