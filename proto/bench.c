@@ -23,6 +23,7 @@ static const struct rn_field_spec stage_fields[] = {
     RN_F_NUMBER(struct rn_bench_stage_record, operations, RN_REQUIRED, 0, MOST),
     RN_F_NUMBER(struct rn_bench_stage_record, bytes, RN_REQUIRED, 0, MOST),
     RN_F_NUMBER(struct rn_bench_stage_record, ceiling, RN_REQUIRED, 0, MOST),
+    RN_F_TEXT(struct rn_bench_stage_record, limit, RN_REQUIRED, NULL),
     RN_F_NUMBER(struct rn_bench_stage_record, measured, RN_REQUIRED | RN_NULLABLE, 0, MOST),
     RN_F_NUMBER(struct rn_bench_stage_record, ratio, RN_REQUIRED | RN_NULLABLE, 0, MOST),
     RN_F_NUMBER(struct rn_bench_stage_record, error, RN_REQUIRED | RN_NULLABLE, 0, MOST),

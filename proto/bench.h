@@ -20,6 +20,7 @@ struct rn_bench_machine_record {
 
 struct rn_bench_stage_record {
     char name[32], unit[32];
+    char limit[16];           // what sets the ceiling
     double operations, bytes; // a unit of work
     double ceiling, measured, ratio;
     double error; // of the check against float64

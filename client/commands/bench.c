@@ -81,16 +81,17 @@ static enum rn_status print_memory(const struct rn_bench_machine_record *m, stru
 static enum rn_status print_stages(const struct rn_bench_record *record, struct rn_error *err) {
     struct rn_text_table table;
     char a[24], b[24], c[24], d[24];
-    rn_text_table_init(&table, "stage|unit|>operations|>bytes|>ceiling|>measured|>ratio|>error");
+    rn_text_table_init(&table,
+                       "stage|unit|>operations|>bytes|limit|>ceiling|>measured|>ratio|>error");
     for (size_t i = 0; i < record->stage_count; i++) {
         const struct rn_bench_stage_record *s = &record->stages[i];
         if (!s->passed) {
-            rn_text_table_row(&table, "%s|%s|||||check failed|%.1e", s->name, s->unit, s->error);
+            rn_text_table_row(&table, "%s|%s||||||check failed|%.1e", s->name, s->unit, s->error);
             continue;
         }
-        rn_text_table_row(&table, "%s|%s|%s|%s|%s|%s|%.0f %%|%.0e", s->name, s->unit,
-                          figure(s->operations, a), figure(s->bytes, b), figure(s->ceiling, c),
-                          figure(s->measured, d), 100 * s->ratio, s->error);
+        rn_text_table_row(&table, "%s|%s|%s|%s|%s|%s|%s|%.0f %%|%.0e", s->name, s->unit,
+                          figure(s->operations, a), figure(s->bytes, b), s->limit,
+                          figure(s->ceiling, c), figure(s->measured, d), 100 * s->ratio, s->error);
     }
     enum rn_status status = rn_text_table_print(&table, err);
     rn_text_table_finish(&table);

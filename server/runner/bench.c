@@ -35,6 +35,7 @@ static void fill_stage(const struct rn_bench_stage *s, struct rn_bench_stage_rec
                                           .passed = s->passed};
     snprintf(ret->name, sizeof ret->name, "%s", s->name);
     snprintf(ret->unit, sizeof ret->unit, "%s", s->unit);
+    snprintf(ret->limit, sizeof ret->limit, "%s", s->limit);
 }
 
 static enum rn_status fill(const struct rn_bench_result *r, struct rn_bench_record *ret,

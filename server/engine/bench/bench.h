@@ -40,9 +40,10 @@ struct rn_bench_stage {
     double operations; // a unit of work: vector lane operations, a multiply-add is one
     double bytes;      // a unit of work: fewest to and from beyond the L2 cache
     double ceiling;    // of `measured`, units as `unit`
+    const char *limit; // what sets it: "fma", "bf16 dot", "amx", "memory"
     double measured;   // best of several; NAN when the check failed
     double ratio;      // measured / ceiling
-    double error;      // of the check: largest difference over the largest magnitude
+    double error;      // of the check: largest difference over the largest magnitude, or of norms
     bool passed;       // the check
 };
 

@@ -14,6 +14,7 @@
 
 struct worst {
     double difference, magnitude;
+    double squares, all_squares; // of all differences, of the reference
     bool bad;
 };
 
@@ -21,10 +22,17 @@ static void compare(struct worst *w, double fast, double exact) {
     if (!isfinite(fast) || !isfinite(exact)) w->bad = true;
     w->difference = fmax(w->difference, fabs(fast - exact));
     w->magnitude = fmax(w->magnitude, fabs(exact));
+    w->squares += (fast - exact) * (fast - exact);
+    w->all_squares += exact * exact;
 }
 
 static double result(const struct worst *w) {
     return w->bad || !(w->magnitude > 0) ? INFINITY : w->difference / w->magnitude;
+}
+
+// The same of the norms.
+static double result_of_norms(const struct worst *w) {
+    return w->bad || !(w->all_squares > 0) ? INFINITY : sqrt(w->squares / w->all_squares);
 }
 
 static int stride(int count) {
@@ -174,9 +182,11 @@ static double check_outputs(const struct rows *rows, int outputs) {
 }
 
 // Gradients of the weights, summed over all rows, and of the inputs (NULL: not looked at), where
-// `out` is the outputs' gradient.
-static double check_gradients(const struct rows *rows, const float *weight_grad,
+// `out` is the outputs' gradient. bf16 cuts an activation next to zero on one side only now and
+// then, which changes single numbers by their own size: there the norms count.
+static double check_gradients(const struct rows *rows, bool bf16, const float *weight_grad,
                               const float *in_grad, int inputs) {
+    double (*const of)(const struct worst *) = bf16 ? result_of_norms : result;
     struct worst weights = {0}, in = {0};
     const struct rn_mlp_shape *shape = rows->shape;
     struct network net;
@@ -193,7 +203,7 @@ static double check_gradients(const struct rows *rows, const float *weight_grad,
     for (size_t i = 0; i < shape->count; i++)
         compare(&weights, (double)weight_grad[i], net.weight_grad[i]);
     free(net.block);
-    return in_grad ? fmax(result(&weights), result(&in)) : result(&weights);
+    return in_grad ? fmax(of(&weights), of(&in)) : of(&weights);
 }
 
 double rn_bench_check_forward(const struct rn_bench_recording *rec,
@@ -217,9 +227,11 @@ double rn_bench_check_backward(const struct rn_bench_recording *rec,
     rn_bench_stage_run(rec, packet, RN_STAGE_MLP_BACKWARD, &grad);
     struct rows base = base_rows(f, w, w->geometry_grad, packet->returned);
     struct rows head = head_rows(f, packet);
-    double error = check_gradients(&base, group->base_grad, grad, f->features);
+    double error =
+        check_gradients(&base, rn_kernels_bf16(rec->kernels), group->base_grad, grad, f->features);
     if (packet->heads == 0) return error;
-    return fmax(error, check_gradients(&head, group->head_grad, NULL, 0));
+    return fmax(error,
+                check_gradients(&head, rn_kernels_bf16(rec->kernels), group->head_grad, NULL, 0));
 }
 
 // ---- composite ------------------------------------------------------------------------------

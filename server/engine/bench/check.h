@@ -1,5 +1,6 @@
 // Stages against float64, on recorded inputs. Each returns the largest difference over the largest
-// magnitude of the reference, INFINITY when something is missing or not finite.
+// magnitude of the reference (gradients of bf16 products: the same of norms), INFINITY when
+// something is missing or not finite.
 #ifndef RN_ENGINE_BENCH_CHECK_H
 #define RN_ENGINE_BENCH_CHECK_H
 

@@ -22,20 +22,31 @@ enum {
     OPS_COMPOSITE = 20, // depth 2, weight, both transmittances 6, opacity, distance, sums 12
 };
 
-double rn_bench_product_peak(enum rn_product_unit unit, const struct rn_bench_machine *m) {
-    return unit == RN_PRODUCT_AMX        ? m->amx_bf16_l1
-           : unit == RN_PRODUCT_BF16_DOT ? m->bf16_dot
-                                         : m->fma;
+static double product_peak(enum rn_product_unit unit, const struct rn_bench_machine *m) {
+    switch (unit) {
+    case RN_PRODUCT_AMX:
+        return m->amx_bf16_l1;
+    case RN_PRODUCT_BF16_DOT:
+        return m->bf16_dot;
+    default:
+        return m->fma;
+    }
 }
 
 double rn_bench_ceiling(const struct rn_bench_count *c, enum rn_product_unit unit,
-                        const struct rn_bench_machine *m) {
-    double ns =
-        (c->operations - c->products) / m->fma + c->products / rn_bench_product_peak(unit, m);
+                        const struct rn_bench_machine *m, const char **ret_limit) {
+    static const char *const units[] = {
+        [RN_PRODUCT_FMA] = "fma", [RN_PRODUCT_BF16_DOT] = "bf16 dot", [RN_PRODUCT_AMX] = "amx"};
+    double products = c->products / product_peak(unit, m);
+    double ns = (c->operations - c->products) / m->fma + products;
+    *ret_limit = products > 0.5 * ns ? units[unit] : "fma";
     double visits = c->memory == RN_BENCH_LINES ? c->lines : c->bytes;
     if (visits > 0) {
         double each = rn_bench_memory_ns(c->memory, c->set_bytes, MEMORY_SECONDS);
-        if (!isnan(each)) ns = fmax(ns, visits * each);
+        if (!isnan(each) && visits * each > ns) {
+            ns = visits * each;
+            *ret_limit = "memory";
+        }
     }
     return 1e3 / ns;
 }

@@ -16,13 +16,11 @@ struct rn_bench_count {
     double set_bytes;            // the memory that they lie in
 };
 
-// What the machine does of a network's multiply-adds: GMAC/s, for AMX with operands from L1.
-double rn_bench_product_peak(enum rn_product_unit unit, const struct rn_bench_machine *machine);
-// Units of work a second / 10^6 that the machine allows: arithmetic, the networks' in their unit
-// and the rest at machine->fma, or memory, measured for this set, whichever is slower, each as if
-// alone.
+// Units of work a second / 10^6 that the machine allows: arithmetic, the networks' at their unit's
+// peak (AMX: with operands from L1) and the rest at machine->fma, or memory, measured for this set,
+// whichever is slower, each as if alone. *ret_limit names it: "fma", "bf16 dot", "amx", "memory".
 double rn_bench_ceiling(const struct rn_bench_count *count, enum rn_product_unit unit,
-                        const struct rn_bench_machine *machine);
+                        const struct rn_bench_machine *machine, const char **ret_limit);
 
 struct rn_bench_count rn_bench_count_rays(const struct rn_bench_recording *recording, int rays);
 struct rn_bench_count rn_bench_count_march(const struct rn_bench_recording *recording);

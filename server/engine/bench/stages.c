@@ -243,12 +243,14 @@ static void time_stage(struct bench *b, enum place place, double error, struct r
     struct rn_bench_stage *s = &b->result->stages[place];
     bool bf16 = rn_kernels_bf16(b->rec->kernels);
     double bound = bf16 ? places[place].bf16_bound : places[place].bound;
+    const char *limit;
+    double ceiling = rn_bench_ceiling(&count, b->rec->kernels->unit, b->machine, &limit);
     *s = (struct rn_bench_stage){.name = places[place].name,
                                  .unit = places[place].unit,
                                  .operations = count.operations,
                                  .bytes = count.bytes,
-                                 .ceiling =
-                                     rn_bench_ceiling(&count, b->rec->kernels->unit, b->machine),
+                                 .ceiling = ceiling,
+                                 .limit = limit,
                                  .measured = NAN,
                                  .ratio = NAN,
                                  .error = error,

@@ -193,8 +193,8 @@ RN_INLINE __mmask16 first_lanes(int count) {
     return count >= 16 ? 0xffff : count > 0 ? (__mmask16)((1u << count) - 1) : 0;
 }
 
-// rows of `count` numbers; columns from `count` to `to_stride` and rows up to a multiple of 32 are
-// zero.
+// Between products_begin and products_end: rows of `count` numbers; columns from `count` to
+// `to_stride` and rows up to a multiple of 32 are zero.
 static void rows_from(const float *from, int from_stride, int rows, int count, uint16_t *to,
                       int to_stride) {
     for (int k = 0; k < to_stride; k += 32) {
@@ -274,7 +274,7 @@ RN_INLINE void transpose_32x8(const uint16_t *from, size_t stride, uint16_t *to,
     }
 }
 
-// columns of rows: `rows` and `columns` multiples of 32.
+// Between products_begin and products_end: columns of rows, `rows` and `columns` multiples of 32.
 static void columns_of_rows(const uint16_t *from, int stride, int rows, int columns, uint16_t *to,
                             int to_stride) {
     for (int i = 0; i < rows; i += 32)
