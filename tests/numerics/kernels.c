@@ -171,8 +171,7 @@ static int check_adamw(const struct rn_kernels *k, struct numerics_random *rando
     char names[2][80];
     const char *range = "steps 1..1e7, gradients 0 and 1e-30..1e30, eps 1e-15, rates 1e-5..0.1, "
                         "beta2 0.999 and 0.99";
-    struct numerics_case change = {names[0], range, "ULP of the change, beyond rounding",
-                                   16,       0,     ""};
+    struct numerics_case change = {names[0], range, "ULP of the change, beyond rounding", 8, 0, ""};
     struct numerics_case second = {names[1], range, "ULP", 4, 0, ""};
     snprintf(names[0], sizeof names[0], "8 AdamW change, %s", k->name);
     snprintf(names[1], sizeof names[1], "8 AdamW second moment, %s", k->name);
@@ -371,5 +370,6 @@ int main(void) {
         failed += check_pyramid(k, &random);
         failed += check_products(k, &random);
     }
+    numerics_skip("1 to 10 on CUDA", "this build has no CUDA kernels");
     return failed > 0;
 }

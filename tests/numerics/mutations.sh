@@ -16,10 +16,15 @@ give_up() {
     exit 1
 }
 
-# run PROGRAM: builds it and runs it; 0 passed, 1 failed, 2 did not build.
+# run PROGRAM: builds it and runs it; 0 passed, 1 failed, 2 did not build. `doctor` is the runner's.
 run() {
-    ninja -C "$scratch/build" "tests/numerics/numerics_$1" >"$scratch/log" 2>&1 || return 2
-    "$scratch/build/tests/numerics/numerics_$1" >"$scratch/log" 2>&1 || return 1
+    local target=tests/numerics/numerics_$1 arguments=()
+    if [ "$1" = doctor ]; then
+        target=server/ripnerf-runner
+        arguments=(--mode doctor --seed "$RN_NUMERICS_SEED")
+    fi
+    ninja -C "$scratch/build" "$target" >"$scratch/log" 2>&1 || return 2
+    "$scratch/build/$target" "${arguments[@]}" >"$scratch/log" 2>&1 || return 1
 }
 
 # mutate PROGRAM FILE WHAT SED_SCRIPT
@@ -43,17 +48,24 @@ mutate() {
 
 mkdir "$scratch/tree"
 git ls-files --cached --others --exclude-standard -z | xargs -0 cp --parents -t "$scratch/tree"
-# The kernel sets compile several times faster so, and compute the same.
-sed -i 's/-O3/-O1/' "$scratch/tree/server/engine/meson.build"
+# The formulas are the same in every kernel set: the plain one is enough to see them broken, and it
+# compiles several times faster so.
+sed -i "s/-O3/-O1/;s/host_machine.cpu_family() == 'x86_64'/false/" \
+    "$scratch/tree/server/engine/meson.build" "$scratch/tree/server/engine/bench/meson.build"
+sed -i 's/defined(__x86_64__)/0/' "$scratch/tree/server/engine/cpu/dispatch.c" \
+    "$scratch/tree/server/engine/bench/machine.c"
 meson setup "$scratch/build" "$scratch/tree" --buildtype=release \
     >"$scratch/log" 2>&1 ||
     { cat "$scratch/log"; give_up "meson setup failed"; }
-for program in frustum footprint ripmap solid volume camera optimiser kernels rays training flags_fma; do
+for program in frustum footprint ripmap solid volume camera optimiser kernels rays training \
+    incidents reproducible roulette metrics_images flags_fma doctor; do
+    [[ -n $pattern ]] && ! grep -q "^mutate $program .*$pattern" "$tree/tests/numerics/mutations.sh" && continue
     run "$program" || give_up "$program fails before any mutation: $(tail -3 "$scratch/log")"
 done
 
 field=server/engine/field
 cpu=server/engine/cpu
+train=server/engine/train
 ends='rn_real a = mid - width \/ 2, b = mid + width \/ 2'
 cubes='rn_real a3 = a * a * a, b3 = b * b * b'
 mutate frustum $field/frustum.h "moments: mean by powers of the end points" \
@@ -133,6 +145,52 @@ mutate training server/engine/train/step.c "training: parameters not looked at a
     's/rn_trainer_guard_step(t, finite);/(void)finite;/'
 mutate training server/engine/train/trainer.c "training: saved without a look" \
     's/rn_trainer_guard_save(t);//'
+mutate training $train/guard.c "training: rolled back with spoilt moments" \
+    's/memset(t->[mv], 0, bytes);//'
+mutate incidents $train/step.c "training: the rate stays after a rollback" \
+    's/-(int)t->progress.rollbacks/0 * (int)t->progress.rollbacks/'
+mutate incidents $train/occupancy.c "occupancy: a cell that is no number stays so" \
+    's/if (!isfinite(old)) old = 0;//'
+mutate incidents server/engine/checkpoint.c "checkpoint: read without a look" \
+    's/!all_finite(t->data, t->bytes \/ 4)/(all_finite(t->data, 0), false)/'
+mutate incidents server/engine/render/render.c "render: numbers not looked at" \
+    's/return isfinite(value) ? value : other;/return value + 0 * other;/'
+mutate incidents $train/incident.c "incident: the offending rays are not looked for" \
+    's/if (incident->ray_count == 0) search(t, incident);/(void)search;/'
+mutate incidents $cpu/backward.h "training: a ray that is not finite goes back" \
+    's/if (!isfinite(loss)) {/if (isinf(loss)) {/'
+mutate reproducible $train/effects.c "view dependence: measured as the step before marched" \
+    's/options = rn_trainer_march(t);/options = t->march;/'
+mutate reproducible $train/step.c "rays: drawn by the thread's own count" \
+    's/rn_rng_draw(t->march.seed, STREAM_RAYS | (uint32_t)r, t->march.counter)/rn_rng_draw(t->march.seed + (uint64_t)rn_pool_threads(t->engine->pool), STREAM_RAYS | (uint32_t)r, t->march.counter)/'
+mutate roulette $cpu/backward.h "roulette: survivors count once" \
+    's/scale = 1 \/ p;/scale = 1;/'
+mutate optimiser server/engine/config.c "sparse updates: a decay is accepted" \
+    's/c->weight_decay == 0 || !c->sparse/c->weight_decay >= 0/'
+mutate optimiser $cpu/update.h "vector AdamW: moments not corrected" \
+    's/rate = o->rate \/ o->correction1/rate = o->rate/'
+mutate ripmap $cpu/fetch.h "vector query: nearest level" \
+    's/ret->upper = level - vf_from_int(whole);/ret->upper = vf_set(0);/'
+mutate ripmap $cpu/fetch.h "vector query: weights that do not sum to 1" \
+    's/vf_store(ret->weight\[3\], below \* right);/vf_store(ret->weight[3], weight * right * right);/'
+mutate rays server/engine/scene.c "rays: slabs divided by a zero component" \
+    's/double direction = fabs(d\[i\]) < 1e-12 ? copysign(1e-12, d\[i\]) : d\[i\];/double direction = d[i];/'
+mutate metrics_images common/image/metrics.c "SSIM: pictures squared in fp32" \
+    's/double va = (double)a\[x \* channels\], vb = (double)b\[x \* channels\];/float va = a[x * channels], vb = b[x * channels];/'
+mutate metrics_images common/image/metrics.c "PSNR: squares summed in fp32" \
+    's/double sum = 0;/float sum = 0;/;s/sum += difference/sum += (float)difference/'
+mutate metrics_images common/image/scale.c "downscale: truncated" \
+    's/(2 \* n + d) \/ (2 \* d)/n \/ d/'
+mutate metrics_images common/image/scale.c "downscale: straight colours averaged" \
+    's/? weight \* pixel\[3\] : weight/? weight : weight/'
+mutate metrics_images common/image/scale.c "published pyramid: rounded" \
+    's/(uint8_t)(values\[i\] \* 255.0f)/(uint8_t)(values[i] * 255.0f + 0.5f)/'
+mutate metrics_images common/image/image.c "pictures to bytes: truncated" \
+    's/(uint8_t)(value \* 255.0f + 0.5f)/(uint8_t)(value * 255.0f)/'
+mutate doctor $cpu/simd.h "doctor: vector exp with a one-part reduction" \
+    's/vf r = x - n \* 0.693145751953125f;.*/vf r = x - n * 0.693147180559945f;/;s/r = r - n \* 1.42860677e-6f;//'
+mutate doctor $field/volume.h "doctor: compositing by a product of 1 - opacity" \
+    's/before = after\[i\] = exp(-sum);/before = after[i] = before * (1 - rn_alpha(x[i]));/'
 mutate flags_fma meson.build "flags: contraction allowed" \
     's/-ffp-contract=off/-ffp-contract=fast/'
 

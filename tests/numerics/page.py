@@ -64,7 +64,7 @@ def main(build, page=None):
     programs = sorted(path for path in (Path(build) / "tests/numerics").glob("numerics_*")
                       if path.is_file() and os.access(path, os.X_OK)
                       and not path.name.startswith("numerics_flags"))
-    rows, shown, skipped, seeds, failed = [], [], [], [], not programs
+    rows, shown, skipped, absent, seeds, failed = [], [], [], [], [], not programs
     for program in programs:
         result = run(program, os.environ.get("RN_NUMERICS_SEED"))
         name = program.name.removeprefix("numerics_")
@@ -76,6 +76,8 @@ def main(build, page=None):
             cells = line.split("\t")
             if line.startswith("seed "):
                 seeds.append(f"{name} {line[5:]}")
+            elif len(cells) == 3 and cells[1] == "skipped":
+                absent.append((cells[0], cells[2]))
             elif len(cells) == 5:
                 (shown if cells[2] == "none, shown" else rows).append(cells)
     rows.sort(key=lambda row: int(row[0].split()[0]))
@@ -84,6 +86,10 @@ def main(build, page=None):
     if shown:
         text += "\n## What other forms lose\n\nThe worst relative error over the same range.\n\n"
         text += losses(shown)
+    if absent:
+        text += "\n## Skipped\n\nNeither passed nor failed: this build has none of it.\n\n"
+        text += "| case | why |\n|---|---|\n"
+        text += "".join(f"| {case} | {why} |\n" for case, why in sorted(absent))
     if skipped:
         text += "\nSkipped on this machine: " + ", ".join(skipped) + ".\n"
     text += "\nSeeds: " + ", ".join(seeds) + ".\n"

@@ -130,4 +130,5 @@ const struct subject SUBJECT = {SUBJECT_NAME,
                                 composite,
                                 composite_backward,
                                 NULL,
+                                NULL,
                                 NULL};

@@ -33,6 +33,8 @@ struct subject {
     double (*composite)(int n, const double *x, double *weights, double *after);
     void (*composite_backward)(int n, const double *weights, const double *after, const double *g,
                                double *grad);
+    // Kernel sets only: weights where the ray ends once its optical depth exceeds `stop_depth`.
+    void (*composite_stopped)(int n, const double *x, double stop_depth, double *weights);
     // Kernel sets only: features of n <= SUBJECT_QUERIES positions and levels on plane 0, each
     // `channels` numbers; arrays have room for SUBJECT_QUERIES + 16.
     void (*query)(const struct rn_cpu_field *field, int n, const float *u, const float *v,

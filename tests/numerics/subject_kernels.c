@@ -111,6 +111,18 @@ static double composite(int n, const double *x, double *weights, double *after) 
     return (double)(float)w.ray_depth[0];
 }
 
+static void composite_stopped(int n, const double *x, double stop_depth, double *weights) {
+    struct rn_workspace w;
+    struct rn_march_options options = {.stop_depth = (float)stop_depth};
+    one_ray(n, &w);
+    for (int i = 0; i < n; i++)
+        x_of[i] = (float)x[i];
+    round_attenuate(0, &w);
+    finish_weights(&options, &w);
+    for (int i = 0; i < n; i++)
+        weights[i] = (double)weight_of[i];
+}
+
 static void composite_back(int n, const double *weights, const double *after, const double *g,
                            double *grad) {
     struct rn_workspace w;
@@ -153,5 +165,6 @@ const struct subject SUBJECT = {.name = SUBJECT_NAME,
                                 .alpha = alpha,
                                 .composite = composite,
                                 .composite_backward = composite_back,
+                                .composite_stopped = composite_stopped,
                                 .query = query,
                                 .march = march};

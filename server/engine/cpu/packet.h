@@ -58,7 +58,7 @@ RN_INLINE void spread_heads(float *row, vf x) {
 
 // Logits to densities and optical depths; with ray shading also activates the outputs in place:
 // row = [1, sigmoid(diffuse), features]. Only the first four outputs of a row go through an
-// exponential: RN_VL / 4 rows share a vector.
+// exponential: RN_VL / 4 rows share a vector. Density as rn_density: 1 + |logit - 1| ULP.
 static void activate(const struct rn_cpu_field *field, int begin, int end, struct rn_workspace *w) {
     enum { ROWS = RN_VL / 4 };
     bool per_ray = field->config.shading == RN_SHADING_RAY;
@@ -117,7 +117,9 @@ static void round_attenuate(int first, struct rn_workspace *w) {
     }
 }
 
-// weight and transmittance behind every sample; samples behind the early stop weigh nothing.
+// weight and transmittance behind every sample; samples behind the early stop weigh nothing, which
+// moves a colour by at most the stop's transmittance. With S the optical depth in front, a weight
+// is within 3 (1 + S) ULP down to exp(-87.3); weights and the rest sum to 1 within 4 ULP of 1.
 static void finish_weights(const struct rn_march_options *options, struct rn_workspace *w) {
     for (int i = 0; i < w->count; i += RN_VL) {
         vf x = vf_load(w->x + i), before = vf_load(w->before + i);
