@@ -45,6 +45,7 @@ static bool set_option(struct run *run, const char *name, const char *value) {
         {"planes", &f->planes, NULL},
         {"base", &f->base, NULL},
         {"grow", &c->grow_to, NULL},
+        {"fbase", &f->footprint_base, NULL},
         {"beta2", NULL, &c->beta2},
         {"channels", &f->channels, NULL},
         {"levels", &f->levels, NULL},
