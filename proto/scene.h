@@ -10,18 +10,19 @@ struct rn_field_config_record {
     char preset[16];
     int64_t planes;
     int orientation; // rn_orientation_names
-    int64_t base, channels, levels;
+    int64_t base, grow_to, channels, levels;
     int footprint; // rn_footprint_names
-    int shading;   // rn_shading_names
+    int64_t footprint_base;
+    int shading; // rn_shading_names
     int64_t width, base_layers, head_layers;
     bool view_dependence;
     int64_t occupancy;
     double step;
     int64_t target_samples, initial_rays;
-    double learning_rate, plane_rate, weight_decay, adam_eps;
+    double learning_rate, plane_rate, weight_decay, beta2, adam_eps;
     int64_t max_steps;
     double max_seconds, until_psnr;
-    bool carve, sparse, multi_step_rate, equal_scales, auto_effects;
+    bool carve, sparse, multi_step_rate, equal_scales, cone_step, auto_effects;
     double roulette, stop;
     int64_t seed;
     int train_split; // rn_train_split_names

@@ -48,10 +48,13 @@ static void print_field(const char *name, const char *fmt, ...) {
 }
 
 static void print_config(const struct rn_field_config_record *config) {
-    print_field("field", "%lld planes (%s), base %lld, %lld channels, %lld levels, footprint %s",
+    char growth[48] = "";
+    if (config->grow_to > config->base)
+        snprintf(growth, sizeof growth, " (growing to %lld)", (long long)config->grow_to);
+    print_field("field", "%lld planes (%s), base %lld%s, %lld channels, %lld levels, footprint %s",
                 (long long)config->planes, rn_orientation_names[config->orientation],
-                (long long)config->base, (long long)config->channels, (long long)config->levels,
-                rn_footprint_names[config->footprint]);
+                (long long)config->base, growth, (long long)config->channels,
+                (long long)config->levels, rn_footprint_names[config->footprint]);
     print_field("networks", "width %lld, %lld + %lld hidden layers, shaded per %s",
                 (long long)config->width, (long long)config->base_layers,
                 (long long)config->head_layers, rn_shading_names[config->shading]);

@@ -38,12 +38,12 @@ static const struct rn_train_config standard = {
     .preset = "standard",
     .field = {.planes = 3,
               .orientation = RN_ORIENTATION_PLATONIC,
-              .base = 256,
-              .channels = 8,
+              .base = 128,
+              .channels = 16,
               .levels = 8,
               .footprint = RN_FOOTPRINT_RIP,
               .shading = RN_SHADING_RAY,
-              .width = 32,
+              .width = 64,
               .base_layers = 1,
               .head_layers = 1,
               .view_dependence = true,
@@ -56,6 +56,7 @@ static const struct rn_train_config standard = {
     .weight_decay = 0,
     .beta2 = 0.99,
     .adam_eps = 1e-15,
+    .grow_to = 512,
     .max_seconds = 60,
     .carve = true,
     .roulette = 2e-3,
@@ -88,6 +89,12 @@ enum rn_status rn_preset(const char *name, bool multi_scale, struct rn_train_con
         ret_config->max_seconds = 15;
     }
     return RN_OK;
+}
+
+void rn_train_config_set_base(struct rn_train_config *config, int base) {
+    bool grows = config->grow_to > 0 && base % 4 == 0 && base >= 128;
+    config->field.base = grows ? base / 4 : base;
+    config->grow_to = grows ? base : 0;
 }
 
 static bool power_of_two(int n) {

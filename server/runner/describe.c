@@ -31,7 +31,7 @@ enum rn_status rn_configure(const struct rn_train_options *options, bool multi_s
     enum rn_status status = rn_preset(preset, multi_scale, &config, err);
     if (status) return status;
     override_int(options->planes, &config.field.planes);
-    override_int(options->base, &config.field.base);
+    if (options->base != RN_ABSENT) rn_train_config_set_base(&config, (int)options->base);
     override_int(options->channels, &config.field.channels);
     if (options->orientation >= 0)
         config.field.orientation = (enum rn_orientation)options->orientation;
@@ -59,9 +59,11 @@ static void fill_config(const struct rn_train_config *config,
         .planes = field->planes,
         .orientation = (int)field->orientation,
         .base = field->base,
+        .grow_to = config->grow_to,
         .channels = field->channels,
         .levels = field->levels,
         .footprint = (int)field->footprint,
+        .footprint_base = field->footprint_base,
         .shading = (int)field->shading,
         .width = field->width,
         .base_layers = field->base_layers,
@@ -74,6 +76,7 @@ static void fill_config(const struct rn_train_config *config,
         .learning_rate = config->learning_rate,
         .plane_rate = config->plane_rate,
         .weight_decay = config->weight_decay,
+        .beta2 = config->beta2,
         .adam_eps = config->adam_eps,
         .max_steps = config->max_steps,
         .max_seconds = config->max_seconds,
@@ -82,6 +85,7 @@ static void fill_config(const struct rn_train_config *config,
         .sparse = config->sparse,
         .multi_step_rate = config->multi_step_rate,
         .equal_scales = config->equal_scales,
+        .cone_step = config->cone_step,
         .auto_effects = config->auto_effects,
         .roulette = config->roulette,
         .stop = config->stop,

@@ -43,7 +43,7 @@ static bool set_option(struct run *run, const char *name, const char *value) {
         double *d;
     } table[] = {
         {"planes", &f->planes, NULL},
-        {"base", &f->base, NULL},
+        {"base", &f->base, NULL}, // at the first step
         {"grow", &c->grow_to, NULL},
         {"fbase", &f->footprint_base, NULL},
         {"beta2", NULL, &c->beta2},

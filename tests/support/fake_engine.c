@@ -81,12 +81,17 @@ enum rn_status rn_preset(const char *name, bool multi_scale, struct rn_train_con
                                            .initial_rays = 64,
                                            .learning_rate = 0.01,
                                            .plane_rate = 1,
+                                           .beta2 = 0.99,
                                            .adam_eps = 1e-15,
                                            .max_seconds = 2,
                                            .stop = 0.001,
                                            .background = {1, 1, 1}};
     snprintf(ret_config->preset, sizeof ret_config->preset, "%s", name);
     return rn_train_config_check(ret_config, err);
+}
+
+void rn_train_config_set_base(struct rn_train_config *config, int base) {
+    config->field.base = base;
 }
 
 enum rn_status rn_train_config_check(const struct rn_train_config *config, struct rn_error *err) {

@@ -37,6 +37,10 @@ static bool all_finite(const struct rn_trainer *t, const float *numbers) {
     return !atomic_load(&scan.found);
 }
 
+bool rn_trainer_all_finite(const struct rn_trainer *t) {
+    return all_finite(t, t->field->parameters.values) && all_finite(t, t->m) && all_finite(t, t->v);
+}
+
 enum rn_status rn_trainer_keep_good(struct rn_trainer *t, struct rn_error *err) {
     size_t bytes = t->field->parameters.count * sizeof *t->good;
     if (!t->good) t->good = malloc(bytes);
@@ -86,8 +90,7 @@ void rn_trainer_guard_save(struct rn_trainer *t) {
     size_t side = (size_t)t->field->config.field.occupancy;
     for (size_t i = 0; i < side * side * side; i++)
         if (!isfinite(t->field->occupancy[i])) t->field->occupancy[i] = 0;
-    if (!all_finite(t, t->field->parameters.values) || !all_finite(t, t->m) || !all_finite(t, t->v))
-        roll_back(t);
+    if (!rn_trainer_all_finite(t)) roll_back(t);
 }
 
 enum rn_status rn_trainer_guard_check(const struct rn_trainer *t, struct rn_error *err) {

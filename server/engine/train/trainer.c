@@ -261,7 +261,7 @@ static enum rn_status run_block(struct rn_trainer *t, struct rn_error *err) {
     t->progress.train_seconds += seconds;
     t->field->train_seconds = t->progress.train_seconds;
     update_rates(t, seconds);
-    return rn_trainer_guard_check(t, err);
+    return RN_OK;
 }
 
 enum rn_status rn_trainer_advance(struct rn_trainer *t, double budget_ms, struct rn_error *err) {
@@ -274,6 +274,7 @@ enum rn_status rn_trainer_advance(struct rn_trainer *t, double budget_ms, struct
             return RN_OK;
         }
         status = run_block(t, err);
+        if (status == RN_OK) status = rn_trainer_guard_check(t, err);
         if (status != RN_OK) return status;
     } while (rn_clock_ns() < until && !rn_engine_is_wanted(t->engine));
     return RN_OK;

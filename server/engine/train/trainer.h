@@ -110,6 +110,7 @@ struct rn_march_ray rn_trainer_ray(const struct rn_trainer *trainer, const struc
 // were rejected, training returns to the last good parameters (at most 64 updates old) with a fresh
 // optimiser at half the rate. After RN_MAX_ROLLBACKS such returns it fails: RN_ERROR_NUMERIC.
 enum rn_status rn_trainer_keep_good(struct rn_trainer *trainer, struct rn_error *err) RN_MUST_CHECK;
+bool rn_trainer_all_finite(const struct rn_trainer *trainer); // parameters and moments
 void rn_trainer_guard_step(struct rn_trainer *trainer, bool accepted);
 void rn_trainer_guard_save(struct rn_trainer *trainer); // the optimiser's numbers too
 enum rn_status rn_trainer_guard_check(const struct rn_trainer *trainer,
