@@ -38,7 +38,7 @@ static const struct rn_train_config standard = {
     .preset = "standard",
     .field = {.planes = 3,
               .orientation = RN_ORIENTATION_PLATONIC,
-              .base = 128,
+              .base = 64,
               .channels = 16,
               .levels = 8,
               .footprint = RN_FOOTPRINT_RIP,
@@ -48,7 +48,7 @@ static const struct rn_train_config standard = {
               .head_layers = 1,
               .view_dependence = true,
               .occupancy = 128},
-    .step = 2 * 1.7320508075688772 / 512,
+    .step = 0.005,
     .target_samples = 32768,
     .initial_rays = 4096,
     .learning_rate = 8e-3,
@@ -83,8 +83,10 @@ enum rn_status rn_preset(const char *name, bool multi_scale, struct rn_train_con
     if (multi_scale) ret_config->field.footprint = RN_FOOTPRINT_MIP;
     if (strcmp(name, "draft") == 0) {
         snprintf(ret_config->preset, sizeof ret_config->preset, "draft");
-        ret_config->field.base = 128;
-        ret_config->step = 0.01;
+        ret_config->field.base = 64;
+        ret_config->grow_to = 256;
+        ret_config->target_samples = 16384;
+        ret_config->step = 0.0068;
         ret_config->stop = ret_config->roulette = 4e-3;
         ret_config->max_seconds = 15;
     }
@@ -92,8 +94,8 @@ enum rn_status rn_preset(const char *name, bool multi_scale, struct rn_train_con
 }
 
 void rn_train_config_set_base(struct rn_train_config *config, int base) {
-    bool grows = config->grow_to > 0 && base % 4 == 0 && base >= 128;
-    config->field.base = grows ? base / 4 : base;
+    bool grows = config->grow_to > 0 && base % 8 == 0 && base >= 128;
+    config->field.base = grows ? base / 8 : base;
     config->grow_to = grows ? base : 0;
 }
 

@@ -96,6 +96,7 @@ static struct rn_field *make_grid(struct numerics_random *random, int cells, dou
     if (rn_preset("draft", false, &config, NULL) != RN_OK) exit(1);
     config.field.occupancy = cells;
     config.field.base = 16;
+    config.grow_to = 0;
     config.field.levels = 2;
     config.cone_step = false;
     if (rn_field_create(&config, &bounds, &field, NULL) != RN_OK) exit(1);

@@ -37,9 +37,9 @@ static struct rn_trainer *trainer_for(struct rn_engine *engine, const struct rn_
     struct rn_train_config config;
     struct rn_trainer *t;
     must(rn_preset("standard", dataset->scale_count > 1, &config, &err), &err);
-    config.field.base = 64;
+    config.field.base = 32;
     config.field.occupancy = 32;
-    config.grow_to = 0;
+    config.grow_to = 64;
     config.target_samples = 4096;
     config.initial_rays = 512;
     config.max_seconds = 0;

@@ -39,7 +39,8 @@ static inline struct rn_trainer *make_trainer(struct rn_engine *engine,
     struct rn_train_config config;
     struct rn_trainer *trainer;
     must(rn_preset("standard", false, &config, &err), &err);
-    config.field.base = 64;
+    config.field.base = 32;
+    config.grow_to = 64; // at 35 % of the steps
     config.field.occupancy = 32;
     config.target_samples = 8192;
     config.initial_rays = 1024;

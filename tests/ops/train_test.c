@@ -43,7 +43,8 @@ static struct rn_train_config config_for(const struct rn_dataset *d) {
     struct rn_error err;
     struct rn_train_config config;
     ck_assert(rn_preset("standard", d->scale_count > 1, &config, &err) == RN_OK);
-    config.field.base = 64;
+    config.field.base = 32;
+    config.grow_to = 64; // at 35 % of the steps
     config.field.occupancy = 32;
     config.target_samples = 8192;
     config.initial_rays = 1024;
@@ -147,6 +148,7 @@ static void hash_of_flat_run(bool far, char hex[65]) {
     struct rn_error err;
     struct rn_train_config config = config_for(dataset);
     config.field.base = 16;
+    config.grow_to = 0;
     struct rn_engine *engine = engine_with(1);
     struct rn_trainer *trainer = trainer_for(engine, dataset, &config);
     ck_assert(rn_trainer_advance(trainer, 1, &err) == RN_OK);
