@@ -325,7 +325,7 @@ static void after_saving(struct rn_host *host, enum rn_status status, const stru
         conclude(host);
 }
 
-// Goes on with a checkpoint; false when there is nothing else to do for now.
+// Goes on with a checkpoint; false when there is nothing else to do.
 static bool go_on_saving(struct rn_host *host) {
     struct rn_training *training = host->training;
     struct rn_error err = {0};
