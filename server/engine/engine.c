@@ -10,6 +10,7 @@
 #include "common/base/sha256.h"
 #include "server/engine/checkpoint.h"
 #include "server/engine/choose.h"
+#include "server/engine/device.h"
 #include "server/engine/scene.h"
 
 // ---- device ---------------------------------------------------------------------------------
@@ -53,9 +54,6 @@ enum rn_status rn_engine_create(const struct rn_engine_options *options,
                                 struct rn_engine **ret_engine, struct rn_error *err) {
     const char *device = options->device ? options->device : "auto";
     const char *kernels = options->kernels ? options->kernels : "auto";
-    if (strcmp(device, "auto") != 0 && strcmp(device, "cpu") != 0)
-        return rn_error_set(err, RN_ERROR_UNSUPPORTED, "device",
-                            "'%s' is not available in this build; use auto or cpu", device);
     if (options->threads < 0 || options->threads > 1024)
         return rn_error_set(err, RN_ERROR_INVALID, "threads", "must be 0 to 1024");
     const struct rn_kernels *chosen =
@@ -73,12 +71,19 @@ enum rn_status rn_engine_create(const struct rn_engine_options *options,
         return status;
     }
     fill_info(e);
+    if (strcmp(device, "cpu") != 0)
+        status = rn_engine_open_device(e, device, options->device_memory_bytes, err);
+    if (status != RN_OK) {
+        rn_engine_destroy(&e);
+        return status;
+    }
     *ret_engine = e;
     return RN_OK;
 }
 
 void rn_engine_destroy(struct rn_engine **engine) {
     if (!*engine) return;
+    rn_engine_close_device(*engine);
     rn_pool_destroy(&(*engine)->pool);
     free((*engine)->workspaces);
     free(*engine);
@@ -102,7 +107,8 @@ bool rn_engine_is_wanted(void *engine) {
 
 void rn_engine_describe(const struct rn_engine *engine, struct rn_device_info *ret_info) {
     *ret_info = engine->info;
-    snprintf(ret_info->kernels, sizeof ret_info->kernels, "%s", engine->kernels->name);
+    snprintf(ret_info->kernels, sizeof ret_info->kernels, "%s",
+             engine->backend ? engine->device_kernels : engine->kernels->name);
 }
 
 // ---- fields ---------------------------------------------------------------------------------
@@ -122,6 +128,11 @@ enum rn_status rn_field_load(struct rn_engine *engine, const char *checkpoint_pa
     }
     rn_field_refresh(field, engine);
     rn_field_refresh_occupancy(field);
+    status = rn_field_put_to_render(engine, field, err);
+    if (status != RN_OK) {
+        rn_field_destroy(&field);
+        return status;
+    }
     *ret_field = field;
     return RN_OK;
 }

@@ -25,14 +25,17 @@ struct rn_trainer; // a field, its optimiser, the training pixels
 // ---- device ---------------------------------------------------------------------------------
 
 struct rn_engine_options {
-    const char *device;  // "auto", "cpu", "cuda:0"; NULL = "auto"
-    const char *kernels; // "auto" (timed), "scalar", "avx2", "avx512", ...; NULL = "auto"
-    int threads;         // 0 = all cores this process may use
+    // "cpu", "cuda:N", or "auto": the first GPU where there is one that opens, and the CPU for what
+    // it cannot do; NULL = "auto"
+    const char *device;
+    const char *kernels;        // "auto" (timed), "scalar", "avx2", "avx512", ...; NULL = "auto"
+    int threads;                // 0 = all cores this process may use
+    size_t device_memory_bytes; // at most of a GPU's memory; 0 = what is free
 };
 struct rn_device_info {
-    char device[16];     // "cpu"
-    char name[128];      // CPU model
-    char kernels[32];    // the kernel set in use
+    char device[16];     // "cpu", "cuda:0"
+    char name[128];      // model
+    char kernels[32];    // the kernel set in use; on a GPU its architecture, "sm_90"
     char available[128]; // comma separated kernel sets this machine can run
     int threads;
 };
@@ -95,8 +98,9 @@ enum rn_status rn_trainer_create(struct rn_engine *engine, const struct rn_datas
                                  const struct rn_train_config *config, size_t memory_limit_bytes,
                                  struct rn_trainer **ret_trainer,
                                  struct rn_error *err) RN_MUST_CHECK;
-// Continues from a checkpoint: the same bytes as a run that was never interrupted. The kernel set
-// is the checkpoint's (RN_ERROR_UNSUPPORTED when this machine lacks it).
+// Continues from a checkpoint: the same bytes as a run that was never interrupted, but for GPUs.
+// The kernel set is the checkpoint's (RN_ERROR_UNSUPPORTED when this machine lacks it); what a GPU
+// trained goes on anywhere.
 enum rn_status rn_trainer_restore(struct rn_engine *engine, const struct rn_dataset *dataset,
                                   const char *checkpoint_path, size_t memory_limit_bytes,
                                   struct rn_trainer **ret_trainer,
@@ -181,6 +185,7 @@ enum rn_status rn_trainer_save_end(struct rn_trainer *trainer, char ret_sha256[6
 enum rn_status rn_trainer_save(struct rn_trainer *trainer, const char *path,
                                struct rn_error *err) RN_MUST_CHECK;
 // Ends the training and keeps its field, which is then as if it had been loaded: rn_field_destroy.
+// A device that no longer answers is met by the next render.
 struct rn_field *rn_trainer_finish(struct rn_trainer **trainer);
 
 // ---- fields ---------------------------------------------------------------------------------
@@ -203,7 +208,8 @@ struct rn_field_info {
 };
 void rn_field_describe(const struct rn_field *field, struct rn_field_info *ret_info);
 // SHA-256 of the parameters: fp32 little endian, [plane][v][u][channel], then the networks
-// (density, then colour; each layer row-major [input][output]).
+// (density, then colour; each layer row-major [input][output]). Of a field that a device trains: as
+// of the last save.
 void rn_field_sha256(const struct rn_field *field, char ret_hex[65]);
 
 // ---- rendering ------------------------------------------------------------------------------

@@ -6,6 +6,7 @@
 #include <sys/mman.h>
 
 #include "common/math/rng.h"
+#include "server/engine/device.h"
 #include "server/engine/field/footprint.h"
 #include "server/engine/field/occupancy.h"
 #include "server/engine/field/ripmap.h"
@@ -188,6 +189,7 @@ enum rn_status rn_field_create(const struct rn_train_config *config, const struc
 void rn_field_destroy(struct rn_field **field) {
     struct rn_field *f = *field;
     if (!f) return;
+    rn_field_withdraw(f);
     free(f->parameters.values);
     free(f->packed);
     free(f->pyramid);

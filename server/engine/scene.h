@@ -7,6 +7,10 @@
 #include "server/engine/cpu/pool.h"
 #include "server/engine/engine.h"
 
+struct rn_backend; // backend.h
+struct rn_device;
+struct rn_device_field;
+
 struct rn_engine {
     struct rn_pool *pool;
     const struct rn_kernels *kernels;
@@ -20,6 +24,11 @@ struct rn_engine {
     void *watcher;
     bool (*wanted)(void *context); // rn_engine_yield_to; NULL = never asked
     void *wanter;
+    const struct rn_backend *backend; // of a device other than the CPU; NULL without one
+    struct rn_device *device;
+    void *module;            // that the backend comes from
+    char device_kernels[32]; // "sm_90"
+    bool device_optional;    // what the device cannot do, the CPU does
 };
 
 // Whether something else is wanted of the calling thread. `engine`: struct rn_engine.
@@ -49,6 +58,11 @@ struct rn_field {
     double train_seconds, psnr;
     struct rn_effect_record effects[RN_EFFECT_COUNT];
     char kernels[32];
+    // Its copy on the engine's device (device.h); NULL without one.
+    struct rn_device_field *on_device;
+    const struct rn_backend *backend;
+    int device_levels;           // of the copy's maps
+    bool behind, moments_behind; // the device trained since these were read from it
 };
 
 // A block of zeros, 4,096-byte aligned; on huge pages where it is large and the machine has them,

@@ -5,6 +5,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <unistd.h>
 
 #include "common/base/clock.h"
 #include "common/base/log.h"
@@ -144,9 +145,17 @@ void rn_link_post(struct rn_link *link, enum rn_wire_type type, const void *mess
     link->said_ns = rn_clock_ns();
 }
 
+// A device that is lost stays lost in this process. The daemon takes its end for a crash: jobs go
+// on from their last checkpoint in a new one.
+static _Noreturn void leave(const struct rn_error *err) {
+    rn_log(RN_LOG_ERROR, "the device is lost: %s: %s", err->where, err->text);
+    _exit(1);
+}
+
 void rn_link_fail(struct rn_link *link, const char *job, int64_t request,
                   const struct rn_error *err) {
     struct rn_wire_failed failed = {.request = request};
+    if (err->status == RN_ERROR_UNAVAILABLE) leave(err);
     snprintf(failed.job, sizeof failed.job, "%s", job);
     snprintf(failed.status, sizeof failed.status, "%s", rn_status_name(err->status));
     snprintf(failed.where, sizeof failed.where, "%s", err->where);

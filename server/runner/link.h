@@ -45,6 +45,7 @@ bool rn_link_must_stop(const struct rn_link *link);
 void rn_link_post(struct rn_link *link, enum rn_wire_type type, const void *message,
                   const void *blob, size_t blob_size);
 // Sends `failed` about a job ("" for none) or a request (RN_ABSENT for none).
+// RN_ERROR_UNAVAILABLE, a lost device, ends the process.
 void rn_link_fail(struct rn_link *link, const char *job, int64_t request,
                   const struct rn_error *err);
 

@@ -30,7 +30,7 @@ static enum rn_status device_open(int ordinal, size_t budget_bytes, struct rn_de
     cudaDeviceProp p;
     cudaError_t outcome = cudaGetDeviceCount(&count);
     if (outcome != cudaSuccess || ordinal >= count)
-        return rn_error_set(err, RN_ERROR_UNSUPPORTED, "device", "there is no cuda:%d: %s", ordinal,
+        return rn_error_set(err, RN_ERROR_UNSUPPORTED, "device", "there is no cuda:%d (%s); use --device cpu", ordinal,
                             outcome == cudaSuccess ? "too few devices"
                                                    : cudaGetErrorString(outcome));
     enum rn_status status = rn_cuda_check(cudaSetDevice(ordinal), "choosing the device", err);
@@ -73,29 +73,55 @@ static void device_close(struct rn_device **device) {
 
 // ---- memory ---------------------------------------------------------------------------------
 
-// Takes `bytes` out of the device's budget, or says what would fit: the next smaller base halves
-// the sides, and so quarters what the planes need.
-static enum rn_status take(struct rn_device *d, const struct rn_device_field *f, const char *what,
-                           size_t bytes, void **ret, struct rn_error *err) {
-    size_t left = d->budget_bytes - d->used_bytes, need = bytes;
-    int base = f->config.field.base;
-    if (bytes > left) {
-        while (need > left && base > 64) {
-            need /= 4;
-            base /= 2;
+// Bytes of a field whose planes have `base` texels a side, with its training where there are pixels.
+static size_t bytes_at(const struct rn_device_field *f, const struct rn_device_pixels *pixels,
+                       int base) {
+    struct rn_device_field other = *f;
+    struct rn_field_config *c = &other.config.field;
+    struct rn_arena arena = {NULL, 0};
+    int levels = f->scene.planes.levels, side = c->base;
+    size_t texels = (size_t)base * (size_t)base - (size_t)c->base * (size_t)c->base;
+    for (; side < base && levels > 1 && levels < c->levels; side *= 2)
+        levels++; // finer texels, higher levels
+    while (levels > 1 && base >> (levels - 1) == 0)
+        levels--;
+    other.parameter_count += (size_t)c->planes * (size_t)c->channels * texels;
+    c->base = base;
+    rn_cuda_planes_init(&other.scene.planes, c, &f->solid, levels);
+    rn_field_lay_out(&other, &arena);
+    if (pixels) rn_train_lay_out(&other, pixels, &arena);
+    return arena.used;
+}
+
+// Whether a field of some base, with its training, fits the budget; else what would. `own` bytes of
+// it are taken already.
+static enum rn_status check_budget(const struct rn_device_field *f,
+                                   const struct rn_device_pixels *pixels, int base, size_t own,
+                                   struct rn_error *err) {
+    const struct rn_device *d = f->device;
+    size_t left = d->budget_bytes - d->used_bytes + own, need = bytes_at(f, pixels, base);
+    char remedy[64] = "not even the smallest base";
+    if (need <= left) return RN_OK;
+    for (int smaller = base / 2; smaller >= RN_UPDATE; smaller /= 2)
+        if (bytes_at(f, pixels, smaller) <= left) {
+            snprintf(remedy, sizeof remedy, "a base of %d texels", smaller);
+            break;
         }
-        return rn_error_set(err, RN_ERROR_LIMIT, "cuda",
-                            "%s needs %zu MiB and %zu MiB of the device's budget of %zu MiB are "
-                            "left; a base of %d texels would fit, or unload other scenes",
-                            what, bytes >> 20, left >> 20, d->budget_bytes >> 20, base);
-    }
+    return rn_error_set(err, RN_ERROR_LIMIT, "base",
+                        "%s planes of %d texels a side needs %zu MiB of the device's memory; of "
+                        "the %zu MiB it may use %zu are free: %s would fit",
+                        pixels ? "training" : "a field with", base, (need >> 20) + 1,
+                        d->budget_bytes >> 20, left >> 20, remedy);
+}
+
+static enum rn_status take(struct rn_device *d, size_t bytes, void **ret, struct rn_error *err) {
     cudaError_t outcome = cudaMalloc(ret, bytes);
     if (outcome == cudaErrorMemoryAllocation) {
         (void)cudaGetLastError(); // this error is over once it has been read
-        return rn_error_set(err, RN_ERROR_NO_MEMORY, "cuda",
-                            "%s needs %zu MiB, which the device does not have; other programs use "
-                            "its memory, or a base of %d texels would fit",
-                            what, bytes >> 20, base / 2);
+        return rn_error_set(err, RN_ERROR_NO_MEMORY, "device",
+                            "%zu MiB are needed and the device does not have them: other programs "
+                            "use its memory; end them, or use a smaller base or --device cpu",
+                            (bytes >> 20) + 1);
     }
     if (outcome == cudaSuccess) d->used_bytes += bytes;
     return rn_cuda_check(outcome, "taking device memory", err);
@@ -126,15 +152,12 @@ static enum rn_status check_config(const struct rn_device_scene *s, struct rn_er
                             "128; use --device cpu or a smaller field");
     if (c->shading != RN_SHADING_SAMPLE)
         return rn_error_set(err, RN_ERROR_UNSUPPORTED, "shading",
-                            "the CUDA kernels shade every sample; use the paper preset, or --device "
-                            "cpu for colour once a ray");
-    if (s->config.grow_to > c->base)
-        return rn_error_set(err, RN_ERROR_UNSUPPORTED, "grow_to",
-                            "the CUDA kernels train planes of one size; use --device cpu");
+                            "the CUDA kernels shade every sample and this field shades every ray, "
+                            "as fields do whose training began on the CPU; use --device cpu");
     if (c->base % unit != 0)
         return rn_error_set(err, RN_ERROR_UNSUPPORTED, "base",
                             "the CUDA kernels pool by whole factors of two: %d levels need a base "
-                            "that is a multiple of %d",
+                            "that is a multiple of %d; use --device cpu or another base",
                             s->levels, unit);
     return RN_OK;
 }
@@ -146,6 +169,7 @@ static void describe_scene(struct rn_device_field *f, const struct rn_device_sce
     f->radius = s->radius;
     f->shape = find_shape(c->planes * c->channels, c->width);
     f->parameter_count = s->parameter_count;
+    f->solid = s->solid;
     rn_cuda_planes_init(&f->scene.planes, c, &s->solid, s->levels);
     rn_cuda_network_init(&f->scene.base, &s->base_shape, f->shape->inputs16, f->shape->width16);
     rn_cuda_network_init(&f->scene.head, &s->head_shape, 2, f->shape->width16);
@@ -200,7 +224,8 @@ static enum rn_status field_create(struct rn_device *device, const struct rn_dev
     f->device = device;
     describe_scene(f, scene);
     rn_field_lay_out(f, &arena);
-    status = take(device, f, "this field", arena.used, &f->memory, err);
+    status = check_budget(f, NULL, f->config.field.base, 0, err);
+    if (status == RN_OK) status = take(device, arena.used, &f->memory, err);
     if (status == RN_OK) {
         f->memory_bytes = arena.used;
         arena = rn_arena{(char *)f->memory, 0};
@@ -290,8 +315,9 @@ static enum rn_status train_begin(struct rn_device_field *f, const struct rn_dev
     f->deterministic = training->deterministic;
     describe_training(f, pixels);
     rn_train_lay_out(f, pixels, &arena);
-    enum rn_status status =
-        take(f->device, f, "training this field", arena.used, &f->train_memory, err);
+    int base = f->config.field.base, most = f->config.grow_to > base ? f->config.grow_to : base;
+    enum rn_status status = check_budget(f, pixels, most, f->memory_bytes, err);
+    if (status == RN_OK) status = take(f->device, arena.used, &f->train_memory, err);
     if (status != RN_OK) return status;
     f->train_bytes = arena.used;
     arena = rn_arena{(char *)f->train_memory, 0};

@@ -31,6 +31,7 @@ struct rn_device_field {
     struct rn_device *device;
     struct rn_train_config config;
     double centre[3], radius;
+    struct rn_solid solid;
     const struct rn_kernel_shape *shape;
     struct rn_cuda_scene scene;
     uint8_t *spare_distance;

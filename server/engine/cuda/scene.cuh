@@ -57,6 +57,7 @@ struct rn_cuda_status {
     int overflowed;           // a texel's gradient overflowed: it alone was left out
     int rejected_in_a_row;
     uint64_t updates, steps, steps_rejected, nonfinite_rays, nonfinite_numbers;
+    uint64_t nonfinite_before; // rays, in the steps before this one
     uint64_t samples, rays; // totals of training
     uint64_t level_samples[RN_MAX_LEVELS];
     unsigned long long evaluated; // samples of the last render or step

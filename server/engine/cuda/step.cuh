@@ -184,10 +184,15 @@ __global__ void __launch_bounds__(256)
 // Counts the step and makes ready for the next; one thread.
 __global__ void rn_finish_kernel(struct rn_cuda_status *s) {
     if (threadIdx.x != 0) return;
+    // Rays that are not finite are left out; where no other is left, that is the step's fault.
+    if (!(s->weight > 0) && s->nonfinite_rays > s->nonfinite_before) s->rejected = 1;
+    s->nonfinite_before = s->nonfinite_rays;
     bool overflow = s->overflowed || (s->rejected && !s->crowded);
     s->steps++;
-    s->steps_rejected += (uint64_t)(s->rejected != 0);
-    s->rejected_in_a_row = s->rejected ? s->rejected_in_a_row + 1 : 0;
+    if (!s->crowded) {
+        s->steps_rejected += (uint64_t)(s->rejected != 0);
+        s->rejected_in_a_row = s->rejected ? s->rejected_in_a_row + 1 : 0;
+    }
     s->updates += (uint64_t)!rn_cuda_step_skipped(s);
     s->good_steps = overflow ? 0 : s->good_steps + 1;
     float scale = overflow ? s->gradient_scale * 0.5f : s->gradient_scale;

@@ -5,9 +5,11 @@
 
 #include "common/base/clock.h"
 #include "common/image/metrics.h"
+#include "server/engine/device.h"
 #include "server/engine/scene.h"
 
 #define TILE 16         // pixels a side; two tiles fill a packet twice
+#define BAND 64         // rows a device renders between two looks at keep_going
 #define TILES_A_POLL 64 // tiles between two looks at keep_going
 
 struct frame {
@@ -18,6 +20,7 @@ struct frame {
     struct rn_camera camera; // at the resolution that is rendered
     int tiles_x, first_tile;
     struct rn_pixel *pixels; // width * height of `camera`
+    bool on_device;          // the field's copy there has the levels
     uint64_t samples[TILES_A_POLL];
 };
 
@@ -90,11 +93,31 @@ static enum rn_status check_options(const struct rn_render_options *o, struct rn
 // Pyramid levels that this camera may touch; the training's own when rays are shorter.
 static enum rn_status prepare(struct frame *f, struct rn_error *err) {
     int levels = rn_levels_for_camera(f->field, &f->camera, f->march.step);
-    enum rn_status status = rn_field_need_levels(f->field, levels, err);
+    f->on_device = f->field->on_device && levels <= f->field->device_levels;
+    if (f->on_device) return RN_OK;
+    enum rn_status status = rn_field_fetch(f->field, NULL, NULL, err);
+    if (status == RN_OK) status = rn_field_need_levels(f->field, levels, err);
     if (status == RN_OK) status = rn_engine_prepare(f->engine, f->field, err);
     bool fresh = f->field->fresh_levels >= f->field->cpu.built_levels &&
                  f->field->packed_for == f->engine->kernels;
     if (status == RN_OK && !fresh) rn_field_refresh(f->field, f->engine);
+    return status;
+}
+
+// Bands of BAND rows on the device instead of tiles here.
+static enum rn_status render_bands(struct frame *f, bool (*keep_going)(void *context),
+                                   void *context, uint64_t *ret_samples, struct rn_error *err) {
+    enum rn_status status = RN_OK;
+    for (int row = 0; row < f->camera.height && status == RN_OK; row += BAND) {
+        int rows = f->camera.height - row < BAND ? f->camera.height - row : BAND;
+        uint64_t samples;
+        if (keep_going && !keep_going(context))
+            return rn_error_set(err, RN_ERROR_CANCELLED, "render", "stopped on request");
+        status =
+            f->field->backend->render(f->field->on_device, &f->camera, &f->march, row, rows,
+                                      f->pixels + (size_t)row * f->camera.width, &samples, err);
+        if (status == RN_OK) *ret_samples += samples;
+    }
     return status;
 }
 
@@ -123,7 +146,8 @@ enum rn_status rn_render(struct rn_engine *engine, struct rn_field *field,
         return rn_error_set(err, RN_ERROR_NO_MEMORY, "camera", "a %dx%d picture needs %zu MiB",
                             f.camera.width, f.camera.height, pixels * sizeof *f.pixels >> 20);
     struct rn_render_result result = {.stats.rays = pixels};
-    for (; f.first_tile < tiles && status == RN_OK; f.first_tile += TILES_A_POLL) {
+    if (f.on_device) status = render_bands(&f, keep_going, context, &result.stats.samples, err);
+    for (; !f.on_device && f.first_tile < tiles && status == RN_OK; f.first_tile += TILES_A_POLL) {
         int count = tiles - f.first_tile < TILES_A_POLL ? tiles - f.first_tile : TILES_A_POLL;
         if (keep_going && !keep_going(context))
             status = rn_error_set(err, RN_ERROR_CANCELLED, "render", "stopped on request");

@@ -109,11 +109,14 @@ static enum rn_status grow_to(struct rn_trainer *t, int base, struct rn_error *e
     return RN_OK;
 }
 
+bool rn_trainer_grows(const struct rn_trainer *t) {
+    int base = t->field->config.field.base;
+    return t->field->config.grow_to > base && wanted_base(t) > base;
+}
+
 enum rn_status rn_trainer_grow(struct rn_trainer *t, struct rn_error *err) {
-    if (t->field->config.grow_to <= t->field->config.field.base) return RN_OK;
-    int base = wanted_base(t);
-    if (base <= t->field->config.field.base) return RN_OK;
+    if (!rn_trainer_grows(t)) return RN_OK;
     // What is not finite is left to the guard at the step's end: it must not become the state that
     // a rollback returns to.
-    return rn_trainer_all_finite(t) ? grow_to(t, base, err) : RN_OK;
+    return rn_trainer_all_finite(t) ? grow_to(t, wanted_base(t), err) : RN_OK;
 }

@@ -49,9 +49,8 @@ enum rn_status rn_trainer_keep_good(struct rn_trainer *t, struct rn_error *err) 
     return RN_OK;
 }
 
-// Back to the last good parameters; the optimiser, whose moments may be spoilt too, starts anew at
-// half the rate.
-static void roll_back(struct rn_trainer *t) {
+// The optimiser's moments may be spoilt too: it starts anew.
+void rn_trainer_roll_back(struct rn_trainer *t) {
     rn_trainer_note(t, RN_INCIDENT_ROLLBACK);
     size_t bytes = t->field->parameters.count * sizeof *t->good;
     memcpy(t->field->parameters.values, t->good, bytes);
@@ -81,7 +80,7 @@ void rn_trainer_guard_step(struct rn_trainer *t, bool accepted) {
     bool wild = t->wild || ((copy || !accepted || has_offenders(t)) &&
                             !all_finite(t, t->field->parameters.values));
     if (wild || t->rejected >= MOST_REJECTED)
-        roll_back(t);
+        rn_trainer_roll_back(t);
     else if (copy)
         memcpy(t->good, t->field->parameters.values, t->field->parameters.count * sizeof *t->good);
 }
@@ -90,7 +89,7 @@ void rn_trainer_guard_save(struct rn_trainer *t) {
     size_t side = (size_t)t->field->config.field.occupancy;
     for (size_t i = 0; i < side * side * side; i++)
         if (!isfinite(t->field->occupancy[i])) t->field->occupancy[i] = 0;
-    if (!rn_trainer_all_finite(t)) roll_back(t);
+    if (!rn_trainer_all_finite(t)) rn_trainer_roll_back(t);
 }
 
 enum rn_status rn_trainer_guard_check(const struct rn_trainer *t, struct rn_error *err) {

@@ -255,6 +255,15 @@ void rn_trainer_begin_step(struct rn_trainer *t) {
     }
 }
 
+// The step before the one that comes next, not computed again.
+void rn_trainer_redraw(struct rn_trainer *t) {
+    t->progress.step--;
+    rn_trainer_begin_step(t);
+    t->progress.step++;
+    t->stepping = false;
+    draw_rays(t, 0, t->ray_count);
+}
+
 // ---- update ---------------------------------------------------------------------------------
 
 struct update {

@@ -8,6 +8,7 @@
 
 #include "common/base/clock.h"
 #include "server/engine/checkpoint.h"
+#include "server/engine/device.h"
 
 #define HELD_OUT_VIEWS 8
 #define WARM_UP_FRACTION 0.3 // of the run, before view dependence is measured
@@ -129,15 +130,17 @@ enum rn_status rn_trainer_create(struct rn_engine *engine, const struct rn_datas
                                  const struct rn_train_config *config, size_t memory_limit_bytes,
                                  struct rn_trainer **ret_trainer, struct rn_error *err) {
     struct rn_trainer *t = NULL;
+    struct rn_train_config own = *config;
     size_t left;
-    enum rn_status status = rn_train_config_check(config, err);
-    if (status == RN_OK) status = start(engine, dataset, config, &t, err);
-    if (status == RN_OK) status = check_memory(t, config, memory_limit_bytes, &left, err);
+    if (engine->backend) rn_device_adapt(&own);
+    enum rn_status status = rn_train_config_check(&own, err);
+    if (status == RN_OK) status = start(engine, dataset, &own, &t, err);
+    if (status == RN_OK) status = check_memory(t, &own, memory_limit_bytes, &left, err);
     if (status == RN_OK) status = load_pixels(t, left, err);
     if (status != RN_OK) goto fail;
     double begin = (double)rn_clock_ns();
     rn_trainer_detect_effects(t);
-    rn_field_randomise(t->field, config->seed);
+    rn_field_randomise(t->field, own.seed);
     status = rn_trainer_set_up(t, err);
     if (status != RN_OK) goto fail;
     if (t->field->config.carve) rn_trainer_carve(t);
@@ -147,6 +150,8 @@ enum rn_status rn_trainer_create(struct rn_engine *engine, const struct rn_datas
     if (status != RN_OK) goto fail;
     rn_field_refresh(t->field, engine);
     rn_field_refresh_occupancy(t->field);
+    status = rn_trainer_put(t, err);
+    if (status != RN_OK) goto fail;
     t->progress.train_seconds = ((double)rn_clock_ns() - begin) * 1e-9;
     *ret_trainer = t;
     return RN_OK;
@@ -163,7 +168,9 @@ enum rn_status rn_trainer_restore(struct rn_engine *engine, const struct rn_data
     size_t left;
     enum rn_status status = rn_checkpoint_open(checkpoint_path, &checkpoint, err);
     if (status != RN_OK) return status;
-    const struct rn_kernels *kernels = rn_kernels_find(checkpoint.kernels);
+    const struct rn_kernels *kernels = rn_device_trained(checkpoint.kernels)
+                                           ? engine->kernels
+                                           : rn_kernels_find(checkpoint.kernels);
     if (!kernels) {
         status = rn_error_set(err, RN_ERROR_UNSUPPORTED, checkpoint_path,
                               "was trained with the kernel set '%s', which this machine lacks; "
@@ -184,6 +191,8 @@ enum rn_status rn_trainer_restore(struct rn_engine *engine, const struct rn_data
     if (status != RN_OK) goto fail;
     rn_field_refresh(t->field, engine);
     rn_field_refresh_occupancy(t->field);
+    status = rn_trainer_put(t, err);
+    if (status != RN_OK) goto fail;
     rn_checkpoint_close(&checkpoint);
     *ret_trainer = t;
     return RN_OK;
@@ -211,9 +220,10 @@ void rn_trainer_destroy(struct rn_trainer **trainer) {
     *trainer = NULL;
 }
 
-// Before training goes on: the field may have been rendered in between, with more levels.
-static enum rn_status enter(struct rn_trainer *t, struct rn_error *err) {
-    enum rn_status status = rn_engine_prepare(t->engine, t->field, err);
+// The field may have been rendered in between, with more levels.
+enum rn_status rn_trainer_enter(struct rn_trainer *t, struct rn_error *err) {
+    enum rn_status status = rn_field_fetch(t->field, t->m, t->v, err);
+    if (status == RN_OK) status = rn_engine_prepare(t->engine, t->field, err);
     t->field->cpu.built_levels = t->levels;
     if (status == RN_OK && t->field->fresh_levels < t->levels)
         rn_field_refresh(t->field, t->engine);
@@ -228,17 +238,25 @@ static bool reached_limit(const struct rn_trainer *t) {
     return rn_trainer_fraction(t) >= 1;
 }
 
+static bool view_dependence_due(const struct rn_trainer *t) {
+    return !t->field->effects[RN_EFFECT_VIEW_DEPENDENCE].decided &&
+           (t->progress.step >= WARM_UP_STEPS || rn_trainer_fraction(t) >= WARM_UP_FRACTION);
+}
+
+bool rn_trainer_turn_due(const struct rn_trainer *t) {
+    return view_dependence_due(t) || rn_trainer_grows(t);
+}
+
+static enum rn_status take_turn(struct rn_trainer *t, struct rn_error *err) {
+    if (view_dependence_due(t)) rn_trainer_decide_view_dependence(t);
+    return rn_trainer_grow(t, err);
+}
+
 // What comes before a step, and its beginning, unless it is cut short.
 static enum rn_status begin_step(struct rn_trainer *t, struct rn_error *err) {
-    int64_t step = t->progress.step;
-    double fraction = rn_trainer_fraction(t);
-    if (t->next_chunk == 0) {
-        if (step >= WARM_UP_STEPS || fraction >= WARM_UP_FRACTION)
-            rn_trainer_decide_view_dependence(t);
-        enum rn_status status = rn_trainer_grow(t, err);
-        if (status != RN_OK) return status;
-    }
-    if (step % RN_OCCUPANCY_EVERY == 0 && !rn_trainer_update_occupancy(t)) return RN_OK;
+    enum rn_status status = t->next_chunk == 0 ? take_turn(t, err) : RN_OK;
+    if (status != RN_OK) return status;
+    if (t->progress.step % RN_OCCUPANCY_EVERY == 0 && !rn_trainer_update_occupancy(t)) return RN_OK;
     rn_trainer_begin_step(t);
     return RN_OK;
 }
@@ -252,11 +270,24 @@ static void update_rates(struct rn_trainer *t, double seconds) {
     t->window_rays = t->window_samples = 0;
 }
 
+static enum rn_status run_here(struct rn_trainer *t, struct rn_error *err) {
+    enum rn_status status = t->stepping ? RN_OK : begin_step(t, err);
+    if (status == RN_OK && t->stepping) rn_trainer_run_wave(t);
+    return status;
+}
+
+// What the host decides, it decides on its own copy, and the device gets a new one.
+static enum rn_status run_there(struct rn_trainer *t, struct rn_error *err) {
+    if (!rn_trainer_turn_due(t)) return rn_trainer_run_device(t, err);
+    enum rn_status status = rn_trainer_enter(t, err);
+    if (status == RN_OK) status = take_turn(t, err);
+    return status == RN_OK ? rn_trainer_put(t, err) : status;
+}
+
 static enum rn_status run_block(struct rn_trainer *t, struct rn_error *err) {
     double begin = (double)rn_clock_ns();
-    enum rn_status status = t->stepping ? RN_OK : begin_step(t, err);
+    enum rn_status status = t->field->on_device ? run_there(t, err) : run_here(t, err);
     if (status != RN_OK) return status;
-    if (t->stepping) rn_trainer_run_wave(t);
     double seconds = ((double)rn_clock_ns() - begin) * 1e-9;
     t->progress.train_seconds += seconds;
     t->field->train_seconds = t->progress.train_seconds;
@@ -266,7 +297,7 @@ static enum rn_status run_block(struct rn_trainer *t, struct rn_error *err) {
 
 enum rn_status rn_trainer_advance(struct rn_trainer *t, double budget_ms, struct rn_error *err) {
     int64_t until = rn_clock_ns() + (int64_t)(budget_ms * 1e6);
-    enum rn_status status = enter(t, err);
+    enum rn_status status = t->field->on_device ? RN_OK : rn_trainer_enter(t, err);
     if (status != RN_OK) return status;
     do {
         if (!t->stepping && reached_limit(t)) {
@@ -324,6 +355,25 @@ static void validate_packet(void *context, int index, int thread) {
     t->validation.packets[index] = sum;
 }
 
+// The frame under way is done: its PSNR.
+static void finish_frame(struct rn_validation *v, size_t pixels) {
+    v->psnr_sum += -10 * log10(fmax(v->squares / (3.0 * (double)pixels), 1e-10));
+    v->squares = 0;
+    v->pixel = 0;
+    v->frame++;
+}
+
+static enum rn_status validate_on_device(struct rn_trainer *t, struct rn_error *err) {
+    struct rn_validation *v = &t->validation;
+    const struct rn_pixel_frame *frame = &t->held.frames[v->frame];
+    int width = frame->frame->camera.width, height = frame->frame->camera.height;
+    int row = (int)(v->pixel / (size_t)width), rows = height - row < 64 ? height - row : 64;
+    enum rn_status status = rn_trainer_validate_rows(t, frame, row, rows, &v->squares, err);
+    v->pixel += (size_t)rows * (size_t)width;
+    if (row + rows == height) finish_frame(v, (size_t)width * (size_t)height);
+    return status;
+}
+
 // One block, or what is left of one that was cut short.
 static void validate_next(struct rn_trainer *t) {
     struct rn_validation *v = &t->validation;
@@ -342,11 +392,7 @@ static void validate_next(struct rn_trainer *t) {
     for (int i = 0; i < packets; i++)
         v->squares += v->packets[i];
     v->pixel += b.count;
-    if (v->pixel < pixels) return;
-    v->psnr_sum += -10 * log10(fmax(v->squares / (3.0 * (double)pixels), 1e-10));
-    v->squares = 0;
-    v->pixel = 0;
-    v->frame++;
+    if (v->pixel == pixels) finish_frame(v, pixels);
 }
 
 enum rn_status rn_trainer_validate(struct rn_trainer *t, double budget_ms, bool *ret_done,
@@ -355,13 +401,17 @@ enum rn_status rn_trainer_validate(struct rn_trainer *t, double budget_ms, bool 
     struct rn_validation *v = &t->validation;
     *ret_done = t->held.frame_count == 0;
     if (*ret_done) return RN_OK;
-    enum rn_status status = enter(t, err);
+    enum rn_status status = t->field->on_device ? RN_OK : rn_trainer_enter(t, err);
     if (status != RN_OK) return status;
     if (!v->active) *v = (struct rn_validation){.active = true};
-    do
-        validate_next(t);
-    while (v->frame < t->held.frame_count && rn_clock_ns() < until &&
-           !rn_engine_is_wanted(t->engine));
+    do {
+        if (t->field->on_device)
+            status = validate_on_device(t, err);
+        else
+            validate_next(t);
+    } while (status == RN_OK && v->frame < t->held.frame_count && rn_clock_ns() < until &&
+             !rn_engine_is_wanted(t->engine));
+    if (status != RN_OK) return status;
     if (v->frame == t->held.frame_count) {
         t->field->psnr = t->progress.psnr = v->psnr_sum / t->held.frame_count;
         t->progress.psnr_step = t->progress.step;
@@ -393,13 +443,17 @@ static bool within_step(const struct rn_trainer *t) {
 enum rn_status rn_trainer_save_begin(struct rn_trainer *t, const char *path, bool *ret_begun,
                                      struct rn_error *err) {
     *ret_begun = false;
-    enum rn_status status = enter(t, err);
+    enum rn_status status = rn_trainer_enter(t, err);
     if (status != RN_OK) return status;
     while (status == RN_OK && within_step(t)) {
         status = run_block(t, err);
         if (status == RN_OK && within_step(t) && rn_engine_is_wanted(t->engine)) return RN_OK;
     }
+    uint64_t rollbacks = t->progress.rollbacks;
     rn_trainer_guard_save(t);
+    if (status == RN_OK && t->field->on_device)
+        status = t->progress.rollbacks > rollbacks ? rn_trainer_put(t, err)
+                                                   : rn_trainer_keep_good(t, err);
     if (status == RN_OK) status = rn_checkpoint_begin(t, path, &t->writer, err);
     *ret_begun = status == RN_OK;
     return status;
@@ -426,6 +480,8 @@ enum rn_status rn_trainer_save(struct rn_trainer *t, const char *path, struct rn
 
 struct rn_field *rn_trainer_finish(struct rn_trainer **trainer) {
     struct rn_field *field = (*trainer)->field;
+    if (field->on_device && rn_field_fetch(field, NULL, NULL, NULL) == RN_OK)
+        (void)!rn_field_put_to_render((*trainer)->engine, field, NULL);
     (*trainer)->field = NULL;
     rn_trainer_destroy(trainer);
     return field;

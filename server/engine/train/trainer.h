@@ -4,6 +4,7 @@
 
 #include <stdatomic.h>
 
+#include "server/engine/backend.h"
 #include "server/engine/scene.h"
 #include "server/engine/train/pixels.h"
 
@@ -78,9 +79,27 @@ struct rn_trainer {
     uint64_t window_rays, window_samples;
     double clock_start; // of the advance under way
     struct rn_validation validation;
+    struct rn_device_progress counted;   // when last read, where a device trains
     struct rn_checkpoint_writer *writer; // NULL when none is being written
 };
 
+// trainer.c: before training goes on here, or the host reads what is trained: everything is as new
+// as the device's and built for the training's cameras.
+enum rn_status rn_trainer_enter(struct rn_trainer *trainer, struct rn_error *err) RN_MUST_CHECK;
+// Whether the host has something to decide before the next step: view dependence, growth.
+bool rn_trainer_turn_due(const struct rn_trainer *trainer);
+// device.c: the field and what training needs to the engine's device, in place of what is there;
+// nothing where there is no device, or one that may be done without cannot train this field. The
+// levels and counts of the field's copy start anew.
+enum rn_status rn_trainer_put(struct rn_trainer *trainer, struct rn_error *err) RN_MUST_CHECK;
+enum rn_status rn_trainer_validate_rows(struct rn_trainer *trainer,
+                                        const struct rn_pixel_frame *frame, int row, int rows,
+                                        double *ret_squares, struct rn_error *err) RN_MUST_CHECK;
+// A few steps there. As on the CPU, training goes back to its last good parameters, here those of
+// the last save or growth, when no step could be taken 40 times in a row; a rejected step by itself
+// is how the gradients' scale is found, and told as no incident.
+enum rn_status rn_trainer_run_device(struct rn_trainer *trainer,
+                                     struct rn_error *err) RN_MUST_CHECK;
 // occupancy.c
 enum rn_status rn_trainer_list_hull(struct rn_trainer *trainer, struct rn_error *err) RN_MUST_CHECK;
 void rn_trainer_carve(struct rn_trainer *trainer);
@@ -92,7 +111,9 @@ void rn_trainer_detect_effects(struct rn_trainer *trainer);
 void rn_trainer_decide_view_dependence(struct rn_trainer *trainer);
 // trainer.c: everything that follows from the pixels and the configuration.
 enum rn_status rn_trainer_set_up(struct rn_trainer *trainer, struct rn_error *err) RN_MUST_CHECK;
-// grow.c: makes the planes as large as they should be by now. RN_ERROR_NO_MEMORY.
+// grow.c: whether the planes should be larger by now.
+bool rn_trainer_grows(const struct rn_trainer *trainer);
+// Makes the planes as large as they should be by now. RN_ERROR_NO_MEMORY.
 enum rn_status rn_trainer_grow(struct rn_trainer *trainer, struct rn_error *err) RN_MUST_CHECK;
 // step.c
 void rn_trainer_free_step(struct rn_trainer *trainer); // what rn_trainer_allocate took, but grad
@@ -102,6 +123,8 @@ int rn_trainer_band(const struct rn_trainer *trainer, int band);
 // How the next step marches; nothing of the step before is in it.
 struct rn_march_options rn_trainer_march(const struct rn_trainer *trainer);
 void rn_trainer_begin_step(struct rn_trainer *trainer);
+// Puts the rays of the step that was done last in place, for an incident's record.
+void rn_trainer_redraw(struct rn_trainer *trainer);
 void rn_trainer_run_wave(struct rn_trainer *trainer); // clears `stepping` when the step is complete
 // The ray through pixel (x, y) of a frame, target over the background.
 struct rn_march_ray rn_trainer_ray(const struct rn_trainer *trainer, const struct rn_pixels *pixels,
@@ -111,6 +134,7 @@ struct rn_march_ray rn_trainer_ray(const struct rn_trainer *trainer, const struc
 // optimiser at half the rate. After RN_MAX_ROLLBACKS such returns it fails: RN_ERROR_NUMERIC.
 enum rn_status rn_trainer_keep_good(struct rn_trainer *trainer, struct rn_error *err) RN_MUST_CHECK;
 bool rn_trainer_all_finite(const struct rn_trainer *trainer); // parameters and moments
+void rn_trainer_roll_back(struct rn_trainer *trainer);
 void rn_trainer_guard_step(struct rn_trainer *trainer, bool accepted);
 void rn_trainer_guard_save(struct rn_trainer *trainer); // the optimiser's numbers too
 enum rn_status rn_trainer_guard_check(const struct rn_trainer *trainer,

@@ -1,0 +1,38 @@
+// Fields on a device behind a backend's table: the CPU's field stays the owner of everything, the
+// device holds a copy that it renders from and trains.
+#ifndef RN_ENGINE_DEVICE_H
+#define RN_ENGINE_DEVICE_H
+
+#include "server/engine/backend.h"
+#include "server/engine/scene.h"
+
+// Loads the backend's module and opens "cuda:N", or with "auto" the first one if that works; takes
+// at most `budget_bytes` of its memory (0: what is free). The module is looked for at
+// RIPNERF_CUDA_MODULE, where it was installed, and in the build folder. RN_ERROR_UNSUPPORTED says
+// why there is none.
+enum rn_status rn_engine_open_device(struct rn_engine *engine, const char *device,
+                                     size_t budget_bytes, struct rn_error *err) RN_MUST_CHECK;
+void rn_engine_close_device(struct rn_engine *engine);
+// Whether a checkpoint's kernel set is a device's: any machine may go on from it.
+bool rn_device_trained(const char *kernels);
+
+// What a training on a device does otherwise: it shades every sample, and draws no lots on samples
+// of tiny weight.
+void rn_device_adapt(struct rn_train_config *config);
+
+// Makes the field exist on the engine's device as the CPU has it now, with maps of `levels` a side,
+// in place of what is there. Errors are the backend's.
+enum rn_status rn_field_put(struct rn_engine *engine, struct rn_field *field, int levels,
+                            struct rn_error *err) RN_MUST_CHECK;
+// The same with as many levels as the backend can build, for a field that is not trained. Nothing
+// where there is no device, or one that may be done without cannot hold the field.
+enum rn_status rn_field_put_to_render(struct rn_engine *engine, struct rn_field *field,
+                                      struct rn_error *err) RN_MUST_CHECK;
+// Copies parameters and occupancy (and the moments, where not NULL) from the device, after training
+// there. Nothing to do where the CPU's are as new.
+enum rn_status rn_field_fetch(struct rn_field *field, float *m, float *v,
+                              struct rn_error *err) RN_MUST_CHECK;
+// Gives the device's copy back.
+void rn_field_withdraw(struct rn_field *field);
+
+#endif

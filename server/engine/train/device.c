@@ -1,0 +1,173 @@
+// Training on a device: the host keeps the schedule and the counters, the device does the steps.
+#include "server/engine/device.h"
+
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "server/engine/field/occupancy.h"
+#include "server/engine/train/trainer.h"
+
+#define QUEUED 16        // steps between two looks at the counters
+#define MOST_REJECTED 40 // steps in a row, the gradients' scale halved at each
+
+// The arrays that are copied to the device, once.
+struct packed_pixels {
+    struct rn_device_pixels pixels;
+    struct rn_device_frame *frames;
+    struct rn_device_block *live;
+};
+
+static void pack_scales(const struct rn_trainer *t, struct rn_device_pixels *p) {
+    p->rgba = t->train.rgba;
+    p->frame_count = t->train.frame_count;
+    p->scale_count = t->train.scale_count;
+    p->pixel_count = t->train.pixel_count;
+    p->live_count = t->live_count;
+    for (int s = 0; s < p->scale_count; s++) {
+        p->scale_first[s] = t->train.scale_first[s];
+        p->scale_pixels[s] = t->train.scale_pixels[s];
+    }
+    p->scale_first[p->scale_count] = p->frame_count;
+    for (int s = 0; s <= p->scale_count; s++)
+        p->live_first[s] = t->live_first[s];
+}
+
+static enum rn_status pack_pixels(const struct rn_trainer *t, struct packed_pixels *ret,
+                                  struct rn_error *err) {
+    ret->frames = calloc((size_t)t->train.frame_count + 1, sizeof *ret->frames);
+    ret->live = calloc(t->live_count + 1, sizeof *ret->live);
+    if (!ret->frames || !ret->live)
+        return rn_error_set(err, RN_ERROR_NO_MEMORY, "trainer", "out of memory");
+    for (int f = 0; f < t->train.frame_count; f++) {
+        const struct rn_pixel_frame *from = &t->train.frames[f];
+        ret->frames[f] = (struct rn_device_frame){.camera = from->frame->camera,
+                                                  .offset = from->offset,
+                                                  .before = from->before,
+                                                  .loss_weight = (float)from->frame->loss_weight};
+    }
+    for (size_t i = 0; i < t->live_count; i++)
+        ret->live[i] = (struct rn_device_block){
+            .frame = t->live[i].frame, .x = t->live[i].x, .y = t->live[i].y};
+    pack_scales(t, &ret->pixels);
+    ret->pixels.frames = ret->frames;
+    ret->pixels.live = ret->live;
+    return RN_OK;
+}
+
+static enum rn_status begin_training(struct rn_trainer *t, struct rn_error *err) {
+    struct packed_pixels packed = {.frames = NULL};
+    struct rn_device_training training = {.next_rays = t->next_rays,
+                                          .step = t->progress.step,
+                                          .updates = t->updates,
+                                          .m = t->m,
+                                          .v = t->v};
+    enum rn_status status = pack_pixels(t, &packed, err);
+    if (status == RN_OK)
+        status =
+            t->field->backend->train_begin(t->field->on_device, &packed.pixels, &training, err);
+    free(packed.frames);
+    free(packed.live);
+    return status;
+}
+
+enum rn_status rn_trainer_put(struct rn_trainer *t, struct rn_error *err) {
+    struct rn_engine *e = t->engine;
+    const char *kernels = e->kernels->name;
+    enum rn_status status = RN_OK;
+    t->counted = (struct rn_device_progress){.steps = t->progress.step};
+    if (e->backend) status = rn_field_put(e, t->field, t->levels, err);
+    if (status == RN_ERROR_UNSUPPORTED && e->device_optional) status = RN_OK;
+    if (status == RN_OK && t->field->on_device) {
+        status = begin_training(t, err);
+        kernels = e->device_kernels;
+    }
+    snprintf(t->field->kernels, sizeof t->field->kernels, "%s", kernels);
+    return status;
+}
+
+// Squared errors of `rows` rows of a held-out frame, rendered on the device.
+enum rn_status rn_trainer_validate_rows(struct rn_trainer *t, const struct rn_pixel_frame *frame,
+                                        int row, int rows, double *ret_squares,
+                                        struct rn_error *err) {
+    const struct rn_train_config *config = &t->field->config;
+    const struct rn_camera *camera = &frame->frame->camera;
+    size_t width = (size_t)camera->width, n = width * (size_t)rows;
+    struct rn_march_options march = {.step = (float)config->step,
+                                     .stop_depth = (float)-log(config->stop)};
+    uint64_t samples;
+    struct rn_pixel *pixels = malloc(n * sizeof *pixels);
+    if (!pixels) return rn_error_set(err, RN_ERROR_NO_MEMORY, "trainer", "out of memory");
+    memcpy(march.background, config->background, sizeof march.background);
+    enum rn_status status = t->field->backend->render(t->field->on_device, camera, &march, row,
+                                                      rows, pixels, &samples, err);
+    for (size_t i = 0; i < n && status == RN_OK; i++) {
+        float target[3];
+        rn_pixel_over(t->held.rgba + 4 * (frame->offset + (size_t)row * width + i),
+                      config->background, target);
+        for (int c = 0; c < 3; c++) {
+            double d = fmin(fmax((double)pixels[i].rgb[c], 0), 1) - (double)target[c];
+            *ret_squares += d * d;
+        }
+    }
+    free(pixels);
+    return status;
+}
+
+// The schedule of train/step.c and train/occupancy.c.
+static struct rn_device_step next_step(const struct rn_trainer *t) {
+    double rate = rn_trainer_rate(t);
+    struct rn_device_step step = {.network_rate = (float)rate,
+                                  .plane_rate = (float)(rate * t->field->config.plane_rate)};
+    int64_t round = t->progress.step / RN_OCCUPANCY_EVERY;
+    bool all = t->progress.step < (t->field->config.carve ? 1 : RN_OCCUPANCY_WARM_UP);
+    step.measure = t->progress.step % RN_OCCUPANCY_EVERY == 0;
+    step.measure_stride = all ? 1 : 4;
+    step.measure_first = all ? 0 : (uint32_t)(round % 4);
+    step.measure_decay = (float)pow(RN_OCCUPANCY_DECAY, step.measure_stride);
+    return step;
+}
+
+static void take_progress(struct rn_trainer *t, const struct rn_device_progress *p,
+                          const struct rn_device_progress *before) {
+    struct rn_progress *to = &t->progress;
+    t->window_samples += p->samples - before->samples;
+    t->window_rays += p->rays - before->rays;
+    to->samples += p->samples - before->samples;
+    to->rays += p->rays - before->rays;
+    to->nonfinite_rays += p->nonfinite_rays - before->nonfinite_rays;
+    to->steps_rejected += p->steps_rejected - before->steps_rejected;
+    for (int l = 0; l < RN_MAX_LEVELS; l++)
+        to->level_samples[l] += p->level_samples[l] - before->level_samples[l];
+    if (p->loss > 0 && isfinite(p->loss)) to->loss = p->loss;
+    t->updates = p->updates;
+    t->next_rays = p->next_rays;
+}
+
+// As on the CPU, but back to what was last known here, and onto the device again.
+static enum rn_status roll_back(struct rn_trainer *t, struct rn_error *err) {
+    enum rn_status status = rn_trainer_enter(t, err);
+    if (status != RN_OK) return status;
+    rn_trainer_redraw(t);
+    rn_trainer_roll_back(t);
+    return rn_trainer_put(t, err);
+}
+
+enum rn_status rn_trainer_run_device(struct rn_trainer *t, struct rn_error *err) {
+    struct rn_device_field *on = t->field->on_device;
+    struct rn_device_progress p;
+    enum rn_status status = RN_OK;
+    t->field->behind = t->field->moments_behind = true;
+    for (int i = 0; i < QUEUED && status == RN_OK; i++) {
+        struct rn_device_step step = next_step(t);
+        status = t->field->backend->train_step(on, &step, err);
+        t->field->steps = ++t->progress.step;
+        if (rn_trainer_turn_due(t) || rn_trainer_fraction(t) >= 1) break;
+    }
+    if (status == RN_OK) status = t->field->backend->train_finish(on, &p, err);
+    if (status != RN_OK) return status;
+    take_progress(t, &p, &t->counted);
+    t->counted = p;
+    return p.rejected_in_a_row < MOST_REJECTED ? RN_OK : roll_back(t, err);
+}

@@ -1,0 +1,424 @@
+// The engine with a device, against itself without one: training, growth, effects, evaluation,
+// checkpoints, pictures; and what happens when the device cannot or no longer will. The device is
+// emulated (RIPNERF_CUDA_MODULE names the module); on a machine with a GPU give the real one.
+#include <check.h>
+#include <dlfcn.h>
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <unistd.h>
+
+#include "common/base/file.h"
+#include "server/engine/engine.h"
+#include "server/engine/scene.h"
+
+static char folder[64], path[128];
+static struct rn_dataset *dataset;
+
+#define OK(call)                                                                                   \
+    do {                                                                                           \
+        struct rn_error err = {0};                                                                 \
+        enum rn_status status = (call);                                                            \
+        ck_assert_msg(status == RN_OK, "%s: %s", #call, err.text);                                 \
+    } while (0)
+
+static void make_dataset(void) {
+    struct rn_synth_options synth = {.size = 16, .views = 12, .threads = 1, .samples = 4};
+    snprintf(folder, sizeof folder, "/tmp/ripnerf-device-XXXXXX");
+    ck_assert_ptr_nonnull(mkdtemp(folder));
+    snprintf(path, sizeof path, "%s/checkpoint.safetensors", folder);
+    OK(rn_synthesise("sphere", &synth, folder, NULL, NULL, &err));
+    OK(rn_dataset_read(folder, NULL, &dataset, &err));
+}
+
+static void remove_dataset(void) {
+    rn_dataset_destroy(&dataset);
+    OK(rn_remove_tree(folder, &err));
+}
+
+// A preset, so small that an emulator trains it in seconds; colour once a sample as devices do.
+static struct rn_train_config small_config(const char *preset, int64_t steps) {
+    struct rn_train_config config;
+    OK(rn_preset(preset, false, &config, &err));
+    bool grows = config.grow_to > 0;
+    config.field.planes = 3;
+    config.field.channels = strcmp(preset, "standard") == 0 ? 8 : 4;
+    config.field.base = grows ? 8 : 16;
+    config.grow_to = grows ? 16 : 0;
+    config.field.levels = 2;
+    config.field.width = 16;
+    config.field.occupancy = 16;
+    config.field.shading = RN_SHADING_SAMPLE;
+    config.roulette = 0;
+    config.step = 0.1;
+    config.target_samples = 1024;
+    config.initial_rays = 64;
+    config.max_steps = steps;
+    config.max_seconds = 0;
+    return config;
+}
+
+static enum rn_status try_engine(const char *device, size_t memory, struct rn_engine **ret_engine,
+                                 struct rn_error *err) {
+    struct rn_engine_options options = {
+        .device = device, .threads = 1, .device_memory_bytes = memory};
+    return rn_engine_create(&options, ret_engine, err);
+}
+
+static struct rn_engine *engine_on(const char *device) {
+    struct rn_engine *engine;
+    OK(try_engine(device, 0, &engine, &err));
+    return engine;
+}
+
+// One engine and trainer at a time; `config` NULL restores from the checkpoint.
+static struct {
+    struct rn_engine *engine;
+    struct rn_trainer *trainer;
+    struct rn_progress progress;
+} run;
+
+static void begin(const char *device, const struct rn_train_config *config) {
+    run.engine = engine_on(device);
+    if (config)
+        OK(rn_trainer_create(run.engine, dataset, config, 0, &run.trainer, &err));
+    else
+        OK(rn_trainer_restore(run.engine, dataset, path, 0, &run.trainer, &err));
+}
+
+static void advance_to(int64_t step) {
+    do {
+        OK(rn_trainer_advance(run.trainer, 0, &err));
+        rn_trainer_progress(run.trainer, &run.progress);
+    } while (!run.progress.done && run.progress.step < step);
+}
+
+static void validate(void) {
+    for (bool done = false; !done;)
+        OK(rn_trainer_validate(run.trainer, 1, &done, &err));
+    rn_trainer_progress(run.trainer, &run.progress);
+}
+
+static void end(void) {
+    rn_trainer_destroy(&run.trainer);
+    rn_engine_destroy(&run.engine);
+}
+
+// The whole of a run; what is known of its field at the end.
+static struct rn_field_info train(const char *device, const struct rn_train_config *config) {
+    struct rn_field_info info;
+    begin(device, config);
+    advance_to(INT64_MAX);
+    validate();
+    OK(rn_trainer_save(run.trainer, path, &err));
+    rn_field_describe(rn_trainer_field(run.trainer), &info);
+    ck_assert_int_eq(rn_trainer_field(run.trainer)->on_device != NULL, strcmp(device, "cpu") != 0);
+    end();
+    return info;
+}
+
+// ---- pictures -------------------------------------------------------------------------------
+
+static void picture(const char *device, double away, struct rn_render_result *ret) {
+    struct rn_engine *engine = engine_on(device);
+    struct rn_field *field;
+    struct rn_render_options options = {.camera = dataset->frames[0].camera,
+                                        .outputs =
+                                            RN_OUTPUT_RGB | RN_OUTPUT_ALPHA | RN_OUTPUT_DEPTH};
+    for (int i = 0; i < 3; i++)
+        options.camera.world_from_camera[i][3] *= away;
+    OK(rn_field_load(engine, path, &field, &err));
+    OK(rn_render(engine, field, &options, NULL, NULL, ret, &err));
+    rn_field_destroy(&field);
+    rn_engine_destroy(&engine);
+}
+
+static double difference(const struct rn_picture *a, const struct rn_picture *b) {
+    double worst = 0;
+    for (int i = 0; i < a->width * a->height * a->channels; i++)
+        worst = fmax(worst, fabs((double)(a->values[i] - b->values[i])));
+    return worst;
+}
+
+// Largest difference of two devices' pictures of the checkpoint.
+static double compare_pictures(const char *one, const char *other, double away) {
+    struct rn_render_result a, b;
+    picture(one, away, &a);
+    picture(other, away, &b);
+    ck_assert_uint_eq(a.stats.samples, b.stats.samples);
+    double worst = fmax(difference(&a.rgb, &b.rgb), difference(&a.alpha, &b.alpha));
+    worst = fmax(worst, difference(&a.depth, &b.depth) / dataset->bounds.radius / 4);
+    rn_render_result_finish(&a);
+    rn_render_result_finish(&b);
+    return worst;
+}
+
+// ---- training -------------------------------------------------------------------------------
+
+// fp16 maps and activations: three hundredths of the loss, a quarter of a decibel.
+static void check_preset(const char *preset) {
+    struct rn_train_config config = small_config(preset, 24);
+    struct rn_field_info there = train("cuda:0", &config);
+    struct rn_progress progress = run.progress;
+    double apart = compare_pictures("cpu", "cuda:0", 1);
+    struct rn_field_info here = train("cpu", &config);
+    const struct rn_effect_record *view = &there.effects[RN_EFFECT_VIEW_DEPENDENCE];
+    printf("%s after 24 steps: loss %.5f and %.5f, held out %.2f and %.2f dB, view dependence "
+           "%.4f and %.4f, pictures %.1e apart\n",
+           preset, progress.loss, run.progress.loss, there.psnr, here.psnr, view->number,
+           here.effects[RN_EFFECT_VIEW_DEPENDENCE].number, apart);
+    ck_assert_int_eq(there.steps, 24);
+    ck_assert_int_eq(there.config.field.base, 16);
+    ck_assert(there.config.field.view_dependence == here.config.field.view_dependence);
+    ck_assert(view->decided && view->on == here.effects[RN_EFFECT_VIEW_DEPENDENCE].on);
+    ck_assert(memcmp(there.kernels, "sm_", 3) == 0);
+    ck_assert_str_ne(here.kernels, there.kernels);
+    ck_assert_uint_eq(progress.steps_rejected + progress.rollbacks + progress.nonfinite_rays, 0);
+    ck_assert_double_eq_tol((double)progress.samples, (double)run.progress.samples,
+                            0.05 * (double)run.progress.samples);
+    ck_assert_double_lt(apart, 5e-3);
+    ck_assert_double_eq_tol(progress.loss, run.progress.loss, 0.03 * run.progress.loss);
+    ck_assert_double_eq_tol(there.psnr, here.psnr, 0.25);
+}
+
+START_TEST(draft_trains) {
+    check_preset("draft");
+}
+END_TEST
+START_TEST(standard_trains) {
+    check_preset("standard");
+}
+END_TEST
+START_TEST(paper_trains) {
+    check_preset("paper");
+}
+END_TEST
+
+// Each device goes on from the other's checkpoint; `show` names who did it last.
+START_TEST(goes_on_anywhere) {
+    const char *const devices[3] = {"cuda:0", "cpu", "cuda:0"};
+    struct rn_train_config config = small_config("standard", 30);
+    begin("cuda:0", &config);
+    for (int i = 0; i < 3; i++) {
+        int64_t until = 16 + 7 * i;
+        if (i > 0) begin(devices[i], NULL);
+        advance_to(until);
+        ck_assert_int_ge(run.progress.step, until);
+        OK(rn_trainer_save(run.trainer, path, &err));
+        struct rn_field_info info;
+        rn_field_describe(rn_trainer_field(run.trainer), &info);
+        ck_assert_int_eq(memcmp(info.kernels, "sm_", 3) == 0, i != 1);
+        end();
+    }
+    ck_assert_int_eq(run.progress.step, 30);
+}
+END_TEST
+
+// What is rendered in the middle of a training is the field as it is there, also where a camera
+// wants levels that the device lacks; and a finished training's field renders on.
+START_TEST(renders_while_it_trains) {
+    struct rn_train_config config = small_config("paper", 20);
+    struct rn_render_options options = {.camera = dataset->frames[0].camera,
+                                        .outputs = RN_OUTPUT_RGB};
+    begin("cuda:0", &config);
+    for (int i = 0; i < 2; i++) {
+        struct rn_render_result near, far, after;
+        advance_to(16 * (i + 1));
+        OK(rn_render(run.engine, rn_trainer_field(run.trainer), &options, NULL, NULL, &near, &err));
+        struct rn_render_options away = options;
+        for (int k = 0; k < 3; k++)
+            away.camera.world_from_camera[k][3] *= 20;
+        OK(rn_render(run.engine, rn_trainer_field(run.trainer), &away, NULL, NULL, &far, &err));
+        OK(rn_trainer_save(run.trainer, path, &err));
+        picture("cpu", 1, &after);
+        ck_assert_double_lt(difference(&near.rgb, &after.rgb), 5e-3);
+        rn_render_result_finish(&after);
+        picture("cpu", 20, &after);
+        ck_assert_double_lt(difference(&far.rgb, &after.rgb), 5e-3);
+        rn_render_result_finish(&after);
+        rn_render_result_finish(&near);
+        rn_render_result_finish(&far);
+    }
+    struct rn_field *field = rn_trainer_finish(&run.trainer);
+    ck_assert_ptr_nonnull(field->on_device);
+    struct rn_render_result last;
+    OK(rn_render(run.engine, field, &options, NULL, NULL, &last, &err));
+    rn_render_result_finish(&last);
+    rn_field_destroy(&field);
+    rn_engine_destroy(&run.engine);
+}
+END_TEST
+
+static bool never(void *context) {
+    ++*(int *)context;
+    return false;
+}
+
+START_TEST(stops_when_asked) {
+    struct rn_train_config config = small_config("paper", 16);
+    struct rn_render_options options = {.camera = dataset->frames[0].camera,
+                                        .outputs = RN_OUTPUT_RGB};
+    struct rn_render_result result;
+    struct rn_error said;
+    int asked = 0;
+    begin("cuda:0", &config);
+    ck_assert(rn_render(run.engine, rn_trainer_field(run.trainer), &options, never, &asked, &result,
+                        &said) == RN_ERROR_CANCELLED);
+    ck_assert_int_eq(asked, 1);
+    end();
+}
+END_TEST
+
+// ---- what goes wrong ------------------------------------------------------------------------
+
+// A rate at which nothing stays within fp16: steps are rejected while the gradients' scale is
+// lowered, then training goes back to what was saved, at half the rate.
+START_TEST(diverges_and_goes_back) {
+    struct rn_train_config config = small_config("draft", 100000);
+    struct rn_incident incident;
+    config.learning_rate = 10;
+    config.plane_rate = 1000;
+    begin("cuda:0", &config);
+    do
+        advance_to(0);
+    while (run.progress.rollbacks == 0 && run.progress.step < 200);
+    ck_assert_uint_eq(run.progress.rollbacks, 1);
+    ck_assert_uint_ge(run.progress.steps_rejected, 40);
+    ck_assert(rn_trainer_take_incident(run.trainer, &incident));
+    ck_assert(incident.kind == RN_INCIDENT_ROLLBACK);
+    ck_assert_int_eq(incident.step, run.progress.step - 1);
+    ck_assert_int_gt(incident.ray_count, 0);
+    ck_assert(!rn_trainer_take_incident(run.trainer, &incident));
+    struct rn_field *field = rn_trainer_field(run.trainer), *fresh;
+    OK(rn_field_create(&field->config, &field->bounds, &fresh, &err));
+    rn_field_randomise(fresh, config.seed);
+    size_t bytes = field->parameters.count * sizeof(float);
+    ck_assert(memcmp(field->parameters.values, fresh->parameters.values, bytes) == 0);
+    rn_field_destroy(&fresh);
+    end();
+}
+END_TEST
+
+// From now on every call of the emulated device fails; 0 ends it.
+static void fail_device(int error) {
+    void (*knob)(int error);
+    void *module = dlopen(getenv("RIPNERF_CUDA_MODULE"), RTLD_NOW | RTLD_NOLOAD);
+    ck_assert_ptr_nonnull(module);
+    *(void **)&knob = dlsym(module, "rn_emulator_fail");
+    ck_assert_ptr_nonnull(*(void **)&knob);
+    knob(error);
+}
+
+START_TEST(a_lost_device_is_said) {
+    struct rn_train_config config = small_config("paper", 16);
+    struct rn_error said;
+    bool done;
+    begin("cuda:0", &config);
+    fail_device(700);
+    ck_assert(rn_trainer_advance(run.trainer, 1, &said) == RN_ERROR_UNAVAILABLE);
+    ck_assert(rn_trainer_validate(run.trainer, 1, &done, &said) == RN_ERROR_UNAVAILABLE);
+    ck_assert(rn_trainer_save(run.trainer, path, &said) == RN_ERROR_UNAVAILABLE);
+    end();
+    fail_device(0);
+}
+END_TEST
+
+START_TEST(what_is_not_there_is_said) {
+    struct rn_error said;
+    struct rn_engine *engine = NULL;
+    const char *const devices[] = {"cuda", "cuda:1", "gpu", "cuda:0x", "cuda:-1"};
+    for (int i = 0; i < 5; i++) {
+        ck_assert(try_engine(devices[i], 0, &engine, &said) == RN_ERROR_UNSUPPORTED);
+        ck_assert_str_eq(said.where, "device");
+        ck_assert_ptr_nonnull(strstr(said.text, "cpu"));
+    }
+    setenv("RIPNERF_CUDA_MODULE", "/nowhere.so", 1);
+    ck_assert(try_engine("cuda:0", 0, &engine, &said) == RN_ERROR_UNSUPPORTED);
+    ck_assert_ptr_nonnull(strstr(said.text, "not installed"));
+    ck_assert_ptr_nonnull(strstr(said.text, "--device cpu"));
+}
+END_TEST
+
+static const char *device_of(const struct rn_engine *engine) {
+    static struct rn_device_info info;
+    rn_engine_describe(engine, &info);
+    return info.device;
+}
+
+// `auto` takes the device, and the CPU for a field that shades every ray.
+START_TEST(auto_takes_what_there_is) {
+    struct rn_train_config config = small_config("standard", 4);
+    config.field.shading = RN_SHADING_RAY;
+    begin("cpu", &config);
+    advance_to(4);
+    ck_assert_str_eq(device_of(run.engine), "cpu");
+    OK(rn_trainer_save(run.trainer, path, &err));
+    end();
+    ck_assert(compare_pictures("cpu", "auto", 1) == 0);
+    struct rn_engine *engine = engine_on("cuda:0");
+    struct rn_field *field;
+    struct rn_error said;
+    ck_assert(rn_field_load(engine, path, &field, &said) == RN_ERROR_UNSUPPORTED);
+    ck_assert_str_eq(said.where, "shading");
+    rn_engine_destroy(&engine);
+    begin("auto", NULL);
+    ck_assert_ptr_null(rn_trainer_field(run.trainer)->on_device);
+    end();
+    begin("auto", &config);
+    ck_assert_str_eq(device_of(run.engine), "cuda:0");
+    ck_assert_ptr_nonnull(rn_trainer_field(run.trainer)->on_device);
+    ck_assert(rn_trainer_config(run.trainer)->field.shading == RN_SHADING_SAMPLE);
+    end();
+    setenv("RIPNERF_CUDA_MODULE", "/nowhere.so", 1);
+    begin("auto", &config);
+    ck_assert_str_eq(device_of(run.engine), "cpu");
+    ck_assert(rn_trainer_config(run.trainer)->field.shading == RN_SHADING_RAY);
+    end();
+}
+END_TEST
+
+// A budget too small for the planes as they will be is refused before anything is trained.
+START_TEST(memory_is_counted_first) {
+    struct rn_train_config config = small_config("standard", 16);
+    struct rn_engine *engine;
+    struct rn_trainer *trainer;
+    struct rn_error said;
+    config.grow_to = 1024;
+    OK(try_engine("cuda:0", (size_t)64 << 20, &engine, &err));
+    ck_assert(rn_trainer_create(engine, dataset, &config, 0, &trainer, &said) == RN_ERROR_LIMIT);
+    ck_assert_ptr_nonnull(strstr(said.text, "MiB"));
+    ck_assert_ptr_nonnull(strstr(said.text, "would fit"));
+    printf("%s\n", said.text);
+    rn_engine_destroy(&engine);
+}
+END_TEST
+
+static void add(Suite *suite, const char *name, const TTest *test) {
+    TCase *tests = tcase_create(name);
+    tcase_add_unchecked_fixture(tests, make_dataset, remove_dataset);
+    tcase_set_timeout(tests, 120);
+    tcase_add_test(tests, test);
+    suite_add_tcase(suite, tests);
+}
+
+int main(void) {
+    setvbuf(stdout, NULL, _IOLBF, 0);
+    Suite *suite = suite_create("device");
+    add(suite, "draft", draft_trains);
+    add(suite, "standard", standard_trains);
+    add(suite, "paper", paper_trains);
+    add(suite, "anywhere", goes_on_anywhere);
+    add(suite, "renders", renders_while_it_trains);
+    add(suite, "stops", stops_when_asked);
+    add(suite, "diverges", diverges_and_goes_back);
+    add(suite, "lost", a_lost_device_is_said);
+    add(suite, "said", what_is_not_there_is_said);
+    add(suite, "auto", auto_takes_what_there_is);
+    add(suite, "memory", memory_is_counted_first);
+    SRunner *runner = srunner_create(suite);
+    srunner_run_all(runner, CK_NORMAL);
+    int failed = srunner_ntests_failed(runner);
+    srunner_free(runner);
+    return failed != 0;
+}
