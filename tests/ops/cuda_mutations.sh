@@ -1,6 +1,6 @@
 #!/bin/bash
-# Plants bugs in the CUDA kernels, one at a time in a scratch copy, and runs the emulated test that
-# must fail: cuda_mutations.sh [PATTERN], PATTERN choosing some by name. RIPNERF_BUILD names a build
+# Plants bugs in the CUDA kernels and in what the engine does with a device, one at a time in a
+# scratch copy, and runs the emulated test that must fail: cuda_mutations.sh [PATTERN], PATTERN choosing some by name. RIPNERF_BUILD names a build
 # folder whose libraries are used. Closes with `N of N caught`; the exit code is 0 only when all
 # were.
 set -u
@@ -38,16 +38,31 @@ run() {
     CK_RUN_CASE=$1 "$scratch/test" >"$scratch/log" 2>&1 || return 1
 }
 
-# mutate CASE FILE WHAT SED_SCRIPT
-mutate() {
-    local case=$1 file=server/engine/cuda/$2 what=$3 script=$4
+# run_engine CASE FILE: the same of the engine's test, FILE in place of the engine's own.
+run_engine() {
+    "${CC:-cc}" -std=c17 -O1 -D_GNU_SOURCE -ffp-contract=off -w -I"$scratch/tree" \
+        -DRN_MODULE_FOLDER='"/nowhere"' -c "$scratch/tree/$2" -o "$scratch/engine.o" \
+        >"$scratch/log" 2>&1 || return 2
+    # shellcheck disable=SC2046 # words on purpose
+    "${CC:-cc}" -o "$scratch/test" "$build"/tests/ops/device_test.p/*.o "$scratch/engine.o" \
+        "$build/server/engine/libengine.a" "$build"/server/engine/libkernels_*.a \
+        "$build/server/engine/libfield.a" "$build/common/libcommon.a" \
+        $(pkg-config --libs check jansson libpng libturbojpeg libarchive) -ljpeg -lm -lpthread -ldl \
+        >"$scratch/log" 2>&1 || return 2
+    CK_RUN_CASE=$1 RIPNERF_CUDA_MODULE=$build/tests/ops/ripnerf-cuda-emulated.so \
+        "$scratch/test" >"$scratch/log" 2>&1 || return 1
+}
+
+# try RUN CASE FILE WHAT SED_SCRIPT
+try() {
+    local run=$1 case=$2 file=$3 what=$4 script=$5
     [[ $what == *$pattern* ]] || return
     tried=$((tried + 1))
     sed -i "$script" "$scratch/tree/$file"
     if cmp -s "$tree/$file" "$scratch/tree/$file"; then
         echo "NO CHANGE  $what ($file)"
     else
-        run "$case"
+        "$run" "$case" "$file"
         case $? in
         1) caught=$((caught + 1)) && echo "caught     $what ($case)" ;;
         2) echo "NO BUILD   $what" && tail -5 "$scratch/log" ;;
@@ -55,6 +70,13 @@ mutate() {
         esac
     fi
     cp "$tree/$file" "$scratch/tree/$file"
+}
+# mutate CASE FILE WHAT SED_SCRIPT: of the kernels, of the engine.
+mutate() {
+    try run "$1" "server/engine/cuda/$2" "$3" "$4"
+}
+mutate_engine() {
+    try run_engine "$1" "server/engine/$2" "$3" "$4"
 }
 
 mkdir "$scratch/tree"
@@ -131,7 +153,38 @@ mutate occupancy occupancy.cuh "occupancy: measured cells do not decay" 's/ \* m
 mutate guards backward.cuh "overflow not reported" 's/batch.status->rejected = 1/batch.status->rejected = 0/'
 mutate guards step.cuh "too many tiles not noticed" 's/s->crowded = s->tiles > b.tile_capacity/s->crowded = 0/'
 mutate guards step.cuh "the gradients' scale stays after an overflow" 's/s->gradient_scale \* 0.5f/s->gradient_scale/'
-mutate guards backend.cu "memory taken without counting" 's/if (bytes > left) {/if (0) {/'
+mutate guards backend.cu "memory taken without counting" 's/if (need <= left) return RN_OK;/return RN_OK;/'
+# The engine with a device.
+mutate_engine standard train/trainer.c "engine: what the host decided stays on the host" \
+    's/return status == RN_OK ? rn_trainer_put(t, err) : status;/return status;/'
+mutate_engine standard train/device.c "engine: Adam counts from 0 after growth" \
+    's/    t->updates = p->updates;//'
+mutate_engine standard train/device.c "engine: planes at the networks' rate" \
+    's/rate \* t->field->config.plane_rate/rate/'
+mutate_engine standard train/device.c "engine: occupancy measured at no step" \
+    's/step.measure = .*/step.measure = false;/'
+mutate_engine standard train/device.c "engine: moments do not follow to the device" \
+    's/\.m = t->m,/.m = NULL,/;s/\.v = t->v}/.v = NULL}/'
+mutate_engine standard device.c "engine: moments are not read back" \
+    's/download(f->on_device, f->parameters.values, m, v,/download(f->on_device, f->parameters.values, NULL, NULL,/'
+mutate_engine paper train/device.c "engine: samples counted twice" \
+    's/    t->counted = p;//'
+mutate_engine renders device.c "engine: parameters read back once only" \
+    's/    if (!f->on_device || .*return RN_OK;/    static int once; if (!f->on_device || once++) return RN_OK;/'
+mutate_engine renders device.c "engine: pyramid not built anew after reading back" \
+    's/    f->fresh_levels = 0;//;s/    f->packed_for = NULL;//'
+mutate_engine renders device.c "engine: occupancy not read back" \
+    's/m, v, f->occupancy, err/m, v, NULL, err/'
+mutate_engine renders render/render.c "engine: a far camera rendered with too few levels" \
+    's/levels <= f->field->device_levels/true/'
+mutate_engine paper train/device.c "engine: held-out views over black" \
+    's/    memcpy(march.background, .*//'
+mutate_engine diverges train/device.c "engine: never back to good numbers" \
+    's/p.rejected_in_a_row < MOST_REJECTED ? RN_OK : roll_back(t, err)/RN_OK/'
+mutate_engine diverges train/device.c "engine: the device keeps what training went back from" \
+    's/    return rn_trainer_put(t, err);/    return RN_OK;/'
+mutate_engine auto device.c "engine: auto insists" \
+    's/if (engine->device_optional \&\& /if (0 \&\& /'
 
 echo "$caught of $tried caught"
 [ "$caught" -eq "$tried" ]

@@ -103,9 +103,9 @@ enum rn_status test_scene_upload(struct test_scene *s, size_t budget, struct rn_
                                     .occupancy = f->occupancy,
                                     .hull = f->hull};
     memcpy(scene.centre, f->bounds.centre, sizeof scene.centre);
-    enum rn_status status = rn_backend_table.open(0, budget, &s->device, &about, err);
+    enum rn_status status = test_backend()->open(0, budget, &s->device, &about, err);
     if (status != RN_OK) return status;
-    return rn_backend_table.field_create(s->device, &scene, &s->on_device, err);
+    return test_backend()->field_create(s->device, &scene, &s->on_device, err);
 }
 
 enum rn_status test_scene_train(struct test_scene *s, bool deterministic, struct rn_error *err) {
@@ -117,13 +117,13 @@ enum rn_status test_scene_train(struct test_scene *s, bool deterministic, struct
                                       .scale_pixels = {FRAMES * SIDE * SIDE},
                                       .pixel_count = FRAMES * SIDE * SIDE};
     struct rn_device_training training = {.deterministic = deterministic, .next_rays = RAYS};
-    return rn_backend_table.train_begin(s->on_device, &pixels, &training, err);
+    return test_backend()->train_begin(s->on_device, &pixels, &training, err);
 }
 
 void test_scene_finish(struct test_scene *s) {
     if (s->device) {
-        rn_backend_table.field_destroy(&s->on_device);
-        rn_backend_table.close(&s->device);
+        test_backend()->field_destroy(&s->on_device);
+        test_backend()->close(&s->device);
     }
     free(s->engine.workspaces);
     rn_field_destroy(&s->field);

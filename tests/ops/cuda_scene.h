@@ -10,7 +10,10 @@
 #define SIDE 12 // pixels of a frame a side
 #define RAYS 96 // of a training step
 
-extern const struct rn_backend rn_backend_table;
+// The backend under test: the emulated one, or with cuda_device.c the module RIPNERF_CUDA_MODULE on
+// this machine's GPU, NULL when there is none. With a GPU the emulator's knobs do nothing.
+const struct rn_backend *test_backend(void);
+bool test_is_emulated(void);
 
 struct test_scene {
     struct rn_train_config config;

@@ -218,7 +218,8 @@ END_TEST
 // What is rendered in the middle of a training is the field as it is there, also where a camera
 // wants levels that the device lacks; and a finished training's field renders on.
 START_TEST(renders_while_it_trains) {
-    struct rn_train_config config = small_config("paper", 20);
+    struct rn_train_config config = small_config("draft", 30);
+    config.field.levels = 4;
     struct rn_render_options options = {.camera = dataset->frames[0].camera,
                                         .outputs = RN_OUTPUT_RGB};
     begin("cuda:0", &config);
@@ -228,14 +229,14 @@ START_TEST(renders_while_it_trains) {
         OK(rn_render(run.engine, rn_trainer_field(run.trainer), &options, NULL, NULL, &near, &err));
         struct rn_render_options away = options;
         for (int k = 0; k < 3; k++)
-            away.camera.world_from_camera[k][3] *= 20;
+            away.camera.world_from_camera[k][3] *= 6;
         OK(rn_render(run.engine, rn_trainer_field(run.trainer), &away, NULL, NULL, &far, &err));
         OK(rn_trainer_save(run.trainer, path, &err));
         picture("cpu", 1, &after);
         ck_assert_double_lt(difference(&near.rgb, &after.rgb), 5e-3);
         rn_render_result_finish(&after);
-        picture("cpu", 20, &after);
-        ck_assert_double_lt(difference(&far.rgb, &after.rgb), 5e-3);
+        picture("cpu", 6, &after);
+        ck_assert(difference(&far.rgb, &after.rgb) == 0); // the CPU's, both
         rn_render_result_finish(&after);
         rn_render_result_finish(&near);
         rn_render_result_finish(&far);
@@ -296,18 +297,19 @@ START_TEST(diverges_and_goes_back) {
     size_t bytes = field->parameters.count * sizeof(float);
     ck_assert(memcmp(field->parameters.values, fresh->parameters.values, bytes) == 0);
     rn_field_destroy(&fresh);
+    advance_to(run.progress.step + 16);
+    ck_assert_uint_eq(run.progress.rollbacks, 1);
     end();
 }
 END_TEST
 
-// From now on every call of the emulated device fails; 0 ends it.
-static void fail_device(int error) {
-    void (*knob)(int error);
+// From now on every call of the emulated device fails; 0 ends it. NULL where the device is real.
+typedef void fail_device(int error);
+static fail_device *find_knob(void) {
     void *module = dlopen(getenv("RIPNERF_CUDA_MODULE"), RTLD_NOW | RTLD_NOLOAD);
-    ck_assert_ptr_nonnull(module);
-    *(void **)&knob = dlsym(module, "rn_emulator_fail");
-    ck_assert_ptr_nonnull(*(void **)&knob);
-    knob(error);
+    fail_device *knob;
+    *(void **)&knob = module ? dlsym(module, "rn_emulator_fail") : NULL;
+    return knob;
 }
 
 START_TEST(a_lost_device_is_said) {
@@ -315,12 +317,12 @@ START_TEST(a_lost_device_is_said) {
     struct rn_error said;
     bool done;
     begin("cuda:0", &config);
-    fail_device(700);
+    find_knob()(700);
     ck_assert(rn_trainer_advance(run.trainer, 1, &said) == RN_ERROR_UNAVAILABLE);
     ck_assert(rn_trainer_validate(run.trainer, 1, &done, &said) == RN_ERROR_UNAVAILABLE);
     ck_assert(rn_trainer_save(run.trainer, path, &said) == RN_ERROR_UNAVAILABLE);
+    find_knob()(0);
     end();
-    fail_device(0);
 }
 END_TEST
 
@@ -402,8 +404,20 @@ static void add(Suite *suite, const char *name, const TTest *test) {
     suite_add_tcase(suite, tests);
 }
 
+static bool has_device(void) {
+    struct rn_error said;
+    struct rn_engine *engine;
+    if (try_engine("cuda:0", 0, &engine, &said) != RN_OK) {
+        printf("%s\n", said.text);
+        return false;
+    }
+    rn_engine_destroy(&engine);
+    return true;
+}
+
 int main(void) {
     setvbuf(stdout, NULL, _IOLBF, 0);
+    if (!has_device()) return 77; // skipped
     Suite *suite = suite_create("device");
     add(suite, "draft", draft_trains);
     add(suite, "standard", standard_trains);
@@ -412,7 +426,7 @@ int main(void) {
     add(suite, "renders", renders_while_it_trains);
     add(suite, "stops", stops_when_asked);
     add(suite, "diverges", diverges_and_goes_back);
-    add(suite, "lost", a_lost_device_is_said);
+    if (find_knob()) add(suite, "lost", a_lost_device_is_said);
     add(suite, "said", what_is_not_there_is_said);
     add(suite, "auto", auto_takes_what_there_is);
     add(suite, "memory", memory_is_counted_first);
