@@ -102,8 +102,13 @@ enum rn_exit rn_api_print_problem(const char *json) {
         fprintf(stderr, "ripnerf: an answer that is no problem document: %.200s\n", json);
         return RN_EXIT_FAILED;
     }
-    print_error(problem.title, problem.detail);
-    for (size_t i = 0; i < problem.error_count; i++) {
+    // Of one fault, place and text are said once.
+    bool only = problem.error_count == 1 && strcmp(problem.detail, problem.errors[0].detail) == 0;
+    if (only)
+        print_error(problem.errors[0].pointer, problem.errors[0].detail);
+    else
+        print_error(problem.title, problem.detail);
+    for (size_t i = 0; i < problem.error_count && !only; i++) {
         const char *pointer = problem.errors[i].pointer, *detail = problem.errors[i].detail;
         if (strstr(problem.detail, pointer) && strstr(problem.detail, detail)) continue; // is said
         fputs("  ", stderr);
@@ -198,18 +203,44 @@ static void get_thing(struct rn_client *client, const char *collection, const ch
     free(path);
 }
 
+// "scene, dataset or job"
+static void list_kinds(unsigned kinds, char *ret_text, size_t capacity) {
+    snprintf(ret_text, capacity, "%s", "");
+    for (size_t i = 0; i < KIND_COUNT; i++) {
+        if (!(kinds & kind_table[i].kind)) continue;
+        kinds &= ~(unsigned)kind_table[i].kind;
+        size_t used = strlen(ret_text);
+        snprintf(ret_text + used, capacity - used, "%s%s",
+                 !used   ? ""
+                 : kinds ? ", "
+                         : " or ",
+                 kind_table[i].word);
+    }
+}
+
+// Adds "scene sc_..." to what a name may mean.
+static void add_match(const char *word, const struct rn_api_reply *reply, char *matches,
+                      size_t capacity) {
+    char id[RN_ID_MAX] = "?";
+    struct rn_error err = {0};
+    size_t used = strlen(matches);
+    if (rn_decode_peek((const char *)reply->http.body.data, reply->http.body.size, "id", RN_ID_MAX,
+                       id, NULL, &err) != RN_OK)
+        snprintf(id, sizeof id, "?");
+    snprintf(matches + used, capacity - used, "%s%s %s", used ? ", " : "", word, id);
+}
+
 enum rn_exit rn_api_find(struct rn_client *client, unsigned kinds, const char *reference,
                          enum rn_kind *ret_kind, struct rn_api_reply *ret_reply) {
     size_t found = 0;
     unsigned candidates = kinds & kinds_of(reference);
-    char wanted[80] = "", matches[80] = "";
+    char wanted[80], matches[160] = "";
     for (size_t i = 0; i < KIND_COUNT; i++) {
-        if (!(kinds & kind_table[i].kind)) continue;
-        snprintf(wanted + strlen(wanted), sizeof wanted - strlen(wanted), "%s%s",
-                 *wanted ? " or " : "", kind_table[i].word);
         if (!(candidates & kind_table[i].kind)) continue;
         struct rn_api_reply reply;
         get_thing(client, kind_table[i].collection, reference, &reply);
+        if (reply.code == RN_EXIT_OK)
+            add_match(kind_table[i].word, &reply, matches, sizeof matches);
         if (reply.code == RN_EXIT_OK && found++ == 0) {
             *ret_kind = kind_table[i].kind;
             *ret_reply = reply;
@@ -221,16 +252,13 @@ enum rn_exit rn_api_find(struct rn_client *client, unsigned kinds, const char *r
         } else {
             rn_api_reply_finish(&reply);
         }
-        if (reply.code == RN_EXIT_OK)
-            snprintf(matches + strlen(matches), sizeof matches - strlen(matches), "%sa %s",
-                     *matches ? " and " : "", kind_table[i].word);
     }
     if (found == 1) return RN_EXIT_OK;
     if (found) {
         rn_api_reply_finish(ret_reply);
-        return rn_client_usage(reference, "is ambiguous: there is %s of that name; give the id",
-                               matches);
+        return rn_client_usage(reference, "is ambiguous; give the id: %s", matches);
     }
+    list_kinds(kinds, wanted, sizeof wanted);
     fprintf(stderr, "ripnerf: %s: there is no %s of that name or id\n", reference, wanted);
     return RN_EXIT_NOT_FOUND;
 }

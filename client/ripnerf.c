@@ -12,7 +12,7 @@
 
 struct globals {
     const char *host, *token_file;
-    bool json, help;
+    bool json, help, version;
 };
 
 static const struct rn_option global_table[] = {
@@ -35,6 +35,10 @@ static const struct rn_option global_table[] = {
      .kind = RN_OPTION_FLAG,
      .offset = offsetof(struct globals, help),
      .help = "explain the verb"},
+    {.name = "version",
+     .kind = RN_OPTION_FLAG,
+     .offset = offsetof(struct globals, version),
+     .help = "this program's version"},
     {0}};
 
 static const struct rn_verb *const groups[] = {rn_verbs_dataset, rn_verbs_job,   rn_verbs_scene,
@@ -160,6 +164,10 @@ static enum rn_exit run(int argc, char **argv) {
     if (rn_options_parse(&tables, argc - 1 - (word < argc), argv + 1 + (word < argc),
                          verb ? verb->args_max : 1, args, &count, &err) != RN_OK)
         return rn_client_usage(err.where, "%s", err.text);
+    if (globals.version) {
+        puts("ripnerf " RN_VERSION);
+        return RN_EXIT_OK;
+    }
     if (is_help || globals.help || !verb)
         return is_help || globals.help ? help(verb ? verb->name : args[0])
                                        : (print_overview(), RN_EXIT_USAGE);

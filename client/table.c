@@ -18,7 +18,7 @@ static void add_row(struct rn_text_table *table, const char *text) {
     char(*row)[RN_TEXT_TABLE_CELL] = table->cells + table->rows++ * table->columns;
     memset(row, 0, table->columns * RN_TEXT_TABLE_CELL);
     for (size_t i = 0; i < table->columns; i++) {
-        size_t size = strcspn(text, "|");
+        size_t size = i + 1 < table->columns ? strcspn(text, "|") : strlen(text);
         snprintf(row[i], RN_TEXT_TABLE_CELL, "%.*s", (int)size, text);
         text += size + (text[size] == '|');
     }

@@ -6,6 +6,7 @@
 
 #include "client/commands/submit.h"
 #include "client/follow.h"
+#include "client/outcome.h"
 #include "proto/incident.h"
 
 static const struct rn_option no_options[] = {{0}};
@@ -234,7 +235,9 @@ static void add_job_row(struct rn_text_table *table, const void *message) {
     const struct rn_job *job = message;
     char text[RN_TEXT_TABLE_CELL] = "";
     double fraction = NAN;
-    if (!rn_job_has_ended(job))
+    if (rn_job_has_ended(job))
+        rn_format_outcome(job, text, sizeof text);
+    else
         rn_format_progress(job, job->progress, &fraction, text, sizeof text);
     rn_text_table_row(table, "%s|%s|%s|%s|%s|%s", job->id, rn_job_type_names[job->type],
                       rn_job_state_names[job->state],
@@ -245,7 +248,7 @@ static void add_job_row(struct rn_text_table *table, const void *message) {
 static enum rn_exit run_jobs(struct rn_client *client, const void *options, const char **args) {
     static const struct rn_api_list list = {.kind = RN_KIND_JOB,
                                             .table = &rn_job_table,
-                                            .heading = "ID|TYPE|STATE|FOR|CREATED|PROGRESS",
+                                            .heading = "ID|TYPE|STATE|FOR|CREATED|FIGURES",
                                             .row = add_job_row};
     return rn_api_print_list(client, &list);
 }

@@ -459,9 +459,10 @@ static enum rn_exit print_evaluation(const char *json) {
     rn_text_table_row(&table, "mean|%s|%.4f", psnr, result.ssim);
     enum rn_status status = rn_text_table_print(&table, &err);
     rn_text_table_finish(&table);
-    printf("\n%lld %s views, spread over views %.2f dB and %.4f, %.1f ms a frame (median)\n",
-           (long long)result.views, rn_split_names[result.protocol.split], result.psnr_spread,
-           result.ssim_spread, result.render_ms_median);
+    printf("\n%lld %s view%s, spread over views %.2f dB and %.4f, %.1f ms a frame (median)\n",
+           (long long)result.views, rn_split_names[result.protocol.split],
+           result.views == 1 ? "" : "s", result.psnr_spread, result.ssim_spread,
+           result.render_ms_median);
     printf("protocol: step %lld, background (%g, %g, %g), scales averaged %s, rounding %s, "
            "trained on %s, seed %lld, %s, %s\n",
            (long long)result.protocol.step, result.protocol.background[0],

@@ -5,6 +5,7 @@
 #include <string.h>
 
 #include "client/follow.h"
+#include "client/outcome.h"
 #include "proto/event.h"
 #include "proto/render.h"
 #include "proto/scene.h"
@@ -62,14 +63,23 @@ static void print_config(const struct rn_field_config_record *config) {
                 rn_train_split_names[config->train_split]);
 }
 
+// The threshold in the unit that the reason is told in.
+static void print_threshold(const struct rn_effect_entry *effect) {
+    double threshold = effect->threshold;
+    if (isnan(threshold) || strcmp(effect->name, "view-dependence") == 0) return; // is said
+    if (strcmp(effect->name, "background") == 0)
+        printf(" (threshold %.3g %%)", 100 * threshold);
+    else
+        printf(" (threshold %.3g times)", exp2(threshold)); // both are in octaves
+}
+
 static void print_effects(const struct rn_scene_description *description) {
     if (description->effect_count) puts("\neffects");
     for (size_t i = 0; i < description->effect_count; i++) {
         const struct rn_effect_entry *effect = &description->effects[i];
         printf("  %-16s %-8s  %s", effect->name,
                effect->decided ? effect->on ? "on" : "off" : "not yet", effect->reason);
-        if (!isnan(effect->number) && !isnan(effect->threshold))
-            printf(" (%.3g, threshold %.3g)", effect->number, effect->threshold);
+        print_threshold(effect);
         putchar('\n');
     }
     if (description->difference_count) puts("\ndiffers from the paper");
@@ -113,6 +123,7 @@ static void print_scene(const void *message) {
                 scene->loaded ? ", loaded" : "");
     print_field("dataset", "%s (%s)", scene->dataset_name, scene->dataset);
     print_field("trained", "%lld steps in %s by %s", (long long)scene->steps, seconds, scene->job);
+    if (scene->state == RN_SCENE_FAILED) print_field("why", "ripnerf show %s", scene->job);
     print_field("PSNR", "%s dB%s%s", format_psnr(scene->psnr, psnr), *scene->held_out ? " on " : "",
                 scene->held_out);
     print_field("parameters", "%s",
@@ -151,9 +162,12 @@ static void print_dataset(const void *message) {
 
 static void print_job(const void *message) {
     const struct rn_job *job = message;
-    char text[200];
+    char text[400];
     double fraction;
-    rn_format_progress(job, job->progress, &fraction, text, sizeof text);
+    if (rn_job_has_ended(job))
+        rn_format_outcome(job, text, sizeof text);
+    else
+        rn_format_progress(job, job->progress, &fraction, text, sizeof text);
     print_field("job", "%s, %s, attempt %lld", job->id, rn_job_type_names[job->type],
                 (long long)job->attempt);
     print_field("state", "%s", rn_job_state_names[job->state]);
@@ -163,9 +177,11 @@ static void print_job(const void *message) {
     if (*job->started_at) print_field("started", "%s", job->started_at);
     if (*job->finished_at) print_field("finished", "%s", job->finished_at);
     print_field("options", "%s", job->options);
-    if (*text) print_field("progress", "%s", text);
-    if (job->result) print_field("result", "%s", job->result);
-    if (job->problem) print_field("problem", "%s", job->problem);
+    if (*text)
+        print_field(job->problem               ? "problem"
+                    : rn_job_has_ended(job) ? "result"
+                                            : "progress",
+                    "%s", text);
 }
 
 static void print_path(const void *message) {

@@ -66,7 +66,7 @@ enum rn_status rn_job_next(enum rn_job_type type, enum rn_job_state state, enum 
     int next = command(type, state, event, attached);
     if (next < 0) next = report(state, event);
     if (next < 0)
-        return rn_error_set(err, RN_ERROR_CONFLICT, "", "cannot %s this %s job: it is %s",
+        return rn_error_set(err, RN_ERROR_CONFLICT, "", "cannot %s this %s job: its state is %s",
                             rn_job_event_name(event), rn_job_type_names[type],
                             rn_job_state_names[state]);
     *ret_state = (enum rn_job_state)next;

@@ -3,6 +3,7 @@
 import json
 import os
 import pty
+import re
 import signal
 import socket
 import struct
@@ -86,11 +87,16 @@ def test_a_wrong_command_line_is_a_usage_error(client, arguments, daemon):
 
 @pytest.mark.parametrize("verb", ["validate", "import", "synth", "train", "jobs", "show", "watch",
                                   "pause", "resume", "finish", "cancel", "datasets", "scenes",
-                                  "rm", "render", "path", "eval", "info"])
+                                  "rm", "render", "path", "eval", "info", "bench", "doctor"])
 def test_every_verb_explains_itself(client, verb):
     text = client.run("help", verb).stdout
     assert text.startswith(f"usage: ripnerf {verb}") and "--json" in text
     assert client.run(verb, "--help").stdout == text
+
+
+def test_version(client, daemon):
+    assert re.fullmatch(r"ripnerf \d+\.\d+\.\d+\n", client.run("--version").stdout)
+    assert not daemon.requests
 
 
 def test_global_options_stand_before_or_behind_the_verb(client, daemon):
@@ -236,6 +242,33 @@ def test_show_job(client, scene):
     client.run("cancel", job)
 
 
+def test_how_a_job_went_is_told(client, scene, daemon):
+    """In `jobs` and in `show`: the figures of one that succeeded, the reason of one that failed."""
+    result = contract.example("TrainResult")
+    figures = f"{result['steps']} steps"
+    client.run("train", "lego-400", "--name", "good", "--wait")
+    client.run("train", "lego-400", "--name", "fail", "--wait", code=FAILED)
+    client.run("eval", "good")
+    ids = {line.split()[1] + line.split()[3]: line.split()[0]
+           for line in client.run("jobs").stdout.splitlines()[1:]}
+    lines = client.run("jobs").stdout
+    for job, words in (("traingood", figures), ("trainfail", "the loss is not finite"),
+                       ("evalgood", f"SSIM {contract.example('EvalResult')['ssim']:.4f}")):
+        assert words in next(line for line in lines.splitlines() if ids[job] in line)
+        assert words in client.run("show", ids[job]).stdout
+    next(s for s in daemon.scenes.values() if s["name"] == "fail")["state"] = "failed"
+    assert f"ripnerf show {ids['trainfail']}" in client.run("show", "fail").stdout
+
+
+def test_an_effect_is_told_in_its_own_unit(client, scene):
+    text = client.run("show", "lego").stdout
+    for effect in contract.example("Scene")["effects"]:
+        line = next(line for line in text.splitlines() if f" {effect['name']} " in line)
+        assert effect["reason"] in line
+        if effect["name"] in ("scale-pyramid", "anisotropy") and effect["threshold"] is not None:
+            assert f"threshold {2 ** effect['threshold']:.3g} times" in line
+
+
 def test_what_is_not_there(client, daemon):
     for verb in (["show", "nothing"], ["show", "sc_aaaaaaaaaaaa"], ["show", "job_aaaaaaaaaaaa"],
                  ["rm", "nothing"], ["watch", "nothing"], ["cancel", "job_aaaaaaaaaaaa"],
@@ -249,7 +282,7 @@ def test_an_ambiguous_name(client, daemon):
     dataset = daemon.add_dataset("twin")
     scene = daemon.add_scene("twin", dataset)
     result = client.run("show", "twin", code=USAGE)
-    assert "a scene and a dataset" in result.stderr
+    assert scene["id"] in result.stderr and dataset["id"] in result.stderr
     client.run("rm", "twin", code=USAGE)
     assert client.json("show", scene["id"])["id"] == scene["id"]
 
@@ -339,7 +372,7 @@ def test_a_lost_connection_is_taken_up_where_it_broke(client, daemon):
 def test_conflict_and_bad_value(client, scene):
     assert "already" in client.run("train", "lego-400", "--name", "lego", code=FAILED).stderr
     result = client.run("train", "lego-400", "--name", "x", "--device", "gpu", code=INVALID)
-    assert "#/options/device" in result.stderr
+    assert result.stderr.count("#/options/device") == 1
 
 
 def wait_for(condition):
