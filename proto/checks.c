@@ -4,6 +4,7 @@
 #include <stddef.h>
 #include <string.h>
 
+#include "proto/dataset.h"
 #include "proto/job.h"
 #include "proto/names.h"
 
@@ -38,6 +39,12 @@ const char *rn_check_split_spec(const char *text) {
         made_of(number, DIGITS) && strlen(number) <= 6)
         return NULL;
     return "must be \"files\" or \"every:N\" with N from 1 to 999999";
+}
+
+const char *rn_check_bounds(const char *text) {
+    double centre[3], radius;
+    if (made_of(text, DIGITS "+-.eE,") && rn_ingest_bounds(text, centre, &radius)) return NULL;
+    return "must be X,Y,Z,RADIUS: four numbers, the radius above 0";
 }
 
 const char *rn_check_device(const char *text) {

@@ -1,5 +1,6 @@
 #include "proto/dataset.h"
 
+#include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -14,6 +15,7 @@ static const struct rn_field_spec ingest_options[] = {
     RN_F_INT(S, scales, 0, 1, 8),
     RN_F_NAME(S, alpha, 0, rn_alpha_mode_names),
     RN_F_TEXT(S, split, 0, rn_check_split_spec),
+    RN_F_TEXT(S, bounds, 0, rn_check_bounds),
 };
 const struct rn_table rn_ingest_options_table = RN_TABLE(S, "import options", ingest_options);
 #undef S
@@ -21,6 +23,20 @@ const struct rn_table rn_ingest_options_table = RN_TABLE(S, "import options", in
 int rn_ingest_split_every(const char *split) {
     const char *colon = strchr(split, ':');
     return colon ? atoi(colon + 1) : 0;
+}
+
+bool rn_ingest_bounds(const char *bounds, double ret_centre[3], double *ret_radius) {
+    double numbers[4];
+    for (int i = 0; i < 4; i++) {
+        char *end;
+        numbers[i] = strtod(bounds, &end);
+        if (end == bounds || *end != (i < 3 ? ',' : '\0') || !isfinite(numbers[i])) return false;
+        bounds = end + 1;
+    }
+    if (!(numbers[3] > 0)) return false;
+    memcpy(ret_centre, numbers, 3 * sizeof *numbers);
+    *ret_radius = numbers[3];
+    return true;
 }
 
 static const char *check_directory(const char *text) {

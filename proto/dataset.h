@@ -13,10 +13,14 @@ struct rn_ingest_options {
     int64_t max_size, scales;
     int alpha;      // rn_alpha_mode_names
     char split[16]; // "files" or "every:N"
+    char bounds[128]; // "X,Y,Z,RADIUS" of the sphere that holds the scene
 };
 extern const struct rn_table rn_ingest_options_table;
 // N of "every:N"; 0 for "files" and "". The text was checked by the table.
 int rn_ingest_split_every(const char *split);
+// The sphere of "X,Y,Z,RADIUS", each finite and the radius above 0; false, and nothing set, for any
+// other text, such as "".
+bool rn_ingest_bounds(const char *bounds, double ret_centre[3], double *ret_radius);
 
 // POST /v1/datasets with application/json.
 struct rn_dataset_request {

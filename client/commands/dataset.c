@@ -140,7 +140,7 @@ static enum rn_exit run_validate(struct rn_client *client, const void *options, 
 // ---- import ----
 
 struct import_options {
-    const char *name, *alpha, *split;
+    const char *name, *alpha, *split, *bounds;
     int64_t max_size, scales;
 };
 #define IMPORT(m) .offset = offsetof(struct import_options, m)
@@ -174,6 +174,11 @@ static const struct rn_option import_table[] = {
      IMPORT(split),
      .value = "SPEC",
      .help = "files, or every:N to make each N-th training view a test view"},
+    {.name = "bounds",
+     .kind = RN_OPTION_TEXT,
+     IMPORT(bounds),
+     .value = "X,Y,Z,R",
+     .help = "the sphere that holds the scene; else by layout or from the cameras"},
     {0}};
 
 static int compare_names(const void *a, const void *b) {
@@ -253,6 +258,7 @@ static void import_query(const struct import_options *options, struct rn_buf *re
     }
     if (options->alpha) add_query(ret_query, "alpha", options->alpha);
     if (options->split) add_query(ret_query, "split", options->split);
+    if (options->bounds) add_query(ret_query, "bounds", options->bounds);
 }
 
 // Sends the archive; the reply is the ingest job's.

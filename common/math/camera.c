@@ -16,6 +16,18 @@ struct rn_camera rn_camera_resized(const struct rn_camera *camera, int width, in
     return out;
 }
 
+struct rn_camera rn_camera_reframed(const struct rn_camera *camera, int width, int height) {
+    struct rn_camera out = *camera;
+    double s = (double)height / camera->height;
+    out.width = width;
+    out.height = height;
+    out.fx *= s;
+    out.fy *= s;
+    out.cx = 0.5 * width + s * (camera->cx - 0.5 * camera->width);
+    out.cy *= s;
+    return out;
+}
+
 static enum rn_status bad(const char *where, const char *field, const char *text,
                           struct rn_error *err) {
     char path[256];

@@ -54,6 +54,10 @@ RN_HD struct rn_ray rn_camera_ray(const struct rn_camera *camera, double px, dou
 // The camera of the same view at another image size: intrinsics scale with the image.
 struct rn_camera rn_camera_resized(const struct rn_camera *camera, int width, int height);
 
+// The camera as a picture of another shape: the field of view from top to bottom and the shape of a
+// pixel stay, the sides show more or less. rn_camera_resized where the shapes are the same.
+struct rn_camera rn_camera_reframed(const struct rn_camera *camera, int width, int height);
+
 // Checks sizes, finite values, positive focals and a rigid pose (|R^T R - 1| <= 1e-3 per entry,
 // det > 0). `where` prefixes the field in the error. RN_OK or RN_ERROR_INVALID.
 enum rn_status rn_camera_check(const struct rn_camera *camera, const char *where,

@@ -26,12 +26,14 @@ static enum rn_status check_text(const char *text, const char *where,
 // Name and options of an upload stand in the query.
 static enum rn_status read_query(struct rn_request *request, const char **ret_name,
                                  struct rn_ingest_options *options, struct rn_error *err) {
-    static const char *const known[] = {"name", "max_size", "scales", "alpha", "split", NULL};
+    static const char *const known[] = {"name",  "max_size", "scales", "alpha",
+                                        "split", "bounds",   NULL};
     const char *name = rn_request_query(request, "name");
     const char *max_size = rn_request_query(request, "max_size");
     const char *scales = rn_request_query(request, "scales");
     const char *alpha = rn_request_query(request, "alpha");
     const char *split = rn_request_query(request, "split");
+    const char *bounds = rn_request_query(request, "bounds");
     rn_message_init(&rn_ingest_options_table, options);
     enum rn_status status = rn_request_check_query(request, known, err);
     if (status == RN_OK && name == NULL)
@@ -50,6 +52,12 @@ static enum rn_status read_query(struct rn_request *request, const char **ret_na
     if (status == RN_OK && split != NULL) {
         status = check_text(split, "split", rn_check_split_spec, err);
         if (status == RN_OK) snprintf(options->split, sizeof options->split, "%s", split);
+    }
+    if (status == RN_OK && bounds != NULL) {
+        status = check_text(bounds, "bounds", rn_check_bounds, err);
+        if (status == RN_OK && strlen(bounds) >= sizeof options->bounds)
+            status = rn_error_set(err, RN_ERROR_INVALID, "bounds", "is too long");
+        if (status == RN_OK) snprintf(options->bounds, sizeof options->bounds, "%s", bounds);
     }
     if (status == RN_OK) *ret_name = name;
     return status;

@@ -123,6 +123,8 @@ static enum rn_status import(struct ingest *ingest, const struct rn_dataset *sou
         .downscale = (enum rn_downscale)rn_name_or(options->alpha, RN_DOWNSCALE_PREMULTIPLIED),
         .test_every = rn_ingest_split_every(options->split),
         .threads = threads ? threads : usable_cores()};
+    import_options.bounds_given = rn_ingest_bounds(options->bounds, import_options.bounds.centre,
+                                                   &import_options.bounds.radius);
     enum rn_status status = rn_mkdirs(order->target, 0777, err);
     if (!status)
         status = rn_dataset_import(source, order->name, &import_options, order->target, problems,

@@ -82,8 +82,8 @@ static enum rn_status render_options(struct rn_host *host, const struct rn_rende
     enum rn_status status = find_camera(host, request, &options.camera, err);
     if (status) return status;
     if (request->size.width != RN_ABSENT)
-        options.camera =
-            rn_camera_resized(&options.camera, (int)request->size.width, (int)request->size.height);
+        options.camera = rn_camera_reframed(&options.camera, (int)request->size.width,
+                                            (int)request->size.height);
     for (int i = 0; i < 3; i++)
         options.background[i] = isnan(request->background[0]) ? info->config.background[i]
                                                               : (float)request->background[i];

@@ -203,7 +203,7 @@ static struct rn_camera frame_camera(const struct rn_work *work, size_t unit) {
     const struct rn_path_options *options = &work->path->options;
     struct rn_camera camera = rn_path_camera(work->keys, work->first + unit);
     if (options->width == RN_ABSENT) return camera;
-    return rn_camera_resized(&camera, (int)options->width, (int)options->height);
+    return rn_camera_reframed(&camera, (int)options->width, (int)options->height);
 }
 
 static enum rn_status prepare_path(struct rn_host *host, struct rn_work *work,

@@ -161,7 +161,7 @@ def test_validate_of_nothing(client, tmp_path):
 
 def test_import_sends_exactly_the_files_that_the_json_names(client, folder, daemon):
     dataset = client.json("import", folder, "--name", "blank", "--max-size", 8, "--scales", 2,
-                          "--alpha", "straight", "--split", "every:8")
+                          "--alpha", "straight", "--split", "every:8", "--bounds", "0,0,1,2.5")
     assert dataset["name"] == "blank"
     sent = daemon.uploads["blank"]
     splits = ("train", "val", "test")
@@ -170,7 +170,8 @@ def test_import_sends_exactly_the_files_that_the_json_names(client, folder, daem
     for name, data in sent.items():
         assert data == (folder / name).read_bytes()
     options = next(iter(daemon.jobs.values())).record["options"]
-    assert options == {"max_size": 8, "scales": 2, "alpha": "straight", "split": "every:8"}
+    assert options == {"max_size": 8, "scales": 2, "alpha": "straight", "split": "every:8",
+                       "bounds": "0,0,1,2.5"}
 
 
 def test_import_with_a_slash_and_long_names(client, tmp_path, daemon):

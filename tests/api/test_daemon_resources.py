@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from support import contract
-from support.checked import Daemon
+from support.checked import Daemon, make_tar
 from support.photographs import pose
 
 CAMERA = {"world_from_camera": [row[:] for row in pose(0.3)[:3]], "axes": "opengl",
@@ -84,6 +84,20 @@ def test_dataset_by_upload(shared):
         assert shared.get(f"/v1/datasets/data/images/{path}").status == 422
 
 
+def test_given_bounds(shared, photographs):
+    """The sphere that the user names, by either way of importing, and its name."""
+    sphere = {"centre": [0.5, -1, 0], "radius": 2.5, "source": "given"}
+    reply = shared.post("/v1/datasets", body=make_tar(photographs),
+                        query={"name": "bounded", "bounds": "0.5,-1,0,2.5"},
+                        headers={"Content-Type": "application/x-tar"})
+    other = shared.post("/v1/datasets", {"name": "bounded-too", "directory": str(photographs),
+                                         "options": {"bounds": "0.5,-1,0,2.5"}})
+    for name, job in (("bounded", reply), ("bounded-too", other)):
+        assert shared.wait(job.json["id"])["state"] == "succeeded"
+        assert shared.get(f"/v1/datasets/{name}").json["bounds"] == sphere
+        assert shared.delete(f"/v1/datasets/{name}").status == 204
+
+
 def test_dataset_by_directory(shared, photographs):
     reply = shared.post("/v1/datasets", {"name": "named", "directory": str(photographs),
                                          "options": {"scales": 2, "max_size": 12}})
@@ -115,7 +129,9 @@ def test_no_root(make_daemon, photographs):
 @pytest.mark.parametrize("query", [
     {}, {"name": "../x"}, {"name": "ds_x"}, {"name": "a b"}, {"name": "n", "scales": 0},
     {"name": "n", "scales": 99}, {"name": "n", "alpha": "none"}, {"name": "n", "split": "every:0"},
-    {"name": "n", "max_size": "big"}, {"name": "n", "unknown": 1}])
+    {"name": "n", "max_size": "big"}, {"name": "n", "unknown": 1}, {"name": "n", "bounds": "0,0,0"},
+    {"name": "n", "bounds": "0,0,0,-1"}, {"name": "n", "bounds": "0,0,0,nan"},
+    {"name": "n", "bounds": "0,0,0,1" + "0" * 130}])
 def test_upload_refused_by_query(shared, query):
     reply = shared.post("/v1/datasets", body=b"x" * 1000, query=query,
                         headers={"Content-Type": "application/x-tar"})

@@ -5,7 +5,7 @@ import signal
 import time
 
 import pytest
-from PIL import Image
+from PIL import Image, ImageChops
 
 from support import contract
 from support.client import CANCELLED, FAILED, INVALID, NOT_FOUND, OK, Client
@@ -85,13 +85,17 @@ def test_render(client, trained, tmp_path):
     assert name["layout"] == "blender"
     for file, options in (("a.png", []), ("b.png", []), ("d.png", ["--output", "depth"]),
                           ("m.png", ["--output", "alpha"]), ("j.jpg", []),
-                          ("s.png", ["--size", "20x12"])):
+                          ("s.png", ["--size", "20x12"]), ("w.png", ["--size", "64x32"])):
         view = "test:r_3" if file == "b.png" else "test:3"
         result = client.json("render", "ball", "--view", view, *options, "-o", tmp_path / file)
         assert result["step"] == STEPS and result["render_ms"] > 0
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
     assert Image.open(tmp_path / "a.png").size == (32, 32)
     assert Image.open(tmp_path / "s.png").size == (20, 12)
+    # A wider picture shows more at the sides and the same in the middle.
+    wide = Image.open(tmp_path / "w.png").crop((16, 0, 48, 32))
+    difference = ImageChops.difference(wide, Image.open(tmp_path / "a.png"))
+    assert max(high for _, high in difference.getextrema()) <= 2
     assert Image.open(tmp_path / "d.png").mode.startswith("I")
     assert Image.open(tmp_path / "j.jpg").format == "JPEG"
     client.run("render", "ball", "--view", "test:99", "-o", tmp_path / "x.png", code=NOT_FOUND)

@@ -59,6 +59,29 @@ START_TEST(resized_keeps_directions) {
 }
 END_TEST
 
+// What both pictures show looks the same in both, whatever the new shape.
+START_TEST(reframed_keeps_shapes) {
+    static const int sizes[][2] = {{800, 600}, {1600, 600}, {400, 300}, {300, 300}, {1000, 150}};
+    for (size_t i = 0; i < sizeof sizes / sizeof *sizes; i++) {
+        struct rn_camera full = example();
+        struct rn_camera other = rn_camera_reframed(&full, sizes[i][0], sizes[i][1]);
+        double scale = sizes[i][1] / 600.0;
+        ck_assert_int_eq(other.width, sizes[i][0]);
+        ck_assert_int_eq(other.height, sizes[i][1]);
+        ck_assert_double_eq_tol(other.fx / other.fy, full.fx / full.fy, 1e-12);
+        ck_assert_double_eq_tol(rn_camera_fov_y(&other), rn_camera_fov_y(&full), 1e-12);
+        for (int k = -3; k <= 3; k++) {
+            double x = 400 + 30 * k, y = 300 + 70 * k; // of the old picture
+            struct rn_ray a = rn_camera_ray(&full, x, y);
+            struct rn_ray b =
+                rn_camera_ray(&other, 0.5 * sizes[i][0] + scale * (x - 400), scale * y);
+            for (int c = 0; c < 3; c++)
+                ck_assert_double_eq_tol(a.direction[c], b.direction[c], 1e-14);
+        }
+    }
+}
+END_TEST
+
 START_TEST(fields_of_view) {
     for (double degrees = 0.01; degrees < 179.5; degrees *= 1.3) {
         double radians = degrees * pi / 180;
@@ -153,6 +176,7 @@ int main(void) {
     tcase_add_test(cases, principal_ray);
     tcase_add_test(cases, axes);
     tcase_add_test(cases, resized_keeps_directions);
+    tcase_add_test(cases, reframed_keeps_shapes);
     tcase_add_test(cases, fields_of_view);
     tcase_add_test(cases, checks);
     tcase_add_test(cases, look_at);

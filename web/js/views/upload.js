@@ -85,18 +85,28 @@ function importOptions() {
       'Test: every N-th view',
       h('input', {type: 'number', min: 1, max: 100000, placeholder: 'as in the files'}),
       {pointer: '/options/split'});
+  const bounds = field(
+      'Bounds', h('input', {
+        type: 'text',
+        placeholder: 'from the dataset',
+        spellcheck: 'false',
+        autocomplete: 'off'
+      }),
+      {pointer: '/options/bounds', hint: 'Centre and radius: x,y,z,r'});
   const values = () => {
     const options = {};
     if (size.control.value) options.max_size = Number(size.control.value);
     if (scales.control.value) options.scales = Number(scales.control.value);
     if (alpha.control.value !== 'premultiplied') options.alpha = alpha.control.value;
     if (split.control.value) options.split = `every:${split.control.value}`;
+    if (bounds.control.value.trim()) options.bounds = bounds.control.value.replaceAll(' ', '');
     return options;
   };
   const node =
       h('details', null, h('summary', null, 'Import options'),
-        h('div', {class: 'form-grid'}, size.node, scales.node, split.node, alpha.node));
-  return {node, values, fields: [size, scales, alpha, split]};
+        h('div', {class: 'form-grid'}, size.node, scales.node, split.node, bounds.node,
+          alpha.node));
+  return {node, values, fields: [size, scales, alpha, split, bounds]};
 }
 
 const nameField = (value) => field(
