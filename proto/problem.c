@@ -13,7 +13,7 @@ static const struct {
     [RN_PROBLEM_NOT_FOUND] = {"not-found", "No such thing", 404},
     [RN_PROBLEM_METHOD_NOT_ALLOWED] = {"method-not-allowed", "The method is not allowed here", 405},
     [RN_PROBLEM_NOT_ACCEPTABLE] = {"not-acceptable", "No acceptable picture format", 406},
-    [RN_PROBLEM_CONFLICT] = {"conflict", "The current state forbids this", 409},
+    [RN_PROBLEM_CONFLICT] = {"conflict", "In conflict with what is there", 409},
     [RN_PROBLEM_CANCELLED] = {"cancelled", "It was cancelled", 409},
     [RN_PROBLEM_TOO_LARGE] = {"too-large", "A limit would be exceeded", 413},
     [RN_PROBLEM_MEDIA_TYPE] = {"media-type", "Unknown Content-Type", 415},

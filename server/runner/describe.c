@@ -185,9 +185,14 @@ static struct rn_split_counts split_counts(const int counts[RN_SPLIT_COUNT]) {
                                     .test = counts[RN_SPLIT_TEST]};
 }
 
-const char *rn_relative_place(const char *place, const char *root) {
+void rn_make_relative(char *text, const char *root) {
     size_t length = strlen(root);
-    return strncmp(place, root, length) == 0 && place[length] == '/' ? place + length + 1 : place;
+    for (char *at = text; length && (at = strstr(at, root)) != NULL;) {
+        if (at[length] == '/')
+            memmove(at, at + length + 1, strlen(at + length + 1) + 1);
+        else
+            at += length;
+    }
 }
 
 // JSON of rn_dataset_report_table.
@@ -198,9 +203,8 @@ static enum rn_status report_json(const struct rn_dataset *source, const char *r
     enum rn_status status = rn_dataset_report_fill(source, problems, &report, err);
     if (status) return status;
     for (size_t i = 0; i < report.problem_count; i++) {
-        char *where = report.problems[i].where;
-        const char *place = rn_relative_place(where, root);
-        memmove(where, place, strlen(place) + 1);
+        rn_make_relative(report.problems[i].where, root);
+        rn_make_relative(report.problems[i].text, root);
     }
     status = rn_encode(&rn_dataset_report_table, &report, ret_json, NULL, err);
     rn_message_finish(&rn_dataset_report_table, &report);

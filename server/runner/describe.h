@@ -22,8 +22,8 @@ struct rn_train_progress rn_describe_progress(const struct rn_progress *progress
 // A preset with the options put over it and checked.
 enum rn_status rn_configure(const struct rn_train_options *options, bool multi_scale,
                             struct rn_train_config *ret_config, struct rn_error *err) RN_MUST_CHECK;
-// `place` without a leading "root/".
-const char *rn_relative_place(const char *place, const char *root);
+// Takes every "root/" out of a text: what was found inside a folder is told as it is named there.
+void rn_make_relative(char *text, const char *root);
 // Resident memory of this process, bytes; 0 when it cannot be told.
 int64_t rn_resident_bytes(void);
 

@@ -156,6 +156,16 @@ static void remove_folder(const char *path) {
     if (rn_remove_tree(path, &err)) rn_log(RN_LOG_WARN, "%s: %s", err.where, err.text);
 }
 
+// Where an archive was unpacked is nothing to its sender.
+static void tell_as_sent(const struct ingest *ingest, struct rn_error *err) {
+    const char *folder = ingest->folder;
+    if (!folder) return;
+    if (strcmp(err->where, folder) == 0 && strcmp(folder, ingest->order.source) != 0)
+        snprintf(err->where, sizeof err->where, "the archive");
+    rn_make_relative(err->where, folder);
+    rn_make_relative(err->text, folder);
+}
+
 static void carry_out(struct ingest *ingest) {
     struct rn_error err = {0};
     struct rn_wire_done done = {.result = NULL};
@@ -171,10 +181,7 @@ static void carry_out(struct ingest *ingest) {
     remove_folder(ingest->order.work);
     if (status && target_is_ours) remove_folder(ingest->order.target);
     if (status) {
-        if (ingest->folder) {
-            const char *place = rn_relative_place(err.where, ingest->folder);
-            memmove(err.where, place, strlen(place) + 1);
-        }
+        tell_as_sent(ingest, &err);
         rn_link_fail(&ingest->link, ingest->order.job, RN_ABSENT, &err);
         return;
     }

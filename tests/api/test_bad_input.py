@@ -151,6 +151,7 @@ def test_bad_image(build, daemon, tmp_path, what):
     dataset = daemon.get(f"/v1/datasets/{job['dataset']}").json
     assert dataset["views"] == {"train": 5, "val": 8, "test": 4}
     assert any(is_said(problem, where, word) for problem in dataset["report"]["problems"])
+    assert str(daemon.data) not in json.dumps(dataset)  # nobody needs to know where it was unpacked
 
 
 @pytest.mark.parametrize("what", DOCUMENTS)
@@ -163,6 +164,7 @@ def test_bad_document(build, daemon, tmp_path, what):
                for problem in report["problems"]), report["problems"]
     job = upload(daemon, tmp_path / "data", "document " + what)
     assert job["state"] == "failed" and where in job["problem"]["detail"], job
+    assert str(daemon.data) not in json.dumps(job)
 
 
 def test_unknown_members_are_named(build, daemon, tmp_path):

@@ -84,7 +84,7 @@ def test_upload_import_and_train(page, fake, tmp_path):
     assert job["type"] == "train" and job["options"] == {
         "preset": "draft",
         "train_split": "train",
-        "max_time_s": 60,
+        "max_time_s": 15,
     }
     quiet(page)
 

@@ -46,7 +46,7 @@ export function drawChart(host, points, {limitX, running, now}) {
   const width = Math.max(220, host.clientWidth);
   const height = Math.max(140, host.clientHeight);
   const inner = {w: width - MARGIN.left - MARGIN.right, h: height - MARGIN.top - MARGIN.bottom};
-  const xHigh = Math.max(limitX || 0, now || 0, points.at(-1)?.x ?? 0, 10);
+  const xHigh = Math.max(limitX || 0, now || 0, points.at(-1)?.x ?? 0, running ? 10 : 1);
   const [yLow, yHigh] = points.length ? valueRange(points) : [10, 35];
   const X = (x) => MARGIN.left + (x / xHigh) * inner.w;
   const Y = (y) => MARGIN.top + (1 - (y - yLow) / (yHigh - yLow)) * inner.h;

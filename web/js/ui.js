@@ -19,13 +19,16 @@ export function setChip(node, state) {
 
 /** A problem's title, detail and every field it points at. @param {Error} error */
 export function problemBox(error, {again} = {}) {
+  const told = error.detail ?? '';
+  const faults =
+      (error.errors ?? []).filter((e) => !told.includes(e.pointer) || !told.includes(e.detail));
   return h(
       'div', {class: 'problem', role: 'alert'},
       h('p', {class: 'problem-title'}, error.title ?? 'That did not work'),
       h('p', null, error.detail || (error.title === error.message ? null : error.message)),
-      error.errors?.length ?
+      faults.length ?
           h('ul', null,
-            error.errors.map((e) => h('li', null, h('code', null, e.pointer), ' ', e.detail))) :
+            faults.map((e) => h('li', null, h('code', null, e.pointer), ' ', e.detail))) :
           null,
       again ? h('button', {type: 'button', onclick: again}, 'Try again') : null);
 }

@@ -3,7 +3,7 @@ import {api} from '../api.js';
 import {fill, h, lazyImage} from '../dom.js';
 import {refreshSoon, state, watch} from '../store.js';
 import {ago, bytes, percent, plural} from '../format.js';
-import {choice, confirmFirst, empty, facts, panel, problemBox, skeleton} from '../ui.js';
+import {choice, confirmFirst, facts, panel, problemBox, skeleton} from '../ui.js';
 import {go, link} from '../router.js';
 import {trainPanel} from './train.js';
 
@@ -29,7 +29,8 @@ export async function datasetView(root, {id, signal}) {
             }
           }, stop.signal);
         });
-      if (!signal.aborted) fill(body, page(dataset, signal));
+      const cameras = await api.cameras(dataset.id, signal);
+      if (!signal.aborted) fill(body, page(dataset, cameras, signal));
     } catch (error) {
       if (!signal.aborted) fill(body, problemBox(error, {again: load}));
     }
@@ -37,15 +38,19 @@ export async function datasetView(root, {id, signal}) {
   await load();
 }
 
-function page(dataset, signal) {
+function page(dataset, cameras, signal) {
   return h(
       'div', {class: 'columns'},
-      h('div', {class: 'main-column'}, photographs(dataset, signal), report(dataset.report)),
+      h('div', {class: 'main-column'}, photographs(dataset, cameras, signal),
+        report(dataset.report)),
       h('div', {class: 'side-column'}, trainPanel(dataset), about(dataset),
         scenesOf(dataset, signal)));
 }
 
-function photographs(dataset, signal) {
+/** The views by their numbers in the JSON: one that is unusable leaves a gap. */
+function photographs(dataset, cameras, signal) {
+  const indices = (split) =>
+      cameras.filter((item) => item.split === split && item.scale === 0).map((item) => item.index);
   const splits = ['train', 'val', 'test'].filter((split) => dataset.views[split]);
   const pick = choice(
       'Split', splits.map((split) => [split, `${split} ${dataset.views[split]}`]), splits[0]);
@@ -56,7 +61,7 @@ function photographs(dataset, signal) {
       Math.min(
           dataset.scales - 1,
           Math.floor(Math.log2(Math.max(dataset.width, dataset.height) / 160))));
-  const photo = (split) => (_, index) =>
+  const photo = (split) => (index) =>
       h('figure', null,
         lazyImage(
             (stop) => api.photo(dataset.id, split, index, scale, stop),
@@ -64,13 +69,14 @@ function photographs(dataset, signal) {
         h('figcaption', null, `${split}:${index}`));
   const show = (all) => {
     const split = pick.control.value;
-    const count = all ? dataset.views[split] : Math.min(FIRST, dataset.views[split]);
-    fill(grid, Array.from({length: count}, photo(split)));
+    const every = indices(split);
+    const shown = all ? every : every.slice(0, FIRST);
+    fill(grid, shown.map(photo(split)));
     fill(
         more,
-        count < dataset.views[split] ? h('button', {type: 'button', onclick: () => show(true)},
-                                         `Show all ${dataset.views[split]}`) :
-                                       null);
+        shown.length < every.length ?
+            h('button', {type: 'button', onclick: () => show(true)}, `Show all ${every.length}`) :
+            null);
   };
   pick.control.onChange(() => show(false));
   show(false);
@@ -87,7 +93,7 @@ function report(found) {
   const head = h('tr', null, ['', 'Where', 'What'].map((t) => h('th', {scope: 'col'}, t)));
   const more = found.dropped ? `; ${found.dropped} more not listed` : '';
   const table =
-      h('table', {class: 'table'}, h('caption', null, words, more), h('thead', null, head),
+      h('table', {class: 'table problems'}, h('caption', null, words, more), h('thead', null, head),
         h('tbody', null, rows));
   const list = h('div', {class: 'scroll'}, table);
   return panel('What the import found', null, rows.length ? list : clean);
@@ -152,7 +158,7 @@ function scenesOf(dataset, signal) {
                            (scene) =>
                                h('li', null, h('a', {href: link.scene(scene.name)}, scene.name),
                                  ` ${scene.state}`))) :
-                     empty('No scene has been trained from it'));
+                     h('p', {class: 'quiet'}, 'None is trained from it yet.'));
   }, signal);
   return panel('Scenes', null, list);
 }

@@ -3,7 +3,7 @@ import {api, token} from '../api.js';
 import {fill, h, saveBlob, text} from '../dom.js';
 import {followJob} from '../follow.js';
 import {pictureOf} from '../grey16.js';
-import {find, state, watch} from '../store.js';
+import {find, isActive, state, watch} from '../store.js';
 import {plural} from '../format.js';
 import {action, announce, panel} from '../ui.js';
 
@@ -87,6 +87,8 @@ export function framesPanel(job, signal) {
     scrub.max = Math.max(origin(), origin() + all - 1);
     text(count, known() ? `${there.size} of ${plural(all, 'frame')}` : plural(there.size, 'frame'));
     play.disabled = there.size < 2;
+    const now = find(state.jobs, job.id) ?? job;
+    if (!there.size && !isActive(now)) fill(waiting, `No frames: the job was ${now.state}.`);
   }
 
   function arrived(index) {

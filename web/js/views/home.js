@@ -125,14 +125,16 @@ async function sceneThumb(scene, signal) {
   if (scene.loaded && scene.steps > 0) {
     try {
       return (await api.render(
-                  scene.id, {view: 'train:0', size: {width: 240, height: 180}, format: 'jpeg'},
+                  scene.id, {view: 'train:0', size: {width: 320, height: 240}, format: 'jpeg'},
                   signal))
           .blob;
     } catch (error) {
       if (signal.aborted) throw error;
     }
   }
-  return api.photo(scene.dataset, 'train', 0, 0, signal);
+  const views = await api.cameras(scene.dataset, signal);
+  const {split, index} = views.find((item) => item.split === 'train') ?? views[0];
+  return api.photo(scene.dataset, split, index, 0, signal);
 }
 
 function datasetRow(set) {

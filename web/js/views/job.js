@@ -161,7 +161,7 @@ function evaluationResult(r) {
     summary,
     h('p', {class: 'quiet'},
       `${plural(r.views, 'view')} of ${p.split} at step ${p.step}; background ${
-          p.background.join(' ')}, ${p.downscale} scaling, rounded to ${p.rounding}; trained on ${
+          p.background.join(' ')}, ${p.downscale} scaling, rounding ${p.rounding}; trained on ${
           p.train_split} with seed ${p.seed}; ${p.version}, ${p.device} ${p.kernels}, ${
           plural(p.threads, 'thread')}.`),
     h('div', {class: 'scroll'},

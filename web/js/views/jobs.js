@@ -84,7 +84,8 @@ function outcomeOf(job) {
     return `${decibel(r.psnr)} after ${whole(r.steps)} steps in ${seconds(r.train_seconds)}`;
   if (job.type === 'eval')
     return `${decibel(r.psnr)}, SSIM ${fixed(r.ssim, 4)} over ${plural(r.views, 'view')}`;
-  return job.type === 'path' ? `${plural(r.frames, 'frame')} of ${r.width} × ${r.height}` : '';
+  return job.type === 'path' ? `${plural(r.frames, 'frame')} of ${r.width} × ${r.height}` :
+                               'checked and kept';
 }
 
 export function jobRow(first) {

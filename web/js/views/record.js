@@ -6,7 +6,6 @@ import {ago, bytes, decibel, fixed, milliseconds, plural, seconds, whole} from '
 import {
   action,
   confirmFirst,
-  empty,
   facts,
   meter,
   panel,
@@ -22,39 +21,55 @@ const EFFECTS = {
   'view-dependence': 'View dependence'
 };
 
+/** An effect's number in the unit that its reason is told in. */
+const short = (x, digits = 3) => String(Number(x.toPrecision(digits)));
+const octaves = (x) => `${(2 ** x).toFixed(2)}×`;
+const UNITS = {
+  background: (x) => `${short(100 * x)} %`,
+  'scale-pyramid': octaves,
+  anisotropy: octaves,
+  'view-dependence': (x) => `${short(255 * x)}/255`
+};
+
 export function effectsPanel(scene) {
-  const number = (x) => (x === null ? '–' : String(Number(x.toPrecision(3))));
+  const number = (effect, x) => (x === null ? '–' : (UNITS[effect.name] ?? short)(x));
   const rows = scene.effects.map(
       (effect) =>
           h('li', {class: 'effect', 'data-on': String(effect.on && effect.decided)},
             h('span', {class: 'effect-mark'}, effect.decided ? effect.on ? 'on' : 'off' : 'open'),
             h('div', null, h('strong', null, EFFECTS[effect.name] ?? effect.name),
               h('p', {class: 'quiet'}, effect.reason)),
-            h('span', {class: 'number'}, number(effect.number),
-              effect.threshold === null ? null :
-                                          h('small', null, ` / ${number(effect.threshold)}`))));
+            h('span', {class: 'number'}, number(effect, effect.number),
+              effect.threshold === null ?
+                  null :
+                  h('small', {class: 'line'}, `threshold ${number(effect, effect.threshold)}`))));
   return panel(
       'Effects', null,
       rows.length ?
           [
             h('p', {class: 'quiet'},
-              'Computed only where the scene calls for it. Right: the number behind it, and its threshold.'),
+              'Computed only where the scene calls for it: where the number at the right is over its threshold.'),
             h('ul', {class: 'effects'}, rows)
           ] :
-          empty('Decided when training begins'));
+          h('p', {class: 'quiet'}, 'Decided when training begins.'));
 }
 
 export function differencesPanel(scene) {
+  const {differences} = scene;
   return panel(
-      'Differences from the paper', null,
-      scene.differences.length ?
-          h('ul', {class: 'differences'},
-            scene.differences.map(
-                (item) =>
-                    h('li', null, item.what,
-                      item.measured ? h('span', {class: 'quiet'}, ` ${item.measured}`) : null))) :
+      'Compared with the paper', null,
+      differences.length ?
+          [
+            h('p', {class: 'quiet'}, `${plural(differences.length, 'difference')}:`),
+            h('ul', {class: 'differences'},
+              differences.map(
+                  (item) =>
+                      h('li', null, item.what,
+                        item.measured ? h('span', {class: 'quiet'}, ` ${item.measured}`) : null)))
+          ] :
           h('p', {class: 'quiet'},
-            scene.config ? 'None: this is the published method.' : 'Known when training begins.'));
+            scene.config ? 'No difference: this is the published method.' :
+                           'Known when training begins.'));
 }
 
 /** Finished evaluations, one under way, and the way to start one. */
@@ -154,7 +169,8 @@ export function aboutPanel(scene) {
         ],
         [
           'Field',
-          config ? `${config.planes} planes (${config.orientation}), base ${config.base}, ${
+          config ? `${config.planes} planes (${config.orientation}) of ${config.base}²${
+                       config.grow_to > config.base ? `, growing to ${config.grow_to}²` : ''}, ${
                        plural(config.channels, 'channel')}, ${plural(config.levels, 'level')}, ${
                        config.footprint}` :
                    null

@@ -76,19 +76,20 @@ function page(scene, cameras, mark, signal) {
   keys = createKeys(
       scene, {width: dataset?.width ?? 400, height: dataset?.height ?? 400}, view, signal);
   const record = h('div', {class: 'stack'});
+  const more = h('div', {class: 'columns even'});
   watch(() => {
     const now = find(state.scenes, scene.id);
     if (now) setChip(mark, now.state);
   }, signal);
-  keepRecord(scene, record, training, view, signal);
+  keepRecord(scene, {record, more}, training, view, signal);
   return h(
-      'div', {class: 'columns wide'}, h('div', {class: 'main-column'}, view.node, keys.node),
+      'div', {class: 'columns wide'}, h('div', {class: 'main-column'}, view.node, keys.node, more),
       h('div', {class: 'side-column'}, trainingPanel(scene.id, signal), pathsPanel(scene, signal),
         qualityPanel(scene, signal), record));
 }
 
 /** Effects, differences and facts, read again while they can change. */
-function keepRecord(scene, box, training, view, signal) {
+function keepRecord(scene, {record, more}, training, view, signal) {
   let shown = '';
   let before = null;
   const show = (now) => {
@@ -96,7 +97,8 @@ function keepRecord(scene, box, training, view, signal) {
         [now.effects, now.differences, now.checkpoints, now.config, now.loaded, now.memory_bytes]);
     if (key === shown) return;
     shown = key;
-    fill(box, effectsPanel(now), differencesPanel(now), aboutPanel(now));
+    fill(more, effectsPanel(now), differencesPanel(now));
+    fill(record, aboutPanel(now));
   };
   show(scene);
   const read = () => api.scene(scene.id, signal).then(show, () => {});

@@ -5,10 +5,11 @@ import {find, putJob, state} from '../store.js';
 import {choice, field, panel, showFaults} from '../ui.js';
 import {go, link} from '../router.js';
 
+/** What each is for and where it ends unless told otherwise; the daemon's own presets say the same. */
 const PRESETS = {
-  draft: 'Quickest to a picture.',
-  standard: 'The default for CPUs.',
-  paper: 'The published settings; slow without a GPU.'
+  draft: {hint: 'Quickest to a picture: 15 seconds.', seconds: '15'},
+  standard: {hint: 'The best in about a minute on a CPU.', seconds: '60'},
+  paper: {hint: 'The published settings, 120 000 steps: days without a GPU.', seconds: ''}
 };
 
 /** A name that no scene has: lego, lego-2, … */
@@ -35,28 +36,38 @@ export function trainPanel(dataset) {
       {pointer: '/scene'});
   const preset = choice(
       'Preset', Object.keys(PRESETS).map((key) => [key, key]), 'standard',
-      {pointer: '/options/preset', hint: PRESETS.standard});
-  const time = numeric('Time', 's', '/options/max_time_s', {min: 1, step: 'any', value: 60});
+      {pointer: '/options/preset', hint: PRESETS.standard.hint});
+  const time = numeric('Time', 's', '/options/max_time_s', {
+    min: 1,
+    step: 'any',
+    placeholder: 'any',
+    value: PRESETS.standard.seconds
+  });
   const steps = numeric('Steps', '', '/options/max_steps', {min: 1, placeholder: 'any'});
   const psnr = numeric(
       'PSNR', 'dB', '/options/until_psnr', {min: 1, max: 100, step: 'any', placeholder: 'any'});
   const planes = choice(
       'Planes', [['', 'preset'], ['3', '3'], ['4', '4'], ['6', '6'], ['10', '10']], '',
-      {pointer: '/options/planes'});
+      {pointer: '/options/planes', hint: 'More tell more directions apart, and take longer.'});
   const footprint = choice(
       'Footprint', [['', 'preset'], ['rip', 'rip'], ['mip', 'mip'], ['point', 'point']], '',
       {pointer: '/options/footprint', hint: 'rip: anisotropic, mip: one level, point: none'});
   const split = choice(
       'Train on', [['train', 'train'], ['trainval', 'train and val']], 'train',
       {pointer: '/options/train_split'});
-  const seed = numeric('Seed', '', '/options/seed', {min: 0, placeholder: 'preset'});
+  const seed = numeric('Seed', '', '/options/seed', {min: 0, placeholder: '0'});
   const threads = numeric('Threads', '', '/options/threads', {min: 0, placeholder: 'all'});
   const fields = [name, preset, time, steps, psnr, planes, footprint, split, seed, threads];
   const problem = h('div');
   const start = h('button', {type: 'submit', class: 'primary'}, 'Start training');
-  preset.control.onChange(
-      () => preset.fault(null) ||
-          fill(preset.node.querySelector('.note'), PRESETS[preset.control.value]));
+  let timeChosen = false;
+  time.control.addEventListener('input', () => { timeChosen = true; });
+  preset.control.onChange(() => {
+    const {hint, seconds} = PRESETS[preset.control.value];
+    preset.fault(null);
+    fill(preset.node.querySelector('.note'), hint);
+    if (!timeChosen) time.control.value = seconds;
+  });
   async function submit() {
     start.disabled = true;
     try {
@@ -92,7 +103,7 @@ export function trainPanel(dataset) {
         name.node, preset.node,
         h('fieldset', {class: 'field'}, h('legend', null, 'Stop at whichever comes first'),
           h('div', {class: 'form-grid three'}, time.node, steps.node, psnr.node),
-          h('span', {class: 'note'}, 'All empty: until you finish it.')),
+          h('span', {class: 'note'}, 'No time and no steps: where the preset ends.')),
         planes.node, footprint.node,
         h('details', null, h('summary', null, 'More'),
           h('div', {class: 'form-grid'}, split.node, seed.node, threads.node)),

@@ -39,9 +39,9 @@ function finalFigures(scene, job, last) {
     rays_per_second: NaN,
     samples_per_second: NaN,
     ...p,
-    psnr: r?.psnr ?? p?.psnr ?? last?.y ?? scene.psnr,
-    step: r?.steps ?? p?.step ?? scene.steps,
-    train_seconds: r?.train_seconds ?? p?.train_seconds ?? scene.train_seconds
+    psnr: r?.psnr ?? last?.y ?? p?.psnr ?? scene.psnr,
+    step: r?.steps ?? Math.max(p?.step ?? 0, scene.steps),
+    train_seconds: r?.train_seconds ?? Math.max(p?.train_seconds ?? 0, scene.train_seconds)
   };
 }
 
