@@ -109,6 +109,11 @@ def train(page, limits):
     page.until(lambda: page.all(".chart .last"), "a point on the chart", 60)
 
 
+def shown_psnr(page):
+    found = re.search(r"([\d.]+) dB", page.text(".stats"))
+    return found and float(found.group(1))
+
+
 def orbit(page):
     """Turns the scene while it trains: coarse pictures while moving, a refined one when still."""
     stage = page.until(lambda: page.ink() > 30 and page.find(".stage"), "a picture", 60)
@@ -215,6 +220,7 @@ def test_token_and_a_killed_daemon(page, daemon, sphere, tmp_path):
     upload(page, sphere)
     train(page, {"Time": 60})
     page.until(lambda: page.ink() > 30, "a picture", 30)
+    points = page.until(lambda: len(page.all(".chart .dot")), "a point on the curve")
     server.process.kill()
     server.process.wait()
     page.says("No connection to the daemon.", "#banner")
@@ -226,6 +232,7 @@ def test_token_and_a_killed_daemon(page, daemon, sphere, tmp_path):
     page.says("connected", ".connection", wait_s=30)
     page.until(lambda: not any(e.is_displayed() for e in page.all("#banner")), "the banner gone")
     page.says("training", ".page-head .chip", wait_s=30)
+    page.until(lambda: len(page.all(".chart .dot")) >= points, "the curve after the restart")
     page.press("Finish")
     page.says("ready", ".page-head .chip", wait_s=30)
     page.says("finished by hand")
@@ -236,14 +243,18 @@ def test_whole_path_with_the_real_engine(page, daemon, sphere, downloads):
     page.open(server.url)
     upload(page, sphere)
     shoot(page, "dataset")
-    train(page, {"Time": 25})
+    train(page, {"Time": 120})
     shoot(page, "training")
     orbit(page)
     shoot(page, "orbited")
     record(page, 3)
-    page.says("ready", ".page-head .chip", wait_s=120)
-    psnr = float(re.search(r"([\d.]+) dB", page.text(".stats")).group(1))
-    assert psnr > 18
+    page.until(lambda: (shown_psnr(page) or 0) > 18, "a good picture", 90)
+    points = len(page.all(".chart .dot"))
+    page.driver.refresh()
+    page.until(lambda: len(page.all(".chart .dot")) >= points, "the curve after a reload")
+    page.press("Finish")
+    page.says("ready", ".page-head .chip", wait_s=60)
+    assert shown_psnr(page) > 18
     page.until(lambda: len(page.all(".effect")) >= 4, "the effects")
     shoot(page, "ready")
     render_path(page, downloads, 64, 64, 3, 7)
