@@ -113,8 +113,8 @@ void rn_dataset_describe(const struct rn_dataset *dataset, struct rn_dataset_rep
 
 // Import: decode, scale and write a native dataset (dataset.json and images/*.png) into the empty
 // folder `target`, dataset.json last and atomically. At most `threads` source images are in memory
-// at once. An image that cannot be decoded is left out with an error in `problems` (optional);
-// RN_ERROR_INVALID when that leaves no training view. `progress` may be NULL; it is called by
+// at once. An image that cannot be decoded is left out, of `source` too (counted there as unusable),
+// with an error in `problems` (optional); RN_ERROR_INVALID when that leaves no training view. `progress` may be NULL; it is called by
 // worker threads, one at a time; returning false from it cancels (RN_ERROR_CANCELLED).
 // Level j of a view is downscaled from its full-size (after max_size) image to round(size / 2^j)
 // and weighs 4^j; in straight mode the levels are rn_image_legacy_pyramid's.
@@ -127,7 +127,7 @@ struct rn_import_options {
     struct rn_bounds bounds;
     int threads; // >= 1
 };
-enum rn_status rn_dataset_import(const struct rn_dataset *source, const char *name,
+enum rn_status rn_dataset_import(struct rn_dataset *source, const char *name,
                                  const struct rn_import_options *options, const char *target,
                                  struct rn_problems *problems,
                                  bool (*progress)(void *context, size_t done, size_t total),

@@ -211,7 +211,26 @@ static void drop_faulty(struct import *import, struct rn_problems *problems, int
     }
 }
 
-static enum rn_status conclude(struct import *import, const struct rn_dataset *source,
+// Takes the views that could not be decoded out of the source as well.
+static enum rn_status drop_from_source(const struct import *import, struct rn_dataset *source,
+                                       struct rn_error *err) {
+    size_t kept = 0, view = 0;
+    for (size_t i = 0; i < source->frame_count; i++) {
+        struct rn_frame *frame = &source->frames[i];
+        bool looked_at = view < import->view_count && import->views[view] == frame;
+        if (looked_at && import->faults[view++].status) {
+            source->unusable[frame->split]++;
+            rn_frame_finish(frame);
+        } else {
+            source->frames[kept++] = *frame;
+        }
+    }
+    if (kept == source->frame_count) return RN_OK;
+    source->frame_count = kept;
+    return rn_dataset_seal(source, source->name, NULL, err);
+}
+
+static enum rn_status conclude(struct import *import, struct rn_dataset *source,
                                const char *name, struct rn_problems *problems,
                                struct rn_error *err) {
     const struct rn_import_options *options = import->options;
@@ -224,7 +243,9 @@ static enum rn_status conclude(struct import *import, const struct rn_dataset *s
     result.premultiplied_scales = options->downscale == RN_DOWNSCALE_PREMULTIPLIED &&
                                   (import->levels > 1 || source->premultiplied_scales);
     enum rn_status status = rn_dataset_seal(&result, import->target, problems, err);
-    if (status || (status = rn_output_sync(import->target, err))) return status;
+    if (status || (status = drop_from_source(import, source, err)) ||
+        (status = rn_output_sync(import->target, err)))
+        return status;
     return write_json(&result, import->target, err);
 }
 
@@ -255,7 +276,7 @@ static enum rn_status make_folders(const char *target, struct rn_error *err) {
     return status;
 }
 
-enum rn_status rn_dataset_import(const struct rn_dataset *source, const char *name,
+enum rn_status rn_dataset_import(struct rn_dataset *source, const char *name,
                                  const struct rn_import_options *options, const char *target,
                                  struct rn_problems *problems,
                                  bool (*progress)(void *context, size_t done, size_t total),

@@ -162,6 +162,7 @@ int rn_train_config_differences(const struct rn_train_config *c, struct rn_diffe
     DIFFERS(f->planes != paper.field.planes, "fewer planes than the paper's 10", "")
     DIFFERS(f->orientation != paper.field.orientation, "planes not along a Platonic solid", "")
     DIFFERS(f->base != paper.field.base, "another base grid than the paper's 512 x 512", "")
+    DIFFERS(c->grow_to > 0, "planes grow from a coarse grid while they are trained", "")
     DIFFERS(f->channels != paper.field.channels, "fewer channels than the paper's 16", "")
     DIFFERS(f->footprint != paper.field.footprint, "another footprint than the paper's ripmap", "")
     DIFFERS(f->shading != paper.field.shading,
@@ -175,6 +176,10 @@ int rn_train_config_differences(const struct rn_train_config *c, struct rn_diffe
     DIFFERS(c->carve, "occupancy carved from alpha before the first step", "")
     DIFFERS(c->roulette > 0, "roulette on samples of tiny weight (unbiased)", "")
     DIFFERS(c->sparse, "optimiser visits touched texels only", "")
+    DIFFERS(c->learning_rate != paper.learning_rate || c->plane_rate != paper.plane_rate,
+            "other learning rates", "")
+    DIFFERS(c->beta2 != paper.beta2, "another decay of AdamW's second moment than 0.999", "")
+    DIFFERS(c->weight_decay != paper.weight_decay, "another weight decay than 1e-5", "")
     DIFFERS(c->equal_scales, "rays drawn evenly over scales instead of weighted by area", "")
     DIFFERS(!c->multi_step_rate, "rate schedule made for the time given", "")
     DIFFERS(fabs(c->stop - paper.stop) > 1e-12, "rays end at another transmittance than 1e-4", "")

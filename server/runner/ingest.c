@@ -112,7 +112,7 @@ static enum rn_status tree_bytes(const struct rn_dataset *dataset, int64_t *ret_
     return RN_OK;
 }
 
-static enum rn_status import(struct ingest *ingest, const struct rn_dataset *source,
+static enum rn_status import(struct ingest *ingest, struct rn_dataset *source,
                              struct rn_problems *problems, char **ret_json, struct rn_error *err) {
     const struct rn_wire_ingest *order = &ingest->order;
     const struct rn_ingest_options *options = &order->options;

@@ -150,6 +150,7 @@ def test_bad_image(build, daemon, tmp_path, what):
     assert job["state"] == "succeeded", job
     dataset = daemon.get(f"/v1/datasets/{job['dataset']}").json
     assert dataset["views"] == {"train": 5, "val": 8, "test": 4}
+    assert dataset["report"]["usable"]["train"] == 5 and dataset["report"]["unusable"]["train"] == 1
     assert any(is_said(problem, where, word) for problem in dataset["report"]["problems"])
     assert str(daemon.data) not in json.dumps(dataset)  # nobody needs to know where it was unpacked
 

@@ -13,7 +13,7 @@ static const char *const ways[WAYS] = {
     "undisturbed", "paused, rendered and evaluated between steps", "a checkpoint after every step",
     "resumed from a checkpoint after every step", "killed and resumed from the last checkpoint"};
 
-static struct rn_dataset *read_scaled(const struct rn_dataset *plain) {
+static struct rn_dataset *read_scaled(struct rn_dataset *plain) {
     struct rn_error err = {0};
     struct rn_import_options import = {.scales = 3, .threads = 1};
     struct rn_dataset *dataset;

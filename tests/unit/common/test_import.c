@@ -222,6 +222,9 @@ START_TEST(damaged_image_is_left_out) {
     ck_assert_int_eq(rn_dataset_read(in_folder("out"), &problems, &made, &err), RN_OK);
     ck_assert_uint_eq(made->frame_count, VIEWS - 1);
     ck_assert_ptr_null(rn_dataset_frame(made, RN_SPLIT_TRAIN, 1, 0));
+    ck_assert_ptr_null(rn_dataset_frame(dataset, RN_SPLIT_TRAIN, 1, 0));
+    ck_assert_int_eq(dataset->unusable[RN_SPLIT_TRAIN], 1);
+    ck_assert_int_eq(dataset->view_count[RN_SPLIT_TRAIN], VIEWS - 1);
     for (int i = 0; i < VIEWS; i++) {
         char name[64];
         snprintf(name, sizeof name, "source/train/r_%d.png", i);
