@@ -18,8 +18,7 @@ bool rn_job_has_ended(const struct rn_job *job) {
 
 static void format_train(const struct rn_train_progress *progress, char *ret_text,
                          size_t capacity) {
-    char seconds[24], limit[32] = "", psnr[24] = "", rate[16], speed[32] = "",
-         steps[32] = "";
+    char seconds[24], limit[32] = "", psnr[24] = "", rate[16], speed[32] = "", steps[32] = "";
     rn_format_seconds(progress->train_seconds, seconds, sizeof seconds);
     if (progress->max_seconds > 0) rn_format_seconds(progress->max_seconds, limit, sizeof limit);
     if (!isnan(progress->psnr)) snprintf(psnr, sizeof psnr, "  %.2f dB", progress->psnr);

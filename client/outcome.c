@@ -47,8 +47,7 @@ static void format_result(const struct rn_job *job, char *ret_text, size_t capac
                                    : job->type == RN_JOB_PATH ? &rn_path_result_table
                                    : job->type == RN_JOB_EVAL ? &rn_eval_result_table
                                                               : NULL;
-    if (!table ||
-        rn_decode(table, job->result, strlen(job->result), &result, NULL, NULL) != RN_OK)
+    if (!table || rn_decode(table, job->result, strlen(job->result), &result, NULL, NULL) != RN_OK)
         return;
     if (job->type == RN_JOB_TRAIN)
         format_training(&result.train, ret_text, capacity);

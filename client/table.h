@@ -19,8 +19,8 @@ struct rn_text_table {
 // `heading` is the columns' names, separated by '|'; a name that starts with '>' makes its column
 // flush right.
 void rn_text_table_init(struct rn_text_table *table, const char *heading);
-// `cells` as a heading is written: "a|b|c" in printf's fashion. What is missing stays empty; the last
-// one may hold a '|'.
+// `cells` as a heading is written: "a|b|c" in printf's fashion. What is missing stays empty; the
+// last one may hold a '|'.
 void rn_text_table_row(struct rn_text_table *table, const char *cells, ...) RN_PRINTF(2, 3);
 // Prints heading and rows, or the heading alone; RN_ERROR_NO_MEMORY when a row was lost.
 enum rn_status rn_text_table_print(const struct rn_text_table *table,

@@ -11,10 +11,8 @@ const char *const rn_severity_names[] = {"info", "warning", "error", NULL};
 
 #define S struct rn_ingest_options
 static const struct rn_field_spec ingest_options[] = {
-    RN_F_INT(S, max_size, 0, 0, 16384),
-    RN_F_INT(S, scales, 0, 1, 8),
-    RN_F_NAME(S, alpha, 0, rn_alpha_mode_names),
-    RN_F_TEXT(S, split, 0, rn_check_split_spec),
+    RN_F_INT(S, max_size, 0, 0, 16384),          RN_F_INT(S, scales, 0, 1, 8),
+    RN_F_NAME(S, alpha, 0, rn_alpha_mode_names), RN_F_TEXT(S, split, 0, rn_check_split_spec),
     RN_F_TEXT(S, bounds, 0, rn_check_bounds),
 };
 const struct rn_table rn_ingest_options_table = RN_TABLE(S, "import options", ingest_options);

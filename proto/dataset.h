@@ -11,8 +11,8 @@ extern const char *const rn_severity_names[];   // "info", "warning", "error"
 
 struct rn_ingest_options {
     int64_t max_size, scales;
-    int alpha;      // rn_alpha_mode_names
-    char split[16]; // "files" or "every:N"
+    int alpha;        // rn_alpha_mode_names
+    char split[16];   // "files" or "every:N"
     char bounds[128]; // "X,Y,Z,RADIUS" of the sphere that holds the scene
 };
 extern const struct rn_table rn_ingest_options_table;

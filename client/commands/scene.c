@@ -178,7 +178,7 @@ static void print_job(const void *message) {
     if (*job->finished_at) print_field("finished", "%s", job->finished_at);
     print_field("options", "%s", job->options);
     if (*text)
-        print_field(job->problem               ? "problem"
+        print_field(job->problem            ? "problem"
                     : rn_job_has_ended(job) ? "result"
                                             : "progress",
                     "%s", text);

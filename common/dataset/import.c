@@ -230,9 +230,8 @@ static enum rn_status drop_from_source(const struct import *import, struct rn_da
     return rn_dataset_seal(source, source->name, NULL, err);
 }
 
-static enum rn_status conclude(struct import *import, struct rn_dataset *source,
-                               const char *name, struct rn_problems *problems,
-                               struct rn_error *err) {
+static enum rn_status conclude(struct import *import, struct rn_dataset *source, const char *name,
+                               struct rn_problems *problems, struct rn_error *err) {
     const struct rn_import_options *options = import->options;
     struct rn_dataset result = {.name = (char *)name, .layout = source->layout};
     drop_faulty(import, problems, result.unusable);

@@ -74,9 +74,9 @@ void rn_begin_dataset(void *context, struct rn_request *request, struct rn_reply
     if (rn_api_failed(status, &err, reply)) return;
     if (rn_store_find(app->store, &rn_datasets, "name", name, &row, NULL) == RN_OK) {
         rn_row_finish(&rn_datasets, &row);
-        status = rn_error_set(&err, RN_ERROR_CONFLICT, "#/name",
-                              "there is a dataset '%s'; choose another name or delete that one",
-                              name);
+        status =
+            rn_error_set(&err, RN_ERROR_CONFLICT, "#/name",
+                         "there is a dataset '%s'; choose another name or delete that one", name);
         (void)rn_api_failed(status, &err, reply);
         return;
     }
