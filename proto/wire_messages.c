@@ -27,6 +27,8 @@ static const struct rn_field_spec open_fields[] = {
     RN_F_TEXT(S, kernels, 0, NULL),
     RN_F_INT(S, threads, 0, 0, 1024),
     RN_F_INT(S, memory_limit_bytes, 0, 0, INFINITY),
+    RN_F_INT(S, gpu_memory_bytes, 0, 0, INFINITY),
+    RN_F_BOOL(S, gpu_deterministic, 0),
 };
 static const struct rn_table open_table = RN_TABLE(S, "open", open_fields);
 #undef S

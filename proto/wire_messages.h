@@ -67,6 +67,8 @@ struct rn_wire_open {
     char device[16], kernels[32]; // "" = auto
     int64_t threads;              // absent or 0 = all
     int64_t memory_limit_bytes;   // absent or 0 = none
+    int64_t gpu_memory_bytes;     // absent or 0 = what is free
+    bool gpu_deterministic;       // a GPU trains the same bytes every time
 };
 struct rn_wire_opened {
     bool loaded;

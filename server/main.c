@@ -112,6 +112,8 @@ static enum rn_status start_control(struct server *server, struct rn_error *err)
         .max_queued = (int)config->max_queued,
         .max_loaded = (int)config->max_loaded,
         .memory_limit_bytes = config->memory_limit_bytes,
+        .gpu_memory_bytes = config->gpu_memory_bytes,
+        .gpu_deterministic = config->gpu_deterministic != 0,
         .keep_alive_s = config->keep_alive_s,
         .runner_timeout_s = config->runner_timeout_s,
         .threads = (int)config->threads,

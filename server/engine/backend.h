@@ -10,7 +10,7 @@
 #include "common/math/camera.h"
 #include "server/engine/cpu/kernels.h"
 
-#define RN_BACKEND_VERSION 1
+#define RN_BACKEND_VERSION 2
 #define RN_BACKEND_SYMBOL "rn_backend_table"
 
 struct rn_device;       // owner: rn_backend.open's caller
@@ -61,7 +61,9 @@ struct rn_device_training {
     bool deterministic; // the same bytes every time, at a price (cuda/README.md)
     int next_rays;
     int64_t step, updates;
-    const float *m, *v; // NULL: zero
+    float gradient_scale; // a power of two; 0: as at the start
+    int good_steps;       // since it was last changed
+    const float *m, *v;   // NULL: zero
 };
 
 // What a step needs that the host decides.
@@ -78,6 +80,8 @@ struct rn_device_progress {
     uint64_t level_samples[RN_MAX_LEVELS];
     double loss; // of the last step, per weight
     int next_rays, rejected_in_a_row;
+    float gradient_scale;
+    int good_steps;
 };
 
 struct rn_backend {

@@ -188,5 +188,7 @@ enum rn_status rn_checkpoint_read_trainer(const struct rn_checkpoint *c, struct 
     t->progress.load_seconds = load_seconds;
     t->updates = c->updates;
     t->next_rays = c->next_rays;
+    t->gradient_scale = c->gradient_scale;
+    t->good_steps = c->good_steps;
     return RN_OK;
 }

@@ -19,6 +19,8 @@ struct rn_checkpoint {
     struct rn_progress progress;
     int64_t updates;
     int next_rays;
+    float gradient_scale;
+    int good_steps;
     bool has_trainer; // optimiser state is in the file
     void *header;     // the parsed JSON
     int fd;

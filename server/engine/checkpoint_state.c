@@ -166,12 +166,13 @@ json_t *rn_checkpoint_state(const struct rn_trainer *t) {
     for (int l = 0; l < RN_PROGRESS_LEVELS; l++)
         json_array_append_new(levels, json_integer((json_int_t)t->progress.level_samples[l]));
     return json_pack(
-        "{s:i,s:o,s:o,s:o,s:o,s:I,s:i,s:s,s:{s:[f,f,f],s:f,s:i}}", "version", 1, "config",
+        "{s:i,s:o,s:o,s:o,s:o,s:I,s:i,s:f,s:i,s:s,s:{s:[f,f,f],s:f,s:i}}", "version", 1, "config",
         encode_all(config_members, COUNT(config_members), &t->field->config), "progress",
         encode_all(progress_members, COUNT(progress_members), &t->progress), "levels", levels,
         "effects", encode_effects(t->field->effects), "updates", (json_int_t)t->updates,
-        "next_rays", t->next_rays, "kernels", t->field->kernels, "bounds", "centre", b->centre[0],
-        b->centre[1], b->centre[2], "radius", b->radius, "source", (int)b->source);
+        "next_rays", t->next_rays, "gradient_scale", (double)t->gradient_scale, "good_steps",
+        t->good_steps, "kernels", t->field->kernels, "bounds", "centre", b->centre[0], b->centre[1],
+        b->centre[2], "radius", b->radius, "source", (int)b->source);
 }
 
 enum rn_status rn_checkpoint_parse_state(const json_t *state, const char *path,
@@ -202,6 +203,10 @@ enum rn_status rn_checkpoint_parse_state(const json_t *state, const char *path,
     snprintf(c->kernels, sizeof c->kernels, "%s", kernels);
     c->updates = json_integer_value(json_object_get(state, "updates"));
     c->next_rays = (int)json_integer_value(json_object_get(state, "next_rays"));
+    c->gradient_scale = (float)json_number_value(json_object_get(state, "gradient_scale"));
+    c->good_steps = (int)json_integer_value(json_object_get(state, "good_steps"));
+    if (!(c->gradient_scale >= 0 && c->gradient_scale <= 65536) || c->good_steps < 0)
+        return rn_error_set(err, RN_ERROR_CORRUPT, path, "its gradient scale is out of range");
     if (c->next_rays < 1 || c->next_rays > RN_MAX_RAYS || c->updates < 0)
         return rn_error_set(err, RN_ERROR_CORRUPT, path, "its step counters are out of range");
     return RN_OK;

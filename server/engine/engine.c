@@ -71,6 +71,7 @@ enum rn_status rn_engine_create(const struct rn_engine_options *options,
         return status;
     }
     fill_info(e);
+    e->deterministic = options->deterministic;
     if (strcmp(device, "cpu") != 0)
         status = rn_engine_open_device(e, device, options->device_memory_bytes, err);
     if (status != RN_OK) {

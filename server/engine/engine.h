@@ -31,6 +31,7 @@ struct rn_engine_options {
     const char *kernels;        // "auto" (timed), "scalar", "avx2", "avx512", ...; NULL = "auto"
     int threads;                // 0 = all cores this process may use
     size_t device_memory_bytes; // at most of a GPU's memory; 0 = what is free
+    bool deterministic;         // a GPU trains the same bytes every time, at a price
 };
 struct rn_device_info {
     char device[16];     // "cpu", "cuda:0"
@@ -98,9 +99,9 @@ enum rn_status rn_trainer_create(struct rn_engine *engine, const struct rn_datas
                                  const struct rn_train_config *config, size_t memory_limit_bytes,
                                  struct rn_trainer **ret_trainer,
                                  struct rn_error *err) RN_MUST_CHECK;
-// Continues from a checkpoint: the same bytes as a run that was never interrupted, but for GPUs.
-// The kernel set is the checkpoint's (RN_ERROR_UNSUPPORTED when this machine lacks it); what a GPU
-// trained goes on anywhere.
+// Continues from a checkpoint: the same bytes as a run that was never interrupted, on a GPU if its
+// engine is deterministic. The kernel set is the checkpoint's (RN_ERROR_UNSUPPORTED when this
+// machine lacks it); what a GPU trained goes on anywhere.
 enum rn_status rn_trainer_restore(struct rn_engine *engine, const struct rn_dataset *dataset,
                                   const char *checkpoint_path, size_t memory_limit_bytes,
                                   struct rn_trainer **ret_trainer,

@@ -28,6 +28,7 @@ struct rn_engine {
     struct rn_device *device;
     void *module;            // that the backend comes from
     char device_kernels[32]; // "sm_90"
+    bool deterministic;      // what a device trains
     bool device_optional;    // what the device cannot do, the CPU does
 };
 

@@ -20,6 +20,8 @@ struct rn_control_options {
     int max_queued;             // unfinished jobs
     int max_loaded;             // scenes with a runner
     int64_t memory_limit_bytes; // of all runners together; 0: none
+    int64_t gpu_memory_bytes;   // of each runner; 0: what is free
+    bool gpu_deterministic;     // the same bytes from a GPU every time
     int64_t keep_alive_s;       // an idle runner is ended after this long
     int64_t runner_timeout_s;   // a busy runner that says nothing for so long is ended
     int threads;                // of each runner; 0: all cores

@@ -66,6 +66,8 @@ static enum rn_status open_scene(struct rn_control *control, struct rn_runner *r
     open.load = load;
     open.threads = control->options.threads;
     open.memory_limit_bytes = control->options.memory_limit_bytes;
+    open.gpu_memory_bytes = control->options.gpu_memory_bytes;
+    open.gpu_deterministic = control->options.gpu_deterministic;
     enum rn_status status = RN_OK;
     if (open.scene_folder == NULL || open.dataset_folder == NULL)
         status = rn_error_set(err, RN_ERROR_NO_MEMORY, "runner", "no memory");

@@ -28,10 +28,12 @@ enum rn_status rn_host_need_engine(struct rn_host *host, const char *device, con
     if (host->engine) rn_engine_destroy(&host->engine);
     snprintf(host->engine_device, sizeof host->engine_device, "%s", device);
     snprintf(host->engine_kernels, sizeof host->engine_kernels, "%s", kernels);
-    host->engine_options =
-        (struct rn_engine_options){.device = *device ? host->engine_device : NULL,
-                                   .kernels = *kernels ? host->engine_kernels : NULL,
-                                   .threads = threads};
+    host->engine_options = (struct rn_engine_options){
+        .device = *device ? host->engine_device : NULL,
+        .kernels = *kernels ? host->engine_kernels : NULL,
+        .threads = threads,
+        .device_memory_bytes = (size_t)rn_int_or(host->place.gpu_memory_bytes, 0),
+        .deterministic = host->place.gpu_deterministic};
     enum rn_status status = rn_engine_create(&host->engine_options, &host->engine, err);
     if (!status) rn_engine_yield_to(host->engine, rn_link_has_news, &host->link);
     return status;

@@ -169,6 +169,10 @@ mutate_engine standard device.c "engine: moments are not read back" \
     's/download(f->on_device, f->parameters.values, m, v,/download(f->on_device, f->parameters.values, NULL, NULL,/'
 mutate_engine paper train/device.c "engine: samples counted twice" \
     's/    t->counted = p;//'
+mutate_engine bytes checkpoint.c "engine: the gradients' scale is forgotten" \
+    's/    t->good_steps = c->good_steps;//'
+mutate_engine bytes train/device.c "engine: a resumed run draws its first rays again" \
+    's/\.step = t->progress.step,/.step = 1,/'
 mutate_engine renders device.c "engine: parameters read back once only" \
     's/    if (!f->on_device || .*return RN_OK;/    static int once; if (!f->on_device || once++) return RN_OK;/'
 mutate_engine renders device.c "engine: pyramid not built anew after reading back" \

@@ -11,7 +11,7 @@
 
 #include "common/base/file.h"
 #include "server/engine/engine.h"
-#include "server/engine/scene.h"
+#include "server/engine/train/trainer.h"
 
 static char folder[64], path[128];
 static struct rn_dataset *dataset;
@@ -59,10 +59,14 @@ static struct rn_train_config small_config(const char *preset, int64_t steps) {
     return config;
 }
 
+static bool deterministic;
+
 static enum rn_status try_engine(const char *device, size_t memory, struct rn_engine **ret_engine,
                                  struct rn_error *err) {
-    struct rn_engine_options options = {
-        .device = device, .threads = 1, .device_memory_bytes = memory};
+    struct rn_engine_options options = {.device = device,
+                                        .threads = 1,
+                                        .device_memory_bytes = memory,
+                                        .deterministic = deterministic};
     return rn_engine_create(&options, ret_engine, err);
 }
 
@@ -212,6 +216,33 @@ START_TEST(goes_on_anywhere) {
         end();
     }
     ck_assert_int_eq(run.progress.step, 30);
+}
+END_TEST
+
+// In the deterministic mode a run that was interrupted again and again ends as one that was not.
+START_TEST(resumes_to_the_same_bytes) {
+    struct rn_train_config config = small_config("draft", 30);
+    char whole[65], pieces[65];
+    int good_steps;
+    deterministic = true;
+    begin("cuda:0", &config);
+    advance_to(30);
+    OK(rn_trainer_save(run.trainer, path, &err));
+    rn_field_sha256(rn_trainer_field(run.trainer), whole);
+    good_steps = run.trainer->good_steps;
+    end();
+    begin("cuda:0", &config);
+    for (bool done = false; !done;) {
+        advance_to(0);
+        done = run.progress.done;
+        OK(rn_trainer_save(run.trainer, path, &err));
+        rn_field_sha256(rn_trainer_field(run.trainer), pieces);
+        if (!done) end();
+        if (!done) begin("cuda:0", NULL);
+    }
+    ck_assert_str_eq(whole, pieces);
+    ck_assert_int_eq(run.trainer->good_steps, good_steps);
+    end();
 }
 END_TEST
 
@@ -423,6 +454,7 @@ int main(void) {
     add(suite, "standard", standard_trains);
     add(suite, "paper", paper_trains);
     add(suite, "anywhere", goes_on_anywhere);
+    add(suite, "bytes", resumes_to_the_same_bytes);
     add(suite, "renders", renders_while_it_trains);
     add(suite, "stops", stops_when_asked);
     add(suite, "diverges", diverges_and_goes_back);

@@ -280,7 +280,8 @@ static cudaError_t upload_training(struct rn_device_field *f, const struct rn_de
     status.target_samples = f->config.target_samples;
     status.steps = (uint64_t)t->step;
     status.updates = (uint64_t)t->updates;
-    status.gradient_scale = RN_SCALE_FIRST;
+    status.gradient_scale = t->gradient_scale > 0 ? t->gradient_scale : RN_SCALE_FIRST;
+    status.good_steps = t->good_steps;
     cudaError_t e = cudaMemsetAsync(f->train_memory, 0, f->train_bytes, d->stream);
     if (!e) e = copy_in(d, f->batch.status, &status, sizeof status);
     if (!e)
@@ -376,6 +377,8 @@ static enum rn_status train_finish(struct rn_device_field *f,
     p.loss = s.weight > 0 ? s.loss / s.weight : 0;
     p.next_rays = s.next_rays;
     p.rejected_in_a_row = s.rejected_in_a_row;
+    p.gradient_scale = s.gradient_scale;
+    p.good_steps = s.good_steps;
     *ret_progress = p;
     return RN_OK;
 }

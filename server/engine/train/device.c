@@ -58,9 +58,12 @@ static enum rn_status pack_pixels(const struct rn_trainer *t, struct packed_pixe
 
 static enum rn_status begin_training(struct rn_trainer *t, struct rn_error *err) {
     struct packed_pixels packed = {.frames = NULL};
-    struct rn_device_training training = {.next_rays = t->next_rays,
+    struct rn_device_training training = {.deterministic = t->engine->deterministic,
+                                          .next_rays = t->next_rays,
                                           .step = t->progress.step,
                                           .updates = t->updates,
+                                          .gradient_scale = t->gradient_scale,
+                                          .good_steps = t->good_steps,
                                           .m = t->m,
                                           .v = t->v};
     enum rn_status status = pack_pixels(t, &packed, err);
@@ -143,6 +146,8 @@ static void take_progress(struct rn_trainer *t, const struct rn_device_progress 
     if (p->loss > 0 && isfinite(p->loss)) to->loss = p->loss;
     t->updates = p->updates;
     t->next_rays = p->next_rays;
+    t->gradient_scale = p->gradient_scale;
+    t->good_steps = p->good_steps;
 }
 
 // As on the CPU, but back to what was last known here, and onto the device again.
@@ -151,6 +156,8 @@ static enum rn_status roll_back(struct rn_trainer *t, struct rn_error *err) {
     if (status != RN_OK) return status;
     rn_trainer_redraw(t);
     rn_trainer_roll_back(t);
+    t->gradient_scale = 0;
+    t->good_steps = 0;
     return rn_trainer_put(t, err);
 }
 

@@ -69,7 +69,9 @@ struct rn_trainer {
     size_t hull_count;
     struct rn_live_block *live; // blocks to draw rays from, scale after scale
     size_t live_count, live_first[17];
-    int next_rays; // of the next step
+    int next_rays;        // of the next step
+    float gradient_scale; // a device's (cuda/README.md); 0 at the start
+    int good_steps;       // since it was last changed
 
     struct rn_incident *incidents; // RN_INCIDENTS_HELD, made with the first one
     int incident_first, incident_count, incidents_noted;

@@ -86,10 +86,14 @@ START_TEST(test_numbers) {
     ck_assert_int_eq(config.memory_limit_bytes, 3ll << 29);
     ck_assert_int_eq(load("--data /d --memory-limit 12345"), RN_OK);
     ck_assert_int_eq(config.memory_limit_bytes, 12345);
+    ck_assert_int_eq(config.gpu_memory_bytes, 0);
+    ck_assert_int_eq(load("--data /d --gpu-memory 20G --gpu-deterministic 1"), RN_OK);
+    ck_assert_int_eq(config.gpu_memory_bytes, 20ll << 30);
+    ck_assert_int_eq(config.gpu_deterministic, 1);
     static const char *const bad[] = {
-        "--threads -1",    "--threads 1.5",      "--threads 1x",      "--threads 99999",
-        "--threads nan",   "--training-slots 0", "--memory-limit 5X", "--memory-limit 5GG",
-        "--keep-alive 5d", "--max-upload 0"};
+        "--threads -1",          "--threads 1.5",      "--threads 1x",      "--threads 99999",
+        "--threads nan",         "--training-slots 0", "--memory-limit 5X", "--gpu-memory -1",
+        "--gpu-deterministic 2", "--memory-limit 5GG", "--keep-alive 5d",   "--max-upload 0"};
     for (size_t i = 0; i < sizeof bad / sizeof bad[0]; i++) {
         char line[128];
         snprintf(line, sizeof line, "--data /d %s", bad[i]);
