@@ -70,7 +70,8 @@ static void see_record(struct numerics_case *c, struct rn_trainer *t, int what) 
                  incident.ray_count, (unsigned long long)incident.nonfinite_parameters);
 }
 
-static int check_records(struct rn_engine *engine, const struct rn_dataset *dataset) {
+static int check_records(struct rn_engine *engine, const struct rn_dataset *dataset,
+                         struct numerics_random *random) {
     struct numerics_case c = {"9 recorded rays that do not replay",
                               "planted in seven places, with and without the recorded numbers",
                               "of the rays",
@@ -81,7 +82,7 @@ static int check_records(struct rn_engine *engine, const struct rn_dataset *data
         struct rn_trainer *t = make_trainer(engine, dataset, 1);
         while (t->progress.step < 10)
             advance(t);
-        plant(t, what);
+        plant(t, what, random);
         while (t->progress.rollbacks == 0 && advance(t))
             continue;
         see_record(&c, t, what);
@@ -135,7 +136,8 @@ static int check_background(struct rn_engine *engine, const struct rn_dataset *d
 }
 
 // Each rollback halves the rate; the last one ends the training.
-static int check_rates(struct rn_engine *engine, const struct rn_dataset *dataset) {
+static int check_rates(struct rn_engine *engine, const struct rn_dataset *dataset,
+                       struct numerics_random *random) {
     struct numerics_case c = {
         "9 learning rate after a rollback", "NaN before every step", "from half", 1e-12, 0, ""};
     struct rn_trainer *t = make_trainer(engine, dataset, 1);
@@ -146,7 +148,7 @@ static int check_rates(struct rn_engine *engine, const struct rn_dataset *datase
     t->field->config.max_steps = 1000000; // the schedule stands still
     while (more) {
         struct rn_error err;
-        plant(t, 1);
+        plant(t, 1, random);
         more = rn_trainer_advance(t, 0, &err) == RN_OK;
         while (rn_trainer_take_incident(t, &incident) && n < 8)
             if (incident.kind == RN_INCIDENT_ROLLBACK) rates[n++] = incident.rate;
@@ -160,7 +162,8 @@ static int check_rates(struct rn_engine *engine, const struct rn_dataset *datase
 
 // ---- rendered and read ----------------------------------------------------------------------
 
-static int check_rendered(const struct rn_dataset *dataset, const struct rn_kernels *kernels) {
+static int check_rendered(const struct rn_dataset *dataset, const struct rn_kernels *kernels,
+                          struct numerics_random *random) {
     char name[80];
     snprintf(name, sizeof name, "9 non-finite numbers rendered, %s", kernels->name);
     struct numerics_case c = {name, "four kinds in the parameters themselves", "numbers", 0.5, 0,
@@ -172,7 +175,7 @@ static int check_rendered(const struct rn_dataset *dataset, const struct rn_kern
     must(rn_engine_create(&options, &engine, &err), &err);
     for (int i = 0; i < 4; i++) {
         struct rn_trainer *t = make_trainer(engine, dataset, 1);
-        plant(t, kinds[i]);
+        plant(t, kinds[i], random);
         t->field->fresh_levels = 0;
         for (size_t f = 0; f < dataset->frame_count; f += 3)
             numerics_see(&c, count_rendered(engine, t, &dataset->frames[f].camera), "%s",
@@ -263,6 +266,7 @@ static int check_cells(struct rn_engine *engine, const struct rn_dataset *datase
 }
 
 int main(void) {
+    struct numerics_random random = numerics_random();
     struct rn_engine_options options = {.threads = 1};
     struct rn_engine *engine;
     struct rn_error err = {0};
@@ -270,11 +274,11 @@ int main(void) {
     if (!mkdtemp(folder)) return 1;
     must(rn_engine_create(&options, &engine, &err), &err);
     struct rn_dataset *dataset = read_views(6);
-    int failed = check_records(engine, dataset) + check_background(engine, dataset);
-    failed += check_rates(engine, dataset) + check_checkpoints(engine, dataset);
+    int failed = check_records(engine, dataset, &random) + check_background(engine, dataset);
+    failed += check_rates(engine, dataset, &random) + check_checkpoints(engine, dataset);
     failed += check_cells(engine, dataset);
     for (int i = 0; (kernels = rn_kernels_available(i)); i++)
-        failed += check_rendered(dataset, kernels);
+        failed += check_rendered(dataset, kernels, &random);
     rn_dataset_destroy(&dataset);
     rn_engine_destroy(&engine);
     must(rn_remove_tree(folder, &err), &err);

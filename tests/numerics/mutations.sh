@@ -5,6 +5,7 @@ set -u
 cd "$(dirname "$0")/../.." || exit 1
 tree=$PWD
 export RN_NUMERICS_SEED=${1:-1}
+export RN_NUMERICS_STOP=1 # the first bound that does not hold ends a program
 pattern=${2:-}
 scratch=$(mktemp -d) || exit 1
 trap 'rm -rf "$scratch"' EXIT
@@ -16,52 +17,77 @@ give_up() {
     exit 1
 }
 
-# run PROGRAM: builds it and runs it; 0 passed, 1 failed, 2 did not build. `doctor` is the runner's.
+# run PROGRAM: builds it and runs it; 0 passed, 1 failed, 2 did not build. `doctor` is the runner's;
+# `commands` and `proofs` look at the compile commands and at the proofs' quotations.
 run() {
-    local target=tests/numerics/numerics_$1 arguments=()
-    if [ "$1" = doctor ]; then
-        target=server/ripnerf-runner
-        arguments=(--mode doctor --seed "$RN_NUMERICS_SEED")
-    fi
-    ninja -C "$scratch/build" "$target" >"$scratch/log" 2>&1 || return 2
-    "$scratch/build/$target" "${arguments[@]}" >"$scratch/log" 2>&1 || return 1
+    local target=tests/numerics/numerics_$1
+    case $1 in
+    doctor) target=server/ripnerf-runner ;;
+    commands) target=build.ninja ;;
+    proofs)
+        /usr/bin/python3 "$source/tests/numerics/proofs.py" "$source" >"$scratch/log" 2>&1 || return 1
+        return 0
+        ;;
+    esac
+    ninja -C "$build" "$target" >"$scratch/log" 2>&1 || return 2
+    case $1 in
+    doctor) set -- "$build/$target" --mode doctor --seed "$RN_NUMERICS_SEED" ;;
+    commands) set -- /usr/bin/python3 "$source/tests/numerics/flags.py" "$build" ;;
+    *) set -- "$build/$target" ;;
+    esac
+    "$@" >"$scratch/log" 2>&1 || return 1
 }
 
 # mutate PROGRAM FILE WHAT SED_SCRIPT
 mutate() {
-    local program=$1 file=$2 what=$3 script=$4
+    local program=$1 file=$2 what=$3 script=$4 begin=$SECONDS
     [[ $what == *$pattern* ]] || return
     tried=$((tried + 1))
-    sed -i "$script" "$scratch/tree/$file"
-    if cmp -s "$tree/$file" "$scratch/tree/$file"; then
+    sed -i "$script" "$source/$file"
+    if cmp -s "$pristine/$file" "$source/$file"; then
         echo "NO CHANGE  $what ($file)"
     else
         run "$program"
         case $? in
-        1) caught=$((caught + 1)) && echo "caught     $what ($program)" ;;
+        1) caught=$((caught + 1)) && echo "caught     $what ($program, $((SECONDS - begin)) s)" ;;
         2) echo "NO BUILD   $what" && tail -5 "$scratch/log" ;;
         *) echo "MISSED     $what ($program)" ;;
         esac
     fi
-    cp "$tree/$file" "$scratch/tree/$file"
+    cp "$pristine/$file" "$source/$file"
 }
 
-mkdir "$scratch/tree"
-git ls-files --cached --others --exclude-standard -z | xargs -0 cp --parents -t "$scratch/tree"
-# The formulas are the same in every kernel set: the plain one is enough to see them broken, and it
-# compiles several times faster so.
-sed -i "s/-O3/-O1/;s/host_machine.cpu_family() == 'x86_64'/false/" \
-    "$scratch/tree/server/engine/meson.build" "$scratch/tree/server/engine/bench/meson.build"
-sed -i 's/defined(__x86_64__)/0/' "$scratch/tree/server/engine/cpu/dispatch.c" \
-    "$scratch/tree/server/engine/bench/machine.c"
-meson setup "$scratch/build" "$scratch/tree" --buildtype=release \
-    >"$scratch/log" 2>&1 ||
-    { cat "$scratch/log"; give_up "meson setup failed"; }
-for program in frustum footprint ripmap solid volume camera optimiser kernels rays training \
-    incidents reproducible roulette metrics_images flags_fma doctor; do
-    [[ -n $pattern ]] && ! grep -q "^mutate $program .*$pattern" "$tree/tests/numerics/mutations.sh" && continue
-    run "$program" || give_up "$program fails before any mutation: $(tail -3 "$scratch/log")"
-done
+# A scratch copy with one kernel set beside the float64 code, quick to compile: prepare SET.
+prepare() {
+    source=$scratch/$1/source pristine=$scratch/$1/pristine build=$scratch/$1/build
+    mkdir -p "$pristine" || give_up "no room in $scratch"
+    git ls-files --cached --others --exclude-standard -z | xargs -0 cp --parents -t "$pristine"
+    local engine=$pristine/server/engine
+    sed -i 's/-O3/-O1/' "$engine/meson.build"
+    if [ "$1" = generic ]; then
+        sed -i "s/host_machine.cpu_family() == 'x86_64'/false/" "$engine/meson.build" \
+            "$engine/bench/meson.build"
+        sed -i 's/defined(__x86_64__)/0/' "$engine/cpu/dispatch.c" "$engine/bench/machine.c"
+    else
+        sed -i "/'avx2': \[/d;/'avx512': avx512,/d;/'amx': /d" "$engine/meson.build"
+        sed -i 's/found\[n++\] = &rn_kernels_\(avx2\|avx512\|amx\);/(void)n;/' "$engine/cpu/dispatch.c"
+    fi
+    cp -r "$pristine" "$source"
+    meson setup "$build" "$source" --buildtype=release -Dcuda=disabled >"$scratch/log" 2>&1 ||
+        { cat "$scratch/log"; give_up "meson setup failed"; }
+}
+
+# Programs that must pass before anything is broken.
+sound() {
+    for program; do
+        [[ -n $pattern ]] && ! grep -q "^mutate $program .*$pattern" "$tree/tests/numerics/mutations.sh" && continue
+        run "$program" || give_up "$program fails before any mutation: $(tail -3 "$scratch/log")"
+    done
+}
+
+prepare generic
+sound frustum footprint ripmap solid volume camera optimiser kernels rays training incidents \
+    reproducible roulette overflow growth networks metrics_images flags_fma doctor commands proofs
 
 field=server/engine/field
 cpu=server/engine/cpu
@@ -191,8 +217,45 @@ mutate doctor $cpu/simd.h "doctor: vector exp with a one-part reduction" \
     's/vf r = x - n \* 0.693145751953125f;.*/vf r = x - n * 0.693147180559945f;/;s/r = r - n \* 1.42860677e-6f;//'
 mutate doctor $field/volume.h "doctor: compositing by a product of 1 - opacity" \
     's/before = after\[i\] = exp(-sum);/before = after[i] = before * (1 - rn_alpha(x[i]));/'
+grow=$train/grow.c
+mutate growth $grow "growth: moments as they were" \
+    's/carry_over(t, other, m, t->m, share)/carry_over(t, other, m, t->m, 1)/'
+mutate growth $grow "growth: corners aligned to the edges" \
+    's/double u = .*/double u = x * (e->old - 1.0) \/ (e->side - 1);/'
+mutate growth $grow "growth: nearest texels" 's/float fx = .*/float fx = 0;/'
+mutate growth $grow "growth: a border's texel as its neighbour and the difference" \
+    's/int column = (int)u, right = .*/int column = (int)fmin(u, e->old - 2), right = e->channels;/'
+mutate growth $grow "growth: spoilt parameters become the good ones" \
+    's/t->rejected == 0 && rn_trainer_all_finite(t)/true/'
+mutate overflow $grow "growth: overflowing parameters become the good ones" \
+    's/t->rejected == 0 && rn_trainer_all_finite(t)/rn_trainer_all_finite(t)/'
+mutate overflow $train/step.c "overflow: the step is taken all the same" \
+    's/return check == 0 && isfinite(loss);/return check == 0 || isfinite(loss);/'
+mutate overflow $train/guard.c "overflow: steps are rejected for ever" \
+    's/if (wild || t->rejected >= MOST_REJECTED)/if (wild)/'
+mutate reproducible server/engine/checkpoint_state.c "growth: a resumed run no longer grows" \
+    's/CONFIG(grow_to, KIND_INT),//'
+mutate proofs $cpu/simd.h "proofs: a coefficient that is not the proved one" \
+    's/4.16666667e-2f/4.1666666e-2f/'
+mutate proofs $cpu/encode.h "proofs: another order of the proved products" \
+    's/(0.6f \* hs) \* hs \*/0.6f * (hs * hs) */'
 mutate flags_fma meson.build "flags: contraction allowed" \
     's/-ffp-contract=off/-ffp-contract=fast/'
+mutate commands server/engine/meson.build "flags: the kernel sets' contraction changed" \
+    's/-ffp-contract=fast/-ffp-contract=off/'
+mutate commands server/engine/meson.build "flags: fast mathematics in the kernel sets" \
+    "s/'-Wno-psabi'/'-Wno-psabi', '-ffast-math'/"
+
+if grep -q avx512_bf16 /proc/cpuinfo; then
+    prepare bf16
+    sound kernels networks
+    mutate kernels $cpu/gemm_bf16.h "bf16: truncated instead of rounded" \
+        's/return (__m512i)_mm512_cvtne2ps_pbh(high, low);/return _mm512_inserti64x4(_mm512_castsi256_si512(_mm512_cvtepi32_epi16(_mm512_srli_epi32((__m512i)low, 16))), _mm512_cvtepi32_epi16(_mm512_srli_epi32((__m512i)high, 16)), 1);/'
+    mutate networks $cpu/gemm_bf16.h "networks: bf16 truncated instead of rounded" \
+        's/return (__m512i)_mm512_cvtne2ps_pbh(high, low);/return _mm512_inserti64x4(_mm512_castsi256_si512(_mm512_cvtepi32_epi16(_mm512_srli_epi32((__m512i)low, 16))), _mm512_cvtepi32_epi16(_mm512_srli_epi32((__m512i)high, 16)), 1);/'
+else
+    echo "skipped: this processor has no bf16 products, for two mutations more"
+fi
 
 echo "$caught of $tried caught"
 [ "$caught" -eq "$tried" ]

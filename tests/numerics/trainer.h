@@ -105,17 +105,29 @@ static const char *const plant_names[PLANTS] = {
     "NaN in a texel's slope",  "NaN in a first moment of a network", "NaN in a second moment",
     "NaN in all of the planes"};
 
-static inline void plant(struct rn_trainer *t, int what) {
+// A texel that the steps read often: of 256 random ones that with the largest second moment.
+static inline size_t busy_texel(const struct rn_trainer *t, struct numerics_random *random) {
+    size_t best = 0;
+    for (int i = 0; i < 256; i++) {
+        size_t at = (size_t)numerics_uniform(random, 0, (double)t->field->parameters.plane_count);
+        if (i == 0 || t->v[at] > t->v[best]) best = at;
+    }
+    return best;
+}
+
+// At a random place: of such a texel, or in a network's first layer.
+static inline void plant(struct rn_trainer *t, int what, struct numerics_random *random) {
     const struct rn_parameters *p = &t->field->parameters;
-    size_t texel = p->plane_count / 2 + (size_t)p->plane_count / 37, base = p->plane_count;
-    while (t->m[texel] == 0) // one that the steps read
-        texel++;
+    const struct rn_mlp_shape *shape = &t->field->cpu.base_shape;
+    size_t texel = busy_texel(t, random), head = p->plane_count + p->base_count;
+    size_t layer = (size_t)(shape->in[0] * shape->out[0]);
+    size_t weight = p->plane_count + (size_t)numerics_uniform(random, 0, (double)layer);
     if (what == 0) p->values[texel] = NAN;
-    if (what == 1) p->values[base + 11] = INFINITY;
-    if (what == 2) p->values[base + p->base_count + 3] = NAN;
+    if (what == 1) p->values[weight] = INFINITY;
+    if (what == 2) p->values[head + (weight - p->plane_count) % RN_HEAD_INPUTS] = NAN;
     if (what == 3) t->grad[texel] = NAN;
-    if (what == 4) t->m[base + 17] = NAN;
-    if (what == 5) t->v[base + 17] = NAN;
+    if (what == 4) t->m[weight] = NAN;
+    if (what == 5) t->v[weight] = NAN;
     for (size_t i = 0; i < p->plane_count && what == 6; i++)
         p->values[i] = NAN;
 }

@@ -6,20 +6,20 @@
 // ---- planted numbers ------------------------------------------------------------------------
 
 // Planted after step 10: gone after step 11, with one rollback, and training goes on to the end.
-static int check_planted(struct rn_engine *engine, const struct rn_dataset *dataset) {
-    struct numerics_case found = {
-        "9 non-finite number found", "planted in seven places", "steps", 1, 0, ""};
-    struct numerics_case left = {"9 non-finite numbers left by planted ones",
-                                 "parameters, picture, checkpoint",
-                                 "numbers",
-                                 0.5,
-                                 0,
+static int check_planted(struct rn_engine *engine, const struct rn_dataset *dataset,
+                         struct numerics_random *random) {
+    char names[2][80];
+    snprintf(names[0], sizeof names[0], "9 non-finite number found, %s", engine->kernels->name);
+    snprintf(names[1], sizeof names[1], "9 non-finite numbers left by planted ones, %s",
+             engine->kernels->name);
+    struct numerics_case found = {names[0], "planted in seven places", "steps", 1, 0, ""};
+    struct numerics_case left = {names[1], "parameters, picture, checkpoint", "numbers", 0.5, 0,
                                  ""};
     for (int what = 0; what < PLANTS; what++) {
         struct rn_trainer *t = make_trainer(engine, dataset, 1);
         while (t->progress.step < 10)
             advance(t);
-        plant(t, what);
+        plant(t, what, random);
         int steps = 0;
         while (t->progress.rollbacks == 0 && advance(t))
             steps++;
@@ -36,7 +36,8 @@ static int check_planted(struct rn_engine *engine, const struct rn_dataset *data
 }
 
 // Saved at once, without a step in between.
-static int check_saved(struct rn_engine *engine, const struct rn_dataset *dataset) {
+static int check_saved(struct rn_engine *engine, const struct rn_dataset *dataset,
+                       struct numerics_random *random) {
     struct numerics_case c = {"9 non-finite numbers saved right after planting",
                               "parameters, moments",
                               "numbers",
@@ -48,7 +49,7 @@ static int check_saved(struct rn_engine *engine, const struct rn_dataset *datase
         struct rn_trainer *t = make_trainer(engine, dataset, 1);
         while (t->progress.step < 3)
             advance(t);
-        plant(t, at_once[i]);
+        plant(t, at_once[i], random);
         struct rn_error err = {0};
         char path[64];
         snprintf(path, sizeof path, "%s/checkpoint", folder);
@@ -64,7 +65,8 @@ static int check_saved(struct rn_engine *engine, const struct rn_dataset *datase
 
 // A number that comes back after every step: after three rollbacks training fails and says so; the
 // parameters stay good.
-static int check_hopeless(struct rn_engine *engine, const struct rn_dataset *dataset) {
+static int check_hopeless(struct rn_engine *engine, const struct rn_dataset *dataset,
+                          struct numerics_random *random) {
     struct numerics_case c = {"9 rollbacks before hopeless training fails",
                               "NaN before every step",
                               "off four",
@@ -73,7 +75,7 @@ static int check_hopeless(struct rn_engine *engine, const struct rn_dataset *dat
                               ""};
     struct rn_trainer *t = make_trainer(engine, dataset, 1);
     do
-        plant(t, 1);
+        plant(t, 1, random);
     while (advance(t));
     struct rn_error err = {0};
     bool said = rn_trainer_advance(t, 0, &err) == RN_ERROR_NUMERIC && strstr(err.text, "diverged");
@@ -103,12 +105,10 @@ static void spoil_pixels(struct rn_trainer *t, int what, uint64_t seed) {
 }
 
 static int check_hostile(struct rn_engine *engine, uint64_t seed) {
-    struct numerics_case c = {"9 non-finite numbers left by hostile data",
-                              "eight kinds, 60 steps",
-                              "numbers",
-                              0.5,
-                              0,
-                              ""};
+    char name[80];
+    snprintf(name, sizeof name, "9 non-finite numbers left by hostile data, %s",
+             engine->kernels->name);
+    struct numerics_case c = {name, "eight kinds, 60 steps", "numbers", 0.5, 0, ""};
     for (int what = 0; what < HOSTILE; what++) {
         struct rn_dataset *dataset = read_views(what == 4 ? 1 : 6);
         for (size_t f = 1; f < dataset->frame_count && what == 5; f++)
@@ -225,16 +225,24 @@ static int check_occupancy(struct rn_engine *engine, const struct rn_dataset *da
 int main(void) {
     struct numerics_random random = numerics_random();
     struct rn_engine_options options = {.threads = 1};
+    const struct rn_kernels *kernels;
     struct rn_engine *engine;
     struct rn_error err = {0};
     if (!mkdtemp(folder)) return 1;
     must(rn_engine_create(&options, &engine, &err), &err);
     struct rn_dataset *dataset = read_views(6);
-    int failed = check_planted(engine, dataset) + check_saved(engine, dataset);
-    failed += check_hopeless(engine, dataset) + check_hostile(engine, random.seed);
-    failed += check_occupancy(engine, dataset);
-    rn_dataset_destroy(&dataset);
+    int failed = check_saved(engine, dataset, &random) + check_hopeless(engine, dataset, &random);
     rn_engine_destroy(&engine);
+    for (int i = 0; (kernels = rn_kernels_available(i)); i++) {
+        options.kernels = kernels->name;
+        must(rn_engine_create(&options, &engine, &err), &err);
+        failed += check_planted(engine, dataset, &random) + check_hostile(engine, random.seed);
+        rn_engine_destroy(&engine);
+    }
+    must(rn_engine_create(&options, &engine, &err), &err);
+    failed += check_occupancy(engine, dataset);
+    rn_engine_destroy(&engine);
+    rn_dataset_destroy(&dataset);
     must(rn_remove_tree(folder, &err), &err);
     return failed > 0;
 }

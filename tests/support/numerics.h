@@ -35,13 +35,16 @@ numerics_see(struct numerics_case *c, double error, const char *where, ...) {
     va_end(args);
 }
 
-// Prints the case; returns 1 when its bound does not hold or nothing was seen, else 0.
+// Prints the case; returns 1 when its bound does not hold or nothing was seen, else 0. With
+// RN_NUMERICS_STOP set the first such case ends the program.
 static inline int numerics_close(const struct numerics_case *c) {
     char bound[64] = "none, shown";
     if (isfinite(c->bound)) snprintf(bound, sizeof bound, "%.4g %s", c->bound, c->unit);
     printf("%s\t%s\t%s\t%.4g %s\t%s\n", c->name, c->range, bound, c->worst, c->unit, c->where);
     int failed = !(c->worst <= c->bound) || !c->where[0];
-    if (failed) fprintf(stderr, "FAILED: %s\n", c->name);
+    if (failed)
+        fprintf(stderr, "FAILED: %s: %.4g for %.4g, %s\n", c->name, c->worst, c->bound, c->where);
+    if (failed && getenv("RN_NUMERICS_STOP")) exit(1);
     return failed;
 }
 
