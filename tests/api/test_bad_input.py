@@ -68,6 +68,14 @@ def raw(content):
     return lambda folder: image(folder).write_bytes(content)
 
 
+def cut_jpeg(folder):
+    """Its head is sound, its picture ends too early."""
+    name = image(folder, "r_0.jpg")
+    Image.frombytes("RGB", (16, 16), bytes(range(256)) * 3).save(name, "jpeg", quality=100)
+    name.write_bytes(name.read_bytes()[:-100])
+    set_path("./train/r_0.jpg")(folder)
+
+
 def duplicate_keys(folder):
     put(folder, '{"camera_angle_x": 0.7, "camera_angle_x": 0.8, "frames": []}')
 
@@ -84,6 +92,7 @@ IMAGES = {
     "missing": (lambda folder: image(folder).unlink(), FIRST, "r_0"),
     "truncated": (lambda folder: image(folder).write_bytes(image(folder).read_bytes()[:60]),
                   "train/r_0.png", "damaged"),
+    "truncated JPEG": (cut_jpeg, "train/r_0.jpg", "damaged"),
     "empty": (raw(b""), FIRST, ""),
     "no image": (raw(b"#!/bin/sh\n" * 20), FIRST, ""),
     "huge": (raw(HUGE), FIRST, "100000"),

@@ -64,8 +64,14 @@ def check_report(report, kernels=None):
     assert report["frame"]["ms"] > 0 and report["frame"]["samples"] > 0
 
 
-def test_every_figure_is_there(client, tmp_path):
-    check_report(bench(client, tmp_path))
+@pytest.fixture(scope="module")
+def usual(client, tmp_path_factory):
+    """What `bench` says without further wishes."""
+    return bench(client, tmp_path_factory.mktemp("tmp"))
+
+
+def test_every_figure_is_there(usual):
+    check_report(usual)
 
 
 def test_the_plain_kernels_pass_their_checks(client, tmp_path):
@@ -74,8 +80,8 @@ def test_the_plain_kernels_pass_their_checks(client, tmp_path):
     assert report["threads"] == 1
 
 
-def test_every_kernel_set_passes_its_checks(client, tmp_path):
-    machine = bench(client, tmp_path)["machine"]
+def test_every_kernel_set_passes_its_checks(client, usual, tmp_path):
+    machine = usual["machine"]
     for kernels, unit, figure in (("avx512bf16", "bf16 dot", "bf16_dot_gmacs"),
                                   ("amx", "amx", "amx_bf16_l1_gmacs")):
         if machine[figure] is None:  # the machine has no such set: tried, and refused
