@@ -162,7 +162,8 @@ class Handler(BaseHTTPRequestHandler):
         self.reply(200, {"items": world.cameras()})
 
     def photo(self, world, _key, split, index):
-        found = [item for item in world.cameras() if item["split"] == split][int(index)]
+        views = world.cameras()
+        found = next(item for item in views if (item["split"], item["index"]) == (split, int(index)))
         self.reply(200, draw(found["camera"]), "image/png")
 
     def add_dataset(self, world):

@@ -43,6 +43,7 @@ class World:
         self.events = []  # (id, job id, type, data)
         self.frames, self.done, self.routes = {}, {}, {}  # by job id; routes are the camera paths
         self.serial = 0
+        self.missing = set()  # views that could not be used: (split, index)
         self.uploads = []
         if scenario != "empty":
             self.add_dataset("sphere")
@@ -155,6 +156,7 @@ class World:
             }
             for split, count in sizes.items()
             for i, pose in enumerate(ring(count))
+            if (split, i) not in self.missing
         ]
 
     def job(self, kind, **fields):
@@ -209,44 +211,8 @@ class World:
                 "planes": planes,
                 "footprint": options.get("footprint", "rip"),
             },
-            "differences": [
-                {"what": "3 planes instead of 10", "measured": "+1.2 dB at 60 s (lego 400)"},
-                {"what": "one colour network a ray", "measured": "+0.4 dB"},
-            ],
-            "effects": [
-                {
-                    "name": "background",
-                    "on": True,
-                    "decided": True,
-                    "number": 0.62,
-                    "threshold": 0.01,
-                    "reason": "62 % of pixels are transparent",
-                },
-                {
-                    "name": "scale-pyramid",
-                    "on": False,
-                    "decided": True,
-                    "number": 1.04,
-                    "threshold": 1.5,
-                    "reason": "footprints differ by a factor of 1.04 only",
-                },
-                {
-                    "name": "anisotropy",
-                    "on": True,
-                    "decided": True,
-                    "number": 3.1,
-                    "threshold": 1.5,
-                    "reason": "95th percentile of the footprints' axis ratio",
-                },
-                {
-                    "name": "view-dependence",
-                    "on": True,
-                    "decided": False,
-                    "number": None,
-                    "threshold": 0.02,
-                    "reason": "measured after 200 steps",
-                },
-            ],
+            "differences": contract.example("Scene")["differences"],
+            "effects": contract.example("Scene")["effects"],
         }
         job = self.job(
             "train",

@@ -89,6 +89,50 @@ def test_upload_import_and_train(page, fake, tmp_path):
     quiet(page)
 
 
+def test_limits_follow_the_preset_until_one_is_chosen(page, fake):
+    page.open(fake("bare").url + "#/dataset/sphere")
+    time_field = page.field("Time")
+    assert time_field.get_attribute("value") == "60"
+    page.press("draft")
+    assert time_field.get_attribute("value") == "15"
+    page.press("paper")
+    assert time_field.get_attribute("value") == ""
+    page.type(time_field, 7)
+    page.press("standard")
+    assert time_field.get_attribute("value") == "7"
+
+
+def test_a_view_that_is_unusable_leaves_no_hole(page, fake):
+    """Photographs go by their numbers in the JSON."""
+    api = fake("bare")
+    api.world.missing.add(("train", 3))
+    page.open(api.url + "#/dataset/sphere")
+    page.says("train:4")
+    shown = [e.text for e in page.all(".photos figcaption")]
+    assert len(shown) == 23 and "train:3" not in shown and "train:23" in shown
+
+
+def test_effects_are_told_in_their_units(page, fake):
+    page.open(fake("busy").url + "#/scene/sphere-draft")
+    numbers = page.until(
+        lambda: [e.text.split("\n") for e in page.all(".effect .number")], "the effects"
+    )
+    assert ["8.00×", "threshold 1.41×"] in numbers
+    assert numbers[0][1] == "threshold 0 %" and numbers[3] == ["–", "threshold 2/255"]
+
+
+def test_a_path_cancelled_before_its_first_frame(page, fake):
+    api = fake("busy")
+    page.open(api.url + "#/scene/sphere-draft")
+    with api.world.lock:
+        job = api.world.submit(
+            {"type": "path", "scene": "sphere-draft", "camera_path": {"keys": [], "fps": 1}}
+        )
+        api.world.act(job, "cancel")
+    page.open(api.url + f"#/job/{job['id']}")
+    page.says("No frames: the job was cancelled", ".cover-note")
+
+
 def test_faults_are_shown_at_their_fields(page, fake):
     api = fake("busy")
     page.open(api.url + "#/dataset/sphere")
