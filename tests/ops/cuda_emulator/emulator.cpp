@@ -1,12 +1,19 @@
 // The emulator's state, and what tests in C set.
 #include "emulator.hpp"
 
+#include <unistd.h>
+
 #include "knobs.h"
 
 emu::machine emu::m;
 size_t emu::memory_total = (size_t)2 << 30, emu::memory_used;
 long emu::allocations;
 cudaError_t emu::sticky;
+void emu::maybe_lose() {
+    static int launches;
+    const char *file = getenv("RIPNERF_EMULATOR_LOSES");
+    if (file && ++launches == 3 && unlink(file) == 0) sticky = cudaErrorIllegalAddress;
+}
 
 static const float *all_halves() {
     static float values[65536];
