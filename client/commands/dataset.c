@@ -76,8 +76,15 @@ static int core_count(void) {
     return cores < 1 ? 1 : cores > 256 ? 256 : (int)cores;
 }
 
-static bool show_images(void *context, size_t done, size_t total) {
-    rn_progress_update(context, (double)done / (double)total, "%zu of %zu images", done, total);
+static bool show_checked(void *context, size_t done, size_t total) {
+    rn_progress_update(context, (double)done / (double)total, "%zu of %zu images checked", done,
+                       total);
+    return true;
+}
+
+static bool show_made(void *context, size_t done, size_t total) {
+    rn_progress_update(context, (double)done / (double)total, "%zu of %zu images made", done,
+                       total);
     return true;
 }
 
@@ -92,7 +99,7 @@ static struct rn_dataset *read_dataset(const char *folder, bool quiet,
     if (status == RN_OK) {
         rn_progress_init(&progress, !quiet);
         status =
-            rn_dataset_check_images(dataset, core_count(), problems, show_images, &progress, &err);
+            rn_dataset_check_images(dataset, core_count(), problems, show_checked, &progress, &err);
         rn_progress_finish(&progress);
     }
     if (status != RN_OK) {
@@ -381,7 +388,7 @@ static enum rn_exit run_synth(struct rn_client *client, const void *context, con
     if (options->size != RN_OPTION_ABSENT) synth.size = (int)options->size;
     if (options->views != RN_OPTION_ABSENT) synth.views = (int)options->views;
     rn_progress_init(&progress, !client->json);
-    enum rn_status status = rn_synthesise(args[0], &synth, args[1], show_images, &progress, &err);
+    enum rn_status status = rn_synthesise(args[0], &synth, args[1], show_made, &progress, &err);
     rn_progress_finish(&progress);
     if (status == RN_ERROR_NOT_FOUND || status == RN_ERROR_INVALID)
         return rn_client_usage(err.where, "%s", err.text);

@@ -268,10 +268,13 @@ static void print_info(const void *message) {
         putchar('\n');
     }
     print_field("memory", "%s for all scenes", info->memory_limit_bytes ? bytes : "no limit");
-    print_field("limits", "%lld training jobs, %lld queued, %lld scenes loaded",
+    print_field("limits", "%lld training at once, %lld jobs waiting, %lld scenes loaded",
                 (long long)info->limits.max_training_jobs, (long long)info->limits.max_queued_jobs,
                 (long long)info->limits.max_scenes_loaded);
-    print_field("roots", "%s", info->roots);
+    if (strcmp(info->roots, "[]") == 0)
+        print_field("roots", "none: datasets come by upload (ripnerfd --dataset-root)");
+    else
+        print_field("roots", "%s", info->roots);
 }
 
 static enum rn_exit run_info(struct rn_client *client, const void *options, const char **args) {
