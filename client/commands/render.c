@@ -501,7 +501,9 @@ const struct rn_verb rn_verbs_render[] = {
      .details =
          "A camera file is {\"camera\": {\"world_from_camera\": [[4],[4],[4]],\n"
          "\"axes\": \"opencv\" or \"opengl\", \"width\", \"height\", \"fov_y_deg\"}}, or with\n"
-         "fx, fy, cx, cy in the field of view's place.",
+         "fx, fy, cx, cy in the field of view's place. A picture of another shape than the camera's\n"
+         "keeps its field of view from top to bottom. Depth is a 16-bit grey PNG whose text chunk\n"
+         "ripnerf:depth_scale says how many dataset units 65535 stands for.",
      .args_min = 1,
      .args_max = 1,
      .table = render_table,

@@ -96,7 +96,11 @@ def test_render(client, trained, tmp_path):
     wide = Image.open(tmp_path / "w.png").crop((16, 0, 48, 32))
     difference = ImageChops.difference(wide, Image.open(tmp_path / "a.png"))
     assert max(high for _, high in difference.getextrema()) <= 2
-    assert Image.open(tmp_path / "d.png").mode.startswith("I")
+    depth = Image.open(tmp_path / "d.png")
+    assert depth.mode.startswith("I")
+    unit = float(depth.info["ripnerf:depth_scale"]) / 65535
+    near, far = (unit * grey for grey in (min(v for v in depth.getdata() if v), max(depth.getdata())))
+    assert 2.5 <= near < 4.03 < far <= 5.6  # the camera is 4.03 from a ball of radius 1
     assert Image.open(tmp_path / "j.jpg").format == "JPEG"
     client.run("render", "ball", "--view", "test:99", "-o", tmp_path / "x.png", code=NOT_FOUND)
 
