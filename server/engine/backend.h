@@ -10,7 +10,7 @@
 #include "common/math/camera.h"
 #include "server/engine/cpu/kernels.h"
 
-#define RN_BACKEND_VERSION 2
+#define RN_BACKEND_VERSION 3
 #define RN_BACKEND_SYMBOL "rn_backend_table"
 
 struct rn_device;       // owner: rn_backend.open's caller
@@ -84,6 +84,12 @@ struct rn_device_progress {
     int good_steps;
 };
 
+#define RN_DEVICE_STAGES 16
+struct rn_device_stage {
+    const char *name;
+    float ms;
+};
+
 struct rn_backend {
     int version;
     const char *name; // "cuda"
@@ -92,6 +98,8 @@ struct rn_backend {
     enum rn_status (*open)(int ordinal, size_t budget_bytes, struct rn_device **ret_device,
                            struct rn_device_about *ret_about, struct rn_error *err);
     void (*close)(struct rn_device **device);
+    // Of its memory, by what was made on it.
+    size_t (*used_bytes)(const struct rn_device *device);
     // UNSUPPORTED names what of the configuration this backend cannot do. LIMIT says what is needed
     // and what would fit, before anything is taken. `scene` need not outlive the call.
     enum rn_status (*field_create)(struct rn_device *device, const struct rn_device_scene *scene,
@@ -106,6 +114,10 @@ struct rn_backend {
                                  struct rn_error *err);
     enum rn_status (*train_finish)(struct rn_device_field *field,
                                    struct rn_device_progress *ret_progress, struct rn_error *err);
+    // One step kernel by kernel instead of as a graph, and how long each stage took on the device.
+    enum rn_status (*train_timed)(struct rn_device_field *field, const struct rn_device_step *step,
+                                  struct rn_device_stage ret_stages[RN_DEVICE_STAGES],
+                                  int *ret_count, struct rn_error *err);
     // Copies to the CPU's layout; m and v may be NULL.
     enum rn_status (*download)(struct rn_device_field *field, float *parameters, float *m, float *v,
                                float *occupancy, struct rn_error *err);

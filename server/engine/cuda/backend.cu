@@ -71,6 +71,10 @@ static void device_close(struct rn_device **device) {
     *device = NULL;
 }
 
+static size_t used_bytes(const struct rn_device *device) {
+    return device->used_bytes;
+}
+
 // ---- memory ---------------------------------------------------------------------------------
 
 // Bytes of a field whose planes have `base` texels a side, with its training where there are pixels.
@@ -339,8 +343,8 @@ __global__ void rn_rates_kernel(struct rn_cuda_rates rates, struct rn_cuda_rates
     status->correction2 = (float)-expm1(n * log(rates.beta2));
 }
 
-static enum rn_status train_step(struct rn_device_field *f, const struct rn_device_step *step,
-                                 struct rn_error *err) {
+// What comes before the kernels of a step.
+static cudaError_t prepare_step(struct rn_device_field *f, const struct rn_device_step *step) {
     const struct rn_train_config *c = &f->config;
     struct rn_cuda_rates rates = {step->network_rate,
                                   step->plane_rate,
@@ -354,9 +358,45 @@ static enum rn_status train_step(struct rn_device_field *f, const struct rn_devi
     if (!e)
         e = RN_LAUNCH(rn_rates_kernel, 1, 32, 0, f->device->stream, rates, f->optimiser.rates,
                       f->batch.status);
-    if (!e) e = cudaGraphLaunch(f->graph, f->device->stream);
     f->steps++;
+    return e;
+}
+
+static enum rn_status train_step(struct rn_device_field *f, const struct rn_device_step *step,
+                                 struct rn_error *err) {
+    cudaError_t e = prepare_step(f, step);
+    if (!e) e = cudaGraphLaunch(f->graph, f->device->stream);
     return rn_cuda_check(e, "a training step", err);
+}
+
+static cudaError_t read_timer(const struct rn_timer *t, struct rn_device_stage *ret_stages) {
+    cudaError_t e = cudaSuccess;
+    for (int i = 0; i < t->count && !e; i++) {
+        ret_stages[i].name = t->names[i];
+        e = cudaEventElapsedTime(&ret_stages[i].ms, t->events[i], t->events[i + 1]);
+    }
+    return e;
+}
+
+static enum rn_status train_timed(struct rn_device_field *f, const struct rn_device_step *step,
+                                  struct rn_device_stage *ret_stages, int *ret_count,
+                                  struct rn_error *err) {
+    struct rn_timer timer = {};
+    cudaError_t e = cudaSuccess, queued = cudaSuccess;
+    for (int i = 0; i <= RN_DEVICE_STAGES && !e; i++)
+        e = cudaEventCreate(&timer.events[i]);
+    if (!e) e = prepare_step(f, step);
+    if (!e) e = cudaEventRecord(timer.events[0], f->device->stream);
+    f->timer = &timer;
+    if (!e) queued = rn_queue_step(f);
+    f->timer = NULL;
+    cudaError_t waited = cudaStreamSynchronize(f->device->stream);
+    if (!e) e = queued ? queued : waited;
+    if (!e) e = read_timer(&timer, ret_stages);
+    for (int i = 0; i <= RN_DEVICE_STAGES; i++)
+        if (timer.events[i]) (void)cudaEventDestroy(timer.events[i]);
+    *ret_count = timer.count;
+    return rn_cuda_check(e, "a timed step", err);
 }
 
 static enum rn_status train_finish(struct rn_device_field *f,
@@ -456,7 +496,8 @@ static enum rn_status render(struct rn_device_field *f, const struct rn_camera *
 extern "C" {
 extern const struct rn_backend rn_backend_table;
 const struct rn_backend rn_backend_table = {
-    RN_BACKEND_VERSION, "cuda",      device_open,  device_close, field_create, field_destroy,
-    train_begin,        train_step,  train_finish, download,     render,
+    RN_BACKEND_VERSION, "cuda",      device_open, device_close, used_bytes,
+    field_create,       field_destroy, train_begin, train_step,   train_finish,
+    train_timed,        download,    render,
 };
 }

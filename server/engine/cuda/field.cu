@@ -119,6 +119,14 @@ template <typename K> static cudaError_t allow_shared(K kernel, size_t bytes) {
         if (outcome != cudaSuccess) return outcome;                                                \
     } while (0)
 
+// A stage of a step has been queued.
+static cudaError_t mark(struct rn_device_field *f, const char *stage) {
+    struct rn_timer *t = f->timer;
+    if (!t) return cudaSuccess;
+    t->names[t->count++] = stage;
+    return cudaEventRecord(t->events[t->count], f->device->stream);
+}
+
 // Blocks enough to fill the device once with kernels that take their work from a list.
 static unsigned persistent_blocks(const struct rn_device *d) {
     return (unsigned)d->processors;
@@ -204,10 +212,13 @@ static cudaError_t queue_forward(struct rn_device_field *f) {
     RN_TRY(allow_shared(f->shape->train, staging.bytes));
     RN_TRY(RN_LAUNCH(rn_rays_kernel, RN_BLOCKS(f->batch.ray_capacity), 256, 0, stream, f->source,
                      f->batch));
+    RN_TRY(mark(f, "rays"));
     RN_TRY(RN_LAUNCH(f->shape->train, persistent_blocks(f->device), 384, staging.bytes, stream,
                      f->scene, f->batch, f->march, staging.networks));
+    RN_TRY(mark(f, "forward"));
     RN_TRY(RN_LAUNCH(rn_order_kernel, 1, RN_ORDER_THREADS, 0, stream, f->batch));
-    return RN_LAUNCH(rn_place_kernel, RN_BLOCKS(f->batch.tile_capacity), 256, 0, stream, f->batch);
+    RN_TRY(RN_LAUNCH(rn_place_kernel, RN_BLOCKS(f->batch.tile_capacity), 256, 0, stream, f->batch));
+    return mark(f, "order");
 }
 
 static cudaError_t queue_gradient(struct rn_device_field *f, const struct rn_cuda_network *n,
@@ -232,10 +243,14 @@ static cudaError_t queue_backward(struct rn_device_field *f) {
     RN_TRY(allow_shared(f->shape->base_backward, base.bytes));
     RN_TRY(RN_LAUNCH(f->shape->head_backward, persistent_blocks(f->device), 256, head.bytes, stream,
                      f->scene, f->batch, head.networks));
+    RN_TRY(mark(f, "head backward"));
     RN_TRY(queue_gradient(f, &s->head, f->optimiser.head_sums));
+    RN_TRY(mark(f, "head gradient"));
     RN_TRY(RN_LAUNCH(f->shape->base_backward, persistent_blocks(f->device), 256, base.bytes, stream,
                      f->scene, f->batch, base.networks));
-    return queue_gradient(f, &s->base, f->optimiser.base_sums);
+    RN_TRY(mark(f, "base backward"));
+    RN_TRY(queue_gradient(f, &s->base, f->optimiser.base_sums));
+    return mark(f, "base gradient");
 }
 
 template <bool FIXED> static cudaError_t queue_planes(struct rn_device_field *f) {
@@ -243,6 +258,7 @@ template <bool FIXED> static cudaError_t queue_planes(struct rn_device_field *f)
     float step = f->march.step;
     RN_TRY(RN_LAUNCH(rn_scatter_kernel<FIXED>, 16 * persistent_blocks(f->device), 128, 0, stream,
                      f->scene, f->batch, f->optimiser.gradients, step));
+    RN_TRY(mark(f, "scatter"));
     return RN_LAUNCH(rn_update_planes_kernel<FIXED>, update_blocks(&f->scene.planes),
                      update_threads(&f->scene.planes), 0, stream, f->scene, f->optimiser,
                      f->batch.status);
@@ -253,6 +269,9 @@ cudaError_t rn_queue_step(struct rn_device_field *f) {
     RN_TRY(queue_backward(f));
     RN_TRY(f->deterministic ? queue_planes<true>(f) : queue_planes<false>(f));
     RN_TRY(queue_coarse(f));
+    RN_TRY(mark(f, "update planes"));
     RN_TRY(queue_networks(f, &f->optimiser, f->batch.status));
-    return RN_LAUNCH(rn_finish_kernel, 1, 32, 0, f->device->stream, f->batch.status);
+    RN_TRY(mark(f, "update networks"));
+    RN_TRY(RN_LAUNCH(rn_finish_kernel, 1, 32, 0, f->device->stream, f->batch.status));
+    return mark(f, "finish");
 }

@@ -27,6 +27,13 @@ struct rn_kernel_shape {
     void (*measure)(struct rn_cuda_scene, struct rn_cuda_measurement, int);
 };
 
+// Events between the kernels of a step that is timed.
+struct rn_timer {
+    int count; // of stages that have ended
+    const char *names[RN_DEVICE_STAGES];
+    cudaEvent_t events[RN_DEVICE_STAGES + 1]; // the first: the beginning
+};
+
 struct rn_device_field {
     struct rn_device *device;
     struct rn_train_config config;
@@ -46,6 +53,7 @@ struct rn_device_field {
     struct rn_cuda_source source;
     struct rn_cuda_march march;
     cudaGraphExec_t graph;
+    struct rn_timer *timer; // NULL but for a step that is timed
     uint64_t steps; // queued
 };
 

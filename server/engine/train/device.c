@@ -178,3 +178,12 @@ enum rn_status rn_trainer_run_device(struct rn_trainer *t, struct rn_error *err)
     t->counted = p;
     return p.rejected_in_a_row < MOST_REJECTED ? RN_OK : roll_back(t, err);
 }
+
+enum rn_status rn_trainer_time_device(struct rn_trainer *t,
+                                      struct rn_device_stage ret_stages[RN_DEVICE_STAGES],
+                                      int *ret_count, struct rn_error *err) {
+    struct rn_device_step step = next_step(t);
+    t->field->behind = t->field->moments_behind = true;
+    t->field->steps = ++t->progress.step;
+    return t->field->backend->train_timed(t->field->on_device, &step, ret_stages, ret_count, err);
+}

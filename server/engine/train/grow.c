@@ -120,8 +120,8 @@ bool rn_trainer_grows(const struct rn_trainer *t) {
 
 enum rn_status rn_trainer_grow(struct rn_trainer *t, struct rn_error *err) {
     if (!rn_trainer_grows(t)) return RN_OK;
-    // What is not finite, or makes steps be rejected (it overflows on its way), is left to the guard
-    // at the step's end: it must not become the state that a rollback returns to.
+    // What is not finite, or makes steps be rejected (it overflows on its way), is left to the
+    // guard at the step's end: it must not become the state that a rollback returns to.
     bool good = t->rejected == 0 && rn_trainer_all_finite(t);
     return good ? grow_to(t, wanted_base(t), err) : RN_OK;
 }

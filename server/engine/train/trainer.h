@@ -102,6 +102,10 @@ enum rn_status rn_trainer_validate_rows(struct rn_trainer *trainer,
 // is how the gradients' scale is found, and told as no incident.
 enum rn_status rn_trainer_run_device(struct rn_trainer *trainer,
                                      struct rn_error *err) RN_MUST_CHECK;
+// One step there, timed; of a field that is there and has nothing to decide on the host.
+enum rn_status rn_trainer_time_device(struct rn_trainer *trainer,
+                                      struct rn_device_stage ret_stages[RN_DEVICE_STAGES],
+                                      int *ret_count, struct rn_error *err) RN_MUST_CHECK;
 // occupancy.c
 enum rn_status rn_trainer_list_hull(struct rn_trainer *trainer, struct rn_error *err) RN_MUST_CHECK;
 void rn_trainer_carve(struct rn_trainer *trainer);

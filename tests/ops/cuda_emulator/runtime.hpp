@@ -18,6 +18,7 @@ struct emu_stream {
     std::vector<std::function<void()>> operations;
 };
 typedef emu_stream *cudaStream_t;
+typedef struct timespec *cudaEvent_t;
 typedef std::vector<std::function<void()>> *cudaGraph_t, *cudaGraphExec_t;
 struct cudaDeviceProp {
     char name[256];
@@ -144,6 +145,21 @@ inline cudaError_t cudaGraphLaunch(cudaGraphExec_t g, cudaStream_t) {
     if (emu::sticky) return emu::sticky;
     for (const std::function<void()> &operation : *g)
         operation();
+    return cudaSuccess;
+}
+inline cudaError_t cudaEventCreate(cudaEvent_t *ret) {
+    *ret = new timespec();
+    return cudaSuccess;
+}
+inline cudaError_t cudaEventDestroy(cudaEvent_t e) {
+    delete e;
+    return cudaSuccess;
+}
+inline cudaError_t cudaEventRecord(cudaEvent_t e, cudaStream_t s) {
+    return emu::enqueue(s, [=] { clock_gettime(CLOCK_MONOTONIC, e); });
+}
+inline cudaError_t cudaEventElapsedTime(float *ret_ms, cudaEvent_t from, cudaEvent_t to) {
+    *ret_ms = 1e3f * (float)(to->tv_sec - from->tv_sec) + 1e-6f * (float)(to->tv_nsec - from->tv_nsec);
     return cudaSuccess;
 }
 template <typename F> cudaError_t cudaFuncSetAttribute(F, int, int) {
