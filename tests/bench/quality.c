@@ -1,7 +1,7 @@
 // Quality over seconds: trains on a dataset and prints held-out and test PSNR with their times.
 //
 //   quality DATASET [preset=standard] [time=60] [steps=0] [seed=1] [threads=0] [kernels=auto]
-//           [planes=] [base=] [channels=] [footprint=] [width=] ... [test=0] [every=5] [out=PREFIX]
+//           [planes=] [base=] [channels=] [footprint=] [width=] ... [test=0] [split=test|train] [every=5] [out=PREFIX]
 //
 // clock=cpu with threads=1 counts CPU seconds, for comparisons on a machine that is not idle.
 // One line per held-out evaluation, one line per test scale. No test: a tool to measure with.
@@ -18,6 +18,7 @@ struct run {
     const char *dataset, *preset, *kernels, *out;
     double every;
     int threads, test;
+    enum rn_split split; // that `test` looks at
     struct rn_train_config config;
 };
 
@@ -94,6 +95,8 @@ static bool set_option(struct run *run, const char *name, const char *value) {
         f->shading = strcmp(value, "ray") == 0 ? RN_SHADING_RAY : RN_SHADING_SAMPLE;
     else if (strcmp(name, "footprint") == 0)
         return rn_footprint_parse(value, &f->footprint) == RN_OK;
+    else if (strcmp(name, "split") == 0)
+        run->split = strcmp(value, "train") == 0 ? RN_SPLIT_TRAIN : RN_SPLIT_TEST;
     else if (strcmp(name, "kernels") == 0)
         run->kernels = value;
     else if (strcmp(name, "out") == 0)
@@ -126,7 +129,7 @@ static void test(struct run *run, struct rn_engine *engine, struct rn_field *fie
     int views = 0;
     for (size_t i = 0; i < dataset->frame_count; i++) {
         const struct rn_frame *f = &dataset->frames[i];
-        views += f->split == RN_SPLIT_TEST && f->scale == 0;
+        views += f->split == run->split && f->scale == 0;
     }
     int stride = run->test < views ? views / run->test : 1;
     double total = 0;
@@ -135,7 +138,7 @@ static void test(struct run *run, struct rn_engine *engine, struct rn_field *fie
         int n = 0, seen = 0;
         for (size_t i = 0; i < dataset->frame_count; i++) {
             const struct rn_frame *f = &dataset->frames[i];
-            if (f->split != RN_SPLIT_TEST || f->scale != scale || seen++ % stride) continue;
+            if (f->split != run->split || f->scale != scale || seen++ % stride) continue;
             struct rn_view_score s;
             if (rn_evaluate_view(engine, field, f, run->config.background, NULL, NULL, &s, &err) !=
                 RN_OK)
@@ -167,7 +170,7 @@ static void report(struct rn_trainer *trainer) {
 
 int main(int argc, char **argv) {
     struct rn_error err = {0};
-    struct run run = {.preset = "standard", .every = 5};
+    struct run run = {.preset = "standard", .every = 5, .split = RN_SPLIT_TEST};
     if (argc < 2) {
         fprintf(stderr, "usage: quality DATASET [name=value ...]\n");
         return 2;

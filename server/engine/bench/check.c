@@ -49,7 +49,8 @@ double rn_bench_check_rays(const struct rn_bench_recording *rec) {
         const struct rn_camera *camera = &frame->frame->camera;
         for (int y = 0; y < camera->height; y += 37) {
             int x = y * 7919 % camera->width;
-            struct rn_march_ray ray = rn_trainer_ray(t, &t->train, frame, x, y, 0.01);
+            struct rn_march_ray ray =
+                rn_trainer_ray(t, &t->train, frame, x, y, t->field->config.step, 0.01);
             double p[3] = {0};
             if (!(ray.length > 0)) continue;
             for (int i = 0; i < 3; i++) {

@@ -198,7 +198,7 @@ static void run_rays(void *context) {
         uint32_t width = (uint32_t)frame->frame->camera.width;
         uint32_t height = (uint32_t)frame->frame->camera.height;
         t->rays[i] = rn_trainer_ray(t, &t->train, frame, (int)(draw.v[1] % width),
-                                    (int)(draw.v[2] % height), 0);
+                                    (int)(draw.v[2] % height), t->field->config.step, 0);
     }
 }
 

@@ -50,7 +50,7 @@ static double probe_anisotropy(const struct rn_trainer *t) {
             &t->train.frames[rn_rng_below(draw.v[0], (uint32_t)t->train.frame_count)];
         int x = (int)rn_rng_below(draw.v[1], (uint32_t)f->frame->camera.width);
         int y = (int)rn_rng_below(draw.v[2], (uint32_t)f->frame->camera.height);
-        struct rn_march_ray ray = rn_trainer_ray(t, &t->train, f, x, y, 0);
+        struct rn_march_ray ray = rn_trainer_ray(t, &t->train, f, x, y, config->step, 0);
         double d[3] = {ray.direction[0], ray.direction[1], ray.direction[2]};
         double length = ray.length > 0 ? ray.length : 0;
         double mid = ray.near + length * rn_rng_unit(draw.v[3]);
@@ -167,7 +167,7 @@ static double direction_change(struct rn_trainer *t) {
             &t->train.frames[rn_rng_below(draw.v[3], (uint32_t)t->train.frame_count)];
         int x = (int)rn_rng_below(draw.v[1], (uint32_t)f->frame->camera.width);
         int y = (int)rn_rng_below(draw.v[2], (uint32_t)f->frame->camera.height);
-        struct rn_march_ray ray = rn_trainer_ray(t, &t->train, f, x, y, 0);
+        struct rn_march_ray ray = rn_trainer_ray(t, &t->train, f, x, y, (double)options.step, 0);
         float look[3];
         for (int k = 0; k < 3; k++)
             look[k] = (float)g->frame->camera.world_from_camera[k][2];

@@ -8,6 +8,10 @@
 #include "server/engine/train/trainer.h"
 
 #define STREAM_RAYS 0x7261797300000000u // random numbers of the ray batch, one stream a step
+#define GOLDEN 0x9e3779b97f4a7c15u      // 2^64 over the golden ratio
+#define SEED_SPREAD 0xd1b54a32d192ed03u // seeds start anywhere in the sequence
+#define STEP_POWER 0.8                  // of a texel's size: how steps shrink as planes grow
+#define PIXEL_STRIDE 29 // visits all 64 pixels of a block, no two neighbours in turn
 
 // ---- memory ---------------------------------------------------------------------------------
 
@@ -94,11 +98,11 @@ enum rn_status rn_trainer_allocate(struct rn_trainer *t, struct rn_error *err) {
 // ---- rays -----------------------------------------------------------------------------------
 
 struct rn_march_ray rn_trainer_ray(const struct rn_trainer *t, const struct rn_pixels *pixels,
-                                   const struct rn_pixel_frame *frame, int x, int y,
+                                   const struct rn_pixel_frame *frame, int x, int y, double step,
                                    double jitter) {
     const struct rn_camera *camera = &frame->frame->camera;
     struct rn_ray ray = rn_camera_ray(camera, x + 0.5, y + 0.5);
-    struct rn_march_ray out = rn_march_ray_from(t->field, &ray, t->field->config.step, jitter);
+    struct rn_march_ray out = rn_march_ray_from(t->field, &ray, step, jitter);
     rn_pixel_over(rn_pixel_at(pixels, frame, x, y), t->field->config.background, out.target);
     return out;
 }
@@ -136,18 +140,22 @@ static const struct rn_pixel_frame *draw_pixel(const struct rn_trainer *t, struc
     return frame;
 }
 
-// A pixel of ray r's scale, drawn uniformly over the blocks that may see the hull. NULL where the
-// block reaches over the image's edge.
-static const struct rn_pixel_frame *draw_live_pixel(const struct rn_trainer *t, int r,
-                                                    struct rn_rng4 draw, int *ret_x, int *ret_y) {
-    int scale = r % t->train.scale_count;
+// A pixel of ray r's scale, of the blocks that may see the hull. Nearly without replacement: one
+// ray after the other, over all steps, takes the next place of a golden-ratio sequence over the
+// blocks, so that every step's rays lie evenly over all photographs, and each round over the blocks
+// takes another pixel of each. NULL where the block reaches over the image's edge.
+static const struct rn_pixel_frame *draw_live_pixel(const struct rn_trainer *t, int r, int *ret_x,
+                                                    int *ret_y) {
+    int scales = t->train.scale_count, scale = r % scales;
     size_t first = t->live_first[scale], count = t->live_first[scale + 1] - first;
     if (count == 0) return NULL;
-    const struct rn_live_block *block =
-        &t->live[first + below((uint64_t)draw.v[0] << 32 | draw.v[1], count)];
+    uint64_t turn = (t->first_ray + (uint64_t)r) / (uint64_t)scales;
+    size_t index = below(turn * GOLDEN + t->field->config.seed * SEED_SPREAD, count);
+    uint32_t pixel = (uint32_t)(index * GOLDEN >> 40) + (uint32_t)(turn / count) * PIXEL_STRIDE;
+    const struct rn_live_block *block = &t->live[first + index];
     const struct rn_pixel_frame *frame = &t->train.frames[block->frame];
-    *ret_x = block->x + (int)(draw.v[3] % RN_LIVE_BLOCK);
-    *ret_y = block->y + (int)(draw.v[3] / RN_LIVE_BLOCK % RN_LIVE_BLOCK);
+    *ret_x = block->x + (int)(pixel % RN_LIVE_BLOCK);
+    *ret_y = block->y + (int)(pixel / RN_LIVE_BLOCK % RN_LIVE_BLOCK);
     bool inside = *ret_x < frame->frame->camera.width && *ret_y < frame->frame->camera.height;
     return inside ? frame : NULL;
 }
@@ -166,7 +174,7 @@ struct place {
 static struct place place_of(const struct rn_trainer *t, int r) {
     struct rn_rng4 draw = draw_of(t, r);
     struct place place = {.jitter = rn_rng_unit(draw.v[2])};
-    place.frame = t->field->config.equal_scales ? draw_live_pixel(t, r, draw, &place.x, &place.y)
+    place.frame = t->field->config.equal_scales ? draw_live_pixel(t, r, &place.x, &place.y)
                                                 : draw_pixel(t, draw, &place.x, &place.y);
     return place;
 }
@@ -181,8 +189,8 @@ const struct rn_pixel_frame *rn_trainer_place(const struct rn_trainer *t, int r,
 
 static struct rn_march_ray ray_at(const struct rn_trainer *t, int r, const struct place *place) {
     if (!place->frame) return (struct rn_march_ray){.stride = 1};
-    struct rn_march_ray ray =
-        rn_trainer_ray(t, &t->train, place->frame, place->x, place->y, (double)place->jitter);
+    struct rn_march_ray ray = rn_trainer_ray(t, &t->train, place->frame, place->x, place->y,
+                                             (double)t->march.step, (double)place->jitter);
     ray.weight = t->field->config.equal_scales ? 1 : (float)place->frame->frame->loss_weight;
     ray.id = (uint32_t)r;
     return ray;
@@ -229,7 +237,9 @@ static void scatter_band(void *context, int index, int thread) {
 
 struct rn_march_options rn_trainer_march(const struct rn_trainer *t) {
     const struct rn_train_config *config = &t->field->config;
-    struct rn_march_options march = {.step = (float)config->step,
+    double texels =
+        config->grow_to > config->field.base ? (double)config->grow_to / config->field.base : 1;
+    struct rn_march_options march = {.step = (float)(config->step * pow(texels, STEP_POWER)),
                                      .stop_depth = (float)-log(config->stop),
                                      .roulette = (float)config->roulette,
                                      .seed = config->seed,
@@ -242,6 +252,7 @@ void rn_trainer_begin_step(struct rn_trainer *t) {
     const struct rn_parameters *p = &t->field->parameters;
     t->stepping = true;
     t->ray_count = t->next_rays;
+    t->first_ray = t->progress.rays;
     t->march = rn_trainer_march(t);
     for (int g = 0; g < RN_GROUPS; g++) {
         struct rn_group *group = &t->groups[g];

@@ -342,7 +342,8 @@ static void validate_packet(void *context, int index, int thread) {
     int n = 0;
     for (; n < RN_PACKET_RAYS && first + (size_t)n < b->first + b->count; n++) {
         size_t i = first + (size_t)n;
-        rays[n] = rn_trainer_ray(t, &t->held, b->frame, (int)(i % width), (int)(i / width), 0);
+        rays[n] = rn_trainer_ray(t, &t->held, b->frame, (int)(i % width), (int)(i / width),
+                                 (double)b->march.step, 0);
     }
     t->engine->kernels->render(&t->field->cpu, &b->march, rays, n,
                                rn_engine_workspace(t->engine, thread), pixels);

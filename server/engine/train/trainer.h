@@ -60,6 +60,7 @@ struct rn_trainer {
     int next_chunk; // of the occupancy's cells, before the step
     int next_group, next_band;
     int ray_count;
+    uint64_t first_ray; // rays of all steps before
     struct rn_march_ray *rays;
     struct rn_march_options march;
     struct rn_group groups[RN_GROUPS];
@@ -126,15 +127,18 @@ void rn_trainer_free_step(struct rn_trainer *trainer); // what rn_trainer_alloca
 enum rn_status rn_trainer_allocate(struct rn_trainer *trainer, struct rn_error *err) RN_MUST_CHECK;
 // The first row of a plane's band, 0 to `bands`.
 int rn_trainer_band(const struct rn_trainer *trainer, int band);
-// How the next step marches; nothing of the step before is in it.
+// How the next step marches, in longer steps while the planes are coarse; nothing of the step
+// before is in it.
 struct rn_march_options rn_trainer_march(const struct rn_trainer *trainer);
 void rn_trainer_begin_step(struct rn_trainer *trainer);
 // Puts the rays of the step that was done last in place, for an incident's record.
 void rn_trainer_redraw(struct rn_trainer *trainer);
 void rn_trainer_run_wave(struct rn_trainer *trainer); // clears `stepping` when the step is complete
-// The ray through pixel (x, y) of a frame, target over the background.
+// The ray through pixel (x, y) of a frame, marched in `step` (scene radii), target over the
+// background.
 struct rn_march_ray rn_trainer_ray(const struct rn_trainer *trainer, const struct rn_pixels *pixels,
-                                   const struct rn_pixel_frame *frame, int x, int y, double jitter);
+                                   const struct rn_pixel_frame *frame, int x, int y, double step,
+                                   double jitter);
 // guard.c: after every step the parameters are finite. When they are not, or when 16 steps in a row
 // were rejected, training returns to the last good parameters (at most 64 updates old) with a fresh
 // optimiser at half the rate. After RN_MAX_ROLLBACKS such returns it fails: RN_ERROR_NUMERIC.
