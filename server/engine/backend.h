@@ -63,6 +63,8 @@ struct rn_device_training {
     int64_t step, updates;
     float gradient_scale; // a power of two; 0: as at the start
     int good_steps;       // since it was last changed
+    uint64_t rays;        // of all steps before
+    double march_step;    // scene radii; the configuration's own is for the occupancy
     const float *m, *v;   // NULL: zero
 };
 

@@ -116,7 +116,8 @@ enum rn_status test_scene_train(struct test_scene *s, bool deterministic, struct
                                       .scale_first = {0, FRAMES},
                                       .scale_pixels = {FRAMES * SIDE * SIDE},
                                       .pixel_count = FRAMES * SIDE * SIDE};
-    struct rn_device_training training = {.deterministic = deterministic, .next_rays = RAYS};
+    struct rn_device_training training = {
+        .deterministic = deterministic, .next_rays = RAYS, .march_step = s->field->config.step};
     return test_backend()->train_begin(s->on_device, &pixels, &training, err);
 }
 

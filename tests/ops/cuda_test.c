@@ -384,7 +384,7 @@ START_TEST(crowded_steps_are_skipped) {
                                       .scale_first = {0, FRAMES},
                                       .scale_pixels = {FRAMES * SIDE * SIDE},
                                       .pixel_count = FRAMES * SIDE * SIDE};
-    struct rn_device_training training = {.next_rays = 400, .step = 1};
+    struct rn_device_training training = {.next_rays = 400, .step = 1, .march_step = config.step};
     OK(backend->train_begin(s.on_device, &pixels, &training, &err));
     OK(backend->train_step(s.on_device, &one_step, &err));
     read_back(&s, &n);

@@ -254,23 +254,24 @@ static void choose_capacities(struct rn_device_field *f) {
 
 // As many rays as fit even if every sample of each is seen.
 static int first_rays(const struct rn_device_field *f, int asked) {
-    int tiles = (int)(2.8 / f->config.step) / RN_TILE + 2;
+    int tiles = (int)(2.8 / f->source.step) / RN_TILE + 2;
     int most = (int)(f->batch.tile_capacity / (uint32_t)tiles);
     return asked < most ? asked : most;
 }
 
-static void describe_training(struct rn_device_field *f, const struct rn_device_pixels *pixels) {
+static void describe_training(struct rn_device_field *f, const struct rn_device_pixels *pixels,
+                              double march_step) {
     const struct rn_train_config *c = &f->config;
     struct rn_cuda_source *s = &f->source;
     s->pixels = *pixels;
     memcpy(s->centre, f->centre, sizeof s->centre);
     s->radius = f->radius;
-    s->step = c->step;
+    s->step = march_step;
     memcpy(s->background, c->background, sizeof s->background);
     s->seed = c->seed;
     s->cone_step = c->cone_step;
     s->equal_scales = c->equal_scales;
-    f->march.step = (float)c->step;
+    f->march.step = (float)march_step;
     f->march.stop_depth = (float)-log(c->stop);
     memcpy(f->march.background, c->background, sizeof f->march.background);
     choose_capacities(f);
@@ -286,6 +287,7 @@ static cudaError_t upload_training(struct rn_device_field *f, const struct rn_de
     status.updates = (uint64_t)t->updates;
     status.gradient_scale = t->gradient_scale > 0 ? t->gradient_scale : RN_SCALE_FIRST;
     status.good_steps = t->good_steps;
+    status.rays = t->rays;
     cudaError_t e = cudaMemsetAsync(f->train_memory, 0, f->train_bytes, d->stream);
     if (!e) e = copy_in(d, f->batch.status, &status, sizeof status);
     if (!e)
@@ -318,7 +320,7 @@ static enum rn_status train_begin(struct rn_device_field *f, const struct rn_dev
         return rn_error_set(err, RN_ERROR_CONFLICT, "cuda", "this field is being trained already");
     struct rn_arena arena = {NULL, 0};
     f->deterministic = training->deterministic;
-    describe_training(f, pixels);
+    describe_training(f, pixels, training->march_step);
     rn_train_lay_out(f, pixels, &arena);
     int base = f->config.field.base, most = f->config.grow_to > base ? f->config.grow_to : base;
     enum rn_status status = check_budget(f, pixels, most, f->memory_bytes, err);

@@ -5,6 +5,7 @@
 #include "common/math/rng.h"
 #include "server/engine/cuda/scene.cuh"
 #include "server/engine/ray.h"
+#include "server/engine/train/draw.h"
 
 #define RN_STREAM_RAYS 0x7261797300000000u // as train/step.c
 #define RN_ORDER_THREADS 1024
@@ -52,23 +53,28 @@ RN_DEVICE int rn_draw_pixel(const struct rn_device_pixels *p, const struct rn_rn
     return low;
 }
 
-// A pixel of ray r's scale, drawn uniformly over the blocks that may see the hull; -1 outside.
-RN_DEVICE int rn_draw_live(const struct rn_device_pixels *p, int r, const struct rn_rng4 *draw,
-                           int *ret_x, int *ret_y) {
+// A pixel of ray r's scale, of the blocks that may see the hull; -1 outside. `first_ray`: rays of all
+// steps before.
+RN_DEVICE int rn_draw_live(const struct rn_cuda_source *s, uint64_t first_ray, int r, int *ret_x,
+                           int *ret_y) {
+    const struct rn_device_pixels *p = &s->pixels;
     int scale = r % p->scale_count;
     uint64_t first = p->live_first[scale], count = p->live_first[scale + 1] - first;
     if (count == 0) return -1;
-    const struct rn_device_block *block = &p->live[first + rn_below(draw, count)];
-    *ret_x = block->x + (int)(draw->v[3] % 8);
-    *ret_y = block->y + (int)(draw->v[3] / 8 % 8);
+    uint64_t turn = (first_ray + (uint64_t)r) / (uint64_t)p->scale_count;
+    struct rn_live_pixel pixel = rn_live_pixel(s->seed, turn, count);
+    const struct rn_device_block *block = &p->live[first + pixel.block];
+    *ret_x = block->x + pixel.x;
+    *ret_y = block->y + pixel.y;
     const struct rn_camera *c = &p->frames[block->frame].camera;
     return *ret_x < c->width && *ret_y < c->height ? (int)block->frame : -1;
 }
 
-RN_DEVICE struct rn_march_ray rn_draw_ray(const struct rn_cuda_source *s, uint64_t step, int r) {
+RN_DEVICE struct rn_march_ray rn_draw_ray(const struct rn_cuda_source *s, uint64_t step,
+                                          uint64_t first_ray, int r) {
     const struct rn_device_pixels *p = &s->pixels;
     struct rn_rng4 draw = rn_rng_draw(s->seed, RN_STREAM_RAYS | (uint32_t)r, step);
-    int x, y, frame = s->equal_scales ? rn_draw_live(p, r, &draw, &x, &y)
+    int x, y, frame = s->equal_scales ? rn_draw_live(s, first_ray, r, &x, &y)
                                       : rn_draw_pixel(p, &draw, &x, &y);
     struct rn_march_ray out = {{0, 0, 0}, {0, 0, 0}, 0, 0, 0, 1, {0, 0, 0}, 0, (uint32_t)r};
     if (frame < 0) return out;
@@ -91,7 +97,7 @@ __global__ void __launch_bounds__(256)
                    const __grid_constant__ rn_cuda_batch batch) {
     int r = (int)(blockIdx.x * blockDim.x + threadIdx.x);
     if (r >= batch.status->ray_count) return;
-    batch.rays[r] = rn_draw_ray(&source, batch.status->steps, r);
+    batch.rays[r] = rn_draw_ray(&source, batch.status->steps, batch.status->rays, r);
 }
 
 // Rays of `count` pixels of a camera from pixel `first` on, row after row.

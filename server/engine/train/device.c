@@ -64,6 +64,8 @@ static enum rn_status begin_training(struct rn_trainer *t, struct rn_error *err)
                                           .updates = t->updates,
                                           .gradient_scale = t->gradient_scale,
                                           .good_steps = t->good_steps,
+                                          .rays = t->progress.rays,
+                                          .march_step = (double)rn_trainer_march(t).step,
                                           .m = t->m,
                                           .v = t->v};
     enum rn_status status = pack_pixels(t, &packed, err);
@@ -79,7 +81,7 @@ enum rn_status rn_trainer_put(struct rn_trainer *t, struct rn_error *err) {
     struct rn_engine *e = t->engine;
     const char *kernels = e->kernels->name;
     enum rn_status status = RN_OK;
-    t->counted = (struct rn_device_progress){.steps = t->progress.step};
+    t->counted = (struct rn_device_progress){.steps = t->progress.step, .rays = t->progress.rays};
     if (e->backend) status = rn_field_put(e, t->field, t->levels, err);
     if (status == RN_ERROR_UNSUPPORTED && e->device_optional) status = RN_OK;
     if (status == RN_OK && t->field->on_device) {

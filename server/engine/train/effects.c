@@ -43,6 +43,7 @@ static double probe_anisotropy(const struct rn_trainer *t) {
     const struct rn_train_config *config = &t->field->config;
     const struct rn_field_config *c = &config->field;
     int base = rn_footprint_base(c);
+    if (c->footprint_base == 0 && config->grow_to > base) base = config->grow_to;
     double spread[PROBES];
     for (int i = 0; i < PROBES; i++) {
         struct rn_rng4 draw = rn_rng_draw(config->seed, 0x6566666563747300u, (uint64_t)i);

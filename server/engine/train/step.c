@@ -8,10 +8,7 @@
 #include "server/engine/train/trainer.h"
 
 #define STREAM_RAYS 0x7261797300000000u // random numbers of the ray batch, one stream a step
-#define GOLDEN 0x9e3779b97f4a7c15u      // 2^64 over the golden ratio
-#define SEED_SPREAD 0xd1b54a32d192ed03u // seeds start anywhere in the sequence
 #define STEP_POWER 0.8                  // of a texel's size: how steps shrink as planes grow
-#define PIXEL_STRIDE 29 // visits all 64 pixels of a block, no two neighbours in turn
 
 // ---- memory ---------------------------------------------------------------------------------
 
@@ -140,22 +137,19 @@ static const struct rn_pixel_frame *draw_pixel(const struct rn_trainer *t, struc
     return frame;
 }
 
-// A pixel of ray r's scale, of the blocks that may see the hull. Nearly without replacement: one
-// ray after the other, over all steps, takes the next place of a golden-ratio sequence over the
-// blocks, so that every step's rays lie evenly over all photographs, and each round over the blocks
-// takes another pixel of each. NULL where the block reaches over the image's edge.
+// A pixel of ray r's scale, of the blocks that may see the hull. NULL where the block reaches over
+// the image's edge.
 static const struct rn_pixel_frame *draw_live_pixel(const struct rn_trainer *t, int r, int *ret_x,
                                                     int *ret_y) {
     int scales = t->train.scale_count, scale = r % scales;
     size_t first = t->live_first[scale], count = t->live_first[scale + 1] - first;
     if (count == 0) return NULL;
     uint64_t turn = (t->first_ray + (uint64_t)r) / (uint64_t)scales;
-    size_t index = below(turn * GOLDEN + t->field->config.seed * SEED_SPREAD, count);
-    uint32_t pixel = (uint32_t)(index * GOLDEN >> 40) + (uint32_t)(turn / count) * PIXEL_STRIDE;
-    const struct rn_live_block *block = &t->live[first + index];
+    struct rn_live_pixel pixel = rn_live_pixel(t->field->config.seed, turn, count);
+    const struct rn_live_block *block = &t->live[first + pixel.block];
     const struct rn_pixel_frame *frame = &t->train.frames[block->frame];
-    *ret_x = block->x + (int)(pixel % RN_LIVE_BLOCK);
-    *ret_y = block->y + (int)(pixel / RN_LIVE_BLOCK % RN_LIVE_BLOCK);
+    *ret_x = block->x + pixel.x;
+    *ret_y = block->y + pixel.y;
     bool inside = *ret_x < frame->frame->camera.width && *ret_y < frame->frame->camera.height;
     return inside ? frame : NULL;
 }

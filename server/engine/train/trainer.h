@@ -6,6 +6,7 @@
 
 #include "server/engine/backend.h"
 #include "server/engine/scene.h"
+#include "server/engine/train/draw.h"
 #include "server/engine/train/pixels.h"
 
 #define RN_MAX_RAYS (1 << 17) // of one step
@@ -15,8 +16,6 @@
 #define RN_VALIDATE_BLOCK 4096   // rays a block of held-out evaluation
 #define RN_MAX_ROLLBACKS 3       // one more ends the training
 #define RN_INCIDENTS_HELD 8      // between two takes
-
-#define RN_LIVE_BLOCK 8 // pixels a side
 
 // A block of pixels of a training frame whose cones may meet the hull.
 struct rn_live_block {
