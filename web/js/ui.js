@@ -180,6 +180,9 @@ export const facts = (pairs) =>
       pairs.filter(([, value]) => value !== undefined && value !== null)
           .map(([term, value]) => h('div', null, h('dt', null, term), h('dd', null, value))));
 
+/** How a job that is over ended, in a sentence: "was cancelled". */
+export const endOf = (job) => (job.state === 'failed' ? 'has failed' : `was ${job.state}`);
+
 /** A section with a heading; `tools` stand at its right. */
 export const panel = (title, props, ...children) =>
     h('section', {class: 'panel', 'aria-label': title, ...props},

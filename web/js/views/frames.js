@@ -5,7 +5,7 @@ import {followJob} from '../follow.js';
 import {pictureOf} from '../grey16.js';
 import {find, isActive, state, watch} from '../store.js';
 import {plural} from '../format.js';
-import {action, announce, panel} from '../ui.js';
+import {action, announce, endOf, panel} from '../ui.js';
 
 const KEPT = 240;  // decoded pictures held for playing
 const ANNOUNCE_MS = 10_000;
@@ -88,7 +88,7 @@ export function framesPanel(job, signal) {
     text(count, known() ? `${there.size} of ${plural(all, 'frame')}` : plural(there.size, 'frame'));
     play.disabled = there.size < 2;
     const now = find(state.jobs, job.id) ?? job;
-    if (!there.size && !isActive(now)) fill(waiting, `No frames: the job was ${now.state}.`);
+    if (!there.size && !isActive(now)) fill(waiting, `No frames: the job ${endOf(now)}.`);
   }
 
   function arrived(index) {

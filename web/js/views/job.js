@@ -6,6 +6,7 @@ import {ago, decibel, fixed, milliseconds, plural, seconds} from '../format.js';
 import {
   chip,
   empty,
+  endOf,
   facts,
   kindOf,
   meter,
@@ -29,7 +30,12 @@ export async function jobView(root, {id, signal}) {
       const job = putJob(await api.job(id, signal));
       if (!signal.aborted) fill(root, head(job, signal), page(job, signal));
     } catch (error) {
-      if (!signal.aborted) fill(body, problemBox(error, {again: load}));
+      if (!signal.aborted)
+        fill(
+            body,
+            h('div', {class: 'page-head'}, h('a', {class: 'back', href: link.jobs()}, 'Jobs'),
+              h('h1', null, id)),
+            problemBox(error, {again: load}));
     }
   };
   await load();
@@ -61,6 +67,7 @@ function statePanel(job, signal) {
   let shown = '';
   watch(() => {
     const now = find(state.jobs, job.id) ?? job;
+    bar.node.hidden = now.state === 'failed';
     bar.set(
         isActive(now) ? now.progress?.fraction ?? (now.state === 'running' ? null : 0) :
                         now.progress?.fraction ?? 1,
@@ -90,9 +97,11 @@ function aboutJob(job, signal) {
            ],
            [
              'Dataset',
-             now.dataset ? h('a', {href: link.dataset(now.dataset_name ?? now.dataset)},
-                             now.dataset_name ?? now.dataset) :
-                           null
+             !now.dataset              ? null :
+             find(state.datasets, now.dataset) ?
+                            h('a', {href: link.dataset(now.dataset_name ?? now.dataset)},
+                              now.dataset_name ?? now.dataset) :
+                            now.dataset_name ?? now.dataset
            ],
            ['Submitted', ago(now.created_at)],
            ['Started', now.started_at ? ago(now.started_at) : 'not yet'],
@@ -131,7 +140,10 @@ function resultPanel(job, signal) {
 
 function result(job) {
   if (isActive(job)) return empty('Not there yet');
-  if (!job.result) return empty(`This job was ${job.state}`, h('p', null, 'It left no result.'));
+  if (!job.result)
+    return empty(
+        `This job ${endOf(job)}`,
+        h('p', null, job.problem ? 'Why is told beside it.' : 'It left no result.'));
   if (job.type === 'eval') return evaluationResult(job.result);
   if (job.type === 'ingest')
     return h(

@@ -9,7 +9,7 @@ import {go, link} from '../router.js';
 const PRESETS = {
   draft: {hint: 'Quickest to a picture: 15 seconds.', seconds: '15'},
   standard: {hint: 'The best in about a minute on a CPU.', seconds: '60'},
-  paper: {hint: 'The published settings, 120 000 steps: days without a GPU.', seconds: ''}
+  paper: {hint: 'The published settings, 120 000 steps: for a GPU.', seconds: ''}
 };
 
 /** A name that no scene has: lego, lego-2, … */

@@ -7,6 +7,7 @@ import {bytes, plural} from '../format.js';
 import {
   action,
   choice,
+  endOf,
   field,
   meter,
   panel,
@@ -246,7 +247,9 @@ function importing(job, begin, signal) {
       return;
     }
     over = now.state;
-    const more = h('button', {type: 'button', onclick: () => begin()}, 'Add another');
+    const more = h(
+        'button', {type: 'button', onclick: () => begin()},
+        now.state === 'succeeded' ? 'Add another' : 'Choose again');
     const name = now.dataset_name ?? now.dataset;
     if (now.state === 'succeeded')
       fill(
@@ -257,7 +260,7 @@ function importing(job, begin, signal) {
     else
       fill(
           box,
-          now.problem ? recordedProblem(now.problem) : h('p', null, `The import was ${now.state}.`),
+          now.problem ? recordedProblem(now.problem) : h('p', null, `The import ${endOf(now)}.`),
           h('div', {class: 'row'}, more));
   }, signal);
   return box;
