@@ -121,7 +121,7 @@ static enum rn_status adopt(struct rn_control *control, struct rn_job_row *row,
     task->progressed = true; // the daemon ended, not the runner
     rn_task_announce(control, task);
     if (task->row.state == RN_JOB_RUNNING || task->row.state == RN_JOB_CANCELLING)
-        rn_task_lost(control, task, "the daemon ended");
+        rn_task_lost(control, task, NULL);
     else if (task->row.state == RN_JOB_INTERRUPTED)
         rn_task_happened(control, task, RN_JOB_REQUEUE);
     return RN_OK;

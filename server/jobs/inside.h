@@ -118,7 +118,7 @@ enum rn_status rn_task_apply(struct rn_control *control, struct rn_task *task,
 void rn_task_happened(struct rn_control *control, struct rn_task *task, enum rn_job_event event);
 // Ends a job with a problem.
 void rn_task_fail(struct rn_control *control, struct rn_task *task, const struct rn_error *err);
-// Its runner is gone: another attempt, or the end.
+// Its runner is gone: another attempt, or the end. `how` it ended; NULL when the daemon had ended.
 void rn_task_lost(struct rn_control *control, struct rn_task *task, const char *how);
 void rn_task_detach(struct rn_task *task);
 void rn_task_publish(struct rn_control *control, struct rn_task *task, const char *name,

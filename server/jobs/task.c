@@ -187,8 +187,9 @@ void rn_task_fail(struct rn_control *control, struct rn_task *task, const struct
 
 static void set_lost_problem(struct rn_task *task, const char *how) {
     char detail[512], *json = NULL;
-    snprintf(detail, sizeof detail, "the runner ended in attempt %d: %s; see jobs/%s/log",
-             task->row.attempt, how, task->row.id);
+    snprintf(detail, sizeof detail, "the %s ended in attempt %d%s%s; see jobs/%s/log",
+             how ? "runner" : "daemon", task->row.attempt, how ? ": " : "", how ? how : "",
+             task->row.id);
     if (rn_problem_json(RN_PROBLEM_RUNNER_LOST, detail, NULL, &json, NULL) == RN_OK)
         set_problem(task, json);
 }

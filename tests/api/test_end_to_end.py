@@ -203,6 +203,24 @@ def test_a_lost_runner_is_told(client, daemon, trained):
     client.run("rm", "lost")
 
 
+def test_a_lost_daemon_is_told(client, daemon, trained):
+    waiting = client.start("train", "sphere", "--name", "gone", "--preset", "draft", "--max-time",
+                           "10m", "--wait")
+    daemon.wait_until(lambda: any(scene["name"] == "gone"
+                                  for scene in client.json("scenes")["items"]))
+    job = client.json("show", "gone")["job"]
+    daemon.wait_until(lambda: is_training(client, job))
+    daemon.kill()
+    daemon.start()
+    daemon.wait_until(lambda: client.json("show", job)["attempt"] == 2)
+    client.run("cancel", job)
+    _, err = waiting.communicate(timeout=30)
+    assert waiting.returncode == CANCELLED
+    assert "the daemon does not answer" in err
+    assert "the daemon ended in attempt 1" in err and "it is started again" in err
+    client.run("rm", "gone")
+
+
 def test_bad_photographs_are_refused_before_they_are_sent(client, tmp_path):
     client.run("synth", "fence", tmp_path / "fence", "--size", 16, "--views", 4)
     image = tmp_path / "fence" / "train" / "r_2.png"
