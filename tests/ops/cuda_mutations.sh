@@ -150,7 +150,9 @@ mutate learning optimise.cuh "update: the maps keep the old parameters" \
 mutate gradients optimise.cuh "AdamW: decay left out" 's/rate \* decay/0 * decay/'
 mutate occupancy occupancy.cuh "occupancy: measured cells do not decay" 's/ \* m.decay;/;/'
 # Guards.
-mutate guards backward.cuh "overflow not reported" 's/batch.status->rejected = 1/batch.status->rejected = 0/'
+mutate guards scene.cuh "a step that overflowed updates all the same" \
+    's/return s->rejected || !(s->weight > 0);/return !(s->weight > 0);/'
+mutate guards step.cuh "a crowded step counts as one of bad numbers" 's/if (!s->crowded) {/if (1) {/'
 mutate guards step.cuh "too many tiles not noticed" 's/s->crowded = s->tiles > b.tile_capacity/s->crowded = 0/'
 mutate guards step.cuh "the gradients' scale stays after an overflow" 's/s->gradient_scale \* 0.5f/s->gradient_scale/'
 mutate guards backend.cu "memory taken without counting" 's/if (need <= left) return RN_OK;/return RN_OK;/'
