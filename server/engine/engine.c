@@ -72,7 +72,8 @@ enum rn_status rn_engine_create(const struct rn_engine_options *options,
     }
     fill_info(e);
     e->deterministic = options->deterministic;
-    if (strcmp(device, "cpu") != 0)
+    bool named = strcmp(kernels, "auto") != 0; // a kernel set of the CPU's
+    if (strcmp(device, "cpu") != 0 && !(named && strcmp(device, "auto") == 0))
         status = rn_engine_open_device(e, device, options->device_memory_bytes, err);
     if (status != RN_OK) {
         rn_engine_destroy(&e);

@@ -25,8 +25,8 @@ struct rn_trainer; // a field, its optimiser, the training pixels
 // ---- device ---------------------------------------------------------------------------------
 
 struct rn_engine_options {
-    // "cpu", "cuda:N", or "auto": the first GPU where there is one that opens, and the CPU for what
-    // it cannot do; NULL = "auto"
+    // "cpu", "cuda:N", or "auto": the first GPU where there is one that opens and no kernel set is
+    // asked for by name, and the CPU for what it cannot do; NULL = "auto"
     const char *device;
     const char *kernels;        // "auto" (timed), "scalar", "avx2", "avx512", ...; NULL = "auto"
     int threads;                // 0 = all cores this process may use

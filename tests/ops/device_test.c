@@ -400,6 +400,10 @@ START_TEST(auto_takes_what_there_is) {
     begin("auto", NULL);
     ck_assert_ptr_null(rn_trainer_field(run.trainer)->on_device);
     end();
+    struct rn_engine_options named = {.device = "auto", .kernels = "generic", .threads = 1};
+    OK(rn_engine_create(&named, &engine, &err));
+    ck_assert_str_eq(device_of(engine), "cpu");
+    rn_engine_destroy(&engine);
     begin("auto", &config);
     ck_assert_str_eq(device_of(run.engine), "cuda:0");
     ck_assert_ptr_nonnull(rn_trainer_field(run.trainer)->on_device);

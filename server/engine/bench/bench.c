@@ -151,7 +151,8 @@ enum rn_status rn_bench_run(const struct rn_bench_options *options,
                             struct rn_error *err) {
     struct rn_bench_result result = {0};
     struct run run = {.options = options, .result = &result, .progress = progress};
-    struct rn_engine_options engine = {.kernels = options->kernels, .threads = options->threads};
+    struct rn_engine_options engine = {
+        .device = "cpu", .kernels = options->kernels, .threads = options->threads};
     struct rn_device_info info;
     if (!(options->seconds >= 0.5 && options->seconds <= 3600))
         return rn_error_set(err, RN_ERROR_INVALID, "seconds", "must be 0.5 to 3600");
