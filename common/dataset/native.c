@@ -4,7 +4,7 @@
 
 #include "common/dataset/reader.h"
 
-static enum rn_status read_frame(const struct rn_reader *reader, const struct rn_json *object,
+static enum rn_status read_frame(struct rn_reader *reader, const struct rn_json *object,
                                  struct rn_frame *frame, struct rn_error *err) {
     static const char *const known[] = {"name",  "file",        "split",  "index",
                                         "scale", "loss_weight", "camera", NULL};

@@ -53,7 +53,18 @@ static enum rn_status probe(const struct rn_json *at, const char *path,
     return RN_OK;
 }
 
-enum rn_status rn_reader_image(const struct rn_reader *reader, const struct rn_json *object,
+// Said once: it is no fault, and as a rule all images are alike.
+static void tell_deep(struct rn_reader *reader, const struct rn_json *at, int bit_depth) {
+    char where[256];
+    if (bit_depth <= 8 || reader->told_deep) return;
+    reader->told_deep = true;
+    rn_json_where(at, where);
+    rn_problems_add(reader->problems, RN_SEVERITY_INFO, where,
+                    "names an image of %d bits a channel; it is rounded to 8, as others are",
+                    bit_depth);
+}
+
+enum rn_status rn_reader_image(struct rn_reader *reader, const struct rn_json *object,
                                const char *key, const char *extension, struct rn_frame *frame,
                                struct rn_error *err) {
     struct rn_json at;
@@ -75,6 +86,7 @@ enum rn_status rn_reader_image(const struct rn_reader *reader, const struct rn_j
         rn_frame_finish(frame);
         return status;
     }
+    tell_deep(reader, &at, info.bit_depth);
     frame->has_alpha = info.has_alpha;
     frame->camera.width = info.width;
     frame->camera.height = info.height;

@@ -20,6 +20,7 @@ struct rn_reader {
     struct rn_dataset *dataset;
     size_t capacity;  // of dataset->frames
     json_t *reported; // unknown fields that were warned about
+    bool told_deep;   // that more than 8 bits are rounded
 };
 
 // One reader a layout: appends frames in any order. A bad document is an error, a bad frame a
@@ -34,7 +35,7 @@ char *rn_reader_path(const struct rn_reader *reader, const char *name);
 // The image that the string member `key` of `object` names, with `extension` appended unless it
 // is "" or the name has an image's: fills name (without folder and extension), path, has_alpha and
 // the camera's width and height from the header. On failure nothing is owned by *frame.
-enum rn_status rn_reader_image(const struct rn_reader *reader, const struct rn_json *object,
+enum rn_status rn_reader_image(struct rn_reader *reader, const struct rn_json *object,
                                const char *key, const char *extension, struct rn_frame *frame,
                                struct rn_error *err) RN_MUST_CHECK;
 

@@ -193,6 +193,8 @@ def test_unusual_image(build, daemon, tmp_path, what):
     GOOD[what](write_dataset(tmp_path / "data"))
     code, report = validate(build, tmp_path / "data")
     assert code == OK and report["usable"]["train"] == 6, report["problems"]
+    rounded = [item for item in report["problems"] if is_said(item, FIRST, "16 bits a channel")]
+    assert len(rounded) == (what == "16-bit")
     job = upload(daemon, tmp_path / "data", "good " + what)
     assert job["state"] == "succeeded", job
     assert daemon.get(f"/v1/datasets/{job['dataset']}").json["views"]["train"] == 6

@@ -235,6 +235,11 @@ START_TEST(unusual_images_are_usable) {
     put_transforms("train", FRAME("i/interlaced") "," FRAME("i/deep") "," FRAME("i/palette"));
     read_ok(folder);
     ck_assert_uint_eq(problems.errors + problems.warnings, 0);
+    size_t told = 0;
+    for (size_t i = 0; i < problems.count; i++)
+        told += strstr(problems.items[i].text, "16 bits") &&
+                strstr(problems.items[i].where, "transforms_train.json#/frames/1/file_path");
+    ck_assert_uint_eq(told, 1);
     ck_assert_int_eq(dataset->view_count[RN_SPLIT_TRAIN], 3);
     ck_assert(rn_dataset_frame(dataset, RN_SPLIT_TRAIN, 1, 0)->has_alpha);
     ck_assert(!rn_dataset_frame(dataset, RN_SPLIT_TRAIN, 2, 0)->has_alpha);
