@@ -38,7 +38,10 @@ static void format_work(const struct rn_work_progress *progress, char *ret_text,
     char total[32] = "";
     if (progress->total != RN_ABSENT)
         snprintf(total, sizeof total, " of %lld", (long long)progress->total);
-    snprintf(ret_text, capacity, "%lld%s", (long long)progress->done, total);
+    int used = snprintf(ret_text, capacity, "%lld%s", (long long)progress->done, total);
+    if (progress->nonfinite.rays && used > 0 && (size_t)used < capacity)
+        snprintf(ret_text + used, capacity - (size_t)used, "  %lld non-finite",
+                 (long long)progress->nonfinite.rays);
 }
 
 void rn_format_progress(const struct rn_job *job, const char *json, double *ret_fraction,

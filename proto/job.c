@@ -210,6 +210,7 @@ const struct rn_table rn_train_progress_table = RN_TABLE(S, "training progress",
 static const struct rn_field_spec work_progress[] = {
     RN_F_INT(S, done, RN_REQUIRED, 0, INFINITY),
     RN_F_INT(S, total, RN_REQUIRED | RN_NULLABLE, 0, INFINITY),
+    RN_F_OBJECT(S, nonfinite, RN_REQUIRED, &nonfinite_table),
     RN_F_NUMBER(S, fraction, RN_REQUIRED | RN_NULLABLE, 0, 1),
     RN_F_NUMBER(S, eta_seconds, RN_REQUIRED | RN_NULLABLE, 0, INFINITY),
 };

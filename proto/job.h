@@ -90,6 +90,8 @@ extern const struct rn_table rn_train_progress_table;
 
 struct rn_work_progress { // ingest, path, eval
     int64_t done, total;
+    struct rn_nonfinite
+        nonfinite; // rays of pictures that had to be replaced; the rest is training's
     double fraction, eta_seconds;
 };
 extern const struct rn_table rn_work_progress_table;

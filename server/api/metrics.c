@@ -23,7 +23,8 @@ static void put_jobs(struct rn_buf *text, const struct rn_control_stats *stats) 
     for (int state = 0; rn_job_state_names[state] != NULL; state++)
         rn_buf_printf(text, "ripnerf_job_transitions_total{state=\"%s\"} %llu\n",
                       rn_job_state_names[state], (unsigned long long)stats->jobs_ended[state]);
-    head(text, "nonfinite_total", "counter", "Non-finite values met by training jobs.");
+    head(text, "nonfinite_total", "counter",
+         "What was no finite number in jobs: rays left out or replaced, steps, rollbacks.");
     rn_buf_printf(text,
                   "ripnerf_nonfinite_total{kind=\"rays\"} %llu\n"
                   "ripnerf_nonfinite_total{kind=\"steps_rejected\"} %llu\n"

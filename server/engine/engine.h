@@ -228,7 +228,8 @@ struct rn_render_options {
 };
 struct rn_render_stats {
     double render_ms;
-    uint64_t rays, samples; // samples: field evaluations
+    uint64_t rays, samples;  // samples: field evaluations
+    uint64_t nonfinite_rays; // of which something was no finite number, and replaced
 };
 struct rn_render_result {
     struct rn_picture rgb, depth, alpha; // those asked for; the others are zero
@@ -246,6 +247,7 @@ void rn_render_result_finish(struct rn_render_result *result);
 // One view against its photograph, composited over the options' background.
 struct rn_view_score {
     double psnr, ssim, render_ms;
+    uint64_t nonfinite_rays; // as of a rendering
 };
 enum rn_status rn_evaluate_view(struct rn_engine *engine, struct rn_field *field,
                                 const struct rn_frame *frame, const float background[3],

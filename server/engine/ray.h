@@ -5,11 +5,12 @@
 #include "common/math/camera.h"
 #include "server/engine/cpu/kernels.h"
 
-// Where the ray enters the cube [-1, 1]^3, at least 0; false when it misses.
+// Where the ray enters the cube [-1, 1]^3, at least 0, within 4 ULP of 1 + distance; false when it
+// misses. Components of 0 and denormal ones count as 1e-300: no 0 / 0 on a face.
 RN_HD bool rn_enter_cube(const double o[3], const double d[3], double *ret_enter) {
     double enter = 0, leave = 1e300;
     for (int i = 0; i < 3; i++) {
-        double direction = fabs(d[i]) < 1e-12 ? copysign(1e-12, d[i]) : d[i];
+        double direction = fabs(d[i]) < 1e-300 ? copysign(1e-300, d[i]) : d[i];
         double a = (-1 - o[i]) / direction, b = (1 - o[i]) / direction;
         double first = a < b ? a : b, last = a < b ? b : a;
         enter = first > enter ? first : enter;

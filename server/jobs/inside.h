@@ -17,15 +17,16 @@ struct rn_task {
     struct rn_task *next; // in the order of creation
     struct rn_job_row row;
     struct rn_ring *ring;
-    struct rn_runner *runner;      // NULL: no runner has it
-    bool sent;                     // the runner was told to begin
-    bool finish;                   // `finish` was asked for
-    bool dirty;                    // the row on disk is older
-    bool progressed;               // this attempt has brought something
-    bool began;                    // train: its runner has parameters, which can be rendered
-    int64_t not_before_ns;         // of the next start
-    struct rn_train_progress live; // train: the latest report; step RN_ABSENT before
-    int64_t live_done;             // others: the latest report
+    struct rn_runner *runner;           // NULL: no runner has it
+    bool sent;                          // the runner was told to begin
+    bool finish;                        // `finish` was asked for
+    bool dirty;                         // the row on disk is older
+    bool progressed;                    // this attempt has brought something
+    bool began;                         // train: its runner has parameters, which can be rendered
+    int64_t not_before_ns;              // of the next start
+    struct rn_train_progress live;      // train: the latest report; step RN_ABSENT before
+    int64_t live_done;                  // others: the latest report
+    struct rn_nonfinite live_nonfinite; // all: the latest report
 };
 
 struct rn_waiter {

@@ -83,14 +83,14 @@ static uint64_t growth(int64_t before, int64_t now) {
     return (uint64_t)(now >= before ? now - before : now);
 }
 
-static void count_nonfinite(struct rn_control *control, const struct rn_train_progress *before,
-                            const struct rn_train_progress *now) {
-    static const struct rn_nonfinite none;
-    const struct rn_nonfinite *old = before->step == RN_ABSENT ? &none : &before->nonfinite;
+static void count_nonfinite(struct rn_control *control, struct rn_task *task,
+                            const struct rn_nonfinite *now) {
+    struct rn_nonfinite *old = &task->live_nonfinite;
     struct rn_control_stats *stats = &control->stats;
-    stats->nonfinite_rays += growth(old->rays, now->nonfinite.rays);
-    stats->steps_rejected += growth(old->steps_rejected, now->nonfinite.steps_rejected);
-    stats->rollbacks += growth(old->rollbacks, now->nonfinite.rollbacks);
+    stats->nonfinite_rays += growth(old->rays, now->rays);
+    stats->steps_rejected += growth(old->steps_rejected, now->steps_rejected);
+    stats->rollbacks += growth(old->rollbacks, now->rollbacks);
+    *old = *now;
 }
 
 static void on_progress(struct rn_control *control, struct rn_runner *runner,
@@ -101,7 +101,7 @@ static void on_progress(struct rn_control *control, struct rn_runner *runner,
         struct rn_train_progress live;
         if (rn_decode(&rn_train_progress_table, progress->progress, strlen(progress->progress),
                       &live, NULL, NULL) == RN_OK) {
-            count_nonfinite(control, &task->live, &live);
+            count_nonfinite(control, task, &live.nonfinite);
             task->live = live;
             if (!task->began) control->schedule_due = true; // paths may have waited for this
             task->began = true;
@@ -113,6 +113,7 @@ static void on_progress(struct rn_control *control, struct rn_runner *runner,
             if (work.done > task->live_done && task->row.type == RN_JOB_PATH)
                 task->progressed = true;
             task->live_done = work.done;
+            count_nonfinite(control, task, &work.nonfinite);
         }
     }
     set_document(&task->row.progress, &progress->progress);

@@ -24,6 +24,7 @@ struct rn_work {
     size_t done, total; // units
     double *render_ms;  // of the units that were rendered
     size_t rendered;    // how many
+    uint64_t nonfinite; // rays of them that were replaced
     double began_s, reported_s;
     int64_t step; // the training step that all units show
     struct rn_host *host;
@@ -128,6 +129,7 @@ static void post_progress(struct rn_host *host, struct rn_work *work) {
     double now = now_s();
     struct rn_work_progress record = {.done = (int64_t)work->done,
                                       .total = (int64_t)work->total,
+                                      .nonfinite = {.rays = (int64_t)work->nonfinite},
                                       .fraction = (double)work->done / (double)work->total,
                                       .eta_seconds = NAN};
     if (work->rendered)
@@ -279,6 +281,7 @@ static enum rn_status render_frame(struct rn_host *host, struct rn_work *work,
         rn_render(host->engine, field, &options, keep_going, work, &result, err);
     if (status) return status;
     work->render_ms[work->rendered++] = result.stats.render_ms;
+    work->nonfinite += result.stats.nonfinite_rays;
     status = rn_picture_encode(&result, output, RN_FORMAT_PNG, 0, FRAME_PNG_LEVEL,
                                work->depth_scale, &bytes, &size, err);
     if (!status) status = rn_file_write_atomic(path, bytes, size, err);
@@ -379,6 +382,7 @@ static enum rn_status eval_unit(struct rn_host *host, struct rn_work *work, stru
                                       .render_ms = score.render_ms};
     snprintf(result->name, sizeof result->name, "%s", frame->name);
     work->render_ms[work->rendered++] = score.render_ms;
+    work->nonfinite += score.nonfinite_rays;
     return RN_OK;
 }
 

@@ -339,6 +339,7 @@ class World:
         job["progress"] = {
             "done": int(done),
             "total": total,
+            "nonfinite": {"rays": 0, "steps_rejected": 0, "rollbacks": 0},
             "fraction": done / total,
             "eta_seconds": (total - done) / rate,
         }

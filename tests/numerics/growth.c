@@ -272,7 +272,7 @@ static int check_planted(struct rn_engine *engine, const struct rn_dataset *data
 
 int main(void) {
     struct numerics_random random = numerics_random();
-    struct rn_engine_options options = {.threads = 1};
+    struct rn_engine_options options = {.device = "cpu", .threads = 1};
     struct rn_engine *engine;
     struct rn_error err = {0};
     if (!mkdtemp(folder)) return 1;

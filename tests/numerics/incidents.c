@@ -164,26 +164,36 @@ static int check_rates(struct rn_engine *engine, const struct rn_dataset *datase
 
 static int check_rendered(const struct rn_dataset *dataset, const struct rn_kernels *kernels,
                           struct numerics_random *random) {
-    char name[80];
-    snprintf(name, sizeof name, "9 non-finite numbers rendered, %s", kernels->name);
-    struct numerics_case c = {name, "four kinds in the parameters themselves", "numbers", 0.5, 0,
-                              ""};
+    char names[2][80];
+    snprintf(names[0], sizeof names[0], "9 non-finite numbers rendered, %s", kernels->name);
+    snprintf(names[1], sizeof names[1], "9 pictures whose replaced rays are not counted, %s",
+             kernels->name);
+    struct numerics_case c = {
+        names[0], "four kinds in the parameters themselves", "numbers", 0.5, 0, ""};
+    struct numerics_case counted = {
+        names[1], "with and without NaN in a colour's weights", "pictures", 0.5, 0, ""};
     static const int kinds[] = {0, 1, 2, 6};
-    struct rn_engine_options options = {.threads = 1, .kernels = kernels->name};
+    struct rn_engine_options options = {.device = "cpu", .threads = 1, .kernels = kernels->name};
     struct rn_error err = {0};
     struct rn_engine *engine;
     must(rn_engine_create(&options, &engine, &err), &err);
     for (int i = 0; i < 4; i++) {
         struct rn_trainer *t = make_trainer(engine, dataset, 1);
+        while (t->progress.step < 20) // something is to be seen
+            advance(t);
+        count_rendered(engine, t, &dataset->frames[0].camera);
+        numerics_see(&counted, replaced != 0, "nothing planted");
         plant(t, kinds[i], random);
         t->field->fresh_levels = 0;
-        for (size_t f = 0; f < dataset->frame_count; f += 3)
+        for (size_t f = 0; f < dataset->frame_count; f += 3) {
             numerics_see(&c, count_rendered(engine, t, &dataset->frames[f].camera), "%s",
                          plant_names[kinds[i]]);
+            if (kinds[i] == 2) numerics_see(&counted, replaced == 0, "%s", plant_names[2]);
+        }
         rn_trainer_destroy(&t);
     }
     rn_engine_destroy(&engine);
-    return numerics_close(&c);
+    return numerics_close(&c) + numerics_close(&counted);
 }
 
 // Whether a file with a number of the tensor at `at` spoilt is refused as damaged.
@@ -267,7 +277,7 @@ static int check_cells(struct rn_engine *engine, const struct rn_dataset *datase
 
 int main(void) {
     struct numerics_random random = numerics_random();
-    struct rn_engine_options options = {.threads = 1};
+    struct rn_engine_options options = {.device = "cpu", .threads = 1};
     struct rn_engine *engine;
     struct rn_error err = {0};
     const struct rn_kernels *kernels;

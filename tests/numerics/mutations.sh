@@ -181,6 +181,8 @@ mutate incidents server/engine/checkpoint.c "checkpoint: read without a look" \
     's/!all_finite(t->data, t->bytes \/ 4)/(all_finite(t->data, 0), false)/'
 mutate incidents server/engine/render/render.c "render: numbers not looked at" \
     's/return isfinite(value) ? value : other;/return value + 0 * other;/'
+mutate incidents server/engine/render/render.c "render: replaced rays not counted" \
+    's/count += !isfinite.*/(void)p;/'
 mutate incidents $train/incident.c "incident: the offending rays are not looked for" \
     's/if (incident->ray_count == 0) search(t, incident);/(void)search;/'
 mutate incidents $cpu/backward.h "training: a ray that is not finite goes back" \
@@ -199,8 +201,8 @@ mutate ripmap $cpu/fetch.h "vector query: nearest level" \
     's/ret->upper = level - vf_from_int(whole);/ret->upper = vf_set(0);/'
 mutate ripmap $cpu/fetch.h "vector query: weights that do not sum to 1" \
     's/vf_store(ret->weight\[3\], below \* right);/vf_store(ret->weight[3], weight * right * right);/'
-mutate rays server/engine/scene.c "rays: slabs divided by a zero component" \
-    's/double direction = fabs(d\[i\]) < 1e-12 ? copysign(1e-12, d\[i\]) : d\[i\];/double direction = d[i];/'
+mutate rays server/engine/ray.h "rays: slabs divided by a zero component" \
+    's/double direction = fabs(d\[i\]) < 1e-300.*/double direction = d[i];/;s/enter = first > enter ? first : enter;/enter = enter > first ? enter : first;/'
 mutate metrics_images common/image/metrics.c "SSIM: pictures squared in fp32" \
     's/double va = (double)a\[x \* channels\], vb = (double)b\[x \* channels\];/float va = a[x * channels], vb = b[x * channels];/'
 mutate metrics_images common/image/metrics.c "PSNR: squares summed in fp32" \

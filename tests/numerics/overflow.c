@@ -64,7 +64,7 @@ static int check_set(const struct rn_dataset *dataset, const struct rn_kernels *
     struct numerics_case cases[3] = {{text[0], range, "not skipped", 0.5, 0, ""},
                                      {text[1], range, "absolute, untrained 0.2", 0.1, 0, ""},
                                      {text[2], range, "numbers", 0.5, 0, ""}};
-    struct rn_engine_options options = {.threads = 1, .kernels = kernels->name};
+    struct rn_engine_options options = {.device = "cpu", .threads = 1, .kernels = kernels->name};
     struct rn_error err = {0};
     struct rn_engine *engine;
     must(rn_engine_create(&options, &engine, &err), &err);

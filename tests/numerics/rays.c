@@ -3,6 +3,7 @@
 #include <string.h>
 
 #include "server/engine/field/occupancy.h"
+#include "server/engine/ray.h"
 #include "server/engine/scene.h"
 #include "tests/numerics/exact.h"
 #include "tests/numerics/subject.h"
@@ -156,6 +157,56 @@ static int check_entry(struct numerics_random *random) {
     return numerics_close(&hits) + numerics_close(&start) + numerics_close(&end);
 }
 
+// Where a ray enters the cube, slab by slab in exact arithmetic; denormal directions count as 0.
+// A ray in a face's plane may meet the cube or miss it.
+static void see_cube(struct numerics_case cases[2], const double o[3], const double d[3]) {
+    exact enter = number(0), leave = number(1e300);
+    bool outside = false, unsure = false;
+    for (int i = 0; i < 3; i++) {
+        if (fabs(d[i]) < 1e-300) {
+            outside |= fabs(o[i]) > 1;
+            unsure |= fabs(o[i]) == 1;
+            continue;
+        }
+        double near = d[i] > 0 ? -1 : 1;
+        enter = larger(enter, over(minus(number(near), number(o[i])), number(d[i])));
+        leave = smaller(leave, over(minus(number(-near), number(o[i])), number(d[i])));
+    }
+    double got, width = rounded(minus(leave, enter)), size = 1 + rounded(enter);
+    bool hit = rn_enter_cube(o, d, &got);
+    if (!unsure && fabs(width) > 1e-9 * size)
+        numerics_see(&cases[0], hit != (!outside && width > 0),
+                     "origin %g %g %g direction %g %g %g", o[0], o[1], o[2], d[0], d[1], d[2]);
+    if (hit || unsure)
+        numerics_see(&cases[1],
+                     unsure ? (isnan(got) ? INFINITY : 0)
+                            : exact_distance(got, enter) / (size * 0x1p-52),
+                     "origin %g %g %g direction %g %g %g", o[0], o[1], o[2], d[0], d[1], d[2]);
+}
+
+static int check_cube(struct numerics_random *random) {
+    const char *range = "parallel to faces and in them, zero and denormal components";
+    struct numerics_case cases[2] = {
+        {"6 ray meets the cube", range, "wrong", 0.5, 0, ""},
+        {"6 ray enters the cube", range, "ULP of 1 + distance", 4, 0, ""}};
+    const double starts[] = {-1, 1, 0, -0.0, 2, -1e9},
+                 slopes[] = {0, -0.0, DBL_TRUE_MIN, 1e-310, 1e-13};
+    for (int n = 0; n < 20000; n++) {
+        double o[3], d[3];
+        numerics_direction(random, d);
+        for (int i = 0; i < 3; i++) {
+            int kind = (int)numerics_uniform(random, 0, 12);
+            o[i] = kind < 6 ? starts[kind] : numerics_uniform(random, -3, 3);
+            kind = (int)numerics_uniform(random, 0, 12);
+            if (kind < 5) d[i] = slopes[kind];
+        }
+        if (fabs(d[0]) + fabs(d[1]) + fabs(d[2]) < 1e-2) d[n % 3] = n % 2 ? 1 : -1;
+        exact_reset();
+        see_cube(cases, o, d);
+    }
+    return numerics_close(&cases[0]) + numerics_close(&cases[1]);
+}
+
 // What no ray may do: be followed when it is not a number.
 static int check_wild(struct numerics_random *random) {
     struct numerics_case c = {
@@ -277,7 +328,7 @@ static int check_ends(const struct subject *s, struct numerics_random *random) {
 int main(void) {
     struct numerics_random random = numerics_random();
     const struct subject *s;
-    int failed = check_entry(&random) + check_wild(&random);
+    int failed = check_entry(&random) + check_cube(&random) + check_wild(&random);
     for (int i = 0; (s = subject_at(i)); i++) {
         if (!s->fast) continue;
         failed += check_march(s, &random);

@@ -29,7 +29,7 @@ static struct rn_dataset *read_scaled(struct rn_dataset *plain) {
 
 static struct rn_engine *engine_with(const char *kernels, int threads) {
     struct rn_error err = {0};
-    struct rn_engine_options options = {.threads = threads, .kernels = kernels};
+    struct rn_engine_options options = {.device = "cpu", .threads = threads, .kernels = kernels};
     struct rn_engine *engine;
     must(rn_engine_create(&options, &engine, &err), &err);
     return engine;

@@ -105,7 +105,7 @@ static int check_set(const struct rn_dataset *dataset, const struct rn_kernels *
     struct numerics_case bias = {names[0], range, "standard errors", 6, 0, ""};
     struct numerics_case spread = {names[1], range, "of the gradient", 0.02, 0, ""};
     struct numerics_case wide = {names[2], range, "of the gradient", 0.2, 0, ""};
-    struct rn_engine_options options = {.threads = 1, .kernels = kernels->name};
+    struct rn_engine_options options = {.device = "cpu", .threads = 1, .kernels = kernels->name};
     struct rn_error err = {0};
     struct rn_engine *engine;
     must(rn_engine_create(&options, &engine, &err), &err);

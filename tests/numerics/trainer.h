@@ -68,6 +68,8 @@ static inline double count_wild(const float *numbers, size_t n) {
     return wild;
 }
 
+static uint64_t replaced; // rays of the last picture, by its own count
+
 // Non-finite numbers in a picture with its depths and opacities.
 static inline double count_rendered(struct rn_engine *engine, struct rn_trainer *t,
                                     const struct rn_camera *camera) {
@@ -79,6 +81,7 @@ static inline double count_rendered(struct rn_engine *engine, struct rn_trainer 
     size_t pixels = (size_t)result.rgb.width * (size_t)result.rgb.height;
     double wild = count_wild(result.rgb.values, 3 * pixels) +
                   count_wild(result.depth.values, pixels) + count_wild(result.alpha.values, pixels);
+    replaced = result.stats.nonfinite_rays;
     rn_render_result_finish(&result);
     return wild;
 }
@@ -115,16 +118,20 @@ static inline size_t busy_texel(const struct rn_trainer *t, struct numerics_rand
     return best;
 }
 
-// At a random place: of such a texel, or in a network's first layer.
+// At a random place: of such a texel, in the density network's first layer, in the weights of a
+// colour.
 static inline void plant(struct rn_trainer *t, int what, struct numerics_random *random) {
     const struct rn_parameters *p = &t->field->parameters;
-    const struct rn_mlp_shape *shape = &t->field->cpu.base_shape;
-    size_t texel = busy_texel(t, random), head = p->plane_count + p->base_count;
-    size_t layer = (size_t)(shape->in[0] * shape->out[0]);
-    size_t weight = p->plane_count + (size_t)numerics_uniform(random, 0, (double)layer);
+    const struct rn_mlp_shape *base = &t->field->cpu.base_shape, *head = &t->field->cpu.head_shape;
+    int last = head->layers - 1;
+    size_t texel = busy_texel(t, random), colours = p->plane_count + p->base_count;
+    size_t weight =
+        p->plane_count + (size_t)numerics_uniform(random, 0, (double)(base->in[0] * base->out[0]));
+    size_t input = (size_t)numerics_uniform(random, 0, (double)head->in[last]);
+    colours += head->offset[last] + input * (size_t)head->out[last] + random->count % 3;
     if (what == 0) p->values[texel] = NAN;
     if (what == 1) p->values[weight] = INFINITY;
-    if (what == 2) p->values[head + (weight - p->plane_count) % RN_HEAD_INPUTS] = NAN;
+    if (what == 2) p->values[colours] = NAN;
     if (what == 3) t->grad[texel] = NAN;
     if (what == 4) t->m[weight] = NAN;
     if (what == 5) t->v[weight] = NAN;

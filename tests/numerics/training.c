@@ -224,7 +224,7 @@ static int check_occupancy(struct rn_engine *engine, const struct rn_dataset *da
 
 int main(void) {
     struct numerics_random random = numerics_random();
-    struct rn_engine_options options = {.threads = 1};
+    struct rn_engine_options options = {.device = "cpu", .threads = 1};
     const struct rn_kernels *kernels;
     struct rn_engine *engine;
     struct rn_error err = {0};

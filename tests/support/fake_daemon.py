@@ -171,7 +171,8 @@ class FakeDaemon:
                                                                        "name": name}
             return {"dataset": dataset_id}
 
-        work = [("progress", {"done": i, "total": 4, "fraction": i / 4, "eta_seconds": 1})
+        work = [("progress", contract.example("WorkProgress") | {"done": i, "total": 4,
+                                                                 "fraction": i / 4})
                 for i in range(5)]
         return self.start(job, work, succeed)
 
@@ -209,8 +210,8 @@ class FakeDaemon:
         for i, index in enumerate(range(first, last + 1), 1):
             self.frames[job_id, index] = PNG + bytes([index])
             steps.append(("frame", {"index": index, "url": f"/v1/jobs/{job_id}/frames/{index}"}))
-            steps.append(("progress", {"done": i, "total": count, "fraction": i / count,
-                                       "eta_seconds": 0.5}))
+            steps.append(("progress", contract.example("WorkProgress")
+                          | {"done": i, "total": count, "fraction": i / count}))
         return self.start(job, steps, lambda: contract.example("PathResult") | {"frames": count})
 
     def submit_eval(self, request):

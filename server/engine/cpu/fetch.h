@@ -1,4 +1,7 @@
 // Reading texels: where samples look in a plane's maps, and their features (paper, section 3.3).
+// Features of constant planes are the constant within 4 ULP; one ULP of a position or level across
+// a border of texels or levels moves a feature, or a texel's weight, by at most 8 ULP of the base
+// (the condition number of a position: an ULP of it is base / 2 ULP of a texel).
 #ifndef RN_ENGINE_CPU_FETCH_H
 #define RN_ENGINE_CPU_FETCH_H
 

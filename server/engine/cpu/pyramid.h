@@ -1,4 +1,6 @@
 // Building ripmaps and pulling their gradients down (paper, section 3.3), one plane at a time.
+// Pooling keeps the mean and does not care for the order of the axes: 4 ULP of the largest texel.
+// Building A and pulling down A^T are adjoint: <A x, y> = <x, A^T y> within 16 ULP of sum |x y|.
 #ifndef RN_ENGINE_CPU_PYRAMID_H
 #define RN_ENGINE_CPU_PYRAMID_H
 

@@ -1,4 +1,5 @@
-// Adding samples' gradients to texels: the adjoint of cpu/fetch.h, for a band of rows.
+// Adding samples' gradients to texels: the adjoint of cpu/fetch.h, for a band of rows:
+// <Q x, y> = <x, Q^T y> within 16 ULP of sum |x y|.
 #ifndef RN_ENGINE_CPU_SCATTER_H
 #define RN_ENGINE_CPU_SCATTER_H
 

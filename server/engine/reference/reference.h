@@ -38,9 +38,11 @@ enum rn_status rn_reference_create(const struct rn_field_config *config, uint64_
                                    struct rn_error *err) RN_MUST_CHECK;
 void rn_reference_destroy(struct rn_reference **reference);
 
-// Rebuilds `maps` from `planes`: pools along x first, then along y.
+// Rebuilds `maps` from `planes`: pools along x first, then along y; the other order differs by 4
+// ULP of the largest texel at most.
 void rn_reference_build(struct rn_reference *reference);
-// The adjoint: adds map_grad to plane_grad and clears map_grad.
+// The adjoint: adds map_grad to plane_grad and clears map_grad. <A x, y> = <x, A^T y> within 16 ULP
+// of sum |x y|.
 void rn_reference_pull_down(struct rn_reference *reference);
 // Start of map (lx, ly) of a plane in `maps`.
 size_t rn_reference_map_offset(const struct rn_reference *reference, int plane, int lx, int ly);
@@ -49,9 +51,11 @@ size_t rn_reference_map_offset(const struct rn_reference *reference, int plane, 
 void rn_reference_levels(const struct rn_reference *reference, const struct rn_reference_ray *ray,
                          int plane, double mid, double *ret_lx, double *ret_ly);
 // Tetra-linear query of one plane (paper, equation of the ripmap query): `channels` features.
+// Constant planes give the constant within 4 ULP, at any position and level; values and texels'
+// weights are continuous across borders of texels and levels: 8 ULP of the base for one ULP.
 void rn_reference_query(const struct rn_reference *reference, int plane, double u, double v,
                         double lx, double ly, double *ret_features);
-// Its adjoint: adds the gradient to map_grad.
+// Its adjoint, within 16 ULP of sum |x y|: adds the gradient to map_grad.
 void rn_reference_query_backward(struct rn_reference *reference, int plane, double u, double v,
                                  double lx, double ly, const double *feature_grad);
 // All planes of one sample: planes * channels features.

@@ -49,6 +49,15 @@ static float finite_or(float value, float other) {
     return isfinite(value) ? value : other;
 }
 
+static uint64_t count_nonfinite(const struct frame *f) {
+    uint64_t count = 0;
+    for (size_t i = 0; i < (size_t)f->camera.width * (size_t)f->camera.height; i++) {
+        const struct rn_pixel *p = &f->pixels[i];
+        count += !isfinite(p->rgb[0] + p->rgb[1] + p->rgb[2] + p->depth + p->alpha);
+    }
+    return count;
+}
+
 // Spreads the rendered pixels over the pictures asked for, each `subsample` pixels a side.
 static enum rn_status fill_pictures(const struct frame *f, struct rn_render_result *result,
                                     struct rn_error *err) {
@@ -157,6 +166,7 @@ enum rn_status rn_render(struct rn_engine *engine, struct rn_field *field,
             result.stats.samples += f.samples[i];
     }
     if (status == RN_OK) status = fill_pictures(&f, &result, err);
+    if (status == RN_OK) result.stats.nonfinite_rays = count_nonfinite(&f);
     free(f.pixels);
     if (status != RN_OK) {
         rn_render_result_finish(&result);
@@ -193,6 +203,7 @@ enum rn_status rn_evaluate_view(struct rn_engine *engine, struct rn_field *field
         for (size_t i = 0; i < n; i++)
             result.rgb.values[i] = fminf(fmaxf(result.rgb.values[i], 0), 1);
         ret_score->render_ms = result.stats.render_ms;
+        ret_score->nonfinite_rays = result.stats.nonfinite_rays;
         status = rn_psnr(&result.rgb, &truth, &ret_score->psnr);
         if (status == RN_OK) status = rn_ssim(&result.rgb, &truth, &ret_score->ssim);
         if (status != RN_OK)

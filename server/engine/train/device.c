@@ -148,6 +148,7 @@ static void take_progress(struct rn_trainer *t, const struct rn_device_progress 
     if (p->loss > 0 && isfinite(p->loss)) to->loss = p->loss;
     t->updates = p->updates;
     t->next_rays = p->next_rays;
+    t->rejected = p->rejected_in_a_row;
     t->gradient_scale = p->gradient_scale;
     t->good_steps = p->good_steps;
 }
