@@ -107,7 +107,8 @@ struct rn_backend {
     enum rn_status (*field_create)(struct rn_device *device, const struct rn_device_scene *scene,
                                    struct rn_device_field **ret_field, struct rn_error *err);
     void (*field_destroy)(struct rn_device_field **field);
-    // Adds what training needs; once a field.
+    // Adds what training needs; once a field. UNSUPPORTED as field_create: a backend may render
+    // more than it trains.
     enum rn_status (*train_begin)(struct rn_device_field *field,
                                   const struct rn_device_pixels *pixels,
                                   const struct rn_device_training *training, struct rn_error *err);

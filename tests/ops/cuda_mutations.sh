@@ -135,6 +135,11 @@ mutate gradients forward.cuh "compositing: nothing of what lies behind" \
     's/ - (float)(behind + (double)rest)//'
 mutate gradients forward.cuh "compositing: behind within a tile only" 's/^        behind += .*//'
 mutate gradients layout.h "fragments: channels in another order" 's/4 \* t + 2 \* high + q % 2/4 * t + high + 2 * (q % 2)/'
+mutate pixels forward.cuh "ray shading: features of half the samples" \
+    's/ + (high != 0 ? high \* b : 0);/;/'
+mutate pixels forward.cuh "ray shading: diffuse colours rotated" 's/(c + 1) % 2\], (c + 1) \/ 2/c % 2], c \/ 2/'
+mutate pixels forward.cuh "ray shading: no opacity in the input" \
+    's/a = column == 0 ? 1 :/a = column == 0 ? 0 :/'
 # Scatter and update.
 mutate gradients scatter.cuh "scatter: a moved nest loses a column" \
     's/if (dx > 0) rn_flush<FIXED>(p, lx, ly, n->x, n->y + i, n->sum\[i\]\[0\]);//'
@@ -147,7 +152,7 @@ mutate gradients optimise.cuh "pull-down: no weight for the level" 's/weight \*=
 mutate learning optimise.cuh "update: gradients not cleared" 's/^    rn_clear_block<FIXED>(p, &o.gradients, &b);//'
 mutate learning optimise.cuh "update: the maps keep the old parameters" \
     's/values\[4 \* threadIdx.x + c\] = value;/values[4 * threadIdx.x + c] = value - 0.5f;/'
-mutate gradients optimise.cuh "AdamW: decay left out" 's/rate \* decay/0 * decay/'
+mutate gradients optimise.cuh "AdamW: decay left out" 's/rate \* o->decay/0 * o->decay/'
 mutate occupancy occupancy.cuh "occupancy: measured cells do not decay" 's/ \* m.decay;/;/'
 # Guards.
 mutate guards scene.cuh "a step that overflowed updates all the same" \

@@ -154,10 +154,6 @@ static enum rn_status check_config(const struct rn_device_scene *s, struct rn_er
         return rn_error_set(err, RN_ERROR_UNSUPPORTED, "width",
                             "the CUDA kernels hold planes x channels up to 160 and widths up to "
                             "128; use --device cpu or a smaller field");
-    if (c->shading != RN_SHADING_SAMPLE)
-        return rn_error_set(err, RN_ERROR_UNSUPPORTED, "shading",
-                            "the CUDA kernels shade every sample and this field shades every ray, "
-                            "as fields do whose training began on the CPU; use --device cpu");
     if (c->base % unit != 0)
         return rn_error_set(err, RN_ERROR_UNSUPPORTED, "base",
                             "the CUDA kernels pool by whole factors of two: %d levels need a base "
@@ -318,6 +314,10 @@ static enum rn_status train_begin(struct rn_device_field *f, const struct rn_dev
                                   const struct rn_device_training *training, struct rn_error *err) {
     if (f->train_memory)
         return rn_error_set(err, RN_ERROR_CONFLICT, "cuda", "this field is being trained already");
+    if (f->scene.per_ray)
+        return rn_error_set(err, RN_ERROR_UNSUPPORTED, "shading",
+                            "training on a GPU shades every sample and this field shades every ray, "
+                            "as fields do whose training began on the CPU; use --device cpu");
     struct rn_arena arena = {NULL, 0};
     f->deterministic = training->deterministic;
     describe_training(f, pixels, training->march_step);

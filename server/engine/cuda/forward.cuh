@@ -95,6 +95,7 @@ struct rn_trace {
     uint32_t direction[2];
     // sums over the lane's own samples: colour, opacity, opacity times distance
     float colour[3], opacity, distance;
+    float sums[4]; // of columns 2t, 2t + 1, 2t + 8 and 2t + 9, where a ray is shaded as a whole
     int last_tile, tiles, samples, evaluated;
 };
 
@@ -146,6 +147,44 @@ RN_DEVICE void rn_count_levels(struct rn_cuda_status *status, float (&top)[2], b
     }
 }
 
+// ---- ray shading ----------------------------------------------------------------------------
+
+// Adds a tile to the ray's sums of the density network's outputs (field/mlp.h): the opacity in the
+// logit's place, diffuse colours, features. `weight`: lane i has sample i's.
+RN_DEVICE void rn_add_sums(struct rn_trace *t, const float (&out)[2][4], float weight) {
+    float low = rn_shuffle(weight, RN_LANE / 4), high = rn_shuffle(weight, RN_LANE / 4 + 8);
+    for (int i = 0; i < 4; i++) {
+        int column = 8 * (i / 2) + 2 * (RN_LANE % 4) + i % 2;
+        float a = out[i / 2][i % 2], b = out[i / 2][2 + i % 2];
+        if (column < 4) {
+            a = column == 0 ? 1 : 1 / (1 + expf(-a));
+            b = column == 0 ? 1 : 1 / (1 + expf(-b));
+        }
+        t->sums[i] += (low != 0 ? low * a : 0) + (high != 0 ? high * b : 0);
+    }
+}
+
+// The colour of a ray that is shaded as a whole: diffuse, plus opacity times what the colour network
+// makes of direction and sums. All rows of its tile are the same.
+template <int WT> RN_DEVICE void rn_shade_ray(struct rn_trace *t) {
+    uint32_t in[2][4];
+    float out[2][4] = {};
+    for (int i = 0; i < 4; i++)
+        for (int mask = 4; mask < 32; mask *= 2)
+            t->sums[i] += rn_shuffle_xor(t->sums[i], mask);
+    for (int i = 0; i < 4; i++) {
+        in[0][i] = t->direction[i / 2];
+        in[1][i] = rn_pack(t->sums[i / 2 * 2], t->sums[i / 2 * 2 + 1]);
+    }
+    if (t->scene->view_dependence) rn_forward<2, WT>(&t->scene->head, t->head, in, out);
+    for (int c = 0; c < 3; c++) {
+        float diffuse = rn_shuffle(t->sums[(c + 1) % 2], (c + 1) / 2);
+        t->colour[c] = diffuse + t->opacity * rn_shuffle(out[0][c % 2], c / 2);
+    }
+}
+
+// ---- a tile ---------------------------------------------------------------------------------
+
 // One tile: `n` samples at march indices `index` (lane i: sample i).
 template <int KT, int WT, bool TRAIN>
 RN_DEVICE void rn_trace_tile(struct rn_trace *t, const struct rn_encoder *encoder, int n, int index,
@@ -172,10 +211,14 @@ RN_DEVICE void rn_trace_tile(struct rn_trace *t, const struct rn_encoder *encode
     uint32_t strange = rn_ballot(!(shaded.weight >= 0) && RN_LANE < RN_TILE);
     t->evaluated += n;
     if (!(seen | strange)) return;
-    rn_forward<2, WT>(&scene->head, t->head, head_in, out);
-    for (int c = 0; c < 3; c++) {
-        shaded.colour[c] = 1 / (1 + expf(-rn_column(out, c)));
-        t->colour[c] += shaded.weight != 0 ? shaded.weight * shaded.colour[c] : 0;
+    if (!TRAIN && scene->per_ray) {
+        rn_add_sums(t, out, shaded.weight);
+    } else {
+        rn_forward<2, WT>(&scene->head, t->head, head_in, out);
+        for (int c = 0; c < 3; c++) {
+            shaded.colour[c] = 1 / (1 + expf(-rn_column(out, c)));
+            t->colour[c] += shaded.weight != 0 ? shaded.weight * shaded.colour[c] : 0;
+        }
     }
     t->opacity += shaded.weight;
     t->distance += shaded.weight * (t->ray.near + mid);
@@ -198,6 +241,7 @@ template <int KT, int WT, bool TRAIN> RN_DEVICE void rn_trace_ray(struct rn_trac
     t->last_tile = -1;
     t->tiles = t->samples = t->evaluated = 0;
     t->colour[0] = t->colour[1] = t->colour[2] = t->opacity = t->distance = 0;
+    t->sums[0] = t->sums[1] = t->sums[2] = t->sums[3] = 0;
     struct rn_walk walk = rn_walk_start(&scene->occupancy, &t->ray, t->march->step);
     if (walk.k >= walk.end) return;
     struct rn_encoder encoder = rn_encoder_start(&scene->planes, &t->ray, t->march->step);
@@ -211,6 +255,7 @@ template <int KT, int WT, bool TRAIN> RN_DEVICE void rn_trace_ray(struct rn_trac
         t->colour[c] = rn_tile_sum(t->colour[c]);
     t->opacity = rn_tile_sum(t->opacity);
     t->distance = rn_tile_sum(t->distance);
+    if (!TRAIN && scene->per_ray && t->opacity != 0) rn_shade_ray<WT>(t);
 }
 
 RN_DEVICE void rn_store_pixel(const struct rn_trace *t) {

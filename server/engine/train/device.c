@@ -83,11 +83,12 @@ enum rn_status rn_trainer_put(struct rn_trainer *t, struct rn_error *err) {
     enum rn_status status = RN_OK;
     t->counted = (struct rn_device_progress){.steps = t->progress.step, .rays = t->progress.rays};
     if (e->backend) status = rn_field_put(e, t->field, t->levels, err);
-    if (status == RN_ERROR_UNSUPPORTED && e->device_optional) status = RN_OK;
-    if (status == RN_OK && t->field->on_device) {
-        status = begin_training(t, err);
-        kernels = e->device_kernels;
+    if (status == RN_OK && e->backend) status = begin_training(t, err);
+    if (status == RN_ERROR_UNSUPPORTED && e->device_optional) {
+        rn_field_withdraw(t->field);
+        status = RN_OK;
     }
+    if (t->field->on_device) kernels = e->device_kernels;
     snprintf(t->field->kernels, sizeof t->field->kernels, "%s", kernels);
     return status;
 }
