@@ -95,8 +95,7 @@ class Suite:
 
     def take(self, test):
         output = test.get("stdout", "")
-        name = test["name"].removeprefix("ripnerf:").removeprefix("numerics / ")
-        name = name.removeprefix("numerics ")
+        name = test["name"].rpartition(" / ")[2].removeprefix("numerics ")
         if test["result"] == "SKIP":
             lines = output.strip().splitlines()
             self.skipped.append((name, lines[-1].removeprefix("skipped: ") if lines else ""))
