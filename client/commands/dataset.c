@@ -341,8 +341,8 @@ static enum rn_exit run_import(struct rn_client *client, const void *context, co
     if (!options->name) return rn_client_usage("import", "needs --name N");
     enum rn_exit code = examine(args[0], client->json, false, &dataset);
     if (code != RN_EXIT_OK) {
-        fprintf(stderr, "ripnerf: %s: nothing was sent; see ripnerf validate %s\n", args[0],
-                args[0]);
+        fprintf(stderr, "ripnerf: %s: nothing was sent%s\n", args[0],
+                dataset ? "; mend what is named above, or take it out of the JSON" : "");
     } else {
         code = pack(args[0], dataset, &tar);
     }

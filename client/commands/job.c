@@ -351,8 +351,9 @@ const struct rn_verb rn_verbs_job[] = {
     {.name = "train",
      .arguments = "DATASET --name SCENE",
      .summary = "train a new scene",
-     .details = "Without a limit the preset's own applies. With --wait --json the last line is an\n"
-                "object with job, scene, state, steps, train_seconds, samples and psnr. Ctrl-C\n"
+     .details = "Without --max-time and --max-steps it ends where the preset does: draft after 15 s,\n"
+                "standard after 60 s, paper after 120,000 steps. With --wait --json the last line is\n"
+                "an object with job, scene, state, steps, train_seconds, samples and psnr. Ctrl-C\n"
                 "while waiting leaves the job running.",
      .args_min = 1,
      .args_max = 1,
