@@ -351,10 +351,11 @@ const struct rn_verb rn_verbs_job[] = {
     {.name = "train",
      .arguments = "DATASET --name SCENE",
      .summary = "train a new scene",
-     .details = "Without --max-time and --max-steps it ends where the preset does: draft after 15 s,\n"
-                "standard after 60 s, paper after 120,000 steps. With --wait --json the last line is\n"
-                "an object with job, scene, state, steps, train_seconds, samples and psnr. Ctrl-C\n"
-                "while waiting leaves the job running.",
+     .details =
+         "Without --max-time and --max-steps it ends where the preset does: draft after 15 s,\n"
+         "standard after 60 s, paper after 120,000 steps. With --wait --json the last line is\n"
+         "an object with job, scene, state, steps, train_seconds, samples and psnr. Ctrl-C\n"
+         "while waiting leaves the job running.",
      .args_min = 1,
      .args_max = 1,
      .table = train_table,
