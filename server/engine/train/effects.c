@@ -122,7 +122,9 @@ static void detect_footprints(struct rn_trainer *t) {
                       t->field->config.footprint_given);
     snprintf(anisotropy->reason, sizeof anisotropy->reason,
              "95 %% of footprints are at most %.2f times as long as wide%s", exp2(spread),
-             c->footprint == RN_FOOTPRINT_RIP ? "" : "; the field's footprint is isotropic");
+             c->footprint != RN_FOOTPRINT_RIP ? "; the field's footprint is isotropic"
+             : pyramid->on                    ? ""
+                                              : "; without a scale pyramid it has no use");
 }
 
 static void detect_view_dependence(struct rn_trainer *t) {
