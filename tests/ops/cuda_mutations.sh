@@ -20,7 +20,7 @@ give_up() {
 
 # compile OBJECT SOURCE: the emulated backend out of the scratch copy.
 compile() {
-    "${CXX:-c++}" -std=c++17 -O1 -D_GNU_SOURCE -ffp-contract=off -w -I"$scratch/tree" \
+    "${CXX:-c++}" -std=c++17 -O1 -D_GNU_SOURCE -ffp-contract=off -fPIC -w -I"$scratch/tree" \
         -I"$scratch/tree/tests/ops/cuda_emulator" -c "$scratch/tree/tests/ops/cuda_emulator/$2" \
         -o "$scratch/$1" >"$scratch/log" 2>&1
 }
@@ -51,6 +51,15 @@ run_engine() {
         >"$scratch/log" 2>&1 || return 2
     CK_RUN_CASE=$1 RIPNERF_CUDA_MODULE=$build/tests/ops/ripnerf-cuda-emulated.so \
         "$scratch/test" >"$scratch/log" 2>&1 || return 1
+}
+
+# run_trained CASE: the engine's test over the kernels, as a module.
+run_trained() {
+    compile backend.o backend.cpp || return 2
+    "${CXX:-c++}" -shared -o "$scratch/module.so" "$scratch/backend.o" "$scratch/emulator.o" \
+        "$build/common/libcommon.a" >"$scratch/log" 2>&1 || return 2
+    CK_RUN_CASE=$1 RIPNERF_CUDA_MODULE=$scratch/module.so "$build/tests/ops/device_test" \
+        >"$scratch/log" 2>&1 || return 1
 }
 
 # try RUN CASE FILE WHAT SED_SCRIPT
@@ -149,7 +158,7 @@ mutate gradients scatter.cuh "scatter: levels change without a flush" \
     's/^        rn_flush_nests<FIXED>(p, n);//'
 mutate gradients scatter.cuh "scatter: blocks not marked as touched" 's/^    rn_mark_touched(p, lx, ly, x, y);//'
 mutate gradients optimise.cuh "pull-down: no weight for the level" 's/weight \*= 0.5f)$/weight *= 1)/'
-mutate learning optimise.cuh "update: gradients not cleared" 's/^    rn_clear_block<FIXED>(p, &o.gradients, &b);//'
+try run_trained paper server/engine/cuda/optimise.cuh "update: gradients not cleared" 's/^    rn_clear_block<FIXED>(p, &o.gradients, &b);//'
 mutate learning optimise.cuh "update: the maps keep the old parameters" \
     's/values\[4 \* threadIdx.x + c\] = value;/values[4 * threadIdx.x + c] = value - 0.5f;/'
 mutate gradients optimise.cuh "AdamW: decay left out" 's/rate \* o->decay/0 * o->decay/'

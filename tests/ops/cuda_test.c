@@ -138,6 +138,7 @@ START_TEST(gradients_match_reference) {
         test_config(RN_FOOTPRINT_POINT, 6, 4, 32, 1), test_config(RN_FOOTPRINT_RIP, 3, 16, 32, 6)};
     configs[1].field.head_layers = 1;
     configs[1].field.base_layers = 1;
+    configs[0].weight_decay = 0.1;
     configs[1].cone_step = true;
     configs[2].field.base_layers = 3;
     configs[3].field.view_dependence = false;

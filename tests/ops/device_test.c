@@ -162,7 +162,8 @@ static double compare_pictures(const char *one, const char *other, double away) 
 
 // ---- training -------------------------------------------------------------------------------
 
-// fp16 maps and activations: three hundredths of the loss, a quarter of a decibel.
+// fp16 maps and activations: three hundredths of the loss, half of that with more channels or lower
+// rates; a quarter of a decibel.
 static void check_preset(const char *preset) {
     struct rn_train_config config = small_config(preset, 24);
     struct rn_field_info there = train("cuda:0", &config);
@@ -184,7 +185,8 @@ static void check_preset(const char *preset) {
     ck_assert_double_eq_tol((double)progress.samples, (double)run.progress.samples,
                             0.05 * (double)run.progress.samples);
     ck_assert_double_lt(apart, 5e-3);
-    ck_assert_double_eq_tol(progress.loss, run.progress.loss, 0.03 * run.progress.loss);
+    double bound = strcmp(preset, "draft") == 0 ? 0.03 : 0.015;
+    ck_assert_double_eq_tol(progress.loss, run.progress.loss, bound * run.progress.loss);
     ck_assert_double_eq_tol(there.psnr, here.psnr, 0.25);
 }
 
