@@ -1,6 +1,7 @@
 #include "server/engine/bench/check.h"
 
 #include <math.h>
+#include <stdint.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -142,9 +143,19 @@ static bool network_init(const struct rn_mlp_shape *shape, const float *weights,
     return true;
 }
 
-static const double *network_forward(struct network *net, const float *in) {
+static double to_bf16(double x) {
+    float rounded = (float)x;
+    uint32_t bits;
+    memcpy(&bits, &rounded, sizeof bits);
+    bits = (bits + 0x7fff + (bits >> 16 & 1)) & 0xffff0000u;
+    memcpy(&rounded, &bits, sizeof bits);
+    return (double)rounded;
+}
+
+// `bf16`: the inputs are rounded as the kernels round them.
+static const double *network_forward(struct network *net, const float *in, bool bf16) {
     for (int i = 0; i < net->shape->in[0]; i++)
-        net->activation[0][i] = (double)in[i];
+        net->activation[0][i] = bf16 ? to_bf16((double)in[i]) : (double)in[i];
     rn_mlp_forward(net->shape, net->weights, net->activation);
     return net->activation[net->shape->layers];
 }
@@ -174,7 +185,8 @@ static double check_outputs(const struct rows *rows, int outputs) {
     struct network net;
     if (!network_init(rows->shape, rows->weights, &net)) return INFINITY;
     for (int i = 0; i < rows->count; i += stride(rows->count)) {
-        const double *out = network_forward(&net, rows->in + (size_t)i * (size_t)rows->stride);
+        const double *out =
+            network_forward(&net, rows->in + (size_t)i * (size_t)rows->stride, false);
         for (int k = 0; k < outputs; k++)
             compare(&worst, (double)rows->out[(size_t)i * RN_GEOMETRY + (size_t)k], out[k]);
     }
@@ -182,28 +194,47 @@ static double check_outputs(const struct rows *rows, int outputs) {
     return result(&worst);
 }
 
+// One row's gradients, added to net->weight_grad and, as magnitudes, to `magnitude`.
+static void network_backward(struct network *net, double *before, double *magnitude) {
+    memcpy(before, net->weight_grad, net->shape->count * sizeof *before);
+    rn_mlp_backward(net->shape, net->weights, net->activation, net->grad, net->weight_grad);
+    for (size_t i = 0; i < net->shape->count; i++)
+        magnitude[i] += fabs(net->weight_grad[i] - before[i]);
+}
+
 // Gradients of the weights, summed over all rows, and of the inputs (NULL: not looked at), where
-// `out` is the outputs' gradient. bf16 cuts an activation next to zero on one side only now and
-// then, which changes single numbers by their own size: there the norms count.
+// `out` is the outputs' gradient. With bf16 weights and inputs are rounded here too, or an
+// activation next to zero would be cut on one side only, and norms count: of the weights against
+// the norm of the sums of magnitudes, for what cancels over the rows is no measure of rounding.
 static double check_gradients(const struct rows *rows, bool bf16, const float *weight_grad,
                               const float *in_grad, int inputs) {
     double (*const of)(const struct worst *) = bf16 ? result_of_norms : result;
     struct worst weights = {0}, in = {0};
     const struct rn_mlp_shape *shape = rows->shape;
     struct network net;
-    if (!network_init(shape, rows->weights, &net)) return INFINITY;
+    double *magnitude = calloc(2 * shape->count, sizeof *magnitude);
+    if (!magnitude || !network_init(shape, rows->weights, &net)) {
+        free(magnitude);
+        return INFINITY;
+    }
+    for (size_t i = 0; i < shape->count && bf16; i++)
+        net.weights[i] = to_bf16(net.weights[i]);
     for (int i = 0; i < rows->count; i++) {
-        network_forward(&net, rows->in + (size_t)i * (size_t)rows->stride);
+        network_forward(&net, rows->in + (size_t)i * (size_t)rows->stride, bf16);
         for (int k = 0; k < RN_GEOMETRY; k++)
             net.grad[shape->layers][k] = (double)rows->out[(size_t)i * RN_GEOMETRY + (size_t)k];
-        rn_mlp_backward(shape, net.weights, net.activation, net.grad, net.weight_grad);
+        network_backward(&net, magnitude + shape->count, magnitude);
         for (int k = 0; k < inputs && in_grad; k++)
             compare(&in, (double)in_grad[(size_t)i * (size_t)rows->stride + (size_t)k],
                     net.grad[0][k]);
     }
     for (size_t i = 0; i < shape->count; i++)
         compare(&weights, (double)weight_grad[i], net.weight_grad[i]);
+    weights.all_squares = 0;
+    for (size_t i = 0; i < shape->count; i++)
+        weights.all_squares += magnitude[i] * magnitude[i];
     free(net.block);
+    free(magnitude);
     return in_grad ? fmax(of(&weights), of(&in)) : of(&weights);
 }
 
@@ -382,7 +413,7 @@ double rn_bench_check_occupancy(const struct rn_bench_recording *rec) {
         rn_exact_features(f, &at, 0, 0, exact, NULL);
         for (int k = 0; k < f->features; k++)
             features[k] = (float)exact[k];
-        compare(&worst, (double)density[i], rn_density(network_forward(&base, features)[0]));
+        compare(&worst, (double)density[i], rn_density(network_forward(&base, features, false)[0]));
     }
     free(base.block);
     return result(&worst);
