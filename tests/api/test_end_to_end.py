@@ -186,13 +186,19 @@ def test_crashes_of_runner_and_daemon_change_nothing(client, daemon, trained):
     client.run("rm", "crash")
 
 
-def test_a_lost_runner_is_told(client, daemon, trained):
-    waiting = client.start("train", "sphere", "--name", "lost", "--preset", "draft", "--max-time",
+def wait_for_training(client, daemon, name):
+    """A client that waits for a long training under way, and the training's job."""
+    waiting = client.start("train", "sphere", "--name", name, "--preset", "draft", "--max-time",
                            "10m", "--wait")
-    daemon.wait_until(lambda: any(scene["name"] == "lost"
+    daemon.wait_until(lambda: any(scene["name"] == name
                                   for scene in client.json("scenes")["items"]))
-    job = client.json("show", "lost")["job"]
+    job = client.json("show", name)["job"]
     daemon.wait_until(lambda: is_training(client, job))
+    return waiting, job
+
+
+def test_a_lost_runner_is_told(client, daemon, trained):
+    waiting, job = wait_for_training(client, daemon, "lost")
     daemon.kill_runners()
     daemon.wait_until(lambda: client.json("show", job)["attempt"] == 2)
     client.run("cancel", job)
@@ -204,12 +210,7 @@ def test_a_lost_runner_is_told(client, daemon, trained):
 
 
 def test_a_lost_daemon_is_told(client, daemon, trained):
-    waiting = client.start("train", "sphere", "--name", "gone", "--preset", "draft", "--max-time",
-                           "10m", "--wait")
-    daemon.wait_until(lambda: any(scene["name"] == "gone"
-                                  for scene in client.json("scenes")["items"]))
-    job = client.json("show", "gone")["job"]
-    daemon.wait_until(lambda: is_training(client, job))
+    waiting, job = wait_for_training(client, daemon, "gone")
     daemon.kill()
     daemon.start()
     daemon.wait_until(lambda: client.json("show", job)["attempt"] == 2)
