@@ -126,7 +126,7 @@ static enum rn_status allocate(struct rn_field *field) {
     field->hull = rn_block_create(n);
     cpu->occupancy.cells = (int)cells;
     cpu->occupancy.words = rn_block_create(bricks * 16 * sizeof(uint32_t));
-    cpu->occupancy.distance = rn_block_create(bricks);
+    cpu->occupancy.distance = rn_block_create(bricks + 3);
     bool all = field->parameters.values && field->packed && field->occupancy && field->hull &&
                cpu->occupancy.words && cpu->occupancy.distance;
     return all ? RN_OK : RN_ERROR_NO_MEMORY;

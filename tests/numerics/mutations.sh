@@ -164,7 +164,9 @@ mutate rays server/engine/ray.h "rays: distance from the centre by |o|^2 - (o.d)
 mutate rays server/engine/ray.h "rays: start left where the camera is" \
     's/double near = enter + jitter/double near = jitter/'
 mutate rays $cpu/march.h "march: a brick skipped too far" \
-    's/return next > k ? next : k + 1;/return next > k ? next + 1 : k + 2;/'
+    's/vi next = index_at(s + leave, inverse_step)/vi next = index_at(s + leave, inverse_step) + 1/'
+mutate rays $cpu/march.h "march: in rounds, a round is taken off whole" \
+    's/m->found\[r\] + RN_ROUND, RN_CHUNK/m->found[r] + RN_CHUNK, RN_ROUND/'
 mutate rays $cpu/march.h "march: cells by truncation towards the centre" \
     's/p \* half + half, 0.0f, top/p * half + half - 0.01f, 0.0f, top/'
 mutate training server/engine/train/step.c "training: parameters not looked at after a step" \

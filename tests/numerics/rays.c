@@ -255,8 +255,8 @@ static void see_march(struct numerics_case *c, const struct subject *s,
     static uint16_t found[65536 + RN_PACKET_SLACK];
     int n = s->march(&field->cpu.occupancy, ray, (float)step, found, 65536), next = 0;
     int count = (int)fmin(65535, (double)ray->length / (double)(float)step + 0.5);
-    double wrong = 0;
-    for (int i = 1; i < n; i++)
+    double wrong = n > 65536;
+    for (int i = 1; i < n && n <= 65536; i++)
         wrong += found[i] <= found[i - 1];
     for (int k = 0; k * ray->stride < count; k++) {
         bool must = false, may = false;
@@ -267,9 +267,9 @@ static void see_march(struct numerics_case *c, const struct subject *s,
             must |= occupied(field, p, 2e-6, true) && at < (double)ray->length - 1e-5;
             may |= occupied(field, p, 2e-6, false);
         }
-        while (next < n && found[next] < k)
+        while (next < n && next < 65536 && found[next] < k)
             next++;
-        bool has = next < n && found[next] == k;
+        bool has = next < n && next < 65536 && found[next] == k;
         wrong += has ? !may : must;
     }
     numerics_see(c, wrong, "%s, step %.4g, stride %d, %d of %d samples", kinds[kind], step,

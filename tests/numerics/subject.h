@@ -39,7 +39,8 @@ struct subject {
     // `channels` numbers; arrays have room for SUBJECT_QUERIES + 16.
     void (*query)(const struct rn_cpu_field *field, int n, const float *u, const float *v,
                   const float *lx, const float *ly, float *ret_features);
-    // Kernel sets only: the march indices of samples in occupied cells, at most `room`.
+    // Kernel sets only: the march indices of samples in occupied cells, at most `room`; room + 1
+    // where a march in rounds finds others.
     int (*march)(const struct rn_occupancy_bits *grid, const struct rn_march_ray *ray, float step,
                  uint16_t *ret_k, int room);
 };

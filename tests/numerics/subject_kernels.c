@@ -151,6 +151,41 @@ static void query(const struct rn_cpu_field *field, int n, const float *u, const
                (size_t)field->config.channels * sizeof(float));
 }
 
+// A ray's samples in rounds, from a place of its own among rays that have none.
+static int march_in_rounds(const struct rn_occupancy_bits *grid, const struct rn_march_ray *ray,
+                           float step, uint16_t *ret_k, int room) {
+    static struct marches m;
+    int place = ray->stride * 13, count = 0;
+    struct march_lanes *l = &m.lanes[place / RN_VL];
+    struct rn_march_ray rays[RN_VL];
+    memset(&m, 0, sizeof m);
+    memset(rays, 0, sizeof rays);
+    rays[place % RN_VL] = *ray;
+    m.ray[place] = ray;
+    m.last[place] = -1;
+    march_start(grid, rays, RN_VL, step, l);
+    for (;;) {
+        march_round(grid, step, &m);
+        int n = m.found_count[place] < RN_ROUND ? m.found_count[place] : RN_ROUND;
+        int fits = n < room - count ? n : room - count;
+        memcpy(ret_k + count, m.found[place], (size_t)fits * sizeof *ret_k);
+        count += fits;
+        if (n == 0 || count == room) return count;
+        march_take(&m, place, n);
+    }
+}
+
+// All of a ray's samples; room + 1 where listing them in rounds finds others.
+static int march(const struct rn_occupancy_bits *grid, const struct rn_march_ray *ray, float step,
+                 uint16_t *ret_k, int room) {
+    static uint16_t again[65536];
+    struct march_lanes l;
+    march_start(grid, ray, 1, step, &l);
+    int n = march_lane(grid, ray, step, &l, 0, ret_k, room);
+    int same = march_in_rounds(grid, ray, step, again, room);
+    return n == same && memcmp(ret_k, again, (size_t)n * sizeof *ret_k) == 0 ? n : room + 1;
+}
+
 extern const struct subject SUBJECT;
 const struct subject SUBJECT = {.name = SUBJECT_NAME,
                                 .digits = 24,

@@ -274,6 +274,35 @@ static void check_rendering(const struct rn_kernels *kernels,
     tear_down(&s);
 }
 
+// Many rays, misses among them, pass each other in the places of a packet: what each alone gives.
+// Rays share a lookup with levels when any of them needs one: not the same bytes.
+static void check_many(const struct rn_kernels *kernels, const struct rn_train_config *config) {
+    enum { MANY = 40 * RAYS };
+    static struct rn_march_ray rays[MANY];
+    static struct rn_pixel pixels[MANY];
+    struct setup s;
+    set_up(&s, kernels, config);
+    s.options.stop_depth = 0.5f; // rays end early and late
+    uint64_t samples = 0;
+    for (int i = 0; i < MANY; i++) {
+        rays[i] = s.rays[(i * 7 + i / RAYS) % RAYS];
+        if (i % 5 == 3) rays[i].length = 0;
+        if (i % 11 == 4) rays[i].length *= 0.1f;
+    }
+    uint64_t together = kernels->render(&s.field->cpu, &s.options, rays, MANY, s.workspace, pixels);
+    for (int i = 0; i < MANY; i++) {
+        struct rn_pixel alone;
+        samples += kernels->render(&s.field->cpu, &s.options, &rays[i], 1, s.workspace, &alone);
+        for (int c = 0; c < 3; c++)
+            ck_assert_double_eq_tol(pixels[i].rgb[c], alone.rgb[c], 2e-5);
+        ck_assert_double_eq_tol(pixels[i].alpha, alone.alpha, 2e-5);
+        ck_assert_double_eq_tol(pixels[i].depth, alone.depth, 1e-4);
+        if (!(rays[i].length > 0)) ck_assert_double_eq(pixels[i].alpha, 0);
+    }
+    ck_assert_uint_eq(together, samples);
+    tear_down(&s);
+}
+
 static void each_case(void (*check)(const struct rn_kernels *, const struct rn_train_config *)) {
     const struct rn_kernels *kernels;
     for (int i = 0; (kernels = rn_kernels_available(i)); i++)
@@ -294,6 +323,11 @@ START_TEST(gradients_match_reference) {
 END_TEST
 START_TEST(pixels_match_reference) {
     each_case(check_rendering);
+}
+END_TEST
+
+START_TEST(many_pixels_match_one) {
+    each_case(check_many);
 }
 END_TEST
 
@@ -452,6 +486,7 @@ int main(void) {
     tcase_set_timeout(tests, 120);
     tcase_add_test(tests, gradients_match_reference);
     tcase_add_test(tests, pixels_match_reference);
+    tcase_add_test(tests, many_pixels_match_one);
     tcase_add_test(tests, tiles_match_whole_planes);
     tcase_add_test(tests, odd_base_matches_reference);
     tcase_add_test(tests, other_solids_and_no_view_dependence_match_reference);

@@ -2,41 +2,10 @@
 #include "server/engine/cpu/backward.h"
 #include "server/engine/cpu/kernels.h"
 #include "server/engine/cpu/pyramid.h"
+#include "server/engine/cpu/render.h"
 #include "server/engine/cpu/scatter.h"
 #include "server/engine/cpu/stage.h"
 #include "server/engine/cpu/update.h"
-
-static uint64_t render(const struct rn_cpu_field *field, const struct rn_march_options *options,
-                       const struct rn_march_ray *rays, int count, struct rn_workspace *w,
-                       struct rn_pixel *ret_pixels) {
-    uint64_t samples = 0;
-    bool per_ray = field->config.shading == RN_SHADING_RAY;
-    for (int begin = 0; begin < count;) {
-        const struct rn_march_ray *packet = rays + begin;
-        struct ray_sums sums[RN_PACKET_RAYS];
-        float rgb[RN_PACKET_RAYS][3];
-        int16_t hit[RN_PACKET_RAYS];
-        int n = packet_march(field, options, packet, count - begin, w);
-        packet_density(field, options, packet, n, w);
-        if (per_ray)
-            shade_rays(field, options, packet, n, w, sums, rgb, hit);
-        else
-            shade_packet_by_samples(field, options, packet, n, keep_samples(0, w), w, sums, rgb);
-        for (int r = 0; r < n; r++) {
-            struct rn_pixel pixel = {
-                {options->background[0], options->background[1], options->background[2]}, 0, 0};
-            if (w->ray_first[r] >= 0) {
-                memcpy(pixel.rgb, rgb[r], sizeof pixel.rgb);
-                pixel.alpha = sums[r].opacity < 1 ? sums[r].opacity : 1;
-                pixel.depth = sums[r].opacity > 0 ? sums[r].depth / sums[r].opacity : 0;
-            }
-            ret_pixels[begin + r] = pixel;
-        }
-        samples += (uint64_t)w->count;
-        begin += n;
-    }
-    return samples;
-}
 
 static void density(const struct rn_cpu_field *field, float (*points)[3], int count, float level,
                     struct rn_workspace *w, float *ret_density) {

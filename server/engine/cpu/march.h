@@ -5,77 +5,89 @@
 #include "server/engine/cpu/kernels.h"
 #include "server/engine/cpu/simd.h"
 
+#define RN_MARCH_FAR 1000000 // an index behind every ray's end
+
 // First march index whose middle lies at or behind `s`.
-RN_INLINE int index_at(float s, float inverse_step) {
-    float k = s * inverse_step - 0.5f;
-    return k <= 0 ? 0 : k < 1e6f ? (int)k + 1 : 1000000;
+RN_INLINE vi index_at(vf s, float inverse_step) {
+    vf k = s * inverse_step - 0.5f;
+    return (vi_from_float(vf_clamp(k, 0.0f, RN_MARCH_FAR - 1)) + 1) & (k > 0.0f);
 }
 
-// A ray in units of bricks: brick coordinate = at + along * s. `inverse` of a direction that is
-// none is 0, and takes no part.
-struct brick_ray {
-    float at[3], along[3], inverse[3];
+// RN_VL rays on their way, one a lane, in units of bricks: brick coordinate = at + along * s.
+// `inverse` of a direction that is none is 0, and takes no part. Steps [k, end) are still to do.
+struct march_lanes {
+    vf at[3], along[3], inverse[3];
+    vi k, end;
 };
 
-static void brick_ray_init(const struct rn_occupancy_bits *o, const struct rn_march_ray *ray,
-                           struct brick_ray *ret) {
+// Restricts [k, end) to the box around all occupied cells.
+RN_INLINE void clip_to_box(const struct rn_occupancy_bits *o, vf length, float inverse_step,
+                           struct march_lanes *l) {
+    vf enter = vf_set(0), leave = length;
     float half = 0.5f * (float)(o->cells / RN_BRICK);
     for (int i = 0; i < 3; i++) {
-        float d = ray->direction[i];
-        ret->at[i] = (ray->origin[i] + 1) * half;
-        ret->along[i] = d * half;
-        ret->inverse[i] = d > 1e-12f || d < -1e-12f ? 1 / (d * half) : 0;
-    }
-}
-
-// Restricts [*begin, *end) to the box around all occupied cells.
-static void clip_to_box(const struct rn_occupancy_bits *o, const struct rn_march_ray *ray,
-                        const struct brick_ray *bricks, float inverse_step, int *begin, int *end) {
-    float enter = 0, leave = ray->length, half = 0.5f * (float)(o->cells / RN_BRICK);
-    for (int i = 0; i < 3; i++) {
         float low = (o->low[i] + 1) * half, high = (o->high[i] + 1) * half;
-        if (bricks->inverse[i] != 0) {
-            float a = (low - bricks->at[i]) * bricks->inverse[i];
-            float b = (high - bricks->at[i]) * bricks->inverse[i];
-            float first = a < b ? a : b, last = a < b ? b : a;
-            enter = first > enter ? first : enter;
-            leave = last < leave ? last : leave;
-        } else if (bricks->at[i] < low || bricks->at[i] > high) {
-            leave = -1;
-        }
+        vf a = (low - l->at[i]) * l->inverse[i], b = (high - l->at[i]) * l->inverse[i];
+        vi crosses = l->inverse[i] != 0.0f, beside = (l->at[i] < low) | (l->at[i] > high);
+        vf first = vf_select(crosses, vf_min(a, b), vf_set(0));
+        vf last = vf_select(crosses, vf_max(a, b), vf_select(beside, vf_set(-1), leave));
+        enter = vf_max(first, enter);
+        leave = vf_min(last, leave);
     }
-    if (!(leave > enter)) {
-        *end = *begin;
-        return;
-    }
-    int first = index_at(enter, inverse_step) - 1, last = index_at(leave, inverse_step) + 1;
-    if (first > *begin) *begin = first;
-    if (last < *end) *end = last;
+    vi begin = index_at(enter, inverse_step) - 1, end = index_at(leave, inverse_step) + 1;
+    l->k = vi_select(begin > 0, begin, vi_set(0));
+    l->end = vi_select(end < l->end, end, l->end) & (leave > enter);
 }
 
-// Index of the first sample behind the run of empty bricks around sample k.
-RN_INLINE int skip_empty(const struct rn_occupancy_bits *o, const struct brick_ray *ray, int k,
-                         float step, float inverse_step, int *ret_distance) {
-    int bricks = o->cells / RN_BRICK, index = 0, brick[3];
-    float at[3], s = ((float)k + 0.5f) * step, top = (float)(bricks - 1);
+// Puts `n` rays, at most RN_VL, at their first step inside the box; lanes behind them have ended.
+static void march_start(const struct rn_occupancy_bits *o, const struct rn_march_ray *rays, int n,
+                        float step, struct march_lanes *l) {
+    float half = 0.5f * (float)(o->cells / RN_BRICK), inverse_step = 1 / step;
+    vf length = vf_set(0);
     for (int i = 0; i < 3; i++) {
-        at[i] = ray->at[i] + ray->along[i] * s;
-        float b = at[i] > 0 ? at[i] : 0;
-        brick[i] = (int)(b < top ? b : top);
-        index = index * bricks + brick[i];
+        vf origin = vf_set(0), d = vf_set(0);
+        for (int j = 0; j < n; j++) {
+            origin[j] = rays[j].origin[i];
+            d[j] = rays[j].direction[i];
+        }
+        l->at[i] = (origin + 1.0f) * half;
+        l->along[i] = d * half;
+        l->inverse[i] = vf_bits(vi_bits(1.0f / l->along[i]) & (vf_abs(d) > 1e-12f));
     }
-    int distance = o->distance[index];
-    *ret_distance = distance;
-    if (distance == 0) return k;
-    float leave = 1e30f;
-    for (int i = 0; i < 3; i++) {
-        int face = ray->along[i] > 0 ? brick[i] + distance : brick[i] - distance + 1;
-        float e = ((float)face - at[i]) * ray->inverse[i];
-        e = ray->inverse[i] != 0 ? e : 1e30f;
-        leave = e < leave ? e : leave;
+    for (int j = 0; j < n; j++)
+        length[j] = rays[j].length;
+    vi end = index_at(length, inverse_step);
+    l->end = vi_select(end > 65535, vi_set(65535), end);
+    l->k = vi_set(0);
+    if (o->low[0] > o->high[0]) l->end = vi_set(0);
+    clip_to_box(o, length, inverse_step, l);
+}
+
+// Moves the lanes of `go` out of empty bricks, each to a step in an occupied one or to its end.
+// Returns those that have not ended. Terminates: every turn advances some lane.
+static vi march_land(const struct rn_occupancy_bits *o, float step, vi go, struct march_lanes *l) {
+    int bricks = o->cells / RN_BRICK;
+    float top = (float)(bricks - 1), inverse_step = 1 / step;
+    for (;;) {
+        vi brick[3], index = vi_set(0);
+        vf at[3], s = (vf_from_int(l->k) + 0.5f) * step, leave = vf_set(1e30f);
+        for (int i = 0; i < 3; i++) {
+            at[i] = l->at[i] + l->along[i] * s;
+            brick[i] = vi_from_float(vf_clamp(at[i], 0.0f, top));
+            index = index * bricks + brick[i];
+        }
+        go &= l->k < l->end;
+        vi distance = vi_gather_bytes(o->distance, index), empty = go & (distance > 0);
+        if (!vi_mask_bits(empty)) return go;
+        for (int i = 0; i < 3; i++) {
+            vi face = vi_select(l->along[i] > 0.0f, brick[i] + distance, brick[i] - distance + 1);
+            vf e = (vf_from_int(face) - at[i]) * l->inverse[i];
+            leave = vf_min(vf_select(l->inverse[i] != 0.0f, e, vf_set(1e30f)), leave);
+        }
+        vi next = index_at(s + leave, inverse_step), after = l->k + 1;
+        next = vi_select(next > l->k, next, after);
+        l->k = vi_select(empty, next, l->k);
     }
-    int next = leave < 1e6f ? index_at(s + leave, inverse_step) : 1000000;
-    return next > k ? next : k + 1;
 }
 
 // Bits of the samples k .. k + RN_VL - 1 that lie in occupied cells.
@@ -134,42 +146,73 @@ RN_INLINE unsigned first_steps(unsigned bits, int shift) {
     return bits & firsts[shift];
 }
 
-// Writes the indices of the ray's samples in occupied cells, in order, at most `room`. A sample
-// that spans several steps is there when any of them lies in an occupied cell. Terminates: every
-// turn advances k.
-static int march(const struct rn_occupancy_bits *o, const struct rn_march_ray *ray, float step,
-                 uint16_t *ret_k, int room) {
-    if (!(ray->length > 0) || o->low[0] > o->high[0]) return 0;
-    float inverse_step = 1 / step;
-    int shift = __builtin_ctz((unsigned)ray->stride), last = -1;
-    int begin = 0, end = index_at(ray->length, inverse_step), count = 0, distance;
-    if (end > 65535) end = 65535;
-    struct brick_ray bricks;
-    brick_ray_init(o, ray, &bricks);
-    clip_to_box(o, ray, &bricks, inverse_step, &begin, &end);
-    for (int k = begin; k < end && count < room;) {
-        int next = skip_empty(o, &bricks, k, step, inverse_step, &distance);
-        if (distance > 0) {
-            k = next;
-            continue;
-        }
-        k = k >> shift << shift; // a sample's steps together; those before are empty or repeated
-        unsigned bits = test_chunk(o, ray, k, step);
-        if (end - k < RN_CHUNK) bits &= (1u << (end - k)) - 1;
-        bits = first_steps(bits, shift);
-        if (k >> shift == last) bits &= ~1u;
-        if (bits) last = (k + 31 - __builtin_clz(bits)) >> shift;
+// Writes the indices of the samples among the RN_CHUNK steps around *k, a sample's steps together,
+// and goes on behind them; those before *k are empty, or written: up to sample *last. A sample that
+// spans several steps is there when any of them lies in an occupied cell. Returns how many; may
+// write RN_CHUNK numbers.
+RN_INLINE int march_chunk(const struct rn_occupancy_bits *o, const struct rn_march_ray *ray,
+                          float step, int end, int *k, int *last, uint16_t *ret_k) {
+    int shift = __builtin_ctz((unsigned)ray->stride), from = *k >> shift << shift;
+    unsigned bits = test_chunk(o, ray, from, step);
+    if (end - from < RN_CHUNK) bits &= (1u << (end - from)) - 1;
+    bits = first_steps(bits, shift);
+    if (from >> shift == *last) bits &= ~1u;
+    if (bits) *last = (from + 31 - __builtin_clz(bits)) >> shift;
+    *k = from + RN_CHUNK;
+    return write_samples(bits, from, shift, ret_k);
+}
+
+// Writes the indices of the samples of lane `j`'s ray, in order, at most `room`.
+static int march_lane(const struct rn_occupancy_bits *o, const struct rn_march_ray *ray, float step,
+                      struct march_lanes *l, int j, uint16_t *ret_k, int room) {
+    int last = -1, count = 0, k = l->k[j], end = l->end[j];
+    vi lane = vi_mask_of(1u << j);
+    while (count < room && vi_mask_bits(march_land(o, step, lane, l))) {
         uint16_t some[RN_CHUNK]; // where a vector would reach over the room
         bool over = room - count < RN_CHUNK;
-        int n = write_samples(bits, k, shift, over ? some : ret_k + count);
+        k = l->k[j];
+        int n = march_chunk(o, ray, step, end, &k, &last, over ? some : ret_k + count);
         if (over) {
             n = n < room - count ? n : room - count;
             memcpy(ret_k + count, some, (size_t)n * sizeof *some);
         }
         count += n;
-        k += RN_CHUNK;
+        l->k[j] = k;
     }
     return count;
+}
+
+// Where RN_PACKET_RAYS rays stand, and the samples that were found and not evaluated yet.
+struct marches {
+    struct march_lanes lanes[RN_PACKET_RAYS / RN_VL];
+    const struct rn_march_ray *ray[RN_PACKET_RAYS]; // NULL: a free place
+    int last[RN_PACKET_RAYS];
+    int found_count[RN_PACKET_RAYS];
+    uint16_t found[RN_PACKET_RAYS][RN_ROUND + RN_CHUNK];
+};
+
+// Marches on where fewer than RN_ROUND samples are at hand: to that many or the ray's end.
+static void march_round(const struct rn_occupancy_bits *o, float step, struct marches *m) {
+    for (int g = 0; g < RN_PACKET_RAYS; g += RN_VL) {
+        struct march_lanes *l = &m->lanes[g / RN_VL];
+        unsigned need = 0;
+        for (int j = 0; j < RN_VL; j++)
+            need |= (unsigned)(m->ray[g + j] && m->found_count[g + j] < RN_ROUND) << j;
+        while (need && (need = vi_mask_bits(march_land(o, step, vi_mask_of(need), l))))
+            for (unsigned left = need; left; left &= left - 1) {
+                int j = __builtin_ctz(left), r = g + j, k = l->k[j];
+                m->found_count[r] += march_chunk(o, m->ray[r], step, l->end[j], &k, &m->last[r],
+                                                 m->found[r] + m->found_count[r]);
+                l->k[j] = k;
+                if (m->found_count[r] >= RN_ROUND) need &= ~(1u << j);
+            }
+    }
+}
+
+// Takes `n` of a ray's samples off, RN_ROUND or all.
+RN_INLINE void march_take(struct marches *m, int r, int n) {
+    m->found_count[r] -= n;
+    memmove(m->found[r], m->found[r] + RN_ROUND, RN_CHUNK * sizeof m->found[r][0]);
 }
 
 #endif

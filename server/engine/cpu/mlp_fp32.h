@@ -1,5 +1,5 @@
-// The tiny networks in fp32, layer by layer. A product's error is at most (K + 2) 2^-24, relative to
-// the sum of its terms' magnitudes (the condition number of the sum, times its result).
+// The tiny networks in fp32, layer by layer. A product's error is at most (K + 2) 2^-24, relative
+// to the sum of its terms' magnitudes (the condition number of the sum, times its result).
 #ifndef RN_ENGINE_CPU_MLP_FP32_H
 #define RN_ENGINE_CPU_MLP_FP32_H
 

@@ -11,14 +11,25 @@
 // Marches rays until the packet is full; returns how many it took (at least one).
 static int packet_march(const struct rn_cpu_field *field, const struct rn_march_options *options,
                         const struct rn_march_ray *rays, int count, struct rn_workspace *w) {
+    const struct rn_occupancy_bits *o = &field->occupancy;
     int n = 0, total = 0;
     w->candidate_begin[0] = 0;
-    while (n < count && n < RN_PACKET_RAYS) {
-        int found =
-            march(&field->occupancy, &rays[n], options->step, w->candidate + total, w->capacity);
-        if (total + found > w->capacity && n > 0) break;
-        total += found;
-        w->candidate_begin[++n] = total;
+    if (count > RN_PACKET_RAYS) count = RN_PACKET_RAYS;
+    for (bool room = true; room && n < count;) {
+        int some = count - n < RN_VL ? count - n : RN_VL;
+        struct march_lanes lanes;
+        march_start(o, rays + n, some, options->step, &lanes);
+        unsigned hit = vi_mask_bits(march_land(o, options->step, vi_set(-1), &lanes));
+        for (int j = 0; j < some; j++) {
+            int found = 0;
+            if (hit >> j & 1)
+                found = march_lane(o, &rays[n], options->step, &lanes, j, w->candidate + total,
+                                   w->capacity);
+            room = total + found <= w->capacity || n == 0;
+            if (!room) break;
+            total += found;
+            w->candidate_begin[++n] = total;
+        }
     }
     memset(w->candidate + total, 0, RN_PACKET_SLACK * sizeof *w->candidate);
     return n;
@@ -166,29 +177,65 @@ static void directions(const struct rn_cpu_field *field, const float d[3], float
 
 typedef float row16 __attribute__((vector_size(64), aligned(4), may_alias));
 
-// Sums over a ray: [opacity, D, F] with ray shading; and the depth.
+// Sums over a ray: [opacity, D, F] with ray shading; opacity and depth.
 struct ray_sums {
     row16 sum;
     float opacity, depth;
 };
 
+// The same of the samples so far.
+struct running_sums {
+    row16 sum;
+    double opacity, depth;
+};
+
+// Adds the samples [start, end) of one ray.
+RN_INLINE void sum_segment(const struct rn_march_ray *ray, int start, int end, bool per_ray,
+                           const struct rn_workspace *w, struct running_sums *sums) {
+    for (int i = start; i < end; i++) {
+        float weight = w->weight[i];
+        sums->opacity += (double)weight;
+        sums->depth += (double)weight * (double)(ray->near + w->s[i]);
+        if (per_ray) sums->sum += weight * *(const row16 *)(w->geometry + (size_t)i * RN_GEOMETRY);
+    }
+}
+
 static struct ray_sums sum_ray(const struct rn_march_ray *ray, int r, bool per_ray,
                                const struct rn_workspace *w) {
-    struct ray_sums out = {0};
-    double opacity = 0, depth = 0;
-    for (int segment = w->ray_first[r]; segment >= 0; segment = w->segment_next[segment]) {
-        int start = w->segment_start[segment], end = start + w->segment_size[segment];
-        for (int i = start; i < end; i++) {
-            float weight = w->weight[i];
-            opacity += (double)weight;
-            depth += (double)weight * (double)(ray->near + w->s[i]);
-            if (per_ray)
-                out.sum += weight * *(const row16 *)(w->geometry + (size_t)i * RN_GEOMETRY);
+    struct running_sums sums = {0};
+    for (int s = w->ray_first[r]; s >= 0; s = w->segment_next[s])
+        sum_segment(ray, w->segment_start[s], w->segment_start[s] + w->segment_size[s], per_ray, w,
+                    &sums);
+    return (struct ray_sums){sums.sum, (float)sums.opacity, (float)sums.depth};
+}
+
+// What the colour network gets of a ray with ray shading.
+static void head_inputs(const struct rn_cpu_field *field, const struct rn_march_options *options,
+                        const struct rn_march_ray *ray, const struct ray_sums *sums, float *in) {
+    if (!field->config.view_dependence) return;
+    directions(field, options->look ? options->look : ray->direction, in);
+    for (int i = 0; i < 12; i++)
+        in[16 + i] = sums->sum[4 + i];
+    for (int c = 0; c < 3; c++)
+        in[28 + c] = sums->sum[1 + c];
+    in[31] = sums->opacity;
+}
+
+// The colours of `n` rays with those inputs; the j-th's sums and colour are number at[j].
+static void head_colours(const struct rn_cpu_field *field, const struct rn_march_options *options,
+                         int n, const int16_t *at, const struct ray_sums *sums,
+                         struct rn_workspace *w, float (*rgb)[3]) {
+    struct mlp head = head_network(field, w);
+    if (field->config.view_dependence) mlp_forward(&head, 0, n);
+    for (int j = 0; j < n; j++) {
+        const struct ray_sums *s = &sums[at[j]];
+        for (int c = 0; c < 3; c++) {
+            float specular =
+                field->config.view_dependence ? w->head_out[(size_t)j * RN_HEAD_OUTPUTS + c] : 0;
+            rgb[at[j]][c] =
+                s->sum[1 + c] + s->opacity * specular + (1 - s->opacity) * options->background[c];
         }
     }
-    out.opacity = (float)opacity;
-    out.depth = (float)depth;
-    return out;
 }
 
 // Ray shading: colour of every ray of the packet that hit something. head row j = hit[j].
@@ -200,39 +247,25 @@ static int shade_rays(const struct rn_cpu_field *field, const struct rn_march_op
         if (w->ray_first[r] < 0) continue;
         sums[r] = sum_ray(&rays[r], r, true, w);
         hit[hits] = (int16_t)r;
-        float *in = w->head_in + (size_t)hits++ * RN_HEAD_INPUTS;
-        if (!field->config.view_dependence) continue;
-        directions(field, options->look ? options->look : rays[r].direction, in);
-        for (int i = 0; i < 12; i++)
-            in[16 + i] = sums[r].sum[4 + i];
-        for (int c = 0; c < 3; c++)
-            in[28 + c] = sums[r].sum[1 + c];
-        in[31] = sums[r].opacity;
+        head_inputs(field, options, &rays[r], &sums[r],
+                    w->head_in + (size_t)hits++ * RN_HEAD_INPUTS);
     }
-    struct mlp head = head_network(field, w);
-    if (field->config.view_dependence) mlp_forward(&head, 0, hits);
-    for (int j = 0; j < hits; j++) {
-        const struct ray_sums *s = &sums[hit[j]];
-        for (int c = 0; c < 3; c++) {
-            float specular =
-                field->config.view_dependence ? w->head_out[(size_t)j * RN_HEAD_OUTPUTS + c] : 0;
-            rgb[hit[j]][c] =
-                s->sum[1 + c] + s->opacity * specular + (1 - s->opacity) * options->background[c];
-        }
-    }
+    head_colours(field, options, hits, hit, sums, w, rgb);
     return hits;
 }
 
-// Sample shading: colours of the samples listed in `kept`, head row j = kept[j], sigmoid in place.
+// Sample shading: colours of the samples of rays[w->ray] listed in `kept`, head row j = kept[j],
+// sigmoid in place.
 static void shade_samples(const struct rn_cpu_field *field, const struct rn_march_options *options,
-                          const struct rn_march_ray *rays, int kept, struct rn_workspace *w) {
+                          const struct rn_march_ray *const *rays, int kept,
+                          struct rn_workspace *w) {
     float sh[RN_SH_COUNT];
     int last = -1;
     for (int j = 0; j < kept; j++) {
         int i = w->kept[j];
         float *in = w->head_in + (size_t)j * RN_HEAD_INPUTS;
         if (w->ray[i] != last)
-            directions(field, options->look ? options->look : rays[w->ray[i]].direction, sh);
+            directions(field, options->look ? options->look : rays[w->ray[i]]->direction, sh);
         last = w->ray[i];
         memcpy(in, sh, sizeof sh);
         memcpy(in + RN_SH_COUNT, w->geometry + (size_t)i * RN_GEOMETRY + 1, 15 * sizeof(float));
@@ -259,7 +292,10 @@ static void shade_packet_by_samples(const struct rn_cpu_field *field,
                                     const struct rn_march_ray *rays, int ray_count, int kept,
                                     struct rn_workspace *w, struct ray_sums *sums,
                                     float (*rgb)[3]) {
-    shade_samples(field, options, rays, kept, w);
+    const struct rn_march_ray *each[RN_PACKET_RAYS];
+    for (int r = 0; r < ray_count; r++)
+        each[r] = &rays[r];
+    shade_samples(field, options, each, kept, w);
     for (int r = 0; r < ray_count; r++) {
         if (w->ray_first[r] < 0) continue;
         sums[r] = sum_ray(&rays[r], r, false, w);

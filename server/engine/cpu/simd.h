@@ -100,6 +100,10 @@ RN_INLINE vf vf_sqrt(vf x) {
 #endif
 }
 
+RN_INLINE vi vi_select(vi mask, vi yes, vi no) {
+    return (mask & yes) | (~mask & no);
+}
+
 // One bit a lane where the mask (0 or -1) is set.
 RN_INLINE unsigned vi_mask_bits(vi mask) {
 #if RN_VL == 16
@@ -114,11 +118,33 @@ RN_INLINE unsigned vi_mask_bits(vi mask) {
 #endif
 }
 
+// The mask of the lanes whose bit is set.
+RN_INLINE vi vi_mask_of(unsigned bits) {
+    vi out;
+    for (int i = 0; i < RN_VL; i++)
+        out[i] = 1 << i;
+    return ((int32_t)bits & out) != 0;
+}
+
 RN_INLINE vi vi_gather(const int32_t *base, vi index) {
 #if RN_VL == 16
     return (vi)_mm512_i32gather_epi32((__m512i)index, base, 4);
 #elif RN_VL == 8
     return (vi)_mm256_i32gather_epi32(base, (__m256i)index, 4);
+#else
+    vi out;
+    for (int i = 0; i < RN_VL; i++)
+        out[i] = base[index[i]];
+    return out;
+#endif
+}
+
+// Bytes; reads up to 3 behind each.
+RN_INLINE vi vi_gather_bytes(const uint8_t *base, vi index) {
+#if RN_VL == 16
+    return (vi)_mm512_i32gather_epi32((__m512i)index, base, 1) & 255;
+#elif RN_VL == 8
+    return (vi)_mm256_i32gather_epi32((const int *)base, (__m256i)index, 1) & 255;
 #else
     vi out;
     for (int i = 0; i < RN_VL; i++)

@@ -1,0 +1,195 @@
+// Rendering: rays go through RN_PACKET_RAYS places, in rounds of up to RN_ROUND samples each. A ray
+// that has ended leaves its place to the next one, so that the rounds stay full; nothing is kept of
+// a sample but its share of the ray's sums.
+#ifndef RN_ENGINE_CPU_RENDER_H
+#define RN_ENGINE_CPU_RENDER_H
+
+#include "server/engine/cpu/packet.h"
+
+struct stream {
+    const struct rn_cpu_field *field;
+    const struct rn_march_options *options;
+    const struct rn_march_ray *rays;
+    int ray_count, next; // rays not looked at yet: [next, ray_count)
+    struct rn_workspace *w;
+    struct rn_pixel *pixels;
+    struct marches marches;
+    struct ray_footprint footprints[RN_PACKET_RAYS];
+    struct running_sums sums[RN_PACKET_RAYS];
+    float rgb[RN_PACKET_RAYS][3]; // sample shading: the sum so far
+    int16_t free[RN_PACKET_RAYS];
+    int free_count;
+    // Rays that have ended, until their colours are computed together.
+    int ended_count, ended_pixel[RN_PACKET_RAYS];
+    int16_t ended_at[RN_PACKET_RAYS];
+    struct ray_sums ended[RN_PACKET_RAYS];
+};
+
+static void stream_init(const struct rn_cpu_field *field, const struct rn_march_options *options,
+                        const struct rn_march_ray *rays, int count, struct rn_workspace *w,
+                        struct rn_pixel *pixels, struct stream *s) {
+    int places = w->capacity / RN_ROUND < RN_PACKET_RAYS ? w->capacity / RN_ROUND : RN_PACKET_RAYS;
+    s->field = field;
+    s->options = options;
+    s->rays = rays;
+    s->ray_count = count;
+    s->next = s->ended_count = 0;
+    s->w = w;
+    s->pixels = pixels;
+    memset(&s->marches.ray, 0, sizeof s->marches.ray);
+    memset(&s->marches.lanes, 0, sizeof s->marches.lanes);
+    s->free_count = places;
+    for (int i = 0; i < places; i++)
+        s->free[i] = (int16_t)(places - 1 - i);
+}
+
+// Gives a ray the place that became free last. Lane `j` of `from` is where its march stands.
+static void stream_place(struct stream *s, const struct rn_march_ray *ray,
+                         const struct march_lanes *from, int j) {
+    int r = s->free[--s->free_count], i = r % RN_VL;
+    struct marches *m = &s->marches;
+    struct march_lanes *to = &m->lanes[r / RN_VL];
+    for (int k = 0; k < 3; k++) {
+        to->at[k][i] = from->at[k][j];
+        to->along[k][i] = from->along[k][j];
+        to->inverse[k][i] = from->inverse[k][j];
+    }
+    to->k[i] = from->k[j];
+    to->end[i] = from->end[j];
+    m->ray[r] = ray;
+    m->last[r] = -1;
+    m->found_count[r] = 0;
+    s->sums[r] = (struct running_sums){0};
+    memset(s->rgb[r], 0, sizeof s->rgb[r]);
+    s->w->ray_depth[r] = 0;
+    ray_footprint_init(s->field, ray, s->options->step * (float)ray->stride, &s->footprints[r]);
+}
+
+// Looks at the next rays while there is room: the ones that meet an occupied brick get a place, the
+// others the background.
+static void stream_fill(struct stream *s) {
+    const float *background = s->options->background;
+    const struct rn_occupancy_bits *o = &s->field->occupancy;
+    while (s->next < s->ray_count && s->free_count >= RN_VL) {
+        const struct rn_march_ray *rays = s->rays + s->next;
+        int n = s->ray_count - s->next < RN_VL ? s->ray_count - s->next : RN_VL;
+        struct march_lanes lanes;
+        march_start(o, rays, n, s->options->step, &lanes);
+        unsigned hit = vi_mask_bits(march_land(o, s->options->step, vi_set(-1), &lanes));
+        for (int j = 0; j < n; j++)
+            s->pixels[s->next + j] =
+                (struct rn_pixel){{background[0], background[1], background[2]}, 0, 0};
+        for (; hit; hit &= hit - 1)
+            stream_place(s, rays + __builtin_ctz(hit), &lanes, __builtin_ctz(hit));
+        s->next += n;
+    }
+}
+
+// The colours of the rays that have ended.
+static void stream_shade(struct stream *s) {
+    float rgb[RN_PACKET_RAYS][3];
+    head_colours(s->field, s->options, s->ended_count, s->ended_at, s->ended, s->w, rgb);
+    for (int j = 0; j < s->ended_count; j++)
+        memcpy(s->pixels[s->ended_pixel[j]].rgb, rgb[j], sizeof rgb[j]);
+    s->ended_count = 0;
+}
+
+// A ray has ended: its pixel, but for the colour where that is computed for many rays together.
+static void stream_end(struct stream *s, int r) {
+    const struct rn_march_ray *ray = s->marches.ray[r];
+    const struct running_sums *sums = &s->sums[r];
+    struct ray_sums total = {sums->sum, (float)sums->opacity, (float)sums->depth};
+    struct rn_pixel *pixel = &s->pixels[ray - s->rays];
+    s->marches.ray[r] = NULL;
+    s->free[s->free_count++] = (int16_t)r;
+    pixel->alpha = total.opacity < 1 ? total.opacity : 1;
+    pixel->depth = total.opacity > 0 ? total.depth / total.opacity : 0;
+    if (s->field->config.shading == RN_SHADING_SAMPLE) {
+        for (int c = 0; c < 3; c++)
+            pixel->rgb[c] = s->rgb[r][c] + (1 - total.opacity) * s->options->background[c];
+        return;
+    }
+    int j = s->ended_count++;
+    s->ended[j] = total;
+    s->ended_at[j] = (int16_t)j;
+    s->ended_pixel[j] = (int)(ray - s->rays);
+    head_inputs(s->field, s->options, ray, &total, s->w->head_in + (size_t)j * RN_HEAD_INPUTS);
+    if (s->ended_count == RN_PACKET_RAYS) stream_shade(s);
+}
+
+// Places the next samples of every ray, one segment each; a ray without any has ended. Returns
+// whether a sample may lie above level 0.
+static bool stream_round(struct stream *s) {
+    struct rn_workspace *w = s->w;
+    struct marches *m = &s->marches;
+    bool leveled = false;
+    w->count = w->segment_count = 0;
+    for (int r = 0; r < RN_PACKET_RAYS; r++)
+        if (m->ray[r] && m->found_count[r] > 0) leveled |= s->footprints[r].leveled;
+    for (int r = 0; r < RN_PACKET_RAYS; r++) {
+        if (!m->ray[r]) continue;
+        int n = m->found_count[r] < RN_ROUND ? m->found_count[r] : RN_ROUND;
+        if (n == 0) {
+            stream_end(s, r);
+            continue;
+        }
+        place_segment(s->field, s->options, m->ray[r], &s->footprints[r], leveled, m->found[r], n,
+                      w->count, w);
+        march_take(m, r, n);
+        memset(w->ray + w->count, r, (size_t)n);
+        w->segment_start[w->segment_count] = w->count;
+        w->segment_size[w->segment_count++] = (int16_t)n;
+        w->count += n;
+    }
+    return leveled;
+}
+
+// Colours of the round's samples, times their weights, onto their rays' sums.
+static void stream_shade_samples(struct stream *s) {
+    struct rn_workspace *w = s->w;
+    int kept = keep_samples(0, w);
+    shade_samples(s->field, s->options, s->marches.ray, kept, w);
+    for (int j = 0; j < kept; j++) {
+        int i = w->kept[j];
+        for (int c = 0; c < 3; c++)
+            s->rgb[w->ray[i]][c] += w->weight[i] * w->head_out[(size_t)j * RN_HEAD_OUTPUTS + c];
+    }
+}
+
+// The round's samples onto their rays' sums. Rays that nothing shines through any more end.
+static void stream_composite(struct stream *s) {
+    struct rn_workspace *w = s->w;
+    bool per_ray = s->field->config.shading == RN_SHADING_RAY;
+    round_attenuate(0, w);
+    finish_weights(s->options, w);
+    if (!per_ray) stream_shade_samples(s);
+    for (int k = 0; k < w->segment_count; k++) {
+        int start = w->segment_start[k], r = w->ray[start];
+        sum_segment(s->marches.ray[r], start, start + w->segment_size[k], per_ray, w, &s->sums[r]);
+        if (w->ray_depth[r] > s->options->stop_depth) stream_end(s, r);
+    }
+}
+
+static uint64_t render(const struct rn_cpu_field *field, const struct rn_march_options *options,
+                       const struct rn_march_ray *rays, int count, struct rn_workspace *w,
+                       struct rn_pixel *ret_pixels) {
+    struct stream s;
+    struct mlp base = base_network(field, w);
+    uint64_t samples = 0;
+    stream_init(field, options, rays, count, w, ret_pixels, &s);
+    for (;;) {
+        stream_fill(&s);
+        march_round(&field->occupancy, options->step, &s.marches);
+        bool leveled = stream_round(&s);
+        if (w->count == 0 && s.next == count) break;
+        encode(field, leveled, 0, w->count, w);
+        mlp_forward(&base, 0, w->count);
+        activate(field, 0, w->count, w);
+        stream_composite(&s);
+        samples += (uint64_t)w->count;
+    }
+    if (s.ended_count > 0) stream_shade(&s);
+    return samples;
+}
+
+#endif
