@@ -2,6 +2,9 @@
 #ifndef RN_PROTO_CHECKS_H
 #define RN_PROTO_CHECKS_H
 
+#include <stdbool.h>
+#include <stdint.h>
+
 const char *rn_check_name(const char *text);      // the name of a dataset, scene, path
 const char *rn_check_reference(const char *text); // an id or a name
 const char *rn_check_split_spec(const char *text);
@@ -9,6 +12,7 @@ const char *rn_check_bounds(const char *text); // "X,Y,Z,RADIUS"
 const char *rn_check_device(const char *text);
 const char *rn_check_kernels(const char *text);
 const char *rn_check_view(const char *text); // "test:12"
+bool rn_check_supersample(int64_t n);        // absent or a power of two
 const char *rn_check_sha256(const char *text);
 
 #endif

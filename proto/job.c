@@ -46,6 +46,7 @@ static const struct rn_field_spec path_options[] = {
     RN_F_INT(S, first, 0, 0, 99999),
     RN_F_INT(S, last, 0, 0, 99999),
     RN_F_NAME(S, output, 0, rn_output_kind_names),
+    RN_F_INT(S, supersample, 0, 1, 16),
 };
 const struct rn_table rn_path_options_table = RN_TABLE(S, "path options", path_options);
 #undef S
@@ -55,6 +56,7 @@ static const struct rn_field_spec eval_options[] = {
     RN_F_NAME(S, split, 0, rn_split_names),
     RN_F_INT(S, views, 0, 0, 1e6),
     RN_F_INT(S, scale, 0, 0, 15),
+    RN_F_INT(S, supersample, 0, 1, 16),
 };
 const struct rn_table rn_eval_options_table = RN_TABLE(S, "evaluation options", eval_options);
 #undef S
@@ -114,6 +116,10 @@ static const char *check_request(const struct rn_job_request *request, const cha
     int64_t channels = request->train.channels;
     if (channels != RN_ABSENT && channels != 4 && channels != 8 && channels != 16)
         return "must be 4, 8 or 16";
+    *ret_pointer = "#/options/supersample";
+    if (!rn_check_supersample(request->path_options.supersample) ||
+        !rn_check_supersample(request->eval.supersample))
+        return "must be 1, 2, 4, 8 or 16";
     if (request->type != RN_JOB_PATH) return NULL;
     *ret_pointer = "#/path";
     if (!*request->path == !request->camera_path)
@@ -256,6 +262,7 @@ static const struct rn_field_spec scale_score[] = {
     RN_F_INT(S, scale, RN_REQUIRED, 0, 64),
     RN_F_NUMBER(S, psnr, RN_REQUIRED | RN_NULLABLE, -INFINITY, INFINITY),
     RN_F_NUMBER(S, ssim, RN_REQUIRED, -INFINITY, INFINITY),
+    RN_F_NUMBER(S, render_ms, RN_REQUIRED, 0, INFINITY),
 };
 static const struct rn_table scale_score_table = RN_TABLE(S, "scale score", scale_score);
 #undef S

@@ -35,12 +35,14 @@ extern const char *const rn_split_names[]; // "train", "val", "test"
 struct rn_path_options {
     int64_t width, height, first, last;
     int output; // enum rn_output_kind
+    int64_t supersample;
 };
 extern const struct rn_table rn_path_options_table;
 
 struct rn_eval_options {
     int split;            // rn_split_names
     int64_t views, scale; // views 0 = all; scale absent = all
+    int64_t supersample;
 };
 extern const struct rn_table rn_eval_options_table;
 
@@ -122,7 +124,7 @@ extern const struct rn_table rn_path_result_table;
 
 struct rn_scale_score {
     int64_t scale;
-    double psnr, ssim;
+    double psnr, ssim, render_ms; // the last a median
 };
 struct rn_view_result {
     char name[256];

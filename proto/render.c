@@ -23,6 +23,7 @@ static const struct rn_field_spec request[] = {
     RN_F_NUMBER(S, step, RN_OVER_MIN, 0, 1),
     RN_F_NUMBER(S, stop, RN_OVER_MIN | RN_UNDER_MAX, 0, 1),
     RN_F_INT(S, subsample, 0, 1, 16),
+    RN_F_INT(S, supersample, 0, 1, 16),
 };
 const struct rn_table rn_render_request_table = RN_TABLE(S, "a render request", request);
 #undef S
@@ -33,6 +34,8 @@ static const char *check_request(const struct rn_render_request *r, const char *
     if (!*r->view == !r->camera) return "exactly one of camera and view must be given";
     *ret_pointer = "#/scale";
     if (r->camera && rn_int_or(r->scale, 0) != 0) return "goes with view only";
+    *ret_pointer = "#/supersample";
+    if (!rn_check_supersample(r->supersample)) return "must be 1, 2, 4, 8 or 16";
     *ret_pointer = "#/format";
     if (r->output == RN_OUTPUT_KIND_DEPTH && r->format == RN_FORMAT_JPEG)
         return "must be png for depth";

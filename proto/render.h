@@ -19,7 +19,7 @@ struct rn_render_request {
     int format;           // enum rn_picture_format
     int64_t jpeg_quality;
     double step, stop;
-    int64_t subsample;
+    int64_t subsample, supersample; // supersample absent = as the scene calls for
 };
 extern const struct rn_table rn_render_request_table;
 // As rn_decode; also checks that there is exactly one of camera and view, and the like.

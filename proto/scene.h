@@ -22,8 +22,10 @@ struct rn_field_config_record {
     double learning_rate, plane_rate, weight_decay, beta2, adam_eps;
     int64_t max_steps;
     double max_seconds, until_psnr;
-    bool carve, sparse, multi_step_rate, equal_scales, cone_step, auto_effects;
+    bool carve, sparse, multi_step_rate, favour_finest, cone_step, auto_effects;
     double roulette, stop;
+    bool supersample;
+    double finest_cone;
     int64_t seed;
     int train_split; // rn_train_split_names
     double background[3];

@@ -44,12 +44,20 @@ static const struct rn_table path_document_table =
 struct render_options {
     const char *view, *camera, *output, *file;
     struct rn_option_pair size;
+    int64_t supersample;
 };
 #define RENDER(m) .offset = offsetof(struct render_options, m)
 #define SIZE_OPTION(place)                                                                         \
     {                                                                                              \
         .name = "size", .kind = RN_OPTION_SIZE, place, .value = "WxH", .min = 1, .max = 16384,     \
         .help = "pixels; else as the camera says"                                                  \
+    }
+#define SUPERSAMPLE_OPTION(place)                                                                  \
+    {                                                                                              \
+        .name = "supersample", .kind = RN_OPTION_INTEGER, place, .value = "N", .min = 1,           \
+        .max = 16,                                                                                 \
+        .help = "N x N cones a pixel: 1, 2, 4, 8 or 16; else as many as the scene "                \
+                "calls for"                                                                        \
     }
 static const struct rn_option render_table[] = {
     {.name = "view",
@@ -68,6 +76,7 @@ static const struct rn_option render_table[] = {
      RENDER(output),
      .choices = "rgb|depth|alpha",
      .help = "what the picture shows (rgb)"},
+    SUPERSAMPLE_OPTION(RENDER(supersample)),
     {.name = "out",
      .letter = 'o',
      .kind = RN_OPTION_TEXT,
@@ -117,6 +126,7 @@ static enum rn_exit render_body(const struct render_options *options, char **ret
     request.size.height = options->size.second;
     request.format = format_of(options->file);
     request.output = options->output ? rn_name_index(rn_output_kind_names, options->output) : -1;
+    request.supersample = options->supersample;
     *ret_body = rn_api_encode(&rn_render_request_table, &request);
     rn_message_finish(&rn_render_request_table, &request);
     return *ret_body ? RN_EXIT_OK : RN_EXIT_FAILED;
@@ -193,6 +203,7 @@ static enum rn_exit run_render(struct rn_client *client, const void *context, co
 struct path_options {
     const char *folder;
     struct rn_option_pair size, frames;
+    int64_t supersample;
 };
 #define PATH(m) .offset = offsetof(struct path_options, m)
 static const struct rn_option path_table[] = {SIZE_OPTION(PATH(size)),
@@ -203,6 +214,7 @@ static const struct rn_option path_table[] = {SIZE_OPTION(PATH(size)),
                                                .min = 0,
                                                .max = RN_PATH_MAX_FRAMES - 1,
                                                .help = "only the frames A to B, both included"},
+                                              SUPERSAMPLE_OPTION(PATH(supersample)),
                                               {.name = "out",
                                                .letter = 'o',
                                                .kind = RN_OPTION_TEXT,
@@ -261,6 +273,7 @@ static enum rn_exit path_body(const struct path_options *options, const char **a
     request.options.height = options->size.second;
     request.options.first = options->frames.first;
     request.options.last = options->frames.second;
+    request.options.supersample = options->supersample;
     *ret_body = rn_api_encode(&path_request_table, &request);
     free(request.camera_path);
     return *ret_body ? RN_EXIT_OK : RN_EXIT_FAILED;
@@ -390,7 +403,7 @@ static enum rn_exit run_path(struct rn_client *client, const void *context, cons
 
 struct eval_options {
     const char *split;
-    int64_t views, scale;
+    int64_t views, scale, supersample;
 };
 #define EVAL(m) .offset = offsetof(struct eval_options, m)
 static const struct rn_option eval_table[] = {{.name = "split",
@@ -412,6 +425,7 @@ static const struct rn_option eval_table[] = {{.name = "split",
                                                .min = 0,
                                                .max = 15,
                                                .help = "only the images 2^J times smaller"},
+                                              SUPERSAMPLE_OPTION(EVAL(supersample)),
                                               {0}};
 
 struct eval_request {
@@ -434,6 +448,7 @@ static char *eval_body(const struct eval_options *options, const char *scene) {
     request.options.split = options->split ? rn_name_index(rn_split_names, options->split) : -1;
     request.options.views = options->views;
     request.options.scale = options->scale;
+    request.options.supersample = options->supersample;
     return rn_api_encode(&eval_request_table, &request);
 }
 
@@ -449,14 +464,14 @@ static enum rn_exit print_evaluation(const char *json) {
     char psnr[24];
     if (rn_decode(&rn_eval_result_table, json, strlen(json), &result, NULL, &err) != RN_OK)
         return rn_client_fail(&err);
-    rn_text_table_init(&table, ">SCALE|>PSNR|>SSIM");
+    rn_text_table_init(&table, ">SCALE|>PSNR|>SSIM|>MS");
     for (size_t i = 0; i < result.scale_count; i++) {
         format_psnr(result.scales[i].psnr, psnr);
-        rn_text_table_row(&table, "%lld|%s|%.4f", (long long)result.scales[i].scale, psnr,
-                          result.scales[i].ssim);
+        rn_text_table_row(&table, "%lld|%s|%.4f|%.1f", (long long)result.scales[i].scale, psnr,
+                          result.scales[i].ssim, result.scales[i].render_ms);
     }
     format_psnr(result.psnr, psnr);
-    rn_text_table_row(&table, "mean|%s|%.4f", psnr, result.ssim);
+    rn_text_table_row(&table, "mean|%s|%.4f|", psnr, result.ssim);
     enum rn_status status = rn_text_table_print(&table, &err);
     rn_text_table_finish(&table);
     printf("\n%lld %s view%s, spread over views %.2f dB and %.4f, %.1f ms a frame (median)\n",
@@ -501,7 +516,8 @@ const struct rn_verb rn_verbs_render[] = {
      .details =
          "A camera file is {\"camera\": {\"world_from_camera\": [[4],[4],[4]],\n"
          "\"axes\": \"opencv\" or \"opengl\", \"width\", \"height\", \"fov_y_deg\"}}, or with\n"
-         "fx, fy, cx, cy in the field of view's place. A picture of another shape than the camera's\n"
+         "fx, fy, cx, cy in the field of view's place. A picture of another shape than the "
+         "camera's\n"
          "keeps its field of view from top to bottom. Depth is a 16-bit grey PNG whose text chunk\n"
          "ripnerf:depth_scale says how many dataset units 65535 stands for.",
      .args_min = 1,

@@ -32,10 +32,11 @@ static const struct member config_members[] = {
     CONFIG(max_steps, KIND_INT64),      CONFIG(grow_to, KIND_INT),
     CONFIG(max_seconds, KIND_DOUBLE),   CONFIG(until_psnr, KIND_DOUBLE),
     CONFIG(carve, KIND_BOOL),           CONFIG(sparse, KIND_BOOL),
-    CONFIG(equal_scales, KIND_BOOL),    CONFIG(auto_effects, KIND_BOOL),
+    CONFIG(favour_finest, KIND_BOOL),   CONFIG(auto_effects, KIND_BOOL),
     CONFIG(footprint_given, KIND_BOOL), CONFIG(cone_step, KIND_BOOL),
     CONFIG(multi_step_rate, KIND_BOOL), CONFIG(roulette, KIND_DOUBLE),
     CONFIG(stop, KIND_DOUBLE),          CONFIG(seed, KIND_UINT64),
+    CONFIG(supersample, KIND_BOOL),     CONFIG(finest_cone, KIND_DOUBLE),
     CONFIG(train_val, KIND_BOOL),       CONFIG(background, KIND_COLOUR),
 };
 

@@ -61,10 +61,11 @@ static const struct rn_train_config standard = {
     .carve = true,
     .roulette = 2e-3,
     .sparse = true,
-    .equal_scales = true,
+    .favour_finest = true,
     .cone_step = true,
     .auto_effects = true,
     .stop = 2e-3,
+    .supersample = true,
     .background = {1, 1, 1},
 };
 
@@ -143,6 +144,7 @@ enum rn_status rn_train_config_check(const struct rn_train_config *c, struct rn_
     REQUIRE(c->max_seconds >= 0 && c->max_seconds < 1e9, "max_time", "must not be negative");
     REQUIRE(c->until_psnr >= 0 && c->until_psnr < 100, "until_psnr", "must be 0 to 100 dB");
     REQUIRE(c->roulette >= 0 && c->roulette < 1, "roulette", "must be in [0, 1)");
+    REQUIRE(c->finest_cone >= 0 && isfinite(c->finest_cone), "finest_cone", "must not be negative");
     REQUIRE(c->stop > 0 && c->stop < 1, "stop", "must be in (0, 1)");
     for (int i = 0; i < 3; i++)
         REQUIRE(c->background[i] >= 0 && c->background[i] <= 1, "background", "must be in [0, 1]");
@@ -185,11 +187,12 @@ int rn_train_config_differences(const struct rn_train_config *c, struct rn_diffe
     DIFFERS(c->beta2 != paper.beta2, "another decay of AdamW's second moment than 0.999",
             "0.99: +0.4 dB")
     DIFFERS(c->weight_decay != paper.weight_decay, "another weight decay than 1e-5", "")
-    DIFFERS(c->equal_scales, "rays drawn evenly over scales, pixels nearly without replacement",
+    DIFFERS(c->favour_finest, "most rays from the finest scale, pixels nearly without replacement",
             "the second: +0.3 dB")
     DIFFERS(!c->multi_step_rate, "rate schedule made for the time given", "")
     DIFFERS(fabs(c->stop - paper.stop) > 1e-12, "rays end at another transmittance than 1e-4",
             "0.002: +0.2 dB")
+    DIFFERS(c->supersample, "wide pixels are rendered as several of the finest trained on", "")
     return n;
 #undef DIFFERS
 }

@@ -63,12 +63,16 @@ struct rn_train_config {
     bool carve;           // occupancy from the images' alpha before the first step
     bool sparse;          // the optimiser visits only texels that the step touched
     bool multi_step_rate; // the paper's rate schedule; else one decay made for the time given
-    bool equal_scales;    // rays drawn evenly over scales, weight 1; else by pixels, area weight
+    bool favour_finest;   // most rays from the finest scale, all of weight 1 (train/draw.h); else
+                          // evenly over all pixels, weighted by area
     bool auto_effects;    // effects that the data does not call for may be switched off
     double roulette;      // contribution below which a sample's backward is a lottery; 0 = off
     bool footprint_given; // asked for by name: not switched off though the data calls for less
     bool cone_step;       // a sample spans as many steps as its cone is wide, at most 8
     double stop;          // early stop: transmittance below which a ray ends
+    bool supersample;     // pixels wider than those trained on are rendered as several of these
+    double finest_cone;   // radius at the scene's centre of the finest training pixel's cone,
+                          // dataset units; 0: not known. Measured, like the background.
     uint64_t seed;
     bool train_val;      // train on train+val
     float background[3]; // white unless the scene says otherwise

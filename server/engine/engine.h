@@ -225,9 +225,13 @@ struct rn_render_options {
     double step;   // marching step in scene radii; 0 = as trained
     double stop;   // early-stop transmittance; 0 = as trained
     int subsample; // render every n-th pixel each way and enlarge; 1 = full
+    // Cones a side of a pixel, 1, 2, 4, 8 or 16; 0 = as many as make them as narrow as the finest
+    // that the field was trained on, where its configuration asks for that, else 1.
+    int supersample;
 };
 struct rn_render_stats {
     double render_ms;
+    int cones;               // a side of a pixel
     uint64_t rays, samples;  // samples: field evaluations
     uint64_t nonfinite_rays; // of which something was no finite number, and replaced
 };
@@ -244,13 +248,15 @@ enum rn_status rn_render(struct rn_engine *engine, struct rn_field *field,
                          struct rn_error *err) RN_MUST_CHECK;
 void rn_render_result_finish(struct rn_render_result *result);
 
-// One view against its photograph, composited over the options' background.
+// One view against its photograph, composited over the options' background. Of the options, camera
+// and outputs are not looked at.
 struct rn_view_score {
     double psnr, ssim, render_ms;
     uint64_t nonfinite_rays; // as of a rendering
 };
 enum rn_status rn_evaluate_view(struct rn_engine *engine, struct rn_field *field,
-                                const struct rn_frame *frame, const float background[3],
+                                const struct rn_frame *frame,
+                                const struct rn_render_options *options,
                                 bool (*keep_going)(void *context), void *context,
                                 struct rn_view_score *ret_score,
                                 struct rn_error *err) RN_MUST_CHECK;

@@ -271,8 +271,11 @@ static enum rn_status render_frame(struct rn_host *host, struct rn_work *work,
                                        [RN_OUTPUT_KIND_ALPHA] = RN_OUTPUT_ALPHA};
     enum rn_output_kind output =
         (enum rn_output_kind)rn_name_or(work->path->options.output, RN_OUTPUT_KIND_RGB);
-    struct rn_render_options options = {
-        .camera = frame_camera(work, work->done), .outputs = outputs[output], .subsample = 1};
+    struct rn_render_options options = {.camera = frame_camera(work, work->done),
+                                        .outputs = outputs[output],
+                                        .subsample = 1,
+                                        .supersample =
+                                            (int)rn_int_or(work->path->options.supersample, 0)};
     struct rn_render_result result = {0};
     uint8_t *bytes = NULL;
     size_t size;
@@ -370,9 +373,12 @@ static enum rn_status prepare_eval(struct rn_host *host, struct rn_work *work,
 static enum rn_status eval_unit(struct rn_host *host, struct rn_work *work, struct rn_field *field,
                                 const struct rn_field_info *info, struct rn_error *err) {
     const struct rn_frame *frame = work->frames[work->done];
+    struct rn_render_options options = {.supersample =
+                                            (int)rn_int_or(work->eval.options.supersample, 0)};
     struct rn_view_score score;
-    enum rn_status status = rn_evaluate_view(host->engine, field, frame, info->config.background,
-                                             keep_going, work, &score, err);
+    memcpy(options.background, info->config.background, sizeof options.background);
+    enum rn_status status =
+        rn_evaluate_view(host->engine, field, frame, &options, keep_going, work, &score, err);
     if (status) return status;
     struct rn_view_result *result = &work->scores[work->done];
     *result = (struct rn_view_result){.index = frame->index,
@@ -386,8 +392,9 @@ static enum rn_status eval_unit(struct rn_host *host, struct rn_work *work, stru
     return RN_OK;
 }
 
-// Mean psnr and ssim of each scale; returns the number of scales.
-static size_t score_scales(const struct rn_work *work, struct rn_scale_score *scales) {
+// Mean psnr and ssim and median time of each scale; returns the number of scales. `times`: scratch.
+static size_t score_scales(const struct rn_work *work, double *times,
+                           struct rn_scale_score *scales) {
     size_t count = 0;
     for (int64_t scale = 0; scale < MAX_SCALES; scale++) {
         double psnr = 0, ssim = 0;
@@ -396,11 +403,13 @@ static size_t score_scales(const struct rn_work *work, struct rn_scale_score *sc
             if (work->scores[i].scale != scale) continue;
             psnr += work->scores[i].psnr;
             ssim += work->scores[i].ssim;
-            views++;
+            times[views++] = work->scores[i].render_ms;
         }
         if (!views) continue;
-        scales[count++] = (struct rn_scale_score){
-            .scale = scale, .psnr = psnr / (double)views, .ssim = ssim / (double)views};
+        scales[count++] = (struct rn_scale_score){.scale = scale,
+                                                  .psnr = psnr / (double)views,
+                                                  .ssim = ssim / (double)views,
+                                                  .render_ms = median(times, views)};
     }
     return count;
 }
@@ -450,10 +459,10 @@ static void fill_protocol(struct rn_host *host, const struct rn_work *work,
 static void finish_eval(struct rn_host *host, struct rn_work *work) {
     struct rn_scale_score scales[MAX_SCALES];
     struct rn_eval_result result = {.scales = scales,
-                                    .scale_count = score_scales(work, scales),
                                     .per_view = work->scores,
                                     .view_count = work->total,
                                     .render_ms_median = median(work->render_ms, work->rendered)};
+    result.scale_count = score_scales(work, work->render_ms, scales);
     for (size_t i = 0; i < result.scale_count; i++) {
         result.psnr += scales[i].psnr / (double)result.scale_count;
         result.ssim += scales[i].ssim / (double)result.scale_count;

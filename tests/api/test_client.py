@@ -495,7 +495,9 @@ def test_path_file_that_is_wrong(client, scene, tmp_path):
 
 
 def test_eval(client, scene, daemon):
-    result = client.json("eval", "lego", "--split", "val", "--views", 4, "--scale", 1)
+    result = client.json("eval", "lego", "--split", "val", "--views", 4, "--scale", 1,
+                         "--supersample", 2)
     assert result == contract.example("EvalResult")
-    assert submitted(daemon)["options"] == {"split": "val", "views": 4, "scale": 1}
+    assert submitted(daemon)["options"] == {
+        "split": "val", "views": 4, "scale": 1, "supersample": 2}
     assert "mean" in client.run("eval", "lego").stdout

@@ -1,7 +1,8 @@
 // Quality over seconds: trains on a dataset and prints held-out and test PSNR with their times.
 //
 //   quality DATASET [preset=standard] [time=60] [steps=0] [seed=1] [threads=0] [kernels=auto]
-//           [planes=] [base=] [channels=] [footprint=] [width=] ... [test=0] [split=test|train] [every=5] [out=PREFIX]
+//           [planes=] [base=] [channels=] [footprint=] [width=] ... [test=0] [split=test|train]
+//           [every=5] [out=PREFIX]
 //
 // clock=cpu with threads=1 counts CPU seconds, for comparisons on a machine that is not idle.
 // One line per held-out evaluation, one line per test scale. No test: a tool to measure with.
@@ -89,8 +90,10 @@ static bool set_option(struct run *run, const char *name, const char *value) {
         rn_clock_set_source(strcmp(value, "cpu") == 0 ? cpu_ns : NULL, NULL);
     else if (strcmp(name, "cone") == 0)
         c->cone_step = v != 0;
-    else if (strcmp(name, "equal") == 0)
-        c->equal_scales = v != 0;
+    else if (strcmp(name, "finest") == 0)
+        c->favour_finest = v != 0;
+    else if (strcmp(name, "supersample") == 0)
+        c->supersample = v != 0;
     else if (strcmp(name, "shading") == 0)
         f->shading = strcmp(value, "ray") == 0 ? RN_SHADING_RAY : RN_SHADING_SAMPLE;
     else if (strcmp(name, "footprint") == 0)
@@ -123,8 +126,11 @@ static void write_view(struct run *run, struct rn_engine *engine, struct rn_fiel
     rn_render_result_finish(&result);
 }
 
+// `supersample`: as of a rendering.
 static void test(struct run *run, struct rn_engine *engine, struct rn_field *field,
-                 const struct rn_dataset *dataset) {
+                 const struct rn_dataset *dataset, int supersample) {
+    struct rn_render_options options = {.supersample = supersample};
+    memcpy(options.background, run->config.background, sizeof options.background);
     struct rn_error err;
     int views = 0;
     for (size_t i = 0; i < dataset->frame_count; i++) {
@@ -140,8 +146,7 @@ static void test(struct run *run, struct rn_engine *engine, struct rn_field *fie
             const struct rn_frame *f = &dataset->frames[i];
             if (f->split != run->split || f->scale != scale || seen++ % stride) continue;
             struct rn_view_score s;
-            if (rn_evaluate_view(engine, field, f, run->config.background, NULL, NULL, &s, &err) !=
-                RN_OK)
+            if (rn_evaluate_view(engine, field, f, &options, NULL, NULL, &s, &err) != RN_OK)
                 die(&err);
             if (run->out && n < 4) write_view(run, engine, field, f);
             psnr += s.psnr;
@@ -149,11 +154,12 @@ static void test(struct run *run, struct rn_engine *engine, struct rn_field *fie
             ms += s.render_ms;
             n++;
         }
-        printf("test scale %d: psnr %.2f ssim %.4f views %d render_ms %.1f\n", scale, psnr / n,
-               ssim / n, n, ms / n);
+        printf("test%s scale %d: psnr %.2f ssim %.4f views %d render_ms %.1f\n",
+               supersample == 1 ? " one cone a pixel," : "", scale, psnr / n, ssim / n, n, ms / n);
         total += psnr / n;
     }
-    printf("test mean over scales: %.2f\n", total / dataset->scale_count);
+    printf("test%s mean over scales: %.2f\n", supersample == 1 ? " one cone a pixel," : "",
+           total / dataset->scale_count);
 }
 
 static void report(struct rn_trainer *trainer) {
@@ -216,7 +222,8 @@ int main(int argc, char **argv) {
     char hash[65];
     rn_field_sha256(rn_trainer_field(trainer), hash);
     printf("load %.2f s, parameters %.16s\n", 0.0, hash);
-    if (run.test > 0) test(&run, engine, rn_trainer_field(trainer), dataset);
+    for (int cones = 0; cones < 2 && run.test > 0; cones++)
+        test(&run, engine, rn_trainer_field(trainer), dataset, cones);
     rn_trainer_destroy(&trainer);
     rn_engine_destroy(&engine);
     rn_dataset_destroy(&dataset);

@@ -208,6 +208,67 @@ START_TEST(a_figure_does_not_depend_on_interruptions) {
 }
 END_TEST
 
+static struct rn_render_result render_all(struct rn_engine *engine, struct rn_field *field,
+                                          struct rn_camera camera, int supersample) {
+    struct rn_error err;
+    struct rn_render_result result;
+    struct rn_render_options options = {.camera = camera,
+                                        .outputs =
+                                            RN_OUTPUT_RGB | RN_OUTPUT_DEPTH | RN_OUTPUT_ALPHA,
+                                        .background = {1, 1, 1},
+                                        .supersample = supersample};
+    ck_assert_msg(rn_render(engine, field, &options, NULL, NULL, &result, &err) == RN_OK, "%s",
+                  err.text);
+    return result;
+}
+
+// `given` is `fine` averaged over n x n pixels, depths by their opacity. Worst difference.
+static double averaging_error(const struct rn_render_result *given,
+                              const struct rn_render_result *fine, int n) {
+    double worst = 0;
+    int width = given->rgb.width, height = given->rgb.height;
+    ck_assert_int_eq(fine->rgb.width, width * n);
+    for (int i = 0; i < width * height; i++) {
+        double rgb[3] = {0, 0, 0}, alpha = 0, depth = 0;
+        for (int j = 0; j < n * n; j++) {
+            int at = (i / width * n + j / n) * width * n + i % width * n + j % n;
+            for (int c = 0; c < 3; c++)
+                rgb[c] += (double)fine->rgb.values[3 * at + c] / (n * n);
+            alpha += (double)fine->alpha.values[at] / (n * n);
+            depth += (double)fine->depth.values[at] * (double)fine->alpha.values[at] / (n * n);
+        }
+        for (int c = 0; c < 3; c++)
+            worst = fmax(worst, fabs(rgb[c] - (double)given->rgb.values[3 * i + c]));
+        worst = fmax(worst, fabs(alpha - (double)given->alpha.values[i]));
+        worst = fmax(worst, fabs(depth - alpha * (double)given->depth.values[i]));
+    }
+    return worst;
+}
+
+// A pixel of several cones is their mean; a view of the finest scale takes one cone a pixel, one
+// with pixels k times as wide k by k.
+static void check_supersampling(struct rn_engine *engine, struct rn_field *field,
+                                const struct rn_frame *finest) {
+    struct rn_camera camera = finest->camera;
+    struct rn_render_result fine = render_all(engine, field, camera, 0);
+    ck_assert_int_eq(fine.stats.cones, 1);
+    for (int n = 2; n <= 4; n *= 2) {
+        struct rn_camera coarse = rn_camera_resized(&camera, camera.width / n, camera.height / n);
+        struct rn_render_result mean = render_all(engine, field, coarse, 0);
+        struct rn_render_result given = render_all(engine, field, coarse, n);
+        struct rn_render_result one = render_all(engine, field, coarse, 1);
+        ck_assert_int_eq(mean.stats.cones, n);
+        ck_assert_uint_eq(mean.stats.rays, fine.stats.rays);
+        ck_assert(averaging_error(&mean, &fine, n) < 1e-5);
+        ck_assert(averaging_error(&given, &mean, 1) == 0);
+        ck_assert(averaging_error(&one, &fine, n) > 1e-3); // else this test shows nothing
+        rn_render_result_finish(&mean);
+        rn_render_result_finish(&given);
+        rn_render_result_finish(&one);
+    }
+    rn_render_result_finish(&fine);
+}
+
 START_TEST(it_learns_and_a_loaded_field_renders_the_same) {
     struct rn_error err;
     struct rn_train_config config = config_for(scaled);
@@ -229,11 +290,12 @@ START_TEST(it_learns_and_a_loaded_field_renders_the_same) {
     ck_assert_str_eq(trained, loaded);
     const struct rn_frame *frame = rn_dataset_frame(scaled, RN_SPLIT_TEST, 0, 0);
     struct rn_view_score a, b;
-    ck_assert(rn_evaluate_view(engine, rn_trainer_field(trainer), frame, config.background, NULL,
-                               NULL, &a, &err) == RN_OK);
-    ck_assert(rn_evaluate_view(engine, field, frame, config.background, NULL, NULL, &b, &err) ==
-              RN_OK);
+    struct rn_render_options options = {.background = {1, 1, 1}};
+    ck_assert(rn_evaluate_view(engine, rn_trainer_field(trainer), frame, &options, NULL, NULL, &a,
+                               &err) == RN_OK);
+    ck_assert(rn_evaluate_view(engine, field, frame, &options, NULL, NULL, &b, &err) == RN_OK);
     ck_assert(a.psnr == b.psnr && a.ssim == b.ssim);
+    check_supersampling(engine, field, frame);
     rn_field_destroy(&field);
     rn_trainer_destroy(&trainer);
     rn_engine_destroy(&engine);

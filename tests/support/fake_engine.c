@@ -462,11 +462,12 @@ void rn_render_result_finish(struct rn_render_result *result) {
 }
 
 enum rn_status rn_evaluate_view(struct rn_engine *engine, struct rn_field *field,
-                                const struct rn_frame *frame, const float background[3],
+                                const struct rn_frame *frame, const struct rn_render_options *given,
                                 bool (*keep_going)(void *context), void *context,
                                 struct rn_view_score *ret_score, struct rn_error *err) {
-    struct rn_render_options options = {
-        .camera = frame->camera, .outputs = RN_OUTPUT_RGB, .subsample = 1};
+    struct rn_render_options options = *given;
+    options.camera = frame->camera;
+    options.outputs = RN_OUTPUT_RGB;
     struct rn_render_result result;
     enum rn_status status = rn_render(engine, field, &options, keep_going, context, &result, err);
     if (status) return status;

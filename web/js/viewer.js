@@ -94,6 +94,7 @@ export function createViewer(canvas, host, signal) {
     return {
       camera: host.camera(size.width, size.height),
       output,
+      ...(level === FULL ? {} : {supersample: 1}),
       ...(lossy ? {format: 'jpeg', jpeg_quality: level === COARSE ? 75 : 90} : {format: 'png'})
     };
   }

@@ -8,8 +8,11 @@
 // ---- shapes ---------------------------------------------------------------------------------
 
 #define RN_SHAPE(KT, WT)                                                                           \
-    {KT, WT, rn_forward_kernel<KT, WT, true>, rn_forward_kernel<KT, WT, false>,                    \
-     rn_head_backward_kernel<WT>, rn_base_backward_kernel<KT, WT>, rn_measure_kernel<KT, WT>}
+    {                                                                                              \
+        KT, WT, rn_forward_kernel<KT, WT, true>, rn_forward_kernel<KT, WT, false>,                 \
+            rn_head_backward_kernel<WT>, rn_base_backward_kernel<KT, WT>,                          \
+            rn_measure_kernel<KT, WT>                                                              \
+    }
 
 // From small to large; a field takes the first that holds it, padded with zeros.
 static const struct rn_kernel_shape shapes[] = {RN_SHAPE(4, 2), RN_SHAPE(10, 2), RN_SHAPE(4, 8),
@@ -30,9 +33,9 @@ static enum rn_status device_open(int ordinal, size_t budget_bytes, struct rn_de
     cudaDeviceProp p;
     cudaError_t outcome = cudaGetDeviceCount(&count);
     if (outcome != cudaSuccess || ordinal >= count)
-        return rn_error_set(err, RN_ERROR_UNSUPPORTED, "device", "there is no cuda:%d (%s); use --device cpu", ordinal,
-                            outcome == cudaSuccess ? "too few devices"
-                                                   : cudaGetErrorString(outcome));
+        return rn_error_set(
+            err, RN_ERROR_UNSUPPORTED, "device", "there is no cuda:%d (%s); use --device cpu",
+            ordinal, outcome == cudaSuccess ? "too few devices" : cudaGetErrorString(outcome));
     enum rn_status status = rn_cuda_check(cudaSetDevice(ordinal), "choosing the device", err);
     if (status == RN_OK)
         status = rn_cuda_check(cudaGetDeviceProperties(&p, ordinal), "asking the device", err);
@@ -77,7 +80,8 @@ static size_t used_bytes(const struct rn_device *device) {
 
 // ---- memory ---------------------------------------------------------------------------------
 
-// Bytes of a field whose planes have `base` texels a side, with its training where there are pixels.
+// Bytes of a field whose planes have `base` texels a side, with its training where there are
+// pixels.
 static size_t bytes_at(const struct rn_device_field *f, const struct rn_device_pixels *pixels,
                        int base) {
     struct rn_device_field other = *f;
@@ -266,7 +270,7 @@ static void describe_training(struct rn_device_field *f, const struct rn_device_
     memcpy(s->background, c->background, sizeof s->background);
     s->seed = c->seed;
     s->cone_step = c->cone_step;
-    s->equal_scales = c->equal_scales;
+    s->favour_finest = c->favour_finest;
     f->march.step = (float)march_step;
     f->march.stop_depth = (float)-log(c->stop);
     memcpy(f->march.background, c->background, sizeof f->march.background);
@@ -290,8 +294,7 @@ static cudaError_t upload_training(struct rn_device_field *f, const struct rn_de
         e = copy_in(d, (void *)f->source.pixels.frames, p->frames,
                     (size_t)p->frame_count * sizeof *p->frames);
     if (!e) e = copy_in(d, (void *)f->source.pixels.rgba, p->rgba, 4 * p->pixel_count);
-    if (!e)
-        e = copy_in(d, (void *)f->source.pixels.live, p->live, p->live_count * sizeof *p->live);
+    if (!e) e = copy_in(d, (void *)f->source.pixels.live, p->live, p->live_count * sizeof *p->live);
     if (!e && t->m) e = copy_in(d, f->optimiser.m, t->m, f->parameter_count * 4);
     if (!e && t->v) e = copy_in(d, f->optimiser.v, t->v, f->parameter_count * 4);
     cudaError_t waited = cudaStreamSynchronize(d->stream);
@@ -315,9 +318,10 @@ static enum rn_status train_begin(struct rn_device_field *f, const struct rn_dev
     if (f->train_memory)
         return rn_error_set(err, RN_ERROR_CONFLICT, "cuda", "this field is being trained already");
     if (f->scene.per_ray)
-        return rn_error_set(err, RN_ERROR_UNSUPPORTED, "shading",
-                            "training on a GPU shades every sample and this field shades every ray, "
-                            "as fields do whose training began on the CPU; use --device cpu");
+        return rn_error_set(
+            err, RN_ERROR_UNSUPPORTED, "shading",
+            "training on a GPU shades every sample and this field shades every ray, "
+            "as fields do whose training began on the CPU; use --device cpu");
     struct rn_arena arena = {NULL, 0};
     f->deterministic = training->deterministic;
     describe_training(f, pixels, training->march_step);
@@ -453,12 +457,12 @@ static struct rn_cuda_march march_of(const struct rn_march_options *o) {
 
 static cudaError_t queue_view(struct rn_device_field *f, const struct rn_cuda_view *view,
                               const struct rn_cuda_march *march) {
-    struct rn_staging s = rn_staging_for(f->device, f->scene.base.packed_count,
-                                         f->scene.head.packed_count);
+    struct rn_staging s =
+        rn_staging_for(f->device, f->scene.base.packed_count, f->scene.head.packed_count);
     struct rn_cuda_view v = *view;
     struct rn_cuda_march m = *march;
-    cudaError_t e = cudaFuncSetAttribute(
-        f->shape->render, cudaFuncAttributeMaxDynamicSharedMemorySize, (int)s.bytes);
+    cudaError_t e = cudaFuncSetAttribute(f->shape->render,
+                                         cudaFuncAttributeMaxDynamicSharedMemorySize, (int)s.bytes);
     if (!e)
         e = RN_LAUNCH(rn_view_kernel, (unsigned)((v.count + 255) / 256), 256, 0, f->device->stream,
                       v, f->view);
@@ -473,8 +477,13 @@ static enum rn_status render(struct rn_device_field *f, const struct rn_camera *
                              struct rn_pixel *ret_pixels, uint64_t *ret_samples,
                              struct rn_error *err) {
     struct rn_cuda_march march = march_of(options);
-    struct rn_cuda_view view = {*camera, {f->centre[0], f->centre[1], f->centre[2]}, f->radius,
-                                (double)options->step, f->config.cone_step, 0, 0};
+    struct rn_cuda_view view = {*camera,
+                                {f->centre[0], f->centre[1], f->centre[2]},
+                                f->radius,
+                                (double)options->step,
+                                f->config.cone_step,
+                                0,
+                                0};
     int first = first_row * camera->width, end = first + rows * camera->width;
     uint64_t samples = 0;
     struct rn_cuda_status status;
@@ -498,8 +507,8 @@ static enum rn_status render(struct rn_device_field *f, const struct rn_camera *
 extern "C" {
 extern const struct rn_backend rn_backend_table;
 const struct rn_backend rn_backend_table = {
-    RN_BACKEND_VERSION, "cuda",      device_open, device_close, used_bytes,
+    RN_BACKEND_VERSION, "cuda",        device_open, device_close, used_bytes,
     field_create,       field_destroy, train_begin, train_step,   train_finish,
-    train_timed,        download,    render,
+    train_timed,        download,      render,
 };
 }

@@ -23,7 +23,7 @@ struct rn_cuda_source {
     double centre[3], radius, step;
     float background[3];
     uint64_t seed;
-    bool cone_step, equal_scales;
+    bool cone_step, favour_finest;
 };
 
 // Uniform in [0, n) from 64 random bits, n < 2^53.
@@ -33,8 +33,8 @@ RN_DEVICE uint64_t rn_below(const struct rn_rng4 *draw, uint64_t n) {
 }
 
 // A pixel drawn uniformly over all scales; returns its frame.
-RN_DEVICE int rn_draw_pixel(const struct rn_device_pixels *p, const struct rn_rng4 *draw, int *ret_x,
-                            int *ret_y) {
+RN_DEVICE int rn_draw_pixel(const struct rn_device_pixels *p, const struct rn_rng4 *draw,
+                            int *ret_x, int *ret_y) {
     int scale = 0;
     uint64_t pixel = rn_below(draw, p->pixel_count);
     while (pixel >= p->scale_pixels[scale])
@@ -53,16 +53,15 @@ RN_DEVICE int rn_draw_pixel(const struct rn_device_pixels *p, const struct rn_rn
     return low;
 }
 
-// A pixel of ray r's scale, of the blocks that may see the hull; -1 outside. `first_ray`: rays of all
-// steps before.
+// A pixel of ray r's scale, of the blocks that may see the hull; -1 outside. `first_ray`: rays of
+// all steps before.
 RN_DEVICE int rn_draw_live(const struct rn_cuda_source *s, uint64_t first_ray, int r, int *ret_x,
                            int *ret_y) {
     const struct rn_device_pixels *p = &s->pixels;
-    int scale = r % p->scale_count;
-    uint64_t first = p->live_first[scale], count = p->live_first[scale + 1] - first;
+    struct rn_scale_turn from = rn_scale_turn(first_ray + (uint64_t)r, p->scale_count);
+    uint64_t first = p->live_first[from.scale], count = p->live_first[from.scale + 1] - first;
     if (count == 0) return -1;
-    uint64_t turn = (first_ray + (uint64_t)r) / (uint64_t)p->scale_count;
-    struct rn_live_pixel pixel = rn_live_pixel(s->seed, turn, count);
+    struct rn_live_pixel pixel = rn_live_pixel(s->seed, from.turn, count);
     const struct rn_device_block *block = &p->live[first + pixel.block];
     *ret_x = block->x + pixel.x;
     *ret_y = block->y + pixel.y;
@@ -74,8 +73,9 @@ RN_DEVICE struct rn_march_ray rn_draw_ray(const struct rn_cuda_source *s, uint64
                                           uint64_t first_ray, int r) {
     const struct rn_device_pixels *p = &s->pixels;
     struct rn_rng4 draw = rn_rng_draw(s->seed, RN_STREAM_RAYS | (uint32_t)r, step);
-    int x, y, frame = s->equal_scales ? rn_draw_live(s, first_ray, r, &x, &y)
-                                      : rn_draw_pixel(p, &draw, &x, &y);
+    int x, y,
+        frame = s->favour_finest ? rn_draw_live(s, first_ray, r, &x, &y)
+                                 : rn_draw_pixel(p, &draw, &x, &y);
     struct rn_march_ray out = {{0, 0, 0}, {0, 0, 0}, 0, 0, 0, 1, {0, 0, 0}, 0, (uint32_t)r};
     if (frame < 0) return out;
     const struct rn_device_frame *f = &p->frames[frame];
@@ -87,14 +87,13 @@ RN_DEVICE struct rn_march_ray rn_draw_ray(const struct rn_cuda_source *s, uint64
     float alpha = (float)rgba[3] * (1 / 255.0f);
     for (int c = 0; c < 3; c++)
         out.target[c] = (float)rgba[c] * (1 / 255.0f) * alpha + (1 - alpha) * s->background[c];
-    out.weight = s->equal_scales ? 1 : f->loss_weight;
+    out.weight = s->favour_finest ? 1 : f->loss_weight;
     out.id = (uint32_t)r;
     return out;
 }
 
-__global__ void __launch_bounds__(256)
-    rn_rays_kernel(const __grid_constant__ rn_cuda_source source,
-                   const __grid_constant__ rn_cuda_batch batch) {
+__global__ void __launch_bounds__(256) rn_rays_kernel(const __grid_constant__ rn_cuda_source source,
+                                                      const __grid_constant__ rn_cuda_batch batch) {
     int r = (int)(blockIdx.x * blockDim.x + threadIdx.x);
     if (r >= batch.status->ray_count) return;
     batch.rays[r] = rn_draw_ray(&source, batch.status->steps, batch.status->rays, r);
@@ -107,9 +106,8 @@ struct rn_cuda_view {
     bool cone_step;
     int first, count;
 };
-__global__ void __launch_bounds__(256)
-    rn_view_kernel(const __grid_constant__ rn_cuda_view view,
-                   const __grid_constant__ rn_cuda_batch batch) {
+__global__ void __launch_bounds__(256) rn_view_kernel(const __grid_constant__ rn_cuda_view view,
+                                                      const __grid_constant__ rn_cuda_batch batch) {
     int r = (int)(blockIdx.x * blockDim.x + threadIdx.x);
     if (r >= view.count) return;
     int pixel = view.first + r, w = view.camera.width;
@@ -179,8 +177,7 @@ __global__ void __launch_bounds__(RN_ORDER_THREADS, 1)
 }
 
 // Every tile to its place.
-__global__ void __launch_bounds__(256)
-    rn_place_kernel(const __grid_constant__ rn_cuda_batch b) {
+__global__ void __launch_bounds__(256) rn_place_kernel(const __grid_constant__ rn_cuda_batch b) {
     uint32_t slot = blockIdx.x * blockDim.x + threadIdx.x;
     if (b.status->rejected || slot >= b.status->tiles) return;
     int r = b.tile_ray[slot];

@@ -6,9 +6,9 @@
 #include "common/base/clock.h"
 #include "common/image/metrics.h"
 #include "server/engine/device.h"
-#include "server/engine/scene.h"
+#include "server/engine/render/cones.h"
 
-#define TILE 16         // pixels a side; two tiles fill a packet twice
+#define TILE 16         // cones a side; a tile fills two packets
 #define BAND 64         // rows a device renders between two looks at keep_going
 #define TILES_A_POLL 64 // tiles between two looks at keep_going
 
@@ -18,6 +18,8 @@ struct frame {
     const struct rn_render_options *options;
     struct rn_march_options march;
     struct rn_camera camera; // at the resolution that is rendered
+    int cones;               // a side of its pixels
+    int tile;                // pixels a side
     int tiles_x, first_tile;
     struct rn_pixel *pixels; // width * height of `camera`
     bool on_device;          // the field's copy there has the levels
@@ -26,23 +28,19 @@ struct frame {
 
 static void render_tile(void *context, int index, int thread) {
     struct frame *f = context;
-    struct rn_march_ray rays[TILE * TILE];
+    struct rn_spot spots[TILE * TILE] = {{0, 0}};
     struct rn_pixel pixels[TILE * TILE];
-    int tile = f->first_tile + index, n = 0;
-    int x0 = tile % f->tiles_x * TILE, y0 = tile / f->tiles_x * TILE;
-    int x1 = x0 + TILE < f->camera.width ? x0 + TILE : f->camera.width;
-    int y1 = y0 + TILE < f->camera.height ? y0 + TILE : f->camera.height;
-    for (int y = y0; y < y1; y++)
-        for (int x = x0; x < x1; x++) {
-            struct rn_ray ray = rn_camera_ray(&f->camera, x + 0.5, y + 0.5);
-            rays[n++] = rn_march_ray_from(f->field, &ray, (double)f->march.step, 0);
-        }
-    f->samples[index] = f->engine->kernels->render(&f->field->cpu, &f->march, rays, n,
-                                                   rn_engine_workspace(f->engine, thread), pixels);
-    n = 0;
+    int at = f->first_tile + index, n = 0;
+    int x0 = at % f->tiles_x * f->tile, y0 = at / f->tiles_x * f->tile;
+    int x1 = x0 + f->tile < f->camera.width ? x0 + f->tile : f->camera.width;
+    int y1 = y0 + f->tile < f->camera.height ? y0 + f->tile : f->camera.height;
     for (int y = y0; y < y1; y++)
         for (int x = x0; x < x1; x++)
-            f->pixels[(size_t)y * f->camera.width + x] = pixels[n++];
+            spots[n++] = (struct rn_spot){x, y};
+    f->samples[index] = rn_cones_render(f->engine, f->field, &f->march, &f->camera, f->cones, spots,
+                                        n, thread, pixels);
+    for (int i = 0; i < n; i++)
+        f->pixels[(size_t)spots[i].y * f->camera.width + spots[i].x] = pixels[i];
 }
 
 static float finite_or(float value, float other) {
@@ -96,12 +94,16 @@ static enum rn_status check_options(const struct rn_render_options *o, struct rn
         return rn_error_set(err, RN_ERROR_INVALID, "stop", "must be in [0, 1)");
     if (o->subsample < 0 || o->subsample > 64)
         return rn_error_set(err, RN_ERROR_INVALID, "subsample", "must be 1 to 64");
+    if (o->supersample < 0 || o->supersample > 16 || (o->supersample & (o->supersample - 1)))
+        return rn_error_set(err, RN_ERROR_INVALID, "supersample", "must be 0, 1, 2, 4, 8 or 16");
     return RN_OK;
 }
 
 // Pyramid levels that this camera may touch; the training's own when rays are shorter.
 static enum rn_status prepare(struct frame *f, struct rn_error *err) {
-    int levels = rn_levels_for_camera(f->field, &f->camera, f->march.step);
+    struct rn_camera cones =
+        rn_camera_resized(&f->camera, f->camera.width * f->cones, f->camera.height * f->cones);
+    int levels = rn_levels_for_camera(f->field, &cones, (double)f->march.step);
     f->on_device = f->field->on_device && levels <= f->field->device_levels;
     if (f->on_device) return RN_OK;
     enum rn_status status = rn_field_fetch(f->field, NULL, NULL, err);
@@ -113,17 +115,17 @@ static enum rn_status prepare(struct frame *f, struct rn_error *err) {
     return status;
 }
 
-// Bands of BAND rows on the device instead of tiles here.
+// Bands of BAND rows of cones on the device instead of tiles here.
 static enum rn_status render_bands(struct frame *f, bool (*keep_going)(void *context),
                                    void *context, uint64_t *ret_samples, struct rn_error *err) {
     enum rn_status status = RN_OK;
-    for (int row = 0; row < f->camera.height && status == RN_OK; row += BAND) {
-        int rows = f->camera.height - row < BAND ? f->camera.height - row : BAND;
+    int band = BAND / f->cones;
+    for (int row = 0; row < f->camera.height && status == RN_OK; row += band) {
+        int rows = f->camera.height - row < band ? f->camera.height - row : band;
         uint64_t samples;
         if (keep_going && !keep_going(context))
             return rn_error_set(err, RN_ERROR_CANCELLED, "render", "stopped on request");
-        status =
-            f->field->backend->render(f->field->on_device, &f->camera, &f->march, row, rows,
+        status = rn_field_render_rows(f->field, &f->camera, &f->march, f->cones, row, rows,
                                       f->pixels + (size_t)row * f->camera.width, &samples, err);
         if (status == RN_OK) *ret_samples += samples;
     }
@@ -140,6 +142,10 @@ enum rn_status rn_render(struct rn_engine *engine, struct rn_field *field,
     struct frame f = {.engine = engine, .field = field, .options = options};
     f.camera = rn_camera_resized(&options->camera, (options->camera.width + n - 1) / n,
                                  (options->camera.height + n - 1) / n);
+    f.cones = options->supersample > 0 ? options->supersample
+              : n > 1                  ? 1
+                                       : rn_cones_for_camera(field, &f.camera);
+    f.tile = TILE / f.cones;
     double stop = options->stop > 0 ? options->stop : field->config.stop;
     f.march.step =
         (float)(options->step > 0 ? fmax(options->step, field->config.step) : field->config.step);
@@ -147,14 +153,15 @@ enum rn_status rn_render(struct rn_engine *engine, struct rn_field *field,
     memcpy(f.march.background, options->background, sizeof f.march.background);
     status = prepare(&f, err);
     if (status != RN_OK) return status;
-    f.tiles_x = (f.camera.width + TILE - 1) / TILE;
-    int tiles = f.tiles_x * ((f.camera.height + TILE - 1) / TILE);
+    f.tiles_x = (f.camera.width + f.tile - 1) / f.tile;
+    int tiles = f.tiles_x * ((f.camera.height + f.tile - 1) / f.tile);
     size_t pixels = (size_t)f.camera.width * (size_t)f.camera.height;
     f.pixels = malloc(pixels * sizeof *f.pixels);
     if (!f.pixels)
         return rn_error_set(err, RN_ERROR_NO_MEMORY, "camera", "a %dx%d picture needs %zu MiB",
                             f.camera.width, f.camera.height, pixels * sizeof *f.pixels >> 20);
-    struct rn_render_result result = {.stats.rays = pixels};
+    struct rn_render_result result = {
+        .stats = {.rays = pixels * f.cones * f.cones, .cones = f.cones}};
     if (f.on_device) status = render_bands(&f, keep_going, context, &result.stats.samples, err);
     for (; !f.on_device && f.first_tile < tiles && status == RN_OK; f.first_tile += TILES_A_POLL) {
         int count = tiles - f.first_tile < TILES_A_POLL ? tiles - f.first_tile : TILES_A_POLL;
@@ -184,17 +191,18 @@ void rn_render_result_finish(struct rn_render_result *result) {
 }
 
 enum rn_status rn_evaluate_view(struct rn_engine *engine, struct rn_field *field,
-                                const struct rn_frame *frame, const float background[3],
+                                const struct rn_frame *frame, const struct rn_render_options *given,
                                 bool (*keep_going)(void *context), void *context,
                                 struct rn_view_score *ret_score, struct rn_error *err) {
-    struct rn_render_options options = {.camera = frame->camera, .outputs = RN_OUTPUT_RGB};
-    memcpy(options.background, background, sizeof options.background);
+    struct rn_render_options options = *given;
+    options.camera = frame->camera;
+    options.outputs = RN_OUTPUT_RGB;
     struct rn_render_result result = {0};
     struct rn_picture truth = {0};
     struct rn_image photograph;
     enum rn_status status = rn_image_read(frame->path, &rn_image_default_limits, &photograph, err);
     if (status != RN_OK) return status;
-    status = rn_image_composite(&photograph, background, &truth, err);
+    status = rn_image_composite(&photograph, options.background, &truth, err);
     rn_image_finish(&photograph);
     if (status == RN_OK)
         status = rn_render(engine, field, &options, keep_going, context, &result, err);

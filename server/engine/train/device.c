@@ -7,6 +7,7 @@
 #include <string.h>
 
 #include "server/engine/field/occupancy.h"
+#include "server/engine/render/cones.h"
 #include "server/engine/train/trainer.h"
 
 #define QUEUED 16        // steps between two looks at the counters
@@ -106,8 +107,9 @@ enum rn_status rn_trainer_validate_rows(struct rn_trainer *t, const struct rn_pi
     struct rn_pixel *pixels = malloc(n * sizeof *pixels);
     if (!pixels) return rn_error_set(err, RN_ERROR_NO_MEMORY, "trainer", "out of memory");
     memcpy(march.background, config->background, sizeof march.background);
-    enum rn_status status = t->field->backend->render(t->field->on_device, camera, &march, row,
-                                                      rows, pixels, &samples, err);
+    enum rn_status status =
+        rn_field_render_rows(t->field, camera, &march, rn_cones_for_camera(t->field, camera), row,
+                             rows, pixels, &samples, err);
     for (size_t i = 0; i < n && status == RN_OK; i++) {
         float target[3];
         rn_pixel_over(t->held.rgba + 4 * (frame->offset + (size_t)row * width + i),

@@ -7,6 +7,7 @@
 #include "common/math/rng.h"
 #include "server/engine/field/footprint.h"
 #include "server/engine/field/frustum.h"
+#include "server/engine/render/cones.h"
 #include "server/engine/train/trainer.h"
 
 #define PROBES 512                 // rays looked at
@@ -69,20 +70,16 @@ static double probe_anisotropy(const struct rn_trainer *t) {
     return spread[PROBES * 95 / 100];
 }
 
-// Range of the cones' radii at the scene's centre over the training cameras, in levels.
-static double footprint_range(const struct rn_trainer *t) {
-    const struct rn_bounds *bounds = &t->field->bounds;
+// Range of the cones' radii at the scene's centre over the training cameras, in levels. Notes the
+// smallest.
+static double footprint_range(struct rn_trainer *t) {
     double smallest = INFINITY, largest = 0;
     for (int f = 0; f < t->train.frame_count; f++) {
-        const struct rn_camera *camera = &t->train.frames[f].frame->camera;
-        struct rn_ray ray = rn_camera_ray(camera, camera->cx, camera->cy);
-        double d[3];
-        for (int i = 0; i < 3; i++)
-            d[i] = ray.origin[i] - bounds->centre[i];
-        double radius = ray.radius * fmax(sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2]), 1e-30);
-        smallest = fmin(smallest, radius);
+        double radius = rn_cone_at_centre(&t->field->bounds, &t->train.frames[f].frame->camera);
+        smallest = fmin(smallest, fmax(radius, 1e-30));
         largest = fmax(largest, radius);
     }
+    t->field->config.finest_cone = largest > 0 ? smallest : 0;
     return largest > 0 ? log2(largest / smallest) : 0;
 }
 

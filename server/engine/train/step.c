@@ -141,11 +141,10 @@ static const struct rn_pixel_frame *draw_pixel(const struct rn_trainer *t, struc
 // the image's edge.
 static const struct rn_pixel_frame *draw_live_pixel(const struct rn_trainer *t, int r, int *ret_x,
                                                     int *ret_y) {
-    int scales = t->train.scale_count, scale = r % scales;
-    size_t first = t->live_first[scale], count = t->live_first[scale + 1] - first;
+    struct rn_scale_turn from = rn_scale_turn(t->first_ray + (uint64_t)r, t->train.scale_count);
+    size_t first = t->live_first[from.scale], count = t->live_first[from.scale + 1] - first;
     if (count == 0) return NULL;
-    uint64_t turn = (t->first_ray + (uint64_t)r) / (uint64_t)scales;
-    struct rn_live_pixel pixel = rn_live_pixel(t->field->config.seed, turn, count);
+    struct rn_live_pixel pixel = rn_live_pixel(t->field->config.seed, from.turn, count);
     const struct rn_live_block *block = &t->live[first + pixel.block];
     const struct rn_pixel_frame *frame = &t->train.frames[block->frame];
     *ret_x = block->x + pixel.x;
@@ -168,8 +167,8 @@ struct place {
 static struct place place_of(const struct rn_trainer *t, int r) {
     struct rn_rng4 draw = draw_of(t, r);
     struct place place = {.jitter = rn_rng_unit(draw.v[2])};
-    place.frame = t->field->config.equal_scales ? draw_live_pixel(t, r, &place.x, &place.y)
-                                                : draw_pixel(t, draw, &place.x, &place.y);
+    place.frame = t->field->config.favour_finest ? draw_live_pixel(t, r, &place.x, &place.y)
+                                                 : draw_pixel(t, draw, &place.x, &place.y);
     return place;
 }
 
@@ -185,7 +184,7 @@ static struct rn_march_ray ray_at(const struct rn_trainer *t, int r, const struc
     if (!place->frame) return (struct rn_march_ray){.stride = 1};
     struct rn_march_ray ray = rn_trainer_ray(t, &t->train, place->frame, place->x, place->y,
                                              (double)t->march.step, (double)place->jitter);
-    ray.weight = t->field->config.equal_scales ? 1 : (float)place->frame->frame->loss_weight;
+    ray.weight = t->field->config.favour_finest ? 1 : (float)place->frame->frame->loss_weight;
     ray.id = (uint32_t)r;
     return ray;
 }

@@ -9,6 +9,7 @@
 #include "common/base/clock.h"
 #include "server/engine/checkpoint.h"
 #include "server/engine/device.h"
+#include "server/engine/render/cones.h"
 
 #define HELD_OUT_VIEWS 8
 #define WARM_UP_FRACTION 0.3 // of the run, before view dependence is measured
@@ -330,29 +331,31 @@ struct validate_block {
     const struct rn_pixel_frame *frame;
     size_t first, count;
     struct rn_march_options march;
+    int cones; // a side of a pixel
 };
 
 static void validate_packet(void *context, int index, int thread) {
     struct validate_block *b = context;
     struct rn_trainer *t = b->trainer;
-    struct rn_march_ray rays[RN_PACKET_RAYS];
+    struct rn_spot spots[RN_PACKET_RAYS];
     struct rn_pixel pixels[RN_PACKET_RAYS];
-    size_t first = b->first + (size_t)index * RN_PACKET_RAYS,
-           width = (size_t)b->frame->frame->camera.width;
+    const struct rn_camera *camera = &b->frame->frame->camera;
+    size_t first = b->first + (size_t)index * RN_PACKET_RAYS, width = (size_t)camera->width;
     int n = 0;
-    for (; n < RN_PACKET_RAYS && first + (size_t)n < b->first + b->count; n++) {
-        size_t i = first + (size_t)n;
-        rays[n] = rn_trainer_ray(t, &t->held, b->frame, (int)(i % width), (int)(i / width),
-                                 (double)b->march.step, 0);
-    }
-    t->engine->kernels->render(&t->field->cpu, &b->march, rays, n,
-                               rn_engine_workspace(t->engine, thread), pixels);
+    for (; n < RN_PACKET_RAYS && first + (size_t)n < b->first + b->count; n++)
+        spots[n] = (struct rn_spot){(int)((first + (size_t)n) % width),
+                                    (int)((first + (size_t)n) / width)};
+    rn_cones_render(t->engine, t->field, &b->march, camera, b->cones, spots, n, thread, pixels);
     double sum = 0;
-    for (int i = 0; i < n; i++)
+    for (int i = 0; i < n; i++) {
+        float target[3];
+        rn_pixel_over(rn_pixel_at(&t->held, b->frame, spots[i].x, spots[i].y),
+                      t->field->config.background, target);
         for (int c = 0; c < 3; c++) {
-            double d = fmin(fmax((double)pixels[i].rgb[c], 0), 1) - (double)rays[i].target[c];
+            double d = fmin(fmax((double)pixels[i].rgb[c], 0), 1) - (double)target[c];
             sum += d * d;
         }
+    }
     t->validation.packets[index] = sum;
 }
 
@@ -385,6 +388,7 @@ static void validate_next(struct rn_trainer *t) {
     b.march = (struct rn_march_options){.step = (float)config->step,
                                         .stop_depth = (float)-log(config->stop)};
     memcpy(b.march.background, config->background, sizeof config->background);
+    b.cones = rn_cones_for_camera(t->field, &b.frame->frame->camera);
     int packets = (int)((b.count + RN_PACKET_RAYS - 1) / RN_PACKET_RAYS);
     if (!rn_pool_run_some(t->engine->pool, packets, &v->next_packet, validate_packet, &b,
                           rn_engine_is_wanted, t->engine))

@@ -39,11 +39,32 @@ START_TEST(rounds_take_other_pixels) {
 }
 END_TEST
 
+// Every scale's turns are counted without gaps, in runs; one run in RN_SCALE_RUNS for each but the
+// finest.
+START_TEST(scales_take_turns) {
+    for (int scales = 1; scales <= RN_SCALE_RUNS; scales++) {
+        uint64_t turns[RN_SCALE_RUNS] = {0}, rounds = 3;
+        int scale = 0;
+        for (uint64_t i = 0; i < rounds * RN_SCALE_RUNS * RN_SCALE_RUN; i++) {
+            struct rn_scale_turn at = rn_scale_turn(i, scales);
+            ck_assert(at.scale >= 0 && at.scale < scales);
+            ck_assert(at.scale == scale || i % RN_SCALE_RUN == 0);
+            ck_assert_uint_eq(at.turn, turns[at.scale]);
+            turns[at.scale]++;
+            scale = at.scale;
+        }
+        for (int s = 1; s < scales; s++)
+            ck_assert_uint_eq(turns[s], rounds * RN_SCALE_RUN);
+    }
+}
+END_TEST
+
 int main(void) {
     Suite *suite = suite_create("draw");
     TCase *tests = tcase_create("pixels");
     tcase_add_test(tests, rounds_lie_evenly_over_the_blocks);
     tcase_add_test(tests, rounds_take_other_pixels);
+    tcase_add_test(tests, scales_take_turns);
     suite_add_tcase(suite, tests);
     SRunner *runner = srunner_create(suite);
     srunner_run_all(runner, CK_NORMAL);

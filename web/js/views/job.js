@@ -178,13 +178,14 @@ function evaluationResult(r) {
           plural(p.threads, 'thread')}.`),
     h('div', {class: 'scroll'},
       h('table', {class: 'table'}, h('caption', null, 'By scale'),
-        headRow(['Scale', '', 'PSNR', 'SSIM']),
+        headRow(['Scale', '', 'PSNR', 'SSIM', 'Rendering']),
         h('tbody', null,
           r.scales.map(
               (s) =>
                   h('tr', null, h('th', {scope: 'row'}, s.scale ? `1/${2 ** s.scale}` : 'full'),
                     h('td'), h('td', {class: 'number'}, decibel(s.psnr)),
-                    h('td', {class: 'number'}, fixed(s.ssim, 4))))))),
+                    h('td', {class: 'number'}, fixed(s.ssim, 4)),
+                    h('td', {class: 'number'}, milliseconds(s.render_ms))))))),
     h('div', {class: 'scroll tall'},
       h('table', {class: 'table'}, h('caption', null, 'By view, worst first'),
         headRow(['View', 'Scale', 'PSNR', 'SSIM', 'Rendering']),

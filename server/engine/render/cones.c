@@ -1,0 +1,105 @@
+#include "server/engine/render/cones.h"
+
+#include <math.h>
+#include <stdlib.h>
+
+#include "server/engine/device.h"
+
+#define MOST 16 // cones a side: RN_CONES_BLOCK of them are one pixel
+
+double rn_cone_at_centre(const struct rn_bounds *bounds, const struct rn_camera *camera) {
+    struct rn_ray ray = rn_camera_ray(camera, camera->cx, camera->cy);
+    double squares = 0;
+    for (int i = 0; i < 3; i++)
+        squares += pow(ray.origin[i] - bounds->centre[i], 2);
+    return ray.radius * sqrt(squares);
+}
+
+int rn_cones_for_camera(const struct rn_field *field, const struct rn_camera *camera) {
+    double finest = field->config.finest_cone;
+    if (!field->config.supersample || !(finest > 0)) return 1;
+    double ratio = rn_cone_at_centre(&field->bounds, camera) / finest;
+    int n = 1;
+    while (n < MOST && ratio > n * 1.41421356)
+        n *= 2;
+    return n;
+}
+
+struct rn_pixel rn_cones_mean(const struct rn_pixel *cones, int n) {
+    struct rn_pixel mean = {{0, 0, 0}, 0, 0};
+    float scale = 1 / (float)(n * n);
+    for (int i = 0; i < n * n; i++) {
+        for (int c = 0; c < 3; c++)
+            mean.rgb[c] += cones[i].rgb[c] * scale;
+        mean.alpha += cones[i].alpha * scale;
+        mean.depth += cones[i].depth * (cones[i].alpha * scale);
+    }
+    mean.depth = mean.alpha > 0 ? mean.depth / mean.alpha : 0;
+    return mean;
+}
+
+// At most RN_CONES_BLOCK cones.
+static uint64_t render_block(const struct rn_engine *engine, const struct rn_field *field,
+                             const struct rn_march_options *march, const struct rn_camera *fine,
+                             int n, const struct rn_spot *spots, int count, int thread,
+                             struct rn_pixel *ret_pixels) {
+    struct rn_march_ray rays[RN_CONES_BLOCK];
+    struct rn_pixel cones[RN_CONES_BLOCK];
+    int total = 0;
+    for (int i = 0; i < count; i++)
+        for (int j = 0; j < n * n; j++) {
+            double x = spots[i].x * n + j % n + 0.5, y = spots[i].y * n + j / n + 0.5;
+            struct rn_ray ray = rn_camera_ray(fine, x, y);
+            rays[total++] = rn_march_ray_from(field, &ray, (double)march->step, 0);
+        }
+    uint64_t samples =
+        engine->kernels->render(&field->cpu, march, rays, total,
+                                rn_engine_workspace(engine, thread), n == 1 ? ret_pixels : cones);
+    for (int i = 0; i < count && n > 1; i++)
+        ret_pixels[i] = rn_cones_mean(cones + i * n * n, n);
+    return samples;
+}
+
+uint64_t rn_cones_render(const struct rn_engine *engine, const struct rn_field *field,
+                         const struct rn_march_options *march, const struct rn_camera *camera,
+                         int n, const struct rn_spot *spots, int count, int thread,
+                         struct rn_pixel *ret_pixels) {
+    struct rn_camera fine = rn_camera_resized(camera, camera->width * n, camera->height * n);
+    uint64_t samples = 0;
+    for (int i = 0, block = RN_CONES_BLOCK / (n * n); i < count; i += block)
+        samples += render_block(engine, field, march, &fine, n, spots + i,
+                                count - i < block ? count - i : block, thread, ret_pixels + i);
+    return samples;
+}
+
+// Rows of cones to rows of pixels, `width` of them.
+static void average_rows(const struct rn_pixel *cones, int n, int width, int rows,
+                         struct rn_pixel *ret_pixels) {
+    struct rn_pixel block[RN_CONES_BLOCK];
+    for (int y = 0; y < rows; y++)
+        for (int x = 0; x < width; x++) {
+            for (int j = 0; j < n * n; j++)
+                block[j] = cones[((size_t)y * n + j / n) * width * n + (size_t)x * n + j % n];
+            ret_pixels[(size_t)y * width + x] = rn_cones_mean(block, n);
+        }
+}
+
+enum rn_status rn_field_render_rows(struct rn_field *field, const struct rn_camera *camera,
+                                    const struct rn_march_options *march, int n, int row, int rows,
+                                    struct rn_pixel *ret_pixels, uint64_t *ret_samples,
+                                    struct rn_error *err) {
+    if (n == 1)
+        return field->backend->render(field->on_device, camera, march, row, rows, ret_pixels,
+                                      ret_samples, err);
+    struct rn_camera fine = rn_camera_resized(camera, camera->width * n, camera->height * n);
+    size_t count = (size_t)fine.width * (size_t)rows * (size_t)n;
+    struct rn_pixel *cones = malloc(count * sizeof *cones);
+    if (!cones)
+        return rn_error_set(err, RN_ERROR_NO_MEMORY, "camera", "%d rows of cones need %zu MiB",
+                            rows, count * sizeof *cones >> 20);
+    enum rn_status status = field->backend->render(field->on_device, &fine, march, row * n,
+                                                   rows * n, cones, ret_samples, err);
+    if (status == RN_OK) average_rows(cones, n, camera->width, rows, ret_pixels);
+    free(cones);
+    return status;
+}

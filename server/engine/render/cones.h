@@ -1,0 +1,34 @@
+// A pixel by several cones: n x n narrower ones side by side, averaged. One cone's Gaussian blurs
+// what lies within a pixel before the networks see it; where pixels are wider than those the field
+// was trained on, averaging colours instead is closer to the truth, and costs n^2 times as much.
+#ifndef RN_ENGINE_RENDER_CONES_H
+#define RN_ENGINE_RENDER_CONES_H
+
+#include "server/engine/scene.h"
+
+#define RN_CONES_BLOCK 256 // cones evaluated together, and the most a pixel has
+
+// The radius of a camera's cones where they pass the ball's centre, dataset units.
+double rn_cone_at_centre(const struct rn_bounds *bounds, const struct rn_camera *camera);
+// Cones a side of the camera's pixels, a power of two, at most 16: as many as make them as narrow
+// as the finest that the field was trained on, where its configuration asks for that; else 1.
+int rn_cones_for_camera(const struct rn_field *field, const struct rn_camera *camera);
+// n^2 cones to one pixel: colour and opacity are means; depth is weighted by opacity.
+struct rn_pixel rn_cones_mean(const struct rn_pixel *cones, int n);
+// A pixel's place: column, row.
+struct rn_spot {
+    int x, y;
+};
+// Renders `count` pixels of a camera, each by n x n cones, on the calling thread; returns the field
+// evaluations. `march->step` is the length of a step of one cone.
+uint64_t rn_cones_render(const struct rn_engine *engine, const struct rn_field *field,
+                         const struct rn_march_options *march, const struct rn_camera *camera,
+                         int n, const struct rn_spot *spots, int count, int thread,
+                         struct rn_pixel *ret_pixels);
+// Rows [row, row + rows) of a camera on the field's device, as above. The backend's errors.
+enum rn_status rn_field_render_rows(struct rn_field *field, const struct rn_camera *camera,
+                                    const struct rn_march_options *march, int n, int row, int rows,
+                                    struct rn_pixel *ret_pixels, uint64_t *ret_samples,
+                                    struct rn_error *err) RN_MUST_CHECK;
+
+#endif
