@@ -119,13 +119,24 @@ def test_path(client, trained, tmp_path):
     assert some[0].read_bytes() == files[1].read_bytes()
 
 
+def untimed(scores):
+    return [{name: value for name, value in score.items() if name != "render_ms"}
+            for score in scores]
+
+
 def test_eval(client, trained):
     result = client.json("eval", "ball", "--views", 2)
     contract.check("EvalResult", result)
     assert [score["scale"] for score in result["scales"]] == [0, 1]
     assert result["views"] == 2 and result["protocol"]["split"] == "test"
     one = client.json("eval", "ball", "--views", 2, "--scale", 1)
-    assert one["scales"] == [result["scales"][1]]
+    assert untimed(one["scales"]) == untimed(result["scales"][1:])
+    given = client.json("eval", "ball", "--views", 2, "--scale", 1, "--supersample", 2)
+    assert untimed(given["scales"]) == untimed(one["scales"])
+    single = client.json("eval", "ball", "--views", 2, "--scale", 1, "--supersample", 1)
+    assert single["psnr"] < one["psnr"]
+    error = client.run("eval", "ball", "--supersample", 3, code=INVALID).stderr
+    assert "supersample" in error and "1, 2, 4, 8 or 16" in error
 
 
 def test_cancel_finish_and_conflicts(client, daemon, dataset, trained):
