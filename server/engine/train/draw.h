@@ -6,27 +6,21 @@
 
 #include "common/math/hd.h"
 
-#define RN_LIVE_BLOCK 8  // pixels a side
-#define RN_SCALE_RUN 128 // rays of one scale in a row: packets that need no pyramid stay together
-#define RN_SCALE_RUNS 16 // runs of a round; one of them for each scale but the finest
+#define RN_LIVE_BLOCK 8   // pixels a side
+#define RN_SCALE_TURNS 16 // of a round; one of them for each scale but the finest
 
 // Where a ray of all rays ever drawn comes from.
 struct rn_scale_turn {
     int scale;
     uint64_t turn; // of this scale, counted from 0 without gaps
 };
-// Ray `index` of a training on `scales` scales, 1 to RN_SCALE_RUNS.
+// Ray `index` of a training on `scales` scales, 1 to RN_SCALE_TURNS.
 RN_HD struct rn_scale_turn rn_scale_turn(uint64_t index, int scales) {
-    uint64_t run = index / RN_SCALE_RUN, round = run / RN_SCALE_RUNS, within = index % RN_SCALE_RUN;
-    int k = (int)(run % RN_SCALE_RUNS), fine = RN_SCALE_RUNS + 1 - scales; // runs of the finest
-    struct rn_scale_turn out = {0, 0};
-    if (k < fine) {
-        out.turn = (round * (uint64_t)fine + (uint64_t)k) * RN_SCALE_RUN + within;
-    } else {
-        out.scale = k - fine + 1;
-        out.turn = round * RN_SCALE_RUN + within;
-    }
-    return out;
+    uint64_t round = index / RN_SCALE_TURNS;
+    int k = (int)(index % RN_SCALE_TURNS), fine = RN_SCALE_TURNS + 1 - scales; // of the finest
+    struct rn_scale_turn coarse = {k - fine + 1, round};
+    struct rn_scale_turn finest = {0, round * (uint64_t)fine + (uint64_t)k};
+    return k < fine ? finest : coarse;
 }
 
 // One of a list of blocks, and a pixel of it.
