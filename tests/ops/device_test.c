@@ -124,12 +124,14 @@ static struct rn_field_info train(const char *device, const struct rn_train_conf
 
 // ---- pictures -------------------------------------------------------------------------------
 
-static void picture(const char *device, double away, struct rn_render_result *ret) {
+static void picture(const char *device, double away, int supersample,
+                    struct rn_render_result *ret) {
     struct rn_engine *engine = engine_on(device);
     struct rn_field *field;
     struct rn_render_options options = {.camera = dataset->frames[0].camera,
                                         .outputs =
-                                            RN_OUTPUT_RGB | RN_OUTPUT_ALPHA | RN_OUTPUT_DEPTH};
+                                            RN_OUTPUT_RGB | RN_OUTPUT_ALPHA | RN_OUTPUT_DEPTH,
+                                        .supersample = supersample};
     for (int i = 0; i < 3; i++)
         options.camera.world_from_camera[i][3] *= away;
     OK(rn_field_load(engine, path, &field, &err));
@@ -148,8 +150,8 @@ static double difference(const struct rn_picture *a, const struct rn_picture *b)
 // Largest difference of two devices' pictures of the checkpoint.
 static double compare_pictures(const char *one, const char *other, double away) {
     struct rn_render_result a, b;
-    picture(one, away, &a);
-    picture(other, away, &b);
+    picture(one, away, 1, &a);
+    picture(other, away, 1, &b);
     // A ray is looked at after 8 samples here and after 16 there.
     ck_assert_double_eq_tol((double)a.stats.samples, (double)b.stats.samples,
                             0.02 * (double)a.stats.samples);
@@ -255,25 +257,32 @@ END_TEST
 START_TEST(renders_while_it_trains) {
     struct rn_train_config config = small_config("draft", 30);
     config.field.levels = 4;
-    struct rn_render_options options = {.camera = dataset->frames[0].camera,
-                                        .outputs = RN_OUTPUT_RGB};
+    struct rn_render_options options = {
+        .camera = dataset->frames[0].camera, .outputs = RN_OUTPUT_RGB, .supersample = 1};
     begin("cuda:0", &config);
     for (int i = 0; i < 2; i++) {
-        struct rn_render_result near, far, after;
+        struct rn_render_result near, cones, far, after;
         advance_to(16 * (i + 1));
         OK(rn_render(run.engine, rn_trainer_field(run.trainer), &options, NULL, NULL, &near, &err));
-        struct rn_render_options away = options;
+        struct rn_render_options away = options, split = options;
+        split.supersample = 2;
+        OK(rn_render(run.engine, rn_trainer_field(run.trainer), &split, NULL, NULL, &cones, &err));
         for (int k = 0; k < 3; k++)
             away.camera.world_from_camera[k][3] *= 6;
         OK(rn_render(run.engine, rn_trainer_field(run.trainer), &away, NULL, NULL, &far, &err));
         OK(rn_trainer_save(run.trainer, path, &err));
-        picture("cpu", 1, &after);
+        picture("cpu", 1, 1, &after);
         ck_assert_double_lt(difference(&near.rgb, &after.rgb), 5e-3);
         rn_render_result_finish(&after);
-        picture("cpu", 6, &after);
+        picture("cpu", 1, 2, &after);
+        ck_assert_double_lt(difference(&cones.rgb, &after.rgb), 5e-3);
+        ck_assert_double_gt(difference(&cones.rgb, &near.rgb), 5e-3);
+        rn_render_result_finish(&after);
+        picture("cpu", 6, 1, &after);
         ck_assert(difference(&far.rgb, &after.rgb) == 0); // the CPU's, both
         rn_render_result_finish(&after);
         rn_render_result_finish(&near);
+        rn_render_result_finish(&cones);
         rn_render_result_finish(&far);
     }
     struct rn_field *field = rn_trainer_finish(&run.trainer);
