@@ -1,14 +1,15 @@
 // Zoom sweep: how a field trained on photographs of a procedural scene looks from 2x nearer to 16x
-// farther, also between the scales it was trained on, for each footprint.
+// farther, also between the scales it was trained on, for each footprint with one cone a pixel, and
+// for mip with as many as the engine takes by itself.
 //
 //   zoom SCENE DATASET [time=20] [steps=0] [preset=standard] [seed=1] [threads=0] [size=96]
 //        [frames=5]
 //
 // SCENE is sphere, fence or nested, DATASET a folder of its photographs (ripnerf synth, perhaps
 // imported with several scales). At every zoom a camera moves by a third of a pixel a frame.
-// Columns for each footprint: PSNR against the same field at 64 rays a pixel, PSNR against the
-// truth, and flicker: the mean absolute difference of successive frames over that of the truth (1
-// is right, more is shimmer, less is blur). No test: a tool to measure with.
+// Columns: PSNR against the same field at 64 rays a pixel, PSNR against the truth, flicker (the
+// mean absolute difference of successive frames over that of the truth: 1 is right, more is
+// shimmer, less is blur), and milliseconds a frame. No test: a tool to measure with.
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -25,6 +26,16 @@
 #define MIN_SIZE 8
 #define MAX_FRAMES 64
 
+static const struct variant {
+    const char *name;
+    enum rn_footprint footprint;
+    int supersample; // as of a rendering
+} variants[] = {{"rip", RN_FOOTPRINT_RIP, 1},
+                {"mip", RN_FOOTPRINT_MIP, 1},
+                {"point", RN_FOOTPRINT_POINT, 1},
+                {"mip, cones as needed", RN_FOOTPRINT_MIP, 0}};
+#define VARIANTS (int)(sizeof variants / sizeof *variants)
+
 struct sweep {
     const char *scene, *preset;
     struct rn_dataset *dataset;
@@ -37,7 +48,7 @@ struct sweep {
 };
 
 struct score {
-    double psnr_rays, psnr_truth, flicker;
+    double psnr_rays, psnr_truth, flicker, ms;
 };
 
 static void die(const struct rn_error *err) {
@@ -73,12 +84,15 @@ static struct rn_camera camera_at(const struct sweep *s, double zoom, int i) {
 }
 
 static struct rn_picture render(const struct sweep *s, struct rn_field *field,
-                                const struct rn_camera *camera) {
+                                const struct rn_camera *camera, int supersample, double *ret_ms) {
     struct rn_error err;
     struct rn_render_result result;
-    struct rn_render_options options = {
-        .camera = *camera, .outputs = RN_OUTPUT_RGB, .background = {1, 1, 1}};
+    struct rn_render_options options = {.camera = *camera,
+                                        .outputs = RN_OUTPUT_RGB,
+                                        .background = {1, 1, 1},
+                                        .supersample = supersample};
     if (rn_render(s->engine, field, &options, NULL, NULL, &result, &err) != RN_OK) die(&err);
+    if (ret_ms) *ret_ms += result.stats.render_ms;
     size_t n = (size_t)result.rgb.width * (size_t)result.rgb.height * 3;
     for (size_t i = 0; i < n; i++)
         result.rgb.values[i] = fminf(fmaxf(result.rgb.values[i], 0), 1);
@@ -91,7 +105,7 @@ static struct rn_picture render_rays(const struct sweep *s, struct rn_field *fie
     struct rn_error err;
     struct rn_camera fine =
         rn_camera_resized(camera, camera->width * RAYS_A_SIDE, camera->height * RAYS_A_SIDE);
-    struct rn_picture rays = render(s, field, &fine), out;
+    struct rn_picture rays = render(s, field, &fine, 1, NULL), out;
     if (rn_picture_init(camera->width, camera->height, 3, &out, &err) != RN_OK) die(&err);
     memset(out.values, 0, (size_t)out.width * (size_t)out.height * 3 * sizeof *out.values);
     for (int y = 0; y < rays.height; y++)
@@ -134,13 +148,15 @@ static double difference(const struct rn_picture *a, const struct rn_picture *b)
 
 // ---- sweep ----------------------------------------------------------------------------------
 
-static struct score score_at(const struct sweep *s, struct rn_field *field, double zoom) {
+static struct score score_at(const struct sweep *s, struct rn_field *field, int supersample,
+                             double zoom) {
     struct score score = {0};
     struct rn_picture last = {0}, last_truth = {0};
     double moved = 0, moved_truth = 0;
     for (int i = 0; i < s->frames; i++) {
         struct rn_camera camera = camera_at(s, zoom, i);
-        struct rn_picture picture = render(s, field, &camera), truth = truth_at(s, &camera);
+        struct rn_picture picture = render(s, field, &camera, supersample, &score.ms),
+                          truth = truth_at(s, &camera);
         score.psnr_truth += psnr(&picture, &truth) / s->frames;
         if (i == 0) {
             struct rn_picture rays = render_rays(s, field, &camera);
@@ -158,11 +174,12 @@ static struct score score_at(const struct sweep *s, struct rn_field *field, doub
     rn_picture_finish(&last);
     rn_picture_finish(&last_truth);
     score.flicker = moved / moved_truth;
+    score.ms /= s->frames;
     return score;
 }
 
 static void sweep_footprint(struct sweep *s, enum rn_footprint footprint,
-                            struct score ret_scores[ZOOMS]) {
+                            struct score ret_scores[VARIANTS][ZOOMS]) {
     struct rn_error err;
     struct rn_train_config config;
     struct rn_trainer *trainer;
@@ -180,24 +197,26 @@ static void sweep_footprint(struct sweep *s, enum rn_footprint footprint,
     } while (!progress.done);
     fprintf(stderr, "zoom: %s: %lld steps in %.1f s, loss %.5f\n", rn_footprint_name(footprint),
             (long long)progress.step, progress.train_seconds, progress.loss);
-    for (int i = 0; i < ZOOMS; i++)
-        ret_scores[i] = score_at(s, rn_trainer_field(trainer), NEAREST * pow(2, 0.5 * i));
+    for (int v = 0; v < VARIANTS; v++)
+        for (int i = 0; i < ZOOMS && variants[v].footprint == footprint; i++)
+            ret_scores[v][i] = score_at(s, rn_trainer_field(trainer), variants[v].supersample,
+                                        NEAREST * pow(2, 0.5 * i));
     rn_trainer_destroy(&trainer);
 }
 
-static void print_table(const struct sweep *s, struct score scores[3][ZOOMS]) {
+static void print_table(const struct sweep *s, struct score scores[VARIANTS][ZOOMS]) {
     printf("%-14s", "");
-    for (int f = 0; f < 3; f++)
-        printf("  %-24s", rn_footprint_name((enum rn_footprint)f));
+    for (int v = 0; v < VARIANTS; v++)
+        printf("  %-32s", variants[v].name);
     printf("\n%-7s%7s", "zoom", "pixels");
-    for (int f = 0; f < 3; f++)
-        printf("  %8s%8s%8s", "64 rays", "truth", "flicker");
+    for (int v = 0; v < VARIANTS; v++)
+        printf("  %8s%8s%8s%8s", "64 rays", "truth", "flicker", "ms");
     for (int i = 0; i < ZOOMS; i++) {
         double zoom = NEAREST * pow(2, 0.5 * i);
         printf("\n%-7.2f%7d", zoom, camera_at(s, zoom, 0).width);
-        for (int f = 0; f < 3; f++)
-            printf("  %8.2f%8.2f%8.2f", scores[f][i].psnr_rays, scores[f][i].psnr_truth,
-                   scores[f][i].flicker);
+        for (int v = 0; v < VARIANTS; v++)
+            printf("  %8.2f%8.2f%8.2f%8.1f", scores[v][i].psnr_rays, scores[v][i].psnr_truth,
+                   scores[v][i].flicker, scores[v][i].ms);
     }
     putchar('\n');
 }
@@ -260,12 +279,12 @@ int main(int argc, char **argv) {
         }
     }
     struct rn_engine_options options = {.threads = s.threads};
-    struct score scores[3][ZOOMS];
+    struct score scores[VARIANTS][ZOOMS];
     if (rn_dataset_read(argv[2], NULL, &s.dataset, &err) != RN_OK) die(&err);
     if (rn_engine_create(&options, &s.engine, &err) != RN_OK) die(&err);
     find_cameras(&s);
     for (int f = RN_FOOTPRINT_RIP; f <= RN_FOOTPRINT_POINT; f++)
-        sweep_footprint(&s, (enum rn_footprint)f, scores[f]);
+        sweep_footprint(&s, (enum rn_footprint)f, scores);
     print_table(&s, scores);
     rn_engine_destroy(&s.engine);
     rn_dataset_destroy(&s.dataset);
