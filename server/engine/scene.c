@@ -383,6 +383,10 @@ struct rn_march_ray rn_march_ray_from(const struct rn_field *field, const struct
                       step, jitter);
 }
 
+struct rn_view rn_field_view(const struct rn_field *field, const struct rn_camera *camera) {
+    return rn_view_init(field->bounds.centre, field->bounds.radius, camera);
+}
+
 double rn_top_level(const struct rn_field *field, const struct rn_camera *camera, double step) {
     const struct rn_field_config *c = &field->config.field;
     if (c->footprint == RN_FOOTPRINT_POINT || c->levels == 1) return 0;

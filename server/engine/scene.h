@@ -107,6 +107,8 @@ struct rn_workspace *rn_engine_workspace(const struct rn_engine *engine, int thr
 // config.cone_step a sample spans as many steps as its cone is wide.
 struct rn_march_ray rn_march_ray_from(const struct rn_field *field, const struct rn_ray *ray,
                                       double step, double jitter);
+// A camera for the kernels' `rays`.
+struct rn_view rn_field_view(const struct rn_field *field, const struct rn_camera *camera);
 // The highest level that a camera's rays can reach, and levels per axis, 1 = only the base map.
 double rn_top_level(const struct rn_field *field, const struct rn_camera *camera, double step);
 int rn_levels_for_camera(const struct rn_field *field, const struct rn_camera *camera, double step);

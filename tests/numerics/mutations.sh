@@ -163,6 +163,10 @@ mutate rays server/engine/ray.h "rays: distance from the centre by |o|^2 - (o.d)
     's/across += foot \* foot;/across += (foot, o[i] * o[i]);/;s/^    out.radius = (float)ray->radius;/    across -= along * along; &/'
 mutate rays server/engine/ray.h "rays: start left where the camera is" \
     's/double near = enter + jitter/double near = jitter/'
+mutate rays $cpu/rays.h "vector rays: distance from the centre by |o|^2 - (o.d)^2" \
+    's/across += foot \* foot;/across += o[i] * o[i] + 0 * foot;/;s/^    enter_cube(o, d,/    across -= along * along; &/'
+mutate rays $cpu/rays.h "vector rays: slabs divided by a zero component" \
+    's/vd_select(tiny, .*, d\[i\]);/d[i] + (vd)(tiny \& 0);/'
 mutate rays $cpu/march.h "march: a brick skipped too far" \
     's/vi next = index_at(s + leave, inverse_step)/vi next = index_at(s + leave, inverse_step) + 1/'
 mutate rays $cpu/march.h "march: in rounds, a round is taken off whole" \

@@ -113,19 +113,33 @@ static struct rn_field *make_grid(struct numerics_random *random, int cells, dou
     return field;
 }
 
+static struct rn_march_ray cut_ray(const struct subject *s, const struct rn_field *field,
+                                   const struct rn_ray *ray) {
+    if (!s) return rn_march_ray_from(field, ray, 0.01, 0);
+    struct rn_march_ray got;
+    s->cut(ray, 0.01, &got);
+    return got;
+}
+
 // The start lies on the ray, before the ball and within the cube; the end is where the ray leaves
 // the ball. Errors in units of 2^-21 (fp32 positions) + 2^-50 times the distance (float64 origins)
 // times the condition of the chord's end.
-static int check_entry(struct numerics_random *random) {
+// `s`: the kernel set whose vectors cut the rays, NULL for rn_march_ray_from.
+static int check_entry(const struct subject *s, struct numerics_random *random) {
     const char *range = "9 kinds of rays, origins within 1e9 radii", *unit = "of its allowance";
-    struct numerics_case hits = {"6 ray meets the ball", range, "wrong", 0.5, 0, ""};
-    struct numerics_case start = {"6 ray start on the ray, in the cube", range, unit, 1, 0, ""};
-    struct numerics_case end = {"6 ray end on the ball", range, unit, 1, 0, ""};
+    const char *before = s ? ", " : "", *set = s ? s->name : "";
+    char names[3][80];
+    snprintf(names[0], sizeof names[0], "6 ray meets the ball%s%s", before, set);
+    snprintf(names[1], sizeof names[1], "6 ray start on the ray, in the cube%s%s", before, set);
+    snprintf(names[2], sizeof names[2], "6 ray end on the ball%s%s", before, set);
+    struct numerics_case hits = {names[0], range, "wrong", 0.5, 0, ""};
+    struct numerics_case start = {names[1], range, unit, 1, 0, ""};
+    struct numerics_case end = {names[2], range, unit, 1, 0, ""};
     struct rn_field *field = make_grid(random, 16, 1);
     for (int n = 0; n < 40000; n++) {
         int kind = n % KINDS;
         struct rn_ray ray = draw_ray(random, kind);
-        struct rn_march_ray got = rn_march_ray_from(field, &ray, 0.01, 0);
+        struct rn_march_ray got = cut_ray(s, field, &ray);
         exact_reset();
         struct truth t = exact_truth(&ray);
         double allowed = 0x1p-21 + 0x1p-50 * t.distance, exits = rounded(t.exits);
@@ -140,16 +154,16 @@ static int check_entry(struct numerics_random *random) {
             from[i] = (double)got.origin[i] - ray.origin[i];
             outside = fmax(outside, fabs((double)got.origin[i]) - 1);
         }
-        exact s = over(exact_dot(from, ray.direction), exact_dot(ray.direction, ray.direction));
+        exact at = over(exact_dot(from, ray.direction), exact_dot(ray.direction, ray.direction));
         for (int i = 0; i < 3; i++)
-            off = fmax(off, fabs(rounded(minus(
-                                number((double)got.origin[i]),
-                                plus(number(ray.origin[i]), times(s, number(ray.direction[i])))))));
-        double late = rounded(s) - fmax(0, rounded(t.along) - t.half);
+            off = fmax(off, fabs(rounded(minus(number((double)got.origin[i]),
+                                               plus(number(ray.origin[i]),
+                                                    times(at, number(ray.direction[i])))))));
+        double late = rounded(at) - fmax(0, rounded(t.along) - t.half);
         numerics_see(&start, fmax(off, fmax(outside, late)) / allowed,
                      "%s, distance %.9g: off %.3g outside %.3g late %.3g", kinds[kind], t.distance,
                      off, outside, late);
-        double reach = rounded(plus(s, number((double)got.length))) - exits;
+        double reach = rounded(plus(at, number((double)got.length))) - exits;
         numerics_see(&end, fabs(reach) / (0x1p-21 + 0x1p-50 * t.distance * t.condition),
                      "%s, distance %.9g, half chord %.3g", kinds[kind], t.distance, t.half);
     }
@@ -208,15 +222,16 @@ static int check_cube(struct numerics_random *random) {
 }
 
 // What no ray may do: be followed when it is not a number.
-static int check_wild(struct numerics_random *random) {
-    struct numerics_case c = {
-        "6 ray with NaN or infinity", "each number of a ray", "followed", 0.5, 0, ""};
+static int check_wild(const struct subject *s, struct numerics_random *random) {
+    char name[80];
+    snprintf(name, sizeof name, "6 ray with NaN or infinity%s%s", s ? ", " : "", s ? s->name : "");
+    struct numerics_case c = {name, "each number of a ray", "followed", 0.5, 0, ""};
     const double wild[] = {NAN, INFINITY, -INFINITY, DBL_MAX};
     struct rn_field *field = make_grid(random, 16, 1);
     for (int n = 0; n < 24; n++) {
         struct rn_ray ray = {{0.1, 0.2, -3}, {0, 0, 1}, 1e-3};
         (n % 6 < 3 ? ray.origin : ray.direction)[n % 3] = wild[n / 6];
-        struct rn_march_ray got = rn_march_ray_from(field, &ray, 0.01, 0);
+        struct rn_march_ray got = cut_ray(s, field, &ray);
         bool finite = true;
         for (int i = 0; i < 3; i++)
             finite &= isfinite(got.origin[i]) && isfinite(got.direction[i]);
@@ -328,9 +343,10 @@ static int check_ends(const struct subject *s, struct numerics_random *random) {
 int main(void) {
     struct numerics_random random = numerics_random();
     const struct subject *s;
-    int failed = check_entry(&random) + check_cube(&random) + check_wild(&random);
+    int failed = check_entry(NULL, &random) + check_cube(&random) + check_wild(NULL, &random);
     for (int i = 0; (s = subject_at(i)); i++) {
         if (!s->fast) continue;
+        failed += check_entry(s, &random) + check_wild(s, &random);
         failed += check_march(s, &random);
         failed += check_ends(s, &random);
     }

@@ -131,4 +131,5 @@ const struct subject SUBJECT = {SUBJECT_NAME,
                                 composite_backward,
                                 NULL,
                                 NULL,
+                                NULL,
                                 NULL};

@@ -9,6 +9,7 @@
 
 struct rn_occupancy_bits;
 struct rn_march_ray;
+struct rn_ray;
 struct rn_cpu_field;
 
 // A constant table of functions. Thread-safety: all.
@@ -39,6 +40,8 @@ struct subject {
     // `channels` numbers; arrays have room for SUBJECT_QUERIES + 16.
     void (*query)(const struct rn_cpu_field *field, int n, const float *u, const float *v,
                   const float *lx, const float *ly, float *ret_features);
+    // Kernel sets only: rn_march_ray_from in the unit ball, without jitter and cone steps.
+    void (*cut)(const struct rn_ray *ray, double step, struct rn_march_ray *ret);
     // Kernel sets only: the march indices of samples in occupied cells, at most `room`; room + 1
     // where a march in rounds finds others.
     int (*march)(const struct rn_occupancy_bits *grid, const struct rn_march_ray *ray, float step,

@@ -3,6 +3,7 @@
 // copy's table, SUBJECT the set.
 #include "server/engine/cpu/kernel_set.c"
 
+#include "common/math/camera.h"
 #include "tests/numerics/subject.h"
 
 static float lane0(vf x) {
@@ -151,6 +152,26 @@ static void query(const struct rn_cpu_field *field, int n, const float *u, const
                (size_t)field->config.channels * sizeof(float));
 }
 
+// In the last lane; the others look elsewhere.
+static void cut(const struct rn_ray *ray, double step, struct rn_march_ray *ret) {
+    enum { LAST = RN_VD - 1 };
+    vd o[3], d[3];
+    struct cut_lanes got;
+    for (int i = 0; i < 3; i++) {
+        o[i] = vd_set(0.25);
+        d[i] = vd_set(i == 1);
+        o[i][LAST] = ray->origin[i];
+        d[i][LAST] = ray->direction[i];
+    }
+    cut_rays(o, d, vd_set(ray->radius), step, false, vd_set(0), &got);
+    ret->near = (float)got.near[LAST];
+    ret->length = (float)got.length[LAST];
+    for (int i = 0; i < 3; i++) {
+        ret->origin[i] = (float)got.origin[i][LAST];
+        ret->direction[i] = (float)d[i][LAST];
+    }
+}
+
 // A ray's samples in rounds, from a place of its own among rays that have none.
 static int march_in_rounds(const struct rn_occupancy_bits *grid, const struct rn_march_ray *ray,
                            float step, uint16_t *ret_k, int room) {
@@ -202,4 +223,5 @@ const struct subject SUBJECT = {.name = SUBJECT_NAME,
                                 .composite_backward = composite_back,
                                 .composite_stopped = composite_stopped,
                                 .query = query,
+                                .cut = cut,
                                 .march = march};

@@ -331,6 +331,84 @@ START_TEST(many_pixels_match_one) {
 }
 END_TEST
 
+// Views to look through: in the ball, around it, far away.
+static struct rn_camera make_camera(int i) {
+    struct rn_camera camera = {.width = 64, .height = 48, .fx = 60, .fy = 64, .cx = 31, .cy = 25.5};
+    double far = (const double[]){0.5, 2.5, 40, 1e6}[i % 4];
+    double eye[3], target[3], up[3] = {0.1, 0.2, 1};
+    for (int k = 0; k < 3; k++) {
+        eye[k] = (unit(3000 + 7 * i + k) - 0.5) * far + (k == i % 3 ? far : 0);
+        target[k] = 0.2 * unit(4000 + 7 * i + k);
+    }
+    camera.fx *= far / 2.5;
+    camera.fy *= far / 2.5;
+    ck_assert(rn_camera_look_at(eye, target, up, camera.world_from_camera) == RN_OK);
+    return camera;
+}
+
+// Rays of many places at once, views changing and absent ones among them, against
+// rn_march_ray_from: fp32 numbers at most one apart, and what float64 loses with distance.
+static void check_rays(const struct rn_kernels *kernels, bool cone_step) {
+    enum { VIEWS = 8, PLACES = 403 };
+    struct rn_train_config config = small_config();
+    struct rn_bounds bounds = {.centre = {0.1, -0.2, 0.3}, .radius = 1.25};
+    struct rn_field *field;
+    struct rn_camera cameras[VIEWS];
+    struct rn_view views[VIEWS];
+    struct rn_ray_place places[PLACES];
+    struct rn_march_ray rays[PLACES];
+    int hits = 0, strides = 0;
+    config.cone_step = cone_step;
+    ck_assert(rn_field_create(&config, &bounds, &field, NULL) == RN_OK);
+    for (int i = 0; i < VIEWS; i++) {
+        cameras[i] = make_camera(i);
+        if (i == 5) cameras[i].fx = cameras[i].fy = 12; // wide cones
+        views[i] = rn_field_view(field, &cameras[i]);
+    }
+    for (int i = 0; i < PLACES; i++) {
+        int view = i < 64 ? i / 16 : i * 5 % VIEWS;
+        places[i] = (struct rn_ray_place){&views[view], i * 37 % 64, i * 11 % 48, unit(i)};
+        if (i % 50 == 49) places[i].view = NULL;
+    }
+    kernels->rays(places, PLACES, 0.01, cone_step, rays);
+    for (int i = 0; i < PLACES; i++) {
+        const struct rn_ray_place *p = &places[i];
+        if (!p->view) {
+            ck_assert_double_eq(rays[i].length, 0);
+            continue;
+        }
+        const struct rn_camera *camera = &cameras[p->view - views];
+        struct rn_ray ray = rn_camera_ray(camera, p->x + 0.5, p->y + 0.5);
+        struct rn_march_ray exact = rn_march_ray_from(field, &ray, 0.01, p->jitter);
+        double allowed = 0x1p-23 + 0x1p-48 * exact.near,
+               condition = 1 + 1 / fmax(exact.length, 0.1);
+        ck_assert_int_eq(rays[i].length > 0, exact.length > 0);
+        ck_assert_int_eq(rays[i].stride, exact.stride);
+        ck_assert_double_eq_tol(rays[i].near, exact.near, 0x1p-23 * exact.near + allowed);
+        ck_assert_double_eq_tol(rays[i].length, exact.length, allowed * condition);
+        ck_assert_double_eq_tol(rays[i].radius, exact.radius, 0x1p-23 * exact.radius);
+        ck_assert_double_eq(rays[i].weight, 1);
+        for (int k = 0; k < 3; k++) {
+            ck_assert_double_eq_tol(rays[i].direction[k], exact.direction[k], 0x1p-24);
+            ck_assert_double_eq_tol(rays[i].origin[k], exact.origin[k], allowed);
+        }
+        hits += exact.length > 0;
+        strides += exact.stride > 1;
+    }
+    ck_assert_int_gt(hits, PLACES / 3);
+    ck_assert_int_lt(hits, PLACES - PLACES / 50 - 10);
+    ck_assert(strides > 0 || !cone_step);
+    rn_field_destroy(&field);
+}
+
+START_TEST(rays_match_float64) {
+    const struct rn_kernels *kernels;
+    for (int i = 0; (kernels = rn_kernels_available(i)); i++)
+        for (int cone_step = 0; cone_step < 2; cone_step++)
+            check_rays(kernels, cone_step);
+}
+END_TEST
+
 // One plane with its gradients and moments.
 struct plane_state {
     float *texels, *block, *grads, *grad_block, *m, *v;
@@ -487,6 +565,7 @@ int main(void) {
     tcase_add_test(tests, gradients_match_reference);
     tcase_add_test(tests, pixels_match_reference);
     tcase_add_test(tests, many_pixels_match_one);
+    tcase_add_test(tests, rays_match_float64);
     tcase_add_test(tests, tiles_match_whole_planes);
     tcase_add_test(tests, odd_base_matches_reference);
     tcase_add_test(tests, other_solids_and_no_view_dependence_match_reference);

@@ -191,14 +191,19 @@ static void run_occupancy(void *context) {
 static void run_rays(void *context) {
     const struct rn_bench_recording *rec = context;
     struct rn_trainer *t = rec->trainer;
-    for (uint32_t i = 0; i < RAYS_A_CALL; i++) {
-        struct rn_rng4 draw = rn_rng_draw(1, 2, i);
-        const struct rn_pixel_frame *frame =
-            &t->train.frames[draw.v[0] % (uint32_t)t->train.frame_count];
-        uint32_t width = (uint32_t)frame->frame->camera.width;
-        uint32_t height = (uint32_t)frame->frame->camera.height;
-        t->rays[i] = rn_trainer_ray(t, &t->train, frame, (int)(draw.v[1] % width),
-                                    (int)(draw.v[2] % height), t->field->config.step, 0);
+    struct rn_trainer_place places[RN_TRAINER_RAYS];
+    for (uint32_t i = 0; i < RAYS_A_CALL; i += RN_TRAINER_RAYS) {
+        for (uint32_t j = 0; j < RN_TRAINER_RAYS; j++) {
+            struct rn_rng4 draw = rn_rng_draw(1, 2, i + j);
+            const struct rn_pixel_frame *frame =
+                &t->train.frames[draw.v[0] % (uint32_t)t->train.frame_count];
+            uint32_t width = (uint32_t)frame->frame->camera.width;
+            uint32_t height = (uint32_t)frame->frame->camera.height;
+            places[j] = (struct rn_trainer_place){frame, (int)(draw.v[1] % width),
+                                                  (int)(draw.v[2] % height), 0};
+            __builtin_prefetch(rn_pixel_at(&t->train, frame, places[j].x, places[j].y));
+        }
+        rn_trainer_rays(t, &t->train, places, RN_TRAINER_RAYS, t->field->config.step, t->rays + i);
     }
 }
 

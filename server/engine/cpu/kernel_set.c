@@ -2,6 +2,7 @@
 #include "server/engine/cpu/backward.h"
 #include "server/engine/cpu/kernels.h"
 #include "server/engine/cpu/pyramid.h"
+#include "server/engine/cpu/rays.h"
 #include "server/engine/cpu/render.h"
 #include "server/engine/cpu/scatter.h"
 #include "server/engine/cpu/stage.h"
@@ -63,6 +64,7 @@ extern const struct rn_kernels RN_PASTE(rn_kernels_, RN_KERNEL_SET);
 const struct rn_kernels RN_PASTE(rn_kernels_, RN_KERNEL_SET) = {
     .name = RN_STRING(RN_KERNEL_SET),
     .unit = PRODUCT_UNIT,
+    .rays = rays,
     .train = train,
     .render = render,
     .density = density,

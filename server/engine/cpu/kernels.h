@@ -78,6 +78,21 @@ struct rn_march_ray {
     uint32_t id;     // for the counter-based random numbers
 };
 
+// What the rays of one camera share: the camera in the frame of the scene's ball. rn_view_init
+// (engine/ray.h).
+struct rn_view {
+    double origin[3], axes[3][3]; // axes: of world_from_camera
+    double cx, cy, inverse_fx, inverse_fy;
+    double radius; // of the cones, per unit of distance
+};
+
+// A pixel to look through; (0, 0) is the first. `view` NULL: absent.
+struct rn_ray_place {
+    const struct rn_view *view;
+    int x, y;
+    float jitter; // of a sample's interval, [0, 1)
+};
+
 struct rn_march_options {
     float step;       // normalised
     float stop_depth; // -ln of the early-stop transmittance
@@ -196,6 +211,12 @@ struct rn_kernels {
     // After a change of a network's weights: writes `packed`, rn_mlp_packed_count numbers, from
     // which this set's products read.
     void (*pack)(const struct rn_mlp_shape *shape, const float *weights, float *ret_packed);
+    // The rays of `count` places as rn_camera_ray and rn_ray_cut give them, in float64 and rounded
+    // to fp32 last: a direction is within 8 ULP of float64 before that, start and end are as far
+    // off as rn_march_ray_from says; a stride differs only where two are equally good within 16
+    // ULP. Of an absent place or a cone that misses the length is 0. Weight 1, no target, id 0.
+    void (*rays)(const struct rn_ray_place *places, int count, double step, bool cone_step,
+                 struct rn_march_ray *ret_rays);
     // Forward and backward of rays[group->cursor .. group->end) until the group's slab has no room
     // for another packet. Gradients are of the sum over rays of weight * smooth-L1: the division by
     // the sum of weights is the optimiser's (rn_adamw.scale).

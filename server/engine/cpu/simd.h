@@ -29,6 +29,29 @@ typedef int32_t vi_u __attribute__((vector_size(4 * RN_VL), aligned(4), may_alia
 
 #define RN_INLINE static inline __attribute__((always_inline))
 
+// Float64, half as many lanes.
+#define RN_VD (RN_VL / 2)
+typedef double vd __attribute__((vector_size(8 * RN_VD)));
+typedef int64_t vl __attribute__((vector_size(8 * RN_VD)));
+
+RN_INLINE vd vd_set(double x) {
+    return x - (vd){0};
+}
+RN_INLINE vd vd_select(vl mask, vd yes, vd no) {
+    return (vd)((mask & (vl)yes) | (~mask & (vl)no));
+}
+RN_INLINE vd vd_sqrt(vd x) {
+#if RN_VL == 16
+    return (vd)_mm512_sqrt_pd((__m512d)x);
+#elif RN_VL == 8
+    return (vd)_mm256_sqrt_pd((__m256d)x);
+#else
+    for (int i = 0; i < RN_VD; i++)
+        x[i] = __builtin_sqrt(x[i]);
+    return x;
+#endif
+}
+
 RN_INLINE vf vf_load(const float *p) {
     return *(const vf_u *)p;
 }

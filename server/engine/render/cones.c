@@ -40,18 +40,18 @@ struct rn_pixel rn_cones_mean(const struct rn_pixel *cones, int n) {
 
 // At most RN_CONES_BLOCK cones.
 static uint64_t render_block(const struct rn_engine *engine, const struct rn_field *field,
-                             const struct rn_march_options *march, const struct rn_camera *fine,
+                             const struct rn_march_options *march, const struct rn_view *fine,
                              int n, const struct rn_spot *spots, int count, int thread,
                              struct rn_pixel *ret_pixels) {
+    struct rn_ray_place places[RN_CONES_BLOCK] = {{0}};
     struct rn_march_ray rays[RN_CONES_BLOCK];
     struct rn_pixel cones[RN_CONES_BLOCK];
     int total = 0;
     for (int i = 0; i < count; i++)
-        for (int j = 0; j < n * n; j++) {
-            double x = spots[i].x * n + j % n + 0.5, y = spots[i].y * n + j / n + 0.5;
-            struct rn_ray ray = rn_camera_ray(fine, x, y);
-            rays[total++] = rn_march_ray_from(field, &ray, (double)march->step, 0);
-        }
+        for (int j = 0; j < n * n; j++)
+            places[total++] =
+                (struct rn_ray_place){fine, spots[i].x * n + j % n, spots[i].y * n + j / n, 0};
+    engine->kernels->rays(places, total, (double)march->step, field->config.cone_step, rays);
     uint64_t samples =
         engine->kernels->render(&field->cpu, march, rays, total,
                                 rn_engine_workspace(engine, thread), n == 1 ? ret_pixels : cones);
@@ -65,9 +65,10 @@ uint64_t rn_cones_render(const struct rn_engine *engine, const struct rn_field *
                          int n, const struct rn_spot *spots, int count, int thread,
                          struct rn_pixel *ret_pixels) {
     struct rn_camera fine = rn_camera_resized(camera, camera->width * n, camera->height * n);
+    struct rn_view view = rn_field_view(field, &fine);
     uint64_t samples = 0;
     for (int i = 0, block = RN_CONES_BLOCK / (n * n); i < count; i += block)
-        samples += render_block(engine, field, march, &fine, n, spots + i,
+        samples += render_block(engine, field, march, &view, n, spots + i,
                                 count - i < block ? count - i : block, thread, ret_pixels + i);
     return samples;
 }

@@ -94,14 +94,32 @@ enum rn_status rn_trainer_allocate(struct rn_trainer *t, struct rn_error *err) {
 
 // ---- rays -----------------------------------------------------------------------------------
 
+void rn_trainer_rays(const struct rn_trainer *t, const struct rn_pixels *pixels,
+                     const struct rn_trainer_place *places, int count, double step,
+                     struct rn_march_ray *ret_rays) {
+    struct rn_ray_place lanes[RN_TRAINER_RAYS] = {{0}};
+    for (int i = 0; i < count; i++) {
+        const struct rn_trainer_place *p = &places[i];
+        lanes[i] = (struct rn_ray_place){p->frame ? &p->frame->view : NULL, p->x, p->y, p->jitter};
+    }
+    t->engine->kernels->rays(lanes, count, step, t->field->config.cone_step, ret_rays);
+    for (int i = 0; i < count; i++) {
+        const struct rn_trainer_place *p = &places[i];
+        if (p->frame)
+            rn_pixel_over(rn_pixel_at(pixels, p->frame, p->x, p->y), t->field->config.background,
+                          ret_rays[i].target);
+        else
+            ret_rays[i].weight = 0;
+    }
+}
+
 struct rn_march_ray rn_trainer_ray(const struct rn_trainer *t, const struct rn_pixels *pixels,
                                    const struct rn_pixel_frame *frame, int x, int y, double step,
                                    double jitter) {
-    const struct rn_camera *camera = &frame->frame->camera;
-    struct rn_ray ray = rn_camera_ray(camera, x + 0.5, y + 0.5);
-    struct rn_march_ray out = rn_march_ray_from(t->field, &ray, step, jitter);
-    rn_pixel_over(rn_pixel_at(pixels, frame, x, y), t->field->config.background, out.target);
-    return out;
+    struct rn_trainer_place place = {frame, x, y, (float)jitter};
+    struct rn_march_ray ray;
+    rn_trainer_rays(t, pixels, &place, 1, step, &ray);
+    return ray;
 }
 
 // The frame of a scale that holds the scale's i-th pixel.
@@ -157,16 +175,10 @@ static struct rn_rng4 draw_of(const struct rn_trainer *t, int r) {
     return rn_rng_draw(t->march.seed, STREAM_RAYS | (uint32_t)r, t->march.counter);
 }
 
-// Where ray r of a step starts. `frame` is NULL for an absent ray.
-struct place {
-    const struct rn_pixel_frame *frame;
-    int x, y;
-    float jitter;
-};
-
-static struct place place_of(const struct rn_trainer *t, int r) {
+// Where ray r of a step starts.
+static struct rn_trainer_place place_of(const struct rn_trainer *t, int r) {
     struct rn_rng4 draw = draw_of(t, r);
-    struct place place = {.jitter = rn_rng_unit(draw.v[2])};
+    struct rn_trainer_place place = {.jitter = rn_rng_unit(draw.v[2])};
     place.frame = t->field->config.favour_finest ? draw_live_pixel(t, r, &place.x, &place.y)
                                                  : draw_pixel(t, draw, &place.x, &place.y);
     return place;
@@ -174,34 +186,30 @@ static struct place place_of(const struct rn_trainer *t, int r) {
 
 const struct rn_pixel_frame *rn_trainer_place(const struct rn_trainer *t, int r, int *ret_x,
                                               int *ret_y) {
-    struct place place = place_of(t, r);
+    struct rn_trainer_place place = place_of(t, r);
     *ret_x = place.x;
     *ret_y = place.y;
     return place.frame;
 }
 
-static struct rn_march_ray ray_at(const struct rn_trainer *t, int r, const struct place *place) {
-    if (!place->frame) return (struct rn_march_ray){.stride = 1};
-    struct rn_march_ray ray = rn_trainer_ray(t, &t->train, place->frame, place->x, place->y,
-                                             (double)t->march.step, (double)place->jitter);
-    ray.weight = t->field->config.favour_finest ? 1 : (float)place->frame->frame->loss_weight;
-    ray.id = (uint32_t)r;
-    return ray;
-}
-
 // Rays [begin, end) of a step. All places first: their pixels lie anywhere in memory.
 static void draw_rays(struct rn_trainer *t, int begin, int end) {
-    struct place places[32];
+    struct rn_trainer_place places[32];
     for (; begin < end; begin += 32) {
         int n = end - begin < 32 ? end - begin : 32;
+        struct rn_march_ray *rays = t->rays + begin;
         for (int i = 0; i < n; i++) {
             places[i] = place_of(t, begin + i);
             if (places[i].frame)
                 __builtin_prefetch(
                     rn_pixel_at(&t->train, places[i].frame, places[i].x, places[i].y));
         }
-        for (int i = 0; i < n; i++)
-            t->rays[begin + i] = ray_at(t, begin + i, &places[i]);
+        rn_trainer_rays(t, &t->train, places, n, (double)t->march.step, rays);
+        for (int i = 0; i < n; i++) {
+            if (places[i].frame && !t->field->config.favour_finest)
+                rays[i].weight = (float)places[i].frame->frame->loss_weight;
+            rays[i].id = (uint32_t)(begin + i);
+        }
     }
 }
 

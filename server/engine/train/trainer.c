@@ -54,6 +54,11 @@ static void describe_held_out(struct rn_trainer *t) {
                  held);
 }
 
+static void place_cameras(const struct rn_field *field, struct rn_pixels *pixels) {
+    for (int f = 0; f < pixels->frame_count; f++)
+        pixels->frames[f].view = rn_field_view(field, &pixels->frames[f].frame->camera);
+}
+
 static enum rn_status load_pixels(struct rn_trainer *t, size_t limit, struct rn_error *err) {
     struct selection s = {t->dataset, t->field->config.train_val, false};
     double start = (double)rn_clock_ns();
@@ -67,6 +72,8 @@ static enum rn_status load_pixels(struct rn_trainer *t, size_t limit, struct rn_
     s.held = true;
     status = rn_pixels_load(t->dataset, wanted, &s, t->engine, limit, &t->held, err);
     if (status == RN_ERROR_INVALID) status = RN_OK; // nothing to hold out
+    place_cameras(t->field, &t->train);
+    place_cameras(t->field, &t->held);
     describe_held_out(t);
     t->progress.load_seconds = ((double)rn_clock_ns() - start) * 1e-9;
     return status;

@@ -133,8 +133,19 @@ void rn_trainer_begin_step(struct rn_trainer *trainer);
 // Puts the rays of the step that was done last in place, for an incident's record.
 void rn_trainer_redraw(struct rn_trainer *trainer);
 void rn_trainer_run_wave(struct rn_trainer *trainer); // clears `stepping` when the step is complete
-// The ray through pixel (x, y) of a frame, marched in `step` (scene radii), target over the
-// background.
+// Where a ray starts; `frame` is NULL for an absent one.
+struct rn_trainer_place {
+    const struct rn_pixel_frame *frame;
+    int x, y;
+    float jitter;
+};
+#define RN_TRAINER_RAYS 128
+// The rays through `count` <= RN_TRAINER_RAYS pixels, marched in `step` (scene radii), targets over
+// the background. Weight 1; of an absent one 0.
+void rn_trainer_rays(const struct rn_trainer *trainer, const struct rn_pixels *pixels,
+                     const struct rn_trainer_place *places, int count, double step,
+                     struct rn_march_ray *ret_rays);
+// One of them.
 struct rn_march_ray rn_trainer_ray(const struct rn_trainer *trainer, const struct rn_pixels *pixels,
                                    const struct rn_pixel_frame *frame, int x, int y, double step,
                                    double jitter);

@@ -1,0 +1,147 @@
+// Rays of pixels, RN_VD at a time: rn_camera_ray and rn_ray_cut in vectors of float64, because a
+// camera may be far away and the ball is cut where rounding the distance would be seen.
+#ifndef RN_ENGINE_CPU_RAYS_H
+#define RN_ENGINE_CPU_RAYS_H
+
+#include "server/engine/cpu/kernels.h"
+#include "server/engine/cpu/simd.h"
+
+// rn_view's numbers, one view a lane.
+struct view_lanes {
+    vd origin[3], axes[3][3], cx, cy, inverse_fx, inverse_fy, radius;
+};
+#define RN_VIEW_NUMBERS (sizeof(struct rn_view) / sizeof(double))
+_Static_assert(sizeof(struct view_lanes) == RN_VIEW_NUMBERS * sizeof(vd), "the same numbers");
+
+// The views of RN_VD places; `*loaded` is the view that all lanes hold already, if any.
+RN_INLINE void view_load(const struct rn_view *const view[RN_VD], const struct rn_view **loaded,
+                         struct view_lanes *ret) {
+    double numbers[RN_VIEW_NUMBERS][RN_VD];
+    vd *to = (vd *)ret;
+    bool same = true;
+    for (int j = 1; j < RN_VD; j++)
+        same &= view[j] == view[0];
+    if (same && *loaded == view[0]) return;
+    *loaded = same ? view[0] : NULL;
+    for (int j = 0; j < RN_VD; j++) {
+        double own[RN_VIEW_NUMBERS];
+        memcpy(own, view[j], sizeof own);
+        for (size_t i = 0; i < RN_VIEW_NUMBERS; i++)
+            numbers[i][j] = own[i];
+    }
+    for (size_t i = 0; i < RN_VIEW_NUMBERS; i++)
+        memcpy(&to[i], numbers[i], sizeof to[i]);
+}
+
+// Where rays enter the cube and leave it: rn_enter_cube.
+RN_INLINE void enter_cube(const vd o[3], const vd d[3], vd *ret_enter, vd *ret_leave) {
+    vd enter = vd_set(0), leave = vd_set(1e300);
+    for (int i = 0; i < 3; i++) {
+        vl sign = (vl)d[i] & (vl)vd_set(-0.0), tiny = ((vd)((vl)d[i] ^ sign)) < 1e-300;
+        vd inverse = 1.0 / vd_select(tiny, (vd)((vl)vd_set(1e-300) | sign), d[i]);
+        vd a = (-1.0 - o[i]) * inverse, b = (1.0 - o[i]) * inverse;
+        vd first = vd_select(a < b, a, b), last = vd_select(a < b, b, a);
+        enter = vd_select(first > enter, first, enter);
+        leave = vd_select(last < leave, last, leave);
+    }
+    *ret_enter = enter;
+    *ret_leave = leave;
+}
+
+// What rn_ray_cut finds; all 0 but the stride, 1, where the ray misses.
+struct cut_lanes {
+    vd origin[3], near, length, stride;
+};
+
+RN_INLINE void cut_rays(const vd o[3], const vd d[3], vd radius, double step, bool cone_step,
+                        vd jitter, struct cut_lanes *ret) {
+    vd along = o[0] * d[0] + o[1] * d[1] + o[2] * d[2], across = vd_set(0), enter, leave;
+    for (int i = 0; i < 3; i++) {
+        vd foot = o[i] - along * d[i]; // the point nearest the centre
+        across += foot * foot;
+    }
+    enter_cube(o, d, &enter, &leave);
+    vl hit = (across <= 1.0) & (leave > enter);
+    vd stride = vd_set(1);
+    if (cone_step) {
+        vd ratio = radius * -along * (0.5 / (step / 3.46410161513775458705)); // sqrt 12
+        stride = vd_select(ratio < 1.41421356, stride,
+                           vd_select(ratio < 2.82842712, vd_set(2),
+                                     vd_select(ratio < 5.65685425, vd_set(4), vd_set(8))));
+        stride = vd_select(hit, stride, vd_set(1));
+    }
+    vd near = enter + jitter * step * stride, length = vd_sqrt(1.0 - across) - along - near;
+    for (int i = 0; i < 3; i++)
+        ret->origin[i] = (vd)((vl)(o[i] + d[i] * near) & hit);
+    ret->near = (vd)((vl)near & hit);
+    ret->length = (vd)((vl)length & hit);
+    ret->stride = stride;
+}
+
+typedef float vd_floats __attribute__((vector_size(4 * RN_VD)));
+typedef int32_t vd_ints __attribute__((vector_size(4 * RN_VD)));
+
+RN_INLINE void store_floats(vd x, float to[RN_VD]) {
+    vd_floats rounded = __builtin_convertvector(x, vd_floats);
+    memcpy(to, &rounded, sizeof rounded);
+}
+
+RN_INLINE vd load_ints(const int32_t from[RN_VD]) {
+    vd_ints whole;
+    memcpy(&whole, from, sizeof whole);
+    return __builtin_convertvector(whole, vd);
+}
+
+// The directions of the cones through the pixels' centres.
+RN_INLINE void pixel_directions(const struct view_lanes *view, vd px, vd py, vd d[3]) {
+    vd x = (px + 0.5 - view->cx) * view->inverse_fx, y = (py + 0.5 - view->cy) * view->inverse_fy;
+    vd inverse_norm = 1.0 / vd_sqrt(x * x + y * y + 1.0);
+    for (int i = 0; i < 3; i++)
+        d[i] = (view->axes[i][0] * x + view->axes[i][1] * y + view->axes[i][2]) * inverse_norm;
+}
+
+static void rays(const struct rn_ray_place *places, int count, double step, bool cone_step,
+                 struct rn_march_ray *ret_rays) {
+    static const struct rn_view nowhere;
+    const struct rn_view *view[RN_VD], *loaded = NULL;
+    struct view_lanes lanes = {0};
+    for (int begin = 0; begin < count; begin += RN_VD) {
+        int n = count - begin < RN_VD ? count - begin : RN_VD;
+        int32_t px[RN_VD], py[RN_VD];
+        vd jitter, d[3];
+        float jitters[RN_VD], out[10][RN_VD];
+        for (int j = 0; j < RN_VD; j++) {
+            const struct rn_ray_place *place = &places[begin + (j < n ? j : n - 1)];
+            view[j] = place->view ? place->view : &nowhere;
+            px[j] = place->x;
+            py[j] = place->y;
+            jitters[j] = place->jitter;
+        }
+        view_load(view, &loaded, &lanes);
+        pixel_directions(&lanes, load_ints(px), load_ints(py), d);
+        vd_floats rounded;
+        memcpy(&rounded, jitters, sizeof rounded);
+        jitter = __builtin_convertvector(rounded, vd);
+        struct cut_lanes cut;
+        cut_rays(lanes.origin, d, lanes.radius, step, cone_step, jitter, &cut);
+        for (int i = 0; i < 3; i++) {
+            store_floats(cut.origin[i], out[i]);
+            store_floats(d[i], out[3 + i]);
+        }
+        store_floats(cut.near, out[6]);
+        store_floats(cut.length, out[7]);
+        store_floats(lanes.radius, out[8]);
+        store_floats(cut.stride, out[9]);
+        for (int j = 0; j < n; j++)
+            ret_rays[begin + j] =
+                (struct rn_march_ray){.origin = {out[0][j], out[1][j], out[2][j]},
+                                      .direction = {out[3][j], out[4][j], out[5][j]},
+                                      .near = out[6][j],
+                                      .length = view[j] == &nowhere ? 0 : out[7][j],
+                                      .radius = out[8][j],
+                                      .stride = (int)out[9][j],
+                                      .weight = 1};
+    }
+}
+
+#endif
