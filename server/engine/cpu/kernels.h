@@ -36,7 +36,7 @@ static inline bool rn_map_exists(bool mip, int x, int y) {
 // The occupancy grid as the march reads it. Cell (x, y, z) covers [-1 + 2x/n, -1 + 2(x+1)/n] ...
 // Bricks of 8^3 cells, 16 words each: bit (y & 3) * 8 + x of word 2 z + (y >> 2).
 struct rn_occupancy_bits {
-    int cells;         // n a side, a multiple of RN_BRICK
+    int cells;         // n a side, RN_BRICK times a power of two
     uint32_t *words;   // (n/8)^3 * 16
     uint8_t *distance; // (n/8)^3 + 3: bricks to the nearest occupied one (Chebyshev), 0 = occupied
     float low[3], high[3]; // box around all occupied cells; low > high when none

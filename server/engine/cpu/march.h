@@ -13,6 +13,11 @@ RN_INLINE vi index_at(vf s, float inverse_step) {
     return (vi_from_float(vf_clamp(k, 0.0f, RN_MARCH_FAR - 1)) + 1) & (k > 0.0f);
 }
 
+// Bricks a side, a power of two, as its logarithm.
+RN_INLINE int brick_bits(const struct rn_occupancy_bits *o) {
+    return __builtin_ctz((unsigned)(o->cells / RN_BRICK));
+}
+
 // RN_VL rays on their way, one a lane, in units of bricks: brick coordinate = at + along * s.
 // `inverse` of a direction that is none is 0, and takes no part. Steps [k, end) are still to do.
 struct march_lanes {
@@ -66,15 +71,15 @@ static void march_start(const struct rn_occupancy_bits *o, const struct rn_march
 // Moves the lanes of `go` out of empty bricks, each to a step in an occupied one or to its end.
 // Returns those that have not ended. Terminates: every turn advances some lane.
 static vi march_land(const struct rn_occupancy_bits *o, float step, vi go, struct march_lanes *l) {
-    int bricks = o->cells / RN_BRICK;
-    float top = (float)(bricks - 1), inverse_step = 1 / step;
+    int side = brick_bits(o);
+    float top = (float)((1 << side) - 1), inverse_step = 1 / step;
     for (;;) {
         vi brick[3], index = vi_set(0);
         vf at[3], s = (vf_from_int(l->k) + 0.5f) * step, leave = vf_set(1e30f);
         for (int i = 0; i < 3; i++) {
             at[i] = l->at[i] + l->along[i] * s;
             brick[i] = vi_from_float(vf_clamp(at[i], 0.0f, top));
-            index = index * bricks + brick[i];
+            index = index << side | brick[i];
         }
         go &= l->k < l->end;
         vi distance = vi_gather_bytes(o->distance, index), empty = go & (distance > 0);
@@ -100,8 +105,8 @@ RN_INLINE unsigned test_cells(const struct rn_occupancy_bits *o, const struct rn
         vf p = ray->direction[i] * s + ray->origin[i];
         cell[i] = vi_from_float(vf_clamp(p * half + half, 0.0f, top));
     }
-    int bricks = o->cells / RN_BRICK;
-    vi brick = ((cell[0] >> 3) * bricks + (cell[1] >> 3)) * bricks + (cell[2] >> 3);
+    int side = brick_bits(o);
+    vi brick = (((cell[0] >> 3) << side | cell[1] >> 3) << side) | cell[2] >> 3;
     vi word = brick * 16 + (cell[2] & 7) * 2 + ((cell[1] >> 2) & 1);
     vi bit = (cell[1] & 3) * 8 + (cell[0] & 7);
     vi bits = vi_gather((const int32_t *)o->words, word);

@@ -52,6 +52,15 @@ RN_INLINE vf gather_heads(const float *row) {
     return (vf)r[0];
 #endif
 }
+// Their first outputs alone, times as many numbers.
+RN_INLINE void store_firsts(vf x, const float *factor, float *to) {
+#if RN_VL == 16
+    *(v4 *)to = __builtin_shufflevector(x, x, 0, 4, 8, 12) * *(const v4 *)factor;
+#else
+    for (int j = 0; j < RN_VL / 4; j++)
+        to[j] = x[4 * j] * factor[j];
+#endif
+}
 RN_INLINE void spread_heads(float *row, vf x) {
     v4 *r = (v4 *)row;
 #if RN_VL == 16
@@ -69,7 +78,8 @@ RN_INLINE void spread_heads(float *row, vf x) {
 
 // Logits to densities and optical depths; with ray shading also activates the outputs in place:
 // row = [1, sigmoid(diffuse), features]. Only the first four outputs of a row go through an
-// exponential: RN_VL / 4 rows share a vector. Density as rn_density: 1 + |logit - 1| ULP.
+// exponential: RN_VL / 4 rows share a vector, and some behind `end` may be written. Density as
+// rn_density: 1 + |logit - 1| ULP.
 static void activate(const struct rn_cpu_field *field, int begin, int end, struct rn_workspace *w) {
     enum { ROWS = RN_VL / 4 };
     bool per_ray = field->config.shading == RN_SHADING_RAY;
@@ -83,8 +93,7 @@ static void activate(const struct rn_cpu_field *field, int begin, int end, struc
                             (float)RN_DENSITY_CLAMP);
         vf e = vf_exp(vf_select(first, logit, -y));
         if (per_ray) spread_heads(row, vf_select(first, vf_set(1), 1.0f / (1.0f + e)));
-        for (int j = 0; j < ROWS && i + j < end; j++)
-            w->x[i + j] = e[4 * j] * w->interval[i + j];
+        store_firsts(e, w->interval + i, w->x + i);
     }
 }
 
