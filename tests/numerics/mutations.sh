@@ -165,12 +165,12 @@ mutate rays server/engine/ray.h "rays: start left where the camera is" \
     's/double near = enter + jitter/double near = jitter/'
 mutate rays $cpu/rays.h "vector rays: distance from the centre by |o|^2 - (o.d)^2" \
     's/across += foot \* foot;/across += o[i] * o[i] + 0 * foot;/;s/^    enter_cube(o, d,/    across -= along * along; &/'
-mutate rays $cpu/rays.h "vector rays: slabs divided by a zero component" \
-    's/vd_select(tiny, .*, d\[i\]);/d[i] + (vd)(tiny \& 0);/'
+mutate rays $cpu/rays.h "vector rays: start left where the camera is" \
+    's/vd near = enter + jitter/vd near = jitter/'
 mutate rays $cpu/march.h "march: a brick skipped too far" \
     's/vi next = index_at(s + leave, inverse_step)/vi next = index_at(s + leave, inverse_step) + 1/'
-mutate rays $cpu/march.h "march: in rounds, a round is taken off whole" \
-    's/m->found\[r\] + RN_ROUND, RN_CHUNK/m->found[r] + RN_CHUNK, RN_ROUND/'
+mutate rays $cpu/march.h "march: in rounds, what is left over is lost" \
+    's/m->found_count\[r\] -= n;/m->found_count[r] = 0 * n;/'
 mutate rays $cpu/march.h "march: cells by truncation towards the centre" \
     's/p \* half + half, 0.0f, top/p * half + half - 0.01f, 0.0f, top/'
 mutate training server/engine/train/step.c "training: parameters not looked at after a step" \
