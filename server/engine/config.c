@@ -45,7 +45,7 @@ static const struct rn_train_config standard = {
               .shading = RN_SHADING_RAY,
               .width = 64,
               .base_layers = 1,
-              .head_layers = 1,
+              .head_layers = 2,
               .view_dependence = true,
               .occupancy = 128},
     .step = 0.005,
@@ -69,6 +69,10 @@ static const struct rn_train_config standard = {
     .background = {1, 1, 1},
 };
 
+// Seconds below which a second hidden layer of the colour network does not pay on two cores: lego
+// after 15 s 0.1 dB less (two seeds), after 60 s 0.25 dB more.
+#define SHORT_RUN 40
+
 enum rn_status rn_preset(const char *name, bool multi_scale, struct rn_train_config *ret_config,
                          struct rn_error *err) {
     if (strcmp(name, "paper") == 0) {
@@ -90,8 +94,15 @@ enum rn_status rn_preset(const char *name, bool multi_scale, struct rn_train_con
         ret_config->step = 0.0068;
         ret_config->stop = ret_config->roulette = 4e-3;
         ret_config->max_seconds = 15;
+        rn_train_config_suit_time(ret_config);
     }
     return RN_OK;
+}
+
+void rn_train_config_suit_time(struct rn_train_config *config) {
+    bool of_paper = strcmp(config->preset, "paper") == 0;
+    bool short_run = config->max_seconds > 0 && config->max_seconds < SHORT_RUN;
+    if (!of_paper) config->field.head_layers = short_run ? 1 : 2;
 }
 
 void rn_train_config_set_base(struct rn_train_config *config, int base) {

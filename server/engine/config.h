@@ -82,6 +82,8 @@ struct rn_train_config {
 // defaults were measured apart). RN_ERROR_INVALID for an unknown name.
 enum rn_status rn_preset(const char *name, bool multi_scale, struct rn_train_config *ret_config,
                          struct rn_error *err) RN_MUST_CHECK;
+// After a change of max_seconds: what the preset makes of the time.
+void rn_train_config_suit_time(struct rn_train_config *config);
 // Planes of `base` texels a side: where the preset's grow, from an eighth of that.
 void rn_train_config_set_base(struct rn_train_config *config, int base);
 // Every value in its range and consistent with the others; errors name the option.

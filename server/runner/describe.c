@@ -45,6 +45,7 @@ enum rn_status rn_configure(const struct rn_train_options *options, bool multi_s
         // A limit of the user's takes the place of the preset's.
         config.max_steps = rn_int_or(options->max_steps, 0);
         config.max_seconds = rn_number_or(options->max_time_s, 0);
+        rn_train_config_suit_time(&config);
     }
     config.until_psnr = rn_number_or(options->until_psnr, config.until_psnr);
     status = rn_train_config_check(&config, err);

@@ -74,6 +74,7 @@ static bool set_option(struct run *run, const char *name, const char *value) {
             *table[i].i = (int)v;
         else
             *table[i].d = v;
+        if (strcmp(name, "time") == 0) rn_train_config_suit_time(c);
         return true;
     }
     if (strcmp(name, "steps") == 0)

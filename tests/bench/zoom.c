@@ -190,6 +190,7 @@ static void sweep_footprint(struct sweep *s, enum rn_footprint footprint,
     config.seed = s->seed;
     config.max_steps = s->steps;
     config.max_seconds = s->steps > 0 ? 0 : s->seconds;
+    rn_train_config_suit_time(&config);
     if (rn_trainer_create(s->engine, s->dataset, &config, 0, &trainer, &err) != RN_OK) die(&err);
     do {
         if (rn_trainer_advance(trainer, 200, &err) != RN_OK) die(&err);

@@ -65,6 +65,8 @@ const char *rn_orientation_name(enum rn_orientation orientation) {
     return orientations[orientation];
 }
 
+void rn_train_config_suit_time(struct rn_train_config *config) {}
+
 enum rn_status rn_preset(const char *name, bool multi_scale, struct rn_train_config *ret_config,
                          struct rn_error *err) {
     *ret_config = (struct rn_train_config){.field = {.planes = 3,
