@@ -399,8 +399,13 @@ static int list_candidates(const char *only, struct candidate *list) {
 #endif
 #ifdef HAVE_LIBXSMM
     printf("libxsmm %s\n", libxsmm_version());
-    for (int i = 0; libxsmm_candidates[i].name; i++)
-        all[n++] = libxsmm_candidates[i];
+#if defined __x86_64__ // there its file is compiled for AVX-512 BF16
+    if (!__builtin_cpu_supports("avx512bf16"))
+        printf("libxsmm: built for instructions that this machine lacks\n");
+    else
+#endif
+        for (int i = 0; libxsmm_candidates[i].name; i++)
+            all[n++] = libxsmm_candidates[i];
 #else
     printf("libxsmm: not built in\n");
 #endif

@@ -25,6 +25,7 @@ MAY_CHOOSE_INSTRUCTIONS = CONTRACT + (
     "server/engine/bench/peak_bf16.c",
     "server/engine/bench/peak_amx.c",
     "tests/numerics/flags.c",  # asks for FMA itself
+    "tests/bench/libraries_xsmm.c",
 )
 CUDA = {"-fmad=true", "-ftz=false", "-prec-div=true", "-prec-sqrt=true"}
 CUDA_FORBIDDEN = {"-use_fast_math", "--use_fast_math", "-ftz=true", "-prec-div=false",
