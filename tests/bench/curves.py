@@ -26,7 +26,7 @@ WIDTH, HEIGHT, LEFT, RIGHT, TOP, BOTTOM = 900, 520, 60, 250, 44, 48
 def train(quality, dataset, seconds, options):
     """Points (seconds, PSNR) of one configuration."""
     command = [quality, dataset, "clock=cpu", "threads=1", f"time={seconds}",
-               f"every={seconds / 12}", *options.split(",")]
+               f"every={seconds / 8}", *options.split(",")]
     text = subprocess.run(command, check=True, capture_output=True, text=True).stdout
     return [(float(m[1]), float(m[2])) for m in map(LINE.match, text.splitlines()) if m]
 
