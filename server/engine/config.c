@@ -83,8 +83,7 @@ enum rn_status rn_preset(const char *name, bool multi_scale, struct rn_train_con
         return rn_error_set(err, RN_ERROR_INVALID, "preset",
                             "'%s' is no preset; use draft, standard or paper", name);
     *ret_config = standard;
-    // On several scales the isotropic pyramid is ahead of the ripmap at equal time (it costs half
-    // the fetches) and ahead of point sampling from half a minute on.
+    // Few rays need levels then, and those of the isotropic pyramid cost half the fetches.
     if (multi_scale) ret_config->field.footprint = RN_FOOTPRINT_MIP;
     if (strcmp(name, "draft") == 0) {
         snprintf(ret_config->preset, sizeof ret_config->preset, "draft");
@@ -199,11 +198,12 @@ int rn_train_config_differences(const struct rn_train_config *c, struct rn_diffe
             "0.99: +0.4 dB")
     DIFFERS(c->weight_decay != paper.weight_decay, "another weight decay than 1e-5", "")
     DIFFERS(c->favour_finest, "most rays from the finest scale, pixels nearly without replacement",
-            "the second: +0.3 dB")
+            "the first: +0.9 dB over four scales after 20 s; the second: +0.3 dB")
     DIFFERS(!c->multi_step_rate, "rate schedule made for the time given", "")
     DIFFERS(fabs(c->stop - paper.stop) > 1e-12, "rays end at another transmittance than 1e-4",
             "0.002: +0.2 dB")
-    DIFFERS(c->supersample, "wide pixels are rendered as several of the finest trained on", "")
+    DIFFERS(c->supersample, "wide pixels are rendered as several of the finest trained on",
+            "+4.4 dB over four scales after 20 s")
     return n;
 #undef DIFFERS
 }
