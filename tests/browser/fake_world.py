@@ -396,7 +396,7 @@ class World:
                 "ssim_spread": 0.004,
                 "per_view": views,
                 "render_ms_median": 84.0,
-                "scales": [{"scale": 0, "psnr": 30.4, "ssim": 0.9512}],
+                "scales": [{"scale": 0, "psnr": 30.4, "ssim": 0.9512, "render_ms": 84.0}],
                 "protocol": {
                     "split": "test",
                     "background": [1, 1, 1],
