@@ -95,14 +95,14 @@ enum rn_status rn_preset(const char *name, bool multi_scale, struct rn_train_con
         ret_config->step = 0.0068;
         ret_config->stop = ret_config->roulette = 4e-3;
         ret_config->max_seconds = 15;
-        rn_train_config_suit_time(ret_config);
+        ret_config->field.head_layers = 1;
     }
     return RN_OK;
 }
 
 void rn_train_config_suit_time(struct rn_train_config *config) {
     double seconds = config->max_seconds;
-    if (strcmp(config->preset, "paper") == 0) return;
+    if (strcmp(config->preset, "standard") != 0) return;
     config->field.head_layers = seconds > 0 && seconds < SHORT_RUN ? 1 : 2;
     config->field.width = seconds < LONG_RUN ? 64 : 128;
 }
