@@ -1,5 +1,6 @@
-// The tiny networks in fp32, layer by layer. A product's error is at most (K + 2) 2^-24, relative
-// to the sum of its terms' magnitudes (the condition number of the sum, times its result).
+// The tiny networks in fp32: forward layer by layer, backward in blocks of rows. A product's error
+// is at most (K + 2) 2^-24, relative to the sum of its terms' magnitudes (the condition number of
+// the sum, times its result).
 #ifndef RN_ENGINE_CPU_MLP_FP32_H
 #define RN_ENGINE_CPU_MLP_FP32_H
 
@@ -42,18 +43,17 @@ static void mlp_forward(const struct mlp *net, int begin, int n) {
     }
 }
 
-// Backward of rows [0, n) with the outputs' gradient `out_grad`, which may be written over. The
-// weights' gradients are added to weight_grad; returns the inputs' ([n][inputs rounded up to 16]),
-// in the workspace.
-static float *mlp_backward(const struct mlp *net, float *out_grad, int n, struct rn_workspace *w,
-                           float *weight_grad) {
+#define RN_BACKWARD_ROWS 64 // of a block, whose gradients stay in the caches
+
+// Backward of rows [row, row + n), all layers; `t` is behind the last one's transposed weights.
+static void backward_rows(const struct mlp *net, const float *t, const float *out_grad, int row,
+                          int n, float *weight_grad, float *ret_grad) {
     const struct rn_mlp_shape *shape = net->shape;
-    const float *t = net->packed;
-    for (int l = 0; l < shape->layers; l++)
-        t += (size_t)shape->out[l] * round16(shape->in[l]);
+    float *in_grad = net->scratch, *other = in_grad + (size_t)RN_BACKWARD_ROWS * shape->widest;
+    out_grad += (size_t)row * shape->out[shape->layers - 1];
     for (int l = shape->layers - 1; l >= 0; l--) {
         int stride = l == 0 ? net->in_stride : shape->in[l], padded = round16(shape->in[l]);
-        const float *activation = l == 0 ? net->in : net->hidden[l - 1];
+        const float *activation = (l == 0 ? net->in : net->hidden[l - 1]) + (size_t)row * stride;
         struct rn_gemm dw = {.a = activation,
                              .a_row = 1,
                              .a_k = stride,
@@ -64,7 +64,7 @@ static float *mlp_backward(const struct mlp *net, float *out_grad, int n, struct
                              .accumulate = true};
         gemm(&dw, shape->in[l], n, shape->out[l]);
         t -= (size_t)shape->out[l] * padded;
-        float *in_grad = out_grad == w->grad_a ? w->grad_b : w->grad_a;
+        if (l == 0) in_grad = ret_grad + (size_t)row * padded;
         struct rn_gemm dx = {.a = out_grad,
                              .a_row = shape->out[l],
                              .a_k = 1,
@@ -75,9 +75,25 @@ static float *mlp_backward(const struct mlp *net, float *out_grad, int n, struct
                              .mask = l > 0 ? activation : NULL,
                              .mask_stride = stride};
         gemm(&dx, n, shape->out[l], padded);
-        out_grad = in_grad;
+        float *done = in_grad;
+        in_grad = other;
+        out_grad = other = done;
     }
-    return out_grad;
+}
+
+// Backward of rows [0, n) with the outputs' gradient `out_grad`, in blocks of rows through all
+// layers. The weights' gradients are added to weight_grad; returns the inputs' ([n][inputs rounded
+// up to 16]), in the workspace.
+static float *mlp_backward(const struct mlp *net, const float *out_grad, int n,
+                           struct rn_workspace *w, float *weight_grad) {
+    const float *t = net->packed;
+    for (int l = 0; l < net->shape->layers; l++)
+        t += (size_t)net->shape->out[l] * round16(net->shape->in[l]);
+    for (int row = 0; row < n; row += RN_BACKWARD_ROWS)
+        backward_rows(net, t, out_grad, row,
+                      n - row < RN_BACKWARD_ROWS ? n - row : RN_BACKWARD_ROWS, weight_grad,
+                      w->grad_a);
+    return w->grad_a;
 }
 
 // One product as the networks make them, for tests.
