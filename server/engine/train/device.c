@@ -110,15 +110,9 @@ enum rn_status rn_trainer_validate_rows(struct rn_trainer *t, const struct rn_pi
     enum rn_status status =
         rn_field_render_rows(t->field, camera, &march, rn_cones_for_camera(t->field, camera), row,
                              rows, pixels, &samples, err);
-    for (size_t i = 0; i < n && status == RN_OK; i++) {
-        float target[3];
-        rn_pixel_over(t->held.rgba + 4 * (frame->offset + (size_t)row * width + i),
-                      config->background, target);
-        for (int c = 0; c < 3; c++) {
-            double d = fmin(fmax((double)pixels[i].rgb[c], 0), 1) - (double)target[c];
-            *ret_squares += d * d;
-        }
-    }
+    for (size_t i = 0; i < n && status == RN_OK; i++)
+        rn_pixel_add_error(&t->held, frame, (int)(i % width), row + (int)(i / width),
+                           config->background, pixels[i].rgb, ret_squares);
     free(pixels);
     return status;
 }

@@ -2,6 +2,8 @@
 #ifndef RN_ENGINE_TRAIN_PIXELS_H
 #define RN_ENGINE_TRAIN_PIXELS_H
 
+#include <math.h>
+
 #include "server/engine/scene.h"
 
 struct rn_pixel_frame {
@@ -43,6 +45,19 @@ static inline void rn_pixel_over(const uint8_t rgba[4], const float background[3
     float alpha = (float)rgba[3] * (1 / 255.0f);
     for (int c = 0; c < 3; c++)
         rgb[c] = (float)rgba[c] * (1 / 255.0f) * alpha + (1 - alpha) * background[c];
+}
+
+// Adds the squared errors of a rendered pixel's channels, clamped to [0, 1], to `sum`.
+static inline void rn_pixel_add_error(const struct rn_pixels *pixels,
+                                      const struct rn_pixel_frame *frame, int x, int y,
+                                      const float background[3], const float rendered[3],
+                                      double *sum) {
+    float target[3];
+    rn_pixel_over(rn_pixel_at(pixels, frame, x, y), background, target);
+    for (int c = 0; c < 3; c++) {
+        double d = fmin(fmax((double)rendered[c], 0), 1) - (double)target[c];
+        *sum += d * d;
+    }
 }
 
 #endif

@@ -354,15 +354,9 @@ static void validate_packet(void *context, int index, int thread) {
                                     (int)((first + (size_t)n) / width)};
     rn_cones_render(t->engine, t->field, &b->march, camera, b->cones, spots, n, thread, pixels);
     double sum = 0;
-    for (int i = 0; i < n; i++) {
-        float target[3];
-        rn_pixel_over(rn_pixel_at(&t->held, b->frame, spots[i].x, spots[i].y),
-                      t->field->config.background, target);
-        for (int c = 0; c < 3; c++) {
-            double d = fmin(fmax((double)pixels[i].rgb[c], 0), 1) - (double)target[c];
-            sum += d * d;
-        }
-    }
+    for (int i = 0; i < n; i++)
+        rn_pixel_add_error(&t->held, b->frame, spots[i].x, spots[i].y, t->field->config.background,
+                           pixels[i].rgb, &sum);
     t->validation.packets[index] = sum;
 }
 
