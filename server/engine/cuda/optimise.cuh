@@ -90,6 +90,12 @@ RN_DEVICE void rn_pull_down(const struct rn_cuda_planes *p, const struct rn_cuda
     }
 }
 
+// Room for the block's parameters in shared memory, [texel][channel].
+RN_DEVICE float *rn_block_values() {
+    RN_SHARED float values[RN_UPDATE * RN_UPDATE * 16];
+    return values;
+}
+
 // Pools the block's parameters into the fp16 maps of the fine levels.
 RN_DEVICE void rn_pool_block(const struct rn_cuda_planes *p, uint16_t *texels,
                              const struct rn_update_block *b, const float *values) {
@@ -147,7 +153,7 @@ __global__ void __launch_bounds__(256)
     rn_update_planes_kernel(const __grid_constant__ rn_cuda_scene scene,
                             const __grid_constant__ rn_cuda_optimiser o,
                             struct rn_cuda_status *status) {
-    RN_SHARED float values[RN_UPDATE * RN_UPDATE * 16];
+    float *values = rn_block_values();
     const struct rn_cuda_planes *p = &scene.planes;
     struct rn_update_block b = rn_update_block(p);
     bool touched = o.gradients.touched[blockIdx.x] != 0;
@@ -181,7 +187,7 @@ __global__ void __launch_bounds__(256)
 // Pooling alone, for parameters that came from elsewhere.
 __global__ void __launch_bounds__(256)
     rn_build_kernel(const __grid_constant__ rn_cuda_scene scene) {
-    RN_SHARED float values[RN_UPDATE * RN_UPDATE * 16];
+    float *values = rn_block_values();
     struct rn_update_block b = rn_update_block(&scene.planes);
     size_t at = rn_parameter_at(&scene.planes, &b);
     for (int c = 0; c < 4; c++)

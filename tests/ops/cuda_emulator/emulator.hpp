@@ -2,12 +2,11 @@
 // block a fiber, one block after the other.
 //
 // What is checked: every warp collective is entered by all 32 lanes with the same operation and
-// __syncthreads by the whole block (anything else ends the program); memory from the allocator and
-// shared memory hold NaN bytes until written; asynchronous copies run as late as they may, when
-// their group is waited for, and must be waited for; a warp runs as far as it can before the next
-// one begins, first to last or last to first, or all threads shuffled, so that a missing barrier
-// shows. What is not: weak memory order
-// between blocks, timing, registers.
+// __syncthreads by the whole block (anything else ends the program); memory from the allocator, and
+// shared memory at every block's beginning, hold NaN bytes until written; asynchronous copies run as
+// late as they may, when their group is waited for, and must be waited for; a warp runs as far as it
+// can before the next one begins, first to last or last to first, or all threads shuffled, so that a
+// missing barrier shows. What is not: weak memory order between blocks, timing, registers.
 #ifndef RN_TESTS_EMULATOR_H
 #define RN_TESTS_EMULATOR_H
 
@@ -32,7 +31,8 @@
 #define __launch_bounds__(...)
 #define __forceinline__ inline
 #define RN_DEVICE static inline
-#define RN_SHARED static // blocks run one after the other
+// Blocks run one after the other. Not within templates: there gcc forgets the section.
+#define RN_SHARED static __attribute__((section("rn_shared")))
 #define RN_UNROLL
 
 struct uint2 {
@@ -54,6 +54,9 @@ struct dim3 {
 };
 
 enum rn_emu_order { RN_EMU_FORWARD, RN_EMU_BACKWARD, RN_EMU_RANDOM, RN_EMU_STARVE_FIRST };
+
+// All RN_SHARED variables, from the linker.
+extern "C" unsigned char __start_rn_shared[], __stop_rn_shared[];
 
 namespace emu {
 
@@ -167,6 +170,7 @@ inline void run_unit(unsigned unit) {
 
 inline void run_block() {
     memset(m.shared, 0xff, sizeof m.shared);
+    memset(__start_rn_shared, 0xff, (size_t)(__stop_rn_shared - __start_rn_shared));
     m.finished = m.arrived = 0;
     for (warp &w : m.warps)
         w.arrived = 0;
