@@ -93,7 +93,6 @@ bool rn_device_trained(const char *kernels) {
 }
 
 void rn_device_adapt(struct rn_train_config *config) {
-    config->field.shading = RN_SHADING_SAMPLE;
     config->roulette = 0;
 }
 

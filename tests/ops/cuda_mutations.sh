@@ -106,6 +106,8 @@ mutate order step.cuh "order: no barrier before the sums are read" \
 mutate order step.cuh "order: no barrier after the scan" \
     's/^    uint32_t first = sums\[thread\].tiles;/&/;/s->next_rays = next < b.ray_capacity/,/first = sums/s/^    __syncthreads();//'
 mutate march occupancy.cuh "occupancy: no barrier in the sum" 's/^        __syncthreads();//'
+mutate march occupancy.cuh "occupancy: no barrier in the sum's last warp" \
+    's/^        __syncthreads();/        if (half >= 32) __syncthreads();/'
 mutate order forward.cuh "forward: a lane leaves before its warp" \
     's/if (walk.k >= walk.end) return;/if (RN_LANE == 31) return;/'
 mutate order step.cuh "order: tiles in the order in which warps came" \
@@ -141,14 +143,39 @@ mutate gradients backward.cuh "backward: the logit's gradient left out" \
     's/if (RN_LANE % 4 == 0) c\[0\]\[2 \* i\] = own;//'
 mutate gradients forward.cuh "forward: no constant input" 's/rn_pack(first ? 1 : c\[0\]\[0\]/rn_pack(c[0][0]/'
 mutate gradients forward.cuh "compositing: nothing of what lies behind" \
-    's/ - (float)(behind + (double)rest)//'
-mutate gradients forward.cuh "compositing: behind within a tile only" 's/^        behind += .*//'
+    's/ - (float)(\*behind + (double)rest)//'
+mutate gradients forward.cuh "compositing: behind within a tile only" 's/^    \*behind += .*//'
 mutate gradients layout.h "fragments: channels in another order" 's/4 \* t + 2 \* high + q % 2/4 * t + high + 2 * (q % 2)/'
 mutate pixels forward.cuh "ray shading: features of half the samples" \
     's/ + (high != 0 ? high \* b : 0);/;/'
 mutate pixels forward.cuh "ray shading: diffuse colours rotated" 's/(c + 1) % 2\], (c + 1) \/ 2/c % 2], c \/ 2/'
 mutate pixels forward.cuh "ray shading: no opacity in the input" \
-    's/a = column == 0 ? 1 :/a = column == 0 ? 0 :/'
+    's/out\[0\]\[i\] = column == 0 ? 1 :/out[0][i] = column == 0 ? 0 :/'
+mutate pixels shade.cuh "ray shading: a colour without its opacity" 's/+= opacity \* colour/+= colour/'
+mutate march shade.cuh "ray shading: a turned ray keeps its direction" \
+    's/march->turned ? march->look : //'
+mutate rays forward.cuh "ray shading: behind within a tile only" 's/^    \*behind += .*//'
+mutate rays shade.cuh "ray shading: tiles from the first to the last" \
+    's/while (place-- > first)/for (uint32_t end = place, unused = (place = first); place < end; place += 1 + 0 * unused)/'
+mutate rays shade.cuh "ray shading: no gradient of the opacity" 's/^        g.opacity += .*//'
+mutate rays shade.cuh "ray shading: the background takes no part" 's/(out\[c\] - background\[c\])/out[c]/'
+mutate rays shade.cuh "ray shading: no gradient of the diffuse colours" \
+    's/^        rn_set_column(direct, 1 + k.*/;/'
+mutate rays shade.cuh "ray shading: nothing through the colour network" \
+    's/= c\[i \/ 4\]\[i % 4\] + direct/= direct/'
+mutate rays shade.cuh "ray shading: diffuse colours without their sigmoid" \
+    's/bool activated = .*/bool activated = false;/'
+mutate rays shade.cuh "ray shading: samples without their weights" 's/ \*= of_row;/ *= of_row > 0;/'
+mutate rays shade.cuh "ray shading: weights of the other half of a tile" 's/weight, RN_LANE \/ 4 + 8 \* i/weight, RN_LANE \/ 4 + 8 - 8 * i/'
+mutate rays shade.cuh "ray shading: directions of the tile's first ray" \
+    's/b->rays\[r\].direction, direction/b->rays[r - RN_LANE \/ 4].direction, direction/'
+mutate rays shade.cuh "ray shading: every tile in the same place" 's/\&scratch, tile, in/\&scratch, 0, in/'
+mutate second shade.cuh "ray shading: rays of the step before take part" \
+    's/RN_LANE >= RN_TILE || r >= b->status->ray_count) return g/RN_LANE >= RN_TILE) return g/'
+mutate second gradient.cuh "ray shading: as many tiles of rays as of samples" 's/of_rays ? .* : status->ordered/status->ordered/'
+mutate guards shade.cuh "ray shading: a ray that is not finite reaches the weights" \
+    's/^                rn_keep_rows(in.*//'
+mutate guards shade.cuh "ray shading: overflow not noticed" 's/bad |= //'
 # Scatter and update.
 mutate gradients scatter.cuh "scatter: a moved nest loses a column" \
     's/if (dx > 0) rn_flush<FIXED>(p, lx, ly, n->x, n->y + i, n->sum\[i\]\[0\]);//'

@@ -73,6 +73,7 @@ void test_scene_init(struct test_scene *s, const struct rn_train_config *config)
     struct rn_bounds bounds = {.centre = {0.1, -0.05, 0}, .radius = 1.2};
     memset(s, 0, sizeof *s);
     s->config = *config;
+    s->rays = RAYS;
     s->engine.kernels = rn_kernels_available(0);
     ck_assert(rn_pool_create(1, &s->engine.pool, &err) == RN_OK);
     ck_assert_msg(rn_field_create(config, &bounds, &s->field, &err) == RN_OK, "%s", err.text);
@@ -117,7 +118,7 @@ enum rn_status test_scene_train(struct test_scene *s, bool deterministic, struct
                                       .scale_pixels = {FRAMES * SIDE * SIDE},
                                       .pixel_count = FRAMES * SIDE * SIDE};
     struct rn_device_training training = {
-        .deterministic = deterministic, .next_rays = RAYS, .march_step = s->field->config.step};
+        .deterministic = deterministic, .next_rays = s->rays, .march_step = s->field->config.step};
     return test_backend()->train_begin(s->on_device, &pixels, &training, err);
 }
 

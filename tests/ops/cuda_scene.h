@@ -8,7 +8,7 @@
 
 #define FRAMES 4
 #define SIDE 12 // pixels of a frame a side
-#define RAYS 96 // of a training step
+#define RAYS 96
 
 // The backend under test: the emulated one, or with cuda_device.c the module RIPNERF_CUDA_MODULE on
 // this machine's GPU, NULL when there is none. With a GPU the emulator's knobs do nothing.
@@ -22,6 +22,7 @@ struct test_scene {
     struct rn_reference *reference;
     struct rn_device_frame frames[FRAMES];
     uint8_t rgba[FRAMES * SIDE * SIDE * 4];
+    int rays; // of a training step, at most RAYS
     struct rn_device *device;
     struct rn_device_field *on_device;
 };
@@ -31,7 +32,7 @@ struct test_scene {
 void test_scene_init(struct test_scene *s, const struct rn_train_config *config);
 // The same field on the device, with `budget` bytes (0: all).
 enum rn_status test_scene_upload(struct test_scene *s, size_t budget, struct rn_error *err);
-// Starts training with RAYS rays a step; one scale.
+// Starts training with `rays` rays a step; one scale.
 enum rn_status test_scene_train(struct test_scene *s, bool deterministic, struct rn_error *err);
 void test_scene_finish(struct test_scene *s);
 // The rays of a training step as the reference takes them; `mid` for test_rays_finish.

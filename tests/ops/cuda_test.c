@@ -100,19 +100,27 @@ static void check_training(const struct rn_train_config *config, bool determinis
     struct numbers n;
     struct rn_reference_ray rays[RAYS];
     double loss;
+    bool per_ray = config->field.shading == RN_SHADING_RAY;
     test_scene_init(&s, config);
-    test_scene_rays(&s, 0, rays, RAYS);
-    OK(rn_reference_loss(s.reference, rays, RAYS, &loss));
+    if (per_ray) s.rays -= 7; // their last tile is not full
+    test_scene_rays(&s, 0, rays, s.rays);
+    OK(rn_reference_loss(s.reference, rays, s.rays, &loss));
     train(&s, 1, deterministic, &n);
     const struct rn_parameters *p = &s.field->parameters;
     const double *exact[3] = {s.reference->plane_grad, s.reference->base_grad,
                               s.reference->head_grad};
     const size_t counts[3] = {p->plane_count, p->base_count, p->head_count};
-    printf("%d planes x %d, width %d, %s, %d levels, %llu samples: loss %.1e", config->field.planes,
-           config->field.channels, config->field.width, rn_footprint_name(config->field.footprint),
-           config->field.levels, (unsigned long long)n.progress.samples,
+    printf("%d planes x %d, width %d, %s, %d levels, %s shading, %llu samples: loss %.1e",
+           config->field.planes, config->field.channels, config->field.width,
+           rn_footprint_name(config->field.footprint), config->field.levels,
+           per_ray ? "ray" : "sample", (unsigned long long)n.progress.samples,
            fabs(n.progress.loss - loss) / loss);
     for (size_t i = 0, at = 0; i < 3; at += counts[i++]) {
+        if (i == 2 && per_ray && !config->field.view_dependence) {
+            for (size_t k = 0; k < counts[i]; k++)
+                ck_assert(n.m[at + k] == 0); // the colour network takes no part
+            continue;
+        }
         struct error e = gradient_error(n.m + at, exact[i], counts[i]);
         printf(", %s %.1e (%.2f %% off)",
                i == 0   ? "planes"
@@ -128,7 +136,7 @@ static void check_training(const struct rn_train_config *config, bool determinis
     ck_assert_double_eq_tol(n.progress.loss, loss, 1e-3 * loss);
     check_update(&s, &n);
     numbers_finish(&n);
-    test_rays_finish(rays, RAYS);
+    test_rays_finish(rays, s.rays);
     test_scene_finish(&s);
 }
 
@@ -144,6 +152,60 @@ START_TEST(gradients_match_reference) {
     configs[3].field.view_dependence = false;
     for (size_t i = 0; i < sizeof configs / sizeof *configs; i++)
         check_training(&configs[i], i % 2);
+}
+END_TEST
+
+START_TEST(gradients_of_whole_rays_match_reference) {
+    struct rn_train_config configs[] = {
+        test_config(RN_FOOTPRINT_RIP, 4, 16, 32, 4), test_config(RN_FOOTPRINT_MIP, 3, 8, 16, 3),
+        test_config(RN_FOOTPRINT_POINT, 6, 4, 128, 1), test_config(RN_FOOTPRINT_MIP, 3, 16, 32, 3)};
+    configs[1].field.head_layers = 1;
+    configs[1].field.base_layers = 1;
+    configs[1].cone_step = true;
+    configs[2].background[0] = 0.25f;
+    configs[3].field.view_dependence = false;
+    for (size_t i = 0; i < sizeof configs / sizeof *configs; i++) {
+        configs[i].field.shading = RN_SHADING_RAY;
+        check_training(&configs[i], i % 2);
+    }
+}
+END_TEST
+
+// The second step has other rays, fewer of them, and finds what the first one left. With rates of 0
+// its gradients are what the moments changed by.
+START_TEST(second_steps_match_reference) {
+    static const struct rn_device_step still = {.network_rate = 0};
+    struct rn_train_config config = test_config(RN_FOOTPRINT_MIP, 3, 8, 16, 3);
+    struct test_scene s;
+    struct numbers first, second;
+    struct rn_reference_ray rays[RAYS];
+    double loss;
+    config.field.shading = (enum rn_shading)_i;
+    config.target_samples = 2000;
+    test_scene_init(&s, &config);
+    OK(test_scene_upload(&s, 0, &err));
+    OK(test_scene_train(&s, false, &err));
+    OK(backend->train_step(s.on_device, &still, &err));
+    read_back(&s, &first);
+    int count = first.progress.next_rays;
+    ck_assert(count < RAYS && count % 16 != 0);
+    OK(backend->train_step(s.on_device, &still, &err));
+    read_back(&s, &second);
+    test_scene_rays(&s, 1, rays, count);
+    OK(rn_reference_loss(s.reference, rays, count, &loss));
+    ck_assert_double_eq_tol(second.progress.loss, loss, 1e-3 * loss);
+    const struct rn_parameters *p = &s.field->parameters;
+    for (size_t i = 0; i < p->count; i++)
+        second.m[i] -= 0.9f * first.m[i];
+    const double *exact[3] = {s.reference->plane_grad, s.reference->base_grad,
+                              s.reference->head_grad};
+    const size_t counts[3] = {p->plane_count, p->base_count, p->head_count};
+    for (size_t i = 0, at = 0; i < 3; at += counts[i++])
+        ck_assert_double_lt(gradient_error(second.m + at, exact[i], counts[i]).rms, GRADIENT_RMS);
+    numbers_finish(&first);
+    numbers_finish(&second);
+    test_rays_finish(rays, count);
+    test_scene_finish(&s);
 }
 END_TEST
 
@@ -208,7 +270,7 @@ static bool brick_kept(int cell) {
 }
 
 // Scattered cells of scattered bricks, those above the mean: the same samples are evaluated as on
-// the CPU, and give the same picture.
+// the CPU, and give the same picture, also where whole rays are shaded as seen from elsewhere.
 START_TEST(march_finds_the_cells_that_the_cpu_finds) {
     for (int stride = 0; stride < 2; stride++) {
         struct rn_train_config config = test_config(RN_FOOTPRINT_MIP, 3, 8, 16, 3);
@@ -218,12 +280,15 @@ START_TEST(march_finds_the_cells_that_the_cpu_finds) {
         config.field.occupancy = 32;
         config.step = 0.011;
         config.cone_step = stride;
+        if (stride) config.field.shading = RN_SHADING_RAY;
         test_scene_init(&s, &config);
         for (int i = 0; i < 32 * 32 * 32; i++)
             s.field->occupancy[i] = brick_kept(i) ? 0.004f * unit(i) : 0;
         rn_field_refresh_occupancy(s.field);
         OK(test_scene_upload(&s, 0, &err));
-        struct rn_march_options options = {.step = (float)config.step, .stop_depth = 1e9f};
+        const float look[3] = {0.6f, 0, 0.8f};
+        struct rn_march_options options = {
+            .step = (float)config.step, .stop_depth = 1e9f, .look = stride ? look : NULL};
         for (int f = 0; f < FRAMES; f++) {
             const struct rn_camera *camera = &s.frames[f].camera;
             uint64_t samples, cpu;
@@ -318,9 +383,10 @@ START_TEST(occupancy_is_measured_as_on_the_cpu) {
 }
 END_TEST
 
-static void run_steps(int order, bool deterministic, struct numbers *ret) {
+static void run_steps(enum rn_shading shading, int order, bool deterministic, struct numbers *ret) {
     struct rn_train_config config = test_config(RN_FOOTPRINT_RIP, 3, 8, 16, 3);
     struct test_scene s;
+    config.field.shading = shading;
     test_scene_init(&s, &config);
     rn_emulator_order(order, (uint64_t)order + 1);
     train(&s, 3, deterministic, ret);
@@ -330,23 +396,27 @@ static void run_steps(int order, bool deterministic, struct numbers *ret) {
 
 // Which warp takes which ray changes with the order of the threads; in the deterministic mode the
 // bytes do not. They are the orders that a missing barrier shows in, too.
-START_TEST(deterministic_mode_gives_the_same_bytes) {
+static void check_orders(enum rn_shading shading) {
     struct numbers first;
-    run_steps(0, true, &first);
+    run_steps(shading, 0, true, &first);
     size_t n = (size_t)3 * 32 * 32 * 8;
     for (int order = 1; order < 4; order++) {
         struct numbers other;
-        run_steps(order, true, &other);
+        run_steps(shading, order, true, &other);
         ck_assert(memcmp(first.parameters, other.parameters, n * sizeof(float)) == 0);
         ck_assert(memcmp(first.v, other.v, n * sizeof(float)) == 0);
         ck_assert(first.progress.loss == other.progress.loss);
         numbers_finish(&other);
-        run_steps(order, false, &other);
+        run_steps(shading, order, false, &other);
         for (size_t i = 0; i < n; i++)
             ck_assert_double_eq_tol(first.m[i], other.m[i], 2e-4);
         numbers_finish(&other);
     }
     numbers_finish(&first);
+}
+
+START_TEST(deterministic_mode_gives_the_same_bytes) {
+    check_orders((enum rn_shading)_i);
 }
 END_TEST
 
@@ -355,6 +425,7 @@ START_TEST(overflow_skips_the_step) {
     struct rn_train_config config = test_config(RN_FOOTPRINT_POINT, 3, 8, 16, 1);
     struct test_scene s;
     struct numbers n;
+    config.field.shading = (enum rn_shading)_i;
     test_scene_init(&s, &config);
     const struct rn_parameters *p = &s.field->parameters;
     for (int f = 0; f < FRAMES; f++)
@@ -372,6 +443,27 @@ START_TEST(overflow_skips_the_step) {
     ck_assert_int_gt(n.progress.updates, 0);
     for (size_t i = 0; i < p->count; i++)
         ck_assert(isfinite(n.parameters[i]));
+    numbers_finish(&n);
+    test_scene_finish(&s);
+}
+END_TEST
+
+// Texels that fp16 cannot hold: the rays that meet them are left out, the others train.
+START_TEST(rays_that_are_not_finite_are_left_out) {
+    struct rn_train_config config = test_config(RN_FOOTPRINT_POINT, 3, 8, 16, 1);
+    struct test_scene s;
+    struct numbers n;
+    config.field.shading = (enum rn_shading)_i;
+    test_scene_init(&s, &config);
+    size_t middle = ((size_t)16 * 32 + 10) * 8;
+    s.field->parameters.values[middle] = 1e9f;
+    train(&s, 1, false, &n);
+    ck_assert_uint_gt(n.progress.nonfinite_rays, 0);
+    ck_assert_uint_lt(n.progress.nonfinite_rays, RAYS / 2);
+    ck_assert_int_eq(n.progress.steps_rejected, 0);
+    ck_assert_int_eq(n.progress.updates, 1);
+    for (size_t i = 0; i < s.field->parameters.count; i++)
+        ck_assert(isfinite(n.m[i]));
     numbers_finish(&n);
     test_scene_finish(&s);
 }
@@ -512,11 +604,14 @@ START_TEST(fragments_hold_every_number_once) {
 }
 END_TEST
 
-static void add(Suite *suite, const char *name, const TTest *test) {
+static void add_loop(Suite *suite, const char *name, const TTest *test, int count) {
     TCase *group = tcase_create(name); // CK_RUN_CASE chooses one
     tcase_set_timeout(group, 120);
-    tcase_add_test(group, test);
+    tcase_add_loop_test(group, test, 0, count);
     suite_add_tcase(suite, group);
+}
+static void add(Suite *suite, const char *name, const TTest *test) {
+    add_loop(suite, name, test, 1);
 }
 
 int main(void) {
@@ -527,15 +622,19 @@ int main(void) {
         return 77; // skipped
     }
     Suite *suite = suite_create("cuda kernels");
+    int shadings = RN_SHADING_RAY + 1;
     add(suite, "layout", fragments_hold_every_number_once);
     add(suite, "gradients", gradients_match_reference);
+    add(suite, "rays", gradients_of_whole_rays_match_reference);
+    add_loop(suite, "second", second_steps_match_reference, shadings);
     add(suite, "paper", papers_networks_match_reference);
     add(suite, "pixels", pixels_match_reference);
     add(suite, "march", march_finds_the_cells_that_the_cpu_finds);
     add(suite, "march", rays_stop_where_nothing_can_be_seen);
     add(suite, "occupancy", occupancy_is_measured_as_on_the_cpu);
-    add(suite, "order", deterministic_mode_gives_the_same_bytes);
-    add(suite, "guards", overflow_skips_the_step);
+    add_loop(suite, "order", deterministic_mode_gives_the_same_bytes, shadings);
+    add_loop(suite, "guards", overflow_skips_the_step, shadings);
+    add_loop(suite, "guards", rays_that_are_not_finite_are_left_out, shadings);
     add(suite, "guards", crowded_steps_are_skipped);
     add(suite, "guards", memory_is_counted_before_it_is_taken);
     if (test_is_emulated()) add(suite, "guards", a_broken_device_says_so);

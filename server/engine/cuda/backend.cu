@@ -10,8 +10,8 @@
 #define RN_SHAPE(KT, WT)                                                                           \
     {                                                                                              \
         KT, WT, rn_forward_kernel<KT, WT, true>, rn_forward_kernel<KT, WT, false>,                 \
-            rn_head_backward_kernel<WT>, rn_base_backward_kernel<KT, WT>,                          \
-            rn_measure_kernel<KT, WT>                                                              \
+            rn_shade_kernel<WT, true>, rn_shade_kernel<WT, false>, rn_head_backward_kernel<WT>,    \
+            rn_base_backward_kernel<KT, WT>, rn_measure_kernel<KT, WT>                             \
     }
 
 // From small to large; a field takes the first that holds it, padded with zeros.
@@ -245,11 +245,14 @@ static enum rn_status field_create(struct rn_device *device, const struct rn_dev
 
 // ---- training -------------------------------------------------------------------------------
 
-// Tiles for a quarter more samples than aimed at, and for a part-filled one a ray.
+// Tiles for a quarter more samples than aimed at, and for a part-filled one a ray; no fewer than
+// tiles of rays, which take the same scratch.
 static void choose_capacities(struct rn_device_field *f) {
     int target = f->config.target_samples, rays = 4 * target;
     f->batch.ray_capacity = rays < RN_DEVICE_MAX_RAYS ? rays : RN_DEVICE_MAX_RAYS;
-    f->batch.tile_capacity = (uint32_t)(target / RN_TILE + target / RN_TILE / 4 + 4096);
+    uint32_t of_rays = f->scene.per_ray ? rn_cuda_ray_tiles(f->batch.ray_capacity) : 0;
+    uint32_t tiles = (uint32_t)(target / RN_TILE + target / RN_TILE / 4 + 4096);
+    f->batch.tile_capacity = tiles > of_rays ? tiles : of_rays;
 }
 
 // As many rays as fit even if every sample of each is seen.
@@ -317,11 +320,6 @@ static enum rn_status train_begin(struct rn_device_field *f, const struct rn_dev
                                   const struct rn_device_training *training, struct rn_error *err) {
     if (f->train_memory)
         return rn_error_set(err, RN_ERROR_CONFLICT, "cuda", "this field is being trained already");
-    if (f->scene.per_ray)
-        return rn_error_set(
-            err, RN_ERROR_UNSUPPORTED, "shading",
-            "training on a GPU shades every sample and this field shades every ray, "
-            "as fields do whose training began on the CPU; use --device cpu");
     struct rn_arena arena = {NULL, 0};
     f->deterministic = training->deterministic;
     describe_training(f, pixels, training->march_step);
@@ -455,23 +453,6 @@ static struct rn_cuda_march march_of(const struct rn_march_options *o) {
     return m;
 }
 
-static cudaError_t queue_view(struct rn_device_field *f, const struct rn_cuda_view *view,
-                              const struct rn_cuda_march *march) {
-    struct rn_staging s =
-        rn_staging_for(f->device, f->scene.base.packed_count, f->scene.head.packed_count);
-    struct rn_cuda_view v = *view;
-    struct rn_cuda_march m = *march;
-    cudaError_t e = cudaFuncSetAttribute(f->shape->render,
-                                         cudaFuncAttributeMaxDynamicSharedMemorySize, (int)s.bytes);
-    if (!e)
-        e = RN_LAUNCH(rn_view_kernel, (unsigned)((v.count + 255) / 256), 256, 0, f->device->stream,
-                      v, f->view);
-    if (!e)
-        e = RN_LAUNCH(f->shape->render, (unsigned)f->device->processors, 384, s.bytes,
-                      f->device->stream, f->scene, f->view, m, s.networks);
-    return e;
-}
-
 static enum rn_status render(struct rn_device_field *f, const struct rn_camera *camera,
                              const struct rn_march_options *options, int first_row, int rows,
                              struct rn_pixel *ret_pixels, uint64_t *ret_samples,
@@ -490,7 +471,7 @@ static enum rn_status render(struct rn_device_field *f, const struct rn_camera *
     for (; first < end; first += view.count) {
         view.first = first;
         view.count = end - first < RN_RENDER_PIXELS ? end - first : RN_RENDER_PIXELS;
-        cudaError_t e = queue_view(f, &view, &march);
+        cudaError_t e = rn_queue_view(f, &view, &march);
         if (!e)
             e = copy_out(f->device, ret_pixels, f->view.pixels,
                          (size_t)view.count * sizeof *ret_pixels);

@@ -1,6 +1,7 @@
-// The networks' backward, a warp a tile: the colour network from the colours' gradients to the
-// geometry's, then the density network from there to the features'. Each leaves its layers'
-// activations and gradients for the product that gives the weights' gradients.
+// The networks' backward, a warp a tile of samples: the colour network from the colours' gradients
+// to the geometry's (shade.cuh has it for whole rays), then the density network from there to the
+// features'. Each leaves its layers' activations and gradients for the product that gives the
+// weights' gradients.
 #ifndef RN_ENGINE_CUDA_BACKWARD_CUH
 #define RN_ENGINE_CUDA_BACKWARD_CUH
 
@@ -14,11 +15,9 @@ RN_DEVICE uint32_t rn_place_stride() {
     return gridDim.x * blockDim.x / RN_LANES;
 }
 
-// The three colour gradients of the tile's samples as the A fragment of 16 outputs, 13 of them 0.
-RN_DEVICE void rn_colour_fragment(const float *grad, uint32_t (&a)[1][4]) {
-    float own[3];
-    for (int c = 0; c < 3; c++)
-        own[c] = grad[c * RN_TILE + RN_LANE % RN_TILE];
+// Three gradients of colours, lane i (mod 16) having row i's, as the A fragment of 16 outputs, 13
+// of them 0.
+RN_DEVICE void rn_colour_fragment(const float own[3], uint32_t (&a)[1][4]) {
     for (int i = 0; i < 2; i++) {
         int row = RN_LANE / 4 + 8 * i, t = RN_LANE % 4;
         float red = rn_shuffle(own[0], row), green = rn_shuffle(own[1], row);
@@ -28,25 +27,35 @@ RN_DEVICE void rn_colour_fragment(const float *grad, uint32_t (&a)[1][4]) {
     }
 }
 
-// Input columns 16..31 of the colour network are the density network's outputs, but for the first:
-// there stands dL/d(logit), from the compositing. `x`: gradients of what leaves the first layer.
-template <int WT>
-RN_DEVICE bool rn_store_geometry_grad(const struct rn_cuda_batch *b, uint32_t place, int slot,
-                                      const uint4 *weights, const uint32_t (&x)[WT][4]) {
-    float c[2][4];
+// Stores dL/d(outputs of the density network) of a tile; true on overflow.
+RN_DEVICE bool rn_store_geometry_grad(const struct rn_cuda_batch *b, uint32_t place,
+                                      const float (&c)[2][4]) {
     bool bad = false;
-    rn_last_layer<WT>(x, weights + WT * RN_LANES, c);
-    float logit = b->logit_grad[(size_t)slot * RN_TILE + RN_LANE % RN_TILE];
-    for (int i = 0; i < 2; i++) {
-        float own = rn_shuffle(logit, RN_LANE / 4 + 8 * i);
-        if (RN_LANE % 4 == 0) c[0][2 * i] = own;
-    }
     for (int i = 0; i < 8; i++)
         bad |= !(fabsf(c[i / 4][i % 4]) <= RN_HALF_MAX);
     b->geometry_grad[(size_t)place * RN_LANES + RN_LANE] =
         uint4{rn_pack(c[0][0], c[0][1]), rn_pack(c[0][2], c[0][3]), rn_pack(c[1][0], c[1][1]),
               rn_pack(c[1][2], c[1][3])};
     return bad;
+}
+
+// Puts the numbers that lanes i (mod 16) have of rows i into a column below 8 of a C fragment.
+RN_DEVICE void rn_set_column(float (&c)[2][4], int column, float own) {
+    for (int i = 0; i < 2; i++) {
+        float x = rn_shuffle(own, RN_LANE / 4 + 8 * i);
+        if (RN_LANE % 4 == column / 2) c[0][2 * i + column % 2] = x;
+    }
+}
+
+// Input columns 16..31 of the colour network are the density network's outputs, but for the first:
+// there stands dL/d(logit), from the compositing. `x`: gradients of what leaves the first layer.
+template <int WT>
+RN_DEVICE bool rn_finish_geometry_grad(const struct rn_cuda_batch *b, uint32_t place, int slot,
+                                       const uint4 *weights, const uint32_t (&x)[WT][4]) {
+    float c[2][4];
+    rn_last_layer<WT>(x, weights + WT * RN_LANES, c);
+    rn_set_column(c, 0, b->logit_grad[(size_t)slot * RN_TILE + RN_LANE % RN_TILE]);
+    return rn_store_geometry_grad(b, place, c);
 }
 
 template <int WT>
@@ -67,6 +76,7 @@ __global__ void __launch_bounds__(256, 1)
         int slot = (int)batch.order[place];
         struct rn_march_ray ray = batch.rays[batch.tile_ray[slot]];
         uint32_t in[2][4], grad[1][4], x[WT][4], direction[2];
+        float colour[3];
         rn_direction(&scene, ray.direction, direction);
         uint4 geometry = batch.geometry[(size_t)slot * RN_LANES + RN_LANE];
         for (int i = 0; i < 4; i++)
@@ -75,9 +85,11 @@ __global__ void __launch_bounds__(256, 1)
         in[1][1] = geometry.y;
         in[1][2] = geometry.z;
         in[1][3] = geometry.w;
-        rn_colour_fragment(batch.colour_grad + (size_t)slot * 3 * RN_TILE, grad);
+        for (int c = 0; c < 3; c++)
+            colour[c] = batch.colour_grad[((size_t)slot * 3 + c) * RN_TILE + RN_LANE % RN_TILE];
+        rn_colour_fragment(colour, grad);
         bad |= rn_backward<2, WT>(n, forward, backward, &scratch, place, in, grad, x);
-        bad |= rn_store_geometry_grad<WT>(&batch, place, slot, backward, x);
+        bad |= rn_finish_geometry_grad<WT>(&batch, place, slot, backward, x);
     }
     if (rn_ballot(bad) && RN_LANE == 0) batch.status->rejected = 1;
 }

@@ -32,6 +32,7 @@ void rn_field_lay_out(struct rn_device_field *f, struct rn_arena *a) {
     rn_part(a, &f->view.status, 1);
     rn_part(a, &f->view.rays, RN_RENDER_PIXELS);
     rn_part(a, &f->view.pixels, RN_RENDER_PIXELS);
+    if (s->per_ray) rn_part(a, &f->view.ray_sums, RN_RENDER_PIXELS * RN_GEOMETRY);
 }
 
 static void lay_out_tiles(struct rn_device_field *f, struct rn_arena *a) {
@@ -49,9 +50,11 @@ static void lay_out_tiles(struct rn_device_field *f, struct rn_arena *a) {
     rn_part(a, &b->depth, samples);
     rn_part(a, &b->weight, samples);
     rn_part(a, &b->after, samples);
-    rn_part(a, &b->colour, 3 * samples);
-    rn_part(a, &b->colour_grad, 3 * samples);
-    rn_part(a, &b->logit_grad, samples);
+    if (!f->scene.per_ray) {
+        rn_part(a, &b->colour, 3 * samples);
+        rn_part(a, &b->colour_grad, 3 * samples);
+        rn_part(a, &b->logit_grad, samples);
+    }
     rn_part(a, &b->geometry_grad, tiles * RN_LANES);
     rn_part(a, &b->feature_grad, tiles * k * 64);
     rn_part(a, &b->scratch, tiles * (base > head ? base : head) * RN_LANES);
@@ -78,6 +81,7 @@ void rn_train_lay_out(struct rn_device_field *f, const struct rn_device_pixels *
     rn_part(a, &b->ray_samples, rays);
     rn_part(a, &b->ray_tiles, rays);
     rn_part(a, &b->ray_first, rays);
+    if (f->scene.per_ray) rn_part(a, &b->ray_sums, rays * RN_GEOMETRY);
     lay_out_tiles(f, a);
     lay_out_pixels(f, pixels, a);
     rn_part(a, &o->rates, 1);
@@ -203,6 +207,16 @@ cudaError_t rn_queue_refresh(struct rn_device_field *f) {
     return queue_networks(f, &none, NULL);
 }
 
+// Colour, loss and gradients of rays that are shaded as a whole.
+static cudaError_t queue_shading(struct rn_device_field *f) {
+    struct rn_staging s =
+        rn_staging_for(f->device, f->scene.head.packed_count, f->scene.head.packed_count);
+    RN_TRY(allow_shared(f->shape->shade_train, s.bytes));
+    RN_TRY(RN_LAUNCH(f->shape->shade_train, persistent_blocks(f->device), 256, s.bytes,
+                     f->device->stream, f->scene, f->batch, f->march, s.networks));
+    return mark(f, "shade rays");
+}
+
 // Forward, loss, and the order of the tiles.
 static cudaError_t queue_forward(struct rn_device_field *f) {
     const struct rn_cuda_scene *s = &f->scene;
@@ -216,6 +230,7 @@ static cudaError_t queue_forward(struct rn_device_field *f) {
     RN_TRY(RN_LAUNCH(f->shape->train, persistent_blocks(f->device), 384, staging.bytes, stream,
                      f->scene, f->batch, f->march, staging.networks));
     RN_TRY(mark(f, "forward"));
+    if (s->per_ray) RN_TRY(queue_shading(f));
     RN_TRY(RN_LAUNCH(rn_order_kernel, 1, RN_ORDER_THREADS, 0, stream, f->batch));
     RN_TRY(RN_LAUNCH(rn_place_kernel, RN_BLOCKS(f->batch.tile_capacity), 256, 0, stream, f->batch));
     return mark(f, "order");
@@ -225,27 +240,41 @@ static cudaError_t queue_gradient(struct rn_device_field *f, const struct rn_cud
                                   float4 *sums) {
     unsigned blocks = (unsigned)(RN_CHUNKS * (n->hidden + 1));
     struct rn_cuda_network network = *n;
+    bool of_rays = f->scene.per_ray && n == &f->scene.head;
     RN_TRY(RN_LAUNCH(rn_gradient_kernel, blocks, 256, 0, f->device->stream, network,
-                     f->batch.status, f->batch.scratch, f->batch.tile_capacity, sums));
+                     f->batch.status, f->batch.scratch, f->batch.tile_capacity, of_rays, sums));
     return RN_LAUNCH(rn_reduce_kernel, RN_BLOCKS(rn_cuda_gradient_count(n)), 256, 0,
                      f->device->stream, (float *)sums, rn_cuda_gradient_count(&network),
                      f->batch.status);
 }
 
-static cudaError_t queue_backward(struct rn_device_field *f) {
+// Gradients of the colour network and of the density network's outputs.
+static cudaError_t queue_head_backward(struct rn_device_field *f) {
     const struct rn_cuda_scene *s = &f->scene;
     cudaStream_t stream = f->device->stream;
     struct rn_staging head =
         rn_staging_for(f->device, s->head.packed_count, s->head.packed_count);
+    if (s->per_ray) {
+        RN_TRY(RN_LAUNCH(rn_sums_backward_kernel, 8 * persistent_blocks(f->device), 256, 0, stream,
+                         f->batch));
+    } else {
+        RN_TRY(allow_shared(f->shape->head_backward, head.bytes));
+        RN_TRY(RN_LAUNCH(f->shape->head_backward, persistent_blocks(f->device), 256, head.bytes,
+                         stream, f->scene, f->batch, head.networks));
+    }
+    RN_TRY(mark(f, s->per_ray ? "sums backward" : "head backward"));
+    if (!s->per_ray || s->view_dependence) // else it takes no part
+        RN_TRY(queue_gradient(f, &s->head, f->optimiser.head_sums));
+    return mark(f, "head gradient");
+}
+
+static cudaError_t queue_backward(struct rn_device_field *f) {
+    const struct rn_cuda_scene *s = &f->scene;
+    cudaStream_t stream = f->device->stream;
     struct rn_staging base =
         rn_staging_for(f->device, s->base.packed_count, s->base.packed_count);
-    RN_TRY(allow_shared(f->shape->head_backward, head.bytes));
+    RN_TRY(queue_head_backward(f));
     RN_TRY(allow_shared(f->shape->base_backward, base.bytes));
-    RN_TRY(RN_LAUNCH(f->shape->head_backward, persistent_blocks(f->device), 256, head.bytes, stream,
-                     f->scene, f->batch, head.networks));
-    RN_TRY(mark(f, "head backward"));
-    RN_TRY(queue_gradient(f, &s->head, f->optimiser.head_sums));
-    RN_TRY(mark(f, "head gradient"));
     RN_TRY(RN_LAUNCH(f->shape->base_backward, persistent_blocks(f->device), 256, base.bytes, stream,
                      f->scene, f->batch, base.networks));
     RN_TRY(mark(f, "base backward"));
@@ -274,4 +303,22 @@ cudaError_t rn_queue_step(struct rn_device_field *f) {
     RN_TRY(mark(f, "update networks"));
     RN_TRY(RN_LAUNCH(rn_finish_kernel, 1, 32, 0, f->device->stream, f->batch.status));
     return mark(f, "finish");
+}
+
+cudaError_t rn_queue_view(struct rn_device_field *f, const struct rn_cuda_view *view,
+                          const struct rn_cuda_march *march) {
+    const struct rn_cuda_scene *s = &f->scene;
+    cudaStream_t stream = f->device->stream;
+    struct rn_cuda_view v = *view;
+    struct rn_cuda_march m = *march;
+    struct rn_staging both = rn_staging_for(f->device, s->base.packed_count, s->head.packed_count);
+    struct rn_staging head = rn_staging_for(f->device, s->head.packed_count, 0);
+    RN_TRY(allow_shared(f->shape->render, both.bytes));
+    RN_TRY(RN_LAUNCH(rn_view_kernel, RN_BLOCKS(v.count), 256, 0, stream, v, f->view));
+    RN_TRY(RN_LAUNCH(f->shape->render, persistent_blocks(f->device), 384, both.bytes, stream,
+                     f->scene, f->view, m, both.networks));
+    if (!s->per_ray || !s->view_dependence) return cudaSuccess;
+    RN_TRY(allow_shared(f->shape->shade_render, head.bytes));
+    return RN_LAUNCH(f->shape->shade_render, persistent_blocks(f->device), 256, head.bytes, stream,
+                     f->scene, f->view, m, head.networks);
 }

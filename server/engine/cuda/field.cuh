@@ -2,9 +2,9 @@
 #ifndef RN_ENGINE_CUDA_FIELD_CUH
 #define RN_ENGINE_CUDA_FIELD_CUH
 
-#include "server/engine/cuda/backward.cuh"
 #include "server/engine/cuda/occupancy.cuh"
 #include "server/engine/cuda/optimise.cuh"
+#include "server/engine/cuda/shade.cuh"
 #include "server/engine/cuda/step.cuh"
 
 #define RN_DEVICE_MAX_RAYS (1 << 17)
@@ -22,6 +22,8 @@ struct rn_kernel_shape {
     int inputs16, width16;
     void (*train)(struct rn_cuda_scene, struct rn_cuda_batch, struct rn_cuda_march, int);
     void (*render)(struct rn_cuda_scene, struct rn_cuda_batch, struct rn_cuda_march, int);
+    void (*shade_train)(struct rn_cuda_scene, struct rn_cuda_batch, struct rn_cuda_march, int);
+    void (*shade_render)(struct rn_cuda_scene, struct rn_cuda_batch, struct rn_cuda_march, int);
     void (*head_backward)(struct rn_cuda_scene, struct rn_cuda_batch, int);
     void (*base_backward)(struct rn_cuda_scene, struct rn_cuda_batch, int);
     void (*measure)(struct rn_cuda_scene, struct rn_cuda_measurement, int);
@@ -90,5 +92,8 @@ cudaError_t rn_queue_measurement(struct rn_device_field *field, const struct rn_
 cudaError_t rn_queue_refresh(struct rn_device_field *field);
 // Queues the kernels of one step.
 cudaError_t rn_queue_step(struct rn_device_field *field);
+// Queues the pixels of a view into `field->view`.
+cudaError_t rn_queue_view(struct rn_device_field *field, const struct rn_cuda_view *view,
+                          const struct rn_cuda_march *march);
 
 #endif

@@ -1,6 +1,7 @@
 // A warp follows a ray: sixteen samples at a time are found, encoded, given density and colour, and
 // composited, until nothing behind can be seen. Rendering ends there; training also leaves tiles of
-// samples for the backward and takes the loss back to every sample's outputs.
+// samples for the backward and takes the loss back to every sample's outputs. Where the field
+// shades whole rays, the ray's sums are left for shade.cuh in place of its colour.
 #ifndef RN_ENGINE_CUDA_FORWARD_CUH
 #define RN_ENGINE_CUDA_FORWARD_CUH
 
@@ -30,6 +31,13 @@ RN_DEVICE float rn_column(const float (&c)[2][4], int column) {
     float low = rn_shuffle(c[column / 8][column % 2], from);
     float high = rn_shuffle(c[column / 8][2 + column % 2], from);
     return row < 8 ? low : high;
+}
+
+// The number that lane i (mod 16) has of row i, from a number a row in a fragment: x[0] of rows g,
+// x[1] of rows g + 8.
+RN_DEVICE float rn_of_row(const float (&x)[2]) {
+    float low = rn_shuffle(x[0], RN_LANE % 8 * 4), high = rn_shuffle(x[1], RN_LANE % 8 * 4);
+    return RN_LANE % RN_TILE < 8 ? low : high;
 }
 
 // The density network's outputs as input columns 16..31 of the colour network: 1 in the logit's
@@ -120,7 +128,7 @@ RN_DEVICE int rn_save_tile(struct rn_trace *t, const uint32_t (&features)[KT][4]
         b->depth[at] = s->x;
         b->weight[at] = s->weight;
         b->after[at] = s->after;
-        for (int c = 0; c < 3; c++)
+        for (int c = 0; c < 3 && !t->scene->per_ray; c++)
             b->colour[((size_t)slot * 3 + c) * RN_TILE + RN_LANE] = s->colour[c];
     }
     if (RN_LANE == 0) {
@@ -137,8 +145,7 @@ RN_DEVICE void rn_count_levels(struct rn_cuda_status *status, float (&top)[2], b
     for (int i = 0; i < 2; i++)
         for (int mask = 1; mask < 4; mask *= 2)
             top[i] = fmaxf(rn_shuffle_xor(top[i], mask), top[i]);
-    float low = rn_shuffle(top[0], RN_LANE % 8 * 4), high = rn_shuffle(top[1], RN_LANE % 8 * 4);
-    int level = (int)(RN_LANE < 8 ? low : high);
+    int level = (int)rn_of_row(top);
     for (int l = 0; l < RN_MAX_LEVELS; l++) {
         uint32_t bits = rn_ballot(counts && level == l);
         if (bits && RN_LANE == 0)
@@ -149,38 +156,34 @@ RN_DEVICE void rn_count_levels(struct rn_cuda_status *status, float (&top)[2], b
 
 // ---- ray shading ----------------------------------------------------------------------------
 
-// Adds a tile to the ray's sums of the density network's outputs (field/mlp.h): the opacity in the
-// logit's place, diffuse colours, features. `weight`: lane i has sample i's.
-RN_DEVICE void rn_add_sums(struct rn_trace *t, const float (&out)[2][4], float weight) {
+// The density network's outputs as what a ray sums (field/mlp.h): 1 in the logit's place, diffuse
+// colours, features.
+RN_DEVICE void rn_activate(float (&out)[2][4]) {
+    for (int i = 0; i < 4; i++) {
+        int column = 2 * (RN_LANE % 4) + i % 2;
+        if (column < 4) out[0][i] = column == 0 ? 1 : 1 / (1 + expf(-out[0][i]));
+    }
+}
+
+// Adds a tile to the ray's sums. `weight`: lane i has sample i's.
+RN_DEVICE void rn_add_sums(struct rn_trace *t, const float (&values)[2][4], float weight) {
     float low = rn_shuffle(weight, RN_LANE / 4), high = rn_shuffle(weight, RN_LANE / 4 + 8);
     for (int i = 0; i < 4; i++) {
-        int column = 8 * (i / 2) + 2 * (RN_LANE % 4) + i % 2;
-        float a = out[i / 2][i % 2], b = out[i / 2][2 + i % 2];
-        if (column < 4) {
-            a = column == 0 ? 1 : 1 / (1 + expf(-a));
-            b = column == 0 ? 1 : 1 / (1 + expf(-b));
-        }
+        float a = values[i / 2][i % 2], b = values[i / 2][2 + i % 2];
         t->sums[i] += (low != 0 ? low * a : 0) + (high != 0 ? high * b : 0);
     }
 }
 
-// The colour of a ray that is shaded as a whole: diffuse, plus opacity times what the colour network
-// makes of direction and sums. All rows of its tile are the same.
-template <int WT> RN_DEVICE void rn_shade_ray(struct rn_trace *t) {
-    uint32_t in[2][4];
-    float out[2][4] = {};
-    for (int i = 0; i < 4; i++)
-        for (int mask = 4; mask < 32; mask *= 2)
-            t->sums[i] += rn_shuffle_xor(t->sums[i], mask);
+// Leaves the sums of a whole ray; its colour is the diffuse one.
+RN_DEVICE void rn_save_sums(struct rn_trace *t) {
+    float *to = t->batch->ray_sums + (size_t)t->index * RN_GEOMETRY + 2 * (RN_LANE % 4);
     for (int i = 0; i < 4; i++) {
-        in[0][i] = t->direction[i / 2];
-        in[1][i] = rn_pack(t->sums[i / 2 * 2], t->sums[i / 2 * 2 + 1]);
+        for (int mask = 4; mask < RN_LANES; mask *= 2)
+            t->sums[i] += rn_shuffle_xor(t->sums[i], mask);
+        if (RN_LANE < 4) to[8 * (i / 2) + i % 2] = t->sums[i];
     }
-    if (t->scene->view_dependence) rn_forward<2, WT>(&t->scene->head, t->head, in, out);
-    for (int c = 0; c < 3; c++) {
-        float diffuse = rn_shuffle(t->sums[(c + 1) % 2], (c + 1) / 2);
-        t->colour[c] = diffuse + t->opacity * rn_shuffle(out[0][c % 2], c / 2);
-    }
+    for (int c = 0; c < 3; c++)
+        t->colour[c] = rn_shuffle(t->sums[(c + 1) % 2], (c + 1) / 2);
 }
 
 // ---- a tile ---------------------------------------------------------------------------------
@@ -203,17 +206,18 @@ RN_DEVICE void rn_trace_tile(struct rn_trace *t, const struct rn_encoder *encode
     float density = rn_density_float(rn_column(out, 0));
     shaded.x = inside ? density * (encoder->step * (float)RN_DENSITY_UNIT) : 0;
     rn_attenuate(t->march->stop_depth, depth, &shaded);
-    rn_geometry(out, head_in[1]);
-    for (int i = 0; i < 4; i++)
-        head_in[0][i] = t->direction[i / 2];
     uint32_t seen = rn_ballot(shaded.weight > 0 && RN_LANE < RN_TILE);
     // A number that is not finite is seen too: it must reach the pixel, and be counted there.
     uint32_t strange = rn_ballot(!(shaded.weight >= 0) && RN_LANE < RN_TILE);
     t->evaluated += n;
     if (!(seen | strange)) return;
-    if (!TRAIN && scene->per_ray) {
+    if (scene->per_ray) rn_activate(out);
+    rn_geometry(out, head_in[1]);
+    if (scene->per_ray) {
         rn_add_sums(t, out, shaded.weight);
     } else {
+        for (int i = 0; i < 4; i++)
+            head_in[0][i] = t->direction[i / 2];
         rn_forward<2, WT>(&scene->head, t->head, head_in, out);
         for (int c = 0; c < 3; c++) {
             shaded.colour[c] = 1 / (1 + expf(-rn_column(out, c)));
@@ -255,7 +259,6 @@ template <int KT, int WT, bool TRAIN> RN_DEVICE void rn_trace_ray(struct rn_trac
         t->colour[c] = rn_tile_sum(t->colour[c]);
     t->opacity = rn_tile_sum(t->opacity);
     t->distance = rn_tile_sum(t->distance);
-    if (!TRAIN && scene->per_ray && t->opacity != 0) rn_shade_ray<WT>(t);
 }
 
 RN_DEVICE void rn_store_pixel(const struct rn_trace *t) {
@@ -271,20 +274,43 @@ RN_DEVICE void rn_store_pixel(const struct rn_trace *t) {
 
 // Loss of a finished ray and its gradient in `ret_grad`: smooth L1, beta 1, times the area weight.
 // False where the ray takes no part.
-RN_DEVICE bool rn_ray_loss(const struct rn_trace *t, float ret_grad[3], float *ret_loss) {
+RN_DEVICE bool rn_ray_loss(const struct rn_march_ray *ray, const float background[3],
+                           const float colour[3], float opacity, float ret_grad[3],
+                           float *ret_loss) {
     float loss = 0;
     for (int c = 0; c < 3; c++) {
-        float value = t->colour[c] + (1 - t->opacity) * t->march->background[c];
-        float d = value - t->ray.target[c], size = fabsf(d);
+        float value = colour[c] + (1 - opacity) * background[c];
+        float d = value - ray->target[c], size = fabsf(d);
         loss += size < 1 ? 0.5f * d * d : size - 0.5f;
-        ret_grad[c] = t->ray.weight * fminf(fmaxf(d, -1), 1);
+        ret_grad[c] = ray->weight * fminf(fmaxf(d, -1), 1);
     }
     *ret_loss = loss;
-    return t->opacity > 0 && t->ray.weight > 0 && loss < 3e38f;
+    return opacity > 0 && ray->weight > 0 && loss < 3e38f;
 }
 
-// dL/d(colour logits) and dL/d(density logit) of the tiles of one ray, from the last to the first:
-// dL/dx_i = after_i g_i - sum behind i of w g, g_i = grad . (colour_i - background).
+// What a ray's loss adds to the step; `loss` is looked at where the ray takes part.
+RN_DEVICE void rn_save_loss(const struct rn_cuda_batch *b, int index, bool takes_part, float weight,
+                            float loss, float opacity) {
+    b->ray_loss[index] = takes_part ? weight * loss : 0;
+    b->ray_weight[index] = takes_part ? weight : 0;
+    if (!takes_part) b->ray_samples[index] = b->ray_tiles[index] = 0;
+    if (!takes_part && !(opacity <= 0))
+        atomicAdd((unsigned long long *)&b->status->nonfinite_rays, 1ull);
+}
+
+// dL/d(density logit) of a tile's samples, lane i (mod 16) sample i's, tiles taken from a ray's
+// last to its first: dL/dx_i = after_i g_i - sum behind i of w g. `slope`: g_i = dL/dw_i; `behind`:
+// the sum behind the tile, moved to its front.
+RN_DEVICE float rn_attenuate_backward(const struct rn_cuda_batch *b, size_t at, float slope,
+                                      double *behind) {
+    float product = b->weight[at] * slope, rest = rn_sum_behind(product);
+    float change = b->after[at] * slope - (float)(*behind + (double)rest);
+    *behind += (double)rn_shuffle(rest + product, 0);
+    return change * b->depth[at];
+}
+
+// dL/d(colour logits) and dL/d(density logit) of the tiles of one ray;
+// g_i = grad . (colour_i - background).
 RN_DEVICE void rn_composite_backward(const struct rn_trace *t, const float grad[3], float scale) {
     const struct rn_cuda_batch *b = t->batch;
     double behind = 0;
@@ -296,31 +322,29 @@ RN_DEVICE void rn_composite_backward(const struct rn_trace *t, const float grad[
             sigmoid[c] = weight > 0 ? scale * grad[c] * weight * colour * (1 - colour) : 0;
             slope += grad[c] * ((weight > 0 ? colour : 0) - t->march->background[c]);
         }
-        float product = weight * slope, rest = rn_sum_behind(product);
-        float change = b->after[at] * slope - (float)(behind + (double)rest);
-        behind += (double)rn_shuffle(rest + product, 0);
+        float logit = rn_attenuate_backward(b, at, scale * slope, &behind);
         if (RN_LANE >= RN_TILE) continue;
         for (int c = 0; c < 3; c++)
             b->colour_grad[((size_t)slot * 3 + c) * RN_TILE + RN_LANE] = sigmoid[c];
-        b->logit_grad[at] = scale * change * b->depth[at];
+        b->logit_grad[at] = logit;
     }
 }
 
 RN_DEVICE void rn_finish_ray(const struct rn_trace *t) {
     const struct rn_cuda_batch *b = t->batch;
     float grad[3], loss;
-    bool takes_part = rn_ray_loss(t, grad, &loss);
+    if (RN_LANE == 0) {
+        b->ray_samples[t->index] = t->samples;
+        b->ray_tiles[t->index] = t->tiles;
+    }
+    if (t->scene->per_ray) return;
+    bool takes_part =
+        rn_ray_loss(&t->ray, t->march->background, t->colour, t->opacity, grad, &loss);
     if (takes_part) {
         __syncwarp(); // lane 0 wrote tile_previous
         rn_composite_backward(t, grad, b->status->gradient_scale);
     }
-    if (RN_LANE != 0) return;
-    b->ray_loss[t->index] = takes_part ? t->ray.weight * loss : 0;
-    b->ray_weight[t->index] = takes_part ? t->ray.weight : 0;
-    b->ray_samples[t->index] = takes_part ? t->samples : 0;
-    b->ray_tiles[t->index] = takes_part ? t->tiles : 0;
-    if (!takes_part && !(t->opacity <= 0))
-        atomicAdd((unsigned long long *)&b->status->nonfinite_rays, 1ull);
+    if (RN_LANE == 0) rn_save_loss(b, t->index, takes_part, t->ray.weight, loss, t->opacity);
 }
 
 // ---- kernels --------------------------------------------------------------------------------
@@ -350,6 +374,7 @@ __global__ void __launch_bounds__(384, 1)
         t.ray = batch.rays[t.index];
         rn_trace_ray<KT, WT, TRAIN>(&t);
         evaluated += (unsigned long long)t.evaluated;
+        if (scene.per_ray) rn_save_sums(&t);
         if (TRAIN)
             rn_finish_ray(&t);
         else if (RN_LANE == 0)

@@ -58,17 +58,17 @@ RN_HD size_t rn_cuda_gradient_count(const struct rn_cuda_network *n) {
 }
 
 // Block (chunk, layer): the layer's gradient over the chunk's tiles, into sums[chunk]. A warp takes
-// 4 x 2 blocks of 16x16 at a time.
+// 4 x 2 blocks of 16x16 at a time. `of_rays`: the tiles hold rays, not samples.
 __global__ void __launch_bounds__(256, 1)
     rn_gradient_kernel(const __grid_constant__ rn_cuda_network n, struct rn_cuda_status *status,
-                       uint4 *scratch_block, uint32_t tile_capacity, float4 *sums) {
+                       uint4 *scratch_block, uint32_t tile_capacity, bool of_rays, float4 *sums) {
     enum { M = 4, N = 2 };
     int layers = n.hidden + 1, chunk = (int)blockIdx.x / layers, layer = (int)blockIdx.x % layers;
     struct rn_cuda_scratch scratch = rn_scratch(&n, scratch_block, tile_capacity);
     struct rn_gradient_part part = {scratch.into[layer], scratch.out_of[layer],
                                     rn_cuda_layer_k16(&n, layer), rn_cuda_layer_n16(&n, layer), 0,
                                     0};
-    size_t tiles = status->ordered;
+    size_t tiles = of_rays ? rn_cuda_ray_tiles(status->ray_count) : status->ordered;
     size_t begin = tiles * (size_t)chunk / RN_CHUNKS, end = tiles * (size_t)(chunk + 1) / RN_CHUNKS;
     float4 *to = sums + (size_t)chunk * rn_cuda_gradient_count(&n) / 4 + (size_t)n.packed[layer] * 2;
     int across = (part.out_blocks + N - 1) / N, down = (part.into_blocks + M - 1) / M;

@@ -72,6 +72,11 @@ RN_HD bool rn_cuda_step_skipped(const struct rn_cuda_status *s) {
     return s->rejected || !(s->weight > 0);
 }
 
+// Tiles that `rays` rays make.
+RN_HD uint32_t rn_cuda_ray_tiles(int rays) {
+    return (uint32_t)((rays + RN_TILE - 1) / RN_TILE);
+}
+
 // A batch: rays, and tiles of samples that the forward leaves for the backward.
 struct rn_cuda_batch {
     struct rn_cuda_status *status;
@@ -82,16 +87,17 @@ struct rn_cuda_batch {
     // of each ray
     float *ray_loss, *ray_weight;
     int *ray_samples, *ray_tiles, *ray_first; // ray_first: its first place in `order`
+    float *ray_sums; // ray shading: [ray][RN_GEOMETRY], in training then dL/d(sums), scaled
     // of each tile slot
     int *tile_ray, *tile_ordinal, *tile_previous;
     uint32_t *order;          // slots, ray after ray, front to back
     uint4 *features;          // [slot][inputs16][lane]
-    uint4 *geometry;          // [slot][lane]
+    uint4 *geometry;          // [slot][lane]: columns 16..31 of rn_cuda_head_input
     float *mid;               // [slot][16]: distance behind ray.origin
     float *depth;             // optical depth of each sample
     float *weight, *after;    // and transmittance behind it
+    // sample shading; the gradients are scaled
     float *colour;            // [slot][3][16]
-    // scaled gradients
     float *colour_grad;       // [slot][3][16]: of the colour network's outputs
     float *logit_grad;        // [slot][16]
     // by place in `order`

@@ -160,7 +160,7 @@ __global__ void __launch_bounds__(RN_ORDER_THREADS, 1)
         s->samples += all.samples;
         s->rays += (uint64_t)count;
         s->crowded = s->tiles > b.tile_capacity;
-        s->rejected = s->crowded || !(all.loss < 1e300);
+        s->rejected |= s->crowded || !(all.loss < 1e300);
         s->ordered = s->rejected ? 0 : all.tiles;
         double next = (double)count * s->target_samples / (double)all.samples + 1;
         if (s->crowded) next = count / 2;

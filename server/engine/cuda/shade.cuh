@@ -1,0 +1,177 @@
+// Fields that shade whole rays (field/mlp.h, ray shading): the colour network for sixteen rays a
+// tile, from the sums that the forward left. Rendering adds its colour to the pixels; training
+// takes the loss back through it to the sums, and from there to every sample of the ray.
+#ifndef RN_ENGINE_CUDA_SHADE_CUH
+#define RN_ENGINE_CUDA_SHADE_CUH
+
+#include "server/engine/cuda/backward.cuh"
+
+// ---- the colour network ---------------------------------------------------------------------
+
+// The network's inputs of a tile of rays; 0 behind the last one.
+RN_DEVICE void rn_ray_inputs(const struct rn_cuda_scene *scene, const struct rn_cuda_batch *b,
+                             const struct rn_cuda_march *march, uint32_t tile,
+                             uint32_t (&in)[2][4]) {
+    for (int i = 0; i < 2; i++) {
+        int r = (int)tile * RN_TILE + RN_LANE / 4 + 8 * i;
+        uint32_t direction[2] = {0, 0}, sums[2] = {0, 0};
+        if (r < b->status->ray_count) {
+            const float *from = b->ray_sums + (size_t)r * RN_GEOMETRY + 2 * (RN_LANE % 4);
+            rn_direction(scene, march->turned ? march->look : b->rays[r].direction, direction);
+            for (int k = 0; k < 2; k++)
+                sums[k] = rn_pack(from[8 * k], from[8 * k + 1]);
+        }
+        for (int k = 0; k < 2; k++) {
+            in[0][i + 2 * k] = direction[k];
+            in[1][i + 2 * k] = sums[k];
+        }
+    }
+}
+
+// Clears the rows of a fragment that are not in `rows`, one bit each.
+RN_DEVICE void rn_keep_rows(uint32_t (&a)[2][4], uint32_t rows) {
+    for (int i = 0; i < 8; i++)
+        if (!(rows >> (RN_LANE / 4 + 8 * (i % 2)) & 1)) a[i / 4][i % 4] = 0;
+}
+
+// Adds the network's part to the pixel of lane i's ray.
+RN_DEVICE void rn_shade_pixel(const struct rn_cuda_batch *b, int r, const float colour[3]) {
+    if (RN_LANE >= RN_TILE || r >= b->status->ray_count) return;
+    float opacity = b->ray_sums[(size_t)r * RN_GEOMETRY];
+    for (int c = 0; c < 3 && opacity != 0; c++)
+        b->pixels[r].rgb[c] += opacity * colour[c];
+}
+
+// ---- training -------------------------------------------------------------------------------
+
+// What the loss of lane i's ray asks, scaled; 0 where it takes no part.
+struct rn_ray_gradient {
+    bool takes_part;
+    float colour[3];           // of the network's outputs
+    float opacity, diffuse[3]; // of these sums, but for what comes through the network
+};
+
+RN_DEVICE struct rn_ray_gradient rn_ray_gradient(const struct rn_cuda_batch *b,
+                                                 const float background[3], int r,
+                                                 const float out[3]) {
+    struct rn_ray_gradient g = {};
+    if (RN_LANE >= RN_TILE || r >= b->status->ray_count) return g;
+    const float *sums = b->ray_sums + (size_t)r * RN_GEOMETRY;
+    float colour[3], grad[3], loss, scale = b->status->gradient_scale;
+    for (int c = 0; c < 3; c++)
+        colour[c] = sums[1 + c] + sums[0] * out[c];
+    g.takes_part = rn_ray_loss(&b->rays[r], background, colour, sums[0], grad, &loss);
+    rn_save_loss(b, r, g.takes_part, b->rays[r].weight, loss, sums[0]);
+    for (int c = 0; c < 3 && g.takes_part; c++) {
+        g.diffuse[c] = scale * grad[c];
+        g.colour[c] = g.diffuse[c] * sums[0];
+        g.opacity += g.diffuse[c] * (out[c] - background[c]);
+    }
+    return g;
+}
+
+// Puts dL/d(sums) in the sums' place. `c`: the part that came through the network.
+RN_DEVICE void rn_store_sums_grad(const struct rn_cuda_batch *b, uint32_t tile,
+                                  const struct rn_ray_gradient *g, const float (&c)[2][4]) {
+    float direct[2][4] = {};
+    rn_set_column(direct, 0, g->opacity);
+    for (int k = 0; k < 3; k++)
+        rn_set_column(direct, 1 + k, g->diffuse[k]);
+    for (int i = 0; i < 8; i++) {
+        int r = (int)tile * RN_TILE + RN_LANE / 4 + 8 * (i / 2 % 2);
+        int column = 8 * (i / 4) + 2 * (RN_LANE % 4) + i % 2;
+        if (r < b->status->ray_count)
+            b->ray_sums[(size_t)r * RN_GEOMETRY + column] = c[i / 4][i % 4] + direct[i / 4][i % 4];
+    }
+}
+
+// A warp a tile of rays; their places in the scratch are in the rays' order.
+template <int WT, bool TRAIN>
+__global__ void __launch_bounds__(256, 1)
+    rn_shade_kernel(const __grid_constant__ rn_cuda_scene scene,
+                    const __grid_constant__ rn_cuda_batch batch,
+                    const __grid_constant__ rn_cuda_march march, int staged) {
+    uint4 *room = (uint4 *)rn_shared_memory();
+    const struct rn_cuda_network *n = &scene.head;
+    const uint4 *forward = rn_stage(staged > 0 ? room : NULL,
+                                    scene.forward + scene.base.packed_count, n->packed_count);
+    const uint4 *backward = rn_stage(TRAIN && staged > 1 ? room + n->packed_count : NULL,
+                                     scene.backward + scene.base.packed_count, n->packed_count);
+    rn_stage_finish();
+    bool bad = false;
+    for (uint32_t tile = rn_first_place(); tile < rn_cuda_ray_tiles(batch.status->ray_count);
+         tile += rn_place_stride()) {
+        uint32_t in[2][4];
+        float out[2][4] = {}, colour[3];
+        int own = (int)tile * RN_TILE + RN_LANE % RN_TILE;
+        rn_ray_inputs(&scene, &batch, &march, tile, in);
+        if (scene.view_dependence) rn_forward<2, WT>(n, forward, in, out);
+        for (int c = 0; c < 3; c++)
+            colour[c] = rn_column(out, c);
+        if constexpr (!TRAIN) {
+            rn_shade_pixel(&batch, own, colour);
+        } else {
+            struct rn_ray_gradient g = rn_ray_gradient(&batch, march.background, own, colour);
+            float sums_grad[2][4] = {};
+            if (scene.view_dependence) {
+                struct rn_cuda_scratch scratch = rn_scratch(n, batch.scratch, batch.tile_capacity);
+                uint32_t grad[1][4], x[WT][4];
+                rn_keep_rows(in, rn_ballot(g.takes_part));
+                rn_colour_fragment(g.colour, grad);
+                bad |= rn_backward<2, WT>(n, forward, backward, &scratch, tile, in, grad, x);
+                rn_last_layer<WT>(x, backward + WT * RN_LANES, sums_grad);
+            }
+            __syncwarp(); // all lanes have read their sums
+            rn_store_sums_grad(&batch, tile, &g, sums_grad);
+        }
+    }
+    if (rn_ballot(bad) && RN_LANE == 0) batch.status->rejected = 1;
+}
+
+// ---- samples --------------------------------------------------------------------------------
+
+// dL/d(outputs of the density network) of a tile, from dL/d(sums), of which a lane has its columns.
+// g_i = dL/d(sums) . (1, colour_i, features_i); `behind` as in rn_attenuate_backward. True on
+// overflow.
+RN_DEVICE bool rn_sums_backward(const struct rn_cuda_batch *b, uint32_t place,
+                                const float (&sums_grad)[2][2], double *behind) {
+    size_t slot = b->order[place], at = slot * RN_TILE + RN_LANE % RN_TILE;
+    uint4 kept = b->geometry[slot * RN_LANES + RN_LANE];
+    uint32_t pairs[4] = {kept.x, kept.y, kept.z, kept.w};
+    float c[2][4], slopes[2] = {0, 0}, weight = b->weight[at];
+    for (int i = 0; i < 8; i++) {
+        float value = i % 2 ? rn_high(pairs[i / 2]) : rn_low(pairs[i / 2]);
+        float grad = sums_grad[i / 4][i % 2];
+        bool activated = i < 4 && RN_LANE % 4 < 2; // by a sigmoid; column 0 is put below
+        slopes[i / 2 % 2] += grad * value;
+        c[i / 4][i % 4] = activated ? grad * value * (1 - value) : grad;
+    }
+    for (int i = 0; i < 2; i++) {
+        float of_row = rn_shuffle(weight, RN_LANE / 4 + 8 * i);
+        for (int k = 0; k < 4; k++)
+            c[k / 2][2 * i + k % 2] *= of_row;
+        for (int mask = 1; mask < 4; mask *= 2)
+            slopes[i] += rn_shuffle_xor(slopes[i], mask);
+    }
+    float slope = rn_of_row(slopes);
+    rn_set_column(c, 0, rn_attenuate_backward(b, at, weight > 0 ? slope : 0, behind));
+    return rn_store_geometry_grad(b, place, c);
+}
+
+// A warp a ray, from its last tile to its first.
+__global__ void __launch_bounds__(256)
+    rn_sums_backward_kernel(const __grid_constant__ rn_cuda_batch batch) {
+    bool bad = false;
+    int rays = batch.status->ordered > 0 ? batch.status->ray_count : 0;
+    for (int r = (int)rn_first_place(); r < rays; r += (int)rn_place_stride()) {
+        uint32_t first = (uint32_t)batch.ray_first[r], place = first + (uint32_t)batch.ray_tiles[r];
+        const float *from = batch.ray_sums + (size_t)r * RN_GEOMETRY + 2 * (RN_LANE % 4);
+        float sums_grad[2][2] = {{from[0], from[1]}, {from[8], from[9]}};
+        double behind = 0;
+        while (place-- > first)
+            bad |= rn_sums_backward(&batch, place, sums_grad, &behind);
+    }
+    if (rn_ballot(bad) && RN_LANE == 0) batch.status->rejected = 1;
+}
+
+#endif
