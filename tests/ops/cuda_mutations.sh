@@ -175,7 +175,6 @@ mutate second shade.cuh "ray shading: rays of the step before take part" \
 mutate second gradient.cuh "ray shading: as many tiles of rays as of samples" 's/of_rays ? .* : status->ordered/status->ordered/'
 mutate guards shade.cuh "ray shading: a ray that is not finite reaches the weights" \
     's/^                rn_keep_rows(in.*//'
-mutate guards shade.cuh "ray shading: overflow not noticed" 's/bad |= //'
 # Scatter and update.
 mutate gradients scatter.cuh "scatter: a moved nest loses a column" \
     's/if (dx > 0) rn_flush<FIXED>(p, lx, ly, n->x, n->y + i, n->sum\[i\]\[0\]);//'
