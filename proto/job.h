@@ -36,6 +36,7 @@ struct rn_path_options {
     int64_t width, height, first, last;
     int output; // enum rn_output_kind
     int64_t supersample;
+    double tolerance;
 };
 extern const struct rn_table rn_path_options_table;
 
@@ -43,6 +44,7 @@ struct rn_eval_options {
     int split;            // rn_split_names
     int64_t views, scale; // views 0 = all; scale absent = all
     int64_t supersample;
+    double tolerance;
 };
 extern const struct rn_table rn_eval_options_table;
 

@@ -24,6 +24,7 @@ static const struct rn_field_spec request[] = {
     RN_F_NUMBER(S, stop, RN_OVER_MIN | RN_UNDER_MAX, 0, 1),
     RN_F_INT(S, subsample, 0, 1, 16),
     RN_F_INT(S, supersample, 0, 1, 16),
+    RN_F_NUMBER(S, tolerance, 0, 0, 1),
 };
 const struct rn_table rn_render_request_table = RN_TABLE(S, "a render request", request);
 #undef S
@@ -66,6 +67,7 @@ void rn_render_request_settle(struct rn_render_request *r, enum rn_picture_forma
     if (r->output == RN_OUTPUT_KIND_DEPTH) r->format = RN_FORMAT_PNG;
     r->jpeg_quality = rn_int_or(r->jpeg_quality, 90);
     r->subsample = rn_int_or(r->subsample, 1);
+    r->tolerance = rn_number_or(r->tolerance, 0);
 }
 
 #define S struct rn_camera_path_request

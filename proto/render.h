@@ -20,6 +20,7 @@ struct rn_render_request {
     int64_t jpeg_quality;
     double step, stop;
     int64_t subsample, supersample; // supersample absent = as the scene calls for
+    double tolerance;
 };
 extern const struct rn_table rn_render_request_table;
 // As rn_decode; also checks that there is exactly one of camera and view, and the like.
@@ -27,8 +28,8 @@ enum rn_status rn_render_request_decode(const char *json, size_t size,
                                         struct rn_render_request *ret_request,
                                         struct rn_field_errors *errors,
                                         struct rn_error *err) RN_MUST_CHECK;
-// Writes the defaults into what is absent (scale, output, jpeg_quality, subsample; `format` where
-// the request has none), so that equal pictures have equal texts when encoded.
+// Writes the defaults into what is absent (scale, output, jpeg_quality, subsample, tolerance;
+// `format` where the request has none), so that equal pictures have equal texts when encoded.
 void rn_render_request_settle(struct rn_render_request *request, enum rn_picture_format format);
 
 // POST /v1/camera-paths, and the record.

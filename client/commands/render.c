@@ -45,6 +45,7 @@ struct render_options {
     const char *view, *camera, *output, *file;
     struct rn_option_pair size;
     int64_t supersample;
+    double tolerance;
 };
 #define RENDER(m) .offset = offsetof(struct render_options, m)
 #define SIZE_OPTION(place)                                                                         \
@@ -58,6 +59,11 @@ struct render_options {
         .max = 16,                                                                                 \
         .help = "N x N cones a pixel: 1, 2, 4, 8 or 16; else as many as the scene "                \
                 "calls for"                                                                        \
+    }
+#define TOLERANCE_OPTION(place)                                                                    \
+    {                                                                                              \
+        .name = "tolerance", .kind = RN_OPTION_NUMBER, place, .value = "T", .min = 0, .max = 1,    \
+        .help = "quicker: a pixel between four that agree to within T is their mean (0)"           \
     }
 static const struct rn_option render_table[] = {
     {.name = "view",
@@ -77,6 +83,7 @@ static const struct rn_option render_table[] = {
      .choices = "rgb|depth|alpha",
      .help = "what the picture shows (rgb)"},
     SUPERSAMPLE_OPTION(RENDER(supersample)),
+    TOLERANCE_OPTION(RENDER(tolerance)),
     {.name = "out",
      .letter = 'o',
      .kind = RN_OPTION_TEXT,
@@ -127,6 +134,7 @@ static enum rn_exit render_body(const struct render_options *options, char **ret
     request.format = format_of(options->file);
     request.output = options->output ? rn_name_index(rn_output_kind_names, options->output) : -1;
     request.supersample = options->supersample;
+    request.tolerance = options->tolerance;
     *ret_body = rn_api_encode(&rn_render_request_table, &request);
     rn_message_finish(&rn_render_request_table, &request);
     return *ret_body ? RN_EXIT_OK : RN_EXIT_FAILED;
@@ -204,6 +212,7 @@ struct path_options {
     const char *folder;
     struct rn_option_pair size, frames;
     int64_t supersample;
+    double tolerance;
 };
 #define PATH(m) .offset = offsetof(struct path_options, m)
 static const struct rn_option path_table[] = {SIZE_OPTION(PATH(size)),
@@ -215,6 +224,7 @@ static const struct rn_option path_table[] = {SIZE_OPTION(PATH(size)),
                                                .max = RN_PATH_MAX_FRAMES - 1,
                                                .help = "only the frames A to B, both included"},
                                               SUPERSAMPLE_OPTION(PATH(supersample)),
+                                              TOLERANCE_OPTION(PATH(tolerance)),
                                               {.name = "out",
                                                .letter = 'o',
                                                .kind = RN_OPTION_TEXT,
@@ -274,6 +284,7 @@ static enum rn_exit path_body(const struct path_options *options, const char **a
     request.options.first = options->frames.first;
     request.options.last = options->frames.second;
     request.options.supersample = options->supersample;
+    request.options.tolerance = options->tolerance;
     *ret_body = rn_api_encode(&path_request_table, &request);
     free(request.camera_path);
     return *ret_body ? RN_EXIT_OK : RN_EXIT_FAILED;
@@ -404,6 +415,7 @@ static enum rn_exit run_path(struct rn_client *client, const void *context, cons
 struct eval_options {
     const char *split;
     int64_t views, scale, supersample;
+    double tolerance;
 };
 #define EVAL(m) .offset = offsetof(struct eval_options, m)
 static const struct rn_option eval_table[] = {{.name = "split",
@@ -426,6 +438,7 @@ static const struct rn_option eval_table[] = {{.name = "split",
                                                .max = 15,
                                                .help = "only the images 2^J times smaller"},
                                               SUPERSAMPLE_OPTION(EVAL(supersample)),
+                                              TOLERANCE_OPTION(EVAL(tolerance)),
                                               {0}};
 
 struct eval_request {
@@ -449,6 +462,7 @@ static char *eval_body(const struct eval_options *options, const char *scene) {
     request.options.views = options->views;
     request.options.scale = options->scale;
     request.options.supersample = options->supersample;
+    request.options.tolerance = options->tolerance;
     return rn_api_encode(&eval_request_table, &request);
 }
 

@@ -228,6 +228,10 @@ struct rn_render_options {
     // Cones a side of a pixel, 1, 2, 4, 8 or 16; 0 = as many as make them as narrow as the finest
     // that the field was trained on, where its configuration asks for that, else 1.
     int supersample;
+    // A pixel whose four nearest neighbours agree to within this is their mean and is not traced:
+    // the deviation of the outputs asked for (render/lattice.h), at most 1. 0 = every pixel is
+    // traced. A device traces every pixel whatever this is.
+    double tolerance;
 };
 struct rn_render_stats {
     double render_ms;

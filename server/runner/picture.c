@@ -79,7 +79,8 @@ static enum rn_status render_options(struct rn_host *host, const struct rn_rende
         .step = rn_number_or(request->step, 0),
         .stop = rn_number_or(request->stop, 0),
         .subsample = (int)rn_int_or(request->subsample, 1),
-        .supersample = (int)rn_int_or(request->supersample, 0)};
+        .supersample = (int)rn_int_or(request->supersample, 0),
+        .tolerance = rn_number_or(request->tolerance, 0)};
     enum rn_status status = find_camera(host, request, &options.camera, err);
     if (status) return status;
     if (request->size.width != RN_ABSENT)

@@ -441,12 +441,12 @@ def test_watch_json_is_a_line_an_event(client, daemon):
 
 def test_render_writes_the_picture(client, scene, tmp_path, daemon):
     result = client.json("render", "lego", "--view", "test:12", "--size", "80x60", "--output",
-                         "depth", "-o", "a.png")
+                         "depth", "--tolerance", 0.05, "-o", "a.png")
     assert (tmp_path / "a.png").read_bytes() == PNG
     assert result == {"file": "a.png", "step": 2016, "render_ms": 12.5}
     assert json.loads(daemon.requests[-1][3]) == {
         "view": "test:12", "size": {"width": 80, "height": 60}, "output": "depth",
-        "format": "png"}
+        "format": "png", "tolerance": 0.05}
     client.run("render", "lego", "--view", "test:r_12", "-o", "a.JPG")
     assert json.loads(daemon.requests[-1][3])["format"] == "jpeg"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.JPG", "a.png"]
@@ -471,13 +471,15 @@ def test_render_that_fails_leaves_no_file(client, scene, tmp_path):
 @pytest.mark.parametrize("frames, expected", [([], range(6)), (["--frames", "2-4"], range(2, 5))])
 def test_path_brings_the_frames_as_they_come(client, scene, tmp_path, daemon, frames, expected):
     (tmp_path / "path.json").write_text(json.dumps(contract.example("PathFile")))
-    result = client.json("path", "lego", "path.json", "--size", "32x24", *frames, "-o", "out/run")
+    result = client.json("path", "lego", "path.json", "--size", "32x24", "--tolerance", 0.05,
+                         *frames, "-o", "out/run")
     files = sorted((tmp_path / "out" / "run").iterdir())
     assert [file.name for file in files] == [f"{i:05d}.png" for i in expected]
     assert [file.read_bytes() for file in files] == [PNG + bytes([i]) for i in expected]
     assert result["frames"] == len(files) and result["folder"] == "out/run"
     assert submitted(daemon)["camera_path"] == contract.example("PathFile")["path"]
     assert submitted(daemon)["options"]["width"] == 32
+    assert submitted(daemon)["options"]["tolerance"] == 0.05
 
 
 def test_path_over_a_lost_connection(client, daemon, tmp_path):
@@ -496,8 +498,8 @@ def test_path_file_that_is_wrong(client, scene, tmp_path):
 
 def test_eval(client, scene, daemon):
     result = client.json("eval", "lego", "--split", "val", "--views", 4, "--scale", 1,
-                         "--supersample", 2)
+                         "--supersample", 2, "--tolerance", 0.03)
     assert result == contract.example("EvalResult")
     assert submitted(daemon)["options"] == {
-        "split": "val", "views": 4, "scale": 1, "supersample": 2}
+        "split": "val", "views": 4, "scale": 1, "supersample": 2, "tolerance": 0.03}
     assert "mean" in client.run("eval", "lego").stdout

@@ -1,11 +1,14 @@
 """The whole path with the real parts: client, daemon, runner, engine, on a tiny scene."""
 
+import io
 import json
 import signal
 import time
+from urllib.error import HTTPError
+from urllib.request import Request, urlopen
 
 import pytest
-from PIL import Image, ImageChops
+from PIL import Image, ImageChops, ImageStat
 
 from support import contract
 from support.client import CANCELLED, FAILED, INVALID, NOT_FOUND, OK, Client
@@ -105,6 +108,32 @@ def test_render(client, trained, tmp_path):
     client.run("render", "ball", "--view", "test:99", "-o", tmp_path / "x.png", code=NOT_FOUND)
 
 
+def test_a_tolerance_spares_work(client, daemon, trained, tmp_path):
+    def render(tolerance, output="rgb"):
+        body = {"view": "test:3", "tolerance": tolerance, "output": output}
+        request = Request(f"{daemon.url}/v1/scenes/ball/render", json.dumps(body).encode(),
+                          {"Content-Type": "application/json"})
+        with urlopen(request) as reply:
+            return int(reply.headers["X-Ripnerf-Samples"]), Image.open(io.BytesIO(reply.read()))
+
+    client.run("render", "ball", "--view", "test:3", "-o", tmp_path / "full.png")
+    client.run("render", "ball", "--view", "test:3", "--tolerance", 0.1, "-o", tmp_path / "q.png")
+    work, full = render(0)
+    assert ImageChops.difference(full, Image.open(tmp_path / "full.png")).getbbox() is None
+    for tolerance in (0.01, 0.1):
+        less, quick = render(tolerance)
+        error = ImageStat.Stat(ImageChops.difference(full, quick)).rms
+        assert less < work and 0 < max(error) < 255 * tolerance
+        work = less
+    assert ImageChops.difference(quick, Image.open(tmp_path / "q.png")).getbbox() is None
+    assert render(0.1, "depth")[0] != work  # depths agree elsewhere than colours
+    for wrong in (-0.1, 1.5, "fine"):
+        with pytest.raises(HTTPError) as refused:
+            render(wrong)
+        problem = json.loads(refused.value.read())
+        assert refused.value.code == 422 and problem["errors"][0]["pointer"] == "#/tolerance"
+
+
 def test_path(client, trained, tmp_path):
     document = contract.example("PathFile")
     document["path"].update(width=24, height=16)
@@ -117,6 +146,9 @@ def test_path(client, trained, tmp_path):
     some = sorted((tmp_path / "some").iterdir())
     assert [file.name for file in some] == ["00001.png", "00002.png"]
     assert some[0].read_bytes() == files[1].read_bytes()
+    client.run("path", "ball", tmp_path / "path.json", "--frames", "1-1", "--tolerance", 0.1, "-o",
+               tmp_path / "quick")
+    assert (tmp_path / "quick" / "00001.png").read_bytes() != files[1].read_bytes()
 
 
 def untimed(scores):
@@ -135,6 +167,8 @@ def test_eval(client, trained):
     assert untimed(given["scales"]) == untimed(one["scales"])
     single = client.json("eval", "ball", "--views", 2, "--scale", 1, "--supersample", 1)
     assert single["psnr"] < one["psnr"]
+    quick = client.json("eval", "ball", "--views", 2, "--scale", 1, "--tolerance", 0.1)
+    assert abs(quick["psnr"] - one["psnr"]) < 3 and quick["psnr"] != one["psnr"]
     error = client.run("eval", "ball", "--supersample", 3, code=INVALID).stderr
     assert "supersample" in error and "1, 2, 4, 8 or 16" in error
 

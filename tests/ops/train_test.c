@@ -274,6 +274,48 @@ static void check_supersampling(struct rn_engine *engine, struct rn_field *field
     rn_render_result_finish(&fine);
 }
 
+static struct rn_render_result render_quickly(struct rn_field *field, const struct rn_frame *frame,
+                                              double tolerance, int threads) {
+    struct rn_error err;
+    struct rn_render_result result;
+    struct rn_engine *engine = engine_with(threads);
+    struct rn_render_options options = {.camera = frame->camera,
+                                        .outputs = RN_OUTPUT_RGB,
+                                        .background = {1, 1, 1},
+                                        .tolerance = tolerance};
+    ck_assert_msg(rn_render(engine, field, &options, NULL, NULL, &result, &err) == RN_OK, "%s",
+                  err.text);
+    rn_engine_destroy(&engine);
+    return result;
+}
+
+// With a tolerance fewer rays are traced, on any number of threads the same; the more, the nearer
+// to the full picture, which none at all gives.
+static void check_tolerance(struct rn_field *field, const struct rn_frame *frame) {
+    struct rn_render_result full = render_quickly(field, frame, 0, 2);
+    size_t count = (size_t)full.rgb.width * (size_t)full.rgb.height * 3;
+    double last = 0;
+    ck_assert_uint_eq(full.stats.rays, count / 3);
+    for (double tolerance = 0.01; tolerance < 0.2; tolerance *= 3) {
+        struct rn_render_result one = render_quickly(field, frame, tolerance, 1);
+        struct rn_render_result two = render_quickly(field, frame, tolerance, 2);
+        double squares = 0;
+        for (size_t i = 0; i < count; i++)
+            squares += pow((double)full.rgb.values[i] - (double)one.rgb.values[i], 2);
+        double off = sqrt(squares / (double)count);
+        printf("tolerance %.2f: %.3f of the rays, %.4f from the full picture\n", tolerance,
+               (double)one.stats.rays / (double)full.stats.rays, off);
+        ck_assert(memcmp(one.rgb.values, two.rgb.values, count * sizeof(float)) == 0);
+        ck_assert_uint_eq(one.stats.rays, two.stats.rays);
+        ck_assert(one.stats.rays < full.stats.rays && one.stats.samples < full.stats.samples);
+        ck_assert(off > last && off < tolerance);
+        last = off;
+        rn_render_result_finish(&one);
+        rn_render_result_finish(&two);
+    }
+    rn_render_result_finish(&full);
+}
+
 START_TEST(it_learns_and_a_loaded_field_renders_the_same) {
     struct rn_error err;
     struct rn_train_config config = config_for(scaled);
@@ -301,6 +343,7 @@ START_TEST(it_learns_and_a_loaded_field_renders_the_same) {
     ck_assert(rn_evaluate_view(engine, field, frame, &options, NULL, NULL, &b, &err) == RN_OK);
     ck_assert(a.psnr == b.psnr && a.ssim == b.ssim);
     check_supersampling(engine, field, frame);
+    check_tolerance(field, frame);
     rn_field_destroy(&field);
     rn_trainer_destroy(&trainer);
     rn_engine_destroy(&engine);

@@ -8,6 +8,7 @@ const COARSE_MS = 90;       // what a coarse picture may take, answer included
 const HALF_FIRST_MS = 500;  // a full picture that takes longer is preceded by one of half the size
 const REFRESH_MS = 2000;    // while training; renders take at most about an eighth of the time
 const [COARSE, HALF, FULL] = [0, 1, 2];
+const TOLERANCE = [0.06, 0.03, 0]; // of each; pixels are worth more than their last half dB
 
 const even = (x) => Math.max(8, 2 * Math.round(x / 2));
 
@@ -94,7 +95,7 @@ export function createViewer(canvas, host, signal) {
     return {
       camera: host.camera(size.width, size.height),
       output,
-      ...(level === FULL ? {} : {supersample: 1}),
+      ...(level === FULL ? {} : {supersample: 1, tolerance: TOLERANCE[level]}),
       ...(lossy ? {format: 'jpeg', jpeg_quality: level === COARSE ? 75 : 90} : {format: 'png'})
     };
   }

@@ -6,9 +6,10 @@
 #include "common/base/clock.h"
 #include "common/image/metrics.h"
 #include "server/engine/device.h"
-#include "server/engine/render/cones.h"
+#include "server/engine/render/lattice.h"
 
 #define TILE 16         // cones a side; a tile fills two packets
+#define SPARSE 2        // times as many where a pass takes every second pixel a side
 #define BAND 64         // rows a device renders between two looks at keep_going
 #define TILES_A_POLL 64 // tiles between two looks at keep_going
 
@@ -20,27 +21,28 @@ struct frame {
     struct rn_camera camera; // at the resolution that is rendered
     int cones;               // a side of its pixels
     int tile;                // pixels a side
-    int tiles_x, first_tile;
-    struct rn_pixel *pixels; // width * height of `camera`
-    bool on_device;          // the field's copy there has the levels
-    uint64_t samples[TILES_A_POLL];
+    int tiles_x, first_tile, pass;
+    struct rn_lattice lattice;
+    bool on_device; // the field's copy there has the levels
+    struct spent {
+        uint64_t rays, samples;
+    } spent[TILES_A_POLL];
 };
 
 static void render_tile(void *context, int index, int thread) {
     struct frame *f = context;
-    struct rn_spot spots[TILE * TILE] = {{0, 0}};
-    struct rn_pixel pixels[TILE * TILE];
-    int at = f->first_tile + index, n = 0;
-    int x0 = at % f->tiles_x * f->tile, y0 = at / f->tiles_x * f->tile;
-    int x1 = x0 + f->tile < f->camera.width ? x0 + f->tile : f->camera.width;
-    int y1 = y0 + f->tile < f->camera.height ? y0 + f->tile : f->camera.height;
-    for (int y = y0; y < y1; y++)
-        for (int x = x0; x < x1; x++)
-            spots[n++] = (struct rn_spot){x, y};
-    f->samples[index] = rn_cones_render(f->engine, f->field, &f->march, &f->camera, f->cones, spots,
-                                        n, thread, pixels);
+    struct rn_spot spots[TILE * TILE * SPARSE];
+    struct rn_pixel pixels[TILE * TILE * SPARSE];
+    int at = f->first_tile + index, width = f->lattice.width, height = f->lattice.height;
+    struct rn_tile tile = {.x0 = at % f->tiles_x * f->tile, .y0 = at / f->tiles_x * f->tile};
+    tile.x1 = tile.x0 + f->tile < width ? tile.x0 + f->tile : width;
+    tile.y1 = tile.y0 + f->tile < height ? tile.y0 + f->tile : height;
+    int n = rn_lattice_choose(&f->lattice, f->pass, tile, spots);
+    f->spent[index].samples = rn_cones_render(f->engine, f->field, &f->march, &f->camera, f->cones,
+                                              spots, n, thread, pixels);
+    f->spent[index].rays = (uint64_t)n * f->cones * f->cones;
     for (int i = 0; i < n; i++)
-        f->pixels[(size_t)spots[i].y * f->camera.width + spots[i].x] = pixels[i];
+        f->lattice.pixels[(size_t)spots[i].y * width + spots[i].x] = pixels[i];
 }
 
 static float finite_or(float value, float other) {
@@ -50,7 +52,7 @@ static float finite_or(float value, float other) {
 static uint64_t count_nonfinite(const struct frame *f) {
     uint64_t count = 0;
     for (size_t i = 0; i < (size_t)f->camera.width * (size_t)f->camera.height; i++) {
-        const struct rn_pixel *p = &f->pixels[i];
+        const struct rn_pixel *p = &f->lattice.pixels[i];
         count += !isfinite(p->rgb[0] + p->rgb[1] + p->rgb[2] + p->depth + p->alpha);
     }
     return count;
@@ -71,7 +73,8 @@ static enum rn_status fill_pictures(const struct frame *f, struct rn_render_resu
     int n = o->subsample > 1 ? o->subsample : 1;
     for (int y = 0; y < o->camera.height; y++)
         for (int x = 0; x < o->camera.width; x++) {
-            const struct rn_pixel *p = &f->pixels[(size_t)(y / n) * f->camera.width + x / n];
+            const struct rn_pixel *p =
+                &f->lattice.pixels[(size_t)(y / n) * f->camera.width + x / n];
             size_t at = (size_t)y * o->camera.width + x;
             if (result->rgb.values)
                 for (int c = 0; c < 3; c++)
@@ -96,6 +99,8 @@ static enum rn_status check_options(const struct rn_render_options *o, struct rn
         return rn_error_set(err, RN_ERROR_INVALID, "subsample", "must be 1 to 64");
     if (o->supersample < 0 || o->supersample > 16 || (o->supersample & (o->supersample - 1)))
         return rn_error_set(err, RN_ERROR_INVALID, "supersample", "must be 0, 1, 2, 4, 8 or 16");
+    if (!(o->tolerance >= 0 && o->tolerance <= 1))
+        return rn_error_set(err, RN_ERROR_INVALID, "tolerance", "must be in [0, 1]");
     return RN_OK;
 }
 
@@ -115,21 +120,75 @@ static enum rn_status prepare(struct frame *f, struct rn_error *err) {
     return status;
 }
 
-// Bands of BAND rows of cones on the device instead of tiles here.
-static enum rn_status render_bands(struct frame *f, bool (*keep_going)(void *context),
-                                   void *context, uint64_t *ret_samples, struct rn_error *err) {
+static enum rn_status stopped(struct rn_error *err) {
+    return rn_error_set(err, RN_ERROR_CANCELLED, "render", "stopped on request");
+}
+
+// All tiles of the frame's pass, over the engine's threads.
+static enum rn_status render_pass(struct frame *f, bool (*keep_going)(void *context), void *context,
+                                  struct rn_render_stats *stats, struct rn_error *err) {
+    int tiles = f->tiles_x * ((f->camera.height + f->tile - 1) / f->tile);
+    for (f->first_tile = 0; f->first_tile < tiles; f->first_tile += TILES_A_POLL) {
+        int count = tiles - f->first_tile < TILES_A_POLL ? tiles - f->first_tile : TILES_A_POLL;
+        if (keep_going && !keep_going(context)) return stopped(err);
+        rn_pool_run(f->engine->pool, count, render_tile, f);
+        for (int i = 0; i < count; i++) {
+            stats->rays += f->spent[i].rays;
+            stats->samples += f->spent[i].samples;
+        }
+    }
+    return RN_OK;
+}
+
+static enum rn_status render_tiles(struct frame *f, bool (*keep_going)(void *context),
+                                   void *context, struct rn_render_stats *stats,
+                                   struct rn_error *err) {
     enum rn_status status = RN_OK;
-    int band = BAND / f->cones;
-    for (int row = 0; row < f->camera.height && status == RN_OK; row += band) {
+    int passes = rn_lattice_passes(&f->lattice);
+    f->tile = (passes > 1 ? SPARSE : 1) * TILE / f->cones;
+    f->tiles_x = (f->camera.width + f->tile - 1) / f->tile;
+    for (f->pass = 0; f->pass < passes && status == RN_OK; f->pass++)
+        status = render_pass(f, keep_going, context, stats, err);
+    return status;
+}
+
+// Bands of BAND rows of cones on the device instead of tiles here: every pixel.
+static enum rn_status render_bands(struct frame *f, bool (*keep_going)(void *context),
+                                   void *context, struct rn_render_stats *stats,
+                                   struct rn_error *err) {
+    int band = BAND / f->cones, width = f->camera.width;
+    for (int row = 0; row < f->camera.height; row += band) {
         int rows = f->camera.height - row < band ? f->camera.height - row : band;
         uint64_t samples;
-        if (keep_going && !keep_going(context))
-            return rn_error_set(err, RN_ERROR_CANCELLED, "render", "stopped on request");
-        status = rn_field_render_rows(f->field, &f->camera, &f->march, f->cones, row, rows,
-                                      f->pixels + (size_t)row * f->camera.width, &samples, err);
-        if (status == RN_OK) *ret_samples += samples;
+        if (keep_going && !keep_going(context)) return stopped(err);
+        enum rn_status status =
+            rn_field_render_rows(f->field, &f->camera, &f->march, f->cones, row, rows,
+                                 f->lattice.pixels + (size_t)row * width, &samples, err);
+        if (status != RN_OK) return status;
+        stats->rays += (uint64_t)rows * width * f->cones * f->cones;
+        stats->samples += samples;
     }
-    return status;
+    return RN_OK;
+}
+
+// What is asked for, as it is rendered.
+static void init_frame(struct frame *f) {
+    const struct rn_render_options *o = f->options;
+    const struct rn_train_config *config = &f->field->config;
+    int n = o->subsample > 1 ? o->subsample : 1;
+    f->camera = rn_camera_resized(&o->camera, (o->camera.width + n - 1) / n,
+                                  (o->camera.height + n - 1) / n);
+    f->cones = o->supersample > 0 ? o->supersample
+               : n > 1            ? 1
+                                  : rn_cones_for_camera(f->field, &f->camera);
+    f->march.step = (float)(o->step > 0 ? fmax(o->step, config->step) : config->step);
+    f->march.stop_depth = (float)-log(o->stop > 0 ? o->stop : config->stop);
+    memcpy(f->march.background, o->background, sizeof f->march.background);
+    f->lattice = (struct rn_lattice){.width = f->camera.width,
+                                     .height = f->camera.height,
+                                     .outputs = o->outputs,
+                                     .tolerance = (float)o->tolerance,
+                                     .dense = rn_lattice_is_dense(f->field, &f->camera)};
 }
 
 enum rn_status rn_render(struct rn_engine *engine, struct rn_field *field,
@@ -138,43 +197,21 @@ enum rn_status rn_render(struct rn_engine *engine, struct rn_field *field,
     int64_t begin = rn_clock_ns();
     enum rn_status status = check_options(options, err);
     if (status != RN_OK) return status;
-    int n = options->subsample > 1 ? options->subsample : 1;
     struct frame f = {.engine = engine, .field = field, .options = options};
-    f.camera = rn_camera_resized(&options->camera, (options->camera.width + n - 1) / n,
-                                 (options->camera.height + n - 1) / n);
-    f.cones = options->supersample > 0 ? options->supersample
-              : n > 1                  ? 1
-                                       : rn_cones_for_camera(field, &f.camera);
-    f.tile = TILE / f.cones;
-    double stop = options->stop > 0 ? options->stop : field->config.stop;
-    f.march.step =
-        (float)(options->step > 0 ? fmax(options->step, field->config.step) : field->config.step);
-    f.march.stop_depth = (float)-log(stop);
-    memcpy(f.march.background, options->background, sizeof f.march.background);
+    init_frame(&f);
     status = prepare(&f, err);
     if (status != RN_OK) return status;
-    f.tiles_x = (f.camera.width + f.tile - 1) / f.tile;
-    int tiles = f.tiles_x * ((f.camera.height + f.tile - 1) / f.tile);
-    size_t pixels = (size_t)f.camera.width * (size_t)f.camera.height;
-    f.pixels = malloc(pixels * sizeof *f.pixels);
-    if (!f.pixels)
+    size_t bytes = (size_t)f.camera.width * (size_t)f.camera.height * sizeof *f.lattice.pixels;
+    f.lattice.pixels = malloc(bytes);
+    if (!f.lattice.pixels)
         return rn_error_set(err, RN_ERROR_NO_MEMORY, "camera", "a %dx%d picture needs %zu MiB",
-                            f.camera.width, f.camera.height, pixels * sizeof *f.pixels >> 20);
-    struct rn_render_result result = {
-        .stats = {.rays = pixels * f.cones * f.cones, .cones = f.cones}};
-    if (f.on_device) status = render_bands(&f, keep_going, context, &result.stats.samples, err);
-    for (; !f.on_device && f.first_tile < tiles && status == RN_OK; f.first_tile += TILES_A_POLL) {
-        int count = tiles - f.first_tile < TILES_A_POLL ? tiles - f.first_tile : TILES_A_POLL;
-        if (keep_going && !keep_going(context))
-            status = rn_error_set(err, RN_ERROR_CANCELLED, "render", "stopped on request");
-        else
-            rn_pool_run(engine->pool, count, render_tile, &f);
-        for (int i = 0; i < count && status == RN_OK; i++)
-            result.stats.samples += f.samples[i];
-    }
+                            f.camera.width, f.camera.height, bytes >> 20);
+    struct rn_render_result result = {.stats = {.cones = f.cones}};
+    status =
+        (f.on_device ? render_bands : render_tiles)(&f, keep_going, context, &result.stats, err);
     if (status == RN_OK) status = fill_pictures(&f, &result, err);
     if (status == RN_OK) result.stats.nonfinite_rays = count_nonfinite(&f);
-    free(f.pixels);
+    free(f.lattice.pixels);
     if (status != RN_OK) {
         rn_render_result_finish(&result);
         return status;

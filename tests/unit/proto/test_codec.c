@@ -305,7 +305,7 @@ START_TEST(render_request_is_checked_and_settled) {
     char *json;
     ck_assert_int_eq(rn_encode(&rn_render_request_table, &request, &json, NULL, NULL), RN_OK);
     ck_assert_str_eq(json, "{\"view\":\"val:r_1\",\"scale\":0,\"output\":\"rgb\",\"format\":"
-                           "\"jpeg\",\"jpeg_quality\":90,\"subsample\":1}");
+                           "\"jpeg\",\"jpeg_quality\":90,\"subsample\":1,\"tolerance\":0}");
     free(json);
     rn_message_finish(&rn_render_request_table, &request);
 }

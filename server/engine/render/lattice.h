@@ -1,0 +1,42 @@
+// Interpolated pixels: every second pixel of a picture is traced on both axes first. Then come the
+// pixels between four of these (their neighbours are the diagonal ones), then the rest (beside,
+// above and below): each is the mean of its four neighbours where these agree, and is traced where
+// they do not. Neighbours may be interpolated themselves.
+//
+// Neighbours agree when, of every output asked for, the root mean square distance from their mean
+// is at most the tolerance: colour (over its three channels) and opacity in [0, 1], depth in scene
+// radii. What is thinner than two pixels and lies between neighbours that agree is lost: that is
+// the price. Four that see nothing agree only where nothing can lie between them (`dense`). A pixel
+// at the border, or beside a value that is not finite, is traced.
+//
+// A pass reads what the passes before it wrote and nothing else: the tiles of one pass may be done
+// in any order.
+#ifndef RN_ENGINE_RENDER_LATTICE_H
+#define RN_ENGINE_RENDER_LATTICE_H
+
+#include "server/engine/render/cones.h"
+
+struct rn_lattice {
+    struct rn_pixel *pixels; // width * height, of the field: depth in scene radii
+    int width, height;
+    unsigned outputs; // RN_OUTPUT_* ORed
+    float tolerance;  // 0: every pixel is traced, in one pass
+    bool dense;       // no occupied cell fits between four pixels
+};
+// Part of a picture: columns [x0, x1), rows [y0, y1); even but for the picture's ends.
+struct rn_tile {
+    int x0, y0, x1, y1;
+};
+
+// Whether an occupancy cell, as large as it looks in the middle of the scene, covers one of four
+// diagonal neighbours whenever it covers the pixel between them: a disc of its width, 2 sqrt(2)
+// pixels, always does.
+bool rn_lattice_is_dense(const struct rn_field *field, const struct rn_camera *camera);
+int rn_lattice_passes(const struct rn_lattice *lattice);
+// Writes the tile's pixels of pass `pass` (from 0) that are interpolated, lists those to be traced,
+// row by row, and returns their count: at most all of the tile's, and half where there are several
+// passes.
+int rn_lattice_choose(const struct rn_lattice *lattice, int pass, struct rn_tile tile,
+                      struct rn_spot *ret_spots);
+
+#endif

@@ -1,0 +1,188 @@
+#include <check.h>
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "common/math/rng.h"
+#include "server/engine/render/lattice.h"
+
+#define WIDTH 37
+#define HEIGHT 26
+#define ALL (RN_OUTPUT_RGB | RN_OUTPUT_DEPTH | RN_OUTPUT_ALPHA)
+
+static struct rn_pixel truth[HEIGHT][WIDTH], picture[HEIGHT][WIDTH];
+static int traced[HEIGHT][WIDTH]; // the pass in which a pixel was traced, from 1; 0: it was not
+
+static struct rn_lattice lattice(double tolerance, unsigned outputs) {
+    return (struct rn_lattice){picture[0], WIDTH, HEIGHT, outputs, (float)tolerance, true};
+}
+
+// A picture in tiles of `side` pixels, the last one first where `backwards`.
+static int draw(const struct rn_lattice *l, int side, bool backwards) {
+    struct rn_spot spots[WIDTH * HEIGHT];
+    int across = (WIDTH + side - 1) / side, tiles = across * ((HEIGHT + side - 1) / side);
+    int total = 0;
+    memset(picture, 0xff, sizeof picture); // NaN: not written yet
+    memset(traced, 0, sizeof traced);
+    for (int pass = 0; pass < rn_lattice_passes(l); pass++)
+        for (int i = 0; i < tiles; i++) {
+            int at = backwards ? tiles - 1 - i : i, x = at % across * side, y = at / across * side;
+            struct rn_tile tile = {x, y, x + side < WIDTH ? x + side : WIDTH,
+                                   y + side < HEIGHT ? y + side : HEIGHT};
+            int n = rn_lattice_choose(l, pass, tile, spots);
+            ck_assert_int_le(n, side * side / (rn_lattice_passes(l) > 1 ? 2 : 1));
+            for (int j = 0; j < n; j++) {
+                picture[spots[j].y][spots[j].x] = truth[spots[j].y][spots[j].x];
+                ck_assert_int_eq(traced[spots[j].y][spots[j].x], 0);
+                traced[spots[j].y][spots[j].x] = pass + 1;
+            }
+            total += n;
+        }
+    return total;
+}
+
+static void fill(float slope, float noise) {
+    for (uint32_t i = 0; i < WIDTH * HEIGHT; i++) {
+        struct rn_pixel *p = &truth[i / WIDTH][i % WIDTH];
+        float ramp = slope * (float)(i % WIDTH + i / WIDTH);
+        for (uint32_t c = 0; c < 3; c++)
+            p->rgb[c] = ramp + noise * rn_rng_unit(rn_rng_draw(7, 0, i).v[c]);
+        p->alpha = 0.5f;
+        p->depth = 3;
+    }
+}
+
+// Root mean square distance of four numbers from their mean, the plain way.
+static double distance(double a, double b, double c, double d) {
+    double m = (a + b + c + d) / 4;
+    return sqrt(((a - m) * (a - m) + (b - m) * (b - m) + (c - m) * (c - m) + (d - m) * (d - m)) /
+                4);
+}
+
+// The definition, pixel by pixel: which are traced, and that the others are means.
+static void check_picture(double tolerance) {
+    for (int y = 0; y < HEIGHT; y++)
+        for (int x = 0; x < WIDTH; x++) {
+            bool odd_x = x & 1, odd_y = y & 1;
+            bool border = x == 0 || y == 0 || x == WIDTH - 1 || y == HEIGHT - 1;
+            if ((!odd_x && !odd_y) || border) {
+                ck_assert_int_eq(traced[y][x], 1 + (odd_x && odd_y) + 2 * (odd_x != odd_y));
+                continue;
+            }
+            int d = odd_x && odd_y;
+            const struct rn_pixel *n[4] = {&picture[y - 1][x - d], &picture[y + 1][x + d],
+                                           &picture[y - d][x + 1], &picture[y + d][x - 1]};
+            double squares = 0;
+            for (int c = 0; c < 3; c++)
+                squares += pow(distance((double)n[0]->rgb[c], (double)n[1]->rgb[c],
+                                        (double)n[2]->rgb[c], (double)n[3]->rgb[c]),
+                               2);
+            double off = sqrt(squares / 3);
+            if (fabs(off - tolerance) > 1e-5) ck_assert_int_eq(traced[y][x] == 0, off < tolerance);
+            for (int c = 0; c < 3 && traced[y][x] == 0; c++)
+                ck_assert_float_eq_tol(
+                    picture[y][x].rgb[c],
+                    (n[0]->rgb[c] + n[1]->rgb[c] + n[2]->rgb[c] + n[3]->rgb[c]) / 4, 1e-6f);
+        }
+}
+
+START_TEST(a_pixel_is_traced_or_the_mean_of_neighbours_that_agree) {
+    struct rn_pixel before[HEIGHT][WIDTH];
+    int last = WIDTH * HEIGHT;
+    fill(0.01f, 0.2f);
+    for (double tolerance = 0.02; tolerance < 0.2; tolerance *= 2) {
+        struct rn_lattice l = lattice(tolerance, RN_OUTPUT_RGB);
+        int rays = draw(&l, 8, false);
+        ck_assert_int_lt(rays, last);
+        last = rays;
+        check_picture(tolerance);
+        memcpy(before, picture, sizeof before);
+        ck_assert_int_eq(draw(&l, 12, true), rays);
+        ck_assert(memcmp(before, picture, sizeof before) == 0);
+    }
+}
+END_TEST
+
+START_TEST(without_a_tolerance_every_pixel_is_traced_row_by_row) {
+    struct rn_lattice l = lattice(0, ALL);
+    struct rn_spot spots[64];
+    fill(0, 0);
+    ck_assert_int_eq(rn_lattice_passes(&l), 1);
+    ck_assert_int_eq(draw(&l, 16, false), WIDTH * HEIGHT);
+    ck_assert_int_eq(rn_lattice_choose(&l, 0, (struct rn_tile){8, 16, 16, 24}, spots), 64);
+    for (int i = 0; i < 64; i++)
+        ck_assert(spots[i].x == 8 + i % 8 && spots[i].y == 16 + i / 8);
+}
+END_TEST
+
+// Of a picture that is the same everywhere but in one output, at a point of the lattice.
+START_TEST(only_what_is_asked_for_has_to_agree) {
+    static const unsigned outputs[3] = {RN_OUTPUT_RGB, RN_OUTPUT_ALPHA, RN_OUTPUT_DEPTH};
+    for (int odd = 0; odd < 3; odd++)
+        for (int asked = 0; asked < 3; asked++) {
+            struct rn_lattice l = lattice(0.05, outputs[asked]);
+            fill(0, 0);
+            struct rn_pixel *p = &truth[10][10];
+            *(odd == 0 ? &p->rgb[1] : odd == 1 ? &p->alpha : &p->depth) += 0.4f;
+            draw(&l, 8, false);
+            ck_assert_int_eq(traced[11][11] != 0, odd == asked);
+            ck_assert_int_eq(traced[13][13], 0);
+        }
+}
+END_TEST
+
+START_TEST(an_interpolated_depth_is_weighted_by_opacity) {
+    struct rn_lattice l = lattice(0.05, RN_OUTPUT_RGB);
+    fill(0, 0);
+    truth[10][10].depth = 5;
+    truth[10][10].alpha = 1;
+    draw(&l, 8, false);
+    ck_assert_int_eq(traced[11][11], 0);
+    ck_assert_float_eq_tol(picture[11][11].alpha, 2.5f / 4, 1e-6f);
+    ck_assert_float_eq_tol(picture[11][11].depth, (1 * 5 + 3 * 0.5f * 3) / 2.5f, 1e-5f);
+}
+END_TEST
+
+START_TEST(emptiness_is_believed_where_nothing_fits_between) {
+    struct rn_lattice l = lattice(1, ALL);
+    fill(0, 0);
+    for (int i = 0; i < WIDTH * HEIGHT; i++)
+        truth[i / WIDTH][i % WIDTH].alpha = 0;
+    int dense = draw(&l, 8, false);
+    ck_assert_int_eq(traced[11][11], 0);
+    ck_assert_int_lt(dense, WIDTH * HEIGHT / 2);
+    l.dense = false;
+    ck_assert_int_eq(draw(&l, 8, false), WIDTH * HEIGHT);
+}
+END_TEST
+
+START_TEST(beside_what_is_not_finite_pixels_are_traced) {
+    for (int i = 0; i < 3; i++) {
+        struct rn_lattice l = lattice(1, ALL);
+        fill(0, 0);
+        struct rn_pixel *p = &truth[10][10];
+        *(i == 0 ? &p->rgb[1] : i == 1 ? &p->alpha : &p->depth) = i == 2 ? INFINITY : NAN;
+        draw(&l, 8, false);
+        ck_assert(traced[9][9] && traced[9][11] && traced[11][9] && traced[11][11]);
+        ck_assert(traced[10][9] && traced[10][11] && traced[9][10] && traced[11][10]);
+        ck_assert(!traced[13][13] && isfinite(picture[12][11].alpha));
+    }
+}
+END_TEST
+
+int main(void) {
+    Suite *suite = suite_create("lattice");
+    TCase *tests = tcase_create("lattice");
+    tcase_add_test(tests, a_pixel_is_traced_or_the_mean_of_neighbours_that_agree);
+    tcase_add_test(tests, without_a_tolerance_every_pixel_is_traced_row_by_row);
+    tcase_add_test(tests, only_what_is_asked_for_has_to_agree);
+    tcase_add_test(tests, an_interpolated_depth_is_weighted_by_opacity);
+    tcase_add_test(tests, emptiness_is_believed_where_nothing_fits_between);
+    tcase_add_test(tests, beside_what_is_not_finite_pixels_are_traced);
+    suite_add_tcase(suite, tests);
+    SRunner *runner = srunner_create(suite);
+    srunner_run_all(runner, CK_NORMAL);
+    int failed = srunner_ntests_failed(runner);
+    srunner_free(runner);
+    return failed != 0;
+}
