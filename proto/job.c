@@ -47,7 +47,7 @@ static const struct rn_field_spec path_options[] = {
     RN_F_INT(S, last, 0, 0, 99999),
     RN_F_NAME(S, output, 0, rn_output_kind_names),
     RN_F_INT(S, supersample, 0, 1, 16),
-    RN_F_NUMBER(S, tolerance, 0, 0, 1),
+    RN_F_NUMBER(S, tolerance, 0, 0, 0.5),
 };
 const struct rn_table rn_path_options_table = RN_TABLE(S, "path options", path_options);
 #undef S
@@ -56,7 +56,7 @@ const struct rn_table rn_path_options_table = RN_TABLE(S, "path options", path_o
 static const struct rn_field_spec eval_options[] = {
     RN_F_NAME(S, split, 0, rn_split_names), RN_F_INT(S, views, 0, 0, 1e6),
     RN_F_INT(S, scale, 0, 0, 15),           RN_F_INT(S, supersample, 0, 1, 16),
-    RN_F_NUMBER(S, tolerance, 0, 0, 1),
+    RN_F_NUMBER(S, tolerance, 0, 0, 0.5),
 };
 const struct rn_table rn_eval_options_table = RN_TABLE(S, "evaluation options", eval_options);
 #undef S

@@ -24,7 +24,7 @@ static const struct rn_field_spec request[] = {
     RN_F_NUMBER(S, stop, RN_OVER_MIN | RN_UNDER_MAX, 0, 1),
     RN_F_INT(S, subsample, 0, 1, 16),
     RN_F_INT(S, supersample, 0, 1, 16),
-    RN_F_NUMBER(S, tolerance, 0, 0, 1),
+    RN_F_NUMBER(S, tolerance, 0, 0, 0.5),
 };
 const struct rn_table rn_render_request_table = RN_TABLE(S, "a render request", request);
 #undef S

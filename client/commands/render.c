@@ -62,8 +62,8 @@ struct render_options {
     }
 #define TOLERANCE_OPTION(place)                                                                    \
     {                                                                                              \
-        .name = "tolerance", .kind = RN_OPTION_NUMBER, place, .value = "T", .min = 0, .max = 1,    \
-        .help = "quicker: a pixel between four that agree to within T is their mean (0)"           \
+        .name = "tolerance", .kind = RN_OPTION_NUMBER, place, .value = "T", .min = 0, .max = 0.5,  \
+        .help = "how far pixels may be off, for a quicker picture: 0.02 to 0.06; else 0"           \
     }
 static const struct rn_option render_table[] = {
     {.name = "view",

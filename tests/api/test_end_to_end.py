@@ -127,7 +127,7 @@ def test_a_tolerance_spares_work(client, daemon, trained, tmp_path):
         work = less
     assert ImageChops.difference(quick, Image.open(tmp_path / "q.png")).getbbox() is None
     assert render(0.1, "depth")[0] != work  # depths agree elsewhere than colours
-    for wrong in (-0.1, 1.5, "fine"):
+    for wrong in (-0.1, 0.6, "fine"):
         with pytest.raises(HTTPError) as refused:
             render(wrong)
         problem = json.loads(refused.value.read())

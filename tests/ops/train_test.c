@@ -275,14 +275,11 @@ static void check_supersampling(struct rn_engine *engine, struct rn_field *field
 }
 
 static struct rn_render_result render_quickly(struct rn_field *field, const struct rn_frame *frame,
-                                              double tolerance, int threads) {
+                                              struct rn_render_options options, int threads) {
     struct rn_error err;
     struct rn_render_result result;
     struct rn_engine *engine = engine_with(threads);
-    struct rn_render_options options = {.camera = frame->camera,
-                                        .outputs = RN_OUTPUT_RGB,
-                                        .background = {1, 1, 1},
-                                        .tolerance = tolerance};
+    options.camera = frame->camera;
     ck_assert_msg(rn_render(engine, field, &options, NULL, NULL, &result, &err) == RN_OK, "%s",
                   err.text);
     rn_engine_destroy(&engine);
@@ -292,13 +289,15 @@ static struct rn_render_result render_quickly(struct rn_field *field, const stru
 // With a tolerance fewer rays are traced, on any number of threads the same; the more, the nearer
 // to the full picture, which none at all gives.
 static void check_tolerance(struct rn_field *field, const struct rn_frame *frame) {
-    struct rn_render_result full = render_quickly(field, frame, 0, 2);
+    struct rn_render_options options = {.outputs = RN_OUTPUT_RGB, .background = {1, 1, 1}};
+    struct rn_render_result full = render_quickly(field, frame, options, 2);
     size_t count = (size_t)full.rgb.width * (size_t)full.rgb.height * 3;
     double last = 0;
     ck_assert_uint_eq(full.stats.rays, count / 3);
     for (double tolerance = 0.01; tolerance < 0.2; tolerance *= 3) {
-        struct rn_render_result one = render_quickly(field, frame, tolerance, 1);
-        struct rn_render_result two = render_quickly(field, frame, tolerance, 2);
+        options.tolerance = tolerance;
+        struct rn_render_result one = render_quickly(field, frame, options, 1);
+        struct rn_render_result two = render_quickly(field, frame, options, 2);
         double squares = 0;
         for (size_t i = 0; i < count; i++)
             squares += pow((double)full.rgb.values[i] - (double)one.rgb.values[i], 2);
@@ -314,6 +313,37 @@ static void check_tolerance(struct rn_field *field, const struct rn_frame *frame
         rn_render_result_finish(&two);
     }
     rn_render_result_finish(&full);
+}
+
+// Rays that end earlier than in training are opaque, whatever lies behind them, and near to the
+// full picture.
+static void check_early_stop(struct rn_field *field, const struct rn_frame *frame, int cones) {
+    struct rn_render_options options = {
+        .outputs = RN_OUTPUT_RGB | RN_OUTPUT_ALPHA, .background = {1, 1, 1}, .supersample = cones};
+    struct rn_render_result full = render_quickly(field, frame, options, 2);
+    options.stop = 0.2;
+    struct rn_render_result white = render_quickly(field, frame, options, 2);
+    memset(options.background, 0, sizeof options.background);
+    struct rn_render_result black = render_quickly(field, frame, options, 2);
+    size_t count = (size_t)full.rgb.width * (size_t)full.rgb.height, opaque = 0;
+    double squares = 0;
+    ck_assert(white.stats.samples < full.stats.samples);
+    for (size_t i = 0; i < count; i++) {
+        for (size_t c = 3 * i; c < 3 * i + 3; c++) {
+            squares += pow((double)full.rgb.values[c] - (double)white.rgb.values[c], 2);
+            if (white.alpha.values[i] == 1)
+                ck_assert(fabsf(white.rgb.values[c] - black.rgb.values[c]) < 1e-5f);
+        }
+        opaque += white.alpha.values[i] == 1;
+        if (cones == 1) ck_assert(white.alpha.values[i] == 1 || white.alpha.values[i] < 0.8f);
+    }
+    printf("stop 0.2, %d cones: %zu of %zu pixels opaque, %.4f from the full picture\n", cones,
+           opaque, count, sqrt(squares / (3 * (double)count)));
+    ck_assert_uint_gt(opaque, count / 20);
+    ck_assert(sqrt(squares / (3 * (double)count)) < 0.02);
+    rn_render_result_finish(&full);
+    rn_render_result_finish(&white);
+    rn_render_result_finish(&black);
 }
 
 START_TEST(it_learns_and_a_loaded_field_renders_the_same) {
@@ -344,6 +374,8 @@ START_TEST(it_learns_and_a_loaded_field_renders_the_same) {
     ck_assert(a.psnr == b.psnr && a.ssim == b.ssim);
     check_supersampling(engine, field, frame);
     check_tolerance(field, frame);
+    check_early_stop(field, frame, 1);
+    check_early_stop(field, frame, 2);
     rn_field_destroy(&field);
     rn_trainer_destroy(&trainer);
     rn_engine_destroy(&engine);

@@ -38,6 +38,22 @@ struct rn_pixel rn_cones_mean(const struct rn_pixel *cones, int n) {
     return mean;
 }
 
+// Rays that were ended earlier than in training show what they have seen, and not a share of the
+// background with it: what they did not see is taken to look the same.
+static void close_ended(const struct rn_field *field, const struct rn_march_options *march,
+                        struct rn_pixel *pixels, size_t count) {
+    if (march->stop_depth >= (float)-log(field->config.stop)) return;
+    float opaque = -expm1f(-march->stop_depth);
+    for (struct rn_pixel *p = pixels; p < pixels + count; p++) {
+        if (!(p->alpha >= opaque)) continue;
+        for (int c = 0; c < 3; c++) {
+            float background = march->background[c];
+            p->rgb[c] = background + (p->rgb[c] - background) / p->alpha;
+        }
+        p->alpha = 1;
+    }
+}
+
 // At most RN_CONES_BLOCK cones.
 static uint64_t render_block(const struct rn_engine *engine, const struct rn_field *field,
                              const struct rn_march_options *march, const struct rn_view *fine,
@@ -52,9 +68,10 @@ static uint64_t render_block(const struct rn_engine *engine, const struct rn_fie
             places[total++] =
                 (struct rn_ray_place){fine, spots[i].x * n + j % n, spots[i].y * n + j / n, 0};
     engine->kernels->rays(places, total, (double)march->step, field->config.cone_step, rays);
-    uint64_t samples =
-        engine->kernels->render(&field->cpu, march, rays, total,
-                                rn_engine_workspace(engine, thread), n == 1 ? ret_pixels : cones);
+    struct rn_pixel *seen = n == 1 ? ret_pixels : cones;
+    uint64_t samples = engine->kernels->render(&field->cpu, march, rays, total,
+                                               rn_engine_workspace(engine, thread), seen);
+    close_ended(field, march, seen, (size_t)total);
     for (int i = 0; i < count && n > 1; i++)
         ret_pixels[i] = rn_cones_mean(cones + i * n * n, n);
     return samples;
@@ -89,9 +106,13 @@ enum rn_status rn_field_render_rows(struct rn_field *field, const struct rn_came
                                     const struct rn_march_options *march, int n, int row, int rows,
                                     struct rn_pixel *ret_pixels, uint64_t *ret_samples,
                                     struct rn_error *err) {
-    if (n == 1)
-        return field->backend->render(field->on_device, camera, march, row, rows, ret_pixels,
-                                      ret_samples, err);
+    if (n == 1) {
+        enum rn_status status = field->backend->render(field->on_device, camera, march, row, rows,
+                                                       ret_pixels, ret_samples, err);
+        if (status == RN_OK)
+            close_ended(field, march, ret_pixels, (size_t)camera->width * (size_t)rows);
+        return status;
+    }
     struct rn_camera fine = rn_camera_resized(camera, camera->width * n, camera->height * n);
     size_t count = (size_t)fine.width * (size_t)rows * (size_t)n;
     struct rn_pixel *cones = malloc(count * sizeof *cones);
@@ -100,6 +121,7 @@ enum rn_status rn_field_render_rows(struct rn_field *field, const struct rn_came
                             rows, count * sizeof *cones >> 20);
     enum rn_status status = field->backend->render(field->on_device, &fine, march, row * n,
                                                    rows * n, cones, ret_samples, err);
+    if (status == RN_OK) close_ended(field, march, cones, count);
     if (status == RN_OK) average_rows(cones, n, camera->width, rows, ret_pixels);
     free(cones);
     return status;

@@ -31,8 +31,6 @@ static float squares_from_mean(float a, float b, float c, float d) {
 // Not true of anything with a NaN.
 static bool agree(const struct rn_lattice *l, const struct rn_pixel *const n[4]) {
     float limit = l->tolerance * l->tolerance;
-    float seen = n[0]->alpha + n[1]->alpha + n[2]->alpha + n[3]->alpha;
-    if (!(seen > 0)) return seen == 0 && l->dense;
     if (l->outputs & RN_OUTPUT_RGB &&
         !(SQUARES(n, rgb[0]) + SQUARES(n, rgb[1]) + SQUARES(n, rgb[2]) <= 3 * limit))
         return false;
@@ -46,8 +44,10 @@ static bool interpolate(const struct rn_lattice *l, const struct pass *pass, int
     ptrdiff_t along = (ptrdiff_t)pass->dy * l->width + pass->dx;
     ptrdiff_t across = (ptrdiff_t)pass->dx * l->width - pass->dy;
     const struct rn_pixel *const n[4] = {at - along, at + along, at - across, at + across};
-    if (!agree(l, n)) return false;
-    *at = rn_cones_mean((const struct rn_pixel[]){*n[0], *n[1], *n[2], *n[3]}, 2);
+    float seen = n[0]->alpha + n[1]->alpha + n[2]->alpha + n[3]->alpha;
+    bool empty = seen == 0;
+    if (empty ? !l->dense : !(seen > 0 && agree(l, n))) return false;
+    *at = empty ? *n[0] : rn_cones_mean((const struct rn_pixel[]){*n[0], *n[1], *n[2], *n[3]}, 2);
     return true;
 }
 

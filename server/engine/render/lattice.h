@@ -20,7 +20,7 @@ struct rn_lattice {
     struct rn_pixel *pixels; // width * height, of the field: depth in scene radii
     int width, height;
     unsigned outputs; // RN_OUTPUT_* ORed
-    float tolerance;  // 0: every pixel is traced, in one pass
+    float tolerance;  // at most 0.5; 0: every pixel is traced, in one pass
     bool dense;       // no occupied cell fits between four pixels
 };
 // Part of a picture: columns [x0, x1), rows [y0, y1); even but for the picture's ends.

@@ -99,8 +99,8 @@ static enum rn_status check_options(const struct rn_render_options *o, struct rn
         return rn_error_set(err, RN_ERROR_INVALID, "subsample", "must be 1 to 64");
     if (o->supersample < 0 || o->supersample > 16 || (o->supersample & (o->supersample - 1)))
         return rn_error_set(err, RN_ERROR_INVALID, "supersample", "must be 0, 1, 2, 4, 8 or 16");
-    if (!(o->tolerance >= 0 && o->tolerance <= 1))
-        return rn_error_set(err, RN_ERROR_INVALID, "tolerance", "must be in [0, 1]");
+    if (!(o->tolerance >= 0 && o->tolerance <= 0.5))
+        return rn_error_set(err, RN_ERROR_INVALID, "tolerance", "must be in [0, 0.5]");
     return RN_OK;
 }
 
@@ -182,7 +182,7 @@ static void init_frame(struct frame *f) {
                : n > 1            ? 1
                                   : rn_cones_for_camera(f->field, &f->camera);
     f->march.step = (float)(o->step > 0 ? fmax(o->step, config->step) : config->step);
-    f->march.stop_depth = (float)-log(o->stop > 0 ? o->stop : config->stop);
+    f->march.stop_depth = (float)-log(o->stop > 0 ? o->stop : fmax(config->stop, o->tolerance));
     memcpy(f->march.background, o->background, sizeof f->march.background);
     f->lattice = (struct rn_lattice){.width = f->camera.width,
                                      .height = f->camera.height,

@@ -144,7 +144,7 @@ START_TEST(an_interpolated_depth_is_weighted_by_opacity) {
 END_TEST
 
 START_TEST(emptiness_is_believed_where_nothing_fits_between) {
-    struct rn_lattice l = lattice(1, ALL);
+    struct rn_lattice l = lattice(0.5, ALL);
     fill(0, 0);
     for (int i = 0; i < WIDTH * HEIGHT; i++)
         truth[i / WIDTH][i % WIDTH].alpha = 0;
@@ -158,7 +158,7 @@ END_TEST
 
 START_TEST(beside_what_is_not_finite_pixels_are_traced) {
     for (int i = 0; i < 3; i++) {
-        struct rn_lattice l = lattice(1, ALL);
+        struct rn_lattice l = lattice(0.5, ALL);
         fill(0, 0);
         struct rn_pixel *p = &truth[10][10];
         *(i == 0 ? &p->rgb[1] : i == 1 ? &p->alpha : &p->depth) = i == 2 ? INFINITY : NAN;
