@@ -251,6 +251,27 @@ START_TEST(resumes_to_the_same_bytes) {
 }
 END_TEST
 
+// A device traces every pixel whatever the tolerance; rays that end earlier are opaque there too.
+static void check_dial(struct rn_render_options options, const struct rn_render_result *full) {
+    struct rn_render_result quick;
+    options.tolerance = 0.1;
+    options.stop = rn_trainer_field(run.trainer)->config.stop;
+    OK(rn_render(run.engine, rn_trainer_field(run.trainer), &options, NULL, NULL, &quick, &err));
+    ck_assert(difference(&full->rgb, &quick.rgb) == 0);
+    ck_assert_uint_eq(full->stats.rays, quick.stats.rays);
+    rn_render_result_finish(&quick);
+    int opaque = 0;
+    options.stop = 0.5;
+    options.outputs = RN_OUTPUT_ALPHA;
+    OK(rn_render(run.engine, rn_trainer_field(run.trainer), &options, NULL, NULL, &quick, &err));
+    for (int i = 0; i < quick.alpha.width * quick.alpha.height; i++) {
+        opaque += quick.alpha.values[i] == 1;
+        ck_assert(quick.alpha.values[i] == 1 || quick.alpha.values[i] < 0.5f);
+    }
+    ck_assert_int_gt(opaque, 0);
+    rn_render_result_finish(&quick);
+}
+
 // What is rendered in the middle of a training is the field as it is there, also where a camera
 // wants levels that the device lacks; and a finished training's field renders on.
 START_TEST(renders_while_it_trains) {
@@ -263,6 +284,7 @@ START_TEST(renders_while_it_trains) {
         struct rn_render_result near, cones, far, after;
         advance_to(16 * (i + 1));
         OK(rn_render(run.engine, rn_trainer_field(run.trainer), &options, NULL, NULL, &near, &err));
+        check_dial(options, &near);
         struct rn_render_options away = options, split = options;
         split.supersample = 2;
         OK(rn_render(run.engine, rn_trainer_field(run.trainer), &split, NULL, NULL, &cones, &err));
