@@ -307,11 +307,21 @@ static void check_tolerance(struct rn_field *field, const struct rn_frame *frame
         ck_assert(memcmp(one.rgb.values, two.rgb.values, count * sizeof(float)) == 0);
         ck_assert_uint_eq(one.stats.rays, two.stats.rays);
         ck_assert(one.stats.rays < full.stats.rays && one.stats.samples < full.stats.samples);
+        ck_assert(2 * one.stats.rays > full.stats.rays); // cells are narrower than pixels here
         ck_assert(off > last && off < tolerance);
         last = off;
         rn_render_result_finish(&one);
         rn_render_result_finish(&two);
     }
+    // Eight times the pixels a side are narrower than occupancy cells: emptiness is believed.
+    struct rn_frame fine = *frame;
+    fine.camera = rn_camera_resized(&frame->camera, 8 * full.rgb.width, 8 * full.rgb.height);
+    options.tolerance = 0.03;
+    struct rn_render_result dense = render_quickly(field, &fine, options, 2);
+    double share = (double)dense.stats.rays / (64 * (double)(count / 3));
+    printf("eight times as fine: %.3f of the rays\n", share);
+    ck_assert(share > 0.25 && share < 0.5);
+    rn_render_result_finish(&dense);
     rn_render_result_finish(&full);
 }
 
