@@ -27,7 +27,6 @@ static const struct rn_field_spec open_fields[] = {
     RN_F_TEXT(S, kernels, 0, NULL),
     RN_F_INT(S, threads, 0, 0, 1024),
     RN_F_INT(S, memory_limit_bytes, 0, 0, INFINITY),
-    RN_F_INT(S, gpu_memory_bytes, 0, 0, INFINITY),
     RN_F_BOOL(S, gpu_deterministic, 0),
 };
 static const struct rn_table open_table = RN_TABLE(S, "open", open_fields);
@@ -199,6 +198,25 @@ static const struct rn_field_spec failed[] = {
 static const struct rn_table failed_table = RN_TABLE(S, "failed", failed);
 #undef S
 
+#define S struct rn_wire_reserve
+static const struct rn_field_spec reserve[] = {
+    RN_F_INT(S, number, RN_REQUIRED, 0, INFINITY),
+    RN_F_TEXT(S, device, RN_REQUIRED, NULL),
+    RN_F_INT(S, bytes, RN_REQUIRED, 0, INFINITY),
+    RN_F_INT(S, free_bytes, RN_REQUIRED, 0, INFINITY),
+    RN_F_BOOL(S, patient, RN_REQUIRED),
+};
+static const struct rn_table reserve_table = RN_TABLE(S, "reserve", reserve);
+#undef S
+
+#define S struct rn_wire_grant
+static const struct rn_field_spec grant[] = {
+    RN_F_INT(S, number, RN_REQUIRED, 0, INFINITY),
+    RN_F_INT(S, bytes, RN_REQUIRED, 0, INFINITY),
+};
+static const struct rn_table grant_table = RN_TABLE(S, "grant", grant);
+#undef S
+
 #define S struct rn_wire_info
 static const struct rn_field_spec info[] = {
     RN_F_TEXT(S, device, RN_REQUIRED, NULL),    RN_F_TEXT(S, device_name, RN_REQUIRED, NULL),
@@ -223,6 +241,7 @@ static const struct {
     [RN_WIRE_CANCEL] = {"cancel", &cancel_table},
     [RN_WIRE_RENDER] = {"render", &render_table},
     [RN_WIRE_SHUTDOWN] = {"shutdown", &empty_table},
+    [RN_WIRE_GRANT] = {"grant", &grant_table},
     [RN_WIRE_HELLO] = {"hello", &hello_table},
     [RN_WIRE_OPENED] = {"opened", &opened_table},
     [RN_WIRE_STATE] = {"state", &state_table},
@@ -236,6 +255,7 @@ static const struct {
     [RN_WIRE_INFO] = {"info", &info_table},
     [RN_WIRE_INCIDENT] = {"incident", &incident_table},
     [RN_WIRE_ALIVE] = {"alive", &empty_table},
+    [RN_WIRE_RESERVE] = {"reserve", &reserve_table},
 };
 
 static bool is_known(int type) {

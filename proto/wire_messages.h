@@ -27,6 +27,7 @@ enum rn_wire_type {
     RN_WIRE_CANCEL,   // a job or a render    rn_wire_cancel -> failed (status "cancelled")
     RN_WIRE_RENDER,   //                      rn_wire_render -> rendered or failed
     RN_WIRE_SHUTDOWN, // save and exit        rn_wire_empty -> checkpoint of a running training, EOF
+    RN_WIRE_GRANT,    // answers reserve      rn_wire_grant
     // runner -> daemon
     RN_WIRE_HELLO = 64, //                    rn_wire_hello
     RN_WIRE_OPENED,     //                    rn_wire_opened
@@ -41,9 +42,10 @@ enum rn_wire_type {
     RN_WIRE_INFO,       // mode probe         rn_wire_info, then EOF
     RN_WIRE_INCIDENT,   // training           rn_wire_incident
     RN_WIRE_ALIVE,      // nothing else said  rn_wire_empty, every RN_WIRE_ALIVE_S while it works
+    RN_WIRE_RESERVE,    // before it is taken rn_wire_reserve -> grant, unless bytes is 0
 };
 
-#define RN_WIRE_PROTOCOL 2
+#define RN_WIRE_PROTOCOL 3
 #define RN_WIRE_ALIVE_S 2
 
 struct rn_wire_empty {
@@ -67,7 +69,6 @@ struct rn_wire_open {
     char device[16], kernels[32]; // "" = auto
     int64_t threads;              // absent or 0 = all
     int64_t memory_limit_bytes;   // absent or 0 = none
-    int64_t gpu_memory_bytes;     // absent or 0 = what is free
     bool gpu_deterministic;       // a GPU trains the same bytes every time
 };
 struct rn_wire_opened {
@@ -161,6 +162,18 @@ struct rn_wire_failed {
     int64_t request;     // RN_ABSENT when it is not about a render
     char status[24];     // rn_status_name
     char where[256], text[512];
+};
+// Memory that the runner will hold of a GPU in all; it holds none while it waits for the grant.
+struct rn_wire_reserve {
+    int64_t number;     // of the grant that answers
+    char device[16];    // "cuda:0"
+    int64_t bytes;      // 0: what it held is given back
+    int64_t free_bytes; // there, for all processes
+    bool patient;       // it waits until working runners have finished
+};
+// What it may hold: `bytes` of the reserve, or less where it cannot have them.
+struct rn_wire_grant {
+    int64_t number, bytes;
 };
 struct rn_wire_info {
     char device[16], device_name[128], kernels[32], available[128]; // available: comma separated

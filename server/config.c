@@ -41,7 +41,7 @@ static const struct option options[] = {
     {"memory-limit", KIND_SIZE, AT(memory_limit_bytes), "0", 0, 1e15, "BYTES",
      "of all runners together; 0 is no limit"},
     {"gpu-memory", KIND_SIZE, AT(gpu_memory_bytes), "0", 0, 1e15, "BYTES",
-     "of each runner on a GPU; 0 is what is free there"},
+     "of all runners together on each GPU; 0 is what is free there"},
     {"gpu-deterministic", KIND_COUNT, AT(gpu_deterministic), "0", 0, 1, "0|1",
      "1: a GPU trains the same bytes every time, and is slower"},
     {"max-upload", KIND_SIZE, AT(max_upload_bytes), "16G", 1, 1e15, "BYTES",

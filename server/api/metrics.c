@@ -38,8 +38,12 @@ static void put_runners(struct rn_buf *text, const struct rn_control_stats *stat
     one(text, "scenes_loaded", "gauge", "Scenes that a runner holds.", stats->scenes_loaded);
     one(text, "runner_memory_bytes", "gauge", "Memory of all runners, as they report it.",
         (double)stats->memory_bytes);
+    one(text, "gpu_memory_bytes", "gauge", "Memory of GPUs that runners hold or were granted.",
+        (double)stats->gpu_memory_bytes);
     one(text, "runners_started_total", "counter", "Runners started.",
         (double)stats->runners_started);
+    one(text, "runners_evicted_total", "counter", "Runners ended to make room on a GPU.",
+        (double)stats->runners_evicted);
     one(text, "runners_lost_total", "counter", "Runners that ended unasked.",
         (double)stats->runners_lost);
 }

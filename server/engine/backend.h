@@ -10,7 +10,7 @@
 #include "common/math/camera.h"
 #include "server/engine/cpu/kernels.h"
 
-#define RN_BACKEND_VERSION 3
+#define RN_BACKEND_VERSION 4
 #define RN_BACKEND_SYMBOL "rn_backend_table"
 
 struct rn_device;       // owner: rn_backend.open's caller
@@ -20,7 +20,6 @@ struct rn_device_about {
     char name[128];      // "NVIDIA H200"
     char kernels[32];    // "sm_90"
     size_t memory_bytes; // of the device
-    size_t free_bytes;   // at the time of the call
 };
 
 // What a field on the device is made from. The arrays are the CPU field's, copied.
@@ -95,20 +94,25 @@ struct rn_device_stage {
 struct rn_backend {
     int version;
     const char *name; // "cuda"
-    // Device `ordinal`; takes at most `budget_bytes` of its memory (0: what is free). UNSUPPORTED
-    // when there is no such device, with the reason.
-    enum rn_status (*open)(int ordinal, size_t budget_bytes, struct rn_device **ret_device,
+    // Device `ordinal`. UNSUPPORTED when there is no such device, with the reason.
+    enum rn_status (*open)(int ordinal, struct rn_device **ret_device,
                            struct rn_device_about *ret_about, struct rn_error *err);
     void (*close)(struct rn_device **device);
-    // Of its memory, by what was made on it.
+    // Of its memory: taken by what was made on it, and free for this and every other process.
     size_t (*used_bytes)(const struct rn_device *device);
-    // UNSUPPORTED names what of the configuration this backend cannot do. LIMIT says what is needed
-    // and what would fit, before anything is taken. `scene` need not outlive the call.
+    size_t (*free_bytes)(const struct rn_device *device);
+    // Bytes that field_create takes; where there are pixels with train_begin, and with planes grown
+    // as large as they will be. UNSUPPORTED names what of the configuration this backend cannot do.
+    // LIMIT where it is more than `budget_bytes` says what is needed and what would fit.
+    enum rn_status (*needs)(const struct rn_device_scene *scene,
+                            const struct rn_device_pixels *pixels,
+                            const struct rn_device_training *training, size_t budget_bytes,
+                            size_t *ret_bytes, struct rn_error *err);
+    // NO_MEMORY when the device does not have what `needs` says. `scene` need not outlive the call.
     enum rn_status (*field_create)(struct rn_device *device, const struct rn_device_scene *scene,
                                    struct rn_device_field **ret_field, struct rn_error *err);
     void (*field_destroy)(struct rn_device_field **field);
-    // Adds what training needs; once a field. UNSUPPORTED as field_create: a backend may render
-    // more than it trains.
+    // Adds what training needs; once a field.
     enum rn_status (*train_begin)(struct rn_device_field *field,
                                   const struct rn_device_pixels *pixels,
                                   const struct rn_device_training *training, struct rn_error *err);

@@ -48,13 +48,12 @@ static const struct rn_backend *find_table(void *module, struct rn_error *err) {
     return NULL;
 }
 
-static enum rn_status open_ordinal(struct rn_engine *e, int ordinal, size_t budget_bytes,
-                                   struct rn_error *err) {
+static enum rn_status open_ordinal(struct rn_engine *e, int ordinal, struct rn_error *err) {
     struct rn_device_about about;
     e->module = open_module();
     const struct rn_backend *table = find_table(e->module, err);
     enum rn_status status =
-        table ? table->open(ordinal, budget_bytes, &e->device, &about, err) : RN_ERROR_UNSUPPORTED;
+        table ? table->open(ordinal, &e->device, &about, err) : RN_ERROR_UNSUPPORTED;
     if (status != RN_OK) {
         rn_engine_close_device(e);
         return status;
@@ -66,19 +65,19 @@ static enum rn_status open_ordinal(struct rn_engine *e, int ordinal, size_t budg
     return RN_OK;
 }
 
-enum rn_status rn_engine_open_device(struct rn_engine *e, const char *device, size_t budget_bytes,
+enum rn_status rn_engine_open_device(struct rn_engine *e, const char *device,
                                      struct rn_error *err) {
     int ordinal = -1, length = 0;
     struct rn_error unused;
     e->device_optional = strcmp(device, "auto") == 0;
     if (e->device_optional) {
-        (void)!open_ordinal(e, 0, budget_bytes, &unused);
+        (void)!open_ordinal(e, 0, &unused);
         return RN_OK;
     }
     if (sscanf(device, "cuda:%2d%n", &ordinal, &length) != 1 || device[length] || ordinal < 0)
         return rn_error_set(err, RN_ERROR_UNSUPPORTED, "device",
                             "'%s' is no device; use auto, cpu or cuda:N", device);
-    return open_ordinal(e, ordinal, budget_bytes, err);
+    return open_ordinal(e, ordinal, err);
 }
 
 void rn_engine_close_device(struct rn_engine *e) {
@@ -96,11 +95,47 @@ void rn_device_adapt(struct rn_train_config *config) {
     config->roulette = 0;
 }
 
+// ---- memory ---------------------------------------------------------------------------------
+
+// Asks whoever shares the device out for `bytes` of it, or takes what is free; a part is left for
+// what the device's runtime needs itself.
+static enum rn_status reserve(struct rn_engine *e, size_t bytes, bool patient, size_t *ret_granted,
+                              struct rn_error *err) {
+    size_t free_bytes = e->backend->free_bytes(e->device);
+    struct rn_device_wish wish = {.device = e->info.device,
+                                  .bytes = bytes,
+                                  .free_bytes = free_bytes - free_bytes / 32,
+                                  .patient = patient};
+    *ret_granted = e->device_memory_bytes ? e->device_memory_bytes : wish.free_bytes;
+    if (free_bytes == 0) *ret_granted = bytes; // the device does not answer: taking it will tell
+    if (e->share && free_bytes > 0) return e->share(e->sharer, &wish, ret_granted, err);
+    return RN_OK;
+}
+
+static void release(struct rn_engine *e) {
+    struct rn_device_wish nothing = {.device = e->info.device};
+    size_t none;
+    struct rn_error unused;
+    if (e->share) (void)!e->share(e->sharer, &nothing, &none, &unused);
+}
+
+// Memory for a field, before it is taken.
+static enum rn_status make_room(struct rn_engine *e, const struct rn_device_scene *scene,
+                                const struct rn_device_pixels *pixels,
+                                const struct rn_device_training *training, struct rn_error *err) {
+    size_t bytes, granted = 0;
+    enum rn_status status = e->backend->needs(scene, pixels, training, SIZE_MAX, &bytes, err);
+    if (status == RN_OK) status = reserve(e, bytes, pixels || !e->device_optional, &granted, err);
+    if (status == RN_OK) status = e->backend->needs(scene, pixels, training, granted, &bytes, err);
+    return status;
+}
+
 // ---- fields ---------------------------------------------------------------------------------
 
 enum rn_status rn_field_put(struct rn_engine *engine, struct rn_field *f, int levels,
-                            struct rn_error *err) {
-    rn_field_withdraw(f);
+                            const struct rn_device_pixels *pixels,
+                            const struct rn_device_training *training, struct rn_error *err) {
+    if (f->on_device) f->backend->field_destroy(&f->on_device);
     struct rn_device_scene scene = {.config = f->config,
                                     .radius = f->bounds.radius,
                                     .solid = f->cpu.solid,
@@ -112,10 +147,18 @@ enum rn_status rn_field_put(struct rn_engine *engine, struct rn_field *f, int le
                                     .occupancy = f->occupancy,
                                     .hull = f->hull};
     memcpy(scene.centre, f->bounds.centre, sizeof scene.centre);
-    enum rn_status status =
-        engine->backend->field_create(engine->device, &scene, &f->on_device, err);
-    if (status != RN_OK) return status;
-    f->backend = engine->backend;
+    const struct rn_backend *backend = engine->backend;
+    enum rn_status status = make_room(engine, &scene, pixels, training, err);
+    if (status == RN_OK) status = backend->field_create(engine->device, &scene, &f->on_device, err);
+    if (status == RN_OK && pixels)
+        status = backend->train_begin(f->on_device, pixels, training, err);
+    if (status != RN_OK) {
+        backend->field_destroy(&f->on_device);
+        release(engine);
+        return status;
+    }
+    f->backend = backend;
+    f->engine = engine;
     f->device_levels = levels;
     f->behind = f->moments_behind = false;
     return RN_OK;
@@ -129,7 +172,7 @@ enum rn_status rn_field_put_to_render(struct rn_engine *engine, struct rn_field 
     if (!engine->backend) return RN_OK;
     while (levels > 1 && c->base % (1 << (levels - 1)) != 0)
         levels--;
-    enum rn_status status = rn_field_put(engine, f, levels, &own);
+    enum rn_status status = rn_field_put(engine, f, levels, NULL, NULL, &own);
     if (engine->device_optional && status != RN_ERROR_UNAVAILABLE) return RN_OK;
     if (status != RN_OK && err) *err = own;
     return status;
@@ -149,5 +192,7 @@ enum rn_status rn_field_fetch(struct rn_field *f, float *m, float *v, struct rn_
 }
 
 void rn_field_withdraw(struct rn_field *f) {
-    if (f->on_device) f->backend->field_destroy(&f->on_device);
+    if (!f->on_device) return;
+    f->backend->field_destroy(&f->on_device);
+    release(f->engine);
 }

@@ -6,12 +6,11 @@
 #include "server/engine/backend.h"
 #include "server/engine/scene.h"
 
-// Loads the backend's module and opens "cuda:N", or with "auto" the first one if that works; takes
-// at most `budget_bytes` of its memory (0: what is free). The module is looked for at
-// RIPNERF_CUDA_MODULE, where it was installed, and in the build folder. RN_ERROR_UNSUPPORTED says
-// why there is none.
+// Loads the backend's module and opens "cuda:N", or with "auto" the first one if that works. The
+// module is looked for at RIPNERF_CUDA_MODULE, where it was installed, and in the build folder.
+// RN_ERROR_UNSUPPORTED says why there is none.
 enum rn_status rn_engine_open_device(struct rn_engine *engine, const char *device,
-                                     size_t budget_bytes, struct rn_error *err) RN_MUST_CHECK;
+                                     struct rn_error *err) RN_MUST_CHECK;
 void rn_engine_close_device(struct rn_engine *engine);
 // Whether a checkpoint's kernel set is a device's: any machine may go on from it.
 bool rn_device_trained(const char *kernels);
@@ -20,8 +19,12 @@ bool rn_device_trained(const char *kernels);
 void rn_device_adapt(struct rn_train_config *config);
 
 // Makes the field exist on the engine's device as the CPU has it now, with maps of `levels` a side,
-// in place of what is there. Errors are the backend's.
+// in place of what is there; with `pixels` it is trained there from now on, else both are NULL. Its
+// memory is asked for first (rn_engine_share): while it waits it holds none. Errors are the
+// backend's and the sharer's; then nothing of it is on the device.
 enum rn_status rn_field_put(struct rn_engine *engine, struct rn_field *field, int levels,
+                            const struct rn_device_pixels *pixels,
+                            const struct rn_device_training *training,
                             struct rn_error *err) RN_MUST_CHECK;
 // The same with as many levels as the backend can build, for a field that is not trained. Nothing
 // where there is no device, or one that may be done without cannot hold the field.
@@ -31,7 +34,7 @@ enum rn_status rn_field_put_to_render(struct rn_engine *engine, struct rn_field 
 // there. Nothing to do where the CPU's are as new.
 enum rn_status rn_field_fetch(struct rn_field *field, float *m, float *v,
                               struct rn_error *err) RN_MUST_CHECK;
-// Gives the device's copy back.
+// Gives the device's copy and its memory back.
 void rn_field_withdraw(struct rn_field *field);
 
 #endif

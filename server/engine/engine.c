@@ -72,9 +72,10 @@ enum rn_status rn_engine_create(const struct rn_engine_options *options,
     }
     fill_info(e);
     e->deterministic = options->deterministic;
+    e->device_memory_bytes = options->device_memory_bytes;
     bool named = strcmp(kernels, "auto") != 0; // a kernel set of the CPU's
     if (strcmp(device, "cpu") != 0 && !(named && strcmp(device, "auto") == 0))
-        status = rn_engine_open_device(e, device, options->device_memory_bytes, err);
+        status = rn_engine_open_device(e, device, err);
     if (status != RN_OK) {
         rn_engine_destroy(&e);
         return status;
@@ -100,6 +101,14 @@ void rn_engine_watch(struct rn_engine *engine, bool (*keep_going)(void *context)
 void rn_engine_yield_to(struct rn_engine *engine, bool (*wanted)(void *context), void *context) {
     engine->wanted = wanted;
     engine->wanter = context;
+}
+
+void rn_engine_share(struct rn_engine *engine,
+                     enum rn_status (*share)(void *context, const struct rn_device_wish *wish,
+                                             size_t *ret_granted, struct rn_error *err),
+                     void *context) {
+    engine->share = share;
+    engine->sharer = context;
 }
 
 bool rn_engine_is_wanted(void *engine) {

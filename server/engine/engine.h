@@ -30,7 +30,7 @@ struct rn_engine_options {
     const char *device;
     const char *kernels;        // "auto" (timed), "scalar", "avx2", "avx512", ...; NULL = "auto"
     int threads;                // 0 = all cores this process may use
-    size_t device_memory_bytes; // at most of a GPU's memory; 0 = what is free
+    size_t device_memory_bytes; // at most of a GPU's memory; 0 = what is free (rn_engine_share)
     bool deterministic;         // a GPU trains the same bytes every time, at a price
 };
 struct rn_device_info {
@@ -50,6 +50,20 @@ void rn_engine_watch(struct rn_engine *engine, bool (*keep_going)(void *context)
 // rn_trainer_advance and rn_trainer_validate return early, and go on with the next call. It changes
 // no number. NULL = never.
 void rn_engine_yield_to(struct rn_engine *engine, bool (*wanted)(void *context), void *context);
+// Memory that a field is about to take of a GPU; the engine holds none there meanwhile.
+struct rn_device_wish {
+    const char *device; // "cuda:0"
+    size_t bytes;       // that it will hold in all; 0: what it held is given back
+    size_t free_bytes;  // on the device, for this and every other process
+    bool patient;       // it can wait until others have finished
+};
+// Asked before memory of a GPU is taken, where several processes share it: `*ret_granted` is
+// `bytes` at least, or what there is where it never will be or, when it is not patient, is not now.
+// RN_ERROR_CANCELLED while it waits. NULL = the engine may take what its options say.
+void rn_engine_share(struct rn_engine *engine,
+                     enum rn_status (*share)(void *context, const struct rn_device_wish *wish,
+                                             size_t *ret_granted, struct rn_error *err),
+                     void *context);
 void rn_engine_describe(const struct rn_engine *engine, struct rn_device_info *ret_info);
 
 // ---- effects --------------------------------------------------------------------------------

@@ -24,12 +24,16 @@ struct rn_engine {
     void *watcher;
     bool (*wanted)(void *context); // rn_engine_yield_to; NULL = never asked
     void *wanter;
+    enum rn_status (*share)(void *context, const struct rn_device_wish *wish, size_t *ret_granted,
+                            struct rn_error *err); // rn_engine_share; NULL = all is its own
+    void *sharer;
     const struct rn_backend *backend; // of a device other than the CPU; NULL without one
     struct rn_device *device;
-    void *module;            // that the backend comes from
-    char device_kernels[32]; // "sm_90"
-    bool deterministic;      // what a device trains
-    bool device_optional;    // what the device cannot do, the CPU does
+    void *module;               // that the backend comes from
+    char device_kernels[32];    // "sm_90"
+    size_t device_memory_bytes; // that fields may take of it; 0 = what is free
+    bool deterministic;         // what a device trains
+    bool device_optional;       // what the device cannot do, the CPU does
 };
 
 // Whether something else is wanted of the calling thread. `engine`: struct rn_engine.
@@ -62,6 +66,7 @@ struct rn_field {
     // Its copy on the engine's device (device.h); NULL without one.
     struct rn_device_field *on_device;
     const struct rn_backend *backend;
+    struct rn_engine *engine;    // whose device
     int device_levels;           // of the copy's maps
     bool behind, moments_behind; // the device trained since these were read from it
 };

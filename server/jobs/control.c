@@ -279,6 +279,7 @@ void rn_control_stats(struct rn_control *control, struct rn_control_stats *ret_s
     for (const struct rn_runner *runner = control->runners; runner != NULL; runner = runner->next) {
         ret_stats->runners++;
         ret_stats->memory_bytes += runner->memory_bytes;
+        ret_stats->gpu_memory_bytes += runner->gpu_bytes;
         ret_stats->scenes_loaded +=
             runner->state == RN_RUNNER_READY && strcmp(runner->mode, "field") == 0;
         for (const struct rn_render *render = runner->renders; render != NULL;

@@ -20,7 +20,7 @@ struct rn_control_options {
     int max_queued;             // unfinished jobs
     int max_loaded;             // scenes with a runner
     int64_t memory_limit_bytes; // of all runners together; 0: none
-    int64_t gpu_memory_bytes;   // of each runner; 0: what is free
+    int64_t gpu_memory_bytes;   // of all runners together on each GPU; 0: what is free
     bool gpu_deterministic;     // the same bytes from a GPU every time
     int64_t keep_alive_s;       // an idle runner is ended after this long
     int64_t runner_timeout_s;   // a busy runner that says nothing for so long is ended
@@ -103,9 +103,9 @@ struct rn_control_stats {
     uint64_t jobs_ended[RN_JOB_INTERRUPTED + 1]; // by state reached: succeeded, failed, ...
     unsigned jobs_open[RN_JOB_INTERRUPTED + 1];
     unsigned runners, scenes_loaded, renders_waiting;
-    int64_t memory_bytes;
-    uint64_t runners_started, runners_lost;
-    uint64_t nonfinite_rays, steps_rejected, rollbacks; // of all jobs
+    int64_t memory_bytes, gpu_memory_bytes;
+    uint64_t runners_started, runners_lost, runners_evicted; // evicted: for a GPU's memory
+    uint64_t nonfinite_rays, steps_rejected, rollbacks;      // of all jobs
     uint64_t renders, renders_failed, renders_cancelled;
     uint64_t render_ms_buckets[10]; // cumulative is made by the reader; bounds below
     double render_ms_sum;

@@ -11,6 +11,7 @@
 #define RN_RING_EVENTS 1024
 #define RN_RING_BYTES (4u << 20)
 #define RN_MAX_RECENT 64
+#define RN_MAX_GPUS 16
 
 // An unfinished job (and a finished one until its last record is on disk).
 struct rn_task {
@@ -62,6 +63,10 @@ struct rn_runner {
     struct rn_task *train, *work; // work: path, eval or ingest
     struct rn_render *renders;
     int64_t memory_bytes;
+    char gpu[16];                // "cuda:0"; "" before it has asked for any
+    int64_t gpu_bytes;           // that it holds there, or has been granted
+    struct rn_wire_reserve wish; // what it waits for; bytes 0: nothing
+    int64_t turn;                // of the wish
     int64_t last_used_ns;
     int64_t heard_ns;    // when it said something, or when nothing was expected of it
     int64_t deadline_ns; // it must have opened, or ended, by then
@@ -72,6 +77,12 @@ struct rn_runner {
 struct rn_recent {
     char id[RN_ID_MAX];
     struct rn_ring *ring;
+};
+
+// A GPU, and what all runners together may hold of it.
+struct rn_gpu {
+    char name[16];
+    int64_t capacity_bytes;
 };
 
 struct rn_control {
@@ -90,6 +101,8 @@ struct rn_control {
     int64_t next_render;
     int64_t next_measure_ns;
     struct rn_device device;
+    struct rn_gpu gpus[RN_MAX_GPUS];
+    int64_t next_turn;
     bool schedule_due;
     struct rn_control_stats stats;
 };
@@ -147,12 +160,20 @@ void rn_runner_post_job(struct rn_control *control, struct rn_runner *runner,
 void rn_runner_begin(struct rn_control *control, struct rn_task *task);
 void rn_runner_shutdown(struct rn_control *control, struct rn_runner *runner);
 bool rn_runner_is_idle(const struct rn_runner *runner);
+// The idle runner that was used longest ago; with `gpu` not NULL, of those that hold memory there.
+struct rn_runner *rn_runner_oldest_idle(struct rn_control *control, const char *gpu);
 // Removes it from the list; what it had is lost or, when `now`, simply ended.
 void rn_runner_remove(struct rn_control *control, struct rn_runner *runner, bool now);
 
 // message.c
 void rn_runner_receive(struct rn_control *control, struct rn_runner *runner,
                        const struct rn_wire_message *message);
+
+// gpu.c: memory of GPUs is counted here before a runner takes it.
+void rn_gpu_reserve(struct rn_control *control, struct rn_runner *runner,
+                    const struct rn_wire_reserve *reserve);
+// Answers those whose turn it is, and ends idle runners to make room for them.
+void rn_gpu_share(struct rn_control *control);
 
 // metrics.c: keeps a figure of a job; those of later steps, which a restart has undone, go.
 enum rn_status rn_metric_record(struct rn_control *control, const char *job,

@@ -331,6 +331,7 @@ union any {
     struct rn_wire_done done;
     struct rn_wire_failed failed;
     struct rn_wire_info info;
+    struct rn_wire_reserve reserve;
 };
 
 static void dispatch(struct rn_control *control, struct rn_runner *runner,
@@ -371,6 +372,9 @@ static void dispatch(struct rn_control *control, struct rn_runner *runner,
         break;
     case RN_WIRE_INFO:
         on_info(control, runner, &any->info);
+        break;
+    case RN_WIRE_RESERVE:
+        rn_gpu_reserve(control, runner, &any->reserve);
         break;
     default:
         break;

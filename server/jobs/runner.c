@@ -26,6 +26,17 @@ bool rn_runner_is_idle(const struct rn_runner *runner) {
            runner->renders == NULL;
 }
 
+struct rn_runner *rn_runner_oldest_idle(struct rn_control *control, const char *gpu) {
+    struct rn_runner *oldest = NULL;
+    for (struct rn_runner *runner = control->runners; runner != NULL; runner = runner->next) {
+        bool counts = gpu == NULL || (runner->gpu_bytes > 0 && strcmp(runner->gpu, gpu) == 0);
+        if (counts && rn_runner_is_idle(runner) &&
+            (oldest == NULL || runner->last_used_ns < oldest->last_used_ns))
+            oldest = runner;
+    }
+    return oldest;
+}
+
 enum rn_status rn_runner_start(struct rn_control *control, const char *mode, const char *scene,
                                const char *log_path, struct rn_runner **ret_runner,
                                struct rn_error *err) {
@@ -66,7 +77,6 @@ static enum rn_status open_scene(struct rn_control *control, struct rn_runner *r
     open.load = load;
     open.threads = control->options.threads;
     open.memory_limit_bytes = control->options.memory_limit_bytes;
-    open.gpu_memory_bytes = control->options.gpu_memory_bytes;
     open.gpu_deterministic = control->options.gpu_deterministic;
     enum rn_status status = RN_OK;
     if (open.scene_folder == NULL || open.dataset_folder == NULL)

@@ -88,16 +88,6 @@ static void start(struct rn_control *control, struct rn_task *task) {
     if (runner->state == RN_RUNNER_READY) rn_runner_begin(control, task);
 }
 
-// The idle runner that was used longest ago.
-static struct rn_runner *oldest_idle(struct rn_control *control) {
-    struct rn_runner *oldest = NULL;
-    for (struct rn_runner *runner = control->runners; runner != NULL; runner = runner->next)
-        if (rn_runner_is_idle(runner) &&
-            (oldest == NULL || runner->last_used_ns < oldest->last_used_ns))
-            oldest = runner;
-    return oldest;
-}
-
 static void evict(struct rn_control *control) {
     int64_t memory = 0, now_ns = rn_clock_ns();
     int loaded = 0;
@@ -107,7 +97,7 @@ static void evict(struct rn_control *control) {
         loaded += strcmp(runner->mode, "field") == 0;
     }
     struct rn_runner *oldest;
-    while ((oldest = oldest_idle(control)) != NULL) {
+    while ((oldest = rn_runner_oldest_idle(control, NULL)) != NULL) {
         bool over = loaded > control->options.max_loaded ||
                     (control->options.memory_limit_bytes > 0 && loaded > 1 &&
                      memory > control->options.memory_limit_bytes);
@@ -131,4 +121,5 @@ void rn_schedule(struct rn_control *control) {
         if (queued || waits) start(control, task);
     }
     evict(control);
+    rn_gpu_share(control);
 }

@@ -14,6 +14,44 @@
 #include "server/runner/checkpoints.h"
 #include "server/runner/describe.h"
 
+// ---- memory of a GPU -----------------------------------------------------------------------
+
+enum { GRANT_POLL_US = 1000 };
+
+// Whether the grant with this number has arrived; those of reserves that were given up are dropped.
+static bool take_grant(struct rn_host *host, int64_t number, size_t *ret_bytes) {
+    struct rn_letter letter;
+    while (rn_link_take_type(&host->link, RN_WIRE_GRANT, &letter)) {
+        struct rn_wire_grant grant = {.number = -1};
+        bool taken = rn_wire_take(&letter.message, &grant, NULL) == RN_OK;
+        rn_wire_message_finish(&letter.message);
+        if (!taken || grant.number != number) continue;
+        *ret_bytes = (size_t)grant.bytes;
+        return true;
+    }
+    return false;
+}
+
+// The daemon knows what other runners hold. As rn_engine_share wants it; `context`: the host.
+static enum rn_status share_device(void *context, const struct rn_device_wish *wish,
+                                   size_t *ret_granted, struct rn_error *err) {
+    struct rn_host *host = context;
+    struct rn_wire_reserve reserve = {.number = ++host->reserves,
+                                      .bytes = (int64_t)wish->bytes,
+                                      .free_bytes = (int64_t)wish->free_bytes,
+                                      .patient = wish->patient};
+    snprintf(reserve.device, sizeof reserve.device, "%s", wish->device);
+    rn_link_post(&host->link, RN_WIRE_RESERVE, &reserve, NULL, 0);
+    while (wish->bytes > 0 && !take_grant(host, reserve.number, ret_granted)) {
+        rn_link_pump(&host->link, 0);
+        if (host->watch ? !rn_watch_keep_going(host->watch) : rn_link_must_stop(&host->link))
+            return rn_error_set(err, RN_ERROR_CANCELLED, "device",
+                                "cancelled while it waited for a GPU's memory");
+        usleep(GRANT_POLL_US);
+    }
+    return RN_OK;
+}
+
 // ---- what jobs and renders need ------------------------------------------------------------
 
 enum rn_status rn_host_need_engine(struct rn_host *host, const char *device, const char *kernels,
@@ -28,15 +66,16 @@ enum rn_status rn_host_need_engine(struct rn_host *host, const char *device, con
     if (host->engine) rn_engine_destroy(&host->engine);
     snprintf(host->engine_device, sizeof host->engine_device, "%s", device);
     snprintf(host->engine_kernels, sizeof host->engine_kernels, "%s", kernels);
-    host->engine_options = (struct rn_engine_options){
-        .device = *device ? host->engine_device : NULL,
-        .kernels = *kernels ? host->engine_kernels : NULL,
-        .threads = threads,
-        .device_memory_bytes = (size_t)rn_int_or(host->place.gpu_memory_bytes, 0),
-        .deterministic = host->place.gpu_deterministic};
+    host->engine_options =
+        (struct rn_engine_options){.device = *device ? host->engine_device : NULL,
+                                   .kernels = *kernels ? host->engine_kernels : NULL,
+                                   .threads = threads,
+                                   .deterministic = host->place.gpu_deterministic};
     enum rn_status status = rn_engine_create(&host->engine_options, &host->engine, err);
-    if (!status) rn_engine_yield_to(host->engine, rn_link_has_news, &host->link);
-    return status;
+    if (status) return status;
+    rn_engine_yield_to(host->engine, rn_link_has_news, &host->link);
+    rn_engine_share(host->engine, share_device, host);
+    return RN_OK;
 }
 
 enum rn_status rn_host_need_dataset(struct rn_host *host, struct rn_error *err) {
@@ -146,6 +185,7 @@ union request {
     struct rn_wire_job job;
     struct rn_wire_cancel cancel;
     struct rn_wire_render render;
+    struct rn_wire_grant grant;
 };
 
 static void refuse(struct rn_host *host, const char *job, int64_t request, const char *text) {
@@ -203,6 +243,8 @@ static void dispatch(struct rn_host *host, const struct rn_letter *letter, union
         break;
     case RN_WIRE_RENDER:
         handle_render(host, &request->render, letter->arrived_ns);
+        break;
+    case RN_WIRE_GRANT: // of a reserve that was given up
         break;
     default:
         rn_log(RN_LOG_WARN, "a %s message is not for this mode",

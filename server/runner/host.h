@@ -23,6 +23,8 @@ struct rn_host {
     struct rn_engine *engine;
     struct rn_engine_options engine_options; // texts point into engine_device, engine_kernels
     char engine_device[16], engine_kernels[32];
+    int64_t reserves;       // of a GPU's memory that were asked for
+    struct rn_watch *watch; // of the job that loads; NULL: none
 
     struct rn_dataset *dataset;   // NULL until first needed
     struct rn_field *loaded;      // from a checkpoint; NULL while it trains

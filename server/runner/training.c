@@ -217,9 +217,11 @@ static enum rn_status create_trainer(struct rn_host *host, const char *job,
     if (status) return point_at_option(status, err);
     if (host->loaded) rn_field_destroy(&host->loaded); // room for the optimiser
     struct rn_watch watch = {.link = &host->link, .job = job, .request = RN_ABSENT};
+    host->watch = &watch;
     rn_engine_watch(host->engine, rn_watch_keep_going, &watch);
     status = restore_or_create(host, options, ret_trainer, err);
     rn_engine_watch(host->engine, NULL, NULL);
+    host->watch = NULL;
     return status;
 }
 

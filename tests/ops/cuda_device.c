@@ -14,7 +14,7 @@ static const struct rn_backend *find(void) {
     struct rn_device *device;
     struct rn_device_about about;
     struct rn_error err = {0};
-    if (!table || table->open(0, 0, &device, &about, &err) != RN_OK) {
+    if (!table || table->open(0, &device, &about, &err) != RN_OK) {
         printf("%s\n", table ? err.text : "no module at RIPNERF_CUDA_MODULE");
         return NULL;
     }

@@ -104,7 +104,10 @@ enum rn_status test_scene_upload(struct test_scene *s, size_t budget, struct rn_
                                     .occupancy = f->occupancy,
                                     .hull = f->hull};
     memcpy(scene.centre, f->bounds.centre, sizeof scene.centre);
-    enum rn_status status = test_backend()->open(0, budget, &s->device, &about, err);
+    size_t bytes;
+    enum rn_status status = test_backend()->open(0, &s->device, &about, err);
+    if (status == RN_OK)
+        status = test_backend()->needs(&scene, NULL, NULL, budget ? budget : SIZE_MAX, &bytes, err);
     if (status != RN_OK) return status;
     return test_backend()->field_create(s->device, &scene, &s->on_device, err);
 }

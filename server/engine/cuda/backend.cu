@@ -26,10 +26,9 @@ static const struct rn_kernel_shape *find_shape(int features, int width) {
 
 // ---- devices --------------------------------------------------------------------------------
 
-static enum rn_status device_open(int ordinal, size_t budget_bytes, struct rn_device **ret_device,
+static enum rn_status device_open(int ordinal, struct rn_device **ret_device,
                                   struct rn_device_about *ret_about, struct rn_error *err) {
     int count = 0;
-    size_t free_bytes, total;
     cudaDeviceProp p;
     cudaError_t outcome = cudaGetDeviceCount(&count);
     if (outcome != cudaSuccess || ordinal >= count)
@@ -39,8 +38,6 @@ static enum rn_status device_open(int ordinal, size_t budget_bytes, struct rn_de
     enum rn_status status = rn_cuda_check(cudaSetDevice(ordinal), "choosing the device", err);
     if (status == RN_OK)
         status = rn_cuda_check(cudaGetDeviceProperties(&p, ordinal), "asking the device", err);
-    if (status == RN_OK)
-        status = rn_cuda_check(cudaMemGetInfo(&free_bytes, &total), "asking for memory", err);
     if (status != RN_OK) return status;
     if (p.major < 8)
         return rn_error_set(err, RN_ERROR_UNSUPPORTED, "device",
@@ -51,7 +48,6 @@ static enum rn_status device_open(int ordinal, size_t budget_bytes, struct rn_de
     d->ordinal = ordinal;
     d->processors = p.multiProcessorCount;
     d->shared_bytes = p.sharedMemPerBlockOptin;
-    d->budget_bytes = budget_bytes ? budget_bytes : free_bytes - free_bytes / 32;
     status = rn_cuda_check(cudaStreamCreateWithFlags(&d->stream, cudaStreamNonBlocking),
                            "making a stream", err);
     if (status != RN_OK) {
@@ -61,8 +57,7 @@ static enum rn_status device_open(int ordinal, size_t budget_bytes, struct rn_de
     memset(ret_about, 0, sizeof *ret_about);
     snprintf(ret_about->name, sizeof ret_about->name, "%.100s", p.name);
     snprintf(ret_about->kernels, sizeof ret_about->kernels, "sm_%d%d", p.major, p.minor);
-    ret_about->memory_bytes = total;
-    ret_about->free_bytes = free_bytes;
+    ret_about->memory_bytes = p.totalGlobalMem;
     *ret_device = d;
     return RN_OK;
 }
@@ -78,49 +73,12 @@ static size_t used_bytes(const struct rn_device *device) {
     return device->used_bytes;
 }
 
+static size_t free_bytes(const struct rn_device *) {
+    size_t free, total;
+    return cudaMemGetInfo(&free, &total) == cudaSuccess ? free : 0;
+}
+
 // ---- memory ---------------------------------------------------------------------------------
-
-// Bytes of a field whose planes have `base` texels a side, with its training where there are
-// pixels.
-static size_t bytes_at(const struct rn_device_field *f, const struct rn_device_pixels *pixels,
-                       int base) {
-    struct rn_device_field other = *f;
-    struct rn_field_config *c = &other.config.field;
-    struct rn_arena arena = {NULL, 0};
-    int levels = f->scene.planes.levels, side = c->base;
-    size_t texels = (size_t)base * (size_t)base - (size_t)c->base * (size_t)c->base;
-    for (; side < base && levels > 1 && levels < c->levels; side *= 2)
-        levels++; // finer texels, higher levels
-    while (levels > 1 && base >> (levels - 1) == 0)
-        levels--;
-    other.parameter_count += (size_t)c->planes * (size_t)c->channels * texels;
-    c->base = base;
-    rn_cuda_planes_init(&other.scene.planes, c, &f->solid, levels);
-    rn_field_lay_out(&other, &arena);
-    if (pixels) rn_train_lay_out(&other, pixels, &arena);
-    return arena.used;
-}
-
-// Whether a field of some base, with its training, fits the budget; else what would. `own` bytes of
-// it are taken already.
-static enum rn_status check_budget(const struct rn_device_field *f,
-                                   const struct rn_device_pixels *pixels, int base, size_t own,
-                                   struct rn_error *err) {
-    const struct rn_device *d = f->device;
-    size_t left = d->budget_bytes - d->used_bytes + own, need = bytes_at(f, pixels, base);
-    char remedy[64] = "not even the smallest base";
-    if (need <= left) return RN_OK;
-    for (int smaller = base / 2; smaller >= RN_UPDATE; smaller /= 2)
-        if (bytes_at(f, pixels, smaller) <= left) {
-            snprintf(remedy, sizeof remedy, "a base of %d texels", smaller);
-            break;
-        }
-    return rn_error_set(err, RN_ERROR_LIMIT, "base",
-                        "%s planes of %d texels a side needs %zu MiB of the device's memory; of "
-                        "the %zu MiB it may use %zu are free: %s would fit",
-                        pixels ? "training" : "a field with", base, (need >> 20) + 1,
-                        d->budget_bytes >> 20, left >> 20, remedy);
-}
 
 static enum rn_status take(struct rn_device *d, size_t bytes, void **ret, struct rn_error *err) {
     cudaError_t outcome = cudaMalloc(ret, bytes);
@@ -183,6 +141,69 @@ static void describe_scene(struct rn_device_field *f, const struct rn_device_sce
     f->scene.occupancy.cells = c->occupancy;
 }
 
+// Tiles for a quarter more samples than aimed at, and for a part-filled one a ray; no fewer than
+// tiles of rays, which take the same scratch.
+static void choose_capacities(struct rn_device_field *f) {
+    int target = f->config.target_samples, rays = 4 * target;
+    f->batch.ray_capacity = rays < RN_DEVICE_MAX_RAYS ? rays : RN_DEVICE_MAX_RAYS;
+    uint32_t of_rays = f->scene.per_ray ? rn_cuda_ray_tiles(f->batch.ray_capacity) : 0;
+    uint32_t tiles = (uint32_t)(target / RN_TILE + target / RN_TILE / 4 + 4096);
+    f->batch.tile_capacity = tiles > of_rays ? tiles : of_rays;
+}
+
+// Bytes of a field whose planes have `base` texels a side, with its training where there are
+// pixels.
+static size_t bytes_at(const struct rn_device_field *f, const struct rn_device_pixels *pixels,
+                       int base) {
+    struct rn_device_field other = *f;
+    struct rn_field_config *c = &other.config.field;
+    struct rn_arena arena = {NULL, 0};
+    int levels = f->scene.planes.levels, side = c->base;
+    size_t texels = (size_t)base * (size_t)base - (size_t)c->base * (size_t)c->base;
+    for (; side < base && levels > 1 && levels < c->levels; side *= 2)
+        levels++; // finer texels, higher levels
+    while (levels > 1 && base >> (levels - 1) == 0)
+        levels--;
+    other.parameter_count += (size_t)c->planes * (size_t)c->channels * texels;
+    c->base = base;
+    rn_cuda_planes_init(&other.scene.planes, c, &f->solid, levels);
+    rn_field_lay_out(&other, &arena);
+    if (pixels) rn_train_lay_out(&other, pixels, &arena);
+    return arena.used;
+}
+
+static enum rn_status needs(const struct rn_device_scene *scene,
+                            const struct rn_device_pixels *pixels,
+                            const struct rn_device_training *training, size_t budget_bytes,
+                            size_t *ret_bytes, struct rn_error *err) {
+    int base = scene->config.field.base, most = base;
+    char remedy[64] = "not even the smallest base";
+    enum rn_status status = check_config(scene, err);
+    if (status != RN_OK) return status;
+    struct rn_device_field f = {};
+    describe_scene(&f, scene);
+    if (pixels) {
+        f.deterministic = training->deterministic;
+        choose_capacities(&f);
+        if (scene->config.grow_to > base) most = scene->config.grow_to;
+    }
+    size_t need = bytes_at(&f, pixels, most);
+    if (need <= budget_bytes) {
+        *ret_bytes = need;
+        return RN_OK;
+    }
+    for (int smaller = most / 2; smaller >= RN_UPDATE; smaller /= 2)
+        if (bytes_at(&f, pixels, smaller) <= budget_bytes) {
+            snprintf(remedy, sizeof remedy, "a base of %d texels", smaller);
+            break;
+        }
+    return rn_error_set(err, RN_ERROR_LIMIT, "base",
+                        "%s planes of %d texels a side needs %zu MiB of the device's memory, of "
+                        "which %zu MiB may be used: %s would fit",
+                        pixels ? "training" : "a field with", most, (need >> 20) + 1,
+                        budget_bytes >> 20, remedy);
+}
+
 // Uploads, and builds what the kernels read. The lists are the host's only until it returns.
 static enum rn_status upload(struct rn_device_field *f, const struct rn_device_scene *s,
                              struct rn_error *err) {
@@ -228,8 +249,7 @@ static enum rn_status field_create(struct rn_device *device, const struct rn_dev
     f->device = device;
     describe_scene(f, scene);
     rn_field_lay_out(f, &arena);
-    status = check_budget(f, NULL, f->config.field.base, 0, err);
-    if (status == RN_OK) status = take(device, arena.used, &f->memory, err);
+    status = take(device, arena.used, &f->memory, err);
     if (status == RN_OK) {
         f->memory_bytes = arena.used;
         arena = rn_arena{(char *)f->memory, 0};
@@ -244,16 +264,6 @@ static enum rn_status field_create(struct rn_device *device, const struct rn_dev
 }
 
 // ---- training -------------------------------------------------------------------------------
-
-// Tiles for a quarter more samples than aimed at, and for a part-filled one a ray; no fewer than
-// tiles of rays, which take the same scratch.
-static void choose_capacities(struct rn_device_field *f) {
-    int target = f->config.target_samples, rays = 4 * target;
-    f->batch.ray_capacity = rays < RN_DEVICE_MAX_RAYS ? rays : RN_DEVICE_MAX_RAYS;
-    uint32_t of_rays = f->scene.per_ray ? rn_cuda_ray_tiles(f->batch.ray_capacity) : 0;
-    uint32_t tiles = (uint32_t)(target / RN_TILE + target / RN_TILE / 4 + 4096);
-    f->batch.tile_capacity = tiles > of_rays ? tiles : of_rays;
-}
 
 // As many rays as fit even if every sample of each is seen.
 static int first_rays(const struct rn_device_field *f, int asked) {
@@ -324,9 +334,7 @@ static enum rn_status train_begin(struct rn_device_field *f, const struct rn_dev
     f->deterministic = training->deterministic;
     describe_training(f, pixels, training->march_step);
     rn_train_lay_out(f, pixels, &arena);
-    int base = f->config.field.base, most = f->config.grow_to > base ? f->config.grow_to : base;
-    enum rn_status status = check_budget(f, pixels, most, f->memory_bytes, err);
-    if (status == RN_OK) status = take(f->device, arena.used, &f->train_memory, err);
+    enum rn_status status = take(f->device, arena.used, &f->train_memory, err);
     if (status != RN_OK) return status;
     f->train_bytes = arena.used;
     arena = rn_arena{(char *)f->train_memory, 0};
@@ -488,8 +496,8 @@ static enum rn_status render(struct rn_device_field *f, const struct rn_camera *
 extern "C" {
 extern const struct rn_backend rn_backend_table;
 const struct rn_backend rn_backend_table = {
-    RN_BACKEND_VERSION, "cuda",        device_open, device_close, used_bytes,
-    field_create,       field_destroy, train_begin, train_step,   train_finish,
-    train_timed,        download,      render,
+    RN_BACKEND_VERSION, "cuda",       device_open,  device_close,  used_bytes,
+    free_bytes,         needs,        field_create, field_destroy, train_begin,
+    train_step,         train_finish, train_timed,  download,      render,
 };
 }

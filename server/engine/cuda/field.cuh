@@ -13,7 +13,7 @@
 struct rn_device {
     int ordinal, processors;
     size_t shared_bytes; // of one block
-    size_t budget_bytes, used_bytes;
+    size_t used_bytes;
     cudaStream_t stream;
 };
 

@@ -57,7 +57,8 @@ static enum rn_status pack_pixels(const struct rn_trainer *t, struct packed_pixe
     return RN_OK;
 }
 
-static enum rn_status begin_training(struct rn_trainer *t, struct rn_error *err) {
+// The field and all of its training on the device.
+static enum rn_status put_training(struct rn_trainer *t, struct rn_error *err) {
     struct packed_pixels packed = {.frames = NULL};
     struct rn_device_training training = {.deterministic = t->engine->deterministic,
                                           .next_rays = t->next_rays,
@@ -71,8 +72,7 @@ static enum rn_status begin_training(struct rn_trainer *t, struct rn_error *err)
                                           .v = t->v};
     enum rn_status status = pack_pixels(t, &packed, err);
     if (status == RN_OK)
-        status =
-            t->field->backend->train_begin(t->field->on_device, &packed.pixels, &training, err);
+        status = rn_field_put(t->engine, t->field, t->levels, &packed.pixels, &training, err);
     free(packed.frames);
     free(packed.live);
     return status;
@@ -83,12 +83,8 @@ enum rn_status rn_trainer_put(struct rn_trainer *t, struct rn_error *err) {
     const char *kernels = e->kernels->name;
     enum rn_status status = RN_OK;
     t->counted = (struct rn_device_progress){.steps = t->progress.step, .rays = t->progress.rays};
-    if (e->backend) status = rn_field_put(e, t->field, t->levels, err);
-    if (status == RN_OK && e->backend) status = begin_training(t, err);
-    if (status == RN_ERROR_UNSUPPORTED && e->device_optional) {
-        rn_field_withdraw(t->field);
-        status = RN_OK;
-    }
+    if (e->backend) status = put_training(t, err);
+    if (status == RN_ERROR_UNSUPPORTED && e->device_optional) status = RN_OK;
     if (t->field->on_device) kernels = e->device_kernels;
     snprintf(t->field->kernels, sizeof t->field->kernels, "%s", kernels);
     return status;

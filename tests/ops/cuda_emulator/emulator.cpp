@@ -6,7 +6,12 @@
 #include "knobs.h"
 
 emu::machine emu::m;
-size_t emu::memory_total = (size_t)2 << 30, emu::memory_used;
+// RIPNERF_EMULATOR_MEMORY: bytes of every process's device.
+static size_t given_memory() {
+    const char *bytes = getenv("RIPNERF_EMULATOR_MEMORY");
+    return bytes ? strtoull(bytes, NULL, 10) : (size_t)2 << 30;
+}
+size_t emu::memory_total = given_memory(), emu::memory_used;
 long emu::allocations;
 cudaError_t emu::sticky;
 void emu::maybe_lose() {
