@@ -242,6 +242,7 @@ static const struct {
     [RN_WIRE_RENDER] = {"render", &render_table},
     [RN_WIRE_SHUTDOWN] = {"shutdown", &empty_table},
     [RN_WIRE_GRANT] = {"grant", &grant_table},
+    [RN_WIRE_REST] = {"rest", &empty_table},
     [RN_WIRE_HELLO] = {"hello", &hello_table},
     [RN_WIRE_OPENED] = {"opened", &opened_table},
     [RN_WIRE_STATE] = {"state", &state_table},

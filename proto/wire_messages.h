@@ -28,6 +28,7 @@ enum rn_wire_type {
     RN_WIRE_RENDER,   //                      rn_wire_render -> rendered or failed
     RN_WIRE_SHUTDOWN, // save and exit        rn_wire_empty -> checkpoint of a running training, EOF
     RN_WIRE_GRANT,    // answers reserve      rn_wire_grant
+    RN_WIRE_REST,     // between pictures     rn_wire_empty -> reserve of 0; takes it again itself
     // runner -> daemon
     RN_WIRE_HELLO = 64, //                    rn_wire_hello
     RN_WIRE_OPENED,     //                    rn_wire_opened

@@ -42,8 +42,8 @@ static void put_runners(struct rn_buf *text, const struct rn_control_stats *stat
         (double)stats->gpu_memory_bytes);
     one(text, "runners_started_total", "counter", "Runners started.",
         (double)stats->runners_started);
-    one(text, "runners_evicted_total", "counter", "Runners ended to make room on a GPU.",
-        (double)stats->runners_evicted);
+    one(text, "scenes_rested_total", "counter", "Scenes that gave a GPU's memory up for others.",
+        (double)stats->scenes_rested);
     one(text, "runners_lost_total", "counter", "Runners that ended unasked.",
         (double)stats->runners_lost);
 }

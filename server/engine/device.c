@@ -173,6 +173,7 @@ enum rn_status rn_field_put_to_render(struct rn_engine *engine, struct rn_field 
     while (levels > 1 && c->base % (1 << (levels - 1)) != 0)
         levels--;
     enum rn_status status = rn_field_put(engine, f, levels, NULL, NULL, &own);
+    f->rests = status == RN_ERROR_LIMIT || status == RN_ERROR_NO_MEMORY;
     if (engine->device_optional && status != RN_ERROR_UNAVAILABLE) return RN_OK;
     if (status != RN_OK && err) *err = own;
     return status;
@@ -189,6 +190,11 @@ enum rn_status rn_field_fetch(struct rn_field *f, float *m, float *v, struct rn_
     f->packed_for = NULL;
     rn_field_refresh_occupancy(f);
     return RN_OK;
+}
+
+void rn_field_rest(struct rn_field *f) {
+    f->rests = f->rests || f->on_device;
+    rn_field_withdraw(f);
 }
 
 void rn_field_withdraw(struct rn_field *f) {

@@ -64,6 +64,9 @@ void rn_engine_share(struct rn_engine *engine,
                      enum rn_status (*share)(void *context, const struct rn_device_wish *wish,
                                              size_t *ret_granted, struct rn_error *err),
                      void *context);
+// Gives what a field that is not trained holds of a GPU back; its next picture takes it there
+// again.
+void rn_field_rest(struct rn_field *field);
 void rn_engine_describe(const struct rn_engine *engine, struct rn_device_info *ret_info);
 
 // ---- effects --------------------------------------------------------------------------------

@@ -69,6 +69,7 @@ struct rn_field {
     struct rn_engine *engine;    // whose device
     int device_levels;           // of the copy's maps
     bool behind, moments_behind; // the device trained since these were read from it
+    bool rests;                  // not there for want of memory: the next picture tries again
 };
 
 // A block of zeros, 4,096-byte aligned; on huge pages where it is large and the machine has them,

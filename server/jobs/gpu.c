@@ -1,8 +1,9 @@
 // Memory of GPUs. Runners are processes of their own and share a device, so it is counted here: a
 // runner asks for what it will hold, holds none while it waits, and takes it when it is told to.
 //
-// What fits is granted at once. Else idle runners end, the one that was used longest ago first;
-// their scenes are loaded again when they are wanted. Where that is not enough, a patient runner
+// What fits is granted at once. Else idle scenes make room, the one that was used longest ago
+// first: its runner keeps it in the machine's memory, and asks for the device's again before its
+// next picture; the runner of a paused training ends. Where that is not enough, a patient runner
 // waits for those that work, as long as an empty device would do, and is served before patient ones
 // that asked later; any other is told what there is.
 #include <stdio.h>
@@ -15,7 +16,7 @@
 #define LOAD_NS (60 * 1000000000ll) // for a runner that is still opening, after its grant
 #define MIB(bytes) ((long long)((bytes) >> 20))
 
-// What runners hold of a GPU: all of them, those that are not ending, or those that are idle. One
+// What runners hold of a GPU: all of them, those that keep it, or those of them that are idle. One
 // that waits holds none.
 struct held {
     int64_t all, staying, idle;
@@ -25,7 +26,7 @@ static struct held held_of(const struct rn_control *control, const char *gpu) {
     for (const struct rn_runner *r = control->runners; r != NULL; r = r->next) {
         if (strcmp(r->gpu, gpu) != 0) continue;
         held.all += r->gpu_bytes;
-        if (r->state != RN_RUNNER_ENDING) held.staying += r->gpu_bytes;
+        if (r->state != RN_RUNNER_ENDING && !r->rests) held.staying += r->gpu_bytes;
         if (rn_runner_is_idle(r)) held.idle += r->gpu_bytes;
     }
     return held;
@@ -44,16 +45,22 @@ static int64_t capacity_of(struct rn_control *control, const struct rn_runner *r
     return gpu->capacity_bytes;
 }
 
+// Being told something is no use of its scene.
+static void tell(struct rn_control *control, struct rn_runner *runner, enum rn_wire_type type,
+                 const void *message) {
+    int64_t last_used_ns = runner->last_used_ns;
+    rn_runner_post(control, runner, type, message);
+    runner->last_used_ns = last_used_ns;
+}
+
 static void grant(struct rn_control *control, struct rn_runner *runner, int64_t bytes) {
     struct rn_wire_grant grant = {.number = runner->wish.number, .bytes = bytes};
-    int64_t last_used_ns = runner->last_used_ns;
     runner->gpu_bytes = bytes >= runner->wish.bytes ? runner->wish.bytes : 0;
     rn_log(RN_LOG_INFO, "runner %d: wants %lld MiB of %s, %s", (int)runner->process.pid,
            MIB(runner->wish.bytes), runner->gpu, runner->gpu_bytes > 0 ? "granted" : "refused");
     runner->wish.bytes = 0;
-    rn_runner_post(control, runner, RN_WIRE_GRANT, &grant);
-    runner->last_used_ns = last_used_ns; // by whom it is used has not changed
-    control->schedule_due = true;        // it is the next one's turn
+    tell(control, runner, RN_WIRE_GRANT, &grant);
+    control->schedule_due = true; // it is the next one's turn
 }
 
 static bool waits(const struct rn_runner *runner) {
@@ -68,15 +75,21 @@ static bool is_next(const struct rn_control *control, const struct rn_runner *ru
     return true;
 }
 
-// Ends idle runners until `left` bytes and what they hold are `wanted`.
+// Idle scenes rest until `left` bytes and what they hold are `wanted`.
 static void make_room(struct rn_control *control, const char *gpu, int64_t left, int64_t wanted) {
+    struct rn_wire_empty empty = {""};
     struct rn_runner *oldest;
     while (left < wanted && (oldest = rn_runner_oldest_idle(control, gpu)) != NULL) {
-        rn_log(RN_LOG_INFO, "runner %d: ends to make room on %s: %lld MiB of scene %s",
+        rn_log(RN_LOG_INFO, "runner %d: makes room on %s: %lld MiB of scene %s",
                (int)oldest->process.pid, gpu, MIB(oldest->gpu_bytes), oldest->scene);
         left += oldest->gpu_bytes;
-        control->stats.runners_evicted++;
-        rn_runner_shutdown(control, oldest);
+        control->stats.scenes_rested++;
+        if (oldest->train != NULL) { // a paused one: it goes on in another runner
+            rn_runner_shutdown(control, oldest);
+        } else {
+            tell(control, oldest, RN_WIRE_REST, &empty);
+            oldest->rests = true;
+        }
     }
 }
 
@@ -108,11 +121,10 @@ void rn_gpu_reserve(struct rn_control *control, struct rn_runner *runner,
     snprintf(runner->gpu, sizeof runner->gpu, "%s", reserve->device);
     runner->wish = *reserve;
     runner->turn = ++control->next_turn;
-    control->schedule_due = true;
-    if (!smaller)
-        runner->gpu_bytes = 0;
-    else if (reserve->bytes > 0)
+    runner->rests = false;
+    if (smaller && reserve->bytes > 0)
         grant(control, runner, reserve->bytes);
     else
         runner->gpu_bytes = 0;
+    if (!control->stopping) rn_gpu_share(control);
 }

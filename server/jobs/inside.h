@@ -67,6 +67,7 @@ struct rn_runner {
     int64_t gpu_bytes;           // that it holds there, or has been granted
     struct rn_wire_reserve wish; // what it waits for; bytes 0: nothing
     int64_t turn;                // of the wish
+    bool rests;                  // was told to give what it holds back, and has not yet
     int64_t last_used_ns;
     int64_t heard_ns;    // when it said something, or when nothing was expected of it
     int64_t deadline_ns; // it must have opened, or ended, by then

@@ -23,7 +23,7 @@ struct rn_runner *rn_runner_find(struct rn_control *control, const char *scene) 
 bool rn_runner_is_idle(const struct rn_runner *runner) {
     bool trains = runner->train != NULL && runner->train->row.state != RN_JOB_PAUSED;
     return runner->state == RN_RUNNER_READY && !trains && runner->work == NULL &&
-           runner->renders == NULL;
+           runner->renders == NULL && !runner->rests;
 }
 
 struct rn_runner *rn_runner_oldest_idle(struct rn_control *control, const char *gpu) {

@@ -246,6 +246,9 @@ static void dispatch(struct rn_host *host, const struct rn_letter *letter, union
         break;
     case RN_WIRE_GRANT: // of a reserve that was given up
         break;
+    case RN_WIRE_REST:
+        if (host->loaded) rn_field_rest(host->loaded);
+        break;
     default:
         rn_log(RN_LOG_WARN, "a %s message is not for this mode",
                rn_wire_type_name(letter->message.type));

@@ -142,6 +142,7 @@ void rn_engine_describe(const struct rn_engine *engine, struct rn_device_info *r
 
 void rn_engine_watch(struct rn_engine *engine, bool (*keep_going)(void *context), void *context) {}
 void rn_engine_yield_to(struct rn_engine *engine, bool (*wanted)(void *context), void *context) {}
+void rn_field_rest(struct rn_field *field) {}
 void rn_engine_share(struct rn_engine *engine,
                      enum rn_status (*share)(void *context, const struct rn_device_wish *wish,
                                              size_t *ret_granted, struct rn_error *err),

@@ -109,9 +109,12 @@ static enum rn_status prepare(struct frame *f, struct rn_error *err) {
     struct rn_camera cones =
         rn_camera_resized(&f->camera, f->camera.width * f->cones, f->camera.height * f->cones);
     int levels = rn_levels_for_camera(f->field, &cones, (double)f->march.step);
+    enum rn_status status =
+        f->field->rests ? rn_field_put_to_render(f->engine, f->field, err) : RN_OK;
+    if (status != RN_OK) return status;
     f->on_device = f->field->on_device && levels <= f->field->device_levels;
     if (f->on_device) return RN_OK;
-    enum rn_status status = rn_field_fetch(f->field, NULL, NULL, err);
+    status = rn_field_fetch(f->field, NULL, NULL, err);
     if (status == RN_OK) status = rn_field_need_levels(f->field, levels, err);
     if (status == RN_OK) status = rn_engine_prepare(f->engine, f->field, err);
     bool fresh = f->field->fresh_levels >= f->field->cpu.built_levels &&

@@ -11,15 +11,17 @@
 
 #define RUNNERS 4
 #define NOTHING -1 // has been answered
-#define ENDS -2    // was told to end
+#define RESTS -2   // was told to give its memory back
+#define ENDS -3    // was told to end
 
 static struct rn_control control;
 static struct rn_runner runners[RUNNERS];
 static struct rn_wire_reader ends[RUNNERS]; // the runners' ends
-static struct rn_task training = {.row = {.state = RN_JOB_RUNNING}};
-static int64_t asked;
+static struct rn_task training;
+static int64_t asked[RUNNERS]; // the number of each one's last question
 
 static void set_up(void) {
+    training.row.state = RN_JOB_RUNNING;
     control = (struct rn_control){.wake_fd = eventfd(0, EFD_NONBLOCK)};
     control.options.gpu_memory_bytes = 100;
     for (int i = 0; i < RUNNERS; i++) {
@@ -54,11 +56,10 @@ static int64_t told(int i) {
     bool ready;
     ck_assert(rn_wire_read(&ends[i], &ready, &message, &err) == RN_OK);
     if (!ready) return NOTHING;
-    int64_t bytes = ENDS;
-    if (message.type != RN_WIRE_SHUTDOWN) {
-        ck_assert_int_eq(message.type, RN_WIRE_GRANT);
+    int64_t bytes = message.type == RN_WIRE_REST ? RESTS : ENDS;
+    if (message.type == RN_WIRE_GRANT) {
         ck_assert(rn_wire_take(&message, &grant, &err) == RN_OK);
-        ck_assert_int_eq(grant.number, asked);
+        ck_assert_int_eq(grant.number, asked[i]);
         bytes = grant.bytes;
     }
     rn_wire_message_finish(&message);
@@ -67,14 +68,17 @@ static int64_t told(int i) {
 
 // Runner `i` asks; the answer, if there is one.
 static int64_t ask(int i, int64_t bytes, bool patient, int64_t free_bytes) {
-    struct rn_wire_reserve reserve = {.number = ++asked,
+    struct rn_wire_reserve reserve = {.number = asked[i] += 10,
                                       .device = "cuda:0",
                                       .bytes = bytes,
                                       .free_bytes = free_bytes,
                                       .patient = patient};
     rn_gpu_reserve(&control, &runners[i], &reserve);
-    rn_gpu_share(&control);
     return told(i);
+}
+
+static void give_back(int i) {
+    ck_assert_int_eq(ask(i, 0, false, 0), NOTHING);
 }
 
 // Its process has ended.
@@ -87,33 +91,40 @@ static void gone(int i) {
     rn_gpu_share(&control);
 }
 
-START_TEST(the_one_used_longest_ago_goes) {
+START_TEST(the_one_used_longest_ago_makes_room) {
     ck_assert_int_eq(ask(0, 40, false, 0), 40);
     ck_assert_int_eq(ask(1, 40, false, 0), 40);
     runners[0].last_used_ns = 10; // runner 1 was used before it
     ck_assert_int_eq(ask(2, 40, false, 0), NOTHING);
-    ck_assert_int_eq(told(1), ENDS);
+    ck_assert_int_eq(told(1), RESTS);
     ck_assert_int_eq(told(0), NOTHING);
     rn_gpu_share(&control); // it still holds its memory, and no other one has to go
     ck_assert_int_eq(told(2), NOTHING);
     ck_assert_int_eq(told(0), NOTHING);
-    gone(1);
+    give_back(1);
     ck_assert_int_eq(told(2), 40);
-    ck_assert_uint_eq(control.stats.runners_evicted, 1);
+    ck_assert_uint_eq(control.stats.scenes_rested, 1);
     ck_assert_int_eq(runners[0].gpu_bytes + runners[2].gpu_bytes, 80);
+    ck_assert_int_eq(runners[1].last_used_ns, 2);
+    ck_assert_int_eq(ask(1, 40, false, 0), NOTHING); // it is wanted again
+    ck_assert_int_eq(told(2), RESTS);
+    give_back(2);
+    ck_assert_int_eq(told(1), 40);
 }
 END_TEST
 
 START_TEST(as_many_go_as_it_takes) {
     for (int i = 0; i < 3; i++)
         ck_assert_int_eq(ask(i, 30, false, 0), 30);
+    training.row.state = RN_JOB_PAUSED;
+    runners[0].train = &training;
     ck_assert_int_eq(ask(3, 65, true, 0), NOTHING);
-    ck_assert_int_eq(told(0), ENDS);
-    ck_assert_int_eq(told(1), ENDS);
+    ck_assert_int_eq(told(0), ENDS); // a paused training goes on in another runner
+    ck_assert_int_eq(told(1), RESTS);
     ck_assert_int_eq(told(2), NOTHING);
-    gone(0);
+    give_back(1);
     ck_assert_int_eq(told(3), NOTHING);
-    gone(1);
+    gone(0);
     ck_assert_int_eq(told(3), 65);
 }
 END_TEST
@@ -128,11 +139,23 @@ START_TEST(who_works_is_waited_for) {
     ck_assert_int_eq(runners[3].gpu_bytes, 0);
     runners[1].train = NULL;
     ck_assert_int_eq(ask(1, 20, false, 0), 20); // at rest it holds less
-    asked = runners[2].wish.number;
-    ck_assert_int_eq(told(0), ENDS);
+    ck_assert_int_eq(told(0), RESTS);
     ck_assert_int_eq(told(1), NOTHING);
-    gone(0);
+    give_back(0);
     ck_assert_int_eq(told(2), 80);
+}
+END_TEST
+
+START_TEST(what_is_on_its_way_is_counted_once) {
+    ck_assert_int_eq(ask(0, 40, true, 0), 40);
+    runners[0].train = &training;
+    ck_assert_int_eq(ask(1, 40, false, 0), 40);
+    ck_assert_int_eq(ask(2, 60, true, 0), NOTHING);
+    ck_assert_int_eq(told(1), RESTS);
+    ck_assert_int_eq(ask(3, 70, false, 0), 60);
+    ck_assert_int_eq(told(1), NOTHING);
+    give_back(1);
+    ck_assert_int_eq(told(2), 60);
 }
 END_TEST
 
@@ -142,17 +165,14 @@ START_TEST(first_come_first_served) {
     ck_assert_int_eq(ask(1, 90, true, 0), NOTHING);
     ck_assert_int_eq(ask(2, 40, true, 0), NOTHING); // would fit, but is not next
     ck_assert_int_eq(ask(3, 40, false, 0), 40);     // a picture need not wait for a training
-    int64_t second = asked - 1;
     gone(0);
-    ck_assert_int_eq(told(3), ENDS);
-    asked = second - 1;
-    gone(3);
+    ck_assert_int_eq(told(3), RESTS);
+    give_back(3);
     ck_assert_int_eq(told(1), 90);
-    asked = second;
     rn_gpu_share(&control);
     ck_assert_int_eq(told(2), NOTHING);
-    ck_assert_int_eq(told(1), ENDS); // which is idle here
-    gone(1);
+    ck_assert_int_eq(told(1), RESTS); // which is idle here
+    give_back(1);
     ck_assert_int_eq(told(2), 40);
 }
 END_TEST
@@ -187,9 +207,10 @@ int main(void) {
     Suite *suite = suite_create("gpu");
     TCase *tcase = tcase_create("gpu");
     tcase_add_checked_fixture(tcase, set_up, tear_down);
-    tcase_add_test(tcase, the_one_used_longest_ago_goes);
+    tcase_add_test(tcase, the_one_used_longest_ago_makes_room);
     tcase_add_test(tcase, as_many_go_as_it_takes);
     tcase_add_test(tcase, who_works_is_waited_for);
+    tcase_add_test(tcase, what_is_on_its_way_is_counted_once);
     tcase_add_test(tcase, first_come_first_served);
     tcase_add_test(tcase, what_never_fits_is_refused_at_once);
     tcase_add_test(tcase, without_an_option_there_is_what_was_free);
