@@ -199,10 +199,13 @@ static int march_in_rounds(const struct rn_occupancy_bits *grid, const struct rn
 // All of a ray's samples; room + 1 where listing them in rounds finds others.
 static int march(const struct rn_occupancy_bits *grid, const struct rn_march_ray *ray, float step,
                  uint16_t *ret_k, int room) {
-    static uint16_t again[65536];
+    static uint16_t found[65536 + RN_CHUNK], again[65536];
     struct march_lanes l;
+    int counts[RN_VL];
     march_start(grid, ray, 1, step, &l);
-    int n = march_lane(grid, ray, step, &l, 0, ret_k, room);
+    march_out(grid, ray, step, vi_mask_of(1), &l, found, 65536 + RN_CHUNK, counts);
+    int n = counts[0] < room ? counts[0] : room;
+    memcpy(ret_k, found, (size_t)n * sizeof *ret_k);
     int same = march_in_rounds(grid, ray, step, again, room);
     return n == same && memcmp(ret_k, again, (size_t)n * sizeof *ret_k) == 0 ? n : room + 1;
 }

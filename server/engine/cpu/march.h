@@ -167,24 +167,25 @@ RN_INLINE int march_chunk(const struct rn_occupancy_bits *o, const struct rn_mar
     return write_samples(bits, from, shift, ret_k);
 }
 
-// Writes the indices of the samples of lane `j`'s ray, in order, at most `room`.
-static int march_lane(const struct rn_occupancy_bits *o, const struct rn_march_ray *ray, float step,
-                      struct march_lanes *l, int j, uint16_t *ret_k, int room) {
-    int last = -1, count = 0, k = l->k[j], end = l->end[j];
-    vi lane = vi_mask_of(1u << j);
-    while (count < room && vi_mask_bits(march_land(o, step, lane, l))) {
-        uint16_t some[RN_CHUNK]; // where a vector would reach over the room
-        bool over = room - count < RN_CHUNK;
-        k = l->k[j];
-        int n = march_chunk(o, ray, step, end, &k, &last, over ? some : ret_k + count);
-        if (over) {
-            n = n < room - count ? n : room - count;
-            memcpy(ret_k + count, some, (size_t)n * sizeof *some);
-        }
-        count += n;
-        l->k[j] = k;
+// Marches the lanes of `go` to their ends, all together; lane j's samples are written from found +
+// j * room on, in order, and their number to ret_count[j]. Of a lane's steps no more than room -
+// RN_CHUNK are looked at.
+static void march_out(const struct rn_occupancy_bits *o, const struct rn_march_ray *rays, float step,
+                      vi go, struct march_lanes *l, uint16_t *found, int room, int *ret_count) {
+    int last[RN_VL];
+    for (int j = 0; j < RN_VL; j++) {
+        last[j] = -1;
+        ret_count[j] = 0;
     }
-    return count;
+    vi most = l->k + (room - RN_CHUNK);
+    l->end = vi_select(most < l->end, most, l->end);
+    for (unsigned left; (left = vi_mask_bits(go = march_land(o, step, go, l)));)
+        for (; left; left &= left - 1) {
+            int j = __builtin_ctz(left), k = l->k[j];
+            ret_count[j] += march_chunk(o, &rays[j], step, l->end[j], &k, &last[j],
+                                        found + (size_t)j * (size_t)room + ret_count[j]);
+            l->k[j] = k;
+        }
 }
 
 // Where RN_PACKET_RAYS rays stand, and the samples that were found and not evaluated yet.

@@ -12,22 +12,20 @@
 static int packet_march(const struct rn_cpu_field *field, const struct rn_march_options *options,
                         const struct rn_march_ray *rays, int count, struct rn_workspace *w) {
     const struct rn_occupancy_bits *o = &field->occupancy;
-    int n = 0, total = 0;
+    int n = 0, total = 0, found[RN_VL], each = w->capacity + RN_PACKET_SLACK;
     w->candidate_begin[0] = 0;
     if (count > RN_PACKET_RAYS) count = RN_PACKET_RAYS;
     for (bool room = true; room && n < count;) {
         int some = count - n < RN_VL ? count - n : RN_VL;
         struct march_lanes lanes;
         march_start(o, rays + n, some, options->step, &lanes);
-        unsigned hit = vi_mask_bits(march_land(o, options->step, vi_set(-1), &lanes));
+        march_out(o, rays + n, options->step, vi_set(-1), &lanes, w->marched, each, found);
         for (int j = 0; j < some; j++) {
-            int found = 0;
-            if (hit >> j & 1)
-                found = march_lane(o, &rays[n], options->step, &lanes, j, w->candidate + total,
-                                   w->capacity);
-            room = total + found <= w->capacity || n == 0;
+            room = total + found[j] <= w->capacity || n == 0;
             if (!room) break;
-            total += found;
+            memcpy(w->candidate + total, w->marched + (size_t)j * (size_t)each,
+                   (size_t)found[j] * sizeof *w->candidate);
+            total += found[j];
             w->candidate_begin[++n] = total;
         }
     }
