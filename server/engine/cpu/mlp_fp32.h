@@ -23,8 +23,10 @@ static void mlp_pack(const struct rn_mlp_shape *shape, const float *weights, flo
     }
 }
 
+#define RN_BLOCK_ROWS 48 // that go through all layers before the next ones: they stay in the caches
+
 // Rows [begin, begin + n) through the network.
-static void mlp_forward(const struct mlp *net, int begin, int n) {
+static void forward_rows(const struct mlp *net, int begin, int n) {
     const struct rn_mlp_shape *shape = net->shape;
     for (int l = 0; l < shape->layers; l++) {
         bool last = l + 1 == shape->layers;
@@ -43,13 +45,17 @@ static void mlp_forward(const struct mlp *net, int begin, int n) {
     }
 }
 
-#define RN_BACKWARD_ROWS 64 // of a block, whose gradients stay in the caches
+// The same, in blocks of rows.
+static void mlp_forward(const struct mlp *net, int begin, int n) {
+    for (int row = 0; row < n; row += RN_BLOCK_ROWS)
+        forward_rows(net, begin + row, n - row < RN_BLOCK_ROWS ? n - row : RN_BLOCK_ROWS);
+}
 
 // Backward of rows [row, row + n), all layers; `t` is behind the last one's transposed weights.
 static void backward_rows(const struct mlp *net, const float *t, const float *out_grad, int row,
                           int n, float *weight_grad, float *ret_grad) {
     const struct rn_mlp_shape *shape = net->shape;
-    float *in_grad = net->scratch, *other = in_grad + (size_t)RN_BACKWARD_ROWS * shape->widest;
+    float *in_grad = net->scratch, *other = in_grad + (size_t)RN_BLOCK_ROWS * shape->widest;
     out_grad += (size_t)row * shape->out[shape->layers - 1];
     for (int l = shape->layers - 1; l >= 0; l--) {
         int stride = l == 0 ? net->in_stride : shape->in[l], padded = round16(shape->in[l]);
@@ -89,9 +95,9 @@ static float *mlp_backward(const struct mlp *net, const float *out_grad, int n,
     const float *t = net->packed;
     for (int l = 0; l < net->shape->layers; l++)
         t += (size_t)net->shape->out[l] * round16(net->shape->in[l]);
-    for (int row = 0; row < n; row += RN_BACKWARD_ROWS)
+    for (int row = 0; row < n; row += RN_BLOCK_ROWS)
         backward_rows(net, t, out_grad, row,
-                      n - row < RN_BACKWARD_ROWS ? n - row : RN_BACKWARD_ROWS, weight_grad,
+                      n - row < RN_BLOCK_ROWS ? n - row : RN_BLOCK_ROWS, weight_grad,
                       w->grad_a);
     return w->grad_a;
 }
