@@ -40,6 +40,7 @@ static const struct rn_field_spec config[] = {
     RN_F_BOOL(S, sparse, RN_REQUIRED),
     RN_F_BOOL(S, multi_step_rate, RN_REQUIRED),
     RN_F_BOOL(S, favour_finest, RN_REQUIRED),
+    RN_F_BOOL(S, draw_by_error, RN_REQUIRED),
     RN_F_BOOL(S, cone_step, RN_REQUIRED),
     RN_F_BOOL(S, auto_effects, RN_REQUIRED),
     RN_F_NUMBER(S, roulette, RN_REQUIRED, 0, INFINITY),

@@ -22,7 +22,7 @@ struct rn_field_config_record {
     double learning_rate, plane_rate, weight_decay, beta2, adam_eps;
     int64_t max_steps;
     double max_seconds, until_psnr;
-    bool carve, sparse, multi_step_rate, favour_finest, cone_step, auto_effects;
+    bool carve, sparse, multi_step_rate, favour_finest, draw_by_error, cone_step, auto_effects;
     double roulette, stop;
     bool supersample;
     double finest_cone;

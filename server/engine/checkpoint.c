@@ -59,6 +59,14 @@ int rn_checkpoint_tensors(struct rn_field *field, float *m, float *v,
     return count;
 }
 
+int rn_checkpoint_add_importance(const struct rn_importance *importance, struct rn_tensor *list,
+                                 int count) {
+    if (importance->count == 0) return count;
+    add(list, &count, "draw.error", "F32", 1, &importance->count, importance->error);
+    add(list, &count, "draw.share", "F32", 1, &importance->count, importance->share);
+    return count;
+}
+
 // ---- reading --------------------------------------------------------------------------------
 
 static bool read_all(int fd, void *data, size_t bytes, uint64_t at) {
@@ -190,5 +198,21 @@ enum rn_status rn_checkpoint_read_trainer(const struct rn_checkpoint *c, struct 
     t->next_rays = c->next_rays;
     t->gradient_scale = c->gradient_scale;
     t->good_steps = c->good_steps;
+    return RN_OK;
+}
+
+enum rn_status rn_checkpoint_read_importance(const struct rn_checkpoint *c, struct rn_trainer *t,
+                                             struct rn_error *err) {
+    struct rn_tensor list[2];
+    int count = rn_checkpoint_add_importance(&t->importance, list, 0);
+    for (int i = 0; i < count; i++) {
+        enum rn_status status = read_tensor(c, &list[i], err);
+        if (status != RN_OK) return status;
+    }
+    for (size_t i = 0; i < t->importance.count; i++)
+        if (!(t->importance.share[i] > 0))
+            return rn_error_set(err, RN_ERROR_CORRUPT, c->path,
+                                "tensor 'draw.share' holds numbers that are not positive");
+    rn_trainer_share_out(t, false);
     return RN_OK;
 }

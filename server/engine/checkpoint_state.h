@@ -20,6 +20,9 @@ struct rn_tensor {
 // many. The same list for writing and reading.
 int rn_checkpoint_tensors(struct rn_field *field, float *m, float *v,
                           struct rn_tensor list[RN_CHECKPOINT_TENSORS]);
+// Appends those of how rays are drawn to a list of `count`; returns how many there are then.
+int rn_checkpoint_add_importance(const struct rn_importance *importance, struct rn_tensor *list,
+                                 int count);
 
 // A new object, or NULL when out of memory.
 json_t *rn_checkpoint_state(const struct rn_trainer *trainer);

@@ -126,6 +126,7 @@ enum rn_status rn_checkpoint_begin(const struct rn_trainer *t, const char *path,
     if (!w) return rn_error_set(err, RN_ERROR_NO_MEMORY, path, "out of memory");
     snprintf(w->path, sizeof w->path, "%s", path);
     w->tensor_count = rn_checkpoint_tensors(t->field, t->m, t->v, w->tensors);
+    w->tensor_count = rn_checkpoint_add_importance(&t->importance, w->tensors, w->tensor_count);
     w->parameters = t->field->parameters.values;
     w->parameter_bytes = t->field->parameters.count * sizeof(float);
     w->header = header_text(t, w);

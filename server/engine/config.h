@@ -65,6 +65,7 @@ struct rn_train_config {
     bool multi_step_rate; // the paper's rate schedule; else one decay made for the time given
     bool favour_finest;   // most rays from the finest scale, all of weight 1 (train/draw.h); else
                           // evenly over all pixels, weighted by area
+    bool draw_by_error;   // of these, more where errors are large (train/importance.h)
     bool auto_effects;    // effects that the data does not call for may be switched off
     double roulette;      // contribution below which a sample's backward is a lottery; 0 = off
     bool footprint_given; // asked for by name: not switched off though the data calls for less

@@ -93,6 +93,8 @@ static bool set_option(struct run *run, const char *name, const char *value) {
         c->cone_step = v != 0;
     else if (strcmp(name, "finest") == 0)
         c->favour_finest = v != 0;
+    else if (strcmp(name, "by_error") == 0)
+        c->draw_by_error = v != 0;
     else if (strcmp(name, "supersample") == 0)
         c->supersample = v != 0;
     else if (strcmp(name, "shading") == 0)

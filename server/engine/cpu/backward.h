@@ -25,6 +25,7 @@ static void ray_loss(const struct rn_march_ray *ray, const float rgb[3], float r
     group->loss += (double)ray->weight * loss;
     group->weight += (double)ray->weight;
     group->rays_hit++;
+    if (group->ray_loss) group->ray_loss[ray->id] = (float)loss;
 }
 
 // Composite backward along one ray, in place: w->slope holds dL/dw_i and becomes dL/dx_i, within

@@ -116,6 +116,7 @@ struct rn_group {
     struct rn_slab slab;
     int cursor, end; // rays of the batch still to do: [cursor, end)
     float *base_grad, *head_grad;
+    float *ray_loss; // NULL, or of a ray's id: its loss without the weight
     double loss, weight;
     uint64_t evaluated; // samples whose density was computed
     uint64_t samples;   // of these, the ones that enter the loss

@@ -29,18 +29,27 @@ struct rn_live_pixel {
     int x, y; // 0 .. RN_LIVE_BLOCK - 1
 };
 
-// The pixel of turn `turn` over `count` blocks, 0 < count < 2^53. One turn after the other takes
-// the next place of a golden-ratio sequence over the blocks: any run of turns, so every step's
-// rays, lies evenly over all of them, and each round over the blocks takes another pixel of each,
-// no two neighbours in turn. Seeds start anywhere in the sequence.
-RN_HD struct rn_live_pixel rn_live_pixel(uint64_t seed, uint64_t turn, uint64_t count) {
-    uint64_t golden = 0x9e3779b97f4a7c15u; // 2^64 over the golden ratio
-    uint64_t place = turn * golden + seed * 0xd1b54a32d192ed03u;
-    uint64_t block = (uint64_t)((double)(place >> 11) * 0x1p-53 * (double)count);
-    uint32_t pixel = (uint32_t)(block * golden >> 40) + (uint32_t)(turn / count) * 29;
+// Where in [0, 1) turn `turn` lies: the next place of a golden-ratio sequence. Any run of turns, so
+// every step's rays, lies evenly over all of it. Seeds start anywhere in the sequence.
+RN_HD double rn_golden_place(uint64_t seed, uint64_t turn) {
+    uint64_t place = turn * 0x9e3779b97f4a7c15u + seed * 0xd1b54a32d192ed03u; // 2^64 / golden ratio
+    return (double)(place >> 11) * 0x1p-53;
+}
+
+// Pixel number `index` of a block, modulo all: one index after the other takes each pixel once, no
+// two neighbours in turn, and blocks begin with different ones.
+RN_HD struct rn_live_pixel rn_pixel_of_block(uint64_t block, uint32_t index) {
+    uint32_t pixel = (uint32_t)(block * 0x9e3779b97f4a7c15u >> 40) + index * 29;
     struct rn_live_pixel out = {block, (int)(pixel % RN_LIVE_BLOCK),
                                 (int)(pixel / RN_LIVE_BLOCK % RN_LIVE_BLOCK)};
     return out;
+}
+
+// The pixel of turn `turn` over `count` blocks, 0 < count < 2^53, all drawn alike: each round over
+// the blocks takes another pixel of each.
+RN_HD struct rn_live_pixel rn_live_pixel(uint64_t seed, uint64_t turn, uint64_t count) {
+    uint64_t block = (uint64_t)(rn_golden_place(seed, turn) * (double)count);
+    return rn_pixel_of_block(block, (uint32_t)(turn / count));
 }
 
 #endif

@@ -92,6 +92,22 @@ static void list_frame(struct rn_trainer *t, int frame, const struct bricks *bri
                                        .y = (uint16_t)(i / (size_t)columns * RN_LIVE_BLOCK)};
 }
 
+void rn_trainer_share_out(struct rn_trainer *t, bool weigh) {
+    for (int scale = 0; scale < t->train.scale_count && t->importance.count > 0; scale++) {
+        size_t first = t->live_first[scale], count = t->live_first[scale + 1] - first;
+        if (weigh) rn_importance_weigh(&t->importance, first, count);
+        rn_importance_lay_out(&t->importance, first, count);
+    }
+}
+
+static enum rn_status prepare_importance(struct rn_trainer *t, struct rn_error *err) {
+    rn_importance_finish(&t->importance);
+    if (!t->field->config.draw_by_error || t->live_count == 0) return RN_OK;
+    enum rn_status status = rn_importance_init(t->live_count, &t->importance, err);
+    if (status == RN_OK) rn_trainer_share_out(t, false);
+    return status;
+}
+
 enum rn_status rn_trainer_list_live(struct rn_trainer *t, struct rn_error *err) {
     struct bricks bricks = {0};
     size_t total = 0, largest = 0;
@@ -118,6 +134,6 @@ enum rn_status rn_trainer_list_live(struct rn_trainer *t, struct rn_error *err) 
     }
     free(bricks.centre);
     free(marks);
-    if (status != RN_OK) rn_error_set(err, status, "pixels", "out of memory");
-    return status;
+    if (status != RN_OK) return rn_error_set(err, status, "pixels", "out of memory");
+    return prepare_importance(t, err);
 }

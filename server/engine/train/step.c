@@ -64,11 +64,15 @@ void rn_trainer_free_step(struct rn_trainer *t) {
     free(t->grad_pyramid);
     free(t->touched);
     free(t->rays);
+    free(t->ray_loss);
+    free(t->ray_block);
     free(t->group_memory);
     free(t->good);
     t->grad_pyramid = t->group_memory = t->good = NULL;
     t->touched = NULL;
     t->rays = NULL;
+    t->ray_loss = NULL;
+    t->ray_block = NULL;
 }
 
 enum rn_status rn_trainer_allocate(struct rn_trainer *t, struct rn_error *err) {
@@ -84,7 +88,10 @@ enum rn_status rn_trainer_allocate(struct rn_trainer *t, struct rn_error *err) {
     t->grad_pyramid = rn_block_create((pyramid + 64) * sizeof(float));
     t->touched = calloc((size_t)c->planes * t->tiles, 1);
     t->rays = malloc(RN_MAX_RAYS * sizeof *t->rays);
-    if (!t->grad || !t->grad_pyramid || !t->touched || !t->rays || allocate_groups(t) != RN_OK)
+    t->ray_loss = malloc(RN_MAX_RAYS * sizeof *t->ray_loss);
+    t->ray_block = malloc(RN_MAX_RAYS * sizeof *t->ray_block);
+    if (!t->grad || !t->grad_pyramid || !t->touched || !t->rays || !t->ray_loss || !t->ray_block ||
+        allocate_groups(t) != RN_OK)
         return rn_error_set(err, RN_ERROR_NO_MEMORY, "trainer", "out of memory");
     t->m = t->grad + count;
     t->v = t->m + count;
@@ -116,7 +123,7 @@ void rn_trainer_rays(const struct rn_trainer *t, const struct rn_pixels *pixels,
 struct rn_march_ray rn_trainer_ray(const struct rn_trainer *t, const struct rn_pixels *pixels,
                                    const struct rn_pixel_frame *frame, int x, int y, double step,
                                    double jitter) {
-    struct rn_trainer_place place = {frame, x, y, (float)jitter};
+    struct rn_trainer_place place = {.frame = frame, .x = x, .y = y, .jitter = (float)jitter};
     struct rn_march_ray ray;
     rn_trainer_rays(t, pixels, &place, 1, step, &ray);
     return ray;
@@ -155,20 +162,24 @@ static const struct rn_pixel_frame *draw_pixel(const struct rn_trainer *t, struc
     return frame;
 }
 
-// A pixel of ray r's scale, of the blocks that may see the hull. NULL where the block reaches over
+// A pixel of ray r's scale, of the blocks that may see the hull. None where the block reaches over
 // the image's edge.
-static const struct rn_pixel_frame *draw_live_pixel(const struct rn_trainer *t, int r, int *ret_x,
-                                                    int *ret_y) {
+static void draw_live_pixel(const struct rn_trainer *t, int r, struct rn_trainer_place *ret) {
     struct rn_scale_turn from = rn_scale_turn(t->first_ray + (uint64_t)r, t->train.scale_count);
     size_t first = t->live_first[from.scale], count = t->live_first[from.scale + 1] - first;
-    if (count == 0) return NULL;
-    struct rn_live_pixel pixel = rn_live_pixel(t->field->config.seed, from.turn, count);
+    uint64_t seed = t->field->config.seed;
+    if (count == 0) return;
+    struct rn_live_pixel pixel =
+        t->importance.count > 0
+            ? rn_importance_pixel(&t->importance, first, count, seed, from.turn, &ret->weight)
+            : rn_live_pixel(seed, from.turn, count);
     const struct rn_live_block *block = &t->live[first + pixel.block];
     const struct rn_pixel_frame *frame = &t->train.frames[block->frame];
-    *ret_x = block->x + pixel.x;
-    *ret_y = block->y + pixel.y;
-    bool inside = *ret_x < frame->frame->camera.width && *ret_y < frame->frame->camera.height;
-    return inside ? frame : NULL;
+    ret->x = block->x + pixel.x;
+    ret->y = block->y + pixel.y;
+    if (ret->x >= frame->frame->camera.width || ret->y >= frame->frame->camera.height) return;
+    ret->frame = frame;
+    ret->block = (int32_t)(first + pixel.block);
 }
 
 static struct rn_rng4 draw_of(const struct rn_trainer *t, int r) {
@@ -178,9 +189,14 @@ static struct rn_rng4 draw_of(const struct rn_trainer *t, int r) {
 // Where ray r of a step starts.
 static struct rn_trainer_place place_of(const struct rn_trainer *t, int r) {
     struct rn_rng4 draw = draw_of(t, r);
-    struct rn_trainer_place place = {.jitter = rn_rng_unit(draw.v[2])};
-    place.frame = t->field->config.favour_finest ? draw_live_pixel(t, r, &place.x, &place.y)
-                                                 : draw_pixel(t, draw, &place.x, &place.y);
+    struct rn_trainer_place place = {
+        .jitter = rn_rng_unit(draw.v[2]), .weight = 1, .block = -1};
+    if (t->field->config.favour_finest) {
+        draw_live_pixel(t, r, &place);
+    } else {
+        place.frame = draw_pixel(t, draw, &place.x, &place.y);
+        place.weight = (float)place.frame->frame->loss_weight;
+    }
     return place;
 }
 
@@ -206,9 +222,10 @@ static void draw_rays(struct rn_trainer *t, int begin, int end) {
         }
         rn_trainer_rays(t, &t->train, places, n, (double)t->march.step, rays);
         for (int i = 0; i < n; i++) {
-            if (places[i].frame && !t->field->config.favour_finest)
-                rays[i].weight = (float)places[i].frame->frame->loss_weight;
+            if (places[i].frame) rays[i].weight = places[i].weight;
             rays[i].id = (uint32_t)(begin + i);
+            t->ray_block[begin + i] = places[i].block;
+            t->ray_loss[begin + i] = 0;
         }
     }
 }
@@ -260,7 +277,8 @@ void rn_trainer_begin_step(struct rn_trainer *t) {
         struct rn_slab slab = group->slab;
         slab.count = 0;
         *group = (struct rn_group){
-            .slab = slab, .base_grad = group->base_grad, .head_grad = group->head_grad};
+            .slab = slab, .base_grad = group->base_grad, .head_grad = group->head_grad,
+            .ray_loss = t->ray_loss};
         group->cursor = (int)((int64_t)t->ray_count * g / RN_GROUPS);
         group->end = (int)((int64_t)t->ray_count * (g + 1) / RN_GROUPS);
         memset(group->base_grad, 0, (p->base_count + p->head_count) * sizeof(float));
@@ -411,6 +429,12 @@ static void count_step(struct rn_trainer *t) {
     t->next_rays = next < RN_MIN_RAYS ? RN_MIN_RAYS : next > RN_MAX_RAYS ? RN_MAX_RAYS : (int)next;
 }
 
+static void note_losses(struct rn_trainer *t) {
+    for (int r = 0; r < t->ray_count && t->importance.count > 0; r++)
+        if (t->ray_block[r] >= 0)
+            rn_importance_note(&t->importance, (size_t)t->ray_block[r], (double)t->ray_loss[r]);
+}
+
 static void finish_step(struct rn_trainer *t) {
     double loss, weight;
     bool finite = sum_groups(t, &loss, &weight);
@@ -419,6 +443,7 @@ static void finish_step(struct rn_trainer *t) {
     else if (weight > 0)
         apply(t, weight);
     if (finite && weight > 0) t->progress.loss = loss / weight;
+    note_losses(t);
     count_step(t);
     rn_trainer_guard_step(t, finite);
     t->stepping = false;

@@ -195,6 +195,7 @@ enum rn_status rn_trainer_restore(struct rn_engine *engine, const struct rn_data
     if (status == RN_OK) status = rn_checkpoint_read_trainer(&checkpoint, t, err);
     if (status == RN_OK) status = rn_trainer_list_hull(t, err);
     if (status == RN_OK) status = rn_trainer_list_live(t, err);
+    if (status == RN_OK) status = rn_checkpoint_read_importance(&checkpoint, t, err);
     if (status == RN_OK) status = rn_trainer_keep_good(t, err);
     if (status != RN_OK) goto fail;
     rn_field_refresh(t->field, engine);
@@ -223,6 +224,7 @@ void rn_trainer_destroy(struct rn_trainer **trainer) {
     free(t->grad);
     free(t->hull_list);
     free(t->live);
+    rn_importance_finish(&t->importance);
     free(t->incidents);
     free(t);
     *trainer = NULL;
@@ -265,6 +267,8 @@ static enum rn_status begin_step(struct rn_trainer *t, struct rn_error *err) {
     enum rn_status status = t->next_chunk == 0 ? take_turn(t, err) : RN_OK;
     if (status != RN_OK) return status;
     if (t->progress.step % RN_OCCUPANCY_EVERY == 0 && !rn_trainer_update_occupancy(t)) return RN_OK;
+    if (t->progress.step >= RN_IMPORTANCE_SINCE && t->progress.step % RN_IMPORTANCE_EVERY == 0)
+        rn_trainer_share_out(t, true);
     rn_trainer_begin_step(t);
     return RN_OK;
 }

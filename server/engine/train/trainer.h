@@ -6,7 +6,7 @@
 
 #include "server/engine/backend.h"
 #include "server/engine/scene.h"
-#include "server/engine/train/draw.h"
+#include "server/engine/train/importance.h"
 #include "server/engine/train/pixels.h"
 
 #define RN_MAX_RAYS (1 << 17) // of one step
@@ -69,6 +69,9 @@ struct rn_trainer {
     size_t hull_count;
     struct rn_live_block *live; // blocks to draw rays from, scale after scale
     size_t live_count, live_first[17];
+    struct rn_importance importance; // of the live blocks; none where they are drawn evenly
+    float *ray_loss;                 // of the step's rays
+    int32_t *ray_block;              // of `live`, that the step's rays are of; < 0: of none
     int next_rays;        // of the next step
     float gradient_scale; // a device's (cuda/README.md); 0 at the start
     int good_steps;       // since it was last changed
@@ -112,6 +115,8 @@ void rn_trainer_carve(struct rn_trainer *trainer);
 bool rn_trainer_update_occupancy(struct rn_trainer *trainer); // false: cut short, call again
 // live.c
 enum rn_status rn_trainer_list_live(struct rn_trainer *trainer, struct rn_error *err) RN_MUST_CHECK;
+// Makes rays be drawn by the blocks' shares as they are; with `weigh` by their errors so far.
+void rn_trainer_share_out(struct rn_trainer *trainer, bool weigh);
 // effects.c
 void rn_trainer_detect_effects(struct rn_trainer *trainer);
 void rn_trainer_decide_view_dependence(struct rn_trainer *trainer);
@@ -133,11 +138,12 @@ void rn_trainer_begin_step(struct rn_trainer *trainer);
 // Puts the rays of the step that was done last in place, for an incident's record.
 void rn_trainer_redraw(struct rn_trainer *trainer);
 void rn_trainer_run_wave(struct rn_trainer *trainer); // clears `stepping` when the step is complete
-// Where a ray starts; `frame` is NULL for an absent one.
+// Where a ray starts, and its weight in the loss; `frame` is NULL for an absent one.
 struct rn_trainer_place {
     const struct rn_pixel_frame *frame;
     int x, y;
-    float jitter;
+    float jitter, weight;
+    int32_t block; // of the trainer's live ones, < 0: of none
 };
 #define RN_TRAINER_RAYS 128
 // The rays through `count` <= RN_TRAINER_RAYS pixels, marched in `step` (scene radii), targets over

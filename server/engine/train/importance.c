@@ -1,0 +1,81 @@
+#include "server/engine/train/importance.h"
+
+#include <math.h>
+#include <stdlib.h>
+
+#define FRESH 0.3f // weight of a block's newest loss in its mean
+
+enum rn_status rn_importance_init(size_t count, struct rn_importance *ret, struct rn_error *err) {
+    *ret = (struct rn_importance){.count = count,
+                                  .error = malloc((count + 1) * sizeof *ret->error),
+                                  .share = malloc((count + 1) * sizeof *ret->share),
+                                  .begin = malloc((count + 1) * sizeof *ret->begin),
+                                  .guide = malloc((count + 1) * sizeof *ret->guide)};
+    if (!ret->error || !ret->share || !ret->begin || !ret->guide) {
+        rn_importance_finish(ret);
+        return rn_error_set(err, RN_ERROR_NO_MEMORY, "pixels", "out of memory");
+    }
+    for (size_t i = 0; i < count; i++) {
+        ret->error[i] = -1;
+        ret->share[i] = 1;
+    }
+    return RN_OK;
+}
+
+void rn_importance_finish(struct rn_importance *im) {
+    free(im->error);
+    free(im->share);
+    free(im->begin);
+    free(im->guide);
+    *im = (struct rn_importance){0};
+}
+
+void rn_importance_note(struct rn_importance *im, size_t block, double loss) {
+    float *error = &im->error[block];
+    *error += (*error < 0 ? 1 : FRESH) * ((float)loss - *error);
+    if (*error < 0) *error = 0; // by rounding
+}
+
+void rn_importance_weigh(struct rn_importance *im, size_t first, size_t count) {
+    double sum = 0;
+    size_t seen = 0;
+    for (size_t i = first; i < first + count; i++) {
+        if (im->error[i] < 0) continue;
+        sum += sqrt((double)im->error[i]);
+        seen++;
+    }
+    double scale = sum > 0 ? (double)seen / sum : 0;
+    for (size_t i = first; i < first + count; i++) {
+        double importance =
+            im->error[i] < 0 || scale == 0 ? 1 : scale * sqrt((double)im->error[i]);
+        im->share[i] = (float)(RN_IMPORTANCE_EVEN + (1 - RN_IMPORTANCE_EVEN) * importance);
+    }
+}
+
+void rn_importance_lay_out(struct rn_importance *im, size_t first, size_t count) {
+    double total = 0, at = 0;
+    for (size_t i = first; i < first + count; i++)
+        total += (double)im->share[i];
+    size_t next = 0; // of the guide
+    for (size_t i = 0; i < count; i++) {
+        im->begin[first + i] = at / total;
+        at += (double)im->share[first + i];
+        for (; next < count && (double)next / (double)count < at / total; next++)
+            im->guide[first + next] = (uint32_t)i;
+    }
+    for (; next < count; next++)
+        im->guide[first + next] = (uint32_t)(count - 1);
+}
+
+struct rn_live_pixel rn_importance_pixel(const struct rn_importance *im, size_t first, size_t count,
+                                         uint64_t seed, uint64_t turn, float *ret_weight) {
+    double at = rn_golden_place(seed, turn);
+    const double *begin = im->begin + first;
+    size_t block = im->guide[first + (size_t)(at * (double)count)];
+    while (block + 1 < count && begin[block + 1] <= at)
+        block++;
+    double end = block + 1 < count ? begin[block + 1] : 1;
+    *ret_weight = 1 / im->share[first + block];
+    return rn_pixel_of_block(block, (uint32_t)((at - begin[block]) / (end - begin[block]) *
+                                               (RN_LIVE_BLOCK * RN_LIVE_BLOCK)));
+}
