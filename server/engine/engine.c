@@ -88,7 +88,7 @@ void rn_engine_destroy(struct rn_engine **engine) {
     if (!*engine) return;
     rn_engine_close_device(*engine);
     rn_pool_destroy(&(*engine)->pool);
-    free((*engine)->workspaces);
+    rn_block_destroy((*engine)->workspaces);
     free(*engine);
     *engine = NULL;
 }

@@ -15,13 +15,23 @@
 #define PAGE 4096
 #define HUGE_PAGE (2u << 20)
 
+// What is in front of a block is the address to free. calloc leaves large ones untouched: the kernel
+// gives zeros when they are first used.
 void *rn_block_create(size_t bytes) {
     size_t page = bytes > HUGE_PAGE ? HUGE_PAGE : PAGE, rounded = (bytes + page - 1) / page * page;
-    void *block = aligned_alloc(page, rounded);
-    if (!block) return NULL;
+    char *whole = calloc(1, rounded + page + sizeof whole);
+    if (!whole) return NULL;
+    char *block = whole + sizeof whole;
+    block += (page - (uintptr_t)block % page) % page;
+    memcpy(block - sizeof whole, &whole, sizeof whole);
     if (page == HUGE_PAGE) madvise(block, rounded, MADV_HUGEPAGE); // a hint: may be refused
-    memset(block, 0, rounded);
     return block;
+}
+
+void rn_block_destroy(void *block) {
+    char *whole = NULL;
+    if (block) memcpy(&whole, (char *)block - sizeof whole, sizeof whole);
+    free(whole);
 }
 
 static size_t round16(size_t n) {
@@ -76,7 +86,7 @@ enum rn_status rn_field_need_levels(struct rn_field *field, int levels, struct r
     if (!block)
         return rn_error_set(err, RN_ERROR_NO_MEMORY, "pyramid",
                             "cannot allocate %zu MiB for %d ripmap levels", count >> 18, levels);
-    free(field->pyramid);
+    rn_block_destroy(field->pyramid);
     field->pyramid = block;
     field->pyramid_levels = field->cpu.built_levels = levels;
     rn_pyramid_lay_out(c, levels, field->parameters.values, block, field->cpu.maps);
@@ -133,23 +143,26 @@ static enum rn_status allocate(struct rn_field *field) {
 }
 
 // Every cell that meets the ball may hold matter.
-static void fill_ball(struct rn_field *field) {
+static enum rn_status fill_ball(struct rn_field *field) {
     int cells = field->config.field.occupancy;
+    double *nearest = malloc((size_t)cells * sizeof *nearest); // squared, of a cell along one axis
+    if (!nearest) return RN_ERROR_NO_MEMORY;
+    for (int i = 0; i < cells; i++) {
+        double low = 2.0 * i / cells - 1, high = low + 2.0 / cells;
+        double d = low > 0 ? low : high < 0 ? high : 0;
+        nearest[i] = d * d;
+    }
     field->hull_cells = 0;
     for (int x = 0; x < cells; x++)
-        for (int y = 0; y < cells; y++)
+        for (int y = 0; y < cells; y++) {
+            uint8_t *hull = field->hull + rn_cell_index(x, y, 0, cells);
             for (int z = 0; z < cells; z++) {
-                int index[3] = {x, y, z};
-                double nearest = 0;
-                for (int i = 0; i < 3; i++) {
-                    double low = 2.0 * index[i] / cells - 1, high = low + 2.0 / cells;
-                    double d = low > 0 ? low : high < 0 ? high : 0;
-                    nearest += d * d;
-                }
-                size_t at = rn_cell_index(x, y, z, cells);
-                field->hull[at] = nearest <= 1;
-                field->hull_cells += field->hull[at];
+                hull[z] = nearest[x] + nearest[y] + nearest[z] <= 1;
+                field->hull_cells += hull[z];
             }
+        }
+    free(nearest);
+    return RN_OK;
 }
 
 enum rn_status rn_field_create(const struct rn_train_config *config, const struct rn_bounds *bounds,
@@ -166,6 +179,7 @@ enum rn_status rn_field_create(const struct rn_train_config *config, const struc
                                           config->seed, &field->cpu.solid, err);
     if (status == RN_OK) {
         status = allocate(field);
+        if (status == RN_OK) status = fill_ball(field);
         if (status != RN_OK)
             rn_error_set(err, status, "field", "cannot allocate %zu MiB for this configuration",
                          rn_field_bytes(config, 1) >> 20);
@@ -180,7 +194,6 @@ enum rn_status rn_field_create(const struct rn_train_config *config, const struc
     field->cpu.head_weights = field->cpu.base_weights + field->parameters.base_count;
     field->cpu.base_packed = field->packed;
     field->cpu.head_packed = field->packed + rn_mlp_packed_count(&field->cpu.base_shape);
-    fill_ball(field);
     rn_field_refresh_occupancy(field);
     *ret_field = field;
     return RN_OK;
@@ -190,13 +203,13 @@ void rn_field_destroy(struct rn_field **field) {
     struct rn_field *f = *field;
     if (!f) return;
     rn_field_withdraw(f);
-    free(f->parameters.values);
-    free(f->packed);
-    free(f->pyramid);
-    free(f->occupancy);
-    free(f->hull);
-    free(f->cpu.occupancy.words);
-    free(f->cpu.occupancy.distance);
+    rn_block_destroy(f->parameters.values);
+    rn_block_destroy(f->packed);
+    rn_block_destroy(f->pyramid);
+    rn_block_destroy(f->occupancy);
+    rn_block_destroy(f->hull);
+    rn_block_destroy(f->cpu.occupancy.words);
+    rn_block_destroy(f->cpu.occupancy.distance);
     free(f);
     *field = NULL;
 }
@@ -359,7 +372,7 @@ enum rn_status rn_engine_prepare(struct rn_engine *engine, const struct rn_field
     double step = field->config.step;
     size_t bytes = (rn_workspace_size(&field->cpu, step) + 4095) / 4096 * 4096;
     if (bytes > engine->workspace_bytes) {
-        free(engine->workspaces);
+        rn_block_destroy(engine->workspaces);
         engine->workspace_bytes = 0;
         engine->workspaces = rn_block_create(bytes * (size_t)rn_pool_threads(engine->pool));
         if (!engine->workspaces)

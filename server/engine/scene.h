@@ -73,8 +73,9 @@ struct rn_field {
 };
 
 // A block of zeros, 4,096-byte aligned; on huge pages where it is large and the machine has them,
-// as texels are read at random. NULL without memory; free().
+// as texels are read at random. Memory is taken as it is first written. NULL without memory.
 void *rn_block_create(size_t bytes);
+void rn_block_destroy(void *block);
 
 // Allocates everything for a configuration; parameters zero, all cells of the ball occupied.
 enum rn_status rn_field_create(const struct rn_train_config *config, const struct rn_bounds *bounds,

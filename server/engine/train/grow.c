@@ -46,17 +46,6 @@ static void enlarge_row(void *context, int index, int thread) {
     }
 }
 
-// Planes, then networks, of a block laid out as the old field's parameters.
-static void carry_over(struct rn_trainer *t, const struct rn_field *old, const float *from,
-                       float *to, float scale) {
-    const struct rn_field_config *c = &t->field->config.field;
-    const struct rn_parameters *p = &t->field->parameters;
-    struct enlarge e = {from, to, old->config.field.base, c->base, c->channels, scale};
-    rn_pool_run(t->engine->pool, c->planes * c->base, enlarge_row, &e);
-    memcpy(to + p->plane_count, from + old->parameters.plane_count,
-           (p->base_count + p->head_count) * sizeof *to);
-}
-
 // What a field knows beyond its parameters.
 static void carry_knowledge(const struct rn_field *from, struct rn_field *to) {
     size_t side = (size_t)from->config.field.occupancy, cells = side * side * side;
@@ -81,37 +70,104 @@ static int wanted_base(const struct rn_trainer *t) {
     return base;
 }
 
-// The field's contents move to one with larger planes; the field keeps its address. The moments
-// follow their texels: a texel of the new grid gets a quarter of the gradient, so its moments are a
-// quarter and a sixteenth of the old.
-static enum rn_status grow_to(struct rn_trainer *t, int base, struct rn_error *err) {
+// A growth under way, beside the field that is rendered meanwhile: the larger one, and the block of
+// its gradients and moments. The moments follow their texels: a texel of the new grid gets a quarter
+// of the gradient, so its moments are a quarter and a sixteenth of the old.
+struct rn_growth {
+    struct rn_field *field;
+    float *grad;
+    int stage, next; // next row of the stage that carries rows
+};
+
+void rn_trainer_drop_growth(struct rn_trainer *t) {
+    if (!t->growth) return;
+    rn_field_destroy(&t->growth->field);
+    rn_block_destroy(t->growth->grad);
+    free(t->growth);
+    t->growth = NULL;
+}
+
+// Parameters and moments of both sizes, as blocks of one layout.
+struct carry {
+    struct enlarge planes[3];
+    const struct rn_parameters *old, *new;
+};
+
+static struct carry carry_of(const struct rn_trainer *t) {
+    const struct rn_field *from = t->field, *to = t->growth->field;
+    const struct rn_field_config *c = &to->config.field;
+    int old = from->config.field.base;
+    float share = powf((float)old / (float)c->base, 2);
+    float *m = t->growth->grad + rn_trainer_moments(to), *v = m + rn_trainer_moments(to);
+    return (struct carry){
+        .planes = {{from->parameters.values, to->parameters.values, old, c->base, c->channels, 1},
+                   {t->m, m, old, c->base, c->channels, share},
+                   {t->v, v, old, c->base, c->channels, share * share}},
+        .old = &from->parameters,
+        .new = &to->parameters};
+}
+
+static void carry_row(void *context, int index, int thread) {
+    const struct carry *carry = context;
+    enlarge_row((void *)&carry->planes[index % 3], index / 3, thread);
+}
+
+static void carry_networks(const struct carry *carry) {
+    const struct rn_parameters *p = carry->new;
+    for (int i = 0; i < 3; i++)
+        memcpy(carry->planes[i].to + p->plane_count, carry->planes[i].from + carry->old->plane_count,
+               (p->base_count + p->head_count) * sizeof(float));
+}
+
+// ---- stages: each takes some milliseconds, or can be cut short --------------------------------
+
+static enum rn_status make_field(struct rn_trainer *t, struct rn_error *err) {
     struct rn_train_config config = t->field->config;
-    struct rn_field *other;
-    config.field.base = base;
-    enum rn_status status = rn_field_create(&config, &t->field->bounds, &other, err);
+    config.field.base = wanted_base(t);
+    enum rn_status status = rn_field_create(&config, &t->field->bounds, &t->growth->field, err);
     if (status != RN_OK) return status;
-    carry_knowledge(t->field, other);
-    struct rn_field swap = *t->field;
-    *t->field = *other;
-    *other = swap;
-    float *grad = t->grad, *m = t->m, *v = t->v;
-    float share = powf((float)other->config.field.base / (float)base, 2);
-    rn_trainer_free_step(t);
-    t->grad = NULL;
-    status = rn_trainer_set_up(t, err);
-    if (status == RN_OK) {
-        carry_over(t, other, other->parameters.values, t->field->parameters.values, 1);
-        carry_over(t, other, m, t->m, share);
-        carry_over(t, other, v, t->v, share * share);
-        status = rn_trainer_keep_good(t, err);
-    }
-    free(grad);
-    rn_field_destroy(&other);
-    if (status != RN_OK) return status;
-    rn_field_refresh(t->field, t->engine);
-    rn_field_refresh_occupancy(t->field);
+    t->growth->grad = rn_block_create(3 * rn_trainer_moments(t->growth->field) * sizeof(float));
+    if (!t->growth->grad)
+        return rn_error_set(err, RN_ERROR_NO_MEMORY, "trainer", "out of memory");
     return RN_OK;
 }
+
+static enum rn_status make_known(struct rn_trainer *t, struct rn_error *err) {
+    (void)err;
+    carry_knowledge(t->field, t->growth->field);
+    rn_field_refresh_occupancy(t->growth->field);
+    return RN_OK;
+}
+
+static enum rn_status carry_rows(struct rn_trainer *t, struct rn_error *err) {
+    (void)err;
+    struct carry carry = carry_of(t);
+    int rows = 3 * t->growth->field->config.field.planes * t->growth->field->config.field.base;
+    if (!rn_pool_run_some(t->engine->pool, rows, &t->growth->next, carry_row, &carry,
+                          rn_engine_is_wanted, t->engine))
+        t->growth->stage--; // this stage again
+    else
+        carry_networks(&carry);
+    return RN_OK;
+}
+
+// The field's contents move; the field keeps its address.
+static enum rn_status move_in(struct rn_trainer *t, struct rn_error *err) {
+    struct rn_field swap = *t->field;
+    *t->field = *t->growth->field;
+    *t->growth->field = swap;
+    float *grad = t->grad;
+    rn_trainer_free_step(t);
+    t->grad = t->growth->grad;
+    t->growth->grad = grad;
+    enum rn_status status = rn_trainer_set_up(t, err);
+    if (status == RN_OK) rn_field_refresh(t->field, t->engine);
+    return status;
+}
+
+static enum rn_status (*const stages[])(struct rn_trainer *t, struct rn_error *err) = {
+    make_field, make_known, carry_rows, move_in, rn_trainer_keep_good};
+#define STAGES (int)(sizeof stages / sizeof *stages)
 
 bool rn_trainer_grows(const struct rn_trainer *t) {
     int base = t->field->config.field.base;
@@ -119,9 +175,17 @@ bool rn_trainer_grows(const struct rn_trainer *t) {
 }
 
 enum rn_status rn_trainer_grow(struct rn_trainer *t, struct rn_error *err) {
-    if (!rn_trainer_grows(t)) return RN_OK;
-    // What is not finite, or makes steps be rejected (it overflows on its way), is left to the
-    // guard at the step's end: it must not become the state that a rollback returns to.
-    bool good = t->rejected == 0 && rn_trainer_all_finite(t);
-    return good ? grow_to(t, wanted_base(t), err) : RN_OK;
+    if (!t->growth) {
+        // What is not finite, or makes steps be rejected (it overflows on its way), is left to the
+        // guard at the step's end: it must not become the state that a rollback returns to.
+        if (!rn_trainer_grows(t) || t->rejected > 0 || !rn_trainer_all_finite(t)) return RN_OK;
+        t->growth = calloc(1, sizeof *t->growth);
+        if (!t->growth) return rn_error_set(err, RN_ERROR_NO_MEMORY, "trainer", "out of memory");
+    }
+    do {
+        enum rn_status status = stages[t->growth->stage++](t, err);
+        if (status != RN_OK) return status;
+    } while (t->growth->stage < STAGES && !rn_engine_is_wanted(t->engine));
+    if (t->growth->stage == STAGES) rn_trainer_drop_growth(t);
+    return RN_OK;
 }

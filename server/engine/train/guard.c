@@ -41,11 +41,23 @@ bool rn_trainer_all_finite(const struct rn_trainer *t) {
     return all_finite(t, t->field->parameters.values) && all_finite(t, t->m) && all_finite(t, t->v);
 }
 
+static void copy_chunk(void *context, int index, int thread) {
+    (void)thread;
+    const struct rn_trainer *t = context;
+    size_t begin = (size_t)index * CHUNK, left = t->field->parameters.count - begin;
+    memcpy(t->good + begin, t->field->parameters.values + begin,
+           (left < CHUNK ? left : CHUNK) * sizeof *t->good);
+}
+
+static void copy_good(struct rn_trainer *t) {
+    int chunks = (int)((t->field->parameters.count + CHUNK - 1) / CHUNK);
+    rn_pool_run(t->engine->pool, chunks, copy_chunk, t);
+}
+
 enum rn_status rn_trainer_keep_good(struct rn_trainer *t, struct rn_error *err) {
-    size_t bytes = t->field->parameters.count * sizeof *t->good;
-    if (!t->good) t->good = malloc(bytes);
+    if (!t->good) t->good = malloc(t->field->parameters.count * sizeof *t->good);
     if (!t->good) return rn_error_set(err, RN_ERROR_NO_MEMORY, "trainer", "out of memory");
-    memcpy(t->good, t->field->parameters.values, bytes);
+    copy_good(t);
     return RN_OK;
 }
 
@@ -82,7 +94,7 @@ void rn_trainer_guard_step(struct rn_trainer *t, bool accepted) {
     if (wild || t->rejected >= MOST_REJECTED)
         rn_trainer_roll_back(t);
     else if (copy)
-        memcpy(t->good, t->field->parameters.values, t->field->parameters.count * sizeof *t->good);
+        copy_good(t);
 }
 
 void rn_trainer_guard_save(struct rn_trainer *t) {

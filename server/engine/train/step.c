@@ -61,12 +61,12 @@ int rn_trainer_band(const struct rn_trainer *t, int band) {
 }
 
 void rn_trainer_free_step(struct rn_trainer *t) {
-    free(t->grad_pyramid);
+    rn_block_destroy(t->grad_pyramid);
     free(t->touched);
     free(t->rays);
     free(t->ray_loss);
     free(t->ray_block);
-    free(t->group_memory);
+    rn_block_destroy(t->group_memory);
     free(t->good);
     t->grad_pyramid = t->group_memory = t->good = NULL;
     t->touched = NULL;
@@ -75,16 +75,20 @@ void rn_trainer_free_step(struct rn_trainer *t) {
     t->ray_block = NULL;
 }
 
+size_t rn_trainer_moments(const struct rn_field *field) {
+    return field->parameters.count + 64;
+}
+
 enum rn_status rn_trainer_allocate(struct rn_trainer *t, struct rn_error *err) {
     const struct rn_field_config *c = &t->field->config.field;
-    size_t count = t->field->parameters.count + 64;
+    size_t count = rn_trainer_moments(t->field);
     t->levels = t->field->cpu.built_levels;
     size_t pyramid = rn_pyramid_count(c, t->levels) * (size_t)c->planes;
     t->tiled = c->base % (1 << (t->levels - 1)) == 0;
     t->bands = t->tiled ? 4 : 1;
     struct rn_tiling tiling = rn_tiling(c->base, t->levels);
     t->tiles = (size_t)tiling.columns * (size_t)tiling.rows;
-    t->grad = rn_block_create(3 * count * sizeof(float));
+    if (!t->grad) t->grad = rn_block_create(3 * count * sizeof(float));
     t->grad_pyramid = rn_block_create((pyramid + 64) * sizeof(float));
     t->touched = calloc((size_t)c->planes * t->tiles, 1);
     t->rays = malloc(RN_MAX_RAYS * sizeof *t->rays);

@@ -221,7 +221,8 @@ void rn_trainer_destroy(struct rn_trainer **trainer) {
     rn_pixels_finish(&t->train);
     rn_pixels_finish(&t->held);
     rn_trainer_free_step(t);
-    free(t->grad);
+    rn_block_destroy(t->grad);
+    rn_trainer_drop_growth(t);
     free(t->hull_list);
     free(t->live);
     rn_importance_finish(&t->importance);
@@ -254,18 +255,18 @@ static bool view_dependence_due(const struct rn_trainer *t) {
 }
 
 bool rn_trainer_turn_due(const struct rn_trainer *t) {
-    return view_dependence_due(t) || rn_trainer_grows(t);
+    return view_dependence_due(t) || t->growth || rn_trainer_grows(t);
 }
 
 static enum rn_status take_turn(struct rn_trainer *t, struct rn_error *err) {
-    if (view_dependence_due(t)) rn_trainer_decide_view_dependence(t);
+    if (!t->growth && view_dependence_due(t)) rn_trainer_decide_view_dependence(t);
     return rn_trainer_grow(t, err);
 }
 
 // What comes before a step, and its beginning, unless it is cut short.
 static enum rn_status begin_step(struct rn_trainer *t, struct rn_error *err) {
     enum rn_status status = t->next_chunk == 0 ? take_turn(t, err) : RN_OK;
-    if (status != RN_OK) return status;
+    if (status != RN_OK || t->growth) return status;
     if (t->progress.step % RN_OCCUPANCY_EVERY == 0 && !rn_trainer_update_occupancy(t)) return RN_OK;
     if (t->progress.step >= RN_IMPORTANCE_SINCE && t->progress.step % RN_IMPORTANCE_EVERY == 0)
         rn_trainer_share_out(t, true);
@@ -293,7 +294,8 @@ static enum rn_status run_there(struct rn_trainer *t, struct rn_error *err) {
     if (!rn_trainer_turn_due(t)) return rn_trainer_run_device(t, err);
     enum rn_status status = rn_trainer_enter(t, err);
     if (status == RN_OK) status = take_turn(t, err);
-    return status == RN_OK ? rn_trainer_put(t, err) : status;
+    if (status != RN_OK || t->growth) return status;
+    return rn_trainer_put(t, err);
 }
 
 static enum rn_status run_block(struct rn_trainer *t, struct rn_error *err) {

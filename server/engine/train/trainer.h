@@ -52,6 +52,7 @@ struct rn_trainer {
     int64_t updates;  // steps that were not rejected, since the last rollback
     float *good;      // the parameters a rollback returns to
     int rejected;     // steps in a row
+    struct rn_growth *growth; // NULL when the planes are not growing
     atomic_bool wild; // the update made a parameter that is not finite
 
     // The step under way. What is cut short for a render goes on at the next chunk, group or band.
@@ -124,11 +125,16 @@ void rn_trainer_decide_view_dependence(struct rn_trainer *trainer);
 enum rn_status rn_trainer_set_up(struct rn_trainer *trainer, struct rn_error *err) RN_MUST_CHECK;
 // grow.c: whether the planes should be larger by now.
 bool rn_trainer_grows(const struct rn_trainer *trainer);
-// Makes the planes as large as they should be by now. RN_ERROR_NO_MEMORY.
+// Makes the planes as large as they should be by now, or a part of it where something else is
+// wanted of the thread: then `growth` is there, no step may be taken, and it is to be called again.
+// RN_ERROR_NO_MEMORY.
 enum rn_status rn_trainer_grow(struct rn_trainer *trainer, struct rn_error *err) RN_MUST_CHECK;
+void rn_trainer_drop_growth(struct rn_trainer *trainer); // the one under way
 // step.c
 void rn_trainer_free_step(struct rn_trainer *trainer); // what rn_trainer_allocate took, but grad
+// `grad` too, unless it is there.
 enum rn_status rn_trainer_allocate(struct rn_trainer *trainer, struct rn_error *err) RN_MUST_CHECK;
+size_t rn_trainer_moments(const struct rn_field *field); // numbers from grad to m, and from m to v
 // The first row of a plane's band, 0 to `bands`.
 int rn_trainer_band(const struct rn_trainer *trainer, int band);
 // How the next step marches, in longer steps while the planes are coarse; nothing of the step
