@@ -150,7 +150,7 @@ static void tear_down(struct setup *s) {
     for (int r = 0; r < RAYS; r++)
         free(s->mid[r]);
     free(s->memory);
-    free(s->engine.workspaces);
+    rn_block_destroy(s->engine.workspaces);
     rn_field_destroy(&s->field);
     rn_reference_destroy(&s->reference);
     rn_pool_destroy(&s->engine.pool);

@@ -130,7 +130,7 @@ void test_scene_finish(struct test_scene *s) {
         test_backend()->field_destroy(&s->on_device);
         test_backend()->close(&s->device);
     }
-    free(s->engine.workspaces);
+    rn_block_destroy(s->engine.workspaces);
     rn_field_destroy(&s->field);
     rn_reference_destroy(&s->reference);
     rn_pool_destroy(&s->engine.pool);

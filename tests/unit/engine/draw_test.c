@@ -86,7 +86,7 @@ START_TEST(importance_is_unbiased) {
     for (uint64_t turn = 0; turn < turns; turn++) {
         float weight;
         struct rn_live_pixel p = rn_importance_pixel(&im, BEFORE, BLOCKS, 3, 99 + turn, &weight);
-        ck_assert_uint_lt(p.block, BLOCKS);
+        if (p.block >= BLOCKS) ck_abort_msg("block %d", (int)p.block);
         visits[p.block]++;
         weighted[0] += (double)weight;
         weighted[1] += (double)weight * (double)p.block;
@@ -118,12 +118,13 @@ START_TEST(importance_takes_other_pixels) {
     float weight;
     for (uint64_t turn = 0; turn < 400 * BLOCKS; turn++) {
         struct rn_live_pixel p = rn_importance_pixel(&im, BEFORE, BLOCKS, 8, turn, &weight);
-        ck_assert(p.x >= 0 && p.x < RN_LIVE_BLOCK && p.y >= 0 && p.y < RN_LIVE_BLOCK);
+        if (p.x < 0 || p.x >= RN_LIVE_BLOCK || p.y < 0 || p.y >= RN_LIVE_BLOCK)
+            ck_abort_msg("pixel (%d, %d) of block %d", p.x, p.y, (int)p.block);
         if (visits[p.block]++ < 100) seen[p.block][p.y * RN_LIVE_BLOCK + p.x]++;
     }
     for (int b = 0; b < BLOCKS; b++)
         for (int i = 0; i < PIXELS; i++) {
-            ck_assert(visits[b] >= 100 && seen[b][i] <= 3);
+            if (visits[b] < 100 || seen[b][i] > 3) ck_abort_msg("block %d, pixel %d", b, i);
             left_out += seen[b][i] == 0;
         }
     ck_assert_int_lt(100 * left_out, BLOCKS * PIXELS);
