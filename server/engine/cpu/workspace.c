@@ -39,7 +39,7 @@ static size_t lay_out(const struct rn_cpu_field *field, double step, struct carv
     if ((size_t)field->head_shape.widest > widest) widest = (size_t)field->head_shape.widest;
     widest = (widest + 15) / 16 * 16;
     w->capacity = (int)n;
-    w->marched = carve(c, RN_LANES * (n + RN_PACKET_SLACK), sizeof *w->marched);
+    w->marched = carve(c, RN_WIDEST * (n + RN_PACKET_SLACK), sizeof *w->marched);
     w->candidate = carve(c, 2 * n, sizeof *w->candidate);
     w->segment_start = carve(c, n, sizeof *w->segment_start);
     w->segment_size = carve(c, n, sizeof *w->segment_size);
