@@ -50,6 +50,7 @@ static struct rn_train_config small_config(const char *preset, int64_t steps) {
     config.field.width = 16;
     config.field.occupancy = 16;
     config.roulette = 0;
+    config.draw_by_error = false;
     config.step = 0.1;
     config.target_samples = 1024;
     config.initial_rays = 64;
@@ -439,15 +440,18 @@ START_TEST(auto_takes_what_there_is) {
     rn_engine_destroy(&engine);
     config = small_config("standard", 4);
     config.roulette = 2e-3;
+    config.draw_by_error = true;
     begin("auto", &config);
     ck_assert_str_eq(device_of(run.engine), "cuda:0");
     ck_assert_ptr_nonnull(rn_trainer_field(run.trainer)->on_device);
     ck_assert(rn_trainer_config(run.trainer)->roulette == 0);
+    ck_assert(!rn_trainer_config(run.trainer)->draw_by_error);
     end();
     setenv("RIPNERF_CUDA_MODULE", "/nowhere.so", 1);
     begin("auto", &config);
     ck_assert_str_eq(device_of(run.engine), "cpu");
     ck_assert(rn_trainer_config(run.trainer)->roulette == 2e-3);
+    ck_assert(rn_trainer_config(run.trainer)->draw_by_error);
     end();
 }
 END_TEST
