@@ -82,7 +82,8 @@ static void print_effects(const struct rn_scene_description *description) {
         print_threshold(effect);
         putchar('\n');
     }
-    if (description->difference_count) puts("\ndiffers from the paper (gain where measured: test PSNR of lego after 15 s)");
+    if (description->difference_count)
+        puts("\ndiffers from the paper (gain where measured: test PSNR of lego after 15 s)");
     for (size_t i = 0; i < description->difference_count; i++)
         printf("  %s%s%s\n", description->differences[i].what,
                *description->differences[i].measured ? ": " : "",

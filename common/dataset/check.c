@@ -16,8 +16,7 @@ enum rn_status rn_frame_decode(const struct rn_frame *frame, struct rn_image *re
     if (status) return status;
     if (image.width != frame->camera.width || image.height != frame->camera.height) {
         status = rn_error_set(err, RN_ERROR_INVALID, frame->path, "is %dx%d pixels, not %dx%d",
-                              image.width, image.height, frame->camera.width,
-                              frame->camera.height);
+                              image.width, image.height, frame->camera.width, frame->camera.height);
         rn_image_finish(&image);
         return status;
     }
@@ -61,8 +60,7 @@ enum rn_status rn_dataset_check_images(struct rn_dataset *dataset, int threads,
                                        void *context, struct rn_error *err) {
     struct check check = {.dataset = dataset};
     check.faults = calloc(dataset->frame_count, sizeof *check.faults);
-    if (!check.faults)
-        return rn_error_set(err, RN_ERROR_NO_MEMORY, dataset->name, "out of memory");
+    if (!check.faults) return rn_error_set(err, RN_ERROR_NO_MEMORY, dataset->name, "out of memory");
     enum rn_status status = rn_output_run(threads, dataset->frame_count, check_frame, &check,
                                           progress, context, dataset->name, err);
     if (status == RN_OK) {

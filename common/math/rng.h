@@ -31,7 +31,9 @@ RN_HD struct rn_rng4 rn_rng_draw(uint64_t seed, uint64_t stream, uint64_t counte
 }
 
 // Uniform in [0, 1), 24 bits: exact in fp32.
-RN_HD float rn_rng_unit(uint32_t word) { return (float)(word >> 8) * 0x1p-24f; }
+RN_HD float rn_rng_unit(uint32_t word) {
+    return (float)(word >> 8) * 0x1p-24f;
+}
 
 // Uniform integer in [0, n), n >= 1 (multiply-shift; bias below n / 2^32).
 RN_HD uint32_t rn_rng_below(uint32_t word, uint32_t n) {

@@ -2,9 +2,10 @@
 //
 // Tensors: planes F32 [plane][v][u][channel]; base.N and head.N F32 [input][output] (the colour
 // network's last layer is padded to 16 outputs, columns 3.. are zero); adam.m and adam.v F32, in
-// the order of all the former; occupancy F32 and hull U8 [x][y][z]; draw.error and draw.share F32 of
-// the blocks that rays are drawn from, where they are drawn by error. Everything else is one JSON
-// object in __metadata__["ripnerf"]. Random numbers need no state: they are counters of the step.
+// the order of all the former; occupancy F32 and hull U8 [x][y][z]; draw.error and draw.share F32
+// of the blocks that rays are drawn from, where they are drawn by error. Everything else is one
+// JSON object in __metadata__["ripnerf"]. Random numbers need no state: they are counters of the
+// step.
 #ifndef RN_ENGINE_CHECKPOINT_H
 #define RN_ENGINE_CHECKPOINT_H
 

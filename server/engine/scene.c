@@ -15,8 +15,8 @@
 #define PAGE 4096
 #define HUGE_PAGE (2u << 20)
 
-// What is in front of a block is the address to free. calloc leaves large ones untouched: the kernel
-// gives zeros when they are first used.
+// What is in front of a block is the address to free. calloc leaves large ones untouched: the
+// kernel gives zeros when they are first used.
 void *rn_block_create(size_t bytes) {
     size_t page = bytes > HUGE_PAGE ? HUGE_PAGE : PAGE, rounded = (bytes + page - 1) / page * page;
     char *whole = calloc(1, rounded + page + sizeof whole);

@@ -105,8 +105,8 @@ struct rn_control_stats {
     unsigned runners, scenes_loaded, renders_waiting;
     int64_t memory_bytes, gpu_memory_bytes;
     uint64_t runners_started, runners_lost;
-    uint64_t scenes_rested; // gave a GPU's memory up for others
-    uint64_t nonfinite_rays, steps_rejected, rollbacks;      // of all jobs
+    uint64_t scenes_rested;                             // gave a GPU's memory up for others
+    uint64_t nonfinite_rays, steps_rejected, rollbacks; // of all jobs
     uint64_t renders, renders_failed, renders_cancelled;
     uint64_t render_ms_buckets[10]; // cumulative is made by the reader; bounds below
     double render_ms_sum;

@@ -199,9 +199,8 @@ static void run_rays(void *context) {
                 &t->train.frames[draw.v[0] % (uint32_t)t->train.frame_count];
             uint32_t width = (uint32_t)frame->frame->camera.width;
             uint32_t height = (uint32_t)frame->frame->camera.height;
-            places[j] = (struct rn_trainer_place){.frame = frame,
-                                                  .x = (int)(draw.v[1] % width),
-                                                  .y = (int)(draw.v[2] % height)};
+            places[j] = (struct rn_trainer_place){
+                .frame = frame, .x = (int)(draw.v[1] % width), .y = (int)(draw.v[2] % height)};
             __builtin_prefetch(rn_pixel_at(&t->train, frame, places[j].x, places[j].y));
         }
         rn_trainer_rays(t, &t->train, places, RN_TRAINER_RAYS, t->field->config.step, t->rays + i);

@@ -15,7 +15,7 @@
 
 #define RN_PACKET_RAYS 128     // rays marched together
 #define RN_PACKET_SAMPLES 4096 // candidate samples evaluated together; bounds a ray's samples too
-#define RN_WIDEST 16            // of the widest kernel set's vectors
+#define RN_WIDEST 16           // of the widest kernel set's vectors
 #define RN_PACKET_SLACK 64     // numbers a vector store may overrun an array by
 #define RN_ROUND 8             // samples of a ray evaluated before its transmittance is looked at
 #define RN_GROUPS 16           // fixed partition of a step's rays: the unit of ordered accumulation

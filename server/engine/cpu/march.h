@@ -170,8 +170,9 @@ RN_INLINE int march_chunk(const struct rn_occupancy_bits *o, const struct rn_mar
 // Marches the lanes of `go` to their ends, all together; lane j's samples are written from found +
 // j * room on, in order, and their number to ret_count[j]. Of a lane's steps no more than room -
 // RN_CHUNK are looked at.
-static void march_out(const struct rn_occupancy_bits *o, const struct rn_march_ray *rays, float step,
-                      vi go, struct march_lanes *l, uint16_t *found, int room, int *ret_count) {
+static void march_out(const struct rn_occupancy_bits *o, const struct rn_march_ray *rays,
+                      float step, vi go, struct march_lanes *l, uint16_t *found, int room,
+                      int *ret_count) {
     int last[RN_VL];
     for (int j = 0; j < RN_VL; j++) {
         last[j] = -1;

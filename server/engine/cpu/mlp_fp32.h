@@ -96,9 +96,8 @@ static float *mlp_backward(const struct mlp *net, const float *out_grad, int n,
     for (int l = 0; l < net->shape->layers; l++)
         t += (size_t)net->shape->out[l] * round16(net->shape->in[l]);
     for (int row = 0; row < n; row += RN_BLOCK_ROWS)
-        backward_rows(net, t, out_grad, row,
-                      n - row < RN_BLOCK_ROWS ? n - row : RN_BLOCK_ROWS, weight_grad,
-                      w->grad_a);
+        backward_rows(net, t, out_grad, row, n - row < RN_BLOCK_ROWS ? n - row : RN_BLOCK_ROWS,
+                      weight_grad, w->grad_a);
     return w->grad_a;
 }
 

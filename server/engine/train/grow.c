@@ -71,8 +71,8 @@ static int wanted_base(const struct rn_trainer *t) {
 }
 
 // A growth under way, beside the field that is rendered meanwhile: the larger one, and the block of
-// its gradients and moments. The moments follow their texels: a texel of the new grid gets a quarter
-// of the gradient, so its moments are a quarter and a sixteenth of the old.
+// its gradients and moments. The moments follow their texels: a texel of the new grid gets a
+// quarter of the gradient, so its moments are a quarter and a sixteenth of the old.
 struct rn_growth {
     struct rn_field *field;
     float *grad;
@@ -115,7 +115,8 @@ static void carry_row(void *context, int index, int thread) {
 static void carry_networks(const struct carry *carry) {
     const struct rn_parameters *p = carry->new;
     for (int i = 0; i < 3; i++)
-        memcpy(carry->planes[i].to + p->plane_count, carry->planes[i].from + carry->old->plane_count,
+        memcpy(carry->planes[i].to + p->plane_count,
+               carry->planes[i].from + carry->old->plane_count,
                (p->base_count + p->head_count) * sizeof(float));
 }
 
@@ -127,8 +128,7 @@ static enum rn_status make_field(struct rn_trainer *t, struct rn_error *err) {
     enum rn_status status = rn_field_create(&config, &t->field->bounds, &t->growth->field, err);
     if (status != RN_OK) return status;
     t->growth->grad = rn_block_create(3 * rn_trainer_moments(t->growth->field) * sizeof(float));
-    if (!t->growth->grad)
-        return rn_error_set(err, RN_ERROR_NO_MEMORY, "trainer", "out of memory");
+    if (!t->growth->grad) return rn_error_set(err, RN_ERROR_NO_MEMORY, "trainer", "out of memory");
     return RN_OK;
 }
 

@@ -46,8 +46,7 @@ void rn_importance_weigh(struct rn_importance *im, size_t first, size_t count) {
     }
     double scale = sum > 0 ? (double)seen / sum : 0;
     for (size_t i = first; i < first + count; i++) {
-        double importance =
-            im->error[i] < 0 || scale == 0 ? 1 : scale * sqrt((double)im->error[i]);
+        double importance = im->error[i] < 0 || scale == 0 ? 1 : scale * sqrt((double)im->error[i]);
         im->share[i] = (float)(RN_IMPORTANCE_EVEN + (1 - RN_IMPORTANCE_EVEN) * importance);
     }
 }

@@ -30,8 +30,8 @@ enum rn_status rn_importance_init(size_t count, struct rn_importance *ret,
 void rn_importance_finish(struct rn_importance *importance);
 // The loss of a ray of a block.
 void rn_importance_note(struct rn_importance *importance, size_t block, double loss);
-// Shares from the errors: RN_IMPORTANCE_EVEN and, for the rest, in proportion to their roots. Blocks
-// without a ray so far count as the list's mean.
+// Shares from the errors: RN_IMPORTANCE_EVEN and, for the rest, in proportion to their roots.
+// Blocks without a ray so far count as the list's mean.
 void rn_importance_weigh(struct rn_importance *importance, size_t first, size_t count);
 // Makes drawing follow the shares of the list [first, first + count).
 void rn_importance_lay_out(struct rn_importance *importance, size_t first, size_t count);

@@ -193,8 +193,7 @@ static struct rn_rng4 draw_of(const struct rn_trainer *t, int r) {
 // Where ray r of a step starts.
 static struct rn_trainer_place place_of(const struct rn_trainer *t, int r) {
     struct rn_rng4 draw = draw_of(t, r);
-    struct rn_trainer_place place = {
-        .jitter = rn_rng_unit(draw.v[2]), .weight = 1, .block = -1};
+    struct rn_trainer_place place = {.jitter = rn_rng_unit(draw.v[2]), .weight = 1, .block = -1};
     if (t->field->config.favour_finest) {
         draw_live_pixel(t, r, &place);
     } else {
@@ -280,9 +279,10 @@ void rn_trainer_begin_step(struct rn_trainer *t) {
         struct rn_group *group = &t->groups[g];
         struct rn_slab slab = group->slab;
         slab.count = 0;
-        *group = (struct rn_group){
-            .slab = slab, .base_grad = group->base_grad, .head_grad = group->head_grad,
-            .ray_loss = t->ray_loss};
+        *group = (struct rn_group){.slab = slab,
+                                   .base_grad = group->base_grad,
+                                   .head_grad = group->head_grad,
+                                   .ray_loss = t->ray_loss};
         group->cursor = (int)((int64_t)t->ray_count * g / RN_GROUPS);
         group->end = (int)((int64_t)t->ray_count * (g + 1) / RN_GROUPS);
         memset(group->base_grad, 0, (p->base_count + p->head_count) * sizeof(float));

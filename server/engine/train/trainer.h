@@ -53,7 +53,7 @@ struct rn_trainer {
     float *good;      // the parameters a rollback returns to
     int rejected;     // steps in a row
     struct rn_growth *growth; // NULL when the planes are not growing
-    atomic_bool wild; // the update made a parameter that is not finite
+    atomic_bool wild;         // the update made a parameter that is not finite
 
     // The step under way. What is cut short for a render goes on at the next chunk, group or band.
     bool stepping;
@@ -73,9 +73,9 @@ struct rn_trainer {
     struct rn_importance importance; // of the live blocks; none where they are drawn evenly
     float *ray_loss;                 // of the step's rays
     int32_t *ray_block;              // of `live`, that the step's rays are of; < 0: of none
-    int next_rays;        // of the next step
-    float gradient_scale; // a device's (cuda/README.md); 0 at the start
-    int good_steps;       // since it was last changed
+    int next_rays;                   // of the next step
+    float gradient_scale;            // a device's (cuda/README.md); 0 at the start
+    int good_steps;                  // since it was last changed
 
     struct rn_incident *incidents; // RN_INCIDENTS_HELD, made with the first one
     int incident_first, incident_count, incidents_noted;

@@ -108,8 +108,8 @@ START_TEST(importance_is_unbiased) {
 }
 END_TEST
 
-// A block's pixels take turns however often it is drawn: 100 visits leave out one in a hundred, none
-// is there more than three times. Independent draws would leave out a fifth.
+// A block's pixels take turns however often it is drawn: 100 visits leave out one in a hundred,
+// none is there more than three times. Independent draws would leave out a fifth.
 START_TEST(importance_takes_other_pixels) {
     struct rn_importance im = uneven();
     static uint8_t seen[BLOCKS][PIXELS];
