@@ -190,6 +190,40 @@ START_TEST(interruptions_do_not_change_bytes) {
 }
 END_TEST
 
+// A checkpoint holds how rays are drawn: by the errors of step 64 at step 70, by newer ones later.
+START_TEST(draws_by_error_resume) {
+    struct rn_error err;
+    struct rn_train_config config = config_for(scaled);
+    config.max_steps = 140;
+    config.draw_by_error = true;
+    char path[128], hex[3][65];
+    snprintf(path, sizeof path, "%s/checkpoint.safetensors", folder);
+    for (int i = 0; i < 3; i++) { // whole; in two parts; drawn evenly
+        struct rn_engine *engine = engine_with(2);
+        config.draw_by_error = i < 2;
+        struct rn_trainer *trainer = trainer_for(engine, scaled, &config);
+        struct rn_progress p = {.step = 0};
+        while (i == 1 && p.step < 70) {
+            ck_assert(rn_trainer_advance(trainer, 1, &err) == RN_OK);
+            rn_trainer_progress(trainer, &p);
+        }
+        if (i == 1) {
+            ck_assert_int_lt(p.step, 128);
+            ck_assert_msg(rn_trainer_save(trainer, path, &err) == RN_OK, "%s", err.text);
+            rn_trainer_destroy(&trainer);
+            ck_assert_msg(rn_trainer_restore(engine, scaled, path, 0, &trainer, &err) == RN_OK,
+                          "%s", err.text);
+        }
+        run_to_end(trainer);
+        rn_field_sha256(rn_trainer_field(trainer), hex[i]);
+        rn_trainer_destroy(&trainer);
+        rn_engine_destroy(&engine);
+    }
+    ck_assert_str_eq(hex[0], hex[1]);
+    ck_assert_str_ne(hex[0], hex[2]);
+}
+END_TEST
+
 static double held_out_psnr(struct rn_trainer *trainer) {
     struct rn_error err;
     struct rn_progress p;
@@ -448,6 +482,7 @@ int main(void) {
     tcase_add_test(tests, threads_do_not_change_bytes);
     tcase_add_test(tests, far_renders_do_not_change_bytes);
     tcase_add_test(tests, interruptions_do_not_change_bytes);
+    tcase_add_test(tests, draws_by_error_resume);
     tcase_add_test(tests, a_figure_does_not_depend_on_interruptions);
     tcase_add_test(tests, it_learns_and_a_loaded_field_renders_the_same);
     tcase_add_test(tests, damaged_checkpoints_are_refused);

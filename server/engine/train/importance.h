@@ -11,9 +11,8 @@
 #include "common/base/status.h"
 #include "server/engine/train/draw.h"
 
-#define RN_IMPORTANCE_EVERY 64  // steps between two looks at the errors
-#define RN_IMPORTANCE_SINCE 128 // step of the first
-#define RN_IMPORTANCE_EVEN 0.3  // of all draws, whatever the errors are
+#define RN_IMPORTANCE_EVERY 64 // steps between two looks at the errors
+#define RN_IMPORTANCE_EVEN 0.3 // of all draws, whatever the errors are
 
 // Blocks in lists, [0, count) altogether. Thread-safety: drawing changes nothing.
 struct rn_importance {

@@ -268,7 +268,7 @@ static enum rn_status begin_step(struct rn_trainer *t, struct rn_error *err) {
     enum rn_status status = t->next_chunk == 0 ? take_turn(t, err) : RN_OK;
     if (status != RN_OK || t->growth) return status;
     if (t->progress.step % RN_OCCUPANCY_EVERY == 0 && !rn_trainer_update_occupancy(t)) return RN_OK;
-    if (t->progress.step >= RN_IMPORTANCE_SINCE && t->progress.step % RN_IMPORTANCE_EVERY == 0)
+    if (t->progress.step > 0 && t->progress.step % RN_IMPORTANCE_EVERY == 0)
         rn_trainer_share_out(t, true);
     rn_trainer_begin_step(t);
     return RN_OK;
