@@ -8,7 +8,7 @@
 #include <unistd.h>
 
 #include "common/base/file.h"
-#include "server/engine/engine.h"
+#include "server/engine/train/trainer.h"
 
 static char folder[64];
 static struct rn_dataset *dataset, *scaled;
@@ -215,6 +215,10 @@ START_TEST(draws_by_error_resume) {
                           "%s", err.text);
         }
         run_to_end(trainer);
+        float most = 0;
+        for (size_t b = 0; b < trainer->importance.count; b++)
+            most = fmaxf(most, trainer->importance.share[b]);
+        ck_assert(i < 2 ? most > 1.1f : most == 0); // errors were noted
         rn_field_sha256(rn_trainer_field(trainer), hex[i]);
         rn_trainer_destroy(&trainer);
         rn_engine_destroy(&engine);
