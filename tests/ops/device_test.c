@@ -317,6 +317,26 @@ START_TEST(renders_while_it_trains) {
 }
 END_TEST
 
+static bool always(void *context) {
+    (void)context;
+    return true;
+}
+
+// Training goes on there though a render is wanted at every moment of the planes' growth.
+START_TEST(grows_there_in_parts) {
+    struct rn_train_config config = small_config("draft", 20);
+    begin("cuda:0", &config);
+    rn_engine_yield_to(run.engine, always, NULL);
+    do {
+        OK(rn_trainer_advance(run.trainer, 1000, &err));
+        ck_assert_ptr_nonnull(rn_trainer_field(run.trainer)->on_device);
+        rn_trainer_progress(run.trainer, &run.progress);
+    } while (!run.progress.done);
+    ck_assert_int_eq(rn_trainer_field(run.trainer)->config.field.base, 16);
+    end();
+}
+END_TEST
+
 static bool never(void *context) {
     ++*(int *)context;
     return false;
@@ -501,6 +521,7 @@ int main(void) {
     add(suite, "anywhere", goes_on_anywhere);
     add(suite, "bytes", resumes_to_the_same_bytes);
     add(suite, "renders", renders_while_it_trains);
+    add(suite, "grows", grows_there_in_parts);
     add(suite, "stops", stops_when_asked);
     add(suite, "diverges", diverges_and_goes_back);
     if (find_knob()) add(suite, "lost", a_lost_device_is_said);

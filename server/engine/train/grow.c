@@ -46,14 +46,19 @@ static void enlarge_row(void *context, int index, int thread) {
     }
 }
 
-// What a field knows beyond its parameters.
-static void carry_knowledge(const struct rn_field *from, struct rn_field *to) {
+// What a field knows of space.
+static void carry_grids(const struct rn_field *from, struct rn_field *to) {
     size_t side = (size_t)from->config.field.occupancy, cells = side * side * side;
     memcpy(to->occupancy, from->occupancy, cells * sizeof *to->occupancy);
     memcpy(to->hull, from->hull, cells);
+    to->hull_cells = from->hull_cells;
+    rn_field_refresh_occupancy(to);
+}
+
+// What a field knows of its training. A validation that ends meanwhile changes it.
+static void carry_record(const struct rn_field *from, struct rn_field *to) {
     memcpy(to->effects, from->effects, sizeof to->effects);
     memcpy(to->kernels, from->kernels, sizeof to->kernels);
-    to->hull_cells = from->hull_cells;
     to->steps = from->steps;
     to->train_seconds = from->train_seconds;
     to->psnr = from->psnr;
@@ -132,10 +137,9 @@ static enum rn_status make_field(struct rn_trainer *t, struct rn_error *err) {
     return RN_OK;
 }
 
-static enum rn_status make_known(struct rn_trainer *t, struct rn_error *err) {
+static enum rn_status make_grids(struct rn_trainer *t, struct rn_error *err) {
     (void)err;
-    carry_knowledge(t->field, t->growth->field);
-    rn_field_refresh_occupancy(t->growth->field);
+    carry_grids(t->field, t->growth->field);
     return RN_OK;
 }
 
@@ -151,8 +155,10 @@ static enum rn_status carry_rows(struct rn_trainer *t, struct rn_error *err) {
     return RN_OK;
 }
 
-// The field's contents move; the field keeps its address.
+// The field's contents move; the field keeps its address. Not to be cut short: a device has no copy
+// of what moves in, and training stays there only if whoever called brings it at once.
 static enum rn_status move_in(struct rn_trainer *t, struct rn_error *err) {
+    carry_record(t->field, t->growth->field);
     struct rn_field swap = *t->field;
     *t->field = *t->growth->field;
     *t->growth->field = swap;
@@ -161,12 +167,13 @@ static enum rn_status move_in(struct rn_trainer *t, struct rn_error *err) {
     t->grad = t->growth->grad;
     t->growth->grad = grad;
     enum rn_status status = rn_trainer_set_up(t, err);
+    if (status == RN_OK) status = rn_trainer_keep_good(t, err);
     if (status == RN_OK) rn_field_refresh(t->field, t->engine);
     return status;
 }
 
 static enum rn_status (*const stages[])(struct rn_trainer *t, struct rn_error *err) = {
-    make_field, make_known, carry_rows, move_in, rn_trainer_keep_good};
+    make_field, make_grids, carry_rows, move_in};
 #define STAGES (int)(sizeof stages / sizeof *stages)
 
 bool rn_trainer_grows(const struct rn_trainer *t) {

@@ -32,8 +32,7 @@ void rn_importance_finish(struct rn_importance *im) {
 
 void rn_importance_note(struct rn_importance *im, size_t block, double loss) {
     float *error = &im->error[block];
-    *error += (*error < 0 ? 1 : FRESH) * ((float)loss - *error);
-    if (*error < 0) *error = 0; // by rounding
+    *error = *error < 0 ? (float)loss : *error + FRESH * ((float)loss - *error);
 }
 
 void rn_importance_weigh(struct rn_importance *im, size_t first, size_t count) {
