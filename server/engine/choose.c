@@ -60,13 +60,16 @@ static void subject_finish(struct subject *s) {
 // Values of the size that training has, anew: gradients take their outputs' place.
 static void fill(struct subject *s) {
     struct rn_workspace *w = s->workspace;
-    size_t rows = (size_t)w->count, stride = (size_t)s->field->cpu.feature_stride;
-    for (size_t i = 0; i < rows * RN_GEOMETRY; i++)
-        w->geometry_grad[i] = rn_rng_unit(rn_rng_draw(1, 2, i).v[0]) - 0.5f;
-    for (size_t i = 0; i < rows * stride; i++)
-        w->features[i] = i % stride < (size_t)s->field->cpu.features
-                             ? rn_rng_unit(rn_rng_draw(1, 1, i).v[0]) - 0.5f
-                             : 0;
+    const struct rn_cpu_field *cpu = &s->field->cpu;
+    for (int i = 0; i < w->count * RN_GEOMETRY; i++)
+        w->geometry_grad[i] = rn_rng_unit(rn_rng_draw(1, 2, (uint64_t)i).v[0]) - 0.5f;
+    for (int i = 0; i < w->count; i++) {
+        float features[RN_MAX_PLANES * 16];
+        for (int k = 0; k < cpu->features; k++)
+            features[k] =
+                rn_rng_unit(rn_rng_draw(1, 1, (uint64_t)(i * cpu->features + k)).v[0]) - 0.5f;
+        s->kernels->put_features(cpu, i, features, w);
+    }
 }
 
 static double run(struct subject *s, enum rn_stage stage) {

@@ -95,6 +95,7 @@ WIDE void add(size_t n, const float *restrict x, float *restrict sum) {
 // A field that consists of the one network, in the density network's place, and a workspace with
 // room for all rows.
 struct own {
+    const struct problem *problem;
     const struct rn_kernels *kernels;
     struct rn_cpu_field field;
     struct rn_workspace *workspace;
@@ -117,6 +118,7 @@ static void *own_create(const struct candidate *candidate, const struct problem 
     struct rn_cpu_field *field = &own->field;
     double step = 2 * 1.7320508 / (problem->rows - 2 * RN_ROUND); // a ray of as many samples
     size_t rows = (size_t)problem->rows;
+    own->problem = problem;
     own->kernels = candidate->which;
     field->config = (struct rn_field_config){.planes = 1,
                                              .shading = RN_SHADING_RAY,
@@ -130,7 +132,6 @@ static void *own_create(const struct candidate *candidate, const struct problem 
     own->workspace = rn_workspace_init(field, step, zeros(rn_workspace_size(field, step), 1));
     own->group.base_grad = zeros(shape->count, sizeof(float));
     own->group.slab.count = own->workspace->count = problem->rows;
-    memcpy(own->workspace->features, problem->in, rows * (size_t)shape->in[0] * sizeof(float));
     memcpy(own->workspace->geometry_grad, problem->out_grad, rows * RN_GEOMETRY * sizeof(float));
     if (own->workspace->capacity >= problem->rows) return own;
     own_destroy(own);
@@ -139,6 +140,9 @@ static void *own_create(const struct candidate *candidate, const struct problem 
 
 static void own_forward(void *work) {
     struct own *own = work;
+    for (int i = 0; i < own->problem->rows; i++) // rows are fp32 here, as the libraries take them
+        own->kernels->put_features(&own->field, i, own->problem->in + i * own->field.features,
+                                   own->workspace);
     own->kernels->stage(&own->field, NULL, NULL, 0, RN_STAGE_MLP_FORWARD, own->workspace,
                         &own->group, NULL);
 }

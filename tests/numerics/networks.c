@@ -99,7 +99,7 @@ struct subject {
     struct rn_workspace *workspace;
     struct rn_group group;
     int rows, heads;
-    float out[2][ROWS * RN_GEOMETRY], grad[ROWS * RN_GEOMETRY], *in_grad;
+    float features[ROWS][WIDEST], out[2][ROWS * RN_GEOMETRY], grad[ROWS * RN_GEOMETRY], *in_grad;
 };
 
 static float signed_spread(struct numerics_random *random, double low, double high) {
@@ -128,9 +128,11 @@ static void set_up(const struct rn_kernels *kernels, const struct rn_field_confi
     s->rows = s->heads = w->count = s->group.slab.count = rows;
     for (int i = 0; i < rows; i++)
         w->weight[i] = 1; // every sample has a row of the colour network
-    for (int i = 0; i < rows * cpu->feature_stride; i++)
-        w->features[i] =
-            i % cpu->feature_stride < cpu->features ? signed_spread(random, 1e-4, 1) : 0;
+    for (int i = 0; i < rows; i++) {
+        for (int k = 0; k < cpu->features; k++)
+            s->features[i][k] = signed_spread(random, 1e-4, 1);
+        kernels->put_features(cpu, i, s->features[i], w);
+    }
     for (int i = 0; i < rows * RN_HEAD_INPUTS; i++)
         w->head_in[i] = signed_spread(random, 1e-4, 1);
     for (int i = 0; i < rows * RN_GEOMETRY; i++)
@@ -189,8 +191,7 @@ static void see_network(struct both *c, struct network *n, const struct subject 
     const struct rn_workspace *w = s->workspace;
     n->shape = head ? &cpu->head_shape : &cpu->base_shape;
     n->weights = head ? cpu->head_weights : cpu->base_weights;
-    int in = head ? RN_HEAD_INPUTS : cpu->feature_stride;
-    forward(n, s->rows, head ? w->head_in : w->features, in);
+    forward(n, s->rows, head ? w->head_in : s->features[0], head ? RN_HEAD_INPUTS : WIDEST);
     see_all(c, n, head ? "colour" : "density", s->rows, RN_GEOMETRY, s->out[head], RN_GEOMETRY,
             n->rows[n->shape->layers][0], WIDEST);
     backward(n, s->rows, s->grad, RN_GEOMETRY);

@@ -148,8 +148,7 @@ static void query(const struct rn_cpu_field *field, int n, const float *u, const
     w.ly[0] = (float *)ly;
     encode(field, true, 0, n, &w);
     for (int i = 0; i < n; i++)
-        memcpy(ret_features + i * field->config.channels, features + i * field->feature_stride,
-               (size_t)field->config.channels * sizeof(float));
+        get_features(field, i, &w, ret_features + i * field->config.channels);
 }
 
 // In the last lane; the others look elsewhere.

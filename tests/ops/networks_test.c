@@ -15,6 +15,7 @@ struct subject {
     struct rn_workspace *workspace;
     struct rn_group group;
     int rows, heads;
+    float (*features)[WIDEST];
 };
 
 static int integer(uint64_t stream, uint64_t i, int low, int high) {
@@ -54,9 +55,12 @@ static void set_up(const struct rn_kernels *kernels, const struct rn_field_confi
         w->weight[i] = i % 3 != 0; // with sample shading: the rows of the colour network
         s->heads += i % 3 != 0;
     }
-    for (int i = 0; i < rows * cpu->feature_stride; i++)
-        if (i % cpu->feature_stride < cpu->features)
-            w->features[i] = (float)integer(1, (uint64_t)i, -3, 3);
+    s->features = calloc((size_t)rows, sizeof *s->features);
+    for (int i = 0; i < rows; i++) {
+        for (int k = 0; k < cpu->features; k++)
+            s->features[i][k] = (float)integer(1, (uint64_t)(i * cpu->features + k), -3, 3);
+        kernels->put_features(cpu, i, s->features[i], w);
+    }
     for (int i = 0; i < s->heads * RN_HEAD_INPUTS; i++)
         w->head_in[i] = (float)integer(2, (uint64_t)i, -3, 3);
     s->group.base_grad = calloc(p->base_count + p->head_count, sizeof(float));
@@ -64,6 +68,7 @@ static void set_up(const struct rn_kernels *kernels, const struct rn_field_confi
 }
 
 static void tear_down(struct subject *s) {
+    free(s->features);
     free(s->group.base_grad);
     free(s->workspace);
     rn_field_destroy(&s->field);
@@ -139,8 +144,8 @@ static void check_networks(const struct rn_kernels *kernels, const struct rn_fie
                sizeof(float)); // NaN: no scratch is read unwritten
     kernels->stage(cpu, &options, NULL, 0, RN_STAGE_MLP_BACKWARD, w, &s.group, &in_grad);
     for (int i = 0; i < rows; i++)
-        check_row(&base, w->features + i * cpu->feature_stride, out + i * RN_GEOMETRY,
-                  grad + i * RN_GEOMETRY, in_grad + i * cpu->feature_stride);
+        check_row(&base, s.features[i], out + i * RN_GEOMETRY, grad + i * RN_GEOMETRY,
+                  in_grad + i * cpu->feature_stride);
     for (int i = 0; i < s.heads; i++)
         check_row(&head, w->head_in + i * RN_HEAD_INPUTS, head_out + i * RN_GEOMETRY,
                   grad + i * RN_GEOMETRY, NULL);

@@ -105,13 +105,14 @@ double rn_bench_check_encode(const struct rn_bench_recording *rec,
     struct worst worst = {0};
     const struct rn_workspace *w = packet->workspace;
     double exact[RN_MAX_PLANES * 16];
+    float features[RN_MAX_PLANES * 16];
     rn_bench_stage_run(rec, packet, RN_STAGE_ENCODE, NULL);
     for (int i = 0; i < w->count; i += stride(w->count)) {
         rn_exact_features(rec->field, &packet->rays[w->ray[i]], (double)rec->trainer->march.step,
                           (double)w->s[i], exact, NULL);
+        rec->kernels->get_features(rec->field, i, w, features);
         for (int k = 0; k < rec->field->features; k++)
-            compare(&worst, (double)w->features[(size_t)i * rec->field->feature_stride + k],
-                    exact[k]);
+            compare(&worst, (double)features[k], exact[k]);
     }
     return result(&worst);
 }
@@ -162,21 +163,34 @@ static const double *network_forward(struct network *net, const float *in, bool 
 
 // A network's rows as the kernels hold them.
 struct rows {
+    const struct rn_bench_recording *rec;
+    const struct rn_workspace *w;
     const struct rn_mlp_shape *shape;
-    const float *weights, *in, *out;
-    int stride, count; // of `in`; rows
+    const float *weights, *out;
+    int count;
 };
 
-static struct rows base_rows(const struct rn_cpu_field *f, const struct rn_workspace *w,
+static struct rows base_rows(const struct rn_bench_recording *rec, const struct rn_workspace *w,
                              const float *out, int count) {
-    return (struct rows){&f->base_shape, f->base_weights, w->features, out, f->feature_stride,
-                         count};
+    const struct rn_cpu_field *f = rec->field;
+    return (struct rows){rec, w, &f->base_shape, f->base_weights, out, count};
 }
 
-static struct rows head_rows(const struct rn_cpu_field *f, const struct rn_bench_packet *packet) {
+static struct rows head_rows(const struct rn_bench_recording *rec,
+                             const struct rn_bench_packet *packet) {
     const struct rn_workspace *w = packet->workspace;
-    return (struct rows){&f->head_shape, f->head_weights, w->head_in,
-                         w->head_out,    RN_HEAD_INPUTS,  packet->heads};
+    const struct rn_cpu_field *f = rec->field;
+    return (struct rows){rec, w, &f->head_shape, f->head_weights, w->head_out, packet->heads};
+}
+
+static const double *row_forward(struct network *net, const struct rows *rows, int i, bool bf16) {
+    float features[RN_MAX_PLANES * 16];
+    const float *in = rows->w->head_in + (size_t)i * RN_HEAD_INPUTS;
+    if (rows->shape == &rows->rec->field->base_shape) {
+        rows->rec->kernels->get_features(rows->rec->field, i, rows->w, features);
+        in = features;
+    }
+    return network_forward(net, in, bf16);
 }
 
 // `out` against the outputs in float64.
@@ -185,8 +199,7 @@ static double check_outputs(const struct rows *rows, int outputs) {
     struct network net;
     if (!network_init(rows->shape, rows->weights, &net)) return INFINITY;
     for (int i = 0; i < rows->count; i += stride(rows->count)) {
-        const double *out =
-            network_forward(&net, rows->in + (size_t)i * (size_t)rows->stride, false);
+        const double *out = row_forward(&net, rows, i, false);
         for (int k = 0; k < outputs; k++)
             compare(&worst, (double)rows->out[(size_t)i * RN_GEOMETRY + (size_t)k], out[k]);
     }
@@ -220,12 +233,12 @@ static double check_gradients(const struct rows *rows, bool bf16, const float *w
     for (size_t i = 0; i < shape->count && bf16; i++)
         net.weights[i] = to_bf16(net.weights[i]);
     for (int i = 0; i < rows->count; i++) {
-        network_forward(&net, rows->in + (size_t)i * (size_t)rows->stride, bf16);
+        row_forward(&net, rows, i, bf16);
         for (int k = 0; k < RN_GEOMETRY; k++)
             net.grad[shape->layers][k] = (double)rows->out[(size_t)i * RN_GEOMETRY + (size_t)k];
         network_backward(&net, magnitude + shape->count, magnitude);
         for (int k = 0; k < inputs && in_grad; k++)
-            compare(&in, (double)in_grad[(size_t)i * (size_t)rows->stride + (size_t)k],
+            compare(&in, (double)in_grad[(size_t)(i * rows->rec->field->feature_stride + k)],
                     net.grad[0][k]);
     }
     for (size_t i = 0; i < shape->count; i++)
@@ -242,8 +255,8 @@ double rn_bench_check_forward(const struct rn_bench_recording *rec,
                               const struct rn_bench_packet *packet) {
     const struct rn_workspace *w = packet->workspace;
     rn_bench_stage_run(rec, packet, RN_STAGE_MLP_FORWARD, NULL);
-    struct rows base = base_rows(rec->field, w, w->geometry, w->count);
-    struct rows head = head_rows(rec->field, packet);
+    struct rows base = base_rows(rec, w, w->geometry, w->count);
+    struct rows head = head_rows(rec, packet);
     double error = check_outputs(&base, RN_GEOMETRY);
     return packet->heads > 0 ? fmax(error, check_outputs(&head, 3)) : error;
 }
@@ -257,8 +270,8 @@ double rn_bench_check_backward(const struct rn_bench_recording *rec,
     memset(group->base_grad, 0, f->base_shape.count * sizeof(float));
     memset(group->head_grad, 0, f->head_shape.count * sizeof(float));
     rn_bench_stage_run(rec, packet, RN_STAGE_MLP_BACKWARD, &grad);
-    struct rows base = base_rows(f, w, w->geometry_grad, packet->returned);
-    struct rows head = head_rows(f, packet);
+    struct rows base = base_rows(rec, w, w->geometry_grad, packet->returned);
+    struct rows head = head_rows(rec, packet);
     double error =
         check_gradients(&base, rn_kernels_bf16(rec->kernels), group->base_grad, grad, f->features);
     if (packet->heads == 0) return error;

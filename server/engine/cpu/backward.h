@@ -149,7 +149,7 @@ static int backward_select(const struct rn_cpu_field *field, const struct rn_mar
         if (w->count - begin < RN_VL) some &= (1u << (w->count - begin)) - 1;
         for (; some; some &= some - 1) {
             int i = begin + __builtin_ctz(some);
-            float *grad = w->geometry_grad + (size_t)i * RN_GEOMETRY, scale = 1;
+            float scale = 1;
             if (q[i - begin] < options->roulette) {
                 uint64_t place = (uint64_t)rays[w->ray[i]].id << 20 | (uint32_t)i;
                 float p = q[i - begin] / options->roulette;
@@ -157,18 +157,19 @@ static int backward_select(const struct rn_cpu_field *field, const struct rn_mar
                     continue;
                 scale = 1 / p;
             }
-            grad[0] = w->slope[i] * w->x[i]; // density' = density
-            if (i != n || scale > 1)
-                *(row16 *)(w->geometry_grad + (size_t)n * RN_GEOMETRY) =
-                    *(const row16 *)grad * scale;
+            row16 row = *(const row16 *)(w->geometry_grad + (size_t)i * RN_GEOMETRY);
+            row[0] = w->slope[i] * w->x[i]; // density' = density
+            *(row16 *)(w->geometry_grad + (size_t)n * RN_GEOMETRY) = row * scale;
             w->kept[n++] = i;
         }
     }
     const struct rn_mlp_shape *shape = &field->base_shape;
-    size_t stride = (size_t)field->feature_stride, hidden = hidden_stride(field->config.width);
+    size_t hidden = hidden_stride(field->config.width);
+    size_t features = feature_stride(field) * sizeof(feature) / sizeof(float);
     for (int j = 0; j < n; j++) {
         if (w->kept[j] == j) continue;
-        copy_row(w->features + j * stride, w->features + w->kept[j] * stride, stride);
+        copy_row((float *)feature_row(field, w, j), (float *)feature_row(field, w, w->kept[j]),
+                 features);
         for (int l = 0; l + 1 < shape->layers; l++)
             copy_row(w->hidden[l] + j * hidden, w->hidden[l] + w->kept[j] * hidden, hidden);
     }

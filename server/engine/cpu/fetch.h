@@ -7,12 +7,7 @@
 
 #include <stdbool.h>
 
-#include "server/engine/cpu/kernels.h"
-#include "server/engine/cpu/simd.h"
-
-typedef float v4 __attribute__((vector_size(16), aligned(4), may_alias));
-typedef float v8 __attribute__((vector_size(32), aligned(4), may_alias));
-typedef float v16 __attribute__((vector_size(64), aligned(4), may_alias));
+#include "server/engine/cpu/features.h"
 
 // Texel coordinate of p in [-1, 1] on `size` texels: *ret_low and the weight of low + 1.
 RN_INLINE void lerp_vector(vf p, int size, vi *ret_low, vf *ret_fraction) {
@@ -92,6 +87,58 @@ RN_INLINE int look_up_maps(const struct axis_lookup *x, const struct axis_lookup
     return RN_MAPS_RIP;
 }
 
+// Asks for the lines of a texel, its right neighbour, and both in the row `below`. Of 8 channels
+// and fewer the neighbour is on the same line or the next.
+RN_INLINE void fetch_ahead(const float *texel, size_t below, int channels) {
+    __builtin_prefetch(texel);
+    __builtin_prefetch(texel + below);
+    if (channels <= 8) return;
+    __builtin_prefetch(texel + channels);
+    __builtin_prefetch(texel + below + channels);
+}
+
+// Where a few vectors of samples look in a map that is alone, found before any texel is read: what
+// they will read is on its way to the cache by then.
+#define RN_AHEAD (4 * RN_VL)
+struct flat_lookup {
+    int32_t offset[RN_AHEAD];
+    float fx[RN_AHEAD], fy[RN_AHEAD];
+};
+
+RN_INLINE void look_up_flat(const struct rn_map *map, const float *u, const float *v, int n,
+                            int channels, struct flat_lookup *ret) {
+    size_t below = (size_t)map->width * (size_t)channels;
+    for (int i = 0; i < n; i += RN_VL) {
+        vi column, line;
+        vf fx, fy;
+        lerp_vector(vf_load(u + i), map->width, &column, &fx);
+        lerp_vector(vf_load(v + i), map->height, &line, &fy);
+        vi_store(ret->offset + i, (line * map->width + column) * channels);
+        vf_store(ret->fx + i, fx);
+        vf_store(ret->fy + i, fy);
+        for (int j = i; j < i + RN_VL && j < n; j++)
+            fetch_ahead(map->texels + ret->offset[j], below, channels);
+    }
+}
+
+// The same of a pyramid's maps: RN_VL samples, of which the first n are there. Returns the maps.
+RN_INLINE int look_up_leveled(const struct rn_map *maps, int base, bool mip, const float *u,
+                              const float *v, const float *lx, const float *ly, int n, int channels,
+                              struct map_lookup ret[RN_MAPS_RIP]) {
+    struct axis_lookup x, y;
+    look_up_axis(vf_load(u), vf_load(lx), base, &x);
+    look_up_axis(vf_load(v), vf_load(ly), base, &y);
+    int count = look_up_maps(&x, &y, mip, ret);
+    for (int k = 0; k < count; k++)
+        for (int j = 0; j < RN_VL && j < n; j++) {
+            if (!(ret[k].active >> j & 1)) continue;
+            size_t below = (size_t)ret[k].row[j] * (size_t)channels;
+            fetch_ahead(maps[ret[k].map[j]].texels + (size_t)ret[k].offset[j] * (size_t)channels,
+                        below, channels);
+        }
+    return count;
+}
+
 // A vector of CHANNELS numbers; the compiler splits it where the machine's are narrower.
 #define RN_FETCH(NAME, TYPE, CHANNELS)                                                             \
     RN_INLINE TYPE fetch_##NAME(const float *texel, size_t row, float fx, float fy) {              \
@@ -101,18 +148,16 @@ RN_INLINE int look_up_maps(const struct axis_lookup *x, const struct axis_lookup
         return top + fy * (bottom - top);                                                          \
     }                                                                                              \
     static void encode_flat_##NAME(const struct rn_map *map, const float *u, const float *v,       \
-                                   int begin, int end, float *out, int stride) {                   \
+                                   int begin, int end, feature *out, size_t stride) {              \
         size_t row = (size_t)map->width * CHANNELS;                                                \
-        for (int i = begin; i < end; i += RN_VL) {                                                 \
-            vi column, line;                                                                       \
-            vf fx, fy;                                                                             \
-            lerp_vector(vf_load(u + i), map->width, &column, &fx);                                 \
-            lerp_vector(vf_load(v + i), map->height, &line, &fy);                                  \
-            vi offset = (line * map->width + column) * CHANNELS;                                   \
-            int n = end - i < RN_VL ? end - i : RN_VL;                                             \
+        struct flat_lookup at;                                                                     \
+        for (int i = begin; i < end; i += RN_AHEAD) {                                              \
+            int n = end - i < RN_AHEAD ? end - i : RN_AHEAD;                                       \
+            look_up_flat(map, u + i, v + i, n, CHANNELS, &at);                                     \
             for (int j = 0; j < n; j++)                                                            \
-                *(TYPE *)(out + (size_t)(i + j) * stride) =                                        \
-                    fetch_##NAME(map->texels + offset[j], row, fx[j], fy[j]);                      \
+                store_features_##NAME(                                                             \
+                    out + (size_t)(i + j) * stride,                                                \
+                    fetch_##NAME(map->texels + at.offset[j], row, at.fx[j], at.fy[j]));            \
         }                                                                                          \
     }                                                                                              \
     RN_INLINE TYPE fetch_map_##NAME(const struct rn_map *maps, const struct map_lookup *l, int j,  \
@@ -126,21 +171,22 @@ RN_INLINE int look_up_maps(const struct axis_lookup *x, const struct axis_lookup
     }                                                                                              \
     static void encode_leveled_##NAME(                                                             \
         const struct rn_map(*maps)[RN_MAX_LEVELS], bool mip, const float *u, const float *v,       \
-        const float *lx, const float *ly, int begin, int end, float *out, int stride) {            \
-        struct axis_lookup x, y;                                                                   \
-        struct map_lookup lookups[RN_MAPS_RIP];                                                    \
-        int base = maps[0][0].width;                                                               \
-        for (int i = begin; i < end; i += RN_VL) {                                                 \
-            look_up_axis(vf_load(u + i), vf_load(lx + i), base, &x);                               \
-            look_up_axis(vf_load(v + i), vf_load(ly + i), base, &y);                               \
-            int count = look_up_maps(&x, &y, mip, lookups);                                        \
-            int n = end - i < RN_VL ? end - i : RN_VL;                                             \
+        const float *lx, const float *ly, int begin, int end, feature *out, size_t stride) {       \
+        struct map_lookup lookups[RN_AHEAD / RN_VL][RN_MAPS_RIP];                                  \
+        int base = maps[0][0].width, count = 0;                                                    \
+        for (int i = begin; i < end; i += RN_AHEAD) {                                              \
+            int n = end - i < RN_AHEAD ? end - i : RN_AHEAD;                                       \
+            for (int j = 0; j < n; j += RN_VL)                                                     \
+                count = look_up_leveled(maps[0], base, mip, u + i + j, v + i + j, lx + i + j,      \
+                                        ly + i + j, n - j, CHANNELS, lookups[j / RN_VL]);          \
             for (int j = 0; j < n; j++) {                                                          \
+                const struct map_lookup *at = lookups[j / RN_VL];                                  \
+                int lane = j % RN_VL;                                                              \
                 TYPE value = {0};                                                                  \
                 for (int k = 0; k < count; k++)                                                    \
-                    if (lookups[k].active >> j & 1)                                                \
-                        value = fetch_map_##NAME(maps[0], &lookups[k], j, value);                  \
-                *(TYPE *)(out + (size_t)(i + j) * stride) = value;                                 \
+                    if (at[k].active >> lane & 1)                                                  \
+                        value = fetch_map_##NAME(maps[0], &at[k], lane, value);                    \
+                store_features_##NAME(out + (size_t)(i + j) * stride, value);                      \
             }                                                                                      \
         }                                                                                          \
     }
@@ -152,10 +198,11 @@ RN_FETCH(16, v16, 16)
 // Features of samples [begin, end) of the workspace.
 static void encode(const struct rn_cpu_field *field, bool leveled, int begin, int end,
                    struct rn_workspace *w) {
-    int channels = field->config.channels, stride = field->feature_stride;
+    int channels = field->config.channels;
+    size_t stride = feature_stride(field);
     bool mip = field->config.footprint == RN_FOOTPRINT_MIP;
     for (int p = 0; p < field->config.planes; p++) {
-        float *out = w->features + p * channels;
+        feature *out = feature_row(field, w, 0) + p * channels;
         const struct rn_map(*maps)[RN_MAX_LEVELS] = field->maps[p];
 #define RN_ENCODE(C)                                                                               \
     if (leveled)                                                                                   \
@@ -172,6 +219,7 @@ static void encode(const struct rn_cpu_field *field, bool leveled, int begin, in
         }
 #undef RN_ENCODE
     }
+    clear_padding(field, begin, end, w);
 }
 
 #endif

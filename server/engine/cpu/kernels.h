@@ -145,7 +145,7 @@ struct rn_workspace {
     float *s;        // distance behind ray.origin of the frustum's middle
     float *interval; // in density units; 0 outside the ball
     float *u[RN_MAX_PLANES], *v[RN_MAX_PLANES], *lx[RN_MAX_PLANES], *ly[RN_MAX_PLANES];
-    float *features;                    // [capacity][feature_stride]
+    void *features;                     // [capacity]: rows in the kernel set's own form
     float *hidden[RN_MLP_MAX_LAYERS];   // [capacity][width], in the kernel set's own form
     float *geometry;                    // [capacity][16]: outputs, then activated in place
     float *x, *before, *weight, *after; // optical depth; depth before; weight; T behind
@@ -260,6 +260,12 @@ struct rn_kernels {
     int (*stage)(const struct rn_cpu_field *field, const struct rn_march_options *options,
                  const struct rn_march_ray *rays, int count, enum rn_stage stage,
                  struct rn_workspace *workspace, struct rn_group *group, const float **ret_grad);
+    // The features of a sample of the workspace, for tests. A set that rounds the networks'
+    // operands to bf16 keeps them so.
+    void (*put_features)(const struct rn_cpu_field *field, int sample, const float *features,
+                         struct rn_workspace *workspace);
+    void (*get_features)(const struct rn_cpu_field *field, int sample,
+                         const struct rn_workspace *workspace, float *ret_features);
     // One product as the networks make them, for tests: c[rows][n] = a[rows][k] b[k][n], n a
     // multiple of 16.
     void (*gemm)(int rows, int k, int n, const float *a, int a_stride, const float *b, int b_stride,

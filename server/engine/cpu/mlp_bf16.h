@@ -48,9 +48,10 @@ static void mlp_pack(const struct rn_mlp_shape *shape, const float *weights, flo
     }
 }
 
-// Activations of layer l, from 1 on, as rows.
-RN_INLINE uint16_t *activation(const struct mlp *net, int l, int row) {
-    return (uint16_t *)(net->hidden[l - 1] + hidden_stride(net->shape->in[l]) * (size_t)row);
+// Inputs of layer l as rows: of those that are kept so, the first layer's only with net->ready.
+RN_INLINE uint16_t *inputs_at(const struct mlp *net, int l, int row) {
+    uint16_t *first = l == 0 ? (uint16_t *)net->in : (uint16_t *)net->hidden[l - 1];
+    return first + (size_t)round32(net->shape->in[l]) * (size_t)row;
 }
 
 // ---- blocks ---------------------------------------------------------------------------------
@@ -156,11 +157,12 @@ RN_INLINE float *next_sums(struct block *b) {
     return b->sums[b->turn];
 }
 
-// The network's inputs as rows.
+// The network's fp32 inputs as rows.
 static void take_inputs(const struct block *b, uint16_t *to) {
     const struct mlp *net = b->net;
-    rows_from(net->in + (size_t)b->row * net->in_stride, net->in_stride, b->rows, net->shape->in[0],
-              to, round32(net->shape->in[0]));
+    int in = net->shape->in[0];
+    rows_from((const float *)net->in + (size_t)b->row * net->in_stride, net->in_stride, b->rows, in,
+              to, round32(in));
 }
 
 // ---- forward --------------------------------------------------------------------------------
@@ -199,11 +201,12 @@ static void forward_layer(struct block *b, int l, int row, const uint16_t *weigh
 // that nothing behind it is written.
 static void forward_rows(struct block *b) {
     const struct rn_mlp_shape *shape = b->net->shape;
-    const uint16_t *weights = (const uint16_t *)b->net->packed, *from = b->first;
-    take_inputs(b, b->first);
+    const uint16_t *weights = (const uint16_t *)b->net->packed;
+    const uint16_t *from = b->net->ready ? inputs_at(b->net, 0, b->row) : b->first;
+    if (!b->net->ready) take_inputs(b, b->first);
     for (int l = 0; l < shape->layers; l++) {
         bool last = l + 1 == shape->layers, whole = b->rows == b->padded;
-        uint16_t *hidden = last ? NULL : activation(b->net, l + 1, b->row);
+        uint16_t *hidden = last ? NULL : inputs_at(b->net, l + 1, b->row);
         uint16_t *to = last || whole ? hidden : l % 2 ? b->first : b->second;
         for (int row = 0; row < b->rows; row += RN_TILES_M)
             forward_layer(b, l, row, weights, from, to);
@@ -233,12 +236,12 @@ static void mlp_forward(const struct mlp *net, int begin, int n) {
 static void take_columns(struct block *b, int l, uint16_t *spare) {
     int in = round32(b->net->shape->in[l]);
     const uint16_t *from = spare;
-    if (l == 0) {
+    if (l == 0 && !b->net->ready) {
         take_inputs(b, spare);
     } else if (b->rows == b->padded) {
-        from = activation(b->net, l, b->row);
+        from = inputs_at(b->net, l, b->row);
     } else {
-        memcpy(spare, activation(b->net, l, b->row), (size_t)b->rows * in * sizeof *spare);
+        memcpy(spare, inputs_at(b->net, l, b->row), (size_t)b->rows * in * sizeof *spare);
         memset(spare + (size_t)b->rows * in, 0, (size_t)(b->padded - b->rows) * in * sizeof *spare);
     }
     columns_of_rows(from, in, b->padded, in, b->columns, b->padded);
@@ -284,7 +287,7 @@ static void take_in_grad(struct block *b, int l, const uint16_t *weights, const 
             if (l == 0) continue;
             b->next = (struct finish){.sums = sums,
                                       .wide = p.wide,
-                                      .active = activation(b->net, l, b->row + row) + i,
+                                      .active = inputs_at(b->net, l, b->row + row) + i,
                                       .to = to + (size_t)row * round32(in) + i,
                                       .stride = round32(in),
                                       .pairs = b->pairs + (size_t)row * in + i * 32};

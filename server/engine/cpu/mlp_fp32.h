@@ -31,7 +31,7 @@ static void forward_rows(const struct mlp *net, int begin, int n) {
     for (int l = 0; l < shape->layers; l++) {
         bool last = l + 1 == shape->layers;
         int stride = l == 0 ? net->in_stride : shape->in[l], out_stride = shape->out[l];
-        const float *a = l == 0 ? net->in : net->hidden[l - 1];
+        const float *a = l == 0 ? (const float *)net->in : net->hidden[l - 1];
         float *c = last ? net->out : net->hidden[l];
         struct rn_gemm g = {.a = a + (size_t)begin * stride,
                             .a_row = stride,
@@ -59,7 +59,8 @@ static void backward_rows(const struct mlp *net, const float *t, const float *ou
     out_grad += (size_t)row * shape->out[shape->layers - 1];
     for (int l = shape->layers - 1; l >= 0; l--) {
         int stride = l == 0 ? net->in_stride : shape->in[l], padded = round16(shape->in[l]);
-        const float *activation = (l == 0 ? net->in : net->hidden[l - 1]) + (size_t)row * stride;
+        const float *activation =
+            (l == 0 ? (const float *)net->in : net->hidden[l - 1]) + (size_t)row * stride;
         struct rn_gemm dw = {.a = activation,
                              .a_row = 1,
                              .a_k = stride,

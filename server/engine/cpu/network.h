@@ -2,14 +2,14 @@
 #ifndef RN_ENGINE_CPU_NETWORK_H
 #define RN_ENGINE_CPU_NETWORK_H
 
-#include "server/engine/cpu/kernels.h"
-#include "server/engine/cpu/simd.h"
+#include "server/engine/cpu/features.h"
 
 struct mlp {
     const struct rn_mlp_shape *shape;
     const float *weights, *packed;
-    const float *in; // [row][in_stride]; columns behind the inputs are zero
-    int in_stride;
+    const void *in;       // [row]; columns behind the inputs are zero
+    int in_stride;        // numbers
+    bool ready;           // inputs are rounded to bf16 already (features.h)
     float *const *hidden; // [layer][row], rows of hidden_stride(width) in the set's own form
     float *out;           // [row][outputs]
     void *scratch;        // 2 KiB for each of the widest layer's numbers
@@ -21,7 +21,8 @@ static inline struct mlp base_network(const struct rn_cpu_field *field,
                         .weights = field->base_weights,
                         .packed = field->base_packed,
                         .in = w->features,
-                        .in_stride = field->feature_stride,
+                        .in_stride = (int)feature_stride(field),
+                        .ready = FEATURES_READY,
                         .hidden = w->hidden,
                         .out = w->geometry,
                         .scratch = w->grad_b};

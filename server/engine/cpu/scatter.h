@@ -63,6 +63,44 @@ RN_INLINE void look_up_targets(const struct axis_lookup *x, const struct axis_lo
     look_up_target(x, y, false, 3, band, tiling, &ret[3]);
 }
 
+// Where a few vectors of samples are added to a map that is alone, and which of them lie in the
+// band, found before any is added: the texels are on their way to the cache by then.
+struct flat_target {
+    int32_t line[RN_AHEAD], column[RN_AHEAD], first[RN_AHEAD], last[RN_AHEAD]; // texel; tiles
+    float fx[RN_AHEAD], fy[RN_AHEAD];
+    uint8_t sample[RN_AHEAD];
+};
+
+RN_INLINE int look_up_flat_targets(const float *u, const float *v, int n, const struct band *band,
+                                   const struct rn_tiling *tiling, const struct rn_map *map,
+                                   int channels, struct flat_target *ret) {
+    size_t row = (size_t)map->width * (size_t)channels;
+    int found = 0;
+    for (int i = 0; i < n; i += RN_VL) {
+        vi column, line;
+        vf fx, fy;
+        lerp_vector(vf_load(v + i), map->height, &line, &fy);
+        unsigned bits = vi_mask_bits((line >= band->begin - 1) & (line < band->end));
+        if (n - i < RN_VL) bits &= (1u << (n - i)) - 1;
+        if (!bits) continue;
+        lerp_vector(vf_load(u + i), map->width, &column, &fx);
+        vi_store(ret->line + i, line);
+        vi_store(ret->column + i, column);
+        vi_store(ret->first + i, column >> tiling->shift_x);
+        vi_store(ret->last + i, (column + 1) >> tiling->shift_x);
+        vf_store(ret->fx + i, fx);
+        vf_store(ret->fy + i, fy);
+        for (; bits; bits &= bits - 1) {
+            int j = i + __builtin_ctz(bits);
+            const float *texel =
+                map->texels + (size_t)ret->line[j] * row + (size_t)(ret->column[j] * channels);
+            ret->sample[found++] = (uint8_t)j;
+            fetch_ahead(texel, row, channels);
+        }
+    }
+    return found;
+}
+
 #define RN_SCATTER(NAME, TYPE, CHANNELS)                                                           \
     RN_INLINE void add_row_##NAME(float *texel, float left, float right, TYPE g) {                 \
         *(TYPE *)texel += g * left;                                                                \
@@ -71,31 +109,25 @@ RN_INLINE void look_up_targets(const struct axis_lookup *x, const struct axis_lo
     static void scatter_flat_##NAME(const struct rn_slab *slab, int plane,                         \
                                     const struct band *band, const struct rn_tiling *tiling,       \
                                     struct rn_map *map, uint8_t *touched) {                        \
-        const float *u = slab->u[plane], *v = slab->v[plane];                                      \
         size_t row = (size_t)map->width * CHANNELS, tiles = (size_t)tiling->columns;               \
-        for (int i = 0; i < slab->count; i += RN_VL) {                                             \
-            vi column, line;                                                                       \
-            vf fx, fy;                                                                             \
-            lerp_vector(vf_load(v + i), map->height, &line, &fy);                                  \
-            unsigned bits = vi_mask_bits((line >= band->begin - 1) & (line < band->end));          \
-            if (slab->count - i < RN_VL) bits &= (1u << (slab->count - i)) - 1;                    \
-            if (!bits) continue;                                                                   \
-            lerp_vector(vf_load(u + i), map->width, &column, &fx);                                 \
-            vi first = column >> tiling->shift_x, last = (column + 1) >> tiling->shift_x;          \
-            for (; bits; bits &= bits - 1) {                                                       \
-                int j = __builtin_ctz(bits);                                                       \
-                uint8_t *mark = touched + (size_t)line[j] * tiles;                                 \
+        struct flat_target at;                                                                     \
+        for (int i = 0; i < slab->count; i += RN_AHEAD) {                                          \
+            int n = slab->count - i < RN_AHEAD ? slab->count - i : RN_AHEAD;                       \
+            int found = look_up_flat_targets(slab->u[plane] + i, slab->v[plane] + i, n, band,      \
+                                             tiling, map, CHANNELS, &at);                          \
+            for (int k = 0; k < found; k++) {                                                      \
+                int j = at.sample[k], line = at.line[j];                                           \
+                uint8_t *mark = touched + (size_t)line * tiles;                                    \
                 TYPE g = *(const TYPE *)(slab->grad[plane] + (size_t)(i + j) * CHANNELS);          \
-                float *texel =                                                                     \
-                    map->texels + ((size_t)line[j] * map->width + column[j]) * CHANNELS;           \
-                TYPE low = g * (1 - fy[j]), high = g * fy[j];                                      \
-                if (line[j] >= band->begin) {                                                      \
-                    mark[first[j]] = mark[last[j]] = 1;                                            \
-                    add_row_##NAME(texel, 1 - fx[j], fx[j], low);                                  \
+                float *texel = map->texels + (size_t)line * row + (size_t)at.column[j] * CHANNELS; \
+                float fx = at.fx[j], fy = at.fy[j];                                                \
+                if (line >= band->begin) {                                                         \
+                    mark[at.first[j]] = mark[at.last[j]] = 1;                                      \
+                    add_row_##NAME(texel, 1 - fx, fx, g * (1 - fy));                               \
                 }                                                                                  \
-                if (line[j] + 1 < band->end) {                                                     \
-                    mark[tiles + first[j]] = mark[tiles + last[j]] = 1;                            \
-                    add_row_##NAME(texel + row, 1 - fx[j], fx[j], high);                           \
+                if (line + 1 < band->end) {                                                        \
+                    mark[tiles + at.first[j]] = mark[tiles + at.last[j]] = 1;                      \
+                    add_row_##NAME(texel + row, 1 - fx, fx, g * fy);                               \
                 }                                                                                  \
             }                                                                                      \
         }                                                                                          \

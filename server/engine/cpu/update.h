@@ -155,6 +155,17 @@ static bool update_rect(const struct rn_plane_update *u, const struct rect *rect
     return finite;
 }
 
+// Asks for a rectangle's level 0, while another one is being done.
+static void fetch_rect(const struct rn_plane_update *u, const struct rect *rect) {
+    size_t row = (size_t)u->maps[0][0].width * (size_t)u->channels;
+    size_t at = (size_t)rect->row * row + (size_t)(rect->column * u->channels);
+    float *all[4] = {u->maps[0][0].texels, u->grad_maps[0][0].texels, u->m, u->v};
+    for (int y = 0; y < rect->height; y++, at += row)
+        for (int i = 0; i < rect->width * u->channels; i += 16)
+            for (int k = 0; k < 4; k++)
+                __builtin_prefetch(all[k] + at + i, 1);
+}
+
 // Runs of neighbouring tiles that the step touched are done as one rectangle.
 static bool update(const struct rn_plane_update *u, int row_begin, int row_end) {
     int base = u->maps[0][0].width;
@@ -162,6 +173,7 @@ static bool update(const struct rn_plane_update *u, int row_begin, int row_end) 
     int width = 1 << tiling.shift_x, height = 1 << tiling.shift_y;
     int most = RN_RUN > width ? RN_RUN : width;
     bool finite = true;
+    struct rect last = {0}; // asked for, not done yet
     for (int row = row_begin; row < row_end; row += height) {
         uint8_t *marks =
             u->touched ? u->touched + (size_t)(row >> tiling.shift_y) * tiling.columns : NULL;
@@ -172,10 +184,15 @@ static bool update(const struct rn_plane_update *u, int row_begin, int row_end) 
                 end += width;
             }
             struct rect rect = {column, row, (end < base ? end : base) - column, height};
-            if (end > column) finite &= update_rect(u, &rect);
+            if (end > column) {
+                fetch_rect(u, &rect);
+                if (last.width) finite &= update_rect(u, &last);
+                last = rect;
+            }
             column = end > column ? end : column + width;
         }
     }
+    if (last.width) finite &= update_rect(u, &last);
     return finite;
 }
 

@@ -53,7 +53,7 @@ static size_t lay_out(const struct rn_cpu_field *field, double step, struct carv
         w->lx[p] = carve(c, n, f);
         w->ly[p] = carve(c, n, f);
     }
-    w->features = carve(c, n * (size_t)field->feature_stride, f);
+    w->features = carve(c, (n + 32) * (size_t)field->feature_stride, f); // products read 32 rows
     for (int l = 0; l < field->config.base_layers; l++)
         w->hidden[l] = carve(c, n * width, f);
     w->geometry = carve(c, n * RN_GEOMETRY, f);
