@@ -54,9 +54,11 @@ static int clamp_int(double v, int low, int high) {
     return v < low ? low : v > high ? high : (int)v;
 }
 
-// Whether the ball around a point (dataset units) projects wholly inside the image onto pixels
-// without alpha. Anything in doubt is kept.
-static bool sees_nothing(const struct silhouette *s, const double centre[3], double radius) {
+// Of the pixels that a ball projects onto, all of them inside the image: how many have alpha.
+enum sight { NONE_HAVE, SOME_HAVE, ALL_HAVE };
+
+// The ball lies around a point (dataset units). Anything in doubt is SOME_HAVE.
+static enum sight look_at(const struct silhouette *s, const double centre[3], double radius) {
     const struct rn_camera *c = s->camera;
     double p[3];
     for (int i = 0; i < 3; i++) {
@@ -65,17 +67,19 @@ static bool sees_nothing(const struct silhouette *s, const double centre[3], dou
             p[i] += c->world_from_camera[j][i] * (centre[j] - c->world_from_camera[j][3]);
     }
     double nearest = p[2] - radius;
-    if (nearest <= radius) return false;
+    if (nearest <= radius) return SOME_HAVE;
     double x = p[0] / p[2] * c->fx + c->cx, y = p[1] / p[2] * c->fy + c->cy;
     // A ball's image reaches at most f r sqrt(1 + tan^2) / nearest from its centre's image.
     double slope = sqrt(1 + (p[0] * p[0] + p[1] * p[1]) / (p[2] * p[2]));
     double rx = c->fx * radius * slope / nearest + 1, ry = c->fy * radius * slope / nearest + 1;
-    if (x - rx < 0 || y - ry < 0 || x + rx > c->width || y + ry > c->height) return false;
+    if (x - rx < 0 || y - ry < 0 || x + rx > c->width || y + ry > c->height) return SOME_HAVE;
     int x0 = clamp_int(floor(x - rx), 0, c->width), x1 = clamp_int(ceil(x + rx), 0, c->width);
     int y0 = clamp_int(floor(y - ry), 0, c->height), y1 = clamp_int(ceil(y + ry), 0, c->height);
     size_t stride = (size_t)c->width + 1;
     const uint32_t *top = s->table + (size_t)y0 * stride, *bottom = s->table + (size_t)y1 * stride;
-    return bottom[x1] - bottom[x0] - top[x1] + top[x0] == 0;
+    uint32_t count = bottom[x1] - bottom[x0] - top[x1] + top[x0];
+    if (count == 0) return NONE_HAVE;
+    return count == (uint32_t)(x1 - x0) * (uint32_t)(y1 - y0) ? ALL_HAVE : SOME_HAVE;
 }
 
 struct carving {
@@ -89,24 +93,54 @@ static void cell_centre(const struct rn_trainer *t, double x, double y, double z
         ret[i] = t->field->bounds.centre[i] + t->field->bounds.radius * (2 * at[i] / cells - 1);
 }
 
-// Carves the bricks of one layer: whole bricks first, then their cells.
+// Carves cell by cell what a brick has kept so far.
+static void carve_cells(const struct carving *carving, const int first[3]) {
+    struct rn_trainer *t = carving->trainer;
+    int cells = t->field->config.field.occupancy;
+    double radius = 1.7320508 * t->field->bounds.radius / cells, centre[3];
+    for (int i = 0; i < RN_BRICK * RN_BRICK * RN_BRICK; i++) {
+        int x = first[0] + i / 64, y = first[1] + i / 8 % 8, z = first[2] + i % 8;
+        uint8_t *keep = &t->field->hull[rn_cell_index(x, y, z, cells)];
+        if (!*keep) continue;
+        cell_centre(t, x + 0.5, y + 0.5, z + 0.5, centre);
+        if (look_at(&carving->silhouette, centre, radius) == NONE_HAVE) *keep = 0;
+    }
+}
+
+// The rows along z of a brick, 8 cells each: whether any is kept; and takes them all away.
+static bool keeps_any(const struct rn_field *field, const int first[3]) {
+    uint64_t any = 0, row;
+    for (int i = 0; i < RN_BRICK * RN_BRICK; i++) {
+        size_t at = rn_cell_index(first[0] + i / 8, first[1] + i % 8, first[2],
+                                  field->config.field.occupancy);
+        memcpy(&row, field->hull + at, sizeof row);
+        any |= row;
+    }
+    return any;
+}
+static void carve_all(struct rn_field *field, const int first[3]) {
+    for (int i = 0; i < RN_BRICK * RN_BRICK; i++) {
+        size_t at = rn_cell_index(first[0] + i / 8, first[1] + i % 8, first[2],
+                                  field->config.field.occupancy);
+        memset(field->hull + at, 0, RN_BRICK);
+    }
+}
+
+// Carves the bricks of one layer: as a whole where they are in front of nothing, cell by cell where
+// they are not in front of matter alone.
 static void carve_layer(void *context, int layer, int thread) {
     (void)thread;
     const struct carving *carving = context;
     struct rn_trainer *t = carving->trainer;
-    int cells = t->field->config.field.occupancy, bricks = cells / RN_BRICK;
-    double cell_radius = 1.7320508 * t->field->bounds.radius / cells, centre[3];
+    int bricks = t->field->config.field.occupancy / RN_BRICK;
+    double radius = 1.7320508 * t->field->bounds.radius / bricks, centre[3];
     for (int b = 0; b < bricks * bricks; b++) {
-        int x0 = layer * RN_BRICK, y0 = b / bricks * RN_BRICK, z0 = b % bricks * RN_BRICK;
-        cell_centre(t, x0 + 4, y0 + 4, z0 + 4, centre);
-        bool all = sees_nothing(&carving->silhouette, centre, cell_radius * RN_BRICK);
-        for (int i = 0; i < RN_BRICK * RN_BRICK * RN_BRICK; i++) {
-            int x = x0 + i / 64, y = y0 + i / 8 % 8, z = z0 + i % 8;
-            uint8_t *keep = &t->field->hull[rn_cell_index(x, y, z, cells)];
-            if (!*keep) continue;
-            cell_centre(t, x + 0.5, y + 0.5, z + 0.5, centre);
-            if (all || sees_nothing(&carving->silhouette, centre, cell_radius)) *keep = 0;
-        }
+        int first[3] = {layer * RN_BRICK, b / bricks * RN_BRICK, b % bricks * RN_BRICK};
+        if (!keeps_any(t->field, first)) continue;
+        cell_centre(t, first[0] + 4, first[1] + 4, first[2] + 4, centre);
+        enum sight sight = look_at(&carving->silhouette, centre, radius);
+        if (sight == NONE_HAVE) carve_all(t->field, first);
+        if (sight == SOME_HAVE) carve_cells(carving, first);
     }
 }
 
