@@ -8,10 +8,10 @@
 #include "server/engine/device.h"
 #include "server/engine/render/lattice.h"
 
-#define TILE 16         // cones a side; a tile fills two packets
-#define SPARSE 2        // times as many where a pass takes every second pixel a side
-#define BAND 64         // rows a device renders between two looks at keep_going
-#define TILES_A_POLL 64 // tiles between two looks at keep_going
+#define TILE 16  // cones a side; a tile fills two packets
+#define SPARSE 2 // times as many where a pass takes every second pixel a side
+#define BAND 64  // rows a device renders between two looks at keep_going
+#define ROWS 16  // of a picture that a thread fills at a time
 
 struct frame {
     struct rn_engine *engine;
@@ -21,26 +21,24 @@ struct frame {
     struct rn_camera camera; // at the resolution that is rendered
     int cones;               // a side of its pixels
     int tile;                // pixels a side
-    int tiles_x, first_tile, pass;
+    int tiles_x, pass;
     struct rn_lattice lattice;
     bool on_device; // the field's copy there has the levels
-    struct spent {
-        uint64_t rays, samples;
-    } spent[TILES_A_POLL];
+    _Atomic uint64_t rays, samples, nonfinite;
 };
 
 static void render_tile(void *context, int index, int thread) {
     struct frame *f = context;
     struct rn_spot spots[TILE * TILE * SPARSE];
     struct rn_pixel pixels[TILE * TILE * SPARSE];
-    int at = f->first_tile + index, width = f->lattice.width, height = f->lattice.height;
-    struct rn_tile tile = {.x0 = at % f->tiles_x * f->tile, .y0 = at / f->tiles_x * f->tile};
+    int width = f->lattice.width, height = f->lattice.height;
+    struct rn_tile tile = {.x0 = index % f->tiles_x * f->tile, .y0 = index / f->tiles_x * f->tile};
     tile.x1 = tile.x0 + f->tile < width ? tile.x0 + f->tile : width;
     tile.y1 = tile.y0 + f->tile < height ? tile.y0 + f->tile : height;
     int n = rn_lattice_choose(&f->lattice, f->pass, tile, spots);
-    f->spent[index].samples = rn_cones_render(f->engine, f->field, &f->march, &f->camera, f->cones,
-                                              spots, n, thread, pixels);
-    f->spent[index].rays = (uint64_t)n * f->cones * f->cones;
+    f->samples += rn_cones_render(f->engine, f->field, &f->march, &f->camera, f->cones, spots, n,
+                                  thread, pixels);
+    f->rays += (uint64_t)n * f->cones * f->cones;
     for (int i = 0; i < n; i++)
         f->lattice.pixels[(size_t)spots[i].y * width + spots[i].x] = pixels[i];
 }
@@ -49,17 +47,41 @@ static float finite_or(float value, float other) {
     return isfinite(value) ? value : other;
 }
 
-static uint64_t count_nonfinite(const struct frame *f) {
-    uint64_t count = 0;
-    for (size_t i = 0; i < (size_t)f->camera.width * (size_t)f->camera.height; i++) {
-        const struct rn_pixel *p = &f->lattice.pixels[i];
-        count += !isfinite(p->rgb[0] + p->rgb[1] + p->rgb[2] + p->depth + p->alpha);
-    }
-    return count;
+// Pictures to fill from a frame's pixels, each `subsample` pixels a side.
+struct filling {
+    struct frame *frame;
+    struct rn_render_result *result;
+    int subsample;
+};
+
+static void fill_rows(void *context, int index, int thread) {
+    (void)thread;
+    const struct filling *filling = context;
+    struct frame *f = filling->frame;
+    struct rn_render_result *result = filling->result;
+    const struct rn_render_options *o = f->options;
+    int n = filling->subsample, end = (index + 1) * ROWS;
+    uint64_t nonfinite = 0;
+    for (int y = index * ROWS; y < end && y < o->camera.height; y++)
+        for (int x = 0; x < o->camera.width; x++) {
+            const struct rn_pixel *p =
+                &f->lattice.pixels[(size_t)(y / n) * f->camera.width + x / n];
+            size_t at = (size_t)y * o->camera.width + x;
+            bool first = y % n + x % n == 0;
+            nonfinite +=
+                first && !isfinite(p->rgb[0] + p->rgb[1] + p->rgb[2] + p->depth + p->alpha);
+            if (result->rgb.values)
+                for (int c = 0; c < 3; c++)
+                    result->rgb.values[3 * at + c] = finite_or(p->rgb[c], o->background[c]);
+            if (result->depth.values)
+                result->depth.values[at] = finite_or(p->depth, 0) * (float)f->field->bounds.radius;
+            if (result->alpha.values) result->alpha.values[at] = finite_or(p->alpha, 0);
+        }
+    f->nonfinite += nonfinite;
 }
 
-// Spreads the rendered pixels over the pictures asked for, each `subsample` pixels a side.
-static enum rn_status fill_pictures(const struct frame *f, struct rn_render_result *result,
+// Spreads the rendered pixels over the pictures asked for; counts those that are not finite.
+static enum rn_status fill_pictures(struct frame *f, struct rn_render_result *result,
                                     struct rn_error *err) {
     const struct rn_render_options *o = f->options;
     struct rn_picture *pictures[3] = {&result->rgb, &result->depth, &result->alpha};
@@ -70,19 +92,8 @@ static enum rn_status fill_pictures(const struct frame *f, struct rn_render_resu
             rn_picture_init(o->camera.width, o->camera.height, i == 0 ? 3 : 1, pictures[i], err);
         if (status != RN_OK) return status;
     }
-    int n = o->subsample > 1 ? o->subsample : 1;
-    for (int y = 0; y < o->camera.height; y++)
-        for (int x = 0; x < o->camera.width; x++) {
-            const struct rn_pixel *p =
-                &f->lattice.pixels[(size_t)(y / n) * f->camera.width + x / n];
-            size_t at = (size_t)y * o->camera.width + x;
-            if (result->rgb.values)
-                for (int c = 0; c < 3; c++)
-                    result->rgb.values[3 * at + c] = finite_or(p->rgb[c], o->background[c]);
-            if (result->depth.values)
-                result->depth.values[at] = finite_or(p->depth, 0) * (float)f->field->bounds.radius;
-            if (result->alpha.values) result->alpha.values[at] = finite_or(p->alpha, 0);
-        }
+    struct filling filling = {f, result, o->subsample > 1 ? o->subsample : 1};
+    rn_pool_run(f->engine->pool, (o->camera.height + ROWS - 1) / ROWS, fill_rows, &filling);
     return RN_OK;
 }
 
@@ -127,49 +138,48 @@ static enum rn_status stopped(struct rn_error *err) {
     return rn_error_set(err, RN_ERROR_CANCELLED, "render", "stopped on request");
 }
 
+struct poll {
+    bool (*keep_going)(void *context);
+    void *context;
+};
+
+static bool must_stop(void *context) {
+    const struct poll *poll = context;
+    return poll->keep_going && !poll->keep_going(poll->context);
+}
+
 // All tiles of the frame's pass, over the engine's threads.
-static enum rn_status render_pass(struct frame *f, bool (*keep_going)(void *context), void *context,
-                                  struct rn_render_stats *stats, struct rn_error *err) {
-    int tiles = f->tiles_x * ((f->camera.height + f->tile - 1) / f->tile);
-    for (f->first_tile = 0; f->first_tile < tiles; f->first_tile += TILES_A_POLL) {
-        int count = tiles - f->first_tile < TILES_A_POLL ? tiles - f->first_tile : TILES_A_POLL;
-        if (keep_going && !keep_going(context)) return stopped(err);
-        rn_pool_run(f->engine->pool, count, render_tile, f);
-        for (int i = 0; i < count; i++) {
-            stats->rays += f->spent[i].rays;
-            stats->samples += f->spent[i].samples;
-        }
-    }
+static enum rn_status render_pass(struct frame *f, struct poll *poll, struct rn_error *err) {
+    int tiles = f->tiles_x * ((f->camera.height + f->tile - 1) / f->tile), next = 0;
+    if (must_stop(poll) ||
+        !rn_pool_run_some(f->engine->pool, tiles, &next, render_tile, f, must_stop, poll))
+        return stopped(err);
     return RN_OK;
 }
 
-static enum rn_status render_tiles(struct frame *f, bool (*keep_going)(void *context),
-                                   void *context, struct rn_render_stats *stats,
-                                   struct rn_error *err) {
+static enum rn_status render_tiles(struct frame *f, struct poll *poll, struct rn_error *err) {
     enum rn_status status = RN_OK;
     int passes = rn_lattice_passes(&f->lattice);
     f->tile = (passes > 1 ? SPARSE : 1) * TILE / f->cones;
     f->tiles_x = (f->camera.width + f->tile - 1) / f->tile;
     for (f->pass = 0; f->pass < passes && status == RN_OK; f->pass++)
-        status = render_pass(f, keep_going, context, stats, err);
+        status = render_pass(f, poll, err);
     return status;
 }
 
 // Bands of BAND rows of cones on the device instead of tiles here: every pixel.
-static enum rn_status render_bands(struct frame *f, bool (*keep_going)(void *context),
-                                   void *context, struct rn_render_stats *stats,
-                                   struct rn_error *err) {
+static enum rn_status render_bands(struct frame *f, struct poll *poll, struct rn_error *err) {
     int band = BAND / f->cones, width = f->camera.width;
     for (int row = 0; row < f->camera.height; row += band) {
         int rows = f->camera.height - row < band ? f->camera.height - row : band;
         uint64_t samples;
-        if (keep_going && !keep_going(context)) return stopped(err);
+        if (must_stop(poll)) return stopped(err);
         enum rn_status status =
             rn_field_render_rows(f->field, &f->camera, &f->march, f->cones, row, rows,
                                  f->lattice.pixels + (size_t)row * width, &samples, err);
         if (status != RN_OK) return status;
-        stats->rays += (uint64_t)rows * width * f->cones * f->cones;
-        stats->samples += samples;
+        f->rays += (uint64_t)rows * width * f->cones * f->cones;
+        f->samples += samples;
     }
     return RN_OK;
 }
@@ -209,11 +219,12 @@ enum rn_status rn_render(struct rn_engine *engine, struct rn_field *field,
     if (!f.lattice.pixels)
         return rn_error_set(err, RN_ERROR_NO_MEMORY, "camera", "a %dx%d picture needs %zu MiB",
                             f.camera.width, f.camera.height, bytes >> 20);
-    struct rn_render_result result = {.stats = {.cones = f.cones}};
-    status =
-        (f.on_device ? render_bands : render_tiles)(&f, keep_going, context, &result.stats, err);
+    struct rn_render_result result = {0};
+    struct poll poll = {keep_going, context};
+    status = (f.on_device ? render_bands : render_tiles)(&f, &poll, err);
     if (status == RN_OK) status = fill_pictures(&f, &result, err);
-    if (status == RN_OK) result.stats.nonfinite_rays = count_nonfinite(&f);
+    result.stats = (struct rn_render_stats){
+        .cones = f.cones, .rays = f.rays, .samples = f.samples, .nonfinite_rays = f.nonfinite};
     free(f.lattice.pixels);
     if (status != RN_OK) {
         rn_render_result_finish(&result);
