@@ -162,10 +162,11 @@ static enum rn_status move_in(struct rn_trainer *t, struct rn_error *err) {
     struct rn_field swap = *t->field;
     *t->field = *t->growth->field;
     *t->growth->field = swap;
-    float *grad = t->grad;
+    rn_block_destroy(t->grad);
     rn_trainer_free_step(t);
     t->grad = t->growth->grad;
-    t->growth->grad = grad;
+    t->growth->grad = NULL;
+    rn_field_destroy(&t->growth->field); // the old planes go before what follows needs memory
     enum rn_status status = rn_trainer_set_up(t, err);
     if (status == RN_OK) status = rn_trainer_keep_good(t, err);
     if (status == RN_OK) rn_field_refresh(t->field, t->engine);
