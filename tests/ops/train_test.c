@@ -394,6 +394,79 @@ static void check_early_stop(struct rn_field *field, const struct rn_frame *fram
     rn_render_result_finish(&black);
 }
 
+// Whether all pixels up to `reach` beside a point's image are inside it and without alpha.
+static bool empty_around(const struct rn_trainer *t, const struct rn_pixel_frame *frame,
+                         const double point[3], double reach) {
+    const struct rn_camera *c = &frame->frame->camera;
+    double at[3] = {0};
+    for (int i = 0; i < 3; i++)
+        for (int j = 0; j < 3; j++)
+            at[i] += c->world_from_camera[j][i] * (point[j] - c->world_from_camera[j][3]);
+    double x = at[0] / at[2] * c->fx + c->cx, y = at[1] / at[2] * c->fy + c->cy;
+    if (!(at[2] > 0) || x < reach || y < reach) return false;
+    for (int row = (int)(y - reach); row <= (int)(y + reach); row++)
+        for (int column = (int)(x - reach); column <= (int)(x + reach); column++)
+            if (row >= c->height || column >= c->width ||
+                rn_pixel_at(&t->train, frame, column, row)[3] > 0)
+                return false;
+    return true;
+}
+
+// Pixels that the ball around a cell may reach beside its centre's image; 0: it is too near.
+static double reach_of(const struct rn_camera *c, const double centre[3], double radius) {
+    double away[3], depth = 0, squares = 0;
+    for (int i = 0; i < 3; i++) {
+        away[i] = centre[i] - c->world_from_camera[i][3];
+        depth += away[i] * c->world_from_camera[i][2];
+        squares += away[i] * away[i];
+    }
+    if (depth <= 2 * radius) return 0;
+    return fmax(c->fx, c->fy) * radius * sqrt(squares) / depth / (depth - radius) + 2.5;
+}
+
+// A carved cell is seen to be empty, all its corners in one photograph; of one that is kept no
+// photograph shows its surroundings to be.
+START_TEST(what_is_carved_is_seen_to_be_empty) {
+    struct rn_train_config config = config_for(dataset);
+    config.field.occupancy = 64; // some bricks are in front of matter alone
+    struct rn_engine *engine = engine_with(2);
+    struct rn_trainer *t = trainer_for(engine, dataset, &config);
+    const struct rn_bounds *b = &t->field->bounds;
+    int cells = config.field.occupancy, carved = 0, kept = 0;
+    for (int cell = 0; cell < cells * cells * cells; cell++) {
+        int at[3] = {cell / cells / cells, cell / cells % cells, cell % cells};
+        double corner[8][3], centre[3], from_middle = 0, radius = b->radius * sqrt(3) / cells;
+        for (int i = 0; i < 3; i++) {
+            double unit = 2 * (at[i] + 0.5) / cells - 1;
+            from_middle += unit * unit;
+            centre[i] = b->centre[i] + b->radius * unit;
+            for (int k = 0; k < 8; k++)
+                corner[k][i] = centre[i] + (k >> i & 1 ? 0.999 : -0.999) * b->radius / cells;
+        }
+        bool keep = t->field->hull[cell], empty = false;
+        if (from_middle > 1) continue;
+        for (int f = 0; f < t->train.frame_count && !empty; f++) {
+            const struct rn_pixel_frame *frame = &t->train.frames[f];
+            double reach = keep ? reach_of(&frame->frame->camera, centre, radius) : 0;
+            if (keep) {
+                empty = reach > 0 && empty_around(t, frame, centre, reach);
+                continue;
+            }
+            empty = true;
+            for (int k = 0; k < 8; k++)
+                empty &= empty_around(t, frame, corner[k], 0);
+        }
+        ck_assert_msg(empty != keep, "cell %d %d %d is %s", at[0], at[1], at[2],
+                      keep ? "kept, and seen to be empty" : "carved, and not seen to be empty");
+        kept += keep;
+        carved += !keep;
+    }
+    ck_assert_msg(carved > kept && kept > 500, "%d cells carved, %d kept", carved, kept);
+    rn_trainer_destroy(&t);
+    rn_engine_destroy(&engine);
+}
+END_TEST
+
 START_TEST(it_learns_and_a_loaded_field_renders_the_same) {
     struct rn_error err;
     struct rn_train_config config = config_for(scaled);
@@ -488,6 +561,7 @@ int main(void) {
     tcase_add_test(tests, interruptions_do_not_change_bytes);
     tcase_add_test(tests, draws_by_error_resume);
     tcase_add_test(tests, a_figure_does_not_depend_on_interruptions);
+    tcase_add_test(tests, what_is_carved_is_seen_to_be_empty);
     tcase_add_test(tests, it_learns_and_a_loaded_field_renders_the_same);
     tcase_add_test(tests, damaged_checkpoints_are_refused);
     tcase_add_test(tests, memory_limit_is_said_before_it_is_taken);

@@ -55,7 +55,7 @@ static void copy_good(struct rn_trainer *t) {
 }
 
 enum rn_status rn_trainer_keep_good(struct rn_trainer *t, struct rn_error *err) {
-    if (!t->good) t->good = malloc(t->field->parameters.count * sizeof *t->good);
+    if (!t->good) t->good = rn_block_create(t->field->parameters.count * sizeof *t->good);
     if (!t->good) return rn_error_set(err, RN_ERROR_NO_MEMORY, "trainer", "out of memory");
     copy_good(t);
     return RN_OK;

@@ -67,7 +67,7 @@ void rn_trainer_free_step(struct rn_trainer *t) {
     free(t->ray_loss);
     free(t->ray_block);
     rn_block_destroy(t->group_memory);
-    free(t->good);
+    rn_block_destroy(t->good);
     t->grad_pyramid = t->group_memory = t->good = NULL;
     t->touched = NULL;
     t->rays = NULL;
