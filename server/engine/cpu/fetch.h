@@ -172,20 +172,17 @@ RN_INLINE int look_up_leveled(const struct rn_map *maps, int base, bool mip, con
     static void encode_leveled_##NAME(                                                             \
         const struct rn_map(*maps)[RN_MAX_LEVELS], bool mip, const float *u, const float *v,       \
         const float *lx, const float *ly, int begin, int end, feature *out, size_t stride) {       \
-        struct map_lookup lookups[RN_AHEAD / RN_VL][RN_MAPS_RIP];                                  \
-        int base = maps[0][0].width, count = 0;                                                    \
-        for (int i = begin; i < end; i += RN_AHEAD) {                                              \
-            int n = end - i < RN_AHEAD ? end - i : RN_AHEAD;                                       \
-            for (int j = 0; j < n; j += RN_VL)                                                     \
-                count = look_up_leveled(maps[0], base, mip, u + i + j, v + i + j, lx + i + j,      \
-                                        ly + i + j, n - j, CHANNELS, lookups[j / RN_VL]);          \
+        struct map_lookup at[RN_MAPS_RIP];                                                         \
+        int base = maps[0][0].width;                                                               \
+        for (int i = begin; i < end; i += RN_VL) {                                                 \
+            int n = end - i < RN_VL ? end - i : RN_VL;                                             \
+            int count = look_up_leveled(maps[0], base, mip, u + i, v + i, lx + i, ly + i, n,       \
+                                        CHANNELS, at);                                             \
             for (int j = 0; j < n; j++) {                                                          \
-                const struct map_lookup *at = lookups[j / RN_VL];                                  \
-                int lane = j % RN_VL;                                                              \
                 TYPE value = {0};                                                                  \
                 for (int k = 0; k < count; k++)                                                    \
-                    if (at[k].active >> lane & 1)                                                  \
-                        value = fetch_map_##NAME(maps[0], &at[k], lane, value);                    \
+                    if (at[k].active >> j & 1)                                                     \
+                        value = fetch_map_##NAME(maps[0], &at[k], j, value);                       \
                 store_features_##NAME(out + (size_t)(i + j) * stride, value);                      \
             }                                                                                      \
         }                                                                                          \
