@@ -237,7 +237,7 @@ static const struct {
     double bound, bf16_bound;
 } places[ALL] = {
     {"rays", "Mrays/s", 1e-5, 1e-5},          {"march", "Msamples/s", 5e-3, 5e-3},
-    {"encode", "Msamples/s", 1e-3, 5e-3},     {"mlp forward", "Msamples/s", 1e-4, 2e-2},
+    {"encode", "Msamples/s", 1e-3, 1e-3},     {"mlp forward", "Msamples/s", 1e-4, 2e-2},
     {"composite", "Msamples/s", 1e-4, 1e-4},  {"mlp backward", "Msamples/s", 1e-4, 0.05},
     {"scatter", "Msamples/s", 1e-5, 1e-5},    {"optimiser", "Mparameters/s", 1e-5, 1e-5},
     {"pyramid", "Mparameters/s", 1e-5, 1e-5}, {"occupancy", "Mcells/s", 1e-3, 0.1},
