@@ -165,7 +165,7 @@ static int backward_select(const struct rn_cpu_field *field, const struct rn_mar
     }
     const struct rn_mlp_shape *shape = &field->base_shape;
     size_t hidden = hidden_stride(field->config.width);
-    size_t features = feature_stride(field) * sizeof(feature) / sizeof(float);
+    size_t features = features_a_row(field) * sizeof(feature) / sizeof(float);
     for (int j = 0; j < n; j++) {
         if (w->kept[j] == j) continue;
         copy_row((float *)feature_row(field, w, j), (float *)feature_row(field, w, w->kept[j]),

@@ -19,7 +19,7 @@ typedef float v16 __attribute__((vector_size(64), aligned(4), may_alias));
 typedef uint16_t feature;
 enum { FEATURES_READY = true }; // for the products, without another rounding
 
-RN_INLINE size_t feature_stride(const struct rn_cpu_field *field) {
+RN_INLINE size_t features_a_row(const struct rn_cpu_field *field) {
     return (size_t)(field->features + 31) / 32 * 32;
 }
 RN_INLINE void store_features_4(feature *to, v4 x) {
@@ -43,7 +43,7 @@ RN_INLINE float number_of(feature x) {
 typedef float feature;
 enum { FEATURES_READY = false };
 
-RN_INLINE size_t feature_stride(const struct rn_cpu_field *field) {
+RN_INLINE size_t features_a_row(const struct rn_cpu_field *field) {
     return (size_t)field->feature_stride;
 }
 RN_INLINE void store_features_4(feature *to, v4 x) {
@@ -64,13 +64,13 @@ RN_INLINE float number_of(feature x) {
 // The features of sample i of the workspace.
 RN_INLINE feature *feature_row(const struct rn_cpu_field *field, const struct rn_workspace *w,
                                int i) {
-    return (feature *)w->features + (size_t)i * feature_stride(field);
+    return (feature *)w->features + (size_t)i * features_a_row(field);
 }
 
 // Zeros behind the features of samples [begin, end): the rows may have held another set's numbers.
 RN_INLINE void clear_padding(const struct rn_cpu_field *field, int begin, int end,
                              const struct rn_workspace *w) {
-    int features = field->features, stride = (int)feature_stride(field);
+    int features = field->features, stride = (int)features_a_row(field);
     int rest = features + (stride - features) % 16;
     for (int i = begin; i < end && features < stride; i++) {
         feature *row = feature_row(field, w, i);

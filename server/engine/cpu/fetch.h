@@ -196,7 +196,7 @@ RN_FETCH(16, v16, 16)
 static void encode(const struct rn_cpu_field *field, bool leveled, int begin, int end,
                    struct rn_workspace *w) {
     int channels = field->config.channels;
-    size_t stride = feature_stride(field);
+    size_t stride = features_a_row(field);
     bool mip = field->config.footprint == RN_FOOTPRINT_MIP;
     for (int p = 0; p < field->config.planes; p++) {
         feature *out = feature_row(field, w, 0) + p * channels;

@@ -1,9 +1,9 @@
 // The tiny networks with bf16 products and fp32 sums, forward and backward in blocks of rows whose
 // activations and gradients stay in the L1 cache.
 //
-// Inputs, activations, weights and gradients are rounded to bf16 when they enter a product (to
-// nearest, ties to even: relative error 2^-8 each), everything else is fp32. A product's error is
-// at most 2^-7 + 2^-16 + (K + 2) 2^-24, relative to the sum of its terms' magnitudes.
+// Inputs (features when they are fetched), activations, weights and gradients are rounded to bf16
+// (to nearest, ties to even: relative error 2^-8 each), everything else is fp32. A product's error
+// is at most 2^-7 + 2^-16 + (K + 2) 2^-24, relative to the sum of its terms' magnitudes.
 #ifndef RN_ENGINE_CPU_MLP_BF16_H
 #define RN_ENGINE_CPU_MLP_BF16_H
 

@@ -107,23 +107,24 @@ static void carve_cells(const struct carving *carving, const int first[3]) {
     }
 }
 
-// The rows along z of a brick, 8 cells each: whether any is kept; and takes them all away.
+// Row i along z of a brick: 8 cells.
+static uint8_t *row_of(const struct rn_field *field, const int first[3], int i) {
+    return field->hull + rn_cell_index(first[0] + i / 8, first[1] + i % 8, first[2],
+                                       field->config.field.occupancy);
+}
+
 static bool keeps_any(const struct rn_field *field, const int first[3]) {
     uint64_t any = 0, row;
     for (int i = 0; i < RN_BRICK * RN_BRICK; i++) {
-        size_t at = rn_cell_index(first[0] + i / 8, first[1] + i % 8, first[2],
-                                  field->config.field.occupancy);
-        memcpy(&row, field->hull + at, sizeof row);
+        memcpy(&row, row_of(field, first, i), sizeof row);
         any |= row;
     }
     return any;
 }
-static void carve_all(struct rn_field *field, const int first[3]) {
-    for (int i = 0; i < RN_BRICK * RN_BRICK; i++) {
-        size_t at = rn_cell_index(first[0] + i / 8, first[1] + i % 8, first[2],
-                                  field->config.field.occupancy);
-        memset(field->hull + at, 0, RN_BRICK);
-    }
+
+static void carve_all(const struct rn_field *field, const int first[3]) {
+    for (int i = 0; i < RN_BRICK * RN_BRICK; i++)
+        memset(row_of(field, first, i), 0, RN_BRICK);
 }
 
 // Carves the bricks of one layer: as a whole where they are in front of nothing, cell by cell where
