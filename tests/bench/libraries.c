@@ -112,6 +112,12 @@ static void own_destroy(void *work) {
     free(own);
 }
 
+static void own_take_rows(struct own *own) {
+    for (int i = 0; i < own->problem->rows; i++)
+        own->kernels->put_features(&own->field, i, own->problem->in + i * own->field.features,
+                                   own->workspace);
+}
+
 static void *own_create(const struct candidate *candidate, const struct problem *problem) {
     struct own *own = zeros(1, sizeof *own);
     const struct rn_mlp_shape *shape = &problem->shape;
@@ -133,16 +139,18 @@ static void *own_create(const struct candidate *candidate, const struct problem 
     own->group.base_grad = zeros(shape->count, sizeof(float));
     own->group.slab.count = own->workspace->count = problem->rows;
     memcpy(own->workspace->geometry_grad, problem->out_grad, rows * RN_GEOMETRY * sizeof(float));
-    if (own->workspace->capacity >= problem->rows) return own;
+    if (own->workspace->capacity >= problem->rows) {
+        own_take_rows(own);
+        return own;
+    }
     own_destroy(own);
     return NULL;
 }
 
 static void own_forward(void *work) {
     struct own *own = work;
-    for (int i = 0; i < own->problem->rows; i++) // rows are fp32 here, as the libraries take them
-        own->kernels->put_features(&own->field, i, own->problem->in + i * own->field.features,
-                                   own->workspace);
+    if (rn_kernels_bf16(own->kernels))
+        own_take_rows(own); // rounding is part of the libraries' work
     own->kernels->stage(&own->field, NULL, NULL, 0, RN_STAGE_MLP_FORWARD, own->workspace,
                         &own->group, NULL);
 }
