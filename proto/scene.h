@@ -28,7 +28,7 @@ struct rn_field_config_record {
     double finest_cone;
     int64_t seed;
     int train_split; // rn_train_split_names
-    double background[3];
+    double background[3], random_background;
 };
 extern const struct rn_table rn_field_config_table;
 extern const char *const rn_shading_names[]; // "sample", "ray"

@@ -64,6 +64,7 @@ struct rn_device_training {
     int good_steps;       // since it was last changed
     uint64_t rays;        // of all steps before
     double march_step;    // scene radii; the configuration's own is for the occupancy
+    float background[3], background_variance; // rn_march_options
     const float *m, *v;   // NULL: zero
 };
 

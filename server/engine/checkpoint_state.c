@@ -11,12 +11,15 @@ struct member {
     const char *name;
     enum kind kind;
     size_t offset;
+    bool later; // builds before it did not write it: 0 then
 };
 
 #define CONFIG(name, kind)                                                                         \
-    { #name, kind, offsetof(struct rn_train_config, name) }
+    { #name, kind, offsetof(struct rn_train_config, name), false }
+#define LATER(name, kind)                                                                          \
+    { #name, kind, offsetof(struct rn_train_config, name), true }
 #define FIELD(name, kind)                                                                          \
-    { #name, kind, offsetof(struct rn_train_config, field.name) }
+    { #name, kind, offsetof(struct rn_train_config, field.name), false }
 static const struct member config_members[] = {
     CONFIG(preset, KIND_TEXT16),       FIELD(planes, KIND_INT),
     FIELD(orientation, KIND_INT),      FIELD(base, KIND_INT),
@@ -38,11 +41,11 @@ static const struct member config_members[] = {
     CONFIG(roulette, KIND_DOUBLE),     CONFIG(stop, KIND_DOUBLE),
     CONFIG(seed, KIND_UINT64),         CONFIG(supersample, KIND_BOOL),
     CONFIG(finest_cone, KIND_DOUBLE),  CONFIG(train_val, KIND_BOOL),
-    CONFIG(background, KIND_COLOUR),
+    CONFIG(background, KIND_COLOUR),   LATER(random_background, KIND_DOUBLE),
 };
 
 #define PROGRESS(name, kind)                                                                       \
-    { #name, kind, offsetof(struct rn_progress, name) }
+    { #name, kind, offsetof(struct rn_progress, name), false }
 static const struct member progress_members[] = {
     PROGRESS(step, KIND_INT64),
     PROGRESS(train_seconds, KIND_DOUBLE),
@@ -126,11 +129,14 @@ static json_t *encode_all(const struct member *members, size_t count, const void
 
 static enum rn_status decode_all(const struct member *members, size_t count, const json_t *object,
                                  void *base, const char *path, struct rn_error *err) {
-    for (size_t i = 0; i < count; i++)
-        if (!decode_member(&members[i], json_object_get(object, members[i].name), base))
+    for (size_t i = 0; i < count; i++) {
+        const json_t *value = json_object_get(object, members[i].name);
+        if (!value && members[i].later) continue;
+        if (!decode_member(&members[i], value, base))
             return rn_error_set(err, RN_ERROR_CORRUPT, path,
                                 "its state lacks a valid '%s'; use an older checkpoint",
                                 members[i].name);
+    }
     return RN_OK;
 }
 

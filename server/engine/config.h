@@ -75,8 +75,10 @@ struct rn_train_config {
     double finest_cone;   // radius at the scene's centre of the finest training pixel's cone,
                           // dataset units; 0: not known. Measured, like the background.
     uint64_t seed;
-    bool train_val;      // train on train+val
-    float background[3]; // white unless the scene says otherwise
+    bool train_val;           // train on train+val
+    float background[3];      // white unless the scene says otherwise
+    double random_background; // share of the schedule at whose beginning the loss is the mean over
+                              // all backgrounds, of uniformly random colour; 0: never
 };
 
 // "draft", "standard", "paper". `multi_scale` says whether the dataset has several scales (the

@@ -33,7 +33,7 @@ RN_HD int rn_sample_stride(double radius, double step) {
 // its cone is wide. length <= 0 where it misses. Weight 1, no target.
 RN_HD struct rn_march_ray rn_ray_cut(const double centre[3], double radius, bool cone_step,
                                      const struct rn_ray *ray, double step, double jitter) {
-    struct rn_march_ray out = {{0, 0, 0}, {0, 0, 0}, 0, 0, 0, 1, {0, 0, 0}, 1, 0};
+    struct rn_march_ray out = {{0, 0, 0}, {0, 0, 0}, 0, 0, 0, 1, {0, 0, 0}, 0, 1, 0};
     double o[3], enter, along = 0, across = 0;
     for (int i = 0; i < 3; i++) {
         o[i] = (ray->origin[i] - centre[i]) / radius;

@@ -95,6 +95,8 @@ static void make_rays(struct setup *s) {
             e->target[i] = s->rays[r].target[i];
             e->background[i] = s->options.background[i];
         }
+        e->alpha = s->rays[r].alpha = unit(1000 + 10 * r + 3);
+        e->background_variance = s->options.background_variance;
     }
 }
 
@@ -121,7 +123,10 @@ static void set_up(struct setup *s, const struct rn_kernels *kernels,
     ck_assert(rn_reference_create(&config->field, config->seed, &s->reference, &err) == RN_OK);
     copy_parameters(s);
     s->options = (struct rn_march_options){
-        .step = (float)config->step, .stop_depth = 1e9f, .background = {1, 0.5f, 0.25f}};
+        .step = (float)config->step,
+        .stop_depth = 1e9f,
+        .background = {1, 0.5f, 0.25f},
+        .background_variance = 0.1f};
     make_rays(s);
 }
 

@@ -74,6 +74,7 @@ void test_scene_init(struct test_scene *s, const struct rn_train_config *config)
     memset(s, 0, sizeof *s);
     s->config = *config;
     s->rays = RAYS;
+    s->background_variance = 0.1f;
     s->engine.kernels = rn_kernels_available(0);
     ck_assert(rn_pool_create(1, &s->engine.pool, &err) == RN_OK);
     ck_assert_msg(rn_field_create(config, &bounds, &s->field, &err) == RN_OK, "%s", err.text);
@@ -120,8 +121,12 @@ enum rn_status test_scene_train(struct test_scene *s, bool deterministic, struct
                                       .scale_first = {0, FRAMES},
                                       .scale_pixels = {FRAMES * SIDE * SIDE},
                                       .pixel_count = FRAMES * SIDE * SIDE};
-    struct rn_device_training training = {
-        .deterministic = deterministic, .next_rays = s->rays, .march_step = s->field->config.step};
+    const struct rn_train_config *config = &s->field->config;
+    struct rn_device_training training = {.deterministic = deterministic,
+                                          .next_rays = s->rays,
+                                          .march_step = config->step,
+                                          .background_variance = s->background_variance};
+    memcpy(training.background, config->background, sizeof training.background);
     return test_backend()->train_begin(s->on_device, &pixels, &training, err);
 }
 
@@ -153,6 +158,7 @@ struct rn_reference_ray test_reference_ray(const struct test_scene *s,
         out.origin[i] = (double)ray.origin[i] - out.direction[i] * (double)ray.near;
         out.background[i] = (double)s->config.background[i];
     }
+    out.background_variance = (double)s->background_variance;
     return out;
 }
 
@@ -169,6 +175,7 @@ void test_scene_rays(const struct test_scene *s, int64_t step, struct rn_referen
                                      (double)rn_rng_unit(draw.v[2]));
         rays[r].weight = (double)frame->loss_weight;
         const uint8_t *rgba = s->rgba + 4 * pixel;
+        rays[r].alpha = rgba[3] / 255.0;
         for (int c = 0; c < 3; c++)
             rays[r].target[c] = rgba[c] / 255.0 * (rgba[3] / 255.0) +
                                 (1 - rgba[3] / 255.0) * (double)s->config.background[c];

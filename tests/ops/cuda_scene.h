@@ -22,7 +22,8 @@ struct test_scene {
     struct rn_reference *reference;
     struct rn_device_frame frames[FRAMES];
     uint8_t rgba[FRAMES * SIDE * SIDE * 4];
-    int rays; // of a training step, at most RAYS
+    int rays;                  // of a training step, at most RAYS
+    float background_variance; // of training (rn_march_options); 0.1 at first
     struct rn_device *device;
     struct rn_device_field *on_device;
 };

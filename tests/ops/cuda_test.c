@@ -388,6 +388,7 @@ static void run_steps(enum rn_shading shading, int order, bool deterministic, st
     struct test_scene s;
     config.field.shading = shading;
     test_scene_init(&s, &config);
+    s.background_variance = 0;
     rn_emulator_order(order, (uint64_t)order + 1);
     train(&s, 3, deterministic, ret);
     rn_emulator_order(0, 0);

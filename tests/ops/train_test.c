@@ -467,6 +467,63 @@ START_TEST(what_is_carved_is_seen_to_be_empty) {
 }
 END_TEST
 
+// Mean difference of rendered from photographed alpha over a training view, after training on
+// photographs that are as white as the background.
+static double alpha_error_of_white(double random_background) {
+    struct rn_train_config config = config_for(dataset);
+    config.max_steps = 150;
+    config.random_background = random_background;
+    struct rn_engine *engine = engine_with(2);
+    struct rn_trainer *t = trainer_for(engine, dataset, &config);
+    for (size_t i = 0; i < t->train.pixel_count; i++)
+        memset(t->train.rgba + 4 * i, 255, 3);
+    run_to_end(t);
+    const struct rn_pixel_frame *frame = &t->train.frames[0];
+    struct rn_camera camera = frame->frame->camera;
+    struct rn_render_result seen = render_all(engine, t->field, camera, 1);
+    double error = 0;
+    for (int i = 0; i < camera.width * camera.height; i++) {
+        double alpha = rn_pixel_at(&t->train, frame, i % camera.width, i / camera.width)[3] / 255.0;
+        error += fabs((double)seen.alpha.values[i] - alpha);
+    }
+    rn_render_result_finish(&seen);
+    rn_trainer_destroy(&t);
+    rn_engine_destroy(&engine);
+    return error / (camera.width * camera.height);
+}
+
+// What has the background's colour cannot be told from it, but by its alpha over other backgrounds.
+START_TEST(white_matter_on_white_is_seen_over_random_backgrounds) {
+    double with = alpha_error_of_white(0.4), without = alpha_error_of_white(0);
+    printf("white on white, alpha is off by %.4f, over white alone by %.4f\n", with, without);
+    ck_assert_double_lt(with, 0.05);
+    ck_assert_double_gt(without, 0.1);
+}
+END_TEST
+
+// Random backgrounds end where the schedule says, and are not for photographs that show none.
+START_TEST(random_backgrounds_have_their_time) {
+    struct rn_train_config config = config_for(dataset);
+    config.max_steps = 10;
+    config.random_background = 0.4;
+    config.background[1] = 0.75f;
+    struct rn_engine *engine = engine_with(1);
+    struct rn_trainer *t = trainer_for(engine, dataset, &config);
+    for (; t->progress.step < 10; t->progress.step++) {
+        struct rn_march_options march = rn_trainer_march(t);
+        bool first = t->progress.step < 4;
+        ck_assert_float_eq(march.background[1], first ? 0.5f : 0.75f);
+        ck_assert_float_eq_tol(march.background_variance, first ? 1 / 12.0f : 0, 1e-9f);
+    }
+    memset(t->train.rgba, 255, 4 * t->train.pixel_count);
+    rn_trainer_detect_effects(t);
+    ck_assert(!t->field->effects[RN_EFFECT_BACKGROUND].on);
+    ck_assert_double_eq(t->field->config.random_background, 0);
+    rn_trainer_destroy(&t);
+    rn_engine_destroy(&engine);
+}
+END_TEST
+
 START_TEST(it_learns_and_a_loaded_field_renders_the_same) {
     struct rn_error err;
     struct rn_train_config config = config_for(scaled);
@@ -538,6 +595,34 @@ START_TEST(damaged_checkpoints_are_refused) {
 }
 END_TEST
 
+// A checkpoint of a build that did not know random backgrounds goes on without them.
+START_TEST(earlier_checkpoints_lack_what_came_later) {
+    struct rn_error err;
+    struct rn_train_config config = config_for(dataset);
+    config.max_steps = 2;
+    config.random_background = 0.4;
+    struct rn_engine *engine = engine_with(1);
+    struct rn_trainer *trainer = trainer_for(engine, dataset, &config);
+    char path[128];
+    snprintf(path, sizeof path, "%s/earlier.safetensors", folder);
+    ck_assert(rn_trainer_save(trainer, path, &err) == RN_OK);
+    rn_trainer_destroy(&trainer);
+    uint8_t *bytes;
+    size_t size;
+    ck_assert(rn_file_read(path, 1u << 30, &bytes, &size, &err) == RN_OK);
+    char *name = memmem(bytes, size, "random_background", 17);
+    ck_assert_ptr_nonnull(name);
+    *name = 'x';
+    ck_assert(rn_file_write_atomic(path, bytes, size, &err) == RN_OK);
+    ck_assert_msg(rn_trainer_restore(engine, dataset, path, 0, &trainer, &err) == RN_OK, "%s",
+                  err.text);
+    ck_assert_double_eq(rn_trainer_config(trainer)->random_background, 0);
+    rn_trainer_destroy(&trainer);
+    free(bytes);
+    rn_engine_destroy(&engine);
+}
+END_TEST
+
 START_TEST(memory_limit_is_said_before_it_is_taken) {
     struct rn_error err;
     struct rn_train_config config = config_for(dataset);
@@ -562,8 +647,11 @@ int main(void) {
     tcase_add_test(tests, draws_by_error_resume);
     tcase_add_test(tests, a_figure_does_not_depend_on_interruptions);
     tcase_add_test(tests, what_is_carved_is_seen_to_be_empty);
+    tcase_add_test(tests, white_matter_on_white_is_seen_over_random_backgrounds);
+    tcase_add_test(tests, random_backgrounds_have_their_time);
     tcase_add_test(tests, it_learns_and_a_loaded_field_renders_the_same);
     tcase_add_test(tests, damaged_checkpoints_are_refused);
+    tcase_add_test(tests, earlier_checkpoints_lack_what_came_later);
     tcase_add_test(tests, memory_limit_is_said_before_it_is_taken);
     suite_add_tcase(suite, tests);
     SRunner *runner = srunner_create(suite);

@@ -6,18 +6,23 @@
 
 #include "server/engine/cpu/packet.h"
 
-// Loss and dL/d(rgb) of one ray (smooth L1, beta 1, times the area weight). A ray that is not
-// finite counts as such and gets no gradient.
-static void ray_loss(const struct rn_march_ray *ray, const float rgb[3], float ret_grad[3],
-                     struct rn_group *group) {
-    double loss = 0;
+// Loss of one ray (smooth L1, beta 1, times the area weight) and its gradient: dL/d(rgb), and
+// dL/d(opacity) but for what comes through rgb. Over random backgrounds both are the mean: a channel's
+// error is then that over the mean background, less (opacity - alpha) times the background's
+// deviation from it, so that half its square is on average half the first's square and half the
+// variance times (opacity - alpha)^2. A ray that is not finite counts as such and gets no gradient.
+static void ray_loss(const struct rn_march_options *options, const struct rn_march_ray *ray,
+                     const float rgb[3], float opacity, float ret_grad[4], struct rn_group *group) {
+    float excess = opacity - ray->alpha, spread = 3 * options->background_variance;
+    double loss = 0.5 * (double)spread * (double)excess * (double)excess;
     for (int c = 0; c < 3; c++) {
         float d = rgb[c] - ray->target[c], size = fabsf(d);
         loss += size < 1 ? 0.5 * (double)d * (double)d : (double)size - 0.5;
         ret_grad[c] = ray->weight * (d < -1 ? -1 : d > 1 ? 1 : d);
     }
+    ret_grad[3] = ray->weight * spread * excess;
     if (!isfinite(loss)) {
-        ret_grad[0] = ret_grad[1] = ret_grad[2] = 0;
+        memset(ret_grad, 0, 4 * sizeof *ret_grad);
         if (group->nonfinite_rays < RN_OFFENDERS) group->offender[group->nonfinite_rays] = ray->id;
         group->nonfinite_rays++;
         return;
@@ -58,11 +63,11 @@ RN_INLINE float sum16(row16 x) {
 // Ray shading: dL/d(sums) per ray through the head, then per sample dL/dw and dL/d(geometry).
 static void backward_rays(const struct rn_cpu_field *field, const struct rn_march_options *options,
                           int hits, const int16_t *hit, const struct ray_sums *sums,
-                          float (*rgb_grad)[3], struct rn_workspace *w, struct rn_group *group) {
+                          float (*ray_slope)[4], struct rn_workspace *w, struct rn_group *group) {
     row16 ray_grad[RN_PACKET_RAYS];
     for (int j = 0; j < hits; j++) {
-        const float *g = rgb_grad[hit[j]];
-        row16 d = {0, g[0], g[1], g[2]};
+        const float *g = ray_slope[hit[j]];
+        row16 d = {g[3], g[0], g[1], g[2]};
         for (int c = 0; c < 3; c++)
             d[0] -= g[c] * options->background[c];
         if (field->config.view_dependence) {
@@ -102,17 +107,17 @@ static void backward_rays(const struct rn_cpu_field *field, const struct rn_marc
 
 // Sample shading: the same, through a head per sample; `kept` rows of the head.
 static void backward_samples(const struct rn_cpu_field *field,
-                             const struct rn_march_options *options, int kept, float (*rgb_grad)[3],
+                             const struct rn_march_options *options, int kept, float (*ray_slope)[4],
                              struct rn_workspace *w, struct rn_group *group) {
     memset(w->geometry_grad, 0, (size_t)w->count * RN_GEOMETRY * sizeof(float));
     for (int i = 0; i < w->count; i++) {
-        const float *g = rgb_grad[w->ray[i]];
-        w->slope[i] = -(g[0] * options->background[0] + g[1] * options->background[1] +
-                        g[2] * options->background[2]);
+        const float *g = ray_slope[w->ray[i]];
+        w->slope[i] = g[3] - (g[0] * options->background[0] + g[1] * options->background[1] +
+                              g[2] * options->background[2]);
     }
     for (int j = 0; j < kept; j++) {
         int i = w->kept[j];
-        const float *g = rgb_grad[w->ray[i]];
+        const float *g = ray_slope[w->ray[i]];
         float *out = w->head_out + (size_t)j * RN_HEAD_OUTPUTS;
         for (int c = 0; c < 3; c++) {
             float colour = out[c];
@@ -260,7 +265,7 @@ static void train(const struct rn_cpu_field *field, const struct rn_march_option
         group->cursor += n;
         if (w->candidate_begin[n] == 0) continue;
         struct ray_sums sums[RN_PACKET_RAYS];
-        float rgb[RN_PACKET_RAYS][3], rgb_grad[RN_PACKET_RAYS][3] = {{0}};
+        float rgb[RN_PACKET_RAYS][3], ray_slope[RN_PACKET_RAYS][4] = {{0}};
         int16_t hit[RN_PACKET_RAYS];
         bool leveled = packet_density(field, options, packet, n, w);
         if (per_ray) {
@@ -271,11 +276,11 @@ static void train(const struct rn_cpu_field *field, const struct rn_march_option
         }
         for (int r = 0; r < n; r++)
             if (w->ray_first[r] >= 0 && !(sums[r].opacity <= 0))
-                ray_loss(&packet[r], rgb[r], rgb_grad[r], group);
+                ray_loss(options, &packet[r], rgb[r], sums[r].opacity, ray_slope[r], group);
         if (per_ray)
-            backward_rays(field, options, hits, hit, sums, rgb_grad, w, group);
+            backward_rays(field, options, hits, hit, sums, ray_slope, w, group);
         else
-            backward_samples(field, options, kept, rgb_grad, w, group);
+            backward_samples(field, options, kept, ray_slope, w, group);
         packet_backward(field, options, packet, n, leveled, w, group);
     }
 }

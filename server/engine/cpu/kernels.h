@@ -75,6 +75,7 @@ struct rn_march_ray {
     float radius;    // of the cone, per unit of distance
     int stride;      // steps of the march that one sample spans: 1, 2, 4 or 8
     float target[3]; // training: the pixel over the background
+    float alpha;     // training: the pixel's own
     float weight;    // training: area weight; <= 0 means absent
     uint32_t id;     // for the counter-based random numbers
 };
@@ -98,6 +99,7 @@ struct rn_march_options {
     float step;       // normalised
     float stop_depth; // -ln of the early-stop transmittance
     float background[3];
+    float background_variance; // training: a channel's, of random backgrounds with that mean
     float roulette;         // weight below which a sample's backward is a lottery; 0 = off
     uint64_t seed, counter; // of the roulette
     const float *look;      // NULL, or a direction for the colour network instead of the ray's

@@ -273,20 +273,21 @@ static int first_rays(const struct rn_device_field *f, int asked) {
 }
 
 static void describe_training(struct rn_device_field *f, const struct rn_device_pixels *pixels,
-                              double march_step) {
+                              const struct rn_device_training *t) {
     const struct rn_train_config *c = &f->config;
     struct rn_cuda_source *s = &f->source;
     s->pixels = *pixels;
     memcpy(s->centre, f->centre, sizeof s->centre);
     s->radius = f->radius;
-    s->step = march_step;
-    memcpy(s->background, c->background, sizeof s->background);
+    s->step = t->march_step;
+    memcpy(s->background, t->background, sizeof s->background);
     s->seed = c->seed;
     s->cone_step = c->cone_step;
     s->favour_finest = c->favour_finest;
-    f->march.step = (float)march_step;
+    f->march.step = (float)t->march_step;
     f->march.stop_depth = (float)-log(c->stop);
-    memcpy(f->march.background, c->background, sizeof f->march.background);
+    f->march.background_variance = t->background_variance;
+    memcpy(f->march.background, t->background, sizeof f->march.background);
     choose_capacities(f);
 }
 
@@ -332,7 +333,7 @@ static enum rn_status train_begin(struct rn_device_field *f, const struct rn_dev
         return rn_error_set(err, RN_ERROR_CONFLICT, "cuda", "this field is being trained already");
     struct rn_arena arena = {NULL, 0};
     f->deterministic = training->deterministic;
-    describe_training(f, pixels, training->march_step);
+    describe_training(f, pixels, training);
     rn_train_lay_out(f, pixels, &arena);
     enum rn_status status = take(f->device, arena.used, &f->train_memory, err);
     if (status != RN_OK) return status;

@@ -272,14 +272,17 @@ RN_DEVICE void rn_store_pixel(const struct rn_trace *t) {
 
 // ---- loss -----------------------------------------------------------------------------------
 
-// Loss of a finished ray and its gradient in `ret_grad`: smooth L1, beta 1, times the area weight.
-// False where the ray takes no part.
-RN_DEVICE bool rn_ray_loss(const struct rn_march_ray *ray, const float background[3],
-                           const float colour[3], float opacity, float ret_grad[3],
+// Loss of a finished ray (smooth L1, beta 1, times the area weight; over random backgrounds its
+// mean) and its gradient: dL/d(colour over the background), and dL/d(opacity) but for what comes
+// through that. As ray_loss of cpu/backward.h. False where the ray takes no part.
+RN_DEVICE bool rn_ray_loss(const struct rn_march_ray *ray, const struct rn_cuda_march *march,
+                           const float colour[3], float opacity, float ret_grad[4],
                            float *ret_loss) {
-    float loss = 0;
+    float excess = opacity - ray->alpha, spread = 3 * march->background_variance;
+    float loss = 0.5f * spread * excess * excess;
+    ret_grad[3] = ray->weight * spread * excess;
     for (int c = 0; c < 3; c++) {
-        float value = colour[c] + (1 - opacity) * background[c];
+        float value = colour[c] + (1 - opacity) * march->background[c];
         float d = value - ray->target[c], size = fabsf(d);
         loss += size < 1 ? 0.5f * d * d : size - 0.5f;
         ret_grad[c] = ray->weight * fminf(fmaxf(d, -1), 1);
@@ -309,14 +312,14 @@ RN_DEVICE float rn_attenuate_backward(const struct rn_cuda_batch *b, size_t at, 
     return change * b->depth[at];
 }
 
-// dL/d(colour logits) and dL/d(density logit) of the tiles of one ray;
-// g_i = grad . (colour_i - background).
-RN_DEVICE void rn_composite_backward(const struct rn_trace *t, const float grad[3], float scale) {
+// dL/d(colour logits) and dL/d(density logit) of the tiles of one ray, whose loss has the gradient
+// `grad` (rn_ray_loss); g_i = grad[3] + grad . (colour_i - background).
+RN_DEVICE void rn_composite_backward(const struct rn_trace *t, const float grad[4], float scale) {
     const struct rn_cuda_batch *b = t->batch;
     double behind = 0;
     for (int slot = t->last_tile; slot >= 0; slot = b->tile_previous[slot]) {
         size_t at = (size_t)slot * RN_TILE + RN_LANE % RN_TILE;
-        float weight = b->weight[at], slope = 0, sigmoid[3];
+        float weight = b->weight[at], slope = grad[3], sigmoid[3];
         for (int c = 0; c < 3; c++) {
             float colour = b->colour[((size_t)slot * 3 + c) * RN_TILE + RN_LANE % RN_TILE];
             sigmoid[c] = weight > 0 ? scale * grad[c] * weight * colour * (1 - colour) : 0;
@@ -332,14 +335,13 @@ RN_DEVICE void rn_composite_backward(const struct rn_trace *t, const float grad[
 
 RN_DEVICE void rn_finish_ray(const struct rn_trace *t) {
     const struct rn_cuda_batch *b = t->batch;
-    float grad[3], loss;
+    float grad[4], loss;
     if (RN_LANE == 0) {
         b->ray_samples[t->index] = t->samples;
         b->ray_tiles[t->index] = t->tiles;
     }
     if (t->scene->per_ray) return;
-    bool takes_part =
-        rn_ray_loss(&t->ray, t->march->background, t->colour, t->opacity, grad, &loss);
+    bool takes_part = rn_ray_loss(&t->ray, t->march, t->colour, t->opacity, grad, &loss);
     if (takes_part) {
         __syncwarp(); // lane 0 wrote tile_previous
         rn_composite_backward(t, grad, b->status->gradient_scale);

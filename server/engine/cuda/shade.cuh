@@ -52,20 +52,21 @@ struct rn_ray_gradient {
 };
 
 RN_DEVICE struct rn_ray_gradient rn_ray_gradient(const struct rn_cuda_batch *b,
-                                                 const float background[3], int r,
+                                                 const struct rn_cuda_march *march, int r,
                                                  const float out[3]) {
     struct rn_ray_gradient g = {};
     if (RN_LANE >= RN_TILE || r >= b->status->ray_count) return g;
     const float *sums = b->ray_sums + (size_t)r * RN_GEOMETRY;
-    float colour[3], grad[3], loss, scale = b->status->gradient_scale;
+    float colour[3], grad[4], loss, scale = b->status->gradient_scale;
     for (int c = 0; c < 3; c++)
         colour[c] = sums[1 + c] + sums[0] * out[c];
-    g.takes_part = rn_ray_loss(&b->rays[r], background, colour, sums[0], grad, &loss);
+    g.takes_part = rn_ray_loss(&b->rays[r], march, colour, sums[0], grad, &loss);
     rn_save_loss(b, r, g.takes_part, b->rays[r].weight, loss, sums[0]);
+    if (g.takes_part) g.opacity = scale * grad[3];
     for (int c = 0; c < 3 && g.takes_part; c++) {
         g.diffuse[c] = scale * grad[c];
         g.colour[c] = g.diffuse[c] * sums[0];
-        g.opacity += g.diffuse[c] * (out[c] - background[c]);
+        g.opacity += g.diffuse[c] * (out[c] - march->background[c]);
     }
     return g;
 }
@@ -111,7 +112,7 @@ __global__ void __launch_bounds__(256, 1)
         if constexpr (!TRAIN) {
             rn_shade_pixel(&batch, own, colour);
         } else {
-            struct rn_ray_gradient g = rn_ray_gradient(&batch, march.background, own, colour);
+            struct rn_ray_gradient g = rn_ray_gradient(&batch, &march, own, colour);
             float sums_grad[2][4] = {};
             if (scene.view_dependence) {
                 struct rn_cuda_scratch scratch = rn_scratch(n, batch.scratch, batch.tile_capacity);

@@ -76,7 +76,7 @@ RN_DEVICE struct rn_march_ray rn_draw_ray(const struct rn_cuda_source *s, uint64
     int x, y,
         frame = s->favour_finest ? rn_draw_live(s, first_ray, r, &x, &y)
                                  : rn_draw_pixel(p, &draw, &x, &y);
-    struct rn_march_ray out = {{0, 0, 0}, {0, 0, 0}, 0, 0, 0, 1, {0, 0, 0}, 0, (uint32_t)r};
+    struct rn_march_ray out = {{0, 0, 0}, {0, 0, 0}, 0, 0, 0, 1, {0, 0, 0}, 0, 0, (uint32_t)r};
     if (frame < 0) return out;
     const struct rn_device_frame *f = &p->frames[frame];
     struct rn_ray ray = rn_camera_ray(&f->camera, x + 0.5, y + 0.5);
@@ -87,6 +87,7 @@ RN_DEVICE struct rn_march_ray rn_draw_ray(const struct rn_cuda_source *s, uint64
     float alpha = (float)rgba[3] * (1 / 255.0f);
     for (int c = 0; c < 3; c++)
         out.target[c] = (float)rgba[c] * (1 / 255.0f) * alpha + (1 - alpha) * s->background[c];
+    out.alpha = alpha;
     out.weight = s->favour_finest ? 1 : f->loss_weight;
     out.id = (uint32_t)r;
     return out;

@@ -475,8 +475,9 @@ static double backward_ray_shade(const struct rn_reference *ref, const struct rn
     return g;
 }
 
+// `excess_grad`: dL/d(opacity) but for what comes through the colour.
 static enum rn_status backward(struct rn_reference *ref, const struct rn_reference_ray *ray,
-                               struct tape *tape, const double rgb_grad[3]) {
+                               struct tape *tape, const double rgb_grad[3], double excess_grad) {
     int layers = ref->base_shape.layers, n = ray->count;
     double *g = calloc((size_t)n * (1 + RN_GEOMETRY) + 1, sizeof *g);
     if (!g) return RN_ERROR_NO_MEMORY;
@@ -488,6 +489,7 @@ static enum rn_status backward(struct rn_reference *ref, const struct rn_referen
         g[s] = per_ray
                    ? backward_ray_shade(ref, ray, tape, s, rgb_grad, sums_grad, opacity_grad, out)
                    : backward_sample_shade(ref, ray, tape, s, rgb_grad, out);
+        g[s] += excess_grad;
     }
     rn_composite_backward(n, tape->weights, tape->after, g, g);
     for (int s = 0; s < n; s++) {
@@ -525,13 +527,15 @@ enum rn_status rn_reference_loss(struct rn_reference *ref, const struct rn_refer
         enum rn_status status = tape_init(ref, rays[r].count, &tape);
         if (status != RN_OK) return status;
         forward(ref, &rays[r], &tape);
-        double rgb_grad[3];
+        double rgb_grad[3], excess = tape.opacity - rays[r].alpha;
+        double spread = rays[r].weight * 3 * rays[r].background_variance;
+        loss += 0.5 * spread * excess * excess;
         for (int c = 0; c < 3; c++) {
             double slope;
             loss += rays[r].weight * smooth_l1(tape.rgb[c] - rays[r].target[c], &slope);
             rgb_grad[c] = rays[r].weight * slope / total_weight;
         }
-        status = backward(ref, &rays[r], &tape, rgb_grad);
+        status = backward(ref, &rays[r], &tape, rgb_grad, spread * excess / total_weight);
         tape_finish(&tape);
         if (status != RN_OK) return status;
     }

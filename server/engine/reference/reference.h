@@ -29,7 +29,10 @@ struct rn_reference_ray {
     const double *mid; // `count` distances of the samples' middles, normalised
     double width;      // of every sample, normalised
     double target[3], background[3];
-    double weight; // area weight
+    double alpha;               // the pixel's own
+    double background_variance; // a channel's, of random backgrounds with the mean `background`; 0:
+                                // there is that one
+    double weight;              // area weight
 };
 
 // All zero parameters. RN_ERROR_INVALID for a bad configuration, RN_ERROR_NO_MEMORY.
@@ -68,9 +71,10 @@ enum rn_status rn_reference_render(const struct rn_reference *reference,
                                    const struct rn_reference_ray *ray, double ret_rgb[3],
                                    double *ret_opacity, double *ret_depth) RN_MUST_CHECK;
 
-// Sum over rays of weight * sum over channels of smooth-L1(rgb - target), divided by the sum of
-// weights (rays without samples drop out of both); gradients are added to *_grad, the pyramid's
-// pulled down. RN_ERROR_NO_MEMORY.
+// Sum over rays of weight * sum over channels of [smooth-L1(rgb - target) + background variance *
+// (opacity - alpha)^2 / 2], divided by the sum of weights (rays without samples drop out of both):
+// where no error is beyond 1, its mean over random backgrounds. Gradients are added to *_grad, the
+// pyramid's pulled down. RN_ERROR_NO_MEMORY.
 enum rn_status rn_reference_loss(struct rn_reference *reference,
                                  const struct rn_reference_ray *rays, size_t count,
                                  double *ret_loss) RN_MUST_CHECK;

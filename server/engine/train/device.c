@@ -60,6 +60,7 @@ static enum rn_status pack_pixels(const struct rn_trainer *t, struct packed_pixe
 // The field and all of its training on the device.
 static enum rn_status put_training(struct rn_trainer *t, struct rn_error *err) {
     struct packed_pixels packed = {.frames = NULL};
+    t->march = rn_trainer_march(t);
     struct rn_device_training training = {.deterministic = t->engine->deterministic,
                                           .next_rays = t->next_rays,
                                           .step = t->progress.step,
@@ -67,9 +68,11 @@ static enum rn_status put_training(struct rn_trainer *t, struct rn_error *err) {
                                           .gradient_scale = t->gradient_scale,
                                           .good_steps = t->good_steps,
                                           .rays = t->progress.rays,
-                                          .march_step = (double)rn_trainer_march(t).step,
+                                          .march_step = (double)t->march.step,
+                                          .background_variance = t->march.background_variance,
                                           .m = t->m,
                                           .v = t->v};
+    memcpy(training.background, t->march.background, sizeof training.background);
     enum rn_status status = pack_pixels(t, &packed, err);
     if (status == RN_OK)
         status = rn_field_put(t->engine, t->field, t->levels, &packed.pixels, &training, err);

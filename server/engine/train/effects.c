@@ -142,6 +142,7 @@ void rn_trainer_detect_effects(struct rn_trainer *t) {
     detect_view_dependence(t);
     if (!t->field->effects[RN_EFFECT_BACKGROUND].on) {
         config->carve = false;
+        config->random_background = 0;
         memset(config->background, 0, sizeof config->background);
     }
     bool anisotropy = t->field->effects[RN_EFFECT_ANISOTROPY].on;

@@ -114,13 +114,17 @@ void rn_trainer_rays(const struct rn_trainer *t, const struct rn_pixels *pixels,
         lanes[i] = (struct rn_ray_place){p->frame ? &p->frame->view : NULL, p->x, p->y, p->jitter};
     }
     t->engine->kernels->rays(lanes, count, step, t->field->config.cone_step, ret_rays);
+    const float *background =
+        t->march.background_variance > 0 ? t->march.background : t->field->config.background;
     for (int i = 0; i < count; i++) {
         const struct rn_trainer_place *p = &places[i];
-        if (p->frame)
-            rn_pixel_over(rn_pixel_at(pixels, p->frame, p->x, p->y), t->field->config.background,
-                          ret_rays[i].target);
-        else
+        if (!p->frame) {
             ret_rays[i].weight = 0;
+            continue;
+        }
+        const uint8_t *rgba = rn_pixel_at(pixels, p->frame, p->x, p->y);
+        rn_pixel_over(rgba, background, ret_rays[i].target);
+        ret_rays[i].alpha = (float)rgba[3] * (1 / 255.0f);
     }
 }
 
@@ -266,6 +270,10 @@ struct rn_march_options rn_trainer_march(const struct rn_trainer *t) {
                                      .seed = config->seed,
                                      .counter = (uint64_t)t->progress.step};
     memcpy(march.background, config->background, sizeof config->background);
+    if (rn_trainer_fraction(t) < config->random_background) {
+        march.background[0] = march.background[1] = march.background[2] = 0.5f;
+        march.background_variance = 1 / 12.0f; // of a number uniform in [0, 1]
+    }
     return march;
 }
 

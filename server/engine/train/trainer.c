@@ -254,8 +254,14 @@ static bool view_dependence_due(const struct rn_trainer *t) {
            (t->progress.step >= WARM_UP_STEPS || rn_trainer_fraction(t) >= WARM_UP_FRACTION);
 }
 
+// The device still trains over random backgrounds, whose time is over.
+static bool background_due(const struct rn_trainer *t) {
+    return t->field->on_device && t->march.background_variance > 0 &&
+           rn_trainer_march(t).background_variance == 0;
+}
+
 bool rn_trainer_turn_due(const struct rn_trainer *t) {
-    return view_dependence_due(t) || t->growth || rn_trainer_grows(t);
+    return view_dependence_due(t) || t->growth || rn_trainer_grows(t) || background_due(t);
 }
 
 static enum rn_status take_turn(struct rn_trainer *t, struct rn_error *err) {

@@ -24,6 +24,8 @@ static void sample_rays(struct rn_reference_ray rays[RAYS]) {
             rays[r].background[i] = 0.5 + 0.5 * sample_number(12, (uint64_t)(3 * r + i));
             rays[r].target[i] = r == 1 ? 3 : 0.5; // ray 1: the straight part of the loss
         }
+        rays[r].alpha = 0.3 * r;
+        rays[r].background_variance = r == 1 ? 0 : 0.1;
         rays[r].radius = 0.03 * (r + 1);
         rays[r].count = r + 1 < RAYS ? SAMPLES : 0;
         rays[r].mid = mids;
@@ -261,8 +263,50 @@ START_TEST(loss_is_that_of_the_rendered_colours) {
             double d = fabs(rgb[c] - rays[r].target[c]);
             sum += rays[r].weight * (d < 1 ? d * d / 2 : d - 0.5);
         }
+        double excess = opacity - rays[r].alpha;
+        sum += rays[r].weight * 1.5 * rays[r].background_variance * excess * excess;
     }
     ck_assert_double_eq_tol(loss_of(ref), sum / weights, 1e-14);
+    rn_reference_destroy(&ref);
+}
+END_TEST
+
+// The loss is a quadratic of each channel of the background, whose mean over all of them the two
+// points of Gauss and Legendre give exactly; so are its gradients.
+START_TEST(random_backgrounds_are_averaged) {
+    struct rn_field_config config = sample_config();
+    config.shading = (enum rn_shading)_i;
+    struct rn_reference *ref = sample_field(&config);
+    size_t count = ref->plane_count;
+    double mean = 0, loss, *grads = calloc(count, sizeof *grads);
+    ck_assert_ptr_nonnull(grads);
+    rn_reference_build(ref);
+    for (int both = 0; both < 3; both++) { // two backgrounds, then all of them
+        struct rn_reference_ray rays[RAYS];
+        double background = 0.5 + (both - 0.5) / sqrt(3);
+        sample_rays(rays);
+        for (int r = 0; r < RAYS; r++) {
+            rays[r].background_variance = both == 2 ? 1.0 / 12 : 0;
+            for (int c = 0; c < 3; c++) {
+                rays[r].background[c] = both == 2 ? 0.5 : background;
+                rays[r].target[c] = 0.2 * c + (1 - rays[r].alpha) * rays[r].background[c];
+            }
+        }
+        memset(ref->plane_grad, 0, count * sizeof *grads);
+        ck_assert_int_eq(rn_reference_loss(ref, rays, RAYS, &loss), RN_OK);
+        if (both == 2) break;
+        mean += loss / 2;
+        for (size_t i = 0; i < count; i++)
+            grads[i] += ref->plane_grad[i] / 2;
+    }
+    ck_assert_double_eq_tol(loss, mean, 1e-14);
+    double largest = 0;
+    for (size_t i = 0; i < count; i++)
+        largest = fmax(largest, fabs(grads[i]));
+    ck_assert_double_gt(largest, 1e-4);
+    for (size_t i = 0; i < count; i++)
+        ck_assert_double_eq_tol(ref->plane_grad[i], grads[i], 1e-12 * largest);
+    free(grads);
     rn_reference_destroy(&ref);
 }
 END_TEST
@@ -309,6 +353,7 @@ int main(void) {
     tcase_add_loop_test(tcase, ellipsoids_along_body_diagonals, 0, 4);
     tcase_add_loop_test(tcase, uniform_fog_has_its_closed_form, 0, 2);
     tcase_add_test(tcase, loss_is_that_of_the_rendered_colours);
+    tcase_add_loop_test(tcase, random_backgrounds_are_averaged, 0, 2);
     tcase_add_test(tcase, create_refuses_planes_of_no_solid);
     tcase_add_loop_test(tcase, adamw_matches_long_double, 0, 2);
     suite_add_tcase(suite, tcase);
