@@ -114,6 +114,7 @@ static struct rn_field_info train(const char *device, const struct rn_train_conf
     struct rn_field_info info;
     begin(device, config);
     advance_to(INT64_MAX);
+    ck_assert(run.trainer->march.background_variance == 0); // random backgrounds have ended
     validate();
     OK(rn_trainer_save(run.trainer, path, &err));
     rn_field_describe(rn_trainer_field(run.trainer), &info);
