@@ -28,7 +28,8 @@ struct rn_field_config_record {
     double finest_cone;
     int64_t seed;
     int train_split; // rn_train_split_names
-    double background[3], random_background;
+    double background[3];
+    double random_background; // NaN: by a build that did not know it
 };
 extern const struct rn_table rn_field_config_table;
 extern const char *const rn_shading_names[]; // "sample", "ray"

@@ -110,6 +110,9 @@ static int check_set(const struct rn_dataset *dataset, const struct rn_kernels *
     struct rn_engine *engine;
     must(rn_engine_create(&options, &engine, &err), &err);
     struct rn_trainer *t = make_trainer(engine, dataset, 1);
+    // Over random backgrounds a young field has so few samples of tiny weight that 400 seeds tell
+    // little about a number that only one of them moves.
+    t->field->config.random_background = 0;
     while (t->progress.step < 40)
         advance(t);
     for (int i = 0; i < 3; i++) {
