@@ -78,7 +78,7 @@ struct rn_train_config {
     bool train_val;           // train on train+val
     float background[3];      // white unless the scene says otherwise
     double random_background; // share of the schedule at whose beginning the loss is the mean over
-                              // all backgrounds, of uniformly random colour; 0: never
+                              // all backgrounds whose channels are 0 or 1; 0: never
 };
 
 // "draft", "standard", "paper". `multi_scale` says whether the dataset has several scales (the

@@ -513,7 +513,7 @@ START_TEST(random_backgrounds_have_their_time) {
         struct rn_march_options march = rn_trainer_march(t);
         bool first = t->progress.step < 4;
         ck_assert_float_eq(march.background[1], first ? 0.5f : 0.75f);
-        ck_assert_float_eq_tol(march.background_variance, first ? 1 / 12.0f : 0, 1e-9f);
+        ck_assert_float_eq_tol(march.background_variance, first ? 0.25f : 0, 1e-9f);
     }
     memset(t->train.rgba, 255, 4 * t->train.pixel_count);
     rn_trainer_detect_effects(t);
