@@ -65,7 +65,7 @@ struct rn_device_training {
     uint64_t rays;        // of all steps before
     double march_step;    // scene radii; the configuration's own is for the occupancy
     float background[3], background_variance; // rn_march_options
-    const float *m, *v;   // NULL: zero
+    const float *m, *v;                       // NULL: zero
 };
 
 // What a step needs that the host decides.

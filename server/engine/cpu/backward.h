@@ -7,10 +7,11 @@
 #include "server/engine/cpu/packet.h"
 
 // Loss of one ray (smooth L1, beta 1, times the area weight) and its gradient: dL/d(rgb), and
-// dL/d(opacity) but for what comes through rgb. Over random backgrounds both are the mean: a channel's
-// error is then that over the mean background, less (opacity - alpha) times the background's
-// deviation from it, so that half its square is on average half the first's square and half the
-// variance times (opacity - alpha)^2. A ray that is not finite counts as such and gets no gradient.
+// dL/d(opacity) but for what comes through rgb. Over random backgrounds both are the mean: a
+// channel's error is then that over the mean background, less (opacity - alpha) times the
+// background's deviation from it, so that half its square is on average half the first's square and
+// half the variance times (opacity - alpha)^2. A ray that is not finite counts as such and gets no
+// gradient.
 static void ray_loss(const struct rn_march_options *options, const struct rn_march_ray *ray,
                      const float rgb[3], float opacity, float ret_grad[4], struct rn_group *group) {
     float excess = opacity - ray->alpha, spread = 3 * options->background_variance;
@@ -107,8 +108,9 @@ static void backward_rays(const struct rn_cpu_field *field, const struct rn_marc
 
 // Sample shading: the same, through a head per sample; `kept` rows of the head.
 static void backward_samples(const struct rn_cpu_field *field,
-                             const struct rn_march_options *options, int kept, float (*ray_slope)[4],
-                             struct rn_workspace *w, struct rn_group *group) {
+                             const struct rn_march_options *options, int kept,
+                             float (*ray_slope)[4], struct rn_workspace *w,
+                             struct rn_group *group) {
     memset(w->geometry_grad, 0, (size_t)w->count * RN_GEOMETRY * sizeof(float));
     for (int i = 0; i < w->count; i++) {
         const float *g = ray_slope[w->ray[i]];

@@ -100,9 +100,9 @@ struct rn_march_options {
     float stop_depth; // -ln of the early-stop transmittance
     float background[3];
     float background_variance; // training: a channel's, of random backgrounds with that mean
-    float roulette;         // weight below which a sample's backward is a lottery; 0 = off
-    uint64_t seed, counter; // of the roulette
-    const float *look;      // NULL, or a direction for the colour network instead of the ray's
+    float roulette;            // weight below which a sample's backward is a lottery; 0 = off
+    uint64_t seed, counter;    // of the roulette
+    const float *look;         // NULL, or a direction for the colour network instead of the ray's
 };
 
 // What one group of rays leaves for the scatter: samples with gradients, in order.
