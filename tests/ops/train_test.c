@@ -560,6 +560,16 @@ START_TEST(it_learns_and_a_loaded_field_renders_the_same) {
 }
 END_TEST
 
+// Saves and ends a training; returns the checkpoint's bytes, to be freed.
+static uint8_t *saved_bytes(struct rn_trainer **trainer, const char *path, size_t *ret_size) {
+    struct rn_error err;
+    uint8_t *bytes;
+    ck_assert(rn_trainer_save(*trainer, path, &err) == RN_OK);
+    rn_trainer_destroy(trainer);
+    ck_assert(rn_file_read(path, 1u << 30, &bytes, ret_size, &err) == RN_OK);
+    return bytes;
+}
+
 START_TEST(damaged_checkpoints_are_refused) {
     struct rn_error err;
     struct rn_train_config config = config_for(dataset);
@@ -569,12 +579,9 @@ START_TEST(damaged_checkpoints_are_refused) {
     run_to_end(trainer);
     char path[128];
     snprintf(path, sizeof path, "%s/damaged.safetensors", folder);
-    ck_assert(rn_trainer_save(trainer, path, &err) == RN_OK);
-    rn_trainer_destroy(&trainer);
-    uint8_t *bytes;
     size_t size;
+    uint8_t *bytes = saved_bytes(&trainer, path, &size);
     struct rn_field *field = NULL;
-    ck_assert(rn_file_read(path, 1u << 30, &bytes, &size, &err) == RN_OK);
     const size_t lengths[] = {0, 4, 100, size / 2, size - 1};
     for (size_t i = 0; i < sizeof lengths / sizeof *lengths; i++) {
         ck_assert(rn_file_write_atomic(path, bytes, lengths[i], &err) == RN_OK);
@@ -605,11 +612,8 @@ START_TEST(earlier_checkpoints_lack_what_came_later) {
     struct rn_trainer *trainer = trainer_for(engine, dataset, &config);
     char path[128];
     snprintf(path, sizeof path, "%s/earlier.safetensors", folder);
-    ck_assert(rn_trainer_save(trainer, path, &err) == RN_OK);
-    rn_trainer_destroy(&trainer);
-    uint8_t *bytes;
     size_t size;
-    ck_assert(rn_file_read(path, 1u << 30, &bytes, &size, &err) == RN_OK);
+    uint8_t *bytes = saved_bytes(&trainer, path, &size);
     char *name = memmem(bytes, size, "random_background", 17);
     ck_assert_ptr_nonnull(name);
     *name = 'x';

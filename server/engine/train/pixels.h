@@ -40,11 +40,12 @@ static inline const uint8_t *rn_pixel_at(const struct rn_pixels *pixels,
            4 * (frame->offset + (size_t)y * (size_t)frame->frame->camera.width + (size_t)x);
 }
 
-// A pixel over a background, in [0, 1].
-static inline void rn_pixel_over(const uint8_t rgba[4], const float background[3], float rgb[3]) {
+// A pixel over a background, in [0, 1]; returns its alpha.
+static inline float rn_pixel_over(const uint8_t rgba[4], const float background[3], float rgb[3]) {
     float alpha = (float)rgba[3] * (1 / 255.0f);
     for (int c = 0; c < 3; c++)
         rgb[c] = (float)rgba[c] * (1 / 255.0f) * alpha + (1 - alpha) * background[c];
+    return alpha;
 }
 
 // Adds the squared errors of a rendered pixel's channels, clamped to [0, 1], to `sum`.
@@ -53,7 +54,7 @@ static inline void rn_pixel_add_error(const struct rn_pixels *pixels,
                                       const float background[3], const float rendered[3],
                                       double *sum) {
     float target[3];
-    rn_pixel_over(rn_pixel_at(pixels, frame, x, y), background, target);
+    (void)rn_pixel_over(rn_pixel_at(pixels, frame, x, y), background, target);
     for (int c = 0; c < 3; c++) {
         double d = fmin(fmax((double)rendered[c], 0), 1) - (double)target[c];
         *sum += d * d;

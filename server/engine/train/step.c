@@ -122,9 +122,8 @@ void rn_trainer_rays(const struct rn_trainer *t, const struct rn_pixels *pixels,
             ret_rays[i].weight = 0;
             continue;
         }
-        const uint8_t *rgba = rn_pixel_at(pixels, p->frame, p->x, p->y);
-        rn_pixel_over(rgba, background, ret_rays[i].target);
-        ret_rays[i].alpha = (float)rgba[3] * (1 / 255.0f);
+        ret_rays[i].alpha = rn_pixel_over(rn_pixel_at(pixels, p->frame, p->x, p->y), background,
+                                          ret_rays[i].target);
     }
 }
 
