@@ -10,7 +10,7 @@
 #include "common/math/camera.h"
 #include "server/engine/cpu/kernels.h"
 
-#define RN_BACKEND_VERSION 4
+#define RN_BACKEND_VERSION 5
 #define RN_BACKEND_SYMBOL "rn_backend_table"
 
 struct rn_device;       // owner: rn_backend.open's caller
@@ -74,6 +74,7 @@ struct rn_device_step {
     bool measure;                           // the occupancy first
     uint32_t measure_first, measure_stride; // which cells of the hull
     float measure_decay;
+    float smoothing; // of the planes, last (cpu/kernels.h); 0: none
 };
 
 struct rn_device_progress {

@@ -79,6 +79,8 @@ struct rn_train_config {
     float background[3];      // white unless the scene says otherwise
     double random_background; // share of the schedule at whose beginning the loss is the mean over
                               // all backgrounds whose channels are 0 or 1; 0: never
+    double smoothing;         // share of the way to each of its neighbours that a texel goes every
+                      // RN_SMOOTH_EVERY steps, times the square of the rate's factor; 0 to 1/4
 };
 
 // "draft", "standard", "paper". `multi_scale` says whether the dataset has several scales (the

@@ -96,6 +96,7 @@ static void fill_config(const struct rn_train_config *config,
         .seed = (int64_t)config->seed,
         .train_split = config->train_val,
         .random_background = config->random_background,
+        .smoothing = config->smoothing,
     };
     snprintf(record->preset, sizeof record->preset, "%s", config->preset);
     for (int i = 0; i < 3; i++)

@@ -68,6 +68,7 @@ static bool set_option(struct run *run, const char *name, const char *value) {
         {"stop", NULL, &c->stop},
         {"until", NULL, &c->until_psnr},
         {"random_background", NULL, &c->random_background},
+        {"smoothing", NULL, &c->smoothing},
     };
     for (size_t i = 0; i < sizeof table / sizeof *table; i++) {
         if (strcmp(name, table[i].name) != 0) continue;

@@ -8,6 +8,7 @@
 
 #include "common/math/rng.h"
 #include "server/engine/cpu/kernels.h"
+#include "server/engine/reference/reference.h"
 #include "tests/numerics/exact.h"
 #include "tests/support/numerics.h"
 
@@ -314,6 +315,64 @@ static int check_pyramid(const struct rn_kernels *k, struct numerics_random *ran
     return numerics_close(&c);
 }
 
+// Smoothing against float64, and many times over: no texel leaves the first range.
+static int check_smoothing(const struct rn_kernels *k, struct numerics_random *random) {
+    char names[2][80];
+    struct numerics_case once = {names[0],
+                                 "bases 2..70, 4 to 16 channels, shares 0..1/4, numbers 1e-6..10",
+                                 "ULP of the largest",
+                                 8,
+                                 0,
+                                 ""};
+    struct numerics_case often = {
+        names[1], "1 to 1,000 times by 1/4, base 32, 16 channels", "ULP of the largest", 8, 0, ""};
+    snprintf(names[0], sizeof names[0], "3 ripmap smoothing, %s", k->name);
+    snprintf(names[1], sizeof names[1], "3 ripmap smoothing leaves the range, %s", k->name);
+    for (int base = 2; base <= 70; base++) {
+        struct rn_field_config config = {.planes = 3,
+                                         .base = base,
+                                         .channels = 4 << base % 3,
+                                         .levels = 1,
+                                         .width = 16,
+                                         .base_layers = 1,
+                                         .head_layers = 1,
+                                         .occupancy = 16};
+        struct rn_reference *truth;
+        struct rn_error err;
+        if (rn_reference_create(&config, 1, &truth, &err) != RN_OK) exit(1);
+        float share = base % 10 == 0 ? 0.25f : (float)numerics_uniform(random, 0, 0.25);
+        float *planes = malloc(truth->plane_count * sizeof *planes);
+        double largest = 0;
+        for (size_t i = 0; i < truth->plane_count; i++) {
+            double sign = numerics_uniform(random, -1, 1) < 0 ? -1 : 1;
+            planes[i] = (float)(sign * numerics_spread(random, 1e-6, 10));
+            truth->planes[i] = (double)planes[i];
+            largest = fmax(largest, fabs(truth->planes[i]));
+        }
+        for (size_t p = 0; p < 3; p++)
+            k->smooth(planes + p * truth->plane_count / 3, base, config.channels, share);
+        rn_reference_smooth(truth, (double)share);
+        for (size_t i = 0; i < truth->plane_count; i++)
+            numerics_see(&once, fabs((double)planes[i] - truth->planes[i]) / (largest * 0x1p-23),
+                         "base %d, share %.9g, number %zu", base, (double)share, i);
+        free(planes);
+        rn_reference_destroy(&truth);
+    }
+    static float plane[32 * 32 * 16];
+    double largest = 0;
+    for (size_t i = 0; i < sizeof plane / sizeof *plane; i++) {
+        plane[i] = (float)numerics_uniform(random, -1, 1);
+        largest = fmax(largest, fabs((double)plane[i]));
+    }
+    for (int pass = 1; pass <= 1000; pass++) {
+        k->smooth(plane, 32, 16, 0.25f);
+        for (size_t i = 0; i < sizeof plane / sizeof *plane; i++)
+            numerics_see(&often, fmax(0, fabs((double)plane[i]) - largest) / (largest * 0x1p-23),
+                         "time %d, number %zu", pass, i);
+    }
+    return numerics_close(&once) + numerics_close(&often);
+}
+
 // What a product's error may be, relative to the sum of its terms' magnitudes: a rounding of each
 // term and sum; and where operands are rounded to bf16, 2^-8 for each: 2^-7 + 2^-16 together.
 static double product_bound(const struct rn_kernels *k, int terms) {
@@ -368,6 +427,7 @@ int main(void) {
         failed += check_adamw(k, &random);
         failed += check_denormals(k, &random);
         failed += check_pyramid(k, &random);
+        failed += check_smoothing(k, &random);
         failed += check_products(k, &random);
     }
     return failed > 0;

@@ -383,6 +383,51 @@ START_TEST(occupancy_is_measured_as_on_the_cpu) {
 }
 END_TEST
 
+// A step that ends with smoothing leaves what the same step leaves and the CPU then smooths, in the
+// parameters and in the maps that pictures are made from.
+START_TEST(planes_are_smoothed_as_on_the_cpu) {
+    struct rn_train_config config = test_config(RN_FOOTPRINT_RIP, 3, 8, 16, 4);
+    struct rn_device_step smooth = one_step;
+    struct rn_march_options options = {.step = (float)config.step, .stop_depth = 1e9f};
+    struct rn_pixel pixels[2][SIDE];
+    struct numbers rough, after;
+    struct test_scene s, fresh;
+    uint64_t samples;
+    smooth.smoothing = 0.2f;
+    test_scene_init(&fresh, &config);
+    train(&fresh, 1, true, &rough);
+    test_scene_finish(&fresh);
+    test_scene_init(&s, &config);
+    OK(test_scene_upload(&s, 0, &err));
+    OK(test_scene_train(&s, true, &err));
+    OK(backend->train_step(s.on_device, &smooth, &err));
+    read_back(&s, &after);
+    OK(backend->render(s.on_device, &s.frames[0].camera, &options, SIDE / 2, 1, pixels[0], &samples,
+                       &err));
+    size_t side = (size_t)config.field.base, plane = side * side * 8;
+    double largest = 0, moved = 0;
+    for (size_t p = 0; p < 3; p++)
+        s.engine.kernels->smooth(rough.parameters + p * plane, config.field.base, 8, 0.2f);
+    for (size_t i = 0; i < s.field->parameters.count; i++) {
+        largest = fmax(largest, fabs((double)after.parameters[i]));
+        moved = fmax(moved, fabs((double)(after.parameters[i] - s.field->parameters.values[i])));
+        ck_assert_double_eq_tol(after.parameters[i], rough.parameters[i], 8 * 0x1p-23 * largest);
+    }
+    ck_assert_double_gt(moved, 0.1 * largest);
+    test_scene_init(&fresh, &config);
+    memcpy(fresh.field->parameters.values, after.parameters,
+           s.field->parameters.count * sizeof(float));
+    OK(test_scene_upload(&fresh, 0, &err));
+    OK(backend->render(fresh.on_device, &s.frames[0].camera, &options, SIDE / 2, 1, pixels[1],
+                       &samples, &err));
+    ck_assert_mem_eq(pixels[0], pixels[1], sizeof pixels[0]);
+    numbers_finish(&rough);
+    numbers_finish(&after);
+    test_scene_finish(&fresh);
+    test_scene_finish(&s);
+}
+END_TEST
+
 static void run_steps(enum rn_shading shading, int order, bool deterministic, struct numbers *ret) {
     struct rn_train_config config = test_config(RN_FOOTPRINT_RIP, 3, 8, 16, 3);
     struct test_scene s;
@@ -632,6 +677,7 @@ int main(void) {
     add(suite, "pixels", pixels_match_reference);
     add(suite, "march", march_finds_the_cells_that_the_cpu_finds);
     add(suite, "march", rays_stop_where_nothing_can_be_seen);
+    add(suite, "smoothing", planes_are_smoothed_as_on_the_cpu);
     add(suite, "occupancy", occupancy_is_measured_as_on_the_cpu);
     add_loop(suite, "order", deterministic_mode_gives_the_same_bytes, shadings);
     add_loop(suite, "guards", overflow_skips_the_step, shadings);

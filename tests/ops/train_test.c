@@ -524,6 +524,57 @@ START_TEST(random_backgrounds_have_their_time) {
 }
 END_TEST
 
+static void advance_to(struct rn_trainer *t, int64_t step) {
+    struct rn_error err;
+    while (t->progress.step < step)
+        ck_assert(rn_trainer_advance(t, 1, &err) == RN_OK);
+}
+
+static void ck_planes_eq(const struct rn_trainer *a, const struct rn_trainer *b) {
+    const struct rn_parameters *p = &a->field->parameters;
+    ck_assert_mem_eq(p->values, b->field->parameters.values, p->plane_count * sizeof(float));
+}
+
+// The end of every 32nd step smooths the planes by what is left of the share, and their maps
+// follow.
+START_TEST(planes_are_smoothed_in_their_turn) {
+    struct rn_train_config config = config_for(_i ? scaled : dataset);
+    config.max_steps = 64;
+    config.grow_to = 0;
+    config.smoothing = 0.2;
+    struct rn_engine *engine = engine_with(2);
+    struct rn_trainer *smooth = trainer_for(engine, _i ? scaled : dataset, &config);
+    config.smoothing = 0;
+    struct rn_trainer *rough = trainer_for(engine, _i ? scaled : dataset, &config);
+    advance_to(smooth, 31);
+    advance_to(rough, 31);
+    ck_planes_eq(smooth, rough);
+    double factor = exp(-3.0 * (31.0 / 64 - 0.2) / 0.8);
+    float share = rn_trainer_smoothing(smooth);
+    ck_assert_double_eq_tol((double)share, 0.2 * factor * factor, 1e-6);
+    ck_assert_float_eq_tol(rn_trainer_smoothing(rough), 0, 1e-9f);
+    advance_to(smooth, 32);
+    advance_to(rough, 32);
+    const struct rn_field_config *c = &rough->field->config.field;
+    for (int p = 0; p < c->planes; p++)
+        engine->kernels->smooth(rough->field->cpu.maps[p][0][0].texels, c->base, c->channels,
+                                share);
+    ck_planes_eq(smooth, rough);
+    rn_field_refresh(rough->field, engine);
+    for (int p = 0; p < c->planes; p++)
+        for (int l = 1; l < smooth->field->fresh_levels; l++) {
+            const struct rn_map *a = &smooth->field->cpu.maps[p][l][l];
+            const struct rn_map *b = &rough->field->cpu.maps[p][l][l];
+            for (int i = 0; i < a->width * a->height * c->channels; i++)
+                ck_assert_float_eq_tol(a->texels[i], b->texels[i], 1e-6f);
+        }
+    ck_assert_int_eq(smooth->field->fresh_levels > 1, _i);
+    rn_trainer_destroy(&smooth);
+    rn_trainer_destroy(&rough);
+    rn_engine_destroy(&engine);
+}
+END_TEST
+
 START_TEST(it_learns_and_a_loaded_field_renders_the_same) {
     struct rn_error err;
     struct rn_train_config config = config_for(scaled);
@@ -602,25 +653,28 @@ START_TEST(damaged_checkpoints_are_refused) {
 }
 END_TEST
 
-// A checkpoint of a build that did not know random backgrounds goes on without them.
+// A checkpoint of a build that did not know an option goes on without it.
 START_TEST(earlier_checkpoints_lack_what_came_later) {
+    static const char *const later[] = {"random_background", "smoothing"};
     struct rn_error err;
     struct rn_train_config config = config_for(dataset);
     config.max_steps = 2;
-    config.random_background = 0.4;
     struct rn_engine *engine = engine_with(1);
     struct rn_trainer *trainer = trainer_for(engine, dataset, &config);
     char path[128];
     snprintf(path, sizeof path, "%s/earlier.safetensors", folder);
     size_t size;
     uint8_t *bytes = saved_bytes(&trainer, path, &size);
-    char *name = memmem(bytes, size, "random_background", 17);
-    ck_assert_ptr_nonnull(name);
-    *name = 'x';
+    for (int i = 0; i < 2; i++) {
+        char *name = memmem(bytes, size, later[i], strlen(later[i]));
+        ck_assert_ptr_nonnull(name);
+        *name = 'x';
+    }
     ck_assert(rn_file_write_atomic(path, bytes, size, &err) == RN_OK);
     ck_assert_msg(rn_trainer_restore(engine, dataset, path, 0, &trainer, &err) == RN_OK, "%s",
                   err.text);
     ck_assert_double_eq(rn_trainer_config(trainer)->random_background, 0);
+    ck_assert_double_eq(rn_trainer_config(trainer)->smoothing, 0);
     rn_trainer_destroy(&trainer);
     free(bytes);
     rn_engine_destroy(&engine);
@@ -653,6 +707,7 @@ int main(void) {
     tcase_add_test(tests, what_is_carved_is_seen_to_be_empty);
     tcase_add_test(tests, white_matter_on_white_is_seen_over_random_backgrounds);
     tcase_add_test(tests, random_backgrounds_have_their_time);
+    tcase_add_loop_test(tests, planes_are_smoothed_in_their_turn, 0, 2);
     tcase_add_test(tests, it_learns_and_a_loaded_field_renders_the_same);
     tcase_add_test(tests, damaged_checkpoints_are_refused);
     tcase_add_test(tests, earlier_checkpoints_lack_what_came_later);

@@ -5,6 +5,7 @@
 #include "server/engine/cpu/rays.h"
 #include "server/engine/cpu/render.h"
 #include "server/engine/cpu/scatter.h"
+#include "server/engine/cpu/smooth.h"
 #include "server/engine/cpu/stage.h"
 #include "server/engine/cpu/update.h"
 
@@ -73,6 +74,7 @@ const struct rn_kernels RN_PASTE(rn_kernels_, RN_KERNEL_SET) = {
     .update = update,
     .build = build_plane,
     .pull_down = pull_down_plane,
+    .smooth = smooth,
     .adamw = adamw,
     .stage = stage,
     .put_features = put_features,

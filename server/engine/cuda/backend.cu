@@ -379,6 +379,7 @@ static enum rn_status train_step(struct rn_device_field *f, const struct rn_devi
                                  struct rn_error *err) {
     cudaError_t e = prepare_step(f, step);
     if (!e) e = cudaGraphLaunch(f->graph, f->device->stream);
+    if (!e && step->smoothing > 0) e = rn_queue_smoothing(f, step->smoothing);
     return rn_cuda_check(e, "a training step", err);
 }
 
@@ -403,6 +404,7 @@ static enum rn_status train_timed(struct rn_device_field *f, const struct rn_dev
     f->timer = &timer;
     if (!e) queued = rn_queue_step(f);
     f->timer = NULL;
+    if (!e && !queued && step->smoothing > 0) queued = rn_queue_smoothing(f, step->smoothing);
     cudaError_t waited = cudaStreamSynchronize(f->device->stream);
     if (!e) e = queued ? queued : waited;
     if (!e) e = read_timer(&timer, ret_stages);

@@ -199,12 +199,27 @@ static cudaError_t queue_networks(struct rn_device_field *f, const struct rn_cud
     return cudaSuccess;
 }
 
-cudaError_t rn_queue_refresh(struct rn_device_field *f) {
-    struct rn_cuda_optimiser none = {};
+// The maps of planes whose parameters are others.
+static cudaError_t queue_maps(struct rn_device_field *f) {
     RN_TRY(RN_LAUNCH(rn_build_kernel, update_blocks(&f->scene.planes),
                      update_threads(&f->scene.planes), 0, f->device->stream, f->scene));
-    RN_TRY(queue_coarse(f));
+    return queue_coarse(f);
+}
+
+cudaError_t rn_queue_refresh(struct rn_device_field *f) {
+    struct rn_cuda_optimiser none = {};
+    RN_TRY(queue_maps(f));
     return queue_networks(f, &none, NULL);
+}
+
+cudaError_t rn_queue_smoothing(struct rn_device_field *f, float share) {
+    const struct rn_cuda_planes *p = &f->scene.planes;
+    size_t side = (size_t)p->base, quads = (size_t)p->channels / 4;
+    size_t threads = (size_t)p->planes * side * ((side + 1) / 2) * quads;
+    for (int odd = 0; odd < 2; odd++)
+        RN_TRY(RN_LAUNCH(rn_smooth_kernel, RN_BLOCKS(threads), 256, 0, f->device->stream, f->scene,
+                         share, odd));
+    return queue_maps(f);
 }
 
 // Colour, loss and gradients of rays that are shaded as a whole.

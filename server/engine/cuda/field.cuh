@@ -90,6 +90,8 @@ cudaError_t rn_queue_occupancy(struct rn_device_field *field);
 cudaError_t rn_queue_measurement(struct rn_device_field *field, const struct rn_device_step *step);
 // Queues what new parameters entail: pyramids and fragments.
 cudaError_t rn_queue_refresh(struct rn_device_field *field);
+// Queues the smoothing of the planes, and their maps.
+cudaError_t rn_queue_smoothing(struct rn_device_field *field, float share);
 // Queues the kernels of one step.
 cudaError_t rn_queue_step(struct rn_device_field *field);
 // Queues the pixels of a view into `field->view`.

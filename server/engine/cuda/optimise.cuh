@@ -196,6 +196,28 @@ __global__ void __launch_bounds__(256)
     rn_pool_block(&scene.planes, scene.texels, &b, values);
 }
 
+// Draws the texels of one colour of a chessboard towards their neighbours, all of the other one
+// (cpu/smooth.h). One thread four channels of a texel.
+__global__ void __launch_bounds__(256)
+    rn_smooth_kernel(const __grid_constant__ rn_cuda_scene scene, float share, int odd) {
+    const struct rn_cuda_planes *p = &scene.planes;
+    int quads = p->channels / 4, side = p->base, half = (side + 1) / 2;
+    int i = (int)(blockIdx.x * blockDim.x + threadIdx.x), quad = i % quads;
+    int y = i / quads / half % side, x = 2 * (i / quads % half) + (y + odd) % 2;
+    int plane = i / quads / half / side;
+    if (plane >= p->planes || x >= side) return;
+    float4 *at = (float4 *)scene.parameters + ((size_t)plane * side + y) * side * quads;
+    at += x * quads + quad;
+    float4 left = at[x > 0 ? -quads : 0], right = at[x + 1 < side ? quads : 0];
+    float4 above = at[y > 0 ? -side * quads : 0], below = at[y + 1 < side ? side * quads : 0];
+    float4 here = *at;
+    here.x += share * ((above.x + below.x) + (left.x + right.x) - 4 * here.x);
+    here.y += share * ((above.y + below.y) + (left.y + right.y) - 4 * here.y);
+    here.z += share * ((above.z + below.z) + (left.z + right.z) - 4 * here.z);
+    here.w += share * ((above.w + below.w) + (left.w + right.w) - 4 * here.w);
+    *at = here;
+}
+
 // Maps beyond the fine levels, from the coarsest fine map that reaches as far; clears their
 // gradients where there are any. One thread four channels of a texel.
 template <bool FIXED>

@@ -164,6 +164,26 @@ void rn_reference_build(struct rn_reference *ref) {
         ref->maps[i] = half_of(ref->maps[i]);
 }
 
+static double smoothed(const double *texel, int channels, int size, int u, int v, double share) {
+    double left = texel[u > 0 ? -channels : 0], right = texel[u + 1 < size ? channels : 0];
+    double above = texel[v > 0 ? -size * channels : 0];
+    double below = texel[v + 1 < size ? size * channels : 0];
+    return *texel + share * (left + right + above + below - 4 * *texel);
+}
+
+void rn_reference_smooth(struct rn_reference *ref, double share) {
+    int size = ref->config.base, channels = ref->config.channels;
+    for (int odd = 0; odd < 2; odd++)
+        for (int k = 0; k < ref->config.planes; k++)
+            for (int v = 0; v < size; v++)
+                for (int u = (v + odd) % 2; u < size; u += 2)
+                    for (int c = 0; c < channels; c++) {
+                        double *at = ref->planes + k * map_size(ref, 0, 0);
+                        at += (size_t)(v * size + u) * (size_t)channels + (size_t)c;
+                        *at = smoothed(at, channels, size, u, v, share);
+                    }
+}
+
 void rn_reference_pull_down(struct rn_reference *ref) {
     int levels = ref->config.levels;
     size_t plane_size = map_size(ref, 0, 0);

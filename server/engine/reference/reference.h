@@ -44,6 +44,9 @@ void rn_reference_destroy(struct rn_reference **reference);
 // Rebuilds `maps` from `planes`: pools along x first, then along y; the other order differs by 4
 // ULP of the largest texel at most.
 void rn_reference_build(struct rn_reference *reference);
+// Draws every texel of `planes` towards its four neighbours: x + share (their sum - 4 x), texels
+// whose u + v is even first; beyond the border a texel is its own neighbour. share in [0, 1/4].
+void rn_reference_smooth(struct rn_reference *reference, double share);
 // The adjoint: adds map_grad to plane_grad and clears map_grad. <A x, y> = <x, A^T y> within 16 ULP
 // of sum |x y|.
 void rn_reference_pull_down(struct rn_reference *reference);

@@ -127,6 +127,7 @@ static struct rn_device_step next_step(const struct rn_trainer *t) {
     step.measure_stride = all ? 1 : 4;
     step.measure_first = all ? 0 : (uint32_t)(round % 4);
     step.measure_decay = (float)pow(RN_OCCUPANCY_DECAY, step.measure_stride);
+    step.smoothing = rn_trainer_smoothing(t);
     return step;
 }
 

@@ -320,6 +320,22 @@ static void pull_down_plane(void *context, int plane, int thread) {
                                   c->channels);
 }
 
+struct smoothing {
+    struct rn_trainer *trainer;
+    float share;
+};
+
+static void smooth_plane(void *context, int plane, int thread) {
+    (void)thread;
+    const struct smoothing *s = context;
+    struct rn_trainer *t = s->trainer;
+    const struct rn_field_config *c = &t->field->config.field;
+    struct rn_map(*maps)[RN_MAX_LEVELS] = t->field->cpu.maps[plane];
+    t->engine->kernels->smooth(maps[0][0].texels, c->base, c->channels, s->share);
+    if (t->tiled && t->levels > 1)
+        t->engine->kernels->build(maps, t->levels, c->footprint == RN_FOOTPRINT_MIP, c->channels);
+}
+
 static void update_band(void *context, int index, int thread) {
     (void)thread;
     const struct update *u = context;
@@ -389,6 +405,12 @@ double rn_trainer_rate(const struct rn_trainer *t) {
     return ldexp(t->field->config.learning_rate * rate_factor(t), -(int)t->progress.rollbacks);
 }
 
+float rn_trainer_smoothing(const struct rn_trainer *t) {
+    double factor = rn_trainer_rate(t) / t->field->config.learning_rate;
+    if ((t->progress.step + 1) % RN_SMOOTH_EVERY != 0) return 0;
+    return (float)(t->field->config.smoothing * factor * factor);
+}
+
 static void apply(struct rn_trainer *t, double weight) {
     const struct rn_train_config *config = &t->field->config;
     const struct rn_parameters *p = &t->field->parameters;
@@ -409,6 +431,9 @@ static void apply(struct rn_trainer *t, double weight) {
     if (!t->engine->kernels->adamw(&networks, p->base_count + p->head_count, p->values + at,
                                    t->grad + at, t->m + at, t->v + at))
         t->wild = true;
+    struct smoothing smoothing = {t, rn_trainer_smoothing(t)};
+    if (smoothing.share > 0)
+        rn_pool_run(t->engine->pool, config->field.planes, smooth_plane, &smoothing);
     t->field->fresh_levels = t->levels;
     if (t->tiled)
         rn_field_pack(t->field, t->engine);

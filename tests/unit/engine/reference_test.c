@@ -133,6 +133,43 @@ START_TEST(pull_down_is_the_adjoint_of_build) {
 }
 END_TEST
 
+// A spike gives each neighbour its share, and takes its part of what they then are; planes stay in
+// their range, those of one number as they are.
+START_TEST(smoothing_draws_neighbours_together) {
+    struct rn_field_config config = sample_config();
+    config.base = 5;
+    struct rn_reference *ref = sample_field(&config);
+    size_t n = ref->plane_count, row = 5 * (size_t)config.channels, column = (size_t)config.channels;
+    double low = 1e9, high = -1e9;
+    for (size_t i = 0; i < n; i++) {
+        low = fmin(low, ref->planes[i]);
+        high = fmax(high, ref->planes[i]);
+    }
+    for (int pass = 0; pass < 100; pass++)
+        rn_reference_smooth(ref, 0.25);
+    for (size_t i = 0; i < n; i++)
+        ck_assert(ref->planes[i] >= low && ref->planes[i] <= high);
+    for (size_t i = 0; i < n; i++)
+        ref->planes[i] = 0.5;
+    rn_reference_smooth(ref, 0.125);
+    for (size_t i = 0; i < n; i++)
+        ck_assert_double_eq(ref->planes[i], 0.5);
+    double *spike = ref->planes + 5 * row + 2 * row + 2 * column + 1; // second plane, its middle
+    *spike = 8.5;
+    rn_reference_smooth(ref, 0.125);
+    ck_assert_double_eq(*spike, 0.5 + 8 * 0.5); // u + v is even: before its neighbours
+    ck_assert_double_eq(spike[column], 0.5 + 4 * 0.125);
+    ck_assert_double_eq(*(spike - column), 0.5 + 4 * 0.125);
+    ck_assert_double_eq(spike[row], 0.5 + 4 * 0.125);
+    ck_assert_double_eq(*(spike - row), 0.5 + 4 * 0.125);
+    double sum = 0;
+    for (size_t i = 0; i < n; i++)
+        sum += ref->planes[i] - 0.5;
+    ck_assert_double_eq_tol(sum, 4 + 4 * 0.5, 1e-12);
+    rn_reference_destroy(&ref);
+}
+END_TEST
+
 START_TEST(query_backward_is_the_adjoint_of_query) {
     struct rn_field_config config = sample_config();
     config.footprint = (enum rn_footprint)(_i % 3);
@@ -347,6 +384,7 @@ int main(void) {
     tcase_add_loop_test(tcase, gradients_match_finite_differences, 0, 24);
     tcase_add_loop_test(tcase, gradients_match_on_every_solid_and_many_layers, 0, 3);
     tcase_add_loop_test(tcase, pull_down_is_the_adjoint_of_build, 0, 8);
+    tcase_add_test(tcase, smoothing_draws_neighbours_together);
     tcase_add_loop_test(tcase, query_backward_is_the_adjoint_of_query, 0, 6);
     tcase_add_loop_test(tcase, constant_planes_query_to_the_constant, 0, 20);
     tcase_add_loop_test(tcase, ellipsoids_along_body_diagonals, 0, 4);
