@@ -1,0 +1,92 @@
+#include "tests/ops/train_scene.h"
+
+#include <stdio.h>
+#include <stdlib.h>
+#include <unistd.h>
+
+#include "common/base/file.h"
+
+char folder[64];
+struct rn_dataset *dataset, *scaled;
+
+void make_dataset(void) {
+    struct rn_error err = {0};
+    char plain[128], pyramid[128];
+    snprintf(folder, sizeof folder, "/tmp/ripnerf-train-XXXXXX");
+    ck_assert_ptr_nonnull(mkdtemp(folder));
+    snprintf(plain, sizeof plain, "%s/plain", folder);
+    snprintf(pyramid, sizeof pyramid, "%s/pyramid", folder);
+    struct rn_synth_options synth = {.size = 48, .views = 12, .threads = 2, .samples = 4};
+    struct rn_import_options import = {.scales = 3, .threads = 2};
+    ck_assert(rn_mkdirs(plain, 0755, &err) == RN_OK && rn_mkdirs(pyramid, 0755, &err) == RN_OK);
+    ck_assert_msg(rn_synthesise("sphere", &synth, plain, NULL, NULL, &err) == RN_OK, "%s",
+                  err.text);
+    ck_assert_msg(rn_dataset_read(plain, NULL, &dataset, &err) == RN_OK, "%s", err.text);
+    ck_assert_msg(rn_dataset_import(dataset, "pyramid", &import, pyramid, NULL, NULL, NULL, &err) ==
+                      RN_OK,
+                  "%s", err.text);
+    ck_assert_msg(rn_dataset_read(pyramid, NULL, &scaled, &err) == RN_OK, "%s", err.text);
+}
+
+void remove_dataset(void) {
+    struct rn_error err;
+    rn_dataset_destroy(&dataset);
+    rn_dataset_destroy(&scaled);
+    ck_assert(rn_remove_tree(folder, &err) == RN_OK);
+}
+
+struct rn_train_config config_for(const struct rn_dataset *d) {
+    struct rn_error err;
+    struct rn_train_config config;
+    ck_assert(rn_preset("standard", d->scale_count > 1, &config, &err) == RN_OK);
+    config.field.base = 32;
+    config.grow_to = 64; // at 35 % of the steps
+    config.field.occupancy = 32;
+    config.target_samples = 8192;
+    config.initial_rays = 1024;
+    config.max_seconds = 0;
+    config.max_steps = 50;
+    config.seed = 3;
+    return config;
+}
+
+struct rn_engine *engine_with(int threads) {
+    static struct rn_device_info first;
+    struct rn_error err;
+    struct rn_engine *engine;
+    struct rn_engine_options options = {.threads = threads,
+                                        .kernels = *first.kernels ? first.kernels : NULL};
+    ck_assert(rn_engine_create(&options, &engine, &err) == RN_OK);
+    if (!*first.kernels) rn_engine_describe(engine, &first);
+    return engine;
+}
+
+struct rn_trainer *trainer_for(struct rn_engine *engine, const struct rn_dataset *d,
+                               const struct rn_train_config *config) {
+    struct rn_error err;
+    struct rn_trainer *trainer;
+    ck_assert_msg(rn_trainer_create(engine, d, config, 0, &trainer, &err) == RN_OK, "%s", err.text);
+    return trainer;
+}
+
+bool done(const struct rn_trainer *trainer) {
+    struct rn_progress p;
+    rn_trainer_progress(trainer, &p);
+    return p.done;
+}
+
+void run_to_end(struct rn_trainer *trainer) {
+    struct rn_error err;
+    while (!done(trainer))
+        ck_assert(rn_trainer_advance(trainer, 1, &err) == RN_OK);
+}
+
+double held_out_psnr(struct rn_trainer *trainer) {
+    struct rn_error err;
+    struct rn_progress p;
+    bool finished = false;
+    while (!finished)
+        ck_assert(rn_trainer_validate(trainer, 100, &finished, &err) == RN_OK);
+    rn_trainer_progress(trainer, &p);
+    return p.psnr;
+}

@@ -1,0 +1,26 @@
+// Small photographs, and engines and trainers for them.
+#ifndef RN_TESTS_OPS_TRAIN_SCENE_H
+#define RN_TESTS_OPS_TRAIN_SCENE_H
+
+#include <check.h>
+
+#include "server/engine/train/trainer.h"
+
+extern char folder[64];                     // for what a test writes
+extern struct rn_dataset *dataset, *scaled; // a sphere, and the same at three scales
+
+void make_dataset(void);
+void remove_dataset(void);
+
+// `standard` made small: 50 steps, and planes that grow from 32 to 64 texels.
+struct rn_train_config config_for(const struct rn_dataset *d);
+// All with the kernel set that was the quickest for the first: on a busy machine another timing may
+// choose another set, whose bytes differ.
+struct rn_engine *engine_with(int threads);
+struct rn_trainer *trainer_for(struct rn_engine *engine, const struct rn_dataset *d,
+                               const struct rn_train_config *config);
+bool done(const struct rn_trainer *trainer);
+void run_to_end(struct rn_trainer *trainer);
+double held_out_psnr(struct rn_trainer *trainer);
+
+#endif
