@@ -53,7 +53,7 @@ struct rn_train_config {
     int initial_rays;
     double learning_rate; // networks
     double plane_rate;    // factor on the learning rate for the planes
-    double weight_decay;  // decoupled
+    double weight_decay;  // decoupled; where `sparse` the networks' alone
     double beta2;         // of AdamW's second moment; the first's is 0.9
     double adam_eps;
     int64_t max_steps;    // 0: no limit

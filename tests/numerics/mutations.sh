@@ -199,8 +199,12 @@ mutate reproducible $train/step.c "rays: drawn by the thread's own count" \
     's/rn_rng_draw(t->march.seed, STREAM_RAYS | (uint32_t)r, t->march.counter)/rn_rng_draw(t->march.seed + (uint64_t)rn_pool_threads(t->engine->pool), STREAM_RAYS | (uint32_t)r, t->march.counter)/'
 mutate roulette $cpu/backward.h "roulette: survivors count once" \
     's/scale = 1 \/ p;/scale = 1;/'
-mutate optimiser server/engine/config.c "sparse updates: a decay is accepted" \
-    's/c->weight_decay == 0 || !c->sparse/c->weight_decay >= 0/'
+mutate training $train/step.c "sparse updates: planes decay" \
+    's/if (config->sparse) u.planes.decay = 0;.*//'
+mutate kernels $cpu/smooth.h "smoothing: one colour twice" \
+    's/y - 1, y % 2, share/y - 1, 1 - y % 2, share/'
+mutate kernels $cpu/smooth.h "smoothing: a share of 1/2" \
+    's/row\[x\] += share \*/row[x] += 2 * share */'
 mutate optimiser $cpu/update.h "vector AdamW: moments not corrected" \
     's/rate = o->rate \/ o->correction1/rate = o->rate/'
 mutate ripmap $cpu/fetch.h "vector query: nearest level" \

@@ -247,28 +247,10 @@ static int check_decay(const struct rn_kernels *k) {
     return numerics_close(&c);
 }
 
-static int check_refusal(void) {
-    struct numerics_case c = {
-        "8 weight decay with sparse updates", "every preset", "accepted", 0.5, 0, ""};
-    const char *const presets[] = {"draft", "standard", "paper"};
-    for (int i = 0; i < 3; i++) {
-        struct rn_train_config config;
-        struct rn_error err;
-        if (rn_preset(presets[i], false, &config, &err) != RN_OK) return 1;
-        bool sound = rn_train_config_check(&config, &err) == RN_OK;
-        config.sparse = true;
-        config.weight_decay = 1e-5;
-        bool refused = rn_train_config_check(&config, &err) == RN_ERROR_INVALID &&
-                       strcmp(err.where, "weight_decay") == 0;
-        numerics_see(&c, !sound || !refused, "%s", presets[i]);
-    }
-    return numerics_close(&c);
-}
-
 int main(void) {
     struct numerics_random random = numerics_random();
     const struct rn_kernels *k;
-    int failed = check_steps(&random) + check_long_run(&random) + check_refusal();
+    int failed = check_steps(&random) + check_long_run(&random);
     for (int i = 0; (k = rn_kernels_available(i)); i++) {
         failed += check_long_runs(k, &random) + check_forgotten(k, &random) + check_decay(k);
     }

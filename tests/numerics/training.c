@@ -222,6 +222,33 @@ static int check_occupancy(struct rn_engine *engine, const struct rn_dataset *da
            numerics_close(&day[1]);
 }
 
+// ---- weight decay -----------------------------------------------------------------------------
+
+// Where the optimiser visits touched texels only a decay is the networks' alone.
+static int check_sparse_decay(struct rn_engine *engine, const struct rn_dataset *dataset) {
+    struct numerics_case c = {"8 texels that a weight decay moves in sparse updates",
+                              "decay 0.9, one step",
+                              "texels",
+                              0.5,
+                              0,
+                              ""};
+    struct rn_trainer *plain = make_trainer(engine, dataset, 1);
+    struct rn_trainer *decayed = make_trainer(engine, dataset, 1);
+    const struct rn_parameters *p = &plain->field->parameters;
+    const float *values = decayed->field->parameters.values;
+    decayed->field->config.weight_decay = 0.9;
+    double moved = 0, networks = 0;
+    advance(plain);
+    advance(decayed);
+    for (size_t i = 0; i < p->count; i++)
+        *(i < p->plane_count ? &moved : &networks) += values[i] != p->values[i];
+    numerics_see(&c, plain->field->config.sparse && networks > 0 ? moved : INFINITY,
+                 "%g weights moved", networks);
+    rn_trainer_destroy(&plain);
+    rn_trainer_destroy(&decayed);
+    return numerics_close(&c);
+}
+
 int main(void) {
     struct numerics_random random = numerics_random();
     struct rn_engine_options options = {.device = "cpu", .threads = 1};
@@ -240,7 +267,7 @@ int main(void) {
         rn_engine_destroy(&engine);
     }
     must(rn_engine_create(&options, &engine, &err), &err);
-    failed += check_occupancy(engine, dataset);
+    failed += check_occupancy(engine, dataset) + check_sparse_decay(engine, dataset);
     rn_engine_destroy(&engine);
     rn_dataset_destroy(&dataset);
     must(rn_remove_tree(folder, &err), &err);

@@ -362,6 +362,7 @@ static cudaError_t prepare_step(struct rn_device_field *f, const struct rn_devic
     struct rn_cuda_rates rates = {step->network_rate,
                                   step->plane_rate,
                                   (float)c->weight_decay,
+                                  c->sparse ? 0 : (float)c->weight_decay,
                                   (float)c->adam_eps,
                                   (float)c->beta2,
                                   (float)(1 - c->beta2),

@@ -8,7 +8,7 @@
 
 // Written by the host before a step.
 struct rn_cuda_rates {
-    float network_rate, plane_rate, decay, eps;
+    float network_rate, plane_rate, network_decay, plane_decay, eps;
     float keep, fresh; // of the second moment: beta2 and 1 - beta2; the first's 0.9
     double beta2;
     int sparse; // blocks that no sample touched keep their parameters and moments
@@ -24,10 +24,10 @@ struct rn_cuda_optimiser {
 // One number (cpu/kernel_set.c). False where the outcome is not finite: then the parameter stays
 // and its moments start anew.
 RN_DEVICE bool rn_adamw(const struct rn_cuda_status *s, const struct rn_cuda_rates *o, float rate,
-                        float grad, float *p, float *m, float *v) {
+                        float decay, float grad, float *p, float *m, float *v) {
     float g = fminf(fmaxf(grad, -1.8e19f), 1.8e19f);
     float first = *m * 0.9f + g * 0.1f, second = *v * o->keep + g * g * o->fresh;
-    float change = *p * (rate * o->decay) + rate / s->correction1 * first /
+    float change = *p * (rate * decay) + rate / s->correction1 * first /
                                                 (sqrtf(second) / sqrtf(s->correction2) + o->eps);
     bool finite = fabsf(*p - change) < 3e38f && second < 3e38f;
     *p = finite ? *p - change : *p;
@@ -170,7 +170,8 @@ __global__ void __launch_bounds__(256)
             status->overflowed = 1;
         }
         float value = scene.parameters[at + c], m = o.m[at + c], v = o.v[at + c];
-        if (!rn_adamw(status, o.rates, o.rates->plane_rate, grad[c] * scale, &value, &m, &v))
+        if (!rn_adamw(status, o.rates, o.rates->plane_rate, o.rates->plane_decay, grad[c] * scale,
+                      &value, &m, &v))
             atomicAdd((unsigned long long *)&status->nonfinite_numbers, 1ull);
         scene.parameters[at + c] = value;
         o.m[at + c] = m;
@@ -300,8 +301,8 @@ __global__ void __launch_bounds__(256)
         float value = scene.parameters[at];
         if (o.m) {
             float scale = 1 / (status->gradient_scale * (float)status->weight);
-            if (!rn_adamw(status, o.rates, o.rates->network_rate, sums[i] * scale, &value,
-                          o.m + at, o.v + at))
+            if (!rn_adamw(status, o.rates, o.rates->network_rate, o.rates->network_decay,
+                          sums[i] * scale, &value, o.m + at, o.v + at))
                 atomicAdd((unsigned long long *)&status->nonfinite_numbers, 1ull);
             scene.parameters[at] = value;
         }

@@ -425,6 +425,7 @@ static void apply(struct rn_trainer *t, double weight) {
                                 .correction2 = (float)-expm1(n * log(config->beta2))};
     struct update u = {t, networks};
     u.planes.rate = (float)(rate * config->plane_rate);
+    if (config->sparse) u.planes.decay = 0; // what is visited more often would decay more
     if (!t->tiled) rn_pool_run(t->engine->pool, config->field.planes, pull_down_plane, t);
     rn_pool_run(t->engine->pool, config->field.planes * t->bands, update_band, &u);
     size_t at = p->plane_count;
