@@ -367,20 +367,14 @@ START_TEST(it_learns_and_a_loaded_field_renders_the_same) {
 }
 END_TEST
 
-int main(void) {
-    Suite *suite = suite_create("learning");
-    TCase *tests = tcase_create("whole runs");
-    tcase_add_unchecked_fixture(tests, make_dataset, remove_dataset);
-    tcase_set_timeout(tests, 300);
+static void add_tests(TCase *tests) {
     tcase_add_test(tests, what_is_carved_is_seen_to_be_empty);
     tcase_add_test(tests, white_matter_on_white_is_seen_over_random_backgrounds);
     tcase_add_test(tests, random_backgrounds_have_their_time);
     tcase_add_loop_test(tests, planes_are_smoothed_in_their_turn, 0, 2);
     tcase_add_test(tests, it_learns_and_a_loaded_field_renders_the_same);
-    suite_add_tcase(suite, tests);
-    SRunner *runner = srunner_create(suite);
-    srunner_run_all(runner, CK_NORMAL);
-    int failed = srunner_ntests_failed(runner);
-    srunner_free(runner);
-    return failed != 0;
+}
+
+int main(void) {
+    return run_on_scene("learning", add_tests);
 }

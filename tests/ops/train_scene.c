@@ -9,7 +9,7 @@
 char folder[64];
 struct rn_dataset *dataset, *scaled;
 
-void make_dataset(void) {
+static void make_dataset(void) {
     struct rn_error err = {0};
     char plain[128], pyramid[128];
     snprintf(folder, sizeof folder, "/tmp/ripnerf-train-XXXXXX");
@@ -28,7 +28,7 @@ void make_dataset(void) {
     ck_assert_msg(rn_dataset_read(pyramid, NULL, &scaled, &err) == RN_OK, "%s", err.text);
 }
 
-void remove_dataset(void) {
+static void remove_dataset(void) {
     struct rn_error err;
     rn_dataset_destroy(&dataset);
     rn_dataset_destroy(&scaled);
@@ -89,4 +89,18 @@ double held_out_psnr(struct rn_trainer *trainer) {
         ck_assert(rn_trainer_validate(trainer, 100, &finished, &err) == RN_OK);
     rn_trainer_progress(trainer, &p);
     return p.psnr;
+}
+
+int run_on_scene(const char *name, void (*add)(TCase *tests)) {
+    Suite *suite = suite_create(name);
+    TCase *tests = tcase_create("whole runs");
+    tcase_add_unchecked_fixture(tests, make_dataset, remove_dataset);
+    tcase_set_timeout(tests, 300);
+    add(tests);
+    suite_add_tcase(suite, tests);
+    SRunner *runner = srunner_create(suite);
+    srunner_run_all(runner, CK_NORMAL);
+    int failed = srunner_ntests_failed(runner);
+    srunner_free(runner);
+    return failed != 0;
 }

@@ -9,8 +9,8 @@
 extern char folder[64];                     // for what a test writes
 extern struct rn_dataset *dataset, *scaled; // a sphere, and the same at three scales
 
-void make_dataset(void);
-void remove_dataset(void);
+// Makes them, runs the tests that `add` adds, and removes them; returns what main does.
+int run_on_scene(const char *name, void (*add)(TCase *tests));
 
 // `standard` made small: 50 steps, and planes that grow from 32 to 64 texels.
 struct rn_train_config config_for(const struct rn_dataset *d);

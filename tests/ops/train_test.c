@@ -244,11 +244,7 @@ START_TEST(memory_limit_is_said_before_it_is_taken) {
 }
 END_TEST
 
-int main(void) {
-    Suite *suite = suite_create("training");
-    TCase *tests = tcase_create("whole runs");
-    tcase_add_unchecked_fixture(tests, make_dataset, remove_dataset);
-    tcase_set_timeout(tests, 300);
+static void add_tests(TCase *tests) {
     tcase_add_test(tests, threads_do_not_change_bytes);
     tcase_add_test(tests, far_renders_do_not_change_bytes);
     tcase_add_test(tests, interruptions_do_not_change_bytes);
@@ -257,10 +253,8 @@ int main(void) {
     tcase_add_test(tests, damaged_checkpoints_are_refused);
     tcase_add_test(tests, earlier_checkpoints_lack_what_came_later);
     tcase_add_test(tests, memory_limit_is_said_before_it_is_taken);
-    suite_add_tcase(suite, tests);
-    SRunner *runner = srunner_create(suite);
-    srunner_run_all(runner, CK_NORMAL);
-    int failed = srunner_ntests_failed(runner);
-    srunner_free(runner);
-    return failed != 0;
+}
+
+int main(void) {
+    return run_on_scene("training", add_tests);
 }
