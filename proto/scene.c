@@ -52,6 +52,7 @@ static const struct rn_field_spec config[] = {
     RN_F_NUMBERS(S, background, RN_REQUIRED, 0, 1),
     RN_F_NUMBER(S, random_background, 0, 0, 1),
     RN_F_NUMBER(S, smoothing, 0, 0, 0.25),
+    RN_F_NUMBER(S, split_pixels, 0, 0, 1),
 };
 const struct rn_table rn_field_config_table = RN_TABLE(S, "a field's configuration", config);
 #undef S

@@ -29,7 +29,7 @@ struct rn_field_config_record {
     int64_t seed;
     int train_split; // rn_train_split_names
     double background[3];
-    double random_background, smoothing; // NaN: by a build that did not know it
+    double random_background, smoothing, split_pixels; // NaN: by a build that did not know it
 };
 extern const struct rn_table rn_field_config_table;
 extern const char *const rn_shading_names[]; // "sample", "ray"

@@ -4,18 +4,6 @@
 
 #define MAX_POSE_ERROR 1e-3
 
-struct rn_camera rn_camera_resized(const struct rn_camera *camera, int width, int height) {
-    struct rn_camera out = *camera;
-    double sx = (double)width / camera->width, sy = (double)height / camera->height;
-    out.width = width;
-    out.height = height;
-    out.fx *= sx;
-    out.cx *= sx;
-    out.fy *= sy;
-    out.cy *= sy;
-    return out;
-}
-
 struct rn_camera rn_camera_reframed(const struct rn_camera *camera, int width, int height) {
     struct rn_camera out = *camera;
     double s = (double)height / camera->height;

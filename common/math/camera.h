@@ -52,7 +52,17 @@ RN_HD struct rn_ray rn_camera_ray(const struct rn_camera *camera, double px, dou
 }
 
 // The camera of the same view at another image size: intrinsics scale with the image.
-struct rn_camera rn_camera_resized(const struct rn_camera *camera, int width, int height);
+RN_HD struct rn_camera rn_camera_resized(const struct rn_camera *camera, int width, int height) {
+    struct rn_camera out = *camera;
+    double sx = (double)width / camera->width, sy = (double)height / camera->height;
+    out.width = width;
+    out.height = height;
+    out.fx *= sx;
+    out.cx *= sx;
+    out.fy *= sy;
+    out.cy *= sy;
+    return out;
+}
 
 // The camera as a picture of another shape: the field of view from top to bottom and the shape of a
 // pixel stay, the sides show more or less. rn_camera_resized where the shapes are the same.

@@ -10,7 +10,7 @@
 #include "common/math/camera.h"
 #include "server/engine/cpu/kernels.h"
 
-#define RN_BACKEND_VERSION 5
+#define RN_BACKEND_VERSION 6
 #define RN_BACKEND_SYMBOL "rn_backend_table"
 
 struct rn_device;       // owner: rn_backend.open's caller
@@ -64,6 +64,7 @@ struct rn_device_training {
     int good_steps;       // since it was last changed
     uint64_t rays;        // of all steps before
     double march_step;    // scene radii; the configuration's own is for the occupancy
+    bool split;           // rn_march_options; with ray shading alone
     float background[3], background_variance; // rn_march_options
     const float *m, *v;                       // NULL: zero
 };

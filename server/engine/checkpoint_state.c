@@ -42,7 +42,7 @@ static const struct member config_members[] = {
     CONFIG(seed, KIND_UINT64),         CONFIG(supersample, KIND_BOOL),
     CONFIG(finest_cone, KIND_DOUBLE),  CONFIG(train_val, KIND_BOOL),
     CONFIG(background, KIND_COLOUR),   LATER(random_background, KIND_DOUBLE),
-    LATER(smoothing, KIND_DOUBLE),
+    LATER(smoothing, KIND_DOUBLE),     LATER(split_pixels, KIND_DOUBLE),
 };
 
 #define PROGRESS(name, kind)                                                                       \

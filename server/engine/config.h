@@ -79,6 +79,9 @@ struct rn_train_config {
     float background[3];      // white unless the scene says otherwise
     double random_background; // share of the schedule at whose beginning the loss is the mean over
                               // all backgrounds whose channels are 0 or 1; 0: never
+    double split_pixels;      // share of the schedule at whose end a pixel is trained as 2 x 2
+                              // cones, whose mean is its colour, and rendered so; 0: never.
+                              // Switched off for photographs of several scales
     double smoothing;         // share of the way to each of its neighbours that a texel goes every
                       // RN_SMOOTH_EVERY steps, times the square of the rate's factor; 0 to 1/4
 };

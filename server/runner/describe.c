@@ -97,6 +97,7 @@ static void fill_config(const struct rn_train_config *config,
         .train_split = config->train_val,
         .random_background = config->random_background,
         .smoothing = config->smoothing,
+        .split_pixels = config->split_pixels,
     };
     snprintf(record->preset, sizeof record->preset, "%s", config->preset);
     for (int i = 0; i < 3; i++)

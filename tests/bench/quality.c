@@ -69,6 +69,7 @@ static bool set_option(struct run *run, const char *name, const char *value) {
         {"until", NULL, &c->until_psnr},
         {"random_background", NULL, &c->random_background},
         {"smoothing", NULL, &c->smoothing},
+        {"split_pixels", NULL, &c->split_pixels},
     };
     for (size_t i = 0; i < sizeof table / sizeof *table; i++) {
         if (strcmp(name, table[i].name) != 0) continue;

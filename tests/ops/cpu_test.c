@@ -211,11 +211,18 @@ static void check_marks(const struct rn_field_config *c, int levels,
     if (c->base % (1 << (levels - 1)) == 0) ck_assert_int_eq(missed, 0);
 }
 
-static void check_training(const struct rn_kernels *kernels, const struct rn_train_config *config) {
+static void check_step(const struct rn_kernels *kernels, const struct rn_train_config *config,
+                       bool split) {
     struct bounds bounds = bounds_of(kernels);
     struct setup s;
     set_up(&s, kernels, config);
     prepare_group(&s);
+    if (split) { // one of a pixel's rays meets nothing
+        s.options.split = true;
+        s.reference->pixel_rays = RN_PIXEL_RAYS;
+        s.rays[2].length = 0;
+        s.exact[2].count = 0;
+    }
     kernels->train(&s.field->cpu, &s.options, s.rays, s.workspace, &s.group);
     ck_assert_int_eq(s.group.cursor, RAYS);
     double loss, weight = s.group.weight;
@@ -248,9 +255,10 @@ static void check_training(const struct rn_kernels *kernels, const struct rn_tra
         error(s.group.base_grad, s.reference->base_grad, s.reference->base_shape.count, 1 / weight);
     double head =
         error(s.group.head_grad, s.reference->head_grad, s.reference->head_shape.count, 1 / weight);
-    printf("%s %d planes %s %s: gradients planes %.1e base %.1e head %.1e\n", kernels->name,
+    printf("%s %d planes %s %s%s: gradients planes %.1e base %.1e head %.1e\n", kernels->name,
            c->planes, rn_footprint_name(c->footprint),
-           c->shading == RN_SHADING_RAY ? "ray" : "sample", planes, base, head);
+           c->shading == RN_SHADING_RAY ? "ray" : "sample", split ? " split" : "", planes, base,
+           head);
     ck_assert_double_lt(planes, bounds.gradient);
     ck_assert_double_lt(base, bounds.gradient);
     ck_assert_double_lt(head, bounds.gradient);
@@ -258,6 +266,11 @@ static void check_training(const struct rn_kernels *kernels, const struct rn_tra
     free(pyramid);
     free(touched);
     tear_down(&s);
+}
+
+static void check_training(const struct rn_kernels *kernels, const struct rn_train_config *config) {
+    check_step(kernels, config, false);
+    check_step(kernels, config, true);
 }
 
 static void check_rendering(const struct rn_kernels *kernels,

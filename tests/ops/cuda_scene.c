@@ -125,6 +125,7 @@ enum rn_status test_scene_train(struct test_scene *s, bool deterministic, struct
     struct rn_device_training training = {.deterministic = deterministic,
                                           .next_rays = s->rays,
                                           .march_step = config->step,
+                                          .split = s->split,
                                           .background_variance = s->background_variance};
     memcpy(training.background, config->background, sizeof training.background);
     return test_backend()->train_begin(s->on_device, &pixels, &training, err);
@@ -164,15 +165,22 @@ struct rn_reference_ray test_reference_ray(const struct test_scene *s,
 
 void test_scene_rays(const struct test_scene *s, int64_t step, struct rn_reference_ray *rays,
                      int count) {
+    int n = s->split ? 2 : 1; // cones a side of a pixel
+    s->reference->pixel_rays = n * n;
     for (int r = 0; r < count; r++) {
+        uint32_t part = (uint32_t)(r % (n * n)), x = part % 2, y = part / 2;
+        uint64_t stream = 0x7261797300000000u;
+        struct rn_rng4 of_ray = rn_rng_draw(s->config.seed, stream | (uint32_t)r, (uint64_t)step);
         struct rn_rng4 draw =
-            rn_rng_draw(s->config.seed, 0x7261797300000000u | (uint32_t)r, (uint64_t)step);
+            rn_rng_draw(s->config.seed, stream | ((uint32_t)r - part), (uint64_t)step);
         uint64_t wide = (uint64_t)draw.v[0] << 32 | draw.v[1];
         int pixel = (int)((double)(wide >> 11) * 0x1p-53 * (FRAMES * SIDE * SIDE));
         int within = pixel % (SIDE * SIDE);
         const struct rn_device_frame *frame = &s->frames[pixel / (SIDE * SIDE)];
-        rays[r] = test_reference_ray(s, &frame->camera, within % SIDE, within / SIDE,
-                                     (double)rn_rng_unit(draw.v[2]));
+        struct rn_camera fine = rn_camera_resized(&frame->camera, n * SIDE, n * SIDE);
+        rays[r] =
+            test_reference_ray(s, &fine, n * (within % SIDE) + (int)x, n * (within / SIDE) + (int)y,
+                               (double)rn_rng_unit(of_ray.v[2]));
         rays[r].weight = (double)frame->loss_weight;
         const uint8_t *rgba = s->rgba + 4 * pixel;
         rays[r].alpha = rgba[3] / 255.0;

@@ -24,6 +24,7 @@ struct test_scene {
     uint8_t rgba[FRAMES * SIDE * SIDE * 4];
     int rays;                  // of a training step, at most RAYS
     float background_variance; // of training (rn_march_options); 0.1 at first
+    bool split;                // likewise; false at first
     struct rn_device *device;
     struct rn_device_field *on_device;
 };

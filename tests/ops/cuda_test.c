@@ -96,14 +96,15 @@ static void check_update(const struct test_scene *s, const struct numbers *n) {
     }
 }
 
-static void check_training(const struct rn_train_config *config, bool deterministic) {
+static void check_training(const struct rn_train_config *config, bool deterministic, bool split) {
     struct test_scene s;
     struct numbers n;
     struct rn_reference_ray rays[RAYS];
     double loss;
     bool per_ray = config->field.shading == RN_SHADING_RAY;
     test_scene_init(&s, config);
-    if (per_ray) s.rays -= 7; // their last tile is not full
+    if (per_ray) s.rays -= split ? 8 : 7; // their last tile is not full
+    s.split = split;
     test_scene_rays(&s, 0, rays, s.rays);
     OK(rn_reference_loss(s.reference, rays, s.rays, &loss));
     train(&s, 1, deterministic, &n);
@@ -111,11 +112,11 @@ static void check_training(const struct rn_train_config *config, bool determinis
     const double *exact[3] = {s.reference->plane_grad, s.reference->base_grad,
                               s.reference->head_grad};
     const size_t counts[3] = {p->plane_count, p->base_count, p->head_count};
-    printf("%d planes x %d, width %d, %s, %d levels, %s shading, %llu samples: loss %.1e",
+    printf("%d planes x %d, width %d, %s, %d levels, %s shading%s, %llu samples: loss %.1e",
            config->field.planes, config->field.channels, config->field.width,
            rn_footprint_name(config->field.footprint), config->field.levels,
-           per_ray ? "ray" : "sample", (unsigned long long)n.progress.samples,
-           fabs(n.progress.loss - loss) / loss);
+           per_ray ? "ray" : "sample", split ? ", split" : "",
+           (unsigned long long)n.progress.samples, fabs(n.progress.loss - loss) / loss);
     for (size_t i = 0, at = 0; i < 3; at += counts[i++]) {
         if (i == 2 && per_ray && !config->field.view_dependence) {
             for (size_t k = 0; k < counts[i]; k++)
@@ -154,10 +155,11 @@ START_TEST(gradients_match_reference) {
     configs[2].sparse = true;
     configs[3].field.view_dependence = false;
     for (size_t i = 0; i < sizeof configs / sizeof *configs; i++)
-        check_training(&configs[i], i % 2);
+        check_training(&configs[i], i % 2, false);
 }
 END_TEST
 
+// _i: whether pixels are split.
 START_TEST(gradients_of_whole_rays_match_reference) {
     struct rn_train_config configs[] = {
         test_config(RN_FOOTPRINT_RIP, 4, 16, 32, 4), test_config(RN_FOOTPRINT_MIP, 3, 8, 16, 3),
@@ -169,7 +171,7 @@ START_TEST(gradients_of_whole_rays_match_reference) {
     configs[3].field.view_dependence = false;
     for (size_t i = 0; i < sizeof configs / sizeof *configs; i++) {
         configs[i].field.shading = RN_SHADING_RAY;
-        check_training(&configs[i], i % 2);
+        check_training(&configs[i], i % 2, _i);
     }
 }
 END_TEST
@@ -216,7 +218,7 @@ START_TEST(papers_networks_match_reference) {
     struct rn_train_config config = test_config(RN_FOOTPRINT_RIP, 10, 16, 128, 4);
     config.field.base = 16;
     config.step = 0.1;
-    check_training(&config, false);
+    check_training(&config, false, false);
 }
 END_TEST
 
@@ -674,7 +676,7 @@ int main(void) {
     int shadings = RN_SHADING_RAY + 1;
     add(suite, "layout", fragments_hold_every_number_once);
     add(suite, "gradients", gradients_match_reference);
-    add(suite, "rays", gradients_of_whole_rays_match_reference);
+    add_loop(suite, "rays", gradients_of_whole_rays_match_reference, 2);
     add_loop(suite, "second", second_steps_match_reference, shadings);
     add(suite, "paper", papers_networks_match_reference);
     add(suite, "pixels", pixels_match_reference);

@@ -56,6 +56,7 @@ static struct rn_train_config small_config(const char *preset, int64_t steps) {
     config.initial_rays = 64;
     config.max_steps = steps;
     config.max_seconds = 0;
+    if (strcmp(preset, "standard") == 0) config.split_pixels = 0.5;
     return config;
 }
 

@@ -286,6 +286,41 @@ static void advance_to(struct rn_trainer *t, int64_t step) {
         ck_assert(rn_trainer_advance(t, 1, &err) == RN_OK);
 }
 
+// Pixels are split where the schedule says, and then rendered as they were trained; photographs of
+// several scales are not split.
+START_TEST(pixels_are_split_in_their_time) {
+    struct rn_train_config config = config_for(dataset);
+    config.max_steps = 10;
+    config.split_pixels = 0.4;
+    struct rn_engine *engine = engine_with(1);
+    struct rn_trainer *t = trainer_for(engine, dataset, &config);
+    const struct rn_camera *camera = &t->train.frames[0].frame->camera;
+    double cone = t->field->config.finest_cone;
+    for (int step = 1; step <= 10; step++) {
+        advance_to(t, step);
+        bool split = step > 6;
+        ck_assert_int_eq(t->march.split, split);
+        ck_assert_double_eq_tol(t->field->config.finest_cone, split ? cone / 2 : cone, 1e-15);
+        struct rn_render_result seen = render_all(engine, t->field, *camera, 0);
+        ck_assert_int_eq(seen.stats.cones, split ? 2 : 1);
+        rn_render_result_finish(&seen);
+        for (int r = 1; r < t->ray_count && split; r++) {
+            int x[2], y[2];
+            bool same =
+                rn_trainer_place(t, r, &x[0], &y[0]) == rn_trainer_place(t, r - 1, &x[1], &y[1]);
+            ck_assert(r % 4 == 0 || (same && x[0] == x[1] && y[0] == y[1]));
+            ck_assert(r % 4 == 0 ||
+                      memcmp(t->rays[r].direction, t->rays[r - 1].direction, 12) != 0);
+        }
+    }
+    rn_trainer_destroy(&t);
+    t = trainer_for(engine, scaled, &config);
+    ck_assert_double_eq(t->field->config.split_pixels, 0);
+    rn_trainer_destroy(&t);
+    rn_engine_destroy(&engine);
+}
+END_TEST
+
 static void ck_planes_eq(const struct rn_trainer *a, const struct rn_trainer *b) {
     const struct rn_parameters *p = &a->field->parameters;
     ck_assert_mem_eq(p->values, b->field->parameters.values, p->plane_count * sizeof(float));
@@ -371,6 +406,7 @@ static void add_tests(TCase *tests) {
     tcase_add_test(tests, what_is_carved_is_seen_to_be_empty);
     tcase_add_test(tests, white_matter_on_white_is_seen_over_random_backgrounds);
     tcase_add_test(tests, random_backgrounds_have_their_time);
+    tcase_add_test(tests, pixels_are_split_in_their_time);
     tcase_add_loop_test(tests, planes_are_smoothed_in_their_turn, 0, 2);
     tcase_add_test(tests, it_learns_and_a_loaded_field_renders_the_same);
 }

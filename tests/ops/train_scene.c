@@ -46,6 +46,7 @@ struct rn_train_config config_for(const struct rn_dataset *d) {
     config.initial_rays = 1024;
     config.max_seconds = 0;
     config.max_steps = 50;
+    config.split_pixels = 0.3;
     config.seed = 3;
     return config;
 }

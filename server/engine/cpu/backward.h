@@ -6,14 +6,15 @@
 
 #include "server/engine/cpu/packet.h"
 
-// Loss of one ray (smooth L1, beta 1, times the area weight) and its gradient: dL/d(rgb), and
+// Loss of one pixel (smooth L1, beta 1, times the area weight) and its gradient: dL/d(rgb), and
 // dL/d(opacity) but for what comes through rgb. Over random backgrounds both are the mean: a
 // channel's error is then that over the mean background, less (opacity - alpha) times the
 // background's deviation from it, so that half its square is on average half the first's square and
-// half the variance times (opacity - alpha)^2. A ray that is not finite counts as such and gets no
-// gradient.
-static void ray_loss(const struct rn_march_options *options, const struct rn_march_ray *ray,
-                     const float rgb[3], float opacity, float ret_grad[4], struct rn_group *group) {
+// half the variance times (opacity - alpha)^2. False where it is not finite; then it does not
+// count.
+static bool pixel_loss(const struct rn_march_options *options, const struct rn_march_ray *ray,
+                       const float rgb[3], float opacity, float ret_grad[4],
+                       struct rn_group *group) {
     float excess = opacity - ray->alpha, spread = 3 * options->background_variance;
     double loss = 0.5 * (double)spread * (double)excess * (double)excess;
     for (int c = 0; c < 3; c++) {
@@ -22,16 +23,40 @@ static void ray_loss(const struct rn_march_options *options, const struct rn_mar
         ret_grad[c] = ray->weight * (d < -1 ? -1 : d > 1 ? 1 : d);
     }
     ret_grad[3] = ray->weight * spread * excess;
-    if (!isfinite(loss)) {
-        memset(ret_grad, 0, 4 * sizeof *ret_grad);
-        if (group->nonfinite_rays < RN_OFFENDERS) group->offender[group->nonfinite_rays] = ray->id;
-        group->nonfinite_rays++;
-        return;
-    }
+    if (!isfinite(loss)) return false;
     group->loss += (double)ray->weight * loss;
     group->weight += (double)ray->weight;
-    group->rays_hit++;
     if (group->ray_loss) group->ray_loss[ray->id] = (float)loss;
+    return true;
+}
+
+// The loss of a pixel whose colour and opacity are the mean of `n` rays', of which those that met
+// nothing show the background (hit[] is false of them). A ray that is not finite counts as such,
+// and its pixel gets no gradient.
+static void rays_loss(const struct rn_march_options *options, const struct rn_march_ray *rays,
+                      int n, const bool *hit, const struct ray_sums *sums, float (*rgb)[3],
+                      float (*ret_slope)[4], struct rn_group *group) {
+    float mean[3] = {0}, opacity = 0, share = 1.0f / (float)n, grad[4];
+    int hits = 0;
+    for (int r = 0; r < n; hits += hit[r++]) {
+        opacity += hit[r] ? sums[r].opacity * share : 0;
+        for (int c = 0; c < 3; c++)
+            mean[c] += (hit[r] ? rgb[r][c] : options->background[c]) * share;
+    }
+    if (hits == 0) return;
+    bool finite = pixel_loss(options, rays, mean, opacity, grad, group);
+    for (int r = 0; r < n; r++) {
+        if (!hit[r]) continue;
+        if (finite) {
+            group->rays_hit++;
+            for (int c = 0; c < 4; c++)
+                ret_slope[r][c] = grad[c] * share;
+        } else if (!isfinite(rgb[r][0] + rgb[r][1] + rgb[r][2] + sums[r].opacity) || n == 1) {
+            if (group->nonfinite_rays < RN_OFFENDERS)
+                group->offender[group->nonfinite_rays] = rays[r].id;
+            group->nonfinite_rays++;
+        }
+    }
 }
 
 // Composite backward along one ray, in place: w->slope holds dL/dw_i and becomes dL/dx_i, within
@@ -260,6 +285,7 @@ static void packet_backward(const struct rn_cpu_field *field,
 static void train(const struct rn_cpu_field *field, const struct rn_march_options *options,
                   const struct rn_march_ray *rays, struct rn_workspace *w, struct rn_group *group) {
     bool per_ray = field->config.shading == RN_SHADING_RAY;
+    int pixel = rn_pixel_rays(options);
     while (group->cursor < group->end && group->slab.capacity - group->slab.count >= w->capacity) {
         const struct rn_march_ray *packet = rays + group->cursor;
         int n = packet_march(field, options, packet, group->end - group->cursor, w), hits = 0,
@@ -269,6 +295,7 @@ static void train(const struct rn_cpu_field *field, const struct rn_march_option
         struct ray_sums sums[RN_PACKET_RAYS];
         float rgb[RN_PACKET_RAYS][3], ray_slope[RN_PACKET_RAYS][4] = {{0}};
         int16_t hit[RN_PACKET_RAYS];
+        bool seen[RN_PACKET_RAYS];
         bool leveled = packet_density(field, options, packet, n, w);
         if (per_ray) {
             hits = shade_rays(field, options, packet, n, w, sums, rgb, hit);
@@ -277,8 +304,10 @@ static void train(const struct rn_cpu_field *field, const struct rn_march_option
             shade_packet_by_samples(field, options, packet, n, kept, w, sums, rgb);
         }
         for (int r = 0; r < n; r++)
-            if (w->ray_first[r] >= 0 && !(sums[r].opacity <= 0))
-                ray_loss(options, &packet[r], rgb[r], sums[r].opacity, ray_slope[r], group);
+            seen[r] = w->ray_first[r] >= 0 && !(sums[r].opacity <= 0);
+        for (int r = 0; r < n; r += pixel)
+            rays_loss(options, packet + r, pixel, seen + r, sums + r, rgb + r, ray_slope + r,
+                      group);
         if (per_ray)
             backward_rays(field, options, hits, hit, sums, ray_slope, w, group);
         else

@@ -16,8 +16,8 @@ static void density(const struct rn_cpu_field *field, float (*points)[3], int co
     bool leveled = level > 0 && levels > 1 && field->config.footprint != RN_FOOTPRINT_POINT;
     struct mlp base = base_network(field, w);
     if (level > (float)(levels - 1)) level = (float)(levels - 1);
-    for (int begin = 0; begin < count; begin += w->capacity) {
-        int n = count - begin < w->capacity ? count - begin : w->capacity;
+    for (int begin = 0; begin < count; begin += w->full) {
+        int n = count - begin < w->full ? count - begin : w->full;
         for (int i = 0; i < n; i++) {
             const float *x = points[begin + i];
             for (int p = 0; p < field->config.planes; p++) {

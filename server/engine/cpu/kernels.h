@@ -16,6 +16,7 @@
 #define RN_PACKET_RAYS 128     // rays marched together
 #define RN_PACKET_SAMPLES 4096 // candidate samples evaluated together; bounds a ray's samples too
 #define RN_WIDEST 16           // of the widest kernel set's vectors
+#define RN_PIXEL_RAYS 4        // of a pixel that is split 2 x 2: its colour is their mean
 #define RN_PACKET_SLACK 64     // numbers a vector store may overrun an array by
 #define RN_ROUND 8             // samples of a ray evaluated before its transmittance is looked at
 #define RN_GROUPS 16           // fixed partition of a step's rays: the unit of ordered accumulation
@@ -100,10 +101,15 @@ struct rn_march_options {
     float stop_depth; // -ln of the early-stop transmittance
     float background[3];
     float background_variance; // training: a channel's, of random backgrounds with that mean
+    bool split;                // training: RN_PIXEL_RAYS rays in turn are one pixel
     float roulette;            // weight below which a sample's backward is a lottery; 0 = off
     uint64_t seed, counter;    // of the roulette
     const float *look;         // NULL, or a direction for the colour network instead of the ray's
 };
+
+static inline int rn_pixel_rays(const struct rn_march_options *options) {
+    return options->split ? RN_PIXEL_RAYS : 1;
+}
 
 // What one group of rays leaves for the scatter: samples with gradients, in order.
 struct rn_slab {
@@ -131,6 +137,7 @@ struct rn_group {
 // Thread-local scratch of one packet. Arrays lie in one block behind the structure.
 struct rn_workspace {
     int capacity;        // samples
+    int full;            // of these, how many a packet is filled to; a pixel's may be more
     uint16_t *marched;   // [RN_WIDEST][capacity]: march indices k of rays marched together
     uint16_t *candidate; // [capacity * 2]: the same, ray after ray
     int candidate_begin[RN_PACKET_RAYS + 1];

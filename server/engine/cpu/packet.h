@@ -8,11 +8,13 @@
 #include "server/engine/cpu/mlp.h"
 #include "server/engine/field/sh.h"
 
-// Marches rays until the packet is full; returns how many it took (at least one).
+// Marches rays until the packet is full; returns how many it took: at least one pixel's, and no
+// part of one.
 static int packet_march(const struct rn_cpu_field *field, const struct rn_march_options *options,
                         const struct rn_march_ray *rays, int count, struct rn_workspace *w) {
     const struct rn_occupancy_bits *o = &field->occupancy;
-    int n = 0, total = 0, found[RN_VL], each = w->capacity + RN_PACKET_SLACK;
+    int n = 0, total = 0, pixel = rn_pixel_rays(options), found[RN_VL],
+        each = w->capacity + RN_PACKET_SLACK;
     w->candidate_begin[0] = 0;
     if (count > RN_PACKET_RAYS) count = RN_PACKET_RAYS;
     for (bool room = true; room && n < count;) {
@@ -21,7 +23,7 @@ static int packet_march(const struct rn_cpu_field *field, const struct rn_march_
         march_start(o, rays + n, some, options->step, &lanes);
         march_out(o, rays + n, options->step, vi_set(-1), &lanes, w->marched, each, found);
         for (int j = 0; j < some; j++) {
-            room = total + found[j] <= w->capacity || n == 0;
+            room = total + found[j] <= w->full || n < pixel;
             if (!room) break;
             memcpy(w->candidate + total, w->marched + (size_t)j * (size_t)each,
                    (size_t)found[j] * sizeof *w->candidate);
@@ -29,6 +31,7 @@ static int packet_march(const struct rn_cpu_field *field, const struct rn_march_
             w->candidate_begin[++n] = total;
         }
     }
+    if (n % pixel) total = w->candidate_begin[n -= n % pixel];
     memset(w->candidate + total, 0, RN_PACKET_SLACK * sizeof *w->candidate);
     return n;
 }

@@ -28,7 +28,7 @@ struct stream {
 static void stream_init(const struct rn_cpu_field *field, const struct rn_march_options *options,
                         const struct rn_march_ray *rays, int count, struct rn_workspace *w,
                         struct rn_pixel *pixels, struct stream *s) {
-    int places = w->capacity / RN_ROUND < RN_PACKET_RAYS ? w->capacity / RN_ROUND : RN_PACKET_RAYS;
+    int places = w->full / RN_ROUND < RN_PACKET_RAYS ? w->full / RN_ROUND : RN_PACKET_RAYS;
     s->field = field;
     s->options = options;
     s->rays = rays;

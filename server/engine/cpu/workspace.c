@@ -4,7 +4,7 @@
 
 // A packet's samples: 4,096, or fewer with wide networks so that a packet stays near the L2
 // cache, but never less than one ray can have; a multiple of 32.
-static int packet_capacity(const struct rn_cpu_field *field, double step) {
+static int full_packet(const struct rn_cpu_field *field, double step) {
     int longest = (int)(2.0 * 1.7320508 / step) + 2 * RN_ROUND;
     size_t per_sample = (size_t)field->feature_stride + RN_GEOMETRY * 2 +
                         (size_t)field->config.width * (size_t)(field->config.base_layers + 2);
@@ -14,6 +14,12 @@ static int packet_capacity(const struct rn_cpu_field *field, double step) {
     while (capacity > 512 && (size_t)capacity * per_sample * sizeof(float) > (3u << 20))
         capacity /= 2;
     return capacity > longest ? capacity : (longest + 31) / 32 * 32;
+}
+
+// As many, or more where a pixel's rays can have more: each is at most as long as the ball is wide.
+static int packet_capacity(int full, double step) {
+    int longest = RN_PIXEL_RAYS * ((int)(2 / step) + 2);
+    return full > longest ? full : (longest + 31) / 32 * 32;
 }
 
 // Hands out parts of one block; with memory == NULL only counts.
@@ -31,7 +37,8 @@ static void *carve(struct carver *c, size_t count, size_t size) {
 static size_t lay_out(const struct rn_cpu_field *field, double step, struct carver *c) {
     struct rn_workspace scratch, *w = carve(c, 1, sizeof *w);
     if (!w) w = &scratch;
-    size_t n = (size_t)packet_capacity(field, step), f = sizeof(float);
+    int full = full_packet(field, step);
+    size_t n = (size_t)packet_capacity(full, step), f = sizeof(float);
     size_t width = (size_t)field->config.width, planes = (size_t)field->config.planes;
     size_t rays = RN_PACKET_RAYS;
     size_t heads = field->config.shading == RN_SHADING_RAY ? rays : n;
@@ -39,6 +46,7 @@ static size_t lay_out(const struct rn_cpu_field *field, double step, struct carv
     if ((size_t)field->head_shape.widest > widest) widest = (size_t)field->head_shape.widest;
     widest = (widest + 15) / 16 * 16;
     w->capacity = (int)n;
+    w->full = full;
     w->marched = carve(c, RN_WIDEST * (n + RN_PACKET_SLACK), sizeof *w->marched);
     w->candidate = carve(c, 2 * n, sizeof *w->candidate);
     w->segment_start = carve(c, n, sizeof *w->segment_start);

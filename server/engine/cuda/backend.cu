@@ -284,6 +284,8 @@ static void describe_training(struct rn_device_field *f, const struct rn_device_
     s->seed = c->seed;
     s->cone_step = c->cone_step;
     s->favour_finest = c->favour_finest;
+    s->split = f->march.split = t->split;
+    f->batch.pixel_rays = t->split ? RN_PIXEL_RAYS : 1;
     f->march.step = (float)t->march_step;
     f->march.stop_depth = (float)-log(c->stop);
     f->march.background_variance = t->background_variance;
@@ -296,6 +298,8 @@ static cudaError_t upload_training(struct rn_device_field *f, const struct rn_de
     struct rn_device *d = f->device;
     struct rn_cuda_status status = {};
     status.ray_count = t->step == 0 ? first_rays(f, t->next_rays) : t->next_rays;
+    status.ray_count -= status.ray_count % f->batch.pixel_rays;
+    if (status.ray_count == 0) status.ray_count = f->batch.pixel_rays;
     status.target_samples = f->config.target_samples;
     status.steps = (uint64_t)t->step;
     status.updates = (uint64_t)t->updates;

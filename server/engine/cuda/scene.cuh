@@ -42,6 +42,7 @@ struct rn_cuda_scene {
 struct rn_cuda_march {
     float step, stop_depth, background[3];
     float background_variance; // rn_march_options
+    bool split;    // rn_march_options
     bool turned;   // `look` replaces the rays' direction for the colour network
     float look[3];
 };
@@ -82,6 +83,7 @@ RN_HD uint32_t rn_cuda_ray_tiles(int rays) {
 struct rn_cuda_batch {
     struct rn_cuda_status *status;
     int ray_capacity;
+    int pixel_rays; // training: rays in turn that are one pixel
     uint32_t tile_capacity;
     struct rn_march_ray *rays;
     struct rn_pixel *pixels; // rendering only

@@ -51,21 +51,40 @@ struct rn_ray_gradient {
     float opacity, diffuse[3]; // of these sums, but for what comes through the network
 };
 
+struct rn_seen {
+    float opacity, colour[3];
+};
+
+// The mean over the rays of a pixel, which are in neighbouring lanes.
+RN_DEVICE struct rn_seen rn_pixel_mean(struct rn_seen s) {
+    for (int mask = 1; mask < RN_PIXEL_RAYS; mask *= 2) {
+        s.opacity = 0.5f * (s.opacity + rn_shuffle_xor(s.opacity, mask));
+        for (int c = 0; c < 3; c++)
+            s.colour[c] = 0.5f * (s.colour[c] + rn_shuffle_xor(s.colour[c], mask));
+    }
+    return s;
+}
+
 RN_DEVICE struct rn_ray_gradient rn_ray_gradient(const struct rn_cuda_batch *b,
                                                  const struct rn_cuda_march *march, int r,
                                                  const float out[3]) {
     struct rn_ray_gradient g = {};
-    if (RN_LANE >= RN_TILE || r >= b->status->ray_count) return g;
-    const float *sums = b->ray_sums + (size_t)r * RN_GEOMETRY;
-    float colour[3], grad[4], loss, scale = b->status->gradient_scale;
-    for (int c = 0; c < 3; c++)
-        colour[c] = sums[1 + c] + sums[0] * out[c];
-    g.takes_part = rn_ray_loss(&b->rays[r], march, colour, sums[0], grad, &loss);
-    rn_save_loss(b, r, g.takes_part, b->rays[r].weight, loss, sums[0]);
+    bool is = RN_LANE < RN_TILE && r < b->status->ray_count;
+    float opacity = is ? b->ray_sums[(size_t)r * RN_GEOMETRY] : 0, colour[3] = {0, 0, 0};
+    for (int c = 0; c < 3 && is && opacity != 0; c++)
+        colour[c] = b->ray_sums[(size_t)r * RN_GEOMETRY + 1 + c] + opacity * out[c];
+    struct rn_seen seen = {opacity, {colour[0], colour[1], colour[2]}};
+    float share = march->split ? 1.0f / RN_PIXEL_RAYS : 1;
+    if (march->split) seen = rn_pixel_mean(seen);
+    if (!is) return g;
+    float grad[4], loss, scale = b->status->gradient_scale * share;
+    g.takes_part = rn_ray_loss(&b->rays[r], march, seen.colour, seen.opacity, grad, &loss);
+    bool sound = isfinite(opacity + colour[0] + colour[1] + colour[2]) && march->split;
+    rn_save_loss(b, r, g.takes_part, b->rays[r].weight * share, loss, sound ? 0 : opacity);
     if (g.takes_part) g.opacity = scale * grad[3];
     for (int c = 0; c < 3 && g.takes_part; c++) {
         g.diffuse[c] = scale * grad[c];
-        g.colour[c] = g.diffuse[c] * sums[0];
+        g.colour[c] = g.diffuse[c] * opacity;
         g.opacity += g.diffuse[c] * (out[c] - march->background[c]);
     }
     return g;

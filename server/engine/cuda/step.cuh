@@ -23,7 +23,7 @@ struct rn_cuda_source {
     double centre[3], radius, step;
     float background[3];
     uint64_t seed;
-    bool cone_step, favour_finest;
+    bool cone_step, favour_finest, split;
 };
 
 // Uniform in [0, n) from 64 random bits, n < 2^53.
@@ -53,12 +53,10 @@ RN_DEVICE int rn_draw_pixel(const struct rn_device_pixels *p, const struct rn_rn
     return low;
 }
 
-// A pixel of ray r's scale, of the blocks that may see the hull; -1 outside. `first_ray`: rays of
-// all steps before.
-RN_DEVICE int rn_draw_live(const struct rn_cuda_source *s, uint64_t first_ray, int r, int *ret_x,
-                           int *ret_y) {
+// A pixel of the scale that turn `turn` falls to, of the blocks that may see the hull; -1 outside.
+RN_DEVICE int rn_draw_live(const struct rn_cuda_source *s, uint64_t turn, int *ret_x, int *ret_y) {
     const struct rn_device_pixels *p = &s->pixels;
-    struct rn_scale_turn from = rn_scale_turn(first_ray + (uint64_t)r, p->scale_count);
+    struct rn_scale_turn from = rn_scale_turn(turn, p->scale_count);
     uint64_t first = p->live_first[from.scale], count = p->live_first[from.scale + 1] - first;
     if (count == 0) return -1;
     struct rn_live_pixel pixel = rn_live_pixel(s->seed, from.turn, count);
@@ -69,17 +67,29 @@ RN_DEVICE int rn_draw_live(const struct rn_cuda_source *s, uint64_t first_ray, i
     return *ret_x < c->width && *ret_y < c->height ? (int)block->frame : -1;
 }
 
+// The ray of part `part` of a pixel that is split 2 x 2.
+RN_DEVICE struct rn_ray rn_part_ray(const struct rn_camera *camera, int x, int y, int part) {
+    struct rn_camera fine = rn_camera_resized(camera, 2 * camera->width, 2 * camera->height);
+    return rn_camera_ray(&fine, 2 * x + part % 2 + 0.5, 2 * y + part / 2 + 0.5);
+}
+
+// Ray r of a step; `first_ray`: rays of all steps before. The rays of a split pixel have one turn.
 RN_DEVICE struct rn_march_ray rn_draw_ray(const struct rn_cuda_source *s, uint64_t step,
                                           uint64_t first_ray, int r) {
     const struct rn_device_pixels *p = &s->pixels;
+    int rays = s->split ? RN_PIXEL_RAYS : 1, part = r % rays;
     struct rn_rng4 draw = rn_rng_draw(s->seed, RN_STREAM_RAYS | (uint32_t)r, step);
+    struct rn_rng4 of_pixel =
+        part ? rn_rng_draw(s->seed, RN_STREAM_RAYS | (uint32_t)(r - part), step) : draw;
+    uint64_t turn = (first_ray + (uint64_t)(r - part)) / (uint64_t)rays;
     int x, y,
-        frame = s->favour_finest ? rn_draw_live(s, first_ray, r, &x, &y)
-                                 : rn_draw_pixel(p, &draw, &x, &y);
+        frame = s->favour_finest ? rn_draw_live(s, turn, &x, &y)
+                                 : rn_draw_pixel(p, &of_pixel, &x, &y);
     struct rn_march_ray out = {{0, 0, 0}, {0, 0, 0}, 0, 0, 0, 1, {0, 0, 0}, 0, 0, (uint32_t)r};
     if (frame < 0) return out;
     const struct rn_device_frame *f = &p->frames[frame];
-    struct rn_ray ray = rn_camera_ray(&f->camera, x + 0.5, y + 0.5);
+    struct rn_ray ray = s->split ? rn_part_ray(&f->camera, x, y, part)
+                                 : rn_camera_ray(&f->camera, x + 0.5, y + 0.5);
     out = rn_ray_cut(s->centre, s->radius, s->cone_step, &ray, s->step,
                      (double)rn_rng_unit(draw.v[2]));
     const uint8_t *rgba =
@@ -168,6 +178,7 @@ __global__ void __launch_bounds__(RN_ORDER_THREADS, 1)
         if (all.samples == 0) next = count;
         next = next < RN_FEWEST_RAYS ? RN_FEWEST_RAYS : next;
         s->next_rays = next < b.ray_capacity ? (int)next : b.ray_capacity;
+        s->next_rays -= s->next_rays % b.pixel_rays;
     }
     __syncthreads();
     uint32_t first = sums[thread].tiles;

@@ -15,6 +15,7 @@ enum rn_status rn_reference_create(const struct rn_field_config *config, uint64_
     struct rn_reference *ref = calloc(1, sizeof *ref);
     if (!ref) return rn_error_set(err, RN_ERROR_NO_MEMORY, "reference", "out of memory");
     ref->config = *config;
+    ref->pixel_rays = 1;
     enum rn_status status =
         rn_solid_init(config->planes, config->orientation, seed, &ref->solid, err);
     if (status != RN_OK) goto fail;
@@ -536,29 +537,55 @@ static double smooth_l1(double d, double *ret_slope) {
     return fabs(d) < 1 ? 0.5 * d * d : fabs(d) - 0.5;
 }
 
+// Loss of one pixel, the mean of `n` rays that are not all empty, and its gradients.
+static enum rn_status pixel_loss(struct rn_reference *ref, const struct rn_reference_ray *rays,
+                                 int n, double total_weight, struct tape *tapes, double *loss) {
+    double rgb[3] = {0, 0, 0}, opacity = 0, grad[3];
+    enum rn_status status = RN_OK;
+    for (int r = 0; r < n && status == RN_OK; r++) {
+        status = tape_init(ref, rays[r].count, &tapes[r]);
+        if (status == RN_OK && rays[r].count > 0) forward(ref, &rays[r], &tapes[r]);
+        opacity += tapes[r].opacity / n;
+        for (int c = 0; c < 3; c++)
+            rgb[c] += (rays[r].count > 0 ? tapes[r].rgb[c] : rays[r].background[c]) / n;
+    }
+    double excess = opacity - rays->alpha, spread = rays->weight * 3 * rays->background_variance;
+    *loss += 0.5 * spread * excess * excess;
+    for (int c = 0; c < 3; c++) {
+        double slope;
+        *loss += rays->weight * smooth_l1(rgb[c] - rays->target[c], &slope);
+        grad[c] = rays->weight * slope / total_weight / n;
+    }
+    for (int r = 0; r < n && status == RN_OK; r++)
+        if (rays[r].count > 0)
+            status = backward(ref, &rays[r], &tapes[r], grad, spread * excess / total_weight / n);
+    return status;
+}
+
+static bool any_samples(const struct rn_reference_ray *rays, int n) {
+    bool any = false;
+    for (int r = 0; r < n; r++)
+        any |= rays[r].count > 0;
+    return any;
+}
+
 enum rn_status rn_reference_loss(struct rn_reference *ref, const struct rn_reference_ray *rays,
                                  size_t count, double *ret_loss) {
     double total_weight = 0, loss = 0;
-    for (size_t r = 0; r < count; r++)
-        if (rays[r].count > 0) total_weight += rays[r].weight;
-    for (size_t r = 0; r < count && total_weight > 0; r++) {
-        if (rays[r].count == 0) continue;
-        struct tape tape;
-        enum rn_status status = tape_init(ref, rays[r].count, &tape);
-        if (status != RN_OK) return status;
-        forward(ref, &rays[r], &tape);
-        double rgb_grad[3], excess = tape.opacity - rays[r].alpha;
-        double spread = rays[r].weight * 3 * rays[r].background_variance;
-        loss += 0.5 * spread * excess * excess;
-        for (int c = 0; c < 3; c++) {
-            double slope;
-            loss += rays[r].weight * smooth_l1(tape.rgb[c] - rays[r].target[c], &slope);
-            rgb_grad[c] = rays[r].weight * slope / total_weight;
-        }
-        status = backward(ref, &rays[r], &tape, rgb_grad, spread * excess / total_weight);
-        tape_finish(&tape);
-        if (status != RN_OK) return status;
+    int n = ref->pixel_rays;
+    for (size_t r = 0; r < count; r += (size_t)n)
+        if (any_samples(rays + r, n)) total_weight += rays[r].weight;
+    struct tape *tapes = calloc((size_t)n, sizeof *tapes);
+    enum rn_status status = tapes ? RN_OK : RN_ERROR_NO_MEMORY;
+    for (size_t r = 0; r < count && total_weight > 0 && status == RN_OK; r += (size_t)n) {
+        if (!any_samples(rays + r, n)) continue;
+        status = pixel_loss(ref, rays + r, n, total_weight, tapes, &loss);
+        for (int i = 0; i < n; i++)
+            tape_finish(&tapes[i]);
+        memset(tapes, 0, (size_t)n * sizeof *tapes);
     }
+    free(tapes);
+    if (status != RN_OK) return status;
     rn_reference_pull_down(ref);
     *ret_loss = total_weight > 0 ? loss / total_weight : 0;
     return RN_OK;

@@ -19,6 +19,7 @@ struct rn_reference {
     double *maps, *map_grad;                    // pyramids: [plane][ly][lx][v][u][channel]
     bool half; // round to fp16 what a half-precision engine stores in it: maps, networks' inputs
                // and hidden activations; a sign near 0 is then the same in both. false at creation
+    int pixel_rays; // rays in turn that are one pixel, whose colour is their mean; 1 at creation
 };
 
 // One ray in the normalised frame (the scene's ball is the unit ball) with its samples.
@@ -74,9 +75,10 @@ enum rn_status rn_reference_render(const struct rn_reference *reference,
                                    const struct rn_reference_ray *ray, double ret_rgb[3],
                                    double *ret_opacity, double *ret_depth) RN_MUST_CHECK;
 
-// Sum over rays of weight * sum over channels of [smooth-L1(rgb - target) + background variance *
-// (opacity - alpha)^2 / 2], divided by the sum of weights (rays without samples drop out of both):
-// where no error is beyond 1, its mean over random backgrounds. Gradients are added to *_grad, the
+// Sum over pixels of weight * sum over channels of [smooth-L1(rgb - target) + background variance *
+// (opacity - alpha)^2 / 2], divided by the sum of weights (pixels without samples drop out of
+// both): where no error is beyond 1, its mean over random backgrounds. What a pixel is compared
+// with is in its first ray; `count` is a multiple of pixel_rays. Gradients are added to *_grad, the
 // pyramid's pulled down. RN_ERROR_NO_MEMORY.
 enum rn_status rn_reference_loss(struct rn_reference *reference,
                                  const struct rn_reference_ray *rays, size_t count,

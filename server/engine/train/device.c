@@ -60,7 +60,7 @@ static enum rn_status pack_pixels(const struct rn_trainer *t, struct packed_pixe
 // The field and all of its training on the device.
 static enum rn_status put_training(struct rn_trainer *t, struct rn_error *err) {
     struct packed_pixels packed = {.frames = NULL};
-    t->march = rn_trainer_march(t);
+    rn_trainer_take_march(t);
     struct rn_device_training training = {.deterministic = t->engine->deterministic,
                                           .next_rays = t->next_rays,
                                           .step = t->progress.step,
@@ -69,6 +69,7 @@ static enum rn_status put_training(struct rn_trainer *t, struct rn_error *err) {
                                           .good_steps = t->good_steps,
                                           .rays = t->progress.rays,
                                           .march_step = (double)t->march.step,
+                                          .split = t->march.split,
                                           .background_variance = t->march.background_variance,
                                           .m = t->m,
                                           .v = t->v};

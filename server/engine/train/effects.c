@@ -70,16 +70,27 @@ static double probe_anisotropy(const struct rn_trainer *t) {
     return spread[PROBES * 95 / 100];
 }
 
-// Range of the cones' radii at the scene's centre over the training cameras, in levels. Notes the
-// smallest.
-static double footprint_range(struct rn_trainer *t) {
-    double smallest = INFINITY, largest = 0;
+// The smallest and the largest radius of a training pixel's cone at the scene's centre.
+static void cone_range(const struct rn_trainer *t, double *ret_smallest, double *ret_largest) {
+    *ret_smallest = INFINITY;
+    *ret_largest = 0;
     for (int f = 0; f < t->train.frame_count; f++) {
         double radius = rn_cone_at_centre(&t->field->bounds, &t->train.frames[f].frame->camera);
-        smallest = fmin(smallest, fmax(radius, 1e-30));
-        largest = fmax(largest, radius);
+        *ret_smallest = fmin(*ret_smallest, fmax(radius, 1e-30));
+        *ret_largest = fmax(*ret_largest, radius);
     }
-    t->field->config.finest_cone = largest > 0 ? smallest : 0;
+}
+
+void rn_trainer_note_cone(struct rn_trainer *t) {
+    double smallest, largest;
+    cone_range(t, &smallest, &largest);
+    t->field->config.finest_cone = largest > 0 ? t->march.split ? smallest / 2 : smallest : 0;
+}
+
+// Their range in levels.
+static double footprint_range(const struct rn_trainer *t) {
+    double smallest, largest;
+    cone_range(t, &smallest, &largest);
     return largest > 0 ? log2(largest / smallest) : 0;
 }
 
@@ -138,6 +149,7 @@ static void detect_view_dependence(struct rn_trainer *t) {
 void rn_trainer_detect_effects(struct rn_trainer *t) {
     struct rn_train_config *config = &t->field->config;
     detect_background(t);
+    rn_trainer_note_cone(t);
     detect_footprints(t);
     detect_view_dependence(t);
     if (!t->field->effects[RN_EFFECT_BACKGROUND].on) {
@@ -146,6 +158,9 @@ void rn_trainer_detect_effects(struct rn_trainer *t) {
         memset(config->background, 0, sizeof config->background);
     }
     bool anisotropy = t->field->effects[RN_EFFECT_ANISOTROPY].on;
+    // Photographs of several scales say as much; their frames would take four times as long.
+    bool scales = t->field->effects[RN_EFFECT_SCALE_PYRAMID].number > RANGE_THRESHOLD;
+    if (config->auto_effects && scales) config->split_pixels = 0;
     bool may_switch = config->auto_effects && !config->footprint_given;
     if (may_switch && config->field.footprint == RN_FOOTPRINT_RIP && !anisotropy)
         config->field.footprint = t->field->cpu.config.footprint = RN_FOOTPRINT_MIP;

@@ -111,7 +111,12 @@ void rn_trainer_rays(const struct rn_trainer *t, const struct rn_pixels *pixels,
     struct rn_ray_place lanes[RN_TRAINER_RAYS] = {{0}};
     for (int i = 0; i < count; i++) {
         const struct rn_trainer_place *p = &places[i];
-        lanes[i] = (struct rn_ray_place){p->frame ? &p->frame->view : NULL, p->x, p->y, p->jitter};
+        if (!p->frame) continue;
+        lanes[i] = (struct rn_ray_place){&p->frame->view, p->x, p->y, p->jitter};
+        if (!p->part) continue;
+        lanes[i].view = &p->frame->fine;
+        lanes[i].x = 2 * p->x + (p->part - 1) % 2;
+        lanes[i].y = 2 * p->y + (p->part - 1) / 2;
     }
     t->engine->kernels->rays(lanes, count, step, t->field->config.cone_step, ret_rays);
     const float *background =
@@ -169,10 +174,11 @@ static const struct rn_pixel_frame *draw_pixel(const struct rn_trainer *t, struc
     return frame;
 }
 
-// A pixel of ray r's scale, of the blocks that may see the hull. None where the block reaches over
-// the image's edge.
+// A pixel of the scale that ray r's turn falls to, of the blocks that may see the hull. None where
+// the block reaches over the image's edge. The rays of a split pixel have one turn.
 static void draw_live_pixel(const struct rn_trainer *t, int r, struct rn_trainer_place *ret) {
-    struct rn_scale_turn from = rn_scale_turn(t->first_ray + (uint64_t)r, t->train.scale_count);
+    uint64_t turn = (t->first_ray + (uint64_t)r) / (uint64_t)rn_pixel_rays(&t->march);
+    struct rn_scale_turn from = rn_scale_turn(turn, t->train.scale_count);
     size_t first = t->live_first[from.scale], count = t->live_first[from.scale + 1] - first;
     uint64_t seed = t->field->config.seed;
     if (count == 0) return;
@@ -195,14 +201,19 @@ static struct rn_rng4 draw_of(const struct rn_trainer *t, int r) {
 
 // Where ray r of a step starts.
 static struct rn_trainer_place place_of(const struct rn_trainer *t, int r) {
-    struct rn_rng4 draw = draw_of(t, r);
-    struct rn_trainer_place place = {.jitter = rn_rng_unit(draw.v[2]), .weight = 1, .block = -1};
+    int part = r % rn_pixel_rays(&t->march);
+    struct rn_rng4 draw = draw_of(t, r), of_pixel = part ? draw_of(t, r - part) : draw;
+    struct rn_trainer_place place = {.jitter = rn_rng_unit(draw.v[2]),
+                                     .part = t->march.split ? part + 1 : 0,
+                                     .weight = 1,
+                                     .block = -1};
     if (t->field->config.favour_finest) {
-        draw_live_pixel(t, r, &place);
+        draw_live_pixel(t, r - part, &place);
     } else {
-        place.frame = draw_pixel(t, draw, &place.x, &place.y);
+        place.frame = draw_pixel(t, of_pixel, &place.x, &place.y);
         place.weight = (float)place.frame->frame->loss_weight;
     }
+    if (part) place.block = -1; // the pixel's error is noted once
     return place;
 }
 
@@ -238,11 +249,17 @@ static void draw_rays(struct rn_trainer *t, int begin, int end) {
 
 // ---- waves ----------------------------------------------------------------------------------
 
+// The first of `pixels` pixels that is of group g.
+static int first_of_group(int pixels, int g) {
+    return (int)((int64_t)pixels * g / RN_GROUPS);
+}
+
 static void forward_backward(void *context, int index, int thread) {
     struct rn_trainer *t = context;
     struct rn_group *group = &t->groups[index];
     if (group->cursor == group->end) return;
-    int first = (int)((int64_t)t->ray_count * index / RN_GROUPS);
+    int pixel = rn_pixel_rays(&t->march);
+    int first = first_of_group(t->ray_count / pixel, index) * pixel;
     if (group->cursor == first && group->slab.count == 0) draw_rays(t, first, group->end);
     t->engine->kernels->train(&t->field->cpu, &t->march, t->rays,
                               rn_engine_workspace(t->engine, thread), group);
@@ -269,6 +286,7 @@ struct rn_march_options rn_trainer_march(const struct rn_trainer *t) {
                                      .seed = config->seed,
                                      .counter = (uint64_t)t->progress.step};
     memcpy(march.background, config->background, sizeof config->background);
+    march.split = rn_trainer_fraction(t) >= 1 - config->split_pixels && config->split_pixels > 0;
     if (rn_trainer_fraction(t) < config->random_background) {
         march.background[0] = march.background[1] = march.background[2] = 0.5f;
         march.background_variance = 0.25f; // of a number that is 0 or 1, as often
@@ -276,12 +294,21 @@ struct rn_march_options rn_trainer_march(const struct rn_trainer *t) {
     return march;
 }
 
+void rn_trainer_take_march(struct rn_trainer *t) {
+    bool split = t->march.split;
+    t->march = rn_trainer_march(t);
+    if (t->march.split != split) rn_trainer_note_cone(t);
+}
+
 void rn_trainer_begin_step(struct rn_trainer *t) {
     const struct rn_parameters *p = &t->field->parameters;
     t->stepping = true;
     t->ray_count = t->next_rays;
     t->first_ray = t->progress.rays;
-    t->march = rn_trainer_march(t);
+    rn_trainer_take_march(t);
+    int pixel = rn_pixel_rays(&t->march), pixels = t->ray_count / pixel;
+    if (pixels == 0) pixels = 1;
+    t->ray_count = pixels * pixel;
     for (int g = 0; g < RN_GROUPS; g++) {
         struct rn_group *group = &t->groups[g];
         struct rn_slab slab = group->slab;
@@ -290,8 +317,8 @@ void rn_trainer_begin_step(struct rn_trainer *t) {
                                    .base_grad = group->base_grad,
                                    .head_grad = group->head_grad,
                                    .ray_loss = t->ray_loss};
-        group->cursor = (int)((int64_t)t->ray_count * g / RN_GROUPS);
-        group->end = (int)((int64_t)t->ray_count * (g + 1) / RN_GROUPS);
+        group->cursor = first_of_group(pixels, g) * pixel;
+        group->end = first_of_group(pixels, g + 1) * pixel;
         memset(group->base_grad, 0, (p->base_count + p->head_count) * sizeof(float));
     }
 }

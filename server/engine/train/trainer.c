@@ -55,8 +55,12 @@ static void describe_held_out(struct rn_trainer *t) {
 }
 
 static void place_cameras(const struct rn_field *field, struct rn_pixels *pixels) {
-    for (int f = 0; f < pixels->frame_count; f++)
-        pixels->frames[f].view = rn_field_view(field, &pixels->frames[f].frame->camera);
+    for (int f = 0; f < pixels->frame_count; f++) {
+        const struct rn_camera *camera = &pixels->frames[f].frame->camera;
+        struct rn_camera fine = rn_camera_resized(camera, 2 * camera->width, 2 * camera->height);
+        pixels->frames[f].view = rn_field_view(field, camera);
+        pixels->frames[f].fine = rn_field_view(field, &fine);
+    }
 }
 
 static enum rn_status load_pixels(struct rn_trainer *t, size_t limit, struct rn_error *err) {
@@ -254,14 +258,16 @@ static bool view_dependence_due(const struct rn_trainer *t) {
            (t->progress.step >= WARM_UP_STEPS || rn_trainer_fraction(t) >= WARM_UP_FRACTION);
 }
 
-// The device still trains over random backgrounds, whose time is over.
-static bool background_due(const struct rn_trainer *t) {
-    return t->field->on_device && t->march.background_variance > 0 &&
-           rn_trainer_march(t).background_variance == 0;
+// The device still trains over random backgrounds, whose time is over, or does not split pixels
+// yet.
+static bool march_due(const struct rn_trainer *t) {
+    struct rn_march_options now = rn_trainer_march(t);
+    return t->field->on_device &&
+           (t->march.background_variance > now.background_variance || t->march.split != now.split);
 }
 
 bool rn_trainer_turn_due(const struct rn_trainer *t) {
-    return view_dependence_due(t) || t->growth || rn_trainer_grows(t) || background_due(t);
+    return view_dependence_due(t) || t->growth || rn_trainer_grows(t) || march_due(t);
 }
 
 static enum rn_status take_turn(struct rn_trainer *t, struct rn_error *err) {

@@ -121,6 +121,7 @@ enum rn_status rn_trainer_list_live(struct rn_trainer *trainer, struct rn_error 
 void rn_trainer_share_out(struct rn_trainer *trainer, bool weigh);
 // effects.c
 void rn_trainer_detect_effects(struct rn_trainer *trainer);
+void rn_trainer_note_cone(struct rn_trainer *trainer); // the finest one that rays have as of now
 void rn_trainer_decide_view_dependence(struct rn_trainer *trainer);
 // trainer.c: everything that follows from the pixels and the configuration.
 enum rn_status rn_trainer_set_up(struct rn_trainer *trainer, struct rn_error *err) RN_MUST_CHECK;
@@ -141,6 +142,7 @@ int rn_trainer_band(const struct rn_trainer *trainer, int band);
 // How the next step marches, in longer steps while the planes are coarse; nothing of the step
 // before is in it.
 struct rn_march_options rn_trainer_march(const struct rn_trainer *trainer);
+void rn_trainer_take_march(struct rn_trainer *trainer); // for the step that begins
 void rn_trainer_begin_step(struct rn_trainer *trainer);
 // Puts the rays of the step that was done last in place, for an incident's record.
 void rn_trainer_redraw(struct rn_trainer *trainer);
@@ -149,6 +151,7 @@ void rn_trainer_run_wave(struct rn_trainer *trainer); // clears `stepping` when 
 struct rn_trainer_place {
     const struct rn_pixel_frame *frame;
     int x, y;
+    int part; // of a split pixel, from 1; 0: all of it
     float jitter, weight;
     int32_t block; // of the trainer's live ones, < 0: of none
 };

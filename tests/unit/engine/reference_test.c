@@ -67,8 +67,9 @@ static void check_group(struct rn_reference *ref, const char *name, double *para
     }
 }
 
-static void check_gradients(const struct rn_field_config *config) {
+static void check_gradients(const struct rn_field_config *config, int pixel_rays) {
     struct rn_reference *ref = sample_field(config);
+    ref->pixel_rays = pixel_rays;
     loss_of(ref);
     size_t total = ref->plane_count + ref->base_shape.count + ref->head_shape.count;
     double *grad = malloc(total * sizeof *grad);
@@ -95,7 +96,7 @@ START_TEST(gradients_match_finite_differences) {
     config.shading = (enum rn_shading)(_i / 3 % 2);
     config.view_dependence = _i / 6 % 2 == 0;
     config.base = _i / 12 % 2 == 0 ? 8 : 7;
-    check_gradients(&config);
+    check_gradients(&config, 1);
 }
 END_TEST
 
@@ -106,7 +107,14 @@ START_TEST(gradients_match_on_every_solid_and_many_layers) {
     config.base = 5;
     config.base_layers = 2;
     config.head_layers = 4;
-    check_gradients(&config);
+    check_gradients(&config, 1);
+}
+END_TEST
+
+START_TEST(gradients_match_where_rays_share_pixels) {
+    struct rn_field_config config = sample_config();
+    config.shading = (enum rn_shading)(_i % 2);
+    check_gradients(&config, _i / 2 ? RAYS : 2);
 }
 END_TEST
 
@@ -139,7 +147,8 @@ START_TEST(smoothing_draws_neighbours_together) {
     struct rn_field_config config = sample_config();
     config.base = 5;
     struct rn_reference *ref = sample_field(&config);
-    size_t n = ref->plane_count, row = 5 * (size_t)config.channels, column = (size_t)config.channels;
+    size_t n = ref->plane_count, row = 5 * (size_t)config.channels,
+           column = (size_t)config.channels;
     double low = 1e9, high = -1e9;
     for (size_t i = 0; i < n; i++) {
         low = fmin(low, ref->planes[i]);
@@ -308,6 +317,37 @@ START_TEST(loss_is_that_of_the_rendered_colours) {
 }
 END_TEST
 
+// A pixel's colour and opacity are the means of its rays'; one that met nothing shows its
+// background.
+START_TEST(split_pixels_are_means) {
+    struct rn_field_config config = sample_config();
+    struct rn_reference *ref = sample_field(&config);
+    struct rn_reference_ray rays[RAYS];
+    sample_rays(rays);
+    double sum = 0, weights = 0;
+    for (int r = 0; r < RAYS; r += 2) {
+        double rgb[2][3], opacity[2], depth;
+        for (int i = 0; i < 2; i++)
+            ck_assert_int_eq(rn_reference_render(ref, &rays[r + i], rgb[i], &opacity[i], &depth),
+                             RN_OK);
+        if (rays[r + 1].count == 0) {
+            memcpy(rgb[1], rays[r + 1].background, sizeof rgb[1]);
+            opacity[1] = 0;
+        }
+        for (int c = 0; c < 3; c++) {
+            double d = fabs((rgb[0][c] + rgb[1][c]) / 2 - rays[r].target[c]);
+            sum += rays[r].weight * (d < 1 ? d * d / 2 : d - 0.5);
+        }
+        double excess = (opacity[0] + opacity[1]) / 2 - rays[r].alpha;
+        sum += rays[r].weight * 1.5 * rays[r].background_variance * excess * excess;
+        weights += rays[r].weight;
+    }
+    ref->pixel_rays = 2;
+    ck_assert_double_eq_tol(loss_of(ref), sum / weights, 1e-14);
+    rn_reference_destroy(&ref);
+}
+END_TEST
+
 // Over black and over white, half of each, the loss and its gradients are those over grey with the
 // variance of such a choice.
 START_TEST(random_backgrounds_are_averaged) {
@@ -383,6 +423,8 @@ int main(void) {
     tcase_set_timeout(tcase, 60);
     tcase_add_loop_test(tcase, gradients_match_finite_differences, 0, 24);
     tcase_add_loop_test(tcase, gradients_match_on_every_solid_and_many_layers, 0, 3);
+    tcase_add_loop_test(tcase, gradients_match_where_rays_share_pixels, 0, 4);
+    tcase_add_test(tcase, split_pixels_are_means);
     tcase_add_loop_test(tcase, pull_down_is_the_adjoint_of_build, 0, 8);
     tcase_add_test(tcase, smoothing_draws_neighbours_together);
     tcase_add_loop_test(tcase, query_backward_is_the_adjoint_of_query, 0, 6);
