@@ -249,7 +249,8 @@ struct rn_render_options {
     int supersample;
     // A pixel whose four nearest neighbours agree to within this is their mean and is not traced
     // (render/lattice.h): the root mean square distance from that mean of the outputs asked for,
-    // at most 0.5. 0 = every pixel is traced, and always on a device other than the CPU.
+    // at most 0.5. Of pixels of several cones their quarters are meant. 0 = every pixel is traced,
+    // and always on a device other than the CPU.
     double tolerance;
 };
 struct rn_render_stats {

@@ -2,7 +2,7 @@
 //
 //   quality DATASET [preset=standard] [time=60] [steps=0] [seed=1] [threads=0] [kernels=auto]
 //           [planes=] [base=] [channels=] [footprint=] [width=] ... [test=0] [split=test|train]
-//           [every=5] [out=PREFIX]
+//           [every=5] [out=PREFIX] [save=CHECKPOINT]
 //
 // clock=cpu with threads=1 counts CPU seconds, for comparisons on a machine that is not idle.
 // One line per held-out evaluation, one line per test scale. No test: a tool to measure with.
@@ -16,7 +16,7 @@
 #include "server/engine/engine.h"
 
 struct run {
-    const char *dataset, *preset, *kernels, *out;
+    const char *dataset, *preset, *kernels, *out, *save;
     double every;
     int threads, test;
     enum rn_split split; // that `test` looks at
@@ -110,6 +110,8 @@ static bool set_option(struct run *run, const char *name, const char *value) {
         run->kernels = value;
     else if (strcmp(name, "out") == 0)
         run->out = value;
+    else if (strcmp(name, "save") == 0)
+        run->save = value;
     else
         return strcmp(name, "preset") == 0;
     return true;
@@ -220,6 +222,7 @@ int main(int argc, char **argv) {
         rn_trainer_progress(trainer, &p);
         if (p.done) break;
     }
+    if (run.save && rn_trainer_save(trainer, run.save, &err) != RN_OK) die(&err);
     struct rn_field_info info;
     rn_field_describe(rn_trainer_field(trainer), &info);
     for (int i = 0; i < RN_EFFECT_COUNT; i++)

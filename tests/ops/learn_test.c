@@ -119,6 +119,41 @@ static void check_tolerance(struct rn_field *field, const struct rn_frame *frame
     rn_render_result_finish(&full);
 }
 
+// Pixels of several cones are interpolated by parts: not whole pixels' rays, nearer to the full
+// picture than the tolerance, on any number of threads the same.
+static void check_parts(struct rn_field *field, const struct rn_frame *frame) {
+    struct rn_render_options options = {.outputs = RN_OUTPUT_RGB | RN_OUTPUT_ALPHA,
+                                        .background = {1, 1, 1}};
+    for (int cones = 2; cones <= 4; cones *= 2) {
+        struct rn_frame given = *frame;
+        given.camera = rn_camera_resized(&frame->camera, frame->camera.width / cones,
+                                         frame->camera.height / cones);
+        options.supersample = cones;
+        options.tolerance = 0;
+        struct rn_render_result full = render_quickly(field, &given, options, 2);
+        options.tolerance = 0.05;
+        struct rn_render_result one = render_quickly(field, &given, options, 1);
+        struct rn_render_result two = render_quickly(field, &given, options, 2);
+        size_t count = (size_t)given.camera.width * (size_t)given.camera.height * 3;
+        double squares = 0, alpha = 0;
+        for (size_t i = 0; i < count; i++)
+            squares += pow((double)full.rgb.values[i] - (double)one.rgb.values[i], 2);
+        for (size_t i = 0; i < count / 3; i++)
+            alpha += pow((double)full.alpha.values[i] - (double)one.alpha.values[i], 2);
+        printf("%d cones, tolerance 0.05: %.3f of the rays, %.4f from the full picture\n", cones,
+               (double)one.stats.rays / (double)full.stats.rays, sqrt(squares / (double)count));
+        ck_assert_uint_eq(full.stats.rays, count / 3 * (size_t)(cones * cones));
+        ck_assert_int_eq(one.stats.cones, cones);
+        ck_assert(one.stats.rays < full.stats.rays);
+        ck_assert(sqrt(squares / (double)count) < 0.05 && sqrt(alpha / (double)count * 3) < 0.05);
+        ck_assert(memcmp(one.rgb.values, two.rgb.values, count * sizeof(float)) == 0);
+        ck_assert(memcmp(one.alpha.values, two.alpha.values, count / 3 * sizeof(float)) == 0);
+        rn_render_result_finish(&full);
+        rn_render_result_finish(&one);
+        rn_render_result_finish(&two);
+    }
+}
+
 // Rays that end earlier than in training are opaque, whatever lies behind them, and near to the
 // full picture.
 static void check_early_stop(struct rn_field *field, const struct rn_frame *frame, int cones) {
@@ -394,6 +429,7 @@ START_TEST(it_learns_and_a_loaded_field_renders_the_same) {
     ck_assert(a.psnr == b.psnr && a.ssim == b.ssim);
     check_supersampling(engine, field, frame);
     check_tolerance(field, frame);
+    check_parts(field, frame);
     check_early_stop(field, frame, 1);
     check_early_stop(field, frame, 2);
     rn_field_destroy(&field);

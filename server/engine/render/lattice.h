@@ -1,7 +1,8 @@
-// Interpolated pixels: every second pixel of a picture is traced on both axes first. Then come the
-// pixels between four of these (their neighbours are the diagonal ones), then the rest (beside,
-// above and below): each is the mean of its four neighbours where these agree, and is traced where
-// they do not. Neighbours may be interpolated themselves.
+// Interpolated pixels, or quarters of pixels that are several cones: every second pixel of a
+// picture is traced on both axes first. Then come the pixels between four of these (their
+// neighbours are the diagonal ones), then the rest (beside, above and below): each is the mean of
+// its four neighbours where these agree, and is traced where they do not. Neighbours may be
+// interpolated themselves.
 //
 // Neighbours agree when, of every output asked for, the root mean square distance from their mean
 // is at most the tolerance: colour (over its three channels) and opacity in [0, 1], depth in scene

@@ -8,19 +8,21 @@
 #include "server/engine/device.h"
 #include "server/engine/render/lattice.h"
 
-#define TILE 16  // cones a side; a tile fills two packets
-#define SPARSE 2 // times as many where a pass takes every second pixel a side
-#define BAND 64  // rows a device renders between two looks at keep_going
-#define ROWS 16  // of a picture that a thread fills at a time
+#define TILE 16               // cones a side; a tile fills two packets
+#define SPARSE 2              // times as many where a pass takes every second pixel a side
+#define BAND 64               // rows a device renders between two looks at keep_going
+#define ROWS 16               // of a picture that a thread fills at a time
+#define FINE_POINTS (1 << 23) // of a lattice finer than the pixels, at most
 
 struct frame {
     struct rn_engine *engine;
     struct rn_field *field;
     const struct rn_render_options *options;
     struct rn_march_options march;
-    struct rn_camera camera; // at the resolution that is rendered
-    int cones;               // a side of its pixels
-    int tile;                // pixels a side
+    struct rn_camera camera; // at the lattice's resolution
+    int points;              // of the lattice, a side of a pixel
+    int cones;               // a side of a point
+    int tile;                // points a side
     int tiles_x, pass;
     struct rn_lattice lattice;
     bool on_device; // the field's copy there has the levels
@@ -47,12 +49,20 @@ static float finite_or(float value, float other) {
     return isfinite(value) ? value : other;
 }
 
-// Pictures to fill from a frame's pixels, each `subsample` pixels a side.
+// Pictures to fill from a frame's points, each as wide as `subsample` pixels.
 struct filling {
     struct frame *frame;
     struct rn_render_result *result;
     int subsample;
 };
+
+static struct rn_pixel mean_of_points(const struct frame *f, int x, int y) {
+    int n = f->points, width = f->lattice.width;
+    const struct rn_pixel *first = f->lattice.pixels + (size_t)y * n * width + (size_t)x * n;
+    if (n == 1) return *first;
+    return rn_cones_mean((struct rn_pixel[]){first[0], first[1], first[width], first[width + 1]},
+                         n);
+}
 
 static void fill_rows(void *context, int index, int thread) {
     (void)thread;
@@ -64,18 +74,16 @@ static void fill_rows(void *context, int index, int thread) {
     uint64_t nonfinite = 0;
     for (int y = index * ROWS; y < end && y < o->camera.height; y++)
         for (int x = 0; x < o->camera.width; x++) {
-            const struct rn_pixel *p =
-                &f->lattice.pixels[(size_t)(y / n) * f->camera.width + x / n];
+            struct rn_pixel p = mean_of_points(f, x / n, y / n);
             size_t at = (size_t)y * o->camera.width + x;
             bool first = y % n + x % n == 0;
-            nonfinite +=
-                first && !isfinite(p->rgb[0] + p->rgb[1] + p->rgb[2] + p->depth + p->alpha);
+            nonfinite += first && !isfinite(p.rgb[0] + p.rgb[1] + p.rgb[2] + p.depth + p.alpha);
             if (result->rgb.values)
                 for (int c = 0; c < 3; c++)
-                    result->rgb.values[3 * at + c] = finite_or(p->rgb[c], o->background[c]);
+                    result->rgb.values[3 * at + c] = finite_or(p.rgb[c], o->background[c]);
             if (result->depth.values)
-                result->depth.values[at] = finite_or(p->depth, 0) * (float)f->field->bounds.radius;
-            if (result->alpha.values) result->alpha.values[at] = finite_or(p->alpha, 0);
+                result->depth.values[at] = finite_or(p.depth, 0) * (float)f->field->bounds.radius;
+            if (result->alpha.values) result->alpha.values[at] = finite_or(p.alpha, 0);
         }
     f->nonfinite += nonfinite;
 }
@@ -197,6 +205,17 @@ static void init_frame(struct frame *f) {
     f->march.step = (float)(o->step > 0 ? fmax(o->step, config->step) : config->step);
     f->march.stop_depth = (float)-log(o->stop > 0 ? o->stop : fmax(config->stop, o->tolerance));
     memcpy(f->march.background, o->background, sizeof f->march.background);
+}
+
+// Where pixels are several cones and may be interpolated, that is done between parts of pixels: a
+// part beside an edge is traced, the rest of its pixel need not be.
+static void init_lattice(struct frame *f) {
+    const struct rn_render_options *o = f->options;
+    size_t fine = 4 * (size_t)f->camera.width * (size_t)f->camera.height;
+    f->points = o->tolerance > 0 && f->cones > 1 && !f->on_device && fine <= FINE_POINTS ? 2 : 1;
+    f->cones /= f->points;
+    f->camera =
+        rn_camera_resized(&f->camera, f->points * f->camera.width, f->points * f->camera.height);
     f->lattice = (struct rn_lattice){.width = f->camera.width,
                                      .height = f->camera.height,
                                      .outputs = o->outputs,
@@ -214,6 +233,7 @@ enum rn_status rn_render(struct rn_engine *engine, struct rn_field *field,
     init_frame(&f);
     status = prepare(&f, err);
     if (status != RN_OK) return status;
+    init_lattice(&f);
     size_t bytes = (size_t)f.camera.width * (size_t)f.camera.height * sizeof *f.lattice.pixels;
     f.lattice.pixels = malloc(bytes);
     if (!f.lattice.pixels)
@@ -223,8 +243,10 @@ enum rn_status rn_render(struct rn_engine *engine, struct rn_field *field,
     struct poll poll = {keep_going, context};
     status = (f.on_device ? render_bands : render_tiles)(&f, &poll, err);
     if (status == RN_OK) status = fill_pictures(&f, &result, err);
-    result.stats = (struct rn_render_stats){
-        .cones = f.cones, .rays = f.rays, .samples = f.samples, .nonfinite_rays = f.nonfinite};
+    result.stats = (struct rn_render_stats){.cones = f.cones * f.points,
+                                            .rays = f.rays,
+                                            .samples = f.samples,
+                                            .nonfinite_rays = f.nonfinite};
     free(f.lattice.pixels);
     if (status != RN_OK) {
         rn_render_result_finish(&result);
