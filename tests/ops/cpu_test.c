@@ -338,6 +338,17 @@ START_TEST(gradients_match_reference) {
     each_case(check_training);
 }
 END_TEST
+// The rays of one pixel have more samples than a packet is filled to.
+START_TEST(pixels_larger_than_a_packet_match_reference) {
+    const struct rn_kernels *kernels;
+    struct rn_train_config config = small_config();
+    config.field.width = 128;
+    config.field.base_layers = 3;
+    config.step = 0.005;
+    for (int i = 0; (kernels = rn_kernels_available(i)); i++)
+        check_step(kernels, &config, true);
+}
+END_TEST
 START_TEST(pixels_match_reference) {
     each_case(check_rendering);
 }
@@ -580,6 +591,7 @@ int main(void) {
     TCase *tests = tcase_create("reference");
     tcase_set_timeout(tests, 120);
     tcase_add_test(tests, gradients_match_reference);
+    tcase_add_test(tests, pixels_larger_than_a_packet_match_reference);
     tcase_add_test(tests, pixels_match_reference);
     tcase_add_test(tests, many_pixels_match_one);
     tcase_add_test(tests, rays_match_float64);
