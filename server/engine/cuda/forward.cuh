@@ -274,7 +274,7 @@ RN_DEVICE void rn_store_pixel(const struct rn_trace *t) {
 
 // Loss of a finished ray (smooth L1, beta 1, times the area weight; over random backgrounds its
 // mean) and its gradient: dL/d(colour over the background), and dL/d(opacity) but for what comes
-// through that. As ray_loss of cpu/backward.h. False where the ray takes no part.
+// through that. As pixel_loss of cpu/backward.h. False where the ray takes no part.
 RN_DEVICE bool rn_ray_loss(const struct rn_march_ray *ray, const struct rn_cuda_march *march,
                            const float colour[3], float opacity, float ret_grad[4],
                            float *ret_loss) {
