@@ -131,7 +131,7 @@ static void set_up(struct setup *s, const struct rn_kernels *kernels,
 
 static void prepare_group(struct setup *s) {
     const struct rn_parameters *p = &s->field->parameters;
-    int capacity = s->workspace->capacity + 4096, planes = s->field->config.field.planes;
+    int capacity = 12 * s->workspace->capacity, planes = s->field->config.field.planes;
     size_t n = (size_t)capacity + RN_PACKET_SLACK,
            channels = (size_t)s->field->config.field.channels;
     s->memory = calloc(n * (4 + channels) * (size_t)planes + p->base_count + p->head_count, 4);
@@ -344,7 +344,7 @@ START_TEST(pixels_larger_than_a_packet_match_reference) {
     struct rn_train_config config = small_config();
     config.field.width = 128;
     config.field.base_layers = 3;
-    config.step = 0.005;
+    config.step = 0.003;
     for (int i = 0; (kernels = rn_kernels_available(i)); i++)
         check_step(kernels, &config, true);
 }
