@@ -335,6 +335,17 @@ static void check_part(const struct rn_trainer *t, int r) {
     ck_assert_double_eq_tol((double)t->rays[r].radius, whole.radius / 2, 1e-4 * whole.radius);
 }
 
+// Rays at fault are found one by one, though four of them are a pixel.
+static void check_incident(struct rn_trainer *t) {
+    struct rn_incident incident;
+    t->field->parameters.values[t->field->parameters.plane_count] = NAN;
+    rn_field_refresh(t->field, t->engine);
+    rn_trainer_note(t, RN_INCIDENT_REJECTED);
+    ck_assert(rn_trainer_take_incident(t, &incident));
+    ck_assert_int_gt(incident.ray_count, 0);
+    ck_assert_int_eq(incident.rays[0].fault, RN_FAULT_COLOUR);
+}
+
 // Pixels are split where the schedule says, and then rendered as they were trained; photographs of
 // several scales are not split.
 START_TEST(pixels_are_split_in_their_time) {
@@ -356,6 +367,7 @@ START_TEST(pixels_are_split_in_their_time) {
         for (int r = 0; r < t->ray_count && split; r++)
             check_part(t, r);
     }
+    check_incident(t);
     rn_trainer_destroy(&t);
     t = trainer_for(engine, scaled, &config);
     ck_assert_double_eq(t->field->config.split_pixels, 0);

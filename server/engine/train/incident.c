@@ -19,11 +19,14 @@ enum rn_ray_fault rn_try_rays(const struct rn_kernels *kernels, const struct rn_
                              .base_grad = scratch->base_grad,
                              .head_grad = scratch->head_grad};
     size_t count = field->base_shape.count + field->head_shape.count;
+    struct rn_march_options alone =
+        *options; // each ray is a pixel: any number of them can be tried
     double check = 0;
+    alone.split = false;
     memset(group.base_grad, 0, count * sizeof(float)); // the head's follow
     while (group.cursor < group.end) {
         group.slab.count = 0;
-        kernels->train(field, options, rays, workspace, &group);
+        kernels->train(field, &alone, rays, workspace, &group);
     }
     for (size_t i = 0; i < count; i++)
         check += (double)group.base_grad[i] * 0;

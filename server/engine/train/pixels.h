@@ -8,10 +8,10 @@
 
 struct rn_pixel_frame {
     const struct rn_frame *frame;
-    struct rn_view view,
-        fine;      // its camera, and that of 2 x 2 cones a pixel; the trainer's to fill in
-    size_t offset; // of its first pixel in `rgba`, in pixels
-    size_t before; // pixels of the frames of the same scale before this one
+    struct rn_view view; // its camera; the trainer's to fill in
+    struct rn_view fine; // of 2 x 2 cones a pixel, likewise
+    size_t offset;       // of its first pixel in `rgba`, in pixels
+    size_t before;       // pixels of the frames of the same scale before this one
 };
 
 // Frames ordered by scale. Thread-safety: immutable once loaded. Owner: rn_pixels_finish.
