@@ -164,7 +164,7 @@ enum rn_status rn_train_config_check(const struct rn_train_config *c, struct rn_
     REQUIRE(c->max_steps >= 0, "max_steps", "must not be negative");
     REQUIRE(c->max_seconds >= 0 && c->max_seconds < 1e9, "max_time", "must not be negative");
     REQUIRE(c->until_psnr >= 0 && c->until_psnr < 100, "until_psnr", "must be 0 to 100 dB");
-    REQUIRE(c->roulette >= 0 && c->roulette < 1, "roulette", "must be in [0, 1)");
+    REQUIRE(c->roulette >= 0 && c->roulette <= 64, "roulette", "must be in [0, 64]");
     REQUIRE(c->finest_cone >= 0 && isfinite(c->finest_cone), "finest_cone", "must not be negative");
     REQUIRE(c->stop > 0 && c->stop < 1, "stop", "must be in (0, 1)");
     for (int i = 0; i < 3; i++)

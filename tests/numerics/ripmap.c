@@ -309,7 +309,7 @@ static struct plane make_plane(const struct rn_kernels *k, int base, int channel
     size_t first = (size_t)(base * base * channels), rest = rn_pyramid_count(c, SET_LEVELS);
     p.count = first + rest;
     p.memory = calloc(2 * (p.count + 64), sizeof(float));
-    struct rn_tiling tiling = rn_tiling(base, SET_LEVELS);
+    struct rn_tiling tiling = rn_tiling(base, channels, SET_LEVELS);
     p.touched = calloc((size_t)tiling.columns * (size_t)tiling.rows, 1);
     if (!p.memory || !p.touched) exit(1);
     p.grads = p.memory + p.count + 64;

@@ -196,7 +196,7 @@ static double worst(const float *fast, const double *exact, size_t n, double sca
 // No texel has a gradient whose tile is not marked.
 static void check_marks(const struct rn_field_config *c, int levels,
                         struct rn_map (*grads)[RN_MAX_LEVELS], const uint8_t *touched) {
-    struct rn_tiling tiling = rn_tiling(c->base, levels);
+    struct rn_tiling tiling = rn_tiling(c->base, c->channels, levels);
     int missed = 0, marked = 0;
     for (int y = 0; y < c->base; y++)
         for (int x = 0; x < c->base; x++) {
@@ -236,7 +236,7 @@ static void check_step(const struct rn_kernels *kernels, const struct rn_train_c
     struct rn_map maps[RN_MAX_PLANES][RN_MAX_LEVELS][RN_MAX_LEVELS];
     bool leveled = c->footprint != RN_FOOTPRINT_POINT, mip = c->footprint == RN_FOOTPRINT_MIP;
     int levels = leveled ? c->levels : 1, unit = 1 << (levels - 1);
-    struct rn_tiling tiling = rn_tiling(c->base, levels);
+    struct rn_tiling tiling = rn_tiling(c->base, c->channels, levels);
     uint8_t *touched = calloc((size_t)tiling.columns, (size_t)tiling.rows);
     rn_pyramid_lay_out(c, c->levels, grad, pyramid, maps);
     for (int p = 0; p < c->planes; p++) {
@@ -522,7 +522,7 @@ static void check_update(const struct rn_kernels *kernels, const struct rn_field
     ck_maps_eq(c, &tiled, &whole);
     ck_assert_mem_eq(tiled.m, whole.m, whole.count * sizeof(float));
 
-    struct rn_tiling tiling = rn_tiling(c->base, c->levels);
+    struct rn_tiling tiling = rn_tiling(c->base, c->channels, c->levels);
     size_t tiles = (size_t)tiling.columns * (size_t)tiling.rows;
     u.touched = calloc(tiles, 1);
     u.touched[tiling.columns + 1] = 1; // one tile, not at the edge

@@ -136,7 +136,7 @@ void rn_bench_optimise(const struct rn_bench_recording *rec) {
 size_t rn_bench_touched(const struct rn_bench_recording *rec) {
     const struct rn_trainer *t = rec->trainer;
     const struct rn_field_config *c = &rec->field->config;
-    struct rn_tiling tiling = rn_tiling(c->base, t->levels);
+    struct rn_tiling tiling = rn_tiling(c->base, c->channels, t->levels);
     size_t tiles = 0, all = t->tiles * (size_t)c->planes;
     if (!t->field->config.sparse || !t->tiled) return t->field->parameters.plane_count;
     for (size_t i = 0; i < all; i++)

@@ -120,12 +120,14 @@ static void backward_rays(const struct rn_cpu_field *field, const struct rn_marc
     const row16 one_of = {0, 1, 1, 1}; // lanes that went through the sigmoid
     const row16 linear = {0, 0, 0, 0, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1};
     for (int j = 0; j < hits; j++) {
-        row16 d = ray_grad[j];
+        row16 d = ray_grad[j], some = d * (linear + 0.25f * one_of);
+        float size = sqrtf(sum16(some * some)); // of dL/d(geometry) over the weight, at most
         for (int s = w->ray_first[hit[j]]; s >= 0; s = w->segment_next[s])
             for (int i = w->segment_start[s]; i < w->segment_start[s] + w->segment_size[s]; i++) {
                 row16 value = *(const row16 *)(w->geometry + (size_t)i * RN_GEOMETRY);
                 row16 slope = one_of * value * (1.0f - value) + linear;
                 w->slope[i] = sum16(d * value);
+                w->size[i] = size * w->weight[i];
                 *(row16 *)(w->geometry_grad + (size_t)i * RN_GEOMETRY) = d * slope * w->weight[i];
             }
     }
@@ -155,9 +157,14 @@ static void backward_samples(const struct rn_cpu_field *field,
     }
     struct mlp head = head_network(field, w);
     const float *in_grad = mlp_backward(&head, w->head_out, kept, w, group->head_grad);
-    for (int j = 0; j < kept; j++)
+    memset(w->size, 0, (size_t)w->count * sizeof *w->size);
+    for (int j = 0; j < kept; j++) {
+        row16 row = *(const row16 *)(in_grad + (size_t)j * RN_HEAD_INPUTS + RN_SH_COUNT);
+        row[15] = 0; // TODO
+        w->size[w->kept[j]] = sqrtf(sum16(row * row));
         memcpy(w->geometry_grad + (size_t)w->kept[j] * RN_GEOMETRY + 1,
                in_grad + (size_t)j * RN_HEAD_INPUTS + RN_SH_COUNT, 15 * sizeof(float));
+    }
 }
 
 // n a multiple of 16.
@@ -166,34 +173,54 @@ RN_INLINE void copy_row(float *to, const float *from, size_t n) {
         *(row16 *)(to + i) = *(const row16 *)(from + i);
 }
 
-// Chooses the samples that go back through the density network: all that the early stop left
-// with a gradient, or with roulette those of tiny contribution q = T x < threshold only with
-// probability q / threshold, their gradient scaled by the inverse (unbiased; the standard deviation
-// of a step's gradient is below 2 % of it at the presets' thresholds). Their rows move to the
-// front. Returns their count.
+// Chances in units of 2^-24.
+#define CERTAIN (1 << 24)
+
+// Writes to w->chance with what probability each sample's gradient goes back: with roulette, in
+// proportion to the gradient's size where that is below `roulette` times the packet's mean, else
+// certainly. 0 where the early stop or the loss left no gradient.
+static void backward_chances(const struct rn_march_options *options, struct rn_workspace *w) {
+    vf sum = vf_set(0), number = vf_set(0);
+    memset(w->weight + w->count, 0, RN_VL * sizeof *w->weight);
+    for (int i = 0; i < w->count; i += RN_VL) {
+        vf size = vf_load(w->size + i) + vf_abs(vf_load(w->slope + i) * vf_load(w->x + i));
+        vi some = (vf_load(w->weight + i) > 0.0f) & (size > 0.0f);
+        size = vf_bits(vi_bits(size) & some);
+        vf_store(w->size + i, size);
+        sum += size;
+        number += vf_bits(vi_bits(vf_set(1)) & some);
+    }
+    float threshold = options->roulette * vf_sum(sum) / vf_sum(number);
+    bool plays = threshold > 0 && isfinite(threshold);
+    for (int i = 0; i < w->count; i += RN_VL) {
+        vf size = vf_load(w->size + i), chance = vf_set(CERTAIN);
+        if (plays) chance = vf_min(size * ((float)CERTAIN / threshold) + 1.0f, chance);
+        vi_store(w->chance + i, vi_from_float(chance) & (size > 0.0f));
+    }
+}
+
+// Chooses the samples that go back through the density network, a gradient of chance p scaled by
+// 1 / p (unbiased). One random number a packet: a sample is taken where the sum of the chances
+// passes another whole number (systematic sampling), so that of neighbours on a ray, whose
+// gradients are alike, about as many are taken as should be. Their rows move to the front. Returns
+// their count.
 static int backward_select(const struct rn_cpu_field *field, const struct rn_march_options *options,
                            const struct rn_march_ray *rays, struct rn_workspace *w) {
     int n = 0;
-    for (int begin = 0; begin < w->count; begin += RN_VL) {
-        vf weight = vf_load(w->weight + begin);
-        vf q = (vf_load(w->after + begin) + weight) * vf_load(w->x + begin);
-        unsigned some = vi_mask_bits((weight > 0.0f) & (q > 0.0f));
-        if (w->count - begin < RN_VL) some &= (1u << (w->count - begin)) - 1;
-        for (; some; some &= some - 1) {
-            int i = begin + __builtin_ctz(some);
-            float scale = 1;
-            if (q[i - begin] < options->roulette) {
-                uint64_t place = (uint64_t)rays[w->ray[i]].id << 20 | (uint32_t)i;
-                float p = q[i - begin] / options->roulette;
-                if (rn_rng_unit(rn_rng_draw(options->seed, options->counter, place).v[0]) >= p)
-                    continue;
-                scale = 1 / p;
-            }
-            row16 row = *(const row16 *)(w->geometry_grad + (size_t)i * RN_GEOMETRY);
-            row[0] = w->slope[i] * w->x[i]; // density' = density
-            *(row16 *)(w->geometry_grad + (size_t)n * RN_GEOMETRY) = row * scale;
-            w->kept[n++] = i;
-        }
+    uint32_t sum = rn_rng_draw(options->seed, options->counter, (uint64_t)rays->id << 20).v[0];
+    backward_chances(options, w);
+    for (int i = 0; i < w->count; i++) {
+        uint32_t next = sum + (uint32_t)w->chance[i];
+        w->kept[n] = i;
+        n += next / CERTAIN != sum / CERTAIN;
+        sum = next;
+    }
+    for (int j = 0; j < n; j++) {
+        int i = w->kept[j];
+        row16 row = *(const row16 *)(w->geometry_grad + (size_t)i * RN_GEOMETRY);
+        row[0] = w->slope[i] * w->x[i]; // density' = density
+        *(row16 *)(w->geometry_grad + (size_t)j * RN_GEOMETRY) =
+            row * ((float)CERTAIN / (float)w->chance[i]);
     }
     const struct rn_mlp_shape *shape = &field->base_shape;
     size_t hidden = hidden_stride(field->config.width);

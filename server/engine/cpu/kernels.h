@@ -159,7 +159,9 @@ struct rn_workspace {
     float *geometry;                    // [capacity][16]: outputs, then activated in place
     float *x, *before, *weight, *after; // optical depth; depth before; weight; T behind
     float *head_in, *head_hidden[RN_MLP_MAX_LAYERS], *head_out; // rows: samples or rays
-    float *slope;                           // [capacity]: dL/d(weight), then dL/d(optical depth)
+    float *slope;    // [capacity]: dL/d(weight), then dL/d(optical depth)
+    float *size;     // [capacity]: of a sample's dL/d(geometry), about
+    int32_t *chance; // [capacity]: of its going back
     float *geometry_grad, *grad_a, *grad_b; // [capacity][16], [capacity][widest] twice
     float *weight_sums;                     // a network's weight gradients of one packet
     int32_t *kept;                          // [capacity]
@@ -181,14 +183,16 @@ struct rn_adamw {
 };
 
 // The tiles of a plane that the optimiser visits as a whole or not at all: as large as a texel of
-// the coarsest map, at least 8 along u. Shifts from texels of level 0; tiles a row and a column,
-// with room for one more.
+// the coarsest map, at least 16 numbers along u. Shifts from texels of level 0; tiles a row and a
+// column, with room for one more.
 struct rn_tiling {
     int shift_x, shift_y, columns, rows;
 };
 
-static inline struct rn_tiling rn_tiling(int base, int levels) {
-    struct rn_tiling t = {.shift_x = levels > 3 ? levels - 1 : 3, .shift_y = levels - 1};
+static inline struct rn_tiling rn_tiling(int base, int channels, int levels) {
+    int least = channels >= 16 ? 0 : channels >= 8 ? 1 : 2;
+    struct rn_tiling t = {.shift_x = levels - 1 > least ? levels - 1 : least,
+                          .shift_y = levels - 1};
     t.columns = (base >> t.shift_x) + 2;
     t.rows = (base >> t.shift_y) + 2;
     return t;
@@ -200,7 +204,7 @@ struct rn_plane_update {
     const struct rn_adamw *options;
     struct rn_map (*maps)[RN_MAX_LEVELS], (*grad_maps)[RN_MAX_LEVELS];
     float *m, *v;     // as maps[0][0]
-    uint8_t *touched; // marks of rn_tiling(base, levels), cleared; NULL: every tile
+    uint8_t *touched; // marks of rn_tiling, cleared; NULL: every tile
     int levels, channels;
     bool mip;
 };
@@ -244,7 +248,7 @@ struct rn_kernels {
                     struct rn_workspace *workspace, float *ret_density);
     // Adds a slab's gradients of one plane to `grad_maps` (indexed as field->maps), rows of level
     // 0 in [row_begin, row_end) and the rows of coarser maps they pool into; marks the touched
-    // tiles of rn_tiling(base, levels) in `touched`. Of `levels` maps a side gradients are kept;
+    // tiles of rn_tiling in `touched`. Of `levels` maps a side gradients are kept;
     // 1: the slab has no levels.
     void (*scatter)(const struct rn_cpu_field *field, const struct rn_slab *slab, int plane,
                     int levels, int row_begin, int row_end,

@@ -178,7 +178,7 @@ static void scatter(const struct rn_cpu_field *field, const struct rn_slab *slab
                     struct rn_map (*grad_maps)[RN_MAX_LEVELS], uint8_t *touched) {
     bool mip = field->config.footprint == RN_FOOTPRINT_MIP;
     struct band band = {row_begin, row_end, row_end == field->config.base};
-    struct rn_tiling tiling = rn_tiling(field->config.base, levels);
+    struct rn_tiling tiling = rn_tiling(field->config.base, field->config.channels, levels);
 #define RN_SCATTER_CALL(C)                                                                         \
     if (levels > 1)                                                                                \
         scatter_leveled_##C(slab, plane, mip, &band, &tiling, grad_maps, touched);                 \

@@ -5,7 +5,8 @@
 
 #include "server/engine/cpu/fetch.h"
 
-#define RN_RUN 64 // texels along u at most that are done together
+#define RN_RUN 64  // texels along u at most that are done together
+#define RN_ASKED 4 // rectangles on their way to the cache
 
 // Gradients beyond 1.8e19, whose squares fp32 does not hold, count as 1.8e19; NaN stays NaN. The
 // decay is part of the change: 1 - rate * decay, in fp32, would be 1 for the networks. Error of the
@@ -166,33 +167,47 @@ static void fetch_rect(const struct rn_plane_update *u, const struct rect *rect)
                 __builtin_prefetch(all[k] + at + i, 1);
 }
 
+// The first mark at or behind `at`; `count` where there is none.
+static int next_mark(const uint8_t *marks, int at, int count) {
+    for (uint64_t eight; at + 8 <= count; at += 8) {
+        memcpy(&eight, marks + at, sizeof eight);
+        if (eight) break;
+    }
+    while (at < count && !marks[at])
+        at++;
+    return at;
+}
+
 // Runs of neighbouring tiles that the step touched are done as one rectangle.
 static bool update(const struct rn_plane_update *u, int row_begin, int row_end) {
-    int base = u->maps[0][0].width;
-    struct rn_tiling tiling = rn_tiling(base, u->levels);
+    int base = u->maps[0][0].width, asked = 0;
+    struct rn_tiling tiling = rn_tiling(base, u->channels, u->levels);
     int width = 1 << tiling.shift_x, height = 1 << tiling.shift_y;
     int most = RN_RUN > width ? RN_RUN : width;
     bool finite = true;
-    struct rect last = {0}; // asked for, not done yet
+    struct rect queue[RN_ASKED] = {{0}}; // asked for, not done yet
     for (int row = row_begin; row < row_end; row += height) {
         uint8_t *marks =
             u->touched ? u->touched + (size_t)(row >> tiling.shift_y) * tiling.columns : NULL;
-        for (int column = 0; column < base;) {
+        for (int column = 0;;) {
+            if (marks)
+                column = next_mark(marks, column >> tiling.shift_x, tiling.columns)
+                         << tiling.shift_x;
+            if (column >= base) break;
             int end = column;
             while (end < base && end - column < most && (!marks || marks[end >> tiling.shift_x])) {
                 if (marks) marks[end >> tiling.shift_x] = 0;
                 end += width;
             }
-            struct rect rect = {column, row, (end < base ? end : base) - column, height};
-            if (end > column) {
-                fetch_rect(u, &rect);
-                if (last.width) finite &= update_rect(u, &last);
-                last = rect;
-            }
-            column = end > column ? end : column + width;
+            struct rect *next = &queue[asked++ % RN_ASKED];
+            if (next->width) finite &= update_rect(u, next);
+            *next = (struct rect){column, row, (end < base ? end : base) - column, height};
+            fetch_rect(u, next);
+            column = end;
         }
     }
-    if (last.width) finite &= update_rect(u, &last);
+    for (int i = 0; i < RN_ASKED; i++)
+        if (queue[i].width) finite &= update_rect(u, &queue[i]);
     return finite;
 }
 

@@ -74,6 +74,8 @@ static size_t lay_out(const struct rn_cpu_field *field, double step, struct carv
         w->head_hidden[l] = carve(c, heads * width, f);
     w->head_out = carve(c, heads * RN_HEAD_OUTPUTS, f);
     w->slope = carve(c, n, f);
+    w->size = carve(c, n, f);
+    w->chance = carve(c, n, sizeof *w->chance);
     w->geometry_grad = carve(c, n * RN_GEOMETRY, f);
     w->grad_a = carve(c, n * widest, f);
     w->grad_b = carve(c, n * widest, f);

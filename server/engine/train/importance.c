@@ -1,16 +1,17 @@
 #include "server/engine/train/importance.h"
 
 #include <math.h>
-#include <stdlib.h>
+
+#include "server/engine/scene.h"
 
 #define FRESH 0.3f // weight of a block's newest loss in its mean
 
 enum rn_status rn_importance_init(size_t count, struct rn_importance *ret, struct rn_error *err) {
     *ret = (struct rn_importance){.count = count,
-                                  .error = malloc((count + 1) * sizeof *ret->error),
-                                  .share = malloc((count + 1) * sizeof *ret->share),
-                                  .begin = malloc((count + 1) * sizeof *ret->begin),
-                                  .guide = malloc((count + 1) * sizeof *ret->guide)};
+                                  .error = rn_block_create((count + 1) * sizeof *ret->error),
+                                  .share = rn_block_create((count + 1) * sizeof *ret->share),
+                                  .begin = rn_block_create((count + 1) * sizeof *ret->begin),
+                                  .guide = rn_block_create((count + 1) * sizeof *ret->guide)};
     if (!ret->error || !ret->share || !ret->begin || !ret->guide) {
         rn_importance_finish(ret);
         return rn_error_set(err, RN_ERROR_NO_MEMORY, "pixels", "out of memory");
@@ -23,10 +24,10 @@ enum rn_status rn_importance_init(size_t count, struct rn_importance *ret, struc
 }
 
 void rn_importance_finish(struct rn_importance *im) {
-    free(im->error);
-    free(im->share);
-    free(im->begin);
-    free(im->guide);
+    rn_block_destroy(im->error);
+    rn_block_destroy(im->share);
+    rn_block_destroy(im->begin);
+    rn_block_destroy(im->guide);
     *im = (struct rn_importance){0};
 }
 

@@ -117,8 +117,8 @@ enum rn_status rn_trainer_list_live(struct rn_trainer *t, struct rn_error *err) 
         total += n;
         if (n > largest) largest = n;
     }
-    free(t->live);
-    t->live = malloc((total + 1) * sizeof *t->live);
+    rn_block_destroy(t->live);
+    t->live = rn_block_create((total + 1) * sizeof *t->live);
     t->live_count = 0;
     uint8_t *marks = malloc(largest + 1);
     enum rn_status status = RN_ERROR_NO_MEMORY;

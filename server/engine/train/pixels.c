@@ -111,7 +111,7 @@ enum rn_status rn_pixels_load(const struct rn_dataset *dataset,
                               bytes >> 20, limit_bytes >> 20);
         goto fail;
     }
-    pixels.rgba = malloc(bytes);
+    pixels.rgba = rn_block_create(bytes);
     if (!pixels.rgba) {
         status = rn_error_set(err, RN_ERROR_NO_MEMORY, dataset->name,
                               "its pixels need %zu MiB; import it with a smaller --max-size",
@@ -129,6 +129,6 @@ fail:
 
 void rn_pixels_finish(struct rn_pixels *pixels) {
     free(pixels->frames);
-    free(pixels->rgba);
+    rn_block_destroy(pixels->rgba);
     memset(pixels, 0, sizeof *pixels);
 }

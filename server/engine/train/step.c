@@ -86,7 +86,7 @@ enum rn_status rn_trainer_allocate(struct rn_trainer *t, struct rn_error *err) {
     size_t pyramid = rn_pyramid_count(c, t->levels) * (size_t)c->planes;
     t->tiled = c->base % (1 << (t->levels - 1)) == 0;
     t->bands = t->tiled ? 4 : 1;
-    struct rn_tiling tiling = rn_tiling(c->base, t->levels);
+    struct rn_tiling tiling = rn_tiling(c->base, c->channels, t->levels);
     t->tiles = (size_t)tiling.columns * (size_t)tiling.rows;
     if (!t->grad) t->grad = rn_block_create(3 * count * sizeof(float));
     t->grad_pyramid = rn_block_create((pyramid + 64) * sizeof(float));
@@ -174,8 +174,8 @@ static const struct rn_pixel_frame *draw_pixel(const struct rn_trainer *t, struc
     return frame;
 }
 
-// A pixel of the scale that ray r's turn falls to, of the blocks that may see the hull. None where
-// the block reaches over the image's edge. The rays of a split pixel have one turn.
+// A pixel of the scale that ray r's turn falls to, of the blocks that may see the hull: which block,
+// and where in it. The rays of a split pixel have one turn.
 static void draw_live_pixel(const struct rn_trainer *t, int r, struct rn_trainer_place *ret) {
     uint64_t turn = (t->first_ray + (uint64_t)r) / (uint64_t)rn_pixel_rays(&t->march);
     struct rn_scale_turn from = rn_scale_turn(turn, t->train.scale_count);
@@ -186,21 +186,30 @@ static void draw_live_pixel(const struct rn_trainer *t, int r, struct rn_trainer
         t->importance.count > 0
             ? rn_importance_pixel(&t->importance, first, count, seed, from.turn, &ret->weight)
             : rn_live_pixel(seed, from.turn, count);
-    const struct rn_live_block *block = &t->live[first + pixel.block];
-    const struct rn_pixel_frame *frame = &t->train.frames[block->frame];
-    ret->x = block->x + pixel.x;
-    ret->y = block->y + pixel.y;
-    if (ret->x >= frame->frame->camera.width || ret->y >= frame->frame->camera.height) return;
-    ret->frame = frame;
+    ret->x = pixel.x;
+    ret->y = pixel.y;
     ret->block = (int32_t)(first + pixel.block);
+}
+
+// From a place in a block to that in the block's image. No frame where the block reaches over the
+// image's edge.
+static void settle(const struct rn_trainer *t, struct rn_trainer_place *place) {
+    if (place->block < 0) return;
+    const struct rn_live_block *block = &t->live[place->block];
+    const struct rn_pixel_frame *frame = &t->train.frames[block->frame];
+    place->x += block->x;
+    place->y += block->y;
+    if (place->x < frame->frame->camera.width && place->y < frame->frame->camera.height)
+        place->frame = frame;
+    if (!place->frame || place->part > 1) place->block = -1; // a pixel's error is noted once
 }
 
 static struct rn_rng4 draw_of(const struct rn_trainer *t, int r) {
     return rn_rng_draw(t->march.seed, STREAM_RAYS | (uint32_t)r, t->march.counter);
 }
 
-// Where ray r of a step starts.
-static struct rn_trainer_place place_of(const struct rn_trainer *t, int r) {
+// Where ray r of a step starts, but for settle().
+static struct rn_trainer_place draw_place(const struct rn_trainer *t, int r) {
     int part = r % rn_pixel_rays(&t->march);
     struct rn_rng4 draw = draw_of(t, r), of_pixel = part ? draw_of(t, r - part) : draw;
     struct rn_trainer_place place = {.jitter = rn_rng_unit(draw.v[2]),
@@ -213,26 +222,30 @@ static struct rn_trainer_place place_of(const struct rn_trainer *t, int r) {
         place.frame = draw_pixel(t, of_pixel, &place.x, &place.y);
         place.weight = (float)place.frame->frame->loss_weight;
     }
-    if (part) place.block = -1; // the pixel's error is noted once
     return place;
 }
 
 const struct rn_pixel_frame *rn_trainer_place(const struct rn_trainer *t, int r, int *ret_x,
                                               int *ret_y) {
-    struct rn_trainer_place place = place_of(t, r);
+    struct rn_trainer_place place = draw_place(t, r);
+    settle(t, &place);
     *ret_x = place.x;
     *ret_y = place.y;
     return place.frame;
 }
 
-// Rays [begin, end) of a step. All places first: their pixels lie anywhere in memory.
+// Rays [begin, end) of a step. All places first: blocks and pixels lie anywhere in memory.
 static void draw_rays(struct rn_trainer *t, int begin, int end) {
     struct rn_trainer_place places[32];
     for (; begin < end; begin += 32) {
         int n = end - begin < 32 ? end - begin : 32;
         struct rn_march_ray *rays = t->rays + begin;
         for (int i = 0; i < n; i++) {
-            places[i] = place_of(t, begin + i);
+            places[i] = draw_place(t, begin + i);
+            if (places[i].block >= 0) __builtin_prefetch(&t->live[places[i].block]);
+        }
+        for (int i = 0; i < n; i++) {
+            settle(t, &places[i]);
             if (places[i].frame)
                 __builtin_prefetch(
                     rn_pixel_at(&t->train, places[i].frame, places[i].x, places[i].y));

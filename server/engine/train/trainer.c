@@ -228,7 +228,7 @@ void rn_trainer_destroy(struct rn_trainer **trainer) {
     rn_block_destroy(t->grad);
     rn_trainer_drop_growth(t);
     free(t->hull_list);
-    free(t->live);
+    rn_block_destroy(t->live);
     rn_importance_finish(&t->importance);
     free(t->incidents);
     free(t);

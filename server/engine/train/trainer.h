@@ -48,7 +48,7 @@ struct rn_trainer {
     struct rn_map grad_maps[RN_MAX_PLANES][RN_MAX_LEVELS][RN_MAX_LEVELS];
     int levels;       // of grad_maps: what the training cameras need; a render may build more
     bool tiled;       // the base is a multiple of the coarsest level's texels
-    uint8_t *touched; // [plane][tile], as rn_tiling(base, levels)
+    uint8_t *touched; // [plane][tile], as rn_tiling
     size_t tiles;     // of a plane
     int64_t updates;  // steps that were not rejected, since the last rollback
     float *good;      // the parameters a rollback returns to
