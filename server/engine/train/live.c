@@ -7,36 +7,54 @@
 #include "server/engine/field/occupancy.h"
 #include "server/engine/train/trainer.h"
 
-struct bricks {
-    double (*centre)[3]; // dataset units, of the bricks that hold a hull cell
+#define CLUMP 2 // cells a side
+
+// Clumps of cells that hold a cell of the hull, and of whose neighbours one does not: a ray that
+// meets another one meets one of these first.
+struct clumps {
+    double (*centre)[3]; // dataset units
     int count;
     double radius;
 };
 
-static enum rn_status list_bricks(const struct rn_trainer *t, struct bricks *ret) {
-    int cells = t->field->config.field.occupancy, n = cells / RN_BRICK;
+struct clump_grid {
+    uint8_t *held; // [x][y][z]
+    size_t side;
+};
+
+static bool is_inner(const struct clump_grid *g, size_t x, size_t y, size_t z) {
+    size_t n = g->side, at = (x * n + y) * n + z;
+    if (x == 0 || y == 0 || z == 0 || x + 1 == n || y + 1 == n || z + 1 == n) return false;
+    return g->held[at - 1] && g->held[at + 1] && g->held[at - n] && g->held[at + n] &&
+           g->held[at - n * n] && g->held[at + n * n];
+}
+
+static enum rn_status list_clumps(const struct rn_trainer *t, struct clumps *ret) {
+    size_t cells = (size_t)t->field->config.field.occupancy, n = cells / CLUMP;
     const struct rn_bounds *bounds = &t->field->bounds;
-    uint8_t *held = calloc((size_t)n * n * n, 1);
-    ret->centre = malloc((size_t)n * n * n * sizeof *ret->centre);
+    struct clump_grid grid = {calloc(n * n * n, 1), n};
+    ret->centre = malloc(n * n * n * sizeof *ret->centre);
     ret->count = 0;
-    ret->radius = 1.7320508 * bounds->radius / n;
-    if (!held || !ret->centre) {
-        free(held);
+    ret->radius = 1.7320508 * bounds->radius / (double)n;
+    if (!grid.held || !ret->centre) {
+        free(grid.held);
         return RN_ERROR_NO_MEMORY;
     }
     for (size_t i = 0; i < t->hull_count; i++) {
-        uint32_t cell = t->hull_list[i], c = (uint32_t)cells;
-        uint32_t z = cell % c / RN_BRICK, y = cell / c % c / RN_BRICK, x = cell / c / c / RN_BRICK;
-        size_t brick = ((size_t)x * (size_t)n + y) * (size_t)n + z;
-        if (held[brick]) continue;
-        held[brick] = 1;
-        const uint32_t at[3] = {x, y, z};
+        size_t cell = t->hull_list[i];
+        size_t z = cell % cells / CLUMP, y = cell / cells % cells / CLUMP;
+        grid.held[(cell / cells / cells / CLUMP * n + y) * n + z] = 1;
+    }
+    for (size_t i = 0; i < n * n * n; i++) {
+        const size_t at[3] = {i / n / n, i / n % n, i % n};
+        if (!grid.held[i] || is_inner(&grid, at[0], at[1], at[2])) continue;
         for (int k = 0; k < 3; k++)
             ret->centre[ret->count][k] =
-                bounds->centre[k] + bounds->radius * (2 * (at[k] + 0.5) / n - 1);
+                bounds->centre[k] +
+                bounds->radius * (2 * ((double)at[k] + 0.5) / (double)n - 1);
         ret->count++;
     }
-    free(held);
+    free(grid.held);
     return RN_OK;
 }
 
@@ -45,8 +63,8 @@ static int clamp_block(double pixel, int last) {
     return block < 0 ? 0 : block > last ? last : (int)block;
 }
 
-// Marks the blocks of pixels that a brick's image may reach.
-static void mark_brick(const struct rn_camera *c, const double centre[3], double radius,
+// Marks the blocks of pixels that a clump's image may reach.
+static void mark_clump(const struct rn_camera *c, const double centre[3], double radius,
                        int columns, int rows, uint8_t *marks) {
     double p[3];
     for (int i = 0; i < 3; i++) {
@@ -75,15 +93,29 @@ static size_t blocks_of(const struct rn_camera *c, int *ret_columns, int *ret_ro
     return (size_t)*ret_columns * (size_t)*ret_rows;
 }
 
-// Appends a frame's live blocks to the list.
-static void list_frame(struct rn_trainer *t, int frame, const struct bricks *bricks,
-                       uint8_t *marks) {
-    const struct rn_camera *camera = &t->train.frames[frame].frame->camera;
+// One byte a block of every frame: whether it is live.
+struct marks {
+    const struct rn_pixels *pixels;
+    const struct clumps *clumps;
+    uint8_t *all;
+    size_t *first; // of a frame's
+};
+
+static void mark_frame(void *context, int index, int thread) {
+    (void)thread;
+    const struct marks *m = context;
+    const struct rn_camera *camera = &m->pixels->frames[index].frame->camera;
     int columns, rows;
-    size_t n = blocks_of(camera, &columns, &rows);
-    memset(marks, 0, n);
-    for (int b = 0; b < bricks->count; b++)
-        mark_brick(camera, bricks->centre[b], bricks->radius, columns, rows, marks);
+    blocks_of(camera, &columns, &rows);
+    for (int i = 0; i < m->clumps->count; i++)
+        mark_clump(camera, m->clumps->centre[i], m->clumps->radius, columns, rows,
+                   m->all + m->first[index]);
+}
+
+// Appends a frame's live blocks to the list.
+static void list_frame(struct rn_trainer *t, int frame, const uint8_t *marks) {
+    int columns, rows;
+    size_t n = blocks_of(&t->train.frames[frame].frame->camera, &columns, &rows);
     for (size_t i = 0; i < n; i++)
         if (marks[i])
             t->live[t->live_count++] =
@@ -108,32 +140,43 @@ static enum rn_status prepare_importance(struct rn_trainer *t, struct rn_error *
     return status;
 }
 
-enum rn_status rn_trainer_list_live(struct rn_trainer *t, struct rn_error *err) {
-    struct bricks bricks = {0};
-    size_t total = 0, largest = 0;
-    int columns, rows;
-    for (int f = 0; f < t->train.frame_count; f++) {
-        size_t n = blocks_of(&t->train.frames[f].frame->camera, &columns, &rows);
-        total += n;
-        if (n > largest) largest = n;
-    }
-    rn_block_destroy(t->live);
-    t->live = rn_block_create((total + 1) * sizeof *t->live);
+// The frames of one scale after another.
+static void list_frames(struct rn_trainer *t, const struct marks *marks) {
     t->live_count = 0;
-    uint8_t *marks = malloc(largest + 1);
-    enum rn_status status = RN_ERROR_NO_MEMORY;
-    if (t->live && marks) status = list_bricks(t, &bricks);
-    for (int scale = 0; status == RN_OK && scale < t->train.scale_count; scale++) {
+    for (int scale = 0; scale < t->train.scale_count; scale++) {
         int first = t->train.scale_first[scale];
         int end = scale + 1 < t->train.scale_count ? t->train.scale_first[scale + 1]
                                                    : t->train.frame_count;
         t->live_first[scale] = t->live_count;
         for (int f = first; f < end; f++)
-            list_frame(t, f, &bricks, marks);
+            list_frame(t, f, marks->all + marks->first[f]);
         t->live_first[scale + 1] = t->live_count;
     }
-    free(bricks.centre);
-    free(marks);
+}
+
+enum rn_status rn_trainer_list_live(struct rn_trainer *t, struct rn_error *err) {
+    struct clumps clumps = {0};
+    struct marks marks = {.pixels = &t->train, .clumps = &clumps};
+    size_t total = 0;
+    int columns, rows;
+    marks.first = malloc(((size_t)t->train.frame_count + 1) * sizeof *marks.first);
+    for (int f = 0; f < t->train.frame_count && marks.first; f++) {
+        marks.first[f] = total;
+        total += blocks_of(&t->train.frames[f].frame->camera, &columns, &rows);
+    }
+    marks.all = calloc(total + 1, 1);
+    rn_block_destroy(t->live);
+    t->live = rn_block_create((total + 1) * sizeof *t->live);
+    t->live_count = 0;
+    enum rn_status status = RN_ERROR_NO_MEMORY;
+    if (t->live && marks.all && marks.first) status = list_clumps(t, &clumps);
+    if (status == RN_OK) {
+        rn_pool_run(t->engine->pool, t->train.frame_count, mark_frame, &marks);
+        list_frames(t, &marks);
+    }
+    free(clumps.centre);
+    free(marks.all);
+    free(marks.first);
     if (status != RN_OK) return rn_error_set(err, status, "pixels", "out of memory");
     return prepare_importance(t, err);
 }
