@@ -171,42 +171,36 @@ static void cut(const struct rn_ray *ray, double step, struct rn_march_ray *ret)
     }
 }
 
-// A ray's samples in rounds, from a place of its own among rays that have none.
-static int march_in_rounds(const struct rn_occupancy_bits *grid, const struct rn_march_ray *ray,
-                           float step, uint16_t *ret_k, int room) {
+// A ray's samples, `ahead` at a time, from a place of its own among rays that have none.
+static int march_ahead(const struct rn_occupancy_bits *grid, const struct rn_march_ray *ray,
+                       float step, int ahead, uint16_t *ret_k) {
     static struct marches m;
-    int place = ray->stride * 13, count = 0;
-    struct march_lanes *l = &m.lanes[place / RN_VL];
+    int place = ray->stride * 13;
     struct rn_march_ray rays[RN_VL];
+    struct rn_workspace w = {.candidate = ret_k}; // one row
     memset(&m, 0, sizeof m);
     memset(rays, 0, sizeof rays);
     rays[place % RN_VL] = *ray;
     m.ray[place] = ray;
     m.last[place] = -1;
-    march_start(grid, rays, RN_VL, step, l);
+    march_start(grid, rays, RN_VL, step, &m.lanes[place / RN_VL]);
     for (;;) {
-        march_round(grid, step, &m);
-        int n = m.found_count[place] < RN_ROUND ? m.found_count[place] : RN_ROUND;
-        int fits = n < room - count ? n : room - count;
-        memcpy(ret_k + count, m.found[place], (size_t)fits * sizeof *ret_k);
-        count += fits;
-        if (n == 0 || count == room) return count;
-        march_take(&m, place, n);
+        march_round(grid, step, ahead, &m, &w);
+        if (w.ray_next[place] == w.candidate_count[place]) return w.ray_next[place];
+        w.ray_next[place] = w.candidate_count[place];
     }
 }
 
 // All of a ray's samples; room + 1 where listing them in rounds finds others.
 static int march(const struct rn_occupancy_bits *grid, const struct rn_march_ray *ray, float step,
                  uint16_t *ret_k, int room) {
-    static uint16_t found[65536 + RN_CHUNK], again[65536];
-    struct march_lanes l;
-    int counts[RN_VL];
-    march_start(grid, ray, 1, step, &l);
-    march_out(grid, ray, step, vi_mask_of(1), &l, found, 65536 + RN_CHUNK, counts);
-    int n = counts[0] < room ? counts[0] : room;
+    static uint16_t found[65536 + RN_CHUNK], again[65536 + RN_CHUNK];
+    int n = march_ahead(grid, ray, step, 65536, found);
+    int same = march_ahead(grid, ray, step, RN_ROUND, again);
+    if (n != same || memcmp(found, again, (size_t)n * sizeof *found) != 0) return room + 1;
+    if (n > room) n = room;
     memcpy(ret_k, found, (size_t)n * sizeof *ret_k);
-    int same = march_in_rounds(grid, ray, step, again, room);
-    return n == same && memcmp(ret_k, again, (size_t)n * sizeof *ret_k) == 0 ? n : room + 1;
+    return n;
 }
 
 extern const struct subject SUBJECT;

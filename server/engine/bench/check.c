@@ -85,7 +85,7 @@ double rn_bench_check_march(const struct rn_bench_recording *rec) {
         rn_bench_stage_run(rec, packet, RN_STAGE_MARCH, NULL);
         for (int r = 0; r < packet->ray_count; r++) {
             const struct rn_march_ray *ray = &packet->rays[r];
-            int at = w->candidate_begin[r], end = w->candidate_begin[r + 1];
+            int at = r * w->room, end = at + w->candidate_count[r];
             for (int k = 0; (k + 0.5) * step < (double)ray->length; k++) {
                 bool expected = occupied(&rec->field->occupancy, ray, (k + 0.5) * step);
                 bool found = at < end && w->candidate[at] == k;

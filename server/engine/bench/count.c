@@ -187,7 +187,7 @@ struct rn_bench_count rn_bench_count_march(const struct rn_bench_recording *rec)
     for (int k = 0; k < rec->packet_count; k++) {
         const struct rn_bench_packet *packet = &rec->packets[k];
         rays += packet->ray_count;
-        found += packet->workspace->candidate_begin[packet->ray_count];
+        found += packet->found;
     }
     return (struct rn_bench_count){.amount = found,
                                    .operations = OPS_MARCH,

@@ -24,6 +24,13 @@ static int head_rows(const struct rn_cpu_field *field, const struct rn_bench_pac
     return rows;
 }
 
+static int candidates(const struct rn_workspace *w) {
+    int sum = 0;
+    for (int r = 0; r < w->ray_count; r++)
+        sum += w->candidate_count[r];
+    return sum;
+}
+
 // The first packet with samples among rays [begin, end) of the trainer's last step.
 static bool record_packet(struct rn_bench_recording *rec, int begin, int end,
                           struct rn_bench_packet *packet) {
@@ -31,20 +38,26 @@ static bool record_packet(struct rn_bench_recording *rec, int begin, int end,
     struct rn_workspace *w = packet->workspace;
     struct rn_group *group = packet->group;
     while (begin < end) {
-        int n = rec->kernels->stage(rec->field, &t->march, t->rays + begin, end - begin,
-                                    RN_STAGE_MARCH, w, group, NULL);
-        if (w->candidate_begin[n] > 0) {
+        int left = end - begin < RN_PACKET_RAYS ? end - begin : RN_PACKET_RAYS;
+        do { // fewer rays, until they are one packet
             group->slab.count = 0;
             group->cursor = begin;
-            group->end = begin + n;
+            group->end = begin + left;
             rec->kernels->train(rec->field, &t->march, t->rays, w, group);
-            packet->rays = t->rays + begin;
-            packet->ray_count = n;
-            packet->returned = group->slab.count;
+            left /= 2;
+        } while (w->ray_count < group->end - begin);
+        packet->rays = t->rays + begin;
+        packet->ray_count = w->ray_count;
+        packet->returned = group->slab.count;
+        if (packet->returned > 0) {
             packet->heads = head_rows(rec->field, packet);
-            if (packet->returned > 0) return true;
+            packet->looked_at = candidates(w);
+            rec->kernels->stage(rec->field, &t->march, packet->rays, packet->ray_count,
+                                RN_STAGE_MARCH, w, group, NULL);
+            packet->found = candidates(w);
+            return true;
         }
-        begin += n;
+        begin = group->end;
     }
     group->slab.count = 0;
     return false;
@@ -321,7 +334,7 @@ static double step_ceiling_ms(const struct bench *b) {
     for (int k = 0; k < rec->packet_count; k++) {
         const struct rn_bench_packet *packet = &rec->packets[k];
         entered += (double)packet->group->samples;
-        found += packet->workspace->candidate_begin[packet->ray_count];
+        found += packet->looked_at;
         evaluated += packet->workspace->count;
         returned += packet->returned;
     }

@@ -9,8 +9,9 @@
 struct rn_bench_packet {
     const struct rn_march_ray *rays;
     int ray_count;
-    int returned; // samples whose gradient went back
-    int heads;    // rows of the colour network
+    int looked_at, found; // candidates: that the packet needed, and of its rays to their ends
+    int returned;         // samples whose gradient went back
+    int heads;            // rows of the colour network
     struct rn_workspace *workspace;
     struct rn_group *group; // its slab
 };

@@ -309,21 +309,33 @@ static void packet_backward(const struct rn_cpu_field *field,
     group->returned += (uint64_t)n;
 }
 
+// The samples of the next rays that have room together; returns how many rays, whole pixels.
+static int next_packet(const struct rn_cpu_field *field, const struct rn_march_options *options,
+                       const struct rn_march_ray *rays, struct rn_workspace *w,
+                       struct rn_group *group, bool *ret_leveled) {
+    int pixel = rn_pixel_rays(options), left = group->end - group->cursor;
+    if (group->packet <= 0 || group->packet > RN_PACKET_RAYS) group->packet = RN_PACKET_RAYS;
+    for (;;) {
+        int n = group->packet / pixel * pixel;
+        n = n > left ? left : n > pixel ? n : pixel;
+        if (packet_density(field, options, rays + group->cursor, n, w, ret_leveled)) return n;
+        group->packet = n / 2;
+    }
+}
+
 static void train(const struct rn_cpu_field *field, const struct rn_march_options *options,
                   const struct rn_march_ray *rays, struct rn_workspace *w, struct rn_group *group) {
-    bool per_ray = field->config.shading == RN_SHADING_RAY;
+    bool per_ray = field->config.shading == RN_SHADING_RAY, leveled;
     int pixel = rn_pixel_rays(options);
     while (group->cursor < group->end && group->slab.capacity - group->slab.count >= w->capacity) {
         const struct rn_march_ray *packet = rays + group->cursor;
-        int n = packet_march(field, options, packet, group->end - group->cursor, w), hits = 0,
-            kept = 0;
+        int n = next_packet(field, options, rays, w, group, &leveled), hits = 0, kept = 0;
         group->cursor += n;
-        if (w->candidate_begin[n] == 0) continue;
+        if (w->count == 0) continue;
         struct ray_sums sums[RN_PACKET_RAYS];
         float rgb[RN_PACKET_RAYS][3], ray_slope[RN_PACKET_RAYS][4] = {{0}};
         int16_t hit[RN_PACKET_RAYS];
         bool seen[RN_PACKET_RAYS];
-        bool leveled = packet_density(field, options, packet, n, w);
         if (per_ray) {
             hits = shade_rays(field, options, packet, n, w, sums, rgb, hit);
         } else {

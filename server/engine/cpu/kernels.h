@@ -15,7 +15,6 @@
 
 #define RN_PACKET_RAYS 128     // rays marched together
 #define RN_PACKET_SAMPLES 4096 // candidate samples evaluated together; bounds a ray's samples too
-#define RN_WIDEST 16           // of the widest kernel set's vectors
 #define RN_PIXEL_RAYS 4        // of a pixel that is split 2 x 2: its colour is their mean
 #define RN_PACKET_SLACK 64     // numbers a vector store may overrun an array by
 #define RN_ROUND 8             // samples of a ray evaluated before its transmittance is looked at
@@ -123,6 +122,7 @@ struct rn_slab {
 struct rn_group {
     struct rn_slab slab;
     int cursor, end; // rays of the batch still to do: [cursor, end)
+    int packet;      // how many a packet begins with; halved where they have no room. 0: the most
     float *base_grad, *head_grad;
     float *ray_loss; // NULL, or of a ray's id: its loss without the weight
     double loss, weight;
@@ -138,9 +138,10 @@ struct rn_group {
 struct rn_workspace {
     int capacity;        // samples
     int full;            // of these, how many a packet is filled to; a pixel's may be more
-    uint16_t *marched;   // [RN_WIDEST][capacity]: march indices k of rays marched together
-    uint16_t *candidate; // [capacity * 2]: the same, ray after ray
-    int candidate_begin[RN_PACKET_RAYS + 1];
+    int ray_count;       // of the packet
+    int room;            // for a ray's candidates
+    uint16_t *candidate; // [RN_PACKET_RAYS][room]: march indices k in occupied cells, in order
+    int candidate_count[RN_PACKET_RAYS]; // found so far
     // Segments of at most RN_ROUND samples of one ray, in the order of evaluation.
     int segment_count;
     int32_t *segment_start;               // [capacity]: first sample
@@ -211,7 +212,7 @@ struct rn_plane_update {
 
 // The parts of a packet's work that can be run by themselves, for benchmarks.
 enum rn_stage {
-    RN_STAGE_MARCH,        // fills the candidates
+    RN_STAGE_MARCH,        // finds all candidates of every ray
     RN_STAGE_ENCODE,       // positions, levels and features of every sample
     RN_STAGE_MLP_FORWARD,  // both networks
     RN_STAGE_COMPOSITE,    // densities, weights and sums along the rays
@@ -271,7 +272,7 @@ struct rn_kernels {
     bool (*adamw)(const struct rn_adamw *options, size_t n, float *parameter, float *grad, float *m,
                   float *v);
     // One part of a packet's work again, over what `train` left in the workspace for exactly these
-    // rays (march: any rays). Returns the rays taken (march), else the rows of the density network.
+    // rays (march: any, up to RN_PACKET_RAYS). Returns the rows of the density network (march: 0).
     // The weights' gradients of the backward are added to the group's; the features' are returned
     // in *ret_grad ([row][feature_stride], in the workspace), which may be NULL.
     int (*stage)(const struct rn_cpu_field *field, const struct rn_march_options *options,

@@ -167,59 +167,33 @@ RN_INLINE int march_chunk(const struct rn_occupancy_bits *o, const struct rn_mar
     return write_samples(bits, from, shift, ret_k);
 }
 
-// Marches the lanes of `go` to their ends, all together; lane j's samples are written from found +
-// j * room on, in order, and their number to ret_count[j]. Of a lane's steps no more than room -
-// RN_CHUNK are looked at.
-static void march_out(const struct rn_occupancy_bits *o, const struct rn_march_ray *rays,
-                      float step, vi go, struct march_lanes *l, uint16_t *found, int room,
-                      int *ret_count) {
-    int last[RN_VL];
-    for (int j = 0; j < RN_VL; j++) {
-        last[j] = -1;
-        ret_count[j] = 0;
-    }
-    vi most = l->k + (room - RN_CHUNK);
-    l->end = vi_select(most < l->end, most, l->end);
-    for (unsigned left; (left = vi_mask_bits(go = march_land(o, step, go, l)));)
-        for (; left; left &= left - 1) {
-            int j = __builtin_ctz(left), k = l->k[j];
-            ret_count[j] += march_chunk(o, &rays[j], step, l->end[j], &k, &last[j],
-                                        found + (size_t)j * (size_t)room + ret_count[j]);
-            l->k[j] = k;
-        }
-}
-
-// Where RN_PACKET_RAYS rays stand, and the samples that were found and not evaluated yet.
+// Where RN_PACKET_RAYS rays stand. What they found lies in the workspace.
 struct marches {
     struct march_lanes lanes[RN_PACKET_RAYS / RN_VL];
-    const struct rn_march_ray *ray[RN_PACKET_RAYS]; // NULL: a free place
+    const struct rn_march_ray *ray[RN_PACKET_RAYS]; // NULL: a free place, or one that has ended
     int last[RN_PACKET_RAYS];
-    int found_count[RN_PACKET_RAYS];
-    uint16_t found[RN_PACKET_RAYS][RN_ROUND + RN_CHUNK];
 };
 
-// Marches on where fewer than RN_ROUND samples are at hand: to that many or the ray's end.
-static void march_round(const struct rn_occupancy_bits *o, float step, struct marches *m) {
+// Marches on where fewer than `ahead` samples are found and not evaluated yet: to that many or the
+// ray's end.
+static void march_round(const struct rn_occupancy_bits *o, float step, int ahead, struct marches *m,
+                        struct rn_workspace *w) {
     for (int g = 0; g < RN_PACKET_RAYS; g += RN_VL) {
         struct march_lanes *l = &m->lanes[g / RN_VL];
         unsigned need = 0;
-        for (int j = 0; j < RN_VL; j++)
-            need |= (unsigned)(m->ray[g + j] && m->found_count[g + j] < RN_ROUND) << j;
+        for (int r = g; r < g + RN_VL; r++)
+            need |= (unsigned)(m->ray[r] && w->candidate_count[r] - w->ray_next[r] < ahead)
+                    << (r - g);
         while (need && (need = vi_mask_bits(march_land(o, step, vi_mask_of(need), l))))
             for (unsigned left = need; left; left &= left - 1) {
                 int j = __builtin_ctz(left), r = g + j, k = l->k[j];
-                m->found_count[r] += march_chunk(o, m->ray[r], step, l->end[j], &k, &m->last[r],
-                                                 m->found[r] + m->found_count[r]);
+                uint16_t *found = w->candidate + (size_t)r * (size_t)w->room;
+                w->candidate_count[r] += march_chunk(o, m->ray[r], step, l->end[j], &k, &m->last[r],
+                                                     found + w->candidate_count[r]);
                 l->k[j] = k;
-                if (m->found_count[r] >= RN_ROUND) need &= ~(1u << j);
+                if (w->candidate_count[r] - w->ray_next[r] >= ahead) need &= ~(1u << j);
             }
     }
-}
-
-// Takes `n` of a ray's samples off, RN_ROUND or all.
-RN_INLINE void march_take(struct marches *m, int r, int n) {
-    m->found_count[r] -= n;
-    memmove(m->found[r], m->found[r] + RN_ROUND, RN_CHUNK * sizeof m->found[r][0]);
 }
 
 #endif

@@ -8,32 +8,31 @@
 #include "server/engine/cpu/mlp.h"
 #include "server/engine/field/sh.h"
 
-// Marches rays until the packet is full; returns how many it took: at least one pixel's, and no
-// part of one.
-static int packet_march(const struct rn_cpu_field *field, const struct rn_march_options *options,
-                        const struct rn_march_ray *rays, int count, struct rn_workspace *w) {
-    const struct rn_occupancy_bits *o = &field->occupancy;
-    int n = 0, total = 0, pixel = rn_pixel_rays(options), found[RN_VL],
-        each = w->capacity + RN_PACKET_SLACK;
-    w->candidate_begin[0] = 0;
-    if (count > RN_PACKET_RAYS) count = RN_PACKET_RAYS;
-    for (bool room = true; room && n < count;) {
-        int some = count - n < RN_VL ? count - n : RN_VL;
-        struct march_lanes lanes;
-        march_start(o, rays + n, some, options->step, &lanes);
-        march_out(o, rays + n, options->step, vi_set(-1), &lanes, w->marched, each, found);
-        for (int j = 0; j < some; j++) {
-            room = total + found[j] <= w->full || n < pixel;
-            if (!room) break;
-            memcpy(w->candidate + total, w->marched + (size_t)j * (size_t)each,
-                   (size_t)found[j] * sizeof *w->candidate);
-            total += found[j];
-            w->candidate_begin[++n] = total;
-        }
+// Puts a packet's rays at their starts.
+static void packet_start(const struct rn_cpu_field *field, const struct rn_march_options *options,
+                         const struct rn_march_ray *rays, int n, struct marches *m,
+                         struct rn_workspace *w) {
+    w->ray_count = n;
+    memset(m->ray, 0, sizeof m->ray);
+    for (int g = 0; g < n; g += RN_VL) {
+        struct march_lanes *l = &m->lanes[g / RN_VL];
+        march_start(&field->occupancy, rays + g, n - g < RN_VL ? n - g : RN_VL, options->step, l);
+        vi most = l->k + (w->room - RN_CHUNK);
+        l->end = vi_select(most < l->end, most, l->end);
     }
-    if (n % pixel) total = w->candidate_begin[n -= n % pixel];
-    memset(w->candidate + total, 0, RN_PACKET_SLACK * sizeof *w->candidate);
-    return n;
+    for (int r = 0; r < n; r++) {
+        m->ray[r] = &rays[r];
+        m->last[r] = -1;
+        w->candidate_count[r] = w->ray_next[r] = 0;
+    }
+}
+
+// All candidates of up to RN_PACKET_RAYS rays.
+static void packet_march(const struct rn_cpu_field *field, const struct rn_march_options *options,
+                         const struct rn_march_ray *rays, int n, struct rn_workspace *w) {
+    struct marches m;
+    packet_start(field, options, rays, n, &m, w);
+    march_round(&field->occupancy, options->step, w->room, &m, w);
 }
 
 // ---- forward --------------------------------------------------------------------------------
@@ -98,17 +97,20 @@ static void activate(const struct rn_cpu_field *field, int begin, int end, struc
     }
 }
 
-// Appends the next samples of every ray still alive; returns whether there were any.
-static bool round_place(const struct rn_cpu_field *field, const struct rn_march_options *options,
-                        const struct rn_march_ray *rays, const struct ray_footprint *footprints,
-                        bool leveled, int ray_count, struct rn_workspace *w) {
-    bool any = false;
-    for (int r = 0; r < ray_count; r++) {
-        int left = w->candidate_begin[r + 1] - w->ray_next[r];
-        if (left <= 0 || w->ray_depth[r] > options->stop_depth) continue;
+// Appends the next samples of every ray still alive; returns how many, or -1 where there is no room
+// for them among `most`.
+static int round_place(const struct rn_cpu_field *field, const struct rn_march_options *options,
+                       const struct ray_footprint *footprints, bool leveled, int most,
+                       struct marches *m, struct rn_workspace *w) {
+    int begin = w->count;
+    for (int r = 0; r < w->ray_count; r++) {
+        int left = w->candidate_count[r] - w->ray_next[r];
+        if (w->ray_depth[r] > options->stop_depth || left == 0) m->ray[r] = NULL;
+        if (!m->ray[r]) continue;
         int n = left < RN_ROUND ? left : RN_ROUND, segment = w->segment_count++;
-        place_segment(field, options, &rays[r], &footprints[r], leveled,
-                      w->candidate + w->ray_next[r], n, w->count, w);
+        if (w->count + n > most) return -1;
+        place_segment(field, options, m->ray[r], &footprints[r], leveled,
+                      w->candidate + r * w->room + w->ray_next[r], n, w->count, w);
         memset(w->ray + w->count, r, (size_t)n);
         w->segment_start[segment] = w->count;
         w->segment_size[segment] = (int16_t)n;
@@ -120,9 +122,8 @@ static bool round_place(const struct rn_cpu_field *field, const struct rn_march_
         w->ray_last[r] = (int16_t)segment;
         w->ray_next[r] += n;
         w->count += n;
-        any = true;
     }
-    return any;
+    return w->count - begin;
 }
 
 // Transmittance behind the samples of the segments from `first` on.
@@ -151,31 +152,40 @@ static void finish_weights(const struct rn_march_options *options, struct rn_wor
     }
 }
 
-// Density and geometry of all samples that can be seen, in rounds along the rays.
+// Density and geometry of all samples of `n` rays that can be seen, in rounds along the rays. False
+// where they have no room: then of fewer rays.
 static bool packet_density(const struct rn_cpu_field *field, const struct rn_march_options *options,
-                           const struct rn_march_ray *rays, int ray_count, struct rn_workspace *w) {
+                           const struct rn_march_ray *rays, int n, struct rn_workspace *w,
+                           bool *ret_leveled) {
     struct ray_footprint footprints[RN_PACKET_RAYS];
+    struct marches m;
     struct mlp base = base_network(field, w);
+    int most = n > rn_pixel_rays(options) ? w->full : w->capacity;
     bool leveled = false;
     w->count = w->segment_count = 0;
-    for (int r = 0; r < ray_count; r++) {
+    packet_start(field, options, rays, n, &m, w);
+    march_round(&field->occupancy, options->step, RN_ROUND, &m, w);
+    for (int r = 0; r < n; r++) {
         w->ray_first[r] = w->ray_last[r] = -1;
-        w->ray_next[r] = w->candidate_begin[r];
         w->ray_depth[r] = 0;
-        if (w->candidate_begin[r] == w->candidate_begin[r + 1]) continue;
+        if (w->candidate_count[r] == 0) continue;
         ray_footprint_init(field, &rays[r], options->step * (float)rays[r].stride, &footprints[r]);
         leveled |= footprints[r].leveled;
     }
     for (;;) {
         int begin = w->count, first = w->segment_count;
-        if (!round_place(field, options, rays, footprints, leveled, ray_count, w)) break;
+        int some = round_place(field, options, footprints, leveled, most, &m, w);
+        if (some < 0) return false;
+        if (some == 0) break;
         encode(field, leveled, begin, w->count, w);
-        mlp_forward(&base, begin, w->count - begin);
+        mlp_forward(&base, begin, some);
         activate(field, begin, w->count, w);
         round_attenuate(first, w);
+        march_round(&field->occupancy, options->step, RN_ROUND, &m, w);
     }
     finish_weights(options, w);
-    return leveled;
+    *ret_leveled = leveled;
+    return true;
 }
 
 static void directions(const struct rn_cpu_field *field, const float d[3], float *out) {

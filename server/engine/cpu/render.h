@@ -38,6 +38,7 @@ static void stream_init(const struct rn_cpu_field *field, const struct rn_march_
     s->pixels = pixels;
     memset(&s->marches.ray, 0, sizeof s->marches.ray);
     memset(&s->marches.lanes, 0, sizeof s->marches.lanes);
+    memset(w->ray_next, 0, sizeof w->ray_next);
     s->free_count = places;
     for (int i = 0; i < places; i++)
         s->free[i] = (int16_t)(places - 1 - i);
@@ -58,7 +59,7 @@ static void stream_place(struct stream *s, const struct rn_march_ray *ray,
     to->end[i] = from->end[j];
     m->ray[r] = ray;
     m->last[r] = -1;
-    m->found_count[r] = 0;
+    s->w->candidate_count[r] = 0;
     s->sums[r] = (struct running_sums){0};
     memset(s->rgb[r], 0, sizeof s->rgb[r]);
     s->w->ray_depth[r] = 0;
@@ -117,6 +118,13 @@ static void stream_end(struct stream *s, int r) {
     if (s->ended_count == RN_PACKET_RAYS) stream_shade(s);
 }
 
+// Takes `n` of a ray's samples off, RN_ROUND or all.
+RN_INLINE void take(int r, int n, struct rn_workspace *w) {
+    uint16_t *found = w->candidate + r * w->room;
+    w->candidate_count[r] -= n;
+    memmove(found, found + RN_ROUND, RN_CHUNK * sizeof *found);
+}
+
 // Places the next samples of every ray, one segment each; a ray without any has ended. Returns
 // whether a sample may lie above level 0.
 static bool stream_round(struct stream *s) {
@@ -125,17 +133,17 @@ static bool stream_round(struct stream *s) {
     bool leveled = false;
     w->count = w->segment_count = 0;
     for (int r = 0; r < RN_PACKET_RAYS; r++)
-        if (m->ray[r] && m->found_count[r] > 0) leveled |= s->footprints[r].leveled;
+        if (m->ray[r] && w->candidate_count[r] > 0) leveled |= s->footprints[r].leveled;
     for (int r = 0; r < RN_PACKET_RAYS; r++) {
         if (!m->ray[r]) continue;
-        int n = m->found_count[r] < RN_ROUND ? m->found_count[r] : RN_ROUND;
+        int n = w->candidate_count[r] < RN_ROUND ? w->candidate_count[r] : RN_ROUND;
         if (n == 0) {
             stream_end(s, r);
             continue;
         }
-        place_segment(s->field, s->options, m->ray[r], &s->footprints[r], leveled, m->found[r], n,
-                      w->count, w);
-        march_take(m, r, n);
+        place_segment(s->field, s->options, m->ray[r], &s->footprints[r], leveled,
+                      w->candidate + r * w->room, n, w->count, w);
+        take(r, n, w);
         memset(w->ray + w->count, r, (size_t)n);
         w->segment_start[w->segment_count] = w->count;
         w->segment_size[w->segment_count++] = (int16_t)n;
@@ -179,7 +187,7 @@ static uint64_t render(const struct rn_cpu_field *field, const struct rn_march_o
     stream_init(field, options, rays, count, w, ret_pixels, &s);
     for (;;) {
         stream_fill(&s);
-        march_round(&field->occupancy, options->step, &s.marches);
+        march_round(&field->occupancy, options->step, RN_ROUND, &s.marches, w);
         bool leveled = stream_round(&s);
         if (w->count == 0 && s.next == count) break;
         encode(field, leveled, 0, w->count, w);

@@ -10,14 +10,14 @@ static void stage_encode(const struct rn_cpu_field *field, const struct rn_march
     int next[RN_PACKET_RAYS];
     bool leveled = false;
     for (int r = 0; r < count; r++) {
-        next[r] = w->candidate_begin[r];
+        next[r] = 0;
         if (w->ray_first[r] < 0) continue;
         ray_footprint_init(field, &rays[r], options->step, &footprints[r]);
         leveled |= footprints[r].leveled;
     }
     for (int segment = 0; segment < w->segment_count; segment++) {
         int start = w->segment_start[segment], n = w->segment_size[segment], r = w->ray[start];
-        place_segment(field, options, &rays[r], &footprints[r], leveled, w->candidate + next[r], n,
+        place_segment(field, options, &rays[r], &footprints[r], leveled, w->candidate + r * w->room + next[r], n,
                       start, w);
         next[r] += n;
     }
@@ -57,7 +57,8 @@ static int stage(const struct rn_cpu_field *field, const struct rn_march_options
     const float *grad;
     switch (what) {
     case RN_STAGE_MARCH:
-        return packet_march(field, options, rays, count, w);
+        packet_march(field, options, rays, count, w);
+        return 0;
     case RN_STAGE_ENCODE:
         stage_encode(field, options, rays, count, w);
         break;

@@ -2,10 +2,15 @@
 
 #include <string.h>
 
+// Samples of one ray at most.
+static int longest_ray(double step) {
+    return (int)(2.0 * 1.7320508 / step) + 2 * RN_ROUND;
+}
+
 // A packet's samples: 4,096, or fewer with wide networks so that a packet stays near the L2
 // cache, but never less than one ray can have; a multiple of 32.
 static int full_packet(const struct rn_cpu_field *field, double step) {
-    int longest = (int)(2.0 * 1.7320508 / step) + 2 * RN_ROUND;
+    int longest = longest_ray(step);
     size_t per_sample = (size_t)field->feature_stride + RN_GEOMETRY * 2 +
                         (size_t)field->config.width * (size_t)(field->config.base_layers + 2);
     if (field->config.shading == RN_SHADING_SAMPLE)
@@ -47,8 +52,8 @@ static size_t lay_out(const struct rn_cpu_field *field, double step, struct carv
     widest = (widest + 15) / 16 * 16;
     w->capacity = (int)n;
     w->full = full;
-    w->marched = carve(c, RN_WIDEST * (n + RN_PACKET_SLACK), sizeof *w->marched);
-    w->candidate = carve(c, 2 * n, sizeof *w->candidate);
+    w->room = longest_ray(step) + RN_PACKET_SLACK;
+    w->candidate = carve(c, RN_PACKET_RAYS * (size_t)w->room, sizeof *w->candidate);
     w->segment_start = carve(c, n, sizeof *w->segment_start);
     w->segment_size = carve(c, n, sizeof *w->segment_size);
     w->segment_next = carve(c, n, sizeof *w->segment_next);

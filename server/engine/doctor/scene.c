@@ -92,7 +92,7 @@ static void compare(struct examination *e, struct rn_exact *exact, int r,
     struct rn_exact_pixel truth;
     struct rn_pixel pixel;
     k->stage(&e->field->cpu, &e->march, &e->rays[r], 1, RN_STAGE_MARCH, w, NULL, NULL);
-    int n = w->candidate_begin[1];
+    int n = w->candidate_count[0];
     rn_exact_render(exact, &e->march, &e->rays[r], w->candidate, n, &truth);
     k->render(&e->field->cpu, &e->march, &e->rays[r], 1, w, &pixel);
     for (int c = 0; c < 3; c++)

@@ -322,11 +322,16 @@ void rn_trainer_begin_step(struct rn_trainer *t) {
     int pixel = rn_pixel_rays(&t->march), pixels = t->ray_count / pixel;
     if (pixels == 0) pixels = 1;
     t->ray_count = pixels * pixel;
+    // About 6 tenths of what has room: it is a mean of many rays, and half as many more are
+    // evaluated than enter the loss.
+    int packet = (int)(0.6 * rn_engine_workspace(t->engine, 0)->full * t->ray_count /
+                       t->field->config.target_samples);
     for (int g = 0; g < RN_GROUPS; g++) {
         struct rn_group *group = &t->groups[g];
         struct rn_slab slab = group->slab;
         slab.count = 0;
         *group = (struct rn_group){.slab = slab,
+                                   .packet = packet > 0 ? packet : 1,
                                    .base_grad = group->base_grad,
                                    .head_grad = group->head_grad,
                                    .ray_loss = t->ray_loss};
