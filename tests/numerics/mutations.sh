@@ -192,13 +192,17 @@ mutate incidents server/engine/render/render.c "render: replaced rays not counte
 mutate incidents $train/incident.c "incident: the offending rays are not looked for" \
     's/if (incident->ray_count == 0) search(t, incident);/(void)search;/'
 mutate incidents $cpu/backward.h "training: a ray that is not finite goes back" \
-    's/if (!isfinite(loss)) {/if (isinf(loss)) {/'
+    's/if (!isfinite(loss)) return false;/if (isinf(loss)) return false;/'
 mutate reproducible $train/effects.c "view dependence: measured as the step before marched" \
     's/options = rn_trainer_march(t);/options = t->march;/'
 mutate reproducible $train/step.c "rays: drawn by the thread's own count" \
     's/rn_rng_draw(t->march.seed, STREAM_RAYS | (uint32_t)r, t->march.counter)/rn_rng_draw(t->march.seed + (uint64_t)rn_pool_threads(t->engine->pool), STREAM_RAYS | (uint32_t)r, t->march.counter)/'
 mutate roulette $cpu/backward.h "roulette: survivors count once" \
-    's/scale = 1 \/ p;/scale = 1;/'
+    's/row \* ((float)CERTAIN .*/row;/'
+mutate roulette $cpu/backward.h "roulette: what is likelier than not goes back" \
+    's/n += next \/ CERTAIN != sum \/ CERTAIN;/n += w->chance[i] > CERTAIN \/ 2;/'
+mutate overflow $cpu/backward.h "roulette: what is not finite is left out" \
+    's/(size != 0.0f)/(size > 0.0f)/'
 mutate training $train/step.c "sparse updates: planes decay" \
     's/if (config->sparse) u.planes.decay = 0;.*//'
 mutate kernels $cpu/smooth.h "smoothing: one colour twice" \

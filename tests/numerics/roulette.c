@@ -1,5 +1,5 @@
-// Case 5: roulette on samples of tiny weight. Over many seeds the mean of the gradients is the full
-// gradient, and their spread is stated. Every kernel set this machine has.
+// Case 5: roulette on samples of small gradient. Over many seeds the mean of the gradients is the
+// full gradient, and their spread is stated. Every kernel set this machine has.
 #include "tests/numerics/trainer.h"
 
 #define RAYS 96
@@ -95,13 +95,13 @@ static struct outcome play(struct rn_trainer *t, float threshold, uint64_t seed)
 
 static int check_set(const struct rn_dataset *dataset, const struct rn_kernels *kernels,
                      uint64_t seed) {
-    static const float thresholds[] = {2e-3f, 4e-3f, 5e-2f};
+    static const float thresholds[] = {1, 8}; // times the mean gradient; the presets' first
     char names[3][80];
-    const char *range = "400 seeds, 96 rays after 40 steps, thresholds 0.002, 0.004, 0.05";
+    const char *range = "400 seeds, 96 rays after 40 steps, thresholds 1 and 8";
     snprintf(names[0], sizeof names[0], "5 roulette's bias, %s", kernels->name);
-    snprintf(names[1], sizeof names[1], "5 roulette's spread, presets' thresholds, %s",
+    snprintf(names[1], sizeof names[1], "5 roulette's spread, presets' threshold, %s",
              kernels->name);
-    snprintf(names[2], sizeof names[2], "5 roulette's spread, threshold 0.05, %s", kernels->name);
+    snprintf(names[2], sizeof names[2], "5 roulette's spread, threshold 8, %s", kernels->name);
     struct numerics_case bias = {names[0], range, "standard errors", 6, 0, ""};
     struct numerics_case spread = {names[1], range, "of the gradient", 0.02, 0, ""};
     struct numerics_case wide = {names[2], range, "of the gradient", 0.2, 0, ""};
@@ -115,11 +115,11 @@ static int check_set(const struct rn_dataset *dataset, const struct rn_kernels *
     t->field->config.random_background = 0;
     while (t->progress.step < 40)
         advance(t);
-    for (int i = 0; i < 3; i++) {
+    for (int i = 0; i < 2; i++) {
         struct outcome got = play(t, thresholds[i], seed + 1000 * (uint64_t)i);
         numerics_see(&bias, got.bias, "threshold %g, %.1f %% of the samples go back",
                      (double)thresholds[i], 100 * got.returned);
-        numerics_see(i < 2 ? &spread : &wide, got.spread,
+        numerics_see(i == 0 ? &spread : &wide, got.spread,
                      "threshold %g, %.1f %% of the samples go back", (double)thresholds[i],
                      100 * got.returned);
     }

@@ -5,6 +5,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "server/engine/field/occupancy.h"
 #include "tests/ops/train_scene.h"
 
 static struct rn_render_result render_all(struct rn_engine *engine, struct rn_field *field,
@@ -258,6 +259,59 @@ START_TEST(what_is_carved_is_seen_to_be_empty) {
 }
 END_TEST
 
+// Whether the cone's middle passes through a cell that may hold matter.
+static bool sees_hull(const struct rn_trainer *t, const struct rn_pixel_frame *frame, int x,
+                      int y) {
+    const struct rn_field *field = t->field;
+    int cells = field->config.field.occupancy;
+    double step = 0.5 / cells; // a quarter of a cell
+    struct rn_march_ray ray = rn_trainer_ray(t, &t->train, frame, x, y, step, 0);
+    for (int k = 0; (k + 0.5) * step < (double)ray.length; k++) {
+        int cell[3];
+        for (int i = 0; i < 3; i++)
+            cell[i] = rn_cell_of(
+                (double)ray.origin[i] + (double)ray.direction[i] * (k + 0.5) * step, cells);
+        if (field->hull[(cell[0] * cells + cell[1]) * cells + cell[2]]) return true;
+    }
+    return false;
+}
+
+// Whether a frame's pixel is in a live block.
+static bool is_live(const struct rn_trainer *t, int frame, int x, int y) {
+    for (size_t i = 0; i < t->live_count; i++) {
+        const struct rn_live_block *b = &t->live[i];
+        if (b->frame == (uint32_t)frame && x >= b->x && x < b->x + RN_LIVE_BLOCK && y >= b->y &&
+            y < b->y + RN_LIVE_BLOCK)
+            return true;
+    }
+    return false;
+}
+
+// Rays are drawn from all pixels that see the hull, and from few others.
+START_TEST(pixels_that_see_the_hull_are_live) {
+    struct rn_train_config config = config_for(scaled);
+    config.field.occupancy = 64;
+    struct rn_engine *engine = engine_with(2);
+    struct rn_trainer *t = trainer_for(engine, scaled, &config);
+    int seen = 0, live = 0, all = 0;
+    for (int f = 0; f < t->train.frame_count; f += 5) {
+        const struct rn_pixel_frame *frame = &t->train.frames[f];
+        for (int y = 0; y < frame->frame->camera.height; y++)
+            for (int x = 0; x < frame->frame->camera.width; x++, all++) {
+                bool sees = sees_hull(t, frame, x, y), is = is_live(t, f, x, y);
+                ck_assert_msg(is || !sees, "frame %d, pixel %d, %d is not live", f, x, y);
+                seen += sees;
+                live += is;
+            }
+    }
+    printf("of %d pixels %d see the hull, %d are live\n", all, seen, live);
+    ck_assert_int_gt(seen, all / 20);
+    ck_assert_int_lt(live, all / 10 * 9);
+    rn_trainer_destroy(&t);
+    rn_engine_destroy(&engine);
+}
+END_TEST
+
 // Mean difference of rendered from photographed alpha over a training view, after training on
 // photographs that are as white as the background.
 static double alpha_error_of_white(double random_background) {
@@ -460,6 +514,7 @@ END_TEST
 
 static void add_tests(TCase *tests) {
     tcase_add_test(tests, what_is_carved_is_seen_to_be_empty);
+    tcase_add_test(tests, pixels_that_see_the_hull_are_live);
     tcase_add_test(tests, white_matter_on_white_is_seen_over_random_backgrounds);
     tcase_add_test(tests, random_backgrounds_have_their_time);
     tcase_add_test(tests, pixels_are_split_in_their_time);

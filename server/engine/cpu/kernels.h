@@ -101,7 +101,8 @@ struct rn_march_options {
     float background[3];
     float background_variance; // training: a channel's, of random backgrounds with that mean
     bool split;                // training: RN_PIXEL_RAYS rays in turn are one pixel
-    float roulette;            // weight below which a sample's backward is a lottery; 0 = off
+    float roulette;            // times a packet's mean gradient, below which a sample's backward is
+                               // a lottery; 0 = off
     uint64_t seed, counter;    // of the roulette
     const float *look;         // NULL, or a direction for the colour network instead of the ray's
 };
@@ -160,9 +161,9 @@ struct rn_workspace {
     float *geometry;                    // [capacity][16]: outputs, then activated in place
     float *x, *before, *weight, *after; // optical depth; depth before; weight; T behind
     float *head_in, *head_hidden[RN_MLP_MAX_LAYERS], *head_out; // rows: samples or rays
-    float *slope;    // [capacity]: dL/d(weight), then dL/d(optical depth)
-    float *size;     // [capacity]: of a sample's dL/d(geometry), about
-    int32_t *chance; // [capacity]: of its going back
+    float *slope;                           // [capacity]: dL/d(weight), then dL/d(optical depth)
+    float *size;                            // [capacity]: of a sample's dL/d(geometry), about
+    int32_t *chance;                        // [capacity]: of its going back
     float *geometry_grad, *grad_a, *grad_b; // [capacity][16], [capacity][widest] twice
     float *weight_sums;                     // a network's weight gradients of one packet
     int32_t *kept;                          // [capacity]

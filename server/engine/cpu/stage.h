@@ -17,8 +17,8 @@ static void stage_encode(const struct rn_cpu_field *field, const struct rn_march
     }
     for (int segment = 0; segment < w->segment_count; segment++) {
         int start = w->segment_start[segment], n = w->segment_size[segment], r = w->ray[start];
-        place_segment(field, options, &rays[r], &footprints[r], leveled, w->candidate + r * w->room + next[r], n,
-                      start, w);
+        place_segment(field, options, &rays[r], &footprints[r], leveled,
+                      w->candidate + r * w->room + next[r], n, start, w);
         next[r] += n;
     }
     encode(field, leveled, 0, w->count, w);

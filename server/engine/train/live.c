@@ -50,8 +50,7 @@ static enum rn_status list_clumps(const struct rn_trainer *t, struct clumps *ret
         if (!grid.held[i] || is_inner(&grid, at[0], at[1], at[2])) continue;
         for (int k = 0; k < 3; k++)
             ret->centre[ret->count][k] =
-                bounds->centre[k] +
-                bounds->radius * (2 * ((double)at[k] + 0.5) / (double)n - 1);
+                bounds->centre[k] + bounds->radius * (2 * ((double)at[k] + 0.5) / (double)n - 1);
         ret->count++;
     }
     free(grid.held);

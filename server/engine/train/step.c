@@ -174,8 +174,8 @@ static const struct rn_pixel_frame *draw_pixel(const struct rn_trainer *t, struc
     return frame;
 }
 
-// A pixel of the scale that ray r's turn falls to, of the blocks that may see the hull: which block,
-// and where in it. The rays of a split pixel have one turn.
+// A pixel of the scale that ray r's turn falls to, of the blocks that may see the hull: which
+// block, and where in it. The rays of a split pixel have one turn.
 static void draw_live_pixel(const struct rn_trainer *t, int r, struct rn_trainer_place *ret) {
     uint64_t turn = (t->first_ray + (uint64_t)r) / (uint64_t)rn_pixel_rays(&t->march);
     struct rn_scale_turn from = rn_scale_turn(turn, t->train.scale_count);
