@@ -69,7 +69,8 @@ static enum MHD_Result go_on(struct rn_request *request) {
     struct rn_http *http = request->http;
     struct rn_reply reply = {0};
     pthread_mutex_lock(&http->lock);
-    bool gone = request->gone, answered = request->answered;
+    // A library that is being stopped takes no response, says that it did, and asks again.
+    bool gone = request->gone || !request->is_parked, answered = request->answered;
     if (answered && !gone) {
         reply = request->reply;
         request->reply = (struct rn_reply){0};
