@@ -575,7 +575,7 @@ def keep_asking(daemon, stopped):
 
 
 def test_requests_while_it_stops(make_daemon):
-    """One that came as the HTTP library stopped was once left waiting: one stop in ten aborted."""
+    """One that came as the HTTP library stopped was once left waiting: one stop in twenty aborted."""
     for _ in range(20):
         daemon, stopped = make_daemon(), threading.Event()
         threads = [threading.Thread(target=keep_asking, args=(daemon, stopped)) for _ in range(8)]

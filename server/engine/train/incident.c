@@ -19,10 +19,9 @@ enum rn_ray_fault rn_try_rays(const struct rn_kernels *kernels, const struct rn_
                              .base_grad = scratch->base_grad,
                              .head_grad = scratch->head_grad};
     size_t count = field->base_shape.count + field->head_shape.count;
-    struct rn_march_options alone =
-        *options; // each ray is a pixel: any number of them can be tried
     double check = 0;
-    alone.split = false;
+    struct rn_march_options alone = *options;
+    alone.split = false; // each ray is a pixel: any number of them can be tried
     memset(group.base_grad, 0, count * sizeof(float)); // the head's follow
     while (group.cursor < group.end) {
         group.slab.count = 0;

@@ -322,7 +322,7 @@ void rn_trainer_begin_step(struct rn_trainer *t) {
     int pixel = rn_pixel_rays(&t->march), pixels = t->ray_count / pixel;
     if (pixels == 0) pixels = 1;
     t->ray_count = pixels * pixel;
-    // About 6 tenths of what has room: it is a mean of many rays, and half as many more are
+    // About 6 tenths of what has room: it is a mean of many rays, and a fifth more are
     // evaluated than enter the loss.
     int packet = (int)(0.6 * rn_engine_workspace(t->engine, 0)->full * t->ray_count /
                        t->field->config.target_samples);
