@@ -1,5 +1,7 @@
 #include "server/engine/device.h"
 
+#include "server/engine/occupancy.h"
+
 #include <dlfcn.h>
 #include <stdio.h>
 #include <stdlib.h>

@@ -11,6 +11,7 @@
 #include "server/engine/checkpoint.h"
 #include "server/engine/choose.h"
 #include "server/engine/device.h"
+#include "server/engine/occupancy.h"
 #include "server/engine/scene.h"
 
 // ---- device ---------------------------------------------------------------------------------
@@ -144,6 +145,7 @@ enum rn_status rn_field_load(struct rn_engine *engine, const char *checkpoint_pa
         rn_field_destroy(&field);
         return status;
     }
+    if (!field->on_device) rn_field_refine_occupancy(field, engine);
     *ret_field = field;
     return RN_OK;
 }

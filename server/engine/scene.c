@@ -10,6 +10,7 @@
 #include "server/engine/field/footprint.h"
 #include "server/engine/field/occupancy.h"
 #include "server/engine/field/ripmap.h"
+#include "server/engine/occupancy.h"
 #include "server/engine/ray.h"
 
 #define PAGE 4096
@@ -121,12 +122,11 @@ size_t rn_field_bytes(const struct rn_train_config *config, int levels) {
     size_t cells = (size_t)config->field.occupancy;
     return (parameters.count + rn_pyramid_count(&config->field, levels) * config->field.planes) *
                sizeof(float) +
-           cells * cells * cells * 5 + cells * cells * cells / 8;
+           cells * cells * cells * 6 + cells * cells * cells / 8;
 }
 
 static enum rn_status allocate(struct rn_field *field) {
     size_t cells = (size_t)field->config.field.occupancy, n = cells * cells * cells;
-    size_t bricks = n / (RN_BRICK * RN_BRICK * RN_BRICK);
     struct rn_cpu_field *cpu = &field->cpu;
     field->parameters.values = rn_block_create((field->parameters.count + 64) * sizeof(float));
     field->packed = rn_block_create(
@@ -134,12 +134,8 @@ static enum rn_status allocate(struct rn_field *field) {
         sizeof(float));
     field->occupancy = rn_block_create(n * sizeof(float));
     field->hull = rn_block_create(n);
-    cpu->occupancy.cells = (int)cells;
-    cpu->occupancy.words = rn_block_create(bricks * 16 * sizeof(uint32_t));
-    cpu->occupancy.distance = rn_block_create(bricks + 3);
-    bool all = field->parameters.values && field->packed && field->occupancy && field->hull &&
-               cpu->occupancy.words && cpu->occupancy.distance;
-    return all ? RN_OK : RN_ERROR_NO_MEMORY;
+    bool all = field->parameters.values && field->packed && field->occupancy && field->hull;
+    return all ? rn_occupancy_bits_create((int)cells, &field->coarse) : RN_ERROR_NO_MEMORY;
 }
 
 // Every cell that meets the ball may hold matter.
@@ -208,8 +204,8 @@ void rn_field_destroy(struct rn_field **field) {
     rn_block_destroy(f->pyramid);
     rn_block_destroy(f->occupancy);
     rn_block_destroy(f->hull);
-    rn_block_destroy(f->cpu.occupancy.words);
-    rn_block_destroy(f->cpu.occupancy.distance);
+    rn_occupancy_bits_destroy(&f->coarse);
+    rn_occupancy_bits_destroy(&f->fine);
     free(f);
     *field = NULL;
 }
@@ -273,102 +269,10 @@ void rn_field_refresh(struct rn_field *field, struct rn_engine *engine) {
     field->fresh_levels = cpu->built_levels;
 }
 
-// Whether any of 8 cells in a row may hold matter.
-static bool any_of_8(const uint8_t *hull) {
-    uint64_t all;
-    memcpy(&all, hull, sizeof all);
-    return all != 0;
-}
-
-// The mean over all cells; outside the hull they are zero.
-static double occupancy_threshold(const struct rn_field *field) {
-    size_t cells = (size_t)field->config.field.occupancy, n = cells * cells * cells;
-    double sum = 0;
-    for (size_t i = 0; i < n; i += RN_BRICK) {
-        if (!any_of_8(field->hull + i)) continue;
-        float part[RN_BRICK];
-        for (int k = 0; k < RN_BRICK; k++)
-            part[k] = field->hull[i + k] ? field->occupancy[i + k] : 0;
-        sum += (double)(((part[0] + part[4]) + (part[1] + part[5])) +
-                        ((part[2] + part[6]) + (part[3] + part[7])));
-    }
-    double mean = sum / (double)n;
-    return mean < RN_OCCUPANCY_LIMIT ? mean : RN_OCCUPANCY_LIMIT;
-}
-
-// Chebyshev distance by one pass a direction along each axis.
-static void spread_distance(uint8_t *distance, int bricks) {
-    size_t strides[3] = {(size_t)bricks * bricks, (size_t)bricks, 1};
-    for (int axis = 0; axis < 3; axis++) {
-        size_t s = strides[axis], a = strides[(axis + 1) % 3], b = strides[(axis + 2) % 3];
-        for (int i = 0; i < bricks; i++)
-            for (int j = 0; j < bricks; j++) {
-                uint8_t *line = distance + (size_t)i * a + (size_t)j * b;
-                // exact for Chebyshev only if each axis takes the lower envelope of max(|d|, f)
-                uint8_t out[512];
-                for (int k = 0; k < bricks; k++) {
-                    int best = 255;
-                    for (int q = 0; q < bricks; q++) {
-                        int d = k > q ? k - q : q - k, f = line[(size_t)q * s];
-                        int m = d > f ? d : f;
-                        if (m < best) best = m;
-                    }
-                    out[k] = (uint8_t)best;
-                }
-                for (int k = 0; k < bricks; k++)
-                    line[(size_t)k * s] = out[k];
-            }
-    }
-}
-
-// Sets the bits of the 8 cells from (x, y, z) on that lie over the threshold; returns them.
-static unsigned set_bits(struct rn_field *field, float threshold, int x, int y, int z) {
-    struct rn_occupancy_bits *bits = &field->cpu.occupancy;
-    size_t at = rn_cell_index(x, y, z, bits->cells), word = rn_brick_word(x, y, z, bits->cells);
-    uint32_t bit = rn_brick_bit(x, y);
-    unsigned set = 0;
-    if (!any_of_8(field->hull + at)) return 0;
-    for (int k = 0; k < RN_BRICK; k++)
-        set |= (unsigned)(field->hull[at + k] && field->occupancy[at + k] > threshold) << k;
-    if (!set) return 0;
-    for (int k = 0; k < RN_BRICK; k++)
-        if (set >> k & 1) bits->words[word + 2 * (size_t)k] |= bit;
-    bits->distance[word / 16] = 0;
-    return set;
-}
-
-void rn_field_refresh_occupancy(struct rn_field *field) {
-    struct rn_occupancy_bits *bits = &field->cpu.occupancy;
-    int cells = bits->cells, bricks = cells / RN_BRICK;
-    int first[3] = {cells, cells, cells}, last[3] = {-1, -1, -1};
-    size_t brick_count = (size_t)bricks * bricks * bricks;
-    float threshold = (float)occupancy_threshold(field);
-    memset(bits->words, 0, brick_count * 16 * sizeof *bits->words);
-    memset(bits->distance, 255, brick_count);
-    for (int x = 0; x < cells; x++)
-        for (int y = 0; y < cells; y++)
-            for (int z = 0; z < cells; z += RN_BRICK) {
-                unsigned set = set_bits(field, threshold, x, y, z);
-                if (!set) continue;
-                int low[3] = {x, y, z + __builtin_ctz(set)};
-                int high[3] = {x, y, z + 31 - __builtin_clz(set)};
-                for (int i = 0; i < 3; i++) {
-                    if (low[i] < first[i]) first[i] = low[i];
-                    if (high[i] > last[i]) last[i] = high[i];
-                }
-            }
-    for (int i = 0; i < 3; i++) {
-        bits->low[i] = last[i] < 0 ? 2 : 2.0f * (float)first[i] / (float)cells - 1;
-        bits->high[i] = last[i] < 0 ? -2 : 2.0f * (float)(last[i] + 1) / (float)cells - 1;
-    }
-    spread_distance(bits->distance, bricks);
-}
-
 // ---- workspaces and rays ---------------------------------------------------------------------
 
 enum rn_status rn_engine_prepare(struct rn_engine *engine, const struct rn_field *field,
                                  struct rn_error *err) {
-    if (engine->prepared == field) return RN_OK;
     double step = field->config.step;
     size_t bytes = (rn_workspace_size(&field->cpu, step) + 4095) / 4096 * 4096;
     if (bytes > engine->workspace_bytes) {
@@ -383,6 +287,16 @@ enum rn_status rn_engine_prepare(struct rn_engine *engine, const struct rn_field
     for (int t = 0; t < rn_pool_threads(engine->pool); t++)
         rn_workspace_init(&field->cpu, step, rn_engine_workspace(engine, t));
     return RN_OK;
+}
+
+enum rn_status rn_field_make_ready(struct rn_field *field, struct rn_engine *engine, int levels,
+                                   struct rn_error *err) {
+    enum rn_status status = rn_field_need_levels(field, levels, err);
+    if (status == RN_OK) status = rn_engine_prepare(engine, field, err);
+    bool fresh =
+        field->fresh_levels >= field->cpu.built_levels && field->packed_for == engine->kernels;
+    if (status == RN_OK && !fresh) rn_field_refresh(field, engine);
+    return status;
 }
 
 struct rn_workspace *rn_engine_workspace(const struct rn_engine *engine, int thread) {

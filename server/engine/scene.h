@@ -15,10 +15,9 @@ struct rn_engine {
     struct rn_pool *pool;
     const struct rn_kernels *kernels;
     struct rn_device_info info;
-    void *workspaces;                // one a thread, for the field they were last laid out for
-    size_t workspace_bytes;          // of one
-    const struct rn_field *prepared; // the field they are laid out for
-    struct rn_march_ray *rays;       // scratch of the renderer, RN_RENDER_BLOCK
+    void *workspaces;          // one a thread, for the field they were last laid out for
+    size_t workspace_bytes;    // of one
+    struct rn_march_ray *rays; // scratch of the renderer, RN_RENDER_BLOCK
     struct rn_pixel *pixels;
     bool (*keep_going)(void *context); // rn_engine_watch; NULL = never asked
     void *watcher;
@@ -59,6 +58,7 @@ struct rn_field {
     float *occupancy;   // decayed maxima of density * step, cells^3
     uint8_t *hull;      // cells^3: 1 where matter is possible at all (carving)
     uint64_t hull_cells;
+    struct rn_occupancy_bits coarse, fine; // of both; of the field at rest (occupancy.h), or empty
     int64_t steps;
     double train_seconds, psnr;
     struct rn_effect_record effects[RN_EFFECT_COUNT];
@@ -93,8 +93,6 @@ enum rn_status rn_field_need_levels(struct rn_field *field, int levels,
 void rn_field_pack(struct rn_field *field, struct rn_engine *engine);
 // After any change of parameters: rn_field_pack, and all maps in use are built anew.
 void rn_field_refresh(struct rn_field *field, struct rn_engine *engine);
-// Rebuilds the bits and distances that the march reads from `occupancy` and `hull`.
-void rn_field_refresh_occupancy(struct rn_field *field);
 
 // Numbers of a pyramid of one plane beyond its base map, and the maps' places in a block that
 // starts with plane 0's.
@@ -106,6 +104,10 @@ void rn_pyramid_lay_out(const struct rn_field_config *config, int levels, float 
 enum rn_status rn_engine_prepare(struct rn_engine *engine, const struct rn_field *field,
                                  struct rn_error *err) RN_MUST_CHECK;
 struct rn_workspace *rn_engine_workspace(const struct rn_engine *engine, int thread);
+// All that the kernels need to evaluate a field at `levels` levels: rn_field_need_levels,
+// rn_engine_prepare, and rn_field_refresh where parameters have changed.
+enum rn_status rn_field_make_ready(struct rn_field *field, struct rn_engine *engine, int levels,
+                                   struct rn_error *err) RN_MUST_CHECK;
 
 // The ray of a cone in dataset coordinates as the kernels want it: normalised, cut to the ball,
 // starting where it enters the scene's cube plus `jitter` in [0, 1) of a sample's interval. Start

@@ -231,9 +231,10 @@ int main(int argc, char **argv) {
     char hash[65];
     rn_field_sha256(rn_trainer_field(trainer), hash);
     printf("load %.2f s, parameters %.16s\n", 0.0, hash);
+    struct rn_field *field = rn_trainer_finish(&trainer);
     for (int cones = 0; cones < 2 && run.test > 0; cones++)
-        test(&run, engine, rn_trainer_field(trainer), dataset, cones);
-    rn_trainer_destroy(&trainer);
+        test(&run, engine, field, dataset, cones);
+    rn_field_destroy(&field);
     rn_engine_destroy(&engine);
     rn_dataset_destroy(&dataset);
     return 0;

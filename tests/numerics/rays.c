@@ -3,6 +3,7 @@
 #include <string.h>
 
 #include "server/engine/field/occupancy.h"
+#include "server/engine/occupancy.h"
 #include "server/engine/ray.h"
 #include "server/engine/scene.h"
 #include "tests/numerics/exact.h"

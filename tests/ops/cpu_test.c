@@ -7,6 +7,7 @@
 #include <string.h>
 
 #include "common/math/rng.h"
+#include "server/engine/occupancy.h"
 #include "server/engine/reference/reference.h"
 #include "server/engine/scene.h"
 

@@ -4,7 +4,7 @@
 
 #include "server/engine/backend.h"
 #include "server/engine/reference/reference.h"
-#include "server/engine/scene.h"
+#include "server/engine/occupancy.h"
 
 #define FRAMES 4
 #define SIDE 12 // pixels of a frame a side

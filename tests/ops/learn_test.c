@@ -6,6 +6,7 @@
 #include <string.h>
 
 #include "server/engine/field/occupancy.h"
+#include "server/engine/occupancy.h"
 #include "tests/ops/train_scene.h"
 
 static struct rn_render_result render_all(struct rn_engine *engine, struct rn_field *field,
@@ -475,6 +476,62 @@ START_TEST(planes_are_smoothed_in_their_turn) {
 }
 END_TEST
 
+// ---- a field at rest ------------------------------------------------------------------------
+
+static double worst_difference(const struct rn_picture *a, const struct rn_picture *b) {
+    double worst = 0;
+    for (int i = 0; i < a->width * a->height * a->channels; i++)
+        worst = fmax(worst, fabs((double)(a->values[i] - b->values[i])));
+    return worst;
+}
+
+// Finer cells leave out samples that hardly show: pictures stay as they are, and do not depend on
+// the number of threads.
+static void check_refinement(struct rn_engine *engine, struct rn_field *field,
+                             const struct rn_frame *frame) {
+    struct rn_engine *alone = engine_with(1);
+    rn_field_refresh_occupancy(field);
+    ck_assert_ptr_null(field->fine.words);
+    struct rn_render_result coarse = render_all(engine, field, frame->camera, 0);
+    rn_field_refine_occupancy(field, engine);
+    ck_assert_int_eq(field->cpu.occupancy.cells, 2 * field->config.field.occupancy);
+    struct rn_render_result fine = render_all(engine, field, frame->camera, 0);
+    rn_field_refine_occupancy(field, alone);
+    struct rn_render_result same = render_all(engine, field, frame->camera, 0);
+    ck_assert(averaging_error(&fine, &same, 1) == 0 && fine.stats.samples == same.stats.samples);
+    double error = fmax(worst_difference(&fine.rgb, &coarse.rgb),
+                        worst_difference(&fine.alpha, &coarse.alpha));
+    double share = (double)fine.stats.samples / (double)coarse.stats.samples;
+    printf("finer cells: %.0f %% of the samples, off by %.4f\n", 100 * share, error);
+    ck_assert_double_lt(error, 0.03);
+    ck_assert_double_lt(share, 0.97);
+    rn_render_result_finish(&coarse);
+    rn_render_result_finish(&fine);
+    rn_render_result_finish(&same);
+    rn_engine_destroy(&alone);
+}
+
+// Where nearly all cells are occupied, and where none is, there is nothing to gain.
+START_TEST(full_and_empty_fields_are_not_refined) {
+    struct rn_train_config config = config_for(scaled);
+    struct rn_engine *engine = engine_with(1);
+    struct rn_trainer *trainer = trainer_for(engine, scaled, &config);
+    struct rn_field *field = rn_trainer_finish(&trainer);
+    size_t side = (size_t)field->config.field.occupancy, cells = side * side * side;
+    for (int full = 0; full < 2; full++) {
+        memset(field->hull, 1, cells);
+        for (size_t i = 0; i < cells; i++)
+            field->occupancy[i] = (float)full;
+        rn_field_refresh_occupancy(field);
+        rn_field_refine_occupancy(field, engine);
+        ck_assert_ptr_null(field->fine.words);
+        ck_assert_ptr_eq(field->cpu.occupancy.words, field->coarse.words);
+    }
+    rn_field_destroy(&field);
+    rn_engine_destroy(&engine);
+}
+END_TEST
+
 START_TEST(it_learns_and_a_loaded_field_renders_the_same) {
     struct rn_error err;
     struct rn_train_config config = config_for(scaled);
@@ -497,8 +554,8 @@ START_TEST(it_learns_and_a_loaded_field_renders_the_same) {
     const struct rn_frame *frame = rn_dataset_frame(scaled, RN_SPLIT_TEST, 0, 0);
     struct rn_view_score a, b;
     struct rn_render_options options = {.background = {1, 1, 1}};
-    ck_assert(rn_evaluate_view(engine, rn_trainer_field(trainer), frame, &options, NULL, NULL, &a,
-                               &err) == RN_OK);
+    struct rn_field *kept = rn_trainer_finish(&trainer);
+    ck_assert(rn_evaluate_view(engine, kept, frame, &options, NULL, NULL, &a, &err) == RN_OK);
     ck_assert(rn_evaluate_view(engine, field, frame, &options, NULL, NULL, &b, &err) == RN_OK);
     ck_assert(a.psnr == b.psnr && a.ssim == b.ssim);
     check_supersampling(engine, field, frame);
@@ -506,8 +563,9 @@ START_TEST(it_learns_and_a_loaded_field_renders_the_same) {
     check_parts(field, frame);
     check_early_stop(field, frame, 1);
     check_early_stop(field, frame, 2);
+    check_refinement(engine, kept, frame);
     rn_field_destroy(&field);
-    rn_trainer_destroy(&trainer);
+    rn_field_destroy(&kept);
     rn_engine_destroy(&engine);
 }
 END_TEST
@@ -519,6 +577,7 @@ static void add_tests(TCase *tests) {
     tcase_add_test(tests, random_backgrounds_have_their_time);
     tcase_add_test(tests, pixels_are_split_in_their_time);
     tcase_add_loop_test(tests, planes_are_smoothed_in_their_turn, 0, 2);
+    tcase_add_test(tests, full_and_empty_fields_are_not_refined);
     tcase_add_test(tests, it_learns_and_a_loaded_field_renders_the_same);
 }
 

@@ -151,19 +151,15 @@ RN_INLINE unsigned first_steps(unsigned bits, int shift) {
     return bits & firsts[shift];
 }
 
-// Writes the indices of the samples among the RN_CHUNK steps around *k, a sample's steps together,
-// and goes on behind them; those before *k are empty, or written: up to sample *last. A sample that
+// Writes the indices of the samples among the RN_CHUNK steps from `from` on, of which those of
+// `bits` lie in occupied cells, but for one that is written already: sample *last. A sample that
 // spans several steps is there when any of them lies in an occupied cell. Returns how many; may
 // write RN_CHUNK numbers.
-RN_INLINE int march_chunk(const struct rn_occupancy_bits *o, const struct rn_march_ray *ray,
-                          float step, int end, int *k, int *last, uint16_t *ret_k) {
-    int shift = __builtin_ctz((unsigned)ray->stride), from = *k >> shift << shift;
-    unsigned bits = test_chunk(o, ray, from, step);
+RN_INLINE int write_chunk(unsigned bits, int shift, int from, int end, int *last, uint16_t *ret_k) {
     if (end - from < RN_CHUNK) bits &= (1u << (end - from)) - 1;
     bits = first_steps(bits, shift);
     if (from >> shift == *last) bits &= ~1u;
     if (bits) *last = (from + 31 - __builtin_clz(bits)) >> shift;
-    *k = from + RN_CHUNK;
     return write_samples(bits, from, shift, ret_k);
 }
 
@@ -184,15 +180,26 @@ static void march_round(const struct rn_occupancy_bits *o, float step, int ahead
         for (int r = g; r < g + RN_VL; r++)
             need |= (unsigned)(m->ray[r] && w->candidate_count[r] - w->ray_next[r] < ahead)
                     << (r - g);
-        while (need && (need = vi_mask_bits(march_land(o, step, vi_mask_of(need), l))))
+        while (need && (need = vi_mask_bits(march_land(o, step, vi_mask_of(need), l)))) {
+            // A sample's steps together: those before k are empty, or written. All are looked up
+            // before the first is used.
+            unsigned bits[RN_VL];
+            int from[RN_VL], shift[RN_VL];
             for (unsigned left = need; left; left &= left - 1) {
-                int j = __builtin_ctz(left), r = g + j, k = l->k[j];
+                int j = __builtin_ctz(left);
+                shift[j] = __builtin_ctz((unsigned)m->ray[g + j]->stride);
+                from[j] = l->k[j] >> shift[j] << shift[j];
+                bits[j] = test_chunk(o, m->ray[g + j], from[j], step);
+            }
+            for (unsigned left = need; left; left &= left - 1) {
+                int j = __builtin_ctz(left), r = g + j;
                 uint16_t *found = w->candidate + (size_t)r * (size_t)w->room;
-                w->candidate_count[r] += march_chunk(o, m->ray[r], step, l->end[j], &k, &m->last[r],
-                                                     found + w->candidate_count[r]);
-                l->k[j] = k;
+                w->candidate_count[r] += write_chunk(bits[j], shift[j], from[j], l->end[j],
+                                                     &m->last[r], found + w->candidate_count[r]);
+                l->k[j] = from[j] + RN_CHUNK;
                 if (w->candidate_count[r] - w->ray_next[r] >= ahead) need &= ~(1u << j);
             }
+        }
     }
 }
 

@@ -134,12 +134,7 @@ static enum rn_status prepare(struct frame *f, struct rn_error *err) {
     f->on_device = f->field->on_device && levels <= f->field->device_levels;
     if (f->on_device) return RN_OK;
     status = rn_field_fetch(f->field, NULL, NULL, err);
-    if (status == RN_OK) status = rn_field_need_levels(f->field, levels, err);
-    if (status == RN_OK) status = rn_engine_prepare(f->engine, f->field, err);
-    bool fresh = f->field->fresh_levels >= f->field->cpu.built_levels &&
-                 f->field->packed_for == f->engine->kernels;
-    if (status == RN_OK && !fresh) rn_field_refresh(f->field, f->engine);
-    return status;
+    return status == RN_OK ? rn_field_make_ready(f->field, f->engine, levels, err) : status;
 }
 
 static enum rn_status stopped(struct rn_error *err) {

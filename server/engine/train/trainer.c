@@ -9,6 +9,7 @@
 #include "common/base/clock.h"
 #include "server/engine/checkpoint.h"
 #include "server/engine/device.h"
+#include "server/engine/occupancy.h"
 #include "server/engine/render/cones.h"
 
 #define HELD_OUT_VIEWS 8
@@ -220,7 +221,6 @@ void rn_trainer_destroy(struct rn_trainer **trainer) {
     char sha256[65];
     if (!t) return;
     if (t->writer) (void)rn_checkpoint_end(&t->writer, sha256, NULL);
-    if (t->field && t->engine->prepared == t->field) t->engine->prepared = NULL;
     rn_field_destroy(&t->field);
     rn_pixels_finish(&t->train);
     rn_pixels_finish(&t->held);
@@ -506,6 +506,7 @@ struct rn_field *rn_trainer_finish(struct rn_trainer **trainer) {
     struct rn_field *field = (*trainer)->field;
     if (field->on_device && rn_field_fetch(field, NULL, NULL, NULL) == RN_OK)
         (void)!rn_field_put_to_render((*trainer)->engine, field, NULL);
+    if (!field->on_device) rn_field_refine_occupancy(field, (*trainer)->engine);
     (*trainer)->field = NULL;
     rn_trainer_destroy(trainer);
     return field;

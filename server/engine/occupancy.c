@@ -1,0 +1,250 @@
+#include "server/engine/occupancy.h"
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "server/engine/field/occupancy.h"
+#include "server/engine/field/volume.h"
+
+// ---- bits -----------------------------------------------------------------------------------
+
+enum rn_status rn_occupancy_bits_create(int cells, struct rn_occupancy_bits *ret) {
+    size_t side = (size_t)cells / RN_BRICK, bricks = side * side * side;
+    *ret = (struct rn_occupancy_bits){.cells = cells,
+                                      .words = rn_block_create(bricks * 16 * sizeof(uint32_t)),
+                                      .distance = rn_block_create(bricks + 3)};
+    if (ret->words && ret->distance) return RN_OK;
+    rn_occupancy_bits_destroy(ret);
+    return RN_ERROR_NO_MEMORY;
+}
+
+void rn_occupancy_bits_destroy(struct rn_occupancy_bits *bits) {
+    rn_block_destroy(bits->words);
+    rn_block_destroy(bits->distance);
+    *bits = (struct rn_occupancy_bits){0};
+}
+
+// Bits that are being built, and the first and last cell set so far.
+struct building {
+    struct rn_occupancy_bits *bits;
+    int first[3], last[3];
+};
+
+static struct building begin(struct rn_occupancy_bits *bits) {
+    size_t side = (size_t)bits->cells / RN_BRICK, bricks = side * side * side;
+    int n = bits->cells;
+    memset(bits->words, 0, bricks * 16 * sizeof *bits->words);
+    memset(bits->distance, 255, bricks);
+    return (struct building){bits, {n, n, n}, {-1, -1, -1}};
+}
+
+// Sets those of the 8 cells from (x, y, z) on, whose bits are in `set`.
+static void put_row(struct building *b, int x, int y, int z, unsigned set) {
+    size_t word = rn_brick_word(x, y, z, b->bits->cells);
+    uint32_t bit = rn_brick_bit(x, y);
+    if (!set) return;
+    for (int k = 0; k < RN_BRICK; k++)
+        if (set >> k & 1) b->bits->words[word + 2 * (size_t)k] |= bit;
+    b->bits->distance[word / 16] = 0;
+    int low[3] = {x, y, z + __builtin_ctz(set)}, high[3] = {x, y, z + 31 - __builtin_clz(set)};
+    for (int i = 0; i < 3; i++) {
+        if (low[i] < b->first[i]) b->first[i] = low[i];
+        if (high[i] > b->last[i]) b->last[i] = high[i];
+    }
+}
+
+// Chebyshev distance by one pass a direction along each axis.
+static void spread_distance(uint8_t *distance, int bricks) {
+    size_t strides[3] = {(size_t)bricks * bricks, (size_t)bricks, 1};
+    for (int axis = 0; axis < 3; axis++) {
+        size_t s = strides[axis], a = strides[(axis + 1) % 3], b = strides[(axis + 2) % 3];
+        for (int i = 0; i < bricks; i++)
+            for (int j = 0; j < bricks; j++) {
+                uint8_t *line = distance + (size_t)i * a + (size_t)j * b;
+                // exact for Chebyshev only if each axis takes the lower envelope of max(|d|, f)
+                uint8_t out[512];
+                for (int k = 0; k < bricks; k++) {
+                    int best = 255;
+                    for (int q = 0; q < bricks; q++) {
+                        int d = k > q ? k - q : q - k, f = line[(size_t)q * s];
+                        int m = d > f ? d : f;
+                        if (m < best) best = m;
+                    }
+                    out[k] = (uint8_t)best;
+                }
+                for (int k = 0; k < bricks; k++)
+                    line[(size_t)k * s] = out[k];
+            }
+    }
+}
+
+static void end(struct building *b) {
+    struct rn_occupancy_bits *bits = b->bits;
+    float cells = (float)bits->cells;
+    for (int i = 0; i < 3; i++) {
+        bits->low[i] = b->last[i] < 0 ? 2 : 2.0f * (float)b->first[i] / cells - 1;
+        bits->high[i] = b->last[i] < 0 ? -2 : 2.0f * (float)(b->last[i] + 1) / cells - 1;
+    }
+    spread_distance(bits->distance, bits->cells / RN_BRICK);
+}
+
+// ---- as training measures it ----------------------------------------------------------------
+
+// Whether any of 8 cells in a row may hold matter.
+static bool any_of_8(const uint8_t *hull) {
+    uint64_t all;
+    memcpy(&all, hull, sizeof all);
+    return all != 0;
+}
+
+// The mean over all cells; outside the hull they are zero.
+static double occupancy_threshold(const struct rn_field *field) {
+    size_t cells = (size_t)field->config.field.occupancy, n = cells * cells * cells;
+    double sum = 0;
+    for (size_t i = 0; i < n; i += RN_BRICK) {
+        if (!any_of_8(field->hull + i)) continue;
+        float part[RN_BRICK];
+        for (int k = 0; k < RN_BRICK; k++)
+            part[k] = field->hull[i + k] ? field->occupancy[i + k] : 0;
+        sum += (double)(((part[0] + part[4]) + (part[1] + part[5])) +
+                        ((part[2] + part[6]) + (part[3] + part[7])));
+    }
+    double mean = sum / (double)n;
+    return mean < RN_OCCUPANCY_LIMIT ? mean : RN_OCCUPANCY_LIMIT;
+}
+
+// Of the 8 cells from (x, y, z) on, those over the threshold.
+static unsigned row_over(const struct rn_field *field, float threshold, int x, int y, int z) {
+    size_t at = rn_cell_index(x, y, z, field->config.field.occupancy);
+    unsigned set = 0;
+    if (!any_of_8(field->hull + at)) return 0;
+    for (int k = 0; k < RN_BRICK; k++)
+        set |= (unsigned)(field->hull[at + k] && field->occupancy[at + k] > threshold) << k;
+    return set;
+}
+
+void rn_field_refresh_occupancy(struct rn_field *field) {
+    int cells = field->config.field.occupancy;
+    float threshold = (float)occupancy_threshold(field);
+    struct building b = begin(&field->coarse);
+    for (int x = 0; x < cells; x++)
+        for (int y = 0; y < cells; y++)
+            for (int z = 0; z < cells; z += RN_BRICK)
+                put_row(&b, x, y, z, row_over(field, threshold, x, y, z));
+    end(&b);
+    rn_occupancy_bits_destroy(&field->fine);
+    field->cpu.occupancy = field->coarse;
+}
+
+// ---- finer, of a field at rest --------------------------------------------------------------
+
+#define FINEST 256   // cells a side
+#define CHUNK 2048   // cells a task
+#define POINTS 8     // of a cell, 2 x 2 x 2
+#define SPARSE 0.125 // of all cells, that are occupied at most
+
+// Cells of the finer grid that are not known to be occupied yet, and of a turn: which of them are.
+struct search {
+    const struct rn_field *field;
+    struct rn_engine *engine;
+    int cells, turn;
+    float level; // of the pyramid, in this turn
+    size_t count;
+    uint32_t *cell;
+    uint8_t *found;
+};
+
+static void look(void *context, int index, int thread) {
+    const struct search *s = context;
+    const struct rn_field *field = s->field;
+    size_t from = (size_t)index * CHUNK;
+    int n = s->count - from < CHUNK ? (int)(s->count - from) : CHUNK;
+    float points[CHUNK][3], density[CHUNK], width = 2 / (float)s->cells;
+    float quarter[3] = {s->turn & 1 ? 0.75f : 0.25f, s->turn & 2 ? 0.75f : 0.25f,
+                        s->turn & 4 ? 0.75f : 0.25f};
+    for (int i = 0; i < n; i++) {
+        uint32_t c = s->cell[from + (size_t)i], side = (uint32_t)s->cells;
+        uint32_t at[3] = {c / side / side, c / side % side, c % side};
+        for (int k = 0; k < 3; k++)
+            points[i][k] = ((float)at[k] + quarter[k]) * width - 1;
+    }
+    s->engine->kernels->density(&field->cpu, points, n, s->level,
+                                rn_engine_workspace(s->engine, thread), density);
+    for (int i = 0; i < n; i++) {
+        float depth = density[i] * width * (float)RN_DENSITY_UNIT;
+        s->found[from + (size_t)i] = !(depth <= RN_OCCUPANCY_SEEN); // NaN is seen
+    }
+}
+
+static bool bit_of(const struct rn_occupancy_bits *bits, int x, int y, int z) {
+    return bits->words[rn_brick_word(x, y, z, bits->cells)] & rn_brick_bit(x, y);
+}
+
+// Lists the finer cells of all occupied ones; returns their count, or counts only where there is no
+// list.
+static size_t list_cells(const struct rn_occupancy_bits *coarse, uint32_t *ret_cell) {
+    int cells = coarse->cells;
+    size_t count = 0;
+    for (int x = 0; x < cells; x++)
+        for (int y = 0; y < cells; y++)
+            for (int z = 0; z < cells; z++) {
+                if (!bit_of(coarse, x, y, z)) continue;
+                for (int k = 0; k < 8 && ret_cell; k++)
+                    ret_cell[count + (size_t)k] = (uint32_t)rn_cell_index(
+                        2 * x + (k >> 2), 2 * y + (k >> 1 & 1), 2 * z + (k & 1), 2 * cells);
+                count += 8;
+            }
+    return count;
+}
+
+// Looks at one point of every cell that is left; those found leave the list.
+static void take_turn(struct search *s, struct building *b) {
+    size_t left = 0;
+    rn_pool_run(s->engine->pool, (int)((s->count + CHUNK - 1) / CHUNK), look, s);
+    for (size_t i = 0; i < s->count; i++) {
+        uint32_t c = s->cell[i], side = (uint32_t)s->cells;
+        int z = (int)(c % side), first = z & ~(RN_BRICK - 1);
+        if (s->found[i])
+            put_row(b, (int)(c / side / side), (int)(c / side % side), first, 1u << (z - first));
+        else
+            s->cell[left++] = c;
+    }
+    s->count = left;
+}
+
+// The pyramid's level whose texels are as wide as the cells that training measures; without a
+// pyramid the base maps are looked up however wide a cone is.
+static float level_of_cells(const struct rn_field *field) {
+    const struct rn_field_config *c = &field->config.field;
+    if (!field->effects[RN_EFFECT_SCALE_PYRAMID].on || c->base <= c->occupancy) return 0;
+    return log2f((float)c->base / (float)c->occupancy);
+}
+
+void rn_field_refine_occupancy(struct rn_field *field, struct rn_engine *engine) {
+    struct rn_error unused;
+    int cells = 2 * field->config.field.occupancy;
+    struct search s = {.field = field, .engine = engine, .cells = cells};
+    double all = (double)cells * cells * cells;
+    rn_occupancy_bits_destroy(&field->fine);
+    field->cpu.occupancy = field->coarse;
+    s.count = list_cells(&field->coarse, NULL);
+    if (cells > FINEST || s.count == 0 || (double)s.count > SPARSE * all) return;
+    s.cell = malloc(s.count * sizeof *s.cell);
+    s.found = malloc(s.count);
+    float level = level_of_cells(field);
+    int levels = (int)ceilf(level) + 1;
+    if (s.cell && s.found && rn_field_make_ready(field, engine, levels, &unused) == RN_OK &&
+        rn_occupancy_bits_create(cells, &field->fine) == RN_OK) {
+        struct building b = begin(&field->fine);
+        list_cells(&field->coarse, s.cell);
+        for (s.turn = 0; s.turn < POINTS; s.turn++) {
+            s.level = __builtin_parity((unsigned)s.turn) ? level : 0;
+            take_turn(&s, &b);
+        }
+        end(&b);
+        field->cpu.occupancy = field->fine;
+    }
+    free(s.cell);
+    free(s.found);
+}

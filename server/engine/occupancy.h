@@ -1,0 +1,24 @@
+// The occupancy grid that the march reads: from the grid that training measures and, once a field
+// is no longer trained, at half its cells' width from the field itself.
+#ifndef RN_ENGINE_OCCUPANCY_H
+#define RN_ENGINE_OCCUPANCY_H
+
+#include "server/engine/scene.h"
+
+// Makes room for the bits of `cells` a side. RN_ERROR_NO_MEMORY.
+enum rn_status rn_occupancy_bits_create(int cells,
+                                        struct rn_occupancy_bits *ret_bits) RN_MUST_CHECK;
+void rn_occupancy_bits_destroy(struct rn_occupancy_bits *bits);
+
+// Rebuilds the bits and distances that the march reads from `occupancy` and `hull`.
+void rn_field_refresh_occupancy(struct rn_field *field);
+
+// For a field that is not trained any more: the march reads cells half as wide from now on, of
+// which those are occupied whose density at one of 2 x 2 x 2 points would make an optical depth
+// above RN_OCCUPANCY_SEEN from side to side, in the base maps or, of a pyramid, at the level of the
+// training's cells. Leaves the field as it is where no cell, or more than an eighth of all cells,
+// is occupied, where cells are 256 a side already, or without memory. The result does not depend on
+// the number of threads.
+void rn_field_refine_occupancy(struct rn_field *field, struct rn_engine *engine);
+
+#endif
