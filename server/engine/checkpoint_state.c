@@ -43,6 +43,7 @@ static const struct member config_members[] = {
     CONFIG(finest_cone, KIND_DOUBLE),  CONFIG(train_val, KIND_BOOL),
     CONFIG(background, KIND_COLOUR),   LATER(random_background, KIND_DOUBLE),
     LATER(smoothing, KIND_DOUBLE),     LATER(split_pixels, KIND_DOUBLE),
+    LATER(refine_at_rest, KIND_BOOL),
 };
 
 #define PROGRESS(name, kind)                                                                       \

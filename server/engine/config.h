@@ -71,6 +71,7 @@ struct rn_train_config {
     bool footprint_given; // asked for by name: not switched off though the data calls for less
     bool cone_step;       // a sample spans as many steps as its cone is wide, at most 8
     double stop;          // early stop: transmittance below which a ray ends
+    bool refine_at_rest;  // occupancy is measured anew when training is over (occupancy.h)
     bool supersample;     // pixels wider than those trained on are rendered as several of these
     double finest_cone;   // radius at the scene's centre of the finest training pixel's cone,
                           // dataset units; 0: not known. Measured, like the background.

@@ -140,12 +140,12 @@ enum rn_status rn_field_load(struct rn_engine *engine, const char *checkpoint_pa
     }
     rn_field_refresh(field, engine);
     rn_field_refresh_occupancy(field);
+    rn_field_refine_occupancy(field, engine);
     status = rn_field_put_to_render(engine, field, err);
     if (status != RN_OK) {
         rn_field_destroy(&field);
         return status;
     }
-    if (!field->on_device) rn_field_refine_occupancy(field, engine);
     *ret_field = field;
     return RN_OK;
 }

@@ -173,7 +173,7 @@ static void look(void *context, int index, int thread) {
                                 rn_engine_workspace(s->engine, thread), density);
     for (int i = 0; i < n; i++) {
         float depth = density[i] * width * (float)RN_DENSITY_UNIT;
-        s->found[from + (size_t)i] = !(depth <= RN_OCCUPANCY_SEEN); // NaN is seen
+        s->found[from + (size_t)i] = depth > RN_OCCUPANCY_SEEN;
     }
 }
 
@@ -213,8 +213,8 @@ static void take_turn(struct search *s, struct building *b) {
     s->count = left;
 }
 
-// The pyramid's level whose texels are as wide as the cells that training measures; without a
-// pyramid the base maps are looked up however wide a cone is.
+// The pyramid's level whose texels are as wide as the cells that training measures; cameras like
+// the training's look up the base maps alone where there is no pyramid.
 static float level_of_cells(const struct rn_field *field) {
     const struct rn_field_config *c = &field->config.field;
     if (!field->effects[RN_EFFECT_SCALE_PYRAMID].on || c->base <= c->occupancy) return 0;
@@ -225,16 +225,17 @@ void rn_field_refine_occupancy(struct rn_field *field, struct rn_engine *engine)
     struct rn_error unused;
     int cells = 2 * field->config.field.occupancy;
     struct search s = {.field = field, .engine = engine, .cells = cells};
-    double all = (double)cells * cells * cells;
+    float level = level_of_cells(field);
     rn_occupancy_bits_destroy(&field->fine);
     field->cpu.occupancy = field->coarse;
+    if (!field->config.refine_at_rest || cells > FINEST) return;
     s.count = list_cells(&field->coarse, NULL);
-    if (cells > FINEST || s.count == 0 || (double)s.count > SPARSE * all) return;
+    if (s.count == 0 || (double)s.count > SPARSE * cells * cells * cells) return;
     s.cell = malloc(s.count * sizeof *s.cell);
     s.found = malloc(s.count);
-    float level = level_of_cells(field);
-    int levels = (int)ceilf(level) + 1;
-    if (s.cell && s.found && rn_field_make_ready(field, engine, levels, &unused) == RN_OK &&
+    field->fine_levels = (int)ceilf(level) + 1;
+    if (s.cell && s.found &&
+        rn_field_make_ready(field, engine, field->fine_levels, &unused) == RN_OK &&
         rn_occupancy_bits_create(cells, &field->fine) == RN_OK) {
         struct building b = begin(&field->fine);
         list_cells(&field->coarse, s.cell);
@@ -243,8 +244,12 @@ void rn_field_refine_occupancy(struct rn_field *field, struct rn_engine *engine)
             take_turn(&s, &b);
         }
         end(&b);
-        field->cpu.occupancy = field->fine;
     }
     free(s.cell);
     free(s.found);
+}
+
+void rn_field_choose_cells(struct rn_field *field, int levels) {
+    bool fine = field->fine.words && levels <= field->fine_levels;
+    field->cpu.occupancy = fine ? field->fine : field->coarse;
 }

@@ -13,12 +13,16 @@ void rn_occupancy_bits_destroy(struct rn_occupancy_bits *bits);
 // Rebuilds the bits and distances that the march reads from `occupancy` and `hull`.
 void rn_field_refresh_occupancy(struct rn_field *field);
 
-// For a field that is not trained any more: the march reads cells half as wide from now on, of
-// which those are occupied whose density at one of 2 x 2 x 2 points would make an optical depth
-// above RN_OCCUPANCY_SEEN from side to side, in the base maps or, of a pyramid, at the level of the
-// training's cells. Leaves the field as it is where no cell, or more than an eighth of all cells,
-// is occupied, where cells are 256 a side already, or without memory. The result does not depend on
-// the number of threads.
+// For a field that is not trained any more, and whose configuration asks for it: cells half as
+// wide, of which those are occupied whose density at one of 2 x 2 x 2 points would make an optical
+// depth above RN_OCCUPANCY_SEEN from side to side; of a pyramid four points are looked up in the
+// base maps and four at the level of the training's cells. There are none where no cell, or more
+// than an eighth of all, is occupied, where cells are 256 a side already, or without memory. The
+// result does not depend on the number of threads.
 void rn_field_refine_occupancy(struct rn_field *field, struct rn_engine *engine);
+
+// Has the march read the finer cells where there are some that hold for cones of so many levels of
+// the pyramid, else the training's.
+void rn_field_choose_cells(struct rn_field *field, int levels);
 
 #endif

@@ -273,7 +273,11 @@ void rn_field_refresh(struct rn_field *field, struct rn_engine *engine) {
 
 enum rn_status rn_engine_prepare(struct rn_engine *engine, const struct rn_field *field,
                                  struct rn_error *err) {
+    const struct rn_field_config *config = &field->config.field;
     double step = field->config.step;
+    if (engine->workspaces && engine->laid_out_step == step &&
+        memcmp(&engine->laid_out, config, sizeof *config) == 0)
+        return RN_OK;
     size_t bytes = (rn_workspace_size(&field->cpu, step) + 4095) / 4096 * 4096;
     if (bytes > engine->workspace_bytes) {
         rn_block_destroy(engine->workspaces);
@@ -286,6 +290,8 @@ enum rn_status rn_engine_prepare(struct rn_engine *engine, const struct rn_field
     }
     for (int t = 0; t < rn_pool_threads(engine->pool); t++)
         rn_workspace_init(&field->cpu, step, rn_engine_workspace(engine, t));
+    engine->laid_out = *config;
+    engine->laid_out_step = step;
     return RN_OK;
 }
 

@@ -15,8 +15,10 @@ struct rn_engine {
     struct rn_pool *pool;
     const struct rn_kernels *kernels;
     struct rn_device_info info;
-    void *workspaces;          // one a thread, for the field they were last laid out for
-    size_t workspace_bytes;    // of one
+    void *workspaces;                // one a thread
+    size_t workspace_bytes;          // of one
+    struct rn_field_config laid_out; // that they are laid out for, and the step
+    double laid_out_step;
     struct rn_march_ray *rays; // scratch of the renderer, RN_RENDER_BLOCK
     struct rn_pixel *pixels;
     bool (*keep_going)(void *context); // rn_engine_watch; NULL = never asked
@@ -58,7 +60,9 @@ struct rn_field {
     float *occupancy;   // decayed maxima of density * step, cells^3
     uint8_t *hull;      // cells^3: 1 where matter is possible at all (carving)
     uint64_t hull_cells;
-    struct rn_occupancy_bits coarse, fine; // of both; of the field at rest (occupancy.h), or empty
+    struct rn_occupancy_bits coarse; // of both
+    struct rn_occupancy_bits fine;   // finer ones of a field at rest (occupancy.h), or empty
+    int fine_levels;                 // of the pyramid, that those hold for
     int64_t steps;
     double train_seconds, psnr;
     struct rn_effect_record effects[RN_EFFECT_COUNT];
@@ -100,7 +104,7 @@ size_t rn_pyramid_count(const struct rn_field_config *config, int levels);
 void rn_pyramid_lay_out(const struct rn_field_config *config, int levels, float *base, float *block,
                         struct rn_map maps[RN_MAX_PLANES][RN_MAX_LEVELS][RN_MAX_LEVELS]);
 
-// The engine's workspace of one thread for a field; all are laid out on first use or change.
+// The engine's workspaces for a field: laid out on first use and after a change of configuration.
 enum rn_status rn_engine_prepare(struct rn_engine *engine, const struct rn_field *field,
                                  struct rn_error *err) RN_MUST_CHECK;
 struct rn_workspace *rn_engine_workspace(const struct rn_engine *engine, int thread);

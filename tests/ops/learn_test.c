@@ -494,14 +494,19 @@ static void check_refinement(struct rn_engine *engine, struct rn_field *field,
     ck_assert_ptr_null(field->fine.words);
     struct rn_render_result coarse = render_all(engine, field, frame->camera, 0);
     rn_field_refine_occupancy(field, engine);
-    ck_assert_int_eq(field->cpu.occupancy.cells, 2 * field->config.field.occupancy);
     struct rn_render_result fine = render_all(engine, field, frame->camera, 0);
+    ck_assert_int_eq(field->cpu.occupancy.cells, 2 * field->config.field.occupancy);
+    rn_field_choose_cells(field, field->fine_levels + 1);
+    ck_assert_int_eq(field->cpu.occupancy.cells, field->config.field.occupancy);
     rn_field_refine_occupancy(field, alone);
     struct rn_render_result same = render_all(engine, field, frame->camera, 0);
     ck_assert(averaging_error(&fine, &same, 1) == 0 && fine.stats.samples == same.stats.samples);
     double error = fmax(worst_difference(&fine.rgb, &coarse.rgb),
                         worst_difference(&fine.alpha, &coarse.alpha));
     double share = (double)fine.stats.samples / (double)coarse.stats.samples;
+    field->config.refine_at_rest = false;
+    rn_field_refine_occupancy(field, alone);
+    ck_assert_ptr_null(field->fine.words);
     printf("finer cells: %.0f %% of the samples, off by %.4f\n", 100 * share, error);
     ck_assert_double_lt(error, 0.03);
     ck_assert_double_lt(share, 0.97);

@@ -205,7 +205,8 @@ END_TEST
 
 // A checkpoint of a build that did not know an option goes on without it.
 START_TEST(earlier_checkpoints_lack_what_came_later) {
-    static const char *const later[] = {"random_background", "smoothing", "split_pixels"};
+    static const char *const later[] = {"random_background", "smoothing", "split_pixels",
+                                        "refine_at_rest"};
     struct rn_error err;
     struct rn_train_config config = config_for(dataset);
     config.max_steps = 2;
@@ -215,7 +216,7 @@ START_TEST(earlier_checkpoints_lack_what_came_later) {
     snprintf(path, sizeof path, "%s/earlier.safetensors", folder);
     size_t size;
     uint8_t *bytes = saved_bytes(&trainer, path, &size);
-    for (int i = 0; i < 3; i++) {
+    for (size_t i = 0; i < sizeof later / sizeof *later; i++) {
         char *name = memmem(bytes, size, later[i], strlen(later[i]));
         ck_assert_ptr_nonnull(name);
         *name = 'x';
@@ -226,6 +227,7 @@ START_TEST(earlier_checkpoints_lack_what_came_later) {
     ck_assert_double_eq(rn_trainer_config(trainer)->random_background, 0);
     ck_assert_double_eq(rn_trainer_config(trainer)->smoothing, 0);
     ck_assert_double_eq(rn_trainer_config(trainer)->split_pixels, 0);
+    ck_assert(!rn_trainer_config(trainer)->refine_at_rest);
     rn_trainer_destroy(&trainer);
     free(bytes);
     rn_engine_destroy(&engine);

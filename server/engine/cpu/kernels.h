@@ -43,7 +43,7 @@ struct rn_occupancy_bits {
     float low[3], high[3]; // box around all occupied cells; low > high when none
 };
 
-// A field as the kernels read it. Plain pointers, owned by struct rn_field (cpu/field.c).
+// A field as the kernels read it. Plain pointers, owned by struct rn_field (scene.h).
 struct rn_cpu_field {
     struct rn_field_config config;
     struct rn_solid solid;

@@ -1,5 +1,5 @@
 // The occupancy grid: densities of cells, their decayed maxima, and the bits and distances that the
-// march reads (scene.c and train/occupancy.c have the same on the CPU).
+// march reads (../occupancy.c and ../train/occupancy.c have the same on the CPU).
 #ifndef RN_ENGINE_CUDA_OCCUPANCY_CUH
 #define RN_ENGINE_CUDA_OCCUPANCY_CUH
 

@@ -10,8 +10,8 @@
 
 #define RN_OCCUPANCY_DECAY 0.95
 #define RN_OCCUPANCY_LIMIT 5e-3 // of density times step, with the mean as the lower threshold
-#define RN_OCCUPANCY_SEEN                                                                          \
-    1.5e-2f // of a field at rest: a finer cell's optical depth from side to side
+// Of a field at rest: a finer cell's optical depth from side to side. Thinner haze vanishes.
+#define RN_OCCUPANCY_SEEN 1.5e-2f
 
 // Cell of a coordinate in [-1, 1]; clamped. NaN gives 0.
 RN_HD int rn_cell_of(rn_real p, int cells) {

@@ -6,9 +6,9 @@
 //
 // Neighbours agree when, of every output asked for, the root mean square distance from their mean
 // is at most the tolerance: colour (over its three channels) and opacity in [0, 1], depth in scene
-// radii. What is thinner than two pixels and lies between neighbours that agree is lost: that is
-// the price. Four that see nothing agree only where nothing can lie between them (`dense`). A pixel
-// at the border, or beside a value that is not finite, is traced.
+// radii. What is narrower than three pixels and lies between neighbours that agree may be lost:
+// that is the price. Four that see nothing agree only where cells are wide enough (`dense`).
+// A pixel at the border, or beside a value that is not finite, is traced.
 //
 // A pass reads what the passes before it wrote and nothing else: the tiles of one pass may be done
 // in any order.
@@ -22,16 +22,17 @@ struct rn_lattice {
     int width, height;
     unsigned outputs; // RN_OUTPUT_* ORed
     float tolerance;  // at most 0.5; 0: every pixel is traced, in one pass
-    bool dense;       // no occupied cell fits between four pixels
+    bool dense;       // rn_lattice_is_dense
 };
 // Part of a picture: columns [x0, x1), rows [y0, y1); even but for the picture's ends.
 struct rn_tile {
     int x0, y0, x1, y1;
 };
 
-// Whether an occupancy cell, as large as it looks in the middle of the scene, covers one of four
-// diagonal neighbours whenever it covers the pixel between them: a disc of its width, 2 sqrt(2)
-// pixels, always does.
+// Whether a cell of the training's occupancy, as large as it looks in the middle of the scene,
+// covers one of four diagonal neighbours whenever it covers the pixel between them: a disc of its
+// width, 2 sqrt(2) pixels, always does. Of a field at rest, whose cells are half as wide, a lone
+// one may be missed.
 bool rn_lattice_is_dense(const struct rn_field *field, const struct rn_camera *camera);
 int rn_lattice_passes(const struct rn_lattice *lattice);
 // Writes the tile's pixels of pass `pass` (from 0) that are interpolated, lists those to be traced,

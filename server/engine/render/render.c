@@ -6,6 +6,7 @@
 #include "common/base/clock.h"
 #include "common/image/metrics.h"
 #include "server/engine/device.h"
+#include "server/engine/occupancy.h"
 #include "server/engine/render/lattice.h"
 
 #define TILE 16               // cones a side; a tile fills two packets
@@ -134,7 +135,9 @@ static enum rn_status prepare(struct frame *f, struct rn_error *err) {
     f->on_device = f->field->on_device && levels <= f->field->device_levels;
     if (f->on_device) return RN_OK;
     status = rn_field_fetch(f->field, NULL, NULL, err);
-    return status == RN_OK ? rn_field_make_ready(f->field, f->engine, levels, err) : status;
+    if (status == RN_OK) status = rn_field_make_ready(f->field, f->engine, levels, err);
+    if (status == RN_OK) rn_field_choose_cells(f->field, levels);
+    return status;
 }
 
 static enum rn_status stopped(struct rn_error *err) {

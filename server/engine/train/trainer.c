@@ -504,9 +504,9 @@ enum rn_status rn_trainer_save(struct rn_trainer *t, const char *path, struct rn
 
 struct rn_field *rn_trainer_finish(struct rn_trainer **trainer) {
     struct rn_field *field = (*trainer)->field;
-    if (field->on_device && rn_field_fetch(field, NULL, NULL, NULL) == RN_OK)
-        (void)!rn_field_put_to_render((*trainer)->engine, field, NULL);
-    if (!field->on_device) rn_field_refine_occupancy(field, (*trainer)->engine);
+    bool here = rn_field_fetch(field, NULL, NULL, NULL) == RN_OK;
+    if (here) rn_field_refine_occupancy(field, (*trainer)->engine);
+    if (here && field->on_device) (void)!rn_field_put_to_render((*trainer)->engine, field, NULL);
     (*trainer)->field = NULL;
     rn_trainer_destroy(trainer);
     return field;
