@@ -284,6 +284,7 @@ static void share_rows(struct rn_bench_recording *rec) {
     for (int k = 1; k < rec->packet_count; k++) {
         struct rn_workspace *w = rec->packets[k].workspace;
         w->features = first->features;
+        w->padded = (struct rn_padding){0};
         memcpy(w->hidden, first->hidden, sizeof w->hidden);
         w->geometry = first->geometry;
         w->grad_a = first->grad_a;

@@ -67,18 +67,22 @@ RN_INLINE feature *feature_row(const struct rn_cpu_field *field, const struct rn
     return (feature *)w->features + (size_t)i * features_a_row(field);
 }
 
-// Zeros behind the features of samples [begin, end): the rows may have held another set's numbers.
-RN_INLINE void clear_padding(const struct rn_cpu_field *field, int begin, int end,
-                             const struct rn_workspace *w) {
+// Zeros behind the features of the first `rows` samples: once, as nothing else is written there but
+// by a set whose rows are others.
+RN_INLINE void clear_padding(const struct rn_cpu_field *field, int rows, struct rn_workspace *w) {
     int features = field->features, stride = (int)features_a_row(field);
     int rest = features + (stride - features) % 16;
-    for (int i = begin; i < end && features < stride; i++) {
+    size_t bytes = (size_t)stride * sizeof(feature);
+    if (w->padded.features != features || w->padded.row_bytes != bytes)
+        w->padded = (struct rn_padding){.features = features, .row_bytes = bytes};
+    for (int i = w->padded.rows; i < rows && features < stride; i++) {
         feature *row = feature_row(field, w, i);
         for (int k = features; k < rest; k += 4)
             store_features_4(row + k, (v4){0});
         for (int k = rest; k < stride; k += 16)
             store_features_16(row + k, (v16){0});
     }
+    if (rows > w->padded.rows) w->padded.rows = rows;
 }
 
 static void put_features(const struct rn_cpu_field *field, int i, const float *from,
@@ -86,7 +90,7 @@ static void put_features(const struct rn_cpu_field *field, int i, const float *f
     feature *row = feature_row(field, w, i);
     for (int k = 0; k < field->features; k += 4)
         store_features_4(row + k, *(const v4 *)(from + k));
-    clear_padding(field, i, i + 1, w);
+    clear_padding(field, i + 1, w);
 }
 
 static void get_features(const struct rn_cpu_field *field, int i, const struct rn_workspace *w,

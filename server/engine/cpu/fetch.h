@@ -216,7 +216,7 @@ static void encode(const struct rn_cpu_field *field, bool leveled, int begin, in
         }
 #undef RN_ENCODE
     }
-    clear_padding(field, begin, end, w);
+    clear_padding(field, end, w);
 }
 
 #endif

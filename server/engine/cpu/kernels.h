@@ -135,6 +135,12 @@ struct rn_group {
     uint64_t level_samples[RN_MAX_LEVELS];
 };
 
+// Rows of features that have zeros behind them.
+struct rn_padding {
+    int features, rows;
+    size_t row_bytes;
+};
+
 // Thread-local scratch of one packet. Arrays lie in one block behind the structure.
 struct rn_workspace {
     int capacity;        // samples
@@ -157,6 +163,7 @@ struct rn_workspace {
     float *interval; // in density units; 0 outside the ball
     float *u[RN_MAX_PLANES], *v[RN_MAX_PLANES], *lx[RN_MAX_PLANES], *ly[RN_MAX_PLANES];
     void *features;                     // [capacity]: rows in the kernel set's own form
+    struct rn_padding padded;           // of these
     float *hidden[RN_MLP_MAX_LAYERS];   // [capacity][width], in the kernel set's own form
     float *geometry;                    // [capacity][16]: outputs, then activated in place
     float *x, *before, *weight, *after; // optical depth; depth before; weight; T behind
