@@ -198,11 +198,12 @@ static void sweep_footprint(struct sweep *s, enum rn_footprint footprint,
     } while (!progress.done);
     fprintf(stderr, "zoom: %s: %lld steps in %.1f s, loss %.5f\n", rn_footprint_name(footprint),
             (long long)progress.step, progress.train_seconds, progress.loss);
+    struct rn_field *field = rn_trainer_finish(&trainer);
     for (int v = 0; v < VARIANTS; v++)
         for (int i = 0; i < ZOOMS && variants[v].footprint == footprint; i++)
-            ret_scores[v][i] = score_at(s, rn_trainer_field(trainer), variants[v].supersample,
-                                        NEAREST * pow(2, 0.5 * i));
-    rn_trainer_destroy(&trainer);
+            ret_scores[v][i] =
+                score_at(s, field, variants[v].supersample, NEAREST * pow(2, 0.5 * i));
+    rn_field_destroy(&field);
 }
 
 static void print_table(const struct sweep *s, struct score scores[VARIANTS][ZOOMS]) {

@@ -1,6 +1,5 @@
 // The CPU kernels against the float64 reference: pixels, loss and every gradient, for every kernel
 // set this machine can run.
-#include <check.h>
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -10,6 +9,7 @@
 #include "server/engine/occupancy.h"
 #include "server/engine/reference/reference.h"
 #include "server/engine/scene.h"
+#include "tests/support/suite.h"
 
 #define RAYS 24
 
@@ -600,9 +600,5 @@ int main(void) {
     tcase_add_test(tests, odd_base_matches_reference);
     tcase_add_test(tests, other_solids_and_no_view_dependence_match_reference);
     suite_add_tcase(suite, tests);
-    SRunner *runner = srunner_create(suite);
-    srunner_run_all(runner, CK_NORMAL);
-    int failed = srunner_ntests_failed(runner);
-    srunner_free(runner);
-    return failed != 0;
+    return run_suite(suite);
 }

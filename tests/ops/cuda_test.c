@@ -3,7 +3,6 @@
 //
 // Bounds: the kernels multiply fp16 numbers of 11 bits and add in fp32; the parameters here are
 // fp16 numbers, so what is measured is the rounding of features, activations and gradients.
-#include <check.h>
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -13,6 +12,7 @@
 #include "server/engine/cuda/layout.h"
 #include "tests/ops/cuda_emulator/knobs.h"
 #include "tests/ops/cuda_scene.h"
+#include "tests/support/suite.h"
 
 #define GRADIENT_BOUND 2e-3 // of the largest number of its kind
 #define GRADIENT_OFF 2e-2
@@ -692,9 +692,5 @@ int main(void) {
     if (test_is_emulated()) add(suite, "guards", a_broken_device_says_so);
     add(suite, "guards", what_it_cannot_do_is_refused);
     add(suite, "learning", it_learns_without_allocating);
-    SRunner *runner = srunner_create(suite);
-    srunner_run_all(runner, CK_NORMAL);
-    int failed = srunner_ntests_failed(runner);
-    srunner_free(runner);
-    return failed != 0;
+    return run_suite(suite);
 }

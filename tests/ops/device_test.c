@@ -1,7 +1,6 @@
 // The engine with a device, against itself without one: training, growth, effects, evaluation,
 // checkpoints, pictures; and what happens when the device cannot or no longer will. The device is
 // emulated (RIPNERF_CUDA_MODULE names the module); on a machine with a GPU give the real one.
-#include <check.h>
 #include <dlfcn.h>
 #include <math.h>
 #include <stdio.h>
@@ -12,6 +11,7 @@
 #include "common/base/file.h"
 #include "server/engine/engine.h"
 #include "server/engine/train/trainer.h"
+#include "tests/support/suite.h"
 
 static char folder[64], path[128];
 static struct rn_dataset *dataset;
@@ -530,9 +530,5 @@ int main(void) {
     add(suite, "said", what_is_not_there_is_said);
     add(suite, "auto", auto_takes_what_there_is);
     add(suite, "memory", memory_is_counted_first);
-    SRunner *runner = srunner_create(suite);
-    srunner_run_all(runner, CK_NORMAL);
-    int failed = srunner_ntests_failed(runner);
-    srunner_free(runner);
-    return failed != 0;
+    return run_suite(suite);
 }

@@ -1,11 +1,11 @@
 // The networks of every kernel set with small integers, of which every product and sum is exact in
 // fp32 and in bf16: forward, inputs' and weights' gradients must be the reference's, to the bit.
-#include <check.h>
 #include <stdlib.h>
 #include <string.h>
 
 #include "common/math/rng.h"
 #include "server/engine/scene.h"
+#include "tests/support/suite.h"
 
 #define ROWS 330
 #define WIDEST 256
@@ -199,9 +199,5 @@ int main(void) {
     tcase_add_test(tests, integers_are_exact);
     tcase_add_test(tests, every_number_of_rows);
     suite_add_tcase(suite, tests);
-    SRunner *runner = srunner_create(suite);
-    srunner_run_all(runner, CK_NORMAL);
-    int failed = srunner_ntests_failed(runner);
-    srunner_free(runner);
-    return failed != 0;
+    return run_suite(suite);
 }

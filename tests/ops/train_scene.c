@@ -5,6 +5,7 @@
 #include <unistd.h>
 
 #include "common/base/file.h"
+#include "tests/support/suite.h"
 
 char folder[64];
 struct rn_dataset *dataset, *scaled;
@@ -99,9 +100,5 @@ int run_on_scene(const char *name, void (*add)(TCase *tests)) {
     tcase_set_timeout(tests, 300);
     add(tests);
     suite_add_tcase(suite, tests);
-    SRunner *runner = srunner_create(suite);
-    srunner_run_all(runner, CK_NORMAL);
-    int failed = srunner_ntests_failed(runner);
-    srunner_free(runner);
-    return failed != 0;
+    return run_suite(suite);
 }

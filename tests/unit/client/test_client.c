@@ -1,7 +1,6 @@
 // The client's parts that need no daemon: event streams, command lines, archives, figures.
 #include <archive.h>
 #include <archive_entry.h>
-#include <check.h>
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -15,6 +14,7 @@
 #include "client/sse.h"
 #include "client/tar.h"
 #include "common/base/file.h"
+#include "tests/support/suite.h"
 
 // ---- server-sent events ----
 
@@ -351,9 +351,5 @@ int main(void) {
     tcase_add_test(files, archives_notice_a_file_that_shrinks);
     suite_add_tcase(suite, plain);
     suite_add_tcase(suite, files);
-    SRunner *runner = srunner_create(suite);
-    srunner_run_all(runner, CK_ENV);
-    int failed = srunner_ntests_failed(runner);
-    srunner_free(runner);
-    return failed != 0;
+    return run_suite(suite);
 }

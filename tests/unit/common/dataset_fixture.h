@@ -2,7 +2,6 @@
 #ifndef RN_TESTS_DATASET_FIXTURE_H
 #define RN_TESTS_DATASET_FIXTURE_H
 
-#include <check.h>
 #include <png.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -11,6 +10,7 @@
 #include "common/base/file.h"
 #include "common/dataset/dataset.h"
 #include "common/math/rng.h"
+#include "tests/support/suite.h"
 
 static char folder[64];
 static struct rn_problems problems;
@@ -116,15 +116,6 @@ static inline void put_transforms(const char *split, const char *frames) {
 static inline void read_ok(const char *path) {
     enum rn_status status = rn_dataset_read(path, &problems, &dataset, &err);
     ck_assert_msg(status == RN_OK, "%s: %s", err.where, err.text);
-}
-
-// Runs one suite; the process's exit status.
-static inline int run_suite(Suite *suite) {
-    SRunner *runner = srunner_create(suite);
-    srunner_run_all(runner, CK_NORMAL);
-    int failed = srunner_ntests_failed(runner);
-    srunner_free(runner);
-    return failed ? EXIT_FAILURE : EXIT_SUCCESS;
 }
 
 #endif

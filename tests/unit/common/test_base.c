@@ -1,5 +1,4 @@
 // Clocks, files, buffers, log, hash and the parallel loop.
-#include <check.h>
 #include <errno.h>
 #include <fcntl.h>
 #include <signal.h>
@@ -17,6 +16,7 @@
 #include "common/base/log.h"
 #include "common/base/sha256.h"
 #include "common/base/threads.h"
+#include "tests/support/suite.h"
 
 static char folder[64];
 
@@ -369,9 +369,5 @@ int main(void) {
     tcase_add_test(files, deep_tree_is_refused);
     suite_add_tcase(suite, plain);
     suite_add_tcase(suite, files);
-    SRunner *runner = srunner_create(suite);
-    srunner_run_all(runner, CK_NORMAL);
-    int failed = srunner_ntests_failed(runner);
-    srunner_free(runner);
-    return failed != 0;
+    return run_suite(suite);
 }

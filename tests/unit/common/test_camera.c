@@ -1,11 +1,11 @@
 // Cameras: rays, resizing, checks and poses.
-#include <check.h>
 #include <float.h>
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
 #include "common/math/camera.h"
+#include "tests/support/suite.h"
 
 static const double pi = 3.14159265358979323846;
 
@@ -182,9 +182,5 @@ int main(void) {
     tcase_add_test(cases, look_at);
     tcase_add_test(cases, look_at_degenerate);
     suite_add_tcase(suite, cases);
-    SRunner *runner = srunner_create(suite);
-    srunner_run_all(runner, CK_NORMAL);
-    int failed = srunner_ntests_failed(runner);
-    srunner_free(runner);
-    return failed != 0;
+    return run_suite(suite);
 }

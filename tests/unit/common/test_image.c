@@ -1,11 +1,11 @@
 // Pictures in memory: conversions, compositing, downscaling, the published pyramid.
-#include <check.h>
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
 #include "common/image/image.h"
 #include "common/math/rng.h"
+#include "tests/support/suite.h"
 
 static struct rn_image filled(int width, int height, const uint8_t rgba[4]) {
     struct rn_image image;
@@ -288,9 +288,5 @@ int main(void) {
     tcase_add_test(cases, legacy_pyramid_bits);
     tcase_add_test(cases, legacy_pyramid_sizes);
     suite_add_tcase(suite, cases);
-    SRunner *runner = srunner_create(suite);
-    srunner_run_all(runner, CK_NORMAL);
-    int failed = srunner_ntests_failed(runner);
-    srunner_free(runner);
-    return failed != 0;
+    return run_suite(suite);
 }

@@ -1,5 +1,4 @@
 // PNG and JPEG: every kind of file, limits, damage, and what the encoders write.
-#include <check.h>
 #include <math.h>
 #include <png.h>
 #include <stdio.h>
@@ -10,6 +9,7 @@
 
 #include "common/base/file.h"
 #include "common/image/image.h"
+#include "tests/support/suite.h"
 
 struct bytes {
     uint8_t *data;
@@ -540,9 +540,5 @@ int main(void) {
     tcase_add_test(cases, written_png);
     tcase_add_test(cases, depth_png);
     suite_add_tcase(suite, cases);
-    SRunner *runner = srunner_create(suite);
-    srunner_run_all(runner, CK_NORMAL);
-    int failed = srunner_ntests_failed(runner);
-    srunner_free(runner);
-    return failed != 0;
+    return run_suite(suite);
 }

@@ -1,11 +1,11 @@
 // PSNR and SSIM: known values, refusals, and agreement with their definitions.
-#include <check.h>
 #include <math.h>
 #include <stdlib.h>
 
 #include "common/image/metrics.h"
 #include "tests/support/naive_metrics.h"
 #include "common/math/rng.h"
+#include "tests/support/suite.h"
 
 static struct rn_picture constant(int width, int height, int channels, float value) {
     struct rn_picture picture;
@@ -116,9 +116,5 @@ int main(void) {
     tcase_add_test(cases, agrees_with_definition);
     tcase_add_test(cases, refusals);
     suite_add_tcase(suite, cases);
-    SRunner *runner = srunner_create(suite);
-    srunner_run_all(runner, CK_NORMAL);
-    int failed = srunner_ntests_failed(runner);
-    srunner_free(runner);
-    return failed != 0;
+    return run_suite(suite);
 }

@@ -1,11 +1,11 @@
 // Camera and path files: what is refused and where, and the cameras between keys.
-#include <check.h>
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
 #include "common/path/path.h"
+#include "tests/support/suite.h"
 
 #define POSE_A "[[1,0,0,0],[0,1,0,0],[0,0,1,-4]]"
 #define POSE_B "[[0,0,-1,4],[0,1,0,0],[1,0,0,0]]"  // a quarter turn about y
@@ -254,9 +254,5 @@ int main(void) {
     tcase_add_loop_test(tests, bad_path, 0, sizeof bad_paths / sizeof *bad_paths);
     tcase_add_test(tests, oversized_document);
     suite_add_tcase(suite, tests);
-    SRunner *runner = srunner_create(suite);
-    srunner_run_all(runner, CK_NORMAL);
-    int failed = srunner_ntests_failed(runner);
-    srunner_free(runner);
-    return failed ? EXIT_FAILURE : EXIT_SUCCESS;
+    return run_suite(suite);
 }

@@ -1,9 +1,9 @@
-#include <check.h>
 #include <math.h>
 #include <stdbool.h>
 #include <stdlib.h>
 
 #include "server/engine/train/importance.h"
+#include "tests/support/suite.h"
 
 #define PIXELS (RN_LIVE_BLOCK * RN_LIVE_BLOCK)
 
@@ -141,9 +141,5 @@ int main(void) {
     tcase_add_test(tests, importance_is_unbiased);
     tcase_add_test(tests, importance_takes_other_pixels);
     suite_add_tcase(suite, tests);
-    SRunner *runner = srunner_create(suite);
-    srunner_run_all(runner, CK_NORMAL);
-    int failed = srunner_ntests_failed(runner);
-    srunner_free(runner);
-    return failed != 0;
+    return run_suite(suite);
 }

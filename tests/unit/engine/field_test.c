@@ -1,5 +1,4 @@
 // The field's small parts: spherical harmonics, networks, taps and levels where values are known.
-#include <check.h>
 #include <stdlib.h>
 
 #include "server/engine/field/footprint.h"
@@ -7,6 +6,7 @@
 #include "server/engine/field/ripmap.h"
 #include "server/engine/field/sh.h"
 #include "server/engine/field/volume.h"
+#include "tests/support/suite.h"
 
 // The product of any two harmonics over the sphere is 1 or 0. Gauss-Legendre with 4 points in z and
 // 8 equal angles are exact for the degree 6 that products of degree 3 have.
@@ -97,9 +97,5 @@ int main(void) {
     tcase_add_test(tcase, levels_are_those_of_the_released_code);
     tcase_add_test(tcase, density_is_the_shifted_clamped_exponential);
     suite_add_tcase(suite, tcase);
-    SRunner *runner = srunner_create(suite);
-    srunner_run_all(runner, CK_NORMAL);
-    int failed = srunner_ntests_failed(runner);
-    srunner_free(runner);
-    return failed == 0 ? 0 : 1;
+    return run_suite(suite);
 }

@@ -1,10 +1,10 @@
-#include <check.h>
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
 #include "common/math/rng.h"
 #include "server/engine/render/lattice.h"
+#include "tests/support/suite.h"
 
 #define WIDTH 37
 #define HEIGHT 26
@@ -180,9 +180,5 @@ int main(void) {
     tcase_add_test(tests, emptiness_is_believed_where_nothing_fits_between);
     tcase_add_test(tests, beside_what_is_not_finite_pixels_are_traced);
     suite_add_tcase(suite, tests);
-    SRunner *runner = srunner_create(suite);
-    srunner_run_all(runner, CK_NORMAL);
-    int failed = srunner_ntests_failed(runner);
-    srunner_free(runner);
-    return failed != 0;
+    return run_suite(suite);
 }

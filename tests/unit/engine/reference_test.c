@@ -3,6 +3,7 @@
 #include <string.h>
 
 #include "tests/unit/engine/field_samples.h"
+#include "tests/support/suite.h"
 
 #define SAMPLES 6
 #define RAYS 4
@@ -436,9 +437,5 @@ int main(void) {
     tcase_add_test(tcase, create_refuses_planes_of_no_solid);
     tcase_add_loop_test(tcase, adamw_matches_long_double, 0, 2);
     suite_add_tcase(suite, tcase);
-    SRunner *runner = srunner_create(suite);
-    srunner_run_all(runner, CK_NORMAL);
-    int failed = srunner_ntests_failed(runner);
-    srunner_free(runner);
-    return failed == 0 ? 0 : 1;
+    return run_suite(suite);
 }

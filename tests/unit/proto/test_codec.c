@@ -1,6 +1,5 @@
 // The codec: every example of the contract survives decoding and encoding; every kind of wrong
 // field is refused with its pointer.
-#include <check.h>
 #include <jansson.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -13,6 +12,7 @@
 #include "proto/problem.h"
 #include "proto/render.h"
 #include "proto/scene.h"
+#include "tests/support/suite.h"
 
 // ---- examples ------------------------------------------------------------------------------
 
@@ -352,9 +352,5 @@ int main(void) {
     tcase_add_loop_test(tests, every_status_has_a_problem, 0, RN_STATUS_COUNT);
     Suite *suite = suite_create("proto");
     suite_add_tcase(suite, tests);
-    SRunner *runner = srunner_create(suite);
-    srunner_run_all(runner, CK_NORMAL);
-    int failed = srunner_ntests_failed(runner);
-    srunner_free(runner);
-    return failed ? 1 : 0;
+    return run_suite(suite);
 }

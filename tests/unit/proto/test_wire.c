@@ -1,5 +1,4 @@
 // The framed protocol: any cutting of the stream, hostile headers, a full pipe.
-#include <check.h>
 #include <fcntl.h>
 #include <stdlib.h>
 #include <string.h>
@@ -7,6 +6,7 @@
 #include <unistd.h>
 
 #include "proto/wire_messages.h"
+#include "tests/support/suite.h"
 
 static int ends[2];
 
@@ -182,9 +182,5 @@ int main(void) {
     tcase_add_test(tests, messages_survive_the_trip);
     Suite *suite = suite_create("proto");
     suite_add_tcase(suite, tests);
-    SRunner *runner = srunner_create(suite);
-    srunner_run_all(runner, CK_NORMAL);
-    int failed = srunner_ntests_failed(runner);
-    srunner_free(runner);
-    return failed ? 1 : 0;
+    return run_suite(suite);
 }

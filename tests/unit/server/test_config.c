@@ -1,5 +1,4 @@
 // Options: precedence, kinds, refusals.
-#include <check.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -7,6 +6,7 @@
 
 #include "common/base/file.h"
 #include "server/config.h"
+#include "tests/support/suite.h"
 
 static char folder[64], file[128];
 static struct rn_config config;
@@ -162,9 +162,5 @@ int main(void) {
     tcase_add_test(tcase, test_listen);
     tcase_add_test(tcase, test_help);
     suite_add_tcase(suite, tcase);
-    SRunner *runner = srunner_create(suite);
-    srunner_run_all(runner, CK_NORMAL);
-    int failed = srunner_ntests_failed(runner);
-    srunner_free(runner);
-    return failed == 0 ? EXIT_SUCCESS : EXIT_FAILURE;
+    return run_suite(suite);
 }

@@ -1,5 +1,4 @@
 // Who gets how much of a GPU, who waits, and who goes: runners that are sockets, no processes.
-#include <check.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -8,6 +7,7 @@
 #include <unistd.h>
 
 #include "server/jobs/inside.h"
+#include "tests/support/suite.h"
 
 #define RUNNERS 4
 #define NOTHING -1 // has been answered
@@ -215,9 +215,5 @@ int main(void) {
     tcase_add_test(tcase, what_never_fits_is_refused_at_once);
     tcase_add_test(tcase, without_an_option_there_is_what_was_free);
     suite_add_tcase(suite, tcase);
-    SRunner *runner = srunner_create(suite);
-    srunner_run_all(runner, CK_NORMAL);
-    int failed = srunner_ntests_failed(runner);
-    srunner_free(runner);
-    return failed == 0 ? EXIT_SUCCESS : EXIT_FAILURE;
+    return run_suite(suite);
 }

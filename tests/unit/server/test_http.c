@@ -1,11 +1,11 @@
 // Router and guards.
-#include <check.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
 #include "server/http/guard.h"
 #include "server/http/router.h"
+#include "tests/support/suite.h"
 
 static void handle(void *context, struct rn_request *request, struct rn_reply *reply) {}
 
@@ -130,9 +130,5 @@ int main(void) {
     tcase_add_test(tcase, test_host);
     tcase_add_test(tcase, test_origin);
     suite_add_tcase(suite, tcase);
-    SRunner *runner = srunner_create(suite);
-    srunner_run_all(runner, CK_NORMAL);
-    int failed = srunner_ntests_failed(runner);
-    srunner_free(runner);
-    return failed == 0 ? EXIT_SUCCESS : EXIT_FAILURE;
+    return run_suite(suite);
 }

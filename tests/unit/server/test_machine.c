@@ -1,10 +1,10 @@
 // Every state with every event: the legal transitions are listed here once more, all others must
 // be conflicts that name the state.
-#include <check.h>
 #include <stdlib.h>
 #include <string.h>
 
 #include "server/jobs/machine.h"
+#include "tests/support/suite.h"
 
 #define ANY -1
 
@@ -107,9 +107,5 @@ int main(void) {
     tcase_add_test(tcase, test_transitions);
     tcase_add_test(tcase, test_no_dead_end);
     suite_add_tcase(suite, tcase);
-    SRunner *runner = srunner_create(suite);
-    srunner_run_all(runner, CK_NORMAL);
-    int failed = srunner_ntests_failed(runner);
-    srunner_free(runner);
-    return failed == 0 ? EXIT_SUCCESS : EXIT_FAILURE;
+    return run_suite(suite);
 }

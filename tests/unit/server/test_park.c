@@ -1,6 +1,5 @@
 // The HTTP server with handlers of the test's own: parked requests and event streams.
 #include <arpa/inet.h>
-#include <check.h>
 #include <pthread.h>
 #include <stdatomic.h>
 #include <stdio.h>
@@ -13,6 +12,7 @@
 #include "common/base/clock.h"
 #include "server/http/ring.h"
 #include "server/http/server.h"
+#include "tests/support/suite.h"
 
 static struct rn_http *http;
 static struct rn_ring *ring;
@@ -239,9 +239,5 @@ int main(void) {
     tcase_add_test(tcase, test_stream);
     tcase_add_test(tcase, test_slow_reader_is_dropped);
     suite_add_tcase(suite, tcase);
-    SRunner *runner = srunner_create(suite);
-    srunner_run_all(runner, CK_NORMAL);
-    int failed = srunner_ntests_failed(runner);
-    srunner_free(runner);
-    return failed == 0 ? EXIT_SUCCESS : EXIT_FAILURE;
+    return run_suite(suite);
 }

@@ -1,10 +1,10 @@
 // Rings of events: order, bounds, replay, replacement, end.
-#include <check.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
 #include "server/http/ring.h"
+#include "tests/support/suite.h"
 
 static struct rn_ring *ring;
 static struct rn_ring_reader reader;
@@ -129,9 +129,5 @@ int main(void) {
     tcase_add_test(tcase, test_newest_replaces);
     tcase_add_test(tcase, test_ids_grow);
     suite_add_tcase(suite, tcase);
-    SRunner *runner = srunner_create(suite);
-    srunner_run_all(runner, CK_NORMAL);
-    int failed = srunner_ntests_failed(runner);
-    srunner_free(runner);
-    return failed == 0 ? EXIT_SUCCESS : EXIT_FAILURE;
+    return run_suite(suite);
 }

@@ -1,5 +1,4 @@
 // Records: round trips, transactions, conflicts, lists, migration, damage, the folder's lock.
-#include <check.h>
 #include <fcntl.h>
 #include <math.h>
 #include <stdio.h>
@@ -10,6 +9,7 @@
 
 #include "common/base/file.h"
 #include "server/store/table.h"
+#include "tests/support/suite.h"
 
 static char folder[64];
 static struct rn_store *store;
@@ -237,9 +237,5 @@ int main(void) {
     tcase_add_test(tcase, test_sweep);
     tcase_add_test(tcase, test_ids);
     suite_add_tcase(suite, tcase);
-    SRunner *runner = srunner_create(suite);
-    srunner_run_all(runner, CK_NORMAL);
-    int failed = srunner_ntests_failed(runner);
-    srunner_free(runner);
-    return failed == 0 ? EXIT_SUCCESS : EXIT_FAILURE;
+    return run_suite(suite);
 }
