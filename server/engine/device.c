@@ -1,12 +1,12 @@
 #include "server/engine/device.h"
 
-#include "server/engine/occupancy.h"
-
 #include <dlfcn.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <unistd.h>
+
+#include "server/engine/occupancy.h"
 
 // The CUDA runtime does not survive being unloaded.
 #define MODULE_FLAGS (RTLD_NOW | RTLD_LOCAL | RTLD_NODELETE)

@@ -124,6 +124,11 @@ static unsigned row_over(const struct rn_field *field, float threshold, int x, i
     return set;
 }
 
+float rn_level_of_cells(const struct rn_field_config *config) {
+    float level = log2f((float)config->base / (float)config->occupancy);
+    return level > 0 ? level : 0;
+}
+
 void rn_field_refresh_occupancy(struct rn_field *field) {
     int cells = field->config.field.occupancy;
     float threshold = (float)occupancy_threshold(field);
@@ -164,8 +169,8 @@ static void look(void *context, int index, int thread) {
     float quarter[3] = {s->turn & 1 ? 0.75f : 0.25f, s->turn & 2 ? 0.75f : 0.25f,
                         s->turn & 4 ? 0.75f : 0.25f};
     for (int i = 0; i < n; i++) {
-        uint32_t c = s->cell[from + (size_t)i], side = (uint32_t)s->cells;
-        uint32_t at[3] = {c / side / side, c / side % side, c % side};
+        int at[3];
+        rn_cell_at(s->cell[from + (size_t)i], s->cells, at);
         for (int k = 0; k < 3; k++)
             points[i][k] = ((float)at[k] + quarter[k]) * width - 1;
     }
@@ -203,29 +208,23 @@ static void take_turn(struct search *s, struct building *b) {
     size_t left = 0;
     rn_pool_run(s->engine->pool, (int)((s->count + CHUNK - 1) / CHUNK), look, s);
     for (size_t i = 0; i < s->count; i++) {
-        uint32_t c = s->cell[i], side = (uint32_t)s->cells;
-        int z = (int)(c % side), first = z & ~(RN_BRICK - 1);
+        int at[3];
+        rn_cell_at(s->cell[i], s->cells, at);
         if (s->found[i])
-            put_row(b, (int)(c / side / side), (int)(c / side % side), first, 1u << (z - first));
+            put_row(b, at[0], at[1], at[2] & ~(RN_BRICK - 1), 1u << at[2] % RN_BRICK);
         else
-            s->cell[left++] = c;
+            s->cell[left++] = s->cell[i];
     }
     s->count = left;
-}
-
-// The pyramid's level whose texels are as wide as the cells that training measures; cameras like
-// the training's look up the base maps alone where there is no pyramid.
-static float level_of_cells(const struct rn_field *field) {
-    const struct rn_field_config *c = &field->config.field;
-    if (!field->effects[RN_EFFECT_SCALE_PYRAMID].on || c->base <= c->occupancy) return 0;
-    return log2f((float)c->base / (float)c->occupancy);
 }
 
 void rn_field_refine_occupancy(struct rn_field *field, struct rn_engine *engine) {
     struct rn_error unused;
     int cells = 2 * field->config.field.occupancy;
     struct search s = {.field = field, .engine = engine, .cells = cells};
-    float level = level_of_cells(field);
+    // Cameras like the training's look up the base maps alone where there is no pyramid.
+    bool pyramid = field->effects[RN_EFFECT_SCALE_PYRAMID].on;
+    float level = pyramid ? rn_level_of_cells(&field->config.field) : 0;
     rn_occupancy_bits_destroy(&field->fine);
     field->cpu.occupancy = field->coarse;
     if (!field->config.refine_at_rest || cells > FINEST) return;

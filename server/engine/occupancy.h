@@ -10,6 +10,9 @@ enum rn_status rn_occupancy_bits_create(int cells,
                                         struct rn_occupancy_bits *ret_bits) RN_MUST_CHECK;
 void rn_occupancy_bits_destroy(struct rn_occupancy_bits *bits);
 
+// The pyramid's level whose texels are as wide as the cells that training measures.
+float rn_level_of_cells(const struct rn_field_config *config);
+
 // Rebuilds the bits and distances that the march reads from `occupancy` and `hull`.
 void rn_field_refresh_occupancy(struct rn_field *field);
 

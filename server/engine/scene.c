@@ -122,7 +122,8 @@ size_t rn_field_bytes(const struct rn_train_config *config, int levels) {
     size_t cells = (size_t)config->field.occupancy;
     return (parameters.count + rn_pyramid_count(&config->field, levels) * config->field.planes) *
                sizeof(float) +
-           cells * cells * cells * 6 + cells * cells * cells / 8;
+           cells * cells * cells * (sizeof(float) + 1 + 1) + // measured, hull, 8 finer bits
+           cells * cells * cells / 8;
 }
 
 static enum rn_status allocate(struct rn_field *field) {

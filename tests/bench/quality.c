@@ -230,7 +230,7 @@ int main(int argc, char **argv) {
                info.effects[i].reason);
     char hash[65];
     rn_field_sha256(rn_trainer_field(trainer), hash);
-    printf("load %.2f s, parameters %.16s\n", 0.0, hash);
+    printf("parameters %.16s\n", hash);
     struct rn_field *field = rn_trainer_finish(&trainer);
     for (int cones = 0; cones < 2 && run.test > 0; cones++)
         test(&run, engine, field, dataset, cones);

@@ -170,6 +170,31 @@ struct marches {
     int last[RN_PACKET_RAYS];
 };
 
+// Looks at the next chunk of the rays g + j, bits j of `need`, a sample's steps together: those
+// before it are empty, or written. All cells are looked up before the first answer is used. Returns
+// the rays that still have fewer than `ahead` samples.
+RN_INLINE unsigned march_chunks(const struct rn_occupancy_bits *o, float step, int ahead, int g,
+                                unsigned need, struct marches *m, struct rn_workspace *w) {
+    struct march_lanes *l = &m->lanes[g / RN_VL];
+    unsigned bits[RN_VL];
+    int from[RN_VL], shift[RN_VL];
+    for (unsigned left = need; left; left &= left - 1) {
+        int j = __builtin_ctz(left);
+        shift[j] = __builtin_ctz((unsigned)m->ray[g + j]->stride);
+        from[j] = l->k[j] >> shift[j] << shift[j];
+        bits[j] = test_chunk(o, m->ray[g + j], from[j], step);
+    }
+    for (unsigned left = need; left; left &= left - 1) {
+        int j = __builtin_ctz(left), r = g + j;
+        uint16_t *found = w->candidate + (size_t)r * (size_t)w->room;
+        w->candidate_count[r] += write_chunk(bits[j], shift[j], from[j], l->end[j], &m->last[r],
+                                             found + w->candidate_count[r]);
+        l->k[j] = from[j] + RN_CHUNK;
+        if (w->candidate_count[r] - w->ray_next[r] >= ahead) need &= ~(1u << j);
+    }
+    return need;
+}
+
 // Marches on where fewer than `ahead` samples are found and not evaluated yet: to that many or the
 // ray's end.
 static void march_round(const struct rn_occupancy_bits *o, float step, int ahead, struct marches *m,
@@ -180,26 +205,8 @@ static void march_round(const struct rn_occupancy_bits *o, float step, int ahead
         for (int r = g; r < g + RN_VL; r++)
             need |= (unsigned)(m->ray[r] && w->candidate_count[r] - w->ray_next[r] < ahead)
                     << (r - g);
-        while (need && (need = vi_mask_bits(march_land(o, step, vi_mask_of(need), l)))) {
-            // A sample's steps together: those before k are empty, or written. All are looked up
-            // before the first is used.
-            unsigned bits[RN_VL];
-            int from[RN_VL], shift[RN_VL];
-            for (unsigned left = need; left; left &= left - 1) {
-                int j = __builtin_ctz(left);
-                shift[j] = __builtin_ctz((unsigned)m->ray[g + j]->stride);
-                from[j] = l->k[j] >> shift[j] << shift[j];
-                bits[j] = test_chunk(o, m->ray[g + j], from[j], step);
-            }
-            for (unsigned left = need; left; left &= left - 1) {
-                int j = __builtin_ctz(left), r = g + j;
-                uint16_t *found = w->candidate + (size_t)r * (size_t)w->room;
-                w->candidate_count[r] += write_chunk(bits[j], shift[j], from[j], l->end[j],
-                                                     &m->last[r], found + w->candidate_count[r]);
-                l->k[j] = from[j] + RN_CHUNK;
-                if (w->candidate_count[r] - w->ray_next[r] >= ahead) need &= ~(1u << j);
-            }
-        }
+        while (need && (need = vi_mask_bits(march_land(o, step, vi_mask_of(need), l))))
+            need = march_chunks(o, step, ahead, g, need, m, w);
     }
 }
 

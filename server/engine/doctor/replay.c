@@ -5,7 +5,6 @@
 #include <string.h>
 
 #include "server/engine/doctor/cases.h"
-#include "server/engine/occupancy.h"
 #include "server/engine/train/trainer.h"
 
 struct replay {
@@ -97,7 +96,6 @@ enum rn_status rn_doctor_replay(const struct rn_incident *incident, struct rn_en
                                              .counter = (uint64_t)incident->step};
     memcpy(replay.march.background, incident->background, sizeof replay.march.background);
     set_rays(&replay);
-    rn_field_refresh_occupancy(field); // the cells of the training
     enum rn_status status = rn_field_need_levels(field, field->config.field.levels, err);
     if (status == RN_OK) status = rn_engine_prepare(engine, field, err);
     if (status != RN_OK) return status;

@@ -23,6 +23,14 @@ RN_HD size_t rn_cell_index(int x, int y, int z, int cells) {
     return ((size_t)x * (size_t)cells + (size_t)y) * (size_t)cells + (size_t)z;
 }
 
+// The cell of an index.
+RN_HD void rn_cell_at(size_t index, int cells, int ret[3]) {
+    size_t n = (size_t)cells;
+    ret[0] = (int)(index / n / n);
+    ret[1] = (int)(index / n % n);
+    ret[2] = (int)(index % n);
+}
+
 // Word and bit of a cell in the bricked bit grid (cpu/kernels.h).
 RN_HD size_t rn_brick_word(int x, int y, int z, int cells) {
     size_t bricks = (size_t)cells / 8;

@@ -191,8 +191,8 @@ static void measure_chunk(void *context, int index, int thread) {
         uint32_t cell = at[n] = t->hull_list[m->first + i * m->stride];
         struct rn_rng4 draw =
             rn_rng_draw(config->seed, STREAM_OCCUPANCY + cell, (uint64_t)t->progress.step);
-        uint32_t z = cell % (uint32_t)cells, y = cell / (uint32_t)cells % (uint32_t)cells;
-        uint32_t x = cell / (uint32_t)cells / (uint32_t)cells, index3[3] = {x, y, z};
+        int index3[3];
+        rn_cell_at(cell, cells, index3);
         for (int k = 0; k < 3; k++)
             points[n][k] = ((float)index3[k] + rn_rng_unit(draw.v[k])) * 2 / (float)cells - 1;
     }
@@ -207,7 +207,6 @@ static void measure_chunk(void *context, int index, int thread) {
 }
 
 bool rn_trainer_update_occupancy(struct rn_trainer *t) {
-    const struct rn_field_config *c = &t->field->config.field;
     int64_t round = t->progress.step / RN_OCCUPANCY_EVERY;
     bool all = t->progress.step < (t->field->config.carve ? 1 : RN_OCCUPANCY_WARM_UP);
     struct measurement m = {.trainer = t, .stride = all ? 1 : 4};
@@ -215,8 +214,7 @@ bool rn_trainer_update_occupancy(struct rn_trainer *t) {
     m.decay = (float)pow(RN_OCCUPANCY_DECAY, (double)m.stride); // a cell's turn comes every stride
     if (t->hull_count <= m.first) return true;
     m.count = (t->hull_count - m.first + m.stride - 1) / m.stride;
-    float level = log2f((float)c->base / (float)c->occupancy);
-    m.level = level > 0 ? level : 0;
+    m.level = rn_level_of_cells(&t->field->config.field);
     if (!rn_pool_run_some(t->engine->pool, (int)((m.count + CHUNK - 1) / CHUNK), &t->next_chunk,
                           measure_chunk, &m, rn_engine_is_wanted, t->engine))
         return false;
