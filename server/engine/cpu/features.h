@@ -72,9 +72,9 @@ RN_INLINE feature *feature_row(const struct rn_cpu_field *field, const struct rn
 RN_INLINE void clear_padding(const struct rn_cpu_field *field, int rows, struct rn_workspace *w) {
     int features = field->features, stride = (int)features_a_row(field);
     int rest = features + (stride - features) % 16;
-    size_t bytes = (size_t)stride * sizeof(feature);
-    if (w->padded.features != features || w->padded.row_bytes != bytes)
-        w->padded = (struct rn_padding){.features = features, .row_bytes = bytes};
+    int bytes = (int)sizeof(feature);
+    if (w->padded.features != features || w->padded.bytes != bytes)
+        w->padded = (struct rn_padding){.features = features, .bytes = bytes};
     for (int i = w->padded.rows; i < rows && features < stride; i++) {
         feature *row = feature_row(field, w, i);
         for (int k = features; k < rest; k += 4)

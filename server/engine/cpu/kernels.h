@@ -135,10 +135,9 @@ struct rn_group {
     uint64_t level_samples[RN_MAX_LEVELS];
 };
 
-// Rows of features that have zeros behind them.
+// Rows of features that have zeros behind them: so many features of so many bytes each.
 struct rn_padding {
-    int features, rows;
-    size_t row_bytes;
+    int features, bytes, rows;
 };
 
 // Thread-local scratch of one packet. Arrays lie in one block behind the structure.
