@@ -35,6 +35,18 @@ static void set_weights(const struct rn_mlp_shape *shape, uint64_t stream, float
             }
 }
 
+// What other kernel sets left in the workspace: numbers that are none.
+static void leave_rows(const struct rn_cpu_field *cpu, const struct rn_kernels *kernels, int rows,
+                       struct rn_workspace *w) {
+    const struct rn_kernels *other;
+    float none[WIDEST];
+    for (int k = 0; k < WIDEST; k++)
+        none[k] = NAN;
+    for (int k = 0; (other = rn_kernels_available(k)); k++)
+        for (int i = 0; i < rows && other != kernels; i++)
+            other->put_features(cpu, i, none, w);
+}
+
 static void set_up(const struct rn_kernels *kernels, const struct rn_field_config *config, int rows,
                    struct subject *s) {
     struct rn_train_config train = {.field = *config, .step = 0.01};
@@ -55,6 +67,7 @@ static void set_up(const struct rn_kernels *kernels, const struct rn_field_confi
         w->weight[i] = i % 3 != 0; // with sample shading: the rows of the colour network
         s->heads += i % 3 != 0;
     }
+    leave_rows(cpu, kernels, rows, w);
     s->features = calloc((size_t)rows, sizeof *s->features);
     for (int i = 0; i < rows; i++) {
         for (int k = 0; k < cpu->features; k++)
