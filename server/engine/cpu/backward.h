@@ -59,24 +59,6 @@ static void rays_loss(const struct rn_march_options *options, const struct rn_ma
     }
 }
 
-// Composite backward along one ray, in place: w->slope holds dL/dw_i and becomes dL/dx_i, within
-// 1e-5 of |T_{i+1} g_i| + sum of |w_j g_j|.
-static void composite_backward(int r, struct rn_workspace *w) {
-    int16_t segments[RN_PACKET_SAMPLES / RN_ROUND + 1];
-    int n = 0;
-    for (int s = w->ray_first[r]; s >= 0; s = w->segment_next[s])
-        segments[n++] = (int16_t)s;
-    double suffix = 0;
-    while (n-- > 0) {
-        int start = w->segment_start[segments[n]];
-        for (int i = start + w->segment_size[segments[n]] - 1; i >= start; i--) {
-            float g = w->slope[i];
-            w->slope[i] = (float)((double)w->after[i] * (double)g - suffix);
-            suffix += (double)w->weight[i] * (double)g;
-        }
-    }
-}
-
 RN_INLINE float sum16(row16 x) {
     typedef float half8 __attribute__((vector_size(32)));
     typedef float half4 __attribute__((vector_size(16)));
@@ -86,11 +68,77 @@ RN_INLINE float sum16(row16 x) {
     return (b[0] + b[2]) + (b[1] + b[3]);
 }
 
-// Ray shading: dL/d(sums) per ray through the head, then per sample dL/dw and dL/d(geometry).
+// Composite backward along one ray, in place: w->slope holds dL/dw_i and becomes dL/dx_i, within
+// 1e-5 of |T_{i+1} g_i| + sum of |w_j g_j|.
+static void composite_backward(int r, struct rn_workspace *w) {
+    int16_t segments[RN_PACKET_SAMPLES / RN_ROUND + 1];
+    int n = 0;
+    for (int s = w->ray_first[r]; s >= 0; s = w->segment_next[s])
+        segments[n++] = (int16_t)s;
+    double behind = 0; // sum of w_j g_j of the samples behind
+    while (n-- > 0) {
+        int start = w->segment_start[segments[n]], size = w->segment_size[segments[n]];
+        for (int i = (size - 1) / RN_VD * RN_VD; i >= 0; i -= RN_VD) {
+            vd g = vd_load(w->slope + start + i), share = g * vd_load(w->weight + start + i);
+            vl mine = vd_first_lanes(size - i);
+            vd sums = vd_suffix_sums((vd)((vl)share & mine));
+            vd slope = vd_load(w->after + start + i) * g - (VD_DOWN(sums, 1) + behind);
+            vd_store(w->slope + start + i, vd_select(mine, slope, g));
+            behind += sums[0];
+        }
+    }
+}
+
+// The sums of four rows of 16, with RN_VL lanes of each at a time.
+#if RN_VL == 16
+#define IN_FOURS(A, B, I, J, K, L)                                                                 \
+    __builtin_shufflevector(A, B, I, J, K, L, I + 4, J + 4, K + 4, L + 4, I + 8, J + 8, K + 8,     \
+                            L + 8, I + 12, J + 12, K + 12, L + 12)
+#elif RN_VL == 8
+#define IN_FOURS(A, B, I, J, K, L)                                                                 \
+    __builtin_shufflevector(A, B, I, J, K, L, I + 4, J + 4, K + 4, L + 4)
+#else
+#define IN_FOURS(A, B, I, J, K, L) __builtin_shufflevector(A, B, I, J, K, L)
+#endif
+RN_INLINE vf fold_row(row16 x) {
+    vf part[16 / RN_VL], sum = vf_set(0);
+    memcpy(part, &x, sizeof x);
+    for (int i = 0; i < 16 / RN_VL; i++)
+        sum += part[i];
+    return sum;
+}
+RN_INLINE vf pair_sums(vf a, vf b) {
+    return IN_FOURS(a, b, 0, RN_VL, 1, RN_VL + 1) + IN_FOURS(a, b, 2, RN_VL + 2, 3, RN_VL + 3);
+}
+RN_INLINE v4 sum_rows(row16 a, row16 b, row16 c, row16 d) {
+    vf ab = pair_sums(fold_row(a), fold_row(b)), cd = pair_sums(fold_row(c), fold_row(d));
+    vf all =
+        IN_FOURS(ab, cd, 0, 1, RN_VL, RN_VL + 1) + IN_FOURS(ab, cd, 2, 3, RN_VL + 2, RN_VL + 3);
+    v4 part[RN_VL / 4], sum = {0};
+    memcpy(part, &all, sizeof all);
+    for (int i = 0; i < RN_VL / 4; i++)
+        sum += part[i];
+    return sum;
+}
+
+// The first n lanes, at most 4.
+RN_INLINE void store_some(float *to, v4 x, int n) {
+    if (n >= 4)
+        *(v4 *)to = x;
+    else
+        for (int i = 0; i < n; i++)
+            to[i] = x[i];
+}
+
+static const row16 activated = {0, 1, 1, 1}; // lanes of the geometry that went through the sigmoid
+static const row16 linear = {0, 0, 0, 0, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1};
+
+// Ray shading: dL/d(sums) of every ray through the head, then of its samples dL/dw and the size of
+// dL/d(geometry).
 static void backward_rays(const struct rn_cpu_field *field, const struct rn_march_options *options,
                           int hits, const int16_t *hit, const struct ray_sums *sums,
-                          float (*ray_slope)[4], struct rn_workspace *w, struct rn_group *group) {
-    row16 ray_grad[RN_PACKET_RAYS];
+                          float (*ray_slope)[4], struct rn_workspace *w, struct rn_group *group,
+                          row16 *ret_ray_grad) {
     for (int j = 0; j < hits; j++) {
         const float *g = ray_slope[hit[j]];
         row16 d = {g[3], g[0], g[1], g[2]};
@@ -104,33 +152,37 @@ static void backward_rays(const struct rn_cpu_field *field, const struct rn_marc
             }
             memset(out + 3, 0, (RN_HEAD_OUTPUTS - 3) * sizeof *out);
         }
-        ray_grad[j] = d;
+        ret_ray_grad[hit[j]] = d;
     }
     if (field->config.view_dependence) {
         struct mlp head = head_network(field, w);
         const float *in_grad = mlp_backward(&head, w->head_out, hits, w, group->head_grad);
         for (int j = 0; j < hits; j++, in_grad += RN_HEAD_INPUTS) {
+            row16 *d = &ret_ray_grad[hit[j]];
             for (int i = 0; i < 12; i++)
-                ray_grad[j][4 + i] += in_grad[16 + i];
+                (*d)[4 + i] += in_grad[16 + i];
             for (int c = 0; c < 3; c++)
-                ray_grad[j][1 + c] += in_grad[28 + c];
-            ray_grad[j][0] += in_grad[31];
+                (*d)[1 + c] += in_grad[28 + c];
+            (*d)[0] += in_grad[31];
         }
     }
-    const row16 one_of = {0, 1, 1, 1}; // lanes that went through the sigmoid
-    const row16 linear = {0, 0, 0, 0, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1};
-    for (int j = 0; j < hits; j++) {
-        row16 d = ray_grad[j], some = d * (linear + 0.25f * one_of);
+    for (int s = 0; s < w->segment_count; s++) {
+        int start = w->segment_start[s], end = start + w->segment_size[s];
+        row16 d = ret_ray_grad[w->ray[start]], some = d * (linear + 0.25f * activated);
         float size = sqrtf(sum16(some * some)); // of dL/d(geometry) over the weight, at most
-        for (int s = w->ray_first[hit[j]]; s >= 0; s = w->segment_next[s])
-            for (int i = w->segment_start[s]; i < w->segment_start[s] + w->segment_size[s]; i++) {
-                row16 value = *(const row16 *)(w->geometry + (size_t)i * RN_GEOMETRY);
-                row16 slope = one_of * value * (1.0f - value) + linear;
-                w->slope[i] = sum16(d * value);
-                w->size[i] = size * w->weight[i];
-                *(row16 *)(w->geometry_grad + (size_t)i * RN_GEOMETRY) = d * slope * w->weight[i];
-            }
+        for (int i = start; i < end; i += 4) {
+            const row16 *row = (const row16 *)(w->geometry + (size_t)i * RN_GEOMETRY);
+            store_some(w->slope + i, sum_rows(d * row[0], d * row[1], d * row[2], d * row[3]),
+                       end - i);
+            store_some(w->size + i, size * *(const v4 *)(w->weight + i), end - i);
+        }
     }
+}
+
+// dL/d(geometry) of a sample but for the density, from its ray's.
+RN_INLINE row16 geometry_slope(row16 ray_grad, int i, const struct rn_workspace *w) {
+    row16 value = *(const row16 *)(w->geometry + (size_t)i * RN_GEOMETRY);
+    return ray_grad * (activated * value * (1.0f - value) + linear) * w->weight[i];
 }
 
 // Sample shading: the same, through a head per sample; `kept` rows of the head.
@@ -206,7 +258,8 @@ static void backward_chances(const struct rn_march_options *options, struct rn_w
 // another whole number (systematic sampling), so that of neighbours on a ray, whose gradients are
 // alike, about as many are taken as should be. Their rows move to the front. Returns their count.
 static int backward_select(const struct rn_cpu_field *field, const struct rn_march_options *options,
-                           const struct rn_march_ray *rays, struct rn_workspace *w) {
+                           const struct rn_march_ray *rays, const row16 *ray_grad,
+                           struct rn_workspace *w) {
     int n = 0;
     uint32_t sum = rn_rng_draw(options->seed, options->counter, (uint64_t)rays->id << 20).v[0];
     backward_chances(options, w);
@@ -218,7 +271,8 @@ static int backward_select(const struct rn_cpu_field *field, const struct rn_mar
     }
     for (int j = 0; j < n; j++) {
         int i = w->kept[j];
-        row16 row = *(const row16 *)(w->geometry_grad + (size_t)i * RN_GEOMETRY);
+        row16 row = ray_grad ? geometry_slope(ray_grad[w->ray[i]], i, w)
+                             : *(const row16 *)(w->geometry_grad + (size_t)i * RN_GEOMETRY);
         row[0] = w->slope[i] * w->x[i]; // density' = density
         *(row16 *)(w->geometry_grad + (size_t)j * RN_GEOMETRY) =
             row * ((float)CERTAIN / (float)w->chance[i]);
@@ -298,11 +352,11 @@ static void slab_append(const struct rn_cpu_field *field, bool leveled, int n,
 
 static void packet_backward(const struct rn_cpu_field *field,
                             const struct rn_march_options *options, const struct rn_march_ray *rays,
-                            int ray_count, bool leveled, struct rn_workspace *w,
-                            struct rn_group *group) {
+                            int ray_count, bool leveled, const row16 *ray_grad,
+                            struct rn_workspace *w, struct rn_group *group) {
     for (int r = 0; r < ray_count; r++)
         composite_backward(r, w);
-    int n = backward_select(field, options, rays, w);
+    int n = backward_select(field, options, rays, ray_grad, w);
     struct mlp base = base_network(field, w);
     const float *feature_grad = mlp_backward(&base, w->geometry_grad, n, w, group->base_grad);
     count_samples(field, leveled, w, group);
@@ -337,6 +391,7 @@ static void train(const struct rn_cpu_field *field, const struct rn_march_option
         float rgb[RN_PACKET_RAYS][3], ray_slope[RN_PACKET_RAYS][4] = {{0}};
         int16_t hit[RN_PACKET_RAYS];
         bool seen[RN_PACKET_RAYS];
+        row16 ray_grad[RN_PACKET_RAYS]; // with ray shading
         if (per_ray) {
             hits = shade_rays(field, options, packet, n, w, sums, rgb, hit);
         } else {
@@ -349,10 +404,10 @@ static void train(const struct rn_cpu_field *field, const struct rn_march_option
             rays_loss(options, packet + r, pixel, seen + r, sums + r, rgb + r, ray_slope + r,
                       group);
         if (per_ray)
-            backward_rays(field, options, hits, hit, sums, ray_slope, w, group);
+            backward_rays(field, options, hits, hit, sums, ray_slope, w, group, ray_grad);
         else
             backward_samples(field, options, kept, ray_slope, w, group);
-        packet_backward(field, options, packet, n, leveled, w, group);
+        packet_backward(field, options, packet, n, leveled, per_ray ? ray_grad : NULL, w, group);
     }
 }
 

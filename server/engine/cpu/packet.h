@@ -131,9 +131,11 @@ static void round_attenuate(int first, struct rn_workspace *w) {
     for (int segment = first; segment < w->segment_count; segment++) {
         int start = w->segment_start[segment], r = w->ray[start];
         double depth = w->ray_depth[r];
-        for (int i = start; i < start + w->segment_size[segment]; i++) {
-            w->before[i] = (float)depth;
-            depth += (double)w->x[i];
+        for (int i = 0; i < w->segment_size[segment]; i += RN_VD) {
+            vl mine = vd_first_lanes(w->segment_size[segment] - i);
+            vd sums = vd_prefix_sums((vd)((vl)vd_load(w->x + start + i) & mine));
+            vd_store(w->before + start + i, VD_UP(sums, 1) + depth);
+            depth += sums[RN_VD - 1];
         }
         w->ray_depth[r] = depth;
     }
@@ -203,30 +205,32 @@ struct ray_sums {
     float opacity, depth;
 };
 
-// The same of the samples so far.
+// The same of the samples so far; of opacity and depth, what each lane has added up.
 struct running_sums {
     row16 sum;
-    double opacity, depth;
+    vd opacity, depth;
 };
 
-// Adds the samples [start, end) of one ray.
-RN_INLINE void sum_segment(const struct rn_march_ray *ray, int start, int end, bool per_ray,
+// Adds the samples of one segment; their depths, from `near` on, where `depths` says so.
+RN_INLINE void sum_segment(int segment, bool per_ray, bool depths, float near,
                            const struct rn_workspace *w, struct running_sums *sums) {
-    for (int i = start; i < end; i++) {
-        float weight = w->weight[i];
-        sums->opacity += (double)weight;
-        sums->depth += (double)weight * (double)(ray->near + w->s[i]);
-        if (per_ray) sums->sum += weight * *(const row16 *)(w->geometry + (size_t)i * RN_GEOMETRY);
+    int start = w->segment_start[segment], size = w->segment_size[segment];
+    for (int i = 0; i < size; i += RN_VD) {
+        vl mine = vd_first_lanes(size - i);
+        vd weight = (vd)((vl)vd_load(w->weight + start + i) & mine);
+        sums->opacity += weight;
+        if (depths) sums->depth += weight * (vd_load(w->s + start + i) + (double)near);
     }
+    for (int i = start; per_ray && i < start + size; i++)
+        sums->sum += w->weight[i] * *(const row16 *)(w->geometry + (size_t)i * RN_GEOMETRY);
 }
 
-static struct ray_sums sum_ray(const struct rn_march_ray *ray, int r, bool per_ray,
-                               const struct rn_workspace *w) {
+// Without the depth.
+static struct ray_sums sum_ray(int r, bool per_ray, const struct rn_workspace *w) {
     struct running_sums sums = {0};
     for (int s = w->ray_first[r]; s >= 0; s = w->segment_next[s])
-        sum_segment(ray, w->segment_start[s], w->segment_start[s] + w->segment_size[s], per_ray, w,
-                    &sums);
-    return (struct ray_sums){sums.sum, (float)sums.opacity, (float)sums.depth};
+        sum_segment(s, per_ray, false, 0, w, &sums);
+    return (struct ray_sums){.sum = sums.sum, .opacity = (float)vd_sum(sums.opacity)};
 }
 
 // What the colour network gets of a ray with ray shading.
@@ -265,7 +269,7 @@ static int shade_rays(const struct rn_cpu_field *field, const struct rn_march_op
     int hits = 0;
     for (int r = 0; r < ray_count; r++) {
         if (w->ray_first[r] < 0) continue;
-        sums[r] = sum_ray(&rays[r], r, true, w);
+        sums[r] = sum_ray(r, true, w);
         hit[hits] = (int16_t)r;
         head_inputs(field, options, &rays[r], &sums[r],
                     w->head_in + (size_t)hits++ * RN_HEAD_INPUTS);
@@ -318,7 +322,7 @@ static void shade_packet_by_samples(const struct rn_cpu_field *field,
     shade_samples(field, options, each, kept, w);
     for (int r = 0; r < ray_count; r++) {
         if (w->ray_first[r] < 0) continue;
-        sums[r] = sum_ray(&rays[r], r, false, w);
+        sums[r] = sum_ray(r, false, w);
         for (int c = 0; c < 3; c++)
             rgb[r][c] = (1 - sums[r].opacity) * options->background[c];
     }

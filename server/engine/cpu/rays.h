@@ -78,13 +78,7 @@ RN_INLINE void cut_rays(const vd o[3], const vd d[3], vd radius, double step, bo
     ret->stride = stride;
 }
 
-typedef float vd_floats __attribute__((vector_size(4 * RN_VD)));
 typedef int32_t vd_ints __attribute__((vector_size(4 * RN_VD)));
-
-RN_INLINE void store_floats(vd x, float to[RN_VD]) {
-    vd_floats rounded = __builtin_convertvector(x, vd_floats);
-    memcpy(to, &rounded, sizeof rounded);
-}
 
 RN_INLINE vd load_ints(const int32_t from[RN_VD]) {
     vd_ints whole;
@@ -108,7 +102,7 @@ static void rays(const struct rn_ray_place *places, int count, double step, bool
     for (int begin = 0; begin < count; begin += RN_VD) {
         int n = count - begin < RN_VD ? count - begin : RN_VD;
         int32_t px[RN_VD], py[RN_VD];
-        vd jitter, d[3];
+        vd d[3];
         float jitters[RN_VD], out[10][RN_VD];
         for (int j = 0; j < RN_VD; j++) {
             const struct rn_ray_place *place = &places[begin + (j < n ? j : n - 1)];
@@ -119,19 +113,16 @@ static void rays(const struct rn_ray_place *places, int count, double step, bool
         }
         view_load(view, &loaded, &lanes);
         pixel_directions(&lanes, load_ints(px), load_ints(py), d);
-        vd_floats rounded;
-        memcpy(&rounded, jitters, sizeof rounded);
-        jitter = __builtin_convertvector(rounded, vd);
         struct cut_lanes cut;
-        cut_rays(lanes.origin, d, lanes.radius, step, cone_step, jitter, &cut);
+        cut_rays(lanes.origin, d, lanes.radius, step, cone_step, vd_load(jitters), &cut);
         for (int i = 0; i < 3; i++) {
-            store_floats(cut.origin[i], out[i]);
-            store_floats(d[i], out[3 + i]);
+            vd_store(out[i], cut.origin[i]);
+            vd_store(out[3 + i], d[i]);
         }
-        store_floats(cut.near, out[6]);
-        store_floats(cut.length, out[7]);
-        store_floats(lanes.radius, out[8]);
-        store_floats(cut.stride, out[9]);
+        vd_store(out[6], cut.near);
+        vd_store(out[7], cut.length);
+        vd_store(out[8], lanes.radius);
+        vd_store(out[9], cut.stride);
         for (int j = 0; j < n; j++)
             ret_rays[begin + j] =
                 (struct rn_march_ray){.origin = {out[0][j], out[1][j], out[2][j]},

@@ -99,7 +99,7 @@ static void stream_shade(struct stream *s) {
 static void stream_end(struct stream *s, int r) {
     const struct rn_march_ray *ray = s->marches.ray[r];
     const struct running_sums *sums = &s->sums[r];
-    struct ray_sums total = {sums->sum, (float)sums->opacity, (float)sums->depth};
+    struct ray_sums total = {sums->sum, (float)vd_sum(sums->opacity), (float)vd_sum(sums->depth)};
     struct rn_pixel *pixel = &s->pixels[ray - s->rays];
     s->marches.ray[r] = NULL;
     s->free[s->free_count++] = (int16_t)r;
@@ -172,8 +172,8 @@ static void stream_composite(struct stream *s) {
     finish_weights(s->options, w);
     if (!per_ray) stream_shade_samples(s);
     for (int k = 0; k < w->segment_count; k++) {
-        int start = w->segment_start[k], r = w->ray[start];
-        sum_segment(s->marches.ray[r], start, start + w->segment_size[k], per_ray, w, &s->sums[r]);
+        int r = w->ray[w->segment_start[k]];
+        sum_segment(k, per_ray, true, s->marches.ray[r]->near, w, &s->sums[r]);
         if (w->ray_depth[r] > s->options->stop_depth) stream_end(s, r);
     }
 }

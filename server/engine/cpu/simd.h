@@ -52,6 +52,64 @@ RN_INLINE vd vd_sqrt(vd x) {
 #endif
 }
 
+// fp32 numbers, widened and rounded.
+typedef float vd_floats __attribute__((vector_size(4 * RN_VD)));
+RN_INLINE vd vd_load(const float *p) {
+    vd_floats x;
+    memcpy(&x, p, sizeof x);
+    return __builtin_convertvector(x, vd);
+}
+RN_INLINE void vd_store(float *p, vd x) {
+    vd_floats rounded = __builtin_convertvector(x, vd_floats);
+    memcpy(p, &rounded, sizeof rounded);
+}
+
+// The mask of the first `count` lanes.
+RN_INLINE vl vd_first_lanes(int64_t count) {
+    vl lane;
+    for (int i = 0; i < RN_VD; i++)
+        lane[i] = i;
+    return lane < count;
+}
+
+// Lanes moved BY places down (lane i is lane i + BY) or up, with zeros behind them.
+#if RN_VD == 8
+#define VD_LANES_FROM(A, B, I)                                                                     \
+    __builtin_shufflevector(A, B, I, I + 1, I + 2, I + 3, I + 4, I + 5, I + 6, I + 7)
+#elif RN_VD == 4
+#define VD_LANES_FROM(A, B, I) __builtin_shufflevector(A, B, I, I + 1, I + 2, I + 3)
+#else
+#define VD_LANES_FROM(A, B, I) __builtin_shufflevector(A, B, I, I + 1)
+#endif
+#define VD_DOWN(X, BY) VD_LANES_FROM(X, (vd){0}, BY)
+#define VD_UP(X, BY) VD_LANES_FROM((vd){0}, X, RN_VD - BY)
+
+// Lane i is the sum of the lanes up to i.
+RN_INLINE vd vd_prefix_sums(vd x) {
+    x += VD_UP(x, 1);
+#if RN_VD > 2
+    x += VD_UP(x, 2);
+#endif
+#if RN_VD > 4
+    x += VD_UP(x, 4);
+#endif
+    return x;
+}
+// Lane i is the sum of the lanes from i on.
+RN_INLINE vd vd_suffix_sums(vd x) {
+    x += VD_DOWN(x, 1);
+#if RN_VD > 2
+    x += VD_DOWN(x, 2);
+#endif
+#if RN_VD > 4
+    x += VD_DOWN(x, 4);
+#endif
+    return x;
+}
+RN_INLINE double vd_sum(vd x) {
+    return vd_suffix_sums(x)[0];
+}
+
 RN_INLINE vf vf_load(const float *p) {
     return *(const vf_u *)p;
 }

@@ -46,7 +46,7 @@ static void stage_composite(const struct rn_cpu_field *field,
     finish_weights(options, w);
     for (int r = 0; r < count; r++)
         if (w->ray_first[r] >= 0)
-            w->slope[r] = sum_ray(&rays[r], r, field->config.shading == RN_SHADING_RAY, w).opacity;
+            w->slope[r] = sum_ray(r, field->config.shading == RN_SHADING_RAY, w).opacity;
 }
 
 static int stage(const struct rn_cpu_field *field, const struct rn_march_options *options,
