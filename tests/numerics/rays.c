@@ -1,8 +1,10 @@
-// Case 6: where rays enter the cube and leave the ball, and which samples the march finds.
+// Case 6: where rays enter the cube and leave the ball, which samples the march finds, and what the
+// colour network is told of their directions.
 #include <float.h>
 #include <string.h>
 
 #include "server/engine/field/occupancy.h"
+#include "server/engine/field/sh.h"
 #include "server/engine/occupancy.h"
 #include "server/engine/ray.h"
 #include "server/engine/scene.h"
@@ -341,11 +343,35 @@ static int check_ends(const struct subject *s, struct numerics_random *random) {
     return numerics_close(&c);
 }
 
+// ---- directions -----------------------------------------------------------------------------
+
+RN_SH_FUNCTION(exact_harmonics, long double, long double)
+
+static int check_harmonics(const struct subject *s, struct numerics_random *random) {
+    char name[80];
+    snprintf(name, sizeof name, "6 spherical harmonics, %s", s->name);
+    struct numerics_case c = {name, "unit directions, along axes and any", "ULP of 1", 4, 0, ""};
+    for (int n = 0; n < 20000; n++) {
+        double d[3] = {0}, got[RN_SH_COUNT];
+        numerics_direction(random, d);
+        for (int i = 0; i < 3; i++)
+            d[i] = s->nearest(n < 6 ? (i == n / 2) * (n % 2 ? -1 : 1) : d[i]);
+        long double truth[RN_SH_COUNT];
+        exact_harmonics((const long double[3]){d[0], d[1], d[2]}, truth);
+        s->harmonics(d, got);
+        for (int i = 0; i < RN_SH_COUNT; i++)
+            numerics_see(&c, (double)fabsl(got[i] - truth[i]) * ldexp(1, s->digits - 1),
+                         "number %d of %.9g %.9g %.9g", i, d[0], d[1], d[2]);
+    }
+    return numerics_close(&c);
+}
+
 int main(void) {
     struct numerics_random random = numerics_random();
     const struct subject *s;
     int failed = check_entry(NULL, &random) + check_cube(&random) + check_wild(NULL, &random);
     for (int i = 0; (s = subject_at(i)); i++) {
+        failed += check_harmonics(s, &random);
         if (!s->fast) continue;
         failed += check_entry(s, &random) + check_wild(s, &random);
         failed += check_march(s, &random);

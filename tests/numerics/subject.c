@@ -7,6 +7,7 @@
 #include "server/engine/field/footprint.h"
 #include "server/engine/field/frustum.h"
 #include "server/engine/field/ripmap.h"
+#include "server/engine/field/sh.h"
 #include "server/engine/field/volume.h"
 
 static double nearest(double x) {
@@ -107,6 +108,13 @@ static void composite_backward(int n, const double *weights, const double *after
     widen(n, own, grad);
 }
 
+static void harmonics(const double d[3], double ret[16]) {
+    rn_real own[3], out[RN_SH_COUNT];
+    narrow(3, d, own);
+    rn_sh_encode(own, out);
+    widen(RN_SH_COUNT, out, ret);
+}
+
 #ifndef SUBJECT
 #define SUBJECT subject_float64
 #define SUBJECT_NAME "float64"
@@ -129,6 +137,7 @@ const struct subject SUBJECT = {SUBJECT_NAME,
                                 alpha,
                                 composite,
                                 composite_backward,
+                                harmonics,
                                 NULL,
                                 NULL,
                                 NULL,

@@ -34,6 +34,8 @@ struct subject {
     double (*composite)(int n, const double *x, double *weights, double *after);
     void (*composite_backward)(int n, const double *weights, const double *after, const double *g,
                                double *grad);
+    // Spherical harmonics of a direction.
+    void (*harmonics)(const double d[3], double ret[16]);
     // Kernel sets only: weights where the ray ends once its optical depth exceeds `stop_depth`.
     void (*composite_stopped)(int n, const double *x, double stop_depth, double *weights);
     // Kernel sets only: features of n <= SUBJECT_QUERIES positions and levels on plane 0, each

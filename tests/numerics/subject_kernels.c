@@ -138,6 +138,16 @@ static void composite_back(int n, const double *weights, const double *after, co
         grad[i] = (double)slope_of[i];
 }
 
+// In the last of a vector's rows and one more.
+static void harmonics(const double d[3], double ret[16]) {
+    static float rows[RN_VL + 1][RN_HEAD_INPUTS];
+    for (int i = 0; i < 3; i++)
+        rows[RN_VL][i] = (float)d[i];
+    encode_directions(RN_VL + 1, rows[0]);
+    for (int i = 0; i < RN_SH_COUNT; i++)
+        ret[i] = (double)rows[RN_VL][i];
+}
+
 static void query(const struct rn_cpu_field *field, int n, const float *u, const float *v,
                   const float *lx, const float *ly, float *ret_features) {
     static float features[(SUBJECT_QUERIES + 16) * 16];
@@ -217,6 +227,7 @@ const struct subject SUBJECT = {.name = SUBJECT_NAME,
                                 .alpha = alpha,
                                 .composite = composite,
                                 .composite_backward = composite_back,
+                                .harmonics = harmonics,
                                 .composite_stopped = composite_stopped,
                                 .query = query,
                                 .cut = cut,

@@ -7,25 +7,29 @@
 
 #define RN_SH_COUNT 16
 
-RN_HD void rn_sh_encode(const rn_real d[3], rn_real out[RN_SH_COUNT]) {
-    rn_real x = d[0], y = d[1], z = d[2];
-    rn_real xy = x * y, xz = x * z, yz = y * z, x2 = x * x, y2 = y * y, z2 = z * z;
-    out[0] = (rn_real)0.28209479177387814;
-    out[1] = (rn_real)-0.48860251190291987 * y;
-    out[2] = (rn_real)0.48860251190291987 * z;
-    out[3] = (rn_real)-0.48860251190291987 * x;
-    out[4] = (rn_real)1.0925484305920792 * xy;
-    out[5] = (rn_real)-1.0925484305920792 * yz;
-    out[6] = (rn_real)0.94617469575755997 * z2 - (rn_real)0.31539156525251999;
-    out[7] = (rn_real)-1.0925484305920792 * xz;
-    out[8] = (rn_real)0.54627421529603959 * (x2 - y2);
-    out[9] = (rn_real)0.59004358992664352 * y * (-3 * x2 + y2);
-    out[10] = (rn_real)2.8906114426405538 * xy * z;
-    out[11] = (rn_real)0.45704579946446572 * y * (1 - 5 * z2);
-    out[12] = (rn_real)0.3731763325901154 * z * (5 * z2 - 3);
-    out[13] = (rn_real)0.45704579946446572 * x * (1 - 5 * z2);
-    out[14] = (rn_real)1.4453057213202769 * z * (x2 - y2);
-    out[15] = (rn_real)0.59004358992664352 * x * (-x2 + 3 * y2);
-}
+// One function a type: numbers of it, or vectors that hold a direction a lane. Constants are of
+// type NUMBER.
+#define RN_SH_FUNCTION(NAME, TYPE, NUMBER)                                                         \
+    RN_HD void NAME(const TYPE d[3], TYPE out[RN_SH_COUNT]) {                                      \
+        TYPE x = d[0], y = d[1], z = d[2];                                                         \
+        TYPE xy = x * y, xz = x * z, yz = y * z, x2 = x * x, y2 = y * y, z2 = z * z;               \
+        out[0] = x - x + (NUMBER)0.28209479177387814;                                              \
+        out[1] = (NUMBER)-0.48860251190291987 * y;                                                 \
+        out[2] = (NUMBER)0.48860251190291987 * z;                                                  \
+        out[3] = (NUMBER)-0.48860251190291987 * x;                                                 \
+        out[4] = (NUMBER)1.0925484305920792 * xy;                                                  \
+        out[5] = (NUMBER)-1.0925484305920792 * yz;                                                 \
+        out[6] = (NUMBER)0.94617469575755997 * z2 - (NUMBER)0.31539156525251999;                   \
+        out[7] = (NUMBER)-1.0925484305920792 * xz;                                                 \
+        out[8] = (NUMBER)0.54627421529603959 * (x2 - y2);                                          \
+        out[9] = (NUMBER)0.59004358992664352 * y * (y2 - (NUMBER)3 * x2);                          \
+        out[10] = (NUMBER)2.8906114426405538 * xy * z;                                             \
+        out[11] = (NUMBER)0.45704579946446572 * y * ((NUMBER)1 - (NUMBER)5 * z2);                  \
+        out[12] = (NUMBER)0.3731763325901154 * z * ((NUMBER)5 * z2 - (NUMBER)3);                   \
+        out[13] = (NUMBER)0.45704579946446572 * x * ((NUMBER)1 - (NUMBER)5 * z2);                  \
+        out[14] = (NUMBER)1.4453057213202769 * z * (x2 - y2);                                      \
+        out[15] = (NUMBER)0.59004358992664352 * x * ((NUMBER)3 * y2 - x2);                         \
+    }
+RN_SH_FUNCTION(rn_sh_encode, rn_real, rn_real)
 
 #endif
