@@ -92,7 +92,7 @@ RN_INLINE int look_up_maps(const struct axis_lookup *x, const struct axis_lookup
 RN_INLINE void fetch_ahead(const float *texel, size_t below, int channels) {
     __builtin_prefetch(texel);
     __builtin_prefetch(texel + below);
-    if (channels <= 8) return;
+    if (channels < 8) return;
     __builtin_prefetch(texel + channels);
     __builtin_prefetch(texel + below + channels);
 }
@@ -139,13 +139,35 @@ RN_INLINE int look_up_leveled(const struct rn_map *maps, int base, bool mip, con
     return count;
 }
 
-// A vector of CHANNELS numbers; the compiler splits it where the machine's are narrower.
-#define RN_FETCH(NAME, TYPE, CHANNELS)                                                             \
+// The halves of a vector.
+RN_INLINE v4 first_4(v8 x) {
+    return __builtin_shufflevector(x, x, 0, 1, 2, 3);
+}
+RN_INLINE v4 second_4(v8 x) {
+    return __builtin_shufflevector(x, x, 4, 5, 6, 7);
+}
+RN_INLINE v8 first_8(v16 x) {
+    return __builtin_shufflevector(x, x, 0, 1, 2, 3, 4, 5, 6, 7);
+}
+RN_INLINE v8 second_8(v16 x) {
+    return __builtin_shufflevector(x, x, 8, 9, 10, 11, 12, 13, 14, 15);
+}
+RN_INLINE v16 first_16(v32 x) {
+    return __builtin_shufflevector(x, x, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15);
+}
+RN_INLINE v16 second_16(v32 x) {
+    return __builtin_shufflevector(x, x, 16, 17, 18, 19, 20, 21, 22, 23, 24, 25, 26, 27, 28, 29, 30,
+                                   31);
+}
+
+// A vector of CHANNELS numbers, and of those of two neighbours in a row, which are interpolated
+// along v together; the compiler splits them where the machine's are narrower.
+#define RN_FETCH(NAME, TYPE, PAIR, CHANNELS)                                                       \
     RN_INLINE TYPE fetch_##NAME(const float *texel, size_t row, float fx, float fy) {              \
-        TYPE a = *(const TYPE *)texel, b = *(const TYPE *)(texel + CHANNELS);                      \
-        TYPE c = *(const TYPE *)(texel + row), d = *(const TYPE *)(texel + row + CHANNELS);        \
-        TYPE top = a + fx * (b - a), bottom = c + fx * (d - c);                                    \
-        return top + fy * (bottom - top);                                                          \
+        PAIR above = *(const PAIR *)texel, below = *(const PAIR *)(texel + row);                   \
+        PAIR both = above + fy * (below - above);                                                  \
+        TYPE left = first_##NAME(both);                                                            \
+        return left + fx * (second_##NAME(both) - left);                                           \
     }                                                                                              \
     static void encode_flat_##NAME(const struct rn_map *map, const float *u, const float *v,       \
                                    int begin, int end, feature *out, size_t stride) {              \
@@ -188,9 +210,9 @@ RN_INLINE int look_up_leveled(const struct rn_map *maps, int base, bool mip, con
         }                                                                                          \
     }
 
-RN_FETCH(4, v4, 4)
-RN_FETCH(8, v8, 8)
-RN_FETCH(16, v16, 16)
+RN_FETCH(4, v4, v8, 4)
+RN_FETCH(8, v8, v16, 8)
+RN_FETCH(16, v16, v32, 16)
 
 // Features of samples [begin, end) of the workspace.
 static void encode(const struct rn_cpu_field *field, bool leveled, int begin, int end,
