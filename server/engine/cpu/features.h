@@ -13,7 +13,6 @@
 typedef float v4 __attribute__((vector_size(16), aligned(4), may_alias));
 typedef float v8 __attribute__((vector_size(32), aligned(4), may_alias));
 typedef float v16 __attribute__((vector_size(64), aligned(4), may_alias));
-typedef float v32 __attribute__((vector_size(128), aligned(4), may_alias));
 
 #if defined(__AVX512BF16__) && !defined(RN_FP32_FEATURES)
 

@@ -129,46 +129,67 @@ RN_INLINE int look_up_leveled(const struct rn_map *maps, int base, bool mip, con
     look_up_axis(vf_load(u), vf_load(lx), base, &x);
     look_up_axis(vf_load(v), vf_load(ly), base, &y);
     int count = look_up_maps(&x, &y, mip, ret);
-    for (int k = 0; k < count; k++)
-        for (int j = 0; j < RN_VL && j < n; j++) {
-            if (!(ret[k].active >> j & 1)) continue;
+    for (int k = 0; k < count; k++) {
+        if (n < RN_VL) ret[k].active &= (1u << n) - 1;
+        for (unsigned left = ret[k].active; left; left &= left - 1) {
+            int j = __builtin_ctz(left);
             size_t below = (size_t)ret[k].row[j] * (size_t)channels;
             fetch_ahead(maps[ret[k].map[j]].texels + (size_t)ret[k].offset[j] * (size_t)channels,
                         below, channels);
         }
+    }
     return count;
 }
 
-// The halves of a vector.
+// A texel's features are read in parts that fit in a vector: where compilers are given wider types
+// they pass them through memory. Of narrow texels two neighbours in a row fit together, and are
+// interpolated along v at once.
+#define RN_FETCH_PARTS(NAME, PART, LANES, CHANNELS)                                                \
+    RN_INLINE void fetch_##NAME(const float *texel, size_t row, float fx, float fy, feature *to) { \
+        for (int i = 0; i < CHANNELS; i += LANES) {                                                \
+            PART a = *(const PART *)(texel + i), b = *(const PART *)(texel + i + CHANNELS);        \
+            PART c = *(const PART *)(texel + i + row);                                             \
+            PART d = *(const PART *)(texel + i + row + CHANNELS);                                  \
+            PART left = a + fy * (c - a), right = b + fy * (d - b);                                \
+            store_features_##LANES(to + i, left + fx * (right - left));                            \
+        }                                                                                          \
+    }
+#define RN_FETCH_PAIRS(NAME, TYPE, PAIR)                                                           \
+    RN_INLINE void fetch_##NAME(const float *texel, size_t row, float fx, float fy, feature *to) { \
+        PAIR above = *(const PAIR *)texel, below = *(const PAIR *)(texel + row);                   \
+        PAIR both = above + fy * (below - above);                                                  \
+        TYPE left = first_##NAME(both);                                                            \
+        store_features_##NAME(to, left + fx * (second_##NAME(both) - left));                       \
+    }
+#if RN_VL >= 8
 RN_INLINE v4 first_4(v8 x) {
     return __builtin_shufflevector(x, x, 0, 1, 2, 3);
 }
 RN_INLINE v4 second_4(v8 x) {
     return __builtin_shufflevector(x, x, 4, 5, 6, 7);
 }
+RN_FETCH_PAIRS(4, v4, v8)
+#else
+RN_FETCH_PARTS(4, v4, 4, 4)
+#endif
+#if RN_VL >= 16
 RN_INLINE v8 first_8(v16 x) {
     return __builtin_shufflevector(x, x, 0, 1, 2, 3, 4, 5, 6, 7);
 }
 RN_INLINE v8 second_8(v16 x) {
     return __builtin_shufflevector(x, x, 8, 9, 10, 11, 12, 13, 14, 15);
 }
-RN_INLINE v16 first_16(v32 x) {
-    return __builtin_shufflevector(x, x, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15);
-}
-RN_INLINE v16 second_16(v32 x) {
-    return __builtin_shufflevector(x, x, 16, 17, 18, 19, 20, 21, 22, 23, 24, 25, 26, 27, 28, 29, 30,
-                                   31);
-}
+RN_FETCH_PAIRS(8, v8, v16)
+RN_FETCH_PARTS(16, v16, 16, 16)
+#elif RN_VL >= 8
+RN_FETCH_PARTS(8, v8, 8, 8)
+RN_FETCH_PARTS(16, v8, 8, 16)
+#else
+RN_FETCH_PARTS(8, v4, 4, 8)
+RN_FETCH_PARTS(16, v4, 4, 16)
+#endif
 
-// A vector of CHANNELS numbers, and of those of two neighbours in a row, which are interpolated
-// along v together; the compiler splits them where the machine's are narrower.
-#define RN_FETCH(NAME, TYPE, PAIR, CHANNELS)                                                       \
-    RN_INLINE TYPE fetch_##NAME(const float *texel, size_t row, float fx, float fy) {              \
-        PAIR above = *(const PAIR *)texel, below = *(const PAIR *)(texel + row);                   \
-        PAIR both = above + fy * (below - above);                                                  \
-        TYPE left = first_##NAME(both);                                                            \
-        return left + fx * (second_##NAME(both) - left);                                           \
-    }                                                                                              \
+#define RN_ENCODE_FUNCTIONS(NAME, PART, LANES, CHANNELS)                                           \
     static void encode_flat_##NAME(const struct rn_map *map, const float *u, const float *v,       \
                                    int begin, int end, feature *out, size_t stride) {              \
         size_t row = (size_t)map->width * CHANNELS;                                                \
@@ -177,19 +198,18 @@ RN_INLINE v16 second_16(v32 x) {
             int n = end - i < RN_AHEAD ? end - i : RN_AHEAD;                                       \
             look_up_flat(map, u + i, v + i, n, CHANNELS, &at);                                     \
             for (int j = 0; j < n; j++)                                                            \
-                store_features_##NAME(                                                             \
-                    out + (size_t)(i + j) * stride,                                                \
-                    fetch_##NAME(map->texels + at.offset[j], row, at.fx[j], at.fy[j]));            \
+                fetch_##NAME(map->texels + at.offset[j], row, at.fx[j], at.fy[j],                  \
+                             out + (size_t)(i + j) * stride);                                      \
         }                                                                                          \
     }                                                                                              \
-    RN_INLINE TYPE fetch_map_##NAME(const struct rn_map *maps, const struct map_lookup *l, int j,  \
-                                    TYPE value) {                                                  \
-        const float *texel = maps[l->map[j]].texels + (size_t)l->offset[j] * CHANNELS;             \
+    RN_INLINE PART weigh_##NAME(const struct rn_map *maps, const struct map_lookup *l, int j,      \
+                                int i) {                                                           \
+        const float *texel = maps[l->map[j]].texels + (size_t)l->offset[j] * CHANNELS + i;         \
         const float *below = texel + (size_t)l->row[j] * CHANNELS;                                 \
-        value += l->weight[0][j] * *(const TYPE *)texel;                                           \
-        value += l->weight[1][j] * *(const TYPE *)(texel + CHANNELS);                              \
-        value += l->weight[2][j] * *(const TYPE *)below;                                           \
-        return value + l->weight[3][j] * *(const TYPE *)(below + CHANNELS);                        \
+        PART value = l->weight[0][j] * *(const PART *)texel;                                       \
+        value += l->weight[1][j] * *(const PART *)(texel + CHANNELS);                              \
+        value += l->weight[2][j] * *(const PART *)below;                                           \
+        return value + l->weight[3][j] * *(const PART *)(below + CHANNELS);                        \
     }                                                                                              \
     static void encode_leveled_##NAME(                                                             \
         const struct rn_map(*maps)[RN_MAX_LEVELS], bool mip, const float *u, const float *v,       \
@@ -200,19 +220,30 @@ RN_INLINE v16 second_16(v32 x) {
             int n = end - i < RN_VL ? end - i : RN_VL;                                             \
             int count = look_up_leveled(maps[0], base, mip, u + i, v + i, lx + i, ly + i, n,       \
                                         CHANNELS, at);                                             \
-            for (int j = 0; j < n; j++) {                                                          \
-                TYPE value = {0};                                                                  \
-                for (int k = 0; k < count; k++)                                                    \
-                    if (at[k].active >> j & 1)                                                     \
-                        value = fetch_map_##NAME(maps[0], &at[k], j, value);                       \
-                store_features_##NAME(out + (size_t)(i + j) * stride, value);                      \
-            }                                                                                      \
+            unsigned between = 0; /* samples that look in more than one map */                     \
+            for (int k = 1; k < count; k++)                                                        \
+                between |= at[k].active;                                                           \
+            for (int j = 0; j < n; j++)                                                            \
+                for (int c = 0; c < CHANNELS; c += LANES) {                                        \
+                    PART value = weigh_##NAME(maps[0], &at[0], j, c);                              \
+                    for (int k = 1; k < count && between >> j & 1; k++)                            \
+                        value += weigh_##NAME(maps[0], &at[k], j, c);                              \
+                    store_features_##LANES(out + (size_t)(i + j) * stride + c, value);             \
+                }                                                                                  \
         }                                                                                          \
     }
 
-RN_FETCH(4, v4, v8, 4)
-RN_FETCH(8, v8, v16, 8)
-RN_FETCH(16, v16, v32, 16)
+RN_ENCODE_FUNCTIONS(4, v4, 4, 4)
+#if RN_VL >= 16
+RN_ENCODE_FUNCTIONS(8, v8, 8, 8)
+RN_ENCODE_FUNCTIONS(16, v16, 16, 16)
+#elif RN_VL >= 8
+RN_ENCODE_FUNCTIONS(8, v8, 8, 8)
+RN_ENCODE_FUNCTIONS(16, v8, 8, 16)
+#else
+RN_ENCODE_FUNCTIONS(8, v4, 4, 8)
+RN_ENCODE_FUNCTIONS(16, v4, 4, 16)
+#endif
 
 // Features of samples [begin, end) of the workspace.
 static void encode(const struct rn_cpu_field *field, bool leveled, int begin, int end,
