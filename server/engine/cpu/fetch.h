@@ -161,34 +161,8 @@ RN_INLINE int look_up_leveled(const struct rn_map *maps, int base, bool mip, con
         TYPE left = first_##NAME(both);                                                            \
         store_features_##NAME(to, left + fx * (second_##NAME(both) - left));                       \
     }
-#if RN_VL >= 8
-RN_INLINE v4 first_4(v8 x) {
-    return __builtin_shufflevector(x, x, 0, 1, 2, 3);
-}
-RN_INLINE v4 second_4(v8 x) {
-    return __builtin_shufflevector(x, x, 4, 5, 6, 7);
-}
-RN_FETCH_PAIRS(4, v4, v8)
-#else
-RN_FETCH_PARTS(4, v4, 4, 4)
-#endif
-#if RN_VL >= 16
-RN_INLINE v8 first_8(v16 x) {
-    return __builtin_shufflevector(x, x, 0, 1, 2, 3, 4, 5, 6, 7);
-}
-RN_INLINE v8 second_8(v16 x) {
-    return __builtin_shufflevector(x, x, 8, 9, 10, 11, 12, 13, 14, 15);
-}
-RN_FETCH_PAIRS(8, v8, v16)
-RN_FETCH_PARTS(16, v16, 16, 16)
-#elif RN_VL >= 8
-RN_FETCH_PARTS(8, v8, 8, 8)
-RN_FETCH_PARTS(16, v8, 8, 16)
-#else
-RN_FETCH_PARTS(8, v4, 4, 8)
-RN_FETCH_PARTS(16, v4, 4, 16)
-#endif
 
+// Samples [begin, end) to rows `out`, `stride` features apart.
 #define RN_ENCODE_FUNCTIONS(NAME, PART, LANES, CHANNELS)                                           \
     static void encode_flat_##NAME(const struct rn_map *map, const float *u, const float *v,       \
                                    int begin, int end, feature *out, size_t stride) {              \
@@ -220,7 +194,7 @@ RN_FETCH_PARTS(16, v4, 4, 16)
             int n = end - i < RN_VL ? end - i : RN_VL;                                             \
             int count = look_up_leveled(maps[0], base, mip, u + i, v + i, lx + i, ly + i, n,       \
                                         CHANNELS, at);                                             \
-            unsigned between = 0; /* samples that look in more than one map */                     \
+            unsigned between = 0; /* in more than one map, mostly then in all: one test */         \
             for (int k = 1; k < count; k++)                                                        \
                 between |= at[k].active;                                                           \
             for (int j = 0; j < n; j++)                                                            \
@@ -233,15 +207,39 @@ RN_FETCH_PARTS(16, v4, 4, 16)
         }                                                                                          \
     }
 
+#if RN_VL >= 8
+RN_INLINE v4 first_4(v8 x) {
+    return __builtin_shufflevector(x, x, 0, 1, 2, 3);
+}
+RN_INLINE v4 second_4(v8 x) {
+    return __builtin_shufflevector(x, x, 4, 5, 6, 7);
+}
+RN_FETCH_PAIRS(4, v4, v8)
+#else
+RN_FETCH_PARTS(4, v4, 4, 4)
+#endif
 RN_ENCODE_FUNCTIONS(4, v4, 4, 4)
+
 #if RN_VL >= 16
+RN_INLINE v8 first_8(v16 x) {
+    return __builtin_shufflevector(x, x, 0, 1, 2, 3, 4, 5, 6, 7);
+}
+RN_INLINE v8 second_8(v16 x) {
+    return __builtin_shufflevector(x, x, 8, 9, 10, 11, 12, 13, 14, 15);
+}
+RN_FETCH_PAIRS(8, v8, v16)
 RN_ENCODE_FUNCTIONS(8, v8, 8, 8)
+RN_FETCH_PARTS(16, v16, 16, 16)
 RN_ENCODE_FUNCTIONS(16, v16, 16, 16)
 #elif RN_VL >= 8
+RN_FETCH_PARTS(8, v8, 8, 8)
 RN_ENCODE_FUNCTIONS(8, v8, 8, 8)
+RN_FETCH_PARTS(16, v8, 8, 16)
 RN_ENCODE_FUNCTIONS(16, v8, 8, 16)
 #else
+RN_FETCH_PARTS(8, v4, 4, 8)
 RN_ENCODE_FUNCTIONS(8, v4, 4, 8)
+RN_FETCH_PARTS(16, v4, 4, 16)
 RN_ENCODE_FUNCTIONS(16, v4, 4, 16)
 #endif
 
