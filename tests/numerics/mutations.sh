@@ -152,9 +152,15 @@ mutate kernels $cpu/encode.h "vector moments: half width recovered from the end 
 mutate footprint $cpu/encode.h "vector level: variance not clamped" \
     's/vf_log2(vf_clamp(variance \* (unit \* unit), 1.0f, top))/vf_log2(variance * (unit * unit) + 0 * top)/'
 mutate volume $cpu/packet.h "vector compositing: optical depth summed in fp32" \
-    's/double depth = w->ray_depth\[r\];/float depth = (float)w->ray_depth[r];/;s/depth += (double)w->x\[i\];/depth += w->x[i];/'
+    's/double depth = w->ray_depth\[r\];/float depth = (float)w->ray_depth[r];/;s/depth += sums\[RN_VD - 1\];/depth += (float)sums[RN_VD - 1];/'
 mutate volume $cpu/packet.h "vector compositing: 1 - exp(-x)" \
     's/t \* vf_one_minus_exp(x)/t * (1.0f - vf_exp(-x))/'
+mutate volume $cpu/backward.h "vector compositing: a segment's own sample counts as behind it" \
+    's/VD_DOWN(sums, 1) + behind/sums + behind/'
+mutate volume $cpu/backward.h "vector compositing: neighbours of a short segment are summed" \
+    's/vd_suffix_sums((vd)((vl)share & mine))/vd_suffix_sums(share)/'
+mutate rays $cpu/packet.h "vector harmonics: the first vector of rows alone" \
+    's/in += RN_VL \* RN_HEAD_INPUTS/in += 0/'
 mutate kernels $cpu/update.h "vector AdamW: squares that overflow" \
     's/vf g = vf_min(.*/vf g = vf_load(grad) * o->scale;/'
 mutate kernels $cpu/update.h "vector AdamW: decay as 1 - rate * decay" \
