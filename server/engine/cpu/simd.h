@@ -84,28 +84,16 @@ RN_INLINE vl vd_first_lanes(int64_t count) {
 #define VD_DOWN(X, BY) VD_LANES_FROM(X, (vd){0}, BY)
 #define VD_UP(X, BY) VD_LANES_FROM((vd){0}, X, RN_VD - BY)
 
-// Lane i is the sum of the lanes up to i.
-RN_INLINE vd vd_prefix_sums(vd x) {
-    x += VD_UP(x, 1);
-#if RN_VD > 2
-    x += VD_UP(x, 2);
-#endif
-#if RN_VD > 4
-    x += VD_UP(x, 4);
-#endif
-    return x;
-}
-// Lane i is the sum of the lanes from i on.
-RN_INLINE vd vd_suffix_sums(vd x) {
-    x += VD_DOWN(x, 1);
-#if RN_VD > 2
-    x += VD_DOWN(x, 2);
-#endif
-#if RN_VD > 4
-    x += VD_DOWN(x, 4);
-#endif
-    return x;
-}
+// Lane i is the sum of the lanes up to i, or of those from i on.
+#define VD_SUMS(NAME, MOVE)                                                                        \
+    RN_INLINE vd NAME(vd x) {                                                                      \
+        x += MOVE(x, 1);                                                                           \
+        if (RN_VD > 2) x += MOVE(x, 2);                                                            \
+        if (RN_VD > 4) x += MOVE(x, RN_VD / 2);                                                    \
+        return x;                                                                                  \
+    }
+VD_SUMS(vd_prefix_sums, VD_UP)
+VD_SUMS(vd_suffix_sums, VD_DOWN)
 RN_INLINE double vd_sum(vd x) {
     return vd_suffix_sums(x)[0];
 }
