@@ -83,6 +83,7 @@ static void gemm(const struct rn_gemm *g, int rows, int k_count, int n) {
         int left = (n - column) / RN_VL, row = 0;
         if (left >= 4 && RN_VL != 8) { // 3 x 4 AVX2 registers would leave loads the bottleneck
             RN_GEMM_ROWS(RN_GEMM_ROWS_4, 4);
+            RN_GEMM_ROWS(2, 4);
             RN_GEMM_ROWS(1, 4);
             column += 4 * RN_VL;
         } else if (left >= 2) {

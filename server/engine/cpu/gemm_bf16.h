@@ -14,19 +14,21 @@
 
 #define RN_TILE_K 32  // numbers of k in a tile
 #define RN_TILE 512   // numbers of a tile of pairs
-#define RN_TILES_M 32 // rows of a product
+#define RN_TILES_M 32 // rows of a product, at most
 
 RN_INLINE int round32(int n) {
     return (n + 31) & ~31;
 }
 
-// c[32][16 or 32] (+)= a[32][k] b[k][16 or 32].
+// c[rows][16 or 32] (+)= a[rows][k] b[k][16 or 32]. What is beyond k up to whole tiles is zero, and
+// c and a have 32 rows: AMX computes with both.
 struct bf16_product {
     const uint16_t *a; // rows
     int a_stride;      // numbers
     const uint16_t *b; // pairs
     int b_k, b_n;      // numbers from a tile of b to the next along k, and along the columns
-    int k;             // in tiles
+    int k;             // a multiple of 2
+    int rows;          // a multiple of 8
     float *c;
     int c_stride;
     bool accumulate, wide; // wide: 32 columns
@@ -109,7 +111,7 @@ RN_INLINE void product_tiles(struct products *s, const struct bf16_product *p, c
     TURN_TILE(1, true, true, c_lower, 5, 6)
     TURN_TILE(2, WIDE, last.wide, c + 16, 4, 7)
     TURN_TILE(3, WIDE, last.wide, c_lower + 16, 5, 7)
-    for (int k = 1; k < p->k; k++) {
+    for (int k = RN_TILE_K; k < p->k; k += RN_TILE_K) {
         a += RN_TILE_K;
         lower += RN_TILE_K;
         b += p->b_k;
@@ -148,20 +150,23 @@ RN_INLINE void product_rows(const struct bf16_product *p, int row, const bool WI
         for (int j = 0; j < 1 + WIDE; j++)
             sum[i][j] = p->accumulate ? _mm512_loadu_ps(c + (size_t)i * p->c_stride + 16 * j)
                                       : _mm512_setzero_ps();
-    for (int k = 0; k < p->k; k++)
-        for (int pair = 0; pair < RN_TILE_K / 2; pair++) {
-            const uint16_t *b = p->b + (size_t)k * p->b_k + pair * 32;
+    const uint16_t *tile = p->b;
+    for (int k = 0; k < p->k; k += RN_TILE_K, a += RN_TILE_K, tile += p->b_k) {
+        const int count = p->k - k < RN_TILE_K ? p->k - k : RN_TILE_K;
+        for (int pair = 0; pair < count; pair += 2) {
+            const uint16_t *b = tile + pair * 16;
             __m512i b0 = _mm512_loadu_si512(b);
             __m512i b1 = WIDE ? _mm512_loadu_si512(b + p->b_n) : b0;
 #pragma GCC unroll 8
             for (int i = 0; i < PRODUCT_ROWS; i++) {
                 int32_t both;
-                memcpy(&both, a + (size_t)i * p->a_stride + k * RN_TILE_K + pair * 2, 4);
+                memcpy(&both, a + (size_t)i * p->a_stride + pair, 4);
                 __m512bh ai = (__m512bh)_mm512_set1_epi32(both);
                 sum[i][0] = _mm512_dpbf16_ps(sum[i][0], ai, (__m512bh)b0);
                 if (WIDE) sum[i][1] = _mm512_dpbf16_ps(sum[i][1], ai, (__m512bh)b1);
             }
         }
+    }
 #pragma GCC unroll 8
     for (int i = 0; i < PRODUCT_ROWS; i++)
 #pragma GCC unroll 2
@@ -170,7 +175,7 @@ RN_INLINE void product_rows(const struct bf16_product *p, int row, const bool WI
 }
 
 RN_INLINE void product_tiles(struct products *s, const struct bf16_product *p, const bool WIDE) {
-    for (int row = 0; row < RN_TILES_M; row += PRODUCT_ROWS)
+    for (int row = 0; row < p->rows; row += PRODUCT_ROWS)
         product_rows(p, row, WIDE);
 }
 

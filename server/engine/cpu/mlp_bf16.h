@@ -180,7 +180,8 @@ static void forward_layer(struct block *b, int l, int row, const uint16_t *weigh
                                  .b = weights + (size_t)n * in,
                                  .b_k = RN_TILE,
                                  .b_n = in * 16,
-                                 .k = in / RN_TILE_K,
+                                 .k = round16(shape->in[l]),
+                                 .rows = RN_TILES_M,
                                  .c = direct ? result : sums,
                                  .c_stride = direct ? out : 32,
                                  .wide = n + 16 < out};
@@ -249,15 +250,16 @@ static void take_columns(struct block *b, int l, uint16_t *spare) {
 
 // Adds inputs^T * gradient to the layer's sums, [round32(in)][round32(out)].
 static void add_weight_grad(struct block *b, int l, float *sums) {
-    int in = round32(b->net->shape->in[l]), out = b->net->shape->out[l];
-    for (int i = 0; i < in; i += 32)
+    int in = round16(b->net->shape->in[l]), out = b->net->shape->out[l];
+    for (int i = 0; i < in; i += RN_TILES_M)
         for (int o = 0; o < out; o += 32) {
             struct bf16_product p = {.a = b->columns + i * b->padded,
                                      .a_stride = b->padded,
                                      .b = b->pairs + o / 16 * RN_TILE,
                                      .b_k = out / 16 * RN_TILE,
                                      .b_n = RN_TILE,
-                                     .k = b->padded / RN_TILE_K,
+                                     .k = b->padded,
+                                     .rows = in - i < RN_TILES_M ? in - i : RN_TILES_M,
                                      .c = sums + (size_t)i * round32(out) + o,
                                      .c_stride = round32(out),
                                      .accumulate = true,
@@ -279,7 +281,8 @@ static void take_in_grad(struct block *b, int l, const uint16_t *weights, const 
                                      .b = weights + (size_t)i * out,
                                      .b_k = RN_TILE,
                                      .b_n = out * 16,
-                                     .k = out / RN_TILE_K,
+                                     .k = b->net->shape->out[l],
+                                     .rows = RN_TILES_M,
                                      .c = l == 0 ? result : sums,
                                      .c_stride = l == 0 ? in : 32,
                                      .wide = i + 16 < in};
@@ -372,8 +375,13 @@ static void gemm_public(int rows, int k, int n, const float *a, int a_stride, co
     for (int row = 0; row < rows; row += RN_TILES_M)
         for (int column = 0; column < n; column += 16) {
             int here = rows - row < RN_TILES_M ? rows - row : RN_TILES_M;
-            struct bf16_product p = {
-                .a = left, .a_stride = 32, .b = right, .k = 1, .c = sums, .c_stride = 32};
+            struct bf16_product p = {.a = left,
+                                     .a_stride = 32,
+                                     .b = right,
+                                     .k = RN_TILE_K,
+                                     .rows = RN_TILES_M,
+                                     .c = sums,
+                                     .c_stride = 32};
             for (int from = 0; from < k; from += RN_TILE_K, p.accumulate = true) {
                 int part = k - from < RN_TILE_K ? k - from : RN_TILE_K;
                 rows_from(a + (size_t)row * a_stride + from, a_stride, here, part, left, 32);
