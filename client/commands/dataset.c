@@ -40,7 +40,7 @@ static void print_problems(FILE *out, const struct rn_dataset_report_record *rep
         rn_client_print(out, report->problems[i].text);
         fputc('\n', out);
     }
-    if (report->dropped) printf("and %lld more\n", (long long)report->dropped);
+    if (report->dropped) fprintf(out, "and %lld more\n", (long long)report->dropped);
 }
 
 static void print_report(const char *folder, const struct rn_dataset *dataset,
@@ -110,15 +110,15 @@ static struct rn_dataset *read_dataset(const char *folder, bool quiet,
 }
 
 // Reads a dataset without any daemon. RN_EXIT_INVALID when it cannot be used as it is; *ret_dataset
-// is then NULL or what is left. `show` prints the report; without it the problems of an unusable
-// dataset go to stderr.
+// is then NULL or what is left. `show` prints the report; without it problems go to stderr where
+// there are errors or warnings.
 static enum rn_exit examine(const char *folder, bool json, bool show,
                             struct rn_dataset **ret_dataset) {
     struct rn_problems problems = {0};
     struct rn_dataset_report_record report;
     struct rn_error err = {0};
     *ret_dataset = read_dataset(folder, json, &problems);
-    bool failed = problems.errors > 0;
+    bool failed = problems.errors > 0, worth_saying = failed || problems.warnings > 0;
     enum rn_status status = *ret_dataset
                                 ? rn_dataset_report_fill(*ret_dataset, &problems, &report, &err)
                                 : rn_report_problems_fill(&problems, &report, &err);
@@ -130,7 +130,7 @@ static enum rn_exit examine(const char *folder, bool json, bool show,
         puts(text);
     else if (show && *ret_dataset)
         print_report(folder, *ret_dataset, &report);
-    else if (show || failed)
+    else if (show || worth_saying)
         print_problems(show ? stdout : stderr, &report);
     free(text);
     rn_message_finish(&rn_dataset_report_table, &report);

@@ -10,15 +10,36 @@ static double distance_to(const struct rn_camera *camera, const double point[3])
     return sqrt(sum);
 }
 
-bool rn_camera_looks_at(const struct rn_camera *camera, const struct rn_bounds *bounds) {
+static bool meets(const double origin[3], const double direction[3],
+                  const struct rn_bounds *bounds) {
     double along = 0, squared = 0;
     for (int i = 0; i < 3; i++) {
-        double offset = bounds->centre[i] - camera->world_from_camera[i][3];
-        along += offset * camera->world_from_camera[i][2];
+        double offset = bounds->centre[i] - origin[i];
+        along += offset * direction[i];
         squared += offset * offset;
     }
     double inside = bounds->radius * bounds->radius - squared;
     return inside >= 0 || (along > 0 && along * along + inside >= 0);
+}
+
+bool rn_camera_looks_at(const struct rn_camera *camera, const struct rn_bounds *bounds) {
+    struct rn_ray axis = rn_camera_ray(camera, camera->cx, camera->cy);
+    return meets(axis.origin, axis.direction, bounds);
+}
+
+double rn_bounds_seen(const struct rn_dataset *dataset, const struct rn_bounds *bounds) {
+    enum { GRID = 16 };
+    size_t rays = 0, met = 0;
+    for (size_t f = 0; f < dataset->frame_count; f++) {
+        const struct rn_camera *camera = &dataset->frames[f].camera;
+        if (dataset->frames[f].split != RN_SPLIT_TRAIN) continue;
+        for (int i = 0; i < GRID * GRID; i++, rays++) {
+            struct rn_ray ray = rn_camera_ray(camera, (i % GRID + 0.5) / GRID * camera->width,
+                                              (i / GRID + 0.5) / GRID * camera->height);
+            met += meets(ray.origin, ray.direction, bounds);
+        }
+    }
+    return rays ? (double)met / (double)rays : 1;
 }
 
 // Solves the symmetric 3x3 system a x = b by Cramer's rule; false when it is singular.
@@ -56,13 +77,13 @@ static void nearest_to_axes(const struct rn_dataset *dataset, double centre[3]) 
         centre[i] = mean[i];
 }
 
-struct rn_bounds rn_bounds_from_cameras(const struct rn_dataset *dataset) {
+struct rn_bounds rn_bounds_from_cameras(const struct rn_dataset *dataset, double distances) {
     struct rn_bounds bounds = {.radius = 1, .source = RN_BOUNDS_CAMERAS};
     nearest_to_axes(dataset, bounds.centre);
     double sum = 0;
     for (size_t f = 0; f < dataset->frame_count; f++)
         sum += distance_to(&dataset->frames[f].camera, bounds.centre);
-    if (sum > 1e-6) bounds.radius = 0.5 * sum / (double)dataset->frame_count;
+    if (sum > 1e-6) bounds.radius = distances * sum / (double)dataset->frame_count;
     return bounds;
 }
 

@@ -8,7 +8,10 @@
 
 #include "common/dataset/reader.h"
 
-#define LAYOUT_RADIUS 1.5 // of the NeRF-synthetic scenes, about the origin
+#define LAYOUT_RADIUS 1.5     // of the NeRF-synthetic scenes, about the origin
+#define OBJECT_DISTANCES 0.5  // of the cameras: a sphere that cameras around an object look at
+#define CAPTURE_DISTANCES 1.5 // one that holds cameras and what is behind what they look at
+#define SEEN_ENOUGH 0.8       // of photographs without alpha; the NeRF-synthetic sphere has 0.9
 
 const char *const rn_layout_names[] = {"blender", "multiscale", "native", NULL};
 const char *const rn_bounds_source_names[] = {"given", "layout", "cameras", NULL};
@@ -69,14 +72,35 @@ enum rn_status rn_dataset_seal(struct rn_dataset *dataset, const char *where,
     return RN_OK;
 }
 
+// All that a photograph without alpha shows has to lie within the sphere, or be of the background's
+// colour.
+static void warn_of_what_is_beyond(struct rn_reader *reader) {
+    struct rn_dataset *dataset = reader->dataset;
+    for (size_t i = 0; i < dataset->frame_count; i++)
+        if (dataset->frames[i].has_alpha) return;
+    double seen = rn_bounds_seen(dataset, &dataset->bounds);
+    if (seen >= SEEN_ENOUGH) return;
+    struct rn_bounds wider = rn_bounds_from_cameras(dataset, CAPTURE_DISTANCES);
+    rn_problems_add(reader->problems, RN_SEVERITY_WARNING, reader->folder,
+                    "the layout's sphere (radius %g about the origin) covers only %.0f %% of the "
+                    "training photographs' pixels, and no alpha channel cuts the rest away; what "
+                    "lies beyond cannot be learnt. `import --bounds X,Y,Z,R` says which sphere "
+                    "holds the scene: %.6g,%.6g,%.6g,%.6g holds the cameras too",
+                    LAYOUT_RADIUS, 100 * seen, wider.centre[0], wider.centre[1], wider.centre[2],
+                    wider.radius);
+}
+
 // The layouts' convention, unless no camera at all looks at that sphere.
 static void set_bounds(struct rn_reader *reader) {
     struct rn_dataset *dataset = reader->dataset;
     if (dataset->layout == RN_LAYOUT_NATIVE) return;
     dataset->bounds = (struct rn_bounds){.radius = LAYOUT_RADIUS, .source = RN_BOUNDS_LAYOUT};
     for (size_t i = 0; i < dataset->frame_count; i++)
-        if (rn_camera_looks_at(&dataset->frames[i].camera, &dataset->bounds)) return;
-    dataset->bounds = rn_bounds_from_cameras(dataset);
+        if (rn_camera_looks_at(&dataset->frames[i].camera, &dataset->bounds)) {
+            warn_of_what_is_beyond(reader);
+            return;
+        }
+    dataset->bounds = rn_bounds_from_cameras(dataset, OBJECT_DISTANCES);
     rn_problems_add(reader->problems, RN_SEVERITY_WARNING, reader->folder,
                     "no camera looks at the layout's sphere (radius %g about the origin); bounds "
                     "taken from the cameras: radius %g about (%g, %g, %g)",

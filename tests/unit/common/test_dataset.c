@@ -91,6 +91,39 @@ START_TEST(bounds_from_cameras) {
 }
 END_TEST
 
+// A camera at (0.5, 0.25, 4), whose photographs the layout's sphere covers in part, or whole where
+// the field of view is narrow.
+START_TEST(photographs_of_more_than_the_sphere) {
+    static const struct {
+        int colour_type;
+        const char *angle;
+        size_t warnings;
+    } cases[] = {{PNG_COLOR_TYPE_RGB, "0.9", 1},
+                 {PNG_COLOR_TYPE_RGB, "0.4", 0},
+                 {PNG_COLOR_TYPE_RGB_ALPHA, "0.9", 0}};
+    for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
+        char *text;
+        put_png("train/r_0.png", 8, 6, cases[i].colour_type, 8, PNG_INTERLACE_NONE);
+        ck_assert(asprintf(&text, "{\"camera_angle_x\":%s,\"frames\":[%s]}", cases[i].angle,
+                           FRAME("train/r_0")) > 0);
+        put_text("transforms_train.json", text);
+        free(text);
+        read_ok(folder);
+        ck_assert_int_eq(dataset->bounds.source, RN_BOUNDS_LAYOUT);
+        ck_assert_uint_eq(problems.warnings, cases[i].warnings);
+        for (size_t k = 0; k < problems.count; k++) {
+            if (problems.items[k].severity != RN_SEVERITY_WARNING) continue;
+            ck_assert_ptr_nonnull(strstr(problems.items[k].text, "covers only 64 %"));
+            // One axis: a unit ahead of the camera, and one and a half times as wide.
+            ck_assert_ptr_nonnull(strstr(problems.items[k].text, ": 0.5,0.25,3,1.5 holds"));
+        }
+        rn_dataset_destroy(&dataset);
+        rn_problems_finish(&problems);
+        problems = (struct rn_problems){0};
+    }
+}
+END_TEST
+
 START_TEST(find_view) {
     put_image("train/r_0.png", 8, 6);
     put_image("train/x/r_0.png", 8, 6);
@@ -503,6 +536,7 @@ int main(void) {
     tcase_add_test(tests, blender);
     tcase_add_test(tests, bounds_and_report);
     tcase_add_test(tests, bounds_from_cameras);
+    tcase_add_test(tests, photographs_of_more_than_the_sphere);
     tcase_add_test(tests, find_view);
     tcase_add_test(tests, unknown_fields_warn_once);
     tcase_add_loop_test(tests, bad_frame, 0, COUNT(bad_frames));
