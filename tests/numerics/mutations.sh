@@ -275,8 +275,14 @@ if grep -q avx512_bf16 /proc/cpuinfo; then
         's/return (__m512i)_mm512_cvtne2ps_pbh(high, low);/return _mm512_inserti64x4(_mm512_castsi256_si512(_mm512_cvtepi32_epi16(_mm512_srli_epi32((__m512i)low, 16))), _mm512_cvtepi32_epi16(_mm512_srli_epi32((__m512i)high, 16)), 1);/'
     mutate networks $cpu/gemm_bf16.h "networks: bf16 truncated instead of rounded" \
         's/return (__m512i)_mm512_cvtne2ps_pbh(high, low);/return _mm512_inserti64x4(_mm512_castsi256_si512(_mm512_cvtepi32_epi16(_mm512_srli_epi32((__m512i)low, 16))), _mm512_cvtepi32_epi16(_mm512_srli_epi32((__m512i)high, 16)), 1);/'
+    mutate networks $cpu/gemm_bf16.h "networks: bf16, the last pair of a part of a tile left out" \
+        's/? p->k - k : RN_TILE_K;/? p->k - k - 2 : RN_TILE_K;/'
+    mutate networks $cpu/mlp_bf16.h "networks: bf16, rows of weights' gradients left out" \
+        's/? in - i : RN_TILES_M/? in - i - 8 : RN_TILES_M/'
+    mutate networks $cpu/mlp_bf16.h "networks: bf16, half of an input's gradient left out" \
+        's/.k = b->net->shape->out\[l\],/.k = b->net->shape->out[l] \/ 2,/'
 else
-    echo "skipped: this processor has no bf16 products, for two mutations more"
+    echo "skipped: this processor has no bf16 products, for five mutations more"
 fi
 
 echo "$caught of $tried caught"
