@@ -14,7 +14,7 @@ static const struct rn_option no_options[] = {{0}};
 // ---- train ----
 
 struct train_options {
-    const char *name, *preset, *train_split, *planes, *footprint, *device;
+    const char *name, *preset, *train_split, *planes, *footprint, *device, *kernels;
     double max_time, until_psnr;
     int64_t max_steps, seed, threads;
     bool wait;
@@ -86,6 +86,11 @@ static const struct rn_option train_table[] = {
      TRAIN(device),
      .value = "auto|cpu|cuda:0",
      .help = "where to train (auto)"},
+    {.name = "kernels",
+     .kind = RN_OPTION_TEXT,
+     TRAIN(kernels),
+     .value = "SET",
+     .help = "the CPU's kernel set, of those `ripnerf info` lists; else the fastest"},
     {.name = "wait", .kind = RN_OPTION_FLAG, TRAIN(wait), .help = "show progress until the end"},
     {0}};
 
@@ -124,6 +129,7 @@ static char *train_body(const struct train_options *options, const char *dataset
     train->seed = options->seed;
     train->threads = options->threads;
     if (options->device) snprintf(train->device, sizeof train->device, "%s", options->device);
+    if (options->kernels) snprintf(train->kernels, sizeof train->kernels, "%s", options->kernels);
     return rn_api_encode(&train_request_table, &request);
 }
 

@@ -212,8 +212,26 @@ static void check_marks(const struct rn_field_config *c, int levels,
     if (c->base % (1 << (levels - 1)) == 0) ck_assert_int_eq(missed, 0);
 }
 
+// Rays end, as the engine's do, behind the first sample that makes them as opaque as
+// `options.stop_depth` says.
+static void stop_early(struct setup *s, float stop_depth) {
+    int cut = 0;
+    s->options.stop_depth = stop_depth;
+    for (int r = 0; r < RAYS; r++) {
+        struct rn_reference_ray *ray = &s->exact[r];
+        double rgb[3], opacity = 0, depth;
+        int all = ray->count;
+        for (ray->count = 0; ray->count < all && -log1p(-opacity) <= (double)stop_depth;) {
+            ray->count++;
+            ck_assert(rn_reference_render(s->reference, ray, rgb, &opacity, &depth) == RN_OK);
+        }
+        cut += all - ray->count;
+    }
+    ck_assert_int_gt(cut, 2 * RAYS);
+}
+
 static void check_step(const struct rn_kernels *kernels, const struct rn_train_config *config,
-                       bool split) {
+                       bool split, float stop_depth) {
     struct bounds bounds = bounds_of(kernels);
     struct setup s;
     set_up(&s, kernels, config);
@@ -224,6 +242,7 @@ static void check_step(const struct rn_kernels *kernels, const struct rn_train_c
         s.rays[2].length = 0;
         s.exact[2].count = 0;
     }
+    if (stop_depth < 1) stop_early(&s, stop_depth);
     kernels->train(&s.field->cpu, &s.options, s.rays, s.workspace, &s.group);
     ck_assert_int_eq(s.group.cursor, RAYS);
     double loss, weight = s.group.weight;
@@ -256,10 +275,10 @@ static void check_step(const struct rn_kernels *kernels, const struct rn_train_c
         error(s.group.base_grad, s.reference->base_grad, s.reference->base_shape.count, 1 / weight);
     double head =
         error(s.group.head_grad, s.reference->head_grad, s.reference->head_shape.count, 1 / weight);
-    printf("%s %d planes %s %s%s: gradients planes %.1e base %.1e head %.1e\n", kernels->name,
+    printf("%s %d planes %s %s%s%s: gradients planes %.1e base %.1e head %.1e\n", kernels->name,
            c->planes, rn_footprint_name(c->footprint),
-           c->shading == RN_SHADING_RAY ? "ray" : "sample", split ? " split" : "", planes, base,
-           head);
+           c->shading == RN_SHADING_RAY ? "ray" : "sample", split ? " split" : "",
+           stop_depth < 1 ? " stopped" : "", planes, base, head);
     ck_assert_double_lt(planes, bounds.gradient);
     ck_assert_double_lt(base, bounds.gradient);
     ck_assert_double_lt(head, bounds.gradient);
@@ -270,8 +289,9 @@ static void check_step(const struct rn_kernels *kernels, const struct rn_train_c
 }
 
 static void check_training(const struct rn_kernels *kernels, const struct rn_train_config *config) {
-    check_step(kernels, config, false);
-    check_step(kernels, config, true);
+    check_step(kernels, config, false, 1e9f);
+    check_step(kernels, config, true, 1e9f);
+    check_step(kernels, config, false, 0.5f);
 }
 
 static void check_rendering(const struct rn_kernels *kernels,
@@ -347,7 +367,7 @@ START_TEST(pixels_larger_than_a_packet_match_reference) {
     config.field.base_layers = 3;
     config.step = 0.003;
     for (int i = 0; (kernels = rn_kernels_available(i)); i++)
-        check_step(kernels, &config, true);
+        check_step(kernels, &config, true, 1e9f);
 }
 END_TEST
 START_TEST(pixels_match_reference) {
