@@ -39,15 +39,20 @@ static void cpu_name(char *ret, size_t size) {
     fclose(f);
 }
 
-static void fill_info(struct rn_engine *e) {
+// The names of the sets that this machine can run.
+static void list_kernels(const char *separator, char *ret, size_t size) {
     const struct rn_kernels *k;
+    *ret = 0;
+    for (int i = 0; (k = rn_kernels_available(i)); i++) {
+        size_t used = strlen(ret);
+        snprintf(ret + used, size - used, "%s%s", i ? separator : "", k->name);
+    }
+}
+
+static void fill_info(struct rn_engine *e) {
     snprintf(e->info.device, sizeof e->info.device, "cpu");
     cpu_name(e->info.name, sizeof e->info.name);
-    for (int i = 0; (k = rn_kernels_available(i)); i++) {
-        size_t used = strlen(e->info.available);
-        snprintf(e->info.available + used, sizeof e->info.available - used, "%s%s", i ? "," : "",
-                 k->name);
-    }
+    list_kernels(",", e->info.available, sizeof e->info.available);
     e->info.threads = rn_pool_threads(e->pool);
 }
 
@@ -59,9 +64,12 @@ enum rn_status rn_engine_create(const struct rn_engine_options *options,
         return rn_error_set(err, RN_ERROR_INVALID, "threads", "must be 0 to 1024");
     const struct rn_kernels *chosen =
         strcmp(kernels, "auto") == 0 ? fastest_kernels() : rn_kernels_find(kernels);
-    if (!chosen)
+    if (!chosen) {
+        char names[128];
+        list_kernels(", ", names, sizeof names);
         return rn_error_set(err, RN_ERROR_UNSUPPORTED, "kernels",
-                            "this machine has no kernel set '%s'", kernels);
+                            "this machine has no kernel set '%s', but %s", kernels, names);
+    }
     struct rn_engine *e = calloc(1, sizeof *e);
     if (!e) return rn_error_set(err, RN_ERROR_NO_MEMORY, "engine", "out of memory");
     e->kernels = chosen;

@@ -2,6 +2,7 @@
 
 import io
 import json
+import re
 import signal
 import time
 from urllib.error import HTTPError
@@ -274,3 +275,17 @@ def test_bad_photographs_are_refused_before_they_are_sent(client, tmp_path):
     result = client.run("import", tmp_path / "fence", "--name", "fence", code=INVALID)
     assert "r_2.png" in result.stderr
     client.run("show", "fence", code=NOT_FOUND)
+
+
+def test_kernels_can_be_forced(client, dataset, trained):
+    end, scene = trained
+    available = client.json("info")["available_kernels"]
+    text = client.run("info").stdout
+    assert f"{scene['kernels']}, of {' '.join(available)}" in " ".join(text.split())
+    client.run("train", "sphere", "--name", "plain", "--preset", "draft", "--max-steps", 3,
+               "--kernels", "generic", "--wait")
+    assert client.json("show", "plain")["kernels"] == "generic"
+    assert re.search(r"kernels +generic\n", client.run("show", "plain").stdout)
+    result = client.run("train", "sphere", "--name", "odd", "--preset", "draft", "--max-steps", 3,
+                        "--kernels", "mmx", "--wait", code=FAILED)
+    assert "mmx" in result.stderr and "generic" in result.stderr

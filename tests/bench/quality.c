@@ -84,6 +84,8 @@ static bool set_option(struct run *run, const char *name, const char *value) {
         c->max_steps = (int64_t)v, c->max_seconds = 0;
     else if (strcmp(name, "seed") == 0)
         c->seed = (uint64_t)v;
+    else if (strcmp(name, "multi_step_rate") == 0)
+        c->multi_step_rate = v != 0;
     else if (strcmp(name, "carve") == 0)
         c->carve = v != 0;
     else if (strcmp(name, "sparse") == 0)

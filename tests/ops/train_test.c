@@ -234,6 +234,55 @@ START_TEST(earlier_checkpoints_lack_what_came_later) {
 }
 END_TEST
 
+static struct rn_engine *engine_of(const char *kernels) {
+    struct rn_error err;
+    struct rn_engine *engine;
+    struct rn_engine_options options = {.threads = 1, .kernels = kernels};
+    ck_assert(rn_engine_create(&options, &engine, &err) == RN_OK);
+    return engine;
+}
+
+// Whatever set the engine was opened with, a resumed run takes the one that its checkpoint names,
+// and is refused where there is none of that name.
+START_TEST(a_resumed_run_keeps_its_kernels) {
+    struct rn_error err;
+    struct rn_train_config config = config_for(dataset);
+    struct rn_device_info device;
+    config.max_steps = 4;
+    char path[128], whole[65], resumed[65];
+    snprintf(path, sizeof path, "%s/kernels.safetensors", folder);
+
+    struct rn_engine *engine = engine_of("generic");
+    struct rn_trainer *trainer = trainer_for(engine, dataset, &config);
+    ck_assert(rn_trainer_advance(trainer, 2, &err) == RN_OK);
+    ck_assert(rn_trainer_save(trainer, path, &err) == RN_OK);
+    run_to_end(trainer);
+    rn_field_sha256(rn_trainer_field(trainer), whole);
+    rn_trainer_destroy(&trainer);
+    rn_engine_destroy(&engine);
+
+    engine = engine_of(NULL); // the fastest: another one wherever there is any
+    ck_assert_msg(rn_trainer_restore(engine, dataset, path, 0, &trainer, &err) == RN_OK, "%s",
+                  err.text);
+    rn_engine_describe(engine, &device);
+    ck_assert_str_eq(device.kernels, "generic");
+    run_to_end(trainer);
+    rn_field_sha256(rn_trainer_field(trainer), resumed);
+    ck_assert_str_eq(whole, resumed);
+
+    size_t size;
+    uint8_t *bytes = saved_bytes(&trainer, path, &size);
+    char *name = memmem(bytes, size, "generic", 7);
+    ck_assert_ptr_nonnull(name);
+    *name = 'x';
+    ck_assert(rn_file_write_atomic(path, bytes, size, &err) == RN_OK);
+    ck_assert(rn_trainer_restore(engine, dataset, path, 0, &trainer, &err) == RN_ERROR_UNSUPPORTED);
+    ck_assert_ptr_nonnull(strstr(err.text, "'xeneric'"));
+    free(bytes);
+    rn_engine_destroy(&engine);
+}
+END_TEST
+
 START_TEST(memory_limit_is_said_before_it_is_taken) {
     struct rn_error err;
     struct rn_train_config config = config_for(dataset);
@@ -255,6 +304,7 @@ static void add_tests(TCase *tests) {
     tcase_add_test(tests, a_figure_does_not_depend_on_interruptions);
     tcase_add_test(tests, damaged_checkpoints_are_refused);
     tcase_add_test(tests, earlier_checkpoints_lack_what_came_later);
+    tcase_add_test(tests, a_resumed_run_keeps_its_kernels);
     tcase_add_test(tests, memory_limit_is_said_before_it_is_taken);
 }
 
