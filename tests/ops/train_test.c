@@ -3,6 +3,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/resource.h>
 
 #include "common/base/file.h"
 #include "tests/ops/train_scene.h"
@@ -283,15 +284,55 @@ START_TEST(a_resumed_run_keeps_its_kernels) {
 }
 END_TEST
 
+// Every part that a preset has beyond the paper is told with what it was measured to gain.
+START_TEST(differences_from_the_paper_have_their_gains) {
+    static const char *const presets[] = {"draft", "standard"};
+    struct rn_error err;
+    struct rn_train_config config;
+    struct rn_difference items[64];
+    for (int i = 0; i < 12; i++) {
+        ck_assert(rn_preset(presets[i % 2], i / 2 % 2, &config, &err) == RN_OK);
+        config.max_seconds = (double[]){15, 60, 120}[i / 4];
+        rn_train_config_suit_time(&config);
+        int count = rn_train_config_differences(&config, items, 64);
+        ck_assert_int_gt(count, 10);
+        ck_assert_int_le(count, 64);
+        for (int k = 0; k < count; k++)
+            ck_assert_msg(*items[k].measured, "%s: %s", presets[i % 2], items[k].what);
+    }
+    ck_assert(rn_preset("paper", false, &config, &err) == RN_OK);
+    ck_assert_int_eq(rn_train_config_differences(&config, items, 64), 0);
+}
+END_TEST
+
+static size_t peak_bytes(void) {
+    struct rusage usage;
+    ck_assert_int_eq(getrusage(RUSAGE_SELF, &usage), 0);
+    return (size_t)usage.ru_maxrss << 10;
+}
+
+// What a limit's error says is what a training takes: most of it, and little more.
 START_TEST(memory_limit_is_said_before_it_is_taken) {
     struct rn_error err;
-    struct rn_train_config config = config_for(dataset);
+    struct rn_train_config config = config_for(scaled);
+    config.field.base = 128;
+    config.grow_to = 256;
+    config.max_steps = 8;
     struct rn_engine *engine = engine_with(1);
     struct rn_trainer *trainer = NULL;
-    ck_assert(rn_trainer_create(engine, dataset, &config, 1 << 20, &trainer, &err) ==
+    ck_assert(rn_trainer_create(engine, scaled, &config, 1 << 20, &trainer, &err) ==
               RN_ERROR_LIMIT);
-    ck_assert_ptr_nonnull(strstr(err.text, "MiB"));
     ck_assert_ptr_null(trainer);
+    const char *needs = strstr(err.text, "needs ");
+    ck_assert_ptr_nonnull(needs);
+    double said = atof(needs + 6) * (1 << 20), before = (double)peak_bytes();
+    trainer = trainer_for(engine, scaled, &config);
+    run_to_end(trainer);
+    double taken = (double)peak_bytes() - before;
+    printf("said %.0f, taken %.0f\n", said, taken);
+    ck_assert_double_gt(taken, 0.5 * said);
+    ck_assert_double_lt(taken, 1.25 * said);
+    rn_trainer_destroy(&trainer);
     rn_engine_destroy(&engine);
 }
 END_TEST
@@ -305,6 +346,7 @@ static void add_tests(TCase *tests) {
     tcase_add_test(tests, damaged_checkpoints_are_refused);
     tcase_add_test(tests, earlier_checkpoints_lack_what_came_later);
     tcase_add_test(tests, a_resumed_run_keeps_its_kernels);
+    tcase_add_test(tests, differences_from_the_paper_have_their_gains);
     tcase_add_test(tests, memory_limit_is_said_before_it_is_taken);
 }
 

@@ -176,6 +176,7 @@ struct rn_workspace {
 };
 // Bytes of a workspace for a field, and its layout in `memory` (64-byte aligned).
 size_t rn_workspace_size(const struct rn_cpu_field *field, double step);
+int rn_workspace_capacity(const struct rn_cpu_field *field, double step); // its `capacity`
 struct rn_workspace *rn_workspace_init(const struct rn_cpu_field *field, double step, void *memory);
 
 struct rn_pixel {

@@ -22,8 +22,8 @@ static int full_packet(const struct rn_cpu_field *field, double step) {
 }
 
 // As many, or more where a pixel's rays can have more: each is at most as long as the ball is wide.
-static int packet_capacity(int full, double step) {
-    int longest = RN_PIXEL_RAYS * ((int)(2 / step) + 2);
+int rn_workspace_capacity(const struct rn_cpu_field *field, double step) {
+    int full = full_packet(field, step), longest = RN_PIXEL_RAYS * ((int)(2 / step) + 2);
     return full > longest ? full : (longest + 31) / 32 * 32;
 }
 
@@ -42,8 +42,7 @@ static void *carve(struct carver *c, size_t count, size_t size) {
 static size_t lay_out(const struct rn_cpu_field *field, double step, struct carver *c) {
     struct rn_workspace scratch, *w = carve(c, 1, sizeof *w);
     if (!w) w = &scratch;
-    int full = full_packet(field, step);
-    size_t n = (size_t)packet_capacity(full, step), f = sizeof(float);
+    size_t n = (size_t)rn_workspace_capacity(field, step), f = sizeof(float);
     size_t width = (size_t)field->config.width, planes = (size_t)field->config.planes;
     size_t rays = RN_PACKET_RAYS;
     size_t heads = field->config.shading == RN_SHADING_RAY ? rays : n;
@@ -51,7 +50,7 @@ static size_t lay_out(const struct rn_cpu_field *field, double step, struct carv
     if ((size_t)field->head_shape.widest > widest) widest = (size_t)field->head_shape.widest;
     widest = (widest + 15) / 16 * 16;
     w->capacity = (int)n;
-    w->full = full;
+    w->full = full_packet(field, step);
     w->room = longest_ray(step) + RN_PACKET_SLACK;
     w->candidate = carve(c, RN_PACKET_RAYS * (size_t)w->room, sizeof *w->candidate);
     w->segment_start = carve(c, n, sizeof *w->segment_start);

@@ -86,11 +86,14 @@ static enum rn_status load_pixels(struct rn_trainer *t, size_t limit, struct rn_
 
 // ---- set-up ---------------------------------------------------------------------------------
 
+// That the photographs to train on need; they need not be loaded.
 static int training_levels(const struct rn_trainer *t) {
+    struct selection s = {t->dataset, t->field->config.train_val, false};
     int levels = 1;
-    for (int f = 0; f < t->train.frame_count; f++) {
-        int need = rn_levels_for_camera(t->field, &t->train.frames[f].frame->camera,
-                                        t->field->config.step);
+    for (size_t f = 0; f < t->dataset->frame_count; f++) {
+        const struct rn_frame *frame = &t->dataset->frames[f];
+        if (!wanted(&s, frame)) continue;
+        int need = rn_levels_for_camera(t->field, &frame->camera, t->field->config.step);
         if (need > levels) levels = need;
     }
     return levels < t->field->config.field.levels ? levels : t->field->config.field.levels;
@@ -104,13 +107,31 @@ enum rn_status rn_trainer_set_up(struct rn_trainer *t, struct rn_error *err) {
     return status;
 }
 
-static enum rn_status check_memory(const struct rn_trainer *t, const struct rn_train_config *config,
-                                   size_t limit, size_t *ret_left, struct rn_error *err) {
+// What training takes besides pixels once its planes are grown: parameters, their gradients, two
+// moments and the last good ones; a pyramid and its gradients; a packet a thread; what a step's
+// groups keep.
+static size_t training_bytes(const struct rn_trainer *t) {
+    const struct rn_train_config *config = &t->field->config;
+    const struct rn_cpu_field *cpu = &t->field->cpu;
     struct rn_train_config grown = *config;
     if (config->grow_to > config->field.base) grown.field.base = config->grow_to;
-    size_t need = 5 * rn_field_bytes(&grown, 1) + RN_MAX_RAYS * sizeof(struct rn_march_ray);
+    size_t side = (size_t)grown.field.base, before = (size_t)config->field.base;
+    size_t parameters = t->field->parameters.plane_count / (before * before) * (side * side) +
+                        t->field->parameters.base_count + t->field->parameters.head_count;
+    size_t pyramid =
+        rn_pyramid_count(&grown.field, training_levels(t)) * (size_t)grown.field.planes;
+    int capacity = 2 * rn_workspace_capacity(cpu, config->step);
+    return rn_field_bytes(&grown, 1) + (4 * parameters + 2 * pyramid) * sizeof(float) +
+           RN_GROUPS * rn_group_numbers(cpu, capacity) * sizeof(float) +
+           (size_t)rn_pool_threads(t->engine->pool) * rn_workspace_size(cpu, config->step) +
+           RN_MAX_RAYS * sizeof(struct rn_march_ray);
+}
+
+static enum rn_status check_memory(const struct rn_trainer *t, size_t limit, size_t *ret_left,
+                                   struct rn_error *err) {
     *ret_left = 0;
     if (!limit) return RN_OK;
+    size_t need = training_bytes(t);
     if (need >= limit)
         return rn_error_set(err, RN_ERROR_LIMIT, t->dataset->name,
                             "training needs %zu MiB besides the pixels and the limit is %zu MiB; "
@@ -148,7 +169,7 @@ enum rn_status rn_trainer_create(struct rn_engine *engine, const struct rn_datas
     if (engine->backend) rn_device_adapt(&own);
     enum rn_status status = rn_train_config_check(&own, err);
     if (status == RN_OK) status = start(engine, dataset, &own, &t, err);
-    if (status == RN_OK) status = check_memory(t, &own, memory_limit_bytes, &left, err);
+    if (status == RN_OK) status = check_memory(t, memory_limit_bytes, &left, err);
     if (status == RN_OK) status = load_pixels(t, left, err);
     if (status != RN_OK) goto fail;
     double begin = (double)rn_clock_ns();
@@ -193,8 +214,7 @@ enum rn_status rn_trainer_restore(struct rn_engine *engine, const struct rn_data
     }
     engine->kernels = kernels;
     status = start(engine, dataset, &checkpoint.config, &t, err);
-    if (status == RN_OK)
-        status = check_memory(t, &checkpoint.config, memory_limit_bytes, &left, err);
+    if (status == RN_OK) status = check_memory(t, memory_limit_bytes, &left, err);
     if (status == RN_OK) status = load_pixels(t, left, err);
     if (status == RN_OK) status = rn_trainer_set_up(t, err);
     if (status == RN_OK) status = rn_checkpoint_read_trainer(&checkpoint, t, err);
