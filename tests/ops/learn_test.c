@@ -158,6 +158,29 @@ static void check_parts(struct rn_field *field, const struct rn_frame *frame) {
 
 // Rays that end earlier than in training are opaque, whatever lies behind them, and near to the
 // full picture.
+static bool count_down(void *context) {
+    int *left = context;
+    return --*left > 0;
+}
+
+// A deadline is asked for between tiles: the picture is given up at the first answer that says so.
+static void check_giving_up(struct rn_engine *engine, struct rn_field *field,
+                            const struct rn_frame *frame) {
+    struct rn_error err;
+    struct rn_render_options options = {.camera = rn_camera_resized(&frame->camera, 256, 256),
+                                        .outputs = RN_OUTPUT_RGB};
+    struct rn_render_result result;
+    int left = 1000000;
+    ck_assert(rn_render(engine, field, &options, count_down, &left, &result, &err) == RN_OK);
+    rn_render_result_finish(&result);
+    int polls = 1000000 - left;
+    ck_assert_int_ge(polls, 8);
+    left = polls / 2;
+    ck_assert(rn_render(engine, field, &options, count_down, &left, &result, &err) ==
+              RN_ERROR_CANCELLED);
+    ck_assert_int_le(-left, rn_pool_threads(engine->pool)); // other threads may ask once more
+}
+
 static void check_early_stop(struct rn_field *field, const struct rn_frame *frame, int cones) {
     struct rn_render_options options = {
         .outputs = RN_OUTPUT_RGB | RN_OUTPUT_ALPHA, .background = {1, 1, 1}, .supersample = cones};
@@ -579,6 +602,7 @@ START_TEST(it_learns_and_a_loaded_field_renders_the_same) {
     check_early_stop(field, frame, 1);
     check_early_stop(field, frame, 2);
     check_refinement(engine, kept, frame);
+    check_giving_up(engine, field, frame);
     rn_field_destroy(&field);
     rn_field_destroy(&kept);
     rn_engine_destroy(&engine);
