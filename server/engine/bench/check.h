@@ -24,6 +24,7 @@ double rn_bench_check_backward(const struct rn_bench_recording *recording,
 // The scatter is the fetch's adjoint: gradient times feature, summed over samples, is gradient
 // times parameter, summed over texels. Leaves the gradients in place.
 double rn_bench_check_scatter(const struct rn_bench_recording *recording);
+// The update of the first plane with the gradients that the scatter left, which it leaves again.
 double rn_bench_check_optimiser(const struct rn_bench_recording *recording);
 // Pulling down is the adjoint of building. Overwrites the gradients.
 double rn_bench_check_pyramid(const struct rn_bench_recording *recording);

@@ -119,31 +119,36 @@ void rn_bench_scatter(const struct rn_bench_recording *rec) {
 }
 
 // The update clears its marks: it gets a copy.
-void rn_bench_optimise(const struct rn_bench_recording *rec) {
+void rn_bench_update(const struct rn_bench_recording *rec, int plane,
+                     const struct rn_adamw *options) {
     struct rn_trainer *t = rec->trainer;
     const struct rn_field_config *c = &rec->field->config;
-    struct rn_adamw o = {.scale = 1,
-                         .rate = 1e-6f,
-                         .eps = 1e-15f,
-                         .keep = 0.999f,
-                         .fresh = 0.001f,
-                         .correction1 = 0.9f,
-                         .correction2 = 0.9f};
-    size_t plane = (size_t)c->base * (size_t)c->base * (size_t)c->channels;
+    size_t size = (size_t)c->base * (size_t)c->base * (size_t)c->channels, p = (size_t)plane;
+    uint8_t *marks = rec->marks + p * t->tiles;
     bool sparse = t->field->config.sparse && t->tiled;
-    memcpy(rec->marks, t->touched, t->tiles * (size_t)c->planes);
-    for (size_t p = 0; p < (size_t)c->planes; p++) {
-        struct rn_plane_update update = {.options = &o,
-                                         .maps = t->field->cpu.maps[p],
-                                         .grad_maps = t->grad_maps[p],
-                                         .m = t->m + p * plane,
-                                         .v = t->v + p * plane,
-                                         .touched = sparse ? rec->marks + p * t->tiles : NULL,
-                                         .levels = t->tiled ? t->levels : 1,
-                                         .channels = c->channels,
-                                         .mip = c->footprint == RN_FOOTPRINT_MIP};
-        rec->kernels->update(&update, 0, c->base);
-    }
+    struct rn_plane_update update = {.options = options,
+                                     .maps = t->field->cpu.maps[p],
+                                     .grad_maps = t->grad_maps[p],
+                                     .m = t->m + p * size,
+                                     .v = t->v + p * size,
+                                     .touched = sparse ? marks : NULL,
+                                     .levels = t->tiled ? t->levels : 1,
+                                     .channels = c->channels,
+                                     .mip = c->footprint == RN_FOOTPRINT_MIP};
+    memcpy(marks, t->touched + p * t->tiles, t->tiles);
+    rec->kernels->update(&update, 0, c->base);
+}
+
+void rn_bench_optimise(const struct rn_bench_recording *rec) {
+    static const struct rn_adamw options = {.scale = 1,
+                                            .rate = 1e-6f,
+                                            .eps = 1e-15f,
+                                            .keep = 0.999f,
+                                            .fresh = 0.001f,
+                                            .correction1 = 0.9f,
+                                            .correction2 = 0.9f};
+    for (int plane = 0; plane < rec->field->config.planes; plane++)
+        rn_bench_update(rec, plane, &options);
 }
 
 size_t rn_bench_touched(const struct rn_bench_recording *rec) {

@@ -42,6 +42,9 @@ void rn_bench_stage_run(const struct rn_bench_recording *recording,
 void rn_bench_scatter(const struct rn_bench_recording *recording);
 // The optimiser over what the slabs touched, dense or sparse as configured.
 void rn_bench_optimise(const struct rn_bench_recording *recording);
+// The update of one plane's touched texels.
+void rn_bench_update(const struct rn_bench_recording *recording, int plane,
+                     const struct rn_adamw *options);
 // Numbers of the base maps that it visits.
 size_t rn_bench_touched(const struct rn_bench_recording *recording);
 
