@@ -1,10 +1,13 @@
 // Training as a whole: the same bytes whatever the threads, pauses, checkpoints and resumes; memory
 // limits, damaged checkpoints and missing values are refused.
+#include <math.h>
+#include <stdatomic.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <sys/resource.h>
 
+#include "common/base/clock.h"
 #include "common/base/file.h"
 #include "tests/ops/train_scene.h"
 
@@ -284,6 +287,40 @@ START_TEST(a_resumed_run_keeps_its_kernels) {
 }
 END_TEST
 
+// A clock that is a millisecond later whenever it is asked.
+static atomic_llong milliseconds;
+static int64_t hasty_ns(void) {
+    return atomic_fetch_add(&milliseconds, 1) * 1000000;
+}
+
+// A time is a schedule: planes have grown and the rate has fallen by its end, and there it ends.
+START_TEST(training_ends_with_its_time) {
+    struct rn_error err;
+    struct rn_train_config config = config_for(dataset);
+    config.max_steps = 0;
+    config.max_seconds = 0.5;
+    rn_clock_set_source(hasty_ns, NULL);
+    struct rn_engine *engine = engine_with(1);
+    struct rn_trainer *trainer = trainer_for(engine, dataset, &config);
+    struct rn_progress progress;
+    double rate = rn_trainer_rate(trainer);
+    ck_assert_int_eq(rn_trainer_config(trainer)->field.base, 32);
+    for (progress.done = false; !progress.done;) {
+        ck_assert(rn_trainer_advance(trainer, 1, &err) == RN_OK);
+        rn_trainer_progress(trainer, &progress);
+    }
+    printf("%lld steps in %.3f s\n", (long long)progress.step, progress.train_seconds);
+    ck_assert_double_ge(progress.train_seconds, 0.5);
+    ck_assert_double_lt(progress.train_seconds, 0.55);
+    ck_assert_int_gt(progress.step, 10);
+    ck_assert_int_eq(rn_trainer_config(trainer)->field.base, 64);
+    ck_assert_double_eq_tol(rn_trainer_rate(trainer) / rate, exp(-3), 1e-3);
+    rn_trainer_destroy(&trainer);
+    rn_engine_destroy(&engine);
+    rn_clock_set_source(NULL, NULL);
+}
+END_TEST
+
 // Every part that a preset has beyond the paper is told with what it was measured to gain.
 START_TEST(differences_from_the_paper_have_their_gains) {
     static const char *const presets[] = {"draft", "standard"};
@@ -346,6 +383,7 @@ static void add_tests(TCase *tests) {
     tcase_add_test(tests, damaged_checkpoints_are_refused);
     tcase_add_test(tests, earlier_checkpoints_lack_what_came_later);
     tcase_add_test(tests, a_resumed_run_keeps_its_kernels);
+    tcase_add_test(tests, training_ends_with_its_time);
     tcase_add_test(tests, differences_from_the_paper_have_their_gains);
     tcase_add_test(tests, memory_limit_is_said_before_it_is_taken);
 }
