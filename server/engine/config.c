@@ -191,10 +191,10 @@ int rn_train_config_differences(const struct rn_train_config *c, struct rn_diffe
     DIFFERS(f->orientation != paper.field.orientation, "planes not along a Platonic solid", "")
     DIFFERS((c->grow_to > 0 ? c->grow_to : f->base) != paper.field.base,
             "another base grid in the end than the paper's 512 x 512",
-            "256: level after 15 s, in a third more steps")
+            "256: level on validation views after 15 s, in a third more steps")
     DIFFERS(c->grow_to > 0, "planes grow from a coarse grid while they are trained", "+3.9 dB")
     DIFFERS(f->channels != paper.field.channels, "fewer channels than the paper's 16",
-            "8: -0.5 dB after 60 CPU seconds")
+            "8: -0.5 dB on validation views after 60 CPU seconds")
     DIFFERS(f->footprint != paper.field.footprint, "another footprint than the paper's ripmap",
             "mip: +0.7 dB over four scales after 30 s")
     DIFFERS(f->shading != paper.field.shading,
@@ -224,13 +224,13 @@ int rn_train_config_differences(const struct rn_train_config *c, struct rn_diffe
             "0.99: +0.4 dB")
     DIFFERS(c->weight_decay != paper.weight_decay, "another weight decay than 1e-5",
             c->weight_decay > 0 ? "0.05 of the networks: +0.1 dB after 10,000 steps"
-                                : "none: level after 60 CPU seconds")
+                                : "none: level on validation views after 60 CPU seconds")
     DIFFERS(c->favour_finest, "most rays from the finest scale, pixels nearly without replacement",
             "the first: +0.9 dB over four scales after 20 s; the second: +0.3 dB")
     DIFFERS(c->draw_by_error, "rays drawn more often where errors are large (unbiased)",
             "+0.3 dB after 1,500 steps")
     DIFFERS(!c->multi_step_rate, "rate schedule made for the time given",
-            "+0.2 dB after 60 CPU seconds")
+            "+0.2 dB on validation views after 60 CPU seconds")
     DIFFERS(fabs(c->stop - paper.stop) > 1e-12, "rays end at another transmittance than 1e-4",
             "0.002: +0.2 dB")
     DIFFERS(c->refine_at_rest,

@@ -278,10 +278,9 @@ def test_bad_photographs_are_refused_before_they_are_sent(client, tmp_path):
 
 
 def test_kernels_can_be_forced(client, dataset, trained):
-    end, scene = trained
-    available = client.json("info")["available_kernels"]
+    info = client.json("info")
     text = client.run("info").stdout
-    assert f"{scene['kernels']}, of {' '.join(available)}" in " ".join(text.split())
+    assert f"{info['kernels']}, of {' '.join(info['available_kernels'])}" in " ".join(text.split())
     client.run("train", "sphere", "--name", "plain", "--preset", "draft", "--max-steps", 3,
                "--kernels", "generic", "--wait")
     assert client.json("show", "plain")["kernels"] == "generic"

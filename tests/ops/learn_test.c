@@ -156,8 +156,6 @@ static void check_parts(struct rn_field *field, const struct rn_frame *frame) {
     }
 }
 
-// Rays that end earlier than in training are opaque, whatever lies behind them, and near to the
-// full picture.
 static bool count_down(void *context) {
     int *left = context;
     return --*left > 0;
@@ -181,6 +179,8 @@ static void check_giving_up(struct rn_engine *engine, struct rn_field *field,
     ck_assert_int_le(-left, rn_pool_threads(engine->pool)); // other threads may ask once more
 }
 
+// Rays that end earlier than in training are opaque, whatever lies behind them, and near to the
+// full picture.
 static void check_early_stop(struct rn_field *field, const struct rn_frame *frame, int cones) {
     struct rn_render_options options = {
         .outputs = RN_OUTPUT_RGB | RN_OUTPUT_ALPHA, .background = {1, 1, 1}, .supersample = cones};

@@ -300,7 +300,7 @@ START_TEST(training_ends_with_its_time) {
     config.max_steps = 0;
     config.max_seconds = 0.5;
     rn_clock_set_source(hasty_ns, NULL);
-    struct rn_engine *engine = engine_with(1);
+    struct rn_engine *engine = engine_of("generic");
     struct rn_trainer *trainer = trainer_for(engine, dataset, &config);
     struct rn_progress progress;
     double rate = rn_trainer_rate(trainer);
@@ -355,7 +355,7 @@ START_TEST(memory_limit_is_said_before_it_is_taken) {
     config.field.base = 128;
     config.grow_to = 256;
     config.max_steps = 8;
-    struct rn_engine *engine = engine_with(1);
+    struct rn_engine *engine = engine_of("generic");
     struct rn_trainer *trainer = NULL;
     ck_assert(rn_trainer_create(engine, scaled, &config, 1 << 20, &trainer, &err) ==
               RN_ERROR_LIMIT);
