@@ -85,9 +85,10 @@ static void warn_of_what_is_beyond(struct rn_reader *reader) {
                     "the layout's sphere (radius %g about the origin) covers only %.0f %% of the "
                     "training photographs' pixels, and no alpha channel cuts the rest away; what "
                     "lies beyond cannot be learnt. `import --bounds X,Y,Z,R` says which sphere "
-                    "holds the scene: %.6g,%.6g,%.6g,%.6g holds the cameras too",
+                    "holds the scene: %.6g,%.6g,%.6g,%.6g reaches %g times as far as the cameras' "
+                    "mean distance",
                     LAYOUT_RADIUS, 100 * seen, wider.centre[0], wider.centre[1], wider.centre[2],
-                    wider.radius);
+                    wider.radius, CAPTURE_DISTANCES);
 }
 
 // The layouts' convention, unless no camera at all looks at that sphere.
