@@ -5,6 +5,7 @@
 #include "server/engine/scene.h"
 
 #define FRESH 0.3f // weight of a block's newest loss in its mean
+#define AHEAD 16   // turns for which memory is asked ahead
 
 enum rn_status rn_importance_init(size_t count, struct rn_importance *ret, struct rn_error *err) {
     *ret = (struct rn_importance){.count = count,
@@ -66,11 +67,22 @@ void rn_importance_lay_out(struct rn_importance *im, size_t first, size_t count)
         im->guide[first + next] = (uint32_t)(count - 1);
 }
 
+// The block at `at` or one before it.
+static const uint32_t *guide_to(const struct rn_importance *im, size_t first, size_t count,
+                                double at) {
+    return &im->guide[first + (size_t)(at * (double)count)];
+}
+
 struct rn_live_pixel rn_importance_pixel(const struct rn_importance *im, size_t first, size_t count,
                                          uint64_t seed, uint64_t turn, float *ret_weight) {
+    // Turns follow each other, and their blocks lie anywhere.
+    __builtin_prefetch(guide_to(im, first, count, rn_golden_place(seed, turn + 2 * AHEAD)));
+    size_t later = first + *guide_to(im, first, count, rn_golden_place(seed, turn + AHEAD));
+    __builtin_prefetch(&im->begin[later]);
+    __builtin_prefetch(&im->share[later]);
     double at = rn_golden_place(seed, turn);
     const double *begin = im->begin + first;
-    size_t block = im->guide[first + (size_t)(at * (double)count)];
+    size_t block = *guide_to(im, first, count, at);
     while (block + 1 < count && begin[block + 1] <= at)
         block++;
     double end = block + 1 < count ? begin[block + 1] : 1;
