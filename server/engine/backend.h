@@ -10,7 +10,7 @@
 #include "common/math/camera.h"
 #include "server/engine/cpu/kernels.h"
 
-#define RN_BACKEND_VERSION 6
+#define RN_BACKEND_VERSION 7
 #define RN_BACKEND_SYMBOL "rn_backend_table"
 
 struct rn_device;       // owner: rn_backend.open's caller
@@ -62,6 +62,7 @@ struct rn_device_training {
     int64_t step, updates;
     float gradient_scale; // a power of two; 0: as at the start
     int good_steps;       // since it was last changed
+    float gradient_size;  // of a sample, mean of the step before, for the lottery; 0: none yet
     uint64_t rays;        // of all steps before
     double march_step;    // scene radii; the configuration's own is for the occupancy
     bool split;           // rn_march_options; with ray shading alone
@@ -81,11 +82,13 @@ struct rn_device_step {
 struct rn_device_progress {
     int64_t steps, updates;
     uint64_t steps_rejected, nonfinite_rays, nonfinite_numbers, samples, rays;
+    uint64_t samples_returned; // whose gradients went back
     uint64_t level_samples[RN_MAX_LEVELS];
     double loss; // of the last step, per weight
     int next_rays, rejected_in_a_row;
     float gradient_scale;
     int good_steps;
+    float gradient_size;
 };
 
 #define RN_DEVICE_STAGES 16

@@ -198,6 +198,7 @@ enum rn_status rn_checkpoint_read_trainer(const struct rn_checkpoint *c, struct 
     t->next_rays = c->next_rays;
     t->gradient_scale = c->gradient_scale;
     t->good_steps = c->good_steps;
+    t->gradient_size = c->gradient_size;
     return RN_OK;
 }
 

@@ -23,6 +23,7 @@ struct rn_checkpoint {
     int next_rays;
     float gradient_scale;
     int good_steps;
+    float gradient_size;
     bool has_trainer; // optimiser state is in the file
     void *header;     // the parsed JSON
     int fd;

@@ -176,13 +176,14 @@ json_t *rn_checkpoint_state(const struct rn_trainer *t) {
     for (int l = 0; l < RN_PROGRESS_LEVELS; l++)
         json_array_append_new(levels, json_integer((json_int_t)t->progress.level_samples[l]));
     return json_pack(
-        "{s:i,s:o,s:o,s:o,s:o,s:I,s:i,s:f,s:i,s:s,s:{s:[f,f,f],s:f,s:i}}", "version", 1, "config",
-        encode_all(config_members, COUNT(config_members), &t->field->config), "progress",
+        "{s:i,s:o,s:o,s:o,s:o,s:I,s:i,s:f,s:i,s:f,s:s,s:{s:[f,f,f],s:f,s:i}}", "version", 1,
+        "config", encode_all(config_members, COUNT(config_members), &t->field->config), "progress",
         encode_all(progress_members, COUNT(progress_members), &t->progress), "levels", levels,
         "effects", encode_effects(t->field->effects), "updates", (json_int_t)t->updates,
         "next_rays", t->next_rays, "gradient_scale", (double)t->gradient_scale, "good_steps",
-        t->good_steps, "kernels", t->field->kernels, "bounds", "centre", b->centre[0], b->centre[1],
-        b->centre[2], "radius", b->radius, "source", (int)b->source);
+        t->good_steps, "gradient_size", (double)t->gradient_size, "kernels", t->field->kernels,
+        "bounds", "centre", b->centre[0], b->centre[1], b->centre[2], "radius", b->radius, "source",
+        (int)b->source);
 }
 
 enum rn_status rn_checkpoint_parse_state(const json_t *state, const char *path,
@@ -215,8 +216,11 @@ enum rn_status rn_checkpoint_parse_state(const json_t *state, const char *path,
     c->next_rays = (int)json_integer_value(json_object_get(state, "next_rays"));
     c->gradient_scale = (float)json_number_value(json_object_get(state, "gradient_scale"));
     c->good_steps = (int)json_integer_value(json_object_get(state, "good_steps"));
+    c->gradient_size = (float)json_number_value(json_object_get(state, "gradient_size"));
     if (!(c->gradient_scale >= 0 && c->gradient_scale <= 65536) || c->good_steps < 0)
         return rn_error_set(err, RN_ERROR_CORRUPT, path, "its gradient scale is out of range");
+    if (!(c->gradient_size >= 0 && c->gradient_size < INFINITY))
+        return rn_error_set(err, RN_ERROR_CORRUPT, path, "its gradient size is out of range");
     if (c->next_rays < 1 || c->next_rays > RN_MAX_RAYS || c->updates < 0)
         return rn_error_set(err, RN_ERROR_CORRUPT, path, "its step counters are out of range");
     return RN_OK;

@@ -94,9 +94,8 @@ bool rn_device_trained(const char *kernels) {
 }
 
 void rn_device_adapt(struct rn_train_config *config) {
-    config->roulette = 0;
     config->draw_by_error = false;
-    if (config->field.shading == RN_SHADING_SAMPLE) config->split_pixels = 0;
+    if (config->field.shading == RN_SHADING_SAMPLE) config->roulette = config->split_pixels = 0;
 }
 
 // ---- memory ---------------------------------------------------------------------------------

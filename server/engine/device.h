@@ -15,8 +15,8 @@ void rn_engine_close_device(struct rn_engine *engine);
 // Whether a checkpoint's kernel set is a device's: any machine may go on from it.
 bool rn_device_trained(const char *kernels);
 
-// What a training on a device does otherwise: it draws no lots on samples of tiny weight, and rays
-// without a look at errors.
+// What a training on a device does otherwise: it draws rays without a look at errors, and where
+// samples are shaded it draws no lots on their gradients and splits no pixels.
 void rn_device_adapt(struct rn_train_config *config);
 
 // Makes the field exist on the engine's device as the CPU has it now, with maps of `levels` a side,

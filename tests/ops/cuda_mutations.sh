@@ -95,25 +95,36 @@ compile emulator.o emulator.cpp || give_up "the emulator does not build"
 # Synchronisation.
 mutate order network.cuh "weights: no barrier after the asynchronous copies" \
     's/^    __syncthreads();//'
-mutate order network.cuh "weights: copies not waited for" 's/^    rn_copy_wait();//'
+mutate order network.cuh "weights: copies not waited for" 's/^    rn_copy_wait<0>();//'
 mutate order network.cuh "weights: copies not committed" 's/^    rn_copy_commit();//'
 mutate order network.cuh "weights: waited for before they are committed" \
-    's/^    rn_copy_commit();/    rn_copy_wait();/;t;s/^    rn_copy_wait();/    rn_copy_commit();/'
+    's/^    rn_copy_commit();/    rn_copy_wait<0>();/;t;s/^    rn_copy_wait<0>();/    rn_copy_commit();/'
 mutate order optimise.cuh "pooling: no barrier between update and pooling" \
     's/^    __syncthreads();//'
 mutate order step.cuh "order: no barrier before the sums are read" \
     '0,/^    __syncthreads();/s/^    __syncthreads();//'
 mutate order step.cuh "order: no barrier after the scan" \
-    's/^    uint32_t first = sums\[thread\].tiles;/&/;/s->next_rays = next < b.ray_capacity/,/first = sums/s/^    __syncthreads();//'
+    '/rn_take_sums(&b, &all);/,/int first = /s/^    __syncthreads();//'
+mutate order step.cuh "order: lanes' sums are read before they are there" 's/^        __syncwarp();//'
+mutate gradients step.cuh "order: rays of a warp share their places" 's/\.first = first + before;/.first = first;/'
+mutate many step.cuh "order: rays behind a warp's first 32 share their places" 's/^        first += rn_shuffle.*//'
+mutate gradients step.cuh "order: samples of a tile share their places" 's/ + rn_popcount(rows & (bit - 1));/;/'
+mutate gradients step.cuh "order: a ray's tiles share their places" 's/ - b.tile_behind\[slot\] / - rn_popcount(rows) /'
 mutate march occupancy.cuh "occupancy: no barrier in the sum" 's/^        __syncthreads();//'
 mutate march occupancy.cuh "occupancy: no barrier in the sum's last warp" \
     's/^        __syncthreads();/        if (half >= 32) __syncthreads();/'
 mutate order forward.cuh "forward: a lane leaves before its warp" \
     's/if (walk.k >= walk.end) return;/if (RN_LANE == 31) return;/'
-mutate order step.cuh "order: tiles in the order in which warps came" \
-    's/b.order\[b.ray_first\[r\] + b.tile_ordinal\[slot\]\] = slot/b.order[slot] = slot/'
+mutate gradients forward.cuh "order: what has no gradient goes back" \
+    's/!(weight == 0 \&\& logit == 0)/true/'
+mutate many gradient.cuh "gradient: a tile is read before it is there" \
+    's/rn_copy_wait<RN_GRADIENT_STAGES - 2>/rn_copy_wait<RN_GRADIENT_STAGES - 1>/'
+mutate many gradient.cuh "gradient: no barrier before a tile is read" 's|^        __syncthreads(); // this tile.*||'
+mutate many gradient.cuh "gradient: the tile under way is overwritten" 's/size_t ahead = tile + RN_GRADIENT_STAGES - 1;/size_t ahead = tile + RN_GRADIENT_STAGES;/'
+mutate many gradient.cuh "gradient: groups that are not committed" 's/^    rn_copy_commit();//'
 mutate gradients gradient.cuh "gradient: chunks that overlap" \
     's/end = tiles \* (size_t)(chunk + 1)/end = 1 + tiles * (size_t)(chunk + 1)/'
+mutate order field.cu "launch: shared memory that was not asked for" 's/^    RN_TRY(allow_shared(kernel, shared));//'
 # March.
 mutate march march.cuh "march: a brick skipped too far" \
     's/return next > k ? next : k + 1;/return next > k ? next + 1 : k + 2;/'
@@ -155,8 +166,8 @@ mutate pixels shade.cuh "ray shading: a colour without its opacity" 's/+= opacit
 mutate march shade.cuh "ray shading: a turned ray keeps its direction" \
     's/march->turned ? march->look : //'
 mutate rays forward.cuh "ray shading: behind within a tile only" 's/^    \*behind += .*//'
-mutate rays shade.cuh "ray shading: tiles from the first to the last" \
-    's/while (place-- > first)/for (uint32_t end = place, unused = (place = first); place < end; place += 1 + 0 * unused)/'
+mutate rays shade.cuh "ray shading: the last tile only" \
+    's/slot >= 0; slot = b->tile_previous\[slot\]/slot >= 0; slot = -1/'
 mutate rays shade.cuh "ray shading: no gradient of the opacity" 's/^        g.opacity += .*//'
 mutate rays shade.cuh "ray shading: the background takes no part" 's/(out\[c\] - background\[c\])/out[c]/'
 mutate rays shade.cuh "ray shading: no gradient of the diffuse colours" \
@@ -172,7 +183,15 @@ mutate rays shade.cuh "ray shading: directions of the tile's first ray" \
 mutate rays shade.cuh "ray shading: every tile in the same place" 's/\&scratch, tile, in/\&scratch, 0, in/'
 mutate second shade.cuh "ray shading: rays of the step before take part" \
     's/RN_LANE >= RN_TILE || r >= b->status->ray_count) return g/RN_LANE >= RN_TILE) return g/'
-mutate second gradient.cuh "ray shading: as many tiles of rays as of samples" 's/of_rays ? .* : status->ordered/status->ordered/'
+mutate second gradient.cuh "ray shading: as many tiles of rays as of samples" 's/of_rays ? .* : status->returned/status->returned/'
+mutate lottery shade.cuh "lottery: what is drawn counts once" 's/\*ret_factor = chance > 0 ? .*/*ret_factor = chance > 0;/'
+mutate lottery shade.cuh "lottery: what is likelier than not goes back" \
+    's/return before \/ RN_CERTAIN != after \/ RN_CERTAIN;/return chance > RN_CERTAIN \/ 2;/'
+mutate lottery shade.cuh "lottery: the same start for all rays" 's/    l.sum = rn_rng_draw.*/    l.sum = RN_CERTAIN - 1;/'
+mutate lottery step.cuh "lottery: the mean is of scaled gradients" 's| / all->gradients / (double)s->gradient_scale| / all->gradients|'
+mutate lottery backend.cu "lottery: none" 's/f->batch.roulette = .*/f->batch.roulette = 0;/'
+mutate_engine bytes checkpoint.c "engine: the gradients' size is forgotten" \
+    's/    t->gradient_size = c->gradient_size;//'
 mutate guards shade.cuh "ray shading: a ray that is not finite reaches the weights" \
     's/^                rn_keep_rows(in.*//'
 # Scatter and update.
@@ -185,8 +204,8 @@ mutate gradients scatter.cuh "scatter: levels change without a flush" \
 mutate gradients scatter.cuh "scatter: blocks not marked as touched" 's/^    rn_mark_touched(p, lx, ly, x, y);//'
 mutate gradients optimise.cuh "pull-down: no weight for the level" 's/weight \*= 0.5f)$/weight *= 1)/'
 try run_trained paper server/engine/cuda/optimise.cuh "update: gradients not cleared" 's/^    rn_clear_block<FIXED>(p, &o.gradients, &b);//'
-mutate learning optimise.cuh "update: the maps keep the old parameters" \
-    's/values\[4 \* threadIdx.x + c\] = value;/values[4 * threadIdx.x + c] = value - 0.5f;/'
+mutate learning optimise.cuh "update: the maps get the moments" \
+    '0,/rn_store4(value, values/s/rn_store4(value, values/rn_store4(m, values/'
 mutate gradients optimise.cuh "AdamW: decay left out" 's/rate \* o->decay/0 * o->decay/'
 mutate occupancy occupancy.cuh "occupancy: measured cells do not decay" 's/ \* m.decay;/;/'
 # Guards.

@@ -8,7 +8,8 @@
 
 #define FRAMES 4
 #define SIDE 12 // pixels of a frame a side
-#define RAYS 96
+#define RAYS 96   // of most tests
+#define MOST_RAYS 1100
 
 // The backend under test: the emulated one, or with cuda_device.c the module RIPNERF_CUDA_MODULE on
 // this machine's GPU, NULL when there is none. With a GPU the emulator's knobs do nothing.
@@ -22,7 +23,7 @@ struct test_scene {
     struct rn_reference *reference;
     struct rn_device_frame frames[FRAMES];
     uint8_t rgba[FRAMES * SIDE * SIDE * 4];
-    int rays;                  // of a training step, at most RAYS
+    int rays;                  // of a training step, at most MOST_RAYS; RAYS at first
     float background_variance; // of training (rn_march_options); 0.1 at first
     bool split;                // likewise; false at first
     struct rn_device *device;

@@ -96,13 +96,15 @@ static void check_update(const struct test_scene *s, const struct numbers *n) {
     }
 }
 
-static void check_training(const struct rn_train_config *config, bool deterministic, bool split) {
+static void check_training(const struct rn_train_config *config, int count, bool deterministic,
+                           bool split) {
     struct test_scene s;
     struct numbers n;
-    struct rn_reference_ray rays[RAYS];
+    struct rn_reference_ray rays[MOST_RAYS];
     double loss;
     bool per_ray = config->field.shading == RN_SHADING_RAY;
     test_scene_init(&s, config);
+    s.rays = count;
     if (per_ray) s.rays -= split ? 8 : 7; // their last tile is not full
     s.split = split;
     test_scene_rays(&s, 0, rays, s.rays);
@@ -135,6 +137,7 @@ static void check_training(const struct rn_train_config *config, bool determinis
     printf("\n");
     ck_assert_int_eq(n.progress.steps_rejected, 0);
     ck_assert_int_eq(n.progress.updates, 1);
+    ck_assert_uint_eq(n.progress.samples_returned, n.progress.samples); // no padding among them
     ck_assert_double_eq_tol(n.progress.loss, loss, 1e-3 * loss);
     check_update(&s, &n);
     numbers_finish(&n);
@@ -155,7 +158,7 @@ START_TEST(gradients_match_reference) {
     configs[2].sparse = true;
     configs[3].field.view_dependence = false;
     for (size_t i = 0; i < sizeof configs / sizeof *configs; i++)
-        check_training(&configs[i], i % 2, false);
+        check_training(&configs[i], RAYS, i % 2, false);
 }
 END_TEST
 
@@ -171,7 +174,7 @@ START_TEST(gradients_of_whole_rays_match_reference) {
     configs[3].field.view_dependence = false;
     for (size_t i = 0; i < sizeof configs / sizeof *configs; i++) {
         configs[i].field.shading = RN_SHADING_RAY;
-        check_training(&configs[i], i % 2, _i);
+        check_training(&configs[i], RAYS, i % 2, _i);
     }
 }
 END_TEST
@@ -214,11 +217,94 @@ START_TEST(second_steps_match_reference) {
 }
 END_TEST
 
+// The gradient of the second step where nothing moves, and the share of its samples that went back.
+struct second_step {
+    double *gradient, share;
+    size_t count, head; // numbers, and those before the colour network's
+};
+static struct second_step second_step(const struct rn_train_config *config) {
+    static const struct rn_device_step still = {.network_rate = 0};
+    struct test_scene s;
+    struct numbers first, second;
+    test_scene_init(&s, config);
+    OK(test_scene_upload(&s, 0, &err));
+    OK(test_scene_train(&s, true, &err));
+    OK(backend->train_step(s.on_device, &still, &err));
+    read_back(&s, &first);
+    OK(backend->train_step(s.on_device, &still, &err));
+    read_back(&s, &second);
+    const struct rn_parameters *p = &s.field->parameters;
+    struct second_step out = {.gradient = malloc(p->count * sizeof(double)),
+                              .count = p->count,
+                              .head = p->count - p->head_count};
+    for (size_t i = 0; i < p->count; i++)
+        out.gradient[i] = 10 * ((double)second.m[i] - 0.9 * (double)first.m[i]);
+    ck_assert_uint_eq(first.progress.samples_returned, first.progress.samples);
+    out.share = (double)(second.progress.samples_returned - first.progress.samples_returned) /
+                (double)(second.progress.samples - first.progress.samples);
+    numbers_finish(&first);
+    numbers_finish(&second);
+    test_scene_finish(&s);
+    return out;
+}
+
+// Over many seeds the mean of the gradients with a lottery is the gradient without, and none of
+// them is far from it; the colour network, which whole rays train, takes no part. _i: which
+// threshold.
+START_TEST(lottery_has_no_bias) {
+    enum { SEEDS = 8 };
+    static const double thresholds[] = {1, 4}, spreads[] = {0.05, 0.25}, shares[] = {0.8, 0.4};
+    double bias[SEEDS], mean = 0, variance = 0, worst = 0, most = 0;
+    for (int seed = 0; seed < SEEDS; seed++) {
+        struct rn_train_config config = test_config(RN_FOOTPRINT_MIP, 3, 8, 16, 3);
+        double product = 0, square = 0, difference = 0;
+        config.field.shading = RN_SHADING_RAY;
+        config.seed = (uint64_t)seed + 1;
+        struct second_step exact = second_step(&config);
+        config.roulette = thresholds[_i];
+        struct second_step drawn = second_step(&config);
+        ck_assert(exact.share == 1);
+        for (size_t i = 0; i < exact.head; i++) {
+            double d = drawn.gradient[i] - exact.gradient[i];
+            product += d * exact.gradient[i];
+            square += exact.gradient[i] * exact.gradient[i];
+            difference += d * d;
+        }
+        for (size_t i = exact.head; i < exact.count; i++)
+            ck_assert(drawn.gradient[i] == exact.gradient[i]);
+        bias[seed] = product / square;
+        mean += bias[seed] / SEEDS;
+        worst = fmax(worst, sqrt(difference / square));
+        most = fmax(most, drawn.share);
+        free(exact.gradient);
+        free(drawn.gradient);
+    }
+    for (int seed = 0; seed < SEEDS; seed++)
+        variance += (bias[seed] - mean) * (bias[seed] - mean) / (SEEDS - 1);
+    printf("lottery, threshold %.0f: %.0f %% at most go back, bias %.1e (standard error %.1e), "
+           "spread at most %.1e\n",
+           thresholds[_i], 100 * most, mean, sqrt(variance / SEEDS), worst);
+    ck_assert_double_lt(most, shares[_i]);
+    ck_assert_double_lt(worst, spreads[_i]);
+    ck_assert_double_lt(fabs(mean), 4 * sqrt(variance / SEEDS));
+}
+END_TEST
+
 START_TEST(papers_networks_match_reference) {
     struct rn_train_config config = test_config(RN_FOOTPRINT_RIP, 10, 16, 128, 4);
     config.field.base = 16;
     config.step = 0.1;
-    check_training(&config, false, false);
+    check_training(&config, RAYS, false, false);
+}
+END_TEST
+
+// More rays than the list of samples takes at once.
+START_TEST(many_rays_match_reference) {
+    struct rn_train_config config = test_config(RN_FOOTPRINT_POINT, 3, 8, 16, 1);
+    config.field.shading = (enum rn_shading)_i;
+    config.field.view_dependence = _i == RN_SHADING_SAMPLE; // else colours are too large for fp16
+    config.step = 0.2;
+    check_training(&config, MOST_RAYS, false, false);
 }
 END_TEST
 
@@ -678,7 +764,9 @@ int main(void) {
     add(suite, "gradients", gradients_match_reference);
     add_loop(suite, "rays", gradients_of_whole_rays_match_reference, 2);
     add_loop(suite, "second", second_steps_match_reference, shadings);
+    add_loop(suite, "lottery", lottery_has_no_bias, 2);
     add(suite, "paper", papers_networks_match_reference);
+    add_loop(suite, "many", many_rays_match_reference, shadings);
     add(suite, "pixels", pixels_match_reference);
     add(suite, "march", march_finds_the_cells_that_the_cpu_finds);
     add(suite, "march", rays_stop_where_nothing_can_be_seen);

@@ -37,7 +37,7 @@ static void remove_dataset(void) {
     OK(rn_remove_tree(folder, &err));
 }
 
-// A preset, so small that an emulator trains it in seconds; no lots drawn, as on devices.
+// A preset, so small that an emulator trains it in seconds; no rays drawn by error, as on devices.
 static struct rn_train_config small_config(const char *preset, int64_t steps) {
     struct rn_train_config config;
     OK(rn_preset(preset, false, &config, &err));
@@ -49,7 +49,6 @@ static struct rn_train_config small_config(const char *preset, int64_t steps) {
     config.field.levels = 2;
     config.field.width = 16;
     config.field.occupancy = 16;
-    config.roulette = 0;
     config.draw_by_error = false;
     config.step = 0.1;
     config.target_samples = 1024;
@@ -170,6 +169,7 @@ static double compare_pictures(const char *one, const char *other, double away) 
 // rates; a quarter of a decibel.
 static void check_preset(const char *preset) {
     struct rn_train_config config = small_config(preset, 24);
+    config.roulette = 0; // each draws its own lots
     struct rn_field_info there = train("cuda:0", &config);
     struct rn_progress progress = run.progress;
     double apart = compare_pictures("cpu", "cuda:0", 1);
@@ -461,18 +461,21 @@ START_TEST(auto_takes_what_there_is) {
     ck_assert_str_eq(device_of(engine), "cpu");
     rn_engine_destroy(&engine);
     config = small_config("standard", 4);
-    config.roulette = 2e-3;
     config.draw_by_error = true;
-    begin("auto", &config);
-    ck_assert_str_eq(device_of(run.engine), "cuda:0");
-    ck_assert_ptr_nonnull(rn_trainer_field(run.trainer)->on_device);
-    ck_assert(rn_trainer_config(run.trainer)->roulette == 0);
-    ck_assert(!rn_trainer_config(run.trainer)->draw_by_error);
-    end();
+    for (int shading = 0; shading <= RN_SHADING_RAY; shading++) {
+        config.field.shading = (enum rn_shading)shading;
+        begin("auto", &config);
+        ck_assert_str_eq(device_of(run.engine), "cuda:0");
+        ck_assert_ptr_nonnull(rn_trainer_field(run.trainer)->on_device);
+        const struct rn_train_config *own = rn_trainer_config(run.trainer);
+        ck_assert(own->roulette == (shading == RN_SHADING_RAY ? 1 : 0));
+        ck_assert(!own->draw_by_error);
+        end();
+    }
     setenv("RIPNERF_CUDA_MODULE", "/nowhere.so", 1);
     begin("auto", &config);
     ck_assert_str_eq(device_of(run.engine), "cpu");
-    ck_assert(rn_trainer_config(run.trainer)->roulette == 2e-3);
+    ck_assert(rn_trainer_config(run.trainer)->roulette == 1);
     ck_assert(rn_trainer_config(run.trainer)->draw_by_error);
     end();
 }

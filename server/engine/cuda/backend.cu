@@ -15,8 +15,8 @@
     }
 
 // From small to large; a field takes the first that holds it, padded with zeros.
-static const struct rn_kernel_shape shapes[] = {RN_SHAPE(4, 2), RN_SHAPE(10, 2), RN_SHAPE(4, 8),
-                                                RN_SHAPE(10, 8)};
+static const struct rn_kernel_shape shapes[] = {RN_SHAPE(4, 2), RN_SHAPE(10, 2), RN_SHAPE(4, 4),
+                                                RN_SHAPE(4, 8), RN_SHAPE(10, 8)};
 
 static const struct rn_kernel_shape *find_shape(int features, int width) {
     for (const struct rn_kernel_shape &s : shapes)
@@ -146,7 +146,7 @@ static void describe_scene(struct rn_device_field *f, const struct rn_device_sce
 static void choose_capacities(struct rn_device_field *f) {
     int target = f->config.target_samples, rays = 4 * target;
     f->batch.ray_capacity = rays < RN_DEVICE_MAX_RAYS ? rays : RN_DEVICE_MAX_RAYS;
-    uint32_t of_rays = f->scene.per_ray ? rn_cuda_ray_tiles(f->batch.ray_capacity) : 0;
+    uint32_t of_rays = f->scene.per_ray ? rn_cuda_tiles((uint32_t)f->batch.ray_capacity) : 0;
     uint32_t tiles = (uint32_t)(target / RN_TILE + target / RN_TILE / 4 + 4096);
     f->batch.tile_capacity = tiles > of_rays ? tiles : of_rays;
 }
@@ -286,6 +286,8 @@ static void describe_training(struct rn_device_field *f, const struct rn_device_
     s->favour_finest = c->favour_finest;
     s->split = f->march.split = t->split;
     f->batch.pixel_rays = t->split ? RN_PIXEL_RAYS : 1;
+    f->batch.seed = c->seed;
+    f->batch.roulette = (float)c->roulette;
     f->march.step = (float)t->march_step;
     f->march.stop_depth = (float)-log(c->stop);
     f->march.background_variance = t->background_variance;
@@ -305,6 +307,7 @@ static cudaError_t upload_training(struct rn_device_field *f, const struct rn_de
     status.updates = (uint64_t)t->updates;
     status.gradient_scale = t->gradient_scale > 0 ? t->gradient_scale : RN_SCALE_FIRST;
     status.good_steps = t->good_steps;
+    status.gradient_size = t->gradient_size;
     status.rays = t->rays;
     cudaError_t e = cudaMemsetAsync(f->train_memory, 0, f->train_bytes, d->stream);
     if (!e) e = copy_in(d, f->batch.status, &status, sizeof status);
@@ -432,6 +435,7 @@ static enum rn_status train_finish(struct rn_device_field *f,
     p.nonfinite_rays = s.nonfinite_rays;
     p.nonfinite_numbers = s.nonfinite_numbers;
     p.samples = s.samples;
+    p.samples_returned = s.samples_returned;
     p.rays = s.rays;
     memcpy(p.level_samples, s.level_samples, sizeof p.level_samples);
     p.loss = s.weight > 0 ? s.loss / s.weight : 0;
@@ -439,6 +443,7 @@ static enum rn_status train_finish(struct rn_device_field *f,
     p.rejected_in_a_row = s.rejected_in_a_row;
     p.gradient_scale = s.gradient_scale;
     p.good_steps = s.good_steps;
+    p.gradient_size = s.gradient_size;
     *ret_progress = p;
     return RN_OK;
 }

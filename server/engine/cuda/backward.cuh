@@ -7,12 +7,23 @@
 
 #include "server/engine/cuda/forward.cuh"
 
-// Tiles by place in `order`; warps take them in a fixed interleaving.
-RN_DEVICE uint32_t rn_first_place() {
+// Tiles of samples that go back; warps take them in a fixed interleaving.
+RN_DEVICE uint32_t rn_first_tile() {
     return (blockIdx.x * blockDim.x + threadIdx.x) / RN_LANES;
 }
-RN_DEVICE uint32_t rn_place_stride() {
+RN_DEVICE uint32_t rn_tile_stride() {
     return gridDim.x * blockDim.x / RN_LANES;
+}
+
+// Sample at a place of the list of those that go back; none behind its end.
+#define RN_NO_SAMPLE 0xffffffffu
+RN_DEVICE uint32_t rn_returned(const struct rn_cuda_batch *b, uint32_t place) {
+    return place < b->status->returned ? b->returned[place] : RN_NO_SAMPLE;
+}
+// The samples of rows g and g + 8 of a tile of them.
+RN_DEVICE void rn_returned_rows(const struct rn_cuda_batch *b, uint32_t tile, uint32_t ret[2]) {
+    for (int i = 0; i < 2; i++)
+        ret[i] = rn_returned(b, tile * RN_TILE + (uint32_t)(RN_LANE / 4 + 8 * i));
 }
 
 // Three gradients of colours, lane i (mod 16) having row i's, as the A fragment of 16 outputs, 13
@@ -27,15 +38,18 @@ RN_DEVICE void rn_colour_fragment(const float own[3], uint32_t (&a)[1][4]) {
     }
 }
 
-// Stores dL/d(outputs of the density network) of a tile; true on overflow.
-RN_DEVICE bool rn_store_geometry_grad(const struct rn_cuda_batch *b, uint32_t place,
+// Stores dL/d(outputs of the density network) of rows that may come from anywhere; true on
+// overflow.
+RN_DEVICE bool rn_store_geometry_grad(const struct rn_cuda_batch *b, const uint32_t samples[2],
                                       const float (&c)[2][4]) {
     bool bad = false;
-    for (int i = 0; i < 8; i++)
-        bad |= !(fabsf(c[i / 4][i % 4]) <= RN_HALF_MAX);
-    b->geometry_grad[(size_t)place * RN_LANES + RN_LANE] =
-        uint4{rn_pack(c[0][0], c[0][1]), rn_pack(c[0][2], c[0][3]), rn_pack(c[1][0], c[1][1]),
-              rn_pack(c[1][2], c[1][3])};
+    for (int i = 0; i < 2; i++) {
+        if (samples[i] == RN_NO_SAMPLE) continue;
+        for (int k = 0; k < 4; k++)
+            bad |= !(fabsf(c[k / 2][2 * i + k % 2]) <= RN_HALF_MAX);
+        b->geometry_grad[(size_t)samples[i] * 4 + RN_LANE % 4] =
+            uint2{rn_pack(c[0][2 * i], c[0][2 * i + 1]), rn_pack(c[1][2 * i], c[1][2 * i + 1])};
+    }
     return bad;
 }
 
@@ -47,15 +61,33 @@ RN_DEVICE void rn_set_column(float (&c)[2][4], int column, float own) {
     }
 }
 
+// The colour network's inputs of two rows: the directions' harmonics, the density network's
+// outputs.
+RN_DEVICE void rn_sample_inputs(const struct rn_cuda_scene *scene, const struct rn_cuda_batch *b,
+                                const uint32_t samples[2], uint32_t (&in)[2][4]) {
+    for (int i = 0; i < 2; i++) {
+        uint32_t direction[2] = {0, 0};
+        in[1][i] = in[1][2 + i] = 0;
+        if (samples[i] != RN_NO_SAMPLE) {
+            rn_direction(scene, b->rays[b->tile_ray[samples[i] / RN_TILE]].direction, direction);
+            rn_load_row(b->geometry, samples[i], i, in[1]);
+        }
+        in[0][i] = direction[0];
+        in[0][2 + i] = direction[1];
+    }
+}
+
 // Input columns 16..31 of the colour network are the density network's outputs, but for the first:
-// there stands dL/d(logit), from the compositing. `x`: gradients of what leaves the first layer.
+// there stands dL/d(logit), from the compositing, which lane i (mod 16) has of row i. `x`:
+// gradients of what leaves the first layer.
 template <int WT>
-RN_DEVICE bool rn_finish_geometry_grad(const struct rn_cuda_batch *b, uint32_t place, int slot,
-                                       const uint4 *weights, const uint32_t (&x)[WT][4]) {
+RN_DEVICE bool rn_finish_geometry_grad(const struct rn_cuda_batch *b, const uint32_t samples[2],
+                                       float logit, const uint4 *weights,
+                                       const uint32_t (&x)[WT][4]) {
     float c[2][4];
     rn_last_layer<WT>(x, weights + WT * RN_LANES, c);
-    rn_set_column(c, 0, b->logit_grad[(size_t)slot * RN_TILE + RN_LANE % RN_TILE]);
-    return rn_store_geometry_grad(b, place, c);
+    rn_set_column(c, 0, logit);
+    return rn_store_geometry_grad(b, samples, c);
 }
 
 template <int WT>
@@ -71,40 +103,35 @@ __global__ void __launch_bounds__(256, 1)
     rn_stage_finish();
     struct rn_cuda_scratch scratch = rn_scratch(n, batch.scratch, batch.tile_capacity);
     bool bad = false;
-    for (uint32_t place = rn_first_place(); place < batch.status->ordered;
-         place += rn_place_stride()) {
-        int slot = (int)batch.order[place];
-        struct rn_march_ray ray = batch.rays[batch.tile_ray[slot]];
-        uint32_t in[2][4], grad[1][4], x[WT][4], direction[2];
-        float colour[3];
-        rn_direction(&scene, ray.direction, direction);
-        uint4 geometry = batch.geometry[(size_t)slot * RN_LANES + RN_LANE];
-        for (int i = 0; i < 4; i++)
-            in[0][i] = direction[i / 2];
-        in[1][0] = geometry.x;
-        in[1][1] = geometry.y;
-        in[1][2] = geometry.z;
-        in[1][3] = geometry.w;
-        for (int c = 0; c < 3; c++)
-            colour[c] = batch.colour_grad[((size_t)slot * 3 + c) * RN_TILE + RN_LANE % RN_TILE];
+    for (uint32_t tile = rn_first_tile(); tile < rn_cuda_tiles(batch.status->returned);
+         tile += rn_tile_stride()) {
+        uint32_t samples[2], in[2][4], grad[1][4], x[WT][4];
+        uint32_t own = rn_returned(&batch, tile * RN_TILE + (uint32_t)(RN_LANE % RN_TILE));
+        float colour[3] = {0, 0, 0}, logit = 0;
+        rn_returned_rows(&batch, tile, samples);
+        rn_sample_inputs(&scene, &batch, samples, in);
+        if (own != RN_NO_SAMPLE) {
+            logit = batch.logit_grad[own];
+            for (int c = 0; c < 3; c++)
+                colour[c] =
+                    batch.colour_grad[((size_t)(own / RN_TILE) * 3 + c) * RN_TILE + own % RN_TILE];
+        }
         rn_colour_fragment(colour, grad);
-        bad |= rn_backward<2, WT>(n, forward, backward, &scratch, place, in, grad, x);
-        bad |= rn_finish_geometry_grad<WT>(&batch, place, slot, backward, x);
+        bad |= rn_backward<2, WT>(n, forward, backward, &scratch, tile, in, grad, x);
+        bad |= rn_finish_geometry_grad<WT>(&batch, samples, logit, backward, x);
     }
     if (rn_ballot(bad) && RN_LANE == 0) batch.status->rejected = 1;
 }
 
 // dL/d(features), four neighbouring channels a lane, rows g and g + 8.
 template <int KT, int WT>
-RN_DEVICE bool rn_store_feature_grad(const struct rn_cuda_batch *b, uint32_t place,
+RN_DEVICE bool rn_store_feature_grad(const struct rn_cuda_batch *b, uint32_t tile,
                                      const uint4 *weights, const uint32_t (&x)[WT][4]) {
     uint32_t grad[KT][4], unused[(KT + 3) / 4];
     bool bad = rn_layer<WT, KT, RN_LAYER_PLAIN>(x, weights, grad, unused);
     RN_UNROLL
     for (int k = 0; k < KT; k++)
-        for (int i = 0; i < 2; i++)
-            b->feature_grad[((size_t)place * KT + k) * 64 + i * RN_LANES + RN_LANE] =
-                uint2{grad[k][i], grad[k][2 + i]};
+        rn_store_rows(grad[k], b->feature_grad + ((size_t)tile * KT + k) * RN_BLOCK);
     return bad;
 }
 
@@ -120,25 +147,21 @@ __global__ void __launch_bounds__(256, 1)
     rn_stage_finish();
     struct rn_cuda_scratch scratch = rn_scratch(n, batch.scratch, batch.tile_capacity);
     bool bad = false;
-    for (uint32_t place = rn_first_place(); place < batch.status->ordered;
-         place += rn_place_stride()) {
-        size_t slot = batch.order[place];
-        uint32_t in[KT][4], grad[1][4], x[WT][4];
-        RN_UNROLL
-        for (int k = 0; k < KT; k++) {
-            uint4 f = batch.features[(slot * KT + k) * RN_LANES + RN_LANE];
-            in[k][0] = f.x;
-            in[k][1] = f.y;
-            in[k][2] = f.z;
-            in[k][3] = f.w;
+    for (uint32_t tile = rn_first_tile(); tile < rn_cuda_tiles(batch.status->returned);
+         tile += rn_tile_stride()) {
+        uint32_t samples[2], in[KT][4] = {{0}}, grad[1][4] = {{0}}, x[WT][4];
+        rn_returned_rows(&batch, tile, samples);
+        for (int i = 0; i < 2; i++) {
+            if (samples[i] == RN_NO_SAMPLE) continue;
+            size_t slot = samples[i] / RN_TILE;
+            RN_UNROLL
+            for (int k = 0; k < KT; k++)
+                rn_load_row(batch.features + (slot * KT + k) * RN_BLOCK, samples[i] % RN_TILE, i,
+                            in[k]);
+            rn_load_row(batch.geometry_grad, samples[i], i, grad[0]);
         }
-        uint4 g = batch.geometry_grad[(size_t)place * RN_LANES + RN_LANE];
-        grad[0][0] = g.x;
-        grad[0][1] = g.y;
-        grad[0][2] = g.z;
-        grad[0][3] = g.w;
-        bad |= rn_backward<KT, WT>(n, forward, backward, &scratch, place, in, grad, x);
-        bad |= rn_store_feature_grad<KT, WT>(&batch, place, backward, x);
+        bad |= rn_backward<KT, WT>(n, forward, backward, &scratch, tile, in, grad, x);
+        bad |= rn_store_feature_grad<KT, WT>(&batch, tile, backward, x);
     }
     if (rn_ballot(bad) && RN_LANE == 0) batch.status->rejected = 1;
 }

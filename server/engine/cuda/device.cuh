@@ -77,7 +77,8 @@ RN_DEVICE uint32_t rn_transpose(uint32_t pair) {
 }
 
 // Asynchronous copy of 16 aligned bytes from global to shared memory; the thread's copies so far
-// become a group; waits for all groups of this thread (others' need a barrier after it).
+// become a group; waits for all groups of this thread but the newest N (others' need a barrier
+// after it).
 RN_DEVICE void rn_copy_async(void *to, const void *from) {
     uint32_t address = (uint32_t)__cvta_generic_to_shared(to);
     asm volatile("cp.async.cg.shared.global [%0], [%1], 16;" ::"r"(address), "l"(from) : "memory");
@@ -85,8 +86,8 @@ RN_DEVICE void rn_copy_async(void *to, const void *from) {
 RN_DEVICE void rn_copy_commit() {
     asm volatile("cp.async.commit_group;" ::: "memory");
 }
-RN_DEVICE void rn_copy_wait() {
-    asm volatile("cp.async.wait_group 0;" ::: "memory");
+template <int N> RN_DEVICE void rn_copy_wait() {
+    asm volatile("cp.async.wait_group %0;" ::"n"(N) : "memory");
 }
 
 // Adds four fp16 numbers to four in global memory, 8-byte aligned: one instruction from sm_90 on.
@@ -114,6 +115,16 @@ RN_DEVICE float rn_warp_sum(float value) {
     for (int mask = 16; mask > 0; mask /= 2)
         value += rn_shuffle_xor(value, mask);
     return value;
+}
+
+// Sum of x over the lanes before this one, of each part of `lanes` lanes.
+template <typename T> RN_DEVICE T rn_sum_before(T x, int lanes) {
+    T sum = x;
+    for (int d = 1; d < lanes; d *= 2) {
+        T other = rn_shuffle(sum, RN_LANE - d);
+        if (RN_LANE % lanes >= d) sum += other;
+    }
+    return sum - x;
 }
 
 #endif

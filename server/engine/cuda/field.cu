@@ -41,11 +41,11 @@ static void lay_out_tiles(struct rn_device_field *f, struct rn_arena *a) {
     size_t base = rn_cuda_scratch_fragments(&f->scene.base);
     size_t head = rn_cuda_scratch_fragments(&f->scene.head);
     rn_part(a, &b->tile_ray, tiles);
-    rn_part(a, &b->tile_ordinal, tiles);
     rn_part(a, &b->tile_previous, tiles);
-    rn_part(a, &b->order, tiles);
-    rn_part(a, &b->features, tiles * k * RN_LANES);
-    rn_part(a, &b->geometry, tiles * RN_LANES);
+    rn_part(a, &b->tile_rows, tiles);
+    rn_part(a, &b->tile_behind, tiles);
+    rn_part(a, &b->features, tiles * k * RN_BLOCK);
+    rn_part(a, &b->geometry, tiles * RN_BLOCK);
     rn_part(a, &b->mid, samples);
     rn_part(a, &b->depth, samples);
     rn_part(a, &b->weight, samples);
@@ -55,8 +55,10 @@ static void lay_out_tiles(struct rn_device_field *f, struct rn_arena *a) {
         rn_part(a, &b->colour_grad, 3 * samples);
         rn_part(a, &b->logit_grad, samples);
     }
-    rn_part(a, &b->geometry_grad, tiles * RN_LANES);
-    rn_part(a, &b->feature_grad, tiles * k * 64);
+    rn_part(a, &b->geometry_grad, tiles * RN_BLOCK);
+    rn_part(a, &b->returned, samples);
+    rn_part(a, &b->returned_mid, samples);
+    rn_part(a, &b->feature_grad, tiles * k * RN_BLOCK);
     rn_part(a, &b->scratch, tiles * (base > head ? base : head) * RN_LANES);
 }
 
@@ -79,8 +81,8 @@ void rn_train_lay_out(struct rn_device_field *f, const struct rn_device_pixels *
     rn_part(a, &b->ray_loss, rays);
     rn_part(a, &b->ray_weight, rays);
     rn_part(a, &b->ray_samples, rays);
-    rn_part(a, &b->ray_tiles, rays);
-    rn_part(a, &b->ray_first, rays);
+    rn_part(a, &b->ray_last, rays);
+    rn_part(a, &b->ray_return, rays);
     if (f->scene.per_ray) rn_part(a, &b->ray_sums, rays * RN_GEOMETRY);
     lay_out_tiles(f, a);
     lay_out_pixels(f, pixels, a);
@@ -131,9 +133,16 @@ static cudaError_t mark(struct rn_device_field *f, const char *stage) {
     return cudaEventRecord(t->events[t->count], f->device->stream);
 }
 
-// Blocks enough to fill the device once with kernels that take their work from a list.
-static unsigned persistent_blocks(const struct rn_device *d) {
-    return (unsigned)d->processors;
+// Lets a kernel have `shared` bytes a block; as many blocks as the device holds at once of a kernel
+// that takes its work from a list.
+template <typename K>
+static cudaError_t fill(const struct rn_device *d, K kernel, int threads, size_t shared,
+                        unsigned *ret_blocks) {
+    int each = 0;
+    RN_TRY(allow_shared(kernel, shared));
+    RN_TRY(cudaOccupancyMaxActiveBlocksPerMultiprocessor(&each, kernel, threads, shared));
+    *ret_blocks = (unsigned)(d->processors * (each > 1 ? each : 1));
+    return cudaSuccess;
 }
 
 cudaError_t rn_queue_occupancy(struct rn_device_field *f) {
@@ -165,20 +174,22 @@ cudaError_t rn_queue_measurement(struct rn_device_field *f, const struct rn_devi
     if (f->scene.occupancy.count <= m.first) return cudaSuccess;
     m.count = (f->scene.occupancy.count - m.first + m.stride - 1) / m.stride;
     struct rn_staging s = rn_staging_for(f->device, f->scene.base.packed_count, (size_t)1 << 40);
-    RN_TRY(allow_shared(f->shape->measure, s.bytes));
     struct rn_device_field *own = f;
-    RN_TRY(RN_LAUNCH(own->shape->measure, persistent_blocks(own->device), 256, s.bytes,
-                     own->device->stream, own->scene, m, s.networks));
+    unsigned blocks;
+    RN_TRY(fill(f->device, f->shape->measure, 256, s.bytes, &blocks));
+    RN_TRY(RN_LAUNCH(own->shape->measure, blocks, 256, s.bytes, own->device->stream, own->scene, m,
+                     s.networks));
     return rn_queue_occupancy(f);
 }
 
 static cudaError_t queue_coarse(struct rn_device_field *f) {
+    unsigned processors = (unsigned)f->device->processors;
     if (f->scene.planes.levels <= RN_FINE_LEVELS) return cudaSuccess;
     if (f->deterministic)
-        return RN_LAUNCH(rn_coarse_kernel<true>, 4 * persistent_blocks(f->device), 256, 0,
-                         f->device->stream, f->scene, f->optimiser.gradients);
-    return RN_LAUNCH(rn_coarse_kernel<false>, 4 * persistent_blocks(f->device), 256, 0,
-                     f->device->stream, f->scene, f->optimiser.gradients);
+        return RN_LAUNCH(rn_coarse_kernel<true>, 4 * processors, 256, 0, f->device->stream,
+                         f->scene, f->optimiser.gradients);
+    return RN_LAUNCH(rn_coarse_kernel<false>, 4 * processors, 256, 0, f->device->stream, f->scene,
+                     f->optimiser.gradients);
 }
 
 static unsigned update_blocks(const struct rn_cuda_planes *p) {
@@ -222,32 +233,38 @@ cudaError_t rn_queue_smoothing(struct rn_device_field *f, float share) {
     return queue_maps(f);
 }
 
-// Colour, loss and gradients of rays that are shaded as a whole.
+// Colour and loss of rays that are shaded as a whole, and the gradients of their samples.
 static cudaError_t queue_shading(struct rn_device_field *f) {
     struct rn_staging s =
         rn_staging_for(f->device, f->scene.head.packed_count, f->scene.head.packed_count);
-    RN_TRY(allow_shared(f->shape->shade_train, s.bytes));
-    RN_TRY(RN_LAUNCH(f->shape->shade_train, persistent_blocks(f->device), 256, s.bytes,
-                     f->device->stream, f->scene, f->batch, f->march, s.networks));
-    return mark(f, "shade rays");
+    unsigned shade, back;
+    RN_TRY(fill(f->device, f->shape->shade_train, 256, s.bytes, &shade));
+    RN_TRY(RN_LAUNCH(f->shape->shade_train, shade, 256, s.bytes, f->device->stream, f->scene,
+                     f->batch, f->march, s.networks));
+    RN_TRY(mark(f, "shade rays"));
+    RN_TRY(fill(f->device, rn_sums_backward_kernel, 256, 0, &back));
+    RN_TRY(RN_LAUNCH(rn_sums_backward_kernel, back, 256, 0, f->device->stream, f->batch));
+    return mark(f, "sums backward");
 }
 
-// Forward, loss, and the order of the tiles.
+// Forward, loss, and the list of samples that go back.
 static cudaError_t queue_forward(struct rn_device_field *f) {
     const struct rn_cuda_scene *s = &f->scene;
     cudaStream_t stream = f->device->stream;
     struct rn_staging staging =
         rn_staging_for(f->device, s->base.packed_count, s->head.packed_count);
-    RN_TRY(allow_shared(f->shape->train, staging.bytes));
+    unsigned blocks;
+    RN_TRY(fill(f->device, f->shape->train, 384, staging.bytes, &blocks));
     RN_TRY(RN_LAUNCH(rn_rays_kernel, RN_BLOCKS(f->batch.ray_capacity), 256, 0, stream, f->source,
                      f->batch));
     RN_TRY(mark(f, "rays"));
-    RN_TRY(RN_LAUNCH(f->shape->train, persistent_blocks(f->device), 384, staging.bytes, stream,
-                     f->scene, f->batch, f->march, staging.networks));
+    RN_TRY(RN_LAUNCH(f->shape->train, blocks, 384, staging.bytes, stream, f->scene, f->batch,
+                     f->march, staging.networks));
     RN_TRY(mark(f, "forward"));
     if (s->per_ray) RN_TRY(queue_shading(f));
     RN_TRY(RN_LAUNCH(rn_order_kernel, 1, RN_ORDER_THREADS, 0, stream, f->batch));
-    RN_TRY(RN_LAUNCH(rn_place_kernel, RN_BLOCKS(f->batch.tile_capacity), 256, 0, stream, f->batch));
+    RN_TRY(RN_LAUNCH(rn_place_kernel, RN_BLOCKS(f->batch.tile_capacity * RN_TILE), 256, 0, stream,
+                     f->batch));
     return mark(f, "order");
 }
 
@@ -256,28 +273,28 @@ static cudaError_t queue_gradient(struct rn_device_field *f, const struct rn_cud
     unsigned blocks = (unsigned)(RN_CHUNKS * (n->hidden + 1));
     struct rn_cuda_network network = *n;
     bool of_rays = f->scene.per_ray && n == &f->scene.head;
-    RN_TRY(RN_LAUNCH(rn_gradient_kernel, blocks, 256, 0, f->device->stream, network,
+    size_t bytes = RN_GRADIENT_STAGES * rn_cuda_gradient_stage(n) * sizeof(uint4);
+    RN_TRY(allow_shared(rn_gradient_kernel, bytes));
+    RN_TRY(RN_LAUNCH(rn_gradient_kernel, blocks, 256, bytes, f->device->stream, network,
                      f->batch.status, f->batch.scratch, f->batch.tile_capacity, of_rays, sums));
     return RN_LAUNCH(rn_reduce_kernel, RN_BLOCKS(rn_cuda_gradient_count(n)), 256, 0,
                      f->device->stream, (float *)sums, rn_cuda_gradient_count(&network),
                      f->batch.status);
 }
 
-// Gradients of the colour network and of the density network's outputs.
+// Gradients of the colour network's weights, and before where samples are shaded, of its inputs.
 static cudaError_t queue_head_backward(struct rn_device_field *f) {
     const struct rn_cuda_scene *s = &f->scene;
     cudaStream_t stream = f->device->stream;
     struct rn_staging head =
         rn_staging_for(f->device, s->head.packed_count, s->head.packed_count);
-    if (s->per_ray) {
-        RN_TRY(RN_LAUNCH(rn_sums_backward_kernel, 8 * persistent_blocks(f->device), 256, 0, stream,
-                         f->batch));
-    } else {
-        RN_TRY(allow_shared(f->shape->head_backward, head.bytes));
-        RN_TRY(RN_LAUNCH(f->shape->head_backward, persistent_blocks(f->device), 256, head.bytes,
-                         stream, f->scene, f->batch, head.networks));
+    if (!s->per_ray) {
+        unsigned blocks;
+        RN_TRY(fill(f->device, f->shape->head_backward, 256, head.bytes, &blocks));
+        RN_TRY(RN_LAUNCH(f->shape->head_backward, blocks, 256, head.bytes, stream, f->scene,
+                         f->batch, head.networks));
+        RN_TRY(mark(f, "head backward"));
     }
-    RN_TRY(mark(f, s->per_ray ? "sums backward" : "head backward"));
     if (!s->per_ray || s->view_dependence) // else it takes no part
         RN_TRY(queue_gradient(f, &s->head, f->optimiser.head_sums));
     return mark(f, "head gradient");
@@ -289,9 +306,10 @@ static cudaError_t queue_backward(struct rn_device_field *f) {
     struct rn_staging base =
         rn_staging_for(f->device, s->base.packed_count, s->base.packed_count);
     RN_TRY(queue_head_backward(f));
-    RN_TRY(allow_shared(f->shape->base_backward, base.bytes));
-    RN_TRY(RN_LAUNCH(f->shape->base_backward, persistent_blocks(f->device), 256, base.bytes, stream,
-                     f->scene, f->batch, base.networks));
+    unsigned blocks;
+    RN_TRY(fill(f->device, f->shape->base_backward, 256, base.bytes, &blocks));
+    RN_TRY(RN_LAUNCH(f->shape->base_backward, blocks, 256, base.bytes, stream, f->scene, f->batch,
+                     base.networks));
     RN_TRY(mark(f, "base backward"));
     RN_TRY(queue_gradient(f, &s->base, f->optimiser.base_sums));
     return mark(f, "base gradient");
@@ -300,8 +318,9 @@ static cudaError_t queue_backward(struct rn_device_field *f) {
 template <bool FIXED> static cudaError_t queue_planes(struct rn_device_field *f) {
     cudaStream_t stream = f->device->stream;
     float step = f->march.step;
-    RN_TRY(RN_LAUNCH(rn_scatter_kernel<FIXED>, 16 * persistent_blocks(f->device), 128, 0, stream,
-                     f->scene, f->batch, f->optimiser.gradients, step));
+    unsigned blocks = 16 * (unsigned)f->device->processors; // more than fit: rays differ in length
+    RN_TRY(RN_LAUNCH(rn_scatter_kernel<FIXED>, blocks, 128, 0, stream, f->scene, f->batch,
+                     f->optimiser.gradients, step));
     RN_TRY(mark(f, "scatter"));
     return RN_LAUNCH(rn_update_planes_kernel<FIXED>, update_blocks(&f->scene.planes),
                      update_threads(&f->scene.planes), 0, stream, f->scene, f->optimiser,
@@ -328,12 +347,13 @@ cudaError_t rn_queue_view(struct rn_device_field *f, const struct rn_cuda_view *
     struct rn_cuda_march m = *march;
     struct rn_staging both = rn_staging_for(f->device, s->base.packed_count, s->head.packed_count);
     struct rn_staging head = rn_staging_for(f->device, s->head.packed_count, 0);
-    RN_TRY(allow_shared(f->shape->render, both.bytes));
+    unsigned blocks;
+    RN_TRY(fill(f->device, f->shape->render, 384, both.bytes, &blocks));
     RN_TRY(RN_LAUNCH(rn_view_kernel, RN_BLOCKS(v.count), 256, 0, stream, v, f->view));
-    RN_TRY(RN_LAUNCH(f->shape->render, persistent_blocks(f->device), 384, both.bytes, stream,
-                     f->scene, f->view, m, both.networks));
+    RN_TRY(RN_LAUNCH(f->shape->render, blocks, 384, both.bytes, stream, f->scene, f->view, m,
+                     both.networks));
     if (!s->per_ray || !s->view_dependence) return cudaSuccess;
-    RN_TRY(allow_shared(f->shape->shade_render, head.bytes));
-    return RN_LAUNCH(f->shape->shade_render, persistent_blocks(f->device), 256, head.bytes, stream,
-                     f->scene, f->view, m, head.networks);
+    RN_TRY(fill(f->device, f->shape->shade_render, 256, head.bytes, &blocks));
+    return RN_LAUNCH(f->shape->shade_render, blocks, 256, head.bytes, stream, f->scene, f->view, m,
+                     head.networks);
 }

@@ -61,15 +61,6 @@ struct rn_shaded {
     float colour[3];
 };
 
-// Sum of x over the lanes before this one, of 16.
-RN_DEVICE float rn_sum_before(float x) {
-    float sum = x;
-    for (int d = 1; d < RN_TILE; d *= 2) {
-        float other = rn_shuffle(sum, RN_LANE - d);
-        if (RN_LANE % RN_TILE >= d) sum += other;
-    }
-    return sum - x;
-}
 // Sum over the lanes behind this one, of 16.
 RN_DEVICE float rn_sum_behind(float x) {
     float sum = x;
@@ -84,7 +75,7 @@ RN_DEVICE float rn_sum_behind(float x) {
 // Weights of a tile that begins at optical depth *depth, which moves to its end. Samples behind the
 // early stop weigh nothing (field/volume.h).
 RN_DEVICE void rn_attenuate(float stop_depth, double *depth, struct rn_shaded *s) {
-    float inside = rn_sum_before(s->x), before = (float)(*depth + (double)inside);
+    float inside = rn_sum_before(s->x, RN_TILE), before = (float)(*depth + (double)inside);
     float t = before <= stop_depth ? expf(-before) : 0;
     s->weight = t * -expm1f(-s->x);
     s->after = t * expf(-s->x);
@@ -104,7 +95,7 @@ struct rn_trace {
     // sums over the lane's own samples: colour, opacity, opacity times distance
     float colour[3], opacity, distance;
     float sums[4]; // of columns 2t, 2t + 1, 2t + 8 and 2t + 9, where a ray is shaded as a whole
-    int last_tile, tiles, samples, evaluated;
+    int last_tile, samples, evaluated;
 };
 
 // Stores a tile; its slot, or -1 where there is no room: the step is then rejected as a whole.
@@ -118,10 +109,8 @@ RN_DEVICE int rn_save_tile(struct rn_trace *t, const uint32_t (&features)[KT][4]
     if ((uint32_t)slot >= b->tile_capacity) return -1;
     RN_UNROLL
     for (int k = 0; k < KT; k++)
-        b->features[((size_t)slot * KT + k) * RN_LANES + RN_LANE] =
-            uint4{features[k][0], features[k][1], features[k][2], features[k][3]};
-    b->geometry[(size_t)slot * RN_LANES + RN_LANE] =
-        uint4{geometry[0], geometry[1], geometry[2], geometry[3]};
+        rn_store_rows(features[k], b->features + ((size_t)slot * KT + k) * RN_BLOCK);
+    rn_store_rows(geometry, b->geometry + (size_t)slot * RN_BLOCK);
     if (RN_LANE < RN_TILE) {
         size_t at = (size_t)slot * RN_TILE + RN_LANE;
         b->mid[at] = mid;
@@ -133,10 +122,8 @@ RN_DEVICE int rn_save_tile(struct rn_trace *t, const uint32_t (&features)[KT][4]
     }
     if (RN_LANE == 0) {
         b->tile_ray[slot] = t->index;
-        b->tile_ordinal[slot] = t->tiles;
         b->tile_previous[slot] = t->last_tile;
     }
-    t->tiles++;
     return slot;
 }
 
@@ -243,7 +230,7 @@ RN_DEVICE float rn_tile_sum(float x) {
 template <int KT, int WT, bool TRAIN> RN_DEVICE void rn_trace_ray(struct rn_trace *t) {
     const struct rn_cuda_scene *scene = t->scene;
     t->last_tile = -1;
-    t->tiles = t->samples = t->evaluated = 0;
+    t->samples = t->evaluated = 0;
     t->colour[0] = t->colour[1] = t->colour[2] = t->opacity = t->distance = 0;
     t->sums[0] = t->sums[1] = t->sums[2] = t->sums[3] = 0;
     struct rn_walk walk = rn_walk_start(&scene->occupancy, &t->ray, t->march->step);
@@ -296,7 +283,7 @@ RN_DEVICE void rn_save_loss(const struct rn_cuda_batch *b, int index, bool takes
                             float loss, float opacity) {
     b->ray_loss[index] = takes_part ? weight * loss : 0;
     b->ray_weight[index] = takes_part ? weight : 0;
-    if (!takes_part) b->ray_samples[index] = b->ray_tiles[index] = 0;
+    if (!takes_part) b->ray_samples[index] = 0;
     if (!takes_part && !(opacity <= 0))
         atomicAdd((unsigned long long *)&b->status->nonfinite_rays, 1ull);
 }
@@ -312,11 +299,23 @@ RN_DEVICE float rn_attenuate_backward(const struct rn_cuda_batch *b, size_t at, 
     return change * b->depth[at];
 }
 
+// Notes which samples of a tile go back, lane i sample i's answer, and adds them to those behind
+// it.
+RN_DEVICE void rn_return_tile(const struct rn_cuda_batch *b, int slot, bool returns, int *behind) {
+    uint32_t rows = rn_ballot(returns && RN_LANE < RN_TILE);
+    *behind += rn_popcount(rows);
+    if (RN_LANE > 0) return;
+    b->tile_rows[slot] = rows;
+    b->tile_behind[slot] = *behind;
+}
+
 // dL/d(colour logits) and dL/d(density logit) of the tiles of one ray, whose loss has the gradient
-// `grad` (rn_ray_loss); g_i = grad[3] + grad . (colour_i - background).
-RN_DEVICE void rn_composite_backward(const struct rn_trace *t, const float grad[4], float scale) {
+// `grad` (rn_ray_loss); g_i = grad[3] + grad . (colour_i - background). Returns the samples that
+// have one.
+RN_DEVICE int rn_composite_backward(const struct rn_trace *t, const float grad[4], float scale) {
     const struct rn_cuda_batch *b = t->batch;
     double behind = 0;
+    int count = 0;
     for (int slot = t->last_tile; slot >= 0; slot = b->tile_previous[slot]) {
         size_t at = (size_t)slot * RN_TILE + RN_LANE % RN_TILE;
         float weight = b->weight[at], slope = grad[3], sigmoid[3];
@@ -326,27 +325,32 @@ RN_DEVICE void rn_composite_backward(const struct rn_trace *t, const float grad[
             slope += grad[c] * ((weight > 0 ? colour : 0) - t->march->background[c]);
         }
         float logit = rn_attenuate_backward(b, at, scale * slope, &behind);
+        rn_return_tile(b, slot, !(weight == 0 && logit == 0), &count);
         if (RN_LANE >= RN_TILE) continue;
         for (int c = 0; c < 3; c++)
             b->colour_grad[((size_t)slot * 3 + c) * RN_TILE + RN_LANE] = sigmoid[c];
         b->logit_grad[at] = logit;
     }
+    return count;
 }
 
 RN_DEVICE void rn_finish_ray(const struct rn_trace *t) {
     const struct rn_cuda_batch *b = t->batch;
+    struct rn_cuda_return returned = {0, 0, 0, 0};
     float grad[4], loss;
     if (RN_LANE == 0) {
         b->ray_samples[t->index] = t->samples;
-        b->ray_tiles[t->index] = t->tiles;
+        b->ray_last[t->index] = t->last_tile;
     }
     if (t->scene->per_ray) return;
     bool takes_part = rn_ray_loss(&t->ray, t->march, t->colour, t->opacity, grad, &loss);
     if (takes_part) {
         __syncwarp(); // lane 0 wrote tile_previous
-        rn_composite_backward(t, grad, b->status->gradient_scale);
+        returned.count = rn_composite_backward(t, grad, b->status->gradient_scale);
     }
-    if (RN_LANE == 0) rn_save_loss(b, t->index, takes_part, t->ray.weight, loss, t->opacity);
+    if (RN_LANE > 0) return;
+    b->ray_return[t->index] = returned;
+    rn_save_loss(b, t->index, takes_part, t->ray.weight, loss, t->opacity);
 }
 
 // ---- kernels --------------------------------------------------------------------------------

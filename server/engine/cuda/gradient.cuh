@@ -1,54 +1,88 @@
 // Gradients of the networks' weights: for every layer the product of activations transposed with
-// gradients, over all tiles. Both operands lie as transposed fragments (network.cuh), so a warp
-// loads 16 bytes a lane and multiplies; no shared memory. Tiles are cut into RN_CHUNKS parts whose
-// sums are added in order: the same bits every time.
+// gradients, over all tiles. Both operands lie as transposed fragments (network.cuh). A block of
+// threads has one layer and one of RN_CHUNKS parts of the tiles, and all of the layer's sums in
+// registers; the next tiles are on their way to shared memory while one is multiplied, since what
+// bounds this is how many bytes are in flight. The parts' sums are added in order: the same bits
+// every time.
 #ifndef RN_ENGINE_CUDA_GRADIENT_CUH
 #define RN_ENGINE_CUDA_GRADIENT_CUH
 
 #include "server/engine/cuda/network.cuh"
 
-// One warp's part of one layer: up to M x N blocks of 16x16 sums.
-struct rn_gradient_part {
-    const uint4 *into, *out_of; // [tile][blocks][lane]
-    int into_blocks, out_blocks, m, n;
+#define RN_GRADIENT_STAGES 6 // tiles in shared memory
+// Eight warps share a layer's 16x16 blocks, 2 down and 4 across in turn; most blocks of one warp.
+#define RN_GRADIENT_DOWN 2
+#define RN_GRADIENT_ACROSS 4
+#define RN_GRADIENT_M 5
+#define RN_GRADIENT_N 2
+
+// One layer: fragments of both operands, [tile][blocks][lane].
+struct rn_gradient_layer {
+    const uint4 *into, *out_of;
+    int into_blocks, out_blocks;
 };
 
-// The sums of blocks (m .. m + M, n .. n + N) over tiles [begin, end), to `to` ([block][lane][8]).
-template <int M, int N>
-RN_DEVICE void rn_gradient_block(const struct rn_gradient_part *p, size_t begin, size_t end,
-                                 float4 *to) {
-    float c[M][N][2][4] = {{{{0}}}};
-    for (size_t tile = begin; tile < end; tile++) {
-        uint32_t a[M][4];
-        const uint4 *into = p->into + tile * (size_t)p->into_blocks * RN_LANES + RN_LANE;
-        const uint4 *out_of = p->out_of + tile * (size_t)p->out_blocks * RN_LANES + RN_LANE;
-        RN_UNROLL
-        for (int i = 0; i < M; i++) {
-            uint4 t = p->m + i < p->into_blocks ? into[(p->m + i) * RN_LANES] : uint4{0, 0, 0, 0};
-            a[i][0] = t.x;
-            a[i][1] = t.z;
-            a[i][2] = t.y;
-            a[i][3] = t.w;
-        }
-        RN_UNROLL
-        for (int j = 0; j < N; j++) {
-            uint4 t = p->n + j < p->out_blocks ? out_of[(p->n + j) * RN_LANES] : uint4{0, 0, 0, 0};
-            RN_UNROLL
-            for (int i = 0; i < M; i++) {
-                rn_mma(c[i][j][0], a[i], t.x, t.y);
-                rn_mma(c[i][j][1], a[i], t.z, t.w);
-            }
-        }
+// Fragments of the largest tile of a network's layers.
+RN_HD size_t rn_cuda_gradient_stage(const struct rn_cuda_network *n) {
+    int k16 = n->inputs16 > n->width16 ? n->inputs16 : n->width16;
+    return (size_t)(k16 + n->width16) * RN_LANES;
+}
+
+// Begins the copy of a tile, where there is one, as a group of its own.
+RN_DEVICE void rn_gradient_load(const struct rn_gradient_layer *l, size_t tile, size_t end,
+                                uint4 *to) {
+    int into = l->into_blocks * RN_LANES, out_of = l->out_blocks * RN_LANES;
+    for (int i = (int)threadIdx.x; i < into + out_of && tile < end; i += (int)blockDim.x)
+        rn_copy_async(to + i, i < into ? l->into + tile * (size_t)into + i
+                                       : l->out_of + tile * (size_t)out_of + (i - into));
+    rn_copy_commit();
+}
+
+// The sums of the warp's blocks: block (down + 2 i, across + 4 j) is c[i][j].
+struct rn_gradient_sums {
+    int down, across;
+    float c[RN_GRADIENT_M][RN_GRADIENT_N][2][4];
+};
+
+RN_DEVICE void rn_gradient_multiply(const struct rn_gradient_layer *l, const uint4 *tile,
+                                    struct rn_gradient_sums *s) {
+    uint32_t a[RN_GRADIENT_M][4];
+    RN_UNROLL
+    for (int i = 0; i < RN_GRADIENT_M; i++) {
+        int block = s->down + RN_GRADIENT_DOWN * i;
+        uint4 t = block < l->into_blocks ? tile[block * RN_LANES + RN_LANE] : uint4{0, 0, 0, 0};
+        a[i][0] = t.x;
+        a[i][1] = t.z;
+        a[i][2] = t.y;
+        a[i][3] = t.w;
     }
     RN_UNROLL
-    for (int i = 0; i < M; i++)
+    for (int j = 0; j < RN_GRADIENT_N; j++) {
+        int block = s->across + RN_GRADIENT_ACROSS * j;
+        if (block >= l->out_blocks) continue;
+        uint4 t = tile[(l->into_blocks + block) * RN_LANES + RN_LANE];
         RN_UNROLL
-        for (int j = 0; j < N; j++) {
-            if (p->m + i >= p->into_blocks || p->n + j >= p->out_blocks) continue;
-            float4 *block = to + ((size_t)(p->m + i) * (size_t)p->out_blocks + (p->n + j)) * 64;
+        for (int i = 0; i < RN_GRADIENT_M; i++) {
+            if (s->down + RN_GRADIENT_DOWN * i >= l->into_blocks) continue;
+            rn_mma(s->c[i][j][0], a[i], t.x, t.y);
+            rn_mma(s->c[i][j][1], a[i], t.z, t.w);
+        }
+    }
+}
+
+// To `to`, [block][half][lane][4].
+RN_DEVICE void rn_gradient_store(const struct rn_gradient_layer *l,
+                                 const struct rn_gradient_sums *s, float4 *to) {
+    RN_UNROLL
+    for (int i = 0; i < RN_GRADIENT_M; i++)
+        RN_UNROLL
+        for (int j = 0; j < RN_GRADIENT_N; j++) {
+            int m = s->down + RN_GRADIENT_DOWN * i, n = s->across + RN_GRADIENT_ACROSS * j;
+            if (m >= l->into_blocks || n >= l->out_blocks) continue;
+            float4 *block = to + (m * l->out_blocks + n) * 2 * RN_LANES;
             for (int h = 0; h < 2; h++)
-                block[h * RN_LANES + RN_LANE] =
-                    float4{c[i][j][h][0], c[i][j][h][1], c[i][j][h][2], c[i][j][h][3]};
+                block[h * RN_LANES + RN_LANE] = float4{s->c[i][j][h][0], s->c[i][j][h][1],
+                                                       s->c[i][j][h][2], s->c[i][j][h][3]};
         }
 }
 
@@ -57,26 +91,33 @@ RN_HD size_t rn_cuda_gradient_count(const struct rn_cuda_network *n) {
     return (size_t)n->packed_count * 8;
 }
 
-// Block (chunk, layer): the layer's gradient over the chunk's tiles, into sums[chunk]. A warp takes
-// 4 x 2 blocks of 16x16 at a time. `of_rays`: the tiles hold rays, not samples.
-__global__ void __launch_bounds__(256, 1)
+// Block (chunk, layer): the layer's gradient over the chunk's tiles, into sums[chunk]. `of_rays`:
+// the tiles hold rays, not samples. Shared memory: RN_GRADIENT_STAGES tiles.
+__global__ void __launch_bounds__(256, 2)
     rn_gradient_kernel(const __grid_constant__ rn_cuda_network n, struct rn_cuda_status *status,
                        uint4 *scratch_block, uint32_t tile_capacity, bool of_rays, float4 *sums) {
-    enum { M = 4, N = 2 };
+    uint4 *room = (uint4 *)rn_shared_memory();
     int layers = n.hidden + 1, chunk = (int)blockIdx.x / layers, layer = (int)blockIdx.x % layers;
     struct rn_cuda_scratch scratch = rn_scratch(&n, scratch_block, tile_capacity);
-    struct rn_gradient_part part = {scratch.into[layer], scratch.out_of[layer],
-                                    rn_cuda_layer_k16(&n, layer), rn_cuda_layer_n16(&n, layer), 0,
-                                    0};
-    size_t tiles = of_rays ? rn_cuda_ray_tiles(status->ray_count) : status->ordered;
+    struct rn_gradient_layer l = {scratch.into[layer], scratch.out_of[layer],
+                                  rn_cuda_layer_k16(&n, layer), rn_cuda_layer_n16(&n, layer)};
+    size_t tiles = rn_cuda_tiles(of_rays ? (uint32_t)status->ray_count : status->returned);
     size_t begin = tiles * (size_t)chunk / RN_CHUNKS, end = tiles * (size_t)(chunk + 1) / RN_CHUNKS;
-    float4 *to = sums + (size_t)chunk * rn_cuda_gradient_count(&n) / 4 + (size_t)n.packed[layer] * 2;
-    int across = (part.out_blocks + N - 1) / N, down = (part.into_blocks + M - 1) / M;
-    for (int i = (int)threadIdx.x / RN_LANES; i < across * down; i += (int)blockDim.x / RN_LANES) {
-        part.m = i / across * M;
-        part.n = i % across * N;
-        rn_gradient_block<M, N>(&part, begin, end, to);
+    size_t stage = rn_cuda_gradient_stage(&n);
+    int warp = (int)threadIdx.x / RN_LANES;
+    struct rn_gradient_sums own = {warp / RN_GRADIENT_ACROSS, warp % RN_GRADIENT_ACROSS, {{{{0}}}}};
+    for (int i = 0; i < RN_GRADIENT_STAGES - 1; i++)
+        rn_gradient_load(&l, begin + i, end, room + i * stage);
+    for (size_t tile = begin; tile < end; tile++) {
+        rn_copy_wait<RN_GRADIENT_STAGES - 2>();
+        __syncthreads(); // this tile is here, and all have read the one before
+        size_t ahead = tile + RN_GRADIENT_STAGES - 1;
+        rn_gradient_load(&l, ahead, end, room + (ahead - begin) % RN_GRADIENT_STAGES * stage);
+        rn_gradient_multiply(&l, room + (tile - begin) % RN_GRADIENT_STAGES * stage, &own);
     }
+    rn_gradient_store(&l, &own,
+                      sums + (size_t)chunk * rn_cuda_gradient_count(&n) / 4 +
+                          (size_t)n.packed[layer] * 2);
 }
 
 #endif

@@ -73,6 +73,20 @@ template <int NT> RN_DEVICE void rn_move(uint32_t (&to)[NT][4], const uint32_t (
         to[i / 4][i % 4] = from[i / 4][i % 4];
 }
 
+// A fragment of A in memory by rows: [row][lane % 4], four numbers a lane, so that rows from anywhere
+// can be put together.
+#define RN_BLOCK (RN_TILE * 4)
+RN_DEVICE void rn_store_rows(const uint32_t a[4], uint2 *to) {
+    for (int i = 0; i < 2; i++)
+        to[i * RN_LANES + RN_LANE] = uint2{a[i], a[2 + i]};
+}
+// Row g (i = 0) or g + 8 (i = 1) of a fragment from `row` of a block.
+RN_DEVICE void rn_load_row(const uint2 *block, uint32_t row, int i, uint32_t (&a)[4]) {
+    uint2 words = block[row * 4 + RN_LANE % 4];
+    a[i] = words.x;
+    a[2 + i] = words.y;
+}
+
 // Stores fragments transposed, [NT][lane], as the product A^T G wants both of its operands.
 template <int NT> RN_DEVICE void rn_keep_transposed(const uint32_t (&a)[NT][4], uint4 *to) {
     RN_UNROLL
@@ -163,7 +177,7 @@ RN_DEVICE const uint4 *rn_stage(uint4 *to, const uint4 *from, uint32_t count) {
 // Every thread's copies have arrived and all threads may read them.
 RN_DEVICE void rn_stage_finish() {
     rn_copy_commit();
-    rn_copy_wait();
+    rn_copy_wait<0>();
     __syncthreads();
 }
 

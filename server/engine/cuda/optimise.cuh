@@ -92,7 +92,7 @@ RN_DEVICE void rn_pull_down(const struct rn_cuda_planes *p, const struct rn_cuda
 
 // Room for the block's parameters in shared memory, [texel][channel].
 RN_DEVICE float *rn_block_values() {
-    RN_SHARED float values[RN_UPDATE * RN_UPDATE * 16];
+    RN_SHARED __align__(16) float values[RN_UPDATE * RN_UPDATE * 16];
     return values;
 }
 
@@ -147,6 +147,18 @@ RN_DEVICE size_t rn_parameter_at(const struct rn_cuda_planes *p, const struct rn
            (size_t)(4 * quad);
 }
 
+// Four neighbouring numbers at once, 16-byte aligned as texels of four channels are.
+RN_DEVICE void rn_load4(const float *from, float to[4]) {
+    float4 v = *(const float4 *)from;
+    to[0] = v.x;
+    to[1] = v.y;
+    to[2] = v.z;
+    to[3] = v.w;
+}
+RN_DEVICE void rn_store4(const float from[4], float *to) {
+    *(float4 *)to = float4{from[0], from[1], from[2], from[3]};
+}
+
 // Pull-down, AdamW and pooling of one block a block of threads; 64 threads times channels / 4.
 template <bool FIXED>
 __global__ void __launch_bounds__(256)
@@ -161,6 +173,10 @@ __global__ void __launch_bounds__(256)
     size_t at = rn_parameter_at(p, &b);
     int texel = (int)threadIdx.x / b.quads, quad = (int)threadIdx.x % b.quads;
     float grad[4] = {0, 0, 0, 0}, scale = 1 / (status->gradient_scale * (float)status->weight);
+    float value[4], m[4], v[4];
+    rn_load4(scene.parameters + at, value);
+    rn_load4(o.m + at, m);
+    rn_load4(o.v + at, v);
     if (touched)
         rn_pull_down<FIXED>(p, &o.gradients, &b, b.x + texel % RN_UPDATE, b.y + texel / RN_UPDATE,
                             quad, grad);
@@ -169,15 +185,14 @@ __global__ void __launch_bounds__(256)
             grad[c] = 0;
             status->overflowed = 1;
         }
-        float value = scene.parameters[at + c], m = o.m[at + c], v = o.v[at + c];
         if (!rn_adamw(status, o.rates, o.rates->plane_rate, o.rates->plane_decay, grad[c] * scale,
-                      &value, &m, &v))
+                      &value[c], &m[c], &v[c]))
             atomicAdd((unsigned long long *)&status->nonfinite_numbers, 1ull);
-        scene.parameters[at + c] = value;
-        o.m[at + c] = m;
-        o.v[at + c] = v;
-        values[4 * threadIdx.x + c] = value;
     }
+    rn_store4(value, scene.parameters + at);
+    rn_store4(m, o.m + at);
+    rn_store4(v, o.v + at);
+    rn_store4(value, values + 4 * threadIdx.x);
     __syncthreads();
     rn_pool_block(p, scene.texels, &b, values);
     if (!touched) return;
@@ -191,8 +206,9 @@ __global__ void __launch_bounds__(256)
     float *values = rn_block_values();
     struct rn_update_block b = rn_update_block(&scene.planes);
     size_t at = rn_parameter_at(&scene.planes, &b);
-    for (int c = 0; c < 4; c++)
-        values[4 * threadIdx.x + c] = scene.parameters[at + c];
+    float value[4];
+    rn_load4(scene.parameters + at, value);
+    rn_store4(value, values + 4 * threadIdx.x);
     __syncthreads();
     rn_pool_block(&scene.planes, scene.texels, &b, values);
 }

@@ -5,6 +5,7 @@
 #define RN_ENGINE_CUDA_SCATTER_CUH
 
 #include "server/engine/cuda/encode.cuh"
+#include "server/engine/cuda/network.cuh"
 
 // fp16 sums of many gradients: this much is taken off them so that the sum does not overflow.
 #define RN_SCATTER_HEADROOM 0.0625f
@@ -147,15 +148,30 @@ RN_DEVICE void rn_spread(const struct rn_scatter_place *p, const struct rn_query
     }
 }
 
+// What a thread needs of a sample that goes back; asked for while the one before is spread.
+struct rn_returned_sample {
+    float mid;
+    uint2 grad; // four channels
+};
+RN_DEVICE struct rn_returned_sample rn_load_returned(const struct rn_cuda_batch *b, int kt, int k,
+                                                     int t, int place) {
+    size_t block = (size_t)(place / RN_TILE) * (size_t)kt + (size_t)k;
+    struct rn_returned_sample s = {
+        b->returned_mid[place],
+        b->feature_grad[block * RN_BLOCK + (size_t)(place % RN_TILE * 4 + t)]};
+    return s;
+}
+
 // Follows ray `r` on the plane of fragment `k`, lane part `t` of four.
 template <bool FIXED>
 RN_DEVICE void rn_scatter_ray(const struct rn_cuda_scene *scene, const struct rn_cuda_batch *b,
                               const struct rn_cuda_gradients *to, float step, int r, int k, int t) {
     const struct rn_cuda_planes *planes = &scene->planes;
-    int feature = 16 * k + 4 * t, kt = scene->base.inputs16, tiles = b->ray_tiles[r];
+    int feature = 16 * k + 4 * t, kt = scene->base.inputs16;
+    struct rn_cuda_return returned = b->ray_return[r];
     struct rn_scatter_place p = {planes, to, feature / planes->channels,
                                  feature % planes->channels};
-    if (p.plane >= planes->planes || tiles == 0) return;
+    if (p.plane >= planes->planes || returned.count == 0) return;
     struct rn_march_ray ray = b->rays[r];
     step *= (float)ray.stride;
     struct rn_footprint_factors f = rn_factors(planes->axis[p.plane], ray.direction);
@@ -166,18 +182,18 @@ RN_DEVICE void rn_scatter_ray(const struct rn_cuda_scene *scene, const struct rn
         for (int i = 0; i < 16; i++)
             nests.corner[c].sum[i / 8][i / 4 % 2][i % 4] = 0;
     }
-    for (int place = b->ray_first[r]; place < b->ray_first[r] + tiles; place++)
-        for (int row = 0; row < RN_TILE; row++) {
-            size_t at = (size_t)b->order[place] * RN_TILE + (size_t)row;
-            if (!(b->depth[at] > 0)) continue;
-            uint2 g = b->feature_grad[((size_t)place * (size_t)kt + (size_t)k) * 64 + row * 4 + t];
-            float grad[4] = {rn_low(g.x), rn_high(g.x), rn_low(g.y), rn_high(g.y)};
-            struct rn_sample s = rn_place(&ray, b->mid[at], step);
-            float lx = 0, ly = 0;
-            if (planes->levels > 1) rn_levels(planes, &f, &s, ray.radius, &lx, &ly);
-            struct rn_query q = rn_query_plane(planes, p.plane, &s, lx, ly);
-            rn_spread<FIXED>(&p, &q, grad, &nests);
-        }
+    struct rn_returned_sample next = rn_load_returned(b, kt, k, t, returned.first);
+    for (int i = 1; i <= returned.count; i++) {
+        struct rn_returned_sample own = next;
+        if (i < returned.count) next = rn_load_returned(b, kt, k, t, returned.first + i);
+        float grad[4] = {rn_low(own.grad.x), rn_high(own.grad.x), rn_low(own.grad.y),
+                         rn_high(own.grad.y)};
+        struct rn_sample s = rn_place(&ray, own.mid, step);
+        float lx = 0, ly = 0;
+        if (planes->levels > 1) rn_levels(planes, &f, &s, ray.radius, &lx, &ly);
+        struct rn_query q = rn_query_plane(planes, p.plane, &s, lx, ly);
+        rn_spread<FIXED>(&p, &q, grad, &nests);
+    }
     rn_flush_nests<FIXED>(&p, &nests);
 }
 

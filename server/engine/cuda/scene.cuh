@@ -42,8 +42,8 @@ struct rn_cuda_scene {
 struct rn_cuda_march {
     float step, stop_depth, background[3];
     float background_variance; // rn_march_options
-    bool split;    // rn_march_options
-    bool turned;   // `look` replaces the rays' direction for the colour network
+    bool split;                // rn_march_options
+    bool turned;               // `look` replaces the rays' direction for the colour network
     float look[3];
 };
 
@@ -53,19 +53,20 @@ struct rn_cuda_status {
     int target_samples;       // that the number of rays aims at
     uint32_t queue;           // next ray of the forward
     uint32_t tiles;           // slots taken
-    uint32_t ordered;         // tiles that take part in the backward
+    uint32_t returned;        // samples that go back
     int rejected;             // this step overflowed: nothing is updated
     int crowded;              // the tiles did not suffice
     int overflowed;           // a texel's gradient overflowed: it alone was left out
     int rejected_in_a_row;
     uint64_t updates, steps, steps_rejected, nonfinite_rays, nonfinite_numbers;
-    uint64_t nonfinite_before; // rays, in the steps before this one
-    uint64_t samples, rays; // totals of training
+    uint64_t nonfinite_before;                // rays, in the steps before this one
+    uint64_t samples, rays, samples_returned; // totals of training
     uint64_t level_samples[RN_MAX_LEVELS];
-    unsigned long long evaluated; // samples of the last render or step
-    double loss, weight;          // of this step: sums over rays
-    float gradient_scale;         // of everything in fp16 that is a gradient
-    int good_steps;               // since the scale was last changed
+    unsigned long long evaluated;   // samples of the last render or step
+    double loss, weight;            // of this step: sums over rays
+    float gradient_size;            // of a sample, unscaled: mean of the step before; 0: none
+    float gradient_scale;           // of everything in fp16 that is a gradient
+    int good_steps;                 // since the scale was last changed
     float correction1, correction2; // of Adam, for the update under way
 };
 
@@ -74,39 +75,54 @@ RN_HD bool rn_cuda_step_skipped(const struct rn_cuda_status *s) {
     return s->rejected || !(s->weight > 0);
 }
 
-// Tiles that `rays` rays make.
-RN_HD uint32_t rn_cuda_ray_tiles(int rays) {
-    return (uint32_t)((rays + RN_TILE - 1) / RN_TILE);
+// Tiles that `rows` rows fill.
+RN_HD uint32_t rn_cuda_tiles(uint32_t rows) {
+    return (rows + RN_TILE - 1) / RN_TILE;
 }
 
-// A batch: rays, and tiles of samples that the forward leaves for the backward.
+// Samples of a ray whose gradients go back.
+struct rn_cuda_return {
+    int count;
+    int first;    // its first place in `returned`
+    float size;   // sum of the gradients' sizes before the lottery, where there is one
+    int gradient; // samples that have one
+};
+
+// A batch: rays, and tiles of samples that the forward leaves for the backward. A sample is known
+// by slot * RN_TILE + row.
 struct rn_cuda_batch {
     struct rn_cuda_status *status;
     int ray_capacity;
     int pixel_rays; // training: rays in turn that are one pixel
     uint32_t tile_capacity;
+    uint64_t seed;  // of the lottery
+    float roulette; // rn_march_options
     struct rn_march_ray *rays;
     struct rn_pixel *pixels; // rendering only
     // of each ray
     float *ray_loss, *ray_weight;
-    int *ray_samples, *ray_tiles, *ray_first; // ray_first: its first place in `order`
+    int *ray_samples, *ray_last; // samples seen, the last tile
+    struct rn_cuda_return *ray_return;
     float *ray_sums; // ray shading: [ray][RN_GEOMETRY], in training then dL/d(sums), scaled
     // of each tile slot
-    int *tile_ray, *tile_ordinal, *tile_previous;
-    uint32_t *order;          // slots, ray after ray, front to back
-    uint4 *features;          // [slot][inputs16][lane]
-    uint4 *geometry;          // [slot][lane]: columns 16..31 of rn_cuda_head_input
-    float *mid;               // [slot][16]: distance behind ray.origin
-    float *depth;             // optical depth of each sample
-    float *weight, *after;    // and transmittance behind it
+    int *tile_ray, *tile_previous;
+    uint32_t *tile_rows;   // that go back, one bit each
+    int *tile_behind;      // samples of its ray that go back, from this tile on
+    uint2 *features;       // [slot][inputs16][row][4 lanes]
+    uint2 *geometry;       // [slot][row][4]: columns 16..31 of rn_cuda_head_input
+    float *mid;            // [sample]: distance behind ray.origin
+    float *depth;          // optical depth of each sample
+    float *weight, *after; // and transmittance behind it
     // sample shading; the gradients are scaled
-    float *colour;            // [slot][3][16]
-    float *colour_grad;       // [slot][3][16]: of the colour network's outputs
-    float *logit_grad;        // [slot][16]
-    // by place in `order`
-    uint4 *geometry_grad;     // [place][lane]
-    uint2 *feature_grad;      // [place][inputs16][16 rows][4 lanes]
-    uint4 *scratch;           // activations and gradients of one network's layers
+    float *colour;        // [slot][3][16]
+    float *colour_grad;   // [slot][3][16]: of the colour network's outputs
+    float *logit_grad;    // [sample]
+    uint2 *geometry_grad; // [sample][4]: of the density network's outputs
+    // samples that go back, ray after ray, front to back
+    uint32_t *returned;
+    float *returned_mid;
+    uint2 *feature_grad; // [tile of 16 of them][inputs16][row][4]
+    uint4 *scratch;      // activations and gradients of one network's layers
 };
 
 #endif

@@ -4,6 +4,7 @@
 #ifndef RN_ENGINE_CUDA_SHADE_CUH
 #define RN_ENGINE_CUDA_SHADE_CUH
 
+#include "common/math/rng.h"
 #include "server/engine/cuda/backward.cuh"
 
 // ---- the colour network ---------------------------------------------------------------------
@@ -119,8 +120,8 @@ __global__ void __launch_bounds__(256, 1)
                                      scene.backward + scene.base.packed_count, n->packed_count);
     rn_stage_finish();
     bool bad = false;
-    for (uint32_t tile = rn_first_place(); tile < rn_cuda_ray_tiles(batch.status->ray_count);
-         tile += rn_place_stride()) {
+    for (uint32_t tile = rn_first_tile(); tile < rn_cuda_tiles((uint32_t)batch.status->ray_count);
+         tile += rn_tile_stride()) {
         uint32_t in[2][4];
         float out[2][4] = {}, colour[3];
         int own = (int)tile * RN_TILE + RN_LANE % RN_TILE;
@@ -150,46 +151,116 @@ __global__ void __launch_bounds__(256, 1)
 
 // ---- samples --------------------------------------------------------------------------------
 
+#define RN_STREAM_LOTS 0x6c6f747300000000u
+#define RN_CERTAIN (1 << 24) // chances are in units of 2^-24
+
+// The lottery along one ray, by the samples' sizes (backward_select of cpu/backward.h): below
+// `threshold` a gradient goes back with the chance that its size has to it.
+struct rn_lottery {
+    float threshold; // 0: all go back
+    uint32_t sum;    // of the chances so far, from a random start
+};
+
+RN_DEVICE struct rn_lottery rn_lottery_start(const struct rn_cuda_batch *b, int r) {
+    const struct rn_cuda_status *s = b->status;
+    struct rn_lottery l = {b->roulette * s->gradient_size * s->gradient_scale, 0};
+    if (!(l.threshold > 0 && l.threshold < 3e38f)) l.threshold = 0;
+    l.sum = rn_rng_draw(b->seed, RN_STREAM_LOTS | (uint32_t)r, s->steps).v[0];
+    return l;
+}
+
+// Whether lane i's sample goes back, and what its gradient is to be multiplied by; lanes 0..15.
+// What is not finite goes back, to be seen.
+RN_DEVICE bool rn_lottery_draw(struct rn_lottery *l, float size, float *ret_factor) {
+    int chance = RN_CERTAIN;
+    if (size < l->threshold)
+        chance = (int)fminf(size * ((float)RN_CERTAIN / l->threshold) + 1, (float)RN_CERTAIN);
+    if (size == 0 || RN_LANE >= RN_TILE) chance = 0;
+    uint32_t before = l->sum + (uint32_t)rn_sum_before(chance, RN_TILE),
+             after = before + (uint32_t)chance;
+    l->sum = (uint32_t)rn_shuffle((int)after, RN_TILE - 1);
+    *ret_factor = chance > 0 ? (float)RN_CERTAIN / (float)chance : 0;
+    return before / RN_CERTAIN != after / RN_CERTAIN;
+}
+
 // dL/d(outputs of the density network) of a tile, from dL/d(sums), of which a lane has its columns.
-// g_i = dL/d(sums) . (1, colour_i, features_i); `behind` as in rn_attenuate_backward. True on
-// overflow.
-RN_DEVICE bool rn_sums_backward(const struct rn_cuda_batch *b, uint32_t place,
-                                const float (&sums_grad)[2][2], double *behind) {
-    size_t slot = b->order[place], at = slot * RN_TILE + RN_LANE % RN_TILE;
-    uint4 kept = b->geometry[slot * RN_LANES + RN_LANE];
-    uint32_t pairs[4] = {kept.x, kept.y, kept.z, kept.w};
-    float c[2][4], slopes[2] = {0, 0}, weight = b->weight[at];
+// g_i = dL/d(sums) . (1, colour_i, features_i); `behind` as in rn_attenuate_backward.
+RN_DEVICE void rn_sums_backward(const struct rn_cuda_batch *b, int slot,
+                                const float (&sums_grad)[2][2], double *behind,
+                                float (&ret)[2][4]) {
+    size_t at = (size_t)slot * RN_TILE + RN_LANE % RN_TILE;
+    uint32_t kept[4];
+    for (int i = 0; i < 2; i++)
+        rn_load_row(b->geometry + (size_t)slot * RN_BLOCK, (uint32_t)(RN_LANE / 4 + 8 * i), i,
+                    kept);
+    float slopes[2] = {0, 0}, weight = b->weight[at];
     for (int i = 0; i < 8; i++) {
-        float value = i % 2 ? rn_high(pairs[i / 2]) : rn_low(pairs[i / 2]);
+        float value = i % 2 ? rn_high(kept[i / 2]) : rn_low(kept[i / 2]);
         float grad = sums_grad[i / 4][i % 2];
         bool activated = i < 4 && RN_LANE % 4 < 2; // by a sigmoid; column 0 is put below
         slopes[i / 2 % 2] += grad * value;
-        c[i / 4][i % 4] = activated ? grad * value * (1 - value) : grad;
+        ret[i / 4][i % 4] = activated ? grad * value * (1 - value) : grad;
     }
     for (int i = 0; i < 2; i++) {
         float of_row = rn_shuffle(weight, RN_LANE / 4 + 8 * i);
         for (int k = 0; k < 4; k++)
-            c[k / 2][2 * i + k % 2] *= of_row;
+            ret[k / 2][2 * i + k % 2] *= of_row;
         for (int mask = 1; mask < 4; mask *= 2)
             slopes[i] += rn_shuffle_xor(slopes[i], mask);
     }
     float slope = rn_of_row(slopes);
-    rn_set_column(c, 0, rn_attenuate_backward(b, at, weight > 0 ? slope : 0, behind));
-    return rn_store_geometry_grad(b, place, c);
+    rn_set_column(ret, 0, rn_attenuate_backward(b, at, weight > 0 ? slope : 0, behind));
 }
 
-// A warp a ray, from its last tile to its first.
+// Euclidean sizes of the rows of a C fragment, lane i (mod 16) row i's.
+RN_DEVICE float rn_row_size(const float (&c)[2][4]) {
+    float squares[2];
+    for (int i = 0; i < 2; i++) {
+        squares[i] = 0;
+        for (int k = 0; k < 4; k++)
+            squares[i] += c[k / 2][2 * i + k % 2] * c[k / 2][2 * i + k % 2];
+        for (int mask = 1; mask < 4; mask *= 2)
+            squares[i] += rn_shuffle_xor(squares[i], mask);
+    }
+    return sqrtf(rn_of_row(squares));
+}
+
+// Gradients of the samples of a ray, from its last tile to its first, those that draw no blank.
+// True on overflow.
+RN_DEVICE bool rn_return_ray(const struct rn_cuda_batch *b, int r, struct rn_cuda_return *ret) {
+    const float *from = b->ray_sums + (size_t)r * RN_GEOMETRY + 2 * (RN_LANE % 4);
+    const float sums_grad[2][2] = {{from[0], from[1]}, {from[8], from[9]}};
+    struct rn_lottery lottery = rn_lottery_start(b, r);
+    double behind = 0;
+    bool bad = false;
+    for (int slot = b->ray_last[r]; slot >= 0; slot = b->tile_previous[slot]) {
+        float c[2][4], factor;
+        uint32_t samples[2];
+        rn_sums_backward(b, slot, sums_grad, &behind, c);
+        float size = rn_row_size(c);
+        bool has = RN_LANE < RN_TILE && size != 0;
+        rn_return_tile(b, slot, rn_lottery_draw(&lottery, size, &factor), &ret->count);
+        ret->size += rn_tile_sum(size);
+        ret->gradient += rn_popcount(rn_ballot(has));
+        for (int i = 0; i < 2; i++) {
+            float of_row = rn_shuffle(factor, RN_LANE / 4 + 8 * i);
+            samples[i] = (uint32_t)(slot * RN_TILE + RN_LANE / 4 + 8 * i);
+            for (int k = 0; k < 4; k++)
+                c[k / 2][2 * i + k % 2] *= of_row;
+        }
+        bad |= rn_store_geometry_grad(b, samples, c);
+    }
+    return bad;
+}
+
+// A warp a ray.
 __global__ void __launch_bounds__(256)
     rn_sums_backward_kernel(const __grid_constant__ rn_cuda_batch batch) {
     bool bad = false;
-    int rays = batch.status->ordered > 0 ? batch.status->ray_count : 0;
-    for (int r = (int)rn_first_place(); r < rays; r += (int)rn_place_stride()) {
-        uint32_t first = (uint32_t)batch.ray_first[r], place = first + (uint32_t)batch.ray_tiles[r];
-        const float *from = batch.ray_sums + (size_t)r * RN_GEOMETRY + 2 * (RN_LANE % 4);
-        float sums_grad[2][2] = {{from[0], from[1]}, {from[8], from[9]}};
-        double behind = 0;
-        while (place-- > first)
-            bad |= rn_sums_backward(&batch, place, sums_grad, &behind);
+    for (int r = (int)rn_first_tile(); r < batch.status->ray_count; r += (int)rn_tile_stride()) {
+        struct rn_cuda_return returned = {0, 0, 0, 0};
+        if (batch.ray_samples[r] > 0) bad |= rn_return_ray(&batch, r, &returned);
+        if (RN_LANE == 0) batch.ray_return[r] = returned;
     }
     if (rn_ballot(bad) && RN_LANE == 0) batch.status->rejected = 1;
 }

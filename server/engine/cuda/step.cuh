@@ -132,68 +132,110 @@ __global__ void __launch_bounds__(256) rn_view_kernel(const __grid_constant__ rn
 
 // ---- order and sums -------------------------------------------------------------------------
 
+// What the rays of a step come to.
 struct rn_sums {
-    double loss, weight;
+    double loss, weight, size;
     uint64_t samples;
-    uint32_t tiles;
+    uint32_t returned, gradients;
 };
+RN_DEVICE void rn_sums_add(struct rn_sums *to, const struct rn_sums *other) {
+    to->loss += other->loss;
+    to->weight += other->weight;
+    to->size += other->size;
+    to->samples += other->samples;
+    to->returned += other->returned;
+    to->gradients += other->gradients;
+}
 
-// The first place of every ray's tiles, and the step's sums; one block. Ray after ray, so that
-// nothing depends on which warp came first.
+// A warp's part of the rays; its lanes take them in turn.
+struct rn_ray_part {
+    int begin, end;
+};
+RN_DEVICE struct rn_ray_part rn_ray_part(int count) {
+    int warp = (int)threadIdx.x / RN_LANES, warps = RN_ORDER_THREADS / RN_LANES;
+    struct rn_ray_part p = {(int)((int64_t)count * warp / warps),
+                            (int)((int64_t)count * (warp + 1) / warps)};
+    return p;
+}
+
+RN_DEVICE struct rn_sums rn_sum_rays(const struct rn_cuda_batch *b, struct rn_ray_part part) {
+    struct rn_sums sums = {0, 0, 0, 0, 0, 0};
+    for (int r = part.begin + RN_LANE; r < part.end; r += RN_LANES) {
+        struct rn_cuda_return back = b->ray_return[r];
+        struct rn_sums ray = {(double)b->ray_loss[r], (double)b->ray_weight[r], (double)back.size,
+                              (uint64_t)b->ray_samples[r], (uint32_t)back.count,
+                              (uint32_t)back.gradient};
+        rn_sums_add(&sums, &ray);
+    }
+    return sums;
+}
+
+// What becomes of a step of which all rays are known.
+RN_DEVICE void rn_take_sums(const struct rn_cuda_batch *b, const struct rn_sums *all) {
+    struct rn_cuda_status *s = b->status;
+    int count = s->ray_count;
+    s->loss = all->loss;
+    s->weight = all->weight;
+    s->samples += all->samples;
+    s->rays += (uint64_t)count;
+    s->crowded = s->tiles > b->tile_capacity;
+    s->rejected |= s->crowded || !(all->loss < 1e300);
+    s->returned = s->rejected ? 0 : all->returned;
+    s->samples_returned += s->returned;
+    double size = all->gradients > 0 ? all->size / all->gradients / (double)s->gradient_scale : 0;
+    s->gradient_size = size < 1e30 ? (float)size : 0;
+    double next = (double)count * s->target_samples / (double)all->samples + 1;
+    if (s->crowded) next = count / 2;
+    if (all->samples == 0) next = count;
+    next = next < RN_FEWEST_RAYS ? RN_FEWEST_RAYS : next;
+    s->next_rays = next < b->ray_capacity ? (int)next : b->ray_capacity;
+    s->next_rays -= s->next_rays % b->pixel_rays;
+}
+
+// The place of every ray's samples in the list of those that go back, and the step's sums; one
+// block. Ray after ray, so that nothing depends on which warp came first.
 __global__ void __launch_bounds__(RN_ORDER_THREADS, 1)
     rn_order_kernel(const __grid_constant__ rn_cuda_batch b) {
-    RN_SHARED struct rn_sums sums[RN_ORDER_THREADS];
-    struct rn_cuda_status *s = b.status;
-    int count = s->ray_count, thread = (int)threadIdx.x;
-    int begin = (int)((int64_t)count * thread / RN_ORDER_THREADS);
-    int end = (int)((int64_t)count * (thread + 1) / RN_ORDER_THREADS);
-    struct rn_sums own = {0, 0, 0, 0};
-    for (int r = begin; r < end; r++) {
-        own.loss += (double)b.ray_loss[r];
-        own.weight += (double)b.ray_weight[r];
-        own.samples += (uint64_t)b.ray_samples[r];
-        own.tiles += (uint32_t)b.ray_tiles[r];
-    }
-    sums[thread] = own;
+    RN_SHARED struct rn_sums sums[RN_ORDER_THREADS / RN_LANES][RN_LANES];
+    int warp = (int)threadIdx.x / RN_LANES;
+    struct rn_ray_part part = rn_ray_part(b.status->ray_count);
+    sums[warp][RN_LANE] = rn_sum_rays(&b, part);
     __syncthreads();
-    if (thread == 0) {
-        struct rn_sums all = {0, 0, 0, 0};
-        for (int i = 0; i < RN_ORDER_THREADS; i++) {
-            uint32_t before = all.tiles;
-            all.loss += sums[i].loss;
-            all.weight += sums[i].weight;
-            all.samples += sums[i].samples;
-            all.tiles += sums[i].tiles;
-            sums[i].tiles = before;
+    if (warp == 0) { // lane i sums what warp i found
+        for (int k = 1; k < RN_LANES; k++)
+            rn_sums_add(&sums[RN_LANE][0], &sums[RN_LANE][k]);
+        __syncwarp();
+        if (RN_LANE == 0) {
+            struct rn_sums all = {0, 0, 0, 0, 0, 0};
+            for (int i = 0; i < RN_LANES; i++) {
+                uint32_t before = all.returned;
+                rn_sums_add(&all, &sums[i][0]);
+                sums[i][0].returned = before;
+            }
+            rn_take_sums(&b, &all);
         }
-        s->loss = all.loss;
-        s->weight = all.weight;
-        s->samples += all.samples;
-        s->rays += (uint64_t)count;
-        s->crowded = s->tiles > b.tile_capacity;
-        s->rejected |= s->crowded || !(all.loss < 1e300);
-        s->ordered = s->rejected ? 0 : all.tiles;
-        double next = (double)count * s->target_samples / (double)all.samples + 1;
-        if (s->crowded) next = count / 2;
-        if (all.samples == 0) next = count;
-        next = next < RN_FEWEST_RAYS ? RN_FEWEST_RAYS : next;
-        s->next_rays = next < b.ray_capacity ? (int)next : b.ray_capacity;
-        s->next_rays -= s->next_rays % b.pixel_rays;
     }
     __syncthreads();
-    uint32_t first = sums[thread].tiles;
-    for (int r = begin; r < end; r++) {
-        b.ray_first[r] = (int)first;
-        first += (uint32_t)b.ray_tiles[r];
+    int first = (int)sums[warp][0].returned;
+    for (int r = part.begin; r < part.end; r += RN_LANES) {
+        int own = r + RN_LANE, count = own < part.end ? b.ray_return[own].count : 0;
+        int before = rn_sum_before(count, RN_LANES);
+        if (own < part.end) b.ray_return[own].first = first + before;
+        first += rn_shuffle(before + count, RN_LANES - 1);
     }
 }
 
-// Every tile to its place.
+// Every sample that goes back to its place. One thread a sample.
 __global__ void __launch_bounds__(256) rn_place_kernel(const __grid_constant__ rn_cuda_batch b) {
-    uint32_t slot = blockIdx.x * blockDim.x + threadIdx.x;
+    uint32_t sample = blockIdx.x * blockDim.x + threadIdx.x, slot = sample / RN_TILE;
     if (b.status->rejected || slot >= b.status->tiles) return;
-    int r = b.tile_ray[slot];
-    if (b.ray_tiles[r] > 0) b.order[b.ray_first[r] + b.tile_ordinal[slot]] = slot;
+    struct rn_cuda_return ray = b.ray_return[b.tile_ray[slot]];
+    if (ray.count == 0) return; // its tiles say nothing
+    uint32_t rows = b.tile_rows[slot], bit = 1u << sample % RN_TILE;
+    if (!(rows & bit)) return;
+    int place = ray.first + ray.count - b.tile_behind[slot] + rn_popcount(rows & (bit - 1));
+    b.returned[place] = sample;
+    b.returned_mid[place] = b.mid[sample];
 }
 
 // Counts the step and makes ready for the next; one thread.

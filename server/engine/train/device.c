@@ -67,6 +67,7 @@ static enum rn_status put_training(struct rn_trainer *t, struct rn_error *err) {
                                           .updates = t->updates,
                                           .gradient_scale = t->gradient_scale,
                                           .good_steps = t->good_steps,
+                                          .gradient_size = t->gradient_size,
                                           .rays = t->progress.rays,
                                           .march_step = (double)t->march.step,
                                           .split = t->march.split,
@@ -149,6 +150,7 @@ static void take_progress(struct rn_trainer *t, const struct rn_device_progress 
     t->rejected = p->rejected_in_a_row;
     t->gradient_scale = p->gradient_scale;
     t->good_steps = p->good_steps;
+    t->gradient_size = p->gradient_size;
 }
 
 // As on the CPU, but back to what was last known here, and onto the device again.
@@ -159,6 +161,7 @@ static enum rn_status roll_back(struct rn_trainer *t, struct rn_error *err) {
     rn_trainer_roll_back(t);
     t->gradient_scale = 0;
     t->good_steps = 0;
+    t->gradient_size = 0;
     return rn_trainer_put(t, err);
 }
 

@@ -77,6 +77,7 @@ struct rn_trainer {
     int next_rays;                   // of the next step
     float gradient_scale;            // a device's (cuda/README.md); 0 at the start
     int good_steps;                  // since it was last changed
+    float gradient_size;             // a device's lottery (backend.h)
 
     struct rn_incident *incidents; // RN_INCIDENTS_HELD, made with the first one
     int incident_first, incident_count, incidents_noted;

@@ -19,7 +19,9 @@
 #include <time.h>
 #include <ucontext.h>
 
+#include <algorithm>
 #include <functional>
+#include <map>
 #include <vector>
 
 #define __global__
@@ -30,18 +32,19 @@
 #define __grid_constant__
 #define __launch_bounds__(...)
 #define __forceinline__ inline
+#define __align__(bytes) __attribute__((aligned(bytes)))
 #define RN_DEVICE static inline
 // Blocks run one after the other. Not within templates: there gcc forgets the section.
 #define RN_SHARED static __attribute__((section("rn_shared")))
 #define RN_UNROLL
 
-struct uint2 {
+struct alignas(8) uint2 {
     uint32_t x, y;
 };
-struct uint4 {
+struct alignas(16) uint4 {
     uint32_t x, y, z, w;
 };
-struct float4 {
+struct alignas(16) float4 {
     float x, y, z, w;
 };
 struct longlong4_t {
@@ -382,11 +385,11 @@ RN_DEVICE void rn_copy_async(void *to, const void *from) {
 RN_DEVICE void rn_copy_commit() {
     emu::m.fibers[emu::m.current].group++;
 }
-RN_DEVICE void rn_copy_wait() {
+template <int N> RN_DEVICE void rn_copy_wait() {
     emu::fiber &f = emu::m.fibers[emu::m.current];
     std::vector<emu::copy> open;
     for (const emu::copy &c : f.copies)
-        if (c.group < f.group)
+        if (c.group < f.group - N)
             memcpy(c.to, c.from, 16);
         else
             open.push_back(c);

@@ -162,13 +162,29 @@ inline cudaError_t cudaEventElapsedTime(float *ret_ms, cudaEvent_t from, cudaEve
     *ret_ms = 1e3f * (float)(to->tv_sec - from->tv_sec) + 1e-6f * (float)(to->tv_nsec - from->tv_nsec);
     return cudaSuccess;
 }
-template <typename F> cudaError_t cudaFuncSetAttribute(F, int, int) {
+namespace emu {
+enum { SHARED_AT_FIRST = 48 << 10 }; // bytes a block that a kernel may have unasked
+inline std::map<const void *, size_t> shared_allowed;
+template <typename F> void check_shared(const char *name, F kernel, size_t bytes) {
+    size_t allowed = std::max<size_t>(SHARED_AT_FIRST, shared_allowed[(const void *)kernel]);
+    m.kernel = name;
+    if (bytes > allowed) die("launched with more shared memory than it was allowed");
+}
+} // namespace emu
+template <typename F> cudaError_t cudaFuncSetAttribute(F kernel, int, int bytes) {
+    emu::shared_allowed[(const void *)kernel] = (size_t)bytes;
+    return cudaSuccess;
+}
+template <typename F>
+cudaError_t cudaOccupancyMaxActiveBlocksPerMultiprocessor(int *ret, F, int, size_t) {
+    *ret = 2;
     return cudaSuccess;
 }
 
 // kernel<<<grid, block, shared, stream>>>(...), the arguments taken by value now.
 #define RN_LAUNCH(kernel, grid, block, shared, stream, ...)                                        \
     emu::enqueue(stream, [=] {                                                                     \
+        emu::check_shared(#kernel, kernel, shared);                                                \
         emu::launch(#kernel, grid, block, shared, [=] { kernel(__VA_ARGS__); });                   \
     })
 
