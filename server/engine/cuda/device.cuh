@@ -19,6 +19,7 @@
 #define RN_DEVICE static __device__ __forceinline__
 #define RN_SHARED __shared__
 #define RN_UNROLL _Pragma("unroll")
+#define RN_ROLLED _Pragma("unroll 1")
 #define RN_LAUNCH(kernel, grid, block, shared, stream, ...)                                        \
     (kernel<<<grid, block, shared, stream>>>(__VA_ARGS__), cudaGetLastError())
 
@@ -43,6 +44,11 @@ RN_DEVICE int rn_popcount(uint32_t bits) {
 }
 RN_DEVICE int rn_lowest(uint32_t bits) { // of bits that are not all zero
     return __ffs((int)bits) - 1;
+}
+
+// To 2^-21, of normal numbers.
+RN_DEVICE float rn_log2(float x) {
+    return __log2f(x);
 }
 
 // Two fp16 numbers in a word, rounded to nearest; and back.

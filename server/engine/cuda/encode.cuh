@@ -22,10 +22,9 @@ RN_DEVICE struct rn_footprint_factors rn_factors(const float axis[6], const floa
         v[i] = (double)axis[3 + i];
         d[i] = (double)direction[i];
     }
-    struct rn_footprint_factors f = {(float)rn_projected_variance(u, d, 1, 0),
-                                     (float)rn_projected_variance(u, d, 0, 1),
-                                     (float)rn_projected_variance(v, d, 1, 0),
-                                     (float)rn_projected_variance(v, d, 0, 1)};
+    struct rn_footprint_factors f = {
+        (float)rn_projected_variance(u, d, 1, 0), (float)rn_projected_variance(u, d, 0, 1),
+        (float)rn_projected_variance(v, d, 1, 0), (float)rn_projected_variance(v, d, 0, 1)};
     return f;
 }
 
@@ -64,7 +63,7 @@ RN_DEVICE struct rn_sample rn_place(const struct rn_march_ray *ray, float s, flo
 RN_DEVICE float rn_level(const struct rn_cuda_planes *p, float variance) {
     float unit = (float)RN_FOOTPRINT_SCALE * (float)p->footprint_base;
     float top = (float)(1u << (2 * (p->levels - 1)));
-    return 0.5f * log2f(fminf(fmaxf(variance * (unit * unit), 1), top));
+    return 0.5f * rn_log2(fminf(fmaxf(variance * (unit * unit), 1), top));
 }
 
 // Levels of a sample on the axes of a plane.
@@ -74,7 +73,7 @@ RN_DEVICE void rn_levels(const struct rn_cuda_planes *p, const struct rn_footpri
     if (p->footprint == RN_FOOTPRINT_MIP) {
         float ball = sample->t * (radius * (float)p->footprint_base);
         float top = (float)(1u << (p->levels - 1));
-        *ret_lx = *ret_ly = log2f(fminf(fmaxf(ball, 1), top));
+        *ret_lx = *ret_ly = rn_log2(fminf(fmaxf(ball, 1), top));
         return;
     }
     *ret_lx = rn_level(p, sample->axial * f->axial_u + sample->radial * f->radial_u);
@@ -83,84 +82,98 @@ RN_DEVICE void rn_levels(const struct rn_cuda_planes *p, const struct rn_footpri
 
 // ---- maps -----------------------------------------------------------------------------------
 
-// Where a query looks on one axis: level, weight of the next level, and at both levels the texel
-// and the weight of its neighbour.
-struct rn_axis_lookup {
-    int level, low[2];
-    float upper, fraction[2];
+// Where a coordinate falls in a map of `size` texels a side: the texel before it, and the weight of
+// the next.
+struct rn_texel {
+    int low;
+    float fraction;
 };
-
-RN_DEVICE struct rn_axis_lookup rn_look_up(float p, float level, int base) {
-    struct rn_axis_lookup a;
-    a.level = (int)level;
-    a.upper = level - (float)a.level;
-    for (int i = 0; i < 2; i++) {
-        float size = (float)(base >> (a.level + i)), half = 0.5f * size;
-        float x = fminf(fmaxf(p * half + (half - 0.5f), 0), size - 1);
-        float low = fminf((float)(int)x, fmaxf(size - 2, 0));
-        a.low[i] = (int)low;
-        a.fraction[i] = x - low;
-    }
-    return a;
+RN_DEVICE struct rn_texel rn_find_texel(float p, int size) {
+    float n = (float)size, half = 0.5f * n;
+    float x = fminf(fmaxf(p * half + (half - 0.5f), 0), n - 1);
+    struct rn_texel t;
+    t.low = (int)fminf(x, fmaxf(n - 2, 0));
+    t.fraction = x - (float)t.low;
+    return t;
 }
 
-// The maps of a query: bit 0 of a corner steps up along x, bit 1 along y. Their weight; 0 for
-// corners that take no part.
-RN_DEVICE float rn_corner_weight(const struct rn_axis_lookup *x, const struct rn_axis_lookup *y,
-                                 int footprint, int corner) {
-    float wx = corner & 1 ? x->upper : 1 - x->upper, wy = corner & 2 ? y->upper : 1 - y->upper;
-    if (footprint != RN_FOOTPRINT_MIP) return wx * wy;
-    return corner == 0 || corner == 3 ? wx : 0;
-}
-
-// Both axes of a sample on a plane.
+// Where a query looks on one axis: coordinate, level, weight of the next level.
+struct rn_axis_query {
+    float p, upper;
+    int level;
+};
 struct rn_query {
-    struct rn_axis_lookup x, y;
+    struct rn_axis_query x, y;
 };
 RN_DEVICE struct rn_query rn_query_plane(const struct rn_cuda_planes *p, int plane,
                                          const struct rn_sample *s, float lx, float ly) {
     const float *a = p->axis[plane];
-    struct rn_query q;
-    q.x = rn_look_up(a[0] * s->x + a[1] * s->y + a[2] * s->z, lx, p->base);
-    q.y = rn_look_up(a[3] * s->x + a[4] * s->y + a[5] * s->z, ly, p->base);
+    struct rn_query q = {{a[0] * s->x + a[1] * s->y + a[2] * s->z, lx - (float)(int)lx, (int)lx},
+                         {a[3] * s->x + a[4] * s->y + a[5] * s->z, ly - (float)(int)ly, (int)ly}};
     return q;
 }
 
-// Texel 0 of a corner's map and the map's width.
-RN_DEVICE uint32_t rn_corner_map(const struct rn_cuda_planes *p, int plane,
-                                 const struct rn_query *q, int corner, int *ret_width) {
-    int lx = q->x.level + (corner & 1), ly = q->y.level + (corner >> 1);
-    *ret_width = p->base >> lx;
-    return (uint32_t)plane * p->plane_texels + p->map[ly][lx];
+// The maps of a query: bit 0 of a corner steps up along x, bit 1 along y. Their weight; 0 for
+// corners that take no part.
+RN_DEVICE float rn_corner_weight(const struct rn_query *q, int footprint, int corner) {
+    float wx = corner & 1 ? q->x.upper : 1 - q->x.upper;
+    float wy = corner & 2 ? q->y.upper : 1 - q->y.upper;
+    if (footprint != RN_FOOTPRINT_MIP) return wx * wy;
+    return corner == 0 || corner == 3 ? wx : 0;
+}
+
+// The texels of a corner that takes part.
+struct rn_corner {
+    int lx, ly, width; // of the map
+    struct rn_texel x, y;
+};
+RN_DEVICE struct rn_corner rn_find_corner(const struct rn_cuda_planes *p, const struct rn_query *q,
+                                          int corner) {
+    struct rn_corner c;
+    c.lx = q->x.level + (corner & 1);
+    c.ly = q->y.level + (corner >> 1);
+    c.width = p->base >> c.lx;
+    c.x = rn_find_texel(q->x.p, c.width);
+    c.y = rn_find_texel(q->y.p, p->base >> c.ly);
+    return c;
 }
 
 // Adds weight times four channels of a texel.
-RN_DEVICE void rn_add_texel(const uint16_t *texels, size_t at, float weight, float sum[4]) {
-    if (!(weight > 0)) return;
-    uint2 v = *(const uint2 *)(texels + at);
-    sum[0] += weight * rn_low(v.x);
-    sum[1] += weight * rn_high(v.x);
-    sum[2] += weight * rn_low(v.y);
-    sum[3] += weight * rn_high(v.y);
+RN_DEVICE void rn_add_texel(uint2 texel, float weight, float sum[4]) {
+    sum[0] += weight * rn_low(texel.x);
+    sum[1] += weight * rn_high(texel.x);
+    sum[2] += weight * rn_low(texel.y);
+    sum[3] += weight * rn_high(texel.y);
 }
 
-// Four channels, `channel` on, of a query.
-RN_DEVICE void rn_fetch(const struct rn_cuda_planes *p, const uint16_t *texels, int plane,
-                        int channel, const struct rn_query *q, float sum[4]) {
-    for (int corner = 0; corner < 4; corner++) {
-        float weight = rn_corner_weight(&q->x, &q->y, p->footprint, corner);
-        if (!(weight > 0)) continue;
-        int width, i = corner & 1, j = corner >> 1;
-        uint32_t map = rn_corner_map(p, plane, q, corner, &width);
-        float fx = q->x.fraction[i], fy = q->y.fraction[j];
-        size_t c = (size_t)p->channels;
-        size_t at = (map + (uint32_t)(q->y.low[j] * width + q->x.low[i])) * c + (size_t)channel;
-        size_t row = (size_t)width * c;
-        rn_add_texel(texels, at, weight * (1 - fy) * (1 - fx), sum);
-        rn_add_texel(texels, at + c, weight * (1 - fy) * fx, sum);
-        rn_add_texel(texels, at + row, weight * fy * (1 - fx), sum);
-        rn_add_texel(texels, at + row + c, weight * fy * fx, sum);
+// Adds four channels, `channel` on, of one corner of two queries. Every texel is asked for before
+// one is used: what takes time here is the wait. Texels of weight 0 are not read.
+RN_DEVICE void rn_fetch_corner(const struct rn_cuda_planes *p, const uint16_t *texels, int plane,
+                               int channel, const struct rn_query (&q)[2], int corner,
+                               float (&sum)[2][4]) {
+    float weights[2][4];
+    uint2 found[2][4];
+    RN_UNROLL
+    for (int i = 0; i < 2; i++) {
+        float weight = rn_corner_weight(&q[i], p->footprint, corner);
+        struct rn_corner c = {};
+        if (weight > 0) c = rn_find_corner(p, &q[i], corner);
+        uint32_t map = (uint32_t)plane * p->plane_texels + p->map[c.ly][c.lx];
+        size_t texel = map + (uint32_t)(c.y.low * c.width + c.x.low);
+        const uint16_t *from = texels + texel * (size_t)p->channels + (size_t)channel;
+        RN_UNROLL
+        for (int k = 0; k < 4; k++) {
+            float fx = k & 1 ? c.x.fraction : 1 - c.x.fraction;
+            float fy = k & 2 ? c.y.fraction : 1 - c.y.fraction;
+            size_t at = (size_t)(((k >> 1) * c.width + (k & 1)) * p->channels);
+            weights[i][k] = weight * fy * fx;
+            found[i][k] = uint2{0, 0};
+            if (weights[i][k] > 0) found[i][k] = *(const uint2 *)(from + at);
+        }
     }
+    RN_UNROLL
+    for (int i = 0; i < 8; i++)
+        rn_add_texel(found[i / 4][i % 4], weights[i / 4][i % 4], sum[i / 4]);
 }
 
 // ---- a tile ---------------------------------------------------------------------------------
@@ -168,17 +181,19 @@ RN_DEVICE void rn_fetch(const struct rn_cuda_planes *p, const uint16_t *texels, 
 // A ray as a warp encodes its samples: lane p holds the factors of plane p.
 struct rn_encoder {
     struct rn_footprint_factors factors;
-    bool leveled;
-    float step; // of one sample
+    uint32_t leveled;  // planes, one bit each, of which a sample may lie above level 0
+    float step;        // of one sample
+    float fixed_level; // in place of the footprints', where >= 0
 };
 
 RN_DEVICE struct rn_encoder rn_encoder_start(const struct rn_cuda_planes *p,
                                              const struct rn_march_ray *ray, float step) {
     struct rn_encoder e;
     e.step = step * (float)ray->stride;
+    e.fixed_level = -1;
     int plane = RN_LANE < p->planes ? RN_LANE : 0;
     e.factors = rn_factors(p->axis[plane], ray->direction);
-    e.leveled = rn_ballot(rn_ray_leveled(p, ray, &e.factors, e.step)) != 0;
+    e.leveled = rn_ballot(rn_ray_leveled(p, ray, &e.factors, e.step));
     return e;
 }
 
@@ -191,30 +206,49 @@ RN_DEVICE struct rn_footprint_factors rn_factors_of(const struct rn_encoder *e, 
     return f;
 }
 
-// Features of the warp's two samples of rows g and g + 8 as A fragments; `fixed_level` >= 0
-// replaces the footprint's. *ret_top[i]: the largest level of sample i on any axis.
+// Four channels of two samples on one plane. top[i]: raised to sample i's level on any axis.
+RN_DEVICE void rn_encode_plane(const struct rn_cuda_planes *p, const uint16_t *texels,
+                               const struct rn_encoder *e, const struct rn_footprint_factors *f,
+                               float radius, const struct rn_sample (&s)[2], int plane, int channel,
+                               float (&sum)[2][4], float (&top)[2]) {
+    bool leveled = e->leveled >> plane & 1;
+    struct rn_query q[2];
+    RN_UNROLL
+    for (int i = 0; i < 2; i++) {
+        float lx = fmaxf(e->fixed_level, 0), ly = lx;
+        if (leveled && e->fixed_level < 0) rn_levels(p, f, &s[i], radius, &lx, &ly);
+        q[i] = rn_query_plane(p, plane, &s[i], lx, ly);
+        top[i] = fmaxf(top[i], fmaxf(lx, ly));
+    }
+    RN_ROLLED
+    for (int corner = 0; corner < (leveled ? 4 : 1); corner++)
+        rn_fetch_corner(p, texels, plane, channel, q, corner, sum);
+}
+
+// Features of the warp's two samples of rows g and g + 8 as A fragments. *ret_top[i]: the largest
+// level of sample i on any axis.
 template <int KT>
 RN_DEVICE void rn_encode(const struct rn_cuda_planes *p, const uint16_t *texels,
                          const struct rn_encoder *e, float radius, const struct rn_sample (&s)[2],
-                         float fixed_level, uint32_t (&a)[KT][4], float (&ret_top)[2]) {
+                         uint32_t (&a)[KT][4], float (&ret_top)[2]) {
+    int plane = 4 * (RN_LANE % 4) / p->channels, channel = 4 * (RN_LANE % 4) % p->channels;
+    int planes = 16 / p->channels, channels = 16 % p->channels; // from one fragment to the next
     ret_top[0] = ret_top[1] = 0;
     RN_UNROLL
     for (int k = 0; k < KT; k++) {
-        int feature = 16 * k + 4 * (RN_LANE % 4), plane = feature / p->channels;
         bool present = plane < p->planes;
-        if (!present) plane = 0;
-        struct rn_footprint_factors f = rn_factors_of(e, plane);
-        RN_UNROLL
+        struct rn_footprint_factors f = rn_factors_of(e, present ? plane : 0);
+        float sum[2][4] = {};
+        if (present) rn_encode_plane(p, texels, e, &f, radius, s, plane, channel, sum, ret_top);
+        plane += planes;
+        channel += channels;
+        if (channel >= p->channels) {
+            channel -= p->channels;
+            plane++;
+        }
         for (int i = 0; i < 2; i++) {
-            float lx = fmaxf(fixed_level, 0), ly = lx, sum[4] = {0, 0, 0, 0};
-            if (fixed_level < 0 && e->leveled) rn_levels(p, &f, &s[i], radius, &lx, &ly);
-            if (present) {
-                struct rn_query q = rn_query_plane(p, plane, &s[i], lx, ly);
-                rn_fetch(p, texels, plane, feature % p->channels, &q, sum);
-                ret_top[i] = fmaxf(ret_top[i], fmaxf(lx, ly));
-            }
-            a[k][i] = rn_pack(sum[0], sum[1]);
-            a[k][2 + i] = rn_pack(sum[2], sum[3]);
+            a[k][i] = rn_pack(sum[i][0], sum[i][1]);
+            a[k][2 + i] = rn_pack(sum[i][2], sum[i][3]);
         }
     }
 }

@@ -185,7 +185,7 @@ RN_DEVICE void rn_trace_tile(struct rn_trace *t, const struct rn_encoder *encode
     struct rn_sample s[2];
     for (int i = 0; i < 2; i++)
         s[i] = rn_place(&t->ray, rn_shuffle(mid, RN_LANE / 4 + 8 * i), encoder->step);
-    rn_encode<KT>(&scene->planes, scene->texels, encoder, t->ray.radius, s, -1, a, top);
+    rn_encode<KT>(&scene->planes, scene->texels, encoder, t->ray.radius, s, a, top);
     rn_forward<KT, WT>(&scene->base, t->base, a, out);
     struct rn_sample own = rn_place(&t->ray, mid, encoder->step);
     bool inside = own.x * own.x + own.y * own.y + own.z * own.z <= 1 && RN_LANE % RN_TILE < n;

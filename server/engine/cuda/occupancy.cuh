@@ -37,7 +37,7 @@ __global__ void __launch_bounds__(256, 1)
     const uint4 *weights = rn_stage(staged > 0 ? (uint4 *)rn_shared_memory() : NULL, scene.forward,
                                     scene.base.packed_count);
     rn_stage_finish();
-    struct rn_encoder flat = {{0, 0, 0, 0}, false, 0};
+    struct rn_encoder flat = {{0, 0, 0, 0}, ~0u, 0, m.level};
     uint32_t warp = (blockIdx.x * blockDim.x + threadIdx.x) / RN_LANES;
     for (uint32_t i = warp * RN_TILE; i < m.count; i += gridDim.x * blockDim.x / RN_LANES * RN_TILE) {
         uint32_t a[KT][4];
@@ -48,7 +48,7 @@ __global__ void __launch_bounds__(256, 1)
             uint32_t cell = o->list[m.first + (row < m.count ? row : i) * m.stride];
             s[k] = rn_cell_point(&m, cell, o->cells);
         }
-        rn_encode<KT>(&scene.planes, scene.texels, &flat, 0, s, m.level, a, top);
+        rn_encode<KT>(&scene.planes, scene.texels, &flat, 0, s, a, top);
         rn_forward<KT, WT>(&scene.base, weights, a, out);
         float density = rn_density_float(rn_column(out, 0));
         uint32_t own = i + (uint32_t)RN_LANE;

@@ -68,12 +68,7 @@ RN_DEVICE void rn_add_gradient(const struct rn_cuda_gradients *g, size_t at, flo
             sum[c] += weight * (float)((double)(long long)g->fixed[at + c] / (double)RN_FIXED_ONE);
         return;
     }
-    uint2 v = g->half[at / 4];
-    weight /= RN_SCATTER_HEADROOM;
-    sum[0] += weight * rn_low(v.x);
-    sum[1] += weight * rn_high(v.x);
-    sum[2] += weight * rn_low(v.y);
-    sum[3] += weight * rn_high(v.y);
+    rn_add_texel(g->half[at / 4], weight / RN_SCATTER_HEADROOM, sum);
 }
 
 // The base texel's gradient: every map's texel above it hands down 2^-(lx + ly) of its own.
@@ -252,11 +247,12 @@ __global__ void __launch_bounds__(256)
             int quad = i % quads, x = i / quads % w, y = i / quads / w % h;
             struct rn_update_block b = {i / quads / w / h, 0, 0, quads};
             float sum[4] = {0, 0, 0, 0}, weight = 1 / (float)(1 << (dx + dy));
-            for (int k = 0; k < 1 << (dx + dy); k++)
-                rn_add_texel(scene.texels,
-                             rn_texel_at(p, &b, lx - dx, ly - dy, (x << dx) + (k & ((1 << dx) - 1)),
-                                         (y << dy) + (k >> dx), quad),
-                             weight, sum);
+            for (int k = 0; k < 1 << (dx + dy); k++) {
+                size_t from = rn_texel_at(p, &b, lx - dx, ly - dy,
+                                          (x << dx) + (k & ((1 << dx) - 1)), (y << dy) + (k >> dx),
+                                          quad);
+                rn_add_texel(*(const uint2 *)(scene.texels + from), weight, sum);
+            }
             size_t at = rn_texel_at(p, &b, lx, ly, x, y, quad);
             *(uint2 *)(scene.texels + at) =
                 uint2{rn_pack(sum[0], sum[1]), rn_pack(sum[2], sum[3])};

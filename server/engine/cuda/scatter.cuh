@@ -132,12 +132,12 @@ RN_DEVICE void rn_spread(const struct rn_scatter_place *p, const struct rn_query
     }
     RN_UNROLL
     for (int c = 0; c < 4; c++) {
-        float weight = rn_corner_weight(&q->x, &q->y, p->planes->footprint, c);
+        float weight = rn_corner_weight(q, p->planes->footprint, c);
         if (!(weight > 0)) continue;
-        int i = c & 1, j = c >> 1;
+        struct rn_corner at = rn_find_corner(p->planes, q, c);
         struct rn_nest *nest = &n->corner[c];
-        rn_move_nest<FIXED>(p, n->lx + i, n->ly + j, q->x.low[i], q->y.low[j], nest);
-        float fx = q->x.fraction[i], fy = q->y.fraction[j];
+        rn_move_nest<FIXED>(p, at.lx, at.ly, at.x.low, at.y.low, nest);
+        float fx = at.x.fraction, fy = at.y.fraction;
         RN_UNROLL
         for (int k = 0; k < 4; k++) {
             float w = weight * (k & 1 ? fx : 1 - fx) * (k & 2 ? fy : 1 - fy);

@@ -37,6 +37,7 @@
 // Blocks run one after the other. Not within templates: there gcc forgets the section.
 #define RN_SHARED static __attribute__((section("rn_shared")))
 #define RN_UNROLL
+#define RN_ROLLED
 
 struct alignas(8) uint2 {
     uint32_t x, y;
@@ -311,6 +312,9 @@ RN_DEVICE int rn_lowest(uint32_t bits) {
     return __builtin_ctz(bits);
 }
 
+RN_DEVICE float rn_log2(float x) {
+    return log2f(x);
+}
 RN_DEVICE uint32_t rn_pack(float low, float high) {
     return emu::half_bits(low) | emu::half_bits(high) << 16;
 }
