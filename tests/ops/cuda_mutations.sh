@@ -139,10 +139,11 @@ mutate march forward.cuh "compositing: the stop is not looked at" \
     's/before <= stop_depth ? expf(-before) : 0/expf(-before)/'
 # Encoding and networks.
 mutate gradients encode.cuh "encode: levels exchanged" \
-    's/p->map\[ly\]\[lx\]/p->map[lx][ly]/'
+    's/p->map\[c.ly\]\[c.lx\]/p->map[c.lx][c.ly]/'
 mutate gradients encode.cuh "encode: corners at the edges" 's/p \* half + (half - 0.5f)/p * half + half/'
-mutate gradients encode.cuh "encode: row above instead of below" \
-    's/weight \* fy \* (1 - fx), sum/weight * fy * fx, sum/'
+mutate gradients encode.cuh "encode: row above instead of below" 's/(k >> 1) \* c.width/-(k >> 1) * c.width/'
+mutate gradients encode.cuh "encode: one row's query for both" 's/rn_find_corner(p, &q\[i\], corner)/rn_find_corner(p, \&q[0], corner)/'
+mutate gradients encode.cuh "encode: planes with levels looked up without" 's/corner < (leveled ? 4 : 1)/corner < 1/'
 mutate gradients network.cuh "network: ReLU without its mask in the backward" \
     's/if (MODE == RN_LAYER_MASKED \&\& .*//'
 mutate gradients network.cuh "network: masks of another layer" 's/mask\[i\] = masks\[l - 1\]\[i\]/mask[i] = masks[l][i]/'
@@ -151,7 +152,7 @@ mutate gradients network.cuh "network: activations kept without transposing" \
 mutate gradients gradient.cuh "gradient: halves of a fragment exchanged" \
     's/a\[i\]\[1\] = t.z;/a[i][1] = t.y;/;s/a\[i\]\[2\] = t.y;/a[i][2] = t.z;/'
 mutate gradients backward.cuh "backward: the logit's gradient left out" \
-    's/^    rn_set_column(c, 0, b->logit_grad.*//'
+    's/^    rn_set_column(c, 0, logit);//'
 mutate gradients forward.cuh "forward: no constant input" 's/rn_pack(first ? 1 : c\[0\]\[0\]/rn_pack(c[0][0]/'
 mutate gradients forward.cuh "compositing: nothing of what lies behind" \
     's/ - (float)(\*behind + (double)rest)//'
@@ -169,7 +170,7 @@ mutate rays forward.cuh "ray shading: behind within a tile only" 's/^    \*behin
 mutate rays shade.cuh "ray shading: the last tile only" \
     's/slot >= 0; slot = b->tile_previous\[slot\]/slot >= 0; slot = -1/'
 mutate rays shade.cuh "ray shading: no gradient of the opacity" 's/^        g.opacity += .*//'
-mutate rays shade.cuh "ray shading: the background takes no part" 's/(out\[c\] - background\[c\])/out[c]/'
+mutate rays shade.cuh "ray shading: the background takes no part" 's/(out\[c\] - march->background\[c\])/out[c]/'
 mutate rays shade.cuh "ray shading: no gradient of the diffuse colours" \
     's/^        rn_set_column(direct, 1 + k.*/;/'
 mutate rays shade.cuh "ray shading: nothing through the colour network" \
@@ -182,7 +183,7 @@ mutate rays shade.cuh "ray shading: directions of the tile's first ray" \
     's/b->rays\[r\].direction, direction/b->rays[r - RN_LANE \/ 4].direction, direction/'
 mutate rays shade.cuh "ray shading: every tile in the same place" 's/\&scratch, tile, in/\&scratch, 0, in/'
 mutate second shade.cuh "ray shading: rays of the step before take part" \
-    's/RN_LANE >= RN_TILE || r >= b->status->ray_count) return g/RN_LANE >= RN_TILE) return g/'
+    's/bool is = RN_LANE < RN_TILE .*/bool is = RN_LANE < RN_TILE;/'
 mutate second gradient.cuh "ray shading: as many tiles of rays as of samples" 's/of_rays ? .* : status->returned/status->returned/'
 mutate lottery shade.cuh "lottery: what is drawn counts once" 's/\*ret_factor = chance > 0 ? .*/*ret_factor = chance > 0;/'
 mutate lottery shade.cuh "lottery: what is likelier than not goes back" \
@@ -196,28 +197,28 @@ mutate guards shade.cuh "ray shading: a ray that is not finite reaches the weigh
     's/^                rn_keep_rows(in.*//'
 # Scatter and update.
 mutate gradients scatter.cuh "scatter: a moved nest loses a column" \
-    's/if (dx > 0) rn_flush<FIXED>(p, lx, ly, n->x, n->y + i, n->sum\[i\]\[0\]);//'
+    's/if (!stays) rn_flush/if (!stays \&\& k % 2 == 0) rn_flush/'
 mutate gradients scatter.cuh "scatter: not flushed at the end" \
-    's/^    rn_flush_nests<FIXED>(&p, &nests);//'
+    's/i <= returned.count; i++/i < returned.count; i++/'
 mutate gradients scatter.cuh "scatter: levels change without a flush" \
-    's/^        rn_flush_nests<FIXED>(p, n);//'
+    's/bool leaves = ends || .*/bool leaves = ends;/'
 mutate gradients scatter.cuh "scatter: blocks not marked as touched" 's/^    rn_mark_touched(p, lx, ly, x, y);//'
 mutate gradients optimise.cuh "pull-down: no weight for the level" 's/weight \*= 0.5f)$/weight *= 1)/'
 try run_trained paper server/engine/cuda/optimise.cuh "update: gradients not cleared" 's/^    rn_clear_block<FIXED>(p, &o.gradients, &b);//'
-mutate learning optimise.cuh "update: the maps get the moments" \
+mutate second optimise.cuh "update: the maps get the moments" \
     '0,/rn_store4(value, values/s/rn_store4(value, values/rn_store4(m, values/'
-mutate gradients optimise.cuh "AdamW: decay left out" 's/rate \* o->decay/0 * o->decay/'
+mutate gradients optimise.cuh "AdamW: decay left out" 's/(rate \* decay)/0/'
 mutate occupancy occupancy.cuh "occupancy: measured cells do not decay" 's/ \* m.decay;/;/'
 # Guards.
 mutate guards scene.cuh "a step that overflowed updates all the same" \
     's/return s->rejected || !(s->weight > 0);/return !(s->weight > 0);/'
 mutate guards step.cuh "a crowded step counts as one of bad numbers" 's/if (!s->crowded) {/if (1) {/'
-mutate guards step.cuh "too many tiles not noticed" 's/s->crowded = s->tiles > b.tile_capacity/s->crowded = 0/'
+mutate guards step.cuh "too many tiles not noticed" 's/s->crowded = s->tiles > b->tile_capacity/s->crowded = 0/'
 mutate guards step.cuh "the gradients' scale stays after an overflow" 's/s->gradient_scale \* 0.5f/s->gradient_scale/'
 mutate guards backend.cu "memory taken without counting" 's/if (need <= budget_bytes) {/if (true) {/'
 # The engine with a device.
 mutate_engine standard train/trainer.c "engine: what the host decided stays on the host" \
-    's/return status == RN_OK ? rn_trainer_put(t, err) : status;/return status;/'
+    's|^    return rn_trainer_put(t, err);|    return RN_OK;|'
 mutate_engine standard train/device.c "engine: Adam counts from 0 after growth" \
     's/    t->updates = p->updates;//'
 mutate_engine standard train/device.c "engine: planes at the networks' rate" \

@@ -20,9 +20,9 @@ struct rn_cuda_gradients {
     uint8_t *touched;
 };
 
-// Sums of the four texels of one map around the ray, [row][column][channel].
+// Sums of the four texels of one map around the ray, [row][column][channel]; 0 where it is empty.
 struct rn_nest {
-    int x, y; // of texel (0, 0); x < 0: empty
+    int x, y; // of texel (0, 0)
     float sum[2][2][4];
 };
 
@@ -64,47 +64,30 @@ RN_DEVICE void rn_flush(const struct rn_scatter_place *p, int lx, int ly, int x,
     sum[0] = sum[1] = sum[2] = sum[3] = 0;
 }
 
+// Moves a nest to another place of its map, or to another map (`leaves`): what both places share
+// stays, what they do not goes to memory.
 template <bool FIXED>
-RN_DEVICE void rn_flush_all(const struct rn_scatter_place *p, int lx, int ly, struct rn_nest *n) {
-    if (n->x < 0) return;
+RN_DEVICE void rn_move_nest(const struct rn_scatter_place *p, int lx, int ly, bool leaves, int x,
+                            int y, struct rn_nest *n) {
+    int dx = leaves ? 2 : x - n->x, dy = y - n->y;
     RN_UNROLL
-    for (int i = 0; i < 4; i++)
-        rn_flush<FIXED>(p, lx, ly, n->x + i % 2, n->y + i / 2, n->sum[i / 2][i % 2]);
-    n->x = -1;
-}
-
-// Moves a nest to another place in its map: what both places share stays.
-template <bool FIXED>
-RN_DEVICE void rn_move_nest(const struct rn_scatter_place *p, int lx, int ly, int x, int y,
-                            struct rn_nest *n) {
-    int dx = x - n->x, dy = y - n->y;
-    if (n->x < 0 || dx < -1 || dx > 1 || dy < -1 || dy > 1) {
-        rn_flush_all<FIXED>(p, lx, ly, n);
-        dx = dy = 0;
+    for (int k = 0; k < 4; k++) {
+        bool stays = (unsigned)(k % 2 - dx) < 2 && (unsigned)(k / 2 - dy) < 2;
+        if (!stays) rn_flush<FIXED>(p, lx, ly, n->x + k % 2, n->y + k / 2, n->sum[k / 2][k % 2]);
     }
     RN_UNROLL
-    for (int i = 0; i < 2; i++) {
-        if (dx > 0) rn_flush<FIXED>(p, lx, ly, n->x, n->y + i, n->sum[i][0]);
-        if (dx < 0) rn_flush<FIXED>(p, lx, ly, n->x + 1, n->y + i, n->sum[i][1]);
-        RN_UNROLL
-        for (int c = 0; c < 4; c++) {
-            float left = n->sum[i][0][c], right = n->sum[i][1][c];
-            n->sum[i][0][c] = dx > 0 ? right : dx < 0 ? 0 : left;
-            n->sum[i][1][c] = dx > 0 ? 0 : dx < 0 ? left : right;
-        }
+    for (int i = 0; i < 8; i++) {
+        float left = n->sum[i / 4][0][i % 4], right = n->sum[i / 4][1][i % 4];
+        n->sum[i / 4][0][i % 4] = dx > 0 ? right : dx < 0 ? 0 : left;
+        n->sum[i / 4][1][i % 4] = dx > 0 ? 0 : dx < 0 ? left : right;
+    }
+    RN_UNROLL
+    for (int i = 0; i < 8; i++) {
+        float above = n->sum[0][i / 4][i % 4], below = n->sum[1][i / 4][i % 4];
+        n->sum[0][i / 4][i % 4] = dy > 0 ? below : dy < 0 ? 0 : above;
+        n->sum[1][i / 4][i % 4] = dy > 0 ? 0 : dy < 0 ? above : below;
     }
     n->x = x;
-    RN_UNROLL
-    for (int i = 0; i < 2; i++) {
-        if (dy > 0) rn_flush<FIXED>(p, lx, ly, n->x + i, n->y, n->sum[0][i]);
-        if (dy < 0) rn_flush<FIXED>(p, lx, ly, n->x + i, n->y + 1, n->sum[1][i]);
-        RN_UNROLL
-        for (int c = 0; c < 4; c++) {
-            float top = n->sum[0][i][c], bottom = n->sum[1][i][c];
-            n->sum[0][i][c] = dy > 0 ? bottom : dy < 0 ? 0 : top;
-            n->sum[1][i][c] = dy > 0 ? 0 : dy < 0 ? top : bottom;
-        }
-    }
     n->y = y;
 }
 
@@ -114,29 +97,22 @@ struct rn_nests {
     struct rn_nest corner[4];
 };
 
-template <bool FIXED>
-RN_DEVICE void rn_flush_nests(const struct rn_scatter_place *p, struct rn_nests *n) {
-    RN_UNROLL
-    for (int c = 0; c < 4; c++)
-        rn_flush_all<FIXED>(p, n->lx + (c & 1), n->ly + (c >> 1), &n->corner[c]);
-}
-
-// Adds the adjoint of one query.
+// Adds the adjoint of one query; with `ends` nothing, and all that is held goes to memory. One copy
+// of this code serves every sample: unrolled as it is, it is most of the kernel.
 template <bool FIXED>
 RN_DEVICE void rn_spread(const struct rn_scatter_place *p, const struct rn_query *q,
-                         const float grad[4], struct rn_nests *n) {
-    if (q->x.level != n->lx || q->y.level != n->ly) {
-        rn_flush_nests<FIXED>(p, n);
-        n->lx = q->x.level;
-        n->ly = q->y.level;
-    }
+                         const float grad[4], bool ends, struct rn_nests *n) {
+    bool leaves = ends || q->x.level != n->lx || q->y.level != n->ly;
     RN_UNROLL
     for (int c = 0; c < 4; c++) {
-        float weight = rn_corner_weight(q, p->planes->footprint, c);
-        if (!(weight > 0)) continue;
-        struct rn_corner at = rn_find_corner(p->planes, q, c);
+        float weight = ends ? 0 : rn_corner_weight(q, p->planes->footprint, c);
         struct rn_nest *nest = &n->corner[c];
-        rn_move_nest<FIXED>(p, at.lx, at.ly, at.x.low, at.y.low, nest);
+        struct rn_corner at = {};
+        if (weight > 0) at = rn_find_corner(p->planes, q, c);
+        if (leaves || weight > 0)
+            rn_move_nest<FIXED>(p, n->lx + (c & 1), n->ly + (c >> 1), leaves, at.x.low, at.y.low,
+                                nest);
+        if (!(weight > 0)) continue;
         float fx = at.x.fraction, fy = at.y.fraction;
         RN_UNROLL
         for (int k = 0; k < 4; k++) {
@@ -146,6 +122,8 @@ RN_DEVICE void rn_spread(const struct rn_scatter_place *p, const struct rn_query
                 nest->sum[k >> 1][k & 1][e] += w * grad[e];
         }
     }
+    n->lx = q->x.level;
+    n->ly = q->y.level;
 }
 
 // What a thread needs of a sample that goes back; asked for while the one before is spread.
@@ -175,26 +153,19 @@ RN_DEVICE void rn_scatter_ray(const struct rn_cuda_scene *scene, const struct rn
     struct rn_march_ray ray = b->rays[r];
     step *= (float)ray.stride;
     struct rn_footprint_factors f = rn_factors(planes->axis[p.plane], ray.direction);
-    struct rn_nests nests;
-    nests.lx = nests.ly = 0;
-    for (int c = 0; c < 4; c++) {
-        nests.corner[c].x = -1;
-        for (int i = 0; i < 16; i++)
-            nests.corner[c].sum[i / 8][i / 4 % 2][i % 4] = 0;
-    }
-    struct rn_returned_sample next = rn_load_returned(b, kt, k, t, returned.first);
-    for (int i = 1; i <= returned.count; i++) {
-        struct rn_returned_sample own = next;
-        if (i < returned.count) next = rn_load_returned(b, kt, k, t, returned.first + i);
+    struct rn_nests nests = {};
+    struct rn_returned_sample own, next = rn_load_returned(b, kt, k, t, returned.first);
+    for (int i = 0; i <= returned.count; i++) {
+        own = next;
+        if (i + 1 < returned.count) next = rn_load_returned(b, kt, k, t, returned.first + i + 1);
         float grad[4] = {rn_low(own.grad.x), rn_high(own.grad.x), rn_low(own.grad.y),
                          rn_high(own.grad.y)};
         struct rn_sample s = rn_place(&ray, own.mid, step);
         float lx = 0, ly = 0;
         if (planes->levels > 1) rn_levels(planes, &f, &s, ray.radius, &lx, &ly);
         struct rn_query q = rn_query_plane(planes, p.plane, &s, lx, ly);
-        rn_spread<FIXED>(&p, &q, grad, &nests);
+        rn_spread<FIXED>(&p, &q, grad, i == returned.count, &nests);
     }
-    rn_flush_nests<FIXED>(&p, &nests);
 }
 
 // One thread a (ray, fragment, part).
