@@ -124,7 +124,7 @@ mutate many gradient.cuh "gradient: the tile under way is overwritten" 's/size_t
 mutate many gradient.cuh "gradient: groups that are not committed" 's/^    rn_copy_commit();//'
 mutate gradients gradient.cuh "gradient: chunks that overlap" \
     's/end = tiles \* (size_t)(chunk + 1)/end = 1 + tiles * (size_t)(chunk + 1)/'
-mutate paper field.cu "launch: shared memory that was not asked for" 's/^    RN_TRY(allow_shared(kernel, shared));//'
+mutate paper field.cu "launch: shared memory that was not asked for" 's/^    RN_TRY(allow_shared(d, kernel));//'
 # March.
 mutate march march.cuh "march: a brick skipped too far" \
     's/return next > k ? next : k + 1;/return next > k ? next + 1 : k + 2;/'

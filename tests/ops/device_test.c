@@ -518,7 +518,7 @@ static bool has_device(void) {
 
 int main(void) {
     setvbuf(stdout, NULL, _IOLBF, 0);
-    if (!has_device()) return 77; // skipped
+    if (!holds_in_a_child(has_device)) return 77; // skipped
     Suite *suite = suite_create("device");
     add(suite, "draft", draft_trains);
     add(suite, "standard", standard_trains);

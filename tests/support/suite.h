@@ -3,6 +3,10 @@
 #define RN_TESTS_SUPPORT_SUITE_H
 
 #include <check.h>
+#include <stdbool.h>
+#include <stdio.h>
+#include <sys/wait.h>
+#include <unistd.h>
 
 // Runs a suite, which it frees; the exit code.
 static inline int run_suite(Suite *suite) {
@@ -11,6 +15,19 @@ static inline int run_suite(Suite *suite) {
     int failed = srunner_ntests_failed(runner);
     srunner_free(runner);
     return failed != 0;
+}
+
+// What `holds` says in a process of its own: who has met a GPU once cannot fork, as Check does for
+// every test.
+static inline bool holds_in_a_child(bool (*holds)(void)) {
+    int status = 1;
+    pid_t child = fork();
+    if (child == 0) {
+        bool held = holds();
+        fflush(stdout);
+        _exit(!held);
+    }
+    return child > 0 && waitpid(child, &status, 0) == child && status == 0;
 }
 
 #endif

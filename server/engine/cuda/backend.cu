@@ -324,7 +324,7 @@ static cudaError_t upload_training(struct rn_device_field *f, const struct rn_de
 
 static cudaError_t capture_step(struct rn_device_field *f) {
     cudaGraph_t graph;
-    cudaError_t e = cudaStreamBeginCapture(f->device->stream, cudaStreamCaptureModeThreadLocal);
+    cudaError_t e = cudaStreamBeginCapture(f->device->stream, cudaStreamCaptureModeRelaxed);
     if (e) return e;
     cudaError_t queued = rn_queue_step(f);
     e = cudaStreamEndCapture(f->device->stream, &graph);

@@ -46,7 +46,7 @@ RN_DEVICE int rn_lowest(uint32_t bits) { // of bits that are not all zero
     return __ffs((int)bits) - 1;
 }
 
-// To 2^-21, of normal numbers.
+// To 2^-21, of normal numbers; not exact at powers of two.
 RN_DEVICE float rn_log2(float x) {
     return __log2f(x);
 }

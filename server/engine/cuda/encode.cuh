@@ -60,24 +60,25 @@ RN_DEVICE struct rn_sample rn_place(const struct rn_march_ray *ray, float s, flo
     return out;
 }
 
-RN_DEVICE float rn_level(const struct rn_cuda_planes *p, float variance) {
-    float unit = (float)RN_FOOTPRINT_SCALE * (float)p->footprint_base;
-    float top = (float)(1u << (2 * (p->levels - 1)));
-    return 0.5f * rn_log2(fminf(fmaxf(variance * (unit * unit), 1), top));
+// Level of footprints of `size` texels of level 0, or of the square root where `half` is 0.5; never
+// outside the maps, whatever the logarithm's last bit is.
+RN_DEVICE float rn_level(const struct rn_cuda_planes *p, float size, float half) {
+    return size > 1 ? fminf(half * rn_log2(fminf(size, 3e38f)), (float)(p->levels - 1)) : 0;
 }
 
 // Levels of a sample on the axes of a plane.
 RN_DEVICE void rn_levels(const struct rn_cuda_planes *p, const struct rn_footprint_factors *f,
                          const struct rn_sample *sample, float radius, float *ret_lx,
                          float *ret_ly) {
+    float size = (float)p->footprint_base, unit = (float)RN_FOOTPRINT_SCALE * size;
     if (p->footprint == RN_FOOTPRINT_MIP) {
-        float ball = sample->t * (radius * (float)p->footprint_base);
-        float top = (float)(1u << (p->levels - 1));
-        *ret_lx = *ret_ly = rn_log2(fminf(fmaxf(ball, 1), top));
+        *ret_lx = *ret_ly = rn_level(p, sample->t * (radius * size), 1);
         return;
     }
-    *ret_lx = rn_level(p, sample->axial * f->axial_u + sample->radial * f->radial_u);
-    *ret_ly = rn_level(p, sample->axial * f->axial_v + sample->radial * f->radial_v);
+    float u = sample->axial * f->axial_u + sample->radial * f->radial_u;
+    float v = sample->axial * f->axial_v + sample->radial * f->radial_v;
+    *ret_lx = rn_level(p, u * (unit * unit), 0.5f);
+    *ret_ly = rn_level(p, v * (unit * unit), 0.5f);
 }
 
 // ---- maps -----------------------------------------------------------------------------------

@@ -101,6 +101,7 @@ void rn_train_lay_out(struct rn_device_field *f, const struct rn_device_pixels *
 
 enum rn_status rn_cuda_check(cudaError_t outcome, const char *doing, struct rn_error *err) {
     if (outcome == cudaSuccess) return RN_OK;
+    (void)cudaGetLastError(); // else the next launch would say it again
     enum rn_status status =
         outcome == cudaErrorMemoryAllocation ? RN_ERROR_NO_MEMORY : RN_ERROR_UNAVAILABLE;
     return rn_error_set(err, status, "cuda", "%s failed: %s", doing, cudaGetErrorString(outcome));
@@ -115,8 +116,11 @@ struct rn_staging rn_staging_for(const struct rn_device *device, size_t first, s
     return rn_staging{0, 0};
 }
 
-template <typename K> static cudaError_t allow_shared(K kernel, size_t bytes) {
-    return cudaFuncSetAttribute(kernel, cudaFuncAttributeMaxDynamicSharedMemorySize, (int)bytes);
+// Of kernels that declare none themselves: always all, since a graph of another field may launch
+// the same kernel with more.
+template <typename K> static cudaError_t allow_shared(const struct rn_device *d, K kernel) {
+    return cudaFuncSetAttribute(kernel, cudaFuncAttributeMaxDynamicSharedMemorySize,
+                                (int)d->shared_bytes);
 }
 
 #define RN_TRY(call)                                                                               \
@@ -133,13 +137,13 @@ static cudaError_t mark(struct rn_device_field *f, const char *stage) {
     return cudaEventRecord(t->events[t->count], f->device->stream);
 }
 
-// Lets a kernel have `shared` bytes a block; as many blocks as the device holds at once of a kernel
+// Lets a kernel have as much shared memory as there is; as many blocks as the device holds at once of a kernel
 // that takes its work from a list.
 template <typename K>
 static cudaError_t fill(const struct rn_device *d, K kernel, int threads, size_t shared,
                         unsigned *ret_blocks) {
     int each = 0;
-    RN_TRY(allow_shared(kernel, shared));
+    RN_TRY(allow_shared(d, kernel));
     RN_TRY(cudaOccupancyMaxActiveBlocksPerMultiprocessor(&each, kernel, threads, shared));
     *ret_blocks = (unsigned)(d->processors * (each > 1 ? each : 1));
     return cudaSuccess;
@@ -274,7 +278,7 @@ static cudaError_t queue_gradient(struct rn_device_field *f, const struct rn_cud
     struct rn_cuda_network network = *n;
     bool of_rays = f->scene.per_ray && n == &f->scene.head;
     size_t bytes = RN_GRADIENT_STAGES * rn_cuda_gradient_stage(n) * sizeof(uint4);
-    RN_TRY(allow_shared(rn_gradient_kernel, bytes));
+    RN_TRY(allow_shared(f->device, rn_gradient_kernel));
     RN_TRY(RN_LAUNCH(rn_gradient_kernel, blocks, 256, bytes, f->device->stream, network,
                      f->batch.status, f->batch.scratch, f->batch.tile_capacity, of_rays, sums));
     return RN_LAUNCH(rn_reduce_kernel, RN_BLOCKS(rn_cuda_gradient_count(n)), 256, 0,

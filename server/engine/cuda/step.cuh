@@ -196,7 +196,7 @@ RN_DEVICE void rn_take_sums(const struct rn_cuda_batch *b, const struct rn_sums 
 // block. Ray after ray, so that nothing depends on which warp came first.
 __global__ void __launch_bounds__(RN_ORDER_THREADS, 1)
     rn_order_kernel(const __grid_constant__ rn_cuda_batch b) {
-    RN_SHARED struct rn_sums sums[RN_ORDER_THREADS / RN_LANES][RN_LANES];
+    RN_SHARED struct rn_sums sums[RN_ORDER_THREADS / RN_LANES][RN_LANES + 1]; // no bank twice
     int warp = (int)threadIdx.x / RN_LANES;
     struct rn_ray_part part = rn_ray_part(b.status->ray_count);
     sums[warp][RN_LANE] = rn_sum_rays(&b, part);

@@ -18,6 +18,7 @@
 #include <string.h>
 #include <time.h>
 #include <ucontext.h>
+#include <unistd.h>
 
 #include <algorithm>
 #include <functional>
@@ -312,8 +313,9 @@ RN_DEVICE int rn_lowest(uint32_t bits) {
     return __builtin_ctz(bits);
 }
 
+// As far off as the machine's may be, to the side that leaves the maps.
 RN_DEVICE float rn_log2(float x) {
-    return log2f(x);
+    return log2f(x) * (1 + 0x1p-22f) + 0x1p-22f;
 }
 RN_DEVICE uint32_t rn_pack(float low, float high) {
     return emu::half_bits(low) | emu::half_bits(high) << 16;

@@ -7,11 +7,12 @@ typedef int cudaError_t;
 enum {
     cudaSuccess = 0,
     cudaErrorMemoryAllocation = 2,
+    cudaErrorInitializationError = 3,
     cudaErrorNoDevice = 100,
     cudaErrorIllegalAddress = 700
 };
 enum { cudaMemcpyHostToDevice, cudaMemcpyDeviceToHost, cudaMemcpyDeviceToDevice };
-enum { cudaStreamCaptureModeThreadLocal, cudaStreamNonBlocking, cudaHostAllocDefault };
+enum { cudaStreamCaptureModeRelaxed, cudaStreamNonBlocking, cudaHostAllocDefault };
 enum { cudaFuncAttributeMaxDynamicSharedMemorySize };
 struct emu_stream {
     bool capturing = false;
@@ -52,8 +53,10 @@ inline cudaError_t cudaGetLastError() {
     return emu::sticky;
 }
 inline cudaError_t cudaGetDeviceCount(int *count) {
+    // A device belongs to the process that met it; what that forks cannot use it.
+    static pid_t owner = getpid();
     *count = 1;
-    return cudaSuccess;
+    return owner == getpid() ? cudaSuccess : cudaErrorInitializationError;
 }
 inline cudaError_t cudaSetDevice(int) {
     return cudaSuccess;
