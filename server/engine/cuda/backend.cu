@@ -353,16 +353,6 @@ static enum rn_status train_begin(struct rn_device_field *f, const struct rn_dev
     return rn_cuda_check(e, "preparing to train", err);
 }
 
-// By value, so that the host need not wait before it changes them.
-__global__ void rn_rates_kernel(struct rn_cuda_rates rates, struct rn_cuda_rates *to,
-                                struct rn_cuda_status *status) {
-    if (threadIdx.x != 0) return;
-    double n = (double)(status->updates + 1);
-    *to = rates;
-    status->correction1 = (float)-expm1(n * log(0.9));
-    status->correction2 = (float)-expm1(n * log(rates.beta2));
-}
-
 // What comes before the kernels of a step.
 static cudaError_t prepare_step(struct rn_device_field *f, const struct rn_device_step *step) {
     const struct rn_train_config *c = &f->config;
@@ -371,13 +361,11 @@ static cudaError_t prepare_step(struct rn_device_field *f, const struct rn_devic
                                   (float)c->weight_decay,
                                   c->sparse ? 0 : (float)c->weight_decay,
                                   (float)c->adam_eps,
-                                  (float)c->beta2,
-                                  (float)(1 - c->beta2),
                                   c->beta2,
                                   c->sparse && f->scene.planes.levels == 1};
     cudaError_t e = step->measure ? rn_queue_measurement(f, step) : cudaSuccess;
     if (!e)
-        e = RN_LAUNCH(rn_rates_kernel, 1, 32, 0, f->device->stream, rates, f->optimiser.rates,
+        e = RN_LAUNCH(rn_rates_kernel, 1, 32, 0, f->device->stream, rates, f->optimiser.update,
                       f->batch.status);
     f->steps++;
     return e;

@@ -46,9 +46,18 @@ RN_DEVICE int rn_lowest(uint32_t bits) { // of bits that are not all zero
     return __ffs((int)bits) - 1;
 }
 
-// To 2^-21, of normal numbers; not exact at powers of two.
+// The machine's own functions: to 2^-21, where there is one to 2^-24 of ten times the instructions.
+// The logarithm is not exact at powers of two.
 RN_DEVICE float rn_log2(float x) {
     return __log2f(x);
+}
+RN_DEVICE float rn_root(float x) {
+    float root;
+    asm("sqrt.approx.f32 %0, %1;" : "=f"(root) : "f"(x));
+    return root;
+}
+RN_DEVICE float rn_divide(float x, float y) { // |y| below 2^126
+    return __fdividef(x, y);
 }
 
 // Two fp16 numbers in a word, rounded to nearest; and back.

@@ -86,7 +86,7 @@ void rn_train_lay_out(struct rn_device_field *f, const struct rn_device_pixels *
     if (f->scene.per_ray) rn_part(a, &b->ray_sums, rays * RN_GEOMETRY);
     lay_out_tiles(f, a);
     lay_out_pixels(f, pixels, a);
-    rn_part(a, &o->rates, 1);
+    rn_part(a, &o->update, 1);
     rn_part(a, &o->m, f->parameter_count);
     rn_part(a, &o->v, f->parameter_count);
     rn_part(a, &o->base_sums, RN_CHUNKS * rn_cuda_gradient_count(&f->scene.base) / 4);

@@ -6,29 +6,61 @@
 #include "server/engine/cuda/gradient.cuh"
 #include "server/engine/cuda/scatter.cuh"
 
-// Written by the host before a step.
+// What the host asks of a step.
 struct rn_cuda_rates {
     float network_rate, plane_rate, network_decay, plane_decay, eps;
-    float keep, fresh; // of the second moment: beta2 and 1 - beta2; the first's 0.9
-    double beta2;
-    int sparse; // blocks that no sample touched keep their parameters and moments
+    double beta2; // of the second moment; the first's is 0.9
+    int sparse;   // blocks that no sample touched keep their parameters and moments
+};
+
+// AdamW of a step, for planes or networks.
+struct rn_adam {
+    float rate;  // over 1 - 0.9^n
+    float decay; // times the rate
+    float root;  // 1 / sqrt(1 - beta2^n)
+    float eps, keep, fresh;
+};
+struct rn_cuda_update {
+    struct rn_adam planes, networks;
+    int sparse;
 };
 
 struct rn_cuda_optimiser {
-    struct rn_cuda_rates *rates;
-    float *m, *v; // laid out as the parameters
+    struct rn_cuda_update *update; // of the step under way
+    float *m, *v;                  // laid out as the parameters
     struct rn_cuda_gradients gradients;
     float4 *base_sums, *head_sums; // [RN_CHUNKS] gradients of the networks; the total in the first
 };
 
+// Update number `n`. One thread; the rates are a value, so that the host need not wait before it
+// changes them.
+__global__ void rn_rates_kernel(struct rn_cuda_rates o, struct rn_cuda_update *to,
+                                const struct rn_cuda_status *status) {
+    if (threadIdx.x != 0) return;
+    double n = (double)(status->updates + 1);
+    double first = -expm1(n * log(0.9)), second = -expm1(n * log(o.beta2));
+    float keep = (float)o.beta2, fresh = (float)(1 - o.beta2), root = (float)(1 / sqrt(second));
+    to->planes = {(float)((double)o.plane_rate / first),
+                  o.plane_rate * o.plane_decay,
+                  root,
+                  o.eps,
+                  keep,
+                  fresh};
+    to->networks = {(float)((double)o.network_rate / first),
+                    o.network_rate * o.network_decay,
+                    root,
+                    o.eps,
+                    keep,
+                    fresh};
+    to->sparse = o.sparse;
+}
+
 // One number (cpu/kernel_set.c). False where the outcome is not finite: then the parameter stays
 // and its moments start anew.
-RN_DEVICE bool rn_adamw(const struct rn_cuda_status *s, const struct rn_cuda_rates *o, float rate,
-                        float decay, float grad, float *p, float *m, float *v) {
+RN_DEVICE bool rn_adamw(const struct rn_adam *a, float grad, float *p, float *m, float *v) {
     float g = fminf(fmaxf(grad, -1.8e19f), 1.8e19f);
-    float first = *m * 0.9f + g * 0.1f, second = *v * o->keep + g * g * o->fresh;
-    float change = *p * (rate * decay) + rate / s->correction1 * first /
-                                                (sqrtf(second) / sqrtf(s->correction2) + o->eps);
+    float first = *m * 0.9f + g * 0.1f, second = *v * a->keep + g * g * a->fresh;
+    float change = *p * a->decay + rn_divide(a->rate * first, rn_root(second) * a->root + a->eps);
     bool finite = fabsf(*p - change) < 3e38f && second < 3e38f;
     *p = finite ? *p - change : *p;
     *m = finite ? first : 0;
@@ -38,108 +70,90 @@ RN_DEVICE bool rn_adamw(const struct rn_cuda_status *s, const struct rn_cuda_rat
 
 // ---- planes ---------------------------------------------------------------------------------
 
-// One block of threads: RN_UPDATE^2 texels of a plane, four channels a thread.
+// One block of threads: RN_UPDATE^2 texels of a plane, four channels a thread, of 4, 8 or 16. The
+// threads of a row of texels are neighbours, so a warp has whole rows.
 struct rn_update_block {
     int plane, x, y; // first texel
     int quads;       // of channels
+    int texel, quad; // the thread's own, texels row after row
 };
 
 RN_DEVICE struct rn_update_block rn_update_block(const struct rn_cuda_planes *p) {
     int side = p->update_side, block = (int)blockIdx.x;
-    struct rn_update_block b = {block / (side * side), block % side * RN_UPDATE,
-                                block / side % side * RN_UPDATE, p->channels / 4};
+    int quads = p->channels / 4, thread = (int)threadIdx.x, shift = quads / 2; // 1, 2 or 4 quads
+    struct rn_update_block b = {
+        block / (side * side), block % side * RN_UPDATE, block / side % side * RN_UPDATE, quads,
+        thread >> shift,       thread & (quads - 1)};
     return b;
 }
 
 // First number of four channels of a texel in the fp16 pyramids.
 RN_DEVICE size_t rn_texel_at(const struct rn_cuda_planes *p, const struct rn_update_block *b,
                              int lx, int ly, int x, int y, int quad) {
-    uint32_t texel = (uint32_t)b->plane * p->plane_texels + p->map[ly][lx] +
-                     (uint32_t)(y * (p->base >> lx) + x);
+    uint32_t texel =
+        (uint32_t)b->plane * p->plane_texels + p->map[ly][lx] + (uint32_t)(y * (p->base >> lx) + x);
     return (size_t)texel * (size_t)p->channels + (size_t)(4 * quad);
 }
 
-// Adds the gradient of one texel of some map.
+// The gradient of four channels of a texel of some map.
 template <bool FIXED>
-RN_DEVICE void rn_add_gradient(const struct rn_cuda_gradients *g, size_t at, float weight,
-                               float sum[4]) {
+RN_DEVICE void rn_load_gradient(const struct rn_cuda_gradients *g, size_t at, float ret[4]) {
     if (FIXED) {
         for (int c = 0; c < 4; c++)
-            sum[c] += weight * (float)((double)(long long)g->fixed[at + c] / (double)RN_FIXED_ONE);
-        return;
+            ret[c] = (float)((double)(long long)g->fixed[at + c] / (double)RN_FIXED_ONE);
+    } else {
+        rn_add_texel(g->half[at / 4], 1 / RN_SCATTER_HEADROOM, ret);
     }
-    rn_add_texel(g->half[at / 4], weight / RN_SCATTER_HEADROOM, sum);
 }
 
-// The base texel's gradient: every map's texel above it hands down 2^-(lx + ly) of its own.
+// The base texel's gradient: every map's texel above it hands down 2^-(lx + ly) of its own. Four
+// maps are asked for before one is used.
 template <bool FIXED>
 RN_DEVICE void rn_pull_down(const struct rn_cuda_planes *p, const struct rn_cuda_gradients *g,
                             const struct rn_update_block *b, int x, int y, int quad, float sum[4]) {
     float weight_y = 1;
     for (int ly = 0; ly < p->levels; ly++, weight_y *= 0.5f) {
         float weight = weight_y;
-        for (int lx = 0; lx < p->levels; lx++, weight *= 0.5f)
-            if (rn_cuda_map_exists(p->footprint, lx, ly))
-                rn_add_gradient<FIXED>(g, rn_texel_at(p, b, lx, ly, x >> lx, y >> ly, quad), weight,
-                                       sum);
-    }
-}
-
-// Room for the block's parameters in shared memory, [texel][channel].
-RN_DEVICE float *rn_block_values() {
-    RN_SHARED __align__(16) float values[RN_UPDATE * RN_UPDATE * 16];
-    return values;
-}
-
-// Pools the block's parameters into the fp16 maps of the fine levels.
-RN_DEVICE void rn_pool_block(const struct rn_cuda_planes *p, uint16_t *texels,
-                             const struct rn_update_block *b, const float *values) {
-    int levels = p->levels < RN_FINE_LEVELS ? p->levels : RN_FINE_LEVELS;
-    for (int map = 0; map < levels * levels; map++) {
-        int lx = map % levels, ly = map / levels, w = RN_UPDATE >> lx;
-        if (!rn_cuda_map_exists(p->footprint, lx, ly)) continue;
-        for (int i = (int)threadIdx.x; i < w * (RN_UPDATE >> ly) * b->quads;
-             i += (int)blockDim.x) {
-            int quad = i % b->quads, x = i / b->quads % w, y = i / b->quads / w;
-            float sum[4] = {0, 0, 0, 0}, weight = 1 / (float)(1 << (lx + ly));
-            for (int k = 0; k < 1 << (lx + ly); k++) {
-                int at = ((y << ly) + (k >> lx)) * RN_UPDATE + (x << lx) + (k & ((1 << lx) - 1));
-                for (int c = 0; c < 4; c++)
-                    sum[c] += values[(at * b->quads + quad) * 4 + c];
+        for (int first = 0; first < p->levels; first += 4) {
+            float found[4][4] = {};
+            RN_UNROLL
+            for (int k = 0; k < 4; k++) { // of the last level again where there are no more
+                int lx = first + k < p->levels ? first + k : p->levels - 1;
+                rn_load_gradient<FIXED>(g, rn_texel_at(p, b, lx, ly, x >> lx, y >> ly, quad),
+                                        found[k]);
             }
-            size_t to = rn_texel_at(p, b, lx, ly, (b->x >> lx) + x, (b->y >> ly) + y, quad);
-            *(uint2 *)(texels + to) = uint2{rn_pack(sum[0] * weight, sum[1] * weight),
-                                            rn_pack(sum[2] * weight, sum[3] * weight)};
+            RN_UNROLL
+            for (int k = 0; k < 4; k++, weight *= 0.5f) {
+                int lx = first + k;
+                bool exists = lx < p->levels && rn_cuda_map_exists(p->footprint, lx, ly);
+                for (int c = 0; c < 4; c++)
+                    sum[c] += exists ? weight * found[k][c] : 0;
+            }
         }
     }
 }
 
-// Clears the gradients that the block has read: those of the fine levels, which no other block
-// reads.
+// Where a block's pooled parameters go. `read`: the gradients that the block has read, and no other
+// block reads, are cleared on the way.
+struct rn_pool {
+    const struct rn_cuda_scene *scene;
+    const struct rn_cuda_gradients *gradients;
+    struct rn_update_block block;
+    bool read;
+};
+
+// Four channels of a texel of a fine map, (x, y) within the block.
 template <bool FIXED>
-RN_DEVICE void rn_clear_block(const struct rn_cuda_planes *p, const struct rn_cuda_gradients *g,
-                              const struct rn_update_block *b) {
-    int levels = p->levels < RN_FINE_LEVELS ? p->levels : RN_FINE_LEVELS;
-    for (int map = 0; map < levels * levels; map++) {
-        int lx = map % levels, ly = map / levels, w = RN_UPDATE >> lx;
-        if (!rn_cuda_map_exists(p->footprint, lx, ly)) continue;
-        for (int i = (int)threadIdx.x; i < w * (RN_UPDATE >> ly) * b->quads;
-             i += (int)blockDim.x) {
-            int quad = i % b->quads, x = i / b->quads % w, y = i / b->quads / w;
-            size_t at = rn_texel_at(p, b, lx, ly, (b->x >> lx) + x, (b->y >> ly) + y, quad);
-            for (int c = 0; FIXED && c < 4; c++)
-                g->fixed[at + c] = 0;
-            if (!FIXED) g->half[at / 4] = uint2{0, 0};
-        }
-    }
-}
-
-// The parameters of one thread: index of the first of four channels.
-RN_DEVICE size_t rn_parameter_at(const struct rn_cuda_planes *p, const struct rn_update_block *b) {
-    int texel = (int)threadIdx.x / b->quads, quad = (int)threadIdx.x % b->quads;
-    size_t row = (size_t)b->plane * (size_t)p->base + (size_t)(b->y + texel / RN_UPDATE);
-    return (row * (size_t)p->base + (size_t)(b->x + texel % RN_UPDATE)) * (size_t)p->channels +
-           (size_t)(4 * quad);
+RN_DEVICE void rn_put_texel(const struct rn_pool *to, int lx, int ly, int x, int y, int quad,
+                            const float value[4]) {
+    const struct rn_update_block *b = &to->block;
+    size_t at =
+        rn_texel_at(&to->scene->planes, b, lx, ly, (b->x >> lx) + x, (b->y >> ly) + y, quad);
+    *(uint2 *)(to->scene->texels + at) =
+        uint2{rn_pack(value[0], value[1]), rn_pack(value[2], value[3])};
+    for (int c = 0; FIXED && to->read && c < 4; c++)
+        to->gradients->fixed[at + c] = 0;
+    if (!FIXED && to->read) to->gradients->half[at / 4] = uint2{0, 0};
 }
 
 // Four neighbouring numbers at once, 16-byte aligned as texels of four channels are.
@@ -154,21 +168,91 @@ RN_DEVICE void rn_store4(const float from[4], float *to) {
     *(float4 *)to = float4{from[0], from[1], from[2], from[3]};
 }
 
+// The block's rows, pooled along x: of every row the columns of level 0, 1, 2 and 3 one after the
+// other, [row][column][channel].
+#define RN_COLUMNS (2 * RN_UPDATE - 1)
+RN_DEVICE int rn_first_column(int lx) {
+    return 2 * RN_UPDATE - (2 * RN_UPDATE >> lx);
+}
+RN_DEVICE float *rn_block_rows() {
+    RN_SHARED __align__(16) float rows[RN_UPDATE * RN_COLUMNS * 16];
+    return rows;
+}
+
+// Pools one column of those rows along y into the maps of the fine levels. One thread four channels
+// of a column.
+template <bool FIXED> RN_DEVICE void rn_pool_column(const struct rn_pool *to) {
+    const struct rn_cuda_planes *p = &to->scene->planes;
+    int quads = to->block.quads, column = to->block.texel, quad = to->block.quad;
+    int lx = 0;
+    while (lx < RN_FINE_LEVELS && column >= rn_first_column(lx + 1))
+        lx++;
+    if (lx >= RN_FINE_LEVELS || lx >= p->levels) return;
+    int x = column - rn_first_column(lx);
+    float mean[RN_UPDATE][4];
+    RN_UNROLL
+    for (int y = 0; y < RN_UPDATE; y++)
+        rn_load4(rn_block_rows() + ((y * RN_COLUMNS + column) * quads + quad) * 4, mean[y]);
+    RN_UNROLL
+    for (int ly = 1; ly < RN_FINE_LEVELS; ly++)
+        RN_UNROLL
+    for (int y = 0; y < (RN_UPDATE >> ly); y++) {
+        for (int c = 0; c < 4; c++)
+            mean[y][c] = 0.5f * (mean[2 * y][c] + mean[2 * y + 1][c]);
+        if (ly < p->levels && rn_cuda_map_exists(p->footprint, lx, ly))
+            rn_put_texel<FIXED>(to, lx, ly, x, y, quad, mean[y]);
+    }
+}
+
+// Pools the block's parameters into the maps of the fine levels: rows by shuffles, then columns.
+// `value`: the thread's own.
+template <bool FIXED> RN_DEVICE void rn_pool_block(const struct rn_pool *to, const float value[4]) {
+    const struct rn_cuda_planes *p = &to->scene->planes;
+    int quads = to->block.quads, texel = to->block.texel, quad = to->block.quad;
+    int x = texel % RN_UPDATE, y = texel / RN_UPDATE;
+    float row[RN_FINE_LEVELS][4];
+    RN_UNROLL
+    for (int lx = 0; lx < RN_FINE_LEVELS; lx++) {
+        for (int c = 0; c < 4; c++) {
+            row[lx][c] = lx == 0 ? value[c] : row[lx - 1][c];
+            if (lx > 0)
+                row[lx][c] = 0.5f * (row[lx][c] + rn_shuffle_xor(row[lx][c], quads << (lx - 1)));
+        }
+        int column = y * RN_COLUMNS + rn_first_column(lx) + (x >> lx);
+        if ((x & ((1 << lx) - 1)) == 0)
+            rn_store4(row[lx], rn_block_rows() + (column * quads + quad) * 4);
+    }
+    __syncthreads(); // and all have read their gradients
+    RN_UNROLL
+    for (int lx = 0; lx < RN_FINE_LEVELS; lx++)
+        if (lx < p->levels && rn_cuda_map_exists(p->footprint, lx, 0) && (x & ((1 << lx) - 1)) == 0)
+            rn_put_texel<FIXED>(to, lx, 0, x >> lx, y, quad, row[lx]);
+    if (p->levels > 1) rn_pool_column<FIXED>(to);
+}
+
+// The parameters of one thread: index of the first of four channels.
+RN_DEVICE size_t rn_parameter_at(const struct rn_cuda_planes *p, const struct rn_update_block *b) {
+    int texel = b->texel;
+    size_t row = (size_t)b->plane * (size_t)p->base + (size_t)(b->y + texel / RN_UPDATE);
+    return (row * (size_t)p->base + (size_t)(b->x + texel % RN_UPDATE)) * (size_t)p->channels +
+           (size_t)(4 * b->quad);
+}
+
 // Pull-down, AdamW and pooling of one block a block of threads; 64 threads times channels / 4.
 template <bool FIXED>
 __global__ void __launch_bounds__(256)
     rn_update_planes_kernel(const __grid_constant__ rn_cuda_scene scene,
                             const __grid_constant__ rn_cuda_optimiser o,
                             struct rn_cuda_status *status) {
-    float *values = rn_block_values();
     const struct rn_cuda_planes *p = &scene.planes;
     struct rn_update_block b = rn_update_block(p);
     bool touched = o.gradients.touched[blockIdx.x] != 0;
-    if (rn_cuda_step_skipped(status) || (o.rates->sparse && !touched)) return;
+    if (rn_cuda_step_skipped(status) || (o.update->sparse && !touched)) return;
     size_t at = rn_parameter_at(p, &b);
-    int texel = (int)threadIdx.x / b.quads, quad = (int)threadIdx.x % b.quads;
+    int texel = b.texel, quad = b.quad;
     float grad[4] = {0, 0, 0, 0}, scale = 1 / (status->gradient_scale * (float)status->weight);
     float value[4], m[4], v[4];
+    struct rn_adam adam = o.update->planes;
     rn_load4(scene.parameters + at, value);
     rn_load4(o.m + at, m);
     rn_load4(o.v + at, v);
@@ -180,32 +264,26 @@ __global__ void __launch_bounds__(256)
             grad[c] = 0;
             status->overflowed = 1;
         }
-        if (!rn_adamw(status, o.rates, o.rates->plane_rate, o.rates->plane_decay, grad[c] * scale,
-                      &value[c], &m[c], &v[c]))
+        if (!rn_adamw(&adam, grad[c] * scale, &value[c], &m[c], &v[c]))
             atomicAdd((unsigned long long *)&status->nonfinite_numbers, 1ull);
     }
     rn_store4(value, scene.parameters + at);
     rn_store4(m, o.m + at);
     rn_store4(v, o.v + at);
-    rn_store4(value, values + 4 * threadIdx.x);
-    __syncthreads();
-    rn_pool_block(p, scene.texels, &b, values);
-    if (!touched) return;
-    rn_clear_block<FIXED>(p, &o.gradients, &b);
-    if (threadIdx.x == 0) o.gradients.touched[blockIdx.x] = 0;
+    struct rn_pool to = {&scene, &o.gradients, b, touched};
+    rn_pool_block<FIXED>(&to, value);
+    if (touched && threadIdx.x == 0) o.gradients.touched[blockIdx.x] = 0;
 }
 
 // Pooling alone, for parameters that came from elsewhere.
 __global__ void __launch_bounds__(256)
     rn_build_kernel(const __grid_constant__ rn_cuda_scene scene) {
-    float *values = rn_block_values();
     struct rn_update_block b = rn_update_block(&scene.planes);
     size_t at = rn_parameter_at(&scene.planes, &b);
     float value[4];
     rn_load4(scene.parameters + at, value);
-    rn_store4(value, values + 4 * threadIdx.x);
-    __syncthreads();
-    rn_pool_block(&scene.planes, scene.texels, &b, values);
+    struct rn_pool to = {&scene, NULL, b, false};
+    rn_pool_block<false>(&to, value);
 }
 
 // Draws the texels of one colour of a chessboard towards their neighbours, all of the other one
@@ -248,14 +326,13 @@ __global__ void __launch_bounds__(256)
             struct rn_update_block b = {i / quads / w / h, 0, 0, quads};
             float sum[4] = {0, 0, 0, 0}, weight = 1 / (float)(1 << (dx + dy));
             for (int k = 0; k < 1 << (dx + dy); k++) {
-                size_t from = rn_texel_at(p, &b, lx - dx, ly - dy,
-                                          (x << dx) + (k & ((1 << dx) - 1)), (y << dy) + (k >> dx),
-                                          quad);
+                size_t from =
+                    rn_texel_at(p, &b, lx - dx, ly - dy, (x << dx) + (k & ((1 << dx) - 1)),
+                                (y << dy) + (k >> dx), quad);
                 rn_add_texel(*(const uint2 *)(scene.texels + from), weight, sum);
             }
             size_t at = rn_texel_at(p, &b, lx, ly, x, y, quad);
-            *(uint2 *)(scene.texels + at) =
-                uint2{rn_pack(sum[0], sum[1]), rn_pack(sum[2], sum[3])};
+            *(uint2 *)(scene.texels + at) = uint2{rn_pack(sum[0], sum[1]), rn_pack(sum[2], sum[3])};
             for (int c = 0; FIXED && g.fixed && c < 4; c++)
                 g.fixed[at + c] = 0;
             if (!FIXED && g.half) g.half[at / 4] = uint2{0, 0};
@@ -300,8 +377,9 @@ __global__ void __launch_bounds__(256)
                              struct rn_cuda_status *status, bool head) {
     const struct rn_cuda_network *n = head ? &scene.head : &scene.base;
     size_t first = scene.plane_count, packed = head ? scene.base.packed_count : 0;
-    if (head) first += scene.base.source[scene.base.hidden] +
-                       (size_t)(scene.base.width * scene.base.outputs);
+    if (head)
+        first +=
+            scene.base.source[scene.base.hidden] + (size_t)(scene.base.width * scene.base.outputs);
     if (o.m && rn_cuda_step_skipped(status)) return;
     const float *sums = (const float *)(head ? o.head_sums : o.base_sums);
     for (size_t i = blockIdx.x * blockDim.x + threadIdx.x; i < rn_cuda_gradient_count(n);
@@ -313,14 +391,15 @@ __global__ void __launch_bounds__(256)
         float value = scene.parameters[at];
         if (o.m) {
             float scale = 1 / (status->gradient_scale * (float)status->weight);
-            if (!rn_adamw(status, o.rates, o.rates->network_rate, o.rates->network_decay,
-                          sums[i] * scale, &value, o.m + at, o.v + at))
+            struct rn_adam adam = o.update->networks;
+            if (!rn_adamw(&adam, sums[i] * scale, &value, o.m + at, o.v + at))
                 atomicAdd((unsigned long long *)&status->nonfinite_numbers, 1ull);
             scene.parameters[at] = value;
         }
         uint4 *forward = scene.forward + packed + n->packed[layer];
         uint4 *backward = scene.backward + packed + n->packed[layer];
-        rn_store_half(forward, rn_cuda_fragment_place(k, column, rn_cuda_layer_k16(n, layer)), value);
+        rn_store_half(forward, rn_cuda_fragment_place(k, column, rn_cuda_layer_k16(n, layer)),
+                      value);
         rn_store_half(backward, rn_cuda_fragment_place(column, k, rn_cuda_layer_n16(n, layer)),
                       value);
     }

@@ -67,7 +67,6 @@ struct rn_cuda_status {
     float gradient_size;            // of a sample, unscaled: mean of the step before; 0: none
     float gradient_scale;           // of everything in fp16 that is a gradient
     int good_steps;                 // since the scale was last changed
-    float correction1, correction2; // of Adam, for the update under way
 };
 
 // Whether the step under way updates nothing.

@@ -317,6 +317,12 @@ RN_DEVICE int rn_lowest(uint32_t bits) {
 RN_DEVICE float rn_log2(float x) {
     return log2f(x) * (1 + 0x1p-22f) + 0x1p-22f;
 }
+RN_DEVICE float rn_root(float x) {
+    return sqrtf(x) * (1 + 0x1p-22f);
+}
+RN_DEVICE float rn_divide(float x, float y) {
+    return x / y * (1 + 0x1p-22f);
+}
 RN_DEVICE uint32_t rn_pack(float low, float high) {
     return emu::half_bits(low) | emu::half_bits(high) << 16;
 }
