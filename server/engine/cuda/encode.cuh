@@ -152,11 +152,14 @@ RN_DEVICE void rn_add_texel(uint2 texel, float weight, float sum[4]) {
 RN_DEVICE void rn_fetch_corner(const struct rn_cuda_planes *p, const uint16_t *texels, int plane,
                                int channel, const struct rn_query (&q)[2], int corner,
                                float (&sum)[2][4]) {
-    float weights[2][4];
+    float weights[2][4], of_map[2];
     uint2 found[2][4];
+    for (int i = 0; i < 2; i++)
+        of_map[i] = rn_corner_weight(&q[i], p->footprint, corner);
+    if (!(of_map[0] > 0) && !(of_map[1] > 0)) return;
     RN_UNROLL
     for (int i = 0; i < 2; i++) {
-        float weight = rn_corner_weight(&q[i], p->footprint, corner);
+        float weight = of_map[i];
         struct rn_corner c = {};
         if (weight > 0) c = rn_find_corner(p, &q[i], corner);
         uint32_t map = (uint32_t)plane * p->plane_texels + p->map[c.ly][c.lx];

@@ -38,6 +38,10 @@ RN_DEVICE void rn_mark_touched(const struct rn_scatter_place *p, int lx, int ly,
     int x0 = shift_x > 0 ? x << shift_x : x >> -shift_x, nx = shift_x > 0 ? 1 << shift_x : 1;
     int y0 = shift_y > 0 ? y << shift_y : y >> -shift_y, ny = shift_y > 0 ? 1 << shift_y : 1;
     uint8_t *touched = p->to->touched + (size_t)p->plane * (size_t)(side * side);
+    if (shift_x <= 0 && shift_y <= 0) { // of one block, as nearly all are
+        touched[y0 * side + x0] = 1;
+        return;
+    }
     for (int j = 0; j < ny; j++)
         for (int i = 0; i < nx; i++)
             touched[(y0 + j) * side + x0 + i] = 1;
