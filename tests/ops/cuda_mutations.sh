@@ -164,6 +164,9 @@ mutate pixels forward.cuh "ray shading: diffuse colours rotated" 's/(c + 1) % 2\
 mutate pixels forward.cuh "ray shading: no opacity in the input" \
     's/out\[0\]\[i\] = column == 0 ? 1 :/out[0][i] = column == 0 ? 0 :/'
 mutate pixels shade.cuh "ray shading: a colour without its opacity" 's/+= opacity \* colour/+= colour/'
+mutate parts backend.cu "rendering: a part is taken before it is there" 's/d->staged\[(part + 1) % 2\], (size_t)before/d->staged[part % 2], (size_t)before/'
+mutate parts backend.cu "rendering: the last part is not taken" 's/(first < end || before > 0) \&\& !e/first < end \&\& !e/'
+mutate parts backend.cu "rendering: samples of the last part only" 's/counts_anew = part == 0/counts_anew = true/'
 mutate march shade.cuh "ray shading: a turned ray keeps its direction" \
     's/march->turned ? march->look : //'
 mutate rays forward.cuh "ray shading: behind within a tile only" 's/^    \*behind += .*//'

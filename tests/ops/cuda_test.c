@@ -400,6 +400,44 @@ START_TEST(march_finds_the_cells_that_the_cpu_finds) {
 }
 END_TEST
 
+// A picture of more pixels than the device takes at once, of a far ball that lies across both parts.
+START_TEST(pictures_come_in_parts) {
+    enum { WIDE = 300, PIXELS = WIDE * WIDE };
+    struct rn_train_config config = test_config(RN_FOOTPRINT_POINT, 3, 8, 16, 1);
+    struct rn_march_options options = {.step = (float)config.step, .stop_depth = 1e9f};
+    struct rn_pixel *pixels = malloc(PIXELS * sizeof *pixels), *expected;
+    struct rn_march_ray *rays = malloc(PIXELS * sizeof *rays);
+    struct test_scene s;
+    uint64_t samples;
+    int seen = 0;
+    test_scene_init(&s, &config);
+    struct rn_camera camera = rn_camera_resized(&s.frames[0].camera, WIDE, WIDE);
+    for (int i = 0; i < 3; i++)
+        camera.world_from_camera[i][3] *= 12;
+    camera.cy += 0.22 * WIDE; // to where one part ends and the next begins
+    OK(test_scene_upload(&s, 0, &err));
+    OK(backend->render(s.on_device, &camera, &options, 0, WIDE, pixels, &samples, &err));
+    for (int i = 0; i < PIXELS; i++) {
+        struct rn_ray ray = rn_camera_ray(&camera, i % WIDE + 0.5, i / WIDE + 0.5);
+        rays[i] = rn_march_ray_from(s.field, &ray, config.step, 0);
+    }
+    expected = calloc(PIXELS, sizeof *expected);
+    uint64_t cpu = s.engine.kernels->render(&s.field->cpu, &options, rays, PIXELS,
+                                            rn_engine_workspace(&s.engine, 0), expected);
+    ck_assert_uint_eq(samples, cpu);
+    for (int i = 0; i < PIXELS; i++) {
+        seen |= expected[i].alpha > 0 ? 1 << (i >> 16) : 0;
+        ck_assert_double_eq_tol(pixels[i].alpha, expected[i].alpha, PIXEL_BOUND);
+        ck_assert_double_eq_tol(pixels[i].rgb[0], expected[i].rgb[0], PIXEL_BOUND);
+    }
+    ck_assert_int_eq(seen, 3);
+    free(pixels);
+    free(expected);
+    free(rays);
+    test_scene_finish(&s);
+}
+END_TEST
+
 // An early stop ends rays, and what lies behind it weighs nothing.
 START_TEST(rays_stop_where_nothing_can_be_seen) {
     struct rn_train_config config = test_config(RN_FOOTPRINT_POINT, 3, 8, 16, 1);
@@ -770,6 +808,7 @@ int main(void) {
     add(suite, "pixels", pixels_match_reference);
     add(suite, "march", march_finds_the_cells_that_the_cpu_finds);
     add(suite, "march", rays_stop_where_nothing_can_be_seen);
+    add(suite, "parts", pictures_come_in_parts);
     add(suite, "smoothing", planes_are_smoothed_as_on_the_cpu);
     add(suite, "occupancy", occupancy_is_measured_as_on_the_cpu);
     add_loop(suite, "order", deterministic_mode_gives_the_same_bytes, shadings);

@@ -64,6 +64,10 @@ static enum rn_status device_open(int ordinal, struct rn_device **ret_device,
 
 static void device_close(struct rn_device **device) {
     if (!*device) return;
+    for (int i = 0; i < 2; i++) {
+        if ((*device)->arrived[i]) (void)cudaEventDestroy((*device)->arrived[i]);
+        (void)cudaFreeHost((*device)->staged[i]);
+    }
     (void)cudaStreamDestroy((*device)->stream);
     free(*device);
     *device = NULL;
@@ -462,36 +466,70 @@ static struct rn_cuda_march march_of(const struct rn_march_options *o) {
     return m;
 }
 
+static cudaError_t make_stage(struct rn_device *d) {
+    cudaError_t e = cudaSuccess;
+    for (int i = 0; i < 2 && !e; i++) {
+        if (!d->staged[i])
+            e = cudaHostAlloc((void **)&d->staged[i], RN_RENDER_PIXELS * sizeof **d->staged,
+                              cudaHostAllocDefault);
+        if (!e && !d->arrived[i]) e = cudaEventCreate(&d->arrived[i]);
+    }
+    return e;
+}
+
+static cudaError_t queue_pixels(struct rn_device_field *f, const struct rn_cuda_view *view,
+                                const struct rn_cuda_march *march, int stage) {
+    struct rn_device *d = f->device;
+    cudaError_t e = rn_queue_view(f, view, march);
+    if (!e)
+        e = copy_out(d, d->staged[stage], f->view.pixels, (size_t)view->count * sizeof **d->staged);
+    return e ? e : cudaEventRecord(d->arrived[stage], d->stream);
+}
+
+// While the device has one part of the pixels, the host takes the part before.
+static cudaError_t render_parts(struct rn_device_field *f, struct rn_cuda_view *view,
+                                const struct rn_cuda_march *march, int end,
+                                struct rn_pixel *ret_pixels) {
+    struct rn_device *d = f->device;
+    cudaError_t e = cudaSuccess;
+    int before = 0, first = view->first;
+    for (int part = 0; (first < end || before > 0) && !e; part++) {
+        int count = end - first < RN_RENDER_PIXELS ? end - first : RN_RENDER_PIXELS;
+        view->first = first;
+        view->count = count;
+        view->counts_anew = part == 0;
+        if (count > 0) e = queue_pixels(f, view, march, part % 2);
+        if (before > 0 && !e) e = cudaEventSynchronize(d->arrived[(part + 1) % 2]);
+        if (before > 0 && !e)
+            memcpy(ret_pixels, d->staged[(part + 1) % 2], (size_t)before * sizeof *ret_pixels);
+        ret_pixels += before;
+        before = count;
+        first += count;
+    }
+    return e;
+}
+
 static enum rn_status render(struct rn_device_field *f, const struct rn_camera *camera,
                              const struct rn_march_options *options, int first_row, int rows,
                              struct rn_pixel *ret_pixels, uint64_t *ret_samples,
                              struct rn_error *err) {
     struct rn_cuda_march march = march_of(options);
+    int first = first_row * camera->width, end = first + rows * camera->width;
     struct rn_cuda_view view = {*camera,
                                 {f->centre[0], f->centre[1], f->centre[2]},
                                 f->radius,
                                 (double)options->step,
                                 f->config.cone_step,
+                                first,
                                 0,
-                                0};
-    int first = first_row * camera->width, end = first + rows * camera->width;
-    uint64_t samples = 0;
-    struct rn_cuda_status status;
-    for (; first < end; first += view.count) {
-        view.first = first;
-        view.count = end - first < RN_RENDER_PIXELS ? end - first : RN_RENDER_PIXELS;
-        cudaError_t e = rn_queue_view(f, &view, &march);
-        if (!e)
-            e = copy_out(f->device, ret_pixels, f->view.pixels,
-                         (size_t)view.count * sizeof *ret_pixels);
-        if (!e) e = copy_out(f->device, &status, f->view.status, sizeof status);
-        cudaError_t waited = cudaStreamSynchronize(f->device->stream);
-        if (e || waited) return rn_cuda_check(e ? e : waited, "rendering", err);
-        ret_pixels += view.count;
-        samples += status.evaluated;
-    }
-    *ret_samples = samples;
-    return RN_OK;
+                                true};
+    struct rn_cuda_status status = {};
+    cudaError_t e = make_stage(f->device);
+    if (!e) e = render_parts(f, &view, &march, end, ret_pixels);
+    if (!e && first < end) e = copy_out(f->device, &status, f->view.status, sizeof status);
+    cudaError_t waited = cudaStreamSynchronize(f->device->stream);
+    *ret_samples = status.evaluated;
+    return rn_cuda_check(e ? e : waited, "rendering", err);
 }
 
 extern "C" {

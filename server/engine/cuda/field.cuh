@@ -15,6 +15,10 @@ struct rn_device {
     size_t shared_bytes; // of one block
     size_t used_bytes;
     cudaStream_t stream;
+    // Pixels on their way to the host, in pinned memory, and whether they are there; made with the
+    // first picture.
+    struct rn_pixel *staged[2];
+    cudaEvent_t arrived[2];
 };
 
 // The kernels of one padded shape.

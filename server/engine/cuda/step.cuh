@@ -116,6 +116,7 @@ struct rn_cuda_view {
     double centre[3], radius, step;
     bool cone_step;
     int first, count;
+    bool counts_anew; // of the samples: the first pixels of a picture
 };
 __global__ void __launch_bounds__(256) rn_view_kernel(const __grid_constant__ rn_cuda_view view,
                                                       const __grid_constant__ rn_cuda_batch batch) {
@@ -127,7 +128,7 @@ __global__ void __launch_bounds__(256) rn_view_kernel(const __grid_constant__ rn
     if (r > 0) return;
     batch.status->ray_count = view.count;
     batch.status->queue = 0;
-    batch.status->evaluated = 0;
+    if (view.counts_anew) batch.status->evaluated = 0;
 }
 
 // ---- order and sums -------------------------------------------------------------------------

@@ -11,7 +11,7 @@
 
 #define TILE 16               // cones a side; a tile fills two packets
 #define SPARSE 2              // times as many where a pass takes every second pixel a side
-#define BAND 64               // rows a device renders between two looks at keep_going
+#define BAND 256              // rows a device renders between two looks at keep_going
 #define ROWS 16               // of a picture that a thread fills at a time
 #define FINE_POINTS (1 << 23) // of a lattice finer than the pixels, at most
 

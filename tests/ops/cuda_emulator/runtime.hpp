@@ -161,6 +161,9 @@ inline cudaError_t cudaEventDestroy(cudaEvent_t e) {
 inline cudaError_t cudaEventRecord(cudaEvent_t e, cudaStream_t s) {
     return emu::enqueue(s, [=] { clock_gettime(CLOCK_MONOTONIC, e); });
 }
+inline cudaError_t cudaEventSynchronize(cudaEvent_t) {
+    return emu::sticky;
+}
 inline cudaError_t cudaEventElapsedTime(float *ret_ms, cudaEvent_t from, cudaEvent_t to) {
     *ret_ms = 1e3f * (float)(to->tv_sec - from->tv_sec) + 1e-6f * (float)(to->tv_nsec - from->tv_nsec);
     return cudaSuccess;
