@@ -1,6 +1,5 @@
 #include "tests/ops/cuda_scene.h"
 
-#include <check.h>
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -193,4 +192,11 @@ void test_scene_rays(const struct test_scene *s, int64_t step, struct rn_referen
 void test_rays_finish(struct rn_reference_ray *rays, int count) {
     for (int r = 0; r < count; r++)
         free((double *)rays[r].mid);
+}
+
+void test_add(Suite *suite, const char *name, const TTest *test, int count) {
+    TCase *group = tcase_create(name);
+    tcase_set_timeout(group, 120);
+    tcase_add_loop_test(group, test, 0, count);
+    suite_add_tcase(suite, group);
 }
