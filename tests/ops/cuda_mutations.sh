@@ -108,6 +108,8 @@ mutate order step.cuh "order: no barrier after the scan" \
 mutate order step.cuh "order: lanes' sums are read before they are there" 's/^        __syncwarp();//'
 mutate gradients step.cuh "order: rays of a warp share their places" 's/\.first = first + before;/.first = first;/'
 mutate many step.cuh "order: rays behind a warp's first 32 share their places" 's/^        first += rn_shuffle.*//'
+mutate many step.cuh "order: rays with samples share their places" 's/ray + rn_popcount(some \& ((1u << RN_LANE) - 1))/ray + 0 * rn_popcount(some)/'
+mutate many step.cuh "order: rays with samples beyond a warp's first 32" 's/^        ray += rn_popcount(some);//'
 mutate gradients step.cuh "order: samples of a tile share their places" 's/ + rn_popcount(rows & (bit - 1));/;/'
 mutate gradients step.cuh "order: a ray's tiles share their places" 's/ - b.tile_behind\[slot\] / - rn_popcount(rows) /'
 mutate march occupancy.cuh "occupancy: no barrier in the sum" 's/^        __syncthreads();//'
@@ -192,7 +194,7 @@ mutate lottery shade.cuh "lottery: what is drawn counts once" 's/\*ret_factor = 
 mutate lottery shade.cuh "lottery: what is likelier than not goes back" \
     's/return before \/ RN_CERTAIN != after \/ RN_CERTAIN;/return chance > RN_CERTAIN \/ 2;/'
 mutate lottery shade.cuh "lottery: the same start for all rays" 's/    l.sum = rn_rng_draw.*/    l.sum = RN_CERTAIN - 1;/'
-mutate lottery step.cuh "lottery: the mean is of scaled gradients" 's| / all->gradients / (double)s->gradient_scale| / all->gradients|'
+mutate lottery step.cuh "lottery: the mean is of scaled gradients" 's| / (float)all->gradients / s->gradient_scale| / (float)all->gradients|'
 mutate lottery backend.cu "lottery: none" 's/f->batch.roulette = .*/f->batch.roulette = 0;/'
 mutate_engine bytes checkpoint.c "engine: the gradients' size is forgotten" \
     's/    t->gradient_size = c->gradient_size;//'

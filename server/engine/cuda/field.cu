@@ -83,6 +83,7 @@ void rn_train_lay_out(struct rn_device_field *f, const struct rn_device_pixels *
     rn_part(a, &b->ray_samples, rays);
     rn_part(a, &b->ray_last, rays);
     rn_part(a, &b->ray_return, rays);
+    rn_part(a, &b->returning, rays);
     if (f->scene.per_ray) rn_part(a, &b->ray_sums, rays * RN_GEOMETRY);
     lay_out_tiles(f, a);
     lay_out_pixels(f, pixels, a);

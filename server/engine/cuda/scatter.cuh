@@ -153,7 +153,7 @@ RN_DEVICE void rn_scatter_ray(const struct rn_cuda_scene *scene, const struct rn
     struct rn_cuda_return returned = b->ray_return[r];
     struct rn_scatter_place p = {planes, to, feature / planes->channels,
                                  feature % planes->channels};
-    if (p.plane >= planes->planes || returned.count == 0) return;
+    if (p.plane >= planes->planes) return;
     struct rn_march_ray ray = b->rays[r];
     step *= (float)ray.stride;
     struct rn_footprint_factors f = rn_factors(planes->axis[p.plane], ray.direction);
@@ -178,11 +178,12 @@ __global__ void __launch_bounds__(128)
     rn_scatter_kernel(const __grid_constant__ rn_cuda_scene scene,
                       const __grid_constant__ rn_cuda_batch batch,
                       const __grid_constant__ rn_cuda_gradients to, float step) {
-    int parts = 4 * scene.base.inputs16, all = batch.status->ray_count * parts;
+    int parts = 4 * scene.base.inputs16, all = (int)batch.status->returning * parts;
     if (rn_cuda_step_skipped(batch.status)) return;
     for (int i = (int)(blockIdx.x * blockDim.x + threadIdx.x); i < all;
          i += (int)(gridDim.x * blockDim.x))
-        rn_scatter_ray<FIXED>(&scene, &batch, &to, step, i / parts, i % parts / 4, i % 4);
+        rn_scatter_ray<FIXED>(&scene, &batch, &to, step, batch.returning[i / parts],
+                              i % parts / 4, i % 4);
 }
 
 #endif

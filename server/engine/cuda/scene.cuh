@@ -54,6 +54,7 @@ struct rn_cuda_status {
     uint32_t queue;           // next ray of the forward
     uint32_t tiles;           // slots taken
     uint32_t returned;        // samples that go back
+    uint32_t returning;       // rays that have some
     int rejected;             // this step overflowed: nothing is updated
     int crowded;              // the tiles did not suffice
     int overflowed;           // a texel's gradient overflowed: it alone was left out
@@ -102,6 +103,7 @@ struct rn_cuda_batch {
     float *ray_loss, *ray_weight;
     int *ray_samples, *ray_last; // samples seen, the last tile
     struct rn_cuda_return *ray_return;
+    int *returning; // rays of which samples go back, one after the other
     float *ray_sums; // ray shading: [ray][RN_GEOMETRY], in training then dL/d(sums), scaled
     // of each tile slot
     int *tile_ray, *tile_previous;

@@ -83,8 +83,8 @@ RN_DEVICE struct rn_march_ray rn_draw_ray(const struct rn_cuda_source *s, uint64
         part ? rn_rng_draw(s->seed, RN_STREAM_RAYS | (uint32_t)(r - part), step) : draw;
     uint64_t turn = (first_ray + (uint64_t)(r - part)) / (uint64_t)rays;
     int x, y,
-        frame = s->favour_finest ? rn_draw_live(s, turn, &x, &y)
-                                 : rn_draw_pixel(p, &of_pixel, &x, &y);
+        frame =
+            s->favour_finest ? rn_draw_live(s, turn, &x, &y) : rn_draw_pixel(p, &of_pixel, &x, &y);
     struct rn_march_ray out = {{0, 0, 0}, {0, 0, 0}, 0, 0, 0, 1, {0, 0, 0}, 0, 0, (uint32_t)r};
     if (frame < 0) return out;
     const struct rn_device_frame *f = &p->frames[frame];
@@ -135,9 +135,10 @@ __global__ void __launch_bounds__(256) rn_view_kernel(const __grid_constant__ rn
 
 // What the rays of a step come to.
 struct rn_sums {
-    double loss, weight, size;
+    double loss, weight;
     uint64_t samples;
-    uint32_t returned, gradients;
+    float size;                         // of `gradients` samples
+    uint32_t gradients, returned, rays; // rays: of which samples go back
 };
 RN_DEVICE void rn_sums_add(struct rn_sums *to, const struct rn_sums *other) {
     to->loss += other->loss;
@@ -146,6 +147,7 @@ RN_DEVICE void rn_sums_add(struct rn_sums *to, const struct rn_sums *other) {
     to->samples += other->samples;
     to->returned += other->returned;
     to->gradients += other->gradients;
+    to->rays += other->rays;
 }
 
 // A warp's part of the rays; its lanes take them in turn.
@@ -160,12 +162,16 @@ RN_DEVICE struct rn_ray_part rn_ray_part(int count) {
 }
 
 RN_DEVICE struct rn_sums rn_sum_rays(const struct rn_cuda_batch *b, struct rn_ray_part part) {
-    struct rn_sums sums = {0, 0, 0, 0, 0, 0};
+    struct rn_sums sums = {0, 0, 0, 0, 0, 0, 0};
     for (int r = part.begin + RN_LANE; r < part.end; r += RN_LANES) {
         struct rn_cuda_return back = b->ray_return[r];
-        struct rn_sums ray = {(double)b->ray_loss[r], (double)b->ray_weight[r], (double)back.size,
-                              (uint64_t)b->ray_samples[r], (uint32_t)back.count,
-                              (uint32_t)back.gradient};
+        struct rn_sums ray = {(double)b->ray_loss[r],
+                              (double)b->ray_weight[r],
+                              (uint64_t)b->ray_samples[r],
+                              back.size,
+                              (uint32_t)back.gradient,
+                              (uint32_t)back.count,
+                              back.count > 0};
         rn_sums_add(&sums, &ray);
     }
     return sums;
@@ -182,9 +188,10 @@ RN_DEVICE void rn_take_sums(const struct rn_cuda_batch *b, const struct rn_sums 
     s->crowded = s->tiles > b->tile_capacity;
     s->rejected |= s->crowded || !(all->loss < 1e300);
     s->returned = s->rejected ? 0 : all->returned;
+    s->returning = all->rays;
     s->samples_returned += s->returned;
-    double size = all->gradients > 0 ? all->size / all->gradients / (double)s->gradient_scale : 0;
-    s->gradient_size = size < 1e30 ? (float)size : 0;
+    float size = all->gradients > 0 ? all->size / (float)all->gradients / s->gradient_scale : 0;
+    s->gradient_size = size < 1e30f ? size : 0;
     double next = (double)count * s->target_samples / (double)all->samples + 1;
     if (s->crowded) next = count / 2;
     if (all->samples == 0) next = count;
@@ -193,8 +200,9 @@ RN_DEVICE void rn_take_sums(const struct rn_cuda_batch *b, const struct rn_sums 
     s->next_rays -= s->next_rays % b->pixel_rays;
 }
 
-// The place of every ray's samples in the list of those that go back, and the step's sums; one
-// block. Ray after ray, so that nothing depends on which warp came first.
+// The place of every ray's samples in the list of those that go back, the list of rays that have
+// some, and the step's sums; one block. Ray after ray, so that nothing depends on which warp came
+// first.
 __global__ void __launch_bounds__(RN_ORDER_THREADS, 1)
     rn_order_kernel(const __grid_constant__ rn_cuda_batch b) {
     RN_SHARED struct rn_sums sums[RN_ORDER_THREADS / RN_LANES][RN_LANES + 1]; // no bank twice
@@ -207,22 +215,26 @@ __global__ void __launch_bounds__(RN_ORDER_THREADS, 1)
             rn_sums_add(&sums[RN_LANE][0], &sums[RN_LANE][k]);
         __syncwarp();
         if (RN_LANE == 0) {
-            struct rn_sums all = {0, 0, 0, 0, 0, 0};
+            struct rn_sums all = {0, 0, 0, 0, 0, 0, 0};
             for (int i = 0; i < RN_LANES; i++) {
-                uint32_t before = all.returned;
+                uint32_t before = all.returned, rays = all.rays;
                 rn_sums_add(&all, &sums[i][0]);
                 sums[i][0].returned = before;
+                sums[i][0].rays = rays;
             }
             rn_take_sums(&b, &all);
         }
     }
     __syncthreads();
-    int first = (int)sums[warp][0].returned;
+    int first = (int)sums[warp][0].returned, ray = (int)sums[warp][0].rays;
     for (int r = part.begin; r < part.end; r += RN_LANES) {
         int own = r + RN_LANE, count = own < part.end ? b.ray_return[own].count : 0;
         int before = rn_sum_before(count, RN_LANES);
+        uint32_t some = rn_ballot(count > 0);
         if (own < part.end) b.ray_return[own].first = first + before;
+        if (count > 0) b.returning[ray + rn_popcount(some & ((1u << RN_LANE) - 1))] = own;
         first += rn_shuffle(before + count, RN_LANES - 1);
+        ray += rn_popcount(some);
     }
 }
 
