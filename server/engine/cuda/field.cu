@@ -138,8 +138,8 @@ static cudaError_t mark(struct rn_device_field *f, const char *stage) {
     return cudaEventRecord(t->events[t->count], f->device->stream);
 }
 
-// Lets a kernel have as much shared memory as there is; as many blocks as the device holds at once of a kernel
-// that takes its work from a list.
+// Lets a kernel have as much shared memory as there is. How many of its blocks the device holds at
+// once, for a kernel that takes its work from a list.
 template <typename K>
 static cudaError_t fill(const struct rn_device *d, K kernel, int threads, size_t shared,
                         unsigned *ret_blocks) {
