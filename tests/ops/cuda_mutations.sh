@@ -208,11 +208,14 @@ mutate gradients scatter.cuh "scatter: not flushed at the end" \
 mutate gradients scatter.cuh "scatter: levels change without a flush" \
     's/bool leaves = ends || .*/bool leaves = ends;/'
 mutate gradients scatter.cuh "scatter: blocks not marked as touched" 's/^    rn_mark_touched(p, lx, ly, x, y);//'
-mutate gradients optimise.cuh "pull-down: no weight for the level" 's/weight \*= 0.5f)$/weight *= 1)/'
-try run_trained paper server/engine/cuda/optimise.cuh "update: gradients not cleared" 's/^    rn_clear_block<FIXED>(p, &o.gradients, &b);//'
+mutate gradients optimise.cuh "pull-down: no weight for the level" 's/weight_y \*= 0.5f/weight_y *= 1/'
+mutate gradients optimise.cuh "pull-down: what does not exist hands down too" 's/exists ? weight \* found\[k\]\[c\] : 0/weight * found[k][c]/'
+mutate gradients optimise.cuh "pooling: rows with the wrong neighbours" 's/quads << (lx - 1)/quads << lx/'
+mutate gradients optimise.cuh "pooling: columns of every second row" 's/mean\[2 \* y + 1\]\[c\]/mean[2 * y][c]/'
+try run_trained paper server/engine/cuda/optimise.cuh "update: gradients not cleared" 's/{&scene, &o.gradients, b, touched}/{\&scene, \&o.gradients, b, false}/'
 mutate second optimise.cuh "update: the maps get the moments" \
-    '0,/rn_store4(value, values/s/rn_store4(value, values/rn_store4(m, values/'
-mutate gradients optimise.cuh "AdamW: decay left out" 's/(rate \* decay)/0/'
+    's/rn_pool_block<FIXED>(&to, value)/rn_pool_block<FIXED>(\&to, m)/'
+mutate gradients optimise.cuh "AdamW: decay left out" 's/\*p \* a->decay/0/'
 mutate occupancy occupancy.cuh "occupancy: measured cells do not decay" 's/ \* m.decay;/;/'
 # Guards.
 mutate guards scene.cuh "a step that overflowed updates all the same" \
