@@ -5,7 +5,6 @@
 
 #include "tests/ops/cuda_emulator/knobs.h"
 #include "tests/ops/cuda_scene.h"
-#include "tests/support/suite.h"
 
 static const struct rn_backend *table; // of RIPNERF_CUDA_MODULE
 

@@ -2,11 +2,10 @@
 #ifndef RN_TESTS_OPS_CUDA_SCENE_H
 #define RN_TESTS_OPS_CUDA_SCENE_H
 
-#include <check.h>
-
 #include "server/engine/backend.h"
 #include "server/engine/reference/reference.h"
 #include "server/engine/occupancy.h"
+#include "tests/support/suite.h"
 
 #define FRAMES 4
 #define SIDE 12 // pixels of a frame a side
@@ -51,13 +50,6 @@ struct rn_reference_ray test_reference_ray(const struct test_scene *s,
 
 struct rn_train_config test_config(enum rn_footprint footprint, int planes, int channels, int width,
                                    int levels);
-
-#define OK(call)                                                                                   \
-    do {                                                                                           \
-        struct rn_error err = {0};                                                                 \
-        enum rn_status status = (call);                                                            \
-        ck_assert_msg(status == RN_OK, "%s: %s", #call, err.text);                                 \
-    } while (0)
 
 // A case of its own for a test that runs `count` times; CK_RUN_CASE chooses one.
 void test_add(Suite *suite, const char *name, const TTest *test, int count);

@@ -16,13 +16,6 @@
 static char folder[64], path[128];
 static struct rn_dataset *dataset;
 
-#define OK(call)                                                                                   \
-    do {                                                                                           \
-        struct rn_error err = {0};                                                                 \
-        enum rn_status status = (call);                                                            \
-        ck_assert_msg(status == RN_OK, "%s: %s", #call, err.text);                                 \
-    } while (0)
-
 static void make_dataset(void) {
     struct rn_synth_options synth = {.size = 16, .views = 12, .threads = 1, .samples = 4};
     snprintf(folder, sizeof folder, "/tmp/ripnerf-device-XXXXXX");

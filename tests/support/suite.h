@@ -8,6 +8,16 @@
 #include <sys/wait.h>
 #include <unistd.h>
 
+#include "common/base/status.h"
+
+// A call that says with `err` what went wrong.
+#define OK(call)                                                                                   \
+    do {                                                                                           \
+        struct rn_error err = {0};                                                                 \
+        enum rn_status status = (call);                                                            \
+        ck_assert_msg(status == RN_OK, "%s: %s", #call, err.text);                                 \
+    } while (0)
+
 // Runs a suite, which it frees; the exit code.
 static inline int run_suite(Suite *suite) {
     SRunner *runner = srunner_create(suite);

@@ -15,15 +15,16 @@ RN_DEVICE uint32_t rn_tile_stride() {
     return gridDim.x * blockDim.x / RN_LANES;
 }
 
-// Sample at a place of the list of those that go back; none behind its end.
+// Sample at a place of the list of the `count` that go back; none behind its end.
 #define RN_NO_SAMPLE 0xffffffffu
-RN_DEVICE uint32_t rn_returned(const struct rn_cuda_batch *b, uint32_t place) {
-    return place < b->status->returned ? b->returned[place] : RN_NO_SAMPLE;
+RN_DEVICE uint32_t rn_returned(const struct rn_cuda_batch *b, uint32_t count, uint32_t place) {
+    return place < count ? b->returned[place] : RN_NO_SAMPLE;
 }
 // The samples of rows g and g + 8 of a tile of them.
-RN_DEVICE void rn_returned_rows(const struct rn_cuda_batch *b, uint32_t tile, uint32_t ret[2]) {
+RN_DEVICE void rn_returned_rows(const struct rn_cuda_batch *b, uint32_t count, uint32_t tile,
+                                uint32_t ret[2]) {
     for (int i = 0; i < 2; i++)
-        ret[i] = rn_returned(b, tile * RN_TILE + (uint32_t)(RN_LANE / 4 + 8 * i));
+        ret[i] = rn_returned(b, count, tile * RN_TILE + (uint32_t)(RN_LANE / 4 + 8 * i));
 }
 
 // Three gradients of colours, lane i (mod 16) having row i's, as the A fragment of 16 outputs, 13
@@ -102,13 +103,13 @@ __global__ void __launch_bounds__(256, 1)
                                      scene.backward + scene.base.packed_count, n->packed_count);
     rn_stage_finish();
     struct rn_cuda_scratch scratch = rn_scratch(n, batch.scratch, batch.tile_capacity);
+    uint32_t count = batch.status->returned;
     bool bad = false;
-    for (uint32_t tile = rn_first_tile(); tile < rn_cuda_tiles(batch.status->returned);
-         tile += rn_tile_stride()) {
+    for (uint32_t tile = rn_first_tile(); tile < rn_cuda_tiles(count); tile += rn_tile_stride()) {
         uint32_t samples[2], in[2][4], grad[1][4], x[WT][4];
-        uint32_t own = rn_returned(&batch, tile * RN_TILE + (uint32_t)(RN_LANE % RN_TILE));
+        uint32_t own = rn_returned(&batch, count, tile * RN_TILE + (uint32_t)(RN_LANE % RN_TILE));
         float colour[3] = {0, 0, 0}, logit = 0;
-        rn_returned_rows(&batch, tile, samples);
+        rn_returned_rows(&batch, count, tile, samples);
         rn_sample_inputs(&scene, &batch, samples, in);
         if (own != RN_NO_SAMPLE) {
             logit = batch.logit_grad[own];
@@ -146,11 +147,11 @@ __global__ void __launch_bounds__(256, 1)
         rn_stage(staged > 1 ? room + n->packed_count : NULL, scene.backward, n->packed_count);
     rn_stage_finish();
     struct rn_cuda_scratch scratch = rn_scratch(n, batch.scratch, batch.tile_capacity);
+    uint32_t count = batch.status->returned;
     bool bad = false;
-    for (uint32_t tile = rn_first_tile(); tile < rn_cuda_tiles(batch.status->returned);
-         tile += rn_tile_stride()) {
+    for (uint32_t tile = rn_first_tile(); tile < rn_cuda_tiles(count); tile += rn_tile_stride()) {
         uint32_t samples[2], in[KT][4] = {{0}}, grad[1][4] = {{0}}, x[WT][4];
-        rn_returned_rows(&batch, tile, samples);
+        rn_returned_rows(&batch, count, tile, samples);
         for (int i = 0; i < 2; i++) {
             if (samples[i] == RN_NO_SAMPLE) continue;
             size_t slot = samples[i] / RN_TILE;

@@ -46,8 +46,8 @@ RN_DEVICE int rn_lowest(uint32_t bits) { // of bits that are not all zero
     return __ffs((int)bits) - 1;
 }
 
-// The machine's own functions: to 2^-21, where there is one to 2^-24 of ten times the instructions.
-// The logarithm is not exact at powers of two.
+// The machine's own functions, to about 2^-21, of few instructions. The logarithm is not exact at
+// powers of two.
 RN_DEVICE float rn_log2(float x) {
     return __log2f(x);
 }

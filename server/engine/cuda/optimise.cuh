@@ -32,26 +32,25 @@ struct rn_cuda_optimiser {
     float4 *base_sums, *head_sums; // [RN_CHUNKS] gradients of the networks; the total in the first
 };
 
-// Update number `n`. One thread; the rates are a value, so that the host need not wait before it
-// changes them.
+// Of update number `n`.
+RN_DEVICE struct rn_adam rn_adam_start(const struct rn_cuda_rates *o, float rate, float decay,
+                                       double n) {
+    struct rn_adam a = {(float)((double)rate / -expm1(n * log(0.9))),
+                        rate * decay,
+                        (float)(1 / sqrt(-expm1(n * log(o->beta2)))),
+                        o->eps,
+                        (float)o->beta2,
+                        (float)(1 - o->beta2)};
+    return a;
+}
+
+// One thread; the rates are a value, so that the host need not wait before it changes them.
 __global__ void rn_rates_kernel(struct rn_cuda_rates o, struct rn_cuda_update *to,
                                 const struct rn_cuda_status *status) {
     if (threadIdx.x != 0) return;
     double n = (double)(status->updates + 1);
-    double first = -expm1(n * log(0.9)), second = -expm1(n * log(o.beta2));
-    float keep = (float)o.beta2, fresh = (float)(1 - o.beta2), root = (float)(1 / sqrt(second));
-    to->planes = {(float)((double)o.plane_rate / first),
-                  o.plane_rate * o.plane_decay,
-                  root,
-                  o.eps,
-                  keep,
-                  fresh};
-    to->networks = {(float)((double)o.network_rate / first),
-                    o.network_rate * o.network_decay,
-                    root,
-                    o.eps,
-                    keep,
-                    fresh};
+    to->planes = rn_adam_start(&o, o.plane_rate, o.plane_decay, n);
+    to->networks = rn_adam_start(&o, o.network_rate, o.network_decay, n);
     to->sparse = o.sparse;
 }
 

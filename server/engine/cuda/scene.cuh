@@ -83,9 +83,9 @@ RN_HD uint32_t rn_cuda_tiles(uint32_t rows) {
 // Samples of a ray whose gradients go back.
 struct rn_cuda_return {
     int count;
-    int first;    // its first place in `returned`
-    float size;   // sum of the gradients' sizes before the lottery, where there is one
-    int gradient; // samples that have one
+    int first;     // its first place in `returned`
+    float size;    // sum of the gradients' sizes before the lottery, where there is one
+    int gradients; // samples that have one
 };
 
 // A batch: rays, and tiles of samples that the forward leaves for the backward. A sample is known

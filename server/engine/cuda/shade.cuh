@@ -241,7 +241,7 @@ RN_DEVICE bool rn_return_ray(const struct rn_cuda_batch *b, int r, struct rn_cud
         bool has = RN_LANE < RN_TILE && size != 0;
         rn_return_tile(b, slot, rn_lottery_draw(&lottery, size, &factor), &ret->count);
         ret->size += rn_tile_sum(size);
-        ret->gradient += rn_popcount(rn_ballot(has));
+        ret->gradients += rn_popcount(rn_ballot(has));
         for (int i = 0; i < 2; i++) {
             float of_row = rn_shuffle(factor, RN_LANE / 4 + 8 * i);
             samples[i] = (uint32_t)(slot * RN_TILE + RN_LANE / 4 + 8 * i);

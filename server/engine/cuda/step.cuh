@@ -169,7 +169,7 @@ RN_DEVICE struct rn_sums rn_sum_rays(const struct rn_cuda_batch *b, struct rn_ra
                               (double)b->ray_weight[r],
                               (uint64_t)b->ray_samples[r],
                               back.size,
-                              (uint32_t)back.gradient,
+                              (uint32_t)back.gradients,
                               (uint32_t)back.count,
                               back.count > 0};
         rn_sums_add(&sums, &ray);
