@@ -14,6 +14,16 @@ static const struct rn_field_spec dataset_camera[] = {
 const struct rn_table rn_dataset_camera_table = RN_TABLE(S, "a dataset's camera", dataset_camera);
 #undef S
 
+static void put_lens(struct rn_buf *buf, const struct rn_camera *camera) {
+    const struct rn_lens_model *model = &rn_lens_models[camera->lens];
+    rn_buf_printf(buf, ",\"lens\":{\"model\":\"%s\"", rn_lens_names[camera->lens]);
+    for (int i = 0; i < model->count; i++) {
+        rn_buf_printf(buf, ",\"%s\":", model->parameters[i]);
+        rn_json_put_number(buf, camera->lens_k[i]);
+    }
+    rn_buf_printf(buf, "}");
+}
+
 enum rn_status rn_camera_json(const struct rn_camera *camera, char **ret_json,
                               struct rn_error *err) {
     const struct {
@@ -37,6 +47,7 @@ enum rn_status rn_camera_json(const struct rn_camera *camera, char **ret_json,
         rn_buf_printf(&buf, ",\"%s\":", intrinsics[i].name);
         rn_json_put_number(&buf, intrinsics[i].value);
     }
+    if (camera->lens) put_lens(&buf, camera);
     rn_buf_printf(&buf, "}");
     enum rn_status status = rn_buf_status(&buf, "a camera", err);
     size_t size;

@@ -70,10 +70,11 @@ enum rn_status rn_json_refuse_unknown(const struct rn_json *object, const char *
                                       struct rn_error *err) RN_MUST_CHECK;
 
 // The native camera object: {"world_from_camera": 3x4, "axes": "opencv"|"opengl", "width",
-// "height", and "fov_y_deg" or "fx", "fy", "cx", "cy"}; nothing else.
+// "height", and "fov_y_deg" or "fx", "fy", "cx", "cy"}, with "lens": {"model", parameters by name}
+// where it is no pinhole; nothing else.
 enum rn_status rn_json_camera(const struct rn_json *object, struct rn_camera *ret_camera,
                               struct rn_error *err) RN_MUST_CHECK;
-// A new reference, OpenCV axes and fx, fy, cx, cy; NULL when memory is out.
+// A new reference, OpenCV axes and fx, fy, cx, cy, the lens; NULL when memory is out.
 json_t *rn_json_from_camera(const struct rn_camera *camera);
 // From camera axes x right, y up, z backwards to x right, y down, z forward: columns 1, 2 negated.
 void rn_pose_from_opengl(double world_from_camera[3][4]);

@@ -113,7 +113,7 @@ static enum rn_status place_camera(enum rn_split split, int index, int count, in
     double azimuth = shift[split] + index * M_PI * (3 - sqrt(5));
     double across = CAMERA_DISTANCE * sqrt(1 - z * z);
     double eye[3] = {across * cos(azimuth), across * sin(azimuth), CAMERA_DISTANCE * z};
-    struct rn_camera camera = {.model = RN_CAMERA_PINHOLE, .width = size, .height = size};
+    struct rn_camera camera = {.lens = RN_LENS_PINHOLE, .width = size, .height = size};
     camera.fx = camera.fy = rn_camera_focal_from_fov(CAMERA_ANGLE_X, size);
     camera.cx = camera.cy = 0.5 * size;
     enum rn_status status = rn_camera_look_at(eye, target, up, camera.world_from_camera);

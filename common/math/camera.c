@@ -59,10 +59,26 @@ static enum rn_status check_pose(const double pose[3][4], const char *where, str
     return RN_OK;
 }
 
+static enum rn_status check_lens(const struct rn_camera *camera, const char *where,
+                                 struct rn_error *err) {
+    if ((int)camera->lens < 0 || camera->lens >= RN_LENS_COUNT)
+        return bad(where, "lens", "no such lens", err);
+    const struct rn_lens_model *model = &rn_lens_models[camera->lens];
+    for (int i = 0; i < RN_LENS_PARAMETERS; i++) {
+        if (i < model->count && fabs(camera->lens_k[i]) <= model->most) continue;
+        if (i >= model->count && camera->lens_k[i] == 0) continue;
+        char field[32] = "lens";
+        if (i < model->count) snprintf(field, sizeof field, "lens/%s", model->parameters[i]);
+        return bad(where, field,
+                   i < model->count ? "the parameter is not finite or out of range"
+                                    : "the lens has fewer parameters",
+                   err);
+    }
+    return RN_OK;
+}
+
 enum rn_status rn_camera_check(const struct rn_camera *camera, const char *where,
                                struct rn_error *err) {
-    if (camera->model != RN_CAMERA_PINHOLE)
-        return bad(where, "model", "only the pinhole model is supported", err);
     if (camera->width < 1 || camera->width > RN_CAMERA_MAX_SIZE)
         return bad(where, "width", "the image width must be 1 to 16384 pixels", err);
     if (camera->height < 1 || camera->height > RN_CAMERA_MAX_SIZE)
@@ -73,7 +89,8 @@ enum rn_status rn_camera_check(const struct rn_camera *camera, const char *where
         return bad(where, "fy", "the focal length must be a positive number of pixels", err);
     if (!isfinite(camera->cx)) return bad(where, "cx", "the principal point is not finite", err);
     if (!isfinite(camera->cy)) return bad(where, "cy", "the principal point is not finite", err);
-    return check_pose(camera->world_from_camera, where, err);
+    enum rn_status status = check_lens(camera, where, err);
+    return status ? status : check_pose(camera->world_from_camera, where, err);
 }
 
 double rn_camera_fov_y(const struct rn_camera *camera) {

@@ -8,18 +8,16 @@
 
 #include "common/base/status.h"
 #include "common/math/hd.h"
-
-enum rn_camera_model {
-    RN_CAMERA_PINHOLE, // the only model so far; every user of a camera checks it
-};
+#include "common/math/lens.h"
 
 // A plain value. Thread-safety: immutable once filled.
 struct rn_camera {
-    enum rn_camera_model model;
-    int width, height;              // pixels, 1 .. RN_CAMERA_MAX_SIZE
-    double fx, fy;                  // focal lengths, pixels, > 0
-    double cx, cy;                  // principal point, pixels from the top-left corner
-    double world_from_camera[3][4]; // [R | t], R orthonormal, right-handed
+    enum rn_lens lens;
+    double lens_k[RN_LENS_PARAMETERS]; // as rn_lens_models names them, 0 where it has fewer
+    int width, height;                 // pixels, 1 .. RN_CAMERA_MAX_SIZE
+    double fx, fy;                     // focal lengths, pixels, > 0
+    double cx, cy;                     // principal point, pixels from the top-left corner
+    double world_from_camera[3][4];    // [R | t], R orthonormal, right-handed
 };
 
 #define RN_CAMERA_MAX_SIZE 16384

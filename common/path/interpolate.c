@@ -161,7 +161,7 @@ static void blend_rotation(const struct segment *at, enum rn_interpolation inter
 
 struct rn_camera rn_path_camera(const struct rn_path *path, size_t frame) {
     struct segment at = find_segment(path, path->keys[0].time_s + (double)frame / path->fps);
-    struct rn_camera camera = {.model = RN_CAMERA_PINHOLE};
+    struct rn_camera camera = {.lens = RN_LENS_PINHOLE};
     double step[3], p[4];
     for (int k = 0; k < 3; k++)
         step[k] = knot_step(at.key[k], at.key[k + 1]);

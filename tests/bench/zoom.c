@@ -70,7 +70,7 @@ static struct rn_camera camera_at(const struct sweep *s, double zoom, int i) {
     double *centre = s->dataset->bounds.centre;
     for (int k = 0; k < 3; k++)
         eye[k] += centre[k];
-    struct rn_camera camera = {.model = RN_CAMERA_PINHOLE,
+    struct rn_camera camera = {.lens = RN_LENS_PINHOLE,
                                .width = size,
                                .height = size,
                                .fx = focal,

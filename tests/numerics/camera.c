@@ -27,7 +27,7 @@ static struct rn_camera draw_camera(struct numerics_random *random, int n) {
     static const int sides[] = {1, 2, 11, 800, 1920, RN_CAMERA_MAX_SIZE};
     static const double focals[] = {1e-3, 1e6};
     struct rn_camera camera = {
-        .model = RN_CAMERA_PINHOLE, .width = sides[n % 6], .height = sides[n / 6 % 6]};
+        .lens = RN_LENS_PINHOLE, .width = sides[n % 6], .height = sides[n / 6 % 6]};
     double fov = numerics_spread(random, 0.01, 179) * acos(-1) / 180;
     camera.fx = n % 7 < 2 ? focals[n % 7] : 0.5 * camera.width / tan(fov / 2);
     camera.fy = n % 11 < 2 ? focals[n % 11] : camera.fx * numerics_spread(random, 0.5, 2);

@@ -17,7 +17,7 @@ enum rn_status rn_bench_camera(int index, int count, struct rn_camera *ret_camer
     double z = 0.9 * (index + 0.5) / count, azimuth = index * M_PI * (3 - sqrt(5));
     double across = DISTANCE * sqrt(1 - z * z);
     double eye[3] = {across * cos(azimuth), across * sin(azimuth), DISTANCE * z};
-    struct rn_camera camera = {.model = RN_CAMERA_PINHOLE,
+    struct rn_camera camera = {.lens = RN_LENS_PINHOLE,
                                .width = RN_BENCH_SIZE,
                                .height = RN_BENCH_SIZE,
                                .cx = 0.5 * RN_BENCH_SIZE,

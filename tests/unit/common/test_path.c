@@ -4,6 +4,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "common/dataset/json.h"
 #include "common/path/path.h"
 #include "tests/support/suite.h"
 
@@ -155,9 +156,39 @@ END_TEST
     "{\"camera\":{\"world_from_camera\":" pose ",\"axes\":\"opencv\"," rest "}}"
 #define SIZE "\"width\":8,\"height\":6"
 
+#define INTRINSICS "\"fx\":9,\"fy\":9,\"cx\":4,\"cy\":3"
+
+// A lens reads as it was written, its parameters by name; one left out is 0.
+START_TEST(camera_with_lens) {
+    static const char json[] = CAMERA(
+        POSE_A, SIZE "," INTRINSICS ",\"lens\":{\"model\":\"opencv\",\"p2\":0.5,\"k1\":-1e-3}");
+    struct rn_camera camera, again;
+    struct rn_error err;
+    ck_assert_int_eq(rn_camera_parse(json, strlen(json), "c.json", &camera, &err), RN_OK);
+    ck_assert_int_eq(camera.lens, RN_LENS_OPENCV);
+    for (int i = 0; i < RN_LENS_PARAMETERS; i++)
+        ck_assert_double_eq(camera.lens_k[i], i == 0 ? -1e-3 : i == 3 ? 0.5 : 0);
+    json_t *document = json_pack("{s:o}", "camera", rn_json_from_camera(&camera));
+    char *text = json_dumps(document, 0);
+    ck_assert_int_eq(rn_camera_parse(text, strlen(text), "c.json", &again, &err), RN_OK);
+    ck_assert_int_eq(again.lens, camera.lens);
+    ck_assert_mem_eq(again.lens_k, camera.lens_k, sizeof camera.lens_k);
+    free(text);
+    json_decref(document);
+}
+END_TEST
+
 static const struct {
     const char *json, *where, *text;
 } bad_cameras[] = {
+    {CAMERA(POSE_A, SIZE "," INTRINSICS ",\"lens\":{\"model\":\"square\"}"),
+     "c.json#/camera/lens/model", "\"fisheye\""},
+    {CAMERA(POSE_A, SIZE "," INTRINSICS ",\"lens\":{\"model\":\"fisheye\",\"p1\":0}"),
+     "c.json#/camera/lens/p1", "not a known"},
+    {CAMERA(POSE_A, SIZE "," INTRINSICS ",\"lens\":{\"model\":\"fov\",\"omega\":4}"),
+     "c.json#/camera/lens/omega", "is 4"},
+    {CAMERA(POSE_A, SIZE ",\"fov_y_deg\":50,\"lens\":{\"model\":\"fisheye\"}"),
+     "c.json#/camera/fov_y_deg", "pinhole"},
     {"{\"camera\":", "c.json:1", "not valid JSON"},
     {"{}", "c.json#/camera", "missing"},
     {"[]", "c.json#", "object"},
@@ -250,6 +281,7 @@ int main(void) {
     tcase_add_test(tests, spline_loop_follows_a_circle);
     tcase_add_test(tests, still_keys_do_not_move);
     tcase_add_test(tests, opengl_axes);
+    tcase_add_test(tests, camera_with_lens);
     tcase_add_loop_test(tests, bad_camera, 0, sizeof bad_cameras / sizeof *bad_cameras);
     tcase_add_loop_test(tests, bad_path, 0, sizeof bad_paths / sizeof *bad_paths);
     tcase_add_test(tests, oversized_document);

@@ -5,6 +5,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "proto/camera.h"
 #include "proto/dataset.h"
 #include "proto/event.h"
 #include "proto/incident.h"
@@ -334,6 +335,24 @@ END_TEST
 
 #define COUNT(array) (int)(sizeof(array) / sizeof *(array))
 
+// The API's camera is the reader's: a lens only where there is one, its parameters by name.
+START_TEST(camera_as_json) {
+    struct rn_camera camera = {.width = 4, .height = 3, .fx = 5, .fy = 6, .cx = 2, .cy = 1.5};
+    char *json;
+    struct rn_error err;
+    for (int i = 0; i < 3; i++)
+        camera.world_from_camera[i][i] = 1;
+    ck_assert_int_eq(rn_camera_json(&camera, &json, &err), RN_OK);
+    ck_assert_ptr_null(strstr(json, "lens"));
+    free(json);
+    camera.lens = RN_LENS_FOV;
+    camera.lens_k[0] = 0.75;
+    ck_assert_int_eq(rn_camera_json(&camera, &json, &err), RN_OK);
+    ck_assert_ptr_nonnull(strstr(json, "\"lens\":{\"model\":\"fov\",\"omega\":0.75}"));
+    free(json);
+}
+END_TEST
+
 int main(void) {
     TCase *tests = tcase_create("codec");
     tcase_add_loop_test(tests, example_survives, 0, COUNT(examples));
@@ -345,6 +364,7 @@ int main(void) {
     tcase_add_loop_test(tests, numbers_read_back_the_same, 0, 6);
     tcase_add_test(tests, missing_value_is_not_encoded);
     tcase_add_test(tests, strings_are_escaped);
+    tcase_add_test(tests, camera_as_json);
     tcase_add_test(tests, lists_have_a_cursor);
     tcase_add_test(tests, description_fills_a_scene);
     tcase_add_test(tests, render_request_is_checked_and_settled);
