@@ -47,6 +47,11 @@ const char *rn_check_bounds(const char *text) {
     return "must be X,Y,Z,RADIUS: four numbers, the radius above 0";
 }
 
+const char *rn_check_format(const char *text) {
+    return rn_format_find(text) ? NULL
+                                : "must be the name of a format, as GET /v1/formats lists them";
+}
+
 const char *rn_check_device(const char *text) {
     static const char prefix[] = "cuda:";
     const char *number = text + strlen(prefix);

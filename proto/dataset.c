@@ -13,7 +13,7 @@ const char *const rn_severity_names[] = {"info", "warning", "error", NULL};
 static const struct rn_field_spec ingest_options[] = {
     RN_F_INT(S, max_size, 0, 0, 16384),          RN_F_INT(S, scales, 0, 1, 8),
     RN_F_NAME(S, alpha, 0, rn_alpha_mode_names), RN_F_TEXT(S, split, 0, rn_check_split_spec),
-    RN_F_TEXT(S, bounds, 0, rn_check_bounds),
+    RN_F_TEXT(S, bounds, 0, rn_check_bounds),    RN_F_TEXT(S, format, 0, rn_check_format),
 };
 const struct rn_table rn_ingest_options_table = RN_TABLE(S, "import options", ingest_options);
 #undef S
@@ -92,7 +92,7 @@ static const struct rn_table report_problem_table = RN_TABLE(S, "a problem", rep
 
 #define S struct rn_dataset_report_record
 static const struct rn_field_spec report[] = {
-    RN_F_NAME(S, layout, RN_REQUIRED, rn_layout_names),
+    RN_F_TEXT(S, layout, RN_REQUIRED, NULL),
     RN_F_OBJECT(S, usable, RN_REQUIRED, &rn_split_counts_table),
     RN_F_OBJECT(S, unusable, RN_REQUIRED, &rn_split_counts_table),
     RN_F_INT(S, scales, RN_REQUIRED, 0, INFINITY),

@@ -11,9 +11,10 @@ extern const char *const rn_severity_names[];   // "info", "warning", "error"
 
 struct rn_ingest_options {
     int64_t max_size, scales;
-    int alpha;        // rn_alpha_mode_names
-    char split[16];   // "files" or "every:N"
-    char bounds[128]; // "X,Y,Z,RADIUS" of the sphere that holds the scene
+    int alpha;                       // rn_alpha_mode_names
+    char split[16];                  // "files" or "every:N"
+    char bounds[128];                // "X,Y,Z,RADIUS" of the sphere that holds the scene
+    char format[RN_FORMAT_NAME_MAX]; // of rn_formats; "": recognised
 };
 extern const struct rn_table rn_ingest_options_table;
 // N of "every:N"; 0 for "files" and "". The text was checked by the table.
@@ -49,7 +50,7 @@ struct rn_report_problem {
     char where[256], text[384];
 };
 struct rn_dataset_report_record {
-    int layout; // rn_layout_names
+    char layout[RN_FORMAT_NAME_MAX];
     struct rn_split_counts usable, unusable;
     int64_t scales;
     struct rn_range footprint, camera_distance;

@@ -39,7 +39,7 @@ enum rn_status rn_dataset_report_fill(const struct rn_dataset *dataset,
     enum rn_status status = rn_report_problems_fill(problems, ret_report, err);
     if (status != RN_OK) return status;
     rn_dataset_describe(dataset, &found);
-    ret_report->layout = (int)dataset->layout;
+    snprintf(ret_report->layout, sizeof ret_report->layout, "%s", dataset->format->name);
     ret_report->usable = split_counts(found.usable);
     ret_report->unusable = split_counts(found.unusable);
     ret_report->scales = found.scale_count;

@@ -49,7 +49,7 @@ static void print_report(const char *folder, const struct rn_dataset *dataset,
     const struct rn_bounds *bounds = &dataset->bounds;
     const struct rn_split_counts *usable = &report->usable, *bad = &report->unusable;
     int64_t images = usable->train + usable->val + usable->test;
-    printf("%s: %s layout\n\n", folder, rn_layout_names[report->layout]);
+    printf("%s: %s layout\n\n", folder, report->layout);
     printf("             train    val   test\n");
     printf("usable      %6lld %6lld %6lld\n", (long long)usable->train, (long long)usable->val,
            (long long)usable->test);
@@ -90,12 +90,12 @@ static bool show_made(void *context, size_t done, size_t total) {
 
 // Reads a dataset and decodes its images; what is wrong goes into `problems`. NULL when nothing
 // usable is left.
-static struct rn_dataset *read_dataset(const char *folder, bool quiet,
-                                       struct rn_problems *problems) {
+static struct rn_dataset *read_dataset(const char *folder, const struct rn_read_options *options,
+                                       bool quiet, struct rn_problems *problems) {
     struct rn_dataset *dataset = NULL;
     struct rn_progress progress;
     struct rn_error err = {0};
-    enum rn_status status = rn_dataset_read(folder, problems, &dataset, &err);
+    enum rn_status status = rn_dataset_read_as(folder, options, problems, &dataset, &err);
     if (status == RN_OK) {
         rn_progress_init(&progress, !quiet);
         status =
@@ -112,12 +112,12 @@ static struct rn_dataset *read_dataset(const char *folder, bool quiet,
 // Reads a dataset without any daemon. RN_EXIT_INVALID when it cannot be used as it is; *ret_dataset
 // is then NULL or what is left. `show` prints the report; without it problems go to stderr where
 // there are errors or warnings.
-static enum rn_exit examine(const char *folder, bool json, bool show,
-                            struct rn_dataset **ret_dataset) {
+static enum rn_exit examine(const char *folder, const struct rn_read_options *options, bool json,
+                            bool show, struct rn_dataset **ret_dataset) {
     struct rn_problems problems = {0};
     struct rn_dataset_report_record report;
     struct rn_error err = {0};
-    *ret_dataset = read_dataset(folder, json, &problems);
+    *ret_dataset = read_dataset(folder, options, json, &problems);
     bool failed = problems.errors > 0, worth_saying = failed || problems.warnings > 0;
     enum rn_status status = *ret_dataset
                                 ? rn_dataset_report_fill(*ret_dataset, &problems, &report, &err)
@@ -137,19 +137,25 @@ static enum rn_exit examine(const char *folder, bool json, bool show,
     return failed ? RN_EXIT_INVALID : RN_EXIT_OK;
 }
 
-static enum rn_exit run_validate(struct rn_client *client, const void *options, const char **args) {
+struct import_options {
+    const char *name, *alpha, *split, *bounds, *format;
+    int64_t max_size, scales;
+};
+
+static struct rn_read_options read_options(const struct import_options *options) {
+    return (struct rn_read_options){.format = options->format};
+}
+
+static enum rn_exit run_validate(struct rn_client *client, const void *context, const char **args) {
+    struct rn_read_options options = read_options(context);
     struct rn_dataset *dataset = NULL;
-    enum rn_exit code = examine(args[0], client->json, true, &dataset);
+    enum rn_exit code = examine(args[0], &options, client->json, true, &dataset);
     rn_dataset_destroy(&dataset);
     return code;
 }
 
 // ---- import ----
 
-struct import_options {
-    const char *name, *alpha, *split, *bounds;
-    int64_t max_size, scales;
-};
 #define IMPORT(m) .offset = offsetof(struct import_options, m)
 static const struct rn_option import_table[] = {
     {.name = "name",
@@ -186,6 +192,11 @@ static const struct rn_option import_table[] = {
      IMPORT(bounds),
      .value = "X,Y,Z,R",
      .help = "the sphere that holds the scene; else by layout or from the cameras"},
+    {.name = "format",
+     .kind = RN_OPTION_TEXT,
+     IMPORT(format),
+     .value = "NAME",
+     .help = "read the folder as this format; else it is recognised by its files"},
     {0}};
 
 static int compare_names(const void *a, const void *b) {
@@ -214,19 +225,13 @@ static enum rn_status add_images(struct rn_tar *tar, const char *folder,
     return status;
 }
 
-// The JSON files of the dataset's layout; of the NeRF-synthetic one, those that are there.
+// What was read beside images.
 static enum rn_status add_documents(struct rn_tar *tar, const struct rn_dataset *dataset,
                                     struct rn_error *err) {
-    if (dataset->layout == RN_LAYOUT_NATIVE) return rn_tar_add(tar, "dataset.json", err);
-    if (dataset->layout == RN_LAYOUT_MULTISCALE) return rn_tar_add(tar, "metadata.json", err);
-    for (int split = 0; split < RN_SPLIT_COUNT; split++) {
-        char name[64];
-        snprintf(name, sizeof name, "transforms_%s.json", rn_split_name((enum rn_split)split));
-        enum rn_status status = rn_tar_add(tar, name, err);
-        if (status != RN_OK && (status != RN_ERROR_NOT_FOUND || split == RN_SPLIT_TRAIN))
-            return status;
-    }
-    return RN_OK;
+    enum rn_status status = RN_OK;
+    for (size_t i = 0; i < dataset->document_count && status == RN_OK; i++)
+        status = rn_tar_add(tar, dataset->documents[i], err);
+    return status;
 }
 
 struct upload {
@@ -266,6 +271,7 @@ static void import_query(const struct import_options *options, struct rn_buf *re
     if (options->alpha) add_query(ret_query, "alpha", options->alpha);
     if (options->split) add_query(ret_query, "split", options->split);
     if (options->bounds) add_query(ret_query, "bounds", options->bounds);
+    if (options->format) add_query(ret_query, "format", options->format);
 }
 
 // Sends the archive; the reply is the ingest job's.
@@ -338,8 +344,9 @@ static enum rn_exit run_import(struct rn_client *client, const void *context, co
     struct rn_dataset *dataset = NULL;
     struct rn_tar *tar = NULL;
     char job[RN_ID_MAX];
+    struct rn_read_options how = read_options(options);
     if (!options->name) return rn_client_usage("import", "needs --name N");
-    enum rn_exit code = examine(args[0], client->json, false, &dataset);
+    enum rn_exit code = examine(args[0], &how, client->json, false, &dataset);
     if (code != RN_EXIT_OK) {
         fprintf(stderr, "ripnerf: %s: nothing was sent%s\n", args[0],
                 dataset ? "; mend what is named above, or take it out of the JSON" : "");
@@ -394,7 +401,7 @@ static enum rn_exit run_synth(struct rn_client *client, const void *context, con
         return rn_client_usage(err.where, "%s", err.text);
     if (status != RN_OK) return rn_client_fail(&err);
     struct rn_dataset *dataset = NULL;
-    enum rn_exit code = examine(args[1], client->json, client->json, &dataset);
+    enum rn_exit code = examine(args[1], NULL, client->json, client->json, &dataset);
     if (code == RN_EXIT_OK && !client->json)
         printf("%s: %d views to train, %d to validate, %d to test\n", args[1],
                dataset->view_count[RN_SPLIT_TRAIN], dataset->view_count[RN_SPLIT_VAL],
@@ -429,19 +436,20 @@ const struct rn_verb rn_verbs_dataset[] = {
     {.name = "validate",
      .arguments = "DIR",
      .summary = "check a dataset here, before anything is sent",
-     .details =
-         "Reads the JSON files (NeRF-synthetic transforms_*.json, multi-scale metadata.json,\n"
-         "or dataset.json) and decodes the images they name. Exit code 4 when there\n"
-         "is an error.",
+     .details = "Recognises the folder's format by its files, reads it and decodes its images.\n"
+                "Takes the options of import, so that it says what import would do. Exit code 4\n"
+                "when there is an error.",
      .args_min = 1,
      .args_max = 1,
-     .table = no_options,
+     .table = import_table,
+     .options_size = sizeof(struct import_options),
      .local = true,
      .run = run_validate},
     {.name = "import",
      .arguments = "DIR --name N",
      .summary = "check a dataset, send it to the daemon, wait until it is there",
-     .details = "Sends exactly the files that the dataset's JSON names. A dataset with errors is\n"
+     .details = "Sends exactly the files that are read: the format's documents and its images. A "
+                "dataset with errors is\n"
                 "not sent (exit code 4).",
      .args_min = 1,
      .args_max = 1,

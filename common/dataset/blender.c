@@ -72,21 +72,21 @@ static enum rn_status read_frames(struct rn_reader *reader, struct document *doc
     return status;
 }
 
-static enum rn_status read_document(struct rn_reader *reader, struct rn_json root,
-                                    enum rn_split split, struct rn_error *err) {
+static enum rn_status read_document(struct rn_reader *reader, const struct rn_json *root,
+                                    void *context, struct rn_error *err) {
     static const char *const known[] = {"camera_angle_x", "frames", "w", "h", NULL};
-    struct document document = {.root = root};
+    struct document document = {.root = *root};
     enum rn_status status =
-        rn_json_number(&root, "camera_angle_x", 1e-4, MAX_ANGLE, &document.angle_x, err);
+        rn_json_number(root, "camera_angle_x", 1e-4, MAX_ANGLE, &document.angle_x, err);
     if (status) return status;
     struct rn_json width, height;
-    document.stated = rn_json_find(&root, "w", &width) || rn_json_find(&root, "h", &height);
+    document.stated = rn_json_find(root, "w", &width) || rn_json_find(root, "h", &height);
     if (document.stated &&
-        ((status = rn_json_integer(&root, "w", 1, RN_CAMERA_MAX_SIZE, &document.width, err)) ||
-         (status = rn_json_integer(&root, "h", 1, RN_CAMERA_MAX_SIZE, &document.height, err))))
+        ((status = rn_json_integer(root, "w", 1, RN_CAMERA_MAX_SIZE, &document.width, err)) ||
+         (status = rn_json_integer(root, "h", 1, RN_CAMERA_MAX_SIZE, &document.height, err))))
         return status;
-    rn_reader_warn_unknown(reader, &root, known);
-    return read_frames(reader, &document, split, err);
+    rn_reader_warn_unknown(reader, root, known);
+    return read_frames(reader, &document, *(enum rn_split *)context, err);
 }
 
 static enum rn_status read_split(struct rn_reader *reader, enum rn_split split,
@@ -95,25 +95,30 @@ static enum rn_status read_split(struct rn_reader *reader, enum rn_split split,
     snprintf(name, sizeof name, "transforms_%s.json", rn_split_name(split));
     char *path = rn_reader_path(reader, name);
     if (!path) return rn_error_set(err, RN_ERROR_NO_MEMORY, reader->folder, "out of memory");
-    enum rn_status status = RN_OK;
-    if (access(path, F_OK) != 0) {
+    bool there = access(path, F_OK) == 0;
+    if (!there)
         rn_problems_add(reader->problems, RN_SEVERITY_INFO, path, "is not there: no %s split",
                         rn_split_name(split));
-    } else {
-        json_t *root = NULL;
-        status = rn_json_parse_file(path, &root, err);
-        if (status == RN_OK) {
-            status = read_document(reader, rn_json_root(root, path), split, err);
-            json_decref(root);
-        }
-    }
     free(path);
-    return status;
+    return there ? rn_reader_json(reader, name, false, read_document, &split, err) : RN_OK;
 }
 
-enum rn_status rn_read_blender(struct rn_reader *reader, struct rn_error *err) {
+static enum rn_status read_blender(struct rn_reader *reader, struct rn_error *err) {
     enum rn_status status = RN_OK;
+    reader->dataset->premultiplied_scales = true;
     for (int split = 0; split < RN_SPLIT_COUNT && status == RN_OK; split++)
         status = read_split(reader, (enum rn_split)split, err);
     return status;
 }
+
+#define TRAIN "transforms_train.json"
+#define VAL "transforms_val.json"
+#define TEST "transforms_test.json"
+const struct rn_format rn_format_blender = {
+    .name = "blender",
+    .title = "NeRF-synthetic",
+    .signs = (const struct rn_sign[]){{TRAIN, NULL}, {VAL, NULL}, {TEST, NULL}, {NULL, NULL}},
+    .documents = (const char *const[]){TRAIN, VAL, TEST, NULL},
+    .photo_folders = (const char *const[]){NULL},
+    .sphere = RN_BLENDER_SPHERE,
+    .read = read_blender};

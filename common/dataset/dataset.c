@@ -1,19 +1,14 @@
 #include "common/dataset/dataset.h"
 
-#include <errno.h>
-#include <fcntl.h>
 #include <stdlib.h>
 #include <string.h>
-#include <unistd.h>
 
 #include "common/dataset/reader.h"
 
-#define LAYOUT_RADIUS 1.5     // of the NeRF-synthetic scenes, about the origin
 #define OBJECT_DISTANCES 0.5  // of the cameras: a sphere that cameras around an object look at
 #define CAPTURE_DISTANCES 1.5 // one that holds cameras and what is behind what they look at
 #define SEEN_ENOUGH 0.8       // of photographs without alpha; the NeRF-synthetic sphere has 0.9
 
-const char *const rn_layout_names[] = {"blender", "multiscale", "native", NULL};
 const char *const rn_bounds_source_names[] = {"given", "layout", "cameras", NULL};
 const char *const rn_downscale_names[2] = {"premultiplied", "straight"};
 
@@ -27,6 +22,9 @@ void rn_dataset_destroy(struct rn_dataset **dataset) {
     if (!*dataset) return;
     for (size_t i = 0; i < (*dataset)->frame_count; i++)
         rn_frame_finish(&(*dataset)->frames[i]);
+    for (size_t i = 0; i < (*dataset)->document_count; i++)
+        free((*dataset)->documents[i]);
+    free((*dataset)->documents);
     free((*dataset)->frames);
     free((*dataset)->name);
     free(*dataset);
@@ -87,15 +85,16 @@ static void warn_of_what_is_beyond(struct rn_reader *reader) {
                     "lies beyond cannot be learnt. `import --bounds X,Y,Z,R` says which sphere "
                     "holds the scene: %.6g,%.6g,%.6g,%.6g reaches %g times as far as the cameras' "
                     "mean distance",
-                    LAYOUT_RADIUS, 100 * seen, wider.centre[0], wider.centre[1], wider.centre[2],
-                    wider.radius, CAPTURE_DISTANCES);
+                    dataset->format->sphere, 100 * seen, wider.centre[0], wider.centre[1],
+                    wider.centre[2], wider.radius, CAPTURE_DISTANCES);
 }
 
 // The layouts' convention, unless no camera at all looks at that sphere.
 static void set_bounds(struct rn_reader *reader) {
     struct rn_dataset *dataset = reader->dataset;
-    if (dataset->layout == RN_LAYOUT_NATIVE) return;
-    dataset->bounds = (struct rn_bounds){.radius = LAYOUT_RADIUS, .source = RN_BOUNDS_LAYOUT};
+    if (dataset->bounds.radius > 0) return;
+    dataset->bounds =
+        (struct rn_bounds){.radius = dataset->format->sphere, .source = RN_BOUNDS_LAYOUT};
     for (size_t i = 0; i < dataset->frame_count; i++)
         if (rn_camera_looks_at(&dataset->frames[i].camera, &dataset->bounds)) {
             warn_of_what_is_beyond(reader);
@@ -105,54 +104,45 @@ static void set_bounds(struct rn_reader *reader) {
     rn_problems_add(reader->problems, RN_SEVERITY_WARNING, reader->folder,
                     "no camera looks at the layout's sphere (radius %g about the origin); bounds "
                     "taken from the cameras: radius %g about (%g, %g, %g)",
-                    LAYOUT_RADIUS, dataset->bounds.radius, dataset->bounds.centre[0],
+                    dataset->format->sphere, dataset->bounds.radius, dataset->bounds.centre[0],
                     dataset->bounds.centre[1], dataset->bounds.centre[2]);
 }
 
-static enum rn_status detect_layout(struct rn_reader *reader, struct rn_error *err) {
-    static const struct {
-        const char *file;
-        enum rn_layout layout;
-    } signs[] = {{"dataset.json", RN_LAYOUT_NATIVE},
-                 {"metadata.json", RN_LAYOUT_MULTISCALE},
-                 {"transforms_train.json", RN_LAYOUT_BLENDER},
-                 {"transforms_val.json", RN_LAYOUT_BLENDER},
-                 {"transforms_test.json", RN_LAYOUT_BLENDER}};
-    int folder = open(reader->folder, O_PATH | O_DIRECTORY | O_CLOEXEC);
-    if (folder < 0 && errno == ENOTDIR)
-        return rn_error_set(err, RN_ERROR_INVALID, reader->folder, "is not a folder");
-    if (folder < 0) return rn_error_from_errno(err, errno, reader->folder, "open the folder");
-    size_t i = 0, count = sizeof signs / sizeof *signs;
-    while (i < count && faccessat(folder, signs[i].file, F_OK, 0) != 0)
-        i++;
-    close(folder);
-    if (i == count)
+static enum rn_status read_format(struct rn_reader *reader, const struct rn_format *format,
+                                  struct rn_error *err) {
+    reader->dataset->format = format;
+    enum rn_status status = format->read(reader, err);
+    if (status == RN_OK)
+        status = rn_dataset_seal(reader->dataset, reader->folder, reader->problems, err);
+    if (status == RN_OK) set_bounds(reader);
+    return status;
+}
+
+static enum rn_status choose_format(struct rn_reader *reader, const struct rn_format **ret_format,
+                                    struct rn_error *err) {
+    const struct rn_format *found[RN_FORMATS_MAX];
+    size_t count;
+    enum rn_status status = rn_formats_recognise(reader->folder, found, &count, err);
+    if (status) return status;
+    if (count == 0)
         return rn_error_set(err, RN_ERROR_NOT_FOUND, reader->folder,
                             "holds no dataset: none of dataset.json, metadata.json and "
                             "transforms_train.json is there");
-    reader->dataset->layout = signs[i].layout;
+    for (size_t i = 1; i < count; i++)
+        rn_problems_add(reader->problems, RN_SEVERITY_INFO, reader->folder,
+                        "is read as %s; it also holds a dataset of the format %s (--format %s)",
+                        found[0]->title, found[i]->title, found[i]->name);
+    *ret_format = found[0];
     return RN_OK;
 }
 
-static enum rn_status read_layout(struct rn_reader *reader, struct rn_error *err) {
-    enum rn_status status = detect_layout(reader, err);
-    if (status) return status;
-    switch (reader->dataset->layout) {
-    case RN_LAYOUT_NATIVE:
-        status = rn_read_native(reader, err);
-        break;
-    case RN_LAYOUT_MULTISCALE:
-        status = rn_read_multiscale(reader, err);
-        break;
-    case RN_LAYOUT_BLENDER:
-        reader->dataset->premultiplied_scales = true;
-        status = rn_read_blender(reader, err);
-        break;
-    }
-    if (status) return status;
-    status = rn_dataset_seal(reader->dataset, reader->folder, reader->problems, err);
-    if (status == RN_OK) set_bounds(reader);
-    return status;
+static enum rn_status named_format(const char *name, const struct rn_format **ret_format,
+                                   struct rn_error *err) {
+    char names[256];
+    *ret_format = rn_format_find(name);
+    if (*ret_format) return RN_OK;
+    rn_format_names(names, sizeof names);
+    return rn_error_set(err, RN_ERROR_INVALID, "format", "'%.40s' is none of %s", name, names);
 }
 
 // The folder's own name: "/data/lego/" -> "lego".
@@ -166,23 +156,33 @@ static char *folder_name(const char *folder) {
     return strndup(folder + begin, end - begin);
 }
 
-enum rn_status rn_dataset_read(const char *folder, struct rn_problems *problems,
-                               struct rn_dataset **ret_dataset, struct rn_error *err) {
+enum rn_status rn_dataset_read_as(const char *folder, const struct rn_read_options *options,
+                                  struct rn_problems *problems, struct rn_dataset **ret_dataset,
+                                  struct rn_error *err) {
     struct rn_reader reader = {.folder = folder, .problems = problems};
+    const struct rn_format *format = NULL;
     reader.dataset = calloc(1, sizeof *reader.dataset);
     reader.reported = json_object();
     if (reader.dataset) reader.dataset->name = folder_name(folder);
     enum rn_status status;
     if (!reader.dataset || !reader.dataset->name || !reader.reported)
         status = rn_error_set(err, RN_ERROR_NO_MEMORY, folder, "out of memory");
+    else if (options && options->format)
+        status = named_format(options->format, &format, err);
     else
-        status = read_layout(&reader, err);
+        status = choose_format(&reader, &format, err);
+    if (status == RN_OK) status = read_format(&reader, format, err);
     json_decref(reader.reported);
     if (status == RN_OK)
         *ret_dataset = reader.dataset;
     else
         rn_dataset_destroy(&reader.dataset);
     return status;
+}
+
+enum rn_status rn_dataset_read(const char *folder, struct rn_problems *problems,
+                               struct rn_dataset **ret_dataset, struct rn_error *err) {
+    return rn_dataset_read_as(folder, NULL, problems, ret_dataset, err);
 }
 
 const struct rn_frame *rn_dataset_frame(const struct rn_dataset *dataset, enum rn_split split,

@@ -1,22 +1,19 @@
 // Posed photographs: one structure, whatever the files' layout was.
 //
-// Readers (blender.c: NeRF-synthetic transforms_*.json; multiscale.c: metadata.json; native.c:
-// the dataset.json that import writes) fill a struct rn_dataset. Names come from the JSON, never
-// from globbing. No pixel is decoded here: only image headers are read.
+// Readers, one file a format (formats.h), fill a struct rn_dataset. No pixel is decoded here: only
+// image headers are read.
 #ifndef RN_COMMON_DATASET_DATASET_H
 #define RN_COMMON_DATASET_DATASET_H
 
 #include <stddef.h>
 
 #include "common/base/status.h"
+#include "common/dataset/formats.h"
 #include "common/image/image.h"
 #include "common/math/camera.h"
 
 enum rn_split { RN_SPLIT_TRAIN, RN_SPLIT_VAL, RN_SPLIT_TEST, RN_SPLIT_COUNT };
 const char *rn_split_name(enum rn_split split); // "train", "val", "test"
-
-enum rn_layout { RN_LAYOUT_BLENDER, RN_LAYOUT_MULTISCALE, RN_LAYOUT_NATIVE };
-extern const char *const rn_layout_names[]; // "blender", "multiscale", "native", NULL
 
 // One image file. A view photographed once and kept at several scales has one frame a scale.
 struct rn_frame {
@@ -44,7 +41,9 @@ struct rn_bounds {
 // Thread-safety: immutable once read. Owner: whoever read it; rn_dataset_destroy.
 struct rn_dataset {
     char *name;
-    enum rn_layout layout;
+    const struct rn_format *format;
+    char **documents; // what was read beside images, relative to the folder; document_count of them
+    size_t document_count;
     struct rn_frame *frames; // ordered by split, index, scale
     size_t frame_count;
     int view_count[RN_SPLIT_COUNT]; // usable views (not frames) per split
@@ -71,14 +70,22 @@ void rn_problems_add(struct rn_problems *problems, enum rn_severity severity, co
                      const char *fmt, ...) RN_PRINTF(4, 5);
 void rn_problems_finish(struct rn_problems *problems);
 
-// Reads a dataset folder, detecting its layout: dataset.json (native), metadata.json
-// (multi-scale), transforms_{train,val,test}.json (NeRF-synthetic). Frames with a bad pose or
-// file name, or whose image is missing, unreadable or of another size than the JSON says, are
-// left out, each with an error in `problems` (optional) that names file and field.
-// RN_ERROR_NOT_FOUND without any of those files; RN_ERROR_INVALID when a JSON file itself is bad
-// or no training view is usable; RN_ERROR_LIMIT, RN_ERROR_NO_MEMORY.
+// Reads a dataset folder in the first of the formats whose signs it bears (formats.h has them);
+// another that it bears as well is told. Frames with a bad pose or file name, or whose image is
+// missing, unreadable or of another size than the document says, are left out, each with an error
+// in `problems` (optional) that names file and field. RN_ERROR_NOT_FOUND without any sign;
+// RN_ERROR_INVALID when a document itself is bad or no training view is usable; RN_ERROR_LIMIT,
+// RN_ERROR_NO_MEMORY.
 enum rn_status rn_dataset_read(const char *folder, struct rn_problems *problems,
                                struct rn_dataset **ret_dataset, struct rn_error *err) RN_MUST_CHECK;
+// As rn_dataset_read, with what the caller knows better; NULL options: nothing. RN_ERROR_INVALID
+// for a format of no such name.
+struct rn_read_options {
+    const char *format; // the name of the format to read as; NULL: by signs
+};
+enum rn_status rn_dataset_read_as(const char *folder, const struct rn_read_options *options,
+                                  struct rn_problems *problems, struct rn_dataset **ret_dataset,
+                                  struct rn_error *err) RN_MUST_CHECK;
 void rn_dataset_destroy(struct rn_dataset **dataset);
 
 // Decodes every image, `threads` at a time, and leaves out those that cannot be decoded whole,

@@ -169,7 +169,7 @@ static json_t *dataset_to_json(const struct rn_dataset *dataset, const char *tar
         }
     return json_pack("{s:s s:i s:s s:{s:s s:s} s:{s:[fff] s:f s:s} s:o}", "format",
                      RN_NATIVE_FORMAT, "version", RN_NATIVE_VERSION, "name", dataset->name,
-                     "source", "layout", rn_layout_names[dataset->layout], "downscale",
+                     "source", "layout", dataset->format->name, "downscale",
                      rn_downscale_names[dataset->premultiplied_scales ? RN_DOWNSCALE_PREMULTIPLIED
                                                                       : RN_DOWNSCALE_STRAIGHT],
                      "bounds", "centre", bounds->centre[0], bounds->centre[1], bounds->centre[2],
@@ -233,7 +233,7 @@ static enum rn_status drop_from_source(const struct import *import, struct rn_da
 static enum rn_status conclude(struct import *import, struct rn_dataset *source, const char *name,
                                struct rn_problems *problems, struct rn_error *err) {
     const struct rn_import_options *options = import->options;
-    struct rn_dataset result = {.name = (char *)name, .layout = source->layout};
+    struct rn_dataset result = {.name = (char *)name, .format = source->format};
     drop_faulty(import, problems, result.unusable);
     result.frames = import->outputs;
     result.frame_count = import->output_count;

@@ -30,6 +30,31 @@ static void quote_nonfinite(char *json, size_t size_bytes) {
     }
 }
 
+// Blanks comments, so that lines keep their numbers. One that is never closed stays.
+static void blank_comments(char *json, size_t size_bytes) {
+    bool in_string = false;
+    for (size_t i = 0; i + 1 < size_bytes; i++) {
+        const char *end;
+        if (in_string && json[i] == '\\') {
+            i++;
+            continue;
+        }
+        if (json[i] == '"') in_string = !in_string;
+        if (in_string || json[i] != '/') continue;
+        char *rest = json + i;
+        if (rest[1] == '/')
+            end = memchr(rest, '\n', size_bytes - i);
+        else if (rest[1] == '*' && (end = memmem(rest + 2, size_bytes - i - 2, "*/", 2)) != NULL)
+            end += 2;
+        else
+            continue;
+        if (!end) end = json + size_bytes;
+        for (; rest < end; rest++)
+            if (*rest != '\n') *rest = ' ';
+        i = (size_t)(end - json) - 1;
+    }
+}
+
 static enum rn_status parse_in_place(char *json, size_t size_bytes, const char *where,
                                      json_t **ret_root, struct rn_error *err) {
     quote_nonfinite(json, size_bytes);
@@ -61,11 +86,13 @@ enum rn_status rn_json_parse(const char *json, size_t size_bytes, const char *wh
     return status;
 }
 
-enum rn_status rn_json_parse_file(const char *path, json_t **ret_root, struct rn_error *err) {
+enum rn_status rn_json_parse_file(const char *path, bool comments, json_t **ret_root,
+                                  struct rn_error *err) {
     uint8_t *bytes;
     size_t size_bytes;
     enum rn_status status = rn_file_read(path, RN_JSON_MAX_BYTES, &bytes, &size_bytes, err);
     if (status) return status;
+    if (comments) blank_comments((char *)bytes, size_bytes);
     status = parse_in_place((char *)bytes, size_bytes, path, ret_root, err);
     free(bytes);
     return status;

@@ -26,8 +26,9 @@ struct rn_json {
 // names the field. RN_ERROR_INVALID ("where:line"), RN_ERROR_LIMIT, RN_ERROR_NO_MEMORY.
 enum rn_status rn_json_parse(const char *json, size_t size_bytes, const char *where,
                              json_t **ret_root, struct rn_error *err) RN_MUST_CHECK;
-// As rn_json_parse, of a file of at most RN_JSON_MAX_BYTES. Also rn_file_read's statuses.
-enum rn_status rn_json_parse_file(const char *path, json_t **ret_root,
+// As rn_json_parse, of a file of at most RN_JSON_MAX_BYTES; `comments`: // and /* */, which some
+// programs write, are blanks. Also rn_file_read's statuses.
+enum rn_status rn_json_parse_file(const char *path, bool comments, json_t **ret_root,
                                   struct rn_error *err) RN_MUST_CHECK;
 
 struct rn_json rn_json_root(const json_t *root, const char *file);

@@ -119,7 +119,7 @@ static enum rn_status read_split(struct rn_reader *reader, const struct rn_json 
 }
 
 static enum rn_status read_document(struct rn_reader *reader, const struct rn_json *root,
-                                    struct rn_error *err) {
+                                    void *context, struct rn_error *err) {
     static const char *const known[] = {"train", "val", "test", NULL};
     if (!json_is_object(root->value))
         return rn_json_error(root, RN_ERROR_INVALID, err, "must be an object");
@@ -137,16 +137,15 @@ static enum rn_status read_document(struct rn_reader *reader, const struct rn_js
     return RN_OK;
 }
 
-enum rn_status rn_read_multiscale(struct rn_reader *reader, struct rn_error *err) {
-    char *path = rn_reader_path(reader, "metadata.json");
-    if (!path) return rn_error_set(err, RN_ERROR_NO_MEMORY, reader->folder, "out of memory");
-    json_t *root = NULL;
-    enum rn_status status = rn_json_parse_file(path, &root, err);
-    if (status == RN_OK) {
-        struct rn_json at = rn_json_root(root, path);
-        status = read_document(reader, &at, err);
-        json_decref(root);
-    }
-    free(path);
-    return status;
+static enum rn_status read_multiscale(struct rn_reader *reader, struct rn_error *err) {
+    return rn_reader_json(reader, "metadata.json", false, read_document, NULL, err);
 }
+
+const struct rn_format rn_format_multiscale = {
+    .name = "multiscale",
+    .title = "multi-scale Blender",
+    .signs = (const struct rn_sign[]){{"metadata.json", NULL}, {NULL, NULL}},
+    .documents = (const char *const[]){"metadata.json", NULL},
+    .photo_folders = (const char *const[]){NULL},
+    .sphere = RN_BLENDER_SPHERE,
+    .read = read_multiscale};

@@ -70,11 +70,12 @@ static enum rn_status read_source(const struct rn_json *root, struct rn_dataset 
                                   struct rn_error *err) {
     static const char *const known[] = {"layout", "downscale", NULL};
     struct rn_json object;
-    int layout, downscale;
+    const char *layout;
+    int downscale;
     enum rn_status status;
     if ((status = rn_json_member(root, "source", &object, err)) ||
         (status = rn_json_refuse_unknown(&object, known, err)) ||
-        (status = rn_json_choice(&object, "layout", rn_layout_names, 3, &layout, err)) ||
+        (status = rn_json_text(&object, "layout", RN_FORMAT_NAME_MAX, &layout, err)) ||
         (status = rn_json_choice(&object, "downscale", rn_downscale_names, 2, &downscale, err)))
         return status;
     dataset->premultiplied_scales = downscale == RN_DOWNSCALE_PREMULTIPLIED;
@@ -82,7 +83,7 @@ static enum rn_status read_source(const struct rn_json *root, struct rn_dataset 
 }
 
 static enum rn_status read_document(struct rn_reader *reader, const struct rn_json *root,
-                                    struct rn_error *err) {
+                                    void *context, struct rn_error *err) {
     static const char *const known[] = {"format", "version", "name", "source",
                                         "bounds", "frames",  NULL};
     static const char *const formats[] = {RN_NATIVE_FORMAT};
@@ -104,16 +105,14 @@ static enum rn_status read_document(struct rn_reader *reader, const struct rn_js
     return read_frames(reader, root, err);
 }
 
-enum rn_status rn_read_native(struct rn_reader *reader, struct rn_error *err) {
-    char *path = rn_reader_path(reader, "dataset.json");
-    if (!path) return rn_error_set(err, RN_ERROR_NO_MEMORY, reader->folder, "out of memory");
-    json_t *root = NULL;
-    enum rn_status status = rn_json_parse_file(path, &root, err);
-    if (status == RN_OK) {
-        struct rn_json at = rn_json_root(root, path);
-        status = read_document(reader, &at, err);
-        json_decref(root);
-    }
-    free(path);
-    return status;
+static enum rn_status read_native(struct rn_reader *reader, struct rn_error *err) {
+    return rn_reader_json(reader, RN_NATIVE_DOCUMENT, false, read_document, NULL, err);
 }
+
+const struct rn_format rn_format_native = {
+    .name = "native",
+    .title = "ripnerf",
+    .signs = (const struct rn_sign[]){{RN_NATIVE_DOCUMENT, NULL}, {NULL, NULL}},
+    .documents = (const char *const[]){RN_NATIVE_DOCUMENT, NULL},
+    .photo_folders = (const char *const[]){NULL},
+    .read = read_native};

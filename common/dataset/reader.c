@@ -13,6 +13,40 @@ char *rn_reader_path(const struct rn_reader *reader, const char *name) {
     return asprintf(&path, "%s/%s", reader->folder, name) < 0 ? NULL : path;
 }
 
+enum rn_status rn_reader_document(struct rn_reader *reader, const char *name, char **ret_path,
+                                  struct rn_error *err) {
+    struct rn_dataset *dataset = reader->dataset;
+    size_t count = dataset->document_count;
+    char **grown = realloc(dataset->documents, (count + 1) * sizeof *grown);
+    char *path = rn_reader_path(reader, name);
+    if (grown) {
+        dataset->documents = grown;
+        if ((grown[count] = strdup(name)) != NULL) dataset->document_count++;
+    }
+    if (path && dataset->document_count > count) {
+        *ret_path = path;
+        return RN_OK;
+    }
+    free(path);
+    return rn_error_set(err, RN_ERROR_NO_MEMORY, reader->folder, "out of memory");
+}
+
+enum rn_status rn_reader_json(struct rn_reader *reader, const char *name, bool comments,
+                              rn_reader_root read, void *context, struct rn_error *err) {
+    char *path;
+    json_t *root = NULL;
+    enum rn_status status = rn_reader_document(reader, name, &path, err);
+    if (status) return status;
+    status = rn_json_parse_file(path, comments, &root, err);
+    if (status == RN_OK) {
+        struct rn_json at = rn_json_root(root, path);
+        status = read(reader, &at, context, err);
+        json_decref(root);
+    }
+    free(path);
+    return status;
+}
+
 // What is wrong with a file name from a dataset's JSON, or NULL.
 static const char *name_fault(const char *name) {
     if (name[0] == '/') return "is an absolute path; name files relative to the dataset's folder";

@@ -7,7 +7,9 @@
 
 #define RN_DATASET_MAX_FRAMES 1000000
 #define RN_DATASET_MAX_SCALE 12
+#define RN_BLENDER_SPHERE 1.5 // radius of the NeRF-synthetic scenes, about the origin
 #define RN_FILE_NAME_MAX 1024
+#define RN_NATIVE_DOCUMENT "dataset.json"
 #define RN_NATIVE_FORMAT "ripnerf-dataset"
 #define RN_NATIVE_VERSION 1
 
@@ -23,14 +25,20 @@ struct rn_reader {
     bool told_deep;   // that more than 8 bits are rounded
 };
 
-// One reader a layout: appends frames in any order. A bad document is an error, a bad frame a
-// problem.
-enum rn_status rn_read_blender(struct rn_reader *reader, struct rn_error *err) RN_MUST_CHECK;
-enum rn_status rn_read_multiscale(struct rn_reader *reader, struct rn_error *err) RN_MUST_CHECK;
-enum rn_status rn_read_native(struct rn_reader *reader, struct rn_error *err) RN_MUST_CHECK;
+// A format's `read` appends frames in any order. A bad document is an error, a bad frame a problem.
 
 // "folder/name", malloc'd; NULL when memory is out.
 char *rn_reader_path(const struct rn_reader *reader, const char *name);
+// The same of a document, which is kept as read from. RN_ERROR_NO_MEMORY.
+enum rn_status rn_reader_document(struct rn_reader *reader, const char *name, char **ret_path,
+                                  struct rn_error *err) RN_MUST_CHECK;
+// Parses a JSON document and hands its root to `read`; `context` is the caller's. Also
+// rn_json_parse_file's statuses.
+typedef enum rn_status (*rn_reader_root)(struct rn_reader *reader, const struct rn_json *root,
+                                         void *context, struct rn_error *err);
+enum rn_status rn_reader_json(struct rn_reader *reader, const char *name, bool comments,
+                              rn_reader_root read, void *context,
+                              struct rn_error *err) RN_MUST_CHECK;
 
 // The image that the string member `key` of `object` names, with `extension` appended unless it
 // is "" or the name has an image's: fills name (without folder and extension), path, has_alpha and

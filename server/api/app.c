@@ -15,6 +15,7 @@ const struct rn_route rn_api_routes[] = {
     {GET, "/metrics", 0, 0, rn_get_metrics, NULL},
     {GET, "/v1/info", 0, 0, rn_get_info, NULL},
     {GET, "/v1/openapi.json", 0, 0, rn_get_openapi, NULL},
+    {GET, "/v1/formats", 0, 0, rn_get_formats, NULL},
     {GET, "/v1/datasets", 0, 0, rn_list_datasets, NULL},
     {POST, "/v1/datasets", 0, RN_MAX_BODY, rn_create_dataset, rn_begin_dataset},
     {GET, "/v1/datasets/{id}", 0, 0, rn_get_dataset, NULL},

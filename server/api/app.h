@@ -62,6 +62,7 @@ RN_HANDLER(rn_get_health); // service.c
 RN_HANDLER(rn_get_ready);
 RN_HANDLER(rn_get_info);
 RN_HANDLER(rn_get_openapi);
+RN_HANDLER(rn_get_formats);
 RN_HANDLER(rn_get_metrics); // metrics.c
 RN_HANDLER(rn_get_page);    // page.c
 RN_HANDLER(rn_get_page_file);

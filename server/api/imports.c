@@ -17,50 +17,56 @@ static bool is_tar(const struct rn_request *request) {
            (type[size] == '\0' || type[size] == ';');
 }
 
-static enum rn_status check_text(const char *text, const char *where,
-                                 const char *(*check)(const char *), struct rn_error *err) {
-    const char *wrong = check(text);
-    return wrong == NULL ? RN_OK : rn_error_set(err, RN_ERROR_INVALID, where, "%s", wrong);
+// A text of the query into its field, where it is given and `check` finds nothing wrong.
+static enum rn_status read_text(struct rn_request *request, const char *key,
+                                const char *(*check)(const char *), char *field, size_t capacity,
+                                struct rn_error *err) {
+    const char *text = rn_request_query(request, key);
+    if (text == NULL) return RN_OK;
+    const char *wrong = strlen(text) >= capacity ? "is too long" : check(text);
+    if (wrong != NULL) return rn_error_set(err, RN_ERROR_INVALID, key, "%s", wrong);
+    snprintf(field, capacity, "%s", text);
+    return RN_OK;
+}
+
+static enum rn_status read_number(struct rn_request *request, const char *key, int64_t min,
+                                  int64_t max, int64_t *field, struct rn_error *err) {
+    const char *text = rn_request_query(request, key);
+    return text == NULL ? RN_OK : rn_api_number(text, min, max, key, field, err);
+}
+
+static enum rn_status read_alpha(struct rn_request *request, int *alpha, struct rn_error *err) {
+    const char *text = rn_request_query(request, "alpha");
+    if (text == NULL) return RN_OK;
+    *alpha = rn_name_index(rn_alpha_mode_names, text);
+    if (*alpha >= 0) return RN_OK;
+    return rn_error_set(err, RN_ERROR_INVALID, "alpha", "must be premultiplied or straight");
 }
 
 // Name and options of an upload stand in the query.
 static enum rn_status read_query(struct rn_request *request, const char **ret_name,
                                  struct rn_ingest_options *options, struct rn_error *err) {
     static const char *const known[] = {"name",  "max_size", "scales", "alpha",
-                                        "split", "bounds",   NULL};
+                                        "split", "bounds",   "format", NULL};
     const char *name = rn_request_query(request, "name");
-    const char *max_size = rn_request_query(request, "max_size");
-    const char *scales = rn_request_query(request, "scales");
-    const char *alpha = rn_request_query(request, "alpha");
-    const char *split = rn_request_query(request, "split");
-    const char *bounds = rn_request_query(request, "bounds");
+    char checked[RN_NAME_MAX];
+    enum rn_status status;
     rn_message_init(&rn_ingest_options_table, options);
-    enum rn_status status = rn_request_check_query(request, known, err);
-    if (status == RN_OK && name == NULL)
-        status = rn_error_set(err, RN_ERROR_INVALID, "name", "the query must name the dataset");
-    if (status == RN_OK) status = check_text(name, "name", rn_check_name, err);
-    if (status == RN_OK && max_size != NULL)
-        status = rn_api_number(max_size, 0, 16384, "max_size", &options->max_size, err);
-    if (status == RN_OK && scales != NULL)
-        status = rn_api_number(scales, 1, 8, "scales", &options->scales, err);
-    if (status == RN_OK && alpha != NULL) {
-        options->alpha = rn_name_index(rn_alpha_mode_names, alpha);
-        if (options->alpha < 0)
-            status =
-                rn_error_set(err, RN_ERROR_INVALID, "alpha", "must be premultiplied or straight");
-    }
-    if (status == RN_OK && split != NULL) {
-        status = check_text(split, "split", rn_check_split_spec, err);
-        if (status == RN_OK) snprintf(options->split, sizeof options->split, "%s", split);
-    }
-    if (status == RN_OK && bounds != NULL) {
-        status = check_text(bounds, "bounds", rn_check_bounds, err);
-        if (status == RN_OK && strlen(bounds) >= sizeof options->bounds)
-            status = rn_error_set(err, RN_ERROR_INVALID, "bounds", "is too long");
-        if (status == RN_OK) snprintf(options->bounds, sizeof options->bounds, "%s", bounds);
-    }
-    if (status == RN_OK) *ret_name = name;
-    return status;
+#define TEXT(field, check)                                                                         \
+    read_text(request, #field, check, options->field, sizeof options->field, err)
+    if ((status = rn_request_check_query(request, known, err))) return status;
+    if (name == NULL)
+        return rn_error_set(err, RN_ERROR_INVALID, "name", "the query must name the dataset");
+    if ((status = read_text(request, "name", rn_check_name, checked, sizeof checked, err)) ||
+        (status = read_number(request, "max_size", 0, 16384, &options->max_size, err)) ||
+        (status = read_number(request, "scales", 1, 8, &options->scales, err)) ||
+        (status = read_alpha(request, &options->alpha, err)) ||
+        (status = TEXT(split, rn_check_split_spec)) || (status = TEXT(bounds, rn_check_bounds)) ||
+        (status = TEXT(format, rn_check_format)))
+        return status;
+#undef TEXT
+    *ret_name = name;
+    return RN_OK;
 }
 
 void rn_begin_dataset(void *context, struct rn_request *request, struct rn_reply *reply) {

@@ -7,6 +7,7 @@
 
 #include "common/base/clock.h"
 #include "proto/event.h"
+#include "proto/formats.h"
 #include "proto/openapi.h"
 #include "server/api/app.h"
 
@@ -65,6 +66,13 @@ void rn_get_info(void *context, struct rn_request *request, struct rn_reply *rep
     enum rn_status status = rn_encode_strings(app->roots, app->root_count, &info.roots, &err);
     if (status == RN_OK) status = rn_encode(&rn_info_table, &info, &json, NULL, &err);
     rn_message_finish(&rn_info_table, &info);
+    if (!rn_api_failed(status, &err, reply)) rn_api_json(reply, 200, json);
+}
+
+void rn_get_formats(void *context, struct rn_request *request, struct rn_reply *reply) {
+    struct rn_error err = {0};
+    char *json = NULL;
+    enum rn_status status = rn_formats_to_json(&json, &err);
     if (!rn_api_failed(status, &err, reply)) rn_api_json(reply, 200, json);
 }
 

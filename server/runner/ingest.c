@@ -139,12 +139,19 @@ static enum rn_status import(struct ingest *ingest, struct rn_dataset *source,
     return status;
 }
 
+static enum rn_status read_source(struct ingest *ingest, struct rn_problems *problems,
+                                  struct rn_dataset **ret_source, struct rn_error *err) {
+    const char *format = ingest->order.options.format;
+    struct rn_read_options options = {.format = *format ? format : NULL};
+    return rn_dataset_read_as(ingest->folder, &options, problems, ret_source, err);
+}
+
 static enum rn_status ingest_all(struct ingest *ingest, char **ret_json, struct rn_error *err) {
     struct rn_problems problems = {0};
     struct rn_dataset *source = NULL;
     post_progress(ingest, 0, 0);
     enum rn_status status = find_source(ingest, err);
-    if (!status) status = rn_dataset_read(ingest->folder, &problems, &source, err);
+    if (!status) status = read_source(ingest, &problems, &source, err);
     if (!status) status = import(ingest, source, &problems, ret_json, err);
     if (source) rn_dataset_destroy(&source);
     rn_problems_finish(&problems);

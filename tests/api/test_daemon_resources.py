@@ -4,6 +4,7 @@ import io
 import json
 import tarfile
 import time
+from pathlib import Path
 
 import pytest
 from PIL import Image
@@ -33,6 +34,12 @@ def test_service(shared):
     assert info["device"] == "cpu" and info["threads"] >= 1 and len(info["roots"]) == 1
     assert shared.get("/v1/openapi.json").json == json.loads(
         json.dumps(contract.document(), default=str))
+
+
+def test_formats(shared):
+    """The example is the whole answer: what stands in for the daemon elsewhere serves it."""
+    example = Path(contract.__file__).resolve().parents[2] / "proto/examples/FormatList.json"
+    assert shared.get("/v1/formats").json == json.loads(example.read_text(encoding="utf-8"))
 
 
 def test_metrics(shared):

@@ -22,6 +22,7 @@ from fake_pictures import draw
 from fake_world import OVER, Refusal, World, contract, now
 
 WEB = Path(__file__).resolve().parents[2] / "web"
+FORMATS = WEB.parent / "proto/examples/FormatList.json"
 CSP = (
     "default-src 'self'; img-src 'self' blob:; object-src 'none'; base-uri 'none'; "
     "form-action 'none'; frame-ancestors 'none'"
@@ -107,6 +108,9 @@ class Handler(BaseHTTPRequestHandler):
 
     def items(self, items):
         self.reply(200, {"items": items, "next_cursor": None})
+
+    def formats(self, world):
+        self.reply(200, json.loads(FORMATS.read_text(encoding="utf-8")))
 
     def info(self, world):
         self.reply(
@@ -292,6 +296,7 @@ class Handler(BaseHTTPRequestHandler):
 ID = "([A-Za-z0-9._-]+)"
 ROUTES = [
     (r"GET /v1/info", "info"),
+    (r"GET /v1/formats", "formats"),
     (r"GET /v1/(datasets|scenes|jobs|camera-paths)", "lists"),
     (rf"(?:GET|DELETE) /v1/(datasets|scenes|jobs|camera-paths)/{ID}", "one"),
     (rf"GET /v1/datasets/{ID}/cameras", "cameras"),

@@ -1,11 +1,13 @@
 """The page's pure functions, run in the browser that will run them."""
 
 import io
+import json
 import math
 import tarfile
 
 import numpy as np
 import pytest
+from fake_api import FORMATS
 from fake_pictures import png
 
 
@@ -225,9 +227,11 @@ def test_grey16_reads_every_bit(blank):
 
 
 def test_upload_takes_what_the_json_names(blank):
+    formats = json.loads(FORMATS.read_text(encoding="utf-8"))["items"]
     result = blank.run(
         """
-        const {planUpload} = await load('folder.js');
+        const folder = await load('folder.js');
+        const planUpload = (entries) => folder.planUpload(entries, args[0]);
         const file = (path, body) => ({path, file: new File([body], path)});
         const json = (names) => JSON.stringify({frames: names.map((file_path) => ({file_path}))});
         const good = await planUpload([
@@ -253,7 +257,8 @@ def test_upload_takes_what_the_json_names(blank):
           none: none.problem,
           broken: broken.problem,
           many: many.problem
-        };"""
+        };""",
+        formats,
     )
     good = result["good"]
     assert good["name"] == "my-lego" and good["views"] == {"train": 2, "test": 1}

@@ -1,10 +1,13 @@
-// A chosen or dropped folder: which files a dataset needs, decided by its JSON before any upload.
+// A chosen or dropped folder: which files a dataset needs, decided by the daemon's table of formats
+// and by the documents' JSON before any upload.
 
 const SPLITS = ['train', 'val', 'test'];
 const MAX_FILES = 100_000;
 
 /**
  * @typedef {{path: string, file: File}} Entry
+ * @typedef {{name: string, title: string, signs: {file: string, member?: string}[],
+ *   documents: string[], photo_folders: string[]}} Format
  * @typedef {{name: string, layout: string, entries: Entry[], bytes: number, left: number,
  *   views: Record<string, number>, missing: string[], problem: string|null}} Plan
  */
@@ -35,25 +38,77 @@ export async function entriesOfDrop(items) {
   return entries;
 }
 
-/** "./train/r_0" of a transforms file is "train/r_0.png": no extension means PNG. */
-export function imagePath(filePath) {
-  const path = filePath.replaceAll('\\', '/').replace(/^(\.\/)+/, '');
-  return /\.[A-Za-z0-9]{2,4}$/.test(path) ? path : `${path}.png`;
+const EXTENSIONS = ['png', 'jpg', 'jpeg', 'webp', 'tif', 'tiff'];
+const NAMING = ['file_path', 'mask_path', 'ply_file_path', 'file', 'mask'];
+
+/**
+ * The dataset's file that a document means: "./train/r_0" is "train/r_0.png" where no file says
+ * otherwise; a path of another machine is the file at its end.
+ * @param {string} named @param {{has: (path: string) => boolean}} files
+ */
+export function imagePath(named, files) {
+  const path = named.replaceAll('\\', '/').replace(/^(\.\/)+/, '');
+  const whole = /\.[A-Za-z0-9]{2,4}$/.test(path);
+  const choices = whole ? [path] : EXTENSIONS.map((extension) => `${path}.${extension}`);
+  if (!/^\/|^[A-Za-z]:|(^|\/)\.\.(\/|$)/.test(path))
+    return choices.find((choice) => files.has(choice)) ?? choices[0];
+  for (const choice of choices) {
+    const parts = choice.split('/');
+    for (let from = parts.lastIndexOf('..') + 1; from < parts.length; from++)
+      if (files.has(parts.slice(from).join('/'))) return parts.slice(from).join('/');
+  }
+  return choices[0];
 }
 
-/** Image paths by split of one parsed description. */
-function namesIn(fileName, json) {
-  const split = /^transforms_(train|val|test)\.json$/.exec(fileName)?.[1];
-  if (split)
-    return {[split]: (json.frames ?? []).map((frame) => imagePath(String(frame.file_path ?? '')))};
-  const names = {};
-  for (const key of SPLITS)
-    if (json[key]) names[key] = (json[key].file_path ?? []).map((path) => imagePath(String(path)));
-  return names;
+/** Every file that a document names, wherever in it. */
+function namesIn(node, key = '') {
+  if (typeof node === 'string') return NAMING.includes(key) ? [node] : [];
+  if (!node || typeof node !== 'object') return [];
+  return Object.entries(node).flatMap(
+      ([inner, value]) => namesIn(value, Array.isArray(node) ? key : inner));
 }
 
-const isDescription = (path) => /(^|\/)(transforms_(train|val|test)|metadata)\.json$/.test(path);
-const folderOf = (path) => path.slice(0, path.lastIndexOf('/') + 1);
+/** Views by split, as far as a document tells. */
+function viewsIn(fileName, json) {
+  const split = /_(train|val|test)\.json$/.exec(fileName)?.[1];
+  if (split) return {[split]: json.frames?.length ?? 0};
+  const counted = SPLITS.filter((key) => Array.isArray(json[key]?.file_path));
+  if (counted.length)
+    return Object.fromEntries(counted.map((key) => [key, json[key].file_path.length]));
+  return {photographs: json.frames?.length ?? 0};
+}
+
+/** JSON with comments, which some programs write. */
+const withoutComments = (text) =>
+    text.replace(/("(?:\\.|[^"\\])*")|\/\/[^\n]*|\/\*[\s\S]*?\*\//g, '$1');
+
+const isPhoto = (path) => EXTENSIONS.includes(path.split('.').at(-1).toLowerCase());
+const pattern = (text) =>
+    new RegExp(`^${text.replace(/[.+?^${}()|[\]\\]/g, '\\$&').replaceAll('*', '[^/]*')}$`);
+
+/** The folders that bear a sign of some format, shallowest first. */
+function rootsOf(entries, formats) {
+  const signs = [...new Set(formats.flatMap((format) => format.signs.map((sign) => sign.file)))];
+  const roots = new Set();
+  for (const {path} of entries)
+    for (const sign of signs)
+      if (path === sign || path.endsWith(`/${sign}`)) roots.add(path.slice(0, -sign.length));
+  return [...roots].sort((a, b) => a.length - b.length);
+}
+
+/** Whether the folder bears one of a format's signs. */
+async function bearsSign(format, files) {
+  for (const {file, member} of format.signs) {
+    if (!files.has(file)) continue;
+    if (!member) return true;
+    try {
+      if (member in JSON.parse(withoutComments(await files.get(file).text()))) return true;
+    } catch {
+      continue;  // no sign then; whoever reads it as a document says why
+    }
+  }
+  return false;
+}
 
 /** A name the daemon takes: letters, digits, dot, dash, underscore. */
 export function safeName(text) {
@@ -62,44 +117,51 @@ export function safeName(text) {
 }
 
 /**
- * What to upload. Only what the JSON names is sent; `problem` says why nothing can be.
- * @param {Entry[]} entries @returns {Promise<Plan>}
+ * What to upload. Only what the format's documents name, or what lies in its folders, is sent;
+ * `problem` says why nothing can be.
+ * @param {Entry[]} entries @param {Format[]} formats as GET /v1/formats has them
+ * @returns {Promise<Plan>}
  */
-export async function planUpload(entries) {
+export async function planUpload(entries, formats) {
   const plan =
       {name: '', layout: '', entries: [], bytes: 0, left: 0, views: {}, missing: [], problem: null};
-  const described = entries.filter((entry) => isDescription(entry.path));
-  const roots = [...new Set(described.map((entry) => folderOf(entry.path)))].sort(
-      (a, b) => a.length - b.length);
-  if (!roots.length)
+  const roots = rootsOf(entries, formats);
+  if (!roots.length) {
+    const signs = formats.map(({title, signs}) => `${signs[0].file} (${title})`).join(', ');
     return {
       ...plan,
-      problem:
-          'No transforms_train.json and no metadata.json in this folder. Choose the folder that holds it.'
+      problem: `None of ${signs} is in this folder. Choose the folder that holds it.`
     };
-  if (roots.length > 1 && roots[0].split('/').length === roots[1].split('/').length) {
+  }
+  const root = roots[0];
+  if (roots.length > 1 && root.split('/').length === roots[1].split('/').length) {
     return {
       ...plan,
       problem:
           `Several datasets in this folder (${roots.slice(0, 4).join(', ')}). Choose one of them.`
     };
   }
-  const root = roots[0];
   const files = new Map(entries.filter((e) => e.path.startsWith(root))
                             .map((e) => [e.path.slice(root.length), e.file]));
-  const descriptions =
-      [...files.keys()].filter((path) => isDescription(path) && !path.includes('/'));
-  const wanted = new Set(descriptions);
-  plan.layout = descriptions.includes('metadata.json') ? 'multi-scale Blender' : 'NeRF-synthetic';
-  for (const path of descriptions) {
+  let format = null;
+  for (const candidate of formats)
+    if (!format && await bearsSign(candidate, files)) format = candidate;
+  format ??= formats.find(({signs}) => signs.some(({file}) => files.has(file)));
+  const documents = format.documents.map(pattern), folders = format.photo_folders;
+  const described = [...files.keys()].filter((path) => documents.some((one) => one.test(path)));
+  const photos = [...files.keys()].filter(
+      (path) => isPhoto(path) && folders.some((folder) => path.startsWith(`${folder}/`)));
+  const wanted = new Set([...described, ...photos]);
+  plan.layout = format.title;
+  if (photos.length) plan.views.photographs = photos.length;
+  for (const path of described.filter((name) => name.endsWith('.json'))) {
     let json;
     try {
-      json = JSON.parse(await files.get(path).text());
+      json = JSON.parse(withoutComments(await files.get(path).text()));
     } catch (error) { return {...plan, problem: `${path}: ${error.message}`}; }
-    for (const [split, names] of Object.entries(namesIn(path, json))) {
-      plan.views[split] = (plan.views[split] ?? 0) + names.length;
-      names.forEach((name) => wanted.add(name));
-    }
+    namesIn(json).forEach((name) => wanted.add(imagePath(name, files)));
+    for (const [split, count] of Object.entries(viewsIn(path, json)))
+      plan.views[split] = (plan.views[split] ?? 0) + count;
   }
   plan.name = safeName(root.split('/').filter(Boolean).at(-1) ?? 'dataset');
   plan.missing = [...wanted].filter((path) => !files.has(path));

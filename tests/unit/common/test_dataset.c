@@ -24,7 +24,7 @@ START_TEST(blender) {
     put_transforms("train", FRAME("./train/r_0") "," FRAME("train/r 1 \xc3\xa9"));
     put_transforms("test", FRAME("./test/a.b.png"));
     read_ok(folder);
-    ck_assert_int_eq(dataset->layout, RN_LAYOUT_BLENDER);
+    ck_assert_str_eq(dataset->format->name, "blender");
     ck_assert_str_eq(dataset->name, folder + strlen("/tmp/"));
     ck_assert_uint_eq(dataset->frame_count, 3);
     ck_assert_int_eq(dataset->view_count[RN_SPLIT_TRAIN], 2);
@@ -397,7 +397,7 @@ START_TEST(multiscale) {
     put_multiscale(MS_GOOD(",\"near\":[2,2,2,2],\"far\":[6,6,6,6],\"lossmult\":[1,4,1,4.5]"));
     read_ok(folder);
     ck_assert_uint_eq(problems.errors + problems.warnings, 0);
-    ck_assert_int_eq(dataset->layout, RN_LAYOUT_MULTISCALE);
+    ck_assert_str_eq(dataset->format->name, "multiscale");
     ck_assert(!dataset->premultiplied_scales);
     ck_assert_uint_eq(dataset->frame_count, 4);
     ck_assert_int_eq(dataset->view_count[RN_SPLIT_TRAIN], 2);
@@ -496,7 +496,7 @@ START_TEST(native) {
     put_image("images/a.png", 8, 6);
     put_text("dataset.json", NATIVE(1, "2.5", NATIVE_FRAME(3, "") "," NATIVE_FRAME(1, ""), ""));
     read_ok(folder);
-    ck_assert_int_eq(dataset->layout, RN_LAYOUT_NATIVE);
+    ck_assert_str_eq(dataset->format->name, "native");
     ck_assert_str_eq(dataset->name, "n");
     ck_assert(!dataset->premultiplied_scales);
     ck_assert_double_eq(dataset->bounds.radius, 2.5);

@@ -29,7 +29,10 @@ export function uploadPanel(signal) {
     fill(
         body,
         h('p', {class: 'quiet', role: 'status'}, `Reading ${plural(entries.length, 'file')}…`));
-    const plan = await planUpload(entries);
+    let plan;
+    try {
+      plan = await planUpload(entries, await api.formats(signal));
+    } catch (error) { return begin(error); }
     if (plan.problem)
       begin({title: 'Not a dataset', detail: plan.problem, message: plan.problem});
     else
@@ -52,8 +55,7 @@ function chooser(take) {
   });
   return h(
       'div', {class: 'drop'}, h('p', {class: 'drop-title'}, 'Drop a dataset’s folder here'),
-      h('p', {class: 'quiet'}, 'with ', h('code', null, 'transforms_train.json'), ' or ',
-        h('code', null, 'metadata.json')),
+      h('p', {class: 'quiet'}, 'photographs and their poses, in any layout that the daemon reads'),
       input, h('label', {class: 'button', 'for': 'folder-input'}, 'Choose a folder'));
 }
 

@@ -1,0 +1,64 @@
+#include "common/dataset/formats.h"
+
+#include <errno.h>
+#include <fcntl.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <unistd.h>
+
+#include "common/dataset/reader.h"
+
+#define FORMATS(ROW) ROW(native) ROW(multiscale) ROW(blender)
+
+#define DECLARE(name) extern const struct rn_format rn_format_##name;
+#define ADDRESS(name) &rn_format_##name,
+
+FORMATS(DECLARE)
+const struct rn_format *const rn_formats[] = {FORMATS(ADDRESS) NULL};
+_Static_assert(sizeof rn_formats / sizeof *rn_formats <= RN_FORMATS_MAX, "raise RN_FORMATS_MAX");
+
+const struct rn_format *rn_format_find(const char *name) {
+    for (size_t i = 0; rn_formats[i]; i++)
+        if (strcmp(rn_formats[i]->name, name) == 0) return rn_formats[i];
+    return NULL;
+}
+
+void rn_format_names(char *text, size_t capacity) {
+    size_t used = 0;
+    for (size_t i = 0; rn_formats[i] && used < capacity; i++)
+        used += (size_t)snprintf(text + used, capacity - used, "%s%s", i ? ", " : "",
+                                 rn_formats[i]->name);
+}
+
+static bool has_member(const char *folder, const struct rn_sign *sign) {
+    char *path;
+    json_t *root = NULL;
+    if (asprintf(&path, "%s/%s", folder, sign->file) < 0) return false;
+    bool found = rn_json_parse_file(path, true, &root, NULL) == RN_OK &&
+                 json_object_get(root, sign->member) != NULL;
+    json_decref(root);
+    free(path);
+    return found;
+}
+
+static bool bears_sign(const char *folder, int fd, const struct rn_format *format) {
+    for (const struct rn_sign *sign = format->signs; sign->file; sign++)
+        if (faccessat(fd, sign->file, F_OK, 0) == 0 && (!sign->member || has_member(folder, sign)))
+            return true;
+    return false;
+}
+
+enum rn_status rn_formats_recognise(const char *folder, const struct rn_format *ret_found[],
+                                    size_t *ret_count, struct rn_error *err) {
+    int fd = open(folder, O_PATH | O_DIRECTORY | O_CLOEXEC);
+    if (fd < 0 && errno == ENOTDIR)
+        return rn_error_set(err, RN_ERROR_INVALID, folder, "is not a folder");
+    if (fd < 0) return rn_error_from_errno(err, errno, folder, "open the folder");
+    size_t count = 0;
+    for (size_t i = 0; rn_formats[i]; i++)
+        if (bears_sign(folder, fd, rn_formats[i])) ret_found[count++] = rn_formats[i];
+    close(fd);
+    *ret_count = count;
+    return RN_OK;
+}

@@ -1,0 +1,45 @@
+#include "proto/formats.h"
+
+#include <jansson.h>
+
+#include "common/dataset/formats.h"
+
+static json_t *strings_to_json(const char *const *strings) {
+    json_t *array = json_array();
+    for (; *strings; strings++)
+        if (json_array_append_new(array, json_string(*strings)) != 0) {
+            json_decref(array);
+            return NULL;
+        }
+    return array;
+}
+
+static json_t *signs_to_json(const struct rn_sign *signs) {
+    json_t *array = json_array();
+    for (; signs->file; signs++)
+        if (json_array_append_new(array, json_pack("{s:s s:s*}", "file", signs->file, "member",
+                                                   signs->member)) != 0) {
+            json_decref(array);
+            return NULL;
+        }
+    return array;
+}
+
+static json_t *format_to_json(const struct rn_format *format) {
+    return json_pack("{s:s s:s s:o s:o s:o}", "name", format->name, "title", format->title, "signs",
+                     signs_to_json(format->signs), "documents", strings_to_json(format->documents),
+                     "photo_folders", strings_to_json(format->photo_folders));
+}
+
+enum rn_status rn_formats_to_json(char **ret_json, struct rn_error *err) {
+    json_t *items = json_array();
+    bool complete = items != NULL;
+    for (size_t i = 0; complete && rn_formats[i]; i++)
+        complete = json_array_append_new(items, format_to_json(rn_formats[i])) == 0;
+    json_t *root = json_pack("{s:o}", "items", items);
+    char *text = complete ? json_dumps(root, JSON_COMPACT) : NULL;
+    json_decref(root);
+    if (!text) return rn_error_set(err, RN_ERROR_NO_MEMORY, "formats", "memory ran out");
+    *ret_json = text;
+    return RN_OK;
+}
