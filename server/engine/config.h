@@ -63,7 +63,7 @@ struct rn_train_config {
     bool carve;           // occupancy from the images' alpha before the first step
     bool sparse;          // the optimiser visits only texels that the step touched
     bool multi_step_rate; // the paper's rate schedule; else one decay made for the time given
-    bool favour_finest;   // most rays from the finest scale, all of weight 1 (train/draw.h); else
+    bool favour_finest;   // most rays from the finest scale, all of weight 1 (kernels/draw.h); else
                           // evenly over all pixels, weighted by area
     bool draw_by_error;   // of these, more where errors are large (train/importance.h)
     bool auto_effects;    // effects that the data does not call for may be switched off

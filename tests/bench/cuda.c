@@ -14,6 +14,7 @@
 #include <unistd.h>
 
 #include "common/base/clock.h"
+#include "server/engine/engine.h"
 #include "server/engine/train/trainer.h"
 
 #define TIMED 20   // steps by stage

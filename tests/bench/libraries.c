@@ -20,7 +20,7 @@
 #include <unistd.h>
 
 #include "common/math/rng.h"
-#include "server/engine/cpu/kernels.h"
+#include "server/engine/kernels/kernels.h"
 
 #define CANDIDATES 32
 #define BATCHES 5

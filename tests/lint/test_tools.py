@@ -31,7 +31,7 @@ def write(path, text):
     ("common/base/a.c", '#include "proto/codec.h"\n'),
     ("proto/a.c", '#include "server/store/store.h"\n'),
     ("client/a.c", '#include "server/http/message.h"\n'),
-    ("server/engine/field/a.h", '#include "server/engine/scene.h"\n'),
+    ("server/engine/field/a.h", '#include "server/engine/scene/scene.h"\n'),
 ])
 def test_a_fence_is_held(tmp_path, name, text):
     write(tmp_path / name, "// fine\n" + text)

@@ -1,6 +1,6 @@
 // Case 9: what went wrong is recorded with the offending rays, and the record reproduces it; what
 // is not finite is never rendered, and never read back from a file.
-#include "server/engine/checkpoint.h"
+#include "server/engine/checkpoint/checkpoint.h"
 #include "tests/numerics/trainer.h"
 
 // ---- the record -----------------------------------------------------------------------------

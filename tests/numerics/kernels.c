@@ -7,7 +7,7 @@
 #endif
 
 #include "common/math/rng.h"
-#include "server/engine/cpu/kernels.h"
+#include "server/engine/kernels/kernels.h"
 #include "server/engine/reference/reference.h"
 #include "tests/numerics/exact.h"
 #include "tests/support/numerics.h"

@@ -165,9 +165,9 @@ mutate kernels $cpu/update.h "vector AdamW: squares that overflow" \
     's/vf g = vf_min(.*/vf g = vf_load(grad) * o->scale;/'
 mutate kernels $cpu/update.h "vector AdamW: decay as 1 - rate * decay" \
     's/change = p \* fade + rate/change = rate/;s/p = p - change;/p = p * (1 - fade) - change;/'
-mutate rays server/engine/ray.h "rays: distance from the centre by |o|^2 - (o.d)^2" \
+mutate rays server/engine/kernels/ray.h "rays: distance from the centre by |o|^2 - (o.d)^2" \
     's/across += foot \* foot;/across += (foot, o[i] * o[i]);/;s/^    out.radius = (float)ray->radius;/    across -= along * along; &/'
-mutate rays server/engine/ray.h "rays: start left where the camera is" \
+mutate rays server/engine/kernels/ray.h "rays: start left where the camera is" \
     's/double near = enter + jitter/double near = jitter/'
 mutate rays $cpu/rays.h "vector rays: distance from the centre by |o|^2 - (o.d)^2" \
     's/across += foot \* foot;/across += o[i] * o[i] + 0 * foot;/;s/^    enter_cube(o, d,/    across -= along * along; &/'
@@ -189,7 +189,7 @@ mutate incidents $train/step.c "training: the rate stays after a rollback" \
     's/-(int)t->progress.rollbacks/0 * (int)t->progress.rollbacks/'
 mutate incidents $train/occupancy.c "occupancy: a cell that is no number stays so" \
     's/if (!isfinite(old)) old = 0;//'
-mutate incidents server/engine/checkpoint.c "checkpoint: read without a look" \
+mutate incidents server/engine/checkpoint/checkpoint.c "checkpoint: read without a look" \
     's/!all_finite(t->data, t->bytes \/ 4)/(all_finite(t->data, 0), false)/'
 mutate incidents server/engine/render/render.c "render: numbers not looked at" \
     's/return isfinite(value) ? value : other;/return value + 0 * other;/'
@@ -199,7 +199,7 @@ mutate incidents $train/incident.c "incident: the offending rays are not looked 
     's/if (incident->ray_count == 0) search(t, incident);/(void)search;/'
 mutate incidents $cpu/backward.h "training: a ray that is not finite goes back" \
     's/if (!isfinite(loss)) return false;/if (isinf(loss)) return false;/'
-mutate reproducible $train/effects.c "view dependence: measured as the step before marched" \
+mutate reproducible server/engine/effects/effects.c "view dependence: measured as the step before marched" \
     's/options = rn_trainer_march(t);/options = t->march;/'
 mutate reproducible $train/step.c "rays: drawn by the thread's own count" \
     's/rn_rng_draw(t->march.seed, STREAM_RAYS | (uint32_t)r, t->march.counter)/rn_rng_draw(t->march.seed + (uint64_t)rn_pool_threads(t->engine->pool), STREAM_RAYS | (uint32_t)r, t->march.counter)/'
@@ -221,7 +221,7 @@ mutate ripmap $cpu/fetch.h "vector query: nearest level" \
     's/ret->upper = level - vf_from_int(whole);/ret->upper = vf_set(0);/'
 mutate ripmap $cpu/fetch.h "vector query: weights that do not sum to 1" \
     's/vf_store(ret->weight\[3\], below \* right);/vf_store(ret->weight[3], weight * right * right);/'
-mutate rays server/engine/ray.h "rays: slabs divided by a zero component" \
+mutate rays server/engine/kernels/ray.h "rays: slabs divided by a zero component" \
     's/double direction = fabs(d\[i\]) < 1e-300.*/double direction = d[i];/;s/enter = first > enter ? first : enter;/enter = enter > first ? enter : first;/'
 mutate metrics_images common/image/metrics.c "SSIM: pictures squared in fp32" \
     's/double va = (double)a\[x \* channels\], vb = (double)b\[x \* channels\];/float va = a[x * channels], vb = b[x * channels];/'
@@ -255,7 +255,7 @@ mutate overflow $train/step.c "overflow: the step is taken all the same" \
     's/return check == 0 && isfinite(loss);/return check == 0 || isfinite(loss);/'
 mutate overflow $train/guard.c "overflow: steps are rejected for ever" \
     's/if (wild || t->rejected >= MOST_REJECTED)/if (wild)/'
-mutate reproducible server/engine/checkpoint_state.c "growth: a resumed run no longer grows" \
+mutate reproducible server/engine/checkpoint/state.c "growth: a resumed run no longer grows" \
     's/CONFIG(grow_to, KIND_INT),//'
 mutate proofs $cpu/simd.h "proofs: a coefficient that is not the proved one" \
     's/4.16666667e-2f/4.1666666e-2f/'

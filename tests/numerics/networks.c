@@ -6,7 +6,7 @@
 // within its error of 0 its slope may be either.
 #include <string.h>
 
-#include "server/engine/scene.h"
+#include "server/engine/scene/scene.h"
 #include "tests/support/numerics.h"
 
 #define ROWS 200

@@ -2,7 +2,7 @@
 // updates leave out.
 #include <string.h>
 
-#include "server/engine/cpu/kernels.h"
+#include "server/engine/kernels/kernels.h"
 #include "server/engine/reference/reference.h"
 #include "tests/numerics/exact.h"
 #include "tests/support/numerics.h"

@@ -3,7 +3,7 @@
 #include <string.h>
 
 #include "server/engine/reference/reference.h"
-#include "server/engine/scene.h"
+#include "server/engine/scene/scene.h"
 #include "tests/numerics/exact.h"
 #include "tests/numerics/subject.h"
 #include "tests/support/numerics.h"

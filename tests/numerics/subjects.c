@@ -2,7 +2,7 @@
 #include <stddef.h>
 #include <string.h>
 
-#include "server/engine/cpu/kernels.h"
+#include "server/engine/kernels/kernels.h"
 #include "tests/numerics/subject.h"
 
 extern const struct subject subject_float64, subject_float32;

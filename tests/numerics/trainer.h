@@ -6,6 +6,7 @@
 #include <unistd.h>
 
 #include "common/base/file.h"
+#include "server/engine/engine.h"
 #include "server/engine/field/occupancy.h"
 #include "server/engine/train/trainer.h"
 #include "tests/support/numerics.h"

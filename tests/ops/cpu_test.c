@@ -6,9 +6,9 @@
 #include <string.h>
 
 #include "common/math/rng.h"
-#include "server/engine/occupancy.h"
+#include "server/engine/scene/occupancy.h"
 #include "server/engine/reference/reference.h"
-#include "server/engine/scene.h"
+#include "server/engine/scene/scene.h"
 #include "tests/support/suite.h"
 
 #define RAYS 24

@@ -235,7 +235,7 @@ mutate_engine standard train/device.c "engine: occupancy measured at no step" \
     's/step.measure = .*/step.measure = false;/'
 mutate_engine standard train/device.c "engine: moments do not follow to the device" \
     's/\.m = t->m,/.m = NULL,/;s/\.v = t->v}/.v = NULL}/'
-mutate_engine standard device.c "engine: moments are not read back" \
+mutate_engine standard scene/device.c "engine: moments are not read back" \
     's/download(f->on_device, f->parameters.values, m, v,/download(f->on_device, f->parameters.values, NULL, NULL,/'
 mutate_engine paper train/device.c "engine: samples counted twice" \
     's/    t->counted = p;//'
@@ -243,11 +243,11 @@ mutate_engine bytes checkpoint.c "engine: the gradients' scale is forgotten" \
     's/    t->good_steps = c->good_steps;//'
 mutate_engine bytes train/device.c "engine: a resumed run draws its first rays again" \
     's/\.step = t->progress.step,/.step = 1,/'
-mutate_engine renders device.c "engine: parameters read back once only" \
+mutate_engine renders scene/device.c "engine: parameters read back once only" \
     's/    if (!f->on_device || .*return RN_OK;/    static int once; if (!f->on_device || once++) return RN_OK;/'
-mutate_engine renders device.c "engine: pyramid not built anew after reading back" \
+mutate_engine renders scene/device.c "engine: pyramid not built anew after reading back" \
     's/    f->fresh_levels = 0;//;s/    f->packed_for = NULL;//'
-mutate_engine renders device.c "engine: occupancy not read back" \
+mutate_engine renders scene/device.c "engine: occupancy not read back" \
     's/m, v, f->occupancy, err/m, v, NULL, err/'
 mutate_engine renders render/render.c "engine: a far camera rendered with too few levels" \
     's/levels <= f->field->device_levels/true/'
@@ -257,9 +257,9 @@ mutate_engine diverges train/device.c "engine: never back to good numbers" \
     's/p.rejected_in_a_row < MOST_REJECTED ? RN_OK : roll_back(t, err)/RN_OK/'
 mutate_engine diverges train/device.c "engine: the device keeps what training went back from" \
     's/    return rn_trainer_put(t, err);/    return RN_OK;/'
-mutate_engine memory device.c "engine: memory taken without asking" \
+mutate_engine memory scene/device.c "engine: memory taken without asking" \
     's/enum rn_status status = make_room(.*/enum rn_status status = RN_OK;/'
-mutate_engine auto device.c "engine: auto insists" \
+mutate_engine auto scene/device.c "engine: auto insists" \
     's/if (engine->device_optional \&\& /if (0 \&\& /'
 
 echo "$caught of $tried caught"

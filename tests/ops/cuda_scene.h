@@ -2,9 +2,9 @@
 #ifndef RN_TESTS_OPS_CUDA_SCENE_H
 #define RN_TESTS_OPS_CUDA_SCENE_H
 
-#include "server/engine/backend.h"
+#include "server/engine/kernels/backend.h"
 #include "server/engine/reference/reference.h"
-#include "server/engine/occupancy.h"
+#include "server/engine/scene/occupancy.h"
 #include "tests/support/suite.h"
 
 #define FRAMES 4

@@ -6,7 +6,7 @@
 #include <string.h>
 
 #include "server/engine/field/occupancy.h"
-#include "server/engine/occupancy.h"
+#include "server/engine/scene/occupancy.h"
 #include "tests/ops/train_scene.h"
 
 static struct rn_render_result render_all(struct rn_engine *engine, struct rn_field *field,

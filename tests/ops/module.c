@@ -1,5 +1,5 @@
 // A module with nothing of its own: the emulated backend's table is what is asked of it.
-#include "server/engine/backend.h"
+#include "server/engine/kernels/backend.h"
 
 extern const struct rn_backend rn_backend_table;
 extern const struct rn_backend *const rn_module_keeps;

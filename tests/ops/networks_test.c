@@ -4,7 +4,7 @@
 #include <string.h>
 
 #include "common/math/rng.h"
-#include "server/engine/scene.h"
+#include "server/engine/scene/scene.h"
 #include "tests/support/suite.h"
 
 #define ROWS 330

@@ -9,6 +9,7 @@
 #include "server/engine/bench/machine.h"
 #include "server/engine/bench/scene.h"
 #include "server/engine/bench/stages.h"
+#include "server/engine/engine.h"
 
 // Shares of the time given; the rest is the scene's.
 #define SHARE_SETTLE 0.3 // training before it is timed, so that the occupancy settles

@@ -4,7 +4,7 @@
 #include <string.h>
 
 #include "server/engine/cpu/dispatch.h"
-#include "server/engine/cpu/kernels.h"
+#include "server/engine/kernels/kernels.h"
 
 #if defined(__x86_64__)
 #include <cpuid.h>

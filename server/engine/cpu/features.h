@@ -7,7 +7,7 @@
 
 #include <stdbool.h>
 
-#include "server/engine/cpu/kernels.h"
+#include "server/engine/kernels/kernels.h"
 #include "server/engine/cpu/simd.h"
 
 typedef float v4 __attribute__((vector_size(16), aligned(4), may_alias));

@@ -1,6 +1,6 @@
 // One kernel set: this file is compiled once for each, with RN_KERNEL_SET naming it.
 #include "server/engine/cpu/backward.h"
-#include "server/engine/cpu/kernels.h"
+#include "server/engine/kernels/kernels.h"
 #include "server/engine/cpu/pyramid.h"
 #include "server/engine/cpu/rays.h"
 #include "server/engine/cpu/render.h"

@@ -3,7 +3,7 @@
 #ifndef RN_ENGINE_CPU_RAYS_H
 #define RN_ENGINE_CPU_RAYS_H
 
-#include "server/engine/cpu/kernels.h"
+#include "server/engine/kernels/kernels.h"
 #include "server/engine/cpu/simd.h"
 
 // rn_view's numbers, one view a lane.

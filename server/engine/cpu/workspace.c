@@ -1,4 +1,4 @@
-#include "server/engine/cpu/kernels.h"
+#include "server/engine/kernels/kernels.h"
 
 #include <string.h>
 

@@ -6,7 +6,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#include "server/engine/cpu/kernels.h"
+#include "server/engine/kernels/kernels.h"
 
 #define RN_TILE 16       // samples of one ray that are evaluated together: rows of a fragment
 #define RN_UPDATE 8      // texels a side of the blocks that the optimiser works on

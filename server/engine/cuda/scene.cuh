@@ -8,7 +8,7 @@
 #define RN_REAL double
 #define RN_WIDE double // devices have no wider type
 extern "C" {
-#include "server/engine/backend.h"
+#include "server/engine/kernels/backend.h"
 #include "server/engine/cuda/layout.h"
 }
 

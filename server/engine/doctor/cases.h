@@ -3,7 +3,7 @@
 #define RN_ENGINE_DOCTOR_CASES_H
 
 #include "server/engine/doctor/doctor.h"
-#include "server/engine/scene.h"
+#include "server/engine/scene/scene.h"
 
 // A case under way: the result's next one, with its worst error so far.
 struct rn_doctor_case *rn_doctor_open(struct rn_doctor_result *result, const char *name,

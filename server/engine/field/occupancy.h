@@ -31,7 +31,7 @@ RN_HD void rn_cell_at(size_t index, int cells, int ret[3]) {
     ret[2] = (int)(index % n);
 }
 
-// Word and bit of a cell in the bricked bit grid (cpu/kernels.h).
+// Word and bit of a cell in the bricked bit grid (kernels/kernels.h).
 RN_HD size_t rn_brick_word(int x, int y, int z, int cells) {
     size_t bricks = (size_t)cells / 8;
     size_t brick = ((size_t)(x >> 3) * bricks + (size_t)(y >> 3)) * bricks + (size_t)(z >> 3);

@@ -4,7 +4,7 @@
 #ifndef RN_ENGINE_EXACT_H
 #define RN_ENGINE_EXACT_H
 
-#include "server/engine/cpu/kernels.h"
+#include "server/engine/kernels/kernels.h"
 
 // The tetra-linear query of one plane (paper, section 3.3) at (u, v) and levels (lx, ly):
 // `channels` numbers.

@@ -3,17 +3,9 @@
 #include <math.h>
 #include <stdlib.h>
 
-#include "server/engine/device.h"
+#include "server/engine/scene/device.h"
 
 #define MOST 16 // cones a side: RN_CONES_BLOCK of them are one pixel
-
-double rn_cone_at_centre(const struct rn_bounds *bounds, const struct rn_camera *camera) {
-    struct rn_ray ray = rn_camera_ray(camera, camera->cx, camera->cy);
-    double squares = 0;
-    for (int i = 0; i < 3; i++)
-        squares += pow(ray.origin[i] - bounds->centre[i], 2);
-    return ray.radius * sqrt(squares);
-}
 
 int rn_cones_for_camera(const struct rn_field *field, const struct rn_camera *camera) {
     double finest = field->config.finest_cone;

@@ -4,12 +4,10 @@
 #ifndef RN_ENGINE_RENDER_CONES_H
 #define RN_ENGINE_RENDER_CONES_H
 
-#include "server/engine/scene.h"
+#include "server/engine/scene/scene.h"
 
 #define RN_CONES_BLOCK 256 // cones evaluated together, and the most a pixel has
 
-// The radius of a camera's cones where they pass the ball's centre, dataset units.
-double rn_cone_at_centre(const struct rn_bounds *bounds, const struct rn_camera *camera);
 // Cones a side of the camera's pixels, a power of two, at most 16: as many as make them as narrow
 // as the finest that the field was trained on, where its configuration asks for that; else 1.
 int rn_cones_for_camera(const struct rn_field *field, const struct rn_camera *camera);

@@ -16,6 +16,7 @@
 #define RN_ENGINE_RENDER_LATTICE_H
 
 #include "server/engine/render/cones.h"
+#include "server/engine/render/render.h"
 
 struct rn_lattice {
     struct rn_pixel *pixels; // width * height, of the field: depth in scene radii

@@ -5,8 +5,8 @@
 
 #include "common/base/clock.h"
 #include "common/image/metrics.h"
-#include "server/engine/device.h"
-#include "server/engine/occupancy.h"
+#include "server/engine/scene/device.h"
+#include "server/engine/scene/occupancy.h"
 #include "server/engine/render/lattice.h"
 
 #define TILE 16               // cones a side; a tile fills two packets

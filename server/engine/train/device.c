@@ -1,5 +1,5 @@
 // Training on a device: the host keeps the schedule and the counters, the device does the steps.
-#include "server/engine/device.h"
+#include "server/engine/scene/device.h"
 
 #include <math.h>
 #include <stdio.h>

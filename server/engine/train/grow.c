@@ -5,7 +5,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "server/engine/occupancy.h"
+#include "server/engine/scene/occupancy.h"
 #include "server/engine/train/trainer.h"
 
 #define LAST_GROWTH 0.35 // fraction of the run at which the planes reach their final size

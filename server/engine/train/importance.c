@@ -2,7 +2,7 @@
 
 #include <math.h>
 
-#include "server/engine/scene.h"
+#include "server/engine/scene/scene.h"
 
 #define FRESH 0.3f // weight of a block's newest loss in its mean
 #define AHEAD 16   // turns for which memory is asked ahead

@@ -9,7 +9,7 @@
 #include <stdint.h>
 
 #include "common/base/status.h"
-#include "server/engine/train/draw.h"
+#include "server/engine/kernels/draw.h"
 
 #define RN_IMPORTANCE_EVERY 64 // steps between two looks at the errors
 #define RN_IMPORTANCE_EVEN 0.3 // of all draws, whatever the errors are

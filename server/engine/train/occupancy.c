@@ -6,7 +6,7 @@
 #include "common/math/rng.h"
 #include "server/engine/field/occupancy.h"
 #include "server/engine/field/volume.h"
-#include "server/engine/occupancy.h"
+#include "server/engine/scene/occupancy.h"
 #include "server/engine/train/trainer.h"
 
 #define STREAM_OCCUPANCY 0x6f63637570000000u

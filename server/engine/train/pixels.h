@@ -4,7 +4,7 @@
 
 #include <math.h>
 
-#include "server/engine/scene.h"
+#include "server/engine/scene/scene.h"
 
 struct rn_pixel_frame {
     const struct rn_frame *frame;

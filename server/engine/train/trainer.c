@@ -7,9 +7,9 @@
 #include <string.h>
 
 #include "common/base/clock.h"
-#include "server/engine/checkpoint.h"
-#include "server/engine/device.h"
-#include "server/engine/occupancy.h"
+#include "server/engine/checkpoint/checkpoint.h"
+#include "server/engine/scene/device.h"
+#include "server/engine/scene/occupancy.h"
 #include "server/engine/render/cones.h"
 
 #define HELD_OUT_VIEWS 8
@@ -194,6 +194,36 @@ fail:
     return status;
 }
 
+// What a checkpoint holds of a training.
+static struct rn_arrays arrays_of(struct rn_trainer *t) {
+    return (struct rn_arrays){.field = t->field,
+                              .m = t->m,
+                              .v = t->v,
+                              .block_count = t->importance.count,
+                              .block_error = t->importance.error,
+                              .block_share = t->importance.share};
+}
+
+static struct rn_counters counters_of(const struct rn_trainer *t) {
+    return (struct rn_counters){.progress = t->progress,
+                                .updates = t->updates,
+                                .next_rays = t->next_rays,
+                                .gradient_scale = t->gradient_scale,
+                                .good_steps = t->good_steps,
+                                .gradient_size = t->gradient_size};
+}
+
+static void take_counters(struct rn_trainer *t, const struct rn_counters *from) {
+    double load_seconds = t->progress.load_seconds;
+    t->progress = from->progress;
+    t->progress.load_seconds = load_seconds;
+    t->updates = from->updates;
+    t->next_rays = from->next_rays;
+    t->gradient_scale = from->gradient_scale;
+    t->good_steps = from->good_steps;
+    t->gradient_size = from->gradient_size;
+}
+
 enum rn_status rn_trainer_restore(struct rn_engine *engine, const struct rn_dataset *dataset,
                                   const char *checkpoint_path, size_t memory_limit_bytes,
                                   struct rn_trainer **ret_trainer, struct rn_error *err) {
@@ -217,10 +247,14 @@ enum rn_status rn_trainer_restore(struct rn_engine *engine, const struct rn_data
     if (status == RN_OK) status = check_memory(t, memory_limit_bytes, &left, err);
     if (status == RN_OK) status = load_pixels(t, left, err);
     if (status == RN_OK) status = rn_trainer_set_up(t, err);
-    if (status == RN_OK) status = rn_checkpoint_read_trainer(&checkpoint, t, err);
+    struct rn_arrays arrays = arrays_of(t);
+    if (status == RN_OK) status = rn_checkpoint_read_arrays(&checkpoint, &arrays, err);
+    if (status == RN_OK) take_counters(t, &checkpoint.counters);
     if (status == RN_OK) status = rn_trainer_list_hull(t, err);
     if (status == RN_OK) status = rn_trainer_list_live(t, err);
-    if (status == RN_OK) status = rn_checkpoint_read_importance(&checkpoint, t, err);
+    arrays = arrays_of(t);
+    if (status == RN_OK) status = rn_checkpoint_read_blocks(&checkpoint, &arrays, err);
+    if (status == RN_OK) rn_trainer_share_out(t, false);
     if (status == RN_OK) status = rn_trainer_keep_good(t, err);
     if (status != RN_OK) goto fail;
     rn_field_refresh(t->field, engine);
@@ -498,7 +532,9 @@ enum rn_status rn_trainer_save_begin(struct rn_trainer *t, const char *path, boo
     if (status == RN_OK && t->field->on_device)
         status = t->progress.rollbacks > rollbacks ? rn_trainer_put(t, err)
                                                    : rn_trainer_keep_good(t, err);
-    if (status == RN_OK) status = rn_checkpoint_begin(t, path, &t->writer, err);
+    struct rn_arrays arrays = arrays_of(t);
+    struct rn_counters counters = counters_of(t);
+    if (status == RN_OK) status = rn_checkpoint_begin(&arrays, &counters, path, &t->writer, err);
     *ret_begun = status == RN_OK;
     return status;
 }

@@ -4,12 +4,12 @@
 
 #include <stdatomic.h>
 
-#include "server/engine/backend.h"
-#include "server/engine/scene.h"
+#include "server/engine/kernels/backend.h"
+#include "server/engine/scene/scene.h"
 #include "server/engine/train/importance.h"
 #include "server/engine/train/pixels.h"
+#include "server/engine/train/train.h"
 
-#define RN_MAX_RAYS (1 << 17) // of one step
 #define RN_MIN_RAYS 64
 #define RN_OCCUPANCY_EVERY 16    // steps
 #define RN_SMOOTH_EVERY 32       // steps
@@ -192,7 +192,7 @@ enum rn_ray_fault rn_try_rays(const struct rn_kernels *kernels, const struct rn_
 void rn_trainer_note(struct rn_trainer *trainer, enum rn_incident_kind kind);
 // The networks' learning rate as of now.
 double rn_trainer_rate(const struct rn_trainer *trainer);
-// How far planes are smoothed at the end of the step that comes next (cpu/kernels.h); 0: not.
+// How far planes are smoothed at the end of the step that comes next (kernels/kernels.h); 0: not.
 float rn_trainer_smoothing(const struct rn_trainer *trainer);
 // The photograph and pixel of ray r of the step under way or just done; NULL for an absent ray.
 const struct rn_pixel_frame *rn_trainer_place(const struct rn_trainer *trainer, int r, int *ret_x,

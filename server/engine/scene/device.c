@@ -1,4 +1,4 @@
-#include "server/engine/device.h"
+#include "server/engine/scene/device.h"
 
 #include <dlfcn.h>
 #include <stdio.h>
@@ -6,7 +6,7 @@
 #include <string.h>
 #include <unistd.h>
 
-#include "server/engine/occupancy.h"
+#include "server/engine/scene/occupancy.h"
 
 // The CUDA runtime does not survive being unloaded.
 #define MODULE_FLAGS (RTLD_NOW | RTLD_LOCAL | RTLD_NODELETE)

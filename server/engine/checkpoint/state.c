@@ -1,9 +1,11 @@
-#include "server/engine/checkpoint_state.h"
+#include "server/engine/checkpoint/state.h"
 
 #include <math.h>
 #include <stddef.h>
 #include <stdio.h>
 #include <string.h>
+
+#include "server/engine/scene/scene.h"
 
 enum kind { KIND_INT, KIND_INT64, KIND_UINT64, KIND_DOUBLE, KIND_BOOL, KIND_TEXT16, KIND_COLOUR };
 
@@ -170,20 +172,21 @@ static void decode_effects(const json_t *list, struct rn_effect_record *effects)
     }
 }
 
-json_t *rn_checkpoint_state(const struct rn_trainer *t) {
-    const struct rn_bounds *b = &t->field->bounds;
+json_t *rn_checkpoint_state(const struct rn_field *field, const struct rn_counters *counters) {
+    const struct rn_bounds *b = &field->bounds;
     json_t *levels = json_array();
     for (int l = 0; l < RN_PROGRESS_LEVELS; l++)
-        json_array_append_new(levels, json_integer((json_int_t)t->progress.level_samples[l]));
+        json_array_append_new(levels,
+                              json_integer((json_int_t)counters->progress.level_samples[l]));
     return json_pack(
         "{s:i,s:o,s:o,s:o,s:o,s:I,s:i,s:f,s:i,s:f,s:s,s:{s:[f,f,f],s:f,s:i}}", "version", 1,
-        "config", encode_all(config_members, COUNT(config_members), &t->field->config), "progress",
-        encode_all(progress_members, COUNT(progress_members), &t->progress), "levels", levels,
-        "effects", encode_effects(t->field->effects), "updates", (json_int_t)t->updates,
-        "next_rays", t->next_rays, "gradient_scale", (double)t->gradient_scale, "good_steps",
-        t->good_steps, "gradient_size", (double)t->gradient_size, "kernels", t->field->kernels,
-        "bounds", "centre", b->centre[0], b->centre[1], b->centre[2], "radius", b->radius, "source",
-        (int)b->source);
+        "config", encode_all(config_members, COUNT(config_members), &field->config), "progress",
+        encode_all(progress_members, COUNT(progress_members), &counters->progress), "levels",
+        levels, "effects", encode_effects(field->effects), "updates", (json_int_t)counters->updates,
+        "next_rays", counters->next_rays, "gradient_scale", (double)counters->gradient_scale,
+        "good_steps", counters->good_steps, "gradient_size", (double)counters->gradient_size,
+        "kernels", field->kernels, "bounds", "centre", b->centre[0], b->centre[1], b->centre[2],
+        "radius", b->radius, "source", (int)b->source);
 }
 
 enum rn_status rn_checkpoint_parse_state(const json_t *state, const char *path,
@@ -197,11 +200,11 @@ enum rn_status rn_checkpoint_parse_state(const json_t *state, const char *path,
                                        json_object_get(state, "config"), &c->config, path, err);
     if (status == RN_OK)
         status = decode_all(progress_members, COUNT(progress_members),
-                            json_object_get(state, "progress"), &c->progress, path, err);
+                            json_object_get(state, "progress"), &c->counters.progress, path, err);
     if (status == RN_OK) status = rn_train_config_check(&c->config, err);
     if (status != RN_OK) return status;
     for (size_t l = 0; l < RN_PROGRESS_LEVELS; l++)
-        c->progress.level_samples[l] =
+        c->counters.progress.level_samples[l] =
             (uint64_t)json_integer_value(json_array_get(json_object_get(state, "levels"), l));
     for (size_t i = 0; i < 3; i++)
         c->bounds.centre[i] =
@@ -212,16 +215,17 @@ enum rn_status rn_checkpoint_parse_state(const json_t *state, const char *path,
         return rn_error_set(err, RN_ERROR_CORRUPT, path, "its scene radius is not positive");
     decode_effects(json_object_get(state, "effects"), c->effects);
     snprintf(c->kernels, sizeof c->kernels, "%s", kernels);
-    c->updates = json_integer_value(json_object_get(state, "updates"));
-    c->next_rays = (int)json_integer_value(json_object_get(state, "next_rays"));
-    c->gradient_scale = (float)json_number_value(json_object_get(state, "gradient_scale"));
-    c->good_steps = (int)json_integer_value(json_object_get(state, "good_steps"));
-    c->gradient_size = (float)json_number_value(json_object_get(state, "gradient_size"));
-    if (!(c->gradient_scale >= 0 && c->gradient_scale <= 65536) || c->good_steps < 0)
+    c->counters.updates = json_integer_value(json_object_get(state, "updates"));
+    c->counters.next_rays = (int)json_integer_value(json_object_get(state, "next_rays"));
+    c->counters.gradient_scale = (float)json_number_value(json_object_get(state, "gradient_scale"));
+    c->counters.good_steps = (int)json_integer_value(json_object_get(state, "good_steps"));
+    c->counters.gradient_size = (float)json_number_value(json_object_get(state, "gradient_size"));
+    if (!(c->counters.gradient_scale >= 0 && c->counters.gradient_scale <= 65536) ||
+        c->counters.good_steps < 0)
         return rn_error_set(err, RN_ERROR_CORRUPT, path, "its gradient scale is out of range");
-    if (!(c->gradient_size >= 0 && c->gradient_size < INFINITY))
+    if (!(c->counters.gradient_size >= 0 && c->counters.gradient_size < INFINITY))
         return rn_error_set(err, RN_ERROR_CORRUPT, path, "its gradient size is out of range");
-    if (c->next_rays < 1 || c->next_rays > RN_MAX_RAYS || c->updates < 0)
+    if (c->counters.next_rays < 1 || c->counters.next_rays > RN_MAX_RAYS || c->counters.updates < 0)
         return rn_error_set(err, RN_ERROR_CORRUPT, path, "its step counters are out of range");
     return RN_OK;
 }

@@ -1,4 +1,4 @@
-#include "server/engine/occupancy.h"
+#include "server/engine/scene/occupancy.h"
 
 #include <math.h>
 #include <stdlib.h>

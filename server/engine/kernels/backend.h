@@ -8,7 +8,7 @@
 #define RN_ENGINE_BACKEND_H
 
 #include "common/math/camera.h"
-#include "server/engine/cpu/kernels.h"
+#include "server/engine/kernels/kernels.h"
 
 #define RN_BACKEND_VERSION 7
 #define RN_BACKEND_SYMBOL "rn_backend_table"
@@ -76,7 +76,7 @@ struct rn_device_step {
     bool measure;                           // the occupancy first
     uint32_t measure_first, measure_stride; // which cells of the hull
     float measure_decay;
-    float smoothing; // of the planes, last (cpu/kernels.h); 0: none
+    float smoothing; // of the planes, last (kernels/kernels.h); 0: none
 };
 
 struct rn_device_progress {

@@ -4,7 +4,7 @@
 
 #include <jansson.h>
 
-#include "server/engine/checkpoint.h"
+#include "server/engine/checkpoint/checkpoint.h"
 
 #define RN_CHECKPOINT_TENSORS 32
 
@@ -16,16 +16,15 @@ struct rn_tensor {
     void *data; // the field's or the trainer's
     size_t bytes;
 };
-// The tensors of a field, with m and v also the optimiser's, in the order of the file; returns how
-// many. The same list for writing and reading.
-int rn_checkpoint_tensors(struct rn_field *field, float *m, float *v,
+// The tensors in the order of the file: the field's, with moments also these. Returns how many; the
+// same list for writing and reading.
+int rn_checkpoint_tensors(const struct rn_arrays *arrays,
                           struct rn_tensor list[RN_CHECKPOINT_TENSORS]);
-// Appends those of how rays are drawn to a list of `count`; returns how many there are then.
-int rn_checkpoint_add_importance(const struct rn_importance *importance, struct rn_tensor *list,
-                                 int count);
+// Appends those of the blocks to a list of `count`; returns how many there are then.
+int rn_checkpoint_add_blocks(const struct rn_arrays *arrays, struct rn_tensor *list, int count);
 
 // A new object, or NULL when out of memory.
-json_t *rn_checkpoint_state(const struct rn_trainer *trainer);
+json_t *rn_checkpoint_state(const struct rn_field *field, const struct rn_counters *counters);
 // RN_ERROR_CORRUPT names the field.
 enum rn_status rn_checkpoint_parse_state(const json_t *state, const char *path,
                                          struct rn_checkpoint *checkpoint,

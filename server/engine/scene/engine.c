@@ -1,5 +1,5 @@
 // Devices and fields: the engine's outermost functions.
-#include "server/engine/engine.h"
+#include "server/engine/scene/engine.h"
 
 #include <math.h>
 #include <stdio.h>
@@ -8,11 +8,9 @@
 
 #include "common/base/clock.h"
 #include "common/base/sha256.h"
-#include "server/engine/checkpoint.h"
-#include "server/engine/choose.h"
-#include "server/engine/device.h"
-#include "server/engine/occupancy.h"
-#include "server/engine/scene.h"
+#include "server/engine/scene/choose.h"
+#include "server/engine/scene/device.h"
+#include "server/engine/scene/scene.h"
 
 // ---- device ---------------------------------------------------------------------------------
 
@@ -132,31 +130,6 @@ void rn_engine_describe(const struct rn_engine *engine, struct rn_device_info *r
 }
 
 // ---- fields ---------------------------------------------------------------------------------
-
-enum rn_status rn_field_load(struct rn_engine *engine, const char *checkpoint_path,
-                             struct rn_field **ret_field, struct rn_error *err) {
-    struct rn_checkpoint checkpoint;
-    struct rn_field *field = NULL;
-    enum rn_status status = rn_checkpoint_open(checkpoint_path, &checkpoint, err);
-    if (status != RN_OK) return status;
-    status = rn_field_create(&checkpoint.config, &checkpoint.bounds, &field, err);
-    if (status == RN_OK) status = rn_checkpoint_read_field(&checkpoint, field, err);
-    rn_checkpoint_close(&checkpoint);
-    if (status != RN_OK) {
-        rn_field_destroy(&field);
-        return status;
-    }
-    rn_field_refresh(field, engine);
-    rn_field_refresh_occupancy(field);
-    rn_field_refine_occupancy(field, engine);
-    status = rn_field_put_to_render(engine, field, err);
-    if (status != RN_OK) {
-        rn_field_destroy(&field);
-        return status;
-    }
-    *ret_field = field;
-    return RN_OK;
-}
 
 void rn_field_describe(const struct rn_field *field, struct rn_field_info *ret) {
     *ret = (struct rn_field_info){.config = field->config,

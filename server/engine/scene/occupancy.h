@@ -3,7 +3,7 @@
 #ifndef RN_ENGINE_OCCUPANCY_H
 #define RN_ENGINE_OCCUPANCY_H
 
-#include "server/engine/scene.h"
+#include "server/engine/scene/scene.h"
 
 // Makes room for the bits of `cells` a side. RN_ERROR_NO_MEMORY.
 enum rn_status rn_occupancy_bits_create(int cells,

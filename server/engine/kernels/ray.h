@@ -3,7 +3,7 @@
 #define RN_ENGINE_RAY_H
 
 #include "common/math/camera.h"
-#include "server/engine/cpu/kernels.h"
+#include "server/engine/kernels/kernels.h"
 
 // Where the ray enters the cube [-1, 1]^3, at least 0, within 4 ULP of 1 + distance; false when it
 // misses. Components of 0 and denormal ones count as 1e-300: no 0 / 0 on a face.

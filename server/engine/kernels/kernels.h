@@ -18,6 +18,7 @@
 #define RN_PIXEL_RAYS 4        // of a pixel that is split 2 x 2: its colour is their mean
 #define RN_PACKET_SLACK 64     // numbers a vector store may overrun an array by
 #define RN_ROUND 8             // samples of a ray evaluated before its transmittance is looked at
+#define RN_MAX_RAYS (1 << 17)  // of a training step
 #define RN_GROUPS 16           // fixed partition of a step's rays: the unit of ordered accumulation
 #define RN_OFFENDERS 4         // non-finite rays of a group that are remembered
 #define RN_BRICK 8             // occupancy cells a side of a brick
@@ -81,7 +82,7 @@ struct rn_march_ray {
 };
 
 // What the rays of one camera share: the camera in the frame of the scene's ball. rn_view_init
-// (engine/ray.h).
+// (kernels/ray.h).
 struct rn_view {
     double origin[3], axes[3][3]; // axes: of world_from_camera
     double cx, cy, inverse_fx, inverse_fy;

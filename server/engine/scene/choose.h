@@ -2,7 +2,7 @@
 #ifndef RN_ENGINE_CHOOSE_H
 #define RN_ENGINE_CHOOSE_H
 
-#include "server/engine/scene.h"
+#include "server/engine/scene/scene.h"
 
 // Seconds of one thread for `rows` samples forward and backward through the networks that `config`
 // describes (with ray shading one row in 32 goes through the colour network): the least of several

@@ -3,9 +3,9 @@
 #ifndef RN_ENGINE_SCENE_H
 #define RN_ENGINE_SCENE_H
 
-#include "server/engine/cpu/kernels.h"
 #include "server/engine/cpu/pool.h"
-#include "server/engine/engine.h"
+#include "server/engine/kernels/kernels.h"
+#include "server/engine/scene/engine.h"
 
 struct rn_backend; // backend.h
 struct rn_device;
@@ -122,6 +122,8 @@ struct rn_march_ray rn_march_ray_from(const struct rn_field *field, const struct
                                       double step, double jitter);
 // A camera for the kernels' `rays`.
 struct rn_view rn_field_view(const struct rn_field *field, const struct rn_camera *camera);
+// The radius of a camera's cones where they pass the ball's centre, dataset units.
+double rn_cone_at_centre(const struct rn_bounds *bounds, const struct rn_camera *camera);
 // The highest level that a camera's rays can reach, and levels per axis, 1 = only the base map.
 double rn_top_level(const struct rn_field *field, const struct rn_camera *camera, double step);
 int rn_levels_for_camera(const struct rn_field *field, const struct rn_camera *camera, double step);

@@ -1,4 +1,4 @@
-#include "server/engine/scene.h"
+#include "server/engine/scene/scene.h"
 
 #include <math.h>
 #include <stdlib.h>
@@ -6,12 +6,12 @@
 #include <sys/mman.h>
 
 #include "common/math/rng.h"
-#include "server/engine/device.h"
+#include "server/engine/scene/device.h"
 #include "server/engine/field/footprint.h"
 #include "server/engine/field/occupancy.h"
 #include "server/engine/field/ripmap.h"
-#include "server/engine/occupancy.h"
-#include "server/engine/ray.h"
+#include "server/engine/scene/occupancy.h"
+#include "server/engine/kernels/ray.h"
 
 #define PAGE 4096
 #define HUGE_PAGE (2u << 20)
@@ -319,6 +319,14 @@ struct rn_march_ray rn_march_ray_from(const struct rn_field *field, const struct
 
 struct rn_view rn_field_view(const struct rn_field *field, const struct rn_camera *camera) {
     return rn_view_init(field->bounds.centre, field->bounds.radius, camera);
+}
+
+double rn_cone_at_centre(const struct rn_bounds *bounds, const struct rn_camera *camera) {
+    struct rn_ray ray = rn_camera_ray(camera, camera->cx, camera->cy);
+    double squares = 0;
+    for (int i = 0; i < 3; i++)
+        squares += pow(ray.origin[i] - bounds->centre[i], 2);
+    return ray.radius * sqrt(squares);
 }
 
 double rn_top_level(const struct rn_field *field, const struct rn_camera *camera, double step) {

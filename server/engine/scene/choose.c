@@ -1,4 +1,4 @@
-#include "server/engine/choose.h"
+#include "server/engine/scene/choose.h"
 
 #include <math.h>
 #include <stdlib.h>

@@ -11,7 +11,8 @@
 #include <unistd.h>
 
 #include "common/base/sha256.h"
-#include "server/engine/checkpoint_state.h"
+#include "server/engine/checkpoint/state.h"
+#include "server/engine/scene/scene.h"
 
 struct rn_checkpoint_writer {
     pthread_t thread;
@@ -26,8 +27,9 @@ struct rn_checkpoint_writer {
     int error; // errno, 0 when it went well
 };
 
-static json_t *make_header(const struct rn_trainer *t, const struct rn_tensor *list, int count) {
-    json_t *state = rn_checkpoint_state(t);
+static json_t *make_header(const struct rn_field *field, const struct rn_counters *counters,
+                           const struct rn_tensor *list, int count) {
+    json_t *state = rn_checkpoint_state(field, counters);
     char *text = state ? json_dumps(state, JSON_COMPACT | JSON_REAL_PRECISION(17)) : NULL;
     json_decref(state);
     if (!text) return NULL;
@@ -108,8 +110,9 @@ static void *run(void *context) {
     return NULL;
 }
 
-static char *header_text(const struct rn_trainer *t, const struct rn_checkpoint_writer *w) {
-    json_t *header = make_header(t, w->tensors, w->tensor_count);
+static char *header_text(const struct rn_field *field, const struct rn_counters *counters,
+                         const struct rn_checkpoint_writer *w) {
+    json_t *header = make_header(field, counters, w->tensors, w->tensor_count);
     char *text = header ? json_dumps(header, JSON_COMPACT) : NULL;
     json_decref(header);
     return text;
@@ -120,16 +123,17 @@ static void destroy(struct rn_checkpoint_writer *w) {
     free(w);
 }
 
-enum rn_status rn_checkpoint_begin(const struct rn_trainer *t, const char *path,
+enum rn_status rn_checkpoint_begin(const struct rn_arrays *arrays,
+                                   const struct rn_counters *counters, const char *path,
                                    struct rn_checkpoint_writer **ret_writer, struct rn_error *err) {
     struct rn_checkpoint_writer *w = calloc(1, sizeof *w);
     if (!w) return rn_error_set(err, RN_ERROR_NO_MEMORY, path, "out of memory");
     snprintf(w->path, sizeof w->path, "%s", path);
-    w->tensor_count = rn_checkpoint_tensors(t->field, t->m, t->v, w->tensors);
-    w->tensor_count = rn_checkpoint_add_importance(&t->importance, w->tensors, w->tensor_count);
-    w->parameters = t->field->parameters.values;
-    w->parameter_bytes = t->field->parameters.count * sizeof(float);
-    w->header = header_text(t, w);
+    w->tensor_count = rn_checkpoint_tensors(arrays, w->tensors);
+    w->tensor_count = rn_checkpoint_add_blocks(arrays, w->tensors, w->tensor_count);
+    w->parameters = arrays->field->parameters.values;
+    w->parameter_bytes = arrays->field->parameters.count * sizeof(float);
+    w->header = header_text(arrays->field, counters, w);
     if (!w->header) {
         destroy(w);
         return rn_error_set(err, RN_ERROR_NO_MEMORY, path, "out of memory");

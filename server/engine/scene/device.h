@@ -3,8 +3,8 @@
 #ifndef RN_ENGINE_DEVICE_H
 #define RN_ENGINE_DEVICE_H
 
-#include "server/engine/backend.h"
-#include "server/engine/scene.h"
+#include "server/engine/kernels/backend.h"
+#include "server/engine/scene/scene.h"
 
 // Loads the backend's module and opens "cuda:N", or with "auto" the first one if that works. The
 // module is looked for at RIPNERF_CUDA_MODULE, where it was installed, and in the build folder.

@@ -1,4 +1,4 @@
-#include "server/engine/checkpoint.h"
+#include "server/engine/checkpoint/checkpoint.h"
 
 #include <errno.h>
 #include <fcntl.h>
@@ -9,7 +9,10 @@
 #include <string.h>
 #include <unistd.h>
 
-#include "server/engine/checkpoint_state.h"
+#include "server/engine/checkpoint/state.h"
+#include "server/engine/scene/device.h"
+#include "server/engine/scene/occupancy.h"
+#include "server/engine/scene/scene.h"
 
 #define MAX_HEADER (100u << 20)
 
@@ -39,8 +42,9 @@ static void add_network(struct rn_tensor *list, int *count, const char *prefix,
     }
 }
 
-int rn_checkpoint_tensors(struct rn_field *field, float *m, float *v,
+int rn_checkpoint_tensors(const struct rn_arrays *arrays,
                           struct rn_tensor list[RN_CHECKPOINT_TENSORS]) {
+    const struct rn_field *field = arrays->field;
     const struct rn_field_config *c = &field->config.field;
     const struct rn_parameters *p = &field->parameters;
     size_t base = (size_t)c->base, cells = (size_t)c->occupancy;
@@ -52,18 +56,17 @@ int rn_checkpoint_tensors(struct rn_field *field, float *m, float *v,
                 p->values + p->plane_count + p->base_count);
     add(list, &count, "occupancy", "F32", 3, (size_t[]){cells, cells, cells}, field->occupancy);
     add(list, &count, "hull", "U8", 3, (size_t[]){cells, cells, cells}, field->hull);
-    if (m) {
-        add(list, &count, "adam.m", "F32", 1, &p->count, m);
-        add(list, &count, "adam.v", "F32", 1, &p->count, v);
+    if (arrays->m) {
+        add(list, &count, "adam.m", "F32", 1, &p->count, arrays->m);
+        add(list, &count, "adam.v", "F32", 1, &p->count, arrays->v);
     }
     return count;
 }
 
-int rn_checkpoint_add_importance(const struct rn_importance *importance, struct rn_tensor *list,
-                                 int count) {
-    if (importance->count == 0) return count;
-    add(list, &count, "draw.error", "F32", 1, &importance->count, importance->error);
-    add(list, &count, "draw.share", "F32", 1, &importance->count, importance->share);
+int rn_checkpoint_add_blocks(const struct rn_arrays *arrays, struct rn_tensor *list, int count) {
+    if (arrays->block_count == 0) return count;
+    add(list, &count, "draw.error", "F32", 1, &arrays->block_count, arrays->block_error);
+    add(list, &count, "draw.share", "F32", 1, &arrays->block_count, arrays->block_share);
     return count;
 }
 
@@ -166,54 +169,65 @@ static enum rn_status read_tensor(const struct rn_checkpoint *c, const struct rn
     return RN_OK;
 }
 
-static enum rn_status read_tensors(const struct rn_checkpoint *c, struct rn_field *field, float *m,
-                                   float *v, struct rn_error *err) {
+static enum rn_status read_list(const struct rn_checkpoint *c, const struct rn_tensor *list,
+                                int count, struct rn_error *err) {
+    enum rn_status status = RN_OK;
+    for (int i = 0; i < count && status == RN_OK; i++)
+        status = read_tensor(c, &list[i], err);
+    return status;
+}
+
+enum rn_status rn_checkpoint_read_arrays(const struct rn_checkpoint *c,
+                                         const struct rn_arrays *arrays, struct rn_error *err) {
     struct rn_tensor list[RN_CHECKPOINT_TENSORS];
-    int count = rn_checkpoint_tensors(field, m, v, list);
-    for (int i = 0; i < count; i++) {
-        enum rn_status status = read_tensor(c, &list[i], err);
-        if (status != RN_OK) return status;
-    }
+    struct rn_field *field = arrays->field;
+    enum rn_status status = read_list(c, list, rn_checkpoint_tensors(arrays, list), err);
+    if (status != RN_OK) return status;
     memcpy(field->effects, c->effects, sizeof field->effects);
     snprintf(field->kernels, sizeof field->kernels, "%s", c->kernels);
-    field->steps = c->progress.step;
-    field->train_seconds = c->progress.train_seconds;
-    field->psnr = c->progress.psnr;
+    field->steps = c->counters.progress.step;
+    field->train_seconds = c->counters.progress.train_seconds;
+    field->psnr = c->counters.progress.psnr;
     return RN_OK;
 }
 
 enum rn_status rn_checkpoint_read_field(const struct rn_checkpoint *c, struct rn_field *field,
                                         struct rn_error *err) {
-    return read_tensors(c, field, NULL, NULL, err);
+    return rn_checkpoint_read_arrays(c, &(struct rn_arrays){.field = field}, err);
 }
 
-enum rn_status rn_checkpoint_read_trainer(const struct rn_checkpoint *c, struct rn_trainer *t,
-                                          struct rn_error *err) {
-    double load_seconds = t->progress.load_seconds;
-    enum rn_status status = read_tensors(c, t->field, t->m, t->v, err);
-    if (status != RN_OK) return status;
-    t->progress = c->progress;
-    t->progress.load_seconds = load_seconds;
-    t->updates = c->updates;
-    t->next_rays = c->next_rays;
-    t->gradient_scale = c->gradient_scale;
-    t->good_steps = c->good_steps;
-    t->gradient_size = c->gradient_size;
-    return RN_OK;
-}
-
-enum rn_status rn_checkpoint_read_importance(const struct rn_checkpoint *c, struct rn_trainer *t,
-                                             struct rn_error *err) {
+enum rn_status rn_checkpoint_read_blocks(const struct rn_checkpoint *c,
+                                         const struct rn_arrays *arrays, struct rn_error *err) {
     struct rn_tensor list[2];
-    int count = rn_checkpoint_add_importance(&t->importance, list, 0);
-    for (int i = 0; i < count; i++) {
-        enum rn_status status = read_tensor(c, &list[i], err);
-        if (status != RN_OK) return status;
+    enum rn_status status = read_list(c, list, rn_checkpoint_add_blocks(arrays, list, 0), err);
+    for (size_t i = 0; i < arrays->block_count && status == RN_OK; i++)
+        if (!(arrays->block_share[i] > 0))
+            status = rn_error_set(err, RN_ERROR_CORRUPT, c->path,
+                                  "tensor 'draw.share' holds numbers that are not positive");
+    return status;
+}
+
+enum rn_status rn_field_load(struct rn_engine *engine, const char *checkpoint_path,
+                             struct rn_field **ret_field, struct rn_error *err) {
+    struct rn_checkpoint checkpoint;
+    struct rn_field *field = NULL;
+    enum rn_status status = rn_checkpoint_open(checkpoint_path, &checkpoint, err);
+    if (status != RN_OK) return status;
+    status = rn_field_create(&checkpoint.config, &checkpoint.bounds, &field, err);
+    if (status == RN_OK) status = rn_checkpoint_read_field(&checkpoint, field, err);
+    rn_checkpoint_close(&checkpoint);
+    if (status != RN_OK) {
+        rn_field_destroy(&field);
+        return status;
     }
-    for (size_t i = 0; i < t->importance.count; i++)
-        if (!(t->importance.share[i] > 0))
-            return rn_error_set(err, RN_ERROR_CORRUPT, c->path,
-                                "tensor 'draw.share' holds numbers that are not positive");
-    rn_trainer_share_out(t, false);
+    rn_field_refresh(field, engine);
+    rn_field_refresh_occupancy(field);
+    rn_field_refine_occupancy(field, engine);
+    status = rn_field_put_to_render(engine, field, err);
+    if (status != RN_OK) {
+        rn_field_destroy(&field);
+        return status;
+    }
+    *ret_field = field;
     return RN_OK;
 }

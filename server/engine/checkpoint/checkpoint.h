@@ -1,0 +1,84 @@
+// Checkpoints: one safetensors file with parameters, optimiser, occupancy, counters and config.
+//
+// Tensors: planes F32 [plane][v][u][channel]; base.N and head.N F32 [input][output] (the colour
+// network's last layer is padded to 16 outputs, columns 3.. are zero); adam.m and adam.v F32, in
+// the order of all the former; occupancy F32 and hull U8 [x][y][z]; draw.error and draw.share F32
+// of the blocks that rays are drawn from, where they are drawn by error. Everything else is one
+// JSON object in __metadata__["ripnerf"]. Random numbers need no state: they are counters of the
+// step.
+#ifndef RN_ENGINE_CHECKPOINT_CHECKPOINT_H
+#define RN_ENGINE_CHECKPOINT_CHECKPOINT_H
+
+#include "server/engine/scene/engine.h"
+#include "server/engine/scene/progress.h"
+
+// Where a training is, besides its arrays.
+struct rn_counters {
+    struct rn_progress progress;
+    int64_t updates;      // steps that were not rejected, since the last rollback
+    int next_rays;        // of the next step
+    float gradient_scale; // a device's (cuda/README.md); 0 at the start
+    int good_steps;       // since it was last changed
+    float gradient_size;  // a device's, for its roulette (kernels/backend.h)
+};
+// The arrays of a field and of its training. Owner: the field and the trainer.
+struct rn_arrays {
+    struct rn_field *field;
+    float *m, *v;       // the optimiser's moments; NULL: of the field alone
+    size_t block_count; // that rays are drawn from, where they are drawn by error; else 0
+    float *block_error, *block_share;
+};
+
+// An open checkpoint: header read and checked, tensors not yet. Owner: rn_checkpoint_close.
+struct rn_checkpoint {
+    char path[4096];
+    struct rn_train_config config;
+    struct rn_bounds bounds;
+    char kernels[32];
+    struct rn_effect_record effects[RN_EFFECT_COUNT];
+    struct rn_counters counters;
+    bool has_trainer; // optimiser state is in the file
+    void *header;     // the parsed JSON
+    int fd;
+    uint64_t data_start;
+};
+
+// RN_ERROR_NOT_FOUND; RN_ERROR_CORRUPT names what is wrong with the file.
+enum rn_status rn_checkpoint_open(const char *path, struct rn_checkpoint *ret_checkpoint,
+                                  struct rn_error *err) RN_MUST_CHECK;
+void rn_checkpoint_close(struct rn_checkpoint *checkpoint);
+// Fill a field, or the arrays of a training, made for checkpoint->config. Non-finite numbers are
+// RN_ERROR_CORRUPT.
+enum rn_status rn_checkpoint_read_field(const struct rn_checkpoint *checkpoint,
+                                        struct rn_field *field, struct rn_error *err) RN_MUST_CHECK;
+enum rn_status rn_checkpoint_read_arrays(const struct rn_checkpoint *checkpoint,
+                                         const struct rn_arrays *arrays,
+                                         struct rn_error *err) RN_MUST_CHECK;
+// Their blocks alone, once they are listed.
+enum rn_status rn_checkpoint_read_blocks(const struct rn_checkpoint *checkpoint,
+                                         const struct rn_arrays *arrays,
+                                         struct rn_error *err) RN_MUST_CHECK;
+// Loads what rendering needs from a checkpoint. Non-finite parameters are refused as corrupt.
+enum rn_status rn_field_load(struct rn_engine *engine, const char *checkpoint_path,
+                             struct rn_field **ret_field, struct rn_error *err) RN_MUST_CHECK;
+
+enum rn_save_stage {
+    RN_SAVE_READS, // the trainer's numbers are being read: render and validate, but do not advance
+    RN_SAVE_SYNCS, // they were read: training may go on
+    RN_SAVE_OVER,  // rn_trainer_save_end will not wait
+};
+// A checkpoint that a thread of its own writes. Thread-safety: one thread calls these functions.
+// Owner: whoever began it.
+struct rn_checkpoint_writer;
+// Temporary file, fsync, rename, fsync of the folder: seen whole or not at all. Changes no state.
+// The arrays are read until the stage is no longer RN_SAVE_READS.
+enum rn_status rn_checkpoint_begin(const struct rn_arrays *arrays,
+                                   const struct rn_counters *counters, const char *path,
+                                   struct rn_checkpoint_writer **ret_writer,
+                                   struct rn_error *err) RN_MUST_CHECK;
+enum rn_save_stage rn_checkpoint_stage(const struct rn_checkpoint_writer *writer);
+// Waits for the end; the digest is that of rn_field_sha256.
+enum rn_status rn_checkpoint_end(struct rn_checkpoint_writer **writer, char ret_sha256[65],
+                                 struct rn_error *err);
+
+#endif
