@@ -5,8 +5,8 @@
 
 #include "server/engine/field/occupancy.h"
 #include "server/engine/field/sh.h"
-#include "server/engine/scene/occupancy.h"
 #include "server/engine/kernels/ray.h"
+#include "server/engine/scene/occupancy.h"
 #include "server/engine/scene/scene.h"
 #include "tests/numerics/exact.h"
 #include "tests/numerics/subject.h"

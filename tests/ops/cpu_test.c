@@ -6,8 +6,8 @@
 #include <string.h>
 
 #include "common/math/rng.h"
-#include "server/engine/scene/occupancy.h"
 #include "server/engine/reference/reference.h"
+#include "server/engine/scene/occupancy.h"
 #include "server/engine/scene/scene.h"
 #include "tests/support/suite.h"
 

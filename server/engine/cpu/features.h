@@ -7,8 +7,8 @@
 
 #include <stdbool.h>
 
-#include "server/engine/kernels/kernels.h"
 #include "server/engine/cpu/simd.h"
+#include "server/engine/kernels/kernels.h"
 
 typedef float v4 __attribute__((vector_size(16), aligned(4), may_alias));
 typedef float v8 __attribute__((vector_size(32), aligned(4), may_alias));

@@ -2,8 +2,8 @@
 #ifndef RN_ENGINE_CPU_MARCH_H
 #define RN_ENGINE_CPU_MARCH_H
 
-#include "server/engine/kernels/kernels.h"
 #include "server/engine/cpu/simd.h"
+#include "server/engine/kernels/kernels.h"
 
 #define RN_MARCH_FAR 1000000 // an index behind every ray's end
 

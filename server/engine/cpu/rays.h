@@ -3,8 +3,8 @@
 #ifndef RN_ENGINE_CPU_RAYS_H
 #define RN_ENGINE_CPU_RAYS_H
 
-#include "server/engine/kernels/kernels.h"
 #include "server/engine/cpu/simd.h"
+#include "server/engine/kernels/kernels.h"
 
 // rn_view's numbers, one view a lane.
 struct view_lanes {

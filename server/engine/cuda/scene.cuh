@@ -8,8 +8,8 @@
 #define RN_REAL double
 #define RN_WIDE double // devices have no wider type
 extern "C" {
-#include "server/engine/kernels/backend.h"
 #include "server/engine/cuda/layout.h"
+#include "server/engine/kernels/backend.h"
 }
 
 // The occupancy grid as the march reads it (struct rn_occupancy_bits), and what it is made from.

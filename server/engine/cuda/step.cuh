@@ -4,8 +4,8 @@
 
 #include "common/math/rng.h"
 #include "server/engine/cuda/scene.cuh"
-#include "server/engine/kernels/ray.h"
 #include "server/engine/kernels/draw.h"
+#include "server/engine/kernels/ray.h"
 
 #define RN_STREAM_RAYS 0x7261797300000000u // as train/step.c
 #define RN_ORDER_THREADS 1024

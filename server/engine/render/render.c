@@ -5,9 +5,9 @@
 
 #include "common/base/clock.h"
 #include "common/image/metrics.h"
+#include "server/engine/render/lattice.h"
 #include "server/engine/scene/device.h"
 #include "server/engine/scene/occupancy.h"
-#include "server/engine/render/lattice.h"
 
 #define TILE 16               // cones a side; a tile fills two packets
 #define SPARSE 2              // times as many where a pass takes every second pixel a side

@@ -6,12 +6,12 @@
 #include <sys/mman.h>
 
 #include "common/math/rng.h"
-#include "server/engine/scene/device.h"
 #include "server/engine/field/footprint.h"
 #include "server/engine/field/occupancy.h"
 #include "server/engine/field/ripmap.h"
-#include "server/engine/scene/occupancy.h"
 #include "server/engine/kernels/ray.h"
+#include "server/engine/scene/device.h"
+#include "server/engine/scene/occupancy.h"
 
 #define PAGE 4096
 #define HUGE_PAGE (2u << 20)

@@ -8,9 +8,9 @@
 
 #include "common/base/clock.h"
 #include "server/engine/checkpoint/checkpoint.h"
+#include "server/engine/render/cones.h"
 #include "server/engine/scene/device.h"
 #include "server/engine/scene/occupancy.h"
-#include "server/engine/render/cones.h"
 
 #define HELD_OUT_VIEWS 8
 #define WARM_UP_FRACTION 0.3 // of the run, before view dependence is measured
