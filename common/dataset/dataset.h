@@ -141,8 +141,11 @@ enum rn_status rn_dataset_import(struct rn_dataset *source, const char *name,
                                  bool (*progress)(void *context, size_t done, size_t total),
                                  void *context, struct rn_error *err) RN_MUST_CHECK;
 
-// Procedural scenes with known truth ("sphere", "fence", "nested"): analytic intersection, many
-// samples a pixel. Writes the NeRF-synthetic layout: transforms_{train,val,test}.json, PNGs.
+// Procedural scenes with known truth: analytic intersection, many samples a pixel. "sphere",
+// "fence" and "nested" are objects, cut out by alpha; "place" (around in a room) and "window" (one
+// way, out of it) are two captures of a place without bounds, photographs without alpha. Writes the
+// NeRF-synthetic layout: transforms_{train,val,test}.json, PNGs, and the test views' depth as
+// rn_synth_depth's float32 in test/r_N_depth.npy.
 struct rn_synth_options {
     int size;    // image side, pixels
     int views;   // training views; validation and test get max(8, views / 4) each
@@ -153,8 +156,12 @@ enum rn_status rn_synthesise(const char *scene, const struct rn_synth_options *o
                              const char *target,
                              bool (*progress)(void *context, size_t done, size_t total),
                              void *context, struct rn_error *err) RN_MUST_CHECK;
-// The truth at any camera: straight-alpha rgba, `samples` per pixel. Used by tests and benches.
+// The truth at any camera. Used by tests and benches. Colour: straight-alpha rgba, the mean of
+// `samples` rays a pixel. Depth: one channel, the distance along the ray through each pixel's
+// centre in dataset units, INFINITY where it meets nothing but sky.
 enum rn_status rn_synth_render(const char *scene, const struct rn_camera *camera, int samples,
                                struct rn_picture *ret_rgba, struct rn_error *err) RN_MUST_CHECK;
+enum rn_status rn_synth_depth(const char *scene, const struct rn_camera *camera,
+                              struct rn_picture *ret_depth, struct rn_error *err) RN_MUST_CHECK;
 
 #endif

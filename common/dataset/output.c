@@ -70,8 +70,9 @@ enum rn_status rn_output_run(int threads, size_t count, rn_output_work work, voi
     return rn_error_set(err, run.failure.status, run.failure.where, "%s", run.failure.text);
 }
 
-static enum rn_status write_file(const char *path, const uint8_t *bytes, size_t size,
-                                 struct rn_error *err) {
+enum rn_status rn_output_file(const char *path, const void *content, size_t size,
+                              struct rn_error *err) {
+    const uint8_t *bytes = content;
     int file = open(path, O_WRONLY | O_CREAT | O_EXCL | O_CLOEXEC, 0666);
     if (file < 0) return rn_error_from_errno(err, errno, path, "create");
     enum rn_status status = RN_OK;
@@ -93,7 +94,7 @@ enum rn_status rn_output_png(const struct rn_image *image, const char *path, int
     size_t size;
     enum rn_status status = rn_image_encode_png(image, level, &bytes, &size, err);
     if (status) return status;
-    status = write_file(path, bytes, size, err);
+    status = rn_output_file(path, bytes, size, err);
     free(bytes);
     return status;
 }

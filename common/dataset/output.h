@@ -21,7 +21,10 @@ enum rn_status rn_output_run(int threads, size_t count, rn_output_work work, voi
                              rn_output_progress progress, void *progress_context, const char *where,
                              struct rn_error *err) RN_MUST_CHECK;
 
-// Writes a PNG file that is on disk only after rn_output_sync.
+// Writes a new file that is on disk only after rn_output_sync.
+enum rn_status rn_output_file(const char *path, const void *content, size_t size,
+                              struct rn_error *err) RN_MUST_CHECK;
+// Likewise a PNG file.
 enum rn_status rn_output_png(const struct rn_image *image, const char *path, int level,
                              struct rn_error *err) RN_MUST_CHECK;
 // Waits until everything written below `folder` is on disk: one wait instead of one an image.

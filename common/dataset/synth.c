@@ -10,13 +10,17 @@
 #include "common/dataset/synth_scenes.h"
 #include "common/math/rng.h"
 
-#define CAMERA_DISTANCE 4.0311289
-#define CAMERA_ANGLE_X 0.6911112 // radians
 #define DEFAULT_SAMPLES 64
 #define MAX_SAMPLES 4096
 #define MAX_SIZE 4096
 #define MAX_VIEWS 10000
 #define PNG_LEVEL 6
+
+static struct ray pixel_ray(const struct rn_camera *camera, double px, double py) {
+    struct rn_ray cone = rn_camera_ray(camera, px, py);
+    return (struct ray){{cone.origin[0], cone.origin[1], cone.origin[2]},
+                        {cone.direction[0], cone.direction[1], cone.direction[2]}};
+}
 
 // The mean over one pixel: `side` x `side` strata with one jittered ray each.
 static void render_pixel(const struct rn_synth_scene *scene, const struct rn_camera *camera, int x,
@@ -29,9 +33,7 @@ static void render_pixel(const struct rn_synth_scene *scene, const struct rn_cam
         if (s % 2 == 0) jitter = rn_rng_draw(0, stream, (uint64_t)s / 2);
         double u = (s % side + (double)rn_rng_unit(jitter.v[s % 2 * 2])) / side;
         double v = ((double)(s / side) + (double)rn_rng_unit(jitter.v[s % 2 * 2 + 1])) / side;
-        struct rn_ray cone = rn_camera_ray(camera, x + u, y + v);
-        struct ray ray = {{cone.origin[0], cone.origin[1], cone.origin[2]},
-                          {cone.direction[0], cone.direction[1], cone.direction[2]}};
+        struct ray ray = pixel_ray(camera, x + u, y + v);
         double rgb[3], distance;
         if (!rn_synth_trace(scene, &ray, rgb, &distance)) continue;
         hits++;
@@ -54,7 +56,7 @@ static bool pixel_is_empty(const struct rn_synth_scene *scene, const struct rn_c
         squared += cone.origin[i] * cone.origin[i];
     }
     double distance = sqrt(squared), half_diagonal = 0.7072 * 1.7725 * cone.radius;
-    double reach = rn_synth_radius(scene) + half_diagonal * distance;
+    double reach = scene->radius + half_diagonal * distance;
     return along > 0 && squared - along * along > reach * reach;
 }
 
@@ -74,10 +76,12 @@ static enum rn_status check_scene(const char *name, int samples,
                                   const struct rn_synth_scene **ret_scene, int *ret_side,
                                   struct rn_error *err) {
     const struct rn_synth_scene *scene = rn_synth_find(name);
-    if (!scene)
+    if (!scene) {
+        char names[128];
+        rn_synth_names(names, sizeof names);
         return rn_error_set(err, RN_ERROR_INVALID, "scene",
-                            "no synthetic scene \"%.40s\"; there are sphere, fence and nested",
-                            name);
+                            "no synthetic scene \"%.40s\"; there are %s", name, names);
+    }
     if (samples == 0) samples = DEFAULT_SAMPLES;
     int side = (int)lround(sqrt(samples > 0 ? samples : 0));
     if (side < 1 || samples > MAX_SAMPLES || side * side != samples)
@@ -103,19 +107,35 @@ enum rn_status rn_synth_render(const char *scene, const struct rn_camera *camera
     return RN_OK;
 }
 
-// View `index` of `count` on a golden spiral over part of a sphere. Splits have their own spirals.
-static enum rn_status place_camera(enum rn_split split, int index, int count, int size,
-                                   struct rn_camera *ret_camera) {
-    static const double low[RN_SPLIT_COUNT] = {-0.3, -0.2, -0.22},
-                        high[RN_SPLIT_COUNT] = {0.97, 0.9, 0.93}, shift[RN_SPLIT_COUNT] = {0, 2, 4};
-    static const double up[3] = {0, 0, 1}, target[3] = {0, 0, 0};
-    double z = low[split] + (high[split] - low[split]) * (index + 0.5) / count;
-    double azimuth = shift[split] + index * M_PI * (3 - sqrt(5));
-    double across = CAMERA_DISTANCE * sqrt(1 - z * z);
-    double eye[3] = {across * cos(azimuth), across * sin(azimuth), CAMERA_DISTANCE * z};
+enum rn_status rn_synth_depth(const char *scene, const struct rn_camera *camera,
+                              struct rn_picture *ret_depth, struct rn_error *err) {
+    const struct rn_synth_scene *found = NULL;
+    struct rn_picture picture;
+    int side = 0;
+    enum rn_status status;
+    if ((status = check_scene(scene, 1, &found, &side, err)) ||
+        (status = rn_camera_check(camera, "camera", err)) ||
+        (status = rn_picture_init(camera->width, camera->height, 1, &picture, err)))
+        return status;
+    float *value = picture.values;
+    for (int y = 0; y < camera->height; y++)
+        for (int x = 0; x < camera->width; x++, value++) {
+            struct ray ray = pixel_ray(camera, x + 0.5, y + 0.5);
+            double rgb[3], distance;
+            *value = rn_synth_trace(found, &ray, rgb, &distance) ? (float)distance : INFINITY;
+        }
+    *ret_depth = picture;
+    return RN_OK;
+}
+
+static enum rn_status place_camera(const struct rn_synth_scene *scene, enum rn_split split,
+                                   int index, int count, int size, struct rn_camera *ret_camera) {
+    static const double up[3] = {0, 0, 1};
+    double eye[3], target[3];
     struct rn_camera camera = {.lens = RN_LENS_PINHOLE, .width = size, .height = size};
-    camera.fx = camera.fy = rn_camera_focal_from_fov(CAMERA_ANGLE_X, size);
+    camera.fx = camera.fy = rn_camera_focal_from_fov(scene->angle_x, size);
     camera.cx = camera.cy = 0.5 * size;
+    scene->stand(split, index, count, eye, target);
     enum rn_status status = rn_camera_look_at(eye, target, up, camera.world_from_camera);
     if (status == RN_OK) *ret_camera = camera;
     return status;
@@ -141,11 +161,46 @@ static enum rn_status write_view(const struct synth *synth, const struct rn_pict
         return rn_error_set(err, RN_ERROR_NO_MEMORY, synth->target, "out of memory");
     enum rn_status status = rn_picture_to_image(picture, &image, err);
     if (status == RN_OK) {
-        image.has_alpha = true;
+        image.has_alpha = !synth->scene->sky; // a place fills its photographs
         status = rn_output_png(&image, path, PNG_LEVEL, err);
         rn_image_finish(&image);
     }
     free(path);
+    return status;
+}
+
+// What numpy.load reads: float32, a row a line of pixels.
+static enum rn_status write_npy(const struct rn_picture *picture, const char *path,
+                                struct rn_error *err) {
+    enum { HEADER = 128 };
+    size_t size = (size_t)picture->width * (size_t)picture->height * sizeof(float);
+    char *bytes = malloc(HEADER + size);
+    if (!bytes) return rn_error_set(err, RN_ERROR_NO_MEMORY, path, "out of memory");
+    memcpy(bytes, "\x93NUMPY\1\0\x76\0", 10); // version 1.0; 118 bytes of text follow
+    int used = snprintf(bytes + 10, HEADER - 10,
+                        "{'descr': '<f4', 'fortran_order': False, 'shape': (%d, %d), }",
+                        picture->height, picture->width);
+    memset(bytes + 10 + used, ' ', (size_t)(HEADER - 11 - used));
+    bytes[HEADER - 1] = '\n';
+    memcpy(bytes + HEADER, picture->values, size);
+    enum rn_status status = rn_output_file(path, bytes, HEADER + size, err);
+    free(bytes);
+    return status;
+}
+
+static enum rn_status write_depth(const struct synth *synth, const struct rn_camera *camera,
+                                  int index, struct rn_error *err) {
+    struct rn_picture depth;
+    char *path;
+    enum rn_status status = rn_synth_depth(synth->scene->name, camera, &depth, err);
+    if (status) return status;
+    if (asprintf(&path, "%s/test/r_%d_depth.npy", synth->target, index) < 0) {
+        status = rn_error_set(err, RN_ERROR_NO_MEMORY, synth->target, "out of memory");
+    } else {
+        status = write_npy(&depth, path, err);
+        free(path);
+    }
+    rn_picture_finish(&depth);
     return status;
 }
 
@@ -157,20 +212,22 @@ static enum rn_status make_view(void *context, size_t view, struct rn_error *err
     struct rn_camera camera;
     struct rn_picture picture;
     enum rn_status status =
-        place_camera((enum rn_split)split, index, synth->count[split], size, &camera);
+        place_camera(synth->scene, (enum rn_split)split, index, synth->count[split], size, &camera);
     if (status) return rn_error_set(err, status, synth->target, "degenerate camera");
     if ((status = rn_picture_init(size, size, 4, &picture, err))) return status;
     render(synth->scene, &camera, synth->side, &picture);
     status = write_view(synth, &picture, (enum rn_split)split, index, err);
     rn_picture_finish(&picture);
+    if (status == RN_OK && split == RN_SPLIT_TEST) status = write_depth(synth, &camera, index, err);
     return status;
 }
 
-static json_t *frame_to_json(enum rn_split split, int index, int count, int size) {
+static json_t *frame_to_json(const struct synth *synth, enum rn_split split, int index) {
     struct rn_camera camera;
+    int count = synth->count[split], size = synth->options->size;
     char file[64];
     snprintf(file, sizeof file, "./%s/r_%d", rn_split_name(split), index);
-    if (place_camera(split, index, count, size, &camera)) return NULL;
+    if (place_camera(synth->scene, split, index, count, size, &camera)) return NULL;
     double(*m)[4] = camera.world_from_camera; // to OpenGL axes: columns 1 and 2 negated
     return json_pack("{s:s s:[[ffff][ffff][ffff][ffff]]}", "file_path", file, "transform_matrix",
                      m[0][0], -m[0][1], -m[0][2], m[0][3], m[1][0], -m[1][1], -m[1][2], m[1][3],
@@ -181,11 +238,11 @@ static char *transforms_text(const struct synth *synth, enum rn_split split) {
     json_t *frames = json_array(), *root;
     int count = synth->count[split];
     for (int i = 0; i < count; i++)
-        if (json_array_append_new(frames, frame_to_json(split, i, count, synth->options->size))) {
+        if (json_array_append_new(frames, frame_to_json(synth, split, i))) {
             json_decref(frames);
             return NULL;
         }
-    root = json_pack("{s:f s:o}", "camera_angle_x", CAMERA_ANGLE_X, "frames", frames);
+    root = json_pack("{s:f s:o}", "camera_angle_x", synth->scene->angle_x, "frames", frames);
     char *text = root ? json_dumps(root, JSON_INDENT(1) | JSON_REAL_PRECISION(17)) : NULL;
     json_decref(root);
     return text;

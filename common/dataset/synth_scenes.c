@@ -1,41 +1,5 @@
+// Three objects on stands: a perforated sphere, a fence, shells within shells.
 #include "common/dataset/synth_scenes.h"
-
-#include <string.h>
-
-// What shading needs to know of a point.
-struct surface {
-    double colour[3];
-    double ambient; // share of the light that comes from everywhere
-    double gloss;   // strength of the highlight
-};
-
-struct rn_synth_scene {
-    const char *name;
-    double radius;
-    void (*nearest)(const struct ray *ray, struct hit *hit);
-    void (*describe)(const struct hit *hit, struct vec point, struct surface *surface);
-};
-
-static void paint(struct surface *surface, double r, double g, double b) {
-    surface->colour[0] = r;
-    surface->colour[1] = g;
-    surface->colour[2] = b;
-}
-
-static void mix(struct surface *surface, const double a[3], const double b[3], double t) {
-    for (int i = 0; i < 3; i++)
-        surface->colour[i] = a[i] + (b[i] - a[i]) * t;
-}
-
-static bool odd(double x) {
-    return ((long)floor(x)) & 1;
-}
-
-// A hue circle of muted, saturated colours.
-static void rainbow(struct surface *surface, double turn) {
-    for (int i = 0; i < 3; i++)
-        surface->colour[i] = 0.52 + 0.38 * cos(2 * M_PI * (turn - i / 3.0));
-}
 
 // ---- sphere: a perforated sphere around a ball, on a striped stand
 
@@ -79,31 +43,37 @@ static void sphere_describe(const struct hit *hit, struct vec point, struct surf
     surface->ambient = 0.55;
     switch (hit->part) {
     case SPHERE_OUTSIDE:
-        mix(surface, low, high, 0.5 + (point.z - sphere_centre.z) / 1.44);
+        rn_mix(surface, low, high, 0.5 + (point.z - sphere_centre.z) / 1.44);
         surface->gloss = 0.35;
         break;
     case SPHERE_INSIDE:
-        paint(surface, 0.93, 0.62, 0.22);
+        rn_paint(surface, 0.93, 0.62, 0.22);
         break;
     case SPHERE_RIM:
-        paint(surface, 0.98, 0.82, 0.42);
+        rn_paint(surface, 0.98, 0.82, 0.42);
         break;
     case SPHERE_BALL:
-        paint(surface, 0.88, 0.22, 0.24);
+        rn_paint(surface, 0.88, 0.22, 0.24);
         surface->gloss = 0.25;
         break;
     case SPHERE_STAND:
-        if (odd(atan2(point.y, point.x) * 24 / M_PI))
-            paint(surface, 0.95, 0.83, 0.60);
+        if (rn_odd(atan2(point.y, point.x) * 24 / M_PI))
+            rn_paint(surface, 0.95, 0.83, 0.60);
         else
-            paint(surface, 0.15, 0.18, 0.36);
+            rn_paint(surface, 0.15, 0.18, 0.36);
         break;
     default:
-        if (odd(hypot(point.x, point.y) / 0.0775))
-            paint(surface, 0.95, 0.83, 0.60);
+        if (rn_odd(hypot(point.x, point.y) / 0.0775))
+            rn_paint(surface, 0.95, 0.83, 0.60);
         else
-            paint(surface, 0.15, 0.18, 0.36);
+            rn_paint(surface, 0.15, 0.18, 0.36);
     }
+}
+
+// A hue circle of muted, saturated colours.
+static void rainbow(struct surface *surface, double turn) {
+    for (int i = 0; i < 3; i++)
+        surface->colour[i] = 0.52 + 0.38 * cos(2 * M_PI * (turn - i / 3.0));
 }
 
 // ---- fence: pickets around a ball on a checkerboard
@@ -166,16 +136,16 @@ static void fence_describe(const struct hit *hit, struct vec point, struct surfa
     if (hit->part >= FENCE_PICKET) {
         rainbow(surface, (hit->part - FENCE_PICKET) / (4.0 * PICKETS));
     } else if (hit->part == FENCE_RAIL) {
-        paint(surface, 0.45, 0.33, 0.25);
+        rn_paint(surface, 0.45, 0.33, 0.25);
     } else if (hit->part == FENCE_BALL) {
-        if (odd(7 * (point.z - GROUND) / 0.6))
-            paint(surface, 0.95, 0.80, 0.35);
+        if (rn_odd(7 * (point.z - GROUND) / 0.6))
+            rn_paint(surface, 0.95, 0.80, 0.35);
         else
-            paint(surface, 0.80, 0.22, 0.30);
-    } else if (hit->normal.z > 0.5 && odd(floor(point.x / 0.12) + floor(point.y / 0.12))) {
-        paint(surface, 0.93, 0.86, 0.70);
+            rn_paint(surface, 0.80, 0.22, 0.30);
+    } else if (hit->normal.z > 0.5 && rn_odd(floor(point.x / 0.12) + floor(point.y / 0.12))) {
+        rn_paint(surface, 0.93, 0.86, 0.70);
     } else {
-        paint(surface, 0.20, 0.27, 0.40);
+        rn_paint(surface, 0.20, 0.27, 0.40);
     }
 }
 
@@ -236,68 +206,26 @@ static void nested_describe(const struct hit *hit, struct vec point, struct surf
     };
     double stripe = 0;
     if (hit->part < 3)
-        stripe = odd(asin(fmax(-1, fmin(1, point.z / sqrt(vec_dot(point, point))))) * 24 / M_PI);
+        stripe = rn_odd(asin(fmax(-1, fmin(1, point.z / sqrt(vec_dot(point, point))))) * 24 / M_PI);
     else if (hit->part < 6)
-        stripe = odd(atan2(point.y, point.x) * 16 / M_PI);
+        stripe = rn_odd(atan2(point.y, point.x) * 16 / M_PI);
     else if (hit->part < 9)
-        stripe = odd(floor(point.x / 0.09) + floor(point.y / 0.09) + floor(point.z / 0.09));
+        stripe = rn_odd(floor(point.x / 0.09) + floor(point.y / 0.09) + floor(point.z / 0.09));
     const double *colour = colours[hit->part];
     bool rim = hit->part % 3 == 2;
     double shade = stripe && !rim ? 0.72 : 1;
-    paint(surface, shade * colour[0], shade * colour[1], shade * colour[2]);
+    rn_paint(surface, shade * colour[0], shade * colour[1], shade * colour[2]);
     surface->ambient = 0.6;
 }
 
-// ---- light
+// ---- as scenes
 
-static const struct rn_synth_scene scenes[] = {
-    {"sphere", 1.15, sphere_nearest, sphere_describe},
-    {"fence", 1.25, fence_nearest, fence_describe},
-    {"nested", 1.06, nested_nearest, nested_describe},
-};
-
-const struct rn_synth_scene *rn_synth_find(const char *name) {
-    for (size_t i = 0; i < sizeof scenes / sizeof *scenes; i++)
-        if (strcmp(name, scenes[i].name) == 0) return &scenes[i];
-    return NULL;
-}
-
-double rn_synth_radius(const struct rn_synth_scene *scene) {
-    return scene->radius;
-}
-
-static bool in_shadow(const struct rn_synth_scene *scene, struct vec point, struct vec normal,
-                      struct vec light) {
-    struct ray ray = {vec_add(point, 1e-6, normal), light};
-    struct hit hit = {.t_min = 1e-6, .t = INFINITY};
-    scene->nearest(&ray, &hit);
-    return hit.t < INFINITY;
-}
-
-bool rn_synth_trace(const struct rn_synth_scene *scene, const struct ray *ray, double rgb[3],
-                    double *ret_distance) {
-    static const struct vec light = {0.40824829046386302, -0.40824829046386302,
-                                     0.81649658092772603}; // (1, -1, 2) / sqrt 6
-    double begin, end;
-    if (!sphere_span(ray, (struct vec){0, 0, 0}, scene->radius, &begin, &end) || end < 0)
-        return false;
-    struct hit hit = {.t_min = 0, .t = INFINITY};
-    scene->nearest(ray, &hit);
-    if (hit.t == INFINITY) return false;
-    struct vec point = ray_at(ray, hit.t);
-    struct surface surface = {.gloss = 0};
-    scene->describe(&hit, point, &surface);
-    double facing = vec_dot(hit.normal, light);
-    bool lit = facing > 0 && !in_shadow(scene, point, hit.normal, light);
-    double diffuse = surface.ambient * (0.85 + 0.15 * hit.normal.z), highlight = 0;
-    if (lit) {
-        struct vec half = vec_unit(vec_add(light, -1, ray->direction)); // Blinn 1977
-        diffuse += 0.65 * facing;
-        double cosine = vec_dot(hit.normal, half);
-        if (surface.gloss > 0 && cosine > 0) highlight = surface.gloss * pow(cosine, 40);
+#define OBJECT(title, reach)                                                                       \
+    {                                                                                              \
+        .name = #title, .radius = reach, .light = RN_SYNTH_LAMP, .nearest = title##_nearest,       \
+        .describe = title##_describe, .stand = rn_synth_orbit, .angle_x = RN_SYNTH_ANGLE_X         \
     }
-    for (int i = 0; i < 3; i++)
-        rgb[i] = fmin(1, surface.colour[i] * diffuse + highlight);
-    *ret_distance = hit.t;
-    return true;
-}
+
+const struct rn_synth_scene rn_synth_sphere = OBJECT(sphere, 1.15);
+const struct rn_synth_scene rn_synth_fence = OBJECT(fence, 1.25);
+const struct rn_synth_scene rn_synth_nested = OBJECT(nested, 1.06);
