@@ -105,7 +105,6 @@ static enum rn_status read_split(struct rn_reader *reader, enum rn_split split,
 
 static enum rn_status read_blender(struct rn_reader *reader, struct rn_error *err) {
     enum rn_status status = RN_OK;
-    reader->dataset->premultiplied_scales = true;
     for (int split = 0; split < RN_SPLIT_COUNT && status == RN_OK; split++)
         status = read_split(reader, (enum rn_split)split, err);
     return status;

@@ -93,6 +93,10 @@ static void warn_of_what_is_beyond(struct rn_reader *reader) {
 static void set_bounds(struct rn_reader *reader) {
     struct rn_dataset *dataset = reader->dataset;
     if (dataset->bounds.radius > 0) return;
+    if (!(dataset->format->sphere > 0)) {
+        dataset->bounds = rn_bounds_from_cameras(dataset, CAPTURE_DISTANCES);
+        return;
+    }
     dataset->bounds =
         (struct rn_bounds){.radius = dataset->format->sphere, .source = RN_BOUNDS_LAYOUT};
     for (size_t i = 0; i < dataset->frame_count; i++)
@@ -111,6 +115,7 @@ static void set_bounds(struct rn_reader *reader) {
 static enum rn_status read_format(struct rn_reader *reader, const struct rn_format *format,
                                   struct rn_error *err) {
     reader->dataset->format = format;
+    reader->dataset->premultiplied_scales = true;
     enum rn_status status = format->read(reader, err);
     if (status == RN_OK)
         status = rn_dataset_seal(reader->dataset, reader->folder, reader->problems, err);

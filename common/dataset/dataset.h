@@ -25,6 +25,7 @@ struct rn_frame {
     int scale;          // 0 = full size, j = downsampled 2^j times
     double loss_weight; // area weight of a pixel's loss: 4^scale (1 on single-scale data)
     bool has_alpha;     // by the file's header
+    double near, far;   // along the optical axis, dataset units, as the source gives; 0: not given
     struct rn_camera camera;
 };
 

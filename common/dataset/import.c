@@ -153,10 +153,13 @@ static enum rn_status import_view(void *context, size_t index, struct rn_error *
 }
 
 static json_t *frame_to_json(const struct rn_frame *frame, const char *target) {
-    return json_pack("{s:s s:s s:s s:i s:i s:f s:o}", "name", frame->name, "file",
+    json_t *near = frame->far > 0 ? json_real(frame->near) : NULL;
+    json_t *far = frame->far > 0 ? json_real(frame->far) : NULL;
+    return json_pack("{s:s s:s s:s s:i s:i s:f s:o s:o* s:o*}", "name", frame->name, "file",
                      frame->path + strlen(target) + 1, "split", rn_split_name(frame->split),
                      "index", frame->index, "scale", frame->scale, "loss_weight",
-                     frame->loss_weight, "camera", rn_json_from_camera(&frame->camera));
+                     frame->loss_weight, "camera", rn_json_from_camera(&frame->camera), "near",
+                     near, "far", far);
 }
 
 static json_t *dataset_to_json(const struct rn_dataset *dataset, const char *target) {

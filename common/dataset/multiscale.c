@@ -138,6 +138,7 @@ static enum rn_status read_document(struct rn_reader *reader, const struct rn_js
 }
 
 static enum rn_status read_multiscale(struct rn_reader *reader, struct rn_error *err) {
+    reader->dataset->premultiplied_scales = false; // as the published converter averages
     return rn_reader_json(reader, "metadata.json", false, read_document, NULL, err);
 }
 

@@ -4,10 +4,19 @@
 
 #include "common/dataset/reader.h"
 
+// Both or neither.
+static enum rn_status read_depths(const struct rn_json *object, struct rn_frame *frame,
+                                  struct rn_error *err) {
+    struct rn_json near, far;
+    if (!rn_json_find(object, "near", &near) && !rn_json_find(object, "far", &far)) return RN_OK;
+    enum rn_status status = rn_json_number(object, "near", 1e-12, 1e12, &frame->near, err);
+    return status ? status : rn_json_number(object, "far", frame->near, 1e12, &frame->far, err);
+}
+
 static enum rn_status read_frame(struct rn_reader *reader, const struct rn_json *object,
                                  struct rn_frame *frame, struct rn_error *err) {
-    static const char *const known[] = {"name",  "file",        "split",  "index",
-                                        "scale", "loss_weight", "camera", NULL};
+    static const char *const known[] = {"name",        "file",   "split", "index", "scale",
+                                        "loss_weight", "camera", "near",  "far",   NULL};
     static const char *const splits[] = {"train", "val", "test"};
     struct rn_json camera_at;
     struct rn_camera camera;
@@ -26,6 +35,10 @@ static enum rn_status read_frame(struct rn_reader *reader, const struct rn_json 
         (status = rn_json_text(object, "name", RN_FILE_NAME_MAX, &name, err)) ||
         (status = rn_reader_image(reader, object, "file", "", frame, err)))
         return status;
+    if ((status = read_depths(object, frame, err))) {
+        rn_frame_finish(frame);
+        return status;
+    }
     if (camera.width != frame->camera.width || camera.height != frame->camera.height)
         return rn_json_error(&camera_at, RN_ERROR_INVALID, err, "says %dx%d pixels, %s is %dx%d",
                              camera.width, camera.height, frame->path, frame->camera.width,

@@ -1,10 +1,12 @@
 #include "common/dataset/reader.h"
 
+#include <ctype.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <strings.h>
 #include <sys/stat.h>
+#include <unistd.h>
 
 char *rn_reader_path(const struct rn_reader *reader, const char *name) {
     while (name[0] == '.' && name[1] == '/')
@@ -47,55 +49,147 @@ enum rn_status rn_reader_json(struct rn_reader *reader, const char *name, bool c
     return status;
 }
 
-// What is wrong with a file name from a dataset's JSON, or NULL.
-static const char *name_fault(const char *name) {
-    if (name[0] == '/') return "is an absolute path; name files relative to the dataset's folder";
-    for (const char *c = name; *c; c++)
-        if ((unsigned char)*c < 0x20 || *c == 0x7f) return "holds a control character";
-    for (const char *part = name; part; part = strchr(part, '/')) {
-        part += *part == '/';
-        if (part[0] == '.' && part[1] == '.' && (part[2] == '/' || !part[2]))
-            return "leaves the dataset's folder with \"..\"";
-    }
-    size_t length = strlen(name);
-    return length == 0 || name[length - 1] == '/' ? "names no file" : NULL;
-}
+const char *const rn_photo_folders[] = {"images", "images_2", "images_4", "images_8", NULL};
+static const char *const extensions[] = {".png", ".jpg", ".jpeg", NULL};
 
-static bool has_image_extension(const char *name) {
+bool rn_reader_is_photo(const char *name) {
     const char *dot = strrchr(name, '.');
-    return dot &&
-           (!strcasecmp(dot, ".png") || !strcasecmp(dot, ".jpg") || !strcasecmp(dot, ".jpeg"));
+    for (size_t i = 0; dot && extensions[i]; i++)
+        if (strcasecmp(dot, extensions[i]) == 0) return true;
+    return false;
 }
 
 // The file's name without folder and extension, malloc'd.
 static char *base_name(const char *path) {
     const char *slash = strrchr(path, '/'), *name = slash ? slash + 1 : path;
-    size_t length = has_image_extension(name) ? (size_t)(strrchr(name, '.') - name) : strlen(name);
+    size_t length = rn_reader_is_photo(name) ? (size_t)(strrchr(name, '.') - name) : strlen(name);
     return strndup(name, length);
 }
 
-static enum rn_status probe(const struct rn_json *at, const char *path,
-                            struct rn_image_info *ret_info, struct rn_error *err) {
+static bool exists(const struct rn_reader *reader, const char *file) {
+    char *path = rn_reader_path(reader, file);
+    bool there = path && access(path, F_OK) == 0;
+    free(path);
+    return there;
+}
+
+// The name with `extension` where it has none of an image; with RN_ANY_EXTENSION, one by which the
+// file is there, else ".png".
+static void put_extension(const struct rn_reader *reader, const char *name, const char *extension,
+                          char file[RN_FILE_NAME_MAX]) {
+    bool any = strcmp(extension, RN_ANY_EXTENSION) == 0, whole = rn_reader_is_photo(name);
+    snprintf(file, RN_FILE_NAME_MAX, "%s%s", name, whole ? "" : any ? extensions[0] : extension);
+    for (size_t i = 0; any && !whole && extensions[i] && !exists(reader, file); i++)
+        snprintf(file, RN_FILE_NAME_MAX, "%s%s", name, extensions[i]);
+}
+
+// Where a path's part within the dataset's folder may begin: behind its last "..", and behind the
+// root of another machine. *ret_fault: why the path does not stand for itself, or NULL.
+static const char *inner_part(const char *name, const char **ret_fault) {
+    const char *inner = name;
+    bool drive = isalpha((unsigned char)name[0]) && name[1] == ':';
+    *ret_fault = NULL;
+    if (name[0] == '/' || drive) {
+        *ret_fault = "is an absolute path; name files relative to the dataset's folder";
+        inner = name + (drive ? 2 : 0);
+        inner += strspn(inner, "/");
+    }
+    for (const char *part = name; part; part = strchr(part, '/')) {
+        part += *part == '/';
+        if (part[0] != '.' || part[1] != '.' || (part[2] != '/' && part[2])) continue;
+        *ret_fault = "leaves the dataset's folder with \"..\"";
+        inner = part + 2 + (part[2] == '/');
+    }
+    return inner;
+}
+
+static enum rn_status check_characters(const char *name, const char *where, struct rn_error *err) {
+    size_t length = strlen(name);
+    const char *fault = length == 0 || name[length - 1] == '/' ? "names no file" : NULL;
+    if (length >= RN_FILE_NAME_MAX - 8) fault = "is too long";
+    for (const char *c = name; *c; c++)
+        if ((unsigned char)*c < 0x20 || *c == 0x7f) fault = "holds a control character";
+    if (!fault) return RN_OK;
+    return rn_error_set(err, RN_ERROR_INVALID, where, "\"%.200s\" %s", name, fault);
+}
+
+// The file, relative to the folder, that a document calls `named`. One that lies outside, as paths
+// of another machine do, is looked for by the longest end of its path.
+static enum rn_status locate(struct rn_reader *reader, const char *where, const char *named,
+                             const char *extension, char file[RN_FILE_NAME_MAX],
+                             struct rn_error *err) {
+    char name[RN_FILE_NAME_MAX];
+    const char *fault;
+    enum rn_status status = check_characters(named, where, err);
+    if (status) return status;
+    strcpy(name, named);
+    for (char *c = name; *c; c++)
+        if (*c == '\\') *c = '/';
+    const char *inner = inner_part(name, &fault);
+    if (!fault) {
+        put_extension(reader, name, extension, file);
+        return RN_OK;
+    }
+    for (; inner && *inner; inner = strchr(inner, '/')) {
+        inner += strspn(inner, "/");
+        put_extension(reader, inner, extension, file);
+        if (!*inner || !exists(reader, file)) continue;
+        if (!reader->told_moved)
+            rn_problems_add(reader->problems, RN_SEVERITY_INFO, where,
+                            "\"%.200s\" lies outside of the folder; %.200s, found by its name, is "
+                            "taken, and so are others that are named so",
+                            named, file);
+        reader->told_moved = true;
+        return RN_OK;
+    }
+    return rn_error_set(err, RN_ERROR_INVALID, where, "\"%.200s\" %s", named, fault);
+}
+
+static enum rn_status probe(const char *where, const char *path, struct rn_image_info *ret_info,
+                            struct rn_error *err) {
     struct stat info;
     if (stat(path, &info) != 0)
-        return rn_json_error(at, RN_ERROR_NOT_FOUND, err, "names %s, which does not exist", path);
+        return rn_error_set(err, RN_ERROR_NOT_FOUND, where, "names %s, which does not exist", path);
     if (!S_ISREG(info.st_mode))
-        return rn_json_error(at, RN_ERROR_INVALID, err, "names %s, which is no regular file", path);
+        return rn_error_set(err, RN_ERROR_INVALID, where, "names %s, which is no regular file",
+                            path);
     struct rn_error inner;
     enum rn_status status = rn_image_probe(path, &rn_image_default_limits, ret_info, &inner);
-    if (status) return rn_json_error(at, status, err, "names %s: %s", path, inner.text);
+    if (status) return rn_error_set(err, status, where, "names %s: %s", path, inner.text);
     return RN_OK;
 }
 
 // Said once: it is no fault, and as a rule all images are alike.
-static void tell_deep(struct rn_reader *reader, const struct rn_json *at, int bit_depth) {
-    char where[256];
+static void tell_deep(struct rn_reader *reader, const char *where, int bit_depth) {
     if (bit_depth <= 8 || reader->told_deep) return;
     reader->told_deep = true;
-    rn_json_where(at, where);
     rn_problems_add(reader->problems, RN_SEVERITY_INFO, where,
                     "names an image of %d bits a channel; it is rounded to 8, as others are",
                     bit_depth);
+}
+
+enum rn_status rn_reader_photo(struct rn_reader *reader, const char *where, const char *named,
+                               const char *extension, struct rn_frame *frame,
+                               struct rn_error *err) {
+    char file[RN_FILE_NAME_MAX];
+    struct rn_image_info info;
+    enum rn_status status = locate(reader, where, named, extension, file, err);
+    if (status) return status;
+    frame->name = base_name(file);
+    frame->path = rn_reader_path(reader, file);
+    if (!frame->name || !frame->path)
+        status = rn_error_set(err, RN_ERROR_NO_MEMORY, where, "out of memory");
+    else
+        status = probe(where, frame->path, &info, err);
+    if (status) {
+        rn_frame_finish(frame);
+        return status;
+    }
+    tell_deep(reader, where, info.bit_depth);
+    frame->has_alpha = info.has_alpha;
+    frame->camera.width = info.width;
+    frame->camera.height = info.height;
+    return RN_OK;
 }
 
 enum rn_status rn_reader_image(struct rn_reader *reader, const struct rn_json *object,
@@ -103,28 +197,11 @@ enum rn_status rn_reader_image(struct rn_reader *reader, const struct rn_json *o
                                struct rn_error *err) {
     struct rn_json at;
     const char *text;
-    enum rn_status status = rn_json_text(object, key, RN_FILE_NAME_MAX, &text, err);
+    char where[256];
+    enum rn_status status = rn_json_text(object, key, RN_FILE_NAME_MAX - 1, &text, err);
     if (status || (status = rn_json_member(object, key, &at, err))) return status;
-    const char *fault = name_fault(text);
-    if (fault) return rn_json_error(&at, RN_ERROR_INVALID, err, "\"%.200s\" %s", text, fault);
-    char file[RN_FILE_NAME_MAX + 8];
-    snprintf(file, sizeof file, "%s%s", text, has_image_extension(text) ? "" : extension);
-    frame->name = base_name(text);
-    frame->path = rn_reader_path(reader, file);
-    struct rn_image_info info;
-    if (!frame->name || !frame->path)
-        status = rn_json_error(&at, RN_ERROR_NO_MEMORY, err, "out of memory");
-    else
-        status = probe(&at, frame->path, &info, err);
-    if (status) {
-        rn_frame_finish(frame);
-        return status;
-    }
-    tell_deep(reader, &at, info.bit_depth);
-    frame->has_alpha = info.has_alpha;
-    frame->camera.width = info.width;
-    frame->camera.height = info.height;
-    return RN_OK;
+    rn_json_where(&at, where);
+    return rn_reader_photo(reader, where, text, extension, frame, err);
 }
 
 enum rn_status rn_reader_pose(const struct rn_json *object, const char *key, double pose[3][4],
@@ -177,7 +254,9 @@ enum rn_status rn_reader_add(struct rn_reader *reader, struct rn_frame *frame,
     rn_frame_finish(frame);
     if (status == RN_ERROR_NO_MEMORY || reader->dataset->frame_count >= RN_DATASET_MAX_FRAMES)
         return status;
-    rn_problems_add(reader->problems, RN_SEVERITY_ERROR, err->where, "%s", err->text);
+    bool usual = status == RN_ERROR_NOT_FOUND && reader->missing_is_usual;
+    rn_problems_add(reader->problems, usual ? RN_SEVERITY_WARNING : RN_SEVERITY_ERROR, err->where,
+                    "%s", err->text);
     reader->dataset->unusable[split]++;
     return RN_OK;
 }

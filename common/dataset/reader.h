@@ -9,6 +9,7 @@
 #define RN_DATASET_MAX_SCALE 12
 #define RN_BLENDER_SPHERE 1.5 // radius of the NeRF-synthetic scenes, about the origin
 #define RN_FILE_NAME_MAX 1024
+#define RN_PHOTO_FOLDERS 4
 #define RN_NATIVE_DOCUMENT "dataset.json"
 #define RN_NATIVE_FORMAT "ripnerf-dataset"
 #define RN_NATIVE_VERSION 1
@@ -20,9 +21,11 @@ struct rn_reader {
     const char *folder;
     struct rn_problems *problems; // may be NULL
     struct rn_dataset *dataset;
-    size_t capacity;  // of dataset->frames
-    json_t *reported; // unknown fields that were warned about
-    bool told_deep;   // that more than 8 bits are rounded
+    size_t capacity;       // of dataset->frames
+    json_t *reported;      // unknown fields that were warned about
+    bool missing_is_usual; // a photograph that is not there is no fault of the dataset
+    bool told_deep;        // that more than 8 bits are rounded
+    bool told_moved;       // that files named outside of the folder were found within
 };
 
 // A format's `read` appends frames in any order. A bad document is an error, a bad frame a problem.
@@ -40,9 +43,20 @@ enum rn_status rn_reader_json(struct rn_reader *reader, const char *name, bool c
                               rn_reader_root read, void *context,
                               struct rn_error *err) RN_MUST_CHECK;
 
-// The image that the string member `key` of `object` names, with `extension` appended unless it
-// is "" or the name has an image's: fills name (without folder and extension), path, has_alpha and
-// the camera's width and height from the header. On failure nothing is owned by *frame.
+// Where photographs lie in captures whose documents do not say: full size first.
+extern const char *const rn_photo_folders[RN_PHOTO_FOLDERS + 1];
+// Whether a file of this name is a photograph, by its extension.
+bool rn_reader_is_photo(const char *name);
+// The photograph that a document calls `named`, with `extension` appended unless it is "" or the
+// name has an image's: fills name (without folder and extension), path, has_alpha and the camera's
+// width and height from the header. A path that leaves the folder, as one of another machine does,
+// is looked for by its end. On failure nothing is owned by *frame, and `where` is where the name
+// stands.
+#define RN_ANY_EXTENSION "*" // one by which the file is there
+enum rn_status rn_reader_photo(struct rn_reader *reader, const char *where, const char *named,
+                               const char *extension, struct rn_frame *frame,
+                               struct rn_error *err) RN_MUST_CHECK;
+// The image that the string member `key` of `object` names, as rn_reader_photo.
 enum rn_status rn_reader_image(struct rn_reader *reader, const struct rn_json *object,
                                const char *key, const char *extension, struct rn_frame *frame,
                                struct rn_error *err) RN_MUST_CHECK;
