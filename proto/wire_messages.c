@@ -39,6 +39,8 @@ static const struct rn_field_spec opened[] = {
     RN_F_NUMBER(S, train_seconds, RN_REQUIRED, 0, INFINITY),
     RN_F_NUMBER(S, psnr, RN_REQUIRED | RN_NULLABLE, -INFINITY, INFINITY),
     RN_F_TEXT(S, parameters_sha256, 0, NULL),
+    RN_F_TEXT(S, digest, 0, NULL),
+    RN_F_TEXT(S, set_aside, 0, NULL),
     RN_F_INT(S, memory_bytes, RN_REQUIRED, 0, INFINITY),
 };
 static const struct rn_table opened_table = RN_TABLE(S, "opened", opened);
@@ -140,6 +142,7 @@ static const struct rn_field_spec checkpoint[] = {
     RN_F_INT(S, size_bytes, RN_REQUIRED, 0, INFINITY),
     RN_F_TEXT(S, file, RN_REQUIRED, NULL),
     RN_F_TEXT(S, parameters_sha256, RN_REQUIRED, NULL),
+    RN_F_TEXT(S, digest, 0, NULL),
     RN_F_NUMBER(S, train_seconds, RN_REQUIRED, 0, INFINITY),
     RN_F_NUMBER(S, psnr, RN_REQUIRED | RN_NULLABLE, -INFINITY, INFINITY),
     RN_F_JSON(S, scene, RN_REQUIRED | RN_IS_OBJECT),

@@ -77,6 +77,8 @@ struct rn_wire_opened {
     int64_t steps;
     double train_seconds, psnr; // psnr NAN = null
     char parameters_sha256[65]; // "" = absent
+    char digest[65];            // of the checkpoint's bytes; "" = absent
+    char set_aside[512];        // the damaged checkpoint that was passed over; "" = none
     int64_t memory_bytes;
 };
 
@@ -137,6 +139,7 @@ struct rn_wire_checkpoint {
     int64_t step, size_bytes;
     char file[64]; // under checkpoints/ of the scene's folder; the newest two are kept
     char parameters_sha256[65];
+    char digest[65];            // of the file's bytes; "" = absent
     double train_seconds, psnr; // psnr NAN = null
     char *scene;                // JSON of rn_scene_description_table
 };

@@ -63,6 +63,8 @@ static const struct option options[] = {
     {"web", KIND_TEXT, AT(web), NULL, 0, 0, "DIR", "the page's files"},
     {"runner", KIND_TEXT, AT(runner), NULL, 0, 0, "FILE", "the ripnerf-runner program"},
     {"log-level", KIND_TEXT, AT(log_level), "info", 0, 0, "LEVEL", "error, warn, info or debug"},
+    {"rebuild", KIND_FLAG, AT(rebuild), NULL, 0, 0, "",
+     "make records that are missing anew from what lies under --data, then serve"},
     {"help", KIND_FLAG, AT(help), NULL, 0, 0, "", "print this text"},
     {"version", KIND_FLAG, AT(version), NULL, 0, 0, "", "print the version"},
 };

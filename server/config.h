@@ -25,7 +25,7 @@ struct rn_config {
     char address[64];
     uint16_t port;
     char *token; // NULL: none
-    bool help, version;
+    bool rebuild, help, version;
 };
 
 // `get_env` is getenv, or a test's. RN_ERROR_INVALID names flag, variable or file:line.

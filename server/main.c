@@ -121,7 +121,7 @@ static enum rn_status start_control(struct server *server, struct rn_error *err)
         .max_upload_entries = config->max_upload_entries,
         .version = RN_VERSION,
     };
-    enum rn_status status = rn_store_open(config->data, &server->store, err);
+    enum rn_status status = rn_store_open(config->data, config->rebuild, &server->store, err);
     if (status == RN_OK) status = rn_store_sweep(server->store, err);
     if (status == RN_OK) status = rn_local_executor_create(server->runner, &server->executor, err);
     if (status == RN_OK)

@@ -1,6 +1,11 @@
 #include "common/base/sha256.h"
 
+#include <stdbool.h>
 #include <string.h>
+
+#if defined(__x86_64__)
+#include <immintrin.h>
+#endif
 
 // First 32 bits of the fractional parts of the cube roots of the first 64 primes.
 static const uint32_t round_constants[64] = {
@@ -21,7 +26,7 @@ static uint32_t load_big_endian(const uint8_t *p) {
     return (uint32_t)p[0] << 24 | (uint32_t)p[1] << 16 | (uint32_t)p[2] << 8 | p[3];
 }
 
-static void compress(uint32_t state[8], const uint8_t block[64]) {
+static void compress_one(uint32_t state[8], const uint8_t block[64]) {
     uint32_t w[64], s[8];
     for (int i = 0; i < 16; i++)
         w[i] = load_big_endian(block + 4 * i);
@@ -45,6 +50,64 @@ static void compress(uint32_t state[8], const uint8_t block[64]) {
         state[i] += s[i];
 }
 
+static void compress_plain(uint32_t state[8], const uint8_t *blocks, size_t count) {
+    for (; count > 0; count--, blocks += 64)
+        compress_one(state, blocks);
+}
+
+#if defined(__x86_64__)
+// The same with the processor's instructions for it: four rounds at a time, the state as ABEF and
+// CDGH (Intel SHA Extensions, 2013).
+__attribute__((target("sha,sse4.1"))) static void
+compress_native(uint32_t state[8], const uint8_t *blocks, size_t count) {
+    const __m128i swap = _mm_set_epi64x(0x0c0d0e0f08090a0b, 0x0405060700010203);
+    __m128i dcba = _mm_loadu_si128((const __m128i *)(const void *)state);
+    __m128i hgfe = _mm_loadu_si128((const __m128i *)(const void *)(state + 4));
+    __m128i cdab = _mm_shuffle_epi32(dcba, 0xb1), efgh = _mm_shuffle_epi32(hgfe, 0x1b);
+    __m128i abef = _mm_alignr_epi8(cdab, efgh, 8), cdgh = _mm_blend_epi16(efgh, cdab, 0xf0);
+    for (; count > 0; count--, blocks += 64) {
+        const __m128i abef_before = abef, cdgh_before = cdgh;
+        __m128i w[4];
+        for (int i = 0; i < 4; i++)
+            w[i] =
+                _mm_shuffle_epi8(_mm_loadu_si128((const __m128i *)(const void *)blocks + i), swap);
+        for (int i = 0; i < 16; i++) {
+            __m128i k = _mm_loadu_si128((const __m128i *)(const void *)(round_constants + 4 * i));
+            __m128i now = w[i % 4], sum = _mm_add_epi32(now, k);
+            cdgh = _mm_sha256rnds2_epu32(cdgh, abef, sum);
+            abef = _mm_sha256rnds2_epu32(abef, cdgh, _mm_shuffle_epi32(sum, 0x0e));
+            __m128i last = w[(i + 3) % 4], next = _mm_sha256msg1_epu32(now, w[(i + 1) % 4]);
+            next = _mm_add_epi32(next, _mm_alignr_epi8(last, w[(i + 2) % 4], 4));
+            w[i % 4] = _mm_sha256msg2_epu32(next, last);
+        }
+        abef = _mm_add_epi32(abef, abef_before);
+        cdgh = _mm_add_epi32(cdgh, cdgh_before);
+    }
+    __m128i feba = _mm_shuffle_epi32(abef, 0x1b), dchg = _mm_shuffle_epi32(cdgh, 0xb1);
+    _mm_storeu_si128((__m128i *)(void *)state, _mm_blend_epi16(feba, dchg, 0xf0));
+    _mm_storeu_si128((__m128i *)(void *)(state + 4), _mm_alignr_epi8(dchg, feba, 8));
+}
+
+// CPUID leaf 7: EBX bit 29; gcc 12 has no name for it.
+static bool has_native(void) {
+    unsigned a = 7, b, c = 0, d;
+    __asm__("cpuid" : "+a"(a), "=b"(b), "+c"(c), "=d"(d));
+    return (b >> 29 & 1) && __builtin_cpu_supports("sse4.1");
+}
+#endif
+
+static void compress(uint32_t state[8], const uint8_t *blocks, size_t count) {
+#if defined(__x86_64__)
+    static _Atomic int native; // 0: not known, 1: no, 2: yes
+    if (native == 0) native = has_native() ? 2 : 1;
+    if (native == 2) {
+        compress_native(state, blocks, count);
+        return;
+    }
+#endif
+    compress_plain(state, blocks, count);
+}
+
 void rn_sha256_init(struct rn_sha256 *hash) {
     static const uint32_t start[8] = {0x6a09e667, 0xbb67ae85, 0x3c6ef372, 0xa54ff53a,
                                       0x510e527f, 0x9b05688c, 0x1f83d9ab, 0x5be0cd19};
@@ -60,12 +123,13 @@ void rn_sha256_update(struct rn_sha256 *hash, const void *bytes, size_t size_byt
         size_t take = size_bytes < 64 - held ? size_bytes : 64 - held;
         if (take > 0) memcpy(hash->block + held, from, take);
         if (held + take < 64) return;
-        compress(hash->state, hash->block);
+        compress(hash->state, hash->block, 1);
         from += take;
         size_bytes -= take;
     }
-    for (; size_bytes >= 64; from += 64, size_bytes -= 64)
-        compress(hash->state, from);
+    compress(hash->state, from, size_bytes / 64);
+    from += size_bytes / 64 * 64;
+    size_bytes %= 64;
     if (size_bytes > 0) memcpy(hash->block, from, size_bytes);
 }
 

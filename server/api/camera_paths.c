@@ -4,6 +4,8 @@
 
 #include "common/base/buf.h"
 #include "common/base/clock.h"
+#include "common/base/file.h"
+#include "common/base/log.h"
 #include "common/path/path.h"
 #include "server/api/app.h"
 
@@ -108,6 +110,10 @@ void rn_delete_camera_path(void *context, struct rn_request *request, struct rn_
     struct rn_camera_path_row row;
     if (!find_path(app, request, &row, reply)) return;
     enum rn_status status = rn_store_delete(app->store, &rn_camera_paths, row.id, &err);
+    char *folder = rn_store_path(app->store, "camera-paths/%s", row.id);
+    if (status == RN_OK && folder != NULL && rn_remove_tree(folder, NULL) != RN_OK)
+        rn_log(RN_LOG_WARN, "%s cannot be removed yet", folder);
+    free(folder);
     rn_row_finish(&rn_camera_paths, &row);
     if (!rn_api_failed(status, &err, reply)) rn_reply_empty(reply, 204);
 }

@@ -69,6 +69,12 @@ static void put_renders(struct rn_buf *text, const struct rn_control_stats *stat
                   (unsigned long long)stats->renders);
 }
 
+static void put_store(struct rn_buf *text, const struct rn_control_stats *stats) {
+    one(text, "checkpoints_damaged_total", "counter",
+        "Checkpoints that were not as they were written; the one before was taken.",
+        (double)stats->checkpoints_damaged);
+}
+
 static void put_http(struct rn_buf *text, const struct rn_http_stats *stats) {
     head(text, "http_responses_total", "counter", "Responses by status code.");
     for (int status = 0; status < 600; status++)
@@ -101,6 +107,7 @@ void rn_get_metrics(void *context, struct rn_request *request, struct rn_reply *
     put_jobs(&text, &stats);
     put_runners(&text, &stats);
     put_renders(&text, &stats);
+    put_store(&text, &stats);
     put_http(&text, &http);
     uint8_t *bytes = rn_buf_take(&text, &size);
     if (bytes != NULL)

@@ -23,6 +23,8 @@ void rn_get_ready(void *context, struct rn_request *request, struct rn_reply *re
     rn_control_stats(app->control, &stats);
     if (statvfs(folder, &disk) != 0 || access(folder, W_OK) != 0 || disk.f_bavail == 0)
         rn_reply_problem(reply, RN_PROBLEM_UNAVAILABLE, "%.200s cannot be written", folder);
+    else if (stats.can_start && !stats.probed)
+        rn_reply_problem(reply, RN_PROBLEM_UNAVAILABLE, "the device is being examined");
     else if (!stats.can_start)
         rn_reply_problem(reply, RN_PROBLEM_UNAVAILABLE, "no runner can be started; see the log");
     else

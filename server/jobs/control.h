@@ -85,9 +85,9 @@ enum rn_status rn_control_delete_dataset(struct rn_control *control, const char 
 // ---- rendering --------------------------------------------------------------------------------
 
 #define RN_ETAG_MAX 72
-// The strong tag of a picture, known before it is rendered: scene, checkpoint, request, kernels
-// and version. Empty while the scene trains. `request` is settled.
-// RN_ERROR_CONFLICT when there is nothing to render yet.
+// The strong tag of a picture, known before it is rendered: scene, checkpoint's bytes, request,
+// kernels and version. Empty while the scene trains, and before the device is known. `request` is
+// settled. RN_ERROR_CONFLICT when there is nothing to render yet.
 enum rn_status rn_control_etag(struct rn_control *control, const struct rn_scene_row *scene,
                                const struct rn_render_request *request, char ret_etag[RN_ETAG_MAX],
                                struct rn_error *err) RN_MUST_CHECK;
@@ -107,10 +107,12 @@ struct rn_control_stats {
     uint64_t runners_started, runners_lost;
     uint64_t scenes_rested;                             // gave a GPU's memory up for others
     uint64_t nonfinite_rays, steps_rejected, rollbacks; // of all jobs
+    uint64_t checkpoints_damaged;                       // found when they were loaded
     uint64_t renders, renders_failed, renders_cancelled;
     uint64_t render_ms_buckets[10]; // cumulative is made by the reader; bounds below
     double render_ms_sum;
     bool can_start; // a runner could be started when last tried
+    bool probed;    // the device is known, or cannot be
 };
 extern const double rn_render_ms_bounds[9]; // upper bounds; the last bucket has none
 void rn_control_stats(struct rn_control *control, struct rn_control_stats *ret_stats);

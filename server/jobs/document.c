@@ -64,7 +64,8 @@ static enum rn_status dataset_name(struct rn_control *control, const char *id, c
                                    struct rn_error *err) {
     struct rn_dataset_row dataset;
     enum rn_status status = rn_store_find(control->store, &rn_datasets, "id", id, &dataset, err);
-    if (status != RN_OK) return status;
+    if (status == RN_ERROR_NOT_FOUND) copy(name, RN_NAME_MAX, id); // its record is lost
+    if (status != RN_OK) return status == RN_ERROR_NOT_FOUND ? RN_OK : status;
     copy(name, RN_NAME_MAX, dataset.name);
     rn_row_finish(&rn_datasets, &dataset);
     return RN_OK;

@@ -40,6 +40,7 @@ struct rn_render {
     struct rn_render *next;
     int64_t number;
     char etag[RN_ETAG_MAX]; // empty: not to be shared or cached
+    int64_t step;           // that the etag speaks of
     struct rn_waiter *waiters;
     int64_t begin_ns;
     struct rn_render_request request;

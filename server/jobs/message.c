@@ -51,12 +51,34 @@ static void adopt_checkpoint(struct rn_scene_row *scene, const struct rn_wire_op
     scene->train_seconds = opened->train_seconds;
     scene->psnr = opened->psnr;
     snprintf(scene->sha256, sizeof scene->sha256, "%s", opened->parameters_sha256);
+    snprintf(scene->digest, sizeof scene->digest, "%s", opened->digest);
+}
+
+// A checkpoint was damaged; the one before it took its place. Its record goes with it.
+static void fell_back(struct rn_control *control, const char *scene,
+                      const struct rn_wire_opened *opened) {
+    struct rn_query query = {.equal = {{"scene", scene}}};
+    void *rows = NULL;
+    size_t count = 0;
+    struct rn_error err = {0};
+    rn_log(RN_LOG_ERROR, "scene %s: a checkpoint is damaged: %s; it is at step %lld now", scene,
+           opened->set_aside, (long long)opened->steps);
+    control->stats.checkpoints_damaged++;
+    enum rn_status status =
+        rn_store_list(control->store, &rn_checkpoints, &query, &rows, &count, &err);
+    const struct rn_checkpoint_row *row = rows;
+    for (size_t i = 0; status == RN_OK && i < count; i++)
+        if (row[i].step > opened->steps)
+            status = rn_store_delete(control->store, &rn_checkpoints, row[i].id, &err);
+    if (status != RN_OK) rn_log(RN_LOG_ERROR, "scene %s: %s", scene, err.text);
+    rn_rows_finish(&rn_checkpoints, rows, count);
 }
 
 static void on_opened(struct rn_control *control, struct rn_runner *runner,
                       struct rn_wire_opened *opened) {
     struct rn_scene_row scene;
     runner->state = RN_RUNNER_READY;
+    if (opened->set_aside[0] != '\0') fell_back(control, runner->scene, opened);
     if (opened->loaded && find_scene(control, runner->scene, &scene)) {
         if (opened->memory_bytes > 0) scene.memory_bytes = opened->memory_bytes;
         adopt_checkpoint(&scene, opened);
@@ -158,6 +180,7 @@ static enum rn_status insert_checkpoint(struct rn_control *control,
     snprintf(row.id, sizeof row.id, "%s/%lld", scene->id, (long long)checkpoint->step);
     snprintf(row.scene, sizeof row.scene, "%s", scene->id);
     snprintf(row.sha256, sizeof row.sha256, "%s", checkpoint->parameters_sha256);
+    snprintf(row.digest, sizeof row.digest, "%s", checkpoint->digest);
     snprintf(path, sizeof path, "checkpoints/%s", checkpoint->file);
     row.path = path;
     enum rn_status status = rn_store_delete(control->store, &rn_checkpoints, row.id, err);
@@ -205,6 +228,7 @@ static void on_checkpoint(struct rn_control *control, struct rn_runner *runner,
     runner->memory_bytes = control->executor->memory(control->executor, &runner->process);
     scene.memory_bytes = runner->memory_bytes;
     snprintf(scene.sha256, sizeof scene.sha256, "%s", checkpoint->parameters_sha256);
+    snprintf(scene.digest, sizeof scene.digest, "%s", checkpoint->digest);
     if (checkpoint->scene != NULL) set_document(&scene.record, &checkpoint->scene);
     if (record_checkpoint(control, &scene, checkpoint, &err) != RN_OK)
         rn_log(RN_LOG_ERROR, "scene %s, checkpoint %s: %s", scene.id, checkpoint->file, err.text);

@@ -25,7 +25,9 @@ enum rn_status rn_control_etag(struct rn_control *control, const struct rn_scene
         return rn_error_set(err, RN_ERROR_CONFLICT, "",
                             "scene '%s' has no checkpoint yet: there is nothing to render",
                             scene->name);
-    if (trains) return RN_OK;
+    // Before the probe has answered, or the checkpoint was opened once, nothing identifies a
+    // picture.
+    if (trains || device.kernels[0] == '\0' || scene->digest[0] == '\0') return RN_OK;
     char *json = NULL, head[256], hex[65];
     size_t size;
     enum rn_status status = rn_encode(&rn_render_request_table, request, &json, &size, err);
@@ -33,7 +35,7 @@ enum rn_status rn_control_etag(struct rn_control *control, const struct rn_scene
     struct rn_sha256 hash;
     int head_size =
         snprintf(head, sizeof head, "%s %lld %s %s %s ", scene->id, (long long)scene->steps,
-                 scene->sha256, device.kernels, control->options.version);
+                 scene->digest, device.kernels, control->options.version);
     rn_sha256_init(&hash);
     rn_sha256_update(&hash, head, (size_t)head_size);
     rn_sha256_update(&hash, json, size);
@@ -91,7 +93,8 @@ static struct rn_render *find_equal(struct rn_runner *runner, const char *etag) 
 }
 
 static struct rn_render *add_render(struct rn_control *control, struct rn_runner *runner,
-                                    const struct rn_render_request *request, const char *etag) {
+                                    const struct rn_render_request *request, const char *etag,
+                                    int64_t step) {
     struct rn_render *render = calloc(1, sizeof *render);
     if (render == NULL) return NULL;
     render->request = *request;
@@ -101,6 +104,7 @@ static struct rn_render *add_render(struct rn_control *control, struct rn_runner
         return NULL;
     }
     snprintf(render->etag, sizeof render->etag, "%s", etag);
+    render->step = step;
     render->number = ++control->next_render;
     render->begin_ns = rn_clock_ns();
     struct rn_render **link = &runner->renders;
@@ -125,7 +129,7 @@ static enum rn_status enqueue(struct rn_control *control, const struct rn_scene_
         return status;
     }
     struct rn_render *render = find_equal(runner, etag);
-    if (render == NULL) render = add_render(control, runner, render_request, etag);
+    if (render == NULL) render = add_render(control, runner, render_request, etag, scene->steps);
     if (render == NULL) {
         struct rn_reply reply = {0};
         rn_reply_problem(&reply, RN_PROBLEM_INTERNAL, "no memory for a render");
@@ -162,7 +166,9 @@ static void fill_reply(struct rn_reply *reply, const struct rn_render *render,
                        const struct rn_wire_rendered *rendered, uint8_t *copy, size_t size) {
     double total_ms = (double)(rn_clock_ns() - render->begin_ns) * 1e-6;
     double queue_ms = total_ms - rendered->render_ms - rendered->encode_ms;
-    bool cacheable = render->etag[0] != '\0' && !rendered->training;
+    // Of another step: its checkpoint was damaged, and the one before took its place.
+    bool cacheable =
+        render->etag[0] != '\0' && !rendered->training && rendered->step == render->step;
     rn_reply_bytes(reply, 200, rendered->format == RN_FORMAT_JPEG ? "image/jpeg" : "image/png",
                    copy, size);
     rn_reply_header(reply, "Server-Timing", "queue;dur=%.1f, render;dur=%.1f, encode;dur=%.1f",

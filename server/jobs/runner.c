@@ -271,6 +271,7 @@ void rn_runner_remove(struct rn_control *control, struct rn_runner *runner, bool
     while (*link != runner)
         link = &(*link)->next;
     *link = runner->next;
+    if (strcmp(runner->mode, "probe") == 0) control->stats.probed = true;
     close(runner->process.fd);
     control->executor->end(control->executor, &runner->process, now, how, sizeof how);
     bool expected = !runner->hangs && (runner->state == RN_RUNNER_ENDING || now);

@@ -4,6 +4,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <unistd.h>
 
 #include "common/base/clock.h"
 #include "common/base/file.h"
@@ -148,7 +149,7 @@ static enum rn_status write_draft(struct rn_control *control, const struct rn_su
     if (wanted->spooled != NULL && rename(wanted->spooled, draft->job.source) != 0)
         return rn_error_from_errno(err, errno, draft->job.source, "keeping the upload");
     status = rn_store_begin(control->store, err);
-    if (status != RN_OK) return status;
+    if (status != RN_OK) goto fail;
     status = rn_store_insert(control->store, &rn_jobs_table, &draft->job, err);
     if (status == RN_OK && wanted->type == RN_JOB_TRAIN)
         status = rn_store_insert(control->store, &rn_scenes, &draft->scene, err);
@@ -159,8 +160,12 @@ static enum rn_status write_draft(struct rn_control *control, const struct rn_su
         set_text(key.job, sizeof key.job, draft->job.id);
         status = rn_store_insert(control->store, &rn_keys, &key, err);
     }
-    if (status == RN_OK) return rn_store_commit(control->store, err);
-    rn_store_rollback(control->store);
+    if (status == RN_OK)
+        status = rn_store_commit(control->store, err);
+    else
+        rn_store_rollback(control->store);
+fail:
+    if (status != RN_OK && wanted->spooled != NULL) unlink(draft->job.source);
     return status;
 }
 
@@ -260,7 +265,7 @@ enum rn_status rn_control_command(struct rn_control *control, const char *id,
 static void remove_folder(struct rn_control *control, const char *kind, const char *id) {
     struct rn_error err = {0};
     char *path = rn_store_path(control->store, "%s/%s", kind, id);
-    // What is left over is removed at the next start.
+    // What is left over is removed at the next start, for the store remembers that it was deleted.
     if (path == NULL || rn_remove_tree(path, &err) != RN_OK)
         rn_log(RN_LOG_WARN, "%s/%s: %s", kind, id, err.text);
     free(path);

@@ -1,18 +1,17 @@
 #include "server/runner/host.h"
 
-#include <errno.h>
-#include <fcntl.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-#include <sys/file.h>
 #include <unistd.h>
 
 #include "common/base/clock.h"
 #include "common/base/file.h"
 #include "common/base/log.h"
+#include "common/base/seal.h"
 #include "server/runner/checkpoints.h"
 #include "server/runner/describe.h"
+#include "server/runner/lock.h"
 
 // ---- memory of a GPU -----------------------------------------------------------------------
 
@@ -99,9 +98,11 @@ enum rn_status rn_host_load(struct rn_host *host, struct rn_error *err) {
         status = rn_checkpoints_newest(host->place.scene_folder, INT64_MAX, &step, err);
         if (!status) status = rn_checkpoint_path(host->place.scene_folder, step, path, err);
         if (status) break;
-        status = rn_field_load(host->engine, path, &host->loaded, err);
+        status = rn_seal_check(path, host->digest, err);
+        if (!status) status = rn_field_load(host->engine, path, &host->loaded, err);
         if (!rn_checkpoint_is_damaged(status, err, path)) break;
         rn_checkpoint_set_aside(host->place.scene_folder, step, err);
+        snprintf(host->set_aside, sizeof host->set_aside, "%.200s: %.200s", err->where, err->text);
         status = RN_OK;
     }
     return status;
@@ -119,27 +120,6 @@ enum rn_status rn_host_field(struct rn_host *host, struct rn_field **ret_field,
 
 // ---- open ----------------------------------------------------------------------------------
 
-// A runner of a killed daemon ends as soon as its slice is done: the lock is worth waiting for.
-enum { LOCK_WAIT_MS = 15000, LOCK_POLL_MS = 50 };
-
-static enum rn_status lock_scene(struct rn_host *host, struct rn_error *err) {
-    char path[PATH_MAX];
-    if (snprintf(path, sizeof path, "%s/lock", host->place.scene_folder) >= (int)sizeof path)
-        return rn_error_set(err, RN_ERROR_LIMIT, host->place.scene_folder, "the path is too long");
-    host->lock_fd = open(path, O_RDWR | O_CREAT | O_CLOEXEC, 0666);
-    if (host->lock_fd < 0) return rn_error_from_errno(err, errno, path, "open the lock");
-    for (int waited_ms = 0; flock(host->lock_fd, LOCK_EX | LOCK_NB) < 0;
-         waited_ms += LOCK_POLL_MS) {
-        if (errno != EWOULDBLOCK && errno != EINTR)
-            return rn_error_from_errno(err, errno, path, "lock the scene");
-        rn_link_pump(&host->link, 0);
-        if (waited_ms >= LOCK_WAIT_MS || rn_link_must_stop(&host->link))
-            return rn_error_set(err, RN_ERROR_BUSY, path, "another runner holds the scene");
-        usleep(LOCK_POLL_MS * 1000);
-    }
-    return RN_OK;
-}
-
 static void post_opened(struct rn_host *host) {
     struct rn_wire_opened opened = {.loaded = host->loaded != NULL, .psnr = NAN, .memory_bytes = 0};
     if (host->loaded) {
@@ -149,6 +129,8 @@ static void post_opened(struct rn_host *host) {
         opened.train_seconds = info.train_seconds;
         opened.psnr = info.psnr;
         opened.memory_bytes = rn_resident_bytes();
+        memcpy(opened.digest, host->digest, sizeof opened.digest);
+        memcpy(opened.set_aside, host->set_aside, sizeof opened.set_aside);
         rn_field_sha256(host->loaded, opened.parameters_sha256);
     }
     rn_link_post(&host->link, RN_WIRE_OPENED, &opened, NULL, 0);
@@ -164,7 +146,8 @@ static void handle_open(struct rn_host *host, struct rn_wire_open *open) {
         host->place = *open; // with its texts
         host->opened = true;
         status = rn_mkdirs(host->place.scene_folder, 0777, &err);
-        if (!status) status = lock_scene(host, &err);
+        if (!status)
+            status = rn_lock_scene(host->place.scene_folder, &host->link, &host->lock_fd, &err);
         if (!status) status = rn_checkpoints_prepare(host->place.scene_folder, &err);
         if (!status && host->place.load) status = rn_host_load(host, &err);
     }

@@ -29,6 +29,8 @@ struct rn_host {
     struct rn_dataset *dataset;   // NULL until first needed
     struct rn_field *loaded;      // from a checkpoint; NULL while it trains
     struct rn_training *training; // NULL without a training job
+    char digest[65];              // of the checkpoint that was loaded last
+    char set_aside[512];          // the damaged checkpoint found last, and why; "" = none
     struct rn_work *works;        // path and eval jobs, in order; the first one is worked on
 };
 

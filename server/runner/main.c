@@ -5,6 +5,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/prctl.h>
 #include <sys/stat.h>
 #include <unistd.h>
 
@@ -95,6 +96,8 @@ int main(int argc, char **argv) {
     // A Ctrl-C at the terminal is the daemon's to deal with; it then tells its runners.
     signal(SIGINT, SIG_IGN);
     signal(SIGPIPE, SIG_IGN);
+    // One that is stopped when its daemon dies goes on, finds the socket closed, saves and leaves.
+    prctl(PR_SET_PDEATHSIG, SIGCONT);
     if (strcmp(mode, "field") == 0) return rn_host_run(fd);
     if (strcmp(mode, "ingest") == 0) return rn_ingest_run(fd);
     if (strcmp(mode, "probe") == 0) return probe(fd);

@@ -5,6 +5,7 @@
 
 #include "common/base/clock.h"
 #include "common/base/log.h"
+#include "common/base/seal.h"
 #include "server/runner/checkpoints.h"
 #include "server/runner/describe.h"
 #include "server/runner/host.h"
@@ -142,6 +143,8 @@ static void post_checkpoint(struct rn_host *host) {
     memcpy(message.job, training->job, sizeof message.job);
     rn_checkpoint_name(saved->step, message.file);
     memcpy(message.parameters_sha256, training->saving.sha256, sizeof message.parameters_sha256);
+    if (rn_seal_read(path, message.digest, &err))
+        rn_log(RN_LOG_WARN, "%s: %s", err.where, err.text);
     if (message.scene) rn_link_post(&host->link, RN_WIRE_CHECKPOINT, &message, NULL, 0);
     free(message.scene);
 }
@@ -173,9 +176,11 @@ static enum rn_status restore(struct rn_host *host, struct rn_trainer **ret_trai
             rn_checkpoints_newest(host->place.scene_folder, INT64_MAX, &step, err);
         if (!status) status = rn_checkpoint_path(host->place.scene_folder, step, path, err);
         if (status) return status;
-        status = rn_trainer_restore(host->engine, host->dataset, path,
-                                    (size_t)rn_int_or(host->place.memory_limit_bytes, 0),
-                                    ret_trainer, err);
+        status = rn_seal_check(path, host->digest, err);
+        if (status == RN_OK)
+            status = rn_trainer_restore(host->engine, host->dataset, path,
+                                        (size_t)rn_int_or(host->place.memory_limit_bytes, 0),
+                                        ret_trainer, err);
         if (!rn_checkpoint_is_damaged(status, err, path)) return status;
         rn_checkpoint_set_aside(host->place.scene_folder, step, err);
     }

@@ -21,8 +21,8 @@
     { #field, RN_COLUMN_REAL, offsetof(struct row, field), 0, NULL }
 #define NAME(row, field, names)                                                                    \
     { #field, RN_COLUMN_NAME, offsetof(struct row, field), 0, names }
-#define TABLE(sql_name, title, row, columns)                                                       \
-    { sql_name, title, sizeof(struct row), columns, COUNT(columns) }
+#define TABLE(sql_name, title, row, columns, folder)                                               \
+    { sql_name, title, sizeof(struct row), columns, COUNT(columns), folder }
 
 static const struct rn_column dataset_columns[] = {
     SEQ(rn_dataset_row),
@@ -32,7 +32,7 @@ static const struct rn_column dataset_columns[] = {
     DOCUMENT(rn_dataset_row, record),
 };
 const struct rn_store_table rn_datasets =
-    TABLE("datasets", "dataset", rn_dataset_row, dataset_columns);
+    TABLE("datasets", "dataset", rn_dataset_row, dataset_columns, "datasets");
 
 static const struct rn_column scene_columns[] = {
     SEQ(rn_scene_row),
@@ -46,10 +46,12 @@ static const struct rn_column scene_columns[] = {
     REAL(rn_scene_row, train_seconds),
     REAL(rn_scene_row, psnr),
     TEXT(rn_scene_row, sha256),
+    TEXT(rn_scene_row, digest),
     INT64(rn_scene_row, memory_bytes),
     DOCUMENT(rn_scene_row, record),
 };
-const struct rn_store_table rn_scenes = TABLE("scenes", "scene", rn_scene_row, scene_columns);
+const struct rn_store_table rn_scenes =
+    TABLE("scenes", "scene", rn_scene_row, scene_columns, "scenes");
 
 static const struct rn_column job_columns[] = {
     SEQ(rn_job_row),
@@ -71,7 +73,7 @@ static const struct rn_column job_columns[] = {
     DOCUMENT(rn_job_row, result),
     DOCUMENT(rn_job_row, problem),
 };
-const struct rn_store_table rn_jobs_table = TABLE("jobs", "job", rn_job_row, job_columns);
+const struct rn_store_table rn_jobs_table = TABLE("jobs", "job", rn_job_row, job_columns, "jobs");
 
 static const struct rn_column checkpoint_columns[] = {
     SEQ(rn_checkpoint_row),
@@ -81,10 +83,11 @@ static const struct rn_column checkpoint_columns[] = {
     INT64(rn_checkpoint_row, size_bytes),
     INT64(rn_checkpoint_row, created_ms),
     TEXT(rn_checkpoint_row, sha256),
+    TEXT(rn_checkpoint_row, digest),
     DOCUMENT(rn_checkpoint_row, path),
 };
 const struct rn_store_table rn_checkpoints =
-    TABLE("checkpoints", "checkpoint", rn_checkpoint_row, checkpoint_columns);
+    TABLE("checkpoints", "checkpoint", rn_checkpoint_row, checkpoint_columns, NULL);
 
 static const struct rn_column camera_path_columns[] = {
     SEQ(rn_camera_path_row),
@@ -94,7 +97,7 @@ static const struct rn_column camera_path_columns[] = {
     DOCUMENT(rn_camera_path_row, document),
 };
 const struct rn_store_table rn_camera_paths =
-    TABLE("camera_paths", "camera path", rn_camera_path_row, camera_path_columns);
+    TABLE("camera_paths", "camera path", rn_camera_path_row, camera_path_columns, "camera-paths");
 
 static const struct rn_column metric_columns[] = {
     SEQ(rn_metric_row),
@@ -104,13 +107,14 @@ static const struct rn_column metric_columns[] = {
     REAL(rn_metric_row, train_seconds),
     REAL(rn_metric_row, psnr),
 };
-const struct rn_store_table rn_metrics = TABLE("metrics", "metric", rn_metric_row, metric_columns);
+const struct rn_store_table rn_metrics =
+    TABLE("metrics", "metric", rn_metric_row, metric_columns, NULL);
 
 static const struct rn_column key_columns[] = {
     SEQ(rn_key_row),       TEXT(rn_key_row, id),          TEXT(rn_key_row, digest),
     TEXT(rn_key_row, job), INT64(rn_key_row, created_ms),
 };
-const struct rn_store_table rn_keys = TABLE("keys", "key", rn_key_row, key_columns);
+const struct rn_store_table rn_keys = TABLE("keys", "key", rn_key_row, key_columns, NULL);
 
 static int bind(sqlite3_stmt *statement, int place, const struct rn_column *column,
                 const void *row) {
@@ -136,6 +140,8 @@ static int bind(sqlite3_stmt *statement, int place, const struct rn_column *colu
 static enum rn_status read_text(sqlite3_stmt *statement, int place, const struct rn_column *column,
                                 void *field, struct rn_error *err) {
     const char *text = (const char *)sqlite3_column_text(statement, place);
+    if (text != NULL && strlen(text) != (size_t)sqlite3_column_bytes(statement, place))
+        return rn_error_set(err, RN_ERROR_CORRUPT, "ripnerf.db", "a %s is damaged", column->name);
     if (column->kind == RN_COLUMN_DOCUMENT) {
         char *copy = text != NULL ? strdup(text) : NULL;
         if (text != NULL && copy == NULL)
@@ -246,6 +252,7 @@ enum rn_status rn_store_insert(struct rn_store *store, const struct rn_store_tab
     pthread_mutex_lock(&store->lock);
     enum rn_status status = write_row(store, table, &sql, row, err);
     if (status == RN_OK) *(int64_t *)row = sqlite3_last_insert_rowid(store->db);
+    if (status == RN_OK) rn_record_changed(store, table, (const char *)row + sizeof(int64_t));
     pthread_mutex_unlock(&store->lock);
     rn_buf_finish(&sql);
     return status;
@@ -259,7 +266,10 @@ enum rn_status rn_store_update(struct rn_store *store, const struct rn_store_tab
     for (int i = 2; i < table->column_count; i++)
         rn_buf_printf(&sql, ", %s = ?%d", table->columns[i].name, i);
     rn_buf_printf(&sql, " WHERE id = ?1");
+    pthread_mutex_lock(&store->lock);
     enum rn_status status = write_row(store, table, &sql, row, err);
+    if (status == RN_OK) rn_record_changed(store, table, (const char *)row + sizeof(int64_t));
+    pthread_mutex_unlock(&store->lock);
     rn_buf_finish(&sql);
     return status;
 }

@@ -31,6 +31,16 @@ const char *const rn_store_scripts[] = {
     "CREATE TABLE metrics (seq INTEGER PRIMARY KEY AUTOINCREMENT, id TEXT NOT NULL UNIQUE,"
     " job TEXT NOT NULL, step INTEGER NOT NULL, train_seconds REAL NOT NULL, psnr REAL);"
     "CREATE INDEX metrics_job ON metrics (job);",
+    // What was deleted on purpose: only such content is ever removed from the disk.
+    "CREATE TABLE removed (id TEXT PRIMARY KEY) WITHOUT ROWID;"
+    "CREATE TRIGGER datasets_removed AFTER DELETE ON datasets"
+    " BEGIN INSERT OR IGNORE INTO removed VALUES (old.id); END;"
+    "CREATE TRIGGER scenes_removed AFTER DELETE ON scenes"
+    " BEGIN INSERT OR IGNORE INTO removed VALUES (old.id); END;"
+    "CREATE TRIGGER camera_paths_removed AFTER DELETE ON camera_paths"
+    " BEGIN INSERT OR IGNORE INTO removed VALUES (old.id); END;"
+    "ALTER TABLE scenes ADD COLUMN digest TEXT NOT NULL DEFAULT '';"
+    "ALTER TABLE checkpoints ADD COLUMN digest TEXT NOT NULL DEFAULT '';",
 };
 const int rn_store_script_count = sizeof rn_store_scripts / sizeof rn_store_scripts[0];
 _Static_assert(sizeof rn_store_scripts / sizeof rn_store_scripts[0] == RN_STORE_VERSION,

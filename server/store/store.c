@@ -1,6 +1,5 @@
 #include "server/store/store.h"
 
-#include <dirent.h>
 #include <errno.h>
 #include <fcntl.h>
 #include <stdio.h>
@@ -10,13 +9,11 @@
 #include <sys/random.h>
 #include <unistd.h>
 
-#include "common/base/clock.h"
 #include "common/base/file.h"
 #include "common/base/log.h"
 #include "server/store/table.h"
 
 #define LAYOUT "1\n"
-#define KEY_AGE_MS (7 * 86400000ll) // how long an Idempotency-Key is remembered
 
 enum rn_status rn_sqlite_error(sqlite3 *db, int code, const char *what, struct rn_error *err) {
     int errnum = sqlite3_system_errno(db);
@@ -46,8 +43,8 @@ enum rn_status rn_sqlite_error(sqlite3 *db, int code, const char *what, struct r
         return rn_error_set(err, status, "ripnerf.db", "the disk is full (%s); make room", what);
     if (status == RN_ERROR_CORRUPT)
         return rn_error_set(err, status, "ripnerf.db",
-                            "the records are damaged; try `sqlite3 ripnerf.db .recover`, or "
-                            "start with another --data folder");
+                            "the records are damaged; put a good copy back, or start once with "
+                            "--rebuild, which makes them anew from what lies on disk");
     return rn_error_set(err, status, "ripnerf.db", "%s: %s", what, sqlite3_errmsg(db));
 }
 
@@ -84,7 +81,8 @@ static enum rn_status check_layout(struct rn_store *store, struct rn_error *err)
 }
 
 static enum rn_status make_folders(struct rn_store *store, struct rn_error *err) {
-    static const char *const names[] = {"", "/datasets", "/scenes", "/jobs", "/spool"};
+    static const char *const names[] = {"",      "/datasets", "/scenes", "/camera-paths",
+                                        "/jobs", "/spool"};
     for (size_t i = 0; i < sizeof names / sizeof names[0]; i++) {
         char path[4200];
         snprintf(path, sizeof path, "%s%s", store->folder, names[i]);
@@ -92,6 +90,21 @@ static enum rn_status make_folders(struct rn_store *store, struct rn_error *err)
         if (status != RN_OK) return status;
     }
     return RN_OK;
+}
+
+// Every page, every index: a file that lost some of its bytes may look well at first.
+static enum rn_status check_pages(struct rn_store *store, struct rn_error *err) {
+    sqlite3_stmt *statement = NULL;
+    int code = sqlite3_prepare_v2(store->db, "PRAGMA integrity_check(1)", -1, &statement, NULL);
+    if (code == SQLITE_OK) code = sqlite3_step(statement);
+    const char *text = code == SQLITE_ROW ? (const char *)sqlite3_column_text(statement, 0) : NULL;
+    bool good = text != NULL && strcmp(text, "ok") == 0;
+    if (text != NULL && !good) {
+        rn_log(RN_LOG_ERROR, "ripnerf.db: %s", text);
+        code = SQLITE_CORRUPT;
+    }
+    sqlite3_finalize(statement);
+    return good ? RN_OK : rn_sqlite_error(store->db, code, "checking the records", err);
 }
 
 static enum rn_status open_database(struct rn_store *store, struct rn_error *err) {
@@ -109,10 +122,34 @@ static enum rn_status open_database(struct rn_store *store, struct rn_error *err
                             "PRAGMA foreign_keys = ON; PRAGMA journal_size_limit = 4194304;",
                             NULL, NULL, NULL);
     if (code != SQLITE_OK) return rn_sqlite_error(store->db, code, "opening", err);
+    enum rn_status status = check_pages(store, err);
+    if (status != RN_OK) return status;
     return rn_store_migrate(store->db, rn_store_scripts, rn_store_script_count, err);
 }
 
-enum rn_status rn_store_open(const char *folder, struct rn_store **ret_store,
+// Content without a single record: the database was lost, not made.
+static enum rn_status check_content(struct rn_store *store, struct rn_error *err) {
+    bool empty, has_content;
+    enum rn_status status = rn_store_is_empty(store, &empty, err);
+    if (status == RN_OK) status = rn_store_has_content(store, &has_content, err);
+    if (status != RN_OK || !empty || !has_content) return status;
+    return rn_error_set(err, RN_ERROR_CORRUPT, "ripnerf.db",
+                        "the records are missing, but their content is there; put a copy of "
+                        "ripnerf.db back, or start once with --rebuild, which makes them anew from "
+                        "what lies on disk");
+}
+
+static enum rn_status open_records(struct rn_store *store, bool rebuild, struct rn_error *err) {
+    enum rn_status status = open_database(store, err);
+    if (rebuild && status == RN_ERROR_CORRUPT) {
+        status = rn_store_set_aside(store, err);
+        if (status == RN_OK) status = open_database(store, err);
+    }
+    if (status != RN_OK) return status;
+    return rebuild ? rn_store_rebuild(store, err) : check_content(store, err);
+}
+
+enum rn_status rn_store_open(const char *folder, bool rebuild, struct rn_store **ret_store,
                              struct rn_error *err) {
     if (strlen(folder) > 4000)
         return rn_error_set(err, RN_ERROR_LIMIT, "data", "the folder's path is too long");
@@ -130,7 +167,7 @@ enum rn_status rn_store_open(const char *folder, struct rn_store **ret_store,
                                 : make_folders(store, err);
     if (status == RN_OK) status = take_lock(store, err);
     if (status == RN_OK) status = check_layout(store, err);
-    if (status == RN_OK) status = open_database(store, err);
+    if (status == RN_OK) status = open_records(store, rebuild, err);
     if (status == RN_OK)
         *ret_store = store;
     else
@@ -179,11 +216,16 @@ enum rn_status rn_store_begin(struct rn_store *store, struct rn_error *err) {
 enum rn_status rn_store_commit(struct rn_store *store, struct rn_error *err) {
     enum rn_status status = run(store, "COMMIT", err);
     if (status != RN_OK && !sqlite3_get_autocommit(store->db)) (void)run(store, "ROLLBACK", NULL);
+    if (status == RN_OK)
+        rn_records_write_changed(store);
+    else
+        store->changed_count = 0;
     pthread_mutex_unlock(&store->lock);
     return status;
 }
 
 void rn_store_rollback(struct rn_store *store) {
+    store->changed_count = 0;
     if (!sqlite3_get_autocommit(store->db)) (void)run(store, "ROLLBACK", NULL);
     pthread_mutex_unlock(&store->lock);
 }
@@ -198,68 +240,4 @@ enum rn_status rn_store_new_id(const char *prefix, char ret_id[RN_ID_MAX], struc
         ret_id[size++] = digits[random[i] & 31];
     ret_id[size] = '\0';
     return RN_OK;
-}
-
-static bool is_wanted(struct rn_store *store, const struct rn_store_table *table, const char *name,
-                      bool spool) {
-    struct rn_job_row job;
-    char id[RN_ID_MAX];
-    snprintf(id, sizeof id, "%.*s", (int)strcspn(name, "."), name);
-    if (!spool) {
-        void *rows = NULL;
-        size_t count = 0;
-        struct rn_query query = {.equal = {{"id", id}}, .limit = 1};
-        if (rn_store_list(store, table, &query, &rows, &count, NULL) != RN_OK) return true;
-        rn_rows_finish(table, rows, count);
-        return count > 0;
-    }
-    enum rn_status status = rn_store_find(store, table, "id", id, &job, NULL);
-    if (status != RN_OK) return status != RN_ERROR_NOT_FOUND;
-    bool wanted = job.finished_ms == 0;
-    rn_row_finish(table, &job);
-    return wanted;
-}
-
-static enum rn_status sweep_folder(struct rn_store *store, const char *name,
-                                   const struct rn_store_table *table, struct rn_error *err) {
-    enum rn_status status = RN_OK;
-    char *folder = rn_store_path(store, "%s", name);
-    DIR *dir = folder != NULL ? opendir(folder) : NULL;
-    if (dir == NULL) {
-        status = rn_error_from_errno(err, folder == NULL ? ENOMEM : errno, name, "sweeping");
-        free(folder);
-        return status;
-    }
-    struct dirent *entry;
-    while (status == RN_OK && (entry = readdir(dir)) != NULL) {
-        if (entry->d_name[0] == '.') continue;
-        if (is_wanted(store, table, entry->d_name, strcmp(name, "spool") == 0)) continue;
-        char *path = rn_store_path(store, "%s/%s", name, entry->d_name);
-        rn_log(RN_LOG_INFO, "removing %s/%s: nothing refers to it", name, entry->d_name);
-        status = path == NULL ? rn_error_set(err, RN_ERROR_NO_MEMORY, name, "no memory")
-                              : rn_remove_tree(path, err);
-        free(path);
-    }
-    closedir(dir);
-    free(folder);
-    return status;
-}
-
-static enum rn_status forget_keys(struct rn_store *store, struct rn_error *err) {
-    char sql[128];
-    snprintf(sql, sizeof sql, "DELETE FROM keys WHERE created_ms < %lld",
-             (long long)(rn_clock_wall_ms() - KEY_AGE_MS));
-    pthread_mutex_lock(&store->lock);
-    enum rn_status status = run(store, sql, err);
-    pthread_mutex_unlock(&store->lock);
-    return status;
-}
-
-enum rn_status rn_store_sweep(struct rn_store *store, struct rn_error *err) {
-    enum rn_status status = forget_keys(store, err);
-    if (status == RN_OK) status = sweep_folder(store, "datasets", &rn_datasets, err);
-    if (status == RN_OK) status = sweep_folder(store, "scenes", &rn_scenes, err);
-    if (status == RN_OK) status = sweep_folder(store, "jobs", &rn_jobs_table, err);
-    if (status == RN_OK) status = sweep_folder(store, "spool", &rn_jobs_table, err);
-    return status;
 }

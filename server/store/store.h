@@ -4,6 +4,9 @@
 // RN_ERROR_NO_SPACE and reads go on. Content lies beside the records:
 //   DIR/ripnerf.db  DIR/layout  DIR/lock  DIR/spool/
 //   DIR/datasets/<id>/  DIR/scenes/<id>/checkpoints/  DIR/jobs/<id>/{log,frames/}
+//   DIR/camera-paths/<id>/
+// and with it, in <id>/record.json, a sealed copy of its record, from which --rebuild makes a lost
+// database anew. Content is removed only after its record was: what has none is left alone.
 #ifndef RN_SERVER_STORE_STORE_H
 #define RN_SERVER_STORE_STORE_H
 
@@ -16,12 +19,14 @@
 // Thread-safety: any thread. Owner: whoever opened it.
 struct rn_store;
 
-#define RN_STORE_VERSION 2
+#define RN_STORE_VERSION 3
 
 // Opens or creates DIR, brings an older schema up to date and takes DIR/lock.
 // RN_ERROR_CONFLICT when another daemon has it, RN_ERROR_UNSUPPORTED when a newer one wrote it,
-// RN_ERROR_CORRUPT when the records are damaged.
-enum rn_status rn_store_open(const char *folder, struct rn_store **ret_store,
+// RN_ERROR_CORRUPT when the records are damaged, or missing while their content is there; with
+// `rebuild` they are made anew then (a damaged database is kept beside as ripnerf.db.damaged-*),
+// and records that are missing are added.
+enum rn_status rn_store_open(const char *folder, bool rebuild, struct rn_store **ret_store,
                              struct rn_error *err) RN_MUST_CHECK;
 void rn_store_close(struct rn_store **store);
 const char *rn_store_folder(const struct rn_store *store);
@@ -51,6 +56,7 @@ struct rn_scene_row {
     double train_seconds;
     double psnr;     // NAN: not known
     char sha256[65]; // of the last checkpoint's parameters, empty before
+    char digest[65]; // of its bytes
     int64_t memory_bytes;
     char *record; // what the runner reported when it opened the scene
 };
@@ -84,6 +90,7 @@ struct rn_checkpoint_row {
     int64_t size_bytes;
     int64_t created_ms;
     char sha256[65]; // of the parameters
+    char digest[65]; // of the file
     char *path;      // relative to the scene's folder
 };
 
@@ -169,8 +176,9 @@ enum rn_status rn_store_new_id(const char *prefix, char ret_id[RN_ID_MAX],
 
 // "DIR/" and the formatted rest; malloc. NULL when memory is short.
 char *rn_store_path(const struct rn_store *store, const char *fmt, ...) RN_PRINTF(2, 3);
-// Removes content whose record is gone, uploads that no unfinished job needs, and idempotency keys
-// older than a week.
+// Removes content that was deleted, what failed imports have left, uploads that no unfinished job
+// needs, and idempotency keys older than a week. Other content without a record stays, and is
+// counted in the log. Brings the records' copies up to date.
 enum rn_status rn_store_sweep(struct rn_store *store, struct rn_error *err) RN_MUST_CHECK;
 
 #endif

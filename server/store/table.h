@@ -23,20 +23,29 @@ struct rn_column {
     const char *const *names;
 };
 
-// The first column is always `seq`.
+// The first column is always `seq`, the second `id`: a row begins with an int64_t and a text.
 struct rn_store_table {
     const char *name;
     const char *title; // for errors
     size_t row_size;
     const struct rn_column *columns;
     int column_count;
+    const char *folder; // of its content, DIR/folder/<id>/, with a copy of the record; NULL: none
 };
+
+#define RN_STORE_MAX_CHANGED 16
 
 struct rn_store {
     char *folder;
     int lock_fd;
     sqlite3 *db;
     pthread_mutex_t lock; // recursive
+    // Records whose copies are to be written once the transaction is over.
+    struct rn_changed_record {
+        const struct rn_store_table *table;
+        char id[RN_ID_MAX];
+    } changed[RN_STORE_MAX_CHANGED];
+    int changed_count;
 };
 
 // A statement in an error's terms; `what` says what was being done.
@@ -46,6 +55,23 @@ enum rn_status rn_sqlite_error(sqlite3 *db, int code, const char *what, struct r
 // it. RN_ERROR_UNSUPPORTED when the database is newer than the scripts.
 enum rn_status rn_store_migrate(sqlite3 *db, const char *const *scripts, int count,
                                 struct rn_error *err) RN_MUST_CHECK;
+
+// records.c
+extern const struct rn_store_table *const rn_content_tables[]; // those with folders; NULL ends it
+// A row of the table was written: its copy follows now, or when the transaction is committed.
+void rn_record_changed(struct rn_store *store, const struct rn_store_table *table, const char *id);
+void rn_records_write_changed(struct rn_store *store);
+// Brings all copies up to date.
+enum rn_status rn_records_write_all(struct rn_store *store, struct rn_error *err) RN_MUST_CHECK;
+// Makes the records that are missing from the copies.
+enum rn_status rn_store_rebuild(struct rn_store *store, struct rn_error *err) RN_MUST_CHECK;
+// Closes the database and renames it to ripnerf.db.damaged-*.
+enum rn_status rn_store_set_aside(struct rn_store *store, struct rn_error *err) RN_MUST_CHECK;
+// Whether there are records at all, and whether there is content.
+enum rn_status rn_store_is_empty(struct rn_store *store, bool *ret_empty,
+                                 struct rn_error *err) RN_MUST_CHECK;
+enum rn_status rn_store_has_content(struct rn_store *store, bool *ret_has,
+                                    struct rn_error *err) RN_MUST_CHECK;
 
 extern const char *const rn_store_scripts[];
 extern const int rn_store_script_count;

@@ -86,12 +86,13 @@ class Daemon:
         self.program, self.runner, self.data = str(program), str(runner), str(data)
         self.environment = {**os.environ, **(environment or {})}
         self.options = options
+        self.flags = []
         self.token = None
         self.process = None
         self.log = str(data) + ".log"
 
     def start(self):
-        words = [self.program, "--data", self.data, "--runner", self.runner]
+        words = [self.program, "--data", self.data, "--runner", self.runner, *self.flags]
         options = {"listen": "127.0.0.1:0", "drain": 3, "log-level": "debug", **self.options}
         for name, value in options.items():
             for item in value if isinstance(value, list) else [value]:
@@ -103,7 +104,18 @@ class Daemon:
         match = re.fullmatch(r"ripnerfd: listening on http://(.+):(\d+)\n", line)
         assert match, f"{line!r}\n{self.log_text()}"
         self.host, self.port = match[1], int(match[2])
+        self.wait_for_device()
         return self
+
+    def wait_for_device(self):
+        deadline = time.monotonic() + 10
+        while time.monotonic() < deadline:
+            try:
+                if b"examined" not in self.get("/readyz", check=False).body:
+                    return
+            except OSError:
+                return
+            time.sleep(0.01)
 
     def stop(self, how=signal.SIGTERM, timeout=15):
         if self.process is None:

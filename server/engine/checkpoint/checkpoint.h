@@ -4,8 +4,8 @@
 // network's last layer is padded to 16 outputs, columns 3.. are zero); adam.m and adam.v F32, in
 // the order of all the former; occupancy F32 and hull U8 [x][y][z]; draw.error and draw.share F32
 // of the blocks that rays are drawn from, where they are drawn by error. Everything else is one
-// JSON object in __metadata__["ripnerf"]. Random numbers need no state: they are counters of the
-// step.
+// JSON object in __metadata__["ripnerf"]; __metadata__["sha256"] is the file's seal. Random numbers
+// need no state: they are counters of the step.
 #ifndef RN_ENGINE_CHECKPOINT_CHECKPOINT_H
 #define RN_ENGINE_CHECKPOINT_CHECKPOINT_H
 

@@ -10,6 +10,7 @@
 #include <string.h>
 #include <unistd.h>
 
+#include "common/base/seal.h"
 #include "common/base/sha256.h"
 #include "server/engine/checkpoint/state.h"
 #include "server/engine/scene/scene.h"
@@ -33,8 +34,8 @@ static json_t *make_header(const struct rn_field *field, const struct rn_counter
     char *text = state ? json_dumps(state, JSON_COMPACT | JSON_REAL_PRECISION(17)) : NULL;
     json_decref(state);
     if (!text) return NULL;
-    json_t *header =
-        json_pack("{s:{s:s,s:s}}", "__metadata__", "format", "ripnerf", "ripnerf", text);
+    json_t *header = json_pack("{s:{s:s,s:s,s:s}}", "__metadata__", "format", "ripnerf", "sha256",
+                               RN_SEAL_ZEROS, "ripnerf", text);
     free(text);
     size_t at = 0;
     for (int i = 0; header && i < count; i++) {
@@ -91,11 +92,13 @@ static void digest(struct rn_checkpoint_writer *w) {
 static int write_checkpoint(struct rn_checkpoint_writer *w) {
     char temporary[sizeof w->path + 16];
     snprintf(temporary, sizeof temporary, "%s.partial", w->path);
-    int fd = open(temporary, O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC, 0644);
+    int fd = open(temporary, O_RDWR | O_CREAT | O_TRUNC | O_CLOEXEC, 0644);
     if (fd < 0) return errno;
     int error = write_file(fd, w) ? 0 : errno;
     digest(w);
     atomic_store(&w->stage, RN_SAVE_SYNCS);
+    char sealed[65];
+    if (!error && rn_seal_close(fd, temporary, sealed, NULL) != RN_OK) error = errno ? errno : EIO;
     if (!error && fsync(fd) != 0) error = errno;
     if (close(fd) != 0 && !error) error = errno;
     if (!error && (rename(temporary, w->path) != 0 || !sync_folder(w->path))) error = errno;

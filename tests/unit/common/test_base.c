@@ -14,6 +14,7 @@
 #include "common/base/clock.h"
 #include "common/base/file.h"
 #include "common/base/log.h"
+#include "common/base/seal.h"
 #include "common/base/sha256.h"
 #include "common/base/threads.h"
 #include "tests/support/suite.h"
@@ -349,6 +350,34 @@ START_TEST(parallel_for) {
 }
 END_TEST
 
+// Every byte that changes is found, those of the seal included; a file without one passes.
+START_TEST(seal) {
+    static const char text[] = "{" RN_SEAL ",\"a\":[1,2,3],\"tail\":\"0123456789\"}";
+    char path[] = "/tmp/test_seal.XXXXXX", sealed[65], read[65];
+    int fd = mkstemp(path);
+    ck_assert_int_eq(write(fd, text, sizeof text - 1), (ssize_t)sizeof text - 1);
+    ck_assert_int_eq(rn_seal_close(fd, path, sealed, NULL), RN_OK);
+    ck_assert_int_eq(rn_seal_check(path, read, NULL), RN_OK);
+    ck_assert_str_eq(read, sealed);
+    ck_assert_int_eq(rn_seal_read(path, read, NULL), RN_OK);
+    ck_assert_str_eq(read, sealed);
+    for (off_t at = 0; at < (off_t)sizeof text - 1; at++) {
+        char byte, wrong;
+        ck_assert_int_eq(pread(fd, &byte, 1, at), 1);
+        wrong = (char)(byte ^ 4);
+        ck_assert_int_eq(pwrite(fd, &wrong, 1, at), 1);
+        ck_assert_msg(rn_seal_check(path, read, NULL) == RN_ERROR_CORRUPT, "byte %d", (int)at);
+        ck_assert_int_eq(pwrite(fd, &byte, 1, at), 1);
+    }
+    ck_assert_int_eq(rn_seal_check(path, read, NULL), RN_OK);
+    ck_assert_int_eq(ftruncate(fd, 60), 0);
+    ck_assert_int_eq(rn_seal_close(fd, path, read, NULL), RN_ERROR_INVALID);
+    ck_assert_int_eq(rn_seal_check(path, read, NULL), RN_OK);
+    close(fd);
+    unlink(path);
+}
+END_TEST
+
 int main(void) {
     Suite *suite = suite_create("base");
     TCase *plain = tcase_create("plain"), *files = tcase_create("files");
@@ -366,6 +395,7 @@ int main(void) {
     tcase_add_test(files, file_head);
     tcase_add_test(files, file_write_is_atomic);
     tcase_add_test(files, folders);
+    tcase_add_test(files, seal);
     tcase_add_test(files, deep_tree_is_refused);
     suite_add_tcase(suite, plain);
     suite_add_tcase(suite, files);

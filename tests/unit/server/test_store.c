@@ -18,7 +18,7 @@ static struct rn_error err;
 static void enter(void) {
     strcpy(folder, "/tmp/test_store.XXXXXX");
     ck_assert_ptr_nonnull(mkdtemp(folder));
-    ck_assert_int_eq(rn_store_open(folder, &store, &err), RN_OK);
+    ck_assert_int_eq(rn_store_open(folder, false, &store, &err), RN_OK);
 }
 
 static void leave(void) {
@@ -28,7 +28,7 @@ static void leave(void) {
 
 static void reopen(void) {
     rn_store_close(&store);
-    ck_assert_int_eq(rn_store_open(folder, &store, &err), RN_OK);
+    ck_assert_int_eq(rn_store_open(folder, false, &store, &err), RN_OK);
 }
 
 static struct rn_scene_row make_scene(const char *id, const char *name) {
@@ -161,7 +161,7 @@ END_TEST
 
 START_TEST(test_lock) {
     struct rn_store *second = NULL;
-    ck_assert_int_eq(rn_store_open(folder, &second, &err), RN_ERROR_CONFLICT);
+    ck_assert_int_eq(rn_store_open(folder, false, &second, &err), RN_ERROR_CONFLICT);
     ck_assert_ptr_null(second);
     ck_assert_ptr_nonnull(strstr(err.text, "another ripnerfd"));
 }
@@ -179,13 +179,13 @@ START_TEST(test_damage) {
     write_file("ripnerf.db", "this is no database, and long enough to be seen as one of none");
     snprintf(wal, sizeof wal, "%s/ripnerf.db-wal", folder);
     unlink(wal);
-    ck_assert_int_eq(rn_store_open(folder, &store, &err), RN_ERROR_CORRUPT);
-    ck_assert_ptr_nonnull(strstr(err.text, ".recover"));
+    ck_assert_int_eq(rn_store_open(folder, false, &store, &err), RN_ERROR_CORRUPT);
+    ck_assert_ptr_nonnull(strstr(err.text, "--rebuild"));
     write_file("ripnerf.db", "");
     write_file("layout", "2\n");
-    ck_assert_int_eq(rn_store_open(folder, &store, &err), RN_ERROR_UNSUPPORTED);
+    ck_assert_int_eq(rn_store_open(folder, false, &store, &err), RN_ERROR_UNSUPPORTED);
     write_file("layout", "1\n");
-    ck_assert_int_eq(rn_store_open(folder, &store, &err), RN_OK);
+    ck_assert_int_eq(rn_store_open(folder, false, &store, &err), RN_OK);
 }
 END_TEST
 
@@ -195,21 +195,133 @@ static bool exists(const char *name) {
     return access(path, F_OK) == 0;
 }
 
+// Only what is known to be unwanted goes: content whose record is lost stays.
 START_TEST(test_sweep) {
-    struct rn_scene_row scene = make_scene("sc_a", "lego");
+    struct rn_scene_row scene = make_scene("sc_a", "lego"), gone = make_scene("sc_b", "ship");
     struct rn_job_row job = {.id = "job_a"}, over = {.id = "job_b", .finished_ms = 5};
+    struct rn_job_row failed = {.id = "job_c",
+                                .type = RN_JOB_INGEST,
+                                .state = RN_JOB_FAILED,
+                                .finished_ms = 5,
+                                .dataset = "ds_f"};
     ck_assert_int_eq(rn_store_insert(store, &rn_scenes, &scene, &err), RN_OK);
+    ck_assert_int_eq(rn_store_insert(store, &rn_scenes, &gone, &err), RN_OK);
+    ck_assert_int_eq(rn_store_delete(store, &rn_scenes, "sc_b", &err), RN_OK);
     ck_assert_int_eq(rn_store_insert(store, &rn_jobs_table, &job, &err), RN_OK);
     ck_assert_int_eq(rn_store_insert(store, &rn_jobs_table, &over, &err), RN_OK);
-    static const char *const names[] = {"scenes/sc_a",     "scenes/sc_b",     "spool/job_a.tar",
-                                        "spool/job_b.tar", "spool/upload-xy", "jobs/job_b",
-                                        "datasets/ds_q"};
-    static const bool kept[] = {true, false, true, false, false, true, false};
-    for (size_t i = 0; i < 7; i++)
-        write_file(names[i], "x");
+    ck_assert_int_eq(rn_store_insert(store, &rn_jobs_table, &failed, &err), RN_OK);
+    static const struct {
+        const char *name;
+        bool stays;
+    } files[] = {
+        {"scenes/sc_a/x", true},     {"scenes/sc_b/x", false},       {"scenes/sc_lost/x", true},
+        {"spool/job_a.tar", true},   {"spool/job_b.tar", false},     {"spool/job_lost.tar", true},
+        {"spool/upload-xy", false},  {"spool/job_lost.work", false}, {"jobs/job_b/log", true},
+        {"jobs/job_lost/log", true}, {"datasets/ds_lost/x", true},   {"datasets/ds_f/x", false}};
+    for (size_t i = 0; i < sizeof files / sizeof files[0]; i++) {
+        char parent[256];
+        snprintf(parent, sizeof parent, "%s/%s", folder, files[i].name);
+        *strrchr(parent, '/') = '\0';
+        ck_assert_int_eq(rn_mkdirs(parent, 0700, &err), RN_OK);
+        write_file(files[i].name, "x");
+    }
     ck_assert_int_eq(rn_store_sweep(store, &err), RN_OK);
-    for (size_t i = 0; i < 7; i++)
-        ck_assert_msg(exists(names[i]) == kept[i], "%s", names[i]);
+    for (size_t i = 0; i < sizeof files / sizeof files[0]; i++)
+        ck_assert_msg(exists(files[i].name) == files[i].stays, "%s", files[i].name);
+}
+END_TEST
+
+static void remove_database(void) {
+    static const char *const names[] = {"ripnerf.db", "ripnerf.db-wal", "ripnerf.db-shm"};
+    rn_store_close(&store);
+    for (int i = 0; i < 3; i++) {
+        char path[256];
+        snprintf(path, sizeof path, "%s/%s", folder, names[i]);
+        unlink(path);
+    }
+}
+
+// A lost database is refused while there is content, and made anew from the records' copies.
+START_TEST(test_rebuild) {
+    struct rn_scene_row a = make_scene("sc_a", "lego"), b = make_scene("sc_b", "ship"), read;
+    struct rn_camera_path_row path = {.id = "path_a", .name = "orbit", .document = (char *)"{}"};
+    a.record = (char *)"{\"na\u00efve\":\"'quotes'\"}";
+    ck_assert_int_eq(rn_store_insert(store, &rn_scenes, &a, &err), RN_OK);
+    ck_assert_int_eq(rn_store_begin(store, &err), RN_OK);
+    ck_assert_int_eq(rn_store_insert(store, &rn_scenes, &b, &err), RN_OK);
+    ck_assert_int_eq(rn_store_commit(store, &err), RN_OK);
+    ck_assert_int_eq(rn_store_insert(store, &rn_camera_paths, &path, &err), RN_OK);
+    b.psnr = 31.25;
+    ck_assert_int_eq(rn_store_update(store, &rn_scenes, &b, &err), RN_OK);
+    remove_database();
+    ck_assert_int_eq(rn_store_open(folder, false, &store, &err), RN_ERROR_CORRUPT);
+    ck_assert_ptr_nonnull(strstr(err.text, "--rebuild"));
+    ck_assert(exists("scenes/sc_a/record.json") && exists("scenes/sc_b/record.json"));
+    ck_assert_int_eq(rn_store_open(folder, true, &store, &err), RN_OK);
+    ck_assert_int_eq(rn_store_resolve(store, &rn_scenes, RN_ID_SCENE, "lego", &read, &err), RN_OK);
+    ck_assert_str_eq(read.record, a.record);
+    ck_assert_int_eq(read.seq, a.seq);
+    ck_assert(isnan(read.psnr) && read.steps == a.steps);
+    rn_row_finish(&rn_scenes, &read);
+    ck_assert_int_eq(rn_store_resolve(store, &rn_scenes, RN_ID_SCENE, "ship", &read, &err), RN_OK);
+    ck_assert(read.psnr == 31.25);
+    ck_assert_int_eq(rn_store_resolve(store, &rn_camera_paths, RN_ID_PATH, "orbit", &path, &err),
+                     RN_OK);
+    rn_row_finish(&rn_camera_paths, &path);
+    reopen();
+}
+END_TEST
+
+// A copy that was damaged makes no record, and is not removed for it.
+START_TEST(test_rebuild_from_damaged_copy) {
+    struct rn_scene_row a = make_scene("sc_a", "lego"), b = make_scene("sc_b", "ship"), read;
+    ck_assert_int_eq(rn_store_insert(store, &rn_scenes, &a, &err), RN_OK);
+    ck_assert_int_eq(rn_store_insert(store, &rn_scenes, &b, &err), RN_OK);
+    char name[256];
+    snprintf(name, sizeof name, "%s/scenes/sc_a/record.json", folder);
+    int fd = open(name, O_RDWR | O_CLOEXEC);
+    ck_assert_int_eq(pwrite(fd, "X", 1, 150), 1);
+    close(fd);
+    remove_database();
+    ck_assert_int_eq(rn_store_open(folder, true, &store, &err), RN_OK);
+    ck_assert_int_eq(rn_store_find(store, &rn_scenes, "id", "sc_a", &read, &err),
+                     RN_ERROR_NOT_FOUND);
+    ck_assert_int_eq(rn_store_find(store, &rn_scenes, "id", "sc_b", &read, &err), RN_OK);
+    ck_assert_int_eq(rn_store_sweep(store, &err), RN_OK);
+    ck_assert(exists("scenes/sc_a/record.json"));
+}
+END_TEST
+
+// Half of its pages are zeros: refused, and kept beside when the records are made anew.
+START_TEST(test_half_zeroed) {
+    static const char zeros[4096];
+    ck_assert_int_eq(rn_store_begin(store, &err), RN_OK);
+    for (int i = 0; i < 200; i++) {
+        char id[16], name[16];
+        snprintf(id, sizeof id, "sc_%d", i);
+        snprintf(name, sizeof name, "scene-%d", i);
+        struct rn_scene_row scene = make_scene(id, name);
+        ck_assert_int_eq(rn_store_insert(store, &rn_scenes, &scene, &err), RN_OK);
+    }
+    ck_assert_int_eq(rn_store_commit(store, &err), RN_OK);
+    reopen(); // which writes all to the database proper
+    rn_store_close(&store);
+    char path[256];
+    struct stat about;
+    snprintf(path, sizeof path, "%s/ripnerf.db", folder);
+    ck_assert_int_eq(stat(path, &about), 0);
+    int fd = open(path, O_RDWR | O_CLOEXEC);
+    for (off_t at = about.st_size / 8192 * 4096; at < about.st_size; at += 4096)
+        ck_assert_int_eq(pwrite(fd, zeros, sizeof zeros, at), sizeof zeros);
+    close(fd);
+    ck_assert_int_eq(rn_store_open(folder, false, &store, &err), RN_ERROR_CORRUPT);
+    ck_assert_int_eq(rn_store_open(folder, true, &store, &err), RN_OK);
+    struct rn_query query = {.limit = 0};
+    void *rows;
+    size_t count;
+    ck_assert_int_eq(rn_store_list(store, &rn_scenes, &query, &rows, &count, &err), RN_OK);
+    ck_assert_uint_eq(count, 200);
+    rn_rows_finish(&rn_scenes, rows, count);
 }
 END_TEST
 
@@ -235,6 +347,9 @@ int main(void) {
     tcase_add_test(tcase, test_lock);
     tcase_add_test(tcase, test_damage);
     tcase_add_test(tcase, test_sweep);
+    tcase_add_test(tcase, test_rebuild);
+    tcase_add_test(tcase, test_rebuild_from_damaged_copy);
+    tcase_add_test(tcase, test_half_zeroed);
     tcase_add_test(tcase, test_ids);
     suite_add_tcase(suite, tcase);
     return run_suite(suite);

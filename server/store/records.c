@@ -1,0 +1,369 @@
+// Copies of the records beside their content (<folder>/<id>/record.json, sealed), and records made
+// anew from them. The database is the truth; a copy may be behind by what a crash cut off.
+#include <dirent.h>
+#include <errno.h>
+#include <fcntl.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include "common/base/buf.h"
+#include "common/base/clock.h"
+#include "common/base/file.h"
+#include "common/base/log.h"
+#include "common/base/seal.h"
+#include "server/store/table.h"
+
+#define COPY "record.json"
+#define MAX_COPY (64u << 20)
+
+const struct rn_store_table *const rn_content_tables[] = {&rn_datasets, &rn_scenes,
+                                                          &rn_camera_paths, &rn_jobs_table, NULL};
+
+// ---- writing ----------------------------------------------------------------------------------
+
+// SELECT of the row's copy as JSON text, its seal open.
+static void copy_sql(const struct rn_store_table *table, struct rn_buf *sql) {
+    rn_buf_init(sql, 8192);
+    rn_buf_printf(sql, "SELECT '{" RN_SEAL ",\"table\":\"%s\",\"row\":' || json_object(",
+                  table->name);
+    for (int i = 0; i < table->column_count; i++) {
+        const char *name = table->columns[i].name;
+        bool real = table->columns[i].kind == RN_COLUMN_REAL; // with all of its digits
+        rn_buf_printf(sql,
+                      real ? "%s'%s', json(iif(%s IS NULL, 'null', printf('%%!.17g', %s)))"
+                           : "%s'%s', %s",
+                      i > 0 ? ", " : "", name, name, name);
+    }
+    rn_buf_printf(sql, ") || '}' FROM %s WHERE id = ?1", table->name);
+}
+
+static bool write_all(int fd, const char *text, size_t size) {
+    while (size > 0) {
+        ssize_t put = write(fd, text, size);
+        if (put < 0 && errno == EINTR) continue;
+        if (put <= 0) return false;
+        text += put;
+        size -= (size_t)put;
+    }
+    return true;
+}
+
+// Whether the copy that is there says the same; its seal aside.
+static bool is_same(const char *path, const char *text, size_t size) {
+    uint8_t *bytes = NULL;
+    size_t got = 0;
+    const size_t skip = 1 + sizeof RN_SEAL - 1;
+    if (rn_file_read(path, MAX_COPY, &bytes, &got, NULL) != RN_OK) return false;
+    bool same = got == size && size > skip && memcmp(bytes + skip, text + skip, size - skip) == 0;
+    free(bytes);
+    return same;
+}
+
+// Written whole or not at all, but not waited for.
+static enum rn_status write_copy(const char *path, const char *text, size_t size,
+                                 struct rn_error *err) {
+    char temporary[4300], sha256[65];
+    if (is_same(path, text, size)) return RN_OK;
+    snprintf(temporary, sizeof temporary, "%s.tmp", path);
+    int fd = open(temporary, O_RDWR | O_CREAT | O_TRUNC | O_CLOEXEC, 0600);
+    if (fd < 0) return rn_error_from_errno(err, errno, temporary, "creating");
+    enum rn_status status = RN_OK;
+    if (!write_all(fd, text, size)) status = rn_error_from_errno(err, errno, temporary, "writing");
+    if (status == RN_OK) status = rn_seal_close(fd, temporary, sha256, err);
+    if (close(fd) != 0 && status == RN_OK)
+        status = rn_error_from_errno(err, errno, temporary, "writing");
+    if (status == RN_OK && rename(temporary, path) != 0)
+        status = rn_error_from_errno(err, errno, path, "renaming");
+    if (status != RN_OK) unlink(temporary);
+    return status;
+}
+
+static enum rn_status copy_record(struct rn_store *store, const struct rn_store_table *table,
+                                  const char *id, struct rn_error *err) {
+    struct rn_buf sql;
+    sqlite3_stmt *statement = NULL;
+    copy_sql(table, &sql);
+    char *folder = rn_store_path(store, "%s/%s", table->folder, id);
+    char *path = rn_store_path(store, "%s/%s/" COPY, table->folder, id);
+    enum rn_status status = RN_OK;
+    if (sql.failed || folder == NULL || path == NULL)
+        status = rn_error_set(err, RN_ERROR_NO_MEMORY, COPY, "no memory");
+    if (status == RN_OK) status = rn_mkdirs(folder, 0700, err);
+    if (status == RN_OK) {
+        int code = sqlite3_prepare_v2(store->db, (char *)sql.data, (int)sql.size, &statement, NULL);
+        if (code == SQLITE_OK) code = sqlite3_bind_text(statement, 1, id, -1, SQLITE_STATIC);
+        if (code == SQLITE_OK) code = sqlite3_step(statement);
+        if (code == SQLITE_ROW)
+            status = write_copy(path, (const char *)sqlite3_column_text(statement, 0),
+                                (size_t)sqlite3_column_bytes(statement, 0), err);
+        else if (code != SQLITE_DONE)
+            status = rn_sqlite_error(store->db, code, COPY, err);
+        sqlite3_finalize(statement);
+    }
+    free(folder);
+    free(path);
+    rn_buf_finish(&sql);
+    return status;
+}
+
+// The record is in the database: a copy that cannot be written is made at the next start.
+static void copy_or_warn(struct rn_store *store, const struct rn_store_table *table,
+                         const char *id) {
+    struct rn_error err = {0};
+    if (copy_record(store, table, id, &err) != RN_OK)
+        rn_log(RN_LOG_WARN, "the copy of record %s cannot be written: %s: %s", id, err.where,
+               err.text);
+}
+
+void rn_record_changed(struct rn_store *store, const struct rn_store_table *table, const char *id) {
+    if (table->folder == NULL) return;
+    if (sqlite3_get_autocommit(store->db)) {
+        copy_or_warn(store, table, id);
+    } else if (store->changed_count++ < RN_STORE_MAX_CHANGED) {
+        struct rn_changed_record *changed = &store->changed[store->changed_count - 1];
+        changed->table = table;
+        snprintf(changed->id, sizeof changed->id, "%s", id);
+    }
+}
+
+void rn_records_write_changed(struct rn_store *store) {
+    struct rn_error err = {0};
+    bool many = store->changed_count > RN_STORE_MAX_CHANGED;
+    if (many && rn_records_write_all(store, &err) != RN_OK)
+        rn_log(RN_LOG_WARN, "the records' copies cannot be written: %s", err.text);
+    for (int i = 0; !many && i < store->changed_count; i++)
+        copy_or_warn(store, store->changed[i].table, store->changed[i].id);
+    store->changed_count = 0;
+}
+
+enum rn_status rn_records_write_all(struct rn_store *store, struct rn_error *err) {
+    for (int t = 0; rn_content_tables[t] != NULL; t++) {
+        const struct rn_store_table *table = rn_content_tables[t];
+        struct rn_query query = {.limit = 0};
+        void *rows = NULL;
+        size_t count = 0;
+        enum rn_status status = rn_store_list(store, table, &query, &rows, &count, err);
+        if (status != RN_OK) return status;
+        pthread_mutex_lock(&store->lock);
+        for (size_t i = 0; i < count; i++)
+            copy_or_warn(store, table, (char *)rows + i * table->row_size + sizeof(int64_t));
+        pthread_mutex_unlock(&store->lock);
+        rn_rows_finish(table, rows, count);
+    }
+    return RN_OK;
+}
+
+// ---- rebuilding -------------------------------------------------------------------------------
+
+// Calls `visit` for each visible entry of DIR/folder, in the order of their names.
+static enum rn_status each_entry(struct rn_store *store, const char *folder,
+                                 enum rn_status (*visit)(struct rn_store *store, void *context,
+                                                         const char *name, struct rn_error *err),
+                                 void *context, struct rn_error *err) {
+    struct dirent **entries = NULL;
+    char *path = rn_store_path(store, "%s", folder);
+    int count = path != NULL ? scandir(path, &entries, NULL, alphasort) : -1;
+    enum rn_status status =
+        count < 0 ? rn_error_from_errno(err, path == NULL ? ENOMEM : errno, folder, "listing")
+                  : RN_OK;
+    for (int i = 0; i < count; i++) {
+        const char *name = entries[i]->d_name;
+        if (status == RN_OK && name[0] != '.') status = visit(store, context, name, err);
+        free(entries[i]);
+    }
+    free(entries);
+    free(path);
+    return status;
+}
+
+static enum rn_status count_content(struct rn_store *store, void *context, const char *name,
+                                    struct rn_error *err) {
+    *(bool *)context |= strncmp(name, "upload-", 7) != 0;
+    return RN_OK;
+}
+
+enum rn_status rn_store_has_content(struct rn_store *store, bool *ret_has, struct rn_error *err) {
+    static const char *const folders[] = {"datasets", "scenes", "camera-paths", "jobs", "spool"};
+    enum rn_status status = RN_OK;
+    *ret_has = false;
+    for (size_t i = 0; status == RN_OK && i < sizeof folders / sizeof folders[0]; i++)
+        status = each_entry(store, folders[i], count_content, ret_has, err);
+    return status;
+}
+
+enum rn_status rn_store_is_empty(struct rn_store *store, bool *ret_empty, struct rn_error *err) {
+    *ret_empty = true;
+    for (int i = 0; rn_content_tables[i] != NULL; i++) {
+        struct rn_query query = {.limit = 1};
+        void *rows = NULL;
+        size_t count = 0;
+        enum rn_status status =
+            rn_store_list(store, rn_content_tables[i], &query, &rows, &count, err);
+        if (status != RN_OK) return status;
+        rn_rows_finish(rn_content_tables[i], rows, count);
+        *ret_empty &= count == 0;
+    }
+    return RN_OK;
+}
+
+// Runs an INSERT whose ?1 is the copy's text; *ret_done: a row came of it.
+static enum rn_status insert_from(struct rn_store *store, const struct rn_store_table *table,
+                                  const char *text, const char *seq, const char *name,
+                                  bool *ret_done, struct rn_error *err) {
+    struct rn_buf sql;
+    sqlite3_stmt *statement = NULL;
+    rn_buf_init(&sql, 8192);
+    rn_buf_printf(&sql, "INSERT OR IGNORE INTO %s (seq", table->name);
+    for (int i = 1; i < table->column_count; i++)
+        rn_buf_printf(&sql, ", %s", table->columns[i].name);
+    rn_buf_printf(&sql, ") SELECT %s", seq);
+    for (int i = 1; i < table->column_count; i++) {
+        const char *column = table->columns[i].name;
+        if (strcmp(column, "name") == 0)
+            rn_buf_printf(&sql, ", %s", name);
+        else
+            rn_buf_printf(&sql, ", json_extract(?1, '$.row.%s')", column);
+    }
+    int code = sql.failed ? SQLITE_NOMEM
+                          : sqlite3_prepare_v2(store->db, (char *)sql.data, (int)sql.size,
+                                               &statement, NULL);
+    if (code == SQLITE_OK) code = sqlite3_bind_text(statement, 1, text, -1, SQLITE_STATIC);
+    if (code == SQLITE_OK) code = sqlite3_step(statement);
+    *ret_done = code == SQLITE_DONE && sqlite3_changes(store->db) > 0;
+    enum rn_status status =
+        code == SQLITE_DONE ? RN_OK : rn_sqlite_error(store->db, code, COPY, err);
+    sqlite3_finalize(statement);
+    rn_buf_finish(&sql);
+    return status;
+}
+
+#define SEQ "json_extract(?1, '$.row.seq')"
+#define NAME "json_extract(?1, '$.row.name')"
+#define OTHER_NAME NAME " || '-' || substr(json_extract(?1, '$.row.id'), -6)"
+
+// In its old place, at the end, or under another name when someone else has taken its own.
+static enum rn_status insert_record(struct rn_store *store, const struct rn_store_table *table,
+                                    const char *text, bool *ret_done, struct rn_error *err) {
+    static const char *const ways[][2] = {{SEQ, NAME}, {"NULL", NAME}, {"NULL", OTHER_NAME}};
+    enum rn_status status = RN_OK;
+    *ret_done = false;
+    for (int i = 0; status == RN_OK && !*ret_done && i < 3; i++)
+        status = insert_from(store, table, text, ways[i][0], ways[i][1], ret_done, err);
+    return status;
+}
+
+struct rebuilding {
+    const struct rn_store_table *table;
+    const char *scene;
+    int made, left;
+};
+
+static bool has_record(struct rn_store *store, const struct rn_store_table *table, const char *id) {
+    void *rows = NULL;
+    size_t count = 0;
+    struct rn_query query = {.equal = {{"id", id}}, .limit = 1};
+    if (rn_store_list(store, table, &query, &rows, &count, NULL) != RN_OK) return true;
+    rn_rows_finish(table, rows, count);
+    return count > 0;
+}
+
+// A checkpoint file of a scene whose record was made anew.
+static enum rn_status add_checkpoint(struct rn_store *store, void *context, const char *name,
+                                     struct rn_error *err) {
+    const char *scene = ((struct rebuilding *)context)->scene;
+    long long step;
+    int end = 0;
+    struct stat about;
+    struct rn_checkpoint_row row = {.size_bytes = 0};
+    if (sscanf(name, "step-%lld.safetensors%n", &step, &end) != 1 || name[end] != '\0')
+        return RN_OK;
+    snprintf(row.id, sizeof row.id, "%s/%lld", scene, step);
+    if (has_record(store, &rn_checkpoints, row.id)) return RN_OK;
+    char *path = rn_store_path(store, "scenes/%s/checkpoints/%s", scene, name);
+    char relative[128];
+    snprintf(relative, sizeof relative, "checkpoints/%.64s", name);
+    enum rn_status status = RN_OK;
+    if (path != NULL && stat(path, &about) == 0 && rn_seal_read(path, row.digest, err) == RN_OK) {
+        row.step = step;
+        row.size_bytes = about.st_size;
+        row.created_ms = (int64_t)about.st_mtim.tv_sec * 1000 + about.st_mtim.tv_nsec / 1000000;
+        row.path = relative;
+        snprintf(row.scene, sizeof row.scene, "%s", scene);
+        status = rn_store_insert(store, &rn_checkpoints, &row, err);
+    }
+    free(path);
+    return status;
+}
+
+static enum rn_status add_checkpoints(struct rn_store *store, const char *scene,
+                                      struct rn_error *err) {
+    char folder[128];
+    struct rebuilding rebuilding = {.scene = scene};
+    snprintf(folder, sizeof folder, "scenes/%.64s/checkpoints", scene);
+    enum rn_status status = each_entry(store, folder, add_checkpoint, &rebuilding, err);
+    return status == RN_ERROR_NOT_FOUND ? RN_OK : status;
+}
+
+static enum rn_status add_record(struct rn_store *store, void *context, const char *name,
+                                 struct rn_error *err) {
+    struct rebuilding *rebuilding = context;
+    const struct rn_store_table *table = rebuilding->table;
+    struct rn_error why = {0};
+    uint8_t *text = NULL;
+    size_t size;
+    char sha256[65];
+    bool done = false;
+    if (has_record(store, table, name)) return RN_OK;
+    char *path = rn_store_path(store, "%s/%s/" COPY, table->folder, name);
+    enum rn_status status = path == NULL ? rn_error_set(&why, RN_ERROR_NO_MEMORY, COPY, "no memory")
+                                         : rn_seal_check(path, sha256, &why);
+    if (status == RN_OK) status = rn_file_read(path, MAX_COPY, &text, &size, &why);
+    if (status == RN_OK) status = insert_record(store, table, (char *)text, &done, &why);
+    if (status == RN_OK && done && table == &rn_scenes) status = add_checkpoints(store, name, err);
+    rebuilding->made += done;
+    rebuilding->left += !done;
+    if (!done)
+        rn_log(RN_LOG_WARN, "no record can be made of %s/%s, which stays as it is: %s",
+               table->folder, name, why.text);
+    free(text);
+    free(path);
+    return RN_OK;
+}
+
+enum rn_status rn_store_rebuild(struct rn_store *store, struct rn_error *err) {
+    enum rn_status status = rn_store_begin(store, err);
+    if (status != RN_OK) return status;
+    for (int i = 0; status == RN_OK && rn_content_tables[i] != NULL; i++) {
+        struct rebuilding rebuilding = {.table = rn_content_tables[i]};
+        status = each_entry(store, rebuilding.table->folder, add_record, &rebuilding, err);
+        rn_log(RN_LOG_INFO, "rebuild: %d records of %s made anew, %d could not be", rebuilding.made,
+               rebuilding.table->name, rebuilding.left);
+    }
+    if (status == RN_OK) return rn_store_commit(store, err);
+    rn_store_rollback(store);
+    return status;
+}
+
+enum rn_status rn_store_set_aside(struct rn_store *store, struct rn_error *err) {
+    static const char *const suffixes[] = {"", "-wal", "-shm"};
+    long long now = (long long)rn_clock_wall_ms();
+    sqlite3_close(store->db);
+    store->db = NULL;
+    for (int i = 0; i < 3; i++) {
+        char *from = rn_store_path(store, "ripnerf.db%s", suffixes[i]);
+        char *to = rn_store_path(store, "ripnerf.db.damaged-%lld%s", now, suffixes[i]);
+        enum rn_status status = RN_OK;
+        if (from == NULL || to == NULL)
+            status = rn_error_set(err, RN_ERROR_NO_MEMORY, "ripnerf.db", "no memory");
+        else if (rename(from, to) != 0 && errno != ENOENT)
+            status = rn_error_from_errno(err, errno, from, "setting it aside");
+        free(from);
+        free(to);
+        if (status != RN_OK) return status;
+    }
+    rn_log(RN_LOG_WARN, "the damaged database is kept as ripnerf.db.damaged-%lld", now);
+    return RN_OK;
+}

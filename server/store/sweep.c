@@ -1,0 +1,141 @@
+// What of the content goes. Only what is known to be unwanted: a database that lost rows must not
+// cost their content.
+#include <dirent.h>
+#include <errno.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <unistd.h>
+
+#include "common/base/clock.h"
+#include "common/base/file.h"
+#include "common/base/log.h"
+#include "server/store/table.h"
+
+#define KEY_AGE_MS (7 * 86400000ll) // how long an Idempotency-Key is remembered
+
+enum fate { STAYS, GOES, ORPHAN };
+
+// Whether `sql`, with the text bound, has a row; true when it cannot be asked.
+static bool is_there(struct rn_store *store, const char *sql, const char *text) {
+    sqlite3_stmt *statement = NULL;
+    pthread_mutex_lock(&store->lock);
+    int code = sqlite3_prepare_v2(store->db, sql, -1, &statement, NULL);
+    if (code == SQLITE_OK) code = sqlite3_bind_text(statement, 1, text, -1, SQLITE_STATIC);
+    if (code == SQLITE_OK) code = sqlite3_step(statement);
+    sqlite3_finalize(statement);
+    pthread_mutex_unlock(&store->lock);
+    return code != SQLITE_DONE;
+}
+
+static bool can_ask(struct rn_store *store) {
+    return is_there(store, "SELECT 1 WHERE ?1 = 'x'", "x") &&
+           !is_there(store, "SELECT 1 WHERE ?1 = 'x'", "y");
+}
+
+static enum fate fate_of_content(struct rn_store *store, const struct rn_store_table *table,
+                                 const char *name) {
+    char sql[128];
+    snprintf(sql, sizeof sql, "SELECT 1 FROM %s WHERE id = ?1", table->name);
+    if (is_there(store, sql, name)) return STAYS;
+    if (is_there(store, "SELECT 1 FROM removed WHERE id = ?1", name)) return GOES;
+    if (table != &rn_datasets) return ORPHAN;
+    if (is_there(store, "SELECT 1 FROM jobs WHERE dataset = ?1 AND finished_ms = 0", name))
+        return STAYS;
+    bool failed = is_there(store,
+                           "SELECT 1 FROM jobs WHERE dataset = ?1 AND type = 'ingest' AND state IN"
+                           " ('failed', 'cancelled')",
+                           name);
+    return failed ? GOES : ORPHAN;
+}
+
+// Uploads: <job>.tar is what a client sent, <job>.work what is made of it, upload-* was never
+// answered.
+static enum fate fate_of_upload(struct rn_store *store, const char *name) {
+    char id[RN_ID_MAX];
+    snprintf(id, sizeof id, "%.*s", (int)strcspn(name, "."), name);
+    if (strncmp(name, RN_ID_JOB, strlen(RN_ID_JOB)) != 0) return GOES;
+    if (!is_there(store, "SELECT 1 FROM jobs WHERE id = ?1", id))
+        return strstr(name, ".work") != NULL ? GOES : ORPHAN;
+    bool open = is_there(store, "SELECT 1 FROM jobs WHERE id = ?1 AND finished_ms = 0", id);
+    return open ? STAYS : GOES;
+}
+
+// A folder that a request was about to fill when the daemon ended holds nothing but folders.
+static bool remove_empty(const char *path) {
+    char frames[4200];
+    snprintf(frames, sizeof frames, "%s/frames", path);
+    (void)rmdir(frames);
+    return rmdir(path) == 0;
+}
+
+static enum rn_status sweep_entry(struct rn_store *store, const char *folder, const char *name,
+                                  enum fate fate, int *orphans, struct rn_error *err) {
+    if (fate == STAYS) return RN_OK;
+    char *path = rn_store_path(store, "%s/%s", folder, name);
+    if (path == NULL) return rn_error_set(err, RN_ERROR_NO_MEMORY, folder, "no memory");
+    enum rn_status status = RN_OK;
+    if (fate == GOES) {
+        rn_log(RN_LOG_INFO, "removing %s/%s: it was deleted or never finished", folder, name);
+        status = rn_remove_tree(path, err);
+    } else if (!remove_empty(path)) {
+        rn_log(RN_LOG_WARN, "%s/%s has no record; it is left as it is", folder, name);
+        ++*orphans;
+    }
+    free(path);
+    return status;
+}
+
+static enum rn_status sweep_folder(struct rn_store *store, const char *name,
+                                   const struct rn_store_table *table, int *orphans,
+                                   struct rn_error *err) {
+    enum rn_status status = RN_OK;
+    char *folder = rn_store_path(store, "%s", name);
+    DIR *dir = folder != NULL ? opendir(folder) : NULL;
+    if (dir == NULL) {
+        status = rn_error_from_errno(err, folder == NULL ? ENOMEM : errno, name, "sweeping");
+        free(folder);
+        return status;
+    }
+    struct dirent *entry;
+    while (status == RN_OK && (entry = readdir(dir)) != NULL) {
+        if (entry->d_name[0] == '.') continue;
+        enum fate fate = table != NULL ? fate_of_content(store, table, entry->d_name)
+                                       : fate_of_upload(store, entry->d_name);
+        status = sweep_entry(store, name, entry->d_name, fate, orphans, err);
+    }
+    closedir(dir);
+    free(folder);
+    return status;
+}
+
+static enum rn_status forget(struct rn_store *store, struct rn_error *err) {
+    char sql[160];
+    snprintf(sql, sizeof sql, "DELETE FROM keys WHERE created_ms < %lld; DELETE FROM removed",
+             (long long)(rn_clock_wall_ms() - KEY_AGE_MS));
+    pthread_mutex_lock(&store->lock);
+    int code = sqlite3_exec(store->db, sql, NULL, NULL, NULL);
+    enum rn_status status =
+        code == SQLITE_OK ? RN_OK : rn_sqlite_error(store->db, code, "sweeping", err);
+    pthread_mutex_unlock(&store->lock);
+    return status;
+}
+
+enum rn_status rn_store_sweep(struct rn_store *store, struct rn_error *err) {
+    int orphans = 0;
+    if (!can_ask(store))
+        return rn_error_set(err, RN_ERROR_IO, "ripnerf.db", "the records cannot be read");
+    enum rn_status status = RN_OK;
+    for (int i = 0; status == RN_OK && rn_content_tables[i] != NULL; i++)
+        status =
+            sweep_folder(store, rn_content_tables[i]->folder, rn_content_tables[i], &orphans, err);
+    if (status == RN_OK) status = sweep_folder(store, "spool", NULL, &orphans, err);
+    if (status == RN_OK) status = forget(store, err);
+    if (orphans > 0)
+        rn_log(RN_LOG_WARN,
+               "%d folders or files of content have no record: records are lost; start once with "
+               "--rebuild to make them anew, or remove what is not wanted by hand",
+               orphans);
+    if (status == RN_OK) status = rn_records_write_all(store, err);
+    return status;
+}
