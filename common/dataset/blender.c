@@ -5,7 +5,7 @@
 #include <stdlib.h>
 #include <unistd.h>
 
-#include "common/dataset/reader.h"
+#include "common/dataset/intrinsics.h"
 
 #define MAX_ANGLE 3.1
 
@@ -14,6 +14,7 @@ struct document {
     double angle_x;    // radians
     int width, height; // as the file says, or those of its first image; 0 = not known yet
     bool stated;       // the file gives width and height
+    bool more;         // and intrinsics beyond camera_angle_x
 };
 
 static enum rn_status read_frame(struct rn_reader *reader, struct document *document,
@@ -41,16 +42,22 @@ static enum rn_status read_frame(struct rn_reader *reader, struct document *docu
         document->width = camera->width;
         document->height = camera->height;
     }
-    camera->fx = camera->fy = rn_camera_focal_from_fov(document->angle_x, camera->width);
-    camera->cx = 0.5 * camera->width;
-    camera->cy = 0.5 * camera->height;
+    if (document->more || rn_intrinsics_given(object)) {
+        struct rn_intrinsics from = {
+            .root = document->root, .frame = *object, .frame_wins = true, .plain_polynomial = true};
+        if ((status = rn_intrinsics_read(reader, &from, frame, err))) return status;
+    } else {
+        camera->fx = camera->fy = rn_camera_focal_from_fov(document->angle_x, camera->width);
+        camera->cx = 0.5 * camera->width;
+        camera->cy = 0.5 * camera->height;
+    }
     status = rn_reader_pose(object, "transform_matrix", camera->world_from_camera, err);
     return status ? status : rn_reader_check_camera(object, "transform_matrix", camera, err);
 }
 
 static enum rn_status read_frames(struct rn_reader *reader, struct document *document,
                                   enum rn_split split, struct rn_error *err) {
-    static const char *const known[] = {"file_path", "transform_matrix", "rotation", NULL};
+    static const char *const own[] = {"file_path", "transform_matrix", "rotation", NULL};
     struct rn_json frames;
     enum rn_status status =
         rn_json_array(&document->root, "frames", 0, RN_DATASET_MAX_FRAMES, &frames, err);
@@ -67,25 +74,27 @@ static enum rn_status read_frames(struct rn_reader *reader, struct document *doc
         struct rn_error why;
         status = read_frame(reader, document, &object, &frame, &why);
         if ((status = rn_reader_add(reader, &frame, status, &why)) && err) *err = why;
-        rn_reader_warn_unknown(reader, &object, known);
+        rn_intrinsics_warn_unknown(reader, &object, own);
     }
     return status;
 }
 
 static enum rn_status read_document(struct rn_reader *reader, const struct rn_json *root,
                                     void *context, struct rn_error *err) {
-    static const char *const known[] = {"camera_angle_x", "frames", "w", "h", NULL};
-    struct document document = {.root = *root};
-    enum rn_status status =
-        rn_json_number(root, "camera_angle_x", 1e-4, MAX_ANGLE, &document.angle_x, err);
+    static const char *const own[] = {"frames", NULL};
+    struct document document = {.root = *root, .more = rn_intrinsics_given(root)};
+    enum rn_status status = RN_OK;
+    if (!document.more)
+        status = rn_json_number(root, "camera_angle_x", 1e-4, MAX_ANGLE, &document.angle_x, err);
     if (status) return status;
     struct rn_json width, height;
-    document.stated = rn_json_find(root, "w", &width) || rn_json_find(root, "h", &height);
+    document.stated =
+        !document.more && (rn_json_find(root, "w", &width) || rn_json_find(root, "h", &height));
     if (document.stated &&
         ((status = rn_json_integer(root, "w", 1, RN_CAMERA_MAX_SIZE, &document.width, err)) ||
          (status = rn_json_integer(root, "h", 1, RN_CAMERA_MAX_SIZE, &document.height, err))))
         return status;
-    rn_reader_warn_unknown(reader, root, known);
+    rn_intrinsics_warn_unknown(reader, root, own);
     return read_frames(reader, &document, *(enum rn_split *)context, err);
 }
 

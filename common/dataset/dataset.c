@@ -134,9 +134,10 @@ static enum rn_status choose_format(struct rn_reader *reader, const struct rn_fo
                             "holds no dataset: none of dataset.json, metadata.json and "
                             "transforms_train.json is there");
     for (size_t i = 1; i < count; i++)
-        rn_problems_add(reader->problems, RN_SEVERITY_INFO, reader->folder,
-                        "is read as %s; it also holds a dataset of the format %s (--format %s)",
-                        found[0]->title, found[i]->title, found[i]->name);
+        if (strcmp(found[i]->documents[0], found[0]->documents[0]) != 0)
+            rn_problems_add(reader->problems, RN_SEVERITY_INFO, reader->folder,
+                            "is read as %s; it also holds a dataset of the format %s (--format %s)",
+                            found[0]->title, found[i]->title, found[i]->name);
     *ret_format = found[0];
     return RN_OK;
 }

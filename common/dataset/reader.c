@@ -261,6 +261,11 @@ enum rn_status rn_reader_add(struct rn_reader *reader, struct rn_frame *frame,
     return RN_OK;
 }
 
+bool rn_reader_says(struct rn_reader *reader, const char *what) {
+    if (json_object_get(reader->reported, what)) return false;
+    return json_object_set_new(reader->reported, what, json_true()) == 0;
+}
+
 void rn_reader_warn_unknown(struct rn_reader *reader, const struct rn_json *object,
                             const char *const *known) {
     const char *key;
@@ -269,13 +274,12 @@ void rn_reader_warn_unknown(struct rn_reader *reader, const struct rn_json *obje
         size_t i = 0;
         while (known[i] && strcmp(known[i], key) != 0)
             i++;
-        if (known[i] || json_object_get(reader->reported, key)) continue;
+        if (known[i] || !rn_reader_says(reader, key)) continue;
         struct rn_json at = {value, object->file, object, key, 0};
         char where[256];
         rn_json_where(&at, where);
         rn_problems_add(
             reader->problems, RN_SEVERITY_WARNING, where,
             "is not a field of this layout; it is ignored, here and wherever it recurs");
-        if (json_object_set_new(reader->reported, key, json_true()) != 0) return;
     }
 }

@@ -22,7 +22,7 @@ struct rn_reader {
     struct rn_problems *problems; // may be NULL
     struct rn_dataset *dataset;
     size_t capacity;       // of dataset->frames
-    json_t *reported;      // unknown fields that were warned about
+    json_t *reported;      // what was told once: unknown fields, and rn_reader_says
     bool missing_is_usual; // a photograph that is not there is no fault of the dataset
     bool told_deep;        // that more than 8 bits are rounded
     bool told_moved;       // that files named outside of the folder were found within
@@ -74,6 +74,8 @@ enum rn_status rn_reader_check_camera(const struct rn_json *object, const char *
 enum rn_status rn_reader_add(struct rn_reader *reader, struct rn_frame *frame,
                              enum rn_status status, struct rn_error *err) RN_MUST_CHECK;
 
+// True the first time it is asked of `what`: so that what recurs is told once.
+bool rn_reader_says(struct rn_reader *reader, const char *what);
 // Warns once for each member of a foreign file's object that is not among the NULL-terminated
 // `known`.
 void rn_reader_warn_unknown(struct rn_reader *reader, const struct rn_json *object,
