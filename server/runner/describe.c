@@ -92,7 +92,6 @@ static void fill_config(const struct rn_train_config *config,
         .roulette = config->roulette,
         .stop = config->stop,
         .supersample = config->supersample,
-        .finest_cone = config->finest_cone,
         .seed = (int64_t)config->seed,
         .train_split = config->train_val,
         .random_background = config->random_background,
@@ -151,6 +150,7 @@ enum rn_status rn_describe_scene(const struct rn_field_info *info, const char *h
     for (int i = 0; i < RN_EFFECT_COUNT; i++)
         effects[i] = effect_entry(&info->effects[i]);
     fill_config(&info->config, &scene.config);
+    scene.config.finest_cone = info->finest_cone;
     snprintf(scene.held_out, sizeof scene.held_out, "%s", held_out ? held_out : "");
     snprintf(scene.kernels, sizeof scene.kernels, "%s", info->kernels);
     return rn_encode(&rn_scene_description_table, &scene, ret_json, NULL, err);

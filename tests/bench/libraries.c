@@ -97,6 +97,7 @@ WIDE void add(size_t n, const float *restrict x, float *restrict sum) {
 struct own {
     const struct problem *problem;
     const struct rn_kernels *kernels;
+    struct rn_field_config config;
     struct rn_cpu_field field;
     struct rn_workspace *workspace;
     struct rn_group group;
@@ -126,10 +127,11 @@ static void *own_create(const struct candidate *candidate, const struct problem 
     size_t rows = (size_t)problem->rows;
     own->problem = problem;
     own->kernels = candidate->which;
-    field->config = (struct rn_field_config){.planes = 1,
-                                             .shading = RN_SHADING_RAY,
-                                             .width = shape->out[0],
-                                             .base_layers = shape->layers - 1};
+    own->config = (struct rn_field_config){.planes = 1,
+                                           .shading = RN_SHADING_RAY,
+                                           .width = shape->out[0],
+                                           .base_layers = shape->layers - 1};
+    field->config = &own->config;
     field->base_shape = *shape;
     field->features = field->feature_stride = shape->in[0];
     field->base_weights = problem->weights;

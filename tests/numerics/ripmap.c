@@ -288,6 +288,7 @@ static int check_pyramid_adjoint(struct numerics_random *random) {
 
 // One plane with its pyramid, and gradients of the same shape.
 struct plane {
+    struct rn_field_config config;
     struct rn_cpu_field field;
     struct rn_map grad_maps[RN_MAX_PLANES][RN_MAX_LEVELS][RN_MAX_LEVELS];
     float *memory, *grads;
@@ -295,30 +296,28 @@ struct plane {
     size_t count;
 };
 
-static struct plane make_plane(const struct rn_kernels *k, int base, int channels, bool mip,
-                               float low, struct numerics_random *random) {
-    struct plane p = {.field = {.config = {.planes = 1,
-                                           .base = base,
-                                           .channels = channels,
-                                           .levels = SET_LEVELS,
-                                           .footprint = mip ? RN_FOOTPRINT_MIP : RN_FOOTPRINT_RIP},
-                                .features = channels,
-                                .feature_stride = 16,
-                                .built_levels = SET_LEVELS}};
-    const struct rn_field_config *c = &p.field.config;
+static void make_plane(const struct rn_kernels *k, int base, int channels, bool mip, float low,
+                       struct numerics_random *random, struct plane *p) {
+    *p = (struct plane){
+        .config = {.planes = 1,
+                   .base = base,
+                   .channels = channels,
+                   .levels = SET_LEVELS,
+                   .footprint = mip ? RN_FOOTPRINT_MIP : RN_FOOTPRINT_RIP},
+        .field = {.features = channels, .feature_stride = 16, .built_levels = SET_LEVELS}};
+    const struct rn_field_config *c = p->field.config = &p->config;
     size_t first = (size_t)(base * base * channels), rest = rn_pyramid_count(c, SET_LEVELS);
-    p.count = first + rest;
-    p.memory = calloc(2 * (p.count + 64), sizeof(float));
+    p->count = first + rest;
+    p->memory = calloc(2 * (p->count + 64), sizeof(float));
     struct rn_tiling tiling = rn_tiling(base, channels, SET_LEVELS);
-    p.touched = calloc((size_t)tiling.columns * (size_t)tiling.rows, 1);
-    if (!p.memory || !p.touched) exit(1);
-    p.grads = p.memory + p.count + 64;
-    rn_pyramid_lay_out(c, SET_LEVELS, p.memory, p.memory + first, p.field.maps);
-    rn_pyramid_lay_out(c, SET_LEVELS, p.grads, p.grads + first, p.grad_maps);
+    p->touched = calloc((size_t)tiling.columns * (size_t)tiling.rows, 1);
+    if (!p->memory || !p->touched) exit(1);
+    p->grads = p->memory + p->count + 64;
+    rn_pyramid_lay_out(c, SET_LEVELS, p->memory, p->memory + first, p->field.maps);
+    rn_pyramid_lay_out(c, SET_LEVELS, p->grads, p->grads + first, p->grad_maps);
     for (size_t i = 0; i < first; i++)
-        p.memory[i] = (float)numerics_uniform(random, (double)low, 1);
-    k->build(p.field.maps[0], SET_LEVELS, mip, channels);
-    return p;
+        p->memory[i] = (float)numerics_uniform(random, (double)low, 1);
+    k->build(p->field.maps[0], SET_LEVELS, mip, channels);
 }
 
 static void finish_plane(struct plane *p) {
@@ -347,8 +346,7 @@ static void scatter(const struct rn_kernels *k, struct plane *p, int n, struct q
     slab.ly[0] = q->ly;
     slab.grad[0] = grad;
     memset(p->grads, 0, p->count * sizeof *p->grads);
-    k->scatter(&p->field, &slab, 0, SET_LEVELS, 0, p->field.config.base, p->grad_maps[0],
-               p->touched);
+    k->scatter(&p->field, &slab, 0, SET_LEVELS, 0, p->config.base, p->grad_maps[0], p->touched);
 }
 
 // <Q x, y> = <x, Q^T y>, and the partition of unity: planes of ones give ones.
@@ -363,7 +361,8 @@ static int check_set_query(const struct subject *s, const struct rn_kernels *k,
     for (int base = 16; base <= 70; base++) {
         bool mip = base % 4 == 3;
         int channels = 4 << base % 3;
-        struct plane p = make_plane(k, base, channels, mip, base % 2 ? 1 : -1, random);
+        struct plane p;
+        make_plane(k, base, channels, mip, base % 2 ? 1 : -1, random, &p);
         struct query q;
         float value[ROOM * 16], grad[ROOM * 16] = {0};
         double forward = 0, backward = 0, scale = 0;
@@ -410,7 +409,8 @@ static int check_set_borders(const struct subject *s, const struct rn_kernels *k
     struct numerics_case slope = {names[1], range, "ULP of base", 8, 0, ""};
     static const int bases[] = {16, 17, 23, 32, 45};
     for (int b = 0; b < 5; b++) {
-        struct plane p = make_plane(k, bases[b], 4, b == 2, -1, random);
+        struct plane p;
+        make_plane(k, bases[b], 4, b == 2, -1, random, &p);
         double unit = bases[b] * 0x1p-23, jump;
         float *first = calloc(p.count, sizeof *first);
         if (!first) exit(1);

@@ -85,7 +85,8 @@ static void one_ray(int n, struct rn_workspace *w) {
 
 static double density_of(double logit) {
     struct rn_workspace w;
-    struct rn_cpu_field field = {.config = {.shading = RN_SHADING_SAMPLE}};
+    struct rn_field_config config = {.shading = RN_SHADING_SAMPLE};
+    struct rn_cpu_field field = {.config = &config};
     one_ray(1, &w);
     interval_of[0] = 1;
     geometry_of[0] = (float)logit;
@@ -158,7 +159,7 @@ static void query(const struct rn_cpu_field *field, int n, const float *u, const
     w.ly[0] = (float *)ly;
     encode(field, true, 0, n, &w);
     for (int i = 0; i < n; i++)
-        get_features(field, i, &w, ret_features + i * field->config.channels);
+        get_features(field, i, &w, ret_features + i * field->config->channels);
 }
 
 // In the last lane; the others look elsewhere.

@@ -433,12 +433,12 @@ START_TEST(pixels_are_split_in_their_time) {
     struct rn_engine *engine = engine_with(1);
     struct rn_trainer *t = trainer_for(engine, dataset, &config);
     const struct rn_camera *camera = &t->train.frames[0].frame->camera;
-    double cone = t->field->config.finest_cone;
+    double cone = t->field->finest_cone;
     for (int step = 1; step <= 10; step++) {
         advance_to(t, step);
         bool split = step > 6;
         ck_assert_int_eq(t->march.split, split);
-        ck_assert_double_eq_tol(t->field->config.finest_cone, split ? cone / 2 : cone, 1e-15);
+        ck_assert_double_eq_tol(t->field->finest_cone, split ? cone / 2 : cone, 1e-15);
         struct rn_render_result seen = render_all(engine, t->field, *camera, 0);
         ck_assert_int_eq(seen.stats.cones, split ? 2 : 1);
         rn_render_result_finish(&seen);

@@ -153,7 +153,7 @@ static void check_networks(const struct rn_kernels *kernels, const struct rn_fie
     for (int i = 0; i < rows * RN_GEOMETRY; i++)
         grad[i] = w->geometry_grad[i] = w->head_out[i] = (float)integer(3, (uint64_t)i, -2, 2);
     memset(w->grad_b, 0xff,
-           (size_t)512 * (size_t)cpu->config.width *
+           (size_t)512 * (size_t)cpu->config->width *
                sizeof(float)); // NaN: no scratch is read unwritten
     kernels->stage(cpu, &options, NULL, 0, RN_STAGE_MLP_BACKWARD, w, &s.group, &in_grad);
     for (int i = 0; i < rows; i++)

@@ -327,13 +327,13 @@ double rn_bench_check_composite(const struct rn_bench_recording *rec,
 static double product(const struct rn_bench_recording *rec, int levels, double *ret_magnitude) {
     const struct rn_cpu_field *f = rec->field;
     double sum = 0, magnitude = 0;
-    for (int p = 0; p < f->config.planes; p++)
+    for (int p = 0; p < f->config->planes; p++)
         for (int y = 0; y < levels; y++)
             for (int x = 0; x < levels; x++) {
                 const struct rn_map *map = &f->maps[p][y][x];
                 const struct rn_map *grad = &rec->trainer->grad_maps[p][y][x];
-                if (!rn_map_exists(f->config.footprint == RN_FOOTPRINT_MIP, x, y)) continue;
-                size_t n = (size_t)map->width * (size_t)map->height * (size_t)f->config.channels;
+                if (!rn_map_exists(f->config->footprint == RN_FOOTPRINT_MIP, x, y)) continue;
+                size_t n = (size_t)map->width * (size_t)map->height * (size_t)f->config->channels;
                 for (size_t i = 0; i < n; i++) {
                     double one = (double)map->texels[i] * (double)grad->texels[i];
                     sum += one;
@@ -348,12 +348,12 @@ double rn_bench_check_pyramid(const struct rn_bench_recording *rec) {
     const struct rn_cpu_field *f = rec->field;
     double magnitude, after_magnitude;
     rn_bench_pyramid(rec); // the optimiser changed the base maps: builds them anew
-    for (int p = 0; p < f->config.planes; p++)
+    for (int p = 0; p < f->config->planes; p++)
         for (int y = 0; y < f->built_levels; y++)
             for (int x = 0; x < f->built_levels; x++) {
                 const struct rn_map *grad = &rec->trainer->grad_maps[p][y][x];
-                if (!rn_map_exists(f->config.footprint == RN_FOOTPRINT_MIP, x, y)) continue;
-                size_t n = (size_t)grad->width * (size_t)grad->height * (size_t)f->config.channels;
+                if (!rn_map_exists(f->config->footprint == RN_FOOTPRINT_MIP, x, y)) continue;
+                size_t n = (size_t)grad->width * (size_t)grad->height * (size_t)f->config->channels;
                 for (size_t i = 0; i < n; i++)
                     grad->texels[i] = (float)(i * 2654435761u % 1024) / 512 - 1;
             }
@@ -365,15 +365,15 @@ double rn_bench_check_pyramid(const struct rn_bench_recording *rec) {
 
 double rn_bench_check_scatter(const struct rn_bench_recording *rec) {
     const struct rn_cpu_field *f = rec->field;
-    int channels = f->config.channels, levels = f->built_levels;
+    int channels = f->config->channels, levels = f->built_levels;
     double samples = 0, magnitude = 0, unused;
     rn_bench_scatter(rec);
     for (int k = 0; k < rec->packet_count; k++) {
         const struct rn_slab *slab = &rec->packets[k].group->slab;
-        for (int p = 0; p < f->config.planes; p++)
+        for (int p = 0; p < f->config->planes; p++)
             for (int i = 0; i < slab->count; i++) {
                 double value[16], uv[2] = {slab->u[p][i], slab->v[p][i]}, l[2] = {0, 0};
-                if (levels > 1 && f->config.footprint != RN_FOOTPRINT_POINT) {
+                if (levels > 1 && f->config->footprint != RN_FOOTPRINT_POINT) {
                     l[0] = slab->lx[p][i];
                     l[1] = slab->ly[p][i];
                 }
@@ -403,7 +403,7 @@ static void compare_updated(struct worst *worst, const struct rn_adamw *o, int s
 double rn_bench_check_optimiser(const struct rn_bench_recording *rec) {
     enum { STEP = 50 };
     struct rn_trainer *t = rec->trainer;
-    const struct rn_field_config *c = &rec->field->config;
+    const struct rn_field_config *c = rec->field->config;
     bool mip = c->footprint == RN_FOOTPRINT_MIP;
     size_t n = (size_t)c->base * (size_t)c->base * (size_t)c->channels, met = 0;
     struct rn_adamw o = {.scale = 1,

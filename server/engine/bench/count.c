@@ -60,13 +60,13 @@ static double samples_of(const struct rn_bench_recording *rec) {
 
 // Numbers of all maps of all planes.
 static double map_numbers(const struct rn_cpu_field *f) {
-    bool mip = f->config.footprint == RN_FOOTPRINT_MIP;
+    bool mip = f->config->footprint == RN_FOOTPRINT_MIP;
     double numbers = 0;
     for (int y = 0; y < f->built_levels; y++)
         for (int x = 0; x < f->built_levels; x++)
             if (rn_map_exists(mip, x, y))
                 numbers += (double)f->maps[0][y][x].width * f->maps[0][y][x].height;
-    return numbers * f->config.channels * f->config.planes;
+    return numbers * f->config->channels * f->config->planes;
 }
 
 // ---- texels ---------------------------------------------------------------------------------
@@ -95,9 +95,9 @@ struct fetches {
 // What fetching one sample from one plane touches.
 static void visit(const struct rn_cpu_field *f, int plane, const double uv[2], const double l[2],
                   struct fetches *fetches) {
-    int levels = f->built_levels < f->config.levels ? f->built_levels : f->config.levels;
-    size_t texel = (size_t)f->config.channels * sizeof(float);
-    bool mip = f->config.footprint == RN_FOOTPRINT_MIP;
+    int levels = f->built_levels < f->config->levels ? f->built_levels : f->config->levels;
+    size_t texel = (size_t)f->config->channels * sizeof(float);
+    bool mip = f->config->footprint == RN_FOOTPRINT_MIP;
     struct rn_lerp x = rn_rip_level(l[0], levels), y = rn_rip_level(l[1], levels);
     for (int i = 0; i < 4; i++) {
         bool upper_x = i & 1, upper_y = i & 2;
@@ -132,7 +132,7 @@ static void count_encode(const struct rn_bench_recording *rec, double *ret_maps,
         const struct rn_workspace *w = rec->packets[k].workspace;
         struct fetches fetches = fetches_begin();
         for (int i = 0; fetches.lines.slots && i < w->count; i++)
-            for (int p = 0; p < f->config.planes; p++)
+            for (int p = 0; p < f->config->planes; p++)
                 visit(f, p, (const double[2]){w->u[p][i], w->v[p][i]},
                       (const double[2]){w->lx[p][i], w->ly[p][i]}, &fetches);
         maps += fetches.maps;
@@ -140,7 +140,7 @@ static void count_encode(const struct rn_bench_recording *rec, double *ret_maps,
         samples += w->count;
         free(fetches.lines.slots);
     }
-    *ret_maps = maps / (samples * f->config.planes);
+    *ret_maps = maps / (samples * f->config->planes);
     *ret_lines = lines / samples;
 }
 
@@ -148,19 +148,19 @@ static void count_encode(const struct rn_bench_recording *rec, double *ret_maps,
 static void count_scatter(const struct rn_bench_recording *rec, double *ret_maps,
                           double *ret_lines) {
     const struct rn_cpu_field *f = rec->field;
-    bool leveled = f->built_levels > 1 && f->config.footprint != RN_FOOTPRINT_POINT;
+    bool leveled = f->built_levels > 1 && f->config->footprint != RN_FOOTPRINT_POINT;
     struct fetches fetches = fetches_begin();
     double samples = 0;
     for (int k = 0; k < rec->packet_count && fetches.lines.slots; k++) {
         const struct rn_slab *slab = &rec->packets[k].group->slab;
         samples += slab->count;
-        for (int p = 0; p < f->config.planes; p++)
+        for (int p = 0; p < f->config->planes; p++)
             for (int i = 0; i < slab->count; i++)
                 visit(f, p, (const double[2]){slab->u[p][i], slab->v[p][i]},
                       (const double[2]){leveled ? slab->lx[p][i] : 0, leveled ? slab->ly[p][i] : 0},
                       &fetches);
     }
-    *ret_maps = fetches.maps / (samples * f->config.planes);
+    *ret_maps = fetches.maps / (samples * f->config->planes);
     *ret_lines = (double)fetches.lines.count / samples;
     free(fetches.lines.slots);
 }
@@ -168,8 +168,8 @@ static void count_scatter(const struct rn_bench_recording *rec, double *ret_maps
 // Multiply-adds of fetching a sample, positions included.
 static double encode_operations(const struct rn_cpu_field *f, double maps) {
     double plane =
-        OPS_PROJECT + (maps > 1 ? OPS_LEVELS : 0) + maps * OPS_CORNERS * f->config.channels;
-    return OPS_PLACE + f->config.planes * plane;
+        OPS_PROJECT + (maps > 1 ? OPS_LEVELS : 0) + maps * OPS_CORNERS * f->config->channels;
+    return OPS_PLACE + f->config->planes * plane;
 }
 
 // ---- stages ---------------------------------------------------------------------------------
@@ -215,7 +215,7 @@ struct rn_bench_count rn_bench_count_forward(const struct rn_bench_recording *re
 }
 
 struct rn_bench_count rn_bench_count_composite(const struct rn_bench_recording *rec) {
-    bool per_ray = rec->field->config.shading == RN_SHADING_RAY;
+    bool per_ray = rec->field->config->shading == RN_SHADING_RAY;
     int exponentials = per_ray ? 1 + 3 + 2 : 1 + 2; // density, diffuse colour; two transmittances
     return (struct rn_bench_count){.amount = rec->packets[0].workspace->count,
                                    .operations = OPS_COMPOSITE + exponentials * OPS_EXP};
@@ -231,7 +231,7 @@ struct rn_bench_count rn_bench_count_backward(const struct rn_bench_recording *r
 
 struct rn_bench_count rn_bench_count_scatter(const struct rn_bench_recording *rec) {
     double maps, lines, samples = 0;
-    const struct rn_field_config *c = &rec->field->config;
+    const struct rn_field_config *c = rec->field->config;
     count_scatter(rec, &maps, &lines);
     for (int k = 0; k < rec->packet_count; k++)
         samples += rec->packets[k].group->slab.count;

@@ -14,8 +14,8 @@
 static int head_rows(const struct rn_cpu_field *field, const struct rn_bench_packet *packet) {
     const struct rn_workspace *w = packet->workspace;
     int rows = 0;
-    if (field->config.shading == RN_SHADING_RAY) {
-        for (int r = 0; r < packet->ray_count && field->config.view_dependence; r++)
+    if (field->config->shading == RN_SHADING_RAY) {
+        for (int r = 0; r < packet->ray_count && field->config->view_dependence; r++)
             rows += w->ray_first[r] >= 0;
         return rows;
     }
@@ -70,7 +70,7 @@ enum rn_status rn_bench_record(struct rn_trainer *trainer, struct rn_bench_recor
     size_t bytes = rn_workspace_size(rec.field, trainer->field->config.step);
     bytes = (bytes + 4095) / 4096 * 4096;
     rec.memory = aligned_alloc(4096, bytes * RN_GROUPS);
-    rec.marks = malloc(trainer->tiles * (size_t)rec.field->config.planes);
+    rec.marks = malloc(trainer->tiles * (size_t)rec.field->config->planes);
     if (!rec.memory || !rec.marks) {
         rn_bench_recording_finish(&rec);
         return rn_error_set(err, RN_ERROR_NO_MEMORY, "bench", "out of memory");
@@ -110,7 +110,7 @@ void rn_bench_stage_run(const struct rn_bench_recording *rec, const struct rn_be
 
 void rn_bench_scatter(const struct rn_bench_recording *rec) {
     struct rn_trainer *t = rec->trainer;
-    for (int plane = 0; plane < rec->field->config.planes; plane++)
+    for (int plane = 0; plane < rec->field->config->planes; plane++)
         for (int band = 0; band < t->bands; band++)
             for (int k = 0; k < rec->packet_count; k++)
                 rec->kernels->scatter(rec->field, &rec->packets[k].group->slab, plane, t->levels,
@@ -122,7 +122,7 @@ void rn_bench_scatter(const struct rn_bench_recording *rec) {
 void rn_bench_update(const struct rn_bench_recording *rec, int plane,
                      const struct rn_adamw *options) {
     struct rn_trainer *t = rec->trainer;
-    const struct rn_field_config *c = &rec->field->config;
+    const struct rn_field_config *c = rec->field->config;
     size_t size = (size_t)c->base * (size_t)c->base * (size_t)c->channels, p = (size_t)plane;
     uint8_t *marks = rec->marks + p * t->tiles;
     bool sparse = t->field->config.sparse && t->tiled;
@@ -147,13 +147,13 @@ void rn_bench_optimise(const struct rn_bench_recording *rec) {
                                             .fresh = 0.001f,
                                             .correction1 = 0.9f,
                                             .correction2 = 0.9f};
-    for (int plane = 0; plane < rec->field->config.planes; plane++)
+    for (int plane = 0; plane < rec->field->config->planes; plane++)
         rn_bench_update(rec, plane, &options);
 }
 
 size_t rn_bench_touched(const struct rn_bench_recording *rec) {
     const struct rn_trainer *t = rec->trainer;
-    const struct rn_field_config *c = &rec->field->config;
+    const struct rn_field_config *c = rec->field->config;
     struct rn_tiling tiling = rn_tiling(c->base, c->channels, t->levels);
     size_t tiles = 0, all = t->tiles * (size_t)c->planes;
     if (!t->field->config.sparse || !t->tiled) return t->field->parameters.plane_count;
@@ -164,7 +164,7 @@ size_t rn_bench_touched(const struct rn_bench_recording *rec) {
 
 void rn_bench_pyramid(const struct rn_bench_recording *rec) {
     struct rn_trainer *t = rec->trainer;
-    const struct rn_field_config *c = &rec->field->config;
+    const struct rn_field_config *c = rec->field->config;
     bool mip = c->footprint == RN_FOOTPRINT_MIP;
     for (int p = 0; p < c->planes; p++) {
         rec->kernels->pull_down(t->grad_maps[p], t->levels, mip, c->channels);

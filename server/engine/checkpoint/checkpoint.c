@@ -185,6 +185,7 @@ enum rn_status rn_checkpoint_read_arrays(const struct rn_checkpoint *c,
     if (status != RN_OK) return status;
     memcpy(field->effects, c->effects, sizeof field->effects);
     snprintf(field->kernels, sizeof field->kernels, "%s", c->kernels);
+    field->finest_cone = c->finest_cone;
     field->steps = c->counters.progress.step;
     field->train_seconds = c->counters.progress.train_seconds;
     field->psnr = c->counters.progress.psnr;

@@ -34,6 +34,7 @@ struct rn_checkpoint {
     char path[4096];
     struct rn_train_config config;
     struct rn_bounds bounds;
+    double finest_cone;
     char kernels[32];
     struct rn_effect_record effects[RN_EFFECT_COUNT];
     struct rn_counters counters;

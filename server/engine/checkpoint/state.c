@@ -23,28 +23,49 @@ struct member {
 #define FIELD(name, kind)                                                                          \
     { #name, kind, offsetof(struct rn_train_config, field.name), false }
 static const struct member config_members[] = {
-    CONFIG(preset, KIND_TEXT16),       FIELD(planes, KIND_INT),
-    FIELD(orientation, KIND_INT),      FIELD(base, KIND_INT),
-    FIELD(channels, KIND_INT),         FIELD(levels, KIND_INT),
-    FIELD(footprint, KIND_INT),        FIELD(footprint_base, KIND_INT),
-    FIELD(shading, KIND_INT),          FIELD(width, KIND_INT),
-    FIELD(base_layers, KIND_INT),      FIELD(head_layers, KIND_INT),
-    FIELD(view_dependence, KIND_BOOL), FIELD(occupancy, KIND_INT),
-    CONFIG(step, KIND_DOUBLE),         CONFIG(target_samples, KIND_INT),
-    CONFIG(initial_rays, KIND_INT),    CONFIG(learning_rate, KIND_DOUBLE),
-    CONFIG(plane_rate, KIND_DOUBLE),   CONFIG(weight_decay, KIND_DOUBLE),
-    CONFIG(beta2, KIND_DOUBLE),        CONFIG(adam_eps, KIND_DOUBLE),
-    CONFIG(max_steps, KIND_INT64),     CONFIG(grow_to, KIND_INT),
-    CONFIG(max_seconds, KIND_DOUBLE),  CONFIG(until_psnr, KIND_DOUBLE),
-    CONFIG(carve, KIND_BOOL),          CONFIG(sparse, KIND_BOOL),
-    CONFIG(favour_finest, KIND_BOOL),  CONFIG(draw_by_error, KIND_BOOL),
-    CONFIG(auto_effects, KIND_BOOL),   CONFIG(footprint_given, KIND_BOOL),
-    CONFIG(cone_step, KIND_BOOL),      CONFIG(multi_step_rate, KIND_BOOL),
-    CONFIG(roulette, KIND_DOUBLE),     CONFIG(stop, KIND_DOUBLE),
-    CONFIG(seed, KIND_UINT64),         CONFIG(supersample, KIND_BOOL),
-    CONFIG(finest_cone, KIND_DOUBLE),  CONFIG(train_val, KIND_BOOL),
-    CONFIG(background, KIND_COLOUR),   LATER(random_background, KIND_DOUBLE),
-    LATER(smoothing, KIND_DOUBLE),     LATER(split_pixels, KIND_DOUBLE),
+    CONFIG(preset, KIND_TEXT16),
+    FIELD(planes, KIND_INT),
+    FIELD(orientation, KIND_INT),
+    FIELD(base, KIND_INT),
+    FIELD(channels, KIND_INT),
+    FIELD(levels, KIND_INT),
+    FIELD(footprint, KIND_INT),
+    FIELD(footprint_base, KIND_INT),
+    FIELD(shading, KIND_INT),
+    FIELD(width, KIND_INT),
+    FIELD(base_layers, KIND_INT),
+    FIELD(head_layers, KIND_INT),
+    FIELD(view_dependence, KIND_BOOL),
+    FIELD(occupancy, KIND_INT),
+    CONFIG(step, KIND_DOUBLE),
+    CONFIG(target_samples, KIND_INT),
+    CONFIG(initial_rays, KIND_INT),
+    CONFIG(learning_rate, KIND_DOUBLE),
+    CONFIG(plane_rate, KIND_DOUBLE),
+    CONFIG(weight_decay, KIND_DOUBLE),
+    CONFIG(beta2, KIND_DOUBLE),
+    CONFIG(adam_eps, KIND_DOUBLE),
+    CONFIG(max_steps, KIND_INT64),
+    CONFIG(grow_to, KIND_INT),
+    CONFIG(max_seconds, KIND_DOUBLE),
+    CONFIG(until_psnr, KIND_DOUBLE),
+    CONFIG(carve, KIND_BOOL),
+    CONFIG(sparse, KIND_BOOL),
+    CONFIG(favour_finest, KIND_BOOL),
+    CONFIG(draw_by_error, KIND_BOOL),
+    CONFIG(auto_effects, KIND_BOOL),
+    CONFIG(footprint_given, KIND_BOOL),
+    CONFIG(cone_step, KIND_BOOL),
+    CONFIG(multi_step_rate, KIND_BOOL),
+    CONFIG(roulette, KIND_DOUBLE),
+    CONFIG(stop, KIND_DOUBLE),
+    CONFIG(seed, KIND_UINT64),
+    CONFIG(supersample, KIND_BOOL),
+    CONFIG(train_val, KIND_BOOL),
+    CONFIG(background, KIND_COLOUR),
+    LATER(random_background, KIND_DOUBLE),
+    LATER(smoothing, KIND_DOUBLE),
+    LATER(split_pixels, KIND_DOUBLE),
     LATER(refine_at_rest, KIND_BOOL),
 };
 
@@ -172,6 +193,13 @@ static void decode_effects(const json_t *list, struct rn_effect_record *effects)
     }
 }
 
+// It stood among the configuration once.
+static double decode_finest_cone(const json_t *state) {
+    const json_t *value = json_object_get(state, "finest_cone");
+    if (!value) value = json_object_get(json_object_get(state, "config"), "finest_cone");
+    return json_is_number(value) ? json_number_value(value) : NAN;
+}
+
 json_t *rn_checkpoint_state(const struct rn_field *field, const struct rn_counters *counters) {
     const struct rn_bounds *b = &field->bounds;
     json_t *levels = json_array();
@@ -179,14 +207,14 @@ json_t *rn_checkpoint_state(const struct rn_field *field, const struct rn_counte
         json_array_append_new(levels,
                               json_integer((json_int_t)counters->progress.level_samples[l]));
     return json_pack(
-        "{s:i,s:o,s:o,s:o,s:o,s:I,s:i,s:f,s:i,s:f,s:s,s:{s:[f,f,f],s:f,s:i}}", "version", 1,
+        "{s:i,s:o,s:o,s:o,s:o,s:I,s:i,s:f,s:i,s:f,s:s,s:f,s:{s:[f,f,f],s:f,s:i}}", "version", 1,
         "config", encode_all(config_members, COUNT(config_members), &field->config), "progress",
         encode_all(progress_members, COUNT(progress_members), &counters->progress), "levels",
         levels, "effects", encode_effects(field->effects), "updates", (json_int_t)counters->updates,
         "next_rays", counters->next_rays, "gradient_scale", (double)counters->gradient_scale,
         "good_steps", counters->good_steps, "gradient_size", (double)counters->gradient_size,
-        "kernels", field->kernels, "bounds", "centre", b->centre[0], b->centre[1], b->centre[2],
-        "radius", b->radius, "source", (int)b->source);
+        "kernels", field->kernels, "finest_cone", field->finest_cone, "bounds", "centre",
+        b->centre[0], b->centre[1], b->centre[2], "radius", b->radius, "source", (int)b->source);
 }
 
 enum rn_status rn_checkpoint_parse_state(const json_t *state, const char *path,
@@ -213,6 +241,9 @@ enum rn_status rn_checkpoint_parse_state(const json_t *state, const char *path,
     c->bounds.source = (enum rn_bounds_source)json_integer_value(json_object_get(bounds, "source"));
     if (!(c->bounds.radius > 0))
         return rn_error_set(err, RN_ERROR_CORRUPT, path, "its scene radius is not positive");
+    c->finest_cone = decode_finest_cone(state);
+    if (!(c->finest_cone >= 0 && isfinite(c->finest_cone)))
+        return rn_error_set(err, RN_ERROR_CORRUPT, path, "its finest cone is out of range");
     decode_effects(json_object_get(state, "effects"), c->effects);
     snprintf(c->kernels, sizeof c->kernels, "%s", kernels);
     c->counters.updates = json_integer_value(json_object_get(state, "updates"));

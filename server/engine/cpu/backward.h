@@ -144,7 +144,7 @@ static void backward_rays(const struct rn_cpu_field *field, const struct rn_marc
         row16 d = {g[3], g[0], g[1], g[2]};
         for (int c = 0; c < 3; c++)
             d[0] -= g[c] * options->background[c];
-        if (field->config.view_dependence) {
+        if (field->config->view_dependence) {
             float *out = w->head_out + (size_t)j * RN_HEAD_OUTPUTS;
             for (int c = 0; c < 3; c++) {
                 d[0] += g[c] * out[c];
@@ -154,7 +154,7 @@ static void backward_rays(const struct rn_cpu_field *field, const struct rn_marc
         }
         ret_ray_grad[hit[j]] = d;
     }
-    if (field->config.view_dependence) {
+    if (field->config->view_dependence) {
         struct mlp head = head_network(field, w);
         const float *in_grad = mlp_backward(&head, w->head_out, hits, w, group->head_grad);
         for (int j = 0; j < hits; j++, in_grad += RN_HEAD_INPUTS) {
@@ -278,7 +278,7 @@ static int backward_select(const struct rn_cpu_field *field, const struct rn_mar
             row * ((float)CERTAIN / (float)w->chance[i]);
     }
     const struct rn_mlp_shape *shape = &field->base_shape;
-    size_t hidden = hidden_stride(field->config.width);
+    size_t hidden = hidden_stride(field->config->width);
     size_t features = features_a_row(field) * sizeof(feature) / sizeof(float);
     for (int j = 0; j < n; j++) {
         if (w->kept[j] == j) continue;
@@ -302,7 +302,7 @@ static void count_samples(const struct rn_cpu_field *field, bool leveled,
             continue;
         }
         vf most = vf_set(0);
-        for (int p = 0; p < field->config.planes; p++)
+        for (int p = 0; p < field->config->planes; p++)
             most = vf_max(most, vf_max(vf_load(w->lx[p] + i), vf_load(w->ly[p] + i)));
         vi level = vi_from_float(most);
         for (; some; some &= some - 1)
@@ -321,9 +321,9 @@ RN_INLINE void gather(const float *from, const int32_t *at, int n, float *to) {
 static void slab_append(const struct rn_cpu_field *field, bool leveled, int n,
                         const float *feature_grad, const struct rn_workspace *w,
                         struct rn_slab *slab) {
-    int channels = field->config.channels, stride = field->feature_stride, at = slab->count;
-    bool levels = field->built_levels > 1 && field->config.footprint != RN_FOOTPRINT_POINT;
-    for (int p = 0; p < field->config.planes; p++) {
+    int channels = field->config->channels, stride = field->feature_stride, at = slab->count;
+    bool levels = field->built_levels > 1 && field->config->footprint != RN_FOOTPRINT_POINT;
+    for (int p = 0; p < field->config->planes; p++) {
         gather(w->u[p], w->kept, n, slab->u[p] + at);
         gather(w->v[p], w->kept, n, slab->v[p] + at);
         if (levels && leveled) {
@@ -380,7 +380,7 @@ static int next_packet(const struct rn_cpu_field *field, const struct rn_march_o
 
 static void train(const struct rn_cpu_field *field, const struct rn_march_options *options,
                   const struct rn_march_ray *rays, struct rn_workspace *w, struct rn_group *group) {
-    bool per_ray = field->config.shading == RN_SHADING_RAY, leveled;
+    bool per_ray = field->config->shading == RN_SHADING_RAY, leveled;
     int pixel = rn_pixel_rays(options);
     while (group->cursor < group->end && group->slab.capacity - group->slab.count >= w->capacity) {
         const struct rn_march_ray *packet = rays + group->cursor;

@@ -38,18 +38,18 @@ static void footprint_factors(const double axis[3], const float d[3], float *ret
 static void ray_footprint_init(const struct rn_cpu_field *field, const struct rn_march_ray *ray,
                                float step, struct ray_footprint *ret) {
     int levels =
-        field->built_levels < field->config.levels ? field->built_levels : field->config.levels;
+        field->built_levels < field->config->levels ? field->built_levels : field->config->levels;
     ret->leveled = false;
-    if (levels < 2 || field->config.footprint == RN_FOOTPRINT_POINT) return;
-    float far = ray->near + ray->length, size = (float)rn_footprint_base(&field->config);
-    if (field->config.footprint == RN_FOOTPRINT_MIP) {
+    if (levels < 2 || field->config->footprint == RN_FOOTPRINT_POINT) return;
+    float far = ray->near + ray->length, size = (float)rn_footprint_base(field->config);
+    if (field->config->footprint == RN_FOOTPRINT_MIP) {
         ret->leveled = far * ray->radius * size > 1;
         return;
     }
     float radial = far * ray->radius, limit = 1 / ((float)RN_FOOTPRINT_SCALE * size);
     radial = radial * radial * 0.26f + step * step * 0.05f; // a bound on 3/20 .. 1/4 of r^2 t^2
     float axial = step * step / 12 * 1.01f;
-    for (int p = 0; p < field->config.planes; p++) {
+    for (int p = 0; p < field->config->planes; p++) {
         footprint_factors(field->solid.axis_u[p], ray->direction, &ret->axial_u[p],
                           &ret->radial_u[p]);
         footprint_factors(field->solid.axis_v[p], ray->direction, &ret->axial_v[p],
@@ -72,8 +72,8 @@ static void place_segment(const struct rn_cpu_field *field, const struct rn_marc
                           const struct rn_march_ray *ray, const struct ray_footprint *footprint,
                           bool leveled, const uint16_t *k, int n, int slot,
                           struct rn_workspace *w) {
-    int levels = field->built_levels, base = rn_footprint_base(&field->config);
-    if (levels > field->config.levels) levels = field->config.levels;
+    int levels = field->built_levels, base = rn_footprint_base(field->config);
+    if (levels > field->config->levels) levels = field->config->levels;
     float step = options->step * (float)ray->stride, half = step * 0.5f;
     for (int j = 0; j < n; j += RN_VL) {
         vf index;
@@ -91,16 +91,16 @@ static void place_segment(const struct rn_cpu_field *field, const struct rn_marc
         vf_store(w->interval + at,
                  vf_bits(inside & vi_bits(vf_set(step * (float)RN_DENSITY_UNIT))));
         vf ball = vf_set(0);
-        if (leveled && field->config.footprint == RN_FOOTPRINT_MIP)
+        if (leveled && field->config->footprint == RN_FOOTPRINT_MIP)
             ball = vf_log2(
                 vf_clamp(t * (ray->radius * (float)base), 1.0f, (float)(1u << (levels - 1))));
-        for (int p = 0; p < field->config.planes; p++) {
+        for (int p = 0; p < field->config->planes; p++) {
             const double *au = field->solid.axis_u[p], *av = field->solid.axis_v[p];
             vf_store(w->u[p] + at, (float)au[0] * x + (float)au[1] * y + (float)au[2] * z);
             vf_store(w->v[p] + at, (float)av[0] * x + (float)av[1] * y + (float)av[2] * z);
             if (!leveled) continue;
             vf lx = ball, ly = ball;
-            if (field->config.footprint == RN_FOOTPRINT_RIP) {
+            if (field->config->footprint == RN_FOOTPRINT_RIP) {
                 lx = level_from_variance(
                     axial * footprint->axial_u[p] + radial * footprint->radial_u[p], base, levels);
                 ly = level_from_variance(

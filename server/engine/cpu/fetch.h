@@ -246,10 +246,10 @@ RN_ENCODE_FUNCTIONS(16, v4, 4, 16)
 // Features of samples [begin, end) of the workspace.
 static void encode(const struct rn_cpu_field *field, bool leveled, int begin, int end,
                    struct rn_workspace *w) {
-    int channels = field->config.channels;
+    int channels = field->config->channels;
     size_t stride = features_a_row(field);
-    bool mip = field->config.footprint == RN_FOOTPRINT_MIP;
-    for (int p = 0; p < field->config.planes; p++) {
+    bool mip = field->config->footprint == RN_FOOTPRINT_MIP;
+    for (int p = 0; p < field->config->planes; p++) {
         feature *out = feature_row(field, w, 0) + p * channels;
         const struct rn_map(*maps)[RN_MAX_LEVELS] = field->maps[p];
 #define RN_ENCODE(C)                                                                               \

@@ -12,15 +12,15 @@
 static void density(const struct rn_cpu_field *field, float (*points)[3], int count, float level,
                     struct rn_workspace *w, float *ret_density) {
     int levels =
-        field->built_levels < field->config.levels ? field->built_levels : field->config.levels;
-    bool leveled = level > 0 && levels > 1 && field->config.footprint != RN_FOOTPRINT_POINT;
+        field->built_levels < field->config->levels ? field->built_levels : field->config->levels;
+    bool leveled = level > 0 && levels > 1 && field->config->footprint != RN_FOOTPRINT_POINT;
     struct mlp base = base_network(field, w);
     if (level > (float)(levels - 1)) level = (float)(levels - 1);
     for (int begin = 0; begin < count; begin += w->full) {
         int n = count - begin < w->full ? count - begin : w->full;
         for (int i = 0; i < n; i++) {
             const float *x = points[begin + i];
-            for (int p = 0; p < field->config.planes; p++) {
+            for (int p = 0; p < field->config->planes; p++) {
                 const double *au = field->solid.axis_u[p], *av = field->solid.axis_v[p];
                 w->u[p][i] = (float)au[0] * x[0] + (float)au[1] * x[1] + (float)au[2] * x[2];
                 w->v[p][i] = (float)av[0] * x[0] + (float)av[1] * x[1] + (float)av[2] * x[2];

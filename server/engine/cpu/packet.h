@@ -82,7 +82,7 @@ RN_INLINE void spread_heads(float *row, vf x) {
 // rn_density: 1 + |logit - 1| ULP.
 static void activate(const struct rn_cpu_field *field, int begin, int end, struct rn_workspace *w) {
     enum { ROWS = RN_VL / 4 };
-    bool per_ray = field->config.shading == RN_SHADING_RAY;
+    bool per_ray = field->config->shading == RN_SHADING_RAY;
     vi first;
     for (int i = 0; i < RN_VL; i++)
         first[i] = i % 4 == 0 ? -1 : 0;
@@ -192,7 +192,7 @@ static bool packet_density(const struct rn_cpu_field *field, const struct rn_mar
 
 static void directions(const struct rn_cpu_field *field, const float d[3], float *out) {
     double sh[RN_SH_COUNT] = {0};
-    if (field->config.view_dependence) rn_sh_encode((const double[3]){d[0], d[1], d[2]}, sh);
+    if (field->config->view_dependence) rn_sh_encode((const double[3]){d[0], d[1], d[2]}, sh);
     for (int i = 0; i < RN_SH_COUNT; i++)
         out[i] = (float)sh[i];
 }
@@ -257,7 +257,7 @@ static void encode_directions(int n, float *in) {
 // What the colour network gets of a ray with ray shading, the direction as it is.
 static void head_inputs(const struct rn_cpu_field *field, const struct rn_march_options *options,
                         const struct rn_march_ray *ray, const struct ray_sums *sums, float *in) {
-    if (!field->config.view_dependence) return;
+    if (!field->config->view_dependence) return;
     memcpy(in, options->look ? options->look : ray->direction, sizeof ray->direction);
     for (int i = 0; i < 12; i++)
         in[16 + i] = sums->sum[4 + i];
@@ -271,7 +271,7 @@ static void head_colours(const struct rn_cpu_field *field, const struct rn_march
                          int n, const int16_t *at, const struct ray_sums *sums,
                          struct rn_workspace *w, float (*rgb)[3]) {
     struct mlp head = head_network(field, w);
-    if (field->config.view_dependence) {
+    if (field->config->view_dependence) {
         encode_directions(n, w->head_in);
         mlp_forward(&head, 0, n);
     }
@@ -279,7 +279,7 @@ static void head_colours(const struct rn_cpu_field *field, const struct rn_march
         const struct ray_sums *s = &sums[at[j]];
         for (int c = 0; c < 3; c++) {
             float specular =
-                field->config.view_dependence ? w->head_out[(size_t)j * RN_HEAD_OUTPUTS + c] : 0;
+                field->config->view_dependence ? w->head_out[(size_t)j * RN_HEAD_OUTPUTS + c] : 0;
             rgb[at[j]][c] =
                 s->sum[1 + c] + s->opacity * specular + (1 - s->opacity) * options->background[c];
         }

@@ -105,7 +105,7 @@ static void stream_end(struct stream *s, int r) {
     s->free[s->free_count++] = (int16_t)r;
     pixel->alpha = total.opacity < 1 ? total.opacity : 1;
     pixel->depth = total.opacity > 0 ? total.depth / total.opacity : 0;
-    if (s->field->config.shading == RN_SHADING_SAMPLE) {
+    if (s->field->config->shading == RN_SHADING_SAMPLE) {
         for (int c = 0; c < 3; c++)
             pixel->rgb[c] = s->rgb[r][c] + (1 - total.opacity) * s->options->background[c];
         return;
@@ -167,7 +167,7 @@ static void stream_shade_samples(struct stream *s) {
 // The round's samples onto their rays' sums. Rays that nothing shines through any more end.
 static void stream_composite(struct stream *s) {
     struct rn_workspace *w = s->w;
-    bool per_ray = s->field->config.shading == RN_SHADING_RAY;
+    bool per_ray = s->field->config->shading == RN_SHADING_RAY;
     round_attenuate(0, w);
     finish_weights(s->options, w);
     if (!per_ray) stream_shade_samples(s);

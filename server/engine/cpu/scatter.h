@@ -176,17 +176,17 @@ RN_SCATTER(16, v16, 16)
 static void scatter(const struct rn_cpu_field *field, const struct rn_slab *slab, int plane,
                     int levels, int row_begin, int row_end,
                     struct rn_map (*grad_maps)[RN_MAX_LEVELS], uint8_t *touched) {
-    bool mip = field->config.footprint == RN_FOOTPRINT_MIP;
-    struct band band = {row_begin, row_end, row_end == field->config.base};
-    struct rn_tiling tiling = rn_tiling(field->config.base, field->config.channels, levels);
+    bool mip = field->config->footprint == RN_FOOTPRINT_MIP;
+    struct band band = {row_begin, row_end, row_end == field->config->base};
+    struct rn_tiling tiling = rn_tiling(field->config->base, field->config->channels, levels);
 #define RN_SCATTER_CALL(C)                                                                         \
     if (levels > 1)                                                                                \
         scatter_leveled_##C(slab, plane, mip, &band, &tiling, grad_maps, touched);                 \
     else                                                                                           \
         scatter_flat_##C(slab, plane, &band, &tiling, &grad_maps[0][0], touched)
-    if (field->config.channels == 4) {
+    if (field->config->channels == 4) {
         RN_SCATTER_CALL(4);
-    } else if (field->config.channels == 8) {
+    } else if (field->config->channels == 8) {
         RN_SCATTER_CALL(8);
     } else {
         RN_SCATTER_CALL(16);

@@ -27,8 +27,8 @@ static void stage_encode(const struct rn_cpu_field *field, const struct rn_march
 // Rows of the colour network: rays with samples, or samples with a weight.
 static int stage_heads(const struct rn_cpu_field *field, int count, const struct rn_workspace *w) {
     int rows = 0;
-    if (field->config.shading == RN_SHADING_RAY) {
-        for (int r = 0; r < count && field->config.view_dependence; r++)
+    if (field->config->shading == RN_SHADING_RAY) {
+        for (int r = 0; r < count && field->config->view_dependence; r++)
             rows += w->ray_first[r] >= 0;
         return rows;
     }
@@ -46,7 +46,7 @@ static void stage_composite(const struct rn_cpu_field *field,
     finish_weights(options, w);
     for (int r = 0; r < count; r++)
         if (w->ray_first[r] >= 0)
-            w->slope[r] = sum_ray(r, field->config.shading == RN_SHADING_RAY, w).opacity;
+            w->slope[r] = sum_ray(r, field->config->shading == RN_SHADING_RAY, w).opacity;
 }
 
 static int stage(const struct rn_cpu_field *field, const struct rn_march_options *options,

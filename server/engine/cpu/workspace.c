@@ -12,9 +12,9 @@ static int longest_ray(double step) {
 static int full_packet(const struct rn_cpu_field *field, double step) {
     int longest = longest_ray(step);
     size_t per_sample = (size_t)field->feature_stride + RN_GEOMETRY * 2 +
-                        (size_t)field->config.width * (size_t)(field->config.base_layers + 2);
-    if (field->config.shading == RN_SHADING_SAMPLE)
-        per_sample += (size_t)field->config.width * (size_t)field->config.head_layers + 64;
+                        (size_t)field->config->width * (size_t)(field->config->base_layers + 2);
+    if (field->config->shading == RN_SHADING_SAMPLE)
+        per_sample += (size_t)field->config->width * (size_t)field->config->head_layers + 64;
     int capacity = RN_PACKET_SAMPLES;
     while (capacity > 512 && (size_t)capacity * per_sample * sizeof(float) > (3u << 20))
         capacity /= 2;
@@ -43,9 +43,9 @@ static size_t lay_out(const struct rn_cpu_field *field, double step, struct carv
     struct rn_workspace scratch, *w = carve(c, 1, sizeof *w);
     if (!w) w = &scratch;
     size_t n = (size_t)rn_workspace_capacity(field, step), f = sizeof(float);
-    size_t width = (size_t)field->config.width, planes = (size_t)field->config.planes;
+    size_t width = (size_t)field->config->width, planes = (size_t)field->config->planes;
     size_t rays = RN_PACKET_RAYS;
-    size_t heads = field->config.shading == RN_SHADING_RAY ? rays : n;
+    size_t heads = field->config->shading == RN_SHADING_RAY ? rays : n;
     size_t widest = (size_t)field->base_shape.widest;
     if ((size_t)field->head_shape.widest > widest) widest = (size_t)field->head_shape.widest;
     widest = (widest + 15) / 16 * 16;
@@ -66,7 +66,7 @@ static size_t lay_out(const struct rn_cpu_field *field, double step, struct carv
         w->ly[p] = carve(c, n, f);
     }
     w->features = carve(c, (n + 32) * (size_t)field->feature_stride, f); // products read 32 rows
-    for (int l = 0; l < field->config.base_layers; l++)
+    for (int l = 0; l < field->config->base_layers; l++)
         w->hidden[l] = carve(c, n * width, f);
     w->geometry = carve(c, n * RN_GEOMETRY, f);
     w->x = carve(c, n, f);
@@ -74,7 +74,7 @@ static size_t lay_out(const struct rn_cpu_field *field, double step, struct carv
     w->weight = carve(c, n, f);
     w->after = carve(c, n, f);
     w->head_in = carve(c, heads * RN_HEAD_INPUTS, f);
-    for (int l = 0; l < field->config.head_layers; l++)
+    for (int l = 0; l < field->config->head_layers; l++)
         w->head_hidden[l] = carve(c, heads * width, f);
     w->head_out = carve(c, heads * RN_HEAD_OUTPUTS, f);
     w->slope = carve(c, n, f);

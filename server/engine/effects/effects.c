@@ -84,7 +84,7 @@ static void cone_range(const struct rn_trainer *t, double *ret_smallest, double 
 void rn_trainer_note_cone(struct rn_trainer *t) {
     double smallest, largest;
     cone_range(t, &smallest, &largest);
-    t->field->config.finest_cone = largest > 0 ? t->march.split ? smallest / 2 : smallest : 0;
+    t->field->finest_cone = largest > 0 ? t->march.split ? smallest / 2 : smallest : 0;
 }
 
 // Their range in levels.
@@ -106,11 +106,10 @@ static void anchor_footprints(struct rn_trainer *t) {
             top, rn_top_level(t->field, &t->train.frames[f].frame->camera, t->field->config.step));
     if (top > 0) c->footprint_base = (int)(base / exp2(top));
     if (c->footprint_base < 1) c->footprint_base = 1;
-    t->field->cpu.config.footprint_base = c->footprint_base;
 }
 
 static void detect_footprints(struct rn_trainer *t) {
-    struct rn_field_config *c = &t->field->cpu.config;
+    const struct rn_field_config *c = &t->field->config.field;
     double spread = probe_anisotropy(t);
     bool can = c->footprint != RN_FOOTPRINT_POINT && c->levels > 1;
     struct rn_effect_record *pyramid = record(t, RN_EFFECT_SCALE_PYRAMID, "scale-pyramid");
@@ -163,7 +162,7 @@ void rn_trainer_detect_effects(struct rn_trainer *t) {
     if (config->auto_effects && scales) config->split_pixels = 0;
     bool may_switch = config->auto_effects && !config->footprint_given;
     if (may_switch && config->field.footprint == RN_FOOTPRINT_RIP && !anisotropy)
-        config->field.footprint = t->field->cpu.config.footprint = RN_FOOTPRINT_MIP;
+        config->field.footprint = RN_FOOTPRINT_MIP;
     if (may_switch && !t->field->effects[RN_EFFECT_SCALE_PYRAMID].on &&
         config->field.footprint != RN_FOOTPRINT_POINT)
         anchor_footprints(t);
@@ -210,5 +209,5 @@ void rn_trainer_decide_view_dependence(struct rn_trainer *t) {
     snprintf(r->reason, sizeof r->reason,
              "another camera's direction changes the colours by %.2f/255 RMS (noise: %.0f/255)",
              255 * r->number, 255 * r->threshold);
-    t->field->config.field.view_dependence = t->field->cpu.config.view_dependence = r->on;
+    t->field->config.field.view_dependence = r->on;
 }

@@ -103,12 +103,8 @@ static void blue_noise(uint64_t seed, int i, struct rn_solid *solid, vec3 ret) {
 enum rn_status rn_solid_init(int planes, enum rn_orientation orientation, uint64_t seed,
                              struct rn_solid *ret_solid, struct rn_error *err) {
     const vec3 *vertices = platonic(planes);
-    if (orientation == RN_ORIENTATION_PLATONIC && !vertices)
-        return rn_error_set(err, RN_ERROR_INVALID, "planes",
-                            "%d planes belong to no Platonic solid; use 3, 4, 6 or 10", planes);
-    if (planes < 1 || planes > RN_MAX_PLANES)
-        return rn_error_set(err, RN_ERROR_INVALID, "planes", "%d planes; use 1 to %d", planes,
-                            RN_MAX_PLANES);
+    enum rn_status status = rn_planes_check(planes, orientation, err);
+    if (status != RN_OK) return status;
     ret_solid->planes = planes;
     for (int k = 0; k < planes; k++) {
         vec3 direction = {0, 0, 1};

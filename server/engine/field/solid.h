@@ -2,7 +2,7 @@
 #ifndef RN_ENGINE_FIELD_SOLID_H
 #define RN_ENGINE_FIELD_SOLID_H
 
-#include "server/engine/config.h"
+#include "common/settings/train.h"
 
 // Unit normals and orthonormal axes of up to RN_MAX_PLANES planes. Plain value.
 // A point p in the [-1, 1] frame has plane coordinates (u, v) = (axis_u . p, axis_v . p).

@@ -9,7 +9,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#include "server/engine/config.h"
+#include "common/settings/train.h"
 #include "server/engine/field/mlp.h"
 #include "server/engine/field/solid.h"
 
@@ -46,7 +46,7 @@ struct rn_occupancy_bits {
 
 // A field as the kernels read it. Plain pointers, owned by struct rn_field (scene.h).
 struct rn_cpu_field {
-    struct rn_field_config config;
+    const struct rn_field_config *config; // of the struct rn_field that this belongs to
     struct rn_solid solid;
     struct rn_mlp_shape base_shape, head_shape;
     int features;                             // planes * channels

@@ -13,13 +13,13 @@
 // ---- features -------------------------------------------------------------------------------
 
 static int levels_of(const struct rn_cpu_field *f) {
-    return f->built_levels < f->config.levels ? f->built_levels : f->config.levels;
+    return f->built_levels < f->config->levels ? f->built_levels : f->config->levels;
 }
 
 void rn_exact_fetch(const struct rn_cpu_field *f, int plane, const double uv[2], const double l[2],
                     double *ret) {
-    int levels = levels_of(f), channels = f->config.channels;
-    bool mip = f->config.footprint == RN_FOOTPRINT_MIP;
+    int levels = levels_of(f), channels = f->config->channels;
+    bool mip = f->config->footprint == RN_FOOTPRINT_MIP;
     struct rn_lerp x = rn_rip_level(l[0], levels), y = rn_rip_level(l[1], levels);
     memset(ret, 0, (size_t)channels * sizeof *ret);
     for (int i = 0; i < 4; i++) {
@@ -53,19 +53,19 @@ static void place(const struct rn_march_ray *ray, double width, double s, double
 
 void rn_exact_features(const struct rn_cpu_field *f, const struct rn_march_ray *ray, double width,
                        double s, double *ret_features, double *ret_level) {
-    struct rn_reference ref = {.config = f->config, .solid = f->solid};
+    struct rn_reference ref = {.config = *f->config, .solid = f->solid};
     ref.config.levels = levels_of(f);
     struct rn_reference_ray r = {.radius = (double)ray->radius, .width = width};
     double x[3], level = 0;
     place(ray, width, s, x);
     for (int i = 0; i < 3; i++)
         r.direction[i] = (double)ray->direction[i];
-    for (int p = 0; p < f->config.planes; p++) {
+    for (int p = 0; p < f->config->planes; p++) {
         double l[2] = {0, 0};
         double uv[2] = {along(f->solid.axis_u[p], x), along(f->solid.axis_v[p], x)};
         rn_reference_levels(&ref, &r, p, (double)ray->near + s, &l[0], &l[1]);
         level = fmax(level, fmax(l[0], l[1]));
-        rn_exact_fetch(f, p, uv, l, ret_features + p * f->config.channels);
+        rn_exact_fetch(f, p, uv, l, ret_features + p * f->config->channels);
     }
     if (ret_level) *ret_level = level;
 }
@@ -119,7 +119,7 @@ static void set_direction(const struct rn_cpu_field *f, const struct rn_march_ra
     double d[3];
     for (int i = 0; i < 3; i++)
         d[i] = (double)ray->direction[i];
-    if (f->config.view_dependence)
+    if (f->config->view_dependence)
         rn_sh_encode(d, inputs);
     else
         memset(inputs, 0, RN_SH_COUNT * sizeof *inputs);
@@ -142,7 +142,7 @@ static void shade_sample(struct rn_exact *exact, const struct rn_march_ray *ray,
 static void shade_ray(struct rn_exact *exact, const struct rn_march_ray *ray,
                       const double sums[RN_GEOMETRY], double opacity, double rgb[3]) {
     memcpy(rgb, sums + 1, 3 * sizeof *rgb);
-    if (!exact->field->config.view_dependence) return;
+    if (!exact->field->config->view_dependence) return;
     set_direction(exact->field, ray, exact->activation[0]);
     memcpy(exact->activation[0] + 16, sums + 4, 12 * sizeof(double));
     memcpy(exact->activation[0] + 28, sums + 1, 3 * sizeof(double));
@@ -156,7 +156,7 @@ void rn_exact_render(struct rn_exact *exact, const struct rn_march_options *opti
                      const struct rn_march_ray *ray, const uint16_t *k, int n,
                      struct rn_exact_pixel *ret_pixel) {
     const struct rn_cpu_field *f = exact->field;
-    bool per_ray = f->config.shading == RN_SHADING_RAY;
+    bool per_ray = f->config->shading == RN_SHADING_RAY;
     double width = (double)options->step * ray->stride, depth = 0, sums[RN_GEOMETRY] = {0};
     double rgb[3] = {0}, level;
     *ret_pixel = (struct rn_exact_pixel){.level = 0};

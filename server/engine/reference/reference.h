@@ -3,7 +3,7 @@
 #ifndef RN_ENGINE_REFERENCE_H
 #define RN_ENGINE_REFERENCE_H
 
-#include "server/engine/config.h"
+#include "common/settings/train.h"
 #include "server/engine/field/mlp.h"
 #include "server/engine/field/solid.h"
 

@@ -8,7 +8,7 @@
 #define MOST 16 // cones a side: RN_CONES_BLOCK of them are one pixel
 
 int rn_cones_for_camera(const struct rn_field *field, const struct rn_camera *camera) {
-    double finest = field->config.finest_cone;
+    double finest = field->finest_cone;
     if (!field->config.supersample || !(finest > 0)) return 1;
     double ratio = rn_cone_at_centre(&field->bounds, camera) / finest;
     int n = 1;

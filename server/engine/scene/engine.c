@@ -134,6 +134,7 @@ void rn_engine_describe(const struct rn_engine *engine, struct rn_device_info *r
 void rn_field_describe(const struct rn_field *field, struct rn_field_info *ret) {
     *ret = (struct rn_field_info){.config = field->config,
                                   .bounds = field->bounds,
+                                  .finest_cone = field->finest_cone,
                                   .steps = field->steps,
                                   .train_seconds = field->train_seconds,
                                   .psnr = field->psnr,

@@ -9,7 +9,7 @@
 
 #include "common/base/status.h"
 #include "common/dataset/dataset.h"
-#include "server/engine/config.h"
+#include "common/settings/train.h"
 #include "server/engine/scene/effect.h"
 
 struct rn_engine; // a device: worker threads, kernel set
@@ -67,6 +67,8 @@ void rn_field_destroy(struct rn_field **field); // of one that no trainer has
 struct rn_field_info {
     struct rn_train_config config;
     struct rn_bounds bounds;
+    double finest_cone; // radius at the scene's centre of the finest training pixel's cone, dataset
+                        // units; 0: not known
     int64_t steps;
     double train_seconds;
     double psnr; // last held-out figure, NAN if none

@@ -98,7 +98,7 @@ enum rn_status rn_field_need_levels(struct rn_field *field, int levels, struct r
 // ---- field ----------------------------------------------------------------------------------
 
 static void set_shapes(struct rn_cpu_field *cpu, const struct rn_field_config *c) {
-    cpu->config = *c;
+    cpu->config = c;
     cpu->features = c->planes * c->channels;
     cpu->feature_stride = (cpu->features + 15) / 16 * 16;
     cpu->base_shape = rn_mlp_shape(cpu->features, c->width, c->base_layers, RN_GEOMETRY);
@@ -107,7 +107,7 @@ static void set_shapes(struct rn_cpu_field *cpu, const struct rn_field_config *c
 }
 
 static void set_parameter_counts(struct rn_parameters *p, const struct rn_cpu_field *cpu) {
-    const struct rn_field_config *c = &cpu->config;
+    const struct rn_field_config *c = cpu->config;
     p->plane_count = (size_t)c->planes * (size_t)c->base * (size_t)c->base * (size_t)c->channels;
     p->base_count = cpu->base_shape.count;
     p->head_count = cpu->head_shape.count;
@@ -169,7 +169,7 @@ enum rn_status rn_field_create(const struct rn_train_config *config, const struc
     field->config = *config;
     field->bounds = *bounds;
     field->psnr = NAN;
-    set_shapes(&field->cpu, &config->field);
+    set_shapes(&field->cpu, &field->config.field);
     set_parameter_counts(&field->parameters, &field->cpu);
     field->pyramid_levels = field->fresh_levels = 1;
     enum rn_status status = rn_solid_init(config->field.planes, config->field.orientation,
@@ -249,7 +249,7 @@ static void build_plane(void *context, int plane, int thread) {
     const struct build *build = context;
     struct rn_cpu_field *cpu = &build->field->cpu;
     build->kernels->build(cpu->maps[plane], cpu->built_levels,
-                          cpu->config.footprint == RN_FOOTPRINT_MIP, cpu->config.channels);
+                          cpu->config->footprint == RN_FOOTPRINT_MIP, cpu->config->channels);
 }
 
 void rn_field_pack(struct rn_field *field, struct rn_engine *engine) {
@@ -265,7 +265,7 @@ void rn_field_refresh(struct rn_field *field, struct rn_engine *engine) {
     rn_field_pack(field, engine);
     if (cpu->built_levels > 1) {
         struct build build = {field, engine->kernels};
-        rn_pool_run(engine->pool, cpu->config.planes, build_plane, &build);
+        rn_pool_run(engine->pool, cpu->config->planes, build_plane, &build);
     }
     field->fresh_levels = cpu->built_levels;
 }

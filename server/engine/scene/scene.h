@@ -51,6 +51,8 @@ struct rn_field {
     struct rn_cpu_field cpu;
     struct rn_train_config config;
     struct rn_bounds bounds;
+    double finest_cone; // radius at the scene's centre of the finest training pixel's cone, dataset
+                        // units; 0: not known
     struct rn_parameters parameters;
     float *packed; // networks as the kernel set `packed_for` reads them: base, then head
     const struct rn_kernels *packed_for;

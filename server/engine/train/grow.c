@@ -60,6 +60,7 @@ static void carry_grids(const struct rn_field *from, struct rn_field *to) {
 static void carry_record(const struct rn_field *from, struct rn_field *to) {
     memcpy(to->effects, from->effects, sizeof to->effects);
     memcpy(to->kernels, from->kernels, sizeof to->kernels);
+    to->finest_cone = from->finest_cone;
     to->steps = from->steps;
     to->train_seconds = from->train_seconds;
     to->psnr = from->psnr;
@@ -163,6 +164,8 @@ static enum rn_status move_in(struct rn_trainer *t, struct rn_error *err) {
     struct rn_field swap = *t->field;
     *t->field = *t->growth->field;
     *t->growth->field = swap;
+    t->field->cpu.config = &t->field->config.field;
+    t->growth->field->cpu.config = &t->growth->field->config.field;
     rn_block_destroy(t->grad);
     rn_trainer_free_step(t);
     t->grad = t->growth->grad;

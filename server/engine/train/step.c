@@ -30,14 +30,14 @@ static float *slab_lay_out(const struct rn_field_config *c, struct rn_slab *slab
 }
 
 size_t rn_group_numbers(const struct rn_cpu_field *field, int capacity) {
-    return slab_numbers(&field->config, capacity) + field->base_shape.count +
+    return slab_numbers(field->config, capacity) + field->base_shape.count +
            field->head_shape.count;
 }
 
 float *rn_group_lay_out(const struct rn_cpu_field *field, int capacity, float *at,
                         struct rn_group *group) {
     group->slab.capacity = capacity;
-    group->base_grad = slab_lay_out(&field->config, &group->slab, at);
+    group->base_grad = slab_lay_out(field->config, &group->slab, at);
     group->head_grad = group->base_grad + field->base_shape.count;
     return group->head_grad + field->head_shape.count;
 }

@@ -1,7 +1,7 @@
 // What is trained and how: plain values, fixed by a preset, overridden by flags, recorded in every
 // checkpoint.
-#ifndef RN_SERVER_ENGINE_CONFIG_H
-#define RN_SERVER_ENGINE_CONFIG_H
+#ifndef RN_COMMON_SETTINGS_TRAIN_H
+#define RN_COMMON_SETTINGS_TRAIN_H
 
 #include <stdbool.h>
 #include <stdint.h>
@@ -73,8 +73,6 @@ struct rn_train_config {
     double stop;          // early stop: transmittance below which a ray ends
     bool refine_at_rest;  // occupancy is measured anew when training is over (occupancy.h)
     bool supersample;     // pixels wider than those trained on are rendered as several of these
-    double finest_cone;   // radius at the scene's centre of the finest training pixel's cone,
-                          // dataset units; 0: not known. Measured, like the background.
     uint64_t seed;
     bool train_val;           // train on train+val
     float background[3];      // white unless the scene says otherwise
@@ -86,6 +84,10 @@ struct rn_train_config {
     double smoothing;         // share of the way to each of its neighbours that a texel goes every
                       // RN_SMOOTH_EVERY steps, times the square of the rate's factor; 0 to 1/4
 };
+
+// Platonic: 3, 4, 6 or 10 planes; other orientations: 1 to RN_MAX_PLANES. RN_ERROR_INVALID else.
+enum rn_status rn_planes_check(int planes, enum rn_orientation orientation,
+                               struct rn_error *err) RN_MUST_CHECK;
 
 // "draft", "standard", "paper". `multi_scale` says whether the dataset has several scales (the
 // defaults were measured apart). RN_ERROR_INVALID for an unknown name.

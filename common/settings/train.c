@@ -1,10 +1,8 @@
-#include "server/engine/config.h"
+#include "common/settings/train.h"
 
 #include <math.h>
 #include <stdio.h>
 #include <string.h>
-
-#include "server/engine/field/solid.h"
 
 static const struct rn_train_config paper = {
     .preset = "paper",
@@ -124,6 +122,17 @@ void rn_train_config_set_base(struct rn_train_config *config, int base) {
     config->grow_to = grows ? base : 0;
 }
 
+enum rn_status rn_planes_check(int planes, enum rn_orientation orientation, struct rn_error *err) {
+    bool platonic = planes == 3 || planes == 4 || planes == 6 || planes == 10;
+    if (orientation == RN_ORIENTATION_PLATONIC && !platonic)
+        return rn_error_set(err, RN_ERROR_INVALID, "planes",
+                            "%d planes belong to no Platonic solid; use 3, 4, 6 or 10", planes);
+    if (planes < 1 || planes > RN_MAX_PLANES)
+        return rn_error_set(err, RN_ERROR_INVALID, "planes", "%d planes; use 1 to %d", planes,
+                            RN_MAX_PLANES);
+    return RN_OK;
+}
+
 static bool power_of_two(int n) {
     return n > 0 && (n & (n - 1)) == 0;
 }
@@ -132,8 +141,7 @@ enum rn_status rn_train_config_check(const struct rn_train_config *c, struct rn_
     const struct rn_field_config *f = &c->field;
 #define REQUIRE(condition, name, text)                                                             \
     if (!(condition)) return rn_error_set(err, RN_ERROR_INVALID, name, text)
-    struct rn_solid solid;
-    enum rn_status status = rn_solid_init(f->planes, f->orientation, c->seed, &solid, err);
+    enum rn_status status = rn_planes_check(f->planes, f->orientation, err);
     if (status != RN_OK) return status;
     REQUIRE(f->base >= 2 && f->base <= 4096, "base", "must be 2 to 4096 texels");
     REQUIRE(f->channels == 4 || f->channels == 8 || f->channels == 16, "channels",
@@ -166,7 +174,6 @@ enum rn_status rn_train_config_check(const struct rn_train_config *c, struct rn_
     REQUIRE(c->max_seconds >= 0 && c->max_seconds < 1e9, "max_time", "must not be negative");
     REQUIRE(c->until_psnr >= 0 && c->until_psnr < 100, "until_psnr", "must be 0 to 100 dB");
     REQUIRE(c->roulette >= 0 && c->roulette <= 64, "roulette", "must be in [0, 64]");
-    REQUIRE(c->finest_cone >= 0 && isfinite(c->finest_cone), "finest_cone", "must not be negative");
     REQUIRE(c->stop > 0 && c->stop < 1, "stop", "must be in (0, 1)");
     for (int i = 0; i < 3; i++)
         REQUIRE(c->background[i] >= 0 && c->background[i] <= 1, "background", "must be in [0, 1]");
