@@ -199,8 +199,8 @@ mutate incidents $train/incident.c "incident: the offending rays are not looked 
     's/if (incident->ray_count == 0) search(t, incident);/(void)search;/'
 mutate incidents $cpu/backward.h "training: a ray that is not finite goes back" \
     's/if (!isfinite(loss)) return false;/if (isinf(loss)) return false;/'
-mutate reproducible server/engine/effects/effects.c "view dependence: measured as the step before marched" \
-    's/options = rn_trainer_march(t);/options = t->march;/'
+mutate reproducible $train/trainer.c "view dependence: measured as the step before marched" \
+    's/march = rn_trainer_march(t);/march = t->march;/'
 mutate reproducible $train/step.c "rays: drawn by the thread's own count" \
     's/rn_rng_draw(t->march.seed, STREAM_RAYS | (uint32_t)r, t->march.counter)/rn_rng_draw(t->march.seed + (uint64_t)rn_pool_threads(t->engine->pool), STREAM_RAYS | (uint32_t)r, t->march.counter)/'
 mutate roulette $cpu/backward.h "roulette: survivors count once" \

@@ -214,11 +214,11 @@ void rn_field_describe(const struct rn_field *field, struct rn_field_info *ret_i
                                        .memory_bytes = sizeof *field,
                                        .parameter_count = 1,
                                        .kernels = "scalar"};
-    static const char *const names[] = {"background", "scale-pyramid", "anisotropy",
-                                        "view-dependence"};
     for (int i = 0; i < RN_EFFECT_COUNT; i++) {
-        ret_info->effects[i] = (struct rn_effect_record){
-            .name = names[i], .on = true, .decided = i != RN_EFFECT_VIEW_DEPENDENCE, .number = 1};
+        ret_info->effects[i] = (struct rn_effect_record){.name = rn_effect_name((enum rn_effect)i),
+                                                         .on = true,
+                                                         .decided = i != RN_EFFECT_VIEW_DEPENDENCE,
+                                                         .number = 1};
         snprintf(ret_info->effects[i].reason, sizeof ret_info->effects[i].reason, "pretended");
     }
     ret_info->effects[RN_EFFECT_VIEW_DEPENDENCE].number = NAN;

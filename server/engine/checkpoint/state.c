@@ -165,9 +165,6 @@ static enum rn_status decode_all(const struct member *members, size_t count, con
     return RN_OK;
 }
 
-static const char *const effect_names[RN_EFFECT_COUNT] = {"background", "scale-pyramid",
-                                                          "anisotropy", "view-dependence"};
-
 static json_t *encode_effects(const struct rn_effect_record *effects) {
     json_t *list = json_array();
     for (int i = 0; i < RN_EFFECT_COUNT; i++) {
@@ -183,10 +180,11 @@ static void decode_effects(const json_t *list, struct rn_effect_record *effects)
     for (int i = 0; i < RN_EFFECT_COUNT; i++) {
         const json_t *e = json_array_get(list, (size_t)i);
         const json_t *value = json_object_get(e, "number");
-        const char *reason = json_string_value(json_object_get(e, "reason"));
-        effects[i].name = effect_names[i];
+        const char *reason = e ? json_string_value(json_object_get(e, "reason"))
+                               : "not recorded by the build that trained it";
+        effects[i].name = rn_effect_name((enum rn_effect)i);
         effects[i].on = json_is_true(json_object_get(e, "on"));
-        effects[i].decided = json_is_true(json_object_get(e, "decided"));
+        effects[i].decided = !e || json_is_true(json_object_get(e, "decided"));
         effects[i].number = json_is_number(value) ? json_number_value(value) : NAN;
         effects[i].threshold = json_number_value(json_object_get(e, "threshold"));
         snprintf(effects[i].reason, sizeof effects[i].reason, "%s", reason ? reason : "");

@@ -12,7 +12,7 @@ int rn_cones_for_camera(const struct rn_field *field, const struct rn_camera *ca
     if (!field->config.supersample || !(finest > 0)) return 1;
     double ratio = rn_cone_at_centre(&field->bounds, camera) / finest;
     int n = 1;
-    while (n < MOST && ratio > n * 1.41421356)
+    while (n < MOST && ratio > n * RN_CONES_RATIO)
         n *= 2;
     return n;
 }

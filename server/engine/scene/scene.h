@@ -124,6 +124,8 @@ struct rn_march_ray rn_march_ray_from(const struct rn_field *field, const struct
                                       double step, double jitter);
 // A camera for the kernels' `rays`.
 struct rn_view rn_field_view(const struct rn_field *field, const struct rn_camera *camera);
+// A pixel is rendered as several cones where it is as many times as wide as the finest trained on.
+#define RN_CONES_RATIO 1.41421356
 // The radius of a camera's cones where they pass the ball's centre, dataset units.
 double rn_cone_at_centre(const struct rn_bounds *bounds, const struct rn_camera *camera);
 // The highest level that a camera's rays can reach, and levels per axis, 1 = only the base map.

@@ -298,19 +298,16 @@ struct rn_march_options rn_trainer_march(const struct rn_trainer *t) {
                                      .roulette = (float)config->roulette,
                                      .seed = config->seed,
                                      .counter = (uint64_t)t->progress.step};
-    memcpy(march.background, config->background, sizeof config->background);
-    march.split = rn_trainer_fraction(t) >= 1 - config->split_pixels && config->split_pixels > 0;
-    if (rn_trainer_fraction(t) < config->random_background) {
-        march.background[0] = march.background[1] = march.background[2] = 0.5f;
-        march.background_variance = 0.25f; // of a number that is 0 or 1, as often
-    }
+    rn_effects_march(config, rn_trainer_fraction(t), &march);
     return march;
 }
 
 void rn_trainer_take_march(struct rn_trainer *t) {
     bool split = t->march.split;
     t->march = rn_trainer_march(t);
-    if (t->march.split != split) rn_trainer_note_cone(t);
+    if (t->march.split == split) return;
+    struct rn_evidence evidence = rn_trainer_evidence(t, &t->march);
+    rn_effects_turn(&evidence);
 }
 
 void rn_trainer_begin_step(struct rn_trainer *t) {

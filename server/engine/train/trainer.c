@@ -13,8 +13,6 @@
 #include "server/engine/scene/occupancy.h"
 
 #define HELD_OUT_VIEWS 8
-#define WARM_UP_FRACTION 0.3 // of the run, before view dependence is measured
-#define WARM_UP_STEPS 2000   // at most
 
 // ---- which frames ---------------------------------------------------------------------------
 
@@ -97,6 +95,21 @@ static int training_levels(const struct rn_trainer *t) {
         if (need > levels) levels = need;
     }
     return levels < t->field->config.field.levels ? levels : t->field->config.field.levels;
+}
+
+struct rn_evidence rn_trainer_evidence(const struct rn_trainer *t,
+                                       const struct rn_march_options *march) {
+    return (struct rn_evidence){.engine = t->engine,
+                                .field = t->field,
+                                .photographs = &t->train,
+                                .step = t->progress.step,
+                                .done = rn_trainer_fraction(t),
+                                .march = *march};
+}
+
+void rn_trainer_detect_effects(struct rn_trainer *t) {
+    struct rn_evidence evidence = rn_trainer_evidence(t, &t->march);
+    rn_effects_detect(&evidence);
 }
 
 // Everything that follows from the pixels and the configuration.
@@ -307,9 +320,15 @@ static bool reached_limit(const struct rn_trainer *t) {
     return rn_trainer_fraction(t) >= 1;
 }
 
-static bool view_dependence_due(const struct rn_trainer *t) {
-    return !t->field->effects[RN_EFFECT_VIEW_DEPENDENCE].decided &&
-           (t->progress.step >= WARM_UP_STEPS || rn_trainer_fraction(t) >= WARM_UP_FRACTION);
+static bool effects_are_due(const struct rn_trainer *t) {
+    struct rn_evidence evidence = rn_trainer_evidence(t, &t->march);
+    return rn_effects_are_due(&evidence);
+}
+
+static void decide_effects(const struct rn_trainer *t) {
+    struct rn_march_options march = rn_trainer_march(t);
+    struct rn_evidence evidence = rn_trainer_evidence(t, &march);
+    rn_effects_decide(&evidence);
 }
 
 // The device still trains over random backgrounds, whose time is over, or does not split pixels
@@ -321,11 +340,11 @@ static bool march_due(const struct rn_trainer *t) {
 }
 
 bool rn_trainer_turn_due(const struct rn_trainer *t) {
-    return view_dependence_due(t) || t->growth || rn_trainer_grows(t) || march_due(t);
+    return effects_are_due(t) || t->growth || rn_trainer_grows(t) || march_due(t);
 }
 
 static enum rn_status take_turn(struct rn_trainer *t, struct rn_error *err) {
-    if (!t->growth && view_dependence_due(t)) rn_trainer_decide_view_dependence(t);
+    if (!t->growth && effects_are_due(t)) decide_effects(t);
     return rn_trainer_grow(t, err);
 }
 

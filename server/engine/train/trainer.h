@@ -4,10 +4,11 @@
 
 #include <stdatomic.h>
 
+#include "server/engine/effects/effects.h"
 #include "server/engine/kernels/backend.h"
 #include "server/engine/scene/scene.h"
 #include "server/engine/train/importance.h"
-#include "server/engine/train/pixels.h"
+#include "server/engine/scene/pixels.h"
 #include "server/engine/train/train.h"
 
 #define RN_MIN_RAYS 64
@@ -120,10 +121,11 @@ bool rn_trainer_update_occupancy(struct rn_trainer *trainer); // false: cut shor
 enum rn_status rn_trainer_list_live(struct rn_trainer *trainer, struct rn_error *err) RN_MUST_CHECK;
 // Makes rays be drawn by the blocks' shares as they are; with `weigh` by their errors so far.
 void rn_trainer_share_out(struct rn_trainer *trainer, bool weigh);
-// effects.c
+// trainer.c: which effects the photographs call for.
 void rn_trainer_detect_effects(struct rn_trainer *trainer);
-void rn_trainer_note_cone(struct rn_trainer *trainer); // the finest one that rays have as of now
-void rn_trainer_decide_view_dependence(struct rn_trainer *trainer);
+// What effects look at before the step that marches so.
+struct rn_evidence rn_trainer_evidence(const struct rn_trainer *trainer,
+                                       const struct rn_march_options *march);
 // trainer.c: everything that follows from the pixels and the configuration.
 enum rn_status rn_trainer_set_up(struct rn_trainer *trainer, struct rn_error *err) RN_MUST_CHECK;
 // grow.c: whether the planes should be larger by now.

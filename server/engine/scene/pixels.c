@@ -1,4 +1,4 @@
-#include "server/engine/train/pixels.h"
+#include "server/engine/scene/pixels.h"
 
 #include <stdatomic.h>
 #include <stdlib.h>

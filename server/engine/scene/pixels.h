@@ -1,6 +1,6 @@
 // Decoded photographs, kept compactly: 8-bit RGBA, one block.
-#ifndef RN_ENGINE_TRAIN_PIXELS_H
-#define RN_ENGINE_TRAIN_PIXELS_H
+#ifndef RN_ENGINE_SCENE_PIXELS_H
+#define RN_ENGINE_SCENE_PIXELS_H
 
 #include <math.h>
 

@@ -1,0 +1,36 @@
+// The background: photographs that alpha opens to it are carved by their alpha, composited over
+// it, and for a while over random ones, so that what is empty becomes so.
+#include <stdio.h>
+#include <string.h>
+
+#include "server/engine/effects/effects.h"
+
+static void detect(const struct rn_evidence *e, struct rn_effect_record *r) {
+    const struct rn_pixels *p = e->photographs;
+    size_t open = 0;
+    for (size_t i = 0; i < p->pixel_count; i++)
+        open += p->rgba[4 * i + 3] < 255;
+    r->number = (double)open / (double)p->pixel_count;
+    r->on = r->number > r->threshold;
+    snprintf(r->reason, sizeof r->reason, "%.1f %% of the training pixels have alpha below 255",
+             100 * r->number);
+}
+
+static void settle(const struct rn_evidence *e) {
+    struct rn_train_config *config = &e->field->config;
+    if (e->field->effects[RN_EFFECT_BACKGROUND].on) return;
+    config->carve = false;
+    config->random_background = 0;
+    memset(config->background, 0, sizeof config->background);
+}
+
+// Over random backgrounds the loss is the mean over all whose channels are 0 or 1.
+static void march(const struct rn_train_config *config, double done, struct rn_march_options *m) {
+    memcpy(m->background, config->background, sizeof config->background);
+    if (!(done < config->random_background)) return;
+    m->background[0] = m->background[1] = m->background[2] = 0.5f;
+    m->background_variance = 0.25f; // of a number that is 0 or 1, as often
+}
+
+const struct rn_effect_row rn_effect_background = {
+    .detect = detect, .settle = settle, .march = march};

@@ -1,0 +1,31 @@
+// Cones a pixel: a pixel that is wider than the finest ones that were trained on is rendered as the
+// mean of several cones as narrow as theirs (render/cones.h).
+#include <math.h>
+#include <stdio.h>
+
+#include "server/engine/effects/effects.h"
+
+// The finest cone that training rays have as of now.
+static void measure(const struct rn_evidence *e) {
+    double smallest, largest;
+    rn_evidence_cones(e, &smallest, &largest);
+    e->field->finest_cone = largest > 0 ? e->march.split ? smallest / 2 : smallest : 0;
+}
+
+static void detect(const struct rn_evidence *e, struct rn_effect_record *r) {
+    const struct rn_train_config *config = &e->field->config;
+    double smallest, largest;
+    rn_evidence_cones(e, &smallest, &largest);
+    measure(e);
+    r->number = largest > 0 ? largest / smallest : 1;
+    r->threshold = RN_CONES_RATIO;
+    r->on = config->supersample && e->field->finest_cone > 0;
+    snprintf(r->reason, sizeof r->reason,
+             r->on ? "pixels wider than %.2f times the finest trained on are rendered as several "
+                     "cones; the widest trained on is %.2f times as wide"
+             : config->supersample ? "no training pixel's cone has a width"
+                                   : "the configuration asks for one",
+             r->threshold, r->number);
+}
+
+const struct rn_effect_row rn_effect_cones = {.detect = detect, .turn = measure};

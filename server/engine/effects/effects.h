@@ -1,0 +1,83 @@
+// What a scene calls for: each effect is one file that measures the data, says so in the record
+// with its number, threshold and reason, and switches the configuration; RN_EFFECTS
+// (scene/effect.h) lists them.
+//
+// Where an effect acts is one of these hooks. What is off costs nothing: those inside the sample
+// loop are constant parameters of the kernels.
+//
+//   hook                             reference               CPU             CUDA
+//   the march and rays of a step     rn_effect_row.march     -               -
+//   the ray of a pixel               kernels/ray.h           cpu/rays.h      kernels/ray.h
+//   where a sample lies, how large   field/frustum.h         cpu/encode.h    cuda/encode.cuh
+//   the colour of a pixel, its       reference/reference.c   cpu/colour.h    cuda/shade.cuh
+//   background, and its loss
+//   the cones of a picture's pixel   render/cones.h          -               -
+#ifndef RN_ENGINE_EFFECTS_EFFECTS_H
+#define RN_ENGINE_EFFECTS_EFFECTS_H
+
+#include "server/engine/scene/effect.h"
+#include "server/engine/scene/pixels.h"
+#include "server/engine/scene/scene.h"
+
+// What effects look at.
+struct rn_evidence {
+    struct rn_engine *engine;
+    struct rn_field *field; // whose configuration they switch, and which keeps the records
+    const struct rn_pixels *photographs; // that are trained on, with their views
+    int64_t step;                        // that comes next
+    double done;                         // share of the schedule that is over; NAN without a limit
+    struct rn_march_options march;       // of that step; before training none
+};
+
+// One effect. A hook that it does not have is NULL.
+struct rn_effect_row {
+    // Before anything is allocated: fills the record, whose name is there and which counts as
+    // decided.
+    void (*detect)(const struct rn_evidence *evidence, struct rn_effect_record *record);
+    // Switches the configuration as the records say.
+    void (*settle)(const struct rn_evidence *evidence);
+    // Of one that is undecided: whether training has come far enough, and its decision.
+    bool (*is_due)(const struct rn_evidence *evidence);
+    void (*decide)(const struct rn_evidence *evidence, struct rn_effect_record *record);
+    // What it makes of the step at which `done` of the schedule is over.
+    void (*march)(const struct rn_train_config *config, double done,
+                  struct rn_march_options *march);
+    // Training rays are other ones from this step on.
+    void (*turn)(const struct rn_evidence *evidence);
+};
+#define RN_EFFECT_ROW(CONSTANT, ROW, NAME) extern const struct rn_effect_row rn_effect_##ROW;
+RN_EFFECTS(RN_EFFECT_ROW)
+#undef RN_EFFECT_ROW
+
+// Measures all effects, then switches the configuration, the last effect first: later ones rest on
+// the earlier.
+void rn_effects_detect(const struct rn_evidence *evidence);
+bool rn_effects_are_due(const struct rn_evidence *evidence);
+void rn_effects_decide(const struct rn_evidence *evidence); // those that are due
+void rn_effects_march(const struct rn_train_config *config, double done,
+                      struct rn_march_options *march);
+void rn_effects_turn(const struct rn_evidence *evidence);
+
+// ---- what several effects measure ----
+
+#define RN_EVIDENCE_PROBES 512 // rays looked at
+// Beyond it, in levels, cameras see a scene at several scales: footprints 1.4 times as large.
+#define RN_SCALE_RANGE 0.5
+
+// A training pixel, and four random numbers of which the last is not used for it.
+struct rn_probe {
+    const struct rn_pixel_frame *frame;
+    int x, y;
+    uint32_t random[4];
+};
+// Probe `i` of a stream of them.
+struct rn_probe rn_evidence_probe(const struct rn_evidence *evidence, uint64_t stream, int i);
+// Its ray, marched in `step` (scene radii); no target.
+struct rn_march_ray rn_evidence_ray(const struct rn_evidence *evidence,
+                                    const struct rn_probe *probe, double step);
+// The smallest and the largest radius of a training pixel's cone at the scene's centre, dataset
+// units; the largest is 0 where no cone has a width.
+void rn_evidence_cones(const struct rn_evidence *evidence, double *ret_smallest,
+                       double *ret_largest);
+
+#endif
