@@ -70,7 +70,7 @@ static void print_threshold(const struct rn_effect_entry *effect) {
     if (strcmp(effect->name, "background") == 0)
         printf(" (threshold %.3g %%)", 100 * threshold);
     else
-        printf(" (threshold %.3g times)", exp2(threshold)); // both are in octaves
+        printf(" (threshold %.3g times)", exp2(threshold)); // all of these are in octaves
 }
 
 static void print_effects(const struct rn_scene_description *description) {

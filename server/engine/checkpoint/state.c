@@ -169,24 +169,43 @@ static json_t *encode_effects(const struct rn_effect_record *effects) {
     json_t *list = json_array();
     for (int i = 0; i < RN_EFFECT_COUNT; i++) {
         const struct rn_effect_record *e = &effects[i];
-        json_array_append_new(list, json_pack("{s:b,s:b,s:o,s:f,s:s}", "on", e->on, "decided",
-                                              e->decided, "number", number(e->number), "threshold",
-                                              e->threshold, "reason", e->reason));
+        json_array_append_new(list,
+                              json_pack("{s:s,s:b,s:b,s:o,s:o,s:s}", "name", e->name, "on", e->on,
+                                        "decided", e->decided, "number", number(e->number),
+                                        "threshold", number(e->threshold), "reason", e->reason));
     }
     return list;
 }
 
+static double number_of(const json_t *object, const char *name) {
+    const json_t *value = json_object_get(object, name);
+    return json_is_number(value) ? json_number_value(value) : NAN;
+}
+
+// The record of that name. Builds before it wrote the first four, in their order, without names.
+static const json_t *find_effect(const json_t *list, size_t effect) {
+    const json_t *entry = json_array_get(list, effect);
+    size_t i;
+    json_t *each;
+    json_array_foreach(list, i, each) {
+        const char *name = json_string_value(json_object_get(each, "name"));
+        if (name && strcmp(name, rn_effect_name((enum rn_effect)effect)) == 0) return each;
+    }
+    return json_object_get(entry, "name") ? NULL : entry;
+}
+
 static void decode_effects(const json_t *list, struct rn_effect_record *effects) {
-    for (int i = 0; i < RN_EFFECT_COUNT; i++) {
-        const json_t *e = json_array_get(list, (size_t)i);
-        const json_t *value = json_object_get(e, "number");
+    for (size_t i = 0; i < RN_EFFECT_COUNT; i++) {
+        const json_t *e = find_effect(list, i);
         const char *reason = e ? json_string_value(json_object_get(e, "reason"))
                                : "not recorded by the build that trained it";
-        effects[i].name = rn_effect_name((enum rn_effect)i);
-        effects[i].on = json_is_true(json_object_get(e, "on"));
-        effects[i].decided = !e || json_is_true(json_object_get(e, "decided"));
-        effects[i].number = json_is_number(value) ? json_number_value(value) : NAN;
-        effects[i].threshold = json_number_value(json_object_get(e, "threshold"));
+        effects[i] = (struct rn_effect_record){
+            .name = rn_effect_name((enum rn_effect)i),
+            .on = json_is_true(json_object_get(e, "on")),
+            .decided = !e || json_is_true(json_object_get(e, "decided")),
+            .number = number_of(e, "number"),
+            .threshold = number_of(e, "threshold"),
+        };
         snprintf(effects[i].reason, sizeof effects[i].reason, "%s", reason ? reason : "");
     }
 }

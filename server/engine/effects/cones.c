@@ -17,15 +17,18 @@ static void detect(const struct rn_evidence *e, struct rn_effect_record *r) {
     double smallest, largest;
     rn_evidence_cones(e, &smallest, &largest);
     measure(e);
-    r->number = largest > 0 ? largest / smallest : 1;
-    r->threshold = RN_CONES_RATIO;
+    r->number = largest > 0 ? log2(largest / smallest) : 0;
+    r->threshold = log2(RN_CONES_RATIO);
     r->on = config->supersample && e->field->finest_cone > 0;
-    snprintf(r->reason, sizeof r->reason,
-             r->on ? "pixels wider than %.2f times the finest trained on are rendered as several "
-                     "cones; the widest trained on is %.2f times as wide"
-             : config->supersample ? "no training pixel's cone has a width"
-                                   : "the configuration asks for one",
-             r->threshold, r->number);
+    if (r->on)
+        snprintf(r->reason, sizeof r->reason,
+                 "pixels of pictures wider than the finest trained on become several cones; the "
+                 "widest trained on is %.2f times as wide",
+                 exp2(r->number));
+    else
+        snprintf(r->reason, sizeof r->reason, "%s",
+                 config->supersample ? "no training pixel's cone has a width"
+                                     : "the configuration asks for one");
 }
 
 const struct rn_effect_row rn_effect_cones = {.detect = detect, .turn = measure};

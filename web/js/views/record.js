@@ -18,7 +18,9 @@ const EFFECTS = {
   background: 'Background',
   'scale-pyramid': 'Scale pyramid',
   anisotropy: 'Anisotropy',
-  'view-dependence': 'View dependence'
+  'view-dependence': 'View dependence',
+  'split-pixels': 'Split pixels',
+  cones: 'Cones a pixel'
 };
 
 /** An effect's number in the unit that its reason is told in. */
@@ -28,7 +30,9 @@ const UNITS = {
   background: (x) => `${short(100 * x)} %`,
   'scale-pyramid': octaves,
   anisotropy: octaves,
-  'view-dependence': (x) => `${short(255 * x)}/255`
+  'view-dependence': (x) => `${short(255 * x)}/255`,
+  'split-pixels': octaves,
+  cones: octaves
 };
 
 export function effectsPanel(scene) {
