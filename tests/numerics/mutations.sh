@@ -1,9 +1,13 @@
 #!/bin/bash
 # Puts each naive formula back, in a scratch copy of the tree, and runs the case that must fail:
-# mutations.sh [SEED [PATTERN]], PATTERN choosing some by name. Closes with `N of N caught`; the exit code is 0 only when all were.
+# mutations.sh [SEED [PATTERN]], PATTERN choosing some by name. Closes with `N of N caught`; the exit
+# code is 0 only when all were. mutations.sh --applies runs nothing and says in a second whether
+# each edit still changes its file.
 set -u
 cd "$(dirname "$0")/../.." || exit 1
 tree=$PWD
+. tests/support/mutations.sh
+[[ ${1-} == --applies ]] && applies_only && shift
 export RN_NUMERICS_SEED=${1:-1}
 export RN_NUMERICS_STOP=1 # the first bound that does not hold ends a program
 pattern=${2:-}
@@ -43,6 +47,10 @@ mutate() {
     local program=$1 file=$2 what=$3 script=$4 begin=$SECONDS
     [[ $what == *$pattern* ]] || return
     tried=$((tried + 1))
+    if $dry; then
+        applies "$file" "$what" "$script"
+        return
+    fi
     sed -i "$script" "$source/$file"
     if cmp -s "$pristine/$file" "$source/$file"; then
         echo "NO CHANGE  $what ($file)"
@@ -59,6 +67,7 @@ mutate() {
 
 # A scratch copy with one kernel set beside the float64 code, quick to compile: prepare SET.
 prepare() {
+    $dry && return
     source=$scratch/$1/source pristine=$scratch/$1/pristine build=$scratch/$1/build
     mkdir -p "$pristine" || give_up "no room in $scratch"
     git ls-files --cached --others --exclude-standard -z | xargs -0 cp --parents -t "$pristine"
@@ -79,6 +88,7 @@ prepare() {
 
 # Programs that must pass before anything is broken.
 sound() {
+    $dry && return
     for program; do
         [[ -n $pattern ]] && ! grep -q "^mutate $program .*$pattern" "$tree/tests/numerics/mutations.sh" && continue
         run "$program" || give_up "$program fails before any mutation: $(tail -3 "$scratch/log")"
@@ -175,8 +185,8 @@ mutate rays $cpu/rays.h "vector rays: start left where the camera is" \
     's/vd near = enter + jitter/vd near = jitter/'
 mutate rays $cpu/march.h "march: a brick skipped too far" \
     's/vi next = index_at(s + leave, inverse_step)/vi next = index_at(s + leave, inverse_step) + 1/'
-mutate rays $cpu/march.h "march: in rounds, what is left over is lost" \
-    's/m->found_count\[r\] -= n;/m->found_count[r] = 0 * n;/'
+mutate rays $cpu/march.h "march: in rounds, what earlier ones found is lost" \
+    's/candidate_count\[r\] += write_chunk(/candidate_count[r] = write_chunk(/'
 mutate rays $cpu/march.h "march: cells by truncation towards the centre" \
     's/p \* half + half, 0.0f, top/p * half + half - 0.01f, 0.0f, top/'
 mutate training server/engine/train/step.c "training: parameters not looked at after a step" \
@@ -194,7 +204,7 @@ mutate incidents server/engine/checkpoint/checkpoint.c "checkpoint: read without
 mutate incidents server/engine/render/render.c "render: numbers not looked at" \
     's/return isfinite(value) ? value : other;/return value + 0 * other;/'
 mutate incidents server/engine/render/render.c "render: replaced rays not counted" \
-    's/count += !isfinite.*/(void)p;/'
+    's/nonfinite += first \&\& .*/(void)first;/'
 mutate incidents $train/incident.c "incident: the offending rays are not looked for" \
     's/if (incident->ray_count == 0) search(t, incident);/(void)search;/'
 mutate incidents $cpu/backward.h "training: a ray that is not finite goes back" \
@@ -241,16 +251,16 @@ mutate doctor $field/volume.h "doctor: compositing by a product of 1 - opacity" 
     's/before = after\[i\] = exp(-sum);/before = after[i] = before * (1 - rn_alpha(x[i]));/'
 grow=$train/grow.c
 mutate growth $grow "growth: moments as they were" \
-    's/carry_over(t, other, m, t->m, share)/carry_over(t, other, m, t->m, 1)/'
+    's/\({t->m, m, .*\), share}/\1, 1}/'
 mutate growth $grow "growth: corners aligned to the edges" \
     's/double u = .*/double u = x * (e->old - 1.0) \/ (e->side - 1);/'
 mutate growth $grow "growth: nearest texels" 's/float fx = .*/float fx = 0;/'
 mutate growth $grow "growth: a border's texel as its neighbour and the difference" \
     's/int column = (int)u, right = .*/int column = (int)fmin(u, e->old - 2), right = e->channels;/'
 mutate growth $grow "growth: spoilt parameters become the good ones" \
-    's/t->rejected == 0 && rn_trainer_all_finite(t)/true/'
+    's/ || t->rejected > 0 || !rn_trainer_all_finite(t)//'
 mutate overflow $grow "growth: overflowing parameters become the good ones" \
-    's/t->rejected == 0 && rn_trainer_all_finite(t)/rn_trainer_all_finite(t)/'
+    's/ || t->rejected > 0//'
 mutate overflow $train/step.c "overflow: the step is taken all the same" \
     's/return check == 0 && isfinite(loss);/return check == 0 || isfinite(loss);/'
 mutate overflow $train/guard.c "overflow: steps are rejected for ever" \
@@ -268,7 +278,7 @@ mutate commands server/engine/meson.build "flags: the kernel sets' contraction c
 mutate commands server/engine/meson.build "flags: fast mathematics in the kernel sets" \
     "s/'-Wno-psabi'/'-Wno-psabi', '-ffast-math'/"
 
-if grep -q avx512_bf16 /proc/cpuinfo; then
+if $dry || grep -q avx512_bf16 /proc/cpuinfo; then
     prepare bf16
     sound kernels networks
     mutate kernels $cpu/gemm_bf16.h "bf16: truncated instead of rounded" \
@@ -285,5 +295,4 @@ else
     echo "skipped: this processor has no bf16 products, for five mutations more"
 fi
 
-echo "$caught of $tried caught"
-[ "$caught" -eq "$tried" ]
+conclude

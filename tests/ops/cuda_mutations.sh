@@ -1,12 +1,15 @@
 #!/bin/bash
 # Plants bugs in the CUDA kernels and in what the engine does with a device, one at a time in a
-# scratch copy, and runs the emulated test that must fail: cuda_mutations.sh [PATTERN], PATTERN choosing some by name. RIPNERF_BUILD names a build
-# folder whose libraries are used. Closes with `N of N caught`; the exit code is 0 only when all
-# were.
+# scratch copy, and runs the emulated test that must fail: cuda_mutations.sh [PATTERN], PATTERN
+# choosing some by name. RIPNERF_BUILD names a build folder whose libraries are used. Closes with
+# `N of N caught`; the exit code is 0 only when all were. cuda_mutations.sh --applies runs nothing
+# and says in a second whether each edit still changes its file.
 set -u
 cd "$(dirname "$0")/../.." || exit 1
 tree=$PWD
-build=${RIPNERF_BUILD:?set RIPNERF_BUILD to a build folder}
+. tests/support/mutations.sh
+[[ ${1-} == --applies ]] && applies_only && shift
+$dry || build=${RIPNERF_BUILD:?set RIPNERF_BUILD to a build folder}
 pattern=${1:-}
 scratch=$(mktemp -d) || exit 1
 trap 'rm -rf "$scratch"' EXIT
@@ -67,6 +70,10 @@ try() {
     local run=$1 case=$2 file=$3 what=$4 script=$5
     [[ $what == *$pattern* ]] || return
     tried=$((tried + 1))
+    if $dry; then
+        applies "$file" "$what" "$script"
+        return
+    fi
     sed -i "$script" "$scratch/tree/$file"
     if cmp -s "$tree/$file" "$scratch/tree/$file"; then
         echo "NO CHANGE  $what ($file)"
@@ -88,9 +95,11 @@ mutate_engine() {
     try run_engine "$1" "server/engine/$2" "$3" "$4"
 }
 
-mkdir "$scratch/tree"
-cp -r --parents common server tests/ops "$scratch/tree"
-compile emulator.o emulator.cpp || give_up "the emulator does not build"
+if ! $dry; then
+    mkdir "$scratch/tree"
+    cp -r --parents common server tests/ops tests/support "$scratch/tree"
+    compile emulator.o emulator.cpp || give_up "the emulator does not build"
+fi
 
 # Synchronisation.
 mutate order network.cuh "weights: no barrier after the asynchronous copies" \
@@ -196,8 +205,8 @@ mutate lottery shade.cuh "lottery: what is likelier than not goes back" \
 mutate lottery shade.cuh "lottery: the same start for all rays" 's/    l.sum = rn_rng_draw.*/    l.sum = RN_CERTAIN - 1;/'
 mutate lottery step.cuh "lottery: the mean is of scaled gradients" 's| / (float)all->gradients / s->gradient_scale| / (float)all->gradients|'
 mutate lottery backend.cu "lottery: none" 's/f->batch.roulette = .*/f->batch.roulette = 0;/'
-mutate_engine bytes checkpoint.c "engine: the gradients' size is forgotten" \
-    's/    t->gradient_size = c->gradient_size;//'
+mutate_engine bytes train/trainer.c "engine: the gradients' size is forgotten" \
+    's/    t->gradient_size = from->gradient_size;//'
 mutate guards shade.cuh "ray shading: a ray that is not finite reaches the weights" \
     's/^                rn_keep_rows(in.*//'
 # Scatter and update.
@@ -239,8 +248,8 @@ mutate_engine standard scene/device.c "engine: moments are not read back" \
     's/download(f->on_device, f->parameters.values, m, v,/download(f->on_device, f->parameters.values, NULL, NULL,/'
 mutate_engine paper train/device.c "engine: samples counted twice" \
     's/    t->counted = p;//'
-mutate_engine bytes checkpoint.c "engine: the gradients' scale is forgotten" \
-    's/    t->good_steps = c->good_steps;//'
+mutate_engine bytes train/trainer.c "engine: the gradients' scale is forgotten" \
+    's/    t->good_steps = from->good_steps;//'
 mutate_engine bytes train/device.c "engine: a resumed run draws its first rays again" \
     's/\.step = t->progress.step,/.step = 1,/'
 mutate_engine renders scene/device.c "engine: parameters read back once only" \
@@ -262,5 +271,4 @@ mutate_engine memory scene/device.c "engine: memory taken without asking" \
 mutate_engine auto scene/device.c "engine: auto insists" \
     's/if (engine->device_optional \&\& /if (0 \&\& /'
 
-echo "$caught of $tried caught"
-[ "$caught" -eq "$tried" ]
+conclude
