@@ -31,7 +31,7 @@ while (exec 3<>"/dev/tcp/127.0.0.1/$port") 2>/dev/null; do
 done
 
 run=$(date +%Y%m%d-%H%M%S)
-scene=sphere-$run
+scene=still-life-$run
 frames=$PWD/demo-data/frames/$run
 export RIPNERF_HOST=http://127.0.0.1:$port
 mkdir -p "$frames"
@@ -61,13 +61,13 @@ done
 build/client/ripnerf info
 
 # The dataset is made once; a later run finds it.
-if ! build/client/ripnerf --json show sphere >/dev/null 2>&1; then
-    rm -rf demo-data/sphere
-    build/client/ripnerf synth sphere demo-data/sphere --size 200 --views 40
-    build/client/ripnerf import demo-data/sphere --name sphere
+if ! build/client/ripnerf --json show still-life >/dev/null 2>&1; then
+    rm -rf demo-data/still-life
+    build/client/ripnerf synth still-life demo-data/still-life --size 200 --views 32
+    build/client/ripnerf import demo-data/still-life --name still-life
 fi
 
-build/client/ripnerf train sphere --name "$scene" --preset draft --wait
+build/client/ripnerf train still-life --name "$scene" --preset draft --wait
 build/client/ripnerf render "$scene" --view test:0 -o "$frames/test-0.png"
 
 # An orbit: eight keys on a circle of radius 4, seen from 30 degrees above, z up, two seconds.

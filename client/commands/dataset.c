@@ -458,12 +458,12 @@ const struct rn_verb rn_verbs_dataset[] = {
      .run = run_import},
     {.name = "synth",
      .arguments = "NAME DIR",
-     .summary = "make a dataset with known truth: sphere, fence, nested, place, window",
+     .summary = "make a dataset with known truth: sphere, still-life, place, ...",
      .details =
-         "Procedural scenes, rendered analytically with 64 rays a pixel. sphere, fence and nested\n"
-         "are objects cut out by alpha; place (around in a room) and window (out of it) are\n"
-         "captures without alpha of a place that reaches to the horizon. The depth of each test\n"
-         "view lies beside it, as float32 in test/r_N_depth.npy.",
+         "Procedural scenes, rendered analytically with 64 rays a pixel. sphere, fence, nested and\n"
+         "still-life are objects cut out by alpha; place (around in a room) and window (out of\n"
+         "it) are captures without alpha of a place that reaches to the horizon. The depth of\n"
+         "each test view lies beside it, as float32 in test/r_N_depth.npy.",
      .args_min = 2,
      .args_max = 2,
      .table = synth_table,

@@ -143,10 +143,10 @@ enum rn_status rn_dataset_import(struct rn_dataset *source, const char *name,
                                  void *context, struct rn_error *err) RN_MUST_CHECK;
 
 // Procedural scenes with known truth: analytic intersection, many samples a pixel. "sphere",
-// "fence" and "nested" are objects, cut out by alpha; "place" (around in a room) and "window" (one
-// way, out of it) are two captures of a place without bounds, photographs without alpha. Writes the
-// NeRF-synthetic layout: transforms_{train,val,test}.json, PNGs, and the test views' depth as
-// rn_synth_depth's float32 in test/r_N_depth.npy.
+// "fence", "nested" and "still-life" are objects, cut out by alpha; "place" (around in a room) and
+// "window" (one way, out of it) are two captures of a place without bounds, photographs without
+// alpha. Writes the NeRF-synthetic layout: transforms_{train,val,test}.json, PNGs, and the test
+// views' depth as rn_synth_depth's float32 in test/r_N_depth.npy.
 struct rn_synth_options {
     int size;    // image side, pixels
     int views;   // training views; validation and test get max(8, views / 4) each

@@ -19,7 +19,18 @@
 static struct ray pixel_ray(const struct rn_camera *camera, double px, double py) {
     struct rn_ray cone = rn_camera_ray(camera, px, py);
     return (struct ray){{cone.origin[0], cone.origin[1], cone.origin[2]},
-                        {cone.direction[0], cone.direction[1], cone.direction[2]}};
+                        {cone.direction[0], cone.direction[1], cone.direction[2]},
+                        {0}};
+}
+
+// Sample s of a pixel on the lamp's disc: an additive recurrence over radius and angle, so that the
+// samples of a pixel cover the lamp evenly.
+static void place_on_lamp(int s, uint64_t pixel, double lamp[2]) {
+    struct rn_rng4 offset = rn_rng_draw(1, pixel, 0);
+    double radius = fmod((double)rn_rng_unit(offset.v[0]) + s * 0.7548776662466927, 1);
+    double angle = 2 * M_PI * fmod((double)rn_rng_unit(offset.v[1]) + s * 0.5698402909980532, 1);
+    lamp[0] = sqrt(radius) * cos(angle);
+    lamp[1] = sqrt(radius) * sin(angle);
 }
 
 // The mean over one pixel: `side` x `side` strata with one jittered ray each.
@@ -34,6 +45,7 @@ static void render_pixel(const struct rn_synth_scene *scene, const struct rn_cam
         double u = (s % side + (double)rn_rng_unit(jitter.v[s % 2 * 2])) / side;
         double v = ((double)(s / side) + (double)rn_rng_unit(jitter.v[s % 2 * 2 + 1])) / side;
         struct ray ray = pixel_ray(camera, x + u, y + v);
+        if (scene->lamp > 0) place_on_lamp(s, stream, ray.lamp);
         double rgb[3], distance;
         if (!rn_synth_trace(scene, &ray, rgb, &distance)) continue;
         hits++;

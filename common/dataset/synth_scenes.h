@@ -12,6 +12,7 @@ struct surface {
     double colour[3];
     double ambient; // share of the light that comes from everywhere
     double gloss;   // strength of the highlight
+    double mirror;  // share of what is reflected, seen at right angles; more at grazing ones
 };
 
 // Thread-safety: immutable.
@@ -19,6 +20,7 @@ struct rn_synth_scene {
     const char *name;
     double radius;    // about the origin, holds the whole scene; INFINITY: a place with a sky
     struct vec light; // towards the light, unit
+    double lamp;      // its radius over its distance; 0: sharp shadows
     void (*nearest)(const struct ray *ray, struct hit *hit);
     void (*describe)(const struct hit *hit, struct vec point, struct surface *surface);
     // Where view `index` of the split's `count` stands and looks; up is z.
@@ -26,10 +28,12 @@ struct rn_synth_scene {
     double angle_x; // field of view across, radians
     // The colour behind everything, by direction; NULL: nothing is there, alpha 0.
     void (*sky)(struct vec direction, double rgb[3]);
+    // What mirrors show where they show nothing of the scene.
+    void (*mirrored)(struct vec direction, double rgb[3]);
 };
 
 extern const struct rn_synth_scene rn_synth_sphere, rn_synth_fence, rn_synth_nested, rn_synth_place,
-    rn_synth_window;
+    rn_synth_window, rn_synth_still_life;
 
 // Around an object: a golden spiral over part of a sphere about the origin; each split has its own.
 void rn_synth_orbit(enum rn_split split, int index, int count, double eye[3], double target[3]);
@@ -43,8 +47,8 @@ const struct rn_synth_scene *rn_synth_find(const char *name);
 // Writes the scenes' names into `names`, separated by commas.
 void rn_synth_names(char *names, size_t size);
 // Whether the ray meets the scene; then its colour there, 0..1, and the distance, INFINITY for the
-// sky. Diffuse light with shadows, and highlights that move with the viewer where a surface has
-// gloss.
+// sky. Diffuse light with shadows; highlights, and reflections of one bounce, that move with the
+// viewer where a surface has gloss.
 bool rn_synth_trace(const struct rn_synth_scene *scene, const struct ray *ray, double rgb[3],
                     double *ret_distance);
 

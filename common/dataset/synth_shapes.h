@@ -12,6 +12,7 @@ struct vec {
 
 struct ray {
     struct vec origin, direction; // direction: unit
+    double lamp[2];               // place on the lamp's disc that shadows are cast from, -1..1
 };
 
 struct hit {
@@ -196,7 +197,7 @@ static inline bool hit_wall(const struct shell *shell, const struct ray *ray, do
 }
 
 static inline bool hit_shell(const struct ray *ray, const struct shell *shell, struct hit *hit) {
-    struct ray local = {vec_add(ray->origin, -1, shell->centre), ray->direction};
+    struct ray local = {vec_add(ray->origin, -1, shell->centre), ray->direction, {0}};
     const struct vec origin = {0, 0, 0};
     double outer_begin, outer_end, inner_begin, inner_end;
     if (!sphere_span(&local, origin, shell->outer, &outer_begin, &outer_end)) return false;

@@ -4,8 +4,9 @@
 
 #include "common/dataset/synth_scenes.h"
 
-static const struct rn_synth_scene *const scenes[] = {
-    &rn_synth_sphere, &rn_synth_fence, &rn_synth_nested, &rn_synth_place, &rn_synth_window};
+static const struct rn_synth_scene *const scenes[] = {&rn_synth_sphere, &rn_synth_fence,
+                                                      &rn_synth_nested, &rn_synth_place,
+                                                      &rn_synth_window, &rn_synth_still_life};
 #define SCENES (sizeof scenes / sizeof *scenes)
 
 const struct rn_synth_scene *rn_synth_find(const char *name) {
@@ -33,29 +34,60 @@ void rn_synth_orbit(enum rn_split split, int index, int count, double eye[3], do
     target[0] = target[1] = target[2] = 0;
 }
 
-static bool in_shadow(const struct rn_synth_scene *scene, struct vec point, struct vec normal) {
-    struct ray ray = {vec_add(point, 1e-6, normal), scene->light};
+// Towards the ray's place on the lamp.
+static struct vec towards_lamp(const struct rn_synth_scene *scene, const struct ray *ray) {
+    struct vec l = scene->light;
+    if (scene->lamp == 0) return l;
+    struct vec across = vec_unit((struct vec){-l.y, l.x, 0});
+    struct vec up = {-l.z * across.y, l.z * across.x, l.x * across.y - l.y * across.x};
+    l = vec_add(l, scene->lamp * ray->lamp[0], across);
+    return vec_unit(vec_add(l, scene->lamp * ray->lamp[1], up));
+}
+
+static bool in_shadow(const struct rn_synth_scene *scene, struct vec point, struct vec normal,
+                      struct vec light) {
+    struct ray ray = {vec_add(point, 1e-6, normal), light, {0}};
     struct hit hit = {.t_min = 1e-6, .t = INFINITY};
     scene->nearest(&ray, &hit);
     return hit.t < INFINITY;
 }
 
-static void shade(const struct rn_synth_scene *scene, const struct ray *ray, const struct hit *hit,
-                  double rgb[3]) {
-    struct vec point = ray_at(ray, hit->t);
+// The surface that a ray hits, and its colour but for reflections.
+static struct surface shade(const struct rn_synth_scene *scene, const struct ray *ray,
+                            const struct hit *hit, double rgb[3]) {
+    struct vec point = ray_at(ray, hit->t), light = towards_lamp(scene, ray);
     struct surface surface = {.gloss = 0};
     scene->describe(hit, point, &surface);
-    double facing = vec_dot(hit->normal, scene->light);
-    bool lit = facing > 0 && !in_shadow(scene, point, hit->normal);
+    double facing = vec_dot(hit->normal, light);
+    bool lit = facing > 0 && !in_shadow(scene, point, hit->normal, light);
     double diffuse = surface.ambient * (0.85 + 0.15 * hit->normal.z), highlight = 0;
     if (lit) {
-        struct vec half = vec_unit(vec_add(scene->light, -1, ray->direction)); // Blinn 1977
+        struct vec half = vec_unit(vec_add(light, -1, ray->direction)); // Blinn 1977
         diffuse += 0.65 * facing;
         double cosine = vec_dot(hit->normal, half);
         if (surface.gloss > 0 && cosine > 0) highlight = surface.gloss * pow(cosine, 40);
     }
     for (int i = 0; i < 3; i++)
         rgb[i] = fmin(1, surface.colour[i] * diffuse + highlight);
+    return surface;
+}
+
+// Adds what the surface reflects, by Schlick's approximation of Fresnel's equations (1994).
+static void reflect(const struct rn_synth_scene *scene, const struct ray *ray,
+                    const struct hit *hit, const struct surface *surface, double rgb[3]) {
+    double cosine = -vec_dot(hit->normal, ray->direction), seen[3];
+    double share = surface->mirror + 0.5 * (1 - surface->mirror) * pow(1 - cosine, 5);
+    struct ray turned = *ray;
+    turned.origin = vec_add(ray_at(ray, hit->t), 1e-6, hit->normal);
+    turned.direction = vec_unit(vec_add(ray->direction, 2 * cosine, hit->normal));
+    struct hit other = {.t_min = 1e-6, .t = INFINITY};
+    scene->nearest(&turned, &other);
+    if (other.t < INFINITY)
+        shade(scene, &turned, &other, seen);
+    else
+        scene->mirrored(turned.direction, seen);
+    for (int i = 0; i < 3; i++)
+        rgb[i] += share * (seen[i] - rgb[i]);
 }
 
 bool rn_synth_trace(const struct rn_synth_scene *scene, const struct ray *ray, double rgb[3],
@@ -66,11 +98,13 @@ bool rn_synth_trace(const struct rn_synth_scene *scene, const struct ray *ray, d
     struct hit hit = {.t_min = 0, .t = INFINITY};
     scene->nearest(ray, &hit);
     *ret_distance = hit.t;
-    if (hit.t < INFINITY)
-        shade(scene, ray, &hit, rgb);
-    else if (scene->sky)
+    if (hit.t < INFINITY) {
+        struct surface surface = shade(scene, ray, &hit, rgb);
+        if (surface.mirror > 0) reflect(scene, ray, &hit, &surface, rgb);
+    } else if (scene->sky) {
         scene->sky(ray->direction, rgb);
-    else
+    } else {
         return false;
+    }
     return true;
 }
