@@ -1,5 +1,6 @@
 #include "common/dataset/dataset.h"
 
+#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -25,6 +26,8 @@ void rn_dataset_destroy(struct rn_dataset **dataset) {
     for (size_t i = 0; i < (*dataset)->document_count; i++)
         free((*dataset)->documents[i]);
     free((*dataset)->documents);
+    free((*dataset)->points.items);
+    free((*dataset)->points.sightings);
     free((*dataset)->frames);
     free((*dataset)->name);
     free(*dataset);
@@ -112,6 +115,23 @@ static void set_bounds(struct rn_reader *reader) {
                     dataset->bounds.centre[1], dataset->bounds.centre[2]);
 }
 
+static enum rn_status nothing_found(const struct rn_reader *reader, struct rn_error *err) {
+    char signs[256] = "";
+    for (size_t i = 0, used = 0; rn_formats[i] && used < sizeof signs; i++)
+        used += (size_t)snprintf(signs + used, sizeof signs - used, "%s%s (%s)", i ? ", " : "",
+                                 rn_formats[i]->signs[0].file, rn_formats[i]->title);
+    return rn_error_set(err, RN_ERROR_NOT_FOUND, reader->folder,
+                        "holds no dataset: none of these is there: %s", signs);
+}
+
+static void forget_documents(struct rn_dataset *dataset) {
+    for (size_t i = 0; i < dataset->document_count; i++)
+        free(dataset->documents[i]);
+    free(dataset->documents);
+    dataset->documents = NULL;
+    dataset->document_count = 0;
+}
+
 static enum rn_status read_format(struct rn_reader *reader, const struct rn_format *format,
                                   struct rn_error *err) {
     reader->dataset->format = format;
@@ -123,23 +143,27 @@ static enum rn_status read_format(struct rn_reader *reader, const struct rn_form
     return status;
 }
 
-static enum rn_status choose_format(struct rn_reader *reader, const struct rn_format **ret_format,
-                                    struct rn_error *err) {
+// The first format of those recognised whose documents are all there; one that is incomplete is
+// told, and so are those that are left.
+static enum rn_status read_recognised(struct rn_reader *reader, struct rn_error *err) {
     const struct rn_format *found[RN_FORMATS_MAX];
-    size_t count;
+    size_t count, i = 0;
+    struct rn_error why;
     enum rn_status status = rn_formats_recognise(reader->folder, found, &count, err);
     if (status) return status;
-    if (count == 0)
-        return rn_error_set(err, RN_ERROR_NOT_FOUND, reader->folder,
-                            "holds no dataset: none of dataset.json, metadata.json and "
-                            "transforms_train.json is there");
-    for (size_t i = 1; i < count; i++)
-        if (strcmp(found[i]->documents[0], found[0]->documents[0]) != 0)
+    if (count == 0) return nothing_found(reader, err);
+    while ((status = read_format(reader, found[i], &why)) == RN_ERROR_NOT_FOUND && i + 1 < count) {
+        rn_problems_add(reader->problems, RN_SEVERITY_WARNING, why.where, "%s; read as %s instead",
+                        why.text, found[++i]->title);
+        forget_documents(reader->dataset);
+    }
+    if (status && err) *err = why;
+    for (size_t j = i + 1; status == RN_OK && j < count; j++)
+        if (strcmp(found[j]->documents[0], found[i]->documents[0]) != 0)
             rn_problems_add(reader->problems, RN_SEVERITY_INFO, reader->folder,
                             "is read as %s; it also holds a dataset of the format %s (--format %s)",
-                            found[0]->title, found[i]->title, found[i]->name);
-    *ret_format = found[0];
-    return RN_OK;
+                            found[i]->title, found[j]->title, found[j]->name);
+    return status;
 }
 
 static enum rn_status named_format(const char *name, const struct rn_format **ret_format,
@@ -173,11 +197,10 @@ enum rn_status rn_dataset_read_as(const char *folder, const struct rn_read_optio
     enum rn_status status;
     if (!reader.dataset || !reader.dataset->name || !reader.reported)
         status = rn_error_set(err, RN_ERROR_NO_MEMORY, folder, "out of memory");
-    else if (options && options->format)
-        status = named_format(options->format, &format, err);
-    else
-        status = choose_format(&reader, &format, err);
-    if (status == RN_OK) status = read_format(&reader, format, err);
+    else if (!options || !options->format)
+        status = read_recognised(&reader, err);
+    else if ((status = named_format(options->format, &format, err)) == RN_OK)
+        status = read_format(&reader, format, err);
     json_decref(reader.reported);
     if (status == RN_OK)
         *ret_dataset = reader.dataset;

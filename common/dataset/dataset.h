@@ -25,8 +25,30 @@ struct rn_frame {
     int scale;          // 0 = full size, j = downsampled 2^j times
     double loss_weight; // area weight of a pixel's loss: 4^scale (1 on single-scale data)
     bool has_alpha;     // by the file's header
+    int photo;          // which photograph it is of, for struct rn_sighting
     double near, far;   // along the optical axis, dataset units, as the source gives; 0: not given
     struct rn_camera camera;
+};
+
+// A point of the sparse model that poses were found with.
+struct rn_point {
+    double position[3]; // dataset units
+    float error;        // reprojection error in pixels, as its source says; below 0: not said
+    uint8_t colour[3];
+};
+// A photograph sees a point there.
+struct rn_sighting {
+    uint32_t point, photo; // of struct rn_points; of struct rn_frame
+    float x, y;            // from the top-left corner, shares of the width and the height
+};
+// Points beyond RN_POINTS_MAX and sightings beyond RN_SIGHTINGS_MAX are thinned out evenly.
+#define RN_POINTS_MAX 1000000
+#define RN_SIGHTINGS_MAX 8000000
+struct rn_points {
+    struct rn_point *items;
+    size_t count;
+    struct rn_sighting *sightings; // in no order
+    size_t sighting_count;
 };
 
 enum rn_bounds_source { RN_BOUNDS_GIVEN, RN_BOUNDS_LAYOUT, RN_BOUNDS_CAMERAS };
@@ -51,6 +73,7 @@ struct rn_dataset {
     int unusable[RN_SPLIT_COUNT];   // images that were left out, each with its problem
     int scale_count;                // frames per view
     struct rn_bounds bounds;
+    struct rn_points points;   // none: count is 0
     bool premultiplied_scales; // false: made by the legacy (straight, truncating) converter
 };
 

@@ -9,7 +9,8 @@
 
 #include "common/dataset/reader.h"
 
-#define FORMATS(ROW) ROW(native) ROW(multiscale) ROW(blender) ROW(ngp) ROW(nerfstudio) ROW(llff)
+#define FORMATS(ROW)                                                                               \
+    ROW(native) ROW(multiscale) ROW(blender) ROW(ngp) ROW(nerfstudio) ROW(colmap) ROW(llff)
 
 #define DECLARE(name) extern const struct rn_format rn_format_##name;
 #define ADDRESS(name) &rn_format_##name,

@@ -3,9 +3,8 @@
 #include <math.h>
 #include <string.h>
 
-#define SAME 1e-3            // two focal lengths that mean one
-#define SHAPE_TOLERANCE 0.01 // of the ratio of width to height
-#define MAX_ANGLE 3.1        // radians
+#define SAME 1e-3     // two focal lengths that mean one
+#define MAX_ANGLE 3.1 // radians
 #define HUGE_PX 1e7
 
 enum { SIMPLE = 3 }; // so many of the members NeRF-synthetic has too
@@ -163,7 +162,7 @@ static enum rn_status read_focal(struct rn_reader *reader, const struct rn_intri
 }
 
 static enum rn_status read_size(struct rn_reader *reader, const struct rn_intrinsics *from,
-                                const struct rn_frame *frame, double size[2],
+                                const struct rn_frame *frame, double size[2], char where[256],
                                 struct rn_error *err) {
     const struct rn_camera *camera = &frame->camera;
     struct rn_json wide, high;
@@ -176,19 +175,10 @@ static enum rn_status read_size(struct rn_reader *reader, const struct rn_intrin
     if (!wide.value != !high.value)
         return rn_json_error(wide.value ? &wide : &high, RN_ERROR_INVALID, err,
                              "stands without %s; both or neither", wide.value ? "h" : "w");
-    double across = camera->width / size[0], down = camera->height / size[1];
-    if (!(fabs(across / down - 1) <= SHAPE_TOLERANCE))
-        return rn_json_error(&wide, RN_ERROR_INVALID, err, "says %gx%g pixels, %s is %dx%d",
-                             size[0], size[1], frame->path, camera->width, camera->height);
-    if (across == 1 && down == 1) return RN_OK;
-    if (rn_reader_says(reader, "w and h")) {
-        char where[256];
+    if (wide.value)
         rn_json_where(&wide, where);
-        rn_problems_add(reader->problems, RN_SEVERITY_INFO, where,
-                        "says %gx%g pixels, %s is %dx%d; focal lengths and principal point are "
-                        "scaled to the image's size, here and wherever sizes differ",
-                        size[0], size[1], frame->path, camera->width, camera->height);
-    }
+    else
+        rn_json_where(&from->root, where);
     return RN_OK;
 }
 
@@ -287,11 +277,12 @@ enum rn_status rn_intrinsics_read(struct rn_reader *reader, const struct rn_intr
     struct rn_camera *camera = &frame->camera;
     enum rn_lens lens;
     double size[2], values[COEFFICIENTS];
+    char where[256];
     enum rn_status status;
     if ((status = refuse(&from->root, err)) || (status = refuse(&from->frame, err)) ||
         (status = read_model(reader, from, &lens, err)) ||
         (status = read_coefficients(reader, from, values, err)) ||
-        (status = read_size(reader, from, frame, size, err)))
+        (status = read_size(reader, from, frame, size, where, err)))
         return status;
     if (lens == RN_LENS_EQUIRECTANGULAR) {
         set_equirectangular(camera);
@@ -311,10 +302,5 @@ enum rn_status rn_intrinsics_read(struct rn_reader *reader, const struct rn_intr
                              "is missing, and so are camera_angle_x and x_fov");
     }
     if (!(camera->fy > 0)) camera->fy = camera->fx;
-    double sx = camera->width / size[0], sy = camera->height / size[1];
-    camera->fx *= sx;
-    camera->cx *= sx;
-    camera->fy *= sy;
-    camera->cy *= sy;
-    return RN_OK;
+    return rn_reader_fit(reader, where, size[0], size[1], frame, err);
 }

@@ -16,7 +16,6 @@
 #define DOCUMENT "poses_bounds.npy"
 #define COLUMNS 17
 #define MAX_BYTES ((size_t)RN_DATASET_MAX_FRAMES * COLUMNS * 8 + 65536)
-#define SHAPE_TOLERANCE 0.01 // of the ratio of width to height
 
 _Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "numbers are taken as they lie in files");
 
@@ -159,21 +158,17 @@ static void set_pose(const double row[COLUMNS], double pose[3][4]) {
     }
 }
 
-static enum rn_status set_intrinsics(const double row[COLUMNS], const char *where,
-                                     const struct rn_frame *frame, struct rn_camera *camera,
+static enum rn_status set_intrinsics(struct rn_reader *reader, const double row[COLUMNS],
+                                     const char *where, struct rn_frame *frame,
                                      struct rn_error *err) {
     double height = row[4], width = row[9], focal = row[14];
+    struct rn_camera *camera = &frame->camera;
     if (!(height >= 1) || !(width >= 1) || !(height < 1e6) || !(width < 1e6))
         return rn_error_set(err, RN_ERROR_INVALID, where, "says %g x %g pixels", width, height);
-    double across = camera->width / width, down = camera->height / height;
-    if (!(fabs(across / down - 1) <= SHAPE_TOLERANCE))
-        return rn_error_set(err, RN_ERROR_INVALID, where, "says %g x %g pixels, %s is %dx%d", width,
-                            height, frame->path, camera->width, camera->height);
-    camera->fx = focal * across;
-    camera->fy = focal * down;
-    camera->cx = 0.5 * camera->width;
-    camera->cy = 0.5 * camera->height;
-    return RN_OK;
+    camera->fx = camera->fy = focal;
+    camera->cx = 0.5 * width;
+    camera->cy = 0.5 * height;
+    return rn_reader_fit(reader, where, width, height, frame, err);
 }
 
 static enum rn_status read_row(struct rn_reader *reader, const struct poses *poses, size_t index,
@@ -188,7 +183,7 @@ static enum rn_status read_row(struct rn_reader *reader, const struct poses *pos
     set_pose(row, frame->camera.world_from_camera);
     frame->near = row[15];
     frame->far = row[16];
-    if ((status = set_intrinsics(row, where, frame, &frame->camera, err))) return status;
+    if ((status = set_intrinsics(reader, row, where, frame, err))) return status;
     if ((status = rn_camera_check(&frame->camera, "", &inner)))
         return rn_error_set(err, status, where, "%s", inner.text);
     if (frame->near > 0 && frame->far >= frame->near && isfinite(frame->far)) return RN_OK;

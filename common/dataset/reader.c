@@ -1,12 +1,15 @@
 #include "common/dataset/reader.h"
 
 #include <ctype.h>
+#include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <strings.h>
 #include <sys/stat.h>
 #include <unistd.h>
+
+#define SHAPE_TOLERANCE 0.01 // of the ratio of width to height
 
 char *rn_reader_path(const struct rn_reader *reader, const char *name) {
     while (name[0] == '.' && name[1] == '/')
@@ -19,13 +22,17 @@ enum rn_status rn_reader_document(struct rn_reader *reader, const char *name, ch
                                   struct rn_error *err) {
     struct rn_dataset *dataset = reader->dataset;
     size_t count = dataset->document_count;
-    char **grown = realloc(dataset->documents, (count + 1) * sizeof *grown);
-    char *path = rn_reader_path(reader, name);
+    char *path = rn_reader_path(reader, name), **grown = NULL;
+    bool kept = false;
+    for (size_t i = 0; i < count && !kept; i++)
+        kept = strcmp(dataset->documents[i], name) == 0;
+    if (!kept) grown = realloc(dataset->documents, (count + 1) * sizeof *grown);
     if (grown) {
         dataset->documents = grown;
-        if ((grown[count] = strdup(name)) != NULL) dataset->document_count++;
+        kept = (grown[count] = strdup(name)) != NULL;
+        dataset->document_count += kept;
     }
-    if (path && dataset->document_count > count) {
+    if (path && kept) {
         *ret_path = path;
         return RN_OK;
     }
@@ -258,6 +265,25 @@ enum rn_status rn_reader_add(struct rn_reader *reader, struct rn_frame *frame,
     rn_problems_add(reader->problems, usual ? RN_SEVERITY_WARNING : RN_SEVERITY_ERROR, err->where,
                     "%s", err->text);
     reader->dataset->unusable[split]++;
+    return RN_OK;
+}
+
+enum rn_status rn_reader_fit(struct rn_reader *reader, const char *where, double width,
+                             double height, struct rn_frame *frame, struct rn_error *err) {
+    struct rn_camera *camera = &frame->camera;
+    double across = camera->width / width, down = camera->height / height;
+    if (!(fabs(across / down - 1) <= SHAPE_TOLERANCE))
+        return rn_error_set(err, RN_ERROR_INVALID, where, "says %gx%g pixels, %s is %dx%d", width,
+                            height, frame->path, camera->width, camera->height);
+    camera->fx *= across;
+    camera->cx *= across;
+    camera->fy *= down;
+    camera->cy *= down;
+    if ((across != 1 || down != 1) && rn_reader_says(reader, "size"))
+        rn_problems_add(reader->problems, RN_SEVERITY_INFO, where,
+                        "says %gx%g pixels, %s is %dx%d; focal lengths and principal point are "
+                        "scaled to the image's size, here and wherever sizes differ",
+                        width, height, frame->path, camera->width, camera->height);
     return RN_OK;
 }
 

@@ -74,6 +74,11 @@ enum rn_status rn_reader_check_camera(const struct rn_json *object, const char *
 enum rn_status rn_reader_add(struct rn_reader *reader, struct rn_frame *frame,
                              enum rn_status status, struct rn_error *err) RN_MUST_CHECK;
 
+// Scales the camera's focal lengths and principal point, which are those of width x height pixels,
+// to the image's size, which is told once. RN_ERROR_INVALID for an image of another shape.
+enum rn_status rn_reader_fit(struct rn_reader *reader, const char *where, double width,
+                             double height, struct rn_frame *frame,
+                             struct rn_error *err) RN_MUST_CHECK;
 // True the first time it is asked of `what`: so that what recurs is told once.
 bool rn_reader_says(struct rn_reader *reader, const char *what);
 // Warns once for each member of a foreign file's object that is not among the NULL-terminated

@@ -1,0 +1,385 @@
+// COLMAP models: binary and text, poses, lenses, points and who sees them; and models that are cut,
+// incomplete or contradict themselves.
+#include <math.h>
+#include <stdint.h>
+#include <sys/resource.h>
+#include <unistd.h>
+
+#include "tests/unit/common/dataset_fixture.h"
+
+static struct bytes {
+    char data[4096];
+    size_t size;
+} cameras, images, points;
+
+static void put(struct bytes *to, const void *value, size_t size) {
+    ck_assert_uint_le(to->size + size, sizeof to->data);
+    memcpy(to->data + to->size, value, size);
+    to->size += size;
+}
+#define PUT(to, type, ...)                                                                         \
+    do {                                                                                           \
+        const type values[] = {__VA_ARGS__};                                                       \
+        put(to, values, sizeof values);                                                            \
+    } while (0)
+
+// Two cameras, three photographs (one without keypoints), two points.
+static void fill_model(void) {
+    cameras.size = images.size = points.size = 0;
+    PUT(&cameras, uint64_t, 2);
+    PUT(&cameras, uint32_t, 7);
+    PUT(&cameras, int32_t, 2); // SIMPLE_RADIAL
+    PUT(&cameras, uint64_t, 40, 30);
+    PUT(&cameras, double, 50, 21, 14, 0.125);
+    PUT(&cameras, uint32_t, 3);
+    PUT(&cameras, int32_t, 1); // PINHOLE
+    PUT(&cameras, uint64_t, 80, 60);
+    PUT(&cameras, double, 100, 120, 40, 30);
+    PUT(&images, uint64_t, 3);
+    static const char *const names[] = {"b.png", "sub/a b.png", "c.png"};
+    for (uint32_t i = 0; i < 3; i++) {
+        double half = sqrt(0.5);
+        PUT(&images, uint32_t, 10 + i);
+        PUT(&images, double, half, 0, half, 0, 1, 2, 3.0 + i); // 90 degrees about y
+        PUT(&images, uint32_t, i == 1 ? 3 : 7);
+        put(&images, names[i], strlen(names[i]) + 1);
+        PUT(&images, uint64_t, i == 2 ? 0 : 2);
+        if (i == 2) break;
+        PUT(&images, double, 10, 15);
+        PUT(&images, uint64_t, 1000);
+        PUT(&images, double, 20, 25);
+        PUT(&images, uint64_t, i == 0 ? UINT64_MAX : 1001);
+    }
+    PUT(&points, uint64_t, 2);
+    for (uint64_t i = 0; i < 2; i++) {
+        PUT(&points, uint64_t, 1001 - i);
+        PUT(&points, double, 0.5, 1.5, 2.5 + (double)i);
+        PUT(&points, uint8_t, 1, 2, 3);
+        PUT(&points, double, 0.75);
+        PUT(&points, uint64_t, 1);
+        PUT(&points, uint32_t, 10, 0);
+    }
+}
+
+static void put_photos(void) {
+    put_image("images/b.png", 40, 30);
+    put_image("images/sub/a b.png", 40, 30); // half the camera's size
+    put_image("images/c.png", 40, 30);
+}
+
+static void put_model(const char *place) {
+    char name[64];
+    const struct bytes *all[] = {&cameras, &images, &points};
+    static const char *const kinds[] = {"cameras", "images", "points3D"};
+    for (int i = 0; i < 3; i++) {
+        snprintf(name, sizeof name, "%s%s.bin", place, kinds[i]);
+        put_bytes(name, all[i]->data, all[i]->size);
+    }
+}
+
+static void put_capture(void) {
+    fill_model();
+    put_model("sparse/0/");
+    put_photos();
+}
+
+static bool tells(enum rn_severity severity, const char *text) {
+    for (size_t i = 0; i < problems.count; i++)
+        if (problems.items[i].severity == severity &&
+            (strstr(problems.items[i].where, text) || strstr(problems.items[i].text, text)))
+            return true;
+    return false;
+}
+
+static void assert_model(void) {
+    ck_assert_str_eq(dataset->format->name, "colmap");
+    ck_assert_uint_eq(problems.errors + problems.warnings, 0);
+    ck_assert_uint_eq(dataset->frame_count, 3);
+    static const char *const order[] = {"b", "c", "a b"}; // of the names with their folders
+    for (int i = 0; i < 3; i++)
+        ck_assert_str_eq(dataset->frames[i].name, order[i]);
+    const struct rn_camera *bent = &dataset->frames[0].camera, *half = &dataset->frames[2].camera;
+    ck_assert_int_eq(bent->lens, RN_LENS_OPENCV);
+    ck_assert_double_eq(bent->lens_k[0], 0.125);
+    ck_assert_double_eq(bent->cx, 21);
+    ck_assert_int_eq(half->lens, RN_LENS_PINHOLE);
+    ck_assert_double_eq(half->fx, 50);
+    ck_assert_double_eq(half->fy, 60);
+    ck_assert_double_eq(half->cx, 20);
+    // x of the world is -z of the camera: R = [0 0 1; 0 1 0; -1 0 0], the centre is -R' t
+    const double pose[3][4] = {{0, 0, -1, 3}, {0, 1, 0, -2}, {1, 0, 0, -1}};
+    for (int i = 0; i < 12; i++)
+        ck_assert_double_eq_tol((&bent->world_from_camera[0][0])[i], (&pose[0][0])[i], 1e-15);
+}
+
+static void assert_points(void) {
+    const struct rn_points *found = &dataset->points;
+    ck_assert_uint_eq(found->count, 2);
+    ck_assert_uint_eq(found->sighting_count, 3);
+    int seen[3] = {0};
+    for (size_t i = 0; i < 3; i++) {
+        const struct rn_sighting *sighting = &found->sightings[i];
+        double z = found->items[sighting->point].position[2];
+        bool first = sighting->y * 30 < 20 && sighting->photo == 0;
+        seen[sighting->photo]++;
+        ck_assert_float_eq(found->items[sighting->point].error, 0.75f);
+        if (first) ck_assert_double_eq(z, 3.5); // id 1000 is the second in its file
+        if (first) ck_assert_float_eq(sighting->x, 0.25f);
+        if (sighting->photo == 2) ck_assert_float_le(sighting->x, 0.25f); // of 80 pixels
+    }
+    ck_assert_int_eq(seen[0], 1);
+    ck_assert_int_eq(seen[2], 2);
+}
+
+START_TEST(binary_model) {
+    static const char *const places[] = {"sparse/0/", "sparse/", "", "colmap/sparse/0/"};
+    fill_model();
+    put_model(places[_i]);
+    put_photos();
+    read_ok(folder);
+    assert_model();
+    assert_points();
+    ck_assert_uint_eq(dataset->document_count, 3);
+}
+END_TEST
+
+#define CAMERAS_TXT                                                                                \
+    "# Camera list\n3 PINHOLE 80 60 100 120 40 30\r\n7 SIMPLE_RADIAL 40 30 50 21 14 0.125\n"
+#define IMAGES_TXT                                                                                 \
+    "# Image list\n10 0.7071067811865476 0 0.7071067811865476 0 1 2 3 7 b.png\n"                   \
+    "10 15 1000 20 25 -1\n"                                                                        \
+    "11 0.7071067811865476 0 0.7071067811865476 0 1 2 4 3 sub/a b.png\n"                           \
+    "10 15 1000 20 25 1001\n"                                                                      \
+    "12 0.7071067811865476 0 0.7071067811865476 0 1 2 5 7 c.png\n\n"
+#define POINTS_TXT "1001 0.5 1.5 2.5 1 2 3 0.75 10 0\n1000 0.5 1.5 3.5 1 2 3 0.75 10 0 11 1\n"
+
+static void put_texts(const char *camera_lines, const char *image_lines, const char *point_lines) {
+    put_text("sparse/0/cameras.txt", camera_lines);
+    put_text("sparse/0/images.txt", image_lines);
+    put_text("sparse/0/points3D.txt", point_lines);
+    put_photos();
+}
+
+START_TEST(text_model) {
+    put_texts(CAMERAS_TXT, IMAGES_TXT, POINTS_TXT);
+    read_ok(folder);
+    assert_model();
+    assert_points();
+}
+END_TEST
+
+static const struct {
+    const char *cameras, *images, *points, *where, *text;
+} bad_texts[] = {
+    {"7 PINHOLE 40 30 50 21\n", IMAGES_TXT, "", "cameras.txt:1", "fewer parameters"},
+    {"7 PINHOLE\n", IMAGES_TXT, "", "cameras.txt:1", "CAMERA_ID MODEL"},
+    {"-7 PINHOLE 40 30 1 1 1 1\n", IMAGES_TXT, "", "cameras.txt:1", "CAMERA_ID MODEL"},
+    {CAMERAS_TXT, "10 1 0 0 0 1 2 3\n", "", "images.txt:1", "IMAGE_ID QW"},
+    {CAMERAS_TXT, "10 1 0 0 0 1 2 3 7\n\n", "", "images.txt:1", "NAME"},
+    {CAMERAS_TXT, "10 1 0 0 0 1 2 3 7 b.png\n1 2\n", POINTS_TXT, "images.txt:2", "triples"},
+    {CAMERAS_TXT, "# none\n", "", "images.txt", "no images"},
+    {CAMERAS_TXT, IMAGES_TXT, "1000 0.5 1.5 x\n", "points3D.txt:1", "POINT3D_ID X"},
+};
+
+START_TEST(bad_text) {
+    put_texts(bad_texts[_i].cameras, bad_texts[_i].images, bad_texts[_i].points);
+    ck_assert_int_eq(rn_dataset_read(folder, &problems, &dataset, &err), RN_ERROR_INVALID);
+    ck_assert_msg(strstr(err.where, bad_texts[_i].where) != NULL, "%s", err.where);
+    ck_assert_msg(strstr(err.text, bad_texts[_i].text) != NULL, "%s", err.text);
+}
+END_TEST
+
+// What spoils one photograph: the others stay, the error names it.
+static const struct {
+    const char *image, *text;
+} bad_images[] = {
+    {"12 0 0 0 0 1 2 5 7 c.png", "no length"},
+    {"12 nan 0 0 0 1 2 5 7 c.png", "no length"},
+    {"12 1 0 0 0 inf 2 5 7 c.png", "non-finite"},
+    {"12 1 0 0 0 1 2 5 8 c.png", "camera 8"},
+    {"12 1 0 0 0 1 2 5 4 c.png", "DIVISION"},
+    {"12 1 0 0 0 1 2 5 5 c.png", "NEW_MODEL"},
+    {"12 1 0 0 0 1 2 5 6 c.png", "says 60x60 pixels"},
+    {"12 1 0 0 0 1 2 5 7 gone.png", "does not exist"},
+    {"12 1 0 0 0 1 2 5 7 b.png", "two images"},
+    {"12 1 0 0 0 1 2 5 7 ../../c/x.png", "leaves"},
+    {"12 1 0 0 0 1 2 5 7 /etc/x.png", "absolute"},
+};
+
+START_TEST(bad_image) {
+    char *lines;
+    ck_assert(asprintf(&lines, "10 1 0 0 0 1 2 3 7 b.png\n\n%s\n\n", bad_images[_i].image) > 0);
+    put_texts(CAMERAS_TXT "4 SIMPLE_DIVISION 40 30 1 2 3 4\n5 NEW_MODEL 40 30 1\n"
+                          "6 SIMPLE_PINHOLE 60 60 50 30 30\n",
+              lines, POINTS_TXT);
+    free(lines);
+    read_ok(folder);
+    ck_assert_uint_eq(problems.errors, 1);
+    ck_assert(tells(RN_SEVERITY_ERROR, bad_images[_i].text));
+    ck_assert(tells(RN_SEVERITY_ERROR, "images.txt"));
+    ck_assert_uint_eq(dataset->frame_count, 1);
+}
+END_TEST
+
+// An image of another machine's path, found by its name.
+START_TEST(absolute_name) {
+    put_texts(CAMERAS_TXT, "10 1 0 0 0 1 2 3 7 /home/x/images/c.png\n\n", POINTS_TXT);
+    read_ok(folder);
+    ck_assert_uint_eq(problems.errors, 0);
+    ck_assert(tells(RN_SEVERITY_INFO, "found by its name"));
+}
+END_TEST
+
+// Cut anywhere, no file passes for whole.
+START_TEST(cut_anywhere) {
+    static const char *const names[] = {"sparse/0/cameras.bin", "sparse/0/images.bin",
+                                        "sparse/0/points3D.bin"};
+    put_capture();
+    const struct bytes *whole = _i == 0 ? &cameras : _i == 1 ? &images : &points;
+    for (size_t size = 0; size < whole->size; size++) {
+        put_bytes(names[_i], whole->data, size);
+        enum rn_status status = rn_dataset_read(folder, NULL, &dataset, &err);
+        ck_assert_msg(status == RN_ERROR_INVALID, "%zu bytes: %d", size, status);
+        ck_assert_msg(strstr(err.where, strrchr(names[_i], '/')) != NULL, "%s", err.where);
+    }
+}
+END_TEST
+
+START_TEST(huge_counts) {
+    static const char *const names[] = {"sparse/0/cameras.bin", "sparse/0/images.bin",
+                                        "sparse/0/points3D.bin"};
+    put_capture();
+    struct bytes *file = _i == 0 ? &cameras : _i == 1 ? &images : &points;
+    uint64_t count = UINT64_C(1) << 63;
+    memcpy(file->data, &count, 8);
+    put_bytes(names[_i], file->data, file->size);
+    ck_assert_int_eq(rn_dataset_read(folder, NULL, &dataset, &err), RN_ERROR_INVALID);
+    ck_assert_msg(strstr(err.text, "9223372036854775808 records") != NULL, "%s", err.text);
+}
+END_TEST
+
+START_TEST(unknown_binary_model) {
+    put_capture();
+    int32_t model = 99;
+    memcpy(cameras.data + 12, &model, 4);
+    put_model("sparse/0/");
+    ck_assert_int_eq(rn_dataset_read(folder, NULL, &dataset, &err), RN_ERROR_INVALID);
+    ck_assert_ptr_nonnull(strstr(err.text, "the model 99"));
+}
+END_TEST
+
+START_TEST(several_models) {
+    put_capture();
+    images.size = 0;
+    PUT(&images, uint64_t, 1);
+    PUT(&images, uint32_t, 10);
+    PUT(&images, double, 1, 0, 0, 0, 0, 0, 0);
+    PUT(&images, uint32_t, 7);
+    put(&images, "b.png", 6);
+    PUT(&images, uint64_t, 0);
+    put_model("sparse/1/");
+    put_text("sparse/0/rigs.bin", "");
+    read_ok(folder);
+    ck_assert_uint_eq(dataset->frame_count, 3);
+    ck_assert(tells(RN_SEVERITY_WARNING, "another model, of 1 photographs"));
+    ck_assert(tells(RN_SEVERITY_INFO, "rigs and frames"));
+    rn_dataset_destroy(&dataset);
+    put_model("sparse/0/"); // the lesser is now the first
+    fill_model();
+    put_model("sparse/1/");
+    read_ok(folder);
+    ck_assert_uint_eq(dataset->frame_count, 3);
+    ck_assert(tells(RN_SEVERITY_WARNING, "is read instead"));
+}
+END_TEST
+
+// Without points, or with points that nothing sees, photographs are read all the same.
+START_TEST(no_points) {
+    put_capture();
+    ck_assert_int_eq(unlink(in_folder("sparse/0/points3D.bin")), 0);
+    read_ok(folder);
+    ck_assert(tells(RN_SEVERITY_WARNING, "no sparse points"));
+    ck_assert_uint_eq(dataset->points.count, 0);
+    rn_dataset_destroy(&dataset);
+    put_text("sparse/0/points3D.txt", "5 0 0 0 1 1 1 0.5\n6 nan 0 0 1 1 1 0.5\n");
+    read_ok(folder);
+    ck_assert(tells(RN_SEVERITY_WARNING, "belong to none"));
+    ck_assert_uint_eq(dataset->points.count, 1);
+}
+END_TEST
+
+START_TEST(incomplete_model) {
+    put_capture();
+    ck_assert_int_eq(unlink(in_folder("sparse/0/images.bin")), 0);
+    ck_assert_int_eq(rn_dataset_read(folder, NULL, &dataset, &err), RN_ERROR_NOT_FOUND);
+    ck_assert_ptr_nonnull(strstr(err.text, "sparse/0/images.bin"));
+    put_text("transforms.json", "{\"fl_x\":50,\"frames\":[" FRAME("images/b") "]}");
+    read_ok(folder);
+    ck_assert_str_eq(dataset->format->name, "nerfstudio");
+    struct rn_read_options options = {.format = "colmap"};
+    rn_dataset_destroy(&dataset);
+    ck_assert_int_eq(rn_dataset_read_as(folder, &options, NULL, &dataset, &err),
+                     RN_ERROR_NOT_FOUND);
+    options.format = "collmap";
+    ck_assert_int_eq(rn_dataset_read_as(folder, &options, NULL, &dataset, &err), RN_ERROR_INVALID);
+    ck_assert_ptr_nonnull(strstr(err.text, "colmap, llff"));
+}
+END_TEST
+
+// Forty thousand photographs of a hundred keypoints: a file of 100 MB, which never is in memory.
+START_TEST(streamed) {
+    enum { COUNT = 40000, KEYPOINTS = 100 };
+    static const double keypoint[3] = {1, 2, 0}; // of no point, below
+    put_capture();
+    FILE *file = fopen(in_folder("sparse/0/images.bin"), "wb");
+    fwrite(&(uint64_t){COUNT}, 8, 1, file);
+    for (uint32_t i = 0; i < COUNT; i++) {
+        char name[32];
+        struct bytes record = {.size = 0};
+        snprintf(name, sizeof name, "images/%05u.png", i);
+        if (i == 0) put_image(name, 40, 30);
+        if (i > 0) ck_assert_int_eq(link(in_folder("images/00000.png"), in_folder(name)), 0);
+        PUT(&record, uint32_t, i);
+        PUT(&record, double, 1, 0, 0, 0, 0, 0, i);
+        PUT(&record, uint32_t, 7);
+        put(&record, name + 7, strlen(name + 7) + 1);
+        PUT(&record, uint64_t, KEYPOINTS);
+        fwrite(record.data, 1, record.size, file);
+        for (int k = 0; k < KEYPOINTS; k++) {
+            fwrite(keypoint, 16, 1, file);
+            fwrite(&(uint64_t){k ? UINT64_MAX : 1000}, 8, 1, file);
+        }
+    }
+    ck_assert_int_eq(fclose(file), 0);
+    struct rusage before, after;
+    getrusage(RUSAGE_SELF, &before);
+    read_ok(folder);
+    getrusage(RUSAGE_SELF, &after);
+    ck_assert_uint_eq(dataset->frame_count, COUNT);
+    ck_assert_uint_eq(dataset->points.sighting_count, COUNT);
+    ck_assert_int_lt(after.ru_maxrss - before.ru_maxrss, 60000); // KiB
+}
+END_TEST
+
+int main(void) {
+    Suite *suite = suite_create("colmap");
+    TCase *tests = tcase_create("colmap"), *large = tcase_create("large");
+    tcase_add_checked_fixture(tests, setup, teardown);
+    tcase_add_loop_test(tests, binary_model, 0, 4);
+    tcase_add_test(tests, text_model);
+    tcase_add_loop_test(tests, bad_text, 0, sizeof bad_texts / sizeof *bad_texts);
+    tcase_add_loop_test(tests, bad_image, 0, sizeof bad_images / sizeof *bad_images);
+    tcase_add_test(tests, absolute_name);
+    tcase_add_loop_test(tests, cut_anywhere, 0, 3);
+    tcase_add_loop_test(tests, huge_counts, 0, 3);
+    tcase_add_test(tests, unknown_binary_model);
+    tcase_add_test(tests, several_models);
+    tcase_add_test(tests, no_points);
+    tcase_add_test(tests, incomplete_model);
+    tcase_add_checked_fixture(large, setup, teardown);
+    tcase_set_timeout(large, 60);
+    tcase_add_test(large, streamed);
+    suite_add_tcase(suite, tests);
+    suite_add_tcase(suite, large);
+    return run_suite(suite);
+}
