@@ -3,6 +3,8 @@
 #include <stdio.h>
 #include <string.h>
 
+#include "common/base/utf8.h"
+
 static const struct {
     const char *slug, *title;
     int status;
@@ -86,9 +88,16 @@ enum rn_status rn_problem_json(enum rn_problem_type type, const char *detail,
     snprintf(problem.type, sizeof problem.type, "/problems/%s", kinds[type].slug);
     snprintf(problem.title, sizeof problem.title, "%s", kinds[type].title);
     snprintf(problem.detail, sizeof problem.detail, "%s", detail);
+    rn_utf8_clean(problem.detail); // it may quote what a client sent, or be cut in a character
+    struct rn_field_errors clean = {.count = 0};
     if (errors) {
-        problem.errors = (struct rn_field_error *)errors->items; // only read
-        problem.error_count = errors->count;
+        clean = *errors;
+        problem.errors = clean.items;
+        problem.error_count = clean.count;
+    }
+    for (size_t i = 0; i < problem.error_count; i++) {
+        rn_utf8_clean(clean.items[i].pointer);
+        rn_utf8_clean(clean.items[i].detail);
     }
     return rn_encode(&rn_api_problem_table, &problem, ret_json, ret_size, NULL);
 }

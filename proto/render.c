@@ -88,3 +88,13 @@ static const struct rn_field_spec path_record[] = {
 };
 const struct rn_table rn_camera_path_record_table = RN_TABLE(S, "a camera path", path_record);
 #undef S
+
+#define S struct rn_camera_path_summary
+static const struct rn_field_spec path_summary[] = {
+    RN_F_TEXT(S, id, RN_REQUIRED, NULL),
+    RN_F_TEXT(S, name, RN_REQUIRED, NULL),
+    RN_F_TEXT(S, created_at, RN_REQUIRED, NULL),
+};
+const struct rn_table rn_camera_path_summary_table =
+    RN_TABLE(S, "an entry of the camera paths", path_summary);
+#undef S

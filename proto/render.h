@@ -43,5 +43,10 @@ struct rn_camera_path_record {
     char *path; // JSON, owned
 };
 extern const struct rn_table rn_camera_path_record_table;
+// An entry of the list: the record without its path.
+struct rn_camera_path_summary {
+    char id[RN_ID_MAX], name[RN_NAME_MAX], created_at[RN_TIME_MAX];
+};
+extern const struct rn_table rn_camera_path_summary_table;
 
 #endif

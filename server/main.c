@@ -153,6 +153,10 @@ static enum rn_status start_http(struct server *server, struct rn_error *err) {
         .routes = rn_api_routes,
         .context = &server->app,
         .max_connections = (unsigned)config->max_connections,
+        .max_per_address = (unsigned)config->max_per_address,
+        .header_timeout_s = (int)config->header_timeout_s,
+        .least_rate = config->least_rate,
+        .max_answer_bytes = (uint64_t)config->answer_bytes,
     };
     return rn_http_start(&options, &server->app.http, err);
 }

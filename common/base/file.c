@@ -1,4 +1,5 @@
 #include "common/base/file.h"
+#include "common/base/utf8.h"
 
 #include <dirent.h>
 #include <errno.h>
@@ -273,31 +274,12 @@ enum rn_status rn_remove_tree(const char *path, struct rn_error *err) {
     return remove_at(AT_FDCWD, path, path, 0, err);
 }
 
-// Bytes of the UTF-8 sequence at `s` and its code point; 0 when it is malformed.
-static int decode_utf8(const unsigned char *s, unsigned *ret_code) {
-    static const unsigned smallest[] = {0, 0, 0x80, 0x800, 0x10000};
-    int length = s[0] < 0x80       ? 1
-                 : s[0] >> 5 == 6  ? 2
-                 : s[0] >> 4 == 14 ? 3
-                 : s[0] >> 3 == 30 ? 4
-                                   : 0;
-    if (length == 0) return 0;
-    unsigned code = length == 1 ? s[0] : s[0] & (0x7fu >> length);
-    for (int i = 1; i < length; i++) {
-        if (s[i] >> 6 != 2) return 0; // also stops at the NUL
-        code = code << 6 | (s[i] & 0x3fu);
-    }
-    if (code < smallest[length] || code > 0x10ffff || (code >= 0xd800 && code < 0xe000)) return 0;
-    *ret_code = code;
-    return length;
-}
-
 bool rn_path_is_safe_name(const char *name) {
     size_t size = strlen(name);
     if (size == 0 || size > MAX_NAME_BYTES || name[0] == '.') return false;
     for (const unsigned char *s = (const unsigned char *)name; *s;) {
         unsigned code = 0;
-        int length = decode_utf8(s, &code);
+        int length = rn_utf8_decode((const char *)s, &code);
         if (length == 0 || code == '/' || code < 0x20 || (code >= 0x7f && code < 0xa0))
             return false;
         s += length;

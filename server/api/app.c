@@ -10,8 +10,8 @@
 #define DELETE RN_METHOD_DELETE
 
 const struct rn_route rn_api_routes[] = {
-    {GET, "/healthz", RN_ROUTE_OPEN, 0, rn_get_health, NULL},
-    {GET, "/readyz", RN_ROUTE_OPEN, 0, rn_get_ready, NULL},
+    {GET, "/healthz", RN_ROUTE_OPEN | RN_ROUTE_ALWAYS, 0, rn_get_health, NULL},
+    {GET, "/readyz", RN_ROUTE_OPEN | RN_ROUTE_ALWAYS, 0, rn_get_ready, NULL},
     {GET, "/metrics", 0, 0, rn_get_metrics, NULL},
     {GET, "/v1/info", 0, 0, rn_get_info, NULL},
     {GET, "/v1/openapi.json", 0, 0, rn_get_openapi, NULL},

@@ -44,12 +44,22 @@ static enum rn_status encode_path(struct rn_app *app, void *row_pointer, char **
     return rn_encode(&rn_camera_path_record_table, &record, ret_json, NULL, err);
 }
 
+static enum rn_status encode_summary(struct rn_app *app, void *row_pointer, char **ret_json,
+                                     struct rn_error *err) {
+    const struct rn_camera_path_row *row = row_pointer;
+    struct rn_camera_path_summary summary;
+    snprintf(summary.id, sizeof summary.id, "%s", row->id);
+    snprintf(summary.name, sizeof summary.name, "%s", row->name);
+    rn_time_text(row->created_ms, summary.created_at);
+    return rn_encode(&rn_camera_path_summary_table, &summary, ret_json, NULL, err);
+}
+
 void rn_list_camera_paths(void *context, struct rn_request *request, struct rn_reply *reply) {
     static const char *const known[] = {"limit", "cursor", NULL};
     struct rn_error err = {0};
-    struct rn_query query = {0};
+    struct rn_query query = {.without = "document"};
     if (rn_api_failed(rn_request_check_query(request, known, &err), &err, reply)) return;
-    rn_api_list(context, request, &rn_camera_paths, &query, encode_path, reply);
+    rn_api_list(context, request, &rn_camera_paths, &query, encode_summary, reply);
 }
 
 static enum rn_status insert(struct rn_app *app, const struct rn_camera_path_request *wanted,

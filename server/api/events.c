@@ -17,9 +17,10 @@ static void follow(struct rn_app *app, struct rn_request *request, const char *j
                          stats.streams);
         return;
     }
-    // An id that is none of ours replays everything.
+    // An id that is none of ours replays everything: a text, or one that was never given out.
     if (last != NULL && rn_api_number(last, 0, INT64_MAX, "Last-Event-ID", &after, NULL) != RN_OK)
         after = 0;
+    if ((uint64_t)after > rn_ring_last_id()) after = 0;
     enum rn_status status = rn_control_events(app->control, job, &ring, &err);
     if (!rn_api_failed(status, &err, reply)) rn_reply_events(reply, ring, (uint64_t)after);
 }

@@ -33,7 +33,8 @@ void rn_list_jobs(void *context, struct rn_request *request, struct rn_reply *re
     if (rn_api_failed(status, &err, reply)) return;
     struct rn_query query = {.equal = {{state != NULL ? "state" : NULL, state},
                                        {type != NULL ? "type" : NULL, type},
-                                       {reference != NULL ? "scene" : NULL, scene.id}}};
+                                       {reference != NULL ? "scene" : NULL, scene.id}},
+                             .without = "source"};
     rn_api_list(app, request, &rn_jobs_table, &query, encode_job, reply);
     rn_row_finish(&rn_scenes, &scene);
 }

@@ -91,6 +91,12 @@ static void put_http(struct rn_buf *text, const struct rn_http_stats *stats) {
         (double)stats->refused);
     one(text, "http_gone_total", "counter", "Clients that left before their answer.",
         (double)stats->gone);
+    one(text, "http_slow_total", "counter", "Connections ended for being too slow.",
+        (double)stats->slow);
+    one(text, "http_evicted_total", "counter", "Idle connections ended to make room.",
+        (double)stats->evicted);
+    one(text, "http_answer_bytes", "gauge", "Held by answers that are being sent.",
+        (double)stats->answer_bytes);
 }
 
 void rn_get_metrics(void *context, struct rn_request *request, struct rn_reply *reply) {

@@ -63,7 +63,8 @@ void rn_list_evaluations(void *context, struct rn_request *request, struct rn_re
     if (!find_scene(app, request, &row, reply)) return;
     struct rn_query query = {.equal = {{"scene", row.id},
                                        {"type", rn_job_type_names[RN_JOB_EVAL]},
-                                       {"state", rn_job_state_names[RN_JOB_SUCCEEDED]}}};
+                                       {"state", rn_job_state_names[RN_JOB_SUCCEEDED]}},
+                             .without = "source"};
     rn_api_list(app, request, &rn_jobs_table, &query, encode_evaluation, reply);
     rn_row_finish(&rn_scenes, &row);
 }

@@ -14,9 +14,10 @@ static unsigned parse_method(const char *method) {
 
 static void refuse_overload(struct rn_request *request, struct rn_reply *reply) {
     struct rn_http *http = request->http;
+    bool always = (request->match.route->flags & RN_ROUTE_ALWAYS) != 0;
     pthread_mutex_lock(&http->lock);
     bool stopping = http->stopping;
-    bool full = http->stats.connections > http->options.max_connections;
+    bool full = !always && http->stats.connections > http->options.max_connections;
     if (full) http->stats.refused++;
     pthread_mutex_unlock(&http->lock);
     if (stopping)
@@ -29,6 +30,7 @@ static void refuse_overload(struct rn_request *request, struct rn_reply *reply) 
 
 static void find_route(struct rn_request *request, const char *method, struct rn_reply *reply) {
     unsigned bit = parse_method(method);
+    request->is_head = strcmp(method, "HEAD") == 0;
     request->method = (enum rn_method)bit;
     rn_router_match(request->http->options.routes, bit, request->path, &request->match);
     if (request->match.route != NULL) return;
@@ -74,15 +76,18 @@ static bool has_type(const struct rn_request *request, const char *type) {
            (value[size] == '\0' || value[size] == ';' || value[size] == ' ');
 }
 
-static bool has_body(const struct rn_request *request, uint64_t *ret_size) {
+static uint64_t body_size(const struct rn_request *request) {
     const char *length = rn_request_header(request, "Content-Length");
-    *ret_size = length == NULL ? 0 : strtoull(length, NULL, 10);
-    return *ret_size > 0 || rn_request_header(request, "Transfer-Encoding") != NULL;
+    return length == NULL ? 0 : strtoull(length, NULL, 10);
+}
+
+bool rn_has_body(const struct rn_request *request) {
+    return body_size(request) > 0 || rn_request_header(request, "Transfer-Encoding") != NULL;
 }
 
 static void check_body(struct rn_request *request, struct rn_reply *reply) {
-    uint64_t size, max = request->sink.max;
-    bool body = has_body(request, &size);
+    uint64_t size = body_size(request), max = request->sink.max;
+    bool body = rn_has_body(request);
     if (body && max == 0)
         rn_reply_problem(reply, RN_PROBLEM_TOO_LARGE, "this request takes no body");
     else if (size > max)
@@ -94,9 +99,42 @@ static void check_body(struct rn_request *request, struct rn_reply *reply) {
                          "send the body with Content-Type: application/json");
 }
 
+struct framing {
+    int lengths, encodings, hosts;
+    bool wrong;
+};
+
+static enum MHD_Result see_header(void *context, enum MHD_ValueKind kind, const char *name,
+                                  const char *value) {
+    struct framing *framing = context;
+    if (strcasecmp(name, "Content-Length") == 0) {
+        framing->lengths++;
+        size_t digits = value != NULL ? strspn(value, "0123456789") : 0;
+        framing->wrong |= digits == 0 || digits > 19 || value[digits] != '\0';
+    } else if (strcasecmp(name, "Transfer-Encoding") == 0) {
+        framing->encodings++;
+        framing->wrong |= value == NULL || strcasecmp(value, "chunked") != 0;
+    } else if (strcasecmp(name, "Host") == 0) {
+        framing->hosts++;
+    }
+    return MHD_YES;
+}
+
+// Where a body ends must be said once: a proxy that reads it otherwise would see other requests.
+static void check_framing(struct rn_request *request, struct rn_reply *reply) {
+    struct framing framing = {0};
+    MHD_get_connection_values(request->connection, MHD_HEADER_KIND, see_header, &framing);
+    if (!framing.wrong && framing.lengths + framing.encodings <= 1 && framing.hosts <= 1) return;
+    rn_reply_problem(reply, RN_PROBLEM_MALFORMED,
+                     "send Host once, and either Content-Length, once, or Transfer-Encoding: "
+                     "chunked");
+    rn_reply_header(reply, "Connection", "close");
+}
+
 void rn_admit(struct rn_request *request, const char *method, struct rn_reply *reply) {
-    refuse_overload(request, reply);
+    check_framing(request, reply);
     if (reply->status == 0) find_route(request, method, reply);
+    if (reply->status == 0) refuse_overload(request, reply);
     if (reply->status == 0) check_caller(request, reply);
     if (reply->status != 0) return;
     const struct rn_route *route = request->match.route;

@@ -7,9 +7,6 @@
 
 #include "server/http/exchange.h"
 
-// What is read and thrown away before an oversized body's sender is cut off.
-#define MAX_DISCARDED (1u << 20)
-
 enum rn_status rn_sink_init(struct rn_sink *sink, uint64_t max_bytes) {
     *sink = (struct rn_sink){.fd = -1, .max = max_bytes};
     rn_buf_init(&sink->memory, (size_t)max_bytes);
@@ -41,10 +38,7 @@ bool rn_sink_write(struct rn_sink *sink, const char *bytes, size_t size) {
                  (unsigned long long)sink->max);
         fail(sink, RN_ERROR_LIMIT, text);
     }
-    if (sink->error.status != RN_OK) {
-        sink->discarded += size;
-        return sink->discarded <= MAX_DISCARDED;
-    }
+    if (sink->error.status != RN_OK) return false;
     sink->size += size;
     if (sink->fd >= 0) {
         write_file(sink, bytes, size);
@@ -52,7 +46,7 @@ bool rn_sink_write(struct rn_sink *sink, const char *bytes, size_t size) {
         rn_buf_append(&sink->memory, bytes, size);
         if (sink->memory.failed) fail(sink, RN_ERROR_NO_MEMORY, "no memory for the body");
     }
-    return true;
+    return sink->error.status == RN_OK;
 }
 
 enum rn_status rn_sink_close(struct rn_sink *sink, struct rn_error *err) {

@@ -19,12 +19,12 @@ struct rn_parked {
     int64_t deadline_ns;
 };
 
-// Where the body goes. An error is kept until the body's end: no reply can be sent before it.
+// Where the body goes. An error is kept for the answer.
 struct rn_sink {
     struct rn_buf memory;
     int fd;     // -1: memory
     char *path; // of the spooled file
-    uint64_t size, max, discarded;
+    uint64_t size, max;
     struct rn_error error;
 };
 
@@ -37,14 +37,39 @@ struct rn_event_stream {
     bool beat;            // http->lock: a heartbeat is due
 };
 
+// One socket, from accept to close. http->lock guards it.
+struct rn_connection {
+    struct rn_connection *previous, *next;
+    int fd;
+    uint8_t address[16];        // IPv4 as mapped into IPv6
+    struct rn_request *request; // NULL: a header is awaited
+    int64_t since_ns;           // of the wait
+    int64_t window_ns;          // of the exchange: where the measured stretch began
+    uint64_t window_bytes;
+    bool served;   // has had an answer: kept alive
+    bool cut;      // was shut down
+    bool lingers;  // its answer stands before bytes that are still coming
+    bool answered; // by rn_answer_raw: nothing more is to be sent
+};
+
+// A closed connection whose peer is still sending: read until it has seen its answer.
+struct rn_lingering {
+    int fd; // -1: free
+    uint64_t drained;
+    int64_t end_ns, quiet_ns;
+};
+#define RN_MAX_LINGERING 64
+
 struct rn_request {
     struct rn_http *http;
     struct MHD_Connection *connection;
+    struct rn_connection *socket; // NULL when memory was short
     enum rn_method method;
     char *path;
     struct rn_match match;
     struct rn_sink sink;
-    bool begun, handled;
+    bool begun, handled, is_head;
+    size_t answer_bytes; // http->lock: held for the answer
     struct rn_event_stream events;
     int64_t begin_ns;
     // http->lock:
@@ -71,6 +96,10 @@ struct rn_http {
     pthread_cond_t changed;
     // lock:
     struct rn_request *requests;
+    struct rn_connection *connections;
+    struct rn_lingering lingering[RN_MAX_LINGERING];
+    unsigned lingering_count;
+    uint64_t answer_bytes; // of all answers that are being sent
     unsigned request_count, parked_count, suspended_count;
     bool stopping;
     struct rn_http_stats stats;
@@ -78,7 +107,7 @@ struct rn_http {
 
 // body.c
 enum rn_status rn_sink_init(struct rn_sink *sink, uint64_t max_bytes);
-// False when the connection has to be cut: far more came than was allowed.
+// False when it failed: sink->error says why, and the rest of the body is not wanted.
 bool rn_sink_write(struct rn_sink *sink, const char *bytes, size_t size);
 enum rn_status rn_sink_close(struct rn_sink *sink, struct rn_error *err) RN_MUST_CHECK;
 void rn_sink_finish(struct rn_sink *sink);
@@ -92,7 +121,20 @@ void rn_exchange_wake(struct rn_request *request);
 void rn_exchange_unref(struct rn_request *request);
 void *rn_keeper_main(void *http);
 
+// sockets.c
+void rn_socket_notify(void *http, struct MHD_Connection *connection, void **state,
+                      enum MHD_ConnectionNotificationCode code);
+void rn_socket_begin(struct rn_request *request); // its header is here
+void rn_socket_end(struct rn_request *request);   // its answer is sent, or the client is gone
+// Sends a short answer past the library, where that takes none any more: in the midst of a body,
+// or before the header is read. The caller lets the library close the connection.
+void rn_answer_raw(struct rn_http *http, struct rn_connection *connection, struct rn_reply *reply);
+// Ends connections that are too slow; http->lock is held. The time until it wants to look again.
+int64_t rn_sockets_watch(struct rn_http *http, int64_t now_ns);
+void rn_sockets_finish(struct rn_http *http);
+
 // admit.c: fills `reply` when the request is refused from its headers.
+bool rn_has_body(const struct rn_request *request);
 void rn_admit(struct rn_request *request, const char *method, struct rn_reply *reply);
 
 #define RN_BEAT_NS (15 * 1000000000ll)

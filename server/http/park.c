@@ -129,15 +129,15 @@ void *rn_keeper_main(void *context) {
             pthread_mutex_lock(&http->lock);
             continue;
         }
+        int64_t wait_ns = rn_sockets_watch(http, rn_clock_ns());
+        if (http->suspended_count > 0 && wait_ns > WATCH_MS * 1000000ll)
+            wait_ns = WATCH_MS * 1000000ll;
         struct timespec until;
-        clock_gettime(CLOCK_REALTIME, &until);
-        until.tv_nsec += WATCH_MS * 1000000;
-        until.tv_sec += until.tv_nsec / 1000000000;
+        clock_gettime(CLOCK_MONOTONIC, &until);
+        until.tv_nsec += wait_ns % 1000000000;
+        until.tv_sec += wait_ns / 1000000000 + until.tv_nsec / 1000000000;
         until.tv_nsec %= 1000000000;
-        if (http->suspended_count > 0)
-            pthread_cond_timedwait(&http->changed, &http->lock, &until);
-        else
-            pthread_cond_wait(&http->changed, &http->lock);
+        pthread_cond_timedwait(&http->changed, &http->lock, &until);
     }
     pthread_mutex_unlock(&http->lock);
     return NULL;

@@ -6,6 +6,7 @@
 #include "server/http/exchange.h"
 
 #define BLOCK_BYTES (64u << 10)
+#define SMALL_ANSWER (16u << 10) // not counted
 
 static ssize_t read_stream(void *context, uint64_t position, char *bytes, size_t capacity) {
     struct rn_stream *stream = context;
@@ -160,8 +161,40 @@ static bool add_headers(struct MHD_Response *response, const struct rn_reply *re
     return ok;
 }
 
+// Counts an answer that lies in memory until it is sent; one that is too much becomes a 503.
+static void keep_to_budget(struct rn_request *request, struct rn_reply *reply) {
+    struct rn_http *http = request->http;
+    if (reply->body != RN_BODY_BYTES || reply->size <= SMALL_ANSWER) return;
+    pthread_mutex_lock(&http->lock);
+    bool fits = http->answer_bytes + reply->size <= http->options.max_answer_bytes;
+    if (fits) {
+        http->answer_bytes += reply->size;
+        request->answer_bytes += reply->size;
+    } else {
+        http->stats.refused++;
+    }
+    pthread_mutex_unlock(&http->lock);
+    if (fits) return;
+    rn_reply_finish(reply);
+    rn_reply_problem(reply, RN_PROBLEM_BUSY,
+                     "answers of %llu bytes wait for slow readers, the limit; try again later",
+                     (unsigned long long)http->options.max_answer_bytes);
+}
+
+// HEAD: what has no length beforehand is not begun.
+static void drop_stream(struct rn_reply *reply) {
+    const char *type = reply->content_type;
+    int status = reply->status;
+    rn_reply_finish(reply);
+    rn_reply_empty(reply, status);
+    reply->content_type = type;
+}
+
 enum MHD_Result rn_respond(struct rn_request *request, struct rn_reply *reply) {
     struct rn_http *http = request->http;
+    if (request->is_head && (reply->body == RN_BODY_STREAM || reply->body == RN_BODY_EVENTS))
+        drop_stream(reply);
+    keep_to_budget(request, reply);
     unsigned status = (unsigned)reply->status;
     struct MHD_Response *response = open_response(request, reply);
     enum MHD_Result result = MHD_NO;

@@ -61,11 +61,17 @@ void rn_ring_unref(struct rn_ring **ring_pointer) {
     free(ring);
 }
 
-uint64_t rn_ring_next_id(void) {
-    static _Atomic uint64_t next;
+static _Atomic uint64_t last_id;
+
+uint64_t rn_ring_last_id(void) {
     uint64_t zero = 0;
-    atomic_compare_exchange_strong(&next, &zero, (uint64_t)rn_clock_wall_ms());
-    return atomic_fetch_add(&next, 1) + 1;
+    atomic_compare_exchange_strong(&last_id, &zero, (uint64_t)rn_clock_wall_ms());
+    return atomic_load(&last_id);
+}
+
+uint64_t rn_ring_next_id(void) {
+    (void)rn_ring_last_id();
+    return atomic_fetch_add(&last_id, 1) + 1;
 }
 
 static void drop(struct rn_ring *ring, size_t i) {

@@ -31,6 +31,8 @@ void rn_ring_unref(struct rn_ring **ring);
 
 // The next event id; starts from the wall clock, so that ids of an earlier run are smaller.
 uint64_t rn_ring_next_id(void);
+// The one given out last, or a smaller one than the next when there was none.
+uint64_t rn_ring_last_id(void);
 
 // Publishes an event. `name` is static text, `data` one line (JSON), copied; `key` (fewer than
 // RN_RING_KEY bytes) may be NULL: the event replaces none. An event that does not fit

@@ -5,7 +5,8 @@
 #include "server/http/message.h"
 
 enum {
-    RN_ROUTE_OPEN = 1, // needs no token
+    RN_ROUTE_OPEN = 1,   // needs no token
+    RN_ROUTE_ALWAYS = 2, // answered over the limit of connections, too
 };
 
 // Immutable. `pattern` is absolute; "{…}" stands for one non-empty segment, a final "*" for the

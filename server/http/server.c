@@ -1,6 +1,7 @@
 #include "server/http/server.h"
 
 #include <arpa/inet.h>
+#include <ctype.h>
 #include <errno.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -16,6 +17,8 @@
 // Connections beyond the admission limit that are still told 503.
 #define SPARE_CONNECTIONS 64
 #define HEADER_BYTES (32u << 10)
+#define MAX_ARGUMENTS 64
+#define BACKLOG 1024
 
 static struct rn_request *create(struct rn_http *http, struct MHD_Connection *connection,
                                  const char *path) {
@@ -37,6 +40,7 @@ static struct rn_request *create(struct rn_http *http, struct MHD_Connection *co
     http->requests = request;
     http->request_count++;
     pthread_mutex_unlock(&http->lock);
+    rn_socket_begin(request);
     return request;
 }
 
@@ -46,7 +50,9 @@ static void on_completed(void *context, struct MHD_Connection *connection, void 
     struct rn_request *request = *state;
     if (request == NULL) return;
     *state = NULL;
+    rn_socket_end(request);
     pthread_mutex_lock(&http->lock);
+    http->answer_bytes -= request->answer_bytes;
     if (request->previous != NULL) request->previous->next = request->next;
     if (request->next != NULL) request->next->previous = request->previous;
     if (http->requests == request) http->requests = request->next;
@@ -115,25 +121,54 @@ static enum MHD_Result on_request(void *context, struct MHD_Connection *connecti
         rn_admit(request, method, &reply);
         if (reply.status == 0) return MHD_YES;
         request->handled = true;
+        if (request->socket != NULL) request->socket->lingers = rn_has_body(request);
         return rn_respond(request, &reply);
     }
     if (*upload_size > 0) {
-        if (request->handled || !rn_sink_write(&request->sink, upload, *upload_size)) return MHD_NO;
+        if (request->handled) return MHD_NO;
+        if (!rn_sink_write(&request->sink, upload, *upload_size)) {
+            struct rn_reply reply = {0};
+            rn_reply_error(&reply, &request->sink.error);
+            rn_answer_raw(request->http, request->socket, &reply);
+            return MHD_NO;
+        }
         *upload_size = 0;
         return MHD_YES;
     }
     return request->handled ? go_on(request) : handle(request);
 }
 
-static void on_connection(void *context, struct MHD_Connection *connection, void **state,
-                          enum MHD_ConnectionNotificationCode code) {
-    struct rn_http *http = context;
-    pthread_mutex_lock(&http->lock);
-    if (code == MHD_CONNECTION_NOTIFY_STARTED)
-        http->stats.connections++;
-    else
-        http->stats.connections--;
-    pthread_mutex_unlock(&http->lock);
+// Percent codes, but for the one of NUL, which would cut the text: it stays as it is.
+static size_t on_unescape(void *context, struct MHD_Connection *connection, char *text) {
+    char *to = text;
+    for (const char *from = text; *from != '\0';) {
+        unsigned byte = 0;
+        bool code = from[0] == '%' && isxdigit((unsigned char)from[1]) &&
+                    isxdigit((unsigned char)from[2]) && sscanf(from + 1, "%2x", &byte) == 1;
+        if (code && byte != 0) {
+            *to++ = (char)byte;
+            from += 3;
+        } else {
+            *to++ = *from++;
+        }
+    }
+    *to = '\0';
+    return (size_t)(to - text);
+}
+
+// The library keeps each argument in the memory of the connection and stalls when that is full.
+static void *on_uri(void *context, const char *uri, struct MHD_Connection *connection) {
+    struct rn_reply reply = {0};
+    int arguments = 0;
+    for (const char *at = strchr(uri, '?'); at != NULL; at = strchr(at + 1, '&'))
+        arguments++;
+    if (arguments <= MAX_ARGUMENTS) return NULL;
+    const union MHD_ConnectionInfo *info =
+        MHD_get_connection_info(connection, MHD_CONNECTION_INFO_SOCKET_CONTEXT);
+    rn_reply_problem(&reply, RN_PROBLEM_MALFORMED, "the query has more than %d parameters",
+                     MAX_ARGUMENTS);
+    rn_answer_raw(context, info != NULL ? info->socket_context : NULL, &reply);
+    return NULL;
 }
 
 static void on_log(void *context, const char *fmt, va_list args) {
@@ -170,7 +205,7 @@ static enum rn_status open_socket(const struct rn_http_options *options, int *re
     int fd = socket(family, SOCK_STREAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0);
     if (fd < 0) return rn_error_from_errno(err, errno, "listen", "opening a socket");
     setsockopt(fd, SOL_SOCKET, SO_REUSEADDR, &on, sizeof on);
-    if (bind(fd, (struct sockaddr *)&address, size) != 0 || listen(fd, 128) != 0 ||
+    if (bind(fd, (struct sockaddr *)&address, size) != 0 || listen(fd, BACKLOG) != 0 ||
         getsockname(fd, (struct sockaddr *)&address, &size) != 0) {
         int errnum = errno;
         close(fd);
@@ -197,7 +232,8 @@ static enum rn_status start_daemon(struct rn_http *http, struct rn_error *err) {
         http->options.max_connections + SPARE_CONNECTIONS, MHD_OPTION_CONNECTION_TIMEOUT,
         (unsigned)http->options.idle_timeout_s, MHD_OPTION_CONNECTION_MEMORY_LIMIT,
         (size_t)HEADER_BYTES, MHD_OPTION_NOTIFY_COMPLETED, on_completed, http,
-        MHD_OPTION_NOTIFY_CONNECTION, on_connection, http, MHD_OPTION_END);
+        MHD_OPTION_NOTIFY_CONNECTION, rn_socket_notify, http, MHD_OPTION_UNESCAPE_CALLBACK,
+        on_unescape, http, MHD_OPTION_URI_LOG_CALLBACK, on_uri, http, MHD_OPTION_END);
     if (http->daemon != NULL) return RN_OK;
     close(fd);
     return rn_error_set(err, RN_ERROR_UNAVAILABLE, "http", "the HTTP thread cannot be started");
@@ -207,8 +243,14 @@ enum rn_status rn_http_start(const struct rn_http_options *options, struct rn_ht
                              struct rn_error *err) {
     struct rn_http *http = calloc(1, sizeof *http);
     if (http == NULL) return rn_error_set(err, RN_ERROR_NO_MEMORY, "http", "no memory");
+    pthread_condattr_t monotonic;
+    pthread_condattr_init(&monotonic);
+    pthread_condattr_setclock(&monotonic, CLOCK_MONOTONIC);
     pthread_mutex_init(&http->lock, NULL);
-    pthread_cond_init(&http->changed, NULL);
+    pthread_cond_init(&http->changed, &monotonic);
+    pthread_condattr_destroy(&monotonic);
+    for (int i = 0; i < RN_MAX_LINGERING; i++)
+        http->lingering[i].fd = -1;
     http->options = *options;
     http->address = strdup(options->address);
     http->token = options->token != NULL ? strdup(options->token) : NULL;
@@ -216,6 +258,9 @@ enum rn_status rn_http_start(const struct rn_http_options *options, struct rn_ht
     if (http->options.max_connections == 0) http->options.max_connections = 448;
     if (http->options.max_parked == 0) http->options.max_parked = 64;
     if (http->options.idle_timeout_s == 0) http->options.idle_timeout_s = 30;
+    if (http->options.header_timeout_s == 0) http->options.header_timeout_s = 10;
+    if (http->options.least_rate == 0) http->options.least_rate = 1024;
+    if (http->options.max_answer_bytes == 0) http->options.max_answer_bytes = 256u << 20;
     enum rn_status status = RN_ERROR_NO_MEMORY;
     if (http->address == NULL || (options->token != NULL && http->token == NULL)) goto fail;
     *ret_http = http; // handlers may look at it from the first request on
@@ -241,6 +286,7 @@ uint16_t rn_http_port(const struct rn_http *http) {
 void rn_http_stats(struct rn_http *http, struct rn_http_stats *ret_stats) {
     pthread_mutex_lock(&http->lock);
     *ret_stats = http->stats;
+    ret_stats->answer_bytes = http->answer_bytes;
     pthread_mutex_unlock(&http->lock);
 }
 
@@ -287,6 +333,7 @@ void rn_http_destroy(struct rn_http **http_pointer) {
         wake_all(http);
         MHD_stop_daemon(http->daemon);
     }
+    rn_sockets_finish(http);
     pthread_cond_destroy(&http->changed);
     pthread_mutex_destroy(&http->lock);
     free(http->token);

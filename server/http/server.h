@@ -15,18 +15,25 @@ struct rn_http_options {
     void *context;                 // given to the handlers
     unsigned max_connections;      // further ones are told 503; 0: 448
     unsigned max_parked;           // 0: 64
+    unsigned max_per_address;      // connections of one address; 0: half of all, any on loopback
     int idle_timeout_s;            // a connection without progress is closed; 0: 30
+    int header_timeout_s;          // for a whole header, from the connection's begin; 0: 10
+    int64_t least_rate;            // bytes a second of a body or an answer; 0: 1024
+    uint64_t max_answer_bytes;     // of all answers that wait to be sent; 0: 256 MiB
 };
 
 // Status codes 200..599 and how often they were sent.
 struct rn_http_stats {
     uint64_t by_status[600];
-    uint64_t refused;     // over the admission limit
-    uint64_t gone;        // clients that left before their answer
-    uint64_t body_bytes;  // received
-    uint64_t uploads;     // bodies that were spooled whole
-    unsigned connections; // open now
-    unsigned streams;     // event streams open now
+    uint64_t refused;      // over the admission limit
+    uint64_t gone;         // clients that left before their answer
+    uint64_t slow;         // connections ended for being too slow
+    uint64_t evicted;      // connections that waited idly while others wanted in
+    uint64_t answer_bytes; // of answers that are being sent now
+    uint64_t body_bytes;   // received
+    uint64_t uploads;      // bodies that were spooled whole
+    unsigned connections;  // open now
+    unsigned streams;      // event streams open now
 };
 
 // Strings in `options` are copied. RN_ERROR_UNAVAILABLE when the address cannot be bound.

@@ -294,8 +294,11 @@ static void select_sql(const struct rn_store_table *table, const struct rn_query
                        struct rn_buf *sql) {
     rn_buf_init(sql, 4096);
     rn_buf_printf(sql, "SELECT seq");
-    for (int i = 1; i < table->column_count; i++)
-        rn_buf_printf(sql, ", %s", table->columns[i].name);
+    for (int i = 1; i < table->column_count; i++) {
+        const char *name = table->columns[i].name;
+        bool wanted = query->without == NULL || strcmp(query->without, name) != 0;
+        rn_buf_printf(sql, ", %s", wanted ? name : "NULL");
+    }
     rn_buf_printf(sql, " FROM %s WHERE (?1 = 0 OR seq < ?1)", table->name);
     for (int i = 0; i < 3; i++)
         if (query->equal[i].column != NULL)

@@ -157,8 +157,9 @@ struct rn_query {
         const char *column; // NULL: no such condition
         const char *text;
     } equal[3];
-    int64_t before_seq; // rows older than this one; 0: all
-    int limit;          // 0: all
+    int64_t before_seq;  // rows older than this one; 0: all
+    int limit;           // 0: all
+    const char *without; // a document that is not wanted, read as NULL; NULL: all are
 };
 // Rows, newest first; malloc, rn_rows_finish frees them.
 enum rn_status rn_store_list(struct rn_store *store, const struct rn_store_table *table,

@@ -113,8 +113,15 @@ def test_large_chunked_body(shared):
         connection.settimeout(10)
         connection.sendall(head)
         with pytest.raises((ConnectionResetError, BrokenPipeError)):
-            for _ in range(2000):
+            for _ in range(4000):
                 connection.sendall(chunk)
+    with shared.socket() as connection:
+        connection.settimeout(10)
+        connection.sendall(head)
+        for _ in range(400):  # it is told why before it is cut off
+            connection.sendall(chunk)
+        answer = connection.recv(65536)
+        assert status_of(answer) == 413 and b"/problems/too-large" in answer
     assert shared.get("/healthz").status == 200
 
 
@@ -181,15 +188,22 @@ def test_slow_header_does_not_block(shared):
 
 def test_too_many_connections(make_daemon):
     daemon = make_daemon(max_connections=10)
-    idle = [daemon.socket() for _ in range(12)]
-    time.sleep(0.2)
-    begin = time.monotonic()
-    reply = daemon.get("/healthz", check=False)
-    assert reply.status == 503 and reply.slug == "busy" and int(reply.headers["Retry-After"]) > 0
-    assert time.monotonic() - begin < 1
+    idle = [daemon.socket() for _ in range(12)]  # these make room
+    assert daemon.get("/v1/jobs").status == 200
     for connection in idle:
         connection.close()
-    wait_until(lambda: daemon.get("/healthz", check=False).status == 200)
+    streams = [daemon.socket() for _ in range(10)]  # these do not
+    for connection in streams:
+        connection.sendall(b"GET /v1/events HTTP/1.1\r\nHost: localhost\r\n\r\n")
+        assert status_of(connection.recv(100)) == 200
+    begin = time.monotonic()
+    reply = daemon.get("/v1/jobs", check=False)
+    assert reply.status == 503 and reply.slug == "busy" and int(reply.headers["Retry-After"]) > 0
+    assert daemon.get("/healthz").status == 200 and daemon.get("/readyz").status == 200
+    assert time.monotonic() - begin < 1
+    for connection in streams:
+        connection.close()
+    wait_until(lambda: daemon.get("/v1/jobs", check=False).status == 200)
 
 
 def test_too_many_renders(make_daemon, photographs):

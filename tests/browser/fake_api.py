@@ -145,6 +145,9 @@ class Handler(BaseHTTPRequestHandler):
                 "jobs": world.jobs,
                 "camera-paths": world.paths,
             }[what]
+            if what == "camera-paths":
+                items = [{key: item[key] for key in ("id", "name", "created_at")}
+                         for item in items]
             self.items(items)
 
     def one(self, world, what, key):

@@ -1,0 +1,275 @@
+"""Slow, greedy and ambiguous clients: others are served all the same, and each learns why."""
+
+import math
+import resource
+import socket
+import threading
+import time
+
+import pytest
+
+from support.photographs import pose
+
+TAR = {"Content-Type": "application/x-tar"}
+GET = b"GET /v1/jobs HTTP/1.1\r\nHost: localhost\r\n\r\n"
+
+
+@pytest.fixture(autouse=True)
+def many_files():
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (hard, hard))
+    yield
+    resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+
+
+def status_of(answer):
+    return int(answer.split(b" ", 2)[1]) if answer else None
+
+
+def answer_of(connection, timeout=10):
+    connection.settimeout(timeout)
+    answer = b""
+    try:
+        while b"\r\n\r\n" not in answer and (piece := connection.recv(65536)):
+            answer += piece
+    except ConnectionResetError:
+        pass
+    return answer
+
+
+def seconds_until_closed(connection, timeout):
+    begin = time.monotonic()
+    connection.settimeout(timeout)
+    try:
+        while connection.recv(4096):
+            pass
+    except ConnectionResetError:
+        pass
+    return time.monotonic() - begin
+
+
+def longest_answer(daemon, seconds):
+    longest, end = 0, time.monotonic() + seconds
+    while time.monotonic() < end:
+        begin = time.monotonic()
+        assert daemon.get("/healthz").status == 200
+        assert daemon.get("/v1/jobs").status == 200
+        longest = max(longest, time.monotonic() - begin)
+        time.sleep(0.05)
+    return longest
+
+
+def drip(connections, stopped):
+    while not stopped.is_set():
+        for connection in connections:
+            try:
+                connection.send(b"x")
+            except OSError:
+                pass
+        stopped.wait(1)
+
+
+def test_clients_that_drip_headers(make_daemon):
+    """1,200 connections that send a byte of a header now and then."""
+    daemon = make_daemon()
+    connections = [daemon.socket() for _ in range(1200)]
+    for connection in connections:
+        connection.send(b"GET /v1/jobs HTTP/1.1\r\nX-Slow: ")
+    stopped = threading.Event()
+    thread = threading.Thread(target=drip, args=(connections, stopped))
+    thread.start()
+    try:
+        assert longest_answer(daemon, 4) < 2
+    finally:
+        stopped.set()
+        thread.join()
+        for connection in connections:
+            connection.close()
+    assert b"ripnerf_http_evicted_total 0" not in daemon.get("/metrics").body
+
+
+def test_idle_connections(make_daemon):
+    daemon = make_daemon()
+    connections = []
+    for _ in range(3000):
+        connections.append(daemon.socket())
+    assert longest_answer(daemon, 2) < 2
+    for connection in connections:
+        connection.close()
+
+
+def test_connections_of_one_address(make_daemon):
+    """Another address finds room, however many one has opened."""
+    daemon = make_daemon(max_connections=20, max_per_address=5, header_timeout=60)
+    greedy = []
+    for _ in range(30):
+        connection = socket.create_connection((daemon.host, daemon.port),
+                                              source_address=("127.0.0.9", 0))
+        connection.sendall(b"GET /v1/events HTTP/1.1\r\nHost: localhost\r\n\r\n")
+        greedy.append(connection)
+    time.sleep(0.5)
+    assert [status_of(answer_of(connection, 2)) for connection in greedy].count(200) == 5
+    assert daemon.get("/v1/jobs").status == 200
+    for connection in greedy:
+        connection.close()
+
+
+def test_header_deadline(make_daemon):
+    daemon = make_daemon(header_timeout=1)
+    with daemon.socket() as connection:
+        stopped = threading.Event()
+        thread = threading.Thread(target=drip, args=([connection], stopped))
+        thread.start()
+        try:
+            assert seconds_until_closed(connection, 6) < 3
+        finally:
+            stopped.set()
+            thread.join()
+    with daemon.socket() as connection:  # kept alive, it may rest for longer
+        connection.sendall(GET)
+        assert status_of(answer_of(connection)) == 200
+        time.sleep(2.5)
+        connection.sendall(GET)
+        assert status_of(answer_of(connection)) == 200
+
+
+def test_slow_body(make_daemon):
+    daemon = make_daemon(header_timeout=1)
+    with daemon.socket() as connection:
+        connection.sendall(b"POST /v1/datasets?name=slow HTTP/1.1\r\nHost: localhost\r\n"
+                           b"Content-Type: application/x-tar\r\nContent-Length: 1000000\r\n\r\n")
+        stopped = threading.Event()
+        thread = threading.Thread(target=drip, args=([connection], stopped))
+        thread.start()
+        try:
+            assert seconds_until_closed(connection, 10) < 5
+        finally:
+            stopped.set()
+            thread.join()
+
+
+def big_path(name, keys=10000):
+    """Three megabytes: more than the sockets hold."""
+    turn, (c, s) = pose(0.7), (math.cos(0.5), math.sin(0.5))
+    x_axis, rest = turn[0][:3], [row[:3] for row in turn[1:3]]
+    world = [[c * x - s * y for x, y in zip(x_axis, rest[0])],
+             [s * x + c * y for x, y in zip(x_axis, rest[0])], rest[1]]
+    world = [[row[0] * c - row[1] * s, row[0] * s + row[1] * c, row[2]] for row in world]
+    world = [[world[0][j] * c + world[2][j] * s for j in range(3)], world[1],
+             [world[2][j] * c - world[0][j] * s for j in range(3)]]
+    world = [row + [i + 1 / 3] for i, row in enumerate(world)]
+    return {"name": name, "path": {
+        "axes": "opengl", "fps": 1, "interpolation": "linear", "loop": False, "width": 8,
+        "height": 8, "keys": [{"time": t + 1 / 3, "world_from_camera": world, "fov_y_deg": 121 / 3}
+                              for t in range(keys)]}}
+
+
+def stubborn(daemon, path):
+    """A client that asks and does not read."""
+    connection = socket.socket()
+    connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+    connection.connect((daemon.host, daemon.port))
+    connection.sendall(f"GET {path} HTTP/1.1\r\nHost: localhost\r\n\r\n".encode())
+    return connection
+
+
+def test_readers_that_do_not_read(make_daemon):
+    """What waits for them has a limit; they are cut off, and the list of paths stays small."""
+    daemon = make_daemon(header_timeout=3, answer_memory="8M")
+    made = daemon.post("/v1/camera-paths", big_path("p0"))
+    assert made.status == 201, made.body
+    size = len(daemon.get("/v1/camera-paths/p0").body)
+    assert 2_700_000 < size < 4_000_000
+    for i in range(1, 3):
+        assert daemon.post("/v1/camera-paths", big_path(f"p{i}")).status == 201
+    listed = daemon.get("/v1/camera-paths")
+    assert listed.status == 200 and len(listed.json["items"]) == 3
+    assert len(listed.body) < 3 * 1000
+    clients = [stubborn(daemon, "/v1/camera-paths/p0") for _ in range(8)]
+    time.sleep(0.5)
+    held = float(next(line for line in daemon.get("/metrics").body.decode().splitlines()
+                      if line.startswith("ripnerf_http_answer_bytes ")).split()[1])
+    assert size < held <= 8 * 2**20
+    assert longest_answer(daemon, 0.5) < 1
+    answer = daemon.get("/v1/camera-paths/p0", check=False)
+    assert answer.status == 503 and "slow readers" in answer.json["detail"]
+    deadline = time.monotonic() + 20
+    while daemon.get("/v1/camera-paths/p0", check=False).status != 200:
+        assert time.monotonic() < deadline
+        time.sleep(0.2)
+    for client in clients:
+        client.close()
+
+
+def test_refusals_of_large_uploads_arrive(make_daemon):
+    """The sender is still sending when the answer comes; it is read on, so that it sees it."""
+    daemon = make_daemon(max_upload=100000)
+    for head, piece in ((b"Content-Length: 30000000", b"x" * 1000000),
+                        (b"Transfer-Encoding: chunked", b"f4240\r\n" + b"x" * 1000000 + b"\r\n")):
+        with daemon.socket() as connection:
+            connection.sendall(b"POST /v1/datasets?name=a HTTP/1.1\r\nHost: localhost\r\n"
+                               b"Content-Type: application/x-tar\r\n" + head + b"\r\n\r\n")
+            for _ in range(30):
+                connection.sendall(piece)
+            answer = answer_of(connection)
+            assert status_of(answer) == 413 and b"/problems/too-large" in answer, head
+
+
+@pytest.mark.parametrize("count", [65, 600, 3000])
+def test_many_query_arguments(shared, count):
+    query = b"&".join(b"a%d=b" % i for i in range(count))
+    with shared.socket() as connection:
+        begin = time.monotonic()
+        connection.sendall(b"GET /v1/jobs?" + query + b" HTTP/1.1\r\nHost: localhost\r\n\r\n")
+        assert status_of(answer_of(connection)) in (400, 414)
+        assert time.monotonic() - begin < 2
+
+
+@pytest.mark.parametrize("headers", [
+    b"Content-Length: 2\r\nContent-Length: 2", b"Content-Length: 2\r\nContent-Length: 40",
+    b"Content-Length: 2\r\nTransfer-Encoding: chunked", b"Transfer-Encoding: gzip, chunked",
+    b"Content-Length: +2", b"Content-Length: 2, 2", b"Host: example.com"])
+def test_ambiguous_framing(shared, headers):
+    """Where a body ends is said once, or the request is refused and the connection closed."""
+    with shared.socket() as connection:
+        connection.sendall(b"POST /v1/jobs HTTP/1.1\r\nHost: localhost\r\n"
+                           b"Content-Type: application/json\r\n" + headers + b"\r\n\r\n{}")
+        assert status_of(answer_of(connection)) == 400
+        assert seconds_until_closed(connection, 8) < 6
+    assert shared.get("/healthz").status == 200
+
+
+def test_head_of_a_stream_sends_no_body(shared):
+    with shared.socket() as connection:
+        connection.sendall(b"HEAD /v1/events HTTP/1.1\r\nHost: localhost\r\n\r\n")
+        answer = answer_of(connection)
+        assert status_of(answer) == 200 and answer.endswith(b"\r\n\r\n")
+        assert b"text/event-stream" in answer
+        connection.settimeout(0.5)
+        with pytest.raises(TimeoutError):
+            connection.recv(1)
+        connection.sendall(GET)
+        assert status_of(answer_of(connection)) == 200
+
+
+def test_last_event_id_from_the_future(shared):
+    """An id that was never given out is none of ours: all is replayed."""
+    job, _ = shared.train("future")
+    path = f"/v1/jobs/{job['id']}/events"
+    everything = shared.events(path)
+    assert everything
+    assert shared.events(path, {"Last-Event-ID": str(2**62)}) == everything
+    assert shared.events(path, {"Last-Event-ID": str(everything[-1][0])}) == []
+
+
+def test_nul_does_not_cut_ids(shared):
+    assert shared.get("/v1/scenes/ready").status == 200
+    for name in ("ready%00", "ready%00x"):
+        assert shared.get(f"/v1/scenes/{name}", check=False).status == 404
+    assert shared.get("/v1/jobs?limit=1%00x", check=False).status == 422
+
+
+def test_problems_are_utf8(shared):
+    for path in ("/v1/scenes/%ff%fe", "/%c3%28", "/v1/jobs?%ff=1"):
+        reply = shared.get(path, check=False)
+        assert reply.status in (404, 422) and reply.json["detail"], path
