@@ -105,13 +105,13 @@ train=server/engine/train
 ends='rn_real a = mid - width \/ 2, b = mid + width \/ 2'
 cubes='rn_real a3 = a * a * a, b3 = b * b * b'
 mutate frustum $field/frustum.h "moments: mean by powers of the end points" \
-    "s/out.mean = .*/$ends; $cubes; out.mean = (rn_real)0.75 * (b3 * b - a3 * a) \/ (b3 - a3);/"
+    "s/struct rn_moments out = .*/$ends; $cubes; struct rn_moments out = {(rn_real)0.75 * (b3 * b - a3 * a) \/ (b3 - a3), (rn_real)axial, (rn_real)radial};/"
 mutate frustum $field/frustum.h "moments: axial variance by powers of the end points" \
-    "s/out.axial = .*/$ends; $cubes; out.axial = (rn_real)0.6 * (b3 * b * b - a3 * a * a) \/ (b3 - a3) - out.mean * out.mean;/"
+    "s/return out;/$ends; $cubes; out.axial = (rn_real)0.6 * (b3 * b * b - a3 * a * a) \/ (b3 - a3) - out.mean * out.mean; return out;/"
 mutate frustum $field/frustum.h "moments: axial variance by mip-NeRF's subtraction" \
-    's/out.axial = .*/out.axial = (rn_real)(h * h \/ 3 - 4 * h * h * h * h * (12 * m * m - h * h) \/ (15 * (3 * m * m + h * h) * (3 * m * m + h * h)));/'
+    's/return out;/out.axial = (rn_real)(h * h \/ 3 - 4 * h * h * h * h * (12 * m * m - h * h) \/ (15 * (3 * m * m + h * h) * (3 * m * m + h * h))); return out;/'
 mutate frustum $field/frustum.h "moments: half width recovered from the end points" \
-    's/h = (rn_wide)width.*0.5,/h = ((mid + width \/ 2) - (mid - width \/ 2)) \/ 2,/'
+    's/h = (rn_wide)width \* (rn_wide)0.5,/h = ((mid + width \/ 2) - (mid - width \/ 2)) \/ 2,/'
 mutate footprint $field/footprint.h "footprint: plain dot product" \
     's/rn_real dot = .*/rn_real dot = x[0] * d[0] + x[1] * d[1] + x[2] * d[2];/'
 mutate footprint $field/footprint.h "footprint: 1 - (x.d)^2 for the part across" \
@@ -157,8 +157,8 @@ mutate kernels $cpu/simd.h "vector 1 - exp(-x): without the series" \
     's/return vf_select(x < 0.5f, small, /return vf_select(x < 0.0f, small, /'
 mutate kernels $cpu/simd.h "vector log2: a series of two terms" \
     's/p = p \* t2 + 0.4121986f;/p = vf_set(0.0f);/'
-mutate kernels $cpu/encode.h "vector moments: half width recovered from the end points" \
-    's/\*ret_axial = (0.6f.*/vf far = t + half, near = t - half, hh = (far - near) * 0.5f * s; *ret_axial = (0.6f * hh) * hh * (q * (q - 2.0f) + 5.0f);/'
+mutate kernels $field/frustum.h "vector moments: half width recovered from the end points" \
+    's/hs = half \* s,/hs = ((t + half) - (t - half)) * (NUMBER)0.5 * s,/'
 mutate footprint $cpu/encode.h "vector level: variance not clamped" \
     's/vf_log2(vf_clamp(variance \* (unit \* unit), 1.0f, top))/vf_log2(variance * (unit * unit) + 0 * top)/'
 mutate volume $cpu/packet.h "vector compositing: optical depth summed in fp32" \
@@ -207,7 +207,7 @@ mutate incidents server/engine/render/render.c "render: replaced rays not counte
     's/nonfinite += first \&\& .*/(void)first;/'
 mutate incidents $train/incident.c "incident: the offending rays are not looked for" \
     's/if (incident->ray_count == 0) search(t, incident);/(void)search;/'
-mutate incidents $cpu/backward.h "training: a ray that is not finite goes back" \
+mutate incidents $cpu/loss.h "training: a ray that is not finite goes back" \
     's/if (!isfinite(loss)) return false;/if (isinf(loss)) return false;/'
 mutate reproducible $train/trainer.c "view dependence: measured as the step before marched" \
     's/march = rn_trainer_march(t);/march = t->march;/'
@@ -269,8 +269,8 @@ mutate reproducible server/engine/checkpoint/state.c "growth: a resumed run no l
     's/CONFIG(grow_to, KIND_INT),//'
 mutate proofs $cpu/simd.h "proofs: a coefficient that is not the proved one" \
     's/4.16666667e-2f/4.1666666e-2f/'
-mutate proofs $cpu/encode.h "proofs: another order of the proved products" \
-    's/(0.6f \* hs) \* hs \*/0.6f * (hs * hs) */'
+mutate proofs $field/frustum.h "proofs: another order of the proved products" \
+    's/((NUMBER)3 \/ 5 \* hs) \* hs \*/(NUMBER)3 \/ 5 * (hs * hs) */'
 mutate flags_fma meson.build "flags: contraction allowed" \
     's/-ffp-contract=off/-ffp-contract=fast/'
 mutate commands server/engine/meson.build "flags: the kernel sets' contraction changed" \

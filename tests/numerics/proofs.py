@@ -31,7 +31,7 @@ def numbers_of_proof(text):
 def numbers_of_code(lines):
     code = "\n".join(line.split("//")[0] for line in lines)
     code = re.sub(r"0x\w+", "", code)
-    code = re.sub(r"\(rn_wide\)(\d+) / (\d+)", lambda m: str(int(m[1]) / int(m[2])), code)
+    code = re.sub(r"\(NUMBER\)(\d+) / (\d+)", lambda m: str(int(m[1]) / int(m[2])), code)
     code = re.sub(r"(?<=[\d.])f\b", "", code)
     return [number for number in NUMBER.findall(code) if number not in FREE]
 
@@ -44,6 +44,7 @@ def complaints(proof, root):
         yield f"{proof.name}: quotes no code"
         return
     code = (root / quoted[0]).read_text(encoding="utf-8")
+    code = re.sub(r" *\\$", "", code, flags=re.MULTILINE)  # of a macro's lines
     if "\n".join(quoted[1:]) not in code:
         yield f"{proof.name}: {quoted[0]} no longer has the code that is proved"
     known = numbers_of_proof(body)

@@ -15,9 +15,9 @@ static double nearest(double x) {
 }
 
 static void moments(double mid, double width, double radius, double ret[3]) {
-    vf shift, axial, radial;
-    frustum_moments(vf_set((float)mid), 0.5f * (float)width, (float)radius, &shift, &axial,
-                    &radial);
+    vf t = vf_set((float)mid), shift, axial, radial;
+    float half = 0.5f * (float)width;
+    frustum_lanes(t, frustum_ratio(t, half), half, (float)radius, &shift, &axial, &radial);
     ret[0] = (double)lane0(vf_set((float)mid) + shift);
     ret[1] = (double)lane0(axial);
     ret[2] = (double)lane0(radial);

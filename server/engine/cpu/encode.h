@@ -6,17 +6,35 @@
 
 #include "server/engine/cpu/fetch.h"
 #include "server/engine/field/footprint.h"
+#include "server/engine/field/frustum.h"
 #include "server/engine/field/volume.h"
 
-// Frustum moments (field/frustum.h) in fp32: mean - t, axial and radial variance, each within 8 ULP
-// for t of 1e-6 to 1e7 and a width of 1e-7 t to 2 t (tests/numerics/proofs/frustum_fma.gappa).
-RN_INLINE void frustum_moments(vf t, float half, float radius, vf *ret_shift, vf *ret_axial,
-                               vf *ret_radial) {
-    vf ratio = vf_set(half) / vf_max(t, vf_set(1e-30f)), q = ratio * ratio;
-    vf s = 1.0f / (q + 3.0f), hs = half * s, rt = radius * t;
-    *ret_shift = t * (2.0f * q * s);
-    *ret_axial = (0.6f * hs) * hs * (q * (q - 2.0f) + 5.0f);
-    *ret_radial = rt * rt * (0.15f * s) * (q * (q + 10.0f) + 5.0f);
+RN_FRUSTUM_FUNCTION(frustum_lanes, vf, float)
+
+// half / t; t = 0 is no place to divide by.
+RN_INLINE vf frustum_ratio(vf t, float half) {
+    return vf_set(half) / vf_max(t, vf_set(1e-30f));
+}
+
+// A vector of one ray's samples: distance from the camera, mean and variances of their Gaussians,
+// whether they lie in the scene.
+struct samples {
+    vf t, x, y, z, axial, radial;
+    vi inside;
+};
+
+// The samples whose frustums' middles lie `s` behind the ray's origin: inside the unit ball.
+RN_INLINE struct samples place_samples(const struct rn_march_ray *ray, vf s, float half) {
+    struct samples out = {.t = s + ray->near};
+    vf shift;
+    frustum_lanes(out.t, frustum_ratio(out.t, half), half, ray->radius, &shift, &out.axial,
+                  &out.radial);
+    vf m = s + shift;
+    out.x = ray->direction[0] * m + ray->origin[0];
+    out.y = ray->direction[1] * m + ray->origin[1];
+    out.z = ray->direction[2] * m + ray->origin[2];
+    out.inside = out.x * out.x + out.y * out.y + out.z * out.z <= 1.0f;
+    return out;
 }
 
 // The part of the projected variances that is the same along a ray: (x.d)^2 and |x cross d|^2.
@@ -79,32 +97,29 @@ static void place_segment(const struct rn_cpu_field *field, const struct rn_marc
         vf index;
         for (int i = 0; i < RN_VL; i++)
             index[i] = (float)k[j + i];
-        vf s = (index + 0.5f) * step, t = s + ray->near;
-        vf shift, axial, radial;
-        frustum_moments(t, half, ray->radius, &shift, &axial, &radial);
-        vf m = s + shift;
-        vf x = ray->direction[0] * m + ray->origin[0], y = ray->direction[1] * m + ray->origin[1];
-        vf z = ray->direction[2] * m + ray->origin[2];
-        vi inside = x * x + y * y + z * z <= 1.0f;
+        vf s = (index + 0.5f) * step;
+        struct samples is = place_samples(ray, s, half);
         int at = slot + j;
         vf_store(w->s + at, s);
         vf_store(w->interval + at,
-                 vf_bits(inside & vi_bits(vf_set(step * (float)RN_DENSITY_UNIT))));
+                 vf_bits(is.inside & vi_bits(vf_set(step * (float)RN_DENSITY_UNIT))));
         vf ball = vf_set(0);
         if (leveled && field->config->footprint == RN_FOOTPRINT_MIP)
             ball = vf_log2(
-                vf_clamp(t * (ray->radius * (float)base), 1.0f, (float)(1u << (levels - 1))));
+                vf_clamp(is.t * (ray->radius * (float)base), 1.0f, (float)(1u << (levels - 1))));
         for (int p = 0; p < field->config->planes; p++) {
             const double *au = field->solid.axis_u[p], *av = field->solid.axis_v[p];
-            vf_store(w->u[p] + at, (float)au[0] * x + (float)au[1] * y + (float)au[2] * z);
-            vf_store(w->v[p] + at, (float)av[0] * x + (float)av[1] * y + (float)av[2] * z);
+            vf_store(w->u[p] + at, (float)au[0] * is.x + (float)au[1] * is.y + (float)au[2] * is.z);
+            vf_store(w->v[p] + at, (float)av[0] * is.x + (float)av[1] * is.y + (float)av[2] * is.z);
             if (!leveled) continue;
             vf lx = ball, ly = ball;
             if (field->config->footprint == RN_FOOTPRINT_RIP) {
-                lx = level_from_variance(
-                    axial * footprint->axial_u[p] + radial * footprint->radial_u[p], base, levels);
-                ly = level_from_variance(
-                    axial * footprint->axial_v[p] + radial * footprint->radial_v[p], base, levels);
+                lx = level_from_variance(is.axial * footprint->axial_u[p] +
+                                             is.radial * footprint->radial_u[p],
+                                         base, levels);
+                ly = level_from_variance(is.axial * footprint->axial_v[p] +
+                                             is.radial * footprint->radial_v[p],
+                                         base, levels);
             }
             vf_store(w->lx[p] + at, lx);
             vf_store(w->ly[p] + at, ly);

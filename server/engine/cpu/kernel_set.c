@@ -48,8 +48,8 @@ RN_MAP_FUNCTION(log2_public, vf_log2)
 static void moments_public(size_t n, const float *t, float width, float radius, float *shift,
                            float *axial, float *radial) {
     for (size_t i = 0; i < n; i += RN_VL) {
-        vf s, a, r;
-        frustum_moments(vf_load(t + i), 0.5f * width, radius, &s, &a, &r);
+        vf s, a, r, at = vf_load(t + i);
+        frustum_lanes(at, frustum_ratio(at, 0.5f * width), 0.5f * width, radius, &s, &a, &r);
         vf_store(shift + i, s);
         vf_store(axial + i, a);
         vf_store(radial + i, r);

@@ -5,6 +5,7 @@
 
 #include "server/engine/cuda/scene.cuh"
 #include "server/engine/field/footprint.h"
+#include "server/engine/field/frustum.h"
 #include "server/engine/field/volume.h"
 
 // ---- samples --------------------------------------------------------------------------------
@@ -41,18 +42,18 @@ RN_DEVICE bool rn_ray_leveled(const struct rn_cuda_planes *p, const struct rn_ma
            f->axial_v * axial + f->radial_v * radial > limit * limit;
 }
 
-// A sample: mean of its Gaussian, variances along and across the ray (field/frustum.h, in fp32).
+RN_FRUSTUM_FUNCTION(rn_frustum_lane, float, float)
+
+// A sample: mean of its Gaussian, variances along and across the ray.
 struct rn_sample {
     float x, y, z, t, axial, radial;
 };
 
 RN_DEVICE struct rn_sample rn_place(const struct rn_march_ray *ray, float s, float step) {
     struct rn_sample out;
-    float t = s + ray->near, half = 0.5f * step, ratio = half / fmaxf(t, 1e-30f);
-    float q = ratio * ratio, w = 1 / (q + 3), hw = half * w, rt = ray->radius * t;
-    float mean = s + t * (2 * q * w);
-    out.axial = (0.6f * hw) * hw * (q * (q - 2) + 5);
-    out.radial = rt * rt * (0.15f * w) * (q * (q + 10) + 5);
+    float t = s + ray->near, half = 0.5f * step, shift;
+    rn_frustum_lane(t, half / fmaxf(t, 1e-30f), half, ray->radius, &shift, &out.axial, &out.radial);
+    float mean = s + shift;
     out.x = ray->direction[0] * mean + ray->origin[0];
     out.y = ray->direction[1] * mean + ray->origin[1];
     out.z = ray->direction[2] * mean + ray->origin[2];

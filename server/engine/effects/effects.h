@@ -9,7 +9,7 @@
 //   the march and rays of a step     rn_effect_row.march     -               -
 //   the ray of a pixel               kernels/ray.h           cpu/rays.h      kernels/ray.h
 //   where a sample lies, how large   field/frustum.h         cpu/encode.h    cuda/encode.cuh
-//   the colour of a pixel, its       reference/reference.c   cpu/colour.h    cuda/shade.cuh
+//   the colour of a pixel, its       reference/reference.c   cpu/loss.h      cuda/shade.cuh
 //   background, and its loss
 //   the cones of a picture's pixel   render/cones.h          -               -
 #ifndef RN_ENGINE_EFFECTS_EFFECTS_H

@@ -1,0 +1,62 @@
+// From the colours of rays to that of a pixel and its loss, and back to the rays.
+#ifndef RN_ENGINE_CPU_LOSS_H
+#define RN_ENGINE_CPU_LOSS_H
+
+#include <math.h>
+
+#include "server/engine/cpu/packet.h"
+
+// Loss of one pixel (smooth L1, beta 1, times the area weight) and its gradient: dL/d(rgb), and
+// dL/d(opacity) but for what comes through rgb. Over random backgrounds both are the mean: a
+// channel's error is then that over the mean background, less (opacity - alpha) times the
+// background's deviation from it, so that half its square is on average half the first's square and
+// half the variance times (opacity - alpha)^2. False where it is not finite; then it does not
+// count.
+static bool pixel_loss(const struct rn_march_options *options, const struct rn_march_ray *ray,
+                       const float rgb[3], float opacity, float ret_grad[4],
+                       struct rn_group *group) {
+    float excess = opacity - ray->alpha, spread = 3 * options->background_variance;
+    double loss = 0.5 * (double)spread * (double)excess * (double)excess;
+    for (int c = 0; c < 3; c++) {
+        float d = rgb[c] - ray->target[c], size = fabsf(d);
+        loss += size < 1 ? 0.5 * (double)d * (double)d : (double)size - 0.5;
+        ret_grad[c] = ray->weight * (d < -1 ? -1 : d > 1 ? 1 : d);
+    }
+    ret_grad[3] = ray->weight * spread * excess;
+    if (!isfinite(loss)) return false;
+    group->loss += (double)ray->weight * loss;
+    group->weight += (double)ray->weight;
+    if (group->ray_loss) group->ray_loss[ray->id] = (float)loss;
+    return true;
+}
+
+// The loss of a pixel whose colour and opacity are the mean of `n` rays', of which those that met
+// nothing show the background (hit[] is false of them). A ray that is not finite counts as such,
+// and its pixel gets no gradient.
+static void rays_loss(const struct rn_march_options *options, const struct rn_march_ray *rays,
+                      int n, const bool *hit, const struct ray_sums *sums, float (*rgb)[3],
+                      float (*ret_slope)[4], struct rn_group *group) {
+    float mean[3] = {0}, opacity = 0, share = 1.0f / (float)n, grad[4];
+    int hits = 0;
+    for (int r = 0; r < n; hits += hit[r++]) {
+        opacity += hit[r] ? sums[r].opacity * share : 0;
+        for (int c = 0; c < 3; c++)
+            mean[c] += (hit[r] ? rgb[r][c] : options->background[c]) * share;
+    }
+    if (hits == 0) return;
+    bool finite = pixel_loss(options, rays, mean, opacity, grad, group);
+    for (int r = 0; r < n; r++) {
+        if (!hit[r]) continue;
+        if (finite) {
+            group->rays_hit++;
+            for (int c = 0; c < 4; c++)
+                ret_slope[r][c] = grad[c] * share;
+        } else if (!isfinite(rgb[r][0] + rgb[r][1] + rgb[r][2] + sums[r].opacity) || n == 1) {
+            if (group->nonfinite_rays < RN_OFFENDERS)
+                group->offender[group->nonfinite_rays] = rays[r].id;
+            group->nonfinite_rays++;
+        }
+    }
+}
+
+#endif
