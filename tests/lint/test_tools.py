@@ -31,7 +31,12 @@ def write(path, text):
     ("common/base/a.c", '#include "proto/codec.h"\n'),
     ("proto/a.c", '#include "server/store/store.h"\n'),
     ("client/a.c", '#include "server/http/message.h"\n'),
-    ("server/engine/field/a.h", '#include "server/engine/scene/scene.h"\n'),
+    ("server/engine/field/a.h", '#include "server/engine/kernels/kernels.h"\n'),
+    ("server/engine/scene/a.c", '#include "server/engine/engine.h"\n'),
+    ("server/engine/effects/a.c", '#include "server/engine/train/trainer.h"\n'),
+    ("server/engine/render/a.c", '#include "server/engine/cuda/layout.h"\n'),
+    ("server/http/a.c", '#include "server/api/app.h"\n'),
+    ("server/runner/a.c", '#include "server/jobs/control.h"\n'),
 ])
 def test_a_fence_is_held(tmp_path, name, text):
     write(tmp_path / name, "// fine\n" + text)
@@ -39,6 +44,14 @@ def test_a_fence_is_held(tmp_path, name, text):
     assert len(findings) == 1 and findings[0].startswith(f"{name}:2: ")
     write(tmp_path / name, "#include <stdio.h>\n")
     assert not list(lint.check_fences(tmp_path))
+
+
+def test_a_folder_without_a_layer_and_a_circle_are_found(tmp_path):
+    write(tmp_path / "server" / "new" / "a.c", "int a;\n")
+    assert [f.split(":")[0] for f in lint.check_fences(tmp_path)] == ["server/new/a.c"]
+    assert lint.circle(lint.LAYERS) is None
+    assert lint.circle({"a": ("b",), "b": ("c/",), "c/d": ("a",), "e": ("a",)}) is not None
+    assert lint.circle({"a": ("b",), "b": (), "c/d": ("a",)}) is None
 
 
 def test_headers_compile_alone(tmp_path):
