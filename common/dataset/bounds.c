@@ -23,8 +23,12 @@ static bool meets(const double origin[3], const double direction[3],
 }
 
 bool rn_camera_looks_at(const struct rn_camera *camera, const struct rn_bounds *bounds) {
-    struct rn_ray axis = rn_camera_ray(camera, camera->cx, camera->cy);
-    return meets(axis.origin, axis.direction, bounds);
+    double origin[3], axis[3];
+    for (int i = 0; i < 3; i++) {
+        origin[i] = camera->world_from_camera[i][3];
+        axis[i] = camera->world_from_camera[i][2];
+    }
+    return meets(origin, axis, bounds);
 }
 
 double rn_bounds_seen(const struct rn_dataset *dataset, const struct rn_bounds *bounds) {
@@ -33,9 +37,11 @@ double rn_bounds_seen(const struct rn_dataset *dataset, const struct rn_bounds *
     for (size_t f = 0; f < dataset->frame_count; f++) {
         const struct rn_camera *camera = &dataset->frames[f].camera;
         if (dataset->frames[f].split != RN_SPLIT_TRAIN) continue;
-        for (int i = 0; i < GRID * GRID; i++, rays++) {
+        for (int i = 0; i < GRID * GRID; i++) {
             struct rn_ray ray = rn_camera_ray(camera, (i % GRID + 0.5) / GRID * camera->width,
                                               (i / GRID + 0.5) / GRID * camera->height);
+            if (!(ray.radius > 0)) continue; // beyond the lens's fold
+            rays++;
             met += meets(ray.origin, ray.direction, bounds);
         }
     }
@@ -106,7 +112,7 @@ void rn_dataset_describe(const struct rn_dataset *dataset, struct rn_dataset_rep
         const struct rn_frame *frame = &dataset->frames[i];
         const struct rn_camera *camera = &frame->camera;
         double distance = distance_to(camera, dataset->bounds.centre);
-        double footprint = distance * rn_camera_ray(camera, camera->cx, camera->cy).radius;
+        double footprint = distance * rn_camera_cone(camera);
         widen(distance, i == 0, &report.camera_distance_min, &report.camera_distance_max);
         widen(footprint, i == 0, &report.footprint_min, &report.footprint_max);
         widen_int(camera->width, i == 0, &report.width_min, &report.width_max);

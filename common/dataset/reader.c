@@ -228,7 +228,7 @@ enum rn_status rn_reader_pose(const struct rn_json *object, const char *key, dou
 }
 
 enum rn_status rn_reader_check_camera(const struct rn_json *object, const char *key,
-                                      const struct rn_camera *camera, struct rn_error *err) {
+                                      struct rn_camera *camera, struct rn_error *err) {
     struct rn_json at;
     struct rn_error inner;
     enum rn_status status = rn_json_member(object, key, &at, err);

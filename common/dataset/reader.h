@@ -66,8 +66,7 @@ enum rn_status rn_reader_pose(const struct rn_json *object, const char *key, dou
                               struct rn_error *err) RN_MUST_CHECK;
 // rn_camera_check with the error placed at member `key`.
 enum rn_status rn_reader_check_camera(const struct rn_json *object, const char *key,
-                                      const struct rn_camera *camera,
-                                      struct rn_error *err) RN_MUST_CHECK;
+                                      struct rn_camera *camera, struct rn_error *err) RN_MUST_CHECK;
 
 // Ends one frame: appends it (taking its name and path) when `status` is RN_OK; else frees them and
 // records `err` as a problem. Fails only when memory is out or there are too many frames.

@@ -16,11 +16,13 @@
 #define MAX_VIEWS 10000
 #define PNG_LEVEL 6
 
-static struct ray pixel_ray(const struct rn_camera *camera, double px, double py) {
+// False beyond the lens's fold.
+static bool pixel_ray(const struct rn_camera *camera, double px, double py, struct ray *ret) {
     struct rn_ray cone = rn_camera_ray(camera, px, py);
-    return (struct ray){{cone.origin[0], cone.origin[1], cone.origin[2]},
+    *ret = (struct ray){{cone.origin[0], cone.origin[1], cone.origin[2]},
                         {cone.direction[0], cone.direction[1], cone.direction[2]},
                         {0}};
+    return cone.radius > 0;
 }
 
 // Sample s of a pixel on the lamp's disc: an additive recurrence over radius and angle, so that the
@@ -44,7 +46,8 @@ static void render_pixel(const struct rn_synth_scene *scene, const struct rn_cam
         if (s % 2 == 0) jitter = rn_rng_draw(0, stream, (uint64_t)s / 2);
         double u = (s % side + (double)rn_rng_unit(jitter.v[s % 2 * 2])) / side;
         double v = ((double)(s / side) + (double)rn_rng_unit(jitter.v[s % 2 * 2 + 1])) / side;
-        struct ray ray = pixel_ray(camera, x + u, y + v);
+        struct ray ray;
+        if (!pixel_ray(camera, x + u, y + v, &ray)) continue;
         if (scene->lamp > 0) place_on_lamp(s, stream, ray.lamp);
         double rgb[3], distance;
         if (!rn_synth_trace(scene, &ray, rgb, &distance)) continue;
@@ -61,6 +64,7 @@ static void render_pixel(const struct rn_synth_scene *scene, const struct rn_cam
 // more than the pixel's diagonal.
 static bool pixel_is_empty(const struct rn_synth_scene *scene, const struct rn_camera *camera,
                            int x, int y) {
+    if (camera->lens != RN_LENS_PINHOLE) return false;
     struct rn_ray cone = rn_camera_ray(camera, x + 0.5, y + 0.5);
     double along = 0, squared = 0;
     for (int i = 0; i < 3; i++) {
@@ -107,14 +111,15 @@ static enum rn_status check_scene(const char *name, int samples,
 enum rn_status rn_synth_render(const char *scene, const struct rn_camera *camera, int samples,
                                struct rn_picture *ret_rgba, struct rn_error *err) {
     const struct rn_synth_scene *found = NULL;
+    struct rn_camera checked = *camera;
     struct rn_picture picture;
     int side = 0;
     enum rn_status status;
     if ((status = check_scene(scene, samples, &found, &side, err)) ||
-        (status = rn_camera_check(camera, "camera", err)) ||
+        (status = rn_camera_check(&checked, "camera", err)) ||
         (status = rn_picture_init(camera->width, camera->height, 4, &picture, err)))
         return status;
-    render(found, camera, side, &picture);
+    render(found, &checked, side, &picture);
     *ret_rgba = picture;
     return RN_OK;
 }
@@ -122,19 +127,22 @@ enum rn_status rn_synth_render(const char *scene, const struct rn_camera *camera
 enum rn_status rn_synth_depth(const char *scene, const struct rn_camera *camera,
                               struct rn_picture *ret_depth, struct rn_error *err) {
     const struct rn_synth_scene *found = NULL;
+    struct rn_camera checked = *camera;
     struct rn_picture picture;
     int side = 0;
     enum rn_status status;
     if ((status = check_scene(scene, 1, &found, &side, err)) ||
-        (status = rn_camera_check(camera, "camera", err)) ||
+        (status = rn_camera_check(&checked, "camera", err)) ||
         (status = rn_picture_init(camera->width, camera->height, 1, &picture, err)))
         return status;
     float *value = picture.values;
     for (int y = 0; y < camera->height; y++)
         for (int x = 0; x < camera->width; x++, value++) {
-            struct ray ray = pixel_ray(camera, x + 0.5, y + 0.5);
+            struct ray ray;
             double rgb[3], distance;
-            *value = rn_synth_trace(found, &ray, rgb, &distance) ? (float)distance : INFINITY;
+            bool hit = pixel_ray(&checked, x + 0.5, y + 0.5, &ray) &&
+                       rn_synth_trace(found, &ray, rgb, &distance);
+            *value = hit ? (float)distance : INFINITY;
         }
     *ret_depth = picture;
     return RN_OK;

@@ -16,6 +16,17 @@ struct rn_camera rn_camera_reframed(const struct rn_camera *camera, int width, i
     return out;
 }
 
+double rn_camera_widest_cone(const struct rn_camera *camera) {
+    enum { GRID = 16 };
+    double widest = rn_camera_cone(camera);
+    for (int i = 0; camera->lens && i < (GRID + 1) * (GRID + 1); i++) {
+        double x = i % (GRID + 1) * (camera->width / (double)GRID);
+        double y = i / (GRID + 1) * (camera->height / (double)GRID);
+        widest = fmax(widest, rn_camera_ray(camera, x, y).radius);
+    }
+    return widest;
+}
+
 static enum rn_status bad(const char *where, const char *field, const char *text,
                           struct rn_error *err) {
     char path[256];
@@ -43,7 +54,9 @@ static double determinant(const double m[3][4]) {
            m[0][2] * (m[1][0] * m[2][1] - m[1][1] * m[2][0]);
 }
 
-static enum rn_status check_pose(const double pose[3][4], const char *where, struct rn_error *err) {
+static enum rn_status check_pose(const struct rn_camera *camera, const char *where,
+                                 struct rn_error *err) {
+    const double(*pose)[4] = camera->world_from_camera;
     for (int i = 0; i < 3; i++)
         for (int j = 0; j < 4; j++)
             if (!isfinite(pose[i][j]))
@@ -77,8 +90,7 @@ static enum rn_status check_lens(const struct rn_camera *camera, const char *whe
     return RN_OK;
 }
 
-enum rn_status rn_camera_check(const struct rn_camera *camera, const char *where,
-                               struct rn_error *err) {
+enum rn_status rn_camera_check(struct rn_camera *camera, const char *where, struct rn_error *err) {
     if (camera->width < 1 || camera->width > RN_CAMERA_MAX_SIZE)
         return bad(where, "width", "the image width must be 1 to 16384 pixels", err);
     if (camera->height < 1 || camera->height > RN_CAMERA_MAX_SIZE)
@@ -90,7 +102,8 @@ enum rn_status rn_camera_check(const struct rn_camera *camera, const char *where
     if (!isfinite(camera->cx)) return bad(where, "cx", "the principal point is not finite", err);
     if (!isfinite(camera->cy)) return bad(where, "cy", "the principal point is not finite", err);
     enum rn_status status = check_lens(camera, where, err);
-    return status ? status : check_pose(camera->world_from_camera, where, err);
+    camera->lens_fold = status || !camera->lens ? 0 : rn_lens_fold(camera->lens, camera->lens_k);
+    return status ? status : check_pose(camera, where, err);
 }
 
 double rn_camera_fov_y(const struct rn_camera *camera) {

@@ -96,7 +96,7 @@ sound() {
 }
 
 prepare generic
-sound frustum footprint ripmap solid volume camera optimiser kernels rays training incidents \
+sound frustum footprint ripmap solid volume camera lens optimiser kernels rays training incidents \
     reproducible roulette overflow growth networks metrics_images flags_fma doctor commands proofs
 
 field=server/engine/field
@@ -150,7 +150,24 @@ mutate optimiser server/engine/reference/reference.c "AdamW: 1 - 0.999^t by pow"
 mutate optimiser server/engine/reference/reference.c "AdamW: fp32 second moment" \
     's/v\[i\] = 0.999 \* v\[i\].*/v[i] = (float)(0.999 * v[i] + 0.001 * grad[i] * grad[i]);/'
 mutate camera common/math/camera.h "cameras: direction in fp32" \
-    's/double inv_norm = 1.0 \/ sqrt(x \* x + y \* y + 1.0);/double inv_norm = 1.0f \/ sqrtf((float)(x * x + y * y + 1.0));/'
+    's/TYPE inverse_norm = 1.0 \/ ROOT(\(.*\)); *\\$/TYPE inverse_norm = (float)1.0 \/ ROOT((double)(float)(\1)); \\/'
+mutate lens common/math/lens.h "lenses: tangential parameters swapped" \
+    's/t.p1 = k\[2\], t.p2 = k\[3\];/t.p1 = k[3], t.p2 = k[2];/'
+mutate lens common/math/lens.h "lenses: nerfstudio's k4 for OpenCV's" \
+    's/t.below\[0\] = k\[5\]/t.above[3] = k[5]/'
+mutate lens common/math/lens.h "lenses: ten steps of Newton's method, unchecked" \
+    's/part > 1e-12; part \*= 0.5/part == 1; part *= 0.5/;s/i < 100 /i < 10 /;s/return error <= 0x1p-80.*/return true;/'
+mutate lens common/math/lens.h "lenses: stopped at 2^-15" 's/0x1p-60/0x1p-30 * 1e6/'
+mutate lens common/math/lens.h "lenses: the fold not looked at" \
+    's/!(nu \* nu + nv \* nv < fold \* fold) || //'
+mutate lens common/math/lens.h "lenses: angle by asin" \
+    's/atan2(t->omega \* t->c \* r, p\[2\])/asin(t->omega * t->c * r \/ sqrt(t->omega * t->c * r * t->omega * t->c * r + p[2] * p[2]))/'
+mutate lens common/math/lens.h "lenses: a cone's area without the derivative of the angle" \
+    's/return t->c \* sinc \//return t->c \//'
+mutate lens common/math/camera.h "lenses: a cone's area without the bending's" \
+    's/ \/ (bent.xx \* bent.yy - bent.xy \* bent.yx);/;/'
+mutate lens common/math/lens.c "lenses: the fold a step too late" \
+    's/inside < outside; i++/inside < outside \&\& !(inside = outside); i++/'
 mutate kernels $cpu/simd.h "vector exp: one-part reduction" \
     's/vf r = x - n \* 0.693145751953125f;.*/vf r = x - n * 0.693147180559945f;/;s/r = r - n \* 1.42860677e-6f;//'
 mutate kernels $cpu/simd.h "vector 1 - exp(-x): without the series" \

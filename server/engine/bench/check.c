@@ -47,22 +47,20 @@ double rn_bench_check_rays(const struct rn_bench_recording *rec) {
     struct worst worst = {0};
     for (int f = 0; f < t->train.frame_count; f++) {
         const struct rn_pixel_frame *frame = &t->train.frames[f];
-        const struct rn_camera *camera = &frame->frame->camera;
+        const struct rn_camera *camera = &frame->camera;
         for (int y = 0; y < camera->height; y += 37) {
             int x = y * 7919 % camera->width;
             struct rn_march_ray ray =
                 rn_trainer_ray(t, &t->train, frame, x, y, t->field->config.step, 0.01);
-            double p[3] = {0};
+            double point[3], p[3], at[2] = {NAN, NAN};
             if (!(ray.length > 0)) continue;
-            for (int i = 0; i < 3; i++) {
-                double at = t->field->bounds.centre[i] +
-                            t->field->bounds.radius * (double)(ray.origin[i] + ray.direction[i]);
-                for (int k = 0; k < 3; k++)
-                    p[k] +=
-                        camera->world_from_camera[i][k] * (at - camera->world_from_camera[i][3]);
-            }
-            compare(&worst, p[0] / p[2] * camera->fx + camera->cx, x + 0.5);
-            compare(&worst, p[1] / p[2] * camera->fy + camera->cy, y + 0.5);
+            for (int i = 0; i < 3; i++)
+                point[i] = t->field->bounds.centre[i] +
+                           t->field->bounds.radius * (double)(ray.origin[i] + ray.direction[i]);
+            rn_camera_axes(camera, point, p);
+            (void)rn_camera_project(camera, p, at);
+            compare(&worst, at[0], x + 0.5);
+            compare(&worst, at[1], y + 0.5);
         }
     }
     return result(&worst);

@@ -215,8 +215,8 @@ static void run_rays(void *context) {
             struct rn_rng4 draw = rn_rng_draw(1, 2, i + j);
             const struct rn_pixel_frame *frame =
                 &t->train.frames[draw.v[0] % (uint32_t)t->train.frame_count];
-            uint32_t width = (uint32_t)frame->frame->camera.width;
-            uint32_t height = (uint32_t)frame->frame->camera.height;
+            uint32_t width = (uint32_t)frame->camera.width;
+            uint32_t height = (uint32_t)frame->camera.height;
             places[j] = (struct rn_trainer_place){
                 .frame = frame, .x = (int)(draw.v[1] % width), .y = (int)(draw.v[2] % height)};
             __builtin_prefetch(rn_pixel_at(&t->train, frame, places[j].x, places[j].y));

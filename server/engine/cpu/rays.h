@@ -3,6 +3,9 @@
 #ifndef RN_ENGINE_CPU_RAYS_H
 #define RN_ENGINE_CPU_RAYS_H
 
+#include <stddef.h>
+
+#include "common/math/camera.h"
 #include "server/engine/cpu/simd.h"
 #include "server/engine/kernels/kernels.h"
 
@@ -10,7 +13,7 @@
 struct view_lanes {
     vd origin[3], axes[3][3], cx, cy, inverse_fx, inverse_fy, radius;
 };
-#define RN_VIEW_NUMBERS (sizeof(struct rn_view) / sizeof(double))
+#define RN_VIEW_NUMBERS (offsetof(struct rn_view, lens) / sizeof(double))
 _Static_assert(sizeof(struct view_lanes) == RN_VIEW_NUMBERS * sizeof(vd), "the same numbers");
 
 // The views of RN_VD places; `*loaded` is the view that all lanes hold already, if any.
@@ -86,12 +89,26 @@ RN_INLINE vd load_ints(const int32_t from[RN_VD]) {
     return __builtin_convertvector(whole, vd);
 }
 
-// The directions of the cones through the pixels' centres.
-RN_INLINE void pixel_directions(const struct view_lanes *view, vd px, vd py, vd d[3]) {
+RN_CAMERA_TURN_FUNCTION(turn, vd, 3, vd_sqrt)
+
+// The cones through the pixels' centres. Lenses lane by lane: 4 to 6 steps of Newton's method,
+// which is little beside the march.
+RN_INLINE void pixel_cones(const struct view_lanes *view, const struct rn_view *const of[RN_VD],
+                           vd px, vd py, vd d[3], vd *ret_radius) {
     vd x = (px + 0.5 - view->cx) * view->inverse_fx, y = (py + 0.5 - view->cy) * view->inverse_fy;
-    vd inverse_norm = 1.0 / vd_sqrt(x * x + y * y + 1.0);
-    for (int i = 0; i < 3; i++)
-        d[i] = (view->axes[i][0] * x + view->axes[i][1] * y + view->axes[i][2]) * inverse_norm;
+    vd z = vd_set(1), radius = view->radius;
+    bool lenses = false;
+    for (int j = 0; j < RN_VD; j++)
+        lenses |= of[j]->lens != NULL;
+    if (!lenses) turn(view->axes, x, y, vd_set(1), d);
+    for (int j = 0; j < RN_VD && lenses; j++) {
+        if (!of[j]->lens) continue;
+        double look[3] = {0, 0, 1}, area = rn_camera_look(of[j]->lens, x[j], y[j], look);
+        x[j] = look[0], y[j] = look[1], z[j] = look[2];
+        radius[j] *= sqrt(area);
+    }
+    if (lenses) turn(view->axes, x, y, z, d);
+    *ret_radius = radius;
 }
 
 static void rays(const struct rn_ray_place *places, int count, double step, bool cone_step,
@@ -102,7 +119,7 @@ static void rays(const struct rn_ray_place *places, int count, double step, bool
     for (int begin = 0; begin < count; begin += RN_VD) {
         int n = count - begin < RN_VD ? count - begin : RN_VD;
         int32_t px[RN_VD], py[RN_VD];
-        vd d[3];
+        vd d[3], radius;
         float jitters[RN_VD], out[10][RN_VD];
         for (int j = 0; j < RN_VD; j++) {
             const struct rn_ray_place *place = &places[begin + (j < n ? j : n - 1)];
@@ -112,26 +129,26 @@ static void rays(const struct rn_ray_place *places, int count, double step, bool
             jitters[j] = place->jitter;
         }
         view_load(view, &loaded, &lanes);
-        pixel_directions(&lanes, load_ints(px), load_ints(py), d);
+        pixel_cones(&lanes, view, load_ints(px), load_ints(py), d, &radius);
         struct cut_lanes cut;
-        cut_rays(lanes.origin, d, lanes.radius, step, cone_step, vd_load(jitters), &cut);
+        cut_rays(lanes.origin, d, radius, step, cone_step, vd_load(jitters), &cut);
         for (int i = 0; i < 3; i++) {
             vd_store(out[i], cut.origin[i]);
             vd_store(out[3 + i], d[i]);
         }
         vd_store(out[6], cut.near);
         vd_store(out[7], cut.length);
-        vd_store(out[8], lanes.radius);
+        vd_store(out[8], radius);
         vd_store(out[9], cut.stride);
         for (int j = 0; j < n; j++)
-            ret_rays[begin + j] =
-                (struct rn_march_ray){.origin = {out[0][j], out[1][j], out[2][j]},
-                                      .direction = {out[3][j], out[4][j], out[5][j]},
-                                      .near = out[6][j],
-                                      .length = view[j] == &nowhere ? 0 : out[7][j],
-                                      .radius = out[8][j],
-                                      .stride = (int)out[9][j],
-                                      .weight = 1};
+            ret_rays[begin + j] = (struct rn_march_ray){
+                .origin = {out[0][j], out[1][j], out[2][j]},
+                .direction = {out[3][j], out[4][j], out[5][j]},
+                .near = out[6][j],
+                .length = view[j] == &nowhere || !(out[8][j] > 0) ? 0 : out[7][j],
+                .radius = out[8][j],
+                .stride = (int)out[9][j],
+                .weight = out[8][j] > 0};
     }
 }
 

@@ -98,7 +98,7 @@ RN_DEVICE struct rn_march_ray rn_draw_ray(const struct rn_cuda_source *s, uint64
     for (int c = 0; c < 3; c++)
         out.target[c] = (float)rgba[c] * (1 / 255.0f) * alpha + (1 - alpha) * s->background[c];
     out.alpha = alpha;
-    out.weight = s->favour_finest ? 1 : f->loss_weight;
+    out.weight = !(ray.radius > 0) ? 0 : s->favour_finest ? 1 : f->loss_weight;
     out.id = (uint32_t)r;
     return out;
 }

@@ -86,7 +86,8 @@ struct rn_march_ray {
 struct rn_view {
     double origin[3], axes[3][3]; // axes: of world_from_camera
     double cx, cy, inverse_fx, inverse_fy;
-    double radius; // of the cones, per unit of distance
+    double radius;                // of the cones, per unit of distance
+    const struct rn_camera *lens; // the camera where it has one, NULL where it is a pinhole
 };
 
 // A pixel to look through; (0, 0) is the first. `view` NULL: absent.

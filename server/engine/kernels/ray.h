@@ -46,7 +46,8 @@ RN_HD struct rn_march_ray rn_ray_cut(const double centre[3], double radius, bool
     for (int i = 0; i < 3; i++)
         out.direction[i] = (float)ray->direction[i];
     out.radius = (float)ray->radius;
-    if (!(across <= 1) || !rn_enter_cube(o, ray->direction, &enter)) return out;
+    if (!(across <= 1) || !(ray->radius > 0) || !rn_enter_cube(o, ray->direction, &enter))
+        return out;
     if (cone_step) out.stride = rn_sample_stride(-along * ray->radius, step);
     double near = enter + jitter * step * out.stride, length = sqrt(1 - across) - along - near;
     for (int i = 0; i < 3; i++)
@@ -57,14 +58,15 @@ RN_HD struct rn_march_ray rn_ray_cut(const double centre[3], double radius, bool
 }
 
 // A camera as the kernels' `rays` wants it, within 2 ULP a number, in the frame where the ball
-// around `centre` of `radius` is the unit ball.
+// around `centre` of `radius` is the unit ball. A camera with a lens must outlive the view.
 static inline struct rn_view rn_view_init(const double centre[3], double radius,
                                           const struct rn_camera *camera) {
     struct rn_view view = {.cx = camera->cx,
                            .cy = camera->cy,
                            .inverse_fx = 1 / camera->fx,
                            .inverse_fy = 1 / camera->fy,
-                           .radius = rn_camera_ray(camera, 0, 0).radius};
+                           .radius = rn_camera_cone(camera),
+                           .lens = camera->lens ? camera : NULL};
     for (int i = 0; i < 3; i++) {
         view.origin[i] = (camera->world_from_camera[i][3] - centre[i]) / radius;
         for (int j = 0; j < 3; j++)

@@ -106,7 +106,7 @@ static enum rn_status fill_pictures(struct frame *f, struct rn_render_result *re
     return RN_OK;
 }
 
-static enum rn_status check_options(const struct rn_render_options *o, struct rn_error *err) {
+static enum rn_status check_options(struct rn_render_options *o, struct rn_error *err) {
     enum rn_status status = rn_camera_check(&o->camera, "camera", err);
     if (status != RN_OK) return status;
     if (!(o->outputs & (RN_OUTPUT_RGB | RN_OUTPUT_DEPTH | RN_OUTPUT_ALPHA)))
@@ -225,9 +225,10 @@ enum rn_status rn_render(struct rn_engine *engine, struct rn_field *field,
                          const struct rn_render_options *options, bool (*keep_going)(void *context),
                          void *context, struct rn_render_result *ret_result, struct rn_error *err) {
     int64_t begin = rn_clock_ns();
-    enum rn_status status = check_options(options, err);
+    struct rn_render_options checked = *options;
+    enum rn_status status = check_options(&checked, err);
     if (status != RN_OK) return status;
-    struct frame f = {.engine = engine, .field = field, .options = options};
+    struct frame f = {.engine = engine, .field = field, .options = &checked};
     init_frame(&f);
     status = prepare(&f, err);
     if (status != RN_OK) return status;

@@ -27,6 +27,7 @@ static enum rn_status list_frames(const struct rn_dataset *dataset,
             if (!take[i] || frame->scale != scale) continue;
             pixels->frames[pixels->frame_count++] =
                 (struct rn_pixel_frame){.frame = frame,
+                                        .camera = frame->camera,
                                         .offset = pixels->pixel_count,
                                         .before = pixels->scale_pixels[scale]};
             size_t n = (size_t)frame->camera.width * (size_t)frame->camera.height;

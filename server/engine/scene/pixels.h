@@ -8,10 +8,12 @@
 
 struct rn_pixel_frame {
     const struct rn_frame *frame;
-    struct rn_view view; // its camera; the trainer's to fill in
-    struct rn_view fine; // of 2 x 2 cones a pixel, likewise
-    size_t offset;       // of its first pixel in `rgba`, in pixels
-    size_t before;       // pixels of the frames of the same scale before this one
+    struct rn_view view;     // of `camera`; the trainer's to fill in
+    struct rn_view fine;     // of `parts`, likewise
+    size_t offset;           // of its first pixel in `rgba`, in pixels
+    size_t before;           // pixels of the frames of the same scale before this one
+    struct rn_camera camera; // the frame's, without a lens that makes no difference
+    struct rn_camera parts;  // of 2 x 2 cones a pixel; the trainer's to fill in
 };
 
 // Frames ordered by scale. Thread-safety: immutable once loaded. Owner: rn_pixels_finish.
@@ -37,8 +39,7 @@ void rn_pixels_finish(struct rn_pixels *pixels);
 // Pixel (x, y) of a frame.
 static inline const uint8_t *rn_pixel_at(const struct rn_pixels *pixels,
                                          const struct rn_pixel_frame *frame, int x, int y) {
-    return pixels->rgba +
-           4 * (frame->offset + (size_t)y * (size_t)frame->frame->camera.width + (size_t)x);
+    return pixels->rgba + 4 * (frame->offset + (size_t)y * (size_t)frame->camera.width + (size_t)x);
 }
 
 // A pixel over a background, in [0, 1]; returns its alpha.

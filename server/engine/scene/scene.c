@@ -322,23 +322,21 @@ struct rn_view rn_field_view(const struct rn_field *field, const struct rn_camer
 }
 
 double rn_cone_at_centre(const struct rn_bounds *bounds, const struct rn_camera *camera) {
-    struct rn_ray ray = rn_camera_ray(camera, camera->cx, camera->cy);
     double squares = 0;
     for (int i = 0; i < 3; i++)
-        squares += pow(ray.origin[i] - bounds->centre[i], 2);
-    return ray.radius * sqrt(squares);
+        squares += pow(camera->world_from_camera[i][3] - bounds->centre[i], 2);
+    return rn_camera_cone(camera) * sqrt(squares);
 }
 
 double rn_top_level(const struct rn_field *field, const struct rn_camera *camera, double step) {
     const struct rn_field_config *c = &field->config.field;
     if (c->footprint == RN_FOOTPRINT_POINT || c->levels == 1) return 0;
-    struct rn_ray ray = rn_camera_ray(camera, camera->cx, camera->cy);
     double far = 0;
     for (int i = 0; i < 3; i++) {
-        double d = (ray.origin[i] - field->bounds.centre[i]) / field->bounds.radius;
+        double d = (camera->world_from_camera[i][3] - field->bounds.centre[i]) / field->bounds.radius;
         far += d * d;
     }
-    far = (sqrt(far) + 1) * ray.radius; // cone radius at the far side of the ball
+    far = (sqrt(far) + 1) * rn_camera_widest_cone(camera); // cone radius at the far side of the ball
     double level = rn_level_from_ball(far, rn_footprint_base(c), c->levels);
     if (c->footprint == RN_FOOTPRINT_RIP) {
         double variance = fmax(step * step / 12, far * far * 0.26 + step * step * 0.05);

@@ -43,7 +43,7 @@ static enum rn_status pack_pixels(const struct rn_trainer *t, struct packed_pixe
         return rn_error_set(err, RN_ERROR_NO_MEMORY, "trainer", "out of memory");
     for (int f = 0; f < t->train.frame_count; f++) {
         const struct rn_pixel_frame *from = &t->train.frames[f];
-        ret->frames[f] = (struct rn_device_frame){.camera = from->frame->camera,
+        ret->frames[f] = (struct rn_device_frame){.camera = from->camera,
                                                   .offset = from->offset,
                                                   .before = from->before,
                                                   .loss_weight = (float)from->frame->loss_weight};
@@ -100,7 +100,7 @@ enum rn_status rn_trainer_validate_rows(struct rn_trainer *t, const struct rn_pi
                                         int row, int rows, double *ret_squares,
                                         struct rn_error *err) {
     const struct rn_train_config *config = &t->field->config;
-    const struct rn_camera *camera = &frame->frame->camera;
+    const struct rn_camera *camera = &frame->camera;
     size_t width = (size_t)camera->width, n = width * (size_t)rows;
     struct rn_march_options march = {.step = (float)config->step,
                                      .stop_depth = (float)-log(config->stop)};

@@ -4,6 +4,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "common/math/ball.h"
 #include "server/engine/field/occupancy.h"
 #include "server/engine/train/trainer.h"
 
@@ -63,26 +64,19 @@ static int clamp_block(double pixel, int last) {
 }
 
 // Marks the blocks of pixels that a clump's image may reach.
-static void mark_clump(const struct rn_camera *c, const double centre[3], double radius,
+static void mark_clump(const struct rn_ball_viewer *viewer, const double centre[3], double radius,
                        int columns, int rows, uint8_t *marks) {
-    double p[3];
-    for (int i = 0; i < 3; i++) {
-        p[i] = 0;
-        for (int j = 0; j < 3; j++)
-            p[i] += c->world_from_camera[j][i] * (centre[j] - c->world_from_camera[j][3]);
-    }
-    if (p[2] + radius <= 0) return;
-    double nearest = p[2] - radius;
-    if (nearest <= radius) { // around the camera: everywhere
+    const struct rn_camera *c = viewer->camera;
+    struct rn_ball_box box;
+    enum rn_ball_image image = rn_ball_image(viewer, centre, radius, &box);
+    if (image == RN_BALL_UNSEEN) return;
+    if (image == RN_BALL_AROUND) {
         memset(marks, 1, (size_t)columns * (size_t)rows);
         return;
     }
-    double x = p[0] / p[2] * c->fx + c->cx, y = p[1] / p[2] * c->fy + c->cy;
-    double slope = sqrt(1 + (p[0] * p[0] + p[1] * p[1]) / (p[2] * p[2]));
-    double rx = c->fx * radius * slope / nearest + 1, ry = c->fy * radius * slope / nearest + 1;
-    if (x + rx < 0 || y + ry < 0 || x - rx > c->width || y - ry > c->height) return;
-    int x0 = clamp_block(x - rx, columns - 1), x1 = clamp_block(x + rx, columns - 1);
-    for (int row = clamp_block(y - ry, rows - 1); row <= clamp_block(y + ry, rows - 1); row++)
+    if (box.x1 < 0 || box.y1 < 0 || box.x0 > c->width || box.y0 > c->height) return;
+    int x0 = clamp_block(box.x0, columns - 1), x1 = clamp_block(box.x1, columns - 1);
+    for (int row = clamp_block(box.y0, rows - 1); row <= clamp_block(box.y1, rows - 1); row++)
         memset(marks + (size_t)row * (size_t)columns + x0, 1, (size_t)(x1 - x0 + 1));
 }
 
@@ -103,18 +97,19 @@ struct marks {
 static void mark_frame(void *context, int index, int thread) {
     (void)thread;
     const struct marks *m = context;
-    const struct rn_camera *camera = &m->pixels->frames[index].frame->camera;
+    const struct rn_camera *camera = &m->pixels->frames[index].camera;
     int columns, rows;
     blocks_of(camera, &columns, &rows);
+    struct rn_ball_viewer viewer = rn_ball_viewer_init(camera);
     for (int i = 0; i < m->clumps->count; i++)
-        mark_clump(camera, m->clumps->centre[i], m->clumps->radius, columns, rows,
+        mark_clump(&viewer, m->clumps->centre[i], m->clumps->radius, columns, rows,
                    m->all + m->first[index]);
 }
 
 // Appends a frame's live blocks to the list.
 static void list_frame(struct rn_trainer *t, int frame, const uint8_t *marks) {
     int columns, rows;
-    size_t n = blocks_of(&t->train.frames[frame].frame->camera, &columns, &rows);
+    size_t n = blocks_of(&t->train.frames[frame].camera, &columns, &rows);
     for (size_t i = 0; i < n; i++)
         if (marks[i])
             t->live[t->live_count++] =
@@ -161,7 +156,7 @@ enum rn_status rn_trainer_list_live(struct rn_trainer *t, struct rn_error *err) 
     marks.first = malloc(((size_t)t->train.frame_count + 1) * sizeof *marks.first);
     for (int f = 0; f < t->train.frame_count && marks.first; f++) {
         marks.first[f] = total;
-        total += blocks_of(&t->train.frames[f].frame->camera, &columns, &rows);
+        total += blocks_of(&t->train.frames[f].camera, &columns, &rows);
     }
     marks.all = calloc(total + 1, 1);
     rn_block_destroy(t->live);

@@ -3,6 +3,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "common/math/ball.h"
 #include "common/math/rng.h"
 #include "server/engine/field/occupancy.h"
 #include "server/engine/field/volume.h"
@@ -34,12 +35,12 @@ enum rn_status rn_trainer_list_hull(struct rn_trainer *t, struct rn_error *err) 
 
 // One photograph as the carver sees it: how many pixels with alpha lie above and left of (x, y).
 struct silhouette {
-    const struct rn_camera *camera;
+    struct rn_ball_viewer viewer;
     uint32_t *table; // (width + 1) * (height + 1)
 };
 
 static void fill_table(struct silhouette *s, const uint8_t *rgba) {
-    int w = s->camera->width, h = s->camera->height;
+    int w = s->viewer.camera->width, h = s->viewer.camera->height;
     memset(s->table, 0, (size_t)(w + 1) * sizeof *s->table);
     for (int y = 0; y < h; y++) {
         uint32_t row = 0, *above = s->table + (size_t)y * (w + 1), *line = above + w + 1;
@@ -60,22 +61,12 @@ enum sight { NONE_HAVE, SOME_HAVE, ALL_HAVE };
 
 // The ball lies around a point (dataset units). Anything in doubt is SOME_HAVE.
 static enum sight look_at(const struct silhouette *s, const double centre[3], double radius) {
-    const struct rn_camera *c = s->camera;
-    double p[3];
-    for (int i = 0; i < 3; i++) {
-        p[i] = 0;
-        for (int j = 0; j < 3; j++)
-            p[i] += c->world_from_camera[j][i] * (centre[j] - c->world_from_camera[j][3]);
-    }
-    double nearest = p[2] - radius;
-    if (nearest <= radius) return SOME_HAVE;
-    double x = p[0] / p[2] * c->fx + c->cx, y = p[1] / p[2] * c->fy + c->cy;
-    // A ball's image reaches at most f r sqrt(1 + tan^2) / nearest from its centre's image.
-    double slope = sqrt(1 + (p[0] * p[0] + p[1] * p[1]) / (p[2] * p[2]));
-    double rx = c->fx * radius * slope / nearest + 1, ry = c->fy * radius * slope / nearest + 1;
-    if (x - rx < 0 || y - ry < 0 || x + rx > c->width || y + ry > c->height) return SOME_HAVE;
-    int x0 = clamp_int(floor(x - rx), 0, c->width), x1 = clamp_int(ceil(x + rx), 0, c->width);
-    int y0 = clamp_int(floor(y - ry), 0, c->height), y1 = clamp_int(ceil(y + ry), 0, c->height);
+    const struct rn_camera *c = s->viewer.camera;
+    struct rn_ball_box box;
+    if (rn_ball_image(&s->viewer, centre, radius, &box) != RN_BALL_BOX) return SOME_HAVE;
+    if (box.x0 < 0 || box.y0 < 0 || box.x1 > c->width || box.y1 > c->height) return SOME_HAVE;
+    int x0 = clamp_int(floor(box.x0), 0, c->width), x1 = clamp_int(ceil(box.x1), 0, c->width);
+    int y0 = clamp_int(floor(box.y0), 0, c->height), y1 = clamp_int(ceil(box.y1), 0, c->height);
     size_t stride = (size_t)c->width + 1;
     const uint32_t *top = s->table + (size_t)y0 * stride, *bottom = s->table + (size_t)y1 * stride;
     uint32_t count = bottom[x1] - bottom[x0] - top[x1] + top[x0];
@@ -149,7 +140,7 @@ static void carve_layer(void *context, int layer, int thread) {
 void rn_trainer_carve(struct rn_trainer *t) {
     size_t largest = 0;
     for (int f = 0; f < t->train.frame_count; f++) {
-        const struct rn_camera *c = &t->train.frames[f].frame->camera;
+        const struct rn_camera *c = &t->train.frames[f].camera;
         size_t n = (size_t)(c->width + 1) * (size_t)(c->height + 1);
         if (n > largest) largest = n;
     }
@@ -161,7 +152,7 @@ void rn_trainer_carve(struct rn_trainer *t) {
     for (int f = 0; f < views; f++) {
         const struct rn_pixel_frame *frame = &t->train.frames[f * finest / views];
         if (!frame->frame->has_alpha) continue;
-        carving.silhouette.camera = &frame->frame->camera;
+        carving.silhouette.viewer = rn_ball_viewer_init(&frame->camera);
         fill_table(&carving.silhouette, t->train.rgba + 4 * frame->offset);
         rn_pool_run(t->engine->pool, t->field->config.field.occupancy / RN_BRICK, carve_layer,
                     &carving);

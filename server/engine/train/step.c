@@ -168,7 +168,7 @@ static const struct rn_pixel_frame *draw_pixel(const struct rn_trainer *t, struc
     while (pixel >= t->train.scale_pixels[scale])
         pixel -= t->train.scale_pixels[scale++];
     const struct rn_pixel_frame *frame = frame_of(&t->train, scale, pixel);
-    size_t within = pixel - frame->before, width = (size_t)frame->frame->camera.width;
+    size_t within = pixel - frame->before, width = (size_t)frame->camera.width;
     *ret_x = (int)(within % width);
     *ret_y = (int)(within / width);
     return frame;
@@ -199,8 +199,7 @@ static void settle(const struct rn_trainer *t, struct rn_trainer_place *place) {
     const struct rn_pixel_frame *frame = &t->train.frames[block->frame];
     place->x += block->x;
     place->y += block->y;
-    if (place->x < frame->frame->camera.width && place->y < frame->frame->camera.height)
-        place->frame = frame;
+    if (place->x < frame->camera.width && place->y < frame->camera.height) place->frame = frame;
     if (!place->frame || place->part > 1) place->block = -1; // a pixel's error is noted once
 }
 
@@ -252,7 +251,7 @@ static void draw_rays(struct rn_trainer *t, int begin, int end) {
         }
         rn_trainer_rays(t, &t->train, places, n, (double)t->march.step, rays);
         for (int i = 0; i < n; i++) {
-            if (places[i].frame) rays[i].weight = places[i].weight;
+            if (rays[i].weight > 0) rays[i].weight = places[i].weight;
             rays[i].id = (uint32_t)(begin + i);
             t->ray_block[begin + i] = places[i].block;
             t->ray_loss[begin + i] = 0;

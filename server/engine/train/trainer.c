@@ -55,10 +55,11 @@ static void describe_held_out(struct rn_trainer *t) {
 
 static void place_cameras(const struct rn_field *field, struct rn_pixels *pixels) {
     for (int f = 0; f < pixels->frame_count; f++) {
-        const struct rn_camera *camera = &pixels->frames[f].frame->camera;
-        struct rn_camera fine = rn_camera_resized(camera, 2 * camera->width, 2 * camera->height);
-        pixels->frames[f].view = rn_field_view(field, camera);
-        pixels->frames[f].fine = rn_field_view(field, &fine);
+        struct rn_pixel_frame *frame = &pixels->frames[f];
+        const struct rn_camera *camera = &frame->camera;
+        frame->parts = rn_camera_resized(camera, 2 * camera->width, 2 * camera->height);
+        frame->view = rn_field_view(field, camera);
+        frame->fine = rn_field_view(field, &frame->parts);
     }
 }
 
@@ -437,7 +438,7 @@ static void validate_packet(void *context, int index, int thread) {
     struct rn_trainer *t = b->trainer;
     struct rn_spot spots[RN_PACKET_RAYS];
     struct rn_pixel pixels[RN_PACKET_RAYS];
-    const struct rn_camera *camera = &b->frame->frame->camera;
+    const struct rn_camera *camera = &b->frame->camera;
     size_t first = b->first + (size_t)index * RN_PACKET_RAYS, width = (size_t)camera->width;
     int n = 0;
     for (; n < RN_PACKET_RAYS && first + (size_t)n < b->first + b->count; n++)
@@ -462,7 +463,7 @@ static void finish_frame(struct rn_validation *v, size_t pixels) {
 static enum rn_status validate_on_device(struct rn_trainer *t, struct rn_error *err) {
     struct rn_validation *v = &t->validation;
     const struct rn_pixel_frame *frame = &t->held.frames[v->frame];
-    int width = frame->frame->camera.width, height = frame->frame->camera.height;
+    int width = frame->camera.width, height = frame->camera.height;
     int row = (int)(v->pixel / (size_t)width), rows = height - row < 64 ? height - row : 64;
     enum rn_status status = rn_trainer_validate_rows(t, frame, row, rows, &v->squares, err);
     v->pixel += (size_t)rows * (size_t)width;
@@ -475,12 +476,12 @@ static void validate_next(struct rn_trainer *t) {
     struct rn_validation *v = &t->validation;
     const struct rn_train_config *config = &t->field->config;
     struct validate_block b = {.trainer = t, .frame = &t->held.frames[v->frame], .first = v->pixel};
-    size_t pixels = (size_t)b.frame->frame->camera.width * (size_t)b.frame->frame->camera.height;
+    size_t pixels = (size_t)b.frame->camera.width * (size_t)b.frame->camera.height;
     b.count = pixels - v->pixel < RN_VALIDATE_BLOCK ? pixels - v->pixel : RN_VALIDATE_BLOCK;
     b.march = (struct rn_march_options){.step = (float)config->step,
                                         .stop_depth = (float)-log(config->stop)};
     memcpy(b.march.background, config->background, sizeof config->background);
-    b.cones = rn_cones_for_camera(t->field, &b.frame->frame->camera);
+    b.cones = rn_cones_for_camera(t->field, &b.frame->camera);
     int packets = (int)((b.count + RN_PACKET_RAYS - 1) / RN_PACKET_RAYS);
     if (!rn_pool_run_some(t->engine->pool, packets, &v->next_packet, validate_packet, &b,
                           rn_engine_is_wanted, t->engine))

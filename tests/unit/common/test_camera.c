@@ -4,7 +4,9 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "common/math/ball.h"
 #include "common/math/camera.h"
+#include "common/math/rng.h"
 #include "tests/support/suite.h"
 
 static const double pi = 3.14159265358979323846;
@@ -94,7 +96,7 @@ START_TEST(fields_of_view) {
 }
 END_TEST
 
-static void assert_refused(const struct rn_camera *camera, const char *field) {
+static void assert_refused(struct rn_camera *camera, const char *field) {
     struct rn_error err = {0};
     ck_assert_int_eq(rn_camera_check(camera, "f.json#/frames/3", &err), RN_ERROR_INVALID);
     ck_assert_str_eq(err.where + 17, field);
@@ -180,6 +182,125 @@ START_TEST(look_at_degenerate) {
 }
 END_TEST
 
+// In [low, high): number `i` of a stream.
+static double drawn(uint64_t stream, uint64_t i, double low, double high) {
+    struct rn_rng4 draw = rn_rng_draw(7, stream, i);
+    return low + (high - low) * (double)rn_rng_unit(draw.v[0]);
+}
+
+static struct rn_camera with_lens(int lens, uint64_t stream) {
+    struct rn_camera camera = example();
+    camera.lens = (enum rn_lens)lens;
+    camera.cx += drawn(stream, 90, -80, 80);
+    if (lens == RN_LENS_FISHEYE || lens == RN_LENS_THIN_PRISM_FISHEYE) camera.fx = camera.fy = 200;
+    if (lens == RN_LENS_EQUIRECTANGULAR) {
+        camera.fx = camera.width / (2 * pi), camera.cx = 0.5 * camera.width;
+        camera.fy = camera.height / pi;
+    }
+    double most = stream % 2 ? 0.05 : 0.4;
+    for (int i = 0; i < rn_lens_models[lens].count; i++) {
+        char kind = rn_lens_models[lens].parameters[i][0];
+        double size = kind == 'k' ? most : 0.02 * most;
+        camera.lens_k[i] = drawn(stream, 100 + (uint64_t)i, -size, size);
+    }
+    if (lens == RN_LENS_FOV) camera.lens_k[0] = drawn(stream, 99, 0.1, 1.6);
+    ck_assert_int_eq(rn_camera_check(&camera, "", NULL), RN_OK);
+    return camera;
+}
+
+// A pixel's ray, followed anywhere, is seen at the pixel.
+START_TEST(rays_lead_back_to_their_pixels) {
+    int seen = 0;
+    for (uint64_t stream = 0; stream < 400; stream++) {
+        struct rn_camera camera = with_lens(_i, stream);
+        double px = drawn(stream, 0, 0, camera.width), py = drawn(stream, 1, 0, camera.height);
+        struct rn_ray ray = rn_camera_ray(&camera, px, py);
+        double point[3], own[3], at[2] = {0, 0};
+        if (!(ray.radius > 0)) continue;
+        for (int i = 0; i < 3; i++)
+            point[i] = ray.origin[i] + drawn(stream, 2, 0.1, 10) * ray.direction[i];
+        rn_camera_axes(&camera, point, own);
+        ck_assert(rn_camera_project(&camera, own, at));
+        ck_assert_double_eq_tol(at[0], px, 1e-8);
+        ck_assert_double_eq_tol(at[1], py, 1e-8);
+        seen++;
+    }
+    ck_assert_int_ge(seen, 200);
+}
+END_TEST
+
+// Where a point of a ball's surface is on the picture, the ball's box has it.
+START_TEST(boxes_hold_their_balls) {
+    int boxes = 0, inside = 0;
+    for (uint64_t stream = 0; stream < 600; stream++) {
+        struct rn_camera camera = with_lens(_i, stream);
+        struct rn_ball_viewer viewer = rn_ball_viewer_init(&camera);
+        struct rn_ball_box box = {0};
+        double centre[3], radius = pow(2, drawn(stream, 0, -7, 0));
+        for (int i = 0; i < 3; i++)
+            centre[i] = camera.world_from_camera[i][3] + drawn(stream, 1 + (uint64_t)i, -4, 4);
+        enum rn_ball_image image = rn_ball_image(&viewer, centre, radius, &box);
+        boxes += image == RN_BALL_BOX;
+        for (uint64_t k = 0; k < 100; k++) {
+            double point[3], own[3], at[2], norm = 0;
+            for (int i = 0; i < 3; i++) {
+                point[i] = drawn(stream, 1000 + 3 * k + (uint64_t)i, -1, 1);
+                norm += point[i] * point[i];
+            }
+            for (int i = 0; i < 3; i++)
+                point[i] = centre[i] + radius * point[i] / sqrt(norm);
+            rn_camera_axes(&camera, point, own);
+            if (!rn_camera_project(&camera, own, at) || at[0] < 0 || at[1] < 0 ||
+                at[0] > camera.width || at[1] > camera.height)
+                continue;
+            ck_assert_int_ne(image, RN_BALL_UNSEEN);
+            if (image == RN_BALL_AROUND) continue;
+            ck_assert(at[0] >= box.x0 && at[0] <= box.x1 && at[1] >= box.y0 && at[1] <= box.y1);
+            inside++;
+        }
+    }
+    ck_assert_int_ge(boxes, 50);
+    ck_assert_int_ge(inside, 200);
+}
+END_TEST
+
+// Without parameters, and as the angle goes to 0, a lens is the pinhole.
+START_TEST(no_lens_is_the_pinhole) {
+    static const enum rn_lens lenses[] = {RN_LENS_OPENCV, RN_LENS_POLYNOMIAL, RN_LENS_FOV};
+    for (int i = 0; i < 3; i++) {
+        struct rn_camera plain = example(), lens = plain;
+        lens.lens = lenses[i];
+        ck_assert_int_eq(rn_camera_check(&lens, "", NULL), RN_OK);
+        struct rn_ray a = rn_camera_ray(&plain, 700.5, 20.5);
+        struct rn_ray b = rn_camera_ray(&lens, 700.5, 20.5);
+        ck_assert_mem_eq(a.direction, b.direction, sizeof a.direction);
+        ck_assert_double_eq(a.radius, b.radius);
+    }
+}
+END_TEST
+
+// Barrel: r (1 - 0.3 r^2) is at most 0.7027, so that the corners of a wide picture see nothing.
+START_TEST(corners_beyond_the_fold) {
+    struct rn_camera camera = {.width = 800,
+                               .height = 800,
+                               .fx = 500,
+                               .fy = 500,
+                               .cx = 400,
+                               .cy = 400,
+                               .lens = RN_LENS_OPENCV,
+                               .lens_k = {-0.3}};
+    for (int i = 0; i < 3; i++)
+        camera.world_from_camera[i][i] = 1;
+    ck_assert_int_eq(rn_camera_check(&camera, "", NULL), RN_OK);
+    ck_assert_double_eq_tol(camera.lens_fold, sqrt(1 / 0.9), 1e-9);
+    ck_assert_double_eq(rn_camera_ray(&camera, 0.5, 0.5).radius, 0);
+    ck_assert_double_eq(rn_camera_ray(&camera, 751.6, 400).radius, 0);
+    ck_assert_double_gt(rn_camera_ray(&camera, 751.2, 400).radius, 0);
+    double far[3] = {1.2, 0, 1}, at[2] = {0, 0}; // would be seen twice
+    ck_assert(!rn_camera_project(&camera, far, at));
+}
+END_TEST
+
 int main(void) {
     Suite *suite = suite_create("camera");
     TCase *cases = tcase_create("camera");
@@ -191,6 +312,10 @@ int main(void) {
     tcase_add_test(cases, checks);
     tcase_add_test(cases, look_at);
     tcase_add_test(cases, look_at_degenerate);
+    tcase_add_loop_test(cases, rays_lead_back_to_their_pixels, 0, RN_LENS_COUNT);
+    tcase_add_loop_test(cases, boxes_hold_their_balls, 0, RN_LENS_COUNT);
+    tcase_add_test(cases, no_lens_is_the_pinhole);
+    tcase_add_test(cases, corners_beyond_the_fold);
     suite_add_tcase(suite, cases);
     return run_suite(suite);
 }

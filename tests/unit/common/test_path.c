@@ -26,7 +26,7 @@ static struct rn_path *parse(const char *json) {
     return path;
 }
 
-static void assert_rigid(const struct rn_camera *camera) {
+static void assert_rigid(struct rn_camera *camera) {
     struct rn_error err;
     ck_assert_msg(rn_camera_check(camera, "", &err) == RN_OK, "%s", err.text);
 }
