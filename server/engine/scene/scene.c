@@ -333,10 +333,12 @@ double rn_top_level(const struct rn_field *field, const struct rn_camera *camera
     if (c->footprint == RN_FOOTPRINT_POINT || c->levels == 1) return 0;
     double far = 0;
     for (int i = 0; i < 3; i++) {
-        double d = (camera->world_from_camera[i][3] - field->bounds.centre[i]) / field->bounds.radius;
+        double d =
+            (camera->world_from_camera[i][3] - field->bounds.centre[i]) / field->bounds.radius;
         far += d * d;
     }
-    far = (sqrt(far) + 1) * rn_camera_widest_cone(camera); // cone radius at the far side of the ball
+    far =
+        (sqrt(far) + 1) * rn_camera_widest_cone(camera); // cone radius at the far side of the ball
     double level = rn_level_from_ball(far, rn_footprint_base(c), c->levels);
     if (c->footprint == RN_FOOTPRINT_RIP) {
         double variance = fmax(step * step / 12, far * far * 0.26 + step * step * 0.05);
