@@ -9,8 +9,8 @@ struct rn_probe rn_evidence_probe(const struct rn_evidence *e, uint64_t stream, 
     const struct rn_pixels *p = e->photographs;
     struct rn_probe probe = {.frame =
                                  &p->frames[rn_rng_below(draw.v[0], (uint32_t)p->frame_count)]};
-    probe.x = (int)rn_rng_below(draw.v[1], (uint32_t)probe.frame->frame->camera.width);
-    probe.y = (int)rn_rng_below(draw.v[2], (uint32_t)probe.frame->frame->camera.height);
+    probe.x = (int)rn_rng_below(draw.v[1], (uint32_t)probe.frame->camera.width);
+    probe.y = (int)rn_rng_below(draw.v[2], (uint32_t)probe.frame->camera.height);
     for (int k = 0; k < 4; k++)
         probe.random[k] = draw.v[k];
     return probe;
@@ -28,8 +28,7 @@ void rn_evidence_cones(const struct rn_evidence *e, double *ret_smallest, double
     *ret_smallest = INFINITY;
     *ret_largest = 0;
     for (int f = 0; f < e->photographs->frame_count; f++) {
-        double radius =
-            rn_cone_at_centre(&e->field->bounds, &e->photographs->frames[f].frame->camera);
+        double radius = rn_cone_at_centre(&e->field->bounds, &e->photographs->frames[f].camera);
         *ret_smallest = fmin(*ret_smallest, fmax(radius, 1e-30));
         *ret_largest = fmax(*ret_largest, radius);
     }

@@ -32,8 +32,7 @@ static void settle(const struct rn_evidence *e) {
     double top = 0;
     c->footprint_base = base;
     for (int f = 0; f < e->photographs->frame_count; f++)
-        top = fmax(top,
-                   rn_top_level(e->field, &e->photographs->frames[f].frame->camera, config->step));
+        top = fmax(top, rn_top_level(e->field, &e->photographs->frames[f].camera, config->step));
     if (top > 0) c->footprint_base = (int)(base / exp2(top));
     if (c->footprint_base < 1) c->footprint_base = 1;
 }

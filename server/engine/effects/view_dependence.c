@@ -41,7 +41,7 @@ static double direction_change(const struct rn_evidence *e) {
         struct rn_pixel as_seen, from_there;
         float look[3];
         for (int k = 0; k < 3; k++)
-            look[k] = (float)g->frame->camera.world_from_camera[k][2];
+            look[k] = (float)g->camera.world_from_camera[k][2];
         kernels->render(&e->field->cpu, &own, &ray, 1, workspace, &as_seen);
         if (as_seen.alpha < 0.5f) continue;
         other.look = look;
