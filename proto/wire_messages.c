@@ -22,6 +22,7 @@ static const struct rn_table hello_table = RN_TABLE(S, "hello", hello);
 static const struct rn_field_spec open_fields[] = {
     RN_F_STRING(S, scene_folder, RN_REQUIRED, PATH_BYTES),
     RN_F_STRING(S, dataset_folder, RN_REQUIRED, PATH_BYTES),
+    RN_F_STRING(S, jobs_folder, 0, PATH_BYTES),
     RN_F_BOOL(S, load, RN_REQUIRED),
     RN_F_TEXT(S, device, 0, NULL),
     RN_F_TEXT(S, kernels, 0, NULL),
@@ -82,6 +83,10 @@ static const struct rn_field_spec ingest[] = {
     RN_F_OBJECT(S, options, RN_REQUIRED, &rn_ingest_options_table),
     RN_F_INT(S, max_bytes, RN_REQUIRED, 0, INFINITY),
     RN_F_INT(S, max_entries, RN_REQUIRED, 0, INFINITY),
+    RN_F_INT(S, max_frames, 0, 0, INFINITY),
+    RN_F_INT(S, max_pixels, 0, 0, INFINITY),
+    RN_F_INT(S, max_seconds, 0, 0, INFINITY),
+    RN_F_INT(S, memory_limit_bytes, 0, 0, INFINITY),
     RN_F_INT(S, threads, 0, 0, 1024),
 };
 static const struct rn_table ingest_table = RN_TABLE(S, "ingest", ingest);

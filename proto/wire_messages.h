@@ -66,6 +66,7 @@ struct rn_wire_hello {
 struct rn_wire_open {
     char *scene_folder;   // owned; is made when it does not exist
     char *dataset_folder; // owned
+    char *jobs_folder;    // owned: path jobs' frames lie below it; NULL = not known
     bool load;
     char device[16], kernels[32]; // "" = auto
     int64_t threads;              // absent or 0 = all
@@ -106,6 +107,10 @@ struct rn_wire_ingest {
     char *source, *target, *work; // owned
     struct rn_ingest_options options;
     int64_t max_bytes, max_entries; // of the tar's contents
+    // Absent or 0 = no limit.
+    int64_t max_frames, max_pixels; // of all frames together
+    int64_t max_seconds;            // that the import takes
+    int64_t memory_limit_bytes;     // of the process
     int64_t threads;                // absent or 0 = all
 };
 

@@ -18,7 +18,8 @@ struct rn_config {
     char *token_file, *web, *runner, *log_level;
     int64_t threads; // 0: all cores
     int64_t memory_limit_bytes, max_upload_bytes, max_upload_entries;
-    int64_t gpu_memory_bytes, gpu_deterministic;
+    int64_t gpu_memory_bytes, gpu_deterministic, sandbox;
+    int64_t max_frames, max_pixels, import_time_s;
     int64_t training_slots, max_queued, max_loaded, max_connections, max_per_address;
     int64_t header_timeout_s, least_rate, answer_bytes;
     int64_t keep_alive_s, runner_timeout_s, drain_s;

@@ -119,11 +119,16 @@ static enum rn_status start_control(struct server *server, struct rn_error *err)
         .threads = (int)config->threads,
         .max_upload_bytes = config->max_upload_bytes,
         .max_upload_entries = config->max_upload_entries,
+        .max_frames = config->max_frames,
+        .max_pixels = config->max_pixels,
+        .import_time_s = config->import_time_s,
         .version = RN_VERSION,
     };
     enum rn_status status = rn_store_open(config->data, config->rebuild, &server->store, err);
     if (status == RN_OK) status = rn_store_sweep(server->store, err);
-    if (status == RN_OK) status = rn_local_executor_create(server->runner, &server->executor, err);
+    if (status == RN_OK)
+        status =
+            rn_local_executor_create(server->runner, config->sandbox != 0, &server->executor, err);
     if (status == RN_OK)
         status =
             rn_control_create(&options, server->store, server->executor, &server->control, err);

@@ -250,12 +250,15 @@ static enum rn_status remove_entries(DIR *dir, const char *path, int depth, stru
 static enum rn_status remove_at(int folder, const char *name, const char *path, int depth,
                                 struct rn_error *err) {
     if (unlinkat(folder, name, 0) == 0 || errno == ENOENT) return RN_OK;
-    if (errno != EISDIR && errno != EPERM)
+    // EACCES: also of a confined process that may remove folders there, but no files.
+    bool denied = errno == EACCES;
+    if (errno != EISDIR && errno != EPERM && !denied)
         return rn_error_from_errno(err, errno, path, "remove the file");
     if (depth > MAX_TREE_DEPTH)
         return rn_error_set(err, RN_ERROR_LIMIT, path, "folders are nested more than %d deep",
                             MAX_TREE_DEPTH);
     int fd = openat(folder, name, O_RDONLY | O_DIRECTORY | O_NOFOLLOW | O_CLOEXEC);
+    if (fd < 0 && denied) return rn_error_from_errno(err, EACCES, path, "remove the file");
     if (fd < 0) return rn_error_from_errno(err, errno, path, "open the folder");
     DIR *dir = fdopendir(fd);
     if (!dir) {

@@ -22,11 +22,42 @@ extern char **environ;
 struct local {
     struct rn_executor base;
     char *program;
+    bool sandbox;
 };
 
-static int spawn(const char *program, const char *mode, const char *log_path, int fd,
+// What a runner may know of the daemon's environment: settings of ours, of GPUs, of the loader and
+// of sanitizers. A client's token is none.
+static bool is_passed_on(const char *variable) {
+    static const char *const prefixes[] = {"RIPNERF_", "CUDA_", "NVIDIA_", "LD_",     "ASAN_",
+                                           "UBSAN_",   "TSAN_", "LSAN_",   "MALLOC_", "PATH="};
+    if (strncmp(variable, "RIPNERF_TOKEN", 13) == 0) return false;
+    for (size_t i = 0; i < sizeof prefixes / sizeof prefixes[0]; i++)
+        if (strncmp(variable, prefixes[i], strlen(prefixes[i])) == 0) return true;
+    return false;
+}
+
+static char **make_environment(void) {
+    size_t count = 0, kept = 0;
+    while (environ[count] != NULL)
+        count++;
+    char **made = calloc(count + 1, sizeof *made);
+    for (size_t i = 0; made != NULL && i < count; i++)
+        if (is_passed_on(environ[i])) made[kept++] = environ[i];
+    return made;
+}
+
+static int spawn(const struct local *local, const char *mode, const char *log_path, int fd,
                  pid_t *ret_pid) {
-    char *argv[] = {(char *)program, "--mode", (char *)mode, "--fd", CHILD_FD_TEXT, NULL};
+    const char *program = local->program;
+    char *argv[] = {(char *)program,
+                    "--mode",
+                    (char *)mode,
+                    "--fd",
+                    CHILD_FD_TEXT,
+                    local->sandbox ? "--sandbox" : NULL,
+                    NULL};
+    char **environment = make_environment();
+    if (environment == NULL) return ENOMEM;
     posix_spawn_file_actions_t actions;
     posix_spawnattr_t attributes;
     sigset_t none, all;
@@ -48,9 +79,11 @@ static int spawn(const char *program, const char *mode, const char *log_path, in
         if (errnum == 0) errnum = posix_spawn_file_actions_adddup2(&actions, 2, 1);
     }
     if (errnum == 0) errnum = posix_spawn_file_actions_adddup2(&actions, fd, CHILD_FD);
-    if (errnum == 0) errnum = posix_spawn(ret_pid, program, &actions, &attributes, argv, environ);
+    if (errnum == 0)
+        errnum = posix_spawn(ret_pid, program, &actions, &attributes, argv, environment);
     posix_spawn_file_actions_destroy(&actions);
     posix_spawnattr_destroy(&attributes);
+    free(environment);
     return errnum;
 }
 
@@ -66,7 +99,7 @@ static enum rn_status local_start(struct rn_executor *executor, const char *mode
     int errnum = child < 0 ? errno : 0;
     pid_t pid = 0;
     if (errnum == 0 && fcntl(pair[0], F_SETFL, O_NONBLOCK) != 0) errnum = errno;
-    if (errnum == 0) errnum = spawn(local->program, mode, log_path, child, &pid);
+    if (errnum == 0) errnum = spawn(local, mode, log_path, child, &pid);
     close(pair[1]);
     if (child >= 0) close(child);
     if (errnum != 0) {
@@ -118,8 +151,8 @@ static void local_destroy(struct rn_executor *executor) {
     free(local);
 }
 
-enum rn_status rn_local_executor_create(const char *program, struct rn_executor **ret_executor,
-                                        struct rn_error *err) {
+enum rn_status rn_local_executor_create(const char *program, bool sandbox,
+                                        struct rn_executor **ret_executor, struct rn_error *err) {
     struct local *local = calloc(1, sizeof *local);
     char *copy = strdup(program);
     if (local == NULL || copy == NULL) {
@@ -129,6 +162,7 @@ enum rn_status rn_local_executor_create(const char *program, struct rn_executor 
     }
     local->base = (struct rn_executor){local_start, local_end, local_memory, local_destroy};
     local->program = copy;
+    local->sandbox = sandbox;
     *ret_executor = &local->base;
     return RN_OK;
 }

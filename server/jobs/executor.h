@@ -2,6 +2,7 @@
 #ifndef RN_SERVER_JOBS_EXECUTOR_H
 #define RN_SERVER_JOBS_EXECUTOR_H
 
+#include <stdbool.h>
 #include <stddef.h>
 #include <stdint.h>
 #include <sys/types.h>
@@ -30,8 +31,10 @@ struct rn_executor {
     void (*destroy)(struct rn_executor *executor);
 };
 
-// Runs `program` on this machine.
-enum rn_status rn_local_executor_create(const char *program, struct rn_executor **ret_executor,
+// Runs `program` on this machine, with few variables of the environment; `sandbox`: it may do only
+// what its mode needs.
+enum rn_status rn_local_executor_create(const char *program, bool sandbox,
+                                        struct rn_executor **ret_executor,
                                         struct rn_error *err) RN_MUST_CHECK;
 
 #endif

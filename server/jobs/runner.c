@@ -74,6 +74,7 @@ static enum rn_status open_scene(struct rn_control *control, struct rn_runner *r
     rn_message_init(rn_wire_table(RN_WIRE_OPEN), &open);
     open.scene_folder = rn_store_path(control->store, "scenes/%s", scene->id);
     open.dataset_folder = rn_store_path(control->store, "datasets/%s", scene->dataset);
+    open.jobs_folder = rn_store_path(control->store, "jobs");
     open.load = load;
     open.threads = control->options.threads;
     open.memory_limit_bytes = control->options.memory_limit_bytes;
@@ -199,6 +200,10 @@ static enum rn_status begin_ingest(struct rn_control *control, struct rn_task *t
     ingest.work = rn_store_path(control->store, "spool/%s.work", task->row.id);
     ingest.max_bytes = control->options.max_upload_bytes;
     ingest.max_entries = control->options.max_upload_entries;
+    ingest.max_frames = control->options.max_frames;
+    ingest.max_pixels = control->options.max_pixels;
+    ingest.max_seconds = control->options.import_time_s;
+    ingest.memory_limit_bytes = control->options.memory_limit_bytes;
     ingest.threads = control->options.threads;
     if (ingest.source == NULL || ingest.target == NULL || ingest.work == NULL)
         status = rn_error_set(err, RN_ERROR_NO_MEMORY, "ingest", "no memory");

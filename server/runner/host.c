@@ -12,6 +12,7 @@
 #include "server/runner/checkpoints.h"
 #include "server/runner/describe.h"
 #include "server/runner/lock.h"
+#include "server/runner/sandbox.h"
 
 // ---- memory of a GPU -----------------------------------------------------------------------
 
@@ -136,6 +137,14 @@ static void post_opened(struct rn_host *host) {
     rn_link_post(&host->link, RN_WIRE_OPENED, &opened, NULL, 0);
 }
 
+// Its own scene, its dataset to read, and the jobs whose frames it writes; nothing else.
+static void confine(const struct rn_wire_open *place) {
+    const char *const read[] = {place->dataset_folder, NULL};
+    const char *const write[] = {place->scene_folder, place->jobs_folder, NULL};
+    struct rn_sandbox_places places = {.read = read, .write = write};
+    (void)rn_sandbox_confine(&places); // it says so itself
+}
+
 static void handle_open(struct rn_host *host, struct rn_wire_open *open) {
     struct rn_error err = {0};
     enum rn_status status = RN_OK;
@@ -148,6 +157,7 @@ static void handle_open(struct rn_host *host, struct rn_wire_open *open) {
         status = rn_mkdirs(host->place.scene_folder, 0777, &err);
         if (!status)
             status = rn_lock_scene(host->place.scene_folder, &host->link, &host->lock_fd, &err);
+        if (!status && host->link.sandboxed) confine(&host->place);
         if (!status) status = rn_checkpoints_prepare(host->place.scene_folder, &err);
         if (!status && host->place.load) status = rn_host_load(host, &err);
     }
@@ -310,9 +320,10 @@ static void finish(struct rn_host *host) {
     rn_link_finish(&host->link);
 }
 
-int rn_host_run(int fd) {
+int rn_host_run(int fd, bool sandbox) {
     struct rn_host host = {.lock_fd = -1};
     rn_link_init(&host.link, fd);
+    host.link.sandboxed = sandbox;
     struct rn_wire_hello hello = {
         .version = RIPNERF_VERSION, .protocol = RN_WIRE_PROTOCOL, .mode = "field", .pid = getpid()};
     rn_link_post(&host.link, RN_WIRE_HELLO, &hello, NULL, 0);

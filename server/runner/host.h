@@ -35,7 +35,7 @@ struct rn_host {
 };
 
 // Runs mode field until the link closes or the daemon asks for the end. The exit code.
-int rn_host_run(int fd);
+int rn_host_run(int fd, bool sandbox);
 
 // What jobs and renders need of the host; each is a no-op when it is there already.
 enum rn_status rn_host_need_engine(struct rn_host *host, const char *device, const char *kernels,

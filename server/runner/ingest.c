@@ -2,6 +2,7 @@
 
 #include <dirent.h>
 #include <errno.h>
+#include <libgen.h>
 #include <limits.h>
 #include <math.h>
 #include <sched.h>
@@ -17,6 +18,7 @@
 #include "common/dataset/dataset.h"
 #include "server/runner/describe.h"
 #include "server/runner/link.h"
+#include "server/runner/sandbox.h"
 #include "server/runner/unpack.h"
 
 #define PROGRESS_INTERVAL_S 0.5
@@ -28,6 +30,7 @@ struct ingest {
     const char *folder; // where the dataset lies: the source, or the unpacked tar
     char unpacked[PATH_MAX];
     int64_t began_ns, reported_ns;
+    bool late; // the time it may take is over
 };
 
 static int usable_cores(void) {
@@ -53,11 +56,45 @@ static void post_progress(struct ingest *ingest, size_t done, size_t total) {
     free(message.progress);
 }
 
+// Unpacking and importing end when the time is over, or the job was cancelled.
+static bool keep_going(void *context) {
+    struct ingest *ingest = context;
+    int64_t most = rn_int_or(ingest->order.max_seconds, 0);
+    ingest->late = most > 0 && rn_clock_ns() - ingest->began_ns > most * 1000000000ll;
+    return !ingest->late && rn_watch_keep_going(&ingest->watch);
+}
+
 // Called by the import's workers, one at a time.
 static bool on_progress(void *context, size_t done, size_t total) {
     struct ingest *ingest = context;
     post_progress(ingest, done, total);
-    return rn_watch_keep_going(&ingest->watch);
+    return keep_going(ingest);
+}
+
+static enum rn_status too_late(const struct ingest *ingest, struct rn_error *err) {
+    return rn_error_set(err, RN_ERROR_LIMIT, "import",
+                        "takes longer than %lld s, the limit (--import-time of the daemon)",
+                        (long long)ingest->order.max_seconds);
+}
+
+// Before a picture is decoded: how many are to be, and of how many pixels in all.
+static enum rn_status check_size(const struct ingest *ingest, const struct rn_dataset *source,
+                                 struct rn_error *err) {
+    int64_t most_frames = rn_int_or(ingest->order.max_frames, 0);
+    int64_t most_pixels = rn_int_or(ingest->order.max_pixels, 0);
+    int64_t frames = (int64_t)source->frame_count, pixels = 0;
+    for (size_t i = 0; i < source->frame_count; i++)
+        pixels += (int64_t)source->frames[i].camera.width * source->frames[i].camera.height;
+    if (most_frames > 0 && frames > most_frames)
+        return rn_error_set(err, RN_ERROR_LIMIT, "dataset",
+                            "names %lld frames; the limit is %lld (--max-frames of the daemon)",
+                            (long long)frames, (long long)most_frames);
+    if (most_pixels > 0 && pixels > most_pixels)
+        return rn_error_set(err, RN_ERROR_LIMIT, "dataset",
+                            "has %lld pixels in its frames; the limit is %lld (--max-pixels of "
+                            "the daemon)",
+                            (long long)pixels, (long long)most_pixels);
+    return RN_OK;
 }
 
 static int is_visible(const struct dirent *entry) {
@@ -92,9 +129,7 @@ static enum rn_status find_source(struct ingest *ingest, struct rn_error *err) {
     struct rn_unpack_limits limits = {.max_bytes = (size_t)order->max_bytes,
                                       .max_entries = (size_t)order->max_entries};
     enum rn_status status = rn_mkdirs(order->work, 0777, err);
-    if (!status)
-        status = rn_unpack(order->source, order->work, &limits, rn_watch_keep_going, &ingest->watch,
-                           err);
+    if (!status) status = rn_unpack(order->source, order->work, &limits, keep_going, ingest, err);
     ingest->folder = order->work;
     return status ? status : descend(ingest, err);
 }
@@ -152,9 +187,11 @@ static enum rn_status ingest_all(struct ingest *ingest, char **ret_json, struct 
     post_progress(ingest, 0, 0);
     enum rn_status status = find_source(ingest, err);
     if (!status) status = read_source(ingest, &problems, &source, err);
+    if (!status) status = check_size(ingest, source, err);
     if (!status) status = import(ingest, source, &problems, ret_json, err);
     if (source) rn_dataset_destroy(&source);
     rn_problems_finish(&problems);
+    if (status == RN_ERROR_CANCELLED && ingest->late) status = too_late(ingest, err);
     return status;
 }
 
@@ -173,6 +210,23 @@ static void tell_as_sent(const struct ingest *ingest, struct rn_error *err) {
     rn_make_relative(err->text, folder);
 }
 
+// The source to read, the two folders to write, which are made beforehand.
+static void confine(const struct rn_wire_ingest *order) {
+    char above_target[PATH_MAX], above_work[PATH_MAX];
+    snprintf(above_target, sizeof above_target, "%s", order->target);
+    snprintf(above_work, sizeof above_work, "%s", order->work);
+    if (rn_mkdirs(order->target, 0777, NULL) || rn_mkdirs(order->work, 0777, NULL))
+        rn_log(RN_LOG_WARN, "the import's folders cannot be made");
+    const char *const read[] = {order->source, NULL};
+    const char *const write[] = {order->target, order->work, NULL};
+    const char *const tidy[] = {dirname(above_target), dirname(above_work), NULL};
+    struct rn_sandbox_places places = {.read = read,
+                                       .write = write,
+                                       .tidy = tidy,
+                                       .memory_bytes = rn_int_or(order->memory_limit_bytes, 0)};
+    (void)rn_sandbox_confine(&places); // it says so itself
+}
+
 static void carry_out(struct ingest *ingest) {
     struct rn_error err = {0};
     struct rn_wire_done done = {.result = NULL};
@@ -181,6 +235,7 @@ static void carry_out(struct ingest *ingest) {
         (struct rn_watch){.link = &ingest->link, .job = ingest->order.job, .request = RN_ABSENT};
     ingest->began_ns = ingest->reported_ns = rn_clock_ns();
     bool target_is_ours = stat(ingest->order.target, &about) < 0;
+    if (target_is_ours && ingest->link.sandboxed) confine(&ingest->order);
     enum rn_status status = target_is_ours
                                 ? ingest_all(ingest, &done.result, &err)
                                 : rn_error_set(&err, RN_ERROR_CONFLICT, ingest->order.target,
@@ -212,9 +267,10 @@ static bool take_order(struct ingest *ingest) {
     return good;
 }
 
-int rn_ingest_run(int fd) {
+int rn_ingest_run(int fd, bool sandbox) {
     struct ingest ingest = {.folder = NULL};
     rn_link_init(&ingest.link, fd);
+    ingest.link.sandboxed = sandbox;
     struct rn_wire_hello hello = {.version = RIPNERF_VERSION,
                                   .protocol = RN_WIRE_PROTOCOL,
                                   .mode = "ingest",

@@ -18,6 +18,7 @@ struct rn_link {
     struct rn_letter *first, *last; // in order of arrival
     int64_t said_ns;                // when something was sent last
     size_t count;                   // at most RN_LINK_MAX_LETTERS; more wait in the socket
+    bool sandboxed;                 // what is learnt of places confines the process to them
     bool closed;                    // the daemon is gone, or does not speak the protocol
 };
 #define RN_LINK_MAX_LETTERS 256

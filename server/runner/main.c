@@ -15,6 +15,7 @@
 #include "server/runner/doctor.h"
 #include "server/runner/host.h"
 #include "server/runner/ingest.h"
+#include "server/runner/sandbox.h"
 
 static int probe(int fd) {
     struct rn_link link;
@@ -45,7 +46,7 @@ static int probe(int fd) {
 static int usage(const char *program) {
     fprintf(
         stderr,
-        "usage: %s --mode field|ingest|probe --fd N\n"
+        "usage: %s --mode field|ingest|probe --fd N [--sandbox]\n"
         "       %s --mode bench [--preset NAME] [--kernels SET] [--threads N] [--seconds S]\n"
         "       %s --mode doctor [--seed N] [--checkpoint FILE [--cameras FILE] [--replay FILE]]\n"
         "Started by ripnerfd, N a connected stream socket; or by ripnerf bench and doctor.\n",
@@ -59,16 +60,23 @@ static bool is_socket(int fd) {
 }
 
 int main(int argc, char **argv) {
-    static const struct option options[] = {
-        {"mode", required_argument, NULL, 'm'},    {"preset", required_argument, NULL, 'p'},
-        {"kernels", required_argument, NULL, 'k'}, {"threads", required_argument, NULL, 't'},
-        {"seconds", required_argument, NULL, 's'}, {"fd", required_argument, NULL, 'f'},
-        {"seed", required_argument, NULL, 'e'},    {"checkpoint", required_argument, NULL, 'c'},
-        {"cameras", required_argument, NULL, 'a'}, {"replay", required_argument, NULL, 'r'},
-        {"version", no_argument, NULL, 'v'},       {NULL, 0, NULL, 0}};
+    static const struct option options[] = {{"mode", required_argument, NULL, 'm'},
+                                            {"preset", required_argument, NULL, 'p'},
+                                            {"kernels", required_argument, NULL, 'k'},
+                                            {"threads", required_argument, NULL, 't'},
+                                            {"seconds", required_argument, NULL, 's'},
+                                            {"fd", required_argument, NULL, 'f'},
+                                            {"seed", required_argument, NULL, 'e'},
+                                            {"checkpoint", required_argument, NULL, 'c'},
+                                            {"cameras", required_argument, NULL, 'a'},
+                                            {"replay", required_argument, NULL, 'r'},
+                                            {"sandbox", no_argument, NULL, 'x'},
+                                            {"version", no_argument, NULL, 'v'},
+                                            {NULL, 0, NULL, 0}};
     const char *mode = "";
     struct rn_bench_options bench = {.seconds = 5};
     struct rn_runner_doctor doctor = {.seed = 0};
+    bool sandbox = false;
     int fd = -1, option;
     while ((option = getopt_long(argc, argv, "", options, NULL)) != -1) {
         char *end = "";
@@ -82,6 +90,7 @@ int main(int argc, char **argv) {
         if (option == 'c') doctor.checkpoint = optarg;
         if (option == 'a') doctor.cameras = optarg;
         if (option == 'r') doctor.replay = optarg;
+        if (option == 'x') sandbox = true;
         if (option == 'v') {
             puts("ripnerf-runner " RIPNERF_VERSION);
             return 0;
@@ -98,8 +107,9 @@ int main(int argc, char **argv) {
     signal(SIGPIPE, SIG_IGN);
     // One that is stopped when its daemon dies goes on, finds the socket closed, saves and leaves.
     prctl(PR_SET_PDEATHSIG, SIGCONT);
-    if (strcmp(mode, "field") == 0) return rn_host_run(fd);
-    if (strcmp(mode, "ingest") == 0) return rn_ingest_run(fd);
+    if (sandbox) rn_sandbox_begin();
+    if (strcmp(mode, "field") == 0) return rn_host_run(fd, sandbox);
+    if (strcmp(mode, "ingest") == 0) return rn_ingest_run(fd, sandbox);
     if (strcmp(mode, "probe") == 0) return probe(fd);
     return usage(argv[0]);
 }

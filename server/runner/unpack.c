@@ -144,7 +144,8 @@ static enum rn_status unpack_all(struct unpacking *unpacking, struct rn_error *e
         struct archive_entry *entry;
         int rc = archive_read_next_header(unpacking->archive, &entry);
         if (rc == ARCHIVE_EOF) break;
-        if (rc != ARCHIVE_OK) return damaged(unpacking, "tar", err);
+        // A warning: a name that this locale cannot show, which does not matter here.
+        if (rc != ARCHIVE_OK && rc != ARCHIVE_WARN) return damaged(unpacking, "tar", err);
         enum rn_status status = unpack_entry(unpacking, entry, err);
         if (status) return status;
     }

@@ -1,0 +1,256 @@
+#include "server/runner/sandbox.h"
+
+#include <errno.h>
+#include <fcntl.h>
+#include <libgen.h>
+#include <limits.h>
+#include <linux/audit.h>
+#include <linux/filter.h>
+#include <linux/landlock.h>
+#include <linux/seccomp.h>
+#include <sched.h>
+#include <signal.h>
+#include <stddef.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/prctl.h>
+#include <sys/resource.h>
+#include <sys/stat.h>
+#include <sys/syscall.h>
+#include <unistd.h>
+
+#include "common/base/log.h"
+
+// ---- system calls -----------------------------------------------------------------------------
+
+#if defined(__x86_64__)
+#define ARCH AUDIT_ARCH_X86_64
+#elif defined(__aarch64__)
+#define ARCH AUDIT_ARCH_AARCH64
+#endif
+
+static const int refused[] = {
+    __NR_execve,
+    __NR_execveat,
+    __NR_socket,
+    __NR_socketpair,
+    __NR_bind,
+    __NR_connect,
+    __NR_listen,
+    __NR_accept,
+    __NR_accept4,
+    __NR_ptrace,
+    __NR_process_vm_readv,
+    __NR_process_vm_writev,
+    __NR_kcmp,
+    __NR_unshare,
+    __NR_setns,
+    __NR_mount,
+    __NR_umount2,
+    __NR_pivot_root,
+    __NR_chroot,
+    __NR_move_mount,
+    __NR_open_tree,
+    __NR_fsopen,
+    __NR_fsmount,
+    __NR_swapon,
+    __NR_swapoff,
+    __NR_reboot,
+    __NR_kexec_load,
+    __NR_init_module,
+    __NR_finit_module,
+    __NR_delete_module,
+    __NR_bpf,
+    __NR_perf_event_open,
+    __NR_userfaultfd,
+    __NR_fanotify_init,
+    __NR_name_to_handle_at,
+    __NR_open_by_handle_at,
+    __NR_io_uring_setup,
+    __NR_io_uring_enter,
+    __NR_io_uring_register,
+    __NR_add_key,
+    __NR_request_key,
+    __NR_keyctl,
+    __NR_setuid,
+    __NR_setgid,
+    __NR_setreuid,
+    __NR_setregid,
+    __NR_setresuid,
+    __NR_setresgid,
+    __NR_setgroups,
+    __NR_setfsuid,
+    __NR_setfsgid,
+    __NR_capset,
+    __NR_settimeofday,
+    __NR_clock_settime,
+    __NR_clock_adjtime,
+    __NR_adjtimex,
+    __NR_sethostname,
+    __NR_setdomainname,
+    __NR_syslog,
+    __NR_acct,
+    __NR_quotactl,
+    __NR_personality,
+    __NR_vhangup,
+    __NR_pidfd_getfd,
+#ifdef __NR_iopl
+    __NR_iopl,
+    __NR_ioperm,
+    __NR_modify_ldt,
+    __NR_mknod,
+#endif
+    __NR_mknodat,
+};
+enum { REFUSED = sizeof refused / sizeof refused[0], RULES = 2 * REFUSED + 16 };
+
+#define NAMESPACES                                                                                 \
+    (CLONE_NEWNS | CLONE_NEWCGROUP | CLONE_NEWUTS | CLONE_NEWIPC | CLONE_NEWUSER | CLONE_NEWPID |  \
+     CLONE_NEWNET)
+
+static void add(struct sock_filter *rules, unsigned short *count, struct sock_filter rule) {
+    rules[(*count)++] = rule;
+}
+
+// A program for the kernel: another architecture's numbers are refused, then each number; threads
+// are made without namespaces (clone3 hides its flags: the C library takes clone instead).
+static unsigned short write_filter(struct sock_filter rules[RULES]) {
+    const struct sock_filter deny = BPF_STMT(BPF_RET | BPF_K, SECCOMP_RET_ERRNO | EPERM);
+    const struct sock_filter pass = BPF_STMT(BPF_RET | BPF_K, SECCOMP_RET_ALLOW);
+    unsigned short n = 0;
+    add(rules, &n,
+        (struct sock_filter)BPF_STMT(BPF_LD | BPF_W | BPF_ABS,
+                                     offsetof(struct seccomp_data, arch)));
+    add(rules, &n, (struct sock_filter)BPF_JUMP(BPF_JMP | BPF_JEQ | BPF_K, ARCH, 1, 0));
+    add(rules, &n, deny);
+    add(rules, &n,
+        (struct sock_filter)BPF_STMT(BPF_LD | BPF_W | BPF_ABS, offsetof(struct seccomp_data, nr)));
+    add(rules, &n, (struct sock_filter)BPF_JUMP(BPF_JMP | BPF_JGE | BPF_K, 0x40000000, 0, 1));
+    add(rules, &n, deny); // x32
+    for (int i = 0; i < REFUSED; i++) {
+        add(rules, &n,
+            (struct sock_filter)BPF_JUMP(BPF_JMP | BPF_JEQ | BPF_K, (unsigned)refused[i], 0, 1));
+        add(rules, &n, deny);
+    }
+    add(rules, &n, (struct sock_filter)BPF_JUMP(BPF_JMP | BPF_JEQ | BPF_K, __NR_clone3, 0, 1));
+    add(rules, &n, (struct sock_filter)BPF_STMT(BPF_RET | BPF_K, SECCOMP_RET_ERRNO | ENOSYS));
+    add(rules, &n, (struct sock_filter)BPF_JUMP(BPF_JMP | BPF_JEQ | BPF_K, __NR_clone, 0, 3));
+    add(rules, &n,
+        (struct sock_filter)BPF_STMT(BPF_LD | BPF_W | BPF_ABS,
+                                     offsetof(struct seccomp_data, args[0])));
+    add(rules, &n, (struct sock_filter)BPF_JUMP(BPF_JMP | BPF_JSET | BPF_K, NAMESPACES, 0, 1));
+    add(rules, &n, deny);
+    add(rules, &n, pass);
+    return n;
+}
+
+// SPEC_ALLOW: without it some kernels slow the processor's speculation down for the filter.
+static void filter_calls(void) {
+    struct sock_filter rules[RULES];
+    struct sock_fprog program = {.len = write_filter(rules), .filter = rules};
+    if (syscall(__NR_seccomp, SECCOMP_SET_MODE_FILTER,
+                SECCOMP_FILTER_FLAG_TSYNC | SECCOMP_FILTER_FLAG_SPEC_ALLOW, &program) != 0)
+        rn_log(RN_LOG_WARN, "system calls are not filtered: %s", strerror(errno));
+}
+
+static void limit(int what, rlim_t most) {
+    struct rlimit now;
+    if (getrlimit((__rlimit_resource_t)what, &now) != 0) return;
+    if (now.rlim_max != RLIM_INFINITY && now.rlim_max < most) most = now.rlim_max;
+    now.rlim_cur = now.rlim_max = most;
+    if (setrlimit((__rlimit_resource_t)what, &now) != 0)
+        rn_log(RN_LOG_WARN, "a limit cannot be set: %s", strerror(errno));
+}
+
+void rn_sandbox_begin(void) {
+    if (prctl(PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0) != 0)
+        rn_log(RN_LOG_WARN, "no_new_privs is not to be had: %s", strerror(errno));
+    limit(RLIMIT_CORE, 0);
+    limit(RLIMIT_NOFILE, 4096);
+    filter_calls();
+}
+
+// ---- the disk ---------------------------------------------------------------------------------
+
+#define READ_FILE LANDLOCK_ACCESS_FS_READ_FILE
+#define READ (READ_FILE | LANDLOCK_ACCESS_FS_READ_DIR)
+#define WRITE_FILE LANDLOCK_ACCESS_FS_WRITE_FILE
+#define WRITE                                                                                      \
+    (READ | WRITE_FILE | LANDLOCK_ACCESS_FS_REMOVE_DIR | LANDLOCK_ACCESS_FS_REMOVE_FILE |          \
+     LANDLOCK_ACCESS_FS_MAKE_DIR | LANDLOCK_ACCESS_FS_MAKE_REG)
+#define ALL                                                                                        \
+    (WRITE | LANDLOCK_ACCESS_FS_EXECUTE | LANDLOCK_ACCESS_FS_MAKE_CHAR |                           \
+     LANDLOCK_ACCESS_FS_MAKE_SOCK | LANDLOCK_ACCESS_FS_MAKE_FIFO | LANDLOCK_ACCESS_FS_MAKE_BLOCK | \
+     LANDLOCK_ACCESS_FS_MAKE_SYM)
+// Of later kernels than these headers': moving between folders, cutting files, TCP.
+#define REFER (1ull << 13)
+#define TRUNCATE (1ull << 14)
+#define TCP 3ull
+
+struct ruleset {
+    uint64_t files, net;
+};
+
+static uint64_t handled_files(int abi) {
+    return ALL | (abi >= 2 ? REFER : 0) | (abi >= 3 ? TRUNCATE : 0);
+}
+
+static void allow(int rules, const char *path, uint64_t access, uint64_t handled) {
+    struct stat about;
+    int fd = open(path, O_PATH | O_CLOEXEC);
+    if (fd < 0 || fstat(fd, &about) != 0) {
+        if (fd >= 0) close(fd);
+        return;
+    }
+    if (!S_ISDIR(about.st_mode)) access &= READ_FILE | WRITE_FILE | TRUNCATE;
+    struct landlock_path_beneath_attr beneath = {.allowed_access = access & handled,
+                                                 .parent_fd = fd};
+    if (syscall(__NR_landlock_add_rule, rules, LANDLOCK_RULE_PATH_BENEATH, &beneath, 0) != 0)
+        rn_log(RN_LOG_WARN, "%s stays closed: %s", path, strerror(errno));
+    close(fd);
+}
+
+// Libraries, the modules beside the program, what the kernel tells, and devices of GPUs.
+static void allow_system(int rules, uint64_t handled) {
+    static const char *const folders[] = {"/usr", "/lib",  "/lib64", "/etc",
+                                          "/opt", "/proc", "/sys",   NULL};
+    char program[PATH_MAX];
+    ssize_t size = readlink("/proc/self/exe", program, sizeof program - 1);
+    for (int i = 0; folders[i] != NULL; i++)
+        allow(rules, folders[i], READ, handled);
+    allow(rules, "/dev", READ | WRITE_FILE, handled);
+    if (size <= 0) return;
+    program[size] = '\0';
+    allow(rules, dirname(dirname(program)), READ, handled);
+    const char *module = getenv("RIPNERF_CUDA_MODULE");
+    if (module != NULL) allow(rules, module, READ, handled);
+}
+
+static bool lock_disk(const struct rn_sandbox_places *places) {
+    int abi = (int)syscall(__NR_landlock_create_ruleset, NULL, 0, LANDLOCK_CREATE_RULESET_VERSION);
+    if (abi < 1) return false;
+    struct ruleset ruleset = {.files = handled_files(abi), .net = TCP};
+    size_t size = abi >= 4 ? sizeof ruleset : sizeof ruleset.files;
+    int rules = (int)syscall(__NR_landlock_create_ruleset, &ruleset, size, 0);
+    if (rules < 0) return false;
+    allow_system(rules, ruleset.files);
+    for (int i = 0; places->read[i] != NULL; i++)
+        allow(rules, places->read[i], READ, ruleset.files);
+    for (int i = 0; places->write[i] != NULL; i++)
+        allow(rules, places->write[i], WRITE | REFER | TRUNCATE, ruleset.files);
+    for (int i = 0; places->tidy != NULL && places->tidy[i] != NULL; i++)
+        allow(rules, places->tidy[i], LANDLOCK_ACCESS_FS_REMOVE_DIR, ruleset.files);
+    bool ok = syscall(__NR_landlock_restrict_self, rules, 0) == 0;
+    close(rules);
+    return ok;
+}
+
+bool rn_sandbox_confine(const struct rn_sandbox_places *places) {
+    if (places->memory_bytes > 0) limit(RLIMIT_DATA, (rlim_t)places->memory_bytes);
+    signal(SIGXFSZ, SIG_IGN); // a file that grows too large is an error like a full disk
+    if (places->file_bytes > 0) limit(RLIMIT_FSIZE, (rlim_t)places->file_bytes);
+    bool ok = lock_disk(places);
+    if (!ok) rn_log(RN_LOG_WARN, "the disk is not confined: Landlock: %s", strerror(errno));
+    return ok;
+}

@@ -1,0 +1,95 @@
+"""Runners that the daemon starts: what they may do, and the limits of imports."""
+
+import io
+import json
+import os
+import tarfile
+
+import pytest
+
+from support.checked import make_tar
+from support.photographs import write_dataset
+
+TAR = {"Content-Type": "application/x-tar"}
+
+
+def status_of(pid):
+    with open(f"/proc/{pid}/status", encoding="utf-8") as file:
+        return dict(line.rstrip("\n").split(":\t", 1) for line in file if ":\t" in line)
+
+
+def environment_of(pid):
+    with open(f"/proc/{pid}/environ", "rb") as file:
+        return {entry.split(b"=", 1)[0].decode() for entry in file.read().split(b"\0") if entry}
+
+
+def test_runners_are_confined(make_daemon, photographs):
+    """No new privileges, filtered calls, and none of the daemon's environment but settings."""
+    daemon = make_daemon({"SECRET": "x", "RIPNERF_TOKEN": "y", "RIPNERF_FAKE_STEP_US": "2000",
+                          "HOME": "/root"})
+    assert daemon.wait(daemon.upload("data", photographs))["state"] == "succeeded"
+    job = daemon.submit(type="train", dataset="data", scene="s", options={"max_steps": 100000})
+    daemon.wait(job, ["running"])
+    (runner,) = daemon.runners()
+    status = status_of(runner)
+    assert status["NoNewPrivs"] == "1" and status["Seccomp"] == "2"
+    seen = environment_of(runner)
+    assert "RIPNERF_FAKE_STEP_US" in seen and not seen & {"SECRET", "HOME", "RIPNERF_TOKEN"}
+    daemon.post(f"/v1/jobs/{job}/cancel")
+    daemon.wait(job, ["cancelled"])
+
+
+def test_confinement_can_be_left_out(make_daemon, photographs):
+    daemon = make_daemon({"RIPNERF_FAKE_STEP_US": "2000"}, sandbox=0)
+    assert daemon.wait(daemon.upload("data", photographs))["state"] == "succeeded"
+    job = daemon.submit(type="train", dataset="data", scene="s", options={"max_steps": 100000})
+    daemon.wait(job, ["running"])
+    assert status_of(daemon.runners()[0])["Seccomp"] == "0"
+
+
+def one_image_many_times(folder, count):
+    write_dataset(folder)
+    path = folder / "transforms_train.json"
+    document = json.loads(path.read_text())
+    document["frames"] = [document["frames"][i % 6] for i in range(count)]
+    path.write_text(json.dumps(document))
+    return folder
+
+
+@pytest.mark.parametrize("option, value, name", [("max_frames", 40, "--max-frames"),
+                                                 ("max_pixels", 16 * 16 * 40, "--max-pixels")])
+def test_frames_and_pixels_have_limits(make_daemon, tmp_path, option, value, name):
+    """One image named by many frames is counted as often as it is named, before it is decoded."""
+    daemon = make_daemon(**{option: value})
+    good = write_dataset(tmp_path / "good")
+    assert daemon.wait(daemon.upload("good", good))["state"] == "succeeded"
+    many = one_image_many_times(tmp_path / "many", 200)
+    job = daemon.wait(daemon.upload("many", many))
+    assert job["state"] == "failed" and job["problem"]["status"] == 413
+    assert name in job["problem"]["detail"]
+    assert not os.listdir(os.path.join(daemon.data, "spool"))
+    assert len(os.listdir(os.path.join(daemon.data, "datasets"))) == 1
+
+
+def test_imports_have_a_deadline(make_daemon, tmp_path):
+    daemon = make_daemon(import_time=1)
+    many = one_image_many_times(tmp_path / "many", 60000)
+    job = daemon.wait(daemon.upload("many", many), timeout=60)
+    assert job["state"] == "failed" and job["problem"]["status"] == 413, job
+    assert "--import-time" in job["problem"]["detail"]
+
+
+def test_pax_names(make_daemon, tmp_path):
+    """Names that are not ASCII come in pax headers; whatever the daemon's locale, they are UTF-8."""
+    daemon = make_daemon({"LC_ALL": "C"})
+    folder = write_dataset(tmp_path / "source")
+    (folder / "train").rename(folder / "entraînement")
+    for path in folder.glob("transforms_train.json"):
+        path.write_text(path.read_text().replace("./train/", "./entraînement/"))
+    archive = io.BytesIO()
+    with tarfile.open(fileobj=archive, mode="w", format=tarfile.PAX_FORMAT) as tar:
+        tar.add(folder, arcname=".")
+    for name, body in (("pax", archive.getvalue()), ("ustar", make_tar(folder))):
+        reply = daemon.post("/v1/datasets", body=body, query={"name": name}, headers=TAR)
+        job = daemon.wait(reply.json["id"])
+        assert job["state"] == "succeeded", job
