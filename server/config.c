@@ -7,6 +7,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/stat.h>
 
 #include "common/base/buf.h"
 #include "common/base/file.h"
@@ -80,6 +81,10 @@ static const struct option options[] = {
     {"log-level", KIND_TEXT, AT(log_level), "info", 0, 0, "LEVEL", "error, warn, info or debug"},
     {"rebuild", KIND_FLAG, AT(rebuild), NULL, 0, 0, "",
      "make records that are missing anew from what lies under --data, then serve"},
+    {"scrub", KIND_FLAG, AT(scrub), NULL, 0, 0, "",
+     "check all that lies under --data by its digests, say what is damaged, and end"},
+    {"scrub-interval", KIND_SECONDS, AT(scrub_interval_s), "168h", 1, 31536000, "TIME",
+     "in idle time the same is done this often"},
     {"help", KIND_FLAG, AT(help), NULL, 0, 0, "", "print this text"},
     {"version", KIND_FLAG, AT(version), NULL, 0, 0, "", "print the version"},
 };
@@ -308,6 +313,10 @@ static enum rn_status read_token(struct rn_config *config, struct rn_error *err)
         return rn_error_set(err, RN_ERROR_INVALID, "listen",
                             "%s is not loopback: give a token with --token-file", config->address);
     }
+    struct stat about;
+    if (stat(config->token_file, &about) == 0 && (about.st_mode & S_IROTH))
+        return rn_error_set(err, RN_ERROR_INVALID, config->token_file,
+                            "everyone can read the token; chmod 600 the file");
     uint8_t *bytes = NULL;
     size_t size;
     enum rn_status status = rn_file_read(config->token_file, 4096, &bytes, &size, err);

@@ -27,7 +27,8 @@ struct rn_config {
     char address[64];
     uint16_t port;
     char *token; // NULL: none
-    bool rebuild, help, version;
+    int64_t scrub_interval_s;
+    bool rebuild, scrub, help, version;
 };
 
 // `get_env` is getenv, or a test's. RN_ERROR_INVALID names flag, variable or file:line.

@@ -8,12 +8,14 @@
 #include <stdlib.h>
 #include <string.h>
 #include <sys/resource.h>
+#include <sys/stat.h>
 #include <unistd.h>
 
 #include "common/base/clock.h"
 #include "common/base/log.h"
 #include "server/api/app.h"
 #include "server/config.h"
+#include "server/store/scrub.h"
 
 #define HTTP_DRAIN_MS 1000
 
@@ -22,6 +24,7 @@ struct server {
     struct rn_store *store;
     struct rn_executor *executor;
     struct rn_control *control;
+    struct rn_scrubber *scrubber;
     struct rn_app app;
     char web[PATH_MAX], runner[PATH_MAX];
 };
@@ -105,6 +108,12 @@ static enum rn_status set_log_level(const char *name, struct rn_error *err) {
     return RN_OK;
 }
 
+static bool is_idle(void *context) {
+    struct rn_control_stats stats;
+    rn_control_stats(context, &stats);
+    return stats.jobs_open[RN_JOB_RUNNING] == 0 && stats.renders_waiting == 0;
+}
+
 static enum rn_status start_control(struct server *server, struct rn_error *err) {
     const struct rn_config *config = &server->config;
     struct rn_control_options options = {
@@ -132,6 +141,9 @@ static enum rn_status start_control(struct server *server, struct rn_error *err)
     if (status == RN_OK)
         status =
             rn_control_create(&options, server->store, server->executor, &server->control, err);
+    if (status == RN_OK)
+        status = rn_scrubber_start(config->data, config->scrub_interval_s, is_idle, server->control,
+                                   &server->scrubber, err);
     return status;
 }
 
@@ -140,6 +152,7 @@ static enum rn_status start_http(struct server *server, struct rn_error *err) {
     server->app = (struct rn_app){
         .store = server->store,
         .control = server->control,
+        .scrubber = server->scrubber,
         .web = server->web,
         .roots = (const char *const *)config->roots,
         .root_count = (size_t)config->root_count,
@@ -166,7 +179,17 @@ static enum rn_status start_http(struct server *server, struct rn_error *err) {
     return rn_http_start(&options, &server->app.http, err);
 }
 
+// By hand, beside a daemon or without one: 0 when all is as it was written.
+static int scrub(struct server *server) {
+    struct rn_scrub_result result;
+    rn_scrub(server->config.data, NULL, NULL, &result);
+    printf("%llu checked, %llu damaged\n", (unsigned long long)result.checked,
+           (unsigned long long)result.damaged);
+    return result.damaged > 0;
+}
+
 static void stop(struct server *server) {
+    rn_scrubber_stop(&server->scrubber);
     if (server->app.http != NULL) rn_http_drain(server->app.http, HTTP_DRAIN_MS);
     if (server->control != NULL) rn_control_drain(server->control, server->config.drain_s * 1000);
     rn_http_destroy(&server->app.http);
@@ -207,6 +230,8 @@ int main(int argc, char **argv) {
         puts("ripnerfd " RN_VERSION);
         return 0;
     }
+    umask(0077); // what is stored is the daemon's alone
+    if (server.config.scrub) return scrub(&server);
     block_signals(&signals);
     raise_file_limit();
     find_files(&server);

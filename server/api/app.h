@@ -14,8 +14,9 @@
 struct rn_app {
     struct rn_store *store;
     struct rn_control *control;
-    struct rn_http *http; // for its statistics
-    const char *web;      // folder of the page
+    struct rn_http *http;         // for its statistics
+    struct rn_scrubber *scrubber; // likewise
+    const char *web;              // folder of the page
     const char *const *roots;
     size_t root_count;
     int64_t memory_limit_bytes, max_upload_bytes, max_upload_entries;

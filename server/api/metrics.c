@@ -2,6 +2,7 @@
 #include "common/base/buf.h"
 #include "common/base/clock.h"
 #include "server/api/app.h"
+#include "server/store/scrub.h"
 
 static void head(struct rn_buf *text, const char *name, const char *type, const char *help) {
     rn_buf_printf(text, "# HELP ripnerf_%s %s\n# TYPE ripnerf_%s %s\n", name, help, name, type);
@@ -69,7 +70,14 @@ static void put_renders(struct rn_buf *text, const struct rn_control_stats *stat
                   (unsigned long long)stats->renders);
 }
 
-static void put_store(struct rn_buf *text, const struct rn_control_stats *stats) {
+static void put_store(struct rn_buf *text, const struct rn_control_stats *stats,
+                      struct rn_scrubber *scrubber) {
+    struct rn_scrub_result scrub;
+    rn_scrubber_result(scrubber, &scrub);
+    one(text, "scrub_checked_total", "counter", "Stored files and folders read in idle time.",
+        (double)scrub.checked);
+    one(text, "scrub_damaged_total", "counter", "Those of them that were not as written.",
+        (double)scrub.damaged);
     one(text, "checkpoints_damaged_total", "counter",
         "Checkpoints that were not as they were written; the one before was taken.",
         (double)stats->checkpoints_damaged);
@@ -113,7 +121,7 @@ void rn_get_metrics(void *context, struct rn_request *request, struct rn_reply *
     put_jobs(&text, &stats);
     put_runners(&text, &stats);
     put_renders(&text, &stats);
-    put_store(&text, &stats);
+    put_store(&text, &stats, app->scrubber);
     put_http(&text, &http);
     uint8_t *bytes = rn_buf_take(&text, &size);
     if (bytes != NULL)

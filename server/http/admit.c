@@ -3,8 +3,13 @@
 #include <string.h>
 #include <strings.h>
 
+#include "common/base/clock.h"
+#include "common/base/log.h"
 #include "server/http/exchange.h"
 #include "server/http/guard.h"
+
+#define GUESS_WINDOW_NS (60 * 1000000000ll)
+#define MAX_GUESSES 60 // in a window
 
 static unsigned parse_method(const char *method) {
     if (strcmp(method, "GET") == 0 || strcmp(method, "HEAD") == 0) return RN_METHOD_GET;
@@ -48,6 +53,33 @@ static void find_route(struct rn_request *request, const char *method, struct rn
     rn_reply_header(reply, "Allow", "%s", methods + 2);
 }
 
+// A guess too many is told so and cut off; the right token is taken at any time.
+static void refuse_token(struct rn_request *request, struct rn_reply *reply) {
+    struct rn_http *http = request->http;
+    bool guessed = rn_request_header(request, "Authorization") != NULL;
+    int64_t now_ns = rn_clock_ns();
+    pthread_mutex_lock(&http->lock);
+    if (now_ns - http->guesses_since_ns > GUESS_WINDOW_NS) {
+        http->guesses_since_ns = now_ns;
+        http->guesses = 0;
+    }
+    http->guesses += guessed;
+    unsigned guesses = http->guesses;
+    pthread_mutex_unlock(&http->lock);
+    // The first of a minute, then ever fewer.
+    if (guessed && (guesses & (guesses - 1)) == 0)
+        rn_log(RN_LOG_WARN, "http: %u wrong tokens within a minute, the last for %s", guesses,
+               request->path);
+    if (guesses > MAX_GUESSES) {
+        rn_reply_problem(reply, RN_PROBLEM_QUEUE_FULL, "too many wrong tokens; wait a minute");
+        rn_reply_header(reply, "Connection", "close");
+        return;
+    }
+    rn_reply_problem(reply, RN_PROBLEM_UNAUTHORISED,
+                     "send the daemon's token as 'Authorization: Bearer …'");
+    rn_reply_header(reply, "WWW-Authenticate", "Bearer");
+}
+
 static void check_caller(struct rn_request *request, struct rn_reply *reply) {
     struct rn_http *http = request->http;
     const char *host = rn_request_header(request, "Host");
@@ -55,9 +87,7 @@ static void check_caller(struct rn_request *request, struct rn_reply *reply) {
     bool open = (request->match.route->flags & RN_ROUTE_OPEN) != 0;
     if (http->token != NULL && !open &&
         !rn_guard_token(rn_request_header(request, "Authorization"), http->token)) {
-        rn_reply_problem(reply, RN_PROBLEM_UNAUTHORISED,
-                         "send the daemon's token as 'Authorization: Bearer …'");
-        rn_reply_header(reply, "WWW-Authenticate", "Bearer");
+        refuse_token(request, reply);
     } else if (http->token == NULL && !rn_guard_host_is_loopback(host)) {
         rn_reply_problem(reply, RN_PROBLEM_FORBIDDEN,
                          "the Host '%.100s' is not this machine's loopback address",
@@ -76,17 +106,17 @@ static bool has_type(const struct rn_request *request, const char *type) {
            (value[size] == '\0' || value[size] == ';' || value[size] == ' ');
 }
 
-static uint64_t body_size(const struct rn_request *request) {
+uint64_t rn_body_size(const struct rn_request *request) {
     const char *length = rn_request_header(request, "Content-Length");
     return length == NULL ? 0 : strtoull(length, NULL, 10);
 }
 
 bool rn_has_body(const struct rn_request *request) {
-    return body_size(request) > 0 || rn_request_header(request, "Transfer-Encoding") != NULL;
+    return rn_body_size(request) > 0 || rn_request_header(request, "Transfer-Encoding") != NULL;
 }
 
 static void check_body(struct rn_request *request, struct rn_reply *reply) {
-    uint64_t size = body_size(request), max = request->sink.max;
+    uint64_t size = rn_body_size(request), max = request->sink.max;
     bool body = rn_has_body(request);
     if (body && max == 0)
         rn_reply_problem(reply, RN_PROBLEM_TOO_LARGE, "this request takes no body");

@@ -3,9 +3,12 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/statvfs.h>
 #include <unistd.h>
 
 #include "server/http/exchange.h"
+
+#define MAX_UPLOADS 16 // at once
 
 enum rn_status rn_sink_init(struct rn_sink *sink, uint64_t max_bytes) {
     *sink = (struct rn_sink){.fd = -1, .max = max_bytes};
@@ -69,10 +72,37 @@ void rn_sink_finish(struct rn_sink *sink) {
     sink->path = NULL;
 }
 
+// What all uploads together may take: so many at once, and no more than the disk has.
+static enum rn_status check_room(struct rn_request *request, const char *folder,
+                                 struct rn_error *err) {
+    struct rn_http *http = request->http;
+    unsigned uploads = 0;
+    uint64_t coming = rn_body_size(request);
+    struct statvfs disk;
+    pthread_mutex_lock(&http->lock);
+    for (const struct rn_request *at = http->requests; at != NULL; at = at->next) {
+        if (at->sink.path == NULL || at->handled) continue;
+        uint64_t announced = rn_body_size(at);
+        uploads++;
+        coming += announced > at->sink.size ? announced - at->sink.size : 0;
+    }
+    pthread_mutex_unlock(&http->lock);
+    if (uploads >= MAX_UPLOADS)
+        return rn_error_set(err, RN_ERROR_BUSY, "", "%u uploads are under way, the limit", uploads);
+    if (statvfs(folder, &disk) == 0 && coming > (uint64_t)disk.f_bavail * disk.f_frsize)
+        return rn_error_set(err, RN_ERROR_NO_SPACE, "upload",
+                            "the uploads under way and this one are %llu bytes; the disk has %llu",
+                            (unsigned long long)coming,
+                            (unsigned long long)disk.f_bavail * disk.f_frsize);
+    return RN_OK;
+}
+
 enum rn_status rn_request_spool(struct rn_request *request, const char *folder, uint64_t max_bytes,
                                 struct rn_error *err) {
     struct rn_sink *sink = &request->sink;
     char *path = NULL;
+    enum rn_status room = check_room(request, folder, err);
+    if (room != RN_OK) return room;
     if (asprintf(&path, "%s/upload-XXXXXX", folder) < 0)
         return rn_error_set(err, RN_ERROR_NO_MEMORY, folder, "no memory for an upload");
     int fd = mkostemp(path, O_CLOEXEC);

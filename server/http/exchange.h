@@ -100,6 +100,8 @@ struct rn_http {
     struct rn_lingering lingering[RN_MAX_LINGERING];
     unsigned lingering_count;
     uint64_t answer_bytes; // of all answers that are being sent
+    int64_t guesses_since_ns;
+    unsigned guesses; // wrong tokens since then
     unsigned request_count, parked_count, suspended_count;
     bool stopping;
     struct rn_http_stats stats;
@@ -134,6 +136,7 @@ int64_t rn_sockets_watch(struct rn_http *http, int64_t now_ns);
 void rn_sockets_finish(struct rn_http *http);
 
 // admit.c: fills `reply` when the request is refused from its headers.
+uint64_t rn_body_size(const struct rn_request *request); // as announced; 0: none, or not known
 bool rn_has_body(const struct rn_request *request);
 void rn_admit(struct rn_request *request, const char *method, struct rn_reply *reply);
 

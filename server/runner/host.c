@@ -8,6 +8,7 @@
 #include "common/base/clock.h"
 #include "common/base/file.h"
 #include "common/base/log.h"
+#include "common/base/manifest.h"
 #include "common/base/seal.h"
 #include "server/runner/checkpoints.h"
 #include "server/runner/describe.h"
@@ -81,6 +82,28 @@ enum rn_status rn_host_need_engine(struct rn_host *host, const char *device, con
 enum rn_status rn_host_need_dataset(struct rn_host *host, struct rn_error *err) {
     return host->dataset ? RN_OK
                          : rn_dataset_read(host->place.dataset_folder, NULL, &host->dataset, err);
+}
+
+static bool check_goes_on(void *context) {
+    struct rn_host *host = context;
+    if (host->watch) return rn_watch_keep_going(host->watch);
+    rn_link_pump(&host->link, 0);
+    return !rn_link_must_stop(&host->link);
+}
+
+enum rn_status rn_host_need_sound_dataset(struct rn_host *host, struct rn_error *err) {
+    struct rn_error why = {0};
+    enum rn_status status = RN_OK;
+    if (!host->dataset_is_sound)
+        status = rn_manifest_check(host->place.dataset_folder, check_goes_on, host, &why);
+    if (status == RN_ERROR_CORRUPT)
+        return rn_error_set(err, status, why.where, "%.300s; import the dataset again", why.text);
+    if (status && status != RN_ERROR_NOT_FOUND) { // imported before there were lists
+        if (err) *err = why;
+        return status;
+    }
+    host->dataset_is_sound = true;
+    return rn_host_need_dataset(host, err);
 }
 
 // The engine as it is, or as `open` wanted it.

@@ -27,6 +27,7 @@ struct rn_host {
     struct rn_watch *watch; // of the job that loads; NULL: none
 
     struct rn_dataset *dataset;   // NULL until first needed
+    bool dataset_is_sound;        // its files were checked
     struct rn_field *loaded;      // from a checkpoint; NULL while it trains
     struct rn_training *training; // NULL without a training job
     char digest[65];              // of the checkpoint that was loaded last
@@ -41,6 +42,9 @@ int rn_host_run(int fd, bool sandbox);
 enum rn_status rn_host_need_engine(struct rn_host *host, const char *device, const char *kernels,
                                    int threads, struct rn_error *err) RN_MUST_CHECK;
 enum rn_status rn_host_need_dataset(struct rn_host *host, struct rn_error *err) RN_MUST_CHECK;
+// The same, and its files are as they were imported (read whole, once a runner). RN_ERROR_CORRUPT
+// names the first that is not.
+enum rn_status rn_host_need_sound_dataset(struct rn_host *host, struct rn_error *err) RN_MUST_CHECK;
 // Loads the newest good checkpoint for rendering; damaged ones are set aside.
 enum rn_status rn_host_load(struct rn_host *host, struct rn_error *err) RN_MUST_CHECK;
 // The field to render, RN_ERROR_CONFLICT when there is none yet. Valid until the next slice.

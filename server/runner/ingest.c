@@ -15,6 +15,7 @@
 #include "common/base/clock.h"
 #include "common/base/file.h"
 #include "common/base/log.h"
+#include "common/base/manifest.h"
 #include "common/dataset/dataset.h"
 #include "server/runner/describe.h"
 #include "server/runner/link.h"
@@ -166,6 +167,7 @@ static enum rn_status import(struct ingest *ingest, struct rn_dataset *source,
                                    on_progress, ingest, err);
     struct rn_dataset *made = NULL;
     int64_t bytes = 0;
+    if (!status) status = rn_manifest_write(order->target, err);
     if (!status) status = rn_dataset_read(order->target, NULL, &made, err);
     if (!status) status = tree_bytes(made, &bytes, err);
     if (!status)

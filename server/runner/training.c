@@ -213,7 +213,7 @@ static enum rn_status create_trainer(struct rn_host *host, const char *job,
                                      const struct rn_train_options *options,
                                      struct rn_trainer **ret_trainer, struct rn_error *err) {
     const struct rn_wire_open *place = &host->place;
-    enum rn_status status = rn_host_need_dataset(host, err);
+    enum rn_status status = rn_host_need_sound_dataset(host, err);
     if (status) return status;
     status =
         rn_host_need_engine(host, *options->device ? options->device : place->device,

@@ -364,7 +364,7 @@ static enum rn_status prepare_eval(struct rn_host *host, struct rn_work *work,
                                    struct rn_error *err) {
     struct rn_field *field;
     enum rn_status status = rn_host_field(host, &field, err);
-    if (!status) status = rn_host_need_dataset(host, err);
+    if (!status) status = rn_host_need_sound_dataset(host, err);
     if (!status) status = choose_frames(host->dataset, work, err);
     if (status) return status;
     work->scores = calloc(work->total, sizeof *work->scores);

@@ -224,7 +224,8 @@ static void finish(struct rn_store *store, sqlite3_stmt *statement) {
 static enum rn_status write_row(struct rn_store *store, const struct rn_store_table *table,
                                 const struct rn_buf *sql, const void *row, struct rn_error *err) {
     sqlite3_stmt *statement;
-    enum rn_status status = prepare(store, sql, &statement, err);
+    enum rn_status status = rn_store_check_folder(store, err);
+    if (status == RN_OK) status = prepare(store, sql, &statement, err);
     if (status != RN_OK) return status;
     int code = SQLITE_OK;
     for (int i = 1; i < table->column_count && code == SQLITE_OK; i++)

@@ -7,6 +7,7 @@
 #include <string.h>
 #include <sys/file.h>
 #include <sys/random.h>
+#include <sys/stat.h>
 #include <unistd.h>
 
 #include "common/base/file.h"
@@ -201,6 +202,14 @@ char *rn_store_path(const struct rn_store *store, const char *fmt, ...) {
     return path;
 }
 
+enum rn_status rn_store_check_folder(struct rn_store *store, struct rn_error *err) {
+    struct stat about;
+    if (fstat(store->lock_fd, &about) == 0 && about.st_nlink > 0) return RN_OK;
+    return rn_error_set(err, RN_ERROR_IO, store->folder,
+                        "the data folder was removed under the daemon: nothing is kept any more; "
+                        "stop it");
+}
+
 static enum rn_status run(struct rn_store *store, const char *sql, struct rn_error *err) {
     int code = sqlite3_exec(store->db, sql, NULL, NULL, NULL);
     return code == SQLITE_OK ? RN_OK : rn_sqlite_error(store->db, code, sql, err);
@@ -208,7 +217,8 @@ static enum rn_status run(struct rn_store *store, const char *sql, struct rn_err
 
 enum rn_status rn_store_begin(struct rn_store *store, struct rn_error *err) {
     pthread_mutex_lock(&store->lock);
-    enum rn_status status = run(store, "BEGIN IMMEDIATE", err);
+    enum rn_status status = rn_store_check_folder(store, err);
+    if (status == RN_OK) status = run(store, "BEGIN IMMEDIATE", err);
     if (status != RN_OK) pthread_mutex_unlock(&store->lock);
     return status;
 }

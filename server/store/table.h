@@ -56,6 +56,9 @@ enum rn_status rn_sqlite_error(sqlite3 *db, int code, const char *what, struct r
 enum rn_status rn_store_migrate(sqlite3 *db, const char *const *scripts, int count,
                                 struct rn_error *err) RN_MUST_CHECK;
 
+// Whether what is written still has a place: RN_ERROR_IO when the folder was removed.
+enum rn_status rn_store_check_folder(struct rn_store *store, struct rn_error *err) RN_MUST_CHECK;
+
 // records.c
 extern const struct rn_store_table *const rn_content_tables[]; // those with folders; NULL ends it
 // A row of the table was written: its copy follows now, or when the transaction is committed.

@@ -75,6 +75,7 @@ def test_foreign_origin(shared, origin):
 
 def test_token(make_daemon, tmp_path):
     (tmp_path / "token").write_text("correct-horse-battery\n")
+    (tmp_path / "token").chmod(0o600)
     daemon = make_daemon(token_file=tmp_path / "token", listen="0.0.0.0:0")
     for headers in ({}, {"Authorization": "Bearer wrong-horse-battery"},
                     {"Authorization": "Basic correct-horse-battery"}):

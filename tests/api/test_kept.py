@@ -235,6 +235,58 @@ def test_etags_follow_the_checkpoint_that_is_rendered(programs, program, photogr
         daemon.stop()
 
 
+def flip(path, at=-1):
+    data = bytearray(path.read_bytes())
+    data[at] ^= 4
+    path.write_bytes(data)
+
+
+def test_a_flipped_bit_in_a_dataset(make_daemon, photographs):
+    """Training does not begin on photographs that are not what was imported, and names the file."""
+    daemon = make_daemon()
+    assert daemon.wait(daemon.upload("data", photographs))["state"] == "succeeded"
+    (picture, *_) = sorted(Path(daemon.data).glob("datasets/*/**/*.png"))
+    flip(picture, 60)
+    job = daemon.wait(daemon.submit(type="train", dataset="data", scene="s",
+                                    options={"max_steps": 5}))
+    assert job["state"] == "failed" and job["problem"]["type"] == "/problems/corrupt"
+    assert picture.name in job["problem"]["detail"]
+    assert "import the dataset again" in job["problem"]["detail"]
+
+
+def scrub(daemon):
+    result = subprocess.run([daemon.program, "--data", daemon.data, "--scrub"],
+                            capture_output=True, text=True, timeout=20, check=False)
+    return result.returncode, result.stdout, result.stderr
+
+
+def test_scrub(programs, program, photographs, tmp_path):
+    """By hand and in idle time: every kind of stored file is read and found when it is damaged."""
+    daemon = Daemon(programs[0], program, tmp_path / "d", scrub_interval=1).start()
+    try:
+        assert daemon.wait(daemon.upload("data", photographs))["state"] == "succeeded"
+        daemon.train("s", preset="draft", max_steps=8, threads=1)
+        assert daemon.post("/v1/camera-paths", {"name": "orbit", "path": PATH}).status == 201
+        code, said, _ = scrub(daemon)
+        assert code == 0 and said.endswith(" 0 damaged\n") and int(said.split()[0]) >= 7, said
+        victims = [next(Path(daemon.data).glob(pattern)) for pattern in
+                   ("datasets/*/**/*.png", "scenes/*/checkpoints/step-*.safetensors",
+                    "jobs/*/record.json", "camera-paths/*/record.json")]
+        for victim in victims:
+            flip(victim, -20)
+        code, said, why = scrub(daemon)
+        assert code == 1 and said.endswith(f" {len(victims)} damaged\n")
+        for victim in victims:
+            assert str(victim) in why
+        deadline = time.monotonic() + 15
+        while b"ripnerf_scrub_damaged_total 0" in daemon.get("/metrics").body:
+            assert time.monotonic() < deadline
+            time.sleep(0.1)
+        assert "scrub: " in daemon.log_text()
+    finally:
+        daemon.stop()
+
+
 # ---- runners of a daemon that is gone ---------------------------------------------------------
 
 

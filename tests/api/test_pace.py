@@ -2,9 +2,12 @@
 
 import math
 import resource
+import shutil
 import socket
+import subprocess
 import threading
 import time
+from pathlib import Path
 
 import pytest
 
@@ -267,6 +270,62 @@ def test_nul_does_not_cut_ids(shared):
     for name in ("ready%00", "ready%00x"):
         assert shared.get(f"/v1/scenes/{name}", check=False).status == 404
     assert shared.get("/v1/jobs?limit=1%00x", check=False).status == 422
+
+
+def test_wrong_tokens_are_counted_and_logged(make_daemon, tmp_path):
+    """Guesses are limited; who has the token is served all the while."""
+    (tmp_path / "token").write_text("correct-horse-battery\n")
+    (tmp_path / "token").chmod(0o600)
+    daemon = make_daemon(token_file=tmp_path / "token")
+    statuses = [daemon.get("/v1/jobs", headers={"Authorization": f"Bearer wrong{i:020}"},
+                           check=False).status for i in range(70)]
+    assert statuses[:60] == [401] * 60 and statuses[60:] == [429] * 10
+    daemon.token = "correct-horse-battery"
+    assert daemon.get("/v1/jobs").status == 200
+    assert "32 wrong tokens" in daemon.log_text() and "wrong0" not in daemon.log_text()
+
+
+def test_token_file_that_all_can_read(programs, tmp_path):
+    (tmp_path / "token").write_text("correct-horse-battery\n")
+    (tmp_path / "token").chmod(0o644)
+    result = subprocess.run([programs[0], "--data", tmp_path / "d", "--listen", "127.0.0.1:0",
+                             "--token-file", tmp_path / "token"], capture_output=True, text=True,
+                            timeout=20, check=False)
+    assert result.returncode == 2 and "chmod 600" in result.stderr
+
+
+def test_files_are_the_daemons_alone(make_daemon, photographs):
+    daemon = make_daemon()
+    assert daemon.wait(daemon.upload("data", photographs))["state"] == "succeeded"
+    for path in Path(daemon.data).rglob("*"):
+        assert path.stat().st_mode & 0o077 == 0, path
+
+
+def test_data_folder_that_is_removed_underneath(make_daemon):
+    """What can no longer be kept is not acknowledged."""
+    daemon = make_daemon()
+    shutil.rmtree(daemon.data)
+    reply = daemon.post("/v1/camera-paths", big_path("p", 2), check=False)
+    assert reply.status == 500 and "removed" in reply.json["detail"]
+
+
+def test_uploads_have_a_common_limit(make_daemon):
+    daemon = make_daemon()
+    head = (b"POST /v1/datasets?name=%d HTTP/1.1\r\nHost: localhost\r\n"
+            b"Content-Type: application/x-tar\r\nContent-Length: %d\r\n\r\n")
+    if shutil.disk_usage(daemon.data).free < 15 * 2**30:
+        with daemon.socket() as connection:
+            connection.sendall(head % (99, 15 * 2**30))
+            assert status_of(answer_of(connection)) == 507
+    uploads = [daemon.socket() for _ in range(16)]
+    for i, connection in enumerate(uploads):
+        connection.sendall(head % (i, 1000) + b"x")
+    time.sleep(0.3)
+    with daemon.socket() as connection:
+        connection.sendall(head % (98, 1000))
+        assert status_of(answer_of(connection)) == 503
+    for connection in uploads:
+        connection.close()
 
 
 def test_problems_are_utf8(shared):

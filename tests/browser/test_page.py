@@ -209,6 +209,7 @@ def test_a_second_scene_of_the_same_name_is_refused_at_its_field(page, daemon, s
 def test_token_and_a_killed_daemon(page, daemon, sphere, tmp_path):
     """A token travels with every request; training goes on after kill -9, and the page shows it."""
     (tmp_path / "token").write_text("a-token-of-this-test\n")
+    (tmp_path / "token").chmod(0o600)
     options = {
         "environment": {"RIPNERF_FAKE_STEP_US": "2000"},
         "options": ["--token-file", tmp_path / "token"],

@@ -2,6 +2,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/stat.h>
 #include <unistd.h>
 
 #include "common/base/file.h"
@@ -133,6 +134,9 @@ START_TEST(test_listen) {
     char line[256];
     snprintf(line, sizeof line, "--data /d --listen 0.0.0.0:80 --token-file %s", file);
     write_text(file, "0123456789abcdef\nsecond line\n");
+    ck_assert_int_eq(chmod(file, 0644), 0);
+    ck_assert_int_eq(load(line), RN_ERROR_INVALID); // everyone can read it
+    ck_assert_int_eq(chmod(file, 0600), 0);
     ck_assert_int_eq(load(line), RN_OK);
     ck_assert_str_eq(config.token, "0123456789abcdef");
     write_text(file, "short\n");

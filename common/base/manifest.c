@@ -1,0 +1,107 @@
+#include "common/base/manifest.h"
+
+#include <errno.h>
+#include <fcntl.h>
+#include <fts.h>
+#include <limits.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <unistd.h>
+
+#include "common/base/buf.h"
+#include "common/base/file.h"
+#include "common/base/sha256.h"
+
+#define LIST "SHA256SUMS"
+#define MAX_LIST (256u << 20)
+#define BLOCK_BYTES (1 << 16)
+
+static enum rn_status digest_of(const char *path, char ret_sha256[65], struct rn_error *err) {
+    char block[BLOCK_BYTES];
+    struct rn_sha256 hash;
+    int fd = open(path, O_RDONLY | O_CLOEXEC);
+    ssize_t got = 0;
+    if (fd < 0) return rn_error_from_errno(err, errno, path, "open the file");
+    rn_sha256_init(&hash);
+    do {
+        got = read(fd, block, sizeof block);
+        if (got > 0) rn_sha256_update(&hash, block, (size_t)got);
+    } while (got > 0 || (got < 0 && errno == EINTR));
+    int errnum = errno;
+    close(fd);
+    if (got < 0) return rn_error_from_errno(err, errnum, path, "read the file");
+    rn_sha256_final_hex(&hash, ret_sha256);
+    return RN_OK;
+}
+
+static int by_name(const FTSENT **a, const FTSENT **b) {
+    return strcmp((*a)->fts_name, (*b)->fts_name);
+}
+
+static enum rn_status list_files(const char *folder, struct rn_buf *list, struct rn_error *err) {
+    char *const roots[] = {(char *)folder, NULL};
+    FTS *tree = fts_open(roots, FTS_PHYSICAL | FTS_NOCHDIR, by_name);
+    if (tree == NULL) return rn_error_from_errno(err, errno, folder, "list the folder");
+    enum rn_status status = RN_OK;
+    FTSENT *entry;
+    while (status == RN_OK && (entry = fts_read(tree)) != NULL) {
+        const char *name = entry->fts_path + strlen(folder);
+        name += *name == '/';
+        char sha256[65];
+        if (entry->fts_info != FTS_F || entry->fts_name[0] == '.' || strcmp(name, LIST) == 0)
+            continue;
+        status = digest_of(entry->fts_path, sha256, err);
+        if (status == RN_OK) rn_buf_printf(list, "%s  %s\n", sha256, name);
+    }
+    fts_close(tree);
+    return status == RN_OK ? rn_buf_status(list, LIST, err) : status;
+}
+
+enum rn_status rn_manifest_write(const char *folder, struct rn_error *err) {
+    char path[PATH_MAX];
+    struct rn_buf list;
+    if (snprintf(path, sizeof path, "%s/" LIST, folder) >= (int)sizeof path)
+        return rn_error_set(err, RN_ERROR_LIMIT, folder, "the path is too long");
+    rn_buf_init(&list, MAX_LIST);
+    enum rn_status status = list_files(folder, &list, err);
+    if (status == RN_OK)
+        status = rn_file_write_atomic(path, list.data ? (void *)list.data : "", list.size, err);
+    rn_buf_finish(&list);
+    return status;
+}
+
+// One line, "DIGEST  NAME"; NUL-terminated.
+static enum rn_status check_line(const char *folder, const char *line, struct rn_error *err) {
+    char path[PATH_MAX], sha256[65] = "";
+    bool good = strlen(line) > 66 && line[64] == ' ' && line[65] == ' ' &&
+                snprintf(path, sizeof path, "%s/%s", folder, line + 66) < (int)sizeof path;
+    if (!good) return rn_error_set(err, RN_ERROR_CORRUPT, folder, "its " LIST " is damaged");
+    enum rn_status status = digest_of(path, sha256, err);
+    if (status == RN_ERROR_NOT_FOUND)
+        return rn_error_set(err, RN_ERROR_CORRUPT, path, "is missing; " LIST " names it");
+    if (status == RN_OK && strncmp(sha256, line, 64) != 0)
+        return rn_error_set(err, RN_ERROR_CORRUPT, path,
+                            "is not as it was written: its bytes do not have their digest");
+    return status;
+}
+
+enum rn_status rn_manifest_check(const char *folder, bool (*keep_going)(void *context),
+                                 void *context, struct rn_error *err) {
+    char path[PATH_MAX], *rest = NULL;
+    uint8_t *text = NULL;
+    size_t size;
+    if (snprintf(path, sizeof path, "%s/" LIST, folder) >= (int)sizeof path)
+        return rn_error_set(err, RN_ERROR_LIMIT, folder, "the path is too long");
+    enum rn_status status = rn_file_read(path, MAX_LIST, &text, &size, err);
+    if (status != RN_OK) return status;
+    for (char *line = strtok_r((char *)text, "\n", &rest); status == RN_OK && line != NULL;
+         line = strtok_r(NULL, "\n", &rest)) {
+        if (keep_going != NULL && !keep_going(context))
+            status = rn_error_set(err, RN_ERROR_CANCELLED, folder, "cancelled");
+        else
+            status = check_line(folder, line, err);
+    }
+    free(text);
+    return status;
+}
