@@ -47,6 +47,15 @@ const char *rn_check_bounds(const char *text) {
     return "must be X,Y,Z,RADIUS: four numbers, the radius above 0";
 }
 
+const char *rn_check_inner_path(const char *text) {
+    bool leaves = *text == '/';
+    for (const char *part = text; part; part = strchr(part, '/')) {
+        part += *part == '/';
+        leaves = leaves || (strncmp(part, "..", 2) == 0 && (part[2] == '/' || !part[2]));
+    }
+    return *text && !leaves ? NULL : "must be a path within the dataset's folder";
+}
+
 const char *rn_check_format(const char *text) {
     return rn_format_find(text) ? NULL
                                 : "must be the name of a format, as GET /v1/formats lists them";

@@ -14,6 +14,7 @@ static const struct rn_field_spec ingest_options[] = {
     RN_F_INT(S, max_size, 0, 0, 16384),          RN_F_INT(S, scales, 0, 1, 8),
     RN_F_NAME(S, alpha, 0, rn_alpha_mode_names), RN_F_TEXT(S, split, 0, rn_check_split_spec),
     RN_F_TEXT(S, bounds, 0, rn_check_bounds),    RN_F_TEXT(S, format, 0, rn_check_format),
+    RN_F_TEXT(S, masks, 0, rn_check_inner_path),
 };
 const struct rn_table rn_ingest_options_table = RN_TABLE(S, "import options", ingest_options);
 #undef S

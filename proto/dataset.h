@@ -15,6 +15,7 @@ struct rn_ingest_options {
     char split[16];                  // "files" or "every:N"
     char bounds[128];                // "X,Y,Z,RADIUS" of the sphere that holds the scene
     char format[RN_FORMAT_NAME_MAX]; // of rn_formats; "": recognised
+    char masks[256];                 // folder of masks, relative; "": "masks", if it is there
 };
 extern const struct rn_table rn_ingest_options_table;
 // N of "every:N"; 0 for "files" and "". The text was checked by the table.

@@ -138,12 +138,13 @@ static enum rn_exit examine(const char *folder, const struct rn_read_options *op
 }
 
 struct import_options {
-    const char *name, *alpha, *split, *bounds, *format;
+    const char *name, *alpha, *split, *bounds, *format, *masks;
     int64_t max_size, scales;
+    bool skip_bad;
 };
 
 static struct rn_read_options read_options(const struct import_options *options) {
-    return (struct rn_read_options){.format = options->format};
+    return (struct rn_read_options){.format = options->format, .masks = options->masks};
 }
 
 static enum rn_exit run_validate(struct rn_client *client, const void *context, const char **args) {
@@ -197,6 +198,15 @@ static const struct rn_option import_table[] = {
      IMPORT(format),
      .value = "NAME",
      .help = "read the folder as this format; else it is recognised by its files"},
+    {.name = "masks",
+     .kind = RN_OPTION_TEXT,
+     IMPORT(masks),
+     .value = "DIR",
+     .help = "folder of masks below the dataset's, black is left out; else masks"},
+    {.name = "skip-bad",
+     .kind = RN_OPTION_FLAG,
+     IMPORT(skip_bad),
+     .help = "go without photographs that cannot be used"},
     {0}};
 
 static int compare_names(const void *a, const void *b) {
@@ -214,12 +224,16 @@ static const char *below(const char *folder, const char *path) {
 static enum rn_status add_images(struct rn_tar *tar, const char *folder,
                                  const struct rn_dataset *dataset, struct rn_error *err) {
     enum rn_status status = RN_OK;
-    const char **names = calloc(dataset->frame_count, sizeof *names);
+    size_t count = 0;
+    const char **names = calloc(2 * dataset->frame_count, sizeof *names);
     if (!names) return rn_error_set(err, RN_ERROR_NO_MEMORY, folder, "memory ran out");
-    for (size_t i = 0; i < dataset->frame_count; i++)
-        names[i] = below(folder, dataset->frames[i].path);
-    qsort(names, dataset->frame_count, sizeof *names, compare_names);
-    for (size_t i = 0; i < dataset->frame_count && status == RN_OK; i++)
+    for (size_t i = 0; i < dataset->frame_count; i++) {
+        names[count++] = below(folder, dataset->frames[i].path);
+        if (dataset->frames[i].mask_path)
+            names[count++] = below(folder, dataset->frames[i].mask_path);
+    }
+    qsort(names, count, sizeof *names, compare_names);
+    for (size_t i = 0; i < count && status == RN_OK; i++)
         status = rn_tar_add(tar, names[i], err);
     free(names);
     return status;
@@ -272,6 +286,7 @@ static void import_query(const struct import_options *options, struct rn_buf *re
     if (options->split) add_query(ret_query, "split", options->split);
     if (options->bounds) add_query(ret_query, "bounds", options->bounds);
     if (options->format) add_query(ret_query, "format", options->format);
+    if (options->masks) add_query(ret_query, "masks", options->masks);
 }
 
 // Sends the archive; the reply is the ingest job's.
@@ -347,9 +362,10 @@ static enum rn_exit run_import(struct rn_client *client, const void *context, co
     struct rn_read_options how = read_options(options);
     if (!options->name) return rn_client_usage("import", "needs --name N");
     enum rn_exit code = examine(args[0], &how, client->json, false, &dataset);
+    if (code == RN_EXIT_INVALID && dataset && options->skip_bad) code = RN_EXIT_OK;
     if (code != RN_EXIT_OK) {
         fprintf(stderr, "ripnerf: %s: nothing was sent%s\n", args[0],
-                dataset ? "; mend what is named above, or take it out of the JSON" : "");
+                dataset ? "; mend what is named above, or go without it: --skip-bad" : "");
     } else {
         code = pack(args[0], dataset, &tar);
     }
@@ -460,7 +476,8 @@ const struct rn_verb rn_verbs_dataset[] = {
      .arguments = "NAME DIR",
      .summary = "make a dataset with known truth: sphere, still-life, place, ...",
      .details =
-         "Procedural scenes, rendered analytically with 64 rays a pixel. sphere, fence, nested and\n"
+         "Procedural scenes, rendered analytically with 64 rays a pixel. sphere, fence, nested "
+         "and\n"
          "still-life are objects cut out by alpha; place (around in a room) and window (out of\n"
          "it) are captures without alpha of a place that reaches to the horizon. The depth of\n"
          "each test view lies beside it, as float32 in test/r_N_depth.npy.",

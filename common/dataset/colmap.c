@@ -483,7 +483,7 @@ const struct rn_format rn_format_colmap = {
                                        "sparse/*/points3D.*", "sparse/cameras.*", "sparse/images.*",
                                        "sparse/points3D.*", "colmap/sparse/0/cameras.*",
                                        "colmap/sparse/0/images.*", "colmap/sparse/0/points3D.*",
-                                       "cameras.*", "images.*", "points3D.*", NULL},
+                                       "cameras.*", "images.*", "points3D.*", "masks/*", NULL},
     .photo_folders =
         (const char *const[]){"images", "images_2", "images_4", "images_8", "input", NULL},
     .read = read_colmap};

@@ -4,6 +4,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "common/dataset/points.h"
 #include "common/dataset/reader.h"
 
 #define OBJECT_DISTANCES 0.5  // of the cameras: a sphere that cameras around an object look at
@@ -16,7 +17,8 @@ const char *const rn_downscale_names[2] = {"premultiplied", "straight"};
 void rn_frame_finish(struct rn_frame *frame) {
     free(frame->name);
     free(frame->path);
-    frame->name = frame->path = NULL;
+    free(frame->mask_path);
+    frame->name = frame->path = frame->mask_path = NULL;
 }
 
 void rn_dataset_destroy(struct rn_dataset **dataset) {
@@ -26,8 +28,7 @@ void rn_dataset_destroy(struct rn_dataset **dataset) {
     for (size_t i = 0; i < (*dataset)->document_count; i++)
         free((*dataset)->documents[i]);
     free((*dataset)->documents);
-    free((*dataset)->points.items);
-    free((*dataset)->points.sightings);
+    rn_points_finish(&(*dataset)->points);
     free((*dataset)->frames);
     free((*dataset)->name);
     free(*dataset);
@@ -137,6 +138,7 @@ static enum rn_status read_format(struct rn_reader *reader, const struct rn_form
     reader->dataset->format = format;
     reader->dataset->premultiplied_scales = true;
     enum rn_status status = format->read(reader, err);
+    if (status == RN_OK) status = rn_reader_find_masks(reader, reader->masks, err);
     if (status == RN_OK)
         status = rn_dataset_seal(reader->dataset, reader->folder, reader->problems, err);
     if (status == RN_OK) set_bounds(reader);
@@ -189,7 +191,8 @@ static char *folder_name(const char *folder) {
 enum rn_status rn_dataset_read_as(const char *folder, const struct rn_read_options *options,
                                   struct rn_problems *problems, struct rn_dataset **ret_dataset,
                                   struct rn_error *err) {
-    struct rn_reader reader = {.folder = folder, .problems = problems};
+    struct rn_reader reader = {
+        .folder = folder, .problems = problems, .masks = options ? options->masks : NULL};
     const struct rn_format *format = NULL;
     reader.dataset = calloc(1, sizeof *reader.dataset);
     reader.reported = json_object();

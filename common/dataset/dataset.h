@@ -17,8 +17,10 @@ const char *rn_split_name(enum rn_split split); // "train", "val", "test"
 
 // One image file. A view photographed once and kept at several scales has one frame a scale.
 struct rn_frame {
-    char *name; // e.g. "r_12": the JSON's file name without folder and extension
-    char *path; // absolute or relative to the working directory; readable
+    char *name;      // e.g. "r_12": the JSON's file name without folder and extension
+    char *path;      // absolute or relative to the working directory; readable
+    char *mask_path; // a picture of the same size whose black pixels are left out of the loss; NULL
+                     // where there is none
     enum rn_split split;
     int index;          // zero-based among the views of its split, in the JSON's order; views
                         // that were left out leave a gap
@@ -106,6 +108,7 @@ enum rn_status rn_dataset_read(const char *folder, struct rn_problems *problems,
 // for a format of no such name.
 struct rn_read_options {
     const char *format; // the name of the format to read as; NULL: by signs
+    const char *masks; // a folder of masks, relative to the dataset's; NULL: "masks" if it is there
 };
 enum rn_status rn_dataset_read_as(const char *folder, const struct rn_read_options *options,
                                   struct rn_problems *problems, struct rn_dataset **ret_dataset,

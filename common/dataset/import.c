@@ -6,6 +6,7 @@
 
 #include "common/base/file.h"
 #include "common/dataset/output.h"
+#include "common/dataset/points.h"
 #include "common/dataset/reader.h"
 
 #define PNG_LEVEL 1
@@ -73,6 +74,7 @@ static enum rn_status describe_output(const struct import *import, const struct 
     output->scale = view->scale + level;
     output->loss_weight = ldexp(view->loss_weight, 2 * level);
     output->camera = rn_camera_resized(&view->camera, width, height);
+    output->mask_path = NULL;
     output->name = strdup(view->name);
     if (asprintf(&output->path, "%s/images/%s_%05d_d%d.png", import->target,
                  rn_split_name(output->split), output->index, output->scale) < 0)
@@ -82,10 +84,54 @@ static enum rn_status describe_output(const struct import *import, const struct 
     return rn_error_set(err, RN_ERROR_NO_MEMORY, view->path, "out of memory");
 }
 
+// Black below half, so that what a lossy file blurred does not count; opaque.
+static void make_binary(struct rn_image *mask) {
+    size_t bytes = 4 * (size_t)mask->width * (size_t)mask->height;
+    for (size_t i = 0; i < bytes; i += 4) {
+        int sum = mask->pixels[i] + mask->pixels[i + 1] + mask->pixels[i + 2];
+        memset(mask->pixels + i, sum >= 3 * 128 ? 255 : 0, 3);
+        mask->pixels[i + 3] = 255;
+    }
+    mask->has_alpha = false;
+}
+
+// Where any part of a pixel is left out, all of it is.
+static void keep_whole_pixels(struct rn_image *mask) {
+    size_t bytes = 4 * (size_t)mask->width * (size_t)mask->height;
+    for (size_t i = 0; i < bytes; i += 4)
+        memset(mask->pixels + i, mask->pixels[i] == 255 ? 255 : 0, 3);
+}
+
+// The view's mask at an output's size, beside the output's image.
+static enum rn_status write_mask(const struct rn_frame *view, struct rn_frame *output,
+                                 struct rn_error *err) {
+    struct rn_image mask, scaled;
+    int width = output->camera.width, height = output->camera.height;
+    size_t stem = strlen(output->path) - strlen(".png");
+    if (asprintf(&output->mask_path, "%.*s_mask.png", (int)stem, output->path) < 0) {
+        output->mask_path = NULL;
+        return rn_error_set(err, RN_ERROR_NO_MEMORY, view->path, "out of memory");
+    }
+    enum rn_status status = rn_image_read(view->mask_path, &rn_image_default_limits, &mask, err);
+    if (status) return status;
+    make_binary(&mask);
+    if (mask.width != width || mask.height != height) {
+        status = rn_image_downscale(&mask, width, height, RN_DOWNSCALE_PREMULTIPLIED, &scaled, err);
+        rn_image_finish(&mask);
+        if (status) return status;
+        mask = scaled;
+        keep_whole_pixels(&mask);
+    }
+    status = rn_output_png(&mask, output->mask_path, PNG_LEVEL, err);
+    rn_image_finish(&mask);
+    return status;
+}
+
 static enum rn_status write_level(const struct import *import, const struct rn_frame *view,
                                   const struct rn_image *image, int level, struct rn_frame *output,
                                   struct rn_error *err) {
     enum rn_status status = describe_output(import, view, level, output, err);
+    if (status == RN_OK && view->mask_path) status = write_mask(view, output, err);
     if (status) return status;
     int width = output->camera.width, height = output->camera.height;
     if (image->width == width && image->height == height)
@@ -152,32 +198,35 @@ static enum rn_status import_view(void *context, size_t index, struct rn_error *
     return status;
 }
 
-static json_t *frame_to_json(const struct rn_frame *frame, const char *target) {
+static json_t *frame_to_json(const struct rn_frame *frame, bool with_points, const char *target) {
+    json_t *photo = with_points ? json_integer(frame->photo) : NULL;
     json_t *near = frame->far > 0 ? json_real(frame->near) : NULL;
     json_t *far = frame->far > 0 ? json_real(frame->far) : NULL;
-    return json_pack("{s:s s:s s:s s:i s:i s:f s:o s:o* s:o*}", "name", frame->name, "file",
-                     frame->path + strlen(target) + 1, "split", rn_split_name(frame->split),
+    const char *mask = frame->mask_path ? frame->mask_path + strlen(target) + 1 : NULL;
+    return json_pack("{s:s s:s s:s s:i s:i s:f s:o s:o* s:o* s:s* s:o*}", "name", frame->name,
+                     "file", frame->path + strlen(target) + 1, "split", rn_split_name(frame->split),
                      "index", frame->index, "scale", frame->scale, "loss_weight",
                      frame->loss_weight, "camera", rn_json_from_camera(&frame->camera), "near",
-                     near, "far", far);
+                     near, "far", far, "mask", mask, "photo", photo);
 }
 
 static json_t *dataset_to_json(const struct rn_dataset *dataset, const char *target) {
     const struct rn_bounds *bounds = &dataset->bounds;
     json_t *frames = json_array();
     for (size_t i = 0; i < dataset->frame_count; i++)
-        if (json_array_append_new(frames, frame_to_json(&dataset->frames[i], target)) != 0) {
+        if (json_array_append_new(frames, frame_to_json(&dataset->frames[i],
+                                                        dataset->points.count > 0, target)) != 0) {
             json_decref(frames);
             return NULL;
         }
-    return json_pack("{s:s s:i s:s s:{s:s s:s} s:{s:[fff] s:f s:s} s:o}", "format",
+    return json_pack("{s:s s:i s:s s:{s:s s:s} s:{s:[fff] s:f s:s} s:s* s:o}", "format",
                      RN_NATIVE_FORMAT, "version", RN_NATIVE_VERSION, "name", dataset->name,
                      "source", "layout", dataset->format->name, "downscale",
                      rn_downscale_names[dataset->premultiplied_scales ? RN_DOWNSCALE_PREMULTIPLIED
                                                                       : RN_DOWNSCALE_STRAIGHT],
                      "bounds", "centre", bounds->centre[0], bounds->centre[1], bounds->centre[2],
                      "radius", bounds->radius, "source", rn_bounds_source_names[bounds->source],
-                     "frames", frames);
+                     "points", dataset->points.count ? RN_POINTS_DOCUMENT : NULL, "frames", frames);
 }
 
 static enum rn_status write_json(const struct rn_dataset *dataset, const char *target,
@@ -233,10 +282,22 @@ static enum rn_status drop_from_source(const struct import *import, struct rn_da
     return rn_dataset_seal(source, source->name, NULL, err);
 }
 
+static enum rn_status write_points(const struct rn_dataset *source, const char *target,
+                                   struct rn_error *err) {
+    char *path;
+    if (!source->points.count) return RN_OK;
+    if (asprintf(&path, "%s/" RN_POINTS_DOCUMENT, target) < 0)
+        return rn_error_set(err, RN_ERROR_NO_MEMORY, target, "out of memory");
+    enum rn_status status = rn_points_write(&source->points, path, err);
+    free(path);
+    return status;
+}
+
 static enum rn_status conclude(struct import *import, struct rn_dataset *source, const char *name,
                                struct rn_problems *problems, struct rn_error *err) {
     const struct rn_import_options *options = import->options;
-    struct rn_dataset result = {.name = (char *)name, .format = source->format};
+    struct rn_dataset result = {
+        .name = (char *)name, .format = source->format, .points = source->points};
     drop_faulty(import, problems, result.unusable);
     result.frames = import->outputs;
     result.frame_count = import->output_count;
@@ -246,6 +307,7 @@ static enum rn_status conclude(struct import *import, struct rn_dataset *source,
                                   (import->levels > 1 || source->premultiplied_scales);
     enum rn_status status = rn_dataset_seal(&result, import->target, problems, err);
     if (status || (status = drop_from_source(import, source, err)) ||
+        (status = write_points(source, import->target, err)) ||
         (status = rn_output_sync(import->target, err)))
         return status;
     return write_json(&result, import->target, err);

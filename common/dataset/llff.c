@@ -221,6 +221,6 @@ const struct rn_format rn_format_llff = {
     .name = "llff",
     .title = "LLFF",
     .signs = (const struct rn_sign[]){{DOCUMENT, NULL}, {NULL, NULL}},
-    .documents = (const char *const[]){DOCUMENT, NULL},
+    .documents = (const char *const[]){DOCUMENT, "masks/*", NULL},
     .photo_folders = rn_photo_folders,
     .read = read_llff};

@@ -2,6 +2,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "common/dataset/points.h"
 #include "common/dataset/reader.h"
 
 // Both or neither.
@@ -13,12 +14,39 @@ static enum rn_status read_depths(const struct rn_json *object, struct rn_frame 
     return status ? status : rn_json_number(object, "far", frame->near, 1e12, &frame->far, err);
 }
 
+static enum rn_status read_mask(struct rn_reader *reader, const struct rn_json *object,
+                                struct rn_frame *frame, struct rn_error *err) {
+    struct rn_json at;
+    struct rn_frame mask = {0};
+    if (!rn_json_find(object, "mask", &at)) return RN_OK;
+    enum rn_status status = rn_reader_image(reader, object, "mask", "", &mask, err);
+    if (status) return status;
+    frame->mask_path = mask.path;
+    free(mask.name);
+    return RN_OK;
+}
+
+static enum rn_status read_points(struct rn_reader *reader, const struct rn_json *root,
+                                  struct rn_error *err) {
+    struct rn_json at;
+    char *path;
+    if (!rn_json_find(root, "points", &at)) return RN_OK;
+    static const char *const files[] = {RN_POINTS_DOCUMENT};
+    int only;
+    enum rn_status status = rn_json_choice(root, "points", files, 1, &only, err);
+    if (status || (status = rn_reader_document(reader, RN_POINTS_DOCUMENT, &path, err)))
+        return status;
+    status = rn_points_read(path, &reader->dataset->points, err);
+    free(path);
+    return status;
+}
+
 static enum rn_status read_frame(struct rn_reader *reader, const struct rn_json *object,
                                  struct rn_frame *frame, struct rn_error *err) {
-    static const char *const known[] = {"name",        "file",   "split", "index", "scale",
-                                        "loss_weight", "camera", "near",  "far",   NULL};
+    static const char *const known[] = {"name",   "file", "split", "index", "scale", "loss_weight",
+                                        "camera", "near", "far",   "mask",  "photo", NULL};
     static const char *const splits[] = {"train", "val", "test"};
-    struct rn_json camera_at;
+    struct rn_json camera_at, photo_at;
     struct rn_camera camera;
     const char *name;
     int split;
@@ -35,7 +63,11 @@ static enum rn_status read_frame(struct rn_reader *reader, const struct rn_json 
         (status = rn_json_text(object, "name", RN_FILE_NAME_MAX, &name, err)) ||
         (status = rn_reader_image(reader, object, "file", "", frame, err)))
         return status;
-    if ((status = read_depths(object, frame, err))) {
+    if ((status = read_depths(object, frame, err)) ||
+        (status = read_mask(reader, object, frame, err)) ||
+        (rn_json_find(object, "photo", &photo_at) &&
+         (status =
+              rn_json_integer(object, "photo", 0, RN_DATASET_MAX_FRAMES, &frame->photo, err)))) {
         rn_frame_finish(frame);
         return status;
     }
@@ -97,8 +129,8 @@ static enum rn_status read_source(const struct rn_json *root, struct rn_dataset 
 
 static enum rn_status read_document(struct rn_reader *reader, const struct rn_json *root,
                                     void *context, struct rn_error *err) {
-    static const char *const known[] = {"format", "version", "name", "source",
-                                        "bounds", "frames",  NULL};
+    static const char *const known[] = {"format", "version", "name",   "source",
+                                        "bounds", "points",  "frames", NULL};
     static const char *const formats[] = {RN_NATIVE_FORMAT};
     struct rn_dataset *dataset = reader->dataset;
     const char *name;
@@ -110,7 +142,8 @@ static enum rn_status read_document(struct rn_reader *reader, const struct rn_js
         (status = rn_json_refuse_unknown(root, known, err)) ||
         (status = rn_json_text(root, "name", RN_FILE_NAME_MAX, &name, err)) ||
         (status = read_source(root, dataset, err)) ||
-        (status = read_bounds(root, &dataset->bounds, err)))
+        (status = read_bounds(root, &dataset->bounds, err)) ||
+        (status = read_points(reader, root, err)))
         return status;
     free(dataset->name);
     dataset->name = strdup(name);
@@ -126,6 +159,6 @@ const struct rn_format rn_format_native = {
     .name = "native",
     .title = "ripnerf",
     .signs = (const struct rn_sign[]){{RN_NATIVE_DOCUMENT, NULL}, {NULL, NULL}},
-    .documents = (const char *const[]){RN_NATIVE_DOCUMENT, NULL},
+    .documents = (const char *const[]){RN_NATIVE_DOCUMENT, RN_POINTS_DOCUMENT, NULL},
     .photo_folders = (const char *const[]){NULL},
     .read = read_native};

@@ -19,6 +19,7 @@ extern const char *const rn_downscale_names[2]; // by enum rn_downscale
 // A dataset being filled. Thread-safety: one thread. Owner: rn_dataset_read.
 struct rn_reader {
     const char *folder;
+    const char *masks;            // of rn_read_options
     struct rn_problems *problems; // may be NULL
     struct rn_dataset *dataset;
     size_t capacity;       // of dataset->frames
@@ -73,6 +74,11 @@ enum rn_status rn_reader_check_camera(const struct rn_json *object, const char *
 enum rn_status rn_reader_add(struct rn_reader *reader, struct rn_frame *frame,
                              enum rn_status status, struct rn_error *err) RN_MUST_CHECK;
 
+// Gives photographs the masks that lie in a folder, relative to the dataset's (NULL: "masks"), and
+// takes those out whose mask is damaged or of another size, each with its problem. RN_ERROR_INVALID
+// when a folder is given that has no mask.
+enum rn_status rn_reader_find_masks(struct rn_reader *reader, const char *folder,
+                                    struct rn_error *err) RN_MUST_CHECK;
 // Scales the camera's focal lengths and principal point, which are those of width x height pixels,
 // to the image's size, which is told once. RN_ERROR_INVALID for an image of another shape.
 enum rn_status rn_reader_fit(struct rn_reader *reader, const char *where, double width,

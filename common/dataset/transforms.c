@@ -81,12 +81,25 @@ static int split_of(const struct rn_json *root, const char *path) {
     return listed ? RN_SPLIT_COUNT : RN_SPLIT_TRAIN;
 }
 
+static enum rn_status read_mask(struct rn_reader *reader, const struct rn_json *object,
+                                struct rn_frame *frame, struct rn_error *err) {
+    struct rn_json at;
+    struct rn_frame mask = {0};
+    if (!rn_json_find(object, "mask_path", &at)) return RN_OK;
+    enum rn_status status = rn_reader_image(reader, object, "mask_path", "", &mask, err);
+    if (status == RN_ERROR_NOT_FOUND) status = RN_ERROR_INVALID; // no photograph that is missing
+    if (status) return status;
+    frame->mask_path = mask.path;
+    free(mask.name);
+    return RN_OK;
+}
+
 static enum rn_status read_frame(struct rn_reader *reader, const struct transforms *transforms,
                                  struct rn_frame *frame, struct rn_error *err) {
     const struct rn_json *object = &transforms->intrinsics.frame;
     enum rn_status status =
         rn_reader_image(reader, object, "file_path", RN_ANY_EXTENSION, frame, err);
-    if (status) return status;
+    if (status || (status = read_mask(reader, object, frame, err))) return status;
     if ((status = rn_intrinsics_read(reader, &transforms->intrinsics, frame, err)) ||
         (status = rn_reader_pose(object, "transform_matrix", frame->camera.world_from_camera, err)))
         return status;

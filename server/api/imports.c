@@ -46,8 +46,8 @@ static enum rn_status read_alpha(struct rn_request *request, int *alpha, struct 
 // Name and options of an upload stand in the query.
 static enum rn_status read_query(struct rn_request *request, const char **ret_name,
                                  struct rn_ingest_options *options, struct rn_error *err) {
-    static const char *const known[] = {"name",  "max_size", "scales", "alpha",
-                                        "split", "bounds",   "format", NULL};
+    static const char *const known[] = {"name",   "max_size", "scales", "alpha", "split",
+                                        "bounds", "format",   "masks",  NULL};
     const char *name = rn_request_query(request, "name");
     char checked[RN_NAME_MAX];
     enum rn_status status;
@@ -62,7 +62,7 @@ static enum rn_status read_query(struct rn_request *request, const char **ret_na
         (status = read_number(request, "scales", 1, 8, &options->scales, err)) ||
         (status = read_alpha(request, &options->alpha, err)) ||
         (status = TEXT(split, rn_check_split_spec)) || (status = TEXT(bounds, rn_check_bounds)) ||
-        (status = TEXT(format, rn_check_format)))
+        (status = TEXT(format, rn_check_format)) || (status = TEXT(masks, rn_check_inner_path)))
         return status;
 #undef TEXT
     *ret_name = name;

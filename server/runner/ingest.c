@@ -178,8 +178,9 @@ static enum rn_status import(struct ingest *ingest, struct rn_dataset *source,
 
 static enum rn_status read_source(struct ingest *ingest, struct rn_problems *problems,
                                   struct rn_dataset **ret_source, struct rn_error *err) {
-    const char *format = ingest->order.options.format;
-    struct rn_read_options options = {.format = *format ? format : NULL};
+    const struct rn_ingest_options *wanted = &ingest->order.options;
+    struct rn_read_options options = {.format = *wanted->format ? wanted->format : NULL,
+                                      .masks = *wanted->masks ? wanted->masks : NULL};
     return rn_dataset_read_as(ingest->folder, &options, problems, ret_source, err);
 }
 

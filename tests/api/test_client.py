@@ -195,6 +195,19 @@ def test_import_refuses_a_dataset_with_errors_before_sending(client, folder, dae
     assert not daemon.requests
 
 
+def test_import_goes_without_bad_photographs(client, folder, daemon):
+    (folder / "train" / "r_2.png").unlink()
+    client.run("import", folder, "--name", "whole", code=INVALID)
+    result = client.run("import", folder, "--name", "rest", "--skip-bad", "--masks", "m/a",
+                        "--format", "blender", code=INVALID)
+    assert "no mask" in result.stderr and "nothing was sent" in result.stderr
+    client.run("import", folder, "--name", "rest", "--skip-bad", "--format", "blender")
+    assert "train/r_2.png" not in daemon.uploads["rest"] and len(daemon.uploads) == 1
+    assert next(iter(daemon.jobs.values())).record["options"] == {"format": "blender"}
+    client.run("import", folder, "--name", "rest", "--format", "bledner", code=INVALID)
+    assert client.json("validate", folder, "--format", "blender", code=INVALID)["errors"] == 1
+
+
 def test_import_under_a_taken_or_a_bad_name(client, folder, daemon):
     daemon.add_dataset("blank")
     assert "already" in client.run("import", folder, "--name", "blank", code=FAILED).stderr

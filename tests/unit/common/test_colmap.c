@@ -326,6 +326,90 @@ START_TEST(incomplete_model) {
 }
 END_TEST
 
+// Points, who sees them and masks go with an import, whatever becomes of sizes and splits.
+START_TEST(imported) {
+    put_capture();
+    put_png("masks/b.png.png", 40, 30, PNG_COLOR_TYPE_GRAY, 8, PNG_INTERLACE_NONE); // 0x55: black
+    put_png("masks/sub/a b.png", 40, 30, PNG_COLOR_TYPE_RGB, 8, PNG_INTERLACE_NONE);
+    read_ok(folder);
+    ck_assert_uint_eq(problems.errors, 0);
+    ck_assert(tells(RN_SEVERITY_INFO, "2 photographs have masks"));
+    struct rn_import_options options = {.max_size = 20, .scales = 2, .test_every = 2, .threads = 1};
+    struct rn_dataset *source = dataset;
+    dataset = NULL;
+    ck_assert_int_eq(
+        rn_dataset_import(source, "x", &options, in_folder("out"), NULL, NULL, NULL, &err), RN_OK);
+    read_ok(in_folder("out"));
+    ck_assert_uint_eq(dataset->points.count, source->points.count);
+    ck_assert_mem_eq(dataset->points.items, source->points.items,
+                     source->points.count * sizeof *source->points.items);
+    ck_assert_uint_eq(dataset->points.sighting_count, 3);
+    ck_assert_mem_eq(dataset->points.sightings, source->points.sightings,
+                     3 * sizeof *source->points.sightings);
+    const struct rn_frame *small = rn_dataset_frame(dataset, RN_SPLIT_TEST, 1, 1);
+    ck_assert_str_eq(small->name, "a b");
+    ck_assert_int_eq(small->photo, 2);
+    ck_assert_ptr_null(rn_dataset_frame(dataset, RN_SPLIT_TRAIN, 1, 0)->mask_path);
+    struct rn_image mask;
+    ck_assert_int_eq(rn_image_read(small->mask_path, NULL, &mask, &err), RN_OK);
+    ck_assert_int_eq(mask.width, 10);
+    for (int i = 0; i < 10 * 8 * 4; i++)
+        ck_assert_uint_eq(mask.pixels[i], i % 4 == 3 ? 255 : 0);
+    rn_image_finish(&mask);
+    rn_dataset_destroy(&source);
+}
+END_TEST
+
+START_TEST(bad_masks) {
+    put_capture();
+    put_image("masks/b.png.png", 30, 30);
+    put_text("masks/c.png", "no picture");
+    read_ok(folder);
+    ck_assert_uint_eq(problems.errors, 2);
+    ck_assert(tells(RN_SEVERITY_ERROR, "the mask has 30x30 pixels"));
+    ck_assert(tells(RN_SEVERITY_ERROR, "masks/c.png"));
+    ck_assert_uint_eq(dataset->frame_count, 1);
+    struct rn_read_options options = {.masks = "elsewhere"};
+    rn_dataset_destroy(&dataset);
+    ck_assert_int_eq(rn_dataset_read_as(folder, &options, NULL, &dataset, &err), RN_ERROR_INVALID);
+    ck_assert_ptr_nonnull(strstr(err.text, "has no mask of any photograph"));
+}
+END_TEST
+
+// The daemon's own points.bin, cut or spoilt.
+START_TEST(bad_points) {
+    put_capture();
+    read_ok(folder);
+    struct rn_import_options options = {.scales = 1, .threads = 1};
+    ck_assert_int_eq(
+        rn_dataset_import(dataset, "x", &options, in_folder("out"), NULL, NULL, NULL, &err), RN_OK);
+    rn_dataset_destroy(&dataset);
+    uint8_t *bytes;
+    size_t size;
+    ck_assert_int_eq(rn_file_read(in_folder("out/points.bin"), 1 << 20, &bytes, &size, &err),
+                     RN_OK);
+    for (size_t cut = 0; cut < size; cut++) {
+        put_bytes("out/points.bin", bytes, cut);
+        ck_assert_int_eq(rn_dataset_read(in_folder("out"), NULL, &dataset, &err), RN_ERROR_INVALID);
+        ck_assert_ptr_nonnull(strstr(err.where, "points.bin"));
+    }
+    static const struct {
+        size_t at;
+        uint8_t byte;
+    } spoilt[] = {{0, 'X'}, {15, 0x80}, {31, 0x7f}, {24 + 64, 2}};
+    for (size_t i = 0; i < sizeof spoilt / sizeof *spoilt; i++) {
+        uint8_t kept = bytes[spoilt[i].at];
+        bytes[spoilt[i].at] = spoilt[i].byte;
+        if (i == 2) memset(bytes + 24, 0xff, 8); // not a number
+        put_bytes("out/points.bin", bytes, size);
+        ck_assert_int_eq(rn_dataset_read(in_folder("out"), NULL, &dataset, &err), RN_ERROR_INVALID);
+        bytes[spoilt[i].at] = kept;
+        if (i == 2) memset(bytes + 24, 0, 8);
+    }
+    free(bytes);
+}
+END_TEST
+
 // Forty thousand photographs of a hundred keypoints: a file of 100 MB, which never is in memory.
 START_TEST(streamed) {
     enum { COUNT = 40000, KEYPOINTS = 100 };
@@ -376,6 +460,9 @@ int main(void) {
     tcase_add_test(tests, several_models);
     tcase_add_test(tests, no_points);
     tcase_add_test(tests, incomplete_model);
+    tcase_add_test(tests, imported);
+    tcase_add_test(tests, bad_masks);
+    tcase_add_test(tests, bad_points);
     tcase_add_checked_fixture(large, setup, teardown);
     tcase_set_timeout(large, 60);
     tcase_add_test(large, streamed);
