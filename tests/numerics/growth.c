@@ -50,10 +50,10 @@ static struct old grow(struct rn_trainer *t, int n, bool constant, struct numeri
     for (size_t i = 0; i < p->count; i++) {
         double v = numerics_spread(random, 1e-30, 1e6);
         p->values[i] = (float)(constant ? level : numerics_uniform(random, -1, 1));
-        t->m[i] = (float)(numerics_uniform(random, -1, 1) * sqrt(v));
-        t->v[i] = (float)v;
+        t->optimiser.m[i] = (float)(numerics_uniform(random, -1, 1) * sqrt(v));
+        t->optimiser.v[i] = (float)v;
     }
-    float *now[3] = {p->values, t->m, t->v};
+    float *now[3] = {p->values, t->optimiser.m, t->optimiser.v};
     for (int k = 0; k < 3; k++) {
         old.numbers[k] = malloc(p->count * sizeof(float));
         if (!old.numbers[k]) exit(1);
@@ -107,7 +107,7 @@ static void see_planes(struct planes_cases *cases, const struct rn_trainer *t,
                        const struct old *old) {
     const struct rn_field_config *c = &t->field->config.field;
     const struct rn_parameters *p = &t->field->parameters;
-    const float *now[3] = {p->values, t->m, t->v};
+    const float *now[3] = {p->values, t->optimiser.m, t->optimiser.v};
     size_t old_plane = (size_t)(old->base * old->base * c->channels);
     double share = (double)(old->base * old->base) / (c->base * c->base), sum = 0, size = 0;
     for (int k = 0; k < 3; k++)
@@ -123,9 +123,10 @@ static void see_planes(struct planes_cases *cases, const struct rn_trainer *t,
                          "%d to %d, texel %d %d, %g", old->base, c->base, x, y, (double)truth);
         }
     for (size_t i = 0; i < p->plane_count; i++) {
-        numerics_see(&cases->ratio, fabs((double)t->m[i]) / sqrt((double)t->v[i]), "%d to %d",
+        numerics_see(&cases->ratio,
+                     fabs((double)t->optimiser.m[i]) / sqrt((double)t->optimiser.v[i]), "%d to %d",
                      old->base, c->base);
-        sum += (double)t->m[i];
+        sum += (double)t->optimiser.m[i];
     }
     for (size_t i = 0; i < (size_t)c->planes * old_plane; i++) {
         sum -= (double)old->numbers[1][i];

@@ -207,13 +207,13 @@ mutate rays $cpu/march.h "march: in rounds, what earlier ones found is lost" \
 mutate rays $cpu/march.h "march: cells by truncation towards the centre" \
     's/p \* half + half, 0.0f, top/p * half + half - 0.01f, 0.0f, top/'
 mutate training server/engine/train/step.c "training: parameters not looked at after a step" \
-    's/rn_trainer_guard_step(t, finite);/(void)finite;/'
+    's/rn_trainer_guard_step(t, accepted);/(void)accepted;/'
 mutate training server/engine/train/trainer.c "training: saved without a look" \
     's/rn_trainer_guard_save(t);//'
 mutate training $train/guard.c "training: rolled back with spoilt moments" \
-    's/memset(t->[mv], 0, bytes);//'
-mutate incidents $train/step.c "training: the rate stays after a rollback" \
-    's/-(int)t->progress.rollbacks/0 * (int)t->progress.rollbacks/'
+    's/memset(t->optimiser.[mv], 0, bytes);//'
+mutate incidents $train/schedule.c "training: the rate stays after a rollback" \
+    's/-(int)progress->rollbacks/0 * (int)progress->rollbacks/'
 mutate incidents $train/occupancy.c "occupancy: a cell that is no number stays so" \
     's/if (!isfinite(old)) old = 0;//'
 mutate incidents server/engine/checkpoint/checkpoint.c "checkpoint: read without a look" \
@@ -227,8 +227,8 @@ mutate incidents $train/incident.c "incident: the offending rays are not looked 
 mutate incidents $cpu/loss.h "training: a ray that is not finite goes back" \
     's/if (!isfinite(loss)) return false;/if (isinf(loss)) return false;/'
 mutate reproducible $train/trainer.c "view dependence: measured as the step before marched" \
-    's/march = rn_trainer_march(t);/march = t->march;/'
-mutate reproducible $train/step.c "rays: drawn by the thread's own count" \
+    's/march = rn_schedule_march(.*);/march = t->march;/'
+mutate reproducible $train/sampler.c "rays: drawn by the thread's own count" \
     's/rn_rng_draw(t->march.seed, STREAM_RAYS | (uint32_t)r, t->march.counter)/rn_rng_draw(t->march.seed + (uint64_t)rn_pool_threads(t->engine->pool), STREAM_RAYS | (uint32_t)r, t->march.counter)/'
 mutate roulette $cpu/backward.h "roulette: survivors count once" \
     's/row \* ((float)CERTAIN .*/row;/'
@@ -236,7 +236,7 @@ mutate roulette $cpu/backward.h "roulette: what is likelier than not goes back" 
     's/n += next \/ CERTAIN != sum \/ CERTAIN;/n += w->chance[i] > CERTAIN \/ 2;/'
 mutate overflow $cpu/backward.h "roulette: what is not finite is left out" \
     's/(size != 0.0f)/(size > 0.0f)/'
-mutate training $train/step.c "sparse updates: planes decay" \
+mutate training $train/optimiser.c "sparse updates: planes decay" \
     's/if (config->sparse) u.planes.decay = 0;.*//'
 mutate kernels $cpu/smooth.h "smoothing: one colour twice" \
     's/y - 1, y % 2, share/y - 1, 1 - y % 2, share/'
@@ -268,20 +268,20 @@ mutate doctor $field/volume.h "doctor: compositing by a product of 1 - opacity" 
     's/before = after\[i\] = exp(-sum);/before = after[i] = before * (1 - rn_alpha(x[i]));/'
 grow=$train/grow.c
 mutate growth $grow "growth: moments as they were" \
-    's/\({t->m, m, .*\), share}/\1, 1}/'
+    's/\({t->optimiser.m, m, .*\), share}/\1, 1}/'
 mutate growth $grow "growth: corners aligned to the edges" \
     's/double u = .*/double u = x * (e->old - 1.0) \/ (e->side - 1);/'
 mutate growth $grow "growth: nearest texels" 's/float fx = .*/float fx = 0;/'
 mutate growth $grow "growth: a border's texel as its neighbour and the difference" \
     's/int column = (int)u, right = .*/int column = (int)fmin(u, e->old - 2), right = e->channels;/'
 mutate growth $grow "growth: spoilt parameters become the good ones" \
-    's/ || t->rejected > 0 || !rn_trainer_all_finite(t)//'
+    's/ || t->optimiser.rejected > 0 || !rn_trainer_all_finite(t)//'
 mutate overflow $grow "growth: overflowing parameters become the good ones" \
-    's/ || t->rejected > 0//'
-mutate overflow $train/step.c "overflow: the step is taken all the same" \
+    's/ || t->optimiser.rejected > 0//'
+mutate overflow $train/optimiser.c "overflow: the step is taken all the same" \
     's/return check == 0 && isfinite(loss);/return check == 0 || isfinite(loss);/'
 mutate overflow $train/guard.c "overflow: steps are rejected for ever" \
-    's/if (wild || t->rejected >= MOST_REJECTED)/if (wild)/'
+    's/if (wild || t->optimiser.rejected >= MOST_REJECTED)/if (wild)/'
 mutate reproducible server/engine/checkpoint/state.c "growth: a resumed run no longer grows" \
     's/CONFIG(grow_to, KIND_INT),//'
 mutate proofs $cpu/simd.h "proofs: a coefficient that is not the proved one" \

@@ -114,7 +114,7 @@ static inline size_t busy_texel(const struct rn_trainer *t, struct numerics_rand
     size_t best = 0;
     for (int i = 0; i < 256; i++) {
         size_t at = (size_t)numerics_uniform(random, 0, (double)t->field->parameters.plane_count);
-        if (i == 0 || t->v[at] > t->v[best]) best = at;
+        if (i == 0 || t->optimiser.v[at] > t->optimiser.v[best]) best = at;
     }
     return best;
 }
@@ -133,9 +133,9 @@ static inline void plant(struct rn_trainer *t, int what, struct numerics_random 
     if (what == 0) p->values[texel] = NAN;
     if (what == 1) p->values[weight] = INFINITY;
     if (what == 2) p->values[colours] = NAN;
-    if (what == 3) t->grad[texel] = NAN;
-    if (what == 4) t->m[weight] = NAN;
-    if (what == 5) t->v[weight] = NAN;
+    if (what == 3) t->optimiser.grad[texel] = NAN;
+    if (what == 4) t->optimiser.m[weight] = NAN;
+    if (what == 5) t->optimiser.v[weight] = NAN;
     for (size_t i = 0; i < p->plane_count && what == 6; i++)
         p->values[i] = NAN;
 }

@@ -57,7 +57,8 @@ static int check_saved(struct rn_engine *engine, const struct rn_dataset *datase
         numerics_see(&c, count_left(engine, t), "%s", plant_names[at_once[i]]);
         rn_trainer_destroy(&t);
         must(rn_trainer_restore(engine, dataset, path, 0, &t, &err), &err);
-        numerics_see(&c, count_wild(t->m, t->field->parameters.count), "restored moments");
+        numerics_see(&c, count_wild(t->optimiser.m, t->field->parameters.count),
+                     "restored moments");
         rn_trainer_destroy(&t);
     }
     return numerics_close(&c);

@@ -237,13 +237,13 @@ mutate guards backend.cu "memory taken without counting" 's/if (need <= budget_b
 mutate_engine standard train/trainer.c "engine: what the host decided stays on the host" \
     's|^    return rn_trainer_put(t, err);|    return RN_OK;|'
 mutate_engine standard train/device.c "engine: Adam counts from 0 after growth" \
-    's/    t->updates = p->updates;//'
+    's/    t->optimiser.updates = p->updates;//'
 mutate_engine standard train/device.c "engine: planes at the networks' rate" \
-    's/rate \* t->field->config.plane_rate/rate/'
+    's/rate \* config->plane_rate/rate/'
 mutate_engine standard train/device.c "engine: occupancy measured at no step" \
-    's/step.measure = .*/step.measure = false;/'
+    's/.measure = turn.due,/.measure = false,/'
 mutate_engine standard train/device.c "engine: moments do not follow to the device" \
-    's/\.m = t->m,/.m = NULL,/;s/\.v = t->v}/.v = NULL}/'
+    's/\.m = t->optimiser.m,/.m = NULL,/;s/\.v = t->optimiser.v}/.v = NULL}/'
 mutate_engine standard scene/device.c "engine: moments are not read back" \
     's/download(f->on_device, f->parameters.values, m, v,/download(f->on_device, f->parameters.values, NULL, NULL,/'
 mutate_engine paper train/device.c "engine: samples counted twice" \

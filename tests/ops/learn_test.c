@@ -302,8 +302,8 @@ static bool sees_hull(const struct rn_trainer *t, const struct rn_pixel_frame *f
 
 // Whether a frame's pixel is in a live block.
 static bool is_live(const struct rn_trainer *t, int frame, int x, int y) {
-    for (size_t i = 0; i < t->live_count; i++) {
-        const struct rn_live_block *b = &t->live[i];
+    for (size_t i = 0; i < t->sampler.live_count; i++) {
+        const struct rn_live_block *b = &t->sampler.live[i];
         if (b->frame == (uint32_t)frame && x >= b->x && x < b->x + RN_LIVE_BLOCK && y >= b->y &&
             y < b->y + RN_LIVE_BLOCK)
             return true;
@@ -379,7 +379,7 @@ START_TEST(random_backgrounds_have_their_time) {
     struct rn_engine *engine = engine_with(1);
     struct rn_trainer *t = trainer_for(engine, dataset, &config);
     for (; t->progress.step < 10; t->progress.step++) {
-        struct rn_march_options march = rn_trainer_march(t);
+        struct rn_march_options march = rn_schedule_march(&t->field->config, &t->progress);
         bool first = t->progress.step < 4;
         ck_assert_float_eq(march.background[1], first ? 0.5f : 0.75f);
         ck_assert_float_eq_tol(march.background_variance, first ? 0.25f : 0, 1e-9f);
@@ -474,9 +474,10 @@ START_TEST(planes_are_smoothed_in_their_turn) {
     advance_to(rough, 31);
     ck_planes_eq(smooth, rough);
     double factor = exp(-3.0 * (31.0 / 64 - 0.2) / 0.8);
-    float share = rn_trainer_smoothing(smooth);
+    float share = rn_schedule_smoothing(&smooth->field->config, &smooth->progress);
     ck_assert_double_eq_tol((double)share, 0.2 * factor * factor, 1e-6);
-    ck_assert_float_eq_tol(rn_trainer_smoothing(rough), 0, 1e-9f);
+    ck_assert_float_eq_tol(rn_schedule_smoothing(&rough->field->config, &rough->progress), 0,
+                           1e-9f);
     advance_to(smooth, 32);
     advance_to(rough, 32);
     const struct rn_field_config *c = &rough->field->config.field;

@@ -141,8 +141,8 @@ START_TEST(draws_by_error_resume) {
         }
         run_to_end(trainer);
         float most = 0;
-        for (size_t b = 0; b < trainer->importance.count; b++)
-            most = fmaxf(most, trainer->importance.share[b]);
+        for (size_t b = 0; b < trainer->sampler.importance.count; b++)
+            most = fmaxf(most, trainer->sampler.importance.share[b]);
         ck_assert(i < 2 ? most > 1.1f : most == 0); // errors were noted
         rn_field_sha256(rn_trainer_field(trainer), hex[i]);
         rn_trainer_destroy(&trainer);
@@ -304,7 +304,7 @@ START_TEST(training_ends_with_its_time) {
     struct rn_engine *engine = engine_of("generic");
     struct rn_trainer *trainer = trainer_for(engine, dataset, &config);
     struct rn_progress progress;
-    double rate = rn_trainer_rate(trainer);
+    double rate = rn_schedule_rate(&trainer->field->config, &trainer->progress);
     ck_assert_int_eq(rn_trainer_config(trainer)->field.base, 32);
     for (progress.done = false; !progress.done;) {
         ck_assert(rn_trainer_advance(trainer, 1, &err) == RN_OK);
@@ -315,7 +315,8 @@ START_TEST(training_ends_with_its_time) {
     ck_assert_double_lt(progress.train_seconds, 0.55);
     ck_assert_int_gt(progress.step, 10);
     ck_assert_int_eq(rn_trainer_config(trainer)->field.base, 64);
-    ck_assert_double_eq_tol(rn_trainer_rate(trainer) / rate, exp(-3), 1e-3);
+    ck_assert_double_eq_tol(rn_schedule_rate(&trainer->field->config, &trainer->progress) / rate,
+                            exp(-3), 1e-3);
     rn_trainer_destroy(&trainer);
     rn_engine_destroy(&engine);
     rn_clock_set_source(NULL, NULL);

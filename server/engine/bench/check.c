@@ -329,7 +329,7 @@ static double product(const struct rn_bench_recording *rec, int levels, double *
         for (int y = 0; y < levels; y++)
             for (int x = 0; x < levels; x++) {
                 const struct rn_map *map = &f->maps[p][y][x];
-                const struct rn_map *grad = &rec->trainer->grad_maps[p][y][x];
+                const struct rn_map *grad = &rec->trainer->optimiser.grad_maps[p][y][x];
                 if (!rn_map_exists(f->config->footprint == RN_FOOTPRINT_MIP, x, y)) continue;
                 size_t n = (size_t)map->width * (size_t)map->height * (size_t)f->config->channels;
                 for (size_t i = 0; i < n; i++) {
@@ -349,7 +349,7 @@ double rn_bench_check_pyramid(const struct rn_bench_recording *rec) {
     for (int p = 0; p < f->config->planes; p++)
         for (int y = 0; y < f->built_levels; y++)
             for (int x = 0; x < f->built_levels; x++) {
-                const struct rn_map *grad = &rec->trainer->grad_maps[p][y][x];
+                const struct rn_map *grad = &rec->trainer->optimiser.grad_maps[p][y][x];
                 if (!rn_map_exists(f->config->footprint == RN_FOOTPRINT_MIP, x, y)) continue;
                 size_t n = (size_t)grad->width * (size_t)grad->height * (size_t)f->config->channels;
                 for (size_t i = 0; i < n; i++)
@@ -414,8 +414,10 @@ double rn_bench_check_optimiser(const struct rn_bench_recording *rec) {
     float *memory = malloc(4 * n * sizeof *memory);
     struct worst worst = {0};
     if (!memory) return INFINITY;
-    if (t->levels > 1) rec->kernels->pull_down(t->grad_maps[0], t->levels, mip, c->channels);
-    float *now[4] = {t->field->parameters.values, t->grad_maps[0][0][0].texels, t->m, t->v};
+    if (t->optimiser.levels > 1)
+        rec->kernels->pull_down(t->optimiser.grad_maps[0], t->optimiser.levels, mip, c->channels);
+    float *now[4] = {t->field->parameters.values, t->optimiser.grad_maps[0][0][0].texels,
+                     t->optimiser.m, t->optimiser.v};
     for (int k = 0; k < 4; k++)
         memcpy(memory + (size_t)k * n, now[k], n * sizeof *memory);
     rn_bench_update(rec, 0, &o);
@@ -426,7 +428,7 @@ double rn_bench_check_optimiser(const struct rn_bench_recording *rec) {
     }
     for (int k = 0; k < 4; k++)
         memcpy(now[k], memory + (size_t)k * n, n * sizeof *memory);
-    if (t->levels > 1)
+    if (t->optimiser.levels > 1)
         rec->kernels->build(t->field->cpu.maps[0], rec->field->built_levels, mip, c->channels);
     free(memory);
     return met > 0 ? result(&worst) : INFINITY;

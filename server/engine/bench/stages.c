@@ -70,7 +70,7 @@ enum rn_status rn_bench_record(struct rn_trainer *trainer, struct rn_bench_recor
     size_t bytes = rn_workspace_size(rec.field, trainer->field->config.step);
     bytes = (bytes + 4095) / 4096 * 4096;
     rec.memory = aligned_alloc(4096, bytes * RN_GROUPS);
-    rec.marks = malloc(trainer->tiles * (size_t)rec.field->config->planes);
+    rec.marks = malloc(trainer->optimiser.tiles * (size_t)rec.field->config->planes);
     if (!rec.memory || !rec.marks) {
         rn_bench_recording_finish(&rec);
         return rn_error_set(err, RN_ERROR_NO_MEMORY, "bench", "out of memory");
@@ -111,11 +111,12 @@ void rn_bench_stage_run(const struct rn_bench_recording *rec, const struct rn_be
 void rn_bench_scatter(const struct rn_bench_recording *rec) {
     struct rn_trainer *t = rec->trainer;
     for (int plane = 0; plane < rec->field->config->planes; plane++)
-        for (int band = 0; band < t->bands; band++)
+        for (int band = 0; band < t->optimiser.bands; band++)
             for (int k = 0; k < rec->packet_count; k++)
-                rec->kernels->scatter(rec->field, &rec->packets[k].group->slab, plane, t->levels,
-                                      rn_trainer_band(t, band), rn_trainer_band(t, band + 1),
-                                      t->grad_maps[plane], t->touched + (size_t)plane * t->tiles);
+                rec->kernels->scatter(rec->field, &rec->packets[k].group->slab, plane,
+                                      t->optimiser.levels, rn_trainer_band(t, band),
+                                      rn_trainer_band(t, band + 1), t->optimiser.grad_maps[plane],
+                                      t->optimiser.touched + (size_t)plane * t->optimiser.tiles);
 }
 
 // The update clears its marks: it gets a copy.
@@ -124,18 +125,18 @@ void rn_bench_update(const struct rn_bench_recording *rec, int plane,
     struct rn_trainer *t = rec->trainer;
     const struct rn_field_config *c = rec->field->config;
     size_t size = (size_t)c->base * (size_t)c->base * (size_t)c->channels, p = (size_t)plane;
-    uint8_t *marks = rec->marks + p * t->tiles;
-    bool sparse = t->field->config.sparse && t->tiled;
+    uint8_t *marks = rec->marks + p * t->optimiser.tiles;
+    bool sparse = t->field->config.sparse && t->optimiser.tiled;
     struct rn_plane_update update = {.options = options,
                                      .maps = t->field->cpu.maps[p],
-                                     .grad_maps = t->grad_maps[p],
-                                     .m = t->m + p * size,
-                                     .v = t->v + p * size,
+                                     .grad_maps = t->optimiser.grad_maps[p],
+                                     .m = t->optimiser.m + p * size,
+                                     .v = t->optimiser.v + p * size,
                                      .touched = sparse ? marks : NULL,
-                                     .levels = t->tiled ? t->levels : 1,
+                                     .levels = t->optimiser.tiled ? t->optimiser.levels : 1,
                                      .channels = c->channels,
                                      .mip = c->footprint == RN_FOOTPRINT_MIP};
-    memcpy(marks, t->touched + p * t->tiles, t->tiles);
+    memcpy(marks, t->optimiser.touched + p * t->optimiser.tiles, t->optimiser.tiles);
     rec->kernels->update(&update, 0, c->base);
 }
 
@@ -154,11 +155,11 @@ void rn_bench_optimise(const struct rn_bench_recording *rec) {
 size_t rn_bench_touched(const struct rn_bench_recording *rec) {
     const struct rn_trainer *t = rec->trainer;
     const struct rn_field_config *c = rec->field->config;
-    struct rn_tiling tiling = rn_tiling(c->base, c->channels, t->levels);
-    size_t tiles = 0, all = t->tiles * (size_t)c->planes;
-    if (!t->field->config.sparse || !t->tiled) return t->field->parameters.plane_count;
+    struct rn_tiling tiling = rn_tiling(c->base, c->channels, t->optimiser.levels);
+    size_t tiles = 0, all = t->optimiser.tiles * (size_t)c->planes;
+    if (!t->field->config.sparse || !t->optimiser.tiled) return t->field->parameters.plane_count;
     for (size_t i = 0; i < all; i++)
-        tiles += t->touched[i];
+        tiles += t->optimiser.touched[i];
     return (tiles * (size_t)c->channels) << (tiling.shift_x + tiling.shift_y);
 }
 
@@ -167,7 +168,7 @@ void rn_bench_pyramid(const struct rn_bench_recording *rec) {
     const struct rn_field_config *c = rec->field->config;
     bool mip = c->footprint == RN_FOOTPRINT_MIP;
     for (int p = 0; p < c->planes; p++) {
-        rec->kernels->pull_down(t->grad_maps[p], t->levels, mip, c->channels);
+        rec->kernels->pull_down(t->optimiser.grad_maps[p], t->optimiser.levels, mip, c->channels);
         rec->kernels->build(t->field->cpu.maps[p], rec->field->built_levels, mip, c->channels);
     }
 }
@@ -324,7 +325,7 @@ static void time_update(struct bench *b) {
                rec);
     time_stage(b, OPTIMISER, rn_bench_check_optimiser(rec), rn_bench_count_optimiser(rec),
                run_optimise, rec);
-    if (rec->trainer->levels > 1)
+    if (rec->trainer->optimiser.levels > 1)
         time_stage(b, PYRAMID, rn_bench_check_pyramid(rec), rn_bench_count_pyramid(rec),
                    run_pyramid, rec);
     time_stage(b, OCCUPANCY, rn_bench_check_occupancy(rec), rn_bench_count_occupancy(rec),

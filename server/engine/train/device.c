@@ -6,7 +6,6 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "server/engine/field/occupancy.h"
 #include "server/engine/render/cones.h"
 #include "server/engine/train/trainer.h"
 
@@ -25,20 +24,20 @@ static void pack_scales(const struct rn_trainer *t, struct rn_device_pixels *p) 
     p->frame_count = t->train.frame_count;
     p->scale_count = t->train.scale_count;
     p->pixel_count = t->train.pixel_count;
-    p->live_count = t->live_count;
+    p->live_count = t->sampler.live_count;
     for (int s = 0; s < p->scale_count; s++) {
         p->scale_first[s] = t->train.scale_first[s];
         p->scale_pixels[s] = t->train.scale_pixels[s];
     }
     p->scale_first[p->scale_count] = p->frame_count;
     for (int s = 0; s <= p->scale_count; s++)
-        p->live_first[s] = t->live_first[s];
+        p->live_first[s] = t->sampler.live_first[s];
 }
 
 static enum rn_status pack_pixels(const struct rn_trainer *t, struct packed_pixels *ret,
                                   struct rn_error *err) {
     ret->frames = calloc((size_t)t->train.frame_count + 1, sizeof *ret->frames);
-    ret->live = calloc(t->live_count + 1, sizeof *ret->live);
+    ret->live = calloc(t->sampler.live_count + 1, sizeof *ret->live);
     if (!ret->frames || !ret->live)
         return rn_error_set(err, RN_ERROR_NO_MEMORY, "trainer", "out of memory");
     for (int f = 0; f < t->train.frame_count; f++) {
@@ -48,9 +47,10 @@ static enum rn_status pack_pixels(const struct rn_trainer *t, struct packed_pixe
                                                   .before = from->before,
                                                   .loss_weight = (float)from->frame->loss_weight};
     }
-    for (size_t i = 0; i < t->live_count; i++)
-        ret->live[i] = (struct rn_device_block){
-            .frame = t->live[i].frame, .x = t->live[i].x, .y = t->live[i].y};
+    for (size_t i = 0; i < t->sampler.live_count; i++)
+        ret->live[i] = (struct rn_device_block){.frame = t->sampler.live[i].frame,
+                                                .x = t->sampler.live[i].x,
+                                                .y = t->sampler.live[i].y};
     pack_scales(t, &ret->pixels);
     ret->pixels.frames = ret->frames;
     ret->pixels.live = ret->live;
@@ -64,7 +64,7 @@ static enum rn_status put_training(struct rn_trainer *t, struct rn_error *err) {
     struct rn_device_training training = {.deterministic = t->engine->deterministic,
                                           .next_rays = t->next_rays,
                                           .step = t->progress.step,
-                                          .updates = t->updates,
+                                          .updates = t->optimiser.updates,
                                           .gradient_scale = t->gradient_scale,
                                           .good_steps = t->good_steps,
                                           .gradient_size = t->gradient_size,
@@ -72,12 +72,13 @@ static enum rn_status put_training(struct rn_trainer *t, struct rn_error *err) {
                                           .march_step = (double)t->march.step,
                                           .split = t->march.split,
                                           .background_variance = t->march.background_variance,
-                                          .m = t->m,
-                                          .v = t->v};
+                                          .m = t->optimiser.m,
+                                          .v = t->optimiser.v};
     memcpy(training.background, t->march.background, sizeof training.background);
     enum rn_status status = pack_pixels(t, &packed, err);
     if (status == RN_OK)
-        status = rn_field_put(t->engine, t->field, t->levels, &packed.pixels, &training, err);
+        status =
+            rn_field_put(t->engine, t->field, t->optimiser.levels, &packed.pixels, &training, err);
     free(packed.frames);
     free(packed.live);
     return status;
@@ -118,19 +119,17 @@ enum rn_status rn_trainer_validate_rows(struct rn_trainer *t, const struct rn_pi
     return status;
 }
 
-// The schedule of train/step.c and train/occupancy.c.
 static struct rn_device_step next_step(const struct rn_trainer *t) {
-    double rate = rn_trainer_rate(t);
-    struct rn_device_step step = {.network_rate = (float)rate,
-                                  .plane_rate = (float)(rate * t->field->config.plane_rate)};
-    int64_t round = t->progress.step / RN_OCCUPANCY_EVERY;
-    bool all = t->progress.step < (t->field->config.carve ? 1 : RN_OCCUPANCY_WARM_UP);
-    step.measure = t->progress.step % RN_OCCUPANCY_EVERY == 0;
-    step.measure_stride = all ? 1 : 4;
-    step.measure_first = all ? 0 : (uint32_t)(round % 4);
-    step.measure_decay = (float)pow(RN_OCCUPANCY_DECAY, step.measure_stride);
-    step.smoothing = rn_trainer_smoothing(t);
-    return step;
+    const struct rn_train_config *config = &t->field->config;
+    double rate = rn_schedule_rate(config, &t->progress);
+    struct rn_occupancy_turn turn = rn_schedule_occupancy(config, t->progress.step);
+    return (struct rn_device_step){.network_rate = (float)rate,
+                                   .plane_rate = (float)(rate * config->plane_rate),
+                                   .measure = turn.due,
+                                   .measure_first = turn.first,
+                                   .measure_stride = turn.stride,
+                                   .measure_decay = turn.decay,
+                                   .smoothing = rn_schedule_smoothing(config, &t->progress)};
 }
 
 static void take_progress(struct rn_trainer *t, const struct rn_device_progress *p,
@@ -145,9 +144,9 @@ static void take_progress(struct rn_trainer *t, const struct rn_device_progress 
     for (int l = 0; l < RN_MAX_LEVELS; l++)
         to->level_samples[l] += p->level_samples[l] - before->level_samples[l];
     if (p->loss > 0 && isfinite(p->loss)) to->loss = p->loss;
-    t->updates = p->updates;
+    t->optimiser.updates = p->updates;
     t->next_rays = p->next_rays;
-    t->rejected = p->rejected_in_a_row;
+    t->optimiser.rejected = p->rejected_in_a_row;
     t->gradient_scale = p->gradient_scale;
     t->good_steps = p->good_steps;
     t->gradient_size = p->gradient_size;
@@ -174,7 +173,7 @@ enum rn_status rn_trainer_run_device(struct rn_trainer *t, struct rn_error *err)
         struct rn_device_step step = next_step(t);
         status = t->field->backend->train_step(on, &step, err);
         t->field->steps = ++t->progress.step;
-        if (rn_trainer_turn_due(t) || rn_trainer_fraction(t) >= 1) break;
+        if (rn_trainer_turn_due(t) || rn_schedule_done(&t->field->config, &t->progress) >= 1) break;
     }
     if (status == RN_OK) status = t->field->backend->train_finish(on, &p, err);
     if (status != RN_OK) return status;

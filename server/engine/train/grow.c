@@ -8,9 +8,6 @@
 #include "server/engine/scene/occupancy.h"
 #include "server/engine/train/trainer.h"
 
-#define LAST_GROWTH 0.35 // fraction of the run at which the planes reach their final size
-#define EARLIER 0.3      // each doubling before that comes at this share of the next one's fraction
-
 // One map made larger, bilinearly, texel centres to texel centres, and scaled. Each number is
 // within 3 ULP of the largest of the texels that enter with a weight, constant maps stay as they
 // are, and what was positive keeps its relative accuracy: a second moment does not vanish beside a
@@ -66,17 +63,6 @@ static void carry_record(const struct rn_field *from, struct rn_field *to) {
     to->psnr = from->psnr;
 }
 
-// The base side that the run should have by now.
-static int wanted_base(const struct rn_trainer *t) {
-    const struct rn_train_config *c = &t->field->config;
-    double fraction = rn_trainer_fraction(t);
-    int base = c->grow_to;
-    if (isnan(fraction)) return base;
-    for (double at = LAST_GROWTH; base / 2 >= c->field.base && fraction < at; at *= EARLIER)
-        base /= 2;
-    return base;
-}
-
 // A growth under way, beside the field that is rendered meanwhile: the larger one, and the block of
 // its gradients and moments. The moments follow their texels: a texel of the new grid gets a
 // quarter of the gradient, so its moments are a quarter and a sixteenth of the old.
@@ -105,11 +91,11 @@ static struct carry carry_of(const struct rn_trainer *t) {
     const struct rn_field_config *c = &to->config.field;
     int old = from->config.field.base;
     float share = powf((float)old / (float)c->base, 2);
-    float *m = t->growth->grad + rn_trainer_moments(to), *v = m + rn_trainer_moments(to);
+    float *m = t->growth->grad + rn_optimiser_moments(to), *v = m + rn_optimiser_moments(to);
     return (struct carry){
         .planes = {{from->parameters.values, to->parameters.values, old, c->base, c->channels, 1},
-                   {t->m, m, old, c->base, c->channels, share},
-                   {t->v, v, old, c->base, c->channels, share * share}},
+                   {t->optimiser.m, m, old, c->base, c->channels, share},
+                   {t->optimiser.v, v, old, c->base, c->channels, share * share}},
         .old = &from->parameters,
         .new = &to->parameters};
 }
@@ -131,10 +117,10 @@ static void carry_networks(const struct carry *carry) {
 
 static enum rn_status make_field(struct rn_trainer *t, struct rn_error *err) {
     struct rn_train_config config = t->field->config;
-    config.field.base = wanted_base(t);
+    config.field.base = rn_schedule_base(&t->field->config, &t->progress);
     enum rn_status status = rn_field_create(&config, &t->field->bounds, &t->growth->field, err);
     if (status != RN_OK) return status;
-    t->growth->grad = rn_block_create(3 * rn_trainer_moments(t->growth->field) * sizeof(float));
+    t->growth->grad = rn_block_create(3 * rn_optimiser_moments(t->growth->field) * sizeof(float));
     if (!t->growth->grad) return rn_error_set(err, RN_ERROR_NO_MEMORY, "trainer", "out of memory");
     return RN_OK;
 }
@@ -166,9 +152,9 @@ static enum rn_status move_in(struct rn_trainer *t, struct rn_error *err) {
     *t->growth->field = swap;
     t->field->cpu.config = &t->field->config.field;
     t->growth->field->cpu.config = &t->growth->field->config.field;
-    rn_block_destroy(t->grad);
+    rn_block_destroy(t->optimiser.grad);
     rn_trainer_free_step(t);
-    t->grad = t->growth->grad;
+    t->optimiser.grad = t->growth->grad;
     t->growth->grad = NULL;
     rn_field_destroy(&t->growth->field); // the old planes go before what follows needs memory
     enum rn_status status = rn_trainer_set_up(t, err);
@@ -183,14 +169,16 @@ static enum rn_status (*const stages[])(struct rn_trainer *t, struct rn_error *e
 
 bool rn_trainer_grows(const struct rn_trainer *t) {
     int base = t->field->config.field.base;
-    return t->field->config.grow_to > base && wanted_base(t) > base;
+    return t->field->config.grow_to > base &&
+           rn_schedule_base(&t->field->config, &t->progress) > base;
 }
 
 enum rn_status rn_trainer_grow(struct rn_trainer *t, struct rn_error *err) {
     if (!t->growth) {
         // What is not finite, or makes steps be rejected (it overflows on its way), is left to the
         // guard at the step's end: it must not become the state that a rollback returns to.
-        if (!rn_trainer_grows(t) || t->rejected > 0 || !rn_trainer_all_finite(t)) return RN_OK;
+        if (!rn_trainer_grows(t) || t->optimiser.rejected > 0 || !rn_trainer_all_finite(t))
+            return RN_OK;
         t->growth = calloc(1, sizeof *t->growth);
         if (!t->growth) return rn_error_set(err, RN_ERROR_NO_MEMORY, "trainer", "out of memory");
     }

@@ -38,15 +38,16 @@ static bool all_finite(const struct rn_trainer *t, const float *numbers) {
 }
 
 bool rn_trainer_all_finite(const struct rn_trainer *t) {
-    return all_finite(t, t->field->parameters.values) && all_finite(t, t->m) && all_finite(t, t->v);
+    return all_finite(t, t->field->parameters.values) && all_finite(t, t->optimiser.m) &&
+           all_finite(t, t->optimiser.v);
 }
 
 static void copy_chunk(void *context, int index, int thread) {
     (void)thread;
     const struct rn_trainer *t = context;
     size_t begin = (size_t)index * CHUNK, left = t->field->parameters.count - begin;
-    memcpy(t->good + begin, t->field->parameters.values + begin,
-           (left < CHUNK ? left : CHUNK) * sizeof *t->good);
+    memcpy(t->optimiser.good + begin, t->field->parameters.values + begin,
+           (left < CHUNK ? left : CHUNK) * sizeof *t->optimiser.good);
 }
 
 static void copy_good(struct rn_trainer *t) {
@@ -55,8 +56,10 @@ static void copy_good(struct rn_trainer *t) {
 }
 
 enum rn_status rn_trainer_keep_good(struct rn_trainer *t, struct rn_error *err) {
-    if (!t->good) t->good = rn_block_create(t->field->parameters.count * sizeof *t->good);
-    if (!t->good) return rn_error_set(err, RN_ERROR_NO_MEMORY, "trainer", "out of memory");
+    if (!t->optimiser.good)
+        t->optimiser.good = rn_block_create(t->field->parameters.count * sizeof *t->optimiser.good);
+    if (!t->optimiser.good)
+        return rn_error_set(err, RN_ERROR_NO_MEMORY, "trainer", "out of memory");
     copy_good(t);
     return RN_OK;
 }
@@ -64,12 +67,12 @@ enum rn_status rn_trainer_keep_good(struct rn_trainer *t, struct rn_error *err) 
 // The optimiser's moments may be spoilt too: it starts anew.
 void rn_trainer_roll_back(struct rn_trainer *t) {
     rn_trainer_note(t, RN_INCIDENT_ROLLBACK);
-    size_t bytes = t->field->parameters.count * sizeof *t->good;
-    memcpy(t->field->parameters.values, t->good, bytes);
-    memset(t->m, 0, bytes);
-    memset(t->v, 0, bytes);
-    t->updates = t->rejected = 0;
-    t->wild = false;
+    size_t bytes = t->field->parameters.count * sizeof *t->optimiser.good;
+    memcpy(t->field->parameters.values, t->optimiser.good, bytes);
+    memset(t->optimiser.m, 0, bytes);
+    memset(t->optimiser.v, 0, bytes);
+    t->optimiser.updates = t->optimiser.rejected = 0;
+    t->optimiser.wild = false;
     t->progress.rollbacks++;
     rn_field_refresh(t->field, t->engine);
 }
@@ -83,15 +86,15 @@ static bool has_offenders(const struct rn_trainer *t) {
 // The optimiser looks at every number that it writes; all are looked at where a step was rejected,
 // which is what a number that is not finite leads to, and before a copy is called good.
 void rn_trainer_guard_step(struct rn_trainer *t, bool accepted) {
-    t->rejected = accepted ? 0 : t->rejected + 1;
+    t->optimiser.rejected = accepted ? 0 : t->optimiser.rejected + 1;
     if (!accepted)
         rn_trainer_note(t, RN_INCIDENT_REJECTED);
     else if (has_offenders(t))
         rn_trainer_note(t, RN_INCIDENT_RAYS);
-    bool copy = accepted && t->updates % GOOD_EVERY == 0;
-    bool wild = t->wild || ((copy || !accepted || has_offenders(t)) &&
-                            !all_finite(t, t->field->parameters.values));
-    if (wild || t->rejected >= MOST_REJECTED)
+    bool copy = accepted && t->optimiser.updates % GOOD_EVERY == 0;
+    bool wild = t->optimiser.wild || ((copy || !accepted || has_offenders(t)) &&
+                                      !all_finite(t, t->field->parameters.values));
+    if (wild || t->optimiser.rejected >= MOST_REJECTED)
         rn_trainer_roll_back(t);
     else if (copy)
         copy_good(t);

@@ -119,7 +119,7 @@ void rn_trainer_note(struct rn_trainer *t, enum rn_incident_kind kind) {
     *incident = (struct rn_incident){.kind = kind,
                                      .step = (int64_t)t->march.counter,
                                      .seed = t->field->config.seed,
-                                     .rate = rn_trainer_rate(t),
+                                     .rate = rn_schedule_rate(&t->field->config, &t->progress),
                                      .march_step = t->march.step};
     memcpy(incident->background, t->march.background, sizeof incident->background);
     if (kind == RN_INCIDENT_ROLLBACK) list_parameters(t, incident);

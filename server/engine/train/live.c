@@ -112,39 +112,40 @@ static void list_frame(struct rn_trainer *t, int frame, const uint8_t *marks) {
     size_t n = blocks_of(&t->train.frames[frame].camera, &columns, &rows);
     for (size_t i = 0; i < n; i++)
         if (marks[i])
-            t->live[t->live_count++] =
+            t->sampler.live[t->sampler.live_count++] =
                 (struct rn_live_block){.frame = (uint32_t)frame,
                                        .x = (uint16_t)(i % (size_t)columns * RN_LIVE_BLOCK),
                                        .y = (uint16_t)(i / (size_t)columns * RN_LIVE_BLOCK)};
 }
 
 void rn_trainer_share_out(struct rn_trainer *t, bool weigh) {
-    for (int scale = 0; scale < t->train.scale_count && t->importance.count > 0; scale++) {
-        size_t first = t->live_first[scale], count = t->live_first[scale + 1] - first;
-        if (weigh) rn_importance_weigh(&t->importance, first, count);
-        rn_importance_lay_out(&t->importance, first, count);
+    for (int scale = 0; scale < t->train.scale_count && t->sampler.importance.count > 0; scale++) {
+        size_t first = t->sampler.live_first[scale],
+               count = t->sampler.live_first[scale + 1] - first;
+        if (weigh) rn_importance_weigh(&t->sampler.importance, first, count);
+        rn_importance_lay_out(&t->sampler.importance, first, count);
     }
 }
 
 static enum rn_status prepare_importance(struct rn_trainer *t, struct rn_error *err) {
-    rn_importance_finish(&t->importance);
-    if (!t->field->config.draw_by_error || t->live_count == 0) return RN_OK;
-    enum rn_status status = rn_importance_init(t->live_count, &t->importance, err);
+    rn_importance_finish(&t->sampler.importance);
+    if (!t->field->config.draw_by_error || t->sampler.live_count == 0) return RN_OK;
+    enum rn_status status = rn_importance_init(t->sampler.live_count, &t->sampler.importance, err);
     if (status == RN_OK) rn_trainer_share_out(t, false);
     return status;
 }
 
 // The frames of one scale after another.
 static void list_frames(struct rn_trainer *t, const struct marks *marks) {
-    t->live_count = 0;
+    t->sampler.live_count = 0;
     for (int scale = 0; scale < t->train.scale_count; scale++) {
         int first = t->train.scale_first[scale];
         int end = scale + 1 < t->train.scale_count ? t->train.scale_first[scale + 1]
                                                    : t->train.frame_count;
-        t->live_first[scale] = t->live_count;
+        t->sampler.live_first[scale] = t->sampler.live_count;
         for (int f = first; f < end; f++)
             list_frame(t, f, marks->all + marks->first[f]);
-        t->live_first[scale + 1] = t->live_count;
+        t->sampler.live_first[scale + 1] = t->sampler.live_count;
     }
 }
 
@@ -159,11 +160,11 @@ enum rn_status rn_trainer_list_live(struct rn_trainer *t, struct rn_error *err) 
         total += blocks_of(&t->train.frames[f].camera, &columns, &rows);
     }
     marks.all = calloc(total + 1, 1);
-    rn_block_destroy(t->live);
-    t->live = rn_block_create((total + 1) * sizeof *t->live);
-    t->live_count = 0;
+    rn_block_destroy(t->sampler.live);
+    t->sampler.live = rn_block_create((total + 1) * sizeof *t->sampler.live);
+    t->sampler.live_count = 0;
     enum rn_status status = RN_ERROR_NO_MEMORY;
-    if (t->live && marks.all && marks.first) status = list_clumps(t, &clumps);
+    if (t->sampler.live && marks.all && marks.first) status = list_clumps(t, &clumps);
     if (status == RN_OK) {
         rn_pool_run(t->engine->pool, t->train.frame_count, mark_frame, &marks);
         list_frames(t, &marks);

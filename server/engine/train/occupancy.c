@@ -198,11 +198,9 @@ static void measure_chunk(void *context, int index, int thread) {
 }
 
 bool rn_trainer_update_occupancy(struct rn_trainer *t) {
-    int64_t round = t->progress.step / RN_OCCUPANCY_EVERY;
-    bool all = t->progress.step < (t->field->config.carve ? 1 : RN_OCCUPANCY_WARM_UP);
-    struct measurement m = {.trainer = t, .stride = all ? 1 : 4};
-    m.first = all ? 0 : (size_t)(round % 4);
-    m.decay = (float)pow(RN_OCCUPANCY_DECAY, (double)m.stride); // a cell's turn comes every stride
+    struct rn_occupancy_turn turn = rn_schedule_occupancy(&t->field->config, t->progress.step);
+    struct measurement m = {
+        .trainer = t, .first = turn.first, .stride = turn.stride, .decay = turn.decay};
     if (t->hull_count <= m.first) return true;
     m.count = (t->hull_count - m.first + m.stride - 1) / m.stride;
     m.level = rn_level_of_cells(&t->field->config.field);

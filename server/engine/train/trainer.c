@@ -8,7 +8,6 @@
 
 #include "common/base/clock.h"
 #include "server/engine/checkpoint/checkpoint.h"
-#include "server/engine/render/cones.h"
 #include "server/engine/scene/device.h"
 #include "server/engine/scene/occupancy.h"
 
@@ -104,7 +103,7 @@ struct rn_evidence rn_trainer_evidence(const struct rn_trainer *t,
                                 .field = t->field,
                                 .photographs = &t->train,
                                 .step = t->progress.step,
-                                .done = rn_trainer_fraction(t),
+                                .done = rn_schedule_done(&t->field->config, &t->progress),
                                 .march = *march};
 }
 
@@ -211,16 +210,16 @@ fail:
 // What a checkpoint holds of a training.
 static struct rn_arrays arrays_of(struct rn_trainer *t) {
     return (struct rn_arrays){.field = t->field,
-                              .m = t->m,
-                              .v = t->v,
-                              .block_count = t->importance.count,
-                              .block_error = t->importance.error,
-                              .block_share = t->importance.share};
+                              .m = t->optimiser.m,
+                              .v = t->optimiser.v,
+                              .block_count = t->sampler.importance.count,
+                              .block_error = t->sampler.importance.error,
+                              .block_share = t->sampler.importance.share};
 }
 
 static struct rn_counters counters_of(const struct rn_trainer *t) {
     return (struct rn_counters){.progress = t->progress,
-                                .updates = t->updates,
+                                .updates = t->optimiser.updates,
                                 .next_rays = t->next_rays,
                                 .gradient_scale = t->gradient_scale,
                                 .good_steps = t->good_steps,
@@ -231,7 +230,7 @@ static void take_counters(struct rn_trainer *t, const struct rn_counters *from) 
     double load_seconds = t->progress.load_seconds;
     t->progress = from->progress;
     t->progress.load_seconds = load_seconds;
-    t->updates = from->updates;
+    t->optimiser.updates = from->updates;
     t->next_rays = from->next_rays;
     t->gradient_scale = from->gradient_scale;
     t->good_steps = from->good_steps;
@@ -293,11 +292,10 @@ void rn_trainer_destroy(struct rn_trainer **trainer) {
     rn_pixels_finish(&t->train);
     rn_pixels_finish(&t->held);
     rn_trainer_free_step(t);
-    rn_block_destroy(t->grad);
+    rn_block_destroy(t->optimiser.grad);
     rn_trainer_drop_growth(t);
     free(t->hull_list);
-    rn_block_destroy(t->live);
-    rn_importance_finish(&t->importance);
+    rn_sampler_finish(&t->sampler);
     free(t->incidents);
     free(t);
     *trainer = NULL;
@@ -305,10 +303,10 @@ void rn_trainer_destroy(struct rn_trainer **trainer) {
 
 // The field may have been rendered in between, with more levels.
 enum rn_status rn_trainer_enter(struct rn_trainer *t, struct rn_error *err) {
-    enum rn_status status = rn_field_fetch(t->field, t->m, t->v, err);
+    enum rn_status status = rn_field_fetch(t->field, t->optimiser.m, t->optimiser.v, err);
     if (status == RN_OK) status = rn_engine_prepare(t->engine, t->field, err);
-    t->field->cpu.built_levels = t->levels;
-    if (status == RN_OK && t->field->fresh_levels < t->levels)
+    t->field->cpu.built_levels = t->optimiser.levels;
+    if (status == RN_OK && t->field->fresh_levels < t->optimiser.levels)
         rn_field_refresh(t->field, t->engine);
     return status;
 }
@@ -318,7 +316,7 @@ enum rn_status rn_trainer_enter(struct rn_trainer *t, struct rn_error *err) {
 static bool reached_limit(const struct rn_trainer *t) {
     const struct rn_train_config *config = &t->field->config;
     if (config->until_psnr > 0 && t->progress.psnr >= config->until_psnr) return true;
-    return rn_trainer_fraction(t) >= 1;
+    return rn_schedule_done(&t->field->config, &t->progress) >= 1;
 }
 
 static bool effects_are_due(const struct rn_trainer *t) {
@@ -327,7 +325,7 @@ static bool effects_are_due(const struct rn_trainer *t) {
 }
 
 static void decide_effects(const struct rn_trainer *t) {
-    struct rn_march_options march = rn_trainer_march(t);
+    struct rn_march_options march = rn_schedule_march(&t->field->config, &t->progress);
     struct rn_evidence evidence = rn_trainer_evidence(t, &march);
     rn_effects_decide(&evidence);
 }
@@ -335,7 +333,7 @@ static void decide_effects(const struct rn_trainer *t) {
 // The device still trains over random backgrounds, whose time is over, or does not split pixels
 // yet.
 static bool march_due(const struct rn_trainer *t) {
-    struct rn_march_options now = rn_trainer_march(t);
+    struct rn_march_options now = rn_schedule_march(&t->field->config, &t->progress);
     return t->field->on_device &&
            (t->march.background_variance > now.background_variance || t->march.split != now.split);
 }
@@ -353,7 +351,8 @@ static enum rn_status take_turn(struct rn_trainer *t, struct rn_error *err) {
 static enum rn_status begin_step(struct rn_trainer *t, struct rn_error *err) {
     enum rn_status status = t->next_chunk == 0 ? take_turn(t, err) : RN_OK;
     if (status != RN_OK || t->growth) return status;
-    if (t->progress.step % RN_OCCUPANCY_EVERY == 0 && !rn_trainer_update_occupancy(t)) return RN_OK;
+    struct rn_occupancy_turn turn = rn_schedule_occupancy(&t->field->config, t->progress.step);
+    if (turn.due && !rn_trainer_update_occupancy(t)) return RN_OK;
     if (t->progress.step > 0 && t->progress.step % RN_IMPORTANCE_EVERY == 0)
         rn_trainer_share_out(t, true);
     rn_trainer_begin_step(t);
@@ -413,7 +412,7 @@ enum rn_status rn_trainer_advance(struct rn_trainer *t, double budget_ms, struct
 
 void rn_trainer_progress(const struct rn_trainer *t, struct rn_progress *ret_progress) {
     *ret_progress = t->progress;
-    double f = rn_trainer_fraction(t), spent = t->progress.train_seconds;
+    double f = rn_schedule_done(&t->field->config, &t->progress), spent = t->progress.train_seconds;
     ret_progress->fraction = f > 1 ? 1 : f;
     ret_progress->eta_seconds = f > 0 ? fmax(0, spent / f - spent) : NAN;
     if (t->field->config.max_seconds > 0)
@@ -421,103 +420,6 @@ void rn_trainer_progress(const struct rn_trainer *t, struct rn_progress *ret_pro
             fmin(isnan(ret_progress->eta_seconds) ? 1e30 : ret_progress->eta_seconds,
                  fmax(0, t->field->config.max_seconds - spent));
     ret_progress->done = t->progress.done || (!t->stepping && reached_limit(t));
-}
-
-// ---- held-out evaluation --------------------------------------------------------------------
-
-struct validate_block {
-    struct rn_trainer *trainer;
-    const struct rn_pixel_frame *frame;
-    size_t first, count;
-    struct rn_march_options march;
-    int cones; // a side of a pixel
-};
-
-static void validate_packet(void *context, int index, int thread) {
-    struct validate_block *b = context;
-    struct rn_trainer *t = b->trainer;
-    struct rn_spot spots[RN_PACKET_RAYS];
-    struct rn_pixel pixels[RN_PACKET_RAYS];
-    const struct rn_camera *camera = &b->frame->camera;
-    size_t first = b->first + (size_t)index * RN_PACKET_RAYS, width = (size_t)camera->width;
-    int n = 0;
-    for (; n < RN_PACKET_RAYS && first + (size_t)n < b->first + b->count; n++)
-        spots[n] = (struct rn_spot){(int)((first + (size_t)n) % width),
-                                    (int)((first + (size_t)n) / width)};
-    rn_cones_render(t->engine, t->field, &b->march, camera, b->cones, spots, n, thread, pixels);
-    double sum = 0;
-    for (int i = 0; i < n; i++)
-        rn_pixel_add_error(&t->held, b->frame, spots[i].x, spots[i].y, t->field->config.background,
-                           pixels[i].rgb, &sum);
-    t->validation.packets[index] = sum;
-}
-
-// The frame under way is done: its PSNR.
-static void finish_frame(struct rn_validation *v, size_t pixels) {
-    v->psnr_sum += -10 * log10(fmax(v->squares / (3.0 * (double)pixels), 1e-10));
-    v->squares = 0;
-    v->pixel = 0;
-    v->frame++;
-}
-
-static enum rn_status validate_on_device(struct rn_trainer *t, struct rn_error *err) {
-    struct rn_validation *v = &t->validation;
-    const struct rn_pixel_frame *frame = &t->held.frames[v->frame];
-    int width = frame->camera.width, height = frame->camera.height;
-    int row = (int)(v->pixel / (size_t)width), rows = height - row < 64 ? height - row : 64;
-    enum rn_status status = rn_trainer_validate_rows(t, frame, row, rows, &v->squares, err);
-    v->pixel += (size_t)rows * (size_t)width;
-    if (row + rows == height) finish_frame(v, (size_t)width * (size_t)height);
-    return status;
-}
-
-// One block, or what is left of one that was cut short.
-static void validate_next(struct rn_trainer *t) {
-    struct rn_validation *v = &t->validation;
-    const struct rn_train_config *config = &t->field->config;
-    struct validate_block b = {.trainer = t, .frame = &t->held.frames[v->frame], .first = v->pixel};
-    size_t pixels = (size_t)b.frame->camera.width * (size_t)b.frame->camera.height;
-    b.count = pixels - v->pixel < RN_VALIDATE_BLOCK ? pixels - v->pixel : RN_VALIDATE_BLOCK;
-    b.march = (struct rn_march_options){.step = (float)config->step,
-                                        .stop_depth = (float)-log(config->stop)};
-    memcpy(b.march.background, config->background, sizeof config->background);
-    b.cones = rn_cones_for_camera(t->field, &b.frame->camera);
-    int packets = (int)((b.count + RN_PACKET_RAYS - 1) / RN_PACKET_RAYS);
-    if (!rn_pool_run_some(t->engine->pool, packets, &v->next_packet, validate_packet, &b,
-                          rn_engine_is_wanted, t->engine))
-        return;
-    v->next_packet = 0;
-    for (int i = 0; i < packets; i++)
-        v->squares += v->packets[i];
-    v->pixel += b.count;
-    if (v->pixel == pixels) finish_frame(v, pixels);
-}
-
-enum rn_status rn_trainer_validate(struct rn_trainer *t, double budget_ms, bool *ret_done,
-                                   struct rn_error *err) {
-    int64_t begin = rn_clock_ns(), until = begin + (int64_t)(budget_ms * 1e6);
-    struct rn_validation *v = &t->validation;
-    *ret_done = t->held.frame_count == 0;
-    if (*ret_done) return RN_OK;
-    enum rn_status status = t->field->on_device ? RN_OK : rn_trainer_enter(t, err);
-    if (status != RN_OK) return status;
-    if (!v->active) *v = (struct rn_validation){.active = true};
-    do {
-        if (t->field->on_device)
-            status = validate_on_device(t, err);
-        else
-            validate_next(t);
-    } while (status == RN_OK && v->frame < t->held.frame_count && rn_clock_ns() < until &&
-             !rn_engine_is_wanted(t->engine));
-    if (status != RN_OK) return status;
-    if (v->frame == t->held.frame_count) {
-        t->field->psnr = t->progress.psnr = v->psnr_sum / t->held.frame_count;
-        t->progress.psnr_step = t->progress.step;
-        v->active = false;
-        *ret_done = true;
-    }
-    t->progress.evaluate_seconds += (double)(rn_clock_ns() - begin) * 1e-9;
-    return RN_OK;
 }
 
 // ---- access ---------------------------------------------------------------------------------

@@ -2,28 +2,19 @@
 #ifndef RN_ENGINE_TRAIN_TRAINER_H
 #define RN_ENGINE_TRAIN_TRAINER_H
 
-#include <stdatomic.h>
-
 #include "server/engine/effects/effects.h"
 #include "server/engine/kernels/backend.h"
-#include "server/engine/scene/scene.h"
-#include "server/engine/train/importance.h"
 #include "server/engine/scene/pixels.h"
+#include "server/engine/scene/scene.h"
+#include "server/engine/train/optimiser.h"
+#include "server/engine/train/sampler.h"
+#include "server/engine/train/schedule.h"
 #include "server/engine/train/train.h"
 
 #define RN_MIN_RAYS 64
-#define RN_OCCUPANCY_EVERY 16    // steps
-#define RN_SMOOTH_EVERY 32       // steps
-#define RN_OCCUPANCY_WARM_UP 256 // steps with every cell measured
-#define RN_VALIDATE_BLOCK 4096   // rays a block of held-out evaluation
-#define RN_MAX_ROLLBACKS 3       // one more ends the training
-#define RN_INCIDENTS_HELD 8      // between two takes
-
-// A block of pixels of a training frame whose cones may meet the hull.
-struct rn_live_block {
-    uint32_t frame;
-    uint16_t x, y; // its first pixel
-};
+#define RN_VALIDATE_BLOCK 4096 // rays a block of held-out evaluation
+#define RN_MAX_ROLLBACKS 3     // one more ends the training
+#define RN_INCIDENTS_HELD 8    // between two takes
 
 // Held-out evaluation under way.
 struct rn_validation {
@@ -43,19 +34,9 @@ struct rn_trainer {
     struct rn_pixels train, held;
     char held_out[160];
 
-    // Optimiser, laid out as field->parameters; grad_pyramid as field->pyramid.
-    float *grad, *m, *v;
-    float *grad_pyramid;
-    struct rn_map grad_maps[RN_MAX_PLANES][RN_MAX_LEVELS][RN_MAX_LEVELS];
-    int levels;       // of grad_maps: what the training cameras need; a render may build more
-    bool tiled;       // the base is a multiple of the coarsest level's texels
-    uint8_t *touched; // [plane][tile], as rn_tiling
-    size_t tiles;     // of a plane
-    int64_t updates;  // steps that were not rejected, since the last rollback
-    float *good;      // the parameters a rollback returns to
-    int rejected;     // steps in a row
+    struct rn_optimiser optimiser;
+    struct rn_sampler sampler;
     struct rn_growth *growth; // NULL when the planes are not growing
-    atomic_bool wild;         // the update made a parameter that is not finite
 
     // The step under way. What is cut short for a render goes on at the next chunk, group or band.
     bool stepping;
@@ -67,18 +48,12 @@ struct rn_trainer {
     struct rn_march_options march;
     struct rn_group groups[RN_GROUPS];
     float *group_memory;
-    int bands;           // of rows a plane, for the scatter and the optimiser
     uint32_t *hull_list; // cells that may hold matter
     size_t hull_count;
-    struct rn_live_block *live; // blocks to draw rays from, scale after scale
-    size_t live_count, live_first[17];
-    struct rn_importance importance; // of the live blocks; none where they are drawn evenly
-    float *ray_loss;                 // of the step's rays
-    int32_t *ray_block;              // of `live`, that the step's rays are of; < 0: of none
-    int next_rays;                   // of the next step
-    float gradient_scale;            // a device's (cuda/README.md); 0 at the start
-    int good_steps;                  // since it was last changed
-    float gradient_size;             // a device's lottery (backend.h)
+    int next_rays;        // of the next step
+    float gradient_scale; // a device's (cuda/README.md); 0 at the start
+    int good_steps;       // since it was last changed
+    float gradient_size;  // a device's lottery (backend.h)
 
     struct rn_incident *incidents; // RN_INCIDENTS_HELD, made with the first one
     int incident_first, incident_count, incidents_noted;
@@ -139,16 +114,17 @@ void rn_trainer_drop_growth(struct rn_trainer *trainer); // the one under way
 void rn_trainer_free_step(struct rn_trainer *trainer); // what rn_trainer_allocate took, but grad
 // `grad` too, unless it is there.
 enum rn_status rn_trainer_allocate(struct rn_trainer *trainer, struct rn_error *err) RN_MUST_CHECK;
-size_t rn_trainer_moments(const struct rn_field *field); // numbers from grad to m, and from m to v
 // The first row of a plane's band, 0 to `bands`.
 int rn_trainer_band(const struct rn_trainer *trainer, int band);
-// How the next step marches, in longer steps while the planes are coarse; nothing of the step
-// before is in it.
-struct rn_march_options rn_trainer_march(const struct rn_trainer *trainer);
 void rn_trainer_take_march(struct rn_trainer *trainer); // for the step that begins
 void rn_trainer_begin_step(struct rn_trainer *trainer);
 // Puts the rays of the step that was done last in place, for an incident's record.
 void rn_trainer_redraw(struct rn_trainer *trainer);
+// Draws rays [begin, end) of the step under way.
+void rn_trainer_draw(struct rn_trainer *trainer, int begin, int end);
+void rn_trainer_note_losses(struct rn_trainer *trainer); // of its rays, to their blocks
+// AdamW with the sum of all groups' gradients; false, and nothing is done, where it is not finite.
+bool rn_trainer_update(struct rn_trainer *trainer);
 void rn_trainer_run_wave(struct rn_trainer *trainer); // clears `stepping` when the step is complete
 // Where a ray starts, and its weight in the loss; `frame` is NULL for an absent one.
 struct rn_trainer_place {
@@ -192,14 +168,7 @@ enum rn_ray_fault rn_try_rays(const struct rn_kernels *kernels, const struct rn_
 // Records what went wrong in the step whose rays are in place, before anything is put
 // right. Without memory for it nothing is recorded.
 void rn_trainer_note(struct rn_trainer *trainer, enum rn_incident_kind kind);
-// The networks' learning rate as of now.
-double rn_trainer_rate(const struct rn_trainer *trainer);
-// How far planes are smoothed at the end of the step that comes next (kernels/kernels.h); 0: not.
-float rn_trainer_smoothing(const struct rn_trainer *trainer);
 // The photograph and pixel of ray r of the step under way or just done; NULL for an absent ray.
 const struct rn_pixel_frame *rn_trainer_place(const struct rn_trainer *trainer, int r, int *ret_x,
                                               int *ret_y);
-// 0..1 of the binding limit so far, NAN without one.
-double rn_trainer_fraction(const struct rn_trainer *trainer);
-
 #endif

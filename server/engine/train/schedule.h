@@ -1,0 +1,38 @@
+// What each step of a training is like: rates, march, smoothing and occupancy, as the configuration
+// and the progress so far have it. On the CPU and on a device alike.
+#ifndef RN_ENGINE_TRAIN_SCHEDULE_H
+#define RN_ENGINE_TRAIN_SCHEDULE_H
+
+#include "common/settings/train.h"
+#include "server/engine/kernels/kernels.h"
+#include "server/engine/scene/progress.h"
+
+#define RN_OCCUPANCY_EVERY 16    // steps
+#define RN_OCCUPANCY_WARM_UP 256 // steps with every cell measured
+#define RN_SMOOTH_EVERY 32       // steps
+
+// 0..1 of the binding limit so far, NAN without one.
+double rn_schedule_done(const struct rn_train_config *config, const struct rn_progress *progress);
+// The networks' learning rate as of now.
+double rn_schedule_rate(const struct rn_train_config *config, const struct rn_progress *progress);
+// How far planes are smoothed at the end of the step that comes next (kernels/kernels.h); 0: not.
+float rn_schedule_smoothing(const struct rn_train_config *config,
+                            const struct rn_progress *progress);
+// How the next step marches, in longer steps while the planes are coarse; nothing of the step
+// before is in it.
+struct rn_march_options rn_schedule_march(const struct rn_train_config *config,
+                                          const struct rn_progress *progress);
+
+// The side of planes that grow, as it should be by now; without a limit the last one.
+int rn_schedule_base(const struct rn_train_config *config, const struct rn_progress *progress);
+
+// Which cells of the hull are measured before a step: every `stride`-th from `first` on. A cell's
+// turn comes every `stride` times, and what was measured before decays by as much.
+struct rn_occupancy_turn {
+    bool due;
+    uint32_t first, stride;
+    float decay;
+};
+struct rn_occupancy_turn rn_schedule_occupancy(const struct rn_train_config *config, int64_t step);
+
+#endif

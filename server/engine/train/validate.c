@@ -1,0 +1,102 @@
+// Held-out evaluation, cut into blocks like training.
+#include <math.h>
+#include <string.h>
+
+#include "common/base/clock.h"
+#include "server/engine/render/cones.h"
+#include "server/engine/train/trainer.h"
+
+struct validate_block {
+    struct rn_trainer *trainer;
+    const struct rn_pixel_frame *frame;
+    size_t first, count;
+    struct rn_march_options march;
+    int cones; // a side of a pixel
+};
+
+static void validate_packet(void *context, int index, int thread) {
+    struct validate_block *b = context;
+    struct rn_trainer *t = b->trainer;
+    struct rn_spot spots[RN_PACKET_RAYS];
+    struct rn_pixel pixels[RN_PACKET_RAYS];
+    const struct rn_camera *camera = &b->frame->camera;
+    size_t first = b->first + (size_t)index * RN_PACKET_RAYS, width = (size_t)camera->width;
+    int n = 0;
+    for (; n < RN_PACKET_RAYS && first + (size_t)n < b->first + b->count; n++)
+        spots[n] = (struct rn_spot){(int)((first + (size_t)n) % width),
+                                    (int)((first + (size_t)n) / width)};
+    rn_cones_render(t->engine, t->field, &b->march, camera, b->cones, spots, n, thread, pixels);
+    double sum = 0;
+    for (int i = 0; i < n; i++)
+        rn_pixel_add_error(&t->held, b->frame, spots[i].x, spots[i].y, t->field->config.background,
+                           pixels[i].rgb, &sum);
+    t->validation.packets[index] = sum;
+}
+
+// The frame under way is done: its PSNR.
+static void finish_frame(struct rn_validation *v, size_t pixels) {
+    v->psnr_sum += -10 * log10(fmax(v->squares / (3.0 * (double)pixels), 1e-10));
+    v->squares = 0;
+    v->pixel = 0;
+    v->frame++;
+}
+
+static enum rn_status validate_on_device(struct rn_trainer *t, struct rn_error *err) {
+    struct rn_validation *v = &t->validation;
+    const struct rn_pixel_frame *frame = &t->held.frames[v->frame];
+    int width = frame->camera.width, height = frame->camera.height;
+    int row = (int)(v->pixel / (size_t)width), rows = height - row < 64 ? height - row : 64;
+    enum rn_status status = rn_trainer_validate_rows(t, frame, row, rows, &v->squares, err);
+    v->pixel += (size_t)rows * (size_t)width;
+    if (row + rows == height) finish_frame(v, (size_t)width * (size_t)height);
+    return status;
+}
+
+// One block, or what is left of one that was cut short.
+static void validate_next(struct rn_trainer *t) {
+    struct rn_validation *v = &t->validation;
+    const struct rn_train_config *config = &t->field->config;
+    struct validate_block b = {.trainer = t, .frame = &t->held.frames[v->frame], .first = v->pixel};
+    size_t pixels = (size_t)b.frame->camera.width * (size_t)b.frame->camera.height;
+    b.count = pixels - v->pixel < RN_VALIDATE_BLOCK ? pixels - v->pixel : RN_VALIDATE_BLOCK;
+    b.march = (struct rn_march_options){.step = (float)config->step,
+                                        .stop_depth = (float)-log(config->stop)};
+    memcpy(b.march.background, config->background, sizeof config->background);
+    b.cones = rn_cones_for_camera(t->field, &b.frame->camera);
+    int packets = (int)((b.count + RN_PACKET_RAYS - 1) / RN_PACKET_RAYS);
+    if (!rn_pool_run_some(t->engine->pool, packets, &v->next_packet, validate_packet, &b,
+                          rn_engine_is_wanted, t->engine))
+        return;
+    v->next_packet = 0;
+    for (int i = 0; i < packets; i++)
+        v->squares += v->packets[i];
+    v->pixel += b.count;
+    if (v->pixel == pixels) finish_frame(v, pixels);
+}
+
+enum rn_status rn_trainer_validate(struct rn_trainer *t, double budget_ms, bool *ret_done,
+                                   struct rn_error *err) {
+    int64_t begin = rn_clock_ns(), until = begin + (int64_t)(budget_ms * 1e6);
+    struct rn_validation *v = &t->validation;
+    *ret_done = t->held.frame_count == 0;
+    if (*ret_done) return RN_OK;
+    enum rn_status status = t->field->on_device ? RN_OK : rn_trainer_enter(t, err);
+    if (status != RN_OK) return status;
+    if (!v->active) *v = (struct rn_validation){.active = true};
+    do {
+        if (t->field->on_device)
+            status = validate_on_device(t, err);
+        else
+            validate_next(t);
+    } while (status == RN_OK && v->frame < t->held.frame_count && rn_clock_ns() < until &&
+             !rn_engine_is_wanted(t->engine));
+    if (status != RN_OK) return status;
+    if (v->frame == t->held.frame_count) {
+        t->field->psnr = t->progress.psnr = v->psnr_sum / t->held.frame_count;
+        t->progress.psnr_step = t->progress.step;
+        v->active = false;
+        *ret_done = true;
+    }
+    t->progress.evaluate_seconds += (double)(rn_clock_ns() - begin) * 1e-9;
+    return RN_OK;
+}
