@@ -12,7 +12,8 @@
     X(ANISOTROPY, anisotropy, "anisotropy")                                                        \
     X(VIEW_DEPENDENCE, view_dependence, "view-dependence")                                         \
     X(SPLIT_PIXELS, split_pixels, "split-pixels")                                                  \
-    X(CONES, cones, "cones")
+    X(CONES, cones, "cones")                                                                       \
+    X(DISTORTION, distortion, "distortion")
 
 #define RN_EFFECT_CONSTANT(CONSTANT, ROW, NAME) RN_EFFECT_##CONSTANT,
 enum rn_effect { RN_EFFECTS(RN_EFFECT_CONSTANT) RN_EFFECT_COUNT };

@@ -52,10 +52,14 @@ static void describe_held_out(struct rn_trainer *t) {
                  held);
 }
 
+// Again where a lens turns out to make no difference.
 static void place_cameras(const struct rn_field *field, struct rn_pixels *pixels) {
     for (int f = 0; f < pixels->frame_count; f++) {
         struct rn_pixel_frame *frame = &pixels->frames[f];
-        const struct rn_camera *camera = &frame->camera;
+        struct rn_camera *camera = &frame->camera;
+        const struct rn_effect_record *lenses = &field->effects[RN_EFFECT_DISTORTION];
+        *camera = frame->frame->camera;
+        if (lenses->decided && !lenses->on) camera->lens = RN_LENS_PINHOLE;
         frame->parts = rn_camera_resized(camera, 2 * camera->width, 2 * camera->height);
         frame->view = rn_field_view(field, camera);
         frame->fine = rn_field_view(field, &frame->parts);
@@ -110,6 +114,8 @@ struct rn_evidence rn_trainer_evidence(const struct rn_trainer *t,
 void rn_trainer_detect_effects(struct rn_trainer *t) {
     struct rn_evidence evidence = rn_trainer_evidence(t, &t->march);
     rn_effects_detect(&evidence);
+    place_cameras(t->field, &t->train);
+    place_cameras(t->field, &t->held);
 }
 
 // Everything that follows from the pixels and the configuration.

@@ -20,7 +20,8 @@ const EFFECTS = {
   anisotropy: 'Anisotropy',
   'view-dependence': 'View dependence',
   'split-pixels': 'Split pixels',
-  cones: 'Cones a pixel'
+  cones: 'Cones a pixel',
+  distortion: 'Distortion'
 };
 
 /** An effect's number in the unit that its reason is told in. */
@@ -32,7 +33,8 @@ const UNITS = {
   anisotropy: octaves,
   'view-dependence': (x) => `${short(255 * x)}/255`,
   'split-pixels': octaves,
-  cones: octaves
+  cones: octaves,
+  distortion: (x) => `${short(x)} px`
 };
 
 export function effectsPanel(scene) {

@@ -1,0 +1,179 @@
+// Photographs through lenses: what a lens changes is seen and undone, and one that changes nothing
+// costs nothing.
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "common/dataset/output.h"
+#include "common/image/image.h"
+#include "server/engine/field/occupancy.h"
+#include "tests/ops/train_scene.h"
+
+// The sphere's dataset with another lens; photographs anew where `shown`.
+struct lens_case {
+    struct rn_dataset dataset;
+    struct rn_frame *frames;
+};
+
+static void photograph(struct rn_frame *frame, size_t index) {
+    struct rn_picture picture;
+    struct rn_image image;
+    struct rn_error err;
+    ck_assert_int_eq(rn_synth_render("sphere", &frame->camera, 4, &picture, &err), RN_OK);
+    ck_assert_int_eq(rn_picture_to_image(&picture, &image, &err), RN_OK);
+    image.has_alpha = true;
+    ck_assert_int_gt(asprintf(&frame->path, "%s/lens_%zu.png", folder, index), 0);
+    (void)remove(frame->path);
+    ck_assert_int_eq(rn_output_png(&image, frame->path, 1, &err), RN_OK);
+    rn_image_finish(&image);
+    rn_picture_finish(&picture);
+}
+
+static struct lens_case through(enum rn_lens lens, double k1, double p2, bool shown) {
+    struct lens_case c = {.dataset = *dataset};
+    c.dataset.frames = c.frames = malloc(dataset->frame_count * sizeof *c.frames);
+    for (size_t f = 0; f < dataset->frame_count; f++) {
+        struct rn_frame *frame = &c.frames[f];
+        *frame = dataset->frames[f];
+        frame->camera.lens = lens;
+        frame->camera.lens_k[0] = k1;
+        if (lens == RN_LENS_OPENCV) frame->camera.lens_k[3] = p2;
+        if (lens == RN_LENS_FISHEYE) frame->camera.fx = frame->camera.fy = 40;
+        ck_assert_int_eq(rn_camera_check(&frame->camera, "", NULL), RN_OK);
+        if (shown) photograph(frame, f);
+    }
+    return c;
+}
+
+static void finish(struct lens_case *c, bool shown) {
+    for (size_t f = 0; f < c->dataset.frame_count && shown; f++)
+        free(c->frames[f].path);
+    free(c->frames);
+}
+
+static const struct rn_effect_record *distortion(const struct rn_trainer *t) {
+    return &t->field->effects[RN_EFFECT_DISTORTION];
+}
+
+static const struct {
+    enum rn_lens lens;
+    double k1;
+} lenses[] = {{RN_LENS_OPENCV, -0.6}, {RN_LENS_OPENCV, 1.5}, {RN_LENS_FISHEYE, 0.1}};
+
+static bool meets_hull(const struct rn_trainer *t, const struct rn_march_ray *ray) {
+    int cells = t->field->config.field.occupancy, cell[3];
+    double step = 0.25 / cells;
+    for (int k = 0; (k + 0.5) * step < (double)ray->length; k++) {
+        for (int i = 0; i < 3; i++)
+            cell[i] = rn_cell_of(
+                (double)ray->origin[i] + (double)ray->direction[i] * (k + 0.5) * step, cells);
+        if (t->field->hull[(cell[0] * cells + cell[1]) * cells + cell[2]]) return true;
+    }
+    return false;
+}
+
+static bool is_live(const struct rn_trainer *t, int frame, int x, int y) {
+    for (size_t i = 0; i < t->live_count; i++) {
+        const struct rn_live_block *b = &t->live[i];
+        if (b->frame == (uint32_t)frame && x >= b->x && x < b->x + RN_LIVE_BLOCK && y >= b->y &&
+            y < b->y + RN_LIVE_BLOCK)
+            return true;
+    }
+    return false;
+}
+
+// Nothing that a photograph shows is carved, rays are drawn from all pixels that see the hull, and
+// a good deal is carved.
+START_TEST(hull_is_seen_through_the_lens) {
+    struct lens_case c = through(lenses[_i].lens, lenses[_i].k1, 0.02, true);
+    struct rn_train_config config = config_for(&c.dataset);
+    struct rn_engine *engine = engine_with(2);
+    struct rn_trainer *t = trainer_for(engine, &c.dataset, &config);
+    int opaque = 0, seen = 0, cells = config.field.occupancy;
+    ck_assert_msg(distortion(t)->on, "%s", distortion(t)->reason);
+    ck_assert_double_gt(distortion(t)->number, 0.5);
+    for (int f = 0; f < t->train.frame_count; f++) {
+        const struct rn_pixel_frame *frame = &t->train.frames[f];
+        for (int y = 0; y < frame->camera.height; y += 2)
+            for (int x = f % 2; x < frame->camera.width; x += 2) {
+                struct rn_march_ray ray = rn_trainer_ray(t, &t->train, frame, x, y, 0.01, 0);
+                bool sees = meets_hull(t, &ray), full = ray.alpha == 1;
+                ck_assert_msg(sees || !full, "frame %d, pixel %d, %d: its matter is carved", f, x,
+                              y);
+                ck_assert_msg(!sees || is_live(t, f, x, y), "frame %d, pixel %d, %d is not live", f,
+                              x, y);
+                opaque += full;
+                seen += sees;
+            }
+    }
+    ck_assert_int_gt(opaque, 200);
+    ck_assert_int_gt(seen, opaque);
+    ck_assert_int_lt((int)t->field->hull_cells, cells * cells * cells / 2);
+    rn_trainer_destroy(&t);
+    rn_engine_destroy(&engine);
+    finish(&c, true);
+}
+END_TEST
+
+static double psnr_of(const struct rn_dataset *d) {
+    struct rn_train_config config = config_for(d);
+    config.max_steps = 100;
+    struct rn_engine *engine = engine_with(2);
+    struct rn_trainer *t = trainer_for(engine, d, &config);
+    run_to_end(t);
+    double psnr = held_out_psnr(t);
+    rn_trainer_destroy(&t);
+    rn_engine_destroy(&engine);
+    return psnr;
+}
+
+// The same photographs, with the lens known and taken for a pinhole's. A tangential one moves the
+// sphere to one side in all of them, which no sphere explains.
+START_TEST(a_known_lens_gains) {
+    struct lens_case c = through(RN_LENS_OPENCV, 0, 0.3, true);
+    double known = psnr_of(&c.dataset);
+    for (size_t f = 0; f < c.dataset.frame_count; f++) {
+        c.frames[f].camera.lens = RN_LENS_PINHOLE;
+        c.frames[f].camera.lens_k[3] = 0;
+    }
+    double unknown = psnr_of(&c.dataset);
+    printf("a lens known: %.2f dB, taken for a pinhole's: %.2f dB\n", known, unknown);
+    ck_assert_double_gt(known, unknown + 2);
+    finish(&c, true);
+}
+END_TEST
+
+// A lens that moves no pixel by 0.05 is off, and the parameters are those without it.
+START_TEST(a_lens_that_does_nothing_costs_nothing) {
+    struct rn_engine *engine = engine_with(2);
+    struct rn_trainer *trainers[2];
+    struct lens_case c = through(RN_LENS_OPENCV, -0.004, 0, false);
+    const struct rn_dataset *datasets[2] = {dataset, &c.dataset};
+    for (int i = 0; i < 2; i++) {
+        struct rn_train_config config = config_for(datasets[i]);
+        trainers[i] = trainer_for(engine, datasets[i], &config);
+        ck_assert(!distortion(trainers[i])->on && distortion(trainers[i])->decided);
+        run_to_end(trainers[i]);
+    }
+    ck_assert_double_eq(distortion(trainers[0])->number, 0);
+    ck_assert_double_gt(distortion(trainers[1])->number, 0.005);
+    const struct rn_parameters *a = &trainers[0]->field->parameters;
+    const struct rn_parameters *b = &trainers[1]->field->parameters;
+    ck_assert_uint_eq(a->count, b->count);
+    ck_assert(memcmp(a->values, b->values, a->count * sizeof *a->values) == 0);
+    for (int i = 0; i < 2; i++)
+        rn_trainer_destroy(&trainers[i]);
+    rn_engine_destroy(&engine);
+    finish(&c, false);
+}
+END_TEST
+
+static void add(TCase *tests) {
+    tcase_add_loop_test(tests, hull_is_seen_through_the_lens, 0, sizeof lenses / sizeof *lenses);
+    tcase_add_test(tests, a_known_lens_gains);
+    tcase_add_test(tests, a_lens_that_does_nothing_costs_nothing);
+}
+
+int main(void) {
+    return run_on_scene("lenses", add);
+}
