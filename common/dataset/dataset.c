@@ -141,7 +141,9 @@ static enum rn_status read_format(struct rn_reader *reader, const struct rn_form
     if (status == RN_OK) status = rn_reader_find_masks(reader, reader->masks, err);
     if (status == RN_OK)
         status = rn_dataset_seal(reader->dataset, reader->folder, reader->problems, err);
-    if (status == RN_OK) set_bounds(reader);
+    if (status) return status;
+    set_bounds(reader);
+    if (reader->problems) rn_reader_tell_agreement(reader);
     return status;
 }
 
@@ -160,11 +162,13 @@ static enum rn_status read_recognised(struct rn_reader *reader, struct rn_error 
         forget_documents(reader->dataset);
     }
     if (status && err) *err = why;
-    for (size_t j = i + 1; status == RN_OK && j < count; j++)
-        if (strcmp(found[j]->documents[0], found[i]->documents[0]) != 0)
+    for (size_t j = i + 1; status == RN_OK && reader->problems && j < count; j++)
+        if (strcmp(found[j]->documents[0], found[i]->documents[0]) != 0) {
             rn_problems_add(reader->problems, RN_SEVERITY_INFO, reader->folder,
                             "is read as %s; it also holds a dataset of the format %s (--format %s)",
                             found[i]->title, found[j]->title, found[j]->name);
+            rn_reader_compare(reader, found[j]);
+        }
     return status;
 }
 

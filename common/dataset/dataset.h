@@ -145,6 +145,28 @@ struct rn_dataset_report {
 };
 void rn_dataset_describe(const struct rn_dataset *dataset, struct rn_dataset_report *ret_report);
 
+// How well the sparse points meet the photographs that saw them, through the cameras as they are
+// read. RN_ERROR_NO_MEMORY.
+struct rn_reprojection {
+    size_t points, sightings; // that took part
+    size_t unseen;            // sightings in a direction that the camera does not see
+    double mean_px;           // mean over points of their mean distance, pixels of the photographs
+    double said_px;           // the same mean as the source says
+};
+enum rn_status rn_dataset_reproject(const struct rn_dataset *dataset,
+                                    struct rn_reprojection *ret_found,
+                                    struct rn_error *err) RN_MUST_CHECK;
+
+// How the photographs were taken, and by which numbers.
+enum rn_capture_kind { RN_CAPTURE_OBJECT, RN_CAPTURE_FORWARD, RN_CAPTURE_AROUND };
+struct rn_capture {
+    enum rn_capture_kind kind;
+    double alignment; // length of the mean view direction: 1 where all look the same way
+    double centre[3]; // the point nearest to all optical axes
+    double miss;      // by which half of the axes pass it at most, in parts of the distance
+};
+void rn_dataset_capture(const struct rn_dataset *dataset, struct rn_capture *ret_capture);
+
 // Import: decode, scale and write a native dataset (dataset.json and images/*.png) into the empty
 // folder `target`, dataset.json last and atomically. At most `threads` source images are in memory
 // at once. An image that cannot be decoded is left out, of `source` too (counted there as

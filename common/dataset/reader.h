@@ -74,6 +74,10 @@ enum rn_status rn_reader_check_camera(const struct rn_json *object, const char *
 enum rn_status rn_reader_add(struct rn_reader *reader, struct rn_frame *frame,
                              enum rn_status status, struct rn_error *err) RN_MUST_CHECK;
 
+// Tells as problems how the points meet the photographs and how these were taken.
+void rn_reader_tell_agreement(struct rn_reader *reader);
+// Reads the folder in another format as well and tells, with both values, what differs most.
+void rn_reader_compare(struct rn_reader *reader, const struct rn_format *format);
 // Gives photographs the masks that lie in a folder, relative to the dataset's (NULL: "masks"), and
 // takes those out whose mask is damaged or of another size, each with its problem. RN_ERROR_INVALID
 // when a folder is given that has no mask.

@@ -59,7 +59,7 @@ START_TEST(rows_go_with_sorted_names) {
     read_ok(folder);
     ck_assert_str_eq(dataset->format->name, "llff");
     ck_assert_uint_eq(problems.errors + problems.warnings, 0);
-    ck_assert_uint_eq(problems.count, 1); // that photographs are half the size
+    ck_assert_uint_eq(problems.count, 2); // that photographs are half the size, how they were taken
     ck_assert_uint_eq(dataset->frame_count, 3);
     ck_assert_uint_eq(dataset->document_count, 1);
     ck_assert_str_eq(dataset->documents[0], DOCUMENT);
