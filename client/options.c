@@ -33,6 +33,11 @@ void rn_options_clear(const struct rn_option *table, void *options) {
             *(struct rn_option_pair *)field =
                 (struct rn_option_pair){RN_OPTION_ABSENT, RN_OPTION_ABSENT};
             break;
+        case RN_OPTION_SETTINGS:
+            for (size_t i = 0; i < option->settings->count; i++)
+                ((union rn_setting_value *)field)[i] =
+                    rn_setting_absent(&option->settings->rows[i]);
+            break;
         }
     }
 }
@@ -109,6 +114,8 @@ static bool set_value(const struct rn_option *option, const char *value, void *f
     case RN_OPTION_SIZE:
     case RN_OPTION_RANGE:
         return parse_pair(option, value, field);
+    case RN_OPTION_SETTINGS:
+        break; // take_setting
     }
     return false;
 }
@@ -141,6 +148,43 @@ static const struct rn_option *find(const struct rn_option *table, const char *a
         }
     }
     return NULL;
+}
+
+// The row of settings that an argument names, of a table's SETTINGS; *ret_option is these.
+static const struct rn_setting *find_setting(const struct rn_option *table, const char *argument,
+                                             const struct rn_option **ret_option,
+                                             const char **ret_value) {
+    size_t size = strcspn(argument, "=");
+    for (const struct rn_option *option = table; option->name; option++)
+        for (size_t i = 0; option->settings && i < option->settings->count; i++) {
+            const struct rn_setting *row = &option->settings->rows[i];
+            if (!row->flag || size != strlen(row->flag) + 2 || argument[1] != '-' ||
+                memcmp(row->flag, argument + 2, size - 2) != 0)
+                continue;
+            *ret_value = argument[size] ? argument + size + 1 : NULL;
+            *ret_option = option;
+            return row;
+        }
+    return NULL;
+}
+
+// Takes a setting and its value, if that is one: *ret_taken.
+static enum rn_status take_setting(const struct rn_option_tables *tables, int argc, char **argv,
+                                   int *i, bool *ret_taken, struct rn_error *err) {
+    const struct rn_option *option = NULL;
+    const char *value = NULL, *argument = argv[*i];
+    const struct rn_setting *row = find_setting(tables->table, argument, &option, &value);
+    *ret_taken = row != NULL;
+    if (!row) return RN_OK;
+    ++*i;
+    if (!value && *i >= argc)
+        return rn_error_set(err, RN_ERROR_INVALID, argument, "needs a value: %s", row->meaning);
+    if (!value) value = argv[(*i)++];
+    union rn_setting_value *values = field_of(option, tables->options);
+    enum rn_status status =
+        rn_setting_parse(row, value, &values[row - option->settings->rows], err);
+    if (status != RN_OK && err) snprintf(err->where, sizeof err->where, "--%s", row->flag);
+    return status;
 }
 
 // Takes one option and its value; *i moves behind them.
@@ -176,7 +220,9 @@ enum rn_status rn_options_parse(const struct rn_option_tables *tables, int argc,
             options_end = true;
             i++;
         } else if (!options_end && argv[i][0] == '-' && argv[i][1]) {
-            enum rn_status status = take_option(tables, argc, argv, &i, err);
+            bool taken = false;
+            enum rn_status status = take_setting(tables, argc, argv, &i, &taken, err);
+            if (status == RN_OK && !taken) status = take_option(tables, argc, argv, &i, err);
             if (status != RN_OK) return status;
         } else if (count == arg_max) {
             return rn_error_set(err, RN_ERROR_INVALID, argv[i], "is one argument too many");
@@ -189,14 +235,36 @@ enum rn_status rn_options_parse(const struct rn_option_tables *tables, int argc,
     return RN_OK;
 }
 
+static void print_line(const char *left, const char *help) {
+    printf(strlen(left) <= 30 ? "  %-30s  %s\n" : "  %s\n%34s%s\n", left,
+           strlen(left) <= 30 ? help : "", help);
+}
+
+static void print_setting(const struct rn_setting *row) {
+    char left[80];
+    size_t length = (size_t)snprintf(left, sizeof left, "--%s ", row->flag);
+    if (!row->choices)
+        snprintf(left + length, sizeof left - length, "%s",
+                 strcmp(row->unit, "s") == 0      ? "T"
+                 : strcmp(row->unit, "dB") == 0   ? "DB"
+                 : row->type == RN_SETTING_NUMBER ? "X"
+                                                  : "N");
+    for (int i = 0; row->choices && row->choices[i] && length < sizeof left; i++)
+        length += (size_t)snprintf(left + length, sizeof left - length, "%s%s", i ? "|" : "",
+                                   row->choices[i]);
+    print_line(left, row->meaning);
+}
+
 void rn_options_print(const struct rn_option *table) {
     for (const struct rn_option *option = table; option->name; option++) {
+        for (size_t i = 0; option->settings && i < option->settings->count; i++)
+            if (option->settings->rows[i].flag) print_setting(&option->settings->rows[i]);
+        if (option->settings) continue;
         char left[80];
         const char *value = option->choices ? option->choices : option->value;
         char letter[5] = {'-', option->letter, ',', ' ', '\0'};
         snprintf(left, sizeof left, "%s--%s%s%s", option->letter ? letter : "", option->name,
                  value ? " " : "", value ? value : "");
-        printf(strlen(left) <= 30 ? "  %-30s  %s\n" : "  %s\n%34s%s\n", left,
-               strlen(left) <= 30 ? option->help : "", option->help);
+        print_line(left, option->help);
     }
 }

@@ -7,6 +7,7 @@
 #include <stdint.h>
 
 #include "common/base/status.h"
+#include "common/settings/setting.h"
 
 // What an option's field is and what it accepts.
 enum rn_option_kind {
@@ -18,6 +19,9 @@ enum rn_option_kind {
     RN_OPTION_SECONDS, // as NUMBER; "90", "60s", "10m", "1.5h"
     RN_OPTION_SIZE,    // struct rn_option_pair, "WxH"
     RN_OPTION_RANGE,   // struct rn_option_pair, "A-B" with A <= B, or "A"
+    // In a table: an option for each row of `settings` that has a flag, in its place in a
+    // union rn_setting_value[settings->count] at `offset`; absent as rn_setting_absent says.
+    RN_OPTION_SETTINGS,
 };
 
 #define RN_OPTION_ABSENT INT64_MIN
@@ -26,7 +30,7 @@ struct rn_option_pair {
     int64_t first, second; // RN_OPTION_ABSENT when absent
 };
 
-// A table of them ends with a NULL name.
+// A table of them ends with a NULL name; SETTINGS have any, "".
 struct rn_option {
     const char *name; // without the dashes
     char letter;      // "-o", 0 for none
@@ -36,6 +40,7 @@ struct rn_option {
     const char *help;    // one line
     double min, max;     // of numbers, and of both numbers of a pair
     const char *choices; // "a|b|c"
+    const struct rn_settings *settings;
 };
 
 // Fills `options` (the struct that the table's offsets mean, of size_bytes) and `globals` (that of

@@ -86,10 +86,6 @@ const char *rn_check_view(const char *text) {
     return "must be SPLIT:INDEX or SPLIT:NAME, as test:12 or test:r_12";
 }
 
-bool rn_check_supersample(int64_t n) {
-    return n == RN_ABSENT || (n > 0 && (n & (n - 1)) == 0);
-}
-
 const char *rn_check_sha256(const char *text) {
     return strlen(text) == 64 && made_of(text, "abcdef" DIGITS) ? NULL
                                                                 : "must be 64 hexadecimal digits";

@@ -14,7 +14,6 @@ const char *rn_check_format(const char *text);     // of rn_formats
 const char *rn_check_device(const char *text);
 const char *rn_check_kernels(const char *text);
 const char *rn_check_view(const char *text); // "test:12"
-bool rn_check_supersample(int64_t n);        // absent or a power of two
 const char *rn_check_sha256(const char *text);
 
 #endif

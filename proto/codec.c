@@ -9,6 +9,49 @@
 
 #include "proto/json_text.h"
 
+// ---- tables --------------------------------------------------------------------------------
+
+// A row of settings as a field, its value that of a union rn_setting_value.
+static struct rn_field_spec spec_of(const struct rn_setting *row, bool as_option) {
+    static const enum rn_type types[] = {
+        [RN_SETTING_BOOL] = RN_TYPE_TRUTH,     [RN_SETTING_INT] = RN_TYPE_INT,
+        [RN_SETTING_INT64] = RN_TYPE_INT,      [RN_SETTING_UINT64] = RN_TYPE_INT,
+        [RN_SETTING_NUMBER] = RN_TYPE_NUMBER,  [RN_SETTING_CHOICE] = RN_TYPE_NAME,
+        [RN_SETTING_COLOUR] = RN_TYPE_NUMBERS, [RN_SETTING_TEXT] = RN_TYPE_TEXT};
+    struct rn_field_spec spec = {.name = as_option   ? row->option
+                                         : row->told ? row->told
+                                                     : row->name,
+                                 .type = row->choices ? RN_TYPE_NAME : types[row->type],
+                                 .size = RN_SETTING_TEXT_MAX,
+                                 .min = row->min,
+                                 .max = row->max,
+                                 .capacity = 3,
+                                 .names = row->choices};
+    if (row->flags & RN_SETTING_OVER_MIN) spec.flags |= RN_OVER_MIN;
+    if (row->flags & RN_SETTING_UNDER_MAX) spec.flags |= RN_UNDER_MAX;
+    if (row->flags & RN_SETTING_POWER_OF_TWO) spec.flags |= RN_POWER_OF_TWO;
+    if (as_option) return spec;
+    if (!(row->flags & RN_SETTING_LATER)) spec.flags |= RN_REQUIRED;
+    if (row->flags & RN_SETTING_OR_ZERO) {
+        spec.min = 0;
+        spec.flags &= ~(unsigned)RN_OVER_MIN;
+    }
+    return spec;
+}
+
+size_t rn_table_rows(const struct rn_table *table) {
+    return table->field_count + (table->settings ? table->settings->count : 0);
+}
+
+struct rn_field_spec rn_table_row(const struct rn_table *table, size_t i) {
+    size_t count = table->settings ? table->settings->count : 0, first = table->settings_at;
+    if (!count || i < first) return table->fields[i];
+    if (i >= first + count) return table->fields[i - count];
+    struct rn_field_spec spec = spec_of(&table->settings->rows[i - first], table->as_options);
+    spec.offset = table->settings_offset + (i - first) * sizeof(union rn_setting_value);
+    return spec;
+}
+
 // ---- members -------------------------------------------------------------------------------
 
 static void *member(const struct rn_field_spec *field, void *message) {
@@ -32,6 +75,7 @@ static void init_field(const struct rn_field_spec *field, void *message) {
         *(double *)at = NAN;
         break;
     case RN_TYPE_NAME:
+    case RN_TYPE_TRUTH:
         *(int *)at = -1;
         break;
     case RN_TYPE_TEXT:
@@ -62,8 +106,10 @@ static void init_field(const struct rn_field_spec *field, void *message) {
 
 void rn_message_init(const struct rn_table *table, void *message) {
     memset(message, 0, table->size);
-    for (size_t i = 0; i < table->field_count; i++)
-        init_field(&table->fields[i], message);
+    for (size_t i = 0; i < rn_table_rows(table); i++) {
+        struct rn_field_spec field = rn_table_row(table, i);
+        init_field(&field, message); // rows that are no field too
+    }
 }
 
 static void free_objects(const struct rn_field_spec *field, void *message) {
@@ -74,8 +120,10 @@ static void free_objects(const struct rn_field_spec *field, void *message) {
 }
 
 void rn_message_finish(const struct rn_table *table, void *message) {
-    for (size_t i = 0; i < table->field_count; i++) {
-        const struct rn_field_spec *field = &table->fields[i];
+    for (size_t i = 0; i < rn_table_rows(table); i++) {
+        struct rn_field_spec row = rn_table_row(table, i);
+        const struct rn_field_spec *field = &row;
+        if (!field->name) continue;
         void *at = member(field, message);
         if (field->type == RN_TYPE_STRING || field->type == RN_TYPE_JSON) free(*(char **)at);
         if (field->type == RN_TYPE_OBJECT) rn_message_finish(field->table, at);
@@ -138,13 +186,17 @@ static void decode_object(struct decoder *decoder, const struct rn_table *table,
 static bool in_range(struct decoder *decoder, const struct rn_field_spec *field, double value) {
     bool low = field->flags & RN_OVER_MIN ? value <= field->min : value < field->min;
     bool high = field->flags & RN_UNDER_MAX ? value >= field->max : value > field->max;
+    int exponent;
+    bool other = field->flags & RN_POWER_OF_TWO && frexp(value, &exponent) != 0.5;
+    if (other && !low && !high)
+        refuse(decoder, "must be a power of two from %.15g to %.15g", field->min, field->max);
     if (low)
         refuse(decoder, "must be %s %.15g, is %.15g",
                field->flags & RN_OVER_MIN ? "more than" : "at least", field->min, value);
     if (high)
         refuse(decoder, "must be %s %.15g, is %.15g",
                field->flags & RN_UNDER_MAX ? "less than" : "at most", field->max, value);
-    return !low && !high;
+    return !low && !high && !other;
 }
 
 static void decode_int(struct decoder *decoder, const struct rn_field_spec *field,
@@ -283,6 +335,10 @@ static void decode_field(struct decoder *decoder, const struct rn_field_spec *fi
         if (!json_is_boolean(value)) refuse(decoder, "must be true or false");
         *(bool *)at = json_is_true(value);
         break;
+    case RN_TYPE_TRUTH:
+        if (!json_is_boolean(value)) refuse(decoder, "must be true or false");
+        *(int *)at = json_is_true(value);
+        break;
     case RN_TYPE_INT:
         decode_int(decoder, field, value, at);
         break;
@@ -315,14 +371,19 @@ static void decode_field(struct decoder *decoder, const struct rn_field_spec *fi
     }
 }
 
+static bool is_field(const struct rn_table *table, const char *key) {
+    for (size_t i = 0; i < rn_table_rows(table); i++) {
+        const char *name = rn_table_row(table, i).name;
+        if (name && strcmp(name, key) == 0) return true;
+    }
+    return false;
+}
+
 static void refuse_unknown(struct decoder *decoder, const struct rn_table *table, json_t *object) {
     const char *key;
     json_t *value;
     json_object_foreach(object, key, value) {
-        size_t i = 0;
-        while (i < table->field_count && strcmp(table->fields[i].name, key) != 0)
-            i++;
-        if (i < table->field_count) continue;
+        if (is_field(table, key)) continue;
         size_t length = enter(decoder, key);
         refuse(decoder, "is not a field of %s", table->title);
         leave(decoder, length);
@@ -336,8 +397,10 @@ static void decode_object(struct decoder *decoder, const struct rn_table *table,
         return;
     }
     refuse_unknown(decoder, table, object);
-    for (size_t i = 0; i < table->field_count && !decoder->no_memory; i++) {
-        const struct rn_field_spec *field = &table->fields[i];
+    for (size_t i = 0; i < rn_table_rows(table) && !decoder->no_memory; i++) {
+        struct rn_field_spec row = rn_table_row(table, i);
+        const struct rn_field_spec *field = &row;
+        if (!field->name) continue;
         json_t *value = json_object_get(object, field->name);
         size_t length = enter(decoder, field->name);
         if (value)

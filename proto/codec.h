@@ -13,12 +13,14 @@
 #include <stdint.h>
 
 #include "common/base/status.h"
+#include "common/settings/setting.h"
 #include "proto/names.h"
 
 #define RN_ABSENT INT64_MIN // of an integer; a number's is NAN
 
 enum rn_type {
     RN_TYPE_BOOL,    // bool; false when absent
+    RN_TYPE_TRUTH,   // int: 0, 1, or -1 when absent
     RN_TYPE_INT,     // int64_t
     RN_TYPE_NUMBER,  // double
     RN_TYPE_NAME,    // int: index in `names`
@@ -33,11 +35,12 @@ enum rn_type {
 };
 
 enum {
-    RN_REQUIRED = 1,  // must be there (null is there, with RN_NULLABLE)
-    RN_NULLABLE = 2,  // null is a value: it means absent
-    RN_OVER_MIN = 4,  // min itself is not allowed
-    RN_UNDER_MAX = 8, // max itself is not allowed
-    RN_IS_OBJECT = 16 // JSON: only an object will do
+    RN_REQUIRED = 1,     // must be there (null is there, with RN_NULLABLE)
+    RN_NULLABLE = 2,     // null is a value: it means absent
+    RN_OVER_MIN = 4,     // min itself is not allowed
+    RN_UNDER_MAX = 8,    // max itself is not allowed
+    RN_IS_OBJECT = 16,   // JSON: only an object will do
+    RN_POWER_OF_TWO = 32 // INT
 };
 
 struct rn_field_spec {
@@ -61,12 +64,29 @@ struct rn_table {
     size_t size;       // of the struct
     const struct rn_field_spec *fields;
     size_t field_count;
+    // Or, with `settings`: in front of field `settings_at` there is one for every row of a table of
+    // settings, in the struct a union rn_setting_value[settings->count] at settings_offset. As
+    // options: the rows that may be asked for, none of them required; else a record of all.
+    const struct rn_settings *settings;
+    size_t settings_offset, settings_at;
+    bool as_options;
 };
+// How many rows to visit, and one of them: some have no name and are no field.
+size_t rn_table_rows(const struct rn_table *table);
+struct rn_field_spec rn_table_row(const struct rn_table *table, size_t i);
 
 #define RN_TABLE(struct_type, text, specs)                                                         \
     {                                                                                              \
         .title = (text), .size = sizeof(struct_type), .fields = (specs),                           \
         .field_count = sizeof(specs) / sizeof(specs)[0]                                            \
+    }
+
+#define RN_TABLE_OF_SETTINGS(struct_type, text, specs, settings_, member, at, options)             \
+    {                                                                                              \
+        .title = (text), .size = sizeof(struct_type), .fields = (specs),                           \
+        .field_count = sizeof(specs) / sizeof(specs)[0], .settings = (settings_),                  \
+        .settings_offset = offsetof(struct_type, member), .settings_at = (at),                     \
+        .as_options = (options)                                                                    \
     }
 
 // Fields by shape; `s` is the struct type, `m` the member, which has the JSON key's name.

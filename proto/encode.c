@@ -27,6 +27,7 @@ static bool is_absent(const struct rn_field_spec *field, const void *message) {
     case RN_TYPE_NUMBERS:
         return !isfinite(*(const double *)at);
     case RN_TYPE_NAME:
+    case RN_TYPE_TRUTH:
         return *(const int *)at < 0;
     case RN_TYPE_TEXT:
         return *(const char *)at == '\0';
@@ -44,8 +45,10 @@ static bool is_absent(const struct rn_field_spec *field, const void *message) {
 }
 
 static bool message_is_absent(const struct rn_table *table, const void *message) {
-    for (size_t i = 0; i < table->field_count; i++) {
-        const struct rn_field_spec *field = &table->fields[i];
+    for (size_t i = 0; i < rn_table_rows(table); i++) {
+        struct rn_field_spec row = rn_table_row(table, i);
+        const struct rn_field_spec *field = &row;
+        if (!field->name) continue;
         if (field->type == RN_TYPE_BOOL && !*(const bool *)member(field, message)) continue;
         if (!is_absent(field, message)) return false;
     }
@@ -101,6 +104,9 @@ static void put_field(struct encoder *encoder, const struct rn_field_spec *field
     case RN_TYPE_BOOL:
         put(encoder, *(const bool *)at ? "true" : "false");
         break;
+    case RN_TYPE_TRUTH:
+        put(encoder, *(const int *)at ? "true" : "false");
+        break;
     case RN_TYPE_INT:
         rn_buf_printf(&encoder->buf, "%" PRId64, *(const int64_t *)at);
         break;
@@ -142,8 +148,10 @@ static bool may_be_empty(enum rn_type type) {
 static void put_message(struct encoder *encoder, const struct rn_table *table,
                         const void *message) {
     const char *separator = "{";
-    for (size_t i = 0; i < table->field_count; i++) {
-        const struct rn_field_spec *field = &table->fields[i];
+    for (size_t i = 0; i < rn_table_rows(table); i++) {
+        struct rn_field_spec row = rn_table_row(table, i);
+        const struct rn_field_spec *field = &row;
+        if (!field->name) continue;
         bool absent = is_absent(field, message), as_null = absent && field->flags & RN_NULLABLE;
         if (absent && !as_null && !(field->flags & RN_REQUIRED)) continue;
         put(encoder, separator);

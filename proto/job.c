@@ -6,13 +6,8 @@
 #include "proto/checks.h"
 #include "proto/dataset.h"
 
-#define MAX_SAFE 9007199254740991.0 // whole numbers that a double holds exactly
-#define MAX_SIZE 16384              // pixels
+#define MAX_SIZE 16384 // pixels
 
-const char *const rn_preset_names[] = {"draft", "standard", "paper", NULL};
-const char *const rn_train_split_names[] = {"train", "trainval", NULL};
-const char *const rn_orientation_names[] = {"platonic", "golden", "blue", "white", NULL};
-const char *const rn_footprint_names[] = {"rip", "mip", "point", NULL};
 const char *const rn_split_names[] = {"train", "val", "test", NULL};
 
 // ---- options ----
@@ -20,23 +15,14 @@ const char *const rn_split_names[] = {"train", "val", "test", NULL};
 #define S struct rn_train_options
 static const struct rn_field_spec train_options[] = {
     RN_F_NAME(S, preset, 0, rn_preset_names),
-    RN_F_NAME(S, train_split, 0, rn_train_split_names),
-    RN_F_INT(S, planes, 0, 1, 16),
-    RN_F_NAME(S, orientation, 0, rn_orientation_names),
-    RN_F_NAME(S, footprint, 0, rn_footprint_names),
-    RN_F_INT(S, base, 0, 2, 4096),
-    RN_F_INT(S, channels, 0, 4, 16),
-    RN_F_NUMBER(S, max_time_s, RN_OVER_MIN, 0, 31536000),
-    RN_F_INT(S, max_steps, 0, 1, 1e9),
-    RN_F_NUMBER(S, until_psnr, RN_OVER_MIN, 0, 100),
-    RN_F_INT(S, seed, 0, 0, MAX_SAFE),
     RN_F_INT(S, threads, 0, 0, 1024),
     RN_F_TEXT(S, device, 0, rn_check_device),
     RN_F_TEXT(S, kernels, 0, rn_check_kernels),
     RN_F_NUMBER(S, checkpoint_interval_s, 0, 0, 86400),
     RN_F_NUMBER(S, evaluate_interval_s, RN_OVER_MIN, 0, 86400),
 };
-const struct rn_table rn_train_options_table = RN_TABLE(S, "training options", train_options);
+const struct rn_table rn_train_options_table = RN_TABLE_OF_SETTINGS(
+    S, "training options", train_options, &rn_train_settings, settings, 1, true);
 #undef S
 
 #define S struct rn_path_options
@@ -46,19 +32,19 @@ static const struct rn_field_spec path_options[] = {
     RN_F_INT(S, first, 0, 0, 99999),
     RN_F_INT(S, last, 0, 0, 99999),
     RN_F_NAME(S, output, 0, rn_output_kind_names),
-    RN_F_INT(S, supersample, 0, 1, 16),
-    RN_F_NUMBER(S, tolerance, 0, 0, 0.5),
 };
-const struct rn_table rn_path_options_table = RN_TABLE(S, "path options", path_options);
+const struct rn_table rn_path_options_table =
+    RN_TABLE_OF_SETTINGS(S, "path options", path_options, &rn_render_settings, settings, 5, true);
 #undef S
 
 #define S struct rn_eval_options
 static const struct rn_field_spec eval_options[] = {
-    RN_F_NAME(S, split, 0, rn_split_names), RN_F_INT(S, views, 0, 0, 1e6),
-    RN_F_INT(S, scale, 0, 0, 15),           RN_F_INT(S, supersample, 0, 1, 16),
-    RN_F_NUMBER(S, tolerance, 0, 0, 0.5),
+    RN_F_NAME(S, split, 0, rn_split_names),
+    RN_F_INT(S, views, 0, 0, 1e6),
+    RN_F_INT(S, scale, 0, 0, 15),
 };
-const struct rn_table rn_eval_options_table = RN_TABLE(S, "evaluation options", eval_options);
+const struct rn_table rn_eval_options_table = RN_TABLE_OF_SETTINGS(
+    S, "evaluation options", eval_options, &rn_render_settings, settings, 3, true);
 #undef S
 
 // ---- requests: one struct, a table for each type ----
@@ -112,14 +98,11 @@ static const struct rn_table request_tables[] = {
 
 // What a table cannot say.
 static const char *check_request(const struct rn_job_request *request, const char **ret_pointer) {
-    *ret_pointer = "#/options/channels";
-    int64_t channels = request->train.channels;
-    if (channels != RN_ABSENT && channels != 4 && channels != 8 && channels != 16)
-        return "must be 4, 8 or 16";
-    *ret_pointer = "#/options/supersample";
-    if (!rn_check_supersample(request->path_options.supersample) ||
-        !rn_check_supersample(request->eval.supersample))
-        return "must be 1, 2, 4, 8 or 16";
+    static const char no_solid[] = "must be 3, 4, 6 or 10 along a Platonic solid";
+    struct rn_error err;
+    *ret_pointer = "#/options/planes";
+    if (request->type == RN_JOB_TRAIN && rn_train_choice_check(request->train.settings, &err))
+        return no_solid;
     if (request->type != RN_JOB_PATH) return NULL;
     *ret_pointer = "#/path";
     if (!*request->path == !request->camera_path)

@@ -6,45 +6,34 @@
 #ifndef RN_PROTO_JOB_H
 #define RN_PROTO_JOB_H
 
+#include "common/settings/render.h"
+#include "common/settings/train.h"
 #include "proto/codec.h"
 #include "proto/names.h"
 
 // ---- options: what the user asked for; absent = decided by preset and data ----
 
 struct rn_train_options {
-    int preset;      // rn_preset_names: "draft", "standard", "paper"
-    int train_split; // rn_train_split_names: "train", "trainval"
-    int64_t planes;
-    int orientation; // rn_orientation_names
-    int footprint;   // rn_footprint_names
-    int64_t base, channels;
-    double max_time_s;
-    int64_t max_steps;
-    double until_psnr;
-    int64_t seed, threads;
+    int preset; // rn_preset_names: "draft", "standard", "paper"
+    union rn_setting_value settings[RN_TRAIN_SETTINGS];
+    int64_t threads;
     char device[16], kernels[32];
     double checkpoint_interval_s, evaluate_interval_s;
 };
 extern const struct rn_table rn_train_options_table;
-extern const char *const rn_preset_names[];
-extern const char *const rn_train_split_names[];
-extern const char *const rn_orientation_names[];
-extern const char *const rn_footprint_names[];
 extern const char *const rn_split_names[]; // "train", "val", "test"
 
 struct rn_path_options {
     int64_t width, height, first, last;
     int output; // enum rn_output_kind
-    int64_t supersample;
-    double tolerance;
+    union rn_setting_value settings[RN_RENDER_SETTINGS];
 };
 extern const struct rn_table rn_path_options_table;
 
 struct rn_eval_options {
     int split;            // rn_split_names
     int64_t views, scale; // views 0 = all; scale absent = all
-    int64_t supersample;
-    double tolerance;
+    union rn_setting_value settings[RN_RENDER_SETTINGS];
 };
 extern const struct rn_table rn_eval_options_table;
 

@@ -20,13 +20,9 @@ static const struct rn_field_spec request[] = {
     RN_F_NUMBERS(S, background, 0, 0, 1),
     RN_F_NAME(S, format, 0, rn_picture_format_names),
     RN_F_INT(S, jpeg_quality, 0, 1, 100),
-    RN_F_NUMBER(S, step, RN_OVER_MIN, 0, 1),
-    RN_F_NUMBER(S, stop, RN_OVER_MIN | RN_UNDER_MAX, 0, 1),
-    RN_F_INT(S, subsample, 0, 1, 16),
-    RN_F_INT(S, supersample, 0, 1, 16),
-    RN_F_NUMBER(S, tolerance, 0, 0, 0.5),
 };
-const struct rn_table rn_render_request_table = RN_TABLE(S, "a render request", request);
+const struct rn_table rn_render_request_table =
+    RN_TABLE_OF_SETTINGS(S, "a render request", request, &rn_render_settings, settings, 8, true);
 #undef S
 
 // What a table cannot say.
@@ -35,8 +31,6 @@ static const char *check_request(const struct rn_render_request *r, const char *
     if (!*r->view == !r->camera) return "exactly one of camera and view must be given";
     *ret_pointer = "#/scale";
     if (r->camera && rn_int_or(r->scale, 0) != 0) return "goes with view only";
-    *ret_pointer = "#/supersample";
-    if (!rn_check_supersample(r->supersample)) return "must be 1, 2, 4, 8 or 16";
     *ret_pointer = "#/format";
     if (r->output == RN_OUTPUT_KIND_DEPTH && r->format == RN_FORMAT_JPEG)
         return "must be png for depth";
@@ -66,8 +60,11 @@ void rn_render_request_settle(struct rn_render_request *r, enum rn_picture_forma
     r->format = rn_name_or(r->format, (int)format);
     if (r->output == RN_OUTPUT_KIND_DEPTH) r->format = RN_FORMAT_PNG;
     r->jpeg_quality = rn_int_or(r->jpeg_quality, 90);
-    r->subsample = rn_int_or(r->subsample, 1);
-    r->tolerance = rn_number_or(r->tolerance, 0);
+    for (size_t i = 0; i < RN_RENDER_SETTINGS; i++) {
+        const struct rn_setting *row = &rn_render_settings.rows[i];
+        if (rn_setting_is_absent(row, &r->settings[i]) && !isnan(row->settled))
+            r->settings[i] = rn_setting_of_number(row, row->settled);
+    }
 }
 
 #define S struct rn_camera_path_request

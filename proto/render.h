@@ -2,6 +2,7 @@
 #ifndef RN_PROTO_RENDER_H
 #define RN_PROTO_RENDER_H
 
+#include "common/settings/render.h"
 #include "proto/codec.h"
 #include "proto/names.h"
 
@@ -18,9 +19,7 @@ struct rn_render_request {
     double background[3]; // first one NAN = as trained
     int format;           // enum rn_picture_format
     int64_t jpeg_quality;
-    double step, stop;
-    int64_t subsample, supersample; // supersample absent = as the scene calls for
-    double tolerance;
+    union rn_setting_value settings[RN_RENDER_SETTINGS];
 };
 extern const struct rn_table rn_render_request_table;
 // As rn_decode; also checks that there is exactly one of camera and view, and the like.
@@ -28,8 +27,9 @@ enum rn_status rn_render_request_decode(const char *json, size_t size,
                                         struct rn_render_request *ret_request,
                                         struct rn_field_errors *errors,
                                         struct rn_error *err) RN_MUST_CHECK;
-// Writes the defaults into what is absent (scale, output, jpeg_quality, subsample, tolerance;
-// `format` where the request has none), so that equal pictures have equal texts when encoded.
+// Writes the defaults into what is absent (scale, output, jpeg_quality, settings that are the same
+// for every scene; `format` where the request has none), so that equal pictures have equal texts
+// when encoded.
 void rn_render_request_settle(struct rn_render_request *request, enum rn_picture_format format);
 
 // POST /v1/camera-paths, and the record.

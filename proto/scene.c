@@ -6,55 +6,12 @@
 
 #include "proto/job.h"
 
-const char *const rn_shading_names[] = {"sample", "ray", NULL};
-
 #define S struct rn_field_config_record
 static const struct rn_field_spec config[] = {
-    RN_F_TEXT(S, preset, RN_REQUIRED, NULL),
-    RN_F_INT(S, planes, RN_REQUIRED, 1, 16),
-    RN_F_NAME(S, orientation, RN_REQUIRED, rn_orientation_names),
-    RN_F_INT(S, base, RN_REQUIRED, 2, 4096),
-    RN_F_INT(S, grow_to, RN_REQUIRED, 0, 4096),
-    RN_F_INT(S, channels, RN_REQUIRED, 1, 4096),
-    RN_F_INT(S, levels, RN_REQUIRED, 1, 64),
-    RN_F_NAME(S, footprint, RN_REQUIRED, rn_footprint_names),
-    RN_F_INT(S, footprint_base, RN_REQUIRED, 0, 4096),
-    RN_F_NAME(S, shading, RN_REQUIRED, rn_shading_names),
-    RN_F_INT(S, width, RN_REQUIRED, 1, 65536),
-    RN_F_INT(S, base_layers, RN_REQUIRED, 0, 64),
-    RN_F_INT(S, head_layers, RN_REQUIRED, 0, 64),
-    RN_F_BOOL(S, view_dependence, RN_REQUIRED),
-    RN_F_INT(S, occupancy, RN_REQUIRED, 1, 65536),
-    RN_F_NUMBER(S, step, RN_REQUIRED, 0, INFINITY),
-    RN_F_INT(S, target_samples, RN_REQUIRED, 0, INFINITY),
-    RN_F_INT(S, initial_rays, RN_REQUIRED, 0, INFINITY),
-    RN_F_NUMBER(S, learning_rate, RN_REQUIRED, 0, INFINITY),
-    RN_F_NUMBER(S, plane_rate, RN_REQUIRED, 0, INFINITY),
-    RN_F_NUMBER(S, weight_decay, RN_REQUIRED, 0, INFINITY),
-    RN_F_NUMBER(S, beta2, RN_REQUIRED, 0, 1),
-    RN_F_NUMBER(S, adam_eps, RN_REQUIRED, 0, INFINITY),
-    RN_F_INT(S, max_steps, RN_REQUIRED, 0, INFINITY),
-    RN_F_NUMBER(S, max_seconds, RN_REQUIRED, 0, INFINITY),
-    RN_F_NUMBER(S, until_psnr, RN_REQUIRED, 0, INFINITY),
-    RN_F_BOOL(S, carve, RN_REQUIRED),
-    RN_F_BOOL(S, sparse, RN_REQUIRED),
-    RN_F_BOOL(S, multi_step_rate, RN_REQUIRED),
-    RN_F_BOOL(S, favour_finest, RN_REQUIRED),
-    RN_F_BOOL(S, draw_by_error, RN_REQUIRED),
-    RN_F_BOOL(S, cone_step, RN_REQUIRED),
-    RN_F_BOOL(S, auto_effects, RN_REQUIRED),
-    RN_F_NUMBER(S, roulette, RN_REQUIRED, 0, INFINITY),
-    RN_F_NUMBER(S, stop, RN_REQUIRED, 0, INFINITY),
-    RN_F_BOOL(S, supersample, RN_REQUIRED),
     RN_F_NUMBER(S, finest_cone, RN_REQUIRED, 0, INFINITY),
-    RN_F_INT(S, seed, RN_REQUIRED, 0, INFINITY),
-    RN_F_NAME(S, train_split, RN_REQUIRED, rn_train_split_names),
-    RN_F_NUMBERS(S, background, RN_REQUIRED, 0, 1),
-    RN_F_NUMBER(S, random_background, 0, 0, 1),
-    RN_F_NUMBER(S, smoothing, 0, 0, 0.25),
-    RN_F_NUMBER(S, split_pixels, 0, 0, 1),
 };
-const struct rn_table rn_field_config_table = RN_TABLE(S, "a field's configuration", config);
+const struct rn_table rn_field_config_table = RN_TABLE_OF_SETTINGS(
+    S, "a field's configuration", config, &rn_train_settings, settings, 0, false);
 #undef S
 
 #define S struct rn_difference_record

@@ -2,37 +2,16 @@
 #ifndef RN_PROTO_SCENE_H
 #define RN_PROTO_SCENE_H
 
+#include "common/settings/train.h"
 #include "proto/codec.h"
 #include "proto/dataset.h"
 #include "proto/names.h"
 
 struct rn_field_config_record {
-    char preset[16];
-    int64_t planes;
-    int orientation; // rn_orientation_names
-    int64_t base, grow_to, channels, levels;
-    int footprint; // rn_footprint_names
-    int64_t footprint_base;
-    int shading; // rn_shading_names
-    int64_t width, base_layers, head_layers;
-    bool view_dependence;
-    int64_t occupancy;
-    double step;
-    int64_t target_samples, initial_rays;
-    double learning_rate, plane_rate, weight_decay, beta2, adam_eps;
-    int64_t max_steps;
-    double max_seconds, until_psnr;
-    bool carve, sparse, multi_step_rate, favour_finest, draw_by_error, cone_step, auto_effects;
-    double roulette, stop;
-    bool supersample;
-    double finest_cone;
-    int64_t seed;
-    int train_split; // rn_train_split_names
-    double background[3];
-    double random_background, smoothing, split_pixels; // NaN: by a build that did not know it
+    union rn_setting_value settings[RN_TRAIN_SETTINGS];
+    double finest_cone; // measured on the photographs
 };
 extern const struct rn_table rn_field_config_table;
-extern const char *const rn_shading_names[]; // "sample", "ray"
 
 struct rn_difference_record {
     char what[256], measured[256];

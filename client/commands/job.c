@@ -14,9 +14,9 @@ static const struct rn_option no_options[] = {{0}};
 // ---- train ----
 
 struct train_options {
-    const char *name, *preset, *train_split, *planes, *footprint, *device, *kernels;
-    double max_time, until_psnr;
-    int64_t max_steps, seed, threads;
+    const char *name, *preset, *device, *kernels;
+    union rn_setting_value settings[RN_TRAIN_SETTINGS];
+    int64_t threads;
     bool wait;
 };
 #define TRAIN(m) .offset = offsetof(struct train_options, m)
@@ -31,49 +31,7 @@ static const struct rn_option train_table[] = {
      TRAIN(preset),
      .choices = "draft|standard|paper",
      .help = "where the settings start from (standard)"},
-    {.name = "train-split",
-     .kind = RN_OPTION_CHOICE,
-     TRAIN(train_split),
-     .choices = "train|trainval",
-     .help = "which views are learned from (train)"},
-    {.name = "planes",
-     .kind = RN_OPTION_CHOICE,
-     TRAIN(planes),
-     .choices = "3|4|6|10",
-     .help = "planes of the Platonic solid"},
-    {.name = "footprint",
-     .kind = RN_OPTION_CHOICE,
-     TRAIN(footprint),
-     .choices = "rip|mip|point",
-     .help = "how a sample's size is looked up"},
-    {.name = "max-time",
-     .kind = RN_OPTION_SECONDS,
-     TRAIN(max_time),
-     .value = "T",
-     .min = 0.001,
-     .max = 31536000,
-     .help = "stop after T of training: 60s, 10m, 1h"},
-    {.name = "max-steps",
-     .kind = RN_OPTION_INTEGER,
-     TRAIN(max_steps),
-     .value = "N",
-     .min = 1,
-     .max = 1e9,
-     .help = "stop after N steps"},
-    {.name = "until-psnr",
-     .kind = RN_OPTION_NUMBER,
-     TRAIN(until_psnr),
-     .value = "DB",
-     .min = 0.001,
-     .max = 100,
-     .help = "stop at DB on the held-out views"},
-    {.name = "seed",
-     .kind = RN_OPTION_INTEGER,
-     TRAIN(seed),
-     .value = "N",
-     .min = 0,
-     .max = 9007199254740991.0,
-     .help = "of all random numbers"},
+    {.name = "", .kind = RN_OPTION_SETTINGS, TRAIN(settings), .settings = &rn_train_settings},
     {.name = "threads",
      .kind = RN_OPTION_INTEGER,
      TRAIN(threads),
@@ -120,13 +78,7 @@ static char *train_body(const struct train_options *options, const char *dataset
     request.scene = (char *)options->name;
     struct rn_train_options *train = &request.options;
     train->preset = index_of(rn_preset_names, options->preset);
-    train->train_split = index_of(rn_train_split_names, options->train_split);
-    train->planes = options->planes ? atoi(options->planes) : RN_ABSENT;
-    train->footprint = index_of(rn_footprint_names, options->footprint);
-    train->max_time_s = options->max_time;
-    train->max_steps = options->max_steps;
-    train->until_psnr = options->until_psnr;
-    train->seed = options->seed;
+    memcpy(train->settings, options->settings, sizeof train->settings);
     train->threads = options->threads;
     if (options->device) snprintf(train->device, sizeof train->device, "%s", options->device);
     if (options->kernels) snprintf(train->kernels, sizeof train->kernels, "%s", options->kernels);
@@ -220,7 +172,10 @@ static enum rn_exit wait_for(struct rn_client *client, const char *job_id) {
 static enum rn_exit run_train(struct rn_client *client, const void *context, const char **args) {
     const struct train_options *options = context;
     char job[RN_ID_MAX], *answer = NULL;
+    struct rn_error err;
     if (!options->name) return rn_client_usage("train", "needs --name SCENE");
+    if (rn_train_choice_check(options->settings, &err) != RN_OK)
+        return rn_client_usage("train", "--%s: %s", err.where, err.text);
     char *body = train_body(options, args[0]);
     if (!body) return RN_EXIT_FAILED;
     enum rn_exit code = rn_submit(client, body, job, &answer);

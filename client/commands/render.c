@@ -44,8 +44,7 @@ static const struct rn_table path_document_table =
 struct render_options {
     const char *view, *camera, *output, *file;
     struct rn_option_pair size;
-    int64_t supersample;
-    double tolerance;
+    union rn_setting_value settings[RN_RENDER_SETTINGS];
 };
 #define RENDER(m) .offset = offsetof(struct render_options, m)
 #define SIZE_OPTION(place)                                                                         \
@@ -53,18 +52,8 @@ struct render_options {
         .name = "size", .kind = RN_OPTION_SIZE, place, .value = "WxH", .min = 1, .max = 16384,     \
         .help = "pixels; else as the camera says"                                                  \
     }
-#define SUPERSAMPLE_OPTION(place)                                                                  \
-    {                                                                                              \
-        .name = "supersample", .kind = RN_OPTION_INTEGER, place, .value = "N", .min = 1,           \
-        .max = 16,                                                                                 \
-        .help = "N x N cones a pixel: 1, 2, 4, 8 or 16; else as many as the scene "                \
-                "calls for"                                                                        \
-    }
-#define TOLERANCE_OPTION(place)                                                                    \
-    {                                                                                              \
-        .name = "tolerance", .kind = RN_OPTION_NUMBER, place, .value = "T", .min = 0, .max = 0.5,  \
-        .help = "how far pixels may be off, for a quicker picture: 0.02 to 0.06; else 0"           \
-    }
+#define SETTINGS_OPTION(place)                                                                     \
+    { .name = "", .kind = RN_OPTION_SETTINGS, place, .settings = &rn_render_settings }
 static const struct rn_option render_table[] = {
     {.name = "view",
      .kind = RN_OPTION_TEXT,
@@ -82,8 +71,7 @@ static const struct rn_option render_table[] = {
      RENDER(output),
      .choices = "rgb|depth|alpha",
      .help = "what the picture shows (rgb)"},
-    SUPERSAMPLE_OPTION(RENDER(supersample)),
-    TOLERANCE_OPTION(RENDER(tolerance)),
+    SETTINGS_OPTION(RENDER(settings)),
     {.name = "out",
      .letter = 'o',
      .kind = RN_OPTION_TEXT,
@@ -133,8 +121,7 @@ static enum rn_exit render_body(const struct render_options *options, char **ret
     request.size.height = options->size.second;
     request.format = format_of(options->file);
     request.output = options->output ? rn_name_index(rn_output_kind_names, options->output) : -1;
-    request.supersample = options->supersample;
-    request.tolerance = options->tolerance;
+    memcpy(request.settings, options->settings, sizeof options->settings);
     *ret_body = rn_api_encode(&rn_render_request_table, &request);
     rn_message_finish(&rn_render_request_table, &request);
     return *ret_body ? RN_EXIT_OK : RN_EXIT_FAILED;
@@ -211,8 +198,7 @@ static enum rn_exit run_render(struct rn_client *client, const void *context, co
 struct path_options {
     const char *folder;
     struct rn_option_pair size, frames;
-    int64_t supersample;
-    double tolerance;
+    union rn_setting_value settings[RN_RENDER_SETTINGS];
 };
 #define PATH(m) .offset = offsetof(struct path_options, m)
 static const struct rn_option path_table[] = {SIZE_OPTION(PATH(size)),
@@ -223,8 +209,7 @@ static const struct rn_option path_table[] = {SIZE_OPTION(PATH(size)),
                                                .min = 0,
                                                .max = RN_PATH_MAX_FRAMES - 1,
                                                .help = "only the frames A to B, both included"},
-                                              SUPERSAMPLE_OPTION(PATH(supersample)),
-                                              TOLERANCE_OPTION(PATH(tolerance)),
+                                              SETTINGS_OPTION(PATH(settings)),
                                               {.name = "out",
                                                .letter = 'o',
                                                .kind = RN_OPTION_TEXT,
@@ -283,8 +268,7 @@ static enum rn_exit path_body(const struct path_options *options, const char **a
     request.options.height = options->size.second;
     request.options.first = options->frames.first;
     request.options.last = options->frames.second;
-    request.options.supersample = options->supersample;
-    request.options.tolerance = options->tolerance;
+    memcpy(request.options.settings, options->settings, sizeof options->settings);
     *ret_body = rn_api_encode(&path_request_table, &request);
     free(request.camera_path);
     return *ret_body ? RN_EXIT_OK : RN_EXIT_FAILED;
@@ -414,8 +398,8 @@ static enum rn_exit run_path(struct rn_client *client, const void *context, cons
 
 struct eval_options {
     const char *split;
-    int64_t views, scale, supersample;
-    double tolerance;
+    int64_t views, scale;
+    union rn_setting_value settings[RN_RENDER_SETTINGS];
 };
 #define EVAL(m) .offset = offsetof(struct eval_options, m)
 static const struct rn_option eval_table[] = {{.name = "split",
@@ -437,8 +421,7 @@ static const struct rn_option eval_table[] = {{.name = "split",
                                                .min = 0,
                                                .max = 15,
                                                .help = "only the images 2^J times smaller"},
-                                              SUPERSAMPLE_OPTION(EVAL(supersample)),
-                                              TOLERANCE_OPTION(EVAL(tolerance)),
+                                              SETTINGS_OPTION(EVAL(settings)),
                                               {0}};
 
 struct eval_request {
@@ -461,8 +444,7 @@ static char *eval_body(const struct eval_options *options, const char *scene) {
     request.options.split = options->split ? rn_name_index(rn_split_names, options->split) : -1;
     request.options.views = options->views;
     request.options.scale = options->scale;
-    request.options.supersample = options->supersample;
-    request.options.tolerance = options->tolerance;
+    memcpy(request.options.settings, options->settings, sizeof options->settings);
     return rn_api_encode(&eval_request_table, &request);
 }
 

@@ -48,19 +48,19 @@ static void print_field(const char *name, const char *fmt, ...) {
     putchar('\n');
 }
 
-static void print_config(const struct rn_field_config_record *config) {
+static void print_config(const struct rn_train_config *config) {
     char growth[48] = "";
-    if (config->grow_to > config->base)
-        snprintf(growth, sizeof growth, " (growing to %lld)", (long long)config->grow_to);
-    print_field("field", "%lld planes (%s), base %lld%s, %lld channels, %lld levels, footprint %s",
-                (long long)config->planes, rn_orientation_names[config->orientation],
-                (long long)config->base, growth, (long long)config->channels,
-                (long long)config->levels, rn_footprint_names[config->footprint]);
-    print_field("networks", "width %lld, %lld + %lld hidden layers, shaded per %s",
-                (long long)config->width, (long long)config->base_layers,
-                (long long)config->head_layers, rn_shading_names[config->shading]);
-    print_field("preset", "%s, seed %lld, trained on %s", config->preset, (long long)config->seed,
-                rn_train_split_names[config->train_split]);
+    if (config->grow_to > config->field.base)
+        snprintf(growth, sizeof growth, " (growing to %d)", config->grow_to);
+    print_field("field", "%d planes (%s), base %d%s, %d channels, %d levels, footprint %s",
+                config->field.planes, rn_orientation_names[config->field.orientation],
+                config->field.base, growth, config->field.channels, config->field.levels,
+                rn_footprint_names[config->field.footprint]);
+    print_field("networks", "width %d, %d + %d hidden layers, shaded per %s", config->field.width,
+                config->field.base_layers, config->field.head_layers,
+                rn_shading_names[config->field.shading]);
+    print_field("preset", "%s, seed %llu, trained on %s", config->preset,
+                (unsigned long long)config->seed, rn_train_split_names[config->train_val]);
 }
 
 // The threshold in the unit that the reason is told in.
@@ -107,7 +107,9 @@ static void print_description(const struct rn_scene *scene) {
                                  &description, NULL, &err) != RN_OK) {
         fprintf(stderr, "ripnerf: %s: %s\n", err.where, err.text);
     } else {
-        print_config(&description.config);
+        struct rn_train_config config = {.preset = ""};
+        rn_settings_put(&rn_train_settings, description.config.settings, &config);
+        print_config(&config);
         print_field("bounds", "centre (%g, %g, %g), radius %g", description.bounds.centre[0],
                     description.bounds.centre[1], description.bounds.centre[2],
                     description.bounds.radius);

@@ -1,119 +1,500 @@
 #include "common/settings/train.h"
 
 #include <math.h>
+#include <stddef.h>
 #include <stdio.h>
 #include <string.h>
 
-static const struct rn_train_config paper = {
-    .preset = "paper",
-    .field = {.planes = 10,
-              .orientation = RN_ORIENTATION_PLATONIC,
-              .base = 512,
-              .channels = 16,
-              .levels = 8,
-              .footprint = RN_FOOTPRINT_RIP,
-              .shading = RN_SHADING_SAMPLE,
-              .width = 128,
-              .base_layers = 2,
-              .head_layers = 4,
-              .view_dependence = true,
-              .occupancy = 128},
-    .step = 2 * 1.7320508075688772 / 1024,
-    .target_samples = 262144,
-    .initial_rays = 8192,
-    .learning_rate = 2e-3,
-    .plane_rate = 10,
-    .weight_decay = 1e-5,
-    .beta2 = 0.999,
-    .adam_eps = 1e-15,
-    .max_steps = 120000,
-    .multi_step_rate = true,
-    .stop = 1e-4,
-    .background = {1, 1, 1},
-};
+const char *const rn_preset_names[] = {"draft", "standard", "paper", NULL};
+const char *const rn_train_split_names[] = {"train", "trainval", NULL};
+const char *const rn_orientation_names[] = {"platonic", "golden", "blue", "white", NULL};
+const char *const rn_footprint_names[] = {"rip", "mip", "point", NULL};
+const char *const rn_shading_names[] = {"sample", "ray", NULL};
 
-static const struct rn_train_config standard = {
-    .preset = "standard",
-    .field = {.planes = 3,
-              .orientation = RN_ORIENTATION_PLATONIC,
-              .base = 64,
-              .channels = 16,
-              .levels = 8,
-              .footprint = RN_FOOTPRINT_RIP,
-              .shading = RN_SHADING_RAY,
-              .width = 64,
-              .base_layers = 1,
-              .head_layers = 2,
-              .view_dependence = true,
-              .occupancy = 128},
-    .step = 0.005,
-    .target_samples = 32768,
-    .initial_rays = 4096,
-    .learning_rate = 8e-3,
-    .plane_rate = 10,
-    .weight_decay = 0,
-    .beta2 = 0.99,
-    .adam_eps = 1e-15,
-    .grow_to = 512,
-    .max_seconds = 60,
-    .carve = true,
-    .roulette = 1,
-    .sparse = true,
-    .favour_finest = true,
-    .cone_step = true,
-    .auto_effects = true,
-    .stop = 2e-3,
-    .refine_at_rest = true,
-    .supersample = true,
-    .background = {1, 1, 1},
-    .random_background = 0.2,
-    .smoothing = 0.1,
+#define PLACE(member) .offset = offsetof(struct rn_train_config, member)
+#define PRESETS(of_paper, of_standard, of_draft)                                                   \
+    .paper = (of_paper), .standard = (of_standard), .draft = (of_draft)
+static const struct rn_setting rows[] = {
+    {.name = "preset",
+     .type = RN_SETTING_TEXT,
+     PLACE(preset),
+     .unit = "",
+     .meaning = "where the settings started from",
+     PRESETS(0, 0, 0)},
+    {.name = "planes",
+     .type = RN_SETTING_INT,
+     PLACE(field.planes),
+     .min = 1,
+     .max = RN_MAX_PLANES,
+     .unit = "",
+     .meaning = "planes that features lie on; of a Platonic solid 3, 4, 6 or 10",
+     .option = "planes",
+     .flag = "planes",
+     PRESETS(10, 3, 3),
+     .unlike = "fewer planes than the paper's 10",
+     .gain = "3: +4.3 dB"},
+    {.name = "orientation",
+     .type = RN_SETTING_CHOICE,
+     PLACE(field.orientation),
+     .unit = "",
+     .choices = rn_orientation_names,
+     .meaning = "where the planes' normals come from",
+     .option = "orientation",
+     .flag = "orientation",
+     PRESETS(0, 0, 0),
+     .unlike = "planes not along a Platonic solid",
+     .gain = ""},
+    {.name = "base",
+     .type = RN_SETTING_INT,
+     PLACE(field.base),
+     .min = 2,
+     .max = 4096,
+     .unit = "texels",
+     .meaning = "side of each plane's base grid; as an option, of the grid in the end",
+     .option = "base",
+     .flag = "base",
+     PRESETS(512, 64, 64),
+     .unlike = "another base grid in the end than the paper's 512 x 512",
+     .gain = "256: level on validation views after 15 s, in a third more steps"},
+    {.name = "grow_to",
+     .type = RN_SETTING_INT,
+     PLACE(grow_to),
+     .min = 0,
+     .max = 4096,
+     .unit = "texels",
+     .meaning = "base side that the planes grow to by doubling; 0: they do not grow",
+     PRESETS(0, 512, 256),
+     .unlike = "planes grow from a coarse grid while they are trained",
+     .gain = "+3.9 dB"},
+    {.name = "channels",
+     .type = RN_SETTING_INT,
+     .flags = RN_SETTING_POWER_OF_TWO,
+     PLACE(field.channels),
+     .min = 4,
+     .max = 16,
+     .unit = "",
+     .meaning = "features of a texel",
+     .option = "channels",
+     .flag = "channels",
+     PRESETS(16, 16, 16),
+     .unlike = "fewer channels than the paper's 16",
+     .gain = "8: -0.5 dB on validation views after 60 CPU seconds"},
+    {.name = "levels",
+     .type = RN_SETTING_INT,
+     PLACE(field.levels),
+     .min = 1,
+     .max = RN_MAX_LEVELS,
+     .unit = "",
+     .meaning = "levels of the ripmap along each axis",
+     PRESETS(8, 8, 8)},
+    {.name = "footprint",
+     .type = RN_SETTING_CHOICE,
+     PLACE(field.footprint),
+     .unit = "",
+     .choices = rn_footprint_names,
+     .meaning = "how a sample's size is looked up",
+     .option = "footprint",
+     .flag = "footprint",
+     PRESETS(0, 0, 0),
+     .unlike = "another footprint than the paper's ripmap",
+     .gain = "mip: +0.7 dB over four scales after 30 s"},
+    {.name = "footprint_given",
+     .type = RN_SETTING_BOOL,
+     .flags = RN_SETTING_LATER,
+     PLACE(footprint_given),
+     .unit = "",
+     .meaning = "the footprint was asked for: it stays though the data calls for less",
+     PRESETS(0, 0, 0)},
+    {.name = "footprint_base",
+     .type = RN_SETTING_INT,
+     .flags = RN_SETTING_OR_ZERO,
+     PLACE(field.footprint_base),
+     .min = 1,
+     .max = 4096,
+     .unit = "texels",
+     .meaning = "side of the grid in whose texels footprints are measured; 0: the base grid",
+     PRESETS(0, 0, 0)},
+    {.name = "shading",
+     .type = RN_SETTING_CHOICE,
+     PLACE(field.shading),
+     .unit = "",
+     .choices = rn_shading_names,
+     .meaning = "where the colour network runs: for each sample, or once a ray",
+     PRESETS(0, 1, 1),
+     .unlike = "view-dependent colour once a ray instead of once a sample",
+     .gain = "+0.7 dB"},
+    {.name = "width",
+     .type = RN_SETTING_INT,
+     .flags = RN_SETTING_SIXTEENS,
+     PLACE(field.width),
+     .min = 16,
+     .max = 256,
+     .unit = "",
+     .meaning = "width of every hidden layer",
+     PRESETS(128, 64, 64),
+     .unlike = "narrower networks than the paper's 128",
+     .gain = "64: +0.4 dB"},
+    {.name = "base_layers",
+     .type = RN_SETTING_INT,
+     PLACE(field.base_layers),
+     .min = 1,
+     .max = 5,
+     .unit = "",
+     .meaning = "hidden layers of the density network",
+     PRESETS(2, 1, 1),
+     .unlike = "fewer hidden layers",
+     .gain = "1 and 1: +1.0 dB"},
+    {.name = "head_layers",
+     .type = RN_SETTING_INT,
+     PLACE(field.head_layers),
+     .min = 1,
+     .max = 5,
+     .unit = "",
+     .meaning = "hidden layers of the colour network",
+     PRESETS(4, 2, 1),
+     .unlike = "fewer hidden layers",
+     .gain = "1 and 1: +1.0 dB"},
+    {.name = "view_dependence",
+     .type = RN_SETTING_BOOL,
+     PLACE(field.view_dependence),
+     .unit = "",
+     .meaning = "the colour network sees the direction",
+     PRESETS(1, 1, 1)},
+    {.name = "occupancy",
+     .type = RN_SETTING_INT,
+     .flags = RN_SETTING_POWER_OF_TWO,
+     PLACE(field.occupancy),
+     .min = 16,
+     .max = 256,
+     .unit = "cells",
+     .meaning = "cells a side of the occupancy grid",
+     PRESETS(128, 128, 128)},
+    {.name = "step",
+     .type = RN_SETTING_NUMBER,
+     PLACE(step),
+     .min = 0.001,
+     .max = 1,
+     .unit = "scene radii",
+     .meaning = "marching step",
+     PRESETS(2 * 1.7320508075688772 / 1024, 0.005, 0.0068),
+     .unlike = "another marching step than diagonal / 1024",
+     .gain = "0.005 radii: +0.1 dB"},
+    {.name = "cone_step",
+     .type = RN_SETTING_BOOL,
+     PLACE(cone_step),
+     .unit = "",
+     .meaning = "a sample spans as many marching steps as its cone is wide, at most 8",
+     PRESETS(0, 1, 1),
+     .unlike = "samples of wide cones span several marching steps",
+     .gain = "+0.1 dB over four scales after 30 s"},
+    {.name = "target_samples",
+     .type = RN_SETTING_INT,
+     PLACE(target_samples),
+     .min = 1024,
+     .max = 1 << 22,
+     .unit = "samples",
+     .meaning = "samples a training step that the batch of rays aims at",
+     PRESETS(262144, 32768, 16384),
+     .unlike = "smaller batch than 262,144 samples",
+     .gain = "32,768: +3.1 dB"},
+    {.name = "initial_rays",
+     .type = RN_SETTING_INT,
+     PLACE(initial_rays),
+     .min = 1,
+     .max = 1 << 17,
+     .unit = "rays",
+     .meaning = "rays of the first training step",
+     PRESETS(8192, 4096, 4096)},
+    {.name = "carve",
+     .type = RN_SETTING_BOOL,
+     PLACE(carve),
+     .unit = "",
+     .meaning = "the occupancy begins with the images' alpha",
+     PRESETS(0, 1, 1),
+     .unlike = "occupancy carved from alpha before the first step",
+     .gain = "+1.3 dB"},
+    {.name = "random_background",
+     .type = RN_SETTING_NUMBER,
+     .flags = RN_SETTING_LATER,
+     PLACE(random_background),
+     .min = 0,
+     .max = 1,
+     .unit = "",
+     .meaning = "share of the schedule at whose beginning the loss is the mean over all "
+                "backgrounds whose channels are 0 or 1; 0: never",
+     PRESETS(0, 0.2, 0.2),
+     .unlike = "the loss is at first the mean over all backgrounds",
+     .gain = "+0.3 dB after 2,000 steps"},
+    {.name = "split_pixels",
+     .type = RN_SETTING_NUMBER,
+     .flags = RN_SETTING_LATER,
+     PLACE(split_pixels),
+     .min = 0,
+     .max = 1,
+     .unit = "",
+     .meaning = "share of the schedule at whose end a pixel is trained and rendered as the mean of "
+                "2 x 2 cones; 0: never",
+     PRESETS(0, 0, 0),
+     .unlike = "pixels are in the end trained and rendered as 2 x 2 cones",
+     .gain = "+0.6 dB after 10,000 steps"},
+    {.name = "smoothing",
+     .type = RN_SETTING_NUMBER,
+     .flags = RN_SETTING_LATER,
+     PLACE(smoothing),
+     .min = 0,
+     .max = 0.25,
+     .unit = "",
+     .meaning = "share of the way to each of its neighbours that a texel goes every 32 steps, "
+                "times the square of the rate's factor; 0: none",
+     PRESETS(0, 0.1, 0.1),
+     .unlike = "planes are smoothed, ever less, while they are trained",
+     .gain = "+0.4 dB after 1,500 and 3,000 steps"},
+    {.name = "roulette",
+     .type = RN_SETTING_NUMBER,
+     PLACE(roulette),
+     .min = 0,
+     .max = 64,
+     .unit = "",
+     .meaning = "samples whose gradient is below this many times the mean are backpropagated by "
+                "Russian roulette; 0: all are",
+     PRESETS(0, 1, 1),
+     .unlike = "roulette on samples of small gradient (unbiased)",
+     .gain = "a quarter of them goes back: +0.7 dB after 60 CPU seconds"},
+    {.name = "sparse",
+     .type = RN_SETTING_BOOL,
+     PLACE(sparse),
+     .unit = "",
+     .meaning = "the optimiser visits only touched texels",
+     PRESETS(0, 1, 1),
+     .unlike = "optimiser visits touched texels only",
+     .gain = "+1.0 dB"},
+    {.name = "learning_rate",
+     .type = RN_SETTING_NUMBER,
+     .flags = RN_SETTING_OVER_MIN,
+     PLACE(learning_rate),
+     .min = 0,
+     .max = 10,
+     .unit = "",
+     .meaning = "learning rate of the networks",
+     PRESETS(0.002, 0.008, 0.008),
+     .unlike = "other learning rates",
+     .gain = "four times: +1.7 dB"},
+    {.name = "plane_rate",
+     .type = RN_SETTING_NUMBER,
+     .flags = RN_SETTING_OVER_MIN,
+     PLACE(plane_rate),
+     .min = 0,
+     .max = 1000,
+     .unit = "",
+     .meaning = "factor on the learning rate for the planes",
+     PRESETS(10, 10, 10),
+     .unlike = "other learning rates",
+     .gain = "four times: +1.7 dB"},
+    {.name = "beta2",
+     .type = RN_SETTING_NUMBER,
+     .flags = RN_SETTING_OVER_MIN | RN_SETTING_UNDER_MAX,
+     PLACE(beta2),
+     .min = 0,
+     .max = 1,
+     .unit = "",
+     .meaning = "decay of AdamW's second moment",
+     PRESETS(0.999, 0.99, 0.99),
+     .unlike = "another decay of AdamW's second moment than 0.999",
+     .gain = "0.99: +0.4 dB"},
+    {.name = "weight_decay",
+     .type = RN_SETTING_NUMBER,
+     .flags = RN_SETTING_UNDER_MAX,
+     PLACE(weight_decay),
+     .min = 0,
+     .max = 1,
+     .unit = "",
+     .meaning = "decoupled weight decay; where the optimiser is sparse, of the networks alone",
+     PRESETS(1e-05, 0, 0),
+     .unlike = "another weight decay than 1e-5",
+     .gain = "0.05 of the networks: +0.1 dB after 10,000 steps",
+     .gain_of_none = "none: level on validation views after 60 CPU seconds"},
+    {.name = "adam_eps",
+     .type = RN_SETTING_NUMBER,
+     .flags = RN_SETTING_OVER_MIN | RN_SETTING_UNDER_MAX,
+     PLACE(adam_eps),
+     .min = 0,
+     .max = 1,
+     .unit = "",
+     .meaning = "AdamW's epsilon",
+     PRESETS(1e-15, 1e-15, 1e-15)},
+    {.name = "favour_finest",
+     .type = RN_SETTING_BOOL,
+     PLACE(favour_finest),
+     .unit = "",
+     .meaning = "most rays are drawn from the finest scale; else evenly over all pixels, with area "
+                "weights",
+     PRESETS(0, 1, 1),
+     .unlike = "most rays from the finest scale, pixels nearly without replacement",
+     .gain = "the first: +0.9 dB over four scales after 20 s; the second: +0.3 dB"},
+    {.name = "draw_by_error",
+     .type = RN_SETTING_BOOL,
+     PLACE(draw_by_error),
+     .unit = "",
+     .meaning = "of these, more where errors are large, with weights that keep the loss the mean "
+                "over all pixels",
+     PRESETS(0, 0, 1),
+     .unlike = "rays drawn more often where errors are large (unbiased)",
+     .gain = "+0.3 dB after 1,500 steps"},
+    {.name = "multi_step_rate",
+     .type = RN_SETTING_BOOL,
+     PLACE(multi_step_rate),
+     .unit = "",
+     .meaning = "the paper's rate schedule; else a decay made for the time given",
+     PRESETS(1, 0, 0),
+     .unlike = "rate schedule made for the time given",
+     .gain = "+0.2 dB on validation views after 60 CPU seconds"},
+    {.name = "stop",
+     .type = RN_SETTING_NUMBER,
+     .flags = RN_SETTING_OVER_MIN | RN_SETTING_UNDER_MAX,
+     PLACE(stop),
+     .min = 0,
+     .max = 1,
+     .unit = "",
+     .meaning = "transmittance at which a ray ends",
+     PRESETS(0.0001, 0.002, 0.004),
+     .unlike = "rays end at another transmittance than 1e-4",
+     .gain = "0.002: +0.2 dB"},
+    {.name = "refine_at_rest",
+     .type = RN_SETTING_BOOL,
+     .flags = RN_SETTING_LATER | RN_SETTING_SAME_BYTES,
+     PLACE(refine_at_rest),
+     .unit = "",
+     .meaning = "the finished scene's occupancy is measured anew in cells half as wide",
+     PRESETS(0, 1, 1),
+     .unlike = "the finished scene's occupancy is measured anew in cells half as wide",
+     .gain = "frames in 0.8 of the time, -0.01 dB"},
+    {.name = "supersample",
+     .type = RN_SETTING_BOOL,
+     .flags = RN_SETTING_SAME_BYTES,
+     PLACE(supersample),
+     .unit = "",
+     .meaning = "pixels wider than the finest trained on are rendered as several of these",
+     PRESETS(0, 1, 1),
+     .unlike = "wide pixels are rendered as several of the finest trained on",
+     .gain = "+4.4 dB over four scales after 20 s"},
+    {.name = "auto_effects",
+     .type = RN_SETTING_BOOL,
+     PLACE(auto_effects),
+     .unit = "",
+     .meaning = "what the data does not call for may be switched off",
+     PRESETS(0, 1, 1)},
+    {.name = "background",
+     .type = RN_SETTING_COLOUR,
+     PLACE(background),
+     .min = 0,
+     .max = 1,
+     .unit = "",
+     .meaning = "what lies behind the scene",
+     PRESETS(1, 1, 1)},
+    {.name = "train_val",
+     .type = RN_SETTING_BOOL,
+     PLACE(train_val),
+     .unit = "",
+     .choices = rn_train_split_names,
+     .meaning = "which views are learned from (train)",
+     .option = "train_split",
+     .flag = "train-split",
+     .told = "train_split",
+     PRESETS(0, 0, 0)},
+    {.name = "seed",
+     .type = RN_SETTING_UINT64,
+     PLACE(seed),
+     .min = 0,
+     .max = 9007199254740991,
+     .unit = "",
+     .meaning = "of all random numbers",
+     .option = "seed",
+     .flag = "seed",
+     PRESETS(0, 0, 0)},
+    {.name = "max_steps",
+     .type = RN_SETTING_INT64,
+     .flags = RN_SETTING_OR_ZERO,
+     PLACE(max_steps),
+     .min = 1,
+     .max = 1000000000,
+     .unit = "steps",
+     .meaning = "stop after so many steps; 0: no limit",
+     .option = "max_steps",
+     .flag = "max-steps",
+     PRESETS(120000, 0, 0)},
+    {.name = "max_seconds",
+     .type = RN_SETTING_NUMBER,
+     .flags = RN_SETTING_OVER_MIN | RN_SETTING_OR_ZERO,
+     PLACE(max_seconds),
+     .min = 0,
+     .max = 31536000,
+     .unit = "s",
+     .meaning = "stop after so much training: 60s, 10m, 1h; 0: no limit",
+     .option = "max_time_s",
+     .flag = "max-time",
+     PRESETS(0, 60, 15)},
+    {.name = "until_psnr",
+     .type = RN_SETTING_NUMBER,
+     .flags = RN_SETTING_OVER_MIN | RN_SETTING_OR_ZERO | RN_SETTING_SAME_BYTES,
+     PLACE(until_psnr),
+     .min = 0,
+     .max = 100,
+     .unit = "dB",
+     .meaning = "stop at this PSNR of the held-out views; 0: no limit",
+     .option = "until_psnr",
+     .flag = "until-psnr",
+     PRESETS(0, 0, 0)},
 };
+_Static_assert(sizeof rows / sizeof *rows == RN_TRAIN_SETTINGS, "a row for every setting");
+const struct rn_settings rn_train_settings = {rows, RN_TRAIN_SETTINGS};
 
-// On two cores, lego: a second hidden layer of the colour network is 0.1 dB behind after 15 s (two
-// seeds) and 0.25 dB ahead after 60; networks twice as wide are level after 60 s and 0.4 dB ahead
-// after 300. In 10,000 steps of these, half the smoothing is 0.15 dB ahead, the networks' decay
-// 0.1, and splitting pixels 0.6; frames then take three times as long or more.
-#define SHORT_RUN 40 // seconds
-#define LONG_RUN 120
+// ---- presets --------------------------------------------------------------------------------
+
+static double preset_value(const struct rn_setting *row, int preset) {
+    return preset == RN_PRESET_PAPER   ? row->paper
+           : preset == RN_PRESET_DRAFT ? row->draft
+                                       : row->standard;
+}
 
 enum rn_status rn_preset(const char *name, bool multi_scale, struct rn_train_config *ret_config,
                          struct rn_error *err) {
-    if (strcmp(name, "paper") == 0) {
-        *ret_config = paper;
-        return RN_OK;
-    }
-    if (strcmp(name, "standard") != 0 && strcmp(name, "draft") != 0)
+    int preset = rn_choice_index(rn_preset_names, name);
+    if (preset < 0)
         return rn_error_set(err, RN_ERROR_INVALID, "preset",
                             "'%s' is no preset; use draft, standard or paper", name);
-    *ret_config = standard;
+    struct rn_train_config config = {.preset = ""};
+    for (size_t i = 0; i < RN_TRAIN_SETTINGS; i++)
+        rn_setting_put_number(&rows[i], preset_value(&rows[i], preset), &config);
+    snprintf(config.preset, sizeof config.preset, "%s", name);
     // Few rays need levels then, and those of the isotropic pyramid cost half the fetches.
-    if (multi_scale) ret_config->field.footprint = RN_FOOTPRINT_MIP;
-    if (strcmp(name, "draft") == 0) {
-        snprintf(ret_config->preset, sizeof ret_config->preset, "draft");
-        ret_config->field.base = 64;
-        ret_config->grow_to = 256;
-        ret_config->target_samples = 16384;
-        ret_config->step = 0.0068;
-        ret_config->stop = 4e-3;
-        ret_config->max_seconds = 15;
-        ret_config->field.head_layers = 1;
-        ret_config->draw_by_error = true;
-    }
+    if (multi_scale && preset != RN_PRESET_PAPER) config.field.footprint = RN_FOOTPRINT_MIP;
+    *ret_config = config;
     return RN_OK;
 }
+
+// What `standard` makes of the time it has. On two cores, lego: a second hidden layer of the colour
+// network is 0.1 dB behind after 15 s (two seeds) and 0.25 dB ahead after 60; networks twice as
+// wide are level after 60 s and 0.4 dB ahead after 300. In 10,000 steps of these, half the
+// smoothing is 0.15 dB ahead, the networks' decay 0.1, and splitting pixels 0.6; frames then take
+// three times as long or more.
+#define SHORT_RUN 40 // seconds
+#define LONG_RUN 120
+static const struct {
+    const char *name;
+    double in_short, between, in_long; // no limit counts as between
+} by_time[] = {{"head_layers", 1, 2, 2},     {"draw_by_error", 1, 0, 0},
+               {"width", 64, 64, 128},       {"smoothing", 0.1, 0.1, 0.05},
+               {"weight_decay", 0, 0, 0.05}, {"split_pixels", 0, 0, 0.4}};
 
 void rn_train_config_suit_time(struct rn_train_config *config) {
     double seconds = config->max_seconds;
     if (strcmp(config->preset, "standard") != 0) return;
-    bool is_short = seconds > 0 && seconds < SHORT_RUN;
-    config->field.head_layers = is_short ? 1 : 2;
-    config->draw_by_error = is_short;
-    bool is_long = seconds >= LONG_RUN;
-    config->field.width = is_long ? 128 : 64;
-    config->smoothing = is_long ? 0.05 : 0.1;
-    config->weight_decay = is_long ? 0.05 : 0;
-    config->split_pixels = is_long ? 0.4 : 0;
+    for (size_t i = 0; i < sizeof by_time / sizeof *by_time; i++)
+        rn_setting_put_number(rn_settings_find(&rn_train_settings, by_time[i].name),
+                              seconds >= LONG_RUN                  ? by_time[i].in_long
+                              : seconds > 0 && seconds < SHORT_RUN ? by_time[i].in_short
+                                                                   : by_time[i].between,
+                              config);
 }
 
 void rn_train_config_set_base(struct rn_train_config *config, int base) {
@@ -121,6 +502,26 @@ void rn_train_config_set_base(struct rn_train_config *config, int base) {
     config->field.base = grows ? base / 8 : base;
     config->grow_to = grows ? base : 0;
 }
+
+static bool asks(const union rn_setting_value *values, size_t offset) {
+    size_t i = 0;
+    while (rows[i].offset != offset)
+        i++;
+    return !rn_setting_is_absent(&rows[i], &values[i]);
+}
+#define ASKS(member) asks(values, offsetof(struct rn_train_config, member))
+
+void rn_train_config_choose(struct rn_train_config *config,
+                            const union rn_setting_value values[RN_TRAIN_SETTINGS]) {
+    bool limited = ASKS(max_steps) || ASKS(max_seconds);
+    if (limited) config->max_seconds = 0, config->max_steps = 0;
+    rn_settings_put(&rn_train_settings, values, config);
+    if (limited) rn_train_config_suit_time(config);
+    if (ASKS(field.base)) rn_train_config_set_base(config, config->field.base);
+    if (ASKS(field.footprint)) config->footprint_given = true;
+}
+
+// ---- checks ---------------------------------------------------------------------------------
 
 enum rn_status rn_planes_check(int planes, enum rn_orientation orientation, struct rn_error *err) {
     bool platonic = planes == 3 || planes == 4 || planes == 6 || planes == 10;
@@ -133,144 +534,44 @@ enum rn_status rn_planes_check(int planes, enum rn_orientation orientation, stru
     return RN_OK;
 }
 
-static bool power_of_two(int n) {
-    return n > 0 && (n & (n - 1)) == 0;
-}
-
 enum rn_status rn_train_config_check(const struct rn_train_config *c, struct rn_error *err) {
-    const struct rn_field_config *f = &c->field;
-#define REQUIRE(condition, name, text)                                                             \
-    if (!(condition)) return rn_error_set(err, RN_ERROR_INVALID, name, text)
-    enum rn_status status = rn_planes_check(f->planes, f->orientation, err);
+    enum rn_status status = rn_planes_check(c->field.planes, c->field.orientation, err);
+    return status != RN_OK ? status : rn_settings_check(&rn_train_settings, c, err);
+}
+
+enum rn_status rn_train_choice_check(const union rn_setting_value values[RN_TRAIN_SETTINGS],
+                                     struct rn_error *err) {
+    struct rn_train_config config;
+    enum rn_status status = rn_preset("standard", false, &config, err);
     if (status != RN_OK) return status;
-    REQUIRE(f->base >= 2 && f->base <= 4096, "base", "must be 2 to 4096 texels");
-    REQUIRE(f->channels == 4 || f->channels == 8 || f->channels == 16, "channels",
-            "must be 4, 8 or 16");
-    REQUIRE(f->levels >= 1 && f->levels <= RN_MAX_LEVELS, "levels", "must be 1 to 10");
-    REQUIRE(f->footprint >= RN_FOOTPRINT_RIP && f->footprint <= RN_FOOTPRINT_POINT, "footprint",
-            "must be rip, mip or point");
-    REQUIRE(f->shading == RN_SHADING_SAMPLE || f->shading == RN_SHADING_RAY, "shading",
-            "must be sample or ray");
-    REQUIRE(f->width >= 16 && f->width <= 256 && f->width % 16 == 0, "width",
-            "must be a multiple of 16, 16 to 256");
-    REQUIRE(f->base_layers >= 1 && f->base_layers <= 5, "base_layers", "must be 1 to 5");
-    REQUIRE(f->head_layers >= 1 && f->head_layers <= 5, "head_layers", "must be 1 to 5");
-    REQUIRE(power_of_two(f->occupancy) && f->occupancy >= 16 && f->occupancy <= 256, "occupancy",
-            "must be a power of two, 16 to 256");
-    REQUIRE(f->footprint_base >= 0 && f->footprint_base <= 4096, "footprint_base",
-            "must be 0 to 4096 texels");
-    REQUIRE(c->grow_to >= 0 && c->grow_to <= 4096, "grow_to", "must be 0 to 4096 texels");
-    REQUIRE(c->step >= 1e-3 && c->step <= 1, "step", "must be 0.001 to 1 scene radii");
-    REQUIRE(c->target_samples >= 1024 && c->target_samples <= 1 << 22, "target_samples",
-            "must be 1024 to 4194304");
-    REQUIRE(c->initial_rays >= 1 && c->initial_rays <= 1 << 17, "initial_rays",
-            "must be 1 to 131072");
-    REQUIRE(c->learning_rate > 0 && c->learning_rate <= 10, "learning_rate", "must be in (0, 10]");
-    REQUIRE(c->plane_rate > 0 && c->plane_rate <= 1000, "plane_rate", "must be in (0, 1000]");
-    REQUIRE(c->weight_decay >= 0 && c->weight_decay < 1, "weight_decay", "must be in [0, 1)");
-    REQUIRE(c->beta2 > 0 && c->beta2 < 1, "beta2", "must be in (0, 1)");
-    REQUIRE(c->adam_eps > 0 && c->adam_eps < 1, "adam_eps", "must be in (0, 1)");
-    REQUIRE(c->max_steps >= 0, "max_steps", "must not be negative");
-    REQUIRE(c->max_seconds >= 0 && c->max_seconds < 1e9, "max_time", "must not be negative");
-    REQUIRE(c->until_psnr >= 0 && c->until_psnr < 100, "until_psnr", "must be 0 to 100 dB");
-    REQUIRE(c->roulette >= 0 && c->roulette <= 64, "roulette", "must be in [0, 64]");
-    REQUIRE(c->stop > 0 && c->stop < 1, "stop", "must be in (0, 1)");
-    for (int i = 0; i < 3; i++)
-        REQUIRE(c->background[i] >= 0 && c->background[i] <= 1, "background", "must be in [0, 1]");
-    REQUIRE(c->random_background >= 0 && c->random_background <= 1, "random_background",
-            "must be in [0, 1]");
-    REQUIRE(c->split_pixels >= 0 && c->split_pixels <= 1, "split_pixels", "must be in [0, 1]");
-    REQUIRE(c->smoothing >= 0 && c->smoothing <= 0.25, "smoothing", "must be in [0, 1/4]");
-    return RN_OK;
-#undef REQUIRE
+    rn_train_config_choose(&config, values);
+    return rn_train_config_check(&config, err);
 }
 
-int rn_train_config_differences(const struct rn_train_config *c, struct rn_difference *items,
+// ---- the paper ------------------------------------------------------------------------------
+
+// Of the base grid the one in the end counts.
+static double told_value(const struct rn_setting *row, const struct rn_train_config *config) {
+    bool is_base = row->offset == offsetof(struct rn_train_config, field.base);
+    return is_base && config->grow_to > 0 ? config->grow_to : rn_setting_number(row, config);
+}
+
+static bool differs(const struct rn_setting *row, const struct rn_train_config *config) {
+    return row->unlike && fabs(told_value(row, config) - row->paper) > 1e-9 * fabs(row->paper);
+}
+
+int rn_train_config_differences(const struct rn_train_config *config, struct rn_difference *items,
                                 int capacity) {
-    const struct rn_field_config *f = &c->field;
     int n = 0;
-#define DIFFERS(condition, text, gain)                                                             \
-    if (condition) {                                                                               \
-        if (n < capacity) items[n] = (struct rn_difference){text, gain};                           \
-        n++;                                                                                       \
+    const char *last = "";
+    for (size_t i = 0; i < RN_TRAIN_SETTINGS; i++) {
+        const struct rn_setting *row = &rows[i];
+        if (!differs(row, config) || strcmp(row->unlike, last) == 0) continue;
+        bool none = row->gain_of_none && rn_setting_number(row, config) == 0;
+        last = row->unlike;
+        if (n < capacity)
+            items[n] = (struct rn_difference){last, none ? row->gain_of_none : row->gain};
+        n++;
     }
-    DIFFERS(f->planes != paper.field.planes, "fewer planes than the paper's 10", "3: +4.3 dB")
-    DIFFERS(f->orientation != paper.field.orientation, "planes not along a Platonic solid", "")
-    DIFFERS((c->grow_to > 0 ? c->grow_to : f->base) != paper.field.base,
-            "another base grid in the end than the paper's 512 x 512",
-            "256: level on validation views after 15 s, in a third more steps")
-    DIFFERS(c->grow_to > 0, "planes grow from a coarse grid while they are trained", "+3.9 dB")
-    DIFFERS(f->channels != paper.field.channels, "fewer channels than the paper's 16",
-            "8: -0.5 dB on validation views after 60 CPU seconds")
-    DIFFERS(f->footprint != paper.field.footprint, "another footprint than the paper's ripmap",
-            "mip: +0.7 dB over four scales after 30 s")
-    DIFFERS(f->shading != paper.field.shading,
-            "view-dependent colour once a ray instead of once a sample", "+0.7 dB")
-    DIFFERS(f->width != paper.field.width, "narrower networks than the paper's 128", "64: +0.4 dB")
-    DIFFERS(f->base_layers != paper.field.base_layers || f->head_layers != paper.field.head_layers,
-            "fewer hidden layers", "1 and 1: +1.0 dB")
-    DIFFERS(fabs(c->step - paper.step) > 1e-9, "another marching step than diagonal / 1024",
-            "0.005 radii: +0.1 dB")
-    DIFFERS(c->cone_step, "samples of wide cones span several marching steps",
-            "+0.1 dB over four scales after 30 s")
-    DIFFERS(c->target_samples != paper.target_samples, "smaller batch than 262,144 samples",
-            "32,768: +3.1 dB")
-    DIFFERS(c->carve, "occupancy carved from alpha before the first step", "+1.3 dB")
-    DIFFERS(c->random_background > 0, "the loss is at first the mean over all backgrounds",
-            "+0.3 dB after 2,000 steps")
-    DIFFERS(c->split_pixels > 0, "pixels are in the end trained and rendered as 2 x 2 cones",
-            "+0.6 dB after 10,000 steps")
-    DIFFERS(c->smoothing > 0, "planes are smoothed, ever less, while they are trained",
-            "+0.4 dB after 1,500 and 3,000 steps")
-    DIFFERS(c->roulette > 0, "roulette on samples of small gradient (unbiased)",
-            "a quarter of them goes back: +0.7 dB after 60 CPU seconds")
-    DIFFERS(c->sparse, "optimiser visits touched texels only", "+1.0 dB")
-    DIFFERS(c->learning_rate != paper.learning_rate || c->plane_rate != paper.plane_rate,
-            "other learning rates", "four times: +1.7 dB")
-    DIFFERS(c->beta2 != paper.beta2, "another decay of AdamW's second moment than 0.999",
-            "0.99: +0.4 dB")
-    DIFFERS(c->weight_decay != paper.weight_decay, "another weight decay than 1e-5",
-            c->weight_decay > 0 ? "0.05 of the networks: +0.1 dB after 10,000 steps"
-                                : "none: level on validation views after 60 CPU seconds")
-    DIFFERS(c->favour_finest, "most rays from the finest scale, pixels nearly without replacement",
-            "the first: +0.9 dB over four scales after 20 s; the second: +0.3 dB")
-    DIFFERS(c->draw_by_error, "rays drawn more often where errors are large (unbiased)",
-            "+0.3 dB after 1,500 steps")
-    DIFFERS(!c->multi_step_rate, "rate schedule made for the time given",
-            "+0.2 dB on validation views after 60 CPU seconds")
-    DIFFERS(fabs(c->stop - paper.stop) > 1e-12, "rays end at another transmittance than 1e-4",
-            "0.002: +0.2 dB")
-    DIFFERS(c->refine_at_rest,
-            "the finished scene's occupancy is measured anew in cells half as wide",
-            "frames in 0.8 of the time, -0.01 dB")
-    DIFFERS(c->supersample, "wide pixels are rendered as several of the finest trained on",
-            "+4.4 dB over four scales after 20 s")
     return n;
-#undef DIFFERS
-}
-
-static const char *const footprints[] = {"rip", "mip", "point"};
-static const char *const orientations[] = {"platonic", "golden", "blue", "white"};
-
-const char *rn_footprint_name(enum rn_footprint footprint) {
-    return (unsigned)footprint < 3 ? footprints[footprint] : "?";
-}
-const char *rn_orientation_name(enum rn_orientation orientation) {
-    return (unsigned)orientation < 4 ? orientations[orientation] : "?";
-}
-enum rn_status rn_footprint_parse(const char *name, enum rn_footprint *ret) {
-    for (int i = 0; i < 3; i++)
-        if (strcmp(name, footprints[i]) == 0) {
-            *ret = (enum rn_footprint)i;
-            return RN_OK;
-        }
-    return RN_ERROR_INVALID;
-}
-enum rn_status rn_orientation_parse(const char *name, enum rn_orientation *ret) {
-    for (int i = 0; i < 4; i++)
-        if (strcmp(name, orientations[i]) == 0) {
-            *ret = (enum rn_orientation)i;
-            return RN_OK;
-        }
-    return RN_ERROR_INVALID;
 }

@@ -7,6 +7,7 @@
 #include <stdint.h>
 
 #include "common/base/status.h"
+#include "common/settings/setting.h"
 
 #define RN_MAX_PLANES 16
 #define RN_MAX_LEVELS 10
@@ -85,6 +86,17 @@ struct rn_train_config {
                       // RN_SMOOTH_EVERY steps, times the square of the rate's factor; 0 to 1/4
 };
 
+// The one table: a row for every member of struct rn_train_config.
+#define RN_TRAIN_SETTINGS 44
+extern const struct rn_settings rn_train_settings;
+
+enum rn_preset_name { RN_PRESET_DRAFT, RN_PRESET_STANDARD, RN_PRESET_PAPER };
+extern const char *const rn_preset_names[];      // "draft", "standard", "paper"
+extern const char *const rn_train_split_names[]; // "train", "trainval": of train_val
+extern const char *const rn_orientation_names[]; // "platonic", "golden", "blue", "white"
+extern const char *const rn_footprint_names[];   // "rip", "mip", "point"
+extern const char *const rn_shading_names[];     // "sample", "ray"
+
 // Platonic: 3, 4, 6 or 10 planes; other orientations: 1 to RN_MAX_PLANES. RN_ERROR_INVALID else.
 enum rn_status rn_planes_check(int planes, enum rn_orientation orientation,
                                struct rn_error *err) RN_MUST_CHECK;
@@ -95,6 +107,13 @@ enum rn_status rn_preset(const char *name, bool multi_scale, struct rn_train_con
                          struct rn_error *err) RN_MUST_CHECK;
 // After a change of max_seconds: what the preset makes of the time.
 void rn_train_config_suit_time(struct rn_train_config *config);
+// What a request asks for, onto a preset: a limit of its own takes the place of the preset's, and
+// what follows from the time or from a base grid that grows is settled.
+void rn_train_config_choose(struct rn_train_config *config,
+                            const union rn_setting_value values[RN_TRAIN_SETTINGS]);
+// Whether what a request asks for can be trained at all. As rn_train_config_check.
+enum rn_status rn_train_choice_check(const union rn_setting_value values[RN_TRAIN_SETTINGS],
+                                     struct rn_error *err) RN_MUST_CHECK;
 // Planes of `base` texels a side: where the preset's grow, from an eighth of that.
 void rn_train_config_set_base(struct rn_train_config *config, int base);
 // Every value in its range and consistent with the others; errors name the option.
@@ -113,14 +132,9 @@ struct rn_difference {
 int rn_train_config_differences(const struct rn_train_config *config, struct rn_difference *items,
                                 int capacity);
 
-const char *rn_footprint_name(enum rn_footprint footprint);       // "rip", "mip", "point"
-const char *rn_orientation_name(enum rn_orientation orientation); // "platonic", ...
 // Texels a side of the grid whose texel a footprint of level 0 is as wide as.
 static inline int rn_footprint_base(const struct rn_field_config *config) {
     return config->footprint_base > 0 ? config->footprint_base : config->base;
 }
-
-enum rn_status rn_footprint_parse(const char *name, enum rn_footprint *ret) RN_MUST_CHECK;
-enum rn_status rn_orientation_parse(const char *name, enum rn_orientation *ret) RN_MUST_CHECK;
 
 #endif

@@ -20,87 +20,16 @@ int64_t rn_resident_bytes(void) {
 
 // ---- configuration -------------------------------------------------------------------------
 
-static void override_int(int64_t option, int *value) {
-    if (option != RN_ABSENT) *value = (int)option; // bounded by the options' table
-}
-
 enum rn_status rn_configure(const struct rn_train_options *options, bool multi_scale,
                             struct rn_train_config *ret_config, struct rn_error *err) {
     struct rn_train_config config;
     const char *preset = rn_preset_names[rn_name_or(options->preset, 1)];
     enum rn_status status = rn_preset(preset, multi_scale, &config, err);
     if (status) return status;
-    override_int(options->planes, &config.field.planes);
-    if (options->base != RN_ABSENT) rn_train_config_set_base(&config, (int)options->base);
-    override_int(options->channels, &config.field.channels);
-    if (options->orientation >= 0)
-        config.field.orientation = (enum rn_orientation)options->orientation;
-    if (options->footprint >= 0) {
-        config.field.footprint = (enum rn_footprint)options->footprint;
-        config.footprint_given = true;
-    }
-    if (options->seed != RN_ABSENT) config.seed = (uint64_t)options->seed;
-    config.train_val = options->train_split == 1;
-    if (options->max_steps != RN_ABSENT || !isnan(options->max_time_s)) {
-        // A limit of the user's takes the place of the preset's.
-        config.max_steps = rn_int_or(options->max_steps, 0);
-        config.max_seconds = rn_number_or(options->max_time_s, 0);
-        rn_train_config_suit_time(&config);
-    }
-    config.until_psnr = rn_number_or(options->until_psnr, config.until_psnr);
+    rn_train_config_choose(&config, options->settings);
     status = rn_train_config_check(&config, err);
     if (!status) *ret_config = config;
     return status;
-}
-
-static void fill_config(const struct rn_train_config *config,
-                        struct rn_field_config_record *record) {
-    const struct rn_field_config *field = &config->field;
-    *record = (struct rn_field_config_record){
-        .planes = field->planes,
-        .orientation = (int)field->orientation,
-        .base = field->base,
-        .grow_to = config->grow_to,
-        .channels = field->channels,
-        .levels = field->levels,
-        .footprint = (int)field->footprint,
-        .footprint_base = field->footprint_base,
-        .shading = (int)field->shading,
-        .width = field->width,
-        .base_layers = field->base_layers,
-        .head_layers = field->head_layers,
-        .view_dependence = field->view_dependence,
-        .occupancy = field->occupancy,
-        .step = config->step,
-        .target_samples = config->target_samples,
-        .initial_rays = config->initial_rays,
-        .learning_rate = config->learning_rate,
-        .plane_rate = config->plane_rate,
-        .weight_decay = config->weight_decay,
-        .beta2 = config->beta2,
-        .adam_eps = config->adam_eps,
-        .max_steps = config->max_steps,
-        .max_seconds = config->max_seconds,
-        .until_psnr = config->until_psnr,
-        .carve = config->carve,
-        .sparse = config->sparse,
-        .multi_step_rate = config->multi_step_rate,
-        .favour_finest = config->favour_finest,
-        .draw_by_error = config->draw_by_error,
-        .cone_step = config->cone_step,
-        .auto_effects = config->auto_effects,
-        .roulette = config->roulette,
-        .stop = config->stop,
-        .supersample = config->supersample,
-        .seed = (int64_t)config->seed,
-        .train_split = config->train_val,
-        .random_background = config->random_background,
-        .smoothing = config->smoothing,
-        .split_pixels = config->split_pixels,
-    };
-    snprintf(record->preset, sizeof record->preset, "%s", config->preset);
-    for (int i = 0; i < 3; i++)
-        record->background[i] = (double)config->background[i];
 }
 
 static struct rn_bounds_record bounds_record(const struct rn_bounds *bounds) {
@@ -149,7 +78,7 @@ enum rn_status rn_describe_scene(const struct rn_field_info *info, const char *h
     };
     for (int i = 0; i < RN_EFFECT_COUNT; i++)
         effects[i] = effect_entry(&info->effects[i]);
-    fill_config(&info->config, &scene.config);
+    rn_settings_get(&rn_train_settings, &info->config, scene.config.settings);
     scene.config.finest_cone = info->finest_cone;
     snprintf(scene.held_out, sizeof scene.held_out, "%s", held_out ? held_out : "");
     snprintf(scene.kernels, sizeof scene.kernels, "%s", info->kernels);

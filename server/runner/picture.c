@@ -75,12 +75,8 @@ static enum rn_status render_options(struct rn_host *host, const struct rn_rende
                                        [RN_OUTPUT_KIND_DEPTH] = RN_OUTPUT_DEPTH,
                                        [RN_OUTPUT_KIND_ALPHA] = RN_OUTPUT_ALPHA};
     struct rn_render_options options = {
-        .outputs = outputs[rn_name_or(request->output, RN_OUTPUT_KIND_RGB)],
-        .step = rn_number_or(request->step, 0),
-        .stop = rn_number_or(request->stop, 0),
-        .subsample = (int)rn_int_or(request->subsample, 1),
-        .supersample = (int)rn_int_or(request->supersample, 0),
-        .tolerance = rn_number_or(request->tolerance, 0)};
+        .outputs = outputs[rn_name_or(request->output, RN_OUTPUT_KIND_RGB)]};
+    rn_settings_put(&rn_render_settings, request->settings, &options.settings);
     enum rn_status status = find_camera(host, request, &options.camera, err);
     if (status) return status;
     if (request->size.width != RN_ABSENT)

@@ -271,15 +271,12 @@ static enum rn_status render_frame(struct rn_host *host, struct rn_work *work,
                                        [RN_OUTPUT_KIND_ALPHA] = RN_OUTPUT_ALPHA};
     enum rn_output_kind output =
         (enum rn_output_kind)rn_name_or(work->path->options.output, RN_OUTPUT_KIND_RGB);
-    const struct rn_path_options *wanted = &work->path->options;
     struct rn_render_options options = {.camera = frame_camera(work, work->done),
-                                        .outputs = outputs[output],
-                                        .subsample = 1,
-                                        .supersample = (int)rn_int_or(wanted->supersample, 0),
-                                        .tolerance = rn_number_or(wanted->tolerance, 0)};
+                                        .outputs = outputs[output]};
     struct rn_render_result result = {0};
     uint8_t *bytes = NULL;
     size_t size;
+    rn_settings_put(&rn_render_settings, work->path->options.settings, &options.settings);
     memcpy(options.background, info->config.background, sizeof options.background);
     enum rn_status status =
         rn_render(host->engine, field, &options, keep_going, work, &result, err);
@@ -374,10 +371,9 @@ static enum rn_status prepare_eval(struct rn_host *host, struct rn_work *work,
 static enum rn_status eval_unit(struct rn_host *host, struct rn_work *work, struct rn_field *field,
                                 const struct rn_field_info *info, struct rn_error *err) {
     const struct rn_frame *frame = work->frames[work->done];
-    const struct rn_eval_options *wanted = &work->eval.options;
-    struct rn_render_options options = {.supersample = (int)rn_int_or(wanted->supersample, 0),
-                                        .tolerance = rn_number_or(wanted->tolerance, 0)};
+    struct rn_render_options options = {.outputs = RN_OUTPUT_RGB};
     struct rn_view_score score;
+    rn_settings_put(&rn_render_settings, work->eval.options.settings, &options.settings);
     memcpy(options.background, info->config.background, sizeof options.background);
     enum rn_status status =
         rn_evaluate_view(host->engine, field, frame, &options, keep_going, work, &score, err);

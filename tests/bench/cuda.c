@@ -155,11 +155,10 @@ static void measure_training(struct bench *b, const char *name) {
 
 static void measure_frame(struct bench *b, struct rn_field *field, const char *what, double step,
                           double stop, int subsample) {
-    struct rn_render_options options = {.outputs = RN_OUTPUT_RGB,
-                                        .step = step,
-                                        .stop = stop,
-                                        .subsample = subsample,
-                                        .background = {1, 1, 1}};
+    struct rn_render_options options = {
+        .outputs = RN_OUTPUT_RGB,
+        .settings = {.step = step, .stop = stop, .subsample = subsample},
+        .background = {1, 1, 1}};
     struct rn_error err;
     double best = INFINITY, samples = 0;
     for (int i = 0; i < FRAMES; i++) {

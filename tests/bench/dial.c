@@ -57,7 +57,6 @@ static double cpu_ms(void) {
 
 static bool add_setting(struct dial *dial, const char *text) {
     struct setting *s = &dial->settings[dial->count];
-    struct rn_render_options *o = &s->options;
     char copy[128], *rest = NULL;
     if (dial->count == MAX_SETTINGS || strlen(text) >= sizeof copy) return false;
     memset(s, 0, sizeof *s);
@@ -68,18 +67,10 @@ static bool add_setting(struct dial *dial, const char *text) {
         if (value) *value++ = 0;
         if (strcmp(name, "full") == 0) continue;
         if (!value) return false;
-        if (strcmp(name, "step") == 0)
-            o->step = atof(value);
-        else if (strcmp(name, "stop") == 0)
-            o->stop = atof(value);
-        else if (strcmp(name, "tolerance") == 0)
-            o->tolerance = atof(value);
-        else if (strcmp(name, "subsample") == 0)
-            o->subsample = atoi(value);
-        else if (strcmp(name, "supersample") == 0)
-            o->supersample = atoi(value);
-        else
-            return false;
+        const struct rn_setting *row = rn_settings_find(&rn_render_settings, name);
+        union rn_setting_value parsed;
+        if (!row || rn_setting_parse(row, value, &parsed, NULL) != RN_OK) return false;
+        rn_setting_put(row, &parsed, &s->options.settings);
     }
     dial->count++;
     return true;

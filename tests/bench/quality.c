@@ -1,7 +1,7 @@
 // Quality over seconds: trains on a dataset and prints held-out and test PSNR with their times.
 //
 //   quality DATASET [preset=standard] [time=60] [steps=0] [seed=1] [threads=0] [kernels=auto]
-//           [planes=] [base=] [channels=] [footprint=] [width=] ... [test=0] [split=test|train]
+//           [test=0] [split=test|train] [any training setting by its name: planes=3 width=64 ...]
 //           [every=5] [out=PREFIX] [save=CHECKPOINT]
 //
 // clock=cpu with threads=1 counts CPU seconds, for comparisons on a machine that is not idle.
@@ -35,77 +35,47 @@ static void die(const struct rn_error *err) {
     exit(1);
 }
 
+// Short names for some of the table's.
+static const char *setting_name(const char *name) {
+    static const char *const names[][2] = {
+        {"grow", "grow_to"},          {"fbase", "footprint_base"}, {"samples", "target_samples"},
+        {"rays", "initial_rays"},     {"time", "max_seconds"},     {"steps", "max_steps"},
+        {"rate", "learning_rate"},    {"decay", "weight_decay"},   {"until", "until_psnr"},
+        {"auto", "auto_effects"},     {"cone", "cone_step"},       {"finest", "favour_finest"},
+        {"by_error", "draw_by_error"}};
+    for (size_t i = 0; i < sizeof names / sizeof *names; i++)
+        if (strcmp(name, names[i][0]) == 0) return names[i][1];
+    return name;
+}
+
+// A setting of the training by its name in the table; `base` is that at the first step. Numbers
+// are taken as they are, within range or not: rn_trainer_create checks them.
+static bool set_setting(struct rn_train_config *config, const char *name, const char *value) {
+    const struct rn_setting *row = rn_settings_find(&rn_train_settings, setting_name(name));
+    union rn_setting_value parsed;
+    if (!row) return false;
+    if (rn_setting_parse(row, value, &parsed, NULL) == RN_OK)
+        rn_setting_put(row, &parsed, config);
+    else if (row->type == RN_SETTING_CHOICE || row->choices)
+        return false;
+    else
+        rn_setting_put_number(row, atof(value), config);
+    if (strcmp(name, "time") == 0) rn_train_config_suit_time(config);
+    if (strcmp(name, "steps") == 0) config->max_seconds = 0;
+    return true;
+}
+
 static bool set_option(struct run *run, const char *name, const char *value) {
-    struct rn_train_config *c = &run->config;
-    struct rn_field_config *f = &c->field;
-    double v = atof(value);
-    const struct {
-        const char *name;
-        int *i;
-        double *d;
-    } table[] = {
-        {"planes", &f->planes, NULL},
-        {"base", &f->base, NULL}, // at the first step
-        {"grow", &c->grow_to, NULL},
-        {"fbase", &f->footprint_base, NULL},
-        {"beta2", NULL, &c->beta2},
-        {"channels", &f->channels, NULL},
-        {"levels", &f->levels, NULL},
-        {"width", &f->width, NULL},
-        {"base_layers", &f->base_layers, NULL},
-        {"head_layers", &f->head_layers, NULL},
-        {"samples", &c->target_samples, NULL},
-        {"rays", &c->initial_rays, NULL},
-        {"threads", &run->threads, NULL},
-        {"test", &run->test, NULL},
-        {"every", NULL, &run->every},
-        {"time", NULL, &c->max_seconds},
-        {"step", NULL, &c->step},
-        {"rate", NULL, &c->learning_rate},
-        {"plane_rate", NULL, &c->plane_rate},
-        {"decay", NULL, &c->weight_decay},
-        {"roulette", NULL, &c->roulette},
-        {"stop", NULL, &c->stop},
-        {"until", NULL, &c->until_psnr},
-        {"random_background", NULL, &c->random_background},
-        {"smoothing", NULL, &c->smoothing},
-        {"split_pixels", NULL, &c->split_pixels},
-    };
-    for (size_t i = 0; i < sizeof table / sizeof *table; i++) {
-        if (strcmp(name, table[i].name) != 0) continue;
-        if (table[i].i)
-            *table[i].i = (int)v;
-        else
-            *table[i].d = v;
-        if (strcmp(name, "time") == 0) rn_train_config_suit_time(c);
+    if (strcmp(name, "preset") == 0)
         return true;
-    }
-    if (strcmp(name, "steps") == 0)
-        c->max_steps = (int64_t)v, c->max_seconds = 0;
-    else if (strcmp(name, "seed") == 0)
-        c->seed = (uint64_t)v;
-    else if (strcmp(name, "multi_step_rate") == 0)
-        c->multi_step_rate = v != 0;
-    else if (strcmp(name, "carve") == 0)
-        c->carve = v != 0;
-    else if (strcmp(name, "sparse") == 0)
-        c->sparse = v != 0;
-    else if (strcmp(name, "auto") == 0)
-        c->auto_effects = v != 0;
+    else if (strcmp(name, "threads") == 0)
+        run->threads = atoi(value);
+    else if (strcmp(name, "test") == 0)
+        run->test = atoi(value);
+    else if (strcmp(name, "every") == 0)
+        run->every = atof(value);
     else if (strcmp(name, "clock") == 0)
         rn_clock_set_source(strcmp(value, "cpu") == 0 ? cpu_ns : NULL, NULL);
-    else if (strcmp(name, "cone") == 0)
-        c->cone_step = v != 0;
-    else if (strcmp(name, "finest") == 0)
-        c->favour_finest = v != 0;
-    else if (strcmp(name, "by_error") == 0)
-        c->draw_by_error = v != 0;
-    else if (strcmp(name, "supersample") == 0)
-        c->supersample = v != 0;
-    else if (strcmp(name, "shading") == 0)
-        f->shading = strcmp(value, "ray") == 0 ? RN_SHADING_RAY : RN_SHADING_SAMPLE;
-    else if (strcmp(name, "footprint") == 0)
-        return rn_footprint_parse(value, &f->footprint) == RN_OK;
     else if (strcmp(name, "split") == 0)
         run->split = strcmp(value, "train") == 0 ? RN_SPLIT_TRAIN : RN_SPLIT_TEST;
     else if (strcmp(name, "kernels") == 0)
@@ -115,7 +85,7 @@ static bool set_option(struct run *run, const char *name, const char *value) {
     else if (strcmp(name, "save") == 0)
         run->save = value;
     else
-        return strcmp(name, "preset") == 0;
+        return set_setting(&run->config, name, value);
     return true;
 }
 
@@ -139,7 +109,7 @@ static void write_view(struct run *run, struct rn_engine *engine, struct rn_fiel
 // `supersample`: as of a rendering.
 static void test(struct run *run, struct rn_engine *engine, struct rn_field *field,
                  const struct rn_dataset *dataset, int supersample) {
-    struct rn_render_options options = {.supersample = supersample};
+    struct rn_render_options options = {.settings = {.supersample = supersample}};
     memcpy(options.background, run->config.background, sizeof options.background);
     struct rn_error err;
     int views = 0;

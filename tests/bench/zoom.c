@@ -90,7 +90,7 @@ static struct rn_picture render(const struct sweep *s, struct rn_field *field,
     struct rn_render_options options = {.camera = *camera,
                                         .outputs = RN_OUTPUT_RGB,
                                         .background = {1, 1, 1},
-                                        .supersample = supersample};
+                                        .settings.supersample = supersample};
     if (rn_render(s->engine, field, &options, NULL, NULL, &result, &err) != RN_OK) die(&err);
     if (ret_ms) *ret_ms += result.stats.render_ms;
     size_t n = (size_t)result.rgb.width * (size_t)result.rgb.height * 3;
@@ -196,7 +196,7 @@ static void sweep_footprint(struct sweep *s, enum rn_footprint footprint,
         if (rn_trainer_advance(trainer, 200, &err) != RN_OK) die(&err);
         rn_trainer_progress(trainer, &progress);
     } while (!progress.done);
-    fprintf(stderr, "zoom: %s: %lld steps in %.1f s, loss %.5f\n", rn_footprint_name(footprint),
+    fprintf(stderr, "zoom: %s: %lld steps in %.1f s, loss %.5f\n", rn_footprint_names[footprint],
             (long long)progress.step, progress.train_seconds, progress.loss);
     struct rn_field *field = rn_trainer_finish(&trainer);
     for (int v = 0; v < VARIANTS; v++)

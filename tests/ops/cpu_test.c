@@ -276,7 +276,7 @@ static void check_step(const struct rn_kernels *kernels, const struct rn_train_c
     double head =
         error(s.group.head_grad, s.reference->head_grad, s.reference->head_shape.count, 1 / weight);
     printf("%s %d planes %s %s%s%s: gradients planes %.1e base %.1e head %.1e\n", kernels->name,
-           c->planes, rn_footprint_name(c->footprint),
+           c->planes, rn_footprint_names[c->footprint],
            c->shading == RN_SHADING_RAY ? "ray" : "sample", split ? " split" : "",
            stop_depth < 1 ? " stopped" : "", planes, base, head);
     ck_assert_double_lt(planes, bounds.gradient);

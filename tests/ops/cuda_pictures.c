@@ -42,9 +42,8 @@ START_TEST(pixels_match_reference) {
                 ck_assert_double_eq_tol(pixels[k].depth, depth / opacity, PIXEL_BOUND);
             test_rays_finish(&ray, 1);
         }
-        printf("%s, %s shading: pixels %.1e of at most %.1f, %llu samples\n",
-               rn_footprint_name((enum rn_footprint)i), which < 3 ? "sample" : "ray", worst_pixel,
-               largest, (unsigned long long)samples);
+        printf("%s, %s shading: pixels %.1e of at most %.1f, %llu samples\n", rn_footprint_names[i],
+               which < 3 ? "sample" : "ray", worst_pixel, largest, (unsigned long long)samples);
         ck_assert_double_lt(worst_pixel,
                             PIXEL_BOUND * largest); // a ray's colour may lie outside [0, 1]
         test_scene_finish(&s);

@@ -108,7 +108,7 @@ static void check_training(const struct rn_train_config *config, int count, bool
     const size_t counts[3] = {p->plane_count, p->base_count, p->head_count};
     printf("%d planes x %d, width %d, %s, %d levels, %s shading%s, %llu samples: loss %.1e",
            config->field.planes, config->field.channels, config->field.width,
-           rn_footprint_name(config->field.footprint), config->field.levels,
+           rn_footprint_names[config->field.footprint], config->field.levels,
            per_ray ? "ray" : "sample", split ? ", split" : "",
            (unsigned long long)n.progress.samples, fabs(n.progress.loss - loss) / loss);
     for (size_t i = 0, at = 0; i < 3; at += counts[i++]) {

@@ -125,7 +125,7 @@ static void picture(const char *device, double away, int supersample,
     struct rn_render_options options = {.camera = dataset->frames[0].camera,
                                         .outputs =
                                             RN_OUTPUT_RGB | RN_OUTPUT_ALPHA | RN_OUTPUT_DEPTH,
-                                        .supersample = supersample};
+                                        .settings.supersample = supersample};
     for (int i = 0; i < 3; i++)
         options.camera.world_from_camera[i][3] *= away;
     OK(rn_field_load(engine, path, &field, &err));
@@ -250,14 +250,14 @@ END_TEST
 // A device traces every pixel whatever the tolerance; rays that end earlier are opaque there too.
 static void check_dial(struct rn_render_options options, const struct rn_render_result *full) {
     struct rn_render_result quick;
-    options.tolerance = 0.1;
-    options.stop = rn_trainer_field(run.trainer)->config.stop;
+    options.settings.tolerance = 0.1;
+    options.settings.stop = rn_trainer_field(run.trainer)->config.stop;
     OK(rn_render(run.engine, rn_trainer_field(run.trainer), &options, NULL, NULL, &quick, &err));
     ck_assert(difference(&full->rgb, &quick.rgb) == 0);
     ck_assert_uint_eq(full->stats.rays, quick.stats.rays);
     rn_render_result_finish(&quick);
     int opaque = 0;
-    options.stop = 0.5;
+    options.settings.stop = 0.5;
     options.outputs = RN_OUTPUT_ALPHA;
     OK(rn_render(run.engine, rn_trainer_field(run.trainer), &options, NULL, NULL, &quick, &err));
     for (int i = 0; i < quick.alpha.width * quick.alpha.height; i++) {
@@ -274,7 +274,7 @@ START_TEST(renders_while_it_trains) {
     struct rn_train_config config = small_config("draft", 30);
     config.field.levels = 4;
     struct rn_render_options options = {
-        .camera = dataset->frames[0].camera, .outputs = RN_OUTPUT_RGB, .supersample = 1};
+        .camera = dataset->frames[0].camera, .outputs = RN_OUTPUT_RGB, .settings.supersample = 1};
     begin("cuda:0", &config);
     for (int i = 0; i < 2; i++) {
         struct rn_render_result near, cones, far, after;
@@ -282,7 +282,7 @@ START_TEST(renders_while_it_trains) {
         OK(rn_render(run.engine, rn_trainer_field(run.trainer), &options, NULL, NULL, &near, &err));
         check_dial(options, &near);
         struct rn_render_options away = options, split = options;
-        split.supersample = 2;
+        split.settings.supersample = 2;
         OK(rn_render(run.engine, rn_trainer_field(run.trainer), &split, NULL, NULL, &cones, &err));
         for (int k = 0; k < 3; k++)
             away.camera.world_from_camera[k][3] *= 6;

@@ -17,7 +17,7 @@ static struct rn_render_result render_all(struct rn_engine *engine, struct rn_fi
                                         .outputs =
                                             RN_OUTPUT_RGB | RN_OUTPUT_DEPTH | RN_OUTPUT_ALPHA,
                                         .background = {1, 1, 1},
-                                        .supersample = supersample};
+                                        .settings.supersample = supersample};
     ck_assert_msg(rn_render(engine, field, &options, NULL, NULL, &result, &err) == RN_OK, "%s",
                   err.text);
     return result;
@@ -91,7 +91,7 @@ static void check_tolerance(struct rn_field *field, const struct rn_frame *frame
     double last = 0;
     ck_assert_uint_eq(full.stats.rays, count / 3);
     for (double tolerance = 0.01; tolerance < 0.2; tolerance *= 3) {
-        options.tolerance = tolerance;
+        options.settings.tolerance = tolerance;
         struct rn_render_result one = render_quickly(field, frame, options, 1);
         struct rn_render_result two = render_quickly(field, frame, options, 2);
         double squares = 0;
@@ -112,7 +112,7 @@ static void check_tolerance(struct rn_field *field, const struct rn_frame *frame
     // Eight times the pixels a side are narrower than occupancy cells: emptiness is believed.
     struct rn_frame fine = *frame;
     fine.camera = rn_camera_resized(&frame->camera, 8 * full.rgb.width, 8 * full.rgb.height);
-    options.tolerance = 0.03;
+    options.settings.tolerance = 0.03;
     struct rn_render_result dense = render_quickly(field, &fine, options, 2);
     double share = (double)dense.stats.rays / (64 * (double)(count / 3));
     printf("eight times as fine: %.3f of the rays\n", share);
@@ -130,10 +130,10 @@ static void check_parts(struct rn_field *field, const struct rn_frame *frame) {
         struct rn_frame given = *frame;
         given.camera = rn_camera_resized(&frame->camera, frame->camera.width / cones,
                                          frame->camera.height / cones);
-        options.supersample = cones;
-        options.tolerance = 0;
+        options.settings.supersample = cones;
+        options.settings.tolerance = 0;
         struct rn_render_result full = render_quickly(field, &given, options, 2);
-        options.tolerance = 0.05;
+        options.settings.tolerance = 0.05;
         struct rn_render_result one = render_quickly(field, &given, options, 1);
         struct rn_render_result two = render_quickly(field, &given, options, 2);
         size_t count = (size_t)given.camera.width * (size_t)given.camera.height * 3;
@@ -182,10 +182,11 @@ static void check_giving_up(struct rn_engine *engine, struct rn_field *field,
 // Rays that end earlier than in training are opaque, whatever lies behind them, and near to the
 // full picture.
 static void check_early_stop(struct rn_field *field, const struct rn_frame *frame, int cones) {
-    struct rn_render_options options = {
-        .outputs = RN_OUTPUT_RGB | RN_OUTPUT_ALPHA, .background = {1, 1, 1}, .supersample = cones};
+    struct rn_render_options options = {.outputs = RN_OUTPUT_RGB | RN_OUTPUT_ALPHA,
+                                        .background = {1, 1, 1},
+                                        .settings.supersample = cones};
     struct rn_render_result full = render_quickly(field, frame, options, 2);
-    options.stop = 0.2;
+    options.settings.stop = 0.2;
     struct rn_render_result white = render_quickly(field, frame, options, 2);
     memset(options.background, 0, sizeof options.background);
     struct rn_render_result black = render_quickly(field, frame, options, 2);

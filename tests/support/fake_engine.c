@@ -55,61 +55,6 @@ static double now_s(void) {
 
 // ---- configuration -------------------------------------------------------------------------
 
-static const char *const footprints[] = {"rip", "mip", "point"};
-static const char *const orientations[] = {"platonic", "golden", "blue", "white"};
-
-const char *rn_footprint_name(enum rn_footprint footprint) {
-    return footprints[footprint];
-}
-const char *rn_orientation_name(enum rn_orientation orientation) {
-    return orientations[orientation];
-}
-
-void rn_train_config_suit_time(struct rn_train_config *config) {}
-
-enum rn_status rn_preset(const char *name, bool multi_scale, struct rn_train_config *ret_config,
-                         struct rn_error *err) {
-    *ret_config = (struct rn_train_config){.field = {.planes = 3,
-                                                     .base = 32,
-                                                     .channels = 8,
-                                                     .levels = multi_scale ? 4 : 1,
-                                                     .width = 16,
-                                                     .base_layers = 1,
-                                                     .head_layers = 1,
-                                                     .view_dependence = true,
-                                                     .occupancy = 16},
-                                           .step = 0.01,
-                                           .target_samples = 1024,
-                                           .initial_rays = 64,
-                                           .learning_rate = 0.01,
-                                           .plane_rate = 1,
-                                           .beta2 = 0.99,
-                                           .adam_eps = 1e-15,
-                                           .max_seconds = 2,
-                                           .stop = 0.001,
-                                           .background = {1, 1, 1}};
-    snprintf(ret_config->preset, sizeof ret_config->preset, "%s", name);
-    return rn_train_config_check(ret_config, err);
-}
-
-void rn_train_config_set_base(struct rn_train_config *config, int base) {
-    config->field.base = base;
-}
-
-enum rn_status rn_train_config_check(const struct rn_train_config *config, struct rn_error *err) {
-    int planes = config->field.planes;
-    bool solid = planes == 3 || planes == 4 || planes == 6 || planes == 10;
-    if (config->field.orientation == RN_ORIENTATION_PLATONIC && !solid)
-        return rn_error_set(err, RN_ERROR_INVALID, "planes", "must be 3, 4, 6 or 10");
-    return RN_OK;
-}
-
-int rn_train_config_differences(const struct rn_train_config *config, struct rn_difference *items,
-                                int capacity) {
-    if (capacity > 0) items[0] = (struct rn_difference){"nothing is trained", ""};
-    return capacity > 0;
-}
-
 // ---- device --------------------------------------------------------------------------------
 
 enum rn_status rn_engine_create(const struct rn_engine_options *options,

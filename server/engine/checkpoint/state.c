@@ -16,58 +16,15 @@ struct member {
     bool later; // builds before it did not write it: 0 then
 };
 
-#define CONFIG(name, kind)                                                                         \
-    { #name, kind, offsetof(struct rn_train_config, name), false }
-#define LATER(name, kind)                                                                          \
-    { #name, kind, offsetof(struct rn_train_config, name), true }
-#define FIELD(name, kind)                                                                          \
-    { #name, kind, offsetof(struct rn_train_config, field.name), false }
-static const struct member config_members[] = {
-    CONFIG(preset, KIND_TEXT16),
-    FIELD(planes, KIND_INT),
-    FIELD(orientation, KIND_INT),
-    FIELD(base, KIND_INT),
-    FIELD(channels, KIND_INT),
-    FIELD(levels, KIND_INT),
-    FIELD(footprint, KIND_INT),
-    FIELD(footprint_base, KIND_INT),
-    FIELD(shading, KIND_INT),
-    FIELD(width, KIND_INT),
-    FIELD(base_layers, KIND_INT),
-    FIELD(head_layers, KIND_INT),
-    FIELD(view_dependence, KIND_BOOL),
-    FIELD(occupancy, KIND_INT),
-    CONFIG(step, KIND_DOUBLE),
-    CONFIG(target_samples, KIND_INT),
-    CONFIG(initial_rays, KIND_INT),
-    CONFIG(learning_rate, KIND_DOUBLE),
-    CONFIG(plane_rate, KIND_DOUBLE),
-    CONFIG(weight_decay, KIND_DOUBLE),
-    CONFIG(beta2, KIND_DOUBLE),
-    CONFIG(adam_eps, KIND_DOUBLE),
-    CONFIG(max_steps, KIND_INT64),
-    CONFIG(grow_to, KIND_INT),
-    CONFIG(max_seconds, KIND_DOUBLE),
-    CONFIG(until_psnr, KIND_DOUBLE),
-    CONFIG(carve, KIND_BOOL),
-    CONFIG(sparse, KIND_BOOL),
-    CONFIG(favour_finest, KIND_BOOL),
-    CONFIG(draw_by_error, KIND_BOOL),
-    CONFIG(auto_effects, KIND_BOOL),
-    CONFIG(footprint_given, KIND_BOOL),
-    CONFIG(cone_step, KIND_BOOL),
-    CONFIG(multi_step_rate, KIND_BOOL),
-    CONFIG(roulette, KIND_DOUBLE),
-    CONFIG(stop, KIND_DOUBLE),
-    CONFIG(seed, KIND_UINT64),
-    CONFIG(supersample, KIND_BOOL),
-    CONFIG(train_val, KIND_BOOL),
-    CONFIG(background, KIND_COLOUR),
-    LATER(random_background, KIND_DOUBLE),
-    LATER(smoothing, KIND_DOUBLE),
-    LATER(split_pixels, KIND_DOUBLE),
-    LATER(refine_at_rest, KIND_BOOL),
-};
+static struct member member_of(const struct rn_setting *row) {
+    static const enum kind kinds[] = {
+        [RN_SETTING_BOOL] = KIND_BOOL,     [RN_SETTING_INT] = KIND_INT,
+        [RN_SETTING_INT64] = KIND_INT64,   [RN_SETTING_UINT64] = KIND_UINT64,
+        [RN_SETTING_NUMBER] = KIND_DOUBLE, [RN_SETTING_CHOICE] = KIND_INT,
+        [RN_SETTING_COLOUR] = KIND_COLOUR, [RN_SETTING_TEXT] = KIND_TEXT16};
+    return (struct member){row->name, kinds[row->type], row->offset,
+                           (row->flags & RN_SETTING_LATER) != 0};
+}
 
 #define PROGRESS(name, kind)                                                                       \
     { #name, kind, offsetof(struct rn_progress, name), false }
@@ -165,6 +122,21 @@ static enum rn_status decode_all(const struct member *members, size_t count, con
     return RN_OK;
 }
 
+static json_t *encode_config(const struct rn_train_config *config) {
+    struct member members[RN_TRAIN_SETTINGS];
+    for (size_t i = 0; i < RN_TRAIN_SETTINGS; i++)
+        members[i] = member_of(&rn_train_settings.rows[i]);
+    return encode_all(members, RN_TRAIN_SETTINGS, config);
+}
+
+static enum rn_status decode_config(const json_t *object, struct rn_train_config *config,
+                                    const char *path, struct rn_error *err) {
+    struct member members[RN_TRAIN_SETTINGS];
+    for (size_t i = 0; i < RN_TRAIN_SETTINGS; i++)
+        members[i] = member_of(&rn_train_settings.rows[i]);
+    return decode_all(members, RN_TRAIN_SETTINGS, object, config, path, err);
+}
+
 static json_t *encode_effects(const struct rn_effect_record *effects) {
     json_t *list = json_array();
     for (int i = 0; i < RN_EFFECT_COUNT; i++) {
@@ -225,7 +197,7 @@ json_t *rn_checkpoint_state(const struct rn_field *field, const struct rn_counte
                               json_integer((json_int_t)counters->progress.level_samples[l]));
     return json_pack(
         "{s:i,s:o,s:o,s:o,s:o,s:I,s:i,s:f,s:i,s:f,s:s,s:f,s:{s:[f,f,f],s:f,s:i}}", "version", 1,
-        "config", encode_all(config_members, COUNT(config_members), &field->config), "progress",
+        "config", encode_config(&field->config), "progress",
         encode_all(progress_members, COUNT(progress_members), &counters->progress), "levels",
         levels, "effects", encode_effects(field->effects), "updates", (json_int_t)counters->updates,
         "next_rays", counters->next_rays, "gradient_scale", (double)counters->gradient_scale,
@@ -241,8 +213,7 @@ enum rn_status rn_checkpoint_parse_state(const json_t *state, const char *path,
     if (json_integer_value(json_object_get(state, "version")) != 1 || !bounds || !kernels)
         return rn_error_set(err, RN_ERROR_CORRUPT, path,
                             "holds no state of a version this program reads (1)");
-    enum rn_status status = decode_all(config_members, COUNT(config_members),
-                                       json_object_get(state, "config"), &c->config, path, err);
+    enum rn_status status = decode_config(json_object_get(state, "config"), &c->config, path, err);
     if (status == RN_OK)
         status = decode_all(progress_members, COUNT(progress_members),
                             json_object_get(state, "progress"), &c->counters.progress, path, err);

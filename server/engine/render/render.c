@@ -101,7 +101,7 @@ static enum rn_status fill_pictures(struct frame *f, struct rn_render_result *re
             rn_picture_init(o->camera.width, o->camera.height, i == 0 ? 3 : 1, pictures[i], err);
         if (status != RN_OK) return status;
     }
-    struct filling filling = {f, result, o->subsample > 1 ? o->subsample : 1};
+    struct filling filling = {f, result, o->settings.subsample > 1 ? o->settings.subsample : 1};
     rn_pool_run(f->engine->pool, (o->camera.height + ROWS - 1) / ROWS, fill_rows, &filling);
     return RN_OK;
 }
@@ -111,17 +111,7 @@ static enum rn_status check_options(struct rn_render_options *o, struct rn_error
     if (status != RN_OK) return status;
     if (!(o->outputs & (RN_OUTPUT_RGB | RN_OUTPUT_DEPTH | RN_OUTPUT_ALPHA)))
         return rn_error_set(err, RN_ERROR_INVALID, "output", "must be rgb, depth or alpha");
-    if (!(o->step == 0 || (o->step >= 1e-3 && o->step <= 1)))
-        return rn_error_set(err, RN_ERROR_INVALID, "step", "must be 0 or 0.001 to 1 scene radii");
-    if (!(o->stop >= 0 && o->stop < 1))
-        return rn_error_set(err, RN_ERROR_INVALID, "stop", "must be in [0, 1)");
-    if (o->subsample < 0 || o->subsample > 64)
-        return rn_error_set(err, RN_ERROR_INVALID, "subsample", "must be 1 to 64");
-    if (o->supersample < 0 || o->supersample > 16 || (o->supersample & (o->supersample - 1)))
-        return rn_error_set(err, RN_ERROR_INVALID, "supersample", "must be 0, 1, 2, 4, 8 or 16");
-    if (!(o->tolerance >= 0 && o->tolerance <= 0.5))
-        return rn_error_set(err, RN_ERROR_INVALID, "tolerance", "must be in [0, 0.5]");
-    return RN_OK;
+    return rn_settings_check(&rn_render_settings, &o->settings, err);
 }
 
 // Pyramid levels that this camera may touch; the training's own when rays are shorter.
@@ -194,14 +184,16 @@ static enum rn_status render_bands(struct frame *f, struct poll *poll, struct rn
 static void init_frame(struct frame *f) {
     const struct rn_render_options *o = f->options;
     const struct rn_train_config *config = &f->field->config;
-    int n = o->subsample > 1 ? o->subsample : 1;
+    int n = o->settings.subsample > 1 ? o->settings.subsample : 1;
     f->camera = rn_camera_resized(&o->camera, (o->camera.width + n - 1) / n,
                                   (o->camera.height + n - 1) / n);
-    f->cones = o->supersample > 0 ? o->supersample
-               : n > 1            ? 1
-                                  : rn_cones_for_camera(f->field, &f->camera);
-    f->march.step = (float)(o->step > 0 ? fmax(o->step, config->step) : config->step);
-    f->march.stop_depth = (float)-log(o->stop > 0 ? o->stop : fmax(config->stop, o->tolerance));
+    f->cones = o->settings.supersample > 0 ? o->settings.supersample
+               : n > 1                     ? 1
+                                           : rn_cones_for_camera(f->field, &f->camera);
+    f->march.step =
+        (float)(o->settings.step > 0 ? fmax(o->settings.step, config->step) : config->step);
+    f->march.stop_depth = (float)-log(
+        o->settings.stop > 0 ? o->settings.stop : fmax(config->stop, o->settings.tolerance));
     memcpy(f->march.background, o->background, sizeof f->march.background);
 }
 
@@ -210,14 +202,15 @@ static void init_frame(struct frame *f) {
 static void init_lattice(struct frame *f) {
     const struct rn_render_options *o = f->options;
     size_t fine = 4 * (size_t)f->camera.width * (size_t)f->camera.height;
-    f->points = o->tolerance > 0 && f->cones > 1 && !f->on_device && fine <= FINE_POINTS ? 2 : 1;
+    f->points =
+        o->settings.tolerance > 0 && f->cones > 1 && !f->on_device && fine <= FINE_POINTS ? 2 : 1;
     f->cones /= f->points;
     f->camera =
         rn_camera_resized(&f->camera, f->points * f->camera.width, f->points * f->camera.height);
     f->lattice = (struct rn_lattice){.width = f->camera.width,
                                      .height = f->camera.height,
                                      .outputs = o->outputs,
-                                     .tolerance = (float)o->tolerance,
+                                     .tolerance = (float)o->settings.tolerance,
                                      .dense = rn_lattice_is_dense(f->field, &f->camera)};
 }
 

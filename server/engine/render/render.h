@@ -5,6 +5,7 @@
 #include "common/dataset/dataset.h"
 #include "common/image/image.h"
 #include "common/math/camera.h"
+#include "common/settings/render.h"
 #include "server/engine/scene/engine.h"
 
 enum rn_output { RN_OUTPUT_RGB = 1, RN_OUTPUT_DEPTH = 2, RN_OUTPUT_ALPHA = 4 };
@@ -14,19 +15,7 @@ struct rn_render_options {
     struct rn_camera camera; // dataset coordinates
     unsigned outputs;        // RN_OUTPUT_* ORed
     float background[3];
-    double step; // marching step in scene radii; 0 = as trained
-    // Early-stop transmittance; 0 = as trained, or the tolerance where that is larger. A ray that
-    // ends earlier than in training counts as opaque.
-    double stop;
-    int subsample; // render every n-th pixel each way and enlarge; 1 = full
-    // Cones a side of a pixel, 1, 2, 4, 8 or 16; 0 = as many as make them as narrow as the finest
-    // that the field was trained on, where its configuration asks for that, else 1.
-    int supersample;
-    // A pixel whose four nearest neighbours agree to within this is their mean and is not traced
-    // (render/lattice.h): the root mean square distance from that mean of the outputs asked for,
-    // at most 0.5. Of pixels of several cones their quarters are meant. 0 = every pixel is traced,
-    // and always on a device other than the CPU.
-    double tolerance;
+    struct rn_render_settings settings;
 };
 struct rn_render_stats {
     double render_ms;

@@ -198,9 +198,11 @@ START_TEST(absent_stays_absent) {
     struct rn_job_request request;
     struct rn_error err = {0};
     ck_assert_int_eq(rn_job_request_decode(json, strlen(json), &request, NULL, &err), RN_OK);
-    ck_assert_int_eq(request.train.planes, RN_ABSENT);
+    ck_assert_int_eq(rn_settings_value(&rn_train_settings, request.train.settings, "planes")->whole,
+                     RN_ABSENT);
     ck_assert_int_eq(request.train.preset, -1);
-    ck_assert(isnan(request.train.max_time_s));
+    ck_assert(isnan(
+        rn_settings_value(&rn_train_settings, request.train.settings, "max_seconds")->number));
     char *options;
     ck_assert_int_eq(rn_job_request_options(&request, &options, &err), RN_OK);
     ck_assert_str_eq(options, "{}");
@@ -274,7 +276,9 @@ START_TEST(description_fills_a_scene) {
     struct rn_scene_description decoded;
     ck_assert_int_eq(rn_decode(&rn_scene_description_table, part, size, &decoded, NULL, &err),
                      RN_OK);
-    ck_assert_int_eq(decoded.config.planes, 3);
+    struct rn_train_config config = {.preset = ""};
+    rn_settings_put(&rn_train_settings, decoded.config.settings, &config);
+    ck_assert_int_eq(config.field.planes, 3);
     rn_message_finish(&rn_scene_description_table, &decoded);
     ck_assert_int_eq(rn_scene_describe(&scene, part, size, &err), RN_OK);
     ck_assert_str_eq(scene.kernels, "avx2");

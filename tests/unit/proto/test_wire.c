@@ -149,7 +149,7 @@ START_TEST(messages_survive_the_trip) {
     rn_wire_reader_init(&reader, ends[1]);
     struct rn_wire_train train = {.job = "job_aaaaaaaaaaaa"}, again;
     rn_message_init(&rn_train_options_table, &train.options);
-    train.options.max_steps = 12;
+    rn_settings_value(&rn_train_settings, train.options.settings, "max_steps")->whole = 12;
     ck_assert_int_eq(rn_wire_post(&writer, RN_WIRE_TRAIN, &train, NULL, 0, NULL), RN_OK);
     ck_assert_int_eq(rn_wire_drain(&writer, NULL), RN_OK);
     struct rn_wire_message message;
@@ -159,8 +159,10 @@ START_TEST(messages_survive_the_trip) {
     ck_assert_int_eq(message.type, RN_WIRE_TRAIN);
     ck_assert_int_eq(rn_wire_take(&message, &again, NULL), RN_OK);
     ck_assert_str_eq(again.job, train.job);
-    ck_assert_int_eq(again.options.max_steps, 12);
-    ck_assert_int_eq(again.options.planes, RN_ABSENT);
+    ck_assert_int_eq(
+        rn_settings_value(&rn_train_settings, again.options.settings, "max_steps")->whole, 12);
+    ck_assert_int_eq(rn_settings_value(&rn_train_settings, again.options.settings, "planes")->whole,
+                     RN_ABSENT);
     rn_message_finish(rn_wire_table(RN_WIRE_TRAIN), &again);
     message.type = 99;
     ck_assert_int_eq(rn_wire_take(&message, &again, NULL), RN_ERROR_INVALID);

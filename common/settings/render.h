@@ -1,0 +1,29 @@
+// How a picture is rendered: what a request for a single picture, a camera path or an evaluation
+// may choose, down to the kernels.
+#ifndef RN_COMMON_SETTINGS_RENDER_H
+#define RN_COMMON_SETTINGS_RENDER_H
+
+#include "common/settings/setting.h"
+
+// Plain values. Of each, 0 is what the scene calls for.
+struct rn_render_settings {
+    double step; // marching step in scene radii; 0 = as trained
+    // Early-stop transmittance; 0 = as trained, or the tolerance where that is larger. A ray that
+    // ends earlier than in training counts as opaque.
+    double stop;
+    int subsample; // render every n-th pixel each way and enlarge; 0 = 1 = all of them
+    // Cones a side of a pixel, 1, 2, 4, 8 or 16; 0 = as many as make them as narrow as the finest
+    // that the field was trained on, where its configuration asks for that, else 1.
+    int supersample;
+    // A pixel whose four nearest neighbours agree to within this is their mean and is not traced
+    // (render/lattice.h): the root mean square distance from that mean of the outputs asked for,
+    // at most 0.5. Of pixels of several cones their quarters are meant. 0 = every pixel is traced,
+    // and always on a device other than the CPU.
+    double tolerance;
+};
+
+// The one table: a row for every member.
+#define RN_RENDER_SETTINGS 5
+extern const struct rn_settings rn_render_settings;
+
+#endif

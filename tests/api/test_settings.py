@@ -1,0 +1,165 @@
+"""The contract says of every setting what the tables of common/settings say.
+
+`python3 tests/api/test_settings.py --write` brings proto/openapi.yaml up to date.
+"""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import yaml
+
+ROOT = Path(__file__).resolve().parents[2]
+OPENAPI = ROOT / "proto" / "openapi.yaml"
+BUILD = Path(os.environ.get("RIPNERF_BUILD", ROOT / "build"))
+KINDS = {"bool": "boolean", "int": "integer", "number": "number", "choice": "string",
+         "colour": "array", "text": "string"}
+COMPARED = ("type", "enum", "minimum", "exclusiveMinimum", "maximum", "exclusiveMaximum")
+# Schema -> the table, and whether its rows are asked for (or told of a scene).
+SCHEMAS = {"FieldConfig": ("train", False), "TrainOptions": ("train", True),
+           "RenderRequest": ("render", True), "PathOptions": ("render", True),
+           "EvalOptions": ("render", True)}
+# What these have beside settings.
+OTHERS = {"FieldConfig": {"finest_cone"},
+          "TrainOptions": {"preset", "threads", "device", "kernels", "checkpoint_interval_s",
+                           "evaluate_interval_s"},
+          "RenderRequest": {"camera", "view", "scale", "size", "output", "background", "format",
+                            "jpeg_quality"},
+          "PathOptions": {"width", "height", "first", "last", "output"},
+          "EvalOptions": {"split", "views", "scale"}}
+
+
+def tables():
+    answer = subprocess.run([BUILD / "tests" / "support" / "settings"], capture_output=True,
+                            text=True, check=True)
+    return json.loads(answer.stdout)
+
+
+def rows(tables, schema):
+    """The table's rows as they are named there: {name: row}."""
+    table, asked = SCHEMAS[schema]
+    return {row["option"] if asked else row["told"]: row for row in tables[table]
+            if row["option"] or not asked}
+
+
+def schema_of(row, asked):
+    """What the contract has to say of a row; numbers as a record may also be 0."""
+    flags, low, high = row["flags"], row["min"], row["max"]
+    if row["type"] == "text":
+        return {"type": "string"}
+    if row["choices"]:
+        return {"type": "string", "enum": row["choices"]}
+    if row["type"] in ("bool", "colour"):
+        return {"type": KINDS[row["type"]]}
+    def whole(value):
+        return int(value) if value == int(value) else value
+
+    if flags["power_of_two"]:
+        count = int(high / low).bit_length()
+        return {"type": KINDS[row["type"]], "enum": [whole(low * 2 ** i) for i in range(count)]}
+    or_zero = flags["or_zero"] and not asked
+    over = flags["over_min"] and not or_zero
+    return {"type": KINDS[row["type"]],
+            "exclusiveMinimum" if over else "minimum": whole(0 if or_zero else low),
+            "exclusiveMaximum" if flags["under_max"] else "maximum": whole(high)}
+
+
+def resolved(document, node):
+    if "$ref" not in node:
+        return node
+    target = document
+    for key in node["$ref"].removeprefix("#/").split("/"):
+        target = target[key]
+    return {**target, **{key: value for key, value in node.items() if key != "$ref"}}
+
+
+@pytest.fixture(scope="module", name="document")
+def fixture_document():
+    return yaml.safe_load(OPENAPI.read_text(encoding="utf-8"))
+
+
+@pytest.fixture(scope="module", name="built")
+def fixture_built():
+    return tables()
+
+
+@pytest.mark.parametrize("schema", SCHEMAS)
+def test_contract_has_the_settings(document, built, schema):
+    written = document["components"]["schemas"][schema]
+    expected = rows(built, schema)
+    assert set(written["properties"]) == set(expected) | OTHERS[schema], \
+        "tests/api/test_settings.py --write adds what is missing"
+    for name, row in expected.items():
+        node = resolved(document, written["properties"][name])
+        assert {key: node[key] for key in COMPARED if key in node} == \
+            schema_of(row, SCHEMAS[schema][1]), f"{schema}.{name}"
+    if schema == "FieldConfig":
+        older = {name for name, row in expected.items() if row["flags"]["later"]}
+        assert set(written["required"]) == (set(expected) | {"finest_cone"}) - older
+
+
+@pytest.mark.parametrize("name", ["Scene.json", "SceneList.json"])
+def test_examples_tell_every_setting(built, name):
+    example = json.loads((ROOT / "proto" / "examples" / name).read_text(encoding="utf-8"))
+    for scene in example.get("items", [example]):
+        if scene["config"]:
+            assert set(scene["config"]) == set(rows(built, "FieldConfig")) | {"finest_cone"}
+
+
+def test_rows_are_complete(built):
+    for table in built.values():
+        names = [row["name"] for row in table]
+        assert len(names) == len(set(names))
+        for row in table:
+            assert row["meaning"] and len(row["meaning"]) < 160 and row["unit"] is not None
+            assert bool(row["flag"]) == bool(row["option"])
+            assert row["type"] not in ("int", "number", "colour") or row["min"] < row["max"]
+
+
+def test_help_explains_every_flag(built):
+    for verb, table in (("train", "train"), ("render", "render"), ("path", "render"),
+                        ("eval", "render")):
+        usage = subprocess.run([BUILD / "client" / "ripnerf", verb, "--help"],
+                               capture_output=True, text=True, check=True).stdout
+        for row in built[table]:
+            if row["flag"]:
+                assert f"--{row['flag']} " in usage and row["meaning"] in usage, verb
+
+
+def line_of(name, node):
+    text = yaml.safe_dump(node, default_flow_style=True, width=10 ** 9, sort_keys=False)
+    return f"        {name}: {text.strip()}"
+
+
+def write():
+    """Mends the lines of properties that say something else, and adds those that are missing."""
+    built, document = tables(), yaml.safe_load(OPENAPI.read_text(encoding="utf-8"))
+    lines = OPENAPI.read_text(encoding="utf-8").split("\n")
+    for schema, (_, asked) in SCHEMAS.items():
+        have = document["components"]["schemas"][schema]["properties"]
+        begin = lines.index("      properties:", lines.index(f"    {schema}:")) + 1
+        for name, row in rows(built, schema).items():
+            node = have.get(name, {"description": row["meaning"][0].upper() + row["meaning"][1:]})
+            said = resolved(document, node)
+            wanted = schema_of(row, asked)
+            if {key: said[key] for key in COMPARED if key in said} == wanted:
+                continue
+            kept = {key: value for key, value in node.items() if key not in COMPARED}
+            line = line_of(name, {**wanted, **kept})
+            if name in have:
+                at = next(i for i in range(begin, len(lines))
+                          if lines[i].startswith(f"        {name}: "))
+                lines[at] = line
+                continue
+            at = begin
+            while lines[at].startswith("        "):
+                at += 1
+            lines.insert(at, line)
+    OPENAPI.write_text("\n".join(lines), encoding="utf-8")
+
+
+if __name__ == "__main__" and sys.argv[1:] == ["--write"]:
+    write()

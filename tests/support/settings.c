@@ -1,0 +1,51 @@
+// Prints the tables of settings as JSON, for tests/api/test_settings.py.
+#include <jansson.h>
+#include <stdio.h>
+#include <stdlib.h>
+
+#include "common/settings/render.h"
+#include "common/settings/train.h"
+
+static json_t *text(const char *value) {
+    return value ? json_string(value) : json_null();
+}
+
+static json_t *flags_of(const struct rn_setting *row) {
+    return json_pack("{s:b,s:b,s:b,s:b,s:b,s:b}", "over_min", row->flags & RN_SETTING_OVER_MIN,
+                     "under_max", row->flags & RN_SETTING_UNDER_MAX, "or_zero",
+                     row->flags & RN_SETTING_OR_ZERO, "power_of_two",
+                     row->flags & RN_SETTING_POWER_OF_TWO, "later", row->flags & RN_SETTING_LATER,
+                     "same_bytes", row->flags & RN_SETTING_SAME_BYTES);
+}
+
+static json_t *row_of(const struct rn_setting *row) {
+    static const char *const types[] = {"bool",   "int",    "int",    "int",
+                                        "number", "choice", "colour", "text"};
+    json_t *choices = json_array();
+    for (int i = 0; row->choices && row->choices[i]; i++)
+        json_array_append_new(choices, json_string(row->choices[i]));
+    return json_pack("{s:s,s:s,s:f,s:f,s:s,s:s,s:o,s:o,s:o,s:o,s:o,s:o,s:[f,f,f]}", "name",
+                     row->name, "type", types[row->type], "min", row->min, "max", row->max, "unit",
+                     row->unit, "meaning", row->meaning, "option", text(row->option), "flag",
+                     text(row->flag), "told", text(row->told ? row->told : row->name), "choices",
+                     choices, "flags", flags_of(row), "settled",
+                     isnan(row->settled) ? json_null() : json_real(row->settled), "presets",
+                     row->paper, row->standard, row->draft);
+}
+
+static json_t *table(const struct rn_settings *settings) {
+    json_t *rows = json_array();
+    for (size_t i = 0; i < settings->count; i++)
+        json_array_append_new(rows, row_of(&settings->rows[i]));
+    return rows;
+}
+
+int main(void) {
+    json_t *both = json_pack("{s:o,s:o}", "train", table(&rn_train_settings), "render",
+                             table(&rn_render_settings));
+    char *json = both ? json_dumps(both, JSON_INDENT(1)) : NULL;
+    if (json) puts(json);
+    free(json);
+    json_decref(both);
+    return json ? 0 : 1;
+}
