@@ -88,8 +88,8 @@ static enum rn_status open_regular(const char *path, int *ret_fd, uint64_t *ret_
 enum rn_status rn_file_read(const char *path, size_t max_bytes, uint8_t **ret_bytes,
                             size_t *ret_size, struct rn_error *err) {
     if (max_bytes > SSIZE_MAX - 2) max_bytes = SSIZE_MAX - 2;
-    int fd;
-    uint64_t expected;
+    int fd = -1;
+    uint64_t expected = 0;
     enum rn_status status = open_regular(path, &fd, &expected, err);
     if (status != RN_OK) return status;
     if (expected > max_bytes)
@@ -102,8 +102,8 @@ enum rn_status rn_file_read(const char *path, size_t max_bytes, uint8_t **ret_by
 
 enum rn_status rn_file_read_head(const char *path, uint8_t *bytes, size_t capacity,
                                  size_t *ret_size, uint64_t *ret_file_size, struct rn_error *err) {
-    int fd;
-    uint64_t file_size;
+    int fd = -1;
+    uint64_t file_size = 0;
     enum rn_status status = open_regular(path, &fd, &file_size, err);
     if (status != RN_OK) return status;
     ssize_t got = read_fully(fd, bytes, capacity);

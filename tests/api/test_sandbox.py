@@ -3,6 +3,7 @@
 import io
 import json
 import os
+import subprocess
 import tarfile
 
 import pytest
@@ -45,6 +46,18 @@ def test_confinement_can_be_left_out(make_daemon, photographs):
     job = daemon.submit(type="train", dataset="data", scene="s", options={"max_steps": 100000})
     daemon.wait(job, ["running"])
     assert status_of(daemon.runners()[0])["Seccomp"] == "0"
+
+
+@pytest.mark.parametrize("name", ["ripnerfd", "ripnerf-runner"])
+def test_programs_are_hardened(build, name):
+    def tell(*words):
+        return subprocess.run([*words, build / "server" / name], capture_output=True, text=True,
+                              check=True).stdout
+    assert "DYN" in tell("readelf", "-hW")
+    assert "NOW" in tell("readelf", "-dW") and "GNU_RELRO" in tell("readelf", "-lW")
+    symbols = tell("nm", "-D")
+    if "asan" not in symbols:
+        assert "__stack_chk_fail" in symbols and "_chk@" in symbols.replace("__stack_chk_fail", "")
 
 
 def one_image_many_times(folder, count):
