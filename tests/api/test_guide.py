@@ -46,6 +46,9 @@ def test_documents_lead_somewhere(document):
     text = document.read_text(encoding="utf-8")
     for link in re.findall(r"\]\(([^)#\s]+)\)", text):
         assert "://" in link or (document.parent / link).exists(), link
+    for path in re.findall(r"`([\w.-][\w./-]*/[\w.-]+\.(?:c|h|cuh|py|md|sh|yaml|json))`", text):
+        roots = (document.parent, SOURCE, SOURCE / "server", SOURCE / "server" / "engine")
+        assert "NAME" in path or any((root / path).exists() for root in roots), path
 
 
 def test_front_door_is_short():
