@@ -68,7 +68,8 @@ struct rn_train_config {
                           // evenly over all pixels, weighted by area
     bool draw_by_error;   // of these, more where errors are large (train/importance.h)
     bool auto_effects;    // effects that the data does not call for may be switched off
-    double roulette;      // times the mean gradient below which going back is a lottery; 0 = off
+    double roulette; // times the mean gradient below which a sample is backpropagated by roulette;
+                     // 0 = off
     bool footprint_given; // asked for by name: not switched off though the data calls for less
     bool cone_step;       // a sample spans as many steps as its cone is wide, at most 8
     double stop;          // early stop: transmittance below which a ray ends

@@ -42,7 +42,7 @@ static void split_kernels(const char *list, struct rn_info *info) {
 
 void rn_get_info(void *context, struct rn_request *request, struct rn_reply *reply) {
     struct rn_app *app = context;
-    struct rn_device device;
+    struct rn_runner_device device;
     struct rn_info info;
     struct rn_error err = {0};
     char *json = NULL;

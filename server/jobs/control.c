@@ -289,7 +289,7 @@ void rn_control_stats(struct rn_control *control, struct rn_control_stats *ret_s
     pthread_mutex_unlock(&control->lock);
 }
 
-void rn_control_device(struct rn_control *control, struct rn_device *ret_device) {
+void rn_control_device(struct rn_control *control, struct rn_runner_device *ret_device) {
     pthread_mutex_lock(&control->lock);
     *ret_device = control->device;
     pthread_mutex_unlock(&control->lock);

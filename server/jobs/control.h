@@ -118,11 +118,11 @@ struct rn_control_stats {
 extern const double rn_render_ms_bounds[9]; // upper bounds; the last bucket has none
 void rn_control_stats(struct rn_control *control, struct rn_control_stats *ret_stats);
 
-struct rn_device {
+struct rn_runner_device {
     char device[16], name[128], kernels[32], available[128];
     int64_t threads;
 };
 // Empty until the probe has answered.
-void rn_control_device(struct rn_control *control, struct rn_device *ret_device);
+void rn_control_device(struct rn_control *control, struct rn_runner_device *ret_device);
 
 #endif

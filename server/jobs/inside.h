@@ -102,7 +102,7 @@ struct rn_control {
     unsigned recent_next;
     int64_t next_render;
     int64_t next_measure_ns;
-    struct rn_device device;
+    struct rn_runner_device device;
     struct rn_gpu gpus[RN_MAX_GPUS];
     int64_t next_turn;
     bool schedule_due;

@@ -321,7 +321,7 @@ static void on_failed(struct rn_control *control, struct rn_runner *runner,
 
 static void on_info(struct rn_control *control, struct rn_runner *runner,
                     const struct rn_wire_info *info) {
-    struct rn_device *device = &control->device;
+    struct rn_runner_device *device = &control->device;
     snprintf(device->device, sizeof device->device, "%s", info->device);
     snprintf(device->name, sizeof device->name, "%s", info->device_name);
     snprintf(device->kernels, sizeof device->kernels, "%s", info->kernels);

@@ -19,7 +19,7 @@ enum rn_status rn_control_etag(struct rn_control *control, const struct rn_scene
     const struct rn_task *task = rn_task_training(control, scene->id);
     bool trains = task != NULL;
     bool has_runner = trains && task->runner != NULL;
-    struct rn_device device = control->device;
+    struct rn_runner_device device = control->device;
     pthread_mutex_unlock(&control->lock);
     if (scene->sha256[0] == '\0' && !has_runner)
         return rn_error_set(err, RN_ERROR_CONFLICT, "",

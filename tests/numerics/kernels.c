@@ -66,7 +66,7 @@ static int check_log2(const struct rn_kernels *k, struct numerics_random *random
             x[i] = (float)(i % 3 == 0   ? numerics_spread(random, FLT_MIN, 3.4e38)
                            : i % 3 == 1 ? numerics_spread(random, 1, 262144)
                                         : numerics_uniform(random, 0.5, 2));
-        k->log2(LANES, x, y);
+        k->parts->log2(LANES, x, y);
         for (int i = 0; i < LANES; i++) {
             long double truth = log2l(x[i]), size = fmaxl(1, fabsl(truth));
             numerics_see(&c, (double)(fabsl(y[i] - truth) / (size * 0x1p-23L)), "x %.9g",
@@ -85,11 +85,11 @@ static int check_wild(const struct rn_kernels *k) {
     float x[LANES], y[LANES];
     for (int i = 0; i < LANES; i++)
         x[i] = i < 4 ? wild[i] : 0;
-    k->exp(LANES, x, y);
+    k->parts->exp(LANES, x, y);
     for (int i = 0; i < LANES; i++)
         numerics_see(&c, !isfinite(y[i]) || y[i] <= 0, "exp of %g", (double)x[i]);
     x[2] = FLT_MAX; // not for negative depths
-    k->one_minus_exp(LANES, x, y);
+    k->parts->one_minus_exp(LANES, x, y);
     for (int i = 1; i < LANES; i++)
         numerics_see(&c, !(y[i] >= 0 && y[i] <= 1), "1 - exp of %g", (double)x[i]);
     return numerics_close(&c);
@@ -121,7 +121,7 @@ static int check_moments(const struct rn_kernels *k, struct numerics_random *ran
         for (int i = 0; i < LANES; i++)
             t[i] = fmaxf((float)numerics_spread(random, 0.5 * (double)width, 1e7 * (double)width),
                          0.5f * width);
-        k->moments(LANES, t, width, radius, out[0], out[1], out[2]);
+        k->parts->moments(LANES, t, width, radius, out[0], out[1], out[2]);
         for (int i = 0; i < LANES; i++) {
             exact truth[3];
             exact_reset();
@@ -395,7 +395,7 @@ static int check_products(const struct rn_kernels *k, struct numerics_random *ra
             a[i] = (float)numerics_spread(random, 1e-4, 1e4) * (i % 3 ? 1 : -1);
         for (int i = 0; i < K * N; i++)
             b[i] = (float)numerics_spread(random, 1e-4, 1e4) * (i % 5 ? 1 : -1);
-        k->gemm(rows, terms, columns, a, K, b, N, c, N);
+        k->parts->gemm(rows, terms, columns, a, K, b, N, c, N);
         for (int i = 0; i < rows; i++)
             for (int j = 0; j < columns; j++) {
                 long double sum = 0, size = 0;
@@ -417,10 +417,11 @@ int main(void) {
     const struct rn_kernels *k;
     int failed = 0;
     for (int i = 0; (k = rn_kernels_available(i)); i++) {
-        failed += check_function("5 vector exp", "-90..90", k->name, k->exp, exp_truth, 2, -90, 90,
-                                 1e-12, &random);
-        failed += check_function("5 vector 1 - exp(-x)", "0, 1e-30..100", k->name, k->one_minus_exp,
-                                 one_minus_exp_truth, 4, 0, 100, 1e-30, &random);
+        failed += check_function("5 vector exp", "-90..90", k->name, k->parts->exp, exp_truth, 2,
+                                 -90, 90, 1e-12, &random);
+        failed +=
+            check_function("5 vector 1 - exp(-x)", "0, 1e-30..100", k->name,
+                           k->parts->one_minus_exp, one_minus_exp_truth, 4, 0, 100, 1e-30, &random);
         failed += check_log2(k, &random);
         failed += check_wild(k);
         failed += check_moments(k, &random);

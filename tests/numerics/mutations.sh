@@ -232,7 +232,7 @@ mutate reproducible $train/sampler.c "rays: drawn by the thread's own count" \
     's/rn_rng_draw(t->march.seed, STREAM_RAYS | (uint32_t)r, t->march.counter)/rn_rng_draw(t->march.seed + (uint64_t)rn_pool_threads(t->engine->pool), STREAM_RAYS | (uint32_t)r, t->march.counter)/'
 mutate roulette $cpu/backward.h "roulette: survivors count once" \
     's/row \* ((float)CERTAIN .*/row;/'
-mutate roulette $cpu/backward.h "roulette: what is likelier than not goes back" \
+mutate roulette $cpu/backward.h "roulette: what is likelier than not is backpropagated" \
     's/n += next \/ CERTAIN != sum \/ CERTAIN;/n += w->chance[i] > CERTAIN \/ 2;/'
 mutate overflow $cpu/backward.h "roulette: what is not finite is left out" \
     's/(size != 0.0f)/(size > 0.0f)/'

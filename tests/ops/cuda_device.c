@@ -9,7 +9,7 @@
 static const struct rn_backend *table; // of RIPNERF_CUDA_MODULE
 
 static bool opens(void) {
-    struct rn_device *device;
+    struct rn_backend_device *device;
     struct rn_device_about about;
     struct rn_error err = {0};
     if (table->open(0, &device, &about, &err) != RN_OK) {

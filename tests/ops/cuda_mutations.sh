@@ -199,12 +199,12 @@ mutate rays shade.cuh "ray shading: every tile in the same place" 's/\&scratch, 
 mutate second shade.cuh "ray shading: rays of the step before take part" \
     's/bool is = RN_LANE < RN_TILE .*/bool is = RN_LANE < RN_TILE;/'
 mutate second gradient.cuh "ray shading: as many tiles of rays as of samples" 's/of_rays ? .* : status->returned/status->returned/'
-mutate lottery shade.cuh "lottery: what is drawn counts once" 's/\*ret_factor = chance > 0 ? .*/*ret_factor = chance > 0;/'
-mutate lottery shade.cuh "lottery: what is likelier than not goes back" \
+mutate roulette shade.cuh "roulette: what is drawn counts once" 's/\*ret_factor = chance > 0 ? .*/*ret_factor = chance > 0;/'
+mutate roulette shade.cuh "roulette: what is likelier than not is backpropagated" \
     's/return before \/ RN_CERTAIN != after \/ RN_CERTAIN;/return chance > RN_CERTAIN \/ 2;/'
-mutate lottery shade.cuh "lottery: the same start for all rays" 's/    l.sum = rn_rng_draw.*/    l.sum = RN_CERTAIN - 1;/'
-mutate lottery step.cuh "lottery: the mean is of scaled gradients" 's| / (float)all->gradients / s->gradient_scale| / (float)all->gradients|'
-mutate lottery backend.cu "lottery: none" 's/f->batch.roulette = .*/f->batch.roulette = 0;/'
+mutate roulette shade.cuh "roulette: the same start for all rays" 's/    l.sum = rn_rng_draw.*/    l.sum = RN_CERTAIN - 1;/'
+mutate roulette step.cuh "roulette: the mean is of scaled gradients" 's| / (float)all->gradients / s->gradient_scale| / (float)all->gradients|'
+mutate roulette backend.cu "roulette: none" 's/f->batch.roulette = .*/f->batch.roulette = 0;/'
 mutate_engine bytes train/trainer.c "engine: the gradients' size is forgotten" \
     's/    t->gradient_size = from->gradient_size;//'
 mutate guards shade.cuh "ray shading: a ray that is not finite reaches the weights" \

@@ -27,7 +27,7 @@ struct test_scene {
     int rays;                  // of a training step, at most MOST_RAYS; RAYS at first
     float background_variance; // of training (rn_march_options); 0.1 at first
     bool split;                // likewise; false at first
-    struct rn_device *device;
+    struct rn_backend_device *device;
     struct rn_device_field *on_device;
 };
 

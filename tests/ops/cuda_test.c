@@ -240,10 +240,10 @@ static struct second_step second_step(const struct rn_train_config *config) {
     return out;
 }
 
-// Over many seeds the mean of the gradients with a lottery is the gradient without, and none of
+// Over many seeds the mean of the gradients with a roulette is the gradient without, and none of
 // them is far from it; the colour network, which whole rays train, takes no part. _i: which
 // threshold.
-START_TEST(lottery_has_no_bias) {
+START_TEST(roulette_has_no_bias) {
     enum { SEEDS = 8 };
     static const double thresholds[] = {1, 4}, spreads[] = {0.05, 0.25}, shares[] = {0.8, 0.4};
     double bias[SEEDS], mean = 0, variance = 0, worst = 0, most = 0;
@@ -273,7 +273,7 @@ START_TEST(lottery_has_no_bias) {
     }
     for (int seed = 0; seed < SEEDS; seed++)
         variance += (bias[seed] - mean) * (bias[seed] - mean) / (SEEDS - 1);
-    printf("lottery, threshold %.0f: %.0f %% at most go back, bias %.1e (standard error %.1e), "
+    printf("roulette, threshold %.0f: %.0f %% at most go back, bias %.1e (standard error %.1e), "
            "spread at most %.1e\n",
            thresholds[_i], 100 * most, mean, sqrt(variance / SEEDS), worst);
     ck_assert_double_lt(most, shares[_i]);
@@ -624,7 +624,7 @@ int main(void) {
     test_add(suite, "gradients", gradients_match_reference, 1);
     test_add(suite, "rays", gradients_of_whole_rays_match_reference, 2);
     test_add(suite, "second", second_steps_match_reference, shadings);
-    test_add(suite, "lottery", lottery_has_no_bias, 2);
+    test_add(suite, "roulette", roulette_has_no_bias, 2);
     test_add(suite, "paper", papers_networks_match_reference, 1);
     test_add(suite, "many", many_rays_match_reference, shadings);
     test_add_pictures(suite);

@@ -10,7 +10,7 @@ struct rn_bench_packet {
     const struct rn_march_ray *rays;
     int ray_count;
     int looked_at, found; // candidates: that the packet needed, and of its rays to their ends
-    int returned;         // samples whose gradient went back
+    int returned;         // samples whose gradient was backpropagated
     int heads;            // rows of the colour network
     struct rn_workspace *workspace;
     struct rn_group *group; // its slab

@@ -19,7 +19,7 @@ struct rn_counters {
     int next_rays;        // of the next step
     float gradient_scale; // a device's (cuda/README.md); 0 at the start
     int good_steps;       // since it was last changed
-    float gradient_size;  // a device's, for its roulette (kernels/backend.h)
+    float gradient_size;  // a device's, for the roulette (kernels/backend.h)
 };
 // The arrays of a field and of its training. Owner: the field and the trainer.
 struct rn_arrays {

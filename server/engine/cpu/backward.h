@@ -175,7 +175,7 @@ RN_INLINE void copy_row(float *to, const float *from, size_t n) {
 // Chances in units of 2^-24.
 #define CERTAIN (1 << 24)
 
-// Writes to w->chance with what probability each sample's gradient goes back: with roulette, in
+// Writes to w->chance with what probability each sample is backpropagated: with roulette, in
 // proportion to the gradient's size where that is below `roulette` times the packet's mean, else
 // certainly, and so what is not finite, which is to be seen. 0 where the early stop or the loss
 // left no gradient.

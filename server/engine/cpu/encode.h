@@ -1,4 +1,5 @@
-// Where samples lie: positions, plane coordinates, and levels from their footprints.
+// Where samples lie: positions, plane coordinates, and levels from their footprints; and their
+// features there.
 #ifndef RN_ENGINE_CPU_ENCODE_H
 #define RN_ENGINE_CPU_ENCODE_H
 
@@ -125,6 +126,33 @@ static void place_segment(const struct rn_cpu_field *field, const struct rn_marc
             vf_store(w->ly[p] + at, ly);
         }
     }
+}
+
+// Features of samples [begin, end) of the workspace.
+static void encode(const struct rn_cpu_field *field, bool leveled, int begin, int end,
+                   struct rn_workspace *w) {
+    int channels = field->config->channels;
+    size_t stride = features_a_row(field);
+    bool mip = field->config->footprint == RN_FOOTPRINT_MIP;
+    for (int p = 0; p < field->config->planes; p++) {
+        feature *out = feature_row(field, w, 0) + p * channels;
+        const struct rn_map(*maps)[RN_MAX_LEVELS] = field->maps[p];
+#define RN_ENCODE(C)                                                                               \
+    if (leveled)                                                                                   \
+        encode_leveled_##C(maps, mip, w->u[p], w->v[p], w->lx[p], w->ly[p], begin, end, out,       \
+                           stride);                                                                \
+    else                                                                                           \
+        encode_flat_##C(&maps[0][0], w->u[p], w->v[p], begin, end, out, stride)
+        if (channels == 4) {
+            RN_ENCODE(4);
+        } else if (channels == 8) {
+            RN_ENCODE(8);
+        } else {
+            RN_ENCODE(16);
+        }
+#undef RN_ENCODE
+    }
+    clear_padding(field, end, w);
 }
 
 #endif

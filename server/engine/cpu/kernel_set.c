@@ -61,6 +61,14 @@ static void moments_public(size_t n, const float *t, float width, float radius, 
 #define RN_STRING2(a) #a
 #define RN_STRING(a) RN_STRING2(a)
 
+static const struct rn_kernel_parts parts = {
+    .gemm = gemm_public,
+    .exp = exp_public,
+    .one_minus_exp = one_minus_exp_public,
+    .log2 = log2_public,
+    .moments = moments_public,
+};
+
 extern const struct rn_kernels RN_PASTE(rn_kernels_, RN_KERNEL_SET);
 const struct rn_kernels RN_PASTE(rn_kernels_, RN_KERNEL_SET) = {
     .name = RN_STRING(RN_KERNEL_SET),
@@ -79,9 +87,5 @@ const struct rn_kernels RN_PASTE(rn_kernels_, RN_KERNEL_SET) = {
     .stage = stage,
     .put_features = put_features,
     .get_features = get_features,
-    .gemm = gemm_public,
-    .exp = exp_public,
-    .one_minus_exp = one_minus_exp_public,
-    .log2 = log2_public,
-    .moments = moments_public,
+    .parts = &parts,
 };

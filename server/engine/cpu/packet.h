@@ -1,4 +1,4 @@
-// One packet of rays: march, evaluate in rounds front to back, composite, shade; and backward.
+// One packet of rays: march, evaluate in rounds front to back, composite, shade.
 #ifndef RN_ENGINE_CPU_PACKET_H
 #define RN_ENGINE_CPU_PACKET_H
 

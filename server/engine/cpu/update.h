@@ -58,102 +58,107 @@ RN_INLINE float *part_of(struct rn_map (*maps)[RN_MAX_LEVELS], int x, int y, int
            (size_t)(rect->column >> x) * (size_t)channels;
 }
 
-// Sizes here are even at every level but the coarsest: pooling is the mean of two (field/ripmap.h).
-#define RN_TILED(NAME, TYPE, CHANNELS)                                                             \
-    static void pool_square_##NAME(struct rn_map(*maps)[RN_MAX_LEVELS], int level,                 \
-                                   const struct rect *rect) {                                      \
-        size_t fine_row, row;                                                                      \
-        const float *fine = part_of(maps, level - 1, level - 1, CHANNELS, rect, &fine_row);        \
-        float *coarse = part_of(maps, level, level, CHANNELS, rect, &row);                         \
-        for (int y = 0; y < rect->height >> level; y++, fine += 2 * fine_row, coarse += row)       \
-            for (int x = 0; x < rect->width >> level; x++) {                                       \
-                const TYPE *a = (const TYPE *)fine + 2 * x;                                        \
-                const TYPE *b = (const TYPE *)(fine + fine_row) + 2 * x;                           \
-                ((TYPE *)coarse)[x] = ((a[0] + a[1]) + (b[0] + b[1])) * 0.25f;                     \
-            }                                                                                      \
-    }                                                                                              \
-    static void unpool_square_##NAME(struct rn_map(*maps)[RN_MAX_LEVELS], int level,               \
-                                     const struct rect *rect) {                                    \
-        size_t fine_row, row;                                                                      \
-        float *fine = part_of(maps, level - 1, level - 1, CHANNELS, rect, &fine_row);              \
-        float *coarse = part_of(maps, level, level, CHANNELS, rect, &row);                         \
-        for (int y = 0; y < rect->height >> level; y++, fine += 2 * fine_row, coarse += row)       \
-            for (int x = 0; x < rect->width >> level; x++) {                                       \
-                TYPE *a = (TYPE *)fine + 2 * x, *b = (TYPE *)(fine + fine_row) + 2 * x;            \
-                TYPE g = ((TYPE *)coarse)[x] * 0.25f;                                              \
-                ((TYPE *)coarse)[x] = (TYPE){0};                                                   \
-                a[0] += g, a[1] += g, b[0] += g, b[1] += g;                                        \
-            }                                                                                      \
-    }                                                                                              \
-    static void pool_pairs_##NAME(struct rn_map(*maps)[RN_MAX_LEVELS], int x, int y,               \
-                                  const struct rect *rect) {                                       \
-        size_t fine_row, row;                                                                      \
-        bool along_x = y == 0;                                                                     \
-        const float *fine = part_of(maps, x - along_x, y - !along_x, CHANNELS, rect, &fine_row);   \
-        float *coarse = part_of(maps, x, y, CHANNELS, rect, &row);                                 \
-        for (int j = 0; j < rect->height >> y; j++, coarse += row)                                 \
-            for (int i = 0; i < rect->width >> x; i++) {                                           \
-                const float *a = along_x ? fine + (size_t)j * fine_row + 2 * i * CHANNELS          \
-                                         : fine + (size_t)j * 2 * fine_row + i * CHANNELS;         \
-                const float *b = a + (along_x ? CHANNELS : fine_row);                              \
-                ((TYPE *)coarse)[i] = (*(const TYPE *)a + *(const TYPE *)b) * 0.5f;                \
-            }                                                                                      \
-    }                                                                                              \
-    static void unpool_pairs_##NAME(struct rn_map(*maps)[RN_MAX_LEVELS], int x, int y,             \
-                                    const struct rect *rect) {                                     \
-        size_t fine_row, row;                                                                      \
-        bool along_x = y == 0;                                                                     \
-        float *fine = part_of(maps, x - along_x, y - !along_x, CHANNELS, rect, &fine_row);         \
-        float *coarse = part_of(maps, x, y, CHANNELS, rect, &row);                                 \
-        for (int j = 0; j < rect->height >> y; j++, coarse += row)                                 \
-            for (int i = 0; i < rect->width >> x; i++) {                                           \
-                float *a = along_x ? fine + (size_t)j * fine_row + 2 * i * CHANNELS                \
-                                   : fine + (size_t)j * 2 * fine_row + i * CHANNELS;               \
-                TYPE g = ((TYPE *)coarse)[i] * 0.5f;                                               \
-                ((TYPE *)coarse)[i] = (TYPE){0};                                                   \
-                *(TYPE *)a += g;                                                                   \
-                *(TYPE *)(a + (along_x ? CHANNELS : fine_row)) += g;                               \
-            }                                                                                      \
-    }                                                                                              \
-    static void pull_down_##NAME(const struct rn_plane_update *u, const struct rect *rect) {       \
-        for (int level = u->levels - 1; u->mip && level > 0; level--)                              \
-            unpool_square_##NAME(u->grad_maps, level, rect);                                       \
-        for (int y = u->levels - 1; !u->mip && y >= 0; y--)                                        \
-            for (int x = u->levels - 1; x >= (y == 0); x--)                                        \
-                unpool_pairs_##NAME(u->grad_maps, x, y, rect);                                     \
-    }                                                                                              \
-    static void build_##NAME(const struct rn_plane_update *u, const struct rect *rect) {           \
-        for (int level = 1; u->mip && level < u->levels; level++)                                  \
-            pool_square_##NAME(u->maps, level, rect);                                              \
-        for (int y = 0; !u->mip && y < u->levels; y++)                                             \
-            for (int x = y == 0; x < u->levels; x++)                                               \
-                pool_pairs_##NAME(u->maps, x, y, rect);                                            \
+// The `channels` of a texel, a constant where these are called.
+RN_INLINE void mean_of_four(float *restrict to, const float *restrict a, const float *restrict b,
+                            const int channels) {
+    for (int c = 0; c < channels; c++)
+        to[c] = ((a[c] + a[channels + c]) + (b[c] + b[channels + c])) * 0.25f;
+}
+RN_INLINE void mean_of_two(float *restrict to, const float *restrict a, const float *restrict b,
+                           const int channels) {
+    for (int c = 0; c < channels; c++)
+        to[c] = (a[c] + b[c]) * 0.5f;
+}
+// Their adjoints, which clear the mean's gradient.
+RN_INLINE void share_among_four(float *restrict from, float *restrict a, float *restrict b,
+                                const int channels) {
+    for (int c = 0; c < channels; c++) {
+        float g = from[c] * 0.25f;
+        from[c] = 0;
+        a[c] += g, a[channels + c] += g, b[c] += g, b[channels + c] += g;
     }
+}
+RN_INLINE void share_among_two(float *restrict from, float *restrict a, float *restrict b,
+                               const int channels) {
+    for (int c = 0; c < channels; c++) {
+        float g = from[c] * 0.5f;
+        from[c] = 0;
+        a[c] += g;
+        b[c] += g;
+    }
+}
 
-RN_TILED(4, v4, 4)
-RN_TILED(8, v8, 8)
-RN_TILED(16, v16, 16)
+// Sizes here are even at every level but the coarsest: pooling is the mean of two (field/ripmap.h).
+// Between levels of a mipmap: squares of four texels; `up` pools them, else their gradients follow.
+RN_INLINE void pass_squares(struct rn_map (*maps)[RN_MAX_LEVELS], int level,
+                            const struct rect *rect, const int channels, const bool up) {
+    size_t fine_row, row;
+    float *fine = part_of(maps, level - 1, level - 1, channels, rect, &fine_row);
+    float *coarse = part_of(maps, level, level, channels, rect, &row);
+    for (int y = 0; y < rect->height >> level; y++, fine += 2 * fine_row, coarse += row)
+        for (int x = 0; x < rect->width >> level; x++) {
+            float *a = fine + 2 * x * channels, *b = a + fine_row, *mean = coarse + x * channels;
+            if (up)
+                mean_of_four(mean, a, b, channels);
+            else
+                share_among_four(mean, a, b, channels);
+        }
+}
+
+// Between maps of a ripmap: pairs along x in the maps that are pooled along x alone, else along y.
+RN_INLINE void pass_pairs(struct rn_map (*maps)[RN_MAX_LEVELS], int x, int y,
+                          const struct rect *rect, const int channels, const bool up) {
+    size_t fine_row, row;
+    bool along_x = y == 0;
+    float *fine = part_of(maps, x - along_x, y - !along_x, channels, rect, &fine_row);
+    float *coarse = part_of(maps, x, y, channels, rect, &row);
+    for (int j = 0; j < rect->height >> y; j++, coarse += row)
+        for (int i = 0; i < rect->width >> x; i++) {
+            float *a = along_x ? fine + (size_t)j * fine_row + 2 * i * channels
+                               : fine + (size_t)j * 2 * fine_row + i * channels;
+            float *b = a + (along_x ? (size_t)channels : fine_row), *mean = coarse + i * channels;
+            if (up)
+                mean_of_two(mean, a, b, channels);
+            else
+                share_among_two(mean, a, b, channels);
+        }
+}
+
+RN_INLINE void pull_down_rect(const struct rn_plane_update *u, const struct rect *rect,
+                              const int channels) {
+    for (int level = u->levels - 1; u->mip && level > 0; level--)
+        pass_squares(u->grad_maps, level, rect, channels, false);
+    for (int y = u->levels - 1; !u->mip && y >= 0; y--)
+        for (int x = u->levels - 1; x >= (y == 0); x--)
+            pass_pairs(u->grad_maps, x, y, rect, channels, false);
+}
+
+RN_INLINE void build_rect(const struct rn_plane_update *u, const struct rect *rect,
+                          const int channels) {
+    for (int level = 1; u->mip && level < u->levels; level++)
+        pass_squares(u->maps, level, rect, channels, true);
+    for (int y = 0; !u->mip && y < u->levels; y++)
+        for (int x = y == 0; x < u->levels; x++)
+            pass_pairs(u->maps, x, y, rect, channels, true);
+}
+
+RN_INLINE bool update_texels(const struct rn_plane_update *u, const struct rect *rect,
+                             const int channels) {
+    size_t row = (size_t)u->maps[0][0].width * (size_t)channels;
+    size_t at = (size_t)rect->row * row + (size_t)(rect->column * channels);
+    bool finite = true;
+    pull_down_rect(u, rect, channels);
+    for (int y = 0; y < rect->height; y++, at += row)
+        finite &= adamw(u->options, (size_t)(rect->width * channels), u->maps[0][0].texels + at,
+                        u->grad_maps[0][0].texels + at, u->m + at, u->v + at);
+    build_rect(u, rect, channels);
+    return finite;
+}
 
 static bool update_rect(const struct rn_plane_update *u, const struct rect *rect) {
-    size_t channels = (size_t)u->channels, row = (size_t)u->maps[0][0].width * channels;
-    size_t at = (size_t)rect->row * row + (size_t)rect->column * channels;
-    bool finite = true;
-#define RN_FOR_CHANNELS(WORK)                                                                      \
-    if (u->levels == 1) {                                                                          \
-    } else if (channels == 4) {                                                                    \
-        WORK##_4(u, rect);                                                                         \
-    } else if (channels == 8) {                                                                    \
-        WORK##_8(u, rect);                                                                         \
-    } else {                                                                                       \
-        WORK##_16(u, rect);                                                                        \
-    }
-    RN_FOR_CHANNELS(pull_down)
-    for (int y = 0; y < rect->height; y++, at += row)
-        finite &= adamw(u->options, (size_t)rect->width * channels, u->maps[0][0].texels + at,
-                        u->grad_maps[0][0].texels + at, u->m + at, u->v + at);
-    RN_FOR_CHANNELS(build)
-#undef RN_FOR_CHANNELS
-    return finite;
+    if (u->channels == 4) return update_texels(u, rect, 4);
+    if (u->channels == 8) return update_texels(u, rect, 8);
+    return update_texels(u, rect, 16);
 }
 
 // Asks for a rectangle's level 0, while another one is being done.

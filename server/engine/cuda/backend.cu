@@ -26,7 +26,7 @@ static const struct rn_kernel_shape *find_shape(int features, int width) {
 
 // ---- devices --------------------------------------------------------------------------------
 
-static enum rn_status device_open(int ordinal, struct rn_device **ret_device,
+static enum rn_status device_open(int ordinal, struct rn_backend_device **ret_device,
                                   struct rn_device_about *ret_about, struct rn_error *err) {
     int count = 0;
     cudaDeviceProp p;
@@ -43,7 +43,7 @@ static enum rn_status device_open(int ordinal, struct rn_device **ret_device,
         return rn_error_set(err, RN_ERROR_UNSUPPORTED, "device",
                             "%s has compute capability %d.%d; 8.0 is needed", p.name, p.major,
                             p.minor);
-    struct rn_device *d = (struct rn_device *)calloc(1, sizeof *d);
+    struct rn_backend_device *d = (struct rn_backend_device *)calloc(1, sizeof *d);
     if (!d) return rn_error_set(err, RN_ERROR_NO_MEMORY, "device", "out of memory");
     d->ordinal = ordinal;
     d->processors = p.multiProcessorCount;
@@ -62,7 +62,7 @@ static enum rn_status device_open(int ordinal, struct rn_device **ret_device,
     return RN_OK;
 }
 
-static void device_close(struct rn_device **device) {
+static void device_close(struct rn_backend_device **device) {
     if (!*device) return;
     for (int i = 0; i < 2; i++) {
         if ((*device)->arrived[i]) (void)cudaEventDestroy((*device)->arrived[i]);
@@ -73,18 +73,18 @@ static void device_close(struct rn_device **device) {
     *device = NULL;
 }
 
-static size_t used_bytes(const struct rn_device *device) {
+static size_t used_bytes(const struct rn_backend_device *device) {
     return device->used_bytes;
 }
 
-static size_t free_bytes(const struct rn_device *) {
+static size_t free_bytes(const struct rn_backend_device *) {
     size_t free, total;
     return cudaMemGetInfo(&free, &total) == cudaSuccess ? free : 0;
 }
 
 // ---- memory ---------------------------------------------------------------------------------
 
-static enum rn_status take(struct rn_device *d, size_t bytes, void **ret, struct rn_error *err) {
+static enum rn_status take(struct rn_backend_device *d, size_t bytes, void **ret, struct rn_error *err) {
     cudaError_t outcome = cudaMalloc(ret, bytes);
     if (outcome == cudaErrorMemoryAllocation) {
         (void)cudaGetLastError(); // this error is over once it has been read
@@ -97,17 +97,17 @@ static enum rn_status take(struct rn_device *d, size_t bytes, void **ret, struct
     return rn_cuda_check(outcome, "taking device memory", err);
 }
 
-static void give_back(struct rn_device *d, void **memory, size_t bytes) {
+static void give_back(struct rn_backend_device *d, void **memory, size_t bytes) {
     if (!*memory) return;
     (void)cudaFree(*memory);
     d->used_bytes -= bytes;
     *memory = NULL;
 }
 
-static cudaError_t copy_in(const struct rn_device *d, void *to, const void *from, size_t bytes) {
+static cudaError_t copy_in(const struct rn_backend_device *d, void *to, const void *from, size_t bytes) {
     return cudaMemcpyAsync(to, from, bytes, cudaMemcpyHostToDevice, d->stream);
 }
-static cudaError_t copy_out(const struct rn_device *d, void *to, const void *from, size_t bytes) {
+static cudaError_t copy_out(const struct rn_backend_device *d, void *to, const void *from, size_t bytes) {
     return to ? cudaMemcpyAsync(to, from, bytes, cudaMemcpyDeviceToHost, d->stream) : cudaSuccess;
 }
 
@@ -211,7 +211,7 @@ static enum rn_status needs(const struct rn_device_scene *scene,
 // Uploads, and builds what the kernels read. The lists are the host's only until it returns.
 static enum rn_status upload(struct rn_device_field *f, const struct rn_device_scene *s,
                              struct rn_error *err) {
-    struct rn_device *d = f->device;
+    struct rn_backend_device *d = f->device;
     struct rn_cuda_occupancy *o = &f->scene.occupancy;
     size_t cells = (size_t)o->cells, n = cells * cells * cells;
     size_t fragments = f->scene.base.packed_count + f->scene.head.packed_count;
@@ -243,7 +243,7 @@ static void field_destroy(struct rn_device_field **field) {
     *field = NULL;
 }
 
-static enum rn_status field_create(struct rn_device *device, const struct rn_device_scene *scene,
+static enum rn_status field_create(struct rn_backend_device *device, const struct rn_device_scene *scene,
                                    struct rn_device_field **ret_field, struct rn_error *err) {
     enum rn_status status = check_config(scene, err);
     if (status != RN_OK) return status;
@@ -301,7 +301,7 @@ static void describe_training(struct rn_device_field *f, const struct rn_device_
 
 static cudaError_t upload_training(struct rn_device_field *f, const struct rn_device_pixels *p,
                                    const struct rn_device_training *t) {
-    struct rn_device *d = f->device;
+    struct rn_backend_device *d = f->device;
     struct rn_cuda_status status = {};
     status.ray_count = t->step == 0 ? first_rays(f, t->next_rays) : t->next_rays;
     status.ray_count -= status.ray_count % f->batch.pixel_rays;
@@ -442,7 +442,7 @@ static enum rn_status train_finish(struct rn_device_field *f,
 
 static enum rn_status download(struct rn_device_field *f, float *parameters, float *m, float *v,
                                float *occupancy, struct rn_error *err) {
-    struct rn_device *d = f->device;
+    struct rn_backend_device *d = f->device;
     size_t cells = (size_t)f->scene.occupancy.cells, bytes = f->parameter_count * sizeof(float);
     if ((m || v) && !f->train_memory)
         return rn_error_set(err, RN_ERROR_CONFLICT, "cuda", "this field is not being trained");
@@ -466,7 +466,7 @@ static struct rn_cuda_march march_of(const struct rn_march_options *o) {
     return m;
 }
 
-static cudaError_t make_stage(struct rn_device *d) {
+static cudaError_t make_stage(struct rn_backend_device *d) {
     cudaError_t e = cudaSuccess;
     for (int i = 0; i < 2 && !e; i++) {
         if (!d->staged[i])
@@ -479,7 +479,7 @@ static cudaError_t make_stage(struct rn_device *d) {
 
 static cudaError_t queue_pixels(struct rn_device_field *f, const struct rn_cuda_view *view,
                                 const struct rn_cuda_march *march, int stage) {
-    struct rn_device *d = f->device;
+    struct rn_backend_device *d = f->device;
     cudaError_t e = rn_queue_view(f, view, march);
     if (!e)
         e = copy_out(d, d->staged[stage], f->view.pixels, (size_t)view->count * sizeof **d->staged);
@@ -490,7 +490,7 @@ static cudaError_t queue_pixels(struct rn_device_field *f, const struct rn_cuda_
 static cudaError_t render_parts(struct rn_device_field *f, struct rn_cuda_view *view,
                                 const struct rn_cuda_march *march, int end,
                                 struct rn_pixel *ret_pixels) {
-    struct rn_device *d = f->device;
+    struct rn_backend_device *d = f->device;
     cudaError_t e = cudaSuccess;
     int before = 0, first = view->first;
     for (int part = 0; (first < end || before > 0) && !e; part++) {

@@ -110,7 +110,7 @@ enum rn_status rn_cuda_check(cudaError_t outcome, const char *doing, struct rn_e
 
 // ---- launches -------------------------------------------------------------------------------
 
-struct rn_staging rn_staging_for(const struct rn_device *device, size_t first, size_t second) {
+struct rn_staging rn_staging_for(const struct rn_backend_device *device, size_t first, size_t second) {
     size_t one = first * sizeof(uint4), both = (first + second) * sizeof(uint4);
     if (both <= device->shared_bytes) return rn_staging{2, both};
     if (one <= device->shared_bytes) return rn_staging{1, one};
@@ -119,7 +119,7 @@ struct rn_staging rn_staging_for(const struct rn_device *device, size_t first, s
 
 // Of kernels that declare none themselves: always all, since a graph of another field may launch
 // the same kernel with more.
-template <typename K> static cudaError_t allow_shared(const struct rn_device *d, K kernel) {
+template <typename K> static cudaError_t allow_shared(const struct rn_backend_device *d, K kernel) {
     return cudaFuncSetAttribute(kernel, cudaFuncAttributeMaxDynamicSharedMemorySize,
                                 (int)d->shared_bytes);
 }
@@ -141,7 +141,7 @@ static cudaError_t mark(struct rn_device_field *f, const char *stage) {
 // Lets a kernel have as much shared memory as there is. How many of its blocks the device holds at
 // once, for a kernel that takes its work from a list.
 template <typename K>
-static cudaError_t fill(const struct rn_device *d, K kernel, int threads, size_t shared,
+static cudaError_t fill(const struct rn_backend_device *d, K kernel, int threads, size_t shared,
                         unsigned *ret_blocks) {
     int each = 0;
     RN_TRY(allow_shared(d, kernel));

@@ -10,7 +10,7 @@
 #define RN_DEVICE_MAX_RAYS (1 << 17)
 #define RN_RENDER_PIXELS (1 << 16) // of one launch
 
-struct rn_device {
+struct rn_backend_device {
     int ordinal, processors;
     size_t shared_bytes; // of one block
     size_t used_bytes;
@@ -41,7 +41,7 @@ struct rn_timer {
 };
 
 struct rn_device_field {
-    struct rn_device *device;
+    struct rn_backend_device *device;
     struct rn_train_config config;
     double centre[3], radius;
     struct rn_solid solid;
@@ -87,7 +87,7 @@ struct rn_staging {
     int networks;
     size_t bytes;
 };
-struct rn_staging rn_staging_for(const struct rn_device *device, size_t first, size_t second);
+struct rn_staging rn_staging_for(const struct rn_backend_device *device, size_t first, size_t second);
 
 // Queues the refresh of the march's bits; the measurement of cells before it.
 cudaError_t rn_queue_occupancy(struct rn_device_field *field);

@@ -130,7 +130,7 @@ RN_DEVICE void rn_spread(const struct rn_scatter_place *p, const struct rn_query
     n->ly = q->y.level;
 }
 
-// What a thread needs of a sample that goes back; asked for while the one before is spread.
+// What a thread needs of a backpropagated sample; asked for while the one before is spread.
 struct rn_returned_sample {
     float mid;
     uint2 grad; // four channels

@@ -84,7 +84,7 @@ RN_HD uint32_t rn_cuda_tiles(uint32_t rows) {
 struct rn_cuda_return {
     int count;
     int first;     // its first place in `returned`
-    float size;    // sum of the gradients' sizes before the lottery, where there is one
+    float size;    // sum of the gradients' sizes before the roulette, where there is one
     int gradients; // samples that have one
 };
 
@@ -95,7 +95,7 @@ struct rn_cuda_batch {
     int ray_capacity;
     int pixel_rays; // training: rays in turn that are one pixel
     uint32_t tile_capacity;
-    uint64_t seed;  // of the lottery
+    uint64_t seed;  // of the roulette
     float roulette; // rn_march_options
     struct rn_march_ray *rays;
     struct rn_pixel *pixels; // rendering only

@@ -154,24 +154,24 @@ __global__ void __launch_bounds__(256, 1)
 #define RN_STREAM_LOTS 0x6c6f747300000000u
 #define RN_CERTAIN (1 << 24) // chances are in units of 2^-24
 
-// The lottery along one ray, by the samples' sizes (backward_select of cpu/backward.h): below
-// `threshold` a gradient goes back with the chance that its size has to it.
-struct rn_lottery {
+// Roulette along one ray, by the samples' sizes (backward_select of cpu/backward.h): below
+// `threshold` a gradient is backpropagated with the chance that its size has to it.
+struct rn_roulette {
     float threshold; // 0: all go back
     uint32_t sum;    // of the chances so far, from a random start
 };
 
-RN_DEVICE struct rn_lottery rn_lottery_start(const struct rn_cuda_batch *b, int r) {
+RN_DEVICE struct rn_roulette rn_roulette_start(const struct rn_cuda_batch *b, int r) {
     const struct rn_cuda_status *s = b->status;
-    struct rn_lottery l = {b->roulette * s->gradient_size * s->gradient_scale, 0};
+    struct rn_roulette l = {b->roulette * s->gradient_size * s->gradient_scale, 0};
     if (!(l.threshold > 0 && l.threshold < 3e38f)) l.threshold = 0;
     l.sum = rn_rng_draw(b->seed, RN_STREAM_LOTS | (uint32_t)r, s->steps).v[0];
     return l;
 }
 
-// Whether lane i's sample goes back, and what its gradient is to be multiplied by; lanes 0..15.
-// What is not finite goes back, to be seen.
-RN_DEVICE bool rn_lottery_draw(struct rn_lottery *l, float size, float *ret_factor) {
+// Whether lane i's sample is backpropagated, and what its gradient is to be multiplied by; lanes 0..15.
+// What is not finite always is, to be seen.
+RN_DEVICE bool rn_roulette_draw(struct rn_roulette *l, float size, float *ret_factor) {
     int chance = RN_CERTAIN;
     if (size < l->threshold)
         chance = (int)fminf(size * ((float)RN_CERTAIN / l->threshold) + 1, (float)RN_CERTAIN);
@@ -230,7 +230,7 @@ RN_DEVICE float rn_row_size(const float (&c)[2][4]) {
 RN_DEVICE bool rn_return_ray(const struct rn_cuda_batch *b, int r, struct rn_cuda_return *ret) {
     const float *from = b->ray_sums + (size_t)r * RN_GEOMETRY + 2 * (RN_LANE % 4);
     const float sums_grad[2][2] = {{from[0], from[1]}, {from[8], from[9]}};
-    struct rn_lottery lottery = rn_lottery_start(b, r);
+    struct rn_roulette roulette = rn_roulette_start(b, r);
     double behind = 0;
     bool bad = false;
     for (int slot = b->ray_last[r]; slot >= 0; slot = b->tile_previous[slot]) {
@@ -239,7 +239,7 @@ RN_DEVICE bool rn_return_ray(const struct rn_cuda_batch *b, int r, struct rn_cud
         rn_sums_backward(b, slot, sums_grad, &behind, c);
         float size = rn_row_size(c);
         bool has = RN_LANE < RN_TILE && size != 0;
-        rn_return_tile(b, slot, rn_lottery_draw(&lottery, size, &factor), &ret->count);
+        rn_return_tile(b, slot, rn_roulette_draw(&roulette, size, &factor), &ret->count);
         ret->size += rn_tile_sum(size);
         ret->gradients += rn_popcount(rn_ballot(has));
         for (int i = 0; i < 2; i++) {

@@ -238,7 +238,7 @@ __global__ void __launch_bounds__(RN_ORDER_THREADS, 1)
     }
 }
 
-// Every sample that goes back to its place. One thread a sample.
+// Every backpropagated sample to its place. One thread a sample.
 __global__ void __launch_bounds__(256) rn_place_kernel(const __grid_constant__ rn_cuda_batch b) {
     uint32_t sample = blockIdx.x * blockDim.x + threadIdx.x, slot = sample / RN_TILE;
     if (b.status->rejected || slot >= b.status->tiles) return;

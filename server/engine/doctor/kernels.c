@@ -24,7 +24,7 @@ static void check_exp(const struct rn_kernels *k, struct rn_doctor_random *rando
     for (int n = 0; n < DRAWS; n++) {
         for (int i = 0; i < LANES; i++)
             x[i] = (float)rn_doctor_uniform(random, -87, 88);
-        k->exp(LANES, x, y);
+        k->parts->exp(LANES, x, y);
         for (int i = 0; i < LANES; i++)
             rn_doctor_see(c, ulps(y[i], expl(x[i])), "x %.9g", (double)x[i]);
     }
@@ -39,7 +39,7 @@ static void check_opacity(const struct rn_kernels *k, struct rn_doctor_random *r
         for (int i = 0; i < LANES; i++)
             x[i] = (float)(i % 2 ? rn_doctor_spread(random, 1e-12, 1e12)
                                  : rn_doctor_uniform(random, 0, 4));
-        k->one_minus_exp(LANES, x, y);
+        k->parts->one_minus_exp(LANES, x, y);
         for (int i = 0; i < LANES; i++)
             rn_doctor_see(c, ulps(y[i], -expm1l(-(long double)x[i])), "x %.9g", (double)x[i]);
     }
@@ -55,7 +55,7 @@ static void check_log2(const struct rn_kernels *k, struct rn_doctor_random *rand
         for (int i = 0; i < LANES; i++)
             x[i] = (float)(i % 2 ? rn_doctor_spread(random, FLT_MIN, 3.4e38)
                                  : rn_doctor_uniform(random, 0.5, 2));
-        k->log2(LANES, x, y);
+        k->parts->log2(LANES, x, y);
         for (int i = 0; i < LANES; i++) {
             long double truth = log2l(x[i]), unit = fmaxl(1, fabsl(truth)) * 0x1p-23L;
             rn_doctor_see(c, (double)(fabsl(y[i] - truth) / unit), "x %.9g", (double)x[i]);
@@ -73,7 +73,7 @@ static void check_moments(const struct rn_kernels *k, struct rn_doctor_random *r
         float radius = (float)rn_doctor_spread(random, 1e-6, 1);
         for (int i = 0; i < LANES; i++)
             t[i] = fmaxf((float)(rn_doctor_spread(random, 0.5, 1e7) * (double)width), 0.5f * width);
-        k->moments(LANES, t, width, radius, out[0], out[1], out[2]);
+        k->parts->moments(LANES, t, width, radius, out[0], out[1], out[2]);
         for (int i = 0; i < LANES; i++) {
             long double h = 0.5L * width, m = t[i], q = (h / m) * (h / m), d = 3 + q;
             double worst = ulps(out[0][i], m * 2 * q / d);

@@ -13,8 +13,8 @@
 #define RN_BACKEND_VERSION 7
 #define RN_BACKEND_SYMBOL "rn_backend_table"
 
-struct rn_device;       // owner: rn_backend.open's caller
-struct rn_device_field; // parameters, pyramid, occupancy on the device
+struct rn_backend_device; // owner: rn_backend.open's caller
+struct rn_device_field;   // parameters, pyramid, occupancy on the device
 
 struct rn_device_about {
     char name[128];      // "NVIDIA H200"
@@ -62,7 +62,7 @@ struct rn_device_training {
     int64_t step, updates;
     float gradient_scale; // a power of two; 0: as at the start
     int good_steps;       // since it was last changed
-    float gradient_size;  // of a sample, mean of the step before, for the lottery; 0: none yet
+    float gradient_size;  // of a sample, mean of the step before, for the roulette; 0: none yet
     uint64_t rays;        // of all steps before
     double march_step;    // scene radii; the configuration's own is for the occupancy
     bool split;           // rn_march_options; with ray shading alone
@@ -82,7 +82,7 @@ struct rn_device_step {
 struct rn_device_progress {
     int64_t steps, updates;
     uint64_t steps_rejected, nonfinite_rays, nonfinite_numbers, samples, rays;
-    uint64_t samples_returned; // whose gradients went back
+    uint64_t samples_returned; // that were backpropagated
     uint64_t level_samples[RN_MAX_LEVELS];
     double loss; // of the last step, per weight
     int next_rays, rejected_in_a_row;
@@ -101,12 +101,12 @@ struct rn_backend {
     int version;
     const char *name; // "cuda"
     // Device `ordinal`. UNSUPPORTED when there is no such device, with the reason.
-    enum rn_status (*open)(int ordinal, struct rn_device **ret_device,
+    enum rn_status (*open)(int ordinal, struct rn_backend_device **ret_device,
                            struct rn_device_about *ret_about, struct rn_error *err);
-    void (*close)(struct rn_device **device);
+    void (*close)(struct rn_backend_device **device);
     // Of its memory: taken by what was made on it, and free for this and every other process.
-    size_t (*used_bytes)(const struct rn_device *device);
-    size_t (*free_bytes)(const struct rn_device *device);
+    size_t (*used_bytes)(const struct rn_backend_device *device);
+    size_t (*free_bytes)(const struct rn_backend_device *device);
     // Bytes that field_create takes; where there are pixels with train_begin, and with planes grown
     // as large as they will be. UNSUPPORTED names what of the configuration this backend cannot do.
     // LIMIT where it is more than `budget_bytes` says what is needed and what would fit.
@@ -115,7 +115,8 @@ struct rn_backend {
                             const struct rn_device_training *training, size_t budget_bytes,
                             size_t *ret_bytes, struct rn_error *err);
     // NO_MEMORY when the device does not have what `needs` says. `scene` need not outlive the call.
-    enum rn_status (*field_create)(struct rn_device *device, const struct rn_device_scene *scene,
+    enum rn_status (*field_create)(struct rn_backend_device *device,
+                                   const struct rn_device_scene *scene,
                                    struct rn_device_field **ret_field, struct rn_error *err);
     void (*field_destroy)(struct rn_device_field **field);
     // Adds what training needs; once a field.

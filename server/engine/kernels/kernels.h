@@ -104,7 +104,7 @@ struct rn_march_options {
     float background_variance; // training: a channel's, of random backgrounds with that mean
     bool split;                // training: RN_PIXEL_RAYS rays in turn are one pixel
     float roulette;            // times a packet's mean gradient, below which a sample's backward is
-                               // a lottery; 0 = off
+                               // by roulette; 0 = off
     uint64_t seed, counter;    // of the roulette
     const float *look;         // NULL, or a direction for the colour network instead of the ray's
 };
@@ -131,7 +131,7 @@ struct rn_group {
     double loss, weight;
     uint64_t evaluated; // samples whose density was computed
     uint64_t samples;   // of these, the ones that enter the loss
-    uint64_t returned;  // of these, the ones whose gradient went back (roulette)
+    uint64_t returned;  // of these, the ones that were backpropagated (roulette)
     uint64_t rays_hit, nonfinite_rays;
     uint32_t offender[RN_OFFENDERS]; // ids of the first non-finite rays
     uint64_t level_samples[RN_MAX_LEVELS];
@@ -171,7 +171,7 @@ struct rn_workspace {
     float *head_in, *head_hidden[RN_MLP_MAX_LAYERS], *head_out; // rows: samples or rays
     float *slope;                           // [capacity]: dL/d(weight), then dL/d(optical depth)
     float *size;                            // [capacity]: of a sample's dL/d(geometry), about
-    int32_t *chance;                        // [capacity]: of its going back
+    int32_t *chance;                        // [capacity]: of being backpropagated
     float *geometry_grad, *grad_a, *grad_b; // [capacity][16], [capacity][widest] twice
     float *weight_sums;                     // a network's weight gradients of one packet
     int32_t *kept;                          // [capacity]
@@ -231,6 +231,22 @@ enum rn_stage {
 
 // What the networks' products are made with.
 enum rn_product_unit { RN_PRODUCT_FMA, RN_PRODUCT_BF16_DOT, RN_PRODUCT_AMX };
+
+// What kernels are made of, called by nobody but those who check them.
+struct rn_kernel_parts {
+    // One product as the networks make them: c[rows][n] = a[rows][k] b[k][n], n a
+    // multiple of 16.
+    void (*gemm)(int rows, int k, int n, const float *a, int a_stride, const float *b, int b_stride,
+                 float *c, int c_stride);
+    // Vector functions: y[i] = f(x[i]), n a multiple of 16.
+    void (*exp)(size_t n, const float *x, float *y);
+    void (*one_minus_exp)(size_t n, const float *x, float *y);
+    void (*log2)(size_t n, const float *x, float *y);
+    // Moments and footprint of one ray's samples as the encoder computes them: for
+    // distance t[i] and a width and radius; mean shift (mean - t), axial and radial variance.
+    void (*moments)(size_t n, const float *t, float width, float radius, float *shift, float *axial,
+                    float *radial);
+};
 
 struct rn_kernels {
     const char *name;
@@ -294,18 +310,7 @@ struct rn_kernels {
                          struct rn_workspace *workspace);
     void (*get_features)(const struct rn_cpu_field *field, int sample,
                          const struct rn_workspace *workspace, float *ret_features);
-    // One product as the networks make them, for tests: c[rows][n] = a[rows][k] b[k][n], n a
-    // multiple of 16.
-    void (*gemm)(int rows, int k, int n, const float *a, int a_stride, const float *b, int b_stride,
-                 float *c, int c_stride);
-    // Vector functions for tests: y[i] = f(x[i]), n a multiple of 16.
-    void (*exp)(size_t n, const float *x, float *y);
-    void (*one_minus_exp)(size_t n, const float *x, float *y);
-    void (*log2)(size_t n, const float *x, float *y);
-    // Moments and footprint of one ray's samples as the encoder computes them, for tests: for
-    // distance t[i] and a width and radius; mean shift (mean - t), axial and radial variance.
-    void (*moments)(size_t n, const float *t, float width, float radius, float *shift, float *axial,
-                    float *radial);
+    const struct rn_kernel_parts *parts;
 };
 
 // Whether the networks' operands are rounded to bf16.

@@ -16,7 +16,7 @@ void rn_engine_close_device(struct rn_engine *engine);
 bool rn_device_trained(const char *kernels);
 
 // What a training on a device does otherwise: it draws rays without a look at errors, and where
-// samples are shaded it draws no lots on their gradients and splits no pixels.
+// samples are shaded it has no roulette and splits no pixels.
 void rn_device_adapt(struct rn_train_config *config);
 
 // Makes the field exist on the engine's device as the CPU has it now, with maps of `levels` a side,

@@ -8,7 +8,7 @@
 #include "server/engine/scene/engine.h"
 
 struct rn_backend; // backend.h
-struct rn_device;
+struct rn_backend_device;
 struct rn_device_field;
 
 struct rn_engine {
@@ -29,7 +29,7 @@ struct rn_engine {
                             struct rn_error *err); // rn_engine_share; NULL = all is its own
     void *sharer;
     const struct rn_backend *backend; // of a device other than the CPU; NULL without one
-    struct rn_device *device;
+    struct rn_backend_device *device;
     void *module;               // that the backend comes from
     char device_kernels[32];    // "sm_90"
     size_t device_memory_bytes; // that fields may take of it; 0 = what is free
@@ -37,7 +37,7 @@ struct rn_engine {
     bool device_optional;       // what the device cannot do, the CPU does
 };
 
-// Whether something else is wanted of the calling thread. `engine`: struct rn_engine.
+// Whether the calling thread is preempted. `engine`: struct rn_engine.
 bool rn_engine_is_wanted(void *engine);
 
 // Numbers of one field: planes, density network, colour network, in one block in this order.

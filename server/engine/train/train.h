@@ -39,7 +39,7 @@ enum rn_incident_kind {
 enum rn_ray_fault {
     RN_FAULT_NONE, // one of the step's rays, none of which is at fault by itself
     RN_FAULT_COLOUR,
-    RN_FAULT_GRADIENT, // only what goes back through the networks is not finite
+    RN_FAULT_GRADIENT, // only what is backpropagated through the networks is not finite
     RN_FAULTS
 };
 // One ray as the kernels got it (normalised frame: the scene's ball is the unit ball), and the
@@ -85,8 +85,8 @@ const struct rn_train_config *rn_trainer_config(const struct rn_trainer *trainer
 struct rn_field *rn_trainer_field(struct rn_trainer *trainer);
 
 // A checkpoint is written atomically (temporary, fsync, rename) by a thread beside the caller's.
-// Completes the step under way and begins to write. *ret_begun is false when something else was
-// wanted of the thread before the step was complete: call again. One at a time.
+// Completes the step under way and begins to write. *ret_begun is false when the thread was
+// preempted before the step was complete: call again. One at a time.
 enum rn_status rn_trainer_save_begin(struct rn_trainer *trainer, const char *path, bool *ret_begun,
                                      struct rn_error *err) RN_MUST_CHECK;
 enum rn_save_stage rn_trainer_save_stage(const struct rn_trainer *trainer);

@@ -53,7 +53,7 @@ struct rn_trainer {
     int next_rays;        // of the next step
     float gradient_scale; // a device's (cuda/README.md); 0 at the start
     int good_steps;       // since it was last changed
-    float gradient_size;  // a device's lottery (backend.h)
+    float gradient_size;  // a device's, for the roulette (kernels/backend.h)
 
     struct rn_incident *incidents; // RN_INCIDENTS_HELD, made with the first one
     int incident_first, incident_count, incidents_noted;
@@ -105,8 +105,8 @@ struct rn_evidence rn_trainer_evidence(const struct rn_trainer *trainer,
 enum rn_status rn_trainer_set_up(struct rn_trainer *trainer, struct rn_error *err) RN_MUST_CHECK;
 // grow.c: whether the planes should be larger by now.
 bool rn_trainer_grows(const struct rn_trainer *trainer);
-// Makes the planes as large as they should be by now, or a part of it where something else is
-// wanted of the thread: then `growth` is there, no step may be taken, and it is to be called again.
+// Makes the planes as large as they should be by now, or a part of it where the thread is
+// preempted: then `growth` is there, no step may be taken, and it is to be called again.
 // RN_ERROR_NO_MEMORY.
 enum rn_status rn_trainer_grow(struct rn_trainer *trainer, struct rn_error *err) RN_MUST_CHECK;
 void rn_trainer_drop_growth(struct rn_trainer *trainer); // the one under way
