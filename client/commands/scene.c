@@ -71,6 +71,8 @@ static void print_threshold(const struct rn_effect_entry *effect) {
         printf(" (threshold %.3g %%)", 100 * threshold);
     else if (strcmp(effect->name, "distortion") == 0)
         printf(" (threshold %.3g)", threshold);
+    else if (strcmp(effect->name, "forward-facing") == 0)
+        printf(" (threshold %.3g degrees)", threshold);
     else
         printf(" (threshold %.3g times)", exp2(threshold)); // all of these are in octaves
 }

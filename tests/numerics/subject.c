@@ -141,4 +141,6 @@ const struct subject SUBJECT = {SUBJECT_NAME,
                                 NULL,
                                 NULL,
                                 NULL,
+                                NULL,
+                                NULL,
                                 NULL};

@@ -11,6 +11,7 @@ struct rn_occupancy_bits;
 struct rn_march_ray;
 struct rn_ray;
 struct rn_cpu_field;
+struct rn_disparity;
 
 // A constant table of functions. Thread-safety: all.
 struct subject {
@@ -44,6 +45,12 @@ struct subject {
                   const float *lx, const float *ly, float *ret_features);
     // Kernel sets only: rn_march_ray_from in the unit ball, without jitter and cone steps.
     void (*cut)(const struct rn_ray *ray, double step, struct rn_march_ray *ret);
+    // Kernel sets only: rn_ray_cut_forward without jitter, and the gradient of `factor` times the
+    // distortion loss of up to SUBJECT_MAX_SAMPLES samples `width` long at `places`.
+    void (*cut_forward)(const struct rn_disparity *box, const struct rn_ray *ray, double step,
+                        struct rn_march_ray *ret);
+    void (*distortion)(int n, const double *weights, const double *places, double width,
+                       double factor, double *grad);
     // Kernel sets only: the march indices of samples in occupied cells, at most `room`; room + 1
     // where a march in rounds finds others.
     int (*march)(const struct rn_occupancy_bits *grid, const struct rn_march_ray *ray, float step,

@@ -182,6 +182,44 @@ static void cut(const struct rn_ray *ray, double step, struct rn_march_ray *ret)
     }
 }
 
+static void cut_to_box(const struct rn_disparity *box, const struct rn_ray *ray, double step,
+                       struct rn_march_ray *ret) {
+    enum { LAST = RN_VD - 1 };
+    vd o[3], d[3];
+    struct cut_lanes got;
+    for (int i = 0; i < 3; i++) {
+        o[i] = vd_set(0);
+        d[i] = vd_set(i == 2);
+        o[i][LAST] = ray->origin[i];
+        d[i][LAST] = ray->direction[i];
+    }
+    cut_forward(box, o, d, step, vd_set(0), &got);
+    *ret = (struct rn_march_ray){.near = (float)got.near[LAST],
+                                 .length = (float)got.length[LAST],
+                                 .radius = (float)ray->radius,
+                                 .stride = 1};
+    for (int i = 0; i < 3; i++) {
+        ret->origin[i] = (float)got.origin[i][LAST];
+        ret->direction[i] = (float)d[i][LAST];
+    }
+}
+
+static void distortion(int n, const double *weights, const double *places, double width,
+                       double factor, double *grad) {
+    static float marched[ROOM];
+    struct rn_workspace w;
+    one_ray(n, &w);
+    w.marched = marched;
+    for (int i = 0; i < n; i++) {
+        weight_of[i] = (float)weights[i];
+        marched[i] = (float)places[i];
+        slope_of[i] = 0;
+    }
+    distort(0, factor, width, &w);
+    for (int i = 0; i < n; i++)
+        grad[i] = (double)slope_of[i];
+}
+
 // A ray's samples, `ahead` at a time, from a place of its own among rays that have none.
 static int march_ahead(const struct rn_occupancy_bits *grid, const struct rn_march_ray *ray,
                        float step, int ahead, uint16_t *ret_k) {
@@ -232,4 +270,6 @@ const struct subject SUBJECT = {.name = SUBJECT_NAME,
                                 .composite_stopped = composite_stopped,
                                 .query = query,
                                 .cut = cut,
+                                .cut_forward = cut_to_box,
+                                .distortion = distortion,
                                 .march = march};

@@ -58,6 +58,8 @@ int rn_checkpoint_tensors(const struct rn_arrays *arrays,
     add(list, &count, "hull", "U8", 3, (size_t[]){cells, cells, cells}, field->hull);
     if (arrays->m) {
         add(list, &count, "adam.m", "F32", 1, &p->count, arrays->m);
+        if (arrays->seen)
+            add(list, &count, "seen", "F32", 3, (size_t[]){cells, cells, cells}, arrays->seen);
         add(list, &count, "adam.v", "F32", 1, &p->count, arrays->v);
     }
     return count;
@@ -186,6 +188,7 @@ enum rn_status rn_checkpoint_read_arrays(const struct rn_checkpoint *c,
     memcpy(field->effects, c->effects, sizeof field->effects);
     snprintf(field->kernels, sizeof field->kernels, "%s", c->kernels);
     field->finest_cone = c->finest_cone;
+    field->cpu.disparity = c->disparity;
     field->steps = c->counters.progress.step;
     field->train_seconds = c->counters.progress.train_seconds;
     field->psnr = c->counters.progress.psnr;

@@ -2,13 +2,15 @@
 //
 // Tensors: planes F32 [plane][v][u][channel]; base.N and head.N F32 [input][output] (the colour
 // network's last layer is padded to 16 outputs, columns 3.. are zero); adam.m and adam.v F32, in
-// the order of all the former; occupancy F32 and hull U8 [x][y][z]; draw.error and draw.share F32
-// of the blocks that rays are drawn from, where they are drawn by error. Everything else is one
-// JSON object in __metadata__["ripnerf"]; __metadata__["sha256"] is the file's seal. Random numbers
-// need no state: they are counters of the step.
+// the order of all the former; occupancy F32 and hull U8 [x][y][z], and seen F32 where cells are
+// kept by what they show; draw.error and draw.share F32 of the blocks that rays are drawn from,
+// where they are drawn by error. Everything else is one JSON object in __metadata__["ripnerf"];
+// __metadata__["sha256"] is the file's seal. Random numbers need no state: they are counters of the
+// step.
 #ifndef RN_ENGINE_CHECKPOINT_CHECKPOINT_H
 #define RN_ENGINE_CHECKPOINT_CHECKPOINT_H
 
+#include "server/engine/field/disparity.h"
 #include "server/engine/scene/engine.h"
 #include "server/engine/scene/progress.h"
 
@@ -25,6 +27,7 @@ struct rn_counters {
 struct rn_arrays {
     struct rn_field *field;
     float *m, *v;       // the optimiser's moments; NULL: of the field alone
+    uint32_t *seen;     // NULL, or what cells showed since the last round (train/seen.c)
     size_t block_count; // that rays are drawn from, where they are drawn by error; else 0
     float *block_error, *block_share;
 };
@@ -34,6 +37,7 @@ struct rn_checkpoint {
     char path[4096];
     struct rn_train_config config;
     struct rn_bounds bounds;
+    struct rn_disparity disparity;
     double finest_cone;
     char kernels[32];
     struct rn_effect_record effects[RN_EFFECT_COUNT];

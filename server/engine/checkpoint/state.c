@@ -189,13 +189,59 @@ static double decode_finest_cone(const json_t *state) {
     return json_is_number(value) ? json_number_value(value) : NAN;
 }
 
+static json_t *encode_numbers(const double *from, int count) {
+    json_t *list = json_array();
+    for (int i = 0; i < count; i++)
+        json_array_append_new(list, json_real(from[i]));
+    return list;
+}
+
+static bool decode_numbers(const json_t *list, double *to, int count) {
+    for (int i = 0; i < count; i++) {
+        const json_t *value = json_array_get(list, (size_t)i);
+        to[i] = json_number_value(value);
+        if (!json_is_number(value)) return false;
+    }
+    return (int)json_array_size(list) == count;
+}
+
+// The disparity box, where planes cover one.
+static void encode_disparity(const struct rn_disparity *s, json_t *state) {
+    if (!s->on) return;
+    json_t *box = json_pack("{s:o,s:o,s:o,s:o,s:o,s:f,s:f}", "origin", encode_numbers(s->origin, 3),
+                            "axes", encode_numbers(s->axes[0], 9), "scale",
+                            encode_numbers(s->scale, 3), "shift", encode_numbers(s->shift, 3),
+                            "half", encode_numbers(s->half, 3), "near", s->near, "far", s->far);
+    json_object_set_new(state, "disparity", box);
+}
+
+static enum rn_status decode_disparity(const json_t *state, const char *path,
+                                       struct rn_disparity *ret, struct rn_error *err) {
+    const json_t *from = json_object_get(state, "disparity");
+    if (!from) return RN_OK;
+    struct rn_disparity s = {.on = true};
+    bool whole = decode_numbers(json_object_get(from, "origin"), s.origin, 3) &&
+                 decode_numbers(json_object_get(from, "axes"), s.axes[0], 9) &&
+                 decode_numbers(json_object_get(from, "scale"), s.scale, 3) &&
+                 decode_numbers(json_object_get(from, "shift"), s.shift, 3) &&
+                 decode_numbers(json_object_get(from, "half"), s.half, 3);
+    s.near = json_number_value(json_object_get(from, "near"));
+    s.far = json_number_value(json_object_get(from, "far"));
+    if (!whole || !(s.near > 0 && s.far > s.near && s.scale[0] > 0 && s.scale[2] < 0))
+        return rn_error_set(
+            err, RN_ERROR_CORRUPT, path,
+            "its 'disparity' is no box this program knows; use an older checkpoint");
+    *ret = s;
+    return RN_OK;
+}
+
 json_t *rn_checkpoint_state(const struct rn_field *field, const struct rn_counters *counters) {
     const struct rn_bounds *b = &field->bounds;
     json_t *levels = json_array();
     for (int l = 0; l < RN_PROGRESS_LEVELS; l++)
         json_array_append_new(levels,
                               json_integer((json_int_t)counters->progress.level_samples[l]));
-    return json_pack(
+    json_t *state = json_pack(
         "{s:i,s:o,s:o,s:o,s:o,s:I,s:i,s:f,s:i,s:f,s:s,s:f,s:{s:[f,f,f],s:f,s:i}}", "version", 1,
         "config", encode_config(&field->config), "progress",
         encode_all(progress_members, COUNT(progress_members), &counters->progress), "levels",
@@ -204,6 +250,8 @@ json_t *rn_checkpoint_state(const struct rn_field *field, const struct rn_counte
         "good_steps", counters->good_steps, "gradient_size", (double)counters->gradient_size,
         "kernels", field->kernels, "finest_cone", field->finest_cone, "bounds", "centre",
         b->centre[0], b->centre[1], b->centre[2], "radius", b->radius, "source", (int)b->source);
+    if (state) encode_disparity(&field->cpu.disparity, state);
+    return state;
 }
 
 enum rn_status rn_checkpoint_parse_state(const json_t *state, const char *path,
@@ -217,6 +265,7 @@ enum rn_status rn_checkpoint_parse_state(const json_t *state, const char *path,
     if (status == RN_OK)
         status = decode_all(progress_members, COUNT(progress_members),
                             json_object_get(state, "progress"), &c->counters.progress, path, err);
+    if (status == RN_OK) status = decode_disparity(state, path, &c->disparity, err);
     if (status == RN_OK) status = rn_train_config_check(&c->config, err);
     if (status != RN_OK) return status;
     for (size_t l = 0; l < RN_PROGRESS_LEVELS; l++)

@@ -4,6 +4,7 @@
 
 #include <math.h>
 
+#include "server/engine/cpu/crisp.h"
 #include "server/engine/cpu/loss.h"
 
 RN_INLINE float sum16(row16 x) {
@@ -301,8 +302,10 @@ static void packet_backward(const struct rn_cpu_field *field,
                             const struct rn_march_options *options, const struct rn_march_ray *rays,
                             int ray_count, bool leveled, const row16 *ray_grad,
                             struct rn_workspace *w, struct rn_group *group) {
+    distort_packet(field, options, rays, ray_count, w);
     for (int r = 0; r < ray_count; r++)
         composite_backward(r, w);
+    if (group->seen) note_seen(field, rays, w, group->seen);
     int n = backward_select(field, options, rays, ray_grad, w);
     struct mlp base = base_network(field, w);
     const float *feature_grad = mlp_backward(&base, w->geometry_grad, n, w, group->base_grad);

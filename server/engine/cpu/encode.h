@@ -6,6 +6,7 @@
 #include <stdbool.h>
 
 #include "server/engine/cpu/fetch.h"
+#include "server/engine/cpu/forward.h"
 #include "server/engine/field/footprint.h"
 #include "server/engine/field/frustum.h"
 #include "server/engine/field/volume.h"
@@ -21,6 +22,7 @@ RN_INLINE vf frustum_ratio(vf t, float half) {
 // whether they lie in the scene.
 struct samples {
     vf t, x, y, z, axial, radial;
+    vf wide; // forward: the cone's radius in the cube
     vi inside;
 };
 
@@ -38,11 +40,26 @@ RN_INLINE struct samples place_samples(const struct rn_march_ray *ray, vf s, flo
     return out;
 }
 
+// The same in a disparity box, `s` marched: a piece of a cone is short there beside its distance
+// from the apex, and its Gaussian a cylinder's.
+RN_INLINE struct samples place_forward(const struct rn_cpu_field *field,
+                                       const struct rn_march_ray *ray,
+                                       const struct rn_forward_ray *was, vf s, float step) {
+    struct samples out = {.inside = vi_set(-1), .axial = vf_set(step * step / 12)};
+    forward_sample(&field->disparity, ray, was, s, &out.t, &out.wide);
+    out.radial = 0.25f * out.wide * out.wide;
+    out.x = ray->direction[0] * s + ray->origin[0];
+    out.y = ray->direction[1] * s + ray->origin[1];
+    out.z = ray->direction[2] * s + ray->origin[2];
+    return out;
+}
+
 // The part of the projected variances that is the same along a ray: (x.d)^2 and |x cross d|^2.
 struct ray_footprint {
     float axial_u[RN_MAX_PLANES], radial_u[RN_MAX_PLANES];
     float axial_v[RN_MAX_PLANES], radial_v[RN_MAX_PLANES];
-    bool leveled; // some sample of the ray may lie above level 0
+    struct rn_forward_ray forward; // in a forward-facing space
+    bool leveled;                  // some sample of the ray may lie above level 0
 };
 
 // Their sum with the variances is within 8 ULP, as rn_projected_variance.
@@ -58,14 +75,19 @@ static void ray_footprint_init(const struct rn_cpu_field *field, const struct rn
                                float step, struct ray_footprint *ret) {
     int levels =
         field->built_levels < field->config->levels ? field->built_levels : field->config->levels;
+    const struct rn_disparity *space = &field->disparity;
+    bool forward = space->on;
+    if (forward) ret->forward = rn_forward_ray(space, ray);
     ret->leveled = false;
     if (levels < 2 || field->config->footprint == RN_FOOTPRINT_POINT) return;
-    float far = ray->near + ray->length, size = (float)rn_footprint_base(field->config);
+    float far = (ray->near + ray->length) * ray->radius;
+    float size = (float)rn_footprint_base(field->config);
+    if (forward) far = widest_forward(space, ray, &ret->forward);
     if (field->config->footprint == RN_FOOTPRINT_MIP) {
-        ret->leveled = far * ray->radius * size > 1;
+        ret->leveled = far * size > 1;
         return;
     }
-    float radial = far * ray->radius, limit = 1 / ((float)RN_FOOTPRINT_SCALE * size);
+    float radial = far, limit = 1 / ((float)RN_FOOTPRINT_SCALE * size);
     radial = radial * radial * 0.26f + step * step * 0.05f; // a bound on 3/20 .. 1/4 of r^2 t^2
     float axial = step * step / 12 * 1.01f;
     for (int p = 0; p < field->config->planes; p++) {
@@ -94,20 +116,23 @@ static void place_segment(const struct rn_cpu_field *field, const struct rn_marc
     int levels = field->built_levels, base = rn_footprint_base(field->config);
     if (levels > field->config->levels) levels = field->config->levels;
     float step = options->step * (float)ray->stride, half = step * 0.5f;
+    bool forward = field->disparity.on;
     for (int j = 0; j < n; j += RN_VL) {
         vf index;
         for (int i = 0; i < RN_VL; i++)
             index[i] = (float)k[j + i];
-        vf s = (index + 0.5f) * step;
-        struct samples is = place_samples(ray, s, half);
+        vf s = (index + 0.5f) * step, ball = vf_set(0);
+        struct samples is = forward ? place_forward(field, ray, &footprint->forward, s, step)
+                                    : place_samples(ray, s, half);
         int at = slot + j;
-        vf_store(w->s + at, s);
+        vf_store(w->s + at, forward ? is.t - ray->near : s);
+        if (forward) vf_store(w->marched + at, s);
         vf_store(w->interval + at,
                  vf_bits(is.inside & vi_bits(vf_set(step * (float)RN_DENSITY_UNIT))));
-        vf ball = vf_set(0);
         if (leveled && field->config->footprint == RN_FOOTPRINT_MIP)
             ball = vf_log2(
-                vf_clamp(is.t * (ray->radius * (float)base), 1.0f, (float)(1u << (levels - 1))));
+                vf_clamp(forward ? is.wide * (float)base : is.t * (ray->radius * (float)base), 1.0f,
+                         (float)(1u << (levels - 1))));
         for (int p = 0; p < field->config->planes; p++) {
             const double *au = field->solid.axis_u[p], *av = field->solid.axis_v[p];
             vf_store(w->u[p] + at, (float)au[0] * is.x + (float)au[1] * is.y + (float)au[2] * is.z);

@@ -27,7 +27,8 @@ static void density(const struct rn_cpu_field *field, float (*points)[3], int co
                 w->lx[p][i] = w->ly[p][i] = level;
             }
             float inside = x[0] * x[0] + x[1] * x[1] + x[2] * x[2];
-            w->interval[i] = inside <= 1 ? 1 : 0;
+            bool everywhere = field->disparity.on; // the box is the hull
+            w->interval[i] = inside <= 1 || everywhere ? 1 : 0;
         }
         encode(field, leveled, 0, n, w);
         mlp_forward(&base, 0, n);

@@ -154,6 +154,18 @@ static void finish_weights(const struct rn_march_options *options, struct rn_wor
     }
 }
 
+#define RN_OPAQUE 40 // optical depth that nothing shines through
+
+// Where space ends, its end is opaque: the last sample of each of `n` rays takes what shines
+// through the others.
+static void close_ends(const struct rn_march_options *options, int n, struct rn_workspace *w) {
+    for (int r = 0; r < n; r++) {
+        int last = w->ray_last[r];
+        if (w->ray_first[r] >= 0 && w->ray_depth[r] <= (double)options->stop_depth)
+            w->x[w->segment_start[last] + w->segment_size[last] - 1] = RN_OPAQUE;
+    }
+}
+
 // Density and geometry of all samples of `n` rays that can be seen, in rounds along the rays. False
 // where they have no room: then of fewer rays.
 static bool packet_density(const struct rn_cpu_field *field, const struct rn_march_options *options,
@@ -185,9 +197,20 @@ static bool packet_density(const struct rn_cpu_field *field, const struct rn_mar
         round_attenuate(first, w);
         march_round(&field->occupancy, options->step, RN_ROUND, &m, w);
     }
+    if (rn_ends_opaque(field)) close_ends(options, n, w);
     finish_weights(options, w);
     *ret_leveled = leveled;
     return true;
+}
+
+// What the colour network sees of a ray's direction.
+RN_INLINE const float *view_of(const struct rn_cpu_field *field, const struct rn_march_ray *ray,
+                               float room[3]) {
+    if (!field->disparity.on) return ray->direction;
+    struct rn_forward_ray forward = rn_forward_ray(&field->disparity, ray);
+    for (int i = 0; i < 3; i++)
+        room[i] = (float)forward.view[i];
+    return room;
 }
 
 static void directions(const struct rn_cpu_field *field, const float d[3], float *out) {
@@ -257,8 +280,9 @@ static void encode_directions(int n, float *in) {
 // What the colour network gets of a ray with ray shading, the direction as it is.
 static void head_inputs(const struct rn_cpu_field *field, const struct rn_march_options *options,
                         const struct rn_march_ray *ray, const struct ray_sums *sums, float *in) {
+    float view[3];
     if (!field->config->view_dependence) return;
-    memcpy(in, options->look ? options->look : ray->direction, sizeof ray->direction);
+    memcpy(in, options->look ? options->look : view_of(field, ray, view), sizeof view);
     for (int i = 0; i < 12; i++)
         in[16 + i] = sums->sum[4 + i];
     for (int c = 0; c < 3; c++)
@@ -307,13 +331,14 @@ static int shade_rays(const struct rn_cpu_field *field, const struct rn_march_op
 static void shade_samples(const struct rn_cpu_field *field, const struct rn_march_options *options,
                           const struct rn_march_ray *const *rays, int kept,
                           struct rn_workspace *w) {
-    float sh[RN_SH_COUNT];
+    float sh[RN_SH_COUNT], view[3];
     int last = -1;
     for (int j = 0; j < kept; j++) {
         int i = w->kept[j];
         float *in = w->head_in + (size_t)j * RN_HEAD_INPUTS;
         if (w->ray[i] != last)
-            directions(field, options->look ? options->look : rays[w->ray[i]]->direction, sh);
+            directions(field, options->look ? options->look : view_of(field, rays[w->ray[i]], view),
+                       sh);
         last = w->ray[i];
         memcpy(in, sh, sizeof sh);
         memcpy(in + RN_SH_COUNT, w->geometry + (size_t)i * RN_GEOMETRY + 1, 15 * sizeof(float));

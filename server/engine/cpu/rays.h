@@ -6,6 +6,7 @@
 #include <stddef.h>
 
 #include "common/math/camera.h"
+#include "server/engine/cpu/forward.h"
 #include "server/engine/cpu/simd.h"
 #include "server/engine/kernels/kernels.h"
 
@@ -51,11 +52,7 @@ RN_INLINE void enter_cube(const vd o[3], const vd d[3], vd *ret_enter, vd *ret_l
     *ret_leave = leave;
 }
 
-// What rn_ray_cut finds; all 0 but the stride, 1, where the ray misses.
-struct cut_lanes {
-    vd origin[3], near, length, stride;
-};
-
+// What rn_ray_cut finds.
 RN_INLINE void cut_rays(const vd o[3], const vd d[3], vd radius, double step, bool cone_step,
                         vd jitter, struct cut_lanes *ret) {
     vd along = o[0] * d[0] + o[1] * d[1] + o[2] * d[2], across = vd_set(0), enter, leave;
@@ -111,6 +108,13 @@ RN_INLINE void pixel_cones(const struct view_lanes *view, const struct rn_view *
     *ret_radius = radius;
 }
 
+// The space that the views of some places share: of the first that has one.
+RN_INLINE const struct rn_disparity *space_of(const struct rn_ray_place *places, int n) {
+    for (int j = 0; j < n; j++)
+        if (places[j].view) return &places[j].view->disparity;
+    return NULL;
+}
+
 static void rays(const struct rn_ray_place *places, int count, double step, bool cone_step,
                  struct rn_march_ray *ret_rays) {
     static const struct rn_view nowhere;
@@ -131,7 +135,11 @@ static void rays(const struct rn_ray_place *places, int count, double step, bool
         view_load(view, &loaded, &lanes);
         pixel_cones(&lanes, view, load_ints(px), load_ints(py), d, &radius);
         struct cut_lanes cut;
-        cut_rays(lanes.origin, d, radius, step, cone_step, vd_load(jitters), &cut);
+        const struct rn_disparity *space = space_of(places + begin, n);
+        if (space && space->on)
+            cut_forward(space, lanes.origin, d, step, vd_load(jitters), &cut);
+        else
+            cut_rays(lanes.origin, d, radius, step, cone_step, vd_load(jitters), &cut);
         for (int i = 0; i < 3; i++) {
             vd_store(out[i], cut.origin[i]);
             vd_store(out[3 + i], d[i]);

@@ -6,6 +6,13 @@
 
 #include "server/engine/cpu/packet.h"
 
+// A ray's last sample so far, where that is to be opaque.
+struct last_sample {
+    row16 geometry;
+    float distance;
+    bool is_there;
+};
+
 struct stream {
     const struct rn_cpu_field *field;
     const struct rn_march_options *options;
@@ -16,6 +23,7 @@ struct stream {
     struct marches marches;
     struct ray_footprint footprints[RN_PACKET_RAYS];
     struct running_sums sums[RN_PACKET_RAYS];
+    struct last_sample last[RN_PACKET_RAYS];
     float rgb[RN_PACKET_RAYS][3]; // sample shading: the sum so far
     int16_t free[RN_PACKET_RAYS];
     int free_count;
@@ -61,6 +69,7 @@ static void stream_place(struct stream *s, const struct rn_march_ray *ray,
     m->last[r] = -1;
     s->w->candidate_count[r] = 0;
     s->sums[r] = (struct running_sums){0};
+    s->last[r].is_there = false;
     memset(s->rgb[r], 0, sizeof s->rgb[r]);
     s->w->ray_depth[r] = 0;
     ray_footprint_init(s->field, ray, s->options->step * (float)ray->stride, &s->footprints[r]);
@@ -95,10 +104,30 @@ static void stream_shade(struct stream *s) {
     s->ended_count = 0;
 }
 
+// As close_ends: what shines through a ray's samples falls to the last one.
+static void stream_close(struct stream *s, int r) {
+    const struct last_sample *last = &s->last[r];
+    double depth = s->w->ray_depth[r];
+    if (!last->is_there || depth > (double)s->options->stop_depth) return;
+    double rest = exp(-depth);
+    s->sums[r].sum += (float)rest * last->geometry;
+    s->sums[r].opacity[0] += rest;
+    s->sums[r].depth[0] += rest * (double)last->distance;
+}
+
+// Notes the last sample of a segment.
+RN_INLINE void stream_note(struct stream *s, int segment, int r) {
+    const struct rn_workspace *w = s->w;
+    int i = w->segment_start[segment] + w->segment_size[segment] - 1;
+    s->last[r] = (struct last_sample){*(const row16 *)(w->geometry + (size_t)i * RN_GEOMETRY),
+                                      w->s[i] + s->marches.ray[r]->near, true};
+}
+
 // A ray has ended: its pixel, but for the colour where that is computed for many rays together.
 static void stream_end(struct stream *s, int r) {
     const struct rn_march_ray *ray = s->marches.ray[r];
     const struct running_sums *sums = &s->sums[r];
+    if (rn_ends_opaque(s->field)) stream_close(s, r);
     struct ray_sums total = {sums->sum, (float)vd_sum(sums->opacity), (float)vd_sum(sums->depth)};
     struct rn_pixel *pixel = &s->pixels[ray - s->rays];
     s->marches.ray[r] = NULL;
@@ -168,12 +197,14 @@ static void stream_shade_samples(struct stream *s) {
 static void stream_composite(struct stream *s) {
     struct rn_workspace *w = s->w;
     bool per_ray = s->field->config->shading == RN_SHADING_RAY;
+    bool ends_opaque = rn_ends_opaque(s->field);
     round_attenuate(0, w);
     finish_weights(s->options, w);
     if (!per_ray) stream_shade_samples(s);
     for (int k = 0; k < w->segment_count; k++) {
         int r = w->ray[w->segment_start[k]];
         sum_segment(k, per_ray, true, s->marches.ray[r]->near, w, &s->sums[r]);
+        if (ends_opaque) stream_note(s, k, r);
         if (w->ray_depth[r] > s->options->stop_depth) stream_end(s, r);
     }
 }

@@ -58,6 +58,7 @@ static size_t lay_out(const struct rn_cpu_field *field, double step, struct carv
     w->segment_next = carve(c, n, sizeof *w->segment_next);
     w->ray = carve(c, n, 1);
     w->s = carve(c, n, f);
+    w->marched = carve(c, n, f);
     w->interval = carve(c, n, f);
     for (size_t p = 0; p < planes; p++) {
         w->u[p] = carve(c, n, f);

@@ -40,8 +40,13 @@ static double direction_change(const struct rn_evidence *e) {
         struct rn_march_ray ray = rn_evidence_ray(e, &p, (double)own.step);
         struct rn_pixel as_seen, from_there;
         float look[3];
+        const struct rn_disparity *space = &e->field->cpu.disparity;
+        double axis[3], turned[3];
         for (int k = 0; k < 3; k++)
-            look[k] = (float)g->camera.world_from_camera[k][2];
+            axis[k] = turned[k] = g->camera.world_from_camera[k][2];
+        if (space->on) rn_disparity_turn(space, axis, turned);
+        for (int k = 0; k < 3; k++)
+            look[k] = (float)turned[k];
         kernels->render(&e->field->cpu, &own, &ray, 1, workspace, &as_seen);
         if (as_seen.alpha < 0.5f) continue;
         other.look = look;

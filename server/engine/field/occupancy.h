@@ -10,6 +10,10 @@
 
 #define RN_OCCUPANCY_DECAY 0.95
 #define RN_OCCUPANCY_LIMIT 5e-3 // of density times step, with the mean as the lower threshold
+// Where cells are kept by what they showed (train/seen.c): the weight of a sample that others would
+// miss, and what stands for a cell that no ray came to yet.
+#define RN_SEEN_LIMIT 0.03f
+#define RN_NEVER_SEEN 2.0f
 // Of a field at rest: a finer cell's optical depth from side to side. Thinner haze vanishes.
 #define RN_OCCUPANCY_SEEN 1.5e-2f
 

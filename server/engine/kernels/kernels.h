@@ -1,7 +1,8 @@
 // The CPU kernels' data and their table. One source (kernel_set.c) is compiled once a kernel set;
 // which set runs is chosen at start by a short timing and recorded with the scene.
 //
-// All positions are in the normalised frame: the scene's ball is the unit ball.
+// All positions are in the normalised frame: the scene's ball is the unit ball, or the field's cube
+// (field/disparity.h).
 #ifndef RN_ENGINE_CPU_KERNELS_H
 #define RN_ENGINE_CPU_KERNELS_H
 
@@ -12,6 +13,7 @@
 #include "common/settings/train.h"
 #include "server/engine/field/mlp.h"
 #include "server/engine/field/solid.h"
+#include "server/engine/field/disparity.h"
 
 #define RN_PACKET_RAYS 128     // rays marched together
 #define RN_PACKET_SAMPLES 4096 // candidate samples evaluated together; bounds a ray's samples too
@@ -48,6 +50,7 @@ struct rn_occupancy_bits {
 struct rn_cpu_field {
     const struct rn_field_config *config; // of the struct rn_field that this belongs to
     struct rn_solid solid;
+    struct rn_disparity disparity; // that the planes cover; measured (effects/forward_facing.c)
     struct rn_mlp_shape base_shape, head_shape;
     int features;                             // planes * channels
     int feature_stride;                       // features rounded up to 16
@@ -86,8 +89,9 @@ struct rn_march_ray {
 struct rn_view {
     double origin[3], axes[3][3]; // axes: of world_from_camera
     double cx, cy, inverse_fx, inverse_fy;
-    double radius;                // of the cones, per unit of distance
-    const struct rn_camera *lens; // the camera where it has one, NULL where it is a pinhole
+    double radius;                 // of the cones, per unit of distance
+    const struct rn_camera *lens;  // the camera where it has one, NULL where it is a pinhole
+    struct rn_disparity disparity; // forward: origin and axes are in its reference camera's frame
 };
 
 // A pixel to look through; (0, 0) is the first. `view` NULL: absent.
@@ -106,8 +110,15 @@ struct rn_march_options {
     float roulette;            // times a packet's mean gradient, below which a sample's backward is
                                // by roulette; 0 = off
     uint64_t seed, counter;    // of the roulette
+    float distortion;          // training: weight of the distortion loss of a ray; 0 = off
     const float *look;         // NULL, or a direction for the colour network instead of the ray's
 };
+
+// Whether the last sample of a ray takes what shines through the others: there is a place behind
+// everything, and colours are summed up along the ray.
+static inline bool rn_ends_opaque(const struct rn_cpu_field *field) {
+    return field->disparity.on && field->config->shading == RN_SHADING_RAY;
+}
 
 static inline int rn_pixel_rays(const struct rn_march_options *options) {
     return options->split ? RN_PIXEL_RAYS : 1;
@@ -127,6 +138,7 @@ struct rn_group {
     int cursor, end; // rays of the batch still to do: [cursor, end)
     int packet;      // how many a packet begins with; halved where they have no room. 0: the most
     float *base_grad, *head_grad;
+    uint32_t *seen;  // NULL, or of a cell: the largest weight it showed (cpu/seen.h)
     float *ray_loss; // NULL, or of a ray's id: its loss without the weight
     double loss, weight;
     uint64_t evaluated; // samples whose density was computed
@@ -159,8 +171,9 @@ struct rn_workspace {
     double ray_depth[RN_PACKET_RAYS]; // optical depth so far
     // Samples, in the order of evaluation.
     int count;
-    uint8_t *ray;    // of each sample
-    float *s;        // distance behind ray.origin of the frustum's middle
+    uint8_t *ray;   // of each sample
+    float *s;       // distance behind ray.origin of the frustum's middle
+    float *marched; // the same as marched: its distance in the cube; written where space is forward
     float *interval; // in density units; 0 outside the ball
     float *u[RN_MAX_PLANES], *v[RN_MAX_PLANES], *lx[RN_MAX_PLANES], *ly[RN_MAX_PLANES];
     void *features;                     // [capacity]: rows in the kernel set's own form

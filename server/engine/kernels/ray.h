@@ -57,6 +57,66 @@ RN_HD struct rn_march_ray rn_ray_cut(const double centre[3], double radius, bool
     return out;
 }
 
+// What a ray that was cut to the box of a forward-facing space was before: all of it follows from
+// the line in the cube, within 2^-20 (the view's components, eye and slant of the largest of 1,
+// near depth and slant) for directions at most 80 degrees off the reference camera's.
+struct rn_forward_ray {
+    double view[3]; // its direction in the reference camera's frame: what the colour network sees
+    double slant;   // distance per unit of depth z
+    double eye;     // z of the camera
+};
+
+RN_HD struct rn_forward_ray rn_forward_ray(const struct rn_disparity *space,
+                                           const struct rn_march_ray *ray) {
+    double origin = (double)ray->origin[2] - space->shift[2], u[2];
+    double endless = -origin / (double)ray->direction[2]; // where 1 / z is 0
+    for (int i = 0; i < 2; i++)
+        u[i] = ((double)ray->origin[i] + (double)ray->direction[i] * endless - space->shift[i]) /
+               space->scale[i];
+    double slant = sqrt(u[0] * u[0] + u[1] * u[1] + 1);
+    struct rn_forward_ray out = {{u[0] / slant, u[1] / slant, 1 / slant},
+                                 slant,
+                                 space->scale[2] / origin - (double)ray->near / slant};
+    return out;
+}
+
+#define RN_FORWARD_LEAST 1e-3 // of a direction, along the reference camera's axis: others miss
+
+// The cone, in the reference camera's frame, as the kernels want it in a forward-facing space: cut
+// to its box. In 1 / z the ray is base + slope / z; it starts where it enters the box in front of
+// the camera, plus `jitter` of a sample's interval, and goes away from it: direction -slope.
+RN_HD struct rn_march_ray rn_ray_cut_forward(const struct rn_disparity *space,
+                                             const struct rn_ray *ray, double step, double jitter) {
+    struct rn_march_ray out = {{0, 0, 0}, {0, 0, 0}, 0, 0, 0, 1, {0, 0, 0}, 0, 1, 0};
+    const double *o = ray->origin, *d = ray->direction;
+    double low = 1 / space->far, high = 1 / space->near, norm = 0, base[3], slope[3];
+    out.radius = (float)ray->radius;
+    if (!(d[2] > RN_FORWARD_LEAST)) return out;
+    for (int i = 0; i < 3; i++) {
+        double along = d[i] / d[2]; // of x / z and y / z, at infinity
+        base[i] = i < 2 ? space->scale[i] * along + space->shift[i] : space->shift[i];
+        slope[i] = space->scale[i] * (i < 2 ? o[i] - o[2] * along : 1);
+        norm += slope[i] * slope[i];
+    }
+    if (o[2] > 0 && 1 / o[2] < high) high = 1 / o[2]; // nothing behind the camera
+    for (int i = 0; i < 2; i++) {
+        double s = fabs(slope[i]) < 1e-300 ? copysign(1e-300, slope[i]) : slope[i];
+        double a = (-space->half[i] - base[i]) / s, b = (space->half[i] - base[i]) / s;
+        low = fmax(low, a < b ? a : b);
+        high = fmin(high, a < b ? b : a);
+    }
+    if (!(high > low)) return out;
+    norm = sqrt(norm);
+    double begin = high - jitter * step / norm;
+    for (int i = 0; i < 3; i++) {
+        out.origin[i] = (float)(base[i] + slope[i] * begin);
+        out.direction[i] = (float)(-slope[i] / norm);
+    }
+    out.near = (float)((1 / begin - o[2]) / d[2]);
+    out.length = (float)((begin - low) * norm);
+    return out;
+}
+
 // A camera as the kernels' `rays` wants it, within 2 ULP a number, in the frame where the ball
 // around `centre` of `radius` is the unit ball. A camera with a lens must outlive the view.
 static inline struct rn_view rn_view_init(const double centre[3], double radius,
@@ -73,6 +133,21 @@ static inline struct rn_view rn_view_init(const double centre[3], double radius,
             view.axes[i][j] = camera->world_from_camera[i][j];
     }
     return view;
+}
+
+// The same in a forward-facing space.
+static inline struct rn_view rn_view_forward(const struct rn_disparity *space,
+                                             const struct rn_camera *camera) {
+    struct rn_view view = rn_view_init(space->origin, 1, camera), out = view;
+    rn_disparity_turn(space, view.origin, out.origin);
+    for (int j = 0; j < 3; j++) {
+        double axis[3] = {view.axes[0][j], view.axes[1][j], view.axes[2][j]}, turned[3];
+        rn_disparity_turn(space, axis, turned);
+        for (int i = 0; i < 3; i++)
+            out.axes[i][j] = turned[i];
+    }
+    out.disparity = *space;
+    return out;
 }
 
 #endif

@@ -4,10 +4,12 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "server/engine/field/footprint.h"
 #include "server/engine/field/frustum.h"
 #include "server/engine/field/ripmap.h"
 #include "server/engine/field/sh.h"
 #include "server/engine/field/volume.h"
+#include "server/engine/kernels/ray.h"
 #include "server/engine/reference/reference.h"
 
 // ---- features -------------------------------------------------------------------------------
@@ -44,11 +46,34 @@ static double along(const double axis[3], const double x[3]) {
 }
 
 // The sample's mean position.
-static void place(const struct rn_march_ray *ray, double width, double s, double ret[3]) {
+static void place(const struct rn_cpu_field *f, const struct rn_march_ray *ray, double width,
+                  double s, double ret[3]) {
     double mid = (double)ray->near + s;
     double shift = rn_frustum_moments(mid, width, (double)ray->radius).mean - mid;
+    if (f->disparity.on) shift = 0;
     for (int i = 0; i < 3; i++)
         ret[i] = (double)ray->origin[i] + (double)ray->direction[i] * (s + shift);
+}
+
+// Levels in a forward-facing space, from how wide the cone is in the cube.
+static void forward_levels(const struct rn_cpu_field *f, const struct rn_march_ray *ray,
+                           double width, double s, int plane, double ret[2]) {
+    const struct rn_disparity *space = &f->disparity;
+    int size = rn_footprint_base(f->config), levels = levels_of(f);
+    struct rn_forward_ray was = rn_forward_ray(space, ray);
+    double z = (double)ray->origin[2] + (double)ray->direction[2] * s;
+    double disparity = (z - space->shift[2]) / space->scale[2], d[3];
+    double wide = (double)ray->radius * was.slant * space->scale[0] * (1 - was.eye * disparity);
+    const double *axes[2] = {f->solid.axis_u[plane], f->solid.axis_v[plane]};
+    for (int i = 0; i < 3; i++)
+        d[i] = (double)ray->direction[i];
+    for (int i = 0; i < 2; i++) {
+        double variance = rn_projected_variance(axes[i], d, width * width / 12, wide * wide / 4);
+        if (f->config->footprint == RN_FOOTPRINT_MIP)
+            ret[i] = rn_level_from_ball(wide, size, levels);
+        if (f->config->footprint == RN_FOOTPRINT_RIP)
+            ret[i] = rn_level_from_variance(variance, size, levels);
+    }
 }
 
 void rn_exact_features(const struct rn_cpu_field *f, const struct rn_march_ray *ray, double width,
@@ -57,13 +82,16 @@ void rn_exact_features(const struct rn_cpu_field *f, const struct rn_march_ray *
     ref.config.levels = levels_of(f);
     struct rn_reference_ray r = {.radius = (double)ray->radius, .width = width};
     double x[3], level = 0;
-    place(ray, width, s, x);
+    place(f, ray, width, s, x);
     for (int i = 0; i < 3; i++)
         r.direction[i] = (double)ray->direction[i];
     for (int p = 0; p < f->config->planes; p++) {
         double l[2] = {0, 0};
         double uv[2] = {along(f->solid.axis_u[p], x), along(f->solid.axis_v[p], x)};
-        rn_reference_levels(&ref, &r, p, (double)ray->near + s, &l[0], &l[1]);
+        if (f->disparity.on)
+            forward_levels(f, ray, width, s, p, l);
+        else
+            rn_reference_levels(&ref, &r, p, (double)ray->near + s, &l[0], &l[1]);
         level = fmax(level, fmax(l[0], l[1]));
         rn_exact_fetch(f, p, uv, l, ret_features + p * f->config->channels);
     }
@@ -117,8 +145,11 @@ static double sigmoid(double x) {
 static void set_direction(const struct rn_cpu_field *f, const struct rn_march_ray *ray,
                           double *inputs) {
     double d[3];
+    bool forward = f->disparity.on;
+    struct rn_forward_ray was = {{0}, 0, 0};
+    if (forward) was = rn_forward_ray(&f->disparity, ray);
     for (int i = 0; i < 3; i++)
-        d[i] = (double)ray->direction[i];
+        d[i] = forward ? was.view[i] : (double)ray->direction[i];
     if (f->config->view_dependence)
         rn_sh_encode(d, inputs);
     else
@@ -162,12 +193,13 @@ void rn_exact_render(struct rn_exact *exact, const struct rn_march_options *opti
     *ret_pixel = (struct rn_exact_pixel){.level = 0};
     for (int j = 0; j < n; j++) {
         double s = (k[j] + 0.5) * width, x[3], colour[3];
-        place(ray, width, s, x);
-        if (!(x[0] * x[0] + x[1] * x[1] + x[2] * x[2] <= 1)) continue;
+        place(f, ray, width, s, x);
+        if (!f->disparity.on && !(x[0] * x[0] + x[1] * x[1] + x[2] * x[2] <= 1)) continue;
         rn_exact_features(f, ray, width, s, exact->activation[0], &level);
         rn_mlp_forward(&f->base_shape, exact->base, exact->activation);
         const double *out = exact->activation[f->base_shape.layers];
         double thickness = rn_density(out[0]) * width * RN_DENSITY_UNIT;
+        if (j == n - 1 && rn_ends_opaque(f)) thickness = INFINITY;
         double weight = exp(-depth) * rn_alpha(thickness);
         depth += thickness;
         ret_pixel->level = fmax(ret_pixel->level, level);

@@ -139,6 +139,10 @@ enum rn_status rn_field_put(struct rn_engine *engine, struct rn_field *f, int le
                             const struct rn_device_pixels *pixels,
                             const struct rn_device_training *training, struct rn_error *err) {
     if (f->on_device) f->backend->field_destroy(&f->on_device);
+    if (f->cpu.disparity.on)
+        return rn_error_set(err, RN_ERROR_UNSUPPORTED, "device",
+                            "forward-facing captures are trained and rendered on the CPU; use "
+                            "--device cpu or auto");
     struct rn_device_scene scene = {.config = f->config,
                                     .radius = f->bounds.radius,
                                     .solid = f->cpu.solid,

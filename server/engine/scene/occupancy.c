@@ -131,7 +131,8 @@ float rn_level_of_cells(const struct rn_field_config *config) {
 
 void rn_field_refresh_occupancy(struct rn_field *field) {
     int cells = field->config.field.occupancy;
-    float threshold = (float)occupancy_threshold(field);
+    bool by_sight = field->cpu.disparity.on;
+    float threshold = by_sight ? RN_SEEN_LIMIT : (float)occupancy_threshold(field);
     struct building b = begin(&field->coarse);
     for (int x = 0; x < cells; x++)
         for (int y = 0; y < cells; y++)

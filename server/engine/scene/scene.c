@@ -139,7 +139,24 @@ static enum rn_status allocate(struct rn_field *field) {
     return all ? rn_occupancy_bits_create((int)cells, &field->coarse) : RN_ERROR_NO_MEMORY;
 }
 
-// Every cell that meets the ball may hold matter.
+// Every cell that meets the box of a forward-facing space may hold matter.
+static void fill_box(struct rn_field *field) {
+    int cells = field->config.field.occupancy;
+    const double *half = field->cpu.disparity.half;
+    field->hull_cells = 0;
+    for (int x = 0; x < cells; x++)
+        for (int y = 0; y < cells; y++)
+            for (int z = 0; z < cells; z++) {
+                int at[3] = {x, y, z};
+                bool inside = true;
+                for (int i = 0; i < 3; i++)
+                    inside &= fabs((2 * at[i] + 1.0) / cells - 1) < half[i] + 1.0 / cells;
+                field->hull[rn_cell_index(x, y, z, cells)] = inside;
+                field->hull_cells += inside;
+            }
+}
+
+// Every cell that meets the ball.
 static enum rn_status fill_ball(struct rn_field *field) {
     int cells = field->config.field.occupancy;
     double *nearest = malloc((size_t)cells * sizeof *nearest); // squared, of a cell along one axis
@@ -162,6 +179,12 @@ static enum rn_status fill_ball(struct rn_field *field) {
     return RN_OK;
 }
 
+enum rn_status rn_field_fill(struct rn_field *field) {
+    if (!field->cpu.disparity.on) return fill_ball(field);
+    fill_box(field);
+    return RN_OK;
+}
+
 enum rn_status rn_field_create(const struct rn_train_config *config, const struct rn_bounds *bounds,
                                struct rn_field **ret_field, struct rn_error *err) {
     struct rn_field *field = calloc(1, sizeof *field);
@@ -176,7 +199,7 @@ enum rn_status rn_field_create(const struct rn_train_config *config, const struc
                                           config->seed, &field->cpu.solid, err);
     if (status == RN_OK) {
         status = allocate(field);
-        if (status == RN_OK) status = fill_ball(field);
+        if (status == RN_OK) status = rn_field_fill(field);
         if (status != RN_OK)
             rn_error_set(err, status, "field", "cannot allocate %zu MiB for this configuration",
                          rn_field_bytes(config, 1) >> 20);
@@ -313,11 +336,20 @@ struct rn_workspace *rn_engine_workspace(const struct rn_engine *engine, int thr
 
 struct rn_march_ray rn_march_ray_from(const struct rn_field *field, const struct rn_ray *ray,
                                       double step, double jitter) {
+    const struct rn_disparity *space = &field->cpu.disparity;
+    if (space->on) {
+        struct rn_ray seen = *ray;
+        rn_disparity_seen(space, ray->origin, seen.origin);
+        rn_disparity_turn(space, ray->direction, seen.direction);
+        return rn_ray_cut_forward(space, &seen, step, jitter);
+    }
     return rn_ray_cut(field->bounds.centre, field->bounds.radius, field->config.cone_step, ray,
                       step, jitter);
 }
 
 struct rn_view rn_field_view(const struct rn_field *field, const struct rn_camera *camera) {
+    const struct rn_disparity *space = &field->cpu.disparity;
+    if (space->on) return rn_view_forward(space, camera);
     return rn_view_init(field->bounds.centre, field->bounds.radius, camera);
 }
 
@@ -328,10 +360,34 @@ double rn_cone_at_centre(const struct rn_bounds *bounds, const struct rn_camera 
     return rn_camera_cone(camera) * sqrt(squares);
 }
 
+// In the disparity box a cone is widest at one of its ends, as its width is linear in 1 / z, and of
+// a camera's one through a corner of the picture, or through its middle.
+static double forward_level(const struct rn_field *field, const struct rn_camera *camera,
+                            double step) {
+    const struct rn_field_config *c = &field->config.field;
+    const struct rn_disparity *space = &field->cpu.disparity;
+    double ends[2] = {space->near, space->far}, width = 0;
+    for (int corner = 0; corner < 5; corner++) {
+        double eye[3], d[3], x = corner & 1 ? camera->width : 0;
+        double y = corner & 2 ? camera->height : 0;
+        struct rn_ray ray = corner < 4 ? rn_camera_ray(camera, x, y)
+                                       : rn_camera_ray(camera, camera->cx, camera->cy);
+        rn_disparity_seen(space, ray.origin, eye);
+        rn_disparity_turn(space, ray.direction, d);
+        for (int i = 0; i < 2 && d[2] > RN_FORWARD_LEAST; i++)
+            width = fmax(width, ray.radius / d[2] * space->scale[0] * (1 - eye[2] / ends[i]));
+    }
+    if (c->footprint == RN_FOOTPRINT_RIP)
+        return rn_level_from_variance(fmax(step * step / 12, width * width / 4),
+                                      rn_footprint_base(c), c->levels);
+    return rn_level_from_ball(width, rn_footprint_base(c), c->levels);
+}
+
 double rn_top_level(const struct rn_field *field, const struct rn_camera *camera, double step) {
     const struct rn_field_config *c = &field->config.field;
     if (c->footprint == RN_FOOTPRINT_POINT || c->levels == 1) return 0;
     double far = 0;
+    if (field->cpu.disparity.on) return forward_level(field, camera, step);
     for (int i = 0; i < 3; i++) {
         double d =
             (camera->world_from_camera[i][3] - field->bounds.centre[i]) / field->bounds.radius;

@@ -86,6 +86,8 @@ void rn_block_destroy(void *block);
 // Allocates everything for a configuration; parameters zero, all cells of the ball occupied.
 enum rn_status rn_field_create(const struct rn_train_config *config, const struct rn_bounds *bounds,
                                struct rn_field **ret_field, struct rn_error *err) RN_MUST_CHECK;
+// The hull anew, and what of its cells is occupied: all that the field's space holds.
+enum rn_status rn_field_fill(struct rn_field *field) RN_MUST_CHECK;
 // Random parameters: planes U(-0.01, 0.01), networks Xavier-uniform over padded sizes.
 void rn_field_randomise(struct rn_field *field, uint64_t seed);
 // Bytes that rn_field_create will take, the pyramid at `levels` included.

@@ -50,6 +50,7 @@ static void carry_grids(const struct rn_field *from, struct rn_field *to) {
     memcpy(to->occupancy, from->occupancy, cells * sizeof *to->occupancy);
     memcpy(to->hull, from->hull, cells);
     to->hull_cells = from->hull_cells;
+    to->cpu.disparity = from->cpu.disparity;
     rn_field_refresh_occupancy(to);
 }
 

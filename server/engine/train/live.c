@@ -111,7 +111,7 @@ static void list_frame(struct rn_trainer *t, int frame, const uint8_t *marks) {
     int columns, rows;
     size_t n = blocks_of(&t->train.frames[frame].camera, &columns, &rows);
     for (size_t i = 0; i < n; i++)
-        if (marks[i])
+        if (marks[i] || t->field->cpu.disparity.on)
             t->sampler.live[t->sampler.live_count++] =
                 (struct rn_live_block){.frame = (uint32_t)frame,
                                        .x = (uint16_t)(i % (size_t)columns * RN_LIVE_BLOCK),

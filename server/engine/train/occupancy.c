@@ -198,6 +198,10 @@ static void measure_chunk(void *context, int index, int thread) {
 }
 
 bool rn_trainer_update_occupancy(struct rn_trainer *t) {
+    if (t->seen) {
+        rn_trainer_update_seen(t);
+        return true;
+    }
     struct rn_occupancy_turn turn = rn_schedule_occupancy(&t->field->config, t->progress.step);
     struct measurement m = {
         .trainer = t, .first = turn.first, .stride = turn.stride, .decay = turn.decay};

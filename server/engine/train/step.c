@@ -127,7 +127,8 @@ void rn_trainer_begin_step(struct rn_trainer *t) {
                                    .packet = packet > 0 ? packet : 1,
                                    .base_grad = group->base_grad,
                                    .head_grad = group->head_grad,
-                                   .ray_loss = t->sampler.ray_loss};
+                                   .ray_loss = t->sampler.ray_loss,
+                                   .seen = t->seen};
         group->cursor = first_of_group(pixels, g) * pixel;
         group->end = first_of_group(pixels, g + 1) * pixel;
         memset(group->base_grad, 0, (p->base_count + p->head_count) * sizeof(float));

@@ -123,6 +123,7 @@ enum rn_status rn_trainer_set_up(struct rn_trainer *t, struct rn_error *err) {
     enum rn_status status = rn_field_need_levels(t->field, training_levels(t), err);
     if (status == RN_OK) status = rn_engine_prepare(t->engine, t->field, err);
     if (status == RN_OK) status = rn_trainer_allocate(t, err);
+    if (status == RN_OK) status = rn_trainer_watch_cells(t, err);
     return status;
 }
 
@@ -179,6 +180,14 @@ static enum rn_status start(struct rn_engine *engine, const struct rn_dataset *d
     return RN_OK;
 }
 
+// After the effects: views and hull of the space that they found.
+static enum rn_status take_space(struct rn_trainer *t) {
+    if (!t->field->cpu.disparity.on) return RN_OK;
+    place_cameras(t->field, &t->train);
+    place_cameras(t->field, &t->held);
+    return rn_field_fill(t->field);
+}
+
 enum rn_status rn_trainer_create(struct rn_engine *engine, const struct rn_dataset *dataset,
                                  const struct rn_train_config *config, size_t memory_limit_bytes,
                                  struct rn_trainer **ret_trainer, struct rn_error *err) {
@@ -193,6 +202,8 @@ enum rn_status rn_trainer_create(struct rn_engine *engine, const struct rn_datas
     if (status != RN_OK) goto fail;
     double begin = (double)rn_clock_ns();
     rn_trainer_detect_effects(t);
+    status = take_space(t);
+    if (status != RN_OK) goto fail;
     rn_field_randomise(t->field, own.seed);
     status = rn_trainer_set_up(t, err);
     if (status != RN_OK) goto fail;
@@ -218,6 +229,7 @@ static struct rn_arrays arrays_of(struct rn_trainer *t) {
     return (struct rn_arrays){.field = t->field,
                               .m = t->optimiser.m,
                               .v = t->optimiser.v,
+                              .seen = t->seen,
                               .block_count = t->sampler.importance.count,
                               .block_error = t->sampler.importance.error,
                               .block_share = t->sampler.importance.share};
@@ -263,6 +275,7 @@ enum rn_status rn_trainer_restore(struct rn_engine *engine, const struct rn_data
     }
     engine->kernels = kernels;
     status = start(engine, dataset, &checkpoint.config, &t, err);
+    if (status == RN_OK) t->field->cpu.disparity = checkpoint.disparity;
     if (status == RN_OK) status = check_memory(t, memory_limit_bytes, &left, err);
     if (status == RN_OK) status = load_pixels(t, left, err);
     if (status == RN_OK) status = rn_trainer_set_up(t, err);
@@ -301,6 +314,7 @@ void rn_trainer_destroy(struct rn_trainer **trainer) {
     rn_block_destroy(t->optimiser.grad);
     rn_trainer_drop_growth(t);
     free(t->hull_list);
+    rn_block_destroy(t->seen);
     rn_sampler_finish(&t->sampler);
     free(t->incidents);
     free(t);

@@ -48,6 +48,7 @@ struct rn_trainer {
     struct rn_march_options march;
     struct rn_group groups[RN_GROUPS];
     float *group_memory;
+    uint32_t *seen;      // NULL, or what each cell showed since the last round, as bits of a float
     uint32_t *hull_list; // cells that may hold matter
     size_t hull_count;
     int next_rays;        // of the next step
@@ -67,6 +68,11 @@ struct rn_trainer {
     struct rn_checkpoint_writer *writer; // NULL when none is being written
 };
 
+// seen.c: where the space is a forward-facing one, begins to note what cells show; and the round
+// every RN_OCCUPANCY_EVERY steps, after which cells that showed nothing are empty.
+enum rn_status rn_trainer_watch_cells(struct rn_trainer *trainer,
+                                      struct rn_error *err) RN_MUST_CHECK;
+void rn_trainer_update_seen(struct rn_trainer *trainer);
 // trainer.c: before training goes on here, or the host reads what is trained: everything is as new
 // as the device's and built for the training's cameras.
 enum rn_status rn_trainer_enter(struct rn_trainer *trainer, struct rn_error *err) RN_MUST_CHECK;

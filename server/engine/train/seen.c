@@ -1,0 +1,62 @@
+// Which cells of a place are empty: those that showed nothing to rays that came as far (cpu/crisp.h
+// notes the largest weight of each cell), and those that no camera sees. Density alone says less:
+// haze keeps cells that no picture would miss, and behind a surface there may be anything.
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "server/engine/field/occupancy.h"
+#include "server/engine/scene/occupancy.h"
+#include "server/engine/train/trainer.h"
+
+#define BEGINS 0.05      // share of the schedule before which everything may still come
+#define FORGOTTEN 0.6    // share of what a cell showed that is left after a round that looked at it
+#define UNSEEN_ENDS 0.25 // share of the schedule by which every camera has looked at its cells
+#define ENDLESS 10000.0  // steps that stand for a schedule without a limit
+
+enum rn_status rn_trainer_watch_cells(struct rn_trainer *t, struct rn_error *err) {
+    size_t side = (size_t)t->field->config.field.occupancy, n = side * side * side;
+    if (!t->field->cpu.disparity.on || t->seen) return RN_OK;
+    t->seen = rn_block_create(n * sizeof *t->seen);
+    if (!t->seen) return rn_error_set(err, RN_ERROR_NO_MEMORY, "occupancy", "out of memory");
+    for (size_t i = 0; i < n; i++)
+        t->field->occupancy[i] = RN_NEVER_SEEN;
+    return RN_OK;
+}
+
+struct round {
+    struct rn_trainer *trainer;
+    bool unseen_end;
+};
+
+static void update_layer(void *context, int layer, int thread) {
+    (void)thread;
+    const struct round *round = context;
+    struct rn_trainer *t = round->trainer;
+    size_t side = (size_t)t->field->config.field.occupancy, first = (size_t)layer * side * side;
+    for (size_t i = first; i < first + side * side; i++) {
+        float *kept = &t->field->occupancy[i], shown;
+        memcpy(&shown, &t->seen[i], sizeof shown);
+        if (t->seen[i]) {
+            float left = (float)FORGOTTEN * fminf(*kept, 1);
+            *kept = shown > left ? shown : left;
+        } else if (round->unseen_end && *kept == (float)RN_NEVER_SEEN) {
+            *kept = 0;
+        }
+    }
+    memset(t->seen + first, 0, side * side * sizeof *t->seen);
+}
+
+void rn_trainer_update_seen(struct rn_trainer *t) {
+    int side = t->field->config.field.occupancy;
+    double done = rn_schedule_done(&t->field->config, &t->progress);
+    if (isnan(done)) done = (double)t->progress.step / ENDLESS;
+    if (done < BEGINS) {
+        size_t n = (size_t)side;
+        memset(t->seen, 0, n * n * n * sizeof *t->seen);
+        return;
+    }
+    struct round round = {t, !(done < UNSEEN_ENDS)};
+    rn_pool_run(t->engine->pool, side, update_layer, &round);
+    rn_field_refresh_occupancy(t->field);
+}
