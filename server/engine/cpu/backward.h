@@ -36,6 +36,37 @@ static void composite_backward(int r, struct rn_workspace *w) {
     }
 }
 
+// Where a sample lies, in the frame of the planes along the ray: what distortion is measured in.
+RN_INLINE double reach_of(const struct rn_cpu_field *field, float s) {
+    double size = fabs((double)s);
+    if (field->config->space == RN_SPACE_BALL) return (double)s;
+    return 0.5 * (size <= 1 ? (double)s : copysign(2 - 1 / size, (double)s));
+}
+
+// The distortion loss (Barron et al. 2022, Mip-NeRF 360, equation 15) of one ray's samples, each
+// `width` long: factor times sum over pairs of w_i w_j |m_i - m_j| + 1/3 sum of w_i^2 width. Adds
+// its dL/dw_i to w->slope, in O(n) (Sun et al. 2022): samples lie in order, so that a pair's
+// difference is a sum over those before and one over those behind.
+static void distort(const struct rn_cpu_field *field, int r, double factor, double width,
+                    struct rn_workspace *w) {
+    double behind = 0, behind_moment = 0, front = 0, front_moment = 0;
+    for (int s = w->ray_first[r]; s >= 0; s = w->segment_next[s])
+        for (int i = w->segment_start[s], end = i + w->segment_size[s]; i < end; i++) {
+            behind += (double)w->weight[i];
+            behind_moment += (double)w->weight[i] * reach_of(field, w->s[i]);
+        }
+    for (int s = w->ray_first[r]; s >= 0; s = w->segment_next[s])
+        for (int i = w->segment_start[s], end = i + w->segment_size[s]; i < end; i++) {
+            double weight = (double)w->weight[i], m = reach_of(field, w->s[i]);
+            behind -= weight;
+            behind_moment -= weight * m;
+            double apart = m * front - front_moment + behind_moment - m * behind;
+            w->slope[i] += (float)(factor * (2 * apart + weight * width * (2.0 / 3)));
+            front += weight;
+            front_moment += weight * m;
+        }
+}
+
 // The sums of four rows of 16, with RN_VL lanes of each at a time.
 #if RN_VL == 16
 #define IN_FOURS(A, B, I, J, K, L)                                                                 \
@@ -301,6 +332,12 @@ static void packet_backward(const struct rn_cpu_field *field,
                             const struct rn_march_options *options, const struct rn_march_ray *rays,
                             int ray_count, bool leveled, const row16 *ray_grad,
                             struct rn_workspace *w, struct rn_group *group) {
+    int pixel = rn_pixel_rays(options);
+    for (int r = 0; r < ray_count && options->distortion_loss > 0; r++)
+        if (w->ray_first[r] >= 0)
+            distort(field, r,
+                    (double)(options->distortion_loss * rays[r / pixel * pixel].weight) / pixel,
+                    (double)options->step * rays[r].stride, w);
     for (int r = 0; r < ray_count; r++)
         composite_backward(r, w);
     int n = backward_select(field, options, rays, ray_grad, w);

@@ -11,7 +11,7 @@
 
 // rn_view's numbers, one view a lane.
 struct view_lanes {
-    vd origin[3], axes[3][3], cx, cy, inverse_fx, inverse_fy, radius;
+    vd origin[3], axes[3][3], cx, cy, inverse_fx, inverse_fy, radius, space;
 };
 #define RN_VIEW_NUMBERS (offsetof(struct rn_view, lens) / sizeof(double))
 _Static_assert(sizeof(struct view_lanes) == RN_VIEW_NUMBERS * sizeof(vd), "the same numbers");
@@ -81,6 +81,19 @@ RN_INLINE void cut_rays(const vd o[3], const vd d[3], vd radius, double step, bo
     ret->stride = stride;
 }
 
+// What rn_ray_cut_unbounded finds.
+RN_INLINE void cut_unbounded(const vd o[3], const vd d[3], double step, vd jitter,
+                             struct cut_lanes *ret) {
+    vd along = o[0] * d[0] + o[1] * d[1] + o[2] * d[2], from = along + RN_SPACE_NEAR;
+    vd size = vd_select(from < 0.0, -from, from), far = 2.0 - 1.0 / size;
+    vd place = vd_select(size <= 1.0, from, vd_select(from < 0.0, -far, far));
+    for (int i = 0; i < 3; i++)
+        ret->origin[i] = o[i] - along * d[i];
+    ret->near = -along;
+    ret->length = 2.0 - place - 2 * step * jitter;
+    ret->stride = vd_set(1);
+}
+
 typedef int32_t vd_ints __attribute__((vector_size(4 * RN_VD)));
 
 RN_INLINE vd load_ints(const int32_t from[RN_VD]) {
@@ -131,7 +144,10 @@ static void rays(const struct rn_ray_place *places, int count, double step, bool
         view_load(view, &loaded, &lanes);
         pixel_cones(&lanes, view, load_ints(px), load_ints(py), d, &radius);
         struct cut_lanes cut;
-        cut_rays(lanes.origin, d, radius, step, cone_step, vd_load(jitters), &cut);
+        if (view[0]->space == RN_SPACE_UNBOUNDED)
+            cut_unbounded(lanes.origin, d, step, vd_load(jitters), &cut);
+        else
+            cut_rays(lanes.origin, d, radius, step, cone_step, vd_load(jitters), &cut);
         for (int i = 0; i < 3; i++) {
             vd_store(out[i], cut.origin[i]);
             vd_store(out[3 + i], d[i]);

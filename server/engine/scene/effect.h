@@ -13,7 +13,8 @@
     X(VIEW_DEPENDENCE, view_dependence, "view-dependence")                                         \
     X(SPLIT_PIXELS, split_pixels, "split-pixels")                                                  \
     X(CONES, cones, "cones")                                                                       \
-    X(DISTORTION, distortion, "distortion")
+    X(DISTORTION, distortion, "distortion")                                                        \
+    X(UNBOUNDED, unbounded, "unbounded")
 
 #define RN_EFFECT_CONSTANT(CONSTANT, ROW, NAME) RN_EFFECT_##CONSTANT,
 enum rn_effect { RN_EFFECTS(RN_EFFECT_CONSTANT) RN_EFFECT_COUNT };

@@ -21,7 +21,8 @@ const EFFECTS = {
   'view-dependence': 'View dependence',
   'split-pixels': 'Split pixels',
   cones: 'Cones a pixel',
-  distortion: 'Distortion'
+  distortion: 'Distortion',
+  unbounded: 'Unbounded space'
 };
 
 /** An effect's number in the unit that its reason is told in. */
@@ -34,7 +35,8 @@ const UNITS = {
   'view-dependence': (x) => `${short(255 * x)}/255`,
   'split-pixels': octaves,
   cones: octaves,
-  distortion: (x) => `${short(x)} px`
+  distortion: (x) => `${short(x)} px`,
+  unbounded: (x) => `${short(100 * x)} %`
 };
 
 export function effectsPanel(scene) {
