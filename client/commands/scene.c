@@ -67,7 +67,7 @@ static void print_config(const struct rn_train_config *config) {
 static void print_threshold(const struct rn_effect_entry *effect) {
     double threshold = effect->threshold;
     if (isnan(threshold) || strcmp(effect->name, "view-dependence") == 0) return; // is said
-    if (strcmp(effect->name, "background") == 0)
+    if (strcmp(effect->name, "background") == 0 || strcmp(effect->name, "unbounded") == 0)
         printf(" (threshold %.3g %%)", 100 * threshold);
     else if (strcmp(effect->name, "distortion") == 0)
         printf(" (threshold %.3g)", threshold);

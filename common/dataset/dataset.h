@@ -115,6 +115,10 @@ enum rn_status rn_dataset_read_as(const char *folder, const struct rn_read_optio
                                   struct rn_error *err) RN_MUST_CHECK;
 void rn_dataset_destroy(struct rn_dataset **dataset);
 
+// From the cameras alone: about the point nearest to all optical axes, `distances` times the mean
+// distance wide.
+struct rn_bounds rn_bounds_from_cameras(const struct rn_dataset *dataset, double distances);
+
 // Decodes every image, `threads` at a time, and leaves out those that cannot be decoded whole,
 // each with an error in `problems` (optional), as rn_dataset_read does with what headers tell.
 // `progress` as rn_dataset_import's. RN_ERROR_INVALID when no training view is left (the frames are

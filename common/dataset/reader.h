@@ -95,9 +95,6 @@ bool rn_reader_says(struct rn_reader *reader, const char *what);
 void rn_reader_warn_unknown(struct rn_reader *reader, const struct rn_json *object,
                             const char *const *known);
 
-// From the cameras alone: about the point nearest to all optical axes, `distances` times the mean
-// distance wide.
-struct rn_bounds rn_bounds_from_cameras(const struct rn_dataset *dataset, double distances);
 // Share of the training photographs' pixels, of 16 x 16 in each, whose rays meet the sphere.
 double rn_bounds_seen(const struct rn_dataset *dataset, const struct rn_bounds *bounds);
 // Whether the camera's optical axis (forwards) meets the sphere.

@@ -9,6 +9,7 @@ const char *const rn_preset_names[] = {"draft", "standard", "paper", NULL};
 const char *const rn_train_split_names[] = {"train", "trainval", NULL};
 const char *const rn_orientation_names[] = {"platonic", "golden", "blue", "white", NULL};
 const char *const rn_footprint_names[] = {"rip", "mip", "point", NULL};
+const char *const rn_space_names[] = {"ball", "unbounded", NULL};
 const char *const rn_shading_names[] = {"sample", "ray", NULL};
 
 #define PLACE(member) .offset = offsetof(struct rn_train_config, member)
@@ -359,6 +360,36 @@ static const struct rn_setting rows[] = {
      PRESETS(0.0001, 0.002, 0.004),
      .unlike = "rays end at another transmittance than 1e-4",
      .gain = "0.002: +0.2 dB"},
+    {.name = "space",
+     .type = RN_SETTING_CHOICE,
+     .flags = RN_SETTING_LATER,
+     PLACE(field.space),
+     .unit = "",
+     .choices = rn_space_names,
+     .meaning = "what the field's ball stands for: the scene's ball, or all of space",
+     PRESETS(0, 0, 0),
+     .unlike = "all of space instead of a ball",
+     .gain = ""},
+    {.name = "occupancy_limit",
+     .type = RN_SETTING_NUMBER,
+     .flags = RN_SETTING_LATER,
+     PLACE(occupancy_limit),
+     .min = 0,
+     .max = 1,
+     .unit = "",
+     .meaning = "optical depth of a step above which a cell is occupied; 0: 0.005",
+     PRESETS(0, 0, 0)},
+    {.name = "distortion_loss",
+     .type = RN_SETTING_NUMBER,
+     .flags = RN_SETTING_LATER,
+     PLACE(distortion_loss),
+     .min = 0,
+     .max = 1,
+     .unit = "",
+     .meaning = "weight of the loss that draws together what a ray sees; 0: none",
+     PRESETS(0, 0, 0),
+     .unlike = "what a ray sees is drawn together (the distortion loss)",
+     .gain = ""},
     {.name = "refine_at_rest",
      .type = RN_SETTING_BOOL,
      .flags = RN_SETTING_LATER | RN_SETTING_SAME_BYTES,

@@ -30,7 +30,13 @@ enum rn_shading {
     RN_SHADING_RAY,    // diffuse colour a sample, one view-dependent network a ray
 };
 
+enum rn_space {         // that the field's unit ball stands for (server/engine/field/space.h)
+    RN_SPACE_BALL,      // the scene's ball
+    RN_SPACE_UNBOUNDED, // all of space
+};
+
 struct rn_field_config {
+    enum rn_space space;
     int planes; // 3, 4, 6, 10 (platonic), 1..RN_MAX_PLANES otherwise
     enum rn_orientation orientation;
     int base;     // side of each plane's base grid, texels, 2..4096
@@ -73,8 +79,12 @@ struct rn_train_config {
     bool footprint_given; // asked for by name: not switched off though the data calls for less
     bool cone_step;       // a sample spans as many steps as its cone is wide, at most 8
     double stop;          // early stop: transmittance below which a ray ends
-    bool refine_at_rest;  // occupancy is measured anew when training is over (occupancy.h)
-    bool supersample;     // pixels wider than those trained on are rendered as several of these
+    double occupancy_limit; // optical depth of a step above which a cell is occupied; the mean over
+                            // all cells where that is less. 0: RN_OCCUPANCY_LIMIT
+    double distortion_loss; // weight of the loss that draws what a ray sees together; 0: there is
+                            // none. Grows in from a fifth of the schedule to its half
+    bool refine_at_rest;    // occupancy is measured anew when training is over (occupancy.h)
+    bool supersample;       // pixels wider than those trained on are rendered as several of these
     uint64_t seed;
     bool train_val;           // train on train+val
     float background[3];      // white unless the scene says otherwise
@@ -88,7 +98,7 @@ struct rn_train_config {
 };
 
 // The one table: a row for every member of struct rn_train_config.
-#define RN_TRAIN_SETTINGS 44
+#define RN_TRAIN_SETTINGS 47
 extern const struct rn_settings rn_train_settings;
 
 enum rn_preset_name { RN_PRESET_DRAFT, RN_PRESET_STANDARD, RN_PRESET_PAPER };
@@ -96,6 +106,7 @@ extern const char *const rn_preset_names[];      // "draft", "standard", "paper"
 extern const char *const rn_train_split_names[]; // "train", "trainval": of train_val
 extern const char *const rn_orientation_names[]; // "platonic", "golden", "blue", "white"
 extern const char *const rn_footprint_names[];   // "rip", "mip", "point"
+extern const char *const rn_space_names[];       // "ball", "unbounded"
 extern const char *const rn_shading_names[];     // "sample", "ray"
 
 // Platonic: 3, 4, 6 or 10 planes; other orientations: 1 to RN_MAX_PLANES. RN_ERROR_INVALID else.

@@ -65,7 +65,8 @@ def test_a_lost_device_ends_the_runner_alone(start, emulated, tmp_path):
     """The third step is lost; the job goes on from its checkpoint in another runner."""
     loses = tmp_path / "loses"
     loses.touch()
-    client, daemon = start(emulated, RIPNERF_EMULATOR_LOSES=loses)
+    # The emulator takes the file away, which lies where a runner may not write.
+    client, daemon = start(emulated, RIPNERF_EMULATOR_LOSES=loses, RIPNERFD_SANDBOX=0)
     assert client.json("info")["device"] == "cuda:0"
     job = submit(daemon, preset="draft", planes=3, base=16, channels=4, max_steps=4,
                  checkpoint_interval_s=0, device="auto")

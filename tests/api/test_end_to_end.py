@@ -12,7 +12,7 @@ import pytest
 from PIL import Image, ImageChops, ImageStat
 
 from support import contract
-from support.client import CANCELLED, FAILED, INVALID, NOT_FOUND, OK, Client
+from support.client import CANCELLED, FAILED, INVALID, NOT_FOUND, OK, USAGE, Client
 from support.daemon import Daemon
 
 STEPS = 40
@@ -70,7 +70,9 @@ def test_training_ends_with_its_figures(client, trained):
     assert end["scene"] == scene["id"] and end["samples"] > 0 and end["train_seconds"] > 0
     assert end["parameters_sha256"] == scene["parameters_sha256"]
     assert end["psnr"] == scene["psnr"] > 8
-    assert scene["state"] == "ready" and len(scene["effects"]) == 4
+    assert scene["state"] == "ready" and [effect["name"] for effect in scene["effects"]] == [
+        "background", "scale-pyramid", "anisotropy", "view-dependence", "split-pixels", "cones",
+        "distortion", "forward-facing", "unbounded"]
     assert all(effect["reason"] for effect in scene["effects"])
 
 
@@ -170,7 +172,7 @@ def test_eval(client, trained):
     assert single["psnr"] < one["psnr"]
     quick = client.json("eval", "ball", "--views", 2, "--scale", 1, "--tolerance", 0.1)
     assert abs(quick["psnr"] - one["psnr"]) < 3 and quick["psnr"] != one["psnr"]
-    error = client.run("eval", "ball", "--supersample", 3, code=INVALID).stderr
+    error = client.run("eval", "ball", "--supersample", 3, code=USAGE).stderr
     assert "supersample" in error and "1, 2, 4, 8 or 16" in error
 
 

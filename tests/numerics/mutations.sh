@@ -96,7 +96,7 @@ sound() {
 }
 
 prepare generic
-sound frustum footprint ripmap solid volume camera lens optimiser kernels rays training incidents \
+sound frustum footprint ripmap solid volume camera lens optimiser kernels rays space training incidents \
     reproducible roulette overflow growth networks metrics_images flags_fma doctor commands proofs
 
 field=server/engine/field
@@ -122,6 +122,20 @@ mutate footprint $field/footprint.h "level: clamped after the logarithm" \
     's/rn_real v = rn_clamp(variance, unit \* unit, top \* top);/rn_real v = variance; (void)top;/;s/return rn_clamp(\((rn_real)0.5 \* log2.*\), 0, \(.*\));/rn_real level = \1; return level < 0 ? 0 : level > \2 ? \2 : level;/'
 mutate footprint $field/footprint.h "level: the paper's equation, without the size" \
     's/(rn_real)RN_FOOTPRINT_SCALE \* (rn_real)size/(rn_real)RN_FOOTPRINT_SCALE/'
+mutate space $field/space.h "contraction: lengths across as along" \
+    's/c.scale = c.across = .*/c.scale = (rn_real)0.5 * inverse * (2 - inverse); c.across = (rn_real)0.5 * inverse * inverse;/'
+mutate space $field/space.h "contraction: to the whole ball, not its half" \
+    's/c.along = (rn_real)0.5 \* inverse/c.along = inverse/'
+mutate space $field/space.h "Jacobian: the part along the direction left out" \
+    's/ret\[i\] = c->across \* axis\[i\] + along \* towards\[i\];/(void)along; ret[i] = c->across * axis[i];/'
+mutate space $field/space.h "places: distance not stretched beyond 1" \
+    's/return size <= 1 ? s : copysign(2 - 1 \/ size, s);/return size <= 1 ? s : copysign(2 - 1 \/ (size * size), s);/'
+mutate space $cpu/space.h "bent rays: steps half as long" \
+    's/(k + 0.5f) \* (2 \* step)/(k + 0.5f) * step/'
+mutate space $cpu/space.h "bent rays: the first step looked at twice" \
+    's/(k + 0.5f) \* (2 \* step)/(vf_max(k - 1.0f, vf_set(0)) + 0.5f) * (2 * step)/'
+mutate space $cpu/march.h "bent rays: cells looked up where the ray is straight" \
+    's/scale = contraction_at(distance_from_centre(ray, s)).scale;/scale = vf_set(0.5f);/'
 mutate ripmap $field/ripmap.h "pooling: odd sizes drop their last texel" \
     's/if (size % 2 == 0) {/if (size > 1) {/'
 mutate ripmap $field/ripmap.h "query: position not clamped above" \

@@ -8,6 +8,7 @@
 #include "server/engine/field/frustum.h"
 #include "server/engine/field/ripmap.h"
 #include "server/engine/field/sh.h"
+#include "server/engine/field/space.h"
 #include "server/engine/field/volume.h"
 
 static double nearest(double x) {
@@ -108,6 +109,15 @@ static void composite_backward(int n, const double *weights, const double *after
     widen(n, own, grad);
 }
 
+static void contraction(double r, double ret[3]) {
+    struct rn_contraction c = rn_contraction_at((rn_real)r);
+    give(ret, c.scale, c.across, c.along);
+}
+
+static double distance_of_place(double place) {
+    return rn_distance_of_place((rn_real)place);
+}
+
 static void harmonics(const double d[3], double ret[16]) {
     rn_real own[3], out[RN_SH_COUNT];
     narrow(3, d, own);
@@ -137,6 +147,8 @@ const struct subject SUBJECT = {SUBJECT_NAME,
                                 alpha,
                                 composite,
                                 composite_backward,
+                                contraction,
+                                distance_of_place,
                                 harmonics,
                                 NULL,
                                 NULL,

@@ -35,6 +35,9 @@ struct subject {
     double (*composite)(int n, const double *x, double *weights, double *after);
     void (*composite_backward)(int n, const double *weights, const double *after, const double *g,
                                double *grad);
+    // Unbounded space: scale, across and along at a distance from the centre; where a place is.
+    void (*contraction)(double r, double ret[3]);
+    double (*distance_of_place)(double place);
     // Spherical harmonics of a direction.
     void (*harmonics)(const double d[3], double ret[16]);
     // Kernel sets only: weights where the ray ends once its optical depth exceeds `stop_depth`.

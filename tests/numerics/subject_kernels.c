@@ -140,6 +140,17 @@ static void composite_back(int n, const double *weights, const double *after, co
 }
 
 // In the last of a vector's rows and one more.
+static void contraction(double r, double ret[3]) {
+    struct contraction_lanes c = contraction_at(vf_set((float)r));
+    ret[0] = (double)lane0(c.scale);
+    ret[1] = (double)lane0(c.across);
+    ret[2] = (double)lane0(c.along);
+}
+
+static double distance_at(double place) {
+    return (double)lane0(distance_of_place(vf_set((float)place)));
+}
+
 static void harmonics(const double d[3], double ret[16]) {
     static float rows[RN_VL + 1][RN_HEAD_INPUTS];
     for (int i = 0; i < 3; i++)
@@ -207,6 +218,7 @@ static void cut_to_box(const struct rn_disparity *box, const struct rn_ray *ray,
 static void distortion(int n, const double *weights, const double *places, double width,
                        double factor, double *grad) {
     static float marched[ROOM];
+    static const struct rn_cpu_field field = {.disparity = {.on = true}};
     struct rn_workspace w;
     one_ray(n, &w);
     w.marched = marched;
@@ -215,7 +227,7 @@ static void distortion(int n, const double *weights, const double *places, doubl
         marched[i] = (float)places[i];
         slope_of[i] = 0;
     }
-    distort(0, factor, width, &w);
+    distort(&field, 0, factor, width, &w);
     for (int i = 0; i < n; i++)
         grad[i] = (double)slope_of[i];
 }
@@ -266,6 +278,8 @@ const struct subject SUBJECT = {.name = SUBJECT_NAME,
                                 .alpha = alpha,
                                 .composite = composite,
                                 .composite_backward = composite_back,
+                                .contraction = contraction,
+                                .distance_of_place = distance_at,
                                 .harmonics = harmonics,
                                 .composite_stopped = composite_stopped,
                                 .query = query,

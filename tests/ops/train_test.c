@@ -153,6 +153,74 @@ START_TEST(draws_by_error_resume) {
 }
 END_TEST
 
+// All of space in the field's ball, asked for: cells, bent rays and what draws them together are in
+// the checkpoint.
+START_TEST(unbounded_space_resumes) {
+    struct rn_error err;
+    char path[128], hex[2][65];
+    snprintf(path, sizeof path, "%s/bent.safetensors", folder);
+    for (int i = 0; i < 2; i++) {
+        struct rn_train_config config = config_for(dataset);
+        config.auto_effects = false;
+        config.field.space = RN_SPACE_UNBOUNDED;
+        config.cone_step = false;
+        config.distortion_loss = 0.02;
+        config.occupancy_limit = 0.01;
+        struct rn_engine *engine = engine_with(1 + i);
+        struct rn_trainer *trainer = trainer_for(engine, dataset, &config);
+        const struct rn_field *field = rn_trainer_field(trainer);
+        ck_assert(field->bounds.radius != dataset->bounds.radius);
+        ck_assert(field->effects[RN_EFFECT_UNBOUNDED].on);
+        while (i == 1 && trainer->progress.step < 35)
+            ck_assert(rn_trainer_advance(trainer, 1, &err) == RN_OK);
+        if (i == 1) {
+            double radius = field->bounds.radius;
+            ck_assert_msg(rn_trainer_save(trainer, path, &err) == RN_OK, "%s", err.text);
+            rn_trainer_destroy(&trainer);
+            ck_assert_msg(rn_trainer_restore(engine, dataset, path, 0, &trainer, &err) == RN_OK,
+                          "%s", err.text);
+            field = rn_trainer_field(trainer);
+            ck_assert_double_eq(field->bounds.radius, radius);
+            ck_assert(field->effects[RN_EFFECT_UNBOUNDED].on);
+        }
+        run_to_end(trainer);
+        ck_assert(trainer->march.distortion_loss > 0);
+        rn_field_sha256(rn_trainer_field(trainer), hex[i]);
+        rn_trainer_destroy(&trainer);
+        rn_engine_destroy(&engine);
+    }
+    ck_assert_str_eq(hex[0], hex[1]);
+}
+END_TEST
+
+// Alpha cuts out what is in the ball; without it what lies past the ball is in the photographs.
+START_TEST(photographs_call_for_their_space) {
+    struct rn_effect_record records[RN_EFFECT_COUNT];
+    const struct rn_effect_record *r = &records[RN_EFFECT_UNBOUNDED];
+    for (int i = 0; i < 4; i++) {
+        struct rn_train_config config = config_for(dataset);
+        struct rn_dataset as = *dataset;
+        as.frames = calloc(as.frame_count, sizeof *as.frames);
+        for (size_t f = 0; f < as.frame_count; f++) {
+            as.frames[f] = dataset->frames[f];
+            as.frames[f].has_alpha = i == 0;
+        }
+        as.bounds.source = i == 3 ? RN_BOUNDS_GIVEN : RN_BOUNDS_CAMERAS;
+        if (i == 2) as.bounds.source = RN_BOUNDS_LAYOUT;
+        if (i > 1) as.bounds.radius *= i == 2 ? 100 : 0.1; // all is in the ball; hardly anything
+        struct rn_bounds bounds = rn_effects_prepare(&as, &config, records);
+        bool on = i == 1 || i == 3;
+        ck_assert(r->decided && r->on == on && (r->number > r->threshold) == on);
+        ck_assert_ptr_nonnull(strstr(r->reason, i < 2 ? "quarter" : "dataset's ball"));
+        ck_assert(config.field.space == (on ? RN_SPACE_UNBOUNDED : RN_SPACE_BALL));
+        ck_assert((config.distortion_loss > 0) == on);
+        if (i != 1) ck_assert_double_eq(bounds.radius, as.bounds.radius);
+        if (i == 1) ck_assert_double_eq(bounds.radius, rn_bounds_from_cameras(&as, 0.5).radius);
+        free(as.frames);
+    }
+}
+END_TEST
+
 START_TEST(a_figure_does_not_depend_on_interruptions) {
     struct rn_train_config config = config_for(scaled);
     struct rn_engine *engine = engine_with(2);
@@ -383,6 +451,8 @@ static void add_tests(TCase *tests) {
     tcase_add_test(tests, far_renders_do_not_change_bytes);
     tcase_add_test(tests, interruptions_do_not_change_bytes);
     tcase_add_test(tests, draws_by_error_resume);
+    tcase_add_test(tests, unbounded_space_resumes);
+    tcase_add_test(tests, photographs_call_for_their_space);
     tcase_add_test(tests, a_figure_does_not_depend_on_interruptions);
     tcase_add_test(tests, damaged_checkpoints_are_refused);
     tcase_add_test(tests, earlier_checkpoints_lack_what_came_later);

@@ -7,20 +7,29 @@
 
 // ---- distortion -----------------------------------------------------------------------------
 
+// Where sample i lies, in the frame of the planes along the ray: what distortion is measured in.
+RN_INLINE double reach_of(const struct rn_cpu_field *field, const struct rn_workspace *w, int i) {
+    if (field->disparity.on) return (double)w->marched[i];
+    double s = (double)w->s[i], size = fabs(s);
+    if (field->config->space == RN_SPACE_BALL) return s;
+    return 0.5 * (size <= 1 ? s : copysign(2 - 1 / size, s));
+}
+
 // Adds to w->slope, dL/dw of ray r's samples, the gradient of `factor` times its distortion (Barron
-// et al. 2022, eq. 15): sum over i, j of w_i w_j |m_i - m_j| + width / 3 sum of w_i^2, m the
-// marched distances, samples `width` long. O(n) by running sums (Sun et al. 2022), within 1e-6 of
-// factor * length.
-static void distort(int r, double factor, double width, struct rn_workspace *w) {
+// et al. 2022, eq. 15): sum over i, j of w_i w_j |m_i - m_j| + width / 3 sum of w_i^2, m what
+// reach_of says, samples `width` long. O(n) by running sums (Sun et al. 2022): samples lie in
+// order. Within 1e-6 of factor * length.
+static void distort(const struct rn_cpu_field *field, int r, double factor, double width,
+                    struct rn_workspace *w) {
     double total = 0, moment = 0, front = 0, front_moment = 0;
     for (int s = w->ray_first[r]; s >= 0; s = w->segment_next[s])
         for (int i = w->segment_start[s]; i < w->segment_start[s] + w->segment_size[s]; i++) {
             total += (double)w->weight[i];
-            moment += (double)w->weight[i] * (double)w->marched[i];
+            moment += (double)w->weight[i] * reach_of(field, w, i);
         }
     for (int s = w->ray_first[r]; s >= 0; s = w->segment_next[s])
         for (int i = w->segment_start[s]; i < w->segment_start[s] + w->segment_size[s]; i++) {
-            double weight = (double)w->weight[i], m = (double)w->marched[i];
+            double weight = (double)w->weight[i], m = reach_of(field, w, i);
             front += weight;
             front_moment += weight * m;
             double apart = m * (2 * front - total) - (2 * front_moment - moment);
@@ -28,12 +37,15 @@ static void distort(int r, double factor, double width, struct rn_workspace *w) 
         }
 }
 
+// The rays of a split pixel share its weight.
 static void distort_packet(const struct rn_cpu_field *field, const struct rn_march_options *options,
                            const struct rn_march_ray *rays, int ray_count, struct rn_workspace *w) {
-    if (!field->disparity.on || options->distortion <= 0) return;
-    for (int r = 0; r < ray_count; r++)
+    int pixel = rn_pixel_rays(options);
+    for (int r = 0; r < ray_count && options->distortion_loss > 0; r++)
         if (w->ray_first[r] >= 0)
-            distort(r, (double)(options->distortion * rays[r].weight), (double)options->step, w);
+            distort(field, r,
+                    (double)(options->distortion_loss * rays[r / pixel * pixel].weight) / pixel,
+                    (double)options->step * rays[r].stride, w);
 }
 
 // ---- what cells showed ----------------------------------------------------------------------

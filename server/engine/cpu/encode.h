@@ -7,6 +7,7 @@
 
 #include "server/engine/cpu/fetch.h"
 #include "server/engine/cpu/forward.h"
+#include "server/engine/cpu/space.h"
 #include "server/engine/field/footprint.h"
 #include "server/engine/field/frustum.h"
 #include "server/engine/field/volume.h"
@@ -70,6 +71,21 @@ static void footprint_factors(const double axis[3], const float d[3], float *ret
     *ret_radial = (float)rn_projected_variance(axis, direction, 0, 1);
 }
 
+// In unbounded space: a footprint's radius is at most that of the cone at half the camera's
+// distance from `origin` and 1 more, as lengths at a distance s are drawn together by 1 / s or
+// more; a step is at most 1/2 and the distance from the centre at which the ray passes it times as
+// long as one through the centre.
+static bool unbounded_leveled(const struct rn_cpu_field *field, const struct rn_march_ray *ray,
+                              float step) {
+    const float *foot = ray->origin;
+    float size = (float)rn_footprint_base(field->config);
+    float radius = (0.5f * fabsf(ray->near) + 1) * ray->radius;
+    if (field->config->footprint == RN_FOOTPRINT_MIP) return radius * size > 1;
+    float passes = sqrtf(foot[0] * foot[0] + foot[1] * foot[1] + foot[2] * foot[2]);
+    float length = (0.5f + passes) * 2 * step, limit = 1 / ((float)RN_FOOTPRINT_SCALE * size);
+    return radius * radius * 0.26f + length * length * 0.085f > limit * limit;
+}
+
 // Whether the footprint at the ray's far end exceeds a texel of level 0 anywhere.
 static void ray_footprint_init(const struct rn_cpu_field *field, const struct rn_march_ray *ray,
                                float step, struct ray_footprint *ret) {
@@ -80,6 +96,10 @@ static void ray_footprint_init(const struct rn_cpu_field *field, const struct rn
     if (forward) ret->forward = rn_forward_ray(space, ray);
     ret->leveled = false;
     if (levels < 2 || field->config->footprint == RN_FOOTPRINT_POINT) return;
+    if (field->config->space == RN_SPACE_UNBOUNDED) {
+        ret->leveled = unbounded_leveled(field, ray, step);
+        return;
+    }
     float far = (ray->near + ray->length) * ray->radius;
     float size = (float)rn_footprint_base(field->config);
     if (forward) far = widest_forward(space, ray, &ret->forward);
@@ -107,12 +127,99 @@ RN_INLINE vf level_from_variance(vf variance, int size, int levels) {
     return 0.5f * vf_log2(vf_clamp(variance * (unit * unit), 1.0f, top));
 }
 
+// Samples in unbounded space: where they lie in the frame of the planes, and the Gaussian of each
+// as it is drawn there by the contraction's Jacobian at its middle.
+struct unbounded_lanes {
+    vf x[3], towards[3]; // position; direction from the centre
+    struct contraction_lanes lengths;
+    vf axial, radial; // variances along the ray and across it, before the contraction
+};
+
+// Variance along a plane's axis: that along the Jacobian times the axis of the Gaussian as it was.
+RN_INLINE vf unbounded_variance(const struct unbounded_lanes *at, const double axis[3],
+                                const float d[3]) {
+    vf dot = vf_set(0), y[3], along = vf_set(0), across = vf_set(0);
+    for (int i = 0; i < 3; i++)
+        dot += (float)axis[i] * at->towards[i];
+    dot *= at->lengths.along - at->lengths.across;
+    for (int i = 0; i < 3; i++) {
+        y[i] = (float)axis[i] * at->lengths.across + dot * at->towards[i];
+        along += y[i] * d[i];
+    }
+    for (int i = 0; i < 3; i++) {
+        int j = (i + 1) % 3, k = (i + 2) % 3;
+        vf c = y[j] * d[k] - y[k] * d[j];
+        across += c * c;
+    }
+    return at->axial * (along * along) + at->radial * across;
+}
+
+// The isotropic footprint's level: of the ball with the Gaussian's cross-section whose volume is
+// drawn together as it is (Barron et al. 2023, Zip-NeRF).
+RN_INLINE vf unbounded_ball(const struct unbounded_lanes *at, vf radius, int size, int levels) {
+    vf shrunk = 2.0f * vf_log2(at->lengths.across) + vf_log2(at->lengths.along);
+    vf level = vf_log2(vf_max(radius * (float)size, vf_set(1e-30f))) + shrunk * (1.0f / 3);
+    return vf_clamp(level, 0.0f, (float)(levels - 1));
+}
+
+// place_segment in unbounded space.
+static void place_unbounded(const struct rn_cpu_field *field,
+                            const struct rn_march_options *options, const struct rn_march_ray *ray,
+                            bool leveled, const uint16_t *k, int n, int slot,
+                            struct rn_workspace *w) {
+    int levels = field->built_levels, base = rn_footprint_base(field->config);
+    if (levels > field->config->levels) levels = field->config->levels;
+    for (int j = 0; j < n; j += RN_VL) {
+        int slots = slot + j;
+        vf index;
+        for (int i = 0; i < RN_VL; i++)
+            index[i] = (float)k[j + i];
+        vf s = unbounded_distance(ray, index, options->step), t = s + ray->near;
+        vf r = distance_from_centre(ray, s), stretch = vf_max(s * s, vf_set(1));
+        vf inverse = 1.0f / vf_max(r, vf_set(1e-30f));
+        struct unbounded_lanes at = {.lengths = contraction_at(r)};
+        for (int i = 0; i < 3; i++) {
+            vf p = ray->direction[i] * s + ray->origin[i];
+            at.x[i] = p * at.lengths.scale;
+            at.towards[i] = p * inverse;
+        }
+        vf width = stretch * (2 * options->step), across = t * ray->radius;
+        at.axial = width * width * (1.0f / 12);
+        at.radial = across * across * 0.25f;
+        vf_store(w->s + slots, s);
+        vf_store(w->interval + slots, vf_set(options->step * (float)RN_DENSITY_UNIT));
+        vf ball = vf_set(0);
+        if (leveled && field->config->footprint == RN_FOOTPRINT_MIP)
+            ball = unbounded_ball(&at, across, base, levels);
+        for (int p = 0; p < field->config->planes; p++) {
+            const double *au = field->solid.axis_u[p], *av = field->solid.axis_v[p];
+            vf_store(w->u[p] + slots,
+                     (float)au[0] * at.x[0] + (float)au[1] * at.x[1] + (float)au[2] * at.x[2]);
+            vf_store(w->v[p] + slots,
+                     (float)av[0] * at.x[0] + (float)av[1] * at.x[1] + (float)av[2] * at.x[2]);
+            if (!leveled) continue;
+            bool rip = field->config->footprint == RN_FOOTPRINT_RIP;
+            const float *d = ray->direction;
+            vf_store(w->lx[p] + slots,
+                     rip ? level_from_variance(unbounded_variance(&at, au, d), base, levels)
+                         : ball);
+            vf_store(w->ly[p] + slots,
+                     rip ? level_from_variance(unbounded_variance(&at, av, d), base, levels)
+                         : ball);
+        }
+    }
+}
+
 // Positions, plane coordinates and levels of one segment: `n` samples of `ray` at march indices
 // k[0..n), written to sample slots [slot, slot + n) (and up to a vector beyond).
 static void place_segment(const struct rn_cpu_field *field, const struct rn_march_options *options,
                           const struct rn_march_ray *ray, const struct ray_footprint *footprint,
                           bool leveled, const uint16_t *k, int n, int slot,
                           struct rn_workspace *w) {
+    if (field->config->space == RN_SPACE_UNBOUNDED) {
+        place_unbounded(field, options, ray, leveled, k, n, slot, w);
+        return;
+    }
     int levels = field->built_levels, base = rn_footprint_base(field->config);
     if (levels > field->config->levels) levels = field->config->levels;
     float step = options->step * (float)ray->stride, half = step * 0.5f;

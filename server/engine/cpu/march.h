@@ -3,6 +3,7 @@
 #define RN_ENGINE_CPU_MARCH_H
 
 #include "server/engine/cpu/simd.h"
+#include "server/engine/cpu/space.h"
 #include "server/engine/kernels/kernels.h"
 
 #define RN_MARCH_FAR 1000000 // an index behind every ray's end
@@ -44,11 +45,24 @@ RN_INLINE void clip_to_box(const struct rn_occupancy_bits *o, vf length, float i
     l->end = vi_select(end < l->end, end, l->end) & (leave > enter);
 }
 
+// Through unbounded space rays are bent: every step is looked at.
+static void march_start_unbounded(const struct rn_occupancy_bits *o,
+                                  const struct rn_march_ray *rays, int n, float step,
+                                  struct march_lanes *l) {
+    memset(l, 0, sizeof *l);
+    for (int j = 0; j < n && o->low[0] <= o->high[0]; j++)
+        if (rays[j].length > 0) l->end[j] = (int)(rays[j].length / (2 * step));
+}
+
 // Puts `n` rays, at most RN_VL, at their first step inside the box; lanes behind them have ended.
 static void march_start(const struct rn_occupancy_bits *o, const struct rn_march_ray *rays, int n,
                         float step, struct march_lanes *l) {
     float half = 0.5f * (float)(o->cells / RN_BRICK), inverse_step = 1 / step;
     vf length = vf_set(0);
+    if (o->space == RN_SPACE_UNBOUNDED) {
+        march_start_unbounded(o, rays, n, step, l);
+        return;
+    }
     for (int i = 0; i < 3; i++) {
         vf origin = vf_set(0), d = vf_set(0);
         for (int j = 0; j < n; j++) {
@@ -73,6 +87,7 @@ static void march_start(const struct rn_occupancy_bits *o, const struct rn_march
 static vi march_land(const struct rn_occupancy_bits *o, float step, vi go, struct march_lanes *l) {
     int side = brick_bits(o);
     float top = (float)((1 << side) - 1), inverse_step = 1 / step;
+    if (o->space == RN_SPACE_UNBOUNDED) return go & (l->k < l->end);
     for (;;) {
         vi brick[3], index = vi_set(0);
         vf at[3], s = (vf_from_int(l->k) + 0.5f) * step, leave = vf_set(1e30f);
@@ -98,11 +113,15 @@ static vi march_land(const struct rn_occupancy_bits *o, float step, vi go, struc
 // Bits of the samples k .. k + RN_VL - 1 that lie in occupied cells.
 RN_INLINE unsigned test_cells(const struct rn_occupancy_bits *o, const struct rn_march_ray *ray,
                               int k, float step) {
-    vf s = (vf_iota() + ((float)k + 0.5f)) * step;
+    vf s = (vf_iota() + ((float)k + 0.5f)) * step, scale = vf_set(1);
     float half = 0.5f * (float)o->cells, top = (float)(o->cells - 1);
     vi cell[3];
+    if (o->space == RN_SPACE_UNBOUNDED) {
+        s = unbounded_distance(ray, vf_iota() + (float)k, step);
+        scale = contraction_at(distance_from_centre(ray, s)).scale;
+    }
     for (int i = 0; i < 3; i++) {
-        vf p = ray->direction[i] * s + ray->origin[i];
+        vf p = (ray->direction[i] * s + ray->origin[i]) * scale;
         cell[i] = vi_from_float(vf_clamp(p * half + half, 0.0f, top));
     }
     int side = brick_bits(o);

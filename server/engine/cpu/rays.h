@@ -78,6 +78,19 @@ RN_INLINE void cut_rays(const vd o[3], const vd d[3], vd radius, double step, bo
     ret->stride = stride;
 }
 
+// What rn_ray_cut_unbounded finds.
+RN_INLINE void cut_unbounded(const vd o[3], const vd d[3], double step, vd jitter,
+                             struct cut_lanes *ret) {
+    vd along = o[0] * d[0] + o[1] * d[1] + o[2] * d[2], from = along + RN_SPACE_NEAR;
+    vd size = vd_select(from < 0.0, -from, from), far = 2.0 - 1.0 / size;
+    vd place = vd_select(size <= 1.0, from, vd_select(from < 0.0, -far, far));
+    for (int i = 0; i < 3; i++)
+        ret->origin[i] = o[i] - along * d[i];
+    ret->near = -along;
+    ret->length = 2.0 - place - 2 * step * jitter;
+    ret->stride = vd_set(1);
+}
+
 typedef int32_t vd_ints __attribute__((vector_size(4 * RN_VD)));
 
 RN_INLINE vd load_ints(const int32_t from[RN_VD]) {
@@ -108,10 +121,10 @@ RN_INLINE void pixel_cones(const struct view_lanes *view, const struct rn_view *
     *ret_radius = radius;
 }
 
-// The space that the views of some places share: of the first that has one.
-RN_INLINE const struct rn_disparity *space_of(const struct rn_ray_place *places, int n) {
+// The view whose space all views of some places share: the first that there is.
+RN_INLINE const struct rn_view *shared_view(const struct rn_ray_place *places, int n) {
     for (int j = 0; j < n; j++)
-        if (places[j].view) return &places[j].view->disparity;
+        if (places[j].view) return places[j].view;
     return NULL;
 }
 
@@ -135,9 +148,11 @@ static void rays(const struct rn_ray_place *places, int count, double step, bool
         view_load(view, &loaded, &lanes);
         pixel_cones(&lanes, view, load_ints(px), load_ints(py), d, &radius);
         struct cut_lanes cut;
-        const struct rn_disparity *space = space_of(places + begin, n);
-        if (space && space->on)
-            cut_forward(space, lanes.origin, d, step, vd_load(jitters), &cut);
+        const struct rn_view *shared = shared_view(places + begin, n);
+        if (shared && shared->disparity.on)
+            cut_forward(&shared->disparity, lanes.origin, d, step, vd_load(jitters), &cut);
+        else if (shared && shared->space == RN_SPACE_UNBOUNDED)
+            cut_unbounded(lanes.origin, d, step, vd_load(jitters), &cut);
         else
             cut_rays(lanes.origin, d, radius, step, cone_step, vd_load(jitters), &cut);
         for (int i = 0; i < 3; i++) {

@@ -1,6 +1,6 @@
-// Smoothing of a plane in place. A texel's neighbours are all of the other colour of a chessboard, so
-// that neither order nor vectors matter; a row of one colour and the row above of the other are done
-// in one pass over the plane.
+// Smoothing of a plane in place. A texel's neighbours are all of the other colour of a chessboard,
+// so that neither order nor vectors matter; a row of one colour and the row above of the other are
+// done in one pass over the plane.
 #ifndef RN_ENGINE_CPU_SMOOTH_H
 #define RN_ENGINE_CPU_SMOOTH_H
 

@@ -116,6 +116,10 @@ static cudaError_t copy_out(const struct rn_backend_device *d, void *to, const v
 static enum rn_status check_config(const struct rn_device_scene *s, struct rn_error *err) {
     const struct rn_field_config *c = &s->config.field;
     int unit = 1 << (s->levels > 3 ? s->levels - 1 : 3);
+    if (c->space != RN_SPACE_BALL)
+        return rn_error_set(err, RN_ERROR_UNSUPPORTED, "space",
+                            "the CUDA kernels do not know unbounded space; use --device cpu, or "
+                            "train what lies in the ball alone");
     if (!find_shape(c->planes * c->channels, c->width))
         return rn_error_set(err, RN_ERROR_UNSUPPORTED, "width",
                             "the CUDA kernels hold planes x channels up to 160 and widths up to "

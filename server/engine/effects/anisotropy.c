@@ -3,6 +3,7 @@
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
+#include <string.h>
 
 #include "common/math/rng.h"
 #include "server/engine/effects/effects.h"
@@ -17,6 +18,38 @@ static int compare_doubles(const void *a, const void *b) {
     return (x > y) - (x < y);
 }
 
+// How the space around a sample is drawn.
+struct bent {
+    bool is_bent;
+    struct rn_contraction lengths;
+    double towards[3]; // from the centre
+};
+
+// A sample of unbounded space, so many places behind the ray's near end.
+static struct rn_moments bent_sample(const struct rn_march_ray *ray, double place, double width,
+                                     struct bent *ret) {
+    double s = rn_distance_of_place(2 - (double)ray->length + place), r = 0;
+    double t = (double)ray->near + s, across = t * (double)ray->radius;
+    width *= 2 * rn_stretch_at(s);
+    for (int i = 0; i < 3; i++) {
+        ret->towards[i] = (double)ray->origin[i] + (double)ray->direction[i] * s;
+        r += ret->towards[i] * ret->towards[i];
+    }
+    r = sqrt(r);
+    for (int i = 0; i < 3 && r > 0; i++)
+        ret->towards[i] /= r;
+    ret->lengths = rn_contraction_at(r);
+    ret->is_bent = true;
+    return (struct rn_moments){t, width * width / 12, across * across / 4};
+}
+
+static void drawn_axis(const struct bent *bent, const double axis[3], double ret[3]) {
+    if (bent->is_bent)
+        rn_contracted_axis(&bent->lengths, bent->towards, axis, ret);
+    else
+        memcpy(ret, axis, 3 * sizeof *ret);
+}
+
 // The difference of both axes' levels, on the plane where it is largest, of a sample somewhere on a
 // ray: as long as the march makes it, whose samples span several steps where cones are wide.
 static double spread_of(const struct rn_evidence *e, const struct rn_march_ray *ray, double along) {
@@ -26,11 +59,19 @@ static double spread_of(const struct rn_evidence *e, const struct rn_march_ray *
     if (c->footprint_base == 0 && config->grow_to > base) base = config->grow_to;
     double d[3] = {ray->direction[0], ray->direction[1], ray->direction[2]}, spread = 0;
     double length = ray->length > 0 ? ray->length : 0, width = config->step * ray->stride;
-    struct rn_moments m = rn_frustum_moments(ray->near + length * along, width, ray->radius);
+    struct bent bent = {.is_bent = false};
+    struct rn_moments m;
+    if (c->space == RN_SPACE_UNBOUNDED)
+        m = bent_sample(ray, length * along, width, &bent);
+    else
+        m = rn_frustum_moments(ray->near + length * along, width, ray->radius);
     for (int p = 0; p < c->planes; p++) {
         const struct rn_solid *solid = &e->field->cpu.solid;
-        double u = rn_projected_variance(solid->axis_u[p], d, m.axial, m.radial);
-        double v = rn_projected_variance(solid->axis_v[p], d, m.axial, m.radial);
+        double au[3], av[3];
+        drawn_axis(&bent, solid->axis_u[p], au);
+        drawn_axis(&bent, solid->axis_v[p], av);
+        double u = rn_projected_variance(au, d, m.axial, m.radial);
+        double v = rn_projected_variance(av, d, m.axial, m.radial);
         double lu = rn_level_from_variance(u, base, c->levels);
         double lv = rn_level_from_variance(v, base, c->levels);
         spread = fmax(spread, fabs(lu - lv));

@@ -5,11 +5,27 @@
 static const struct rn_effect_row *const rows[RN_EFFECT_COUNT] = {RN_EFFECTS(ROW)};
 #undef ROW
 
+static struct rn_effect_record blank(int effect) {
+    return (struct rn_effect_record){.name = rn_effect_name((enum rn_effect)effect),
+                                     .decided = true};
+}
+
+struct rn_bounds rn_effects_prepare(const struct rn_dataset *dataset,
+                                    struct rn_train_config *config,
+                                    struct rn_effect_record ret_records[RN_EFFECT_COUNT]) {
+    struct rn_bounds bounds = dataset->bounds;
+    for (int i = 0; i < RN_EFFECT_COUNT; i++) {
+        ret_records[i] = blank(i);
+        if (rows[i]->prepare) rows[i]->prepare(dataset, config, &bounds, &ret_records[i]);
+    }
+    return bounds;
+}
+
 void rn_effects_detect(const struct rn_evidence *e) {
     for (int i = 0; i < RN_EFFECT_COUNT; i++) {
         struct rn_effect_record *record = &e->field->effects[i];
-        *record =
-            (struct rn_effect_record){.name = rn_effect_name((enum rn_effect)i), .decided = true};
+        if (!rows[i]->detect) continue;
+        *record = blank(i);
         rows[i]->detect(e, record);
     }
     for (int i = RN_EFFECT_COUNT - 1; i >= 0; i--)

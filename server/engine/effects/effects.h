@@ -7,6 +7,7 @@
 //
 //   hook                             reference               CPU             CUDA
 //   the march and rays of a step     rn_effect_row.march     -               -
+//   the space that is sampled        field/space.h           cpu/space.h     -
 //   the ray of a pixel               kernels/ray.h           cpu/rays.h      kernels/ray.h
 //   where a sample lies, how large   field/frustum.h         cpu/encode.h    cuda/encode.cuh
 //   the colour of a pixel, its       reference/reference.c   cpu/loss.h      cuda/shade.cuh
@@ -29,8 +30,14 @@ struct rn_evidence {
     struct rn_march_options march;       // of that step; before training none
 };
 
+// Cameras whose axes are within this many degrees of their mean face one way.
+#define RN_FORWARD_WIDEST 30.0
+
 // One effect. A hook that it does not have is NULL.
 struct rn_effect_row {
+    // Before there is a field: what kind of one is trained, and in which ball. Fills the record.
+    void (*prepare)(const struct rn_dataset *dataset, struct rn_train_config *config,
+                    struct rn_bounds *bounds, struct rn_effect_record *record);
     // Before anything is allocated: fills the record, whose name is there and which counts as
     // decided.
     void (*detect)(const struct rn_evidence *evidence, struct rn_effect_record *record);
@@ -49,8 +56,13 @@ struct rn_effect_row {
 RN_EFFECTS(RN_EFFECT_ROW)
 #undef RN_EFFECT_ROW
 
-// Measures all effects, then switches the configuration, the last effect first: later ones rest on
-// the earlier.
+// What is decided before there is a field: the ball to train in, the configuration's space, and the
+// records of the effects that say so; the others are empty.
+struct rn_bounds rn_effects_prepare(const struct rn_dataset *dataset,
+                                    struct rn_train_config *config,
+                                    struct rn_effect_record ret_records[RN_EFFECT_COUNT]);
+// Measures all other effects, then switches the configuration, the last effect first: later ones
+// rest on the earlier.
 void rn_effects_detect(const struct rn_evidence *evidence);
 bool rn_effects_are_due(const struct rn_evidence *evidence);
 void rn_effects_decide(const struct rn_evidence *evidence); // those that are due

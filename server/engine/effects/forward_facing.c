@@ -8,7 +8,6 @@
 
 #include "server/engine/effects/effects.h"
 
-#define WIDEST 30.0          // degrees between a camera's axis and the mean of all
 #define SIDEWAYS 0.3         // least part of a ray along the reference camera's axis
 #define BEFORE 0.85          // the box begins at this share of the nearest depth given, and
 #define BEHIND 4.0           // ends at this many times the farthest: what is given are percentiles
@@ -129,8 +128,9 @@ static const char *find_space(const struct rn_evidence *e, struct rn_disparity *
     struct rn_disparity space = {.on = true};
     reference_camera(p, &space);
     *ret_angle = widest_angle(p, &space);
-    if (!(*ret_angle <= WIDEST)) return "; these look around";
+    if (!(*ret_angle <= RN_FORWARD_WIDEST)) return "; these look around";
     if (e->field->effects[RN_EFFECT_BACKGROUND].on) return "; alpha cuts the scene out";
+    if (e->field->config.field.space != RN_SPACE_BALL) return "; its space is unbounded";
     if (!depths_given(p)) return "; the dataset gives no near and far depth";
     struct extent x = see(p, &space, false);
     space.near = BEFORE * x.nearest;
@@ -147,7 +147,7 @@ static void detect(const struct rn_evidence *e, struct rn_effect_record *r) {
     struct rn_disparity space;
     const char *why_not = find_space(e, &space, &r->number);
     bool asked = e->field->config.auto_effects;
-    r->threshold = WIDEST;
+    r->threshold = RN_FORWARD_WIDEST;
     r->on = asked && !why_not;
     snprintf(r->reason, sizeof r->reason,
              "the cameras' axes are within %.1f degrees of their mean%s", r->number,
@@ -164,12 +164,12 @@ static void settle(const struct rn_evidence *e) {
     if (find_space(e, &field->cpu.disparity, &angle)) return;
     config->step = STEP;
     config->cone_step = false;
+    config->distortion_loss = DISTORTION;
 }
 
-// Of rays in a disparity box; others have none.
 static void march(const struct rn_train_config *config, double done, struct rn_march_options *m) {
-    (void)config;
-    m->distortion = (float)(DISTORTION * (done < DISTORTION_GROWS ? done / DISTORTION_GROWS : 1));
+    if (config->field.space != RN_SPACE_BALL) return;
+    m->distortion_loss = (float)(config->distortion_loss * fmin(done / DISTORTION_GROWS, 1));
 }
 
 const struct rn_effect_row rn_effect_forward_facing = {

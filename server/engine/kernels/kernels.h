@@ -14,6 +14,7 @@
 #include "server/engine/field/mlp.h"
 #include "server/engine/field/solid.h"
 #include "server/engine/field/disparity.h"
+#include "server/engine/field/space.h"
 
 #define RN_PACKET_RAYS 128     // rays marched together
 #define RN_PACKET_SAMPLES 4096 // candidate samples evaluated together; bounds a ray's samples too
@@ -44,6 +45,7 @@ struct rn_occupancy_bits {
     uint32_t *words;   // (n/8)^3 * 16
     uint8_t *distance; // (n/8)^3 + 3: bricks to the nearest occupied one (Chebyshev), 0 = occupied
     float low[3], high[3]; // box around all occupied cells; low > high when none
+    enum rn_space space;   // that the cells divide
 };
 
 // A field as the kernels read it. Plain pointers, owned by struct rn_field (scene.h).
@@ -72,10 +74,14 @@ static inline size_t rn_mlp_packed_count(const struct rn_mlp_shape *shape) {
 // A cone to march. `origin` lies on the ray where it enters the scene's box, `near` from the
 // camera, so that far cameras lose no digits: position = origin + direction * s,
 // distance = near + s, s = (k + 1/2) step stride.
+//
+// In unbounded space `origin` is the point of the ray nearest to the centre, so that s may be
+// negative, and s = rn_distance_of_place(2 - length + (2k + 1) step).
 struct rn_march_ray {
     float origin[3], direction[3];
     float near;      // distance of `origin` from the camera
-    float length;    // of the ray's part inside box and ball, from origin; <= 0: misses
+    float length;    // of the ray's part inside box and ball, from origin; <= 0: misses.
+                     // Unbounded: of its part behind the camera's near end, in places (space.h)
     float radius;    // of the cone, per unit of distance
     int stride;      // steps of the march that one sample spans: 1, 2, 4 or 8
     float target[3]; // training: the pixel over the background
@@ -91,6 +97,7 @@ struct rn_view {
     double cx, cy, inverse_fx, inverse_fy;
     double radius;                 // of the cones, per unit of distance
     const struct rn_camera *lens;  // the camera where it has one, NULL where it is a pinhole
+    enum rn_space space;           // of the field
     struct rn_disparity disparity; // forward: origin and axes are in its reference camera's frame
 };
 
@@ -105,12 +112,12 @@ struct rn_march_options {
     float step;       // normalised
     float stop_depth; // -ln of the early-stop transmittance
     float background[3];
+    float distortion_loss;     // training: weight of the distortion loss; 0: there is none
     float background_variance; // training: a channel's, of random backgrounds with that mean
     bool split;                // training: RN_PIXEL_RAYS rays in turn are one pixel
     float roulette;            // times a packet's mean gradient, below which a sample's backward is
                                // by roulette; 0 = off
     uint64_t seed, counter;    // of the roulette
-    float distortion;          // training: weight of the distortion loss of a ray; 0 = off
     const float *look;         // NULL, or a direction for the colour network instead of the ray's
 };
 

@@ -117,16 +117,39 @@ RN_HD struct rn_march_ray rn_ray_cut_forward(const struct rn_disparity *space,
     return out;
 }
 
+// The same through unbounded space, where the ball around `centre` of `radius` is the inner one:
+// from RN_SPACE_NEAR before the camera to infinity.
+RN_HD struct rn_march_ray rn_ray_cut_unbounded(const double centre[3], double radius,
+                                               const struct rn_ray *ray, double step,
+                                               double jitter) {
+    struct rn_march_ray out = {{0, 0, 0}, {0, 0, 0}, 0, 0, 0, 1, {0, 0, 0}, 0, 1, 0};
+    double o[3], along = 0;
+    for (int i = 0; i < 3; i++) {
+        o[i] = (ray->origin[i] - centre[i]) / radius;
+        along += o[i] * ray->direction[i];
+    }
+    for (int i = 0; i < 3; i++) {
+        out.origin[i] = (float)(o[i] - along * ray->direction[i]);
+        out.direction[i] = (float)ray->direction[i];
+    }
+    out.radius = (float)ray->radius;
+    out.near = (float)-along;
+    out.length = (float)(2 - rn_place_of_distance(along + RN_SPACE_NEAR) - 2 * step * jitter);
+    return out;
+}
+
 // A camera as the kernels' `rays` wants it, within 2 ULP a number, in the frame where the ball
-// around `centre` of `radius` is the unit ball. A camera with a lens must outlive the view.
-static inline struct rn_view rn_view_init(const double centre[3], double radius,
-                                          const struct rn_camera *camera) {
+// around `centre` of `radius` is the unit ball, or in unbounded space the inner one. A camera with
+// a lens must outlive the view.
+static inline struct rn_view rn_view_init(enum rn_space space, const double centre[3],
+                                          double radius, const struct rn_camera *camera) {
     struct rn_view view = {.cx = camera->cx,
                            .cy = camera->cy,
                            .inverse_fx = 1 / camera->fx,
                            .inverse_fy = 1 / camera->fy,
                            .radius = rn_camera_cone(camera),
-                           .lens = camera->lens ? camera : NULL};
+                           .lens = camera->lens ? camera : NULL,
+                           .space = space};
     for (int i = 0; i < 3; i++) {
         view.origin[i] = (camera->world_from_camera[i][3] - centre[i]) / radius;
         for (int j = 0; j < 3; j++)
@@ -138,7 +161,7 @@ static inline struct rn_view rn_view_init(const double centre[3], double radius,
 // The same in a forward-facing space.
 static inline struct rn_view rn_view_forward(const struct rn_disparity *space,
                                              const struct rn_camera *camera) {
-    struct rn_view view = rn_view_init(space->origin, 1, camera), out = view;
+    struct rn_view view = rn_view_init(RN_SPACE_BALL, space->origin, 1, camera), out = view;
     rn_disparity_turn(space, view.origin, out.origin);
     for (int j = 0; j < 3; j++) {
         double axis[3] = {view.axes[0][j], view.axes[1][j], view.axes[2][j]}, turned[3];

@@ -45,14 +45,32 @@ static double along(const double axis[3], const double x[3]) {
     return axis[0] * x[0] + axis[1] * x[1] + axis[2] * x[2];
 }
 
-// The sample's mean position.
+static bool is_unbounded(const struct rn_cpu_field *f) {
+    return f->config->space == RN_SPACE_UNBOUNDED;
+}
+
+// The sample's mean position, in the planes' frame.
 static void place(const struct rn_cpu_field *f, const struct rn_march_ray *ray, double width,
                   double s, double ret[3]) {
-    double mid = (double)ray->near + s;
-    double shift = rn_frustum_moments(mid, width, (double)ray->radius).mean - mid;
-    if (f->disparity.on) shift = 0;
+    double mid = (double)ray->near + s, shift = 0, scale = 1;
+    if (!is_unbounded(f) && !f->disparity.on)
+        shift = rn_frustum_moments(mid, width, (double)ray->radius).mean - mid;
     for (int i = 0; i < 3; i++)
         ret[i] = (double)ray->origin[i] + (double)ray->direction[i] * (s + shift);
+    if (is_unbounded(f)) scale = rn_contraction_at(sqrt(along(ret, ret))).scale;
+    for (int i = 0; i < 3; i++)
+        ret[i] *= scale;
+}
+
+// What a sample's density counts for, and where it lies from the ray's origin.
+static double interval(const struct rn_cpu_field *f, const struct rn_march_ray *ray, double width,
+                       double k, double *ret_s) {
+    double x[3];
+    *ret_s = is_unbounded(f) ? rn_distance_of_place(2 - (double)ray->length + (2 * k + 1) * width)
+                             : (k + 0.5) * width;
+    if (is_unbounded(f) || f->disparity.on) return width;
+    place(f, ray, width, *ret_s, x);
+    return along(x, x) <= 1 ? width : 0;
 }
 
 // Levels in a forward-facing space, from how wide the cone is in the cube.
@@ -83,8 +101,10 @@ void rn_exact_features(const struct rn_cpu_field *f, const struct rn_march_ray *
     struct rn_reference_ray r = {.radius = (double)ray->radius, .width = width};
     double x[3], level = 0;
     place(f, ray, width, s, x);
-    for (int i = 0; i < 3; i++)
+    for (int i = 0; i < 3; i++) {
         r.direction[i] = (double)ray->direction[i];
+        r.origin[i] = (double)ray->origin[i] - r.direction[i] * (double)ray->near;
+    }
     for (int p = 0; p < f->config->planes; p++) {
         double l[2] = {0, 0};
         double uv[2] = {along(f->solid.axis_u[p], x), along(f->solid.axis_v[p], x)};
@@ -192,13 +212,12 @@ void rn_exact_render(struct rn_exact *exact, const struct rn_march_options *opti
     double rgb[3] = {0}, level;
     *ret_pixel = (struct rn_exact_pixel){.level = 0};
     for (int j = 0; j < n; j++) {
-        double s = (k[j] + 0.5) * width, x[3], colour[3];
-        place(f, ray, width, s, x);
-        if (!f->disparity.on && !(x[0] * x[0] + x[1] * x[1] + x[2] * x[2] <= 1)) continue;
+        double s, colour[3], share = interval(f, ray, width, k[j], &s);
+        if (!(share > 0)) continue;
         rn_exact_features(f, ray, width, s, exact->activation[0], &level);
         rn_mlp_forward(&f->base_shape, exact->base, exact->activation);
         const double *out = exact->activation[f->base_shape.layers];
-        double thickness = rn_density(out[0]) * width * RN_DENSITY_UNIT;
+        double thickness = rn_density(out[0]) * share * RN_DENSITY_UNIT;
         if (j == n - 1 && rn_ends_opaque(f)) thickness = INFINITY;
         double weight = exp(-depth) * rn_alpha(thickness);
         depth += thickness;

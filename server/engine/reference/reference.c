@@ -8,6 +8,7 @@
 #include "server/engine/field/frustum.h"
 #include "server/engine/field/ripmap.h"
 #include "server/engine/field/sh.h"
+#include "server/engine/field/space.h"
 #include "server/engine/field/volume.h"
 
 enum rn_status rn_reference_create(const struct rn_field_config *config, uint64_t seed,
@@ -201,19 +202,77 @@ void rn_reference_pull_down(struct rn_reference *ref) {
     memset(ref->map_grad, 0, ref->map_count * sizeof(double));
 }
 
+// A sample as the planes see it: the Gaussian, and how its space is drawn there.
+struct placed {
+    double x[3]; // its mean, in the planes' frame
+    struct rn_moments moments;
+    bool contracted;
+    double towards[3]; // from the centre to it
+    struct rn_contraction lengths;
+    double interval; // of optical depth, before RN_DENSITY_UNIT
+    double reach;    // along the ray, in the planes' frame
+};
+
+static double dot3(const double a[3], const double b[3]) {
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+}
+
+// In unbounded space a sample lies in the middle of its step, and its Gaussian is that of a uniform
+// cylinder as long as the step is there.
+static void place_unbounded(const struct rn_reference_ray *ray, double mid, struct placed *p) {
+    double s = mid + dot3(ray->origin, ray->direction), stretch = rn_stretch_at(s);
+    double width = 2 * ray->width * stretch, across = ray->radius * mid;
+    for (int i = 0; i < 3; i++)
+        p->x[i] = ray->origin[i] + ray->direction[i] * mid;
+    double r = sqrt(dot3(p->x, p->x));
+    p->lengths = rn_contraction_at(r);
+    for (int i = 0; i < 3; i++) {
+        p->towards[i] = r > 0 ? p->x[i] / r : 0;
+        p->x[i] *= p->lengths.scale;
+    }
+    p->moments = (struct rn_moments){mid, width * width / 12, across * across / 4};
+    p->interval = ray->width;
+    p->reach = 0.5 * rn_place_of_distance(s);
+    p->contracted = true;
+}
+
+static struct placed place(const struct rn_reference *ref, const struct rn_reference_ray *ray,
+                           double mid) {
+    struct placed p = {.contracted = false};
+    if (ref->config.space == RN_SPACE_UNBOUNDED) {
+        place_unbounded(ray, mid, &p);
+        return p;
+    }
+    p.moments = rn_frustum_moments(mid, ray->width, ray->radius);
+    for (int i = 0; i < 3; i++)
+        p.x[i] = ray->origin[i] + ray->direction[i] * p.moments.mean;
+    p.interval = dot3(p.x, p.x) <= 1 ? ray->width : 0;
+    p.reach = mid;
+    return p;
+}
+
+// Variance along a plane's axis: of a contracted Gaussian along the Jacobian times the axis.
+static double variance_along(const struct placed *p, const double axis[3], const double d[3]) {
+    double y[3];
+    if (!p->contracted) return rn_projected_variance(axis, d, p->moments.axial, p->moments.radial);
+    rn_contracted_axis(&p->lengths, p->towards, axis, y);
+    return rn_projected_variance(y, d, p->moments.axial, p->moments.radial);
+}
+
 void rn_reference_levels(const struct rn_reference *ref, const struct rn_reference_ray *ray,
                          int plane, double mid, double *ret_lx, double *ret_ly) {
     const struct rn_field_config *config = &ref->config;
+    int base = rn_footprint_base(config);
     *ret_lx = *ret_ly = 0;
+    struct placed p = place(ref, ray, mid);
+    double drawn = p.contracted ? cbrt(p.lengths.across * p.lengths.across * p.lengths.along) : 1;
     if (config->footprint == RN_FOOTPRINT_MIP)
-        *ret_lx = *ret_ly =
-            rn_level_from_ball(mid * ray->radius, rn_footprint_base(config), config->levels);
+        *ret_lx = *ret_ly = rn_level_from_ball(mid * ray->radius * drawn, base, config->levels);
     if (config->footprint != RN_FOOTPRINT_RIP) return;
-    struct rn_moments m = rn_frustum_moments(mid, ray->width, ray->radius);
-    double vu = rn_projected_variance(ref->solid.axis_u[plane], ray->direction, m.axial, m.radial);
-    double vv = rn_projected_variance(ref->solid.axis_v[plane], ray->direction, m.axial, m.radial);
-    *ret_lx = rn_level_from_variance(vu, rn_footprint_base(config), config->levels);
-    *ret_ly = rn_level_from_variance(vv, rn_footprint_base(config), config->levels);
+    double vu = variance_along(&p, ref->solid.axis_u[plane], ray->direction);
+    double vv = variance_along(&p, ref->solid.axis_v[plane], ray->direction);
+    *ret_lx = rn_level_from_variance(vu, base, config->levels);
+    *ret_ly = rn_level_from_variance(vv, base, config->levels);
 }
 
 // Visits the up to 16 texels of a query: calls for each with its offset and weight.
@@ -275,13 +334,9 @@ struct footing {
 };
 static struct footing sample_footing(const struct rn_reference *ref,
                                      const struct rn_reference_ray *ray, int plane, double mid) {
-    struct rn_moments m = rn_frustum_moments(mid, ray->width, ray->radius);
-    struct footing f = {0, 0, 0, 0};
-    for (int i = 0; i < 3; i++) {
-        double p = ray->origin[i] + ray->direction[i] * m.mean;
-        f.u += ref->solid.axis_u[plane][i] * p;
-        f.v += ref->solid.axis_v[plane][i] * p;
-    }
+    struct placed p = place(ref, ray, mid);
+    struct footing f = {dot3(ref->solid.axis_u[plane], p.x), dot3(ref->solid.axis_v[plane], p.x), 0,
+                        0};
     rn_reference_levels(ref, ray, plane, mid, &f.lx, &f.ly);
     return f;
 }
@@ -294,16 +349,6 @@ void rn_reference_encode(const struct rn_reference *ref, const struct rn_referen
     }
 }
 
-static bool inside(const struct rn_reference_ray *ray, double mid) {
-    struct rn_moments m = rn_frustum_moments(mid, ray->width, ray->radius);
-    double r2 = 0;
-    for (int i = 0; i < 3; i++) {
-        double p = ray->origin[i] + ray->direction[i] * m.mean;
-        r2 += p * p;
-    }
-    return r2 <= 1;
-}
-
 // Everything one ray's forward leaves for its backward.
 struct tape {
     double *storage;
@@ -311,15 +356,15 @@ struct tape {
     double **head;                        // the same; one set only with ray shading
     double **base_grad, **head_grad;      // one set each
     double *x, *weights, *after, *colour; // per sample; colour [3]
-    bool *inside;
-    double sums[RN_GEOMETRY]; // ray shading: [_, D(3), F(12)]
+    double *interval, *reach;             // per sample: in density units; struct placed
+    double sums[RN_GEOMETRY];             // ray shading: [_, D(3), F(12)]
     double opacity, depth, rgb[3];
 };
 
 static void tape_finish(struct tape *tape) {
     free(tape->storage);
     free(tape->base);
-    free(tape->inside);
+    free(tape->interval);
 }
 
 static enum rn_status tape_init(const struct rn_reference *ref, int n, struct tape *tape) {
@@ -331,8 +376,9 @@ static enum rn_status tape_init(const struct rn_reference *ref, int n, struct ta
     size_t widest = bs->widest > hs->widest ? bs->widest : hs->widest;
     tape->storage = calloc(rows * widest + 6 * (size_t)n + 1, sizeof(double));
     tape->base = calloc(rows, sizeof(double *));
-    tape->inside = calloc((size_t)n + 1, sizeof(bool));
-    if (!tape->storage || !tape->base || !tape->inside) {
+    tape->interval = calloc(2 * (size_t)n + 1, sizeof(double));
+    tape->reach = tape->interval + n;
+    if (!tape->storage || !tape->base || !tape->interval) {
         tape_finish(tape);
         return RN_ERROR_NO_MEMORY;
     }
@@ -406,11 +452,12 @@ static void forward(const struct rn_reference *ref, const struct rn_reference_ra
     int layers = ref->base_shape.layers;
     for (int s = 0; s < ray->count; s++) {
         double **base = tape->base + s * (layers + 1);
-        tape->inside[s] = inside(ray, ray->mid[s]);
+        struct placed p = place(ref, ray, ray->mid[s]);
+        tape->interval[s] = p.interval * RN_DENSITY_UNIT;
+        tape->reach[s] = p.reach;
         rn_reference_encode(ref, ray, ray->mid[s], base[0]);
         network_forward(ref, &ref->base_shape, ref->base, base);
-        tape->x[s] =
-            tape->inside[s] ? rn_density(base[layers][0]) * ray->width * RN_DENSITY_UNIT : 0;
+        tape->x[s] = rn_density(base[layers][0]) * tape->interval[s];
     }
     double depth = rn_composite(ray->count, tape->x, tape->weights, tape->after);
     tape->opacity = -expm1(-depth);
@@ -497,8 +544,27 @@ static double backward_ray_shade(const struct rn_reference *ref, const struct rn
 }
 
 // `excess_grad`: dL/d(opacity) but for what comes through the colour.
+// The distortion loss over all pairs (Barron et al. 2022, equation 15), times `factor`; its
+// dL/dw is added to g.
+static double distort(const struct rn_reference_ray *ray, const struct tape *tape, double factor,
+                      double *g) {
+    double loss = 0;
+    for (int i = 0; i < ray->count; i++) {
+        double slope = 2.0 / 3 * tape->weights[i] * ray->width;
+        loss += tape->weights[i] * tape->weights[i] * ray->width / 3;
+        for (int j = 0; j < ray->count; j++) {
+            double apart = fabs(tape->reach[i] - tape->reach[j]);
+            loss += tape->weights[i] * tape->weights[j] * apart;
+            slope += 2 * tape->weights[j] * apart;
+        }
+        g[i] += factor * slope;
+    }
+    return factor * loss;
+}
+
 static enum rn_status backward(struct rn_reference *ref, const struct rn_reference_ray *ray,
-                               struct tape *tape, const double rgb_grad[3], double excess_grad) {
+                               struct tape *tape, const double rgb_grad[3], double excess_grad,
+                               double distortion, double *ret_distortion) {
     int layers = ref->base_shape.layers, n = ray->count;
     double *g = calloc((size_t)n * (1 + RN_GEOMETRY) + 1, sizeof *g);
     if (!g) return RN_ERROR_NO_MEMORY;
@@ -512,14 +578,13 @@ static enum rn_status backward(struct rn_reference *ref, const struct rn_referen
                    : backward_sample_shade(ref, ray, tape, s, rgb_grad, out);
         g[s] += excess_grad;
     }
+    *ret_distortion = distort(ray, tape, distortion, g);
     rn_composite_backward(n, tape->weights, tape->after, g, g);
     for (int s = 0; s < n; s++) {
         double **base = tape->base + s * (layers + 1);
         double *out = tape->base_grad[layers];
         memcpy(out, geometry + (size_t)s * RN_GEOMETRY, RN_GEOMETRY * sizeof(double));
-        out[0] = tape->inside[s]
-                     ? g[s] * ray->width * RN_DENSITY_UNIT * rn_density_slope(base[layers][0])
-                     : 0;
+        out[0] = g[s] * tape->interval[s] * rn_density_slope(base[layers][0]);
         rn_mlp_backward(&ref->base_shape, ref->base, base, tape->base_grad, ref->base_grad);
         for (int k = 0; k < ref->config.planes; k++) {
             struct footing f = sample_footing(ref, ray, k, ray->mid[s]);
@@ -556,9 +621,13 @@ static enum rn_status pixel_loss(struct rn_reference *ref, const struct rn_refer
         *loss += rays->weight * smooth_l1(rgb[c] - rays->target[c], &slope);
         grad[c] = rays->weight * slope / total_weight / n;
     }
-    for (int r = 0; r < n && status == RN_OK; r++)
+    for (int r = 0; r < n && status == RN_OK; r++) {
+        double distortion = ref->distortion_loss * rays->weight / total_weight / n, own = 0;
         if (rays[r].count > 0)
-            status = backward(ref, &rays[r], &tapes[r], grad, spread * excess / total_weight / n);
+            status = backward(ref, &rays[r], &tapes[r], grad, spread * excess / total_weight / n,
+                              distortion, &own);
+        *loss += own * total_weight;
+    }
     return status;
 }
 

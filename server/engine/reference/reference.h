@@ -19,16 +19,18 @@ struct rn_reference {
     double *maps, *map_grad;                    // pyramids: [plane][ly][lx][v][u][channel]
     bool half; // round to fp16 what a half-precision engine stores in it: maps, networks' inputs
                // and hidden activations; a sign near 0 is then the same in both. false at creation
-    int pixel_rays; // rays in turn that are one pixel, whose colour is their mean; 1 at creation
+    double distortion_loss; // weight of the distortion loss, 0 at creation
+    int pixel_rays;    // rays in turn that are one pixel, whose colour is their mean; 1 at creation
 };
 
-// One ray in the normalised frame (the scene's ball is the unit ball) with its samples.
+// One ray in the normalised frame (the scene's ball, in unbounded space the inner one, is the unit
+// ball) with its samples.
 struct rn_reference_ray {
     double origin[3], direction[3]; // direction unit
     double radius;                  // cone radius per unit distance
     int count;
     const double *mid; // `count` distances of the samples' middles, normalised
-    double width;      // of every sample, normalised
+    double width;      // of every sample, normalised; in unbounded space half of that in places
     double target[3], background[3];
     double alpha;               // the pixel's own
     double background_variance; // a channel's, of random backgrounds with the mean `background`; 0:
@@ -77,9 +79,10 @@ enum rn_status rn_reference_render(const struct rn_reference *reference,
 
 // Sum over pixels of weight * sum over channels of [smooth-L1(rgb - target) + background variance *
 // (opacity - alpha)^2 / 2], divided by the sum of weights (pixels without samples drop out of
-// both): where no error is beyond 1, its mean over random backgrounds. What a pixel is compared
-// with is in its first ray; `count` is a multiple of pixel_rays. Gradients are added to *_grad, the
-// pyramid's pulled down. RN_ERROR_NO_MEMORY.
+// both): where no error is beyond 1, its mean over random backgrounds. The distortion loss of every
+// ray is added times its share of the pixel's weight. What a pixel is compared with is in its first
+// ray; `count` is a multiple of pixel_rays. Gradients are added to *_grad, the pyramid's pulled
+// down. RN_ERROR_NO_MEMORY.
 enum rn_status rn_reference_loss(struct rn_reference *reference,
                                  const struct rn_reference_ray *rays, size_t count,
                                  double *ret_loss) RN_MUST_CHECK;

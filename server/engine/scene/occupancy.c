@@ -9,9 +9,11 @@
 
 // ---- bits -----------------------------------------------------------------------------------
 
-enum rn_status rn_occupancy_bits_create(int cells, struct rn_occupancy_bits *ret) {
+enum rn_status rn_occupancy_bits_create(int cells, enum rn_space space,
+                                        struct rn_occupancy_bits *ret) {
     size_t side = (size_t)cells / RN_BRICK, bricks = side * side * side;
     *ret = (struct rn_occupancy_bits){.cells = cells,
+                                      .space = space,
                                       .words = rn_block_create(bricks * 16 * sizeof(uint32_t)),
                                       .distance = rn_block_create(bricks + 3)};
     if (ret->words && ret->distance) return RN_OK;
@@ -110,8 +112,10 @@ static double occupancy_threshold(const struct rn_field *field) {
         sum += (double)(((part[0] + part[4]) + (part[1] + part[5])) +
                         ((part[2] + part[6]) + (part[3] + part[7])));
     }
-    double mean = sum / (double)n;
-    return mean < RN_OCCUPANCY_LIMIT ? mean : RN_OCCUPANCY_LIMIT;
+    double mean = sum / (double)n, limit = field->config.occupancy_limit > 0
+                                               ? field->config.occupancy_limit
+                                               : RN_OCCUPANCY_LIMIT;
+    return mean < limit ? mean : limit;
 }
 
 // Of the 8 cells from (x, y, z) on, those over the threshold.
@@ -236,7 +240,7 @@ void rn_field_refine_occupancy(struct rn_field *field, struct rn_engine *engine)
     field->fine_levels = (int)ceilf(level) + 1;
     if (s.cell && s.found &&
         rn_field_make_ready(field, engine, field->fine_levels, &unused) == RN_OK &&
-        rn_occupancy_bits_create(cells, &field->fine) == RN_OK) {
+        rn_occupancy_bits_create(cells, field->config.field.space, &field->fine) == RN_OK) {
         struct building b = begin(&field->fine);
         list_cells(&field->coarse, s.cell);
         for (s.turn = 0; s.turn < POINTS; s.turn++) {

@@ -5,8 +5,8 @@
 
 #include "server/engine/scene/scene.h"
 
-// Makes room for the bits of `cells` a side. RN_ERROR_NO_MEMORY.
-enum rn_status rn_occupancy_bits_create(int cells,
+// Makes room for the bits of `cells` a side that divide a space. RN_ERROR_NO_MEMORY.
+enum rn_status rn_occupancy_bits_create(int cells, enum rn_space space,
                                         struct rn_occupancy_bits *ret_bits) RN_MUST_CHECK;
 void rn_occupancy_bits_destroy(struct rn_occupancy_bits *bits);
 

@@ -136,7 +136,8 @@ static enum rn_status allocate(struct rn_field *field) {
     field->occupancy = rn_block_create(n * sizeof(float));
     field->hull = rn_block_create(n);
     bool all = field->parameters.values && field->packed && field->occupancy && field->hull;
-    return all ? rn_occupancy_bits_create((int)cells, &field->coarse) : RN_ERROR_NO_MEMORY;
+    return all ? rn_occupancy_bits_create((int)cells, field->config.field.space, &field->coarse)
+               : RN_ERROR_NO_MEMORY;
 }
 
 // Every cell that meets the box of a forward-facing space may hold matter.
@@ -343,6 +344,8 @@ struct rn_march_ray rn_march_ray_from(const struct rn_field *field, const struct
         rn_disparity_turn(space, ray->direction, seen.direction);
         return rn_ray_cut_forward(space, &seen, step, jitter);
     }
+    if (field->config.field.space == RN_SPACE_UNBOUNDED)
+        return rn_ray_cut_unbounded(field->bounds.centre, field->bounds.radius, ray, step, jitter);
     return rn_ray_cut(field->bounds.centre, field->bounds.radius, field->config.cone_step, ray,
                       step, jitter);
 }
@@ -350,7 +353,8 @@ struct rn_march_ray rn_march_ray_from(const struct rn_field *field, const struct
 struct rn_view rn_field_view(const struct rn_field *field, const struct rn_camera *camera) {
     const struct rn_disparity *space = &field->cpu.disparity;
     if (space->on) return rn_view_forward(space, camera);
-    return rn_view_init(field->bounds.centre, field->bounds.radius, camera);
+    return rn_view_init(field->config.field.space, field->bounds.centre, field->bounds.radius,
+                        camera);
 }
 
 double rn_cone_at_centre(const struct rn_bounds *bounds, const struct rn_camera *camera) {
@@ -393,8 +397,12 @@ double rn_top_level(const struct rn_field *field, const struct rn_camera *camera
             (camera->world_from_camera[i][3] - field->bounds.centre[i]) / field->bounds.radius;
         far += d * d;
     }
-    far =
-        (sqrt(far) + 1) * rn_camera_widest_cone(camera); // cone radius at the far side of the ball
+    double cone = rn_camera_widest_cone(camera);
+    far = (sqrt(far) + 1) * cone; // cone radius at the far side of the ball
+    if (c->space == RN_SPACE_UNBOUNDED) {
+        far = (far + cone) * 0.5; // as it is drawn to at most (cpu/encode.h)
+        step *= 2 * 1.5;
+    }
     double level = rn_level_from_ball(far, rn_footprint_base(c), c->levels);
     if (c->footprint == RN_FOOTPRINT_RIP) {
         double variance = fmax(step * step / 12, far * far * 0.26 + step * step * 0.05);

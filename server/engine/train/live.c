@@ -92,6 +92,7 @@ struct marks {
     const struct clumps *clumps;
     uint8_t *all;
     size_t *first; // of a frame's
+    bool all_live; // in unbounded space every pixel sees something
 };
 
 static void mark_frame(void *context, int index, int thread) {
@@ -99,7 +100,8 @@ static void mark_frame(void *context, int index, int thread) {
     const struct marks *m = context;
     const struct rn_camera *camera = &m->pixels->frames[index].camera;
     int columns, rows;
-    blocks_of(camera, &columns, &rows);
+    size_t blocks = blocks_of(camera, &columns, &rows);
+    if (m->all_live) memset(m->all + m->first[index], 1, blocks);
     struct rn_ball_viewer viewer = rn_ball_viewer_init(camera);
     for (int i = 0; i < m->clumps->count; i++)
         mark_clump(&viewer, m->clumps->centre[i], m->clumps->radius, columns, rows,
@@ -152,6 +154,7 @@ static void list_frames(struct rn_trainer *t, const struct marks *marks) {
 enum rn_status rn_trainer_list_live(struct rn_trainer *t, struct rn_error *err) {
     struct clumps clumps = {0};
     struct marks marks = {.pixels = &t->train, .clumps = &clumps};
+    marks.all_live = t->field->config.field.space == RN_SPACE_UNBOUNDED;
     size_t total = 0;
     int columns, rows;
     marks.first = malloc(((size_t)t->train.frame_count + 1) * sizeof *marks.first);
@@ -164,7 +167,8 @@ enum rn_status rn_trainer_list_live(struct rn_trainer *t, struct rn_error *err) 
     t->sampler.live = rn_block_create((total + 1) * sizeof *t->sampler.live);
     t->sampler.live_count = 0;
     enum rn_status status = RN_ERROR_NO_MEMORY;
-    if (t->sampler.live && marks.all && marks.first) status = list_clumps(t, &clumps);
+    if (t->sampler.live && marks.all && marks.first)
+        status = marks.all_live ? RN_OK : list_clumps(t, &clumps);
     if (status == RN_OK) {
         rn_pool_run(t->engine->pool, t->train.frame_count, mark_frame, &marks);
         list_frames(t, &marks);

@@ -163,6 +163,65 @@ void rn_trainer_carve(struct rn_trainer *t) {
         if (!t->field->hull[i]) t->field->occupancy[i] = 0;
 }
 
+// ---- what no camera sees --------------------------------------------------------------------
+
+// Whether a point (dataset units) projects into the photograph.
+static bool is_in_sight(const struct rn_camera *c, const double point[3]) {
+    double p[3], at[2];
+    rn_camera_axes(c, point, p);
+    if (!rn_camera_project(c, p, at)) return false;
+    return at[0] >= 0 && at[1] >= 0 && at[0] < c->width && at[1] < c->height;
+}
+
+// The point (dataset units) that is drawn to `at` (cells).
+static void uncontracted_point(const struct rn_trainer *t, const double at[3], double ret[3]) {
+    double y[3], size = 0, cells = t->field->config.field.occupancy;
+    for (int i = 0; i < 3; i++) {
+        y[i] = 2 * at[i] / cells - 1;
+        size += y[i] * y[i];
+    }
+    size = sqrt(size);
+    double r = rn_uncontracted(fmin(size, 1 - 1e-6));
+    for (int i = 0; i < 3; i++)
+        ret[i] =
+            t->field->bounds.centre[i] + t->field->bounds.radius * (size > 0 ? y[i] / size * r : 0);
+}
+
+// Whether some photograph shows the cell's middle or a corner; `*last` is the one that showed the
+// cell before, and likely this one.
+static bool is_cell_seen(const struct rn_trainer *t, int x, int y, int z, int *last) {
+    for (int i = 0; i < 9; i++) {
+        double at[3] = {x + 0.5, y + 0.5, z + 0.5}, point[3];
+        for (int k = 0; k < 3 && i > 0; k++)
+            at[k] += (i - 1) >> k & 1 ? 0.5 : -0.5;
+        uncontracted_point(t, at, point);
+        for (int f = 0; f < t->train.frame_count; f++) {
+            int frame = (*last + f) % t->train.frame_count;
+            if (!is_in_sight(&t->train.frames[frame].camera, point)) continue;
+            *last = frame;
+            return true;
+        }
+    }
+    return false;
+}
+
+static void carve_unseen_layer(void *context, int x, int thread) {
+    (void)thread;
+    const struct rn_trainer *t = context;
+    int cells = t->field->config.field.occupancy, last = 0;
+    for (int y = 0; y < cells; y++)
+        for (int z = 0; z < cells; z++) {
+            size_t cell = rn_cell_index(x, y, z, cells);
+            if (!t->field->hull[cell] || is_cell_seen(t, x, y, z, &last)) continue;
+            t->field->hull[cell] = 0;
+            t->field->occupancy[cell] = 0;
+        }
+}
+
+void rn_trainer_carve_unseen(struct rn_trainer *t) {
+    rn_pool_run(t->engine->pool, t->field->config.field.occupancy, carve_unseen_layer, t);
+}
+
 // ---- measuring ------------------------------------------------------------------------------
 
 struct measurement {

@@ -162,15 +162,15 @@ static enum rn_status check_memory(const struct rn_trainer *t, size_t limit, siz
 }
 
 static enum rn_status start(struct rn_engine *engine, const struct rn_dataset *dataset,
-                            const struct rn_train_config *config, struct rn_trainer **ret_trainer,
-                            struct rn_error *err) {
+                            const struct rn_train_config *config, const struct rn_bounds *bounds,
+                            struct rn_trainer **ret_trainer, struct rn_error *err) {
     struct rn_trainer *t = calloc(1, sizeof *t);
     if (!t) return rn_error_set(err, RN_ERROR_NO_MEMORY, "trainer", "out of memory");
     t->engine = engine;
     t->dataset = dataset;
     t->next_rays = config->initial_rays;
     t->progress.psnr = t->progress.eta_seconds = t->progress.fraction = NAN;
-    enum rn_status status = rn_field_create(config, &dataset->bounds, &t->field, err);
+    enum rn_status status = rn_field_create(config, bounds, &t->field, err);
     if (status != RN_OK) {
         rn_trainer_destroy(&t);
         return status;
@@ -195,19 +195,25 @@ enum rn_status rn_trainer_create(struct rn_engine *engine, const struct rn_datas
     struct rn_train_config own = *config;
     size_t left;
     if (engine->backend) rn_device_adapt(&own);
+    struct rn_effect_record prepared[RN_EFFECT_COUNT];
+    struct rn_bounds bounds = rn_effects_prepare(dataset, &own, prepared);
     enum rn_status status = rn_train_config_check(&own, err);
-    if (status == RN_OK) status = start(engine, dataset, &own, &t, err);
+    if (status == RN_OK) status = start(engine, dataset, &own, &bounds, &t, err);
     if (status == RN_OK) status = check_memory(t, memory_limit_bytes, &left, err);
     if (status == RN_OK) status = load_pixels(t, left, err);
     if (status != RN_OK) goto fail;
     double begin = (double)rn_clock_ns();
+    memcpy(t->field->effects, prepared, sizeof prepared);
     rn_trainer_detect_effects(t);
     status = take_space(t);
     if (status != RN_OK) goto fail;
     rn_field_randomise(t->field, own.seed);
     status = rn_trainer_set_up(t, err);
     if (status != RN_OK) goto fail;
-    if (t->field->config.carve) rn_trainer_carve(t);
+    if (own.field.space == RN_SPACE_UNBOUNDED)
+        rn_trainer_carve_unseen(t);
+    else if (t->field->config.carve)
+        rn_trainer_carve(t);
     status = rn_trainer_list_hull(t, err);
     if (status == RN_OK) status = rn_trainer_list_live(t, err);
     if (status == RN_OK) status = rn_trainer_keep_good(t, err);
@@ -274,7 +280,7 @@ enum rn_status rn_trainer_restore(struct rn_engine *engine, const struct rn_data
         goto fail;
     }
     engine->kernels = kernels;
-    status = start(engine, dataset, &checkpoint.config, &t, err);
+    status = start(engine, dataset, &checkpoint.config, &checkpoint.bounds, &t, err);
     if (status == RN_OK) t->field->cpu.disparity = checkpoint.disparity;
     if (status == RN_OK) status = check_memory(t, memory_limit_bytes, &left, err);
     if (status == RN_OK) status = load_pixels(t, left, err);

@@ -97,6 +97,7 @@ enum rn_status rn_trainer_time_device(struct rn_trainer *trainer,
 // occupancy.c
 enum rn_status rn_trainer_list_hull(struct rn_trainer *trainer, struct rn_error *err) RN_MUST_CHECK;
 void rn_trainer_carve(struct rn_trainer *trainer);
+void rn_trainer_carve_unseen(struct rn_trainer *trainer);     // cells of unbounded space
 bool rn_trainer_update_occupancy(struct rn_trainer *trainer); // false: cut short, call again
 // live.c
 enum rn_status rn_trainer_list_live(struct rn_trainer *trainer, struct rn_error *err) RN_MUST_CHECK;

@@ -132,7 +132,8 @@ START_TEST(every_allocation_fails) {
                           rn_status_name(status), err.where, err.text);
         if (!injected) ck_assert_int_eq(status, RN_OK);
     } while (injected && chosen < 100000);
-    ck_assert_int_gt(chosen, _i == 2 ? 2 : 15);
+    static const int least[] = {11, 15, 2}; // allocations that each makes, so that some did fail
+    ck_assert_int_gt(chosen, least[_i]);
 }
 END_TEST
 

@@ -135,6 +135,7 @@ END_TEST
 int main(void) {
     Suite *suite = suite_create("draw");
     TCase *tests = tcase_create("pixels");
+    tcase_set_timeout(tests, 60);
     tcase_add_test(tests, rounds_lie_evenly_over_the_blocks);
     tcase_add_test(tests, rounds_take_other_pixels);
     tcase_add_test(tests, scales_take_turns);

@@ -22,7 +22,8 @@ const EFFECTS = {
   'split-pixels': 'Split pixels',
   cones: 'Cones a pixel',
   distortion: 'Distortion',
-  'forward-facing': 'Forward-facing'
+  'forward-facing': 'Forward-facing',
+  unbounded: 'Unbounded space'
 };
 
 /** An effect's number in the unit that its reason is told in. */
@@ -36,7 +37,8 @@ const UNITS = {
   'split-pixels': octaves,
   cones: octaves,
   distortion: (x) => `${short(x)} px`,
-  'forward-facing': (x) => `${short(x)}°`
+  'forward-facing': (x) => `${short(x)}°`,
+  unbounded: (x) => `${short(100 * x)} %`
 };
 
 export function effectsPanel(scene) {
