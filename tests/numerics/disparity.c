@@ -11,7 +11,7 @@
 // A box around what a camera of up to 45 degrees to a side sees, the reference camera at the
 // dataset's origin.
 static struct rn_disparity draw_box(struct numerics_random *random) {
-    struct rn_disparity box = {.on = true, .axes = {{1, 0, 0}, {0, 1, 0}, {0, 0, 1}}};
+    struct rn_disparity box = {.on = true, .unit = 1, .axes = {{1, 0, 0}, {0, 1, 0}, {0, 0, 1}}};
     box.near = numerics_spread(random, 1e-6, 1e6);
     box.far = box.near * numerics_spread(random, 1.1, 1e6);
     double reach = numerics_uniform(random, 0.2, 1), disparity = 1 / box.near - 1 / box.far;
@@ -84,7 +84,8 @@ static struct rn_ray draw_ray(struct numerics_random *random, const struct rn_di
     struct rn_ray ray = {.radius = 1e-3};
     double norm = 0;
     for (int i = 0; i < 3; i++) {
-        ray.origin[i] = box->near * numerics_uniform(random, -0.8, 0.8);
+        // Some cameras stand within the box.
+        ray.origin[i] = box->near * numerics_uniform(random, -0.8, i < 2 ? 0.8 : 2);
         ray.direction[i] = i < 2 ? numerics_uniform(random, -0.8, 0.8) : 1;
         norm += ray.direction[i] * ray.direction[i];
     }
@@ -168,7 +169,8 @@ static int check_cut(struct numerics_random *random, const struct subject *s) {
             numerics_see(&cases[2], apart / 0x1p-20, "ray %d, %d eighths", n, i);
             numerics_see(&cases[3], !(t > last), "ray %d, %d eighths", n, i);
             last = t;
-            bool end = i == 0 || i == 8;
+            bool within = ray.origin[2] > box.near; // it may start at the camera
+            bool end = (i == 0 && !within) || i == 8;
             numerics_see(&cases[1], (end ? fabs(outside(&box, q)) : outside(&box, q)) / 0x1p-20,
                          "ray %d, %d eighths", n, i);
         }

@@ -207,7 +207,7 @@ mutate kernels $cpu/update.h "vector AdamW: squares that overflow" \
 mutate kernels $cpu/update.h "vector AdamW: decay as 1 - rate * decay" \
     's/change = p \* fade + rate/change = rate/;s/p = p - change;/p = p * (1 - fade) - change;/'
 mutate rays server/engine/kernels/ray.h "rays: distance from the centre by |o|^2 - (o.d)^2" \
-    's/across += foot \* foot;/across += (foot, o[i] * o[i]);/;s/^    out.radius = (float)ray->radius;/    across -= along * along; &/'
+    's/across += foot \* foot;/across += (foot, o[i] * o[i]);/;0,/^    out.radius = (float)ray->radius;/s//    across -= along * along; out.radius = (float)ray->radius;/'
 mutate rays server/engine/kernels/ray.h "rays: start left where the camera is" \
     's/double near = enter + jitter/double near = jitter/'
 mutate rays $cpu/rays.h "vector rays: distance from the centre by |o|^2 - (o.d)^2" \
@@ -264,6 +264,16 @@ mutate ripmap $cpu/fetch.h "vector query: weights that do not sum to 1" \
     's/vf_store(ret->weight\[3\], below \* right);/vf_store(ret->weight[3], weight * right * right);/'
 mutate rays server/engine/kernels/ray.h "rays: slabs divided by a zero component" \
     's/double direction = fabs(d\[i\]) < 1e-300.*/double direction = d[i];/;s/enter = first > enter ? first : enter;/enter = enter > first ? enter : first;/'
+mutate disparity $field/disparity.h "disparity: the Jacobian's depth column left out" \
+    's/ret\[i\]\[2\] = -space->scale\[i\] \* p\[i\] \* inverse \* inverse;/ret[i][2] = 0;/'
+mutate disparity server/engine/kernels/ray.h "disparity: rays go on behind their camera" \
+    's/if (o\[2\] > 0 && 1 \/ o\[2\] < high) high = 1 \/ o\[2\];/;/'
+mutate disparity $cpu/forward.h "disparity: vectors cut to the cube, not the box" \
+    's/space->half\[i\]/1.0/g'
+mutate disparity $cpu/crisp.h "distortion: a sample's own length left out" \
+    's/ + weight \* width \* (2.0 \/ 3)//'
+mutate disparity $cpu/crisp.h "distortion: pairs counted once" \
+    's/factor \* (2 \* apart/factor * (apart/'
 mutate metrics_images common/image/metrics.c "SSIM: pictures squared in fp32" \
     's/double va = (double)a\[x \* channels\], vb = (double)b\[x \* channels\];/float va = a[x * channels], vb = b[x * channels];/'
 mutate metrics_images common/image/metrics.c "PSNR: squares summed in fp32" \

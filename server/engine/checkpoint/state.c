@@ -208,10 +208,11 @@ static bool decode_numbers(const json_t *list, double *to, int count) {
 // The disparity box, where planes cover one.
 static void encode_disparity(const struct rn_disparity *s, json_t *state) {
     if (!s->on) return;
-    json_t *box = json_pack("{s:o,s:o,s:o,s:o,s:o,s:f,s:f}", "origin", encode_numbers(s->origin, 3),
-                            "axes", encode_numbers(s->axes[0], 9), "scale",
-                            encode_numbers(s->scale, 3), "shift", encode_numbers(s->shift, 3),
-                            "half", encode_numbers(s->half, 3), "near", s->near, "far", s->far);
+    json_t *box =
+        json_pack("{s:f,s:o,s:o,s:o,s:o,s:o,s:f,s:f}", "unit", s->unit, "origin",
+                  encode_numbers(s->origin, 3), "axes", encode_numbers(s->axes[0], 9), "scale",
+                  encode_numbers(s->scale, 3), "shift", encode_numbers(s->shift, 3), "half",
+                  encode_numbers(s->half, 3), "near", s->near, "far", s->far);
     json_object_set_new(state, "disparity", box);
 }
 
@@ -225,9 +226,10 @@ static enum rn_status decode_disparity(const json_t *state, const char *path,
                  decode_numbers(json_object_get(from, "scale"), s.scale, 3) &&
                  decode_numbers(json_object_get(from, "shift"), s.shift, 3) &&
                  decode_numbers(json_object_get(from, "half"), s.half, 3);
+    s.unit = json_number_value(json_object_get(from, "unit"));
     s.near = json_number_value(json_object_get(from, "near"));
     s.far = json_number_value(json_object_get(from, "far"));
-    if (!whole || !(s.near > 0 && s.far > s.near && s.scale[0] > 0 && s.scale[2] < 0))
+    if (!whole || !(s.unit > 0 && s.near > 0 && s.far > s.near && s.scale[0] > 0 && s.scale[2] < 0))
         return rn_error_set(
             err, RN_ERROR_CORRUPT, path,
             "its 'disparity' is no box this program knows; use an older checkpoint");

@@ -82,8 +82,8 @@ static void add_corner(const struct rn_pixel_frame *f, int corner, const struct 
         along += c->world_from_camera[i][2] * ray.direction[i];
     x->least = fmin(x->least, d[2]);
     x->foremost = fmax(x->foremost, eye[2]);
-    x->nearest = fmin(x->nearest, eye[2] + d[2] * f->frame->near / along);
-    x->farthest = fmax(x->farthest, eye[2] + d[2] * f->frame->far / along);
+    x->nearest = fmin(x->nearest, eye[2] + d[2] * f->frame->near / (along * space->unit));
+    x->farthest = fmax(x->farthest, eye[2] + d[2] * f->frame->far / (along * space->unit));
     for (int end = 0; end < 2 && ends; end++)
         for (int i = 0; i < 2; i++) {
             double z = end ? space->far : space->near;
@@ -125,7 +125,7 @@ static void fit(const struct extent *x, struct rn_disparity *space) {
 static const char *find_space(const struct rn_evidence *e, struct rn_disparity *ret,
                               double *ret_angle) {
     const struct rn_pixels *p = e->photographs;
-    struct rn_disparity space = {.on = true};
+    struct rn_disparity space = {.on = true, .unit = e->field->bounds.radius};
     reference_camera(p, &space);
     *ret_angle = widest_angle(p, &space);
     if (!(*ret_angle <= RN_FORWARD_WIDEST)) return "; these look around";

@@ -18,12 +18,13 @@
 // Plain value. Where the planes cover the ball, all of it is 0.
 struct rn_disparity {
     bool on;
+    double unit;       // of x, y and z: the radius of the scene's ball, dataset units
     double origin[3];  // of the reference camera, dataset units
     double axes[3][3]; // its right, down and forward: axes[i][j] is component i of axis j
     double scale[3];   // scale[0] == scale[1] > 0: pixels are square; scale[2] < 0: far is +1
     double shift[3];   // of x / z, y / z, 1 / z
     double half[3];    // the box within the cube that is sampled: |q[i]| <= half[i] <= 1
-    double near, far;  // its depths z, dataset units, 0 < near < far
+    double near, far;  // its depths z, 0 < near < far
 };
 
 // A direction of dataset coordinates in the reference camera's frame.
@@ -34,7 +35,9 @@ RN_HD void rn_disparity_turn(const struct rn_disparity *space, const double d[3]
 
 // A point of dataset coordinates in that frame.
 RN_HD void rn_disparity_seen(const struct rn_disparity *space, const double p[3], double ret[3]) {
-    double d[3] = {p[0] - space->origin[0], p[1] - space->origin[1], p[2] - space->origin[2]};
+    double d[3];
+    for (int i = 0; i < 3; i++)
+        d[i] = (p[i] - space->origin[i]) / space->unit;
     rn_disparity_turn(space, d, ret);
 }
 

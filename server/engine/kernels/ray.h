@@ -161,7 +161,8 @@ static inline struct rn_view rn_view_init(enum rn_space space, const double cent
 // The same in a forward-facing space.
 static inline struct rn_view rn_view_forward(const struct rn_disparity *space,
                                              const struct rn_camera *camera) {
-    struct rn_view view = rn_view_init(RN_SPACE_BALL, space->origin, 1, camera), out = view;
+    struct rn_view view = rn_view_init(RN_SPACE_BALL, space->origin, space->unit, camera),
+                   out = view;
     rn_disparity_turn(space, view.origin, out.origin);
     for (int j = 0; j < 3; j++) {
         double axis[3] = {view.axes[0][j], view.axes[1][j], view.axes[2][j]}, turned[3];
