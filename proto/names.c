@@ -8,6 +8,7 @@ const char *const rn_job_state_names[] = {"queued",     "running",     "paused",
                                           "cancelled",  "interrupted", NULL};
 const char *const rn_scene_state_names[] = {"new", "training", "paused", "ready", "failed", NULL};
 const char *const rn_finished_by_names[] = {"time", "steps", "psnr", "finish", NULL};
+const char *const rn_lens_choice_names[] = {"pinhole", "as-taken", NULL};
 const char *const rn_output_kind_names[] = {"rgb", "depth", "alpha", NULL};
 const char *const rn_picture_format_names[] = {"png", "jpeg", NULL};
 

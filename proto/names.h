@@ -34,6 +34,9 @@ enum rn_finished_by { RN_FINISHED_TIME, RN_FINISHED_STEPS, RN_FINISHED_PSNR, RN_
 extern const char *const rn_finished_by_names[]; // "time", "steps", "psnr", "finish"
 
 enum rn_output_kind { RN_OUTPUT_KIND_RGB, RN_OUTPUT_KIND_DEPTH, RN_OUTPUT_KIND_ALPHA };
+// With which lens a view is rendered: none, or its photograph's.
+enum rn_lens_choice { RN_LENS_CHOICE_PINHOLE, RN_LENS_CHOICE_AS_TAKEN };
+extern const char *const rn_lens_choice_names[]; // "pinhole", "as-taken"
 extern const char *const rn_output_kind_names[]; // "rgb", "depth", "alpha"
 
 enum rn_picture_format { RN_FORMAT_PNG, RN_FORMAT_JPEG };

@@ -15,6 +15,7 @@ static const struct rn_field_spec request[] = {
     RN_F_JSON(S, camera, RN_IS_OBJECT),
     RN_F_TEXT(S, view, 0, rn_check_view),
     RN_F_INT(S, scale, 0, 0, 15),
+    RN_F_NAME(S, lens, 0, rn_lens_choice_names),
     RN_F_OBJECT(S, size, 0, &size_table),
     RN_F_NAME(S, output, 0, rn_output_kind_names),
     RN_F_NUMBERS(S, background, 0, 0, 1),
@@ -56,6 +57,7 @@ enum rn_status rn_render_request_decode(const char *json, size_t json_size,
 
 void rn_render_request_settle(struct rn_render_request *r, enum rn_picture_format format) {
     r->scale = rn_int_or(r->scale, 0);
+    r->lens = rn_name_or(r->lens, RN_LENS_CHOICE_PINHOLE);
     r->output = rn_name_or(r->output, RN_OUTPUT_KIND_RGB);
     r->format = rn_name_or(r->format, (int)format);
     if (r->output == RN_OUTPUT_KIND_DEPTH) r->format = RN_FORMAT_PNG;

@@ -42,7 +42,7 @@ static const struct rn_table path_document_table =
 // ---- render ----
 
 struct render_options {
-    const char *view, *camera, *output, *file;
+    const char *view, *camera, *lens, *output, *file;
     struct rn_option_pair size;
     union rn_setting_value settings[RN_RENDER_SETTINGS];
 };
@@ -65,6 +65,11 @@ static const struct rn_option render_table[] = {
      RENDER(camera),
      .value = "FILE",
      .help = "a camera of your own, JSON"},
+    {.name = "lens",
+     .kind = RN_OPTION_CHOICE,
+     RENDER(lens),
+     .choices = "pinhole|as-taken",
+     .help = "how a view is rendered: without its photograph's lens (the default), or with it"},
     SIZE_OPTION(RENDER(size)),
     {.name = "output",
      .kind = RN_OPTION_CHOICE,
@@ -120,6 +125,7 @@ static enum rn_exit render_body(const struct render_options *options, char **ret
     request.size.width = options->size.first;
     request.size.height = options->size.second;
     request.format = format_of(options->file);
+    request.lens = options->lens ? rn_name_index(rn_lens_choice_names, options->lens) : -1;
     request.output = options->output ? rn_name_index(rn_output_kind_names, options->output) : -1;
     memcpy(request.settings, options->settings, sizeof options->settings);
     *ret_body = rn_api_encode(&rn_render_request_table, &request);

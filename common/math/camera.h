@@ -112,6 +112,16 @@ RN_HD bool rn_camera_project(const struct rn_camera *camera, const double p[3], 
     return true;
 }
 
+// The camera without its lens: straight lines are straight.
+RN_HD struct rn_camera rn_camera_without_lens(const struct rn_camera *camera) {
+    struct rn_camera out = *camera;
+    out.lens = RN_LENS_PINHOLE;
+    for (int i = 0; i < RN_LENS_PARAMETERS; i++)
+        out.lens_k[i] = 0;
+    out.lens_fold = 0;
+    return out;
+}
+
 // The camera of the same view at another image size: intrinsics scale with the image.
 RN_HD struct rn_camera rn_camera_resized(const struct rn_camera *camera, int width, int height) {
     struct rn_camera out = *camera;

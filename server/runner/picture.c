@@ -64,6 +64,8 @@ static enum rn_status find_camera(struct rn_host *host, const struct rn_render_r
         return status;
     }
     *ret_camera = frame->camera;
+    if (rn_name_or(request->lens, RN_LENS_CHOICE_PINHOLE) == RN_LENS_CHOICE_PINHOLE)
+        *ret_camera = rn_camera_without_lens(&frame->camera);
     return RN_OK;
 }
 

@@ -146,7 +146,8 @@ static void exact_root(const struct rn_camera *c, const struct rn_lens_terms *t,
     struct rn_bent at = rn_lens_bend(t, near[0], near[1]);
     double det = at.xx * at.yy - at.xy * at.yx;
     ret[0] = number(near[0]), ret[1] = number(near[1]);
-    for (int i = 0; i < 12; i++) {
+    // Wrong formulas lead away from it, to where 256 bits of a sine take long.
+    for (int i = 0; i < 12 && rounded(plus(size_of(ret[0]), size_of(ret[1]))) < 1e3; i++) {
         exact got[2];
         exact_bend(c, ret, got);
         exact ex = minus(got[0], number(bent[0])), ey = minus(got[1], number(bent[1]));

@@ -59,7 +59,7 @@ static void place_cameras(const struct rn_field *field, struct rn_pixels *pixels
         struct rn_camera *camera = &frame->camera;
         const struct rn_effect_record *lenses = &field->effects[RN_EFFECT_DISTORTION];
         *camera = frame->frame->camera;
-        if (lenses->decided && !lenses->on) camera->lens = RN_LENS_PINHOLE;
+        if (lenses->decided && !lenses->on) *camera = rn_camera_without_lens(camera);
         frame->parts = rn_camera_resized(camera, 2 * camera->width, 2 * camera->height);
         frame->view = rn_field_view(field, camera);
         frame->fine = rn_field_view(field, &frame->parts);

@@ -275,6 +275,10 @@ START_TEST(no_lens_is_the_pinhole) {
         struct rn_ray b = rn_camera_ray(&lens, 700.5, 20.5);
         ck_assert_mem_eq(a.direction, b.direction, sizeof a.direction);
         ck_assert_double_eq(a.radius, b.radius);
+        lens.lens_k[0] = 0.3;
+        struct rn_camera bare = rn_camera_without_lens(&lens);
+        ck_assert_int_eq(rn_camera_check(&bare, "", NULL), RN_OK);
+        ck_assert_int_eq(bare.lens, RN_LENS_PINHOLE);
     }
 }
 END_TEST

@@ -309,8 +309,9 @@ START_TEST(render_request_is_checked_and_settled) {
     rn_render_request_settle(&request, RN_FORMAT_JPEG);
     char *json;
     ck_assert_int_eq(rn_encode(&rn_render_request_table, &request, &json, NULL, NULL), RN_OK);
-    ck_assert_str_eq(json, "{\"view\":\"val:r_1\",\"scale\":0,\"output\":\"rgb\",\"format\":"
-                           "\"jpeg\",\"jpeg_quality\":90,\"subsample\":1,\"tolerance\":0}");
+    ck_assert_str_eq(json,
+                     "{\"view\":\"val:r_1\",\"scale\":0,\"lens\":\"pinhole\",\"output\":\"rgb\","
+                     "\"format\":\"jpeg\",\"subsample\":1,\"tolerance\":0,\"jpeg_quality\":90}");
     free(json);
     rn_message_finish(&rn_render_request_table, &request);
 }
