@@ -26,7 +26,7 @@ SCHEMAS = {"FieldConfig": ("train", False), "TrainOptions": ("train", True),
 OTHERS = {"FieldConfig": {"finest_cone"},
           "TrainOptions": {"preset", "threads", "device", "kernels", "checkpoint_interval_s",
                            "evaluate_interval_s"},
-          "RenderRequest": {"camera", "view", "scale", "size", "output", "background", "format",
+          "RenderRequest": {"camera", "view", "lens", "scale", "size", "output", "background", "format",
                             "jpeg_quality"},
           "PathOptions": {"width", "height", "first", "last", "output"},
           "EvalOptions": {"split", "views", "scale"}}
