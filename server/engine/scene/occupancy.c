@@ -125,6 +125,8 @@ static unsigned row_over(const struct rn_field *field, float threshold, int x, i
     if (!any_of_8(field->hull + at)) return 0;
     for (int k = 0; k < RN_BRICK; k++)
         set |= (unsigned)(field->hull[at + k] && field->occupancy[at + k] > threshold) << k;
+    // Where space ends there is always something to see: a ray that nothing else stops ends there.
+    if (field->cpu.disparity.on && z + RN_BRICK == field->config.field.occupancy) set |= 0xf0;
     return set;
 }
 
