@@ -38,15 +38,23 @@ static double miss_px(const struct rn_camera *camera, const struct rn_point *poi
                  pixel[1] - (double)sighting->y * camera->height);
 }
 
+// Of one point, over the photographs that saw it.
+struct miss {
+    double sum;
+    size_t count;
+};
+
+static int compare_misses(const void *a, const void *b) {
+    double left = ((const struct miss *)a)->sum, right = ((const struct miss *)b)->sum;
+    return (left > right) - (left < right);
+}
+
 enum rn_status rn_dataset_reproject(const struct rn_dataset *dataset,
                                     struct rn_reprojection *ret_found, struct rn_error *err) {
     const struct rn_points *points = &dataset->points;
     size_t photo_count;
     const struct rn_frame **frames = frames_by_photo(dataset, &photo_count);
-    struct {
-        double sum;
-        size_t count;
-    } *of = calloc(points->count + 1, sizeof *of);
+    struct miss *of = calloc(points->count + 1, sizeof *of);
     if (!frames || !of) {
         free(frames);
         free(of);
@@ -67,12 +75,17 @@ enum rn_status rn_dataset_reproject(const struct rn_dataset *dataset,
     }
     for (size_t i = 0; i < points->count; i++) {
         if (!of[i].count) continue;
-        found.mean_px += of[i].sum / (double)of[i].count;
+        double mean = of[i].sum / (double)of[i].count;
+        found.mean_px += mean;
         found.said_px += (double)points->items[i].error;
-        found.points++;
+        of[found.points++].sum = mean; // at or before i
     }
-    if (found.points) found.mean_px /= (double)found.points;
-    if (found.points) found.said_px /= (double)found.points;
+    if (found.points) {
+        qsort(of, found.points, sizeof *of, compare_misses);
+        found.median_px = of[found.points / 2].sum;
+        found.mean_px /= (double)found.points;
+        found.said_px /= (double)found.points;
+    }
     free(frames);
     free(of);
     *ret_found = found;
@@ -84,13 +97,13 @@ static void tell_reprojection(struct rn_reader *reader) {
     const struct rn_dataset *dataset = reader->dataset;
     if (!dataset->points.sighting_count || rn_dataset_reproject(dataset, &found, NULL)) return;
     bool suspect = found.mean_px > SUSPECT_PX || found.unseen > found.sightings / 10;
-    rn_problems_add(reader->problems, suspect ? RN_SEVERITY_WARNING : RN_SEVERITY_INFO,
-                    reader->folder,
-                    "%zu sparse points, seen %zu times: reprojection error %.4f px as the cameras "
-                    "are read, %.4f px as the model says; %zu sightings lie where their camera "
-                    "does not see%s",
-                    found.points, found.sightings, found.mean_px, found.said_px, found.unseen,
-                    suspect ? ": poses, lenses and points do not belong together" : "");
+    rn_problems_add(
+        reader->problems, suspect ? RN_SEVERITY_WARNING : RN_SEVERITY_INFO, reader->folder,
+        "%zu sparse points, seen %zu times: mean reprojection error %.4f px (median "
+        "%.4f) as the cameras are read, %.4f px as the model says; %zu sightings lie "
+        "where their camera does not see%s",
+        found.points, found.sightings, found.mean_px, found.median_px, found.said_px, found.unseen,
+        suspect ? ": poses, lenses and points do not belong together" : "");
 }
 
 // ---- how the photographs were taken ----

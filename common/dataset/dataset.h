@@ -155,7 +155,8 @@ struct rn_reprojection {
     size_t points, sightings; // that took part
     size_t unseen;            // sightings in a direction that the camera does not see
     double mean_px;           // mean over points of their mean distance, pixels of the photographs
-    double said_px;           // the same mean as the source says
+    double median_px;         // of those means
+    double said_px;           // mean_px as the source says
 };
 enum rn_status rn_dataset_reproject(const struct rn_dataset *dataset,
                                     struct rn_reprojection *ret_found,
