@@ -260,7 +260,7 @@ static const struct rn_setting rows[] = {
                 "Russian roulette; 0: all are",
      PRESETS(0, 1, 1),
      .unlike = "roulette on samples of small gradient (unbiased)",
-     .gain = "a quarter of them goes back: +0.7 dB after 60 CPU seconds"},
+     .gain = "a quarter of them is backpropagated: +0.7 dB after 60 CPU seconds"},
     {.name = "sparse",
      .type = RN_SETTING_BOOL,
      PLACE(sparse),

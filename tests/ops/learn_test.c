@@ -301,17 +301,6 @@ static bool sees_hull(const struct rn_trainer *t, const struct rn_pixel_frame *f
     return false;
 }
 
-// Whether a frame's pixel is in a live block.
-static bool is_live(const struct rn_trainer *t, int frame, int x, int y) {
-    for (size_t i = 0; i < t->sampler.live_count; i++) {
-        const struct rn_live_block *b = &t->sampler.live[i];
-        if (b->frame == (uint32_t)frame && x >= b->x && x < b->x + RN_LIVE_BLOCK && y >= b->y &&
-            y < b->y + RN_LIVE_BLOCK)
-            return true;
-    }
-    return false;
-}
-
 // Rays are drawn from all pixels that see the hull, and from few others.
 START_TEST(pixels_that_see_the_hull_are_live) {
     struct rn_train_config config = config_for(scaled);

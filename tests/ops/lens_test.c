@@ -72,16 +72,6 @@ static bool meets_hull(const struct rn_trainer *t, const struct rn_march_ray *ra
     return false;
 }
 
-static bool is_live(const struct rn_trainer *t, int frame, int x, int y) {
-    for (size_t i = 0; i < t->sampler.live_count; i++) {
-        const struct rn_live_block *b = &t->sampler.live[i];
-        if (b->frame == (uint32_t)frame && x >= b->x && x < b->x + RN_LIVE_BLOCK && y >= b->y &&
-            y < b->y + RN_LIVE_BLOCK)
-            return true;
-    }
-    return false;
-}
-
 // Nothing that a photograph shows is carved, rays are drawn from all pixels that see the hull, and
 // a good deal is carved.
 START_TEST(hull_is_seen_through_the_lens) {

@@ -23,5 +23,7 @@ struct rn_trainer *trainer_for(struct rn_engine *engine, const struct rn_dataset
 bool done(const struct rn_trainer *trainer);
 void run_to_end(struct rn_trainer *trainer);
 double held_out_psnr(struct rn_trainer *trainer);
+// Whether a frame's pixel is in a live block.
+bool is_live(const struct rn_trainer *t, int frame, int x, int y);
 
 #endif
