@@ -73,10 +73,10 @@ void rn_training_save(struct rn_host *host); // before the end; without a messag
 void rn_training_yielded(struct rn_host *host, double seconds);
 void rn_training_drop(struct rn_host *host);
 
-// ---- work.c ----
+// ---- work.c; path.c, eval.c: the kinds of it ----
 
-void rn_work_add_path(struct rn_host *host, const struct rn_wire_path *path);
-void rn_work_add_eval(struct rn_host *host, const struct rn_wire_eval *eval);
+void rn_work_add_path(struct rn_host *host, const struct rn_wire_path *request);
+void rn_work_add_eval(struct rn_host *host, const struct rn_wire_eval *request);
 void rn_work_unit(struct rn_host *host);                    // one frame or view of the first job
 bool rn_work_cancel(struct rn_host *host, const char *job); // false: no such job
 void rn_work_drop_all(struct rn_host *host);
