@@ -124,6 +124,7 @@ static void local_end(struct rn_executor *executor, const struct rn_process *pro
             pid = waitpid(process->pid, &status, 0);
         while (pid < 0 && errno == EINTR);
     }
+    kill(-process->pid, SIGKILL); // programs that it started: its process group
     if (pid < 0)
         snprintf(ret_how, how_size, "lost: %s", strerror(errno));
     else if (WIFSIGNALED(status))

@@ -160,12 +160,12 @@ static void post_opened(struct rn_host *host) {
     rn_link_post(&host->link, RN_WIRE_OPENED, &opened, NULL, 0);
 }
 
-// Its own scene, its dataset to read, and the jobs whose frames it writes; nothing else.
-static void confine(const struct rn_wire_open *place) {
-    const char *const read[] = {place->dataset_folder, NULL};
-    const char *const write[] = {place->scene_folder, place->jobs_folder, NULL};
-    struct rn_sandbox_places places = {.read = read, .write = write};
-    (void)rn_sandbox_confine(&places); // it says so itself
+static void confine(const struct rn_host *host) {
+    const struct rn_wire_open *place = &host->place;
+    const struct rn_sandbox_places places = {.paths = {[RN_PLACE_DATASET] = place->dataset_folder,
+                                                       [RN_PLACE_SCENE] = place->scene_folder,
+                                                       [RN_PLACE_JOBS] = place->jobs_folder}};
+    (void)rn_sandbox_confine(host->link.profile, &places); // it says so itself
 }
 
 static void handle_open(struct rn_host *host, struct rn_wire_open *open) {
@@ -180,7 +180,7 @@ static void handle_open(struct rn_host *host, struct rn_wire_open *open) {
         status = rn_mkdirs(host->place.scene_folder, 0777, &err);
         if (!status)
             status = rn_lock_scene(host->place.scene_folder, &host->link, &host->lock_fd, &err);
-        if (!status && host->link.sandboxed) confine(&host->place);
+        if (!status && host->link.profile) confine(host);
         if (!status) status = rn_checkpoints_prepare(host->place.scene_folder, &err);
         if (!status && host->place.load) status = rn_host_load(host, &err);
     }
@@ -343,10 +343,10 @@ static void finish(struct rn_host *host) {
     rn_link_finish(&host->link);
 }
 
-int rn_host_run(int fd, bool sandbox) {
+int rn_host_run(int fd, const struct rn_profile *profile) {
     struct rn_host host = {.lock_fd = -1};
     rn_link_init(&host.link, fd);
-    host.link.sandboxed = sandbox;
+    host.link.profile = profile;
     struct rn_wire_hello hello = {
         .version = RIPNERF_VERSION, .protocol = RN_WIRE_PROTOCOL, .mode = "field", .pid = getpid()};
     rn_link_post(&host.link, RN_WIRE_HELLO, &hello, NULL, 0);

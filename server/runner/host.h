@@ -35,8 +35,9 @@ struct rn_host {
     struct rn_work *works;        // path and eval jobs, in order; the first one is worked on
 };
 
-// Runs mode field until the link closes or the daemon asks for the end. The exit code.
-int rn_host_run(int fd, bool sandbox);
+// Runs mode field until the link closes or the daemon asks for the end, confined to `profile`
+// unless it is NULL. The exit code.
+int rn_host_run(int fd, const struct rn_profile *profile);
 
 // What jobs and renders need of the host; each is a no-op when it is there already.
 enum rn_status rn_host_need_engine(struct rn_host *host, const char *device, const char *kernels,

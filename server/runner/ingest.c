@@ -2,7 +2,6 @@
 
 #include <dirent.h>
 #include <errno.h>
-#include <libgen.h>
 #include <limits.h>
 #include <math.h>
 #include <sched.h>
@@ -213,21 +212,17 @@ static void tell_as_sent(const struct ingest *ingest, struct rn_error *err) {
     rn_make_relative(err->text, folder);
 }
 
-// The source to read, the two folders to write, which are made beforehand.
-static void confine(const struct rn_wire_ingest *order) {
-    char above_target[PATH_MAX], above_work[PATH_MAX];
-    snprintf(above_target, sizeof above_target, "%s", order->target);
-    snprintf(above_work, sizeof above_work, "%s", order->work);
+// The two folders to write are made beforehand.
+static void confine(const struct ingest *ingest) {
+    const struct rn_wire_ingest *order = &ingest->order;
     if (rn_mkdirs(order->target, 0777, NULL) || rn_mkdirs(order->work, 0777, NULL))
         rn_log(RN_LOG_WARN, "the import's folders cannot be made");
-    const char *const read[] = {order->source, NULL};
-    const char *const write[] = {order->target, order->work, NULL};
-    const char *const tidy[] = {dirname(above_target), dirname(above_work), NULL};
-    struct rn_sandbox_places places = {.read = read,
-                                       .write = write,
-                                       .tidy = tidy,
-                                       .memory_bytes = rn_int_or(order->memory_limit_bytes, 0)};
-    (void)rn_sandbox_confine(&places); // it says so itself
+    const struct rn_sandbox_places places = {.paths = {[RN_PLACE_SOURCE] = order->source,
+                                                       [RN_PLACE_TARGET] = order->target,
+                                                       [RN_PLACE_WORK] = order->work},
+                                             .memory_bytes =
+                                                 rn_int_or(order->memory_limit_bytes, 0)};
+    (void)rn_sandbox_confine(ingest->link.profile, &places); // it says so itself
 }
 
 static void carry_out(struct ingest *ingest) {
@@ -238,7 +233,7 @@ static void carry_out(struct ingest *ingest) {
         (struct rn_watch){.link = &ingest->link, .job = ingest->order.job, .request = RN_ABSENT};
     ingest->began_ns = ingest->reported_ns = rn_clock_ns();
     bool target_is_ours = stat(ingest->order.target, &about) < 0;
-    if (target_is_ours && ingest->link.sandboxed) confine(&ingest->order);
+    if (target_is_ours && ingest->link.profile) confine(ingest);
     enum rn_status status = target_is_ours
                                 ? ingest_all(ingest, &done.result, &err)
                                 : rn_error_set(&err, RN_ERROR_CONFLICT, ingest->order.target,
@@ -270,10 +265,10 @@ static bool take_order(struct ingest *ingest) {
     return good;
 }
 
-int rn_ingest_run(int fd, bool sandbox) {
+int rn_ingest_run(int fd, const struct rn_profile *profile) {
     struct ingest ingest = {.folder = NULL};
     rn_link_init(&ingest.link, fd);
-    ingest.link.sandboxed = sandbox;
+    ingest.link.profile = profile;
     struct rn_wire_hello hello = {.version = RIPNERF_VERSION,
                                   .protocol = RN_WIRE_PROTOCOL,
                                   .mode = "ingest",

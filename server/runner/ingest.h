@@ -2,9 +2,10 @@
 #ifndef RN_SERVER_RUNNER_INGEST_H
 #define RN_SERVER_RUNNER_INGEST_H
 
-#include <stdbool.h>
+#include "server/runner/profile.h"
 
 // Waits for an `ingest` message, does the work, answers with `done` or `failed`. The exit code.
-int rn_ingest_run(int fd, bool sandbox);
+// `profile`: what it is confined to; NULL: nothing.
+int rn_ingest_run(int fd, const struct rn_profile *profile);
 
 #endif

@@ -3,6 +3,7 @@
 #define RN_SERVER_RUNNER_LINK_H
 
 #include "proto/wire_messages.h"
+#include "server/runner/profile.h"
 
 // A message that has arrived and has not been dealt with. Owner: the inbox, then its taker.
 struct rn_letter {
@@ -15,11 +16,12 @@ struct rn_letter {
 struct rn_link {
     struct rn_wire_reader reader;
     struct rn_wire_writer writer;
-    struct rn_letter *first, *last; // in order of arrival
-    int64_t said_ns;                // when something was sent last
-    size_t count;                   // at most RN_LINK_MAX_LETTERS; more wait in the socket
-    bool sandboxed;                 // what is learnt of places confines the process to them
-    bool closed;                    // the daemon is gone, or does not speak the protocol
+    struct rn_letter *first, *last;   // in order of arrival
+    int64_t said_ns;                  // when something was sent last
+    size_t count;                     // at most RN_LINK_MAX_LETTERS; more wait in the socket
+    const struct rn_profile *profile; // what is learnt of places confines the process to them;
+                                      // NULL: it does not
+    bool closed;                      // the daemon is gone, or does not speak the protocol
 };
 #define RN_LINK_MAX_LETTERS 256
 

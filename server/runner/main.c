@@ -107,9 +107,10 @@ int main(int argc, char **argv) {
     signal(SIGPIPE, SIG_IGN);
     // One that is stopped when its daemon dies goes on, finds the socket closed, saves and leaves.
     prctl(PR_SET_PDEATHSIG, SIGCONT);
-    if (sandbox) rn_sandbox_begin();
-    if (strcmp(mode, "field") == 0) return rn_host_run(fd, sandbox);
-    if (strcmp(mode, "ingest") == 0) return rn_ingest_run(fd, sandbox);
+    const struct rn_profile *profile = sandbox ? rn_profile_of(mode) : NULL;
+    if (profile) rn_sandbox_begin(profile);
+    if (strcmp(mode, "field") == 0) return rn_host_run(fd, profile);
+    if (strcmp(mode, "ingest") == 0) return rn_ingest_run(fd, profile);
     if (strcmp(mode, "probe") == 0) return probe(fd);
     return usage(argv[0]);
 }

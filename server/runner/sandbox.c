@@ -2,6 +2,7 @@
 
 #include <errno.h>
 #include <fcntl.h>
+#include <glob.h>
 #include <libgen.h>
 #include <limits.h>
 #include <linux/audit.h>
@@ -30,9 +31,10 @@
 #define ARCH AUDIT_ARCH_AARCH64
 #endif
 
+// Refused to modes that start no program.
+static const int programs[] = {__NR_execve, __NR_execveat};
+
 static const int refused[] = {
-    __NR_execve,
-    __NR_execveat,
     __NR_socket,
     __NR_socketpair,
     __NR_bind,
@@ -103,7 +105,11 @@ static const int refused[] = {
 #endif
     __NR_mknodat,
 };
-enum { REFUSED = sizeof refused / sizeof refused[0], RULES = 2 * REFUSED + 16 };
+enum {
+    PROGRAMS = sizeof programs / sizeof programs[0],
+    REFUSED = sizeof refused / sizeof refused[0],
+    RULES = 2 * (PROGRAMS + REFUSED) + 16
+};
 
 #define NAMESPACES                                                                                 \
     (CLONE_NEWNS | CLONE_NEWCGROUP | CLONE_NEWUTS | CLONE_NEWIPC | CLONE_NEWUSER | CLONE_NEWPID |  \
@@ -113,9 +119,19 @@ static void add(struct sock_filter *rules, unsigned short *count, struct sock_fi
     rules[(*count)++] = rule;
 }
 
+static void add_refused(struct sock_filter *rules, unsigned short *count, const int *calls,
+                        int call_count) {
+    for (int i = 0; i < call_count; i++) {
+        add(rules, count,
+            (struct sock_filter)BPF_JUMP(BPF_JMP | BPF_JEQ | BPF_K, (unsigned)calls[i], 0, 1));
+        add(rules, count, (struct sock_filter)BPF_STMT(BPF_RET | BPF_K, SECCOMP_RET_ERRNO | EPERM));
+    }
+}
+
 // A program for the kernel: another architecture's numbers are refused, then each number; threads
 // are made without namespaces (clone3 hides its flags: the C library takes clone instead).
-static unsigned short write_filter(struct sock_filter rules[RULES]) {
+static unsigned short write_filter(const struct rn_profile *profile,
+                                   struct sock_filter rules[RULES]) {
     const struct sock_filter deny = BPF_STMT(BPF_RET | BPF_K, SECCOMP_RET_ERRNO | EPERM);
     const struct sock_filter pass = BPF_STMT(BPF_RET | BPF_K, SECCOMP_RET_ALLOW);
     unsigned short n = 0;
@@ -128,11 +144,8 @@ static unsigned short write_filter(struct sock_filter rules[RULES]) {
         (struct sock_filter)BPF_STMT(BPF_LD | BPF_W | BPF_ABS, offsetof(struct seccomp_data, nr)));
     add(rules, &n, (struct sock_filter)BPF_JUMP(BPF_JMP | BPF_JGE | BPF_K, 0x40000000, 0, 1));
     add(rules, &n, deny); // x32
-    for (int i = 0; i < REFUSED; i++) {
-        add(rules, &n,
-            (struct sock_filter)BPF_JUMP(BPF_JMP | BPF_JEQ | BPF_K, (unsigned)refused[i], 0, 1));
-        add(rules, &n, deny);
-    }
+    add_refused(rules, &n, refused, REFUSED);
+    if (profile->programs[0] == NULL) add_refused(rules, &n, programs, PROGRAMS);
     add(rules, &n, (struct sock_filter)BPF_JUMP(BPF_JMP | BPF_JEQ | BPF_K, __NR_clone3, 0, 1));
     add(rules, &n, (struct sock_filter)BPF_STMT(BPF_RET | BPF_K, SECCOMP_RET_ERRNO | ENOSYS));
     add(rules, &n, (struct sock_filter)BPF_JUMP(BPF_JMP | BPF_JEQ | BPF_K, __NR_clone, 0, 3));
@@ -146,9 +159,9 @@ static unsigned short write_filter(struct sock_filter rules[RULES]) {
 }
 
 // SPEC_ALLOW: without it some kernels slow the processor's speculation down for the filter.
-static void filter_calls(void) {
+static void filter_calls(const struct rn_profile *profile) {
     struct sock_filter rules[RULES];
-    struct sock_fprog program = {.len = write_filter(rules), .filter = rules};
+    struct sock_fprog program = {.len = write_filter(profile, rules), .filter = rules};
     if (syscall(__NR_seccomp, SECCOMP_SET_MODE_FILTER,
                 SECCOMP_FILTER_FLAG_TSYNC | SECCOMP_FILTER_FLAG_SPEC_ALLOW, &program) != 0)
         rn_log(RN_LOG_WARN, "system calls are not filtered: %s", strerror(errno));
@@ -163,12 +176,12 @@ static void limit(int what, rlim_t most) {
         rn_log(RN_LOG_WARN, "a limit cannot be set: %s", strerror(errno));
 }
 
-void rn_sandbox_begin(void) {
+void rn_sandbox_begin(const struct rn_profile *profile) {
     if (prctl(PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0) != 0)
         rn_log(RN_LOG_WARN, "no_new_privs is not to be had: %s", strerror(errno));
     limit(RLIMIT_CORE, 0);
     limit(RLIMIT_NOFILE, 4096);
-    filter_calls();
+    filter_calls(profile);
 }
 
 // ---- the disk ---------------------------------------------------------------------------------
@@ -183,6 +196,7 @@ void rn_sandbox_begin(void) {
     (WRITE | LANDLOCK_ACCESS_FS_EXECUTE | LANDLOCK_ACCESS_FS_MAKE_CHAR |                           \
      LANDLOCK_ACCESS_FS_MAKE_SOCK | LANDLOCK_ACCESS_FS_MAKE_FIFO | LANDLOCK_ACCESS_FS_MAKE_BLOCK | \
      LANDLOCK_ACCESS_FS_MAKE_SYM)
+#define FILE_RIGHTS (READ_FILE | WRITE_FILE | LANDLOCK_ACCESS_FS_EXECUTE | TRUNCATE)
 // Of later kernels than these headers': moving between folders, cutting files, TCP.
 #define REFER (1ull << 13)
 #define TRUNCATE (1ull << 14)
@@ -203,7 +217,7 @@ static void allow(int rules, const char *path, uint64_t access, uint64_t handled
         if (fd >= 0) close(fd);
         return;
     }
-    if (!S_ISDIR(about.st_mode)) access &= READ_FILE | WRITE_FILE | TRUNCATE;
+    if (!S_ISDIR(about.st_mode)) access &= FILE_RIGHTS;
     struct landlock_path_beneath_attr beneath = {.allowed_access = access & handled,
                                                  .parent_fd = fd};
     if (syscall(__NR_landlock_add_rule, rules, LANDLOCK_RULE_PATH_BENEATH, &beneath, 0) != 0)
@@ -211,15 +225,35 @@ static void allow(int rules, const char *path, uint64_t access, uint64_t handled
     close(fd);
 }
 
+static void allow_all(int rules, const char *pattern, uint64_t access, uint64_t handled) {
+    glob_t found;
+    if (glob(pattern, 0, NULL, &found) == 0)
+        for (size_t i = 0; i < found.gl_pathc; i++)
+            allow(rules, found.gl_pathv[i], access, handled);
+    globfree(&found);
+}
+
 // Libraries, the modules beside the program, what the kernel tells, and devices of GPUs.
 static void allow_system(int rules, uint64_t handled) {
-    static const char *const folders[] = {"/usr", "/lib",  "/lib64", "/etc",
-                                          "/opt", "/proc", "/sys",   NULL};
+    static const char *const read[] = {"/usr",
+                                       "/lib",
+                                       "/lib64",
+                                       "/opt",
+                                       "/proc",
+                                       "/sys",
+                                       "/etc/ld.so.*",
+                                       "/etc/localtime",
+                                       "/etc/alternatives",
+                                       "/etc/fonts",
+                                       NULL};
+    static const char *const devices[] = {
+        "/dev/null", "/dev/zero", "/dev/random", "/dev/urandom", "/dev/shm", "/dev/nvidia*", NULL};
     char program[PATH_MAX];
     ssize_t size = readlink("/proc/self/exe", program, sizeof program - 1);
-    for (int i = 0; folders[i] != NULL; i++)
-        allow(rules, folders[i], READ, handled);
-    allow(rules, "/dev", READ | WRITE_FILE, handled);
+    for (int i = 0; read[i] != NULL; i++)
+        allow_all(rules, read[i], READ, handled);
+    for (int i = 0; devices[i] != NULL; i++)
+        allow_all(rules, devices[i], READ | WRITE_FILE, handled);
     if (size <= 0) return;
     program[size] = '\0';
     allow(rules, dirname(dirname(program)), READ, handled);
@@ -227,7 +261,37 @@ static void allow_system(int rules, uint64_t handled) {
     if (module != NULL) allow(rules, module, READ, handled);
 }
 
-static bool lock_disk(const struct rn_sandbox_places *places) {
+// The programs of the profile, and the loader that runs them.
+static void allow_programs(int rules, const struct rn_profile *profile, uint64_t handled) {
+    static const char *const folders[] = {"/usr/local/bin", "/usr/bin", "/bin", NULL};
+    static const char *const loaders[] = {"/lib64/ld-linux-*", "/lib/ld-linux-*", NULL};
+    char path[128];
+    for (int i = 0; profile->programs[i] != NULL; i++) {
+        for (int k = 0; folders[k] != NULL; k++) {
+            snprintf(path, sizeof path, "%s/%s", folders[k], profile->programs[i]);
+            allow(rules, path, READ | LANDLOCK_ACCESS_FS_EXECUTE, handled);
+        }
+    }
+    for (int i = 0; profile->programs[0] != NULL && loaders[i] != NULL; i++)
+        allow_all(rules, loaders[i], READ | LANDLOCK_ACCESS_FS_EXECUTE, handled);
+}
+
+static void allow_places(int rules, const struct rn_profile *profile,
+                         const struct rn_sandbox_places *places, uint64_t handled) {
+    for (int i = 0; i < RN_PLACE_COUNT; i++) {
+        const unsigned bit = 1u << i;
+        const char *path = places->paths[i];
+        char above[PATH_MAX];
+        if (path == NULL) continue;
+        if (profile->read & bit) allow(rules, path, READ, handled);
+        if (profile->write & bit) allow(rules, path, WRITE | REFER | TRUNCATE, handled);
+        if (!(profile->tidy & bit)) continue;
+        snprintf(above, sizeof above, "%s", path);
+        allow(rules, dirname(above), LANDLOCK_ACCESS_FS_REMOVE_DIR, handled);
+    }
+}
+
+static bool lock_disk(const struct rn_profile *profile, const struct rn_sandbox_places *places) {
     int abi = (int)syscall(__NR_landlock_create_ruleset, NULL, 0, LANDLOCK_CREATE_RULESET_VERSION);
     if (abi < 1) return false;
     struct ruleset ruleset = {.files = handled_files(abi), .net = TCP};
@@ -235,22 +299,18 @@ static bool lock_disk(const struct rn_sandbox_places *places) {
     int rules = (int)syscall(__NR_landlock_create_ruleset, &ruleset, size, 0);
     if (rules < 0) return false;
     allow_system(rules, ruleset.files);
-    for (int i = 0; places->read[i] != NULL; i++)
-        allow(rules, places->read[i], READ, ruleset.files);
-    for (int i = 0; places->write[i] != NULL; i++)
-        allow(rules, places->write[i], WRITE | REFER | TRUNCATE, ruleset.files);
-    for (int i = 0; places->tidy != NULL && places->tidy[i] != NULL; i++)
-        allow(rules, places->tidy[i], LANDLOCK_ACCESS_FS_REMOVE_DIR, ruleset.files);
+    allow_programs(rules, profile, ruleset.files);
+    allow_places(rules, profile, places, ruleset.files);
     bool ok = syscall(__NR_landlock_restrict_self, rules, 0) == 0;
     close(rules);
     return ok;
 }
 
-bool rn_sandbox_confine(const struct rn_sandbox_places *places) {
+bool rn_sandbox_confine(const struct rn_profile *profile, const struct rn_sandbox_places *places) {
     if (places->memory_bytes > 0) limit(RLIMIT_DATA, (rlim_t)places->memory_bytes);
     signal(SIGXFSZ, SIG_IGN); // a file that grows too large is an error like a full disk
     if (places->file_bytes > 0) limit(RLIMIT_FSIZE, (rlim_t)places->file_bytes);
-    bool ok = lock_disk(places);
+    bool ok = lock_disk(profile, places);
     if (!ok) rn_log(RN_LOG_WARN, "the disk is not confined: Landlock: %s", strerror(errno));
     return ok;
 }

@@ -59,7 +59,7 @@ static int try_calls(void) {
     char *argv[] = {(char *)"true", NULL};
     pthread_t thread;
     int status;
-    rn_sandbox_begin();
+    rn_sandbox_begin(rn_profile_of("field"));
     if (!fails(execv("/bin/true", argv), EPERM)) return 1;
     if (!fails(socket(AF_INET, SOCK_STREAM, 0), EPERM)) return 2;
     if (!fails(socket(AF_UNIX, SOCK_STREAM, 0), EPERM)) return 3;
@@ -93,11 +93,14 @@ static int open_at(const char *parent, const char *name, int flags) {
 
 static int try_disk(void) {
     char from[256], to[256];
-    const char *const read[] = {theirs, "/no/such/place", NULL}, *const write[] = {mine, NULL};
-    struct rn_sandbox_places places = {
-        .read = read, .write = write, .memory_bytes = 64 << 20, .file_bytes = 1 << 20};
-    rn_sandbox_begin();
-    if (!rn_sandbox_confine(&places)) return 77;
+    const struct rn_profile *field = rn_profile_of("field");
+    struct rn_sandbox_places places = {.paths = {[RN_PLACE_DATASET] = theirs,
+                                                 [RN_PLACE_SCENE] = mine,
+                                                 [RN_PLACE_JOBS] = "/no/such/place"},
+                                       .memory_bytes = 64 << 20,
+                                       .file_bytes = 1 << 20};
+    rn_sandbox_begin(field);
+    if (!rn_sandbox_confine(field, &places)) return 77;
     if (open_at(mine, "made", O_RDWR | O_CREAT) != 0) return 1;
     if (open_at(mine, "made", O_WRONLY | O_TRUNC) != 0) return 2;
     if (open_at(theirs, "given", O_RDONLY) != 0) return 3;
@@ -106,6 +109,8 @@ static int try_disk(void) {
     if (!fails(open_at(folder, "secret", O_RDONLY), EACCES)) return 6;
     if (!fails(open_at(folder, "made", O_WRONLY | O_CREAT), EACCES)) return 7;
     if (!fails(open_at("/root", ".", O_RDONLY | O_DIRECTORY), EACCES)) return 8;
+    if (!fails(open_at("/etc", "passwd", O_RDONLY), EACCES)) return 17;
+    if (!fails(open_at("/dev", "ptmx", O_RDWR | O_NOCTTY), EACCES)) return 18;
     snprintf(from, sizeof from, "%s/made", mine);
     snprintf(to, sizeof to, "%s/renamed", mine);
     if (rename(from, to) != 0 || unlink(to) != 0) return 9;
@@ -121,16 +126,46 @@ static int try_disk(void) {
     return 0;
 }
 
-START_TEST(test_disk) {
+static void in_child_with_landlock(int (*body)(void)) {
     pid_t pid = fork();
     int status;
-    if (pid == 0) _exit(try_disk());
+    if (pid == 0) _exit(body());
     ck_assert_int_eq(waitpid(pid, &status, 0), pid);
     if (WIFEXITED(status) && WEXITSTATUS(status) == 77) {
         printf("skipped: this kernel has no Landlock\n");
         return;
     }
     ck_assert_msg(status == 0, "attempt %d was not as it should (%d)", WEXITSTATUS(status), status);
+}
+
+START_TEST(test_disk) {
+    in_child_with_landlock(try_disk);
+}
+END_TEST
+
+static int run(const char *program) {
+    const char *argv[] = {program, "--version", NULL};
+    int status;
+    pid_t pid = fork();
+    if (pid == 0) _exit(execv(program, (char **)argv) == -1 && errno == EACCES ? 66 : 67);
+    return waitpid(pid, &status, 0) == pid && WIFEXITED(status) ? WEXITSTATUS(status) : -1;
+}
+
+// A mode starts the programs of its row of the table and no others; what they may is no more.
+static int try_programs(void) {
+    const struct rn_profile profile = {.mode = "test", .programs = {"id"}, .write = 1};
+    struct rn_sandbox_places places = {.paths = {mine}};
+    rn_sandbox_begin(&profile);
+    if (!rn_sandbox_confine(&profile, &places)) return 77;
+    if (run("/usr/bin/id") != 0) return 1;
+    if (run("/usr/bin/env") != 66) return 2;
+    if (!fails(socket(AF_INET, SOCK_STREAM, 0), EPERM)) return 3;
+    if (!fails(open_at(folder, "secret", O_RDONLY), EACCES)) return 4;
+    return 0;
+}
+
+START_TEST(test_programs) {
+    in_child_with_landlock(try_programs);
 }
 END_TEST
 
@@ -140,6 +175,7 @@ int main(void) {
     tcase_add_checked_fixture(tcase, enter, leave);
     tcase_add_test(tcase, test_calls);
     tcase_add_test(tcase, test_disk);
+    tcase_add_test(tcase, test_programs);
     suite_add_tcase(suite, tcase);
     return run_suite(suite);
 }

@@ -1,0 +1,26 @@
+#include "server/runner/profile.h"
+
+#include <stddef.h>
+#include <string.h>
+
+#define SOURCE (1u << RN_PLACE_SOURCE)
+#define TARGET (1u << RN_PLACE_TARGET)
+#define WORK (1u << RN_PLACE_WORK)
+#define DATASET (1u << RN_PLACE_DATASET)
+#define SCENE (1u << RN_PLACE_SCENE)
+#define JOBS (1u << RN_PLACE_JOBS)
+
+// No mode opens a network connection. A program that is started runs under the same confinement.
+static const struct rn_profile profiles[] = {
+    // mode     programs               reads    writes          tidies
+    {"ingest", {"ffmpeg", "ffprobe"}, SOURCE, TARGET | WORK, TARGET | WORK},
+    {"poses", {"colmap"}, SOURCE, TARGET | WORK, TARGET | WORK},
+    {"field", {NULL}, DATASET, SCENE | JOBS, 0},
+    {"probe", {NULL}, 0, 0, 0},
+};
+
+const struct rn_profile *rn_profile_of(const char *mode) {
+    for (size_t i = 0; i < sizeof profiles / sizeof profiles[0]; i++)
+        if (strcmp(profiles[i].mode, mode) == 0) return &profiles[i];
+    return NULL;
+}
