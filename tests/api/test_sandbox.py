@@ -31,6 +31,7 @@ def test_runners_are_confined(make_daemon, photographs):
     assert daemon.wait(daemon.upload("data", photographs))["state"] == "succeeded"
     job = daemon.submit(type="train", dataset="data", scene="s", options={"max_steps": 100000})
     daemon.wait(job, ["running"])
+    next(event for event in daemon.follow(f"/v1/jobs/{job}/events") if event[1] == "progress")
     (runner,) = daemon.runners()
     status = status_of(runner)
     assert status["NoNewPrivs"] == "1" and status["Seccomp"] == "2"
