@@ -12,11 +12,11 @@
 
 // No mode opens a network connection. A program that is started runs under the same confinement.
 static const struct rn_profile profiles[] = {
-    // mode     programs               reads    writes          tidies
-    {"ingest", {"ffmpeg", "ffprobe"}, SOURCE, TARGET | WORK, TARGET | WORK},
-    {"poses", {"colmap"}, SOURCE, TARGET | WORK, TARGET | WORK},
-    {"field", {NULL}, DATASET, SCENE | JOBS, 0},
-    {"probe", {NULL}, 0, 0, 0},
+    // mode    programs               listed reads    writes         tidies
+    {"ingest", {"ffmpeg", "ffprobe"}, false, SOURCE, TARGET | WORK, TARGET | WORK},
+    {"poses", {"colmap"}, false, SOURCE, TARGET | WORK, TARGET | WORK},
+    {"field", {NULL}, true, DATASET, SCENE | JOBS, 0},
+    {"probe", {NULL}, true, 0, 0, 0},
 };
 
 const struct rn_profile *rn_profile_of(const char *mode) {

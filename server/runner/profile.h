@@ -20,6 +20,7 @@ enum rn_place {
 struct rn_profile {
     const char *mode;
     const char *programs[4]; // that it may start, by name, from the system's folders
+    bool listed_calls;       // system calls: only those listed in calls.c, else all but the refused
     unsigned read;           // places it reads
     unsigned write;          // places it writes, and reads
     unsigned tidy;           // places beside which it may remove what has become empty

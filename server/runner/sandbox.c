@@ -5,11 +5,7 @@
 #include <glob.h>
 #include <libgen.h>
 #include <limits.h>
-#include <linux/audit.h>
-#include <linux/filter.h>
 #include <linux/landlock.h>
-#include <linux/seccomp.h>
-#include <sched.h>
 #include <signal.h>
 #include <stddef.h>
 #include <stdio.h>
@@ -22,150 +18,10 @@
 #include <unistd.h>
 
 #include "common/base/log.h"
+#include "server/runner/calls.h"
 
-// ---- system calls -----------------------------------------------------------------------------
-
-#if defined(__x86_64__)
-#define ARCH AUDIT_ARCH_X86_64
-#elif defined(__aarch64__)
-#define ARCH AUDIT_ARCH_AARCH64
-#endif
-
-// Refused to modes that start no program.
-static const int programs[] = {__NR_execve, __NR_execveat};
-
-static const int refused[] = {
-    __NR_socket,
-    __NR_socketpair,
-    __NR_bind,
-    __NR_connect,
-    __NR_listen,
-    __NR_accept,
-    __NR_accept4,
-    __NR_ptrace,
-    __NR_process_vm_readv,
-    __NR_process_vm_writev,
-    __NR_kcmp,
-    __NR_unshare,
-    __NR_setns,
-    __NR_mount,
-    __NR_umount2,
-    __NR_pivot_root,
-    __NR_chroot,
-    __NR_move_mount,
-    __NR_open_tree,
-    __NR_fsopen,
-    __NR_fsmount,
-    __NR_swapon,
-    __NR_swapoff,
-    __NR_reboot,
-    __NR_kexec_load,
-    __NR_init_module,
-    __NR_finit_module,
-    __NR_delete_module,
-    __NR_bpf,
-    __NR_perf_event_open,
-    __NR_userfaultfd,
-    __NR_fanotify_init,
-    __NR_name_to_handle_at,
-    __NR_open_by_handle_at,
-    __NR_io_uring_setup,
-    __NR_io_uring_enter,
-    __NR_io_uring_register,
-    __NR_add_key,
-    __NR_request_key,
-    __NR_keyctl,
-    __NR_setuid,
-    __NR_setgid,
-    __NR_setreuid,
-    __NR_setregid,
-    __NR_setresuid,
-    __NR_setresgid,
-    __NR_setgroups,
-    __NR_setfsuid,
-    __NR_setfsgid,
-    __NR_capset,
-    __NR_settimeofday,
-    __NR_clock_settime,
-    __NR_clock_adjtime,
-    __NR_adjtimex,
-    __NR_sethostname,
-    __NR_setdomainname,
-    __NR_syslog,
-    __NR_acct,
-    __NR_quotactl,
-    __NR_personality,
-    __NR_vhangup,
-    __NR_pidfd_getfd,
-#ifdef __NR_iopl
-    __NR_iopl,
-    __NR_ioperm,
-    __NR_modify_ldt,
-    __NR_mknod,
-#endif
-    __NR_mknodat,
-};
-enum {
-    PROGRAMS = sizeof programs / sizeof programs[0],
-    REFUSED = sizeof refused / sizeof refused[0],
-    RULES = 2 * (PROGRAMS + REFUSED) + 16
-};
-
-#define NAMESPACES                                                                                 \
-    (CLONE_NEWNS | CLONE_NEWCGROUP | CLONE_NEWUTS | CLONE_NEWIPC | CLONE_NEWUSER | CLONE_NEWPID |  \
-     CLONE_NEWNET)
-
-static void add(struct sock_filter *rules, unsigned short *count, struct sock_filter rule) {
-    rules[(*count)++] = rule;
-}
-
-static void add_refused(struct sock_filter *rules, unsigned short *count, const int *calls,
-                        int call_count) {
-    for (int i = 0; i < call_count; i++) {
-        add(rules, count,
-            (struct sock_filter)BPF_JUMP(BPF_JMP | BPF_JEQ | BPF_K, (unsigned)calls[i], 0, 1));
-        add(rules, count, (struct sock_filter)BPF_STMT(BPF_RET | BPF_K, SECCOMP_RET_ERRNO | EPERM));
-    }
-}
-
-// A program for the kernel: another architecture's numbers are refused, then each number; threads
-// are made without namespaces (clone3 hides its flags: the C library takes clone instead).
-static unsigned short write_filter(const struct rn_profile *profile,
-                                   struct sock_filter rules[RULES]) {
-    const struct sock_filter deny = BPF_STMT(BPF_RET | BPF_K, SECCOMP_RET_ERRNO | EPERM);
-    const struct sock_filter pass = BPF_STMT(BPF_RET | BPF_K, SECCOMP_RET_ALLOW);
-    unsigned short n = 0;
-    add(rules, &n,
-        (struct sock_filter)BPF_STMT(BPF_LD | BPF_W | BPF_ABS,
-                                     offsetof(struct seccomp_data, arch)));
-    add(rules, &n, (struct sock_filter)BPF_JUMP(BPF_JMP | BPF_JEQ | BPF_K, ARCH, 1, 0));
-    add(rules, &n, deny);
-    add(rules, &n,
-        (struct sock_filter)BPF_STMT(BPF_LD | BPF_W | BPF_ABS, offsetof(struct seccomp_data, nr)));
-    add(rules, &n, (struct sock_filter)BPF_JUMP(BPF_JMP | BPF_JGE | BPF_K, 0x40000000, 0, 1));
-    add(rules, &n, deny); // x32
-    add_refused(rules, &n, refused, REFUSED);
-    if (profile->programs[0] == NULL) add_refused(rules, &n, programs, PROGRAMS);
-    add(rules, &n, (struct sock_filter)BPF_JUMP(BPF_JMP | BPF_JEQ | BPF_K, __NR_clone3, 0, 1));
-    add(rules, &n, (struct sock_filter)BPF_STMT(BPF_RET | BPF_K, SECCOMP_RET_ERRNO | ENOSYS));
-    add(rules, &n, (struct sock_filter)BPF_JUMP(BPF_JMP | BPF_JEQ | BPF_K, __NR_clone, 0, 3));
-    add(rules, &n,
-        (struct sock_filter)BPF_STMT(BPF_LD | BPF_W | BPF_ABS,
-                                     offsetof(struct seccomp_data, args[0])));
-    add(rules, &n, (struct sock_filter)BPF_JUMP(BPF_JMP | BPF_JSET | BPF_K, NAMESPACES, 0, 1));
-    add(rules, &n, deny);
-    add(rules, &n, pass);
-    return n;
-}
-
-// SPEC_ALLOW: without it some kernels slow the processor's speculation down for the filter.
-static void filter_calls(const struct rn_profile *profile) {
-    struct sock_filter rules[RULES];
-    struct sock_fprog program = {.len = write_filter(profile, rules), .filter = rules};
-    if (syscall(__NR_seccomp, SECCOMP_SET_MODE_FILTER,
-                SECCOMP_FILTER_FLAG_TSYNC | SECCOMP_FILTER_FLAG_SPEC_ALLOW, &program) != 0)
-        rn_log(RN_LOG_WARN, "system calls are not filtered: %s", strerror(errno));
-}
+// ---- privileges and limits
+// -----------------------------------------------------------------------
 
 static void limit(int what, rlim_t most) {
     struct rlimit now;
@@ -181,7 +37,7 @@ void rn_sandbox_begin(const struct rn_profile *profile) {
         rn_log(RN_LOG_WARN, "no_new_privs is not to be had: %s", strerror(errno));
     limit(RLIMIT_CORE, 0);
     limit(RLIMIT_NOFILE, 4096);
-    filter_calls(profile);
+    rn_calls_filter(profile);
 }
 
 // ---- the disk ---------------------------------------------------------------------------------
@@ -202,8 +58,11 @@ void rn_sandbox_begin(const struct rn_profile *profile) {
 #define TRUNCATE (1ull << 14)
 #define TCP 3ull
 
+// A process outside is sent no signal and reached by no abstract socket (Linux 6.12).
+#define SCOPES 3ull
+
 struct ruleset {
-    uint64_t files, net;
+    uint64_t files, net, scopes;
 };
 
 static uint64_t handled_files(int abi) {
@@ -294,8 +153,10 @@ static void allow_places(int rules, const struct rn_profile *profile,
 static bool lock_disk(const struct rn_profile *profile, const struct rn_sandbox_places *places) {
     int abi = (int)syscall(__NR_landlock_create_ruleset, NULL, 0, LANDLOCK_CREATE_RULESET_VERSION);
     if (abi < 1) return false;
-    struct ruleset ruleset = {.files = handled_files(abi), .net = TCP};
-    size_t size = abi >= 4 ? sizeof ruleset : sizeof ruleset.files;
+    struct ruleset ruleset = {.files = handled_files(abi), .net = TCP, .scopes = SCOPES};
+    size_t size = abi >= 6   ? sizeof ruleset
+                  : abi >= 4 ? offsetof(struct ruleset, scopes)
+                             : sizeof ruleset.files;
     int rules = (int)syscall(__NR_landlock_create_ruleset, &ruleset, size, 0);
     if (rules < 0) return false;
     allow_system(rules, ruleset.files);
