@@ -9,7 +9,7 @@ static const struct rn_field_spec dataset_camera[] = {
     RN_F_INT(S, index, RN_REQUIRED, 0, INFINITY),
     RN_F_TEXT(S, name, RN_REQUIRED, NULL),
     RN_F_INT(S, scale, RN_REQUIRED, 0, INFINITY),
-    RN_F_JSON(S, camera, RN_REQUIRED),
+    RN_F_CAMERA(S, camera, RN_REQUIRED),
 };
 const struct rn_table rn_dataset_camera_table = RN_TABLE(S, "a dataset's camera", dataset_camera);
 #undef S
@@ -24,34 +24,26 @@ static void put_lens(struct rn_buf *buf, const struct rn_camera *camera) {
     rn_buf_printf(buf, "}");
 }
 
-enum rn_status rn_camera_json(const struct rn_camera *camera, char **ret_json,
-                              struct rn_error *err) {
+void rn_json_put_camera(struct rn_buf *buf, const struct rn_camera *camera) {
     const struct {
         const char *name;
         double value;
     } intrinsics[] = {
         {"fx", camera->fx}, {"fy", camera->fy}, {"cx", camera->cx}, {"cy", camera->cy}};
-    struct rn_buf buf;
-    rn_buf_init(&buf, 4096);
-    rn_buf_printf(&buf, "{\"world_from_camera\":[");
+    rn_buf_printf(buf, "{\"world_from_camera\":[");
     for (int i = 0; i < 3; i++) {
         for (int j = 0; j < 4; j++) {
-            rn_buf_printf(&buf, "%s", j > 0 ? "," : i > 0 ? ",[" : "[");
-            rn_json_put_number(&buf, camera->world_from_camera[i][j]);
+            rn_buf_printf(buf, "%s", j > 0 ? "," : i > 0 ? ",[" : "[");
+            rn_json_put_number(buf, camera->world_from_camera[i][j] + 0.0); // no -0: equal texts
         }
-        rn_buf_printf(&buf, "]");
+        rn_buf_printf(buf, "]");
     }
-    rn_buf_printf(&buf, "],\"axes\":\"opencv\",\"width\":%d,\"height\":%d", camera->width,
+    rn_buf_printf(buf, "],\"axes\":\"opencv\",\"width\":%d,\"height\":%d", camera->width,
                   camera->height);
     for (int i = 0; i < 4; i++) {
-        rn_buf_printf(&buf, ",\"%s\":", intrinsics[i].name);
-        rn_json_put_number(&buf, intrinsics[i].value);
+        rn_buf_printf(buf, ",\"%s\":", intrinsics[i].name);
+        rn_json_put_number(buf, intrinsics[i].value);
     }
-    if (camera->lens) put_lens(&buf, camera);
-    rn_buf_printf(&buf, "}");
-    enum rn_status status = rn_buf_status(&buf, "a camera", err);
-    size_t size;
-    if (status == RN_OK) *ret_json = (char *)rn_buf_take(&buf, &size);
-    rn_buf_finish(&buf);
-    return status;
+    if (camera->lens) put_lens(buf, camera);
+    rn_buf_printf(buf, "}");
 }

@@ -10,12 +10,8 @@ struct rn_dataset_camera {
     int64_t index;
     char name[256];
     int64_t scale;
-    char *camera; // JSON, owned
+    struct rn_camera camera;
 };
 extern const struct rn_table rn_dataset_camera_table;
-
-// A camera as JSON in OpenCV axes with fx, fy, cx, cy and the lens; malloc'd. RN_ERROR_NO_MEMORY.
-enum rn_status rn_camera_json(const struct rn_camera *camera, char **ret_json,
-                              struct rn_error *err) RN_MUST_CHECK;
 
 #endif

@@ -7,6 +7,8 @@
 #include <string.h>
 #include <time.h>
 
+#include "common/dataset/json.h"
+#include "common/path/path.h"
 #include "proto/json_text.h"
 
 // ---- tables --------------------------------------------------------------------------------
@@ -101,6 +103,12 @@ static void init_field(const struct rn_field_spec *field, void *message) {
     case RN_TYPE_JSON:
         *(char **)at = NULL;
         break;
+    case RN_TYPE_CAMERA:
+        *(struct rn_camera *)at = (struct rn_camera){0};
+        break;
+    case RN_TYPE_PATH:
+        *(struct rn_path_document *)at = (struct rn_path_document){0};
+        break;
     }
 }
 
@@ -119,6 +127,11 @@ static void free_objects(const struct rn_field_spec *field, void *message) {
     free(items);
 }
 
+static void free_path(struct rn_path_document *document) {
+    free(document->json);
+    rn_path_destroy(&document->path);
+}
+
 void rn_message_finish(const struct rn_table *table, void *message) {
     for (size_t i = 0; i < rn_table_rows(table); i++) {
         struct rn_field_spec row = rn_table_row(table, i);
@@ -126,6 +139,7 @@ void rn_message_finish(const struct rn_table *table, void *message) {
         if (!field->name) continue;
         void *at = member(field, message);
         if (field->type == RN_TYPE_STRING || field->type == RN_TYPE_JSON) free(*(char **)at);
+        if (field->type == RN_TYPE_PATH) free_path(at);
         if (field->type == RN_TYPE_OBJECT) rn_message_finish(field->table, at);
         if (field->type == RN_TYPE_OBJECTS) free_objects(field, message);
         init_field(field, message);
@@ -275,6 +289,32 @@ static void decode_json(struct decoder *decoder, const struct rn_field_spec *fie
     if (!*ret_text) decoder->no_memory = true;
 }
 
+// A reader's error: its place is within the value at hand.
+static void refuse_inside(struct decoder *decoder, const struct rn_error *err) {
+    size_t length = strlen(decoder->pointer), room = sizeof decoder->pointer - length;
+    if (err->status == RN_ERROR_NO_MEMORY) decoder->no_memory = true;
+    snprintf(decoder->pointer + length, room, "%s", err->where[0] ? err->where + 1 : "");
+    refuse(decoder, "%s", err->text);
+    leave(decoder, length);
+}
+
+static void decode_camera(struct decoder *decoder, const json_t *value,
+                          struct rn_camera *ret_camera) {
+    struct rn_json object = rn_json_root(value, "");
+    struct rn_error err;
+    if (rn_json_camera(&object, ret_camera, &err)) refuse_inside(decoder, &err);
+}
+
+static void decode_path(struct decoder *decoder, const struct rn_field_spec *field,
+                        const json_t *value, struct rn_path_document *ret_document) {
+    struct rn_json object = rn_json_root(value, "");
+    struct rn_error err;
+    if (rn_path_read(&object, &ret_document->path, &err))
+        refuse_inside(decoder, &err);
+    else
+        decode_json(decoder, field, value, &ret_document->json);
+}
+
 // Whether `value` is an array of a length in [least, most].
 static bool is_array(struct decoder *decoder, const json_t *value, size_t least, size_t most) {
     if (!json_is_array(value)) {
@@ -367,6 +407,12 @@ static void decode_field(struct decoder *decoder, const struct rn_field_spec *fi
         break;
     case RN_TYPE_JSON:
         decode_json(decoder, field, value, at);
+        break;
+    case RN_TYPE_CAMERA:
+        decode_camera(decoder, value, at);
+        break;
+    case RN_TYPE_PATH:
+        decode_path(decoder, field, value, at);
         break;
     }
 }

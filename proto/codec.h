@@ -32,6 +32,8 @@ enum rn_type {
     RN_TYPE_OBJECT,  // a nested struct with its `table`
     RN_TYPE_OBJECTS, // struct *, owned, with a size_t count; at most max items
     RN_TYPE_JSON,    // char *, owned: any value, kept as compact JSON text
+    RN_TYPE_CAMERA,  // struct rn_camera, as rn_json_camera reads it; of width 0 when absent
+    RN_TYPE_PATH,    // struct rn_path_document, owned
 };
 
 enum {
@@ -71,6 +73,14 @@ struct rn_table {
     size_t settings_offset, settings_at;
     bool as_options;
 };
+
+// A camera path and the text that it was read from, which is what is kept and passed on. Absent:
+// NULL both; encoded is the text.
+struct rn_path_document {
+    char *json;
+    struct rn_path *path;
+};
+
 // How many rows to visit, and one of them: some have no name and are no field.
 size_t rn_table_rows(const struct rn_table *table);
 struct rn_field_spec rn_table_row(const struct rn_table *table, size_t i);
@@ -140,6 +150,11 @@ struct rn_field_spec rn_table_row(const struct rn_table *table, size_t i);
     }
 #define RN_F_JSON(s, m, f)                                                                         \
     { .name = #m, .type = RN_TYPE_JSON, .flags = (f), .offset = offsetof(s, m) }
+
+#define RN_F_CAMERA(s, m, f)                                                                       \
+    { .name = #m, .type = RN_TYPE_CAMERA, .flags = (f), .offset = offsetof(s, m) }
+#define RN_F_PATH(s, m, f)                                                                         \
+    { .name = #m, .type = RN_TYPE_PATH, .flags = (f), .offset = offsetof(s, m) }
 
 // What is wrong with a JSON text, field by field.
 #define RN_FIELD_ERRORS_MAX 16

@@ -2,6 +2,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "common/math/camera.h"
 #include "proto/codec.h"
 #include "proto/event.h"
 #include "proto/json_text.h"
@@ -34,6 +35,10 @@ static bool is_absent(const struct rn_field_spec *field, const void *message) {
     case RN_TYPE_STRING:
     case RN_TYPE_JSON:
         return *(char *const *)at == NULL;
+    case RN_TYPE_CAMERA:
+        return ((const struct rn_camera *)at)->width == 0;
+    case RN_TYPE_PATH:
+        return ((const struct rn_path_document *)at)->json == NULL;
     case RN_TYPE_INTS:
     case RN_TYPE_TEXTS:
     case RN_TYPE_OBJECTS:
@@ -124,6 +129,12 @@ static void put_field(struct encoder *encoder, const struct rn_field_spec *field
         break;
     case RN_TYPE_JSON:
         put(encoder, *(char *const *)at);
+        break;
+    case RN_TYPE_CAMERA:
+        rn_json_put_camera(&encoder->buf, at);
+        break;
+    case RN_TYPE_PATH:
+        put(encoder, ((const struct rn_path_document *)at)->json);
         break;
     case RN_TYPE_INTS:
     case RN_TYPE_NUMBERS:

@@ -63,7 +63,7 @@ static const struct rn_field_spec path_request[] = {
     RN_F_NAME(S, type, RN_REQUIRED, rn_job_type_names),
     RN_F_TEXT(S, scene, RN_REQUIRED, rn_check_reference),
     RN_F_TEXT(S, path, 0, rn_check_reference),
-    RN_F_JSON(S, camera_path, RN_IS_OBJECT),
+    RN_F_PATH(S, camera_path, 0),
     {.name = "options",
      .type = RN_TYPE_OBJECT,
      .offset = offsetof(S, path_options),
@@ -83,7 +83,7 @@ static const struct rn_field_spec whole_request[] = {
     RN_F_TEXT(S, dataset, 0, NULL),
     RN_F_TEXT(S, scene, 0, NULL),
     RN_F_TEXT(S, path, 0, NULL),
-    RN_F_JSON(S, camera_path, 0),
+    RN_F_PATH(S, camera_path, 0),
     RN_F_OBJECT(S, train, 0, &rn_train_options_table),
     RN_F_OBJECT(S, path_options, 0, &rn_path_options_table),
     RN_F_OBJECT(S, eval, 0, &rn_eval_options_table),
@@ -105,7 +105,7 @@ static const char *check_request(const struct rn_job_request *request, const cha
         return no_solid;
     if (request->type != RN_JOB_PATH) return NULL;
     *ret_pointer = "#/path";
-    if (!*request->path == !request->camera_path)
+    if (!*request->path == !request->camera_path.json)
         return "exactly one of path and camera_path must be given";
     const struct rn_path_options *options = &request->path_options;
     *ret_pointer = "#/options/height";

@@ -44,7 +44,7 @@ extern const struct rn_table rn_eval_options_table;
 struct rn_job_request {
     int type; // enum rn_job_type
     char dataset[RN_NAME_MAX], scene[RN_NAME_MAX], path[RN_NAME_MAX];
-    char *camera_path; // JSON of a CameraPath, checked to be an object only; owned
+    struct rn_path_document camera_path;
     struct rn_train_options train;
     struct rn_path_options path_options;
     struct rn_eval_options eval;

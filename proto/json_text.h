@@ -6,6 +6,7 @@
 #include <stddef.h>
 
 #include "common/base/buf.h"
+#include "common/math/camera.h"
 
 #define RN_JSON_TEXT_MAX ((size_t)64 << 20) // bytes of one encoded message
 
@@ -13,6 +14,8 @@ void rn_json_put_string(struct rn_buf *buf, const char *text);
 // The shortest decimal that reads back as the same double. `value` is finite.
 void rn_json_put_number(struct rn_buf *buf, double value);
 void rn_json_put_value(struct rn_buf *buf, const json_t *value);
+// In OpenCV axes with fx, fy, cx, cy and the lens. camera.c
+void rn_json_put_camera(struct rn_buf *buf, const struct rn_camera *camera);
 
 // The pointer ("#/options/planes") of what stands at byte `position` of a JSON text, well formed up
 // to there; right behind a key it is the key's. Long pointers are cut.

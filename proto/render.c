@@ -12,7 +12,7 @@ static const struct rn_table size_table = RN_TABLE(S, "a size", size);
 
 #define S struct rn_render_request
 static const struct rn_field_spec request[] = {
-    RN_F_JSON(S, camera, RN_IS_OBJECT),
+    RN_F_CAMERA(S, camera, 0),
     RN_F_TEXT(S, view, 0, rn_check_view),
     RN_F_INT(S, scale, 0, 0, 15),
     RN_F_NAME(S, lens, 0, rn_lens_choice_names),
@@ -29,9 +29,9 @@ const struct rn_table rn_render_request_table =
 // What a table cannot say.
 static const char *check_request(const struct rn_render_request *r, const char **ret_pointer) {
     *ret_pointer = "#/view";
-    if (!*r->view == !r->camera) return "exactly one of camera and view must be given";
+    if (!*r->view == !r->camera.width) return "exactly one of camera and view must be given";
     *ret_pointer = "#/scale";
-    if (r->camera && rn_int_or(r->scale, 0) != 0) return "goes with view only";
+    if (r->camera.width && rn_int_or(r->scale, 0) != 0) return "goes with view only";
     *ret_pointer = "#/format";
     if (r->output == RN_OUTPUT_KIND_DEPTH && r->format == RN_FORMAT_JPEG)
         return "must be png for depth";
@@ -72,7 +72,7 @@ void rn_render_request_settle(struct rn_render_request *r, enum rn_picture_forma
 #define S struct rn_camera_path_request
 static const struct rn_field_spec path_request[] = {
     RN_F_TEXT(S, name, RN_REQUIRED, rn_check_name),
-    RN_F_JSON(S, path, RN_REQUIRED | RN_IS_OBJECT),
+    RN_F_PATH(S, path, RN_REQUIRED),
 };
 const struct rn_table rn_camera_path_request_table =
     RN_TABLE(S, "a camera path request", path_request);
@@ -83,7 +83,7 @@ static const struct rn_field_spec path_record[] = {
     RN_F_TEXT(S, id, RN_REQUIRED, NULL),
     RN_F_TEXT(S, name, RN_REQUIRED, NULL),
     RN_F_TEXT(S, created_at, RN_REQUIRED, NULL),
-    RN_F_JSON(S, path, RN_REQUIRED | RN_IS_OBJECT),
+    RN_F_PATH(S, path, RN_REQUIRED),
 };
 const struct rn_table rn_camera_path_record_table = RN_TABLE(S, "a camera path", path_record);
 #undef S

@@ -2,6 +2,7 @@
 #ifndef RN_PROTO_RENDER_H
 #define RN_PROTO_RENDER_H
 
+#include "common/math/camera.h"
 #include "common/settings/render.h"
 #include "proto/codec.h"
 #include "proto/names.h"
@@ -11,8 +12,8 @@ struct rn_size {
 };
 
 struct rn_render_request {
-    char *camera;   // JSON of a Camera, checked to be an object only; owned; NULL = absent
-    char view[264]; // "test:12"; "" = absent
+    struct rn_camera camera; // of width 0 = absent
+    char view[264];          // "test:12"; "" = absent
     int64_t scale;
     int lens;             // enum rn_lens_choice, of a view; a camera has its own
     struct rn_size size;  // absent = the camera's own
@@ -36,12 +37,12 @@ void rn_render_request_settle(struct rn_render_request *request, enum rn_picture
 // POST /v1/camera-paths, and the record.
 struct rn_camera_path_request {
     char name[RN_NAME_MAX];
-    char *path; // JSON of a CameraPath, checked to be an object only; owned
+    struct rn_path_document path;
 };
 extern const struct rn_table rn_camera_path_request_table;
 struct rn_camera_path_record {
     char id[RN_ID_MAX], name[RN_NAME_MAX], created_at[RN_TIME_MAX];
-    char *path; // JSON, owned
+    struct rn_path_document path;
 };
 extern const struct rn_table rn_camera_path_record_table;
 // An entry of the list: the record without its path.

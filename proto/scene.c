@@ -1,10 +1,9 @@
 #include "proto/scene.h"
 
-#include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
-
 #include "proto/job.h"
+
+#define MOST_DIFFERENCES 64
+#define MOST_EFFECTS 32
 
 #define S struct rn_field_config_record
 static const struct rn_field_spec config[] = {
@@ -37,8 +36,9 @@ static const struct rn_table effect_table = RN_TABLE(S, "an effect", effect);
 #define S struct rn_scene_description
 static const struct rn_field_spec description[] = {
     RN_F_OBJECT(S, config, RN_REQUIRED, &rn_field_config_table),
-    RN_F_OBJECTS(S, differences, difference_count, RN_REQUIRED, &difference_table, 64),
-    RN_F_OBJECTS(S, effects, effect_count, RN_REQUIRED, &effect_table, 16),
+    RN_F_OBJECTS(S, differences, difference_count, RN_REQUIRED, &difference_table,
+                 MOST_DIFFERENCES),
+    RN_F_OBJECTS(S, effects, effect_count, RN_REQUIRED, &effect_table, MOST_EFFECTS),
     RN_F_OBJECT(S, bounds, RN_REQUIRED, &rn_bounds_record_table),
     RN_F_TEXT(S, held_out, RN_REQUIRED | RN_NULLABLE, NULL),
     RN_F_INT(S, memory_bytes, RN_REQUIRED, 0, INFINITY),
@@ -58,6 +58,13 @@ static const struct rn_table checkpoint_table = RN_TABLE(S, "a checkpoint", chec
 #undef S
 
 #define S struct rn_scene
+// A member of the description, which stands among the scene's own.
+#define PART(m, kind, f, ...)                                                                      \
+    {                                                                                              \
+        .name = #m, .type = RN_TYPE_##kind, .flags = (f), .offset = offsetof(S, description.m),    \
+        __VA_ARGS__                                                                                \
+    }
+#define PART_COUNT(m) .count_offset = offsetof(S, description.m)
 static const struct rn_field_spec scene[] = {
     RN_F_TEXT(S, id, RN_REQUIRED, NULL),
     RN_F_TEXT(S, name, RN_REQUIRED, NULL),
@@ -70,53 +77,17 @@ static const struct rn_field_spec scene[] = {
     RN_F_NUMBER(S, train_seconds, RN_REQUIRED, 0, INFINITY),
     RN_F_NUMBER(S, psnr, RN_REQUIRED | RN_NULLABLE, -INFINITY, INFINITY),
     RN_F_TEXT(S, parameters_sha256, RN_REQUIRED | RN_NULLABLE, NULL),
-    RN_F_JSON(S, config, RN_REQUIRED | RN_NULLABLE | RN_IS_OBJECT),
-    RN_F_JSON(S, differences, RN_REQUIRED),
-    RN_F_JSON(S, effects, RN_REQUIRED),
-    RN_F_JSON(S, bounds, RN_REQUIRED | RN_NULLABLE | RN_IS_OBJECT),
-    RN_F_TEXT(S, held_out, RN_REQUIRED | RN_NULLABLE, NULL),
+    PART(config, OBJECT, RN_REQUIRED | RN_NULLABLE, .table = &rn_field_config_table),
+    PART(differences, OBJECTS, RN_REQUIRED, PART_COUNT(difference_count), .max = MOST_DIFFERENCES,
+         .table = &difference_table),
+    PART(effects, OBJECTS, RN_REQUIRED, PART_COUNT(effect_count), .max = MOST_EFFECTS,
+         .table = &effect_table),
+    PART(bounds, OBJECT, RN_REQUIRED | RN_NULLABLE, .table = &rn_bounds_record_table),
+    PART(held_out, TEXT, RN_REQUIRED | RN_NULLABLE, .size = sizeof((S *)0)->description.held_out),
     RN_F_OBJECTS(S, checkpoints, checkpoint_count, RN_REQUIRED, &checkpoint_table, 16),
-    RN_F_INT(S, memory_bytes, RN_REQUIRED | RN_NULLABLE, 0, INFINITY),
-    RN_F_TEXT(S, kernels, RN_REQUIRED | RN_NULLABLE, NULL),
+    PART(memory_bytes, INT, RN_REQUIRED | RN_NULLABLE, .max = INFINITY),
+    PART(kernels, TEXT, RN_REQUIRED | RN_NULLABLE, .size = sizeof((S *)0)->description.kernels),
     RN_F_BOOL(S, loaded, RN_REQUIRED),
 };
 const struct rn_table rn_scene_table = RN_TABLE(S, "a scene", scene);
-
-// The description, taken apart into the scene's own members.
-static const struct rn_field_spec scene_part[] = {
-    RN_F_JSON(S, config, RN_REQUIRED | RN_IS_OBJECT),
-    RN_F_JSON(S, differences, RN_REQUIRED),
-    RN_F_JSON(S, effects, RN_REQUIRED),
-    RN_F_JSON(S, bounds, RN_REQUIRED | RN_IS_OBJECT),
-    RN_F_TEXT(S, held_out, RN_REQUIRED | RN_NULLABLE, NULL),
-    RN_F_INT(S, memory_bytes, RN_REQUIRED, 0, INFINITY),
-    RN_F_TEXT(S, kernels, RN_REQUIRED, NULL),
-};
-static const struct rn_table scene_part_table = RN_TABLE(S, "a scene's description", scene_part);
 #undef S
-
-enum rn_status rn_scene_describe(struct rn_scene *ret_scene, const char *text, size_t size,
-                                 struct rn_error *err) {
-    struct rn_scene part;
-    rn_message_init(&scene_part_table, &part);
-    if (text) {
-        enum rn_status status = rn_decode(&scene_part_table, text, size, &part, NULL, err);
-        if (status) return status;
-    } else {
-        part.differences = strdup("[]");
-        part.effects = strdup("[]");
-    }
-    if (!part.differences || !part.effects) {
-        rn_message_finish(&scene_part_table, &part);
-        return rn_error_set(err, RN_ERROR_NO_MEMORY, "scene", "out of memory");
-    }
-    rn_message_finish(&scene_part_table, ret_scene);
-    ret_scene->config = part.config;
-    ret_scene->differences = part.differences;
-    ret_scene->effects = part.effects;
-    ret_scene->bounds = part.bounds;
-    ret_scene->memory_bytes = part.memory_bytes;
-    memcpy(ret_scene->held_out, part.held_out, sizeof part.held_out);
-    memcpy(ret_scene->kernels, part.kernels, sizeof part.kernels);
-    return RN_OK;
-}

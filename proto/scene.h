@@ -42,8 +42,7 @@ struct rn_checkpoint_record {
     char created_at[RN_TIME_MAX];
 };
 
-// The resource. The members from config to kernels are JSON text or plain values that come out of
-// the description: rn_scene_describe fills them.
+// The resource.
 struct rn_scene {
     char id[RN_ID_MAX], name[RN_NAME_MAX];
     char dataset[RN_ID_MAX], dataset_name[RN_NAME_MAX];
@@ -53,21 +52,11 @@ struct rn_scene {
     int64_t steps;
     double train_seconds, psnr;
     char parameters_sha256[65];
-    char *config;                             // JSON, owned; NULL = null
-    char *differences, *effects;              // JSON arrays, owned
-    char *bounds;                             // JSON, owned; NULL = null
-    char held_out[256];                       // "" = null
+    struct rn_scene_description description;  // absent before it has trained
     struct rn_checkpoint_record *checkpoints; // owned, newest first
     size_t checkpoint_count;
-    int64_t memory_bytes; // RN_ABSENT = null
-    char kernels[32];     // "" = null
     bool loaded;
 };
 extern const struct rn_table rn_scene_table;
-
-// Fills config ... kernels of *scene (initialised) from a description's JSON; NULL gives those of
-// a scene that has not been trained.
-enum rn_status rn_scene_describe(struct rn_scene *scene, const char *description, size_t size,
-                                 struct rn_error *err) RN_MUST_CHECK;
 
 #endif

@@ -59,7 +59,7 @@ static const struct rn_table train_table = RN_TABLE(S, "train", train);
 static const struct rn_field_spec path[] = {
     RN_F_TEXT(S, job, RN_REQUIRED, NULL),
     RN_F_STRING(S, folder, RN_REQUIRED, PATH_BYTES),
-    RN_F_JSON(S, camera_path, RN_REQUIRED | RN_IS_OBJECT),
+    RN_F_PATH(S, camera_path, RN_REQUIRED),
     RN_F_OBJECT(S, options, RN_REQUIRED, &rn_path_options_table),
 };
 static const struct rn_table path_table = RN_TABLE(S, "path", path);

@@ -92,8 +92,8 @@ struct rn_wire_train {
 // Renders frames first..last of the path into `folder` (%05d.png), skipping those that are there.
 struct rn_wire_path {
     char job[RN_ID_MAX];
-    char *folder;      // owned
-    char *camera_path; // JSON of a CameraPath, owned
+    char *folder; // owned
+    struct rn_path_document camera_path;
     struct rn_path_options options;
 };
 struct rn_wire_eval {

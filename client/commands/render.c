@@ -26,19 +26,6 @@ static enum rn_exit read_document(const char *path, char **ret_text, size_t *ret
     return RN_EXIT_OK;
 }
 
-// The documents are {"camera": {...}} and {"path": {...}}; the API takes what is inside.
-struct document {
-    char *camera, *path; // owned
-};
-static const struct rn_field_spec camera_document_fields[] = {
-    RN_F_JSON(struct document, camera, RN_REQUIRED)};
-static const struct rn_table camera_document_table =
-    RN_TABLE(struct document, "camera file", camera_document_fields);
-static const struct rn_field_spec path_document_fields[] = {
-    RN_F_JSON(struct document, path, RN_REQUIRED)};
-static const struct rn_table path_document_table =
-    RN_TABLE(struct document, "camera path file", path_document_fields);
-
 // ---- render ----
 
 struct render_options {
@@ -93,22 +80,16 @@ static int format_of(const char *file) {
     return -1;
 }
 
-// The camera file's inside, checked here first. malloc'd.
-static enum rn_exit load_camera(const char *file, char **ret_camera) {
+// The camera of a file {"camera": {...}}.
+static enum rn_exit load_camera(const char *file, struct rn_camera *ret_camera) {
     struct rn_error err = {0};
-    struct rn_camera camera;
-    struct document document;
     char *text = NULL;
     size_t size = 0;
     enum rn_exit code = read_document(file, &text, &size);
     if (code != RN_EXIT_OK) return code;
-    enum rn_status status = rn_camera_parse(text, size, file, &camera, &err);
-    if (status == RN_OK)
-        status = rn_decode(&camera_document_table, text, size, &document, NULL, &err);
+    enum rn_status status = rn_camera_parse(text, size, file, ret_camera, &err);
     free(text);
-    if (status != RN_OK) return rn_client_fail(&err);
-    *ret_camera = document.camera;
-    return RN_EXIT_OK;
+    return status == RN_OK ? RN_EXIT_OK : rn_client_fail(&err);
 }
 
 static enum rn_exit render_body(const struct render_options *options, char **ret_body) {
@@ -226,33 +207,42 @@ static const struct rn_option path_table[] = {SIZE_OPTION(PATH(size)),
 
 struct path_request {
     int type;
-    char *scene, *path, *camera_path;
+    char *scene, *path; // only read
+    struct rn_path_document camera_path;
     struct rn_path_options options;
 };
 static const struct rn_field_spec path_request_fields[] = {
     RN_F_NAME(struct path_request, type, RN_REQUIRED, rn_job_type_names),
     RN_F_STRING(struct path_request, scene, RN_REQUIRED, 4096),
-    RN_F_STRING(struct path_request, path, 0, 4096), RN_F_JSON(struct path_request, camera_path, 0),
+    RN_F_STRING(struct path_request, path, 0, 4096), RN_F_PATH(struct path_request, camera_path, 0),
     RN_F_OBJECT(struct path_request, options, 0, &rn_path_options_table)};
 static const struct rn_table path_request_table =
     RN_TABLE(struct path_request, "path request", path_request_fields);
 
-// The path file's inside, checked here first. malloc'd.
-static enum rn_exit load_path(const char *file, char **ret_path) {
+// What the API takes is inside a path file, {"path": {...}}.
+struct path_file {
+    struct rn_path_document path;
+};
+static const struct rn_field_spec path_file_fields[] = {
+    RN_F_PATH(struct path_file, path, RN_REQUIRED)};
+static const struct rn_table path_file_table =
+    RN_TABLE(struct path_file, "camera path file", path_file_fields);
+
+static enum rn_exit load_path(const char *file, struct rn_path_document *ret_path) {
     struct rn_error err = {0};
-    struct rn_path *path = NULL;
-    struct document document;
+    struct path_file document;
     char *text = NULL;
     size_t size = 0;
     enum rn_exit code = read_document(file, &text, &size);
     if (code != RN_EXIT_OK) return code;
-    enum rn_status status = rn_path_parse(text, size, file, &path, &err);
-    if (status == RN_OK) {
-        rn_path_destroy(&path);
-        status = rn_decode(&path_document_table, text, size, &document, NULL, &err);
-    }
+    enum rn_status status = rn_decode(&path_file_table, text, size, &document, NULL, &err);
     free(text);
-    if (status != RN_OK) return rn_client_fail(&err);
+    if (status != RN_OK) {
+        char pointer[sizeof err.where];
+        memcpy(pointer, err.where, sizeof pointer);
+        snprintf(err.where, sizeof err.where, "%.150s%.100s", file, pointer);
+        return rn_client_fail(&err);
+    }
     *ret_path = document.path;
     return RN_EXIT_OK;
 }
@@ -263,7 +253,7 @@ static enum rn_exit path_body(const struct path_options *options, const char **a
     struct path_request request;
     rn_message_init(&path_request_table, &request);
     request.type = RN_JOB_PATH;
-    request.scene = (char *)args[0]; // only read
+    request.scene = (char *)args[0];
     if (access(args[1], F_OK) == 0 || strpbrk(args[1], "/.")) {
         enum rn_exit code = load_path(args[1], &request.camera_path);
         if (code != RN_EXIT_OK) return code;
@@ -276,7 +266,8 @@ static enum rn_exit path_body(const struct path_options *options, const char **a
     request.options.last = options->frames.second;
     memcpy(request.options.settings, options->settings, sizeof options->settings);
     *ret_body = rn_api_encode(&path_request_table, &request);
-    free(request.camera_path);
+    request.scene = request.path = NULL;
+    rn_message_finish(&path_request_table, &request);
     return *ret_body ? RN_EXIT_OK : RN_EXIT_FAILED;
 }
 

@@ -94,35 +94,20 @@ static void print_effects(const struct rn_scene_description *description) {
                description->differences[i].measured);
 }
 
-// The parts of a scene that its record keeps as JSON text.
-static void print_description(const struct rn_scene *scene) {
-    struct rn_scene_description description;
-    struct rn_buf json;
-    struct rn_error err = {0};
-    if (!scene->config || !scene->bounds) return;
-    rn_buf_init(&json, 1 << 20);
-    rn_buf_printf(&json,
-                  "{\"config\":%s,\"differences\":%s,\"effects\":%s,\"bounds\":%s,"
-                  "\"held_out\":null,\"memory_bytes\":0,\"kernels\":\"-\"}",
-                  scene->config, scene->differences, scene->effects, scene->bounds);
-    if (json.failed || rn_decode(&rn_scene_description_table, (char *)json.data, json.size,
-                                 &description, NULL, &err) != RN_OK) {
-        fprintf(stderr, "ripnerf: %s: %s\n", err.where, err.text);
-    } else {
-        struct rn_train_config config = {.preset = ""};
-        rn_settings_put(&rn_train_settings, description.config.settings, &config);
-        print_config(&config);
-        print_field("bounds", "centre (%g, %g, %g), radius %g", description.bounds.centre[0],
-                    description.bounds.centre[1], description.bounds.centre[2],
-                    description.bounds.radius);
-        print_effects(&description);
-        rn_message_finish(&rn_scene_description_table, &description);
-    }
-    rn_buf_finish(&json);
+static void print_description(const struct rn_scene_description *description) {
+    struct rn_train_config config = {.preset = ""};
+    if (isnan(description->bounds.radius)) return; // it has not trained yet
+    rn_settings_put(&rn_train_settings, description->config.settings, &config);
+    print_config(&config);
+    print_field("bounds", "centre (%g, %g, %g), radius %g", description->bounds.centre[0],
+                description->bounds.centre[1], description->bounds.centre[2],
+                description->bounds.radius);
+    print_effects(description);
 }
 
 static void print_scene(const void *message) {
     const struct rn_scene *scene = message;
+    const struct rn_scene_description *made = &scene->description;
     char psnr[24], seconds[24], bytes[24];
     rn_format_seconds(scene->train_seconds, seconds, sizeof seconds);
     print_field("scene", "%s (%s)", scene->name, scene->id);
@@ -131,13 +116,13 @@ static void print_scene(const void *message) {
     print_field("dataset", "%s (%s)", scene->dataset_name, scene->dataset);
     print_field("trained", "%lld steps in %s by %s", (long long)scene->steps, seconds, scene->job);
     if (scene->state == RN_SCENE_FAILED) print_field("why", "ripnerf show %s", scene->job);
-    print_field("PSNR", "%s dB%s%s", format_psnr(scene->psnr, psnr), *scene->held_out ? " on " : "",
-                scene->held_out);
+    print_field("PSNR", "%s dB%s%s", format_psnr(scene->psnr, psnr), *made->held_out ? " on " : "",
+                made->held_out);
     print_field("parameters", "%s",
                 *scene->parameters_sha256 ? scene->parameters_sha256 : "no checkpoint yet");
-    if (*scene->kernels) print_field("kernels", "%s", scene->kernels);
-    if (scene->memory_bytes != RN_ABSENT) {
-        rn_format_bytes((double)scene->memory_bytes, bytes, sizeof bytes);
+    if (*made->kernels) print_field("kernels", "%s", made->kernels);
+    if (made->memory_bytes != RN_ABSENT) {
+        rn_format_bytes((double)made->memory_bytes, bytes, sizeof bytes);
         print_field("memory", "%s", bytes);
     }
     for (size_t i = 0; i < scene->checkpoint_count; i++) {
@@ -145,7 +130,7 @@ static void print_scene(const void *message) {
         print_field(i ? "" : "checkpoints", "step %lld, %s, %s",
                     (long long)scene->checkpoints[i].step, bytes, scene->checkpoints[i].created_at);
     }
-    print_description(scene);
+    print_description(made);
 }
 
 static void print_dataset(const void *message) {
@@ -195,7 +180,7 @@ static void print_path(const void *message) {
     const struct rn_camera_path_record *path = message;
     print_field("camera path", "%s (%s)", path->name, path->id);
     print_field("created", "%s", path->created_at);
-    puts(path->path);
+    puts(path->path.json);
 }
 
 static const struct {

@@ -106,6 +106,18 @@ static enum rn_status read_path(const struct rn_json *object, struct rn_path *pa
     return RN_OK;
 }
 
+enum rn_status rn_path_read(const struct rn_json *object, struct rn_path **ret_path,
+                            struct rn_error *err) {
+    struct rn_path *path = calloc(1, sizeof *path);
+    if (!path) return rn_json_error(object, RN_ERROR_NO_MEMORY, err, "out of memory");
+    enum rn_status status = read_path(object, path, err);
+    if (status == RN_OK)
+        *ret_path = path;
+    else
+        rn_path_destroy(&path);
+    return status;
+}
+
 // The document's only member, `key`.
 static enum rn_status parse(const char *json, size_t size_bytes, const char *where, const char *key,
                             json_t **ret_root, struct rn_json *at, struct rn_json *ret_member,
@@ -133,16 +145,8 @@ enum rn_status rn_path_parse(const char *json, size_t size_bytes, const char *wh
     struct rn_json at, object;
     enum rn_status status = parse(json, size_bytes, where, "path", &root, &at, &object, err);
     if (status) return status;
-    struct rn_path *path = calloc(1, sizeof *path);
-    if (!path)
-        status = rn_error_set(err, RN_ERROR_NO_MEMORY, where, "out of memory");
-    else
-        status = read_path(&object, path, err);
+    status = rn_path_read(&object, ret_path, err);
     json_decref(root);
-    if (status == RN_OK)
-        *ret_path = path;
-    else
-        rn_path_destroy(&path);
     return status;
 }
 

@@ -13,6 +13,8 @@
 #include "common/base/status.h"
 #include "common/math/camera.h"
 
+struct rn_json;
+
 enum rn_interpolation { RN_INTERPOLATE_SPLINE, RN_INTERPOLATE_LINEAR };
 
 struct rn_path_key {
@@ -39,6 +41,9 @@ enum rn_status rn_path_parse(const char *json, size_t size_bytes, const char *wh
                              struct rn_path **ret_path, struct rn_error *err) RN_MUST_CHECK;
 enum rn_status rn_camera_parse(const char *json, size_t size_bytes, const char *where,
                                struct rn_camera *ret_camera, struct rn_error *err) RN_MUST_CHECK;
+// The same of what stands within a document: a camera path's object (common/dataset/json.h).
+enum rn_status rn_path_read(const struct rn_json *object, struct rn_path **ret_path,
+                            struct rn_error *err) RN_MUST_CHECK;
 void rn_path_destroy(struct rn_path **path);
 
 // Frame i is at the first key's time + i / fps. Frames of the path: floor(duration * fps) + 1; a

@@ -52,9 +52,6 @@ enum rn_status rn_api_number(const char *text, int64_t min, int64_t max, const c
 // RN_ERROR_LIMIT when a picture of this size would have more than RN_MAX_RENDER_PIXELS. render.c
 enum rn_status rn_api_check_pixels(int64_t width, int64_t height, const char *pointer,
                                    struct rn_error *err) RN_MUST_CHECK;
-// Checks a camera path's JSON; `pointer` is where it stands in the request. camera_paths.c
-enum rn_status rn_api_check_path(const char *json, const char *pointer,
-                                 struct rn_error *err) RN_MUST_CHECK;
 
 // Handlers, by file.
 #define RN_HANDLER(name)                                                                           \

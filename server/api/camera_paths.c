@@ -2,42 +2,16 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "common/base/buf.h"
 #include "common/base/clock.h"
 #include "common/base/file.h"
 #include "common/base/log.h"
 #include "common/path/path.h"
 #include "server/api/app.h"
 
-// The parser points into a path file ("#/path/keys"); the request has the path at `pointer`.
-static void move_pointer(const char *pointer, struct rn_error *err) {
-    static const char in_file[] = "#/path";
-    char rest[sizeof err->where];
-    if (strncmp(err->where, in_file, sizeof in_file - 1) != 0) return;
-    snprintf(rest, sizeof rest, "%s", err->where + sizeof in_file - 1);
-    snprintf(err->where, sizeof err->where, "%s%.200s", pointer, rest);
-}
-
-enum rn_status rn_api_check_path(const char *json, const char *pointer, struct rn_error *err) {
-    struct rn_path *path = NULL;
-    struct rn_buf file;
-    rn_buf_init(&file, RN_PATH_MAX_BYTES);
-    rn_buf_printf(&file, "{\"path\":");
-    rn_buf_append(&file, json, strlen(json));
-    rn_buf_append(&file, "}", 1);
-    enum rn_status status = rn_buf_status(&file, "the camera path", err);
-    if (status == RN_OK) status = rn_path_parse((const char *)file.data, file.size, "", &path, err);
-    if (status == RN_OK) status = rn_api_check_pixels(path->width, path->height, "#/path", err);
-    if (status != RN_OK) move_pointer(pointer, err);
-    rn_path_destroy(&path);
-    rn_buf_finish(&file);
-    return status;
-}
-
 static enum rn_status encode_path(struct rn_app *app, void *row_pointer, char **ret_json,
                                   struct rn_error *err) {
     struct rn_camera_path_row *row = row_pointer;
-    struct rn_camera_path_record record = {.path = row->document};
+    struct rn_camera_path_record record = {.path = {.json = row->document}};
     snprintf(record.id, sizeof record.id, "%s", row->id);
     snprintf(record.name, sizeof record.name, "%s", row->name);
     rn_time_text(row->created_ms, record.created_at);
@@ -64,12 +38,13 @@ void rn_list_camera_paths(void *context, struct rn_request *request, struct rn_r
 
 static enum rn_status insert(struct rn_app *app, const struct rn_camera_path_request *wanted,
                              struct rn_camera_path_row *row, struct rn_error *err) {
-    enum rn_status status = rn_api_check_path(wanted->path, "#/path", err);
+    const struct rn_path *path = wanted->path.path;
+    enum rn_status status = rn_api_check_pixels(path->width, path->height, "#/path", err);
     if (status == RN_OK) status = rn_store_new_id(RN_ID_PATH, row->id, err);
     if (status != RN_OK) return status;
     snprintf(row->name, sizeof row->name, "%s", wanted->name);
     row->created_ms = rn_clock_wall_ms();
-    row->document = wanted->path; // borrowed
+    row->document = wanted->path.json; // borrowed
     status = rn_store_insert(app->store, &rn_camera_paths, row, err);
     if (status == RN_ERROR_CONFLICT)
         return rn_error_set(err, status, "#/name", "there is a camera path '%s'", row->name);

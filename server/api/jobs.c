@@ -4,6 +4,7 @@
 
 #include "common/base/sha256.h"
 #include "proto/job.h"
+#include "common/path/path.h"
 #include "server/api/app.h"
 
 static enum rn_status encode_job(struct rn_app *app, void *row, char **ret_json,
@@ -44,8 +45,12 @@ static enum rn_status find_path(struct rn_app *app, const struct rn_job_request 
                                 char **ret_path, struct rn_error *err) {
     struct rn_camera_path_row row;
     if (wanted->type != RN_JOB_PATH) return RN_OK;
-    if (wanted->camera_path != NULL) {
-        *ret_path = strdup(wanted->camera_path);
+    if (wanted->camera_path.json != NULL) {
+        const struct rn_path *path = wanted->camera_path.path;
+        enum rn_status status =
+            rn_api_check_pixels(path->width, path->height, "#/camera_path", err);
+        if (status != RN_OK) return status;
+        *ret_path = strdup(wanted->camera_path.json);
     } else {
         enum rn_status status =
             rn_store_resolve(app->store, &rn_camera_paths, RN_ID_PATH, wanted->path, &row, err);
@@ -53,7 +58,7 @@ static enum rn_status find_path(struct rn_app *app, const struct rn_job_request 
         *ret_path = strdup(row.document);
         rn_row_finish(&rn_camera_paths, &row);
     }
-    return *ret_path != NULL ? rn_api_check_path(*ret_path, "#/camera_path", err)
+    return *ret_path != NULL ? RN_OK
                              : rn_error_set(err, RN_ERROR_NO_MEMORY, "", "no memory for the path");
 }
 

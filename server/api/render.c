@@ -3,8 +3,6 @@
 #include <string.h>
 #include <strings.h>
 
-#include "common/base/buf.h"
-#include "common/path/path.h"
 #include "server/api/app.h"
 
 enum rn_status rn_api_check_pixels(int64_t width, int64_t height, const char *pointer,
@@ -20,20 +18,8 @@ static enum rn_status check_picture(const struct rn_render_request *wanted, stru
     bool sized = wanted->size.width != RN_ABSENT && wanted->size.height != RN_ABSENT;
     enum rn_status status = RN_OK;
     if (sized) status = rn_api_check_pixels(wanted->size.width, wanted->size.height, "#/size", err);
-    if (status != RN_OK || wanted->camera == NULL) return status;
-    struct rn_camera camera;
-    struct rn_buf file;
-    rn_buf_init(&file, RN_MAX_BODY);
-    rn_buf_printf(&file, "{\"camera\":");
-    rn_buf_append(&file, wanted->camera, strlen(wanted->camera));
-    rn_buf_append(&file, "}", 1);
-    status = rn_buf_status(&file, "the camera", err);
-    if (status == RN_OK)
-        status = rn_camera_parse((const char *)file.data, file.size, "", &camera, err);
-    if (status == RN_OK && !sized)
-        status = rn_api_check_pixels(camera.width, camera.height, "#/camera", err);
-    rn_buf_finish(&file);
-    return status;
+    if (sized || wanted->camera.width == 0) return status;
+    return rn_api_check_pixels(wanted->camera.width, wanted->camera.height, "#/camera", err);
 }
 
 // Whether `Accept` lists a media type at all; ranges count, quality values do not.

@@ -30,13 +30,12 @@ static const struct rn_dataset *open_dataset(struct rn_app *app, struct rn_reque
 
 static enum rn_status encode_frame(const struct rn_frame *frame, char **ret_json,
                                    struct rn_error *err) {
-    struct rn_dataset_camera item = {
-        .split = (int)frame->split, .index = frame->index, .scale = frame->scale};
+    struct rn_dataset_camera item = {.split = (int)frame->split,
+                                     .index = frame->index,
+                                     .scale = frame->scale,
+                                     .camera = frame->camera};
     snprintf(item.name, sizeof item.name, "%s", frame->name);
-    enum rn_status status = rn_camera_json(&frame->camera, &item.camera, err);
-    if (status == RN_OK) status = rn_encode(&rn_dataset_camera_table, &item, ret_json, NULL, err);
-    rn_message_finish(&rn_dataset_camera_table, &item);
-    return status;
+    return rn_encode(&rn_dataset_camera_table, &item, ret_json, NULL, err);
 }
 
 static enum rn_status encode_frames(const struct rn_dataset *dataset, int split,

@@ -77,8 +77,10 @@ enum rn_status rn_document_scene(struct rn_control *control, struct rn_scene_row
     struct rn_checkpoint_record checkpoints[MAX_CHECKPOINTS];
     struct rn_scene scene;
     rn_message_init(&rn_scene_table, &scene);
-    enum rn_status status =
-        rn_scene_describe(&scene, row->record, row->record != NULL ? strlen(row->record) : 0, err);
+    enum rn_status status = RN_OK;
+    if (row->record != NULL)
+        status = rn_decode(&rn_scene_description_table, row->record, strlen(row->record),
+                           &scene.description, NULL, err);
     if (status == RN_OK) status = dataset_name(control, row->dataset, scene.dataset_name, err);
     if (status == RN_OK)
         status = list_checkpoints(control, row->id, checkpoints, &scene.checkpoint_count, err);
@@ -95,7 +97,7 @@ enum rn_status rn_document_scene(struct rn_control *control, struct rn_scene_row
         scene.train_seconds = live ? task->live.train_seconds : row->train_seconds;
         scene.psnr = live && !isnan(task->live.psnr) ? task->live.psnr : row->psnr;
         scene.checkpoints = checkpoints;
-        scene.memory_bytes = row->memory_bytes > 0 ? row->memory_bytes : RN_ABSENT;
+        scene.description.memory_bytes = row->memory_bytes > 0 ? row->memory_bytes : RN_ABSENT;
         const struct rn_runner *runner = rn_runner_find(control, row->id);
         scene.loaded = runner != NULL && runner->state == RN_RUNNER_READY;
         status = rn_encode(&rn_scene_table, &scene, ret_json, NULL, err);

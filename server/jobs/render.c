@@ -98,11 +98,6 @@ static struct rn_render *add_render(struct rn_control *control, struct rn_runner
     struct rn_render *render = calloc(1, sizeof *render);
     if (render == NULL) return NULL;
     render->request = *request;
-    if (request->camera != NULL) render->request.camera = strdup(request->camera);
-    if (request->camera != NULL && render->request.camera == NULL) {
-        free(render);
-        return NULL;
-    }
     snprintf(render->etag, sizeof render->etag, "%s", etag);
     render->step = step;
     render->number = ++control->next_render;

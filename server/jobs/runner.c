@@ -164,8 +164,8 @@ static enum rn_status begin_path(struct rn_control *control, struct rn_task *tas
     if (status != RN_OK) return status;
     snprintf(path.job, sizeof path.job, "%s", task->row.id);
     path.folder = rn_store_path(control->store, "jobs/%s/frames", task->row.id);
-    path.camera_path = strdup(task->row.source);
-    if (path.folder == NULL || path.camera_path == NULL)
+    path.camera_path.json = strdup(task->row.source);
+    if (path.folder == NULL || path.camera_path.json == NULL)
         status = rn_error_set(err, RN_ERROR_NO_MEMORY, "path", "no memory");
     else
         rn_runner_post(control, task->runner, RN_WIRE_PATH, &path);

@@ -6,7 +6,6 @@
 #include <string.h>
 
 #include "common/base/file.h"
-#include "common/path/path.h"
 #include "proto/doctor.h"
 #include "proto/incident.h"
 #include "server/engine/doctor/doctor.h"
@@ -36,17 +35,6 @@ static enum rn_status read_message(const char *path, size_t most, const struct r
 
 // ---- cameras --------------------------------------------------------------------------------
 
-static enum rn_status parse_camera(const char *json, struct rn_camera *ret_camera,
-                                   struct rn_error *err) {
-    size_t size = strlen(json) + sizeof "{\"camera\":}";
-    char *document = malloc(size);
-    if (!document) return rn_error_set(err, RN_ERROR_NO_MEMORY, "cameras", "out of memory");
-    int length = snprintf(document, size, "{\"camera\":%s}", json);
-    enum rn_status status = rn_camera_parse(document, (size_t)length, "cameras", ret_camera, err);
-    free(document);
-    return status;
-}
-
 static enum rn_status read_cameras(const char *path, struct rn_camera **ret_cameras,
                                    size_t *ret_count, struct rn_error *err) {
     struct rn_camera_list_record list;
@@ -55,7 +43,7 @@ static enum rn_status read_cameras(const char *path, struct rn_camera **ret_came
     struct rn_camera *cameras = calloc(list.item_count + 1, sizeof *cameras);
     if (!cameras) status = rn_error_set(err, RN_ERROR_NO_MEMORY, path, "out of memory");
     for (size_t i = 0; i < list.item_count && !status; i++)
-        status = parse_camera(list.items[i].camera, &cameras[i], err);
+        cameras[i] = list.items[i].camera;
     *ret_count = list.item_count;
     rn_message_finish(&rn_camera_list_table, &list);
     if (status)

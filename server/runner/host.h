@@ -76,7 +76,8 @@ void rn_training_drop(struct rn_host *host);
 
 // ---- work.c; path.c, eval.c: the kinds of it ----
 
-void rn_work_add_path(struct rn_host *host, const struct rn_wire_path *request);
+// Takes over what the request owns.
+void rn_work_add_path(struct rn_host *host, struct rn_wire_path *request);
 void rn_work_add_eval(struct rn_host *host, const struct rn_wire_eval *request);
 void rn_work_unit(struct rn_host *host);                    // one frame or view of the first job
 bool rn_work_cancel(struct rn_host *host, const char *job); // false: no such job

@@ -17,25 +17,13 @@
 struct path_work {
     struct rn_work work;
     struct rn_wire_path request; // its texts are owned
-    struct rn_path *keys;
     size_t first;
     double depth_scale; // one for all frames
 };
 
-static enum rn_status parse_path(const char *json, struct rn_path **ret_path,
-                                 struct rn_error *err) {
-    size_t size = strlen(json) + sizeof "{\"path\":}";
-    char *document = malloc(size);
-    if (!document) return rn_error_set(err, RN_ERROR_NO_MEMORY, "#/path", "out of memory");
-    int length = snprintf(document, size, "{\"path\":%s}", json);
-    enum rn_status status = rn_path_parse(document, (size_t)length, "", ret_path, err);
-    free(document);
-    return status;
-}
-
 static struct rn_camera frame_camera(const struct path_work *path, size_t unit) {
     const struct rn_path_options *options = &path->request.options;
-    struct rn_camera camera = rn_path_camera(path->keys, path->first + unit);
+    struct rn_camera camera = rn_path_camera(path->request.camera_path.path, path->first + unit);
     if (options->width == RN_ABSENT) return camera;
     return rn_camera_reframed(&camera, (int)options->width, (int)options->height);
 }
@@ -44,10 +32,9 @@ static enum rn_status prepare(struct rn_work *work, struct rn_field *field, stru
     struct path_work *path = (struct path_work *)work;
     const struct rn_path_options *options = &path->request.options;
     struct rn_field_info info;
-    enum rn_status status = parse_path(path->request.camera_path, &path->keys, err);
-    if (!status) status = rn_mkdirs(path->request.folder, 0777, err);
+    enum rn_status status = rn_mkdirs(path->request.folder, 0777, err);
     if (status) return status;
-    size_t count = rn_path_frame_count(path->keys);
+    size_t count = rn_path_frame_count(path->request.camera_path.path);
     path->first = (size_t)rn_int_or(options->first, 0);
     size_t last = (size_t)rn_int_or(options->last, (int64_t)count - 1);
     if (path->first >= count || last >= count || last < path->first)
@@ -152,9 +139,7 @@ static enum rn_status result(struct rn_work *work, struct rn_field *field, char 
 }
 
 static void release(struct rn_work *work) {
-    struct path_work *path = (struct path_work *)work;
-    rn_message_finish(rn_wire_table(RN_WIRE_PATH), &path->request);
-    if (path->keys) rn_path_destroy(&path->keys);
+    rn_message_finish(rn_wire_table(RN_WIRE_PATH), &((struct path_work *)work)->request);
 }
 
 static const struct rn_work_kind kind = {.size = sizeof(struct path_work),
@@ -164,14 +149,9 @@ static const struct rn_work_kind kind = {.size = sizeof(struct path_work),
                                          .result = result,
                                          .release = release};
 
-void rn_work_add_path(struct rn_host *host, const struct rn_wire_path *request) {
+void rn_work_add_path(struct rn_host *host, struct rn_wire_path *request) {
     struct path_work *path = (struct path_work *)rn_work_append(host, &kind, request->job);
     if (!path) return;
     path->request = *request;
-    path->request.camera_path = strdup(request->camera_path);
-    path->request.folder = strdup(request->folder);
-    if (path->request.camera_path && path->request.folder) return;
-    struct rn_error err;
-    rn_error_set(&err, RN_ERROR_NO_MEMORY, "", "out of memory");
-    rn_work_fail(&path->work, &err);
+    rn_message_init(rn_wire_table(RN_WIRE_PATH), request);
 }

@@ -4,7 +4,6 @@
 #include <string.h>
 
 #include "common/base/clock.h"
-#include "common/path/path.h"
 #include "server/runner/host.h"
 
 #define INTERACTIVE_PNG_LEVEL 2 // zlib: quick rather than small
@@ -40,21 +39,13 @@ enum rn_status rn_picture_encode(const struct rn_render_result *result, enum rn_
     return status;
 }
 
-static enum rn_status parse_camera(const char *json, struct rn_camera *ret_camera,
-                                   struct rn_error *err) {
-    size_t size = strlen(json) + sizeof "{\"camera\":}";
-    char *document = malloc(size);
-    if (!document) return rn_error_set(err, RN_ERROR_NO_MEMORY, "#/camera", "out of memory");
-    int length = snprintf(document, size, "{\"camera\":%s}", json);
-    enum rn_status status = rn_camera_parse(document, (size_t)length, "", ret_camera, err);
-    free(document);
-    return status;
-}
-
 static enum rn_status find_camera(struct rn_host *host, const struct rn_render_request *request,
                                   struct rn_camera *ret_camera, struct rn_error *err) {
-    if (request->camera) return parse_camera(request->camera, ret_camera, err);
     const struct rn_frame *frame;
+    if (request->camera.width) {
+        *ret_camera = request->camera;
+        return RN_OK;
+    }
     enum rn_status status = rn_host_need_dataset(host, err);
     if (status) return status;
     status = rn_dataset_find_view(host->dataset, request->view, (int)rn_int_or(request->scale, 0),

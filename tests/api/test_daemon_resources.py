@@ -321,6 +321,25 @@ def test_bad_render(shared, request_body):
     assert shared.get("/healthz").status == 200
 
 
+@pytest.mark.parametrize("camera, pointer", [
+    ({}, "#/camera/world_from_camera"), ({**CAMERA, "width": 0}, "#/camera/width"),
+    ({**CAMERA, "more": 1}, "#/camera/more"), ("front", "#/camera"),
+    ({**CAMERA, "world_from_camera": [[2, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]]},
+     "#/camera/world_from_camera")])
+def test_bad_camera_is_pointed_at(shared, camera, pointer):
+    reply = shared.post("/v1/scenes/ready/render", {"camera": camera})
+    assert reply.status == 422 and pointers(reply) == [pointer]
+
+
+# However its camera is written, an equal picture has an equal tag.
+def test_equal_cameras_have_one_tag(shared):
+    other = {**CAMERA, "axes": "opengl" if CAMERA["axes"] == "opencv" else "opencv",
+             "world_from_camera": [[row[0], -row[1], -row[2], row[3]]
+                                   for row in CAMERA["world_from_camera"]]}
+    tags = {render(shared, camera=camera).headers["ETag"] for camera in (CAMERA, other)}
+    assert len(tags) == 1
+
+
 def test_render_of_too_many_pixels(shared):
     huge = {"width": 16384, "height": 16384}
     for request, pointer in (({"view": "test:0", "size": huge}, "#/size"),
@@ -407,8 +426,10 @@ def test_camera_paths(shared):
     assert summary in shared.get("/v1/camera-paths").json["items"]
     assert shared.post("/v1/camera-paths", {"name": "arc", "path": PATH}).status == 409
     backwards = {**PATH, "keys": PATH["keys"][::-1]}
-    for path in ({}, {**PATH, "keys": []}, {**PATH, "fps": 0}, backwards, 7):
-        assert shared.post("/v1/camera-paths", {"name": "bad", "path": path}).status == 422
+    for path, pointer in (({}, "#/path/width"), ({**PATH, "keys": []}, "#/path/keys"), (7, "#/path"),
+                          ({**PATH, "fps": -1}, "#/path/fps"), (backwards, "#/path/keys/1/time")):
+        refused = shared.post("/v1/camera-paths", {"name": "bad", "path": path})
+        assert refused.status == 422 and pointers(refused) == [pointer]
 
     job = shared.wait(shared.submit(type="path", scene="ready", path="arc",
                                     options={"first": 2, "last": 6}))

@@ -139,7 +139,11 @@ static const struct {
     {"{\"type\":\"train\",\"dataset\":\"d\",\"scene\":\"s\",\"options\":{\"channels\":5}}",
      "#/options/channels"},
     {"{\"type\":\"path\",\"scene\":\"s\"}", "#/path"},
-    {"{\"type\":\"path\",\"scene\":\"s\",\"path\":\"p\",\"camera_path\":{}}", "#/path"},
+    {"{\"type\":\"path\",\"scene\":\"s\",\"path\":\"p\",\"camera_path\":{\"width\":4,\"height\":3,"
+     "\"axes\":\"opencv\",\"keys\":[{\"time\":0,\"fov_y_deg\":60,\"world_from_camera\":"
+     "[[1,0,0,0],[0,1,0,0],[0,0,1,0]]}]}}",
+     "#/path"},
+    {"{\"type\":\"path\",\"scene\":\"s\",\"camera_path\":{}}", "#/camera_path/width"},
     {"{\"type\":\"path\",\"scene\":\"s\",\"camera_path\":[]}", "#/camera_path"},
     {"{\"type\":\"path\",\"scene\":\"s\",\"camera_path\":{\"keys\":[{\"a\":1},{\"a\":1,\"a\":2}]}}",
      "#/camera_path/keys/1/a"},
@@ -260,32 +264,34 @@ START_TEST(lists_have_a_cursor) {
 }
 END_TEST
 
-START_TEST(description_fills_a_scene) {
-    struct rn_scene scene;
-    struct rn_error err = {0};
-    rn_message_init(&rn_scene_table, &scene);
-    char *text = read_example("Scene"), part[8192];
-    json_t *whole = json_loads(text, 0, NULL);
+// A scene tells the runner's description among its own fields, and gets it from the same JSON.
+START_TEST(description_is_part_of_a_scene) {
     static const char *const keys[] = {"config",   "differences",  "effects", "bounds",
                                        "held_out", "memory_bytes", "kernels"};
-    json_t *description = json_object();
+    char *text = read_example("Scene"), part[8192], *again;
+    struct rn_error err = {0};
+    json_t *whole = json_loads(text, 0, NULL), *description = json_object();
     for (size_t i = 0; i < 7; i++)
         json_object_set(description, keys[i], json_object_get(whole, keys[i]));
     size_t size = json_dumpb(description, part, sizeof part, 0);
     ck_assert_uint_lt(size, sizeof part);
-    struct rn_scene_description decoded;
-    ck_assert_int_eq(rn_decode(&rn_scene_description_table, part, size, &decoded, NULL, &err),
-                     RN_OK);
+    struct rn_scene scene;
+    rn_message_init(&rn_scene_table, &scene);
+    ck_assert_int_eq(
+        rn_decode(&rn_scene_description_table, part, size, &scene.description, NULL, &err), RN_OK);
+    ck_assert_str_eq(scene.description.kernels, "avx2");
     struct rn_train_config config = {.preset = ""};
-    rn_settings_put(&rn_train_settings, decoded.config.settings, &config);
+    rn_settings_put(&rn_train_settings, scene.description.config.settings, &config);
     ck_assert_int_eq(config.field.planes, 3);
-    rn_message_finish(&rn_scene_description_table, &decoded);
-    ck_assert_int_eq(rn_scene_describe(&scene, part, size, &err), RN_OK);
-    ck_assert_str_eq(scene.kernels, "avx2");
-    ck_assert_ptr_nonnull(strstr(scene.config, "\"planes\":3"));
-    ck_assert_int_eq(rn_scene_describe(&scene, NULL, 0, &err), RN_OK);
-    ck_assert_ptr_null(scene.config);
-    ck_assert_str_eq(scene.effects, "[]");
+    ck_assert_int_eq(rn_encode(&rn_scene_table, &scene, &again, NULL, &err), RN_ERROR_INVALID);
+    rn_message_finish(&rn_scene_table, &scene);
+    ck_assert_int_eq(rn_decode(&rn_scene_table, text, strlen(text), &scene, NULL, &err), RN_OK);
+    ck_assert_int_eq(rn_encode(&rn_scene_description_table, &scene.description, &again, NULL, &err),
+                     RN_OK);
+    json_t *told = json_loads(again, 0, NULL);
+    ck_assert_msg(json_equal(description, told), "%s", again);
+    json_decref(told);
+    free(again);
     rn_message_finish(&rn_scene_table, &scene);
     json_decref(description);
     json_decref(whole);
@@ -293,14 +299,23 @@ START_TEST(description_fills_a_scene) {
 }
 END_TEST
 
+// Axes as OpenGL has them, and a field of view.
+#define CAMERA                                                                                     \
+    "{\"world_from_camera\":[[1,0,0,0],[0,1,0,0],[0,0,1,0.1]],\"axes\":\"opengl\",\"width\":4,"    \
+    "\"height\":3,\"fov_y_deg\":90}"
+
 START_TEST(render_request_is_checked_and_settled) {
-    static const char both[] = "{\"view\":\"test:1\",\"camera\":{}}", neither[] = "{}";
+    static const char both[] = "{\"view\":\"test:1\",\"camera\":" CAMERA "}", neither[] = "{}";
+    static const char wrong[] = "{\"camera\":{\"axes\":\"opencv\"}}";
     static const char depth[] = "{\"view\":\"test:1\",\"output\":\"depth\",\"format\":\"jpeg\"}";
     static const char good[] = "{\"view\":\"val:r_1\"}";
     struct rn_render_request request;
     struct rn_field_errors errors;
     ck_assert_int_ne(rn_render_request_decode(both, strlen(both), &request, &errors, NULL), RN_OK);
     ck_assert_str_eq(errors.items[0].pointer, "#/view");
+    ck_assert_int_ne(rn_render_request_decode(wrong, strlen(wrong), &request, &errors, NULL),
+                     RN_OK);
+    ck_assert_str_eq(errors.items[0].pointer, "#/camera/world_from_camera");
     ck_assert_int_ne(rn_render_request_decode(neither, 2, &request, &errors, NULL), RN_OK);
     ck_assert_int_ne(rn_render_request_decode(depth, strlen(depth), &request, &errors, NULL),
                      RN_OK);
@@ -340,20 +355,46 @@ END_TEST
 
 #define COUNT(array) (int)(sizeof(array) / sizeof *(array))
 
+static char *encoded(const struct rn_camera *camera) {
+    struct rn_dataset_camera item = {.name = "a", .camera = *camera};
+    char *json;
+    ck_assert_int_eq(rn_encode(&rn_dataset_camera_table, &item, &json, NULL, NULL), RN_OK);
+    return json;
+}
+
 // The API's camera is the reader's: a lens only where there is one, its parameters by name.
 START_TEST(camera_as_json) {
     struct rn_camera camera = {.width = 4, .height = 3, .fx = 5, .fy = 6, .cx = 2, .cy = 1.5};
-    char *json;
-    struct rn_error err;
     for (int i = 0; i < 3; i++)
         camera.world_from_camera[i][i] = 1;
-    ck_assert_int_eq(rn_camera_json(&camera, &json, &err), RN_OK);
+    char *json = encoded(&camera);
     ck_assert_ptr_null(strstr(json, "lens"));
     free(json);
     camera.lens = RN_LENS_FOV;
     camera.lens_k[0] = 0.75;
-    ck_assert_int_eq(rn_camera_json(&camera, &json, &err), RN_OK);
+    json = encoded(&camera);
     ck_assert_ptr_nonnull(strstr(json, "\"lens\":{\"model\":\"fov\",\"omega\":0.75}"));
+    free(json);
+}
+END_TEST
+
+// However a request writes its camera, it is told in one way: equal cameras have equal texts.
+START_TEST(camera_of_a_request) {
+    static const char text[] = "{\"camera\":" CAMERA "}";
+    struct rn_render_request request;
+    char *json;
+    ck_assert_int_eq(rn_render_request_decode(text, strlen(text), &request, NULL, NULL), RN_OK);
+    ck_assert_double_eq_tol(request.camera.fx, 1.5, 1e-15);
+    ck_assert_double_eq(request.camera.world_from_camera[2][2], -1);
+    ck_assert_double_eq(request.camera.world_from_camera[2][3], 0.1);
+    ck_assert_int_eq(rn_encode(&rn_render_request_table, &request, &json, NULL, NULL), RN_OK);
+    struct rn_render_request again;
+    ck_assert_int_eq(rn_render_request_decode(json, strlen(json), &again, NULL, NULL), RN_OK);
+    const double *pose = &request.camera.world_from_camera[0][0];
+    for (int i = 0; i < 12; i++)
+        ck_assert_double_eq((&again.camera.world_from_camera[0][0])[i], pose[i]);
+    ck_assert_double_eq(again.camera.fx, request.camera.fx);
+    ck_assert_double_eq(again.camera.cy, request.camera.cy);
     free(json);
 }
 END_TEST
@@ -370,8 +411,9 @@ int main(void) {
     tcase_add_test(tests, missing_value_is_not_encoded);
     tcase_add_test(tests, strings_are_escaped);
     tcase_add_test(tests, camera_as_json);
+    tcase_add_test(tests, camera_of_a_request);
     tcase_add_test(tests, lists_have_a_cursor);
-    tcase_add_test(tests, description_fills_a_scene);
+    tcase_add_test(tests, description_is_part_of_a_scene);
     tcase_add_test(tests, render_request_is_checked_and_settled);
     tcase_add_test(tests, time_is_rfc3339);
     tcase_add_loop_test(tests, every_status_has_a_problem, 0, RN_STATUS_COUNT);
