@@ -13,6 +13,9 @@ enum rn_status rn_frame_decode(const struct rn_frame *frame, struct rn_image *re
                                struct rn_error *err) {
     struct rn_image image;
     enum rn_status status = rn_image_read(frame->path, &rn_image_default_limits, &image, err);
+    if (status == RN_OK && frame->turn > 1 &&
+        (status = rn_image_turn(&image, frame->turn, err)) != RN_OK)
+        rn_image_finish(&image);
     if (status) return status;
     if (image.width != frame->camera.width || image.height != frame->camera.height) {
         status = rn_error_set(err, RN_ERROR_INVALID, frame->path, "is %dx%d pixels, not %dx%d",

@@ -27,8 +27,10 @@ struct rn_frame {
     int scale;          // 0 = full size, j = downsampled 2^j times
     double loss_weight; // area weight of a pixel's loss: 4^scale (1 on single-scale data)
     bool has_alpha;     // by the file's header
-    int photo;          // which photograph it is of, for struct rn_sighting
-    double near, far;   // along the optical axis, dataset units, as the source gives; 0: not given
+    int held;           // how the camera was held, by the file's EXIF: 1 upright, to 8
+    int turn;         // the EXIF orientation that is undone when the file is decoded; 0 and 1: none
+    int photo;        // which photograph it is of, for struct rn_sighting
+    double near, far; // along the optical axis, dataset units, as the source gives; 0: not given
     struct rn_camera camera;
 };
 

@@ -57,7 +57,8 @@ enum rn_status rn_reader_json(struct rn_reader *reader, const char *name, bool c
 }
 
 const char *const rn_photo_folders[] = {"images", "images_2", "images_4", "images_8", NULL};
-static const char *const extensions[] = {".png", ".jpg", ".jpeg", NULL};
+static const char *const extensions[] = {".png",  ".jpg",  ".jpeg", ".webp", ".tif", ".tiff",
+                                         ".heic", ".heif", ".avif", ".exr",  NULL};
 
 bool rn_reader_is_photo(const char *name) {
     const char *dot = strrchr(name, '.');
@@ -166,13 +167,17 @@ static enum rn_status probe(const char *where, const char *path, struct rn_image
     return RN_OK;
 }
 
-// Said once: it is no fault, and as a rule all images are alike.
-static void tell_deep(struct rn_reader *reader, const char *where, int bit_depth) {
-    if (bit_depth <= 8 || reader->told_deep) return;
-    reader->told_deep = true;
-    rn_problems_add(reader->problems, RN_SEVERITY_INFO, where,
-                    "names an image of %d bits a channel; it is rounded to 8, as others are",
-                    bit_depth);
+// Said once each: it is no fault, and as a rule all images are alike.
+static void tell_kind(struct rn_reader *reader, const char *where,
+                      const struct rn_image_info *info) {
+    if (info->linear && rn_reader_says(reader, "linear"))
+        rn_problems_add(reader->problems, RN_SEVERITY_INFO, where,
+                        "names an image of linear light; it is clamped to 0 to 1, put through "
+                        "sRGB's curve and rounded to 8 bits, as others are");
+    else if (!info->linear && info->bit_depth > 8 && rn_reader_says(reader, "deep"))
+        rn_problems_add(reader->problems, RN_SEVERITY_INFO, where,
+                        "names an image of %d bits a channel; it is rounded to 8, as others are",
+                        info->bit_depth);
 }
 
 enum rn_status rn_reader_photo(struct rn_reader *reader, const char *where, const char *named,
@@ -192,7 +197,8 @@ enum rn_status rn_reader_photo(struct rn_reader *reader, const char *where, cons
         rn_frame_finish(frame);
         return status;
     }
-    tell_deep(reader, where, info.bit_depth);
+    tell_kind(reader, where, &info);
+    frame->held = info.orientation;
     frame->has_alpha = info.has_alpha;
     frame->camera.width = info.width;
     frame->camera.height = info.height;
@@ -268,8 +274,35 @@ enum rn_status rn_reader_add(struct rn_reader *reader, struct rn_frame *frame,
     return RN_OK;
 }
 
+// Poses belong to the pixels that their finder saw. Nearly all of them see the pixels as stored,
+// whatever EXIF says of how the camera was held; one that turned the picture upright says so by
+// width and height.
+static void settle_orientation(struct rn_reader *reader, const char *where, double width,
+                               double height, struct rn_frame *frame) {
+    struct rn_camera *camera = &frame->camera;
+    double stored = fabs(camera->width / width * height / camera->height - 1);
+    double upright = fabs(camera->height / width * height / camera->width - 1);
+    bool turn = frame->held >= 5 && stored > SHAPE_TOLERANCE && upright <= SHAPE_TOLERANCE;
+    if (frame->held > 1 && rn_reader_says(reader, turn ? "turned" : "held"))
+        rn_problems_add(reader->problems, RN_SEVERITY_INFO, where,
+                        turn
+                            ? "says %gx%g pixels, %s has %dx%d of them and an EXIF orientation of "
+                              "%d: it is turned upright, and so are others like it"
+                            : "says %gx%g pixels, as %s has (%dx%d), whose EXIF orientation is %d: "
+                              "its pixels are taken as they are stored, as the poses' finder saw "
+                              "them, and so are others' like it",
+                        width, height, frame->path, camera->width, camera->height, frame->held);
+    if (turn) {
+        int stored_width = camera->width;
+        camera->width = camera->height;
+        camera->height = stored_width;
+    }
+    frame->turn = turn ? frame->held : 1;
+}
+
 enum rn_status rn_reader_fit(struct rn_reader *reader, const char *where, double width,
                              double height, struct rn_frame *frame, struct rn_error *err) {
+    settle_orientation(reader, where, width, height, frame);
     struct rn_camera *camera = &frame->camera;
     double across = camera->width / width, down = camera->height / height;
     if (!(fabs(across / down - 1) <= SHAPE_TOLERANCE))

@@ -25,7 +25,6 @@ struct rn_reader {
     size_t capacity;       // of dataset->frames
     json_t *reported;      // what was told once: unknown fields, and rn_reader_says
     bool missing_is_usual; // a photograph that is not there is no fault of the dataset
-    bool told_deep;        // that more than 8 bits are rounded
     bool told_moved;       // that files named outside of the folder were found within
 };
 

@@ -1,28 +1,46 @@
-// The two file formats behind image.h; internal to common/image.
+// The file formats behind image.h: one row a format, one file a row; internal to common/image.
 #ifndef RN_COMMON_IMAGE_CODEC_H
 #define RN_COMMON_IMAGE_CODEC_H
 
 #include "common/image/image.h"
 
-// Whether the bytes begin as a PNG or a JPEG does.
-bool rn_png_is(const uint8_t *bytes, size_t size_bytes);
-bool rn_jpeg_is(const uint8_t *bytes, size_t size_bytes);
-
-// Header only; the bytes may end anywhere behind it. RN_ERROR_INVALID when they end before.
-enum rn_status rn_png_probe(const uint8_t *bytes, size_t size_bytes, const char *where,
-                            struct rn_image_info *ret_info, struct rn_error *err) RN_MUST_CHECK;
-enum rn_status rn_jpeg_probe(const uint8_t *bytes, size_t size_bytes, const char *where,
-                             struct rn_image_info *ret_info, struct rn_error *err) RN_MUST_CHECK;
-
-enum rn_status rn_png_decode(const uint8_t *bytes, size_t size_bytes, const char *where,
+// A format. A build without its library knows the file by its first bytes and has no decoder.
+// Thread-safety: constant; its functions may be called by any thread.
+struct rn_codec {
+    const char *title;   // "WebP"
+    const char *library; // Debian's name of what reads it, for the message of a build without
+    bool (*is)(const uint8_t *bytes, size_t size_bytes);
+    // Header only; the bytes may end anywhere behind it. RN_ERROR_INVALID when they end before.
+    enum rn_status (*probe)(const uint8_t *bytes, size_t size_bytes, const char *where,
+                            struct rn_image_info *ret_info, struct rn_error *err);
+    // The pixels as they are stored, in the file's own colours.
+    enum rn_status (*decode)(const uint8_t *bytes, size_t size_bytes, const char *where,
                              const struct rn_image_limits *limits, struct rn_image *ret_image,
-                             struct rn_error *err) RN_MUST_CHECK;
-enum rn_status rn_jpeg_decode(const uint8_t *bytes, size_t size_bytes, const char *where,
-                              const struct rn_image_limits *limits, struct rn_image *ret_image,
-                              struct rn_error *err) RN_MUST_CHECK;
+                             struct rn_error *err);
+    // The file's ICC profile, malloc'd; false without one, or where memory is out. NULL: the format
+    // has none.
+    bool (*profile)(const uint8_t *bytes, size_t size_bytes, uint8_t **ret_profile,
+                    size_t *ret_size);
+};
+
+extern const struct rn_codec rn_codec_png, rn_codec_jpeg, rn_codec_webp, rn_codec_tiff,
+    rn_codec_heif, rn_codec_exr;
 
 // RN_ERROR_INVALID below 1 x 1, RN_ERROR_LIMIT above a limit.
 enum rn_status rn_image_check_size(int width, int height, const struct rn_image_limits *limits,
                                    const char *where, struct rn_error *err) RN_MUST_CHECK;
+
+// The value of tag 0x0112, 1 to 8, in an EXIF block that begins with the TIFF header; 1 where there
+// is none or the block is damaged.
+int rn_exif_orientation(const uint8_t *bytes, size_t size_bytes);
+
+// Takes the picture's colours from an ICC profile to sRGB, with relative colorimetric intent and
+// black point compensation. A profile that changes no colour by more than one of 255 changes none.
+// RN_ERROR_INVALID for a damaged profile or one of other colours than grey or RGB.
+enum rn_status rn_icc_to_srgb(const uint8_t *profile, size_t size_bytes, const char *where,
+                              struct rn_image *image, struct rn_error *err) RN_MUST_CHECK;
+
+// Linear light to an sRGB byte: IEC 61966-2-1's curve, clamped to 0 to 1; not finite: 0.
+uint8_t rn_srgb_byte(float linear);
 
 #endif

@@ -71,22 +71,33 @@ void rn_picture_finish(struct rn_picture *picture) {
     *picture = (struct rn_picture){0};
 }
 
-static enum rn_status unknown_format(const char *where, size_t size_bytes, struct rn_error *err) {
+static const struct rn_codec *const codecs[] = {&rn_codec_png,  &rn_codec_jpeg, &rn_codec_webp,
+                                                &rn_codec_tiff, &rn_codec_heif, &rn_codec_exr};
+
+// The format of the bytes, by how they begin.
+static enum rn_status find_codec(const uint8_t *bytes, size_t size_bytes, const char *where,
+                                 const struct rn_codec **ret_codec, struct rn_error *err) {
+    for (size_t i = 0; i < sizeof codecs / sizeof *codecs; i++) {
+        if (!codecs[i]->is(bytes, size_bytes)) continue;
+        if (!codecs[i]->decode)
+            return rn_error_set(err, RN_ERROR_UNSUPPORTED, where,
+                                "this is a file of the format %s, which was built without: build "
+                                "with %s, or convert the file to PNG or JPEG",
+                                codecs[i]->title, codecs[i]->library);
+        *ret_codec = codecs[i];
+        return RN_OK;
+    }
     return rn_error_set(err, RN_ERROR_INVALID, where,
                         size_bytes == 0 ? "the file is empty"
-                                        : "this is neither a PNG nor a JPEG file: convert it");
-}
-
-static enum rn_status probe_bytes(const uint8_t *bytes, size_t size_bytes, const char *where,
-                                  struct rn_image_info *ret_info, struct rn_error *err) {
-    if (rn_png_is(bytes, size_bytes)) return rn_png_probe(bytes, size_bytes, where, ret_info, err);
-    return rn_jpeg_probe(bytes, size_bytes, where, ret_info, err);
+                                        : "this is no picture of a known format: convert it to PNG "
+                                          "or JPEG");
 }
 
 // Most headers are within the first kilobytes, but metadata may push them anywhere: reads longer
 // and longer heads until one suffices or the file ends.
 static enum rn_status probe_file(const char *path, const struct rn_image_limits *limits,
                                  struct rn_image_info *ret_info, struct rn_error *err) {
+    const struct rn_codec *codec = NULL;
     uint8_t *head = NULL;
     enum rn_status status;
     size_t size = 0;
@@ -106,11 +117,8 @@ static enum rn_status probe_file(const char *path, const struct rn_image_limits 
                                   limits->max_file_bytes);
             break;
         }
-        if (!rn_png_is(head, size) && !rn_jpeg_is(head, size)) {
-            status = unknown_format(path, size, err);
-            break;
-        }
-        status = probe_bytes(head, size, path, ret_info, err);
+        if ((status = find_codec(head, size, path, &codec, err))) break;
+        status = codec->probe(head, size, path, ret_info, err);
         if (status != RN_ERROR_INVALID || size < capacity) break;
     }
     free(head);
@@ -131,11 +139,76 @@ enum rn_status rn_image_decode(const void *bytes, size_t size_bytes, const char 
                                const struct rn_image_limits *limits, struct rn_image *ret_image,
                                struct rn_error *err) {
     if (!limits) limits = &rn_image_default_limits;
-    if (rn_png_is(bytes, size_bytes))
-        return rn_png_decode(bytes, size_bytes, where, limits, ret_image, err);
-    if (rn_jpeg_is(bytes, size_bytes))
-        return rn_jpeg_decode(bytes, size_bytes, where, limits, ret_image, err);
-    return unknown_format(where, size_bytes, err);
+    const struct rn_codec *codec = NULL;
+    struct rn_image image;
+    uint8_t *profile;
+    size_t profile_size;
+    enum rn_status status = find_codec(bytes, size_bytes, where, &codec, err);
+    if (status == RN_OK) status = codec->decode(bytes, size_bytes, where, limits, &image, err);
+    if (status) return status;
+    if (codec->profile && codec->profile(bytes, size_bytes, &profile, &profile_size)) {
+        status = rn_icc_to_srgb(profile, profile_size, where, &image, err);
+        free(profile);
+    }
+    if (status == RN_OK)
+        *ret_image = image;
+    else
+        rn_image_finish(&image);
+    return status;
+}
+
+// Where the stored pixel (x, y) goes; the new picture is `across` wide.
+static size_t turned_place(int orientation, int width, int height, int x, int y, int across) {
+    int right = width - 1 - x, up = height - 1 - y;
+    int to_x = x, to_y = y;
+    switch (orientation) {
+    case 2:
+        to_x = right;
+        break;
+    case 3:
+        to_x = right, to_y = up;
+        break;
+    case 4:
+        to_y = up;
+        break;
+    case 5:
+        to_x = y, to_y = x;
+        break;
+    case 6:
+        to_x = up, to_y = x;
+        break;
+    case 7:
+        to_x = up, to_y = right;
+        break;
+    case 8:
+        to_x = y, to_y = right;
+        break;
+    default:
+        break;
+    }
+    return (size_t)to_y * (size_t)across + (size_t)to_x;
+}
+
+enum rn_status rn_image_turn(struct rn_image *image, int orientation, struct rn_error *err) {
+    struct rn_image turned;
+    bool lies = orientation >= 5;
+    if (orientation < 1 || orientation > 8)
+        return rn_error_set(err, RN_ERROR_INVALID, "orientation", "is 1 to 8, not %d", orientation);
+    if (orientation == 1) return RN_OK;
+    int across = lies ? image->height : image->width;
+    enum rn_status status =
+        rn_image_init(across, lies ? image->width : image->height, &turned, err);
+    if (status) return status;
+    turned.has_alpha = image->has_alpha;
+    const uint8_t *from = image->pixels;
+    for (int y = 0; y < image->height; y++)
+        for (int x = 0; x < image->width; x++, from += 4)
+            memcpy(turned.pixels +
+                       4 * turned_place(orientation, image->width, image->height, x, y, across),
+                   from, 4);
+    rn_image_finish(image);
+    *image = turned;
+    return RN_OK;
 }
 
 enum rn_status rn_image_read(const char *path, const struct rn_image_limits *limits,

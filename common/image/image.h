@@ -47,18 +47,30 @@ struct rn_image_info {
     int width, height;
     int bit_depth;  // of the file
     bool has_alpha; // alpha channel or transparency chunk
+    bool linear;    // light itself, which decoding clamps to 0 to 1 and curves
+    // How the camera was held, as EXIF counts: 1 upright or not said, 2 to 8 mirrored, turned or
+    // both; 5 to 8 swap width and height. The sizes above are those of the pixels as stored.
+    int orientation;
 };
-// Reads a PNG or JPEG header only. Errors name the file.
+// Reads a header only: PNG, JPEG, and WebP, TIFF, HEIC, AVIF and EXR where the build has their
+// libraries (else RN_ERROR_UNSUPPORTED, which names the library). Errors name the file.
 enum rn_status rn_image_probe(const char *path, const struct rn_image_limits *limits,
                               struct rn_image_info *ret_info, struct rn_error *err) RN_MUST_CHECK;
-// Decodes PNG (any colour type, depth, interlace; 16 bits are rounded to 8, colour profiles and
-// gamma are ignored) or JPEG (grey, YCbCr, RGB; CMYK is RN_ERROR_UNSUPPORTED) to RGBA8. The
-// content decides, not the file's extension. EXIF rotation is not applied.
+// Decodes such a file (PNG of any colour type, depth, interlace; JPEG grey, YCbCr, RGB) to RGBA8.
+// 16 bits are rounded to 8; linear light (EXR) is clamped to 0 to 1 and goes through sRGB's curve;
+// an embedded ICC profile of grey or RGB is converted to sRGB, PNG's gAMA is ignored. CMYK JPEG and
+// animations are RN_ERROR_UNSUPPORTED. The content decides, not the file's extension. Pixels stay
+// as they are stored: EXIF's orientation is not applied (HEIC's own turns are: they are part of how
+// its pixels are stored).
 enum rn_status rn_image_read(const char *path, const struct rn_image_limits *limits,
                              struct rn_image *ret_image, struct rn_error *err) RN_MUST_CHECK;
 enum rn_status rn_image_decode(const void *bytes, size_t size_bytes, const char *where,
                                const struct rn_image_limits *limits, struct rn_image *ret_image,
                                struct rn_error *err) RN_MUST_CHECK;
+
+// Turns the picture upright: undoes an EXIF orientation of 1 to 8.
+enum rn_status rn_image_turn(struct rn_image *image, int orientation,
+                             struct rn_error *err) RN_MUST_CHECK;
 
 // Encoders: *ret_bytes is malloc'd and owned by the caller. level: zlib 0..9 / JPEG 1..100. PNG is
 // RGBA when has_alpha, else RGB. JPEG has no alpha: colours are written as they are (4:4:4).

@@ -5,8 +5,63 @@
 
 #include "common/image/codec.h"
 
-bool rn_jpeg_is(const uint8_t *bytes, size_t size_bytes) {
+static bool is_jpeg(const uint8_t *bytes, size_t size_bytes) {
     return size_bytes >= 3 && bytes[0] == 0xff && bytes[1] == 0xd8 && bytes[2] == 0xff;
+}
+
+// The next application segment of a kind in front of the picture, from *at on: its content.
+static bool next_segment(const uint8_t *bytes, size_t size_bytes, uint8_t marker, size_t *at,
+                         const uint8_t **ret_content, size_t *ret_size) {
+    while (*at + 4 <= size_bytes && bytes[*at] == 0xff) {
+        uint8_t found = bytes[*at + 1];
+        size_t length = (size_t)bytes[*at + 2] << 8 | bytes[*at + 3], begin = *at + 4;
+        if (found == 0xff) { // padding
+            ++*at;
+            continue;
+        }
+        if (found == 0xda || length < 2 || *at + 2 + length > size_bytes) return false;
+        *at += 2 + length;
+        if (found != marker) continue;
+        *ret_content = bytes + begin;
+        *ret_size = length - 2;
+        return true;
+    }
+    return false;
+}
+
+static int orientation(const uint8_t *bytes, size_t size_bytes) {
+    const uint8_t *content;
+    size_t at = 2, size;
+    while (next_segment(bytes, size_bytes, 0xe1, &at, &content, &size))
+        if (size > 6 && memcmp(content, "Exif\0\0", 6) == 0)
+            return rn_exif_orientation(content + 6, size - 6);
+    return 1;
+}
+
+// The profile is cut into segments that bear their number and how many there are.
+static bool profile_jpeg(const uint8_t *bytes, size_t size_bytes, uint8_t **ret_profile,
+                         size_t *ret_size) {
+    static const char name[12] = "ICC_PROFILE";
+    const uint8_t *content, *parts[256] = {NULL};
+    size_t at = 2, size, sizes[256] = {0}, total = 0;
+    int count = 0;
+    while (next_segment(bytes, size_bytes, 0xe2, &at, &content, &size)) {
+        if (size < 14 || memcmp(content, name, sizeof name) != 0) continue;
+        parts[content[12]] = content + 14;
+        sizes[content[12]] = size - 14;
+        count = content[13];
+    }
+    for (int i = 1; i <= count; i++) {
+        if (!parts[i]) return false;
+        total += sizes[i];
+    }
+    uint8_t *profile = count ? malloc(total + 1) : NULL;
+    if (!profile) return false;
+    *ret_profile = profile;
+    *ret_size = total;
+    for (int i = 1; i <= count; profile += sizes[i], i++)
+        memcpy(profile, parts[i], sizes[i]);
+    return true;
 }
 
 static enum rn_status damaged(const char *problem, const char *where, struct rn_error *err) {
@@ -31,12 +86,13 @@ static enum rn_status read_header(tjhandle handle, const uint8_t *bytes, size_t 
     return RN_OK;
 }
 
-enum rn_status rn_jpeg_probe(const uint8_t *bytes, size_t size_bytes, const char *where,
-                             struct rn_image_info *ret_info, struct rn_error *err) {
+static enum rn_status probe_jpeg(const uint8_t *bytes, size_t size_bytes, const char *where,
+                                 struct rn_image_info *ret_info, struct rn_error *err) {
     tjhandle handle = tjInitDecompress();
     if (!handle) return rn_error_set(err, RN_ERROR_NO_MEMORY, where, "no memory to read the JPEG");
     enum rn_status status = read_header(handle, bytes, size_bytes, where, ret_info, err);
     tjDestroy(handle);
+    if (status == RN_OK) ret_info->orientation = orientation(bytes, size_bytes);
     return status;
 }
 
@@ -67,15 +123,22 @@ static enum rn_status decode(tjhandle handle, const uint8_t *bytes, size_t size_
     return RN_OK;
 }
 
-enum rn_status rn_jpeg_decode(const uint8_t *bytes, size_t size_bytes, const char *where,
-                              const struct rn_image_limits *limits, struct rn_image *ret_image,
-                              struct rn_error *err) {
+static enum rn_status decode_jpeg(const uint8_t *bytes, size_t size_bytes, const char *where,
+                                  const struct rn_image_limits *limits, struct rn_image *ret_image,
+                                  struct rn_error *err) {
     tjhandle handle = tjInitDecompress();
     if (!handle) return rn_error_set(err, RN_ERROR_NO_MEMORY, where, "no memory to read the JPEG");
     enum rn_status status = decode(handle, bytes, size_bytes, where, limits, ret_image, err);
     tjDestroy(handle);
     return status;
 }
+
+const struct rn_codec rn_codec_jpeg = {.title = "JPEG",
+                                       .library = "libturbojpeg",
+                                       .is = is_jpeg,
+                                       .probe = probe_jpeg,
+                                       .decode = decode_jpeg,
+                                       .profile = profile_jpeg};
 
 static enum rn_status encode(tjhandle handle, const struct rn_image *image, int quality,
                              uint8_t **ret_bytes, size_t *ret_size, struct rn_error *err) {

@@ -7,6 +7,8 @@
 #include "common/base/buf.h"
 #include "common/image/codec.h"
 
+#define PROFILE_MAX (8 << 20) // bytes
+
 // libpng reports failure by longjmp. Everything that must survive one lives in these two structs,
 // and only the small `guarded` functions call setjmp.
 
@@ -16,6 +18,7 @@ struct reader {
     png_structp png;
     png_infop info;
     struct rn_image *image;
+    bool profile_wanted;
     char problem[160];
 };
 
@@ -26,7 +29,7 @@ static void keep_problem(png_structp png, png_const_charp text) {
 
 static void ignore_warning(png_structp png, png_const_charp text) {}
 
-bool rn_png_is(const uint8_t *bytes, size_t size_bytes) {
+static bool is_png(const uint8_t *bytes, size_t size_bytes) {
     return size_bytes >= 8 && png_sig_cmp(bytes, 0, 8) == 0;
 }
 
@@ -37,20 +40,32 @@ static void take_bytes(png_structp png, png_bytep to, size_t size) {
     reader->at += size;
 }
 
-// Up to the first pixel data; everything but sizes, palette and transparency is skipped. libpng's
+// Up to the first pixel data; everything but sizes, palette, transparency, how the camera was held
+// and, where it is `wanted`, the colour profile is skipped. libpng's
 // own size limit is lifted: ours, which the caller checks next, names itself. Damage in a chunk
 // that libpng calls ancillary is an error too, or transparency could get lost silently.
 static void read_header(struct reader *reader) {
+    static const char kept[] = "eXIf\0iCCP";
     png_set_read_fn(reader->png, reader, take_bytes);
     png_set_user_limits(reader->png, PNG_UINT_31_MAX, PNG_UINT_31_MAX);
     png_set_crc_action(reader->png, PNG_CRC_ERROR_QUIT, PNG_CRC_ERROR_QUIT);
     png_set_keep_unknown_chunks(reader->png, PNG_HANDLE_CHUNK_NEVER, NULL, -1);
+    png_set_keep_unknown_chunks(reader->png, PNG_HANDLE_CHUNK_AS_DEFAULT, (png_const_bytep)kept,
+                                reader->profile_wanted ? 2 : 1);
+    if (reader->profile_wanted) png_set_chunk_malloc_max(reader->png, PROFILE_MAX);
     png_read_info(reader->png, reader->info);
 }
 
 static bool has_alpha(const struct reader *reader) {
     return (png_get_color_type(reader->png, reader->info) & PNG_COLOR_MASK_ALPHA) != 0 ||
            png_get_valid(reader->png, reader->info, PNG_INFO_tRNS) != 0;
+}
+
+static int orientation(const struct reader *reader) {
+    png_bytep exif = NULL;
+    png_uint_32 size = 0;
+    if (png_get_eXIf_1(reader->png, reader->info, &size, &exif) == 0) return 1;
+    return rn_exif_orientation(exif, size);
 }
 
 static void read_pixels(struct reader *reader) {
@@ -90,8 +105,8 @@ static enum rn_status damaged(const struct reader *reader, const char *where,
                         "the PNG file is damaged (%s): copy or export it again", reader->problem);
 }
 
-enum rn_status rn_png_probe(const uint8_t *bytes, size_t size_bytes, const char *where,
-                            struct rn_image_info *ret_info, struct rn_error *err) {
+static enum rn_status probe_png(const uint8_t *bytes, size_t size_bytes, const char *where,
+                                struct rn_image_info *ret_info, struct rn_error *err) {
     struct reader reader = {.bytes = bytes, .size = size_bytes};
     enum rn_status status = open_reader(&reader, where, err);
     if (status != RN_OK) return status;
@@ -101,6 +116,7 @@ enum rn_status rn_png_probe(const uint8_t *bytes, size_t size_bytes, const char 
             .height = (int)png_get_image_height(reader.png, reader.info),
             .bit_depth = png_get_bit_depth(reader.png, reader.info),
             .has_alpha = has_alpha(&reader),
+            .orientation = orientation(&reader),
         };
     else
         status = damaged(&reader, where, err);
@@ -108,9 +124,9 @@ enum rn_status rn_png_probe(const uint8_t *bytes, size_t size_bytes, const char 
     return status;
 }
 
-enum rn_status rn_png_decode(const uint8_t *bytes, size_t size_bytes, const char *where,
-                             const struct rn_image_limits *limits, struct rn_image *ret_image,
-                             struct rn_error *err) {
+static enum rn_status decode_png(const uint8_t *bytes, size_t size_bytes, const char *where,
+                                 const struct rn_image_limits *limits, struct rn_image *ret_image,
+                                 struct rn_error *err) {
     struct rn_image image = {0};
     struct reader reader = {.bytes = bytes, .size = size_bytes, .image = &image};
     enum rn_status status = open_reader(&reader, where, err);
@@ -132,6 +148,33 @@ enum rn_status rn_png_decode(const uint8_t *bytes, size_t size_bytes, const char
         rn_image_finish(&image);
     return status;
 }
+
+static bool profile_png(const uint8_t *bytes, size_t size_bytes, uint8_t **ret_profile,
+                        size_t *ret_size) {
+    struct reader reader = {.bytes = bytes, .size = size_bytes, .profile_wanted = true};
+    png_charp name;
+    png_bytep profile;
+    png_uint_32 size;
+    int compression;
+    uint8_t *copy = NULL;
+    if (open_reader(&reader, "", NULL)) return false;
+    if (guarded_read(&reader, read_header) &&
+        png_get_iCCP(reader.png, reader.info, &name, &compression, &profile, &size) != 0 &&
+        (copy = malloc(size + 1))) {
+        memcpy(copy, profile, size);
+        *ret_profile = copy;
+        *ret_size = size;
+    }
+    png_destroy_read_struct(&reader.png, &reader.info, NULL);
+    return copy != NULL;
+}
+
+const struct rn_codec rn_codec_png = {.title = "PNG",
+                                      .library = "libpng",
+                                      .is = is_png,
+                                      .probe = probe_png,
+                                      .decode = decode_png,
+                                      .profile = profile_png};
 
 struct writer {
     int width, height;

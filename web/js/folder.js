@@ -38,7 +38,8 @@ export async function entriesOfDrop(items) {
   return entries;
 }
 
-const EXTENSIONS = ['png', 'jpg', 'jpeg', 'webp', 'tif', 'tiff'];
+const EXTENSIONS =
+    ['png', 'jpg', 'jpeg', 'webp', 'tif', 'tiff', 'heic', 'heif', 'avif', 'exr'];
 const NAMING = ['file_path', 'mask_path', 'ply_file_path', 'file', 'mask'];
 
 /**
