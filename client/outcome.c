@@ -11,7 +11,8 @@ static void format_training(const struct rn_train_result *result, char *ret_text
     char seconds[24], psnr[24] = "";
     rn_format_seconds(result->train_seconds, seconds, sizeof seconds);
     if (!isnan(result->psnr)) snprintf(psnr, sizeof psnr, ", %.2f dB", result->psnr);
-    snprintf(ret_text, capacity, "%lld steps in %s%s", (long long)result->steps, seconds, psnr);
+    snprintf(ret_text, capacity, "%lld steps in %s%s%s", (long long)result->steps, seconds, psnr,
+             *result->fell_back ? "; a damaged checkpoint was passed over" : "");
 }
 
 static void format_evaluation(const struct rn_eval_result *result, char *ret_text,

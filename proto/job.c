@@ -191,6 +191,7 @@ static const struct rn_field_spec train_progress[] = {
     RN_F_NUMBER(S, eta_seconds, RN_REQUIRED | RN_NULLABLE, 0, INFINITY),
     RN_F_NUMBER(S, fraction, RN_REQUIRED | RN_NULLABLE, 0, 1),
     RN_F_BOOL(S, evaluating_first, RN_REQUIRED),
+    RN_F_TEXT(S, fell_back, 0, NULL),
 };
 const struct rn_table rn_train_progress_table = RN_TABLE(S, "training progress", train_progress);
 #undef S
@@ -225,6 +226,7 @@ static const struct rn_field_spec train_result[] = {
     RN_F_NUMBER(S, psnr, RN_REQUIRED | RN_NULLABLE, -INFINITY, INFINITY),
     RN_F_TEXT(S, parameters_sha256, RN_REQUIRED, rn_check_sha256),
     RN_F_NAME(S, finished_by, RN_REQUIRED, rn_finished_by_names),
+    RN_F_TEXT(S, fell_back, 0, NULL),
 };
 const struct rn_table rn_train_result_table = RN_TABLE(S, "training result", train_result);
 #undef S

@@ -78,6 +78,7 @@ struct rn_train_progress {
     struct rn_nonfinite nonfinite;
     double eta_seconds, fraction;
     bool evaluating_first;
+    char fell_back[256]; // a damaged checkpoint that was passed over; "" = absent
 };
 extern const struct rn_table rn_train_progress_table;
 
@@ -103,7 +104,8 @@ struct rn_train_result {
     int64_t samples;
     double psnr;
     char parameters_sha256[65];
-    int finished_by; // enum rn_finished_by
+    int finished_by;     // enum rn_finished_by
+    char fell_back[256]; // as in rn_train_progress
 };
 extern const struct rn_table rn_train_result_table;
 

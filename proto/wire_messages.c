@@ -22,7 +22,6 @@ static const struct rn_table hello_table = RN_TABLE(S, "hello", hello);
 static const struct rn_field_spec open_fields[] = {
     RN_F_STRING(S, scene_folder, RN_REQUIRED, PATH_BYTES),
     RN_F_STRING(S, dataset_folder, RN_REQUIRED, PATH_BYTES),
-    RN_F_STRING(S, jobs_folder, 0, PATH_BYTES),
     RN_F_BOOL(S, load, RN_REQUIRED),
     RN_F_TEXT(S, device, 0, NULL),
     RN_F_TEXT(S, kernels, 0, NULL),
@@ -120,6 +119,8 @@ static const struct rn_field_spec state[] = {
     RN_F_TEXT(S, job, RN_REQUIRED, NULL),
     RN_F_NAME(S, state, RN_REQUIRED, rn_job_state_names),
     RN_F_JSON(S, scene, RN_IS_OBJECT),
+    RN_F_INT(S, steps, 0, 0, INFINITY),
+    RN_F_TEXT(S, set_aside, 0, NULL),
 };
 static const struct rn_table state_table = RN_TABLE(S, "state", state);
 #undef S

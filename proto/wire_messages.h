@@ -66,7 +66,6 @@ struct rn_wire_hello {
 struct rn_wire_open {
     char *scene_folder;   // owned; is made when it does not exist
     char *dataset_folder; // owned
-    char *jobs_folder;    // owned: path jobs' frames lie below it; NULL = not known
     bool load;
     char device[16], kernels[32]; // "" = auto
     int64_t threads;              // absent or 0 = all
@@ -128,8 +127,10 @@ struct rn_wire_render {
 
 struct rn_wire_state {
     char job[RN_ID_MAX];
-    int state;   // RN_JOB_RUNNING or RN_JOB_PAUSED
-    char *scene; // training: JSON of rn_scene_description_table; NULL otherwise
+    int state;           // RN_JOB_RUNNING or RN_JOB_PAUSED
+    char *scene;         // training: JSON of rn_scene_description_table; NULL otherwise
+    int64_t steps;       // training: the step it goes on from
+    char set_aside[512]; // the damaged checkpoint that was passed over; "" = none
 };
 struct rn_wire_progress {
     char job[RN_ID_MAX];

@@ -86,22 +86,42 @@ static enum rn_status check_line(const char *folder, const char *line, struct rn
     return status;
 }
 
-enum rn_status rn_manifest_check(const char *folder, bool (*keep_going)(void *context),
-                                 void *context, struct rn_error *err) {
-    char path[PATH_MAX], *rest = NULL;
+static enum rn_status read_list(const char *folder, char **ret_text, struct rn_error *err) {
+    char path[PATH_MAX];
     uint8_t *text = NULL;
     size_t size;
     if (snprintf(path, sizeof path, "%s/" LIST, folder) >= (int)sizeof path)
         return rn_error_set(err, RN_ERROR_LIMIT, folder, "the path is too long");
     enum rn_status status = rn_file_read(path, MAX_LIST, &text, &size, err);
+    if (status == RN_OK) *ret_text = (char *)text;
+    return status;
+}
+
+enum rn_status rn_manifest_check(const char *folder, bool (*keep_going)(void *context),
+                                 void *context, struct rn_error *err) {
+    char *text = NULL, *rest = NULL;
+    enum rn_status status = read_list(folder, &text, err);
     if (status != RN_OK) return status;
-    for (char *line = strtok_r((char *)text, "\n", &rest); status == RN_OK && line != NULL;
+    for (char *line = strtok_r(text, "\n", &rest); status == RN_OK && line != NULL;
          line = strtok_r(NULL, "\n", &rest)) {
         if (keep_going != NULL && !keep_going(context))
             status = rn_error_set(err, RN_ERROR_CANCELLED, folder, "cancelled");
         else
             status = check_line(folder, line, err);
     }
+    free(text);
+    return status;
+}
+
+enum rn_status rn_manifest_check_file(const char *folder, const char *name, struct rn_error *err) {
+    char *text = NULL, *rest = NULL;
+    enum rn_status status = read_list(folder, &text, err);
+    if (status != RN_OK) return status;
+    char *line = strtok_r(text, "\n", &rest);
+    while (line != NULL && (strlen(line) <= 66 || strcmp(line + 66, name) != 0))
+        line = strtok_r(NULL, "\n", &rest);
+    status = line != NULL ? check_line(folder, line, err)
+                          : rn_error_set(err, RN_ERROR_NOT_FOUND, name, LIST " does not name it");
     free(text);
     return status;
 }

@@ -13,5 +13,8 @@ enum rn_status rn_manifest_write(const char *folder, struct rn_error *err) RN_MU
 // files: RN_ERROR_CANCELLED.
 enum rn_status rn_manifest_check(const char *folder, bool (*keep_going)(void *context),
                                  void *context, struct rn_error *err) RN_MUST_CHECK;
+// Checks FOLDER/name alone. RN_ERROR_NOT_FOUND when there is no list, or it does not name the file.
+enum rn_status rn_manifest_check_file(const char *folder, const char *name,
+                                      struct rn_error *err) RN_MUST_CHECK;
 
 #endif

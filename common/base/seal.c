@@ -2,9 +2,14 @@
 
 #include <errno.h>
 #include <fcntl.h>
+#include <limits.h>
+#include <stdio.h>
+#include <stdlib.h>
 #include <string.h>
+#include <sys/stat.h>
 #include <unistd.h>
 
+#include "common/base/log.h"
 #include "common/base/sha256.h"
 
 #define DIGITS 64
@@ -112,4 +117,72 @@ enum rn_status rn_seal_check(const char *path, char ret_sha256[65], struct rn_er
 
 enum rn_status rn_seal_read(const char *path, char ret_sha256[65], struct rn_error *err) {
     return examine(path, false, ret_sha256, err);
+}
+
+// ---- while it is read -------------------------------------------------------------------------
+
+struct rn_sealed {
+    int fd;
+    off_t at, size, hole; // of the digits; 0: no seal
+    char digits[DIGITS + 1], path[PATH_MAX];
+    struct rn_sha256 hash;
+};
+
+enum rn_status rn_sealed_open(const char *path, struct rn_sealed **ret_sealed, uint64_t *ret_size,
+                              struct rn_error *err) {
+    struct stat about;
+    struct rn_sealed *sealed = calloc(1, sizeof *sealed);
+    if (sealed == NULL) return rn_error_set(err, RN_ERROR_NO_MEMORY, path, "no memory");
+    sealed->fd = open(path, O_RDONLY | O_CLOEXEC | O_NOFOLLOW);
+    if (sealed->fd >= 0) sealed->hole = find_digits(sealed->fd, sealed->digits);
+    if (sealed->fd < 0 || sealed->hole < 0 || fstat(sealed->fd, &about) != 0) {
+        enum rn_status status = rn_error_from_errno(err, errno, path, "open the file");
+        rn_sealed_close(&sealed);
+        return status;
+    }
+    snprintf(sealed->path, sizeof sealed->path, "%s", path);
+    rn_sha256_init(&sealed->hash);
+    sealed->size = about.st_size;
+    *ret_size = (uint64_t)about.st_size;
+    *ret_sealed = sealed;
+    return RN_OK;
+}
+
+// The digits are blank for the digest alone: the reader has them as they stand.
+static void digest_block(struct rn_sealed *sealed, const uint8_t *bytes, size_t size) {
+    char head[RN_SEAL_REACH];
+    size_t first = size;
+    if (sealed->hole > 0 && sealed->at < RN_SEAL_REACH) {
+        first = size < sizeof head ? size : sizeof head;
+        memcpy(head, bytes, first);
+        blank(head, first, sealed->at, sealed->hole);
+        rn_sha256_update(&sealed->hash, head, first);
+        rn_sha256_update(&sealed->hash, bytes + first, size - first);
+    } else {
+        rn_sha256_update(&sealed->hash, bytes, size);
+    }
+}
+
+ssize_t rn_sealed_read(struct rn_sealed *sealed, uint8_t *bytes, size_t capacity) {
+    char sha256[DIGITS + 1];
+    if (sealed->at == sealed->size) return 0;
+    ssize_t size = read_at(sealed->fd, bytes, capacity, sealed->at);
+    if (size <= 0) {
+        rn_log(RN_LOG_ERROR, "%s: %s", sealed->path, size < 0 ? strerror(errno) : "it has shrunk");
+        return -1;
+    }
+    digest_block(sealed, bytes, (size_t)size);
+    sealed->at += size;
+    if (sealed->at < sealed->size || sealed->hole == 0) return size;
+    rn_sha256_final_hex(&sealed->hash, sha256);
+    if (strcmp(sha256, sealed->digits) == 0) return size;
+    rn_log(RN_LOG_ERROR, "%s: is not as it was written: its bytes do not have its digest",
+           sealed->path);
+    return -1;
+}
+
+void rn_sealed_close(struct rn_sealed **sealed) {
+    if (*sealed != NULL && (*sealed)->fd >= 0) close((*sealed)->fd);
+    free(*sealed);
+    *sealed = NULL;
 }

@@ -7,6 +7,9 @@
 #define RN_COMMON_BASE_SEAL_H
 
 #include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <sys/types.h>
 
 #include "common/base/status.h"
 
@@ -28,5 +31,15 @@ enum rn_status rn_seal_check(const char *path, char ret_sha256[65],
 // The digits as they stand, unchecked; as rn_seal_check when there is no seal.
 enum rn_status rn_seal_read(const char *path, char ret_sha256[65],
                             struct rn_error *err) RN_MUST_CHECK;
+
+// A file that is checked while it is read, for who must not wait for the check. Owner: whoever
+// opened it; one thread.
+struct rn_sealed;
+enum rn_status rn_sealed_open(const char *path, struct rn_sealed **ret_sealed, uint64_t *ret_size,
+                              struct rn_error *err) RN_MUST_CHECK;
+// Bytes read, 0 at the end. -1 is logged: an error of reading or, in place of the last bytes, that
+// the file is not as it was written.
+ssize_t rn_sealed_read(struct rn_sealed *sealed, uint8_t *bytes, size_t capacity);
+void rn_sealed_close(struct rn_sealed **sealed);
 
 #endif

@@ -1,5 +1,6 @@
 // The pictures of a path job.
 #include <dirent.h>
+#include <errno.h>
 #include <fcntl.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -8,6 +9,7 @@
 #include <unistd.h>
 
 #include "common/base/buf.h"
+#include "common/base/manifest.h"
 #include "proto/event.h"
 #include "server/api/app.h"
 
@@ -18,12 +20,14 @@ static int by_value(const void *a, const void *b) {
 }
 
 // The numbers of the frames that are there, ascending; malloc.
-static enum rn_status list_frames(const char *folder, int **ret_frames, size_t *ret_count,
+static enum rn_status list_frames(int folder, int **ret_frames, size_t *ret_count,
                                   struct rn_error *err) {
     struct rn_buf frames;
     struct dirent *entry;
     size_t size;
-    DIR *dir = opendir(folder);
+    int copy = openat(folder, ".", O_RDONLY | O_DIRECTORY | O_CLOEXEC);
+    DIR *dir = copy >= 0 ? fdopendir(copy) : NULL;
+    if (dir == NULL && copy >= 0) close(copy);
     rn_buf_init(&frames, 1u << 20);
     while (dir != NULL && (entry = readdir(dir)) != NULL) {
         int index, end = 0;
@@ -40,20 +44,35 @@ static enum rn_status list_frames(const char *folder, int **ret_frames, size_t *
     return status;
 }
 
-// The job's folder of frames; malloc. NULL: replied with an error.
-static char *find_folder(struct rn_app *app, struct rn_request *request, char id[RN_ID_MAX],
-                         struct rn_reply *reply) {
+// While a runner works on the job, its frames are lent to the scene; between two looks they may
+// have come back.
+static int open_folder(struct rn_app *app, const struct rn_job_row *row) {
+    char *lent = rn_store_path(app->store, "scenes/%s/frames/%s", row->scene, row->id);
+    char *kept = rn_store_path(app->store, "jobs/%s/frames", row->id);
+    const char *const places[] = {lent, kept, lent};
+    int folder = -1;
+    for (int i = 0; i < 3 && folder < 0; i++)
+        if (places[i] != NULL) folder = open(places[i], O_RDONLY | O_DIRECTORY | O_CLOEXEC);
+    free(lent);
+    free(kept);
+    return folder;
+}
+
+// The job's folder of frames, to be closed. -1: replied with an error.
+static int find_folder(struct rn_app *app, struct rn_request *request, char id[RN_ID_MAX],
+                       struct rn_reply *reply) {
     struct rn_error err = {0};
     struct rn_job_row row;
     enum rn_status status = rn_store_resolve(app->store, &rn_jobs_table, RN_ID_JOB,
                                              rn_request_param(request, 0), &row, &err);
-    if (rn_api_failed(status, &err, reply)) return NULL;
-    char *folder = NULL;
+    if (rn_api_failed(status, &err, reply)) return -1;
+    int folder = -1;
     if (row.type != RN_JOB_PATH)
         rn_reply_problem(reply, RN_PROBLEM_NOT_FOUND, "a %s job has no frames",
                          rn_job_type_names[row.type]);
-    else if ((folder = rn_store_path(app->store, "jobs/%s/frames", row.id)) == NULL)
-        rn_reply_problem(reply, RN_PROBLEM_INTERNAL, "no memory");
+    else if ((folder = open_folder(app, &row)) < 0)
+        rn_reply_problem(reply, RN_PROBLEM_INTERNAL, "the frames of job %s cannot be opened: %s",
+                         row.id, strerror(errno));
     snprintf(id, RN_ID_MAX, "%s", row.id);
     rn_row_finish(&rn_jobs_table, &row);
     return folder;
@@ -95,41 +114,42 @@ void rn_list_frames(void *context, struct rn_request *request, struct rn_reply *
     int *frames = NULL;
     size_t count = 0;
     if (rn_api_failed(rn_request_check_query(request, known, &err), &err, reply)) return;
-    char *folder = find_folder(context, request, id, reply);
-    if (folder == NULL) return;
+    int folder = find_folder(context, request, id, reply);
+    if (folder < 0) return;
     if (!rn_api_failed(list_frames(folder, &frames, &count, &err), &err, reply))
         reply_page(request, id, frames, count, reply);
     free(frames);
-    free(folder);
+    close(folder);
 }
 
 void rn_get_frame(void *context, struct rn_request *request, struct rn_reply *reply) {
     struct rn_error err = {0};
-    char id[RN_ID_MAX], *path = NULL;
+    char id[RN_ID_MAX], place[32], name[16], path[64];
     int64_t index;
     enum rn_status status =
         rn_api_number(rn_request_param(request, 1), 0, 99999, "index", &index, &err);
     if (rn_api_failed(status, &err, reply)) return;
-    char *folder = find_folder(context, request, id, reply);
-    if (folder == NULL) return;
-    if (asprintf(&path, "%s/%05d.png", folder, (int)index) < 0) {
-        rn_reply_problem(reply, RN_PROBLEM_INTERNAL, "no memory");
-    } else {
+    int folder = find_folder(context, request, id, reply);
+    if (folder < 0) return;
+    snprintf(place, sizeof place, "/proc/self/fd/%d", folder);
+    snprintf(name, sizeof name, "%05d.png", (int)index);
+    snprintf(path, sizeof path, "%s/%s", place, name);
+    status = rn_manifest_check_file(place, name, &err);
+    if (status == RN_ERROR_NOT_FOUND || !rn_api_failed(status, &err, reply)) {
         rn_reply_file(reply, "image/png", path);
         if (reply->body != RN_BODY_FILE) {
             rn_reply_finish(reply);
             rn_reply_problem(reply, RN_PROBLEM_NOT_FOUND, "there is no frame %d (yet)", (int)index);
         }
-        free(path);
     }
-    free(folder);
+    close(folder);
 }
 
 // ---- tar --------------------------------------------------------------------------------------
 
 // An archive being sent: for each frame a header block, the file and padding; two zero blocks.
 struct archive {
-    char *folder;
+    int folder;
     int *frames;
     size_t count, next;
     int fd; // of the frame being sent, -1 between frames
@@ -163,16 +183,15 @@ static void make_header(uint8_t block[BLOCK], int index, const struct stat *info
 // The next header, or an end block. False: an error.
 static bool next_block(struct archive *archive, uint8_t block[BLOCK]) {
     struct stat info;
-    char *path = NULL;
+    char name[16];
     if (archive->next == archive->count) {
         memset(block, 0, BLOCK);
         archive->end_blocks++;
         return true;
     }
     int index = archive->frames[archive->next++];
-    if (asprintf(&path, "%s/%05d.png", archive->folder, index) < 0) return false;
-    archive->fd = open(path, O_RDONLY | O_CLOEXEC | O_NOFOLLOW);
-    free(path);
+    snprintf(name, sizeof name, "%05d.png", index);
+    archive->fd = openat(archive->folder, name, O_RDONLY | O_CLOEXEC | O_NOFOLLOW);
     if (archive->fd < 0 || fstat(archive->fd, &info) != 0) return false;
     archive->left = info.st_size;
     archive->padding = (BLOCK - info.st_size % BLOCK) % BLOCK;
@@ -210,18 +229,18 @@ static void close_archive(void *context) {
     struct archive *archive = context;
     if (archive->fd >= 0) close(archive->fd);
     free(archive->frames);
-    free(archive->folder);
+    close(archive->folder);
     free(archive);
 }
 
 void rn_get_frames_tar(void *context, struct rn_request *request, struct rn_reply *reply) {
     struct rn_error err = {0};
     char id[RN_ID_MAX];
-    char *folder = find_folder(context, request, id, reply);
-    if (folder == NULL) return;
+    int folder = find_folder(context, request, id, reply);
+    if (folder < 0) return;
     struct archive *archive = calloc(1, sizeof *archive);
     if (archive == NULL) {
-        free(folder);
+        close(folder);
         rn_reply_problem(reply, RN_PROBLEM_INTERNAL, "no memory");
         return;
     }
@@ -231,7 +250,8 @@ void rn_get_frames_tar(void *context, struct rn_request *request, struct rn_repl
         close_archive(archive);
         return;
     }
-    rn_reply_stream(reply, "application/x-tar",
-                    (struct rn_stream){read_archive, close_archive, archive});
+    rn_reply_stream(
+        reply, "application/x-tar",
+        (struct rn_stream){.read = read_archive, .close = close_archive, .context = archive});
     rn_reply_header(reply, "Content-Disposition", "attachment; filename=\"%s.tar\"", id);
 }

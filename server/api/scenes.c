@@ -2,6 +2,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "common/base/seal.h"
 #include "proto/job.h"
 #include "server/api/app.h"
 
@@ -69,6 +70,25 @@ void rn_list_evaluations(void *context, struct rn_request *request, struct rn_re
     rn_row_finish(&rn_scenes, &row);
 }
 
+static ssize_t read_sealed(void *context, uint8_t *bytes, size_t capacity) {
+    return rn_sealed_read(context, bytes, capacity);
+}
+
+static void close_sealed(void *context) {
+    struct rn_sealed *sealed = context;
+    rn_sealed_close(&sealed);
+}
+
+// What is damaged is cut off before its end.
+static void reply_sealed(struct rn_reply *reply, const char *path) {
+    struct rn_error err = {0};
+    struct rn_sealed *sealed;
+    struct rn_stream stream = {.read = read_sealed, .close = close_sealed};
+    if (rn_api_failed(rn_sealed_open(path, &sealed, &stream.size, &err), &err, reply)) return;
+    stream.context = sealed;
+    rn_reply_stream(reply, "application/octet-stream", stream);
+}
+
 void rn_get_checkpoint(void *context, struct rn_request *request, struct rn_reply *reply) {
     struct rn_app *app = context;
     struct rn_error err = {0};
@@ -89,7 +109,7 @@ void rn_get_checkpoint(void *context, struct rn_request *request, struct rn_repl
         } else if (path == NULL) {
             rn_reply_problem(reply, RN_PROBLEM_INTERNAL, "no memory");
         } else {
-            rn_reply_file(reply, "application/octet-stream", path);
+            reply_sealed(reply, path);
             rn_reply_header(reply, "Content-Disposition",
                             "attachment; filename=\"%s-%lld.safetensors\"", row.name,
                             (long long)checkpoint->step);

@@ -4,6 +4,7 @@
 #include <string.h>
 
 #include "common/base/buf.h"
+#include "common/base/manifest.h"
 #include "proto/camera.h"
 #include "proto/job.h"
 #include "server/api/app.h"
@@ -84,6 +85,19 @@ void rn_list_cameras(void *context, struct rn_request *request, struct rn_reply 
     rn_buf_finish(&json);
 }
 
+// Whether the photograph is as it was imported; datasets of before there were lists have to do.
+static bool is_sound(const struct rn_app *app, const struct rn_frame *frame,
+                     struct rn_reply *reply) {
+    struct rn_error err = {0};
+    enum rn_status status = RN_ERROR_NOT_FOUND;
+    char *folder = rn_store_path(app->store, "datasets/%s", app->dataset_id);
+    size_t size = folder != NULL ? strlen(folder) : 0;
+    if (size > 0 && strncmp(frame->path, folder, size) == 0 && frame->path[size] == '/')
+        status = rn_manifest_check_file(folder, frame->path + size + 1, &err);
+    free(folder);
+    return status == RN_ERROR_NOT_FOUND || !rn_api_failed(status, &err, reply);
+}
+
 void rn_get_image(void *context, struct rn_request *request, struct rn_reply *reply) {
     static const char *const known[] = {"scale", NULL};
     struct rn_error err = {0};
@@ -106,6 +120,7 @@ void rn_get_image(void *context, struct rn_request *request, struct rn_reply *re
                          rn_split_names[split], (long long)index, (long long)scale);
         return;
     }
+    if (!is_sound(context, frame, reply)) return;
     rn_reply_file(reply, "image/png", frame->path);
     rn_reply_header(reply, "Cache-Control", "private, max-age=3600");
 }

@@ -27,6 +27,7 @@ struct rn_stream {
     ssize_t (*read)(void *context, uint8_t *bytes, size_t capacity);
     void (*close)(void *context); // called exactly once
     void *context;
+    uint64_t size; // 0: not known beforehand
 };
 
 enum rn_body { RN_BODY_NONE, RN_BODY_BYTES, RN_BODY_FILE, RN_BODY_STREAM, RN_BODY_EVENTS };

@@ -115,8 +115,9 @@ static struct MHD_Response *open_stream(struct rn_reply *reply) {
     struct rn_stream *stream = malloc(sizeof *stream);
     if (stream == NULL) return NULL;
     *stream = reply->stream;
-    struct MHD_Response *response = MHD_create_response_from_callback(
-        MHD_SIZE_UNKNOWN, BLOCK_BYTES, read_stream, stream, close_stream);
+    struct MHD_Response *response =
+        MHD_create_response_from_callback(stream->size > 0 ? stream->size : MHD_SIZE_UNKNOWN,
+                                          BLOCK_BYTES, read_stream, stream, close_stream);
     if (response == NULL) {
         free(stream);
         return NULL;

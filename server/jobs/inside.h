@@ -196,4 +196,12 @@ void rn_render_fail_all(struct rn_control *control, struct rn_runner *runner,
 
 void rn_control_wake(struct rn_control *control);
 
+// ---- frames.c ----
+
+// Puts a path job's frames where its runner may write them; the folder is malloc'd.
+enum rn_status rn_frames_lend(struct rn_control *control, const struct rn_task *task,
+                              char **ret_folder, struct rn_error *err) RN_MUST_CHECK;
+// And back; nothing where none are lent.
+void rn_frames_take_back(struct rn_control *control, const struct rn_task *task);
+
 #endif

@@ -55,20 +55,20 @@ static void adopt_checkpoint(struct rn_scene_row *scene, const struct rn_wire_op
 }
 
 // A checkpoint was damaged; the one before it took its place. Its record goes with it.
-static void fell_back(struct rn_control *control, const char *scene,
-                      const struct rn_wire_opened *opened) {
+static void fell_back(struct rn_control *control, const char *scene, const char *set_aside,
+                      int64_t steps) {
     struct rn_query query = {.equal = {{"scene", scene}}};
     void *rows = NULL;
     size_t count = 0;
     struct rn_error err = {0};
     rn_log(RN_LOG_ERROR, "scene %s: a checkpoint is damaged: %s; it is at step %lld now", scene,
-           opened->set_aside, (long long)opened->steps);
+           set_aside, (long long)steps);
     control->stats.checkpoints_damaged++;
     enum rn_status status =
         rn_store_list(control->store, &rn_checkpoints, &query, &rows, &count, &err);
     const struct rn_checkpoint_row *row = rows;
     for (size_t i = 0; status == RN_OK && i < count; i++)
-        if (row[i].step > opened->steps)
+        if (row[i].step > steps)
             status = rn_store_delete(control->store, &rn_checkpoints, row[i].id, &err);
     if (status != RN_OK) rn_log(RN_LOG_ERROR, "scene %s: %s", scene, err.text);
     rn_rows_finish(&rn_checkpoints, rows, count);
@@ -78,7 +78,8 @@ static void on_opened(struct rn_control *control, struct rn_runner *runner,
                       struct rn_wire_opened *opened) {
     struct rn_scene_row scene;
     runner->state = RN_RUNNER_READY;
-    if (opened->set_aside[0] != '\0') fell_back(control, runner->scene, opened);
+    if (opened->set_aside[0] != '\0')
+        fell_back(control, runner->scene, opened->set_aside, opened->steps);
     if (opened->loaded && find_scene(control, runner->scene, &scene)) {
         if (opened->memory_bytes > 0) scene.memory_bytes = opened->memory_bytes;
         adopt_checkpoint(&scene, opened);
@@ -94,6 +95,8 @@ static void on_opened(struct rn_control *control, struct rn_runner *runner,
 static void on_state(struct rn_control *control, struct rn_runner *runner,
                      struct rn_wire_state *state) {
     struct rn_scene_row scene;
+    if (state->set_aside[0] != '\0')
+        fell_back(control, runner->scene, state->set_aside, state->steps);
     if (state->scene == NULL || !find_scene(control, runner->scene, &scene)) return;
     set_document(&scene.record, &state->scene);
     update_scene(control, &scene);

@@ -74,7 +74,6 @@ static enum rn_status open_scene(struct rn_control *control, struct rn_runner *r
     rn_message_init(rn_wire_table(RN_WIRE_OPEN), &open);
     open.scene_folder = rn_store_path(control->store, "scenes/%s", scene->id);
     open.dataset_folder = rn_store_path(control->store, "datasets/%s", scene->dataset);
-    open.jobs_folder = rn_store_path(control->store, "jobs");
     open.load = load;
     open.threads = control->options.threads;
     open.memory_limit_bytes = control->options.memory_limit_bytes;
@@ -163,12 +162,11 @@ static enum rn_status begin_path(struct rn_control *control, struct rn_task *tas
                                       strlen(task->row.options), &path.options, NULL, err);
     if (status != RN_OK) return status;
     snprintf(path.job, sizeof path.job, "%s", task->row.id);
-    path.folder = rn_store_path(control->store, "jobs/%s/frames", task->row.id);
     path.camera_path.json = strdup(task->row.source);
-    if (path.folder == NULL || path.camera_path.json == NULL)
+    if (path.camera_path.json == NULL)
         status = rn_error_set(err, RN_ERROR_NO_MEMORY, "path", "no memory");
-    else
-        rn_runner_post(control, task->runner, RN_WIRE_PATH, &path);
+    if (status == RN_OK) status = rn_frames_lend(control, task, &path.folder, err);
+    if (status == RN_OK) rn_runner_post(control, task->runner, RN_WIRE_PATH, &path);
     rn_message_finish(rn_wire_table(RN_WIRE_PATH), &path);
     return status;
 }

@@ -119,8 +119,11 @@ bool rn_checkpoint_is_damaged(enum rn_status status, const struct rn_error *err,
     return status == RN_ERROR_CORRUPT && length > 0 && strncmp(err->where, path, length) == 0;
 }
 
-void rn_checkpoint_set_aside(const char *scene_folder, int64_t step, const struct rn_error *why) {
-    char path[PATH_MAX], aside[PATH_MAX + 16];
+void rn_checkpoint_set_aside(const char *scene_folder, int64_t step, const struct rn_error *why,
+                             char ret_told[512]) {
+    char path[PATH_MAX], aside[PATH_MAX + 16], name[64];
+    rn_checkpoint_name(step, name);
+    snprintf(ret_told, 512, "%s: %.200s", name, why->text);
     if (rn_checkpoint_path(scene_folder, step, path, NULL)) return;
     snprintf(aside, sizeof aside, "%s.damaged", path);
     rn_log(RN_LOG_ERROR, "%s: %s; it is set aside as %s", path, why->text, aside);

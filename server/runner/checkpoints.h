@@ -24,7 +24,9 @@ enum rn_status rn_checkpoints_newest(const char *scene_folder, int64_t before, i
 void rn_checkpoints_prune(const char *scene_folder);
 // Whether an error says that this checkpoint (and not, say, a photograph) is damaged.
 bool rn_checkpoint_is_damaged(enum rn_status status, const struct rn_error *err, const char *path);
-// Renames a damaged checkpoint to NAME.damaged, so that it is not tried again, and logs it.
-void rn_checkpoint_set_aside(const char *scene_folder, int64_t step, const struct rn_error *why);
+// Renames a damaged checkpoint to NAME.damaged, so that it is not tried again, logs it and tells in
+// ret_told which one, and why.
+void rn_checkpoint_set_aside(const char *scene_folder, int64_t step, const struct rn_error *why,
+                             char ret_told[512]);
 
 #endif

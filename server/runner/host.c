@@ -125,8 +125,7 @@ enum rn_status rn_host_load(struct rn_host *host, struct rn_error *err) {
         status = rn_seal_check(path, host->digest, err);
         if (!status) status = rn_field_load(host->engine, path, &host->loaded, err);
         if (!rn_checkpoint_is_damaged(status, err, path)) break;
-        rn_checkpoint_set_aside(host->place.scene_folder, step, err);
-        snprintf(host->set_aside, sizeof host->set_aside, "%.200s: %.200s", err->where, err->text);
+        rn_checkpoint_set_aside(host->place.scene_folder, step, err, host->set_aside);
         status = RN_OK;
     }
     return status;
@@ -162,9 +161,9 @@ static void post_opened(struct rn_host *host) {
 
 static void confine(const struct rn_host *host) {
     const struct rn_wire_open *place = &host->place;
-    const struct rn_sandbox_places places = {.paths = {[RN_PLACE_DATASET] = place->dataset_folder,
-                                                       [RN_PLACE_SCENE] = place->scene_folder,
-                                                       [RN_PLACE_JOBS] = place->jobs_folder}};
+    const struct rn_sandbox_places places = {
+        .paths = {
+            [RN_PLACE_DATASET] = place->dataset_folder, [RN_PLACE_SCENE] = place->scene_folder}};
     (void)rn_sandbox_confine(host->link.profile, &places); // it says so itself
 }
 

@@ -8,6 +8,7 @@
 #include <unistd.h>
 
 #include "common/base/file.h"
+#include "common/base/manifest.h"
 #include "common/path/path.h"
 #include "server/runner/work.h"
 
@@ -135,6 +136,8 @@ static enum rn_status result(struct rn_work *work, struct rn_field *field, char 
                                     .render_ms_median =
                                         rn_work_median(work->render_ms, work->rendered)};
     (void)field;
+    enum rn_status status = rn_manifest_write(((struct path_work *)work)->request.folder, err);
+    if (status) return status;
     return rn_encode(&rn_path_result_table, &record, ret_json, NULL, err);
 }
 

@@ -8,14 +8,13 @@
 #define WORK (1u << RN_PLACE_WORK)
 #define DATASET (1u << RN_PLACE_DATASET)
 #define SCENE (1u << RN_PLACE_SCENE)
-#define JOBS (1u << RN_PLACE_JOBS)
 
 // No mode opens a network connection. A program that is started runs under the same confinement.
 static const struct rn_profile profiles[] = {
     // mode    programs               listed reads    writes         tidies
     {"ingest", {"ffmpeg", "ffprobe"}, false, SOURCE, TARGET | WORK, TARGET | WORK},
     {"poses", {"colmap"}, false, SOURCE, TARGET | WORK, TARGET | WORK},
-    {"field", {NULL}, true, DATASET, SCENE | JOBS, 0},
+    {"field", {NULL}, true, DATASET, SCENE, 0},
     {"probe", {NULL}, true, 0, 0, 0},
 };
 

@@ -11,8 +11,7 @@ enum rn_place {
     RN_PLACE_TARGET,  // the dataset that it makes
     RN_PLACE_WORK,    // where it unpacks
     RN_PLACE_DATASET, // that a scene is trained on
-    RN_PLACE_SCENE,
-    RN_PLACE_JOBS, // whose frames are written
+    RN_PLACE_SCENE,   // with the frames of its jobs
     RN_PLACE_COUNT
 };
 

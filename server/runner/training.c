@@ -39,6 +39,8 @@ struct rn_training {
     bool closing;                           // a limit is reached: the last round, then the end
     bool finish_asked;
     struct rn_saving saving;
+    bool announced;
+    char set_aside[512]; // the damaged checkpoint that was passed over, and why; "" = none
     enum { THEN_GO_ON, THEN_CANCELLED, THEN_DONE } then; // when it is saved
 };
 
@@ -92,9 +94,19 @@ static void post_state(struct rn_host *host, enum rn_job_state state) {
     struct rn_error err = {0};
     struct rn_wire_state message = {.state = (int)state,
                                     .scene = description(host->training, &err)};
+    struct rn_progress progress;
+    rn_trainer_progress(host->training->trainer, &progress);
+    message.steps = progress.step;
     memcpy(message.job, host->training->job, sizeof message.job);
+    if (!host->training->announced)
+        memcpy(message.set_aside, host->training->set_aside, sizeof message.set_aside);
+    host->training->announced = true;
     rn_link_post(&host->link, RN_WIRE_STATE, &message, NULL, 0);
     free(message.scene);
+}
+
+static void tell_fallback(const struct rn_training *training, char ret_text[256]) {
+    snprintf(ret_text, 256, "%.255s", training->set_aside);
 }
 
 static void post_progress(struct rn_host *host, const struct rn_progress *progress) {
@@ -104,6 +116,7 @@ static void post_progress(struct rn_host *host, const struct rn_progress *progre
     record.paused_seconds = training->paused_seconds;
     record.yielded_seconds = training->yielded_seconds;
     record.evaluating_first = training->closing;
+    tell_fallback(training, record.fell_back);
     struct rn_wire_progress message = {.progress = NULL};
     struct rn_error err = {0};
     memcpy(message.job, training->job, sizeof message.job);
@@ -167,7 +180,7 @@ void rn_training_save(struct rn_host *host) {
 // ---- begin ---------------------------------------------------------------------------------
 
 // A trainer from the newest good checkpoint. RN_ERROR_NOT_FOUND when there is none.
-static enum rn_status restore(struct rn_host *host, struct rn_trainer **ret_trainer,
+static enum rn_status restore(struct rn_host *host, struct rn_trainer **ret_trainer, char told[512],
                               struct rn_error *err) {
     for (;;) {
         int64_t step;
@@ -182,7 +195,7 @@ static enum rn_status restore(struct rn_host *host, struct rn_trainer **ret_trai
                                         (size_t)rn_int_or(host->place.memory_limit_bytes, 0),
                                         ret_trainer, err);
         if (!rn_checkpoint_is_damaged(status, err, path)) return status;
-        rn_checkpoint_set_aside(host->place.scene_folder, step, err);
+        rn_checkpoint_set_aside(host->place.scene_folder, step, err, told);
     }
 }
 
@@ -198,8 +211,9 @@ static enum rn_status point_at_option(enum rn_status status, struct rn_error *er
 
 static enum rn_status restore_or_create(struct rn_host *host,
                                         const struct rn_train_options *options,
-                                        struct rn_trainer **ret_trainer, struct rn_error *err) {
-    enum rn_status status = restore(host, ret_trainer, err);
+                                        struct rn_trainer **ret_trainer, char told[512],
+                                        struct rn_error *err) {
+    enum rn_status status = restore(host, ret_trainer, told, err);
     if (status != RN_ERROR_NOT_FOUND) return status;
     struct rn_train_config config;
     status = rn_configure(options, host->dataset->scale_count > 1, &config, err);
@@ -211,7 +225,8 @@ static enum rn_status restore_or_create(struct rn_host *host,
 
 static enum rn_status create_trainer(struct rn_host *host, const char *job,
                                      const struct rn_train_options *options,
-                                     struct rn_trainer **ret_trainer, struct rn_error *err) {
+                                     struct rn_trainer **ret_trainer, char told[512],
+                                     struct rn_error *err) {
     const struct rn_wire_open *place = &host->place;
     enum rn_status status = rn_host_need_sound_dataset(host, err);
     if (status) return status;
@@ -224,7 +239,7 @@ static enum rn_status create_trainer(struct rn_host *host, const char *job,
     struct rn_watch watch = {.link = &host->link, .job = job, .request = RN_ABSENT};
     host->watch = &watch;
     rn_engine_watch(host->engine, rn_watch_keep_going, &watch);
-    status = restore_or_create(host, options, ret_trainer, err);
+    status = restore_or_create(host, options, ret_trainer, told, err);
     rn_engine_watch(host->engine, NULL, NULL);
     host->watch = NULL;
     return status;
@@ -236,7 +251,9 @@ void rn_training_start(struct rn_host *host, const struct rn_wire_train *train) 
     struct rn_training *training = calloc(1, sizeof *training);
     enum rn_status status =
         training ? RN_OK : rn_error_set(&err, RN_ERROR_NO_MEMORY, "", "out of memory");
-    if (!status) status = create_trainer(host, train->job, options, &training->trainer, &err);
+    if (!status)
+        status = create_trainer(host, train->job, options, &training->trainer, training->set_aside,
+                                &err);
     if (status) {
         free(training);
         rn_link_fail(&host->link, train->job, RN_ABSENT, &err);
@@ -294,6 +311,7 @@ static void conclude(struct rn_host *host) {
                                      .psnr = progress->psnr,
                                      .finished_by = (int)reason(training, progress)};
     memcpy(result.parameters_sha256, training->saving.sha256, sizeof result.parameters_sha256);
+    tell_fallback(training, result.fell_back);
     struct rn_wire_done done = {.result = NULL};
     memcpy(done.job, training->job, sizeof done.job);
     if (rn_encode(&rn_train_result_table, &result, &done.result, NULL, &err)) {

@@ -70,6 +70,11 @@ static void check_dataset(struct pass *pass, const char *folder) {
     check_folder(pass, folder);
 }
 
+static void check_job(struct pass *pass, const char *folder) {
+    check_record(pass, folder);
+    each(pass, folder, "frames", check_folder);
+}
+
 static void check_scene(struct pass *pass, const char *folder) {
     char checkpoints[PATH_MAX];
     check_record(pass, folder);
@@ -86,7 +91,7 @@ void rn_scrub(const char *dir, bool (*keep_going)(void *context), void *context,
     } parts[] = {{"datasets", check_dataset},
                  {"scenes", check_scene},
                  {"camera-paths", check_record},
-                 {"jobs", check_record}};
+                 {"jobs", check_job}};
     struct pass pass = {.dir = dir, .keep_going = keep_going, .context = context};
     for (size_t i = 0; i < sizeof parts / sizeof parts[0]; i++) {
         char folder[PATH_MAX];

@@ -1,6 +1,7 @@
 """What was stored stays, whatever becomes of the records or of single bytes, and says when it is
 not what it was."""
 
+import http.client
 import os
 import signal
 import sqlite3
@@ -235,6 +236,65 @@ def test_etags_follow_the_checkpoint_that_is_rendered(programs, program, photogr
         daemon.stop()
 
 
+def test_a_resumed_job_tells_of_a_damaged_checkpoint(programs, program, photographs, tmp_path):
+    """Training goes on from the checkpoint before; the job's progress and result say so."""
+    daemon = Daemon(programs[0], program, tmp_path / "d").start()
+    try:
+        assert daemon.wait(daemon.upload("data", photographs))["state"] == "succeeded"
+        job = daemon.submit(type="train", dataset="data", scene="s", options={
+            "preset": "draft", "max_steps": 100000, "threads": 1, "checkpoint_interval_s": 0})
+        deadline = time.monotonic() + 60
+        while len(list(Path(daemon.data).glob("scenes/*/checkpoints/step-*"))) < 2:
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+        daemon.stop(signal.SIGKILL)
+        time.sleep(0.5)  # its runner saves and leaves
+        newest = max(Path(daemon.data).glob("scenes/*/checkpoints/step-*"))
+        flip(newest, newest.stat().st_size // 2)
+        daemon.start()
+        daemon.wait(job, ["running"])
+        deadline = time.monotonic() + 30
+        while "fell_back" not in (daemon.job(job)["progress"] or {}):
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+        assert daemon.post(f"/v1/jobs/{job}/finish").status == 200
+        record = daemon.wait(job)
+        assert record["state"] == "succeeded" and newest.name in record["result"]["fell_back"]
+        assert b"ripnerf_checkpoints_damaged_total 1" in daemon.get("/metrics").body
+    finally:
+        daemon.stop()
+
+
+def test_what_is_served_is_what_was_stored(programs, program, photographs, tmp_path):
+    """Photographs, frames and checkpoints with a flipped bit are not handed out as if all was well."""
+    daemon = Daemon(programs[0], program, tmp_path / "d").start()
+    try:
+        assert daemon.wait(daemon.upload("data", photographs))["state"] == "succeeded"
+        daemon.train("s", preset="draft", max_steps=2, threads=1)
+        job = daemon.submit(type="path", scene="s", camera_path=PATH)
+        assert daemon.wait(job)["state"] == "succeeded"
+        urls = ["/v1/datasets/data/images/train/0", f"/v1/jobs/{job}/frames/3",
+                "/v1/scenes/s/checkpoint"]
+        whole = [daemon.get(url) for url in urls]
+        assert [reply.status for reply in whole] == [200] * 3
+        root = Path(daemon.data)
+        files = [next(root.glob("datasets/*/train/*0*.png"), None) or
+                 next(root.glob("datasets/*/**/*.png")), root / f"jobs/{job}/frames/00003.png",
+                 next(root.glob("scenes/*/checkpoints/step-*"))]
+        assert [path.read_bytes() for path in files[1:]] == [reply.body for reply in whole[1:]]
+        for path in root.glob("datasets/*/**/*.png"):
+            flip(path, 60)
+        flip(files[1], -20)
+        flip(files[2], -20)
+        for url in urls[:2]:
+            reply = daemon.get(url)
+            assert reply.status == 500 and reply.json["type"] == "/problems/corrupt", reply.body
+        with pytest.raises((http.client.HTTPException, ConnectionError)):
+            daemon.get(urls[2])
+    finally:
+        daemon.stop()
+
+
 def flip(path, at=-1):
     data = bytearray(path.read_bytes())
     data[at] ^= 4
@@ -267,11 +327,12 @@ def test_scrub(programs, program, photographs, tmp_path):
         assert daemon.wait(daemon.upload("data", photographs))["state"] == "succeeded"
         daemon.train("s", preset="draft", max_steps=8, threads=1)
         assert daemon.post("/v1/camera-paths", {"name": "orbit", "path": PATH}).status == 201
+        assert daemon.wait(daemon.submit(type="path", scene="s", camera_path=PATH))["result"]
         code, said, _ = scrub(daemon)
         assert code == 0 and said.endswith(" 0 damaged\n") and int(said.split()[0]) >= 7, said
         victims = [next(Path(daemon.data).glob(pattern)) for pattern in
                    ("datasets/*/**/*.png", "scenes/*/checkpoints/step-*.safetensors",
-                    "jobs/*/record.json", "camera-paths/*/record.json")]
+                    "jobs/*/frames/*.png", "jobs/*/record.json", "camera-paths/*/record.json")]
         for victim in victims:
             flip(victim, -20)
         code, said, why = scrub(daemon)

@@ -5,11 +5,13 @@ import json
 import os
 import subprocess
 import tarfile
+import time
+from pathlib import Path
 
 import pytest
 
 from support.checked import make_tar
-from support.photographs import write_dataset
+from support.photographs import pose, write_dataset
 
 TAR = {"Content-Type": "application/x-tar"}
 
@@ -107,3 +109,22 @@ def test_pax_names(make_daemon, tmp_path):
         reply = daemon.post("/v1/datasets", body=body, query={"name": name}, headers=TAR)
         job = daemon.wait(reply.json["id"])
         assert job["state"] == "succeeded", job
+
+
+def test_frames_are_lent_to_the_runner(make_daemon, photographs):
+    """While a path is rendered its frames lie in the scene's folder, all that its runner may write."""
+    daemon = make_daemon({"RIPNERF_FAKE_ROW_US": "4000"})
+    assert daemon.wait(daemon.upload("data", photographs))["state"] == "succeeded"
+    daemon.train("s", max_steps=3)
+    keys = [{"time": t, "world_from_camera": pose(t)[:3], "fov_y_deg": 40} for t in (0, 2)]
+    job = daemon.submit(type="path", scene="s", camera_path={
+        "axes": "opengl", "fps": 20, "width": 8, "height": 8, "keys": keys})
+    root = Path(daemon.data)
+    while not (items := daemon.get(f"/v1/jobs/{job}/frames").json["items"]):
+        time.sleep(0.02)
+    assert list(root.glob(f"scenes/*/frames/{job}/*.png")) and not list(root.glob(f"jobs/{job}/*/"))
+    assert daemon.get(items[0]["url"]).status == 200
+    assert daemon.wait(job)["result"]["frames"] == 41
+    assert not list(root.glob("scenes/*/frames/*"))
+    assert len(list(root.glob(f"jobs/{job}/frames/*.png"))) == 41
+    assert len(daemon.get(f"/v1/jobs/{job}/frames").json["items"]) == 41

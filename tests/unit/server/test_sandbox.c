@@ -100,7 +100,7 @@ static int try_disk(void) {
     const struct rn_profile *field = rn_profile_of("field");
     struct rn_sandbox_places places = {.paths = {[RN_PLACE_DATASET] = theirs,
                                                  [RN_PLACE_SCENE] = mine,
-                                                 [RN_PLACE_JOBS] = "/no/such/place"},
+                                                 [RN_PLACE_WORK] = "/no/such/place"},
                                        .memory_bytes = 64 << 20,
                                        .file_bytes = 1 << 20};
     rn_sandbox_begin(field);
