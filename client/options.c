@@ -120,18 +120,29 @@ static bool set_value(const struct rn_option *option, const char *value, void *f
     return false;
 }
 
+// What the option's value has to be, as a sentence goes on after "must be".
+static void tell_wanted(const struct rn_option *option, char text[200]) {
+    const char *const kind[] = {[RN_OPTION_INTEGER] = "a whole number",
+                                [RN_OPTION_NUMBER] = "a number",
+                                [RN_OPTION_SIZE] = "two whole numbers, such as 800x600, each",
+                                [RN_OPTION_RANGE] = "A or A-B, whole numbers with A not over B,"};
+    if (option->choices)
+        snprintf(text, 200, "one of %s", option->choices);
+    else if (option->kind == RN_OPTION_SECONDS)
+        snprintf(text, 200, "a time such as 90, 60s, 10m or 1.5h, from %.15g s to %.15g h",
+                 option->min, option->max / 3600);
+    else
+        snprintf(text, 200, "%s from %.15g to %.15g", kind[option->kind], option->min, option->max);
+}
+
 static enum rn_status complain(const struct rn_option *option, const char *value,
                                struct rn_error *err) {
-    char where[64];
+    char where[64], wanted[200];
     snprintf(where, sizeof where, "--%s", option->name);
-    if (option->choices)
-        return rn_error_set(err, RN_ERROR_INVALID, where, "must be one of %s, is '%s'",
-                            option->choices, value);
     if (option->kind == RN_OPTION_TEXT)
         return rn_error_set(err, RN_ERROR_INVALID, where, "must not be empty");
-    return rn_error_set(err, RN_ERROR_INVALID, where,
-                        "must be %s with numbers from %g to %g, is '%s'", option->value,
-                        option->min, option->max, value);
+    tell_wanted(option, wanted);
+    return rn_error_set(err, RN_ERROR_INVALID, where, "must be %s; it is '%s'", wanted, value);
 }
 
 // The option that an argument names; *ret_value is what follows its '='.

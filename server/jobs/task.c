@@ -61,16 +61,18 @@ void rn_task_free(struct rn_task *task) {
 
 enum rn_scene_state rn_scene_state_of(const struct rn_scene_row *row, const struct rn_task *task) {
     bool has_checkpoint = row->sha256[0] != '\0';
-    if (task == NULL) return has_checkpoint ? RN_SCENE_READY : RN_SCENE_FAILED;
+    if (has_checkpoint && (task == NULL || rn_job_is_over(task->row.state))) return RN_SCENE_READY;
+    if (task == NULL) return row->state == RN_SCENE_NEW ? RN_SCENE_NEW : RN_SCENE_FAILED;
     switch (task->row.state) {
     case RN_JOB_QUEUED:
         return task->row.started_ms == 0 ? RN_SCENE_NEW : RN_SCENE_TRAINING;
     case RN_JOB_PAUSED:
         return RN_SCENE_PAUSED;
+    case RN_JOB_CANCELLED: // nothing failed: nothing was learnt that a checkpoint holds
+        return RN_SCENE_NEW;
     case RN_JOB_SUCCEEDED:
     case RN_JOB_FAILED:
-    case RN_JOB_CANCELLED:
-        return has_checkpoint ? RN_SCENE_READY : RN_SCENE_FAILED;
+        return RN_SCENE_FAILED;
     default:
         return RN_SCENE_TRAINING;
     }

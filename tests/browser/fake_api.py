@@ -198,10 +198,11 @@ class Handler(BaseHTTPRequestHandler):
     def render(self, world, key):
         with world.lock:
             scene = world.find(world.scenes, key, "scene")
-            if not scene["steps"]:
+            if not scene["steps"] and not world.untrained:
                 raise Refusal(409, "Conflict", "The scene has no parameters yet.")
         body = self.json_body("RenderRequest")
-        camera = body.get("camera") or {**world.cameras()[0]["camera"], **body["size"]}
+        world.on_render(body)
+        camera = body.get("camera") or {**world.view(body["view"]), **body["size"]}
         started = time.perf_counter()
         picture = draw(
             camera, body.get("output", "rgb"), min(1, 0.35 + scene["train_seconds"] / 30)

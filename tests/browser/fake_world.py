@@ -45,6 +45,8 @@ class World:
         self.serial = 0
         self.missing = set()  # views that could not be used: (split, index)
         self.uploads = []
+        self.untrained = False  # a scene of no steps is rendered all the same
+        self.on_render = lambda body: None
         if scenario != "empty":
             self.add_dataset("sphere")
         if scenario in ("busy", "failed", "token"):
@@ -158,6 +160,12 @@ class World:
             for i, pose in enumerate(ring(count))
             if (split, i) not in self.missing
         ]
+
+    def view(self, name):
+        for item in self.cameras():
+            if f"{item['split']}:{item['index']}" == name:
+                return item["camera"]
+        raise Refusal(404, "Not found", f"There is no view {name}.")
 
     def job(self, kind, **fields):
         job = {
@@ -428,11 +436,13 @@ class World:
         if body["type"] == "train":
             return self.train(body)
         scene = self.find(self.scenes, body["scene"], "scene")
+        path = body.get("camera_path")
+        facts = {key: path[key] for key in ("fps", "width", "height") if key in path} if path else {}
         job = self.job(
             body["type"],
             scene=scene["id"],
             scene_name=scene["name"],
-            options=body.get("options", {}),
+            options={**facts, **body.get("options", {})},
         )
         self.routes[job["id"]] = body.get("camera_path")
         return job

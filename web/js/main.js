@@ -75,12 +75,14 @@ function showConnection({connection, jobs}) {
   node.dataset.status = connection.status;
   const active = jobs.filter(isActive);
   const count = (name) => active.filter((job) => job.state === name).length;
+  const activity = document.getElementById('activity');
   text(
-      document.getElementById('activity'),
+      activity,
       ['running', 'queued', 'paused']
           .filter(count)
           .map((name) => `${count(name)} ${name}`)
           .join(', '));
+  activity.hidden = !activity.textContent;
   document.getElementById('banner').hidden = connection.status !== 'offline';
 }
 

@@ -184,9 +184,17 @@ export const facts = (pairs) =>
 export const endOf = (job) => (job.state === 'failed' ? 'has failed' : `was ${job.state}`);
 
 /** A section with a heading; `tools` stand at its right. */
-export const panel = (title, props, ...children) =>
-    h('section', {class: 'panel', 'aria-label': title, ...props},
-      h('header', null, h('h2', null, title), props?.tools ?? null), ...children);
+export function panel(title, props, ...children) {
+  const {tools = null, ...rest} = props ?? {};
+  return h(
+      'section', {class: 'panel', 'aria-label': title, ...rest},
+      h('header', null, h('h2', null, title), tools), ...children);
+}
+
+/** A box that scrolls when its content is wide or tall: with a name and reachable by the keyboard. */
+export const scroller = (label, props, ...children) =>
+    h('div', {role: 'region', tabindex: 0, 'aria-label': label, ...props, class: `scroll ${props?.class ?? ''}`},
+      ...children);
 
 export const empty = (title, ...more) =>
     h('div', {class: 'empty'}, h('p', {class: 'empty-title'}, title), ...more);

@@ -7,6 +7,8 @@ const STILL_MS = 150;
 const COARSE_MS = 90;       // what a coarse picture may take, answer included
 const HALF_FIRST_MS = 500;  // a full picture that takes longer is preceded by one of half the size
 const REFRESH_MS = 2000;    // while training; renders take at most about an eighth of the time
+const EARLY_MS = 400;       // the same while a picture is of the first steps, which change most
+const EARLY_STEPS = 300;
 const [COARSE, HALF, FULL] = [0, 1, 2];
 const TOLERANCE = [0.06, 0.03, 0]; // of each; pixels are worth more than their last half dB
 
@@ -132,7 +134,9 @@ export function createViewer(canvas, host, signal) {
     const spent = Number.isFinite(facts.renderMs) ? facts.renderMs : facts.totalMs;
     msPerPixel = spent / (width * height);
     if (level === COARSE) budget = nextBudget(budget, facts.totalMs);
-    if (level === FULL) refreshAt = performance.now() + Math.max(REFRESH_MS, 8 * spent);
+    if (level !== FULL) return;
+    const wait = facts.step < EARLY_STEPS ? EARLY_MS : REFRESH_MS;
+    refreshAt = performance.now() + Math.max(wait, 8 * spent);
   }
 
   function trouble(error) {

@@ -3,7 +3,7 @@ import {api} from '../api.js';
 import {fill, h, lazyImage} from '../dom.js';
 import {refreshSoon, state, watch} from '../store.js';
 import {ago, bytes, percent, plural} from '../format.js';
-import {choice, confirmFirst, facts, panel, problemBox, skeleton} from '../ui.js';
+import {choice, confirmFirst, facts, panel, problemBox, scroller, skeleton} from '../ui.js';
 import {go, link} from '../router.js';
 import {trainPanel} from './train.js';
 
@@ -90,12 +90,12 @@ function report(found) {
           h('tr', {'data-severity': item.severity}, h('td', null, item.severity),
             h('td', null, h('code', null, item.where)), h('td', null, item.text)));
   const clean = h('p', {class: 'good'}, 'Nothing to complain about: every image is usable.');
-  const head = h('tr', null, ['', 'Where', 'What'].map((t) => h('th', {scope: 'col'}, t)));
+  const head = h('tr', null, ['Kind', 'Where', 'What'].map((t) => h('th', {scope: 'col'}, t)));
   const more = found.dropped ? `; ${found.dropped} more not listed` : '';
   const table =
       h('table', {class: 'table problems'}, h('caption', null, words, more), h('thead', null, head),
         h('tbody', null, rows));
-  const list = h('div', {class: 'scroll'}, table);
+  const list = scroller('What the import found', null, table);
   return panel('What the import found', null, rows.length ? list : clean);
 }
 

@@ -33,7 +33,14 @@ export function framesPanel(job, signal) {
   const play =
       h('button', {type: 'button', disabled: true, onclick: () => (timer ? stop() : start())},
         'Play');
-  const rate = h('input', {type: 'number', min: 1, max: 60, value: 24, id: 'play-rate'});
+  const rate = h('input', {
+    type: 'number',
+    min: 1,
+    max: 60,
+    step: 'any',
+    value: Math.min(60, job.options?.fps ?? 24),
+    id: 'play-rate'
+  });
   let current = -1;
   let wanted = -1;
   let pinned = false;  // the reader chose a frame: new ones no longer come up by themselves
@@ -111,7 +118,7 @@ export function framesPanel(job, signal) {
   function start() {
     pinned = true;
     text(play, 'Pause');
-    timer = setInterval(step, 1000 / Math.min(60, Math.max(1, Number(rate.value) || 24)));
+    timer = setInterval(step, 1000 / Math.min(60, Math.max(0.1, Number(rate.value) || 24)));
     step();
   }
   function stop() {

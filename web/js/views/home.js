@@ -3,7 +3,7 @@ import {api} from '../api.js';
 import {fill, follow, h, lazyImage, text} from '../dom.js';
 import {isActive, refreshSoon, trainingOf, watch} from '../store.js';
 import {ago, bytes, decibel, plural, seconds, whole} from '../format.js';
-import {chip, confirmFirst, empty, panel, setChip, skeleton} from '../ui.js';
+import {chip, confirmFirst, empty, panel, scroller, setChip, skeleton} from '../ui.js';
 import {link} from '../router.js';
 import {jobRow} from './jobs.js';
 import {uploadPanel} from './upload.js';
@@ -16,8 +16,8 @@ export function homeView(root, {signal}) {
   const running = h('div', {class: 'rows'});
   const runningBox = panel('Under way', {class: 'panel', hidden: true}, running);
   const table =
-      h(
-          'div', {class: 'scroll'},
+      scroller(
+          'Datasets', null,
           h(
               'table', {class: 'table'},
               h('thead', null,
@@ -30,7 +30,7 @@ export function homeView(root, {signal}) {
                                 class: ['', '', 'number', 'number optional', 'number optional', '']
                                     [i]
                               },
-                              t)))),
+                              t || h('span', {class: 'unseen'}, 'Actions'))))),
               tableBody));
   fill(
       root, h('h1', {class: 'unseen'}, 'Scenes and datasets'),
@@ -62,7 +62,7 @@ export function homeView(root, {signal}) {
           empty(
               'No datasets',
               h('p', null,
-                'Photographs with known cameras: a folder in NeRF-synthetic or multi-scale Blender layout.')));
+                'Photographs with known cameras, in any layout that the daemon reads.')));
   }, signal);
 }
 
@@ -101,9 +101,10 @@ function sceneCard(scene, signal) {
   const state = chip(scene.state);
   const figures = h('p', {class: 'figures'});
   const name = h('a', {class: 'card-name', href: link.scene(scene.name)}, scene.name);
-  const picture = lazyImage((stop) => sceneThumb(scene, stop), {class: 'cover'}, signal);
+  const mark = h('span', {class: 'stands-in'});
+  const picture = lazyImage((stop) => sceneThumb(scene, mark, stop), {class: 'cover'}, signal);
   const node =
-      h('article', {class: 'card'}, picture,
+      h('article', {class: 'card'}, picture, mark,
         h('div', {class: 'card-body'}, h('div', {class: 'row'}, name, state), figures,
           h('p', {class: 'quiet'}, `from ${scene.dataset_name} · ${ago(scene.created_at)}`)));
   const update = (now) => {
@@ -112,28 +113,30 @@ function sceneCard(scene, signal) {
     text(
         figures,
         live.steps ?
-            `${decibel(live.psnr)} · ${seconds(live.seconds)} · ${whole(live.steps)} steps` :
+            `${decibel(live.psnr)} held out · ${seconds(live.seconds)} · ${
+                whole(live.steps)} steps` :
             'not trained yet');
   };
   return {node, update};
 }
 
 /**
- * A loaded scene is rendered; for others a photograph stands in, so that a list loads no runner.
+ * A loaded scene is rendered; for others a photograph stands in, so that a list loads no runner,
+ * and `mark` is told which it is. A view's numbers have gaps where it went to another split.
  */
-async function sceneThumb(scene, signal) {
+async function sceneThumb(scene, mark, signal) {
+  const views = await api.cameras(scene.dataset, signal);
+  const {split, index} = views.find((item) => item.split === 'train') ?? views[0];
   if (scene.loaded && scene.steps > 0) {
     try {
-      return (await api.render(
-                  scene.id, {view: 'train:0', size: {width: 320, height: 240}, format: 'jpeg'},
-                  signal))
-          .blob;
+      const size = {width: 320, height: 240};
+      const request = {view: `${split}:${index}`, size, format: 'jpeg'};
+      return (await api.render(scene.id, request, signal)).blob;
     } catch (error) {
       if (signal.aborted) throw error;
     }
   }
-  const views = await api.cameras(scene.dataset, signal);
-  const {split, index} = views.find((item) => item.split === 'train') ?? views[0];
+  text(mark, 'photograph');
   return api.photo(scene.dataset, split, index, 0, signal);
 }
 

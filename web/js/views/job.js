@@ -14,12 +14,14 @@ import {
   problemBox,
   progressWords,
   recordedProblem,
+  scroller,
   setChip,
   skeleton,
   subjectOf
 } from '../ui.js';
 import {link} from '../router.js';
 import {framesPanel} from './frames.js';
+import {trainingPanel} from './training.js';
 import {jobButtons} from './jobs.js';
 
 export async function jobView(root, {id, signal}) {
@@ -55,9 +57,32 @@ function page(job, signal) {
     return h(
         'div', {class: 'columns wide'}, h('div', {class: 'main-column'}, framesPanel(job, signal)),
         h('div', {class: 'side-column'}, side));
+  if (job.type === 'train' && find(state.scenes, job.scene))
+    return h(
+        'div', {class: 'columns wide'},
+        h('div', {class: 'main-column'}, trainingPanel(job.scene, signal)),
+        h('div', {class: 'side-column'}, aboutJob(job, signal)));
   return h(
       'div', {class: 'columns wide'}, h('div', {class: 'main-column'}, resultPanel(job, signal)),
       h('div', {class: 'side-column'}, side));
+}
+
+/** What a job was asked for, with what it takes where it was not. */
+const DEFAULTS = {
+  train: {preset: 'standard', train_split: 'train', seed: 0, device: 'auto', threads: 'all'},
+  path: {output: 'rgb', tolerance: '0, all that the scene has', supersample: 'as the scene calls for'},
+  eval: {split: 'test', views: 'all', scale: 'all', tolerance: '0, all that the scene has'},
+  ingest: {split: 'as in the files', max_size: 'as they are', scales: 1, alpha: 'premultiplied'}
+};
+const UNIT = {max_time_s: ' s', until_psnr: ' dB', fps: ' /s', width: ' px', height: ' px'};
+function askedFor(job) {
+  const given = Object.entries(job.options ?? {})
+                    .filter(([, value]) => value !== null && value !== 0 && value !== '');
+  const rows = {...(DEFAULTS[job.type] ?? {}), ...Object.fromEntries(given)};
+  return Object.entries(rows).map(([key, value]) => [
+    key.replace(/_s$/, '').replaceAll('_', ' '),
+    (Array.isArray(value) ? value.join(', ') : String(value)) + (UNIT[key] ?? '')
+  ]);
 }
 
 function statePanel(job, signal) {
@@ -84,8 +109,6 @@ function statePanel(job, signal) {
 
 function aboutJob(job, signal) {
   const box = h('div');
-  const options = Object.entries(job.options ?? {})
-                      .filter(([, value]) => value !== null && typeof value !== 'object');
   watch(() => {
     const now = find(state.jobs, job.id) ?? job;
     fill(box, facts([
@@ -117,9 +140,9 @@ function aboutJob(job, signal) {
              'A frame took',
              now.result?.render_ms_median ? milliseconds(now.result.render_ms_median) : null
            ],
-           ...options.map(([key, value]) => [key.replaceAll('_', ' '), String(value)]),
            ['Id', h('code', null, now.id)]
-         ]));
+         ]),
+         h('h3', null, 'Asked for'), facts(askedFor(now)));
   }, signal);
   return panel('About', null, box);
 }
@@ -151,15 +174,13 @@ function result(job) {
         h('a', {href: link.dataset(job.dataset_name ?? job.result.dataset)},
           job.dataset_name ?? job.result.dataset),
         '.');
-  return h(
-      'p', null, 'The scene is trained: ',
-      h('a', {href: link.scene(job.scene_name ?? job.scene)}, job.scene_name ?? job.scene), '.');
+  return h('p', null, 'The scene that it trained is deleted.');
 }
 
 const headRow = (names) =>
     h('thead', null,
       h('tr', null,
-        names.map((name, i) => h('th', {scope: 'col', class: i > 1 ? 'number' : null}, name))));
+        names.map((name, i) => h('th', {scope: 'col', class: i ? 'number' : null}, name))));
 
 function evaluationResult(r) {
   const p = r.protocol;
@@ -176,24 +197,26 @@ function evaluationResult(r) {
           p.background.join(' ')}, ${p.downscale} scaling, rounding ${p.rounding}; trained on ${
           p.train_split} with seed ${p.seed}; ${p.version}, ${p.device} ${p.kernels}, ${
           plural(p.threads, 'thread')}.`),
-    h('div', {class: 'scroll'},
+    scroller(
+        'By scale', null,
       h('table', {class: 'table'}, h('caption', null, 'By scale'),
-        headRow(['Scale', '', 'PSNR', 'SSIM', 'Rendering']),
+        headRow(['Scale', 'PSNR', 'SSIM', 'Rendering']),
         h('tbody', null,
           r.scales.map(
               (s) =>
                   h('tr', null, h('th', {scope: 'row'}, s.scale ? `1/${2 ** s.scale}` : 'full'),
-                    h('td'), h('td', {class: 'number'}, decibel(s.psnr)),
+                    h('td', {class: 'number'}, decibel(s.psnr)),
                     h('td', {class: 'number'}, fixed(s.ssim, 4)),
                     h('td', {class: 'number'}, milliseconds(s.render_ms))))))),
-    h('div', {class: 'scroll tall'},
+    scroller(
+        'By view', {class: 'tall'},
       h('table', {class: 'table'}, h('caption', null, 'By view, worst first'),
         headRow(['View', 'Scale', 'PSNR', 'SSIM', 'Rendering']),
         h('tbody', null,
           views.map(
               (v) =>
                   h('tr', null, h('th', {scope: 'row'}, v.name),
-                    h('td', null, v.scale ? `1/${2 ** v.scale}` : 'full'),
+                    h('td', {class: 'number'}, v.scale ? `1/${2 ** v.scale}` : 'full'),
                     h('td', {class: 'number'}, decibel(v.psnr)),
                     h('td', {class: 'number'}, fixed(v.ssim, 4)),
                     h('td', {class: 'number'}, milliseconds(v.render_ms)))))))

@@ -163,6 +163,7 @@ export function createKeys(scene, size, view, signal) {
   signal.addEventListener('abort', stopPreview, {once: true});
   const node = panel(
       'Camera path', {
+        'data-order': 1,
         tools:
             h('div', {class: 'row'},
               h('button', {type: 'button', class: 'small', onclick: turn}, 'Whole turn'),

@@ -58,7 +58,7 @@ export function effectsPanel(scene) {
       rows.length ?
           [
             h('p', {class: 'quiet'},
-              'Computed only where the scene calls for it: where the number at the right is over its threshold.'),
+              'On where the number is over its threshold and the rest that its reason names allows it. What is off is not computed.'),
             h('ul', {class: 'effects'}, rows)
           ] :
           h('p', {class: 'quiet'}, 'Decided when training begins.'));
@@ -77,7 +77,7 @@ export function differencesPanel(scene) {
               differences.map(
                   (item) =>
                       h('li', null, item.what,
-                        item.measured ? h('span', {class: 'quiet'}, ` ${item.measured}`) : null)))
+                        item.measured ? h('span', {class: 'gain'}, item.measured) : null)))
           ] :
           h('p', {class: 'quiet'},
             scene.config ? 'No difference: this is the published method.' :
@@ -125,7 +125,7 @@ export function qualityPanel(scene, signal) {
                     options: {split: splitOf(scene), views: Number(views.value)}
                   })),
       {kind: 'small'});
-  return panel('Quality', {tools: h('div', {class: 'row'}, views, start)}, now, list);
+  return panel('Quality', {'data-order': 2, tools: h('div', {class: 'row'}, views, start)}, now, list);
 }
 
 const splitOf = (scene) => {
@@ -193,7 +193,7 @@ export function aboutPanel(scene) {
                        config.head_layers} layers, shading a ${config.shading}` :
                    null
         ],
-        ['Held out', scene.held_out], ['Kernels', scene.kernels],
+        ['PSNR is of', scene.held_out], ['Kernels', scene.kernels],
         [
           'Memory',
           scene.memory_bytes ? `${bytes(scene.memory_bytes)}${scene.loaded ? ', loaded' : ''}` :

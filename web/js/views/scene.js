@@ -75,8 +75,8 @@ function page(scene, cameras, mark, signal) {
       signal);
   keys = createKeys(
       scene, {width: dataset?.width ?? 400, height: dataset?.height ?? 400}, view, signal);
-  const record = h('div', {class: 'stack'});
-  const more = h('div', {class: 'columns even'});
+  const record = h('div', {class: 'stack', 'data-order': 4});
+  const more = h('div', {class: 'columns even', 'data-order': 3});
   watch(() => {
     const now = find(state.scenes, scene.id);
     if (now) setChip(mark, now.state);
@@ -118,7 +118,7 @@ function keepRecord(scene, {record, more}, training, view, signal) {
 /** Path jobs of this scene, newest first. */
 function pathsPanel(scene, signal) {
   const rows = h('div', {class: 'rows'});
-  const node = panel('Rendered paths', {class: 'panel', hidden: true}, rows);
+  const node = panel('Rendered paths', {class: 'panel', 'data-order': 2, hidden: true}, rows);
   watch(({jobs}) => {
     const own = jobs.filter((job) => job.type === 'path' && means(job.scene, scene)).slice(0, 4);
     node.hidden = !own.length;

@@ -22,7 +22,7 @@ const ANNOUNCE_MS = 15_000;
 
 /** Figures worth a place of their own. */
 const STATS = [
-  ['PSNR', (p) => decibel(p.psnr)],
+  ['PSNR, held out', (p) => decibel(p.psnr)],
   ['Step', (p) => whole(p.step)],
   ['Trained', (p) => seconds(p.train_seconds)],
   ['Rays', (p) => `${compact(p.rays_per_second)}/s`],

@@ -103,7 +103,8 @@ export function createViewport(scene, cameras, host, signal) {
     text(
         hud,
         [
-          LEVELS[facts.level], `${facts.width} × ${facts.height}`,
+          facts.step === 0 ? 'not trained yet' : LEVELS[facts.level],
+          `${facts.width} × ${facts.height}`,
           Number.isFinite(facts.step) ? `step ${whole(facts.step)}` : '',
           Number.isFinite(facts.renderMs) ? `${milliseconds(facts.renderMs)} rendering` : '',
           `${milliseconds(facts.totalMs)} in all`,

@@ -1,0 +1,209 @@
+"""What the page says is so: figures say of what they are, pictures what they show, and every part
+is reachable by the keyboard."""
+
+import json
+import time
+
+import pytest
+
+pytest.importorskip("selenium", reason="python3-selenium is not installed")
+
+PLACES = ("", "#/dataset/sphere", "#/scene/sphere-draft", "#/jobs", "#/system")
+
+
+def phone(page, width):
+    page.driver.execute_cdp_cmd(
+        "Emulation.setDeviceMetricsOverride",
+        {"width": width, "height": 700, "deviceScaleFactor": 2, "mobile": True},
+    )
+
+
+def test_a_card_renders_a_view_that_there_is(page, fake):
+    """The first training view may be a test view by now: its number is nobody's."""
+    api = fake("busy")
+    api.world.missing.add(("train", 0))
+    asked = []
+    api.world.on_render = asked.append
+    page.open(api.url)
+    page.until(lambda: page.all(".card .thumb[data-state=ready]"), "the card's picture")
+    assert [body["view"] for body in asked] == ["train:1"]
+    assert page.text(".stands-in") == ""
+
+
+def test_a_photograph_on_a_card_says_so(page, fake):
+    api = fake("busy")
+    api.world.scenes[0]["loaded"] = False
+    page.open(api.url)
+    page.until(lambda: page.all(".card .thumb[data-state=ready]"), "the card's picture")
+    assert page.text(".stands-in") == "photograph"
+
+
+def test_figures_say_which_views_they_are_of(page, fake):
+    api = fake("busy")
+    page.open(api.url)
+    page.says("held out", ".card .figures")
+    page.open(api.url + "#/scene/sphere-draft")
+    page.says("PSNR, held out", ".stats")
+    page.says("8 evenly spaced views of the validation split", ".facts")
+
+
+def test_an_effect_that_is_off_over_its_threshold_says_why(page, fake):
+    api = fake("busy")
+    effect = next(e for e in api.world.scenes[0]["effects"] if e["name"] == "anisotropy")
+    effect.update(on=False, decided=True, number=0.95, threshold=0.585)
+    effect["reason"] = "95 % of footprints are at most 1.93 times as long as wide; without a scale pyramid it has no use"
+    page.open(api.url + "#/scene/sphere-draft")
+    row = page.until(
+        lambda: next((e for e in page.all(".effect") if "Anisotropy" in e.text), None), "the effect"
+    )
+    assert "off" in row.text and "1.93×" in row.text and "without a scale pyramid" in row.text
+    assert "and the rest that its reason names allows it" in page.text("[aria-label=Effects]")
+
+
+def test_gains_stand_apart_from_what_they_are_of(page, fake):
+    page.open(fake("busy").url + "#/scene/sphere-draft")
+    item = page.until(lambda: next(iter(page.all(".differences li")), None), "the differences")
+    what, gain = item.text.split("\n")
+    assert what and gain and not what[-1].isspace()
+
+
+def test_the_player_plays_as_fast_as_the_path_says(page, fake):
+    api = fake("busy")
+    path = {
+        "axes": "opencv",
+        "width": 8,
+        "height": 8,
+        "fps": 7,
+        "keys": [
+            {
+                "time": t,
+                "world_from_camera": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, -3]],
+                "fov_y_deg": 40,
+            }
+            for t in (0, 1)
+        ],
+    }
+    with api.world.lock:
+        job = api.world.submit({"type": "path", "scene": "sphere-draft", "camera_path": path})
+    page.open(api.url + f"#/job/{job['id']}")
+    page.until(lambda: page.all("#play-rate"), "the player")
+    assert page.all("#play-rate")[0].get_attribute("value") == "7"
+    page.says("7 /s", ".facts")
+    page.says("all that the scene has", ".facts")
+
+
+def test_a_training_job_has_its_curve_and_what_was_asked(page, fake):
+    api = fake("busy")
+    job = next(j for j in api.world.jobs if j["type"] == "train")
+    page.open(api.url + f"#/job/{job['id']}")
+    page.until(lambda: page.all(".chart .last"), "the curve")
+    page.says("PSNR, held out", ".stats")
+    page.says("30 s", ".facts")
+
+
+def test_the_first_steps_are_not_called_refined(page, fake):
+    api = fake("busy")
+    api.world.scenes[0]["steps"] = 0
+    api.world.untrained = True
+    page.open(api.url + "#/scene/sphere-draft")
+    page.says("not trained yet", ".hud")
+    assert "refined" not in page.text(".hud")
+
+
+def test_training_comes_before_the_small_print_on_a_phone(page, fake):
+    phone(page, 390)
+    page.open(fake("busy").url + "#/scene/sphere-draft")
+    page.until(lambda: page.all("[aria-label='Compared with the paper']"), "the page")
+    top = {
+        name: page.run(
+            "return document.querySelector(`[aria-label='${args[0]}']`).getBoundingClientRect().top;",
+            name,
+        )
+        for name in ("View", "Training", "Camera path", "Compared with the paper")
+    }
+    assert list(top) == sorted(top, key=top.get), top
+
+
+@pytest.mark.parametrize("width", [320, 390])
+def test_nothing_is_wider_than_a_phone(page, fake, width):
+    api = fake("busy")
+    phone(page, width)
+    for place in PLACES:
+        page.open(api.url + place)
+        page.find("main .panel")
+        time.sleep(0.4)
+        wide = page.run(
+            """
+            return [...document.querySelectorAll('main *, header *')]
+                .filter((e) => e.getBoundingClientRect().right > args[0] + 1 &&
+                    !e.closest('.scroll, .keys, .timeline'))
+                .map((e) => `${e.tagName}.${e.className} ${e.textContent.slice(0, 30)}`);""",
+            width,
+        )
+        assert page.run("return document.documentElement.scrollWidth;") <= width, (place, wide[:5])
+
+
+ACCESS = """
+const seen = (e) => e.checkVisibility() && e.getBoundingClientRect().width > 0;
+const say = (e) => e.outerHTML.slice(0, 100);
+const all = (css) => [...document.querySelectorAll(css)].filter(seen);
+const faults = [];
+for (const e of all('a[href], button'))
+  if (!(e.textContent.trim() || e.getAttribute('aria-label') || e.title)) faults.push('nameless stop ' + say(e));
+for (const e of all('*'))
+  if (/auto|scroll/.test(getComputedStyle(e).overflowX + getComputedStyle(e).overflowY) &&
+      e !== document.documentElement && e !== document.body && e.tagName !== 'SELECT' &&
+      (e.scrollWidth > e.clientWidth + 1 || e.scrollHeight > e.clientHeight + 1) &&
+      e.tabIndex < 0 && !e.querySelector('a[href], button, input, select'))
+    faults.push('scrolls without focus ' + say(e));
+for (const e of all('th'))
+  if (!e.textContent.trim()) faults.push('empty header ' + say(e));
+for (const e of all('p a:not(.button), dd a, li a:not(.button)'))
+  if (e.textContent.trim() && e.parentElement.textContent.trim() !== e.textContent.trim() &&
+      !getComputedStyle(e).textDecorationLine.includes('underline'))
+    faults.push('told by colour alone ' + say(e));
+for (const e of all('main button, main a.button, main select, main input:not([type=checkbox], [type=radio])')) {
+  const box = e.getBoundingClientRect();
+  if (!e.classList.contains('unseen') && (box.width < 24 || box.height < 24))
+    faults.push(`${Math.round(box.width)}x${Math.round(box.height)} ` + say(e));
+}
+for (const e of document.querySelectorAll('[id]'))
+  if (document.querySelectorAll('#' + CSS.escape(e.id)).length > 1) faults.push('id twice ' + say(e));
+return faults;
+"""
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_every_part_is_reachable_and_large_enough(page, fake, scheme):
+    """WCAG 2: 1.4.1 use of colour, 2.1.1 keyboard, 2.4.4 link purpose, 2.5.8 target size."""
+    feature = {"name": "prefers-color-scheme", "value": scheme}
+    page.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": [feature]})
+    api = fake("busy")
+    for place in PLACES:
+        page.open(api.url + place)
+        page.find("main .panel")
+        time.sleep(0.5)
+        assert page.run(ACCESS) == [], place
+    page.open(api.url + "#/scene/sphere-draft")
+    page.press("Whole turn")
+    page.until(lambda: len(page.all(".key")) == 8, "eight keys")
+    assert page.run(ACCESS) == []
+
+
+def test_axe_finds_nothing(page, fake):
+    """All of axe-core's rules, where RIPNERF_AXE names its file."""
+    import os
+
+    file = os.environ.get("RIPNERF_AXE")
+    if not file:
+        pytest.skip("RIPNERF_AXE names no axe.min.js")
+    with open(file, encoding="utf-8") as text:
+        axe = text.read()
+    api = fake("busy")
+    for place in PLACES:
+        page.open(api.url + place)
+        page.find("main .panel")
+        time.sleep(0.5)
+        page.driver.execute_script(axe)
+        found = page.run("return (await axe.run()).violations.map((v) => [v.id, v.nodes.length]);")
+        assert found == [], (place, json.dumps(found))
