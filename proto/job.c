@@ -25,6 +25,8 @@ const struct rn_table rn_train_options_table = RN_TABLE_OF_SETTINGS(
     S, "training options", train_options, &rn_train_settings, settings, 1, true);
 #undef S
 
+const char *const rn_film_names[] = {"h264", "av1", "vp9", "gif", NULL};
+
 #define S struct rn_path_options
 static const struct rn_field_spec path_options[] = {
     RN_F_INT(S, width, 0, 1, MAX_SIZE),
@@ -32,9 +34,12 @@ static const struct rn_field_spec path_options[] = {
     RN_F_INT(S, first, 0, 0, 99999),
     RN_F_INT(S, last, 0, 0, 99999),
     RN_F_NAME(S, output, 0, rn_output_kind_names),
+    RN_F_NUMBER(S, fps, 0, 0.001, 1000),
+    RN_F_NAME(S, film, 0, rn_film_names),
+    RN_F_INT(S, video_quality, 0, 0, 100),
 };
 const struct rn_table rn_path_options_table =
-    RN_TABLE_OF_SETTINGS(S, "path options", path_options, &rn_render_settings, settings, 5, true);
+    RN_TABLE_OF_SETTINGS(S, "path options", path_options, &rn_render_settings, settings, 8, true);
 #undef S
 
 #define S struct rn_eval_options
@@ -238,6 +243,8 @@ static const struct rn_field_spec path_result[] = {
     RN_F_INT(S, height, RN_REQUIRED, 1, MAX_SIZE),
     RN_F_INT(S, step, RN_REQUIRED, 0, INFINITY),
     RN_F_NUMBER(S, render_ms_median, RN_REQUIRED | RN_NULLABLE, 0, INFINITY),
+    RN_F_TEXT(S, film, 0, NULL),
+    RN_F_INT(S, film_bytes, 0, 0, INFINITY),
 };
 const struct rn_table rn_path_result_table = RN_TABLE(S, "path result", path_result);
 #undef S

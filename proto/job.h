@@ -26,9 +26,13 @@ extern const char *const rn_split_names[]; // "train", "val", "test"
 struct rn_path_options {
     int64_t width, height, first, last;
     int output; // enum rn_output_kind
+    double fps;
+    int film;              // rn_film_names; absent: frames alone
+    int64_t video_quality; // 0 .. 100
     union rn_setting_value settings[RN_RENDER_SETTINGS];
 };
 extern const struct rn_table rn_path_options_table;
+extern const char *const rn_film_names[]; // "h264", "av1", "vp9", "gif"
 
 struct rn_eval_options {
     int split;            // rn_split_names
@@ -112,6 +116,8 @@ extern const struct rn_table rn_train_result_table;
 struct rn_path_result {
     int64_t frames, width, height, step;
     double render_ms_median;
+    char film[16];      // "film.mp4"; "" = absent
+    int64_t film_bytes; // absent with it
 };
 extern const struct rn_table rn_path_result_table;
 

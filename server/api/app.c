@@ -39,6 +39,7 @@ const struct rn_route rn_api_routes[] = {
     {GET, "/v1/jobs/{id}/frames", 0, 0, rn_list_frames, NULL},
     {GET, "/v1/jobs/{id}/frames/{index}", 0, 0, rn_get_frame, NULL},
     {GET, "/v1/jobs/{id}/frames.tar", 0, 0, rn_get_frames_tar, NULL},
+    {GET, "/v1/jobs/{id}/film", 0, 0, rn_get_film, NULL},
     {GET, "/v1/jobs/{id}/events", 0, 0, rn_follow_job, NULL},
     {GET, "/v1/events", 0, 0, rn_follow_all, NULL},
     {GET, "/v1/camera-paths", 0, 0, rn_list_camera_paths, NULL},

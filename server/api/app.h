@@ -88,6 +88,7 @@ RN_HANDLER(rn_cancel_job);
 RN_HANDLER(rn_list_frames); // frames.c
 RN_HANDLER(rn_get_frame);
 RN_HANDLER(rn_get_frames_tar);
+RN_HANDLER(rn_get_film);
 RN_HANDLER(rn_follow_job); // events.c
 RN_HANDLER(rn_follow_all);
 RN_HANDLER(rn_list_camera_paths); // camera_paths.c

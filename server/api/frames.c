@@ -145,6 +145,30 @@ void rn_get_frame(void *context, struct rn_request *request, struct rn_reply *re
     close(folder);
 }
 
+// ---- film -------------------------------------------------------------------------------------
+
+void rn_get_film(void *context, struct rn_request *request, struct rn_reply *reply) {
+    static const char *const films[][2] = {
+        {"film.mp4", "video/mp4"}, {"film.webm", "video/webm"}, {"film.gif", "image/gif"}};
+    char id[RN_ID_MAX], *path = NULL;
+    char *folder = find_folder(context, request, id, reply);
+    if (folder == NULL) return;
+    for (int i = 0; i < 3; i++) {
+        if (asprintf(&path, "%s/%s", folder, films[i][0]) < 0) break;
+        rn_reply_file(reply, films[i][1], path);
+        free(path);
+        if (reply->body == RN_BODY_FILE) {
+            rn_reply_header(reply, "Content-Disposition", "inline; filename=\"%s%s\"", id,
+                            strrchr(films[i][0], '.'));
+            break;
+        }
+        rn_reply_finish(reply);
+    }
+    if (reply->body != RN_BODY_FILE)
+        rn_reply_problem(reply, RN_PROBLEM_NOT_FOUND, "the job has no film (yet)");
+    free(folder);
+}
+
 // ---- tar --------------------------------------------------------------------------------------
 
 // An archive being sent: for each frame a header block, the file and padding; two zero blocks.

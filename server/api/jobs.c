@@ -40,9 +40,34 @@ void rn_list_jobs(void *context, struct rn_request *request, struct rn_reply *re
     rn_row_finish(&rn_scenes, &scene);
 }
 
+// What the request leaves to the path is written into its options: a job says what it makes.
+// `document` is the path as the job keeps it.
+static enum rn_status settle_frames(struct rn_job_request *wanted, const char *document,
+                                    struct rn_error *err) {
+    struct rn_path_options *options = &wanted->path_options;
+    const struct rn_path *path = wanted->camera_path.path;
+    struct rn_path *stored = NULL;
+    if (path == NULL) {
+        char *file;
+        int size = asprintf(&file, "{\"path\":%s}", document);
+        if (size < 0) return rn_error_set(err, RN_ERROR_NO_MEMORY, "", "no memory for the path");
+        enum rn_status status = rn_path_parse(file, (size_t)size, "", &stored, err);
+        free(file);
+        if (status != RN_OK) return status;
+        path = stored;
+    }
+    options->fps = rn_number_or(options->fps, path->fps);
+    if (options->width == RN_ABSENT) {
+        options->width = path->width;
+        options->height = path->height;
+    }
+    rn_path_destroy(&stored);
+    return RN_OK;
+}
+
 // The path job's document: its own, or the named camera path's, as {"path": ...}; malloc.
-static enum rn_status find_path(struct rn_app *app, const struct rn_job_request *wanted,
-                                char **ret_path, struct rn_error *err) {
+static enum rn_status find_path(struct rn_app *app, struct rn_job_request *wanted, char **ret_path,
+                                struct rn_error *err) {
     struct rn_camera_path_row row;
     if (wanted->type != RN_JOB_PATH) return RN_OK;
     if (wanted->camera_path.json != NULL) {
@@ -58,8 +83,9 @@ static enum rn_status find_path(struct rn_app *app, const struct rn_job_request 
         *ret_path = strdup(row.document);
         rn_row_finish(&rn_camera_paths, &row);
     }
-    return *ret_path != NULL ? RN_OK
-                             : rn_error_set(err, RN_ERROR_NO_MEMORY, "", "no memory for the path");
+    if (*ret_path == NULL)
+        return rn_error_set(err, RN_ERROR_NO_MEMORY, "", "no memory for the path");
+    return settle_frames(wanted, *ret_path, err);
 }
 
 static void digest(const char *body, size_t size, char ret_hex[65]) {
@@ -69,9 +95,9 @@ static void digest(const char *body, size_t size, char ret_hex[65]) {
     rn_sha256_final_hex(&hash, ret_hex);
 }
 
-static enum rn_status submit(struct rn_app *app, const struct rn_job_request *wanted,
-                             const char *key, const char *digest_hex, char id[RN_ID_MAX],
-                             char **ret_json, struct rn_error *err) {
+static enum rn_status submit(struct rn_app *app, struct rn_job_request *wanted, const char *key,
+                             const char *digest_hex, char id[RN_ID_MAX], char **ret_json,
+                             struct rn_error *err) {
     char *options = NULL, *path = NULL;
     enum rn_status status = find_path(app, wanted, &path, err);
     if (status == RN_OK && wanted->type == RN_JOB_PATH)

@@ -10,9 +10,11 @@
 #include "common/base/file.h"
 #include "common/base/manifest.h"
 #include "common/path/path.h"
+#include "server/runner/film.h"
 #include "server/runner/work.h"
 
 #define FRAME_PNG_LEVEL 6
+#define VIDEO_QUALITY 75 // where none is asked for
 
 // A camera path: unit i is frame first + i, a PNG in the job's folder.
 struct path_work {
@@ -35,7 +37,9 @@ static enum rn_status prepare(struct rn_work *work, struct rn_field *field, stru
     struct rn_field_info info;
     enum rn_status status = rn_mkdirs(path->request.folder, 0777, err);
     if (status) return status;
-    size_t count = rn_path_frame_count(path->request.camera_path.path);
+    struct rn_path *keys = path->request.camera_path.path;
+    keys->fps = rn_number_or(options->fps, keys->fps);
+    size_t count = rn_path_frame_count(keys);
     path->first = (size_t)rn_int_or(options->first, 0);
     size_t last = (size_t)rn_int_or(options->last, (int64_t)count - 1);
     if (path->first >= count || last >= count || last < path->first)
@@ -126,17 +130,44 @@ static enum rn_status unit(struct rn_work *work, struct rn_field *field,
     return RN_OK;
 }
 
+// The film that was asked for, out of all frames; its size in bytes.
+static enum rn_status make_film(struct path_work *path, struct rn_path_result *record,
+                                struct rn_error *err) {
+    const struct rn_path_options *options = &path->request.options;
+    struct rn_film_order order = {.folder = path->request.folder,
+                                  .first = path->first,
+                                  .count = path->work.total,
+                                  .codec = options->film,
+                                  .fps = path->request.camera_path.path->fps,
+                                  .quality = (int)rn_int_or(options->video_quality, VIDEO_QUALITY),
+                                  .keep_going = rn_work_keep_going,
+                                  .context = &path->work};
+    char file[PATH_MAX];
+    struct stat about;
+    enum rn_status status = rn_film_make(&order, err);
+    if (status) return status;
+    snprintf(record->film, sizeof record->film, "%s", rn_film_name(options->film));
+    snprintf(file, sizeof file, "%s/%s", order.folder, record->film);
+    if (stat(file, &about) < 0) return rn_error_from_errno(err, errno, file, "find the film");
+    record->film_bytes = about.st_size;
+    return RN_OK;
+}
+
 static enum rn_status result(struct rn_work *work, struct rn_field *field, char **ret_json,
                              struct rn_error *err) {
-    struct rn_camera camera = frame_camera((struct path_work *)work, 0);
+    struct path_work *path = (struct path_work *)work;
+    struct rn_camera camera = frame_camera(path, 0);
     struct rn_path_result record = {.frames = (int64_t)work->total,
                                     .width = camera.width,
                                     .height = camera.height,
                                     .step = work->step,
+                                    .film_bytes = RN_ABSENT,
                                     .render_ms_median =
                                         rn_work_median(work->render_ms, work->rendered)};
     (void)field;
-    enum rn_status status = rn_manifest_write(((struct path_work *)work)->request.folder, err);
+    enum rn_status status = RN_OK;
+    if (path->request.options.film >= 0) status = make_film(path, &record, err);
+    if (!status) status = rn_manifest_write(path->request.folder, err);
     if (status) return status;
     return rn_encode(&rn_path_result_table, &record, ret_json, NULL, err);
 }

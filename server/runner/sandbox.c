@@ -116,8 +116,11 @@ static void allow_system(int rules, uint64_t handled) {
     if (size <= 0) return;
     program[size] = '\0';
     allow(rules, dirname(dirname(program)), READ, handled);
-    const char *module = getenv("RIPNERF_CUDA_MODULE");
-    if (module != NULL) allow(rules, module, READ, handled);
+    static const char *const modules[] = {"RIPNERF_CUDA_MODULE", "RIPNERF_FILM_MODULE", NULL};
+    for (int i = 0; modules[i] != NULL; i++) {
+        const char *module = getenv(modules[i]);
+        if (module != NULL) allow(rules, module, READ, handled);
+    }
 }
 
 // The programs of the profile, and the loader that runs them.

@@ -24,6 +24,7 @@ FENCES = {
     ),
     r"cuda\w*(\.h|/.*)": ("server/engine/cuda/",),
     r"curl/.*": ("client/", "tests/"),
+    r"lib(av|sw)\w+/.*": ("server/film/",),
 }
 # Every folder with code, and the folders that it may include from besides itself; what ends with a
 # slash is all folders beneath. The table has no circle, so the folders have none.
@@ -53,7 +54,8 @@ for floor in FLOORS[1:]:
     own = [f"{ENGINE}/{room}".rstrip("/") for room in floor]
     LAYERS |= {room: tuple(below) for room in own}
     below += [room for room in own if not room.endswith("/cuda")]  # a module of its own
-LAYERS["server/runner"] = ("common/", "proto", ENGINE, f"{ENGINE}/doctor", f"{ENGINE}/bench")
+LAYERS["server/film"] = ("common/",)
+LAYERS["server/runner"] = ("common/", "proto", "server/film", ENGINE, f"{ENGINE}/doctor", f"{ENGINE}/bench")
 HOUSE = ("common/", "proto/", "client/", "server/")
 INCLUDE = re.compile(r'^\s*#\s*include\s+(?:<([^>]+)>|"([^"]+)")')
 UNFINISHED = ("TO" + "DO", "FIX" + "ME", "XX" + "X", "un" + "implemented",
