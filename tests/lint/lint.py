@@ -24,7 +24,7 @@ FENCES = {
     ),
     r"cuda\w*(\.h|/.*)": ("server/engine/cuda/",),
     r"curl/.*": ("client/", "tests/"),
-    r"lib(av|sw)\w+/.*": ("server/film/",),
+    r"lib(av|sw)\w+/.*": ("server/film/", "tests/"),
 }
 # Every folder with code, and the folders that it may include from besides itself; what ends with a
 # slash is all folders beneath. The table has no circle, so the folders have none.
