@@ -85,6 +85,20 @@ def test_a_wrong_command_line_is_a_usage_error(client, arguments, daemon):
     assert not daemon.requests
 
 
+@pytest.mark.parametrize("arguments, words", [
+    (["bench", "--seconds", "soon"],
+     "--seconds must be a time such as 90, 60s, 10m or 1.5h"),
+    (["render", "a", "--view", "test:0", "-o", "a.png", "--size", "4by3"],
+     "--size must be two whole numbers, such as 800x600, each from 1 to 16384; it is '4by3'"),
+    (["path", "a", "b", "-o", "c", "--frames", "9-3"],
+     "--frames must be A or A-B, whole numbers with A not over B, from 0 to 99999"),
+    (["eval", "a", "--views", "-3"], "--views must be a whole number from 0 to 1000000; it is '-3'"),
+])
+def test_a_wrong_value_is_told_in_plain_words(client, arguments, words):
+    said = client.run(*arguments, code=USAGE).stderr.replace(": must", " must")
+    assert words in said and "e+0" not in said
+
+
 @pytest.mark.parametrize("verb", ["validate", "import", "synth", "train", "jobs", "show", "watch",
                                   "pause", "resume", "finish", "cancel", "datasets", "scenes",
                                   "rm", "render", "path", "eval", "info", "bench", "doctor"])

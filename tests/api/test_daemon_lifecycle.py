@@ -95,6 +95,15 @@ def test_cancel(own):
     assert own.post("/v1/scenes/s/render", {"view": "test:0"}).status == 200
 
 
+def test_a_training_cancelled_in_the_queue_leaves_its_scene_new(own):
+    """Nothing failed: it never began."""
+    own.submit(type="train", dataset="data", scene="busy", options={"max_time_s": 600})
+    job = own.submit(type="train", dataset="data", scene="waiting", options={"max_steps": 5})
+    assert own.get("/v1/scenes/waiting").json["state"] == "new"
+    assert command(own, job, "cancel")["state"] == "cancelled"
+    assert own.get("/v1/scenes/waiting").json["state"] == "new"
+
+
 def test_cancel_of_what_succeeded(shared):
     job, _ = shared.train("done-already")
     reply = shared.post(f"/v1/jobs/{job['id']}/cancel")

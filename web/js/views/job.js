@@ -30,7 +30,8 @@ export async function jobView(root, {id, signal}) {
   const load = async () => {
     try {
       const job = putJob(await api.job(id, signal));
-      if (!signal.aborted) fill(root, head(job, signal), page(job, signal));
+      const scene = job.type === 'train' && await api.scene(job.scene, signal).catch(() => null);
+      if (!signal.aborted) fill(root, head(job, signal), page(job, Boolean(scene), signal));
     } catch (error) {
       if (!signal.aborted)
         fill(
@@ -51,13 +52,13 @@ function head(job, signal) {
       h('h1', null, `${kindOf(job)} ${subjectOf(job)}`), mark);
 }
 
-function page(job, signal) {
+function page(job, trained, signal) {
   const side = [statePanel(job, signal), aboutJob(job, signal)];
   if (job.type === 'path')
     return h(
         'div', {class: 'columns wide'}, h('div', {class: 'main-column'}, framesPanel(job, signal)),
         h('div', {class: 'side-column'}, side));
-  if (job.type === 'train' && find(state.scenes, job.scene))
+  if (trained)
     return h(
         'div', {class: 'columns wide'},
         h('div', {class: 'main-column'}, trainingPanel(job.scene, signal)),
