@@ -122,26 +122,32 @@ void rn_list_frames(void *context, struct rn_request *request, struct rn_reply *
     close(folder);
 }
 
+// Sends a file of the job's folder; false: it is not there, and nothing is replied.
+static bool reply_stored(int folder, const char *name, const char *type, struct rn_reply *reply) {
+    struct rn_error err = {0};
+    char place[32], path[64];
+    snprintf(place, sizeof place, "/proc/self/fd/%d", folder);
+    snprintf(path, sizeof path, "%s/%s", place, name);
+    enum rn_status status = rn_manifest_check_file(place, name, &err);
+    if (status != RN_ERROR_NOT_FOUND && rn_api_failed(status, &err, reply)) return true;
+    rn_reply_file(reply, type, path);
+    if (reply->body == RN_BODY_FILE) return true;
+    rn_reply_finish(reply);
+    return false;
+}
+
 void rn_get_frame(void *context, struct rn_request *request, struct rn_reply *reply) {
     struct rn_error err = {0};
-    char id[RN_ID_MAX], place[32], name[16], path[64];
+    char id[RN_ID_MAX], name[16];
     int64_t index;
     enum rn_status status =
         rn_api_number(rn_request_param(request, 1), 0, 99999, "index", &index, &err);
     if (rn_api_failed(status, &err, reply)) return;
     int folder = find_folder(context, request, id, reply);
     if (folder < 0) return;
-    snprintf(place, sizeof place, "/proc/self/fd/%d", folder);
     snprintf(name, sizeof name, "%05d.png", (int)index);
-    snprintf(path, sizeof path, "%s/%s", place, name);
-    status = rn_manifest_check_file(place, name, &err);
-    if (status == RN_ERROR_NOT_FOUND || !rn_api_failed(status, &err, reply)) {
-        rn_reply_file(reply, "image/png", path);
-        if (reply->body != RN_BODY_FILE) {
-            rn_reply_finish(reply);
-            rn_reply_problem(reply, RN_PROBLEM_NOT_FOUND, "there is no frame %d (yet)", (int)index);
-        }
-    }
+    if (!reply_stored(folder, name, "image/png", reply))
+        rn_reply_problem(reply, RN_PROBLEM_NOT_FOUND, "there is no frame %d (yet)", (int)index);
     close(folder);
 }
 
@@ -150,23 +156,18 @@ void rn_get_frame(void *context, struct rn_request *request, struct rn_reply *re
 void rn_get_film(void *context, struct rn_request *request, struct rn_reply *reply) {
     static const char *const films[][2] = {
         {"film.mp4", "video/mp4"}, {"film.webm", "video/webm"}, {"film.gif", "image/gif"}};
-    char id[RN_ID_MAX], *path = NULL;
-    char *folder = find_folder(context, request, id, reply);
-    if (folder == NULL) return;
-    for (int i = 0; i < 3; i++) {
-        if (asprintf(&path, "%s/%s", folder, films[i][0]) < 0) break;
-        rn_reply_file(reply, films[i][1], path);
-        free(path);
-        if (reply->body == RN_BODY_FILE) {
+    char id[RN_ID_MAX];
+    bool found = false;
+    int folder = find_folder(context, request, id, reply);
+    if (folder < 0) return;
+    for (int i = 0; i < 3 && !found; i++) {
+        found = reply_stored(folder, films[i][0], films[i][1], reply);
+        if (found && reply->body == RN_BODY_FILE)
             rn_reply_header(reply, "Content-Disposition", "inline; filename=\"%s%s\"", id,
                             strrchr(films[i][0], '.'));
-            break;
-        }
-        rn_reply_finish(reply);
     }
-    if (reply->body != RN_BODY_FILE)
-        rn_reply_problem(reply, RN_PROBLEM_NOT_FOUND, "the job has no film (yet)");
-    free(folder);
+    if (!found) rn_reply_problem(reply, RN_PROBLEM_NOT_FOUND, "the job has no film (yet)");
+    close(folder);
 }
 
 // ---- tar --------------------------------------------------------------------------------------
