@@ -25,8 +25,8 @@ static double count_wrong(struct rn_trainer *t, const struct rn_incident *incide
     for (int r = 0; r < incident->ray_count; r++) {
         struct rn_march_ray ray = replayed(&incident->rays[r]);
         enum rn_ray_fault fault =
-            rn_try_rays(t->engine->kernels, &t->field->cpu, &t->march, &ray, 0, 1,
-                        rn_engine_workspace(t->engine, 0), &t->groups[0], NULL);
+            rn_try_rays(t->engine->kernels, &t->field->cpu, &t->step.march, &ray, 0, 1,
+                        rn_engine_workspace(t->engine, 0), &t->step.groups[0], NULL);
         wrong += fault != (wild ? incident->rays[r].fault : RN_FAULT_NONE);
     }
     return wrong;
@@ -105,7 +105,7 @@ static void see_background(struct numerics_case *c, struct rn_engine *engine,
     if (renderer) *background = NAN;
     rn_trainer_begin_step(t);
     *background = NAN;
-    while (t->stepping)
+    while (t->step.under_way)
         rn_trainer_run_wave(t);
     *background = before;
     uint64_t rays = t->progress.nonfinite_rays;
@@ -268,8 +268,8 @@ static int check_cells(struct rn_engine *engine, const struct rn_dataset *datase
             rn_trainer_update_occupancy(t);
         }
         double wild = 0;
-        for (size_t i = 0; i < t->hull_count; i++)
-            wild += !isfinite(t->field->occupancy[t->hull_list[i]]);
+        for (size_t i = 0; i < t->hull.count; i++)
+            wild += !isfinite(t->field->occupancy[t->hull.list[i]]);
         numerics_see(&c, wild, "%s", saved ? "saved" : "refreshed");
         rn_trainer_destroy(&t);
     }

@@ -241,9 +241,9 @@ mutate incidents $train/incident.c "incident: the offending rays are not looked 
 mutate incidents $cpu/loss.h "training: a ray that is not finite goes back" \
     's/if (!isfinite(loss)) return false;/if (isinf(loss)) return false;/'
 mutate reproducible $train/trainer.c "view dependence: measured as the step before marched" \
-    's/march = rn_schedule_march(.*);/march = t->march;/'
+    's/march = rn_schedule_march(.*);/march = t->step.march;/'
 mutate reproducible $train/sampler.c "rays: drawn by the thread's own count" \
-    's/rn_rng_draw(t->march.seed, STREAM_RAYS | (uint32_t)r, t->march.counter)/rn_rng_draw(t->march.seed + (uint64_t)rn_pool_threads(t->engine->pool), STREAM_RAYS | (uint32_t)r, t->march.counter)/'
+    's/rn_rng_draw(t->step.march.seed, STREAM_RAYS | (uint32_t)r, t->step.march.counter)/rn_rng_draw(t->step.march.seed + (uint64_t)rn_pool_threads(t->engine->pool), STREAM_RAYS | (uint32_t)r, t->step.march.counter)/'
 mutate roulette $cpu/backward.h "roulette: survivors count once" \
     's/row \* ((float)CERTAIN .*/row;/'
 mutate roulette $cpu/backward.h "roulette: what is likelier than not is backpropagated" \

@@ -27,17 +27,17 @@ static size_t gradients(struct rn_trainer *t, float threshold, uint64_t seed, do
                         double *ret_returned) {
     const struct rn_parameters *p = &t->field->parameters;
     size_t networks = p->base_count + p->head_count;
-    struct rn_group *own = &t->groups[0];
+    struct rn_group *own = &t->step.groups[0];
     struct rn_group group = {
         .slab = own->slab, .end = RAYS, .base_grad = own->base_grad, .head_grad = own->head_grad};
-    struct rn_march_options march = t->march;
+    struct rn_march_options march = t->step.march;
     double sketches[SKETCHES] = {0};
     march.roulette = threshold;
     march.seed = seed;
     memset(group.base_grad, 0, networks * sizeof(float));
     group.slab.count = 0;
-    t->engine->kernels->train(&t->field->cpu, &march, t->rays, rn_engine_workspace(t->engine, 0),
-                              &group);
+    t->engine->kernels->train(&t->field->cpu, &march, t->step.rays,
+                              rn_engine_workspace(t->engine, 0), &group);
     int channels = t->field->config.field.channels;
     for (int plane = 0; plane < t->field->config.field.planes; plane++)
         for (int i = 0; i < group.slab.count * channels; i++)

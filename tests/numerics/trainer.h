@@ -8,6 +8,7 @@
 #include "common/base/file.h"
 #include "server/engine/engine.h"
 #include "server/engine/field/occupancy.h"
+#include "server/engine/train/schedule.h"
 #include "server/engine/train/trainer.h"
 #include "tests/support/numerics.h"
 

@@ -206,7 +206,7 @@ mutate roulette shade.cuh "roulette: the same start for all rays" 's/    l.sum =
 mutate roulette step.cuh "roulette: the mean is of scaled gradients" 's| / (float)all->gradients / s->gradient_scale| / (float)all->gradients|'
 mutate roulette backend.cu "roulette: none" 's/f->batch.roulette = .*/f->batch.roulette = 0;/'
 mutate_engine bytes train/trainer.c "engine: the gradients' size is forgotten" \
-    's/    t->gradient_size = from->gradient_size;//'
+    's/    t->device.gradient_size = from->gradient_size;//'
 mutate guards shade.cuh "ray shading: a ray that is not finite reaches the weights" \
     's/^                rn_keep_rows(in.*//'
 # Scatter and update.
@@ -247,9 +247,9 @@ mutate_engine standard train/device.c "engine: moments do not follow to the devi
 mutate_engine standard scene/device.c "engine: moments are not read back" \
     's/download(f->on_device, f->parameters.values, m, v,/download(f->on_device, f->parameters.values, NULL, NULL,/'
 mutate_engine paper train/device.c "engine: samples counted twice" \
-    's/    t->counted = p;//'
+    's/    t->device.counted = p;//'
 mutate_engine bytes train/trainer.c "engine: the gradients' scale is forgotten" \
-    's/    t->good_steps = from->good_steps;//'
+    's/    t->device.good_steps = from->good_steps;//'
 mutate_engine bytes train/device.c "engine: a resumed run draws its first rays again" \
     's/\.step = t->progress.step,/.step = 1,/'
 mutate_engine renders scene/device.c "engine: parameters read back once only" \

@@ -107,7 +107,7 @@ static struct rn_field_info train(const char *device, const struct rn_train_conf
     struct rn_field_info info;
     begin(device, config);
     advance_to(INT64_MAX);
-    ck_assert(run.trainer->march.background_variance == 0); // random backgrounds have ended
+    ck_assert(run.trainer->step.march.background_variance == 0); // random backgrounds have ended
     validate();
     OK(rn_trainer_save(run.trainer, path, &err));
     rn_field_describe(rn_trainer_field(run.trainer), &info);
@@ -230,7 +230,7 @@ START_TEST(resumes_to_the_same_bytes) {
     advance_to(30);
     OK(rn_trainer_save(run.trainer, path, &err));
     rn_field_sha256(rn_trainer_field(run.trainer), whole);
-    good_steps = run.trainer->good_steps;
+    good_steps = run.trainer->device.good_steps;
     end();
     begin("cuda:0", &config);
     for (bool done = false; !done;) {
@@ -242,7 +242,7 @@ START_TEST(resumes_to_the_same_bytes) {
         if (!done) begin("cuda:0", NULL);
     }
     ck_assert_str_eq(whole, pieces);
-    ck_assert_int_eq(run.trainer->good_steps, good_steps);
+    ck_assert_int_eq(run.trainer->device.good_steps, good_steps);
     end();
 }
 END_TEST

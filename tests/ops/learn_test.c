@@ -399,8 +399,8 @@ static void check_part(const struct rn_trainer *t, int r) {
     struct rn_ray whole = rn_camera_ray(&frame->frame->camera, x + 0.25 + 0.5 * (r % 2),
                                         y + 0.25 + 0.5 * (r % 4 / 2));
     for (int i = 0; i < 3; i++)
-        ck_assert_double_eq_tol((double)t->rays[r].direction[i], whole.direction[i], 1e-6);
-    ck_assert_double_eq_tol((double)t->rays[r].radius, whole.radius / 2, 1e-4 * whole.radius);
+        ck_assert_double_eq_tol((double)t->step.rays[r].direction[i], whole.direction[i], 1e-6);
+    ck_assert_double_eq_tol((double)t->step.rays[r].radius, whole.radius / 2, 1e-4 * whole.radius);
 }
 
 // Rays at fault are found one by one, though four of them are a pixel.
@@ -427,12 +427,12 @@ START_TEST(pixels_are_split_in_their_time) {
     for (int step = 1; step <= 10; step++) {
         advance_to(t, step);
         bool split = step > 6;
-        ck_assert_int_eq(t->march.split, split);
+        ck_assert_int_eq(t->step.march.split, split);
         ck_assert_double_eq_tol(t->field->finest_cone, split ? cone / 2 : cone, 1e-15);
         struct rn_render_result seen = render_all(engine, t->field, *camera, 0);
         ck_assert_int_eq(seen.stats.cones, split ? 2 : 1);
         rn_render_result_finish(&seen);
-        for (int r = 0; r < t->ray_count && split; r++)
+        for (int r = 0; r < t->step.ray_count && split; r++)
             check_part(t, r);
     }
     check_incident(t);

@@ -5,6 +5,7 @@
 #include <check.h>
 
 #include "server/engine/engine.h"
+#include "server/engine/train/schedule.h"
 #include "server/engine/train/trainer.h"
 
 extern char folder[64];                     // for what a test writes

@@ -184,7 +184,7 @@ START_TEST(unbounded_space_resumes) {
             ck_assert(field->effects[RN_EFFECT_UNBOUNDED].on);
         }
         run_to_end(trainer);
-        ck_assert(trainer->march.distortion_loss > 0);
+        ck_assert(trainer->step.march.distortion_loss > 0);
         rn_field_sha256(rn_trainer_field(trainer), hex[i]);
         rn_trainer_destroy(&trainer);
         rn_engine_destroy(&engine);

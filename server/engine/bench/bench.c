@@ -51,7 +51,7 @@ static enum rn_status advance(struct run *run, double seconds, struct rn_progres
         enum rn_status status = rn_trainer_advance(run->trainer, 1, err);
         if (status != RN_OK) return status;
         rn_trainer_progress(run->trainer, ret_after);
-    } while (run->trainer->stepping ||
+    } while (run->trainer->step.under_way ||
              ret_after->train_seconds - ret_before->train_seconds < seconds);
     return RN_OK;
 }

@@ -79,7 +79,7 @@ double rn_bench_check_march(const struct rn_bench_recording *rec) {
     for (int p = 0; p < rec->packet_count; p++) {
         const struct rn_bench_packet *packet = &rec->packets[p];
         const struct rn_workspace *w = packet->workspace;
-        double step = (double)rec->trainer->march.step;
+        double step = (double)rec->trainer->step.march.step;
         rn_bench_stage_run(rec, packet, RN_STAGE_MARCH, NULL);
         for (int r = 0; r < packet->ray_count; r++) {
             const struct rn_march_ray *ray = &packet->rays[r];
@@ -113,8 +113,8 @@ double rn_bench_check_encode(const struct rn_bench_recording *rec,
     float features[RN_MAX_PLANES * 16];
     rn_bench_stage_run(rec, packet, RN_STAGE_ENCODE, NULL);
     for (int i = 0; i < w->count; i += stride(w->count)) {
-        rn_exact_features(rec->field, &packet->rays[w->ray[i]], (double)rec->trainer->march.step,
-                          (double)w->s[i], exact, NULL);
+        rn_exact_features(rec->field, &packet->rays[w->ray[i]],
+                          (double)rec->trainer->step.march.step, (double)w->s[i], exact, NULL);
         rec->kernels->get_features(rec->field, i, w, features);
         for (int k = 0; k < rec->field->features; k++) {
             double fast = (double)features[k];
@@ -314,7 +314,7 @@ double rn_bench_check_composite(const struct rn_bench_recording *rec,
         logits[i] = (double)w->geometry[(size_t)i * RN_GEOMETRY];
     rn_bench_stage_run(rec, packet, RN_STAGE_COMPOSITE, NULL);
     for (int r = 0; r < packet->ray_count; r++)
-        composite_ray(packet, r, logits, (double)rec->trainer->march.stop_depth, &worst);
+        composite_ray(packet, r, logits, (double)rec->trainer->step.march.stop_depth, &worst);
     free(logits);
     return result(&worst);
 }

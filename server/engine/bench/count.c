@@ -5,6 +5,7 @@
 #include <stdlib.h>
 
 #include "server/engine/field/ripmap.h"
+#include "server/engine/train/schedule.h"
 
 #define LINE 64
 #define MEMORY_SECONDS 0.03 // for one figure
@@ -269,7 +270,7 @@ struct rn_bench_count rn_bench_count_pyramid(const struct rn_bench_recording *re
 struct rn_bench_count rn_bench_count_occupancy(const struct rn_bench_recording *rec) {
     const struct rn_trainer *t = rec->trainer;
     const struct rn_cpu_field *f = rec->field;
-    double cells = (double)t->hull_count;
+    double cells = (double)t->hull.count;
     if (t->field->config.carve || t->progress.step >= RN_OCCUPANCY_WARM_UP) cells /= 4;
     return (struct rn_bench_count){.amount = cells / t->engine->info.threads,
                                    .operations = encode_operations(f, 1) + OPS_EXP +

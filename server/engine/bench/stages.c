@@ -8,6 +8,7 @@
 #include "server/engine/bench/check.h"
 #include "server/engine/bench/count.h"
 #include "server/engine/bench/machine.h"
+#include "server/engine/train/schedule.h"
 
 // ---- recording ------------------------------------------------------------------------------
 
@@ -43,16 +44,16 @@ static bool record_packet(struct rn_bench_recording *rec, int begin, int end,
             group->slab.count = 0;
             group->cursor = begin;
             group->end = begin + left;
-            rec->kernels->train(rec->field, &t->march, t->rays, w, group);
+            rec->kernels->train(rec->field, &t->step.march, t->step.rays, w, group);
             left /= 2;
         } while (w->ray_count < group->end - begin);
-        packet->rays = t->rays + begin;
+        packet->rays = t->step.rays + begin;
         packet->ray_count = w->ray_count;
         packet->returned = group->slab.count;
         if (packet->returned > 0) {
             packet->heads = head_rows(rec->field, packet);
             packet->looked_at = candidates(w);
-            rec->kernels->stage(rec->field, &t->march, packet->rays, packet->ray_count,
+            rec->kernels->stage(rec->field, &t->step.march, packet->rays, packet->ray_count,
                                 RN_STAGE_MARCH, w, group, NULL);
             packet->found = candidates(w);
             return true;
@@ -75,13 +76,13 @@ enum rn_status rn_bench_record(struct rn_trainer *trainer, struct rn_bench_recor
         rn_bench_recording_finish(&rec);
         return rn_error_set(err, RN_ERROR_NO_MEMORY, "bench", "out of memory");
     }
-    int rays = trainer->ray_count;
+    int rays = trainer->step.ray_count;
     rn_trainer_begin_step(trainer); // clears the groups
     for (int g = 0; g < RN_GROUPS; g++) {
         struct rn_bench_packet *packet = &rec.packets[rec.packet_count];
         packet->workspace = rn_workspace_init(rec.field, trainer->field->config.step,
                                               rec.memory + (size_t)rec.packet_count * bytes);
-        packet->group = &trainer->groups[g];
+        packet->group = &trainer->step.groups[g];
         rec.packet_count += record_packet(&rec, (int)((int64_t)rays * g / RN_GROUPS),
                                           (int)((int64_t)rays * (g + 1) / RN_GROUPS), packet);
     }
@@ -104,8 +105,8 @@ void rn_bench_recording_finish(struct rn_bench_recording *rec) {
 
 void rn_bench_stage_run(const struct rn_bench_recording *rec, const struct rn_bench_packet *packet,
                         enum rn_stage stage, const float **ret_grad) {
-    rec->kernels->stage(rec->field, &rec->trainer->march, packet->rays, packet->ray_count, stage,
-                        packet->workspace, packet->group, ret_grad);
+    rec->kernels->stage(rec->field, &rec->trainer->step.march, packet->rays, packet->ray_count,
+                        stage, packet->workspace, packet->group, ret_grad);
 }
 
 void rn_bench_scatter(const struct rn_bench_recording *rec) {
@@ -222,7 +223,8 @@ static void run_rays(void *context) {
                 .frame = frame, .x = (int)(draw.v[1] % width), .y = (int)(draw.v[2] % height)};
             __builtin_prefetch(rn_pixel_at(&t->train, frame, places[j].x, places[j].y));
         }
-        rn_trainer_rays(t, &t->train, places, RN_TRAINER_RAYS, t->field->config.step, t->rays + i);
+        rn_trainer_rays(t, &t->train, places, RN_TRAINER_RAYS, t->field->config.step,
+                        t->step.rays + i);
     }
 }
 
@@ -347,7 +349,7 @@ static double step_ceiling_ms(const struct bench *b) {
     }
     double scale = entered > 0 ? b->result->step.samples / entered : 1;
     double numbers = (double)rn_bench_touched(rec);
-    double cells = (double)rec->trainer->hull_count / 4 / RN_OCCUPANCY_EVERY;
+    double cells = (double)rec->trainer->hull.count / 4 / RN_OCCUPANCY_EVERY;
     double us = b->result->step.rays / s[RAYS].ceiling + numbers / s[OPTIMISER].ceiling +
                 cells / s[OCCUPANCY].ceiling;
     us += scale * (found / s[MARCH].ceiling + returned / s[BACKWARD].ceiling +

@@ -7,6 +7,8 @@
 #include <string.h>
 
 #include "server/engine/render/cones.h"
+#include "server/engine/train/guard.h"
+#include "server/engine/train/schedule.h"
 #include "server/engine/train/trainer.h"
 
 #define QUEUED 16        // steps between two looks at the counters
@@ -65,16 +67,16 @@ static enum rn_status put_training(struct rn_trainer *t, struct rn_error *err) {
                                           .next_rays = t->next_rays,
                                           .step = t->progress.step,
                                           .updates = t->optimiser.updates,
-                                          .gradient_scale = t->gradient_scale,
-                                          .good_steps = t->good_steps,
-                                          .gradient_size = t->gradient_size,
+                                          .gradient_scale = t->device.gradient_scale,
+                                          .good_steps = t->device.good_steps,
+                                          .gradient_size = t->device.gradient_size,
                                           .rays = t->progress.rays,
-                                          .march_step = (double)t->march.step,
-                                          .split = t->march.split,
-                                          .background_variance = t->march.background_variance,
+                                          .march_step = (double)t->step.march.step,
+                                          .split = t->step.march.split,
+                                          .background_variance = t->step.march.background_variance,
                                           .m = t->optimiser.m,
                                           .v = t->optimiser.v};
-    memcpy(training.background, t->march.background, sizeof training.background);
+    memcpy(training.background, t->step.march.background, sizeof training.background);
     enum rn_status status = pack_pixels(t, &packed, err);
     if (status == RN_OK)
         status =
@@ -88,7 +90,8 @@ enum rn_status rn_trainer_put(struct rn_trainer *t, struct rn_error *err) {
     struct rn_engine *e = t->engine;
     const char *kernels = e->kernels->name;
     enum rn_status status = RN_OK;
-    t->counted = (struct rn_device_progress){.steps = t->progress.step, .rays = t->progress.rays};
+    t->device.counted =
+        (struct rn_device_progress){.steps = t->progress.step, .rays = t->progress.rays};
     if (e->backend) status = put_training(t, err);
     if (status == RN_ERROR_UNSUPPORTED && e->device_optional) status = RN_OK;
     if (t->field->on_device) kernels = e->device_kernels;
@@ -135,8 +138,8 @@ static struct rn_device_step next_step(const struct rn_trainer *t) {
 static void take_progress(struct rn_trainer *t, const struct rn_device_progress *p,
                           const struct rn_device_progress *before) {
     struct rn_progress *to = &t->progress;
-    t->window_samples += p->samples - before->samples;
-    t->window_rays += p->rays - before->rays;
+    t->window.samples += p->samples - before->samples;
+    t->window.rays += p->rays - before->rays;
     to->samples += p->samples - before->samples;
     to->rays += p->rays - before->rays;
     to->nonfinite_rays += p->nonfinite_rays - before->nonfinite_rays;
@@ -147,9 +150,9 @@ static void take_progress(struct rn_trainer *t, const struct rn_device_progress 
     t->optimiser.updates = p->updates;
     t->next_rays = p->next_rays;
     t->optimiser.rejected = p->rejected_in_a_row;
-    t->gradient_scale = p->gradient_scale;
-    t->good_steps = p->good_steps;
-    t->gradient_size = p->gradient_size;
+    t->device.gradient_scale = p->gradient_scale;
+    t->device.good_steps = p->good_steps;
+    t->device.gradient_size = p->gradient_size;
 }
 
 // As on the CPU, but back to what was last known here, and onto the device again.
@@ -158,9 +161,9 @@ static enum rn_status roll_back(struct rn_trainer *t, struct rn_error *err) {
     if (status != RN_OK) return status;
     rn_trainer_redraw(t);
     rn_trainer_roll_back(t);
-    t->gradient_scale = 0;
-    t->good_steps = 0;
-    t->gradient_size = 0;
+    t->device.gradient_scale = 0;
+    t->device.good_steps = 0;
+    t->device.gradient_size = 0;
     return rn_trainer_put(t, err);
 }
 
@@ -177,8 +180,8 @@ enum rn_status rn_trainer_run_device(struct rn_trainer *t, struct rn_error *err)
     }
     if (status == RN_OK) status = t->field->backend->train_finish(on, &p, err);
     if (status != RN_OK) return status;
-    take_progress(t, &p, &t->counted);
-    t->counted = p;
+    take_progress(t, &p, &t->device.counted);
+    t->device.counted = p;
     return p.rejected_in_a_row < MOST_REJECTED ? RN_OK : roll_back(t, err);
 }
 

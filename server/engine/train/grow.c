@@ -6,6 +6,9 @@
 #include <string.h>
 
 #include "server/engine/scene/occupancy.h"
+#include "server/engine/train/grow.h"
+#include "server/engine/train/guard.h"
+#include "server/engine/train/schedule.h"
 #include "server/engine/train/trainer.h"
 
 // One map made larger, bilinearly, texel centres to texel centres, and scaled. Each number is

@@ -6,6 +6,8 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "server/engine/train/guard.h"
+#include "server/engine/train/schedule.h"
 #include "server/engine/train/trainer.h"
 
 #define CHUNK 65536      // numbers looked at together
@@ -79,7 +81,7 @@ void rn_trainer_roll_back(struct rn_trainer *t) {
 
 static bool has_offenders(const struct rn_trainer *t) {
     for (int g = 0; g < RN_GROUPS; g++)
-        if (t->groups[g].nonfinite_rays > 0) return true;
+        if (t->step.groups[g].nonfinite_rays > 0) return true;
     return false;
 }
 

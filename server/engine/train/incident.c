@@ -4,6 +4,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "server/engine/train/schedule.h"
 #include "server/engine/train/trainer.h"
 
 #define PACKET RN_PACKET_RAYS // rays tried together
@@ -36,8 +37,8 @@ enum rn_ray_fault rn_try_rays(const struct rn_kernels *kernels, const struct rn_
 
 static void list_ray(struct rn_trainer *t, struct rn_incident *incident, uint32_t id,
                      enum rn_ray_fault fault) {
-    if (incident->ray_count == RN_INCIDENT_KEPT || id >= (uint32_t)t->ray_count) return;
-    const struct rn_march_ray *ray = &t->rays[id];
+    if (incident->ray_count == RN_INCIDENT_KEPT || id >= (uint32_t)t->step.ray_count) return;
+    const struct rn_march_ray *ray = &t->step.rays[id];
     struct rn_incident_ray *out = &incident->rays[incident->ray_count];
     const struct rn_pixel_frame *frame = rn_trainer_place(t, (int)id, &out->x, &out->y);
     if (!frame) return;
@@ -67,15 +68,15 @@ static void list_offenders(struct rn_trainer *t, struct rn_incident *incident,
 // by ray where a packet is wrong.
 static enum rn_ray_fault try_step_rays(struct rn_trainer *t, int first, int n,
                                        struct rn_group *ret_group) {
-    return rn_try_rays(t->engine->kernels, &t->field->cpu, &t->march, t->rays, first, n,
-                       rn_engine_workspace(t->engine, 0), &t->groups[0], ret_group);
+    return rn_try_rays(t->engine->kernels, &t->field->cpu, &t->step.march, t->step.rays, first, n,
+                       rn_engine_workspace(t->engine, 0), &t->step.groups[0], ret_group);
 }
 
 static void search(struct rn_trainer *t, struct rn_incident *incident) {
     struct rn_group group;
-    for (int first = 0; first < t->ray_count && incident->ray_count < RN_INCIDENT_KEPT;
+    for (int first = 0; first < t->step.ray_count && incident->ray_count < RN_INCIDENT_KEPT;
          first += PACKET) {
-        int n = t->ray_count - first < PACKET ? t->ray_count - first : PACKET;
+        int n = t->step.ray_count - first < PACKET ? t->step.ray_count - first : PACKET;
         enum rn_ray_fault fault = try_step_rays(t, first, n, &group);
         incident->nonfinite_rays += group.nonfinite_rays;
         for (int r = first; r < first + n && fault != RN_FAULT_NONE; r++) {
@@ -98,38 +99,39 @@ static void list_parameters(const struct rn_trainer *t, struct rn_incident *inci
 // The step's own finds; else what a search finds; else a few of its rays, evenly spaced.
 static void list_rays(struct rn_trainer *t, struct rn_incident *incident) {
     for (int g = 0; g < RN_GROUPS; g++) {
-        incident->nonfinite_rays += t->groups[g].nonfinite_rays;
-        list_offenders(t, incident, &t->groups[g]);
+        incident->nonfinite_rays += t->step.groups[g].nonfinite_rays;
+        list_offenders(t, incident, &t->step.groups[g]);
     }
     if (incident->ray_count == 0) search(t, incident);
     bool sound = incident->ray_count == 0;
     for (int i = 0; sound && i < RN_INCIDENT_KEPT; i++)
-        list_ray(t, incident, (uint32_t)((int64_t)t->ray_count * i / RN_INCIDENT_KEPT),
+        list_ray(t, incident, (uint32_t)((int64_t)t->step.ray_count * i / RN_INCIDENT_KEPT),
                  RN_FAULT_NONE);
 }
 
 void rn_trainer_note(struct rn_trainer *t, enum rn_incident_kind kind) {
-    if (!t->incidents) t->incidents = calloc(RN_INCIDENTS_HELD, sizeof *t->incidents);
-    if (!t->incidents || t->incident_count == RN_INCIDENTS_HELD ||
-        t->incidents_noted == RN_INCIDENTS_MOST)
+    if (!t->incidents.held)
+        t->incidents.held = calloc(RN_INCIDENTS_HELD, sizeof *t->incidents.held);
+    if (!t->incidents.held || t->incidents.count == RN_INCIDENTS_HELD ||
+        t->incidents.noted == RN_INCIDENTS_MOST)
         return;
-    t->incidents_noted++;
-    int at = (t->incident_first + t->incident_count++) % RN_INCIDENTS_HELD;
-    struct rn_incident *incident = &t->incidents[at];
+    t->incidents.noted++;
+    int at = (t->incidents.first + t->incidents.count++) % RN_INCIDENTS_HELD;
+    struct rn_incident *incident = &t->incidents.held[at];
     *incident = (struct rn_incident){.kind = kind,
-                                     .step = (int64_t)t->march.counter,
+                                     .step = (int64_t)t->step.march.counter,
                                      .seed = t->field->config.seed,
                                      .rate = rn_schedule_rate(&t->field->config, &t->progress),
-                                     .march_step = t->march.step};
-    memcpy(incident->background, t->march.background, sizeof incident->background);
+                                     .march_step = t->step.march.step};
+    memcpy(incident->background, t->step.march.background, sizeof incident->background);
     if (kind == RN_INCIDENT_ROLLBACK) list_parameters(t, incident);
     list_rays(t, incident);
 }
 
 bool rn_trainer_take_incident(struct rn_trainer *t, struct rn_incident *ret_incident) {
-    if (t->incident_count == 0) return false;
-    *ret_incident = t->incidents[t->incident_first];
-    t->incident_first = (t->incident_first + 1) % RN_INCIDENTS_HELD;
-    t->incident_count--;
+    if (t->incidents.count == 0) return false;
+    *ret_incident = t->incidents.held[t->incidents.first];
+    t->incidents.first = (t->incidents.first + 1) % RN_INCIDENTS_HELD;
+    t->incidents.count--;
     return true;
 }

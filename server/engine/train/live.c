@@ -41,8 +41,8 @@ static enum rn_status list_clumps(const struct rn_trainer *t, struct clumps *ret
         free(grid.held);
         return RN_ERROR_NO_MEMORY;
     }
-    for (size_t i = 0; i < t->hull_count; i++) {
-        size_t cell = t->hull_list[i];
+    for (size_t i = 0; i < t->hull.count; i++) {
+        size_t cell = t->hull.list[i];
         size_t z = cell % cells / CLUMP, y = cell / cells % cells / CLUMP;
         grid.held[(cell / cells / cells / CLUMP * n + y) * n + z] = 1;
     }

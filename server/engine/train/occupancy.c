@@ -8,6 +8,7 @@
 #include "server/engine/field/occupancy.h"
 #include "server/engine/field/volume.h"
 #include "server/engine/scene/occupancy.h"
+#include "server/engine/train/schedule.h"
 #include "server/engine/train/trainer.h"
 
 #define STREAM_OCCUPANCY 0x6f63637570000000u
@@ -22,12 +23,12 @@ enum rn_status rn_trainer_list_hull(struct rn_trainer *t, struct rn_error *err) 
     field->hull_cells = 0;
     for (size_t i = 0; i < n; i++)
         field->hull_cells += field->hull[i];
-    free(t->hull_list);
-    t->hull_list = malloc((field->hull_cells + 1) * sizeof *t->hull_list);
-    if (!t->hull_list) return rn_error_set(err, RN_ERROR_NO_MEMORY, "occupancy", "out of memory");
-    t->hull_count = 0;
+    free(t->hull.list);
+    t->hull.list = malloc((field->hull_cells + 1) * sizeof *t->hull.list);
+    if (!t->hull.list) return rn_error_set(err, RN_ERROR_NO_MEMORY, "occupancy", "out of memory");
+    t->hull.count = 0;
     for (size_t i = 0; i < n; i++)
-        if (field->hull[i]) t->hull_list[t->hull_count++] = (uint32_t)i;
+        if (field->hull[i]) t->hull.list[t->hull.count++] = (uint32_t)i;
     return RN_OK;
 }
 
@@ -238,7 +239,7 @@ static void measure_chunk(void *context, int index, int thread) {
     uint32_t at[CHUNK];
     float points[CHUNK][3], density[CHUNK];
     for (size_t i = (size_t)index * CHUNK; i < m->count && n < CHUNK; i++, n++) {
-        uint32_t cell = at[n] = t->hull_list[m->first + i * m->stride];
+        uint32_t cell = at[n] = t->hull.list[m->first + i * m->stride];
         struct rn_rng4 draw =
             rn_rng_draw(config->seed, STREAM_OCCUPANCY + cell, (uint64_t)t->progress.step);
         int index3[3];
@@ -257,20 +258,20 @@ static void measure_chunk(void *context, int index, int thread) {
 }
 
 bool rn_trainer_update_occupancy(struct rn_trainer *t) {
-    if (t->seen) {
+    if (t->hull.seen) {
         rn_trainer_update_seen(t);
         return true;
     }
     struct rn_occupancy_turn turn = rn_schedule_occupancy(&t->field->config, t->progress.step);
     struct measurement m = {
         .trainer = t, .first = turn.first, .stride = turn.stride, .decay = turn.decay};
-    if (t->hull_count <= m.first) return true;
-    m.count = (t->hull_count - m.first + m.stride - 1) / m.stride;
+    if (t->hull.count <= m.first) return true;
+    m.count = (t->hull.count - m.first + m.stride - 1) / m.stride;
     m.level = rn_level_of_cells(&t->field->config.field);
-    if (!rn_pool_run_some(t->engine->pool, (int)((m.count + CHUNK - 1) / CHUNK), &t->next_chunk,
-                          measure_chunk, &m, rn_engine_is_wanted, t->engine))
+    if (!rn_pool_run_some(t->engine->pool, (int)((m.count + CHUNK - 1) / CHUNK),
+                          &t->step.next_chunk, measure_chunk, &m, rn_engine_is_wanted, t->engine))
         return false;
-    t->next_chunk = 0;
+    t->step.next_chunk = 0;
     rn_field_refresh_occupancy(t->field);
     return true;
 }

@@ -5,6 +5,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "server/engine/train/schedule.h"
 #include "server/engine/train/trainer.h"
 
 // ---- memory ---------------------------------------------------------------------------------
@@ -111,7 +112,7 @@ static bool sum_groups(struct rn_trainer *t, double *ret_loss, double *ret_weigh
     float *sum = t->optimiser.grad + p->plane_count;
     double loss = 0, weight = 0, check = 0;
     for (int g = 0; g < RN_GROUPS; g++) {
-        const struct rn_group *group = &t->groups[g];
+        const struct rn_group *group = &t->step.groups[g];
         loss += group->loss;
         weight += group->weight;
         t->progress.nonfinite_rays += group->nonfinite_rays;

@@ -6,6 +6,8 @@
 
 #include "server/engine/scene/scene.h"
 
+struct rn_trainer;
+
 // Laid out as the field's parameters, grad_pyramid as its pyramid. Owner: whoever has the trainer;
 // `grad`, with m and v in the same block, outlives rn_optimiser_free.
 struct rn_optimiser {
@@ -29,5 +31,10 @@ size_t rn_optimiser_moments(const struct rn_field *field);
 enum rn_status rn_optimiser_allocate(const struct rn_field *field, struct rn_optimiser *optimiser,
                                      struct rn_error *err) RN_MUST_CHECK;
 void rn_optimiser_free(struct rn_optimiser *optimiser);
+
+// The first row of a plane's band, 0 to `bands`.
+int rn_trainer_band(const struct rn_trainer *trainer, int band);
+// AdamW with the sum of all groups' gradients; false, and nothing is done, where it is not finite.
+bool rn_trainer_update(struct rn_trainer *trainer);
 
 #endif

@@ -42,8 +42,8 @@ void rn_trainer_rays(const struct rn_trainer *t, const struct rn_pixels *pixels,
         lanes[i].y = 2 * p->y + (p->part - 1) / 2;
     }
     t->engine->kernels->rays(lanes, count, step, t->field->config.cone_step, ret_rays);
-    const float *background =
-        t->march.background_variance > 0 ? t->march.background : t->field->config.background;
+    const float *background = t->step.march.background_variance > 0 ? t->step.march.background
+                                                                    : t->field->config.background;
     for (int i = 0; i < count; i++) {
         const struct rn_trainer_place *p = &places[i];
         if (!p->frame) {
@@ -100,7 +100,7 @@ static const struct rn_pixel_frame *draw_pixel(const struct rn_trainer *t, struc
 // A pixel of the scale that ray r's turn falls to, of the blocks that may see the hull: which
 // block, and where in it. The rays of a split pixel have one turn.
 static void draw_live_pixel(const struct rn_trainer *t, int r, struct rn_trainer_place *ret) {
-    uint64_t turn = (t->first_ray + (uint64_t)r) / (uint64_t)rn_pixel_rays(&t->march);
+    uint64_t turn = (t->step.first_ray + (uint64_t)r) / (uint64_t)rn_pixel_rays(&t->step.march);
     struct rn_scale_turn from = rn_scale_turn(turn, t->train.scale_count);
     size_t first = t->sampler.live_first[from.scale],
            count = t->sampler.live_first[from.scale + 1] - first;
@@ -128,15 +128,15 @@ static void settle(const struct rn_trainer *t, struct rn_trainer_place *place) {
 }
 
 static struct rn_rng4 draw_of(const struct rn_trainer *t, int r) {
-    return rn_rng_draw(t->march.seed, STREAM_RAYS | (uint32_t)r, t->march.counter);
+    return rn_rng_draw(t->step.march.seed, STREAM_RAYS | (uint32_t)r, t->step.march.counter);
 }
 
 // Where ray r of a step starts, but for settle().
 static struct rn_trainer_place draw_place(const struct rn_trainer *t, int r) {
-    int part = r % rn_pixel_rays(&t->march);
+    int part = r % rn_pixel_rays(&t->step.march);
     struct rn_rng4 draw = draw_of(t, r), of_pixel = part ? draw_of(t, r - part) : draw;
     struct rn_trainer_place place = {.jitter = rn_rng_unit(draw.v[2]),
-                                     .part = t->march.split ? part + 1 : 0,
+                                     .part = t->step.march.split ? part + 1 : 0,
                                      .weight = 1,
                                      .block = -1};
     if (t->field->config.favour_finest) {
@@ -162,7 +162,7 @@ void rn_trainer_draw(struct rn_trainer *t, int begin, int end) {
     struct rn_trainer_place places[32];
     for (; begin < end; begin += 32) {
         int n = end - begin < 32 ? end - begin : 32;
-        struct rn_march_ray *rays = t->rays + begin;
+        struct rn_march_ray *rays = t->step.rays + begin;
         for (int i = 0; i < n; i++) {
             places[i] = draw_place(t, begin + i);
             if (places[i].block >= 0) __builtin_prefetch(&t->sampler.live[places[i].block]);
@@ -173,7 +173,7 @@ void rn_trainer_draw(struct rn_trainer *t, int begin, int end) {
                 __builtin_prefetch(
                     rn_pixel_at(&t->train, places[i].frame, places[i].x, places[i].y));
         }
-        rn_trainer_rays(t, &t->train, places, n, (double)t->march.step, rays);
+        rn_trainer_rays(t, &t->train, places, n, (double)t->step.march.step, rays);
         for (int i = 0; i < n; i++) {
             if (rays[i].weight > 0) rays[i].weight = places[i].weight;
             rays[i].id = (uint32_t)(begin + i);
@@ -184,7 +184,7 @@ void rn_trainer_draw(struct rn_trainer *t, int begin, int end) {
 }
 
 void rn_trainer_note_losses(struct rn_trainer *t) {
-    for (int r = 0; r < t->ray_count && t->sampler.importance.count > 0; r++)
+    for (int r = 0; r < t->step.ray_count && t->sampler.importance.count > 0; r++)
         if (t->sampler.ray_block[r] >= 0)
             rn_importance_note(&t->sampler.importance, (size_t)t->sampler.ray_block[r],
                                (double)t->sampler.ray_loss[r]);

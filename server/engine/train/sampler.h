@@ -2,8 +2,11 @@
 #ifndef RN_ENGINE_TRAIN_SAMPLER_H
 #define RN_ENGINE_TRAIN_SAMPLER_H
 
+#include "server/engine/kernels/kernels.h"
 #include "server/engine/scene/pixels.h"
 #include "server/engine/train/importance.h"
+
+struct rn_trainer;
 
 // A block of pixels of a training frame whose cones may meet the hull.
 struct rn_live_block {
@@ -25,5 +28,35 @@ enum rn_status rn_sampler_allocate_rays(struct rn_sampler *sampler,
                                         struct rn_error *err) RN_MUST_CHECK;
 void rn_sampler_free_rays(struct rn_sampler *sampler);
 void rn_sampler_finish(struct rn_sampler *sampler);
+
+// live.c: the live blocks of the hull as it is.
+enum rn_status rn_trainer_list_live(struct rn_trainer *trainer, struct rn_error *err) RN_MUST_CHECK;
+// Makes rays be drawn by the blocks' shares as they are; with `weigh` by their errors so far.
+void rn_trainer_share_out(struct rn_trainer *trainer, bool weigh);
+
+// Where a ray starts, and its weight in the loss; `frame` is NULL for an absent one.
+struct rn_trainer_place {
+    const struct rn_pixel_frame *frame;
+    int x, y;
+    int part; // of a split pixel, from 1; 0: all of it
+    float jitter, weight;
+    int32_t block; // of the live ones, < 0: of none
+};
+#define RN_TRAINER_RAYS 128
+// The rays through `count` <= RN_TRAINER_RAYS pixels, marched in `step` (scene radii), targets over
+// the background. Weight 1; of an absent one 0.
+void rn_trainer_rays(const struct rn_trainer *trainer, const struct rn_pixels *pixels,
+                     const struct rn_trainer_place *places, int count, double step,
+                     struct rn_march_ray *ret_rays);
+// One of them.
+struct rn_march_ray rn_trainer_ray(const struct rn_trainer *trainer, const struct rn_pixels *pixels,
+                                   const struct rn_pixel_frame *frame, int x, int y, double step,
+                                   double jitter);
+// Draws rays [begin, end) of the step under way.
+void rn_trainer_draw(struct rn_trainer *trainer, int begin, int end);
+void rn_trainer_note_losses(struct rn_trainer *trainer); // of its rays, to their blocks
+// The photograph and pixel of ray r of the step under way or just done; NULL for an absent ray.
+const struct rn_pixel_frame *rn_trainer_place(const struct rn_trainer *trainer, int r, int *ret_x,
+                                              int *ret_y);
 
 #endif

@@ -7,6 +7,7 @@
 
 #include "server/engine/field/occupancy.h"
 #include "server/engine/scene/occupancy.h"
+#include "server/engine/train/schedule.h"
 #include "server/engine/train/trainer.h"
 
 #define BEGINS 0.05      // share of the schedule before which everything may still come
@@ -16,9 +17,9 @@
 
 enum rn_status rn_trainer_watch_cells(struct rn_trainer *t, struct rn_error *err) {
     size_t side = (size_t)t->field->config.field.occupancy, n = side * side * side;
-    if (!t->field->cpu.disparity.on || t->seen) return RN_OK;
-    t->seen = rn_block_create(n * sizeof *t->seen);
-    if (!t->seen) return rn_error_set(err, RN_ERROR_NO_MEMORY, "occupancy", "out of memory");
+    if (!t->field->cpu.disparity.on || t->hull.seen) return RN_OK;
+    t->hull.seen = rn_block_create(n * sizeof *t->hull.seen);
+    if (!t->hull.seen) return rn_error_set(err, RN_ERROR_NO_MEMORY, "occupancy", "out of memory");
     for (size_t i = 0; i < n; i++)
         t->field->occupancy[i] = RN_NEVER_SEEN;
     return RN_OK;
@@ -36,15 +37,15 @@ static void update_layer(void *context, int layer, int thread) {
     size_t side = (size_t)t->field->config.field.occupancy, first = (size_t)layer * side * side;
     for (size_t i = first; i < first + side * side; i++) {
         float *kept = &t->field->occupancy[i], shown;
-        memcpy(&shown, &t->seen[i], sizeof shown);
-        if (t->seen[i]) {
+        memcpy(&shown, &t->hull.seen[i], sizeof shown);
+        if (t->hull.seen[i]) {
             float left = (float)FORGOTTEN * fminf(*kept, 1);
             *kept = shown > left ? shown : left;
         } else if (round->unseen_end && *kept == (float)RN_NEVER_SEEN) {
             *kept = 0;
         }
     }
-    memset(t->seen + first, 0, side * side * sizeof *t->seen);
+    memset(t->hull.seen + first, 0, side * side * sizeof *t->hull.seen);
 }
 
 void rn_trainer_update_seen(struct rn_trainer *t) {
@@ -53,7 +54,7 @@ void rn_trainer_update_seen(struct rn_trainer *t) {
     if (isnan(done)) done = (double)t->progress.step / ENDLESS;
     if (done < BEGINS) {
         size_t n = (size_t)side;
-        memset(t->seen, 0, n * n * n * sizeof *t->seen);
+        memset(t->hull.seen, 0, n * n * n * sizeof *t->hull.seen);
         return;
     }
     struct round round = {t, !(done < UNSEEN_ENDS)};

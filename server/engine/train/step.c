@@ -3,7 +3,11 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "server/engine/train/guard.h"
+#include "server/engine/train/schedule.h"
 #include "server/engine/train/trainer.h"
+
+#define MIN_RAYS 64
 
 // ---- memory ---------------------------------------------------------------------------------
 
@@ -40,30 +44,30 @@ float *rn_group_lay_out(const struct rn_cpu_field *field, int capacity, float *a
 static enum rn_status allocate_groups(struct rn_trainer *t) {
     const struct rn_cpu_field *field = &t->field->cpu;
     int capacity = 2 * rn_engine_workspace(t->engine, 0)->capacity;
-    t->group_memory =
+    t->step.group_memory =
         rn_block_create(RN_GROUPS * rn_group_numbers(field, capacity) * sizeof(float));
-    if (!t->group_memory) return RN_ERROR_NO_MEMORY;
-    float *at = t->group_memory;
+    if (!t->step.group_memory) return RN_ERROR_NO_MEMORY;
+    float *at = t->step.group_memory;
     for (int g = 0; g < RN_GROUPS; g++)
-        at = rn_group_lay_out(field, capacity, at, &t->groups[g]);
+        at = rn_group_lay_out(field, capacity, at, &t->step.groups[g]);
     return RN_OK;
 }
 
 void rn_trainer_free_step(struct rn_trainer *t) {
     rn_optimiser_free(&t->optimiser);
     rn_sampler_free_rays(&t->sampler);
-    free(t->rays);
-    rn_block_destroy(t->group_memory);
-    t->group_memory = NULL;
-    t->rays = NULL;
+    free(t->step.rays);
+    rn_block_destroy(t->step.group_memory);
+    t->step.group_memory = NULL;
+    t->step.rays = NULL;
 }
 
 enum rn_status rn_trainer_allocate(struct rn_trainer *t, struct rn_error *err) {
     enum rn_status status = rn_optimiser_allocate(t->field, &t->optimiser, err);
     if (status == RN_OK) status = rn_sampler_allocate_rays(&t->sampler, err);
     if (status != RN_OK) return status;
-    t->rays = malloc(RN_MAX_RAYS * sizeof *t->rays);
-    if (!t->rays || allocate_groups(t) != RN_OK)
+    t->step.rays = malloc(RN_MAX_RAYS * sizeof *t->step.rays);
+    if (!t->step.rays || allocate_groups(t) != RN_OK)
         return rn_error_set(err, RN_ERROR_NO_MEMORY, "trainer", "out of memory");
     return RN_OK;
 }
@@ -77,12 +81,12 @@ static int first_of_group(int pixels, int g) {
 
 static void forward_backward(void *context, int index, int thread) {
     struct rn_trainer *t = context;
-    struct rn_group *group = &t->groups[index];
+    struct rn_group *group = &t->step.groups[index];
     if (group->cursor == group->end) return;
-    int pixel = rn_pixel_rays(&t->march);
-    int first = first_of_group(t->ray_count / pixel, index) * pixel;
+    int pixel = rn_pixel_rays(&t->step.march);
+    int first = first_of_group(t->step.ray_count / pixel, index) * pixel;
     if (group->cursor == first && group->slab.count == 0) rn_trainer_draw(t, first, group->end);
-    t->engine->kernels->train(&t->field->cpu, &t->march, t->rays,
+    t->engine->kernels->train(&t->field->cpu, &t->step.march, t->step.rays,
                               rn_engine_workspace(t->engine, thread), group);
 }
 
@@ -91,36 +95,36 @@ static void scatter_band(void *context, int index, int thread) {
     struct rn_trainer *t = context;
     int plane = index / t->optimiser.bands, band = index % t->optimiser.bands;
     for (int g = 0; g < RN_GROUPS; g++)
-        if (t->groups[g].slab.count > 0)
-            t->engine->kernels->scatter(&t->field->cpu, &t->groups[g].slab, plane,
+        if (t->step.groups[g].slab.count > 0)
+            t->engine->kernels->scatter(&t->field->cpu, &t->step.groups[g].slab, plane,
                                         t->optimiser.levels, rn_trainer_band(t, band),
                                         rn_trainer_band(t, band + 1), t->optimiser.grad_maps[plane],
                                         t->optimiser.touched + (size_t)plane * t->optimiser.tiles);
 }
 
 void rn_trainer_take_march(struct rn_trainer *t) {
-    bool split = t->march.split;
-    t->march = rn_schedule_march(&t->field->config, &t->progress);
-    if (t->march.split == split) return;
-    struct rn_evidence evidence = rn_trainer_evidence(t, &t->march);
+    bool split = t->step.march.split;
+    t->step.march = rn_schedule_march(&t->field->config, &t->progress);
+    if (t->step.march.split == split) return;
+    struct rn_evidence evidence = rn_trainer_evidence(t, &t->step.march);
     rn_effects_turn(&evidence);
 }
 
 void rn_trainer_begin_step(struct rn_trainer *t) {
     const struct rn_parameters *p = &t->field->parameters;
-    t->stepping = true;
-    t->ray_count = t->next_rays;
-    t->first_ray = t->progress.rays;
+    t->step.under_way = true;
+    t->step.ray_count = t->next_rays;
+    t->step.first_ray = t->progress.rays;
     rn_trainer_take_march(t);
-    int pixel = rn_pixel_rays(&t->march), pixels = t->ray_count / pixel;
+    int pixel = rn_pixel_rays(&t->step.march), pixels = t->step.ray_count / pixel;
     if (pixels == 0) pixels = 1;
-    t->ray_count = pixels * pixel;
+    t->step.ray_count = pixels * pixel;
     // About 6 tenths of what has room: it is a mean of many rays, and a fifth more are
     // evaluated than enter the loss.
-    int packet = (int)(0.6 * rn_engine_workspace(t->engine, 0)->full * t->ray_count /
+    int packet = (int)(0.6 * rn_engine_workspace(t->engine, 0)->full * t->step.ray_count /
                        t->field->config.target_samples);
     for (int g = 0; g < RN_GROUPS; g++) {
-        struct rn_group *group = &t->groups[g];
+        struct rn_group *group = &t->step.groups[g];
         struct rn_slab slab = group->slab;
         slab.count = 0;
         *group = (struct rn_group){.slab = slab,
@@ -128,7 +132,7 @@ void rn_trainer_begin_step(struct rn_trainer *t) {
                                    .base_grad = group->base_grad,
                                    .head_grad = group->head_grad,
                                    .ray_loss = t->sampler.ray_loss,
-                                   .seen = t->seen};
+                                   .seen = t->hull.seen};
         group->cursor = first_of_group(pixels, g) * pixel;
         group->end = first_of_group(pixels, g + 1) * pixel;
         memset(group->base_grad, 0, (p->base_count + p->head_count) * sizeof(float));
@@ -140,24 +144,24 @@ void rn_trainer_redraw(struct rn_trainer *t) {
     t->progress.step--;
     rn_trainer_begin_step(t);
     t->progress.step++;
-    t->stepping = false;
-    rn_trainer_draw(t, 0, t->ray_count);
+    t->step.under_way = false;
+    rn_trainer_draw(t, 0, t->step.ray_count);
 }
 
 static void count_step(struct rn_trainer *t) {
     uint64_t samples = 0;
     for (int g = 0; g < RN_GROUPS; g++) {
-        samples += t->groups[g].samples;
+        samples += t->step.groups[g].samples;
         for (int l = 0; l < RN_MAX_LEVELS; l++)
-            t->progress.level_samples[l] += t->groups[g].level_samples[l];
+            t->progress.level_samples[l] += t->step.groups[g].level_samples[l];
     }
     t->progress.samples += samples;
-    t->progress.rays += (uint64_t)t->ray_count;
-    t->window_samples += samples;
-    t->window_rays += (uint64_t)t->ray_count;
+    t->progress.rays += (uint64_t)t->step.ray_count;
+    t->window.samples += samples;
+    t->window.rays += (uint64_t)t->step.ray_count;
     if (samples == 0) return;
-    double next = (double)t->ray_count * t->field->config.target_samples / (double)samples + 1;
-    t->next_rays = next < RN_MIN_RAYS ? RN_MIN_RAYS : next > RN_MAX_RAYS ? RN_MAX_RAYS : (int)next;
+    double next = (double)t->step.ray_count * t->field->config.target_samples / (double)samples + 1;
+    t->next_rays = next < MIN_RAYS ? MIN_RAYS : next > RN_MAX_RAYS ? RN_MAX_RAYS : (int)next;
 }
 
 static void finish_step(struct rn_trainer *t) {
@@ -165,23 +169,23 @@ static void finish_step(struct rn_trainer *t) {
     rn_trainer_note_losses(t);
     count_step(t);
     rn_trainer_guard_step(t, accepted);
-    t->stepping = false;
+    t->step.under_way = false;
     t->field->steps = ++t->progress.step;
 }
 
 // Parameters change at the end of a step alone, so that a wave that is cut short can be rendered.
 void rn_trainer_run_wave(struct rn_trainer *t) {
     struct rn_engine *engine = t->engine;
-    if (!rn_pool_run_some(engine->pool, RN_GROUPS, &t->next_group, forward_backward, t,
+    if (!rn_pool_run_some(engine->pool, RN_GROUPS, &t->step.next_group, forward_backward, t,
                           rn_engine_is_wanted, engine) ||
         !rn_pool_run_some(engine->pool, t->field->config.field.planes * t->optimiser.bands,
-                          &t->next_band, scatter_band, t, rn_engine_is_wanted, engine))
+                          &t->step.next_band, scatter_band, t, rn_engine_is_wanted, engine))
         return;
-    t->next_group = t->next_band = 0;
+    t->step.next_group = t->step.next_band = 0;
     bool complete = true;
     for (int g = 0; g < RN_GROUPS; g++) {
-        t->groups[g].slab.count = 0;
-        complete &= t->groups[g].cursor == t->groups[g].end;
+        t->step.groups[g].slab.count = 0;
+        complete &= t->step.groups[g].cursor == t->step.groups[g].end;
     }
     if (complete) finish_step(t);
 }

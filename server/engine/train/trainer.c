@@ -1,4 +1,7 @@
 // The trainer: set-up, training in blocks, held-out evaluation.
+#include "server/engine/train/grow.h"
+#include "server/engine/train/guard.h"
+#include "server/engine/train/schedule.h"
 #include "server/engine/train/trainer.h"
 
 #include <math.h>
@@ -112,7 +115,7 @@ struct rn_evidence rn_trainer_evidence(const struct rn_trainer *t,
 }
 
 void rn_trainer_detect_effects(struct rn_trainer *t) {
-    struct rn_evidence evidence = rn_trainer_evidence(t, &t->march);
+    struct rn_evidence evidence = rn_trainer_evidence(t, &t->step.march);
     rn_effects_detect(&evidence);
     place_cameras(t->field, &t->train);
     place_cameras(t->field, &t->held);
@@ -235,7 +238,7 @@ static struct rn_arrays arrays_of(struct rn_trainer *t) {
     return (struct rn_arrays){.field = t->field,
                               .m = t->optimiser.m,
                               .v = t->optimiser.v,
-                              .seen = t->seen,
+                              .seen = t->hull.seen,
                               .block_count = t->sampler.importance.count,
                               .block_error = t->sampler.importance.error,
                               .block_share = t->sampler.importance.share};
@@ -245,9 +248,9 @@ static struct rn_counters counters_of(const struct rn_trainer *t) {
     return (struct rn_counters){.progress = t->progress,
                                 .updates = t->optimiser.updates,
                                 .next_rays = t->next_rays,
-                                .gradient_scale = t->gradient_scale,
-                                .good_steps = t->good_steps,
-                                .gradient_size = t->gradient_size};
+                                .gradient_scale = t->device.gradient_scale,
+                                .good_steps = t->device.good_steps,
+                                .gradient_size = t->device.gradient_size};
 }
 
 static void take_counters(struct rn_trainer *t, const struct rn_counters *from) {
@@ -256,9 +259,9 @@ static void take_counters(struct rn_trainer *t, const struct rn_counters *from) 
     t->progress.load_seconds = load_seconds;
     t->optimiser.updates = from->updates;
     t->next_rays = from->next_rays;
-    t->gradient_scale = from->gradient_scale;
-    t->good_steps = from->good_steps;
-    t->gradient_size = from->gradient_size;
+    t->device.gradient_scale = from->gradient_scale;
+    t->device.good_steps = from->good_steps;
+    t->device.gradient_size = from->gradient_size;
 }
 
 enum rn_status rn_trainer_restore(struct rn_engine *engine, const struct rn_dataset *dataset,
@@ -319,10 +322,10 @@ void rn_trainer_destroy(struct rn_trainer **trainer) {
     rn_trainer_free_step(t);
     rn_block_destroy(t->optimiser.grad);
     rn_trainer_drop_growth(t);
-    free(t->hull_list);
-    rn_block_destroy(t->seen);
+    free(t->hull.list);
+    rn_block_destroy(t->hull.seen);
     rn_sampler_finish(&t->sampler);
-    free(t->incidents);
+    free(t->incidents.held);
     free(t);
     *trainer = NULL;
 }
@@ -346,7 +349,7 @@ static bool reached_limit(const struct rn_trainer *t) {
 }
 
 static bool effects_are_due(const struct rn_trainer *t) {
-    struct rn_evidence evidence = rn_trainer_evidence(t, &t->march);
+    struct rn_evidence evidence = rn_trainer_evidence(t, &t->step.march);
     return rn_effects_are_due(&evidence);
 }
 
@@ -360,8 +363,8 @@ static void decide_effects(const struct rn_trainer *t) {
 // yet.
 static bool march_due(const struct rn_trainer *t) {
     struct rn_march_options now = rn_schedule_march(&t->field->config, &t->progress);
-    return t->field->on_device &&
-           (t->march.background_variance > now.background_variance || t->march.split != now.split);
+    return t->field->on_device && (t->step.march.background_variance > now.background_variance ||
+                                   t->step.march.split != now.split);
 }
 
 bool rn_trainer_turn_due(const struct rn_trainer *t) {
@@ -375,7 +378,7 @@ static enum rn_status take_turn(struct rn_trainer *t, struct rn_error *err) {
 
 // What comes before a step, and its beginning, unless it is cut short.
 static enum rn_status begin_step(struct rn_trainer *t, struct rn_error *err) {
-    enum rn_status status = t->next_chunk == 0 ? take_turn(t, err) : RN_OK;
+    enum rn_status status = t->step.next_chunk == 0 ? take_turn(t, err) : RN_OK;
     if (status != RN_OK || t->growth) return status;
     struct rn_occupancy_turn turn = rn_schedule_occupancy(&t->field->config, t->progress.step);
     if (turn.due && !rn_trainer_update_occupancy(t)) return RN_OK;
@@ -386,17 +389,17 @@ static enum rn_status begin_step(struct rn_trainer *t, struct rn_error *err) {
 }
 
 static void update_rates(struct rn_trainer *t, double seconds) {
-    t->window_seconds += seconds;
-    if (t->window_seconds < 0.5) return;
-    t->progress.rays_per_second = (double)t->window_rays / t->window_seconds;
-    t->progress.samples_per_second = (double)t->window_samples / t->window_seconds;
-    t->window_seconds = 0;
-    t->window_rays = t->window_samples = 0;
+    t->window.seconds += seconds;
+    if (t->window.seconds < 0.5) return;
+    t->progress.rays_per_second = (double)t->window.rays / t->window.seconds;
+    t->progress.samples_per_second = (double)t->window.samples / t->window.seconds;
+    t->window.seconds = 0;
+    t->window.rays = t->window.samples = 0;
 }
 
 static enum rn_status run_here(struct rn_trainer *t, struct rn_error *err) {
-    enum rn_status status = t->stepping ? RN_OK : begin_step(t, err);
-    if (status == RN_OK && t->stepping) rn_trainer_run_wave(t);
+    enum rn_status status = t->step.under_way ? RN_OK : begin_step(t, err);
+    if (status == RN_OK && t->step.under_way) rn_trainer_run_wave(t);
     return status;
 }
 
@@ -425,7 +428,7 @@ enum rn_status rn_trainer_advance(struct rn_trainer *t, double budget_ms, struct
     enum rn_status status = t->field->on_device ? RN_OK : rn_trainer_enter(t, err);
     if (status != RN_OK) return status;
     do {
-        if (!t->stepping && reached_limit(t)) {
+        if (!t->step.under_way && reached_limit(t)) {
             t->progress.done = true;
             return RN_OK;
         }
@@ -445,7 +448,7 @@ void rn_trainer_progress(const struct rn_trainer *t, struct rn_progress *ret_pro
         ret_progress->eta_seconds =
             fmin(isnan(ret_progress->eta_seconds) ? 1e30 : ret_progress->eta_seconds,
                  fmax(0, t->field->config.max_seconds - spent));
-    ret_progress->done = t->progress.done || (!t->stepping && reached_limit(t));
+    ret_progress->done = t->progress.done || (!t->step.under_way && reached_limit(t));
 }
 
 // ---- access ---------------------------------------------------------------------------------
@@ -463,7 +466,7 @@ struct rn_field *rn_trainer_field(struct rn_trainer *t) {
 // ---- saving ---------------------------------------------------------------------------------
 
 static bool within_step(const struct rn_trainer *t) {
-    return t->stepping || t->next_chunk > 0;
+    return t->step.under_way || t->step.next_chunk > 0;
 }
 
 enum rn_status rn_trainer_save_begin(struct rn_trainer *t, const char *path, bool *ret_begun,

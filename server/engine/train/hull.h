@@ -1,0 +1,31 @@
+// Which cells may hold matter, and which of them do by now.
+#ifndef RN_ENGINE_TRAIN_HULL_H
+#define RN_ENGINE_TRAIN_HULL_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+#include "common/base/status.h"
+
+struct rn_trainer;
+
+// Owner: whoever has the trainer; `list` is freed, `seen` a block.
+struct rn_hull {
+    uint32_t *list; // cells that may hold matter
+    size_t count;
+    uint32_t *seen; // NULL, or what each cell showed since the last round, as bits of a float
+};
+
+// occupancy.c
+enum rn_status rn_trainer_list_hull(struct rn_trainer *trainer, struct rn_error *err) RN_MUST_CHECK;
+void rn_trainer_carve(struct rn_trainer *trainer);            // by the photographs' alpha
+void rn_trainer_carve_unseen(struct rn_trainer *trainer);     // cells of unbounded space
+bool rn_trainer_update_occupancy(struct rn_trainer *trainer); // false: cut short, call again
+
+// seen.c: where the space is a forward-facing one, begins to note what cells show; and the round
+// every RN_OCCUPANCY_EVERY steps, after which cells that showed nothing are empty.
+enum rn_status rn_trainer_watch_cells(struct rn_trainer *trainer,
+                                      struct rn_error *err) RN_MUST_CHECK;
+void rn_trainer_update_seen(struct rn_trainer *trainer);
+
+#endif
