@@ -2,6 +2,7 @@
 // double, what the field's values may change by, moments that stay moments, and numbers that are
 // not finite just before and after. (Same bytes across a growth: reproducible.c.)
 #include "server/engine/reference/reference.h"
+#include "server/engine/train/grow.h"
 #include "tests/numerics/trainer.h"
 
 #define SIZES 6
