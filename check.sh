@@ -12,7 +12,7 @@ give_up() {
 
 .ci/deps || give_up "the packages could not be installed"
 if [ ! -f build-check/build.ninja ]; then
-    meson setup build-check --buildtype=release --werror || give_up "meson setup failed"
+    meson setup build-check --buildtype=release --werror -Dfuzz=true || give_up "meson setup failed"
 fi
 meson compile -C build-check || give_up "the build failed"
 

@@ -286,7 +286,9 @@ static enum rn_status read_photo(const struct model *model, const struct entry *
     enum rn_status status = rn_reader_photo(model->reader, where, file, "", frame, err);
     if (status) return status;
     const struct rn_colmap_camera *camera =
-        bsearch(&wanted, model->cameras, model->camera_count, sizeof wanted, compare_cameras);
+        model->camera_count == 0
+            ? NULL
+            : bsearch(&wanted, model->cameras, model->camera_count, sizeof wanted, compare_cameras);
     if (!camera)
         return rn_error_set(err, RN_ERROR_INVALID, where,
                             "has the camera %" PRIu32 ", which is not among the model's cameras",
