@@ -38,7 +38,11 @@ static void format_work(const struct rn_work_progress *progress, char *ret_text,
     char total[32] = "";
     if (progress->total != RN_ABSENT)
         snprintf(total, sizeof total, " of %lld", (long long)progress->total);
-    int used = snprintf(ret_text, capacity, "%lld%s", (long long)progress->done, total);
+    bool counts = !progress->stage[0] || progress->total != RN_ABSENT || progress->done > 0;
+    int used = snprintf(ret_text, capacity, "%s", progress->stage);
+    if (counts && used >= 0 && (size_t)used < capacity)
+        used += snprintf(ret_text + used, capacity - (size_t)used, "%s%lld%s", used ? "  " : "",
+                         (long long)progress->done, total);
     if (progress->nonfinite.rays && used > 0 && (size_t)used < capacity)
         snprintf(ret_text + used, capacity - (size_t)used, "  %lld non-finite",
                  (long long)progress->nonfinite.rays);

@@ -7,7 +7,12 @@
 #include "proto/names.h"
 
 extern const char *const rn_alpha_mode_names[]; // "premultiplied", "straight"
+extern const char *const rn_poses_names[];      // by enum rn_poses
 extern const char *const rn_severity_names[];   // "info", "warning", "error"
+
+// Where poses come from: found by a program where no document has them, always found, or only from
+// a document.
+enum rn_poses { RN_POSES_AUTO, RN_POSES_FIND, RN_POSES_FILE };
 
 struct rn_ingest_options {
     int64_t max_size, scales;
@@ -16,6 +21,7 @@ struct rn_ingest_options {
     char bounds[128];                // "X,Y,Z,RADIUS" of the sphere that holds the scene
     char format[RN_FORMAT_NAME_MAX]; // of rn_formats; "": recognised
     char masks[256];                 // folder of masks, relative; "": "masks", if it is there
+    int poses;                       // rn_poses_names; absent: file
 };
 extern const struct rn_table rn_ingest_options_table;
 // N of "every:N"; 0 for "files" and "". The text was checked by the table.

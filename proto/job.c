@@ -208,6 +208,7 @@ static const struct rn_field_spec work_progress[] = {
     RN_F_OBJECT(S, nonfinite, RN_REQUIRED, &nonfinite_table),
     RN_F_NUMBER(S, fraction, RN_REQUIRED | RN_NULLABLE, 0, 1),
     RN_F_NUMBER(S, eta_seconds, RN_REQUIRED | RN_NULLABLE, 0, INFINITY),
+    RN_F_TEXT(S, stage, 0, NULL),
 };
 const struct rn_table rn_work_progress_table = RN_TABLE(S, "progress", work_progress);
 #undef S

@@ -91,6 +91,7 @@ struct rn_work_progress { // ingest, path, eval
     struct rn_nonfinite
         nonfinite; // rays of pictures that had to be replaced; the rest is training's
     double fraction, eta_seconds;
+    char stage[32]; // what is being done, where there is more than one thing; "": not said
 };
 extern const struct rn_table rn_work_progress_table;
 

@@ -53,10 +53,14 @@ struct rn_wire_empty {
     char unused[1];
 };
 
+// Modes of a runner that imports: poses looks for poses first.
+#define RN_MODE_INGEST "ingest"
+#define RN_MODE_POSES "poses"
+
 struct rn_wire_hello {
     char version[32];
     int64_t protocol; // RN_WIRE_PROTOCOL
-    char mode[16];    // "field", "ingest", "probe"
+    char mode[16];    // "field", "ingest", "poses", "probe"
     int64_t pid;
 };
 

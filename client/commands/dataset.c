@@ -1,5 +1,6 @@
 // validate, import, synth, datasets: photographs before they are a scene.
 
+#include <libgen.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -9,6 +10,7 @@
 #include "client/table.h"
 #include "client/tar.h"
 #include "common/dataset/dataset.h"
+#include "common/dataset/photos.h"
 #include "proto/dataset.h"
 #include "proto/report.h"
 
@@ -138,7 +140,7 @@ static enum rn_exit examine(const char *folder, const struct rn_read_options *op
 }
 
 struct import_options {
-    const char *name, *alpha, *split, *bounds, *format, *masks;
+    const char *name, *alpha, *split, *bounds, *format, *masks, *poses;
     int64_t max_size, scales;
     bool skip_bad;
 };
@@ -147,11 +149,89 @@ static struct rn_read_options read_options(const struct import_options *options)
     return (struct rn_read_options){.format = options->format, .masks = options->masks};
 }
 
+// ---- photographs without poses ----
+
+// What was found at a path: a dataset, or, where `bare`, photographs or a film without poses.
+struct capture {
+    struct rn_dataset *dataset;
+    struct rn_photos photos;
+    bool bare;
+};
+
+static void finish_capture(struct capture *capture) {
+    rn_dataset_destroy(&capture->dataset);
+    rn_photos_finish(&capture->photos);
+}
+
+// Whether poses are to be looked for: asked for, a film, or a folder that no document describes.
+static bool wants_poses(const char *path, const struct import_options *options) {
+    const struct rn_format *found[RN_FORMATS_MAX];
+    size_t count = 0;
+    if (options->poses && strcmp(options->poses, "auto") != 0)
+        return strcmp(options->poses, "find") == 0;
+    if (options->format) return false;
+    if (rn_is_film(path)) return true;
+    if (rn_formats_recognise(path, found, &count, NULL) != RN_OK || count) return false;
+    struct rn_photos photos;
+    if (rn_photos_read(path, options->masks, NULL, &photos, NULL) != RN_OK) return false;
+    rn_photos_finish(&photos);
+    return true;
+}
+
+static void tell_photos(const char *path, const struct rn_photos *photos,
+                        struct rn_problems *problems) {
+    if (photos->film) {
+        rn_problems_add(problems, RN_SEVERITY_INFO, photos->film,
+                        "is a film: import takes its sharpest frames and looks for their poses "
+                        "with COLMAP");
+        return;
+    }
+    const struct rn_image_info *first = &photos->items[0].info;
+    rn_problems_add(problems, RN_SEVERITY_INFO, path,
+                    "%zu photographs without poses, the first of %dx%d pixels, %s: import looks "
+                    "for their poses with COLMAP",
+                    photos->count, first->width, first->height,
+                    photos->one_camera ? "all of one camera as far as sizes and EXIF say"
+                                       : "of several sizes or, by EXIF, cameras");
+}
+
+// As examine, of photographs without poses.
+static enum rn_exit examine_photos(const char *path, const struct import_options *options,
+                                   bool json, bool show, struct capture *capture) {
+    struct rn_problems problems = {0};
+    struct rn_dataset_report_record report;
+    struct rn_error err = {0};
+    enum rn_status status = rn_photos_read(path, options->masks, &problems, &capture->photos, &err);
+    if (status == RN_OK)
+        tell_photos(path, &capture->photos, &problems);
+    else
+        rn_problems_add(&problems, RN_SEVERITY_ERROR, err.where, "%s", err.text);
+    bool failed = problems.errors > 0;
+    status = rn_report_problems_fill(&problems, &report, &err);
+    rn_problems_finish(&problems);
+    if (status != RN_OK) return rn_client_fail(&err);
+    char *text = json && show ? rn_api_encode(&bad_table, &report) : NULL;
+    if (text)
+        puts(text);
+    else if (show || failed)
+        print_problems(show ? stdout : stderr, &report);
+    free(text);
+    rn_message_finish(&rn_dataset_report_table, &report);
+    return failed ? RN_EXIT_INVALID : RN_EXIT_OK;
+}
+
+static enum rn_exit examine_capture(const char *path, const struct import_options *options,
+                                    bool json, bool show, struct capture *ret_capture) {
+    struct rn_read_options how = read_options(options);
+    ret_capture->bare = wants_poses(path, options);
+    if (ret_capture->bare) return examine_photos(path, options, json, show, ret_capture);
+    return examine(path, &how, json, show, &ret_capture->dataset);
+}
+
 static enum rn_exit run_validate(struct rn_client *client, const void *context, const char **args) {
-    struct rn_read_options options = read_options(context);
-    struct rn_dataset *dataset = NULL;
-    enum rn_exit code = examine(args[0], &options, client->json, true, &dataset);
-    rn_dataset_destroy(&dataset);
+    struct capture capture = {.dataset = NULL};
+    enum rn_exit code = examine_capture(args[0], context, client->json, true, &capture);
+    finish_capture(&capture);
     return code;
 }
 
@@ -203,6 +283,11 @@ static const struct rn_option import_table[] = {
      IMPORT(masks),
      .value = "DIR",
      .help = "folder of masks below the dataset's, black is left out; else masks"},
+    {.name = "poses",
+     .kind = RN_OPTION_CHOICE,
+     IMPORT(poses),
+     .choices = "auto|find|file",
+     .help = "find poses with COLMAP, or take a file's; auto: find where no file has them"},
     {.name = "skip-bad",
      .kind = RN_OPTION_FLAG,
      IMPORT(skip_bad),
@@ -270,7 +355,8 @@ static void add_query(struct rn_buf *query, const char *key, const char *value) 
     rn_http_escape(query, value);
 }
 
-static void import_query(const struct import_options *options, struct rn_buf *ret_query) {
+static void import_query(const struct import_options *options, bool bare,
+                         struct rn_buf *ret_query) {
     char number[24];
     rn_buf_init(ret_query, 4096);
     add_query(ret_query, "name", options->name);
@@ -287,15 +373,17 @@ static void import_query(const struct import_options *options, struct rn_buf *re
     if (options->bounds) add_query(ret_query, "bounds", options->bounds);
     if (options->format) add_query(ret_query, "format", options->format);
     if (options->masks) add_query(ret_query, "masks", options->masks);
+    if (bare) add_query(ret_query, "poses", rn_poses_names[RN_POSES_FIND]);
 }
 
 // Sends the archive; the reply is the ingest job's.
 static enum rn_exit upload(struct rn_client *client, struct rn_tar *tar,
-                           const struct import_options *options, char ret_job[RN_ID_MAX]) {
+                           const struct import_options *options, bool bare,
+                           char ret_job[RN_ID_MAX]) {
     struct upload upload = {.tar = tar};
     struct rn_api_reply reply;
     struct rn_buf query;
-    import_query(options, &query);
+    import_query(options, bare, &query);
     if (query.failed) return rn_client_usage("--name", "is too long");
     rn_progress_init(&upload.progress, !client->json);
     struct rn_http_request request = {.method = "POST",
@@ -345,33 +433,75 @@ static enum rn_exit print_dataset(struct rn_client *client, const char *id) {
     return code;
 }
 
-static enum rn_exit pack(const char *folder, const struct rn_dataset *dataset,
-                         struct rn_tar **ret_tar) {
+// Photographs and their masks, below their folder; a film alone.
+static enum rn_status add_photos(struct rn_tar *tar, const char *folder,
+                                 const struct rn_photos *photos, struct rn_error *err) {
+    enum rn_status status = RN_OK;
+    if (photos->film) return rn_tar_add(tar, below(folder, photos->film), err);
+    for (size_t i = 0; i < photos->count && status == RN_OK; i++) {
+        const struct rn_photo *photo = &photos->items[i];
+        status = rn_tar_add(tar, below(folder, photo->path), err);
+        if (status == RN_OK && photo->mask_path)
+            status = rn_tar_add(tar, below(folder, photo->mask_path), err);
+    }
+    return status;
+}
+
+static enum rn_exit pack(const char *path, const struct capture *capture, struct rn_tar **ret_tar) {
     struct rn_error err = {0};
+    char *copy = strdup(path);
+    if (!copy) return rn_client_usage("import", "no memory");
+    bool is_file = capture->bare && rn_is_film(path);
+    const char *folder = is_file ? dirname(copy) : path;
     enum rn_status status = rn_tar_create(folder, ret_tar, &err);
-    if (status == RN_OK) status = add_documents(*ret_tar, dataset, &err);
-    if (status == RN_OK) status = add_images(*ret_tar, folder, dataset, &err);
+    if (status == RN_OK && capture->bare) {
+        status = add_photos(*ret_tar, folder, &capture->photos, &err);
+    } else if (status == RN_OK) {
+        status = add_documents(*ret_tar, capture->dataset, &err);
+        if (status == RN_OK) status = add_images(*ret_tar, folder, capture->dataset, &err);
+    }
+    free(copy);
     return status == RN_OK ? RN_EXIT_OK : rn_client_fail(&err);
+}
+
+// Before anything is decoded or sent. A daemon that is away is found out here, too.
+static enum rn_exit check_name(struct rn_client *client, const char *name) {
+    struct rn_api_reply reply;
+    char *path = rn_api_path("datasets", name, "");
+    if (!path) return RN_EXIT_FAILED;
+    rn_api_send(client, "GET", path, NULL, &reply);
+    free(path);
+    enum rn_exit code = RN_EXIT_OK;
+    if (reply.code == RN_EXIT_OK) {
+        fprintf(stderr, "ripnerf: there is a dataset '%s' already; choose another name\n", name);
+        code = RN_EXIT_FAILED;
+    } else if (reply.code == RN_EXIT_UNREACHABLE || reply.code == RN_EXIT_UNAUTHORISED) {
+        code = rn_api_complain(&reply);
+    }
+    rn_api_reply_finish(&reply);
+    return code;
 }
 
 static enum rn_exit run_import(struct rn_client *client, const void *context, const char **args) {
     const struct import_options *options = context;
-    struct rn_dataset *dataset = NULL;
+    struct capture capture = {.dataset = NULL};
     struct rn_tar *tar = NULL;
     char job[RN_ID_MAX];
-    struct rn_read_options how = read_options(options);
     if (!options->name) return rn_client_usage("import", "needs --name N");
-    enum rn_exit code = examine(args[0], &how, client->json, false, &dataset);
-    if (code == RN_EXIT_INVALID && dataset && options->skip_bad) code = RN_EXIT_OK;
+    enum rn_exit code = check_name(client, options->name);
+    if (code != RN_EXIT_OK) return code;
+    code = examine_capture(args[0], options, client->json, false, &capture);
+    bool left = capture.dataset || capture.photos.count;
+    if (code == RN_EXIT_INVALID && left && options->skip_bad) code = RN_EXIT_OK;
     if (code != RN_EXIT_OK) {
         fprintf(stderr, "ripnerf: %s: nothing was sent%s\n", args[0],
-                dataset ? "; mend what is named above, or go without it: --skip-bad" : "");
+                left ? "; mend what is named above, or go without it: --skip-bad" : "");
     } else {
-        code = pack(args[0], dataset, &tar);
+        code = pack(args[0], &capture, &tar);
     }
-    if (code == RN_EXIT_OK) code = upload(client, tar, options, job);
+    if (code == RN_EXIT_OK) code = upload(client, tar, options, capture.bare, job);
     if (tar) rn_tar_destroy(&tar);
-    rn_dataset_destroy(&dataset);
+    finish_capture(&capture);
     if (code != RN_EXIT_OK) return code;
     struct rn_follow follow = {.client = client, .quiet = client->json};
     code = rn_follow_job(&follow, job);
@@ -450,7 +580,7 @@ static enum rn_exit run_datasets(struct rn_client *client, const void *options, 
 
 const struct rn_verb rn_verbs_dataset[] = {
     {.name = "validate",
-     .arguments = "DIR",
+     .arguments = "DIR|FILM",
      .summary = "check a dataset here, before anything is sent",
      .details = "Recognises the folder's format by its files, reads it and decodes its images.\n"
                 "Takes the options of import, so that it says what import would do. Exit code 4\n"
@@ -462,11 +592,12 @@ const struct rn_verb rn_verbs_dataset[] = {
      .local = true,
      .run = run_validate},
     {.name = "import",
-     .arguments = "DIR --name N",
+     .arguments = "DIR|FILM --name N",
      .summary = "check a dataset, send it to the daemon, wait until it is there",
      .details = "Sends exactly the files that are read: the format's documents and its images. A "
                 "dataset with errors is\n"
-                "not sent (exit code 4).",
+                "not sent (exit code 4). For photographs or a film without poses, the daemon looks "
+                "for\nthem with the program colmap (and ffmpeg), where they are installed.",
      .args_min = 1,
      .args_max = 1,
      .table = import_table,

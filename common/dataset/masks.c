@@ -9,8 +9,6 @@
 
 #include "common/dataset/reader.h"
 
-#define FOLDER "masks"
-
 // The photograph's path below its own folder, as "sub/a.jpg" of "DATASET/images/sub/a.jpg".
 static const char *below_folder(const struct rn_reader *reader, const char *path) {
     const char *inner = path + strlen(reader->folder);
@@ -19,9 +17,8 @@ static const char *below_folder(const struct rn_reader *reader, const char *path
     return slash ? slash + 1 : inner;
 }
 
-// The mask of a photograph in the folder, malloc'd; NULL without one.
-static char *find_mask(const struct rn_reader *reader, const char *folder, const char *path) {
-    const char *name = below_folder(reader, path), *dot = strrchr(name, '.');
+char *rn_reader_find_mask(const struct rn_reader *reader, const char *folder, const char *name) {
+    const char *dot = strrchr(name, '.');
     int stem = dot ? (int)(dot - name) : (int)strlen(name);
     const struct {
         int length;
@@ -56,7 +53,8 @@ enum rn_status rn_reader_find_masks(struct rn_reader *reader, const char *folder
         struct rn_frame *frame = &dataset->frames[i];
         struct rn_error fault;
         if (!frame->mask_path)
-            frame->mask_path = find_mask(reader, folder ? folder : FOLDER, frame->path);
+            frame->mask_path = rn_reader_find_mask(reader, folder ? folder : RN_MASK_FOLDER,
+                                                   below_folder(reader, frame->path));
         masked += frame->mask_path != NULL;
         if (!frame->mask_path || check_mask(frame, &fault) == RN_OK) {
             dataset->frames[kept++] = *frame;

@@ -77,6 +77,10 @@ enum rn_status rn_reader_add(struct rn_reader *reader, struct rn_frame *frame,
 void rn_reader_tell_agreement(struct rn_reader *reader);
 // Reads the folder in another format as well and tells, with both values, what differs most.
 void rn_reader_compare(struct rn_reader *reader, const struct rn_format *format);
+// The mask, in a folder relative to the dataset's, of the photograph `name`, relative to its own;
+// malloc'd, NULL without one.
+#define RN_MASK_FOLDER "masks"
+char *rn_reader_find_mask(const struct rn_reader *reader, const char *folder, const char *name);
 // Gives photographs the masks that lie in a folder, relative to the dataset's (NULL: "masks"), and
 // takes those out whose mask is damaged or of another size, each with its problem. RN_ERROR_INVALID
 // when a folder is given that has no mask.

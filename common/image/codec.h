@@ -30,9 +30,9 @@ extern const struct rn_codec rn_codec_png, rn_codec_jpeg, rn_codec_webp, rn_code
 enum rn_status rn_image_check_size(int width, int height, const struct rn_image_limits *limits,
                                    const char *where, struct rn_error *err) RN_MUST_CHECK;
 
-// The value of tag 0x0112, 1 to 8, in an EXIF block that begins with the TIFF header; 1 where there
-// is none or the block is damaged.
-int rn_exif_orientation(const uint8_t *bytes, size_t size_bytes);
+// What an EXIF block, which begins with the TIFF header, says of `orientation` and `camera_key`;
+// 1 and 0 where it says nothing or is damaged.
+void rn_exif_read(const uint8_t *bytes, size_t size_bytes, struct rn_image_info *info);
 
 // Takes the picture's colours from an ICC profile to sRGB, with relative colorimetric intent and
 // black point compensation. A profile that changes no colour by more than one of 255 changes none.

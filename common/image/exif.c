@@ -1,9 +1,14 @@
-// How the camera was held: the one tag of EXIF that changes where a pixel is.
-// Source: CIPA DC-008 (Exif 2.32), section 4.5; the block is a TIFF file of its own.
+// What EXIF says that matters: how the camera was held, and which camera it was.
+// Source: CIPA DC-008 (Exif 2.32), sections 4.5 and 4.6; the block is a TIFF file of its own.
 #include "common/image/codec.h"
 
+#define MAKE 0x010f
+#define MODEL 0x0110
 #define ORIENTATION 0x0112
+#define EXIF_FOLDER 0x8769
+#define FOCAL_LENGTH 0x920a
 #define TYPE_SHORT 3
+#define MAX_TEXT 64 // bytes of a maker's or model's name that count
 
 struct block {
     const uint8_t *bytes;
@@ -19,18 +24,40 @@ static uint32_t number(const struct block *block, size_t at, int bytes) {
     return value;
 }
 
-int rn_exif_orientation(const uint8_t *bytes, size_t size_bytes) {
-    struct block block = {bytes, size_bytes, size_bytes > 0 && bytes[0] == 'M'};
-    if (size_bytes < 8 || bytes[0] != bytes[1] || number(&block, 2, 2) != 42) return 1;
-    size_t at = number(&block, 4, 4);
-    uint32_t count = number(&block, at, 2);
+// FNV-1a of `size` bytes that the entry holds, or holds the place of.
+static uint32_t mix(const struct block *block, size_t entry, size_t size, uint32_t key) {
+    size_t at = size <= 4 ? entry + 8 : number(block, entry + 8, 4);
+    for (size_t i = 0; i < size && i < MAX_TEXT && at + i < block->size; i++)
+        key = (key ^ block->bytes[at + i]) * 16777619u;
+    return key;
+}
+
+// One folder of tags; *ret_inner: where the folder of EXIF's own tags is, else as it was.
+static void read_folder(const struct block *block, size_t at, struct rn_image_info *info,
+                        size_t *ret_inner) {
+    uint32_t count = number(block, at, 2);
     for (uint32_t i = 0; i < count; i++) {
         size_t entry = at + 2 + 12 * (size_t)i;
-        if (entry + 12 > size_bytes) return 1;
-        if (number(&block, entry, 2) != ORIENTATION) continue;
-        uint32_t value =
-            number(&block, entry + 2, 2) == TYPE_SHORT ? number(&block, entry + 8, 2) : 1;
-        return value >= 1 && value <= 8 ? (int)value : 1;
+        if (entry + 12 > block->size) return;
+        uint32_t tag = number(block, entry, 2), length = number(block, entry + 4, 4);
+        if (tag == ORIENTATION && number(block, entry + 2, 2) == TYPE_SHORT) {
+            uint32_t value = number(block, entry + 8, 2);
+            if (value >= 1 && value <= 8) info->orientation = (int)value;
+        }
+        if (tag == EXIF_FOLDER) *ret_inner = number(block, entry + 8, 4);
+        if (!info->camera_key) info->camera_key = 2166136261u;
+        if (tag == MAKE || tag == MODEL)
+            info->camera_key = mix(block, entry, length, info->camera_key);
+        if (tag == FOCAL_LENGTH) info->camera_key = mix(block, entry, 8, info->camera_key);
     }
-    return 1;
+}
+
+void rn_exif_read(const uint8_t *bytes, size_t size_bytes, struct rn_image_info *info) {
+    struct block block = {bytes, size_bytes, size_bytes > 0 && bytes[0] == 'M'};
+    size_t inner = 0;
+    info->orientation = 1;
+    info->camera_key = 0;
+    if (size_bytes < 8 || bytes[0] != bytes[1] || number(&block, 2, 2) != 42) return;
+    read_folder(&block, number(&block, 4, 4), info, &inner);
+    if (inner) read_folder(&block, inner, info, &inner);
 }

@@ -29,13 +29,15 @@ static bool next_segment(const uint8_t *bytes, size_t size_bytes, uint8_t marker
     return false;
 }
 
-static int orientation(const uint8_t *bytes, size_t size_bytes) {
+static void read_exif(const uint8_t *bytes, size_t size_bytes, struct rn_image_info *info) {
     const uint8_t *content;
     size_t at = 2, size;
-    while (next_segment(bytes, size_bytes, 0xe1, &at, &content, &size))
-        if (size > 6 && memcmp(content, "Exif\0\0", 6) == 0)
-            return rn_exif_orientation(content + 6, size - 6);
-    return 1;
+    info->orientation = 1;
+    while (next_segment(bytes, size_bytes, 0xe1, &at, &content, &size)) {
+        if (size <= 6 || memcmp(content, "Exif\0\0", 6) != 0) continue;
+        rn_exif_read(content + 6, size - 6, info);
+        return;
+    }
 }
 
 // The profile is cut into segments that bear their number and how many there are.
@@ -92,7 +94,7 @@ static enum rn_status probe_jpeg(const uint8_t *bytes, size_t size_bytes, const 
     if (!handle) return rn_error_set(err, RN_ERROR_NO_MEMORY, where, "no memory to read the JPEG");
     enum rn_status status = read_header(handle, bytes, size_bytes, where, ret_info, err);
     tjDestroy(handle);
-    if (status == RN_OK) ret_info->orientation = orientation(bytes, size_bytes);
+    if (status == RN_OK) read_exif(bytes, size_bytes, ret_info);
     return status;
 }
 

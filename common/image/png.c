@@ -61,11 +61,12 @@ static bool has_alpha(const struct reader *reader) {
            png_get_valid(reader->png, reader->info, PNG_INFO_tRNS) != 0;
 }
 
-static int orientation(const struct reader *reader) {
+static void read_exif(const struct reader *reader, struct rn_image_info *info) {
     png_bytep exif = NULL;
     png_uint_32 size = 0;
-    if (png_get_eXIf_1(reader->png, reader->info, &size, &exif) == 0) return 1;
-    return rn_exif_orientation(exif, size);
+    info->orientation = 1;
+    if (png_get_eXIf_1(reader->png, reader->info, &size, &exif) != 0)
+        rn_exif_read(exif, size, info);
 }
 
 static void read_pixels(struct reader *reader) {
@@ -110,16 +111,17 @@ static enum rn_status probe_png(const uint8_t *bytes, size_t size_bytes, const c
     struct reader reader = {.bytes = bytes, .size = size_bytes};
     enum rn_status status = open_reader(&reader, where, err);
     if (status != RN_OK) return status;
-    if (guarded_read(&reader, read_header))
+    if (guarded_read(&reader, read_header)) {
         *ret_info = (struct rn_image_info){
             .width = (int)png_get_image_width(reader.png, reader.info),
             .height = (int)png_get_image_height(reader.png, reader.info),
             .bit_depth = png_get_bit_depth(reader.png, reader.info),
             .has_alpha = has_alpha(&reader),
-            .orientation = orientation(&reader),
         };
-    else
+        read_exif(&reader, ret_info);
+    } else {
         status = damaged(&reader, where, err);
+    }
     png_destroy_read_struct(&reader.png, &reader.info, NULL);
     return status;
 }

@@ -53,7 +53,7 @@ static enum rn_status probe_webp(const uint8_t *bytes, size_t size_bytes, const 
     size_t size;
     enum rn_status status = read_header(bytes, size_bytes, where, ret_info, err);
     if (status == RN_OK && find_chunk(bytes, size_bytes, "EXIF", &exif, &size))
-        ret_info->orientation = rn_exif_orientation(exif, size);
+        rn_exif_read(exif, size, ret_info);
     return status;
 }
 

@@ -21,6 +21,7 @@ const struct rn_route rn_api_routes[] = {
     {GET, "/v1/datasets/{id}", 0, 0, rn_get_dataset, NULL},
     {DELETE, "/v1/datasets/{id}", 0, 0, rn_delete_dataset, NULL},
     {GET, "/v1/datasets/{id}/cameras", 0, 0, rn_list_cameras, NULL},
+    {GET, "/v1/datasets/{id}/model", 0, 0, rn_get_model, NULL},
     {GET, "/v1/datasets/{id}/images/{split}/{index}", 0, 0, rn_get_image, NULL},
     {GET, "/v1/scenes", 0, 0, rn_list_scenes, NULL},
     {GET, "/v1/scenes/{id}", 0, 0, rn_get_scene, NULL},

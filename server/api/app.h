@@ -71,6 +71,7 @@ RN_HANDLER(rn_create_dataset); // imports.c
 RN_HANDLER(rn_begin_dataset);
 RN_HANDLER(rn_list_cameras); // views.c
 RN_HANDLER(rn_get_image);
+RN_HANDLER(rn_get_model);
 RN_HANDLER(rn_list_scenes); // scenes.c
 RN_HANDLER(rn_get_scene);
 RN_HANDLER(rn_delete_scene);

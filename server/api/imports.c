@@ -35,19 +35,21 @@ static enum rn_status read_number(struct rn_request *request, const char *key, i
     return text == NULL ? RN_OK : rn_api_number(text, min, max, key, field, err);
 }
 
-static enum rn_status read_alpha(struct rn_request *request, int *alpha, struct rn_error *err) {
-    const char *text = rn_request_query(request, "alpha");
+static enum rn_status read_choice(struct rn_request *request, const char *key,
+                                  const char *const *names, int *field, struct rn_error *err) {
+    const char *text = rn_request_query(request, key);
     if (text == NULL) return RN_OK;
-    *alpha = rn_name_index(rn_alpha_mode_names, text);
-    if (*alpha >= 0) return RN_OK;
-    return rn_error_set(err, RN_ERROR_INVALID, "alpha", "must be premultiplied or straight");
+    *field = rn_name_index(names, text);
+    if (*field >= 0) return RN_OK;
+    return rn_error_set(err, RN_ERROR_INVALID, key, "must be one of %s, %s%s%s", names[0], names[1],
+                        names[2] ? ", " : "", names[2] ? names[2] : "");
 }
 
 // Name and options of an upload stand in the query.
 static enum rn_status read_query(struct rn_request *request, const char **ret_name,
                                  struct rn_ingest_options *options, struct rn_error *err) {
     static const char *const known[] = {"name",   "max_size", "scales", "alpha", "split",
-                                        "bounds", "format",   "masks",  NULL};
+                                        "bounds", "format",   "masks",  "poses", NULL};
     const char *name = rn_request_query(request, "name");
     char checked[RN_NAME_MAX];
     enum rn_status status;
@@ -60,7 +62,8 @@ static enum rn_status read_query(struct rn_request *request, const char **ret_na
     if ((status = read_text(request, "name", rn_check_name, checked, sizeof checked, err)) ||
         (status = read_number(request, "max_size", 0, 16384, &options->max_size, err)) ||
         (status = read_number(request, "scales", 1, 8, &options->scales, err)) ||
-        (status = read_alpha(request, &options->alpha, err)) ||
+        (status = read_choice(request, "alpha", rn_alpha_mode_names, &options->alpha, err)) ||
+        (status = read_choice(request, "poses", rn_poses_names, &options->poses, err)) ||
         (status = TEXT(split, rn_check_split_spec)) || (status = TEXT(bounds, rn_check_bounds)) ||
         (status = TEXT(format, rn_check_format)) || (status = TEXT(masks, rn_check_inner_path)))
         return status;

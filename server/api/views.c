@@ -1,7 +1,8 @@
-// Cameras and photographs of a dataset.
+// Cameras and photographs of a dataset, and the model that its poses were found in.
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <unistd.h>
 
 #include "common/base/buf.h"
 #include "common/base/manifest.h"
@@ -123,4 +124,31 @@ void rn_get_image(void *context, struct rn_request *request, struct rn_reply *re
     if (!is_sound(context, frame, reply)) return;
     rn_reply_file(reply, "image/png", frame->path);
     rn_reply_header(reply, "Cache-Control", "private, max-age=3600");
+}
+
+// The COLMAP model that the import found poses in; the runner keeps it as this file.
+#define MODEL "colmap.tar"
+
+void rn_get_model(void *context, struct rn_request *request, struct rn_reply *reply) {
+    static const char *const known[] = {NULL};
+    struct rn_app *app = context;
+    struct rn_error err = {0};
+    struct rn_dataset_row row;
+    enum rn_status status = rn_request_check_query(request, known, &err);
+    if (status == RN_OK)
+        status = rn_store_resolve(app->store, &rn_datasets, RN_ID_DATASET,
+                                  rn_request_param(request, 0), &row, &err);
+    if (rn_api_failed(status, &err, reply)) return;
+    char *path = rn_store_path(app->store, "datasets/%s/" MODEL, row.id);
+    if (path != NULL && access(path, F_OK) == 0) {
+        rn_reply_file(reply, "application/x-tar", path);
+        rn_reply_header(reply, "Cache-Control", "private, max-age=3600");
+        rn_reply_header(reply, "Content-Disposition", "attachment; filename=\"%s-colmap.tar\"",
+                        row.name);
+    } else {
+        rn_reply_problem(reply, RN_PROBLEM_NOT_FOUND,
+                         "the dataset '%s' has no model: its poses came with it", row.name);
+    }
+    rn_row_finish(&rn_datasets, &row);
+    free(path);
 }

@@ -17,7 +17,7 @@ struct rn_process {
 
 // Thread-safety: used under the control's lock. Owner: whoever created it.
 struct rn_executor {
-    // Starts a runner: mode "field", "ingest" or "probe". Its stderr is appended to log_path
+    // Starts a runner: mode "field", "ingest", "poses" or "probe". Its stderr is appended to log_path
     // (NULL: the daemon's own).
     enum rn_status (*start)(struct rn_executor *executor, const char *mode, const char *log_path,
                             struct rn_process *ret_process, struct rn_error *err);

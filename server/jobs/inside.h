@@ -55,7 +55,7 @@ enum rn_runner_state {
 
 struct rn_runner {
     struct rn_runner *next;
-    char mode[8]; // "field", "ingest", "probe"
+    char mode[8]; // "field", "ingest", "poses", "probe"
     char scene[RN_ID_MAX];
     struct rn_process process;
     struct rn_wire_reader reader;
@@ -162,6 +162,8 @@ void rn_runner_post_job(struct rn_control *control, struct rn_runner *runner,
 void rn_runner_begin(struct rn_control *control, struct rn_task *task);
 void rn_runner_shutdown(struct rn_control *control, struct rn_runner *runner);
 bool rn_runner_is_idle(const struct rn_runner *runner);
+// Whether it does one import, and ends.
+bool rn_runner_imports(const struct rn_runner *runner);
 // The idle runner that was used longest ago; with `gpu` not NULL, of those that hold memory there.
 struct rn_runner *rn_runner_oldest_idle(struct rn_control *control, const char *gpu);
 // Removes it from the list; what it had is lost or, when `now`, simply ended.

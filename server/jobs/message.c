@@ -279,7 +279,7 @@ static void on_done(struct rn_control *control, struct rn_runner *runner,
         rn_task_happened(control, task, RN_JOB_DONE);
         rn_task_detach(task);
     }
-    if (strcmp(runner->mode, "ingest") == 0) rn_runner_shutdown(control, runner);
+    if (rn_runner_imports(runner)) rn_runner_shutdown(control, runner);
 }
 
 static void try_again(struct rn_task *task) {
@@ -319,7 +319,7 @@ static void on_failed(struct rn_control *control, struct rn_runner *runner,
     } else if (task != NULL) {
         rn_task_fail(control, task, &err);
     }
-    if (strcmp(runner->mode, "ingest") == 0) rn_runner_shutdown(control, runner);
+    if (rn_runner_imports(runner)) rn_runner_shutdown(control, runner);
 }
 
 static void on_info(struct rn_control *control, struct rn_runner *runner,
@@ -339,7 +339,7 @@ static void on_hello(struct rn_control *control, struct rn_runner *runner,
         rn_log(RN_LOG_ERROR, "runner %d: version %s speaks protocol %lld in mode %s",
                (int)runner->process.pid, hello->version, (long long)hello->protocol, hello->mode);
         runner->broken = true;
-    } else if (strcmp(runner->mode, "ingest") == 0) {
+    } else if (rn_runner_imports(runner)) {
         runner->state = RN_RUNNER_READY;
         if (runner->work != NULL) rn_runner_begin(control, runner->work);
     }

@@ -20,6 +20,10 @@ struct rn_runner *rn_runner_find(struct rn_control *control, const char *scene) 
     return NULL;
 }
 
+bool rn_runner_imports(const struct rn_runner *runner) {
+    return strcmp(runner->mode, RN_MODE_INGEST) == 0 || strcmp(runner->mode, RN_MODE_POSES) == 0;
+}
+
 bool rn_runner_is_idle(const struct rn_runner *runner) {
     bool trains = runner->train != NULL && runner->train->row.state != RN_JOB_PAUSED;
     return runner->state == RN_RUNNER_READY && !trains && runner->work == NULL &&

@@ -55,13 +55,24 @@ static bool may_start(struct rn_control *control, const struct rn_task *task) {
     return false;
 }
 
+// The runner's mode for an import: looking for poses may start programs that others may not.
+static const char *mode_of_import(const struct rn_task *task) {
+    struct rn_ingest_options options;
+    const char *json = task->row.options;
+    if (rn_decode(&rn_ingest_options_table, json, strlen(json), &options, NULL, NULL) != RN_OK)
+        return RN_MODE_INGEST; // which says what is wrong
+    return rn_name_or(options.poses, RN_POSES_FILE) == RN_POSES_FIND ? RN_MODE_POSES
+                                                                     : RN_MODE_INGEST;
+}
+
 static enum rn_status find_runner(struct rn_control *control, struct rn_task *task,
                                   struct rn_runner **ret_runner, struct rn_error *err) {
     if (task->row.type != RN_JOB_INGEST)
         return rn_runner_for_scene(control, task->row.scene, task->row.type != RN_JOB_TRAIN,
                                    ret_runner, err);
     char *log = rn_store_path(control->store, "jobs/%s/log", task->row.id);
-    enum rn_status status = rn_runner_start(control, "ingest", "", log, ret_runner, err);
+    enum rn_status status =
+        rn_runner_start(control, mode_of_import(task), "", log, ret_runner, err);
     free(log);
     return status;
 }

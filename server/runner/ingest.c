@@ -18,6 +18,7 @@
 #include "common/dataset/dataset.h"
 #include "server/runner/describe.h"
 #include "server/runner/link.h"
+#include "server/runner/poses.h"
 #include "server/runner/sandbox.h"
 #include "server/runner/unpack.h"
 
@@ -29,7 +30,11 @@ struct ingest {
     struct rn_watch watch;
     const char *folder; // where the dataset lies: the source, or the unpacked tar
     char unpacked[PATH_MAX];
-    int64_t began_ns, reported_ns;
+    char *posed;             // the folder in which poses were found; NULL: they were not looked for
+    struct rn_photos photos; // for which they were
+    bool finds_poses;
+    const char *stage;
+    int64_t began_ns, began_stage_ns, reported_ns;
     bool late; // the time it may take is over
 };
 
@@ -43,12 +48,14 @@ static void post_progress(struct ingest *ingest, size_t done, size_t total) {
     int64_t now = rn_clock_ns();
     if (done < total && (double)(now - ingest->reported_ns) * 1e-9 < PROGRESS_INTERVAL_S) return;
     ingest->reported_ns = now;
-    double elapsed = (double)(now - ingest->began_ns) * 1e-9;
+    int64_t began = ingest->stage ? ingest->began_stage_ns : ingest->began_ns;
+    double elapsed = (double)(now - began) * 1e-9;
     struct rn_work_progress record = {
         .done = (int64_t)done,
         .total = total ? (int64_t)total : RN_ABSENT,
         .fraction = total ? (double)done / (double)total : NAN,
-        .eta_seconds = done ? elapsed * (double)(total - done) / (double)done : NAN};
+        .eta_seconds = total && done ? elapsed * (double)(total - done) / (double)done : NAN};
+    if (ingest->stage) snprintf(record.stage, sizeof record.stage, "%s", ingest->stage);
     struct rn_wire_progress message = {.progress = NULL};
     memcpy(message.job, ingest->order.job, sizeof message.job);
     if (rn_encode(&rn_work_progress_table, &record, &message.progress, NULL, NULL)) return;
@@ -69,6 +76,15 @@ static bool on_progress(void *context, size_t done, size_t total) {
     struct ingest *ingest = context;
     post_progress(ingest, done, total);
     return keep_going(ingest);
+}
+
+// Each stage of looking for poses is told on its own: how long they take together nobody knows.
+static void on_stage(void *context, const char *name, size_t done, size_t total) {
+    struct ingest *ingest = context;
+    if (ingest->stage != name) ingest->began_stage_ns = rn_clock_ns();
+    if (ingest->stage != name) ingest->reported_ns = 0;
+    ingest->stage = name;
+    if (done < total || total == 0) post_progress(ingest, done, total);
 }
 
 static enum rn_status too_late(const struct ingest *ingest, struct rn_error *err) {
@@ -166,6 +182,7 @@ static enum rn_status import(struct ingest *ingest, struct rn_dataset *source,
                                    on_progress, ingest, err);
     struct rn_dataset *made = NULL;
     int64_t bytes = 0;
+    if (!status && ingest->posed) status = rn_poses_keep(ingest->posed, order->target, err);
     if (!status) status = rn_manifest_write(order->target, err);
     if (!status) status = rn_dataset_read(order->target, NULL, &made, err);
     if (!status) status = tree_bytes(made, &bytes, err);
@@ -175,9 +192,33 @@ static enum rn_status import(struct ingest *ingest, struct rn_dataset *source,
     return status;
 }
 
+// Reads what COLMAP made of the photographs.
+static enum rn_status find_poses(struct ingest *ingest, struct rn_problems *problems,
+                                 struct rn_dataset **ret_source, struct rn_error *err) {
+    const struct rn_wire_ingest *order = &ingest->order;
+    struct rn_poses_order wanted = {.source = ingest->folder,
+                                    .masks = *order->options.masks ? order->options.masks : NULL,
+                                    .work = order->work,
+                                    .threads = (int)rn_int_or(order->threads, 0),
+                                    .problems = problems,
+                                    .keep_going = keep_going,
+                                    .stage = on_stage,
+                                    .context = ingest};
+    struct rn_read_options options = {.format = "colmap"};
+    enum rn_status status = rn_mkdirs(order->work, 0777, err);
+    if (!status) status = rn_poses_find(&wanted, &ingest->posed, &ingest->photos, err);
+    if (status) return status;
+    ingest->folder = ingest->posed;
+    on_stage(ingest, "importing", 0, 0);
+    status = rn_dataset_read_as(ingest->posed, &options, problems, ret_source, err);
+    if (!status) rn_poses_tell(&ingest->photos, *ret_source, problems);
+    return status;
+}
+
 static enum rn_status read_source(struct ingest *ingest, struct rn_problems *problems,
                                   struct rn_dataset **ret_source, struct rn_error *err) {
     const struct rn_ingest_options *wanted = &ingest->order.options;
+    if (ingest->finds_poses) return find_poses(ingest, problems, ret_source, err);
     struct rn_read_options options = {.format = *wanted->format ? wanted->format : NULL,
                                       .masks = *wanted->masks ? wanted->masks : NULL};
     return rn_dataset_read_as(ingest->folder, &options, problems, ret_source, err);
@@ -193,6 +234,7 @@ static enum rn_status ingest_all(struct ingest *ingest, char **ret_json, struct 
     if (!status) status = import(ingest, source, &problems, ret_json, err);
     if (source) rn_dataset_destroy(&source);
     rn_problems_finish(&problems);
+    rn_photos_finish(&ingest->photos);
     if (status == RN_ERROR_CANCELLED && ingest->late) status = too_late(ingest, err);
     return status;
 }
@@ -265,14 +307,13 @@ static bool take_order(struct ingest *ingest) {
     return good;
 }
 
-int rn_ingest_run(int fd, const struct rn_profile *profile) {
-    struct ingest ingest = {.folder = NULL};
+int rn_ingest_run(int fd, const char *mode, const struct rn_profile *profile) {
+    struct ingest ingest = {.finds_poses = strcmp(mode, RN_MODE_POSES) == 0};
     rn_link_init(&ingest.link, fd);
     ingest.link.profile = profile;
-    struct rn_wire_hello hello = {.version = RIPNERF_VERSION,
-                                  .protocol = RN_WIRE_PROTOCOL,
-                                  .mode = "ingest",
-                                  .pid = getpid()};
+    struct rn_wire_hello hello = {
+        .version = RIPNERF_VERSION, .protocol = RN_WIRE_PROTOCOL, .pid = getpid()};
+    snprintf(hello.mode, sizeof hello.mode, "%s", mode);
     rn_link_post(&ingest.link, RN_WIRE_HELLO, &hello, NULL, 0);
     bool ordered = take_order(&ingest);
     if (ordered) {
@@ -280,5 +321,6 @@ int rn_ingest_run(int fd, const struct rn_profile *profile) {
         rn_message_finish(rn_wire_table(RN_WIRE_INGEST), &ingest.order);
     }
     rn_link_finish(&ingest.link);
+    free(ingest.posed);
     return ordered ? 0 : 1;
 }

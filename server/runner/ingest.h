@@ -1,4 +1,5 @@
-// Mode ingest: one dataset, unpacked, read, imported, described.
+// Modes ingest and poses: one dataset, unpacked, read, imported, described; in mode poses those of
+// its photographs are found first.
 #ifndef RN_SERVER_RUNNER_INGEST_H
 #define RN_SERVER_RUNNER_INGEST_H
 
@@ -6,6 +7,6 @@
 
 // Waits for an `ingest` message, does the work, answers with `done` or `failed`. The exit code.
 // `profile`: what it is confined to; NULL: nothing.
-int rn_ingest_run(int fd, const struct rn_profile *profile);
+int rn_ingest_run(int fd, const char *mode, const struct rn_profile *profile);
 
 #endif

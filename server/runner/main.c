@@ -46,7 +46,7 @@ static int probe(int fd) {
 static int usage(const char *program) {
     fprintf(
         stderr,
-        "usage: %s --mode field|ingest|probe --fd N [--sandbox]\n"
+        "usage: %s --mode field|ingest|poses|probe --fd N [--sandbox]\n"
         "       %s --mode bench [--preset NAME] [--kernels SET] [--threads N] [--seconds S]\n"
         "       %s --mode doctor [--seed N] [--checkpoint FILE [--cameras FILE] [--replay FILE]]\n"
         "Started by ripnerfd, N a connected stream socket; or by ripnerf bench and doctor.\n",
@@ -110,7 +110,8 @@ int main(int argc, char **argv) {
     const struct rn_profile *profile = sandbox ? rn_profile_of(mode) : NULL;
     if (profile) rn_sandbox_begin(profile);
     if (strcmp(mode, "field") == 0) return rn_host_run(fd, profile);
-    if (strcmp(mode, "ingest") == 0) return rn_ingest_run(fd, profile);
+    if (strcmp(mode, RN_MODE_INGEST) == 0 || strcmp(mode, RN_MODE_POSES) == 0)
+        return rn_ingest_run(fd, mode, profile);
     if (strcmp(mode, "probe") == 0) return probe(fd);
     return usage(argv[0]);
 }

@@ -12,8 +12,8 @@
 // No mode opens a network connection. A program that is started runs under the same confinement.
 static const struct rn_profile profiles[] = {
     // mode    programs               listed reads    writes         tidies
-    {"ingest", {"ffmpeg", "ffprobe"}, false, SOURCE, TARGET | WORK, TARGET | WORK},
-    {"poses", {"colmap"}, false, SOURCE, TARGET | WORK, TARGET | WORK},
+    {"ingest", {NULL}, false, SOURCE, TARGET | WORK, TARGET | WORK},
+    {"poses", {"colmap", "ffmpeg"}, false, SOURCE, TARGET | WORK, TARGET | WORK},
     {"field", {NULL}, true, DATASET, SCENE, 0},
     {"probe", {NULL}, true, 0, 0, 0},
 };

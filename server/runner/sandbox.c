@@ -18,6 +18,7 @@
 #include <unistd.h>
 
 #include "common/base/log.h"
+#include "server/runner/program.h"
 #include "server/runner/calls.h"
 
 // ---- privileges and limits
@@ -123,16 +124,26 @@ static void allow_system(int rules, uint64_t handled) {
     }
 }
 
+// A program that is a script is run by the one that its first line names.
+static void allow_program(int rules, const char *path, uint64_t handled) {
+    char line[PATH_MAX + 3] = "", *interpreter = line + 2;
+    FILE *file = fopen(path, "re");
+    allow(rules, path, READ | LANDLOCK_ACCESS_FS_EXECUTE, handled);
+    if (file == NULL) return;
+    if (fgets(line, sizeof line, file) != NULL && line[0] == '#' && line[1] == '!') {
+        interpreter += strspn(interpreter, " ");
+        interpreter[strcspn(interpreter, " \n")] = '\0';
+        allow(rules, interpreter, READ | LANDLOCK_ACCESS_FS_EXECUTE, handled);
+    }
+    fclose(file);
+}
+
 // The programs of the profile, and the loader that runs them.
 static void allow_programs(int rules, const struct rn_profile *profile, uint64_t handled) {
-    static const char *const folders[] = {"/usr/local/bin", "/usr/bin", "/bin", NULL};
     static const char *const loaders[] = {"/lib64/ld-linux-*", "/lib/ld-linux-*", NULL};
-    char path[128];
     for (int i = 0; profile->programs[i] != NULL; i++) {
-        for (int k = 0; folders[k] != NULL; k++) {
-            snprintf(path, sizeof path, "%s/%s", folders[k], profile->programs[i]);
-            allow(rules, path, READ | LANDLOCK_ACCESS_FS_EXECUTE, handled);
-        }
+        const char *program = rn_program_find(profile->programs[i]);
+        if (program != NULL) allow_program(rules, program, handled);
     }
     for (int i = 0; profile->programs[0] != NULL && loaders[i] != NULL; i++)
         allow_all(rules, loaders[i], READ | LANDLOCK_ACCESS_FS_EXECUTE, handled);

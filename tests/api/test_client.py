@@ -206,7 +206,7 @@ def test_import_refuses_a_dataset_with_errors_before_sending(client, folder, dae
     result = client.run("import", folder, "--name", "blank", code=INVALID)
     assert "r_2" in result.stderr and "nothing was sent" in result.stderr
     assert not result.stdout
-    assert not daemon.requests
+    assert not daemon.uploads and not daemon.jobs
 
 
 def test_import_goes_without_bad_photographs(client, folder, daemon):
@@ -218,7 +218,7 @@ def test_import_goes_without_bad_photographs(client, folder, daemon):
     client.run("import", folder, "--name", "rest", "--skip-bad", "--format", "blender")
     assert "train/r_2.png" not in daemon.uploads["rest"] and len(daemon.uploads) == 1
     assert next(iter(daemon.jobs.values())).record["options"] == {"format": "blender"}
-    client.run("import", folder, "--name", "rest", "--format", "bledner", code=INVALID)
+    client.run("import", folder, "--name", "other", "--format", "bledner", code=INVALID)
     assert client.json("validate", folder, "--format", "blender", code=INVALID)["errors"] == 1
 
 

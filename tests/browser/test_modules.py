@@ -251,7 +251,14 @@ def test_upload_takes_what_the_json_names(blank):
         const many = await planUpload([
           file('a/transforms_train.json', json([])), file('b/transforms_train.json', json([]))
         ]);
+        const bare = await planUpload([
+          ...[1, 2, 3].map((n) => file(`trip/images/IMG_${n}.HEIC`, 'abc')),
+          file('trip/images/.thumb.jpg', 'x'), file('trip/notes.txt', 'x')
+        ]);
+        const film = await planUpload([file('walk/a.MOV', 'abcd'), file('walk/a.txt', 'x')]);
         return {
+          bare: {...bare, entries: bare.entries.map((e) => e.path)},
+          film: {...film, entries: film.entries.map((e) => e.path)},
           good: {...good, entries: good.entries.map((e) => e.path)},
           multi: multi.layout,
           none: none.problem,
@@ -269,6 +276,10 @@ def test_upload_takes_what_the_json_names(blank):
         "transforms_train.json",
     ]
     assert good["missing"] == ["train/r_1.png"] and good["left"] == 1
+    bare, film = result["bare"], result["film"]
+    assert bare["poses"] == film["poses"] == "find" and not bare["problem"] and "poses" not in good
+    assert bare["name"] == "trip" and bare["views"] == {"photographs": 3} and bare["left"] == 2
+    assert len(bare["entries"]) == 3 and film["entries"] == ["walk/a.MOV"] and film["bytes"] == 4
     assert result["multi"] == "multi-scale Blender"
     assert (
         "transforms_train.json" in result["none"]

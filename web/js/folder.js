@@ -9,7 +9,7 @@ const MAX_FILES = 100_000;
  * @typedef {{name: string, title: string, signs: {file: string, member?: string}[],
  *   documents: string[], photo_folders: string[]}} Format
  * @typedef {{name: string, layout: string, entries: Entry[], bytes: number, left: number,
- *   views: Record<string, number>, missing: string[], problem: string|null}} Plan
+ *   views: Record<string, number>, missing: string[], problem: string|null, poses?: string}} Plan
  */
 
 /** @param {FileList} files of an <input webkitdirectory> @returns {Entry[]} */
@@ -38,8 +38,9 @@ export async function entriesOfDrop(items) {
   return entries;
 }
 
-const EXTENSIONS =
-    ['png', 'jpg', 'jpeg', 'webp', 'tif', 'tiff', 'heic', 'heif', 'avif', 'exr'];
+const EXTENSIONS = ['png', 'jpg', 'jpeg', 'webp', 'tif', 'tiff', 'heic', 'heif', 'avif', 'exr'];
+const FILMS = ['mp4', 'mov', 'm4v', 'mkv', 'webm', 'avi'];
+const FEWEST = 3;  // photographs that poses are found for
 const NAMING = ['file_path', 'mask_path', 'ply_file_path', 'file', 'mask'];
 
 /**
@@ -117,6 +118,30 @@ export function safeName(text) {
   return /^(ds_|sc_|job_|path_)/.test(name) ? name.replace('_', '-') : name;
 }
 
+const isFilm = (path) => FILMS.includes(path.split('.').at(-1).toLowerCase());
+
+/** A plan for photographs, or one film, that no document poses; null where there are too few. */
+function photosOnly(entries) {
+  const shown = entries.filter(({path}) => !/(^|\/)\./.test(path));
+  const photos = shown.filter(({path}) => isPhoto(path)),
+        films = shown.filter(({path}) => isFilm(path));
+  const chosen = photos.length >= FEWEST ? photos : films.length === 1 ? films : [];
+  if (!chosen.length) return null;
+  const masks = photos.filter(({path}) => /(^|\/)masks\//.test(path)).length;
+  return {
+    name: safeName(
+        chosen[0].path.split('/').slice(0, -1).find((part) => part !== 'images') ?? 'photographs'),
+    layout: chosen === photos ? 'photographs without poses' : 'a film',
+    entries: chosen,
+    bytes: chosen.reduce((sum, entry) => sum + entry.file.size, 0),
+    left: entries.length - chosen.length,
+    views: chosen === photos ? {photographs: photos.length - masks} : {},
+    missing: [],
+    problem: null,
+    poses: 'find',
+  };
+}
+
 /**
  * What to upload. Only what the format's documents name, or what lies in its folders, is sent;
  * `problem` says why nothing can be.
@@ -127,6 +152,8 @@ export async function planUpload(entries, formats) {
   const plan =
       {name: '', layout: '', entries: [], bytes: 0, left: 0, views: {}, missing: [], problem: null};
   const roots = rootsOf(entries, formats);
+  const bare = roots.length ? null : photosOnly(entries);
+  if (bare) return bare;
   if (!roots.length) {
     const signs = formats.map(({title, signs}) => `${signs[0].file} (${title})`).join(', ');
     return {

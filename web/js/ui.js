@@ -220,8 +220,10 @@ export function progressWords(job) {
       job.state === 'running' && p.eta_seconds > 0.5 ? `${format.seconds(p.eta_seconds)} left` : '';
   if (job.type !== 'train')
     return [
+      p.stage ?? '',
       p.total ? `${format.whole(p.done)} of ${format.whole(p.total)}` :
-                `${format.whole(p.done)} done`,
+          p.stage && !p.done ? '' :
+                               `${format.whole(p.done)} done`,
       left
     ].filter(Boolean)
         .join(' · ');

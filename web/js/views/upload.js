@@ -89,12 +89,9 @@ function importOptions() {
       h('input', {type: 'number', min: 1, max: 100000, placeholder: 'as in the files'}),
       {pointer: '/options/split'});
   const bounds = field(
-      'Bounds', h('input', {
-        type: 'text',
-        placeholder: 'from the dataset',
-        spellcheck: 'false',
-        autocomplete: 'off'
-      }),
+      'Bounds',
+      h('input',
+        {type: 'text', placeholder: 'from the dataset', spellcheck: 'false', autocomplete: 'off'}),
       {pointer: '/options/bounds', hint: 'Centre and radius: x,y,z,r'});
   const values = () => {
     const options = {};
@@ -105,10 +102,9 @@ function importOptions() {
     if (bounds.control.value.trim()) options.bounds = bounds.control.value.replaceAll(' ', '');
     return options;
   };
-  const node =
-      h('details', null, h('summary', null, 'Import options'),
-        h('div', {class: 'form-grid'}, size.node, scales.node, split.node, bounds.node,
-          alpha.node));
+  const node = h(
+      'details', null, h('summary', null, 'Import options'),
+      h('div', {class: 'form-grid'}, size.node, scales.node, split.node, bounds.node, alpha.node));
   return {node, values, fields: [size, scales, alpha, split, bounds]};
 }
 
@@ -139,8 +135,13 @@ function planForm(plan, {back, follow}) {
     fill(progress, bar.node);
     fill(buttons, h('button', {type: 'button', onclick: () => stop.abort()}, 'Cancel'));
     try {
-      const job =
-          await api.upload({name: name.control.value.trim(), ...options.values()}, tar, (sent) => {
+      const job = await api.upload(
+          {
+            name: name.control.value.trim(),
+            ...(plan.poses && {poses: plan.poses}),
+            ...options.values()
+          },
+          tar, (sent) => {
             const rate = sent / Math.max(0.05, (performance.now() - started) / 1000);
             bar.set(
                 sent / tar.size,
@@ -165,7 +166,12 @@ function planForm(plan, {back, follow}) {
           send();
         }
       },
-      h('p', null, h('strong', null, plan.layout), ` · views: ${splits}`),
+      h('p', null, h('strong', null, plan.layout), splits && ` · views: ${splits}`),
+      plan.poses ?
+          h('p', {class: 'quiet'},
+            'The daemon looks for the poses with COLMAP, where it is installed. That takes ' +
+                'seconds to minutes a photograph.') :
+          null,
       h('p', {class: 'quiet'},
         `${plural(plan.entries.length, 'file')}, ${bytes(plan.bytes)} to send`,
         plan.left ? `; ${plural(plan.left, 'file')} that the JSON does not name stay here` : '',
@@ -249,9 +255,9 @@ function importing(job, begin, signal) {
       return;
     }
     over = now.state;
-    const more = h(
-        'button', {type: 'button', onclick: () => begin()},
-        now.state === 'succeeded' ? 'Add another' : 'Choose again');
+    const more =
+        h('button', {type: 'button', onclick: () => begin()},
+          now.state === 'succeeded' ? 'Add another' : 'Choose again');
     const name = now.dataset_name ?? now.dataset;
     if (now.state === 'succeeded')
       fill(

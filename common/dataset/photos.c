@@ -1,0 +1,223 @@
+#include "common/dataset/photos.h"
+
+#include <dirent.h>
+#include <errno.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <strings.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include "common/dataset/reader.h"
+
+#define MAX_DEPTH 8
+#define SAME_STEP 3 // names count upwards where half of them follow within so many numbers
+
+static const char *const films[] = {".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi", NULL};
+
+bool rn_is_film(const char *name) {
+    const char *dot = strrchr(name, '.');
+    for (size_t i = 0; dot && films[i]; i++)
+        if (strcasecmp(dot, films[i]) == 0) return true;
+    return false;
+}
+
+void rn_photos_finish(struct rn_photos *photos) {
+    for (size_t i = 0; i < photos->count; i++) {
+        free(photos->items[i].name);
+        free(photos->items[i].path);
+        free(photos->items[i].mask_path);
+    }
+    free(photos->items);
+    free(photos->film);
+    *photos = (struct rn_photos){0};
+}
+
+// What a walk through folders gathers.
+struct walk {
+    const char *root, *masks;
+    struct rn_problems *problems;
+    struct rn_photos photos;
+    size_t capacity;
+    int film_count;
+};
+
+static enum rn_status no_memory(const struct walk *walk, struct rn_error *err) {
+    return rn_error_set(err, RN_ERROR_NO_MEMORY, walk->root, "out of memory");
+}
+
+static enum rn_status add_photo(struct walk *walk, const char *path, struct rn_error *err) {
+    struct rn_photos *photos = &walk->photos;
+    struct rn_error fault;
+    struct rn_photo photo = {.mask_path = NULL};
+    enum rn_status status = rn_image_probe(path, &rn_image_default_limits, &photo.info, &fault);
+    if (status == RN_ERROR_NO_MEMORY) return no_memory(walk, err);
+    if (status) {
+        rn_problems_add(walk->problems, RN_SEVERITY_ERROR, fault.where, "%s", fault.text);
+        return RN_OK;
+    }
+    if (photos->count == RN_PHOTOS_MAX)
+        return rn_error_set(err, RN_ERROR_LIMIT, walk->root, "holds more than %d photographs",
+                            RN_PHOTOS_MAX);
+    if (photos->count == walk->capacity) {
+        size_t capacity = walk->capacity ? 2 * walk->capacity : 64;
+        struct rn_photo *items = realloc(photos->items, capacity * sizeof *items);
+        if (!items) return no_memory(walk, err);
+        photos->items = items;
+        walk->capacity = capacity;
+    }
+    photo.path = strdup(path);
+    photo.name = strdup(path + strlen(walk->root) + 1);
+    photos->items[photos->count++] = photo;
+    return photo.path && photo.name ? RN_OK : no_memory(walk, err);
+}
+
+static enum rn_status look_at(struct walk *walk, const char *path, int depth, struct rn_error *err);
+
+static int is_visible(const struct dirent *entry) {
+    return entry->d_name[0] != '.';
+}
+
+static enum rn_status look_through(struct walk *walk, const char *folder, int depth,
+                                   struct rn_error *err) {
+    struct dirent **entries;
+    enum rn_status status = RN_OK;
+    int count = scandir(folder, &entries, is_visible, alphasort);
+    if (count < 0) return rn_error_from_errno(err, errno, folder, "list the folder");
+    for (int i = 0; i < count; i++) {
+        char *path = NULL;
+        if (status == RN_OK && asprintf(&path, "%s/%s", folder, entries[i]->d_name) < 0)
+            status = no_memory(walk, err);
+        else if (status == RN_OK)
+            status = look_at(walk, path, depth, err);
+        free(path);
+        free(entries[i]);
+    }
+    free(entries);
+    return status;
+}
+
+static enum rn_status look_at(struct walk *walk, const char *path, int depth,
+                              struct rn_error *err) {
+    struct stat about;
+    const char *name = strrchr(path, '/') + 1;
+    if (stat(path, &about) != 0) return RN_OK;
+    if (S_ISDIR(about.st_mode)) {
+        bool masks = strcmp(path + strlen(walk->root) + 1, walk->masks) == 0;
+        return masks || depth == MAX_DEPTH ? RN_OK : look_through(walk, path, depth + 1, err);
+    }
+    if (!S_ISREG(about.st_mode)) return RN_OK;
+    if (rn_reader_is_photo(name)) return add_photo(walk, path, err);
+    if (!rn_is_film(name)) return RN_OK;
+    walk->film_count++;
+    free(walk->photos.film);
+    walk->photos.film = strdup(path);
+    return walk->photos.film ? RN_OK : no_memory(walk, err);
+}
+
+// "a2" before "a10".
+static int compare_photos(const void *a, const void *b) {
+    return strverscmp(((const struct rn_photo *)a)->name, ((const struct rn_photo *)b)->name);
+}
+
+// The last number in a name; -1 without one.
+static long last_number(const char *name) {
+    size_t end = strlen(name);
+    while (end > 0 && (name[end - 1] < '0' || name[end - 1] > '9'))
+        end--;
+    size_t begin = end;
+    while (begin > 0 && end - begin < 9 && name[begin - 1] >= '0' && name[begin - 1] <= '9')
+        begin--;
+    return begin < end ? strtol(name + begin, NULL, 10) : -1;
+}
+
+static void judge(struct rn_photos *photos) {
+    size_t steps = 0;
+    photos->one_camera = true;
+    for (size_t i = 1; i < photos->count; i++) {
+        const struct rn_image_info *info = &photos->items[i].info, *first = &photos->items[0].info;
+        if (info->width != first->width || info->height != first->height ||
+            info->camera_key != first->camera_key)
+            photos->one_camera = false;
+        long before = last_number(photos->items[i - 1].name);
+        long now = last_number(photos->items[i].name);
+        steps += before >= 0 && now > before && now <= before + SAME_STEP;
+    }
+    photos->in_order = photos->count > 1 && 2 * steps >= photos->count;
+}
+
+// The photographs' folder within `path`.
+static enum rn_status find_folder(const char *path, char **ret_folder, struct rn_error *err) {
+    struct dirent **entries;
+    char *images = NULL;
+    if (asprintf(&images, "%s/%s", path, rn_photo_folders[0]) < 0)
+        return rn_error_set(err, RN_ERROR_NO_MEMORY, path, "out of memory");
+    int count = scandir(images, &entries, is_visible, NULL);
+    bool has_photo = false;
+    for (int i = 0; i < count; i++) {
+        has_photo = has_photo || rn_reader_is_photo(entries[i]->d_name);
+        free(entries[i]);
+    }
+    if (count >= 0) free(entries);
+    if (!has_photo) {
+        free(images);
+        images = strdup(path);
+    }
+    *ret_folder = images;
+    return images ? RN_OK : rn_error_set(err, RN_ERROR_NO_MEMORY, path, "out of memory");
+}
+
+static void look_for_masks(struct walk *walk, const char *path) {
+    struct rn_reader reader = {.folder = path};
+    size_t found = 0;
+    for (size_t i = 0; i < walk->photos.count; i++) {
+        struct rn_photo *photo = &walk->photos.items[i];
+        photo->mask_path = rn_reader_find_mask(&reader, walk->masks, photo->name);
+        found += photo->mask_path != NULL;
+    }
+    if (found)
+        rn_problems_add(walk->problems, RN_SEVERITY_INFO, path,
+                        "%zu photographs have masks, whose black pixels are left out", found);
+}
+
+static enum rn_status gather(struct walk *walk, const char *path, struct rn_error *err) {
+    enum rn_status status = look_through(walk, walk->root, 0, err);
+    if (status) return status;
+    if (!walk->photos.count && walk->film_count == 1) return RN_OK;
+    if (!walk->photos.count)
+        return rn_error_set(err, RN_ERROR_NOT_FOUND, path,
+                            walk->film_count ? "holds several films: give one of them"
+                                             : "holds no photograph and no film");
+    free(walk->photos.film);
+    walk->photos.film = NULL;
+    qsort(walk->photos.items, walk->photos.count, sizeof *walk->photos.items, compare_photos);
+    judge(&walk->photos);
+    look_for_masks(walk, path);
+    return RN_OK;
+}
+
+enum rn_status rn_photos_read(const char *path, const char *masks, struct rn_problems *problems,
+                              struct rn_photos *ret_photos, struct rn_error *err) {
+    struct stat about;
+    char *folder;
+    if (stat(path, &about) != 0) return rn_error_from_errno(err, errno, path, "find");
+    if (!S_ISDIR(about.st_mode)) {
+        if (!rn_is_film(path))
+            return rn_error_set(err, RN_ERROR_INVALID, path, "is neither a folder nor a film");
+        *ret_photos = (struct rn_photos){.film = strdup(path)};
+        return ret_photos->film ? RN_OK
+                                : rn_error_set(err, RN_ERROR_NO_MEMORY, path, "out of memory");
+    }
+    enum rn_status status = find_folder(path, &folder, err);
+    if (status) return status;
+    struct walk walk = {
+        .root = folder, .masks = masks ? masks : RN_MASK_FOLDER, .problems = problems};
+    status = gather(&walk, path, err);
+    free(folder);
+    if (status == RN_OK)
+        *ret_photos = walk.photos;
+    else
+        rn_photos_finish(&walk.photos);
+    return status;
+}

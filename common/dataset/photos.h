@@ -1,0 +1,35 @@
+// Photographs without poses: which a folder holds, before a program looks for their poses.
+#ifndef RN_COMMON_DATASET_PHOTOS_H
+#define RN_COMMON_DATASET_PHOTOS_H
+
+#include "common/dataset/dataset.h"
+
+struct rn_photo {
+    char *name; // relative to the photographs' folder, with slashes
+    char *path;
+    char *mask_path; // NULL without one
+    struct rn_image_info info;
+};
+
+// Thread-safety: immutable once read. Owner: whoever read it; rn_photos_finish.
+struct rn_photos {
+    struct rn_photo *items; // by name, as numbers count: a2 before a10
+    size_t count;
+    char *film;      // instead of photographs; NULL: none
+    bool one_camera; // all were taken by one camera, unzoomed, as far as sizes and EXIF say
+    bool in_order;   // names count upwards, as a camera names what it takes one after the other
+};
+#define RN_PHOTOS_MAX 20000
+
+// Looks through `path`: a folder of photographs (those in its folder "images", where that has some,
+// else all below it but masks), a folder of one film, or a film. `masks` as of rn_read_options.
+// Files that are no pictures are left out, each with an error in `problems` (optional).
+// RN_ERROR_NOT_FOUND where there is neither; RN_ERROR_LIMIT, RN_ERROR_NO_MEMORY.
+enum rn_status rn_photos_read(const char *path, const char *masks, struct rn_problems *problems,
+                              struct rn_photos *ret_photos, struct rn_error *err) RN_MUST_CHECK;
+void rn_photos_finish(struct rn_photos *photos);
+
+// Whether a file of this name is a film, by its extension.
+bool rn_is_film(const char *name);
+
+#endif

@@ -1,0 +1,199 @@
+"""Photographs without poses: a stand-in for COLMAP finds them, or fails in each of its ways."""
+
+import io
+import os
+import shutil
+import subprocess
+import tarfile
+from pathlib import Path
+
+import pytest
+from PIL import Image
+
+FAKE = Path(__file__).parents[1] / "support" / "fake_colmap.py"
+
+
+@pytest.fixture
+def pictures(tmp_path):
+    """Nine photographs of several kinds, one of them with a mask, and a file that is none."""
+    folder = tmp_path / "pictures"
+    (folder / "masks").mkdir(parents=True)
+    for i in range(9):
+        image = Image.new("RGB", (16, 16), (20 * i, 100, 200))
+        ending = "webp" if i == 3 else "tif" if i == 4 else "jpg"
+        image.save(folder / f"IMG_{i}.{ending}")
+    Image.new("L", (16, 16), 255).save(folder / "masks" / "IMG_0.jpg.png")
+    (folder / "notes.txt").write_text("none")
+    return folder
+
+
+def make(make_daemon, mood="", **options):
+    return make_daemon({"RIPNERF_COLMAP": str(FAKE), "RIPNERF_FAKE_COLMAP": mood}, **options)
+
+
+def import_photos(daemon, folder, name="found", **options):
+    archive = io.BytesIO()
+    with tarfile.open(fileobj=archive, mode="w", format=tarfile.USTAR_FORMAT) as tar:
+        for path in sorted(folder.rglob("*")):
+            if path.is_file():
+                tar.add(path, path.relative_to(folder))
+    query = "&".join(f"{key}={value}" for key, value in {"poses": "find", **options}.items())
+    reply = daemon.request("POST", f"/v1/datasets?name={name}&{query}", archive.getvalue(),
+                           {"Content-Type": "application/x-tar"})
+    assert reply.status == 202, reply.body
+    return reply.json["id"]
+
+
+def problems_of(daemon, name="found"):
+    return [problem["text"] for problem in daemon.get(f"/v1/datasets/{name}").json["report"]["problems"]]
+
+
+def test_poses_are_found(make_daemon, pictures):
+    daemon = make(make_daemon)
+    job = import_photos(daemon, pictures)
+    assert daemon.wait(job)["state"] == "succeeded", daemon.get(f"/v1/jobs/{job}").json
+    dataset = daemon.get("/v1/datasets/found").json
+    assert dataset["views"]["train"] == 9 and dataset["report"]["layout"] == "colmap"
+    texts = problems_of(daemon)
+    assert any("poses for 9 of 9 photographs" in text for text in texts)
+    assert any("one camera" in text for text in texts)
+    assert any("matched with every other" in text for text in texts)
+    assert any("1 photographs have masks" in text for text in texts)
+    reply = daemon.get("/v1/datasets/found/model")
+    names = tarfile.open(fileobj=io.BytesIO(reply.body)).getnames()
+    assert sorted(names) == [f"sparse/0/{part}.bin" for part in ("cameras", "images", "points3D")]
+    work = Path(daemon.data) / "spool"
+    assert not list(work.iterdir())
+    log = Path(daemon.data, "jobs", job, "log").read_text()
+    assert "--ImageReader.mask_path" in log and "OPENCV" not in log
+
+
+def test_stages_are_told(make_daemon, pictures):
+    daemon = make(make_daemon, "slow")
+    job = import_photos(daemon, pictures)
+    stages = [event[2]["stage"] for event in daemon.follow(f"/v1/jobs/{job}/events")
+              if event[1] == "progress" and event[2].get("stage")]
+    assert "finding features" in stages and "placing cameras" in stages
+
+
+def test_photographs_without_a_place_are_told(make_daemon, pictures):
+    daemon = make(make_daemon, "some")
+    assert daemon.wait(import_photos(daemon, pictures))["state"] == "succeeded"
+    (text,) = [text for text in problems_of(daemon) if "poses for 8 of 9" in text]
+    assert "IMG_8.jpg" in text and "photograph again" in text
+    assert daemon.get("/v1/datasets/found").json["views"]["train"] == 8
+
+
+def test_two_models_are_told_and_the_largest_is_used(make_daemon, pictures):
+    daemon = make(make_daemon, "two")
+    assert daemon.wait(import_photos(daemon, pictures))["state"] == "succeeded"
+    texts = problems_of(daemon)
+    assert any("another model, of 2 photographs" in text or "of 7 photographs" in text
+               for text in texts), texts
+    assert any("poses for 7 of 9" in text for text in texts)
+
+
+@pytest.mark.parametrize("mood, words", [
+    ("crash", ["matching", "signal 6", "about to fail"]),
+    ("kill", ["matching", "signal 9"]),
+    ("fail", ["placing cameras", "found no poses"]),
+    ("none", ["found no poses", "No good initial image pair", "again"]),
+    ("bad", ["images.bin"]),
+])
+def test_colmap_that_fails(make_daemon, pictures, mood, words):
+    daemon = make(make_daemon, mood)
+    job = daemon.wait(import_photos(daemon, pictures))
+    assert job["state"] == "failed"
+    told = str(job["problem"])
+    assert all(word in told for word in words), told
+    assert daemon.get("/v1/datasets").json["items"] == []
+    assert not list(Path(daemon.data, "spool").iterdir())
+    assert not list(Path(daemon.data, "datasets").iterdir())
+
+
+def test_colmap_that_is_not_there(make_daemon, pictures):
+    daemon = make_daemon({"RIPNERF_COLMAP": "/nonexistent/colmap"})
+    job = daemon.wait(import_photos(daemon, pictures))
+    assert job["state"] == "failed"
+    assert "apt-get install --no-install-recommends colmap" in job["problem"]["detail"]
+
+
+def test_too_few_photographs(make_daemon, pictures):
+    for path in list(pictures.glob("IMG_*"))[2:]:
+        path.unlink()
+    daemon = make(make_daemon)
+    job = daemon.wait(import_photos(daemon, pictures))
+    assert job["state"] == "failed" and "poses are found for 3 at least" in str(job["problem"])
+
+
+def test_cancelling_ends_colmap(make_daemon, pictures):
+    daemon = make(make_daemon, "slow")
+    job = import_photos(daemon, pictures)
+    next(event for event in daemon.follow(f"/v1/jobs/{job}/events")
+         if event[1] == "progress" and event[2].get("stage") == "finding features")
+    daemon.post(f"/v1/jobs/{job}/cancel")
+    assert daemon.wait(job)["state"] == "cancelled"
+    assert not list(Path(daemon.data, "spool").iterdir())
+
+
+def test_a_dataset_with_poses_has_no_model(shared):
+    reply = shared.get("/v1/datasets/data/model")
+    assert reply.status == 404 and "no model" in reply.json["detail"]
+    assert shared.get("/v1/datasets/data/model?x=1").status == 422
+
+
+def test_the_client_asks_for_poses_where_there_are_none(make_daemon, pictures, build):
+    daemon = make(make_daemon)
+    host = f"{daemon.host}:{daemon.port}"
+
+    def run(*words):
+        return subprocess.run([build / "client" / "ripnerf", "--host", host, *words],
+                              capture_output=True, text=True, check=False)
+    result = run("validate", pictures)
+    assert result.returncode == 0 and "9 photographs without poses" in result.stdout
+    result = run("import", pictures, "--name", "mine")
+    assert result.returncode == 0, result.stderr
+    assert daemon.get("/v1/datasets/mine").json["views"]["train"] == 9
+    result = run("import", pictures, "--name", "mine")
+    assert result.returncode == 1 and "already" in result.stderr
+    result = run("import", pictures, "--name", "other", "--poses", "file")
+    assert result.returncode == 4 and "holds no dataset" in result.stderr
+    (pictures / "IMG_1.jpg").write_bytes(b"no picture")
+    result = run("import", pictures, "--name", "other")
+    assert result.returncode == 4 and "IMG_1.jpg" in result.stderr and "--skip-bad" in result.stderr
+    result = run("import", pictures, "--name", "other", "--skip-bad")
+    assert result.returncode == 0, result.stderr
+    assert daemon.get("/v1/datasets/other").json["views"]["train"] == 8
+
+
+@pytest.mark.skipif(not shutil.which("ffmpeg"), reason="ffmpeg is not installed")
+def test_a_film(make_daemon, tmp_path):
+    """Every tenth frame is sharp, the others are blurred; the sharp ones are taken."""
+    frames = tmp_path / "frames"
+    frames.mkdir()
+    for i in range(40):
+        image = Image.effect_noise((64, 64), 90).convert("RGB")
+        if i % 10 != 4:
+            image = image.resize((4, 4)).resize((64, 64))
+        image.save(frames / f"{i:03}.png")
+    folder = tmp_path / "film"
+    folder.mkdir()
+    film = folder / "walk.mp4"
+    subprocess.run(["ffmpeg", "-loglevel", "error", "-framerate", "20", "-i", frames / "%03d.png",
+                    "-c:v", "mpeg4", "-q:v", "2", film], check=True)
+    daemon = make(make_daemon)
+    job = daemon.wait(import_photos(daemon, folder))
+    assert job["state"] == "succeeded", job
+    texts = problems_of(daemon)
+    assert any("has 40 frames in 2.0 s" in text and "4 stretches" in text for text in texts), texts
+    assert any("matched with those near it" in text for text in texts)
+    dataset = daemon.get("/v1/datasets/found").json
+    assert dataset["views"]["train"] == 4
+    for i in range(4):
+        body = daemon.get(f"/v1/datasets/found/images/train/{i}").body
+        grey = Image.open(io.BytesIO(body)).convert("L")
+        low, high = grey.getextrema()
+        assert high - low > 150
+    (folder / "walk.mp4").write_bytes(os.urandom(5000))
+    job = daemon.wait(import_photos(daemon, folder, "broken"))
+    assert job["state"] == "failed" and "ffmpeg" in str(job["problem"])
