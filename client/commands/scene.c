@@ -69,6 +69,8 @@ static void print_threshold(const struct rn_effect_entry *effect) {
     if (isnan(threshold) || strcmp(effect->name, "view-dependence") == 0) return; // is said
     if (strcmp(effect->name, "background") == 0 || strcmp(effect->name, "unbounded") == 0)
         printf(" (threshold %.3g %%)", 100 * threshold);
+    else if (strcmp(effect->name, "straight-alpha") == 0)
+        printf(" (threshold %.3g/255)", 255 * threshold);
     else if (strcmp(effect->name, "distortion") == 0)
         printf(" (threshold %.3g)", threshold);
     else if (strcmp(effect->name, "forward-facing") == 0)

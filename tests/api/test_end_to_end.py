@@ -72,7 +72,7 @@ def test_training_ends_with_its_figures(client, trained):
     assert end["psnr"] == scene["psnr"] > 8
     assert scene["state"] == "ready" and [effect["name"] for effect in scene["effects"]] == [
         "background", "scale-pyramid", "anisotropy", "view-dependence", "split-pixels", "cones",
-        "distortion", "forward-facing", "unbounded"]
+        "distortion", "forward-facing", "unbounded", "straight-alpha"]
     assert all(effect["reason"] for effect in scene["effects"])
 
 

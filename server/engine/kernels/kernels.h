@@ -115,6 +115,7 @@ struct rn_march_options {
     float distortion_loss;     // training: weight of the distortion loss; 0: there is none
     float background_variance; // training: a channel's, of random backgrounds with that mean
     bool split;                // training: RN_PIXEL_RAYS rays in turn are one pixel
+    bool straight;             // pictures: a pixel's cones are averaged as render/cones.h has it
     float roulette;            // times a packet's mean gradient, below which a sample's backward is
                                // by roulette; 0 = off
     uint64_t seed, counter;    // of the roulette

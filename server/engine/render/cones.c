@@ -5,7 +5,8 @@
 
 #include "server/engine/scene/device.h"
 
-#define MOST 16 // cones a side: RN_CONES_BLOCK of them are one pixel
+#define SOLID 0.25f // opacity, of rn_cones_mean's straight colours
+#define MOST 16     // cones a side: RN_CONES_BLOCK of them are one pixel
 
 int rn_cones_for_camera(const struct rn_field *field, const struct rn_camera *camera) {
     double finest = field->finest_cone;
@@ -17,7 +18,25 @@ int rn_cones_for_camera(const struct rn_field *field, const struct rn_camera *ca
     return n;
 }
 
-struct rn_pixel rn_cones_mean(const struct rn_pixel *cones, int n) {
+bool rn_field_averages_straight(const struct rn_field *field, const struct rn_frame *frame) {
+    return field->effects[RN_EFFECT_STRAIGHT_ALPHA].on && frame->scale > 0;
+}
+
+// As a photograph's pixel that is hardly covered has no colour in its file, and a field's edges are
+// wider than a photograph's, a cone's colour counts in full from the opacity SOLID on.
+static void mean_straight(const struct rn_pixel *cones, int n, const float *background,
+                          struct rn_pixel *pixel) {
+    float colour[3] = {0}, scale = 1 / (float)(n * n);
+    for (const struct rn_pixel *p = cones; p < cones + n * n; p++)
+        for (int c = 0; c < 3; c++) {
+            float covered = p->rgb[c] - (1 - p->alpha) * background[c]; // colour times opacity
+            colour[c] += fminf(fmaxf(covered / fmaxf(p->alpha, SOLID), 0), 1) * scale;
+        }
+    for (int c = 0; c < 3; c++)
+        pixel->rgb[c] = colour[c] * pixel->alpha + (1 - pixel->alpha) * background[c];
+}
+
+struct rn_pixel rn_cones_mean(const struct rn_pixel *cones, int n, const float *straight) {
     struct rn_pixel mean = {{0, 0, 0}, 0, 0};
     float scale = 1 / (float)(n * n);
     for (int i = 0; i < n * n; i++) {
@@ -27,6 +46,7 @@ struct rn_pixel rn_cones_mean(const struct rn_pixel *cones, int n) {
         mean.depth += cones[i].depth * (cones[i].alpha * scale);
     }
     mean.depth = mean.alpha > 0 ? mean.depth / mean.alpha : 0;
+    if (straight) mean_straight(cones, n, straight, &mean);
     return mean;
 }
 
@@ -44,6 +64,10 @@ static void close_ended(const struct rn_field *field, const struct rn_march_opti
         }
         p->alpha = 1;
     }
+}
+
+static const float *straight_over(const struct rn_march_options *march) {
+    return march->straight ? march->background : NULL;
 }
 
 // At most RN_CONES_BLOCK cones.
@@ -65,7 +89,7 @@ static uint64_t render_block(const struct rn_engine *engine, const struct rn_fie
                                                rn_engine_workspace(engine, thread), seen);
     close_ended(field, march, seen, (size_t)total);
     for (int i = 0; i < count && n > 1; i++)
-        ret_pixels[i] = rn_cones_mean(cones + i * n * n, n);
+        ret_pixels[i] = rn_cones_mean(cones + i * n * n, n, straight_over(march));
     return samples;
 }
 
@@ -83,14 +107,14 @@ uint64_t rn_cones_render(const struct rn_engine *engine, const struct rn_field *
 }
 
 // Rows of cones to rows of pixels, `width` of them.
-static void average_rows(const struct rn_pixel *cones, int n, int width, int rows,
-                         struct rn_pixel *ret_pixels) {
+static void average_rows(const struct rn_pixel *cones, int n, const float *straight, int width,
+                         int rows, struct rn_pixel *ret_pixels) {
     struct rn_pixel block[RN_CONES_BLOCK];
     for (int y = 0; y < rows; y++)
         for (int x = 0; x < width; x++) {
             for (int j = 0; j < n * n; j++)
                 block[j] = cones[((size_t)y * n + j / n) * width * n + (size_t)x * n + j % n];
-            ret_pixels[(size_t)y * width + x] = rn_cones_mean(block, n);
+            ret_pixels[(size_t)y * width + x] = rn_cones_mean(block, n, straight);
         }
 }
 
@@ -114,7 +138,8 @@ enum rn_status rn_field_render_rows(struct rn_field *field, const struct rn_came
     enum rn_status status = field->backend->render(field->on_device, &fine, march, row * n,
                                                    rows * n, cones, ret_samples, err);
     if (status == RN_OK) close_ended(field, march, cones, count);
-    if (status == RN_OK) average_rows(cones, n, camera->width, rows, ret_pixels);
+    if (status == RN_OK)
+        average_rows(cones, n, straight_over(march), camera->width, rows, ret_pixels);
     free(cones);
     return status;
 }

@@ -11,8 +11,13 @@
 // Cones a side of the camera's pixels, a power of two, at most 16: as many as make them as narrow
 // as the finest that the field was trained on, where its configuration asks for that; else 1.
 int rn_cones_for_camera(const struct rn_field *field, const struct rn_camera *camera);
-// n^2 cones to one pixel: colour and opacity are means; depth is weighted by opacity.
-struct rn_pixel rn_cones_mean(const struct rn_pixel *cones, int n);
+// n^2 cones to one pixel: colour and opacity are means; depth is weighted by opacity. Where
+// `straight` is no NULL, it is the background that the cones are over, and their colours are
+// averaged without it and without their opacity, as a photograph may have been
+// (effects/straight_alpha.c).
+struct rn_pixel rn_cones_mean(const struct rn_pixel *cones, int n, const float *straight);
+// Whether pixels that are compared with a photograph are averaged so.
+bool rn_field_averages_straight(const struct rn_field *field, const struct rn_frame *frame);
 // A pixel's place: column, row.
 struct rn_spot {
     int x, y;

@@ -47,7 +47,8 @@ static bool interpolate(const struct rn_lattice *l, const struct pass *pass, int
     float seen = n[0]->alpha + n[1]->alpha + n[2]->alpha + n[3]->alpha;
     bool empty = seen == 0;
     if (empty ? !l->dense : !(seen > 0 && agree(l, n))) return false;
-    *at = empty ? *n[0] : rn_cones_mean((const struct rn_pixel[]){*n[0], *n[1], *n[2], *n[3]}, 2);
+    *at = empty ? *n[0]
+                : rn_cones_mean((const struct rn_pixel[]){*n[0], *n[1], *n[2], *n[3]}, 2, NULL);
     return true;
 }
 

@@ -61,8 +61,8 @@ static struct rn_pixel mean_of_points(const struct frame *f, int x, int y) {
     int n = f->points, width = f->lattice.width;
     const struct rn_pixel *first = f->lattice.pixels + (size_t)y * n * width + (size_t)x * n;
     if (n == 1) return *first;
-    return rn_cones_mean((struct rn_pixel[]){first[0], first[1], first[width], first[width + 1]},
-                         n);
+    return rn_cones_mean((struct rn_pixel[]){first[0], first[1], first[width], first[width + 1]}, n,
+                         f->march.straight ? f->march.background : NULL);
 }
 
 static void fill_rows(void *context, int index, int thread) {
@@ -195,6 +195,7 @@ static void init_frame(struct frame *f) {
     f->march.stop_depth = (float)-log(
         o->settings.stop > 0 ? o->settings.stop : fmax(config->stop, o->settings.tolerance));
     memcpy(f->march.background, o->background, sizeof f->march.background);
+    f->march.straight = o->straight;
 }
 
 // Where pixels are several cones and may be interpolated, that is done between parts of pixels: a
@@ -262,6 +263,7 @@ enum rn_status rn_evaluate_view(struct rn_engine *engine, struct rn_field *field
     struct rn_render_options options = *given;
     options.camera = frame->camera;
     options.outputs = RN_OUTPUT_RGB;
+    options.straight = rn_field_averages_straight(field, frame);
     struct rn_render_result result = {0};
     struct rn_picture truth = {0};
     struct rn_image photograph;

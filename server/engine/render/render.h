@@ -15,6 +15,7 @@ struct rn_render_options {
     struct rn_camera camera; // dataset coordinates
     unsigned outputs;        // RN_OUTPUT_* ORed
     float background[3];
+    bool straight; // a pixel's cones are averaged as rn_cones_mean's `straight`
     struct rn_render_settings settings;
 };
 struct rn_render_stats {
@@ -36,8 +37,8 @@ enum rn_status rn_render(struct rn_engine *engine, struct rn_field *field,
                          struct rn_error *err) RN_MUST_CHECK;
 void rn_render_result_finish(struct rn_render_result *result);
 
-// One view against its photograph, composited over the options' background. Of the options, camera
-// and outputs are not looked at.
+// One view against its photograph, composited over the options' background. Of the options, camera,
+// outputs and `straight` are not looked at.
 struct rn_view_score {
     double psnr, ssim, render_ms;
     uint64_t nonfinite_rays; // as of a rendering

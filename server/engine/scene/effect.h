@@ -14,8 +14,9 @@
     X(SPLIT_PIXELS, split_pixels, "split-pixels")                                                  \
     X(CONES, cones, "cones")                                                                       \
     X(DISTORTION, distortion, "distortion")                                                        \
-    X(FORWARD_FACING, forward_facing, "forward-facing")                                             \
-    X(UNBOUNDED, unbounded, "unbounded")
+    X(FORWARD_FACING, forward_facing, "forward-facing")                                            \
+    X(UNBOUNDED, unbounded, "unbounded")                                                           \
+    X(STRAIGHT_ALPHA, straight_alpha, "straight-alpha")
 
 #define RN_EFFECT_CONSTANT(CONSTANT, ROW, NAME) RN_EFFECT_##CONSTANT,
 enum rn_effect { RN_EFFECTS(RN_EFFECT_CONSTANT) RN_EFFECT_COUNT };

@@ -1,5 +1,6 @@
 #include "server/engine/scene/pixels.h"
 
+#include <math.h>
 #include <stdatomic.h>
 #include <stdlib.h>
 #include <string.h>
@@ -132,4 +133,83 @@ void rn_pixels_finish(struct rn_pixels *pixels) {
     free(pixels->frames);
     rn_block_destroy(pixels->rgba);
     memset(pixels, 0, sizeof *pixels);
+}
+
+// The finest frame of a frame's view, where the one is a whole number of times as large; else NULL.
+static const struct rn_pixel_frame *finest_of(const struct rn_pixels *pixels,
+                                              const struct rn_pixel_frame *frame) {
+    int i = (int)(frame - pixels->frames) - pixels->scale_first[frame->frame->scale];
+    int factor = 1 << frame->frame->scale;
+    if (i >= pixels->scale_first[1]) return NULL;
+    const struct rn_pixel_frame *finest = &pixels->frames[i];
+    bool same = finest->frame->split == frame->frame->split &&
+                finest->frame->index == frame->frame->index &&
+                finest->camera.width == factor * frame->camera.width &&
+                finest->camera.height == factor * frame->camera.height;
+    return same ? finest : NULL;
+}
+
+// The mean of factor x factor pixels, colours weighted by opacity.
+static void weighted_mean(const struct rn_pixels *pixels, const struct rn_pixel_frame *finest,
+                          int factor, int x, int y, uint8_t ret_rgba[4]) {
+    uint64_t colour[3] = {0}, alpha = 0;
+    for (int j = 0; j < factor; j++) {
+        const uint8_t *from = rn_pixel_at(pixels, finest, x * factor, y * factor + j);
+        for (int i = 0; i < factor; i++, from += 4) {
+            alpha += from[3];
+            for (int c = 0; c < 3; c++)
+                colour[c] += (uint64_t)from[c] * from[3];
+        }
+    }
+    uint64_t area = (uint64_t)factor * (uint64_t)factor;
+    for (int c = 0; c < 3; c++)
+        ret_rgba[c] = alpha > 0 ? (uint8_t)((2 * colour[c] + alpha) / (2 * alpha)) : 0;
+    ret_rgba[3] = (uint8_t)((2 * alpha + area) / (2 * area));
+}
+
+double rn_pixels_scale_error(const struct rn_pixels *pixels, int frames) {
+    static const float white[3] = {1, 1, 1};
+    int scale = pixels->scale_count - 1, first = pixels->scale_first[scale];
+    int count = pixels->frame_count - first;
+    double squares = 0, channels = 0;
+    for (int i = 0; i < frames && i < count; i++) {
+        const struct rn_pixel_frame *frame = &pixels->frames[first + i * count / frames];
+        const struct rn_pixel_frame *finest = finest_of(pixels, frame);
+        for (int p = 0; finest && p < frame->camera.width * frame->camera.height; p++) {
+            int x = p % frame->camera.width, y = p / frame->camera.width;
+            uint8_t mean[4];
+            float is[3];
+            weighted_mean(pixels, finest, 1 << scale, x, y, mean);
+            if (mean[3] == 0 || mean[3] == 255) continue;
+            (void)rn_pixel_over(mean, white, is);
+            double sum = 0;
+            rn_pixel_add_error(pixels, frame, x, y, white, is, &sum);
+            squares += sum;
+            channels += 3;
+        }
+    }
+    return channels > 0 ? sqrt(squares / channels) : 0;
+}
+
+struct remake {
+    struct rn_pixels *pixels;
+    int first; // frame of coarser scales
+};
+
+static void remake_frame(void *context, int index, int thread) {
+    (void)thread;
+    struct remake *remake = context;
+    struct rn_pixels *pixels = remake->pixels;
+    const struct rn_pixel_frame *frame = &pixels->frames[remake->first + index];
+    const struct rn_pixel_frame *finest = finest_of(pixels, frame);
+    int width = frame->camera.width;
+    for (int p = 0; finest && p < width * frame->camera.height; p++)
+        weighted_mean(pixels, finest, 1 << frame->frame->scale, p % width, p / width,
+                      pixels->rgba + 4 * (frame->offset + (size_t)p));
+}
+
+void rn_pixels_remake_scales(struct rn_pixels *pixels, struct rn_engine *engine) {
+    if (pixels->scale_count < 2) return;
+    struct remake remake = {pixels, pixels->scale_first[1]};
+    rn_pool_run(engine->pool, pixels->frame_count - remake.first, remake_frame, &remake);
 }

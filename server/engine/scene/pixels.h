@@ -36,6 +36,13 @@ enum rn_status rn_pixels_load(const struct rn_dataset *dataset,
                               struct rn_pixels *ret_pixels, struct rn_error *err) RN_MUST_CHECK;
 void rn_pixels_finish(struct rn_pixels *pixels);
 
+// Pixels of coarser scales as means over the finest photograph of their view, colours weighted by
+// opacity. How far the photographs are from it, over white where they are partly transparent: RMS
+// over the channels of `frames` frames of the coarsest scale, in [0, 1].
+double rn_pixels_scale_error(const struct rn_pixels *pixels, int frames);
+// Puts these means in their place.
+void rn_pixels_remake_scales(struct rn_pixels *pixels, struct rn_engine *engine);
+
 // Pixel (x, y) of a frame.
 static inline const uint8_t *rn_pixel_at(const struct rn_pixels *pixels,
                                          const struct rn_pixel_frame *frame, int x, int y) {

@@ -107,7 +107,9 @@ enum rn_status rn_trainer_validate_rows(struct rn_trainer *t, const struct rn_pi
     const struct rn_camera *camera = &frame->camera;
     size_t width = (size_t)camera->width, n = width * (size_t)rows;
     struct rn_march_options march = {.step = (float)config->step,
-                                     .stop_depth = (float)-log(config->stop)};
+                                     .stop_depth = (float)-log(config->stop),
+                                     .straight =
+                                         rn_field_averages_straight(t->field, frame->frame)};
     uint64_t samples;
     struct rn_pixel *pixels = malloc(n * sizeof *pixels);
     if (!pixels) return rn_error_set(err, RN_ERROR_NO_MEMORY, "trainer", "out of memory");

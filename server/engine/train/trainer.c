@@ -69,6 +69,14 @@ static void place_cameras(const struct rn_field *field, struct rn_pixels *pixels
     }
 }
 
+// What the effects make of the photographs.
+static void take_effects(struct rn_trainer *t) {
+    place_cameras(t->field, &t->train);
+    place_cameras(t->field, &t->held);
+    if (t->field->effects[RN_EFFECT_STRAIGHT_ALPHA].on)
+        rn_pixels_remake_scales(&t->train, t->engine);
+}
+
 static enum rn_status load_pixels(struct rn_trainer *t, size_t limit, struct rn_error *err) {
     struct selection s = {t->dataset, t->field->config.train_val, false};
     double start = (double)rn_clock_ns();
@@ -82,8 +90,7 @@ static enum rn_status load_pixels(struct rn_trainer *t, size_t limit, struct rn_
     s.held = true;
     status = rn_pixels_load(t->dataset, wanted, &s, t->engine, limit, &t->held, err);
     if (status == RN_ERROR_INVALID) status = RN_OK; // nothing to hold out
-    place_cameras(t->field, &t->train);
-    place_cameras(t->field, &t->held);
+    take_effects(t);
     describe_held_out(t);
     t->progress.load_seconds = ((double)rn_clock_ns() - start) * 1e-9;
     return status;
@@ -117,8 +124,7 @@ struct rn_evidence rn_trainer_evidence(const struct rn_trainer *t,
 void rn_trainer_detect_effects(struct rn_trainer *t) {
     struct rn_evidence evidence = rn_trainer_evidence(t, &t->step.march);
     rn_effects_detect(&evidence);
-    place_cameras(t->field, &t->train);
-    place_cameras(t->field, &t->held);
+    take_effects(t);
 }
 
 // Everything that follows from the pixels and the configuration.

@@ -59,8 +59,10 @@ static void validate_next(struct rn_trainer *t) {
     struct validate_block b = {.trainer = t, .frame = &t->held.frames[v->frame], .first = v->pixel};
     size_t pixels = (size_t)b.frame->camera.width * (size_t)b.frame->camera.height;
     b.count = pixels - v->pixel < RN_VALIDATE_BLOCK ? pixels - v->pixel : RN_VALIDATE_BLOCK;
-    b.march = (struct rn_march_options){.step = (float)config->step,
-                                        .stop_depth = (float)-log(config->stop)};
+    b.march =
+        (struct rn_march_options){.step = (float)config->step,
+                                  .stop_depth = (float)-log(config->stop),
+                                  .straight = rn_field_averages_straight(t->field, b.frame->frame)};
     memcpy(b.march.background, config->background, sizeof config->background);
     b.cones = rn_cones_for_camera(t->field, &b.frame->camera);
     int packets = (int)((b.count + RN_PACKET_RAYS - 1) / RN_PACKET_RAYS);

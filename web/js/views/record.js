@@ -23,7 +23,8 @@ const EFFECTS = {
   cones: 'Cones a pixel',
   distortion: 'Distortion',
   'forward-facing': 'Forward-facing',
-  unbounded: 'Unbounded space'
+  unbounded: 'Unbounded space',
+  'straight-alpha': 'Straight alpha'
 };
 
 /** An effect's number in the unit that its reason is told in. */
@@ -38,7 +39,8 @@ const UNITS = {
   cones: octaves,
   distortion: (x) => `${short(x)} px`,
   'forward-facing': (x) => `${short(x)}°`,
-  unbounded: (x) => `${short(100 * x)} %`
+  unbounded: (x) => `${short(100 * x)} %`,
+  'straight-alpha': (x) => `${short(255 * x)}/255`
 };
 
 export function effectsPanel(scene) {
