@@ -19,7 +19,7 @@ static void read_straight(void) {
     struct rn_import_options import = {
         .scales = 3, .threads = 2, .downscale = RN_DOWNSCALE_STRAIGHT};
     snprintf(target, sizeof target, "%s/straight", folder);
-    ck_assert(rn_mkdirs(target, 0755, &err) == RN_OK);
+    ck_assert(rn_remove_tree(target, &err) == RN_OK && rn_mkdirs(target, 0755, &err) == RN_OK);
     ck_assert_msg(rn_dataset_import(dataset, "straight", &import, target, NULL, NULL, NULL, &err) ==
                       RN_OK,
                   "%s", err.text);
@@ -82,7 +82,7 @@ START_TEST(a_resumed_training_has_the_same_pixels) {
     char path[128];
     snprintf(path, sizeof path, "%s/straight.ripnerf", folder);
     ck_assert_msg(rn_trainer_save(t, path, &err) == RN_OK, "%s", err.text);
-    ck_assert_msg(rn_trainer_resume(engine, straight, path, NULL, 0, &again, &err) == RN_OK, "%s",
+    ck_assert_msg(rn_trainer_restore(engine, straight, path, 0, &again, &err) == RN_OK, "%s",
                   err.text);
     ck_assert(effect(again).on);
     ck_assert_int_eq(difference(t, again), 0);

@@ -290,8 +290,11 @@ enum rn_status rn_trainer_restore(struct rn_engine *engine, const struct rn_data
     }
     engine->kernels = kernels;
     status = start(engine, dataset, &checkpoint.config, &checkpoint.bounds, &t, err);
-    if (status == RN_OK) t->field->cpu.disparity = checkpoint.disparity;
-    if (status == RN_OK) status = check_memory(t, memory_limit_bytes, &left, err);
+    if (status == RN_OK) {
+        t->field->cpu.disparity = checkpoint.disparity;
+        memcpy(t->field->effects, checkpoint.effects, sizeof checkpoint.effects);
+        status = check_memory(t, memory_limit_bytes, &left, err);
+    }
     if (status == RN_OK) status = load_pixels(t, left, err);
     if (status == RN_OK) status = rn_trainer_set_up(t, err);
     struct rn_arrays arrays = arrays_of(t);
