@@ -1,9 +1,10 @@
-// Between keys: centripetal Catmull-Rom for positions, squad for rotations; or straight lines and
-// slerp.
+// Between keys: centripetal Catmull-Rom for positions, squad for rotations; or straight lines, or
+// arcs about the point that all look at, and slerp.
 #include <math.h>
+#include <stdlib.h>
 #include <string.h>
 
-#include "common/path/path.h"
+#include "common/path/motion.h"
 
 struct quaternion {
     double w, x, y, z;
@@ -91,9 +92,9 @@ static struct quaternion control(struct quaternion before, struct quaternion q,
     return multiply(q, exp_pure(combine(sum, -0.25, sum, 0)));
 }
 
-static struct quaternion squad(const struct quaternion q[4], double u) {
+static struct quaternion squad(const struct quaternion q[4], double u, double tension) {
     struct quaternion a = control(q[0], q[1], q[2]), b = control(q[1], q[2], q[3]);
-    return slerp(slerp(q[1], q[2], u), slerp(a, b, u), 2 * u * (1 - u));
+    return slerp(slerp(q[1], q[2], u), slerp(a, b, u), 2 * u * (1 - u) * (1 - tension));
 }
 
 // Where a frame's time falls: between keys 1 and 2 of four neighbours, at u in [0, 1].
@@ -130,24 +131,26 @@ static double knot_step(const struct rn_path_key *a, const struct rn_path_key *b
 
 // Non-uniform Catmull-Rom as a cubic Hermite curve: the tangent at an inner key is that of the
 // parabola through three knots; at an end, or beside a repeated position, it is the chord's.
-static double catmull_rom(const double p[4], const double step[3], double u) {
+// Tension takes them to those of the straight line, 0 at the keys (Kochanek and Bartels 1984).
+static double catmull_rom(const double p[4], const double step[3], double tension, double u) {
     double chord = p[2] - p[1], begin = chord, end = chord;
     if (step[0] > 0)
         begin = step[1] * ((p[1] - p[0]) / step[0] - (p[2] - p[0]) / (step[0] + step[1])) + chord;
     if (step[2] > 0)
         end = step[1] * ((p[3] - p[2]) / step[2] - (p[3] - p[1]) / (step[1] + step[2])) + chord;
     double u2 = u * u, u3 = u2 * u;
-    return p[1] + (3 * u2 - 2 * u3) * chord + (u3 - 2 * u2 + u) * begin + (u3 - u2) * end;
+    return p[1] + (3 * u2 - 2 * u3) * chord +
+           ((u3 - 2 * u2 + u) * begin + (u3 - u2) * end) * (1 - tension);
 }
 
-static double blend(const struct segment *at, const double p[4], const double step[3],
-                    enum rn_interpolation interpolation) {
-    if (interpolation == RN_INTERPOLATE_LINEAR || !(step[1] > 0))
+static double blend(const struct rn_path *path, const struct segment *at, const double p[4],
+                    const double step[3]) {
+    if (path->interpolation != RN_INTERPOLATE_SPLINE || !(step[1] > 0))
         return p[1] + (p[2] - p[1]) * at->u;
-    return catmull_rom(p, step, at->u);
+    return catmull_rom(p, step, path->tension, at->u);
 }
 
-static void blend_rotation(const struct segment *at, enum rn_interpolation interpolation,
+static void blend_rotation(const struct rn_path *path, const struct segment *at,
                            double pose[3][4]) {
     struct quaternion q[4];
     for (int k = 0; k < 4; k++)
@@ -155,30 +158,174 @@ static void blend_rotation(const struct segment *at, enum rn_interpolation inter
     q[0] = align(q[0], q[1]);
     q[2] = align(q[2], q[1]);
     q[3] = align(q[3], q[2]);
-    bool linear = interpolation == RN_INTERPOLATE_LINEAR;
-    matrix_from_quaternion(linear ? slerp(q[1], q[2], at->u) : squad(q, at->u), pose);
+    bool spline = path->interpolation == RN_INTERPOLATE_SPLINE;
+    matrix_from_quaternion(spline ? squad(q, at->u, path->tension) : slerp(q[1], q[2], at->u),
+                           pose);
 }
 
-struct rn_camera rn_path_camera(const struct rn_path *path, size_t frame) {
-    struct segment at = find_segment(path, path->keys[0].time_s + (double)frame / path->fps);
-    struct rn_camera camera = {.lens = RN_LENS_PINHOLE};
-    double step[3], p[4];
-    for (int k = 0; k < 3; k++)
-        step[k] = knot_step(at.key[k], at.key[k + 1]);
-    blend_rotation(&at, path->interpolation, camera.world_from_camera);
+// Along the arc from key 1 to key 2 about the centre: the direction by slerp, the distance
+// linearly. False where there is no such arc.
+static bool blend_arc(const struct rn_path *path, const struct segment *at, double ret[3]) {
+    double a[3], b[3], ra = 0, rb = 0, cosine = 0;
+    for (int i = 0; i < 3; i++) {
+        a[i] = at->key[1]->world_from_camera[i][3] - path->centre[i];
+        b[i] = at->key[2]->world_from_camera[i][3] - path->centre[i];
+        ra += a[i] * a[i];
+        rb += b[i] * b[i];
+        cosine += a[i] * b[i];
+    }
+    ra = sqrt(ra), rb = sqrt(rb);
+    if (!(ra > 0 && rb > 0)) return false;
+    double angle = acos(fmax(-1, fmin(1, cosine / (ra * rb)))), sine = sin(angle);
+    if (angle > 3.1) return false; // opposite: any plane would do
+    double wa = sine > 1e-9 ? sin((1 - at->u) * angle) / sine : 1 - at->u;
+    double wb = sine > 1e-9 ? sin(at->u * angle) / sine : at->u, r = ra + (rb - ra) * at->u;
+    for (int i = 0; i < 3; i++)
+        ret[i] = path->centre[i] + r * (wa * a[i] / ra + wb * b[i] / rb);
+    return true;
+}
+
+static void blend_position(const struct rn_path *path, const struct segment *at,
+                           const double step[3], double ret[3]) {
+    double p[4];
+    if (path->interpolation == RN_INTERPOLATE_CIRCLE && path->has_centre &&
+        blend_arc(path, at, ret))
+        return;
     for (int i = 0; i < 3; i++) {
         for (int k = 0; k < 4; k++)
-            p[k] = at.key[k]->world_from_camera[i][3];
-        camera.world_from_camera[i][3] = blend(&at, p, step, path->interpolation);
+            p[k] = at->key[k]->world_from_camera[i][3];
+        ret[i] = blend(path, at, p, step);
     }
-    for (int k = 0; k < 4; k++)
-        p[k] = at.key[k]->fov_y_rad;
-    double fov_y_rad = blend(&at, p, step, path->interpolation);
-    fov_y_rad = fmax(fmin(p[1], p[2]), fmin(fmax(p[1], p[2]), fov_y_rad)); // no overshoot
-    camera.width = path->width;
-    camera.height = path->height;
+}
+
+static void steps_of(const struct segment *at, double step[3]) {
+    for (int k = 0; k < 3; k++)
+        step[k] = knot_step(at->key[k], at->key[k + 1]);
+}
+
+// Duration of one round; a loop's includes the way back.
+static double span_s(const struct rn_path *path) {
+    double span = path->keys[path->key_count - 1].time_s - path->keys[0].time_s;
+    return path->loop && path->key_count > 1 ? span + span / (double)(path->key_count - 1) : span;
+}
+
+// ---- the way ----------------------------------------------------------------------------------
+
+enum { PARTS = 32 }; // of each stretch, for its length
+
+// The point nearest to all lines of sight: sum (I - d d') (c - p) = 0. False when they are
+// parallel.
+static bool find_centre(const struct rn_path *path, double ret[3]) {
+    double m[3][4] = {{0}};
+    for (size_t k = 0; k < path->key_count; k++) {
+        double(*pose)[4] = path->keys[k].world_from_camera;
+        for (int i = 0; i < 3; i++)
+            for (int j = 0; j < 3; j++) {
+                double part = (i == j) - pose[i][2] * pose[j][2];
+                m[i][j] += part;
+                m[i][3] += part * pose[j][3];
+            }
+    }
+    for (int i = 0; i < 3; i++) { // Gauss; the matrix is symmetric and positive
+        if (!(m[i][i] > 1e-6 * (double)path->key_count)) return false;
+        for (int r = i + 1; r < 3; r++) {
+            double factor = m[r][i] / m[i][i];
+            for (int c = i; c < 4; c++)
+                m[r][c] -= factor * m[i][c];
+        }
+    }
+    for (int i = 2; i >= 0; i--) {
+        ret[i] = m[i][3];
+        for (int c = i + 1; c < 3; c++)
+            ret[i] -= m[i][c] * ret[c];
+        ret[i] /= m[i][i];
+    }
+    return true;
+}
+
+static void position_at(const struct rn_path *path, double time_s, double ret[3]) {
+    struct segment at = find_segment(path, time_s);
+    double step[3];
+    steps_of(&at, step);
+    blend_position(path, &at, step, ret);
+}
+
+// travelled[i]: the length of the way up to i / travelled_count of the duration.
+static void measure_way(struct rn_path *path) {
+    double before[3], now[3], length = 0, begin_s = path->keys[0].time_s;
+    position_at(path, begin_s, before);
+    for (size_t i = 0; i <= path->travelled_count; i++) {
+        double part = (double)i / (double)path->travelled_count, squared = 0;
+        // The very end of a loop is its beginning, which the segments leave out.
+        position_at(path, begin_s + span_s(path) * fmin(part, 1 - 1e-12), now);
+        for (int k = 0; k < 3; k++) {
+            squared += (now[k] - before[k]) * (now[k] - before[k]);
+            before[k] = now[k];
+        }
+        path->travelled[i] = length += sqrt(squared);
+    }
+}
+
+enum rn_status rn_path_prepare(struct rn_path *path) {
+    path->has_centre =
+        path->interpolation == RN_INTERPOLATE_CIRCLE && find_centre(path, path->centre);
+    if (!path->constant_speed || path->key_count < 2 || !(span_s(path) > 0)) return RN_OK;
+    size_t count = PARTS * path->key_count;
+    if (!path->travelled) path->travelled = malloc((count + 1) * sizeof *path->travelled);
+    if (!path->travelled) return RN_ERROR_NO_MEMORY;
+    path->travelled_count = count;
+    measure_way(path);
+    return RN_OK;
+}
+
+// The time of the keys' clock at which the camera has travelled as far as it should have.
+static double time_of_way(const struct rn_path *path, double time_s) {
+    double begin_s = path->keys[0].time_s, span = span_s(path);
+    size_t count = path->travelled_count, low = 0, high = count;
+    if (!count || !(path->travelled[count] > 0)) return time_s;
+    double wanted = fmin(1, (time_s - begin_s) / span) * path->travelled[count];
+    while (high - low > 1) {
+        size_t middle = (low + high) / 2;
+        if (path->travelled[middle] <= wanted)
+            low = middle;
+        else
+            high = middle;
+    }
+    double step = path->travelled[high] - path->travelled[low];
+    double part = step > 0 ? (wanted - path->travelled[low]) / step : 0;
+    return begin_s + span * ((double)low + fmin(part, 1)) / (double)count;
+}
+
+// ---- cameras ----------------------------------------------------------------------------------
+
+static struct rn_camera camera_of(const struct rn_path *path, double fov_y_rad) {
+    struct rn_camera camera = {
+        .lens = RN_LENS_PINHOLE, .width = path->width, .height = path->height};
     camera.fx = camera.fy = rn_camera_focal_from_fov(fov_y_rad, path->height);
     camera.cx = 0.5 * path->width;
     camera.cy = 0.5 * path->height;
+    return camera;
+}
+
+struct rn_camera rn_path_key_camera(const struct rn_path *path, size_t key) {
+    struct rn_camera camera = camera_of(path, path->keys[key].fov_y_rad);
+    memcpy(camera.world_from_camera, path->keys[key].world_from_camera,
+           sizeof camera.world_from_camera);
+    return camera;
+}
+
+struct rn_camera rn_path_camera(const struct rn_path *path, size_t frame) {
+    double time_s = path->keys[0].time_s + (double)frame / path->fps, step[3], p[4], position[3];
+    struct segment at = find_segment(path, time_of_way(path, time_s));
+    steps_of(&at, step);
+    for (int k = 0; k < 4; k++)
+        p[k] = at.key[k]->fov_y_rad;
+    double fov_y_rad = blend(path, &at, p, step);
+    fov_y_rad = fmax(fmin(p[1], p[2]), fmin(fmax(p[1], p[2]), fov_y_rad)); // no overshoot
+    struct rn_camera camera = camera_of(path, fov_y_rad);
+    blend_rotation(path, &at, camera.world_from_camera);
+    blend_position(path, &at, step, position);
+    for (int i = 0; i < 3; i++)
+        camera.world_from_camera[i][3] = position[i];
     return camera;
 }

@@ -1,14 +1,17 @@
 #include "common/path/path.h"
 
 #include <math.h>
+#include <stdio.h>
 #include <stdlib.h>
 
 #include "common/dataset/json.h"
+#include "common/path/motion.h"
 
-#define MAX_KEYS 10000
 #define MAX_TIME_S 86400.0
 #define MAX_FPS 1000.0
 #define DEFAULT_FPS 30.0
+
+static const char *const interpolations[] = {"spline", "linear", "circle"};
 
 static enum rn_status read_key(const struct rn_json *object, bool opengl,
                                struct rn_path_key *ret_key, struct rn_error *err) {
@@ -41,7 +44,7 @@ static enum rn_status read_keys(const struct rn_json *object, struct rn_path *pa
     int opengl;
     enum rn_status status;
     if ((status = rn_json_choice(object, "axes", rn_axes_names, 2, &opengl, err)) ||
-        (status = rn_json_array(object, "keys", 1, MAX_KEYS, &keys, err)))
+        (status = rn_json_array(object, "keys", 1, RN_PATH_MAX_KEYS, &keys, err)))
         return status;
     size_t count = json_array_size(keys.value);
     path->keys = calloc(count, sizeof *path->keys);
@@ -70,7 +73,6 @@ static double span_frames(const struct rn_path *path) {
 // What has a default and is absent keeps it.
 static enum rn_status read_motion(const struct rn_json *object, struct rn_path *path,
                                   struct rn_error *err) {
-    static const char *const interpolations[] = {"spline", "linear"};
     int interpolation = RN_INTERPOLATE_SPLINE;
     struct rn_json member;
     enum rn_status status = RN_OK;
@@ -79,17 +81,21 @@ static enum rn_status read_motion(const struct rn_json *object, struct rn_path *
     if (rn_json_find(object, "fps", &member))
         status = rn_json_number(object, "fps", 1e-3, MAX_FPS, &path->fps, err);
     if (!status && rn_json_find(object, "interpolation", &member))
-        status = rn_json_choice(object, "interpolation", interpolations, 2, &interpolation, err);
+        status = rn_json_choice(object, "interpolation", interpolations, 3, &interpolation, err);
     if (!status && rn_json_find(object, "loop", &member))
         status = rn_json_boolean(object, "loop", &path->loop, err);
+    if (!status && rn_json_find(object, "tension", &member))
+        status = rn_json_number(object, "tension", 0, 1, &path->tension, err);
+    if (!status && rn_json_find(object, "constant_speed", &member))
+        status = rn_json_boolean(object, "constant_speed", &path->constant_speed, err);
     path->interpolation = (enum rn_interpolation)interpolation;
     return status;
 }
 
 static enum rn_status read_path(const struct rn_json *object, struct rn_path *path,
                                 struct rn_error *err) {
-    static const char *const known[] = {"axes",  "fps",    "interpolation", "loop",
-                                        "width", "height", "keys",          NULL};
+    static const char *const known[] = {"axes",   "fps",     "interpolation",  "loop", "width",
+                                        "height", "tension", "constant_speed", "keys", NULL};
     struct rn_json keys;
     enum rn_status status;
     if ((status = rn_json_refuse_unknown(object, known, err)) ||
@@ -103,7 +109,58 @@ static enum rn_status read_path(const struct rn_json *object, struct rn_path *pa
         return rn_json_error(&keys, RN_ERROR_LIMIT, err,
                              "make a path of %.0f frames at %g fps; the limit is %d",
                              span_frames(path), path->fps, RN_PATH_MAX_FRAMES);
+    if ((status = rn_path_prepare(path))) return rn_json_error(&keys, status, err, "out of memory");
     return RN_OK;
+}
+
+static enum rn_status check_key(const struct rn_path *path, size_t i, const char *where,
+                                struct rn_error *err) {
+    char at[256];
+    struct rn_camera camera = rn_path_key_camera(path, i);
+    double fov_y_deg = path->keys[i].fov_y_rad * 180 / M_PI, time_s = path->keys[i].time_s;
+    snprintf(at, sizeof at, "%.200s#/path/keys/%zu", where, i);
+    if (!(time_s >= 0 && time_s <= MAX_TIME_S))
+        return rn_error_set(err, RN_ERROR_INVALID, at, "has a time of %g s; 0 to %g are possible",
+                            time_s, MAX_TIME_S);
+    if (!(fov_y_deg >= 1e-3 && fov_y_deg <= 179.9))
+        return rn_error_set(err, RN_ERROR_INVALID, at,
+                            "has a field of view of %g degrees; 0.001 to 179.9 are possible",
+                            fov_y_deg);
+    return rn_camera_check(&camera, at, err);
+}
+
+enum rn_status rn_path_check(struct rn_path *path, const char *where, struct rn_error *err) {
+    for (size_t i = 0; i < path->key_count; i++) {
+        enum rn_status status = check_key(path, i, where, err);
+        if (status) return status;
+    }
+    if (!(path->fps >= 1e-3 && path->fps <= MAX_FPS))
+        return rn_error_set(err, RN_ERROR_INVALID, where, "has %g frames a second", path->fps);
+    if (span_frames(path) >= RN_PATH_MAX_FRAMES)
+        return rn_error_set(err, RN_ERROR_LIMIT, where,
+                            "makes %.0f frames at %g fps; the limit is %d", span_frames(path),
+                            path->fps, RN_PATH_MAX_FRAMES);
+    if (rn_path_prepare(path)) return rn_error_set(err, RN_ERROR_NO_MEMORY, where, "no memory");
+    return RN_OK;
+}
+
+json_t *rn_path_json(const struct rn_path *path) {
+    json_t *keys = json_array();
+    for (size_t i = 0; i < path->key_count; i++) {
+        const struct rn_path_key *key = &path->keys[i];
+        json_t *pose = json_array();
+        for (int r = 0; r < 3; r++) {
+            const double *row = key->world_from_camera[r];
+            json_array_append_new(pose, json_pack("[f,f,f,f]", row[0], row[1], row[2], row[3]));
+        }
+        json_array_append_new(keys,
+                              json_pack("{s:f,s:o,s:f}", "time", key->time_s, "world_from_camera",
+                                        pose, "fov_y_deg", key->fov_y_rad * 180 / M_PI));
+    }
+    return json_pack("{s:s,s:f,s:s,s:f,s:b,s:b,s:i,s:i,s:o}", "axes", "opencv", "fps", path->fps,
+                     "interpolation", interpolations[path->interpolation], "tension", path->tension,
+                     "constant_speed", (int)path->constant_speed, "loop", (int)path->loop, "width",
+                     path->width, "height", path->height, "keys", keys);
 }
 
 enum rn_status rn_path_read(const struct rn_json *object, struct rn_path **ret_path,
@@ -164,6 +221,7 @@ enum rn_status rn_camera_parse(const char *json, size_t size_bytes, const char *
 void rn_path_destroy(struct rn_path **path) {
     if (!*path) return;
     free((*path)->keys);
+    free((*path)->travelled);
     free(*path);
     *path = NULL;
 }

@@ -4,7 +4,10 @@
 //   "width", "height", and "fov_y_deg" or "fx","fy","cx","cy"}}.
 // Path: {"path": {"axes": "opencv"|"opengl", "fps", "interpolation": "spline"|"linear",
 //   "loop": bool, "width", "height", "keys": [{"time", "world_from_camera", "fov_y_deg"}]}}; absent
-//   are fps 30, interpolation "spline", loop false.
+//   are fps 30, interpolation "spline", loop false. "interpolation" may be "circle" too: about the
+//   point that the keys look at. "tension" 0 .. 1 straightens a spline (0); "constant_speed"
+//   (false) lets the camera travel equal distances in equal times instead of meeting its keys'
+//   times.
 #ifndef RN_COMMON_PATH_PATH_H
 #define RN_COMMON_PATH_PATH_H
 
@@ -15,7 +18,7 @@
 
 struct rn_json;
 
-enum rn_interpolation { RN_INTERPOLATE_SPLINE, RN_INTERPOLATE_LINEAR };
+enum rn_interpolation { RN_INTERPOLATE_SPLINE, RN_INTERPOLATE_LINEAR, RN_INTERPOLATE_CIRCLE };
 
 struct rn_path_key {
     double time_s;
@@ -29,11 +32,21 @@ struct rn_path {
     size_t key_count;         // >= 1
     double fps;
     enum rn_interpolation interpolation;
-    bool loop; // the last key returns to the first; not to be written twice
+    double tension;      // of a spline: 0 as Catmull and Rom, 1 straight lines
+    bool constant_speed; // equal distances in equal times
+    bool loop;           // the last key returns to the first; not to be written twice
     int width, height;
+    // Made of the rest by rn_path_check: the point that the keys look at, where there is one, and
+    // the distance travelled at travelled_count even parts of each stretch between keys.
+    bool has_centre;
+    double centre[3];
+    double *travelled; // owned
+    size_t travelled_count;
 };
 
+#define RN_PATH_MAX_KEYS 10000
 #define RN_PATH_MAX_FRAMES 100000
+#define RN_PATH_MAX_IMPORT (32u << 20) // bytes of another program's file
 #define RN_PATH_MAX_BYTES (8u << 20)
 
 // `json` holds size_bytes of UTF-8; `where` names it in errors ("file#/path/keys/3/time").
@@ -45,6 +58,12 @@ enum rn_status rn_camera_parse(const char *json, size_t size_bytes, const char *
 enum rn_status rn_path_read(const struct rn_json *object, struct rn_path **ret_path,
                             struct rn_error *err) RN_MUST_CHECK;
 void rn_path_destroy(struct rn_path **path);
+// Checks what another reader put together, times apart, and makes ready what rn_path_camera needs;
+// errors are at "where#/path/...". RN_ERROR_INVALID, RN_ERROR_LIMIT, RN_ERROR_NO_MEMORY.
+enum rn_status rn_path_check(struct rn_path *path, const char *where,
+                             struct rn_error *err) RN_MUST_CHECK;
+// The object within {"path": ...}, a new reference; NULL: no memory.
+struct json_t *rn_path_json(const struct rn_path *path);
 
 // Frame i is at the first key's time + i / fps. Frames of the path: floor(duration * fps) + 1; a
 // loop has no last one, and its duration includes the way back, of the keys' mean spacing.
@@ -52,5 +71,7 @@ size_t rn_path_frame_count(const struct rn_path *path);
 // The camera of frame i: positions by Catmull-Rom (centripetal) or linearly, rotations by
 // squad/slerp on unit quaternions, field of view like a position.
 struct rn_camera rn_path_camera(const struct rn_path *path, size_t frame);
+// The camera of a key.
+struct rn_camera rn_path_key_camera(const struct rn_path *path, size_t key);
 
 #endif

@@ -36,6 +36,7 @@ LAYERS = {
     "common/image": ("common/base", "common/math"),
     "common/dataset": ("common/base", "common/math", "common/image"),
     "common/path": ("common/base", "common/math", "common/dataset"),
+    "common/path/formats": ("common/base", "common/math", "common/dataset", "common/path"),
     "proto": ("common/",),
     "client": ("common/", "proto"),
     "client/commands": ("common/", "proto", "client"),
