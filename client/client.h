@@ -39,14 +39,15 @@ struct rn_verb {
     // `args` are args_min..args_max words and a NULL.
     enum rn_exit (*run)(struct rn_client *client, const void *options, const char **args);
 };
-#define RN_VERB_MAX_ARGS 2
+#define RN_VERB_MAX_ARGS 3
 #define RN_VERB_MAX_OPTIONS 512 // bytes of the largest options struct
 
 // Each ends with a NULL name.
 extern const struct rn_verb rn_verbs_dataset[]; // validate import synth datasets
 extern const struct rn_verb rn_verbs_job[];     // train jobs watch pause resume finish cancel
 extern const struct rn_verb rn_verbs_scene[];   // scenes show rm info
-extern const struct rn_verb rn_verbs_render[];  // render path eval
+extern const struct rn_verb rn_verbs_render[];  // render eval
+extern const struct rn_verb rn_verbs_path[];    // path turntable paths
 extern const struct rn_verb rn_verbs_bench[];   // bench
 extern const struct rn_verb rn_verbs_doctor[];  // doctor
 

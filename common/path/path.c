@@ -157,10 +157,14 @@ json_t *rn_path_json(const struct rn_path *path) {
                               json_pack("{s:f,s:o,s:f}", "time", key->time_s, "world_from_camera",
                                         pose, "fov_y_deg", key->fov_y_rad * 180 / M_PI));
     }
-    return json_pack("{s:s,s:f,s:s,s:f,s:b,s:b,s:i,s:i,s:o}", "axes", "opencv", "fps", path->fps,
-                     "interpolation", interpolations[path->interpolation], "tension", path->tension,
-                     "constant_speed", (int)path->constant_speed, "loop", (int)path->loop, "width",
-                     path->width, "height", path->height, "keys", keys);
+    json_t *object =
+        json_pack("{s:s,s:f,s:s,s:b,s:i,s:i,s:o}", "axes", "opencv", "fps", path->fps,
+                  "interpolation", interpolations[path->interpolation], "loop", (int)path->loop,
+                  "width", path->width, "height", path->height, "keys", keys);
+    if (object && path->tension > 0)
+        json_object_set_new(object, "tension", json_real(path->tension));
+    if (object && path->constant_speed) json_object_set_new(object, "constant_speed", json_true());
+    return object;
 }
 
 enum rn_status rn_path_read(const struct rn_json *object, struct rn_path **ret_path,

@@ -101,7 +101,7 @@ def test_a_wrong_value_is_told_in_plain_words(client, arguments, words):
 
 @pytest.mark.parametrize("verb", ["validate", "import", "synth", "train", "jobs", "show", "watch",
                                   "pause", "resume", "finish", "cancel", "datasets", "scenes",
-                                  "rm", "render", "path", "eval", "info", "bench", "doctor"])
+                                  "rm", "render", "path", "turntable", "paths", "eval", "info", "bench", "doctor"])
 def test_every_verb_explains_itself(client, verb):
     text = client.run("help", verb).stdout
     assert text.startswith(f"usage: ripnerf {verb}") and "--json" in text

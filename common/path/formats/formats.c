@@ -146,6 +146,23 @@ enum rn_status rn_path_import(struct rn_path_text *in, const struct rn_path_form
     return RN_OK;
 }
 
+enum rn_status rn_path_recognise(struct rn_path_text *in, const struct rn_path_format **ret_format,
+                                 struct rn_error *err) {
+    enum rn_status status = RN_OK;
+    in->root = NULL;
+    if (is_json(in->text, in->size))
+        status = rn_json_parse(in->text, in->size, in->where, &in->root, err);
+    if (!status) status = recognise(in, ret_format, err);
+    json_decref(in->root);
+    in->root = NULL;
+    return status;
+}
+
+enum rn_status rn_path_object_text(const struct rn_path *path, char **ret_json,
+                                   struct rn_error *err) {
+    return rn_path_dump(rn_path_json(path), ret_json, err);
+}
+
 enum rn_status rn_path_export(const struct rn_path *path, const struct rn_path_format *format,
                               const struct rn_path_space *space, char **ret_text, char **ret_beside,
                               struct rn_error *err) {
@@ -153,21 +170,5 @@ enum rn_status rn_path_export(const struct rn_path *path, const struct rn_path_f
     enum rn_status status =
         format->write(path, space ? space : &format->usual, ret_text, &beside, err);
     if (!status) *ret_beside = beside;
-    return status;
-}
-
-enum rn_status rn_path_space_read(const char *text, size_t size, const char *where,
-                                  struct rn_path_space *ret_space, struct rn_error *err) {
-    json_t *root = NULL;
-    struct rn_path_space space = rn_path_space_same;
-    enum rn_status status = rn_json_parse(text, size, where, &root, err);
-    if (status) return status;
-    struct rn_json at = rn_json_root(root, where), transform;
-    status = rn_json_number(&at, "scale", 1e-12, 1e12, &space.scale, err);
-    if (!status) status = rn_json_matrix(&at, "transform", 3, 4, &space.transform[0][0], err);
-    if (!status) status = rn_json_member(&at, "transform", &transform, err);
-    if (!status) status = rn_path_make_exact(&transform, space.transform, err);
-    json_decref(root);
-    if (!status) *ret_space = space;
     return status;
 }

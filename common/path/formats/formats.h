@@ -61,6 +61,9 @@ enum rn_status rn_path_import(struct rn_path_text *in, const struct rn_path_form
                               const struct rn_path_choices *choices, struct rn_path **ret_path,
                               const struct rn_path_format **ret_format,
                               struct rn_error *err) RN_MUST_CHECK;
+// Which format a file's text is of; as rn_path_import says.
+enum rn_status rn_path_recognise(struct rn_path_text *in, const struct rn_path_format **ret_format,
+                                 struct rn_error *err) RN_MUST_CHECK;
 // The other way; `space` NULL: the format's usual one, else the dataset's own coordinates.
 enum rn_status rn_path_export(const struct rn_path *path, const struct rn_path_format *format,
                               const struct rn_path_space *space, char **ret_text, char **ret_beside,
@@ -69,5 +72,13 @@ enum rn_status rn_path_export(const struct rn_path *path, const struct rn_path_f
 enum rn_status rn_path_space_read(const char *text, size_t size, const char *where,
                                   struct rn_path_space *ret_space,
                                   struct rn_error *err) RN_MUST_CHECK;
+// Corrects a format's space by the dataset's own transforms.json: nerfstudio's applied_transform
+// and applied_scale, instant-ngp's scale and offset. RN_ERROR_UNSUPPORTED: the format has neither.
+enum rn_status rn_path_space_of_dataset(const struct rn_path_format *format, const char *text,
+                                        size_t size, const char *where, struct rn_path_space *space,
+                                        struct rn_error *err) RN_MUST_CHECK;
+// The object within {"path": ...} as text, malloc'd.
+enum rn_status rn_path_object_text(const struct rn_path *path, char **ret_json,
+                                   struct rn_error *err) RN_MUST_CHECK;
 
 #endif

@@ -1,0 +1,495 @@
+// path, paths, turntable.
+
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <unistd.h>
+
+#include "client/commands/gather.h"
+#include "client/commands/submit.h"
+#include "client/commands/turn.h"
+#include "common/base/file.h"
+#include "common/path/formats/formats.h"
+#include "proto/render.h"
+
+// ---- path and turntable ----
+
+struct path_options {
+    const char *out, *codec;
+    struct rn_option_pair size, frames;
+    double fps, seconds, elevation, distance, fov;
+    int64_t video_quality;
+    bool overwrite, resume;
+    union rn_setting_value settings[RN_RENDER_SETTINGS];
+};
+#define PATH(m) .offset = offsetof(struct path_options, m)
+#define SIZE_OPTION                                                                                \
+    {                                                                                              \
+        .name = "size", .kind = RN_OPTION_SIZE, PATH(size), .value = "WxH", .min = 1,              \
+        .max = 16384, .help = "pixels of a frame; else as the path says"                           \
+    }
+#define FPS_OPTION                                                                                 \
+    {                                                                                              \
+        .name = "fps", .kind = RN_OPTION_NUMBER, PATH(fps), .value = "N", .min = 0.001,            \
+        .max = 1000, .help = "frames a second; else as the path says"                              \
+    }
+// What is made of the frames, for both verbs.
+#define OUT_OPTIONS                                                                                \
+    {.name = "out",                                                                                \
+     .letter = 'o',                                                                                \
+     .kind = RN_OPTION_TEXT,                                                                       \
+     PATH(out),                                                                                    \
+     .value = "OUT",                                                                               \
+     .help = "a folder for 00000.png, ..., or a film: .mp4, .webm, .gif"},                         \
+        {.name = "codec",                                                                          \
+         .kind = RN_OPTION_CHOICE,                                                                 \
+         PATH(codec),                                                                              \
+         .choices = "h264|av1",                                                                    \
+         .help = "of an .mp4 (h264)"},                                                             \
+        {.name = "video-quality",                                                                  \
+         .kind = RN_OPTION_INTEGER,                                                                \
+         PATH(video_quality),                                                                      \
+         .value = "Q",                                                                             \
+         .min = 0,                                                                                 \
+         .max = 100,                                                                               \
+         .help = "of a film: 0 smallest, 100 best (75)"},                                          \
+        {.name = "overwrite",                                                                      \
+         .kind = RN_OPTION_FLAG,                                                                   \
+         PATH(overwrite),                                                                          \
+         .help = "replace what OUT holds"},                                                        \
+    {                                                                                              \
+        .name = "resume", .kind = RN_OPTION_FLAG, PATH(resume),                                    \
+        .help = "go on with what an earlier call began in OUT"                                     \
+    }
+static const struct rn_option path_table[] = {
+    SIZE_OPTION,
+    FPS_OPTION,
+    {.name = "frames",
+     .kind = RN_OPTION_RANGE,
+     PATH(frames),
+     .value = "A-B",
+     .min = 0,
+     .max = RN_PATH_MAX_FRAMES - 1,
+     .help = "only the frames A to B, both included"},
+    {.name = "", .kind = RN_OPTION_SETTINGS, PATH(settings), .settings = &rn_render_settings},
+    OUT_OPTIONS,
+    {0}};
+static const struct rn_option turntable_table[] = {
+    {.name = "seconds",
+     .kind = RN_OPTION_SECONDS,
+     PATH(seconds),
+     .value = "T",
+     .min = 0.1,
+     .max = 3600,
+     .help = "of the whole turn (6s)"},
+    {.name = "elevation",
+     .kind = RN_OPTION_NUMBER,
+     PATH(elevation),
+     .value = "DEG",
+     .min = -89,
+     .max = 89,
+     .help = "of the camera over the ground; else as the cameras stand"},
+    {.name = "distance",
+     .kind = RN_OPTION_NUMBER,
+     PATH(distance),
+     .value = "D",
+     .min = 1e-6,
+     .max = 1e6,
+     .help = "from the middle, in the dataset's units; else as they stand"},
+    {.name = "fov",
+     .kind = RN_OPTION_NUMBER,
+     PATH(fov),
+     .value = "DEG",
+     .min = 1,
+     .max = 170,
+     .help = "from top to bottom; else as the first camera's"},
+    SIZE_OPTION,
+    FPS_OPTION,
+    {.name = "", .kind = RN_OPTION_SETTINGS, PATH(settings), .settings = &rn_render_settings},
+    OUT_OPTIONS,
+    {0}};
+
+struct path_request {
+    int type;
+    char *scene, *path; // only read
+    struct rn_path_document camera_path;
+    struct rn_path_options options;
+};
+static const struct rn_field_spec path_request_fields[] = {
+    RN_F_NAME(struct path_request, type, RN_REQUIRED, rn_job_type_names),
+    RN_F_STRING(struct path_request, scene, RN_REQUIRED, 4096),
+    RN_F_STRING(struct path_request, path, 0, 4096), RN_F_PATH(struct path_request, camera_path, 0),
+    RN_F_OBJECT(struct path_request, options, 0, &rn_path_options_table)};
+static const struct rn_table path_request_table =
+    RN_TABLE(struct path_request, "path request", path_request_fields);
+
+// A file of any format whose coordinates are the dataset's. The text is malloc'd.
+static enum rn_exit load_path(const char *file, char **ret_json) {
+    struct rn_error err = {0};
+    struct rn_path *path = NULL;
+    struct rn_path_choices none = {.width = 0};
+    struct rn_path_text in = {.where = file};
+    uint8_t *bytes = NULL;
+    enum rn_status status = rn_file_read(file, RN_PATH_MAX_IMPORT, &bytes, &in.size, &err);
+    in.text = (char *)bytes;
+    if (status == RN_OK) status = rn_path_import(&in, NULL, &none, &path, NULL, &err);
+    if (status == RN_ERROR_UNSUPPORTED)
+        fputs("ripnerf: such a path is converted first: ripnerf help paths\n", stderr);
+    if (status == RN_OK) status = rn_path_object_text(path, ret_json, &err);
+    free(bytes);
+    rn_path_destroy(&path);
+    return status == RN_OK ? RN_EXIT_OK : rn_client_fail(&err);
+}
+
+static void fill_options(const struct path_options *options, struct rn_path_options *wanted) {
+    wanted->width = options->size.first;
+    wanted->height = options->size.second;
+    wanted->first = options->frames.first;
+    wanted->last = options->frames.second;
+    wanted->fps = options->fps;
+    wanted->film = rn_target_film(options->out, options->codec);
+    wanted->video_quality = wanted->film >= 0 ? options->video_quality : RN_ABSENT;
+    memcpy(wanted->settings, options->settings, sizeof options->settings);
+}
+
+// `json`: the path's object; else `name` is a camera path of the daemon's.
+static enum rn_exit encode_request(const struct path_options *options, const char *scene,
+                                   const char *name, const char *json, char **ret_body) {
+    struct path_request request;
+    rn_message_init(&path_request_table, &request);
+    request.type = RN_JOB_PATH;
+    request.scene = (char *)scene;
+    request.path = (char *)name;
+    request.camera_path.json = (char *)json;
+    fill_options(options, &request.options);
+    *ret_body = rn_api_encode(&path_request_table, &request);
+    return *ret_body ? RN_EXIT_OK : RN_EXIT_FAILED;
+}
+
+// FILE is a path file, or where there is no such file a camera path of the daemon's.
+static enum rn_exit path_body(const struct path_options *options, const char **args,
+                              char **ret_body) {
+    char *json = NULL;
+    bool is_file = access(args[1], F_OK) == 0 || strpbrk(args[1], "/.");
+    enum rn_exit code = is_file ? load_path(args[1], &json) : RN_EXIT_OK;
+    if (code == RN_EXIT_OK)
+        code = encode_request(options, args[0], is_file ? NULL : args[1], json, ret_body);
+    free(json);
+    return code;
+}
+
+// Submits the body, or goes on with an earlier call's job, and brings what comes of it.
+static enum rn_exit submit_and_gather(struct rn_client *client, const struct path_options *options,
+                                      const struct rn_target *target, const char *body) {
+    char job[RN_ID_MAX], *answer = NULL;
+    enum rn_exit code = RN_EXIT_OK;
+    snprintf(job, sizeof job, "%s", target->job);
+    if (!*job) code = rn_submit(client, body, job, &answer);
+    free(answer);
+    if (code != RN_EXIT_OK) return code;
+    return rn_gather(client, target, job, rn_int_or(options->frames.first, 0));
+}
+
+static enum rn_exit run_path(struct rn_client *client, const void *context, const char **args) {
+    const struct path_options *options = context;
+    struct rn_target target;
+    char *body = NULL;
+    if (!options->out) return rn_client_usage("path", "needs -o DIR or -o film.mp4");
+    enum rn_exit code = rn_target_open(options->out, options->overwrite, options->resume, &target);
+    if (code == RN_EXIT_OK && !*target.job) code = path_body(options, args, &body);
+    if (code == RN_EXIT_OK) code = submit_and_gather(client, options, &target, body);
+    free(body);
+    return code;
+}
+
+static bool is_path_file(const char *out) {
+    size_t size = strlen(out);
+    return size > 5 && strcmp(out + size - 5, ".json") == 0;
+}
+
+static enum rn_exit write_path(const char *file, const char *json, bool overwrite) {
+    struct rn_error err = {0};
+    struct rn_buf text;
+    rn_buf_init(&text, RN_PATH_MAX_BYTES);
+    rn_buf_printf(&text, "{\"path\":%s}\n", json);
+    enum rn_status status = rn_buf_status(&text, file, &err);
+    if (status == RN_OK && !overwrite && access(file, F_OK) == 0) {
+        rn_buf_finish(&text);
+        return rn_client_usage(file, "is there already; --overwrite replaces it");
+    }
+    if (status == RN_OK) status = rn_file_write_atomic(file, text.data, text.size, &err);
+    rn_buf_finish(&text);
+    return status == RN_OK ? RN_EXIT_OK : rn_client_fail(&err);
+}
+
+static enum rn_exit run_turntable(struct rn_client *client, const void *context,
+                                  const char **args) {
+    const struct path_options *options = context;
+    struct rn_target target = {.job = ""};
+    char *json = NULL, *body = NULL;
+    struct rn_turn turn = {.seconds = rn_number_or(options->seconds, 6),
+                           .fps = rn_number_or(options->fps, 30),
+                           .elevation_deg = options->elevation,
+                           .distance = options->distance,
+                           .fov_deg = options->fov,
+                           .width = rn_int_or(options->size.first, 0),
+                           .height = rn_int_or(options->size.second, 0)};
+    if (!options->out) return rn_client_usage("turntable", "needs -o OUT");
+    enum rn_exit code = RN_EXIT_OK;
+    if (!is_path_file(options->out))
+        code = rn_target_open(options->out, options->overwrite, options->resume, &target);
+    if (code == RN_EXIT_OK && !*target.job) code = rn_turn_path(client, args[0], &turn, &json);
+    if (code == RN_EXIT_OK && is_path_file(options->out)) {
+        code = write_path(options->out, json, options->overwrite);
+    } else if (code == RN_EXIT_OK) {
+        if (json) code = encode_request(options, args[0], NULL, json, &body);
+        if (code == RN_EXIT_OK) code = submit_and_gather(client, options, &target, body);
+    }
+    free(json);
+    free(body);
+    return code;
+}
+
+// ---- paths ----
+
+struct paths_options {
+    const char *from, *to, *space, *dataset;
+    struct rn_option_pair size;
+    double fps, seconds, fov;
+    bool overwrite;
+};
+#define PATHS(m) .offset = offsetof(struct paths_options, m)
+#define FORMAT_NAMES                                                                               \
+    "ripnerf|nerfstudio|instant-ngp|nerfbaselines|transforms|colmap|supersplat|3dgs"
+static const struct rn_option paths_table[] = {
+    {.name = "from",
+     .kind = RN_OPTION_CHOICE,
+     PATHS(from),
+     .choices = FORMAT_NAMES,
+     .help = "IN is this; else it is recognised"},
+    {.name = "to",
+     .kind = RN_OPTION_CHOICE,
+     PATHS(to),
+     .choices = FORMAT_NAMES,
+     .help = "OUT becomes this (ripnerf)"},
+    {.name = "space",
+     .kind = RN_OPTION_TEXT,
+     PATHS(space),
+     .value = "FILE",
+     .help = "the dataparser_transforms.json of the training that\nnerfstudio's coordinates are "
+             "of; or the word dataset"},
+    {.name = "dataset",
+     .kind = RN_OPTION_TEXT,
+     PATHS(dataset),
+     .value = "FILE",
+     .help = "the dataset's transforms.json, where it moves coordinates"},
+    {.name = "size",
+     .kind = RN_OPTION_SIZE,
+     PATHS(size),
+     .value = "WxH",
+     .min = 1,
+     .max = 16384,
+     .help = "pixels of a frame; else as IN says"},
+    {.name = "fps",
+     .kind = RN_OPTION_NUMBER,
+     PATHS(fps),
+     .value = "N",
+     .min = 0.001,
+     .max = 1000,
+     .help = "frames a second; else as IN says"},
+    {.name = "seconds",
+     .kind = RN_OPTION_NUMBER,
+     PATHS(seconds),
+     .value = "T",
+     .min = 0.001,
+     .max = 3600,
+     .help = "between keys that have no times (1)"},
+    {.name = "fov",
+     .kind = RN_OPTION_NUMBER,
+     PATHS(fov),
+     .value = "DEG",
+     .min = 1,
+     .max = 170,
+     .help = "of cameras without a field of view"},
+    {.name = "overwrite", .kind = RN_OPTION_FLAG, PATHS(overwrite), .help = "replace OUT"},
+    {0}};
+
+static enum rn_status read_text(const char *file, uint8_t **ret_bytes, size_t *ret_size,
+                                struct rn_error *err) {
+    return rn_file_read(file, RN_PATH_MAX_IMPORT, ret_bytes, ret_size, err);
+}
+
+// Where the foreign file's coordinates lie; *ret_given is false when nothing was said of that.
+static enum rn_status find_space(const struct paths_options *options,
+                                 const struct rn_path_format *format, struct rn_path_space *space,
+                                 bool *ret_given, struct rn_error *err) {
+    uint8_t *text = NULL;
+    size_t size = 0;
+    enum rn_status status = RN_OK;
+    *ret_given = options->space || options->dataset;
+    *space = options->space ? rn_path_space_same : format->usual;
+    if (options->space && strcmp(options->space, "dataset") != 0) {
+        status = read_text(options->space, &text, &size, err);
+        if (status == RN_OK)
+            status = rn_path_space_read((char *)text, size, options->space, space, err);
+        free(text);
+        text = NULL;
+    }
+    if (status != RN_OK || !options->dataset) return status;
+    if (format->needs_space && !options->space)
+        return rn_error_set(err, RN_ERROR_INVALID, "--dataset",
+                            "needs --space too for nerfstudio's paths");
+    status = read_text(options->dataset, &text, &size, err);
+    if (status == RN_OK)
+        status = rn_path_space_of_dataset(format, (char *)text, size, options->dataset, space, err);
+    free(text);
+    return status;
+}
+
+// The file that a format has beside its own: of this name in the same folder. malloc'd.
+static char *beside_of(const char *file, const char *name) {
+    char *path = NULL;
+    const char *slash = strrchr(file, '/');
+    if (asprintf(&path, "%.*s%s", slash ? (int)(slash + 1 - file) : 0, file, name) < 0) return NULL;
+    return path;
+}
+
+static enum rn_status import_file(const struct paths_options *options, const char *file,
+                                  struct rn_path **ret_path,
+                                  const struct rn_path_format **ret_format, struct rn_error *err) {
+    const struct rn_path_format *from = options->from ? rn_path_format_find(options->from) : NULL;
+    struct rn_path_space space;
+    struct rn_path_choices choices = {.width = (int)rn_int_or(options->size.first, 0),
+                                      .height = (int)rn_int_or(options->size.second, 0),
+                                      .fps = rn_number_or(options->fps, 0),
+                                      .seconds = rn_number_or(options->seconds, 0),
+                                      .fov_y_deg = rn_number_or(options->fov, 0)};
+    struct rn_path_text in = {.where = file};
+    uint8_t *text = NULL, *beside = NULL;
+    bool given = false;
+    enum rn_status status = read_text(file, &text, &in.size, err);
+    in.text = (char *)text;
+    if (status == RN_OK && !from) status = rn_path_recognise(&in, &from, err);
+    if (status == RN_OK && from != rn_path_formats[0])
+        status = find_space(options, from, &space, &given, err);
+    if (status == RN_OK && from->beside) {
+        char *path = beside_of(file, from->beside);
+        if (path && access(path, F_OK) == 0)
+            status = read_text(path, &beside, &in.beside_size, err);
+        in.beside = (char *)beside;
+        free(path);
+    }
+    if (given) choices.space = &space;
+    if (status == RN_OK) status = rn_path_import(&in, from, &choices, ret_path, ret_format, err);
+    free(text);
+    free(beside);
+    return status;
+}
+
+static enum rn_status write_texts(const char *file, const struct rn_path_format *format,
+                                  const char *text, const char *beside, struct rn_error *err) {
+    enum rn_status status = rn_file_write_atomic(file, text, strlen(text), err);
+    if (status != RN_OK || !beside) return status;
+    char *path = beside_of(file, format->beside);
+    if (!path) return rn_error_set(err, RN_ERROR_NO_MEMORY, file, "no memory");
+    status = rn_file_write_atomic(path, beside, strlen(beside), err);
+    free(path);
+    return status;
+}
+
+static enum rn_exit convert(struct rn_client *client, const struct paths_options *options,
+                            const char *in, const char *out) {
+    struct rn_error err = {0};
+    struct rn_path *path = NULL;
+    const struct rn_path_format *from = NULL,
+                                *to = rn_path_format_find(options->to ? options->to : "ripnerf");
+    struct rn_path_space space;
+    char *text = NULL, *beside = NULL;
+    bool given = false;
+    if (!in || !out) return rn_client_usage("paths", "convert needs IN and OUT");
+    if (!options->overwrite && access(out, F_OK) == 0)
+        return rn_client_usage(out, "is there already; --overwrite replaces it");
+    enum rn_status status = import_file(options, in, &path, &from, &err);
+    bool ours = status == RN_OK && from == rn_path_formats[0]; // --space and --dataset are of OUT's
+    if (ours) status = find_space(options, to, &space, &given, &err);
+    if (status == RN_OK)
+        status = rn_path_export(path, to, given ? &space : NULL, &text, &beside, &err);
+    if (status == RN_OK) status = write_texts(out, to, text, beside, &err);
+    if (status == RN_OK && !client->json)
+        printf("%s: %zu keys, %zu frames of %dx%d at %g a second, from %s to %s\n", out,
+               path->key_count, rn_path_frame_count(path), path->width, path->height, path->fps,
+               from->name, to->name);
+    free(text);
+    free(beside);
+    rn_path_destroy(&path);
+    return status == RN_OK ? RN_EXIT_OK : rn_client_fail(&err);
+}
+
+static void path_row(struct rn_text_table *table, const void *message) {
+    const struct rn_camera_path_summary *path = message;
+    rn_text_table_row(table, "%s|%s|%s", path->name, path->id, path->created_at);
+}
+
+static enum rn_exit list_paths(struct rn_client *client) {
+    static const struct rn_api_list list = {RN_KIND_PATH, &rn_camera_path_summary_table,
+                                            "NAME|ID|CREATED", path_row};
+    return rn_api_print_list(client, &list);
+}
+
+static enum rn_exit remove_path(struct rn_client *client, const char *name) {
+    struct rn_api_reply reply;
+    if (!name) return rn_client_usage("paths", "rm needs a camera path's name or id");
+    char *path = rn_api_path("camera-paths", name, "");
+    if (!path) return RN_EXIT_FAILED;
+    rn_api_send(client, "DELETE", path, NULL, &reply);
+    free(path);
+    enum rn_exit code = reply.code == RN_EXIT_OK ? RN_EXIT_OK : rn_api_complain(&reply);
+    if (code == RN_EXIT_OK && !client->json) printf("removed %s\n", name);
+    rn_api_reply_finish(&reply);
+    return code;
+}
+
+static enum rn_exit run_paths(struct rn_client *client, const void *context, const char **args) {
+    const char *word = args[0] ? args[0] : "ls";
+    if (strcmp(word, "convert") == 0)
+        return convert(client, context, args[1], args[1] ? args[2] : NULL);
+    if (args[0] && args[1] && args[2]) return rn_client_usage(args[2], "is one argument too many");
+    if (strcmp(word, "rm") == 0) return remove_path(client, args[1]);
+    if (strcmp(word, "ls") == 0 && (!args[0] || !args[1])) return list_paths(client);
+    return rn_client_usage(word, "must be ls, rm NAME or convert IN OUT");
+}
+
+const struct rn_verb rn_verbs_path[] = {
+    {.name = "path",
+     .arguments = "SCENE FILE -o OUT",
+     .summary = "the frames of a camera path, or a film of them",
+     .details = "FILE is a camera path, or the name of one that the daemon keeps. What OUT\n"
+                "holds is never replaced unasked. An interrupted call leaves a note there, with\n"
+                "which --resume goes on.",
+     .args_min = 2,
+     .args_max = 2,
+     .table = path_table,
+     .options_size = sizeof(struct path_options),
+     .run = run_path},
+    {.name = "turntable",
+     .arguments = "SCENE -o OUT",
+     .summary = "a whole turn around a scene",
+     .details = "OUT is a folder, a film, or a camera path's .json, which path takes.",
+     .args_min = 1,
+     .args_max = 1,
+     .table = turntable_table,
+     .options_size = sizeof(struct path_options),
+     .run = run_turntable},
+    {.name = "paths",
+     .arguments = "[ls|rm NAME|convert IN OUT]",
+     .summary = "camera paths that the daemon keeps, and other programs' files",
+     .details =
+         "convert reads and writes camera paths of other programs; coordinates end up in\n"
+         "the dataset's own. nerfstudio's are those of one training: give --space. COLMAP's\n"
+         "images.txt takes the cameras.txt beside it.",
+     .args_min = 0,
+     .args_max = 3,
+     .table = paths_table,
+     .options_size = sizeof(struct paths_options),
+     .run = run_paths},
+    {0}};
