@@ -8,6 +8,7 @@
 #include <time.h>
 
 #include "common/dataset/json.h"
+#include "common/dataset/json_memory.h"
 #include "common/path/path.h"
 #include "proto/json_text.h"
 
@@ -466,7 +467,7 @@ static enum rn_status first_error(const struct rn_field_errors *errors, struct r
 static enum rn_status parse(const char *json, size_t size, json_t **ret_root,
                             struct rn_field_errors *errors, struct rn_error *err) {
     json_error_t error;
-    json_t *root = json_loadb(json, size, JSON_REJECT_DUPLICATES, &error);
+    json_t *root = rn_json_load(json, size, &error);
     if (root && json_is_object(root)) {
         *ret_root = root;
         return RN_OK;

@@ -7,6 +7,7 @@
 #include <string.h>
 
 #include "common/base/file.h"
+#include "common/dataset/json_memory.h"
 
 // Turns the bare words NaN and Infinity into strings of the same length.
 static void quote_nonfinite(char *json, size_t size_bytes) {
@@ -59,7 +60,7 @@ static enum rn_status parse_in_place(char *json, size_t size_bytes, const char *
                                      json_t **ret_root, struct rn_error *err) {
     quote_nonfinite(json, size_bytes);
     json_error_t error;
-    json_t *root = json_loadb(json, size_bytes, JSON_REJECT_DUPLICATES, &error);
+    json_t *root = rn_json_load(json, size_bytes, &error);
     // The library leaves the text empty when it cannot even begin.
     if (!root && (!error.text[0] || json_error_code(&error) == json_error_out_of_memory))
         return rn_error_set(err, RN_ERROR_NO_MEMORY, where, "out of memory while reading JSON");

@@ -30,7 +30,14 @@ struct rn_stream {
     uint64_t size; // 0: not known beforehand
 };
 
-enum rn_body { RN_BODY_NONE, RN_BODY_BYTES, RN_BODY_FILE, RN_BODY_STREAM, RN_BODY_EVENTS };
+enum rn_body {
+    RN_BODY_NONE,
+    RN_BODY_BYTES,
+    RN_BODY_CONSTANT,
+    RN_BODY_FILE,
+    RN_BODY_STREAM,
+    RN_BODY_EVENTS
+};
 
 // Thread-safety: one thread at a time. Owner: whoever filled it, until it is handed over.
 struct rn_reply {
@@ -42,8 +49,8 @@ struct rn_reply {
     } headers[RN_REPLY_MAX_HEADERS];
     int header_count;
     enum rn_body body;
-    uint8_t *bytes;          // RN_BODY_BYTES: owned, malloc
-    size_t size;             // RN_BODY_BYTES, RN_BODY_FILE
+    uint8_t *bytes;          // RN_BODY_BYTES: owned, malloc; RN_BODY_CONSTANT: outlives all
+    size_t size;             // of bytes or the file
     int fd;                  // RN_BODY_FILE: owned
     struct rn_stream stream; // RN_BODY_STREAM: owned
     struct rn_ring *ring;    // RN_BODY_EVENTS: one reference, owned
@@ -98,6 +105,8 @@ void rn_reply_bytes(struct rn_reply *reply, int status, const char *content_type
 // Copies the text.
 void rn_reply_text(struct rn_reply *reply, int status, const char *content_type, const char *text);
 void rn_reply_empty(struct rn_reply *reply, int status);
+// A problem that says that memory is short, without taking any.
+void rn_reply_no_memory(struct rn_reply *reply);
 // A regular file; on failure the reply is a problem.
 void rn_reply_file(struct rn_reply *reply, const char *content_type, const char *path);
 // Takes the stream.

@@ -5,12 +5,23 @@
 #include "proto/problem.h"
 #include "server/http/message.h"
 
+void rn_reply_no_memory(struct rn_reply *reply) {
+    static char text[] =
+        "{\"type\":\"/problems/internal\",\"title\":\"Something went wrong inside\",\"status\":500,"
+        "\"detail\":\"the daemon is short of memory; try again later\"}";
+    reply->status = 500;
+    reply->content_type = "application/problem+json";
+    reply->body = RN_BODY_CONSTANT;
+    reply->bytes = (uint8_t *)text;
+    reply->size = sizeof text - 1;
+}
+
 static void reply_json(struct rn_reply *reply, int status, char *json, size_t size) {
     if (json == NULL)
-        rn_reply_empty(reply, status);
+        rn_reply_no_memory(reply);
     else
         rn_reply_bytes(reply, status, "application/problem+json", (uint8_t *)json, size);
-    if (status == 429 || status == 503) rn_reply_header(reply, "Retry-After", "2");
+    if (reply->status == 429 || reply->status == 503) rn_reply_header(reply, "Retry-After", "2");
 }
 
 void rn_reply_problem(struct rn_reply *reply, enum rn_problem_type type, const char *fmt, ...) {

@@ -34,7 +34,7 @@ void rn_reply_bytes(struct rn_reply *reply, int status, const char *content_type
 void rn_reply_text(struct rn_reply *reply, int status, const char *content_type, const char *text) {
     char *copy = strdup(text);
     if (copy == NULL) {
-        rn_reply_empty(reply, 500);
+        rn_reply_no_memory(reply);
         return;
     }
     rn_reply_bytes(reply, status, content_type, (uint8_t *)copy, strlen(copy));

@@ -136,6 +136,8 @@ static struct MHD_Response *open_response(struct rn_request *request, struct rn_
             MHD_create_response_from_buffer(reply->size, reply->bytes, MHD_RESPMEM_MUST_FREE);
         if (response != NULL) reply->bytes = NULL;
         return response;
+    case RN_BODY_CONSTANT:
+        return MHD_create_response_from_buffer(reply->size, reply->bytes, MHD_RESPMEM_PERSISTENT);
     case RN_BODY_FILE:
         response = MHD_create_response_from_fd64(reply->size, reply->fd);
         if (response != NULL) reply->fd = -1;

@@ -1,11 +1,18 @@
-// Preloaded in tests: makes the n-th call of a kind fail, in one of the two programs.
+// Preloaded in tests: makes the n-th call of a kind fail, or each call once for every way that
+// leads to it, in one of the two programs.
 //
 // RIPNERF_FAULTS names a file that the test maps too; it holds a struct plan. `left` counts down
 // with each call of the kind; the call that takes it to 0 fails, and with `for_good` all that
-// follow do. `hits` counts failures.
+// follow do. `hits` counts failures. Of kind DISTINCT, a call of any kind fails when its stack has
+// not been met before and `left` is not 0, which it takes one from; so the test sees one at a time.
 #include <dlfcn.h>
+#include <execinfo.h>
+#include <poll.h>
+#include <pthread.h>
+#include <spawn.h>
 #include <errno.h>
 #include <fcntl.h>
+#include <link.h>
 #include <stdarg.h>
 #include <stdatomic.h>
 #include <stdbool.h>
@@ -19,14 +26,46 @@
 #include <sys/types.h>
 #include <unistd.h>
 
-enum kind { NONE, MALLOC, WRITE, SHORT_WRITE, SYNC, OPEN, RENAME, MKDIR, SOCKET, ACCEPT, READ };
+enum kind {
+    NONE,
+    MALLOC,
+    WRITE,
+    SHORT_WRITE,
+    SYNC,
+    OPEN,
+    RENAME,
+    MKDIR,
+    SOCKET,
+    ACCEPT,
+    READ,
+    UNLINK,
+    TRUNCATE,
+    SEND,
+    POLL,
+    THREAD,
+    MAP,
+    SPAWN,
+    KINDS,
+    DISTINCT
+};
+
+#define DEPTH 24
+#define STACKS (1u << 16)
 
 struct plan {
     atomic_int kind, left, hits, error, for_good;
-    char program[16]; // as /proc/self/comm
+    char program[16];         // as /proc/self/comm
+    atomic_uint chance, seed; // of 256: which stacks are taken now
+    int last_kind, last_depth;
+    struct {
+        uint64_t offset;
+        char module[40];
+    } last[DEPTH]; // the stack that failed
+    _Atomic uint64_t stacks[STACKS];
 };
 
-static struct plan none, *plan = &none;
+static struct plan *plan;
+static __thread bool inside;
 
 __attribute__((constructor)) static void begin(void) {
     const char *path = getenv("RIPNERF_FAULTS");
@@ -35,13 +74,82 @@ __attribute__((constructor)) static void begin(void) {
         fd < 0 ? MAP_FAILED : mmap(NULL, sizeof *plan, PROT_READ | PROT_WRITE, MAP_SHARED, fd, 0);
     if (fd >= 0) close(fd);
     if (mapped == MAP_FAILED) return;
-    const struct plan *wanted = mapped;
+    struct plan *wanted = mapped;
+    void *warm[4];
+    (void)backtrace(warm, 4); // which loads a library the first time
     const char *name = program_invocation_short_name;
     if (strncmp(name, wanted->program, sizeof wanted->program) == 0) plan = mapped;
 }
 
+// ---- once for each stack ----------------------------------------------------------------------
+
+static void remember(void *const *stack, int depth, enum kind kind) {
+    plan->last_kind = (int)kind;
+    plan->last_depth = depth;
+    for (int i = 0; i < depth; i++) {
+        struct dl_find_object found;
+        const char *name = "?";
+        uint64_t base = 0;
+        if (_dl_find_object(stack[i], &found) == 0) {
+            base = (uint64_t)(uintptr_t)found.dlfo_map_start;
+            const char *path = found.dlfo_link_map->l_name;
+            name = strrchr(path, '/') ? strrchr(path, '/') + 1 : path;
+            if (*name == '\0') name = program_invocation_short_name;
+        }
+        plan->last[i].offset = (uint64_t)(uintptr_t)stack[i] - base;
+        snprintf(plan->last[i].module, sizeof plan->last[i].module, "%s", name);
+    }
+}
+
+// Whether the stack is met for the first time; it is known from then on.
+static bool is_new_stack(enum kind kind) {
+    void *stack[DEPTH + 2];
+    int depth = backtrace(stack, DEPTH + 2);
+    uint64_t hash = 1469598103934665603ull * (unsigned)(kind + 1);
+    for (int i = 2; i < depth; i++) {
+        struct dl_find_object found;
+        uintptr_t base =
+            _dl_find_object(stack[i], &found) == 0 ? (uintptr_t)found.dlfo_map_start : 0;
+        hash = (hash ^ ((uintptr_t)stack[i] - base)) * 1099511628211ull;
+    }
+    hash |= 1;
+    if ((((hash >> 20) * (2 * plan->seed + 1)) >> 12 & 255) >= plan->chance) return false;
+    for (uint64_t at = hash >> 7; plan->left > 0; at++) {
+        uint64_t free_place = 0, known = plan->stacks[at % STACKS];
+        if (known == hash) return false;
+        if (known != 0) continue;
+        int left = plan->left;
+        if (left <= 0 || !atomic_compare_exchange_strong(&plan->left, &left, left - 1))
+            return false;
+        if (!atomic_compare_exchange_strong(&plan->stacks[at % STACKS], &free_place, hash))
+            return false;
+        remember(stack + 2, depth - 2, kind);
+        return true;
+    }
+    return false;
+}
+
+static bool fails_by_stack(enum kind kind) {
+    static const int errors[KINDS] = {
+        [MALLOC] = ENOMEM, [WRITE] = ENOSPC,  [SYNC] = EIO,        [OPEN] = EMFILE,
+        [RENAME] = EIO,    [MKDIR] = ENOSPC,  [SOCKET] = EMFILE,   [ACCEPT] = EMFILE,
+        [READ] = EIO,      [UNLINK] = EACCES, [TRUNCATE] = ENOSPC, [SEND] = ENOBUFS,
+        [POLL] = EINTR,    [THREAD] = EAGAIN, [MAP] = ENOMEM,      [SPAWN] = EAGAIN};
+    if (inside || kind == SHORT_WRITE || plan->left <= 0) return false;
+    int before = errno;
+    inside = true;
+    bool found = is_new_stack(kind);
+    inside = false;
+    errno = found ? errors[kind] : before;
+    if (found) atomic_fetch_add(&plan->hits, 1);
+    return found;
+}
+
 static bool fails(enum kind kind) {
-    if (atomic_load_explicit(&plan->kind, memory_order_relaxed) != (int)kind) return false;
+    if (plan == NULL) return false;
+    int wanted = atomic_load_explicit(&plan->kind, memory_order_relaxed);
+    if (wanted == DISTINCT) return fails_by_stack(kind);
+    if (wanted != (int)kind) return false;
     int left = atomic_fetch_sub(&plan->left, 1);
     if (left != 1 && !(left < 1 && atomic_load(&plan->for_good))) return false;
     atomic_fetch_add(&plan->hits, 1);
@@ -52,6 +160,34 @@ static bool fails(enum kind kind) {
 // The next definition of this function.
 #define NEXT(name) (__extension__(__typeof__(&name)) dlsym(RTLD_NEXT, #name))
 
+#ifdef RN_SANITIZED
+// To the sanitizer's; what dlsym asks for meanwhile is never given back.
+static void *early(size_t size) {
+    static _Alignas(16) char room[1 << 16];
+    static atomic_size_t used;
+    size_t at = atomic_fetch_add(&used, (size + 15) & ~(size_t)15);
+    return at + size <= sizeof room ? room + at : NULL;
+}
+#define NEXT_ALLOCATION(name, during, ...)                                                         \
+    static __typeof__(&name) next;                                                                 \
+    static __thread bool looking;                                                                  \
+    if (looking) return during;                                                                    \
+    if (!next) {                                                                                   \
+        looking = true;                                                                            \
+        next = NEXT(name);                                                                         \
+        looking = false;                                                                           \
+    }                                                                                              \
+    return fails(MALLOC) ? NULL : next(__VA_ARGS__)
+void *malloc(size_t size) {
+    NEXT_ALLOCATION(malloc, early(size), size);
+}
+void *calloc(size_t count, size_t size) {
+    NEXT_ALLOCATION(calloc, early(count * size), count, size);
+}
+void *realloc(void *old, size_t size) {
+    NEXT_ALLOCATION(realloc, NULL, old, size);
+}
+#else
 // dlsym allocates: these go to the C library's own names.
 void *__libc_malloc(size_t size);
 void *__libc_calloc(size_t count, size_t size);
@@ -65,6 +201,31 @@ void *calloc(size_t count, size_t size) {
 }
 void *realloc(void *old, size_t size) {
     return fails(MALLOC) ? NULL : __libc_realloc(old, size);
+}
+
+#endif
+
+// These have one hook and many ways; what they give is checked like malloc's.
+int posix_memalign(void **result, size_t alignment, size_t size) {
+    static __typeof__(&posix_memalign) next;
+    if (!next) next = NEXT(posix_memalign);
+    return fails(MALLOC) ? ENOMEM : next(result, alignment, size);
+}
+void *aligned_alloc(size_t alignment, size_t size) {
+    static __typeof__(&aligned_alloc) next;
+    if (!next) next = NEXT(aligned_alloc);
+    return fails(MALLOC) ? NULL : next(alignment, size);
+}
+void *mmap(void *address, size_t size, int protection, int flags, int fd, off_t at) {
+    static __typeof__(&mmap) next;
+    if (!next) next = NEXT(mmap);
+    return plan && fails(MAP) ? MAP_FAILED : next(address, size, protection, flags, fd, at);
+}
+
+void *mmap64(void *address, size_t size, int protection, int flags, int fd, off64_t at) {
+    static __typeof__(&mmap64) next;
+    if (!next) next = NEXT(mmap64);
+    return plan && fails(MAP) ? MAP_FAILED : next(address, size, protection, flags, fd, at);
 }
 
 static bool is_file(int fd) {
@@ -116,9 +277,44 @@ int socketpair(int domain, int type, int protocol, int pair[2]) {
 int accept4(int fd, __SOCKADDR_ARG address, socklen_t *size, int flags) {
     return fails(ACCEPT) ? -1 : NEXT(accept4)(fd, address, size, flags);
 }
+// A socket is only interrupted: what else can happen to it is the peer's leaving.
+static bool fails_to_read(int fd) {
+    if (!fails(READ)) return false;
+    if (plan->kind == DISTINCT && !is_file(fd)) errno = EINTR;
+    return true;
+}
 ssize_t recv(int fd, void *data, size_t size, int flags) {
-    return fails(READ) ? -1 : NEXT(recv)(fd, data, size, flags);
+    return fails_to_read(fd) ? -1 : NEXT(recv)(fd, data, size, flags);
 }
 ssize_t read(int fd, void *data, size_t size) {
-    return fails(READ) ? -1 : NEXT(read)(fd, data, size);
+    return fails_to_read(fd) ? -1 : NEXT(read)(fd, data, size);
+}
+ssize_t pread64(int fd, void *data, size_t size, off64_t at) {
+    return fails_to_read(fd) ? -1 : NEXT(pread64)(fd, data, size, at);
+}
+int unlink(const char *path) {
+    return fails(UNLINK) ? -1 : NEXT(unlink)(path);
+}
+int ftruncate64(int fd, off64_t size) {
+    return fails(TRUNCATE) ? -1 : NEXT(ftruncate64)(fd, size);
+}
+ssize_t send(int fd, const void *data, size_t size, int flags) {
+    if (fails(SEND)) {
+        errno = EINTR;
+        return -1;
+    }
+    return NEXT(send)(fd, data, size, flags);
+}
+int poll(struct pollfd *polls, nfds_t count, int timeout_ms) {
+    return fails(POLL) ? -1 : NEXT(poll)(polls, count, timeout_ms);
+}
+int pthread_create(pthread_t *thread, const pthread_attr_t *attributes, void *(*run)(void *),
+                   void *context) {
+    return fails(THREAD) ? EAGAIN : NEXT(pthread_create)(thread, attributes, run, context);
+}
+int posix_spawn(pid_t *pid, const char *path, const posix_spawn_file_actions_t *actions,
+                const posix_spawnattr_t *attributes, char *const argv[],
+                char *const environment[]) {
+    return fails(SPAWN) ? EAGAIN
+                        : NEXT(posix_spawn)(pid, path, actions, attributes, argv, environment);
 }

@@ -5,25 +5,35 @@ import mmap
 import os
 
 KINDS = ["none", "malloc", "write", "short-write", "sync", "open", "rename", "mkdir", "socket",
-         "accept", "read"]
+         "accept", "read", "unlink", "truncate", "send", "poll", "thread", "map", "spawn"]
+DISTINCT = len(KINDS) + 1
+DEPTH, STACKS = 24, 1 << 16
+
+
+class Frame(ctypes.Structure):
+    _fields_ = [("offset", ctypes.c_uint64), ("module", ctypes.c_char * 40)]
 
 
 class Plan(ctypes.Structure):
     _fields_ = [("kind", ctypes.c_int), ("left", ctypes.c_int), ("hits", ctypes.c_int),
                 ("error", ctypes.c_int), ("for_good", ctypes.c_int),
-                ("program", ctypes.c_char * 16)]
+                ("program", ctypes.c_char * 16), ("chance", ctypes.c_uint),
+                ("seed", ctypes.c_uint), ("last_kind", ctypes.c_int), ("last_depth", ctypes.c_int),
+                ("last", Frame * DEPTH), ("stacks", ctypes.c_uint64 * STACKS)]
 
 
 class Faults:
     """faults.arm("write", 3, errno.ENOSPC): the third write from now on fails."""
 
     def __init__(self, build, path, program):
-        path.write_bytes(bytes(4096))
+        size = ctypes.sizeof(Plan)
+        path.write_bytes(bytes(size))
         self.environment = {"RIPNERF_FAULTS": str(path),
+                            "ASAN_OPTIONS": "verify_asan_link_order=0:detect_leaks=0",
                             "LD_PRELOAD": str(build / "tests" / "support" / "ripnerf-faults.so")}
         assert os.path.exists(self.environment["LD_PRELOAD"])
         with open(path, "r+b") as file:
-            self.plan = Plan.from_buffer(mmap.mmap(file.fileno(), 4096))
+            self.plan = Plan.from_buffer(mmap.mmap(file.fileno(), size))
         self.plan.program = program.encode()[:15]
 
     def arm(self, kind, number, error=0, for_good=False):
@@ -36,3 +46,18 @@ class Faults:
         """How many calls have failed."""
         self.plan.kind = 0
         return self.plan.hits
+
+    def arm_stacks(self, chance=256, seed=0):
+        """The next call of any kind whose stack is new fails, one alone."""
+        self.plan.kind = 0
+        self.plan.hits, self.plan.left, self.plan.chance, self.plan.seed = 0, 1, chance, seed
+        self.plan.kind = DISTINCT
+
+    def count_stacks(self):
+        return sum(1 for stack in self.plan.stacks if stack)
+
+    def last(self):
+        """The call that failed last: its kind and its stack, as `addr2line -e MODULE` takes it."""
+        frames = self.plan.last[:self.plan.last_depth]
+        return KINDS[self.plan.last_kind] + ": " + " ".join(
+            f"{frame.module.decode()}+{frame.offset:#x}" for frame in frames)

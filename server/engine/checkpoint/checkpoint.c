@@ -9,6 +9,7 @@
 #include <string.h>
 #include <unistd.h>
 
+#include "common/dataset/json_memory.h"
 #include "server/engine/checkpoint/state.h"
 #include "server/engine/scene/device.h"
 #include "server/engine/scene/occupancy.h"
@@ -74,11 +75,13 @@ int rn_checkpoint_add_blocks(const struct rn_arrays *arrays, struct rn_tensor *l
 
 // ---- reading --------------------------------------------------------------------------------
 
+// false: errno, 0 where the file ends before.
 static bool read_all(int fd, void *data, size_t bytes, uint64_t at) {
     char *to = data;
     while (bytes > 0) {
         ssize_t n = pread(fd, to, bytes, (off_t)at);
         if (n < 0 && errno == EINTR) continue;
+        if (n == 0) errno = 0;
         if (n <= 0) return false;
         to += n;
         at += (uint64_t)n;
@@ -87,16 +90,35 @@ static bool read_all(int fd, void *data, size_t bytes, uint64_t at) {
     return true;
 }
 
-static json_t *read_header(int fd, uint64_t *ret_data_start) {
+// What keeps from reading says nothing about the file: only bytes that are there and wrong do.
+static enum rn_status cannot_read(const char *path, struct rn_error *err) {
+    return errno != 0 ? rn_error_from_errno(err, errno, path, "read the checkpoint")
+                      : rn_error_set(err, RN_ERROR_CORRUPT, path,
+                                     "is no checkpoint of this program, or is damaged");
+}
+
+static enum rn_status parse(const char *path, const char *text, size_t size, json_t **ret_root,
+                            struct rn_error *err) {
+    json_error_t why;
+    *ret_root = rn_json_load(text, size, &why);
+    errno = *ret_root == NULL && json_error_code(&why) == json_error_out_of_memory ? ENOMEM : 0;
+    return *ret_root != NULL ? RN_OK : cannot_read(path, err);
+}
+
+static enum rn_status read_header(struct rn_checkpoint *c, json_t **ret_header,
+                                  struct rn_error *err) {
     uint64_t length;
-    if (!read_all(fd, &length, sizeof length, 0) || length > MAX_HEADER) return NULL;
+    if (!read_all(c->fd, &length, sizeof length, 0)) return cannot_read(c->path, err);
+    errno = 0;
+    if (length > MAX_HEADER) return cannot_read(c->path, err);
     char *text = malloc(length + 1);
-    json_t *header = NULL;
-    if (text && read_all(fd, text, length, sizeof length))
-        header = json_loadb(text, length, JSON_REJECT_DUPLICATES, NULL);
+    if (text == NULL) return rn_error_set(err, RN_ERROR_NO_MEMORY, c->path, "out of memory");
+    enum rn_status status = RN_OK;
+    if (!read_all(c->fd, text, length, sizeof length)) status = cannot_read(c->path, err);
+    if (status == RN_OK) status = parse(c->path, text, length, ret_header, err);
     free(text);
-    *ret_data_start = sizeof length + length;
-    return header;
+    c->data_start = sizeof length + length;
+    return status;
 }
 
 // Whether the file is as long as its header says: the tensors' end is the file's.
@@ -117,18 +139,18 @@ enum rn_status rn_checkpoint_open(const char *path, struct rn_checkpoint *ret,
     snprintf(ret->path, sizeof ret->path, "%s", path);
     ret->fd = open(path, O_RDONLY | O_CLOEXEC);
     if (ret->fd < 0) return rn_error_from_errno(err, errno, path, "open the checkpoint");
-    json_t *header = ret->header = read_header(ret->fd, &ret->data_start);
+    json_t *header = NULL, *state = NULL;
+    enum rn_status status = read_header(ret, &header, err);
+    ret->header = header;
     const char *text =
         json_string_value(json_object_get(json_object_get(header, "__metadata__"), "ripnerf"));
-    json_t *state = text ? json_loads(text, JSON_REJECT_DUPLICATES, NULL) : NULL;
-    enum rn_status status = RN_ERROR_CORRUPT;
-    if (state && !complete(ret->fd, header, ret->data_start))
-        rn_error_set(err, status, path,
-                     "is cut off or has bytes too many; use an older checkpoint");
-    else if (state)
+    if (status == RN_OK)
+        status = parse(path, text ? text : "", text ? strlen(text) : 0, &state, err);
+    if (status == RN_OK && !complete(ret->fd, header, ret->data_start))
+        status = rn_error_set(err, RN_ERROR_CORRUPT, path,
+                              "is cut off or has bytes too many; use an older checkpoint");
+    else if (status == RN_OK)
         status = rn_checkpoint_parse_state(state, path, ret, err);
-    else
-        rn_error_set(err, status, path, "is no checkpoint of this program, or is damaged");
     json_decref(state);
     ret->has_trainer = json_object_get(header, "adam.m") != NULL;
     if (status != RN_OK) rn_checkpoint_close(ret);
@@ -162,7 +184,9 @@ static enum rn_status read_tensor(const struct rn_checkpoint *c, const struct rn
     if (!same || begin < 0 || end - begin != (int64_t)t->bytes)
         return rn_error_set(err, RN_ERROR_CORRUPT, c->path, "tensor '%s' is missing or misshapen",
                             t->name);
-    if (!read_all(c->fd, t->data, t->bytes, c->data_start + (uint64_t)begin))
+    bool whole = read_all(c->fd, t->data, t->bytes, c->data_start + (uint64_t)begin);
+    if (!whole && errno != 0) return cannot_read(c->path, err);
+    if (!whole)
         return rn_error_set(err, RN_ERROR_CORRUPT, c->path, "ends before tensor '%s' does",
                             t->name);
     if (t->dtype[0] == 'F' && !all_finite(t->data, t->bytes / 4))

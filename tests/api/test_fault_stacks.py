@@ -1,0 +1,212 @@
+"""Every allocation and system call that can fail, made to fail once for each way that leads to it.
+
+A script of import, training, picture, path and deletion is gone through step by step; while a step
+runs, one call whose stack was not met before fails, until a step meets none. The check takes a sample
+for some seconds; `RIPNERF_FAULT_SECONDS=3600 pytest tests/api/test_fault_stacks.py -s` goes on until
+no new stack is found. Nothing may crash, hang, leak descriptors or lose what it acknowledged, and what
+fails says why.
+"""
+
+import http.client
+import os
+import random
+import re
+import subprocess
+import time
+from pathlib import Path
+
+import pytest
+
+from support.checked import Daemon, make_tar
+from support.faults import Faults
+from support.photographs import pose, write_dataset
+
+SECONDS = float(os.environ.get("RIPNERF_FAULT_SECONDS", "0"))
+SAMPLE_S = 12
+PATH = {"axes": "opengl", "width": 8, "height": 8, "fps": 2,
+        "keys": [{"time": t, "world_from_camera": pose(t)[:3], "fov_y_deg": 40} for t in (0, 1)]}
+TAR = {"Content-Type": "application/x-tar"}
+
+
+class Script:
+    """The steps; each is tried again until it succeeds, as a person would."""
+
+    def __init__(self, daemon, faults, photographs, options):
+        self.daemon, self.faults, self.options = daemon, faults, options
+        self.tar = make_tar(photographs)
+        self.failures, self.told, self.round = 0, [], 0
+        self.end = time.monotonic() + (SECONDS or SAMPLE_S)
+
+    def ask(self, method, path, **keys):
+        try:
+            return self.daemon.request(method, path, check=False, **keys)
+        except (http.client.HTTPException, ConnectionError):
+            return None  # the connection is all that was lost
+
+    def job_of(self, reply):
+        """How the job of a reply ended; None: there is none."""
+        if reply is None or reply.status != 202:
+            return None
+        deadline = time.monotonic() + 60
+        while time.monotonic() < deadline:
+            seen = self.ask("GET", f"/v1/jobs/{reply.json['id']}")
+            if seen is not None and seen.status == 200 and seen.json["finished_at"]:
+                return seen.json
+            assert seen is None or seen.status != 404, "an acknowledged job is lost"
+            time.sleep(0.02)
+        raise AssertionError(f"a job does not end; failed: {self.faults.last()}")
+
+    def is_done(self, reply, kind):
+        job = self.job_of(reply)
+        if job is not None and job["state"] != "succeeded":
+            assert job["state"] == "failed" and job["problem"]["detail"], job
+            self.told.append(job["problem"]["detail"])
+        elif job is None and reply is not None and reply.status != 409:
+            assert reply.status >= 400 and reply.json["detail"], reply.body
+            self.told.append(reply.json["detail"])
+        return (job is not None and job["state"] == "succeeded") or self.is_there(kind)
+
+    def is_there(self, kind):
+        seen = self.ask("GET", f"/v1/{kind}/n{self.round}")
+        return seen is not None and seen.status == 200 and seen.json.get("state") in (None, "ready")
+
+    def step_import(self):
+        return self.is_done(self.ask("POST", "/v1/datasets", body=self.tar, headers=TAR,
+                                     query={"name": f"n{self.round}"}), "datasets")
+
+    def step_train(self):
+        done = self.is_done(self.ask("POST", "/v1/jobs", json_body={
+            "type": "train", "dataset": f"n{self.round}", "scene": f"n{self.round}",
+            "options": self.options}), "scenes")
+        if not done:
+            self.ask("DELETE", f"/v1/scenes/n{self.round}")
+        return done
+
+    def step_render(self):
+        reply = self.ask("POST", f"/v1/scenes/n{self.round}/render",
+                         json_body={"view": "test:0"})
+        if reply is not None and reply.status != 200:
+            self.told.append(reply.json["detail"])
+        return reply is not None and reply.status == 200
+
+    def step_path(self):
+        job = self.job_of(self.ask("POST", "/v1/jobs", json_body={
+            "type": "path", "scene": f"n{self.round}", "camera_path": PATH}))
+        if job is None or job["state"] != "succeeded":
+            return False
+        frames = self.ask("GET", f"/v1/jobs/{job['id']}/frames.tar")
+        return frames is not None and frames.status == 200
+
+    def step_list(self):
+        replies = [self.ask("GET", path) for path in
+                   ("/v1/jobs", "/v1/scenes", "/metrics", "/v1/info",
+                    f"/v1/datasets/n{self.round}/cameras",
+                    f"/v1/datasets/n{self.round}/images/train/0")]
+        return all(reply is not None and reply.status == 200 for reply in replies)
+
+    def gone(self, kind):
+        self.ask("DELETE", f"/v1/{kind}/n{self.round}")
+        seen = self.ask("GET", f"/v1/{kind}/n{self.round}")
+        return seen is not None and seen.status == 404
+
+    def step_delete_scene(self):
+        return self.gone("scenes")
+
+    def step_delete_dataset(self):
+        return self.gone("datasets")
+
+    STEPS = ["import", "train", "render", "path", "list", "delete_scene", "delete_dataset"]
+
+    def run(self, chance):
+        """Once through, with as many failures as there are new stacks; how many there were."""
+        before = self.failures
+        self.round += 1
+        for name in self.STEPS:
+            step = getattr(self, "step_" + name)
+            quiet = 0
+            while True:
+                late = time.monotonic() > self.end
+                self.faults.arm_stacks(0 if late else chance, random.randrange(1 << 30))
+                done = step()
+                hit = self.faults.disarm()
+                self.failures += hit
+                self.check()
+                if done and not hit:
+                    break
+                quiet = 0 if hit else quiet + 1
+                if not hit:
+                    assert quiet < 100, (name, self.told[-5:], self.faults.last())
+                    time.sleep(0.05)
+        return self.failures - before
+
+    def damaged(self):
+        return Path(self.daemon.data).glob("scenes/*/checkpoints/*.damaged")
+
+    def check(self):
+        assert self.daemon.process.poll() is None, \
+            f"it ended after {self.faults.last()}\n{self.daemon.log_text()[-2000:]}"
+        assert not list(self.damaged()), f"a sound checkpoint is set aside after {self.faults.last()}"
+        crashed = re.search(r"killed by signal (?!9 |15 )\d+[^\n]*", self.daemon.log_text())
+        assert not crashed, f"{crashed[0]} after {self.faults.last()}"
+        assert self.daemon.get("/healthz").status == 200
+
+
+def descriptors(daemon):
+    return len(os.listdir(f"/proc/{daemon.process.pid}/fd"))
+
+
+def settle(daemon, most):
+    deadline = time.monotonic() + 10
+    while descriptors(daemon) > most and time.monotonic() < deadline:
+        time.sleep(0.1)
+    return descriptors(daemon)
+
+
+@pytest.mark.parametrize("program", ["ripnerfd", "ripnerf-runner"])
+def test_each_way_to_fail(build, tmp_path, program):
+    faults = Faults(build, tmp_path / "plan", program)
+    options = {"preset": "draft", "max_steps": 3, "threads": 1}
+    runner = build / "server" / "ripnerf-runner"
+    if program == "ripnerfd":
+        runner = build / "tests" / "support" / "ripnerf-runner-fake"
+    photographs = write_dataset(tmp_path / "photographs", train=3, val=1, test=1)
+    with Daemon(build / "server" / "ripnerfd", runner, tmp_path / "data", faults.environment,
+                keep_alive=0, log_level="info") as daemon:
+        script = Script(daemon, faults, photographs, options)
+        assert script.run(0) == 0  # nothing fails: all that is opened once is open now
+        before = descriptors(daemon)
+        while time.monotonic() < script.end:
+            if script.run(256 if SECONDS else 128) == 0 and SECONDS:
+                break
+        assert script.run(0) == 0
+        assert settle(daemon, before) <= before
+        print(f"\n{program}: {script.failures} calls failed, {faults.count_stacks()} stacks, "
+              f"{script.round} rounds, {len(set(script.told))} reasons told")
+        assert script.failures > 1 and all(script.told)
+
+
+def test_each_way_to_fail_at_the_start(build, tmp_path):
+    """A start ends with a reason, or serves."""
+    faults = Faults(build, tmp_path / "plan", "ripnerfd")
+    runner = build / "tests" / "support" / "ripnerf-runner-fake"
+    end = time.monotonic() + (SECONDS or 6)
+    count = 0
+    while time.monotonic() < end:
+        faults.arm_stacks(256 if SECONDS else 48, random.randrange(1 << 30))
+        process = subprocess.Popen(
+            [build / "server" / "ripnerfd", "--data", tmp_path / "data", "--runner", runner,
+             "--listen", "127.0.0.1:0", "--drain", "1"], stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE, text=True, env={**os.environ, **faults.environment})
+        line = process.stdout.readline()
+        hit = faults.disarm()
+        if line:
+            assert "listening" in line
+            process.terminate()
+        _, why = process.communicate(timeout=20)
+        assert process.returncode in ((0, 143) if line else (1, 2)), (faults.last(), why)
+        assert line or why.startswith("ripnerfd: ") or "\nripnerfd: " in why, (faults.last(), why)
+        count += hit
+        if not hit and SECONDS:
+            break
+    print(f"\n{count} calls failed at the start")
+    assert count > 5
