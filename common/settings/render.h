@@ -20,10 +20,17 @@ struct rn_render_settings {
     // at most 0.5. Of pixels of several cones their quarters are meant. 0 = every pixel is traced,
     // and always on a device other than the CPU.
     double tolerance;
+    // A budget, which stands instead of all of the above and is resolved to them before a picture
+    // is rendered (common/settings/curve.h); the renderer does not look at it. One of: milliseconds
+    // a picture; dB; a place on the scene's curve, 0 the cheapest point and 100 the full picture.
+    double within_ms, render_psnr, quality;
 };
 
 // The one table: a row for every member.
-#define RN_RENDER_SETTINGS 5
+#define RN_RENDER_SETTINGS 8
 extern const struct rn_settings rn_render_settings;
+
+// Where the rows of a budget begin: those behind are a budget's.
+#define RN_RENDER_BUDGET 5
 
 #endif

@@ -290,6 +290,10 @@ static bool parse_number(const struct rn_setting *row, const char *text, double 
     if (rest == text) return false;
     if (strcmp(row->unit, "s") == 0 && *rest && strchr("smh", *rest))
         *ret_number *= *rest == 'h' ? 3600 : *rest == 'm' ? 60 : 1, rest++;
+    if (strcmp(row->unit, "ms") == 0) { // 50 of what? The unit is to be said
+        *ret_number *= strcmp(rest, "s") == 0 ? 1000 : 1;
+        return strcmp(rest, "ms") == 0 || strcmp(rest, "s") == 0;
+    }
     return !*rest;
 }
 
@@ -329,5 +333,6 @@ enum rn_status rn_setting_parse(const struct rn_setting *row, const char *text,
     }
     char range[160];
     rn_setting_range(row, range, sizeof range);
-    return rn_error_set(err, RN_ERROR_INVALID, row->name, "%s, is '%s'", range, text);
+    return rn_error_set(err, RN_ERROR_INVALID, row->name, "%s%s, is '%s'", range,
+                        strcmp(row->unit, "ms") == 0 ? ", with its unit: 50ms, 0.5s" : "", text);
 }

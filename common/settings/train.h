@@ -76,9 +76,9 @@ struct rn_train_config {
     bool auto_effects;    // effects that the data does not call for may be switched off
     double roulette; // times the mean gradient below which a sample is backpropagated by roulette;
                      // 0 = off
-    bool footprint_given; // asked for by name: not switched off though the data calls for less
-    bool cone_step;       // a sample spans as many steps as its cone is wide, at most 8
-    double stop;          // early stop: transmittance below which a ray ends
+    bool footprint_given;   // asked for by name: not switched off though the data calls for less
+    bool cone_step;         // a sample spans as many steps as its cone is wide, at most 8
+    double stop;            // early stop: transmittance below which a ray ends
     double occupancy_limit; // optical depth of a step above which a cell is occupied; the mean over
                             // all cells where that is less. 0: RN_OCCUPANCY_LIMIT
     double distortion_loss; // weight of the loss that draws what a ray sees together; 0: there is

@@ -10,6 +10,7 @@
 
 #include "server/engine/checkpoint/checkpoint.h"
 #include "server/engine/render/render.h"
+#include "server/engine/render/within.h"
 #include "server/engine/scene/engine.h"
 #include "server/engine/train/train.h"
 

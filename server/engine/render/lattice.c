@@ -38,17 +38,43 @@ static bool agree(const struct rn_lattice *l, const struct rn_pixel *const n[4])
     return !(l->outputs & RN_OUTPUT_DEPTH) || SQUARES(n, depth) <= limit;
 }
 
-static bool interpolate(const struct rn_lattice *l, const struct pass *pass, int x, int y) {
-    if (!pass->dx || x < 1 || y < 1 || x + 1 >= l->width || y + 1 >= l->height) return false;
-    struct rn_pixel *at = l->pixels + (size_t)y * l->width + x;
+// The neighbours of a point that is not of the first pass; false: one of them lies outside.
+static bool find_neighbours(const struct rn_lattice *l, const struct pass *pass, int x, int y,
+                            const struct rn_pixel *n[4]) {
+    if (x < 1 || y < 1 || x + 1 >= l->width || y + 1 >= l->height) return false;
+    const struct rn_pixel *at = l->pixels + (size_t)y * l->width + x;
     ptrdiff_t along = (ptrdiff_t)pass->dy * l->width + pass->dx;
     ptrdiff_t across = (ptrdiff_t)pass->dx * l->width - pass->dy;
-    const struct rn_pixel *const n[4] = {at - along, at + along, at - across, at + across};
-    float seen = n[0]->alpha + n[1]->alpha + n[2]->alpha + n[3]->alpha;
+    n[0] = at - along, n[1] = at + along, n[2] = at - across, n[3] = at + across;
+    return true;
+}
+
+static float seen_by(const struct rn_pixel *const n[4]) {
+    return n[0]->alpha + n[1]->alpha + n[2]->alpha + n[3]->alpha;
+}
+
+static struct rn_pixel mean_of(const struct rn_pixel *const n[4]) {
+    return rn_cones_mean((const struct rn_pixel[]){*n[0], *n[1], *n[2], *n[3]}, 2, NULL);
+}
+
+static bool interpolate(const struct rn_lattice *l, const struct pass *pass, int x, int y) {
+    struct rn_pixel *at = l->pixels + (size_t)y * l->width + x;
+    const struct rn_pixel *n[4];
+    if (!pass->dx || !find_neighbours(l, pass, x, y, n)) return false;
+    float seen = seen_by(n);
     bool empty = seen == 0;
     if (empty ? !l->dense : !(seen > 0 && agree(l, n))) return false;
-    *at = empty ? *n[0]
-                : rn_cones_mean((const struct rn_pixel[]){*n[0], *n[1], *n[2], *n[3]}, 2, NULL);
+    *at = empty ? *n[0] : mean_of(n);
+    return true;
+}
+
+// What no time is left for: the neighbours' mean; at the border a point of the first pass.
+static bool fill_in(const struct rn_lattice *l, const struct pass *pass, int x, int y) {
+    struct rn_pixel *at = l->pixels + (size_t)y * l->width + x;
+    const struct rn_pixel *n[4];
+    if (!l->late || !pass->dx) return false;
+    *at = find_neighbours(l, pass, x, y, n) ? mean_of(n)
+                                            : l->pixels[(size_t)(y & ~1) * l->width + (x & ~1)];
     return true;
 }
 
@@ -59,7 +85,69 @@ int rn_lattice_choose(const struct rn_lattice *lattice, int pass, struct rn_tile
     for (int y = tile.y0; y < tile.y1; y++) {
         if (p->first[y & 1] == NONE) continue;
         for (int x = tile.x0 + p->first[y & 1]; x < tile.x1; x += p->apart)
-            if (!interpolate(lattice, p, x, y)) ret_spots[count++] = (struct rn_spot){x, y};
+            if (!fill_in(lattice, p, x, y) && !interpolate(lattice, p, x, y))
+                ret_spots[count++] = (struct rn_spot){x, y};
     }
     return count;
+}
+
+// ---- what a tolerance costs -----------------------------------------------------------------
+
+#define LARGEST 0.5f // tolerance
+#define SMALLEST 1e-9f
+
+// The bin of a squared distance; NaN and what is above the largest tolerance: RN_LATTICE_BINS.
+static int bin_of(float square) {
+    if (!(square <= LARGEST * LARGEST)) return RN_LATTICE_BINS;
+    float octaves = square > 0 ? 4 * log2f(square / (LARGEST * LARGEST)) : -INFINITY;
+    return octaves <= -RN_LATTICE_BINS ? 0 : RN_LATTICE_BINS - 1 + (int)octaves;
+}
+
+// Of agree: the largest of what it compares.
+static float disagreement(const struct rn_lattice *l, const struct rn_pixel *const n[4]) {
+    float most = 0;
+    if (l->outputs & RN_OUTPUT_RGB)
+        most = (SQUARES(n, rgb[0]) + SQUARES(n, rgb[1]) + SQUARES(n, rgb[2])) / 3;
+    if (l->outputs & RN_OUTPUT_ALPHA) most = fmaxf(most, SQUARES(n, alpha));
+    if (l->outputs & RN_OUTPUT_DEPTH) most = fmaxf(most, SQUARES(n, depth));
+    return most;
+}
+
+static void count_point(const struct rn_lattice *l, const struct pass *p, int x, int y,
+                        struct rn_lattice_census *census) {
+    const struct rn_pixel *n[4];
+    census->points++;
+    if (!find_neighbours(l, p, x, y, n)) {
+        census->always++;
+        return;
+    }
+    float seen = seen_by(n);
+    if (seen == 0) {
+        census->unseen++;
+        census->always += !l->dense;
+        return;
+    }
+    int bin = seen > 0 ? bin_of(disagreement(l, n)) : RN_LATTICE_BINS;
+    if (bin < RN_LATTICE_BINS)
+        census->above[bin]++;
+    else
+        census->always++;
+}
+
+void rn_lattice_count(const struct rn_lattice *lattice, int pass, struct rn_tile tile,
+                      struct rn_lattice_census *census) {
+    const struct pass *p = &passes[pass];
+    for (int y = tile.y0; y < tile.y1; y++)
+        for (int x = tile.x0 + p->first[y & 1]; p->first[y & 1] != NONE && x < tile.x1;
+             x += p->apart)
+            count_point(lattice, p, x, y, census);
+}
+
+float rn_lattice_tolerance_for(const struct rn_lattice_census *census, double rays) {
+    double traced = census->always;
+    int bin = RN_LATTICE_BINS - 1;
+    while (bin >= 0 && traced + census->above[bin] <= rays)
+        traced += census->above[bin--];
+    // Bin b ends where the square is 2^((b + 1 - RN_LATTICE_BINS) / 4) of the largest.
+    return bin < 0 ? SMALLEST : LARGEST * exp2f((float)(bin + 1 - RN_LATTICE_BINS) / 8);
 }

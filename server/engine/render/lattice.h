@@ -24,6 +24,7 @@ struct rn_lattice {
     unsigned outputs; // RN_OUTPUT_* ORed
     float tolerance;  // at most 0.5; 0: every pixel is traced, in one pass
     bool dense;       // rn_lattice_is_dense
+    bool late;        // no time is left: from the second pass on nothing is traced
 };
 // Part of a picture: columns [x0, x1), rows [y0, y1); even but for the picture's ends.
 struct rn_tile {
@@ -41,5 +42,18 @@ int rn_lattice_passes(const struct rn_lattice *lattice);
 // passes.
 int rn_lattice_choose(const struct rn_lattice *lattice, int pass, struct rn_tile tile,
                       struct rn_spot *ret_spots);
+
+// How many points of a pass a tolerance would have traced: by how much their neighbours disagree.
+#define RN_LATTICE_BINS 64 // quarter octaves of the distance's square, up to the largest tolerance
+struct rn_lattice_census {
+    uint32_t points, unseen; // all of the tile; of these, those whose neighbours see nothing
+    uint32_t always;         // traced whatever the tolerance is
+    uint32_t above[RN_LATTICE_BINS]; // traced where the tolerance is below the bin's
+};
+// Adds the tile's points of pass `pass` (from 1), before it is chosen.
+void rn_lattice_count(const struct rn_lattice *lattice, int pass, struct rn_tile tile,
+                      struct rn_lattice_census *census);
+// The smallest tolerance, above 0 and at most 0.5, that has at most `rays` points traced.
+float rn_lattice_tolerance_for(const struct rn_lattice_census *census, double rays);
 
 #endif

@@ -17,9 +17,14 @@ struct rn_render_options {
     float background[3];
     bool straight; // a pixel's cones are averaged as rn_cones_mean's `straight`
     struct rn_render_settings settings;
+    // When the pictures must be there (rn_clock_ns); 0: whenever they are. With a time, the
+    // tolerance is not the settings' but as small as the time allows, and no two pictures are
+    // alike.
+    int64_t deadline_ns;
 };
 struct rn_render_stats {
     double render_ms;
+    double tolerance;        // that there was time for; the settings' without a deadline
     int cones;               // a side of a pixel
     uint64_t rays, samples;  // samples: field evaluations
     uint64_t nonfinite_rays; // of which something was no finite number, and replaced
@@ -29,8 +34,9 @@ struct rn_render_result {
     struct rn_render_stats stats;
 };
 // Renders in tiles. `keep_going` (may be NULL) is polled between tiles; false stops with
-// RN_ERROR_CANCELLED. Depth is the distance along the ray over opacity, dataset units, 0 where
-// nothing was hit. Every value written is finite.
+// RN_ERROR_CANCELLED. RN_ERROR_LIMIT: the deadline came before a first picture (a quarter of the
+// rays; on a device other than the CPU all of them) was there. Depth is the distance along the ray
+// over opacity, dataset units, 0 where nothing was hit. Every value written is finite.
 enum rn_status rn_render(struct rn_engine *engine, struct rn_field *field,
                          const struct rn_render_options *options, bool (*keep_going)(void *context),
                          void *context, struct rn_render_result *ret_result,

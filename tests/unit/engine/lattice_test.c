@@ -14,7 +14,7 @@ static struct rn_pixel truth[HEIGHT][WIDTH], picture[HEIGHT][WIDTH];
 static int traced[HEIGHT][WIDTH]; // the pass in which a pixel was traced, from 1; 0: it was not
 
 static struct rn_lattice lattice(double tolerance, unsigned outputs) {
-    return (struct rn_lattice){picture[0], WIDTH, HEIGHT, outputs, (float)tolerance, true};
+    return (struct rn_lattice){picture[0], WIDTH, HEIGHT, outputs, (float)tolerance, true, false};
 }
 
 // A picture in tiles of `side` pixels, the last one first where `backwards`.

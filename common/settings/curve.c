@@ -1,0 +1,162 @@
+#include "common/settings/curve.h"
+
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+double rn_curve_pixels(const struct rn_curve *curve) {
+    return (double)curve->width * (double)curve->height;
+}
+
+double rn_curve_worth(const struct rn_curve_point *point) {
+    if (!isnan(point->psnr)) return point->psnr;
+    return isnan(point->psnr_full) ? INFINITY : point->psnr_full;
+}
+
+static int quicker(const void *a, const void *b) {
+    double x = ((const struct rn_curve_point *)a)->ms_median;
+    double y = ((const struct rn_curve_point *)b)->ms_median;
+    return (x > y) - (x < y);
+}
+
+void rn_curve_reduce(struct rn_curve_point *points, size_t *count) {
+    const struct rn_curve_point full = points[0];
+    size_t kept = 0;
+    double best = -INFINITY;
+    qsort(points + 1, *count - 1, sizeof *points, quicker);
+    for (size_t i = 1; i < *count && points[i].ms_median < full.ms_median; i++)
+        if (rn_curve_worth(&points[i]) > best) {
+            best = rn_curve_worth(&points[i]);
+            points[kept++] = points[i];
+        }
+    points[kept++] = full;
+    *count = kept;
+}
+
+// ---- budgets --------------------------------------------------------------------------------
+
+enum rn_budget_kind rn_budget_of(const union rn_setting_value values[RN_RENDER_SETTINGS],
+                                 double *ret_number) {
+    for (size_t i = RN_RENDER_BUDGET; i < RN_RENDER_SETTINGS; i++)
+        if (!rn_setting_is_absent(&rn_render_settings.rows[i], &values[i])) {
+            *ret_number = values[i].number;
+            return (enum rn_budget_kind)(RN_BUDGET_TIME + (int)(i - RN_RENDER_BUDGET));
+        }
+    return RN_BUDGET_NONE;
+}
+
+const char *rn_budget_check(const union rn_setting_value values[RN_RENDER_SETTINGS],
+                            const char **ret_option) {
+    bool budget = false, setting = false;
+    for (size_t i = 0; i < RN_RENDER_SETTINGS; i++) {
+        const struct rn_setting *row = &rn_render_settings.rows[i];
+        if (rn_setting_is_absent(row, &values[i])) continue;
+        *ret_option = row->option;
+        if (i < RN_RENDER_BUDGET) {
+            setting = true;
+            continue;
+        }
+        if (budget) return "goes alone: one of within_ms, render_psnr and quality";
+        if (setting) return "goes without settings, which are chosen by it";
+        budget = true;
+    }
+    return NULL;
+}
+
+static size_t best_within(const struct rn_curve *curve, double ms, double scale, bool *ret_missed) {
+    size_t best = 0;
+    for (size_t i = 1; i < curve->count; i++)
+        if (curve->points[i].ms_median * scale <= ms) best = i;
+    *ret_missed = curve->points[0].ms_median * scale > ms;
+    return best;
+}
+
+static size_t quickest_of(const struct rn_curve *curve, double psnr, double full,
+                          bool *ret_missed) {
+    for (size_t i = 0; i < curve->count; i++)
+        if (rn_curve_expected(curve, i, full) >= psnr) {
+            *ret_missed = false;
+            return i;
+        }
+    *ret_missed = true;
+    return curve->count - 1;
+}
+
+size_t rn_curve_choose(const struct rn_curve *curve, enum rn_budget_kind kind, double number,
+                       double pixels, double psnr, bool *ret_missed) {
+    double scale = pixels / rn_curve_pixels(curve);
+    double low = curve->points[0].ms_median, high = curve->points[curve->count - 1].ms_median;
+    *ret_missed = false;
+    if (kind == RN_BUDGET_TIME) return best_within(curve, number, scale, ret_missed);
+    if (kind == RN_BUDGET_PSNR) return quickest_of(curve, number, psnr, ret_missed);
+    if (kind == RN_BUDGET_NONE || number >= 100) return curve->count - 1;
+    return best_within(curve, low * pow(high / low, number / 100) * (1 + 1e-9), 1, ret_missed);
+}
+
+// Errors add up: what a point differs from the full picture by comes on top of what that differs
+// from the photographs by.
+static double with_loss(double psnr_of_full, double psnr_full) {
+    if (isnan(psnr_full)) return psnr_of_full;
+    if (isnan(psnr_of_full)) return NAN;
+    return -10 * log10(pow(10, -psnr_of_full / 10) + pow(10, -psnr_full / 10));
+}
+
+double rn_curve_expected(const struct rn_curve *curve, size_t point, double psnr) {
+    const struct rn_curve_point *p = &curve->points[point];
+    return isnan(p->psnr) ? with_loss(psnr, p->psnr_full) : p->psnr;
+}
+
+static double tolerance_of(const struct rn_curve_point *point) {
+    for (size_t i = 0; i < RN_RENDER_BUDGET; i++)
+        if (strcmp(rn_render_settings.rows[i].name, "tolerance") == 0)
+            return isnan(point->setting.values[i].number) ? 0 : point->setting.values[i].number;
+    return 0;
+}
+
+// Whether two points differ in nothing but their tolerance.
+static bool is_alike(const struct rn_curve_point *a, const struct rn_curve_point *b) {
+    for (size_t i = 0; i < RN_RENDER_BUDGET; i++) {
+        const struct rn_setting *row = &rn_render_settings.rows[i];
+        const union rn_setting_value *x = &a->setting.values[i], *y = &b->setting.values[i];
+        bool absent = rn_setting_is_absent(row, x);
+        if (strcmp(row->name, "tolerance") == 0) continue;
+        if (absent != rn_setting_is_absent(row, y)) return false;
+        if (!absent &&
+            (row->type == RN_SETTING_NUMBER ? x->number != y->number : x->whole != y->whole))
+            return false;
+    }
+    return true;
+}
+
+double rn_curve_expected_with(const struct rn_curve *curve, size_t point, double tolerance,
+                              double psnr) {
+    const struct rn_curve_point *below = NULL, *above = NULL, *p = &curve->points[point];
+    for (const struct rn_curve_point *q = curve->points; q < curve->points + curve->count; q++) {
+        if (!is_alike(p, q)) continue;
+        double t = tolerance_of(q);
+        if (t <= tolerance && (!below || t > tolerance_of(below))) below = q;
+        if (t >= tolerance && (!above || t < tolerance_of(above))) above = q;
+    }
+    if (!below) below = above;
+    if (!above) above = below;
+    double from = tolerance_of(below), span = tolerance_of(above) - from;
+    double weight = span > 0 ? (tolerance - from) / span : 0;
+    double low = rn_curve_expected(curve, (size_t)(below - curve->points), psnr);
+    double high = rn_curve_expected(curve, (size_t)(above - curve->points), psnr);
+    return low + weight * (high - low);
+}
+
+void rn_curve_setting_text(const struct rn_curve_setting *setting, char *ret_text, size_t size) {
+    size_t length = 0;
+    *ret_text = '\0';
+    for (size_t i = 0; i < RN_RENDER_BUDGET; i++) {
+        const struct rn_setting *row = &rn_render_settings.rows[i];
+        const union rn_setting_value *value = &setting->values[i];
+        double number = row->type == RN_SETTING_NUMBER ? value->number : (double)value->whole;
+        bool plain = number == (row->type == RN_SETTING_INT) && !isnan(row->settled);
+        if (rn_setting_is_absent(row, value) || plain || length >= size) continue;
+        length += (size_t)snprintf(ret_text + length, size - length, "%s%s=%.4g", length ? "," : "",
+                                   row->option, number);
+    }
+    if (length == 0) snprintf(ret_text, size, "full");
+}

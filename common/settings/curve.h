@@ -1,0 +1,74 @@
+// What accuracy costs in time: the curve of a scene, and what a budget becomes by it.
+//
+// A curve is a list of ways to render, from the quickest to the full picture, each with what it was
+// measured to take and to look like, and none that another one beats in both. Of a scene that was
+// not measured there is its preset's, from other scenes.
+#ifndef RN_COMMON_SETTINGS_CURVE_H
+#define RN_COMMON_SETTINGS_CURVE_H
+
+#include <stdint.h>
+
+#include "common/settings/render.h"
+
+#define RN_CURVE_POINTS 64
+
+// The settings of a point, in the order of rn_render_settings; absent: as the scene calls for.
+struct rn_curve_setting {
+    union rn_setting_value values[RN_RENDER_SETTINGS];
+};
+struct rn_curve_point {
+    struct rn_curve_setting setting;
+    double ms_median, ms_p95; // of rendering one of the curve's pictures
+    double psnr, ssim;        // against photographs; NAN without any
+    double psnr_full;         // against the full picture; NAN: the same picture
+    double psnr_spread;       // standard deviation over the views, of psnr or else psnr_full
+    double rays, samples;     // of a picture, mean
+};
+// Plain but for `points`, which whoever made it owns.
+struct rn_curve {
+    struct rn_curve_point *points; // by ms_median, the last one the full picture
+    size_t count;
+    int64_t width, height; // of the pictures it was measured with; 0 x 0: it was not
+};
+
+// Pixels of a picture whose times the curve tells.
+double rn_curve_pixels(const struct rn_curve *curve);
+// What makes a point good: its PSNR against photographs, else against the full picture, of which
+// the full picture itself has more than any other.
+double rn_curve_worth(const struct rn_curve_point *point);
+// Sorts the points by time and drops those that are beaten: no better than a quicker one. The full
+// picture stays, as the last one; it is `points[0]` when called.
+void rn_curve_reduce(struct rn_curve_point *points, size_t *count);
+
+// ---- budgets --------------------------------------------------------------------------------
+
+enum rn_budget_kind { RN_BUDGET_NONE, RN_BUDGET_TIME, RN_BUDGET_PSNR, RN_BUDGET_QUALITY };
+// What a request's settings ask for; *ret_number: of milliseconds, dB or quality.
+enum rn_budget_kind rn_budget_of(const union rn_setting_value values[RN_RENDER_SETTINGS],
+                                 double *ret_number);
+// More than one budget, or one beside settings: what is wrong, and the option that is too much.
+// NULL: nothing is.
+const char *rn_budget_check(const union rn_setting_value values[RN_RENDER_SETTINGS],
+                            const char **ret_option);
+// The curve's point for a picture of so many pixels: the best one within the time; the quickest one
+// of at least that PSNR, else the full picture; the best one within the time that lies, on a
+// logarithmic scale, that far between the quickest and the full picture. Of a curve without
+// photographs, `psnr` stands for the scene's own, by which all points are worth that much more or
+// less. *ret_missed: no point is so quick, or so good.
+size_t rn_curve_choose(const struct rn_curve *curve, enum rn_budget_kind kind, double number,
+                       double pixels, double psnr, bool *ret_missed);
+// The PSNR to expect of a point against photographs; `psnr` of the full picture, for a curve that
+// does not know it. NAN: nothing is known.
+double rn_curve_expected(const struct rn_curve *curve, size_t point, double psnr);
+// The same of a picture with these settings and another tolerance than the point's: between the
+// points that differ in nothing else.
+double rn_curve_expected_with(const struct rn_curve *curve, size_t point, double tolerance,
+                              double psnr);
+
+// "tolerance=0.03,subsample=2"; "full" where nothing differs.
+void rn_curve_setting_text(const struct rn_curve_setting *setting, char *ret_text, size_t size);
+
+// The curve of scenes that were not measured, in the caller's points.
+void rn_curve_of_presets(struct rn_curve_point points[RN_CURVE_POINTS], struct rn_curve *ret_curve);
+
+#endif
