@@ -48,6 +48,7 @@ extern const struct rn_verb rn_verbs_job[];     // train jobs watch pause resume
 extern const struct rn_verb rn_verbs_scene[];   // scenes show rm info
 extern const struct rn_verb rn_verbs_render[];  // render eval
 extern const struct rn_verb rn_verbs_path[];    // path turntable paths
+extern const struct rn_verb rn_verbs_curve[];   // curve
 extern const struct rn_verb rn_verbs_bench[];   // bench
 extern const struct rn_verb rn_verbs_doctor[];  // doctor
 

@@ -110,6 +110,26 @@ static void take_header(const char *line, size_t size, const char *name, char *r
     ret_value[value_size] = '\0';
 }
 
+static void take_budget(const char *line, size_t size, struct rn_http_reply *reply) {
+    const struct {
+        const char *name;
+        char *value;
+        size_t capacity;
+    } headers[] = {
+        {"X-Ripnerf-Asked-Ms", reply->budget.asked_ms, sizeof reply->budget.asked_ms},
+        {"X-Ripnerf-Spent-Ms", reply->budget.spent_ms, sizeof reply->budget.spent_ms},
+        {"X-Ripnerf-Setting", reply->budget.setting, sizeof reply->budget.setting},
+        {"X-Ripnerf-Curve", reply->budget.curve, sizeof reply->budget.curve},
+        {"X-Ripnerf-Expected-Psnr", reply->budget.expected_psnr,
+         sizeof reply->budget.expected_psnr},
+        {"X-Ripnerf-Expected-Spread", reply->budget.expected_spread,
+         sizeof reply->budget.expected_spread},
+        {"X-Ripnerf-Late", reply->budget.late, sizeof reply->budget.late},
+    };
+    for (size_t i = 0; i < sizeof headers / sizeof *headers; i++)
+        take_header(line, size, headers[i].name, headers[i].value, headers[i].capacity);
+}
+
 static size_t on_header(char *line, size_t one, size_t size, void *context) {
     struct rn_http_reply *reply = ((struct transfer *)context)->reply;
     char retry_after[16] = "";
@@ -119,6 +139,7 @@ static size_t on_header(char *line, size_t one, size_t size, void *context) {
     take_header(line, size, "Location", reply->location, sizeof reply->location);
     take_header(line, size, "Server-Timing", reply->server_timing, sizeof reply->server_timing);
     take_header(line, size, "X-Ripnerf-Step", reply->step, sizeof reply->step);
+    take_budget(line, size, reply);
     take_header(line, size, "Retry-After", retry_after, sizeof retry_after);
     if (*retry_after) reply->retry_after_s = atoi(retry_after);
     return one * size;

@@ -52,6 +52,10 @@ struct rn_http_reply {
     char location[160];
     char server_timing[160];
     char step[24]; // X-Ripnerf-Step
+    struct {       // of a budget, X-Ripnerf-*; "" without one
+        char asked_ms[24], spent_ms[24], setting[96], curve[16], expected_psnr[24],
+            expected_spread[24], late[8];
+    } budget;
     int retry_after_s;
     struct rn_buf body; // NUL-terminated; empty when `receive` took it
 };

@@ -42,7 +42,8 @@ static const struct rn_option global_table[] = {
     {0}};
 
 static const struct rn_verb *const groups[] = {rn_verbs_dataset, rn_verbs_job,   rn_verbs_scene,
-                                               rn_verbs_render, rn_verbs_path, rn_verbs_bench, rn_verbs_doctor};
+                                               rn_verbs_render,  rn_verbs_path,  rn_verbs_curve,
+                                               rn_verbs_bench,   rn_verbs_doctor};
 #define GROUP_COUNT (sizeof groups / sizeof *groups)
 
 static const struct rn_verb *find_verb(const char *name) {

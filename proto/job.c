@@ -82,6 +82,14 @@ static const struct rn_field_spec eval_request[] = {
      .offset = offsetof(S, eval),
      .table = &rn_eval_options_table},
 };
+static const struct rn_field_spec curve_request[] = {
+    RN_F_NAME(S, type, RN_REQUIRED, rn_job_type_names),
+    RN_F_TEXT(S, scene, RN_REQUIRED, rn_check_reference),
+    {.name = "options",
+     .type = RN_TYPE_OBJECT,
+     .offset = offsetof(S, curve),
+     .table = &rn_curve_options_table},
+};
 // All fields of the struct: what an empty request is made of, and what is freed.
 static const struct rn_field_spec whole_request[] = {
     RN_F_NAME(S, type, 0, rn_job_type_names),
@@ -92,14 +100,28 @@ static const struct rn_field_spec whole_request[] = {
     RN_F_OBJECT(S, train, 0, &rn_train_options_table),
     RN_F_OBJECT(S, path_options, 0, &rn_path_options_table),
     RN_F_OBJECT(S, eval, 0, &rn_eval_options_table),
+    RN_F_OBJECT(S, curve, 0, &rn_curve_options_table),
 };
 static const struct rn_table whole_request_table = RN_TABLE(S, "a job", whole_request);
 static const struct rn_table request_tables[] = {
     [RN_JOB_TRAIN] = RN_TABLE(S, "a training job", train_request),
     [RN_JOB_PATH] = RN_TABLE(S, "a path job", path_request),
     [RN_JOB_EVAL] = RN_TABLE(S, "an evaluation job", eval_request),
+    [RN_JOB_CURVE] = RN_TABLE(S, "a curve job", curve_request),
 };
 #undef S
+
+static const char *check_budget(const struct rn_job_request *request, const char **ret_pointer) {
+    static const char *const pointers[] = {"", "#/options/within_ms", "#/options/render_psnr",
+                                           "#/options/quality"};
+    enum rn_budget_kind kind = RN_BUDGET_NONE;
+    const char *wrong = NULL;
+    if (request->type == RN_JOB_PATH)
+        wrong = rn_budget_check(request->path_options.settings, &kind);
+    if (request->type == RN_JOB_EVAL) wrong = rn_budget_check(request->eval.settings, &kind);
+    *ret_pointer = pointers[kind];
+    return wrong;
+}
 
 // What a table cannot say.
 static const char *check_request(const struct rn_job_request *request, const char **ret_pointer) {
@@ -108,7 +130,8 @@ static const char *check_request(const struct rn_job_request *request, const cha
     *ret_pointer = "#/options/planes";
     if (request->type == RN_JOB_TRAIN && rn_train_choice_check(request->train.settings, &err))
         return no_solid;
-    if (request->type != RN_JOB_PATH) return NULL;
+    const char *wrong = check_budget(request, ret_pointer);
+    if (wrong || request->type != RN_JOB_PATH) return wrong;
     *ret_pointer = "#/path";
     if (!*request->path == !request->camera_path.json)
         return "exactly one of path and camera_path must be given";
@@ -131,8 +154,9 @@ enum rn_status rn_job_request_decode(const char *json, size_t size,
     if (status) return status;
     int type = rn_name_index(rn_job_type_names, type_name);
     if (type < 0 || type == RN_JOB_INGEST) {
-        rn_field_errors_add(errors, "#/type", "must be one of train, path, eval");
-        return rn_error_set(err, RN_ERROR_INVALID, "#/type", "must be one of train, path, eval");
+        rn_field_errors_add(errors, "#/type", "must be one of train, path, eval, curve");
+        return rn_error_set(err, RN_ERROR_INVALID, "#/type",
+                            "must be one of train, path, eval, curve");
     }
     struct rn_job_request request;
     status = rn_decode(&request_tables[type], json, size, &request, errors, err);
@@ -141,6 +165,7 @@ enum rn_status rn_job_request_decode(const char *json, size_t size,
     if (type != RN_JOB_TRAIN) rn_message_init(&rn_train_options_table, &request.train);
     if (type != RN_JOB_PATH) rn_message_init(&rn_path_options_table, &request.path_options);
     if (type != RN_JOB_EVAL) rn_message_init(&rn_eval_options_table, &request.eval);
+    if (type != RN_JOB_CURVE) rn_message_init(&rn_curve_options_table, &request.curve);
     const char *pointer, *wrong = check_request(&request, &pointer);
     if (wrong) {
         rn_field_errors_add(errors, pointer, "%s", wrong);
@@ -161,6 +186,8 @@ enum rn_status rn_job_request_options(const struct rn_job_request *request, char
         return rn_encode(&rn_train_options_table, &request->train, ret_json, NULL, err);
     if (request->type == RN_JOB_PATH)
         return rn_encode(&rn_path_options_table, &request->path_options, ret_json, NULL, err);
+    if (request->type == RN_JOB_CURVE)
+        return rn_encode(&rn_curve_options_table, &request->curve, ret_json, NULL, err);
     return rn_encode(&rn_eval_options_table, &request->eval, ret_json, NULL, err);
 }
 

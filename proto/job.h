@@ -9,6 +9,7 @@
 #include "common/settings/render.h"
 #include "common/settings/train.h"
 #include "proto/codec.h"
+#include "proto/curve.h"
 #include "proto/names.h"
 
 // ---- options: what the user asked for; absent = decided by preset and data ----
@@ -44,7 +45,7 @@ extern const struct rn_table rn_eval_options_table;
 // ---- POST /v1/jobs ----
 
 // Which members count depends on the type: train {dataset, scene, train}, path {scene, path or
-// camera_path, path_options}, eval {scene, eval}.
+// camera_path, path_options}, eval {scene, eval}, curve {scene, curve}.
 struct rn_job_request {
     int type; // enum rn_job_type
     char dataset[RN_NAME_MAX], scene[RN_NAME_MAX], path[RN_NAME_MAX];
@@ -52,6 +53,7 @@ struct rn_job_request {
     struct rn_train_options train;
     struct rn_path_options path_options;
     struct rn_eval_options eval;
+    struct rn_curve_options curve;
 };
 // As rn_decode; also checks what the table cannot (exactly one of path and camera_path, ...).
 enum rn_status rn_job_request_decode(const char *json, size_t size,

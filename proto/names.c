@@ -2,7 +2,7 @@
 
 #include <string.h>
 
-const char *const rn_job_type_names[] = {"train", "path", "eval", "ingest", NULL};
+const char *const rn_job_type_names[] = {"train", "path", "eval", "ingest", "curve", NULL};
 const char *const rn_job_state_names[] = {"queued",     "running",     "paused",
                                           "cancelling", "succeeded",   "failed",
                                           "cancelled",  "interrupted", NULL};

@@ -6,8 +6,8 @@
 
 // A table of names is an array of strings that ends with NULL; an enum's value is its index.
 
-enum rn_job_type { RN_JOB_TRAIN, RN_JOB_PATH, RN_JOB_EVAL, RN_JOB_INGEST };
-extern const char *const rn_job_type_names[]; // "train", "path", "eval", "ingest"
+enum rn_job_type { RN_JOB_TRAIN, RN_JOB_PATH, RN_JOB_EVAL, RN_JOB_INGEST, RN_JOB_CURVE };
+extern const char *const rn_job_type_names[]; // "train", "path", "eval", "ingest", "curve"
 
 enum rn_job_state {
     RN_JOB_QUEUED,

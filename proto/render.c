@@ -28,6 +28,11 @@ const struct rn_table rn_render_request_table =
 
 // What a table cannot say.
 static const char *check_request(const struct rn_render_request *r, const char **ret_pointer) {
+    static const char *const pointers[] = {"", "#/within_ms", "#/render_psnr", "#/quality"};
+    enum rn_budget_kind kind = RN_BUDGET_NONE;
+    const char *wrong = rn_budget_check(r->settings, &kind);
+    *ret_pointer = pointers[kind];
+    if (wrong) return wrong;
     *ret_pointer = "#/view";
     if (!*r->view == !r->camera.width) return "exactly one of camera and view must be given";
     *ret_pointer = "#/scale";

@@ -3,7 +3,7 @@
 #define RN_PROTO_RENDER_H
 
 #include "common/math/camera.h"
-#include "common/settings/render.h"
+#include "common/settings/curve.h"
 #include "proto/codec.h"
 #include "proto/names.h"
 

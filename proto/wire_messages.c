@@ -72,6 +72,22 @@ static const struct rn_field_spec eval[] = {
 static const struct rn_table eval_table = RN_TABLE(S, "eval", eval);
 #undef S
 
+#define S struct rn_wire_curve
+static const struct rn_field_spec curve[] = {
+    RN_F_TEXT(S, job, RN_REQUIRED, NULL),
+    RN_F_OBJECT(S, options, RN_REQUIRED, &rn_curve_options_table),
+};
+static const struct rn_table curve_table = RN_TABLE(S, "curve", curve);
+#undef S
+
+#define S struct rn_wire_resolved
+static const struct rn_field_spec resolved[] = {
+    RN_F_TEXT(S, job, RN_REQUIRED, NULL),
+    RN_F_JSON(S, options, RN_REQUIRED | RN_IS_OBJECT),
+};
+static const struct rn_table resolved_table = RN_TABLE(S, "resolved", resolved);
+#undef S
+
 #define S struct rn_wire_ingest
 static const struct rn_field_spec ingest[] = {
     RN_F_TEXT(S, job, RN_REQUIRED, NULL),
@@ -110,6 +126,7 @@ static const struct rn_table cancel_table = RN_TABLE(S, "cancel", cancel);
 static const struct rn_field_spec render[] = {
     RN_F_INT(S, request, RN_REQUIRED, 0, INFINITY),
     RN_F_OBJECT(S, render, RN_REQUIRED, &rn_render_request_table),
+    RN_F_INT(S, deadline_ns, 0, 0, INFINITY),
 };
 static const struct rn_table render_table = RN_TABLE(S, "render", render);
 #undef S
@@ -184,6 +201,11 @@ static const struct rn_field_spec rendered[] = {
     RN_F_NUMBER(S, render_ms, RN_REQUIRED, 0, INFINITY),
     RN_F_NUMBER(S, encode_ms, RN_REQUIRED, 0, INFINITY),
     RN_F_BOOL(S, training, RN_REQUIRED),
+    RN_F_TEXT(S, setting, 0, NULL),
+    RN_F_NUMBER(S, expected_psnr, 0, -INFINITY, INFINITY),
+    RN_F_NUMBER(S, expected_spread, 0, 0, INFINITY),
+    RN_F_TEXT(S, curve, 0, NULL),
+    RN_F_BOOL(S, missed, RN_REQUIRED),
 };
 static const struct rn_table rendered_table = RN_TABLE(S, "rendered", rendered);
 #undef S
@@ -252,6 +274,7 @@ static const struct {
     [RN_WIRE_SHUTDOWN] = {"shutdown", &empty_table},
     [RN_WIRE_GRANT] = {"grant", &grant_table},
     [RN_WIRE_REST] = {"rest", &empty_table},
+    [RN_WIRE_CURVE] = {"curve", &curve_table},
     [RN_WIRE_HELLO] = {"hello", &hello_table},
     [RN_WIRE_OPENED] = {"opened", &opened_table},
     [RN_WIRE_STATE] = {"state", &state_table},
@@ -266,6 +289,7 @@ static const struct {
     [RN_WIRE_INCIDENT] = {"incident", &incident_table},
     [RN_WIRE_ALIVE] = {"alive", &empty_table},
     [RN_WIRE_RESERVE] = {"reserve", &reserve_table},
+    [RN_WIRE_RESOLVED] = {"resolved", &resolved_table},
 };
 
 static bool is_known(int type) {

@@ -29,6 +29,7 @@ enum rn_wire_type {
     RN_WIRE_SHUTDOWN, // save and exit        rn_wire_empty -> checkpoint of a running training, EOF
     RN_WIRE_GRANT,    // answers reserve      rn_wire_grant
     RN_WIRE_REST,     // between pictures     rn_wire_empty -> reserve of 0; takes it again itself
+    RN_WIRE_CURVE,    //                      rn_wire_curve
     // runner -> daemon
     RN_WIRE_HELLO = 64, //                    rn_wire_hello
     RN_WIRE_OPENED,     //                    rn_wire_opened
@@ -44,6 +45,7 @@ enum rn_wire_type {
     RN_WIRE_INCIDENT,   // training           rn_wire_incident
     RN_WIRE_ALIVE,      // nothing else said  rn_wire_empty, every RN_WIRE_ALIVE_S while it works
     RN_WIRE_RESERVE,    // before it is taken rn_wire_reserve -> grant, unless bytes is 0
+    RN_WIRE_RESOLVED,   // path, eval: budget rn_wire_resolved, before the first picture
 };
 
 #define RN_WIRE_PROTOCOL 3
@@ -103,6 +105,11 @@ struct rn_wire_eval {
     char job[RN_ID_MAX];
     struct rn_eval_options options;
 };
+// Measures the scene's curve into SCENE/curve.json. Result: JSON of rn_curve_record_table.
+struct rn_wire_curve {
+    char job[RN_ID_MAX];
+    struct rn_curve_options options;
+};
 // Imports `source` (a directory, or a plain tar that is unpacked under `work`) into `target`, which
 // must not exist. `work` is removed at the end. Result: JSON of rn_dataset_contents_table.
 struct rn_wire_ingest {
@@ -127,6 +134,9 @@ struct rn_wire_cancel {
 struct rn_wire_render {
     int64_t request;
     struct rn_render_request render; // format is set
+    // When a picture within a time must have been handed back: rn_clock_ns, one clock for the whole
+    // machine. Absent: no such budget.
+    int64_t deadline_ns;
 };
 
 struct rn_wire_state {
@@ -166,6 +176,17 @@ struct rn_wire_rendered {
     int format;                            // enum rn_picture_format
     double queue_ms, render_ms, encode_ms; // queue_ms: in the runner
     bool training;                         // parameters may change: the picture is not to be cached
+    // Of a budget; "" and NAN without one.
+    char setting[96];                      // that was used
+    double expected_psnr, expected_spread; // against photographs, of one view in many
+    char curve[16];                        // where that is from: "measured", "stale", "preset"
+    bool missed;                           // the budget could not be met by any point
+};
+// A path's or evaluation's options with the settings that its budget has become, which the job
+// keeps: all of its pictures are made with them, also after an interruption.
+struct rn_wire_resolved {
+    char job[RN_ID_MAX];
+    char *options; // JSON
 };
 struct rn_wire_done {
     char job[RN_ID_MAX];

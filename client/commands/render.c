@@ -10,6 +10,7 @@
 
 #include "client/commands/submit.h"
 #include "client/follow.h"
+#include "common/base/clock.h"
 #include "common/base/file.h"
 #include "common/path/path.h"
 #include "proto/dataset.h"
@@ -119,20 +120,58 @@ struct render_summary {
     char *file; // borrowed
     int64_t step;
     double render_ms;
+    // Of a budget; absent without one. client_ms: until the answer was here.
+    double asked_ms, spent_ms, client_ms, expected_psnr, expected_spread;
+    char setting[96], curve[16];
+    int late;
 };
 static const struct rn_field_spec render_summary_fields[] = {
     RN_F_STRING(struct render_summary, file, RN_REQUIRED, 4096),
     RN_F_INT(struct render_summary, step, RN_REQUIRED | RN_NULLABLE, 0, INT64_MAX),
-    RN_F_NUMBER(struct render_summary, render_ms, RN_REQUIRED | RN_NULLABLE, 0, INFINITY)};
+    RN_F_NUMBER(struct render_summary, render_ms, RN_REQUIRED | RN_NULLABLE, 0, INFINITY),
+    RN_F_NUMBER(struct render_summary, asked_ms, 0, 0, INFINITY),
+    RN_F_NUMBER(struct render_summary, spent_ms, 0, 0, INFINITY),
+    RN_F_NUMBER(struct render_summary, client_ms, 0, 0, INFINITY),
+    RN_F_TEXT(struct render_summary, setting, 0, NULL),
+    RN_F_TEXT(struct render_summary, curve, 0, NULL),
+    RN_F_NUMBER(struct render_summary, expected_psnr, 0, -INFINITY, INFINITY),
+    RN_F_NUMBER(struct render_summary, expected_spread, 0, 0, INFINITY),
+    {.name = "late", .type = RN_TYPE_TRUTH, .offset = offsetof(struct render_summary, late)}};
 static const struct rn_table render_summary_table =
     RN_TABLE(struct render_summary, "summary", render_summary_fields);
 
-static void print_render(struct rn_client *client, const char *file,
+static double number_in(const char *header) {
+    return *header ? atof(header) : NAN;
+}
+
+static void print_budget(const struct render_summary *summary) {
+    if (!*summary->setting) return;
+    if (!isnan(summary->asked_ms)) printf(", asked for %g ms", summary->asked_ms);
+    printf(", spent %.1f ms (here %.1f ms): %s", summary->spent_ms, summary->client_ms,
+           summary->setting);
+    if (!isnan(summary->expected_psnr)) printf(", %.1f dB expected", summary->expected_psnr);
+    if (!isnan(summary->expected_spread)) printf(" +- %.1f", summary->expected_spread);
+    printf(" by the %s curve", strcmp(summary->curve, "preset") == 0  ? "preset's"
+                               : strcmp(summary->curve, "stale") == 0 ? "scene's older"
+                                                                      : "scene's");
+    if (summary->late > 0)
+        printf(isnan(summary->asked_ms) ? ", no point reaches what was asked for" : ", late");
+}
+
+static void print_render(struct rn_client *client, const char *file, double client_ms,
                          const struct rn_http_reply *reply) {
     const char *timing = strstr(reply->server_timing, "render;dur=");
     struct render_summary summary = {.file = (char *)file,
                                      .step = *reply->step ? atoll(reply->step) : RN_ABSENT,
-                                     .render_ms = timing ? atof(timing + 11) : NAN};
+                                     .render_ms = timing ? atof(timing + 11) : NAN,
+                                     .asked_ms = number_in(reply->budget.asked_ms),
+                                     .spent_ms = number_in(reply->budget.spent_ms),
+                                     .client_ms = *reply->budget.setting ? client_ms : NAN,
+                                     .expected_psnr = number_in(reply->budget.expected_psnr),
+                                     .expected_spread = number_in(reply->budget.expected_spread),
+                                     .late = *reply->budget.late ? atoi(reply->budget.late) : -1};
+    snprintf(summary.setting, sizeof summary.setting, "%s", reply->budget.setting);
+    snprintf(summary.curve, sizeof summary.curve, "%s", reply->budget.curve);
     if (client->json) {
         char *json = rn_api_encode(&render_summary_table, &summary);
         if (json) puts(json);
@@ -142,6 +181,7 @@ static void print_render(struct rn_client *client, const char *file,
     printf("%s", file);
     if (*reply->step) printf(": step %s", reply->step);
     if (timing) printf(", rendered in %.1f ms", summary.render_ms);
+    print_budget(&summary);
     putchar('\n');
 }
 
@@ -168,14 +208,16 @@ static enum rn_exit run_render(struct rn_client *client, const void *context, co
                                       .body = body,
                                       .body_size = strlen(body)};
     struct rn_api_reply reply;
+    int64_t begin_ns = rn_clock_ns();
     rn_api_exchange(client, &request, &reply); // a large picture may take its time
+    double client_ms = (double)(rn_clock_ns() - begin_ns) * 1e-6;
     free(path);
     free(body);
     code = reply.code == RN_EXIT_OK ? RN_EXIT_OK : rn_api_complain(&reply);
     if (code == RN_EXIT_OK && rn_file_write_atomic(options->file, reply.http.body.data,
                                                    reply.http.body.size, &err) != RN_OK)
         code = (rn_client_fail(&err), RN_EXIT_FAILED);
-    if (code == RN_EXIT_OK) print_render(client, options->file, &reply.http);
+    if (code == RN_EXIT_OK) print_render(client, options->file, client_ms, &reply.http);
     rn_api_reply_finish(&reply);
     return code;
 }

@@ -46,16 +46,16 @@ enum rn_budget_kind rn_budget_of(const union rn_setting_value values[RN_RENDER_S
 }
 
 const char *rn_budget_check(const union rn_setting_value values[RN_RENDER_SETTINGS],
-                            const char **ret_option) {
+                            enum rn_budget_kind *ret_kind) {
     bool budget = false, setting = false;
     for (size_t i = 0; i < RN_RENDER_SETTINGS; i++) {
         const struct rn_setting *row = &rn_render_settings.rows[i];
         if (rn_setting_is_absent(row, &values[i])) continue;
-        *ret_option = row->option;
         if (i < RN_RENDER_BUDGET) {
             setting = true;
             continue;
         }
+        *ret_kind = (enum rn_budget_kind)(RN_BUDGET_TIME + (int)(i - RN_RENDER_BUDGET));
         if (budget) return "goes alone: one of within_ms, render_psnr and quality";
         if (setting) return "goes without settings, which are chosen by it";
         budget = true;

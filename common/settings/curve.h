@@ -46,10 +46,10 @@ enum rn_budget_kind { RN_BUDGET_NONE, RN_BUDGET_TIME, RN_BUDGET_PSNR, RN_BUDGET_
 // What a request's settings ask for; *ret_number: of milliseconds, dB or quality.
 enum rn_budget_kind rn_budget_of(const union rn_setting_value values[RN_RENDER_SETTINGS],
                                  double *ret_number);
-// More than one budget, or one beside settings: what is wrong, and the option that is too much.
-// NULL: nothing is.
+// More than one budget, or one beside settings: what is wrong, and the kind of the one that is too
+// much. NULL: nothing is.
 const char *rn_budget_check(const union rn_setting_value values[RN_RENDER_SETTINGS],
-                            const char **ret_option);
+                            enum rn_budget_kind *ret_kind);
 // The curve's point for a picture of so many pixels: the best one within the time; the quickest one
 // of at least that PSNR, else the full picture; the best one within the time that lies, on a
 // logarithmic scale, that far between the quickest and the full picture. Of a curve without

@@ -27,6 +27,8 @@ const struct rn_route rn_api_routes[] = {
     {GET, "/v1/scenes/{id}", 0, 0, rn_get_scene, NULL},
     {DELETE, "/v1/scenes/{id}", 0, 0, rn_delete_scene, NULL},
     {POST, "/v1/scenes/{id}/render", 0, RN_MAX_BODY, rn_render_scene, NULL},
+    {GET, "/v1/scenes/{id}/curve", 0, 0, rn_get_curve, NULL},
+    {POST, "/v1/scenes/{id}/curve", 0, RN_MAX_BODY, rn_measure_curve, NULL},
     {GET, "/v1/scenes/{id}/evaluations", 0, 0, rn_list_evaluations, NULL},
     {GET, "/v1/scenes/{id}/checkpoint", 0, 0, rn_get_checkpoint, NULL},
     {GET, "/v1/jobs", 0, 0, rn_list_jobs, NULL},

@@ -75,6 +75,8 @@ RN_HANDLER(rn_get_model);
 RN_HANDLER(rn_list_scenes); // scenes.c
 RN_HANDLER(rn_get_scene);
 RN_HANDLER(rn_delete_scene);
+RN_HANDLER(rn_get_curve);
+RN_HANDLER(rn_measure_curve);
 RN_HANDLER(rn_list_evaluations);
 RN_HANDLER(rn_get_checkpoint);
 RN_HANDLER(rn_render_scene); // render.c

@@ -15,7 +15,7 @@
 enum rn_method { RN_METHOD_GET = 1, RN_METHOD_POST = 2, RN_METHOD_DELETE = 4 };
 
 #define RN_MAX_PARAMS 3
-#define RN_REPLY_MAX_HEADERS 8
+#define RN_REPLY_MAX_HEADERS 16
 
 struct rn_request; // one exchange; valid during the handler's call only
 struct rn_parked;  // a request that waits for its reply; see rn_request_park
@@ -61,6 +61,8 @@ struct rn_reply {
 
 enum rn_method rn_request_method(const struct rn_request *request);
 const char *rn_request_path(const struct rn_request *request);
+// When it arrived: its header was there (rn_clock_ns).
+int64_t rn_request_begin_ns(const struct rn_request *request);
 // The text matched by the i-th {…} of the route's pattern. Never NULL.
 const char *rn_request_param(const struct rn_request *request, int i);
 // A query parameter or a header, decoded; NULL when absent.

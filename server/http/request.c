@@ -6,6 +6,10 @@ enum rn_method rn_request_method(const struct rn_request *request) {
     return request->method;
 }
 
+int64_t rn_request_begin_ns(const struct rn_request *request) {
+    return request->begin_ns;
+}
+
 const char *rn_request_path(const struct rn_request *request) {
     return request->path;
 }

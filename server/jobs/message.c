@@ -282,6 +282,18 @@ static void on_done(struct rn_control *control, struct rn_runner *runner,
     if (rn_runner_imports(runner)) rn_runner_shutdown(control, runner);
 }
 
+// The settings that a job's budget has become are its options from now on.
+static void on_resolved(struct rn_control *control, struct rn_runner *runner,
+                        struct rn_wire_resolved *resolved) {
+    struct rn_error err = {0};
+    struct rn_task *task = task_of(runner, resolved->job);
+    if (task == NULL) return;
+    set_document(&task->row.options, &resolved->options);
+    if (rn_store_update(control->store, &rn_jobs_table, &task->row, &err) != RN_OK)
+        rn_log(RN_LOG_ERROR, "job %s: %s", task->row.id, err.text);
+    rn_task_announce(control, task);
+}
+
 static void try_again(struct rn_task *task) {
     rn_task_detach(task);
     task->not_before_ns = rn_clock_ns() + BUSY_RETRY_NS;
@@ -357,6 +369,7 @@ union any {
     struct rn_wire_rendered rendered;
     struct rn_wire_done done;
     struct rn_wire_failed failed;
+    struct rn_wire_resolved resolved;
     struct rn_wire_info info;
     struct rn_wire_reserve reserve;
 };
@@ -399,6 +412,9 @@ static void dispatch(struct rn_control *control, struct rn_runner *runner,
         break;
     case RN_WIRE_INFO:
         on_info(control, runner, &any->info);
+        break;
+    case RN_WIRE_RESOLVED:
+        on_resolved(control, runner, &any->resolved);
         break;
     case RN_WIRE_RESERVE:
         rn_gpu_reserve(control, runner, &any->reserve);

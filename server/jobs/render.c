@@ -1,10 +1,12 @@
 // Interactive renders: parked HTTP requests that a runner's picture answers.
+#include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
 #include "common/base/clock.h"
 #include "common/base/sha256.h"
+#include "common/settings/curve.h"
 #include "server/jobs/inside.h"
 
 #define RENDER_TIMEOUT_MS 120000
@@ -28,6 +30,8 @@ enum rn_status rn_control_etag(struct rn_control *control, const struct rn_scene
     // Before the probe has answered, or the checkpoint was opened once, nothing identifies a
     // picture.
     if (trains || device.kernels[0] == '\0' || scene->digest[0] == '\0') return RN_OK;
+    double budget; // what it becomes depends on the hour
+    if (rn_budget_of(request->settings, &budget) != RN_BUDGET_NONE) return RN_OK;
     char *json = NULL, head[256], hex[65];
     size_t size;
     enum rn_status status = rn_encode(&rn_render_request_table, request, &json, &size, err);
@@ -94,14 +98,14 @@ static struct rn_render *find_equal(struct rn_runner *runner, const char *etag) 
 
 static struct rn_render *add_render(struct rn_control *control, struct rn_runner *runner,
                                     const struct rn_render_request *request, const char *etag,
-                                    int64_t step) {
+                                    int64_t step, int64_t begin_ns) {
     struct rn_render *render = calloc(1, sizeof *render);
     if (render == NULL) return NULL;
     render->request = *request;
     snprintf(render->etag, sizeof render->etag, "%s", etag);
     render->step = step;
     render->number = ++control->next_render;
-    render->begin_ns = rn_clock_ns();
+    render->begin_ns = begin_ns;
     struct rn_render **link = &runner->renders;
     while (*link != NULL)
         link = &(*link)->next;
@@ -124,7 +128,9 @@ static enum rn_status enqueue(struct rn_control *control, const struct rn_scene_
         return status;
     }
     struct rn_render *render = find_equal(runner, etag);
-    if (render == NULL) render = add_render(control, runner, render_request, etag, scene->steps);
+    if (render == NULL)
+        render = add_render(control, runner, render_request, etag, scene->steps,
+                            rn_request_begin_ns(request));
     if (render == NULL) {
         struct rn_reply reply = {0};
         rn_reply_problem(&reply, RN_PROBLEM_INTERNAL, "no memory for a render");
@@ -148,13 +154,40 @@ void rn_control_render(struct rn_control *control, const struct rn_scene_row *sc
     if (status != RN_OK) rn_reply_error(reply, &err);
 }
 
+static int64_t deadline_of(const struct rn_render *render) {
+    double number;
+    if (rn_budget_of(render->request.settings, &number) != RN_BUDGET_TIME) return RN_ABSENT;
+    return render->begin_ns + (int64_t)(number * 1e6);
+}
+
 void rn_render_send(struct rn_control *control, struct rn_runner *runner) {
     for (struct rn_render *render = runner->renders; render != NULL; render = render->next) {
         if (render->sent) continue;
-        struct rn_wire_render message = {.request = render->number, .render = render->request};
+        struct rn_wire_render message = {.request = render->number,
+                                         .render = render->request,
+                                         .deadline_ns = deadline_of(render)};
         render->sent = true;
         rn_runner_post(control, runner, RN_WIRE_RENDER, &message);
     }
+}
+
+// What a budget was spent on. Late: the time is over, or no point of the curve reaches what was
+// asked for.
+static void tell_budget(struct rn_reply *reply, const struct rn_render *render,
+                        const struct rn_wire_rendered *rendered) {
+    double asked, spent_ms = (double)(rn_clock_ns() - render->begin_ns) * 1e-6;
+    enum rn_budget_kind kind = rn_budget_of(render->request.settings, &asked);
+    if (kind == RN_BUDGET_NONE) return;
+    bool late = kind == RN_BUDGET_TIME ? spent_ms > asked : rendered->missed;
+    if (kind == RN_BUDGET_TIME) rn_reply_header(reply, "X-Ripnerf-Asked-Ms", "%.6g", asked);
+    rn_reply_header(reply, "X-Ripnerf-Spent-Ms", "%.1f", spent_ms);
+    rn_reply_header(reply, "X-Ripnerf-Setting", "%s", rendered->setting);
+    rn_reply_header(reply, "X-Ripnerf-Curve", "%s", rendered->curve);
+    if (!isnan(rendered->expected_psnr))
+        rn_reply_header(reply, "X-Ripnerf-Expected-Psnr", "%.2f", rendered->expected_psnr);
+    if (!isnan(rendered->expected_spread))
+        rn_reply_header(reply, "X-Ripnerf-Expected-Spread", "%.2f", rendered->expected_spread);
+    rn_reply_header(reply, "X-Ripnerf-Late", "%d", late);
 }
 
 static void fill_reply(struct rn_reply *reply, const struct rn_render *render,
@@ -172,6 +205,7 @@ static void fill_reply(struct rn_reply *reply, const struct rn_render *render,
     rn_reply_header(reply, "X-Ripnerf-Samples", "%lld", (long long)rendered->samples);
     rn_reply_header(reply, "Cache-Control", cacheable ? "no-cache" : "no-store");
     if (cacheable) rn_reply_header(reply, "ETag", "%s", render->etag);
+    tell_budget(reply, render, rendered);
 }
 
 static void count(struct rn_control *control, const struct rn_render *render) {

@@ -188,6 +188,19 @@ static enum rn_status begin_eval(struct rn_control *control, struct rn_task *tas
     return RN_OK;
 }
 
+static enum rn_status begin_curve(struct rn_control *control, struct rn_task *task,
+                                  struct rn_error *err) {
+    struct rn_wire_curve curve;
+    rn_message_init(rn_wire_table(RN_WIRE_CURVE), &curve);
+    enum rn_status status = rn_decode(&rn_curve_options_table, task->row.options,
+                                      strlen(task->row.options), &curve.options, NULL, err);
+    if (status != RN_OK) return status;
+    snprintf(curve.job, sizeof curve.job, "%s", task->row.id);
+    rn_runner_post(control, task->runner, RN_WIRE_CURVE, &curve);
+    rn_message_finish(rn_wire_table(RN_WIRE_CURVE), &curve);
+    return RN_OK;
+}
+
 static enum rn_status begin_ingest(struct rn_control *control, struct rn_task *task,
                                    struct rn_error *err) {
     struct rn_wire_ingest ingest;
@@ -231,6 +244,9 @@ void rn_runner_begin(struct rn_control *control, struct rn_task *task) {
             break;
         case RN_JOB_EVAL:
             status = begin_eval(control, task, &err);
+            break;
+        case RN_JOB_CURVE:
+            status = begin_curve(control, task, &err);
             break;
         case RN_JOB_INGEST:
             status = begin_ingest(control, task, &err);

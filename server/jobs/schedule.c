@@ -49,7 +49,9 @@ static bool may_start(struct rn_control *control, const struct rn_task *task) {
         return count_active(control, RN_JOB_INGEST, RN_JOB_INGEST) == 0;
     case RN_JOB_PATH:
     case RN_JOB_EVAL:
+    case RN_JOB_CURVE:
         return count_active(control, RN_JOB_PATH, RN_JOB_EVAL) == 0 &&
+               count_active(control, RN_JOB_CURVE, RN_JOB_CURVE) == 0 &&
                (runner == NULL || runner->work == NULL) && is_renderable(control, task->row.scene);
     }
     return false;

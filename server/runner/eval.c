@@ -3,7 +3,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "server/runner/work.h"
+#include "server/runner/budget.h"
 
 #define MAX_SCALES 16
 
@@ -48,12 +48,15 @@ static enum rn_status choose_frames(const struct rn_dataset *dataset, struct eva
 
 static enum rn_status prepare(struct rn_work *work, struct rn_field *field, struct rn_error *err) {
     struct eval_work *eval = (struct eval_work *)work;
-    (void)field;
     enum rn_status status = rn_host_need_sound_dataset(work->host, err);
     if (!status) status = choose_frames(work->host->dataset, eval, err);
     if (status) return status;
     eval->scores = calloc(work->total, sizeof *eval->scores);
-    return eval->scores ? RN_OK : rn_error_set(err, RN_ERROR_NO_MEMORY, "", "out of memory");
+    if (!eval->scores) return rn_error_set(err, RN_ERROR_NO_MEMORY, "", "out of memory");
+    const struct rn_camera *camera = &eval->frames[0]->camera;
+    return rn_budget_settle(work, field, (double)camera->width * camera->height,
+                            eval->request.options.settings, &rn_eval_options_table,
+                            &eval->request.options, err);
 }
 
 static enum rn_status unit(struct rn_work *work, struct rn_field *field,

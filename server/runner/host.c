@@ -10,6 +10,7 @@
 #include "common/base/log.h"
 #include "common/base/manifest.h"
 #include "common/base/seal.h"
+#include "server/runner/budget.h"
 #include "server/runner/checkpoints.h"
 #include "server/runner/describe.h"
 #include "server/runner/lock.h"
@@ -197,6 +198,7 @@ union request {
     struct rn_wire_train train;
     struct rn_wire_path path;
     struct rn_wire_eval eval;
+    struct rn_wire_curve curve;
     struct rn_wire_job job;
     struct rn_wire_cancel cancel;
     struct rn_wire_render render;
@@ -247,6 +249,9 @@ static void dispatch(struct rn_host *host, const struct rn_letter *letter, union
         break;
     case RN_WIRE_EVAL:
         rn_work_add_eval(host, &request->eval);
+        break;
+    case RN_WIRE_CURVE:
+        rn_work_add_curve(host, &request->curve);
         break;
     case RN_WIRE_PAUSE:
     case RN_WIRE_RESUME:
@@ -334,6 +339,7 @@ static void do_some_work(struct rn_host *host) {
 static void finish(struct rn_host *host) {
     rn_work_drop_all(host);
     rn_training_drop(host);
+    rn_pace_finish(&host->pace);
     if (host->loaded) rn_field_destroy(&host->loaded);
     if (host->dataset) rn_dataset_destroy(&host->dataset);
     if (host->engine) rn_engine_destroy(&host->engine);

@@ -5,6 +5,7 @@
 #ifndef RN_SERVER_RUNNER_HOST_H
 #define RN_SERVER_RUNNER_HOST_H
 
+#include "proto/curve.h"
 #include "proto/wire_messages.h"
 #include "server/engine/engine.h"
 #include "server/runner/link.h"
@@ -14,6 +15,13 @@
 struct rn_training;
 struct rn_work;
 
+// What the scene's runner has learnt; zero at the start. Owned by the host.
+struct rn_pace {
+    struct rn_curve_record record; // the scene's; of 0 points: it has none
+    bool looked;                   // for it
+    double slowness;               // of pictures by a deadline (engine/render/within.h); 0: unknown
+    double encode_ns[2];           // a pixel, of each rn_picture_format; 0: unknown
+};
 struct rn_host {
     struct rn_link link;
     struct rn_wire_open place; // folders and defaults; what `open` said
@@ -32,7 +40,8 @@ struct rn_host {
     struct rn_training *training; // NULL without a training job
     char digest[65];              // of the checkpoint that was loaded last
     char set_aside[512];          // the damaged checkpoint found last, and why; "" = none
-    struct rn_work *works;        // path and eval jobs, in order; the first one is worked on
+    struct rn_work *works;        // path, eval and curve jobs, in order; the first is worked on
+    struct rn_pace pace;
 };
 
 // Runs mode field until the link closes or the daemon asks for the end, confined to `profile`
@@ -79,6 +88,7 @@ void rn_training_drop(struct rn_host *host);
 // Takes over what the request owns.
 void rn_work_add_path(struct rn_host *host, struct rn_wire_path *request);
 void rn_work_add_eval(struct rn_host *host, const struct rn_wire_eval *request);
+void rn_work_add_curve(struct rn_host *host, const struct rn_wire_curve *curve);
 void rn_work_unit(struct rn_host *host);                    // one frame or view of the first job
 bool rn_work_cancel(struct rn_host *host, const char *job); // false: no such job
 void rn_work_drop_all(struct rn_host *host);

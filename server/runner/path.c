@@ -10,8 +10,8 @@
 #include "common/base/file.h"
 #include "common/base/manifest.h"
 #include "common/path/path.h"
+#include "server/runner/budget.h"
 #include "server/runner/film.h"
-#include "server/runner/work.h"
 
 #define FRAME_PNG_LEVEL 6
 #define VIDEO_QUALITY 75 // where none is asked for
@@ -52,7 +52,10 @@ static enum rn_status prepare(struct rn_work *work, struct rn_field *field, stru
         struct rn_camera camera = frame_camera(path, i);
         path->depth_scale = fmax(path->depth_scale, rn_depth_scale(&camera, &info.bounds));
     }
-    return RN_OK;
+    struct rn_camera first = frame_camera(path, 0);
+    return rn_budget_settle(work, field, (double)first.width * first.height,
+                            path->request.options.settings, &rn_path_options_table,
+                            &path->request.options, err);
 }
 
 static enum rn_status frame_file(const struct path_work *path, size_t unit, char ret_file[PATH_MAX],

@@ -4,7 +4,7 @@
 #include <string.h>
 
 #include "common/base/clock.h"
-#include "server/runner/host.h"
+#include "server/runner/budget.h"
 
 #define INTERACTIVE_PNG_LEVEL 2 // zlib: quick rather than small
 
@@ -96,12 +96,12 @@ static enum rn_status make(struct rn_host *host, const struct rn_wire_render *re
     rn_field_describe(field, &info);
     status = render_options(host, request, &info, &options, err);
     if (!status)
-        status = rn_render(host->engine, field, &options, rn_watch_keep_going, watch, &result, err);
+        status =
+            rn_budget_render(host, render, &info, field, &options, watch, rendered, &result, err);
     if (status) return status;
     int64_t rendered_ns = rn_clock_ns();
     rendered->step = info.steps;
     rendered->samples = (int64_t)result.stats.samples;
-    rendered->render_ms = result.stats.render_ms;
     rendered->width = options.camera.width;
     rendered->height = options.camera.height;
     rendered->format = rn_name_or(request->format, RN_FORMAT_PNG);
@@ -112,6 +112,7 @@ static enum rn_status make(struct rn_host *host, const struct rn_wire_render *re
                           (int)rn_int_or(request->jpeg_quality, 90), INTERACTIVE_PNG_LEVEL,
                           rn_depth_scale(&options.camera, &info.bounds), ret_bytes, ret_size, err);
     rendered->encode_ms = elapsed_ms(rendered_ns);
+    rn_budget_encoded(host, rendered);
     rn_render_result_finish(&result);
     return status;
 }
@@ -120,7 +121,9 @@ void rn_picture_serve(struct rn_host *host, const struct rn_wire_render *render,
                       int64_t arrived_ns) {
     struct rn_wire_rendered rendered = {.request = render->request,
                                         .queue_ms = elapsed_ms(arrived_ns),
-                                        .training = host->training != NULL};
+                                        .training = host->training != NULL,
+                                        .expected_psnr = NAN,
+                                        .expected_spread = NAN};
     struct rn_watch watch = {.link = &host->link, .job = "", .request = render->request};
     uint8_t *bytes = NULL;
     size_t size = 0;

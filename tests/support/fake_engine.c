@@ -3,7 +3,7 @@
 //
 // RIPNERF_FAKE_STEP_US: microseconds a step takes (1000). RIPNERF_FAKE_ROW_US: a rendered row (0).
 // RIPNERF_FAKE_LOAD_MS: making a trainer (0). RIPNERF_FAKE_DIVERGE_AT: the step that diverges.
-// RIPNERF_FAKE_INCIDENT_AT: the step that is rolled back.
+// RIPNERF_FAKE_INCIDENT_AT: the step that is rolled back. With `subsample` rows are left out.
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -363,17 +363,21 @@ struct rn_field *rn_trainer_finish(struct rn_trainer **trainer) {
 // ---- rendering -----------------------------------------------------------------------------
 
 static enum rn_status fill(struct rn_picture *picture, const struct rn_field *field,
-                           const struct rn_camera *camera, int channels, bool (*keep_going)(void *),
-                           void *context, struct rn_error *err) {
+                           const struct rn_render_options *options, int channels,
+                           bool (*keep_going)(void *), void *context, struct rn_error *err) {
+    const struct rn_camera *camera = &options->camera;
+    int apart = options->settings.subsample > 1 ? options->settings.subsample : 1;
     enum rn_status status = rn_picture_init(camera->width, camera->height, channels, picture, err);
     if (status) return status;
     useconds_t row_us = (useconds_t)setting("RIPNERF_FAKE_ROW_US", 0);
     for (int y = 0; y < camera->height; y++) {
         if (keep_going && !keep_going(context))
             return rn_error_set(err, RN_ERROR_CANCELLED, "render", "cancelled");
-        if (row_us) usleep(row_us);
+        if (options->deadline_ns && rn_clock_ns() > options->deadline_ns)
+            return rn_error_set(err, RN_ERROR_LIMIT, "deadline", "there was no time");
+        if (row_us && y % apart == 0) usleep(row_us);
         for (int x = 0; x < camera->width * channels; x++) {
-            float value = (float)(x / channels) / (float)camera->width;
+            float value = (float)(x / channels / apart * apart) / (float)camera->width;
             if (x % channels == 1) value = (float)y / (float)camera->height;
             if (x % channels == 2) value = (float)(field->steps % 256) / 255.0f;
             picture->values[(size_t)y * (size_t)camera->width * (size_t)channels + (size_t)x] =
@@ -391,20 +395,25 @@ enum rn_status rn_render(struct rn_engine *engine, struct rn_field *field,
     double begin = now_s();
     enum rn_status status = RN_OK;
     if (options->outputs & RN_OUTPUT_RGB)
-        status = fill(&result.rgb, field, camera, 3, keep_going, context, err);
+        status = fill(&result.rgb, field, options, 3, keep_going, context, err);
     if (!status && options->outputs & RN_OUTPUT_DEPTH)
-        status = fill(&result.depth, field, camera, 1, keep_going, context, err);
+        status = fill(&result.depth, field, options, 1, keep_going, context, err);
     if (!status && options->outputs & RN_OUTPUT_ALPHA)
-        status = fill(&result.alpha, field, camera, 1, keep_going, context, err);
+        status = fill(&result.alpha, field, options, 1, keep_going, context, err);
     if (status) {
         rn_render_result_finish(&result);
         return status;
     }
+    result.stats.tolerance = options->settings.tolerance;
     result.stats.rays = (uint64_t)camera->width * (uint64_t)camera->height;
     result.stats.samples = 8 * result.stats.rays;
     result.stats.render_ms = (now_s() - begin) * 1e3;
     *ret_result = result;
     return RN_OK;
+}
+
+int rn_render_cones(const struct rn_field *field, const struct rn_camera *camera) {
+    return 1;
 }
 
 void rn_render_result_finish(struct rn_render_result *result) {

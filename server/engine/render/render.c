@@ -251,7 +251,7 @@ static struct rn_lattice_census take_census(const struct frame *f, int tiles, do
 
 static bool must_give_up(void *context) {
     const struct poll *poll = context;
-    return must_stop(context) || is_late(poll->frame);
+    return must_stop(context) || rn_clock_ns() >= poll->frame->options->first_ns;
 }
 
 // The first pass is traced whole: all the others can be made from it.
@@ -386,6 +386,10 @@ enum rn_status rn_render(struct rn_engine *engine, struct rn_field *field,
     result.stats.render_ms = (double)(rn_clock_ns() - begin) * 1e-6;
     *ret_result = result;
     return RN_OK;
+}
+
+int rn_render_cones(const struct rn_field *field, const struct rn_camera *camera) {
+    return rn_cones_for_camera(field, camera);
 }
 
 void rn_render_result_finish(struct rn_render_result *result) {

@@ -21,6 +21,7 @@ struct rn_render_options {
     // tolerance is not the settings' but as small as the time allows, and no two pictures are
     // alike.
     int64_t deadline_ns;
+    int64_t first_ns; // with it: when the first picture must be there, or it is given up
 };
 struct rn_render_stats {
     double render_ms;
@@ -34,13 +35,15 @@ struct rn_render_result {
     struct rn_render_stats stats;
 };
 // Renders in tiles. `keep_going` (may be NULL) is polled between tiles; false stops with
-// RN_ERROR_CANCELLED. RN_ERROR_LIMIT: the deadline came before a first picture (a quarter of the
-// rays; on a device other than the CPU all of them) was there. Depth is the distance along the ray
+// RN_ERROR_CANCELLED. RN_ERROR_LIMIT: a first picture (a quarter of the rays; on a device
+// other than the CPU all of them) was not there in time. Depth is the distance along the ray
 // over opacity, dataset units, 0 where nothing was hit. Every value written is finite.
 enum rn_status rn_render(struct rn_engine *engine, struct rn_field *field,
                          const struct rn_render_options *options, bool (*keep_going)(void *context),
                          void *context, struct rn_render_result *ret_result,
                          struct rn_error *err) RN_MUST_CHECK;
+// Cones a side of a pixel that a full picture has.
+int rn_render_cones(const struct rn_field *field, const struct rn_camera *camera);
 void rn_render_result_finish(struct rn_render_result *result);
 
 // One view against its photograph, composited over the options' background. Of the options, camera,

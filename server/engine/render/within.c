@@ -7,7 +7,9 @@
 #define SKETCH_SHARE 0.12 // of the time, for the first picture
 #define PLANNED 0.9       // of the time left, what the next one may be expected to take
 #define AMPLE 2.0         // times what the full picture takes: it is rendered as if without end
-#define MOST_PICTURES 4   // one after another
+#define FIRST_SHARE 0.6   // of the time left, until which a first picture must be there
+#define SLOWER 2.0        // times as slow as thought, when it was not
+#define MOST_PICTURES 5   // one after another
 #define MOST_SLOWNESS 50.0
 #define LEAST_TIMED_MS 0.5 // a picture's time, for it to say how slow the next one will be
 #define TRACES_ALL 1e-6    // a tolerance below this leaves no pixel out
@@ -47,6 +49,7 @@ static enum rn_status try_choice(struct attempt *a, size_t choice, bool timed,
     int64_t began_ns = rn_clock_ns();
     a->options.settings = wanted->settings;
     a->options.deadline_ns = timed ? a->budget->deadline_ns : 0;
+    a->options.first_ns = began_ns + (int64_t)(FIRST_SHARE * left_ms(a) * 1e6);
     enum rn_status status =
         rn_render(a->engine, a->field, &a->options, a->keep_going, a->context, &result, err);
     double ms = (double)(rn_clock_ns() - began_ns) * 1e-6;
@@ -62,6 +65,7 @@ static enum rn_status try_choice(struct attempt *a, size_t choice, bool timed,
     return RN_OK;
 }
 
+// What there was no time for leaves the picture before, and the next attempt expects less.
 static enum rn_status improve(struct attempt *a, struct rn_error *err) {
     enum rn_status status = RN_OK;
     for (int i = 0; i < MOST_PICTURES && status == RN_OK; i++) {
@@ -72,9 +76,11 @@ static enum rn_status improve(struct attempt *a, struct rn_error *err) {
         if (next <= a->spent.choice) break;
         status = try_choice(a, next, !ample, err);
         if (status == RN_OK && a->spent.settings.tolerance > TRACES_ALL) break;
+        if (status != RN_ERROR_LIMIT) continue;
+        a->budget->slowness = fmin(SLOWER * a->budget->slowness, MOST_SLOWNESS);
+        status = RN_OK;
     }
-    // What there was no time for leaves the picture before.
-    return status == RN_ERROR_LIMIT ? RN_OK : status;
+    return status;
 }
 
 enum rn_status rn_render_within(struct rn_engine *engine, struct rn_field *field,

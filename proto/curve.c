@@ -1,0 +1,83 @@
+#include "proto/curve.h"
+
+#include <limits.h>
+#include <stdio.h>
+#include <stdlib.h>
+
+#include "common/base/file.h"
+#include "proto/checks.h"
+
+#define MAX_FILE (1 << 20)
+
+static const struct rn_table setting_table = {.title = "a point's settings",
+                                              .size = sizeof(struct rn_curve_setting),
+                                              .settings = &rn_render_settings,
+                                              .settings_offset =
+                                                  offsetof(struct rn_curve_setting, values),
+                                              .as_options = true};
+
+#define S struct rn_curve_point
+static const struct rn_field_spec point[] = {
+    RN_F_OBJECT(S, setting, RN_REQUIRED, &setting_table),
+    RN_F_NUMBER(S, ms_median, RN_REQUIRED, 0, INFINITY),
+    RN_F_NUMBER(S, ms_p95, RN_REQUIRED, 0, INFINITY),
+    RN_F_NUMBER(S, psnr, RN_REQUIRED | RN_NULLABLE, -INFINITY, INFINITY),
+    RN_F_NUMBER(S, ssim, RN_REQUIRED | RN_NULLABLE, -1, 1),
+    RN_F_NUMBER(S, psnr_full, RN_REQUIRED | RN_NULLABLE, -INFINITY, INFINITY),
+    RN_F_NUMBER(S, psnr_spread, RN_REQUIRED | RN_NULLABLE, 0, INFINITY),
+    RN_F_NUMBER(S, rays, RN_REQUIRED, 0, INFINITY),
+    RN_F_NUMBER(S, samples, RN_REQUIRED, 0, INFINITY),
+};
+static const struct rn_table point_table = RN_TABLE(S, "a point of a curve", point);
+#undef S
+
+#define S struct rn_curve_record
+static const struct rn_field_spec record[] = {
+    RN_F_TEXT(S, machine, RN_REQUIRED, NULL),
+    RN_F_TEXT(S, device, RN_REQUIRED, NULL),
+    RN_F_TEXT(S, kernels, RN_REQUIRED, NULL),
+    RN_F_INT(S, threads, RN_REQUIRED, 1, 1024),
+    RN_F_TEXT(S, version, RN_REQUIRED, NULL),
+    RN_F_TEXT(S, digest, RN_REQUIRED | RN_NULLABLE, NULL),
+    RN_F_INT(S, step, RN_REQUIRED, 0, INFINITY),
+    RN_F_TEXT(S, measured_at, RN_REQUIRED, NULL),
+    RN_F_BOOL(S, stale, RN_REQUIRED),
+    RN_F_TEXT(S, stale_because, 0, NULL),
+    RN_F_INT(S, width, RN_REQUIRED, 1, 16384),
+    RN_F_INT(S, height, RN_REQUIRED, 1, 16384),
+    RN_F_INT(S, views, RN_REQUIRED, 1, 1e6),
+    RN_F_BOOL(S, photographs, RN_REQUIRED),
+    RN_F_NUMBER(S, seconds, RN_REQUIRED, 0, INFINITY),
+    RN_F_OBJECTS(S, points, count, RN_REQUIRED, &point_table, RN_CURVE_POINTS),
+};
+const struct rn_table rn_curve_record_table = RN_TABLE(S, "a curve", record);
+#undef S
+
+#define S struct rn_curve_options
+static const struct rn_field_spec options[] = {
+    RN_F_INT(S, views, 0, 1, 64),
+};
+const struct rn_table rn_curve_options_table = RN_TABLE(S, "curve options", options);
+#undef S
+
+struct rn_curve rn_curve_in(const struct rn_curve_record *r) {
+    return (struct rn_curve){r->points, r->count, r->width, r->height};
+}
+
+enum rn_status rn_curve_read(const char *scene_folder, struct rn_curve_record *ret_record,
+                             struct rn_error *err) {
+    char path[PATH_MAX];
+    uint8_t *json = NULL;
+    size_t size;
+    if (snprintf(path, sizeof path, "%s/curve.json", scene_folder) >= (int)sizeof path)
+        return rn_error_set(err, RN_ERROR_LIMIT, scene_folder, "the path is too long");
+    enum rn_status status = rn_file_read(path, MAX_FILE, &json, &size, err);
+    if (status) return status;
+    status = rn_decode(&rn_curve_record_table, (const char *)json, size, ret_record, NULL, err);
+    free(json);
+    if (!status && ret_record->count == 0) {
+        rn_message_finish(&rn_curve_record_table, ret_record);
+        status = rn_error_set(err, RN_ERROR_INVALID, path, "has no points; measure it again");
+    }
+    return status;
+}
