@@ -21,7 +21,7 @@ COMPARED = ("type", "enum", "minimum", "exclusiveMinimum", "maximum", "exclusive
 # Schema -> the table, and whether its rows are asked for (or told of a scene).
 SCHEMAS = {"FieldConfig": ("train", False), "TrainOptions": ("train", True),
            "RenderRequest": ("render", True), "PathOptions": ("render", True),
-           "EvalOptions": ("render", True)}
+           "EvalOptions": ("render", True), "CurveSetting": ("render", True)}
 # What these have beside settings.
 OTHERS = {"FieldConfig": {"finest_cone"},
           "TrainOptions": {"preset", "threads", "device", "kernels", "checkpoint_interval_s",
@@ -29,7 +29,7 @@ OTHERS = {"FieldConfig": {"finest_cone"},
           "RenderRequest": {"camera", "view", "lens", "scale", "size", "output", "background", "format",
                             "jpeg_quality"},
           "PathOptions": {"width", "height", "first", "last", "output"},
-          "EvalOptions": {"split", "views", "scale"}}
+          "EvalOptions": {"split", "views", "scale"}, "CurveSetting": set()}
 
 
 def tables():

@@ -1,0 +1,187 @@
+"""Asking for a picture by what it may cost, and the curve that says what it will."""
+
+import os
+import signal
+import time
+
+import pytest
+
+from support.client import Client
+from support.photographs import pose
+
+CAMERA = {"world_from_camera": [row[:] for row in pose(0.3)[:3]], "axes": "opengl",
+          "width": 64, "height": 64, "fov_y_deg": 40}
+PATH = {"axes": "opengl", "fps": 4, "interpolation": "linear", "loop": False, "width": 12, "height": 10,
+        "keys": [{"time": t, "world_from_camera": pose(t)[:3], "fov_y_deg": 40} for t in (0, 1)]}
+ROW_US = 2000  # so that a picture of 64 rows takes 128 ms in full, 8 to 16 with `subsample` 8
+
+
+def ask(daemon, scene="ready", **budget):
+    return daemon.post(f"/v1/scenes/{scene}/render", {"camera": CAMERA, **budget})
+
+
+def start(make_daemon, photographs, row_us):
+    """A daemon whose rows take their time, with scene `ready`."""
+    daemon = make_daemon({"RIPNERF_FAKE_ROW_US": str(row_us)})
+    assert daemon.wait(daemon.upload("data", photographs))["state"] == "succeeded"
+    daemon.train("ready")
+    assert ask(daemon).status == 200  # it is loaded
+    return daemon
+
+
+@pytest.fixture(name="slow")
+def fixture_slow(make_daemon, photographs):
+    return start(make_daemon, photographs, ROW_US)
+
+
+@pytest.fixture(name="quick")
+def fixture_quick(make_daemon, photographs):
+    return start(make_daemon, photographs, ROW_US // 20)
+
+
+def test_within_a_time(slow):
+    """A picture is there in time, rough where that must be; the answer says what it is."""
+    for within in (60, 400):
+        reply = ask(slow, within_ms=within)
+        headers = reply.headers
+        assert reply.status == 200 and reply.body[:4] == b"\x89PNG"
+        assert float(headers["X-Ripnerf-Asked-Ms"]) == within
+        assert headers["Cache-Control"] == "no-store" and "ETag" not in headers
+        assert headers["X-Ripnerf-Curve"] == "preset"
+        late = float(headers["X-Ripnerf-Spent-Ms"]) > within
+        assert headers["X-Ripnerf-Late"] == ("1" if late else "0")
+        assert float(headers["X-Ripnerf-Expected-Psnr"]) > 0
+    assert "subsample" in ask(slow, within_ms=40).headers["X-Ripnerf-Setting"]
+    assert ask(slow, within_ms=2000).headers["X-Ripnerf-Setting"] == "full"
+
+
+def test_less_time_than_the_cheapest_picture_takes(slow):
+    headers = ask(slow, within_ms=1).headers
+    assert headers["X-Ripnerf-Late"] == "1" and "subsample=8" in headers["X-Ripnerf-Setting"]
+
+
+def test_without_a_budget_nothing_is_said(shared):
+    headers = ask(shared).headers
+    assert "ETag" in headers and "X-Ripnerf-Late" not in headers
+
+
+@pytest.mark.parametrize("budget, pointer", [
+    ({"within_ms": 0}, "#/within_ms"), ({"within_ms": -1}, "#/within_ms"),
+    ({"within_ms": 1e9}, "#/within_ms"), ({"within_ms": "abc"}, "#/within_ms"),
+    ({"quality": 101}, "#/quality"), ({"quality": -1}, "#/quality"),
+    ({"render_psnr": 0}, "#/render_psnr"), ({"render_psnr": 1e9}, "#/render_psnr"),
+    ({"within_ms": 50, "quality": 10}, "#/quality"),
+    ({"render_psnr": 30, "tolerance": 0.1}, "#/render_psnr"),
+    ({"quality": 30, "subsample": 1}, "#/quality")])
+def test_what_is_no_budget(shared, budget, pointer):
+    reply = ask(shared, **budget)
+    assert reply.status == 422
+    assert [error["pointer"] for error in reply.json["errors"]] == [pointer]
+    options = {"type": "eval", "scene": "ready", "options": budget}
+    reply = shared.post("/v1/jobs", options)
+    assert reply.status == 422
+    assert reply.json["errors"][0]["pointer"] == pointer.replace("#/", "#/options/")
+
+
+def test_quality_and_psnr(shared):
+    low, high = ask(shared, quality=0), ask(shared, quality=100)
+    assert high.headers["X-Ripnerf-Setting"] == "full"
+    assert "subsample=8" in low.headers["X-Ripnerf-Setting"]
+    assert low.headers["X-Ripnerf-Late"] == high.headers["X-Ripnerf-Late"] == "0"
+    assert "X-Ripnerf-Asked-Ms" not in low.headers
+    reached = ask(shared, render_psnr=21)
+    assert float(reached.headers["X-Ripnerf-Expected-Psnr"]) >= 21
+    assert reached.headers["X-Ripnerf-Late"] == "0"
+    missed = ask(shared, render_psnr=99)
+    assert missed.headers["X-Ripnerf-Setting"] == "full" and missed.headers["X-Ripnerf-Late"] == "1"
+
+
+def test_a_job_keeps_what_its_budget_became(shared):
+    for kind, more in (("path", {"camera_path": PATH}), ("eval", {})):
+        job = shared.wait(shared.submit(type=kind, scene="ready", options={"quality": 0}, **more))
+        assert job["state"] == "succeeded", job
+        assert job["options"]["quality"] == 0 and job["options"]["subsample"] == 8
+        job = shared.wait(shared.submit(type=kind, scene="ready", options={"quality": 100}, **more))
+        assert job["options"]["tolerance"] == 0 and "subsample" not in job["options"]
+
+
+def measure(daemon, scene="ready", **options):
+    reply = daemon.post(f"/v1/scenes/{scene}/curve", options)
+    assert reply.status == 202, reply.json
+    job = daemon.wait(reply.json["id"], timeout=120)
+    assert job["state"] == "succeeded" and job["type"] == "curve", job
+    return job
+
+
+def test_curve(quick):
+    assert quick.get("/v1/scenes/ready/curve").status == 404
+    job = measure(quick, views=2)
+    curve = quick.get("/v1/scenes/ready/curve").json
+    assert curve == job["result"] and not curve["stale"] and curve["photographs"]
+    points = curve["points"]
+    assert [point["ms_median"] for point in points] == sorted(p["ms_median"] for p in points)
+    worth = [point["psnr"] for point in points[:-1]]
+    assert worth == sorted(worth) and points[-1]["setting"] == {}
+    assert points[-1]["psnr_full"] is None and points[0]["setting"]["subsample"] >= 4
+    # The curve is the scene's own from now on.
+    headers = ask(quick, quality=0).headers
+    assert headers["X-Ripnerf-Curve"] == "measured"
+    assert float(headers["X-Ripnerf-Expected-Psnr"]) == pytest.approx(points[0]["psnr"], abs=0.01)
+    for body in ({"views": 0}, {"views": 65}, {"view": 1}):
+        assert quick.post("/v1/scenes/ready/curve", body).status == 422
+    assert quick.post("/v1/scenes/nobody/curve").status == 404
+    assert quick.get("/v1/scenes/nobody/curve").status == 404
+
+
+def test_curve_of_other_parameters_is_stale(own):
+    """What was measured while a scene trained says so when the training is over."""
+    job = own.submit(type="train", dataset="data", scene="moving", options={"max_steps": 400})
+    own.wait(job, {"running"})
+    while own.get("/v1/scenes/moving").json["state"] != "training" or \
+            ask(own, "moving").status != 200:
+        time.sleep(0.05)
+    measure(own, "moving", views=1)
+    assert own.wait(job)["state"] == "succeeded"
+    curve = own.get("/v1/scenes/moving/curve").json
+    assert curve["stale"] and "parameters" in curve["stale_because"] and curve["digest"] is None
+    assert ask(own, "moving", quality=0).headers["X-Ripnerf-Curve"] == "stale"
+
+
+def test_curve_goes_on_after_its_runner_was_killed(quick):
+    reply = quick.post("/v1/scenes/ready/curve", {"views": 1})
+
+    def done():
+        progress = quick.job(reply.json["id"])["progress"]
+        return progress["done"] if progress else 0
+    deadline = time.monotonic() + 60
+    while done() < 40:
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    time.sleep(1.1)  # what was measured is kept once a second
+    for pid in quick.runners():
+        os.kill(pid, signal.SIGKILL)
+    while quick.job(reply.json["id"])["attempt"] < 2:
+        time.sleep(0.02)
+    while done() == 0 or quick.job(reply.json["id"])["state"] != "running":
+        time.sleep(0.01)
+    job = quick.wait(reply.json["id"], timeout=120)
+    assert job["state"] == "succeeded" and job["attempt"] == 2
+    assert job["result"]["points"][-1]["setting"] == {}
+
+
+def test_client(shared, build, tmp_path):
+    client = Client(build / "client" / "ripnerf", tmp_path, f"http://127.0.0.1:{shared.port}")
+    told = client.json("render", "ready", "--view", "test:0", "--within", "500ms", "-o", "a.png")
+    assert told["asked_ms"] == 500 and told["curve"] == "preset" and told["client_ms"] > 0
+    assert told["late"] == (told["spent_ms"] > 500) and told["setting"]
+    for wrong in ("0", "-1", "1e9", "abc", "50", "0ms", "50 apples", "61s"):
+        out = client.run("render", "ready", "--view", "test:0", f"--within={wrong}", "-o", "b.png",
+                         code=2)
+        assert "with its unit" in out.stderr
+    for wrong in ("101", "-1", "abc"):
+        client.run("render", "ready", "--view", "test:0", f"--quality={wrong}", "-o", "b.png", code=2)
+    measured = client.json("curve", "ready", "--measure", "--views", "1")
+    told = client.run("curve", "ready", "--plot", "curve.svg").stdout
+    assert "full" in told and measured["points"][-1]["setting"] == {}
+    svg = (tmp_path / "curve.svg").read_text(encoding="utf-8")
+    assert svg.count("<circle") == sum(point["psnr"] is not None for point in measured["points"])
