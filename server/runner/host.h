@@ -38,7 +38,7 @@ struct rn_host {
     bool dataset_is_sound;        // its files were checked
     struct rn_field *loaded;      // from a checkpoint; NULL while it trains
     struct rn_training *training; // NULL without a training job
-    char digest[65];              // of the checkpoint that was loaded last
+    char digest[65];              // of the checkpoint that was loaded or written last
     char set_aside[512];          // the damaged checkpoint found last, and why; "" = none
     struct rn_work *works;        // path, eval and curve jobs, in order; the first is worked on
     struct rn_pace pace;

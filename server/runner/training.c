@@ -158,6 +158,7 @@ static void post_checkpoint(struct rn_host *host) {
     memcpy(message.parameters_sha256, training->saving.sha256, sizeof message.parameters_sha256);
     if (rn_seal_read(path, message.digest, &err))
         rn_log(RN_LOG_WARN, "%s: %s", err.where, err.text);
+    memcpy(host->digest, message.digest, sizeof host->digest);
     if (message.scene) rn_link_post(&host->link, RN_WIRE_CHECKPOINT, &message, NULL, 0);
     free(message.scene);
 }

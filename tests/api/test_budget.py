@@ -129,7 +129,7 @@ def test_curve(quick):
     assert float(headers["X-Ripnerf-Expected-Psnr"]) == pytest.approx(points[0]["psnr"], abs=0.01)
     for body in ({"views": 0}, {"views": 65}, {"view": 1}):
         assert quick.post("/v1/scenes/ready/curve", body).status == 422
-    assert quick.post("/v1/scenes/nobody/curve").status == 404
+    assert quick.post("/v1/scenes/nobody/curve", {}).status == 404
     assert quick.get("/v1/scenes/nobody/curve").status == 404
 
 
@@ -147,26 +147,29 @@ def test_curve_of_other_parameters_is_stale(own):
     assert ask(own, "moving", quality=0).headers["X-Ripnerf-Curve"] == "stale"
 
 
-def test_curve_goes_on_after_its_runner_was_killed(quick):
-    reply = quick.post("/v1/scenes/ready/curve", {"views": 1})
-
-    def done():
-        progress = quick.job(reply.json["id"])["progress"]
-        return progress["done"] if progress else 0
+def test_curve_goes_on_after_its_runner_was_killed(make_daemon, photographs):
+    daemon = start(make_daemon, photographs, 4000)
+    job = daemon.post("/v1/scenes/ready/curve", {"views": 1}).json["id"]
     deadline = time.monotonic() + 60
-    while done() < 40:
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
+
+    def until(condition):
+        record = daemon.job(job)
+        while not condition(record):
+            assert record["state"] not in ("succeeded", "failed") and time.monotonic() < deadline
+            time.sleep(0.02)
+            record = daemon.job(job)
+        return record
+
+    until(lambda record: record["progress"] and record["progress"]["done"] >= 10)
     time.sleep(1.1)  # what was measured is kept once a second
-    for pid in quick.runners():
+    for pid in daemon.runners():
         os.kill(pid, signal.SIGKILL)
-    while quick.job(reply.json["id"])["attempt"] < 2:
-        time.sleep(0.02)
-    while done() == 0 or quick.job(reply.json["id"])["state"] != "running":
-        time.sleep(0.01)
-    job = quick.wait(reply.json["id"], timeout=120)
-    assert job["state"] == "succeeded" and job["attempt"] == 2
-    assert job["result"]["points"][-1]["setting"] == {}
+    again = until(lambda record: record["attempt"] == 2 and record["progress"]
+                  and record["state"] == "running" and record["progress"]["done"] > 0)
+    assert again["progress"]["done"] >= 10
+    record = daemon.wait(job, timeout=120)
+    assert record["state"] == "succeeded" and record["attempt"] == 2
+    assert record["result"]["points"][-1]["setting"] == {}
 
 
 def test_client(shared, build, tmp_path):

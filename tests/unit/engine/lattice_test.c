@@ -156,6 +156,37 @@ START_TEST(emptiness_is_believed_where_nothing_fits_between) {
 }
 END_TEST
 
+// The census of a whole picture, pass by pass, says how many points a tolerance has traced.
+START_TEST(a_census_knows_what_a_tolerance_costs) {
+    struct rn_tile whole = {0, 0, WIDTH, HEIGHT};
+    struct rn_spot spots[WIDTH * HEIGHT];
+    fill(0.01f, 0.2f);
+    struct rn_lattice l = lattice(0.5, RN_OUTPUT_RGB);
+    draw(&l, 8, false);
+    for (int pass = 1; pass < 3; pass++)
+        for (double rays = 60; rays < WIDTH * HEIGHT; rays *= 1.5) {
+            struct rn_lattice_census census = {0};
+            rn_lattice_count(&l, pass, whole, &census);
+            l.tolerance = rn_lattice_tolerance_for(&census, rays);
+            int rays_cast = rn_lattice_choose(&l, pass, whole, spots);
+            bool least = l.tolerance >= 0.5f; // the border alone may be more than that
+            ck_assert(least ? rays_cast >= (int)census.always : rays_cast <= rays);
+            ck_assert(l.tolerance > 0 && l.tolerance <= 0.5f);
+            l.tolerance = 0.5f;
+        }
+}
+END_TEST
+
+START_TEST(when_it_is_late_nothing_more_is_traced) {
+    fill(0.01f, 0.2f);
+    struct rn_lattice l = lattice(1e-9, RN_OUTPUT_RGB);
+    l.late = true;
+    ck_assert_int_eq(draw(&l, 8, false), (WIDTH + 1) / 2 * ((HEIGHT + 1) / 2));
+    for (int i = 0; i < WIDTH * HEIGHT; i++)
+        ck_assert(isfinite(picture[i / WIDTH][i % WIDTH].rgb[0]));
+}
+END_TEST
+
 START_TEST(beside_what_is_not_finite_pixels_are_traced) {
     for (int i = 0; i < 3; i++) {
         struct rn_lattice l = lattice(0.5, ALL);
@@ -173,6 +204,8 @@ END_TEST
 int main(void) {
     Suite *suite = suite_create("lattice");
     TCase *tests = tcase_create("lattice");
+    tcase_add_test(tests, a_census_knows_what_a_tolerance_costs);
+    tcase_add_test(tests, when_it_is_late_nothing_more_is_traced);
     tcase_add_test(tests, a_pixel_is_traced_or_the_mean_of_neighbours_that_agree);
     tcase_add_test(tests, without_a_tolerance_every_pixel_is_traced_row_by_row);
     tcase_add_test(tests, only_what_is_asked_for_has_to_agree);

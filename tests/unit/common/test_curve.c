@@ -1,0 +1,158 @@
+#include <math.h>
+#include <string.h>
+
+#include "common/settings/curve.h"
+#include "tests/support/suite.h"
+
+static struct rn_curve_point point(double ms, double psnr, double psnr_full, double tolerance,
+                                   int subsample) {
+    struct rn_curve_point p = {.ms_median = ms, .psnr = psnr, .psnr_full = psnr_full};
+    for (size_t i = 0; i < RN_RENDER_SETTINGS; i++)
+        p.setting.values[i] = rn_setting_absent(&rn_render_settings.rows[i]);
+    if (tolerance > 0)
+        rn_settings_value(&rn_render_settings, p.setting.values, "tolerance")->number = tolerance;
+    if (subsample > 1)
+        rn_settings_value(&rn_render_settings, p.setting.values, "subsample")->whole = subsample;
+    return p;
+}
+
+// 100 x 100 pixels in 1, 4, 10 and 100 ms.
+static struct rn_curve_point points[4];
+static struct rn_curve curve = {points, 4, 100, 100};
+
+static void make_curve(void) {
+    points[0] = point(1, 20, 22, 0, 4);
+    points[1] = point(4, 25, 28, 0.2, 1);
+    points[2] = point(10, 30, 40, 0.1, 1);
+    points[3] = point(100, 31, NAN, 0, 1);
+}
+
+static size_t chosen(enum rn_budget_kind kind, double number, double pixels, bool *missed) {
+    return rn_curve_choose(&curve, kind, number, pixels, NAN, missed);
+}
+
+START_TEST(what_another_beats_is_no_point) {
+    struct rn_curve_point all[] = {point(50, 33, NAN, 0, 1),    point(10, 25, 30, 0.1, 1),
+                                   point(12, 24, 30, 0.2, 1),   point(5, 20, 30, 0, 4),
+                                   point(60, 32, 30, 0.01, 1),  point(20, 31, 30, 0.05, 1),
+                                   point(20.1, 31, 30, 0.04, 1)};
+    size_t count = sizeof all / sizeof *all;
+    rn_curve_reduce(all, &count);
+    const double left[] = {5, 10, 20, 50};
+    ck_assert_uint_eq(count, 4);
+    for (size_t i = 0; i < count; i++)
+        ck_assert_double_eq(all[i].ms_median, left[i]);
+    count = 1;
+    rn_curve_reduce(all, &count);
+    ck_assert_uint_eq(count, 1);
+}
+END_TEST
+
+START_TEST(a_time_takes_the_best_that_fits) {
+    bool missed;
+    make_curve();
+    ck_assert_uint_eq(chosen(RN_BUDGET_TIME, 9.9, 1e4, &missed), 1);
+    ck_assert_uint_eq(chosen(RN_BUDGET_TIME, 10, 1e4, &missed), 2);
+    ck_assert(!missed);
+    ck_assert_uint_eq(chosen(RN_BUDGET_TIME, 10, 4e4, &missed), 0); // four times as large
+    ck_assert_uint_eq(chosen(RN_BUDGET_TIME, 0.5, 1e4, &missed), 0);
+    ck_assert(missed);
+    ck_assert_uint_eq(chosen(RN_BUDGET_TIME, 1e6, 1e4, &missed), 3);
+}
+END_TEST
+
+START_TEST(a_psnr_takes_the_quickest_that_reaches_it) {
+    bool missed;
+    make_curve();
+    ck_assert_uint_eq(chosen(RN_BUDGET_PSNR, 1, 1e4, &missed), 0);
+    ck_assert_uint_eq(chosen(RN_BUDGET_PSNR, 25.1, 1e4, &missed), 2);
+    ck_assert(!missed);
+    ck_assert_uint_eq(chosen(RN_BUDGET_PSNR, 31.1, 1e4, &missed), 3);
+    ck_assert(missed);
+}
+END_TEST
+
+START_TEST(quality_is_linear_in_the_logarithm_of_time) {
+    bool missed;
+    make_curve();
+    ck_assert_uint_eq(chosen(RN_BUDGET_QUALITY, 0, 1e6, &missed), 0);
+    ck_assert_uint_eq(chosen(RN_BUDGET_QUALITY, 30, 1e6, &missed), 0);
+    ck_assert_uint_eq(chosen(RN_BUDGET_QUALITY, 31, 1e6, &missed), 1); // 100^0.301 = 4
+    ck_assert_uint_eq(chosen(RN_BUDGET_QUALITY, 50, 1e6, &missed), 2);
+    ck_assert_uint_eq(chosen(RN_BUDGET_QUALITY, 99.9, 1e6, &missed), 2);
+    ck_assert_uint_eq(chosen(RN_BUDGET_QUALITY, 100, 1e6, &missed), 3);
+    ck_assert(!missed);
+}
+END_TEST
+
+START_TEST(what_is_expected_of_a_point) {
+    make_curve();
+    ck_assert_double_eq(rn_curve_expected(&curve, 1, 99), 25);
+    ck_assert_double_eq_tol(rn_curve_expected_with(&curve, 1, 0.15, 99), 27.5, 1e-9);
+    ck_assert_double_eq(rn_curve_expected_with(&curve, 1, 0.5, 99), 25);
+    ck_assert_double_eq(rn_curve_expected_with(&curve, 0, 0.15, 99), 20);
+    // Without photographs: the errors add up, and of the full picture there are no more.
+    for (size_t i = 0; i < curve.count; i++)
+        points[i].psnr = NAN;
+    double both = -10 * log10(pow(10, -3.0) + pow(10, -4.0));
+    ck_assert_double_eq_tol(rn_curve_expected(&curve, 2, 30), both, 1e-9);
+    ck_assert_double_eq(rn_curve_expected(&curve, 3, 30), 30);
+    ck_assert(isnan(rn_curve_expected(&curve, 2, NAN)));
+}
+END_TEST
+
+START_TEST(a_budget_stands_alone) {
+    union rn_setting_value values[RN_RENDER_SETTINGS];
+    enum rn_budget_kind kind = RN_BUDGET_NONE;
+    double number;
+    char text[64];
+    rn_settings_get(&rn_render_settings, &(struct rn_render_settings){0}, values);
+    for (size_t i = 0; i < RN_RENDER_SETTINGS; i++)
+        values[i] = rn_setting_absent(&rn_render_settings.rows[i]);
+    ck_assert_int_eq(rn_budget_of(values, &number), RN_BUDGET_NONE);
+    ck_assert_ptr_null(rn_budget_check(values, &kind));
+    rn_settings_value(&rn_render_settings, values, "quality")->number = 0;
+    ck_assert_int_eq(rn_budget_of(values, &number), RN_BUDGET_QUALITY);
+    ck_assert(number == 0 && !rn_budget_check(values, &kind));
+    rn_settings_value(&rn_render_settings, values, "within")->number = 50;
+    ck_assert_ptr_nonnull(rn_budget_check(values, &kind));
+    ck_assert_int_eq(kind, RN_BUDGET_QUALITY);
+    values[RN_RENDER_BUDGET] = rn_setting_absent(&rn_render_settings.rows[RN_RENDER_BUDGET]);
+    rn_settings_value(&rn_render_settings, values, "tolerance")->number = 0.1;
+    ck_assert_ptr_nonnull(rn_budget_check(values, &kind));
+    struct rn_curve_setting setting;
+    memcpy(setting.values, values, sizeof values);
+    rn_curve_setting_text(&setting, text, sizeof text);
+    ck_assert_str_eq(text, "tolerance=0.1");
+    make_curve();
+    rn_curve_setting_text(&points[3].setting, text, sizeof text);
+    ck_assert_str_eq(text, "full");
+}
+END_TEST
+
+START_TEST(the_presets_curve_is_a_curve) {
+    struct rn_curve_point of_presets[RN_CURVE_POINTS];
+    struct rn_curve c;
+    rn_curve_of_presets(of_presets, &c);
+    size_t count = c.count;
+    for (size_t i = 1; i < count; i++) {
+        ck_assert_double_gt(c.points[i].ms_median, c.points[i - 1].ms_median);
+        ck_assert_double_gt(rn_curve_worth(&c.points[i]), rn_curve_worth(&c.points[i - 1]));
+    }
+    ck_assert(isnan(c.points[count - 1].psnr_full));
+}
+END_TEST
+
+int main(void) {
+    Suite *suite = suite_create("curve");
+    TCase *all = tcase_create("all");
+    tcase_add_test(all, what_another_beats_is_no_point);
+    tcase_add_test(all, a_time_takes_the_best_that_fits);
+    tcase_add_test(all, a_psnr_takes_the_quickest_that_reaches_it);
+    tcase_add_test(all, quality_is_linear_in_the_logarithm_of_time);
+    tcase_add_test(all, what_is_expected_of_a_point);
+    tcase_add_test(all, a_budget_stands_alone);
+    tcase_add_test(all, the_presets_curve_is_a_curve);
+    suite_add_tcase(suite, all);
+    return run_suite(suite);
+}
