@@ -28,7 +28,8 @@ OTHERS = {"FieldConfig": {"finest_cone"},
                            "evaluate_interval_s"},
           "RenderRequest": {"camera", "view", "lens", "scale", "size", "output", "background", "format",
                             "jpeg_quality"},
-          "PathOptions": {"width", "height", "first", "last", "output"},
+          "PathOptions": {"width", "height", "first", "last", "output", "fps", "film",
+                          "video_quality"},
           "EvalOptions": {"split", "views", "scale"}, "CurveSetting": set()}
 
 
