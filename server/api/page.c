@@ -51,7 +51,7 @@ static void send(struct rn_app *app, const char *name, struct rn_reply *reply) {
     }
     rn_reply_header(reply, "Cache-Control", "no-cache");
     rn_reply_header(reply, "Content-Security-Policy",
-                    "default-src 'self'; img-src 'self' blob:; object-src 'none'; "
+                    "default-src 'self'; img-src 'self' blob:; media-src 'self' blob:; object-src 'none'; "
                     "base-uri 'none'; form-action 'none'; frame-ancestors 'none'");
     rn_reply_header(reply, "Referrer-Policy", "no-referrer");
 }

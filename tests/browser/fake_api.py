@@ -24,7 +24,7 @@ from fake_world import OVER, Refusal, World, contract, now
 WEB = Path(__file__).resolve().parents[2] / "web"
 FORMATS = WEB.parent / "proto/examples/FormatList.json"
 CSP = (
-    "default-src 'self'; img-src 'self' blob:; object-src 'none'; base-uri 'none'; "
+    "default-src 'self'; img-src 'self' blob:; media-src 'self' blob:; object-src 'none'; base-uri 'none'; "
     "form-action 'none'; frame-ancestors 'none'"
 )
 TYPES = {
@@ -250,6 +250,14 @@ class Handler(BaseHTTPRequestHandler):
             raise Refusal(404, "Not found", f"Frame {index} is not there yet.")
         self.reply(200, data, "image/png")
 
+    def film(self, world, key):
+        with world.lock:
+            job = world.find(world.jobs, key, "job")
+            if "result" not in job or "film" not in job["result"]:
+                raise Refusal(404, "Not found", "the job has no film (yet)")
+            data = world.frames[key][0]
+        self.reply(200, data, "image/gif")
+
     def frames_tar(self, world, key):
         out = io.BytesIO()
         with world.lock, tarfile.open(fileobj=out, mode="w") as tar:
@@ -312,6 +320,7 @@ ROUTES = [
     (rf"GET /v1/scenes/{ID}/evaluations", "evaluations"),
     (rf"GET /v1/jobs/{ID}/metrics", "metrics"),
     (rf"GET /v1/jobs/{ID}/frames", "frames"),
+    (rf"GET /v1/jobs/{ID}/film", "film"),
     (rf"GET /v1/jobs/{ID}/frames/(\d+)", "frame"),
     (rf"GET /v1/jobs/{ID}/frames\.tar", "frames_tar"),
     (r"POST /v1/camera-paths", "keep_path"),

@@ -381,6 +381,8 @@ class World:
                 "step": 1234,
                 "render_ms_median": 83.0,
             }
+            if "film" in job["options"]:
+                job["result"] |= {"film": "film.gif", "film_bytes": len(frames[0])}
             self.set_state(job, "succeeded")
 
     def advance_eval(self, job, dt):

@@ -10,6 +10,7 @@ function open(bytes) {
   const view = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength);
   const parts = [];
   let size = null;
+  let scale = NaN;
   for (let at = CHUNKS_AT; at + 12 <= bytes.length;) {
     const length = view.getUint32(at);
     const type = String.fromCharCode(...bytes.subarray(at + 4, at + 8));
@@ -18,10 +19,14 @@ function open(bytes) {
       if (body[8] !== 16 || body[9] !== 0 || body[12] !== 0) return null;
       size = {width: view.getUint32(at + 8), height: view.getUint32(at + 12)};
     }
+    if (type === 'tEXt') {
+      const [key, value] = new TextDecoder('latin1').decode(body).split('\0');
+      if (key === 'ripnerf:depth_scale') scale = Number(value);
+    }
     if (type === 'IDAT') parts.push(body);
     at += 12 + length;
   }
-  return size && {...size, packed: new Blob(parts)};
+  return size && {...size, scale, packed: new Blob(parts)};
 }
 
 const paeth = (a, b, c) => {
@@ -41,8 +46,8 @@ function unfilter(kind, row, above) {
 
 /**
  * @param {Blob} blob
- * @returns {Promise<{width: number, height: number, values: Uint16Array}|null>} null when it is
- *     another kind of picture
+ * @returns {Promise<{width: number, height: number, values: Uint16Array, scale: number}|null>} null
+ *     when it is another kind of picture; scale: dataset units that 65535 stands for
  */
 export async function readGrey16(blob) {
   const png = open(new Uint8Array(await blob.arrayBuffer()));
@@ -60,7 +65,7 @@ export async function readGrey16(blob) {
       values[y * png.width + x] = (row[2 * x] << 8) | row[2 * x + 1];
     above = row;
   }
-  return {width: png.width, height: png.height, values};
+  return {width: png.width, height: png.height, values, scale: png.scale};
 }
 
 /**

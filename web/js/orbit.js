@@ -87,6 +87,56 @@ export function orbitOfPose(pose, fovDeg, up, bounds) {
   };
 }
 
+/** Heading, tilt and roll of a pose, radians; heading and tilt are those towards which it looks. */
+export function anglesOfPose(pose, up) {
+  const forward = unit(column(pose, 2));
+  const [a, b] = ground(up);
+  const level = unit(cross(forward, up));
+  const right = column(pose, 0);
+  return {
+    yaw: Math.atan2(dot(forward, b), dot(forward, a)),
+    pitch: Math.asin(clamp(dot(forward, up), -1, 1)),
+    roll: Math.atan2(dot(cross(level, right), forward), dot(level, right)),
+  };
+}
+
+/** The other way, at a place. */
+export function poseOfAngles({yaw, pitch, roll}, place, up) {
+  const [a, b] = ground(up);
+  const tilt = clamp(pitch, -MAX_PITCH, MAX_PITCH);
+  const flat = add(scale(a, Math.cos(yaw)), scale(b, Math.sin(yaw)));
+  const forward = add(scale(flat, Math.cos(tilt)), scale(up, Math.sin(tilt)));
+  const level = unit(cross(forward, up));
+  const under = cross(forward, level);
+  const right = add(scale(level, Math.cos(roll)), scale(under, Math.sin(roll)));
+  return poseOf(right, cross(forward, right), forward, place);
+}
+
+/** Moves camera and target together: right, up and forward in dataset units. */
+export function fly(orbit, right, upward, forward) {
+  const pose = poseOfOrbit(orbit);
+  const by = add(
+      add(scale(column(pose, 0), right), scale(orbit.up, upward)), scale(column(pose, 2), forward));
+  return {...orbit, target: add(orbit.target, by)};
+}
+
+/** The eye stays, the target comes to a point: what is double-clicked is looked at. */
+export function lookAt(orbit, point) {
+  const eye = column(poseOfOrbit(orbit), 3);
+  const out = sub(eye, point);
+  const distance = norm(out);
+  if (!(distance > 1e-6)) return orbit;
+  const [a, b] = ground(orbit.up);
+  const unitOut = scale(out, 1 / distance);
+  return {
+    ...orbit,
+    target: point,
+    distance,
+    yaw: Math.atan2(dot(unitOut, b), dot(unitOut, a)),
+    pitch: clamp(Math.asin(clamp(dot(unitOut, orbit.up), -1, 1)), -MAX_PITCH, MAX_PITCH)
+  };
+}
+
 /** Where to begin without cameras: outside the bounds, a little above. */
 export const defaultOrbit = (bounds, up = [0, 0, 1]) => ({
   target: [...bounds.centre],
@@ -96,6 +146,19 @@ export const defaultOrbit = (bounds, up = [0, 0, 1]) => ({
   up,
   fovDeg: 40
 });
+
+/** A camera as a short word for an address, and back: target, distance, heading, tilt, lens. */
+export const wordOfOrbit =
+    ({target, distance, yaw, pitch, fovDeg}) => [...target, distance, yaw, pitch, fovDeg]
+                                                    .map((x) => Number(x.toPrecision(6)))
+                                                    .join('_');
+export function orbitOfWord(word, up) {
+  const numbers = (word ?? '').split('_').map(Number);
+  if (numbers.length !== 7 || numbers.some((x) => !Number.isFinite(x))) return null;
+  const [x, y, z, distance, yaw, pitch, fovDeg] = numbers;
+  if (!(distance > 0 && fovDeg > 0 && fovDeg < 180)) return null;
+  return {target: [x, y, z], distance, yaw, pitch: clamp(pitch, -MAX_PITCH, MAX_PITCH), up, fovDeg};
+}
 
 const clamp = (x, low, high) => Math.min(high, Math.max(low, x));
 
@@ -135,6 +198,7 @@ export function listen(element, get, set, signal) {
   const fingers = new Map();
   const options = {signal};
   element.addEventListener('pointerdown', (event) => {
+    if (event.target.closest('[data-own]')) return;
     if (event.pointerType === 'mouse' && event.button > 2) return;
     element.setPointerCapture(event.pointerId);
     fingers.set(event.pointerId, [event.clientX, event.clientY]);

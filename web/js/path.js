@@ -1,24 +1,62 @@
 // Camera paths: keys, their order and times, the native document, and a preview of the motion.
-import {column, mix, poseOfQuaternion, quaternionOf, slerp} from './vector.js';
-import {poseOfOrbit, turn} from './orbit.js';
+import {
+  add,
+  column,
+  dot,
+  mix,
+  norm,
+  poseOfQuaternion,
+  quaternionOf,
+  scale,
+  slerp,
+  sub
+} from './vector.js';
+import {dolly, poseOfOrbit, turn} from './orbit.js';
 
 /**
  * @typedef {{id: string, time: number, pose: number[][], fovDeg: number, picture?: Blob}} Key
- * @typedef {{keys: Key[], fps: number, interpolation: 'spline'|'linear', loop: boolean, width:
- * number, height: number}} Path
+ * @typedef {{keys: Key[], fps: number, interpolation: 'spline'|'linear'|'circle', tension: number,
+ * constantSpeed: boolean, loop: boolean, width: number, height: number}} Path
  */
 
 const STEP_S = 1;
 let serial = 0;
 const newId = () => `k${Date.now().toString(36)}${serial++}`;
 
-export const emptyPath = (width, height) =>
-    ({keys: [], fps: 24, interpolation: 'spline', loop: false, width, height});
+export const emptyPath = (width, height) => ({
+  keys: [],
+  fps: 24,
+  interpolation: 'spline',
+  tension: 0,
+  constantSpeed: false,
+  loop: false,
+  width,
+  height
+});
 
 /** A key one second after the last. */
 export function addKey(path, pose, fovDeg, picture) {
   const time = path.keys.length ? path.keys.at(-1).time + STEP_S : 0;
   return {...path, keys: [...path.keys, {id: newId(), time, pose, fovDeg, picture}]};
+}
+
+/** A key at a time that no other has, in its place among them. */
+export function insertKey(path, time, pose, fovDeg) {
+  const keys = [
+    ...path.keys.filter((key) => Math.abs(key.time - time) > 1e-6),
+    {id: newId(), time, pose, fovDeg}
+  ];
+  return {...path, keys: keys.sort((a, b) => a.time - b.time)};
+}
+
+/** A key at another time; it does not pass its neighbours. */
+export function shiftKey(path, id, time) {
+  const at = path.keys.findIndex((key) => key.id === id);
+  if (at < 0) return path;
+  const gap = 0.02;
+  const low = at ? path.keys[at - 1].time + gap : 0;
+  const high = path.keys[at + 1] ? path.keys[at + 1].time - gap : 86400;
+  return changeKey(path, id, {time: Math.max(low, Math.min(high, time))});
 }
 
 export const removeKey = (path, id) => ({...path, keys: path.keys.filter((key) => key.id !== id)});
@@ -70,6 +108,8 @@ export const documentOf = (path) => ({
   axes: 'opencv',
   fps: path.fps,
   interpolation: path.interpolation,
+  ...(path.tension ? {tension: path.tension} : {}),
+  ...(path.constantSpeed ? {constant_speed: true} : {}),
   loop: path.loop,
   width: path.width,
   height: path.height,
@@ -83,6 +123,8 @@ export function pathOfDocument(document) {
   return {
     fps: document.fps ?? 30,
     interpolation: document.interpolation ?? 'spline',
+    tension: document.tension ?? 0,
+    constantSpeed: Boolean(document.constant_speed),
     loop: Boolean(document.loop),
     width: document.width,
     height: document.height,
@@ -105,44 +147,248 @@ export function turnTable(path, orbit, count, seconds) {
                                     pose: poseOfOrbit(turn(orbit, (2 * Math.PI * i) / count, 0)),
                                     fovDeg: orbit.fovDeg
                                   }));
-  return {...path, keys, loop: true};
+  return {...path, keys, loop: true, interpolation: 'circle'};
 }
 
-/** Centripetal Catmull-Rom through b and c. */
-function spline(a, b, c, d, t) {
-  const gap = (p, q) => Math.max(1e-6, Math.sqrt(Math.hypot(...p.map((x, i) => x - q[i]))));
-  const [t1, t2, t3] = [gap(a, b), gap(a, b) + gap(b, c), gap(a, b) + gap(b, c) + gap(c, d)];
-  const at = t1 + t * (t2 - t1);
-  const a1 = mix(a, b, at / t1);
-  const a2 = mix(b, c, (at - t1) / (t2 - t1));
-  const a3 = mix(c, d, (at - t2) / (t3 - t2));
-  return mix(mix(a1, a2, at / t2), mix(a2, a3, (at - t1) / (t3 - t1)), (at - t1) / (t2 - t1));
+// ---- ready-made paths ----
+
+const keysOf = (cameras, seconds) =>
+    cameras.map(({pose, fovDeg}, i) => ({
+                  id: newId(),
+                  time: cameras.length > 1 ? (i * seconds) / (cameras.length - 1) : 0,
+                  pose,
+                  fovDeg
+                }));
+const orbitKeys = (orbits, seconds) =>
+    keysOf(orbits.map((orbit) => ({pose: poseOfOrbit(orbit), fovDeg: orbit.fovDeg})), seconds);
+const sweep = (count, make) => Array.from({length: count}, (_, i) => make(i / (count - 1)));
+
+/** What can be made out of where one stands: name, words, and the path. */
+export const PREFABS = [
+  ['orbit', 'Whole turn', (path, orbit) => turnTable(path, orbit, 8, 6)],
+  [
+    'arc', 'Arc', (path, orbit) => ({
+                    ...path,
+                    loop: false,
+                    interpolation: 'circle',
+                    keys: orbitKeys(sweep(5, (t) => turn(orbit, ((t - 0.5) * Math.PI) / 2, 0)), 4)
+                  })
+  ],
+  [
+    'spiral', 'Spiral',
+    (path, orbit) => ({
+      ...path,
+      loop: false,
+      interpolation: 'spline',
+      keys: orbitKeys(
+          sweep(
+              13,
+              (t) =>
+                  dolly(turn({...orbit, pitch: -0.1}, 3 * Math.PI * t, 1.1 * t), 1.25 - 0.5 * t)),
+          9)
+    })
+  ],
+  [
+    'dolly-zoom', 'Dolly zoom',
+    (path, orbit) => ({
+      ...path,
+      loop: false,
+      interpolation: 'linear',
+      keys: orbitKeys(sweep(9, (t) => dollyZoom(orbit, 1.8 - 1.2 * t)), 4)
+    })
+  ],
+  ['photographs', 'Through the photographs', null],
+];
+
+/** Nearer by a factor and wider, so that the target stays as large. @param {Orbit} orbit */
+function dollyZoom(orbit, factor) {
+  const half = Math.tan((orbit.fovDeg * Math.PI) / 360) / factor;
+  return {...dolly(orbit, factor), fovDeg: (Math.atan(half) * 360) / Math.PI};
 }
 
-/**
- * The camera at `time` seconds from the first key. For the preview: the daemon's own frames follow
- * the same positions and turn a little more smoothly.
- * @param {Path} path @returns {{pose: number[][], fovDeg: number}}
- */
-export function cameraAt(path, time) {
+/** Through up to `most` of the photographs' cameras, evenly taken. */
+export function throughCameras(path, cameras, most = 24) {
+  const step = Math.max(1, cameras.length / most);
+  const chosen =
+      Array.from({length: Math.min(most, cameras.length)}, (_, i) => cameras[Math.floor(i * step)]);
+  return {...path, loop: false, interpolation: 'spline', keys: keysOf(chosen, chosen.length - 1)};
+}
+
+// ---- undo ----
+
+/** Steps back and forth over values that are never changed in place. */
+export function createHistory(limit = 200) {
+  let past = [];
+  let future = [];
+  return {
+    /** Notes what was before a change; changes with the same `word` within a second are one. */
+    note(before, word, now = Date.now()) {
+      const last = past.at(-1);
+      if (!(last && word && last.word === word && now - last.at < 1000))
+        past = [...past, {value: before, word, at: now}].slice(-limit);
+      else
+        last.at = now;
+      future = [];
+    },
+    undo(now) {
+      const last = past.pop();
+      if (!last) return null;
+      future.push(now);
+      return last.value;
+    },
+    redo(now) {
+      const next = future.pop();
+      if (!next) return null;
+      past.push({value: now, word: '', at: 0});
+      return next;
+    },
+    canUndo: () => past.length > 0,
+    canRedo: () => future.length > 0,
+  };
+}
+
+// ---- between keys ----
+
+/** Centripetal Catmull-Rom from b to c as a cubic with the daemon's tangents, tension applied. */
+function spline([a, b, c, d], tension, u) {
+  const gap = (p, q) => Math.sqrt(Math.hypot(...p.map((x, i) => x - q[i])));
+  const step = [gap(a, b), gap(b, c), gap(c, d)];
+  if (!(step[1] > 0)) return mix(b, c, u);
+  const [u2, u3] = [u * u, u * u * u];
+  return b.map((_, i) => {
+    const chord = c[i] - b[i];
+    let [begin, end] = [chord, chord];
+    if (step[0] > 0)
+      begin += step[1] * ((b[i] - a[i]) / step[0] - (c[i] - a[i]) / (step[0] + step[1]));
+    if (step[2] > 0)
+      end += step[1] * ((d[i] - c[i]) / step[2] - (d[i] - b[i]) / (step[1] + step[2]));
+    return b[i] + (3 * u2 - 2 * u3) * chord +
+        ((u3 - 2 * u2 + u) * begin + (u3 - u2) * end) * (1 - tension);
+  });
+}
+
+/** The point nearest to all lines of sight; null when they are parallel. */
+export function centreOf(keys) {
+  const m = [[0, 0, 0, 0], [0, 0, 0, 0], [0, 0, 0, 0]];
+  for (const {pose} of keys) {
+    const [forward, eye] = [column(pose, 2), column(pose, 3)];
+    for (let i = 0; i < 3; i++)
+      for (let j = 0; j < 3; j++) {
+        const part = (i === j ? 1 : 0) - forward[i] * forward[j];
+        m[i][j] += part;
+        m[i][3] += part * eye[j];
+      }
+  }
+  for (let i = 0; i < 3; i++) {
+    if (!(m[i][i] > 1e-6 * keys.length)) return null;
+    for (let r = i + 1; r < 3; r++) {
+      const factor = m[r][i] / m[i][i];
+      for (let c = i; c < 4; c++) m[r][c] -= factor * m[i][c];
+    }
+  }
+  const centre = [0, 0, 0];
+  for (let i = 2; i >= 0; i--) {
+    centre[i] = m[i][3];
+    for (let c = i + 1; c < 3; c++) centre[i] -= m[i][c] * centre[c];
+    centre[i] /= m[i][i];
+  }
+  return centre;
+}
+
+/** Along the arc from p to q about the centre, or null where there is none. */
+function arc(centre, p, q, u) {
+  const [a, b] = [sub(p, centre), sub(q, centre)];
+  const [ra, rb] = [norm(a), norm(b)];
+  if (!(ra > 0 && rb > 0)) return null;
+  const angle = Math.acos(Math.max(-1, Math.min(1, dot(a, b) / (ra * rb))));
+  if (angle > 3.1) return null;
+  const sine = Math.sin(angle);
+  const [wa, wb] =
+      sine > 1e-9 ? [Math.sin((1 - u) * angle) / sine, Math.sin(u * angle) / sine] : [1 - u, u];
+  const r = ra + (rb - ra) * u;
+  return add(centre, add(scale(a, (r * wa) / ra), scale(b, (r * wb) / rb)));
+}
+
+/** Which keys a time lies between, and where. */
+function segmentAt(path, time) {
   const {keys} = path;
   const start = keys[0].time;
   const last = keys.length - 1;
   let i = 0;
   while (i < last && keys[i + 1].time - start <= time) i++;
-  if (i === last && !path.loop || keys.length === 1) return keys[i];
+  if (i === last && !path.loop || keys.length === 1)
+    return {four: [keys[i], keys[i], keys[i], keys[i]], u: 0};
   const next = (i + 1) % keys.length;
   const end = next ? keys[next].time - start : duration(path);
-  const t = Math.min(1, (time - (keys[i].time - start)) / (end - (keys[i].time - start)));
+  const u = Math.min(1, (time - (keys[i].time - start)) / (end - (keys[i].time - start)));
   const neighbour = (j) =>
       keys[path.loop ? (j + keys.length) % keys.length : Math.min(last, Math.max(0, j))];
-  const four = [neighbour(i - 1), keys[i], keys[next], neighbour(i + 2)];
-  const position = path.interpolation === 'linear' ?
-      mix(column(four[1].pose, 3), column(four[2].pose, 3), t) :
-      spline(...four.map((key) => column(key.pose, 3)), t);
+  return {four: [neighbour(i - 1), keys[i], keys[next], neighbour(i + 2)], u};
+}
+
+const ways = new WeakMap();  // what is worked out once for each path
+function wayOf(path) {
+  if (!ways.has(path)) {
+    const way = {
+      centre: path.interpolation === 'circle' ? centreOf(path.keys) : null,
+      travelled: []
+    };
+    ways.set(path, way);
+    if (path.constantSpeed && path.keys.length > 1) way.travelled = measureWay(path);
+  }
+  return ways.get(path);
+}
+
+function positionAt(path, time) {
+  const {four, u} = segmentAt(path, time);
+  const points = four.map((key) => column(key.pose, 3));
+  const {centre} = wayOf(path);
+  if (path.interpolation === 'circle' && centre) {
+    const found = arc(centre, points[1], points[2], u);
+    if (found) return found;
+  }
+  return path.interpolation === 'spline' ? spline(points, path.tension ?? 0, u) :
+                                           mix(points[1], points[2], u);
+}
+
+function measureWay(path) {
+  const count = 32 * path.keys.length;
+  const whole = duration(path);
+  let before = positionAt(path, 0);
+  let length = 0;
+  return Array.from({length: count + 1}, (_, i) => {
+    const now = positionAt(path, whole * Math.min(i / count, 1 - 1e-12));
+    length += norm(sub(now, before));
+    before = now;
+    return length;
+  });
+}
+
+/** The time of the keys' clock at which the camera has travelled as far as it should have. */
+function timeOfWay(path, time) {
+  const {travelled} = wayOf(path);
+  const all = travelled.at(-1);
+  if (!path.constantSpeed || !(all > 0)) return time;
+  const wanted = Math.min(1, time / duration(path)) * all;
+  let high = travelled.findIndex((x, i) => i && x > wanted);
+  if (high < 0) high = travelled.length - 1;
+  const step = travelled[high] - travelled[high - 1];
+  const part = step > 0 ? (wanted - travelled[high - 1]) / step : 0;
+  return (duration(path) * (high - 1 + Math.min(part, 1))) / (travelled.length - 1);
+}
+
+/**
+ * The camera at `time` seconds from the first key. The daemon's frames follow the same positions
+ * and turn a little more smoothly.
+ * @param {Path} path @returns {{pose: number[][], fovDeg: number}}
+ */
+export function cameraAt(path, time) {
+  if (path.keys.length === 1) return path.keys[0];
+  const at = timeOfWay(path, time);
+  const {four, u} = segmentAt(path, at);
   return {
     pose: poseOfQuaternion(
-        slerp(quaternionOf(four[1].pose), quaternionOf(four[2].pose), t), position),
-    fovDeg: mix([four[1].fovDeg], [four[2].fovDeg], t)[0],
+        slerp(quaternionOf(four[1].pose), quaternionOf(four[2].pose), u), positionAt(path, at)),
+    fovDeg: mix([four[1].fovDeg], [four[2].fovDeg], u)[0],
   };
 }

@@ -19,7 +19,7 @@ export const link = {
   jobs: () => '#/jobs',
   system: () => '#/system',
   dataset: (id, query = '') => `#/dataset/${encodeURIComponent(id)}${query}`,
-  scene: (id) => `#/scene/${encodeURIComponent(id)}`,
+  scene: (id, query = '') => `#/scene/${encodeURIComponent(id)}${query}`,
   job: (id) => `#/job/${encodeURIComponent(id)}`,
 };
 

@@ -191,9 +191,17 @@ export function panel(title, props, ...children) {
       h('header', null, h('h2', null, title), tools), ...children);
 }
 
-/** A box that scrolls when its content is wide or tall: with a name and reachable by the keyboard. */
+/**
+ * A box that scrolls when its content is wide or tall: with a name and reachable by the keyboard.
+ */
 export const scroller = (label, props, ...children) =>
-    h('div', {role: 'region', tabindex: 0, 'aria-label': label, ...props, class: `scroll ${props?.class ?? ''}`},
+    h('div', {
+      role: 'region',
+      tabindex: 0,
+      'aria-label': label,
+      ...props,
+      class: `scroll ${props?.class ?? ''}`
+    },
       ...children);
 
 export const empty = (title, ...more) =>

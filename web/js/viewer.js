@@ -10,7 +10,7 @@ const REFRESH_MS = 2000;    // while training; renders take at most about an eig
 const EARLY_MS = 400;       // the same while a picture is of the first steps, which change most
 const EARLY_STEPS = 300;
 const [COARSE, HALF, FULL] = [0, 1, 2];
-const TOLERANCE = [0.06, 0.03, 0]; // of each; pixels are worth more than their last half dB
+const TOLERANCE = [0.06, 0.03, 0];  // of each; pixels are worth more than their last half dB
 
 const even = (x) => Math.max(8, 2 * Math.round(x / 2));
 

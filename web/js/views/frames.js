@@ -1,11 +1,11 @@
 // The frames of a path job as they arrive: a player, a scrubber, a strip and the download.
 import {api, token} from '../api.js';
-import {fill, h, saveBlob, text} from '../dom.js';
+import {fill, h, saveBlob, showBlob, text} from '../dom.js';
 import {followJob} from '../follow.js';
 import {pictureOf} from '../grey16.js';
 import {find, isActive, state, watch} from '../store.js';
-import {plural} from '../format.js';
-import {action, announce, endOf, panel} from '../ui.js';
+import {bytes, plural} from '../format.js';
+import {action, announce, endOf, panel, toast} from '../ui.js';
 
 const KEPT = 240;  // decoded pictures held for playing
 const ANNOUNCE_MS = 10_000;
@@ -143,12 +143,59 @@ export function framesPanel(job, signal) {
       .then((items) => items.forEach((item) => arrived(item.index)), () => {});
   followJob(job.id, (type, data) => type === 'frame' && arrived(data.index), signal);
   watch(update, signal);
-  return panel(
+  const film = filmPanel(job, signal);
+  const frames = panel(
       'Frames', {tools: h('div', {class: 'row'}, count, download(job))},
       h('div', {class: 'screen'}, canvas, waiting),
       h('div', {class: 'row player'}, play, scrub, at, h('label', {'for': 'play-rate'}, 'at'), rate,
         h('span', {class: 'quiet'}, 'frames/s')),
       cells);
+  return [film, frames];
+}
+
+/** The film, once it is made: it plays here and can be kept. */
+function filmPanel(job, signal) {
+  const box = h('div');
+  const node = panel('Film', {class: 'panel', hidden: true}, box);
+  const wanted = job.options?.film;
+  let shown = '';
+  if (!wanted) return node;
+  node.hidden = false;
+  const show = async (now) => {
+    const {film, film_bytes: size} = now.result;
+    const name = `${now.scene_name ?? now.id}${film.slice(film.lastIndexOf('.'))}`;
+    const blob = await api.download(`v1/jobs/${encodeURIComponent(now.id)}/film`, {signal});
+    const picture =
+        film.endsWith('.gif') ? h('img', {class: 'film', alt: 'The film'}) : h('video', {
+          class: 'film',
+          controls: true,
+          loop: true,
+          muted: true,
+          playsinline: true,
+          'aria-label': 'The film'
+        });
+    showBlob(picture, blob, signal);
+    fill(
+        box, h('div', {class: 'screen'}, picture),
+        h('div', {class: 'row'},
+          h('span', {class: 'quiet'}, `${wanted.toUpperCase()}, ${bytes(size)}`),
+          action('Save film', async () => saveBlob(blob, name), {kind: 'primary'})));
+  };
+  watch(() => {
+    const now = find(state.jobs, job.id) ?? job;
+    const key = `${now.state} ${now.result?.film ?? ''}`;
+    if (key === shown) return;
+    shown = key;
+    if (now.result?.film)
+      show(now).catch(toast);
+    else
+      fill(
+          box,
+          h('p', {class: 'quiet', role: 'status'},
+            isActive(now) ? 'It is made once all frames are there.' :
+                            `None: the job ${endOf(now)}.`));
+  }, signal);
+  return node;
 }
 
 function download(job) {

@@ -15,23 +15,19 @@ export function homeView(root, {signal}) {
   const datasetBox = h('div');
   const running = h('div', {class: 'rows'});
   const runningBox = panel('Under way', {class: 'panel', hidden: true}, running);
-  const table =
-      scroller(
-          'Datasets', null,
-          h(
-              'table', {class: 'table'},
-              h('thead', null,
-                h('tr', null,
-                  ['Dataset', 'Views', 'Size', 'Scales', 'On disk', ''].map(
-                      (t, i) =>
-                          h(
-                              'th', {
-                                scope: 'col',
-                                class: ['', '', 'number', 'number optional', 'number optional', '']
-                                    [i]
-                              },
-                              t || h('span', {class: 'unseen'}, 'Actions'))))),
-              tableBody));
+  const table = scroller(
+      'Datasets', null,
+      h('table', {class: 'table'},
+        h('thead', null,
+          h('tr', null,
+            ['Dataset', 'Views', 'Size', 'Scales', 'On disk', ''].map(
+                (t, i) =>
+                    h('th', {
+                      scope: 'col',
+                      class: ['', '', 'number', 'number optional', 'number optional', ''][i]
+                    },
+                      t || h('span', {class: 'unseen'}, 'Actions'))))),
+        tableBody));
   fill(
       root, h('h1', {class: 'unseen'}, 'Scenes and datasets'),
       h('div', {class: 'columns'},
@@ -112,10 +108,9 @@ function sceneCard(scene, signal) {
     const live = liveFigures(now);
     text(
         figures,
-        live.steps ?
-            `${decibel(live.psnr)} held out · ${seconds(live.seconds)} · ${
-                whole(live.steps)} steps` :
-            'not trained yet');
+        live.steps ? `${decibel(live.psnr)} held out · ${seconds(live.seconds)} · ${
+                         whole(live.steps)} steps` :
+                     'not trained yet');
   };
   return {node, update};
 }

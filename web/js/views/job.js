@@ -71,19 +71,29 @@ function page(job, trained, signal) {
 /** What a job was asked for, with what it takes where it was not. */
 const DEFAULTS = {
   train: {preset: 'standard', train_split: 'train', seed: 0, device: 'auto', threads: 'all'},
-  path: {output: 'rgb', tolerance: '0, all that the scene has', supersample: 'as the scene calls for'},
+  path: {
+    output: 'rgb',
+    tolerance: '0, all that the scene has',
+    supersample: 'as the scene calls for'
+  },
   eval: {split: 'test', views: 'all', scale: 'all', tolerance: '0, all that the scene has'},
   ingest: {split: 'as in the files', max_size: 'as they are', scales: 1, alpha: 'premultiplied'}
 };
-const UNIT = {max_time_s: ' s', until_psnr: ' dB', fps: ' /s', width: ' px', height: ' px'};
+const UNIT = {
+  max_time_s: ' s',
+  until_psnr: ' dB',
+  fps: ' /s',
+  width: ' px',
+  height: ' px'
+};
 function askedFor(job) {
   const given = Object.entries(job.options ?? {})
                     .filter(([, value]) => value !== null && value !== 0 && value !== '');
   const rows = {...(DEFAULTS[job.type] ?? {}), ...Object.fromEntries(given)};
-  return Object.entries(rows).map(([key, value]) => [
-    key.replace(/_s$/, '').replaceAll('_', ' '),
-    (Array.isArray(value) ? value.join(', ') : String(value)) + (UNIT[key] ?? '')
-  ]);
+  return Object.entries(rows).map(
+      ([key, value]) =>
+          [key.replace(/_s$/, '').replaceAll('_', ' '),
+           (Array.isArray(value) ? value.join(', ') : String(value)) + (UNIT[key] ?? '')]);
 }
 
 function statePanel(job, signal) {
@@ -112,38 +122,39 @@ function aboutJob(job, signal) {
   const box = h('div');
   watch(() => {
     const now = find(state.jobs, job.id) ?? job;
-    fill(box, facts([
-           [
-             'Scene',
-             now.scene ? h('a', {href: link.scene(now.scene_name ?? now.scene)},
-                           now.scene_name ?? now.scene) :
-                         null
-           ],
-           [
-             'Dataset',
-             !now.dataset              ? null :
-             find(state.datasets, now.dataset) ?
-                            h('a', {href: link.dataset(now.dataset_name ?? now.dataset)},
-                              now.dataset_name ?? now.dataset) :
-                            now.dataset_name ?? now.dataset
-           ],
-           ['Submitted', ago(now.created_at)],
-           ['Started', now.started_at ? ago(now.started_at) : 'not yet'],
-           ['Ended', now.finished_at ? ago(now.finished_at) : null],
-           [
-             'Took',
-             now.finished_at && now.started_at ?
-                 seconds((Date.parse(now.finished_at) - Date.parse(now.started_at)) / 1000) :
-                 null
-           ],
-           ['Attempt', now.attempt > 1 ? now.attempt : null],
-           [
-             'A frame took',
-             now.result?.render_ms_median ? milliseconds(now.result.render_ms_median) : null
-           ],
-           ['Id', h('code', null, now.id)]
-         ]),
-         h('h3', null, 'Asked for'), facts(askedFor(now)));
+    fill(
+        box, facts([
+          [
+            'Scene',
+            now.scene ? h('a', {href: link.scene(now.scene_name ?? now.scene)},
+                          now.scene_name ?? now.scene) :
+                        null
+          ],
+          [
+            'Dataset',
+            !now.dataset ? null :
+                find(state.datasets, now.dataset) ?
+                           h('a', {href: link.dataset(now.dataset_name ?? now.dataset)},
+                             now.dataset_name ?? now.dataset) :
+                           now.dataset_name ?? now.dataset
+          ],
+          ['Submitted', ago(now.created_at)],
+          ['Started', now.started_at ? ago(now.started_at) : 'not yet'],
+          ['Ended', now.finished_at ? ago(now.finished_at) : null],
+          [
+            'Took',
+            now.finished_at && now.started_at ?
+                seconds((Date.parse(now.finished_at) - Date.parse(now.started_at)) / 1000) :
+                null
+          ],
+          ['Attempt', now.attempt > 1 ? now.attempt : null],
+          [
+            'A frame took',
+            now.result?.render_ms_median ? milliseconds(now.result.render_ms_median) : null
+          ],
+          ['Id', h('code', null, now.id)]
+        ]),
+        h('h3', null, 'Asked for'), facts(askedFor(now)));
   }, signal);
   return panel('About', null, box);
 }
@@ -200,26 +211,26 @@ function evaluationResult(r) {
           plural(p.threads, 'thread')}.`),
     scroller(
         'By scale', null,
-      h('table', {class: 'table'}, h('caption', null, 'By scale'),
-        headRow(['Scale', 'PSNR', 'SSIM', 'Rendering']),
-        h('tbody', null,
-          r.scales.map(
-              (s) =>
-                  h('tr', null, h('th', {scope: 'row'}, s.scale ? `1/${2 ** s.scale}` : 'full'),
-                    h('td', {class: 'number'}, decibel(s.psnr)),
-                    h('td', {class: 'number'}, fixed(s.ssim, 4)),
-                    h('td', {class: 'number'}, milliseconds(s.render_ms))))))),
+        h('table', {class: 'table'}, h('caption', null, 'By scale'),
+          headRow(['Scale', 'PSNR', 'SSIM', 'Rendering']),
+          h('tbody', null,
+            r.scales.map(
+                (s) =>
+                    h('tr', null, h('th', {scope: 'row'}, s.scale ? `1/${2 ** s.scale}` : 'full'),
+                      h('td', {class: 'number'}, decibel(s.psnr)),
+                      h('td', {class: 'number'}, fixed(s.ssim, 4)),
+                      h('td', {class: 'number'}, milliseconds(s.render_ms))))))),
     scroller(
         'By view', {class: 'tall'},
-      h('table', {class: 'table'}, h('caption', null, 'By view, worst first'),
-        headRow(['View', 'Scale', 'PSNR', 'SSIM', 'Rendering']),
-        h('tbody', null,
-          views.map(
-              (v) =>
-                  h('tr', null, h('th', {scope: 'row'}, v.name),
-                    h('td', {class: 'number'}, v.scale ? `1/${2 ** v.scale}` : 'full'),
-                    h('td', {class: 'number'}, decibel(v.psnr)),
-                    h('td', {class: 'number'}, fixed(v.ssim, 4)),
-                    h('td', {class: 'number'}, milliseconds(v.render_ms)))))))
+        h('table', {class: 'table'}, h('caption', null, 'By view, worst first'),
+          headRow(['View', 'Scale', 'PSNR', 'SSIM', 'Rendering']),
+          h('tbody', null,
+            views.map(
+                (v) =>
+                    h('tr', null, h('th', {scope: 'row'}, v.name),
+                      h('td', {class: 'number'}, v.scale ? `1/${2 ** v.scale}` : 'full'),
+                      h('td', {class: 'number'}, decibel(v.psnr)),
+                      h('td', {class: 'number'}, fixed(v.ssim, 4)),
+                      h('td', {class: 'number'}, milliseconds(v.render_ms)))))))
   ];
 }

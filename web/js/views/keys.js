@@ -1,24 +1,42 @@
-// The camera path: recorded keys as a strip, its options, preview, saving and submitting.
+// The camera path: recorded keys as a strip and on a timeline, its options, preview, saving and
+// submitting.
 import {api} from '../api.js';
 import {
   addKey,
   cameraAt,
   changeKey,
+  createHistory,
   documentOf,
   duration,
   emptyPath,
   frameCount,
+  insertKey,
   moveKey,
   pathOfDocument,
+  PREFABS,
   problemOf,
   removeKey,
-  turnTable
+  shiftKey,
+  throughCameras
 } from '../path.js';
 import {fill, follow, h, saveBlob, showBlob, text} from '../dom.js';
 import {plural, seconds} from '../format.js';
-import {action, announce, choice, empty, field, panel, showFaults, toast} from '../ui.js';
+import {
+  action,
+  announce,
+  choice,
+  confirmFirst,
+  empty,
+  field,
+  panel,
+  showFaults,
+  toast
+} from '../ui.js';
+import {createPathStore} from '../pathstore.js';
 import {go, link} from '../router.js';
 import {putJob} from '../store.js';
+import {createKeyFields} from './keyfields.js';
+import {createTimeline} from './timeline.js';
 
 /**
  * @param {any} scene @param {{width: number, height: number}} size of a frame at first
@@ -28,24 +46,73 @@ export function createKeys(scene, size, view, signal) {
   const storeKey = `ripnerf-path-${scene.id}`;
   let path = restore(storeKey) ?? emptyPath(size.width, size.height);
   let playing = null;
+  let selected = null;
+  let at = null;  // the time along the path that is looked at, else null
+  const history = createHistory();
 
   const strip = h('ol', {class: 'keys'});
   const box = h('div');
   const words = h('p', {class: 'quiet', role: 'status'});
+  const kept = h('p', {class: 'quiet kept'});
   const problem = h('div');
-  const form = optionsForm(path, (values) => set({...path, ...values}));
+  const store = createPathStore(scene, (said) => text(kept, said), signal);
+  const form = optionsForm(path, (values) => set({...path, ...values}, Object.keys(values)[0]));
+  const numbers = createKeyFields(view.up, (id, values) => {
+    set(changeKey(path, id, values), `numbers ${id}`);
+    goTo(id);
+    pictures();
+  });
+  const timeline = createTimeline({
+    path: () => path,
+    seek,
+    shift: (id, time) => set(shiftKey(path, id, time), `shift ${id}`),
+    show: (id) => goTo(id),
+    selected: () => selected
+  });
   const play = h(
       'button', {type: 'button', onclick: () => (playing ? stopPreview() : preview())}, 'Preview');
+  const between =
+      h('button', {
+        type: 'button',
+        class: 'small',
+        onclick: insertHere,
+        title: 'A key at this moment of the path'
+      },
+        'Key here');
+  const undo = h(
+      'button', {type: 'button', class: 'small bare', title: 'Ctrl Z', onclick: () => step('undo')},
+      'Undo');
+  const redo =
+      h('button',
+        {type: 'button', class: 'small bare', title: 'Ctrl Shift Z', onclick: () => step('redo')},
+        'Redo');
   const submit = action(
       'Render the path', send,
       {kind: 'primary', onError: (error) => showFaults(form.fields, problem, error)});
 
-  function set(next) {
+  function put(next) {
     path = next;
+    if (!path.keys.some((key) => key.id === selected)) selected = null;
     sessionStorage.setItem(
         storeKey,
         JSON.stringify({...path, keys: path.keys.map((key) => ({...key, picture: undefined}))}));
     show();
+  }
+
+  /** A change by the reader; `word` names it, so that a drag is one step back. */
+  function set(next, word) {
+    history.note(path, word);
+    put(next);
+    store.keep(path);
+  }
+
+  function step(verb) {
+    const next = history[verb](path);
+    if (!next) return;
+    put(next);
+    form.show(path);
+    store.keep(path);
+    announce(verb === 'undo' ? 'Undone' : 'Done again');
   }
 
   function show() {
@@ -58,13 +125,22 @@ export function createKeys(scene, size, view, signal) {
           empty(
               'No keys yet',
               h('p', null, 'Turn the scene to where the path begins and press ',
-                h('strong', null, 'Record key'), '. Or take a whole turn around it.')));
+                h('strong', null, 'Record key'),
+                '. Or take a ready-made path from the list above.')));
     const fault = problemOf(path);
     const many = path.keys.length > 1;
     text(words, path.keys.length ? fault ?? describe() : '');
     words.classList.toggle('bad', Boolean(path.keys.length && fault));
     submit.disabled = Boolean(fault);
     play.disabled = Boolean(fault) || !many;
+    between.disabled = Boolean(fault) || !many || at === null;
+    undo.disabled = !history.canUndo();
+    redo.disabled = !history.canRedo();
+    clear.disabled = !path.keys.length;
+    timeline.update();
+    const index = path.keys.findIndex((key) => key.id === selected);
+    numbers.show(path.keys[index] ?? null, index + 1);
+    view.overlay({path, selected, time: fault ? null : at});
   }
 
   /** Keys, duration, frames, and how long they will take by the pictures shown last. */
@@ -79,20 +155,45 @@ export function createKeys(scene, size, view, signal) {
         .join(' · ');
   }
 
+  function goTo(id) {
+    const item = path.keys.find((other) => other.id === id);
+    if (!item) return;
+    selected = id;
+    at = null;
+    timeline.set(item.time - path.keys[0].time);
+    view.show(item.pose, item.fovDeg);
+    show();
+  }
+
+  function seek(time) {
+    if (problemOf(path)) return;
+    at = time;
+    const {pose, fovDeg} = cameraAt(path, time);
+    view.show(pose, fovDeg);
+    show();
+  }
+
+  function insertHere() {
+    const {pose, fovDeg} = cameraAt(path, at);
+    set(insertKey(path, path.keys[0].time + at, pose, fovDeg));
+    pictures();
+  }
+
   const createRow = (key) => keyRow(key, {
     change: (id, values) => {
-      set(changeKey(path, id, values));
+      set(changeKey(path, id, values), `row ${id}`);
       pictures();
     },
     remove: (id) => set(removeKey(path, id)),
     move: (id, by) => set(moveKey(path, id, path.keys.findIndex((item) => item.id === id) + by)),
     place: (id, target) =>
         set(moveKey(path, id, path.keys.findIndex((item) => item.id === target))),
-    show: (id) => {
-      const item = path.keys.find((other) => other.id === id);
-      view.show(item.pose, item.fovDeg);
-    },
-    order: (id) => ({index: path.keys.findIndex((item) => item.id === id), count: path.keys.length})
+    show: goTo,
+    order: (id) => ({
+      index: path.keys.findIndex((item) => item.id === id),
+      count: path.keys.length,
+      selected: id === selected
+    })
   });
 
   async function picture(id) {
@@ -113,6 +214,8 @@ export function createKeys(scene, size, view, signal) {
 
   function record() {
     set(addKey(path, view.pose(), view.orbit.fovDeg));
+    selected = path.keys.at(-1).id;
+    show();
     announce(`Key ${path.keys.length} recorded`);
     pictures();
   }
@@ -123,17 +226,24 @@ export function createKeys(scene, size, view, signal) {
     text(play, 'Preview');
   }
 
+  /** At the path's own speed; a loop goes on until it is stopped. */
   function preview() {
-    const began = performance.now();
+    const whole = duration(path);
+    const from = at !== null && at < whole - 0.05 ? at : 0;
+    const began = performance.now() - 1000 * from;
     text(play, 'Stop');
     const tick = () => {
-      const time = (performance.now() - began) / 1000;
-      if (signal.aborted || time > duration(path)) {
+      let time = (performance.now() - began) / 1000;
+      if (signal.aborted || problemOf(path) || time > whole && !path.loop) {
         stopPreview();
         return;
       }
+      time %= duration(path);
+      at = time;
+      timeline.set(time);
       const {pose, fovDeg} = cameraAt(path, time);
       view.show(pose, fovDeg);
+      view.overlay({path, selected, time});
       playing = requestAnimationFrame(tick);
     };
     playing = requestAnimationFrame(tick);
@@ -141,11 +251,10 @@ export function createKeys(scene, size, view, signal) {
 
   async function send() {
     showFaults(form.fields, problem, null);
-    const options = form.output() === 'rgb' ? {} : {options: {output: form.output()}};
+    const options = form.options();
+    const body = {type: 'path', scene: scene.id, camera_path: documentOf(path)};
     go(link.job(
-        putJob(await api.submit(
-                   {type: 'path', scene: scene.id, camera_path: documentOf(path), ...options}))
-            .id));
+        putJob(await api.submit(Object.keys(options).length ? {...body, options} : body)).id));
   }
 
   const adopt = (document) => {
@@ -153,37 +262,74 @@ export function createKeys(scene, size, view, signal) {
     form.show(path);
     pictures();
   };
-  const turn = () => {
-    set(turnTable(path, view.orbit, 8, 6));
+  const make = (name) => {
+    const [, , build] = PREFABS.find(([key]) => key === name);
+    set(build ? build(path, view.orbit) : throughCameras(path, view.cameras));
     form.show(path);
     pictures();
   };
-  show();
-  pictures();
-  signal.addEventListener('abort', stopPreview, {once: true});
+  const ready =
+      h('select', {
+        'aria-label': 'Ready-made paths',
+        onchange: () => {
+          const {value} = ready;
+          ready.value = '';
+          if (!value) return;
+          if (!path.keys.length)
+            make(value);
+          else
+            confirmFirst('Replace the keys of this path?', 'Replace', async () => make(value));
+        }
+      },
+        h('option', {value: ''}, 'Ready-made…'),
+        PREFABS.filter(([name]) => name !== 'photographs' || view.cameras.length > 1)
+            .map(([value, label]) => h('option', {value}, label)));
+  const clear =
+      h('button', {
+        type: 'button',
+        class: 'small bare',
+        onclick: () => confirmFirst(
+            `Remove all ${plural(path.keys.length, 'key')} of this path?`, 'Remove',
+            async () => set({...path, keys: []}))
+      },
+        'Clear');
   const node = panel(
       'Camera path', {
         'data-order': 1,
         tools:
-            h('div', {class: 'row'},
-              h('button', {type: 'button', class: 'small', onclick: turn}, 'Whole turn'),
-              h('button', {
-                type: 'button',
-                class: 'small bare',
-                onclick: () => {
-                  set({...path, keys: []});
-                }
-              },
-                'Clear'))
+            h('div', {class: 'row wrap'}, undo, redo, ready,
+              h('button', {type: 'button', class: 'small', onclick: () => make('orbit')},
+                'Whole turn'),
+              clear)
       },
-      box, words, form.node, problem,
-      h('div', {class: 'row'}, play, submit, saving(() => path, adopt, signal)));
+      box, timeline.node, numbers.node, words, form.node, problem,
+      h('div', {class: 'row wrap'}, play, between, submit, saving(() => path, adopt, signal)),
+      kept);
+  show();
+  pictures();
+  if (!path.keys.length)
+    store.find()
+        .then(
+            (document) => document && !path.keys.length && !signal.aborted &&
+                (put(pathOfDocument(document)), form.show(path), pictures(),
+                 text(kept, `as it was kept in the daemon, ${store.name}`)))
+        .catch(() => {});
+  signal.addEventListener('abort', stopPreview, {once: true});
+  addEventListener('keydown', (event) => {
+    const typing = event.target.closest?.('input:not([type=range]), select, textarea');
+    if (!(event.ctrlKey || event.metaKey) || typing) return;
+    const again = event.key === 'y' || event.key === 'Z' || event.key === 'z' && event.shiftKey;
+    if (event.key.toLowerCase() !== 'z' && event.key !== 'y') return;
+    event.preventDefault();
+    step(again ? 'redo' : 'undo');
+  }, {signal});
   return {node, record};
 }
 
 function restore(storeKey) {
   try {
-    return JSON.parse(sessionStorage.getItem(storeKey));
+    const kept = JSON.parse(sessionStorage.getItem(storeKey));
+    return kept && {tension: 0, constantSpeed: false, ...kept};
   } catch { return null; }
 }
 
@@ -258,7 +404,8 @@ function keyRow(first, host) {
     }
   });
   const update = (key) => {
-    const {index, count} = host.order(id);
+    const {index, count, selected} = host.order(id);
+    node.dataset.selected = String(selected);
     text(number, index + 1);
     if (document.activeElement !== time) time.value = Number(key.time.toFixed(3));
     if (document.activeElement !== fov) fov.value = Number(key.fovDeg.toFixed(2));
@@ -287,15 +434,51 @@ function optionsForm(path, change) {
   const height = number('Height', 'height', {min: 1, max: 16384}, 'px', '/camera_path/height');
   const fps = number('Frames', 'fps', {min: 1, max: 1000, step: 'any'}, '/s', '/camera_path/fps');
   const interpolation = choice(
-      'Between keys', [['spline', 'smooth'], ['linear', 'straight']], path.interpolation,
-      {pointer: '/camera_path/interpolation'});
+      'Between keys', [['spline', 'smooth'], ['linear', 'straight'], ['circle', 'round']],
+      path.interpolation, {pointer: '/camera_path/interpolation'});
   const loop =
       h('input', {type: 'checkbox', id: 'path-loop', onchange: () => change({loop: loop.checked})});
   const output = choice(
       'Output', [['rgb', 'colour'], ['depth', 'depth'], ['alpha', 'opacity']], 'rgb',
       {pointer: '/options/output'});
-  interpolation.control.onChange(() => change({interpolation: interpolation.control.value}));
+  const tension = field(
+      'Tension', h('input', {
+        type: 'range',
+        min: 0,
+        max: 1,
+        step: 0.05,
+        value: path.tension ?? 0,
+        oninput: () => change({tension: Number(tension.control.value)})
+      }),
+      {pointer: '/camera_path/tension'});
+  const steady = h('input', {
+    type: 'checkbox',
+    id: 'path-steady',
+    onchange: () => change({constantSpeed: steady.checked})
+  });
+  const film = field(
+      'Made into',
+      h('select', null,
+        [
+          ['', 'frames'], ['h264', 'MP4, H.264'], ['av1', 'MP4, AV1'], ['vp9', 'WebM, VP9'],
+          ['gif', 'GIF']
+        ].map(([value, label]) => h('option', {value}, label))),
+      {pointer: '/options/film'});
+  const quality = field(
+      'Film quality', h('input', {type: 'number', min: 0, max: 100, value: 75}),
+      {pointer: '/options/video_quality'});
+  quality.node.hidden = true;
+  film.control.addEventListener('change', () => {
+    quality.node.hidden = !film.control.value;
+  });
+  interpolation.control.onChange(() => {
+    change({interpolation: interpolation.control.value});
+    tension.node.hidden = interpolation.control.value !== 'spline';
+  });
   const show = (now) => {
+    tension.control.value = now.tension ?? 0;
+    tension.node.hidden = now.interpolation !== 'spline';
+    steady.checked = Boolean(now.constantSpeed);
     for (const [item, key] of [[width, 'width'], [height, 'height'], [fps, 'fps']])
       item.control.value = now[key];
     loop.checked = now.loop;
@@ -303,13 +486,20 @@ function optionsForm(path, change) {
   };
   show(path);
   return {
-    fields: [width, height, fps, interpolation, output],
-    output: () => output.control.value,
+    fields: [width, height, fps, interpolation, tension, output, film, quality],
+    options: () => ({
+      ...(output.control.value === 'rgb' ? {} : {output: output.control.value}),
+      ...(film.control.value ?
+              {film: film.control.value, video_quality: Number(quality.control.value)} :
+              {})
+    }),
     show,
     node:
         h('div', {class: 'path-options'}, width.node, height.node, fps.node, interpolation.node,
-          output.node,
-          h('div', {class: 'field check'}, loop, h('label', {'for': 'path-loop'}, 'Loop')))
+          tension.node, output.node, film.node, quality.node,
+          h('div', {class: 'field check'}, loop, h('label', {'for': 'path-loop'}, 'Loop')),
+          h('div', {class: 'field check'}, steady,
+            h('label', {'for': 'path-steady'}, 'Constant speed')))
   };
 }
 

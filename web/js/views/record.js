@@ -3,15 +3,7 @@ import {api, token} from '../api.js';
 import {fill, h, saveBlob} from '../dom.js';
 import {find, isActive, means, putJob, refreshSoon, state, watch} from '../store.js';
 import {ago, bytes, decibel, fixed, milliseconds, plural, seconds, whole} from '../format.js';
-import {
-  action,
-  confirmFirst,
-  facts,
-  meter,
-  panel,
-  progressWords,
-  recordedProblem
-} from '../ui.js';
+import {action, confirmFirst, facts, meter, panel, progressWords, recordedProblem} from '../ui.js';
 import {go, link} from '../router.js';
 
 const EFFECTS = {
@@ -127,7 +119,8 @@ export function qualityPanel(scene, signal) {
                     options: {split: splitOf(scene), views: Number(views.value)}
                   })),
       {kind: 'small'});
-  return panel('Quality', {'data-order': 2, tools: h('div', {class: 'row'}, views, start)}, now, list);
+  return panel(
+      'Quality', {'data-order': 2, tools: h('div', {class: 'row'}, views, start)}, now, list);
 }
 
 const splitOf = (scene) => {
@@ -184,9 +177,9 @@ export function aboutPanel(scene) {
         [
           'Field',
           config ? `${config.planes} planes (${config.orientation}) of ${config.base}²${
-                       config.grow_to > config.base ? `, growing to ${config.grow_to}²` : ''}, ${
-                       plural(config.channels, 'channel')}, ${plural(config.levels, 'level')}, ${
-                       config.footprint}` :
+                       config.grow_to > config.base ? `, growing to ${config.grow_to}²` :
+                                                      ''}, ${plural(config.channels, 'channel')}, ${
+                       plural(config.levels, 'level')}, ${config.footprint}` :
                    null
         ],
         [

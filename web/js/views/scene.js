@@ -12,7 +12,7 @@ import {jobRow} from './jobs.js';
 
 const RECORD_MS = 4000;  // how often the record is read again while the scene trains
 
-export async function sceneView(root, {id, signal}) {
+export async function sceneView(root, {id, query, signal}) {
   const mark = chip('loading');
   const from = h('span', {class: 'quiet'});
   const body =
@@ -35,7 +35,7 @@ export async function sceneView(root, {id, signal}) {
       await listed(scene.id, signal);
       if (signal.aborted) return;
       fill(from, 'from ', h('a', {href: link.dataset(scene.dataset_name)}, scene.dataset_name));
-      fill(body, page(scene, cameras, mark, signal));
+      fill(body, page(scene, cameras, mark, query, signal));
     } catch (error) {
       if (signal.aborted) return;
       setChip(mark, 'error');
@@ -62,7 +62,7 @@ function listed(id, signal) {
   });
 }
 
-function page(scene, cameras, mark, signal) {
+function page(scene, cameras, mark, query, signal) {
   const dataset = find(state.datasets, scene.dataset);
   const training = () => isActive(trainingOf(find(state.scenes, scene.id) ?? scene));
   let keys = null;
@@ -70,7 +70,8 @@ function page(scene, cameras, mark, signal) {
       scene, cameras, {
         live: training,
         failed: () => find(state.scenes, scene.id)?.state === 'failed',
-        onKey: () => keys.record()
+        onKey: () => keys.record(),
+        camera: query?.get('camera')
       },
       signal);
   keys = createKeys(

@@ -5,7 +5,9 @@ import {find, putJob, state} from '../store.js';
 import {choice, field, panel, showFaults} from '../ui.js';
 import {go, link} from '../router.js';
 
-/** What each is for and where it ends unless told otherwise; the daemon's own presets say the same. */
+/**
+ * What each is for and where it ends unless told otherwise; the daemon's own presets say the same.
+ */
 const PRESETS = {
   draft: {hint: 'Quickest to a picture: 15 seconds.', seconds: '15'},
   standard: {hint: 'The best in about a minute on a CPU.', seconds: '60'},
@@ -37,12 +39,9 @@ export function trainPanel(dataset) {
   const preset = choice(
       'Preset', Object.keys(PRESETS).map((key) => [key, key]), 'standard',
       {pointer: '/options/preset', hint: PRESETS.standard.hint});
-  const time = numeric('Time', 's', '/options/max_time_s', {
-    min: 1,
-    step: 'any',
-    placeholder: 'any',
-    value: PRESETS.standard.seconds
-  });
+  const time = numeric(
+      'Time', 's', '/options/max_time_s',
+      {min: 1, step: 'any', placeholder: 'any', value: PRESETS.standard.seconds});
   const steps = numeric('Steps', '', '/options/max_steps', {min: 1, placeholder: 'any'});
   const psnr = numeric(
       'PSNR', 'dB', '/options/until_psnr', {min: 1, max: 100, step: 'any', placeholder: 'any'});
@@ -61,7 +60,9 @@ export function trainPanel(dataset) {
   const problem = h('div');
   const start = h('button', {type: 'submit', class: 'primary'}, 'Start training');
   let timeChosen = false;
-  time.control.addEventListener('input', () => { timeChosen = true; });
+  time.control.addEventListener('input', () => {
+    timeChosen = true;
+  });
   preset.control.onChange(() => {
     const {hint, seconds} = PRESETS[preset.control.value];
     preset.fault(null);

@@ -161,10 +161,10 @@ function curve(id, signal, show) {
       again = false;
       try {
         const figures = await api.metrics(id, signal);
-        show(
-            figures.filter((m) => m.psnr !== null)
-                .map((m) => ({x: m.train_seconds, y: m.psnr, step: m.step})));
-      } catch { /* the next event asks again */ }
+        show(figures.filter((m) => m.psnr !== null)
+                 .map((m) => ({x: m.train_seconds, y: m.psnr, step: m.step})));
+      } catch { /* the next event asks again */
+      }
     }
     loading = false;
   };

@@ -3,18 +3,26 @@ import {api, Problem, Unreachable} from '../api.js';
 import {
   cameraOf,
   defaultOrbit,
+  fly,
   fovOf,
   keyMove,
   listen,
+  lookAt,
   openCvPose,
   orbitOfPose,
+  orbitOfWord,
   poseOfOrbit,
-  upOf
+  upOf,
+  wordOfOrbit
 } from '../orbit.js';
-import {fill, h, text} from '../dom.js';
+import {add, column, cross, scale, unit} from '../vector.js';
+import {fill, h, saveBlob, text} from '../dom.js';
+import {readGrey16} from '../grey16.js';
 import {compact, milliseconds, whole} from '../format.js';
 import {createViewer} from '../viewer.js';
-import {choice, toast} from '../ui.js';
+import {action, choice, toast} from '../ui.js';
+import {link} from '../router.js';
+import {drawOverlay} from './overlay.js';
 import {createWipe} from './wipe.js';
 
 const LEVELS = ['coarse', 'half size', 'refined'];
@@ -22,8 +30,9 @@ const MAX_SIDE = 1280;
 
 /**
  * @param {any} scene @param {any[]} cameras the dataset's, all splits
- * @param {{live: () => boolean, failed: () => boolean, onKey: () => void}}
- *     host @param {AbortSignal} signal
+ * @param {{live: () => boolean, failed: () => boolean, onKey: () => void, camera: string|null}}
+ *     host camera: the address's
+ * @param {AbortSignal} signal
  */
 export function createViewport(scene, cameras, host, signal) {
   const bounds = scene.bounds ?? {centre: [0, 0, 0], radius: 1.5};
@@ -32,16 +41,18 @@ export function createViewport(scene, cameras, host, signal) {
   const orbitAt = (item) => orbitOfPose(openCvPose(item.camera), fovOf(item.camera), up, bounds);
   const start = full.length ? orbitAt(full.find((item) => item.split === 'test') ?? full[0]) :
                               defaultOrbit(bounds, up);
-  let orbit = start;
+  let orbit = orbitOfWord(host.camera, up) ?? start;
+  let things = {path: null, selected: null, time: null};  // drawn over the picture
   let pose = null;  // a recorded key's exact pose, until the camera is moved
 
   const canvas = h('canvas', {class: 'picture'});
+  const over = h('canvas', {class: 'overlay', 'aria-hidden': 'true'});
   const hud = h('p', {class: 'hud'});
   const cover =
       h('div', {class: 'cover-note', role: 'status'},
         h('span', {class: 'spinner', 'aria-hidden': 'true'}), 'Waiting for the first picture');
   const help =
-      'Arrow keys turn, Shift and arrows move, plus and minus come nearer and go away, R resets, K records a key.';
+      'Arrow keys turn, Shift and arrows move, W A S D Q E fly, plus and minus come nearer and go away, F fills the screen, R resets, K records a key.';
   const stage =
       h('div', {
         class: 'stage',
@@ -49,7 +60,7 @@ export function createViewport(scene, cameras, host, signal) {
         role: 'application',
         'aria-label': `Camera about ${scene.name}. ${help}`
       },
-        canvas, cover, hud);
+        canvas, over, cover, hud);
   const output =
       choice('Show', [['rgb', 'colour'], ['depth', 'depth'], ['alpha', 'opacity']], 'rgb');
   const fov =
@@ -58,6 +69,10 @@ export function createViewport(scene, cameras, host, signal) {
   const detail = h('select', {id: 'detail'}, [
     ['0.5', 'half'], ['1', 'normal'], ['2', 'sharp']
   ].map(([value, words]) => h('option', {value, selected: value === '1'}, words)));
+  const route =
+      h('input', {type: 'checkbox', id: 'show-route', checked: true, onchange: () => drawThings()});
+  const cameras3d =
+      h('input', {type: 'checkbox', id: 'show-cameras', onchange: () => drawThings()});
   const wipe = createWipe(scene, signal);
   const views = viewPicker(full, (item) => {
     set(orbitAt(item), openCvPose(item.camera));
@@ -92,9 +107,57 @@ export function createViewport(scene, cameras, host, signal) {
     pose = exactPose;
     wipe.hide();
     views?.clear();
+    keepAddress();
+    drawThings();
     fov.value = orbit.fovDeg;
     text(fovWords, `${Number(orbit.fovDeg.toFixed(1))}°`);
     viewer.changed();
+  }
+
+  /** The address holds the camera, so that it can be sent. */
+  let addressTimer = 0;
+  function keepAddress() {
+    clearTimeout(addressTimer);
+    addressTimer = setTimeout(() => {
+      if (!signal.aborted) window.history.replaceState(null, '', addressOf());
+    }, 300);
+  }
+  const addressOf = () => link.scene(scene.name, `?camera=${wordOfOrbit(orbit)}`);
+
+  const photographs =
+      full.filter((item) => item.split === 'train')
+          .map((item) => ({pose: openCvPose(item.camera), fovDeg: fovOf(item.camera)}));
+  function drawThings() {
+    const shown = cameras3d.checked ? photographs : [];
+    drawOverlay(over, {pose: pose ?? poseOfOrbit(orbit), fovDeg: orbit.fovDeg}, {
+      ...things,
+      path: route.checked ? things.path : null,
+      photographs: shown,
+      radius: bounds.radius
+    });
+  }
+
+  /** What lies under a point of the stage becomes what the camera turns about. */
+  async function lookThere(event) {
+    const box = stage.getBoundingClientRect();
+    const eyePose = pose ?? poseOfOrbit(orbit);
+    const focal = box.height / 2 / Math.tan((orbit.fovDeg * Math.PI) / 360);
+    const x = (event.clientX - box.left - box.width / 2) / focal;
+    const y = (event.clientY - box.top - box.height / 2) / focal;
+    const eye = column(eyePose, 3);
+    const ray = unit(
+        add(column(eyePose, 2), add(scale(column(eyePose, 0), x), scale(column(eyePose, 1), y))));
+    const right = unit(cross(ray, up));
+    const down = cross(ray, right);
+    const aimed = [0, 1, 2].map((i) => [right[i], down[i], ray[i], eye[i]]);
+    const camera = {world_from_camera: aimed, axes: 'opencv', width: 9, height: 9, fov_y_deg: 0.6};
+    const {blob} = await api.render(
+        scene.id, {camera, output: 'depth', format: 'png', supersample: 1}, signal);
+    const depth = await readGrey16(blob);
+    const hit = [...(depth?.values ?? [])].filter((value) => value).sort((a, b) => a - b);
+    if (!hit.length || !(depth.scale > 0)) return;
+    const distance = (hit[hit.length >> 1] / 65535) * depth.scale;
+    set(lookAt(orbit, add(eye, scale(ray, distance))));
   }
 
   function showFacts(facts) {
@@ -137,6 +200,7 @@ export function createViewport(scene, cameras, host, signal) {
         [Math.round(stage.clientWidth * ratio), Math.round(stage.clientHeight * ratio)];
     if (!width || canvas.width === width && canvas.height === height) return;
     const before = canvas.width > 1 ? createImageBitmap(canvas) : null;
+    drawThings();
     Promise.resolve(before).then((old) => {
       Object.assign(canvas, {width, height});
       if (old) canvas.getContext('2d').drawImage(old, 0, 0, width, height);
@@ -145,11 +209,32 @@ export function createViewport(scene, cameras, host, signal) {
   }
 
   listen(stage, () => orbit, set, signal);
+  flyWithKeys(stage, () => orbit, set, bounds.radius, signal);
+  stage.addEventListener('dblclick', (event) => lookThere(event).catch(toast), {signal});
   stage.addEventListener('keydown', (event) => {
     if (event.ctrlKey || event.metaKey || event.altKey || keyMove(event, orbit)) return;
-    if (event.key === 'r' || event.key === 'R') set(start);
-    if (event.key === 'k' || event.key === 'K') host.onKey();
+    const key = event.key.toLowerCase();
+    if (key === 'r') set(start);
+    if (key === 'k') host.onKey();
+    if (key === 'f') fillScreen();
   }, {signal});
+  const fillScreen = () =>
+      (document.fullscreenElement ? document.exitFullscreen() : node.requestFullscreen())
+          .catch(toast);
+  const save = async () => {
+    const {width, height} = fullSize();
+    const camera = pose ?
+        {world_from_camera: pose, axes: 'opencv', width, height, fov_y_deg: orbit.fovDeg} :
+        cameraOf(orbit, width, height);
+    const {blob} =
+        await api.render(scene.id, {camera, output: output.control.value, format: 'png'}, signal);
+    saveBlob(blob, `${scene.name}-${width}x${height}.png`);
+  };
+  const share = async () => {
+    const address = new URL(addressOf(), window.location.href).href;
+    await navigator.clipboard.writeText(address);
+    toast('The link to this camera is copied');
+  };
   fov.addEventListener('input', () => set({...orbit, fovDeg: Number(fov.value)}));
   output.control.onChange(() => viewer.refresh());
   detail.addEventListener('change', () => viewer.refresh());
@@ -164,13 +249,39 @@ export function createViewport(scene, cameras, host, signal) {
       h('div', {class: 'viewport-tools'}, output.node,
         h('div', {class: 'tool'}, h('label', {'for': 'fov'}, 'Field of view'), fov, fovWords),
         h('div', {class: 'tool'}, h('label', {'for': 'detail'}, 'Detail'), detail), views?.node,
-        h('button', {type: 'button', title: 'R', onclick: () => set(start)}, 'Reset'),
+        h('div', {class: 'tool'}, route, h('label', {'for': 'show-route'}, 'Path')),
+        photographs.length ?
+            h('div', {class: 'tool'}, cameras3d, h('label', {'for': 'show-cameras'}, 'Cameras')) :
+            null,
+        h('div', {class: 'tool tools-end'},
+          h('button', {type: 'button', class: 'small', title: 'R', onclick: () => set(start)},
+            'Reset'),
+          h('button', {type: 'button', class: 'small', title: 'F', onclick: fillScreen},
+            'Full screen'),
+          action('Save picture', save, {kind: 'small', title: 'As it is shown, refined'}),
+          action('Copy link', share, {kind: 'small', title: 'A link to this camera'})),
         h('button', {type: 'button', class: 'primary', title: 'K', onclick: () => host.onKey()},
           'Record key')),
       h('p', {class: 'quiet help', 'aria-hidden': 'true'},
-        'Drag turns, Shift-drag moves, the wheel comes nearer. Keys: arrows, Shift-arrows, + and −, R resets, K records.'));
+        'Drag turns, Shift-drag moves, the wheel comes nearer, a double click looks there. Keys: arrows, W A S D fly, Q E down and up, + and −, F full screen, R resets, K records.'));
   return {
     node,
+    up,
+    /** The training photographs' cameras. */
+    cameras: photographs,
+    /** What of a path is drawn over the picture. */
+    overlay: (next) => {
+      things = next;
+      drawThings();
+    },
+    /** Shows a dataset's view beside its photograph. */
+    compare: (split, index) => {
+      const item = full.find((one) => one.split === split && one.index === index);
+      if (!item) return;
+      set(orbitAt(item), openCvPose(item.camera));
+      wipe.show(item).catch(toast);
+      stage.scrollIntoView({block: 'nearest'});
+    },
     get orbit() { return orbit; },
     pose: () => pose ?? poseOfOrbit(orbit),
     /** Shows an exact pose; moving on from it keeps its direction. */
@@ -193,6 +304,36 @@ export function createViewport(scene, cameras, host, signal) {
     refresh: viewer.refresh,
     msPerPixel: viewer.msPerPixel,
   };
+}
+
+/**
+ * W and S forward and back, A and D sideways, Q and E down and up, for as long as they are held.
+ */
+function flyWithKeys(stage, get, set, radius, signal) {
+  const ways =
+      {w: [0, 0, 1], s: [0, 0, -1], a: [-1, 0, 0], d: [1, 0, 0], e: [0, 1, 0], q: [0, -1, 0]};
+  const held = new Set();
+  let last = 0;
+  const tick = (now) => {
+    if (!held.size || signal.aborted) return;
+    const step = (Math.min(100, now - last) / 1000) * 0.8 * radius;
+    last = now;
+    const [x, y, z] = [...held].reduce((sum, key) => add(sum, ways[key]), [0, 0, 0]);
+    set(fly(get(), x * step, y * step, z * step));
+    requestAnimationFrame(tick);
+  };
+  stage.addEventListener('keydown', (event) => {
+    const key = event.key.toLowerCase();
+    if (event.ctrlKey || event.metaKey || event.altKey || !ways[key]) return;
+    event.preventDefault();
+    if (held.has(key)) return;
+    held.add(key);
+    if (held.size > 1) return;
+    last = performance.now() - 16;
+    requestAnimationFrame(tick);
+  }, {signal});
+  addEventListener('keyup', (event) => held.delete(event.key.toLowerCase()), {signal});
+  stage.addEventListener('blur', () => held.clear(), {signal});
 }
 
 /** "Go to a view": a split's camera by number. */

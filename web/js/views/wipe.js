@@ -10,7 +10,7 @@ import {h, text} from '../dom.js';
  */
 export function createWipe(scene, signal) {
   const image = h('img', {alt: '', draggable: 'false'});
-  const line = h('span', {class: 'wipe-line', 'aria-hidden': 'true'});
+  const line = h('span', {class: 'wipe-line', 'aria-hidden': 'true', 'data-own': ''});
   const label = h('label', {'for': 'wipe'}, 'Photograph');
   const range = h(
       'input',
@@ -33,6 +33,40 @@ export function createWipe(scene, signal) {
   image.style.background = `rgb(${red} ${green} ${blue})`;
   let address = '';
   let serial = 0;
+  let blinking = 0;
+  line.addEventListener('pointerdown', (event) => {
+    event.stopPropagation();
+    line.setPointerCapture(event.pointerId);
+  });
+  line.addEventListener('pointermove', (event) => {
+    if (!line.hasPointerCapture(event.pointerId)) return;
+    const frame = image.getBoundingClientRect();
+    range.value = (100 * (event.clientX - frame.left)) / frame.width;
+    place();
+  });
+  const blink =
+      h('button', {
+        type: 'button',
+        class: 'small',
+        'aria-pressed': 'false',
+        onclick: () => {
+          if (blinking) return stopBlink();
+          blink.setAttribute('aria-pressed', 'true');
+          line.hidden = true;
+          image.style.clipPath = 'none';
+          blinking = setInterval(() => image.classList.toggle('away'), 700);
+        }
+      },
+        'Blink');
+  function stopBlink() {
+    clearInterval(blinking);
+    blinking = 0;
+    line.hidden = false;
+    image.classList.remove('away');
+    blink.setAttribute('aria-pressed', 'false');
+    place();
+  }
+  bar.insertBefore(blink, bar.lastChild);
 
   function place() {
     image.style.clipPath = `inset(0 ${100 - range.value}% 0 0)`;
@@ -40,6 +74,7 @@ export function createWipe(scene, signal) {
   }
   function hide() {
     serial++;
+    if (blinking) stopBlink();
     node.hidden = true;
     image.removeAttribute('src');
     URL.revokeObjectURL(address);

@@ -1,0 +1,83 @@
+// The chosen key in numbers: place, direction, roll, field of view, time.
+import {fill, h, text} from '../dom.js';
+import {anglesOfPose, poseOfAngles} from '../orbit.js';
+import {column} from '../vector.js';
+
+const FIELDS = [
+  ['time', 'Time', 's', 0.1], ['fovDeg', 'Field of view', '°', 0.5], ['x', 'x', '', 0.05],
+  ['y', 'y', '', 0.05], ['z', 'z', '', 0.05], ['yaw', 'Heading', '°', 1], ['pitch', 'Tilt', '°', 1],
+  ['roll', 'Roll', '°', 1]
+];
+const DEGREE = Math.PI / 180;
+
+/**
+ * @param {number[]} up @param {(id: string, values: any) => void} change
+ * @returns {{node: HTMLElement, show: (key: any, number: number) => void}}
+ */
+export function createKeyFields(up, change) {
+  let key = null;
+  const title = h('h3', null, '');
+  const inputs = Object.fromEntries(
+      FIELDS.map(([name, label, unit, step]) => [name, h('input', {
+                                                   type: 'number',
+                                                   step: 'any',
+                                                   'data-step': step,
+                                                   id: `key-${name}`,
+                                                   'aria-label': `${label}${
+                                                       unit === 's' ? ', seconds' :
+                                                           unit     ? ', degrees' :
+                                                                      ' of the key’s place'}`,
+                                                   onchange: () => read()
+                                                 })]));
+  const node =
+      h('fieldset', {class: 'key-numbers', hidden: true},
+        h('legend', {class: 'unseen'}, 'The chosen key'), title,
+        h('div', null,
+          FIELDS.map(
+              ([name, label, unit]) =>
+                  h('label', {'for': `key-${name}`}, h('span', null, label),
+                    h('span', {class: 'with-unit'}, inputs[name],
+                      unit ? h('span', {class: 'unit'}, unit) : null)))));
+
+  function read() {
+    const value = Object.fromEntries(FIELDS.map(([name]) => [name, Number(inputs[name].value)]));
+    if (!key || Object.values(value).some((x) => !Number.isFinite(x))) return;
+    const angles = {
+      yaw: value.yaw * DEGREE,
+      pitch: value.pitch * DEGREE,
+      roll: value.roll * DEGREE
+    };
+    change(key.id, {
+      time: value.time,
+      fovDeg: value.fovDeg,
+      pose: poseOfAngles(angles, [value.x, value.y, value.z], up),
+      picture: undefined
+    });
+  }
+
+  return {
+    node,
+    show(next, number) {
+      key = next;
+      node.hidden = !next;
+      if (!next) return;
+      text(title, `Key ${number}`);
+      const [x, y, z] = column(next.pose, 3);
+      const {yaw, pitch, roll} = anglesOfPose(next.pose, up);
+      const values = {
+        time: next.time,
+        fovDeg: next.fovDeg,
+        x,
+        y,
+        z,
+        yaw: yaw / DEGREE,
+        pitch: pitch / DEGREE,
+        roll: roll / DEGREE
+      };
+      for (const [name] of FIELDS)
+        if (document.activeElement !== inputs[name])
+          inputs[name].value = Number(values[name].toFixed(4));
+    },
+    clear: () => fill(title),
+  };
+}

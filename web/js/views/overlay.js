@@ -1,0 +1,98 @@
+// The camera path and the photographs' cameras, drawn over the picture of the scene.
+import {cameraAt, duration} from '../path.js';
+import {column, dot, norm, sub} from '../vector.js';
+
+const STEPS = 160;
+
+/** Where points of the dataset fall in a picture of width x height; null behind the camera. */
+export function projector(pose, fovDeg, width, height) {
+  const [right, down, forward, eye] = [0, 1, 2, 3].map((j) => column(pose, j));
+  const focal = height / 2 / Math.tan((fovDeg * Math.PI) / 360);
+  return (point) => {
+    const to = sub(point, eye);
+    const depth = dot(to, forward);
+    if (!(depth > 1e-4)) return null;
+    return [
+      width / 2 + (focal * dot(to, right)) / depth, height / 2 + (focal * dot(to, down)) / depth
+    ];
+  };
+}
+
+/** The corners of a camera's picture at a distance from it. */
+function corners(pose, fovDeg, aspect, size) {
+  const half = Math.tan((fovDeg * Math.PI) / 360);
+  return [[-1, -1], [1, -1], [1, 1], [-1, 1]].map(
+      ([x, y]) => [0, 1, 2].map(
+          (i) => pose[i][3] +
+              size * (pose[i][2] + half * (x * aspect * pose[i][0] + y * pose[i][1]))));
+}
+
+function line(context, points, closed) {
+  let open = false;
+  context.beginPath();
+  for (const at of closed ? [...points, points[0]] : points) {
+    if (at && open) context.lineTo(at[0], at[1]);
+    if (at && !open) context.moveTo(at[0], at[1]);
+    open = Boolean(at);
+  }
+  context.stroke();
+}
+
+/** One through which the reader looks hides the picture: it is left out. */
+const isNear = (a, b, size) => norm(sub(column(a, 3), column(b, 3))) < 1.5 * size;
+
+function drawCamera(context, project, {pose, fovDeg}, aspect, size) {
+  const eye = project(column(pose, 3));
+  const frame = corners(pose, fovDeg, aspect, size).map(project);
+  line(context, frame, true);
+  for (const corner of frame) line(context, [eye, corner]);
+}
+
+/**
+ * @param {HTMLCanvasElement} canvas over the picture
+ * @param {{pose: number[][], fovDeg: number}} camera that looks
+ * @param {{path: any, selected: string|null, time: number|null, photographs: {pose: number[][],
+ *     fovDeg: number}[], radius: number}} things
+ */
+export function drawOverlay(canvas, camera, {path, selected, time, photographs, radius}) {
+  const ratio = devicePixelRatio || 1;
+  const [width, height] = [canvas.clientWidth, canvas.clientHeight];
+  if (canvas.width !== Math.round(width * ratio)) canvas.width = Math.round(width * ratio);
+  if (canvas.height !== Math.round(height * ratio)) canvas.height = Math.round(height * ratio);
+  const context = canvas.getContext('2d');
+  context.setTransform(ratio, 0, 0, ratio, 0, 0);
+  context.clearRect(0, 0, width, height);
+  const project = projector(camera.pose, camera.fovDeg, width, height);
+  const size = 0.14 * radius;
+  context.lineJoin = 'round';
+  context.lineWidth = 1;
+  context.strokeStyle = 'rgb(120 130 140 / 75%)';
+  const away = (item) => !isNear(item.pose, camera.pose, size);
+  for (const item of photographs.filter(away)) drawCamera(context, project, item, 1, 0.6 * size);
+  if (!path?.keys.length) return;
+  const whole = duration(path);
+  const aspect = path.width / path.height || 1;
+  if (whole > 0) {
+    const way = Array.from(
+        {length: STEPS + 1},
+        (_, i) => project(column(cameraAt(path, (whole * i) / STEPS).pose, 3)));
+    context.lineWidth = 4;
+    context.strokeStyle = 'rgb(255 255 255 / 80%)';
+    line(context, way, path.loop);
+    context.lineWidth = 2;
+    context.strokeStyle = '#1668b8';
+    line(context, way, path.loop);
+  }
+  for (const key of path.keys.filter(away)) {
+    const chosen = key.id === selected;
+    context.lineWidth = chosen ? 2 : 1.25;
+    context.strokeStyle = chosen ? '#d9480f' : '#1668b8';
+    drawCamera(context, project, key, aspect, size);
+  }
+  if (time !== null && whole > 0) {
+    context.lineWidth = 2;
+    context.strokeStyle = '#2b8a3e';
+    const now = cameraAt(path, time);
+    if (away(now)) drawCamera(context, project, now, aspect, 1.2 * size);
+  }
+}
