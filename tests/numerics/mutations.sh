@@ -136,6 +136,10 @@ mutate space $cpu/space.h "bent rays: the first step looked at twice" \
     's/(k + 0.5f) \* (2 \* step)/(vf_max(k - 1.0f, vf_set(0)) + 0.5f) * (2 * step)/'
 mutate space $cpu/march.h "bent rays: cells looked up where the ray is straight" \
     's/scale = contraction_at(distance_from_centre(ray, s)).scale;/scale = vf_set(0.5f);/'
+mutate space $cpu/crisp.h "what cells showed: told to the cell where the ray is straight" \
+    's/scale \*= contraction_at(distance_from_centre(ray, s)).scale;/scale *= vf_set(0.5f);/'
+mutate space server/engine/scene/occupancy.c "end of space: half the ball" \
+    's/#define END 0.96875/#define END 0.5/'
 mutate ripmap $field/ripmap.h "pooling: odd sizes drop their last texel" \
     's/if (size % 2 == 0) {/if (size > 1) {/'
 mutate ripmap $field/ripmap.h "query: position not clamped above" \

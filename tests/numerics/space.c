@@ -183,7 +183,10 @@ static struct rn_ray draw_ray(struct numerics_random *random) {
 // samples, in order, and no other. Middles within 1e-4 cells of a cell's side may be either.
 static int check_steps(const struct subject *s, struct numerics_random *random) {
     static uint16_t found[4096];
-    char name[2][80];
+    char name[3][80];
+    snprintf(name[2], sizeof name[2], "18 cell told what a sample showed, %s", s->name);
+    struct numerics_case told_cells = {name[2], "cameras at 1e-3 to 1e3 radii", "wrong", 0.5, 0,
+                                       ""};
     snprintf(name[0], sizeof name[0], "18 samples of a bent ray, %s", s->name);
     snprintf(name[1], sizeof name[1], "18 ray from its near end to infinity, %s", s->name);
     struct numerics_case cells = {name[0], "cameras at 1e-3 to 1e3 radii", "wrong", 0.5, 0, ""};
@@ -215,16 +218,23 @@ static int check_steps(const struct subject *s, struct numerics_random *random) 
                 sure &= fabs(c - nearbyint(c)) > 1e-4;
             }
             size_t index = rn_cell_index(cell[0], cell[1], cell[2], 32);
-            occupied = field->hull[index] && field->occupancy[index] > 0.5f;
+            double middle = 0; // of the cell, from the centre, squared
+            for (int i = 0; i < 3; i++)
+                middle += pow((cell[i] + 0.5) / 16 - 1, 2);
+            occupied = field->hull[index] &&
+                       (field->occupancy[index] > 0.5f || sqrt(middle) > 1 - 0.5 / 16);
             bool got = next < count && found[next] == k;
             next += got;
+            int told = s->cell(&field->cpu, &march, at);
+            numerics_see(&told_cells, sure && told != (int)index, "cell %d, not %d", told,
+                         (int)index);
             numerics_see(&cells, sure && got != occupied, "step %d of %d, %.9g %.9g %.9g", k, steps,
                          x[0], x[1], x[2]);
         }
         numerics_see(&cells, next != count, "%d samples of %d in order", next, count);
         rn_field_destroy(&field);
     }
-    return numerics_close(&cells) + numerics_close(&ends);
+    return numerics_close(&cells) + numerics_close(&ends) + numerics_close(&told_cells);
 }
 
 int main(void) {

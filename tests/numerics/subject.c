@@ -155,4 +155,5 @@ const struct subject SUBJECT = {SUBJECT_NAME,
                                 NULL,
                                 NULL,
                                 NULL,
+                                NULL,
                                 NULL};

@@ -58,6 +58,8 @@ struct subject {
     // where a march in rounds finds others.
     int (*march)(const struct rn_occupancy_bits *grid, const struct rn_march_ray *ray, float step,
                  uint16_t *ret_k, int room);
+    // Kernel sets only: the cell that is told what a sample there showed, `s` behind the origin.
+    int (*cell)(const struct rn_cpu_field *field, const struct rn_march_ray *ray, double s);
 };
 
 #define SUBJECT_MAX_SAMPLES 4096

@@ -264,6 +264,10 @@ static int march(const struct rn_occupancy_bits *grid, const struct rn_march_ray
     return n;
 }
 
+static int cell(const struct rn_cpu_field *field, const struct rn_march_ray *ray, double s) {
+    return cells_at(field, ray, vf_set((float)s))[RN_VL - 1];
+}
+
 extern const struct subject SUBJECT;
 const struct subject SUBJECT = {.name = SUBJECT_NAME,
                                 .digits = 24,
@@ -286,4 +290,5 @@ const struct subject SUBJECT = {.name = SUBJECT_NAME,
                                 .cut = cut,
                                 .cut_forward = cut_to_box,
                                 .distortion = distortion,
-                                .march = march};
+                                .march = march,
+                                .cell = cell};

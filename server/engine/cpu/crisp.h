@@ -64,24 +64,35 @@ RN_INLINE void note_weight(uint32_t *cell, float weight) {
     }
 }
 
+// The cells in which samples lie, `s` behind the ray's origin as marched.
+RN_INLINE vi cells_at(const struct rn_cpu_field *field, const struct rn_march_ray *ray, vf s) {
+    int n = field->occupancy.cells;
+    float half = 0.5f * (float)n, top = (float)(n - 1);
+    vf scale = vf_set(half);
+    vi cell = vi_set(0);
+    if (field->config->space == RN_SPACE_UNBOUNDED)
+        scale *= contraction_at(distance_from_centre(ray, s)).scale;
+    for (int k = 0; k < 3; k++) {
+        vf p = (ray->direction[k] * s + ray->origin[k]) * scale + half;
+        cell = cell * n + vi_from_float(vf_clamp(p, 0.0f, top));
+    }
+    return cell;
+}
+
 // Notes what the cells of the packet's samples showed; what is hidden showed nothing.
 static void note_seen(const struct rn_cpu_field *field, const struct rn_march_ray *rays,
                       const struct rn_workspace *w, uint32_t *seen) {
-    int n = field->occupancy.cells;
-    float half = 0.5f * (float)n, top = (float)(n - 1);
-    for (int i = 0; i < w->count; i += RN_VL) {
-        vf p[3] = {vf_set(0), vf_set(0), vf_set(0)}, s = vf_load(w->marched + i);
-        vi cell = vi_set(0);
-        int lanes = w->count - i < RN_VL ? w->count - i : RN_VL;
-        for (int j = 0; j < lanes; j++)
-            for (int k = 0; k < 3; k++) {
-                const struct rn_march_ray *ray = &rays[w->ray[i + j]];
-                p[k][j] = ray->direction[k] * s[j] + ray->origin[k];
-            }
-        for (int k = 0; k < 3; k++)
-            cell = cell * n + vi_from_float(vf_clamp(p[k] * half + half, 0.0f, top));
-        for (int j = 0; j < lanes; j++)
-            if (w->before[i + j] <= RN_HIDDEN_DEPTH) note_weight(seen + cell[j], w->weight[i + j]);
+    const float *marched = field->disparity.on ? w->marched : w->s;
+    for (int segment = 0; segment < w->segment_count; segment++) {
+        int start = w->segment_start[segment], size = w->segment_size[segment];
+        const struct rn_march_ray *ray = &rays[w->ray[start]];
+        for (int i = start; i < start + size; i += RN_VL) {
+            int lanes = start + size - i < RN_VL ? start + size - i : RN_VL;
+            vi cell = cells_at(field, ray, vf_load(marched + i));
+            for (int j = 0; j < lanes; j++)
+                if (w->before[i + j] <= RN_HIDDEN_DEPTH)
+                    note_weight(seen + cell[j], w->weight[i + j]);
+        }
     }
 }
 

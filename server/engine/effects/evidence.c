@@ -28,7 +28,7 @@ void rn_evidence_cones(const struct rn_evidence *e, double *ret_smallest, double
     *ret_smallest = INFINITY;
     *ret_largest = 0;
     for (int f = 0; f < e->photographs->frame_count; f++) {
-        double radius = rn_cone_at_centre(&e->field->bounds, &e->photographs->frames[f].camera);
+        double radius = rn_cone_at_centre(e->field, &e->photographs->frames[f].camera);
         *ret_smallest = fmin(*ret_smallest, fmax(radius, 1e-30));
         *ret_largest = fmax(*ret_largest, radius);
     }

@@ -122,10 +122,16 @@ struct rn_march_options {
     const float *look;         // NULL, or a direction for the colour network instead of the ray's
 };
 
+// Whether the field holds a place, which reaches as far as its cameras see, and not what lies in a
+// ball.
+static inline bool rn_is_place(const struct rn_cpu_field *field) {
+    return field->disparity.on || field->config->space == RN_SPACE_UNBOUNDED;
+}
+
 // Whether the last sample of a ray takes what shines through the others: there is a place behind
 // everything, and colours are summed up along the ray.
 static inline bool rn_ends_opaque(const struct rn_cpu_field *field) {
-    return field->disparity.on && field->config->shading == RN_SHADING_RAY;
+    return rn_is_place(field) && field->config->shading == RN_SHADING_RAY;
 }
 
 static inline int rn_pixel_rays(const struct rn_march_options *options) {

@@ -20,7 +20,7 @@ struct rn_reference {
     bool half; // round to fp16 what a half-precision engine stores in it: maps, networks' inputs
                // and hidden activations; a sign near 0 is then the same in both. false at creation
     double distortion_loss; // weight of the distortion loss, 0 at creation
-    int pixel_rays;    // rays in turn that are one pixel, whose colour is their mean; 1 at creation
+    int pixel_rays; // rays in turn that are one pixel, whose colour is their mean; 1 at creation
 };
 
 // One ray in the normalised frame (the scene's ball, in unbounded space the inner one, is the unit
@@ -36,6 +36,7 @@ struct rn_reference_ray {
     double background_variance; // a channel's, of random backgrounds with the mean `background`; 0:
                                 // there is that one
     double weight;              // area weight
+    bool cut; // it was ended before the end of space: its last sample is not made opaque
 };
 
 // All zero parameters. RN_ERROR_INVALID for a bad configuration, RN_ERROR_NO_MEMORY.

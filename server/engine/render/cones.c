@@ -11,7 +11,7 @@
 int rn_cones_for_camera(const struct rn_field *field, const struct rn_camera *camera) {
     double finest = field->finest_cone;
     if (!field->config.supersample || !(finest > 0)) return 1;
-    double ratio = rn_cone_at_centre(&field->bounds, camera) / finest;
+    double ratio = rn_cone_at_centre(field, camera) / finest;
     int n = 1;
     while (n < MOST && ratio > n * RN_CONES_RATIO)
         n *= 2;

@@ -12,7 +12,7 @@ static const struct pass {
 
 bool rn_lattice_is_dense(const struct rn_field *field, const struct rn_camera *camera) {
     const double pi = 3.14159265358979323846;
-    double pixel = rn_cone_at_centre(&field->bounds, camera) * sqrt(pi); // a disc of equal area
+    double pixel = rn_cone_at_centre(field, camera) * sqrt(pi); // a disc of equal area
     double cell = 2 * field->bounds.radius / field->config.field.occupancy;
     return cell >= 2 * sqrt(2) * pixel;
 }

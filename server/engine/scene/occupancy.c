@@ -118,15 +118,31 @@ static double occupancy_threshold(const struct rn_field *field) {
     return mean < limit ? mean : limit;
 }
 
+#define END 0.96875 // of the ball that all of space is drawn into: 16 radii of the inner one
+#define LAST 4      // layers of a disparity box
+
+// Whether a cell lies where a place ends. There is always something to see: a ray that nothing else
+// stops ends there.
+static bool is_at_end(const struct rn_field *field, int x, int y, int z, int cells) {
+    int at[3] = {x, y, z};
+    double squares = 0;
+    if (field->cpu.disparity.on) return z >= cells - LAST * cells / field->config.field.occupancy;
+    for (int i = 0; i < 3; i++)
+        squares += (2 * at[i] + 1.0 - cells) * (2 * at[i] + 1.0 - cells);
+    return field->config.field.space == RN_SPACE_UNBOUNDED && squares > END * END * cells * cells;
+}
+
 // Of the 8 cells from (x, y, z) on, those over the threshold.
 static unsigned row_over(const struct rn_field *field, float threshold, int x, int y, int z) {
-    size_t at = rn_cell_index(x, y, z, field->config.field.occupancy);
+    int cells = field->config.field.occupancy;
+    size_t at = rn_cell_index(x, y, z, cells);
     unsigned set = 0;
     if (!any_of_8(field->hull + at)) return 0;
-    for (int k = 0; k < RN_BRICK; k++)
-        set |= (unsigned)(field->hull[at + k] && field->occupancy[at + k] > threshold) << k;
-    // Where space ends there is always something to see: a ray that nothing else stops ends there.
-    if (field->cpu.disparity.on && z + RN_BRICK == field->config.field.occupancy) set |= 0xf0;
+    for (int k = 0; k < RN_BRICK; k++) {
+        bool over = field->occupancy[at + k] > threshold;
+        if (!over) over = rn_is_place(&field->cpu) && is_at_end(field, x, y, z + k, cells);
+        set |= (unsigned)(field->hull[at + k] && over) << k;
+    }
     return set;
 }
 
@@ -137,7 +153,7 @@ float rn_level_of_cells(const struct rn_field_config *config) {
 
 void rn_field_refresh_occupancy(struct rn_field *field) {
     int cells = field->config.field.occupancy;
-    bool by_sight = field->cpu.disparity.on;
+    bool by_sight = rn_is_place(&field->cpu);
     float threshold = by_sight ? RN_SEEN_LIMIT : (float)occupancy_threshold(field);
     struct building b = begin(&field->coarse);
     for (int x = 0; x < cells; x++)
@@ -185,7 +201,10 @@ static void look(void *context, int index, int thread) {
                                 rn_engine_workspace(s->engine, thread), density);
     for (int i = 0; i < n; i++) {
         float depth = density[i] * width * (float)RN_DENSITY_UNIT;
-        s->found[from + (size_t)i] = depth > RN_OCCUPANCY_SEEN;
+        int at[3];
+        rn_cell_at(s->cell[from + (size_t)i], s->cells, at);
+        s->found[from + (size_t)i] =
+            depth > RN_OCCUPANCY_SEEN || is_at_end(field, at[0], at[1], at[2], s->cells);
     }
 }
 

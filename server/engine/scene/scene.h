@@ -128,8 +128,9 @@ struct rn_march_ray rn_march_ray_from(const struct rn_field *field, const struct
 struct rn_view rn_field_view(const struct rn_field *field, const struct rn_camera *camera);
 // A pixel is rendered as several cones where it is as many times as wide as the finest trained on.
 #define RN_CONES_RATIO 1.41421356
-// The radius of a camera's cones where they pass the ball's centre, dataset units.
-double rn_cone_at_centre(const struct rn_bounds *bounds, const struct rn_camera *camera);
+// The radius of a camera's cones where they pass the ball's centre, dataset units. Unbounded space is
+// looked at from within, at all distances: there it is the radius one of the inner ball's away.
+double rn_cone_at_centre(const struct rn_field *field, const struct rn_camera *camera);
 // The highest level that a camera's rays can reach, and levels per axis, 1 = only the base map.
 double rn_top_level(const struct rn_field *field, const struct rn_camera *camera, double step);
 int rn_levels_for_camera(const struct rn_field *field, const struct rn_camera *camera, double step);

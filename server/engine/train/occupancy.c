@@ -188,13 +188,15 @@ static void uncontracted_point(const struct rn_trainer *t, const double at[3], d
             t->field->bounds.centre[i] + t->field->bounds.radius * (size > 0 ? y[i] / size * r : 0);
 }
 
-// Whether some photograph shows the cell's middle or a corner; `*last` is the one that showed the
-// cell before, and likely this one.
-static bool is_cell_seen(const struct rn_trainer *t, int x, int y, int z, int *last) {
+#define CLUMP 2 // cells a side that are looked at together
+
+// Whether some photograph shows the middle or a corner of the clump that begins at `first`; `*last`
+// is the one that showed the clump before, and likely this one.
+static bool is_clump_seen(const struct rn_trainer *t, const int first[3], int *last) {
     for (int i = 0; i < 9; i++) {
-        double at[3] = {x + 0.5, y + 0.5, z + 0.5}, point[3];
-        for (int k = 0; k < 3 && i > 0; k++)
-            at[k] += (i - 1) >> k & 1 ? 0.5 : -0.5;
+        double at[3], point[3];
+        for (int k = 0; k < 3; k++)
+            at[k] = first[k] + (i == 0 ? 0.5 * CLUMP : (i - 1) >> k & 1 ? CLUMP : 0);
         uncontracted_point(t, at, point);
         for (int f = 0; f < t->train.frame_count; f++) {
             int frame = (*last + f) % t->train.frame_count;
@@ -206,21 +208,27 @@ static bool is_cell_seen(const struct rn_trainer *t, int x, int y, int z, int *l
     return false;
 }
 
-static void carve_unseen_layer(void *context, int x, int thread) {
+static void carve_clump(struct rn_field *field, const int first[3]) {
+    for (int i = 0; i < CLUMP * CLUMP * CLUMP; i++) {
+        size_t cell = rn_cell_index(first[0] + i / CLUMP / CLUMP, first[1] + i / CLUMP % CLUMP,
+                                    first[2] + i % CLUMP, field->config.field.occupancy);
+        field->hull[cell] = 0;
+        field->occupancy[cell] = 0;
+    }
+}
+
+static void carve_unseen_layer(void *context, int layer, int thread) {
     (void)thread;
     const struct rn_trainer *t = context;
-    int cells = t->field->config.field.occupancy, last = 0;
-    for (int y = 0; y < cells; y++)
-        for (int z = 0; z < cells; z++) {
-            size_t cell = rn_cell_index(x, y, z, cells);
-            if (!t->field->hull[cell] || is_cell_seen(t, x, y, z, &last)) continue;
-            t->field->hull[cell] = 0;
-            t->field->occupancy[cell] = 0;
-        }
+    int clumps = t->field->config.field.occupancy / CLUMP, last = 0;
+    for (int i = 0; i < clumps * clumps; i++) {
+        int first[3] = {layer * CLUMP, i / clumps * CLUMP, i % clumps * CLUMP};
+        if (!is_clump_seen(t, first, &last)) carve_clump(t->field, first);
+    }
 }
 
 void rn_trainer_carve_unseen(struct rn_trainer *t) {
-    rn_pool_run(t->engine->pool, t->field->config.field.occupancy, carve_unseen_layer, t);
+    rn_pool_run(t->engine->pool, t->field->config.field.occupancy / CLUMP, carve_unseen_layer, t);
 }
 
 // ---- measuring ------------------------------------------------------------------------------

@@ -17,7 +17,7 @@
 
 enum rn_status rn_trainer_watch_cells(struct rn_trainer *t, struct rn_error *err) {
     size_t side = (size_t)t->field->config.field.occupancy, n = side * side * side;
-    if (!t->field->cpu.disparity.on || t->hull.seen) return RN_OK;
+    if (!rn_is_place(&t->field->cpu) || t->hull.seen) return RN_OK;
     t->hull.seen = rn_block_create(n * sizeof *t->hull.seen);
     if (!t->hull.seen) return rn_error_set(err, RN_ERROR_NO_MEMORY, "occupancy", "out of memory");
     for (size_t i = 0; i < n; i++)
