@@ -72,6 +72,9 @@ static const struct option options[] = {
      "of answers that wait to be sent; further ones are told to try again"},
     {"keep-alive", KIND_SECONDS, AT(keep_alive_s), "10m", 0, 31536000, "TIME",
      "an idle scene is unloaded after this long"},
+    {"curve-after", KIND_SECONDS, AT(curve_after_s), "30", 0, 31536000, "TIME",
+     "of idleness, until what accuracy costs in time is measured for a scene that was trained; 0: "
+     "only when asked for"},
     {"runner-timeout", KIND_SECONDS, AT(runner_timeout_s), "2m", 1, 86400, "TIME",
      "a runner that is busy and says nothing for so long is taken for hung and ended"},
     {"drain", KIND_SECONDS, AT(drain_s), "10", 0, 3600, "TIME",

@@ -22,7 +22,7 @@ struct rn_config {
     int64_t max_frames, max_pixels, import_time_s;
     int64_t training_slots, max_queued, max_loaded, max_connections, max_per_address;
     int64_t header_timeout_s, least_rate, answer_bytes;
-    int64_t keep_alive_s, runner_timeout_s, drain_s;
+    int64_t keep_alive_s, runner_timeout_s, drain_s, curve_after_s;
     // Made from the above:
     char address[64];
     uint16_t port;

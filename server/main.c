@@ -124,6 +124,7 @@ static enum rn_status start_control(struct server *server, struct rn_error *err)
         .gpu_memory_bytes = config->gpu_memory_bytes,
         .gpu_deterministic = config->gpu_deterministic != 0,
         .keep_alive_s = config->keep_alive_s,
+        .curve_after_s = config->curve_after_s,
         .runner_timeout_s = config->runner_timeout_s,
         .threads = (int)config->threads,
         .max_upload_bytes = config->max_upload_bytes,

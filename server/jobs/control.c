@@ -92,6 +92,7 @@ static void *supervise(void *context) {
     while (!control->quit) {
         serve_runners(control);
         measure_memory(control);
+        rn_idle_work(control);
         rn_schedule(control);
         rn_tasks_tidy(control);
         nfds_t count = fill_polls(control, polls);

@@ -24,6 +24,7 @@ struct rn_control_options {
     bool gpu_deterministic;     // the same bytes from a GPU every time
     int64_t keep_alive_s;       // an idle runner is ended after this long
     int64_t runner_timeout_s;   // a busy runner that says nothing for so long is ended
+    int64_t curve_after_s;      // idle time until the curve of a new scene is measured; 0: never
     int threads;                // of each runner; 0: all cores
     int64_t max_frames, max_pixels, import_time_s; // of an import
     int64_t max_upload_bytes, max_upload_entries;

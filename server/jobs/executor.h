@@ -17,8 +17,8 @@ struct rn_process {
 
 // Thread-safety: used under the control's lock. Owner: whoever created it.
 struct rn_executor {
-    // Starts a runner: mode "field", "ingest", "poses" or "probe". Its stderr is appended to log_path
-    // (NULL: the daemon's own).
+    // Starts a runner: mode "field", "ingest", "poses" or "probe". Its stderr is appended to
+    // log_path (NULL: the daemon's own).
     enum rn_status (*start)(struct rn_executor *executor, const char *mode, const char *log_path,
                             struct rn_process *ret_process, struct rn_error *err);
     // Waits for its end, which must be near (its connection is closed); with `now`, or when it

@@ -12,6 +12,7 @@
 #define RN_RING_BYTES (4u << 20)
 #define RN_MAX_RECENT 64
 #define RN_MAX_GPUS 16
+#define RN_MAX_WANTED 16
 
 // An unfinished job (and a finished one until its last record is on disk).
 struct rn_task {
@@ -23,6 +24,7 @@ struct rn_task {
     bool finish;                        // `finish` was asked for
     bool dirty;                         // the row on disk is older
     bool progressed;                    // this attempt has brought something
+    bool automatic;                     // nobody asked for it: it makes way for what is asked for
     bool began;                         // train: its runner has parameters, which can be rendered
     int64_t not_before_ns;              // of the next start
     struct rn_train_progress live;      // train: the latest report; step RN_ABSENT before
@@ -103,6 +105,9 @@ struct rn_control {
     int64_t next_render;
     int64_t next_measure_ns;
     struct rn_runner_device device;
+    char curve_wanted[RN_MAX_WANTED][RN_ID_MAX]; // scenes to measure in idle time, newest first
+    int curves_wanted;
+    int64_t last_over_ns; // when a job ended
     struct rn_gpu gpus[RN_MAX_GPUS];
     int64_t next_turn;
     bool schedule_due;
@@ -183,6 +188,15 @@ void rn_gpu_share(struct rn_control *control);
 enum rn_status rn_metric_record(struct rn_control *control, const char *job,
                                 const struct rn_metric_event *metric,
                                 struct rn_error *err) RN_MUST_CHECK;
+
+// submit.c: a job as the API submits one.
+enum rn_status rn_task_submit(struct rn_control *control, const struct rn_submission *wanted,
+                              struct rn_task **ret_task, struct rn_error *err) RN_MUST_CHECK;
+
+// idle.c: a scene has new parameters; what there is time for; someone wants something.
+void rn_idle_want_curve(struct rn_control *control, const char *scene);
+void rn_idle_work(struct rn_control *control);
+void rn_idle_stop(struct rn_control *control);
 
 // schedule.c
 void rn_schedule(struct rn_control *control);

@@ -277,6 +277,7 @@ static void on_done(struct rn_control *control, struct rn_runner *runner,
     } else {
         set_document(&task->row.result, &done->result);
         rn_task_happened(control, task, RN_JOB_DONE);
+        if (task->row.type == RN_JOB_TRAIN) rn_idle_want_curve(control, task->row.scene);
         rn_task_detach(task);
     }
     if (rn_runner_imports(runner)) rn_runner_shutdown(control, runner);

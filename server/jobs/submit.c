@@ -182,8 +182,8 @@ static enum rn_status find_key(struct rn_control *control, const struct rn_submi
     return RN_OK;
 }
 
-static enum rn_status submit(struct rn_control *control, const struct rn_submission *wanted,
-                             char ret_id[RN_ID_MAX], char **ret_json, struct rn_error *err) {
+enum rn_status rn_task_submit(struct rn_control *control, const struct rn_submission *wanted,
+                              struct rn_task **ret_task, struct rn_error *err) {
     struct draft draft = {0};
     struct rn_task *task = NULL;
     enum rn_status status = check_queue(control, err);
@@ -191,14 +191,23 @@ static enum rn_status submit(struct rn_control *control, const struct rn_submiss
     if (status == RN_OK) status = write_draft(control, wanted, &draft, err);
     if (status == RN_OK) status = rn_task_add(control, &draft.job, &task, err);
     if (status == RN_OK) {
-        set_text(ret_id, RN_ID_MAX, task->row.id);
         rn_task_announce(control, task);
-        rn_schedule(control);
         rn_control_wake(control);
-        status = rn_document_job(control, &task->row, ret_json, err);
+        *ret_task = task;
     }
     rn_row_finish(&rn_jobs_table, &draft.job);
     return status;
+}
+
+static enum rn_status submit(struct rn_control *control, const struct rn_submission *wanted,
+                             char ret_id[RN_ID_MAX], char **ret_json, struct rn_error *err) {
+    struct rn_task *task;
+    rn_idle_stop(control);
+    enum rn_status status = rn_task_submit(control, wanted, &task, err);
+    if (status != RN_OK) return status;
+    set_text(ret_id, RN_ID_MAX, task->row.id);
+    rn_schedule(control);
+    return rn_document_job(control, &task->row, ret_json, err);
 }
 
 enum rn_status rn_control_submit(struct rn_control *control, const struct rn_submission *wanted,
@@ -287,8 +296,9 @@ static enum rn_status delete_checkpoints(struct rn_control *control, const char 
 
 static enum rn_status delete_scene(struct rn_control *control, const struct rn_scene_row *scene,
                                    struct rn_error *err) {
+    rn_idle_stop(control);
     const struct rn_task *task = rn_task_of_scene(control, scene->id);
-    if (task != NULL)
+    if (task != NULL && !task->automatic)
         return rn_error_set(err, RN_ERROR_CONFLICT, "", "job %s works on scene '%s' (%s)",
                             task->row.id, scene->name, rn_job_state_names[task->row.state]);
     enum rn_status status = rn_store_begin(control->store, err);

@@ -141,7 +141,10 @@ enum rn_status rn_task_apply(struct rn_control *control, struct rn_task *task,
     if (event == RN_JOB_START && task->row.started_ms == 0)
         task->row.started_ms = rn_clock_wall_ms();
     if (event == RN_JOB_REQUEUE) task->row.attempt++;
-    if (rn_job_is_over(next)) task->row.finished_ms = rn_clock_wall_ms();
+    if (rn_job_is_over(next)) {
+        task->row.finished_ms = rn_clock_wall_ms();
+        control->last_over_ns = rn_clock_ns();
+    }
     if (rn_job_is_over(next)) rn_frames_take_back(control, task);
     status = persist(control, task, err);
     if (status != RN_OK && !must) {

@@ -5,10 +5,15 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "common/base/clock.h"
 #include "common/base/log.h"
 
-#define REPLY_NS 500000 // from the file to the last byte handed over
-#define ENCODE_MARGIN 1.3
+#define REPLY_NS 700000.0 // from the file to the last byte handed over
+#define ENCODE_MARGIN 1.2
+#define LEAST_MARGIN_NS 200000.0
+#define MOST_MARGIN 0.25   // of the time asked for
+#define MARGIN_DECAY 0.004 // of the margin, for a picture in time
+#define HOPELESS 0.5       // of the time asked for
 
 // Of a pixel, before one was encoded.
 static const double encode_ns[] = {[RN_FORMAT_PNG] = 60, [RN_FORMAT_JPEG] = 20};
@@ -122,12 +127,15 @@ static enum rn_status render_by_deadline(struct rn_host *host, const struct rn_w
     int format = rn_name_or(render->render.format, RN_FORMAT_PNG);
     double pixel_ns =
         host->pace.encode_ns[format] > 0 ? host->pace.encode_ns[format] : encode_ns[format];
-    struct rn_render_budget budget = {
-        .choices = choices,
-        .count = found.curve.count,
-        .deadline_ns =
-            render->deadline_ns - (int64_t)(ENCODE_MARGIN * pixel_ns * pixels) - REPLY_NS,
-        .slowness = host->pace.slowness > 0 ? host->pace.slowness : 1};
+    double asked_ms, margin_ns = fmax(host->pace.margin_ns, LEAST_MARGIN_NS);
+    rn_budget_of(render->render.settings, &asked_ms);
+    margin_ns = fmin(margin_ns, MOST_MARGIN * asked_ms * 1e6);
+    double reserve_ns = ENCODE_MARGIN * pixel_ns * pixels + REPLY_NS + margin_ns;
+    struct rn_render_budget budget = {.choices = choices,
+                                      .count = found.curve.count,
+                                      .deadline_ns = render->deadline_ns - (int64_t)reserve_ns,
+                                      .slowness =
+                                          host->pace.slowness > 0 ? host->pace.slowness : 1};
     enum rn_status status = rn_render_within(host->engine, field, options, &budget,
                                              rn_watch_keep_going, watch, ret_result, &spent, err);
     if (status) return status;
@@ -165,9 +173,17 @@ enum rn_status rn_budget_render(struct rn_host *host, const struct rn_wire_rende
     return RN_OK;
 }
 
-void rn_budget_encoded(struct rn_host *host, const struct rn_wire_rendered *rendered) {
+void rn_budget_encoded(struct rn_host *host, const struct rn_wire_render *render,
+                       const struct rn_wire_rendered *rendered) {
     double pixels = (double)rendered->width * (double)rendered->height;
     double *kept = &host->pace.encode_ns[rendered->format];
     double now = rendered->encode_ms * 1e6 / pixels;
     if (pixels >= 1e4) *kept = *kept > 0 ? 0.8 * *kept + 0.2 * now : now;
+    double asked_ms, *margin = &host->pace.margin_ns;
+    if (rn_budget_of(render->render.settings, &asked_ms) != RN_BUDGET_TIME) return;
+    // How late it will be. A picture in time lets the margin shrink a little; one that never had a
+    // chance teaches nothing.
+    double late_ns = (double)(rn_clock_ns() - render->deadline_ns) + REPLY_NS;
+    if (late_ns < HOPELESS * asked_ms * 1e6)
+        *margin = late_ns > 0 ? *margin + late_ns : *margin * (1 - MARGIN_DECAY);
 }

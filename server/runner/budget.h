@@ -40,6 +40,7 @@ enum rn_status rn_budget_render(struct rn_host *host, const struct rn_wire_rende
                                 struct rn_render_result *ret_result,
                                 struct rn_error *err) RN_MUST_CHECK;
 // How long a picture's file took to be made: the next one by a deadline leaves room for that.
-void rn_budget_encoded(struct rn_host *host, const struct rn_wire_rendered *rendered);
+void rn_budget_encoded(struct rn_host *host, const struct rn_wire_render *render,
+                       const struct rn_wire_rendered *rendered);
 
 #endif

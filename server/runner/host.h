@@ -20,6 +20,7 @@ struct rn_pace {
     struct rn_curve_record record; // the scene's; of 0 points: it has none
     bool looked;                   // for it
     double slowness;               // of pictures by a deadline (engine/render/within.h); 0: unknown
+    double margin_ns;              // kept free at a deadline's end, as the last ones taught
     double encode_ns[2];           // a pixel, of each rn_picture_format; 0: unknown
 };
 struct rn_host {

@@ -112,7 +112,7 @@ static enum rn_status make(struct rn_host *host, const struct rn_wire_render *re
                           (int)rn_int_or(request->jpeg_quality, 90), INTERACTIVE_PNG_LEVEL,
                           rn_depth_scale(&options.camera, &info.bounds), ret_bytes, ret_size, err);
     rendered->encode_ms = elapsed_ms(rendered_ns);
-    rn_budget_encoded(host, rendered);
+    rn_budget_encoded(host, render, rendered);
     rn_render_result_finish(&result);
     return status;
 }

@@ -188,3 +188,24 @@ def test_client(shared, build, tmp_path):
     assert "full" in told and measured["points"][-1]["setting"] == {}
     svg = (tmp_path / "curve.svg").read_text(encoding="utf-8")
     assert svg.count("<circle") == sum(point["psnr"] is not None for point in measured["points"])
+
+
+def test_curves_are_measured_in_idle_time(make_daemon, photographs):
+    """Of a scene that was trained; whoever wants something goes first."""
+    daemon = make_daemon({"RIPNERF_FAKE_ROW_US": "3000"}, curve_after=1)
+    assert daemon.wait(daemon.upload("data", photographs))["state"] == "succeeded"
+    daemon.train("ready")
+    jobs = "/v1/jobs?type=curve"
+
+    def wait_for(state, count=1):
+        deadline = time.monotonic() + 60
+        while [job["state"] for job in daemon.get(jobs).json["items"]].count(state) < count:
+            assert time.monotonic() < deadline, daemon.get(jobs).json
+            time.sleep(0.05)
+    wait_for("running")
+    daemon.train("other")
+    assert daemon.get(jobs).json["items"][-1]["state"] in ("cancelling", "cancelled")
+    wait_for("running")
+    assert daemon.delete("/v1/scenes/other").status == 204
+    assert daemon.delete("/v1/scenes/ready").status == 204
+    assert daemon.get("/v1/scenes").json["items"] == []

@@ -94,6 +94,15 @@ static struct between find_between(int i, int whole, int count) {
     return (struct between){first, first + 1 < count, place - (float)first};
 }
 
+static struct rn_pixel mix(const struct rn_pixel *a, const struct rn_pixel *b, float weight) {
+    struct rn_pixel mean;
+    for (int c = 0; c < 3; c++)
+        mean.rgb[c] = a->rgb[c] + weight * (b->rgb[c] - a->rgb[c]);
+    mean.alpha = a->alpha + weight * (b->alpha - a->alpha);
+    mean.depth = weight < 0.5f ? a->depth : b->depth;
+    return mean;
+}
+
 // A pixel of a picture that was rendered smaller: colour and opacity between the four nearest, the
 // nearest one's depth.
 static struct rn_pixel enlarged(const struct frame *f, struct between x, struct between y) {
@@ -101,13 +110,8 @@ static struct rn_pixel enlarged(const struct frame *f, struct between x, struct 
                           b = mean_of_points(f, x.first + x.step, y.first),
                           c = mean_of_points(f, x.first, y.first + y.step),
                           d = mean_of_points(f, x.first + x.step, y.first + y.step);
-    float u = x.weight, v = y.weight;
-    float p = (1 - u) * (1 - v), q = u * (1 - v), r = (1 - u) * v, s = u * v;
-    struct rn_pixel mean = v < 0.5f ? (u < 0.5f ? a : b) : (u < 0.5f ? c : d);
-    for (int i = 0; i < 3; i++)
-        mean.rgb[i] = p * a.rgb[i] + q * b.rgb[i] + r * c.rgb[i] + s * d.rgb[i];
-    mean.alpha = p * a.alpha + q * b.alpha + r * c.alpha + s * d.alpha;
-    return mean;
+    const struct rn_pixel upper = mix(&a, &b, x.weight), lower = mix(&c, &d, x.weight);
+    return mix(&upper, &lower, y.weight);
 }
 
 static void fill_rows(void *context, int index, int thread) {
