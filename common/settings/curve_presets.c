@@ -5,12 +5,14 @@
 // step and stop as trained where they are 0; a picture of 400 x 400 pixels.
 static const struct {
     int subsample;
-    double tolerance, stop, ms, ssim, psnr_full;
+    double tolerance, stop, ms, ssim, psnr_full, rays;
 } measured[] = {
-    {8, 0, 0.1, 2.5, 0.55, 20.8}, {4, 0, 0.1, 4.2, 0.75, 24.5},    {3, 0, 0.1, 6.6, 0.83, 27.0},
-    {2, 0, 0.1, 11.0, 0.90, 30},  {1, 0.15, 0, 13.0, 0.936, 33.2}, {1, 0.1, 0, 15.7, 0.947, 35.6},
-    {1, 0.06, 0, 19, 0.955, 39},  {1, 0.04, 0, 21.5, 0.958, 42},   {1, 0.02, 0, 25, 0.961, 48},
-    {1, 0, 0, 33, 0.962, NAN},
+    {8, 0, 0.1, 3.8, 0.76, 20.3, 2500},     {4, 0, 0.1, 6, 0.83, 24.2, 10000},
+    {3, 0, 0.1, 9, 0.88, 26.3, 17956},      {2, 0, 0.1, 14.3, 0.92, 28.7, 40000},
+    {1, 0.2, 0.1, 17.5, 0.93, 31.5, 43100}, {1, 0.15, 0, 19.4, 0.934, 32.6, 45000},
+    {1, 0.1, 0, 21.7, 0.943, 35.1, 48700},  {1, 0.07, 0, 25.5, 0.951, 37.5, 52400},
+    {1, 0.045, 0, 28, 0.959, 40.6, 57000},  {1, 0.03, 0, 32.4, 0.962, 43.5, 61300},
+    {1, 0, 0, 46, 0.966, NAN, 160000},
 };
 #define COUNT (sizeof measured / sizeof *measured)
 
@@ -28,7 +30,8 @@ void rn_curve_of_presets(struct rn_curve_point points[RN_CURVE_POINTS],
                                      .ms_p95 = measured[i].ms,
                                      .psnr = NAN,
                                      .ssim = measured[i].ssim,
-                                     .psnr_full = measured[i].psnr_full};
+                                     .psnr_full = measured[i].psnr_full,
+                                     .rays = measured[i].rays};
         for (size_t k = 0; k < RN_RENDER_SETTINGS; k++)
             p->setting.values[k] = rn_setting_absent(&rn_render_settings.rows[k]);
         if (measured[i].subsample > 1) set(p, "subsample", measured[i].subsample);

@@ -11,9 +11,10 @@
 #define REPLY_NS 700000.0 // from the file to the last byte handed over
 #define ENCODE_MARGIN 1.2
 #define LEAST_MARGIN_NS 200000.0
-#define MOST_MARGIN 0.25   // of the time asked for
-#define MARGIN_DECAY 0.004 // of the margin, for a picture in time
-#define HOPELESS 0.5       // of the time asked for
+#define MOST_MARGIN 0.25 // of the time asked for
+#define MARGIN_STEP_NS 400000.0
+#define IN_TIME 99   // pictures for one that may be late
+#define HOPELESS 0.5 // of the time asked for
 
 // Of a pixel, before one was encoded.
 static const double encode_ns[] = {[RN_FORMAT_PNG] = 60, [RN_FORMAT_JPEG] = 20};
@@ -120,7 +121,8 @@ static enum rn_status render_by_deadline(struct rn_host *host, const struct rn_w
     double pixels = (double)options->camera.width * (double)options->camera.height;
     double scale = pixels / rn_curve_pixels(&found.curve);
     for (size_t i = 0; i < found.curve.count; i++) {
-        choices[i] = (struct rn_render_choice){.ms = found.curve.points[i].ms_median * scale};
+        choices[i] = (struct rn_render_choice){.ms = found.curve.points[i].ms_median * scale,
+                                               .rays = found.curve.points[i].rays * scale};
         rn_settings_put(&rn_render_settings, found.curve.points[i].setting.values,
                         &choices[i].settings);
     }
@@ -185,5 +187,6 @@ void rn_budget_encoded(struct rn_host *host, const struct rn_wire_render *render
     // chance teaches nothing.
     double late_ns = (double)(rn_clock_ns() - render->deadline_ns) + REPLY_NS;
     if (late_ns < HOPELESS * asked_ms * 1e6)
-        *margin = late_ns > 0 ? *margin + late_ns : *margin * (1 - MARGIN_DECAY);
+        *margin =
+            late_ns > 0 ? *margin + MARGIN_STEP_NS : fmax(*margin - MARGIN_STEP_NS / IN_TIME, 0);
 }

@@ -2,7 +2,7 @@
 """Pictures by a deadline, measured socket to socket against a running daemon.
 
     tests/bench/deadlines.py HOST SCENE [--deadlines 10,20,50,100,200,500] [--cameras 100]
-                             [--size 400x400]
+                             [--size 400x400] [--format jpeg]
 
 Every camera is a held-out view (test, then val) of the scene's dataset, asked for as JPEG 90. A line
 a deadline: the share of answers whose last byte was here in time, the median and 95th percentile of
@@ -60,8 +60,9 @@ def psnr(a, b):
 class Views:
     """Held-out views, what is true of them, and what a setting makes of them."""
 
-    def __init__(self, daemon, scene, count, size):
+    def __init__(self, daemon, scene, count, size, form):
         self.daemon, self.path = daemon, f"/v1/scenes/{scene}/render"
+        self.format = form
         self.size = dict(zip(("width", "height"), size))
         about = daemon.json(f"/v1/scenes/{scene}")
         self.names, self.full, self.photographs = [], [], []
@@ -82,7 +83,7 @@ class Views:
 
     def picture(self, view, **options):
         return self.daemon.ask("POST", self.path, {
-            "view": view, "size": self.size, "format": "jpeg", "jpeg_quality": 90, **options})
+            "view": view, "size": self.size, "format": self.format, "jpeg_quality": 90, **options})
 
     def fixed(self, setting):
         return numpy.mean([psnr(pixels(self.picture(name, **setting)[2]), full)
@@ -119,10 +120,12 @@ def main():
     parser.add_argument("--deadlines", default="10,20,50,100,200,500")
     parser.add_argument("--cameras", type=int, default=100)
     parser.add_argument("--size", default="400x400")
+    parser.add_argument("--format", default="jpeg", choices=("jpeg", "png"))
     options = parser.parse_args()
     daemon = Daemon(options.host)
     curve = daemon.json(f"/v1/scenes/{options.scene}/curve")
-    views = Views(daemon, options.scene, options.cameras, map(int, options.size.split("x")))
+    views = Views(daemon, options.scene, options.cameras, map(int, options.size.split("x")),
+                  options.format)
     timing = views.picture(views.names[0])[1]["Server-Timing"]
     encode_ms = float(timing.split("encode;dur=")[1])
     print(f"{len(views.names)} views, full picture {curve['points'][-1]['ms_median']:.1f} ms, "

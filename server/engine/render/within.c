@@ -4,11 +4,13 @@
 
 #include "common/base/clock.h"
 
-#define SKETCH_SHARE 0.12 // of the time, for the first picture
-#define PLANNED 0.9       // of the time left, what the next one may be expected to take
-#define AMPLE 2.0         // times what the full picture takes: it is rendered as if without end
-#define FIRST_SHARE 0.6   // of the time left, until which a first picture must be there
-#define SLOWER 2.0        // times as slow as thought, when it was not
+#define SKETCH_SHARE 0.15 // of the time, for a first picture that tells how slow it is here
+#define TIGHT 0.35        // of the time, for the quickest picture: there is none for a second one
+#define TIGHT_SHARE 0.8   // of the time then, what the one picture may be expected to take
+#define PLANNED 0.95      // of the time left, what a picture may be expected to take
+#define RESERVE 1.3       // times the quickest picture's time, kept until there is a first one
+#define AMPLE 1.5         // times what the full picture takes: it is rendered as if without end
+#define SLOWER 2.0        // times as slow as thought, when there was no time for a first picture
 #define MOST_PICTURES 5   // one after another
 #define MOST_SLOWNESS 50.0
 #define LEAST_TIMED_MS 0.5 // a picture's time, for it to say how slow the next one will be
@@ -22,6 +24,7 @@ struct attempt {
     bool (*keep_going)(void *context);
     void *context;
     struct rn_render_result *result; // the best so far
+    bool has_picture;
     struct rn_render_spent spent;
 };
 
@@ -37,8 +40,18 @@ static size_t best_within(const struct rn_render_budget *budget, double ms) {
     return best;
 }
 
-static bool is_full(const struct attempt *a, size_t choice) {
-    return choice + 1 == a->budget->count;
+static double expected_ms(const struct attempt *a, size_t choice) {
+    return a->budget->choices[choice].ms * a->budget->slowness;
+}
+
+// By what the picture that was made took for its rays.
+static void learn(struct attempt *a, const struct rn_render_choice *choice, double ms,
+                  double rays) {
+    double *slowness = &a->budget->slowness;
+    if (ms < LEAST_TIMED_MS || !(choice->rays > 0)) return;
+    double now = ms * choice->rays / (choice->ms * fmax(rays, 1));
+    now = fmin(fmax(now, 1 / MOST_SLOWNESS), MOST_SLOWNESS);
+    *slowness = *slowness > 0 ? 0.5 * (*slowness + now) : now;
 }
 
 // One picture, in place of the one before. `timed`: by the deadline, else however long it takes.
@@ -47,22 +60,36 @@ static enum rn_status try_choice(struct attempt *a, size_t choice, bool timed,
     const struct rn_render_choice *wanted = &a->budget->choices[choice];
     struct rn_render_result result;
     int64_t began_ns = rn_clock_ns();
+    double kept_ms = a->has_picture ? 0 : RESERVE * expected_ms(a, 0);
     a->options.settings = wanted->settings;
     a->options.deadline_ns = timed ? a->budget->deadline_ns : 0;
-    a->options.first_ns = began_ns + (int64_t)(FIRST_SHARE * left_ms(a) * 1e6);
+    a->options.first_ns = a->budget->deadline_ns - (int64_t)(kept_ms * 1e6);
     enum rn_status status =
         rn_render(a->engine, a->field, &a->options, a->keep_going, a->context, &result, err);
     double ms = (double)(rn_clock_ns() - began_ns) * 1e-6;
     a->spent.ms += ms;
     if (status != RN_OK) return status;
-    if (!timed && ms >= LEAST_TIMED_MS)
-        a->budget->slowness = fmin(fmax(ms / wanted->ms, 1 / MOST_SLOWNESS), MOST_SLOWNESS);
+    learn(a, wanted, ms, (double)result.stats.rays);
     rn_render_result_finish(a->result);
     *a->result = result;
+    a->has_picture = true;
     a->spent.choice = choice;
     a->spent.settings = wanted->settings;
     a->spent.settings.tolerance = result.stats.tolerance;
     return RN_OK;
+}
+
+// A picture to begin with, where one must be made before it is known what else there is time for.
+static enum rn_status begin(struct attempt *a, struct rn_error *err) {
+    double left = left_ms(a);
+    if (a->budget->slowness <= 0) {
+        a->budget->slowness = 1;
+        size_t sketch = best_within(a->budget, SKETCH_SHARE * left);
+        a->budget->slowness = 0;
+        return try_choice(a, sketch, false, err);
+    }
+    if (expected_ms(a, 0) <= TIGHT * left) return RN_OK;
+    return try_choice(a, best_within(a->budget, TIGHT_SHARE * left), false, err);
 }
 
 // What there was no time for leaves the picture before, and the next attempt expects less.
@@ -71,9 +98,8 @@ static enum rn_status improve(struct attempt *a, struct rn_error *err) {
     for (int i = 0; i < MOST_PICTURES && status == RN_OK; i++) {
         double left = left_ms(a);
         size_t next = best_within(a->budget, PLANNED * left);
-        bool ample =
-            is_full(a, next) && AMPLE * a->budget->choices[next].ms * a->budget->slowness <= left;
-        if (next <= a->spent.choice) break;
+        if (a->has_picture ? next <= a->spent.choice : next == 0) break;
+        bool ample = next + 1 == a->budget->count && AMPLE * expected_ms(a, next) <= left;
         status = try_choice(a, next, !ample, err);
         if (status == RN_OK && a->spent.settings.tolerance > TRACES_ALL) break;
         if (status != RN_ERROR_LIMIT) continue;
@@ -89,10 +115,16 @@ enum rn_status rn_render_within(struct rn_engine *engine, struct rn_field *field
                                 void *context, struct rn_render_result *ret_result,
                                 struct rn_render_spent *ret_spent, struct rn_error *err) {
     struct rn_render_result result = {0};
-    struct attempt a = {engine, field, *options, budget, keep_going, context, &result, {0}};
-    size_t sketch = best_within(budget, SKETCH_SHARE * left_ms(&a));
-    enum rn_status status = try_choice(&a, sketch, false, err);
+    struct attempt a = {.engine = engine,
+                        .field = field,
+                        .options = *options,
+                        .budget = budget,
+                        .keep_going = keep_going,
+                        .context = context,
+                        .result = &result};
+    enum rn_status status = begin(&a, err);
     if (status == RN_OK) status = improve(&a, err);
+    if (status == RN_OK && !a.has_picture) status = try_choice(&a, 0, false, err);
     if (status != RN_OK) {
         rn_render_result_finish(&result);
         return status;

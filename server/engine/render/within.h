@@ -1,14 +1,16 @@
-// The best picture by a deadline: a quick one of the whole view first, then better ones while there
-// is time, so that a picture is always there.
+// The best picture by a deadline. The way to render that should fit is begun at once: its first
+// pass is a whole picture, which is refined while there is time (rn_render with a deadline). Where
+// that is not there soon, or it is not known how slow pictures are here, a quick one is made, so
+// that there is a picture in any case.
 #ifndef RN_ENGINE_RENDER_WITHIN_H
 #define RN_ENGINE_RENDER_WITHIN_H
 
 #include "server/engine/render/render.h"
 
-// A way to render this picture, and the milliseconds that it is expected to take.
+// A way to render this picture, the milliseconds that it is expected to take, and its rays.
 struct rn_render_choice {
     struct rn_render_settings settings;
-    double ms;
+    double ms, rays;
 };
 
 // From the quickest to the full picture; `count` >= 1. The array is the caller's and lives for the
@@ -17,7 +19,7 @@ struct rn_render_budget {
     const struct rn_render_choice *choices;
     size_t count;
     int64_t deadline_ns; // rn_clock_ns: when the pictures must be there
-    // How many times as long as expected pictures take here and now; 1 when nothing is known. Kept
+    // How many times as long as expected pictures take here and now; 0 when nothing is known. Kept
     // up to date, for the next picture to begin with.
     double slowness;
 };
@@ -26,8 +28,9 @@ struct rn_render_spent {
     struct rn_render_settings settings; // and the same with the tolerance there was time for
     double ms;                          // all that was rendered, what was thrown away included
 };
-// As rn_render; of the options, settings and deadline are not looked at. The quickest choice is
-// rendered whatever the deadline is. `ret_result->stats` are of the picture that is returned.
+// As rn_render; of the options, settings and deadline are not looked at. Where there is time
+// for nothing, the quickest choice is rendered. `ret_result->stats` are of the picture that is
+// returned.
 enum rn_status rn_render_within(struct rn_engine *engine, struct rn_field *field,
                                 const struct rn_render_options *options,
                                 struct rn_render_budget *budget, bool (*keep_going)(void *context),
