@@ -47,8 +47,35 @@ void rn_client_print(FILE *out, const char *text) {
         fputc((unsigned char)*text < ' ' || *text == 0x7f ? '?' : *text, out);
 }
 
+static bool errors_are_json; // set once, before the verb runs
+
+void rn_client_errors_as_json(void) {
+    errors_are_json = true;
+}
+
+struct told_error {
+    char *where, *detail; // borrowed
+    int64_t exit_code;
+};
+static const struct rn_field_spec told_fields[] = {
+    RN_F_STRING(struct told_error, where, RN_REQUIRED, 4096),
+    RN_F_STRING(struct told_error, detail, RN_REQUIRED, 4096),
+    RN_F_INT(struct told_error, exit_code, RN_REQUIRED, 0, 255)};
+static const struct rn_table told_table = RN_TABLE(struct told_error, "error", told_fields);
+
+// {"error": {"where", "detail", "exit_code"}}; false: no memory.
+static bool print_json_error(const char *where, const char *text, enum rn_exit code) {
+    struct told_error error = {(char *)where, (char *)text, code};
+    char *json = NULL;
+    if (rn_encode(&told_table, &error, &json, NULL, NULL) != RN_OK) return false;
+    fprintf(stderr, "{\"error\":%s}\n", json);
+    free(json);
+    return true;
+}
+
 // "ripnerf: where: text"
-static void print_error(const char *where, const char *text) {
+static void print_error(const char *where, const char *text, enum rn_exit code) {
+    if (errors_are_json && print_json_error(where, text, code)) return;
     fputs("ripnerf: ", stderr);
     rn_client_print(stderr, where);
     if (*where) fputs(": ", stderr);
@@ -57,7 +84,7 @@ static void print_error(const char *where, const char *text) {
 }
 
 enum rn_exit rn_client_fail(const struct rn_error *err) {
-    print_error(err->where, err->text);
+    print_error(err->where, err->text, exit_of_status(err->status));
     return exit_of_status(err->status);
 }
 
@@ -67,7 +94,7 @@ enum rn_exit rn_client_usage(const char *where, const char *fmt, ...) {
     va_start(args, fmt);
     vsnprintf(text, sizeof text, fmt, args);
     va_end(args);
-    print_error(where, text);
+    print_error(where, text, RN_EXIT_USAGE);
     return RN_EXIT_USAGE;
 }
 
@@ -102,12 +129,19 @@ enum rn_exit rn_api_print_problem(const char *json) {
         fprintf(stderr, "ripnerf: an answer that is no problem document: %.200s\n", json);
         return RN_EXIT_FAILED;
     }
+    bool unsupported = strcmp(problem.type, "/problems/unsupported") == 0; // shares 422
+    enum rn_exit code = unsupported ? RN_EXIT_FAILED : exit_of_http(problem.status);
+    if (errors_are_json) {
+        fprintf(stderr, "{\"error\":%s}\n", json);
+        rn_message_finish(&rn_api_problem_table, &problem);
+        return code;
+    }
     // Of one fault, place and text are said once.
     bool only = problem.error_count == 1 && strcmp(problem.detail, problem.errors[0].detail) == 0;
     if (only)
-        print_error(problem.errors[0].pointer, problem.errors[0].detail);
+        print_error(problem.errors[0].pointer, problem.errors[0].detail, code);
     else
-        print_error(problem.title, problem.detail);
+        print_error(problem.title, problem.detail, code);
     for (size_t i = 0; i < problem.error_count && !only; i++) {
         const char *pointer = problem.errors[i].pointer, *detail = problem.errors[i].detail;
         if (strstr(problem.detail, pointer) && strstr(problem.detail, detail)) continue; // is said
@@ -117,8 +151,6 @@ enum rn_exit rn_api_print_problem(const char *json) {
         rn_client_print(stderr, detail);
         fputc('\n', stderr);
     }
-    bool unsupported = strcmp(problem.type, "/problems/unsupported") == 0; // shares 422
-    enum rn_exit code = unsupported ? RN_EXIT_FAILED : exit_of_http(problem.status);
     rn_message_finish(&rn_api_problem_table, &problem);
     return code;
 }
@@ -259,7 +291,9 @@ enum rn_exit rn_api_find(struct rn_client *client, unsigned kinds, const char *r
         return rn_client_usage(reference, "is ambiguous; give the id: %s", matches);
     }
     list_kinds(kinds, wanted, sizeof wanted);
-    fprintf(stderr, "ripnerf: %s: there is no %s of that name or id\n", reference, wanted);
+    char text[200];
+    snprintf(text, sizeof text, "there is no %s of that name or id", wanted);
+    print_error(reference, text, RN_EXIT_NOT_FOUND);
     return RN_EXIT_NOT_FOUND;
 }
 

@@ -55,6 +55,9 @@ extern const struct rn_verb rn_verbs_doctor[];  // doctor
 // Prints text from outside with '?' for control characters, which a terminal might obey.
 void rn_client_print(FILE *out, const char *text);
 
+// From here on errors are JSON on stderr: {"error": {where, detail, exit_code}}, or where the
+// daemon said what is wrong, its problem document in the same place.
+void rn_client_errors_as_json(void);
 // Prints "ripnerf: where: text" on stderr and returns the exit code that the status stands for.
 enum rn_exit rn_client_fail(const struct rn_error *err);
 // As rn_client_fail, for a wrong command line.

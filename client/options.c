@@ -246,13 +246,62 @@ enum rn_status rn_options_parse(const struct rn_option_tables *tables, int argc,
     return RN_OK;
 }
 
+// ---- help -------------------------------------------------------------------------------------
+
+enum { LEFT = 24, COLUMN = LEFT + 4, WIDTH = 80 };
+
+void rn_options_print_text(const char *text, int column, int indent) {
+    while (*text) {
+        size_t word = strcspn(text, " \n");
+        if (column > indent && column + 1 + (int)word > WIDTH) {
+            printf("\n%*s", indent, "");
+            column = indent;
+        } else if (column > indent) {
+            putchar(' ');
+            column++;
+        }
+        printf("%.*s", (int)word, text);
+        column += (int)word;
+        text += word;
+        if (text[0] == '\n' && (text[1] == '\n' || text[1] == ' ')) { // a paragraph, or set by hand
+            size_t blank = strspn(text, "\n");
+            printf("%s", blank > 1 ? "\n\n" : "\n");
+            text += blank;
+            column = indent;
+            size_t spaces = strspn(text, " ");
+            printf("%.*s", (int)spaces, text);
+            column += (int)spaces;
+            text += spaces;
+            if (spaces) { // such a line stays as it is
+                size_t rest = strcspn(text, "\n");
+                printf("%.*s\n", (int)rest, text);
+                text += rest;
+                column = indent;
+            }
+        }
+        text += strspn(text, " \n");
+    }
+    putchar('\n');
+}
+
 static void print_line(const char *left, const char *help) {
-    printf(strlen(left) <= 30 ? "  %-30s  %s\n" : "  %s\n%34s%s\n", left,
-           strlen(left) <= 30 ? help : "", help);
+    printf(strlen(left) <= LEFT ? "  %-*s  " : "  %-*s\n%*s", LEFT, left, COLUMN, "");
+    rn_options_print_text(help, COLUMN, COLUMN);
+}
+
+// An option of many choices lists them behind its meaning.
+static void print_choices(const char *name, const char *choices, const char *help) {
+    char left[80], text[600];
+    snprintf(left, sizeof left, "--%s WORD", name);
+    size_t length = (size_t)snprintf(text, sizeof text, "%s: ", help);
+    for (; *choices && length + 3 < sizeof text; choices++)
+        length += (size_t)snprintf(text + length, sizeof text - length, "%s",
+                                   *choices == '|' ? ", " : (char[]){*choices, '\0'});
+    print_line(left, text);
 }
 
 static void print_setting(const struct rn_setting *row) {
-    char left[80];
+    char left[256];
     size_t length = (size_t)snprintf(left, sizeof left, "--%s ", row->flag);
     if (!row->choices)
         snprintf(left + length, sizeof left - length, "%s",
@@ -263,7 +312,10 @@ static void print_setting(const struct rn_setting *row) {
     for (int i = 0; row->choices && row->choices[i] && length < sizeof left; i++)
         length += (size_t)snprintf(left + length, sizeof left - length, "%s%s", i ? "|" : "",
                                    row->choices[i]);
-    print_line(left, row->meaning);
+    if (length > WIDTH - 8)
+        print_choices(row->flag, strchr(left, ' ') + 1, row->meaning);
+    else
+        print_line(left, row->meaning);
 }
 
 void rn_options_print(const struct rn_option *table) {
@@ -274,8 +326,11 @@ void rn_options_print(const struct rn_option *table) {
         char left[80];
         const char *value = option->choices ? option->choices : option->value;
         char letter[5] = {'-', option->letter, ',', ' ', '\0'};
-        snprintf(left, sizeof left, "%s--%s%s%s", option->letter ? letter : "", option->name,
-                 value ? " " : "", value ? value : "");
-        print_line(left, option->help);
+        int length = snprintf(left, sizeof left, "%s--%s%s%s", option->letter ? letter : "",
+                              option->name, value ? " " : "", value ? value : "");
+        if (option->choices && length > WIDTH - 8)
+            print_choices(option->name, option->choices, option->help);
+        else
+            print_line(left, option->help);
     }
 }

@@ -56,7 +56,10 @@ enum rn_status rn_options_parse(const struct rn_option_tables *tables, int argc,
 
 // Sets every field of a table to "absent".
 void rn_options_clear(const struct rn_option *table, void *options);
-// One line an option, on stdout.
+// Words of a text on stdout, wrapped to 80 columns and indented; the first one goes to `column`.
+// Empty lines and lines that begin with a space are kept.
+void rn_options_print_text(const char *text, int column, int indent);
+// An option's name and meaning, on stdout, in 80 columns.
 void rn_options_print(const struct rn_option *table);
 
 #endif

@@ -6,6 +6,7 @@
 #include <string.h>
 
 #include "client/client.h"
+#include "client/completion.h"
 #include "common/base/file.h"
 
 #define TOKEN_MAX 4096
@@ -29,7 +30,7 @@ static const struct rn_option global_table[] = {
     {.name = "json",
      .kind = RN_OPTION_FLAG,
      .offset = offsetof(struct globals, json),
-     .help = "results as JSON on standard output"},
+     .help = "results as JSON on standard output, errors on standard error"},
     {.name = "help",
      .letter = 'h',
      .kind = RN_OPTION_FLAG,
@@ -41,10 +42,34 @@ static const struct rn_option global_table[] = {
      .help = "this program's version"},
     {0}};
 
-static const struct rn_verb *const groups[] = {rn_verbs_dataset, rn_verbs_job,   rn_verbs_scene,
-                                               rn_verbs_render,  rn_verbs_path,  rn_verbs_curve,
-                                               rn_verbs_bench,   rn_verbs_doctor};
+extern const struct rn_verb rn_verbs_completion[];
+static const struct rn_verb *const groups[] = {
+    rn_verbs_dataset, rn_verbs_job,   rn_verbs_scene,  rn_verbs_render,    rn_verbs_path,
+    rn_verbs_curve,   rn_verbs_bench, rn_verbs_doctor, rn_verbs_completion};
 #define GROUP_COUNT (sizeof groups / sizeof *groups)
+
+static enum rn_exit run_completion(struct rn_client *client, const void *options,
+                                   const char **args) {
+    (void)client;
+    (void)options;
+    if (rn_completion_print(args[0], groups, GROUP_COUNT, global_table)) return RN_EXIT_OK;
+    return rn_client_usage(args[0], "must be bash, zsh or fish");
+}
+
+static const struct rn_option no_options[] = {{0}};
+const struct rn_verb rn_verbs_completion[] = {
+    {.name = "completion",
+     .arguments = "bash|zsh|fish",
+     .summary = "a shell's completions of verbs and options",
+     .details =
+         "For bash: source <(ripnerf completion bash). For zsh: write it to _ripnerf in a folder "
+         "of $fpath. For fish: ripnerf completion fish | source.",
+     .args_min = 1,
+     .args_max = 1,
+     .table = no_options,
+     .local = true,
+     .run = run_completion},
+    {0}};
 
 static const struct rn_verb *find_verb(const char *name) {
     for (size_t i = 0; i < GROUP_COUNT; i++)
@@ -54,29 +79,36 @@ static const struct rn_verb *find_verb(const char *name) {
 }
 
 static void print_overview(void) {
-    puts("ripnerf: radiance fields from posed photographs, trained and rendered by ripnerfd\n\n"
+    puts("ripnerf: radiance fields from posed photographs, made and shown by ripnerfd\n\n"
          "usage: ripnerf [options] VERB ...\n");
     for (size_t i = 0; i < GROUP_COUNT; i++) {
         for (const struct rn_verb *verb = groups[i]; verb->name; verb++) {
             char left[48];
             snprintf(left, sizeof left, "%s %s", verb->name, verb->arguments);
-            printf("  %-26s  %s\n", left, verb->summary);
+            printf("  %-26s  ", left);
+            rn_options_print_text(verb->summary, 30, 30);
         }
         putchar('\n');
     }
     puts("  help VERB                   what a verb does and its options\n\noptions");
     rn_options_print(global_table);
-    puts(
-        "\nDatasets, scenes and jobs go by id; datasets and scenes also by name. A verb for a job\n"
-        "takes a scene too and means the job that trains it.\n\n"
-        "exit codes: 0 ok, 1 failed, 2 usage, 3 not found, 4 validation failed, 5 cancelled,\n"
-        "            6 daemon unreachable, 7 unauthorised");
+    putchar('\n');
+    rn_options_print_text(
+        "Datasets, scenes and jobs go by id; datasets and scenes also by name. A verb "
+        "for a job takes a scene too and means the job that trains it.\n\n"
+        "Exit codes: 0 ok, 1 failed, 2 usage, 3 not found, 4 validation failed, "
+        "5 cancelled, 6 daemon unreachable, 7 unauthorised.",
+        0, 0);
 }
 
 static void print_verb(const struct rn_verb *verb) {
-    printf("usage: ripnerf %s%s%s%s\n\n%s\n", verb->name, *verb->arguments ? " " : "",
-           verb->arguments, verb->table->name ? " [options]" : "", verb->summary);
-    if (verb->details) printf("\n%s\n", verb->details);
+    printf("usage: ripnerf %s%s%s%s\n\n", verb->name, *verb->arguments ? " " : "", verb->arguments,
+           verb->table->name ? " [options]" : "");
+    rn_options_print_text(verb->summary, 0, 0);
+    if (verb->details) {
+        putchar('\n');
+        rn_options_print_text(verb->details, 0, 0);
+    }
     if (verb->table->name) {
         puts("\noptions");
         rn_options_print(verb->table);
@@ -120,6 +152,7 @@ static enum rn_exit run_verb(const struct rn_verb *verb, const struct globals *g
                              const void *options, const char **args) {
     struct rn_error err = {0};
     struct rn_client client = {.json = globals->json};
+    if (globals->json) rn_client_errors_as_json();
     const char *host = globals->host ? globals->host : getenv("RIPNERF_HOST");
     char token[TOKEN_MAX];
     if (!verb->local) {

@@ -481,10 +481,11 @@ const struct rn_verb rn_verbs_path[] = {
      .options_size = sizeof(struct path_options),
      .run = run_turntable},
     {.name = "paths",
-     .arguments = "[ls|rm NAME|convert IN OUT]",
+     .arguments = "[ls|rm|convert] ...",
      .summary = "camera paths that the daemon keeps, and other programs' files",
      .details =
-         "convert reads and writes camera paths of other programs; coordinates end up in\n"
+         "paths ls, rm NAME, convert IN OUT. convert reads and writes camera paths of other "
+         "programs; coordinates end up in\n"
          "the dataset's own. nerfstudio's are those of one training: give --space. COLMAP's\n"
          "images.txt takes the cameras.txt beside it.",
      .args_min = 0,

@@ -106,6 +106,44 @@ def test_every_verb_explains_itself(client, verb):
     text = client.run("help", verb).stdout
     assert text.startswith(f"usage: ripnerf {verb}") and "--json" in text
     assert client.run(verb, "--help").stdout == text
+    assert [line for line in text.splitlines() if len(line) > 80] == []
+
+
+def test_errors_are_json_where_that_is_asked_for(client, daemon):
+    said = json.loads(client.run("show", "nothing", "--json", code=NOT_FOUND).stderr)
+    assert said["error"]["where"] == "nothing" and said["error"]["exit_code"] == NOT_FOUND
+    said = json.loads(client.run("render", "a", "--json", code=USAGE).stderr)
+    assert "--view" in said["error"]["detail"] and said["error"]["exit_code"] == USAGE
+    said = json.loads(client.run("train", "nothing", "--name", "x", "--json", code=NOT_FOUND).stderr)
+    assert said["error"]["status"] == 404
+
+
+def test_the_overview_fits_a_terminal(client):
+    text = client.run("help").stdout
+    assert "  paths " in text and [line for line in text.splitlines() if len(line) > 80] == []
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_completions_name_every_verb_and_option(client, shell, tmp_path):
+    script = client.run("completion", shell).stdout
+    for word in ("turntable", "video-quality", "instant-ngp", "token-file"):
+        assert word in script
+    client.run("completion", "csh", code=USAGE)
+    if shell != "bash":
+        return
+    (tmp_path / "c.bash").write_text(script)
+
+    def complete(*words):
+        line = " ".join(f"'{word}'" for word in words)
+        run = subprocess.run(
+            ["bash", "-c", f"source {tmp_path}/c.bash; COMP_WORDS=({line}); "
+             f"COMP_CWORD={len(words) - 1}; _ripnerf; printf '%s\\n' \"${{COMPREPLY[@]}}\""],
+            capture_output=True, text=True, check=True, timeout=20)
+        return run.stdout.split()
+    assert complete("ripnerf", "turn") == ["turntable"]
+    assert complete("ripnerf", "path", "--video") == ["--video-quality"]
+    assert complete("ripnerf", "path", "--codec", "") == ["h264", "av1"]
+    assert "--host" in complete("ripnerf", "info", "--")
 
 
 def test_version(client, daemon):

@@ -216,8 +216,22 @@ class Handler(BaseHTTPRequestHandler):
                 ("Server-Timing", f"queue;dur=0.2, render;dur={spent:.2f}, encode;dur=1.1"),
                 ("X-Ripnerf-Step", scene["steps"]),
                 ("X-Ripnerf-Samples", camera["width"] * camera["height"] * 14),
+                *self.budget(body, spent),
             ],
         )
+
+    @staticmethod
+    def budget(body, spent):
+        if "within_ms" not in body:
+            return []
+        return [("X-Ripnerf-Asked-Ms", body["within_ms"]), ("X-Ripnerf-Spent-Ms", f"{spent:.1f}"),
+                ("X-Ripnerf-Setting", "tolerance=0.03"), ("X-Ripnerf-Curve", "measured"),
+                ("X-Ripnerf-Expected-Psnr", "30.4"), ("X-Ripnerf-Late", "0")]
+
+    def curve(self, world, _key):
+        if not world.curve:
+            raise Refusal(404, "Not found", "the curve was not measured yet")
+        self.reply(200, world.curve)
 
     def evaluations(self, world, key):
         with world.lock:
@@ -318,6 +332,7 @@ ROUTES = [
     (rf"POST /v1/jobs/{ID}/(pause|resume|finish|cancel)", "act"),
     (rf"POST /v1/scenes/{ID}/render", "render"),
     (rf"GET /v1/scenes/{ID}/evaluations", "evaluations"),
+    (rf"GET /v1/scenes/{ID}/curve", "curve"),
     (rf"GET /v1/jobs/{ID}/metrics", "metrics"),
     (rf"GET /v1/jobs/{ID}/frames", "frames"),
     (rf"GET /v1/jobs/{ID}/film", "film"),

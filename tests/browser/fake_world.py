@@ -46,6 +46,7 @@ class World:
         self.missing = set()  # views that could not be used: (split, index)
         self.uploads = []
         self.untrained = False  # a scene of no steps is rendered all the same
+        self.curve = None  # of every scene
         self.on_render = lambda body: None
         if scenario != "empty":
             self.add_dataset("sphere")

@@ -233,3 +233,30 @@ def test_preview_and_daemon_agree_on_arcs_and_speed(page, fake, build, tmp_path)
         worst = max(abs(frame["transform_matrix"][i][3] - eye[i])
                     for frame, eye in zip(frames, shown) for i in range(3))
         assert worst < 1e-6, (more, worst)
+
+
+def test_a_budget_is_chosen_on_the_curve_and_the_truth_is_told(page, fake):
+    api = fake("busy")
+    points = [{"setting": {"tolerance": t}, "ms_median": ms, "ms_p95": ms, "psnr": psnr, "ssim": 0.9,
+               "psnr_full": 40, "psnr_spread": 0.5, "rays": 1, "samples": 1}
+              for t, ms, psnr in ((0.06, 8, 27.5), (0.03, 40, 30.4), (0, 200, 31.2))]
+    api.world.curve = {
+        "machine": "m", "device": "cpu", "kernels": "avx2", "threads": 2, "version": "0.1.0",
+        "digest": None, "step": 5, "measured_at": "2026-01-01T00:00:00Z", "stale": False,
+        "width": 200, "height": 200, "views": 6, "photographs": True, "seconds": 9, "points": points}
+    asked = []
+    api.world.on_render = asked.append
+    page.open(api.url + "#/scene/sphere-draft")
+    page.until(lambda: len(page.all(".cost-chart .dot")) == 3, "the curve's points")
+    page.says("6 views of 200 × 200, against photographs")
+    page.driver.execute_script(
+        "const s = document.querySelector('#budget'); s.value = 0.335;"
+        "s.dispatchEvent(new Event('input'));")
+    page.says("within 51 ms: about 30.4 dB", "[aria-label='Accuracy against time']")
+    page.driver.execute_script(
+        "document.querySelector('#budget').dispatchEvent(new Event('change'));")
+    page.says("30.4 dB expected; took", "[aria-label='Accuracy against time']")
+    page.says("tolerance=0.03", "[aria-label='Accuracy against time']")
+    assert [body for body in asked if body.get("within_ms") == 51]
+    page.says("within 51 ms", ".hud")
+    assert page.complaints() == []

@@ -122,6 +122,12 @@ function renderFacts(response, started) {
     totalMs: performance.now() - started,
     step: number('X-Ripnerf-Step'),
     samples: number('X-Ripnerf-Samples'),
+    askedMs: number('X-Ripnerf-Asked-Ms'),
+    spentMs: number('X-Ripnerf-Spent-Ms'),
+    expectedPsnr: number('X-Ripnerf-Expected-Psnr'),
+    late: response.headers.get('X-Ripnerf-Late') === '1',
+    setting: response.headers.get('X-Ripnerf-Setting') ?? '',
+    curve: response.headers.get('X-Ripnerf-Curve') ?? '',
   };
 }
 
@@ -141,6 +147,8 @@ export const api = {
   scenes: (signal) => list('v1/scenes', signal),
   scene: (id, signal) => json('GET', `v1/scenes/${name(id)}`, {signal}),
   removeScene: (id) => request('DELETE', `v1/scenes/${name(id)}`),
+  curve: (id, signal) => json('GET', `v1/scenes/${name(id)}/curve`, {signal}),
+  measureCurve: (id) => json('POST', `v1/scenes/${name(id)}/curve`, {json: {}}),
   evaluations: (id, signal) => list(`v1/scenes/${name(id)}/evaluations`, signal),
   jobs: (signal) => list('v1/jobs', signal),
   job: (id, signal) => json('GET', `v1/jobs/${name(id)}`, {signal}),

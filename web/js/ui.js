@@ -214,7 +214,9 @@ const VERBS = {
   train: 'Training',
   path: 'Camera path',
   eval: 'Evaluation',
-  ingest: 'Import'
+  ingest: 'Import',
+  curve: 'Curve',
+  poses: 'Poses'
 };
 export const kindOf = (job) => VERBS[job.type] ?? job.type;
 export const subjectOf = (job) =>

@@ -31,7 +31,7 @@ export const nextBudget = (pixels, ms) =>
  * @param {HTMLCanvasElement} canvas
  * @param {{camera: (width: number, height: number) => any, fullSize: () => {width: number, height:
  *     number},
- *   output: () => string, send: (body: any, signal: AbortSignal) => Promise<{blob: Blob, facts:
+ *   output: () => string, budgetMs: () => number|null, send: (body: any, signal: AbortSignal) => Promise<{blob: Blob, facts:
  * any}>, live: () => boolean, onPicture: (facts: any) => void, onTrouble: (trouble: Error|null) =>
  * void}} host
  * @param {AbortSignal} signal
@@ -64,7 +64,7 @@ export function createViewer(canvas, host, signal) {
     if (now - movedAt < STILL_MS) return null;
     const full = host.fullSize();
     if (shown.level === COARSE)
-      return msPerPixel * full.width * full.height > HALF_FIRST_MS ? HALF : FULL;
+      return !host.budgetMs() && msPerPixel * full.width * full.height > HALF_FIRST_MS ? HALF : FULL;
     if (shown.level === HALF) return FULL;
     return host.live() && now >= refreshAt ? FULL : null;
   }
@@ -97,7 +97,9 @@ export function createViewer(canvas, host, signal) {
     return {
       camera: host.camera(size.width, size.height),
       output,
-      ...(level === FULL ? {} : {supersample: 1, tolerance: TOLERANCE[level]}),
+      ...(level !== FULL        ? {supersample: 1, tolerance: TOLERANCE[level]} :
+          host.budgetMs() && output === 'rgb' ? {within_ms: host.budgetMs()} :
+                                                {}),
       ...(lossy ? {format: 'jpeg', jpeg_quality: level === COARSE ? 75 : 90} : {format: 'png'})
     };
   }

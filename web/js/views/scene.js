@@ -4,6 +4,7 @@ import {every, fill, follow, h} from '../dom.js';
 import {find, isActive, means, state, trainingOf, watch} from '../store.js';
 import {chip, panel, problemBox, setChip, skeleton} from '../ui.js';
 import {link} from '../router.js';
+import {createCurve} from './curve.js';
 import {createKeys} from './keys.js';
 import {createViewport} from './viewport.js';
 import {trainingPanel} from './training.js';
@@ -66,11 +67,13 @@ function page(scene, cameras, mark, query, signal) {
   const dataset = find(state.datasets, scene.dataset);
   const training = () => isActive(trainingOf(find(state.scenes, scene.id) ?? scene));
   let keys = null;
+  const cost = createCurve(scene, (ms) => { view.budgetMs = ms; }, signal);
   const view = createViewport(
       scene, cameras, {
         live: training,
         failed: () => find(state.scenes, scene.id)?.state === 'failed',
         onKey: () => keys.record(),
+        onRefined: (facts) => cost.picture(facts),
         camera: query?.get('camera')
       },
       signal);
@@ -85,7 +88,7 @@ function page(scene, cameras, mark, query, signal) {
   keepRecord(scene, {record, more}, training, view, signal);
   return h(
       'div', {class: 'columns wide'}, h('div', {class: 'main-column'}, view.node, keys.node, more),
-      h('div', {class: 'side-column'}, trainingPanel(scene.id, signal), pathsPanel(scene, signal),
+      h('div', {class: 'side-column'}, trainingPanel(scene.id, signal), cost.node, pathsPanel(scene, signal),
         qualityPanel(scene, signal), record));
 }
 

@@ -43,6 +43,7 @@ export function createViewport(scene, cameras, host, signal) {
                               defaultOrbit(bounds, up);
   let orbit = orbitOfWord(host.camera, up) ?? start;
   let things = {path: null, selected: null, time: null};  // drawn over the picture
+  let budgetMs = null;  // of a refined picture; null: as long as it takes
   let pose = null;  // a recorded key's exact pose, until the camera is moved
 
   const canvas = h('canvas', {class: 'picture'});
@@ -87,6 +88,7 @@ export function createViewport(scene, cameras, host, signal) {
                  cameraOf(orbit, width, height)),
         fullSize,
         output: () => output.control.value,
+        budgetMs: () => budgetMs,
         live: host.live,
         send: (body, stop) => api.render(scene.id, body, stop),
         onPicture: showFacts,
@@ -161,12 +163,15 @@ export function createViewport(scene, cameras, host, signal) {
   }
 
   function showFacts(facts) {
+    if (facts.level === 2) host.onRefined(facts);
     stage.dataset.ready = 'true';
     stage.dataset.level = LEVELS[facts.level];
     text(
         hud,
         [
-          facts.step === 0 ? 'not trained yet' : LEVELS[facts.level],
+          facts.step === 0               ? 'not trained yet' :
+          Number.isFinite(facts.askedMs) ? `within ${milliseconds(facts.askedMs)}` :
+                                           LEVELS[facts.level],
           `${facts.width} × ${facts.height}`,
           Number.isFinite(facts.step) ? `step ${whole(facts.step)}` : '',
           Number.isFinite(facts.renderMs) ? `${milliseconds(facts.renderMs)} rendering` : '',
@@ -267,6 +272,11 @@ export function createViewport(scene, cameras, host, signal) {
   return {
     node,
     up,
+    /** How long a refined picture may take; null: as long as it takes. */
+    set budgetMs(ms) {
+      budgetMs = ms;
+      viewer.refresh();
+    },
     /** The training photographs' cameras. */
     cameras: photographs,
     /** What of a path is drawn over the picture. */
