@@ -74,8 +74,7 @@ enum rn_status rn_dataset_seal(struct rn_dataset *dataset, const char *where,
     return RN_OK;
 }
 
-// All that a photograph without alpha shows has to lie within the sphere, or be of the background's
-// colour.
+// What a photograph without alpha shows beyond the sphere makes its space unbounded.
 static void warn_of_what_is_beyond(struct rn_reader *reader) {
     struct rn_dataset *dataset = reader->dataset;
     for (size_t i = 0; i < dataset->frame_count; i++)
@@ -85,10 +84,10 @@ static void warn_of_what_is_beyond(struct rn_reader *reader) {
     struct rn_bounds wider = rn_bounds_from_cameras(dataset, CAPTURE_DISTANCES);
     rn_problems_add(reader->problems, RN_SEVERITY_WARNING, reader->folder,
                     "the layout's sphere (radius %g about the origin) covers only %.0f %% of the "
-                    "training photographs' pixels, and no alpha channel cuts the rest away; what "
-                    "lies beyond cannot be learnt. `import --bounds X,Y,Z,R` says which sphere "
-                    "holds the scene: %.6g,%.6g,%.6g,%.6g reaches %g times as far as the cameras' "
-                    "mean distance",
+                    "training photographs' pixels, and no alpha channel cuts the rest away; where "
+                    "over a tenth of them look past it, all of space is trained. A scene that ends "
+                    "somewhere is finer in a sphere of its own, `import --bounds X,Y,Z,R`: "
+                    "%.6g,%.6g,%.6g,%.6g reaches %g times as far as the cameras' mean distance",
                     dataset->format->sphere, 100 * seen, wider.centre[0], wider.centre[1],
                     wider.centre[2], wider.radius, CAPTURE_DISTANCES);
 }

@@ -213,7 +213,9 @@ START_TEST(photographs_call_for_their_space) {
         ck_assert(r->decided && r->on == on && (r->number > r->threshold) == on);
         ck_assert_ptr_nonnull(strstr(r->reason, i < 2 ? "quarter" : "dataset's ball"));
         ck_assert(config.field.space == (on ? RN_SPACE_UNBOUNDED : RN_SPACE_BALL));
-        ck_assert((config.distortion_loss > 0) == on);
+        struct rn_march_options endless = {0}; // of a training without a limit
+        rn_effects_march(&config, NAN, &endless);
+        ck_assert((config.distortion_loss > 0) == on && (endless.distortion_loss > 0) == on);
         if (i != 1) ck_assert_double_eq(bounds.radius, as.bounds.radius);
         if (i == 1) ck_assert_double_eq(bounds.radius, rn_bounds_from_cameras(&as, 0.5).radius);
         free(as.frames);

@@ -101,8 +101,8 @@ static void prepare(const struct rn_dataset *dataset, struct rn_train_config *co
 
 static void march(const struct rn_train_config *config, double done, struct rn_march_options *m) {
     if (config->field.space != RN_SPACE_UNBOUNDED) return;
-    double grown = (done - 0.2) / 0.3;
-    m->distortion_loss = (float)(config->distortion_loss * (grown > 0 ? fmin(grown, 1) : 0));
+    double grown = isnan(done) ? 1 : fmin(fmax((done - 0.2) / 0.3, 0), 1);
+    m->distortion_loss = (float)(config->distortion_loss * grown);
 }
 
 const struct rn_effect_row rn_effect_unbounded = {.prepare = prepare, .march = march};
