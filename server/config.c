@@ -82,6 +82,8 @@ static const struct option options[] = {
     {"web", KIND_TEXT, AT(web), NULL, 0, 0, "DIR", "the page's files"},
     {"runner", KIND_TEXT, AT(runner), NULL, 0, 0, "FILE", "the ripnerf-runner program"},
     {"log-level", KIND_TEXT, AT(log_level), "info", 0, 0, "LEVEL", "error, warn, info or debug"},
+    {"log-format", KIND_TEXT, AT(log_format), "text", 0, 0, "FORMAT",
+     "text or json, a line an event"},
     {"rebuild", KIND_FLAG, AT(rebuild), NULL, 0, 0, "",
      "make records that are missing anew from what lies under --data, then serve"},
     {"scrub", KIND_FLAG, AT(scrub), NULL, 0, 0, "",

@@ -15,7 +15,7 @@ struct rn_config {
     char *config;
     char *roots[RN_CONFIG_MAX_ROOTS]; // canonical absolute paths of folders
     int root_count;
-    char *token_file, *web, *runner, *log_level;
+    char *token_file, *web, *runner, *log_level, *log_format;
     int64_t threads; // 0: all cores
     int64_t memory_limit_bytes, max_upload_bytes, max_upload_entries;
     int64_t gpu_memory_bytes, gpu_deterministic, sandbox;

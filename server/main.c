@@ -4,11 +4,14 @@
 #include <libgen.h>
 #include <limits.h>
 #include <signal.h>
+#include <stddef.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <sys/resource.h>
+#include <sys/socket.h>
 #include <sys/stat.h>
+#include <sys/un.h>
 #include <unistd.h>
 
 #include "common/base/clock.h"
@@ -106,6 +109,30 @@ static enum rn_status set_log_level(const char *name, struct rn_error *err) {
                             "'%s' is not error, warn, info or debug", name);
     rn_log_set_level((enum rn_log_level)level);
     return RN_OK;
+}
+
+static enum rn_status set_log_format(const char *name, struct rn_error *err) {
+    if (strcmp(name, "json") == 0)
+        rn_log_set_json();
+    else if (strcmp(name, "text") != 0)
+        return rn_error_set(err, RN_ERROR_INVALID, "log-format", "'%s' is not text or json", name);
+    return RN_OK;
+}
+
+// Tells the service manager that started this process, if one did (sd_notify(3)).
+static void notify(const char *state) {
+    const char *path = getenv("NOTIFY_SOCKET");
+    struct sockaddr_un address = {.sun_family = AF_UNIX};
+    size_t size = path != NULL ? strlen(path) : 0;
+    if (size < 2 || size >= sizeof address.sun_path) return;
+    memcpy(address.sun_path, path, size);
+    if (address.sun_path[0] == '@') address.sun_path[0] = '\0'; // an abstract one
+    int fd = socket(AF_UNIX, SOCK_DGRAM | SOCK_CLOEXEC, 0);
+    socklen_t length = (socklen_t)(offsetof(struct sockaddr_un, sun_path) + size);
+    if (fd < 0 ||
+        sendto(fd, state, strlen(state), MSG_NOSIGNAL, (struct sockaddr *)&address, length) < 0)
+        rn_log(RN_LOG_WARN, "the service manager cannot be told: %s", strerror(errno));
+    if (fd >= 0) close(fd);
 }
 
 static bool is_idle(void *context) {
@@ -206,6 +233,7 @@ static void announce(const struct server *server) {
     printf("ripnerfd: listening on http://%s%s%s:%u\n", v6 ? "[" : "", server->config.address,
            v6 ? "]" : "", rn_http_port(server->app.http));
     fflush(stdout);
+    notify("READY=1");
 }
 
 static int print_help(void) {
@@ -237,6 +265,7 @@ int main(int argc, char **argv) {
     raise_file_limit();
     find_files(&server);
     enum rn_status status = set_log_level(server.config.log_level, &err);
+    if (status == RN_OK) status = set_log_format(server.config.log_format, &err);
     if (status == RN_OK) status = start_control(&server, &err);
     if (status == RN_OK) status = start_http(&server, &err);
     if (status != RN_OK) {
@@ -246,6 +275,7 @@ int main(int argc, char **argv) {
     announce(&server);
     sigwait(&signals, &signal_number);
     rn_log(RN_LOG_INFO, "stopping: %s", strsignal(signal_number));
+    notify("STOPPING=1");
     arm_second_signal(&signals);
     stop(&server);
     return 0;

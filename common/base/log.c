@@ -2,11 +2,14 @@
 
 #include <errno.h>
 #include <stdatomic.h>
+#include <stdbool.h>
 #include <stdio.h>
+#include <string.h>
 #include <time.h>
 #include <unistd.h>
 
 #include "common/base/clock.h"
+#include "common/base/utf8.h"
 
 #define MAX_TEXT 1000
 
@@ -15,6 +18,12 @@ static atomic_int least_urgent = RN_LOG_INFO;
 
 void rn_log_set_level(enum rn_log_level level) {
     atomic_store(&least_urgent, (int)level);
+}
+
+static atomic_bool is_json;
+
+void rn_log_set_json(void) {
+    atomic_store(&is_json, true);
 }
 
 static size_t format_prefix(char *line, size_t capacity, enum rn_log_level level) {
@@ -26,6 +35,19 @@ static size_t format_prefix(char *line, size_t capacity, enum rn_log_level level
     int more = snprintf(line + size, capacity - size, ".%03dZ %s ", (int)(now_ms % 1000),
                         level_names[level]);
     return size + (size_t)more;
+}
+
+// {"time":"…","level":"…","text":"…"} of a line as it is written else.
+static size_t make_json(const char *line, size_t prefix, size_t size, char *ret_json) {
+    const size_t time = strcspn(line, " "), level = prefix - time - 2;
+    size_t at = (size_t)sprintf(ret_json, "{\"time\":\"%.*s\",\"level\":\"%.*s\",\"text\":\"",
+                                (int)time, line, (int)level, line + time + 1);
+    for (size_t i = prefix; i < size; i++) {
+        if (line[i] == '"' || line[i] == '\\') ret_json[at++] = '\\';
+        ret_json[at++] = line[i];
+    }
+    memcpy(ret_json + at, "\"}", 2);
+    return at + 2;
 }
 
 void rn_log(enum rn_log_level level, const char *fmt, ...) {
@@ -40,8 +62,16 @@ void rn_log(enum rn_log_level level, const char *fmt, ...) {
     size_t size = prefix + (length < 0 ? 0 : length < MAX_TEXT ? (size_t)length : MAX_TEXT - 1);
     for (size_t i = prefix; i < size; i++)
         if ((unsigned char)line[i] < 0x20 || line[i] == 0x7f) line[i] = '?';
-    line[size++] = '\n';
-    ssize_t put = write(STDERR_FILENO, line, size);
+    char json[sizeof line + MAX_TEXT + 64];
+    char *text = line;
+    if (atomic_load(&is_json)) {
+        line[size] = '\0';
+        rn_utf8_clean(line);
+        size = make_json(line, prefix, strlen(line), json);
+        text = json;
+    }
+    text[size++] = '\n';
+    ssize_t put = write(STDERR_FILENO, text, size);
     (void)put; // a log that cannot be written has nowhere to complain
     errno = kept_errno;
 }

@@ -11,6 +11,9 @@ enum rn_log_level { RN_LOG_ERROR, RN_LOG_WARN, RN_LOG_INFO, RN_LOG_DEBUG };
 // bytes. Keeps errno. Thread-safe, not for signal handlers.
 void rn_log(enum rn_log_level level, const char *fmt, ...) RN_PRINTF(2, 3);
 
+// Lines are JSON objects with time, level and text from now on. Thread-safe.
+void rn_log_set_json(void);
+
 // Drops what is less urgent than `level`; RN_LOG_INFO at the start. Thread-safe.
 void rn_log_set_level(enum rn_log_level level);
 

@@ -1,12 +1,13 @@
 #include "common/base/manifest.h"
 
+#include <dirent.h>
 #include <errno.h>
 #include <fcntl.h>
-#include <fts.h>
 #include <limits.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/stat.h>
 #include <unistd.h>
 
 #include "common/base/buf.h"
@@ -35,27 +36,54 @@ static enum rn_status digest_of(const char *path, char ret_sha256[65], struct rn
     return RN_OK;
 }
 
-static int by_name(const FTSENT **a, const FTSENT **b) {
-    return strcmp((*a)->fts_name, (*b)->fts_name);
+static int is_visible(const struct dirent *entry) {
+    return entry->d_name[0] != '.';
 }
 
-static enum rn_status list_files(const char *folder, struct rn_buf *list, struct rn_error *err) {
-    char *const roots[] = {(char *)folder, NULL};
-    FTS *tree = fts_open(roots, FTS_PHYSICAL | FTS_NOCHDIR, by_name);
-    if (tree == NULL) return rn_error_from_errno(err, errno, folder, "list the folder");
-    enum rn_status status = RN_OK;
-    FTSENT *entry;
-    while (status == RN_OK && (entry = fts_read(tree)) != NULL) {
-        const char *name = entry->fts_path + strlen(folder);
-        name += *name == '/';
-        char sha256[65];
-        if (entry->fts_info != FTS_F || entry->fts_name[0] == '.' || strcmp(name, LIST) == 0)
-            continue;
-        status = digest_of(entry->fts_path, sha256, err);
-        if (status == RN_OK) rn_buf_printf(list, "%s  %s\n", sha256, name);
+static enum rn_status list_files(const char *folder, const char *inner, struct rn_buf *list,
+                                 struct rn_error *err);
+
+// `name` is relative to the folder.
+static enum rn_status list_entry(const char *folder, const char *name, struct rn_buf *list,
+                                 struct rn_error *err) {
+    char path[PATH_MAX], sha256[65];
+    struct stat about;
+    if (snprintf(path, sizeof path, "%s/%s", folder, name) >= (int)sizeof path)
+        return rn_error_set(err, RN_ERROR_LIMIT, folder, "the path is too long");
+    if (lstat(path, &about) != 0) return rn_error_from_errno(err, errno, path, "find the file");
+    if (S_ISDIR(about.st_mode)) return list_files(folder, name, list, err);
+    if (!S_ISREG(about.st_mode) || strcmp(name, LIST) == 0) return RN_OK;
+    enum rn_status status = digest_of(path, sha256, err);
+    if (status == RN_OK) rn_buf_printf(list, "%s  %s\n", sha256, name);
+    return status;
+}
+
+// The files of FOLDER/inner and below, in the order of their names. Not by fts(3), which crashes
+// where memory ends.
+static enum rn_status list_files(const char *folder, const char *inner, struct rn_buf *list,
+                                 struct rn_error *err) {
+    char *path = NULL;
+    struct dirent **entries = NULL;
+    if (asprintf(&path, "%s/%s", folder, inner) < 0)
+        return rn_error_set(err, RN_ERROR_NO_MEMORY, folder, "no memory");
+    int count = scandir(path, &entries, is_visible, alphasort);
+    enum rn_status status =
+        count < 0 ? rn_error_from_errno(err, errno, path, "list the folder") : RN_OK;
+    free(path);
+    for (int i = 0; i < count; i++) {
+        char *name = NULL;
+        if (status == RN_OK &&
+            asprintf(&name, "%s%s%s", inner, *inner ? "/" : "", entries[i]->d_name) < 0) {
+            name = NULL;
+            status = rn_error_set(err, RN_ERROR_NO_MEMORY, folder, "no memory");
+        } else if (status == RN_OK) {
+            status = list_entry(folder, name, list, err);
+        }
+        free(name);
+        free(entries[i]);
     }
-    fts_close(tree);
-    return status == RN_OK ? rn_buf_status(list, LIST, err) : status;
+    free(entries);
+    return status;
 }
 
 enum rn_status rn_manifest_write(const char *folder, struct rn_error *err) {
@@ -64,7 +92,8 @@ enum rn_status rn_manifest_write(const char *folder, struct rn_error *err) {
     if (snprintf(path, sizeof path, "%s/" LIST, folder) >= (int)sizeof path)
         return rn_error_set(err, RN_ERROR_LIMIT, folder, "the path is too long");
     rn_buf_init(&list, MAX_LIST);
-    enum rn_status status = list_files(folder, &list, err);
+    enum rn_status status = list_files(folder, "", &list, err);
+    if (status == RN_OK) status = rn_buf_status(&list, LIST, err);
     if (status == RN_OK)
         status = rn_file_write_atomic(path, list.data ? (void *)list.data : "", list.size, err);
     rn_buf_finish(&list);

@@ -72,6 +72,8 @@ struct rn_request {
     size_t answer_bytes; // http->lock: held for the answer
     struct rn_event_stream events;
     int64_t begin_ns;
+    char trace[33];  // 32 hexadecimal digits: the caller's (traceparent), or fresh ones
+    unsigned status; // of the answer, 0 before
     // http->lock:
     struct rn_reply reply;
     struct rn_parked parked;

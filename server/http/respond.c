@@ -201,7 +201,9 @@ enum MHD_Result rn_respond(struct rn_request *request, struct rn_reply *reply) {
     unsigned status = (unsigned)reply->status;
     struct MHD_Response *response = open_response(request, reply);
     enum MHD_Result result = MHD_NO;
-    if (response != NULL && add_headers(response, reply))
+    request->status = status;
+    if (response != NULL && add_headers(response, reply) &&
+        MHD_add_response_header(response, "X-Request-Id", request->trace) == MHD_YES)
         result = MHD_queue_response(request->connection, status, response);
     if (response != NULL) MHD_destroy_response(response);
     rn_reply_finish(reply);

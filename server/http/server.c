@@ -6,6 +6,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/random.h>
 #include <sys/socket.h>
 #include <unistd.h>
 
@@ -19,6 +20,21 @@
 #define HEADER_BYTES (32u << 10)
 #define MAX_ARGUMENTS 64
 #define BACKLOG 1024
+
+// The trace that the caller is in (W3C Trace Context: "00-TRACE-SPAN-FLAGS"), else a new one.
+static void begin_trace(struct rn_request *request) {
+    const char *parent = rn_request_header(request, "traceparent");
+    uint64_t fresh[2] = {0};
+    if (parent != NULL && strlen(parent) == 55 && strncmp(parent, "00-", 3) == 0 &&
+        parent[35] == '-' && strspn(parent + 3, "0123456789abcdef") == 32) {
+        snprintf(request->trace, sizeof request->trace, "%.32s", parent + 3);
+        return;
+    }
+    if (getrandom(fresh, sizeof fresh, GRND_NONBLOCK) != sizeof fresh)
+        fresh[0] = (uint64_t)request->begin_ns;
+    snprintf(request->trace, sizeof request->trace, "%016llx%016llx", (unsigned long long)fresh[0],
+             (unsigned long long)fresh[1]);
+}
 
 static struct rn_request *create(struct rn_http *http, struct MHD_Connection *connection,
                                  const char *path) {
@@ -41,7 +57,23 @@ static struct rn_request *create(struct rn_http *http, struct MHD_Connection *co
     http->request_count++;
     pthread_mutex_unlock(&http->lock);
     rn_socket_begin(request);
+    begin_trace(request);
     return request;
+}
+
+// Who asked for what, and what came of it. Writes are always told.
+static void log_access(const struct rn_request *request) {
+    static const char *const names[] = {
+        [RN_METHOD_GET] = "GET", [RN_METHOD_POST] = "POST", [RN_METHOD_DELETE] = "DELETE"};
+    char address[INET6_ADDRSTRLEN] = "-";
+    unsigned method = request->method <= RN_METHOD_DELETE ? request->method : 0;
+    if (request->socket != NULL)
+        inet_ntop(AF_INET6, request->socket->address, address, sizeof address);
+    bool write = request->method == RN_METHOD_POST || request->method == RN_METHOD_DELETE;
+    rn_log(write ? RN_LOG_INFO : RN_LOG_DEBUG, "%s %s %u %.1f ms %s %s",
+           names[method] != NULL ? names[method] : "-", request->path, request->status,
+           (double)(rn_clock_ns() - request->begin_ns) * 1e-6,
+           strncmp(address, "::ffff:", 7) == 0 ? address + 7 : address, request->trace);
 }
 
 static void on_completed(void *context, struct MHD_Connection *connection, void **state,
@@ -50,6 +82,7 @@ static void on_completed(void *context, struct MHD_Connection *connection, void 
     struct rn_request *request = *state;
     if (request == NULL) return;
     *state = NULL;
+    log_access(request);
     rn_socket_end(request);
     pthread_mutex_lock(&http->lock);
     http->answer_bytes -= request->answer_bytes;
@@ -65,8 +98,6 @@ static void on_completed(void *context, struct MHD_Connection *connection, void 
     pthread_cond_broadcast(&http->changed);
     pthread_mutex_unlock(&http->lock);
     if (tell) request->parked.on_gone(request->parked.context, &request->parked);
-    rn_log(RN_LOG_DEBUG, "%s %.1f ms", request->path,
-           (double)(rn_clock_ns() - request->begin_ns) * 1e-6);
     rn_exchange_unref(request);
 }
 

@@ -3,7 +3,9 @@
 import fcntl
 import json
 import os
+import re
 import signal
+import socket
 import subprocess
 import threading
 import time
@@ -628,3 +630,34 @@ def test_no_runner(programs, tmp_path):
     with Daemon(programs[0], tmp_path / "none", tmp_path / "d") as daemon:
         assert daemon.get("/readyz").status == 503
         assert daemon.get("/healthz").status == 200
+
+
+def test_the_service_manager_is_told(programs, tmp_path):
+    """READY once it serves, STOPPING before it ends (sd_notify)."""
+    path = str(tmp_path / "notify")
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
+        manager.bind(path)
+        manager.settimeout(10)
+        daemon = Daemon(*programs, tmp_path / "d", {"NOTIFY_SOCKET": path}).start()
+        assert manager.recv(100) == b"READY=1"
+        assert daemon.stop() == 0
+        assert manager.recv(100) == b"STOPPING=1"
+
+
+def test_access_is_logged(make_daemon):
+    """Writes always, reads for who asks, with the trace that the caller is in; as JSON too."""
+    daemon = make_daemon(log_format="json", log_level="info")
+    trace = "0af7651916cd43dd8448eb211c80319c"
+    reply = daemon.post("/v1/camera-paths", {"name": "a", "path": PATH},
+                        headers={"traceparent": f"00-{trace}-b7ad6b7169203331-01"})
+    assert reply.status == 201 and reply.headers["X-Request-Id"] == trace
+    fresh = daemon.get("/v1/jobs").headers["X-Request-Id"]
+    assert re.fullmatch("[0-9a-f]{32}", fresh) and fresh != trace
+    assert daemon.delete('/v1/camera-paths/%22%5C').status == 404
+    daemon.stop()
+    lines = [json.loads(line) for line in daemon.log_text().splitlines()]
+    told = [line["text"] for line in lines if line["level"] == "info"]
+    assert any(re.fullmatch(rf"POST /v1/camera-paths 201 [\d.]+ ms 127.0.0.1 {trace}", text)
+               for text in told)
+    assert any(text.startswith('DELETE /v1/camera-paths/"\\ 404 ') for text in told), told
+    assert not any(fresh in line["text"] for line in lines)

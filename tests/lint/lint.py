@@ -162,7 +162,8 @@ def check_text(root):
 
 
 def check_shell(root):
-    scripts = tracked(root, ".sh") + tracked(root, ".ci/deps", ".ci/run")
+    scripts = tracked(root, ".sh") + tracked(root, ".ci/deps", ".ci/run", ".ci/debian/build",
+                                           ".ci/debian/postinst", ".ci/debian/prerm")
     result = subprocess.run(["shellcheck", *scripts], cwd=root, capture_output=True, text=True,
                             check=False)
     if result.returncode:
