@@ -215,6 +215,22 @@ enum rn_status rn_dataset_read_as(const char *folder, const struct rn_read_optio
     return status;
 }
 
+enum rn_status rn_dataset_read_whole(const char *folder, struct rn_dataset **ret_dataset,
+                                     struct rn_error *err) {
+    struct rn_dataset *dataset = NULL;
+    enum rn_status status = rn_dataset_read(folder, NULL, &dataset, err);
+    for (int split = 0; status == RN_OK && split < RN_SPLIT_COUNT; split++)
+        if (dataset->unusable[split] > 0)
+            status = rn_error_set(err, RN_ERROR_IO, folder,
+                                  "%d of its views cannot be read now; try again",
+                                  dataset->unusable[split]);
+    if (status == RN_OK)
+        *ret_dataset = dataset;
+    else
+        rn_dataset_destroy(&dataset);
+    return status;
+}
+
 enum rn_status rn_dataset_read(const char *folder, struct rn_problems *problems,
                                struct rn_dataset **ret_dataset, struct rn_error *err) {
     return rn_dataset_read_as(folder, NULL, problems, ret_dataset, err);

@@ -115,6 +115,10 @@ struct rn_read_options {
 enum rn_status rn_dataset_read_as(const char *folder, const struct rn_read_options *options,
                                   struct rn_problems *problems, struct rn_dataset **ret_dataset,
                                   struct rn_error *err) RN_MUST_CHECK;
+// A dataset that was imported, and is whole: a view that is left out now could not be read, for
+// want of memory, say, and is RN_ERROR_IO.
+enum rn_status rn_dataset_read_whole(const char *folder, struct rn_dataset **ret_dataset,
+                                     struct rn_error *err) RN_MUST_CHECK;
 void rn_dataset_destroy(struct rn_dataset **dataset);
 
 // From the cameras alone: about the point nearest to all optical axes, `distances` times the mean

@@ -23,7 +23,7 @@ static const struct rn_dataset *open_dataset(struct rn_app *app, struct rn_reque
         rn_dataset_destroy(&app->dataset);
         snprintf(app->dataset_id, sizeof app->dataset_id, "%s", row.id);
         status = folder == NULL ? rn_error_set(&err, RN_ERROR_NO_MEMORY, "", "no memory")
-                                : rn_dataset_read(folder, NULL, &app->dataset, &err);
+                                : rn_dataset_read_whole(folder, &app->dataset, &err);
         free(folder);
     }
     rn_row_finish(&rn_datasets, &row);

@@ -82,7 +82,7 @@ enum rn_status rn_host_need_engine(struct rn_host *host, const char *device, con
 
 enum rn_status rn_host_need_dataset(struct rn_host *host, struct rn_error *err) {
     return host->dataset ? RN_OK
-                         : rn_dataset_read(host->place.dataset_folder, NULL, &host->dataset, err);
+                         : rn_dataset_read_whole(host->place.dataset_folder, &host->dataset, err);
 }
 
 static bool check_goes_on(void *context) {

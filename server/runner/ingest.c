@@ -184,7 +184,7 @@ static enum rn_status import(struct ingest *ingest, struct rn_dataset *source,
     int64_t bytes = 0;
     if (!status && ingest->posed) status = rn_poses_keep(ingest->posed, order->target, err);
     if (!status) status = rn_manifest_write(order->target, err);
-    if (!status) status = rn_dataset_read(order->target, NULL, &made, err);
+    if (!status) status = rn_dataset_read_whole(order->target, &made, err);
     if (!status) status = tree_bytes(made, &bytes, err);
     if (!status)
         status = rn_describe_dataset(made, bytes, source, ingest->folder, problems, ret_json, err);
