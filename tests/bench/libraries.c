@@ -115,8 +115,8 @@ static void own_destroy(void *work) {
 
 static void own_take_rows(struct own *own) {
     for (int i = 0; i < own->problem->rows; i++)
-        own->kernels->put_features(&own->field, i, own->problem->in + i * own->field.features,
-                                   own->workspace);
+        own->kernels->parts->put_features(
+            &own->field, i, own->problem->in + i * own->field.features, own->workspace);
 }
 
 static void *own_create(const struct candidate *candidate, const struct problem *problem) {
@@ -153,14 +153,14 @@ static void own_forward(void *work) {
     struct own *own = work;
     if (rn_kernels_bf16(own->kernels))
         own_take_rows(own); // rounding is part of the libraries' work
-    own->kernels->stage(&own->field, NULL, NULL, 0, RN_STAGE_MLP_FORWARD, own->workspace,
-                        &own->group, NULL);
+    own->kernels->parts->stage(&own->field, NULL, NULL, 0, RN_STAGE_MLP_FORWARD, own->workspace,
+                               &own->group, NULL);
 }
 
 static void own_backward(void *work) {
     struct own *own = work;
-    own->kernels->stage(&own->field, NULL, NULL, 0, RN_STAGE_MLP_BACKWARD, own->workspace,
-                        &own->group, &own->in_grad);
+    own->kernels->parts->stage(&own->field, NULL, NULL, 0, RN_STAGE_MLP_BACKWARD, own->workspace,
+                               &own->group, &own->in_grad);
 }
 
 static void own_look(void *work, struct outcome *ret) {

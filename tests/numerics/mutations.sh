@@ -127,7 +127,7 @@ mutate space $field/space.h "contraction: lengths across as along" \
 mutate space $field/space.h "contraction: to the whole ball, not its half" \
     's/c.along = (rn_real)0.5 \* inverse/c.along = inverse/'
 mutate space $field/space.h "Jacobian: the part along the direction left out" \
-    's/ret\[i\] = c->across \* axis\[i\] + along \* towards\[i\];/(void)along; ret[i] = c->across * axis[i];/'
+    's/ret\[i\] = c->across \* axis\[i\] + along \* towards\[i\];/ret[i] = c->across * axis[i] + 0 * along;/'
 mutate space $field/space.h "places: distance not stretched beyond 1" \
     's/return size <= 1 ? s : copysign(2 - 1 \/ size, s);/return size <= 1 ? s : copysign(2 - 1 \/ (size * size), s);/'
 mutate space $cpu/space.h "bent rays: steps half as long" \
@@ -259,7 +259,7 @@ mutate training $train/optimiser.c "sparse updates: planes decay" \
 mutate kernels $cpu/smooth.h "smoothing: one colour twice" \
     's/y - 1, y % 2, share/y - 1, 1 - y % 2, share/'
 mutate kernels $cpu/smooth.h "smoothing: a share of 1/2" \
-    's/row\[x\] += share \*/row[x] += 2 * share */'
+    's/texel\[c\] += share \*/texel[c] += 2 * share */'
 mutate optimiser $cpu/update.h "vector AdamW: moments not corrected" \
     's/rate = o->rate \/ o->correction1/rate = o->rate/'
 mutate ripmap $cpu/fetch.h "vector query: nearest level" \

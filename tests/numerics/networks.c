@@ -131,7 +131,7 @@ static void set_up(const struct rn_kernels *kernels, const struct rn_field_confi
     for (int i = 0; i < rows; i++) {
         for (int k = 0; k < cpu->features; k++)
             s->features[i][k] = signed_spread(random, 1e-4, 1);
-        kernels->put_features(cpu, i, s->features[i], w);
+        kernels->parts->put_features(cpu, i, s->features[i], w);
     }
     for (int i = 0; i < rows * RN_HEAD_INPUTS; i++)
         w->head_in[i] = signed_spread(random, 1e-4, 1);
@@ -144,13 +144,14 @@ static void run(const struct rn_kernels *kernels, struct subject *s) {
     struct rn_workspace *w = s->workspace;
     size_t bytes = (size_t)(s->rows * RN_GEOMETRY) * sizeof(float);
     const float *in_grad;
-    kernels->stage(&s->field->cpu, &options, NULL, 0, RN_STAGE_MLP_FORWARD, w, &s->group, NULL);
+    kernels->parts->stage(&s->field->cpu, &options, NULL, 0, RN_STAGE_MLP_FORWARD, w, &s->group,
+                          NULL);
     memcpy(s->out[0], w->geometry, bytes);
     memcpy(s->out[1], w->head_out, bytes);
     memcpy(w->geometry_grad, s->grad, bytes);
     memcpy(w->head_out, s->grad, bytes);
-    kernels->stage(&s->field->cpu, &options, NULL, 0, RN_STAGE_MLP_BACKWARD, w, &s->group,
-                   &in_grad);
+    kernels->parts->stage(&s->field->cpu, &options, NULL, 0, RN_STAGE_MLP_BACKWARD, w, &s->group,
+                          &in_grad);
     s->in_grad = (float *)in_grad;
 }
 

@@ -152,7 +152,8 @@ static void check_rays(const struct rn_kernels *kernels, struct rn_trainer *t,
         }
         struct rn_exact_pixel truth;
         struct rn_pixel pixel;
-        kernels->stage(&t->field->cpu, &options, &got, 1, RN_STAGE_MARCH, workspace, NULL, NULL);
+        kernels->parts->stage(&t->field->cpu, &options, &got, 1, RN_STAGE_MARCH, workspace, NULL,
+                              NULL);
         int n = workspace->candidate_count[0];
         rn_exact_render(exact, &options, &got, workspace->candidate, n, &truth);
         kernels->render(&t->field->cpu, &options, &got, 1, workspace, &pixel);

@@ -44,7 +44,7 @@ static void leave_rows(const struct rn_cpu_field *cpu, const struct rn_kernels *
         none[k] = NAN;
     for (int k = 0; (other = rn_kernels_available(k)); k++)
         for (int i = 0; i < rows && other != kernels; i++)
-            other->put_features(cpu, i, none, w);
+            other->parts->put_features(cpu, i, none, w);
 }
 
 static void set_up(const struct rn_kernels *kernels, const struct rn_field_config *config, int rows,
@@ -72,7 +72,7 @@ static void set_up(const struct rn_kernels *kernels, const struct rn_field_confi
     for (int i = 0; i < rows; i++) {
         for (int k = 0; k < cpu->features; k++)
             s->features[i][k] = (float)integer(1, (uint64_t)(i * cpu->features + k), -3, 3);
-        kernels->put_features(cpu, i, s->features[i], w);
+        kernels->parts->put_features(cpu, i, s->features[i], w);
     }
     for (int i = 0; i < s->heads * RN_HEAD_INPUTS; i++)
         w->head_in[i] = (float)integer(2, (uint64_t)i, -3, 3);
@@ -147,7 +147,7 @@ static void check_networks(const struct rn_kernels *kernels, const struct rn_fie
     const struct rn_cpu_field *cpu = &s.field->cpu;
     exact_init(&cpu->base_shape, cpu->base_weights, &base);
     exact_init(&cpu->head_shape, cpu->head_weights, &head);
-    kernels->stage(cpu, &options, NULL, 0, RN_STAGE_MLP_FORWARD, w, &s.group, NULL);
+    kernels->parts->stage(cpu, &options, NULL, 0, RN_STAGE_MLP_FORWARD, w, &s.group, NULL);
     memcpy(out, w->geometry, (size_t)rows * RN_GEOMETRY * sizeof(float));
     memcpy(head_out, w->head_out, (size_t)s.heads * RN_GEOMETRY * sizeof(float));
     for (int i = 0; i < rows * RN_GEOMETRY; i++)
@@ -155,7 +155,7 @@ static void check_networks(const struct rn_kernels *kernels, const struct rn_fie
     memset(w->grad_b, 0xff,
            (size_t)512 * (size_t)cpu->config->width *
                sizeof(float)); // NaN: no scratch is read unwritten
-    kernels->stage(cpu, &options, NULL, 0, RN_STAGE_MLP_BACKWARD, w, &s.group, &in_grad);
+    kernels->parts->stage(cpu, &options, NULL, 0, RN_STAGE_MLP_BACKWARD, w, &s.group, &in_grad);
     for (int i = 0; i < rows; i++)
         check_row(&base, s.features[i], out + i * RN_GEOMETRY, grad + i * RN_GEOMETRY,
                   in_grad + i * cpu->feature_stride);

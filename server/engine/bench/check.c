@@ -115,7 +115,7 @@ double rn_bench_check_encode(const struct rn_bench_recording *rec,
     for (int i = 0; i < w->count; i += stride(w->count)) {
         rn_exact_features(rec->field, &packet->rays[w->ray[i]],
                           (double)rec->trainer->step.march.step, (double)w->s[i], exact, NULL);
-        rec->kernels->get_features(rec->field, i, w, features);
+        rec->kernels->parts->get_features(rec->field, i, w, features);
         for (int k = 0; k < rec->field->features; k++) {
             double fast = (double)features[k];
             if (rn_kernels_bf16(rec->kernels)) fast = before_bf16(fast, exact[k]);
@@ -195,7 +195,7 @@ static const double *row_forward(struct network *net, const struct rows *rows, i
     float features[RN_MAX_PLANES * 16];
     const float *in = rows->w->head_in + (size_t)i * RN_HEAD_INPUTS;
     if (rows->shape == &rows->rec->field->base_shape) {
-        rows->rec->kernels->get_features(rows->rec->field, i, rows->w, features);
+        rows->rec->kernels->parts->get_features(rows->rec->field, i, rows->w, features);
         in = features;
     }
     return network_forward(net, in, bf16);

@@ -53,8 +53,8 @@ static bool record_packet(struct rn_bench_recording *rec, int begin, int end,
         if (packet->returned > 0) {
             packet->heads = head_rows(rec->field, packet);
             packet->looked_at = candidates(w);
-            rec->kernels->stage(rec->field, &t->step.march, packet->rays, packet->ray_count,
-                                RN_STAGE_MARCH, w, group, NULL);
+            rec->kernels->parts->stage(rec->field, &t->step.march, packet->rays, packet->ray_count,
+                                       RN_STAGE_MARCH, w, group, NULL);
             packet->found = candidates(w);
             return true;
         }
@@ -105,8 +105,9 @@ void rn_bench_recording_finish(struct rn_bench_recording *rec) {
 
 void rn_bench_stage_run(const struct rn_bench_recording *rec, const struct rn_bench_packet *packet,
                         enum rn_stage stage, const float **ret_grad) {
-    rec->kernels->stage(rec->field, &rec->trainer->step.march, packet->rays, packet->ray_count,
-                        stage, packet->workspace, packet->group, ret_grad);
+    rec->kernels->parts->stage(rec->field, &rec->trainer->step.march, packet->rays,
+                               packet->ray_count, stage, packet->workspace, packet->group,
+                               ret_grad);
 }
 
 void rn_bench_scatter(const struct rn_bench_recording *rec) {

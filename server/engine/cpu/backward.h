@@ -283,17 +283,9 @@ static void slab_append(const struct rn_cpu_field *field, bool leveled, int n,
         }
         float *grad = slab->grad[p] + (size_t)at * (size_t)channels;
         const float *from = feature_grad + p * channels;
-#define RN_COPY(TYPE)                                                                              \
-    for (int j = 0; j < n; j++)                                                                    \
-    ((TYPE *)grad)[j] = *(const TYPE *)(from + (size_t)j * (size_t)stride)
-        if (channels == 4) {
-            RN_COPY(v4);
-        } else if (channels == 8) {
-            RN_COPY(v8);
-        } else {
-            RN_COPY(v16);
-        }
-#undef RN_COPY
+        for (int j = 0; j < n; j++)
+            memcpy(grad + (size_t)j * (size_t)channels, from + (size_t)j * (size_t)stride,
+                   (size_t)channels * sizeof *grad);
     }
     slab->count += n;
 }

@@ -260,29 +260,30 @@ static void place_segment(const struct rn_cpu_field *field, const struct rn_marc
     }
 }
 
+RN_INLINE void encode_plane(const struct rn_cpu_field *field, int plane, bool leveled, int begin,
+                            int end, const struct rn_workspace *w, const int channels) {
+    const struct rn_map(*maps)[RN_MAX_LEVELS] = field->maps[plane];
+    const float *u = w->u[plane], *v = w->v[plane];
+    feature *out = feature_row(field, w, 0) + plane * channels;
+    size_t stride = features_a_row(field);
+    if (leveled)
+        encode_leveled(maps, field->config->footprint == RN_FOOTPRINT_MIP, u, v, w->lx[plane],
+                       w->ly[plane], begin, end, out, stride, channels);
+    else
+        encode_flat(&maps[0][0], u, v, begin, end, out, stride, channels);
+}
+
 // Features of samples [begin, end) of the workspace.
 static void encode(const struct rn_cpu_field *field, bool leveled, int begin, int end,
                    struct rn_workspace *w) {
     int channels = field->config->channels;
-    size_t stride = features_a_row(field);
-    bool mip = field->config->footprint == RN_FOOTPRINT_MIP;
     for (int p = 0; p < field->config->planes; p++) {
-        feature *out = feature_row(field, w, 0) + p * channels;
-        const struct rn_map(*maps)[RN_MAX_LEVELS] = field->maps[p];
-#define RN_ENCODE(C)                                                                               \
-    if (leveled)                                                                                   \
-        encode_leveled_##C(maps, mip, w->u[p], w->v[p], w->lx[p], w->ly[p], begin, end, out,       \
-                           stride);                                                                \
-    else                                                                                           \
-        encode_flat_##C(&maps[0][0], w->u[p], w->v[p], begin, end, out, stride)
-        if (channels == 4) {
-            RN_ENCODE(4);
-        } else if (channels == 8) {
-            RN_ENCODE(8);
-        } else {
-            RN_ENCODE(16);
-        }
-#undef RN_ENCODE
+        if (channels == 4)
+            encode_plane(field, p, leveled, begin, end, w, 4);
+        else if (channels == 8)
+            encode_plane(field, p, leveled, begin, end, w, 8);
+        else
+            encode_plane(field, p, leveled, begin, end, w, 16);
     }
     clear_padding(field, end, w);
 }

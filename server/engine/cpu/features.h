@@ -61,6 +61,16 @@ RN_INLINE float number_of(feature x) {
 
 #endif
 
+RN_INLINE void store_features(feature *to, vf x) {
+#if RN_VL == 16
+    store_features_16(to, (v16)x);
+#elif RN_VL == 8
+    store_features_8(to, (v8)x);
+#else
+    store_features_4(to, (v4)x);
+#endif
+}
+
 // The features of sample i of the workspace.
 RN_INLINE feature *feature_row(const struct rn_cpu_field *field, const struct rn_workspace *w,
                                int i) {

@@ -141,106 +141,116 @@ RN_INLINE int look_up_leveled(const struct rn_map *maps, int base, bool mip, con
     return count;
 }
 
-// A texel's features are read in parts that fit in a vector: where compilers are given wider types
-// they pass them through memory. Of narrow texels two neighbours in a row fit together, and are
-// interpolated along v at once.
-#define RN_FETCH_PARTS(NAME, PART, LANES, CHANNELS)                                                \
-    RN_INLINE void fetch_##NAME(const float *texel, size_t row, float fx, float fy, feature *to) { \
-        for (int i = 0; i < CHANNELS; i += LANES) {                                                \
-            PART a = *(const PART *)(texel + i), b = *(const PART *)(texel + i + CHANNELS);        \
-            PART c = *(const PART *)(texel + i + row);                                             \
-            PART d = *(const PART *)(texel + i + row + CHANNELS);                                  \
-            PART left = a + fy * (c - a), right = b + fy * (d - b);                                \
-            store_features_##LANES(to + i, left + fx * (right - left));                            \
-        }                                                                                          \
-    }
-#define RN_FETCH_PAIRS(NAME, TYPE, PAIR)                                                           \
-    RN_INLINE void fetch_##NAME(const float *texel, size_t row, float fx, float fy, feature *to) { \
-        PAIR above = *(const PAIR *)texel, below = *(const PAIR *)(texel + row);                   \
-        PAIR both = above + fy * (below - above);                                                  \
-        TYPE left = first_##NAME(both);                                                            \
-        store_features_##NAME(to, left + fx * (second_##NAME(both) - left));                       \
-    }
-
-// Samples [begin, end) to rows `out`, `stride` features apart.
-#define RN_ENCODE_FUNCTIONS(NAME, PART, LANES, CHANNELS)                                           \
-    static void encode_flat_##NAME(const struct rn_map *map, const float *u, const float *v,       \
-                                   int begin, int end, feature *out, size_t stride) {              \
-        size_t row = (size_t)map->width * CHANNELS;                                                \
-        struct flat_lookup at;                                                                     \
-        for (int i = begin; i < end; i += RN_AHEAD) {                                              \
-            int n = end - i < RN_AHEAD ? end - i : RN_AHEAD;                                       \
-            look_up_flat(map, u + i, v + i, n, CHANNELS, &at);                                     \
-            for (int j = 0; j < n; j++)                                                            \
-                fetch_##NAME(map->texels + at.offset[j], row, at.fx[j], at.fy[j],                  \
-                             out + (size_t)(i + j) * stride);                                      \
-        }                                                                                          \
-    }                                                                                              \
-    RN_INLINE PART weigh_##NAME(const struct rn_map *maps, const struct map_lookup *l, int j,      \
-                                int i) {                                                           \
-        const float *texel = maps[l->map[j]].texels + (size_t)l->offset[j] * CHANNELS + i;         \
-        const float *below = texel + (size_t)l->row[j] * CHANNELS;                                 \
-        PART value = l->weight[0][j] * *(const PART *)texel;                                       \
-        value += l->weight[1][j] * *(const PART *)(texel + CHANNELS);                              \
-        value += l->weight[2][j] * *(const PART *)below;                                           \
-        return value + l->weight[3][j] * *(const PART *)(below + CHANNELS);                        \
-    }                                                                                              \
-    static void encode_leveled_##NAME(                                                             \
-        const struct rn_map(*maps)[RN_MAX_LEVELS], bool mip, const float *u, const float *v,       \
-        const float *lx, const float *ly, int begin, int end, feature *out, size_t stride) {       \
-        struct map_lookup at[RN_MAPS_RIP];                                                         \
-        int base = maps[0][0].width;                                                               \
-        for (int i = begin; i < end; i += RN_VL) {                                                 \
-            int n = end - i < RN_VL ? end - i : RN_VL;                                             \
-            int count = look_up_leveled(maps[0], base, mip, u + i, v + i, lx + i, ly + i, n,       \
-                                        CHANNELS, at);                                             \
-            unsigned between = 0; /* in more than one map, mostly then in all: one test */         \
-            for (int k = 1; k < count; k++)                                                        \
-                between |= at[k].active;                                                           \
-            for (int j = 0; j < n; j++)                                                            \
-                for (int c = 0; c < CHANNELS; c += LANES) {                                        \
-                    PART value = weigh_##NAME(maps[0], &at[0], j, c);                              \
-                    for (int k = 1; k < count && between >> j & 1; k++)                            \
-                        value += weigh_##NAME(maps[0], &at[k], j, c);                              \
-                    store_features_##LANES(out + (size_t)(i + j) * stride + c, value);             \
-                }                                                                                  \
-        }                                                                                          \
-    }
-
+// Between two texels in a row and the two below: RN_VL numbers of each at once where texels are as
+// wide; of narrow texels two neighbours in a row fit together, and are interpolated along v at
+// once. `channels` is a constant where these are called.
 #if RN_VL >= 8
-RN_INLINE v4 first_4(v8 x) {
-    return __builtin_shufflevector(x, x, 0, 1, 2, 3);
+RN_INLINE void fetch_pair_4(const float *texel, size_t row, float fx, float fy, feature *to) {
+    v8 above = *(const v8 *)texel, below = *(const v8 *)(texel + row);
+    v8 both = above + fy * (below - above);
+    v4 left = __builtin_shufflevector(both, both, 0, 1, 2, 3);
+    v4 right = __builtin_shufflevector(both, both, 4, 5, 6, 7);
+    store_features_4(to, left + fx * (right - left));
 }
-RN_INLINE v4 second_4(v8 x) {
-    return __builtin_shufflevector(x, x, 4, 5, 6, 7);
-}
-RN_FETCH_PAIRS(4, v4, v8)
-#else
-RN_FETCH_PARTS(4, v4, 4, 4)
 #endif
-RN_ENCODE_FUNCTIONS(4, v4, 4, 4)
-
 #if RN_VL >= 16
-RN_INLINE v8 first_8(v16 x) {
-    return __builtin_shufflevector(x, x, 0, 1, 2, 3, 4, 5, 6, 7);
+RN_INLINE void fetch_pair_8(const float *texel, size_t row, float fx, float fy, feature *to) {
+    v16 above = *(const v16 *)texel, below = *(const v16 *)(texel + row);
+    v16 both = above + fy * (below - above);
+    v8 left = __builtin_shufflevector(both, both, 0, 1, 2, 3, 4, 5, 6, 7);
+    v8 right = __builtin_shufflevector(both, both, 8, 9, 10, 11, 12, 13, 14, 15);
+    store_features_8(to, left + fx * (right - left));
 }
-RN_INLINE v8 second_8(v16 x) {
-    return __builtin_shufflevector(x, x, 8, 9, 10, 11, 12, 13, 14, 15);
-}
-RN_FETCH_PAIRS(8, v8, v16)
-RN_ENCODE_FUNCTIONS(8, v8, 8, 8)
-RN_FETCH_PARTS(16, v16, 16, 16)
-RN_ENCODE_FUNCTIONS(16, v16, 16, 16)
-#elif RN_VL >= 8
-RN_FETCH_PARTS(8, v8, 8, 8)
-RN_ENCODE_FUNCTIONS(8, v8, 8, 8)
-RN_FETCH_PARTS(16, v8, 8, 16)
-RN_ENCODE_FUNCTIONS(16, v8, 8, 16)
-#else
-RN_FETCH_PARTS(8, v4, 4, 8)
-RN_ENCODE_FUNCTIONS(8, v4, 4, 8)
-RN_FETCH_PARTS(16, v4, 4, 16)
-RN_ENCODE_FUNCTIONS(16, v4, 4, 16)
 #endif
+RN_INLINE void fetch(const float *texel, size_t row, float fx, float fy, feature *to,
+                     const int channels) {
+#if RN_VL >= 8
+    if (channels == 4) {
+        fetch_pair_4(texel, row, fx, fy, to);
+        return;
+    }
+#endif
+#if RN_VL >= 16
+    if (channels == 8) {
+        fetch_pair_8(texel, row, fx, fy, to);
+        return;
+    }
+#endif
+    for (int i = 0; i < channels; i += RN_VL) {
+        vf a = vf_load(texel + i), b = vf_load(texel + i + channels);
+        vf c = vf_load(texel + i + row), d = vf_load(texel + i + row + channels);
+        vf left = a + fy * (c - a), right = b + fy * (d - b);
+        store_features(to + i, left + fx * (right - left));
+    }
+}
+
+// Features of samples [begin, end) to rows `out`, `stride` apart: of level 0 alone.
+RN_INLINE void encode_flat(const struct rn_map *map, const float *u, const float *v, int begin,
+                           int end, feature *out, size_t stride, const int channels) {
+    size_t row = (size_t)map->width * (size_t)channels;
+    struct flat_lookup at;
+    for (int i = begin; i < end; i += RN_AHEAD) {
+        int n = end - i < RN_AHEAD ? end - i : RN_AHEAD;
+        look_up_flat(map, u + i, v + i, n, channels, &at);
+        for (int j = 0; j < n; j++)
+            fetch(map->texels + at.offset[j], row, at.fx[j], at.fy[j],
+                  out + (size_t)(i + j) * stride, channels);
+    }
+}
+
+// Numbers of a texel that are summed together: what fits in a vector. Where compilers are given
+// wider types they pass them through memory.
+#define RN_WEIGH_FUNCTIONS(LANES)                                                                  \
+    RN_INLINE v##LANES weigh_##LANES(const struct rn_map *maps, const struct map_lookup *l, int j, \
+                                     int i, const int channels) {                                  \
+        const float *texel = maps[l->map[j]].texels + (size_t)l->offset[j] * channels + i;         \
+        const float *below = texel + (size_t)l->row[j] * channels;                                 \
+        v##LANES value = l->weight[0][j] * *(const v##LANES *)texel;                               \
+        value += l->weight[1][j] * *(const v##LANES *)(texel + channels);                          \
+        value += l->weight[2][j] * *(const v##LANES *)below;                                       \
+        return value + l->weight[3][j] * *(const v##LANES *)(below + channels);                    \
+    }                                                                                              \
+    RN_INLINE void weigh_all_##LANES(const struct rn_map *maps, const struct map_lookup *at,       \
+                                     int count, int j, int i, feature *to, const int channels) {   \
+        v##LANES value = weigh_##LANES(maps, &at[0], j, i, channels);                              \
+        for (int k = 1; k < count; k++)                                                            \
+            value += weigh_##LANES(maps, &at[k], j, i, channels);                                  \
+        store_features_##LANES(to, value);                                                         \
+    }
+RN_WEIGH_FUNCTIONS(4)
+RN_WEIGH_FUNCTIONS(8)
+RN_WEIGH_FUNCTIONS(16)
+
+// A sample's features out of `count` maps.
+RN_INLINE void weigh_maps(const struct rn_map *maps, const struct map_lookup *at, int count, int j,
+                          feature *to, const int channels) {
+    if (channels == 4 || RN_VL == 4)
+        for (int i = 0; i < channels; i += 4)
+            weigh_all_4(maps, at, count, j, i, to + i, channels);
+    else if (channels == 8 || RN_VL == 8)
+        for (int i = 0; i < channels; i += 8)
+            weigh_all_8(maps, at, count, j, i, to + i, channels);
+    else
+        weigh_all_16(maps, at, count, j, 0, to, channels);
+}
+
+// The same between the levels of a pyramid's maps.
+RN_INLINE void encode_leveled(const struct rn_map (*maps)[RN_MAX_LEVELS], bool mip, const float *u,
+                              const float *v, const float *lx, const float *ly, int begin, int end,
+                              feature *out, size_t stride, const int channels) {
+    struct map_lookup at[RN_MAPS_RIP];
+    int base = maps[0][0].width;
+    for (int i = begin; i < end; i += RN_VL) {
+        int n = end - i < RN_VL ? end - i : RN_VL;
+        int count =
+            look_up_leveled(maps[0], base, mip, u + i, v + i, lx + i, ly + i, n, channels, at);
+        unsigned between = 0; // in more than one map, mostly then in all: one test
+        for (int k = 1; k < count; k++)
+            between |= at[k].active;
+        for (int j = 0; j < n; j++)
+            weigh_maps(maps[0], at, between >> j & 1 ? count : 1, j, out + (size_t)(i + j) * stride,
+                       channels);
+    }
+}
 
 #endif

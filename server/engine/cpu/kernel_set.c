@@ -68,6 +68,9 @@ static const struct rn_kernel_parts parts = {
     .one_minus_exp = one_minus_exp_public,
     .log2 = log2_public,
     .moments = moments_public,
+    .stage = stage,
+    .put_features = put_features,
+    .get_features = get_features,
 };
 
 extern const struct rn_kernels RN_PASTE(rn_kernels_, RN_KERNEL_SET);
@@ -85,8 +88,5 @@ const struct rn_kernels RN_PASTE(rn_kernels_, RN_KERNEL_SET) = {
     .pull_down = pull_down_plane,
     .smooth = smooth,
     .adamw = adamw,
-    .stage = stage,
-    .put_features = put_features,
-    .get_features = get_features,
     .parts = &parts,
 };

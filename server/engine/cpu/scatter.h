@@ -101,97 +101,111 @@ RN_INLINE int look_up_flat_targets(const float *u, const float *v, int n, const 
     return found;
 }
 
-#define RN_SCATTER(NAME, TYPE, CHANNELS)                                                           \
-    RN_INLINE void add_row_##NAME(float *texel, float left, float right, TYPE g) {                 \
-        *(TYPE *)texel += g * left;                                                                \
-        *(TYPE *)(texel + CHANNELS) += g * right;                                                  \
-    }                                                                                              \
-    static void scatter_flat_##NAME(const struct rn_slab *slab, int plane,                         \
-                                    const struct band *band, const struct rn_tiling *tiling,       \
-                                    struct rn_map *map, uint8_t *touched) {                        \
-        size_t row = (size_t)map->width * CHANNELS, tiles = (size_t)tiling->columns;               \
-        struct flat_target at;                                                                     \
-        for (int i = 0; i < slab->count; i += RN_AHEAD) {                                          \
-            int n = slab->count - i < RN_AHEAD ? slab->count - i : RN_AHEAD;                       \
-            int found = look_up_flat_targets(slab->u[plane] + i, slab->v[plane] + i, n, band,      \
-                                             tiling, map, CHANNELS, &at);                          \
-            for (int k = 0; k < found; k++) {                                                      \
-                int j = at.sample[k], line = at.line[j];                                           \
-                uint8_t *mark = touched + (size_t)line * tiles;                                    \
-                TYPE g = *(const TYPE *)(slab->grad[plane] + (size_t)(i + j) * CHANNELS);          \
-                float *texel = map->texels + (size_t)line * row + (size_t)at.column[j] * CHANNELS; \
-                float fx = at.fx[j], fy = at.fy[j];                                                \
-                if (line >= band->begin) {                                                         \
-                    mark[at.first[j]] = mark[at.last[j]] = 1;                                      \
-                    add_row_##NAME(texel, 1 - fx, fx, g * (1 - fy));                               \
-                }                                                                                  \
-                if (line + 1 < band->end) {                                                        \
-                    mark[tiles + at.first[j]] = mark[tiles + at.last[j]] = 1;                      \
-                    add_row_##NAME(texel + row, 1 - fx, fx, g * fy);                               \
-                }                                                                                  \
-            }                                                                                      \
-        }                                                                                          \
-    }                                                                                              \
-    RN_INLINE void add_to_map_##NAME(const struct rn_map *maps, const struct map_target *t, int j, \
-                                     uint8_t *touched, TYPE g) {                                   \
-        float *texel = maps[t->at.map[j]].texels + (size_t)t->at.offset[j] * CHANNELS;             \
-        uint8_t *mark = touched + t->tile[j];                                                      \
-        if (t->upper >> j & 1) {                                                                   \
-            mark[0] = mark[t->right[j]] = 1;                                                       \
-            add_row_##NAME(texel, t->at.weight[0][j], t->at.weight[1][j], g);                      \
-        }                                                                                          \
-        if (t->lower >> j & 1) {                                                                   \
-            mark[t->below[j]] = mark[t->below[j] + t->right[j]] = 1;                               \
-            add_row_##NAME(texel + (size_t)t->at.row[j] * CHANNELS, t->at.weight[2][j],            \
-                           t->at.weight[3][j], g);                                                 \
-        }                                                                                          \
-    }                                                                                              \
-    static void scatter_leveled_##NAME(const struct rn_slab *slab, int plane, bool mip,            \
-                                       const struct band *band, const struct rn_tiling *tiling,    \
-                                       struct rn_map(*maps)[RN_MAX_LEVELS], uint8_t *touched) {    \
-        struct axis_lookup x, y;                                                                   \
-        struct map_target targets[RN_MAPS_RIP];                                                    \
-        int base = maps[0][0].width, count = mip ? RN_MAPS_MIP : RN_MAPS_RIP;                      \
-        for (int i = 0; i < slab->count; i += RN_VL) {                                             \
-            look_up_axis(vf_load(slab->v[plane] + i), vf_load(slab->ly[plane] + i), base, &y);     \
-            unsigned bits = lanes_in_band(&y, band);                                               \
-            if (slab->count - i < RN_VL) bits &= (1u << (slab->count - i)) - 1;                    \
-            if (!bits) continue;                                                                   \
-            look_up_axis(vf_load(slab->u[plane] + i), vf_load(slab->lx[plane] + i), base, &x);     \
-            look_up_targets(&x, &y, mip, band, tiling, targets);                                   \
-            for (; bits; bits &= bits - 1) {                                                       \
-                int j = __builtin_ctz(bits);                                                       \
-                TYPE g = *(const TYPE *)(slab->grad[plane] + (size_t)(i + j) * CHANNELS);          \
-                for (int k = 0; k < count; k++)                                                    \
-                    if (targets[k].at.active >> j & 1)                                             \
-                        add_to_map_##NAME(maps[0], &targets[k], j, touched, g);                    \
-            }                                                                                      \
-        }                                                                                          \
-    }
+// Adds a gradient to two neighbours in a row. `channels` is a constant where these are called.
+RN_INLINE void add_row(float *texel, float left, float right, const float *grad,
+                       const int channels) {
+    float g[16];
+    for (int c = 0; c < channels; c++)
+        g[c] = grad[c];
+    for (int c = 0; c < channels; c++)
+        texel[c] += g[c] * left;
+    for (int c = 0; c < channels; c++)
+        texel[channels + c] += g[c] * right;
+}
 
-RN_SCATTER(4, v4, 4)
-RN_SCATTER(8, v8, 8)
-RN_SCATTER(16, v16, 16)
+RN_INLINE void scatter_flat(const struct rn_slab *slab, int plane, const struct band *band,
+                            const struct rn_tiling *tiling, const struct rn_map *map,
+                            uint8_t *touched, const int channels) {
+    size_t row = (size_t)map->width * (size_t)channels, tiles = (size_t)tiling->columns;
+    struct flat_target at;
+    for (int i = 0; i < slab->count; i += RN_AHEAD) {
+        int n = slab->count - i < RN_AHEAD ? slab->count - i : RN_AHEAD;
+        int found = look_up_flat_targets(slab->u[plane] + i, slab->v[plane] + i, n, band, tiling,
+                                         map, channels, &at);
+        for (int k = 0; k < found; k++) {
+            int j = at.sample[k], line = at.line[j];
+            uint8_t *mark = touched + (size_t)line * tiles;
+            const float *grad = slab->grad[plane] + (size_t)(i + j) * (size_t)channels;
+            float *texel = map->texels + (size_t)line * row + (size_t)(at.column[j] * channels);
+            float fx = at.fx[j], fy = at.fy[j], share[16];
+            if (line >= band->begin) {
+                mark[at.first[j]] = mark[at.last[j]] = 1;
+                for (int c = 0; c < channels; c++)
+                    share[c] = grad[c] * (1 - fy);
+                add_row(texel, 1 - fx, fx, share, channels);
+            }
+            if (line + 1 < band->end) {
+                mark[tiles + at.first[j]] = mark[tiles + at.last[j]] = 1;
+                for (int c = 0; c < channels; c++)
+                    share[c] = grad[c] * fy;
+                add_row(texel + row, 1 - fx, fx, share, channels);
+            }
+        }
+    }
+}
+
+RN_INLINE void add_to_map(const struct rn_map *maps, const struct map_target *t, int j,
+                          uint8_t *touched, const float *grad, const int channels) {
+    float *texel = maps[t->at.map[j]].texels + (size_t)t->at.offset[j] * (size_t)channels;
+    uint8_t *mark = touched + t->tile[j];
+    if (t->upper >> j & 1) {
+        mark[0] = mark[t->right[j]] = 1;
+        add_row(texel, t->at.weight[0][j], t->at.weight[1][j], grad, channels);
+    }
+    if (t->lower >> j & 1) {
+        mark[t->below[j]] = mark[t->below[j] + t->right[j]] = 1;
+        add_row(texel + (size_t)t->at.row[j] * (size_t)channels, t->at.weight[2][j],
+                t->at.weight[3][j], grad, channels);
+    }
+}
+
+RN_INLINE void scatter_leveled(const struct rn_slab *slab, int plane, bool mip,
+                               const struct band *band, const struct rn_tiling *tiling,
+                               struct rn_map (*maps)[RN_MAX_LEVELS], uint8_t *touched,
+                               const int channels) {
+    struct axis_lookup x, y;
+    struct map_target targets[RN_MAPS_RIP];
+    int base = maps[0][0].width, count = mip ? RN_MAPS_MIP : RN_MAPS_RIP;
+    for (int i = 0; i < slab->count; i += RN_VL) {
+        look_up_axis(vf_load(slab->v[plane] + i), vf_load(slab->ly[plane] + i), base, &y);
+        unsigned bits = lanes_in_band(&y, band);
+        if (slab->count - i < RN_VL) bits &= (1u << (slab->count - i)) - 1;
+        if (!bits) continue;
+        look_up_axis(vf_load(slab->u[plane] + i), vf_load(slab->lx[plane] + i), base, &x);
+        look_up_targets(&x, &y, mip, band, tiling, targets);
+        for (; bits; bits &= bits - 1) {
+            int j = __builtin_ctz(bits);
+            const float *grad = slab->grad[plane] + (size_t)(i + j) * (size_t)channels;
+            for (int k = 0; k < count; k++)
+                if (targets[k].at.active >> j & 1)
+                    add_to_map(maps[0], &targets[k], j, touched, grad, channels);
+        }
+    }
+}
+
+RN_INLINE void scatter_band(const struct rn_slab *slab, int plane, int levels, bool mip,
+                            const struct band *band, const struct rn_tiling *tiling,
+                            struct rn_map (*maps)[RN_MAX_LEVELS], uint8_t *touched,
+                            const int channels) {
+    if (levels > 1)
+        scatter_leveled(slab, plane, mip, band, tiling, maps, touched, channels);
+    else
+        scatter_flat(slab, plane, band, tiling, &maps[0][0], touched, channels);
+}
 
 static void scatter(const struct rn_cpu_field *field, const struct rn_slab *slab, int plane,
                     int levels, int row_begin, int row_end,
                     struct rn_map (*grad_maps)[RN_MAX_LEVELS], uint8_t *touched) {
     bool mip = field->config->footprint == RN_FOOTPRINT_MIP;
     struct band band = {row_begin, row_end, row_end == field->config->base};
-    struct rn_tiling tiling = rn_tiling(field->config->base, field->config->channels, levels);
-#define RN_SCATTER_CALL(C)                                                                         \
-    if (levels > 1)                                                                                \
-        scatter_leveled_##C(slab, plane, mip, &band, &tiling, grad_maps, touched);                 \
-    else                                                                                           \
-        scatter_flat_##C(slab, plane, &band, &tiling, &grad_maps[0][0], touched)
-    if (field->config->channels == 4) {
-        RN_SCATTER_CALL(4);
-    } else if (field->config->channels == 8) {
-        RN_SCATTER_CALL(8);
-    } else {
-        RN_SCATTER_CALL(16);
-    }
-#undef RN_SCATTER_CALL
+    int channels = field->config->channels;
+    struct rn_tiling tiling = rn_tiling(field->config->base, channels, levels);
+    if (channels == 4)
+        scatter_band(slab, plane, levels, mip, &band, &tiling, grad_maps, touched, 4);
+    else if (channels == 8)
+        scatter_band(slab, plane, levels, mip, &band, &tiling, grad_maps, touched, 8);
+    else
+        scatter_band(slab, plane, levels, mip, &band, &tiling, grad_maps, touched, 16);
 }
 
 #endif

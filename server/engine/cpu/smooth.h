@@ -6,33 +6,42 @@
 
 #include "server/engine/cpu/features.h"
 
-#define RN_SMOOTH(NAME, TYPE)                                                                      \
-    static void smooth_row_##NAME(TYPE *row, int side, int y, int first, float share) {            \
-        const TYPE *above = y > 0 ? row - side : row, *below = y + 1 < side ? row + side : row;    \
-        for (int x = first; x < side; x += 2) {                                                    \
-            TYPE left = row[x > 0 ? x - 1 : x], right = row[x + 1 < side ? x + 1 : x];             \
-            TYPE around = (above[x] + below[x]) + (left + right);                                  \
-            row[x] += share * (around - 4 * row[x]);                                               \
-        }                                                                                          \
-    }                                                                                              \
-    static void smooth_##NAME(TYPE *texels, int side, float share) {                               \
-        for (int y = 0; y <= side; y++, texels += side) {                                          \
-            if (y < side) smooth_row_##NAME(texels, side, y, y % 2, share);                        \
-            if (y > 0) smooth_row_##NAME(texels - side, side, y - 1, y % 2, share);                \
-        }                                                                                          \
-    }
+// Draws a texel towards its neighbours. `channels` is a constant where these are called.
+RN_INLINE void smooth_texel(float *texel, const float *left, const float *right, const float *above,
+                            const float *below, float share, const int channels) {
+    float around[16];
+    for (int c = 0; c < channels; c++)
+        around[c] = (above[c] + below[c]) + (left[c] + right[c]);
+    for (int c = 0; c < channels; c++)
+        texel[c] += share * (around[c] - 4 * texel[c]);
+}
 
-RN_SMOOTH(4, v4)
-RN_SMOOTH(8, v8)
-RN_SMOOTH(16, v16)
+RN_INLINE void smooth_row(float *row, int side, int y, int first, float share, const int channels) {
+    size_t stride = (size_t)side * (size_t)channels;
+    const float *above = y > 0 ? row - stride : row, *below = y + 1 < side ? row + stride : row;
+    for (int x = first; x < side; x += 2) {
+        size_t at = (size_t)x * (size_t)channels;
+        size_t left = x > 0 ? at - (size_t)channels : at;
+        size_t right = x + 1 < side ? at + (size_t)channels : at;
+        smooth_texel(row + at, row + left, row + right, above + at, below + at, share, channels);
+    }
+}
+
+RN_INLINE void smooth_plane(float *texels, int side, float share, const int channels) {
+    size_t stride = (size_t)side * (size_t)channels;
+    for (int y = 0; y <= side; y++, texels += stride) {
+        if (y < side) smooth_row(texels, side, y, y % 2, share, channels);
+        if (y > 0) smooth_row(texels - stride, side, y - 1, y % 2, share, channels);
+    }
+}
 
 static void smooth(float *texels, int side, int channels, float share) {
     if (channels == 4)
-        smooth_4((v4 *)texels, side, share);
+        smooth_plane(texels, side, share, 4);
     else if (channels == 8)
-        smooth_8((v8 *)texels, side, share);
+        smooth_plane(texels, side, share, 8);
     else
-        smooth_16((v16 *)texels, side, share);
+        smooth_plane(texels, side, share, 16);
 }
 
 #endif

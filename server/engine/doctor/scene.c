@@ -91,7 +91,7 @@ static void compare(struct examination *e, struct rn_exact *exact, int r,
     const struct rn_kernels *k = e->engine->kernels;
     struct rn_exact_pixel truth;
     struct rn_pixel pixel;
-    k->stage(&e->field->cpu, &e->march, &e->rays[r], 1, RN_STAGE_MARCH, w, NULL, NULL);
+    k->parts->stage(&e->field->cpu, &e->march, &e->rays[r], 1, RN_STAGE_MARCH, w, NULL, NULL);
     int n = w->candidate_count[0];
     rn_exact_render(exact, &e->march, &e->rays[r], w->candidate, n, &truth);
     k->render(&e->field->cpu, &e->march, &e->rays[r], 1, w, &pixel);

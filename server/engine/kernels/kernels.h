@@ -259,7 +259,8 @@ enum rn_stage {
 // What the networks' products are made with.
 enum rn_product_unit { RN_PRODUCT_FMA, RN_PRODUCT_BF16_DOT, RN_PRODUCT_AMX };
 
-// What kernels are made of, called by nobody but those who check them.
+// What kernels are made of, for those who check, time or choose them; training and pictures call
+// none of it.
 struct rn_kernel_parts {
     // One product as the networks make them: c[rows][n] = a[rows][k] b[k][n], n a
     // multiple of 16.
@@ -273,6 +274,19 @@ struct rn_kernel_parts {
     // distance t[i] and a width and radius; mean shift (mean - t), axial and radial variance.
     void (*moments)(size_t n, const float *t, float width, float radius, float *shift, float *axial,
                     float *radial);
+    // One part of a packet's work again, over what `train` left in the workspace for exactly these
+    // rays (march: any, up to RN_PACKET_RAYS). Returns the rows of the density network (march: 0).
+    // The weights' gradients of the backward are added to the group's; the features' are returned
+    // in *ret_grad ([row][feature_stride], in the workspace), which may be NULL.
+    int (*stage)(const struct rn_cpu_field *field, const struct rn_march_options *options,
+                 const struct rn_march_ray *rays, int count, enum rn_stage stage,
+                 struct rn_workspace *workspace, struct rn_group *group, const float **ret_grad);
+    // The features of a sample of the workspace. A set that rounds the networks' operands to bf16
+    // keeps them so.
+    void (*put_features)(const struct rn_cpu_field *field, int sample, const float *features,
+                         struct rn_workspace *workspace);
+    void (*get_features)(const struct rn_cpu_field *field, int sample,
+                         const struct rn_workspace *workspace, float *ret_features);
 };
 
 struct rn_kernels {
@@ -324,19 +338,6 @@ struct rn_kernels {
     // are finite.
     bool (*adamw)(const struct rn_adamw *options, size_t n, float *parameter, float *grad, float *m,
                   float *v);
-    // One part of a packet's work again, over what `train` left in the workspace for exactly these
-    // rays (march: any, up to RN_PACKET_RAYS). Returns the rows of the density network (march: 0).
-    // The weights' gradients of the backward are added to the group's; the features' are returned
-    // in *ret_grad ([row][feature_stride], in the workspace), which may be NULL.
-    int (*stage)(const struct rn_cpu_field *field, const struct rn_march_options *options,
-                 const struct rn_march_ray *rays, int count, enum rn_stage stage,
-                 struct rn_workspace *workspace, struct rn_group *group, const float **ret_grad);
-    // The features of a sample of the workspace, for tests. A set that rounds the networks'
-    // operands to bf16 keeps them so.
-    void (*put_features)(const struct rn_cpu_field *field, int sample, const float *features,
-                         struct rn_workspace *workspace);
-    void (*get_features)(const struct rn_cpu_field *field, int sample,
-                         const struct rn_workspace *workspace, float *ret_features);
     const struct rn_kernel_parts *parts;
 };
 

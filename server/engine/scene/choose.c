@@ -68,15 +68,15 @@ static void fill(struct subject *s) {
         for (int k = 0; k < cpu->features; k++)
             features[k] =
                 rn_rng_unit(rn_rng_draw(1, 1, (uint64_t)(i * cpu->features + k)).v[0]) - 0.5f;
-        s->kernels->put_features(cpu, i, features, w);
+        s->kernels->parts->put_features(cpu, i, features, w);
     }
 }
 
 static double run(struct subject *s, enum rn_stage stage) {
     struct rn_march_options options = {.step = 0.01f};
     int64_t begin = rn_clock_ns();
-    s->kernels->stage(&s->field->cpu, &options, NULL, s->heads, stage, s->workspace, &s->group,
-                      NULL);
+    s->kernels->parts->stage(&s->field->cpu, &options, NULL, s->heads, stage, s->workspace,
+                             &s->group, NULL);
     return (double)(rn_clock_ns() - begin) * 1e-9;
 }
 
