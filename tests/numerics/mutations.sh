@@ -242,7 +242,7 @@ mutate incidents server/engine/render/render.c "render: replaced rays not counte
     's/nonfinite += !isfinite(p.rgb.*/;/'
 mutate incidents $train/incident.c "incident: the offending rays are not looked for" \
     's/if (incident->ray_count == 0) search(t, incident);/(void)search;/'
-mutate incidents $cpu/loss.h "training: a ray that is not finite goes back" \
+mutate incidents $cpu/loss.h "training: a ray that is not finite is backpropagated" \
     's/if (!isfinite(loss)) return false;/if (isinf(loss)) return false;/'
 mutate reproducible $train/trainer.c "view dependence: measured as the step before marched" \
     's/march = rn_schedule_march(.*);/march = t->step.march;/'

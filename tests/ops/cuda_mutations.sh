@@ -126,7 +126,7 @@ mutate march occupancy.cuh "occupancy: no barrier in the sum's last warp" \
     's/^        __syncthreads();/        if (half >= 32) __syncthreads();/'
 mutate order forward.cuh "forward: a lane leaves before its warp" \
     's/if (walk.k >= walk.end) return;/if (RN_LANE == 31) return;/'
-mutate gradients forward.cuh "order: what has no gradient goes back" \
+mutate gradients forward.cuh "order: what has no gradient is backpropagated" \
     's/!(weight == 0 \&\& logit == 0)/true/'
 mutate many gradient.cuh "gradient: a tile is read before it is there" \
     's/rn_copy_wait<RN_GRADIENT_STAGES - 2>/rn_copy_wait<RN_GRADIENT_STAGES - 1>/'

@@ -7,7 +7,7 @@
 
 #include "server/engine/cuda/forward.cuh"
 
-// Tiles of samples that go back; warps take them in a fixed interleaving.
+// Tiles of samples that are backpropagated; warps take them in a fixed interleaving.
 RN_DEVICE uint32_t rn_first_tile() {
     return (blockIdx.x * blockDim.x + threadIdx.x) / RN_LANES;
 }
@@ -15,7 +15,7 @@ RN_DEVICE uint32_t rn_tile_stride() {
     return gridDim.x * blockDim.x / RN_LANES;
 }
 
-// Sample at a place of the list of the `count` that go back; none behind its end.
+// Sample at a place of the list of the `count` backpropagated ones; none behind its end.
 #define RN_NO_SAMPLE 0xffffffffu
 RN_DEVICE uint32_t rn_returned(const struct rn_cuda_batch *b, uint32_t count, uint32_t place) {
     return place < count ? b->returned[place] : RN_NO_SAMPLE;

@@ -252,7 +252,7 @@ static cudaError_t queue_shading(struct rn_device_field *f) {
     return mark(f, "sums backward");
 }
 
-// Forward, loss, and the list of samples that go back.
+// Forward, loss, and the list of samples that are backpropagated.
 static cudaError_t queue_forward(struct rn_device_field *f) {
     const struct rn_cuda_scene *s = &f->scene;
     cudaStream_t stream = f->device->stream;

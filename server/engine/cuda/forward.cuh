@@ -299,8 +299,8 @@ RN_DEVICE float rn_attenuate_backward(const struct rn_cuda_batch *b, size_t at, 
     return change * b->depth[at];
 }
 
-// Notes which samples of a tile go back, lane i sample i's answer, and adds them to those behind
-// it.
+// Notes which samples of a tile are backpropagated, lane i sample i's answer, and adds them to those
+// behind it.
 RN_DEVICE void rn_return_tile(const struct rn_cuda_batch *b, int slot, bool returns, int *behind) {
     uint32_t rows = rn_ballot(returns && RN_LANE < RN_TILE);
     *behind += rn_popcount(rows);

@@ -53,7 +53,7 @@ struct rn_cuda_status {
     int target_samples;       // that the number of rays aims at
     uint32_t queue;           // next ray of the forward
     uint32_t tiles;           // slots taken
-    uint32_t returned;        // samples that go back
+    uint32_t returned;        // samples that are backpropagated
     uint32_t returning;       // rays that have some
     int rejected;             // this step overflowed: nothing is updated
     int crowded;              // the tiles did not suffice
@@ -80,7 +80,7 @@ RN_HD uint32_t rn_cuda_tiles(uint32_t rows) {
     return (rows + RN_TILE - 1) / RN_TILE;
 }
 
-// Samples of a ray whose gradients go back.
+// Samples of a ray that are backpropagated.
 struct rn_cuda_return {
     int count;
     int first;     // its first place in `returned`
@@ -103,12 +103,12 @@ struct rn_cuda_batch {
     float *ray_loss, *ray_weight;
     int *ray_samples, *ray_last; // samples seen, the last tile
     struct rn_cuda_return *ray_return;
-    int *returning; // rays of which samples go back, one after the other
+    int *returning; // rays of which samples are backpropagated, one after the other
     float *ray_sums; // ray shading: [ray][RN_GEOMETRY], in training then dL/d(sums), scaled
     // of each tile slot
     int *tile_ray, *tile_previous;
-    uint32_t *tile_rows;   // that go back, one bit each
-    int *tile_behind;      // samples of its ray that go back, from this tile on
+    uint32_t *tile_rows;   // that are backpropagated, one bit each
+    int *tile_behind;      // backpropagated samples of its ray, from this tile on
     uint2 *features;       // [slot][inputs16][row][4 lanes]
     uint2 *geometry;       // [slot][row][4]: columns 16..31 of rn_cuda_head_input
     float *mid;            // [sample]: distance behind ray.origin
@@ -119,7 +119,7 @@ struct rn_cuda_batch {
     float *colour_grad;   // [slot][3][16]: of the colour network's outputs
     float *logit_grad;    // [sample]
     uint2 *geometry_grad; // [sample][4]: of the density network's outputs
-    // samples that go back, ray after ray, front to back
+    // backpropagated samples, ray after ray, front to back
     uint32_t *returned;
     float *returned_mid;
     uint2 *feature_grad; // [tile of 16 of them][inputs16][row][4]

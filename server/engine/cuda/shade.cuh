@@ -157,7 +157,7 @@ __global__ void __launch_bounds__(256, 1)
 // Roulette along one ray, by the samples' sizes (backward_select of cpu/backward.h): below
 // `threshold` a gradient is backpropagated with the chance that its size has to it.
 struct rn_roulette {
-    float threshold; // 0: all go back
+    float threshold; // 0: all are backpropagated
     uint32_t sum;    // of the chances so far, from a random start
 };
 

@@ -138,7 +138,7 @@ struct rn_sums {
     double loss, weight;
     uint64_t samples;
     float size;                         // of `gradients` samples
-    uint32_t gradients, returned, rays; // rays: of which samples go back
+    uint32_t gradients, returned, rays; // rays: of which samples are backpropagated
 };
 RN_DEVICE void rn_sums_add(struct rn_sums *to, const struct rn_sums *other) {
     to->loss += other->loss;
@@ -200,9 +200,9 @@ RN_DEVICE void rn_take_sums(const struct rn_cuda_batch *b, const struct rn_sums 
     s->next_rays -= s->next_rays % b->pixel_rays;
 }
 
-// The place of every ray's samples in the list of those that go back, the list of rays that have
-// some, and the step's sums; one block. Ray after ray, so that nothing depends on which warp came
-// first.
+// The place of every ray's samples in the list of those that are backpropagated, the list of rays
+// that have some, and the step's sums; one block. Ray after ray, so that nothing depends on which
+// warp came first.
 __global__ void __launch_bounds__(RN_ORDER_THREADS, 1)
     rn_order_kernel(const __grid_constant__ rn_cuda_batch b) {
     RN_SHARED struct rn_sums sums[RN_ORDER_THREADS / RN_LANES][RN_LANES + 1]; // no bank twice

@@ -1,5 +1,5 @@
-// Split pixels: at the end of a training a pixel is trained as 2 x 2 cones, whose mean is its
-// colour, and rendered so: sharper than one cone, and four times as dear.
+// Split pixels: at the end of a training a pixel is supersampled, 2 x 2 cones whose mean is its
+// colour, and rendered so: sharper than one cone, and four times as much work.
 #include <math.h>
 #include <stdio.h>
 
