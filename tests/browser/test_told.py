@@ -193,6 +193,26 @@ def test_every_part_is_reachable_and_large_enough(page, fake, scheme):
     assert page.run(ACCESS) == []
 
 
+def test_the_worst_view_leads_to_its_photograph(page, fake):
+    page.open(fake("busy").url + "#/scene/sphere-draft")
+    page.press("Evaluate")
+    page.says("30.40 dB")
+    page.find(".evaluation a").click()
+    page.says("By view, worst first")
+    page.find(".scroll.tall tbody a").click()
+    page.says("Photograph test:0", ".wipe-bar")
+
+
+def test_an_import_takes_a_layout_and_masks(page, fake):
+    page.open(fake("empty").url)
+    page.press("Or a folder on the daemon’s machine")
+    page.press("Import options")
+    field = page.field("Layout")
+    page.until(lambda: len(field.find_elements("css selector", "option")) > 4, "the layouts")
+    assert "COLMAP" in field.text
+    assert page.field("Masks").get_attribute("placeholder") == "as in the files"
+
+
 def test_axe_finds_nothing(page, fake):
     """All of axe-core's rules, where RIPNERF_AXE names its file."""
     import os

@@ -4,7 +4,8 @@ import {Problem, Unreachable} from './api.js';
 import {pictureOf} from './grey16.js';
 
 const STILL_MS = 150;
-const COARSE_MS = 90;       // what a coarse picture may take, answer included
+const COARSE_MS = 60;       // what a coarse picture may take, answer included, two at a time
+const COARSE_FLIGHTS = 2;   // one is rendered while the other is sent, decoded and drawn
 const HALF_FIRST_MS = 500;  // a full picture that takes longer is preceded by one of half the size
 const REFRESH_MS = 2000;    // while training; renders take at most about an eighth of the time
 const EARLY_MS = 400;       // the same while a picture is of the first steps, which change most
@@ -39,7 +40,7 @@ export const nextBudget = (pixels, ms) =>
 export function createViewer(canvas, host, signal) {
   let version = 0;
   let shown = {version: -1, level: -1};
-  let flying = null;
+  const flights = new Set();
   let movedAt = 0;
   let budget = 200 * 150;
   let msPerPixel = 0;
@@ -55,7 +56,8 @@ export function createViewer(canvas, host, signal) {
   function changed() {
     version++;
     movedAt = performance.now();
-    if (flying && flying.level > COARSE) flying.stop.abort();
+    for (const flight of flights)
+      if (flight.level > COARSE) flight.stop.abort();
     pump();
   }
 
@@ -70,14 +72,18 @@ export function createViewer(canvas, host, signal) {
   }
 
   function pump() {
-    if (flying || signal.aborted || document.hidden) return;
+    if (signal.aborted || document.hidden) return;
+    // Only a camera that moved on since the last request is worth a second one.
+    const last = [...flights].at(-1);
+    if (last && (last.level > COARSE || last.version === version || flights.size >= COARSE_FLIGHTS))
+      return;
     const now = performance.now();
     if (now < waitUntil) {
       poke(waitUntil - now);
       return;
     }
     const level = nextLevel(now);
-    if (level !== null) {
+    if (level !== null && (level === COARSE || !flights.size)) {
       fly(level);
       return;
     }
@@ -106,13 +112,14 @@ export function createViewer(canvas, host, signal) {
 
   async function fly(level) {
     const flight = {level, version, stop: new AbortController()};
-    flying = flight;
+    flights.add(flight);
     const body = requestFor(level);
     try {
       const {blob, facts} = await host.send(body, AbortSignal.any([flight.stop.signal, signal]));
       const picture = await pictureOf(blob, body.output);
       if (signal.aborted) return;
       learn(level, body.camera, facts);
+      if (flight.version < shown.version) return picture.close();  // overtaken
       draw(canvas, picture);
       shown = {version: flight.version, level};
       host.onTrouble(null);
@@ -127,7 +134,7 @@ export function createViewer(canvas, host, signal) {
       if (signal.aborted) return;
       if (!flight.stop.signal.aborted) trouble(error);
     } finally {
-      flying = null;
+      flights.delete(flight);
       if (!signal.aborted) poke(0);
     }
   }

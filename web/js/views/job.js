@@ -179,7 +179,7 @@ function result(job) {
     return empty(
         `This job ${endOf(job)}`,
         h('p', null, job.problem ? 'Why is told beside it.' : 'It left no result.'));
-  if (job.type === 'eval') return evaluationResult(job.result);
+  if (job.type === 'eval') return evaluationResult(job.result, job.scene_name ?? job.scene);
   if (job.type === 'ingest')
     return h(
         'p', null, 'The dataset is imported: ',
@@ -194,7 +194,7 @@ const headRow = (names) =>
       h('tr', null,
         names.map((name, i) => h('th', {scope: 'col', class: i ? 'number' : null}, name))));
 
-function evaluationResult(r) {
+function evaluationResult(r, scene) {
   const p = r.protocol;
   const views = [...r.per_view].sort((a, b) => (a.psnr ?? Infinity) - (b.psnr ?? Infinity));
   const summary = h('p', {class: 'headline'});
@@ -227,7 +227,9 @@ function evaluationResult(r) {
           h('tbody', null,
             views.map(
                 (v) =>
-                    h('tr', null, h('th', {scope: 'row'}, v.name),
+                    h('tr', null,
+                    h('th', {scope: 'row'},
+                      h('a', {href: link.scene(scene, `?view=${p.split}:${v.index}`)}, v.name)),
                       h('td', {class: 'number'}, v.scale ? `1/${2 ** v.scale}` : 'full'),
                       h('td', {class: 'number'}, decibel(v.psnr)),
                       h('td', {class: 'number'}, fixed(v.ssim, 4)),

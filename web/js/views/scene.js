@@ -79,6 +79,8 @@ function page(scene, cameras, mark, query, signal) {
       signal);
   keys = createKeys(
       scene, {width: dataset?.width ?? 400, height: dataset?.height ?? 400}, view, signal);
+  const [split, index] = (query?.get('view') ?? '').split(':');
+  if (split) queueMicrotask(() => view.compare(split, Number(index)));
   const record = h('div', {class: 'stack', 'data-order': 4});
   const more = h('div', {class: 'columns even', 'data-order': 3});
   watch(() => {

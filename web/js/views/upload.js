@@ -93,8 +93,25 @@ function importOptions() {
       h('input',
         {type: 'text', placeholder: 'from the dataset', spellcheck: 'false', autocomplete: 'off'}),
       {pointer: '/options/bounds', hint: 'Centre and radius: x,y,z,r'});
+  const format = field(
+      'Layout', h('select', null, h('option', {value: ''}, 'as recognised')),
+      {pointer: '/options/format'});
+  api.formats().then(
+      (items) => format.control.append(
+          ...items.map((item) => h('option', {value: item.name}, item.title))), () => {});
+  const masks = field(
+      'Masks', h('input', {
+        type: 'text',
+        placeholder: 'as in the files',
+        spellcheck: 'false',
+        autocomplete: 'off'
+      }),
+      {pointer: '/options/masks', hint: 'Folder below the dataset’s; black is left out'});
   const values = () => {
     const options = {};
+    if (format.control.value) options.format = format.control.value;
+    if (masks.control.value.trim()) options.masks = masks.control.value.trim();
+
     if (size.control.value) options.max_size = Number(size.control.value);
     if (scales.control.value) options.scales = Number(scales.control.value);
     if (alpha.control.value !== 'premultiplied') options.alpha = alpha.control.value;
@@ -104,8 +121,9 @@ function importOptions() {
   };
   const node = h(
       'details', null, h('summary', null, 'Import options'),
-      h('div', {class: 'form-grid'}, size.node, scales.node, split.node, bounds.node, alpha.node));
-  return {node, values, fields: [size, scales, alpha, split, bounds]};
+      h('div', {class: 'form-grid'}, size.node, scales.node, split.node, bounds.node,
+          format.node, masks.node, alpha.node));
+  return {node, values, fields: [size, scales, alpha, split, bounds, format, masks]};
 }
 
 const nameField = (value) => field(
