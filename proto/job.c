@@ -295,6 +295,7 @@ static const struct rn_field_spec view_result[] = {
     RN_F_NUMBER(S, psnr, RN_REQUIRED | RN_NULLABLE, -INFINITY, INFINITY),
     RN_F_NUMBER(S, ssim, RN_REQUIRED, -INFINITY, INFINITY),
     RN_F_NUMBER(S, render_ms, RN_REQUIRED, 0, INFINITY),
+    RN_F_NUMBER(S, psnr_fitted, 0, -INFINITY, INFINITY),
 };
 static const struct rn_table view_result_table = RN_TABLE(S, "view score", view_result);
 #undef S
@@ -320,6 +321,7 @@ static const struct rn_table protocol_table = RN_TABLE(S, "protocol", protocol);
 static const struct rn_field_spec eval_result[] = {
     RN_F_NUMBER(S, psnr, RN_REQUIRED | RN_NULLABLE, -INFINITY, INFINITY),
     RN_F_NUMBER(S, ssim, RN_REQUIRED, -INFINITY, INFINITY),
+    RN_F_NUMBER(S, psnr_fitted, 0, -INFINITY, INFINITY),
     RN_F_INT(S, views, RN_REQUIRED, 1, INFINITY),
     RN_F_NUMBER(S, psnr_spread, RN_REQUIRED | RN_NULLABLE, 0, INFINITY),
     RN_F_NUMBER(S, ssim_spread, RN_REQUIRED | RN_NULLABLE, 0, INFINITY),

@@ -131,7 +131,7 @@ struct rn_scale_score {
 struct rn_view_result {
     char name[256];
     int64_t index, scale;
-    double psnr, ssim, render_ms;
+    double psnr, ssim, render_ms, psnr_fitted;
 };
 struct rn_protocol {
     int split; // rn_split_names
@@ -145,7 +145,8 @@ struct rn_protocol {
     int64_t threads;
 };
 struct rn_eval_result {
-    double psnr, ssim; // mean over views, then over scales; NAN psnr = identical pictures
+    double psnr, ssim;  // mean over views, then over scales; NAN psnr = identical pictures
+    double psnr_fitted; // mean over all, each with its own exposure fitted; NAN: nothing was
     int64_t views;
     double psnr_spread, ssim_spread;
     struct rn_scale_score *scales; // owned

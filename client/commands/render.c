@@ -1,6 +1,7 @@
 // render, eval.
 
 #include <errno.h>
+#include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -302,6 +303,10 @@ static enum rn_exit print_evaluation(const char *json) {
            (long long)result.views, rn_split_names[result.protocol.split],
            result.views == 1 ? "" : "s", result.psnr_spread, result.ssim_spread,
            result.render_ms_median);
+    if (isfinite(result.psnr_fitted))
+        printf("exposures were made even: with each photograph's own fitted on one half and scored "
+               "on the other, %.2f dB\n",
+               result.psnr_fitted);
     printf("protocol: step %lld, background (%g, %g, %g), scales averaged %s, rounding %s, "
            "trained on %s, seed %lld, %s, %s\n",
            (long long)result.protocol.step, result.protocol.background[0],

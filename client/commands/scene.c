@@ -66,12 +66,14 @@ static void print_config(const struct rn_train_config *config) {
 // The threshold in the unit that the reason is told in.
 static void print_threshold(const struct rn_effect_entry *effect) {
     double threshold = effect->threshold;
-    if (isnan(threshold) || strcmp(effect->name, "view-dependence") == 0) return; // is said
+    if (isnan(threshold) || strcmp(effect->name, "view-dependence") == 0 ||
+        strcmp(effect->name, "masks") == 0)
+        return; // is said
     if (strcmp(effect->name, "background") == 0 || strcmp(effect->name, "unbounded") == 0)
         printf(" (threshold %.3g %%)", 100 * threshold);
     else if (strcmp(effect->name, "straight-alpha") == 0)
         printf(" (threshold %.3g/255)", 255 * threshold);
-    else if (strcmp(effect->name, "distortion") == 0)
+    else if (strcmp(effect->name, "distortion") == 0 || strcmp(effect->name, "exposure") == 0)
         printf(" (threshold %.3g)", threshold);
     else if (strcmp(effect->name, "forward-facing") == 0)
         printf(" (threshold %.3g degrees)", threshold);

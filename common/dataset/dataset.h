@@ -29,6 +29,8 @@ struct rn_frame {
     bool has_alpha;     // by the file's header
     int held;           // how the camera was held, by the file's EXIF: 1 upright, to 8
     int turn;         // the EXIF orientation that is undone when the file is decoded; 0 and 1: none
+    double gain[3];   // how bright its stored values are against the other photographs', by
+                      // channel; 0: not measured
     int photo;        // which photograph it is of, for struct rn_sighting
     double near, far; // along the optical axis, dataset units, as the source gives; 0: not given
     struct rn_camera camera;

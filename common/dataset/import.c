@@ -5,6 +5,7 @@
 #include <string.h>
 
 #include "common/base/file.h"
+#include "common/dataset/exposure.h"
 #include "common/dataset/output.h"
 #include "common/dataset/points.h"
 #include "common/dataset/reader.h"
@@ -19,7 +20,8 @@ struct import {
     size_t view_count;
     struct rn_frame *outputs; // view_count * levels, then without those left out
     size_t output_count;
-    struct rn_error *faults; // of each view; status RN_OK where none
+    struct rn_error *faults;        // of each view; status RN_OK where none
+    struct rn_exposures *exposures; // NULL: there are no points to measure them by
 };
 
 static void scaled_size(const struct rn_frame *view, const struct rn_import_options *options,
@@ -183,6 +185,7 @@ static enum rn_status import_view(void *context, size_t index, struct rn_error *
         return status;
     }
     if (status) return RN_OK;
+    rn_exposures_look(import->exposures, view, &image);
     int width, height;
     scaled_size(view, import->options, 0, &width, &height);
     if (width != image.width || height != image.height) {
@@ -202,12 +205,14 @@ static json_t *frame_to_json(const struct rn_frame *frame, bool with_points, con
     json_t *photo = with_points ? json_integer(frame->photo) : NULL;
     json_t *near = frame->far > 0 ? json_real(frame->near) : NULL;
     json_t *far = frame->far > 0 ? json_real(frame->far) : NULL;
+    const double *g = frame->gain;
+    json_t *gain = g[0] > 0 ? json_pack("[fff]", g[0], g[1], g[2]) : NULL;
     const char *mask = frame->mask_path ? frame->mask_path + strlen(target) + 1 : NULL;
-    return json_pack("{s:s s:s s:s s:i s:i s:f s:o s:o* s:o* s:s* s:o*}", "name", frame->name,
+    return json_pack("{s:s s:s s:s s:i s:i s:f s:o s:o* s:o* s:s* s:o* s:o*}", "name", frame->name,
                      "file", frame->path + strlen(target) + 1, "split", rn_split_name(frame->split),
                      "index", frame->index, "scale", frame->scale, "loss_weight",
                      frame->loss_weight, "camera", rn_json_from_camera(&frame->camera), "near",
-                     near, "far", far, "mask", mask, "photo", photo);
+                     near, "far", far, "mask", mask, "photo", photo, "gain", gain);
 }
 
 static json_t *dataset_to_json(const struct rn_dataset *dataset, const char *target) {
@@ -299,6 +304,7 @@ static enum rn_status conclude(struct import *import, struct rn_dataset *source,
     struct rn_dataset result = {
         .name = (char *)name, .format = source->format, .points = source->points};
     drop_faulty(import, problems, result.unusable);
+    rn_exposures_solve(import->exposures, import->outputs, import->output_count);
     result.frames = import->outputs;
     result.frame_count = import->output_count;
     result.bounds = options->bounds_given ? options->bounds : source->bounds;
@@ -352,6 +358,7 @@ enum rn_status rn_dataset_import(struct rn_dataset *source, const char *name,
     if ((status = check_options(source, &chosen, err)) ||
         (status = rn_output_check_new(target, err)) || (status = make_folders(target, err)) ||
         (status = choose_views(&import, source, err)) ||
+        (status = rn_exposures_create(source, &import.exposures, err)) ||
         (status = rn_output_run(options->threads, import.view_count, import_view, &import, progress,
                                 context, target, err)))
         goto done;
@@ -362,5 +369,6 @@ done:
     free(import.outputs);
     free(import.views);
     free(import.faults);
+    rn_exposures_destroy(&import.exposures);
     return status;
 }

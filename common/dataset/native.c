@@ -26,6 +26,17 @@ static enum rn_status read_mask(struct rn_reader *reader, const struct rn_json *
     return RN_OK;
 }
 
+static enum rn_status read_gain(const struct rn_json *object, struct rn_frame *frame,
+                                struct rn_error *err) {
+    struct rn_json at;
+    if (!rn_json_find(object, "gain", &at)) return RN_OK;
+    enum rn_status status = rn_json_matrix(object, "gain", 0, 3, frame->gain, err);
+    for (int c = 0; c < 3 && status == RN_OK; c++)
+        if (!(frame->gain[c] > 1e-3 && frame->gain[c] < 1e3))
+            status = rn_json_error(&at, RN_ERROR_INVALID, err, "must be three factors near 1");
+    return status;
+}
+
 static enum rn_status read_points(struct rn_reader *reader, const struct rn_json *root,
                                   struct rn_error *err) {
     struct rn_json at;
@@ -43,8 +54,9 @@ static enum rn_status read_points(struct rn_reader *reader, const struct rn_json
 
 static enum rn_status read_frame(struct rn_reader *reader, const struct rn_json *object,
                                  struct rn_frame *frame, struct rn_error *err) {
-    static const char *const known[] = {"name",   "file", "split", "index", "scale", "loss_weight",
-                                        "camera", "near", "far",   "mask",  "photo", NULL};
+    static const char *const known[] = {"name",        "file",   "split", "index", "scale",
+                                        "loss_weight", "camera", "near",  "far",   "mask",
+                                        "photo",       "gain",   NULL};
     static const char *const splits[] = {"train", "val", "test"};
     struct rn_json camera_at, photo_at;
     struct rn_camera camera;
@@ -65,6 +77,7 @@ static enum rn_status read_frame(struct rn_reader *reader, const struct rn_json 
         return status;
     if ((status = read_depths(object, frame, err)) ||
         (status = read_mask(reader, object, frame, err)) ||
+        (status = read_gain(object, frame, err)) ||
         (rn_json_find(object, "photo", &photo_at) &&
          (status =
               rn_json_integer(object, "photo", 0, RN_DATASET_MAX_FRAMES, &frame->photo, err)))) {

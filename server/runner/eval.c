@@ -75,6 +75,7 @@ static enum rn_status unit(struct rn_work *work, struct rn_field *field,
                                     .scale = frame->scale,
                                     .psnr = score.psnr,
                                     .ssim = score.ssim,
+                                    .psnr_fitted = score.psnr_fitted,
                                     .render_ms = score.render_ms};
     snprintf(view->name, sizeof view->name, "%s", frame->name);
     rn_work_rendered(work, score.render_ms, score.nonfinite_rays);
@@ -160,6 +161,8 @@ static enum rn_status result(struct rn_work *work, struct rn_field *field, char 
         record.psnr += scales[i].psnr / (double)record.scale_count;
         record.ssim += scales[i].ssim / (double)record.scale_count;
     }
+    for (size_t i = 0; i < work->total; i++)
+        record.psnr_fitted += eval->scores[i].psnr_fitted / (double)work->total;
     record.psnr_spread = spread(eval, false, &record.views);
     record.ssim_spread = spread(eval, true, &record.views);
     struct rn_field_info info;

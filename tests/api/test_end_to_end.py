@@ -3,6 +3,7 @@
 import io
 import json
 import re
+import shutil
 import signal
 import time
 from urllib.error import HTTPError
@@ -72,7 +73,7 @@ def test_training_ends_with_its_figures(client, trained):
     assert end["psnr"] == scene["psnr"] > 8
     assert scene["state"] == "ready" and [effect["name"] for effect in scene["effects"]] == [
         "background", "scale-pyramid", "anisotropy", "view-dependence", "split-pixels", "cones",
-        "distortion", "forward-facing", "unbounded", "straight-alpha"]
+        "distortion", "masks", "exposure", "forward-facing", "unbounded", "straight-alpha"]
     assert all(effect["reason"] for effect in scene["effects"])
 
 
@@ -290,3 +291,31 @@ def test_kernels_can_be_forced(client, dataset, trained):
     result = client.run("train", "sphere", "--name", "odd", "--preset", "draft", "--max-steps", 3,
                         "--kernels", "mmx", "--wait", code=FAILED)
     assert "mmx" in result.stderr and "generic" in result.stderr
+
+
+def test_masks_keep_what_they_cover_out_of_the_scene(client, dataset):
+    """A bright square over half of the training photographs ruins the scene unless it is masked."""
+    source = client.cwd / "source"
+    spoilt = client.cwd / "spoilt"
+    shutil.copytree(source, spoilt)
+    for path in sorted((spoilt / "train").glob("*.png"))[::2]:
+        image = Image.open(path)
+        image.paste((255, 0, 255, 255), (8, 8, 24, 24))
+        image.save(path)
+        mask = Image.new("L", image.size, 255)
+        mask.paste(0, (8, 8, 24, 24))
+        (spoilt / "covers").mkdir(exist_ok=True)
+        mask.save(spoilt / "covers" / f"{path.name}.png")
+    scores = {}
+    for name, options in (("spoilt", ["--format", "blender"]), ("masked", ["--masks", "covers"])):
+        client.json("import", "spoilt", "--name", name, *options)
+        client.run("train", name, "--name", f"{name}-scene", "--preset", "draft", "--max-steps",
+                   STEPS, "--seed", 5, "--threads", 1, "--wait", "--json")
+        scores[name] = client.json("eval", f"{name}-scene", "--split", "val", "--json")
+    scene = client.json("show", "masked-scene")
+    (masks,) = [effect for effect in scene["effects"] if effect["name"] == "masks"]
+    assert masks["on"] and masks["number"] == pytest.approx(12.5)
+    (masks,) = [effect for effect in client.json("show", "spoilt-scene")["effects"]
+                if effect["name"] == "masks"]
+    assert not masks["on"] and masks["number"] == 0
+    assert scores["masked"]["psnr"] > scores["spoilt"]["psnr"] + 1.5

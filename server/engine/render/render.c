@@ -4,7 +4,6 @@
 #include <string.h>
 
 #include "common/base/clock.h"
-#include "common/image/metrics.h"
 #include "server/engine/render/lattice.h"
 #include "server/engine/scene/device.h"
 #include "server/engine/scene/occupancy.h"
@@ -400,37 +399,4 @@ void rn_render_result_finish(struct rn_render_result *result) {
     rn_picture_finish(&result->rgb);
     rn_picture_finish(&result->depth);
     rn_picture_finish(&result->alpha);
-}
-
-enum rn_status rn_evaluate_view(struct rn_engine *engine, struct rn_field *field,
-                                const struct rn_frame *frame, const struct rn_render_options *given,
-                                bool (*keep_going)(void *context), void *context,
-                                struct rn_view_score *ret_score, struct rn_error *err) {
-    struct rn_render_options options = *given;
-    options.camera = frame->camera;
-    options.outputs = RN_OUTPUT_RGB;
-    options.straight = rn_field_averages_straight(field, frame);
-    struct rn_render_result result = {0};
-    struct rn_picture truth = {0};
-    struct rn_image photograph;
-    enum rn_status status = rn_image_read(frame->path, &rn_image_default_limits, &photograph, err);
-    if (status != RN_OK) return status;
-    status = rn_image_composite(&photograph, options.background, &truth, err);
-    rn_image_finish(&photograph);
-    if (status == RN_OK)
-        status = rn_render(engine, field, &options, keep_going, context, &result, err);
-    if (status == RN_OK) {
-        size_t n = (size_t)result.rgb.width * (size_t)result.rgb.height * 3;
-        for (size_t i = 0; i < n; i++)
-            result.rgb.values[i] = fminf(fmaxf(result.rgb.values[i], 0), 1);
-        ret_score->render_ms = result.stats.render_ms;
-        ret_score->nonfinite_rays = result.stats.nonfinite_rays;
-        status = rn_psnr(&result.rgb, &truth, &ret_score->psnr);
-        if (status == RN_OK) status = rn_ssim(&result.rgb, &truth, &ret_score->ssim);
-        if (status != RN_OK)
-            rn_error_set(err, status, frame->path, "cannot be compared with its rendering");
-    }
-    rn_render_result_finish(&result);
-    rn_picture_finish(&truth);
-    return status;
 }

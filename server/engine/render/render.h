@@ -50,6 +50,9 @@ void rn_render_result_finish(struct rn_render_result *result);
 // outputs and `straight` are not looked at.
 struct rn_view_score {
     double psnr, ssim, render_ms;
+    double psnr_fitted; // of a scene whose exposures were made even: a gain and an offset a channel
+                        // are fitted on one half of the picture and scored on the other, both ways;
+                        // else NAN
     uint64_t nonfinite_rays; // as of a rendering
 };
 enum rn_status rn_evaluate_view(struct rn_engine *engine, struct rn_field *field,

@@ -14,6 +14,8 @@
     X(SPLIT_PIXELS, split_pixels, "split-pixels")                                                  \
     X(CONES, cones, "cones")                                                                       \
     X(DISTORTION, distortion, "distortion")                                                        \
+    X(MASKS, masks, "masks")                                                                       \
+    X(EXPOSURE, exposure, "exposure")                                                              \
     X(FORWARD_FACING, forward_facing, "forward-facing")                                            \
     X(UNBOUNDED, unbounded, "unbounded")                                                           \
     X(STRAIGHT_ALPHA, straight_alpha, "straight-alpha")

@@ -40,13 +40,49 @@ static enum rn_status list_frames(const struct rn_dataset *dataset,
     return RN_OK;
 }
 
+enum rn_status rn_mask_read(const struct rn_frame *frame, uint8_t *used, struct rn_error *err) {
+    struct rn_image mask;
+    enum rn_status status = rn_image_read(frame->mask_path, &rn_image_default_limits, &mask, err);
+    if (status != RN_OK) return status;
+    int w = frame->camera.width, h = frame->camera.height;
+    if (mask.width != w || mask.height != h)
+        status = rn_error_set(err, RN_ERROR_CORRUPT, frame->mask_path,
+                              "is %dx%d but its photograph is %dx%d; import the dataset again",
+                              mask.width, mask.height, w, h);
+    for (size_t i = 0; status == RN_OK && i < (size_t)w * (size_t)h; i++)
+        used[i] = mask.pixels[4 * i] >= 128;
+    rn_image_finish(&mask);
+    return status;
+}
+
+size_t rn_pixels_used(const struct rn_pixels *pixels, const struct rn_pixel_frame *frame) {
+    size_t count = 0, n = (size_t)frame->camera.width * (size_t)frame->camera.height;
+    if (!pixels->used) return n;
+    for (size_t i = 0; i < n; i++)
+        count += pixels->used[frame->offset + i];
+    return count;
+}
+
 struct decode {
     struct rn_engine *engine;
     struct rn_pixels *pixels;
+    bool even;
     atomic_bool cancelled;
     enum rn_status *status; // per frame
     struct rn_error *errors;
 };
+
+// Divides colours by the photograph's gains.
+static void make_even(const double gain[3], uint8_t *rgba, size_t count) {
+    uint8_t becomes[3][256];
+    if (!(gain[0] > 0)) return;
+    for (int c = 0; c < 3; c++)
+        for (int v = 0; v < 256; v++)
+            becomes[c][v] = (uint8_t)fmin(255, floor(v / gain[c] + 0.5));
+    for (size_t i = 0; i < count; i++)
+        for (int c = 0; c < 3; c++)
+            rgba[4 * i + (size_t)c] = becomes[c][rgba[4 * i + (size_t)c]];
+}
 
 static void decode_frame(void *context, int index, int thread) {
     struct decode *decode = context;
@@ -66,16 +102,21 @@ static void decode_frame(void *context, int index, int thread) {
                                   image.width, image.height, w, h);
         else
             memcpy(decode->pixels->rgba + 4 * f->offset, image.pixels, (size_t)w * h * 4);
+        if (status == RN_OK && decode->even)
+            make_even(f->frame->gain, decode->pixels->rgba + 4 * f->offset, (size_t)w * h);
         rn_image_finish(&image);
     }
+    if (status == RN_OK && f->frame->mask_path)
+        status = rn_mask_read(f->frame, decode->pixels->used + f->offset, err);
     decode->status[index] = status;
 }
 
-static enum rn_status decode_all(struct rn_pixels *pixels, struct rn_engine *engine,
+static enum rn_status decode_all(struct rn_pixels *pixels, struct rn_engine *engine, bool even,
                                  struct rn_error *err) {
     size_t n = (size_t)pixels->frame_count;
     struct decode decode = {.engine = engine,
                             .pixels = pixels,
+                            .even = even,
                             .status = calloc(n + 1, sizeof(enum rn_status)),
                             .errors = calloc(n + 1, sizeof(struct rn_error))};
     enum rn_status status = RN_ERROR_NO_MEMORY;
@@ -96,7 +137,7 @@ static enum rn_status decode_all(struct rn_pixels *pixels, struct rn_engine *eng
 
 enum rn_status rn_pixels_load(const struct rn_dataset *dataset,
                               bool (*wanted)(void *, const struct rn_frame *), void *context,
-                              struct rn_engine *engine, size_t limit_bytes,
+                              struct rn_engine *engine, bool even, size_t limit_bytes,
                               struct rn_pixels *ret_pixels, struct rn_error *err) {
     struct rn_pixels pixels = {0};
     enum rn_status status = list_frames(dataset, wanted, context, &pixels, err);
@@ -105,7 +146,10 @@ enum rn_status rn_pixels_load(const struct rn_dataset *dataset,
         status = rn_error_set(err, RN_ERROR_INVALID, dataset->name, "has no usable training image");
         goto fail;
     }
-    size_t bytes = pixels.pixel_count * 4;
+    bool masked = false;
+    for (int f = 0; f < pixels.frame_count; f++)
+        masked = masked || pixels.frames[f].frame->mask_path;
+    size_t bytes = pixels.pixel_count * (masked ? 5 : 4);
     if (limit_bytes && bytes > limit_bytes) {
         status = rn_error_set(err, RN_ERROR_LIMIT, dataset->name,
                               "its pixels need %zu MiB and %zu MiB are left; import it with a "
@@ -113,14 +157,16 @@ enum rn_status rn_pixels_load(const struct rn_dataset *dataset,
                               bytes >> 20, limit_bytes >> 20);
         goto fail;
     }
-    pixels.rgba = rn_block_create(bytes);
-    if (!pixels.rgba) {
+    pixels.rgba = rn_block_create(pixels.pixel_count * 4);
+    if (masked) pixels.used = rn_block_create(pixels.pixel_count);
+    if (pixels.used) memset(pixels.used, 1, pixels.pixel_count);
+    if (!pixels.rgba || (masked && !pixels.used)) {
         status = rn_error_set(err, RN_ERROR_NO_MEMORY, dataset->name,
                               "its pixels need %zu MiB; import it with a smaller --max-size",
                               bytes >> 20);
         goto fail;
     }
-    status = decode_all(&pixels, engine, err);
+    status = decode_all(&pixels, engine, even, err);
     if (status != RN_OK) goto fail;
     *ret_pixels = pixels;
     return RN_OK;
@@ -132,6 +178,7 @@ fail:
 void rn_pixels_finish(struct rn_pixels *pixels) {
     free(pixels->frames);
     rn_block_destroy(pixels->rgba);
+    rn_block_destroy(pixels->used);
     memset(pixels, 0, sizeof *pixels);
 }
 

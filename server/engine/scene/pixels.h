@@ -25,15 +25,18 @@ struct rn_pixels {
     size_t scale_pixels[16]; // pixels of each scale
     size_t pixel_count;
     uint8_t *rgba; // straight alpha
+    uint8_t *used; // a byte a pixel: 0 where a mask leaves it out; NULL: all are used
 };
 
-// Chooses frames by `wanted` (called once a frame of the dataset, in order) and decodes them in
-// parallel on the engine's threads. RN_ERROR_CANCELLED when the engine's watcher says so;
-// RN_ERROR_LIMIT when the pixels exceed limit_bytes (0 = none); errors of a file name it.
+// With `even`, photographs are brought to one exposure by their gains. Chooses frames by `wanted`
+// (called once a frame of the dataset, in order) and decodes them in parallel on the engine's
+// threads. RN_ERROR_CANCELLED when the engine's watcher says so; RN_ERROR_LIMIT when the pixels and
+// what masks leave out exceed limit_bytes (0 = none); errors of a file name it.
 enum rn_status rn_pixels_load(const struct rn_dataset *dataset,
                               bool (*wanted)(void *context, const struct rn_frame *frame),
-                              void *context, struct rn_engine *engine, size_t limit_bytes,
-                              struct rn_pixels *ret_pixels, struct rn_error *err) RN_MUST_CHECK;
+                              void *context, struct rn_engine *engine, bool even,
+                              size_t limit_bytes, struct rn_pixels *ret_pixels,
+                              struct rn_error *err) RN_MUST_CHECK;
 void rn_pixels_finish(struct rn_pixels *pixels);
 
 // Pixels of coarser scales as means over the finest photograph of their view, colours weighted by
@@ -42,6 +45,20 @@ void rn_pixels_finish(struct rn_pixels *pixels);
 double rn_pixels_scale_error(const struct rn_pixels *pixels, int frames);
 // Puts these means in their place.
 void rn_pixels_remake_scales(struct rn_pixels *pixels, struct rn_engine *engine);
+
+// Whether no mask leaves pixel (x, y) of a frame out.
+static inline bool rn_pixel_is_used(const struct rn_pixels *pixels,
+                                    const struct rn_pixel_frame *frame, int x, int y) {
+    return !pixels->used ||
+           pixels->used[frame->offset + (size_t)y * (size_t)frame->camera.width + (size_t)x];
+}
+// How many pixels of a frame are.
+size_t rn_pixels_used(const struct rn_pixels *pixels, const struct rn_pixel_frame *frame);
+
+// What a mask leaves out of a frame: 0 into `used`, a byte a pixel, where it is black, else 1.
+// RN_ERROR_CORRUPT for a mask of another size, rn_image_read's statuses.
+enum rn_status rn_mask_read(const struct rn_frame *frame, uint8_t *used,
+                            struct rn_error *err) RN_MUST_CHECK;
 
 // Pixel (x, y) of a frame.
 static inline const uint8_t *rn_pixel_at(const struct rn_pixels *pixels,

@@ -92,7 +92,12 @@ enum rn_status rn_trainer_put(struct rn_trainer *t, struct rn_error *err) {
     enum rn_status status = RN_OK;
     t->device.counted =
         (struct rn_device_progress){.steps = t->progress.step, .rays = t->progress.rays};
-    if (e->backend) status = put_training(t, err);
+    if (e->backend && t->train.used)
+        status = rn_error_set(err, RN_ERROR_UNSUPPORTED, "masks",
+                              "the CUDA kernels do not know masks; use --device cpu, or import the "
+                              "dataset without its masks");
+    else if (e->backend)
+        status = put_training(t, err);
     if (status == RN_ERROR_UNSUPPORTED && e->device_optional) status = RN_OK;
     if (t->field->on_device) kernels = e->device_kernels;
     snprintf(t->field->kernels, sizeof t->field->kernels, "%s", kernels);

@@ -108,12 +108,24 @@ static void mark_frame(void *context, int index, int thread) {
                    m->all + m->first[index]);
 }
 
+// Whether masks leave any pixel of the block in.
+static bool is_used(const struct rn_pixels *pixels, const struct rn_pixel_frame *frame, int left,
+                    int top) {
+    if (!pixels->used) return true;
+    for (int y = top; y < top + RN_LIVE_BLOCK && y < frame->camera.height; y++)
+        for (int x = left; x < left + RN_LIVE_BLOCK && x < frame->camera.width; x++)
+            if (rn_pixel_is_used(pixels, frame, x, y)) return true;
+    return false;
+}
+
 // Appends a frame's live blocks to the list.
 static void list_frame(struct rn_trainer *t, int frame, const uint8_t *marks) {
     int columns, rows;
     size_t n = blocks_of(&t->train.frames[frame].camera, &columns, &rows);
     for (size_t i = 0; i < n; i++)
-        if (marks[i] || t->field->cpu.disparity.on)
+        if ((marks[i] || t->field->cpu.disparity.on) &&
+            is_used(&t->train, &t->train.frames[frame], (int)i % columns * RN_LIVE_BLOCK,
+                    (int)i / columns * RN_LIVE_BLOCK))
             t->sampler.live[t->sampler.live_count++] =
                 (struct rn_live_block){.frame = (uint32_t)frame,
                                        .x = (uint16_t)(i % (size_t)columns * RN_LIVE_BLOCK),

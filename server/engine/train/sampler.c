@@ -116,14 +116,16 @@ static void draw_live_pixel(const struct rn_trainer *t, int r, struct rn_trainer
 }
 
 // From a place in a block to that in the block's image. No frame where the block reaches over the
-// image's edge.
+// image's edge, or a mask leaves the pixel out.
 static void settle(const struct rn_trainer *t, struct rn_trainer_place *place) {
     if (place->block < 0) return;
     const struct rn_live_block *block = &t->sampler.live[place->block];
     const struct rn_pixel_frame *frame = &t->train.frames[block->frame];
     place->x += block->x;
     place->y += block->y;
-    if (place->x < frame->camera.width && place->y < frame->camera.height) place->frame = frame;
+    if (place->x < frame->camera.width && place->y < frame->camera.height &&
+        rn_pixel_is_used(&t->train, frame, place->x, place->y))
+        place->frame = frame;
     if (!place->frame || place->part > 1) place->block = -1; // a pixel's error is noted once
 }
 
@@ -144,6 +146,7 @@ static struct rn_trainer_place draw_place(const struct rn_trainer *t, int r) {
     } else {
         place.frame = draw_pixel(t, of_pixel, &place.x, &place.y);
         place.weight = (float)place.frame->frame->loss_weight;
+        if (!rn_pixel_is_used(&t->train, place.frame, place.x, place.y)) place.frame = NULL;
     }
     return place;
 }

@@ -79,16 +79,17 @@ static void take_effects(struct rn_trainer *t) {
 
 static enum rn_status load_pixels(struct rn_trainer *t, size_t limit, struct rn_error *err) {
     struct selection s = {t->dataset, t->field->config.train_val, false};
+    bool even = t->field->effects[RN_EFFECT_EXPOSURE].on;
     double start = (double)rn_clock_ns();
     enum rn_status status =
-        rn_pixels_load(t->dataset, wanted, &s, t->engine, limit, &t->train, err);
+        rn_pixels_load(t->dataset, wanted, &s, t->engine, even, limit, &t->train, err);
     if (status != RN_OK) return status;
     if (limit) {
         size_t used = t->train.pixel_count * 4;
         limit = limit > used ? limit - used : 1;
     }
     s.held = true;
-    status = rn_pixels_load(t->dataset, wanted, &s, t->engine, limit, &t->held, err);
+    status = rn_pixels_load(t->dataset, wanted, &s, t->engine, even, limit, &t->held, err);
     if (status == RN_ERROR_INVALID) status = RN_OK; // nothing to hold out
     take_effects(t);
     describe_held_out(t);
@@ -208,6 +209,8 @@ enum rn_status rn_trainer_create(struct rn_engine *engine, const struct rn_datas
     struct rn_bounds bounds = rn_effects_prepare(dataset, &own, prepared);
     enum rn_status status = rn_train_config_check(&own, err);
     if (status == RN_OK) status = start(engine, dataset, &own, &bounds, &t, err);
+    if (status == RN_OK) // which photographs are loaded by
+        t->field->effects[RN_EFFECT_EXPOSURE] = prepared[RN_EFFECT_EXPOSURE];
     if (status == RN_OK) status = check_memory(t, memory_limit_bytes, &left, err);
     if (status == RN_OK) status = load_pixels(t, left, err);
     if (status != RN_OK) goto fail;

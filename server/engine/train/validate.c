@@ -28,13 +28,17 @@ static void validate_packet(void *context, int index, int thread) {
     rn_cones_render(t->engine, t->field, &b->march, camera, b->cones, spots, n, thread, pixels);
     double sum = 0;
     for (int i = 0; i < n; i++)
-        rn_pixel_add_error(&t->held, b->frame, spots[i].x, spots[i].y, t->field->config.background,
-                           pixels[i].rgb, &sum);
+        if (rn_pixel_is_used(&t->held, b->frame, spots[i].x, spots[i].y))
+            rn_pixel_add_error(&t->held, b->frame, spots[i].x, spots[i].y,
+                               t->field->config.background, pixels[i].rgb, &sum);
     t->validation.packets[index] = sum;
 }
 
 // The frame under way is done: its PSNR.
-static void finish_frame(struct rn_validation *v, size_t pixels) {
+static void finish_frame(struct rn_trainer *t) {
+    struct rn_validation *v = &t->validation;
+    size_t pixels = rn_pixels_used(&t->held, &t->held.frames[v->frame]);
+    if (pixels == 0) pixels = 1;
     v->psnr_sum += -10 * log10(fmax(v->squares / (3.0 * (double)pixels), 1e-10));
     v->squares = 0;
     v->pixel = 0;
@@ -48,7 +52,7 @@ static enum rn_status validate_on_device(struct rn_trainer *t, struct rn_error *
     int row = (int)(v->pixel / (size_t)width), rows = height - row < 64 ? height - row : 64;
     enum rn_status status = rn_trainer_validate_rows(t, frame, row, rows, &v->squares, err);
     v->pixel += (size_t)rows * (size_t)width;
-    if (row + rows == height) finish_frame(v, (size_t)width * (size_t)height);
+    if (row + rows == height) finish_frame(t);
     return status;
 }
 
@@ -73,7 +77,7 @@ static void validate_next(struct rn_trainer *t) {
     for (int i = 0; i < packets; i++)
         v->squares += v->packets[i];
     v->pixel += b.count;
-    if (v->pixel == pixels) finish_frame(v, pixels);
+    if (v->pixel == pixels) finish_frame(t);
 }
 
 enum rn_status rn_trainer_validate(struct rn_trainer *t, double budget_ms, bool *ret_done,

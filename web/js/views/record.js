@@ -14,6 +14,8 @@ const EFFECTS = {
   'split-pixels': 'Split pixels',
   cones: 'Cones a pixel',
   distortion: 'Distortion',
+  masks: 'Masks',
+  exposure: 'Exposure',
   'forward-facing': 'Forward-facing',
   unbounded: 'Unbounded space',
   'straight-alpha': 'Straight alpha'
@@ -30,6 +32,8 @@ const UNITS = {
   'split-pixels': octaves,
   cones: octaves,
   distortion: (x) => `${short(x)} px`,
+  masks: (x) => `${short(x)} %`,
+  exposure: (x) => `${short(x)} %`,
   'forward-facing': (x) => `${short(x)}°`,
   unbounded: (x) => `${short(100 * x)} %`,
   'straight-alpha': (x) => `${short(255 * x)}/255`

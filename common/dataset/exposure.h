@@ -1,0 +1,35 @@
+// How bright photographs are against each other, by what they show of the same sparse points.
+#ifndef RN_COMMON_DATASET_EXPOSURE_H
+#define RN_COMMON_DATASET_EXPOSURE_H
+
+#include "common/dataset/dataset.h"
+
+// Photographs with fewer usable sightings are not measured.
+#define RN_EXPOSURE_SIGHTINGS 30
+
+// The colours of all sightings, photograph by photograph. Owner: the caller;
+// rn_exposures_destroy.
+struct rn_exposures;
+
+// For the photographs of a dataset, which must outlive it. *ret_exposures is NULL where there are
+// no sightings. RN_ERROR_NO_MEMORY.
+enum rn_status rn_exposures_create(const struct rn_dataset *dataset,
+                                   struct rn_exposures **ret_exposures,
+                                   struct rn_error *err) RN_MUST_CHECK;
+void rn_exposures_destroy(struct rn_exposures **exposures);
+
+// Looks at one decoded photograph of full size. Thread-safe for different photographs. NULL-safe.
+void rn_exposures_look(struct rn_exposures *exposures, const struct rn_frame *frame,
+                       const struct rn_image *image);
+
+// After all were looked at: log colour = log gain of the photograph + log colour of the point, by
+// channel, solved for least absolute differences by reweighting; gains near 1 are favoured where
+// sightings are few, and their logarithms' mean is 0. Fills the frames' `gain`. NULL-safe.
+void rn_exposures_solve(struct rn_exposures *exposures, struct rn_frame *frames,
+                        size_t frame_count);
+
+// By how much gains differ: 90 % of the photographs' (mean over channels) lie within this factor,
+// less 1, of the mean; 0.05 is 5 %. NAN where fewer than two photographs were measured.
+double rn_exposure_spread(const struct rn_frame *frames, size_t frame_count);
+
+#endif

@@ -1,0 +1,27 @@
+// Exposure and white balance: where photographs of one place differ in brightness, each is brought
+// to the mean of all before training, by the gains that its import measured on shared points. What
+// is rendered is the mean exposure.
+#include <math.h>
+#include <stdio.h>
+
+#include "common/dataset/exposure.h"
+#include "server/engine/effects/effects.h"
+
+#define SPREAD 0.05 // of 1: less is within what a field's view dependence takes up
+
+static void prepare(const struct rn_dataset *dataset, struct rn_train_config *config,
+                    struct rn_bounds *bounds, struct rn_effect_record *r) {
+    r->number = 100 * rn_exposure_spread(dataset->frames, dataset->frame_count);
+    r->threshold = 100 * SPREAD;
+    r->on = config->auto_effects && r->number > r->threshold;
+    if (isnan(r->number))
+        snprintf(r->reason, sizeof r->reason,
+                 "not measured: the dataset has no sparse points that photographs share");
+    else
+        snprintf(r->reason, sizeof r->reason,
+                 "90 %% of the photographs are within %.3g %% of the mean brightness, by what they "
+                 "show of shared points",
+                 r->number);
+}
+
+const struct rn_effect_row rn_effect_exposure = {.prepare = prepare};

@@ -1,0 +1,156 @@
+// A rendered view against its photograph.
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "common/image/metrics.h"
+#include "server/engine/render/cones.h"
+#include "server/engine/render/render.h"
+#include "server/engine/scene/pixels.h"
+
+static bool is_folded(const struct rn_camera *c, int x, int y) {
+    return !(rn_camera_ray(c, x + 0.5, y + 0.5).radius > 0);
+}
+
+// What a lens sees is one piece around its axis: it folds within the picture where it does at the
+// edge.
+static bool folds(const struct rn_camera *c) {
+    bool any = false;
+    if (c->lens == RN_LENS_PINHOLE) return false;
+    for (int x = 0; x < c->width && !any; x++)
+        any = is_folded(c, x, 0) || is_folded(c, x, c->height - 1);
+    for (int y = 0; y < c->height && !any; y++)
+        any = is_folded(c, 0, y) || is_folded(c, c->width - 1, y);
+    return any;
+}
+
+// A byte a pixel, 0 for those that a mask or the lens's fold leaves out; NULL where all count.
+static enum rn_status find_used(const struct rn_frame *frame, uint8_t **ret_used,
+                                struct rn_error *err) {
+    const struct rn_camera *camera = &frame->camera;
+    size_t width = (size_t)camera->width, count = width * (size_t)camera->height;
+    bool folded = folds(camera);
+    *ret_used = NULL;
+    if (!frame->mask_path && !folded) return RN_OK;
+    uint8_t *used = malloc(count);
+    if (!used) return rn_error_set(err, RN_ERROR_NO_MEMORY, frame->path, "out of memory");
+    memset(used, 1, count);
+    enum rn_status status = frame->mask_path ? rn_mask_read(frame, used, err) : RN_OK;
+    for (size_t i = 0; status == RN_OK && folded && i < count; i++)
+        if (used[i]) used[i] = !is_folded(camera, (int)(i % width), (int)(i / width));
+    if (status == RN_OK)
+        *ret_used = used;
+    else
+        free(used);
+    return status;
+}
+
+// Clamps to [0, 1]; what is left out becomes the photograph's. Returns how many pixels count.
+static size_t prepare(struct rn_picture *rendered, const struct rn_picture *truth,
+                      const uint8_t *used) {
+    size_t count = 0, n = (size_t)rendered->width * (size_t)rendered->height;
+    for (size_t i = 0; i < n; i++) {
+        bool counts = !used || used[i];
+        count += counts;
+        for (size_t c = 3 * i; c < 3 * i + 3; c++)
+            rendered->values[c] =
+                counts ? fminf(fmaxf(rendered->values[c], 0), 1) : truth->values[c];
+    }
+    return count;
+}
+
+// Sums for the line that takes rendered values to the photograph's, of one channel.
+struct line {
+    double n, x, y, xx, xy;
+};
+
+// Squared errors of the right (half 1) or left half after a fit on the other; *count: its values.
+static double fitted_half(const struct rn_picture *rendered, const struct rn_picture *truth,
+                          const uint8_t *used, int half, size_t *count) {
+    struct line lines[3] = {{0}};
+    int width = rendered->width, middle = width / 2;
+    double sum = 0;
+    for (int pass = 0; pass < 2; pass++) {
+        int side = pass ? half : 1 - half, begin = side ? middle : 0, end = side ? width : middle;
+        for (size_t i = 0; i < (size_t)rendered->height * (size_t)width; i++) {
+            int x = (int)(i % (size_t)width);
+            if (x < begin || x >= end || (used && !used[i])) continue;
+            for (size_t c = 0; c < 3; c++) {
+                double r = (double)rendered->values[3 * i + c],
+                       t = (double)truth->values[3 * i + c];
+                struct line *l = &lines[c];
+                if (pass) {
+                    double spread = l->n * l->xx - l->x * l->x;
+                    double gain =
+                        spread > 1e-9 * l->n * l->n ? (l->n * l->xy - l->x * l->y) / spread : 1;
+                    double offset = l->n > 0 ? (l->y - gain * l->x) / l->n : 0;
+                    double off = fmin(fmax(gain * r + offset, 0), 1) - t;
+                    sum += off * off;
+                    ++*count;
+                } else {
+                    l->n++, l->x += r, l->y += t, l->xx += r * r, l->xy += r * t;
+                }
+            }
+        }
+    }
+    return sum;
+}
+
+static double fitted_psnr(const struct rn_picture *rendered, const struct rn_picture *truth,
+                          const uint8_t *used) {
+    size_t count = 0;
+    double sum = fitted_half(rendered, truth, used, 0, &count);
+    sum += fitted_half(rendered, truth, used, 1, &count);
+    return count && sum > 0 ? -10 * log10(sum / (double)count) : NAN;
+}
+
+static enum rn_status compare(struct rn_picture *rendered, const struct rn_picture *truth,
+                              const struct rn_frame *frame, bool even, struct rn_view_score *score,
+                              struct rn_error *err) {
+    uint8_t *used;
+    enum rn_status status = find_used(frame, &used, err);
+    if (status != RN_OK) return status;
+    size_t n = (size_t)rendered->width * (size_t)rendered->height;
+    size_t count = prepare(rendered, truth, used);
+    score->psnr_fitted = even ? fitted_psnr(rendered, truth, used) : NAN;
+    free(used);
+    if (count == 0)
+        return rn_error_set(err, RN_ERROR_INVALID, frame->path,
+                            "cannot be compared: its mask leaves no pixel");
+    status = rn_psnr(rendered, truth, &score->psnr);
+    if (status == RN_OK) status = rn_ssim(rendered, truth, &score->ssim);
+    if (status != RN_OK)
+        return rn_error_set(err, status, frame->path, "cannot be compared with its rendering");
+    if (count < n) score->psnr += 10 * log10((double)count / (double)n);
+    return RN_OK;
+}
+
+enum rn_status rn_evaluate_view(struct rn_engine *engine, struct rn_field *field,
+                                const struct rn_frame *frame, const struct rn_render_options *given,
+                                bool (*keep_going)(void *context), void *context,
+                                struct rn_view_score *ret_score, struct rn_error *err) {
+    struct rn_render_options options = *given;
+    options.camera = frame->camera;
+    options.outputs = RN_OUTPUT_RGB;
+    options.straight = rn_field_averages_straight(field, frame);
+    struct rn_render_result result = {0};
+    struct rn_picture truth = {0};
+    struct rn_image photograph;
+    struct rn_view_score score;
+    enum rn_status status = rn_image_read(frame->path, &rn_image_default_limits, &photograph, err);
+    if (status != RN_OK) return status;
+    status = rn_image_composite(&photograph, options.background, &truth, err);
+    rn_image_finish(&photograph);
+    if (status == RN_OK)
+        status = rn_render(engine, field, &options, keep_going, context, &result, err);
+    if (status == RN_OK) {
+        score.render_ms = result.stats.render_ms;
+        score.nonfinite_rays = result.stats.nonfinite_rays;
+        status =
+            compare(&result.rgb, &truth, frame, field->effects[RN_EFFECT_EXPOSURE].on, &score, err);
+    }
+    rn_render_result_finish(&result);
+    rn_picture_finish(&truth);
+    if (status == RN_OK) *ret_score = score;
+    return status;
+}
