@@ -146,7 +146,11 @@ struct import_options {
 };
 
 static struct rn_read_options read_options(const struct import_options *options) {
-    return (struct rn_read_options){.format = options->format, .masks = options->masks};
+    struct rn_read_options wanted = {.format = options->format, .masks = options->masks};
+    if (!options->bounds ||
+        !rn_ingest_bounds(options->bounds, wanted.bounds.centre, &wanted.bounds.radius))
+        wanted.bounds.radius = 0;
+    return wanted;
 }
 
 // ---- photographs without poses ----

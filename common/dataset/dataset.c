@@ -95,6 +95,11 @@ static void warn_of_what_is_beyond(struct rn_reader *reader) {
 // The layouts' convention, unless no camera at all looks at that sphere.
 static void set_bounds(struct rn_reader *reader) {
     struct rn_dataset *dataset = reader->dataset;
+    if (reader->bounds.radius > 0) {
+        dataset->bounds = reader->bounds;
+        dataset->bounds.source = RN_BOUNDS_GIVEN;
+        return;
+    }
     if (dataset->bounds.radius > 0) return;
     if (!(dataset->format->sphere > 0)) {
         dataset->bounds = rn_bounds_from_cameras(dataset, CAPTURE_DISTANCES);
@@ -197,6 +202,7 @@ enum rn_status rn_dataset_read_as(const char *folder, const struct rn_read_optio
     struct rn_reader reader = {
         .folder = folder, .problems = problems, .masks = options ? options->masks : NULL};
     const struct rn_format *format = NULL;
+    if (options) reader.bounds = options->bounds;
     reader.dataset = calloc(1, sizeof *reader.dataset);
     reader.reported = json_object();
     if (reader.dataset) reader.dataset->name = folder_name(folder);

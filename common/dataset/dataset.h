@@ -113,6 +113,8 @@ enum rn_status rn_dataset_read(const char *folder, struct rn_problems *problems,
 struct rn_read_options {
     const char *format; // the name of the format to read as; NULL: by signs
     const char *masks; // a folder of masks, relative to the dataset's; NULL: "masks" if it is there
+    struct rn_bounds
+        bounds; // radius > 0: the sphere that is asked for, and nothing is said of others
 };
 enum rn_status rn_dataset_read_as(const char *folder, const struct rn_read_options *options,
                                   struct rn_problems *problems, struct rn_dataset **ret_dataset,

@@ -20,6 +20,7 @@ extern const char *const rn_downscale_names[2]; // by enum rn_downscale
 struct rn_reader {
     const char *folder;
     const char *masks;            // of rn_read_options
+    struct rn_bounds bounds;      // of rn_read_options
     struct rn_problems *problems; // may be NULL
     struct rn_dataset *dataset;
     size_t capacity;       // of dataset->frames

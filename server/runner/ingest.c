@@ -221,6 +221,8 @@ static enum rn_status read_source(struct ingest *ingest, struct rn_problems *pro
     if (ingest->finds_poses) return find_poses(ingest, problems, ret_source, err);
     struct rn_read_options options = {.format = *wanted->format ? wanted->format : NULL,
                                       .masks = *wanted->masks ? wanted->masks : NULL};
+    if (!rn_ingest_bounds(wanted->bounds, options.bounds.centre, &options.bounds.radius))
+        options.bounds.radius = 0;
     return rn_dataset_read_as(ingest->folder, &options, problems, ret_source, err);
 }
 

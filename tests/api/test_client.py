@@ -118,6 +118,15 @@ def test_errors_are_json_where_that_is_asked_for(client, daemon):
     assert said["error"]["status"] == 404
 
 
+def test_bounds_that_are_given_are_the_ones_that_are_checked(client, tmp_path):
+    client.run("synth", "place", "p", "--size", "32", "--views", "8")
+    said = client.run("validate", "p").stdout
+    assert "covers only" in said and "radius 1.5, by layout" in said
+    bounds = re.search(r"--bounds X,Y,Z,R`: (\S+) reaches", said)[1]
+    said = client.run("validate", "p", "--bounds", bounds).stdout
+    assert "covers only" not in said and "0 warnings" in said and "radius 1.5" not in said
+
+
 def test_the_overview_fits_a_terminal(client):
     text = client.run("help").stdout
     assert "  paths " in text and [line for line in text.splitlines() if len(line) > 80] == []
