@@ -7,7 +7,10 @@
 #include "common/dataset/exposure.h"
 #include "server/engine/effects/effects.h"
 
-#define SPREAD 0.05 // of 1: less is within what a field's view dependence takes up
+// Of 1. A capture whose photographs spread by 0.11 lost 0.16 dB by it even with each test
+// photograph's own exposure fitted (a cup, 77 photographs, 250 steps of draft): what view
+// dependence takes up is no exposure.
+#define SPREAD 0.2
 
 static void prepare(const struct rn_dataset *dataset, struct rn_train_config *config,
                     struct rn_bounds *bounds, struct rn_effect_record *r) {
