@@ -31,6 +31,14 @@ static const struct rn_field_spec point[] = {
 static const struct rn_table point_table = RN_TABLE(S, "a point of a curve", point);
 #undef S
 
+#define S struct rn_curve_view
+static const struct rn_field_spec view[] = {
+    RN_F_NUMBERS(S, position, RN_REQUIRED, -INFINITY, INFINITY),
+    RN_F_NUMBER(S, psnr, RN_REQUIRED, -INFINITY, INFINITY),
+};
+static const struct rn_table view_table = RN_TABLE(S, "a view of a curve", view);
+#undef S
+
 #define S struct rn_curve_record
 static const struct rn_field_spec record[] = {
     RN_F_TEXT(S, machine, RN_REQUIRED, NULL),
@@ -49,6 +57,7 @@ static const struct rn_field_spec record[] = {
     RN_F_BOOL(S, photographs, RN_REQUIRED),
     RN_F_NUMBER(S, seconds, RN_REQUIRED, 0, INFINITY),
     RN_F_OBJECTS(S, points, count, RN_REQUIRED, &point_table, RN_CURVE_POINTS),
+    RN_F_OBJECTS(S, around, around_count, RN_REQUIRED, &view_table, RN_CURVE_VIEWS),
 };
 const struct rn_table rn_curve_record_table = RN_TABLE(S, "a curve", record);
 #undef S
@@ -61,7 +70,7 @@ const struct rn_table rn_curve_options_table = RN_TABLE(S, "curve options", opti
 #undef S
 
 struct rn_curve rn_curve_in(const struct rn_curve_record *r) {
-    return (struct rn_curve){r->points, r->count, r->width, r->height};
+    return (struct rn_curve){r->points, r->count, r->around, r->around_count, r->width, r->height};
 }
 
 enum rn_status rn_curve_read(const char *scene_folder, struct rn_curve_record *ret_record,

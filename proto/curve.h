@@ -21,10 +21,12 @@ struct rn_curve_record {
     double seconds;                // that it took to measure
     struct rn_curve_point *points; // owned
     size_t count;
+    struct rn_curve_view *around; // owned; held-out views, more than the points were measured on
+    size_t around_count;
 };
 extern const struct rn_table rn_curve_record_table;
 
-// The curve in a record; it borrows the points.
+// The curve in a record; it borrows points and views.
 struct rn_curve rn_curve_in(const struct rn_curve_record *record);
 // curve.json of a scene's folder. RN_ERROR_NOT_FOUND: it was not measured; RN_ERROR_INVALID.
 enum rn_status rn_curve_read(const char *scene_folder, struct rn_curve_record *ret_record,

@@ -4,6 +4,8 @@
 #include <stdlib.h>
 #include <string.h>
 
+#define NEAREST 3 // views that a place is judged by
+
 double rn_curve_pixels(const struct rn_curve *curve) {
     return (double)curve->width * (double)curve->height;
 }
@@ -144,6 +146,35 @@ double rn_curve_expected_with(const struct rn_curve *curve, size_t point, double
     double low = rn_curve_expected(curve, (size_t)(below - curve->points), psnr);
     double high = rn_curve_expected(curve, (size_t)(above - curve->points), psnr);
     return low + weight * (high - low);
+}
+
+static double squared_distance(const double a[3], const double b[3]) {
+    double sum = 0;
+    for (int i = 0; i < 3; i++)
+        sum += (a[i] - b[i]) * (a[i] - b[i]);
+    return sum;
+}
+
+double rn_curve_here(const struct rn_curve *curve, const double position[3]) {
+    const struct rn_curve_view *nearest[NEAREST] = {NULL};
+    double weights = 0, psnr = 0, mean = curve->points[curve->count - 1].psnr;
+    for (size_t i = 0; i < curve->around_count; i++) {
+        const struct rn_curve_view *view = &curve->around[i];
+        for (int k = 0; k < NEAREST && view; k++) {
+            if (nearest[k] && squared_distance(view->position, position) >=
+                                  squared_distance(nearest[k]->position, position))
+                continue;
+            const struct rn_curve_view *further = nearest[k];
+            nearest[k] = view;
+            view = further;
+        }
+    }
+    for (int k = 0; k < NEAREST && nearest[k]; k++) {
+        double weight = 1 / (squared_distance(nearest[k]->position, position) + 1e-12);
+        weights += weight;
+        psnr += weight * nearest[k]->psnr;
+    }
+    return weights > 0 && !isnan(mean) ? psnr / weights - mean : 0;
 }
 
 void rn_curve_setting_text(const struct rn_curve_setting *setting, char *ret_text, size_t size) {

@@ -24,10 +24,19 @@ struct rn_curve_point {
     double psnr_spread;       // standard deviation over the views, of psnr or else psnr_full
     double rays, samples;     // of a picture, mean
 };
-// Plain but for `points`, which whoever made it owns.
+// What the full picture of one held-out view is worth, and where that was taken from: a picture
+// from near there will be about as good.
+struct rn_curve_view {
+    double position[3]; // dataset coordinates
+    double psnr;        // against its photograph
+};
+#define RN_CURVE_VIEWS 64
+// Plain but for `points` and `around`, which whoever made it owns.
 struct rn_curve {
     struct rn_curve_point *points; // by ms_median, the last one the full picture
     size_t count;
+    const struct rn_curve_view *around;
+    size_t around_count;
     int64_t width, height; // of the pictures it was measured with; 0 x 0: it was not
 };
 
@@ -64,6 +73,10 @@ double rn_curve_expected(const struct rn_curve *curve, size_t point, double psnr
 // points that differ in nothing else.
 double rn_curve_expected_with(const struct rn_curve *curve, size_t point, double tolerance,
                               double psnr);
+
+// What to add to it for a camera in this place: how much better than the mean of the curve's views
+// the full pictures of the nearest three are, each counted by its nearness. 0 where none is known.
+double rn_curve_here(const struct rn_curve *curve, const double position[3]);
 
 // "tolerance=0.03,subsample=2"; "full" where nothing differs.
 void rn_curve_setting_text(const struct rn_curve_setting *setting, char *ret_text, size_t size);

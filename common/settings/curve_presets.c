@@ -38,5 +38,5 @@ void rn_curve_of_presets(struct rn_curve_point points[RN_CURVE_POINTS],
         if (measured[i].tolerance > 0) set(p, "tolerance", measured[i].tolerance);
         if (measured[i].stop > 0) set(p, "stop", measured[i].stop);
     }
-    *ret_curve = (struct rn_curve){points, COUNT, 400, 400};
+    *ret_curve = (struct rn_curve){.points = points, .count = COUNT, .width = 400, .height = 400};
 }

@@ -96,14 +96,18 @@ enum rn_status rn_budget_settle(struct rn_work *work, struct rn_field *field, do
 // ---- one picture ----------------------------------------------------------------------------
 
 static void tell(const struct rn_budget_curve *found, size_t point,
-                 const struct rn_render_settings *used, double psnr,
+                 const struct rn_render_settings *used, const struct rn_camera *camera, double psnr,
                  struct rn_wire_rendered *rendered) {
+    double place[3];
     const struct rn_curve_point *p = &found->curve.points[point];
     struct rn_curve_setting setting = p->setting;
     *rn_settings_value(&rn_render_settings, setting.values, "tolerance") =
         (union rn_setting_value){.number = used->tolerance < 1e-6 ? 0 : used->tolerance};
     rn_curve_setting_text(&setting, rendered->setting, sizeof rendered->setting);
-    rendered->expected_psnr = rn_curve_expected_with(&found->curve, point, used->tolerance, psnr);
+    for (int i = 0; i < 3; i++)
+        place[i] = camera->world_from_camera[i][3];
+    rendered->expected_psnr = rn_curve_expected_with(&found->curve, point, used->tolerance, psnr) +
+                              rn_curve_here(&found->curve, place);
     rendered->expected_spread = isnan(p->psnr) ? NAN : p->psnr_spread;
     snprintf(rendered->curve, sizeof rendered->curve, "%s", found->source);
 }
@@ -143,7 +147,7 @@ static enum rn_status render_by_deadline(struct rn_host *host, const struct rn_w
     if (status) return status;
     host->pace.slowness = budget.slowness;
     rendered->render_ms = spent.ms;
-    tell(&found, spent.choice, &spent.settings, info->psnr, rendered);
+    tell(&found, spent.choice, &spent.settings, &options->camera, info->psnr, rendered);
     return RN_OK;
 }
 
@@ -171,7 +175,8 @@ enum rn_status rn_budget_render(struct rn_host *host, const struct rn_wire_rende
         rn_render(host->engine, field, options, rn_watch_keep_going, watch, ret_result, err);
     if (status) return status;
     rendered->render_ms = ret_result->stats.render_ms;
-    if (kind != RN_BUDGET_NONE) tell(&found, point, &options->settings, info->psnr, rendered);
+    if (kind != RN_BUDGET_NONE)
+        tell(&found, point, &options->settings, &options->camera, info->psnr, rendered);
     return RN_OK;
 }
 

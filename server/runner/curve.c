@@ -42,14 +42,18 @@ struct state {
     int32_t ways, finalists, finalist[FINALISTS];
     double seconds;
     struct way way[WAYS]; // [0]: the full picture
+    struct rn_curve_view around[RN_CURVE_VIEWS];
+    int32_t around_count;
 };
 
 struct curve_work {
     struct rn_work work;
     struct rn_curve_options options;
     struct state *state;
-    const struct rn_frame *frames[MOST_VIEWS];
+    const struct rn_frame *frames[MOST_VIEWS]; // that ways are measured on,
     int views;
+    const struct rn_frame *around[RN_CURVE_VIEWS]; // and whose full pictures are
+    int around_count;
     bool photographs;
     int shown; // the view that `full` and `truth` are of, -1: none
     struct rn_picture full, truth;
@@ -130,19 +134,19 @@ static void choose_finalists(struct state *state) {
 
 // ---- views ----------------------------------------------------------------------------------
 
-// Evenly spaced ones of the split at the finest scale.
-static void choose_views(struct curve_work *curve, const struct rn_dataset *dataset,
-                         enum rn_split split, int wanted) {
-    int views = dataset->view_count[split], last = -1, view = 0;
+// Evenly spaced ones of the split at the finest scale; returns how many.
+static int choose_views(const struct rn_dataset *dataset, enum rn_split split, int wanted,
+                        const struct rn_frame **ret_frames) {
+    int views = dataset->view_count[split], last = -1, view = 0, chosen = 0;
     if (wanted > views) wanted = views;
     for (size_t i = 0; i < dataset->frame_count; i++) {
         const struct rn_frame *frame = &dataset->frames[i];
         if (frame->split != split || frame->index == last) continue;
-        if (curve->views < wanted && view == curve->views * views / wanted)
-            curve->frames[curve->views++] = frame;
+        if (chosen < wanted && view == chosen * views / wanted) ret_frames[chosen++] = frame;
         view++;
         last = frame->index;
     }
+    return chosen;
 }
 
 static struct rn_camera view_camera(const struct curve_work *curve, int view) {
@@ -309,14 +313,18 @@ static enum rn_status prepare(struct rn_work *work, struct rn_field *field, stru
     enum rn_status status = rn_host_need_sound_dataset(work->host, err);
     if (status) return status;
     int wanted = (int)rn_int_or(curve->options.views, VIEWS);
-    choose_views(curve, work->host->dataset, RN_SPLIT_TEST, wanted);
+    const struct rn_dataset *dataset = work->host->dataset;
+    curve->views = choose_views(dataset, RN_SPLIT_TEST, wanted, curve->frames);
     curve->photographs = curve->views > 0;
-    if (!curve->photographs) choose_views(curve, work->host->dataset, RN_SPLIT_TRAIN, wanted);
+    if (!curve->photographs)
+        curve->views = choose_views(dataset, RN_SPLIT_TRAIN, wanted, curve->frames);
     if (curve->views == 0)
         return rn_error_set(err, RN_ERROR_INVALID, "#/scene", "its dataset has no views");
     const struct rn_camera camera = view_camera(curve, 0), taken = curve->frames[0]->camera;
     curve->photographs &= camera.width == taken.width && camera.height == taken.height;
-    work->total = WAYS + (size_t)(curve->views * FINALISTS * ROUNDS);
+    if (curve->photographs)
+        curve->around_count = choose_views(dataset, RN_SPLIT_TEST, RN_CURVE_VIEWS, curve->around);
+    work->total = WAYS + (size_t)(curve->views * FINALISTS * ROUNDS) + (size_t)curve->around_count;
     curve->state = calloc(1, sizeof *curve->state);
     return curve->state ? RN_OK : rn_error_set(err, RN_ERROR_NO_MEMORY, "", "out of memory");
 }
@@ -343,10 +351,32 @@ static enum rn_status begin(struct rn_work *work, struct rn_error *err) {
     return RN_OK;
 }
 
+// The last units: one more view's full picture, beside its photograph.
+static enum rn_status look_around(struct curve_work *curve, struct rn_field *field,
+                                  const struct rn_field_info *info, size_t view,
+                                  struct rn_error *err) {
+    struct rn_render_options options = {.outputs = RN_OUTPUT_RGB};
+    struct rn_view_score score;
+    memcpy(options.background, info->config.background, sizeof options.background);
+    enum rn_status status = rn_evaluate_view(curve->work.host->engine, field, curve->around[view],
+                                             &options, rn_work_keep_going, curve, &score, err);
+    if (status) return status;
+    rn_work_rendered(&curve->work, score.render_ms, score.nonfinite_rays);
+    if (!isfinite(score.psnr)) return RN_OK;
+    struct rn_curve_view *seen = &curve->state->around[curve->state->around_count++];
+    seen->psnr = score.psnr;
+    for (int i = 0; i < 3; i++)
+        seen->position[i] = curve->around[view]->camera.world_from_camera[i][3];
+    return RN_OK;
+}
+
 static enum rn_status unit(struct rn_work *work, struct rn_field *field,
                            const struct rn_field_info *info, struct rn_error *err) {
     struct curve_work *curve = (struct curve_work *)work;
-    enum rn_status status = measure(curve, field, info, err);
+    size_t ways = work->total - (size_t)curve->around_count;
+    enum rn_status status = work->done < ways
+                                ? measure(curve, field, info, err)
+                                : look_around(curve, field, info, work->done - ways, err);
     if (!status) save_state(curve);
     return status;
 }
@@ -417,6 +447,8 @@ static enum rn_status result(struct rn_work *work, struct rn_field *field, char 
         points[record.count++] = point_of(curve, &state->way[state->finalist[i]]);
     rn_curve_reduce(points, &record.count);
     record.points = points;
+    record.around = state->around;
+    record.around_count = (size_t)state->around_count;
     char *json = NULL;
     enum rn_status status = rn_encode(&rn_curve_record_table, &record, &json, NULL, err);
     if (!status) status = write_curve(curve, json, err);

@@ -113,6 +113,10 @@ static struct rn_pixel enlarged(const struct frame *f, struct between x, struct 
     return mix(&upper, &lower, y.weight);
 }
 
+static bool is_finite(struct rn_pixel p) {
+    return isfinite(p.rgb[0] + p.rgb[1] + p.rgb[2] + p.depth + p.alpha);
+}
+
 static void fill_rows(void *context, int index, int thread) {
     (void)thread;
     const struct filling *filling = context;
@@ -120,6 +124,7 @@ static void fill_rows(void *context, int index, int thread) {
     struct rn_render_result *result = filling->result;
     const struct rn_render_options *o = f->options;
     int end = (index + 1) * ROWS, height = f->lattice.height / f->points;
+    int n = o->settings.subsample > 1 ? o->settings.subsample : 1;
     uint64_t nonfinite = 0;
     for (int y = index * ROWS; y < end && y < o->camera.height; y++) {
         struct between row = find_between(y, o->camera.height, height);
@@ -127,7 +132,8 @@ static void fill_rows(void *context, int index, int thread) {
             struct rn_pixel p =
                 filling->columns ? enlarged(f, filling->columns[x], row) : mean_of_points(f, x, y);
             size_t at = (size_t)y * o->camera.width + x;
-            nonfinite += !isfinite(p.rgb[0] + p.rgb[1] + p.rgb[2] + p.depth + p.alpha);
+            bool first = y % n + x % n == 0;
+            nonfinite += first && !is_finite(n > 1 ? mean_of_points(f, x / n, y / n) : p);
             if (result->rgb.values)
                 for (int c = 0; c < 3; c++)
                     result->rgb.values[3 * at + c] = finite_or(p.rgb[c], o->background[c]);

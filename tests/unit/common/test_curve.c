@@ -18,7 +18,7 @@ static struct rn_curve_point point(double ms, double psnr, double psnr_full, dou
 
 // 100 x 100 pixels in 1, 4, 10 and 100 ms.
 static struct rn_curve_point points[4];
-static struct rn_curve curve = {points, 4, 100, 100};
+static struct rn_curve curve = {.points = points, .count = 4, .width = 100, .height = 100};
 
 static void make_curve(void) {
     points[0] = point(1, 20, 22, 0, 4);
@@ -101,6 +101,21 @@ START_TEST(what_is_expected_of_a_point) {
 }
 END_TEST
 
+// At a view's own place its PSNR; between two of three the mean; further ones do not count.
+START_TEST(the_place_says_how_good_a_picture_will_be) {
+    struct rn_curve_view around[] = {
+        {{0, 0, 0}, 33}, {{2, 0, 0}, 29}, {{1, 1e3, 0}, 50}, {{1, 0, 1e3}, 50}, {{1, 9e2, 0}, 31}};
+    make_curve();
+    struct rn_curve c = curve;
+    ck_assert_double_eq(rn_curve_here(&c, (double[]){0, 0, 0}), 0);
+    c.around = around;
+    c.around_count = sizeof around / sizeof *around;
+    ck_assert_double_eq_tol(rn_curve_here(&c, (double[]){0, 0, 0}), 33 - 31, 1e-6);
+    ck_assert_double_eq_tol(rn_curve_here(&c, (double[]){2, 0, 0}), 29 - 31, 1e-6);
+    ck_assert_double_eq_tol(rn_curve_here(&c, (double[]){1, 0, 0}), 0, 1e-4);
+}
+END_TEST
+
 START_TEST(a_budget_stands_alone) {
     union rn_setting_value values[RN_RENDER_SETTINGS];
     enum rn_budget_kind kind = RN_BUDGET_NONE;
@@ -151,6 +166,7 @@ int main(void) {
     tcase_add_test(all, a_psnr_takes_the_quickest_that_reaches_it);
     tcase_add_test(all, quality_is_linear_in_the_logarithm_of_time);
     tcase_add_test(all, what_is_expected_of_a_point);
+    tcase_add_test(all, the_place_says_how_good_a_picture_will_be);
     tcase_add_test(all, a_budget_stands_alone);
     tcase_add_test(all, the_presets_curve_is_a_curve);
     suite_add_tcase(suite, all);
