@@ -239,7 +239,7 @@ mutate incidents server/engine/checkpoint/checkpoint.c "checkpoint: read without
 mutate incidents server/engine/render/render.c "render: numbers not looked at" \
     's/return isfinite(value) ? value : other;/return value + 0 * other;/'
 mutate incidents server/engine/render/render.c "render: replaced rays not counted" \
-    's/nonfinite += !isfinite(p.rgb.*/;/'
+    's/nonfinite += first \&\& .*/(void)first;/'
 mutate incidents $train/incident.c "incident: the offending rays are not looked for" \
     's/if (incident->ray_count == 0) search(t, incident);/(void)search;/'
 mutate incidents $cpu/loss.h "training: a ray that is not finite is backpropagated" \
