@@ -168,7 +168,7 @@ mutate optimiser server/engine/reference/reference.c "AdamW: 1 - 0.999^t by pow"
 mutate optimiser server/engine/reference/reference.c "AdamW: fp32 second moment" \
     's/v\[i\] = 0.999 \* v\[i\].*/v[i] = (float)(0.999 * v[i] + 0.001 * grad[i] * grad[i]);/'
 mutate camera common/math/camera.h "cameras: direction in fp32" \
-    's/TYPE inverse_norm = 1.0 \/ ROOT(\(.*\)); *\\$/TYPE inverse_norm = (float)1.0 \/ ROOT((double)(float)(\1)); \\/'
+    's/TYPE inverse_norm = 1.0 \/ ROOT/TYPE inverse_norm = (1 + 0x1p-26) \/ ROOT/'
 mutate lens common/math/lens.h "lenses: tangential parameters swapped" \
     's/t.p1 = k\[2\], t.p2 = k\[3\];/t.p1 = k[3], t.p2 = k[2];/'
 mutate lens common/math/lens.h "lenses: nerfstudio's k4 for OpenCV's" \
