@@ -63,12 +63,10 @@ struct ray_footprint {
     bool leveled;                  // some sample of the ray may lie above level 0
 };
 
-// Their sum with the variances is within 8 ULP, as rn_projected_variance.
 static void footprint_factors(const double axis[3], const float d[3], float *ret_axial,
                               float *ret_radial) {
     double direction[3] = {d[0], d[1], d[2]};
-    *ret_axial = (float)rn_projected_variance(axis, direction, 1, 0);
-    *ret_radial = (float)rn_projected_variance(axis, direction, 0, 1);
+    rn_variance_factors(axis, direction, ret_axial, ret_radial);
 }
 
 // In unbounded space: a footprint's radius is at most that of the cone at half the camera's
@@ -107,9 +105,8 @@ static void ray_footprint_init(const struct rn_cpu_field *field, const struct rn
         ret->leveled = far * size > 1;
         return;
     }
-    float radial = far, limit = 1 / ((float)RN_FOOTPRINT_SCALE * size);
-    radial = radial * radial * 0.26f + step * step * 0.05f; // a bound on 3/20 .. 1/4 of r^2 t^2
-    float axial = step * step / 12 * 1.01f;
+    float axial, radial, limit = 1 / ((float)RN_FOOTPRINT_SCALE * size);
+    rn_variance_bounds(far, step, &axial, &radial);
     for (int p = 0; p < field->config->planes; p++) {
         footprint_factors(field->solid.axis_u[p], ray->direction, &ret->axial_u[p],
                           &ret->radial_u[p]);

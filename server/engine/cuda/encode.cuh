@@ -23,9 +23,9 @@ RN_DEVICE struct rn_footprint_factors rn_factors(const float axis[6], const floa
         v[i] = (double)axis[3 + i];
         d[i] = (double)direction[i];
     }
-    struct rn_footprint_factors f = {
-        (float)rn_projected_variance(u, d, 1, 0), (float)rn_projected_variance(u, d, 0, 1),
-        (float)rn_projected_variance(v, d, 1, 0), (float)rn_projected_variance(v, d, 0, 1)};
+    struct rn_footprint_factors f;
+    rn_variance_factors(u, d, &f.axial_u, &f.radial_u);
+    rn_variance_factors(v, d, &f.axial_v, &f.radial_v);
     return f;
 }
 
@@ -35,9 +35,8 @@ RN_DEVICE bool rn_ray_leveled(const struct rn_cuda_planes *p, const struct rn_ma
     float far = ray->near + ray->length, size = (float)p->footprint_base;
     if (p->levels < 2) return false;
     if (p->footprint == RN_FOOTPRINT_MIP) return far * ray->radius * size > 1;
-    float radial = far * ray->radius, limit = 1 / ((float)RN_FOOTPRINT_SCALE * size);
-    radial = radial * radial * 0.26f + step * step * 0.05f; // a bound on 3/20 .. 1/4 of r^2 t^2
-    float axial = step * step / 12 * 1.01f;
+    float axial, radial, limit = 1 / ((float)RN_FOOTPRINT_SCALE * size);
+    rn_variance_bounds(far * ray->radius, step, &axial, &radial);
     return f->axial_u * axial + f->radial_u * radial > limit * limit ||
            f->axial_v * axial + f->radial_v * radial > limit * limit;
 }

@@ -22,6 +22,21 @@ RN_HD rn_real rn_projected_variance(const rn_real x[3], const rn_real d[3], rn_r
     return axial * (dot * dot) + radial * (c0 * c0 + c1 * c1 + c2 * c2);
 }
 
+// What of it is the same all along a ray in direction d: (x.d)^2 and |x cross d|^2. Their sum with
+// a sample's variances, in fp32, is within 8 ULP.
+RN_HD void rn_variance_factors(const rn_real x[3], const rn_real d[3], float *ret_axial,
+                               float *ret_radial) {
+    *ret_axial = (float)rn_projected_variance(x, d, 1, 0);
+    *ret_radial = (float)rn_projected_variance(x, d, 0, 1);
+}
+
+// No sample of a ray has larger variances along and across it where samples are `step` wide and the
+// cone's radius is `far` at its end: h^2 / 3 and 3/20 .. 1/4 of r^2 t^2 (frustum.h), and some more.
+RN_HD void rn_variance_bounds(float far, float step, float *ret_axial, float *ret_radial) {
+    *ret_axial = step * step / 12 * 1.01f;
+    *ret_radial = far * far * 0.26f + step * step * 0.05f;
+}
+
 // level = log2(RN_FOOTPRINT_SCALE * sigma * size), clamped to [0, levels - 1]. sigma^2 = variance
 // in the frame where the plane spans [-1, 1]; `size` texels a side. (The paper's equation leaves
 // out the size; the released code has it.) The variance is clamped, not the level: never NaN or
