@@ -208,6 +208,10 @@ static enum rn_status find_poses(struct ingest *ingest, struct rn_problems *prob
     enum rn_status status = rn_mkdirs(order->work, 0777, err);
     if (!status) status = rn_poses_find(&wanted, &ingest->posed, &ingest->photos, err);
     if (status) return status;
+    for (size_t i = 0; i < problems->count; i++) { // where they were unpacked is nothing to anyone
+        rn_make_relative(problems->items[i].where, ingest->folder);
+        rn_make_relative(problems->items[i].text, ingest->folder);
+    }
     ingest->folder = ingest->posed;
     on_stage(ingest, "importing", 0, 0);
     status = rn_dataset_read_as(ingest->posed, &options, problems, ret_source, err);

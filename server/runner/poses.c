@@ -207,7 +207,7 @@ static enum rn_status extract(struct search *search, const char *database, const
     char masks[PATH_MAX + 8];
     bool settled = photos->one_camera && photos->count >= OPENCV_FEWEST;
     snprintf(masks, sizeof masks, "%s/masks", search->folder);
-    rn_problems_add(search->order->problems, RN_SEVERITY_INFO, search->order->source,
+    rn_problems_add(search->order->problems, RN_SEVERITY_INFO, "poses",
                     "%zu photographs, %s: %s of the kind %s", photos->count,
                     photos->one_camera ? "all of one size and, by EXIF, of one camera"
                                        : "whose sizes or, by EXIF, cameras differ",
@@ -237,7 +237,7 @@ static enum rn_status match(struct search *search, const char *database, const c
     const struct rn_photos *photos = search->photos;
     bool film = photos->film != NULL;
     bool sequential = film || (photos->in_order && photos->count > EXHAUSTIVE_MOST);
-    rn_problems_add(search->order->problems, RN_SEVERITY_INFO, search->order->source, "%s: %s",
+    rn_problems_add(search->order->problems, RN_SEVERITY_INFO, "poses", "%s: %s",
                     film         ? "frames of a film"
                     : sequential ? "many photographs whose names count upwards"
                                  : "photographs in no order, or few enough",
