@@ -16,13 +16,13 @@
 
 #define VIEWS 6
 #define MOST_VIEWS 64
-#define WAYS 128          // to render, tried on the first view
-#define FINALISTS 24      // of these, measured on all views
-#define ROUNDS 3          // times
-#define MOST_PIXELS 1e6   // of its pictures; larger views are rendered smaller, without photographs
-#define NEAR_FACTOR 1.1   // of time, and
-#define NEAR_DB 0.2       // of worth, that a finalist may be away from the best ones
-#define LEAST_APART 1.015 // times as long as the finalist before
+#define WAYS 128         // to render, tried on the first view
+#define FINALISTS 40     // of these, measured on all views
+#define ROUNDS 3         // times
+#define MOST_PIXELS 1e6  // of its pictures; larger views are rendered smaller, without photographs
+#define NEAR_FACTOR 1.1  // of time, and
+#define NEAR_DB 0.2      // of worth, that a finalist may be away from the best ones
+#define LEAST_APART 1.04 // times as long as the finalist before
 #define SAVE_EVERY_S 1.0
 
 // One way to render, and what is known of it.
