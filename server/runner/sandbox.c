@@ -21,8 +21,7 @@
 #include "server/runner/program.h"
 #include "server/runner/calls.h"
 
-// ---- privileges and limits
-// -----------------------------------------------------------------------
+// ---- privileges and limits --------------------------------------------------------------------
 
 static void limit(int what, rlim_t most) {
     struct rlimit now;
@@ -181,8 +180,18 @@ static bool lock_disk(const struct rn_profile *profile, const struct rn_sandbox_
     return ok;
 }
 
+// What RLIMIT_DATA counts of this process by now: libraries alone may be megabytes.
+static rlim_t own_data(void) {
+    unsigned long long pages = 0;
+    FILE *file = fopen("/proc/self/statm", "re");
+    if (!file) return 0;
+    if (fscanf(file, "%*u %*u %*u %*u %*u %llu", &pages) != 1) pages = 0;
+    (void)fclose(file);
+    return (rlim_t)pages * (rlim_t)sysconf(_SC_PAGESIZE);
+}
+
 bool rn_sandbox_confine(const struct rn_profile *profile, const struct rn_sandbox_places *places) {
-    if (places->memory_bytes > 0) limit(RLIMIT_DATA, (rlim_t)places->memory_bytes);
+    if (places->memory_bytes > 0) limit(RLIMIT_DATA, own_data() + (rlim_t)places->memory_bytes);
     signal(SIGXFSZ, SIG_IGN); // a file that grows too large is an error like a full disk
     if (places->file_bytes > 0) limit(RLIMIT_FSIZE, (rlim_t)places->file_bytes);
     bool ok = lock_disk(profile, places);

@@ -19,7 +19,7 @@ void rn_sandbox_begin(const struct rn_profile *profile);
 
 struct rn_sandbox_places {
     const char *paths[RN_PLACE_COUNT]; // NULL, and what is not there: passed over
-    int64_t memory_bytes;              // of the process's own data; 0: no limit
+    int64_t memory_bytes;              // that the work may take of data; 0: no limit
     int64_t file_bytes;                // the largest file; 0: no limit
 };
 // Once it is known what the work needs: nothing else of the disk is seen but the system's folders

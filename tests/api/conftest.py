@@ -4,6 +4,11 @@ from support.checked import Daemon
 from support.photographs import write_dataset
 
 
+def pytest_collection_modifyitems(items):
+    """Whether every operation was exercised is known at the end."""
+    items.sort(key=lambda item: item.path.name == "test_operations.py")
+
+
 @pytest.fixture(scope="session")
 def programs(build):
     found = build / "server" / "ripnerfd", build / "tests" / "support" / "ripnerf-runner-fake"

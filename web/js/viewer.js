@@ -56,9 +56,13 @@ export function createViewer(canvas, host, signal) {
   function changed() {
     version++;
     movedAt = performance.now();
+    dropRefinements();
+    pump();
+  }
+
+  function dropRefinements() {
     for (const flight of flights)
       if (flight.level > COARSE) flight.stop.abort();
-    pump();
   }
 
   function nextLevel(now) {
@@ -118,6 +122,7 @@ export function createViewer(canvas, host, signal) {
       const {blob, facts} = await host.send(body, AbortSignal.any([flight.stop.signal, signal]));
       const picture = await pictureOf(blob, body.output);
       if (signal.aborted) return;
+      if (flight.stop.signal.aborted) return picture.close();  // of what was asked for before
       learn(level, body.camera, facts);
       if (flight.version < shown.version) return picture.close();  // overtaken
       draw(canvas, picture);
@@ -167,6 +172,7 @@ export function createViewer(canvas, host, signal) {
       shown = {...shown, level: COARSE};
       movedAt = 0;
       waitUntil = 0;
+      dropRefinements();
       pump();
     },
   };
