@@ -1,27 +1,37 @@
 #!/bin/bash
 # The whole path on this machine: builds a release, starts the daemon, makes a dataset, trains a
-# scene and renders a camera path. Stays up until Ctrl-C; with --exit it stops after the renders.
+# scene and renders a turn around it. Stays up until Ctrl-C; with --exit it stops after the renders.
+# -D options are those of the build: -Dcuda=disabled leaves the CUDA module out.
 # What it makes lies in demo-data/.
 set -eu
 cd "$(dirname "$0")"
 
 stay=true
-case "${1-}" in
-"") ;;
---exit) stay=false ;;
-*)
-    echo "usage: ./demo.sh [--exit]" >&2
-    exit 2
-    ;;
-esac
+options=()
+for argument in "$@"; do
+    case "$argument" in
+    --exit) stay=false ;;
+    -D*=*) options+=("$argument") ;;
+    *)
+        echo "usage: ./demo.sh [--exit] [-Dcuda=disabled]" >&2
+        exit 2
+        ;;
+    esac
+done
 
 .ci/deps
+echo "building, which takes a minute or two"
 if [ ! -f build/build.ninja ]; then
-    meson setup build --buildtype=release
+    meson setup build --buildtype=release ${options[@]+"${options[@]}"}
+elif [ ${#options[@]} -gt 0 ]; then
+    meson configure build "${options[@]}"
 fi
-# The programs alone, not their tests; the CUDA module where its compiler was found.
+ninja -C build build.ninja >/dev/null # as the options are now
+# The programs alone, not their tests; the modules where what they need was found.
 targets=(ripnerfd ripnerf-runner ripnerf)
-if grep -q 'ripnerf-cuda\.so' build/build.ninja; then targets+=(ripnerf-cuda); fi
+for module in ripnerf-cuda ripnerf-film; do
+    if grep -q "$module\.so" build/build.ninja; then targets+=("$module"); fi
+done
 meson compile -C build "${targets[@]}"
 
 # The first port from 7373 on that nobody listens on.
@@ -70,26 +80,11 @@ fi
 build/client/ripnerf train still-life --name "$scene" --preset draft --wait
 build/client/ripnerf render "$scene" --view test:0 -o "$frames/test-0.png"
 
-# An orbit: eight keys on a circle of radius 4, seen from 30 degrees above, z up, two seconds.
-awk 'BEGIN {
-    pi = atan2(0, -1)
-    printf "{\"path\": {\"axes\": \"opengl\", \"fps\": 15, \"interpolation\": \"spline\", "
-    printf "\"loop\": true, \"width\": 200, \"height\": 200, \"keys\": ["
-    for (i = 0; i < 8; i++) {
-        a = 2 * pi * i / 8; e = pi / 6; r = 4
-        # columns: right, up, backwards (from the centre to the camera), position
-        printf "%s\n  {\"time\": %g, \"fov_y_deg\": 39.6, \"world_from_camera\": [", i ? "," : "", i / 4
-        printf "[%.9f, %.9f, %.9f, %.9f], ", -sin(a), -sin(e) * cos(a), cos(e) * cos(a), r * cos(e) * cos(a)
-        printf "[%.9f, %.9f, %.9f, %.9f], ", cos(a), -sin(e) * sin(a), cos(e) * sin(a), r * cos(e) * sin(a)
-        printf "[0, %.9f, %.9f, %.9f]]}", cos(e), sin(e), r * sin(e)
-    }
-    print "]}}"
-}' >demo-data/orbit.json
-build/client/ripnerf path "$scene" demo-data/orbit.json -o "$frames"
+build/client/ripnerf turntable "$scene" --seconds 2 --fps 15 --size 200x200 -o "$frames"
 
 echo
-echo "page: $RIPNERF_HOST/"
 if $stay; then
+    echo "page: $RIPNERF_HOST/"
     echo "frames: $frames"
     echo "Ctrl-C stops the daemon."
     wait "$daemon"

@@ -4,6 +4,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "common/base/file.h"
 #include "proto/problem.h"
 
 #define ANSWER_IDLE_S 120 // seconds without a byte before an answer is given up
@@ -47,7 +48,12 @@ void rn_client_print(FILE *out, const char *text) {
         fputc((unsigned char)*text < ' ' || *text == 0x7f ? '?' : *text, out);
 }
 
-static bool errors_are_json; // set once, before the verb runs
+static bool errors_are_json;             // set once, before the verb runs
+static const struct rn_verb *asked_verb; // as is this; NULL: none
+
+void rn_client_errors_of(const struct rn_verb *verb) {
+    asked_verb = verb;
+}
 
 void rn_client_errors_as_json(void) {
     errors_are_json = true;
@@ -122,6 +128,41 @@ void rn_api_reply_finish(struct rn_api_reply *reply) {
     rn_http_reply_finish(&reply->http);
 }
 
+// "#/options/last" is --frames to who typed a command line; a pointer that is of no option stays.
+static const char *place_of(const char *pointer, char text[64]) {
+    bool known = asked_verb && rn_options_find_member(asked_verb->table, pointer, text, 64);
+    return known ? text : pointer;
+}
+
+// Of one fault, the detail is its text, with or without its place before it.
+static bool is_of_one(const struct rn_api_problem *problem) {
+    if (problem->error_count != 1) return false;
+    const char *detail = problem->detail, *pointer = problem->errors[0].pointer;
+    size_t length = strlen(pointer);
+    if (strncmp(detail, pointer, length) == 0 && strncmp(detail + length, ": ", 2) == 0)
+        detail += length + 2;
+    return strcmp(detail, problem->errors[0].detail) == 0;
+}
+
+static void print_problem(const struct rn_api_problem *problem, enum rn_exit code) {
+    char place[64];
+    if (is_of_one(problem)) { // place and text are said once
+        print_error(place_of(problem->errors[0].pointer, place), problem->errors[0].detail, code);
+        return;
+    }
+    print_error(problem->title, problem->detail, code);
+    for (size_t i = 0; i < problem->error_count; i++) {
+        const char *pointer = problem->errors[i].pointer, *detail = problem->errors[i].detail;
+        if (strstr(problem->detail, pointer) && strstr(problem->detail, detail))
+            continue; // is said
+        fputs("  ", stderr);
+        rn_client_print(stderr, place_of(pointer, place));
+        fputs(": ", stderr);
+        rn_client_print(stderr, detail);
+        fputc('\n', stderr);
+    }
+}
+
 enum rn_exit rn_api_print_problem(const char *json) {
     struct rn_api_problem problem;
     struct rn_error err = {0};
@@ -136,21 +177,7 @@ enum rn_exit rn_api_print_problem(const char *json) {
         rn_message_finish(&rn_api_problem_table, &problem);
         return code;
     }
-    // Of one fault, place and text are said once.
-    bool only = problem.error_count == 1 && strcmp(problem.detail, problem.errors[0].detail) == 0;
-    if (only)
-        print_error(problem.errors[0].pointer, problem.errors[0].detail, code);
-    else
-        print_error(problem.title, problem.detail, code);
-    for (size_t i = 0; i < problem.error_count && !only; i++) {
-        const char *pointer = problem.errors[i].pointer, *detail = problem.errors[i].detail;
-        if (strstr(problem.detail, pointer) && strstr(problem.detail, detail)) continue; // is said
-        fputs("  ", stderr);
-        rn_client_print(stderr, pointer);
-        fputs(": ", stderr);
-        rn_client_print(stderr, detail);
-        fputc('\n', stderr);
-    }
+    print_problem(&problem, code);
     rn_message_finish(&rn_api_problem_table, &problem);
     return code;
 }
@@ -165,6 +192,18 @@ enum rn_exit rn_api_complain(const struct rn_api_reply *reply) {
         fprintf(stderr, "ripnerf: HTTP %d: %.200s\n", reply->http.status, body);
     if (reply->http.retry_after_s)
         fprintf(stderr, "  try again in %d s\n", reply->http.retry_after_s);
+    return code;
+}
+
+enum rn_exit rn_api_save(struct rn_client *client, const char *path, const char *file) {
+    struct rn_error err = {0};
+    struct rn_api_reply reply;
+    rn_api_send(client, "GET", path, NULL, &reply);
+    enum rn_exit code = reply.code == RN_EXIT_OK ? RN_EXIT_OK : rn_api_complain(&reply);
+    if (code == RN_EXIT_OK &&
+        rn_file_write_atomic(file, reply.http.body.data, reply.http.body.size, &err) != RN_OK)
+        code = (rn_client_fail(&err), RN_EXIT_FAILED);
+    rn_api_reply_finish(&reply);
     return code;
 }
 
@@ -202,7 +241,8 @@ static const struct {
 } kind_table[] = {{RN_KIND_SCENE, RN_ID_SCENE, "scenes", "scene"},
                   {RN_KIND_DATASET, RN_ID_DATASET, "datasets", "dataset"},
                   {RN_KIND_PATH, RN_ID_PATH, "camera-paths", "camera path"},
-                  {RN_KIND_JOB, RN_ID_JOB, "jobs", "job"}};
+                  {RN_KIND_JOB, RN_ID_JOB, "jobs", "job"},
+                  {RN_KIND_TOKEN, RN_ID_TOKEN, "tokens", "token"}};
 #define KIND_COUNT (sizeof kind_table / sizeof *kind_table)
 
 const char *rn_api_collection(enum rn_kind kind) {
@@ -315,6 +355,19 @@ enum rn_exit rn_api_find_job(struct rn_client *client, const char *reference,
     enum rn_exit code = rn_api_find(client, RN_KIND_JOB | RN_KIND_SCENE, reference, &kind, &reply);
     if (code != RN_EXIT_OK) return code;
     code = job_of(kind, &reply, ret_id);
+    rn_api_reply_finish(&reply);
+    return code;
+}
+
+enum rn_exit rn_api_get(struct rn_client *client, const char *kind, const char *reference,
+                        const char *tail, const struct rn_table *table, void *ret_message) {
+    struct rn_api_reply reply;
+    char *path = rn_api_path(kind, reference, tail);
+    if (!path) return RN_EXIT_FAILED;
+    rn_api_send(client, "GET", path, NULL, &reply);
+    free(path);
+    enum rn_exit code = reply.code == RN_EXIT_OK ? rn_api_decode(&reply, table, ret_message)
+                                                 : rn_api_complain(&reply);
     rn_api_reply_finish(&reply);
     return code;
 }

@@ -39,8 +39,7 @@ struct rn_verb {
     // `args` are args_min..args_max words and a NULL.
     enum rn_exit (*run)(struct rn_client *client, const void *options, const char **args);
 };
-#define RN_VERB_MAX_ARGS 3
-#define RN_VERB_MAX_OPTIONS 512 // bytes of the largest options struct
+#define RN_VERB_MAX_ARGS 24
 
 // Each ends with a NULL name.
 extern const struct rn_verb rn_verbs_dataset[]; // validate import synth datasets
@@ -49,12 +48,19 @@ extern const struct rn_verb rn_verbs_scene[];   // scenes show rm info
 extern const struct rn_verb rn_verbs_render[];  // render eval
 extern const struct rn_verb rn_verbs_path[];    // path turntable paths
 extern const struct rn_verb rn_verbs_curve[];   // curve
+extern const struct rn_verb rn_verbs_effects[]; // effects
+extern const struct rn_verb rn_verbs_ladder[];  // ladder
+extern const struct rn_verb rn_verbs_export[];  // export
+extern const struct rn_verb rn_verbs_token[];   // token
+extern const struct rn_verb rn_verbs_backup[];  // backup restore
 extern const struct rn_verb rn_verbs_bench[];   // bench
 extern const struct rn_verb rn_verbs_doctor[];  // doctor
 
 // Prints text from outside with '?' for control characters, which a terminal might obey.
 void rn_client_print(FILE *out, const char *text);
 
+// From here on what a problem says of a member of a request is said of the verb's option.
+void rn_client_errors_of(const struct rn_verb *verb);
 // From here on errors are JSON on stderr: {"error": {where, detail, exit_code}}, or where the
 // daemon said what is wrong, its problem document in the same place.
 void rn_client_errors_as_json(void);

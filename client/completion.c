@@ -16,7 +16,12 @@ static void each_setting(const char *verb, const struct rn_settings *settings,
         for (int k = 0; row->choices && row->choices[k] && length < sizeof choices; k++)
             length += (size_t)snprintf(choices + length, sizeof choices - length, "%s%s",
                                        k ? "|" : "", row->choices[k]);
-        if (row->flag) write(verb, row->flag, 0, length ? choices : NULL, true, row->meaning);
+        bool first =
+            row->flag && rn_settings_flagged(settings, 0, row->flag, strlen(row->flag)) == row;
+        if (row->key) length = 0; // NAME=..., which shells split in their own ways
+        if (first)
+            write(verb, row->flag, 0, length ? choices : NULL, !rn_setting_is_flag(row),
+                  row->meaning);
     }
 }
 
@@ -40,6 +45,17 @@ static void print_quoted(const char *text) {
     putchar('\'');
 }
 
+// The words that a verb's first argument is one of, with spaces between; false where it is none.
+static bool first_words(const struct rn_verb *verb, char ret_words[64]) {
+    const char *text = verb->arguments + (verb->arguments[0] == '[');
+    size_t length = strspn(text, "abcdefghijklmnopqrstuvwxyz|");
+    bool several = memchr(text, '|', length) != NULL;
+    if (!several || length >= 64) return false;
+    for (size_t i = 0; i <= length; i++)
+        ret_words[i] = i == length ? '\0' : text[i] == '|' ? ' ' : text[i];
+    return true;
+}
+
 // ---- bash, and zsh by way of it ---------------------------------------------------------------
 
 static void bash_name(const char *verb, const char *name, char letter, const char *choices,
@@ -59,6 +75,7 @@ static void bash_choices(const char *verb, const char *name, char letter, const 
 
 static void print_bash(const struct rn_verb *const *groups, size_t count,
                        const struct rn_option *globals) {
+    char words[64];
     puts("# bash completion of ripnerf\n_ripnerf() {\n"
          "    local word=${COMP_WORDS[COMP_CWORD]} before=${COMP_WORDS[COMP_CWORD - 1]}\n"
          "    local verb=${COMP_WORDS[1]} words=\n"
@@ -72,6 +89,11 @@ static void print_bash(const struct rn_verb *const *groups, size_t count,
         for (const struct rn_verb *verb = groups[i]; verb->name; verb++)
             each_option(verb->name, verb->table, bash_choices);
     each_option("", globals, bash_choices);
+    puts("    esac\n    case $COMP_CWORD:$verb:$word in\n        *:-*) ;;");
+    for (size_t i = 0; i < count; i++)
+        for (const struct rn_verb *verb = groups[i]; verb->name; verb++)
+            if (first_words(verb, words))
+                printf("        2:%s:*) words='%s' ;;\n", verb->name, words);
     puts("    esac\n    if [ -z \"$words\" ] && [ \"${word:0:1}\" = - ]; then\n"
          "        case $verb in");
     for (size_t i = 0; i < count; i++)
@@ -112,6 +134,7 @@ static void zsh_option(const char *verb, const char *name, char letter, const ch
 
 static void print_zsh(const struct rn_verb *const *groups, size_t count,
                       const struct rn_option *globals) {
+    char words[64];
     puts("#compdef ripnerf\n_ripnerf() {\n    local -a verbs\n    verbs=(");
     for (size_t i = 0; i < count; i++)
         for (const struct rn_verb *verb = groups[i]; verb->name; verb++) {
@@ -128,6 +151,7 @@ static void print_zsh(const struct rn_verb *const *groups, size_t count,
             printf("    %s)\n        _arguments \\\n", verb->name);
             each_option(verb->name, verb->table, zsh_option);
             each_option("", globals, zsh_option);
+            if (first_words(verb, words)) printf("            '2:word:(%s)' \\\n", words);
             puts("            '*:file:_files' ;;");
         }
     puts("    esac\n}\n_ripnerf \"$@\"");
@@ -155,11 +179,15 @@ static void fish_option(const char *verb, const char *name, char letter, const c
 
 static void print_fish(const struct rn_verb *const *groups, size_t count,
                        const struct rn_option *globals) {
+    char words[64];
     for (size_t i = 0; i < count; i++)
         for (const struct rn_verb *verb = groups[i]; verb->name; verb++) {
             printf("complete -c ripnerf -n __fish_use_subcommand -f -a %s -d ", verb->name);
             print_quoted(verb->summary);
             putchar('\n');
+            if (first_words(verb, words))
+                printf("complete -c ripnerf -n '__fish_seen_subcommand_from %s' -f -a '%s'\n",
+                       verb->name, words);
             each_option(verb->name, verb->table, fish_option);
         }
     each_option("", globals, fish_option);

@@ -139,6 +139,8 @@ static size_t on_header(char *line, size_t one, size_t size, void *context) {
     take_header(line, size, "Location", reply->location, sizeof reply->location);
     take_header(line, size, "Server-Timing", reply->server_timing, sizeof reply->server_timing);
     take_header(line, size, "X-Ripnerf-Step", reply->step, sizeof reply->step);
+    take_header(line, size, "X-Ripnerf-At", reply->at, sizeof reply->at);
+    take_header(line, size, "X-Ripnerf-Scale", reply->scale, sizeof reply->scale);
     take_budget(line, size, reply);
     take_header(line, size, "Retry-After", retry_after, sizeof retry_after);
     if (*retry_after) reply->retry_after_s = atoi(retry_after);
@@ -182,6 +184,7 @@ static struct curl_slist *headers_of(const struct rn_http *http,
     list = add_header(list, "Content-Type:", request->content_type ? request->content_type : "",
                       failed);
     list = add_header(list, "Accept: ", request->accept, failed);
+    list = add_header(list, "Upload-Offset: ", request->upload_offset, failed);
     return add_header(list, "Last-Event-ID: ", request->last_event_id, failed);
 }
 

@@ -28,11 +28,12 @@ const char *rn_http_host(const struct rn_http *http);
 
 // Lives for the call. Only method and path must be given.
 struct rn_http_request {
-    const char *method;        // "GET", "POST", "DELETE"
+    const char *method;        // "GET", "POST", "PATCH", "DELETE"
     const char *path;          // from the host's root on, escaped, with its query
     const char *content_type;  // of the body
     const char *accept;        // "Accept"; NULL: anything
     const char *last_event_id; // "Last-Event-ID"
+    const char *upload_offset; // "Upload-Offset"
     const void *body;          // body_size bytes; or, for a streamed body, NULL and `read`
     size_t body_size;          // bytes, also of a streamed body
     // Fills up to `capacity` bytes and returns how many; SIZE_MAX aborts the request.
@@ -51,8 +52,10 @@ struct rn_http_reply {
     char content_type[96];
     char location[160];
     char server_timing[160];
-    char step[24]; // X-Ripnerf-Step
-    struct {       // of a budget, X-Ripnerf-*; "" without one
+    char step[24];  // X-Ripnerf-Step
+    char at[24];    // X-Ripnerf-At, of what was looked back at
+    char scale[48]; // X-Ripnerf-Scale, of a heat map
+    struct {        // of a budget, X-Ripnerf-*; "" without one
         char asked_ms[24], spent_ms[24], setting[96], curve[16], expected_psnr[24],
             expected_spread[24], late[8];
     } budget;

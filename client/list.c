@@ -61,8 +61,8 @@ static enum rn_exit take_page(struct rn_client *client, const struct rn_api_list
     struct rn_api_reply reply;
     struct page page;
     rn_buf_init(&path, 1024);
-    rn_buf_printf(&path, "/v1/%s?limit=%d%s", rn_api_collection(list->kind), ITEMS_PER_PAGE,
-                  *cursor ? "&cursor=" : "");
+    rn_buf_printf(&path, "/v1/%s?limit=%d%s%s", rn_api_collection(list->kind), ITEMS_PER_PAGE,
+                  list->query ? list->query : "", *cursor ? "&cursor=" : "");
     rn_http_escape(&path, cursor);
     rn_api_send(client, "GET", path.failed ? "/" : (char *)path.data, NULL, &reply);
     rn_buf_finish(&path);

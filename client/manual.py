@@ -6,6 +6,7 @@
 FRAME is the page with what help texts do not say. A line `@OPTIONS@` becomes the options of --help, and
 `@VERBS@` a subsection for each verb, out of `PROGRAM help VERB`; `@VERSION@` the version.
 """
+import itertools
 import re
 import subprocess
 import sys
@@ -28,6 +29,13 @@ def option(line):
     return match and (match[1], match[2] or "")
 
 
+def options_of(text):
+    """The lines of a program's options: from the first on, to the next blank line."""
+    lines = text.splitlines()
+    first = next(i for i, line in enumerate(lines) if option(line))
+    return itertools.takewhile(str.strip, lines[first:])
+
+
 def body(lines):
     """Paragraphs, and options as tagged paragraphs."""
     out, paragraph = [], []
@@ -41,7 +49,7 @@ def body(lines):
         if option(line):
             close()
             name, meaning = option(line)
-            out.extend([".TP", f".B {plain(name)}", plain(meaning)])
+            out.extend([".TP", f".B {plain(name)}"] + [plain(meaning)] * bool(meaning))
         elif line.startswith("      ") and out and not paragraph:
             out.append(plain(line.strip()))
         elif line.strip():
@@ -80,7 +88,7 @@ def main():
             if line == "@VERBS@":
                 print(verbs(program))
             elif line == "@OPTIONS@":
-                print(body(o for o in ask(program, "--help").splitlines() if option(o)))
+                print(body(options_of(ask(program, "--help"))))
             else:
                 print(line)
 

@@ -6,6 +6,8 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "client/nearest.h"
+
 static void *field_of(const struct rn_option *option, void *options) {
     return (char *)options + option->offset;
 }
@@ -26,6 +28,7 @@ void rn_options_clear(const struct rn_option *table, void *options) {
             break;
         case RN_OPTION_NUMBER:
         case RN_OPTION_SECONDS:
+        case RN_OPTION_BYTES:
             *(double *)field = NAN;
             break;
         case RN_OPTION_SIZE:
@@ -62,6 +65,10 @@ static bool parse_number(const struct rn_option *option, const char *text, doubl
     if (rest == text) return false;
     if (option->kind == RN_OPTION_SECONDS && *rest && strchr("smh", *rest))
         value *= *rest == 'h' ? 3600 : *rest == 'm' ? 60 : 1, rest++;
+    static const char units[] = "KMGT";
+    const char *unit = *rest ? strchr(units, *rest) : NULL;
+    if (option->kind == RN_OPTION_BYTES && unit)
+        value = ldexp(value, 10 * (int)(unit - units + 1)), rest++;
     if (*rest || !(value >= option->min && value <= option->max)) return false;
     *ret_value = value;
     return true;
@@ -110,6 +117,7 @@ static bool set_value(const struct rn_option *option, const char *value, void *f
         return parse_integer(option, value, '\0', field, &rest);
     case RN_OPTION_NUMBER:
     case RN_OPTION_SECONDS:
+    case RN_OPTION_BYTES:
         return parse_number(option, value, field);
     case RN_OPTION_SIZE:
     case RN_OPTION_RANGE:
@@ -131,6 +139,9 @@ static void tell_wanted(const struct rn_option *option, char text[200]) {
     else if (option->kind == RN_OPTION_SECONDS)
         snprintf(text, 200, "a time such as 90, 60s, 10m or 1.5h, from %.15g s to %.15g h",
                  option->min, option->max / 3600);
+    else if (option->kind == RN_OPTION_BYTES)
+        snprintf(text, 200, "a size such as 4096, 40M or 2G, from %.15g to %.15g bytes",
+                 option->min, option->max);
     else
         snprintf(text, 200, "%s from %.15g to %.15g", kind[option->kind], option->min, option->max);
 }
@@ -167,16 +178,35 @@ static const struct rn_setting *find_setting(const struct rn_option *table, cons
                                              const char **ret_value) {
     size_t size = strcspn(argument, "=");
     for (const struct rn_option *option = table; option->name; option++)
-        for (size_t i = 0; option->settings && i < option->settings->count; i++) {
-            const struct rn_setting *row = &option->settings->rows[i];
-            if (!row->flag || size != strlen(row->flag) + 2 || argument[1] != '-' ||
-                memcmp(row->flag, argument + 2, size - 2) != 0)
-                continue;
+        if (option->settings && size > 2 && argument[1] == '-') {
+            const struct rn_setting *row =
+                rn_settings_flagged(option->settings, 0, argument + 2, size - 2);
+            if (!row) continue;
             *ret_value = argument[size] ? argument + size + 1 : NULL;
             *ret_option = option;
             return row;
         }
     return NULL;
+}
+
+// Of rows that share the flag of `first`, the one that "KEY=VALUE" names; *value becomes VALUE.
+static enum rn_status find_key(const struct rn_settings *settings, const struct rn_setting *first,
+                               const char **value, const struct rn_setting **ret_row,
+                               struct rn_error *err) {
+    size_t size = strcspn(*value, "="), flag = strlen(first->flag), from = 0;
+    struct rn_nearest nearest = {.word = *value, .size = size};
+    const struct rn_setting *row;
+    while ((row = rn_settings_flagged(settings, from, first->flag, flag))) {
+        from = (size_t)(row - settings->rows) + 1;
+        rn_nearest_try(&nearest, row->key);
+        if (strlen(row->key) != size || memcmp(row->key, *value, size) != 0) continue;
+        *value += size + ((*value)[size] == '=');
+        *ret_row = row;
+        return RN_OK;
+    }
+    const char *near = nearest.name;
+    return rn_error_set(err, RN_ERROR_INVALID, first->flag, "there is no '%.*s'%s%s%s", (int)size,
+                        *value, near ? "; did you mean " : "", near ? near : "", near ? "?" : "");
 }
 
 // Takes a setting and its value, if that is one: *ret_taken.
@@ -188,14 +218,37 @@ static enum rn_status take_setting(const struct rn_option_tables *tables, int ar
     *ret_taken = row != NULL;
     if (!row) return RN_OK;
     ++*i;
+    if (!value && rn_setting_is_flag(row)) value = "true";
     if (!value && *i >= argc)
         return rn_error_set(err, RN_ERROR_INVALID, argument, "needs a value: %s", row->meaning);
     if (!value) value = argv[(*i)++];
     union rn_setting_value *values = field_of(option, tables->options);
-    enum rn_status status =
-        rn_setting_parse(row, value, &values[row - option->settings->rows], err);
+    enum rn_status status = RN_OK;
+    if (row->key) status = find_key(option->settings, row, &value, &row, err);
+    if (status == RN_OK)
+        status = rn_setting_parse(row, value, &values[row - option->settings->rows], err);
     if (status != RN_OK && err) snprintf(err->where, sizeof err->where, "--%s", row->flag);
     return status;
+}
+
+static void try_names(const struct rn_option *table, struct rn_nearest *nearest) {
+    for (const struct rn_option *option = table; option->name; option++) {
+        if (*option->name) rn_nearest_try(nearest, option->name);
+        for (size_t i = 0; option->settings && i < option->settings->count; i++)
+            if (option->settings->rows[i].flag)
+                rn_nearest_try(nearest, option->settings->rows[i].flag);
+    }
+}
+
+static enum rn_status complain_of_none(const struct rn_option_tables *tables, const char *argument,
+                                       struct rn_error *err) {
+    const char *word = argument + strspn(argument, "-");
+    struct rn_nearest nearest = {.word = word, .size = strcspn(word, "=")};
+    try_names(tables->table, &nearest);
+    try_names(tables->global_table, &nearest);
+    return rn_error_set(err, RN_ERROR_INVALID, argument, "there is no such option%s%s%s",
+                        nearest.name ? "; did you mean --" : "", nearest.name ? nearest.name : "",
+                        nearest.name ? "?" : "");
 }
 
 // Takes one option and its value; *i moves behind them.
@@ -208,7 +261,7 @@ static enum rn_status take_option(const struct rn_option_tables *tables, int arg
         option = find(tables->global_table, argument, &value);
         options = tables->globals;
     }
-    if (!option) return rn_error_set(err, RN_ERROR_INVALID, argument, "there is no such option");
+    if (!option) return complain_of_none(tables, argument, err);
     if (option->kind == RN_OPTION_FLAG && value)
         return rn_error_set(err, RN_ERROR_INVALID, argument, "takes no value");
     if (option->kind != RN_OPTION_FLAG && !value) {
@@ -244,6 +297,28 @@ enum rn_status rn_options_parse(const struct rn_option_tables *tables, int argc,
     ret_args[count] = NULL;
     *ret_arg_count = count;
     return RN_OK;
+}
+
+static bool is_member(const struct rn_option *option, const char *member) {
+    if (option->members) return is_choice(option->members, member);
+    size_t i = 0;
+    while (member[i] && option->name[i] == (member[i] == '_' ? '-' : member[i]))
+        i++;
+    return i && !member[i] && !option->name[i];
+}
+
+bool rn_options_find_member(const struct rn_option *table, const char *pointer, char *ret_option,
+                            size_t capacity) {
+    const char *slash = strrchr(pointer, '/'), *flag = NULL;
+    for (const struct rn_option *option = table; slash && option->name && !flag; option++) {
+        if (is_member(option, slash + 1)) flag = option->name;
+        for (size_t i = 0; option->settings && i < option->settings->count && !flag; i++) {
+            const struct rn_setting *row = &option->settings->rows[i];
+            if (row->option && strcmp(row->option, slash + 1) == 0) flag = row->flag;
+        }
+    }
+    if (flag) snprintf(ret_option, capacity, "--%s", flag);
+    return flag;
 }
 
 // ---- help -------------------------------------------------------------------------------------
@@ -300,10 +375,32 @@ static void print_choices(const char *name, const char *choices, const char *hel
     print_line(left, text);
 }
 
-static void print_setting(const struct rn_setting *row) {
+// Rows that share a flag, told as one.
+static void print_keys(const struct rn_settings *settings, const struct rn_setting *first) {
+    char left[80], text[600];
+    size_t length = (size_t)snprintf(left, sizeof left, "--%s NAME=", first->flag);
+    for (int i = 0; first->choices[i]; i++)
+        length += (size_t)snprintf(left + length, sizeof left - length, "%s%s", i ? "|" : "",
+                                   first->choices[i]);
+    length = (size_t)snprintf(text, sizeof text, "%s:", first->meaning);
+    for (size_t i = 0; i < settings->count; i++) {
+        const struct rn_setting *row = &settings->rows[i];
+        if (row->flag && strcmp(row->flag, first->flag) == 0 && length < sizeof text)
+            length += (size_t)snprintf(text + length, sizeof text - length, "%s %s",
+                                       row == first ? "" : ",", row->key);
+    }
+    print_line(left, text);
+}
+
+static void print_setting(const struct rn_settings *settings, const struct rn_setting *row) {
+    if (row->key) {
+        if (rn_settings_flagged(settings, 0, row->flag, strlen(row->flag)) == row)
+            print_keys(settings, row);
+        return;
+    }
     char left[256];
     size_t length = (size_t)snprintf(left, sizeof left, "--%s ", row->flag);
-    if (!row->choices)
+    if (!row->choices && !rn_setting_is_flag(row))
         snprintf(left + length, sizeof left - length, "%s",
                  strcmp(row->unit, "s") == 0      ? "T"
                  : strcmp(row->unit, "dB") == 0   ? "DB"
@@ -321,7 +418,8 @@ static void print_setting(const struct rn_setting *row) {
 void rn_options_print(const struct rn_option *table) {
     for (const struct rn_option *option = table; option->name; option++) {
         for (size_t i = 0; option->settings && i < option->settings->count; i++)
-            if (option->settings->rows[i].flag) print_setting(&option->settings->rows[i]);
+            if (option->settings->rows[i].flag)
+                print_setting(option->settings, &option->settings->rows[i]);
         if (option->settings) continue;
         char left[80];
         const char *value = option->choices ? option->choices : option->value;

@@ -17,6 +17,7 @@ enum rn_option_kind {
     RN_OPTION_INTEGER, // int64_t in [min, max], RN_OPTION_ABSENT when absent
     RN_OPTION_NUMBER,  // double in [min, max], NAN when absent
     RN_OPTION_SECONDS, // as NUMBER; "90", "60s", "10m", "1.5h"
+    RN_OPTION_BYTES,   // as NUMBER; "4096", "40M", "2G": units of 1024
     RN_OPTION_SIZE,    // struct rn_option_pair, "WxH"
     RN_OPTION_RANGE,   // struct rn_option_pair, "A-B" with A <= B, or "A"
     // In a table: an option for each row of `settings` that has a flag, in its place in a
@@ -41,6 +42,7 @@ struct rn_option {
     double min, max;     // of numbers, and of both numbers of a pair
     const char *choices; // "a|b|c"
     const struct rn_settings *settings;
+    const char *members; // of requests, "first|last"; NULL: the name with '_' for '-'
 };
 
 // Fills `options` (the struct that the table's offsets mean, of size_bytes) and `globals` (that of
@@ -54,6 +56,10 @@ enum rn_status rn_options_parse(const struct rn_option_tables *tables, int argc,
                                 size_t arg_max, const char **ret_args, size_t *ret_arg_count,
                                 struct rn_error *err) RN_MUST_CHECK;
 
+// The option behind a member of a request, the last word of the JSON pointer that a daemon's
+// problem names: "#/options/last" is "--frames". false where it is of no option.
+bool rn_options_find_member(const struct rn_option *table, const char *pointer, char *ret_option,
+                            size_t capacity);
 // Sets every field of a table to "absent".
 void rn_options_clear(const struct rn_option *table, void *options);
 // Words of a text on stdout, wrapped to 80 columns and indented; the first one goes to `column`.

@@ -7,6 +7,7 @@
 
 #include "client/client.h"
 #include "client/completion.h"
+#include "client/nearest.h"
 #include "common/base/file.h"
 
 #define TOKEN_MAX 4096
@@ -44,8 +45,9 @@ static const struct rn_option global_table[] = {
 
 extern const struct rn_verb rn_verbs_completion[];
 static const struct rn_verb *const groups[] = {
-    rn_verbs_dataset, rn_verbs_job,   rn_verbs_scene,  rn_verbs_render,    rn_verbs_path,
-    rn_verbs_curve,   rn_verbs_bench, rn_verbs_doctor, rn_verbs_completion};
+    rn_verbs_dataset, rn_verbs_job,     rn_verbs_scene,  rn_verbs_render,    rn_verbs_path,
+    rn_verbs_curve,   rn_verbs_effects, rn_verbs_ladder, rn_verbs_export,    rn_verbs_token,
+    rn_verbs_backup,  rn_verbs_bench,   rn_verbs_doctor, rn_verbs_completion};
 #define GROUP_COUNT (sizeof groups / sizeof *groups)
 
 static enum rn_exit run_completion(struct rn_client *client, const void *options,
@@ -76,6 +78,31 @@ static const struct rn_verb *find_verb(const char *name) {
         for (const struct rn_verb *verb = groups[i]; verb->name; verb++)
             if (strcmp(verb->name, name) == 0) return verb;
     return NULL;
+}
+
+static enum rn_exit complain_of_verb(const char *name) {
+    struct rn_nearest nearest = {.word = name, .size = strlen(name)};
+    for (size_t i = 0; i < GROUP_COUNT; i++)
+        for (const struct rn_verb *verb = groups[i]; verb->name; verb++)
+            rn_nearest_try(&nearest, verb->name);
+    if (nearest.name)
+        return rn_client_usage(name, "there is no such verb; did you mean %s?", nearest.name);
+    return rn_client_usage(name, "there is no such verb; see ripnerf help");
+}
+
+// "NAME and DIR": the words of a verb's arguments that `count` of them leave open.
+static enum rn_exit complain_of_missing(const struct rn_verb *verb, size_t count) {
+    char text[80] = "";
+    const char *word = verb->arguments;
+    for (size_t i = 0; i < verb->args_min && *word; i++) {
+        size_t used = strlen(text), size = strcspn(word, " ");
+        if (i >= count)
+            snprintf(text + used, sizeof text - used, "%s%.*s", used ? " and " : "", (int)size,
+                     word);
+        word += size + strspn(word + size, " ");
+    }
+    return rn_client_usage(verb->name, "needs %s: ripnerf %s %s", text, verb->name,
+                           verb->arguments);
 }
 
 static void print_overview(void) {
@@ -119,7 +146,7 @@ static void print_verb(const struct rn_verb *verb) {
 
 static enum rn_exit help(const char *name) {
     const struct rn_verb *verb = name ? find_verb(name) : NULL;
-    if (name && !verb) return rn_client_usage(name, "there is no such verb; see ripnerf help");
+    if (name && !verb) return complain_of_verb(name);
     if (verb)
         print_verb(verb);
     else
@@ -153,6 +180,7 @@ static enum rn_exit run_verb(const struct rn_verb *verb, const struct globals *g
     struct rn_error err = {0};
     struct rn_client client = {.json = globals->json};
     if (globals->json) rn_client_errors_as_json();
+    rn_client_errors_of(verb);
     const char *host = globals->host ? globals->host : getenv("RIPNERF_HOST");
     char token[TOKEN_MAX];
     if (!verb->local) {
@@ -176,18 +204,16 @@ static int find_verb_word(int argc, char **argv) {
     return argc;
 }
 
-static enum rn_exit run(int argc, char **argv) {
+// `verb`: which argument `word` names, or NULL; `options`: room for its options.
+static enum rn_exit run(int argc, char **argv, int word, const struct rn_verb *verb,
+                        void *options) {
     struct globals globals = {0};
     struct rn_error err = {0};
-    _Alignas(max_align_t) char options[RN_VERB_MAX_OPTIONS];
     static const struct rn_option none[] = {{0}};
     const char *args[RN_VERB_MAX_ARGS + 2];
     size_t count = 0;
-    int word = find_verb_word(argc, argv);
-    const struct rn_verb *verb = word < argc ? find_verb(argv[word]) : NULL;
     bool is_help = word < argc && strcmp(argv[word], "help") == 0;
-    if (word < argc && !verb && !is_help)
-        return rn_client_usage(argv[word], "there is no such verb; see ripnerf help");
+    if (word < argc && !verb && !is_help) return complain_of_verb(argv[word]);
     // What stands before the verb are global options; the verb's own follow it.
     struct rn_option_tables tables = {.table = verb ? verb->table : none,
                                       .global_table = global_table,
@@ -205,15 +231,21 @@ static enum rn_exit run(int argc, char **argv) {
     if (is_help || globals.help || !verb)
         return is_help || globals.help ? help(verb ? verb->name : args[0])
                                        : (print_overview(), RN_EXIT_USAGE);
-    if (count < verb->args_min)
-        return rn_client_usage(verb->name, "is missing something: ripnerf %s %s", verb->name,
-                               verb->arguments);
+    if (count < verb->args_min) return complain_of_missing(verb, count);
     return run_verb(verb, &globals, options, args);
 }
 
 int main(int argc, char **argv) {
     signal(SIGPIPE, SIG_IGN);
-    enum rn_exit code = run(argc, argv);
+    int word = find_verb_word(argc, argv);
+    const struct rn_verb *verb = word < argc ? find_verb(argv[word]) : NULL;
+    void *options = calloc(1, verb && verb->options_size ? verb->options_size : 1);
+    if (!options) {
+        fputs("ripnerf: out of memory\n", stderr);
+        return RN_EXIT_FAILED;
+    }
+    enum rn_exit code = run(argc, argv, word, verb, options);
+    free(options);
     if (fflush(stdout) != 0 || ferror(stdout)) {
         fputs("ripnerf: standard output cannot be written\n", stderr);
         return code == RN_EXIT_OK ? RN_EXIT_FAILED : code;

@@ -47,6 +47,18 @@ const char *rn_check_bounds(const char *text) {
     return "must be X,Y,Z,RADIUS: four numbers, the radius above 0";
 }
 
+const char *rn_check_up(const char *text) {
+    double up[3];
+    if (made_of(text, DIGITS "+-.eE,xyz") && rn_ingest_up(text, up)) return NULL;
+    return "must be X,Y,Z, a direction, or an axis such as z or -y";
+}
+
+const char *rn_check_crop(const char *text) {
+    struct rn_box crop;
+    if (made_of(text, DIGITS "+-.eE,") && rn_ingest_crop(text, &crop)) return NULL;
+    return "must be X0,Y0,Z0,X1,Y1,Z1: a box's low corner, then its high one";
+}
+
 const char *rn_check_inner_path(const char *text) {
     bool leaves = *text == '/';
     for (const char *part = text; part; part = strchr(part, '/')) {
@@ -83,7 +95,8 @@ const char *rn_check_view(const char *text) {
             text[length + 1])
             return NULL;
     }
-    return "must be SPLIT:INDEX or SPLIT:NAME, as test:12 or test:r_12";
+    return "must be SPLIT:INDEX or SPLIT:NAME, as test:12 or test:r_12; SPLIT is train, val or "
+           "test";
 }
 
 const char *rn_check_sha256(const char *text) {

@@ -15,7 +15,7 @@
 // ---- tables --------------------------------------------------------------------------------
 
 // A row of settings as a field, its value that of a union rn_setting_value.
-static struct rn_field_spec spec_of(const struct rn_setting *row, bool as_option) {
+static struct rn_field_spec spec_of(const struct rn_setting *row, bool as_option, bool by_name) {
     static const enum rn_type types[] = {
         [RN_SETTING_BOOL] = RN_TYPE_TRUTH,     [RN_SETTING_INT] = RN_TYPE_INT,
         [RN_SETTING_INT64] = RN_TYPE_INT,      [RN_SETTING_UINT64] = RN_TYPE_INT,
@@ -34,7 +34,8 @@ static struct rn_field_spec spec_of(const struct rn_setting *row, bool as_option
     if (row->flags & RN_SETTING_UNDER_MAX) spec.flags |= RN_UNDER_MAX;
     if (row->flags & RN_SETTING_POWER_OF_TWO) spec.flags |= RN_POWER_OF_TWO;
     if (as_option) return spec;
-    if (!(row->flags & RN_SETTING_LATER)) spec.flags |= RN_REQUIRED;
+    if (by_name && !rn_setting_is_by_name(row)) spec.name = NULL;
+    if (!by_name && !(row->flags & RN_SETTING_LATER)) spec.flags |= RN_REQUIRED;
     if (row->flags & RN_SETTING_OR_ZERO) {
         spec.min = 0;
         spec.flags &= ~(unsigned)RN_OVER_MIN;
@@ -50,7 +51,8 @@ struct rn_field_spec rn_table_row(const struct rn_table *table, size_t i) {
     size_t count = table->settings ? table->settings->count : 0, first = table->settings_at;
     if (!count || i < first) return table->fields[i];
     if (i >= first + count) return table->fields[i - count];
-    struct rn_field_spec spec = spec_of(&table->settings->rows[i - first], table->as_options);
+    struct rn_field_spec spec =
+        spec_of(&table->settings->rows[i - first], table->as_options, table->by_name);
     spec.offset = table->settings_offset + (i - first) * sizeof(union rn_setting_value);
     return spec;
 }
@@ -198,11 +200,12 @@ static void leave(struct decoder *decoder, size_t length) {
 static void decode_object(struct decoder *decoder, const struct rn_table *table, json_t *object,
                           void *message);
 
+// 0 is in the range of what may have none.
 static bool in_range(struct decoder *decoder, const struct rn_field_spec *field, double value) {
     bool low = field->flags & RN_OVER_MIN ? value <= field->min : value < field->min;
     bool high = field->flags & RN_UNDER_MAX ? value >= field->max : value > field->max;
     int exponent;
-    bool other = field->flags & RN_POWER_OF_TWO && frexp(value, &exponent) != 0.5;
+    bool other = field->flags & RN_POWER_OF_TWO && value != 0 && frexp(value, &exponent) != 0.5;
     if (other && !low && !high)
         refuse(decoder, "must be a power of two from %.15g to %.15g", field->min, field->max);
     if (low)

@@ -68,10 +68,11 @@ struct rn_table {
     size_t field_count;
     // Or, with `settings`: in front of field `settings_at` there is one for every row of a table of
     // settings, in the struct a union rn_setting_value[settings->count] at settings_offset. As
-    // options: the rows that may be asked for, none of them required; else a record of all.
+    // options: the rows that may be asked for, none of them required; by name: those that may be
+    // asked for and have no option; else a record of all.
     const struct rn_settings *settings;
     size_t settings_offset, settings_at;
-    bool as_options;
+    bool as_options, by_name;
 };
 
 // A camera path and the text that it was read from, which is what is kept and passed on. Absent:

@@ -1,13 +1,7 @@
 #include "proto/curve.h"
 
-#include <limits.h>
-#include <stdio.h>
-#include <stdlib.h>
-
-#include "common/base/file.h"
 #include "proto/checks.h"
-
-#define MAX_FILE (1 << 20)
+#include "proto/folder.h"
 
 static const struct rn_table setting_table = {.title = "a point's settings",
                                               .size = sizeof(struct rn_curve_setting),
@@ -27,6 +21,8 @@ static const struct rn_field_spec point[] = {
     RN_F_NUMBER(S, psnr_spread, RN_REQUIRED | RN_NULLABLE, 0, INFINITY),
     RN_F_NUMBER(S, rays, RN_REQUIRED, 0, INFINITY),
     RN_F_NUMBER(S, samples, RN_REQUIRED, 0, INFINITY),
+    RN_F_NUMBER(S, interpolation, 0, 0, INFINITY),
+    RN_F_NUMBER(S, roughness, 0, 0, INFINITY),
 };
 static const struct rn_table point_table = RN_TABLE(S, "a point of a curve", point);
 #undef S
@@ -75,18 +71,10 @@ struct rn_curve rn_curve_in(const struct rn_curve_record *r) {
 
 enum rn_status rn_curve_read(const char *scene_folder, struct rn_curve_record *ret_record,
                              struct rn_error *err) {
-    char path[PATH_MAX];
-    uint8_t *json = NULL;
-    size_t size;
-    if (snprintf(path, sizeof path, "%s/curve.json", scene_folder) >= (int)sizeof path)
-        return rn_error_set(err, RN_ERROR_LIMIT, scene_folder, "the path is too long");
-    enum rn_status status = rn_file_read(path, MAX_FILE, &json, &size, err);
-    if (status) return status;
-    status = rn_decode(&rn_curve_record_table, (const char *)json, size, ret_record, NULL, err);
-    free(json);
-    if (!status && ret_record->count == 0) {
-        rn_message_finish(&rn_curve_record_table, ret_record);
-        status = rn_error_set(err, RN_ERROR_INVALID, path, "has no points; measure it again");
-    }
-    return status;
+    enum rn_status status =
+        rn_folder_read(scene_folder, "curve.json", &rn_curve_record_table, ret_record, err);
+    if (status || ret_record->count > 0) return status;
+    rn_message_finish(&rn_curve_record_table, ret_record);
+    return rn_error_set(err, RN_ERROR_INVALID, scene_folder,
+                        "curve.json has no points; measure it again");
 }

@@ -2,8 +2,9 @@
 #ifndef RN_PROTO_DATASET_H
 #define RN_PROTO_DATASET_H
 
-#include "common/dataset/dataset.h"
+#include "common/dataset/survey.h"
 #include "proto/codec.h"
+#include "proto/estimate.h"
 #include "proto/names.h"
 
 extern const char *const rn_alpha_mode_names[]; // "premultiplied", "straight"
@@ -19,6 +20,8 @@ struct rn_ingest_options {
     int alpha;                       // rn_alpha_mode_names
     char split[16];                  // "files" or "every:N"
     char bounds[128];                // "X,Y,Z,RADIUS" of the sphere that holds the scene
+    char up[96];                     // "X,Y,Z", or an axis: "z", "-y"; "": by the cameras
+    char crop[192];                  // "X0,Y0,Z0,X1,Y1,Z1" of the box that matters
     char format[RN_FORMAT_NAME_MAX]; // of rn_formats; "": recognised
     char masks[256];                 // folder of masks, relative; "": "masks", if it is there
     int poses;                       // rn_poses_names; absent: file
@@ -26,17 +29,34 @@ struct rn_ingest_options {
 extern const struct rn_table rn_ingest_options_table;
 // N of "every:N"; 0 for "files" and "". The text was checked by the table.
 int rn_ingest_split_every(const char *split);
-// The sphere of "X,Y,Z,RADIUS", each finite and the radius above 0; false, and nothing set, for any
-// other text, such as "".
+// What a text says; false, and nothing set, for any other text, such as "". All numbers are finite;
+// a sphere's radius is above 0, a direction has a length, a box has a volume.
 bool rn_ingest_bounds(const char *bounds, double ret_centre[3], double *ret_radius);
+bool rn_ingest_up(const char *up, double ret_up[3]);
+bool rn_ingest_crop(const char *crop, struct rn_box *ret_crop);
+// How the source is to be read; valid while `options` is.
+struct rn_read_options rn_ingest_reading(const struct rn_ingest_options *options);
 
-// POST /v1/datasets with application/json.
+// POST /v1/datasets with application/json: exactly one of directory and upload.
 struct rn_dataset_request {
     char name[RN_NAME_MAX];
-    char *directory; // owned
+    char *directory;        // owned
+    char upload[RN_ID_MAX]; // of a tar that is whole
     struct rn_ingest_options options;
 };
 extern const struct rn_table rn_dataset_request_table;
+
+// POST /v1/uploads, and the record.
+struct rn_upload_request {
+    int64_t size_bytes;     // of the tar
+    char name[RN_NAME_MAX]; // of the dataset that it is for; "": not said
+};
+extern const struct rn_table rn_upload_request_table;
+struct rn_upload_record {
+    char id[RN_ID_MAX];
+    int64_t size_bytes, offset; // offset: bytes that are there
+};
+extern const struct rn_table rn_upload_table;
 
 struct rn_range {
     double min, max;
@@ -64,12 +84,32 @@ struct rn_dataset_report_record {
     double looking_at_bounds;
     int64_t with_alpha;
     struct rn_range width, height;
+    struct rn_findings survey;   // of the photographs; absent where they were not looked at
+    struct rn_expected expected; // of a training; absent with it
     int64_t errors, warnings, dropped;
     struct rn_report_problem *problems; // owned
     size_t problem_count;               // <= RN_REPORT_PROBLEMS_MAX
 };
 #define RN_REPORT_PROBLEMS_MAX 1000
 extern const struct rn_table rn_dataset_report_table;
+
+// What a `validate` job results in: the report, and each view as it would be kept.
+struct rn_validated_view {
+    int split;                 // rn_split_names; with the split that was asked for
+    char file[256], mask[256]; // under the folder; mask "": none
+    struct rn_camera camera;   // of the size that was asked for
+};
+struct rn_validation_record {
+    char *report; // JSON of a DatasetReport, owned
+    struct rn_bounds_record bounds;
+    double up[3];
+    struct rn_split_counts views;    // all of them
+    int64_t scales;                  // images that would be kept of each
+    struct rn_validated_view *items; // owned; evenly spaced where there are more
+    size_t item_count;
+};
+#define RN_VALIDATED_VIEWS 512
+extern const struct rn_table rn_validation_table;
 
 // Two tables over one struct: rn_dataset_contents_table is what an import finds out (all but id,
 // name, created_at, state: the result of the runner's ingest job); rn_dataset_table is the whole
@@ -81,10 +121,15 @@ struct rn_dataset_record {
     int64_t scales, frames, width, height;
     bool has_alpha;
     struct rn_bounds_record bounds;
+    int capture; // rn_capture_names; absent in datasets of before it was found out, as the next two
+    double up[3];
+    double crop[6]; // its low corner, then its high one; absent: none
     struct rn_range footprint;
     int64_t size_bytes;
     bool premultiplied;
     char *report; // JSON of a DatasetReport, owned
+    struct rn_expected_past
+        past; // of trainings here; of the resource alone; absent: there are none
 };
 extern const struct rn_table rn_dataset_contents_table;
 extern const struct rn_table rn_dataset_table;

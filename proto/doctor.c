@@ -1,5 +1,7 @@
 #include "proto/doctor.h"
 
+#include "proto/incident.h"
+
 #define CASES_MOST 256
 #define CAMERAS_MOST 1000000
 
@@ -25,6 +27,14 @@ static const struct rn_field_spec doctor[] = {
     RN_F_OBJECTS(S, cases, case_count, RN_REQUIRED, &case_table, CASES_MOST),
 };
 const struct rn_table rn_doctor_table = RN_TABLE(S, "doctor", doctor);
+#undef S
+
+#define S struct rn_doctor_job_options
+static const struct rn_field_spec job_options[] = {
+    RN_F_INT(S, seed, 0, 0, 9007199254740991.0),
+    RN_F_TEXT(S, incident, 0, rn_check_incident_file),
+};
+const struct rn_table rn_doctor_job_options_table = RN_TABLE(S, "doctor options", job_options);
 #undef S
 
 #define S struct rn_camera_list_record

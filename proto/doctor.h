@@ -1,4 +1,5 @@
-// What `ripnerf doctor --json` prints: cases, their numbers and bounds.
+// What `ripnerf doctor --json` prints, and what a `doctor` job results in: cases, their numbers and
+// bounds.
 #ifndef RN_PROTO_DOCTOR_H
 #define RN_PROTO_DOCTOR_H
 
@@ -24,6 +25,14 @@ struct rn_doctor_record {
     size_t case_count;
 };
 extern const struct rn_table rn_doctor_table;
+
+// The options of a `doctor` job, which examines a scene as `ripnerf doctor SCENE` does; its result
+// is JSON of rn_doctor_table.
+struct rn_doctor_job_options {
+    int64_t seed;      // of the random inputs; absent: a fresh one
+    char incident[64]; // a record to replay, as IncidentEvent.file names it; "": none
+};
+extern const struct rn_table rn_doctor_job_options_table;
 
 // A list of cameras as GET /v1/datasets/{id}/cameras gives it.
 struct rn_camera_list_record {

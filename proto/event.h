@@ -3,6 +3,7 @@
 #define RN_PROTO_EVENT_H
 
 #include "proto/codec.h"
+#include "proto/token.h"
 #include "proto/names.h"
 
 // Data of a `frame` event and item of a frame list.
@@ -25,6 +26,7 @@ struct rn_limits_record {
         max_training_jobs, max_render_pixels, max_scenes_loaded;
 };
 struct rn_info {
+    char executor[16]; // "slurm"; "" = absent: this machine
     char version[32], device[16], device_name[128], kernels[32];
     char available_kernels[16][32];
     size_t available_kernel_count;
@@ -33,6 +35,7 @@ struct rn_info {
     int64_t memory_limit_bytes;
     char *roots; // JSON array of strings, owned
     struct rn_limits_record limits;
+    struct rn_token_record you; // who asks; its id is "" with the daemon's own token
 };
 extern const struct rn_table rn_info_table;
 // JSON array of strings (for roots); malloc'd.

@@ -1,5 +1,7 @@
 #include "proto/incident.h"
 
+#include <string.h>
+
 #include "proto/job.h"
 
 const char *const rn_incident_kind_names[] = {"rays", "rejected", "rollback", NULL};
@@ -63,3 +65,37 @@ static const struct rn_field_spec record[] = {
 };
 const struct rn_table rn_incident_table = RN_TABLE(S, "an incident's record", record);
 #undef S
+
+#define S struct rn_incident_entry
+static const struct rn_field_spec entry[] = {
+    RN_F_TEXT(S, file, RN_REQUIRED, rn_check_incident_file),
+    RN_F_OBJECT(S, incident, RN_REQUIRED, &rn_incident_table),
+};
+static const struct rn_table entry_table = RN_TABLE(S, "an incident", entry);
+#undef S
+
+#define S struct rn_incident_list
+static const struct rn_field_spec list[] = {
+    RN_F_INT(S, count, RN_REQUIRED, 0, INFINITY),
+    RN_F_OBJECTS(S, items, item_count, RN_REQUIRED, &entry_table, RN_INCIDENTS_LISTED),
+};
+const struct rn_table rn_incident_list_table = RN_TABLE(S, "incidents", list);
+#undef S
+
+const char *rn_check_incident_file(const char *text) {
+    static const char wrong[] = "must be the name of an incident's record";
+    static const char before[] = "incidents/step-";
+    size_t digits;
+    if (strncmp(text, before, sizeof before - 1) != 0) return wrong;
+    text += sizeof before - 1;
+    digits = strspn(text, "0123456789");
+    if (digits == 0 || text[digits] != '-') return wrong;
+    text += digits + 1;
+    for (int i = 0; rn_incident_kind_names[i]; i++) {
+        size_t size = strlen(rn_incident_kind_names[i]);
+        if (strncmp(text, rn_incident_kind_names[i], size) == 0 &&
+            strcmp(text + size, ".json") == 0)
+            return NULL;
+    }
+    return wrong;
+}

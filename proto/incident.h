@@ -49,4 +49,20 @@ struct rn_incident_record {
 };
 extern const struct rn_table rn_incident_table;
 
+// A record as GET /v1/scenes/{id}/incidents lists it.
+struct rn_incident_entry {
+    char file[64]; // under the scene's folder
+    struct rn_incident_record incident;
+};
+#define RN_INCIDENTS_LISTED 16
+struct rn_incident_list {
+    int64_t count;                   // of all records, listed or not
+    struct rn_incident_entry *items; // owned; those of the latest steps, latest first
+    size_t item_count;
+};
+extern const struct rn_table rn_incident_list_table;
+
+// "incidents/step-000000123-rays.json". NULL when it is such a name, else what is wrong.
+const char *rn_check_incident_file(const char *text);
+
 #endif

@@ -6,18 +6,27 @@
 #ifndef RN_PROTO_JOB_H
 #define RN_PROTO_JOB_H
 
+#include "common/base/trace.h"
+#include "common/settings/ladder.h"
 #include "common/settings/render.h"
 #include "common/settings/train.h"
 #include "proto/codec.h"
 #include "proto/curve.h"
+#include "proto/dataset.h"
+#include "proto/doctor.h"
+#include "proto/effects.h"
+#include "proto/estimate.h"
+#include "proto/export.h"
 #include "proto/names.h"
+#include "proto/render.h"
 
 // ---- options: what the user asked for; absent = decided by preset and data ----
 
 struct rn_train_options {
     int preset; // rn_preset_names: "draft", "standard", "paper"
+    // Those that have no option are in an object of their own, by their names in records.
     union rn_setting_value settings[RN_TRAIN_SETTINGS];
-    int64_t threads;
+    int64_t threads, ranks; // ranks: runners that train it together, on nodes of a cluster
     char device[16], kernels[32];
     double checkpoint_interval_s, evaluate_interval_s;
 };
@@ -28,8 +37,12 @@ struct rn_path_options {
     int64_t width, height, first, last;
     int output; // enum rn_output_kind
     double fps;
-    int film;              // rn_film_names; absent: frames alone
-    int64_t video_quality; // 0 .. 100
+    int film;                        // rn_film_names; absent: frames alone
+    int64_t video_quality;           // 0 .. 100
+    int format;                      // of a frame: enum rn_picture_format
+    int64_t jpeg_quality;            // 1 .. 100
+    double crop[6];                  // as of a render request
+    struct rn_optics_request optics; // in place of what the path's keys say
     union rn_setting_value settings[RN_RENDER_SETTINGS];
 };
 extern const struct rn_table rn_path_options_table;
@@ -38,14 +51,39 @@ extern const char *const rn_film_names[]; // "h264", "av1", "vp9", "gif"
 struct rn_eval_options {
     int split;            // rn_split_names
     int64_t views, scale; // views 0 = all; scale absent = all
+    double at;            // as of a render request
     union rn_setting_value settings[RN_RENDER_SETTINGS];
 };
 extern const struct rn_table rn_eval_options_table;
 
+// A table of trainings that differ in what `over` varies (common/settings/ladder.h), each with the
+// same seeds, and evaluated.
+struct rn_ladder_options {
+    char over[RN_LADDER_TEXT];
+    int equal;              // rn_ladder_equal_names
+    int64_t seeds;          // of each arm
+    int split;              // of the views evaluated, rn_split_names
+    int64_t views, moments; // these; times on the way at which they are too
+    int one_cone;           // whether also with one cone a pixel; -1 = absent
+    int keep;               // whether the scenes stay; -1 = absent
+    struct rn_train_options train;
+};
+extern const struct rn_table rn_ladder_options_table;
+#define RN_LADDER_SEEDS 3 // where the request does not say
+#define RN_LADDER_VIEWS 20
+#define RN_LADDER_MOMENTS 3
+// Its arms; their seeds are not set. As rn_ladder_plan, err->where points into the request's
+// options: "over" or "train/...". RN_ERROR_LIMIT: more than RN_LADDER_TRAININGS with all seeds.
+enum rn_status rn_ladder_options_plan(const struct rn_ladder_options *options,
+                                      struct rn_ladder_plan *ret_plan,
+                                      struct rn_error *err) RN_MUST_CHECK;
+
 // ---- POST /v1/jobs ----
 
 // Which members count depends on the type: train {dataset, scene, train}, path {scene, path or
-// camera_path, path_options}, eval {scene, eval}, curve {scene, curve}.
+// camera_path, path_options}, eval {scene, eval}, curve {scene, curve}, estimate {dataset, train},
+// effects {scene, effects}, export {scene, export_options}, ladder {dataset, ladder}, doctor
+// {scene, doctor}, validate {upload, ingest}.
 struct rn_job_request {
     int type; // enum rn_job_type
     char dataset[RN_NAME_MAX], scene[RN_NAME_MAX], path[RN_NAME_MAX];
@@ -54,6 +92,12 @@ struct rn_job_request {
     struct rn_path_options path_options;
     struct rn_eval_options eval;
     struct rn_curve_options curve;
+    struct rn_effects_options effects;
+    struct rn_export_options export_options;
+    struct rn_ladder_options ladder;
+    struct rn_doctor_job_options doctor;
+    char upload[RN_ID_MAX];
+    struct rn_ingest_options ingest;
 };
 // As rn_decode; also checks what the table cannot (exactly one of path and camera_path, ...).
 enum rn_status rn_job_request_decode(const char *json, size_t size,
@@ -111,14 +155,17 @@ struct rn_train_result {
     int64_t samples;
     double psnr;
     char parameters_sha256[65];
-    int finished_by;     // enum rn_finished_by
-    char fell_back[256]; // as in rn_train_progress
+    int finished_by;                   // enum rn_finished_by
+    char fell_back[256];               // as in rn_train_progress
+    struct rn_estimate_check estimate; // absent: none was made of it
+    char machine[192];                 // that it ended on
 };
 extern const struct rn_table rn_train_result_table;
 
 struct rn_path_result {
     int64_t frames, width, height, step;
     double render_ms_median;
+    char effects[96];   // of the camera, that were on in any frame; "" = absent
     char film[16];      // "film.mp4"; "" = absent
     int64_t film_bytes; // absent with it
 };
@@ -128,10 +175,13 @@ struct rn_scale_score {
     int64_t scale;
     double psnr, ssim, render_ms; // the last a median
 };
+extern const struct rn_table rn_scale_score_table;
 struct rn_view_result {
     char name[256];
     int64_t index, scale;
     double psnr, ssim, render_ms, psnr_fitted;
+    double lpips;       // NAN: not measured
+    double depth_error; // median, relative, at sparse points; NAN without any
 };
 struct rn_protocol {
     int split; // rn_split_names
@@ -143,10 +193,14 @@ struct rn_protocol {
     int64_t step;
     char version[32], device[16], kernels[32];
     int64_t threads;
+    char machine[192];
 };
+extern const struct rn_table rn_protocol_table;
 struct rn_eval_result {
     double psnr, ssim;  // mean over views, then over scales; NAN psnr = identical pictures
     double psnr_fitted; // mean over all, each with its own exposure fitted; NAN: nothing was
+    double lpips;       // mean over all that have one; NAN: none has
+    double depth_error; // median over the views that have one; NAN: none has
     int64_t views;
     double psnr_spread, ssim_spread;
     struct rn_scale_score *scales; // owned
@@ -156,15 +210,22 @@ struct rn_eval_result {
     double render_ms_median;
     struct rn_protocol protocol;
 };
+extern const struct rn_table rn_view_result_table;
 extern const struct rn_table rn_eval_result_table;
 
-struct rn_ingest_result {
-    char dataset[RN_ID_MAX];
+struct rn_ingest_result { // what came into being, one of the two
+    char dataset[RN_ID_MAX], scene[RN_ID_MAX];
 };
 extern const struct rn_table rn_ingest_result_table;
 
 // ---- the resource ----
 
+// Where a job runs, or why it waits, when that is not on the daemon's machine.
+struct rn_job_runner {
+    char machine[64];   // "" = absent, as all of them
+    char slurm_job[24]; // Slurm's number
+    char reason[160];   // why it waits
+};
 struct rn_job {
     char id[RN_ID_MAX];
     int type, state; // enum rn_job_type, enum rn_job_state
@@ -176,6 +237,8 @@ struct rn_job {
     char *progress; // NULL = null
     char *result;   // NULL = absent
     char *problem;  // NULL = absent
+    struct rn_job_runner runner;
+    char traceparent[RN_TRACE_MAX]; // "" = absent
 };
 extern const struct rn_table rn_job_table;
 

@@ -2,15 +2,25 @@
 
 #include <string.h>
 
-const char *const rn_job_type_names[] = {"train", "path", "eval", "ingest", "curve", NULL};
+const char *const rn_job_type_names[] = {"train",  "path",     "eval",     "ingest",
+                                         "curve",  "estimate", "effects",  "export",
+                                         "ladder", "doctor",   "validate", NULL};
 const char *const rn_job_state_names[] = {"queued",     "running",     "paused",
                                           "cancelling", "succeeded",   "failed",
                                           "cancelled",  "interrupted", NULL};
 const char *const rn_scene_state_names[] = {"new", "training", "paused", "ready", "failed", NULL};
-const char *const rn_finished_by_names[] = {"time", "steps", "psnr", "finish", NULL};
+const char *const rn_finished_by_names[] = {"time", "steps", "psnr", "finish", "plateau", NULL};
 const char *const rn_lens_choice_names[] = {"pinhole", "as-taken", NULL};
-const char *const rn_output_kind_names[] = {"rgb", "depth", "alpha", NULL};
-const char *const rn_picture_format_names[] = {"png", "jpeg", NULL};
+const char *const rn_output_kind_names[] = {"rgb",  "depth", "alpha",     "normal",
+                                            "cost", "level", "footprint", NULL};
+const char *const rn_output_kind_units[] = {[RN_OUTPUT_KIND_COST] = "samples",
+                                            [RN_OUTPUT_KIND_LEVEL] = "levels",
+                                            [RN_OUTPUT_KIND_FOOTPRINT] = "dataset units"};
+const char *const rn_picture_format_names[] = {"png", "jpeg", "png16", "exr", NULL};
+const char *const rn_picture_format_extensions[] = {"png", "jpg", "png", "exr", NULL};
+const char *const rn_picture_format_types[] = {"image/png", "image/jpeg", "image/png",
+                                               "image/x-exr", NULL};
+const char *const rn_scope_names[] = {"read", "render", "train", "admin", NULL};
 
 int rn_name_index(const char *const *names, const char *name) {
     for (int i = 0; names[i]; i++)

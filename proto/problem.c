@@ -22,6 +22,7 @@ static const struct {
     [RN_PROBLEM_INVALID] = {"invalid", "A value is not valid", 422},
     [RN_PROBLEM_UNSUPPORTED] = {"unsupported", "Not possible here", 422},
     [RN_PROBLEM_QUEUE_FULL] = {"queue-full", "Too many jobs wait", 429},
+    [RN_PROBLEM_TOO_MANY_REQUESTS] = {"too-many-requests", "Too many requests", 429},
     [RN_PROBLEM_INTERNAL] = {"internal", "Something went wrong inside", 500},
     [RN_PROBLEM_CORRUPT] = {"corrupt", "A stored file is damaged", 500},
     [RN_PROBLEM_NUMERIC] = {"numeric", "The numbers diverged", 500},

@@ -10,21 +10,54 @@ static const struct rn_field_spec size[] = {
 static const struct rn_table size_table = RN_TABLE(S, "a size", size);
 #undef S
 
+const struct rn_table rn_optics_table = {.title = "effects of the camera",
+                                         .size = sizeof(struct rn_optics_request),
+                                         .settings = &rn_optics_settings,
+                                         .settings_offset =
+                                             offsetof(struct rn_optics_request, values),
+                                         .as_options = true};
+
+enum rn_status rn_optics_of_request(const struct rn_optics_request *request,
+                                    struct rn_optics *ret_optics, struct rn_error *err) {
+    struct rn_optics optics = {0};
+    rn_settings_put(&rn_optics_settings, request->values, &optics);
+    enum rn_status status = rn_optics_check(&optics, err);
+    if (status == RN_OK) *ret_optics = optics;
+    return status;
+}
+
 #define S struct rn_render_request
 static const struct rn_field_spec request[] = {
     RN_F_CAMERA(S, camera, 0),
     RN_F_TEXT(S, view, 0, rn_check_view),
     RN_F_INT(S, scale, 0, 0, 15),
     RN_F_NAME(S, lens, 0, rn_lens_choice_names),
+    RN_F_NUMBER(S, at, RN_OVER_MIN, 0, 31536000),
     RN_F_OBJECT(S, size, 0, &size_table),
     RN_F_NAME(S, output, 0, rn_output_kind_names),
     RN_F_NUMBERS(S, background, 0, 0, 1),
+    RN_F_NUMBERS(S, crop, 0, -INFINITY, INFINITY),
     RN_F_NAME(S, format, 0, rn_picture_format_names),
     RN_F_INT(S, jpeg_quality, 0, 1, 100),
+    RN_F_OBJECT(S, optics, 0, &rn_optics_table),
 };
 const struct rn_table rn_render_request_table =
-    RN_TABLE_OF_SETTINGS(S, "a render request", request, &rn_render_settings, settings, 8, true);
+    RN_TABLE_OF_SETTINGS(S, "a render request", request, &rn_render_settings, settings, 10, true);
 #undef S
+
+const char *rn_picture_format_check(int format, int output) {
+    output = rn_name_or(output, RN_OUTPUT_KIND_RGB);
+    if (output == RN_OUTPUT_KIND_DEPTH && format == RN_FORMAT_JPEG) return "must be png for depth";
+    if (output != RN_OUTPUT_KIND_RGB && format == RN_FORMAT_EXR)
+        return "an exr holds colour, alpha, depth and normals: leave output out";
+    return NULL;
+}
+
+const char *rn_crop_check(const double crop[6]) {
+    for (int i = 0; i < 3 && !isnan(crop[0]); i++)
+        if (!(crop[i] < crop[3 + i])) return "must be a low corner and a high one, of a box";
+    return NULL;
+}
 
 // What a table cannot say.
 static const char *check_request(const struct rn_render_request *r, const char **ret_pointer) {
@@ -33,14 +66,25 @@ static const char *check_request(const struct rn_render_request *r, const char *
     const char *wrong = rn_budget_check(r->settings, &kind);
     *ret_pointer = pointers[kind];
     if (wrong) return wrong;
+    *ret_pointer = "#/at";
+    if (kind != RN_BUDGET_NONE && !isnan(r->at)) return RN_AT_ALONE;
     *ret_pointer = "#/view";
     if (!*r->view == !r->camera.width) return "exactly one of camera and view must be given";
     *ret_pointer = "#/scale";
     if (r->camera.width && rn_int_or(r->scale, 0) != 0) return "goes with view only";
     *ret_pointer = "#/format";
-    if (r->output == RN_OUTPUT_KIND_DEPTH && r->format == RN_FORMAT_JPEG)
-        return "must be png for depth";
-    return NULL;
+    wrong = rn_picture_format_check(r->format, r->output);
+    if (wrong) return wrong;
+    *ret_pointer = "#/crop";
+    wrong = rn_crop_check(r->crop);
+    if (wrong) return wrong;
+    struct rn_optics optics;
+    if (rn_optics_of_request(&r->optics, &optics, NULL)) {
+        *ret_pointer = "#/optics/focus";
+        return "must be given with an aperture: how far away what is sharp lies";
+    }
+    *ret_pointer = "#/optics/shutter";
+    return optics.shutter > 0 ? "goes with a camera path: a single picture has no motion" : NULL;
 }
 
 enum rn_status rn_render_request_decode(const char *json, size_t json_size,
@@ -66,7 +110,7 @@ void rn_render_request_settle(struct rn_render_request *r, enum rn_picture_forma
     r->output = rn_name_or(r->output, RN_OUTPUT_KIND_RGB);
     r->format = rn_name_or(r->format, (int)format);
     if (r->output == RN_OUTPUT_KIND_DEPTH) r->format = RN_FORMAT_PNG;
-    r->jpeg_quality = rn_int_or(r->jpeg_quality, 90);
+    r->jpeg_quality = rn_int_or(r->jpeg_quality, RN_JPEG_QUALITY);
     for (size_t i = 0; i < RN_RENDER_SETTINGS; i++) {
         const struct rn_setting *row = &rn_render_settings.rows[i];
         if (rn_setting_is_absent(row, &r->settings[i]) && !isnan(row->settled))

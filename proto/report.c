@@ -3,6 +3,8 @@
 #include <stdio.h>
 #include <stdlib.h>
 
+#include "common/settings/train.h"
+
 enum rn_status rn_report_problems_fill(const struct rn_problems *problems,
                                        struct rn_dataset_report_record *ret_report,
                                        struct rn_error *err) {
@@ -33,12 +35,19 @@ static struct rn_split_counts split_counts(const int counts[RN_SPLIT_COUNT]) {
 
 enum rn_status rn_dataset_report_fill(const struct rn_dataset *dataset,
                                       const struct rn_problems *problems,
+                                      const struct rn_findings *survey,
                                       struct rn_dataset_report_record *ret_report,
                                       struct rn_error *err) {
     struct rn_dataset_report found;
     enum rn_status status = rn_report_problems_fill(problems, ret_report, err);
     if (status != RN_OK) return status;
     rn_dataset_describe(dataset, &found);
+    if (survey) {
+        ret_report->survey = *survey;
+        ret_report->expected = (struct rn_expected){
+            .seconds = rn_settings_find(&rn_train_settings, "max_seconds")->standard,
+            .memory_bytes = survey->train_bytes};
+    }
     snprintf(ret_report->layout, sizeof ret_report->layout, "%s", dataset->format->name);
     ret_report->usable = split_counts(found.usable);
     ret_report->unusable = split_counts(found.unusable);

@@ -1,5 +1,6 @@
 #include "proto/scene.h"
 
+#include "proto/checks.h"
 #include "proto/job.h"
 
 #define MOST_DIFFERENCES 64
@@ -33,6 +34,21 @@ static const struct rn_field_spec effect[] = {
 static const struct rn_table effect_table = RN_TABLE(S, "an effect", effect);
 #undef S
 
+#define S struct rn_viewing_record
+static const struct rn_field_spec viewing[] = {
+    RN_F_INT(S, bits, RN_REQUIRED, 1, 32),
+    RN_F_INT(S, views, RN_REQUIRED, 0, INFINITY),
+    RN_F_NAME(S, split, RN_REQUIRED, rn_split_names),
+    RN_F_NUMBER(S, psnr, RN_REQUIRED | RN_NULLABLE, -INFINITY, INFINITY),
+    RN_F_NUMBER(S, trained, RN_REQUIRED | RN_NULLABLE, -INFINITY, INFINITY),
+    RN_F_NUMBER(S, loss, RN_REQUIRED | RN_NULLABLE, -INFINITY, INFINITY),
+    RN_F_TEXT(S, dataset, RN_REQUIRED, NULL),
+    RN_F_TEXT(S, parameters_sha256, RN_REQUIRED, NULL),
+    RN_F_TEXT(S, version, RN_REQUIRED, NULL),
+};
+const struct rn_table rn_viewing_table = RN_TABLE(S, "a scene for viewing", viewing);
+#undef S
+
 #define S struct rn_scene_description
 static const struct rn_field_spec description[] = {
     RN_F_OBJECT(S, config, RN_REQUIRED, &rn_field_config_table),
@@ -43,9 +59,18 @@ static const struct rn_field_spec description[] = {
     RN_F_TEXT(S, held_out, RN_REQUIRED | RN_NULLABLE, NULL),
     RN_F_INT(S, memory_bytes, RN_REQUIRED, 0, INFINITY),
     RN_F_TEXT(S, kernels, RN_REQUIRED, NULL),
+    RN_F_OBJECT(S, viewing, 0, &rn_viewing_table),
 };
 const struct rn_table rn_scene_description_table =
     RN_TABLE(S, "a scene's description", description);
+#undef S
+
+#define S struct rn_scene_import_options
+static const struct rn_field_spec scene_import[] = {
+    RN_F_TEXT(S, dataset, 0, rn_check_reference),
+};
+const struct rn_table rn_scene_import_options_table =
+    RN_TABLE(S, "scene import options", scene_import);
 #undef S
 
 #define S struct rn_checkpoint_record
@@ -68,8 +93,8 @@ static const struct rn_table checkpoint_table = RN_TABLE(S, "a checkpoint", chec
 static const struct rn_field_spec scene[] = {
     RN_F_TEXT(S, id, RN_REQUIRED, NULL),
     RN_F_TEXT(S, name, RN_REQUIRED, NULL),
-    RN_F_TEXT(S, dataset, RN_REQUIRED, NULL),
-    RN_F_TEXT(S, dataset_name, RN_REQUIRED, NULL),
+    RN_F_TEXT(S, dataset, RN_REQUIRED | RN_NULLABLE, NULL),
+    RN_F_TEXT(S, dataset_name, RN_REQUIRED | RN_NULLABLE, NULL),
     RN_F_TEXT(S, created_at, RN_REQUIRED, NULL),
     RN_F_NAME(S, state, RN_REQUIRED, rn_scene_state_names),
     RN_F_TEXT(S, job, RN_REQUIRED, NULL),
@@ -85,9 +110,11 @@ static const struct rn_field_spec scene[] = {
     PART(bounds, OBJECT, RN_REQUIRED | RN_NULLABLE, .table = &rn_bounds_record_table),
     PART(held_out, TEXT, RN_REQUIRED | RN_NULLABLE, .size = sizeof((S *)0)->description.held_out),
     RN_F_OBJECTS(S, checkpoints, checkpoint_count, RN_REQUIRED, &checkpoint_table, 16),
+    RN_F_OBJECTS(S, marks, mark_count, RN_REQUIRED, &rn_mark_table, RN_MARKS_KEPT),
     PART(memory_bytes, INT, RN_REQUIRED | RN_NULLABLE, .max = INFINITY),
     PART(kernels, TEXT, RN_REQUIRED | RN_NULLABLE, .size = sizeof((S *)0)->description.kernels),
     RN_F_BOOL(S, loaded, RN_REQUIRED),
+    PART(viewing, OBJECT, 0, .table = &rn_viewing_table),
 };
 const struct rn_table rn_scene_table = RN_TABLE(S, "a scene", scene);
 #undef S

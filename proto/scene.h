@@ -5,6 +5,7 @@
 #include "common/settings/train.h"
 #include "proto/codec.h"
 #include "proto/dataset.h"
+#include "proto/marks.h"
 #include "proto/names.h"
 
 struct rn_field_config_record {
@@ -23,6 +24,18 @@ struct rn_effect_entry {
     char reason[160];
 };
 
+// What a scene that came as a file for viewing is; bits absent: it was trained here.
+struct rn_viewing_record {
+    int64_t bits, views;        // of a value of its planes; that the figures are means over
+    int split;                  // rn_split_names, of these views
+    double psnr, trained, loss; // dB: its own, the original's, the difference
+    char dataset[RN_NAME_MAX];  // that it was trained on, there
+    char parameters_sha256[65]; // of the original
+    char version[32];           // of the program that wrote the file
+};
+
+extern const struct rn_table rn_viewing_table;
+
 // What the runner knows of a scene. The daemon keeps it as the JSON text it came in.
 struct rn_scene_description {
     struct rn_field_config_record config;
@@ -34,8 +47,15 @@ struct rn_scene_description {
     char held_out[256]; // "" = null
     int64_t memory_bytes;
     char kernels[32];
+    struct rn_viewing_record viewing;
 };
 extern const struct rn_table rn_scene_description_table;
+
+// Options of the job that takes a file for viewing in: POST /v1/scenes.
+struct rn_scene_import_options {
+    char dataset[RN_ID_MAX]; // whose photographs it may be compared with; "" = absent
+};
+extern const struct rn_table rn_scene_import_options_table;
 
 struct rn_checkpoint_record {
     int64_t step, size_bytes;
@@ -45,7 +65,7 @@ struct rn_checkpoint_record {
 // The resource.
 struct rn_scene {
     char id[RN_ID_MAX], name[RN_NAME_MAX];
-    char dataset[RN_ID_MAX], dataset_name[RN_NAME_MAX];
+    char dataset[RN_ID_MAX], dataset_name[RN_NAME_MAX]; // "" = null: its photographs are not here
     char created_at[RN_TIME_MAX];
     int state; // enum rn_scene_state
     char job[RN_ID_MAX];
@@ -55,6 +75,8 @@ struct rn_scene {
     struct rn_scene_description description;  // absent before it has trained
     struct rn_checkpoint_record *checkpoints; // owned, newest first
     size_t checkpoint_count;
+    struct rn_mark *marks; // owned, by time: what there is to look back at
+    size_t mark_count;
     bool loaded;
 };
 extern const struct rn_table rn_scene_table;

@@ -28,6 +28,10 @@ static const struct rn_field_spec open_fields[] = {
     RN_F_INT(S, threads, 0, 0, 1024),
     RN_F_INT(S, memory_limit_bytes, 0, 0, INFINITY),
     RN_F_BOOL(S, gpu_deterministic, 0),
+    RN_F_BOOL(S, helps, 0),
+    RN_F_TEXT(S, version, 0, NULL),
+    RN_F_INT(S, protocol, 0, 1, INFINITY),
+    RN_F_INT(S, clock_ns, 0, 0, INFINITY),
 };
 static const struct rn_table open_table = RN_TABLE(S, "open", open_fields);
 #undef S
@@ -60,6 +64,8 @@ static const struct rn_field_spec path[] = {
     RN_F_STRING(S, folder, RN_REQUIRED, PATH_BYTES),
     RN_F_PATH(S, camera_path, RN_REQUIRED),
     RN_F_OBJECT(S, options, RN_REQUIRED, &rn_path_options_table),
+    RN_F_INT(S, begin, 0, 0, INFINITY),
+    RN_F_INT(S, end, 0, 0, INFINITY),
 };
 static const struct rn_table path_table = RN_TABLE(S, "path", path);
 #undef S
@@ -67,7 +73,10 @@ static const struct rn_table path_table = RN_TABLE(S, "path", path);
 #define S struct rn_wire_eval
 static const struct rn_field_spec eval[] = {
     RN_F_TEXT(S, job, RN_REQUIRED, NULL),
+    RN_F_STRING(S, folder, 0, PATH_BYTES),
     RN_F_OBJECT(S, options, RN_REQUIRED, &rn_eval_options_table),
+    RN_F_INT(S, begin, 0, 0, INFINITY),
+    RN_F_INT(S, end, 0, 0, INFINITY),
 };
 static const struct rn_table eval_table = RN_TABLE(S, "eval", eval);
 #undef S
@@ -78,6 +87,40 @@ static const struct rn_field_spec curve[] = {
     RN_F_OBJECT(S, options, RN_REQUIRED, &rn_curve_options_table),
 };
 static const struct rn_table curve_table = RN_TABLE(S, "curve", curve);
+#undef S
+
+#define S struct rn_wire_effects
+static const struct rn_field_spec effects[] = {
+    RN_F_TEXT(S, job, RN_REQUIRED, NULL),
+    RN_F_OBJECT(S, options, RN_REQUIRED, &rn_effects_options_table),
+    RN_F_OBJECT(S, train, RN_REQUIRED, &rn_train_options_table),
+};
+static const struct rn_table effects_table = RN_TABLE(S, "effects", effects);
+#undef S
+
+#define S struct rn_wire_doctor
+static const struct rn_field_spec doctor[] = {
+    RN_F_TEXT(S, job, RN_REQUIRED, NULL),
+    RN_F_OBJECT(S, options, RN_REQUIRED, &rn_doctor_job_options_table),
+};
+static const struct rn_table doctor_table = RN_TABLE(S, "doctor", doctor);
+#undef S
+
+#define S struct rn_wire_export
+static const struct rn_field_spec export[] = {
+    RN_F_TEXT(S, job, RN_REQUIRED, NULL),
+    RN_F_STRING(S, folder, RN_REQUIRED, PATH_BYTES),
+    RN_F_OBJECT(S, options, RN_REQUIRED, &rn_export_options_table),
+};
+static const struct rn_table export_table = RN_TABLE(S, "export", export);
+#undef S
+
+#define S struct rn_wire_trace
+static const struct rn_field_spec trace[] = {
+    RN_F_TEXT(S, job, RN_REQUIRED, NULL),
+    RN_F_TEXT(S, traceparent, RN_REQUIRED, NULL),
+};
+static const struct rn_table trace_table = RN_TABLE(S, "trace", trace);
 #undef S
 
 #define S struct rn_wire_resolved
@@ -103,6 +146,8 @@ static const struct rn_field_spec ingest[] = {
     RN_F_INT(S, max_seconds, 0, 0, INFINITY),
     RN_F_INT(S, memory_limit_bytes, 0, 0, INFINITY),
     RN_F_INT(S, threads, 0, 0, 1024),
+    RN_F_BOOL(S, scene, 0),
+    RN_F_BOOL(S, validate, 0),
 };
 static const struct rn_table ingest_table = RN_TABLE(S, "ingest", ingest);
 #undef S
@@ -133,10 +178,8 @@ static const struct rn_table render_table = RN_TABLE(S, "render", render);
 
 #define S struct rn_wire_state
 static const struct rn_field_spec state[] = {
-    RN_F_TEXT(S, job, RN_REQUIRED, NULL),
-    RN_F_NAME(S, state, RN_REQUIRED, rn_job_state_names),
-    RN_F_JSON(S, scene, RN_IS_OBJECT),
-    RN_F_INT(S, steps, 0, 0, INFINITY),
+    RN_F_TEXT(S, job, RN_REQUIRED, NULL), RN_F_NAME(S, state, RN_REQUIRED, rn_job_state_names),
+    RN_F_JSON(S, scene, RN_IS_OBJECT),    RN_F_INT(S, steps, 0, 0, INFINITY),
     RN_F_TEXT(S, set_aside, 0, NULL),
 };
 static const struct rn_table state_table = RN_TABLE(S, "state", state);
@@ -201,6 +244,10 @@ static const struct rn_field_spec rendered[] = {
     RN_F_NUMBER(S, render_ms, RN_REQUIRED, 0, INFINITY),
     RN_F_NUMBER(S, encode_ms, RN_REQUIRED, 0, INFINITY),
     RN_F_BOOL(S, training, RN_REQUIRED),
+    RN_F_TEXT(S, effects, 0, NULL),
+    RN_F_INT(S, cones, RN_REQUIRED, 0, 256),
+    RN_F_NUMBER(S, at, 0, 0, INFINITY),
+    RN_F_NUMBER(S, scale_high, 0, 0, INFINITY),
     RN_F_TEXT(S, setting, 0, NULL),
     RN_F_NUMBER(S, expected_psnr, 0, -INFINITY, INFINITY),
     RN_F_NUMBER(S, expected_spread, 0, 0, INFINITY),
@@ -257,6 +304,17 @@ static const struct rn_field_spec info[] = {
 static const struct rn_table info_table = RN_TABLE(S, "info", info);
 #undef S
 
+#define S struct rn_wire_file
+static const struct rn_field_spec file[] = {
+    RN_F_TEXT(S, root, RN_REQUIRED, NULL),
+    RN_F_TEXT(S, path, RN_REQUIRED, NULL),
+    RN_F_INT(S, size, RN_REQUIRED, 0, INFINITY),
+    RN_F_INT(S, offset, RN_REQUIRED, 0, INFINITY),
+    RN_F_TEXT(S, sha256, 0, NULL),
+};
+static const struct rn_table file_table = RN_TABLE(S, "file", file);
+#undef S
+
 static const struct {
     const char *name;
     const struct rn_table *table;
@@ -275,6 +333,11 @@ static const struct {
     [RN_WIRE_GRANT] = {"grant", &grant_table},
     [RN_WIRE_REST] = {"rest", &empty_table},
     [RN_WIRE_CURVE] = {"curve", &curve_table},
+    [RN_WIRE_ESTIMATE] = {"estimate", &train_table},
+    [RN_WIRE_EFFECTS] = {"effects", &effects_table},
+    [RN_WIRE_EXPORT] = {"export", &export_table},
+    [RN_WIRE_DOCTOR] = {"doctor", &doctor_table},
+    [RN_WIRE_TRACE] = {"trace", &trace_table},
     [RN_WIRE_HELLO] = {"hello", &hello_table},
     [RN_WIRE_OPENED] = {"opened", &opened_table},
     [RN_WIRE_STATE] = {"state", &state_table},
@@ -290,6 +353,11 @@ static const struct {
     [RN_WIRE_ALIVE] = {"alive", &empty_table},
     [RN_WIRE_RESERVE] = {"reserve", &reserve_table},
     [RN_WIRE_RESOLVED] = {"resolved", &resolved_table},
+    [RN_WIRE_HAVE] = {"have", &file_table},
+    [RN_WIRE_PIECE] = {"piece", &file_table},
+    [RN_WIRE_WANT] = {"want", &file_table},
+    [RN_WIRE_GONE] = {"gone", &file_table},
+    [RN_WIRE_SAID] = {"said", &empty_table},
 };
 
 static bool is_known(int type) {

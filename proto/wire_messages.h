@@ -8,6 +8,7 @@
 #ifndef RN_PROTO_WIRE_MESSAGES_H
 #define RN_PROTO_WIRE_MESSAGES_H
 
+#include "common/base/trace.h"
 #include "proto/dataset.h"
 #include "proto/incident.h"
 #include "proto/job.h"
@@ -30,6 +31,13 @@ enum rn_wire_type {
     RN_WIRE_GRANT,    // answers reserve      rn_wire_grant
     RN_WIRE_REST,     // between pictures     rn_wire_empty -> reserve of 0; takes it again itself
     RN_WIRE_CURVE,    //                      rn_wire_curve
+    RN_WIRE_ESTIMATE, //                      rn_wire_train -> done (rn_calibration)
+    RN_WIRE_EFFECTS,  //                      rn_wire_effects
+    RN_WIRE_EXPORT,   //                      rn_wire_export
+    RN_WIRE_HAVE,     // carry.h: of a file   rn_wire_file
+    RN_WIRE_PIECE,    // of one, both ways    rn_wire_file; blob: its bytes from offset on
+    RN_WIRE_DOCTOR,   //                      rn_wire_doctor
+    RN_WIRE_TRACE,    // before a job of one  rn_wire_trace
     // runner -> daemon
     RN_WIRE_HELLO = 64, //                    rn_wire_hello
     RN_WIRE_OPENED,     //                    rn_wire_opened
@@ -37,7 +45,7 @@ enum rn_wire_type {
     RN_WIRE_PROGRESS,   // every half second  rn_wire_progress
     RN_WIRE_METRIC,     // after evaluation   rn_wire_metric
     RN_WIRE_CHECKPOINT, // after each write   rn_wire_checkpoint
-    RN_WIRE_FRAME,      // a frame is on disk rn_wire_frame
+    RN_WIRE_FRAME,      // a frame, or a score, is on disk: rn_wire_frame
     RN_WIRE_RENDERED,   // blob: the file     rn_wire_rendered
     RN_WIRE_DONE,       //                    rn_wire_done
     RN_WIRE_FAILED,     //                    rn_wire_failed
@@ -46,9 +54,12 @@ enum rn_wire_type {
     RN_WIRE_ALIVE,      // nothing else said  rn_wire_empty, every RN_WIRE_ALIVE_S while it works
     RN_WIRE_RESERVE,    // before it is taken rn_wire_reserve -> grant, unless bytes is 0
     RN_WIRE_RESOLVED,   // path, eval: budget rn_wire_resolved, before the first picture
+    RN_WIRE_WANT,       // carry.h            rn_wire_file
+    RN_WIRE_GONE,       // a file was removed rn_wire_file
+    RN_WIRE_SAID,       // for the job's log  rn_wire_empty; blob: the text
 };
 
-#define RN_WIRE_PROTOCOL 3
+#define RN_WIRE_PROTOCOL 7
 #define RN_WIRE_ALIVE_S 2
 
 struct rn_wire_empty {
@@ -67,8 +78,9 @@ struct rn_wire_hello {
 };
 
 // Locks the scene's folder (RN_ERROR_BUSY when another process holds it) and reads the dataset's
-// dataset.json. With `load`, the newest good checkpoint is loaded for rendering (RN_ERROR_NOT_FOUND
-// when there is none); without, a `train` message is to follow.
+// dataset.json. RN_ERROR_UNSUPPORTED names both versions where the daemon's is another. With
+// `load`, the newest good checkpoint is loaded for rendering (RN_ERROR_NOT_FOUND when there is
+// none); without, a `train` message is to follow.
 struct rn_wire_open {
     char *scene_folder;   // owned; is made when it does not exist
     char *dataset_folder; // owned
@@ -77,6 +89,10 @@ struct rn_wire_open {
     int64_t threads;              // absent or 0 = all
     int64_t memory_limit_bytes;   // absent or 0 = none
     bool gpu_deterministic;       // a GPU trains the same bytes every time
+    bool helps;                   // renders beside the runner that holds the scene: takes no lock
+    char version[32];             // the daemon's; "" = absent: not compared
+    int64_t protocol;             // RN_WIRE_PROTOCOL, absent with it
+    int64_t clock_ns;             // the daemon's rn_clock_ns now; absent: the runner's clock is its
 };
 struct rn_wire_opened {
     bool loaded;
@@ -95,23 +111,51 @@ struct rn_wire_train {
     struct rn_train_options options;
 };
 // Renders frames first..last of the path into `folder` (%05d.png), skipping those that are there.
+// With `begin` only frames begin..end of them, beside the runner that has them all, which makes
+// what of these is missing when it comes to them, and the film.
 struct rn_wire_path {
     char job[RN_ID_MAX];
     char *folder; // owned
     struct rn_path_document camera_path;
     struct rn_path_options options;
+    int64_t begin, end; // absent: all
 };
+// With `folder` the score of each picture is kept there (%05d.json), and those that are there are
+// taken as they are; `begin` as above.
 struct rn_wire_eval {
     char job[RN_ID_MAX];
+    char *folder; // owned; NULL = absent
     struct rn_eval_options options;
+    int64_t begin, end; // absent: all
 };
 // Measures the scene's curve into SCENE/curve.json. Result: JSON of rn_curve_record_table.
 struct rn_wire_curve {
     char job[RN_ID_MAX];
     struct rn_curve_options options;
 };
+// Measures what the scene's effects bring, in trainings as the scene's own was asked for, into
+// SCENE/effects.json. Result: JSON of rn_effects_record_table.
+struct rn_wire_effects {
+    char job[RN_ID_MAX];
+    struct rn_effects_options options;
+    struct rn_train_options train;
+};
+// Examines the scene's newest checkpoint. Result: JSON of rn_doctor_table.
+struct rn_wire_doctor {
+    char job[RN_ID_MAX];
+    struct rn_doctor_job_options options;
+};
+// Writes the scene as another program's file into `folder`. Result: JSON of rn_export_result_table.
+struct rn_wire_export {
+    char job[RN_ID_MAX];
+    char *folder; // owned
+    struct rn_export_options options;
+};
 // Imports `source` (a directory, or a plain tar that is unpacked under `work`) into `target`, which
-// must not exist. `work` is removed at the end. Result: JSON of rn_dataset_contents_table.
+// must not exist. `work` is removed at the end. Result: JSON of rn_dataset_contents_table. With
+// `scene` the source is a file for viewing, the target a scene's folder, and the result JSON of
+// rn_wire_checkpoint: what was taken in. With `validate` nothing is kept and no picture decoded;
+// the result is JSON of rn_validation_table.
 struct rn_wire_ingest {
     char job[RN_ID_MAX], name[RN_NAME_MAX];
     char *source, *target, *work; // owned
@@ -122,10 +166,17 @@ struct rn_wire_ingest {
     int64_t max_seconds;            // that the import takes
     int64_t memory_limit_bytes;     // of the process
     int64_t threads;                // absent or 0 = all
+    bool scene;
+    bool validate;
 };
 
 struct rn_wire_job {
     char job[RN_ID_MAX];
+};
+// The trace that a job is part of, for what is logged of it.
+struct rn_wire_trace {
+    char job[RN_ID_MAX];
+    char traceparent[RN_TRACE_MAX];
 };
 struct rn_wire_cancel {
     char job[RN_ID_MAX]; // "" with a request
@@ -134,8 +185,8 @@ struct rn_wire_cancel {
 struct rn_wire_render {
     int64_t request;
     struct rn_render_request render; // format is set
-    // When a picture within a time must have been handed back: rn_clock_ns, one clock for the whole
-    // machine. Absent: no such budget.
+    // When a picture within a time must have been handed back, by the daemon's rn_clock_ns. Absent:
+    // no such budget.
     int64_t deadline_ns;
 };
 
@@ -176,6 +227,10 @@ struct rn_wire_rendered {
     int format;                            // enum rn_picture_format
     double queue_ms, render_ms, encode_ms; // queue_ms: in the runner
     bool training;                         // parameters may change: the picture is not to be cached
+    char effects[96];                      // of the camera, that are on; "" = none
+    int64_t cones;                         // that a pixel is the mean of
+    double at;                             // training seconds looked back at; NAN of now
+    double scale_high;                     // the end of a heat map's scale; NAN of other pictures
     // Of a budget; "" and NAN without one.
     char setting[96];                      // that was used
     double expected_psnr, expected_spread; // against photographs, of one view in many
@@ -209,6 +264,14 @@ struct rn_wire_reserve {
 // What it may hold: `bytes` of the reserve, or less where it cannot have them.
 struct rn_wire_grant {
     int64_t number, bytes;
+};
+// A file of a scene or dataset, where no folder is shared.
+struct rn_wire_file {
+    char root[8];    // RN_CARRY_DATASET, RN_CARRY_SCENE
+    char path[256];  // below it
+    int64_t size;    // of the file, bytes; as all below: 0 where it says nothing
+    int64_t offset;  // of a piece
+    char sha256[65]; // of the file: with `have`, and the last piece; "" = absent
 };
 struct rn_wire_info {
     char device[16], device_name[128], kernels[32], available[128]; // available: comma separated

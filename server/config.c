@@ -37,7 +37,17 @@ static const struct option options[] = {
     {"dataset-root", KIND_ROOT, 0, NULL, 0, 0, "DIR",
      "datasets under DIR may be imported by path; repeatable"},
     {"token-file", KIND_TEXT, AT(token_file), NULL, 0, 0, "FILE",
-     "clients must send this file's first line as a bearer token"},
+     "holds the owner's bearer token in its first line; nobody is served without one then"},
+    {"max-rate", KIND_COUNT, AT(max_rate), "100", 0, 1e6, "N",
+     "requests a second of one token, on average; 0 is no limit"},
+    {"quota-jobs", KIND_COUNT, AT(quota_jobs), "0", 0, 10000, "N",
+     "unfinished jobs of one token that has no quota of its own; 0 is no limit"},
+    {"quota-disk", KIND_SIZE, AT(quota_bytes), "0", 0, 1e15, "BYTES",
+     "of what the jobs of such a token have made; 0 is no limit"},
+    {"retain-pictures", KIND_SECONDS, AT(retain_pictures_s), "0", 0, 315360000, "TIME",
+     "frames and films of paths are removed so long after they ended; 0 keeps them"},
+    {"retain-space", KIND_SIZE, AT(retain_bytes), "0", 0, 1e15, "BYTES",
+     "of frames and films together; beyond it the oldest are removed; 0 is no limit"},
     {"threads", KIND_COUNT, AT(threads), "0", 0, 1024, "N", "of each runner; 0 takes all cores"},
     {"memory-limit", KIND_SIZE, AT(memory_limit_bytes), "0", 0, 1e15, "BYTES",
      "of all runners together; 0 is no limit"},
@@ -56,6 +66,32 @@ static const struct option options[] = {
      "an import that takes longer fails"},
     {"sandbox", KIND_COUNT, AT(sandbox), "1", 0, 1, "0|1",
      "1: runners may do only what their mode needs: no programs, no network, their own folders"},
+    {"lpips", KIND_TEXT, AT(lpips), NULL, 0, 0, "FILE",
+     "weights of LPIPS (VGG) as safetensors; evaluations then tell it"},
+    {"executor", KIND_TEXT, AT(executor), "local", 0, 0, "NAME",
+     "where scenes are trained and rendered: local, on this machine; slurm, on a cluster's nodes"},
+    {"shared", KIND_TEXT, AT(shared), NULL, 0, 0, "DIR",
+     "slurm: a folder that all nodes see at the same path; --data lies in it; without one, what "
+     "nodes read and write is sent over their connection"},
+    {"slurm-cache", KIND_TEXT, AT(slurm_cache), "/var/tmp", 0, 0, "DIR",
+     "of each node's own, without --shared: where it keeps what it was sent"},
+    {"slurm-cache-size", KIND_SIZE, AT(slurm_cache_bytes), "20G", 0, 1e15, "BYTES",
+     "of it; what was used longest ago goes first"},
+    {"slurm-listen", KIND_TEXT, AT(slurm_listen), NULL, 0, 0, "HOST:PORT",
+     "where nodes reach this daemon; else by this machine's name, at any free port"},
+    {"slurm-partition", KIND_TEXT, AT(slurm_partition), NULL, 0, 0, "NAME", "of sbatch"},
+    {"slurm-account", KIND_TEXT, AT(slurm_account), NULL, 0, 0, "NAME", "of sbatch"},
+    {"slurm-time", KIND_SECONDS, AT(slurm_time_s), "0", 0, 31536000, "TIME",
+     "of a runner, in whole minutes; what is not done by then goes on in another; 0: the "
+     "partition's"},
+    {"slurm-gpus", KIND_COUNT, AT(slurm_gpus), "0", 0, 64, "N",
+     "of a runner; one that is told to use a GPU asks for one at least, one told not to for none"},
+    {"slurm-memory", KIND_SIZE, AT(slurm_memory_bytes), "0", 0, 1e15, "BYTES",
+     "of a runner; 0: what the engine needs for its scene"},
+    {"slurm-path-runners", KIND_COUNT, AT(slurm_path_runners), "8", 1, 128, "N",
+     "at most, that make the frames of one path or the scores of one evaluation"},
+    {"slurm-flags", KIND_TEXT, AT(slurm_flags), NULL, 0, 0, "FLAGS",
+     "further ones of sbatch, by spaces, such as '--qos=long --constraint=avx512'"},
     {"training-slots", KIND_COUNT, AT(training_slots), "1", 1, 64, "N",
      "scenes that train at once; further ones queue"},
     {"max-queued", KIND_COUNT, AT(max_queued), "256", 1, 10000, "N", "unfinished jobs"},
@@ -84,6 +120,9 @@ static const struct option options[] = {
     {"log-level", KIND_TEXT, AT(log_level), "info", 0, 0, "LEVEL", "error, warn, info or debug"},
     {"log-format", KIND_TEXT, AT(log_format), "text", 0, 0, "FORMAT",
      "text or json, a line an event"},
+    {"audit", KIND_TEXT, AT(audit), NULL, 0, 0, "FILE",
+     "a line of JSON is added for each write: time, request id, token, address, verb, path, "
+     "status"},
     {"rebuild", KIND_FLAG, AT(rebuild), NULL, 0, 0, "",
      "make records that are missing anew from what lies under --data, then serve"},
     {"scrub", KIND_FLAG, AT(scrub), NULL, 0, 0, "",
@@ -304,8 +343,8 @@ static enum rn_status split_listen(struct rn_config *config, struct rn_error *er
     }
     if (colon == NULL || end == colon + 1 || *end != '\0' || port > 65535 || size == 0 ||
         size >= sizeof config->address)
-        return rn_error_set(err, RN_ERROR_INVALID, "listen", "'%s' is not ADDR:PORT",
-                            config->listen);
+        return rn_error_set(err, RN_ERROR_INVALID, "listen",
+                            "'%s' is not ADDR:PORT, such as 127.0.0.1:7400", config->listen);
     memcpy(config->address, start, size);
     config->address[size] = '\0';
     config->port = (uint16_t)port;

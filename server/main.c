@@ -16,8 +16,10 @@
 
 #include "common/base/clock.h"
 #include "common/base/log.h"
+#include "common/image/lpips.h"
 #include "server/api/app.h"
 #include "server/config.h"
+#include "server/slurm/slurm.h"
 #include "server/store/scrub.h"
 
 #define HTTP_DRAIN_MS 1000
@@ -141,6 +143,46 @@ static bool is_idle(void *context) {
     return stats.jobs_open[RN_JOB_RUNNING] == 0 && stats.renders_waiting == 0;
 }
 
+// Names the weights of LPIPS to the runners, after a look at the file.
+static enum rn_status offer_lpips(const char *path, struct rn_error *err) {
+    struct rn_lpips *lpips;
+    if (!path) return RN_OK;
+    enum rn_status status = rn_lpips_open(path, &lpips, err);
+    if (status) return status;
+    rn_lpips_close(&lpips);
+    char *whole = realpath(path, NULL);
+    if (!whole || setenv(RN_LPIPS_VARIABLE, whole, 1) != 0)
+        status = rn_error_set(err, RN_ERROR_NO_MEMORY, path, "out of memory");
+    free(whole);
+    return status;
+}
+
+static enum rn_status create_executor(struct server *server, struct rn_error *err) {
+    const struct rn_config *config = &server->config;
+    bool is_slurm = strcmp(config->executor, "slurm") == 0, sandbox = config->sandbox != 0;
+    if (!is_slurm && strcmp(config->executor, "local") != 0)
+        return rn_error_set(err, RN_ERROR_INVALID, "executor", "'%s' is not local or slurm",
+                            config->executor);
+    enum rn_status status =
+        rn_local_executor_create(server->runner, sandbox, &server->executor, err);
+    if (status != RN_OK || !is_slurm) return status;
+    const struct rn_slurm_options options = {.data = config->data,
+                                             .shared = config->shared,
+                                             .cache = config->slurm_cache,
+                                             .cache_bytes = config->slurm_cache_bytes,
+                                             .runner = server->runner,
+                                             .listen = config->slurm_listen,
+                                             .partition = config->slurm_partition,
+                                             .account = config->slurm_account,
+                                             .flags = config->slurm_flags,
+                                             .time_s = config->slurm_time_s,
+                                             .gpus = config->slurm_gpus,
+                                             .memory_bytes = config->slurm_memory_bytes,
+                                             .threads = (int)config->threads,
+                                             .sandbox = sandbox};
+    return rn_slurm_executor_create(&options, server->executor, &server->executor, err);
+}
+
 static enum rn_status start_control(struct server *server, struct rn_error *err) {
     const struct rn_config *config = &server->config;
     struct rn_control_options options = {
@@ -153,7 +195,10 @@ static enum rn_status start_control(struct server *server, struct rn_error *err)
         .keep_alive_s = config->keep_alive_s,
         .curve_after_s = config->curve_after_s,
         .runner_timeout_s = config->runner_timeout_s,
+        .retain_pictures_s = config->retain_pictures_s,
+        .retain_bytes = config->retain_bytes,
         .threads = (int)config->threads,
+        .path_runners = (int)config->slurm_path_runners,
         .max_upload_bytes = config->max_upload_bytes,
         .max_upload_entries = config->max_upload_entries,
         .max_frames = config->max_frames,
@@ -161,11 +206,10 @@ static enum rn_status start_control(struct server *server, struct rn_error *err)
         .import_time_s = config->import_time_s,
         .version = RN_VERSION,
     };
-    enum rn_status status = rn_store_open(config->data, config->rebuild, &server->store, err);
+    enum rn_status status = offer_lpips(config->lpips, err);
+    if (status == RN_OK) status = rn_store_open(config->data, config->rebuild, &server->store, err);
     if (status == RN_OK) status = rn_store_sweep(server->store, err);
-    if (status == RN_OK)
-        status =
-            rn_local_executor_create(server->runner, config->sandbox != 0, &server->executor, err);
+    if (status == RN_OK) status = create_executor(server, err);
     if (status == RN_OK)
         status =
             rn_control_create(&options, server->store, server->executor, &server->control, err);
@@ -190,12 +234,18 @@ static enum rn_status start_http(struct server *server, struct rn_error *err) {
         .training_slots = config->training_slots,
         .max_queued = config->max_queued,
         .max_loaded = config->max_loaded,
+        .max_streams = config->max_connections > 512 ? (unsigned)config->max_connections / 2 : 256,
         .start_ns = rn_clock_ns(),
     };
+    const struct rn_access_options access = {.own_token = config->token,
+                                             .max_rate = config->max_rate,
+                                             .quota_jobs = config->quota_jobs,
+                                             .quota_bytes = config->quota_bytes};
     struct rn_http_options options = {
         .address = config->address,
         .port = config->port,
-        .token = config->token,
+        .token_needed = config->token != NULL,
+        .authorise = rn_access_authorise,
         .routes = rn_api_routes,
         .context = &server->app,
         .max_connections = (unsigned)config->max_connections,
@@ -203,8 +253,10 @@ static enum rn_status start_http(struct server *server, struct rn_error *err) {
         .header_timeout_s = (int)config->header_timeout_s,
         .least_rate = config->least_rate,
         .max_answer_bytes = (uint64_t)config->answer_bytes,
+        .audit = config->audit,
     };
-    return rn_http_start(&options, &server->app.http, err);
+    enum rn_status status = rn_access_create(&access, server->store, &server->app.access, err);
+    return status == RN_OK ? rn_http_start(&options, &server->app.http, err) : status;
 }
 
 // By hand, beside a daemon or without one: 0 when all is as it was written.
@@ -220,7 +272,10 @@ static void stop(struct server *server) {
     rn_scrubber_stop(&server->scrubber);
     if (server->app.http != NULL) rn_http_drain(server->app.http, HTTP_DRAIN_MS);
     if (server->control != NULL) rn_control_drain(server->control, server->config.drain_s * 1000);
+    rn_backup_settle(&server->app);
+    rn_adoption_stop(&server->app);
     rn_http_destroy(&server->app.http);
+    rn_backup_stop(&server->app);
     if (server->control != NULL) rn_control_destroy(&server->control);
     if (server->executor != NULL) server->executor->destroy(server->executor);
     rn_store_close(&server->store);

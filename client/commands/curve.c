@@ -4,16 +4,17 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <strings.h>
+#include <unistd.h>
 
 #include "client/commands/submit.h"
-#include "client/follow.h"
 #include "client/table.h"
 #include "common/base/buf.h"
 #include "common/base/file.h"
 #include "proto/job.h"
 
 struct curve_options {
-    bool measure;
+    bool measure, overwrite;
     int64_t views;
     const char *plot;
 };
@@ -35,6 +36,10 @@ static const struct rn_option curve_table[] = {
      CURVE(plot),
      .value = "FILE",
      .help = "write the curve as a picture, .svg"},
+    {.name = "overwrite",
+     .kind = RN_OPTION_FLAG,
+     CURVE(overwrite),
+     .help = "replace the picture's file"},
     {0}};
 
 struct curve_request {
@@ -182,7 +187,8 @@ static enum rn_exit print_curve(const struct rn_curve_record *curve) {
     rn_text_table_finish(&table);
     printf("\n%lldx%lld, %lld %s, step %lld, measured in %.0f s on %s, %s, %lld threads\n",
            (long long)curve->width, (long long)curve->height, (long long)curve->views,
-           curve->photographs ? "held-out views" : "views against the full picture",
+           curve->photographs ? curve->views == 1 ? "held-out view" : "held-out views"
+                              : "views against the full picture",
            (long long)curve->step, curve->seconds, curve->machine, curve->kernels,
            (long long)curve->threads);
     if (curve->stale)
@@ -193,21 +199,25 @@ static enum rn_exit print_curve(const struct rn_curve_record *curve) {
 static enum rn_exit measure(struct rn_client *client, const struct curve_options *options,
                             const char *scene) {
     struct curve_request request;
-    char job[RN_ID_MAX], *answer = NULL;
+    struct rn_follow follow;
     rn_message_init(&curve_request_table, &request);
     request.type = RN_JOB_CURVE;
     request.scene = (char *)scene; // only read
     request.options.views = options->views;
-    char *body = rn_api_encode(&curve_request_table, &request);
-    if (!body) return RN_EXIT_FAILED;
-    enum rn_exit code = rn_submit(client, body, job, &answer);
-    free(body);
-    free(answer);
-    if (code != RN_EXIT_OK) return code;
-    struct rn_follow follow = {.client = client, .quiet = client->json};
-    code = rn_follow_job(&follow, job);
+    enum rn_exit code =
+        rn_submit_and_follow(client, rn_api_encode(&curve_request_table, &request), &follow);
     rn_follow_finish(&follow);
     return code;
+}
+
+static enum rn_exit check_plot(const struct curve_options *options) {
+    const char *dot = options->plot ? strrchr(options->plot, '.') : NULL;
+    if (!options->plot) return RN_EXIT_OK;
+    if (!dot || strcasecmp(dot, ".svg") != 0)
+        return rn_client_usage("--plot", "must end in .svg; it is '%s'", options->plot);
+    if (!options->overwrite && access(options->plot, F_OK) == 0)
+        return rn_client_usage(options->plot, "is there already; --overwrite replaces it");
+    return RN_EXIT_OK;
 }
 
 static enum rn_exit run_curve(struct rn_client *client, const void *context, const char **args) {
@@ -215,7 +225,8 @@ static enum rn_exit run_curve(struct rn_client *client, const void *context, con
     struct rn_curve_record curve;
     struct rn_error err = {0};
     struct rn_api_reply reply;
-    enum rn_exit code = options->measure ? measure(client, options, args[0]) : RN_EXIT_OK;
+    enum rn_exit code = check_plot(options);
+    if (code == RN_EXIT_OK && options->measure) code = measure(client, options, args[0]);
     if (code != RN_EXIT_OK) return code;
     char *path = rn_api_path("scenes", args[0], "/curve");
     rn_api_send(client, "GET", path ? path : "/", NULL, &reply);

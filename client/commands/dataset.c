@@ -6,11 +6,15 @@
 #include <string.h>
 #include <unistd.h>
 
+#include "client/commands/estimate.h"
+#include "client/commands/pack.h"
+#include "client/commands/scene_file.h"
+#include "client/commands/upload.h"
 #include "client/follow.h"
 #include "client/table.h"
-#include "client/tar.h"
 #include "common/dataset/dataset.h"
 #include "common/dataset/photos.h"
+#include "proto/checks.h"
 #include "proto/dataset.h"
 #include "proto/report.h"
 
@@ -47,7 +51,8 @@ static void print_problems(FILE *out, const struct rn_dataset_report_record *rep
 
 static void print_report(const char *folder, const struct rn_dataset *dataset,
                          const struct rn_dataset_report_record *report) {
-    static const char *const sources[] = {"given", "by layout", "from the cameras"};
+    static const char *const sources[] = {"given", "by layout", "from the cameras",
+                                          "from the points"};
     const struct rn_bounds *bounds = &dataset->bounds;
     const struct rn_split_counts *usable = &report->usable, *bad = &report->unusable;
     int64_t images = usable->train + usable->val + usable->test;
@@ -67,10 +72,13 @@ static void print_report(const char *folder, const struct rn_dataset *dataset,
            report->looking_at_bounds * 100);
     printf("footprint   %.3g to %.3g at the centre\n", report->footprint.min,
            report->footprint.max);
+    rn_print_expected(&report->expected);
     printf("bounds      centre (%g, %g, %g), radius %g, %s\n\n", bounds->centre[0],
            bounds->centre[1], bounds->centre[2], bounds->radius, sources[bounds->source]);
     print_problems(stdout, report);
-    printf("%lld errors, %lld warnings\n", (long long)report->errors, (long long)report->warnings);
+    printf("%lld error%s, %lld warning%s\n", (long long)report->errors,
+           report->errors == 1 ? "" : "s", (long long)report->warnings,
+           report->warnings == 1 ? "" : "s");
 }
 
 static int core_count(void) {
@@ -93,17 +101,22 @@ static bool show_made(void *context, size_t done, size_t total) {
 // Reads a dataset and decodes its images; what is wrong goes into `problems`. NULL when nothing
 // usable is left.
 static struct rn_dataset *read_dataset(const char *folder, const struct rn_read_options *options,
-                                       bool quiet, struct rn_problems *problems) {
+                                       bool quiet, struct rn_problems *problems,
+                                       struct rn_findings *ret_found) {
     struct rn_dataset *dataset = NULL;
+    struct rn_survey *survey = NULL;
     struct rn_progress progress;
     struct rn_error err = {0};
     enum rn_status status = rn_dataset_read_as(folder, options, problems, &dataset, &err);
+    if (status == RN_OK) status = rn_survey_create(dataset, &survey, &err);
     if (status == RN_OK) {
         rn_progress_init(&progress, !quiet);
-        status =
-            rn_dataset_check_images(dataset, core_count(), problems, show_checked, &progress, &err);
+        status = rn_dataset_check_images(dataset, core_count(), problems, survey, show_checked,
+                                         &progress, &err);
         rn_progress_finish(&progress);
     }
+    if (status == RN_OK) status = rn_survey_conclude(survey, dataset, problems, ret_found, &err);
+    rn_survey_destroy(&survey);
     if (status != RN_OK) {
         rn_problems_add(problems, RN_SEVERITY_ERROR, err.where, "%s", err.text);
         rn_dataset_destroy(&dataset);
@@ -119,11 +132,12 @@ static enum rn_exit examine(const char *folder, const struct rn_read_options *op
     struct rn_problems problems = {0};
     struct rn_dataset_report_record report;
     struct rn_error err = {0};
-    *ret_dataset = read_dataset(folder, options, json, &problems);
+    struct rn_findings found;
+    *ret_dataset = read_dataset(folder, options, json, &problems, &found);
     bool failed = problems.errors > 0, worth_saying = failed || problems.warnings > 0;
-    enum rn_status status = *ret_dataset
-                                ? rn_dataset_report_fill(*ret_dataset, &problems, &report, &err)
-                                : rn_report_problems_fill(&problems, &report, &err);
+    enum rn_status status =
+        *ret_dataset ? rn_dataset_report_fill(*ret_dataset, &problems, &found, &report, &err)
+                     : rn_report_problems_fill(&problems, &report, &err);
     rn_problems_finish(&problems);
     if (status != RN_OK) return rn_client_fail(&err);
     const struct rn_table *table = *ret_dataset ? &rn_dataset_report_table : &bad_table;
@@ -140,23 +154,42 @@ static enum rn_exit examine(const char *folder, const struct rn_read_options *op
 }
 
 struct import_options {
-    const char *name, *alpha, *split, *bounds, *format, *masks, *poses;
+    const char *name, *dataset, *alpha, *split, *bounds, *up, *crop, *format, *masks, *poses;
     int64_t max_size, scales;
     bool skip_bad;
 };
 
-static struct rn_read_options read_options(const struct import_options *options) {
-    struct rn_read_options wanted = {.format = options->format, .masks = options->masks};
-    if (!options->bounds ||
-        !rn_ingest_bounds(options->bounds, wanted.bounds.centre, &wanted.bounds.radius))
-        wanted.bounds.radius = 0;
-    return wanted;
+static bool take_text(const char *name, const char *text, const char *(*check)(const char *),
+                      char *field, size_t capacity) {
+    if (!text) return true;
+    const char *wrong = strlen(text) >= capacity ? "is too long" : check(text);
+    if (!wrong)
+        snprintf(field, capacity, "%s", text);
+    else
+        rn_client_usage(name, "%s; it is '%s'", wrong, text);
+    return !wrong;
+}
+
+// What is asked for, as the daemon will be; false, with an explanation, where it is not understood.
+static bool take_options(const struct import_options *from, struct rn_ingest_options *ret) {
+    char name[RN_NAME_MAX];
+    if (!take_text("--name", from->name, rn_check_name, name, sizeof name)) return false;
+    rn_message_init(&rn_ingest_options_table, ret);
+    ret->max_size = from->max_size;
+    ret->scales = from->scales;
+    ret->alpha = from->alpha ? rn_name_index(rn_alpha_mode_names, from->alpha) : -1;
+#define TAKE(field, check) take_text("--" #field, from->field, check, ret->field, sizeof ret->field)
+    return TAKE(split, rn_check_split_spec) && TAKE(bounds, rn_check_bounds) &&
+           TAKE(up, rn_check_up) && TAKE(crop, rn_check_crop) && TAKE(format, rn_check_format) &&
+           TAKE(masks, rn_check_inner_path);
+#undef TAKE
 }
 
 // ---- photographs without poses ----
 
 // What was found at a path: a dataset, or, where `bare`, photographs or a film without poses.
 struct capture {
+    struct rn_ingest_options asked;
     struct rn_dataset *dataset;
     struct rn_photos photos;
     bool bare;
@@ -205,7 +238,16 @@ static enum rn_exit examine_photos(const char *path, const struct import_options
     struct rn_problems problems = {0};
     struct rn_dataset_report_record report;
     struct rn_error err = {0};
+    struct rn_progress progress;
     enum rn_status status = rn_photos_read(path, options->masks, &problems, &capture->photos, &err);
+    if (status == RN_OK) {
+        rn_progress_init(&progress, !json);
+        status = rn_photos_check(&capture->photos, core_count(), &problems, show_checked, &progress,
+                                 &err);
+        rn_progress_finish(&progress);
+    }
+    if (status == RN_OK && !capture->photos.film && !capture->photos.count)
+        status = rn_error_set(&err, RN_ERROR_INVALID, path, "holds no photograph that is usable");
     if (status == RN_OK)
         tell_photos(path, &capture->photos, &problems);
     else
@@ -225,15 +267,30 @@ static enum rn_exit examine_photos(const char *path, const struct import_options
 }
 
 static enum rn_exit examine_capture(const char *path, const struct import_options *options,
-                                    bool json, bool show, struct capture *ret_capture) {
-    struct rn_read_options how = read_options(options);
-    ret_capture->bare = wants_poses(path, options);
-    if (ret_capture->bare) return examine_photos(path, options, json, show, ret_capture);
-    return examine(path, &how, json, show, &ret_capture->dataset);
+                                    bool json, bool show, struct capture *capture) {
+    struct rn_read_options how = rn_ingest_reading(&capture->asked);
+    capture->bare = wants_poses(path, options);
+    if (capture->bare) return examine_photos(path, options, json, show, capture);
+    return examine(path, &how, json, show, &capture->dataset);
+}
+
+// What is asked of photographs is not of a scene, and the other way round.
+static enum rn_exit check_scene_options(const struct import_options *o, bool scene) {
+    const char *const photographs[] = {o->alpha, o->split,  o->bounds, o->up,
+                                       o->crop,  o->format, o->masks,  o->poses};
+    bool asked = o->skip_bad || o->max_size != RN_OPTION_ABSENT || o->scales != RN_OPTION_ABSENT;
+    for (size_t i = 0; i < sizeof photographs / sizeof *photographs; i++)
+        asked = asked || photographs[i];
+    if (scene && asked) return rn_client_usage("import", "takes --name and --dataset of a scene");
+    if (!scene && o->dataset)
+        return rn_client_usage("--dataset", "is of a scene that was exported (.ripscene)");
+    return RN_EXIT_OK;
 }
 
 static enum rn_exit run_validate(struct rn_client *client, const void *context, const char **args) {
     struct capture capture = {.dataset = NULL};
+    if (rn_is_scene_file(args[0])) return rn_check_scene_file(args[0]);
+    if (!take_options(context, &capture.asked)) return RN_EXIT_USAGE;
     enum rn_exit code = examine_capture(args[0], context, client->json, true, &capture);
     finish_capture(&capture);
     return code;
@@ -247,7 +304,12 @@ static const struct rn_option import_table[] = {
      .kind = RN_OPTION_TEXT,
      IMPORT(name),
      .value = "N",
-     .help = "the dataset's name in the daemon"},
+     .help = "the dataset's name in the daemon, or the scene's"},
+    {.name = "dataset",
+     .kind = RN_OPTION_TEXT,
+     IMPORT(dataset),
+     .value = "D",
+     .help = "of a scene: the dataset here that it is compared with"},
     {.name = "max-size",
      .kind = RN_OPTION_INTEGER,
      IMPORT(max_size),
@@ -276,7 +338,17 @@ static const struct rn_option import_table[] = {
      .kind = RN_OPTION_TEXT,
      IMPORT(bounds),
      .value = "X,Y,Z,R",
-     .help = "the sphere that holds the scene; else by layout or from the cameras"},
+     .help = "the sphere that holds the scene; else by layout, cameras and points"},
+    {.name = "up",
+     .kind = RN_OPTION_TEXT,
+     IMPORT(up),
+     .value = "X,Y,Z",
+     .help = "which way is up, or an axis such as z or -y; else by the cameras"},
+    {.name = "crop",
+     .kind = RN_OPTION_TEXT,
+     IMPORT(crop),
+     .value = "BOX",
+     .help = "the box that matters, X0,Y0,Z0,X1,Y1,Z1; its sphere is the scene's"},
     {.name = "format",
      .kind = RN_OPTION_TEXT,
      IMPORT(format),
@@ -298,124 +370,6 @@ static const struct rn_option import_table[] = {
      .help = "go without photographs that cannot be used"},
     {0}};
 
-static int compare_names(const void *a, const void *b) {
-    return strcmp(*(const char *const *)a, *(const char *const *)b);
-}
-
-// The path of a frame below the dataset's folder.
-static const char *below(const char *folder, const char *path) {
-    size_t size = strlen(folder);
-    if (strncmp(path, folder, size) != 0) return path;
-    path += size;
-    return path + strspn(path, "/");
-}
-
-static enum rn_status add_images(struct rn_tar *tar, const char *folder,
-                                 const struct rn_dataset *dataset, struct rn_error *err) {
-    enum rn_status status = RN_OK;
-    size_t count = 0;
-    const char **names = calloc(2 * dataset->frame_count, sizeof *names);
-    if (!names) return rn_error_set(err, RN_ERROR_NO_MEMORY, folder, "memory ran out");
-    for (size_t i = 0; i < dataset->frame_count; i++) {
-        names[count++] = below(folder, dataset->frames[i].path);
-        if (dataset->frames[i].mask_path)
-            names[count++] = below(folder, dataset->frames[i].mask_path);
-    }
-    qsort(names, count, sizeof *names, compare_names);
-    for (size_t i = 0; i < count && status == RN_OK; i++)
-        status = rn_tar_add(tar, names[i], err);
-    free(names);
-    return status;
-}
-
-// What was read beside images.
-static enum rn_status add_documents(struct rn_tar *tar, const struct rn_dataset *dataset,
-                                    struct rn_error *err) {
-    enum rn_status status = RN_OK;
-    for (size_t i = 0; i < dataset->document_count && status == RN_OK; i++)
-        status = rn_tar_add(tar, dataset->documents[i], err);
-    return status;
-}
-
-struct upload {
-    struct rn_tar *tar;
-    struct rn_progress progress;
-};
-
-static size_t send_tar(void *context, char *buffer, size_t capacity) {
-    struct upload *upload = context;
-    char sent[24], size[24];
-    size_t got = rn_tar_read(upload->tar, buffer, capacity);
-    rn_format_bytes((double)rn_tar_sent(upload->tar), sent, sizeof sent);
-    rn_format_bytes((double)rn_tar_size(upload->tar), size, sizeof size);
-    rn_progress_update(&upload->progress,
-                       (double)rn_tar_sent(upload->tar) / (double)rn_tar_size(upload->tar),
-                       "sending %s of %s", sent, size);
-    return got;
-}
-
-static void add_query(struct rn_buf *query, const char *key, const char *value) {
-    rn_buf_printf(query, "%s%s=", query->size ? "&" : "/v1/datasets?", key);
-    rn_http_escape(query, value);
-}
-
-static void import_query(const struct import_options *options, bool bare,
-                         struct rn_buf *ret_query) {
-    char number[24];
-    rn_buf_init(ret_query, 4096);
-    add_query(ret_query, "name", options->name);
-    if (options->max_size != RN_OPTION_ABSENT) {
-        snprintf(number, sizeof number, "%lld", (long long)options->max_size);
-        add_query(ret_query, "max_size", number);
-    }
-    if (options->scales != RN_OPTION_ABSENT) {
-        snprintf(number, sizeof number, "%lld", (long long)options->scales);
-        add_query(ret_query, "scales", number);
-    }
-    if (options->alpha) add_query(ret_query, "alpha", options->alpha);
-    if (options->split) add_query(ret_query, "split", options->split);
-    if (options->bounds) add_query(ret_query, "bounds", options->bounds);
-    if (options->format) add_query(ret_query, "format", options->format);
-    if (options->masks) add_query(ret_query, "masks", options->masks);
-    if (bare) add_query(ret_query, "poses", rn_poses_names[RN_POSES_FIND]);
-}
-
-// Sends the archive; the reply is the ingest job's.
-static enum rn_exit upload(struct rn_client *client, struct rn_tar *tar,
-                           const struct import_options *options, bool bare,
-                           char ret_job[RN_ID_MAX]) {
-    struct upload upload = {.tar = tar};
-    struct rn_api_reply reply;
-    struct rn_buf query;
-    import_query(options, bare, &query);
-    if (query.failed) return rn_client_usage("--name", "is too long");
-    rn_progress_init(&upload.progress, !client->json);
-    struct rn_http_request request = {.method = "POST",
-                                      .path = (char *)query.data,
-                                      .content_type = "application/x-tar",
-                                      .read = send_tar,
-                                      .body_size = (size_t)rn_tar_size(tar),
-                                      .context = &upload,
-                                      .idle_s = 300};
-    rn_api_exchange(client, &request, &reply);
-    rn_progress_finish(&upload.progress);
-    rn_buf_finish(&query);
-    struct rn_job job;
-    enum rn_exit code = reply.code;
-    if (rn_tar_error(tar)->status != RN_OK)
-        code = rn_client_fail(rn_tar_error(tar));
-    else if (code != RN_EXIT_OK)
-        rn_api_complain(&reply);
-    else
-        code = rn_api_decode(&reply, &rn_job_table, &job);
-    rn_api_reply_finish(&reply);
-    if (code == RN_EXIT_OK) {
-        memcpy(ret_job, job.id, RN_ID_MAX);
-        rn_message_finish(&rn_job_table, &job);
-    }
-    return code;
-}
-
 static enum rn_exit print_dataset(struct rn_client *client, const char *id) {
     enum rn_kind kind;
     struct rn_api_reply reply;
@@ -431,24 +385,11 @@ static enum rn_exit print_dataset(struct rn_client *client, const char *id) {
                (long long)dataset.views.val, (long long)dataset.views.test,
                (long long)dataset.width, (long long)dataset.height, (long long)dataset.scales,
                dataset.scales == 1 ? "" : "s");
+        rn_print_past(&dataset.past);
         rn_message_finish(&rn_dataset_table, &dataset);
     }
     rn_api_reply_finish(&reply);
     return code;
-}
-
-// Photographs and their masks, below their folder; a film alone.
-static enum rn_status add_photos(struct rn_tar *tar, const char *folder,
-                                 const struct rn_photos *photos, struct rn_error *err) {
-    enum rn_status status = RN_OK;
-    if (photos->film) return rn_tar_add(tar, below(folder, photos->film), err);
-    for (size_t i = 0; i < photos->count && status == RN_OK; i++) {
-        const struct rn_photo *photo = &photos->items[i];
-        status = rn_tar_add(tar, below(folder, photo->path), err);
-        if (status == RN_OK && photo->mask_path)
-            status = rn_tar_add(tar, below(folder, photo->mask_path), err);
-    }
-    return status;
 }
 
 static enum rn_exit pack(const char *path, const struct capture *capture, struct rn_tar **ret_tar) {
@@ -459,10 +400,9 @@ static enum rn_exit pack(const char *path, const struct capture *capture, struct
     const char *folder = is_file ? dirname(copy) : path;
     enum rn_status status = rn_tar_create(folder, ret_tar, &err);
     if (status == RN_OK && capture->bare) {
-        status = add_photos(*ret_tar, folder, &capture->photos, &err);
+        status = rn_pack_photos(*ret_tar, folder, &capture->photos, &err);
     } else if (status == RN_OK) {
-        status = add_documents(*ret_tar, capture->dataset, &err);
-        if (status == RN_OK) status = add_images(*ret_tar, folder, capture->dataset, &err);
+        status = rn_pack_dataset(*ret_tar, folder, capture->dataset, &err);
     }
     free(copy);
     return status == RN_OK ? RN_EXIT_OK : rn_client_fail(&err);
@@ -491,7 +431,11 @@ static enum rn_exit run_import(struct rn_client *client, const void *context, co
     struct capture capture = {.dataset = NULL};
     struct rn_tar *tar = NULL;
     char job[RN_ID_MAX];
+    bool scene = rn_is_scene_file(args[0]);
     if (!options->name) return rn_client_usage("import", "needs --name N");
+    if (check_scene_options(options, scene) != RN_EXIT_OK) return RN_EXIT_USAGE;
+    if (scene) return rn_import_scene(client, args[0], options->name, options->dataset);
+    if (!take_options(options, &capture.asked)) return RN_EXIT_USAGE;
     enum rn_exit code = check_name(client, options->name);
     if (code != RN_EXIT_OK) return code;
     code = examine_capture(args[0], options, client->json, false, &capture);
@@ -503,7 +447,8 @@ static enum rn_exit run_import(struct rn_client *client, const void *context, co
     } else {
         code = pack(args[0], &capture, &tar);
     }
-    if (code == RN_EXIT_OK) code = upload(client, tar, options, capture.bare, job);
+    if (capture.bare) capture.asked.poses = RN_POSES_FIND;
+    if (code == RN_EXIT_OK) code = rn_upload(client, tar, options->name, &capture.asked, job);
     if (tar) rn_tar_destroy(&tar);
     finish_capture(&capture);
     if (code != RN_EXIT_OK) return code;
@@ -596,12 +541,15 @@ const struct rn_verb rn_verbs_dataset[] = {
      .local = true,
      .run = run_validate},
     {.name = "import",
-     .arguments = "DIR|FILM --name N",
-     .summary = "check a dataset, send it to the daemon, wait until it is there",
-     .details = "Sends exactly the files that are read: the format's documents and its images. A "
-                "dataset with errors is\n"
-                "not sent (exit code 4). For photographs or a film without poses, the daemon looks "
-                "for\nthem with the program colmap (and ffmpeg), where they are installed.",
+     .arguments = "DIR|FILM|SCENE --name N",
+     .summary = "check it, send it, wait until it is there",
+     .details =
+         "Sends exactly the files that are read: the format's documents and its images. A "
+         "dataset with errors is\n"
+         "not sent (exit code 4). For photographs or a film without poses, the daemon looks "
+         "for\nthem with the program colmap (and ffmpeg), where they are installed.\nA file that "
+         "export --as scene wrote becomes a scene, to be looked at and, with --dataset,\n"
+         "evaluated; it is not trained further.",
      .args_min = 1,
      .args_max = 1,
      .table = import_table,

@@ -96,7 +96,11 @@ static enum rn_exit fetch_scene(struct rn_client *client, const char *reference,
     code = rn_api_decode(&reply, &rn_scene_table, &scene);
     rn_api_reply_finish(&reply);
     if (code != RN_EXIT_OK) return code;
-    code = fetch(client, "scenes", scene.id, "/checkpoint", checkpoint);
+    if (*scene.dataset)
+        code = fetch(client, "scenes", scene.id, "/checkpoint", checkpoint);
+    else
+        code =
+            rn_client_usage(reference, "was imported without a dataset, whose cameras are needed");
     if (code == RN_EXIT_OK) code = fetch(client, "datasets", scene.dataset, "/cameras", cameras);
     rn_message_finish(&rn_scene_table, &scene);
     return code;

@@ -41,7 +41,8 @@ static bool holds_frames(const char *folder) {
     DIR *dir = opendir(folder);
     while (dir && !found && (entry = readdir(dir))) {
         int index, end = 0;
-        found = sscanf(entry->d_name, "%5d.png%n", &index, &end) == 1 && end == 9;
+        found = sscanf(entry->d_name, "%5d.%n", &index, &end) == 1 && end == 6 &&
+                rn_name_index(rn_picture_format_extensions, entry->d_name + end) >= 0;
     }
     if (dir) closedir(dir);
     return found;
@@ -59,7 +60,8 @@ static bool read_note(struct rn_target *target) {
 
 enum rn_exit rn_target_open(const char *out, bool overwrite, bool resume,
                             struct rn_target *ret_target) {
-    struct rn_target target = {.out = out, .is_film = rn_target_film(out, NULL) >= 0};
+    struct rn_target target = {
+        .out = out, .is_film = rn_target_film(out, NULL) >= 0, .extension = "png"};
     struct rn_error err = {0};
     struct stat about;
     if (snprintf(target.note, sizeof target.note, target.is_film ? "%s.job" : "%s/.ripnerf-job",
@@ -103,17 +105,9 @@ struct frames {
 
 // GETs a path of the job's into a file.
 static enum rn_exit fetch(struct frames *frames, const char *tail, const char *file) {
-    struct rn_error err = {0};
-    struct rn_api_reply reply;
     char path[128];
     snprintf(path, sizeof path, "/v1/jobs/%s/%s", frames->job, tail);
-    rn_api_send(&frames->client, "GET", path, NULL, &reply);
-    enum rn_exit code = reply.code == RN_EXIT_OK ? RN_EXIT_OK : rn_api_complain(&reply);
-    if (code == RN_EXIT_OK &&
-        rn_file_write_atomic(file, reply.http.body.data, reply.http.body.size, &err) != RN_OK)
-        code = (rn_client_fail(&err), RN_EXIT_FAILED);
-    rn_api_reply_finish(&reply);
-    return code;
+    return rn_api_save(&frames->client, path, file);
 }
 
 static enum rn_exit fetch_frame(struct frames *frames, int64_t index) {
@@ -122,7 +116,8 @@ static enum rn_exit fetch_frame(struct frames *frames, int64_t index) {
     if (index < 0 || index >= RN_PATH_MAX_FRAMES || (frames->seen[index / 8] & bit))
         return RN_EXIT_OK;
     snprintf(tail, sizeof tail, "frames/%lld", (long long)index);
-    int size = snprintf(file, sizeof file, "%s/%05lld.png", frames->target->out, (long long)index);
+    int size = snprintf(file, sizeof file, "%s/%05lld.%s", frames->target->out, (long long)index,
+                        frames->target->extension);
     if (size < 0 || (size_t)size >= sizeof file) return rn_client_usage("-o", "is too long");
     bool kept = frames->resumed && access(file, F_OK) == 0;
     enum rn_exit code = kept ? RN_EXIT_OK : fetch(frames, tail, file);
@@ -178,10 +173,11 @@ static void print_summary(bool json, const struct frames *frames,
     if (text)
         puts(text);
     else if (!json && is_film)
-        printf("%s: %lld frames of %lldx%lld, %s\n", out, (long long)result->frames,
-               (long long)result->width, (long long)result->height, bytes);
+        printf("%s: %lld frame%s of %lldx%lld, %s\n", out, (long long)result->frames,
+               result->frames == 1 ? "" : "s", (long long)result->width, (long long)result->height,
+               bytes);
     else if (!json)
-        printf("%zu frames in %s\n", frames->written, out);
+        printf("%zu frame%s in %s\n", frames->written, frames->written == 1 ? "" : "s", out);
     free(text);
 }
 
@@ -214,8 +210,10 @@ static enum rn_exit follow_and_bring(struct rn_client *client, struct frames *fr
                 "Its frames will be at %s/v1/jobs/%s/frames.tar; the same command with "
                 "--resume brings them\n",
                 rn_http_host(client->http), frames->job);
+    else if (code == RN_EXIT_FAILED || code == RN_EXIT_CANCELLED)
+        fputs("ripnerf: the same command with --resume goes on with what is there\n", stderr);
     else if (code != RN_EXIT_UNREACHABLE && code != RN_EXIT_OK)
-        unlink(frames->target->note); // the job has ended: nothing to go on with
+        unlink(frames->target->note); // it would end the same way
     if (code == RN_EXIT_OK) code = bring(frames, &follow, first, client->json);
     if (code == RN_EXIT_OK) unlink(frames->target->note);
     rn_follow_finish(&follow);

@@ -11,8 +11,9 @@
 struct rn_target {
     const char *out; // borrowed
     bool is_film;
-    char note[PATH_MAX]; // a file that holds the job's id while it is under way
-    char job[RN_ID_MAX]; // to go on with; "" for a new one
+    const char *extension; // of frames, static
+    char note[PATH_MAX];   // a file that holds the job's id while it is under way
+    char job[RN_ID_MAX];   // to go on with; "" for a new one
 };
 
 // The codec (rn_film_names) that a file's name asks for; -1: it is no film. `codec`: of an .mp4.

@@ -4,6 +4,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "client/commands/estimate.h"
 #include "client/commands/submit.h"
 #include "client/follow.h"
 #include "client/outcome.h"
@@ -16,8 +17,8 @@ static const struct rn_option no_options[] = {{0}};
 struct train_options {
     const char *name, *preset, *device, *kernels;
     union rn_setting_value settings[RN_TRAIN_SETTINGS];
-    int64_t threads;
-    bool wait;
+    int64_t threads, ranks;
+    bool wait, estimate;
 };
 #define TRAIN(m) .offset = offsetof(struct train_options, m)
 static const struct rn_option train_table[] = {
@@ -25,6 +26,7 @@ static const struct rn_option train_table[] = {
      .kind = RN_OPTION_TEXT,
      TRAIN(name),
      .value = "SCENE",
+     .members = "scene",
      .help = "the new scene's name"},
     {.name = "preset",
      .kind = RN_OPTION_CHOICE,
@@ -39,6 +41,13 @@ static const struct rn_option train_table[] = {
      .min = 0,
      .max = 1024,
      .help = "0 takes all cores; results do not depend on it"},
+    {.name = "ranks",
+     .kind = RN_OPTION_INTEGER,
+     TRAIN(ranks),
+     .value = "N",
+     .min = 1,
+     .max = 16,
+     .help = "nodes of a Slurm cluster that train it together (1); results do not depend on it"},
     {.name = "device",
      .kind = RN_OPTION_TEXT,
      TRAIN(device),
@@ -50,6 +59,10 @@ static const struct rn_option train_table[] = {
      .value = "SET",
      .help = "the CPU's kernel set, of those `ripnerf info` lists; else the fastest"},
     {.name = "wait", .kind = RN_OPTION_FLAG, TRAIN(wait), .help = "show progress until the end"},
+    {.name = "estimate",
+     .kind = RN_OPTION_FLAG,
+     TRAIN(estimate),
+     .help = "do not train: measure for some seconds what it would take, and tell"},
     {0}};
 
 struct train_request {
@@ -60,7 +73,7 @@ struct train_request {
 static const struct rn_field_spec train_request_fields[] = {
     RN_F_NAME(struct train_request, type, RN_REQUIRED, rn_job_type_names),
     RN_F_STRING(struct train_request, dataset, RN_REQUIRED, 4096),
-    RN_F_STRING(struct train_request, scene, RN_REQUIRED, 4096),
+    RN_F_STRING(struct train_request, scene, 0, 4096),
     RN_F_OBJECT(struct train_request, options, 0, &rn_train_options_table)};
 static const struct rn_table train_request_table =
     RN_TABLE(struct train_request, "training request", train_request_fields);
@@ -73,13 +86,14 @@ static int index_of(const char *const *names, const char *word) {
 static char *train_body(const struct train_options *options, const char *dataset) {
     struct train_request request;
     rn_message_init(&train_request_table, &request);
-    request.type = RN_JOB_TRAIN;
+    request.type = options->estimate ? RN_JOB_ESTIMATE : RN_JOB_TRAIN;
     request.dataset = (char *)dataset; // only read
-    request.scene = (char *)options->name;
+    request.scene = options->estimate ? NULL : (char *)options->name;
     struct rn_train_options *train = &request.options;
     train->preset = index_of(rn_preset_names, options->preset);
     memcpy(train->settings, options->settings, sizeof train->settings);
     train->threads = options->threads;
+    train->ranks = options->ranks;
     if (options->device) snprintf(train->device, sizeof train->device, "%s", options->device);
     if (options->kernels) snprintf(train->kernels, sizeof train->kernels, "%s", options->kernels);
     return rn_api_encode(&train_request_table, &request);
@@ -133,6 +147,7 @@ static void summarise(const struct rn_job *job, struct train_summary *ret_summar
         ret_summary->finished_by = result.finished_by;
         memcpy(ret_summary->parameters_sha256, result.parameters_sha256,
                sizeof result.parameters_sha256);
+        rn_message_finish(&rn_train_result_table, &result);
     } else if (job->progress && rn_decode(&rn_train_progress_table, job->progress,
                                           strlen(job->progress), &progress, NULL, NULL) == RN_OK) {
         ret_summary->steps = progress.step;
@@ -173,14 +188,16 @@ static enum rn_exit run_train(struct rn_client *client, const void *context, con
     const struct train_options *options = context;
     char job[RN_ID_MAX], *answer = NULL;
     struct rn_error err;
-    if (!options->name) return rn_client_usage("train", "needs --name SCENE");
+    if (!options->name && !options->estimate) return rn_client_usage("train", "needs --name SCENE");
     if (rn_train_choice_check(options->settings, &err) != RN_OK)
         return rn_client_usage("train", "--%s: %s", err.where, err.text);
     char *body = train_body(options, args[0]);
     if (!body) return RN_EXIT_FAILED;
     enum rn_exit code = rn_submit(client, body, job, &answer);
     free(body);
-    if (code == RN_EXIT_OK && options->wait)
+    if (code == RN_EXIT_OK && options->estimate)
+        code = rn_wait_for_estimate(client, job);
+    else if (code == RN_EXIT_OK && options->wait)
         code = wait_for(client, job);
     else if (code == RN_EXIT_OK && client->json)
         puts(answer);
@@ -192,6 +209,20 @@ static enum rn_exit run_train(struct rn_client *client, const void *context, con
 
 // ---- jobs ----
 
+// Where it runs, or why it waits, before its figures.
+static void add_place(const struct rn_job *job, char text[RN_TEXT_TABLE_CELL]) {
+    const struct rn_job_runner *runner = &job->runner;
+    char figures[RN_TEXT_TABLE_CELL], number[40] = "";
+    memcpy(figures, text, sizeof figures);
+    if (*runner->slurm_job) snprintf(number, sizeof number, "Slurm %s", runner->slurm_job);
+    if (*runner->reason)
+        snprintf(text, RN_TEXT_TABLE_CELL, "waits: %.50s%s%s", runner->reason, *number ? "; " : "",
+                 number);
+    else if (*runner->machine)
+        snprintf(text, RN_TEXT_TABLE_CELL, "on %.24s (%s)%s%.30s", runner->machine, number,
+                 *figures ? ": " : "", figures);
+}
+
 static void add_job_row(struct rn_text_table *table, const void *message) {
     const struct rn_job *job = message;
     char text[RN_TEXT_TABLE_CELL] = "";
@@ -200,6 +231,7 @@ static void add_job_row(struct rn_text_table *table, const void *message) {
         rn_format_outcome(job, text, sizeof text);
     else
         rn_format_progress(job, job->progress, &fraction, text, sizeof text);
+    add_place(job, text);
     rn_text_table_row(table, "%s|%s|%s|%s|%s|%s", job->id, rn_job_type_names[job->type],
                       rn_job_state_names[job->state],
                       *job->scene_name ? job->scene_name : job->dataset_name, job->created_at,
@@ -340,7 +372,8 @@ const struct rn_verb rn_verbs_job[] = {
      .run = run_pause},
     {.name = "resume",
      .arguments = "JOB",
-     .summary = "go on with a paused job",
+     .summary = "go on with a paused job, or with a path that has ended early",
+     .details = "Of a path job that failed or was cancelled, a new one makes what is missing.",
      .args_min = 1,
      .args_max = 1,
      .table = no_options,

@@ -15,23 +15,31 @@
 // ---- path and turntable ----
 
 struct path_options {
-    const char *out, *codec;
+    const char *out, *codec, *output, *format, *crop;
     struct rn_option_pair size, frames;
     double fps, seconds, elevation, distance, fov;
-    int64_t video_quality;
-    bool overwrite, resume;
+    int64_t video_quality, jpeg_quality;
+    bool overwrite, resume, whole;
+    struct rn_optics_request optics;
     union rn_setting_value settings[RN_RENDER_SETTINGS];
 };
 #define PATH(m) .offset = offsetof(struct path_options, m)
 #define SIZE_OPTION                                                                                \
     {                                                                                              \
-        .name = "size", .kind = RN_OPTION_SIZE, PATH(size), .value = "WxH", .min = 1,              \
-        .max = 16384, .help = "pixels of a frame; else as the path says"                           \
+        .name = "size", .kind = RN_OPTION_SIZE, PATH(size), .value = "WxH",                        \
+        .members = "width|height", .min = 1, .max = 16384,                                         \
+        .help = "pixels of a frame; else as the path says"                                         \
     }
 #define FPS_OPTION                                                                                 \
     {                                                                                              \
         .name = "fps", .kind = RN_OPTION_NUMBER, PATH(fps), .value = "N", .min = 0.001,            \
         .max = 1000, .help = "frames a second; else as the path says"                              \
+    }
+#define FRAMES_OPTION                                                                              \
+    {                                                                                              \
+        .name = "frames", .kind = RN_OPTION_RANGE, PATH(frames), .value = "A-B",                   \
+        .members = "first|last", .min = 0, .max = RN_PATH_MAX_FRAMES - 1,                          \
+        .help = "only the frames A to B, both included"                                            \
     }
 // What is made of the frames, for both verbs.
 #define OUT_OPTIONS                                                                                \
@@ -40,7 +48,32 @@ struct path_options {
      .kind = RN_OPTION_TEXT,                                                                       \
      PATH(out),                                                                                    \
      .value = "OUT",                                                                               \
+     .members = "film",                                                                            \
      .help = "a folder for 00000.png, ..., or a film: .mp4, .webm, .gif"},                         \
+        {.name = "format",                                                                         \
+         .kind = RN_OPTION_CHOICE,                                                                 \
+         PATH(format),                                                                             \
+         .choices = "png|jpeg|png16|exr",                                                          \
+         .help =                                                                                   \
+             "of frames (png); png16: 16 bits a channel; exr: linear colour,\nalpha, depth and "   \
+             "normals in one file"},                                                               \
+        {.name = "jpeg-quality",                                                                   \
+         .kind = RN_OPTION_INTEGER,                                                                \
+         PATH(jpeg_quality),                                                                       \
+         .value = "Q",                                                                             \
+         .min = 1,                                                                                 \
+         .max = 100,                                                                               \
+         .help = "of jpeg frames (90)"},                                                           \
+        {.name = "crop",                                                                           \
+         .kind = RN_OPTION_TEXT,                                                                   \
+         PATH(crop),                                                                               \
+         .value = "BOX",                                                                           \
+         .help = "only what lies in the box X0,Y0,Z0,X1,Y1,Z1, dataset units"},                    \
+        {.name = "output",                                                                         \
+         .kind = RN_OPTION_CHOICE,                                                                 \
+         PATH(output),                                                                             \
+         .choices = "rgb|depth|alpha|normal|cost|level|footprint",                                 \
+         .help = "what the frames show (rgb)"},                                                    \
         {.name = "codec",                                                                          \
          .kind = RN_OPTION_CHOICE,                                                                 \
          PATH(codec),                                                                              \
@@ -64,14 +97,9 @@ struct path_options {
 static const struct rn_option path_table[] = {
     SIZE_OPTION,
     FPS_OPTION,
-    {.name = "frames",
-     .kind = RN_OPTION_RANGE,
-     PATH(frames),
-     .value = "A-B",
-     .min = 0,
-     .max = RN_PATH_MAX_FRAMES - 1,
-     .help = "only the frames A to B, both included"},
+    FRAMES_OPTION,
     {.name = "", .kind = RN_OPTION_SETTINGS, PATH(settings), .settings = &rn_render_settings},
+    {.name = "", .kind = RN_OPTION_SETTINGS, PATH(optics), .settings = &rn_optics_settings},
     OUT_OPTIONS,
     {0}};
 static const struct rn_option turntable_table[] = {
@@ -103,9 +131,15 @@ static const struct rn_option turntable_table[] = {
      .min = 1,
      .max = 170,
      .help = "from top to bottom; else as the first camera's"},
+    {.name = "whole",
+     .kind = RN_OPTION_FLAG,
+     PATH(whole),
+     .help = "a whole turn, where photographs cover only a part too"},
     SIZE_OPTION,
     FPS_OPTION,
+    FRAMES_OPTION,
     {.name = "", .kind = RN_OPTION_SETTINGS, PATH(settings), .settings = &rn_render_settings},
+    {.name = "", .kind = RN_OPTION_SETTINGS, PATH(optics), .settings = &rn_optics_settings},
     OUT_OPTIONS,
     {0}};
 
@@ -141,15 +175,25 @@ static enum rn_exit load_path(const char *file, char **ret_json) {
     return status == RN_OK ? RN_EXIT_OK : rn_client_fail(&err);
 }
 
-static void fill_options(const struct path_options *options, struct rn_path_options *wanted) {
+// enum rn_picture_format; -1: not said.
+static int format_of(const struct path_options *options) {
+    return options->format ? rn_name_index(rn_picture_format_names, options->format) : -1;
+}
+
+static bool fill_options(const struct path_options *options, struct rn_path_options *wanted) {
     wanted->width = options->size.first;
     wanted->height = options->size.second;
     wanted->first = options->frames.first;
     wanted->last = options->frames.second;
     wanted->fps = options->fps;
+    wanted->optics = options->optics;
     wanted->film = rn_target_film(options->out, options->codec);
+    wanted->format = format_of(options);
+    wanted->jpeg_quality = options->jpeg_quality;
+    wanted->output = options->output ? rn_name_index(rn_output_kind_names, options->output) : -1;
     wanted->video_quality = wanted->film >= 0 ? options->video_quality : RN_ABSENT;
     memcpy(wanted->settings, options->settings, sizeof options->settings);
+    return rn_crop_option(options->crop, wanted->crop);
 }
 
 // `json`: the path's object; else `name` is a camera path of the daemon's.
@@ -161,7 +205,7 @@ static enum rn_exit encode_request(const struct path_options *options, const cha
     request.scene = (char *)scene;
     request.path = (char *)name;
     request.camera_path.json = (char *)json;
-    fill_options(options, &request.options);
+    if (!fill_options(options, &request.options)) return RN_EXIT_USAGE;
     *ret_body = rn_api_encode(&path_request_table, &request);
     return *ret_body ? RN_EXIT_OK : RN_EXIT_FAILED;
 }
@@ -182,12 +226,21 @@ static enum rn_exit path_body(const struct path_options *options, const char **a
 static enum rn_exit submit_and_gather(struct rn_client *client, const struct path_options *options,
                                       const struct rn_target *target, const char *body) {
     char job[RN_ID_MAX], *answer = NULL;
-    enum rn_exit code = RN_EXIT_OK;
     snprintf(job, sizeof job, "%s", target->job);
-    if (!*job) code = rn_submit(client, body, job, &answer);
+    enum rn_exit code = *job ? rn_take_up(client, job) : rn_submit(client, body, job, &answer);
     free(answer);
     if (code != RN_EXIT_OK) return code;
     return rn_gather(client, target, job, rn_int_or(options->frames.first, 0));
+}
+
+static enum rn_exit open_target(const struct path_options *options, struct rn_target *ret_target) {
+    int format = format_of(options);
+    enum rn_exit code =
+        rn_target_open(options->out, options->overwrite, options->resume, ret_target);
+    ret_target->extension = rn_picture_format_extensions[rn_name_or(format, RN_FORMAT_PNG)];
+    if (code == RN_EXIT_OK && ret_target->is_film && format > RN_FORMAT_PNG)
+        return rn_client_usage("--format", "is of frames in a folder; a film is made of png");
+    return code;
 }
 
 static enum rn_exit run_path(struct rn_client *client, const void *context, const char **args) {
@@ -195,7 +248,8 @@ static enum rn_exit run_path(struct rn_client *client, const void *context, cons
     struct rn_target target;
     char *body = NULL;
     if (!options->out) return rn_client_usage("path", "needs -o DIR or -o film.mp4");
-    enum rn_exit code = rn_target_open(options->out, options->overwrite, options->resume, &target);
+    enum rn_exit code = rn_check_budget(options->settings);
+    if (code == RN_EXIT_OK) code = open_target(options, &target);
     if (code == RN_EXIT_OK && !*target.job) code = path_body(options, args, &body);
     if (code == RN_EXIT_OK) code = submit_and_gather(client, options, &target, body);
     free(body);
@@ -233,14 +287,27 @@ static enum rn_exit run_turntable(struct rn_client *client, const void *context,
                            .distance = options->distance,
                            .fov_deg = options->fov,
                            .width = rn_int_or(options->size.first, 0),
-                           .height = rn_int_or(options->size.second, 0)};
+                           .height = rn_int_or(options->size.second, 0),
+                           .whole = options->whole};
+    double covered_deg = 360;
     if (!options->out) return rn_client_usage("turntable", "needs -o OUT");
-    enum rn_exit code = RN_EXIT_OK;
-    if (!is_path_file(options->out))
-        code = rn_target_open(options->out, options->overwrite, options->resume, &target);
-    if (code == RN_EXIT_OK && !*target.job) code = rn_turn_path(client, args[0], &turn, &json);
+    enum rn_exit code = rn_check_budget(options->settings);
+    if (code == RN_EXIT_OK && !is_path_file(options->out)) code = open_target(options, &target);
+    if (code == RN_EXIT_OK && !*target.job)
+        code = rn_turn_path(client, args[0], &turn, &json, &covered_deg);
+    if (code == RN_EXIT_OK && covered_deg < 360 && !options->whole)
+        fprintf(
+            stderr,
+            "ripnerf: the photographs cover %.0f of 360 degrees: a swing over them; --whole for "
+            "a whole turn\n",
+            covered_deg);
     if (code == RN_EXIT_OK && is_path_file(options->out)) {
         code = write_path(options->out, json, options->overwrite);
+        if (code == RN_EXIT_OK && !client->json)
+            printf(
+                "%s: a camera path of %g s, %g frames a second; ripnerf path %s %s -o OUT renders "
+                "it\n",
+                options->out, turn.seconds, turn.fps, args[0], options->out);
     } else if (code == RN_EXIT_OK) {
         if (json) code = encode_request(options, args[0], NULL, json, &body);
         if (code == RN_EXIT_OK) code = submit_and_gather(client, options, &target, body);
@@ -431,8 +498,10 @@ static void path_row(struct rn_text_table *table, const void *message) {
 }
 
 static enum rn_exit list_paths(struct rn_client *client) {
-    static const struct rn_api_list list = {RN_KIND_PATH, &rn_camera_path_summary_table,
-                                            "NAME|ID|CREATED", path_row};
+    static const struct rn_api_list list = {.kind = RN_KIND_PATH,
+                                            .table = &rn_camera_path_summary_table,
+                                            .heading = "NAME|ID|CREATED",
+                                            .row = path_row};
     return rn_api_print_list(client, &list);
 }
 
@@ -464,8 +533,8 @@ const struct rn_verb rn_verbs_path[] = {
      .arguments = "SCENE FILE -o OUT",
      .summary = "the frames of a camera path, or a film of them",
      .details = "FILE is a camera path, or the name of one that the daemon keeps. What OUT\n"
-                "holds is never replaced unasked. An interrupted call leaves a note there, with\n"
-                "which --resume goes on.",
+                "holds is never replaced unasked. A call that was interrupted, and a job that\n"
+                "failed or was cancelled, leave a note there, with which --resume goes on.",
      .args_min = 2,
      .args_max = 2,
      .table = path_table,
@@ -473,8 +542,10 @@ const struct rn_verb rn_verbs_path[] = {
      .run = run_path},
     {.name = "turntable",
      .arguments = "SCENE -o OUT",
-     .summary = "a whole turn around a scene",
-     .details = "OUT is a folder, a film, or a camera path's .json, which path takes.",
+     .summary = "a turn around a scene",
+     .details = "Where the photographs leave a gap of more than 90 degrees, it swings to and fro\n"
+                "over what they cover. OUT is a folder, a film, or a camera path's .json, which\n"
+                "path takes.",
      .args_min = 1,
      .args_max = 1,
      .table = turntable_table,

@@ -31,15 +31,23 @@ static enum rn_exit read_document(const char *path, char **ret_text, size_t *ret
 // ---- render ----
 
 struct render_options {
-    const char *view, *camera, *lens, *output, *file;
+    const char *view, *camera, *lens, *output, *file, *format, *crop;
+    double at;
     struct rn_option_pair size;
+    struct rn_optics_request optics;
     union rn_setting_value settings[RN_RENDER_SETTINGS];
 };
 #define RENDER(m) .offset = offsetof(struct render_options, m)
 #define SIZE_OPTION(place)                                                                         \
     {                                                                                              \
-        .name = "size", .kind = RN_OPTION_SIZE, place, .value = "WxH", .min = 1, .max = 16384,     \
+        .name = "size", .kind = RN_OPTION_SIZE, place, .value = "WxH",                             \
+        .members = "size|width|height", .min = 1, .max = 16384,                                    \
         .help = "pixels; else as the camera says"                                                  \
+    }
+#define AT_OPTION(place)                                                                           \
+    {                                                                                              \
+        .name = "at", .kind = RN_OPTION_SECONDS, place, .value = "T", .min = 0.01,                 \
+        .max = 31536000, .help = "as it was after so much training: 15s; `show` lists the marks"   \
     }
 #define SETTINGS_OPTION(place)                                                                     \
     { .name = "", .kind = RN_OPTION_SETTINGS, place, .settings = &rn_render_settings }
@@ -59,23 +67,39 @@ static const struct rn_option render_table[] = {
      RENDER(lens),
      .choices = "pinhole|as-taken",
      .help = "how a view is rendered: without its photograph's lens (the default), or with it"},
+    AT_OPTION(RENDER(at)),
     SIZE_OPTION(RENDER(size)),
     {.name = "output",
      .kind = RN_OPTION_CHOICE,
      RENDER(output),
-     .choices = "rgb|depth|alpha",
+     .choices = "rgb|depth|alpha|normal|cost|level|footprint",
      .help = "what the picture shows (rgb)"},
     SETTINGS_OPTION(RENDER(settings)),
+    {.name = "", .kind = RN_OPTION_SETTINGS, RENDER(optics), .settings = &rn_optics_settings},
+    {.name = "crop",
+     .kind = RN_OPTION_TEXT,
+     RENDER(crop),
+     .value = "BOX",
+     .help = "only what lies in the box X0,Y0,Z0,X1,Y1,Z1, dataset units"},
     {.name = "out",
      .letter = 'o',
      .kind = RN_OPTION_TEXT,
      RENDER(file),
      .value = "FILE",
-     .help = "the picture: .png, .jpg or .jpeg"},
+     .members = "format",
+     .help = "the picture: .png, .jpg, .jpeg, or .exr: linear colour, alpha, depth,\nnormals"},
+    {.name = "format",
+     .kind = RN_OPTION_CHOICE,
+     RENDER(format),
+     .choices = "png|jpeg|png16|exr",
+     .members = "",
+     .help = "else by FILE's ending; png16: 16 bits a channel"},
     {0}};
 
-static int format_of(const char *file) {
-    const char *dot = strrchr(file, '.');
+static int format_of(const struct render_options *options) {
+    const char *dot = strrchr(options->file, '.');
+    if (options->format) return rn_name_index(rn_picture_format_names, options->format);
+    if (dot && strcasecmp(dot, ".exr") == 0) return RN_FORMAT_EXR;
     if (dot && strcasecmp(dot, ".png") == 0) return RN_FORMAT_PNG;
     if (dot && (strcasecmp(dot, ".jpg") == 0 || strcasecmp(dot, ".jpeg") == 0))
         return RN_FORMAT_JPEG;
@@ -105,9 +129,12 @@ static enum rn_exit render_body(const struct render_options *options, char **ret
     } else {
         snprintf(request.view, sizeof request.view, "%s", options->view);
     }
+    request.optics = options->optics;
+    request.at = options->at;
     request.size.width = options->size.first;
     request.size.height = options->size.second;
-    request.format = format_of(options->file);
+    if (!rn_crop_option(options->crop, request.crop)) return RN_EXIT_USAGE;
+    request.format = format_of(options);
     request.lens = options->lens ? rn_name_index(rn_lens_choice_names, options->lens) : -1;
     request.output = options->output ? rn_name_index(rn_output_kind_names, options->output) : -1;
     memcpy(request.settings, options->settings, sizeof options->settings);
@@ -120,7 +147,9 @@ static enum rn_exit render_body(const struct render_options *options, char **ret
 struct render_summary {
     char *file; // borrowed
     int64_t step;
+    double at; // training seconds, of what was looked back at
     double render_ms;
+    char scale[48]; // of a heat map's colours: "0 40 samples"
     // Of a budget; absent without one. client_ms: until the answer was here.
     double asked_ms, spent_ms, client_ms, expected_psnr, expected_spread;
     char setting[96], curve[16];
@@ -129,7 +158,9 @@ struct render_summary {
 static const struct rn_field_spec render_summary_fields[] = {
     RN_F_STRING(struct render_summary, file, RN_REQUIRED, 4096),
     RN_F_INT(struct render_summary, step, RN_REQUIRED | RN_NULLABLE, 0, INT64_MAX),
+    RN_F_NUMBER(struct render_summary, at, 0, 0, INFINITY),
     RN_F_NUMBER(struct render_summary, render_ms, RN_REQUIRED | RN_NULLABLE, 0, INFINITY),
+    RN_F_TEXT(struct render_summary, scale, 0, NULL),
     RN_F_NUMBER(struct render_summary, asked_ms, 0, 0, INFINITY),
     RN_F_NUMBER(struct render_summary, spent_ms, 0, 0, INFINITY),
     RN_F_NUMBER(struct render_summary, client_ms, 0, 0, INFINITY),
@@ -156,7 +187,15 @@ static void print_budget(const struct render_summary *summary) {
                                : strcmp(summary->curve, "stale") == 0 ? "scene's older"
                                                                       : "scene's");
     if (summary->late > 0)
-        printf(isnan(summary->asked_ms) ? ", no point reaches what was asked for" : ", late");
+        printf("%s", !isnan(summary->asked_ms)        ? ", late"
+                     : !isnan(summary->expected_psnr) ? ", below what was asked for"
+                                                      : ", not known to be what was asked for");
+}
+
+// "0 40 samples"
+static void print_scale(const struct render_summary *summary) {
+    const char *high = strchr(summary->scale, ' ');
+    if (high) printf(", dark is 0 and bright%s", high);
 }
 
 static void print_render(struct rn_client *client, const char *file, double client_ms,
@@ -164,6 +203,7 @@ static void print_render(struct rn_client *client, const char *file, double clie
     const char *timing = strstr(reply->server_timing, "render;dur=");
     struct render_summary summary = {.file = (char *)file,
                                      .step = *reply->step ? atoll(reply->step) : RN_ABSENT,
+                                     .at = number_in(reply->at),
                                      .render_ms = timing ? atof(timing + 11) : NAN,
                                      .asked_ms = number_in(reply->budget.asked_ms),
                                      .spent_ms = number_in(reply->budget.spent_ms),
@@ -171,6 +211,7 @@ static void print_render(struct rn_client *client, const char *file, double clie
                                      .expected_psnr = number_in(reply->budget.expected_psnr),
                                      .expected_spread = number_in(reply->budget.expected_spread),
                                      .late = *reply->budget.late ? atoi(reply->budget.late) : -1};
+    snprintf(summary.scale, sizeof summary.scale, "%s", reply->scale);
     snprintf(summary.setting, sizeof summary.setting, "%s", reply->budget.setting);
     snprintf(summary.curve, sizeof summary.curve, "%s", reply->budget.curve);
     if (client->json) {
@@ -181,7 +222,9 @@ static void print_render(struct rn_client *client, const char *file, double clie
     }
     printf("%s", file);
     if (*reply->step) printf(": step %s", reply->step);
+    if (*reply->at) printf(", after %.1f s of training", summary.at);
     if (timing) printf(", rendered in %.1f ms", summary.render_ms);
+    print_scale(&summary);
     print_budget(&summary);
     putchar('\n');
 }
@@ -190,9 +233,9 @@ static enum rn_exit check_render(const struct render_options *options) {
     if (!options->view == !options->camera)
         return rn_client_usage("render", "needs one of --view SPLIT:N and --camera FILE");
     if (!options->file) return rn_client_usage("render", "needs -o FILE");
-    if (format_of(options->file) < 0)
-        return rn_client_usage(options->file, "must end in .png, .jpg or .jpeg");
-    return RN_EXIT_OK;
+    if (format_of(options) < 0)
+        return rn_client_usage(options->file, "must end in .png, .jpg, .jpeg or .exr");
+    return rn_check_budget(options->settings);
 }
 
 static enum rn_exit run_render(struct rn_client *client, const void *context, const char **args) {
@@ -228,6 +271,7 @@ static enum rn_exit run_render(struct rn_client *client, const void *context, co
 struct eval_options {
     const char *split;
     int64_t views, scale;
+    double at;
     union rn_setting_value settings[RN_RENDER_SETTINGS];
 };
 #define EVAL(m) .offset = offsetof(struct eval_options, m)
@@ -250,6 +294,7 @@ static const struct rn_option eval_table[] = {{.name = "split",
                                                .min = 0,
                                                .max = 15,
                                                .help = "only the images 2^J times smaller"},
+                                              AT_OPTION(EVAL(at)),
                                               SETTINGS_OPTION(EVAL(settings)),
                                               {0}};
 
@@ -273,6 +318,7 @@ static char *eval_body(const struct eval_options *options, const char *scene) {
     request.options.split = options->split ? rn_name_index(rn_split_names, options->split) : -1;
     request.options.views = options->views;
     request.options.scale = options->scale;
+    request.options.at = options->at;
     memcpy(request.options.settings, options->settings, sizeof options->settings);
     return rn_api_encode(&eval_request_table, &request);
 }
@@ -304,9 +350,17 @@ static enum rn_exit print_evaluation(const char *json) {
            result.views == 1 ? "" : "s", result.psnr_spread, result.ssim_spread,
            result.render_ms_median);
     if (isfinite(result.psnr_fitted))
-        printf("exposures were made even: with each photograph's own fitted on one half and scored "
-               "on the other, %.2f dB\n",
-               result.psnr_fitted);
+        printf(
+            "with what each photograph may have of its own (exposure, pose) fitted on one half and "
+            "scored on the other, %.2f dB\n",
+            result.psnr_fitted);
+    if (isfinite(result.lpips))
+        printf("LPIPS (VGG) %.4f\n", result.lpips);
+    else
+        puts("LPIPS is not told: ripnerfd --lpips FILE names its weights");
+    if (isfinite(result.depth_error))
+        printf("depths at sparse points are off by %.2g %% of the distance (median)\n",
+               100 * result.depth_error);
     printf("protocol: step %lld, background (%g, %g, %g), scales averaged %s, rounding %s, "
            "trained on %s, seed %lld, %s, %s\n",
            (long long)result.protocol.step, result.protocol.background[0],
@@ -319,15 +373,11 @@ static enum rn_exit print_evaluation(const char *json) {
 }
 
 static enum rn_exit run_eval(struct rn_client *client, const void *context, const char **args) {
-    char job[RN_ID_MAX], *answer = NULL;
-    char *body = eval_body(context, args[0]);
-    if (!body) return RN_EXIT_FAILED;
-    enum rn_exit code = rn_submit(client, body, job, &answer);
-    free(body);
-    free(answer);
+    const struct eval_options *options = context;
+    struct rn_follow follow;
+    enum rn_exit code = rn_check_budget(options->settings);
     if (code != RN_EXIT_OK) return code;
-    struct rn_follow follow = {.client = client, .quiet = client->json};
-    code = rn_follow_job(&follow, job);
+    code = rn_submit_and_follow(client, eval_body(options, args[0]), &follow);
     if (code == RN_EXIT_OK && follow.job.result) {
         if (client->json)
             puts(follow.job.result);
@@ -348,7 +398,11 @@ const struct rn_verb rn_verbs_render[] = {
          "fx, fy, cx, cy in the field of view's place. A picture of another shape than the "
          "camera's\n"
          "keeps its field of view from top to bottom. Depth is a 16-bit grey PNG whose text chunk\n"
-         "ripnerf:depth_scale says how many dataset units 65535 stands for.",
+         "ripnerf:depth_scale says how many dataset units 65535 stands for. Normals are colours, "
+         "each of\n"
+         "the dataset's axes from -1 to 1. Cost (samples a pixel), level (of the ripmap, at the "
+         "surface)\n"
+         "and footprint (diameter of a pixel's cone there) are heat maps whose scale is printed.",
      .args_min = 1,
      .args_max = 1,
      .table = render_table,

@@ -1,9 +1,11 @@
 // scenes, show, rm, info.
 
+#include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
+#include "client/commands/export_job.h"
 #include "client/follow.h"
 #include "client/outcome.h"
 #include "proto/event.h"
@@ -24,7 +26,8 @@ static void add_scene_row(struct rn_text_table *table, const void *message) {
     rn_format_seconds(scene->train_seconds, seconds, sizeof seconds);
     rn_text_table_row(table, "%s|%s|%s|%lld|%s|%s|%s|%s", scene->name, scene->id,
                       rn_scene_state_names[scene->state], (long long)scene->steps, seconds,
-                      format_psnr(scene->psnr, psnr), scene->dataset_name, scene->created_at);
+                      format_psnr(scene->psnr, psnr),
+                      *scene->dataset_name ? scene->dataset_name : "-", scene->created_at);
 }
 
 static enum rn_exit run_scenes(struct rn_client *client, const void *options, const char **args) {
@@ -75,10 +78,33 @@ static void print_threshold(const struct rn_effect_entry *effect) {
         printf(" (threshold %.3g/255)", 255 * threshold);
     else if (strcmp(effect->name, "distortion") == 0 || strcmp(effect->name, "exposure") == 0)
         printf(" (threshold %.3g)", threshold);
+    else if (strcmp(effect->name, "downscaling") == 0)
+        printf(" (threshold %.3g megapixels a second)", threshold);
+    else if (strcmp(effect->name, "pose-refinement") == 0)
+        printf(" (threshold %.3g dB)", threshold);
     else if (strcmp(effect->name, "forward-facing") == 0)
         printf(" (threshold %.3g degrees)", threshold);
     else
         printf(" (threshold %.3g times)", exp2(threshold)); // all of these are in octaves
+}
+
+static void print_differences(const void *message) {
+    const struct rn_scene_description *description =
+        &((const struct rn_scene *)message)->description;
+    if (description->difference_count == 0) return;
+    puts("\ndiffers from the paper (gain where measured: test PSNR of lego after 15 s)");
+    for (size_t i = 0; i < description->difference_count; i++)
+        printf("  %s%s%s\n", description->differences[i].what,
+               *description->differences[i].measured ? ": " : "",
+               description->differences[i].measured);
+}
+
+static void count_differences(const void *message) {
+    const struct rn_scene *scene = message;
+    size_t count = scene->description.difference_count;
+    if (count)
+        printf("\ndiffers from the paper in %zu point%s: ripnerf show %s --paper\n", count,
+               count == 1 ? "" : "s", scene->name);
 }
 
 static void print_effects(const struct rn_scene_description *description) {
@@ -90,12 +116,6 @@ static void print_effects(const struct rn_scene_description *description) {
         print_threshold(effect);
         putchar('\n');
     }
-    if (description->difference_count)
-        puts("\ndiffers from the paper (gain where measured: test PSNR of lego after 15 s)");
-    for (size_t i = 0; i < description->difference_count; i++)
-        printf("  %s%s%s\n", description->differences[i].what,
-               *description->differences[i].measured ? ": " : "",
-               description->differences[i].measured);
 }
 
 static void print_description(const struct rn_scene_description *description) {
@@ -103,10 +123,24 @@ static void print_description(const struct rn_scene_description *description) {
     if (isnan(description->bounds.radius)) return; // it has not trained yet
     rn_settings_put(&rn_train_settings, description->config.settings, &config);
     print_config(&config);
+    if (strncmp(description->kernels, "sm_", 3) == 0) // a GPU's architecture
+        print_field("left out", "by the GPU: rays drawn by error%s",
+                    config.field.shading == RN_SHADING_SAMPLE ? ", roulette, split pixels" : "");
     print_field("bounds", "centre (%g, %g, %g), radius %g", description->bounds.centre[0],
                 description->bounds.centre[1], description->bounds.centre[2],
                 description->bounds.radius);
     print_effects(description);
+}
+
+static void print_viewing(const struct rn_viewing_record *viewing) {
+    char planes[64];
+    if (viewing->bits == RN_ABSENT) return;
+    rn_format_planes(viewing->bits, planes, sizeof planes);
+    print_field("for viewing", "%s; it is not trained further", planes);
+    print_field("", "%.2f dB on %lld %s views, %.3f dB less than the scene that it is of",
+                viewing->psnr, (long long)viewing->views, rn_split_names[viewing->split],
+                viewing->loss);
+    print_field("", "trained on %s, written by ripnerf %s", viewing->dataset, viewing->version);
 }
 
 static void print_scene(const void *message) {
@@ -117,7 +151,11 @@ static void print_scene(const void *message) {
     print_field("scene", "%s (%s)", scene->name, scene->id);
     print_field("state", "%s%s", rn_scene_state_names[scene->state],
                 scene->loaded ? ", loaded" : "");
-    print_field("dataset", "%s (%s)", scene->dataset_name, scene->dataset);
+    if (*scene->dataset)
+        print_field("dataset", "%s (%s)", scene->dataset_name, scene->dataset);
+    else
+        print_field("dataset", "none here");
+    print_viewing(&made->viewing);
     print_field("trained", "%lld steps in %s by %s", (long long)scene->steps, seconds, scene->job);
     if (scene->state == RN_SCENE_FAILED) print_field("why", "ripnerf show %s", scene->job);
     print_field("PSNR", "%s dB%s%s", format_psnr(scene->psnr, psnr), *made->held_out ? " on " : "",
@@ -133,6 +171,11 @@ static void print_scene(const void *message) {
         rn_format_bytes((double)scene->checkpoints[i].size_bytes, bytes, sizeof bytes);
         print_field(i ? "" : "checkpoints", "step %lld, %s, %s",
                     (long long)scene->checkpoints[i].step, bytes, scene->checkpoints[i].created_at);
+    }
+    for (size_t i = 0; i < scene->mark_count; i++) {
+        rn_format_bytes((double)scene->marks[i].size_bytes, bytes, sizeof bytes);
+        print_field(i ? "" : "marks", "%.1f s, step %lld, %s", scene->marks[i].train_seconds,
+                    (long long)scene->marks[i].step, bytes);
     }
     print_description(made);
 }
@@ -152,6 +195,12 @@ static void print_dataset(const void *message) {
     print_field("bounds", "centre (%g, %g, %g), radius %g, source: %s", dataset->bounds.centre[0],
                 dataset->bounds.centre[1], dataset->bounds.centre[2], dataset->bounds.radius,
                 rn_bounds_source_names[dataset->bounds.source]);
+    if (dataset->capture >= 0)
+        print_field("capture", "%s, up is (%.3g, %.3g, %.3g)", rn_capture_names[dataset->capture],
+                    dataset->up[0], dataset->up[1], dataset->up[2]);
+    if (isfinite(dataset->crop[0]))
+        print_field("crop", "%g, %g, %g to %g, %g, %g", dataset->crop[0], dataset->crop[1],
+                    dataset->crop[2], dataset->crop[3], dataset->crop[4], dataset->crop[5]);
     print_field("footprint", "%.3g to %.3g", dataset->footprint.min, dataset->footprint.max);
     print_field("created", "%s", dataset->created_at);
 }
@@ -208,7 +257,18 @@ static enum rn_exit print_decoded(const struct rn_api_reply *reply, const struct
     return code;
 }
 
-static enum rn_exit run_show(struct rn_client *client, const void *options, const char **args) {
+struct show_options {
+    bool paper;
+};
+static const struct rn_option show_table[] = {
+    {.name = "paper",
+     .kind = RN_OPTION_FLAG,
+     .offset = offsetof(struct show_options, paper),
+     .help = "also where a scene's training differs from the paper's"},
+    {0}};
+
+static enum rn_exit run_show(struct rn_client *client, const void *context, const char **args) {
+    const struct show_options *options = context;
     struct rn_api_reply reply;
     enum rn_kind kind;
     enum rn_exit code =
@@ -218,6 +278,9 @@ static enum rn_exit run_show(struct rn_client *client, const void *options, cons
     if (client->json) puts((char *)reply.http.body.data);
     for (size_t i = 0; !client->json && i < sizeof shown / sizeof *shown; i++)
         if (shown[i].kind == kind) code = print_decoded(&reply, shown[i].table, shown[i].print);
+    if (!client->json && kind == RN_KIND_SCENE && code == RN_EXIT_OK)
+        code = print_decoded(&reply, &rn_scene_table,
+                             options->paper ? print_differences : count_differences);
     rn_api_reply_finish(&reply);
     return code;
 }
@@ -257,12 +320,18 @@ static void print_info(const void *message) {
                     (long long)info->threads);
     else
         print_field("device", "not known: no runner has answered");
+    if (strncmp(info->device, "cuda", 4) == 0)
+        print_field("CPU's alone", "unbounded and forward-facing captures, masks, bases that the "
+                                   "levels do not halve evenly, cost and surfaces of a picture; a "
+                                   "GPU traces every pixel, whatever --tolerance says");
     if (*info->kernels) {
         printf("%-12s%s, of", "kernels", info->kernels);
         for (size_t i = 0; i < info->available_kernel_count; i++)
             printf(" %s", info->available_kernels[i]);
         putchar('\n');
     }
+    if (*info->executor)
+        print_field("executor", "%s: scenes are trained on a cluster", info->executor);
     print_field("memory", "%s for all scenes", info->memory_limit_bytes ? bytes : "no limit");
     print_field("limits", "%lld training at once, %lld jobs waiting, %lld scenes loaded",
                 (long long)info->limits.max_training_jobs, (long long)info->limits.max_queued_jobs,
@@ -271,6 +340,31 @@ static void print_info(const void *message) {
         print_field("roots", "none: datasets come by upload (ripnerfd --dataset-root)");
     else
         print_field("roots", "%s", info->roots);
+}
+
+static void add_place_row(struct rn_text_table *table, const void *message) {
+    const struct rn_job *job = message;
+    if (*job->runner.machine)
+        rn_text_table_row(table, "%s|%s|%s|%s|%s", job->runner.machine, job->runner.slurm_job,
+                          job->id, rn_job_type_names[job->type], job->scene_name);
+}
+
+static enum rn_exit print_places(struct rn_client *client) {
+    static const struct rn_api_list list = {.kind = RN_KIND_JOB,
+                                            .table = &rn_job_table,
+                                            .heading = "MACHINE|SLURM|JOB|TYPE|FOR",
+                                            .query = "&state=running",
+                                            .row = add_place_row};
+    putchar('\n');
+    return rn_api_print_list(client, &list);
+}
+
+static bool is_on_a_cluster(const struct rn_api_reply *reply) {
+    struct rn_info info;
+    if (rn_api_decode(reply, &rn_info_table, &info) != RN_EXIT_OK) return false;
+    bool is = *info.executor;
+    rn_message_finish(&rn_info_table, &info);
+    return is;
 }
 
 static enum rn_exit run_info(struct rn_client *client, const void *options, const char **args) {
@@ -283,6 +377,7 @@ static enum rn_exit run_info(struct rn_client *client, const void *options, cons
         puts((char *)reply.http.body.data);
     else
         code = print_decoded(&reply, &rn_info_table, print_info);
+    if (code == RN_EXIT_OK && !client->json && is_on_a_cluster(&reply)) code = print_places(client);
     rn_api_reply_finish(&reply);
     return code;
 }
@@ -298,7 +393,8 @@ const struct rn_verb rn_verbs_scene[] = {
      .summary = "all about a scene, dataset, job or camera path",
      .args_min = 1,
      .args_max = 1,
-     .table = no_options,
+     .table = show_table,
+     .options_size = sizeof(struct show_options),
      .run = run_show},
     {.name = "rm",
      .arguments = "ID",

@@ -3,11 +3,23 @@
 #define RN_CLIENT_COMMANDS_SUBMIT_H
 
 #include "client/api.h"
+#include "client/follow.h"
 #include "proto/job.h"
 
 // POSTs a job request's JSON. Complains when it is refused. On success the job's id, and its JSON,
 // malloc'd, the caller's to free.
 enum rn_exit rn_submit(struct rn_client *client, const char *body, char ret_job[RN_ID_MAX],
                        char **ret_json);
+// Takes up an earlier call's job; where that has failed or was cancelled, `job` becomes the one that
+// goes on with its frames. Complains.
+enum rn_exit rn_take_up(struct rn_client *client, char job[RN_ID_MAX]);
+// As rn_submit, of a body that it frees (NULL: RN_EXIT_FAILED), and waits as rn_follow_job does. The
+// follow is the caller's to finish, whatever is returned.
+enum rn_exit rn_submit_and_follow(struct rn_client *client, char *body,
+                                  struct rn_follow *ret_follow);
+// --crop's box into a request, where there is one; false, with a complaint, where it is none.
+bool rn_crop_option(const char *text, double ret_crop[6]);
+// A usage error where settings ask for more than one budget, or for one beside others.
+enum rn_exit rn_check_budget(const union rn_setting_value settings[RN_RENDER_SETTINGS]);
 
 #endif

@@ -117,15 +117,17 @@ enum rn_status rn_file_read_head(const char *path, uint8_t *bytes, size_t capaci
     return status;
 }
 
-static int write_fully(int fd, const uint8_t *bytes, size_t size) {
-    while (size > 0) {
-        ssize_t put = write(fd, bytes, size);
+bool rn_write_all(int fd, const void *bytes, size_t size_bytes) {
+    const char *at = bytes;
+    while (size_bytes > 0) {
+        ssize_t put = write(fd, at, size_bytes);
         if (put < 0 && errno == EINTR) continue;
-        if (put < 0) return -1;
-        bytes += put;
-        size -= (size_t)put;
+        if (put == 0) errno = EIO;
+        if (put <= 0) return false;
+        at += put;
+        size_bytes -= (size_t)put;
     }
-    return 0;
+    return true;
 }
 
 static int fsync_retry(int fd) {
@@ -150,18 +152,20 @@ static bool folder_of(const char *path, char folder[PATH_MAX]) {
     return true;
 }
 
-static int fsync_folder_of(const char *path) {
-    char folder[PATH_MAX];
-    if (!folder_of(path, folder)) {
-        errno = ENAMETOOLONG;
-        return -1;
-    }
+static int fsync_folder(const char *folder) {
     int fd = open(folder, O_RDONLY | O_DIRECTORY | O_CLOEXEC);
     if (fd < 0) return -1;
     int rc = fsync_retry(fd), errnum = errno;
     close(fd);
     errno = errnum;
     return rc;
+}
+
+static int fsync_folder_of(const char *path) {
+    char folder[PATH_MAX];
+    if (folder_of(path, folder)) return fsync_folder(folder);
+    errno = ENAMETOOLONG;
+    return -1;
 }
 
 // ".NAME.PID-N.tmp" beside `path`: hidden, and unique among the live processes of the machine.
@@ -175,7 +179,7 @@ static bool temporary_name(const char *path, char temporary[PATH_MAX]) {
 
 static int write_and_rename(int fd, const char *temporary, const char *path, const void *bytes,
                             size_t size) {
-    int rc = write_fully(fd, bytes, size);
+    int rc = rn_write_all(fd, bytes, size) ? 0 : -1;
     if (rc == 0) rc = fsync_retry(fd);
     int errnum = errno;
     if (close(fd) < 0 && rc == 0) {
@@ -200,6 +204,18 @@ enum rn_status rn_file_write_atomic(const char *path, const void *bytes, size_t 
     if (fsync_folder_of(path) < 0)
         return rn_error_from_errno(err, errno, path, "flush the file's folder");
     return RN_OK;
+}
+
+enum rn_status rn_file_rename(const char *from, const char *to, struct rn_error *err) {
+    if (rename(from, to) < 0) return rn_error_from_errno(err, errno, to, "rename the file");
+    if (fsync_folder_of(to) < 0)
+        return rn_error_from_errno(err, errno, to, "flush the file's folder");
+    return RN_OK;
+}
+
+enum rn_status rn_folder_flush(const char *path, struct rn_error *err) {
+    return fsync_folder(path) == 0 ? RN_OK
+                                   : rn_error_from_errno(err, errno, path, "flush the folder");
 }
 
 // One level of rn_mkdirs.

@@ -30,8 +30,17 @@ enum rn_status rn_file_read_head(const char *path, uint8_t *bytes, size_t capaci
 enum rn_status rn_file_write_atomic(const char *path, const void *bytes, size_t size_bytes,
                                     struct rn_error *err) RN_MUST_CHECK;
 
+// Writes all of it, however many calls that takes; false with errno where it cannot be.
+bool rn_write_all(int fd, const void *bytes, size_t size_bytes) RN_MUST_CHECK;
+
 // Creates a folder and the missing ones above it, durably. An existing folder is no error.
 enum rn_status rn_mkdirs(const char *path, mode_t mode, struct rn_error *err) RN_MUST_CHECK;
+
+// As rename(2), of a file or folder, and durable: the new name is there after a power loss.
+enum rn_status rn_file_rename(const char *from, const char *to, struct rn_error *err) RN_MUST_CHECK;
+
+// Makes the names in a folder durable, and what was removed from it.
+enum rn_status rn_folder_flush(const char *path, struct rn_error *err) RN_MUST_CHECK;
 
 // Removes a file, or a folder with all it holds; links are removed, never followed. A missing
 // path is no error. RN_ERROR_LIMIT for folders nested more than 64 deep.

@@ -18,7 +18,7 @@
 #define MAX_LIST (256u << 20)
 #define BLOCK_BYTES (1 << 16)
 
-static enum rn_status digest_of(const char *path, char ret_sha256[65], struct rn_error *err) {
+enum rn_status rn_manifest_digest(const char *path, char ret_sha256[65], struct rn_error *err) {
     char block[BLOCK_BYTES];
     struct rn_sha256 hash;
     int fd = open(path, O_RDONLY | O_CLOEXEC);
@@ -53,7 +53,7 @@ static enum rn_status list_entry(const char *folder, const char *name, struct rn
     if (lstat(path, &about) != 0) return rn_error_from_errno(err, errno, path, "find the file");
     if (S_ISDIR(about.st_mode)) return list_files(folder, name, list, err);
     if (!S_ISREG(about.st_mode) || strcmp(name, LIST) == 0) return RN_OK;
-    enum rn_status status = digest_of(path, sha256, err);
+    enum rn_status status = rn_manifest_digest(path, sha256, err);
     if (status == RN_OK) rn_buf_printf(list, "%s  %s\n", sha256, name);
     return status;
 }
@@ -100,16 +100,15 @@ enum rn_status rn_manifest_write(const char *folder, struct rn_error *err) {
     return status;
 }
 
-// One line, "DIGEST  NAME"; NUL-terminated.
-static enum rn_status check_line(const char *folder, const char *line, struct rn_error *err) {
-    char path[PATH_MAX], sha256[65] = "";
-    bool good = strlen(line) > 66 && line[64] == ' ' && line[65] == ' ' &&
-                snprintf(path, sizeof path, "%s/%s", folder, line + 66) < (int)sizeof path;
-    if (!good) return rn_error_set(err, RN_ERROR_CORRUPT, folder, "its " LIST " is damaged");
-    enum rn_status status = digest_of(path, sha256, err);
+static enum rn_status check_entry(const char *folder, const char *sha256, const char *name,
+                                  struct rn_error *err) {
+    char path[PATH_MAX], found[65] = "";
+    if (snprintf(path, sizeof path, "%s/%s", folder, name) >= (int)sizeof path)
+        return rn_error_set(err, RN_ERROR_CORRUPT, folder, "its " LIST " is damaged");
+    enum rn_status status = rn_manifest_digest(path, found, err);
     if (status == RN_ERROR_NOT_FOUND)
         return rn_error_set(err, RN_ERROR_CORRUPT, path, "is missing; " LIST " names it");
-    if (status == RN_OK && strncmp(sha256, line, 64) != 0)
+    if (status == RN_OK && strcmp(found, sha256) != 0)
         return rn_error_set(err, RN_ERROR_CORRUPT, path,
                             "is not as it was written: its bytes do not have their digest");
     return status;
@@ -126,31 +125,57 @@ static enum rn_status read_list(const char *folder, char **ret_text, struct rn_e
     return status;
 }
 
-enum rn_status rn_manifest_check(const char *folder, bool (*keep_going)(void *context),
-                                 void *context, struct rn_error *err) {
+static bool is_line(const char *line) {
+    return strlen(line) > 66 && line[64] == ' ' && line[65] == ' ';
+}
+
+enum rn_status rn_manifest_read(const char *folder,
+                                enum rn_status (*name)(void *context, const char *sha256,
+                                                       const char *name, struct rn_error *err),
+                                void *context, struct rn_error *err) {
     char *text = NULL, *rest = NULL;
     enum rn_status status = read_list(folder, &text, err);
     if (status != RN_OK) return status;
     for (char *line = strtok_r(text, "\n", &rest); status == RN_OK && line != NULL;
          line = strtok_r(NULL, "\n", &rest)) {
-        if (keep_going != NULL && !keep_going(context))
-            status = rn_error_set(err, RN_ERROR_CANCELLED, folder, "cancelled");
-        else
-            status = check_line(folder, line, err);
+        if (!is_line(line)) {
+            status = rn_error_set(err, RN_ERROR_CORRUPT, folder, "its " LIST " is damaged");
+            break;
+        }
+        line[64] = '\0';
+        status = name(context, line, line + 66, err);
     }
     free(text);
     return status;
 }
 
+struct check {
+    const char *folder, *only; // only: the one file that is checked; NULL: all
+    bool (*keep_going)(void *context);
+    void *context;
+    bool found;
+};
+
+static enum rn_status check_if_wanted(void *context, const char *sha256, const char *name,
+                                      struct rn_error *err) {
+    struct check *check = context;
+    if (check->only != NULL && strcmp(check->only, name) != 0) return RN_OK;
+    if (check->keep_going != NULL && !check->keep_going(check->context))
+        return rn_error_set(err, RN_ERROR_CANCELLED, check->folder, "cancelled");
+    check->found = true;
+    return check_entry(check->folder, sha256, name, err);
+}
+
+enum rn_status rn_manifest_check(const char *folder, bool (*keep_going)(void *context),
+                                 void *context, struct rn_error *err) {
+    struct check check = {.folder = folder, .keep_going = keep_going, .context = context};
+    return rn_manifest_read(folder, check_if_wanted, &check, err);
+}
+
 enum rn_status rn_manifest_check_file(const char *folder, const char *name, struct rn_error *err) {
-    char *text = NULL, *rest = NULL;
-    enum rn_status status = read_list(folder, &text, err);
-    if (status != RN_OK) return status;
-    char *line = strtok_r(text, "\n", &rest);
-    while (line != NULL && (strlen(line) <= 66 || strcmp(line + 66, name) != 0))
-        line = strtok_r(NULL, "\n", &rest);
-    status = line != NULL ? check_line(folder, line, err)
-                          : rn_error_set(err, RN_ERROR_NOT_FOUND, name, LIST " does not name it");
-    free(text);
+    struct check check = {.folder = folder, .only = name};
+    enum rn_status status = rn_manifest_read(folder, check_if_wanted, &check, err);
+    if (status == RN_OK && !check.found)
+        status = rn_error_set(err, RN_ERROR_NOT_FOUND, name, LIST " does not name it");
     return status;
 }

@@ -6,6 +6,15 @@
 
 #include "common/base/status.h"
 
+// The SHA-256 of a file's bytes.
+enum rn_status rn_manifest_digest(const char *path, char ret_sha256[65],
+                                  struct rn_error *err) RN_MUST_CHECK;
+// Calls `name` with each line's digest and name, the list itself not included, until it fails.
+// RN_ERROR_NOT_FOUND when there is no list.
+enum rn_status rn_manifest_read(const char *folder,
+                                enum rn_status (*name)(void *context, const char *sha256,
+                                                       const char *name, struct rn_error *err),
+                                void *context, struct rn_error *err) RN_MUST_CHECK;
 // Lists all visible files below the folder in FOLDER/SHA256SUMS.
 enum rn_status rn_manifest_write(const char *folder, struct rn_error *err) RN_MUST_CHECK;
 // Reads each file of the list. RN_ERROR_NOT_FOUND when there is no list, RN_ERROR_CORRUPT names the

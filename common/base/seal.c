@@ -32,7 +32,7 @@ static ssize_t read_at(int fd, void *bytes, size_t size, off_t at) {
 static bool is_seal(const char *text) {
     const size_t key = sizeof RN_SEAL_KEY - 1;
     int wrong = text[key + DIGITS] != '"';
-    for (size_t i = 0; i < key; i++)
+    for (size_t i = 0; i < key && wrong <= 1; i++)
         wrong += text[i] != RN_SEAL_KEY[i];
     return wrong <= 1;
 }

@@ -1,6 +1,7 @@
 // Whether what a capture says of itself agrees: its sparse points with the photographs that saw
-// them, its cameras with one another, one layout in its folder with the next.
+// them, one layout in its folder with the next.
 #include <math.h>
+#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -9,8 +10,6 @@
 #define SUSPECT_PX 2.0  // a mean error of points above it means that something is misread
 #define SAME_POSE 1e-6  // of the scene's radius
 #define SAME_FOCAL 1e-6 // relative
-#define FORWARD 0.9     // length of the mean view direction of a forward-facing capture
-#define CONVERGENT 0.25 // of the distance, by which axes miss the point that they are nearest to
 
 // ---- points against photographs ----
 
@@ -83,6 +82,7 @@ enum rn_status rn_dataset_reproject(const struct rn_dataset *dataset,
     if (found.points) {
         qsort(of, found.points, sizeof *of, compare_misses);
         found.median_px = of[found.points / 2].sum;
+        found.p95_px = of[found.points * 95 / 100].sum;
         found.mean_px /= (double)found.points;
         found.said_px /= (double)found.points;
     }
@@ -92,7 +92,32 @@ enum rn_status rn_dataset_reproject(const struct rn_dataset *dataset,
     return RN_OK;
 }
 
-static void tell_reprojection(struct rn_reader *reader) {
+enum rn_status rn_dataset_reproject_photos(const struct rn_dataset *dataset,
+                                           const struct rn_frame *const *frames, size_t count,
+                                           double *ret_px) {
+    size_t photo_count;
+    const struct rn_frame **by_photo = frames_by_photo(dataset, &photo_count);
+    struct miss *of = calloc(photo_count + 1, sizeof *of);
+    for (size_t i = 0; by_photo && of && i < dataset->points.sighting_count; i++) {
+        const struct rn_sighting *sighting = &dataset->points.sightings[i];
+        if (sighting->photo >= photo_count || !by_photo[sighting->photo]) continue;
+        double miss = miss_px(&by_photo[sighting->photo]->camera,
+                              &dataset->points.items[sighting->point], sighting);
+        if (isnan(miss)) continue;
+        of[sighting->photo].sum += miss;
+        of[sighting->photo].count++;
+    }
+    for (size_t i = 0; by_photo && of && i < count; i++) {
+        const struct miss *miss = &of[frames[i]->photo];
+        ret_px[i] = miss->count ? miss->sum / (double)miss->count : NAN;
+    }
+    enum rn_status status = by_photo && of ? RN_OK : RN_ERROR_NO_MEMORY;
+    free(by_photo);
+    free(of);
+    return status;
+}
+
+void rn_reader_tell_reprojection(struct rn_reader *reader) {
     struct rn_reprojection found;
     const struct rn_dataset *dataset = reader->dataset;
     if (!dataset->points.sighting_count || rn_dataset_reproject(dataset, &found, NULL)) return;
@@ -104,71 +129,6 @@ static void tell_reprojection(struct rn_reader *reader) {
         "where their camera does not see%s",
         found.points, found.sightings, found.mean_px, found.median_px, found.said_px, found.unseen,
         suspect ? ": poses, lenses and points do not belong together" : "");
-}
-
-// ---- how the photographs were taken ----
-
-static int compare_numbers(const void *a, const void *b) {
-    double left = *(const double *)a, right = *(const double *)b;
-    return (left > right) - (left < right);
-}
-
-// How far the axis passes the point, in parts of the distance; infinite when it is behind.
-static double axis_miss(const struct rn_camera *camera, const double point[3]) {
-    double along = 0, squared = 0;
-    for (int i = 0; i < 3; i++) {
-        double offset = point[i] - camera->world_from_camera[i][3];
-        along += offset * camera->world_from_camera[i][2];
-        squared += offset * offset;
-    }
-    if (!(along > 0)) return INFINITY;
-    return sqrt(fmax(0, 1 - along * along / squared));
-}
-
-void rn_dataset_capture(const struct rn_dataset *dataset, struct rn_capture *ret_capture) {
-    struct rn_bounds nearest = rn_bounds_from_cameras(dataset, 1);
-    struct rn_capture capture = {.kind = RN_CAPTURE_AROUND};
-    double mean[3] = {0}, *misses = malloc((dataset->frame_count + 1) * sizeof *misses);
-    for (size_t f = 0; f < dataset->frame_count; f++) {
-        const struct rn_camera *camera = &dataset->frames[f].camera;
-        for (int i = 0; i < 3; i++)
-            mean[i] += camera->world_from_camera[i][2] / (double)dataset->frame_count;
-        if (misses) misses[f] = axis_miss(camera, nearest.centre);
-    }
-    capture.alignment = sqrt(mean[0] * mean[0] + mean[1] * mean[1] + mean[2] * mean[2]);
-    capture.miss = INFINITY;
-    if (misses && dataset->frame_count) {
-        qsort(misses, dataset->frame_count, sizeof *misses, compare_numbers);
-        capture.miss = misses[dataset->frame_count / 2];
-    }
-    free(misses);
-    memcpy(capture.centre, nearest.centre, sizeof capture.centre);
-    if (capture.alignment >= FORWARD)
-        capture.kind = RN_CAPTURE_FORWARD;
-    else if (capture.miss <= CONVERGENT)
-        capture.kind = RN_CAPTURE_OBJECT;
-    *ret_capture = capture;
-}
-
-static void tell_capture(struct rn_reader *reader) {
-    static const char *const kinds[] = {"photographs of something turned around",
-                                        "forward-facing photographs",
-                                        "photographs of the surroundings"};
-    struct rn_capture capture;
-    rn_dataset_capture(reader->dataset, &capture);
-    rn_problems_add(reader->problems, RN_SEVERITY_INFO, reader->folder,
-                    "%s: the mean view direction has length %.2f (%.2g and more is "
-                    "forward-facing), half of the axes pass (%.4g, %.4g, %.4g) within %.0f %% of "
-                    "the distance (%.0f %% and less is turned around)",
-                    kinds[capture.kind], capture.alignment, FORWARD, capture.centre[0],
-                    capture.centre[1], capture.centre[2], 100 * fmin(capture.miss, 9.99),
-                    100 * CONVERGENT);
-}
-
-void rn_reader_tell_agreement(struct rn_reader *reader) {
-    tell_reprojection(reader);
-    if (!(reader->dataset->format->sphere > 0) && reader->dataset->bounds.source != RN_BOUNDS_GIVEN)
-        tell_capture(reader);
 }
 
 // ---- two layouts of one folder ----
@@ -187,43 +147,104 @@ static const struct rn_frame **frames_by_path(const struct rn_dataset *dataset) 
     return frames;
 }
 
-static double pose_difference(const struct rn_camera *a, const struct rn_camera *b, double radius) {
+// A photograph that both layouts have.
+struct pair {
+    const struct rn_frame *own, *other;
+};
+
+static size_t list_pairs(const struct rn_dataset *dataset, const struct rn_dataset *other,
+                         const struct rn_frame **of, const struct rn_frame **others,
+                         struct pair *pairs) {
+    size_t count = 0;
+    for (size_t i = 0, j = 0; i < dataset->frame_count && j < other->frame_count;) {
+        int order = strcmp(of[i]->path, others[j]->path);
+        if (order == 0) pairs[count++] = (struct pair){of[i], others[j]};
+        i += order <= 0;
+        j += order >= 0;
+    }
+    return count;
+}
+
+// How the coordinates of the other layout lie in ours: to + scale * turn (x - from).
+struct placing {
+    double turn[3][3], scale, from[3], to[3];
+};
+
+static const struct placing as_it_is = {.turn = {{1, 0, 0}, {0, 1, 0}, {0, 0, 1}}, .scale = 1};
+
+// The turn by the first photograph, scale and shift by the cameras' spread about their middle: the
+// similarity where there is one, as programs move a scene that they write (applied_transform).
+static struct placing place(const struct pair *pairs, size_t count) {
+    struct placing p = {.scale = 1};
+    double spread[2] = {0, 0};
+    for (size_t n = 0; n < count; n++)
+        for (int i = 0; i < 3; i++) {
+            p.to[i] += pairs[n].own->camera.world_from_camera[i][3] / (double)count;
+            p.from[i] += pairs[n].other->camera.world_from_camera[i][3] / (double)count;
+        }
+    for (size_t n = 0; n < count; n++)
+        for (int i = 0; i < 3; i++) {
+            spread[0] += pow(pairs[n].own->camera.world_from_camera[i][3] - p.to[i], 2);
+            spread[1] += pow(pairs[n].other->camera.world_from_camera[i][3] - p.from[i], 2);
+        }
+    for (int i = 0; i < 9; i++)
+        for (int k = 0; k < 3; k++)
+            p.turn[i / 3][i % 3] += pairs[0].own->camera.world_from_camera[i / 3][k] *
+                                    pairs[0].other->camera.world_from_camera[i % 3][k];
+    if (spread[0] > 0 && spread[1] > 0) p.scale = sqrt(spread[0] / spread[1]);
+    return p;
+}
+
+static double pose_difference(const struct placing *p, const struct pair *pairs, size_t count,
+                              double radius) {
     double worst = 0;
-    for (int i = 0; i < 3; i++)
-        for (int j = 0; j < 4; j++)
-            worst = fmax(worst, fabs(a->world_from_camera[i][j] - b->world_from_camera[i][j]) /
-                                    (j == 3 ? radius : 1));
+    for (size_t n = 0; n < count; n++)
+        for (int i = 0; i < 3; i++)
+            for (int j = 0; j < 4; j++) {
+                double there = j == 3 ? p->to[i] : 0;
+                for (int k = 0; k < 3; k++) {
+                    double at = pairs[n].other->camera.world_from_camera[k][j];
+                    there += p->turn[i][k] * (j == 3 ? p->scale * (at - p->from[k]) : at);
+                }
+                double off = fabs(pairs[n].own->camera.world_from_camera[i][j] - there);
+                worst = fmax(worst, off / (j == 3 ? radius : 1));
+            }
     return worst;
 }
 
 // Both values of what differs most between the photographs that both have.
 static void tell_difference(struct rn_reader *reader, const struct rn_dataset *other,
-                            const struct rn_frame **of, const struct rn_frame **others) {
+                            const struct pair *pairs, size_t count) {
     const struct rn_dataset *dataset = reader->dataset;
-    const struct rn_frame *worst = NULL, *worst_other = NULL;
-    double pose = 0, focal = 0;
-    size_t common = 0;
-    for (size_t i = 0, j = 0; i < dataset->frame_count && j < other->frame_count;) {
-        int order = strcmp(of[i]->path, others[j]->path);
-        if (order == 0) {
-            double off = fabs(of[i]->camera.fx - others[j]->camera.fx);
-            pose = fmax(
-                pose, pose_difference(&of[i]->camera, &others[j]->camera, dataset->bounds.radius));
-            if (off >= focal) worst = of[i], worst_other = others[j];
-            focal = fmax(focal, off);
-            common++;
-        }
-        i += order <= 0;
-        j += order >= 0;
+    const struct pair *worst = pairs;
+    double focal = 0, radius = dataset->bounds.radius;
+    char moved[128] = "";
+    for (size_t n = 0; n < count; n++) {
+        double off = fabs(pairs[n].own->camera.fx - pairs[n].other->camera.fx);
+        if (off >= focal) worst = &pairs[n];
+        focal = fmax(focal, off);
     }
-    if (!worst) return;
-    bool same = pose <= SAME_POSE && focal <= SAME_FOCAL * worst->camera.fx;
-    rn_problems_add(reader->problems, same ? RN_SEVERITY_INFO : RN_SEVERITY_WARNING, reader->folder,
-                    "%s and %s have %zu photographs in common: poses differ by up to %.2g of the "
-                    "scene's radius, focal lengths by up to %.6g px (%s: %.6g and %.6g); those of "
-                    "%s are used",
-                    dataset->format->title, other->format->title, common, pose, focal, worst->name,
-                    worst->camera.fx, worst_other->camera.fx, dataset->format->title);
+    double pose = pose_difference(&as_it_is, pairs, count, radius);
+    if (pose > SAME_POSE && count >= 3) {
+        struct placing placing = place(pairs, count);
+        double placed = pose_difference(&placing, pairs, count, radius);
+        double trace = placing.turn[0][0] + placing.turn[1][1] + placing.turn[2][2];
+        if (placed < pose)
+            snprintf(moved, sizeof moved,
+                     " once %s is turned by %.1f degrees, scaled by %.6g and shifted",
+                     other->format->title, acos(fmax(-1, fmin(1, (trace - 1) / 2))) * 180 / M_PI,
+                     placing.scale);
+        pose = fmin(pose, placed);
+    }
+    const struct rn_camera *a = &worst->own->camera, *b = &worst->other->camera;
+    bool same = pose <= SAME_POSE && focal <= SAME_FOCAL * a->fx;
+    rn_problems_add(
+        reader->problems, same ? RN_SEVERITY_INFO : RN_SEVERITY_WARNING, reader->folder,
+        "%s and %s have %zu photographs in common: poses differ by up to %.2g of the "
+        "scene's radius%s, focal lengths by up to %.6g px (%s: %.6g and %.6g); those of "
+        "%s are used",
+        dataset->format->title, other->format->title, count, pose, moved, focal, worst->own->name,
+        a->fx, b->fx, dataset->format->title);
 }
 
 void rn_reader_compare(struct rn_reader *reader, const struct rn_format *format) {
@@ -231,7 +252,11 @@ void rn_reader_compare(struct rn_reader *reader, const struct rn_format *format)
     struct rn_read_options options = {.format = format->name};
     if (rn_dataset_read_as(reader->folder, &options, NULL, &other, NULL)) return;
     const struct rn_frame **of = frames_by_path(reader->dataset), **others = frames_by_path(other);
-    if (of && others) tell_difference(reader, other, of, others);
+    struct pair *pairs = malloc((reader->dataset->frame_count + 1) * sizeof *pairs);
+    size_t count =
+        of && others && pairs ? list_pairs(reader->dataset, other, of, others, pairs) : 0;
+    if (count) tell_difference(reader, other, pairs, count);
+    free(pairs);
     free(of);
     free(others);
     rn_dataset_destroy(&other);

@@ -3,10 +3,12 @@
 
 #include "common/dataset/output.h"
 #include "common/dataset/reader.h"
+#include "common/dataset/survey.h"
 
 struct check {
     const struct rn_dataset *dataset;
     struct rn_error *faults; // of each frame; status RN_OK where none
+    struct rn_survey *survey;
 };
 
 enum rn_status rn_frame_decode(const struct rn_frame *frame, struct rn_image *ret_image,
@@ -32,6 +34,7 @@ static enum rn_status check_frame(void *context, size_t index, struct rn_error *
     struct rn_error *fault = &check->faults[index];
     struct rn_image image;
     if (rn_frame_decode(&check->dataset->frames[index], &image, fault) == RN_OK) {
+        rn_survey_look(check->survey, &check->dataset->frames[index], &image);
         rn_image_finish(&image);
     } else if (fault->status == RN_ERROR_NO_MEMORY) {
         *err = *fault;
@@ -58,10 +61,10 @@ static void drop_faulty(struct rn_dataset *dataset, const struct rn_error *fault
 }
 
 enum rn_status rn_dataset_check_images(struct rn_dataset *dataset, int threads,
-                                       struct rn_problems *problems,
+                                       struct rn_problems *problems, struct rn_survey *survey,
                                        bool (*progress)(void *context, size_t done, size_t total),
                                        void *context, struct rn_error *err) {
-    struct check check = {.dataset = dataset};
+    struct check check = {.dataset = dataset, .survey = survey};
     check.faults = calloc(dataset->frame_count, sizeof *check.faults);
     if (!check.faults) return rn_error_set(err, RN_ERROR_NO_MEMORY, dataset->name, "out of memory");
     enum rn_status status = rn_output_run(threads, dataset->frame_count, check_frame, &check,

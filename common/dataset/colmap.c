@@ -44,7 +44,8 @@ struct model {
     struct key *points; // of kept points, by id
     size_t point_count;
     size_t sighting_capacity;
-    uint64_t orphans; // sightings of points that are not there
+    uint64_t orphans, first_orphan; // sightings of points that are not there, and its point
+    bool thinned;                   // points were left out
 };
 
 static enum rn_status no_memory(const struct model *model, struct rn_error *err) {
@@ -154,40 +155,6 @@ static enum rn_status read_cameras(struct model *model, struct rn_error *err) {
     return status;
 }
 
-static enum rn_status set_lens(const struct rn_colmap_camera *from, const char *where,
-                               struct rn_camera *camera, struct rn_error *err) {
-    if (from->model < 0 || rn_colmap_models[from->model].lens == RN_LENS_COUNT)
-        return rn_error_set(err, RN_ERROR_INVALID, where,
-                            "camera %" PRIu32 " has the model %s, a lens that is not known here: "
-                            "undistort the photographs, or use another camera model",
-                            from->id, from->model_name);
-    const struct rn_colmap_model *model = &rn_colmap_models[from->model];
-    const struct rn_lens_model *lens = &rn_lens_models[model->lens];
-    bool bent = model->lens != RN_LENS_OPENCV; // which without coefficients is a pinhole
-    camera->lens = model->lens;
-    for (int i = 0; i < model->count; i++) {
-        const char *name = model->parameters[i];
-        double value = from->parameters[i];
-        if (strcmp(name, "f") == 0) camera->fx = camera->fy = value;
-        if (strcmp(name, "fx") == 0) camera->fx = value;
-        if (strcmp(name, "fy") == 0) camera->fy = value;
-        if (strcmp(name, "cx") == 0) camera->cx = value;
-        if (strcmp(name, "cy") == 0) camera->cy = value;
-        for (int k = 0; k < lens->count; k++)
-            if (strcmp(name, lens->parameters[k]) == 0) {
-                camera->lens_k[k] = value;
-                bent = bent || value != 0;
-            }
-    }
-    if (!bent) camera->lens = RN_LENS_PINHOLE;
-    if (model->lens != RN_LENS_EQUIRECTANGULAR) return RN_OK;
-    camera->fx = (double)from->width / (2 * M_PI);
-    camera->fy = (double)from->height / M_PI;
-    camera->cx = 0.5 * (double)from->width;
-    camera->cy = 0.5 * (double)from->height;
-    return RN_OK;
-}
-
 // ---- images ----
 
 static int compare_names(const void *a, const void *b) {
@@ -202,6 +169,22 @@ static int compare_keys(const void *a, const void *b) {
 static const struct key *find_key(const struct key *keys, size_t count, uint64_t id) {
     struct key wanted = {.id = id};
     return count ? bsearch(&wanted, keys, count, sizeof *keys, compare_keys) : NULL;
+}
+
+// An identifier that two images have: what points were seen in could be either.
+static enum rn_status check_ids(const struct model *model, struct rn_error *err) {
+    struct key *ids = malloc(model->image_count * sizeof *ids);
+    enum rn_status status = RN_OK;
+    if (!ids) return no_memory(model, err);
+    for (size_t i = 0; i < model->image_count; i++)
+        ids[i] = (struct key){.id = model->images[i].id};
+    qsort(ids, model->image_count, sizeof *ids, compare_keys);
+    for (size_t i = 1; i < model->image_count && status == RN_OK; i++)
+        if (ids[i - 1].id == ids[i].id)
+            status = rn_error_set(err, RN_ERROR_INVALID, model->images_path,
+                                  "two images have the id %" PRIu64, ids[i].id);
+    free(ids);
+    return status;
 }
 
 static enum rn_status add_entry(struct model *model, const struct rn_colmap_image *image,
@@ -238,6 +221,7 @@ static enum rn_status read_images(struct model *model, struct rn_error *err) {
     if (status == RN_OK && model->image_count == 0)
         return rn_error_set(err, RN_ERROR_INVALID, model->images_path,
                             "has no images: none of the photographs was registered");
+    if (status == RN_OK) status = check_ids(model, err);
     if (model->image_count)
         qsort(model->images, model->image_count, sizeof *model->images, compare_names);
     return status;
@@ -296,7 +280,7 @@ static enum rn_status read_photo(const struct model *model, const struct entry *
     if (!set_pose(entry, frame->camera.world_from_camera))
         return rn_error_set(err, RN_ERROR_INVALID, where,
                             "its rotation's quaternion has no length");
-    if ((status = set_lens(camera, where, &frame->camera, err)) ||
+    if ((status = rn_colmap_take_lens(camera, where, &frame->camera, err)) ||
         (status = rn_reader_fit(model->reader, where, (double)camera->width, (double)camera->height,
                                 frame, err)))
         return status;
@@ -382,6 +366,7 @@ static enum rn_status read_points(struct model *model, struct rn_error *err) {
         if (at % stride == 0 && is_finite(&point))
             status = add_point(model, &point, &capacity, &key_capacity, err);
     }
+    model->thinned = at > model->point_count;
     if (stride > 1 && status == RN_OK)
         rn_problems_add(model->reader->problems, RN_SEVERITY_INFO, file.path,
                         "has %" PRIu64 " points; every %" PRIu64 "th is kept", at, stride);
@@ -391,7 +376,8 @@ static enum rn_status read_points(struct model *model, struct rn_error *err) {
     return status;
 }
 
-// A keypoint that belongs to a point: kept where the photograph and the point are.
+// A keypoint that belongs to a point: kept where the photograph and the point are. A photograph
+// that was kept has its camera.
 static enum rn_status see(void *context, const struct rn_colmap_image *image, double x, double y,
                           uint64_t id, struct rn_error *err) {
     struct model *model = context;
@@ -399,7 +385,7 @@ static enum rn_status see(void *context, const struct rn_colmap_image *image, do
     const struct key *point = find_key(model->points, model->point_count, id);
     const struct key *photo = find_key(model->photos, model->photo_count, image->id);
     struct rn_colmap_camera wanted = {.id = image->camera};
-    model->orphans += !point;
+    if (!point && !model->orphans++) model->first_orphan = id;
     if (!point || !photo || points->sighting_count == RN_SIGHTINGS_MAX) return RN_OK;
     const struct rn_colmap_camera *camera =
         bsearch(&wanted, model->cameras, model->camera_count, sizeof wanted, compare_cameras);
@@ -442,6 +428,11 @@ static enum rn_status read_sparse(struct model *model, struct rn_error *err) {
     }
     if ((status = read_sightings(model, err))) return status;
     const struct rn_points *points = &model->reader->dataset->points;
+    if (model->orphans && !model->thinned)
+        rn_problems_add(problems, RN_SEVERITY_WARNING, model->images_path,
+                        "%" PRIu64 " of its keypoints belong to points that points3D does "
+                        "not have, the first to point %" PRIu64 "; they are left out",
+                        model->orphans, model->first_orphan);
     if (points->count && !points->sighting_count)
         rn_problems_add(problems, RN_SEVERITY_WARNING, model->images_path,
                         "sees none of the model's %zu points: its keypoints belong to none",

@@ -85,11 +85,12 @@ static bool skip(struct rn_colmap_file *file, uint64_t size) {
 enum rn_status rn_colmap_open(struct rn_reader *reader, const char *folder, const char *kind,
                               struct rn_colmap_file *ret_file, struct rn_error *err) {
     struct stat about;
-    *ret_file = (struct rn_colmap_file){0};
+    *ret_file = (struct rn_colmap_file){.reader = reader};
     enum rn_status status = open_as(reader, folder, kind, "bin", ret_file, err);
     if (status == RN_ERROR_NOT_FOUND) {
+        *ret_file =
+            (struct rn_colmap_file){.reader = reader, .text = true, .count = RN_COLMAP_NOT_SAID};
         status = open_as(reader, folder, kind, "txt", ret_file, err);
-        ret_file->text = true;
     }
     if (status == RN_ERROR_NOT_FOUND)
         return rn_error_set(
@@ -135,14 +136,25 @@ static enum rn_status begin(struct rn_colmap_file *file, uint64_t least, bool *r
     return RN_OK;
 }
 
-// The next line of text that is no comment; an empty one only where it may be.
+static enum rn_status bad_line(const struct rn_colmap_file *file, const char *what,
+                               struct rn_error *err) {
+    char where[256];
+    rn_colmap_where(file, where);
+    return rn_error_set(err, RN_ERROR_INVALID, where, "%s", what);
+}
+
+// The next line of text that is no comment; an empty one only where it may be. Of a last line
+// without an end nobody knows whether its last number is whole.
 static enum rn_status next_line(struct rn_colmap_file *file, bool empty, bool *ret_more,
                                 struct rn_error *err) {
     ssize_t size;
     while ((size = getline(&file->line, &file->capacity, file->file)) >= 0) {
         file->number++;
+        if (file->line[size - 1] != '\n')
+            return bad_line(file, "the file ends within this line: copy it again", err);
         while (size > 0 && strchr("\r\n", file->line[size - 1]))
             file->line[--size] = 0;
+        (void)sscanf(file->line, "# Number of %*[a-z]: %" SCNu64, &file->count);
         if (file->line[0] == '#' || (size == 0 && !empty)) continue;
         *ret_more = true;
         return RN_OK;
@@ -152,11 +164,19 @@ static enum rn_status next_line(struct rn_colmap_file *file, bool empty, bool *r
     return RN_OK;
 }
 
-static enum rn_status bad_line(const struct rn_colmap_file *file, const char *what,
-                               struct rn_error *err) {
-    char where[256];
-    rn_colmap_where(file, where);
-    return rn_error_set(err, RN_ERROR_INVALID, where, "%s", what);
+// The first line of a record of text.
+static enum rn_status begin_text(struct rn_colmap_file *file, bool *ret_more,
+                                 struct rn_error *err) {
+    enum rn_status status = next_line(file, false, ret_more, err);
+    if (status) return status;
+    file->next += *ret_more;
+    if (!*ret_more && file->next < file->count && file->count != RN_COLMAP_NOT_SAID &&
+        rn_reader_says(file->reader, file->path))
+        rn_problems_add(file->reader->problems, RN_SEVERITY_WARNING, file->path,
+                        "has %" PRIu64 " records, but says that there are %" PRIu64
+                        ": if nobody took some out, copy it again",
+                        file->next, file->count);
+    return RN_OK;
 }
 
 // Numbers of a line, *at moving behind them.
@@ -229,7 +249,7 @@ enum rn_status rn_colmap_next_camera(struct rn_colmap_file *file, struct rn_colm
                                      bool *ret_more, struct rn_error *err) {
     *camera = (struct rn_colmap_camera){0};
     enum rn_status status =
-        file->text ? next_line(file, false, ret_more, err) : begin(file, 40, ret_more, err);
+        file->text ? begin_text(file, ret_more, err) : begin(file, 40, ret_more, err);
     if (status || !*ret_more) return status;
     return file->text ? text_camera(file, camera, err) : binary_camera(file, camera, err);
 }
@@ -311,7 +331,7 @@ enum rn_status rn_colmap_next_image(struct rn_colmap_file *file, struct rn_colma
                                     rn_colmap_see see, void *context, bool *ret_more,
                                     struct rn_error *err) {
     enum rn_status status =
-        file->text ? next_line(file, false, ret_more, err) : begin(file, 73, ret_more, err);
+        file->text ? begin_text(file, ret_more, err) : begin(file, 73, ret_more, err);
     if (status || !*ret_more) return status;
     return file->text ? text_image(file, image, see, context, err)
                       : binary_image(file, image, see, context, err);
@@ -345,7 +365,41 @@ static enum rn_status binary_point(struct rn_colmap_file *file, struct rn_colmap
 enum rn_status rn_colmap_next_point(struct rn_colmap_file *file, struct rn_colmap_point *point,
                                     bool *ret_more, struct rn_error *err) {
     enum rn_status status =
-        file->text ? next_line(file, false, ret_more, err) : begin(file, 51, ret_more, err);
+        file->text ? begin_text(file, ret_more, err) : begin(file, 51, ret_more, err);
     if (status || !*ret_more) return status;
     return file->text ? text_point(file, point, err) : binary_point(file, point, err);
+}
+
+enum rn_status rn_colmap_take_lens(const struct rn_colmap_camera *from, const char *where,
+                                   struct rn_camera *camera, struct rn_error *err) {
+    if (from->model < 0 || rn_colmap_models[from->model].lens == RN_LENS_COUNT)
+        return rn_error_set(err, RN_ERROR_INVALID, where,
+                            "camera %" PRIu32 " has the model %s, a lens that is not known here: "
+                            "undistort the photographs, or use another camera model",
+                            from->id, from->model_name);
+    const struct rn_colmap_model *model = &rn_colmap_models[from->model];
+    const struct rn_lens_model *lens = &rn_lens_models[model->lens];
+    bool bent = model->lens != RN_LENS_OPENCV; // which without coefficients is a pinhole
+    camera->lens = model->lens;
+    for (int i = 0; i < model->count; i++) {
+        const char *name = model->parameters[i];
+        double value = from->parameters[i];
+        if (strcmp(name, "f") == 0) camera->fx = camera->fy = value;
+        if (strcmp(name, "fx") == 0) camera->fx = value;
+        if (strcmp(name, "fy") == 0) camera->fy = value;
+        if (strcmp(name, "cx") == 0) camera->cx = value;
+        if (strcmp(name, "cy") == 0) camera->cy = value;
+        for (int k = 0; k < lens->count; k++)
+            if (strcmp(name, lens->parameters[k]) == 0) {
+                camera->lens_k[k] = value;
+                bent = bent || value != 0;
+            }
+    }
+    if (!bent) camera->lens = RN_LENS_PINHOLE;
+    if (model->lens != RN_LENS_EQUIRECTANGULAR) return RN_OK;
+    camera->fx = (double)from->width / (2 * M_PI);
+    camera->fy = (double)from->height / M_PI;
+    camera->cx = 0.5 * (double)from->width;
+    camera->cy = 0.5 * (double)from->height;
+    return RN_OK;
 }

@@ -42,12 +42,14 @@ struct rn_colmap_model {
 };
 extern const struct rn_colmap_model rn_colmap_models[];
 
+#define RN_COLMAP_NOT_SAID UINT64_MAX
 // One open file. Thread-safety: one thread. Finish it in any case, also one that was not opened.
 struct rn_colmap_file {
+    struct rn_reader *reader;
     FILE *file;
     char *path; // owned
     bool text;
-    uint64_t count; // of records, binary only
+    uint64_t count; // of records; of text as its comments say, RN_COLMAP_NOT_SAID without
     uint64_t next;  // record that is read next
     uint64_t size;  // bytes
     char *line;     // of text, owned
@@ -64,7 +66,7 @@ void rn_colmap_close(struct rn_colmap_file *file);
 void rn_colmap_where(const struct rn_colmap_file *file, char where[256]);
 
 // The next record; *ret_more is false at the end. RN_ERROR_INVALID for a file that ends early or
-// holds what it should not.
+// holds what it should not. A text with fewer records than its comments say is told.
 enum rn_status rn_colmap_next_camera(struct rn_colmap_file *file, struct rn_colmap_camera *camera,
                                      bool *ret_more, struct rn_error *err) RN_MUST_CHECK;
 enum rn_status rn_colmap_next_point(struct rn_colmap_file *file, struct rn_colmap_point *point,
@@ -75,5 +77,9 @@ typedef enum rn_status (*rn_colmap_see)(void *context, const struct rn_colmap_im
 enum rn_status rn_colmap_next_image(struct rn_colmap_file *file, struct rn_colmap_image *image,
                                     rn_colmap_see see, void *context, bool *ret_more,
                                     struct rn_error *err) RN_MUST_CHECK;
+
+// The intrinsics and the lens of a model's camera. RN_ERROR_INVALID for a lens that is not known.
+enum rn_status rn_colmap_take_lens(const struct rn_colmap_camera *from, const char *where,
+                                   struct rn_camera *camera, struct rn_error *err) RN_MUST_CHECK;
 
 #endif

@@ -1,5 +1,6 @@
 #include "common/dataset/dataset.h"
 
+#include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -7,11 +8,9 @@
 #include "common/dataset/points.h"
 #include "common/dataset/reader.h"
 
-#define OBJECT_DISTANCES 0.5  // of the cameras: a sphere that cameras around an object look at
-#define CAPTURE_DISTANCES 1.5 // one that holds cameras and what is behind what they look at
-#define SEEN_ENOUGH 0.8       // of photographs without alpha; the NeRF-synthetic sphere has 0.9
+#define SEEN_ENOUGH 0.8 // of photographs without alpha; the NeRF-synthetic sphere has 0.9
 
-const char *const rn_bounds_source_names[] = {"given", "layout", "cameras", NULL};
+const char *const rn_bounds_source_names[] = {"given", "layout", "cameras", "points", NULL};
 const char *const rn_downscale_names[2] = {"premultiplied", "straight"};
 
 void rn_frame_finish(struct rn_frame *frame) {
@@ -81,7 +80,7 @@ static void warn_of_what_is_beyond(struct rn_reader *reader) {
         if (dataset->frames[i].has_alpha) return;
     double seen = rn_bounds_seen(dataset, &dataset->bounds);
     if (seen >= SEEN_ENOUGH) return;
-    struct rn_bounds wider = rn_bounds_from_cameras(dataset, CAPTURE_DISTANCES);
+    struct rn_bounds wider = rn_bounds_from_cameras(dataset, RN_CAPTURE_DISTANCES);
     rn_problems_add(reader->problems, RN_SEVERITY_WARNING, reader->folder,
                     "the layout's sphere (radius %g about the origin) covers only %.0f %% of the "
                     "training photographs' pixels, and no alpha channel cuts the rest away; where "
@@ -89,22 +88,24 @@ static void warn_of_what_is_beyond(struct rn_reader *reader) {
                     "somewhere is finer in a sphere of its own, `import --bounds X,Y,Z,R`: "
                     "%.6g,%.6g,%.6g,%.6g reaches %g times as far as the cameras' mean distance",
                     dataset->format->sphere, 100 * seen, wider.centre[0], wider.centre[1],
-                    wider.centre[2], wider.radius, CAPTURE_DISTANCES);
+                    wider.centre[2], wider.radius, RN_CAPTURE_DISTANCES);
 }
 
-// The layouts' convention, unless no camera at all looks at that sphere.
-static void set_bounds(struct rn_reader *reader) {
+// The sphere through the corners of a box.
+static struct rn_bounds around(const struct rn_box *box) {
+    struct rn_bounds bounds = {.source = RN_BOUNDS_GIVEN};
+    double squared = 0;
+    for (int i = 0; i < 3; i++) {
+        bounds.centre[i] = 0.5 * (box->low[i] + box->high[i]);
+        squared += pow(0.5 * (box->high[i] - box->low[i]), 2);
+    }
+    bounds.radius = sqrt(squared);
+    return bounds;
+}
+
+// The layout's convention, unless no camera at all looks at that sphere.
+static void set_layout_bounds(struct rn_reader *reader) {
     struct rn_dataset *dataset = reader->dataset;
-    if (reader->bounds.radius > 0) {
-        dataset->bounds = reader->bounds;
-        dataset->bounds.source = RN_BOUNDS_GIVEN;
-        return;
-    }
-    if (dataset->bounds.radius > 0) return;
-    if (!(dataset->format->sphere > 0)) {
-        dataset->bounds = rn_bounds_from_cameras(dataset, CAPTURE_DISTANCES);
-        return;
-    }
     dataset->bounds =
         (struct rn_bounds){.radius = dataset->format->sphere, .source = RN_BOUNDS_LAYOUT};
     for (size_t i = 0; i < dataset->frame_count; i++)
@@ -112,12 +113,52 @@ static void set_bounds(struct rn_reader *reader) {
             warn_of_what_is_beyond(reader);
             return;
         }
-    dataset->bounds = rn_bounds_from_cameras(dataset, OBJECT_DISTANCES);
+    dataset->bounds = rn_bounds_from_cameras(dataset, RN_OBJECT_DISTANCES);
     rn_problems_add(reader->problems, RN_SEVERITY_WARNING, reader->folder,
                     "no camera looks at the layout's sphere (radius %g about the origin); bounds "
                     "taken from the cameras: radius %g about (%g, %g, %g)",
                     dataset->format->sphere, dataset->bounds.radius, dataset->bounds.centre[0],
                     dataset->bounds.centre[1], dataset->bounds.centre[2]);
+}
+
+// As asked for, as the document says, by the layout, or by what the cameras see.
+static void set_bounds(struct rn_reader *reader, const struct rn_scene_place *place) {
+    struct rn_dataset *dataset = reader->dataset;
+    const struct rn_read_options *options = reader->options;
+    if (options && options->bounds.radius > 0) {
+        dataset->bounds = options->bounds;
+        dataset->bounds.source = RN_BOUNDS_GIVEN;
+    } else if (options && options->cropped) {
+        dataset->bounds = around(&options->crop);
+    } else if (!(dataset->bounds.radius > 0) && dataset->format->sphere > 0) {
+        set_layout_bounds(reader);
+    } else if (!(dataset->bounds.radius > 0)) {
+        dataset->bounds = place->bounds;
+    }
+}
+
+// What is asked for; the rest is found out.
+static enum rn_status settle_place(struct rn_reader *reader, struct rn_error *err) {
+    struct rn_dataset *dataset = reader->dataset;
+    const struct rn_read_options *options = reader->options;
+    struct rn_scene_place place;
+    if (options && options->up_given) {
+        double size =
+            sqrt(pow(options->up[0], 2) + pow(options->up[1], 2) + pow(options->up[2], 2));
+        for (int i = 0; i < 3; i++)
+            dataset->lie.up[i] = options->up[i] / size;
+    }
+    if (options && options->cropped) dataset->lie.crop = options->crop;
+    if (options) dataset->lie.up_given |= options->up_given;
+    if (options) dataset->lie.cropped |= options->cropped;
+    if (dataset->lie.known && !options) return RN_OK;
+    enum rn_status status = rn_dataset_find_place(dataset, &place, err);
+    if (status) return status;
+    dataset->lie = place.lie;
+    dataset->lie.known = true;
+    set_bounds(reader, &place);
+    if (reader->problems && !(dataset->format->sphere > 0)) rn_reader_tell_place(reader, &place);
+    return RN_OK;
 }
 
 static enum rn_status nothing_found(const struct rn_reader *reader, struct rn_error *err) {
@@ -142,13 +183,13 @@ static enum rn_status read_format(struct rn_reader *reader, const struct rn_form
     reader->dataset->format = format;
     reader->dataset->premultiplied_scales = true;
     enum rn_status status = format->read(reader, err);
-    if (status == RN_OK) status = rn_reader_find_masks(reader, reader->masks, err);
+    rn_reader_tell_missing(reader);
+    const char *masks = reader->options ? reader->options->masks : NULL;
+    if (status == RN_OK) status = rn_reader_find_masks(reader, masks, err);
     if (status == RN_OK)
         status = rn_dataset_seal(reader->dataset, reader->folder, reader->problems, err);
-    if (status) return status;
-    set_bounds(reader);
-    if (reader->problems) rn_reader_tell_agreement(reader);
-    return status;
+    if (status == RN_OK && reader->problems) rn_reader_tell_reprojection(reader);
+    return status ? status : settle_place(reader, err);
 }
 
 // The first format of those recognised whose documents are all there; one that is incomplete is
@@ -199,10 +240,8 @@ static char *folder_name(const char *folder) {
 enum rn_status rn_dataset_read_as(const char *folder, const struct rn_read_options *options,
                                   struct rn_problems *problems, struct rn_dataset **ret_dataset,
                                   struct rn_error *err) {
-    struct rn_reader reader = {
-        .folder = folder, .problems = problems, .masks = options ? options->masks : NULL};
+    struct rn_reader reader = {.folder = folder, .problems = problems, .options = options};
     const struct rn_format *format = NULL;
-    if (options) reader.bounds = options->bounds;
     reader.dataset = calloc(1, sizeof *reader.dataset);
     reader.reported = json_object();
     if (reader.dataset) reader.dataset->name = folder_name(folder);
@@ -263,10 +302,15 @@ static enum rn_status find_by_name(const struct rn_dataset *dataset, const char 
                                 found->index, frame->index);
         found = frame;
     }
+    int count = dataset->view_count[split];
+    if (!found && count == 0)
+        return rn_error_set(err, RN_ERROR_NOT_FOUND, view, "the dataset has no %s views",
+                            rn_split_name(split));
     if (!found)
         return rn_error_set(err, RN_ERROR_NOT_FOUND, view,
-                            "no such view at scale %d; the %s split has %d views", scale,
-                            rn_split_name(split), dataset->view_count[split]);
+                            "no such view at scale %d; the %s split has %s:0 to %s:%d", scale,
+                            rn_split_name(split), rn_split_name(split), rn_split_name(split),
+                            count - 1);
     *ret_frame = found;
     return RN_OK;
 }

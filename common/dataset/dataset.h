@@ -57,14 +57,40 @@ struct rn_points {
     size_t sighting_count;
 };
 
-enum rn_bounds_source { RN_BOUNDS_GIVEN, RN_BOUNDS_LAYOUT, RN_BOUNDS_CAMERAS };
-extern const char *const rn_bounds_source_names[]; // "given", "layout", "cameras", NULL
+enum rn_bounds_source { RN_BOUNDS_GIVEN, RN_BOUNDS_LAYOUT, RN_BOUNDS_CAMERAS, RN_BOUNDS_POINTS };
+extern const char *const rn_bounds_source_names[]; // "given", "layout", "cameras", "points", NULL
 
 // The sphere that holds the scene, dataset units.
 struct rn_bounds {
     double centre[3];
     double radius; // > 0
     enum rn_bounds_source source;
+};
+
+// How photographs were taken: around an object; one way, at a wall; from within a room; around
+// something that stands in its surroundings; down, from the air.
+enum rn_capture_kind {
+    RN_CAPTURE_OBJECT,
+    RN_CAPTURE_FORWARD,
+    RN_CAPTURE_ROOM,
+    RN_CAPTURE_OUTDOOR,
+    RN_CAPTURE_DRONE,
+    RN_CAPTURE_KINDS
+};
+extern const char *const rn_capture_names[]; // "object", "forward-facing", ..., NULL
+
+struct rn_box {
+    double low[3], high[3]; // dataset units
+};
+
+// How the scene lies. With the bounds it is the similarity from the dataset's coordinates, in which
+// all else stays, to a ball of radius 1 with z up.
+struct rn_lie {
+    enum rn_capture_kind kind;
+    double up[3]; // unit
+    bool up_given, cropped;
+    struct rn_box crop; // what matters, where `cropped`
+    bool known;         // an import has found it out
 };
 
 // Thread-safety: immutable once read. Owner: whoever read it; rn_dataset_destroy.
@@ -79,6 +105,7 @@ struct rn_dataset {
     int unusable[RN_SPLIT_COUNT];   // images that were left out, each with its problem
     int scale_count;                // frames per view
     struct rn_bounds bounds;
+    struct rn_lie lie;
     struct rn_points points;   // none: count is 0
     bool premultiplied_scales; // false: made by the legacy (straight, truncating) converter
 };
@@ -115,6 +142,9 @@ struct rn_read_options {
     const char *masks; // a folder of masks, relative to the dataset's; NULL: "masks" if it is there
     struct rn_bounds
         bounds; // radius > 0: the sphere that is asked for, and nothing is said of others
+    bool up_given, cropped;
+    double up[3];       // of any length above 0
+    struct rn_box crop; // only points in it say where the scene is, and it lies in the bounds
 };
 enum rn_status rn_dataset_read_as(const char *folder, const struct rn_read_options *options,
                                   struct rn_problems *problems, struct rn_dataset **ret_dataset,
@@ -129,12 +159,19 @@ void rn_dataset_destroy(struct rn_dataset **dataset);
 // distance wide.
 struct rn_bounds rn_bounds_from_cameras(const struct rn_dataset *dataset, double distances);
 
+// What a mask leaves out of a frame: 0 into `used`, a byte a pixel, where it is black, else 1.
+// RN_ERROR_CORRUPT for a mask of another size, rn_image_read's statuses.
+enum rn_status rn_mask_read(const struct rn_frame *frame, uint8_t *used,
+                            struct rn_error *err) RN_MUST_CHECK;
+
+struct rn_survey;
 // Decodes every image, `threads` at a time, and leaves out those that cannot be decoded whole,
 // each with an error in `problems` (optional), as rn_dataset_read does with what headers tell.
-// `progress` as rn_dataset_import's. RN_ERROR_INVALID when no training view is left (the frames are
-// gone then); RN_ERROR_CANCELLED and RN_ERROR_NO_MEMORY leave the dataset as it was.
+// `survey` (optional) looks at each. `progress` as rn_dataset_import's. RN_ERROR_INVALID when no
+// training view is left (the frames are gone then); RN_ERROR_CANCELLED and RN_ERROR_NO_MEMORY leave
+// the dataset as it was.
 enum rn_status rn_dataset_check_images(struct rn_dataset *dataset, int threads,
-                                       struct rn_problems *problems,
+                                       struct rn_problems *problems, struct rn_survey *survey,
                                        bool (*progress)(void *context, size_t done, size_t total),
                                        void *context, struct rn_error *err) RN_MUST_CHECK;
 
@@ -166,21 +203,38 @@ struct rn_reprojection {
     size_t unseen;            // sightings in a direction that the camera does not see
     double mean_px;           // mean over points of their mean distance, pixels of the photographs
     double median_px;         // of those means
+    double p95_px;            // which 95 % of them stay below
     double said_px;           // mean_px as the source says
 };
 enum rn_status rn_dataset_reproject(const struct rn_dataset *dataset,
                                     struct rn_reprojection *ret_found,
                                     struct rn_error *err) RN_MUST_CHECK;
+// The same of each of `count` of the dataset's frames: the mean over what it sees, pixels; NAN
+// where it sees none of the points. RN_ERROR_NO_MEMORY.
+enum rn_status rn_dataset_reproject_photos(const struct rn_dataset *dataset,
+                                           const struct rn_frame *const *frames, size_t count,
+                                           double *ret_px) RN_MUST_CHECK;
 
-// How the photographs were taken, and by which numbers.
-enum rn_capture_kind { RN_CAPTURE_OBJECT, RN_CAPTURE_FORWARD, RN_CAPTURE_AROUND };
-struct rn_capture {
-    enum rn_capture_kind kind;
-    double alignment; // length of the mean view direction: 1 where all look the same way
-    double centre[3]; // the point nearest to all optical axes
-    double miss;      // by which half of the axes pass it at most, in parts of the distance
+// Where the scene is, and the evidence of it.
+struct rn_scene_place {
+    struct rn_lie lie;
+    struct rn_bounds bounds;
+    double turned_around[3]; // the point nearest to all optical axes
+    double distance;         // median of the cameras' distances from it
+    double miss;             // by which half of the axes pass it at most, parts of the distance
+    double alignment;        // length of the mean view direction: 1 where all look the same way
+    double below_deg;        // median of the axes' angles below the horizon
+    double tilt_deg;         // by which half of the cameras are held askew at most, against `up`
+    bool cut_out;            // by an alpha channel
+    bool by_points;          // there are sparse points
+    size_t witnesses; // sparse points, or points at the depths that the source gives, looked at
+    double beyond;    // share of them farther from that point than the cameras; NAN: too few
 };
-void rn_dataset_capture(const struct rn_dataset *dataset, struct rn_capture *ret_capture);
+// By cameras, axes, sparse points or depths (robust quantiles), within dataset->lie.crop and with
+// dataset->lie.up where those are given. RN_ERROR_NO_MEMORY.
+enum rn_status rn_dataset_find_place(const struct rn_dataset *dataset,
+                                     struct rn_scene_place *ret_place,
+                                     struct rn_error *err) RN_MUST_CHECK;
 
 // Import: decode, scale and write a native dataset (dataset.json and images/*.png) into the empty
 // folder `target`, dataset.json last and atomically. At most `threads` source images are in memory
@@ -195,10 +249,18 @@ struct rn_import_options {
     int scales;                  // >= 1: how many scales to make; 1 keeps the dataset's own
     enum rn_downscale downscale; // premultiplied or the legacy straight mode
     int test_every;              // > 0: when there is no test split, every n-th training view
-    bool bounds_given;
-    struct rn_bounds bounds;
-    int threads; // >= 1
+    int threads;                 // >= 1
+    struct rn_survey *survey;    // looks at each image; NULL: none
 };
+// The options as they hold for this dataset: one that names its test views is not split again, of
+// which `problems` are told.
+struct rn_import_options rn_import_settle(const struct rn_dataset *source,
+                                          const struct rn_import_options *options,
+                                          struct rn_problems *problems);
+// Split, index, scale, weight and camera of a view as it is kept at a level, by options that are
+// settled; it borrows nothing and has no files.
+struct rn_frame rn_import_place(const struct rn_frame *view,
+                                const struct rn_import_options *options, int level);
 enum rn_status rn_dataset_import(struct rn_dataset *source, const char *name,
                                  const struct rn_import_options *options, const char *target,
                                  struct rn_problems *problems,

@@ -4,11 +4,14 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "common/math/numbers.h"
+
 #define ROUNDS 30
 #define DARK 16    // of 255: below it noise and black level decide
 #define BRIGHT 240 // above it highlights are cut
 #define NEAR 0.02  // differences of logarithms below it weigh as if they were it
 #define PRIOR 150  // weight of "no difference", as three exact sightings
+#define MOST 2000  // photographs compared with all
 
 // A colour that a photograph shows of a point: logarithms; NAN where it is unusable.
 struct colour {
@@ -181,20 +184,53 @@ void rn_exposures_solve(struct rn_exposures *e, struct rn_frame *frames, size_t 
     free(block);
 }
 
-static int compare(const void *a, const void *b) {
-    double left = *(const double *)a, right = *(const double *)b;
-    return (left > right) - (left < right);
+// Logarithm of a frame's mean gain; it was measured.
+static double brightness(const struct rn_frame *frame) {
+    return log(frame->gain[0] * frame->gain[1] * frame->gain[2]) / 3;
+}
+
+// The factor, less 1, within which 90 % of the values lie; NAN of fewer than two.
+static double most_of(double *apart, size_t count) {
+    rn_numbers_sort(apart, count);
+    return count > 1 ? exp(apart[count * 9 / 10]) - 1 : NAN;
 }
 
 double rn_exposure_spread(const struct rn_frame *frames, size_t frame_count) {
     double *apart = malloc((frame_count + 1) * sizeof *apart);
     size_t count = 0;
     for (size_t f = 0; f < frame_count && apart; f++)
-        if (frames[f].gain[0] > 0)
-            apart[count++] =
-                fabs(log(frames[f].gain[0] * frames[f].gain[1] * frames[f].gain[2])) / 3;
-    if (count > 1) qsort(apart, count, sizeof *apart, compare);
-    double spread = count > 1 ? exp(apart[count * 9 / 10]) - 1 : NAN;
+        if (frames[f].gain[0] > 0) apart[count++] = fabs(brightness(&frames[f]));
+    double spread = most_of(apart, count);
     free(apart);
     return spread;
+}
+
+// Of the same scale, and another photograph; NULL where there is none.
+static const struct rn_frame *looks_the_same_way(const struct rn_frame *frames, size_t frame_count,
+                                                 const struct rn_frame *as) {
+    const struct rn_frame *best = NULL;
+    double most = -2;
+    for (const struct rn_frame *f = frames; f < frames + frame_count; f++) {
+        double along = 0;
+        if (f == as || f->scale != as->scale || !(f->gain[0] > 0)) continue;
+        for (int i = 0; i < 3; i++)
+            along += f->camera.world_from_camera[i][2] * as->camera.world_from_camera[i][2];
+        if (along <= most) continue;
+        most = along;
+        best = f;
+    }
+    return best;
+}
+
+double rn_exposure_unrest(const struct rn_frame *frames, size_t frame_count) {
+    size_t count = 0, stride = frame_count / MOST + 1;
+    double *apart = malloc((frame_count / stride + 1) * sizeof *apart);
+    for (size_t f = 0; f < frame_count && apart; f += stride) {
+        const struct rn_frame *other = looks_the_same_way(frames, frame_count, &frames[f]);
+        if (frames[f].gain[0] > 0 && other)
+            apart[count++] = fabs(brightness(&frames[f]) - brightness(other));
+    }
+    double unrest = most_of(apart, count);
+    free(apart);
+    return unrest;
 }

@@ -50,11 +50,34 @@ static bool bears_sign(const char *folder, int fd, const struct rn_format *forma
     return false;
 }
 
+static bool is_dataset(const char *folder) {
+    const struct rn_format *found[RN_FORMATS_MAX];
+    size_t count = 0;
+    return rn_formats_recognise(folder, found, &count, NULL) == RN_OK && count;
+}
+
+// Names the nearest folder above a file that is of a format, else the one that the file is in.
+static enum rn_status complain_of_file(const char *file, struct rn_error *err) {
+    char folder[256], first[256] = "";
+    const char *slash;
+    if (snprintf(folder, sizeof folder, "%s", file) >= (int)sizeof folder)
+        return rn_error_set(err, RN_ERROR_INVALID, file, "is a file, not a folder");
+    do {
+        slash = strrchr(folder, '/');
+        if (slash > folder)
+            folder[slash - folder] = '\0';
+        else
+            snprintf(folder, sizeof folder, "%s", slash ? "/" : ".");
+        if (!*first) snprintf(first, sizeof first, "%s", folder);
+    } while (!is_dataset(folder) && slash > folder);
+    return rn_error_set(err, RN_ERROR_INVALID, file, "is a file; give the folder: %s",
+                        is_dataset(folder) ? folder : first);
+}
+
 enum rn_status rn_formats_recognise(const char *folder, const struct rn_format *ret_found[],
                                     size_t *ret_count, struct rn_error *err) {
     int fd = open(folder, O_PATH | O_DIRECTORY | O_CLOEXEC);
-    if (fd < 0 && errno == ENOTDIR)
-        return rn_error_set(err, RN_ERROR_INVALID, folder, "is not a folder");
+    if (fd < 0 && errno == ENOTDIR) return complain_of_file(folder, err);
     if (fd < 0) return rn_error_from_errno(err, errno, folder, "open the folder");
     size_t count = 0;
     for (size_t i = 0; rn_formats[i]; i++)

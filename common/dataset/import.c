@@ -9,6 +9,7 @@
 #include "common/dataset/output.h"
 #include "common/dataset/points.h"
 #include "common/dataset/reader.h"
+#include "common/dataset/survey.h"
 
 #define PNG_LEVEL 1
 
@@ -36,7 +37,6 @@ static void scaled_size(const struct rn_frame *view, const struct rn_import_opti
 
 static enum rn_status check_options(const struct rn_dataset *source,
                                     const struct rn_import_options *options, struct rn_error *err) {
-    const struct rn_bounds *bounds = &options->bounds;
     if (options->max_size < 0 || options->max_size > RN_CAMERA_MAX_SIZE)
         return rn_error_set(err, RN_ERROR_INVALID, "max_size", "must be 1 to %d pixels",
                             RN_CAMERA_MAX_SIZE);
@@ -46,11 +46,6 @@ static enum rn_status check_options(const struct rn_dataset *source,
     if (options->test_every < 0 || options->test_every == 1)
         return rn_error_set(err, RN_ERROR_INVALID, "split",
                             "every:N wants N of 2 or more: some views must be left to train on");
-    if (options->bounds_given &&
-        !(isfinite(bounds->radius) && bounds->radius > 0 && isfinite(bounds->centre[0]) &&
-          isfinite(bounds->centre[1]) && isfinite(bounds->centre[2])))
-        return rn_error_set(err, RN_ERROR_INVALID, "bounds",
-                            "wants a finite centre and a positive radius");
     for (size_t i = 0; i < source->frame_count; i++) {
         const struct rn_frame *view = &source->frames[i];
         int width, height;
@@ -63,20 +58,26 @@ static enum rn_status check_options(const struct rn_dataset *source,
     return RN_OK;
 }
 
+struct rn_frame rn_import_place(const struct rn_frame *view,
+                                const struct rn_import_options *options, int level) {
+    int width, height, every = options->test_every;
+    struct rn_frame place = *view;
+    scaled_size(view, options, level, &width, &height);
+    if (every && view->split == RN_SPLIT_TRAIN && view->index % every == 0) {
+        place.split = RN_SPLIT_TEST;
+        place.index = view->index / every;
+    }
+    place.scale = view->scale + level;
+    place.loss_weight = ldexp(view->loss_weight, 2 * level);
+    place.camera = rn_camera_resized(&view->camera, width, height);
+    place.name = place.path = place.mask_path = NULL;
+    return place;
+}
+
 // Level `level` of a view: its place in the new dataset, its camera, its file.
 static enum rn_status describe_output(const struct import *import, const struct rn_frame *view,
                                       int level, struct rn_frame *output, struct rn_error *err) {
-    int width, height, every = import->options->test_every;
-    scaled_size(view, import->options, level, &width, &height);
-    *output = *view;
-    if (every && view->split == RN_SPLIT_TRAIN && view->index % every == 0) {
-        output->split = RN_SPLIT_TEST;
-        output->index = view->index / every;
-    }
-    output->scale = view->scale + level;
-    output->loss_weight = ldexp(view->loss_weight, 2 * level);
-    output->camera = rn_camera_resized(&view->camera, width, height);
-    output->mask_path = NULL;
+    *output = rn_import_place(view, import->options, level);
     output->name = strdup(view->name);
     if (asprintf(&output->path, "%s/images/%s_%05d_d%d.png", import->target,
                  rn_split_name(output->split), output->index, output->scale) < 0)
@@ -186,6 +187,7 @@ static enum rn_status import_view(void *context, size_t index, struct rn_error *
     }
     if (status) return RN_OK;
     rn_exposures_look(import->exposures, view, &image);
+    rn_survey_look(import->options->survey, view, &image);
     int width, height;
     scaled_size(view, import->options, 0, &width, &height);
     if (width != image.width || height != image.height) {
@@ -215,6 +217,15 @@ static json_t *frame_to_json(const struct rn_frame *frame, bool with_points, con
                      near, "far", far, "mask", mask, "photo", photo, "gain", gain);
 }
 
+static json_t *lie_to_json(const struct rn_lie *lie) {
+    const double *low = lie->crop.low, *high = lie->crop.high;
+    json_t *crop = lie->cropped ? json_pack("{s:[fff] s:[fff]}", "low", low[0], low[1], low[2],
+                                            "high", high[0], high[1], high[2])
+                                : NULL;
+    return json_pack("{s:s s:[fff] s:b s:o*}", "kind", rn_capture_names[lie->kind], "up",
+                     lie->up[0], lie->up[1], lie->up[2], "up_given", lie->up_given, "crop", crop);
+}
+
 static json_t *dataset_to_json(const struct rn_dataset *dataset, const char *target) {
     const struct rn_bounds *bounds = &dataset->bounds;
     json_t *frames = json_array();
@@ -224,14 +235,15 @@ static json_t *dataset_to_json(const struct rn_dataset *dataset, const char *tar
             json_decref(frames);
             return NULL;
         }
-    return json_pack("{s:s s:i s:s s:{s:s s:s} s:{s:[fff] s:f s:s} s:s* s:o}", "format",
+    return json_pack("{s:s s:i s:s s:{s:s s:s} s:{s:[fff] s:f s:s} s:o s:s* s:o}", "format",
                      RN_NATIVE_FORMAT, "version", RN_NATIVE_VERSION, "name", dataset->name,
                      "source", "layout", dataset->format->name, "downscale",
                      rn_downscale_names[dataset->premultiplied_scales ? RN_DOWNSCALE_PREMULTIPLIED
                                                                       : RN_DOWNSCALE_STRAIGHT],
                      "bounds", "centre", bounds->centre[0], bounds->centre[1], bounds->centre[2],
                      "radius", bounds->radius, "source", rn_bounds_source_names[bounds->source],
-                     "points", dataset->points.count ? RN_POINTS_DOCUMENT : NULL, "frames", frames);
+                     "lie", lie_to_json(&dataset->lie), "points",
+                     dataset->points.count ? RN_POINTS_DOCUMENT : NULL, "frames", frames);
 }
 
 static enum rn_status write_json(const struct rn_dataset *dataset, const char *target,
@@ -301,14 +313,15 @@ static enum rn_status write_points(const struct rn_dataset *source, const char *
 static enum rn_status conclude(struct import *import, struct rn_dataset *source, const char *name,
                                struct rn_problems *problems, struct rn_error *err) {
     const struct rn_import_options *options = import->options;
-    struct rn_dataset result = {
-        .name = (char *)name, .format = source->format, .points = source->points};
+    struct rn_dataset result = {.name = (char *)name,
+                                .format = source->format,
+                                .lie = source->lie,
+                                .points = source->points};
     drop_faulty(import, problems, result.unusable);
     rn_exposures_solve(import->exposures, import->outputs, import->output_count);
     result.frames = import->outputs;
     result.frame_count = import->output_count;
-    result.bounds = options->bounds_given ? options->bounds : source->bounds;
-    if (options->bounds_given) result.bounds.source = RN_BOUNDS_GIVEN;
+    result.bounds = source->bounds;
     result.premultiplied_scales = options->downscale == RN_DOWNSCALE_PREMULTIPLIED &&
                                   (import->levels > 1 || source->premultiplied_scales);
     enum rn_status status = rn_dataset_seal(&result, import->target, problems, err);
@@ -346,13 +359,25 @@ static enum rn_status make_folders(const char *target, struct rn_error *err) {
     return status;
 }
 
+struct rn_import_options rn_import_settle(const struct rn_dataset *source,
+                                          const struct rn_import_options *options,
+                                          struct rn_problems *problems) {
+    struct rn_import_options chosen = *options;
+    if (source->view_count[RN_SPLIT_TEST] && chosen.test_every > 0) {
+        rn_problems_add(problems, RN_SEVERITY_INFO, "split",
+                        "the files name %d test views; --split every:%d was not needed",
+                        source->view_count[RN_SPLIT_TEST], chosen.test_every);
+        chosen.test_every = 0;
+    }
+    return chosen;
+}
+
 enum rn_status rn_dataset_import(struct rn_dataset *source, const char *name,
                                  const struct rn_import_options *options, const char *target,
                                  struct rn_problems *problems,
                                  bool (*progress)(void *context, size_t done, size_t total),
                                  void *context, struct rn_error *err) {
-    struct rn_import_options chosen = *options;
-    if (source->view_count[RN_SPLIT_TEST]) chosen.test_every = 0;
+    struct rn_import_options chosen = rn_import_settle(source, options, problems);
     struct import import = {.options = &chosen, .target = target, .levels = options->scales};
     enum rn_status status;
     if ((status = check_options(source, &chosen, err)) ||

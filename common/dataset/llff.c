@@ -3,7 +3,8 @@
 //
 // A row is a 3x5 matrix, row by row, and two depths that hold what is seen: columns 0 to 2 are the
 // camera's axes down, right and backwards in the world, 3 is its position, 4 is height, width and
-// focal length in pixels of the full-size photograph.
+// focal length in pixels of the full-size photograph. It says nothing of a lens: where the one
+// camera of the COLMAP model that it was made from lies beside it, that says it.
 #include <dirent.h>
 #include <math.h>
 #include <stdio.h>
@@ -11,9 +12,10 @@
 #include <string.h>
 
 #include "common/base/file.h"
-#include "common/dataset/reader.h"
+#include "common/dataset/colmap_files.h"
 
 #define DOCUMENT "poses_bounds.npy"
+#define MODEL "sparse/0/"
 #define COLUMNS 17
 #define MAX_BYTES ((size_t)RN_DATASET_MAX_FRAMES * COLUMNS * 8 + 65536)
 
@@ -30,6 +32,8 @@ struct poses {
     uint8_t *bytes;
     const uint8_t *rows; // COLUMNS doubles each, not aligned
     size_t count;
+    struct rn_colmap_camera lens; // of all photographs, with `has_lens`
+    bool has_lens;
 };
 
 static enum rn_status bad(const struct poses *poses, struct rn_error *err, const char *what) {
@@ -84,6 +88,42 @@ static enum rn_status read_poses(struct poses *poses, struct rn_error *err) {
     status = read_header(poses, header, size - prefix - header_size, err);
     free(header);
     return status;
+}
+
+// The one camera of a model beside the poses, where the model has one.
+static void find_lens(struct rn_reader *reader, struct poses *poses) {
+    struct rn_colmap_file file;
+    struct rn_colmap_camera second;
+    bool one = false, more = false;
+    if (rn_colmap_open(reader, MODEL, "cameras", &file, NULL) == RN_OK)
+        one = rn_colmap_next_camera(&file, &poses->lens, &one, NULL) == RN_OK && one &&
+              rn_colmap_next_camera(&file, &second, &more, NULL) == RN_OK && !more;
+    rn_colmap_close(&file);
+    poses->has_lens = one;
+}
+
+// Whether a row is of that camera: the size and the focal length are the same.
+static bool has_lens(const struct poses *poses, const double row[COLUMNS],
+                     struct rn_camera *ret_camera) {
+    struct rn_camera camera = {.lens = RN_LENS_PINHOLE};
+    if (!poses->has_lens || row[4] != (double)poses->lens.height ||
+        row[9] != (double)poses->lens.width ||
+        rn_colmap_take_lens(&poses->lens, poses->path, &camera, NULL) != RN_OK)
+        return false;
+    *ret_camera = camera;
+    return fabs(camera.fx - row[14]) <= 1e-6 * row[14] &&
+           fabs(camera.fy - row[14]) <= 1e-6 * row[14] && camera.lens != RN_LENS_PINHOLE;
+}
+
+static void tell_lens(const struct rn_reader *reader, const struct poses *poses) {
+    double row[COLUMNS];
+    struct rn_camera camera;
+    memcpy(row, poses->rows, sizeof row);
+    if (has_lens(poses, row, &camera))
+        rn_problems_add(reader->problems, RN_SEVERITY_INFO, poses->path,
+                        "says nothing of the lens; the camera of %s, which has the same size and "
+                        "focal length, is a %s: it is taken",
+                        MODEL "cameras", poses->lens.model_name);
 }
 
 static int compare_names(const void *a, const void *b) {
@@ -158,9 +198,9 @@ static void set_pose(const double row[COLUMNS], double pose[3][4]) {
     }
 }
 
-static enum rn_status set_intrinsics(struct rn_reader *reader, const double row[COLUMNS],
-                                     const char *where, struct rn_frame *frame,
-                                     struct rn_error *err) {
+static enum rn_status set_intrinsics(struct rn_reader *reader, const struct poses *poses,
+                                     const double row[COLUMNS], const char *where,
+                                     struct rn_frame *frame, struct rn_error *err) {
     double height = row[4], width = row[9], focal = row[14];
     struct rn_camera *camera = &frame->camera;
     if (!(height >= 1) || !(width >= 1) || !(height < 1e6) || !(width < 1e6))
@@ -168,6 +208,13 @@ static enum rn_status set_intrinsics(struct rn_reader *reader, const double row[
     camera->fx = camera->fy = focal;
     camera->cx = 0.5 * width;
     camera->cy = 0.5 * height;
+    struct rn_camera lens;
+    if (has_lens(poses, row, &lens)) {
+        camera->lens = lens.lens;
+        memcpy(camera->lens_k, lens.lens_k, sizeof camera->lens_k);
+        camera->cx = lens.cx;
+        camera->cy = lens.cy;
+    }
     return rn_reader_fit(reader, where, width, height, frame, err);
 }
 
@@ -183,7 +230,7 @@ static enum rn_status read_row(struct rn_reader *reader, const struct poses *pos
     set_pose(row, frame->camera.world_from_camera);
     frame->near = row[15];
     frame->far = row[16];
-    if ((status = set_intrinsics(reader, row, where, frame, err))) return status;
+    if ((status = set_intrinsics(reader, poses, row, where, frame, err))) return status;
     if ((status = rn_camera_check(&frame->camera, "", &inner)))
         return rn_error_set(err, status, where, "%s", inner.text);
     if (frame->near > 0 && frame->far >= frame->near && isfinite(frame->far)) return RN_OK;
@@ -211,7 +258,11 @@ static enum rn_status read_llff(struct rn_reader *reader, struct rn_error *err) 
     if (status) return status;
     struct poses poses = {.path = path};
     status = read_poses(&poses, err);
-    if (status == RN_OK) status = read_rows(reader, &poses, err);
+    if (status == RN_OK) {
+        find_lens(reader, &poses);
+        tell_lens(reader, &poses);
+        status = read_rows(reader, &poses, err);
+    }
     free(poses.bytes);
     free(path);
     return status;
@@ -221,6 +272,6 @@ const struct rn_format rn_format_llff = {
     .name = "llff",
     .title = "LLFF",
     .signs = (const struct rn_sign[]){{DOCUMENT, NULL}, {NULL, NULL}},
-    .documents = (const char *const[]){DOCUMENT, "masks/*", NULL},
+    .documents = (const char *const[]){DOCUMENT, MODEL "cameras.*", "masks/*", NULL},
     .photo_folders = rn_photo_folders,
     .read = read_llff};

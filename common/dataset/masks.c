@@ -8,6 +8,7 @@
 #include <unistd.h>
 
 #include "common/dataset/reader.h"
+#include "common/image/image.h"
 
 // The photograph's path below its own folder, as "sub/a.jpg" of "DATASET/images/sub/a.jpg".
 static const char *below_folder(const struct rn_reader *reader, const char *path) {
@@ -34,15 +35,15 @@ char *rn_reader_find_mask(const struct rn_reader *reader, const char *folder, co
     return NULL;
 }
 
-// The mask must be a picture of the photograph's size.
-static enum rn_status check_mask(const struct rn_frame *frame, struct rn_error *err) {
+enum rn_status rn_mask_check(const char *mask, const char *photo, int width, int height,
+                             struct rn_error *err) {
     struct rn_image_info info;
-    enum rn_status status = rn_image_probe(frame->mask_path, &rn_image_default_limits, &info, err);
+    enum rn_status status = rn_image_probe(mask, &rn_image_default_limits, &info, err);
     if (status) return status;
-    if (info.width == frame->camera.width && info.height == frame->camera.height) return RN_OK;
-    return rn_error_set(err, RN_ERROR_INVALID, frame->mask_path,
+    if (info.width == width && info.height == height) return RN_OK;
+    return rn_error_set(err, RN_ERROR_INVALID, mask,
                         "the mask has %dx%d pixels, its photograph %s %dx%d", info.width,
-                        info.height, frame->path, frame->camera.width, frame->camera.height);
+                        info.height, photo, width, height);
 }
 
 enum rn_status rn_reader_find_masks(struct rn_reader *reader, const char *folder,
@@ -56,7 +57,8 @@ enum rn_status rn_reader_find_masks(struct rn_reader *reader, const char *folder
             frame->mask_path = rn_reader_find_mask(reader, folder ? folder : RN_MASK_FOLDER,
                                                    below_folder(reader, frame->path));
         masked += frame->mask_path != NULL;
-        if (!frame->mask_path || check_mask(frame, &fault) == RN_OK) {
+        if (!frame->mask_path || rn_mask_check(frame->mask_path, frame->path, frame->camera.width,
+                                               frame->camera.height, &fault) == RN_OK) {
             dataset->frames[kept++] = *frame;
             continue;
         }
@@ -72,4 +74,19 @@ enum rn_status rn_reader_find_masks(struct rn_reader *reader, const char *folder
     return rn_error_set(err, RN_ERROR_INVALID, folder,
                         "has no mask of any photograph: NAME.jpg.png, NAME.jpg and NAME.png are "
                         "looked for, relative to the dataset's folder");
+}
+
+enum rn_status rn_mask_read(const struct rn_frame *frame, uint8_t *used, struct rn_error *err) {
+    struct rn_image mask;
+    enum rn_status status = rn_image_read(frame->mask_path, &rn_image_default_limits, &mask, err);
+    if (status != RN_OK) return status;
+    int w = frame->camera.width, h = frame->camera.height;
+    if (mask.width != w || mask.height != h)
+        status = rn_error_set(err, RN_ERROR_CORRUPT, frame->mask_path,
+                              "is %dx%d but its photograph is %dx%d; import the dataset again",
+                              mask.width, mask.height, w, h);
+    for (size_t i = 0; status == RN_OK && i < (size_t)w * (size_t)h; i++)
+        used[i] = mask.pixels[4 * i] >= 128;
+    rn_image_finish(&mask);
+    return status;
 }

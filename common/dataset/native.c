@@ -1,4 +1,5 @@
 // The dataset.json that import writes.
+#include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -118,9 +119,46 @@ static enum rn_status read_bounds(const struct rn_json *root, struct rn_bounds *
         (status = rn_json_refuse_unknown(&object, known, err)) ||
         (status = rn_json_matrix(&object, "centre", 0, 3, bounds->centre, err)) ||
         (status = rn_json_number(&object, "radius", 1e-9, 1e9, &bounds->radius, err)) ||
-        (status = rn_json_choice(&object, "source", rn_bounds_source_names, 3, &source, err)))
+        (status = rn_json_choice(&object, "source", rn_bounds_source_names, 4, &source, err)))
         return status;
     bounds->source = (enum rn_bounds_source)source;
+    return RN_OK;
+}
+
+static enum rn_status read_crop(const struct rn_json *lie, struct rn_lie *ret,
+                                struct rn_error *err) {
+    static const char *const known[] = {"low", "high", NULL};
+    struct rn_json object;
+    ret->cropped = rn_json_find(lie, "crop", &object);
+    if (!ret->cropped) return RN_OK;
+    enum rn_status status;
+    if ((status = rn_json_refuse_unknown(&object, known, err)) ||
+        (status = rn_json_matrix(&object, "low", 0, 3, ret->crop.low, err)))
+        return status;
+    return rn_json_matrix(&object, "high", 0, 3, ret->crop.high, err);
+}
+
+// Datasets of before the similarity was kept have none.
+static enum rn_status read_lie(const struct rn_json *root, struct rn_lie *lie,
+                               struct rn_error *err) {
+    static const char *const known[] = {"kind", "up", "up_given", "crop", NULL};
+    struct rn_json object;
+    int kind;
+    enum rn_status status;
+    if (!rn_json_find(root, "lie", &object)) return RN_OK;
+    if ((status = rn_json_refuse_unknown(&object, known, err)) ||
+        (status =
+             rn_json_choice(&object, "kind", rn_capture_names, RN_CAPTURE_KINDS, &kind, err)) ||
+        (status = rn_json_matrix(&object, "up", 0, 3, lie->up, err)) ||
+        (status = rn_json_boolean(&object, "up_given", &lie->up_given, err)) ||
+        (status = read_crop(&object, lie, err)))
+        return status;
+    lie->kind = (enum rn_capture_kind)kind;
+    double squared = lie->up[0] * lie->up[0] + lie->up[1] * lie->up[1] + lie->up[2] * lie->up[2];
+    if (!(fabs(squared - 1) < 1e-6))
+        return rn_json_error(&object, RN_ERROR_INVALID, err,
+                             "has an \"up\" of another length than 1");
+    lie->known = true;
     return RN_OK;
 }
 
@@ -142,8 +180,8 @@ static enum rn_status read_source(const struct rn_json *root, struct rn_dataset 
 
 static enum rn_status read_document(struct rn_reader *reader, const struct rn_json *root,
                                     void *context, struct rn_error *err) {
-    static const char *const known[] = {"format", "version", "name",   "source",
-                                        "bounds", "points",  "frames", NULL};
+    static const char *const known[] = {"format", "version", "name",   "source", "bounds",
+                                        "lie",    "points",  "frames", NULL};
     static const char *const formats[] = {RN_NATIVE_FORMAT};
     struct rn_dataset *dataset = reader->dataset;
     const char *name;
@@ -156,7 +194,7 @@ static enum rn_status read_document(struct rn_reader *reader, const struct rn_js
         (status = rn_json_text(root, "name", RN_FILE_NAME_MAX, &name, err)) ||
         (status = read_source(root, dataset, err)) ||
         (status = read_bounds(root, &dataset->bounds, err)) ||
-        (status = read_points(reader, root, err)))
+        (status = read_lie(root, &dataset->lie, err)) || (status = read_points(reader, root, err)))
         return status;
     free(dataset->name);
     dataset->name = strdup(name);

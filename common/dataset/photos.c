@@ -9,6 +9,7 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
+#include "common/dataset/output.h"
 #include "common/dataset/reader.h"
 
 #define MAX_DEPTH 8
@@ -23,12 +24,15 @@ bool rn_is_film(const char *name) {
     return false;
 }
 
+static void finish_photo(struct rn_photo *photo) {
+    free(photo->name);
+    free(photo->path);
+    free(photo->mask_path);
+}
+
 void rn_photos_finish(struct rn_photos *photos) {
-    for (size_t i = 0; i < photos->count; i++) {
-        free(photos->items[i].name);
-        free(photos->items[i].path);
-        free(photos->items[i].mask_path);
-    }
+    for (size_t i = 0; i < photos->count; i++)
+        finish_photo(&photos->items[i]);
     free(photos->items);
     free(photos->film);
     *photos = (struct rn_photos){0};
@@ -168,14 +172,26 @@ static enum rn_status find_folder(const char *path, char **ret_folder, struct rn
     return images ? RN_OK : rn_error_set(err, RN_ERROR_NO_MEMORY, path, "out of memory");
 }
 
+// Masks belong to the photographs as they stand upright. One whose mask does not fit is left out.
 static void look_for_masks(struct walk *walk, const char *path) {
     struct rn_reader reader = {.folder = path};
-    size_t found = 0;
+    size_t found = 0, kept = 0;
     for (size_t i = 0; i < walk->photos.count; i++) {
-        struct rn_photo *photo = &walk->photos.items[i];
-        photo->mask_path = rn_reader_find_mask(&reader, walk->masks, photo->name);
-        found += photo->mask_path != NULL;
+        struct rn_photo photo = walk->photos.items[i];
+        struct rn_error fault;
+        bool lies = photo.info.orientation >= 5;
+        photo.mask_path = rn_reader_find_mask(&reader, walk->masks, photo.name);
+        found += photo.mask_path != NULL;
+        if (photo.mask_path &&
+            rn_mask_check(photo.mask_path, photo.path, lies ? photo.info.height : photo.info.width,
+                          lies ? photo.info.width : photo.info.height, &fault) != RN_OK) {
+            rn_problems_add(walk->problems, RN_SEVERITY_ERROR, fault.where, "%s", fault.text);
+            finish_photo(&photo);
+            continue;
+        }
+        walk->photos.items[kept++] = photo;
     }
+    walk->photos.count = kept;
     if (found)
         rn_problems_add(walk->problems, RN_SEVERITY_INFO, path,
                         "%zu photographs have masks, whose black pixels are left out", found);
@@ -219,5 +235,47 @@ enum rn_status rn_photos_read(const char *path, const char *masks, struct rn_pro
         *ret_photos = walk.photos;
     else
         rn_photos_finish(&walk.photos);
+    return status;
+}
+
+// ---- whether they can be decoded ----
+
+struct decoding {
+    const struct rn_photos *photos;
+    struct rn_error *faults; // of each; status RN_OK where none
+};
+
+static enum rn_status decode(void *context, size_t index, struct rn_error *err) {
+    const struct decoding *decoding = context;
+    struct rn_error *fault = &decoding->faults[index];
+    struct rn_image image;
+    enum rn_status status =
+        rn_image_read(decoding->photos->items[index].path, &rn_image_default_limits, &image, fault);
+    if (status == RN_OK) rn_image_finish(&image);
+    if (status == RN_ERROR_NO_MEMORY) *err = *fault;
+    return status == RN_ERROR_NO_MEMORY ? status : RN_OK;
+}
+
+enum rn_status rn_photos_check(struct rn_photos *photos, int threads, struct rn_problems *problems,
+                               bool (*progress)(void *context, size_t done, size_t total),
+                               void *context, struct rn_error *err) {
+    struct decoding decoding = {.photos = photos,
+                                .faults = calloc(photos->count + 1, sizeof *decoding.faults)};
+    if (!decoding.faults)
+        return rn_error_set(err, RN_ERROR_NO_MEMORY, "photographs", "out of memory");
+    enum rn_status status = rn_output_run(threads, photos->count, decode, &decoding, progress,
+                                          context, "photographs", err);
+    size_t kept = 0;
+    for (size_t i = 0; i < photos->count && status == RN_OK; i++) {
+        if (decoding.faults[i].status == RN_OK) {
+            photos->items[kept++] = photos->items[i];
+            continue;
+        }
+        rn_problems_add(problems, RN_SEVERITY_ERROR, decoding.faults[i].where, "%s",
+                        decoding.faults[i].text);
+        finish_photo(&photos->items[i]);
+    }
+    if (status == RN_OK) photos->count = kept;
+    free(decoding.faults);
     return status;
 }

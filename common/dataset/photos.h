@@ -23,11 +23,17 @@ struct rn_photos {
 
 // Looks through `path`: a folder of photographs (those in its folder "images", where that has some,
 // else all below it but masks), a folder of one film, or a film. `masks` as of rn_read_options.
-// Files that are no pictures are left out, each with an error in `problems` (optional).
-// RN_ERROR_NOT_FOUND where there is neither; RN_ERROR_LIMIT, RN_ERROR_NO_MEMORY.
+// Files that are no pictures, and photographs whose mask is of another size, are left out, each
+// with an error in `problems` (optional). RN_ERROR_NOT_FOUND where there is neither;
+// RN_ERROR_LIMIT, RN_ERROR_NO_MEMORY.
 enum rn_status rn_photos_read(const char *path, const char *masks, struct rn_problems *problems,
                               struct rn_photos *ret_photos, struct rn_error *err) RN_MUST_CHECK;
 void rn_photos_finish(struct rn_photos *photos);
+// Decodes all of them; those that are damaged are left out, each with an error in `problems`
+// (optional). `progress` as of rn_dataset_check_images. RN_ERROR_NO_MEMORY, RN_ERROR_CANCELLED.
+enum rn_status rn_photos_check(struct rn_photos *photos, int threads, struct rn_problems *problems,
+                               bool (*progress)(void *context, size_t done, size_t total),
+                               void *context, struct rn_error *err) RN_MUST_CHECK;
 
 // Whether a file of this name is a film, by its extension.
 bool rn_is_film(const char *name);

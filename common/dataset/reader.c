@@ -74,7 +74,7 @@ static char *base_name(const char *path) {
     return strndup(name, length);
 }
 
-static bool exists(const struct rn_reader *reader, const char *file) {
+bool rn_reader_has(const struct rn_reader *reader, const char *file) {
     char *path = rn_reader_path(reader, file);
     bool there = path && access(path, F_OK) == 0;
     free(path);
@@ -87,7 +87,7 @@ static void put_extension(const struct rn_reader *reader, const char *name, cons
                           char file[RN_FILE_NAME_MAX]) {
     bool any = strcmp(extension, RN_ANY_EXTENSION) == 0, whole = rn_reader_is_photo(name);
     snprintf(file, RN_FILE_NAME_MAX, "%s%s", name, whole ? "" : any ? extensions[0] : extension);
-    for (size_t i = 0; any && !whole && extensions[i] && !exists(reader, file); i++)
+    for (size_t i = 0; any && !whole && extensions[i] && !rn_reader_has(reader, file); i++)
         snprintf(file, RN_FILE_NAME_MAX, "%s%s", name, extensions[i]);
 }
 
@@ -141,7 +141,7 @@ static enum rn_status locate(struct rn_reader *reader, const char *where, const 
     for (; inner && *inner; inner = strchr(inner, '/')) {
         inner += strspn(inner, "/");
         put_extension(reader, inner, extension, file);
-        if (!*inner || !exists(reader, file)) continue;
+        if (!*inner || !rn_reader_has(reader, file)) continue;
         if (!reader->told_moved)
             rn_problems_add(reader->problems, RN_SEVERITY_INFO, where,
                             "\"%.200s\" lies outside of the folder; %.200s, found by its name, is "
@@ -205,16 +205,33 @@ enum rn_status rn_reader_photo(struct rn_reader *reader, const char *where, cons
     return RN_OK;
 }
 
+// A member that names a file, and where it stands.
+static enum rn_status file_member(const struct rn_json *object, const char *key,
+                                  const char **ret_text, char ret_where[256],
+                                  struct rn_error *err) {
+    struct rn_json at;
+    enum rn_status status = rn_json_text(object, key, RN_FILE_NAME_MAX - 1, ret_text, err);
+    if (status == RN_OK) status = rn_json_member(object, key, &at, err);
+    if (status == RN_OK) rn_json_where(&at, ret_where);
+    return status;
+}
+
+enum rn_status rn_reader_locate(struct rn_reader *reader, const struct rn_json *object,
+                                const char *key, char file[RN_FILE_NAME_MAX],
+                                struct rn_error *err) {
+    const char *text;
+    char where[256];
+    enum rn_status status = file_member(object, key, &text, where, err);
+    return status ? status : locate(reader, where, text, "", file, err);
+}
+
 enum rn_status rn_reader_image(struct rn_reader *reader, const struct rn_json *object,
                                const char *key, const char *extension, struct rn_frame *frame,
                                struct rn_error *err) {
-    struct rn_json at;
     const char *text;
     char where[256];
-    enum rn_status status = rn_json_text(object, key, RN_FILE_NAME_MAX - 1, &text, err);
-    if (status || (status = rn_json_member(object, key, &at, err))) return status;
-    rn_json_where(&at, where);
-    return rn_reader_photo(reader, where, text, extension, frame, err);
+    enum rn_status status = file_member(object, key, &text, where, err);
+    return status ? status : rn_reader_photo(reader, where, text, extension, frame, err);
 }
 
 enum rn_status rn_reader_pose(const struct rn_json *object, const char *key, double pose[3][4],
@@ -267,11 +284,26 @@ enum rn_status rn_reader_add(struct rn_reader *reader, struct rn_frame *frame,
     rn_frame_finish(frame);
     if (status == RN_ERROR_NO_MEMORY || reader->dataset->frame_count >= RN_DATASET_MAX_FRAMES)
         return status;
-    bool usual = status == RN_ERROR_NOT_FOUND && reader->missing_is_usual;
-    rn_problems_add(reader->problems, usual ? RN_SEVERITY_WARNING : RN_SEVERITY_ERROR, err->where,
-                    "%s", err->text);
     reader->dataset->unusable[split]++;
+    if (status == RN_ERROR_NOT_FOUND) {
+        if (!reader->missing_count++) reader->missing = *err;
+        reader->last_missing = *err;
+    } else {
+        rn_problems_add(reader->problems, RN_SEVERITY_ERROR, err->where, "%s", err->text);
+    }
     return RN_OK;
+}
+
+void rn_reader_tell_missing(struct rn_reader *reader) {
+    size_t others = reader->missing_count - 1;
+    enum rn_severity severity = reader->missing_is_usual ? RN_SEVERITY_WARNING : RN_SEVERITY_ERROR;
+    if (reader->missing_count == 1)
+        rn_problems_add(reader->problems, severity, reader->missing.where, "%s",
+                        reader->missing.text);
+    else if (reader->missing_count)
+        rn_problems_add(reader->problems, severity, reader->missing.where,
+                        "%.180s; neither do %zu others that are named, the last at %.120s",
+                        reader->missing.text, others, reader->last_missing.where);
 }
 
 // Poses belong to the pixels that their finder saw. Nearly all of them see the pixels as stored,

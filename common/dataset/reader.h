@@ -19,14 +19,15 @@ extern const char *const rn_downscale_names[2]; // by enum rn_downscale
 // A dataset being filled. Thread-safety: one thread. Owner: rn_dataset_read.
 struct rn_reader {
     const char *folder;
-    const char *masks;            // of rn_read_options
-    struct rn_bounds bounds;      // of rn_read_options
+    const struct rn_read_options *options;
     struct rn_problems *problems; // may be NULL
     struct rn_dataset *dataset;
     size_t capacity;       // of dataset->frames
     json_t *reported;      // what was told once: unknown fields, and rn_reader_says
     bool missing_is_usual; // a photograph that is not there is no fault of the dataset
-    bool told_moved;       // that files named outside of the folder were found within
+    struct rn_error missing, last_missing; // the first and the last photograph that is not there
+    size_t missing_count;
+    bool told_moved; // that files named outside of the folder were found within
 };
 
 // A format's `read` appends frames in any order. A bad document is an error, a bad frame a problem.
@@ -57,6 +58,13 @@ bool rn_reader_is_photo(const char *name);
 enum rn_status rn_reader_photo(struct rn_reader *reader, const char *where, const char *named,
                                const char *extension, struct rn_frame *frame,
                                struct rn_error *err) RN_MUST_CHECK;
+// Whether the folder has a file of this name.
+bool rn_reader_has(const struct rn_reader *reader, const char *file);
+// The file, relative to the folder, that the string member `key` of `object` names; it need not be
+// there. As rn_reader_photo for paths that leave the folder.
+enum rn_status rn_reader_locate(struct rn_reader *reader, const struct rn_json *object,
+                                const char *key, char file[RN_FILE_NAME_MAX],
+                                struct rn_error *err) RN_MUST_CHECK;
 // The image that the string member `key` of `object` names, as rn_reader_photo.
 enum rn_status rn_reader_image(struct rn_reader *reader, const struct rn_json *object,
                                const char *key, const char *extension, struct rn_frame *frame,
@@ -74,14 +82,22 @@ enum rn_status rn_reader_check_camera(const struct rn_json *object, const char *
 enum rn_status rn_reader_add(struct rn_reader *reader, struct rn_frame *frame,
                              enum rn_status status, struct rn_error *err) RN_MUST_CHECK;
 
-// Tells as problems how the points meet the photographs and how these were taken.
-void rn_reader_tell_agreement(struct rn_reader *reader);
+// Tells of all photographs that are not there at once.
+void rn_reader_tell_missing(struct rn_reader *reader);
+// Tells how the points meet the photographs.
+void rn_reader_tell_reprojection(struct rn_reader *reader);
+// Tells how photographs were taken and how they lie, with the evidence.
+void rn_reader_tell_place(struct rn_reader *reader, const struct rn_scene_place *place);
 // Reads the folder in another format as well and tells, with both values, what differs most.
 void rn_reader_compare(struct rn_reader *reader, const struct rn_format *format);
 // The mask, in a folder relative to the dataset's, of the photograph `name`, relative to its own;
 // malloc'd, NULL without one.
 #define RN_MASK_FOLDER "masks"
 char *rn_reader_find_mask(const struct rn_reader *reader, const char *folder, const char *name);
+// Whether the mask is a picture of the photograph's width and height. RN_ERROR_INVALID and those of
+// rn_image_probe name the mask.
+enum rn_status rn_mask_check(const char *mask, const char *photo, int width, int height,
+                             struct rn_error *err) RN_MUST_CHECK;
 // Gives photographs the masks that lie in a folder, relative to the dataset's (NULL: "masks"), and
 // takes those out whose mask is damaged or of another size, each with its problem. RN_ERROR_INVALID
 // when a folder is given that has no mask.
@@ -99,6 +115,10 @@ bool rn_reader_says(struct rn_reader *reader, const char *what);
 void rn_reader_warn_unknown(struct rn_reader *reader, const struct rn_json *object,
                             const char *const *known);
 
+// Of the cameras' mean distance from what they look at: the radius of a sphere that they look at,
+// and of one that holds them and what is behind.
+#define RN_OBJECT_DISTANCES 0.5
+#define RN_CAPTURE_DISTANCES 1.5
 // Share of the training photographs' pixels, of 16 x 16 in each, whose rays meet the sphere.
 double rn_bounds_seen(const struct rn_dataset *dataset, const struct rn_bounds *bounds);
 // Whether the camera's optical axis (forwards) meets the sphere.

@@ -20,9 +20,11 @@ struct source {
 static int64_t take(exr_const_context_t context, void *user, void *to, uint64_t size,
                     uint64_t offset, exr_stream_error_func_ptr_t say) {
     const struct source *source = user;
-    if (offset > source->size || size > source->size - offset) return -1;
-    memcpy(to, source->bytes + offset, (size_t)size);
-    return (int64_t)size;
+    if (offset > source->size) return -1;
+    // Headers are read in blocks of 4096 bytes, which may be more than a small file has.
+    uint64_t left = source->size - offset, taken = size < left ? size : left;
+    memcpy(to, source->bytes + offset, (size_t)taken);
+    return (int64_t)taken;
 }
 
 static int64_t tell_size(exr_const_context_t context, void *user) {

@@ -4,6 +4,7 @@
 #include <stdlib.h>
 
 #include "common/image/codec.h"
+#include "common/math/srgb.h"
 
 #define GRID 9 // colours a channel on which a profile is compared with sRGB
 
@@ -89,7 +90,5 @@ enum rn_status rn_icc_to_srgb(const uint8_t *profile, size_t size_bytes, const c
 uint8_t rn_srgb_byte(float linear) {
     if (!(linear > 0)) return 0;
     if (linear >= 1) return 255;
-    float curved =
-        linear <= 0.0031308f ? 12.92f * linear : 1.055f * powf(linear, 1 / 2.4f) - 0.055f;
-    return (uint8_t)(curved * 255 + 0.5f);
+    return (uint8_t)(rn_srgb_from_linear(linear) * 255 + 0.5f);
 }

@@ -1,5 +1,6 @@
 #include "common/image/image.h"
 
+#include <float.h>
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -234,9 +235,11 @@ enum rn_status rn_image_write_png(const struct rn_image *image, const char *path
     return status;
 }
 
+// Without branches, so that many are done at once; what is not finite is 0.
 static uint8_t to_byte(float value) {
-    if (!isfinite(value) || value <= 0) return 0;
-    return value >= 1 ? 255 : (uint8_t)(value * 255.0f + 0.5f);
+    float finite = value <= FLT_MAX ? value : 0;
+    float above = finite > 0 ? finite : 0;
+    return (uint8_t)((above < 1 ? above : 1) * 255.0f + 0.5f);
 }
 
 enum rn_status rn_picture_to_image(const struct rn_picture *picture, struct rn_image *ret_image,

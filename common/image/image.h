@@ -85,6 +85,32 @@ enum rn_status rn_image_encode_jpeg(const struct rn_image *image, int quality, u
 enum rn_status rn_picture_encode_depth_png(const struct rn_picture *depth, float scale, int level,
                                            uint8_t **ret_bytes, size_t *ret_size,
                                            struct rn_error *err) RN_MUST_CHECK;
+// What that wrote: depths within scale / 131070 of what they were, INFINITY where they were the
+// scale or more. RN_ERROR_CORRUPT for another picture, RN_ERROR_LIMIT, RN_ERROR_NO_MEMORY.
+enum rn_status rn_picture_decode_depth_png(const void *bytes, size_t size,
+                                           struct rn_picture *ret_depth,
+                                           struct rn_error *err) RN_MUST_CHECK;
+// 16 bits a channel, big endian: round(clamp(v, 0, 1) * 65535) of 1 (grey), 3 (RGB) or 4 (RGBA)
+// channels; what is not finite is 0.
+enum rn_status rn_picture_encode_png16(const struct rn_picture *picture, int level,
+                                       uint8_t **ret_bytes, size_t *ret_size,
+                                       struct rn_error *err) RN_MUST_CHECK;
+
+// A channel of an EXR: one of a picture's.
+struct rn_exr_plane {
+    const char *name; // "R", "Z", "N.X"; each once
+    const struct rn_picture *picture;
+    int channel;
+    bool is_whole; // 32 bits a value; else a half's 16
+};
+// Scan lines of `count` planes of one size, ZIP-compressed, with a text. Values go out as they are:
+// an EXR's colours are linear light times alpha. RN_ERROR_UNSUPPORTED in a build without OpenEXR.
+enum rn_status rn_exr_encode(const struct rn_exr_plane *planes, size_t count, const char *comment,
+                             uint8_t **ret_bytes, size_t *ret_size,
+                             struct rn_error *err) RN_MUST_CHECK;
+// Whether it can at all: RN_ERROR_UNSUPPORTED says what is missing.
+enum rn_status rn_exr_check(struct rn_error *err) RN_MUST_CHECK;
+
 // Writes a temporary file beside `path`, fsyncs, renames.
 enum rn_status rn_image_write_png(const struct rn_image *image, const char *path, int level,
                                   struct rn_error *err) RN_MUST_CHECK;

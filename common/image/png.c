@@ -265,45 +265,62 @@ enum rn_status rn_image_encode_png(const struct rn_image *image, int level, uint
     return encode(&writer, ret_bytes, ret_size, err);
 }
 
-// round(clamp(depth / scale, 0, 1) * 65535), big-endian; NaN becomes 0.
-static void depth_to_bytes(const struct rn_picture *depth, float scale, uint8_t *to) {
-    size_t count = (size_t)depth->width * (size_t)depth->height;
-    for (size_t i = 0; i < count; i++) {
-        double share = (double)depth->values[i] / (double)scale;
+// round(clamp(value / scale, 0, 1) * 65535), big-endian; NaN becomes 0.
+static uint8_t *samples_of(const struct rn_picture *picture, float scale) {
+    size_t count = (size_t)picture->width * (size_t)picture->height * (size_t)picture->channels;
+    uint8_t *to = malloc(2 * count);
+    for (size_t i = 0; to && i < count; i++) {
+        double share = (double)picture->values[i] / (double)scale;
         unsigned value = share >= 1 ? 65535 : share > 0 ? (unsigned)(share * 65535 + 0.5) : 0;
         to[2 * i] = (uint8_t)(value >> 8);
         to[2 * i + 1] = (uint8_t)value;
     }
+    return to;
 }
 
-enum rn_status rn_picture_encode_depth_png(const struct rn_picture *depth, float scale, int level,
-                                           uint8_t **ret_bytes, size_t *ret_size,
-                                           struct rn_error *err) {
-    if (depth->channels != 1)
-        return rn_error_set(err, RN_ERROR_INVALID, "depth", "a depth picture has one channel");
-    if (!(scale > 0) || !isfinite(scale))
-        return rn_error_set(err, RN_ERROR_INVALID, "scale",
-                            "the depth scale must be a positive number");
+// `key` with the scale as its text; NULL: none.
+static enum rn_status encode_samples(const struct rn_picture *picture, float scale, char *key,
+                                     int level, uint8_t **ret_bytes, size_t *ret_size,
+                                     struct rn_error *err) {
     enum rn_status status =
-        rn_image_check_size(depth->width, depth->height, &rn_image_default_limits, "", err);
+        rn_image_check_size(picture->width, picture->height, &rn_image_default_limits, "", err);
     if (status != RN_OK) return status;
-    uint8_t *rows = malloc((size_t)depth->width * (size_t)depth->height * 2);
+    uint8_t *rows = samples_of(picture, scale);
     if (!rows) return rn_error_set(err, RN_ERROR_NO_MEMORY, "", "no memory to write a PNG");
-    depth_to_bytes(depth, scale, rows);
-    char key[] = "ripnerf:depth_scale", value[32];
+    char value[32];
     snprintf(value, sizeof value, "%.9g", (double)scale);
     struct writer writer = {
-        .width = depth->width,
-        .height = depth->height,
-        .colour_type = PNG_COLOR_TYPE_GRAY,
+        .width = picture->width,
+        .height = picture->height,
+        .colour_type = picture->channels == 4   ? PNG_COLOR_TYPE_RGBA
+                       : picture->channels == 3 ? PNG_COLOR_TYPE_RGB
+                                                : PNG_COLOR_TYPE_GRAY,
         .bit_depth = 16,
         .level = level,
         .rows = rows,
-        .stride = 2 * (size_t)depth->width,
+        .stride = 2 * (size_t)picture->channels * (size_t)picture->width,
         .key = key,
         .value = value,
     };
     status = encode(&writer, ret_bytes, ret_size, err);
     free(rows);
     return status;
+}
+
+enum rn_status rn_picture_encode_png16(const struct rn_picture *picture, int level,
+                                       uint8_t **ret_bytes, size_t *ret_size,
+                                       struct rn_error *err) {
+    return encode_samples(picture, 1, NULL, level, ret_bytes, ret_size, err);
+}
+
+enum rn_status rn_picture_encode_depth_png(const struct rn_picture *depth, float scale, int level,
+                                           uint8_t **ret_bytes, size_t *ret_size,
+                                           struct rn_error *err) {
+    char key[] = "ripnerf:depth_scale";
+    if (depth->channels != 1)
+        return rn_error_set(err, RN_ERROR_INVALID, "depth", "a depth picture has one channel");
+    if (!(scale > 0) || !isfinite(scale))
+        return rn_error_set(err, RN_ERROR_INVALID, "scale",
+                            "the depth scale must be a positive number");
+    return encode_samples(depth, scale, key, level, ret_bytes, ret_size, err);
 }

@@ -299,9 +299,13 @@ static double time_of_way(const struct rn_path *path, double time_s) {
 // ---- cameras ----------------------------------------------------------------------------------
 
 static struct rn_camera camera_of(const struct rn_path *path, double fov_y_rad) {
-    struct rn_camera camera = {
-        .lens = RN_LENS_PINHOLE, .width = path->width, .height = path->height};
+    struct rn_camera camera = {.lens = path->lens, .width = path->width, .height = path->height};
     camera.fx = camera.fy = rn_camera_focal_from_fov(fov_y_rad, path->height);
+    if (path->lens == RN_LENS_EQUIRECTANGULAR) { // the picture is the whole sphere
+        camera.fx = path->width / (2 * M_PI);
+        camera.fy = path->height / M_PI;
+        camera.lens_fold = rn_lens_fold(path->lens, camera.lens_k);
+    }
     camera.cx = 0.5 * path->width;
     camera.cy = 0.5 * path->height;
     return camera;
@@ -314,9 +318,18 @@ struct rn_camera rn_path_key_camera(const struct rn_path *path, size_t key) {
     return camera;
 }
 
-struct rn_camera rn_path_camera(const struct rn_path *path, size_t frame) {
-    double time_s = path->keys[0].time_s + (double)frame / path->fps, step[3], p[4], position[3];
-    struct segment at = find_segment(path, time_of_way(path, time_s));
+static struct segment segment_of(const struct rn_path *path, double frame) {
+    double begin_s = path->keys[0].time_s, past_s = frame / path->fps, span = span_s(path);
+    if (!path->loop || !(span > 0))
+        past_s = fmax(0, past_s);
+    else if (past_s < 0 || past_s > span)
+        past_s -= span * floor(past_s / span);
+    return find_segment(path, time_of_way(path, begin_s + past_s));
+}
+
+struct rn_camera rn_path_camera(const struct rn_path *path, double frame) {
+    struct segment at = segment_of(path, frame);
+    double step[3], p[4], position[3];
     steps_of(&at, step);
     for (int k = 0; k < 4; k++)
         p[k] = at.key[k]->fov_y_rad;
@@ -328,4 +341,9 @@ struct rn_camera rn_path_camera(const struct rn_path *path, size_t frame) {
     for (int i = 0; i < 3; i++)
         camera.world_from_camera[i][3] = position[i];
     return camera;
+}
+
+struct rn_optics rn_path_optics(const struct rn_path *path, double frame) {
+    struct segment at = segment_of(path, frame);
+    return rn_optics_between(&at.key[1]->optics, &at.key[2]->optics, at.u);
 }

@@ -12,15 +12,50 @@
 #define DEFAULT_FPS 30.0
 
 static const char *const interpolations[] = {"spline", "linear", "circle"};
+static const char *const lenses[] = {"pinhole", "equirectangular"};
+
+// What a key says of effects of the camera; the others are none.
+static enum rn_status read_optics(const struct rn_json *object, struct rn_optics *optics,
+                                  struct rn_error *err) {
+    struct rn_error inner = {0};
+    enum rn_status status = RN_OK;
+    for (size_t i = 0; i < RN_OPTICS_SETTINGS && !status; i++) {
+        const struct rn_setting *row = &rn_optics_settings.rows[i];
+        struct rn_json member;
+        double value, low = row->flags & RN_SETTING_OR_ZERO ? 0 : row->min;
+        if (!rn_json_find(object, row->name, &member)) continue;
+        status = rn_json_number(object, row->name, low, row->max, &value, err);
+        if (!status) rn_setting_put_number(row, value, optics);
+    }
+    if (!status && (status = rn_optics_check(optics, &inner)))
+        return rn_json_error(object, status, err, "%s %s", inner.where, inner.text);
+    return status;
+}
+
+static void put_optics(json_t *object, const struct rn_optics *optics) {
+    for (size_t i = 0; object && i < RN_OPTICS_SETTINGS; i++) {
+        double value = rn_setting_number(&rn_optics_settings.rows[i], optics);
+        if (value != 0)
+            json_object_set_new(object, rn_optics_settings.rows[i].name, json_real(value));
+    }
+}
+
+static enum rn_status refuse_unknown_of_key(const struct rn_json *object, struct rn_error *err) {
+    enum { OWN = 3 };
+    const char *known[OWN + RN_OPTICS_SETTINGS + 1] = {"time", "world_from_camera", "fov_y_deg"};
+    for (size_t i = 0; i < RN_OPTICS_SETTINGS; i++)
+        known[OWN + i] = rn_optics_settings.rows[i].name;
+    return rn_json_refuse_unknown(object, known, err);
+}
 
 static enum rn_status read_key(const struct rn_json *object, bool opengl,
                                struct rn_path_key *ret_key, struct rn_error *err) {
-    static const char *const known[] = {"time", "world_from_camera", "fov_y_deg", NULL};
     struct rn_camera camera = {.width = 1, .height = 1, .fx = 1, .fy = 1};
     struct rn_json pose;
     double fov_y_deg, time_s;
     enum rn_status status;
-    if ((status = rn_json_refuse_unknown(object, known, err)) ||
+    if ((status = refuse_unknown_of_key(object, err)) ||
+        (status = read_optics(object, &ret_key->optics, err)) ||
         (status = rn_json_number(object, "time", 0, MAX_TIME_S, &time_s, err)) ||
         (status = rn_json_number(object, "fov_y_deg", 1e-3, 179.9, &fov_y_deg, err)) ||
         (status = rn_json_matrix(object, "world_from_camera", 3, 4, &camera.world_from_camera[0][0],
@@ -73,7 +108,7 @@ static double span_frames(const struct rn_path *path) {
 // What has a default and is absent keeps it.
 static enum rn_status read_motion(const struct rn_json *object, struct rn_path *path,
                                   struct rn_error *err) {
-    int interpolation = RN_INTERPOLATE_SPLINE;
+    int interpolation = RN_INTERPOLATE_SPLINE, lens = 0;
     struct rn_json member;
     enum rn_status status = RN_OK;
     path->fps = DEFAULT_FPS;
@@ -88,14 +123,18 @@ static enum rn_status read_motion(const struct rn_json *object, struct rn_path *
         status = rn_json_number(object, "tension", 0, 1, &path->tension, err);
     if (!status && rn_json_find(object, "constant_speed", &member))
         status = rn_json_boolean(object, "constant_speed", &path->constant_speed, err);
+    if (!status && rn_json_find(object, "lens", &member))
+        status = rn_json_choice(object, "lens", lenses, 2, &lens, err);
     path->interpolation = (enum rn_interpolation)interpolation;
+    path->lens = lens ? RN_LENS_EQUIRECTANGULAR : RN_LENS_PINHOLE;
     return status;
 }
 
 static enum rn_status read_path(const struct rn_json *object, struct rn_path *path,
                                 struct rn_error *err) {
-    static const char *const known[] = {"axes",   "fps",     "interpolation",  "loop", "width",
-                                        "height", "tension", "constant_speed", "keys", NULL};
+    static const char *const known[] = {
+        "axes", "fps",  "interpolation", "loop",           "width", "height",
+        "lens", "keys", "tension",       "constant_speed", NULL};
     struct rn_json keys;
     enum rn_status status;
     if ((status = rn_json_refuse_unknown(object, known, err)) ||
@@ -153,9 +192,10 @@ json_t *rn_path_json(const struct rn_path *path) {
             const double *row = key->world_from_camera[r];
             json_array_append_new(pose, json_pack("[f,f,f,f]", row[0], row[1], row[2], row[3]));
         }
-        json_array_append_new(keys,
-                              json_pack("{s:f,s:o,s:f}", "time", key->time_s, "world_from_camera",
-                                        pose, "fov_y_deg", key->fov_y_rad * 180 / M_PI));
+        json_t *object = json_pack("{s:f,s:o,s:f}", "time", key->time_s, "world_from_camera", pose,
+                                   "fov_y_deg", key->fov_y_rad * 180 / M_PI);
+        put_optics(object, &key->optics);
+        json_array_append_new(keys, object);
     }
     json_t *object =
         json_pack("{s:s,s:f,s:s,s:b,s:i,s:i,s:o}", "axes", "opencv", "fps", path->fps,
@@ -163,6 +203,7 @@ json_t *rn_path_json(const struct rn_path *path) {
                   "width", path->width, "height", path->height, "keys", keys);
     if (object && path->tension > 0)
         json_object_set_new(object, "tension", json_real(path->tension));
+    if (object && path->lens) json_object_set_new(object, "lens", json_string(lenses[1]));
     if (object && path->constant_speed) json_object_set_new(object, "constant_speed", json_true());
     return object;
 }

@@ -7,7 +7,9 @@
 //   are fps 30, interpolation "spline", loop false. "interpolation" may be "circle" too: about the
 //   point that the keys look at. "tension" 0 .. 1 straightens a spline (0); "constant_speed"
 //   (false) lets the camera travel equal distances in equal times instead of meeting its keys'
-//   times.
+//   times. "lens" may be "equirectangular": all directions around. A key may have the effects of
+//   common/settings/optics.h by their names ("aperture", "focus", ...), which go over from key to
+//   key as the field of view does.
 #ifndef RN_COMMON_PATH_PATH_H
 #define RN_COMMON_PATH_PATH_H
 
@@ -15,6 +17,7 @@
 
 #include "common/base/status.h"
 #include "common/math/camera.h"
+#include "common/settings/optics.h"
 
 struct rn_json;
 
@@ -24,6 +27,7 @@ struct rn_path_key {
     double time_s;
     double world_from_camera[3][4]; // OpenCV axes
     double fov_y_rad;
+    struct rn_optics optics;
 };
 
 // Thread-safety: immutable once parsed. Owner: the caller; rn_path_destroy.
@@ -36,6 +40,7 @@ struct rn_path {
     bool constant_speed; // equal distances in equal times
     bool loop;           // the last key returns to the first; not to be written twice
     int width, height;
+    enum rn_lens lens; // pinhole or equirectangular
     // Made of the rest by rn_path_check: the point that the keys look at, where there is one, and
     // the distance travelled at travelled_count even parts of each stretch between keys.
     bool has_centre;
@@ -68,9 +73,12 @@ struct json_t *rn_path_json(const struct rn_path *path);
 // Frame i is at the first key's time + i / fps. Frames of the path: floor(duration * fps) + 1; a
 // loop has no last one, and its duration includes the way back, of the keys' mean spacing.
 size_t rn_path_frame_count(const struct rn_path *path);
-// The camera of frame i: positions by Catmull-Rom (centripetal) or linearly, rotations by
+// The camera of frame i, or in between (before the first and behind the last one of a path that is
+// no loop: theirs): positions by Catmull-Rom (centripetal) or linearly, rotations by
 // squad/slerp on unit quaternions, field of view like a position.
-struct rn_camera rn_path_camera(const struct rn_path *path, size_t frame);
+struct rn_camera rn_path_camera(const struct rn_path *path, double frame);
+// The effects of the camera there: linearly between keys.
+struct rn_optics rn_path_optics(const struct rn_path *path, double frame);
 // The camera of a key.
 struct rn_camera rn_path_key_camera(const struct rn_path *path, size_t key);
 

@@ -18,11 +18,12 @@ struct rn_curve_setting {
 };
 struct rn_curve_point {
     struct rn_curve_setting setting;
-    double ms_median, ms_p95; // of rendering one of the curve's pictures
-    double psnr, ssim;        // against photographs; NAN without any
-    double psnr_full;         // against the full picture; NAN: the same picture
-    double psnr_spread;       // standard deviation over the views, of psnr or else psnr_full
-    double rays, samples;     // of a picture, mean
+    double ms_median, ms_p95;        // of rendering one of the curve's pictures
+    double psnr, ssim;               // against photographs; NAN without any
+    double psnr_full;                // against the full picture; NAN: the same picture
+    double psnr_spread;              // standard deviation over the views, of psnr or else psnr_full
+    double rays, samples;            // of a picture, mean
+    double interpolation, roughness; // rn_curve_made of a picture, mean; NAN: of an older version
 };
 // What the full picture of one held-out view is worth, and where that was taken from: a picture
 // from near there will be about as good.
@@ -30,7 +31,7 @@ struct rn_curve_view {
     double position[3]; // dataset coordinates
     double psnr;        // against its photograph
 };
-#define RN_CURVE_VIEWS 64
+#define RN_CURVE_VIEWS 128
 // Plain but for `points` and `around`, which whoever made it owns.
 struct rn_curve {
     struct rn_curve_point *points; // by ms_median, the last one the full picture
@@ -59,24 +60,34 @@ enum rn_budget_kind rn_budget_of(const union rn_setting_value values[RN_RENDER_S
 // much. NULL: nothing is.
 const char *rn_budget_check(const union rn_setting_value values[RN_RENDER_SETTINGS],
                             enum rn_budget_kind *ret_kind);
-// The curve's point for a picture of so many pixels: the best one within the time; the quickest one
-// of at least that PSNR, else the full picture; the best one within the time that lies, on a
-// logarithmic scale, that far between the quickest and the full picture. Of a curve without
-// photographs, `psnr` stands for the scene's own, by which all points are worth that much more or
-// less. *ret_missed: no point is so quick, or so good.
+// The curve's point for a picture of so many pixels: the best one that keeps within the time in 95
+// of 100 pictures; the quickest one of at least that PSNR, else the best one; the best one whose
+// median is within the time that lies, on a logarithmic scale, that far between the quickest and
+// the full picture. Of a curve without photographs, `psnr` stands for the scene's own, by which all
+// points are worth that much more or less. *ret_missed: no point is so quick, or so good.
 size_t rn_curve_choose(const struct rn_curve *curve, enum rn_budget_kind kind, double number,
                        double pixels, double psnr, bool *ret_missed);
 // The PSNR to expect of a point against photographs; `psnr` of the full picture, for a curve that
 // does not know it. NAN: nothing is known.
 double rn_curve_expected(const struct rn_curve *curve, size_t point, double psnr);
-// The same of a picture with these settings and another tolerance than the point's: between the
-// points that differ in nothing else.
-double rn_curve_expected_with(const struct rn_curve *curve, size_t point, double tolerance,
-                              double psnr);
 
 // What to add to it for a camera in this place: how much better than the mean of the curve's views
 // the full pictures of the nearest three are, each counted by its nearness. 0 where none is known.
 double rn_curve_here(const struct rn_curve *curve, const double position[3]);
+
+// What a picture was interpolated from, which tells what it lost by that (rn_render_stats).
+struct rn_curve_made {
+    double interpolation; // of points between others, likely loss, mean square
+    double roughness;     // of what was rendered smaller, mean square
+};
+// The PSNR to expect of this picture, made with a point's settings but for the tolerance, where the
+// full pictures are better by so much (rn_curve_here): the full one's error here, and what the
+// point loses to it, by as much more as there was more to interpolate than in the curve's pictures.
+double rn_curve_expected_here(const struct rn_curve *curve, size_t point,
+                              const struct rn_curve_made *made, double psnr, double better);
+// The PSNR expected at the curve's views of what is worth `psnr` where the full pictures are so
+// much better: what a picture differs from the full one by stays what it was.
+double rn_curve_from_here(const struct rn_curve *curve, double psnr, double better);
 
 // "tolerance=0.03,subsample=2"; "full" where nothing differs.
 void rn_curve_setting_text(const struct rn_curve_setting *setting, char *ret_text, size_t size);

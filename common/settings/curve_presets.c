@@ -31,7 +31,9 @@ void rn_curve_of_presets(struct rn_curve_point points[RN_CURVE_POINTS],
                                      .psnr = NAN,
                                      .ssim = measured[i].ssim,
                                      .psnr_full = measured[i].psnr_full,
-                                     .rays = measured[i].rays};
+                                     .rays = measured[i].rays,
+                                     .interpolation = NAN,
+                                     .roughness = NAN};
         for (size_t k = 0; k < RN_RENDER_SETTINGS; k++)
             p->setting.values[k] = rn_setting_absent(&rn_render_settings.rows[k]);
         if (measured[i].subsample > 1) set(p, "subsample", measured[i].subsample);

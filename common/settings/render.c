@@ -52,7 +52,8 @@ static const struct rn_setting rows[] = {
      .min = 0,
      .max = 0.5,
      .unit = "",
-     .meaning = "how far pixels may be off, for a quicker picture: 0.02 to 0.06; else 0",
+     .meaning =
+         "how far colours may be off, for a quicker picture: 0 to 0.5, 0.02 loses little; else 0",
      .option = "tolerance",
      .flag = "tolerance",
      .settled = 0},

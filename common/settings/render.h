@@ -9,7 +9,8 @@
 struct rn_render_settings {
     double step; // marching step in scene radii; 0 = as trained
     // Early-stop transmittance; 0 = as trained, or the tolerance where that is larger. A ray that
-    // ends earlier than in training counts as opaque.
+    // ends earlier than in training counts as opaque. From 0.08 on, rays pass over thin haze
+    // (engine/scene/occupancy.h).
     double stop;
     int subsample; // render every n-th pixel each way and enlarge; 0 = 1 = all of them
     // Cones a side of a pixel, 1, 2, 4, 8 or 16; 0 = as many as make them as narrow as the finest

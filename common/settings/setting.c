@@ -52,6 +52,15 @@ const struct rn_setting *rn_settings_find(const struct rn_settings *settings, co
     return NULL;
 }
 
+const struct rn_setting *rn_settings_flagged(const struct rn_settings *settings, size_t from,
+                                             const char *flag, size_t size) {
+    for (size_t i = from; i < settings->count; i++) {
+        const char *own = settings->rows[i].flag;
+        if (own && strlen(own) == size && memcmp(own, flag, size) == 0) return &settings->rows[i];
+    }
+    return NULL;
+}
+
 union rn_setting_value *rn_settings_value(const struct rn_settings *settings,
                                           union rn_setting_value *values, const char *name) {
     return values + (rn_settings_find(settings, name) - settings->rows);
@@ -333,6 +342,10 @@ enum rn_status rn_setting_parse(const struct rn_setting *row, const char *text,
     }
     char range[160];
     rn_setting_range(row, range, sizeof range);
-    return rn_error_set(err, RN_ERROR_INVALID, row->name, "%s%s, is '%s'", range,
+    if (strcmp(row->unit, "s") == 0)
+        return rn_error_set(err, RN_ERROR_INVALID, row->name,
+                            "must be a time such as 90, 60s, 10m or 1.5h, %s; it is '%s'",
+                            range + strlen("must be "), text);
+    return rn_error_set(err, RN_ERROR_INVALID, row->name, "%s%s; it is '%s'", range,
                         strcmp(row->unit, "ms") == 0 ? ", with its unit: 50ms, 0.5s" : "", text);
 }

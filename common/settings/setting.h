@@ -34,6 +34,7 @@ enum {
     RN_SETTING_SIXTEENS = 16,    // multiples of 16 in the range
     RN_SETTING_LATER = 32,       // records may lack it, which means 0
     RN_SETTING_SAME_BYTES = 64,  // a run's or picture's bytes up to a step do not depend on it
+    RN_SETTING_OF_DATA = 128,    // follows from what the photographs show, or from other settings
 };
 
 struct rn_setting {
@@ -47,11 +48,12 @@ struct rn_setting {
     const char *meaning;        // one line
     const char *option;         // its name in requests; NULL: not asked for
     const char *flag;           // in command lines, "max-time"; NULL: not asked for
-    const char *told;           // its name in the daemon's records; NULL: as `name`
+    const char *key;  // of rows that share a flag: what is before "=" in its value; else NULL
+    const char *told; // its name in the daemon's records; NULL: as `name`
     // Training: the value of each preset; a colour's is of all channels.
     double paper, standard, draft;
-    // Training: what a run that differs from the paper's here says of it, and the gain, where that
-    // was measured; gain_of_none where the value is 0 and that is something else.
+    // Training: what a run that differs from the paper's here says of it, and the gain, NULL where
+    // that was not measured; gain_of_none where the value is 0 and that is something else.
     const char *unlike, *gain, *gain_of_none;
     // Rendering: what an absent option is written as, where it is the same for every scene; NAN.
     double settled;
@@ -77,6 +79,9 @@ bool rn_setting_is_absent(const struct rn_setting *row, const union rn_setting_v
 
 // The row of that name; NULL when there is none.
 const struct rn_setting *rn_settings_find(const struct rn_settings *settings, const char *name);
+// The first row from `from` on that has this flag; NULL when there is none.
+const struct rn_setting *rn_settings_flagged(const struct rn_settings *settings, size_t from,
+                                             const char *flag, size_t size);
 // Of values in the order of the rows, the one of that name, which there is.
 union rn_setting_value *rn_settings_value(const struct rn_settings *settings,
                                           union rn_setting_value *values, const char *name);
@@ -109,6 +114,16 @@ enum rn_status rn_settings_check(const struct rn_settings *settings, const void 
 enum rn_status rn_setting_parse(const struct rn_setting *row, const char *text,
                                 union rn_setting_value *ret_value,
                                 struct rn_error *err) RN_MUST_CHECK;
+
+// Whether requests may ask for it by its name alone: what has no option, unless data decide it.
+static inline bool rn_setting_is_by_name(const struct rn_setting *row) {
+    return !row->option && !(row->flags & RN_SETTING_OF_DATA);
+}
+
+// Whether its flag alone means that it is wanted: of BOOL without names.
+static inline bool rn_setting_is_flag(const struct rn_setting *row) {
+    return row->type == RN_SETTING_BOOL && !row->choices;
+}
 
 // The index of a name in a NULL-terminated list; -1.
 int rn_choice_index(const char *const *choices, const char *name);

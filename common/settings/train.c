@@ -11,6 +11,7 @@ const char *const rn_orientation_names[] = {"platonic", "golden", "blue", "white
 const char *const rn_footprint_names[] = {"rip", "mip", "point", NULL};
 const char *const rn_space_names[] = {"ball", "unbounded", NULL};
 const char *const rn_shading_names[] = {"sample", "ray", NULL};
+const char *const rn_effect_choice_names[] = {"auto", "on", "off", NULL};
 
 #define PLACE(member) .offset = offsetof(struct rn_train_config, member)
 #define PRESETS(of_paper, of_standard, of_draft)                                                   \
@@ -18,6 +19,7 @@ const char *const rn_shading_names[] = {"sample", "ray", NULL};
 static const struct rn_setting rows[] = {
     {.name = "preset",
      .type = RN_SETTING_TEXT,
+     .flags = RN_SETTING_OF_DATA,
      PLACE(preset),
      .unit = "",
      .meaning = "where the settings started from",
@@ -32,7 +34,7 @@ static const struct rn_setting rows[] = {
      .option = "planes",
      .flag = "planes",
      PRESETS(10, 3, 3),
-     .unlike = "fewer planes than the paper's 10",
+     .unlike = "another number of planes than the paper's 10",
      .gain = "+4.3 dB with 3"},
     {.name = "orientation",
      .type = RN_SETTING_CHOICE,
@@ -43,8 +45,7 @@ static const struct rn_setting rows[] = {
      .option = "orientation",
      .flag = "orientation",
      PRESETS(0, 0, 0),
-     .unlike = "planes not along a Platonic solid",
-     .gain = ""},
+     .unlike = "planes not along a Platonic solid"},
     {.name = "base",
      .type = RN_SETTING_INT,
      PLACE(field.base),
@@ -87,7 +88,8 @@ static const struct rn_setting rows[] = {
      .max = RN_MAX_LEVELS,
      .unit = "",
      .meaning = "levels of the ripmap along each axis",
-     PRESETS(8, 8, 8)},
+     PRESETS(8, 8, 8),
+     .unlike = "another number of levels along each axis than the paper's 8"},
     {.name = "footprint",
      .type = RN_SETTING_CHOICE,
      PLACE(field.footprint),
@@ -101,10 +103,17 @@ static const struct rn_setting rows[] = {
      .gain = "+0.7 dB with mip over four scales after 30 s"},
     {.name = "footprint_given",
      .type = RN_SETTING_BOOL,
-     .flags = RN_SETTING_LATER,
+     .flags = RN_SETTING_LATER | RN_SETTING_OF_DATA,
      PLACE(footprint_given),
      .unit = "",
      .meaning = "the footprint was asked for: it stays though the data calls for less",
+     PRESETS(0, 0, 0)},
+    {.name = "cut_out",
+     .type = RN_SETTING_BOOL,
+     .flags = RN_SETTING_LATER | RN_SETTING_OF_DATA,
+     PLACE(cut_out),
+     .unit = "",
+     .meaning = "masks cut an object out: what they leave out is empty",
      PRESETS(0, 0, 0)},
     {.name = "footprint_base",
      .type = RN_SETTING_INT,
@@ -114,7 +123,16 @@ static const struct rn_setting rows[] = {
      .max = 4096,
      .unit = "texels",
      .meaning = "side of the grid in whose texels footprints are measured; 0: the base grid",
-     PRESETS(0, 0, 0)},
+     PRESETS(0, 0, 0),
+     .unlike = "footprints are measured in texels of another grid than the base grid"},
+    {.name = "mean_level",
+     .type = RN_SETTING_BOOL,
+     .flags = RN_SETTING_LATER,
+     PLACE(field.mean_level),
+     .unit = "",
+     .meaning = "with footprint mip: a plane's level is the mean of the two that rip would ask for",
+     PRESETS(0, 0, 0),
+     .unlike = "mip's level is the mean of rip's two"},
     {.name = "shading",
      .type = RN_SETTING_CHOICE,
      PLACE(field.shading),
@@ -133,7 +151,7 @@ static const struct rn_setting rows[] = {
      .unit = "",
      .meaning = "width of every hidden layer",
      PRESETS(128, 64, 64),
-     .unlike = "narrower networks than the paper's 128",
+     .unlike = "networks of another width than the paper's 128",
      .gain = "+0.4 dB with 64"},
     {.name = "base_layers",
      .type = RN_SETTING_INT,
@@ -143,7 +161,7 @@ static const struct rn_setting rows[] = {
      .unit = "",
      .meaning = "hidden layers of the density network",
      PRESETS(2, 1, 1),
-     .unlike = "fewer hidden layers",
+     .unlike = "another number of hidden layers",
      .gain = "+1.0 dB with 1 and 1"},
     {.name = "head_layers",
      .type = RN_SETTING_INT,
@@ -153,14 +171,15 @@ static const struct rn_setting rows[] = {
      .unit = "",
      .meaning = "hidden layers of the colour network",
      PRESETS(4, 2, 1),
-     .unlike = "fewer hidden layers",
+     .unlike = "another number of hidden layers",
      .gain = "+1.0 dB with 1 and 1"},
     {.name = "view_dependence",
      .type = RN_SETTING_BOOL,
      PLACE(field.view_dependence),
      .unit = "",
      .meaning = "the colour network sees the direction",
-     PRESETS(1, 1, 1)},
+     PRESETS(1, 1, 1),
+     .unlike = "colour does not depend on the direction"},
     {.name = "occupancy",
      .type = RN_SETTING_INT,
      .flags = RN_SETTING_POWER_OF_TWO,
@@ -169,7 +188,8 @@ static const struct rn_setting rows[] = {
      .max = 256,
      .unit = "cells",
      .meaning = "cells a side of the occupancy grid",
-     PRESETS(128, 128, 128)},
+     PRESETS(128, 128, 128),
+     .unlike = "another occupancy grid than the paper's 128 cells a side"},
     {.name = "step",
      .type = RN_SETTING_NUMBER,
      PLACE(step),
@@ -196,7 +216,7 @@ static const struct rn_setting rows[] = {
      .unit = "samples",
      .meaning = "samples a training step that the batch of rays aims at",
      PRESETS(262144, 32768, 16384),
-     .unlike = "smaller batch than 262,144 samples",
+     .unlike = "another batch than 262,144 samples",
      .gain = "+3.1 dB with 32,768"},
     {.name = "initial_rays",
      .type = RN_SETTING_INT,
@@ -205,7 +225,9 @@ static const struct rn_setting rows[] = {
      .max = 1 << 17,
      .unit = "rays",
      .meaning = "rays of the first training step",
-     PRESETS(8192, 4096, 4096)},
+     PRESETS(8192, 4096, 4096),
+     .unlike = "another number of rays at the first step than the paper's 8,192",
+     .gain = "level with 8,192 after 700 steps"},
     {.name = "carve",
      .type = RN_SETTING_BOOL,
      PLACE(carve),
@@ -322,7 +344,8 @@ static const struct rn_setting rows[] = {
      .max = 1,
      .unit = "",
      .meaning = "AdamW's epsilon",
-     PRESETS(1e-15, 1e-15, 1e-15)},
+     PRESETS(1e-15, 1e-15, 1e-15),
+     .unlike = "another epsilon of AdamW than 1e-15"},
     {.name = "favour_finest",
      .type = RN_SETTING_BOOL,
      PLACE(favour_finest),
@@ -362,14 +385,13 @@ static const struct rn_setting rows[] = {
      .gain = "+0.2 dB with 0.002"},
     {.name = "space",
      .type = RN_SETTING_CHOICE,
-     .flags = RN_SETTING_LATER,
+     .flags = RN_SETTING_LATER | RN_SETTING_OF_DATA,
      PLACE(field.space),
      .unit = "",
      .choices = rn_space_names,
      .meaning = "what the field's ball stands for: the scene's ball, or all of space",
      PRESETS(0, 0, 0),
-     .unlike = "all of space instead of a ball",
-     .gain = ""},
+     .unlike = "all of space instead of a ball"},
     {.name = "occupancy_limit",
      .type = RN_SETTING_NUMBER,
      .flags = RN_SETTING_LATER,
@@ -378,7 +400,8 @@ static const struct rn_setting rows[] = {
      .max = 1,
      .unit = "",
      .meaning = "optical depth of a step above which a cell is occupied; 0: 0.005",
-     PRESETS(0, 0, 0)},
+     PRESETS(0, 0, 0),
+     .unlike = "a cell is occupied from another optical depth on than the paper's 0.005"},
     {.name = "distortion_loss",
      .type = RN_SETTING_NUMBER,
      .flags = RN_SETTING_LATER,
@@ -388,8 +411,17 @@ static const struct rn_setting rows[] = {
      .unit = "",
      .meaning = "weight of the loss that draws together what a ray sees; 0: none",
      PRESETS(0, 0, 0),
-     .unlike = "what a ray sees is drawn together (the distortion loss)",
-     .gain = ""},
+     .unlike = "what a ray sees is drawn together (the distortion loss)"},
+    {.name = "sample_cells",
+     .type = RN_SETTING_BOOL,
+     .flags = RN_SETTING_LATER,
+     PLACE(sample_cells),
+     .unit = "",
+     .meaning = "cells of the occupancy grid are drawn to be measured, a quarter of all and of the "
+                "occupied ones; else each has its turn",
+     PRESETS(1, 0, 0),
+     .unlike = "every cell of the occupancy grid is measured in turn, none by lot",
+     .gain = "level by the other after 30 CPU seconds"},
     {.name = "refine_at_rest",
      .type = RN_SETTING_BOOL,
      .flags = RN_SETTING_LATER | RN_SETTING_SAME_BYTES,
@@ -414,14 +446,51 @@ static const struct rn_setting rows[] = {
      .unit = "",
      .meaning = "what the data does not call for may be switched off",
      PRESETS(0, 1, 1)},
-    {.name = "background",
-     .type = RN_SETTING_COLOUR,
-     PLACE(background),
-     .min = 0,
-     .max = 1,
+#define EFFECT_ROW(CONSTANT, ROW, NAME)                                                            \
+    {.name = "effect_" #ROW,                                                                       \
+     .type = RN_SETTING_CHOICE,                                                                    \
+     .flags = RN_SETTING_LATER,                                                                    \
+     PLACE(effect[RN_EFFECT_##CONSTANT]),                                                          \
+     .unit = "",                                                                                   \
+     .choices = rn_effect_choice_names,                                                            \
+     .meaning = "an effect as the data calls for it, or as you say where it can be",               \
+     .option = "effect_" #ROW,                                                                     \
+     .flag = "effect",                                                                             \
+     .key = NAME,                                                                                  \
+     PRESETS(0, 0, 0)},
+    RN_EFFECTS(EFFECT_ROW)
+#undef EFFECT_ROW
+        {.name = "background",
+         .type = RN_SETTING_COLOUR,
+         .flags = RN_SETTING_OF_DATA,
+         PLACE(background),
+         .min = 0,
+         .max = 1,
+         .unit = "",
+         .meaning = "what lies behind the scene",
+         PRESETS(1, 1, 1)},
+    {.name = "train_scale",
+     .type = RN_SETTING_INT,
+     .flags = RN_SETTING_LATER | RN_SETTING_OR_ZERO | RN_SETTING_POWER_OF_TWO,
+     PLACE(train_scale),
+     .min = 1,
+     .max = 16,
      .unit = "",
-     .meaning = "what lies behind the scene",
-     PRESETS(1, 1, 1)},
+     .meaning = "photographs are trained on so many times smaller, 1: as they are; 0: by the time "
+                "given",
+     .option = "train_scale",
+     .flag = "train-scale",
+     PRESETS(1, 0, 0)},
+    {.name = "pixel_memory",
+     .type = RN_SETTING_INT,
+     .flags = RN_SETTING_LATER | RN_SETTING_OR_ZERO | RN_SETTING_SAME_BYTES,
+     PLACE(pixel_memory),
+     .min = 1,
+     .max = 1048576,
+     .unit = "MiB",
+     .meaning = "photographs that take more than this lie on disk while they are trained on; 0: "
+                "never",
+     PRESETS(1024, 1024, 1024)},
     {.name = "train_val",
      .type = RN_SETTING_BOOL,
      PLACE(train_val),
@@ -432,6 +501,15 @@ static const struct rn_setting rows[] = {
      .flag = "train-split",
      .told = "train_split",
      PRESETS(0, 0, 0)},
+    {.name = "train_held_out",
+     .type = RN_SETTING_BOOL,
+     .flags = RN_SETTING_LATER,
+     PLACE(train_held_out),
+     .unit = "",
+     .meaning = "the views by which progress is measured are trained on too",
+     PRESETS(1, 0, 0),
+     .unlike = "the views by which progress is measured are withheld",
+     .gain = "level with all 200 views trained on, after 30 CPU seconds"},
     {.name = "seed",
      .type = RN_SETTING_UINT64,
      PLACE(seed),
@@ -475,6 +553,16 @@ static const struct rn_setting rows[] = {
      .option = "until_psnr",
      .flag = "until-psnr",
      PRESETS(0, 0, 0)},
+    {.name = "until_plateau",
+     .type = RN_SETTING_BOOL,
+     .flags = RN_SETTING_LATER,
+     PLACE(until_plateau),
+     .unit = "",
+     .meaning = "stop where half as much time again gains less than 0.1 dB; the rate then decays "
+                "within a third of the time so far",
+     .option = "until_plateau",
+     .flag = "until-plateau",
+     PRESETS(0, 0, 0)},
 };
 _Static_assert(sizeof rows / sizeof *rows == RN_TRAIN_SETTINGS, "a row for every setting");
 const struct rn_settings rn_train_settings = {rows, RN_TRAIN_SETTINGS};
@@ -508,7 +596,8 @@ enum rn_status rn_preset(const char *name, bool multi_scale, struct rn_train_con
 // wide are level after 60 s and 0.4 dB ahead after 300. In 10,000 steps of these, half the
 // smoothing is 0.15 dB ahead, the networks' decay 0.1, and splitting pixels 0.6; frames then take
 // three times as long or more.
-#define SHORT_RUN 40 // seconds
+#define PLATEAU_TIMES 10 // the preset's time, for a training that ends at its plateau
+#define SHORT_RUN 40     // seconds
 #define LONG_RUN 120
 static const struct {
     const char *name;
@@ -547,8 +636,11 @@ void rn_train_config_choose(struct rn_train_config *config,
     bool limited = ASKS(max_steps) || ASKS(max_seconds);
     if (limited) config->max_seconds = 0, config->max_steps = 0;
     rn_settings_put(&rn_train_settings, values, config);
-    if (limited) rn_train_config_suit_time(config);
-    if (ASKS(field.base)) rn_train_config_set_base(config, config->field.base);
+    bool longer = config->until_plateau && !limited;
+    if (longer) config->max_seconds *= PLATEAU_TIMES;
+    if (limited || longer) rn_train_config_suit_time(config);
+    rn_settings_put(&rn_train_settings, values, config); // what the time suits gives way
+    if (ASKS(field.base) && !ASKS(grow_to)) rn_train_config_set_base(config, config->field.base);
     if (ASKS(field.footprint)) config->footprint_given = true;
 }
 
@@ -599,9 +691,9 @@ int rn_train_config_differences(const struct rn_train_config *config, struct rn_
         const struct rn_setting *row = &rows[i];
         if (!differs(row, config) || strcmp(row->unlike, last) == 0) continue;
         bool none = row->gain_of_none && rn_setting_number(row, config) == 0;
+        const char *gain = none ? row->gain_of_none : row->gain;
         last = row->unlike;
-        if (n < capacity)
-            items[n] = (struct rn_difference){last, none ? row->gain_of_none : row->gain};
+        if (n < capacity) items[n] = (struct rn_difference){last, gain ? gain : ""};
         n++;
     }
     return n;

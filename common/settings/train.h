@@ -7,6 +7,7 @@
 #include <stdint.h>
 
 #include "common/base/status.h"
+#include "common/settings/effects.h"
 #include "common/settings/setting.h"
 
 #define RN_MAX_PLANES 16
@@ -21,7 +22,7 @@ enum rn_orientation {        // where the planes' normals come from
 
 enum rn_footprint {
     RN_FOOTPRINT_RIP,   // anisotropic: one level per axis (paper, section 3.3)
-    RN_FOOTPRINT_MIP,   // isotropic: one level from the ball's radius; 3 planes = Tri-MipRF
+    RN_FOOTPRINT_MIP,   // isotropic: one level from the ball that the cone's cross-section spans
     RN_FOOTPRINT_POINT, // no levels
 };
 
@@ -44,6 +45,7 @@ struct rn_field_config {
     int levels;   // per axis, 1..RN_MAX_LEVELS
     enum rn_footprint footprint;
     int footprint_base; // side of the grid whose texels footprints are measured in; 0: base
+    bool mean_level;    // MIP: the level on a plane is the mean of the two that RIP would ask for
     enum rn_shading shading;
     int width;            // of every hidden layer, a multiple of 16
     int base_layers;      // hidden layers of the density network
@@ -67,6 +69,7 @@ struct rn_train_config {
     int grow_to;          // base side that the planes grow to by doubling; 0: they do not grow
     double max_seconds;   // 0: no limit
     double until_psnr;    // 0: no limit
+    bool until_plateau;   // ends where no more is gained (train/schedule.h)
     bool carve;           // occupancy from the images' alpha before the first step
     bool sparse;          // the optimiser visits only texels that the step touched
     bool multi_step_rate; // the paper's rate schedule; else one decay made for the time given
@@ -74,8 +77,10 @@ struct rn_train_config {
                           // evenly over all pixels, weighted by area
     bool draw_by_error;   // of these, more where errors are large (train/importance.h)
     bool auto_effects;    // effects that the data does not call for may be switched off
+    enum rn_effect_choice effect[RN_EFFECT_COUNT]; // before what is measured
     double roulette; // times the mean gradient below which a sample is backpropagated by roulette;
                      // 0 = off
+    bool cut_out;    // masks cut an object out: what they leave out is empty; measured
     bool footprint_given;   // asked for by name: not switched off though the data calls for less
     bool cone_step;         // a sample spans as many steps as its cone is wide, at most 8
     double stop;            // early stop: transmittance below which a ray ends
@@ -83,10 +88,16 @@ struct rn_train_config {
                             // all cells where that is less. 0: RN_OCCUPANCY_LIMIT
     double distortion_loss; // weight of the loss that draws what a ray sees together; 0: there is
                             // none. Grows in from a fifth of the schedule to its half
-    bool refine_at_rest;    // occupancy is measured anew when training is over (occupancy.h)
-    bool supersample;       // pixels wider than those trained on are rendered as several of these
+    bool sample_cells;   // occupancy: after the first 256 steps cells are drawn, a quarter of all
+                         // and of those that are occupied; else each has its turn
+    bool refine_at_rest; // occupancy is measured anew when training is over (occupancy.h)
+    bool supersample;    // pixels wider than those trained on are rendered as several of these
     uint64_t seed;
-    bool train_val;           // train on train+val
+    int train_scale;  // times that photographs are made smaller to be trained on, a power of two;
+                      // 0: by the time given (effects/downscaling.c)
+    int pixel_memory; // MiB: photographs that take more lie on disk, where the engine has a place
+    bool train_val;   // train on train+val
+    bool train_held_out;      // also on the views by which progress is measured
     float background[3];      // white unless the scene says otherwise
     double random_background; // share of the schedule at whose beginning the loss is the mean over
                               // all backgrounds whose channels are 0 or 1; 0: never
@@ -98,7 +109,7 @@ struct rn_train_config {
 };
 
 // The one table: a row for every member of struct rn_train_config.
-#define RN_TRAIN_SETTINGS 47
+#define RN_TRAIN_SETTINGS (54 + RN_EFFECT_COUNT)
 extern const struct rn_settings rn_train_settings;
 
 enum rn_preset_name { RN_PRESET_DRAFT, RN_PRESET_STANDARD, RN_PRESET_PAPER };
@@ -120,7 +131,8 @@ enum rn_status rn_preset(const char *name, bool multi_scale, struct rn_train_con
 // After a change of max_seconds: what the preset makes of the time.
 void rn_train_config_suit_time(struct rn_train_config *config);
 // What a request asks for, onto a preset: a limit of its own takes the place of the preset's, and
-// what follows from the time or from a base grid that grows is settled.
+// what follows from the time or from a base grid that grows is settled. Until its plateau, and
+// without a limit of its own, a training may take ten times as long as the preset's.
 void rn_train_config_choose(struct rn_train_config *config,
                             const union rn_setting_value values[RN_TRAIN_SETTINGS]);
 // Whether what a request asks for can be trained at all. As rn_train_config_check.
@@ -147,6 +159,12 @@ int rn_train_config_differences(const struct rn_train_config *config, struct rn_
 // Texels a side of the grid whose texel a footprint of level 0 is as wide as.
 static inline int rn_footprint_base(const struct rn_field_config *config) {
     return config->footprint_base > 0 ? config->footprint_base : config->base;
+}
+
+// Whether levels follow from a footprint's extent along each axis of a plane, or from a ball's.
+static inline bool rn_levels_by_axis(const struct rn_field_config *config) {
+    return config->footprint == RN_FOOTPRINT_RIP ||
+           (config->footprint == RN_FOOTPRINT_MIP && config->mean_level);
 }
 
 #endif

@@ -36,13 +36,15 @@ void rn_list_camera_paths(void *context, struct rn_request *request, struct rn_r
     rn_api_list(context, request, &rn_camera_paths, &query, encode_summary, reply);
 }
 
-static enum rn_status insert(struct rn_app *app, const struct rn_camera_path_request *wanted,
+static enum rn_status insert(struct rn_app *app, const struct rn_caller *caller,
+                             const struct rn_camera_path_request *wanted,
                              struct rn_camera_path_row *row, struct rn_error *err) {
     const struct rn_path *path = wanted->path.path;
     enum rn_status status = rn_api_check_pixels(path->width, path->height, "#/path", err);
     if (status == RN_OK) status = rn_store_new_id(RN_ID_PATH, row->id, err);
     if (status != RN_OK) return status;
     snprintf(row->name, sizeof row->name, "%s", wanted->name);
+    snprintf(row->owner, sizeof row->owner, "%s", caller->id);
     row->created_ms = rn_clock_wall_ms();
     row->document = wanted->path.json; // borrowed
     status = rn_store_insert(app->store, &rn_camera_paths, row, err);
@@ -63,7 +65,7 @@ void rn_create_camera_path(void *context, struct rn_request *request, struct rn_
         rn_reply_invalid(reply, &errors, &err);
         return;
     }
-    enum rn_status status = insert(context, &wanted, &row, &err);
+    enum rn_status status = insert(context, rn_request_caller(request), &wanted, &row, &err);
     if (status == RN_OK) status = encode_path(context, &row, &json, &err);
     rn_message_finish(&rn_camera_path_request_table, &wanted);
     if (rn_api_failed(status, &err, reply)) return;
@@ -93,7 +95,9 @@ void rn_delete_camera_path(void *context, struct rn_request *request, struct rn_
     struct rn_app *app = context;
     struct rn_error err = {0};
     struct rn_camera_path_row row;
-    if (!find_path(app, request, &row, reply)) return;
+    if (!rn_api_may_change(app, request, &rn_camera_paths, reply) ||
+        !find_path(app, request, &row, reply))
+        return;
     enum rn_status status = rn_store_delete(app->store, &rn_camera_paths, row.id, &err);
     char *folder = rn_store_path(app->store, "camera-paths/%s", row.id);
     if (status == RN_OK && folder != NULL && rn_remove_tree(folder, NULL) != RN_OK)

@@ -2,8 +2,6 @@
 
 #include "server/api/app.h"
 
-#define MAX_STREAMS 256
-
 static void follow(struct rn_app *app, struct rn_request *request, const char *job,
                    struct rn_reply *reply) {
     struct rn_error err = {0};
@@ -12,7 +10,7 @@ static void follow(struct rn_app *app, struct rn_request *request, const char *j
     int64_t after = 0;
     const char *last = rn_request_header(request, "Last-Event-ID");
     rn_http_stats(app->http, &stats);
-    if (stats.streams >= MAX_STREAMS) {
+    if (stats.streams >= app->max_streams) {
         rn_reply_problem(reply, RN_PROBLEM_BUSY, "%u event streams are open, the limit",
                          stats.streams);
         return;

@@ -11,9 +11,23 @@
 #include "common/base/buf.h"
 #include "common/base/manifest.h"
 #include "proto/event.h"
+#include "proto/export.h"
 #include "server/api/app.h"
 
 #define BLOCK 512
+
+// The extensions that a frame may have, each once.
+static const char *const extensions[] = {"png", "jpg", "exr", NULL};
+
+static void frame_name(int index, int extension, char ret_name[16]) {
+    snprintf(ret_name, 16, "%05d.%s", index, extensions[extension]);
+}
+
+// What a file of that name is sent as.
+static const char *type_of(int extension) {
+    int format = rn_name_index(rn_picture_format_extensions, extensions[extension]);
+    return rn_picture_format_types[format];
+}
 
 static int by_value(const void *a, const void *b) {
     return *(const int *)a - *(const int *)b;
@@ -31,8 +45,8 @@ static enum rn_status list_frames(int folder, int **ret_frames, size_t *ret_coun
     rn_buf_init(&frames, 1u << 20);
     while (dir != NULL && (entry = readdir(dir)) != NULL) {
         int index, end = 0;
-        if (sscanf(entry->d_name, "%5d.png%n", &index, &end) == 1 && end == 9 &&
-            entry->d_name[end] == '\0')
+        if (sscanf(entry->d_name, "%5d.%n", &index, &end) == 1 && end == 6 &&
+            rn_name_index(extensions, entry->d_name + end) >= 0)
             rn_buf_append(&frames, &index, sizeof index);
     }
     if (dir != NULL) closedir(dir);
@@ -58,24 +72,29 @@ static int open_folder(struct rn_app *app, const struct rn_job_row *row) {
     return folder;
 }
 
-// The job's folder of frames, to be closed. -1: replied with an error.
-static int find_folder(struct rn_app *app, struct rn_request *request, char id[RN_ID_MAX],
-                       struct rn_reply *reply) {
+// The folder of a job of that type, to be closed. -1: replied with an error.
+static int find_folder_of(struct rn_app *app, struct rn_request *request, enum rn_job_type type,
+                          const char *content, char id[RN_ID_MAX], struct rn_reply *reply) {
     struct rn_error err = {0};
     struct rn_job_row row;
     enum rn_status status = rn_store_resolve(app->store, &rn_jobs_table, RN_ID_JOB,
                                              rn_request_param(request, 0), &row, &err);
     if (rn_api_failed(status, &err, reply)) return -1;
     int folder = -1;
-    if (row.type != RN_JOB_PATH)
-        rn_reply_problem(reply, RN_PROBLEM_NOT_FOUND, "a %s job has no frames",
-                         rn_job_type_names[row.type]);
+    if (row.type != type)
+        rn_reply_problem(reply, RN_PROBLEM_NOT_FOUND, "a %s job has no %s",
+                         rn_job_type_names[row.type], content);
     else if ((folder = open_folder(app, &row)) < 0)
-        rn_reply_problem(reply, RN_PROBLEM_INTERNAL, "the frames of job %s cannot be opened: %s",
-                         row.id, strerror(errno));
+        rn_reply_problem(reply, RN_PROBLEM_INTERNAL, "the %s of job %s cannot be opened: %s",
+                         content, row.id, strerror(errno));
     snprintf(id, RN_ID_MAX, "%s", row.id);
     rn_row_finish(&rn_jobs_table, &row);
     return folder;
+}
+
+static int find_folder(struct rn_app *app, struct rn_request *request, char id[RN_ID_MAX],
+                       struct rn_reply *reply) {
+    return find_folder_of(app, request, RN_JOB_PATH, "frames", id, reply);
 }
 
 static enum rn_status encode_frame(const char *job, int index, char **ret_json,
@@ -145,8 +164,12 @@ void rn_get_frame(void *context, struct rn_request *request, struct rn_reply *re
     if (rn_api_failed(status, &err, reply)) return;
     int folder = find_folder(context, request, id, reply);
     if (folder < 0) return;
-    snprintf(name, sizeof name, "%05d.png", (int)index);
-    if (!reply_stored(folder, name, "image/png", reply))
+    bool found = false;
+    for (int i = 0; extensions[i] && !found; i++) {
+        frame_name((int)index, i, name);
+        found = reply_stored(folder, name, type_of(i), reply);
+    }
+    if (!found)
         rn_reply_problem(reply, RN_PROBLEM_NOT_FOUND, "there is no frame %d (yet)", (int)index);
     close(folder);
 }
@@ -170,6 +193,59 @@ void rn_get_film(void *context, struct rn_request *request, struct rn_reply *rep
     close(folder);
 }
 
+// ---- export -----------------------------------------------------------------------------------
+
+// What an export job wrote into its folder, which is closed.
+static void reply_export(int folder, const char *id, struct rn_reply *reply) {
+    static const char *const files[][2] = {{"mesh.ply", "application/octet-stream"},
+                                           {"mesh.obj", "model/obj"},
+                                           {RN_EXPORT_SCENE_FILE, "application/octet-stream"}};
+    bool found = false;
+    for (size_t i = 0; i < sizeof files / sizeof *files && !found; i++) {
+        found = reply_stored(folder, files[i][0], files[i][1], reply);
+        if (found && reply->body == RN_BODY_FILE)
+            rn_reply_header(reply, "Content-Disposition", "attachment; filename=\"%s%s\"", id,
+                            strrchr(files[i][0], '.'));
+    }
+    if (!found) rn_reply_problem(reply, RN_PROBLEM_NOT_FOUND, "the job has written nothing (yet)");
+    close(folder);
+}
+
+void rn_get_export(void *context, struct rn_request *request, struct rn_reply *reply) {
+    char id[RN_ID_MAX];
+    int folder = find_folder_of(context, request, RN_JOB_EXPORT, "export", id, reply);
+    if (folder >= 0) reply_export(folder, id, reply);
+}
+
+// The newest one of a scene.
+void rn_get_scene_export(void *context, struct rn_request *request, struct rn_reply *reply) {
+    struct rn_app *app = context;
+    struct rn_error err = {0};
+    struct rn_scene_row scene;
+    void *rows = NULL;
+    size_t count = 0;
+    enum rn_status status = rn_store_resolve(app->store, &rn_scenes, RN_ID_SCENE,
+                                             rn_request_param(request, 0), &scene, &err);
+    if (rn_api_failed(status, &err, reply)) return;
+    const struct rn_query query = {.equal = {{"scene", scene.id},
+                                             {"type", rn_job_type_names[RN_JOB_EXPORT]},
+                                             {"state", rn_job_state_names[RN_JOB_SUCCEEDED]}},
+                                   .limit = 1,
+                                   .without = "source"};
+    status = rn_store_list(app->store, &rn_jobs_table, &query, &rows, &count, &err);
+    if (status == RN_OK && count == 0)
+        status = rn_error_set(&err, RN_ERROR_NOT_FOUND, "",
+                              "scene '%s' was not exported yet: a job of type export does that",
+                              scene.name);
+    int folder = status == RN_OK ? open_folder(app, rows) : -1;
+    if (!rn_api_failed(status, &err, reply) && folder < 0)
+        rn_reply_problem(reply, RN_PROBLEM_INTERNAL, "the export cannot be opened: %s",
+                         strerror(errno));
+    if (folder >= 0) reply_export(folder, scene.name, reply);
+    rn_rows_finish(&rn_jobs_table, rows, count);
+    rn_row_finish(&rn_scenes, &scene);
+}
+
 // ---- tar --------------------------------------------------------------------------------------
 
 // An archive being sent: for each frame a header block, the file and padding; two zero blocks.
@@ -187,11 +263,11 @@ static void put_octal(char *field, size_t size, long long value) {
 }
 
 // POSIX ustar header of a regular file.
-static void make_header(uint8_t block[BLOCK], int index, const struct stat *info) {
+static void make_header(uint8_t block[BLOCK], const char *name, const struct stat *info) {
     char *header = (char *)block;
     unsigned sum = 0;
     memset(block, 0, BLOCK);
-    snprintf(header, 100, "%05d.png", index);
+    snprintf(header, 100, "%s", name);
     put_octal(header + 100, 8, 0644);
     put_octal(header + 108, 8, 0);
     put_octal(header + 116, 8, 0);
@@ -215,12 +291,15 @@ static bool next_block(struct archive *archive, uint8_t block[BLOCK]) {
         return true;
     }
     int index = archive->frames[archive->next++];
-    snprintf(name, sizeof name, "%05d.png", index);
-    archive->fd = openat(archive->folder, name, O_RDONLY | O_CLOEXEC | O_NOFOLLOW);
+    archive->fd = -1;
+    for (int i = 0; extensions[i] && archive->fd < 0; i++) {
+        frame_name(index, i, name);
+        archive->fd = openat(archive->folder, name, O_RDONLY | O_CLOEXEC | O_NOFOLLOW);
+    }
     if (archive->fd < 0 || fstat(archive->fd, &info) != 0) return false;
     archive->left = info.st_size;
     archive->padding = (BLOCK - info.st_size % BLOCK) % BLOCK;
-    make_header(block, index, &info);
+    make_header(block, name, &info);
     return true;
 }
 

@@ -1,4 +1,5 @@
-// POST /v1/datasets: a directory of this machine, or an uploaded tar.
+// POST /v1/datasets: a directory of this machine, a tar in the body, or one that was uploaded in
+// parts.
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -48,8 +49,8 @@ static enum rn_status read_choice(struct rn_request *request, const char *key,
 // Name and options of an upload stand in the query.
 static enum rn_status read_query(struct rn_request *request, const char **ret_name,
                                  struct rn_ingest_options *options, struct rn_error *err) {
-    static const char *const known[] = {"name",   "max_size", "scales", "alpha", "split",
-                                        "bounds", "format",   "masks",  "poses", NULL};
+    static const char *const known[] = {"name", "max_size", "scales", "alpha", "split", "bounds",
+                                        "up",   "crop",     "format", "masks", "poses", NULL};
     const char *name = rn_request_query(request, "name");
     char checked[RN_NAME_MAX];
     enum rn_status status;
@@ -65,6 +66,7 @@ static enum rn_status read_query(struct rn_request *request, const char **ret_na
         (status = read_choice(request, "alpha", rn_alpha_mode_names, &options->alpha, err)) ||
         (status = read_choice(request, "poses", rn_poses_names, &options->poses, err)) ||
         (status = TEXT(split, rn_check_split_spec)) || (status = TEXT(bounds, rn_check_bounds)) ||
+        (status = TEXT(up, rn_check_up)) || (status = TEXT(crop, rn_check_crop)) ||
         (status = TEXT(format, rn_check_format)) || (status = TEXT(masks, rn_check_inner_path)))
         return status;
 #undef TEXT
@@ -72,29 +74,51 @@ static enum rn_status read_query(struct rn_request *request, const char **ret_na
     return RN_OK;
 }
 
+enum rn_status rn_api_most_upload(struct rn_app *app, const struct rn_caller *caller,
+                                  uint64_t *ret_bytes, struct rn_error *err) {
+    int64_t jobs, bytes = 0, most = app->max_upload_bytes;
+    enum rn_status status = RN_OK;
+    if (caller->max_bytes > 0)
+        status = rn_control_usage(app->control, caller->id, &jobs, &bytes, err);
+    if (status == RN_OK && caller->max_bytes > 0 && bytes >= caller->max_bytes)
+        return rn_error_set(err, RN_ERROR_LIMIT, "",
+                            "what token '%s' has made holds %lld bytes, its quota is %lld; delete "
+                            "something",
+                            caller->name, (long long)bytes, (long long)caller->max_bytes);
+    if (caller->max_bytes > 0 && caller->max_bytes - bytes < most) most = caller->max_bytes - bytes;
+    *ret_bytes = (uint64_t)most;
+    return status;
+}
+
+enum rn_status rn_api_spool(struct rn_app *app, struct rn_request *request, struct rn_error *err) {
+    uint64_t most = 0;
+    char *spool = rn_store_path(app->store, "spool");
+    enum rn_status status =
+        spool == NULL ? rn_error_set(err, RN_ERROR_NO_MEMORY, "", "no memory for an upload")
+                      : rn_api_most_upload(app, rn_request_caller(request), &most, err);
+    if (status == RN_OK) status = rn_request_spool(request, spool, most, err);
+    free(spool);
+    return status;
+}
+
+enum rn_status rn_api_check_free_name(struct rn_app *app, const char *name, struct rn_error *err) {
+    struct rn_dataset_row row;
+    if (rn_store_find(app->store, &rn_datasets, "name", name, &row, NULL) != RN_OK) return RN_OK;
+    rn_row_finish(&rn_datasets, &row);
+    return rn_error_set(err, RN_ERROR_CONFLICT, "#/name",
+                        "there is a dataset '%s'; choose another name or delete that one", name);
+}
+
 void rn_begin_dataset(void *context, struct rn_request *request, struct rn_reply *reply) {
     struct rn_app *app = context;
     struct rn_error err = {0};
     struct rn_ingest_options options;
-    struct rn_dataset_row row;
     const char *name = NULL;
     if (!is_tar(request)) return;
     enum rn_status status = read_query(request, &name, &options, &err);
+    if (status == RN_OK) status = rn_api_check_free_name(app, name, &err);
     if (rn_api_failed(status, &err, reply)) return;
-    if (rn_store_find(app->store, &rn_datasets, "name", name, &row, NULL) == RN_OK) {
-        rn_row_finish(&rn_datasets, &row);
-        status =
-            rn_error_set(&err, RN_ERROR_CONFLICT, "#/name",
-                         "there is a dataset '%s'; choose another name or delete that one", name);
-        (void)rn_api_failed(status, &err, reply);
-        return;
-    }
-    char *spool = rn_store_path(app->store, "spool");
-    if (spool == NULL)
-        status = rn_error_set(&err, RN_ERROR_NO_MEMORY, "", "no memory for an upload");
-    else
-        status = rn_request_spool(request, spool, (uint64_t)app->max_upload_bytes, &err);
-    free(spool);
+    status = rn_api_spool(app, request, &err);
     (void)rn_api_failed(status, &err, reply);
 }
 
@@ -128,32 +152,85 @@ static char *find_directory(struct rn_app *app, const char *directory, struct rn
     return NULL;
 }
 
-static void submit(struct rn_app *app, struct rn_request *request, const char *name,
-                   const struct rn_ingest_options *options, const char *source, const char *spooled,
-                   struct rn_reply *reply) {
+void rn_api_submit(struct rn_app *app, const struct rn_submission *wanted,
+                   struct rn_request *request, struct rn_reply *reply) {
     struct rn_error err = {0};
-    char id[RN_ID_MAX], *json = NULL, *options_json = NULL;
-    enum rn_status status = rn_encode(&rn_ingest_options_table, options, &options_json, NULL, &err);
-    if (status == RN_OK) {
-        struct rn_submission wanted = {.type = RN_JOB_INGEST,
-                                       .dataset = name,
-                                       .source = source,
-                                       .spooled = spooled,
-                                       .options = options_json};
-        status = rn_control_submit(app->control, &wanted, id, &json, &err);
-    }
-    free(options_json);
+    char id[RN_ID_MAX], *json = NULL;
+    enum rn_status status = rn_control_submit(app->control, wanted, id, &json, &err);
     if (status == RN_ERROR_BUSY) {
         rn_reply_problem(reply, RN_PROBLEM_QUEUE_FULL, "%s", err.text);
     } else if (!rn_api_failed(status, &err, reply)) {
-        if (spooled != NULL) rn_request_take_spooled(request);
+        if (wanted->spooled != NULL) rn_request_take_spooled(request);
         rn_api_json(reply, 202, json);
         rn_reply_header(reply, "Location", "/v1/jobs/%s", id);
     }
 }
 
+static void submit(struct rn_app *app, struct rn_request *request, struct rn_submission *wanted,
+                   const struct rn_ingest_options *options, struct rn_reply *reply) {
+    struct rn_error err = {0};
+    char *options_json = NULL;
+    enum rn_status status = rn_encode(&rn_ingest_options_table, options, &options_json, NULL, &err);
+    if (rn_api_failed(status, &err, reply)) return;
+    wanted->type = RN_JOB_INGEST;
+    wanted->caller = rn_request_caller(request);
+    wanted->traceparent = rn_request_traceparent(request);
+    wanted->options = options_json;
+    rn_api_submit(app, wanted, request, reply);
+    free(options_json);
+}
+
+// The same request once more, whose answer was lost: the upload is the job's by now.
+static bool reply_earlier(struct rn_app *app, const struct rn_dataset_request *wanted,
+                          struct rn_reply *reply) {
+    struct rn_key_row key;
+    struct rn_error err = {0};
+    char *json = NULL;
+    if (rn_store_find(app->store, &rn_keys, "id", wanted->upload, &key, NULL) != RN_OK ||
+        strcmp(key.digest, wanted->name) != 0)
+        return false;
+    enum rn_status status = rn_control_job_json(app->control, key.job, &json, &err);
+    if (rn_api_failed(status, &err, reply)) return true;
+    rn_api_json(reply, 202, json);
+    rn_reply_header(reply, "Location", "/v1/jobs/%s", key.job);
+    return true;
+}
+
+static void import_upload(struct rn_app *app, struct rn_request *request,
+                          const struct rn_dataset_request *wanted, struct rn_reply *reply) {
+    struct rn_upload_record upload;
+    if (reply_earlier(app, wanted, reply)) return;
+    if (!rn_api_find_upload(app, wanted->upload, &upload)) {
+        rn_reply_problem(reply, RN_PROBLEM_NOT_FOUND, "there is no upload '%s'", wanted->upload);
+        return;
+    }
+    if (upload.offset < upload.size_bytes) {
+        rn_reply_problem(reply, RN_PROBLEM_CONFLICT, "of the upload %lld of %lld bytes are there",
+                         (long long)upload.offset, (long long)upload.size_bytes);
+        return;
+    }
+    char *path = rn_api_upload_path(app, &upload);
+    struct rn_submission submission = {.dataset = wanted->name,
+                                       .spooled = path,
+                                       .upload_bytes = upload.size_bytes,
+                                       .key = wanted->upload,
+                                       .digest = wanted->name};
+    if (path == NULL)
+        rn_reply_no_memory(reply);
+    else
+        submit(app, request, &submission, &wanted->options, reply);
+    free(path);
+}
+
 static void import_directory(struct rn_app *app, struct rn_request *request,
-                             struct rn_reply *reply) {
+                             const struct rn_dataset_request *wanted, struct rn_reply *reply) {
+    char *source = find_directory(app, wanted->directory, reply);
+    struct rn_submission submission = {.dataset = wanted->name, .source = source};
+    if (source != NULL) submit(app, request, &submission, &wanted->options, reply);
+    free(source);
+}
+
+static void import_named(struct rn_app *app, struct rn_request *request, struct rn_reply *reply) {
     static const char *const known[] = {NULL};
     struct rn_error err = {0};
     struct rn_field_errors errors = {0};
@@ -165,9 +242,16 @@ static void import_directory(struct rn_app *app, struct rn_request *request,
         rn_reply_invalid(reply, &errors, &err);
         return;
     }
-    char *source = find_directory(app, wanted.directory, reply);
-    if (source != NULL) submit(app, request, wanted.name, &wanted.options, source, NULL, reply);
-    free(source);
+    if (!wanted.directory == !*wanted.upload) {
+        rn_field_errors_add(&errors, "#/directory", "exactly one of directory and upload is given");
+        (void)rn_error_set(&err, RN_ERROR_INVALID, "#/directory",
+                           "exactly one of directory and upload is given");
+        rn_reply_invalid(reply, &errors, &err);
+    } else if (wanted.directory) {
+        import_directory(app, request, &wanted, reply);
+    } else {
+        import_upload(app, request, &wanted, reply);
+    }
     rn_message_finish(&rn_dataset_request_table, &wanted);
 }
 
@@ -179,10 +263,11 @@ void rn_create_dataset(void *context, struct rn_request *request, struct rn_repl
     uint64_t size;
     const char *spooled = rn_request_spooled(request, &size);
     if (spooled == NULL) {
-        import_directory(app, request, reply);
+        import_named(app, request, reply);
         return;
     }
     enum rn_status status = read_query(request, &name, &options, &err);
-    if (!rn_api_failed(status, &err, reply))
-        submit(app, request, name, &options, NULL, spooled, reply);
+    struct rn_submission submission = {
+        .dataset = name, .spooled = spooled, .upload_bytes = (int64_t)size};
+    if (!rn_api_failed(status, &err, reply)) submit(app, request, &submission, &options, reply);
 }

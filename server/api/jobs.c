@@ -95,11 +95,27 @@ static void digest(const char *body, size_t size, char ret_hex[65]) {
     rn_sha256_final_hex(&hash, ret_hex);
 }
 
-static enum rn_status submit(struct rn_app *app, struct rn_job_request *wanted, const char *key,
-                             const char *digest_hex, char id[RN_ID_MAX], char **ret_json,
-                             struct rn_error *err) {
+// The tar that a validation reads, and leaves where it is.
+static enum rn_status find_upload(struct rn_app *app, const char *id, char **ret_path,
+                                  struct rn_error *err) {
+    struct rn_upload_record upload;
+    if (!rn_api_find_upload(app, id, &upload))
+        return rn_error_set(err, RN_ERROR_NOT_FOUND, "#/upload", "there is no upload '%s'", id);
+    if (upload.offset < upload.size_bytes)
+        return rn_error_set(err, RN_ERROR_CONFLICT, "#/upload",
+                            "of the upload %lld of %lld bytes are there", (long long)upload.offset,
+                            (long long)upload.size_bytes);
+    *ret_path = rn_api_upload_path(app, &upload);
+    return *ret_path ? RN_OK : rn_error_set(err, RN_ERROR_NO_MEMORY, "", "no memory for a job");
+}
+
+static enum rn_status submit(struct rn_app *app, const struct rn_request *request,
+                             struct rn_job_request *wanted, const char *key, const char *digest_hex,
+                             char id[RN_ID_MAX], char **ret_json, struct rn_error *err) {
     char *options = NULL, *path = NULL;
-    enum rn_status status = find_path(app, wanted, &path, err);
+    enum rn_status status = wanted->type == RN_JOB_VALIDATE
+                                ? find_upload(app, wanted->upload, &path, err)
+                                : find_path(app, wanted, &path, err);
     if (status == RN_OK && wanted->type == RN_JOB_PATH)
         status = rn_api_check_pixels(rn_int_or(wanted->path_options.width, 0),
                                      rn_int_or(wanted->path_options.height, 0), "#/options", err);
@@ -111,12 +127,25 @@ static enum rn_status submit(struct rn_app *app, struct rn_job_request *wanted, 
                                            .source = path,
                                            .options = options,
                                            .key = key,
-                                           .digest = digest_hex};
+                                           .digest = digest_hex,
+                                           .caller = rn_request_caller(request),
+                                           .traceparent = rn_request_traceparent(request)};
         status = rn_control_submit(app->control, &submission, id, ret_json, err);
     }
     free(options);
     free(path);
     return status;
+}
+
+// A job that is recorded, or why not. Takes the JSON.
+static void reply_accepted(enum rn_status status, struct rn_error *err, const char *id, char *json,
+                           struct rn_reply *reply) {
+    if (status == RN_ERROR_BUSY) {
+        rn_reply_problem(reply, RN_PROBLEM_QUEUE_FULL, "%s", err->text);
+    } else if (!rn_api_failed(status, err, reply)) {
+        rn_api_json(reply, 202, json);
+        rn_reply_header(reply, "Location", "/v1/jobs/%s", id);
+    }
 }
 
 void rn_create_job(void *context, struct rn_request *request, struct rn_reply *reply) {
@@ -135,15 +164,18 @@ void rn_create_job(void *context, struct rn_request *request, struct rn_reply *r
         rn_reply_invalid(reply, &errors, &err);
         return;
     }
-    digest(body, size, hex);
-    enum rn_status status = submit(context, &wanted, key, hex, id, &json, &err);
-    rn_job_request_finish(&wanted);
-    if (status == RN_ERROR_BUSY) {
-        rn_reply_problem(reply, RN_PROBLEM_QUEUE_FULL, "%s", err.text);
-    } else if (!rn_api_failed(status, &err, reply)) {
-        rn_api_json(reply, 202, json);
-        rn_reply_header(reply, "Location", "/v1/jobs/%s", id);
+    const struct rn_caller *caller = rn_request_caller(request);
+    bool trains = wanted.type == RN_JOB_TRAIN || wanted.type == RN_JOB_ESTIMATE ||
+                  wanted.type == RN_JOB_EFFECTS || wanted.type == RN_JOB_LADDER ||
+                  wanted.type == RN_JOB_VALIDATE;
+    if (trains && !rn_api_may(caller, RN_SCOPE_TRAIN, reply)) {
+        rn_job_request_finish(&wanted);
+        return;
     }
+    digest(body, size, hex);
+    enum rn_status status = submit(context, request, &wanted, key, hex, id, &json, &err);
+    rn_job_request_finish(&wanted);
+    reply_accepted(status, &err, id, json, reply);
 }
 
 void rn_get_job(void *context, struct rn_request *request, struct rn_reply *reply) {
@@ -168,6 +200,7 @@ static void command(struct rn_app *app, struct rn_request *request, enum rn_job_
                     struct rn_reply *reply) {
     struct rn_error err = {0};
     char *json = NULL;
+    if (!rn_api_may_change(app, request, &rn_jobs_table, reply)) return;
     enum rn_status status =
         rn_control_command(app->control, rn_request_param(request, 0), event, &json, &err);
     if (!rn_api_failed(status, &err, reply)) rn_api_json(reply, 200, json);
@@ -178,7 +211,16 @@ void rn_pause_job(void *context, struct rn_request *request, struct rn_reply *re
 }
 
 void rn_resume_job(void *context, struct rn_request *request, struct rn_reply *reply) {
-    command(context, request, RN_JOB_RESUME, reply);
+    struct rn_app *app = context;
+    struct rn_error err = {0};
+    char *json = NULL, id[RN_ID_MAX];
+    if (!rn_api_may_change(app, request, &rn_jobs_table, reply)) return;
+    enum rn_status status = rn_control_go_on(app->control, rn_request_param(request, 0),
+                                             rn_request_caller(request), id, &json, &err);
+    if (*id || status == RN_ERROR_BUSY)
+        reply_accepted(status, &err, id, json, reply);
+    else if (!rn_api_failed(status, &err, reply))
+        rn_api_json(reply, 200, json);
 }
 
 void rn_finish_job(void *context, struct rn_request *request, struct rn_reply *reply) {

@@ -34,7 +34,9 @@ static bool is_safe(const char *path) {
     return true;
 }
 
-static void send(struct rn_app *app, const char *name, struct rn_reply *reply) {
+// The page's parts are kept for a moment, so that a page that lost one of them on its way, and is
+// loaded anew, asks for that one alone.
+static void send(struct rn_app *app, const char *name, const char *keep, struct rn_reply *reply) {
     char *path = NULL;
     const char *type = type_of(name);
     if (type == NULL || !is_safe(name)) {
@@ -49,17 +51,18 @@ static void send(struct rn_app *app, const char *name, struct rn_reply *reply) {
         }
         free(path);
     }
-    rn_reply_header(reply, "Cache-Control", "no-cache");
-    rn_reply_header(reply, "Content-Security-Policy",
-                    "default-src 'self'; img-src 'self' blob:; media-src 'self' blob:; object-src 'none'; "
-                    "base-uri 'none'; form-action 'none'; frame-ancestors 'none'");
+    rn_reply_header(reply, "Cache-Control", "%s", reply->body == RN_BODY_FILE ? keep : "no-cache");
+    rn_reply_header(
+        reply, "Content-Security-Policy",
+        "default-src 'self'; img-src 'self' blob:; media-src 'self' blob:; object-src 'none'; "
+        "base-uri 'none'; form-action 'none'; frame-ancestors 'none'");
     rn_reply_header(reply, "Referrer-Policy", "no-referrer");
 }
 
 void rn_get_page(void *context, struct rn_request *request, struct rn_reply *reply) {
-    send(context, "index.html", reply);
+    send(context, "index.html", "no-cache", reply);
 }
 
 void rn_get_page_file(void *context, struct rn_request *request, struct rn_reply *reply) {
-    send(context, rn_request_param(request, 0), reply);
+    send(context, rn_request_param(request, 0), "max-age=20", reply);
 }

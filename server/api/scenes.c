@@ -42,6 +42,7 @@ void rn_get_scene(void *context, struct rn_request *request, struct rn_reply *re
 void rn_delete_scene(void *context, struct rn_request *request, struct rn_reply *reply) {
     struct rn_app *app = context;
     struct rn_error err = {0};
+    if (!rn_api_may_change(app, request, &rn_scenes, reply)) return;
     enum rn_status status =
         rn_control_delete_scene(app->control, rn_request_param(request, 0), &err);
     if (!rn_api_failed(status, &err, reply)) rn_reply_empty(reply, 204);

@@ -53,6 +53,7 @@ void rn_get_info(void *context, struct rn_request *request, struct rn_reply *rep
     snprintf(info.device_name, sizeof info.device_name, "%s", device.name);
     snprintf(info.kernels, sizeof info.kernels, "%s", device.kernels);
     split_kernels(device.available, &info);
+    if (rn_control_spreads(app->control)) snprintf(info.executor, sizeof info.executor, "slurm");
     info.threads = device.threads;
     info.uptime_s = (double)(rn_clock_ns() - app->start_ns) * 1e-9;
     info.memory_limit_bytes = app->memory_limit_bytes;
@@ -65,7 +66,10 @@ void rn_get_info(void *context, struct rn_request *request, struct rn_reply *rep
         .max_render_pixels = RN_MAX_RENDER_PIXELS,
         .max_scenes_loaded = app->max_loaded,
     };
-    enum rn_status status = rn_encode_strings(app->roots, app->root_count, &info.roots, &err);
+    const struct rn_caller *caller = rn_request_caller(request);
+    size_t roots = rn_caller_is_link(caller) ? 0 : app->root_count;
+    rn_api_describe_caller(app, caller, &info.you);
+    enum rn_status status = rn_encode_strings(app->roots, roots, &info.roots, &err);
     if (status == RN_OK) status = rn_encode(&rn_info_table, &info, &json, NULL, &err);
     rn_message_finish(&rn_info_table, &info);
     if (!rn_api_failed(status, &err, reply)) rn_api_json(reply, 200, json);

@@ -86,6 +86,35 @@ void rn_list_cameras(void *context, struct rn_request *request, struct rn_reply 
     rn_buf_finish(&json);
 }
 
+// At most so many points: evenly of all there are.
+#define MOST_POINTS 20000
+
+void rn_list_points(void *context, struct rn_request *request, struct rn_reply *reply) {
+    static const char *const known[] = {NULL};
+    struct rn_error err = {0};
+    struct rn_buf json;
+    size_t size;
+    if (rn_api_failed(rn_request_check_query(request, known, &err), &err, reply)) return;
+    const struct rn_dataset *dataset = open_dataset(context, request, reply);
+    if (dataset == NULL) return;
+    const struct rn_points *points = &dataset->points;
+    size_t shown = points->count < MOST_POINTS ? points->count : MOST_POINTS;
+    rn_buf_init(&json, 4u << 20);
+    rn_buf_printf(&json, "{\"count\":%zu,\"items\":[", points->count);
+    for (size_t i = 0; i < shown; i++) {
+        const struct rn_point *point = &points->items[i * points->count / shown];
+        const double *at = point->position;
+        rn_buf_printf(&json, "%s[%.9g,%.9g,%.9g,%d,%d,%d]", i ? "," : "", at[0], at[1], at[2],
+                      point->colour[0], point->colour[1], point->colour[2]);
+    }
+    rn_buf_printf(&json, "]}");
+    if (!rn_api_failed(rn_buf_status(&json, "the list of points", &err), &err, reply)) {
+        uint8_t *bytes = rn_buf_take(&json, &size);
+        rn_reply_bytes(reply, 200, "application/json", bytes, size);
+    }
+    rn_buf_finish(&json);
+}
+
 // Whether the photograph is as it was imported; datasets of before there were lists have to do.
 static bool is_sound(const struct rn_app *app, const struct rn_frame *frame,
                      struct rn_reply *reply) {

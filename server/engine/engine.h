@@ -9,6 +9,8 @@
 #define RN_SERVER_ENGINE_ENGINE_H
 
 #include "server/engine/checkpoint/checkpoint.h"
+#include "server/engine/checkpoint/viewing.h"
+#include "server/engine/render/mesh.h"
 #include "server/engine/render/render.h"
 #include "server/engine/render/within.h"
 #include "server/engine/scene/engine.h"

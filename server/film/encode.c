@@ -52,9 +52,11 @@ static enum rn_status fail(int code, const char *what, struct rn_error *err) {
     char text[AV_ERROR_MAX_STRING_SIZE] = "";
     if (code == AVERROR(ENOMEM)) return rn_error_set(err, RN_ERROR_NO_MEMORY, "film", "no memory");
     av_strerror(code, text, sizeof text);
-    enum rn_status status = code == AVERROR(ENOSPC) ? RN_ERROR_NO_SPACE
-                            : code == AVERROR(EIO)  ? RN_ERROR_IO
-                                                    : RN_ERROR_INVALID;
+    if (code == AVERROR(ENOSPC))
+        return rn_error_set(
+            err, RN_ERROR_NO_SPACE, "film",
+            "no space is left on the disk; the frames are kept, make room and ask again");
+    enum rn_status status = code == AVERROR(EIO) ? RN_ERROR_IO : RN_ERROR_INVALID;
     return rn_error_set(err, status, "film", "%s: %s", what, text);
 }
 

@@ -14,6 +14,7 @@
 static unsigned parse_method(const char *method) {
     if (strcmp(method, "GET") == 0 || strcmp(method, "HEAD") == 0) return RN_METHOD_GET;
     if (strcmp(method, "POST") == 0) return RN_METHOD_POST;
+    if (strcmp(method, "PATCH") == 0) return RN_METHOD_PATCH;
     return strcmp(method, "DELETE") == 0 ? RN_METHOD_DELETE : 0;
 }
 
@@ -46,10 +47,11 @@ static void find_route(struct rn_request *request, const char *method, struct rn
     }
     rn_reply_problem(reply, RN_PROBLEM_METHOD_NOT_ALLOWED, "%.16s is not a method of this path",
                      method);
-    char methods[32] = "";
+    char methods[48] = "";
     if (allowed & RN_METHOD_GET) strcat(methods, ", GET, HEAD");
     if (allowed & RN_METHOD_POST) strcat(methods, ", POST");
     if (allowed & RN_METHOD_DELETE) strcat(methods, ", DELETE");
+    if (allowed & RN_METHOD_PATCH) strcat(methods, ", PATCH");
     rn_reply_header(reply, "Allow", "%s", methods + 2);
 }
 
@@ -71,31 +73,40 @@ static void refuse_token(struct rn_request *request, struct rn_reply *reply) {
         rn_log(RN_LOG_WARN, "http: %u wrong tokens within a minute, the last for %s", guesses,
                request->path);
     if (guesses > MAX_GUESSES) {
-        rn_reply_problem(reply, RN_PROBLEM_QUEUE_FULL, "too many wrong tokens; wait a minute");
+        rn_reply_problem(reply, RN_PROBLEM_TOO_MANY_REQUESTS,
+                         "too many wrong tokens; wait a minute");
         rn_reply_header(reply, "Connection", "close");
         return;
     }
-    rn_reply_problem(reply, RN_PROBLEM_UNAUTHORISED,
-                     "send the daemon's token as 'Authorization: Bearer …'");
+    rn_reply_problem(reply, RN_PROBLEM_UNAUTHORISED, "send a token as 'Authorization: Bearer …'");
     rn_reply_header(reply, "WWW-Authenticate", "Bearer");
 }
 
-static void check_caller(struct rn_request *request, struct rn_reply *reply) {
-    struct rn_http *http = request->http;
+// Someone on this machine, where no token is needed.
+static void take_neighbour(struct rn_request *request, struct rn_reply *reply) {
     const char *host = rn_request_header(request, "Host");
-    const char *origin = rn_request_header(request, "Origin");
-    bool open = (request->match.route->flags & RN_ROUTE_OPEN) != 0;
-    if (http->token != NULL && !open &&
-        !rn_guard_token(rn_request_header(request, "Authorization"), http->token)) {
-        refuse_token(request, reply);
-    } else if (http->token == NULL && !rn_guard_host_is_loopback(host)) {
+    request->caller.scope = RN_SCOPE_ADMIN;
+    if (!rn_guard_host_is_loopback(host))
         rn_reply_problem(reply, RN_PROBLEM_FORBIDDEN,
                          "the Host '%.100s' is not this machine's loopback address",
                          host == NULL ? "" : host);
-    } else if (request->method != RN_METHOD_GET && !rn_guard_origin(origin, host)) {
+}
+
+static void check_caller(struct rn_request *request, struct rn_reply *reply) {
+    const struct rn_http_options *options = &request->http->options;
+    const char *authorization = rn_request_header(request, "Authorization");
+    const char *token = rn_guard_bearer(authorization);
+    const char *origin = rn_request_header(request, "Origin");
+    bool open = (request->match.route->flags & RN_ROUTE_OPEN) != 0;
+    bool checked = !open && (options->token_needed || authorization != NULL);
+    if (checked && (token == NULL || options->authorise == NULL ||
+                    !options->authorise(options->context, request, token, &request->caller, reply)))
+        refuse_token(request, reply);
+    if (!checked && !options->token_needed) take_neighbour(request, reply);
+    if (reply->status == 0 && request->method != RN_METHOD_GET &&
+        !rn_guard_origin(origin, rn_request_header(request, "Host")))
         rn_reply_problem(reply, RN_PROBLEM_FORBIDDEN, "the Origin '%.100s' is not this daemon's",
                          origin);
-    }
 }
 
 // Whether the Content-Type is the given one, parameters aside.

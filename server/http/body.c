@@ -65,7 +65,7 @@ enum rn_status rn_sink_close(struct rn_sink *sink, struct rn_error *err) {
 
 void rn_sink_finish(struct rn_sink *sink) {
     if (sink->fd >= 0) close(sink->fd);
-    if (sink->path != NULL) unlink(sink->path);
+    if (sink->path != NULL && !sink->stays) unlink(sink->path);
     free(sink->path);
     rn_buf_finish(&sink->memory);
     sink->fd = -1;
@@ -113,6 +113,27 @@ enum rn_status rn_request_spool(struct rn_request *request, const char *folder, 
     }
     sink->fd = fd;
     sink->path = path;
+    sink->max = max_bytes;
+    return RN_OK;
+}
+
+enum rn_status rn_request_append(struct rn_request *request, const char *path, uint64_t offset,
+                                 uint64_t max_bytes, struct rn_error *err) {
+    struct rn_sink *sink = &request->sink;
+    enum rn_status room = check_room(request, path, err);
+    if (room != RN_OK) return room;
+    char *copy = strdup(path);
+    int fd = copy != NULL ? open(path, O_WRONLY | O_CLOEXEC | O_NOFOLLOW) : -1;
+    if (fd < 0 || lseek(fd, (off_t)offset, SEEK_SET) < 0) {
+        enum rn_status status = rn_error_from_errno(err, copy != NULL ? errno : ENOMEM, path,
+                                                    "going on with an upload");
+        if (fd >= 0) close(fd);
+        free(copy);
+        return status;
+    }
+    sink->fd = fd;
+    sink->path = copy;
+    sink->stays = true;
     sink->max = max_bytes;
     return RN_OK;
 }

@@ -9,6 +9,7 @@
 #include <pthread.h>
 
 #include "common/base/buf.h"
+#include "common/base/trace.h"
 #include "server/http/ring.h"
 #include "server/http/server.h"
 
@@ -24,6 +25,7 @@ struct rn_sink {
     struct rn_buf memory;
     int fd;     // -1: memory
     char *path; // of the spooled file
+    bool stays; // which is not removed with the request
     uint64_t size, max;
     struct rn_error error;
 };
@@ -67,12 +69,15 @@ struct rn_request {
     enum rn_method method;
     char *path;
     struct rn_match match;
+    struct rn_caller caller;
     struct rn_sink sink;
     bool begun, handled, is_head;
     size_t answer_bytes; // http->lock: held for the answer
     struct rn_event_stream events;
     int64_t begin_ns;
-    char trace[33];  // 32 hexadecimal digits: the caller's (traceparent), or fresh ones
+    // Of the answering, in the caller's trace (its header traceparent) or a new one; and that
+    // trace's id.
+    char traceparent[RN_TRACE_MAX], trace[RN_TRACE_ID_MAX];
     unsigned status; // of the answer, 0 before
     // http->lock:
     struct rn_reply reply;
@@ -88,9 +93,10 @@ struct rn_request {
 
 struct rn_http {
     struct rn_http_options options;
-    char *address, *token;
+    char *address;
     uint16_t port;
     bool loopback;
+    int audit_fd; // -1: none
     struct MHD_Daemon *daemon;
     pthread_t keeper;
     bool keeper_runs;
@@ -136,6 +142,11 @@ void rn_answer_raw(struct rn_http *http, struct rn_connection *connection, struc
 // Ends connections that are too slow; http->lock is held. The time until it wants to look again.
 int64_t rn_sockets_watch(struct rn_http *http, int64_t now_ns);
 void rn_sockets_finish(struct rn_http *http);
+
+// audit.c
+enum rn_status rn_audit_open(struct rn_http *http, struct rn_error *err) RN_MUST_CHECK;
+// Who asked for what, and what came of it, to the log and, of a write, to the audit.
+void rn_access_tell(const struct rn_request *request);
 
 // admit.c: fills `reply` when the request is refused from its headers.
 uint64_t rn_body_size(const struct rn_request *request); // as announced; 0: none, or not known

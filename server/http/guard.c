@@ -4,16 +4,12 @@
 #include <string.h>
 #include <strings.h>
 
-bool rn_guard_token(const char *authorization, const char *token) {
+const char *rn_guard_bearer(const char *authorization) {
     static const char scheme[] = "Bearer ";
     if (authorization == NULL || strncasecmp(authorization, scheme, sizeof scheme - 1) != 0)
-        return false;
-    const char *given = authorization + sizeof scheme - 1;
-    size_t given_size = strlen(given), size = strlen(token);
-    unsigned char differ = given_size != size;
-    for (size_t i = 0; i < given_size; i++)
-        differ |= (unsigned char)(given[i] ^ token[size == 0 ? 0 : i % size]);
-    return differ == 0;
+        return NULL;
+    const char *token = authorization + sizeof scheme - 1;
+    return *token != '\0' ? token : NULL;
 }
 
 bool rn_guard_address_is_loopback(const char *address) {

@@ -4,8 +4,8 @@
 
 #include <stdbool.h>
 
-// True when `authorization` (may be NULL) is "Bearer <token>"; compares in constant time.
-bool rn_guard_token(const char *authorization, const char *token);
+// The token of an Authorization header (may be NULL), "Bearer <token>"; NULL when it is none.
+const char *rn_guard_bearer(const char *authorization);
 
 // True when a Host header ("name", "name:port", "[::1]:port"; may be NULL) names this machine's
 // loopback: localhost, 127.0.0.0/8 or ::1, at any port (ports may be forwarded). A page of a

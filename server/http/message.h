@@ -12,7 +12,7 @@
 #include "common/base/status.h"
 #include "proto/problem.h"
 
-enum rn_method { RN_METHOD_GET = 1, RN_METHOD_POST = 2, RN_METHOD_DELETE = 4 };
+enum rn_method { RN_METHOD_GET = 1, RN_METHOD_POST = 2, RN_METHOD_DELETE = 4, RN_METHOD_PATCH = 8 };
 
 #define RN_MAX_PARAMS 3
 #define RN_REPLY_MAX_HEADERS 16
@@ -20,6 +20,16 @@ enum rn_method { RN_METHOD_GET = 1, RN_METHOD_POST = 2, RN_METHOD_DELETE = 4 };
 struct rn_request; // one exchange; valid during the handler's call only
 struct rn_parked;  // a request that waits for its reply; see rn_request_park
 struct rn_ring;    // a bounded list of events; see ring.h
+
+// Who asks. A plain value; that of someone on this machine where no token is needed, and of the
+// daemon's own token, has an empty id.
+struct rn_caller {
+    char id[RN_ID_MAX], name[RN_NAME_MAX]; // of the token
+    enum rn_scope scope;
+    char scene[RN_ID_MAX], job[RN_ID_MAX]; // a link's: all that it may see
+    int64_t max_jobs, max_bytes;           // quotas; 0: none
+    int64_t created_ms, expires_ms;
+};
 
 // A body that is produced piece by piece on the HTTP thread (files of any size, archives).
 struct rn_stream {
@@ -61,6 +71,10 @@ struct rn_reply {
 
 enum rn_method rn_request_method(const struct rn_request *request);
 const char *rn_request_path(const struct rn_request *request);
+const struct rn_caller *rn_request_caller(const struct rn_request *request);
+unsigned rn_request_flags(const struct rn_request *request); // of its route, RN_ROUTE_*
+// The trace in which it is answered (common/base/trace.h): what it causes is a part of it.
+const char *rn_request_traceparent(const struct rn_request *request);
 // When it arrived: its header was there (rn_clock_ns).
 int64_t rn_request_begin_ns(const struct rn_request *request);
 // The text matched by the i-th {…} of the route's pattern. Never NULL.
@@ -78,6 +92,9 @@ const uint8_t *rn_request_body(const struct rn_request *request, size_t *ret_siz
 // memory, at most max_bytes of it.
 enum rn_status rn_request_spool(struct rn_request *request, const char *folder, uint64_t max_bytes,
                                 struct rn_error *err) RN_MUST_CHECK;
+// The same into a file that is there, from byte `offset` on; it is never removed with the request.
+enum rn_status rn_request_append(struct rn_request *request, const char *path, uint64_t offset,
+                                 uint64_t max_bytes, struct rn_error *err) RN_MUST_CHECK;
 // The spooled file's path, NULL when there is none. The file is removed with the request unless
 // it is taken.
 const char *rn_request_spooled(const struct rn_request *request, uint64_t *ret_size);

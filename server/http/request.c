@@ -6,6 +6,18 @@ enum rn_method rn_request_method(const struct rn_request *request) {
     return request->method;
 }
 
+const struct rn_caller *rn_request_caller(const struct rn_request *request) {
+    return &request->caller;
+}
+
+unsigned rn_request_flags(const struct rn_request *request) {
+    return request->match.route->flags;
+}
+
+const char *rn_request_traceparent(const struct rn_request *request) {
+    return request->traceparent;
+}
+
 int64_t rn_request_begin_ns(const struct rn_request *request) {
     return request->begin_ns;
 }

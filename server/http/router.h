@@ -7,6 +7,15 @@
 enum {
     RN_ROUTE_OPEN = 1,   // needs no token
     RN_ROUTE_ALWAYS = 2, // answered over the limit of connections, too
+    // What its caller's token must allow; to read, where none is given.
+    RN_ROUTE_RENDER = 4,
+    RN_ROUTE_TRAIN = 8,
+    RN_ROUTE_ADMIN = 16,
+    // What a link may ask for: its own scene or job, named by the first parameter; what concerns
+    // none in particular.
+    RN_ROUTE_OF_SCENE = 32,
+    RN_ROUTE_OF_JOB = 64,
+    RN_ROUTE_OF_NONE = 128,
 };
 
 // Immutable. `pattern` is absolute; "{…}" stands for one non-empty segment, a final "*" for the

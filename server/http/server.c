@@ -3,10 +3,10 @@
 #include <arpa/inet.h>
 #include <ctype.h>
 #include <errno.h>
+#include <fcntl.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-#include <sys/random.h>
 #include <sys/socket.h>
 #include <unistd.h>
 
@@ -21,19 +21,10 @@
 #define MAX_ARGUMENTS 64
 #define BACKLOG 1024
 
-// The trace that the caller is in (W3C Trace Context: "00-TRACE-SPAN-FLAGS"), else a new one.
 static void begin_trace(struct rn_request *request) {
-    const char *parent = rn_request_header(request, "traceparent");
-    uint64_t fresh[2] = {0};
-    if (parent != NULL && strlen(parent) == 55 && strncmp(parent, "00-", 3) == 0 &&
-        parent[35] == '-' && strspn(parent + 3, "0123456789abcdef") == 32) {
-        snprintf(request->trace, sizeof request->trace, "%.32s", parent + 3);
-        return;
-    }
-    if (getrandom(fresh, sizeof fresh, GRND_NONBLOCK) != sizeof fresh)
-        fresh[0] = (uint64_t)request->begin_ns;
-    snprintf(request->trace, sizeof request->trace, "%016llx%016llx", (unsigned long long)fresh[0],
-             (unsigned long long)fresh[1]);
+    char span[17];
+    rn_trace_begin(rn_request_header(request, "traceparent"), request->traceparent);
+    rn_trace_ids(request->traceparent, request->trace, span);
 }
 
 static struct rn_request *create(struct rn_http *http, struct MHD_Connection *connection,
@@ -61,28 +52,13 @@ static struct rn_request *create(struct rn_http *http, struct MHD_Connection *co
     return request;
 }
 
-// Who asked for what, and what came of it. Writes are always told.
-static void log_access(const struct rn_request *request) {
-    static const char *const names[] = {
-        [RN_METHOD_GET] = "GET", [RN_METHOD_POST] = "POST", [RN_METHOD_DELETE] = "DELETE"};
-    char address[INET6_ADDRSTRLEN] = "-";
-    unsigned method = request->method <= RN_METHOD_DELETE ? request->method : 0;
-    if (request->socket != NULL)
-        inet_ntop(AF_INET6, request->socket->address, address, sizeof address);
-    bool write = request->method == RN_METHOD_POST || request->method == RN_METHOD_DELETE;
-    rn_log(write ? RN_LOG_INFO : RN_LOG_DEBUG, "%s %s %u %.1f ms %s %s",
-           names[method] != NULL ? names[method] : "-", request->path, request->status,
-           (double)(rn_clock_ns() - request->begin_ns) * 1e-6,
-           strncmp(address, "::ffff:", 7) == 0 ? address + 7 : address, request->trace);
-}
-
 static void on_completed(void *context, struct MHD_Connection *connection, void **state,
                          enum MHD_RequestTerminationCode code) {
     struct rn_http *http = context;
     struct rn_request *request = *state;
     if (request == NULL) return;
     *state = NULL;
-    log_access(request);
+    rn_access_tell(request);
     rn_socket_end(request);
     pthread_mutex_lock(&http->lock);
     http->answer_bytes -= request->answer_bytes;
@@ -125,6 +101,12 @@ static void count_upload(struct rn_http *http) {
     pthread_mutex_unlock(&http->lock);
 }
 
+static void call_handler(struct rn_request *request, struct rn_reply *reply) {
+    const char *before = rn_log_set_trace(request->traceparent);
+    request->match.route->handle(request->http->options.context, request, reply);
+    rn_log_set_trace(before);
+}
+
 static enum MHD_Result handle(struct rn_request *request) {
     struct rn_http *http = request->http;
     struct rn_reply reply = {0};
@@ -134,7 +116,7 @@ static enum MHD_Result handle(struct rn_request *request) {
     if (rn_sink_close(&request->sink, &err) != RN_OK)
         rn_reply_error(&reply, &err);
     else
-        request->match.route->handle(http->options.context, request, &reply);
+        call_handler(request, &reply);
     if (spooled && reply.status == 202) count_upload(http);
     if (reply.status == 0 && request->is_parked) return go_on(request);
     if (reply.status == 0) rn_reply_problem(&reply, RN_PROBLEM_INTERNAL, "no answer was made");
@@ -225,28 +207,68 @@ static int make_address(const struct rn_http_options *options, struct sockaddr_s
     return -1;
 }
 
+// The socket that the service manager has opened (sd_listen_fds(3)), -1: none.
+static int passed_socket(void) {
+    const char *pid = getenv("LISTEN_PID"), *count = getenv("LISTEN_FDS");
+    const int fd = 3;
+    if (pid == NULL || count == NULL || atol(pid) != (long)getpid() || atoi(count) != 1) return -1;
+    bool ours = fcntl(fd, F_SETFD, FD_CLOEXEC) == 0 && fcntl(fd, F_SETFL, O_NONBLOCK) == 0;
+    return ours ? fd : -1;
+}
+
+static bool is_same_host(const struct sockaddr_storage *a, const struct sockaddr_storage *b) {
+    if (a->ss_family != b->ss_family) return false;
+    if (a->ss_family == AF_INET)
+        return ((const struct sockaddr_in *)a)->sin_addr.s_addr ==
+               ((const struct sockaddr_in *)b)->sin_addr.s_addr;
+    return memcmp(&((const struct sockaddr_in6 *)a)->sin6_addr,
+                  &((const struct sockaddr_in6 *)b)->sin6_addr, sizeof(struct in6_addr)) == 0;
+}
+
+// One that was passed has the port that it has, and must listen where the options say: whether a
+// token is needed follows from that.
+static enum rn_status listen_at(const struct rn_http_options *options, int fd, bool passed,
+                                const struct sockaddr_storage *address, socklen_t size,
+                                uint16_t *ret_port, struct rn_error *err) {
+    struct sockaddr_storage bound;
+    socklen_t bound_size = sizeof bound;
+    int on = 1;
+    if (!passed) setsockopt(fd, SOL_SOCKET, SO_REUSEADDR, &on, sizeof on);
+    if ((!passed &&
+         (bind(fd, (const struct sockaddr *)address, size) != 0 || listen(fd, BACKLOG) != 0)) ||
+        getsockname(fd, (struct sockaddr *)&bound, &bound_size) != 0)
+        return rn_error_set(err, RN_ERROR_UNAVAILABLE, "listen", "%s port %u: %s%s",
+                            options->address, options->port, strerror(errno),
+                            errno == EADDRINUSE ? "; choose another with --listen ADDR:PORT" : "");
+    if (!is_same_host(&bound, address))
+        return rn_error_set(err, RN_ERROR_INVALID, "listen",
+                            "the service manager's socket is of another address than %s; name the "
+                            "same in both",
+                            options->address);
+    *ret_port = ntohs(bound.ss_family == AF_INET ? ((struct sockaddr_in *)&bound)->sin_port
+                                                 : ((struct sockaddr_in6 *)&bound)->sin6_port);
+    return RN_OK;
+}
+
 static enum rn_status open_socket(const struct rn_http_options *options, int *ret_fd,
                                   int *ret_family, uint16_t *ret_port, struct rn_error *err) {
     struct sockaddr_storage address;
     socklen_t size;
-    int family = make_address(options, &address, &size), on = 1;
+    int family = make_address(options, &address, &size);
     if (family < 0)
         return rn_error_set(err, RN_ERROR_INVALID, "listen",
                             "'%s' is not a numeric IPv4 or IPv6 address", options->address);
-    int fd = socket(family, SOCK_STREAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0);
+    int fd = passed_socket();
+    bool passed = fd >= 0;
+    if (!passed) fd = socket(family, SOCK_STREAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0);
     if (fd < 0) return rn_error_from_errno(err, errno, "listen", "opening a socket");
-    setsockopt(fd, SOL_SOCKET, SO_REUSEADDR, &on, sizeof on);
-    if (bind(fd, (struct sockaddr *)&address, size) != 0 || listen(fd, BACKLOG) != 0 ||
-        getsockname(fd, (struct sockaddr *)&address, &size) != 0) {
-        int errnum = errno;
+    enum rn_status status = listen_at(options, fd, passed, &address, size, ret_port, err);
+    if (status != RN_OK) {
         close(fd);
-        return rn_error_set(err, RN_ERROR_UNAVAILABLE, "listen", "%s port %u: %s", options->address,
-                            options->port, strerror(errnum));
+        return status;
     }
     *ret_fd = fd;
     *ret_family = family;
-    *ret_port = ntohs(family == AF_INET ? ((struct sockaddr_in *)&address)->sin_port
-                                        : ((struct sockaddr_in6 *)&address)->sin6_port);
     return RN_OK;
 }
 
@@ -284,7 +306,6 @@ enum rn_status rn_http_start(const struct rn_http_options *options, struct rn_ht
         http->lingering[i].fd = -1;
     http->options = *options;
     http->address = strdup(options->address);
-    http->token = options->token != NULL ? strdup(options->token) : NULL;
     http->options.address = http->address;
     if (http->options.max_connections == 0) http->options.max_connections = 448;
     if (http->options.max_parked == 0) http->options.max_parked = 64;
@@ -293,7 +314,10 @@ enum rn_status rn_http_start(const struct rn_http_options *options, struct rn_ht
     if (http->options.least_rate == 0) http->options.least_rate = 1024;
     if (http->options.max_answer_bytes == 0) http->options.max_answer_bytes = 256u << 20;
     enum rn_status status = RN_ERROR_NO_MEMORY;
-    if (http->address == NULL || (options->token != NULL && http->token == NULL)) goto fail;
+    http->audit_fd = -1;
+    if (http->address == NULL) goto fail;
+    status = rn_audit_open(http, err);
+    if (status != RN_OK) goto fail;
     *ret_http = http; // handlers may look at it from the first request on
     status = start_daemon(http, err);
     if (status != RN_OK) goto fail;
@@ -365,9 +389,9 @@ void rn_http_destroy(struct rn_http **http_pointer) {
         MHD_stop_daemon(http->daemon);
     }
     rn_sockets_finish(http);
+    if (http->audit_fd >= 0) close(http->audit_fd);
     pthread_cond_destroy(&http->changed);
     pthread_mutex_destroy(&http->lock);
-    free(http->token);
     free(http->address);
     free(http);
 }

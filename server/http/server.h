@@ -8,18 +8,23 @@
 struct rn_http;
 
 struct rn_http_options {
-    const char *address;           // IPv4 or IPv6, numeric, or "localhost"
-    uint16_t port;                 // 0: any free one
-    const char *token;             // NULL: none; then only requests to a loopback name are served
+    const char *address; // IPv4 or IPv6, numeric, or "localhost"
+    uint16_t port;       // 0: any free one
+    bool token_needed;   // else requests to a loopback name are served without one, as the owner's
     const struct rn_route *routes; // outlives the server
-    void *context;                 // given to the handlers
-    unsigned max_connections;      // further ones are told 503; 0: 448
-    unsigned max_parked;           // 0: 64
-    unsigned max_per_address;      // connections of one address; 0: half of all, any on loopback
-    int idle_timeout_s;            // a connection without progress is closed; 0: 30
-    int header_timeout_s;          // for a whole header, from the connection's begin; 0: 10
-    int64_t least_rate;            // bytes a second of a body or an answer; 0: 1024
-    uint64_t max_answer_bytes;     // of all answers that wait to be sent; 0: 256 MiB
+    void *context;                 // given to the handlers and to `authorise`
+    // Who has this token, and whether the request's route is for them: a reply that is filled here
+    // refuses. False when nobody has it. NULL: nobody has any.
+    bool (*authorise)(void *context, struct rn_request *request, const char *token,
+                      struct rn_caller *ret_caller, struct rn_reply *reply);
+    unsigned max_connections;  // further ones are told 503; 0: 448
+    unsigned max_parked;       // 0: 64
+    unsigned max_per_address;  // connections of one address; 0: half of all, any on loopback
+    int idle_timeout_s;        // a connection without progress is closed; 0: 30
+    int header_timeout_s;      // for a whole header, from the connection's begin; 0: 10
+    int64_t least_rate;        // bytes a second of a body or an answer; 0: 1024
+    uint64_t max_answer_bytes; // of all answers that wait to be sent; 0: 256 MiB
+    const char *audit;         // a file to which a line is added for each write; NULL: none
 };
 
 // Status codes 200..599 and how often they were sent.

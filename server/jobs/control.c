@@ -54,13 +54,20 @@ static void serve_runners(struct rn_control *control) {
     for (struct rn_runner *runner = control->runners; runner != NULL; runner = next) {
         bool empty;
         next = runner->next;
+        if (runner->process.remote && rn_remote_is_lost(control, runner)) {
+            if (runner->state != RN_RUNNER_AWAITED) read_runner(control, runner); // its last words
+            rn_runner_remove(control, runner, runner->state == RN_RUNNER_AWAITED);
+            continue;
+        }
+        if (runner->state == RN_RUNNER_AWAITED) continue;
         if (!runner->broken) read_runner(control, runner);
         if (!runner->broken && rn_wire_flush(&runner->writer, &empty, NULL) != RN_OK)
             read_runner(control, runner);
         bool late = (runner->state != RN_RUNNER_READY && now_ns > runner->deadline_ns) ||
                     is_silent(control, runner, now_ns);
         if (late) runner->hangs = true;
-        if (runner->broken || late) rn_runner_remove(control, runner, false);
+        if (late || (runner->broken && rn_remote_is_settled(control, runner)))
+            rn_runner_remove(control, runner, false);
     }
 }
 
@@ -91,8 +98,12 @@ static void *supervise(void *context) {
     pthread_mutex_lock(&control->lock);
     while (!control->quit) {
         serve_runners(control);
+        rn_hold_others(control);
         measure_memory(control);
         rn_idle_work(control);
+        rn_helpers_work(control);
+        rn_retain_work(control);
+        rn_ladders_work(control);
         rn_schedule(control);
         rn_tasks_tidy(control);
         nfds_t count = fill_polls(control, polls);
@@ -113,14 +124,17 @@ static int by_seq(const void *a, const void *b) {
     return left->seq < right->seq ? -1 : left->seq > right->seq;
 }
 
-// Unfinished jobs of the daemon before: those that had a runner have lost it.
+// Unfinished jobs of the daemon before, or of a backup: those that had a runner have lost it.
 static enum rn_status adopt(struct rn_control *control, struct rn_job_row *row,
                             struct rn_error *err) {
     struct rn_task *task;
+    if (rn_task_find(control, row->id) != NULL) return RN_OK;
     enum rn_status status = rn_task_add(control, row, &task, err);
     if (status != RN_OK) return status;
     task->progressed = true; // the daemon ended, not the runner
     rn_task_announce(control, task);
+    bool ending = task->row.type == RN_JOB_LADDER && task->row.state == RN_JOB_CANCELLING;
+    if (ending) return RN_OK; // its jobs are still to be ended
     if (task->row.state == RN_JOB_RUNNING || task->row.state == RN_JOB_CANCELLING)
         rn_task_lost(control, task, NULL);
     else if (task->row.state == RN_JOB_INTERRUPTED)
@@ -158,11 +172,25 @@ static enum rn_status adopt_all(struct rn_control *control, struct rn_error *err
     return status;
 }
 
+enum rn_status rn_control_adopt(struct rn_control *control, struct rn_error *err) {
+    pthread_mutex_lock(&control->lock);
+    enum rn_status status = adopt_all(control, err);
+    control->schedule_due = true;
+    pthread_mutex_unlock(&control->lock);
+    rn_control_wake(control);
+    return status;
+}
+
 static void probe(struct rn_control *control) {
+    const struct rn_order order = {.mode = "probe", .scene = "", .here = true};
     struct rn_runner *runner;
     struct rn_error err = {0};
-    if (rn_runner_start(control, "probe", "", NULL, &runner, &err) != RN_OK)
+    if (rn_runner_start(control, &order, &runner, &err) != RN_OK)
         rn_log(RN_LOG_ERROR, "no runner can be started: %s: %s", err.where, err.text);
+}
+
+static void on_news(void *control) {
+    rn_control_wake(control);
 }
 
 enum rn_status rn_control_create(const struct rn_control_options *options, struct rn_store *store,
@@ -180,6 +208,7 @@ enum rn_status rn_control_create(const struct rn_control_options *options, struc
                              : rn_ring_create(RN_RING_EVENTS, RN_RING_BYTES, &control->ring, err);
     if (status == RN_OK) status = adopt_all(control, err);
     if (status == RN_OK) {
+        if (executor->watch != NULL) executor->watch(executor, on_news, control);
         probe(control);
         control->thread_runs = pthread_create(&control->thread, NULL, supervise, control) == 0;
         if (!control->thread_runs)
@@ -197,8 +226,18 @@ void rn_control_drain(struct rn_control *control, int64_t timeout_ms) {
     int64_t deadline_ns = rn_clock_ns() + timeout_ms * 1000000;
     pthread_mutex_lock(&control->lock);
     control->stopping = true;
-    for (struct rn_runner *runner = control->runners; runner != NULL; runner = runner->next) {
+    struct rn_runner *next;
+    for (struct rn_runner *runner = control->runners; runner != NULL; runner = next) {
+        next = runner->next;
         rn_render_fail_all(control, runner, &err);
+        if (runner->helps[0] != '\0') {
+            rn_runner_remove(control, runner, true);
+            continue;
+        }
+        if (runner->process.remote && control->executor->keeps) {
+            rn_runner_release(control, runner);
+            continue;
+        }
         rn_runner_shutdown(control, runner);
         runner->deadline_ns = deadline_ns;
     }
@@ -234,6 +273,7 @@ void rn_control_destroy(struct rn_control **control_pointer) {
     for (int i = 0; i < RN_MAX_RECENT; i++)
         rn_ring_unref(&control->recent[i].ring);
     rn_ring_unref(&control->ring);
+    if (control->executor->watch != NULL) control->executor->watch(control->executor, NULL, NULL);
     if (control->wake_fd >= 0) close(control->wake_fd);
     pthread_mutex_destroy(&control->lock);
     free(control);
@@ -288,6 +328,10 @@ void rn_control_stats(struct rn_control *control, struct rn_control_stats *ret_s
             ret_stats->renders_waiting++;
     }
     pthread_mutex_unlock(&control->lock);
+}
+
+bool rn_control_spreads(const struct rn_control *control) {
+    return control->executor->spreads;
 }
 
 void rn_control_device(struct rn_control *control, struct rn_runner_device *ret_device) {

@@ -5,6 +5,7 @@
 #ifndef RN_SERVER_JOBS_CONTROL_H
 #define RN_SERVER_JOBS_CONTROL_H
 
+#include "proto/estimate.h"
 #include "proto/render.h"
 #include "server/http/message.h"
 #include "server/http/ring.h"
@@ -25,7 +26,10 @@ struct rn_control_options {
     int64_t keep_alive_s;       // an idle runner is ended after this long
     int64_t runner_timeout_s;   // a busy runner that says nothing for so long is ended
     int64_t curve_after_s;      // idle time until the curve of a new scene is measured; 0: never
+    int64_t retain_pictures_s;  // frames of paths are removed so long after their end; 0: never
+    int64_t retain_bytes;       // of all of them; 0: any
     int threads;                // of each runner; 0: all cores
+    int path_runners;           // on one path or evaluation, where they are on other machines
     int64_t max_frames, max_pixels, import_time_s; // of an import
     int64_t max_upload_bytes, max_upload_entries;
     const char *version; // static text
@@ -36,6 +40,8 @@ struct rn_control_options {
 enum rn_status rn_control_create(const struct rn_control_options *options, struct rn_store *store,
                                  struct rn_executor *executor, struct rn_control **ret_control,
                                  struct rn_error *err) RN_MUST_CHECK;
+// Takes up unfinished jobs whose records were added since, as a new daemon would.
+enum rn_status rn_control_adopt(struct rn_control *control, struct rn_error *err) RN_MUST_CHECK;
 // Asks all runners to save and end, waits for up to timeout_ms, kills the rest. Waiting renders
 // are answered. Unfinished jobs are requeued by the next daemon.
 void rn_control_drain(struct rn_control *control, int64_t timeout_ms);
@@ -45,22 +51,35 @@ void rn_control_destroy(struct rn_control **control);
 
 struct rn_submission {
     enum rn_job_type type;
-    const char *dataset;      // train: id or name; ingest: the new dataset's name
-    const char *scene;        // train: the new scene's name; path, eval: id or name
-    const char *source;       // ingest: the directory, NULL with `spooled`; path: the path's JSON
-    const char *spooled;      // ingest: an uploaded tar, taken over on success
-    const char *options;      // JSON
-    const char *key, *digest; // Idempotency-Key and a digest of the request; NULL: none
+    const char *dataset;  // train: id or name; ingest: the new dataset's name, NULL of a scene
+    const char *scene;    // train, ingest: the new scene's name; path, eval: id or name
+    const char *source;   // ingest: the directory, NULL with `spooled`; validate: the tar, which
+                          // stays; path: the path's JSON
+    const char *spooled;  // ingest: an uploaded tar or scene, taken over on success
+    int64_t upload_bytes; // of it
+    const char *options;  // JSON
+    const char *key, *digest;       // Idempotency-Key and a digest of the request; NULL: none
+    const struct rn_caller *caller; // whose job it is, within its quotas; NULL: nobody's
+    const char *traceparent;        // that it is part of (common/base/trace.h); NULL, "": of none
 };
 // The job's JSON; it is on disk. RN_ERROR_CONFLICT (name taken, scene training, key used for
-// another request), RN_ERROR_NOT_FOUND, RN_ERROR_BUSY when the queue is full, RN_ERROR_NO_SPACE.
+// another request), RN_ERROR_NOT_FOUND, RN_ERROR_BUSY when the queue or the caller's quota of jobs
+// is full, RN_ERROR_LIMIT when its quota of bytes is, RN_ERROR_NO_SPACE.
 enum rn_status rn_control_submit(struct rn_control *control, const struct rn_submission *submission,
                                  char ret_id[RN_ID_MAX], char **ret_json,
                                  struct rn_error *err) RN_MUST_CHECK;
+// What the caller's token has: unfinished jobs, and bytes on disk.
+enum rn_status rn_control_usage(struct rn_control *control, const char *token, int64_t *ret_jobs,
+                                int64_t *ret_bytes, struct rn_error *err) RN_MUST_CHECK;
 // RN_JOB_PAUSE, _RESUME, _FINISH or _CANCEL. RN_ERROR_CONFLICT names the current state.
 enum rn_status rn_control_command(struct rn_control *control, const char *id,
                                   enum rn_job_event event, char **ret_json,
                                   struct rn_error *err) RN_MUST_CHECK;
+// Goes on with a paused job. Of a path job that has failed or was cancelled a new one, the caller's,
+// makes the frames that are missing: *ret_id is its id, else "". As rn_control_submit and _command.
+enum rn_status rn_control_go_on(struct rn_control *control, const char *id,
+                                const struct rn_caller *caller, char ret_id[RN_ID_MAX],
+                                char **ret_json, struct rn_error *err) RN_MUST_CHECK;
 enum rn_status rn_control_job_json(struct rn_control *control, const char *id, char **ret_json,
                                    struct rn_error *err) RN_MUST_CHECK;
 // The same from a row that was read before; progress is the latest.
@@ -83,6 +102,11 @@ enum rn_status rn_control_delete_scene(struct rn_control *control, const char *r
                                        struct rn_error *err) RN_MUST_CHECK;
 enum rn_status rn_control_delete_dataset(struct rn_control *control, const char *reference,
                                          struct rn_error *err) RN_MUST_CHECK;
+
+// What a training with `standard` of a dataset (its record) takes by those that have ended here.
+enum rn_status rn_control_past(struct rn_control *control, const char *record,
+                               struct rn_expected_past *ret_past,
+                               struct rn_error *err) RN_MUST_CHECK;
 
 // ---- rendering --------------------------------------------------------------------------------
 
@@ -123,6 +147,8 @@ struct rn_runner_device {
     char device[16], name[128], kernels[32], available[128];
     int64_t threads;
 };
+// Whether scenes are trained on other machines.
+bool rn_control_spreads(const struct rn_control *control);
 // Empty until the probe has answered.
 void rn_control_device(struct rn_control *control, struct rn_runner_device *ret_device);
 

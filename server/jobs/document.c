@@ -38,6 +38,14 @@ enum rn_status rn_document_job(struct rn_control *control, struct rn_job_row *ro
     job.progress = row->progress;
     job.result = row->result;
     job.problem = row->problem;
+    copy(job.traceparent, sizeof job.traceparent, row->traceparent);
+    const struct rn_task *task = rn_task_find(control, row->id);
+    if (task != NULL && task->runner != NULL && task->runner->process.remote) {
+        const struct rn_whereabouts *where = &task->runner->where;
+        copy(job.runner.machine, sizeof job.runner.machine, where->machine);
+        copy(job.runner.slurm_job, sizeof job.runner.slurm_job, where->job);
+        copy(job.runner.reason, sizeof job.runner.reason, where->reason);
+    }
     return rn_encode(&rn_job_table, &job, ret_json, NULL, err);
 }
 
@@ -60,6 +68,14 @@ static enum rn_status list_checkpoints(struct rn_control *control, const char *s
     return RN_OK;
 }
 
+static size_t list_marks(struct rn_control *control, const char *scene,
+                         struct rn_mark marks[RN_MARKS_KEPT]) {
+    char *folder = rn_store_path(control->store, "scenes/%s", scene);
+    size_t count = folder != NULL ? rn_marks_list(folder, marks) : 0;
+    free(folder);
+    return count;
+}
+
 static enum rn_status dataset_name(struct rn_control *control, const char *id, char *name,
                                    struct rn_error *err) {
     struct rn_dataset_row dataset;
@@ -75,6 +91,7 @@ enum rn_status rn_document_scene(struct rn_control *control, struct rn_scene_row
                                  char **ret_json, struct rn_error *err) {
     const struct rn_task *task = rn_task_training(control, row->id);
     struct rn_checkpoint_record checkpoints[MAX_CHECKPOINTS];
+    struct rn_mark marks[RN_MARKS_KEPT];
     struct rn_scene scene;
     rn_message_init(&rn_scene_table, &scene);
     enum rn_status status = RN_OK;
@@ -97,13 +114,16 @@ enum rn_status rn_document_scene(struct rn_control *control, struct rn_scene_row
         scene.train_seconds = live ? task->live.train_seconds : row->train_seconds;
         scene.psnr = live && !isnan(task->live.psnr) ? task->live.psnr : row->psnr;
         scene.checkpoints = checkpoints;
+        scene.marks = marks;
+        scene.mark_count = list_marks(control, row->id, marks);
         scene.description.memory_bytes = row->memory_bytes > 0 ? row->memory_bytes : RN_ABSENT;
         const struct rn_runner *runner = rn_runner_find(control, row->id);
         scene.loaded = runner != NULL && runner->state == RN_RUNNER_READY;
         status = rn_encode(&rn_scene_table, &scene, ret_json, NULL, err);
     }
     scene.checkpoints = NULL;
-    scene.checkpoint_count = 0;
+    scene.marks = NULL;
+    scene.checkpoint_count = scene.mark_count = 0;
     rn_message_finish(&rn_scene_table, &scene);
     return status;
 }

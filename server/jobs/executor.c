@@ -87,9 +87,8 @@ static int spawn(const struct local *local, const char *mode, const char *log_pa
     return errnum;
 }
 
-static enum rn_status local_start(struct rn_executor *executor, const char *mode,
-                                  const char *log_path, struct rn_process *ret_process,
-                                  struct rn_error *err) {
+static enum rn_status local_start(struct rn_executor *executor, const struct rn_order *order,
+                                  struct rn_process *ret_process, struct rn_error *err) {
     struct local *local = (struct local *)executor;
     int pair[2];
     if (socketpair(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0, pair) != 0)
@@ -99,21 +98,24 @@ static enum rn_status local_start(struct rn_executor *executor, const char *mode
     int errnum = child < 0 ? errno : 0;
     pid_t pid = 0;
     if (errnum == 0 && fcntl(pair[0], F_SETFL, O_NONBLOCK) != 0) errnum = errno;
-    if (errnum == 0) errnum = spawn(local, mode, log_path, child, &pid);
+    if (errnum == 0) errnum = spawn(local, order->mode, order->log_path, child, &pid);
     close(pair[1]);
     if (child >= 0) close(child);
     if (errnum != 0) {
         close(pair[0]);
         return rn_error_from_errno(err, errnum, local->program, "starting a runner");
     }
-    *ret_process = (struct rn_process){pid, pair[0]};
+    *ret_process = (struct rn_process){.pid = pid, .fd = pair[0]};
     return RN_OK;
 }
 
 static void local_end(struct rn_executor *executor, const struct rn_process *process, bool now,
-                      char *ret_how, size_t how_size) {
+                      struct rn_ending *ret_ending) {
+    char *ret_how = ret_ending->how;
+    const size_t how_size = sizeof ret_ending->how;
     int status = 0;
     pid_t pid = 0;
+    ret_ending->taken = false;
     for (int i = 0; !now && i < GRACE_MS / 5 && pid == 0; i++) {
         pid = waitpid(process->pid, &status, WNOHANG);
         if (pid == 0) nanosleep(&(struct timespec){.tv_nsec = 5000000}, NULL);
@@ -146,6 +148,10 @@ static int64_t local_memory(struct rn_executor *executor, const struct rn_proces
     return (int64_t)resident * sysconf(_SC_PAGESIZE);
 }
 
+static void local_hold(struct rn_executor *executor, const struct rn_process *process, bool held) {
+    kill(process->pid, held ? SIGSTOP : SIGCONT);
+}
+
 static void local_destroy(struct rn_executor *executor) {
     struct local *local = (struct local *)executor;
     free(local->program);
@@ -161,7 +167,11 @@ enum rn_status rn_local_executor_create(const char *program, bool sandbox,
         free(copy);
         return rn_error_set(err, RN_ERROR_NO_MEMORY, "executor", "no memory");
     }
-    local->base = (struct rn_executor){local_start, local_end, local_memory, local_destroy};
+    local->base = (struct rn_executor){.start = local_start,
+                                       .end = local_end,
+                                       .hold = local_hold,
+                                       .memory = local_memory,
+                                       .destroy = local_destroy};
     local->program = copy;
     local->sandbox = sandbox;
     *ret_executor = &local->base;

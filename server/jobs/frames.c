@@ -1,13 +1,19 @@
-// Where the pictures of a path job lie. A runner may write its own scene's folder alone, so while
-// one works on a job they are lent to it: jobs/ID/frames is scenes/SCENE/frames/ID until the job is
-// over.
+// Where the pictures of a path job lie, the scores of an evaluation on other machines, and what an
+// export wrote. A runner may write its own
+// scene's folder alone, so while one works on a job they are lent to it: jobs/ID/frames is
+// scenes/SCENE/frames/ID until the job is over.
+#include <dirent.h>
 #include <errno.h>
+#include <fcntl.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/stat.h>
+#include <unistd.h>
 
 #include "common/base/file.h"
 #include "common/base/log.h"
+#include "proto/names.h"
 #include "server/jobs/inside.h"
 
 struct places {
@@ -30,7 +36,7 @@ static void free_places(struct places *places) {
 }
 
 enum rn_status rn_frames_lend(struct rn_control *control, const struct rn_task *task,
-                              char **ret_folder, struct rn_error *err) {
+                              struct rn_error *err) {
     struct places places;
     enum rn_status status = find_places(control, task, &places)
                                 ? rn_mkdirs(places.shelf, 0700, err)
@@ -38,20 +44,70 @@ enum rn_status rn_frames_lend(struct rn_control *control, const struct rn_task *
     // They may be there already: from an attempt of a daemon that was killed.
     if (status == RN_OK && rename(places.kept, places.lent) != 0 && errno != ENOENT)
         status = rn_error_from_errno(err, errno, places.lent, "lending the frames");
-    if (status == RN_OK) {
-        *ret_folder = places.lent;
-        places.lent = NULL;
-    }
     free_places(&places);
     return status;
 }
 
-void rn_frames_take_back(struct rn_control *control, const struct rn_task *task) {
+static int64_t count_bytes(const char *path) {
+    int64_t bytes = 0;
+    struct dirent *entry;
+    struct stat about;
+    DIR *folder = opendir(path);
+    if (folder == NULL) return 0;
+    while ((entry = readdir(folder)) != NULL)
+        if (fstatat(dirfd(folder), entry->d_name, &about, AT_SYMLINK_NOFOLLOW) == 0 &&
+            S_ISREG(about.st_mode))
+            bytes += about.st_size;
+    closedir(folder);
+    return bytes;
+}
+
+// They are in the result.
+static void drop_scores(struct rn_control *control, const struct rn_task *task) {
     struct places places;
-    if (task->row.type != RN_JOB_PATH) return;
-    if (find_places(control, task, &places) && rename(places.lent, places.kept) != 0 &&
-        errno != ENOENT)
-        rn_log(RN_LOG_WARN, "the frames of job %s stay in %s: %s", task->row.id, places.lent,
-               strerror(errno));
+    struct rn_error err = {0};
+    if (find_places(control, task, &places) && rn_remove_tree(places.lent, &err) != RN_OK)
+        rn_task_log(task, RN_LOG_WARN, "%s: %s", err.where, err.text);
+    free_places(&places);
+}
+
+// Of a path job's folder: a frame, or the note of the step that all of them show.
+static bool is_made(const char *name) {
+    int index, end = 0;
+    if (strcmp(name, ".step") == 0) return true;
+    return sscanf(name, "%5d.%n", &index, &end) == 1 && end == 6 &&
+           rn_name_index(rn_picture_format_extensions, name + end) >= 0;
+}
+
+void rn_frames_hand_on(struct rn_control *control, const char *from, const char *to) {
+    char *made = rn_store_path(control->store, "jobs/%s/frames", from);
+    char *begun = rn_store_path(control->store, "jobs/%s/frames", to);
+    struct dirent *entry;
+    DIR *folder = made != NULL ? opendir(made) : NULL;
+    int target = begun != NULL ? open(begun, O_RDONLY | O_DIRECTORY | O_CLOEXEC) : -1;
+    while (folder != NULL && target >= 0 && (entry = readdir(folder)) != NULL)
+        if (is_made(entry->d_name) &&
+            linkat(dirfd(folder), entry->d_name, target, entry->d_name, 0) != 0)
+            rn_log(RN_LOG_WARN, "job %s: %s of job %s is made anew: %s", to, entry->d_name, from,
+                   strerror(errno));
+    if (folder != NULL) closedir(folder);
+    if (target >= 0) close(target);
+    free(made);
+    free(begun);
+}
+
+void rn_frames_take_back(struct rn_control *control, struct rn_task *task) {
+    struct places places;
+    if (task->row.type == RN_JOB_EVAL) drop_scores(control, task);
+    if (task->row.type != RN_JOB_PATH && task->row.type != RN_JOB_EXPORT) return;
+    struct rn_error err = {0};
+    // There for good before the record speaks of them.
+    if (find_places(control, task, &places)) {
+        enum rn_status status = rn_file_rename(places.lent, places.kept, &err);
+        if (status != RN_OK && status != RN_ERROR_NOT_FOUND)
+            rn_log(RN_LOG_WARN, "the frames of job %s stay in %s: %s", task->row.id, places.lent,
+                   err.text);
+    }
+    if (places.kept != NULL) task->row.size_bytes = count_bytes(places.kept);
     free_places(&places);
 }

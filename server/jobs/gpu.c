@@ -79,7 +79,7 @@ static bool is_next(const struct rn_control *control, const struct rn_runner *ru
 static void make_room(struct rn_control *control, const char *gpu, int64_t left, int64_t wanted) {
     struct rn_wire_empty empty = {""};
     struct rn_runner *oldest;
-    while (left < wanted && (oldest = rn_runner_oldest_idle(control, gpu)) != NULL) {
+    while (left < wanted && (oldest = rn_runner_oldest_idle(control, false, gpu)) != NULL) {
         rn_log(RN_LOG_INFO, "runner %d: makes room on %s: %lld MiB of scene %s",
                (int)oldest->process.pid, gpu, MIB(oldest->gpu_bytes), oldest->scene);
         left += oldest->gpu_bytes;
@@ -117,6 +117,11 @@ void rn_gpu_share(struct rn_control *control) {
 
 void rn_gpu_reserve(struct rn_control *control, struct rn_runner *runner,
                     const struct rn_wire_reserve *reserve) {
+    if (runner->process.remote) { // Slurm has counted it
+        runner->wish = *reserve;
+        grant(control, runner, reserve->bytes);
+        return;
+    }
     bool smaller = strcmp(runner->gpu, reserve->device) == 0 && reserve->bytes <= runner->gpu_bytes;
     snprintf(runner->gpu, sizeof runner->gpu, "%s", reserve->device);
     runner->wish = *reserve;

@@ -7,6 +7,7 @@
 #include "common/base/clock.h"
 #include "common/base/log.h"
 #include "proto/event.h"
+#include "proto/scene.h"
 #include "server/jobs/inside.h"
 
 // Checkpoints that are kept; the runner removes the files of older ones.
@@ -78,6 +79,10 @@ static void on_opened(struct rn_control *control, struct rn_runner *runner,
                       struct rn_wire_opened *opened) {
     struct rn_scene_row scene;
     runner->state = RN_RUNNER_READY;
+    if (runner->helps[0] != '\0') {
+        rn_helper_go_on(control, runner);
+        return;
+    }
     if (opened->set_aside[0] != '\0')
         fell_back(control, runner->scene, opened->set_aside, opened->steps);
     if (opened->loaded && find_scene(control, runner->scene, &scene)) {
@@ -138,6 +143,7 @@ static void on_progress(struct rn_control *control, struct rn_runner *runner,
             if (work.done > task->live_done && task->row.type == RN_JOB_PATH)
                 task->progressed = true;
             task->live_done = work.done;
+            task->live_left_s = work.eta_seconds;
             count_nonfinite(control, task, &work.nonfinite);
         }
     }
@@ -152,7 +158,7 @@ static void on_metric(struct rn_control *control, struct rn_runner *runner,
     char *json = NULL;
     if (task == NULL) return;
     if (rn_metric_record(control, task->row.id, &metric->metric, &err) != RN_OK)
-        rn_log(RN_LOG_ERROR, "job %s: a figure is not kept: %s", task->row.id, err.text);
+        rn_task_log(task, RN_LOG_ERROR, "a figure is not kept: %s", err.text);
     if (rn_encode(&rn_metric_event_table, &metric->metric, &json, NULL, NULL) == RN_OK)
         rn_task_publish(control, task, RN_EVENT_METRIC, json, false);
     free(json);
@@ -163,29 +169,37 @@ static void on_incident(struct rn_control *control, struct rn_runner *runner,
     struct rn_task *task = task_of(runner, incident->job);
     char *json = NULL;
     if (task == NULL) return;
-    rn_log(RN_LOG_WARN, "job %s: step %lld: %s; %lld rays and %lld parameters were not finite: %s",
-           task->row.id, (long long)incident->incident.step,
-           rn_incident_kind_names[incident->incident.kind], (long long)incident->incident.rays,
-           (long long)incident->incident.parameters, incident->incident.file);
+    rn_task_log(task, RN_LOG_WARN,
+                "step %lld: %s; %lld rays and %lld parameters were not finite: %s",
+                (long long)incident->incident.step, rn_incident_kind_names[incident->incident.kind],
+                (long long)incident->incident.rays, (long long)incident->incident.parameters,
+                incident->incident.file);
     if (rn_encode(&rn_incident_event_table, &incident->incident, &json, NULL, NULL) == RN_OK)
         rn_task_publish(control, task, RN_EVENT_INCIDENT, json, false);
     free(json);
+}
+
+// `path` holds its path.
+static struct rn_checkpoint_row
+checkpoint_row(const char *scene, const struct rn_wire_checkpoint *checkpoint, char path[96]) {
+    struct rn_checkpoint_row row = {.step = checkpoint->step,
+                                    .size_bytes = checkpoint->size_bytes,
+                                    .created_ms = rn_clock_wall_ms(),
+                                    .path = path};
+    snprintf(row.id, sizeof row.id, "%s/%lld", scene, (long long)checkpoint->step);
+    snprintf(row.scene, sizeof row.scene, "%s", scene);
+    snprintf(row.sha256, sizeof row.sha256, "%s", checkpoint->parameters_sha256);
+    snprintf(row.digest, sizeof row.digest, "%s", checkpoint->digest);
+    snprintf(path, 96, "checkpoints/%s", checkpoint->file);
+    return row;
 }
 
 static enum rn_status insert_checkpoint(struct rn_control *control,
                                         const struct rn_scene_row *scene,
                                         const struct rn_wire_checkpoint *checkpoint,
                                         struct rn_error *err) {
-    struct rn_checkpoint_row row = {.step = checkpoint->step,
-                                    .size_bytes = checkpoint->size_bytes,
-                                    .created_ms = rn_clock_wall_ms()};
     char path[96];
-    snprintf(row.id, sizeof row.id, "%s/%lld", scene->id, (long long)checkpoint->step);
-    snprintf(row.scene, sizeof row.scene, "%s", scene->id);
-    snprintf(row.sha256, sizeof row.sha256, "%s", checkpoint->parameters_sha256);
-    snprintf(row.digest, sizeof row.digest, "%s", checkpoint->digest);
-    snprintf(path, sizeof path, "checkpoints/%s", checkpoint->file);
-    row.path = path;
+    struct rn_checkpoint_row row = checkpoint_row(scene->id, checkpoint, path);
     enum rn_status status = rn_store_delete(control->store, &rn_checkpoints, row.id, err);
     if (status == RN_OK) status = rn_store_insert(control->store, &rn_checkpoints, &row, err);
     return status;
@@ -238,13 +252,33 @@ static void on_checkpoint(struct rn_control *control, struct rn_runner *runner,
     rn_row_finish(&rn_scenes, &scene);
 }
 
+// Whether a frame is told of for the first time in this attempt: where parts meet, two runners may
+// make the same one at the same moment. Without memory to know, each is told of.
+static bool is_news(struct rn_task *task, int64_t index) {
+    size_t byte = (size_t)index / 8;
+    uint8_t bit = (uint8_t)(1u << index % 8);
+    if (byte >= task->told_bytes) {
+        uint8_t *told = realloc(task->told, 2 * byte + 1);
+        if (told == NULL) return true;
+        memset(told + task->told_bytes, 0, 2 * byte + 1 - task->told_bytes);
+        task->told = told;
+        task->told_bytes = 2 * byte + 1;
+    }
+    bool news = !(task->told[byte] & bit);
+    task->told[byte] |= bit;
+    return news;
+}
+
 static void on_frame(struct rn_control *control, struct rn_runner *runner,
                      const struct rn_wire_frame *frame) {
-    struct rn_task *task = task_of(runner, frame->job);
+    struct rn_task *task = strcmp(runner->helps, frame->job) == 0
+                               ? rn_task_find(control, frame->job)
+                               : task_of(runner, frame->job);
     struct rn_frame_event event = {.index = frame->index};
     char *json = NULL;
     if (task == NULL) return;
     task->progressed = true;
+    if (task->row.type != RN_JOB_PATH || !is_news(task, frame->index)) return;
     snprintf(event.url, sizeof event.url, "/v1/jobs/%s/frames/%lld", frame->job,
              (long long)frame->index);
     if (rn_encode(&rn_frame_event_table, &event, &json, NULL, NULL) == RN_OK)
@@ -252,35 +286,102 @@ static void on_frame(struct rn_control *control, struct rn_runner *runner,
     free(json);
 }
 
-// The dataset comes into being: its record, named as the job said.
-static enum rn_status finish_ingest(struct rn_control *control, struct rn_task *task, char **result,
-                                    struct rn_error *err) {
-    struct rn_dataset_row dataset = {.created_ms = rn_clock_wall_ms(), .record = *result};
-    struct rn_ingest_result ingest;
+// The job ends with what it has made, of which there is one record with its end, or neither.
+static enum rn_status end_made(struct rn_control *control, struct rn_task *task,
+                               const struct rn_ingest_result *made, struct rn_error *err) {
+    char *result = NULL;
+    enum rn_status status = rn_encode(&rn_ingest_result_table, made, &result, NULL, err);
+    if (status != RN_OK) return status;
+    set_document(&task->row.result, &result);
+    status = rn_task_apply(control, task, RN_JOB_DONE, false, err);
+    if (status != RN_OK) set_document(&task->row.result, &result); // there is none
+    return status;
+}
+
+// The scene comes into being, with the checkpoint that was taken in.
+static enum rn_status make_scene(struct rn_control *control, struct rn_task *task,
+                                 const struct rn_wire_checkpoint *taken, struct rn_error *err) {
+    struct rn_scene_row scene = {.created_ms = rn_clock_wall_ms(),
+                                 .state = RN_SCENE_READY,
+                                 .steps = taken->step,
+                                 .train_seconds = taken->train_seconds,
+                                 .psnr = taken->psnr,
+                                 .record = taken->scene};
+    struct rn_scene_import_options options;
+    struct rn_ingest_result made = {.dataset = ""};
+    char path[96];
+    enum rn_status status = rn_decode(&rn_scene_import_options_table, task->row.options,
+                                      strlen(task->row.options), &options, NULL, err);
+    if (status != RN_OK) return status;
+    snprintf(scene.id, sizeof scene.id, "%s", task->row.scene);
+    snprintf(scene.name, sizeof scene.name, "%s", task->row.scene_name);
+    snprintf(scene.dataset, sizeof scene.dataset, "%s", options.dataset);
+    snprintf(scene.job, sizeof scene.job, "%s", task->row.id);
+    snprintf(scene.sha256, sizeof scene.sha256, "%s", taken->parameters_sha256);
+    snprintf(scene.digest, sizeof scene.digest, "%s", taken->digest);
+    snprintf(made.scene, sizeof made.scene, "%s", task->row.scene);
+    struct rn_checkpoint_row checkpoint = checkpoint_row(scene.id, taken, path);
+    task->makes_scene = &scene;
+    task->makes_checkpoint = &checkpoint;
+    status = end_made(control, task, &made, err);
+    task->makes_scene = NULL;
+    task->makes_checkpoint = NULL;
+    return status;
+}
+
+static enum rn_status end_scene_import(struct rn_control *control, struct rn_task *task,
+                                       const char *contents, struct rn_error *err) {
+    const struct rn_table *table = rn_wire_table(RN_WIRE_CHECKPOINT);
+    struct rn_wire_checkpoint taken;
+    enum rn_status status = rn_decode(table, contents, strlen(contents), &taken, NULL, err);
+    if (status != RN_OK) return status;
+    status = make_scene(control, task, &taken, err);
+    rn_message_finish(table, &taken);
+    return status;
+}
+
+// The dataset comes into being, named as the job said.
+static enum rn_status end_ingest(struct rn_control *control, struct rn_task *task,
+                                 const char *contents, struct rn_error *err) {
+    struct rn_dataset_row dataset = {.created_ms = rn_clock_wall_ms(), .record = (char *)contents};
+    struct rn_ingest_result ingest = {.scene = ""};
+    if (task->row.scene[0] != '\0') return end_scene_import(control, task, contents, err);
     snprintf(dataset.id, sizeof dataset.id, "%s", task->row.dataset);
     snprintf(dataset.name, sizeof dataset.name, "%s", task->row.dataset_name);
     snprintf(ingest.dataset, sizeof ingest.dataset, "%s", task->row.dataset);
-    enum rn_status status = rn_store_insert(control->store, &rn_datasets, &dataset, err);
+    task->makes = &dataset;
+    enum rn_status status = end_made(control, task, &ingest, err);
+    task->makes = NULL;
+    return status;
+}
+
+static enum rn_status end_other(struct rn_control *control, struct rn_task *task,
+                                struct rn_wire_done *done, struct rn_error *err) {
+    enum rn_status status =
+        task->row.type == RN_JOB_ESTIMATE ? rn_estimate_make(control, &done->result, err) : RN_OK;
     if (status != RN_OK) return status;
-    free(take(result));
-    return rn_encode(&rn_ingest_result_table, &ingest, result, NULL, err);
+    set_document(&task->row.result, &done->result);
+    if (task->row.type == RN_JOB_TRAIN) rn_estimate_check_training(control, &task->row);
+    rn_task_happened(control, task, RN_JOB_DONE);
+    if (task->row.type == RN_JOB_TRAIN && !rn_ladder_has(control, task->row.id))
+        rn_idle_want_curve(control, task->row.scene);
+    return RN_OK;
 }
 
 static void on_done(struct rn_control *control, struct rn_runner *runner,
                     struct rn_wire_done *done) {
     struct rn_error err = {0};
     struct rn_task *task = task_of(runner, done->job);
+    if (runner->helps[0] != '\0') rn_helper_go_on(control, runner);
     if (task == NULL) return;
-    if (task->row.type == RN_JOB_INGEST &&
-        finish_ingest(control, task, &done->result, &err) != RN_OK) {
+    enum rn_status status = task->row.type == RN_JOB_INGEST
+                                ? end_ingest(control, task, done->result, &err)
+                                : end_other(control, task, done, &err);
+    if (status != RN_OK)
         rn_task_fail(control, task, &err);
-    } else {
-        set_document(&task->row.result, &done->result);
-        rn_task_happened(control, task, RN_JOB_DONE);
-        if (task->row.type == RN_JOB_TRAIN) rn_idle_want_curve(control, task->row.scene);
+    else
         rn_task_detach(task);
-    }
-    if (rn_runner_imports(runner)) rn_runner_shutdown(control, runner);
+    if (rn_runner_is_for_one(runner)) rn_runner_shutdown(control, runner);
 }
 
 // The settings that a job's budget has become are its options from now on.
@@ -291,7 +392,7 @@ static void on_resolved(struct rn_control *control, struct rn_runner *runner,
     if (task == NULL) return;
     set_document(&task->row.options, &resolved->options);
     if (rn_store_update(control->store, &rn_jobs_table, &task->row, &err) != RN_OK)
-        rn_log(RN_LOG_ERROR, "job %s: %s", task->row.id, err.text);
+        rn_task_log(task, RN_LOG_ERROR, "%s", err.text);
     rn_task_announce(control, task);
 }
 
@@ -322,7 +423,10 @@ static void on_failed(struct rn_control *control, struct rn_runner *runner,
     struct rn_task *task = task_of(runner, failed->job);
     snprintf(err.where, sizeof err.where, "%s", failed->where);
     snprintf(err.text, sizeof err.text, "%s", failed->text);
-    if (failed->request != RN_ABSENT) {
+    if (runner->helps[0] != '\0') { // the runner that has the job makes its frames
+        rn_log(RN_LOG_WARN, "runner %d: %s", (int)runner->process.pid, err.text);
+        rn_runner_shutdown(control, runner);
+    } else if (failed->request != RN_ABSENT) {
         rn_render_failed(control, runner, failed->request, &err);
     } else if (failed->job[0] == '\0') {
         open_failed(control, runner, &err);
@@ -332,7 +436,7 @@ static void on_failed(struct rn_control *control, struct rn_runner *runner,
     } else if (task != NULL) {
         rn_task_fail(control, task, &err);
     }
-    if (rn_runner_imports(runner)) rn_runner_shutdown(control, runner);
+    if (rn_runner_is_for_one(runner)) rn_runner_shutdown(control, runner);
 }
 
 static void on_info(struct rn_control *control, struct rn_runner *runner,
@@ -348,10 +452,18 @@ static void on_info(struct rn_control *control, struct rn_runner *runner,
 
 static void on_hello(struct rn_control *control, struct rn_runner *runner,
                      const struct rn_wire_hello *hello) {
-    if (hello->protocol != RN_WIRE_PROTOCOL || strcmp(hello->mode, runner->mode) != 0) {
-        rn_log(RN_LOG_ERROR, "runner %d: version %s speaks protocol %lld in mode %s",
-               (int)runner->process.pid, hello->version, (long long)hello->protocol, hello->mode);
-        runner->broken = true;
+    struct rn_error err;
+    const char *version = control->options.version;
+    if (hello->protocol != RN_WIRE_PROTOCOL || strcmp(hello->version, version) != 0 ||
+        strcmp(hello->mode, runner->mode) != 0) {
+        rn_error_set(&err, RN_ERROR_UNSUPPORTED, "version",
+                     "the runner%s%s is version %.20s (protocol %lld, mode %.10s), the daemon %s "
+                     "(protocol %d): install the same",
+                     runner->where.machine[0] != '\0' ? " on " : "", runner->where.machine,
+                     hello->version, (long long)hello->protocol, hello->mode, version,
+                     RN_WIRE_PROTOCOL);
+        rn_log(RN_LOG_ERROR, "runner %d: %s", (int)runner->process.pid, err.text);
+        open_failed(control, runner, &err);
     } else if (rn_runner_imports(runner)) {
         runner->state = RN_RUNNER_READY;
         if (runner->work != NULL) rn_runner_begin(control, runner->work);
@@ -419,6 +531,9 @@ static void dispatch(struct rn_control *control, struct rn_runner *runner,
         break;
     case RN_WIRE_RESERVE:
         rn_gpu_reserve(control, runner, &any->reserve);
+        break;
+    case RN_WIRE_ALIVE: // one that fetches what it needs may take its time
+        if (runner->state == RN_RUNNER_STARTING) rn_runner_more_time(runner);
         break;
     default:
         break;

@@ -169,6 +169,7 @@ void rn_render_send(struct rn_control *control, struct rn_runner *runner) {
         render->sent = true;
         rn_runner_post(control, runner, RN_WIRE_RENDER, &message);
     }
+    rn_hold_others(control);
 }
 
 // What a budget was spent on. Late: the time is over, or no point of the curve reaches what was
@@ -190,6 +191,15 @@ static void tell_budget(struct rn_reply *reply, const struct rn_render *render,
     rn_reply_header(reply, "X-Ripnerf-Late", "%d", late);
 }
 
+// Where there are other machines: which one made it, and why it was this one.
+static void tell_machine(struct rn_reply *reply, const struct rn_runner *runner) {
+    if (runner->process.remote)
+        rn_reply_header(reply, "X-Ripnerf-Machine", "%s", runner->where.machine);
+    else if (runner->where.reason[0] != '\0')
+        rn_reply_header(reply, "X-Ripnerf-Machine", "the daemon's; Slurm: %s",
+                        runner->where.reason);
+}
+
 static void fill_reply(struct rn_reply *reply, const struct rn_render *render,
                        const struct rn_wire_rendered *rendered, uint8_t *copy, size_t size) {
     double total_ms = (double)(rn_clock_ns() - render->begin_ns) * 1e-6;
@@ -197,14 +207,20 @@ static void fill_reply(struct rn_reply *reply, const struct rn_render *render,
     // Of another step: its checkpoint was damaged, and the one before took its place.
     bool cacheable =
         render->etag[0] != '\0' && !rendered->training && rendered->step == render->step;
-    rn_reply_bytes(reply, 200, rendered->format == RN_FORMAT_JPEG ? "image/jpeg" : "image/png",
-                   copy, size);
+    rn_reply_bytes(reply, 200, rn_picture_format_types[rendered->format], copy, size);
     rn_reply_header(reply, "Server-Timing", "queue;dur=%.1f, render;dur=%.1f, encode;dur=%.1f",
                     queue_ms > 0 ? queue_ms : 0, rendered->render_ms, rendered->encode_ms);
     rn_reply_header(reply, "X-Ripnerf-Step", "%lld", (long long)rendered->step);
     rn_reply_header(reply, "X-Ripnerf-Samples", "%lld", (long long)rendered->samples);
+    if (!isnan(rendered->at)) rn_reply_header(reply, "X-Ripnerf-At", "%.2f", rendered->at);
+    if (!isnan(rendered->scale_high) && rn_output_kind_units[render->request.output])
+        rn_reply_header(reply, "X-Ripnerf-Scale", "0 %g %s", rendered->scale_high,
+                        rn_output_kind_units[render->request.output]);
     rn_reply_header(reply, "Cache-Control", cacheable ? "no-cache" : "no-store");
     if (cacheable) rn_reply_header(reply, "ETag", "%s", render->etag);
+    if (*rendered->effects)
+        rn_reply_header(reply, "X-Ripnerf-Effects", "%s; cones=%lld", rendered->effects,
+                        (long long)rendered->cones);
     tell_budget(reply, render, rendered);
 }
 
@@ -231,6 +247,7 @@ void rn_render_done(struct rn_control *control, struct rn_runner *runner,
         if (copy != NULL && size > 0) {
             memcpy(copy, blob, size);
             fill_reply(&reply, render, rendered, copy, size);
+            tell_machine(&reply, runner);
         } else {
             free(copy);
             rn_reply_problem(&reply, RN_PROBLEM_INTERNAL, "no memory for the picture");

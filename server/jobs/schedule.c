@@ -7,6 +7,8 @@
 
 // While the scene's old runner is ending.
 #define RETRY_NS 200000000ll
+// A runner that is on its way for longer waits in the cluster's queue.
+#define QUEUED_NS (3 * 1000000000ll)
 
 static bool is_active(const struct rn_task *task) {
     return task->row.state == RN_JOB_RUNNING || task->row.state == RN_JOB_CANCELLING;
@@ -40,19 +42,29 @@ static bool is_renderable(struct rn_control *control, const char *scene) {
 static bool may_start(struct rn_control *control, const struct rn_task *task) {
     const struct rn_runner *runner =
         task->row.scene[0] != '\0' ? rn_runner_find(control, task->row.scene) : NULL;
+    bool spreads = control->executor->spreads; // then slots are its cluster's
     switch (task->row.type) {
     case RN_JOB_TRAIN:
-        return count_active(control, RN_JOB_TRAIN, RN_JOB_TRAIN) <
-                   control->options.training_slots &&
+    case RN_JOB_ESTIMATE: // whose times are those of a training that has its slot
+        return ((spreads && task->row.type == RN_JOB_TRAIN) ||
+                count_active(control, RN_JOB_TRAIN, RN_JOB_ESTIMATE) <
+                    control->options.training_slots) &&
                (runner == NULL || runner->work == NULL);
     case RN_JOB_INGEST:
-        return count_active(control, RN_JOB_INGEST, RN_JOB_INGEST) == 0;
+    case RN_JOB_VALIDATE:
+        return count_active(control, RN_JOB_INGEST, RN_JOB_VALIDATE) == 0;
     case RN_JOB_PATH:
     case RN_JOB_EVAL:
     case RN_JOB_CURVE:
-        return count_active(control, RN_JOB_PATH, RN_JOB_EVAL) == 0 &&
-               count_active(control, RN_JOB_CURVE, RN_JOB_CURVE) == 0 &&
+    case RN_JOB_EFFECTS:
+    case RN_JOB_EXPORT:
+    case RN_JOB_DOCTOR:
+        return (spreads || (count_active(control, RN_JOB_PATH, RN_JOB_EVAL) == 0 &&
+                            count_active(control, RN_JOB_EXPORT, RN_JOB_DOCTOR) == 0 &&
+                            count_active(control, RN_JOB_CURVE, RN_JOB_EFFECTS) == 0)) &&
                (runner == NULL || runner->work == NULL) && is_renderable(control, task->row.scene);
+    case RN_JOB_LADDER: // has no runner: ladder.c
+        return false;
     }
     return false;
 }
@@ -61,6 +73,7 @@ static bool may_start(struct rn_control *control, const struct rn_task *task) {
 static const char *mode_of_import(const struct rn_task *task) {
     struct rn_ingest_options options;
     const char *json = task->row.options;
+    if (task->row.scene[0] != '\0' || task->row.type == RN_JOB_VALIDATE) return RN_MODE_INGEST;
     if (rn_decode(&rn_ingest_options_table, json, strlen(json), &options, NULL, NULL) != RN_OK)
         return RN_MODE_INGEST; // which says what is wrong
     return rn_name_or(options.poses, RN_POSES_FILE) == RN_POSES_FIND ? RN_MODE_POSES
@@ -69,12 +82,22 @@ static const char *mode_of_import(const struct rn_task *task) {
 
 static enum rn_status find_runner(struct rn_control *control, struct rn_task *task,
                                   struct rn_runner **ret_runner, struct rn_error *err) {
-    if (task->row.type != RN_JOB_INGEST)
+    if (task->row.type == RN_JOB_ESTIMATE)
+        return rn_runner_for_estimate(control, task, ret_runner, err);
+    bool imports = task->row.type == RN_JOB_INGEST || task->row.type == RN_JOB_VALIDATE;
+    struct rn_runner *runner = rn_runner_find(control, task->row.scene);
+    // One that was started here for a picture makes way for one that the job is asked of.
+    if (!imports && control->executor->spreads && runner != NULL && !runner->process.remote) {
+        if (rn_runner_is_idle(runner)) rn_runner_shutdown(control, runner);
+        return rn_error_set(err, RN_ERROR_BUSY, "", "the scene's runner is ending");
+    }
+    if (!imports)
         return rn_runner_for_scene(control, task->row.scene, task->row.type != RN_JOB_TRAIN,
                                    ret_runner, err);
     char *log = rn_store_path(control->store, "jobs/%s/log", task->row.id);
-    enum rn_status status =
-        rn_runner_start(control, mode_of_import(task), "", log, ret_runner, err);
+    const struct rn_order order = {
+        .mode = mode_of_import(task), .scene = "", .log_path = log, .here = true};
+    enum rn_status status = rn_runner_start(control, &order, ret_runner, err);
     free(log);
     return status;
 }
@@ -97,25 +120,50 @@ static void start(struct rn_control *control, struct rn_task *task) {
         runner->train = task;
     else
         runner->work = task;
-    if (task->row.state == RN_JOB_QUEUED) rn_task_happened(control, task, RN_JOB_START);
+    if (task->row.state == RN_JOB_QUEUED && rn_task_is_attached(task))
+        rn_task_happened(control, task, RN_JOB_START);
     if (runner->state == RN_RUNNER_READY) rn_runner_begin(control, task);
+}
+
+static bool is_stale(const struct rn_control *control, const struct rn_runner *runner,
+                     int64_t now_ns) {
+    return now_ns - runner->last_used_ns > control->options.keep_alive_s * 1000000000ll;
+}
+
+// Runners that wait in the cluster's queue, less those that end and will make room.
+static int count_unplaced(const struct rn_control *control, int64_t now_ns) {
+    int count = 0;
+    for (const struct rn_runner *runner = control->runners; runner != NULL; runner = runner->next) {
+        bool waits = runner->state == RN_RUNNER_AWAITED && now_ns - runner->asked_ns > QUEUED_NS;
+        bool ends = runner->process.remote && runner->state == RN_RUNNER_ENDING;
+        count += waits - ends;
+    }
+    return count;
+}
+
+// Remote ones that are idle for long, or for which others wait.
+static void evict_remote(struct rn_control *control, int64_t now_ns) {
+    struct rn_runner *oldest;
+    while ((oldest = rn_runner_oldest_idle(control, true, NULL)) != NULL &&
+           (is_stale(control, oldest, now_ns) || count_unplaced(control, now_ns) > 0))
+        rn_runner_shutdown(control, oldest);
 }
 
 static void evict(struct rn_control *control) {
     int64_t memory = 0, now_ns = rn_clock_ns();
     int loaded = 0;
     for (struct rn_runner *runner = control->runners; runner != NULL; runner = runner->next) {
-        if (runner->state == RN_RUNNER_ENDING) continue;
+        if (runner->state == RN_RUNNER_ENDING || runner->process.remote) continue;
         memory += runner->memory_bytes;
         loaded += strcmp(runner->mode, "field") == 0;
     }
     struct rn_runner *oldest;
-    while ((oldest = rn_runner_oldest_idle(control, NULL)) != NULL) {
+    evict_remote(control, now_ns);
+    while ((oldest = rn_runner_oldest_idle(control, false, NULL)) != NULL) {
         bool over = loaded > control->options.max_loaded ||
                     (control->options.memory_limit_bytes > 0 && loaded > 1 &&
                      memory > control->options.memory_limit_bytes);
-        bool stale = now_ns - oldest->last_used_ns > control->options.keep_alive_s * 1000000000ll;
-        if (!over && !stale) return;
+        if (!over && !is_stale(control, oldest, now_ns)) return;
         memory -= oldest->memory_bytes;
         loaded--;
         rn_runner_shutdown(control, oldest);
@@ -128,9 +176,11 @@ void rn_schedule(struct rn_control *control) {
     int64_t now_ns = rn_clock_ns();
     for (struct rn_task *task = control->tasks; task != NULL; task = task->next) {
         if (now_ns < task->not_before_ns) continue;
-        bool queued = task->row.state == RN_JOB_QUEUED && may_start(control, task);
+        bool awaited = task->runner != NULL && !rn_task_is_attached(task);
+        bool queued = task->row.state == RN_JOB_QUEUED && !awaited && may_start(control, task);
         // It has its slot, but another process held its scene.
-        bool waits = task->row.state == RN_JOB_RUNNING && task->runner == NULL;
+        bool waits = task->row.state == RN_JOB_RUNNING && task->runner == NULL &&
+                     task->row.type != RN_JOB_LADDER;
         if (queued || waits) start(control, task);
     }
     evict(control);

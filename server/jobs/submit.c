@@ -10,6 +10,7 @@
 #include "common/base/file.h"
 #include "common/base/log.h"
 #include "proto/event.h"
+#include "proto/marks.h"
 #include "server/jobs/inside.h"
 
 // What a submission will write.
@@ -22,10 +23,76 @@ static void set_text(char *target, size_t size, const char *text) {
     snprintf(target, size, "%s", text);
 }
 
-static enum rn_status check_queue(struct rn_control *control, struct rn_error *err) {
+// Unfinished jobs; of one token, where `owner` is not NULL.
+static int count_open(const struct rn_control *control, const char *owner) {
     int open = 0;
     for (const struct rn_task *task = control->tasks; task != NULL; task = task->next)
-        open += !rn_job_is_over(task->row.state);
+        open += !rn_job_is_over(task->row.state) &&
+                (owner == NULL || strcmp(task->row.owner, owner) == 0);
+    return open;
+}
+
+// Bytes that a token's jobs have made, the marks of its scenes with them: these have no record.
+static enum rn_status owned_bytes(struct rn_control *control, const char *owner, int64_t *ret_bytes,
+                                  struct rn_error *err) {
+    struct rn_query query = {.equal = {{"owner", owner}, {"type", rn_job_type_names[RN_JOB_TRAIN]}},
+                             .without = "source"};
+    void *rows = NULL;
+    size_t count = 0;
+    enum rn_status status = rn_store_owned_bytes(control->store, owner, ret_bytes, err);
+    if (status == RN_OK)
+        status = rn_store_list(control->store, &rn_jobs_table, &query, &rows, &count, err);
+    for (size_t i = 0; i < count; i++) {
+        struct rn_mark marks[RN_MARKS_KEPT];
+        const struct rn_job_row *job = &((const struct rn_job_row *)rows)[i];
+        char *folder = rn_store_path(control->store, "scenes/%s", job->scene);
+        size_t kept = folder != NULL ? rn_marks_list(folder, marks) : 0;
+        for (size_t m = 0; m < kept; m++)
+            *ret_bytes += marks[m].size_bytes;
+        free(folder);
+    }
+    rn_rows_finish(&rn_jobs_table, rows, count);
+    return status;
+}
+
+// Evaluations and what is measured leave nothing on the disk to speak of, and a ladder's trainings
+// are jobs of their own.
+static bool takes_space(enum rn_job_type type) {
+    return type != RN_JOB_EVAL && type != RN_JOB_CURVE && type != RN_JOB_ESTIMATE &&
+           type != RN_JOB_EFFECTS && type != RN_JOB_LADDER && type != RN_JOB_DOCTOR &&
+           type != RN_JOB_VALIDATE;
+}
+
+static enum rn_status check_quotas(struct rn_control *control, const struct rn_submission *wanted,
+                                   struct rn_error *err) {
+    const struct rn_caller *caller = wanted->caller;
+    int64_t bytes = 0;
+    if (caller == NULL || caller->id[0] == '\0') return RN_OK;
+    int open = count_open(control, caller->id);
+    if (caller->max_jobs > 0 && open >= caller->max_jobs)
+        return rn_error_set(err, RN_ERROR_BUSY, "", "token '%s' has %d unfinished jobs, its quota",
+                            caller->name, open);
+    if (caller->max_bytes == 0 || !takes_space(wanted->type)) return RN_OK;
+    enum rn_status status = owned_bytes(control, caller->id, &bytes, err);
+    if (status != RN_OK || bytes + wanted->upload_bytes <= caller->max_bytes) return status;
+    return rn_error_set(err, RN_ERROR_LIMIT, "",
+                        "what token '%s' has made holds %lld bytes, its quota is %lld; delete "
+                        "something",
+                        caller->name, (long long)(bytes + wanted->upload_bytes),
+                        (long long)caller->max_bytes);
+}
+
+enum rn_status rn_control_usage(struct rn_control *control, const char *token, int64_t *ret_jobs,
+                                int64_t *ret_bytes, struct rn_error *err) {
+    pthread_mutex_lock(&control->lock);
+    *ret_jobs = count_open(control, token);
+    enum rn_status status = owned_bytes(control, token, ret_bytes, err);
+    pthread_mutex_unlock(&control->lock);
+    return status;
+}
+
+static enum rn_status check_queue(struct rn_control *control, struct rn_error *err) {
+    int open = count_open(control, NULL);
     if (control->stopping)
         return rn_error_set(err, RN_ERROR_UNAVAILABLE, "", "the daemon is shutting down");
     if (open >= control->options.max_queued)
@@ -33,27 +100,65 @@ static enum rn_status check_queue(struct rn_control *control, struct rn_error *e
     return RN_OK;
 }
 
-static enum rn_status draft_train(struct rn_control *control, const struct rn_submission *wanted,
-                                  struct draft *draft, struct rn_error *err) {
+static enum rn_status take_dataset(struct rn_control *control, const struct rn_submission *wanted,
+                                   struct draft *draft, struct rn_error *err) {
     struct rn_dataset_row dataset;
-    struct rn_scene_row scene;
-    struct rn_error absent;
     enum rn_status status = rn_store_resolve(control->store, &rn_datasets, RN_ID_DATASET,
                                              wanted->dataset, &dataset, err);
     if (status != RN_OK) return status;
     set_text(draft->job.dataset, sizeof draft->job.dataset, dataset.id);
     set_text(draft->job.dataset_name, sizeof draft->job.dataset_name, dataset.name);
     rn_row_finish(&rn_datasets, &dataset);
-    status = rn_store_find(control->store, &rn_scenes, "name", wanted->scene, &scene, &absent);
-    if (status == RN_OK) {
+    return RN_OK;
+}
+
+// RN_ERROR_CONFLICT where there is a scene of the wanted name, or an import makes one.
+static enum rn_status check_scene_name(struct rn_control *control, const char *name,
+                                       const char *where, struct rn_error *err) {
+    struct rn_scene_row scene;
+    struct rn_error absent;
+    if (rn_store_find(control->store, &rn_scenes, "name", name, &scene, &absent) == RN_OK) {
         const struct rn_task *task = rn_task_training(control, scene.id);
-        status = rn_error_set(
-            err, RN_ERROR_CONFLICT, "#/scene", "there is a scene '%s'%s%s%s", scene.name,
-            task != NULL ? ", and job " : "", task != NULL ? task->row.id : "",
-            task != NULL ? " is training it" : "; choose another name or delete that one");
+        rn_error_set(err, RN_ERROR_CONFLICT, where, "there is a scene '%s'%s%s%s", scene.name,
+                     task != NULL ? ", and job " : "", task != NULL ? task->row.id : "",
+                     task != NULL ? " is training it" : "; choose another name or delete that one");
         rn_row_finish(&rn_scenes, &scene);
-        return status;
+        return RN_ERROR_CONFLICT;
     }
+    for (const struct rn_task *task = control->tasks; task != NULL; task = task->next)
+        if (task->row.type == RN_JOB_INGEST && !rn_job_is_over(task->row.state) &&
+            strcmp(task->row.scene_name, name) == 0)
+            return rn_error_set(err, RN_ERROR_CONFLICT, where,
+                                "job %s imports a scene '%s' already", task->row.id, name);
+    return RN_OK;
+}
+
+int rn_train_ranks(const char *json) {
+    struct rn_train_options options;
+    if (rn_decode(&rn_train_options_table, json, strlen(json), &options, NULL, NULL) != RN_OK)
+        return 1;
+    int64_t ranks = rn_int_or(options.ranks, 1);
+    rn_message_finish(&rn_train_options_table, &options);
+    return (int)ranks;
+}
+
+// Ranks are started by a cluster's scheduler, and read what they train from a folder that all see.
+static enum rn_status check_ranks(const struct rn_control *control, const char *json,
+                                  struct rn_error *err) {
+    const struct rn_executor *executor = control->executor;
+    if (rn_train_ranks(json) == 1 || (executor->spreads && executor->keeps)) return RN_OK;
+    return rn_error_set(err, RN_ERROR_INVALID, "#/options/ranks",
+                        "%s: one training over several nodes needs a daemon with --executor slurm "
+                        "and a folder that all of them see, --shared",
+                        executor->spreads ? "nothing is shared" : "this machine is no cluster");
+}
+
+static enum rn_status draft_train(struct rn_control *control, const struct rn_submission *wanted,
+                                  struct draft *draft, struct rn_error *err) {
+    enum rn_status status = take_dataset(control, wanted, draft, err);
+    if (status == RN_OK) status = check_ranks(control, wanted->options, err);
+    if (status == RN_OK) status = check_scene_name(control, wanted->scene, "#/scene", err);
+    if (status != RN_OK) return status;
     status = rn_store_new_id(RN_ID_SCENE, draft->scene.id, err);
     set_text(draft->scene.name, sizeof draft->scene.name, wanted->scene);
     set_text(draft->scene.dataset, sizeof draft->scene.dataset, draft->job.dataset);
@@ -85,6 +190,14 @@ static enum rn_status draft_work(struct rn_control *control, const struct rn_sub
     return status;
 }
 
+// A scene that comes as a file: its record is written when it has been read.
+static enum rn_status draft_scene(struct rn_control *control, const struct rn_submission *wanted,
+                                  struct draft *draft, struct rn_error *err) {
+    enum rn_status status = check_scene_name(control, wanted->scene, "name", err);
+    set_text(draft->job.scene_name, sizeof draft->job.scene_name, wanted->scene);
+    return status != RN_OK ? status : rn_store_new_id(RN_ID_SCENE, draft->job.scene, err);
+}
+
 static enum rn_status draft_ingest(struct rn_control *control, const struct rn_submission *wanted,
                                    struct draft *draft, struct rn_error *err) {
     struct rn_dataset_row dataset;
@@ -109,6 +222,9 @@ static enum rn_status draft_ingest(struct rn_control *control, const struct rn_s
 static enum rn_status make_draft(struct rn_control *control, const struct rn_submission *wanted,
                                  struct draft *draft, struct rn_error *err) {
     struct rn_job_row *job = &draft->job;
+    if (wanted->caller != NULL) set_text(job->owner, sizeof job->owner, wanted->caller->id);
+    if (wanted->traceparent != NULL && wanted->traceparent[0] != '\0')
+        rn_trace_begin(wanted->traceparent, job->traceparent);
     job->type = wanted->type;
     job->state = RN_JOB_QUEUED;
     job->attempt = 1;
@@ -117,9 +233,13 @@ static enum rn_status make_draft(struct rn_control *control, const struct rn_sub
     if (status != RN_OK) return status;
     if (wanted->type == RN_JOB_TRAIN)
         status = draft_train(control, wanted, draft, err);
+    else if (wanted->type == RN_JOB_ESTIMATE || wanted->type == RN_JOB_LADDER)
+        status = take_dataset(control, wanted, draft, err);
+    else if (wanted->type == RN_JOB_INGEST && wanted->scene != NULL)
+        status = draft_scene(control, wanted, draft, err);
     else if (wanted->type == RN_JOB_INGEST)
         status = draft_ingest(control, wanted, draft, err);
-    else
+    else if (wanted->type != RN_JOB_VALIDATE)
         status = draft_work(control, wanted, draft, err);
     if (status != RN_OK) return status;
     job->options = strdup(wanted->options);
@@ -146,9 +266,8 @@ static enum rn_status write_draft(struct rn_control *control, const struct rn_su
                                   struct draft *draft, struct rn_error *err) {
     enum rn_status status = make_folder(control, draft->job.id, err);
     if (status != RN_OK) return status;
-    if (wanted->spooled != NULL && rename(wanted->spooled, draft->job.source) != 0)
-        return rn_error_from_errno(err, errno, draft->job.source, "keeping the upload");
-    status = rn_store_begin(control->store, err);
+    if (wanted->spooled != NULL) status = rn_file_rename(wanted->spooled, draft->job.source, err);
+    if (status == RN_OK) status = rn_store_begin(control->store, err);
     if (status != RN_OK) goto fail;
     status = rn_store_insert(control->store, &rn_jobs_table, &draft->job, err);
     if (status == RN_OK && wanted->type == RN_JOB_TRAIN)
@@ -187,6 +306,7 @@ enum rn_status rn_task_submit(struct rn_control *control, const struct rn_submis
     struct draft draft = {0};
     struct rn_task *task = NULL;
     enum rn_status status = check_queue(control, err);
+    if (status == RN_OK) status = check_quotas(control, wanted, err);
     if (status == RN_OK) status = make_draft(control, wanted, &draft, err);
     if (status == RN_OK) status = write_draft(control, wanted, &draft, err);
     if (status == RN_OK) status = rn_task_add(control, &draft.job, &task, err);
@@ -199,13 +319,26 @@ enum rn_status rn_task_submit(struct rn_control *control, const struct rn_submis
     return status;
 }
 
+enum rn_status rn_task_submit_once(struct rn_control *control, const struct rn_submission *wanted,
+                                   char ret_id[RN_ID_MAX], struct rn_error *err) {
+    struct rn_task *task;
+    enum rn_status status = find_key(control, wanted, ret_id, err);
+    if (status != RN_ERROR_NOT_FOUND) return status;
+    status = rn_task_submit(control, wanted, &task, err);
+    if (status == RN_OK) set_text(ret_id, RN_ID_MAX, task->row.id);
+    return status;
+}
+
+// `begun`: a path job whose frames the new one begins with, or NULL.
 static enum rn_status submit(struct rn_control *control, const struct rn_submission *wanted,
-                             char ret_id[RN_ID_MAX], char **ret_json, struct rn_error *err) {
+                             const char *begun, char ret_id[RN_ID_MAX], char **ret_json,
+                             struct rn_error *err) {
     struct rn_task *task;
     rn_idle_stop(control);
     enum rn_status status = rn_task_submit(control, wanted, &task, err);
     if (status != RN_OK) return status;
     set_text(ret_id, RN_ID_MAX, task->row.id);
+    if (begun != NULL) rn_frames_hand_on(control, begun, task->row.id);
     rn_schedule(control);
     return rn_document_job(control, &task->row, ret_json, err);
 }
@@ -216,7 +349,7 @@ enum rn_status rn_control_submit(struct rn_control *control, const struct rn_sub
     pthread_mutex_lock(&control->lock);
     if (wanted->key != NULL) status = find_key(control, wanted, ret_id, err);
     bool again = status == RN_OK;
-    if (status == RN_ERROR_NOT_FOUND) status = submit(control, wanted, ret_id, ret_json, err);
+    if (status == RN_ERROR_NOT_FOUND) status = submit(control, wanted, NULL, ret_id, ret_json, err);
     pthread_mutex_unlock(&control->lock);
     return again ? rn_control_job_json(control, ret_id, ret_json, err) : status;
 }
@@ -248,6 +381,24 @@ static enum rn_status command_over(struct rn_control *control, const char *id,
     return status;
 }
 
+static enum rn_status command(struct rn_control *control, struct rn_task *task,
+                              enum rn_job_event event, struct rn_error *err) {
+    enum rn_job_state before = task->row.state;
+    enum rn_status status = rn_task_apply(control, task, event, false, err);
+    bool changed = status == RN_OK && task->row.state != before;
+    if (changed || (status == RN_OK && event == RN_JOB_FINISH && !task->finish))
+        tell_runner(control, task, event);
+    return status;
+}
+
+bool rn_task_cancel(struct rn_control *control, struct rn_task *task) {
+    struct rn_error err = {0};
+    if (task == NULL || rn_job_is_over(task->row.state)) return false;
+    if (command(control, task, RN_JOB_CANCEL, &err) != RN_OK)
+        rn_task_log(task, RN_LOG_WARN, "%s", err.text);
+    return !rn_job_is_over(task->row.state);
+}
+
 enum rn_status rn_control_command(struct rn_control *control, const char *id,
                                   enum rn_job_event event, char **ret_json, struct rn_error *err) {
     pthread_mutex_lock(&control->lock);
@@ -256,11 +407,7 @@ enum rn_status rn_control_command(struct rn_control *control, const char *id,
     if (task == NULL) {
         status = command_over(control, id, event, ret_json, err);
     } else {
-        enum rn_job_state before = task->row.state;
-        status = rn_task_apply(control, task, event, false, err);
-        bool changed = status == RN_OK && task->row.state != before;
-        if (changed || (status == RN_OK && event == RN_JOB_FINISH && !task->finish))
-            tell_runner(control, task, event);
+        status = command(control, task, event, err);
         if (status == RN_OK) {
             rn_schedule(control);
             rn_control_wake(control);
@@ -269,6 +416,35 @@ enum rn_status rn_control_command(struct rn_control *control, const char *id,
     }
     pthread_mutex_unlock(&control->lock);
     return status;
+}
+
+static bool is_unfinished_path(const struct rn_job_row *job) {
+    return job->type == RN_JOB_PATH &&
+           (job->state == RN_JOB_FAILED || job->state == RN_JOB_CANCELLED);
+}
+
+enum rn_status rn_control_go_on(struct rn_control *control, const char *id,
+                                const struct rn_caller *caller, char ret_id[RN_ID_MAX],
+                                char **ret_json, struct rn_error *err) {
+    struct rn_job_row row;
+    ret_id[0] = '\0';
+    pthread_mutex_lock(&control->lock);
+    const struct rn_task *task = rn_task_find(control, id);
+    enum rn_status status =
+        rn_store_resolve(control->store, &rn_jobs_table, RN_ID_JOB, id, &row, err);
+    bool unfinished = status == RN_OK && is_unfinished_path(task != NULL ? &task->row : &row);
+    if (unfinished) {
+        struct rn_submission wanted = {.type = RN_JOB_PATH,
+                                       .scene = row.scene,
+                                       .source = row.source,
+                                       .options = row.options,
+                                       .caller = caller};
+        status = submit(control, &wanted, row.id, ret_id, ret_json, err);
+    }
+    if (unfinished || status == RN_OK) rn_row_finish(&rn_jobs_table, &row);
+    pthread_mutex_unlock(&control->lock);
+    if (unfinished || status != RN_OK) return status;
+    return rn_control_command(control, id, RN_JOB_RESUME, ret_json, err);
 }
 
 static void remove_folder(struct rn_control *control, const char *kind, const char *id) {
@@ -317,16 +493,21 @@ static enum rn_status delete_scene(struct rn_control *control, const struct rn_s
     return RN_OK;
 }
 
-enum rn_status rn_control_delete_scene(struct rn_control *control, const char *reference,
-                                       struct rn_error *err) {
+enum rn_status rn_task_delete_scene(struct rn_control *control, const char *reference,
+                                    struct rn_error *err) {
     struct rn_scene_row scene;
-    pthread_mutex_lock(&control->lock);
     enum rn_status status =
         rn_store_resolve(control->store, &rn_scenes, RN_ID_SCENE, reference, &scene, err);
-    if (status == RN_OK) {
-        status = delete_scene(control, &scene, err);
-        rn_row_finish(&rn_scenes, &scene);
-    }
+    if (status != RN_OK) return status;
+    status = delete_scene(control, &scene, err);
+    rn_row_finish(&rn_scenes, &scene);
+    return status;
+}
+
+enum rn_status rn_control_delete_scene(struct rn_control *control, const char *reference,
+                                       struct rn_error *err) {
+    pthread_mutex_lock(&control->lock);
+    enum rn_status status = rn_task_delete_scene(control, reference, err);
     pthread_mutex_unlock(&control->lock);
     return status;
 }
@@ -343,6 +524,11 @@ static enum rn_status check_unused(struct rn_control *control, const struct rn_d
                               "scene '%s' was made from dataset '%s'; delete it first",
                               ((struct rn_scene_row *)rows)->name, dataset->name);
     rn_rows_finish(&rn_scenes, rows, count);
+    for (const struct rn_task *task = control->tasks; status == RN_OK && task; task = task->next)
+        if ((task->row.type == RN_JOB_ESTIMATE || task->row.type == RN_JOB_LADDER) &&
+            !rn_job_is_over(task->row.state) && strcmp(task->row.dataset, dataset->id) == 0)
+            status = rn_error_set(err, RN_ERROR_CONFLICT, "", "job %s works on dataset '%s'",
+                                  task->row.id, dataset->name);
     return status;
 }
 

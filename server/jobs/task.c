@@ -1,10 +1,12 @@
 // Jobs in memory: transitions, events, and what follows from a runner's end.
+#include <stdarg.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <unistd.h>
 
 #include "common/base/clock.h"
+#include "common/base/file.h"
 #include "common/base/log.h"
 #include "proto/event.h"
 #include "proto/problem.h"
@@ -12,6 +14,17 @@
 
 // The pause between a lost runner and the next attempt.
 #define RETRY_NS 1000000000ll
+
+void rn_task_log(const struct rn_task *task, enum rn_log_level level, const char *fmt, ...) {
+    char text[RN_LOG_TEXT_MAX];
+    va_list args;
+    va_start(args, fmt);
+    vsnprintf(text, sizeof text, fmt, args);
+    va_end(args);
+    const char *before = rn_log_set_trace(task->row.traceparent);
+    rn_log(level, "job %s: %s", task->row.id, text);
+    rn_log_set_trace(before);
+}
 
 struct rn_task *rn_task_find(struct rn_control *control, const char *id) {
     for (struct rn_task *task = control->tasks; task != NULL; task = task->next)
@@ -56,7 +69,20 @@ enum rn_status rn_task_add(struct rn_control *control, struct rn_job_row *row,
 void rn_task_free(struct rn_task *task) {
     rn_ring_unref(&task->ring);
     rn_row_finish(&rn_jobs_table, &task->row);
+    rn_ladder_free(task->ladder);
+    free(task->told);
     free(task);
+}
+
+bool rn_task_is_attached(const struct rn_task *task) {
+    return task->runner != NULL && task->runner->state != RN_RUNNER_AWAITED;
+}
+
+// Whether it ends when somebody who works on it says so, and not at once. A ladder that has begun
+// is worked on by the daemon itself.
+static bool is_held(const struct rn_task *task) {
+    bool ladder = task->row.type == RN_JOB_LADDER && task->row.started_ms != 0;
+    return ladder || rn_task_is_attached(task);
 }
 
 enum rn_scene_state rn_scene_state_of(const struct rn_scene_row *row, const struct rn_task *task) {
@@ -95,6 +121,12 @@ static enum rn_status persist(struct rn_control *control, const struct rn_task *
     enum rn_status status = rn_store_begin(control->store, err);
     if (status != RN_OK) return status;
     status = rn_store_update(control->store, &rn_jobs_table, &task->row, err);
+    if (status == RN_OK && task->makes != NULL)
+        status = rn_store_insert(control->store, &rn_datasets, task->makes, err);
+    if (status == RN_OK && task->makes_scene != NULL)
+        status = rn_store_insert(control->store, &rn_scenes, task->makes_scene, err);
+    if (status == RN_OK && task->makes_checkpoint != NULL)
+        status = rn_store_insert(control->store, &rn_checkpoints, task->makes_checkpoint, err);
     if (status == RN_OK && task->row.type == RN_JOB_TRAIN)
         status = write_scene_state(control, task, err);
     if (status == RN_OK) return rn_store_commit(control->store, err);
@@ -124,7 +156,7 @@ void rn_task_announce(struct rn_control *control, struct rn_task *task) {
     if (rn_document_job(control, &task->row, &json, &err) == RN_OK)
         rn_task_publish(control, task, RN_EVENT_STATE, json, false);
     else
-        rn_log(RN_LOG_ERROR, "job %s: no event: %s", task->row.id, err.text);
+        rn_task_log(task, RN_LOG_ERROR, "no event: %s", err.text);
     free(json);
     if (rn_job_is_over(task->row.state)) rn_ring_close(task->ring);
 }
@@ -134,7 +166,7 @@ enum rn_status rn_task_apply(struct rn_control *control, struct rn_task *task,
     struct rn_job_row before = task->row; // its documents stay with the task
     enum rn_job_state next;
     enum rn_status status =
-        rn_job_next(task->row.type, task->row.state, event, task->runner != NULL, &next, err);
+        rn_job_next(task->row.type, task->row.state, event, is_held(task), &next, err);
     if (status != RN_OK) return status;
     if (next == task->row.state) return RN_OK;
     task->row.state = next;
@@ -152,20 +184,22 @@ enum rn_status rn_task_apply(struct rn_control *control, struct rn_task *task,
         return status;
     }
     if (status != RN_OK)
-        rn_log(RN_LOG_ERROR, "job %s is %s, but the record cannot be written yet: %s", task->row.id,
-               rn_job_state_names[next], err != NULL ? err->text : "");
+        rn_task_log(task, RN_LOG_ERROR, "%s, but the record cannot be written yet: %s",
+                    rn_job_state_names[next], err != NULL ? err->text : "");
     task->dirty = status != RN_OK;
     control->stats.jobs_ended[next]++;
-    rn_log(RN_LOG_INFO, "job %s: %s", task->row.id, rn_job_state_names[next]);
+    rn_task_log(task, RN_LOG_INFO, "%s", rn_job_state_names[next]);
     rn_task_announce(control, task);
     control->schedule_due = true;
+    bool wants_runner = !rn_job_is_over(next) && next != RN_JOB_PAUSED;
+    if (!wants_runner && !rn_task_is_attached(task)) rn_task_detach(task);
     return RN_OK;
 }
 
 void rn_task_happened(struct rn_control *control, struct rn_task *task, enum rn_job_event event) {
     struct rn_error err = {0};
     if (rn_task_apply(control, task, event, true, &err) != RN_OK)
-        rn_log(RN_LOG_WARN, "job %s: %s", task->row.id, err.text);
+        rn_task_log(task, RN_LOG_WARN, "%s", err.text);
 }
 
 static void set_problem(struct rn_task *task, char *json) {
@@ -185,8 +219,8 @@ void rn_task_detach(struct rn_task *task) {
 void rn_task_fail(struct rn_control *control, struct rn_task *task, const struct rn_error *err) {
     char *json = NULL;
     if (rn_problem_json_from_error(err, &json, NULL) == RN_OK) set_problem(task, json);
-    rn_log(RN_LOG_WARN, "job %s: %s%s%s", task->row.id, err->where,
-           err->where[0] != '\0' ? ": " : "", err->text);
+    rn_task_log(task, RN_LOG_WARN, "%s%s%s", err->where, err->where[0] != '\0' ? ": " : "",
+                err->text);
     rn_task_happened(control, task, RN_JOB_FAIL);
     rn_task_detach(task);
 }
@@ -200,13 +234,15 @@ static void set_lost_problem(struct rn_task *task, const char *how) {
         set_problem(task, json);
 }
 
-void rn_task_lost(struct rn_control *control, struct rn_task *task, const char *how) {
+void rn_task_lost(struct rn_control *control, struct rn_task *task,
+                  const struct rn_ending *ending) {
     rn_task_detach(task);
     bool ran = task->row.state == RN_JOB_RUNNING;
     if (ran) {
-        task->row.stalls = task->progressed ? 0 : task->row.stalls + 1;
+        if (task->progressed) task->row.stalls = 0;
+        task->row.stalls += !task->progressed && !(ending != NULL && ending->taken);
         task->progressed = false;
-        set_lost_problem(task, how);
+        set_lost_problem(task, ending != NULL ? ending->how : NULL);
     }
     rn_task_happened(control, task, RN_JOB_LOST);
     if (!ran) return;
@@ -226,11 +262,16 @@ static void remember(struct rn_control *control, struct rn_task *task) {
     recent->ring = rn_ring_ref(task->ring);
 }
 
-static void remove_upload(struct rn_control *control, const struct rn_task *task) {
-    if (task->row.type != RN_JOB_INGEST) return;
-    char *tar = rn_store_path(control->store, "spool/%s.tar", task->row.id);
-    if (tar != NULL) (void)unlink(tar);
-    free(tar);
+// What a job that is of no scene had in the spool.
+static void remove_spooled(struct rn_control *control, const struct rn_task *task) {
+    bool estimate = task->row.type == RN_JOB_ESTIMATE;
+    if (task->row.type != RN_JOB_INGEST && !estimate) return;
+    char *path =
+        rn_store_path(control->store, estimate ? "spool/%s.work" : "spool/%s.tar", task->row.id);
+    if (path != NULL && estimate && rn_remove_tree(path, NULL) != RN_OK)
+        rn_log(RN_LOG_WARN, "%s cannot be removed", path);
+    if (path != NULL && !estimate) (void)unlink(path);
+    free(path);
 }
 
 void rn_tasks_tidy(struct rn_control *control) {
@@ -243,8 +284,9 @@ void rn_tasks_tidy(struct rn_control *control) {
             continue;
         }
         *link = task->next;
+        if (task->row.type == RN_JOB_PATH) control->next_retain_ns = 0; // what it made takes room
         remember(control, task);
-        remove_upload(control, task);
+        remove_spooled(control, task);
         rn_task_free(task);
     }
 }

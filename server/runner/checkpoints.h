@@ -11,7 +11,7 @@
 
 // Thread-safety: the folder belongs to the process that holds the scene's lock.
 
-// Makes the folder and removes what an interrupted write has left there.
+// Makes the folder, and that of marks, and removes what an interrupted write has left there.
 enum rn_status rn_checkpoints_prepare(const char *scene_folder, struct rn_error *err) RN_MUST_CHECK;
 // The file's name and path for a step.
 void rn_checkpoint_name(int64_t step, char ret_name[64]);

@@ -9,9 +9,11 @@
 
 #include "common/base/clock.h"
 #include "common/base/file.h"
+#include "proto/folder.h"
 #include "common/base/log.h"
 #include "common/image/metrics.h"
 #include "server/runner/budget.h"
+#include "server/runner/join.h"
 #include "server/runner/work.h"
 
 #define VIEWS 6
@@ -32,12 +34,13 @@ struct way {
     uint32_t times;
     float ms[MOST_VIEWS * ROUNDS];
     double psnr, psnr_squares, ssim, psnr_full, rays, samples; // sums over views
-    uint32_t same;                                             // views equal to the full picture
+    double interpolation, roughness;
+    uint32_t same; // views equal to the full picture
 };
 
 // What a killed runner leaves for the next one: plain data.
 struct state {
-    char digest[65], version[32], kernels[32];
+    char digest[65], version[32], kernels[32], machine[64];
     int32_t threads, views, done;
     int32_t ways, finalists, finalist[FINALISTS];
     double seconds;
@@ -134,21 +137,6 @@ static void choose_finalists(struct state *state) {
 
 // ---- views ----------------------------------------------------------------------------------
 
-// Evenly spaced ones of the split at the finest scale; returns how many.
-static int choose_views(const struct rn_dataset *dataset, enum rn_split split, int wanted,
-                        const struct rn_frame **ret_frames) {
-    int views = dataset->view_count[split], last = -1, view = 0, chosen = 0;
-    if (wanted > views) wanted = views;
-    for (size_t i = 0; i < dataset->frame_count; i++) {
-        const struct rn_frame *frame = &dataset->frames[i];
-        if (frame->split != split || frame->index == last) continue;
-        if (chosen < wanted && view == chosen * views / wanted) ret_frames[chosen++] = frame;
-        view++;
-        last = frame->index;
-    }
-    return chosen;
-}
-
 static struct rn_camera view_camera(const struct curve_work *curve, int view) {
     struct rn_camera camera = curve->frames[view]->camera;
     double pixels = (double)camera.width * camera.height;
@@ -230,6 +218,8 @@ static enum rn_status note_quality(struct curve_work *curve, struct way *way,
     way->ssim += ssim;
     way->rays += (double)result->stats.rays;
     way->samples += (double)result->stats.samples;
+    way->interpolation += result->stats.interpolation;
+    way->roughness += result->stats.roughness;
     return RN_OK;
 }
 
@@ -284,46 +274,66 @@ static void save_state(struct curve_work *curve) {
         rn_log(RN_LOG_WARN, "what was measured is not kept: %s: %s", err.where, err.text);
 }
 
-static bool continues(const struct state *before, const struct state *now) {
+static bool is_of_the_same(const struct state *before, const struct state *now) {
     return *now->digest && strcmp(before->digest, now->digest) == 0 &&
-           strcmp(before->version, now->version) == 0 &&
-           strcmp(before->kernels, now->kernels) == 0 && before->threads == now->threads &&
+           strcmp(before->version, now->version) == 0 && before->threads == now->threads &&
            before->views == now->views && before->ways == now->ways && before->done > 0;
 }
 
-// Goes on where a runner was killed, if it was measuring the same.
+// Goes on where a runner was killed, if it was measuring the same, on the same machine and with the
+// same kernels: times of two are no curve.
 static void take_state(struct curve_work *curve) {
     char path[PATH_MAX];
     uint8_t *bytes = NULL;
     size_t size = 0;
     if (state_path(curve, path, NULL)) return;
-    if (rn_file_read(path, sizeof *curve->state, &bytes, &size, NULL) == RN_OK &&
-        size == sizeof *curve->state && continues((struct state *)(void *)bytes, curve->state)) {
-        memcpy(curve->state, bytes, size);
-        curve->work.done = (size_t)curve->state->done;
+    bool found = rn_file_read(path, sizeof *curve->state, &bytes, &size, NULL) == RN_OK &&
+                 size == sizeof *curve->state;
+    const struct state *before = (void *)bytes;
+    if (found && is_of_the_same(before, curve->state)) {
+        bool alike = strcmp(before->machine, curve->state->machine) == 0 &&
+                     strcmp(before->kernels, curve->state->kernels) == 0;
+        rn_log(RN_LOG_INFO,
+               "the curve was measured on %s, kernels %s, up to part %d: on %s, %s, it %s",
+               before->machine, before->kernels, (int)before->done, curve->state->machine,
+               curve->state->kernels, alike ? "goes on from there" : "begins anew");
+        if (alike) {
+            memcpy(curve->state, bytes, size);
+            curve->work.done = (size_t)curve->state->done;
+        }
     }
     free(bytes);
 }
 
 // ---- the kind of work -----------------------------------------------------------------------
 
+// Of both splits that were not trained on: each may see the scene from other places.
+static void choose_around(struct curve_work *curve, const struct rn_dataset *dataset,
+                          const struct rn_field *field) {
+    struct rn_field_info info;
+    rn_field_describe(field, &info);
+    int most = RN_CURVE_VIEWS / 2,
+        count = rn_work_choose_views(dataset, RN_SPLIT_TEST, most, curve->around);
+    if (!info.config.train_val)
+        count += rn_work_choose_views(dataset, RN_SPLIT_VAL, most, curve->around + count);
+    curve->around_count = count;
+}
+
 static enum rn_status prepare(struct rn_work *work, struct rn_field *field, struct rn_error *err) {
     struct curve_work *curve = (struct curve_work *)work;
-    (void)field;
     enum rn_status status = rn_host_need_sound_dataset(work->host, err);
     if (status) return status;
     int wanted = (int)rn_int_or(curve->options.views, VIEWS);
     const struct rn_dataset *dataset = work->host->dataset;
-    curve->views = choose_views(dataset, RN_SPLIT_TEST, wanted, curve->frames);
+    curve->views = rn_work_choose_views(dataset, RN_SPLIT_TEST, wanted, curve->frames);
     curve->photographs = curve->views > 0;
     if (!curve->photographs)
-        curve->views = choose_views(dataset, RN_SPLIT_TRAIN, wanted, curve->frames);
+        curve->views = rn_work_choose_views(dataset, RN_SPLIT_TRAIN, wanted, curve->frames);
     if (curve->views == 0)
         return rn_error_set(err, RN_ERROR_INVALID, "#/scene", "its dataset has no views");
     const struct rn_camera camera = view_camera(curve, 0), taken = curve->frames[0]->camera;
     curve->photographs &= camera.width == taken.width && camera.height == taken.height;
-    if (curve->photographs)
-        curve->around_count = choose_views(dataset, RN_SPLIT_TEST, RN_CURVE_VIEWS, curve->around);
+    if (curve->photographs) choose_around(curve, dataset, field);
     work->total = WAYS + (size_t)(curve->views * FINALISTS * ROUNDS) + (size_t)curve->around_count;
     curve->state = calloc(1, sizeof *curve->state);
     return curve->state ? RN_OK : rn_error_set(err, RN_ERROR_NO_MEMORY, "", "out of memory");
@@ -342,6 +352,7 @@ static enum rn_status begin(struct rn_work *work, struct rn_error *err) {
     rn_engine_describe(host->engine, &device);
     struct rn_camera camera = view_camera(curve, 0);
     *state = (struct state){.threads = device.threads, .views = curve->views};
+    rn_machine_name(state->machine);
     snprintf(state->version, sizeof state->version, "%s", RIPNERF_VERSION);
     snprintf(state->kernels, sizeof state->kernels, "%s", device.kernels);
     if (!host->training) snprintf(state->digest, sizeof state->digest, "%s", host->digest);
@@ -355,14 +366,10 @@ static enum rn_status begin(struct rn_work *work, struct rn_error *err) {
 static enum rn_status look_around(struct curve_work *curve, struct rn_field *field,
                                   const struct rn_field_info *info, size_t view,
                                   struct rn_error *err) {
-    struct rn_render_options options = {.outputs = RN_OUTPUT_RGB};
     struct rn_view_score score;
-    memcpy(options.background, info->config.background, sizeof options.background);
-    enum rn_status status = rn_evaluate_view(curve->work.host->engine, field, curve->around[view],
-                                             &options, rn_work_keep_going, curve, &score, err);
-    if (status) return status;
-    rn_work_rendered(&curve->work, score.render_ms, score.nonfinite_rays);
-    if (!isfinite(score.psnr)) return RN_OK;
+    enum rn_status status =
+        rn_work_score(&curve->work, field, info, curve->around[view], &score, err);
+    if (status || !isfinite(score.psnr)) return status;
     struct rn_curve_view *seen = &curve->state->around[curve->state->around_count++];
     seen->psnr = score.psnr;
     for (int i = 0; i < 3; i++)
@@ -399,7 +406,9 @@ static struct rn_curve_point point_of(const struct curve_work *curve, struct way
                                    .psnr_full = different ? way->psnr_full / different : NAN,
                                    .psnr_spread = spread,
                                    .rays = way->rays / views,
-                                   .samples = way->samples / views};
+                                   .samples = way->samples / views,
+                                   .interpolation = way->interpolation / views,
+                                   .roughness = way->roughness / views};
 }
 
 static void describe(struct curve_work *curve, struct rn_curve_record *record) {
@@ -425,9 +434,7 @@ static enum rn_status write_curve(struct curve_work *curve, const char *json,
                                   struct rn_error *err) {
     char path[PATH_MAX];
     struct rn_host *host = curve->work.host;
-    if (snprintf(path, sizeof path, "%s/curve.json", host->place.scene_folder) >= (int)sizeof path)
-        return rn_error_set(err, RN_ERROR_LIMIT, "curve", "the path is too long");
-    enum rn_status status = rn_file_write_atomic(path, json, strlen(json), err);
+    enum rn_status status = rn_folder_write(host->place.scene_folder, "curve.json", json, err);
     if (status) return status;
     rn_message_finish(&rn_curve_record_table, &host->pace.record);
     host->pace.looked = false;

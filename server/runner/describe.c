@@ -1,6 +1,7 @@
 #include "server/runner/describe.h"
 
 #include <inttypes.h>
+#include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -32,7 +33,7 @@ enum rn_status rn_configure(const struct rn_train_options *options, bool multi_s
     return status;
 }
 
-static struct rn_bounds_record bounds_record(const struct rn_bounds *bounds) {
+struct rn_bounds_record rn_describe_bounds(const struct rn_bounds *bounds) {
     return (struct rn_bounds_record){
         .centre = {bounds->centre[0], bounds->centre[1], bounds->centre[2]},
         .radius = bounds->radius,
@@ -43,10 +44,13 @@ static struct rn_bounds_record bounds_record(const struct rn_bounds *bounds) {
 
 enum { MAX_DIFFERENCES = 64 };
 
-static size_t fill_differences(const struct rn_train_config *config,
+// Views that are not of the training's splits are not withheld from it.
+static size_t fill_differences(const struct rn_train_config *config, const char *held_out,
                                struct rn_difference_record *records) {
     struct rn_difference items[MAX_DIFFERENCES];
-    int count = rn_train_config_differences(config, items, MAX_DIFFERENCES);
+    struct rn_train_config told = *config;
+    told.train_held_out = told.train_held_out || !strstr(held_out, RN_WITHHELD);
+    int count = rn_train_config_differences(&told, items, MAX_DIFFERENCES);
     for (int i = 0; i < count; i++) {
         snprintf(records[i].what, sizeof records[i].what, "%s", items[i].what);
         snprintf(records[i].measured, sizeof records[i].measured, "%s", items[i].measured);
@@ -64,20 +68,37 @@ static struct rn_effect_entry effect_entry(const struct rn_effect_record *effect
     return entry;
 }
 
+// Absent of a scene that was trained here.
+static void fill_viewing(const struct rn_viewing *from, struct rn_viewing_record *ret) {
+    rn_message_init(&rn_viewing_table, ret);
+    if (!from->bits) return;
+    int split = rn_name_index(rn_split_names, from->split);
+    *ret = (struct rn_viewing_record){.bits = from->bits,
+                                      .views = from->views,
+                                      .split = split < 0 ? RN_SPLIT_TRAIN : split,
+                                      .psnr = from->psnr,
+                                      .trained = from->trained,
+                                      .loss = from->trained - from->psnr};
+    snprintf(ret->dataset, sizeof ret->dataset, "%.*s", RN_NAME_MAX - 1, from->dataset);
+    snprintf(ret->parameters_sha256, sizeof ret->parameters_sha256, "%s", from->sha256);
+    snprintf(ret->version, sizeof ret->version, "%s", from->version);
+}
+
 enum rn_status rn_describe_scene(const struct rn_field_info *info, const char *held_out,
                                  char **ret_json, struct rn_error *err) {
     struct rn_difference_record differences[MAX_DIFFERENCES];
     struct rn_effect_entry effects[RN_EFFECT_COUNT];
     struct rn_scene_description scene = {
         .differences = differences,
-        .difference_count = fill_differences(&info->config, differences),
+        .difference_count = fill_differences(&info->config, held_out ? held_out : "", differences),
         .effects = effects,
         .effect_count = RN_EFFECT_COUNT,
-        .bounds = bounds_record(&info->bounds),
+        .bounds = rn_describe_bounds(&info->bounds),
         .memory_bytes = rn_resident_bytes(),
     };
     for (int i = 0; i < RN_EFFECT_COUNT; i++)
         effects[i] = effect_entry(&info->effects[i]);
+    fill_viewing(&info->viewing, &scene.viewing);
     rn_settings_get(&rn_train_settings, &info->config, scene.config.settings);
     scene.config.finest_cone = info->finest_cone;
     snprintf(scene.held_out, sizeof scene.held_out, "%s", held_out ? held_out : "");
@@ -131,12 +152,12 @@ void rn_make_relative(char *text, const char *root) {
     }
 }
 
-// JSON of rn_dataset_report_table.
-static enum rn_status report_json(const struct rn_dataset *source, const char *root,
-                                  const struct rn_problems *problems, char **ret_json,
+enum rn_status rn_describe_report(const struct rn_dataset *source, const char *root,
+                                  const struct rn_problems *problems,
+                                  const struct rn_findings *survey, char **ret_json,
                                   struct rn_error *err) {
     struct rn_dataset_report_record report;
-    enum rn_status status = rn_dataset_report_fill(source, problems, &report, err);
+    enum rn_status status = rn_dataset_report_fill(source, problems, survey, &report, err);
     if (status) return status;
     for (size_t i = 0; i < report.problem_count; i++) {
         rn_make_relative(report.problems[i].where, root);
@@ -149,9 +170,12 @@ static enum rn_status report_json(const struct rn_dataset *source, const char *r
 
 enum rn_status rn_describe_dataset(const struct rn_dataset *dataset, int64_t size_bytes,
                                    const struct rn_dataset *source, const char *root,
-                                   const struct rn_problems *problems, char **ret_json,
+                                   const struct rn_problems *problems,
+                                   const struct rn_findings *survey, char **ret_json,
                                    struct rn_error *err) {
     struct rn_dataset_report report;
+    const struct rn_lie *lie = &dataset->lie;
+    const double *low = lie->crop.low, *high = lie->crop.high;
     rn_dataset_describe(dataset, &report);
     struct rn_dataset_record record = {
         .views = split_counts(dataset->view_count),
@@ -160,12 +184,15 @@ enum rn_status rn_describe_dataset(const struct rn_dataset *dataset, int64_t siz
         .width = report.width_max,
         .height = report.height_max,
         .has_alpha = report.with_alpha > 0,
-        .bounds = bounds_record(&dataset->bounds),
+        .bounds = rn_describe_bounds(&dataset->bounds),
+        .capture = (int)lie->kind,
+        .up = {lie->up[0], lie->up[1], lie->up[2]},
+        .crop = {lie->cropped ? low[0] : NAN, low[1], low[2], high[0], high[1], high[2]},
         .footprint = {report.footprint_min, report.footprint_max},
         .size_bytes = size_bytes,
         .premultiplied = dataset->premultiplied_scales,
     };
-    enum rn_status status = report_json(source, root, problems, &record.report, err);
+    enum rn_status status = rn_describe_report(source, root, problems, survey, &record.report, err);
     if (!status) status = rn_encode(&rn_dataset_contents_table, &record, ret_json, NULL, err);
     free(record.report);
     return status;

@@ -14,8 +14,20 @@ enum rn_status rn_describe_scene(const struct rn_field_info *info, const char *h
 // which was read from the folder `root`; places in the report are relative to it.
 enum rn_status rn_describe_dataset(const struct rn_dataset *dataset, int64_t size_bytes,
                                    const struct rn_dataset *source, const char *root,
-                                   const struct rn_problems *problems, char **ret_json,
+                                   const struct rn_problems *problems,
+                                   const struct rn_findings *survey, char **ret_json,
                                    struct rn_error *err) RN_MUST_CHECK;
+// JSON of rn_dataset_report_table: of `source`, as above.
+enum rn_status rn_describe_report(const struct rn_dataset *source, const char *root,
+                                  const struct rn_problems *problems,
+                                  const struct rn_findings *survey, char **ret_json,
+                                  struct rn_error *err) RN_MUST_CHECK;
+struct rn_bounds_record rn_describe_bounds(const struct rn_bounds *bounds);
+// validate.c: JSON of rn_validation_table: what an import of `source` by these options would keep.
+enum rn_status rn_describe_validation(const struct rn_dataset *source, const char *root,
+                                      const struct rn_import_options *options,
+                                      struct rn_problems *problems, char **ret_json,
+                                      struct rn_error *err) RN_MUST_CHECK;
 // The engine's part of the progress; paused, yielded and evaluating_first are the caller's.
 struct rn_train_progress rn_describe_progress(const struct rn_progress *progress,
                                               const struct rn_train_config *config);

@@ -8,7 +8,6 @@
 #include "common/base/file.h"
 #include "proto/doctor.h"
 #include "proto/incident.h"
-#include "server/engine/doctor/doctor.h"
 
 #define CAMERAS_BYTES (256u << 20)
 #define REPLAY_BYTES (1u << 20)
@@ -78,8 +77,7 @@ static void take_ray(const struct rn_incident_ray_record *record, struct rn_inci
     narrow3(record->target, ret->target);
 }
 
-static enum rn_status read_incident(const char *path, struct rn_incident *ret,
-                                    struct rn_error *err) {
+enum rn_status rn_incident_read(const char *path, struct rn_incident *ret, struct rn_error *err) {
     static const float wild[] = {NAN, INFINITY, -INFINITY};
     struct rn_incident_record record;
     enum rn_status status = read_message(path, REPLAY_BYTES, &rn_incident_table, &record, err);
@@ -105,8 +103,8 @@ static enum rn_status read_incident(const char *path, struct rn_incident *ret,
 
 // ---- the report -----------------------------------------------------------------------------
 
-static enum rn_status encode(const struct rn_doctor_result *result, char **ret_json,
-                             struct rn_error *err) {
+enum rn_status rn_doctor_result_json(const struct rn_doctor_result *result, char **ret_json,
+                                     struct rn_error *err) {
     struct rn_doctor_record record;
     rn_message_init(&rn_doctor_table, &record);
     record.cases = calloc((size_t)result->case_count + 1, sizeof *record.cases);
@@ -140,7 +138,7 @@ static enum rn_status examine(const struct rn_runner_doctor *options,
     enum rn_status status = RN_OK;
     if (options->cameras) status = read_cameras(options->cameras, &cameras, &own.camera_count, err);
     if (!status && options->replay) {
-        status = read_incident(options->replay, &incident, err);
+        status = rn_incident_read(options->replay, &incident, err);
         own.incident = &incident;
     }
     own.cameras = cameras;
@@ -154,7 +152,7 @@ int rn_runner_doctor(const struct rn_runner_doctor *options) {
     struct rn_error err = {0};
     char *json = NULL;
     enum rn_status status = examine(options, &result, &err);
-    if (!status) status = encode(&result, &json, &err);
+    if (!status) status = rn_doctor_result_json(&result, &json, &err);
     if (status) {
         fprintf(stderr, "ripnerf-runner: %s: %s\n", err.where, err.text);
         return status == RN_ERROR_INVALID || status == RN_ERROR_NOT_FOUND ? 2 : 1;

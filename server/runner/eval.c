@@ -3,14 +3,20 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "common/base/file.h"
+#include "common/math/numbers.h"
 #include "server/runner/budget.h"
+#include "server/runner/join.h"
+#include "server/runner/parts.h"
 
 #define MAX_SCALES 16
+#define SCORE_BYTES 4096
 
 // An evaluation: unit i is frames[i], rendered and compared with its photograph.
 struct eval_work {
     struct rn_work work;
-    struct rn_wire_eval request;
+    struct rn_wire_eval request; // its texts are owned
+    struct rn_parts parts;       // scores, where they are kept
     const struct rn_frame **frames;
     struct rn_view_result *scores;
 };
@@ -41,15 +47,32 @@ static enum rn_status choose_frames(const struct rn_dataset *dataset, struct eva
             eval->frames[eval->work.total++] = frame;
     }
     if (eval->work.total) return RN_OK;
-    return rn_error_set(err, RN_ERROR_INVALID, views ? "#/options/scale" : "#/options/split",
-                        "the dataset has no such views: its %s split has %zu, at %d scales",
-                        rn_split_name(split), views, dataset->scale_count);
+    if (!views)
+        return rn_error_set(err, RN_ERROR_INVALID, "#/options/split",
+                            "the dataset has no %s views; it has %d train, %d val and %d test",
+                            rn_split_name(split), dataset->view_count[RN_SPLIT_TRAIN],
+                            dataset->view_count[RN_SPLIT_VAL], dataset->view_count[RN_SPLIT_TEST]);
+    return rn_error_set(err, RN_ERROR_INVALID, "#/options/scale",
+                        "the dataset has no %s views of that scale; its scales are 0 to %d",
+                        rn_split_name(split), dataset->scale_count - 1);
+}
+
+static enum rn_status prepare_parts(struct eval_work *eval, struct rn_error *err) {
+    const struct rn_wire_eval *request = &eval->request;
+    eval->parts =
+        (struct rn_parts){.folder = request->folder, .ending = "json", .begin = RN_ABSENT};
+    enum rn_status status = rn_mkdirs(request->folder, 0777, err);
+    if (!status && request->begin != RN_ABSENT)
+        status = rn_parts_take(&eval->parts, request->begin, request->end, eval->work.total,
+                               &eval->work.total, err);
+    return status;
 }
 
 static enum rn_status prepare(struct rn_work *work, struct rn_field *field, struct rn_error *err) {
     struct eval_work *eval = (struct eval_work *)work;
     enum rn_status status = rn_host_need_sound_dataset(work->host, err);
     if (!status) status = choose_frames(work->host->dataset, eval, err);
+    if (!status && eval->request.folder) status = prepare_parts(eval, err);
     if (status) return status;
     eval->scores = calloc(work->total, sizeof *eval->scores);
     if (!eval->scores) return rn_error_set(err, RN_ERROR_NO_MEMORY, "", "out of memory");
@@ -59,27 +82,79 @@ static enum rn_status prepare(struct rn_work *work, struct rn_field *field, stru
                             &eval->request.options, err);
 }
 
-static enum rn_status unit(struct rn_work *work, struct rn_field *field,
-                           const struct rn_field_info *info, struct rn_error *err) {
+static enum rn_status begin(struct rn_work *work, struct rn_error *err) {
     struct eval_work *eval = (struct eval_work *)work;
-    const struct rn_frame *frame = eval->frames[work->done];
-    struct rn_render_options options = {.outputs = RN_OUTPUT_RGB};
+    return eval->request.folder ? rn_parts_begin(&eval->parts, work->step, work->total, err)
+                                : RN_OK;
+}
+
+static enum rn_status score_view(struct eval_work *eval, const struct rn_frame *frame,
+                                 struct rn_field *field, const struct rn_field_info *info,
+                                 struct rn_view_result *ret_view, struct rn_error *err) {
+    struct rn_work *work = &eval->work;
+    struct rn_render_options options = {.outputs = RN_OUTPUT_RGB, .lpips = work->host->lpips};
     struct rn_view_score score;
     rn_settings_put(&rn_render_settings, eval->request.options.settings, &options.settings);
     memcpy(options.background, info->config.background, sizeof options.background);
+    if (info->effects[RN_EFFECT_EXPOSURE].on) options.fit = RN_FIT_EXPOSURE;
+    if (info->effects[RN_EFFECT_POSE_REFINEMENT].on) options.fit |= RN_FIT_EXPOSURE | RN_FIT_POSE;
     enum rn_status status = rn_evaluate_view(work->host->engine, field, frame, &options,
                                              rn_work_keep_going, work, &score, err);
+    struct rn_depth_score depth = {.median = NAN};
+    if (!status && frame->scale == 0)
+        status = rn_evaluate_depth(work->host->engine, field, frame, &work->host->dataset->points,
+                                   &options, rn_work_keep_going, work, &depth, err);
     if (status) return status;
-    struct rn_view_result *view = &eval->scores[work->done];
-    *view = (struct rn_view_result){.index = frame->index,
-                                    .scale = frame->scale,
-                                    .psnr = score.psnr,
-                                    .ssim = score.ssim,
-                                    .psnr_fitted = score.psnr_fitted,
-                                    .render_ms = score.render_ms};
-    snprintf(view->name, sizeof view->name, "%s", frame->name);
+    *ret_view = (struct rn_view_result){.index = frame->index,
+                                        .scale = frame->scale,
+                                        .psnr = score.psnr,
+                                        .ssim = score.ssim,
+                                        .psnr_fitted = score.psnr_fitted,
+                                        .lpips = score.lpips,
+                                        .depth_error = depth.median,
+                                        .render_ms = score.render_ms};
+    snprintf(ret_view->name, sizeof ret_view->name, "%s", frame->name);
     rn_work_rendered(work, score.render_ms, score.nonfinite_rays);
     return RN_OK;
+}
+
+// A score of an earlier attempt, or of a runner that helps; false: there is none.
+static bool take_score(struct eval_work *eval, const char *path, struct rn_view_result *ret_view) {
+    uint8_t *bytes;
+    size_t size;
+    if (rn_file_read(path, SCORE_BYTES, &bytes, &size, NULL)) return false;
+    bool taken =
+        rn_decode(&rn_view_result_table, (const char *)bytes, size, ret_view, NULL, NULL) == RN_OK;
+    free(bytes);
+    if (taken) rn_work_rendered(&eval->work, ret_view->render_ms, 0);
+    return taken;
+}
+
+static enum rn_status keep_score(struct eval_work *eval, const char *path,
+                                 const struct rn_view_result *view, struct rn_error *err) {
+    struct rn_wire_frame frame = {.index = (int64_t)(eval->parts.first + eval->work.done)};
+    char *json;
+    size_t size;
+    enum rn_status status = rn_encode(&rn_view_result_table, view, &json, &size, err);
+    if (status) return status;
+    status = rn_parts_write(&eval->parts, path, json, size, err);
+    free(json);
+    strcpy(frame.job, eval->work.job);
+    if (!status) rn_link_post(&eval->work.host->link, RN_WIRE_FRAME, &frame, NULL, 0);
+    return status;
+}
+
+static enum rn_status unit(struct rn_work *work, struct rn_field *field,
+                           const struct rn_field_info *info, struct rn_error *err) {
+    struct eval_work *eval = (struct eval_work *)work;
+    const struct rn_frame *frame = eval->frames[eval->parts.first + work->done];
+    struct rn_view_result *view = &eval->scores[work->done];
+    char path[PATH_MAX];
+    if (!eval->request.folder) return score_view(eval, frame, field, info, view, err);
+    enum rn_status status = rn_parts_file(&eval->parts, work->done, path, err);
+    if (status || take_score(eval, path, view)) return status;
+    status = score_view(eval, frame, field, info, view, err);
+    return status ? status : keep_score(eval, path, view, err);
 }
 
 // Mean psnr and ssim and median time of each scale; returns the number of scales. `times`: scratch.
@@ -99,9 +174,29 @@ static size_t score_scales(const struct eval_work *eval, double *times,
         scales[count++] = (struct rn_scale_score){.scale = scale,
                                                   .psnr = psnr / (double)views,
                                                   .ssim = ssim / (double)views,
-                                                  .render_ms = rn_work_median(times, views)};
+                                                  .render_ms = rn_numbers_median(times, views)};
     }
     return count;
+}
+
+// Mean over the views that are large enough.
+static double mean_lpips(const struct eval_work *eval) {
+    double sum = 0;
+    size_t count = 0;
+    for (size_t i = 0; i < eval->work.total; i++) {
+        if (isnan(eval->scores[i].lpips)) continue;
+        sum += eval->scores[i].lpips;
+        count++;
+    }
+    return count ? sum / (double)count : NAN;
+}
+
+// Median over the views whose photographs see points. `errors`: scratch.
+static double middle_depth_error(const struct eval_work *eval, double *errors) {
+    size_t count = 0;
+    for (size_t i = 0; i < eval->work.total; i++)
+        if (isfinite(eval->scores[i].depth_error)) errors[count++] = eval->scores[i].depth_error;
+    return count ? rn_numbers_median(errors, count) : NAN;
 }
 
 // Standard deviation over views of a view's mean over its scales. The scores of a view follow
@@ -145,6 +240,7 @@ static void fill_protocol(const struct eval_work *eval, const struct rn_field_in
         protocol->background[i] = (double)info->config.background[i];
     snprintf(protocol->device, sizeof protocol->device, "%s", device.device);
     snprintf(protocol->kernels, sizeof protocol->kernels, "%s", device.kernels);
+    rn_machine_text(device.name, protocol->machine, sizeof protocol->machine);
 }
 
 static enum rn_status result(struct rn_work *work, struct rn_field *field, char **ret_json,
@@ -155,7 +251,7 @@ static enum rn_status result(struct rn_work *work, struct rn_field *field, char 
                                     .per_view = eval->scores,
                                     .view_count = work->total,
                                     .render_ms_median =
-                                        rn_work_median(work->render_ms, work->rendered)};
+                                        rn_numbers_median(work->render_ms, work->rendered)};
     record.scale_count = score_scales(eval, work->render_ms, scales);
     for (size_t i = 0; i < record.scale_count; i++) {
         record.psnr += scales[i].psnr / (double)record.scale_count;
@@ -163,6 +259,8 @@ static enum rn_status result(struct rn_work *work, struct rn_field *field, char 
     }
     for (size_t i = 0; i < work->total; i++)
         record.psnr_fitted += eval->scores[i].psnr_fitted / (double)work->total;
+    record.lpips = mean_lpips(eval);
+    record.depth_error = middle_depth_error(eval, work->render_ms);
     record.psnr_spread = spread(eval, false, &record.views);
     record.ssim_spread = spread(eval, true, &record.views);
     struct rn_field_info info;
@@ -175,15 +273,20 @@ static void release(struct rn_work *work) {
     struct eval_work *eval = (struct eval_work *)work;
     free(eval->frames);
     free(eval->scores);
+    rn_message_finish(rn_wire_table(RN_WIRE_EVAL), &eval->request);
 }
 
 static const struct rn_work_kind kind = {.size = sizeof(struct eval_work),
                                          .prepare = prepare,
+                                         .begin = begin,
                                          .unit = unit,
                                          .result = result,
                                          .release = release};
 
-void rn_work_add_eval(struct rn_host *host, const struct rn_wire_eval *request) {
+void rn_work_add_eval(struct rn_host *host, struct rn_wire_eval *request) {
     struct eval_work *eval = (struct eval_work *)rn_work_append(host, &kind, request->job);
-    if (eval) eval->request = *request;
+    if (!eval) return;
+    eval->request = *request;
+    eval->work.at = request->options.at;
+    rn_message_init(rn_wire_table(RN_WIRE_EVAL), request);
 }

@@ -14,18 +14,18 @@
 // Threads that an encoder made do not survive its code.
 #define MODULE_FLAGS (RTLD_NOW | RTLD_LOCAL | RTLD_NODELETE)
 
+// Beside the running program, of one build with it; else where it is installed.
 static void *open_module(void) {
     char program[1024], path[1100];
     const char *given = getenv("RIPNERF_FILM_MODULE");
     if (given) return dlopen(given, MODULE_FLAGS);
-    void *module = dlopen(RN_MODULE_FOLDER "/ripnerf-film.so", MODULE_FLAGS);
     ssize_t size = readlink("/proc/self/exe", program, sizeof program - 1);
     program[size > 0 ? size : 0] = '\0';
     char *slash = strrchr(program, '/');
     if (slash) *slash = '\0';
     snprintf(path, sizeof path, "%s/film/ripnerf-film.so", program);
-    if (!module && access(path, R_OK) == 0) module = dlopen(path, MODULE_FLAGS);
-    return module;
+    void *module = access(path, R_OK) == 0 ? dlopen(path, MODULE_FLAGS) : NULL;
+    return module ? module : dlopen(RN_MODULE_FOLDER "/ripnerf-film.so", MODULE_FLAGS);
 }
 
 static enum rn_status load(const struct rn_film_module **ret_module, struct rn_error *err) {
@@ -34,7 +34,10 @@ static enum rn_status load(const struct rn_film_module **ret_module, struct rn_e
     const char *why = table ? NULL : dlerror();
     if (!table)
         return rn_error_set(err, RN_ERROR_UNSUPPORTED, "#/options/film",
-                            "the film module is not installed (%s); the frames are there",
+                            "films need ripnerf-film.so, which is not installed; `meson compile` "
+                            "makes it where FFmpeg's libraries are (libavcodec-dev, "
+                            "libavformat-dev, libavutil-dev, libswscale-dev); a folder "
+                            "(-o FOLDER) gets frames instead (%s)",
                             why ? why : "no reason given");
     if (table->version != RN_FILM_VERSION)
         return rn_error_set(err, RN_ERROR_UNSUPPORTED, "#/options/film",
@@ -42,6 +45,11 @@ static enum rn_status load(const struct rn_film_module **ret_module, struct rn_e
                             table->version, RN_FILM_VERSION);
     *ret_module = table;
     return RN_OK;
+}
+
+enum rn_status rn_film_check(struct rn_error *err) {
+    const struct rn_film_module *module;
+    return load(&module, err);
 }
 
 const char *rn_film_name(int codec) {

@@ -1,5 +1,6 @@
 #include "server/runner/host.h"
 
+#include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -10,6 +11,7 @@
 #include "common/base/log.h"
 #include "common/base/manifest.h"
 #include "common/base/seal.h"
+#include "common/image/lpips.h"
 #include "server/runner/budget.h"
 #include "server/runner/checkpoints.h"
 #include "server/runner/describe.h"
@@ -65,6 +67,7 @@ enum rn_status rn_host_need_engine(struct rn_host *host, const char *device, con
         return rn_error_set(err, RN_ERROR_CONFLICT, "device",
                             "the engine is training; its device cannot be changed");
     if (host->loaded) rn_field_destroy(&host->loaded);
+    if (host->marked) rn_field_destroy(&host->marked);
     if (host->engine) rn_engine_destroy(&host->engine);
     snprintf(host->engine_device, sizeof host->engine_device, "%s", device);
     snprintf(host->engine_kernels, sizeof host->engine_kernels, "%s", kernels);
@@ -75,12 +78,20 @@ enum rn_status rn_host_need_engine(struct rn_host *host, const char *device, con
                                    .deterministic = host->place.gpu_deterministic};
     enum rn_status status = rn_engine_create(&host->engine_options, &host->engine, err);
     if (status) return status;
+    struct rn_device_info about;
+    rn_engine_describe(host->engine, &about);
+    if (*about.checked) rn_log(RN_LOG_INFO, "device: %s", about.checked);
     rn_engine_yield_to(host->engine, rn_link_has_news, &host->link);
     rn_engine_share(host->engine, share_device, host);
+    if (!host->exchange) rn_engine_keep_in(host->engine, host->place.scene_folder);
     return RN_OK;
 }
 
 enum rn_status rn_host_need_dataset(struct rn_host *host, struct rn_error *err) {
+    if (!*host->place.dataset_folder)
+        return rn_error_set(err, RN_ERROR_CONFLICT, "#/scene",
+                            "its photographs are not here: it was imported without a dataset; "
+                            "give a camera, or import it again with the dataset's name");
     return host->dataset ? RN_OK
                          : rn_dataset_read_whole(host->place.dataset_folder, &host->dataset, err);
 }
@@ -95,7 +106,7 @@ static bool check_goes_on(void *context) {
 enum rn_status rn_host_need_sound_dataset(struct rn_host *host, struct rn_error *err) {
     struct rn_error why = {0};
     enum rn_status status = RN_OK;
-    if (!host->dataset_is_sound)
+    if (!host->dataset_is_sound && *host->place.dataset_folder)
         status = rn_manifest_check(host->place.dataset_folder, check_goes_on, host, &why);
     if (status == RN_ERROR_CORRUPT)
         return rn_error_set(err, status, why.where, "%.300s; import the dataset again", why.text);
@@ -142,6 +153,36 @@ enum rn_status rn_host_field(struct rn_host *host, struct rn_field **ret_field,
     return RN_OK;
 }
 
+static enum rn_status load_mark(struct rn_host *host, const struct rn_mark *mark,
+                                struct rn_field **ret_field, struct rn_error *err) {
+    char path[PATH_MAX], digest[65];
+    if (!host->marked || host->mark.step != mark->step) {
+        if (host->marked) rn_field_destroy(&host->marked);
+        enum rn_status status = rn_mark_path(host->place.scene_folder, mark, path, err);
+        if (!status) status = rn_seal_check(path, digest, err);
+        if (!status) status = rn_field_load(host->engine, path, &host->marked, err);
+        if (status) return status;
+        host->mark = *mark;
+    }
+    *ret_field = host->marked;
+    return RN_OK;
+}
+
+enum rn_status rn_host_field_at(struct rn_host *host, double at, struct rn_field **ret_field,
+                                struct rn_error *err) {
+    struct rn_mark marks[RN_MARKS_KEPT + 1];
+    struct rn_field_info now;
+    size_t count, nearest;
+    enum rn_status status = rn_host_field(host, ret_field, err);
+    if (status || isnan(at)) return status;
+    rn_field_describe(*ret_field, &now);
+    count = rn_marks_list(host->place.scene_folder, marks);
+    marks[count] = (struct rn_mark){.train_seconds = now.train_seconds, .step = now.steps};
+    status = rn_mark_nearest(marks, count + 1, at, &nearest, err);
+    if (status || nearest == count) return status;
+    return load_mark(host, &marks[nearest], ret_field, err);
+}
+
 // ---- open ----------------------------------------------------------------------------------
 
 static void post_opened(struct rn_host *host) {
@@ -160,15 +201,49 @@ static void post_opened(struct rn_host *host) {
     rn_link_post(&host->link, RN_WIRE_OPENED, &opened, NULL, 0);
 }
 
+// The weights of LPIPS, while files that are no scene's can still be opened.
+static void take_lpips(struct rn_host *host) {
+    const char *path = getenv(RN_LPIPS_VARIABLE);
+    struct rn_error err = {0};
+    if (path && *path && rn_lpips_open(path, &host->lpips, &err) != RN_OK)
+        rn_log(RN_LOG_WARN, "%s: %s; LPIPS is not told", err.where, err.text);
+}
+
 static void confine(const struct rn_host *host) {
     const struct rn_wire_open *place = &host->place;
+    const char *dataset = *place->dataset_folder ? place->dataset_folder : NULL;
     const struct rn_sandbox_places places = {
-        .paths = {
-            [RN_PLACE_DATASET] = place->dataset_folder, [RN_PLACE_SCENE] = place->scene_folder}};
+        .paths = {[RN_PLACE_DATASET] = dataset, [RN_PLACE_SCENE] = place->scene_folder}};
     (void)rn_sandbox_confine(host->link.profile, &places); // it says so itself
 }
 
-static void handle_open(struct rn_host *host, struct rn_wire_open *open) {
+// What two versions make of the same request may differ.
+static enum rn_status check_version(const struct rn_wire_open *open, struct rn_error *err) {
+    if (open->version[0] == '\0' || (strcmp(open->version, RIPNERF_VERSION) == 0 &&
+                                     rn_int_or(open->protocol, 0) == RN_WIRE_PROTOCOL))
+        return RN_OK;
+    return rn_error_set(err, RN_ERROR_UNSUPPORTED, "version",
+                        "the daemon is version %s (protocol %lld), this runner %s (protocol %d): "
+                        "install the same",
+                        open->version, (long long)rn_int_or(open->protocol, 0), RIPNERF_VERSION,
+                        RN_WIRE_PROTOCOL);
+}
+
+static enum rn_status enter_scene(struct rn_host *host, struct rn_error *err) {
+    const struct rn_wire_open *place = &host->place;
+    enum rn_status status = check_version(place, err);
+    if (!status && !place->helps) {
+        status = rn_mkdirs(place->scene_folder, 0777, err);
+        if (!status) status = rn_lock_scene(place->scene_folder, &host->link, &host->lock_fd, err);
+    }
+    if (!status) take_lpips(host);
+    if (!status && host->link.profile) confine(host);
+    if (!status && !place->helps) status = rn_checkpoints_prepare(place->scene_folder, err);
+    if (!status && place->load) status = rn_host_load(host, err);
+    return status;
+}
+
+static void handle_open(struct rn_host *host, struct rn_wire_open *open, int64_t arrived_ns) {
     struct rn_error err = {0};
     enum rn_status status = RN_OK;
     if (host->opened) {
@@ -177,12 +252,8 @@ static void handle_open(struct rn_host *host, struct rn_wire_open *open) {
     } else {
         host->place = *open; // with its texts
         host->opened = true;
-        status = rn_mkdirs(host->place.scene_folder, 0777, &err);
-        if (!status)
-            status = rn_lock_scene(host->place.scene_folder, &host->link, &host->lock_fd, &err);
-        if (!status && host->link.profile) confine(host);
-        if (!status) status = rn_checkpoints_prepare(host->place.scene_folder, &err);
-        if (!status && host->place.load) status = rn_host_load(host, &err);
+        if (open->clock_ns != RN_ABSENT) host->clock_ns = arrived_ns - open->clock_ns;
+        status = enter_scene(host, &err);
     }
     if (status)
         rn_link_fail(&host->link, "", RN_ABSENT, &err);
@@ -199,6 +270,9 @@ union request {
     struct rn_wire_path path;
     struct rn_wire_eval eval;
     struct rn_wire_curve curve;
+    struct rn_wire_effects effects;
+    struct rn_wire_doctor doctor;
+    struct rn_wire_export export;
     struct rn_wire_job job;
     struct rn_wire_cancel cancel;
     struct rn_wire_render render;
@@ -225,15 +299,23 @@ static void handle_control(struct rn_host *host, int type, const char *job) {
 static void handle_cancel(struct rn_host *host, const struct rn_wire_cancel *cancel) {
     if (rn_training_is(host, cancel->job))
         rn_training_cancel(host);
-    else if (!rn_work_cancel(host, cancel->job)) // also of a render that has been answered
+    else if (!rn_work_cancel(host, cancel->job) &&
+             !rn_calibration_cancel(host, cancel->job)) // also of a render that has been answered
         rn_log(RN_LOG_DEBUG, "cancel of what has ended");
 }
 
-static void handle_render(struct rn_host *host, const struct rn_wire_render *render,
-                          int64_t arrived_ns) {
+static void handle_render(struct rn_host *host, struct rn_wire_render *render, int64_t arrived_ns) {
     int64_t begin_ns = rn_clock_ns();
+    if (render->deadline_ns != RN_ABSENT) render->deadline_ns += host->clock_ns;
     rn_picture_serve(host, render, arrived_ns);
     rn_training_yielded(host, (double)(rn_clock_ns() - begin_ns) * 1e-9);
+}
+
+// The job that a message is about; "": none.
+static const char *job_of(int type, const union request *request) {
+    bool none = type == RN_WIRE_OPEN || type == RN_WIRE_RENDER || type == RN_WIRE_GRANT ||
+                type == RN_WIRE_REST;
+    return none ? "" : request->job.job; // where all of the others have it
 }
 
 static void dispatch(struct rn_host *host, const struct rn_letter *letter, union request *request) {
@@ -244,6 +326,12 @@ static void dispatch(struct rn_host *host, const struct rn_letter *letter, union
         else
             rn_training_start(host, &request->train);
         break;
+    case RN_WIRE_ESTIMATE:
+        if (host->training || host->calibrating)
+            refuse(host, request->train.job, RN_ABSENT, "the runner trains already");
+        else
+            rn_calibration_start(host, &request->train);
+        break;
     case RN_WIRE_PATH:
         rn_work_add_path(host, &request->path);
         break;
@@ -252,6 +340,15 @@ static void dispatch(struct rn_host *host, const struct rn_letter *letter, union
         break;
     case RN_WIRE_CURVE:
         rn_work_add_curve(host, &request->curve);
+        break;
+    case RN_WIRE_EFFECTS:
+        rn_work_add_effects(host, &request->effects);
+        break;
+    case RN_WIRE_DOCTOR:
+        rn_work_add_doctor(host, &request->doctor);
+        break;
+    case RN_WIRE_EXPORT:
+        rn_work_add_export(host, &request->export);
         break;
     case RN_WIRE_PAUSE:
     case RN_WIRE_RESUME:
@@ -268,6 +365,7 @@ static void dispatch(struct rn_host *host, const struct rn_letter *letter, union
         break;
     case RN_WIRE_REST:
         if (host->loaded) rn_field_rest(host->loaded);
+        if (host->marked) rn_field_destroy(&host->marked);
         break;
     default:
         rn_log(RN_LOG_WARN, "a %s message is not for this mode",
@@ -288,9 +386,10 @@ static void handle(struct rn_host *host, struct rn_letter *letter) {
         return;
     }
     if (type == RN_WIRE_OPEN) {
-        handle_open(host, &request.open);
+        handle_open(host, &request.open, letter->arrived_ns);
         return;
     }
+    rn_link_log_of(&host->link, job_of(type, &request));
     if (host->opened)
         dispatch(host, letter, &request);
     else
@@ -302,11 +401,14 @@ void rn_host_serve_render(struct rn_host *host) {
     struct rn_letter letter;
     struct rn_wire_render render;
     if (!rn_link_take_type(&host->link, RN_WIRE_RENDER, &letter)) return;
+    const char *before = rn_log_set_trace(NULL);
     if (rn_wire_take(&letter.message, &render, NULL) == RN_OK) {
+        if (render.deadline_ns != RN_ABSENT) render.deadline_ns += host->clock_ns;
         rn_picture_serve(host, &render, letter.arrived_ns);
         rn_message_finish(rn_wire_table(RN_WIRE_RENDER), &render);
     }
     rn_wire_message_finish(&letter.message);
+    rn_log_set_trace(before);
 }
 
 // Handles what has arrived, up to and including one render, so that training goes on between
@@ -333,14 +435,19 @@ static void do_some_work(struct rn_host *host) {
         rn_training_yielded(host, (double)(rn_clock_ns() - begin_ns) * 1e-9);
     } else if (rn_training_is_busy(host)) {
         rn_training_slice(host);
+    } else if (host->calibrating) {
+        rn_calibration_slice(host);
     }
 }
 
 static void finish(struct rn_host *host) {
     rn_work_drop_all(host);
     rn_training_drop(host);
+    rn_calibration_drop(host);
     rn_pace_finish(&host->pace);
     if (host->loaded) rn_field_destroy(&host->loaded);
+    if (host->marked) rn_field_destroy(&host->marked);
+    rn_lpips_close(&host->lpips);
     if (host->dataset) rn_dataset_destroy(&host->dataset);
     if (host->engine) rn_engine_destroy(&host->engine);
     if (host->opened) rn_message_finish(rn_wire_table(RN_WIRE_OPEN), &host->place);
@@ -348,8 +455,9 @@ static void finish(struct rn_host *host) {
     rn_link_finish(&host->link);
 }
 
-int rn_host_run(int fd, const struct rn_profile *profile) {
-    struct rn_host host = {.lock_fd = -1};
+int rn_host_run(int fd, const struct rn_profile *profile, const struct rn_exchange *exchange,
+                bool *ret_told) {
+    struct rn_host host = {.lock_fd = -1, .exchange = exchange};
     rn_link_init(&host.link, fd);
     host.link.profile = profile;
     struct rn_wire_hello hello = {
@@ -357,12 +465,13 @@ int rn_host_run(int fd, const struct rn_profile *profile) {
     rn_link_post(&host.link, RN_WIRE_HELLO, &hello, NULL, 0);
     bool go_on = true;
     while (go_on && !host.link.closed) {
-        bool busy = host.works || rn_training_is_busy(&host);
+        bool busy = host.works || host.calibrating || rn_training_is_busy(&host);
         rn_link_pump(&host.link, busy ? 0 : -1);
         go_on = handle_letters(&host);
         if (go_on && !host.link.closed) do_some_work(&host);
     }
     rn_training_save(&host); // also when the daemon has died
+    *ret_told = !go_on;
     finish(&host);
     return 0;
 }

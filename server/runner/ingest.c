@@ -15,7 +15,8 @@
 #include "common/base/file.h"
 #include "common/base/log.h"
 #include "common/base/manifest.h"
-#include "common/dataset/dataset.h"
+#include "common/dataset/survey.h"
+#include "server/runner/adopt.h"
 #include "server/runner/describe.h"
 #include "server/runner/link.h"
 #include "server/runner/poses.h"
@@ -163,33 +164,59 @@ static enum rn_status tree_bytes(const struct rn_dataset *dataset, int64_t *ret_
     return RN_OK;
 }
 
-static enum rn_status import(struct ingest *ingest, struct rn_dataset *source,
-                             struct rn_problems *problems, char **ret_json, struct rn_error *err) {
-    const struct rn_wire_ingest *order = &ingest->order;
+static struct rn_import_options import_options_of(const struct rn_wire_ingest *order) {
     const struct rn_ingest_options *options = &order->options;
     int threads = (int)rn_int_or(order->threads, 0);
-    struct rn_import_options import_options = {
+    return (struct rn_import_options){
         .max_size = (int)rn_int_or(options->max_size, 0),
         .scales = (int)rn_int_or(options->scales, 1),
         .downscale = (enum rn_downscale)rn_name_or(options->alpha, RN_DOWNSCALE_PREMULTIPLIED),
         .test_every = rn_ingest_split_every(options->split),
         .threads = threads ? threads : usable_cores()};
-    import_options.bounds_given = rn_ingest_bounds(options->bounds, import_options.bounds.centre,
-                                                   &import_options.bounds.radius);
+}
+
+static enum rn_status import(struct ingest *ingest, struct rn_dataset *source,
+                             struct rn_problems *problems, char **ret_json, struct rn_error *err) {
+    const struct rn_wire_ingest *order = &ingest->order;
+    struct rn_import_options import_options = import_options_of(order);
+    struct rn_findings found;
     enum rn_status status = rn_mkdirs(order->target, 0777, err);
+    if (!status) status = rn_survey_create(source, &import_options.survey, err);
     if (!status)
         status = rn_dataset_import(source, order->name, &import_options, order->target, problems,
                                    on_progress, ingest, err);
     struct rn_dataset *made = NULL;
     int64_t bytes = 0;
+    if (!status) status = rn_survey_conclude(import_options.survey, source, problems, &found, err);
+    rn_survey_destroy(&import_options.survey);
     if (!status && ingest->posed) status = rn_poses_keep(ingest->posed, order->target, err);
     if (!status) status = rn_manifest_write(order->target, err);
     if (!status) status = rn_dataset_read_whole(order->target, &made, err);
     if (!status) status = tree_bytes(made, &bytes, err);
     if (!status)
-        status = rn_describe_dataset(made, bytes, source, ingest->folder, problems, ret_json, err);
+        status = rn_describe_dataset(made, bytes, source, ingest->folder, problems, &found,
+                                     ret_json, err);
     if (made) rn_dataset_destroy(&made);
     return status;
+}
+
+// What was unpacked is told as its sender knows it: files by their names, the folder by none.
+static void tell_as_unpacked(const struct ingest *ingest, char *text) {
+    static const char called[] = "the folder";
+    size_t size = strlen(ingest->folder), shown = strlen(called);
+    rn_make_relative(text, ingest->folder);
+    if (strcmp(ingest->folder, ingest->order.source) == 0) return;
+    for (char *at = text; size >= shown && (at = strstr(at, ingest->folder)) != NULL; at += shown) {
+        memmove(at + shown, at + size, strlen(at + size) + 1);
+        memcpy(at, called, shown);
+    }
+}
+
+static void tell_all_as_unpacked(const struct ingest *ingest, struct rn_problems *problems) {
+    for (size_t i = 0; i < problems->count; i++) {
+        tell_as_unpacked(ingest, problems->items[i].where);
+        tell_as_unpacked(ingest, problems->items[i].text);
+    }
 }
 
 // Reads what COLMAP made of the photographs.
@@ -204,15 +231,14 @@ static enum rn_status find_poses(struct ingest *ingest, struct rn_problems *prob
                                     .keep_going = keep_going,
                                     .stage = on_stage,
                                     .context = ingest};
-    struct rn_read_options options = {.format = "colmap"};
+    struct rn_read_options options = rn_ingest_reading(&order->options);
     enum rn_status status = rn_mkdirs(order->work, 0777, err);
     if (!status) status = rn_poses_find(&wanted, &ingest->posed, &ingest->photos, err);
     if (status) return status;
-    for (size_t i = 0; i < problems->count; i++) { // where they were unpacked is nothing to anyone
-        rn_make_relative(problems->items[i].where, ingest->folder);
-        rn_make_relative(problems->items[i].text, ingest->folder);
-    }
+    tell_all_as_unpacked(ingest, problems);
     ingest->folder = ingest->posed;
+    options.format = "colmap";
+    options.masks = NULL; // they lie where COLMAP looks for them
     on_stage(ingest, "importing", 0, 0);
     status = rn_dataset_read_as(ingest->posed, &options, problems, ret_source, err);
     if (!status) rn_poses_tell(&ingest->photos, *ret_source, problems);
@@ -221,23 +247,36 @@ static enum rn_status find_poses(struct ingest *ingest, struct rn_problems *prob
 
 static enum rn_status read_source(struct ingest *ingest, struct rn_problems *problems,
                                   struct rn_dataset **ret_source, struct rn_error *err) {
-    const struct rn_ingest_options *wanted = &ingest->order.options;
     if (ingest->finds_poses) return find_poses(ingest, problems, ret_source, err);
-    struct rn_read_options options = {.format = *wanted->format ? wanted->format : NULL,
-                                      .masks = *wanted->masks ? wanted->masks : NULL};
-    if (!rn_ingest_bounds(wanted->bounds, options.bounds.centre, &options.bounds.radius))
-        options.bounds.radius = 0;
+    struct rn_read_options options = rn_ingest_reading(&ingest->order.options);
     return rn_dataset_read_as(ingest->folder, &options, problems, ret_source, err);
+}
+
+// What is said of a dataset calls it by the name it is given, not by that of the unpacked folder.
+static enum rn_status rename_dataset(struct rn_dataset *dataset, const char *name,
+                                     struct rn_error *err) {
+    char *copy = strdup(name);
+    if (!copy) return rn_error_set(err, RN_ERROR_NO_MEMORY, name, "out of memory");
+    free(dataset->name);
+    dataset->name = copy;
+    return RN_OK;
 }
 
 static enum rn_status ingest_all(struct ingest *ingest, char **ret_json, struct rn_error *err) {
     struct rn_problems problems = {0};
     struct rn_dataset *source = NULL;
     post_progress(ingest, 0, 0);
+    if (ingest->order.scene) return rn_scene_adopt(&ingest->order, ret_json, err);
     enum rn_status status = find_source(ingest, err);
     if (!status) status = read_source(ingest, &problems, &source, err);
+    tell_all_as_unpacked(ingest, &problems);
+    if (!status) status = rename_dataset(source, ingest->order.name, err);
     if (!status) status = check_size(ingest, source, err);
-    if (!status) status = import(ingest, source, &problems, ret_json, err);
+    struct rn_import_options options = import_options_of(&ingest->order);
+    if (!status && ingest->order.validate)
+        status = rn_describe_validation(source, ingest->folder, &options, &problems, ret_json, err);
+    else if (!status)
+        status = import(ingest, source, &problems, ret_json, err);
     if (source) rn_dataset_destroy(&source);
     rn_problems_finish(&problems);
     rn_photos_finish(&ingest->photos);
@@ -256,8 +295,8 @@ static void tell_as_sent(const struct ingest *ingest, struct rn_error *err) {
     if (!folder) return;
     if (strcmp(err->where, folder) == 0 && strcmp(folder, ingest->order.source) != 0)
         snprintf(err->where, sizeof err->where, "the archive");
-    rn_make_relative(err->where, folder);
-    rn_make_relative(err->text, folder);
+    tell_as_unpacked(ingest, err->where);
+    tell_as_unpacked(ingest, err->text);
 }
 
 // The two folders to write are made beforehand.
@@ -275,7 +314,8 @@ static void confine(const struct ingest *ingest) {
 
 static void carry_out(struct ingest *ingest) {
     struct rn_error err = {0};
-    struct rn_wire_done done = {.result = NULL};
+    rn_link_log_of(&ingest->link, ingest->order.job);
+    char *result = NULL;
     struct stat about;
     ingest->watch =
         (struct rn_watch){.link = &ingest->link, .job = ingest->order.job, .request = RN_ABSENT};
@@ -283,19 +323,18 @@ static void carry_out(struct ingest *ingest) {
     bool target_is_ours = stat(ingest->order.target, &about) < 0;
     if (target_is_ours && ingest->link.profile) confine(ingest);
     enum rn_status status = target_is_ours
-                                ? ingest_all(ingest, &done.result, &err)
+                                ? ingest_all(ingest, &result, &err)
                                 : rn_error_set(&err, RN_ERROR_CONFLICT, ingest->order.target,
                                                "the folder exists already");
     remove_folder(ingest->order.work);
-    if (status && target_is_ours) remove_folder(ingest->order.target);
+    if ((status || ingest->order.validate) && target_is_ours) remove_folder(ingest->order.target);
     if (status) {
         tell_as_sent(ingest, &err);
         rn_link_fail(&ingest->link, ingest->order.job, RN_ABSENT, &err);
         return;
     }
-    memcpy(done.job, ingest->order.job, sizeof done.job);
-    rn_link_post(&ingest->link, RN_WIRE_DONE, &done, NULL, 0);
-    free(done.result);
+    rn_link_done(&ingest->link, ingest->order.job, result);
+    free(result);
 }
 
 // Waits for the order; false when none came.

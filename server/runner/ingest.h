@@ -1,5 +1,5 @@
 // Modes ingest and poses: one dataset, unpacked, read, imported, described; in mode poses those of
-// its photographs are found first.
+// its photographs are found first. Or, in mode ingest, a scene (adopt.h).
 #ifndef RN_SERVER_RUNNER_INGEST_H
 #define RN_SERVER_RUNNER_INGEST_H
 

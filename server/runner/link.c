@@ -18,6 +18,7 @@ void rn_link_init(struct rn_link *link, int fd) {
 
 void rn_link_finish(struct rn_link *link) {
     struct rn_letter letter;
+    rn_log_set_trace(NULL);
     while (rn_link_take(link, &letter))
         rn_wire_message_finish(&letter.message);
     rn_wire_reader_finish(&link->reader);
@@ -30,6 +31,19 @@ static void close_link(struct rn_link *link, const struct rn_error *err) {
     link->closed = true;
 }
 
+static void keep_trace(struct rn_link *link, struct rn_wire_message *message) {
+    struct rn_wire_trace *trace = &link->traces[link->trace_count % RN_LINK_TRACES];
+    if (rn_wire_take(message, trace, NULL) == RN_OK) link->trace_count++;
+    rn_wire_message_finish(message);
+}
+
+const char *rn_link_log_of(struct rn_link *link, const char *job) {
+    const char *found = NULL;
+    for (size_t i = 0; *job && i < RN_LINK_TRACES; i++)
+        if (strcmp(link->traces[i].job, job) == 0) found = link->traces[i].traceparent;
+    return rn_log_set_trace(found);
+}
+
 // Moves one message to the inbox; false when there is no whole one.
 static bool receive(struct rn_link *link) {
     struct rn_wire_message message;
@@ -38,6 +52,10 @@ static bool receive(struct rn_link *link) {
     enum rn_status status = rn_wire_read(&link->reader, &ready, &message, &err);
     if (status) close_link(link, &err);
     if (status || !ready) return false;
+    if (message.type == RN_WIRE_TRACE) {
+        keep_trace(link, &message);
+        return true;
+    }
     struct rn_letter *letter = malloc(sizeof *letter);
     if (!letter) {
         rn_wire_message_finish(&message);
@@ -145,11 +163,28 @@ void rn_link_post(struct rn_link *link, enum rn_wire_type type, const void *mess
     link->said_ns = rn_clock_ns();
 }
 
+void rn_link_post_last(struct rn_link *link, enum rn_wire_type type, const void *message) {
+    struct rn_error err = {0};
+    bool empty;
+    if (!link->closed)
+        rn_link_post(link, type, message, NULL, 0);
+    else if (rn_wire_post(&link->writer, type, message, NULL, 0, &err) ||
+             rn_wire_flush(&link->writer, &empty, &err))
+        rn_log(RN_LOG_INFO, "the daemon is not told: %s", err.text);
+}
+
 // A device that is lost stays lost in this process. The daemon takes its end for a crash: jobs go
 // on from their last checkpoint in a new one.
 static _Noreturn void leave(const struct rn_error *err) {
     rn_log(RN_LOG_ERROR, "the device is lost: %s: %s", err->where, err->text);
     _exit(1);
+}
+
+void rn_link_done(struct rn_link *link, const char *job, char *result) {
+    struct rn_wire_done done = {.result = result};
+    snprintf(done.job, sizeof done.job, "%s", job);
+    rn_log(RN_LOG_INFO, "job %s: done", job);
+    rn_link_post(link, RN_WIRE_DONE, &done, NULL, 0);
 }
 
 void rn_link_fail(struct rn_link *link, const char *job, int64_t request,
@@ -160,6 +195,7 @@ void rn_link_fail(struct rn_link *link, const char *job, int64_t request,
     snprintf(failed.status, sizeof failed.status, "%s", rn_status_name(err->status));
     snprintf(failed.where, sizeof failed.where, "%s", err->where);
     snprintf(failed.text, sizeof failed.text, "%s", err->text);
+    if (*job) rn_log(RN_LOG_INFO, "job %s: %s: %s: %s", job, failed.status, err->where, err->text);
     rn_link_post(link, RN_WIRE_FAILED, &failed, NULL, 0);
 }
 

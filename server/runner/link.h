@@ -12,6 +12,8 @@ struct rn_letter {
     struct rn_letter *next;
 };
 
+#define RN_LINK_TRACES 4
+
 // Thread-safety: owned by one thread.
 struct rn_link {
     struct rn_wire_reader reader;
@@ -22,6 +24,8 @@ struct rn_link {
     const struct rn_profile *profile; // what is learnt of places confines the process to them;
                                       // NULL: it does not
     bool closed;                      // the daemon is gone, or does not speak the protocol
+    struct rn_wire_trace traces[RN_LINK_TRACES]; // of the last jobs that have one
+    unsigned trace_count;                        // of all so far
 };
 #define RN_LINK_MAX_LETTERS 256
 
@@ -41,12 +45,19 @@ bool rn_link_take_type(struct rn_link *link, enum rn_wire_type type, struct rn_l
 bool rn_link_take_cancel(struct rn_link *link, const char *job, int64_t request);
 // Whether something has arrived that was not taken yet. `link`: struct rn_link.
 bool rn_link_has_news(void *link);
+// What is logged from now on is about this job ("": none): in its trace. The trace before.
+const char *rn_link_log_of(struct rn_link *link, const char *job);
 // Whether work must stop: the daemon is gone or has asked for the end.
 bool rn_link_must_stop(const struct rn_link *link);
 
 // Sends a message, waiting until it is out. A failure closes the link and is logged.
 void rn_link_post(struct rn_link *link, enum rn_wire_type type, const void *message,
                   const void *blob, size_t blob_size);
+// The same, and also where nothing more is heard, as far as it goes at once: what is worth knowing
+// of a runner that was told of its end by other means than the daemon.
+void rn_link_post_last(struct rn_link *link, enum rn_wire_type type, const void *message);
+// Sends `done`: the job's result is this JSON.
+void rn_link_done(struct rn_link *link, const char *job, char *result);
 // Sends `failed` about a job ("" for none) or a request (RN_ABSENT for none).
 // RN_ERROR_UNAVAILABLE, a lost device, ends the process.
 void rn_link_fail(struct rn_link *link, const char *job, int64_t request,

@@ -3,6 +3,7 @@
 #include <errno.h>
 #include <fcntl.h>
 #include <limits.h>
+#include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -11,13 +12,21 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
+#include "common/base/clock.h"
 #include "common/base/file.h"
 #include "common/base/log.h"
+#include "server/runner/pairs.h"
 
 #define FOLDER ".poses"
-#define FEWEST 3            // photographs that can be placed
-#define EXHAUSTIVE_MOST 200 // photographs that are all matched with one another
-#define OPENCV_FEWEST 10    // photographs of one camera that settle four distortion parameters
+#define FEWEST 3             // photographs that can be placed
+#define EXHAUSTIVE_PAIRS 500 // up to which all are matched: 32 photographs
+#define FEATURE_S 1.4e-4     // CPU seconds a pair and feature, matched and verified (EPYC)
+#define MATCHING_S 150.0     // CPU seconds for all pairs
+#define FEATURES_FEWEST 1024.0
+#define FEATURES_MOST 4096.0
+#define FEATURES_SIDE "1600" // pixels, longest side of the pictures that features are found in
+#define DOUBLED_BELOW 1100   // pixels of that side: smaller ones are looked at twice their size
+#define OPENCV_FEWEST 10     // photographs of one camera that settle four distortion parameters
 #define NAMES_SHOWN 12
 #define BLOCK "10" // photographs matched with as many between two lines of progress
 #define COPY_PIECE (1 << 30)
@@ -28,7 +37,10 @@ struct search {
     char folder[PATH_MAX];
     struct rn_photos *photos;
     char said[RN_PROGRAM_LAST_WORDS]; // of the mapper, why it began with nothing
-    bool masked;
+    bool masked, exhaustive;
+    size_t pairs;
+    int features; // a photograph, at most
+    char took[128];
 };
 
 // ---- the photographs ----
@@ -169,6 +181,8 @@ static void read_line(void *context, const char *line) {
     } else if ((at = strstr(line, "Matching block [")) != NULL &&
                sscanf(at, "Matching block [%lu/%lu, %lu/%lu]", &done, &rows, &of, &total) == 4) {
         order->stage(order->context, search->stage, (done - 1) * total + of - 1, rows * total);
+    } else if (at && sscanf(at, "Matching block [%lu/%lu]", &done, &total) == 2) {
+        order->stage(order->context, search->stage, done - 1, total);
     } else if ((at = strstr(line, "Registering image #")) != NULL &&
                sscanf(at, "Registering image #%lu (%lu)", &of, &done) == 2) {
         order->stage(order->context, search->stage,
@@ -193,7 +207,11 @@ static enum rn_status run_colmap(struct search *search, const char *stage, const
                                 .context = search};
     search->stage = stage;
     search->order->stage(search->order->context, stage, 0, 0);
+    int64_t began = rn_clock_ns();
     enum rn_status status = rn_program_run(&colmap, argv, err);
+    size_t used = strlen(search->took);
+    snprintf(search->took + used, sizeof search->took - used, "%s%s %.0f s", used ? ", " : "",
+             stage, (double)(rn_clock_ns() - began) * 1e-9);
     if (status == RN_ERROR_IO || status == RN_ERROR_INVALID) {
         struct rn_error inner = *err;
         return rn_error_set(err, inner.status, "colmap", "%s: %.400s", stage, inner.text);
@@ -201,10 +219,32 @@ static enum rn_status run_colmap(struct search *search, const char *stage, const
     return status;
 }
 
+// Which photographs are matched, and by how many features, so that it takes minutes.
+static void choose_effort(struct search *search) {
+    const struct rn_photos *photos = search->photos;
+    size_t all = photos->count * (photos->count - 1) / 2;
+    search->exhaustive = all <= EXHAUSTIVE_PAIRS;
+    search->pairs = search->exhaustive ? all : rn_pairs_expected(photos);
+    double features = MATCHING_S / (FEATURE_S * (double)search->pairs);
+    search->features = (int)fmin(fmax(features, FEATURES_FEWEST), FEATURES_MOST);
+}
+
+static int longest_side(const struct rn_photos *photos) {
+    int longest = 0;
+    for (size_t i = 0; i < photos->count; i++) {
+        const struct rn_image_info *info = &photos->items[i].info;
+        int side = info->width > info->height ? info->width : info->height;
+        if (side > longest) longest = side;
+    }
+    return longest;
+}
+
 static enum rn_status extract(struct search *search, const char *database, const char *images,
                               const char *threads, struct rn_error *err) {
     const struct rn_photos *photos = search->photos;
-    char masks[PATH_MAX + 8];
+    char masks[PATH_MAX + 8], features[16];
+    const char *octave = longest_side(photos) < DOUBLED_BELOW ? "-1" : "0";
+    snprintf(features, sizeof features, "%d", search->features);
     bool settled = photos->one_camera && photos->count >= OPENCV_FEWEST;
     snprintf(masks, sizeof masks, "%s/masks", search->folder);
     rn_problems_add(search->order->problems, RN_SEVERITY_INFO, "poses",
@@ -226,34 +266,62 @@ static enum rn_status extract(struct search *search, const char *database, const
                                 "0",
                                 "--SiftExtraction.num_threads",
                                 threads,
+                                "--SiftExtraction.max_num_features",
+                                features,
+                                "--SiftExtraction.max_image_size",
+                                FEATURES_SIDE,
+                                "--SiftExtraction.first_octave",
+                                octave,
                                 search->masked ? "--ImageReader.mask_path" : NULL,
                                 masks,
                                 NULL};
     return run_colmap(search, "finding features", argv, err);
 }
 
+// Writes the list of pairs.
+static enum rn_status choose_pairs(struct search *search, const char *database, const char *list,
+                                   struct rn_error *err) {
+    search->order->stage(search->order->context, "choosing pairs", 0, 0);
+    enum rn_status status = rn_pairs_choose(search->photos, database, list, keep_searching, search,
+                                            &search->pairs, err);
+    if (status == RN_OK && search->pairs == 0)
+        status = rn_error_set(err, RN_ERROR_INVALID, "colmap",
+                              "found no poses: no two photographs have features in common; take "
+                              "them again so that each shares two thirds of what it shows with "
+                              "the next, with texture and little glare in view");
+    return status;
+}
+
 static enum rn_status match(struct search *search, const char *database, const char *threads,
                             struct rn_error *err) {
-    const struct rn_photos *photos = search->photos;
-    bool film = photos->film != NULL;
-    bool sequential = film || (photos->in_order && photos->count > EXHAUSTIVE_MOST);
-    rn_problems_add(search->order->problems, RN_SEVERITY_INFO, "poses", "%s: %s",
-                    film         ? "frames of a film"
-                    : sequential ? "many photographs whose names count upwards"
-                                 : "photographs in no order, or few enough",
-                    sequential ? "each is matched with those near it in order"
-                               : "each is matched with every other");
-    const char *const argv[] = {sequential ? "sequential_matcher" : "exhaustive_matcher",
+    char list[PATH_MAX + 16];
+    snprintf(list, sizeof list, "%s/pairs", search->folder);
+    enum rn_status status = search->exhaustive ? RN_OK : choose_pairs(search, database, list, err);
+    if (status) return status;
+    rn_problems_add(search->order->problems, RN_SEVERITY_INFO, "poses",
+                    "each photograph is matched with %s, %zu pairs, by about %d features each",
+                    search->exhaustive ? "every other"
+                    : search->photos->in_order
+                        ? "those whose largest features match best and, since names count "
+                          "upwards, with those near it"
+                        : "those whose largest features match best",
+                    search->pairs, search->features);
+    const char *const argv[] = {search->exhaustive ? "exhaustive_matcher" : "matches_importer",
                                 "--database_path",
                                 database,
                                 "--SiftMatching.use_gpu",
                                 "0",
                                 "--SiftMatching.num_threads",
                                 threads,
-                                sequential ? NULL : "--ExhaustiveMatching.block_size",
-                                BLOCK,
+                                search->exhaustive ? "--ExhaustiveMatching.block_size"
+                                                   : "--match_list_path",
+                                search->exhaustive ? BLOCK : list,
                                 NULL};
-    return run_colmap(search, "matching", argv, err);
+    if (search->exhaustive) return run_colmap(search, "matching", argv, err);
+    status = rn_pairs_rename(search->photos, database, true, err);
+    if (status == RN_OK) status = run_colmap(search, "matching", argv, err);
+    if (status == RN_OK) status = rn_pairs_rename(search->photos, database, false, err);
+    return status;
 }
 
 static enum rn_status map(struct search *search, const char *database, const char *images,
@@ -290,9 +358,13 @@ static enum rn_status run_stages(struct search *search, struct rn_error *err) {
     snprintf(database, sizeof database, "%s/database.db", search->folder);
     snprintf(images, sizeof images, "%s/images", search->folder);
     snprintf(threads, sizeof threads, "%d", count > 0 ? count : -1);
+    choose_effort(search);
     enum rn_status status = extract(search, database, images, threads, err);
     if (status == RN_OK) status = match(search, database, threads, err);
     if (status == RN_OK) status = map(search, database, images, threads, err);
+    if (status == RN_OK)
+        rn_problems_add(search->order->problems, RN_SEVERITY_INFO, "poses", "COLMAP took %s",
+                        search->took);
     return status;
 }
 

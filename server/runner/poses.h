@@ -3,7 +3,7 @@
 #define RN_SERVER_RUNNER_POSES_H
 
 #include "common/dataset/photos.h"
-#include "server/runner/program.h"
+#include "common/base/program.h"
 
 // What an import tells while it looks for poses. Thread-safety: one thread.
 struct rn_poses_order {

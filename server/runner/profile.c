@@ -15,7 +15,10 @@ static const struct rn_profile profiles[] = {
     {"ingest", {NULL}, false, SOURCE, TARGET | WORK, TARGET | WORK},
     {"poses", {"colmap", "ffmpeg"}, false, SOURCE, TARGET | WORK, TARGET | WORK},
     {"field", {NULL}, true, DATASET, SCENE, 0},
+    {"remote", {NULL}, true, DATASET, SCENE, 0},   // field, once it has joined its daemon
+    {"rank", {NULL}, true, DATASET | SCENE, 0, 0}, // beside the first, once it has joined that
     {"probe", {NULL}, true, 0, 0, 0},
+    {"needs", {NULL}, true, DATASET | SCENE, 0, 0},
 };
 
 const struct rn_profile *rn_profile_of(const char *mode) {

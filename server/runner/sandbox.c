@@ -18,7 +18,7 @@
 #include <unistd.h>
 
 #include "common/base/log.h"
-#include "server/runner/program.h"
+#include "common/base/program.h"
 #include "server/runner/calls.h"
 
 // ---- privileges and limits --------------------------------------------------------------------

@@ -6,10 +6,13 @@
 #include "common/base/clock.h"
 #include "common/base/log.h"
 #include "common/base/seal.h"
+#include "proto/marks.h"
 #include "server/runner/checkpoints.h"
 #include "server/runner/describe.h"
 #include "server/runner/host.h"
 #include "server/runner/incidents.h"
+#include "server/runner/join.h"
+#include "server/runner/ranks.h"
 #include "server/runner/saving.h"
 
 #define PROGRESS_INTERVAL_S 0.5
@@ -39,6 +42,7 @@ struct rn_training {
     bool closing;                           // a limit is reached: the last round, then the end
     bool finish_asked;
     struct rn_saving saving;
+    double next_mark; // training seconds
     bool announced;
     char set_aside[512]; // the damaged checkpoint that was passed over, and why; "" = none
     enum { THEN_GO_ON, THEN_CANCELLED, THEN_DONE } then; // when it is saved
@@ -159,7 +163,7 @@ static void post_checkpoint(struct rn_host *host) {
     if (rn_seal_read(path, message.digest, &err))
         rn_log(RN_LOG_WARN, "%s: %s", err.where, err.text);
     memcpy(host->digest, message.digest, sizeof host->digest);
-    if (message.scene) rn_link_post(&host->link, RN_WIRE_CHECKPOINT, &message, NULL, 0);
+    if (message.scene) rn_link_post_last(&host->link, RN_WIRE_CHECKPOINT, &message);
     free(message.scene);
 }
 
@@ -191,10 +195,7 @@ static enum rn_status restore(struct rn_host *host, struct rn_trainer **ret_trai
         if (!status) status = rn_checkpoint_path(host->place.scene_folder, step, path, err);
         if (status) return status;
         status = rn_seal_check(path, host->digest, err);
-        if (status == RN_OK)
-            status = rn_trainer_restore(host->engine, host->dataset, path,
-                                        (size_t)rn_int_or(host->place.memory_limit_bytes, 0),
-                                        ret_trainer, err);
+        if (status == RN_OK) status = rn_ranks_make_trainer(host, NULL, path, ret_trainer, err);
         if (!rn_checkpoint_is_damaged(status, err, path)) return status;
         rn_checkpoint_set_aside(host->place.scene_folder, step, err, told);
     }
@@ -210,6 +211,17 @@ static enum rn_status point_at_option(enum rn_status status, struct rn_error *er
     return status;
 }
 
+enum rn_status rn_host_need_engine_for(struct rn_host *host, const struct rn_train_options *options,
+                                       struct rn_error *err) {
+    const struct rn_wire_open *place = &host->place;
+    const char *device = *options->device ? options->device : place->device;
+    enum rn_status status =
+        rn_host_need_engine(host, host->exchange ? "cpu" : device,
+                            *options->kernels ? options->kernels : place->kernels,
+                            (int)rn_int_or(options->threads, rn_int_or(place->threads, 0)), err);
+    return point_at_option(status, err);
+}
+
 static enum rn_status restore_or_create(struct rn_host *host,
                                         const struct rn_train_options *options,
                                         struct rn_trainer **ret_trainer, char told[512],
@@ -219,23 +231,17 @@ static enum rn_status restore_or_create(struct rn_host *host,
     struct rn_train_config config;
     status = rn_configure(options, host->dataset->scale_count > 1, &config, err);
     if (status) return point_at_option(status, err);
-    return rn_trainer_create(host->engine, host->dataset, &config,
-                             (size_t)rn_int_or(host->place.memory_limit_bytes, 0), ret_trainer,
-                             err);
+    return rn_ranks_make_trainer(host, &config, NULL, ret_trainer, err);
 }
 
 static enum rn_status create_trainer(struct rn_host *host, const char *job,
                                      const struct rn_train_options *options,
                                      struct rn_trainer **ret_trainer, char told[512],
                                      struct rn_error *err) {
-    const struct rn_wire_open *place = &host->place;
     enum rn_status status = rn_host_need_sound_dataset(host, err);
+    if (!status) status = rn_host_need_engine_for(host, options, err);
     if (status) return status;
-    status =
-        rn_host_need_engine(host, *options->device ? options->device : place->device,
-                            *options->kernels ? options->kernels : place->kernels,
-                            (int)rn_int_or(options->threads, rn_int_or(place->threads, 0)), err);
-    if (status) return point_at_option(status, err);
+    if (host->marked) rn_field_destroy(&host->marked);
     if (host->loaded) rn_field_destroy(&host->loaded); // room for the optimiser
     struct rn_watch watch = {.link = &host->link, .job = job, .request = RN_ABSENT};
     host->watch = &watch;
@@ -267,9 +273,13 @@ void rn_training_start(struct rn_host *host, const struct rn_wire_train *train) 
     training->checkpointed_at = training->reported_at = now_s();
     struct rn_progress progress;
     rn_trainer_progress(training->trainer, &progress);
+    training->next_mark = rn_mark_next(progress.train_seconds);
+    rn_marks_prune(host->place.scene_folder, progress.step); // of what a crash has undone
     training->evaluated_step = isnan(progress.psnr) ? -1 : progress.psnr_step;
     training->evaluated_at = isnan(progress.psnr) ? 0 : progress.train_seconds;
     host->training = training;
+    rn_log(RN_LOG_INFO, "job %s: trains from step %lld on", training->job,
+           (long long)progress.step);
     post_state(host, RN_JOB_RUNNING);
     post_progress(host, &progress);
 }
@@ -296,6 +306,7 @@ static enum rn_finished_by reason(const struct rn_training *training,
     const struct rn_train_config *config = rn_trainer_config(training->trainer);
     if (training->finish_asked) return RN_FINISHED_REQUEST;
     if (config->until_psnr > 0 && progress->psnr >= config->until_psnr) return RN_FINISHED_PSNR;
+    if (progress->plateau) return RN_FINISHED_PLATEAU;
     bool by_steps = config->max_steps > 0 && progress->step >= config->max_steps;
     return by_steps ? RN_FINISHED_STEPS : RN_FINISHED_TIME;
 }
@@ -305,24 +316,28 @@ static void conclude(struct rn_host *host) {
     struct rn_training *training = host->training;
     const struct rn_progress *progress = &training->saving.progress;
     struct rn_error err = {0};
+    struct rn_device_info device;
     post_progress(host, progress);
     struct rn_train_result result = {.steps = progress->step,
                                      .train_seconds = progress->train_seconds,
                                      .samples = (int64_t)progress->samples,
                                      .psnr = progress->psnr,
-                                     .finished_by = (int)reason(training, progress)};
+                                     .finished_by = (int)reason(training, progress),
+                                     .estimate = {.seconds = NAN, .psnr = NAN}};
     memcpy(result.parameters_sha256, training->saving.sha256, sizeof result.parameters_sha256);
     tell_fallback(training, result.fell_back);
-    struct rn_wire_done done = {.result = NULL};
-    memcpy(done.job, training->job, sizeof done.job);
-    if (rn_encode(&rn_train_result_table, &result, &done.result, NULL, &err)) {
+    rn_engine_describe(host->engine, &device);
+    rn_machine_text(device.name, result.machine, sizeof result.machine);
+    char job[RN_ID_MAX], *json = NULL;
+    memcpy(job, training->job, sizeof job);
+    if (rn_encode(&rn_train_result_table, &result, &json, NULL, &err)) {
         fail(host, &err);
         return;
     }
     host->loaded = rn_trainer_finish(&training->trainer);
     leave(host);
-    rn_link_post(&host->link, RN_WIRE_DONE, &done, NULL, 0);
-    free(done.result);
+    rn_link_done(&host->link, job, json);
+    free(json);
 }
 
 static void end_cancelled(struct rn_host *host) {
@@ -335,14 +350,15 @@ static void end_cancelled(struct rn_host *host) {
 
 static void after_saving(struct rn_host *host, enum rn_status status, const struct rn_error *err) {
     struct rn_training *training = host->training;
-    training->checkpointed_at = now_s();
-    if (status && training->then == THEN_DONE) {
+    bool mark = training->saving.is_mark;
+    if (!mark) training->checkpointed_at = now_s();
+    if (status && training->then == THEN_DONE && !mark) {
         fail(host, err);
         return;
     }
     if (status)
         warn(err);
-    else
+    else if (!mark)
         post_checkpoint(host);
     if (rn_saving_is_busy(&training->saving)) return; // another one is wanted
     if (training->then == THEN_CANCELLED)
@@ -391,6 +407,13 @@ static bool checkpoint_is_due(const struct rn_training *training, double train_s
                rn_number_or(training->checkpoint_interval_s, interval);
 }
 
+// What there is to look back at; nothing waits for it.
+static void mark_when_due(struct rn_training *training, double train_seconds) {
+    if (train_seconds < training->next_mark || training->closing) return;
+    training->next_mark = rn_mark_next(train_seconds);
+    training->saving.mark_wanted = true;
+}
+
 static enum rn_status advance(struct rn_host *host, struct rn_error *err) {
     struct rn_training *training = host->training;
     bool round_done = false;
@@ -413,6 +436,7 @@ static enum rn_status advance(struct rn_host *host, struct rn_error *err) {
 void rn_training_slice(struct rn_host *host) {
     struct rn_training *training = host->training;
     struct rn_error err = {0};
+    rn_link_log_of(&host->link, training->job);
     if (rn_saving_is_busy(&training->saving) && !go_on_saving(host)) return;
     if (!rn_training_runs(host)) return;
     if (advance(host, &err)) {
@@ -429,9 +453,11 @@ void rn_training_slice(struct rn_host *host) {
     if (training->closing && !training->evaluating) {
         training->then = THEN_DONE;
         training->saving.wanted = true;
+        training->saving.mark_wanted = false;
         return;
     }
     double now = now_s();
+    mark_when_due(training, progress.train_seconds);
     if (now - training->reported_at >= PROGRESS_INTERVAL_S) post_progress(host, &progress);
     if (!training->closing && checkpoint_is_due(training, progress.train_seconds, now))
         training->saving.wanted = true;
@@ -474,5 +500,6 @@ void rn_training_cancel(struct rn_host *host) {
     bool quick = progress.step > 0 && progress.train_seconds / (double)progress.step < QUICK_STEP_S;
     training->then = THEN_CANCELLED;
     training->saving.wanted = quick && !training->saving.begun;
+    training->saving.mark_wanted = false;
     if (!rn_saving_is_busy(&training->saving)) end_cancelled(host);
 }

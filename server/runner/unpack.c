@@ -153,6 +153,20 @@ static enum rn_status unpack_all(struct unpacking *unpacking, struct rn_error *e
     return rn_error_set(err, RN_ERROR_INVALID, "tar", "the tar is empty");
 }
 
+// A tar ends with blocks of zeros; one that was cut between two files does not.
+static enum rn_status check_end(const char *archive, struct rn_error *err) {
+    char last[512] = {1};
+    static const char zeros[sizeof last];
+    int fd = open(archive, O_RDONLY | O_CLOEXEC);
+    off_t end = fd < 0 ? -1 : lseek(fd, -(off_t)sizeof last, SEEK_END);
+    bool whole = end >= 0 && read(fd, last, sizeof last) == (ssize_t)sizeof last &&
+                 memcmp(last, zeros, sizeof last) == 0;
+    if (fd >= 0) close(fd);
+    if (whole) return RN_OK;
+    return rn_error_set(err, RN_ERROR_INVALID, "tar",
+                        "the tar is cut off: it lacks the zeros that tars end with");
+}
+
 enum rn_status rn_unpack(const char *archive, const char *target,
                          const struct rn_unpack_limits *limits, bool (*keep_going)(void *context),
                          void *context, struct rn_error *err) {
@@ -167,6 +181,7 @@ enum rn_status rn_unpack(const char *archive, const char *target,
         archive_read_open_filename(unpacking.archive, archive, BLOCK_BYTES) != ARCHIVE_OK)
         status = damaged(&unpacking, archive, err);
     if (!status) status = unpack_all(&unpacking, err);
+    if (!status) status = check_end(archive, err);
     archive_read_free(unpacking.archive);
     return status;
 }

@@ -12,17 +12,6 @@ static double now_s(void) {
     return (double)rn_clock_ns() * 1e-9;
 }
 
-static int compare_doubles(const void *a, const void *b) {
-    double x = *(const double *)a, y = *(const double *)b;
-    return (x > y) - (x < y);
-}
-
-double rn_work_median(double *values, size_t count) {
-    if (!count) return NAN;
-    qsort(values, count, sizeof *values, compare_doubles);
-    return 0.5 * (values[(count - 1) / 2] + values[count / 2]);
-}
-
 // ---- the list ------------------------------------------------------------------------------
 
 struct rn_work *rn_work_append(struct rn_host *host, const struct rn_work_kind *kind,
@@ -37,6 +26,7 @@ struct rn_work *rn_work_append(struct rn_host *host, const struct rn_work_kind *
     strcpy(work->job, job);
     work->kind = kind;
     work->step = RN_ABSENT;
+    work->at = NAN;
     work->host = host;
     work->watch = (struct rn_watch){.link = &host->link, .job = work->job, .request = RN_ABSENT};
     while (*slot)
@@ -93,6 +83,31 @@ void rn_work_rendered(struct rn_work *work, double render_ms, uint64_t nonfinite
     work->nonfinite += nonfinite_rays;
 }
 
+enum rn_status rn_work_score(struct rn_work *work, struct rn_field *field,
+                             const struct rn_field_info *info, const struct rn_frame *frame,
+                             struct rn_view_score *ret_score, struct rn_error *err) {
+    struct rn_render_options options = {.outputs = RN_OUTPUT_RGB};
+    memcpy(options.background, info->config.background, sizeof options.background);
+    enum rn_status status = rn_evaluate_view(work->host->engine, field, frame, &options,
+                                             rn_work_keep_going, work, ret_score, err);
+    if (!status) rn_work_rendered(work, ret_score->render_ms, ret_score->nonfinite_rays);
+    return status;
+}
+
+int rn_work_choose_views(const struct rn_dataset *dataset, enum rn_split split, int wanted,
+                         const struct rn_frame **ret_frames) {
+    int views = dataset->view_count[split], last = -1, view = 0, chosen = 0;
+    if (wanted > views) wanted = views;
+    for (size_t i = 0; i < dataset->frame_count; i++) {
+        const struct rn_frame *frame = &dataset->frames[i];
+        if (frame->split != split || frame->index == last) continue;
+        if (chosen < wanted && view == chosen * views / wanted) ret_frames[chosen++] = frame;
+        view++;
+        last = frame->index;
+    }
+    return chosen;
+}
+
 static void post_progress(struct rn_work *work) {
     double now = now_s();
     struct rn_work_progress record = {.done = (int64_t)work->done,
@@ -134,7 +149,7 @@ static enum rn_status take_step(struct rn_work *work, int64_t step, struct rn_er
 static enum rn_status do_unit(struct rn_work *work, struct rn_error *err) {
     struct rn_field *field;
     struct rn_field_info info;
-    enum rn_status status = rn_host_field(work->host, &field, err);
+    enum rn_status status = rn_host_field_at(work->host, work->at, &field, err);
     if (!status && !work->prepared) status = prepare(work, field, err);
     if (status) return status;
     rn_field_describe(field, &info);
@@ -144,14 +159,13 @@ static enum rn_status do_unit(struct rn_work *work, struct rn_error *err) {
 }
 
 static enum rn_status finish(struct rn_work *work, struct rn_error *err) {
-    struct rn_wire_done done = {.result = NULL};
+    char *result = NULL;
     struct rn_field *field;
-    enum rn_status status = rn_host_field(work->host, &field, err);
-    if (!status) status = work->kind->result(work, field, &done.result, err);
+    enum rn_status status = rn_host_field_at(work->host, work->at, &field, err);
+    if (!status) status = work->kind->result(work, field, &result, err);
     if (status) return status;
-    strcpy(done.job, work->job);
-    rn_link_post(&work->host->link, RN_WIRE_DONE, &done, NULL, 0);
-    free(done.result);
+    rn_link_done(&work->host->link, work->job, result);
+    free(result);
     drop(work);
     return RN_OK;
 }
@@ -159,6 +173,7 @@ static enum rn_status finish(struct rn_work *work, struct rn_error *err) {
 void rn_work_unit(struct rn_host *host) {
     struct rn_work *work = host->works;
     struct rn_error err = {0};
+    rn_link_log_of(&host->link, work->job);
     enum rn_status status = do_unit(work, &err);
     if (!status) {
         work->done++;

@@ -37,6 +37,7 @@ struct rn_work {
     uint64_t nonfinite; // rays of them that were replaced
     double began_s, reported_s;
     int64_t step; // the training step that all units show
+    double at;    // training seconds to look back at; NAN: as it is now
     struct rn_host *host;
     struct rn_watch watch;
     struct rn_work *next;
@@ -52,7 +53,13 @@ void rn_work_fail(struct rn_work *work, const struct rn_error *err);
 bool rn_work_keep_going(void *work);
 // Notes that a unit was rendered: its time and its rays that were replaced.
 void rn_work_rendered(struct rn_work *work, double render_ms, uint64_t nonfinite_rays);
-// NAN for none. Sorts the values.
-double rn_work_median(double *values, size_t count);
+// Renders the frame's camera over the scene's background and scores it beside its photograph; notes
+// that it was rendered.
+enum rn_status rn_work_score(struct rn_work *work, struct rn_field *field,
+                             const struct rn_field_info *info, const struct rn_frame *frame,
+                             struct rn_view_score *ret_score, struct rn_error *err) RN_MUST_CHECK;
+// Evenly spaced views of a split at the finest scale, `wanted` at most; returns how many.
+int rn_work_choose_views(const struct rn_dataset *dataset, enum rn_split split, int wanted,
+                         const struct rn_frame **ret_frames);
 
 #endif

@@ -40,26 +40,17 @@ static void copy_sql(const struct rn_store_table *table, struct rn_buf *sql) {
     rn_buf_printf(sql, ") || '}' FROM %s WHERE id = ?1", table->name);
 }
 
-static bool write_all(int fd, const char *text, size_t size) {
-    while (size > 0) {
-        ssize_t put = write(fd, text, size);
-        if (put < 0 && errno == EINTR) continue;
-        if (put <= 0) return false;
-        text += put;
-        size -= (size_t)put;
-    }
-    return true;
-}
-
-// Whether the copy that is there says the same; its seal aside.
+// Whether the copy that is there says the same, and is sealed: a loss of power may have left it as
+// it was before its seal was closed.
 static bool is_same(const char *path, const char *text, size_t size) {
     uint8_t *bytes = NULL;
     size_t got = 0;
+    char sha256[65];
     const size_t skip = 1 + sizeof RN_SEAL - 1;
     if (rn_file_read(path, MAX_COPY, &bytes, &got, NULL) != RN_OK) return false;
     bool same = got == size && size > skip && memcmp(bytes + skip, text + skip, size - skip) == 0;
     free(bytes);
-    return same;
+    return same && rn_seal_check(path, sha256, NULL) == RN_OK;
 }
 
 // Written whole or not at all, but not waited for.
@@ -71,7 +62,8 @@ static enum rn_status write_copy(const char *path, const char *text, size_t size
     int fd = open(temporary, O_RDWR | O_CREAT | O_TRUNC | O_CLOEXEC, 0600);
     if (fd < 0) return rn_error_from_errno(err, errno, temporary, "creating");
     enum rn_status status = RN_OK;
-    if (!write_all(fd, text, size)) status = rn_error_from_errno(err, errno, temporary, "writing");
+    if (!rn_write_all(fd, text, size))
+        status = rn_error_from_errno(err, errno, temporary, "writing");
     if (status == RN_OK) status = rn_seal_close(fd, temporary, sha256, err);
     if (close(fd) != 0 && status == RN_OK)
         status = rn_error_from_errno(err, errno, temporary, "writing");
@@ -179,18 +171,42 @@ static enum rn_status each_entry(struct rn_store *store, const char *folder,
     return status;
 }
 
-static enum rn_status count_content(struct rn_store *store, void *context, const char *name,
-                                    struct rn_error *err) {
-    *(bool *)context |= strncmp(name, "upload-", 7) != 0;
+struct looking {
+    const char *folder;
+    bool found;
+};
+
+static bool is_bare(const char *path) {
+    char frames[4300];
+    struct dirent *entry;
+    DIR *folder = opendir(path);
+    bool bare = folder != NULL;
+    snprintf(frames, sizeof frames, "%s/frames", path);
+    while (bare && (entry = readdir(folder)) != NULL)
+        bare = entry->d_name[0] == '.' || (strcmp(entry->d_name, "frames") == 0 && is_bare(frames));
+    if (folder != NULL) closedir(folder);
+    return bare;
+}
+
+// A folder that a request was about to fill when the daemon ended is none.
+static enum rn_status look_for_content(struct rn_store *store, void *context, const char *name,
+                                       struct rn_error *err) {
+    struct looking *looking = context;
+    char *path = rn_store_path(store, "%s/%s", looking->folder, name);
+    if (path == NULL) return rn_error_set(err, RN_ERROR_NO_MEMORY, COPY, "no memory");
+    looking->found |= !is_bare(path);
+    free(path);
     return RN_OK;
 }
 
 enum rn_status rn_store_has_content(struct rn_store *store, bool *ret_has, struct rn_error *err) {
-    static const char *const folders[] = {"datasets", "scenes", "camera-paths", "jobs", "spool"};
     enum rn_status status = RN_OK;
-    *ret_has = false;
-    for (size_t i = 0; status == RN_OK && i < sizeof folders / sizeof folders[0]; i++)
-        status = each_entry(store, folders[i], count_content, ret_has, err);
+    struct looking looking = {.found = false};
+    for (int i = 0; status == RN_OK && rn_content_tables[i] != NULL; i++) {
+        looking.folder = rn_content_tables[i]->folder;
+        status = each_entry(store, looking.folder, look_for_content, &looking, err);
+    }
+    *ret_has = looking.found;
     return status;
 }
 
@@ -209,6 +225,18 @@ enum rn_status rn_store_is_empty(struct rn_store *store, bool *ret_empty, struct
     return RN_OK;
 }
 
+// A column's value in the copy. One that an older daemon wrote lacks the columns that came later.
+static void print_value(struct rn_buf *sql, const struct rn_column *column) {
+    static const char *const late[] = {"owner", "size_bytes", "traceparent"};
+    for (size_t i = 0; i < sizeof late / sizeof late[0]; i++)
+        if (strcmp(column->name, late[i]) == 0) {
+            rn_buf_printf(sql, ", ifnull(json_extract(?1, '$.row.%s'), %s)", column->name,
+                          column->kind == RN_COLUMN_TEXT ? "''" : "0");
+            return;
+        }
+    rn_buf_printf(sql, ", json_extract(?1, '$.row.%s')", column->name);
+}
+
 // Runs an INSERT whose ?1 is the copy's text; *ret_done: a row came of it.
 static enum rn_status insert_from(struct rn_store *store, const struct rn_store_table *table,
                                   const char *text, const char *seq, const char *name,
@@ -221,11 +249,10 @@ static enum rn_status insert_from(struct rn_store *store, const struct rn_store_
         rn_buf_printf(&sql, ", %s", table->columns[i].name);
     rn_buf_printf(&sql, ") SELECT %s", seq);
     for (int i = 1; i < table->column_count; i++) {
-        const char *column = table->columns[i].name;
-        if (strcmp(column, "name") == 0)
+        if (strcmp(table->columns[i].name, "name") == 0)
             rn_buf_printf(&sql, ", %s", name);
         else
-            rn_buf_printf(&sql, ", json_extract(?1, '$.row.%s')", column);
+            print_value(&sql, &table->columns[i]);
     }
     int code = sql.failed ? SQLITE_NOMEM
                           : sqlite3_prepare_v2(store->db, (char *)sql.data, (int)sql.size,
@@ -307,6 +334,49 @@ static enum rn_status add_checkpoints(struct rn_store *store, const char *scene,
     return status == RN_ERROR_NOT_FOUND ? RN_OK : status;
 }
 
+// Whether the record that was made reads as one of this folder: the copy may be a stranger's.
+static bool is_sound(struct rn_store *store, const struct rn_store_table *table, const char *id,
+                     struct rn_error *err) {
+    struct rn_buf sql;
+    struct rn_query query = {.equal = {{"id", id}}, .limit = 1};
+    sqlite3_stmt *statement = NULL;
+    void *rows = NULL;
+    size_t count = 0;
+    if (rn_store_list(store, table, &query, &rows, &count, err) != RN_OK) return false;
+    rn_rows_finish(table, rows, count);
+    rn_buf_init(&sql, 4096);
+    rn_buf_printf(&sql, "SELECT 1 FROM %s WHERE id = ?1", table->name);
+    for (int i = 0; i < table->column_count; i++) {
+        const char *name = table->columns[i].name;
+        if (table->columns[i].kind == RN_COLUMN_DOCUMENT && strcmp(name, "source") != 0)
+            rn_buf_printf(&sql, " AND (%s IS NULL OR json_valid(%s))", name, name);
+    }
+    int code = sql.failed ? SQLITE_NOMEM
+                          : sqlite3_prepare_v2(store->db, (char *)sql.data, (int)sql.size,
+                                               &statement, NULL);
+    if (code == SQLITE_OK) code = sqlite3_bind_text(statement, 1, id, -1, SQLITE_STATIC);
+    if (code == SQLITE_OK) code = sqlite3_step(statement);
+    sqlite3_finalize(statement);
+    rn_buf_finish(&sql);
+    if (code == SQLITE_ROW) return true;
+    rn_error_set(err, RN_ERROR_CORRUPT, COPY, "it is no record of %s", id);
+    return false;
+}
+
+// As insert_record; nothing comes of a copy that makes no sound record.
+static enum rn_status insert_sound(struct rn_store *store, const struct rn_store_table *table,
+                                   const char *id, const char *text, bool *ret_done,
+                                   struct rn_error *err) {
+    int code = sqlite3_exec(store->db, "SAVEPOINT record", NULL, NULL, NULL);
+    if (code != SQLITE_OK) return rn_sqlite_error(store->db, code, COPY, err);
+    enum rn_status status = insert_record(store, table, text, ret_done, err);
+    if (*ret_done) *ret_done = is_sound(store, table, id, err);
+    if (!*ret_done) code = sqlite3_exec(store->db, "ROLLBACK TO record", NULL, NULL, NULL);
+    if (code == SQLITE_OK) code = sqlite3_exec(store->db, "RELEASE record", NULL, NULL, NULL);
+    if (code != SQLITE_OK) status = rn_sqlite_error(store->db, code, COPY, err);
+    return status;
+}
+
 static enum rn_status add_record(struct rn_store *store, void *context, const char *name,
                                  struct rn_error *err) {
     struct rebuilding *rebuilding = context;
@@ -321,7 +391,7 @@ static enum rn_status add_record(struct rn_store *store, void *context, const ch
     enum rn_status status = path == NULL ? rn_error_set(&why, RN_ERROR_NO_MEMORY, COPY, "no memory")
                                          : rn_seal_check(path, sha256, &why);
     if (status == RN_OK) status = rn_file_read(path, MAX_COPY, &text, &size, &why);
-    if (status == RN_OK) status = insert_record(store, table, (char *)text, &done, &why);
+    if (status == RN_OK) status = insert_sound(store, table, name, (char *)text, &done, &why);
     if (status == RN_OK && done && table == &rn_scenes) status = add_checkpoints(store, name, err);
     rebuilding->made += done;
     rebuilding->left += !done;
@@ -331,6 +401,14 @@ static enum rn_status add_record(struct rn_store *store, void *context, const ch
     free(text);
     free(path);
     return RN_OK;
+}
+
+enum rn_status rn_records_add(struct rn_store *store, const struct rn_store_table *table,
+                              const char *id, bool *ret_made, struct rn_error *err) {
+    struct rebuilding rebuilding = {.table = table};
+    enum rn_status status = add_record(store, &rebuilding, id, err);
+    *ret_made = rebuilding.made > 0;
+    return status;
 }
 
 enum rn_status rn_store_rebuild(struct rn_store *store, struct rn_error *err) {

@@ -67,6 +67,9 @@ static const struct rn_column job_columns[] = {
     TEXT(rn_job_row, dataset_name),
     TEXT(rn_job_row, scene),
     TEXT(rn_job_row, scene_name),
+    TEXT(rn_job_row, owner),
+    TEXT(rn_job_row, traceparent),
+    INT64(rn_job_row, size_bytes),
     DOCUMENT(rn_job_row, source),
     DOCUMENT(rn_job_row, options),
     DOCUMENT(rn_job_row, progress),
@@ -90,11 +93,9 @@ const struct rn_store_table rn_checkpoints =
     TABLE("checkpoints", "checkpoint", rn_checkpoint_row, checkpoint_columns, NULL);
 
 static const struct rn_column camera_path_columns[] = {
-    SEQ(rn_camera_path_row),
-    TEXT(rn_camera_path_row, id),
-    TEXT(rn_camera_path_row, name),
-    INT64(rn_camera_path_row, created_ms),
-    DOCUMENT(rn_camera_path_row, document),
+    SEQ(rn_camera_path_row),         TEXT(rn_camera_path_row, id),
+    TEXT(rn_camera_path_row, name),  INT64(rn_camera_path_row, created_ms),
+    TEXT(rn_camera_path_row, owner), DOCUMENT(rn_camera_path_row, document),
 };
 const struct rn_store_table rn_camera_paths =
     TABLE("camera_paths", "camera path", rn_camera_path_row, camera_path_columns, "camera-paths");
@@ -115,6 +116,22 @@ static const struct rn_column key_columns[] = {
     TEXT(rn_key_row, job), INT64(rn_key_row, created_ms),
 };
 const struct rn_store_table rn_keys = TABLE("keys", "key", rn_key_row, key_columns, NULL);
+
+static const struct rn_column token_columns[] = {
+    SEQ(rn_token_row),
+    TEXT(rn_token_row, id),
+    TEXT(rn_token_row, name),
+    NAME(rn_token_row, scope, rn_scope_names),
+    TEXT(rn_token_row, sha256),
+    TEXT(rn_token_row, scene),
+    TEXT(rn_token_row, job),
+    TEXT(rn_token_row, owner),
+    INT64(rn_token_row, created_ms),
+    INT64(rn_token_row, expires_ms),
+    INT64(rn_token_row, max_jobs),
+    INT64(rn_token_row, max_bytes),
+};
+const struct rn_store_table rn_tokens = TABLE("tokens", "token", rn_token_row, token_columns, NULL);
 
 static int bind(sqlite3_stmt *statement, int place, const struct rn_column *column,
                 const void *row) {
@@ -320,6 +337,7 @@ static enum rn_status read_rows(struct rn_store *store, const struct rn_store_ta
             struct rn_camera_path_row camera_path;
             struct rn_dataset_row dataset;
             struct rn_metric_row metric;
+            struct rn_token_row token;
         } row;
         enum rn_status status = read_row(statement, table, &row, err);
         if (status != RN_OK) return status;
@@ -396,4 +414,29 @@ enum rn_status rn_store_resolve(struct rn_store *store, const struct rn_store_ta
 
 size_t rn_store_row_size(const struct rn_store_table *table) {
     return table->row_size;
+}
+
+enum rn_status rn_store_owned_bytes(struct rn_store *store, const char *owner, int64_t *ret_bytes,
+                                    struct rn_error *err) {
+    static const char sql[] =
+        "SELECT (SELECT ifnull(sum(json_extract(d.record, '$.size_bytes')), 0) FROM datasets d"
+        " WHERE d.id IN (SELECT dataset FROM jobs WHERE owner = ?1 AND type = 'ingest'))"
+        " + (SELECT ifnull(sum(c.size_bytes), 0) FROM checkpoints c WHERE c.scene IN"
+        " (SELECT scene FROM jobs WHERE owner = ?1 AND type IN ('train', 'ingest')))"
+        " + (SELECT ifnull(sum(size_bytes), 0) FROM jobs WHERE owner = ?1)";
+    struct rn_buf text;
+    sqlite3_stmt *statement;
+    rn_buf_init(&text, sizeof sql);
+    rn_buf_printf(&text, "%s", sql);
+    enum rn_status status = prepare(store, &text, &statement, err);
+    rn_buf_finish(&text);
+    if (status != RN_OK) return status;
+    sqlite3_bind_text(statement, 1, owner, -1, SQLITE_STATIC);
+    int code = sqlite3_step(statement);
+    if (code == SQLITE_ROW)
+        *ret_bytes = sqlite3_column_int64(statement, 0);
+    else
+        status = rn_sqlite_error(store->db, code, "adding up a token's bytes", err);
+    finish(store, statement);
+    return status;
 }

@@ -41,6 +41,15 @@ const char *const rn_store_scripts[] = {
     " BEGIN INSERT OR IGNORE INTO removed VALUES (old.id); END;"
     "ALTER TABLE scenes ADD COLUMN digest TEXT NOT NULL DEFAULT '';"
     "ALTER TABLE checkpoints ADD COLUMN digest TEXT NOT NULL DEFAULT '';",
+    "CREATE TABLE tokens (seq INTEGER PRIMARY KEY AUTOINCREMENT, id TEXT NOT NULL UNIQUE,"
+    " name TEXT NOT NULL UNIQUE, scope TEXT NOT NULL, sha256 TEXT NOT NULL UNIQUE,"
+    " scene TEXT NOT NULL, job TEXT NOT NULL, owner TEXT NOT NULL, created_ms INTEGER NOT NULL,"
+    " expires_ms INTEGER NOT NULL, max_jobs INTEGER NOT NULL, max_bytes INTEGER NOT NULL);"
+    "ALTER TABLE jobs ADD COLUMN owner TEXT NOT NULL DEFAULT '';"
+    "ALTER TABLE jobs ADD COLUMN size_bytes INTEGER NOT NULL DEFAULT 0;"
+    "CREATE INDEX jobs_owner ON jobs (owner);"
+    "ALTER TABLE camera_paths ADD COLUMN owner TEXT NOT NULL DEFAULT '';",
+    "ALTER TABLE jobs ADD COLUMN traceparent TEXT NOT NULL DEFAULT '';",
 };
 const int rn_store_script_count = sizeof rn_store_scripts / sizeof rn_store_scripts[0];
 _Static_assert(sizeof rn_store_scripts / sizeof rn_store_scripts[0] == RN_STORE_VERSION,

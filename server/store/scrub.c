@@ -76,11 +76,13 @@ static void check_job(struct pass *pass, const char *folder) {
 }
 
 static void check_scene(struct pass *pass, const char *folder) {
-    char checkpoints[PATH_MAX];
+    static const char *const names[][2] = {{"checkpoints", "step-*.safetensors"},
+                                           {"marks", "*.safetensors"}};
+    char path[PATH_MAX];
     check_record(pass, folder);
-    if (snprintf(checkpoints, sizeof checkpoints, "%s/checkpoints", folder) <
-        (int)sizeof checkpoints)
-        each(pass, checkpoints, "step-*.safetensors", check_sealed);
+    for (size_t i = 0; i < sizeof names / sizeof names[0]; i++)
+        if (snprintf(path, sizeof path, "%s/%s", folder, names[i][0]) < (int)sizeof path)
+            each(pass, path, names[i][1], check_sealed);
 }
 
 void rn_scrub(const char *dir, bool (*keep_going)(void *context), void *context,

@@ -3,23 +3,26 @@
 // A write that returned RN_OK is on disk (WAL, synchronous=FULL). On a full disk writes fail with
 // RN_ERROR_NO_SPACE and reads go on. Content lies beside the records:
 //   DIR/ripnerf.db  DIR/layout  DIR/lock  DIR/spool/
-//   DIR/datasets/<id>/  DIR/scenes/<id>/checkpoints/  DIR/jobs/<id>/{log,frames/}
+//   DIR/datasets/<id>/  DIR/scenes/<id>/{checkpoints/,marks/}  DIR/jobs/<id>/{log,frames/}
 //   DIR/camera-paths/<id>/
 // and with it, in <id>/record.json, a sealed copy of its record, from which --rebuild makes a lost
 // database anew. Content is removed only after its record was: what has none is left alone.
 #ifndef RN_SERVER_STORE_STORE_H
 #define RN_SERVER_STORE_STORE_H
 
+#include <stdbool.h>
 #include <stddef.h>
 #include <stdint.h>
+#include <sys/stat.h>
 
 #include "common/base/status.h"
+#include "common/base/trace.h"
 #include "proto/names.h"
 
 // Thread-safety: any thread. Owner: whoever opened it.
 struct rn_store;
 
-#define RN_STORE_VERSION 3
+#define RN_STORE_VERSION 5
 
 // Opens or creates DIR, brings an older schema up to date and takes DIR/lock.
 // RN_ERROR_CONFLICT when another daemon has it, RN_ERROR_UNSUPPORTED when a newer one wrote it,
@@ -75,6 +78,9 @@ struct rn_job_row {
     char dataset_name[RN_NAME_MAX];
     char scene[RN_ID_MAX];
     char scene_name[RN_NAME_MAX];
+    char owner[RN_ID_MAX];          // the token that asked for it; "": the daemon's own
+    char traceparent[RN_TRACE_MAX]; // of its span; "": none
+    int64_t size_bytes;             // path: of its frames, once it is over
     char *source;  // ingest: a folder or a spooled tar; path: the camera path document
     char *options; // documents
     char *progress;
@@ -99,7 +105,22 @@ struct rn_camera_path_row {
     char id[RN_ID_MAX];
     char name[RN_NAME_MAX]; // unique
     int64_t created_ms;
+    char owner[RN_ID_MAX];
     char *document;
+};
+
+struct rn_token_row { // the secret is kept as its digest alone
+    int64_t seq;
+    char id[RN_ID_MAX];
+    char name[RN_NAME_MAX]; // unique
+    enum rn_scope scope;
+    char sha256[65];
+    char scene[RN_ID_MAX]; // a link's: that scene
+    char job[RN_ID_MAX];   // or the frames and film of that job; "" both: all there is
+    char owner[RN_ID_MAX]; // the token that made it
+    int64_t created_ms;
+    int64_t expires_ms;          // 0: never
+    int64_t max_jobs, max_bytes; // quotas; 0: none
 };
 
 struct rn_metric_row { // a held-out figure of a training job
@@ -122,7 +143,7 @@ struct rn_key_row { // Idempotency-Key
 // A table's columns and how they lie in its row. See rows.c.
 struct rn_store_table;
 extern const struct rn_store_table rn_datasets, rn_scenes, rn_jobs_table, rn_checkpoints,
-    rn_camera_paths, rn_metrics, rn_keys;
+    rn_camera_paths, rn_metrics, rn_keys, rn_tokens;
 
 // ---- access -----------------------------------------------------------------------------------
 
@@ -169,6 +190,10 @@ size_t rn_store_row_size(const struct rn_store_table *table);
 void rn_row_finish(const struct rn_store_table *table, void *row);
 void rn_rows_finish(const struct rn_store_table *table, void *rows, size_t count);
 
+// Bytes of the datasets, checkpoints and frames that a token's jobs have made.
+enum rn_status rn_store_owned_bytes(struct rn_store *store, const char *owner, int64_t *ret_bytes,
+                                    struct rn_error *err) RN_MUST_CHECK;
+
 // A fresh id: prefix and RN_ID_RANDOM random base32 characters.
 enum rn_status rn_store_new_id(const char *prefix, char ret_id[RN_ID_MAX],
                                struct rn_error *err) RN_MUST_CHECK;
@@ -177,9 +202,28 @@ enum rn_status rn_store_new_id(const char *prefix, char ret_id[RN_ID_MAX],
 
 // "DIR/" and the formatted rest; malloc. NULL when memory is short.
 char *rn_store_path(const struct rn_store *store, const char *fmt, ...) RN_PRINTF(2, 3);
+// Copies the records and links the content into a new folder `target` of the same disk, as of now;
+// other threads go on meanwhile. With `scene`, an id, not NULL: that scene, its dataset and the
+// jobs of both, and nothing else.
+enum rn_status rn_store_snapshot(struct rn_store *store, const char *scene, const char *target,
+                                 struct rn_error *err) RN_MUST_CHECK;
+// Records that came of it.
+struct rn_adopted {
+    int64_t datasets, scenes, camera_paths, jobs;
+};
+// Takes in the folder `backup` of the same disk, an unpacked snapshot: what has its id here already
+// is the same and stays, a name that is taken gets a suffix. RN_ERROR_CORRUPT, and nothing is
+// taken, when something in it is not as it was written; RN_ERROR_CANCELLED: `keep_going` (may be
+// NULL) said no before anything was. After a crash in between, the same again completes it. adopt.c
+enum rn_status rn_store_adopt(struct rn_store *store, const char *backup,
+                              bool (*keep_going)(void *context), void *context,
+                              struct rn_adopted *ret_adopted, struct rn_error *err) RN_MUST_CHECK;
 // Removes content that was deleted, what failed imports have left, uploads that no unfinished job
 // needs, and idempotency keys older than a week. Other content without a record stays, and is
 // counted in the log. Brings the records' copies up to date.
+// Whether an upload in parts (spool/up_*) is given up: nobody went on with it for a day, or the
+// machine has ended since.
+bool rn_store_upload_is_over(const struct stat *about);
 enum rn_status rn_store_sweep(struct rn_store *store, struct rn_error *err) RN_MUST_CHECK;
 
 #endif

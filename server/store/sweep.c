@@ -5,6 +5,8 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/stat.h>
+#include <time.h>
 #include <unistd.h>
 
 #include "common/base/clock.h"
@@ -13,6 +15,7 @@
 #include "server/store/table.h"
 
 #define KEY_AGE_MS (7 * 86400000ll) // how long an Idempotency-Key is remembered
+#define UPLOAD_AGE_MS 86400000ll    // how long an upload waits for its next part
 
 enum fate { STAYS, GOES, ORPHAN };
 
@@ -39,20 +42,40 @@ static enum fate fate_of_content(struct rn_store *store, const struct rn_store_t
     snprintf(sql, sizeof sql, "SELECT 1 FROM %s WHERE id = ?1", table->name);
     if (is_there(store, sql, name)) return STAYS;
     if (is_there(store, "SELECT 1 FROM removed WHERE id = ?1", name)) return GOES;
-    if (table != &rn_datasets) return ORPHAN;
-    if (is_there(store, "SELECT 1 FROM jobs WHERE dataset = ?1 AND finished_ms = 0", name))
-        return STAYS;
-    bool failed = is_there(store,
-                           "SELECT 1 FROM jobs WHERE dataset = ?1 AND type = 'ingest' AND state IN"
-                           " ('failed', 'cancelled')",
-                           name);
-    return failed ? GOES : ORPHAN;
+    if (table != &rn_datasets && table != &rn_scenes) return ORPHAN;
+    const char *column = table == &rn_datasets ? "dataset" : "scene";
+    snprintf(sql, sizeof sql, "SELECT 1 FROM jobs WHERE %s = ?1 AND finished_ms = 0%s", column,
+             table == &rn_scenes ? " AND type = 'ingest'" : "");
+    if (is_there(store, sql, name)) return STAYS;
+    snprintf(sql, sizeof sql,
+             "SELECT 1 FROM jobs WHERE %s = ?1 AND type = 'ingest' AND state IN"
+             " ('failed', 'cancelled')",
+             column);
+    return is_there(store, sql, name) ? GOES : ORPHAN;
 }
 
-// Uploads: <job>.tar is what a client sent, <job>.work what is made of it, upload-* was never
-// answered.
+bool rn_store_upload_is_over(const struct stat *about) {
+    struct timespec up = {0};
+    int64_t age_ms = rn_clock_since_ms(1000ll * about->st_mtime);
+    // What the machine had not flushed when it ended may be missing in the midst.
+    bool before_start = clock_gettime(CLOCK_BOOTTIME, &up) == 0 && age_ms > 1000ll * up.tv_sec;
+    return before_start || age_ms > UPLOAD_AGE_MS;
+}
+
+// Whether an upload in parts may still be gone on with.
+static enum fate fate_of_parts(struct rn_store *store, const char *name) {
+    struct stat about;
+    char *path = rn_store_path(store, "spool/%s", name);
+    bool over = path == NULL || stat(path, &about) != 0 || rn_store_upload_is_over(&about);
+    free(path);
+    return over ? GOES : STAYS;
+}
+
+// Uploads: up_* comes in parts, <job>.tar is what a client sent, <job>.work what is made of it,
+// upload-* was never answered.
 static enum fate fate_of_upload(struct rn_store *store, const char *name) {
     char id[RN_ID_MAX];
+    if (strncmp(name, RN_ID_UPLOAD, strlen(RN_ID_UPLOAD)) == 0) return fate_of_parts(store, name);
     snprintf(id, sizeof id, "%.*s", (int)strcspn(name, "."), name);
     if (strncmp(name, RN_ID_JOB, strlen(RN_ID_JOB)) != 0) return GOES;
     if (!is_there(store, "SELECT 1 FROM jobs WHERE id = ?1", id))
@@ -109,6 +132,19 @@ static enum rn_status sweep_folder(struct rn_store *store, const char *name,
     return status;
 }
 
+// What was removed stays so, whatever happens to the disk, before it is forgotten that it was to
+// be.
+static enum rn_status flush(struct rn_store *store, struct rn_error *err) {
+    enum rn_status status = RN_OK;
+    for (int i = 0; status == RN_OK && rn_content_tables[i] != NULL; i++) {
+        char *folder = rn_store_path(store, "%s", rn_content_tables[i]->folder);
+        status = folder != NULL ? rn_folder_flush(folder, err)
+                                : rn_error_set(err, RN_ERROR_NO_MEMORY, "sweep", "no memory");
+        free(folder);
+    }
+    return status;
+}
+
 static enum rn_status forget(struct rn_store *store, struct rn_error *err) {
     char sql[160];
     snprintf(sql, sizeof sql, "DELETE FROM keys WHERE created_ms < %lld; DELETE FROM removed",
@@ -130,6 +166,7 @@ enum rn_status rn_store_sweep(struct rn_store *store, struct rn_error *err) {
         status =
             sweep_folder(store, rn_content_tables[i]->folder, rn_content_tables[i], &orphans, err);
     if (status == RN_OK) status = sweep_folder(store, "spool", NULL, &orphans, err);
+    if (status == RN_OK) status = flush(store, err);
     if (status == RN_OK) status = forget(store, err);
     if (orphans > 0)
         rn_log(RN_LOG_WARN,

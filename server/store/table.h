@@ -4,6 +4,7 @@
 
 #include <pthread.h>
 #include <sqlite3.h>
+#include <stdbool.h>
 
 #include "server/store/store.h"
 
@@ -66,6 +67,10 @@ void rn_record_changed(struct rn_store *store, const struct rn_store_table *tabl
 void rn_records_write_changed(struct rn_store *store);
 // Brings all copies up to date.
 enum rn_status rn_records_write_all(struct rn_store *store, struct rn_error *err) RN_MUST_CHECK;
+// Makes the record `id` from its copy, unless there is one, within a transaction; none that is not
+// sound, which the log tells.
+enum rn_status rn_records_add(struct rn_store *store, const struct rn_store_table *table,
+                              const char *id, bool *ret_made, struct rn_error *err) RN_MUST_CHECK;
 // Makes the records that are missing from the copies.
 enum rn_status rn_store_rebuild(struct rn_store *store, struct rn_error *err) RN_MUST_CHECK;
 // Closes the database and renames it to ripnerf.db.damaged-*.

@@ -1,6 +1,9 @@
 import pytest
 
 from support.checked import Daemon
+from support.client import Client
+from support.daemon import Daemon as RealDaemon
+from support.on_slurm import on_slurm, slow_runner, slurm, undisturbed  # noqa: F401, fixtures
 from support.photographs import write_dataset
 
 
@@ -52,3 +55,15 @@ def own(make_daemon, photographs):
     daemon = make_daemon({"RIPNERF_FAKE_STEP_US": "2000"})
     assert daemon.wait(daemon.upload("data", photographs))["state"] == "succeeded"
     return daemon
+
+
+@pytest.fixture(scope="session")
+def ball(build, tmp_path_factory):
+    """A client whose daemon has scene `ball`, trained by the real runner on dataset `sphere`."""
+    with RealDaemon(build, tmp_path_factory.mktemp("ball") / "daemon") as daemon:
+        client = Client(build / "client" / "ripnerf", tmp_path_factory.mktemp("client"), daemon.url)
+        client.run("synth", "sphere", "source", "--size", 48, "--views", 16)
+        client.run("import", "source", "--name", "sphere")
+        client.run("train", "sphere", "--name", "ball", "--preset", "draft", "--max-steps", 400,
+                   "--threads", 1, "--wait")
+        yield client

@@ -96,6 +96,37 @@ def test_quality_and_psnr(shared):
     assert missed.headers["X-Ripnerf-Setting"] == "full" and missed.headers["X-Ripnerf-Late"] == "1"
 
 
+def test_what_a_file_loses_is_expected(shared):
+    """A PNG is the picture; what a JPEG takes from it is measured."""
+    png, fine, coarse = (float(ask(shared, quality=100, **how).headers["X-Ripnerf-Expected-Psnr"])
+                         for how in ({}, {"format": "jpeg", "jpeg_quality": 95},
+                                     {"format": "jpeg", "jpeg_quality": 1}))
+    assert coarse + 0.5 < fine < png
+
+
+def test_psnr_is_what_is_expected_of_this_view(quick, build, tmp_path):
+    """Not by what points are worth on average: pictures of some places are better than of others."""
+    measure(quick, views=4)
+    mean = quick.get("/v1/scenes/ready/curve").json["points"][-1]["psnr"]
+    client = Client(build / "client" / "ripnerf", tmp_path, f"http://127.0.0.1:{quick.port}")
+    here = []
+    for view in range(4):
+        def view_asked(**budget):
+            reply = quick.post("/v1/scenes/ready/render", {"view": f"test:{view}", **budget})
+            return float(reply.headers["X-Ripnerf-Expected-Psnr"]), reply.headers["X-Ripnerf-Late"]
+        best, _ = view_asked(quality=100)
+        here.append(best - mean)
+        for less in (0.02, 0.5, 1, 2, 4):
+            expected, late = view_asked(render_psnr=best - less)
+            assert expected >= best - less - 0.01 and late == "0"
+        most, late = view_asked(render_psnr=99)
+        assert late == "1" and most >= best
+        told = client.run("render", "ready", "--view", f"test:{view}", "--render-psnr", 99,
+                          "-o", f"{view}.png").stdout
+        assert "below what was asked for" in told
+    assert min(abs(more) for more in here) > 0.05  # or this would say nothing
+
+
 def test_a_job_keeps_what_its_budget_became(shared):
     for kind, more in (("path", {"camera_path": PATH}), ("eval", {})):
         job = shared.wait(shared.submit(type=kind, scene="ready", options={"quality": 0}, **more))
@@ -128,8 +159,8 @@ def test_curve(quick):
     assert headers["X-Ripnerf-Curve"] == "measured"
     # What is expected goes by the views nearest to the camera.
     seen = [view["psnr"] for view in curve["around"]]
-    lost = points[-1]["psnr"] - points[0]["psnr"]
-    assert min(seen) - 0.01 <= float(headers["X-Ripnerf-Expected-Psnr"]) + lost <= max(seen) + 0.01
+    full = float(ask(quick, quality=100).headers["X-Ripnerf-Expected-Psnr"])
+    assert min(seen) - 0.01 <= full <= max(seen) + 0.01
     for body in ({"views": 0}, {"views": 65}, {"view": 1}):
         assert quick.post("/v1/scenes/ready/curve", body).status == 422
     assert quick.post("/v1/scenes/nobody/curve", {}).status == 404

@@ -16,7 +16,7 @@ import pytest
 from support import contract
 from support.client import (CANCELLED, FAILED, INVALID, NOT_FOUND, OK, UNAUTHORISED, UNREACHABLE,
                             USAGE, Client)
-from support.fake_daemon import PNG, FakeDaemon
+from support.fake_daemon import PNG, FakeDaemon, Problem
 
 @pytest.fixture
 def daemon():
@@ -99,9 +99,111 @@ def test_a_wrong_value_is_told_in_plain_words(client, arguments, words):
     assert words in said and "e+0" not in said
 
 
+@pytest.mark.parametrize("arguments, pointer, option", [
+    (["train", "lego-400", "--name", "x"], "#/scene", "--name"),
+    (["train", "lego-400", "--name", "x"], "#/options/max_time_s", "--max-time"),
+    (["render", "lego", "--view", "tst:0", "-o", "a.png"], "#/view", "--view"),
+    (["render", "lego", "--view", "test:0", "-o", "a.jpg"], "#/format", "--out"),
+    (["render", "lego", "--view", "test:0", "-o", "a.png"], "#/size/width", "--size"),
+    (["render", "lego", "--view", "test:0", "-o", "a.png"], "#/optics/focus", "--focus"),
+    (["render", "lego", "--view", "test:0", "-o", "a.png"], "#/within_ms", "--within"),
+    (["eval", "lego", "--split", "val"], "#/options/split", "--split"),
+    (["path", "lego", "kept", "-o", "out"], "#/options/last", "--frames"),
+    (["path", "lego", "kept", "-o", "out"], "#/options/height", "--size"),
+    (["path", "lego", "kept", "-o", "a.mp4"], "#/options/film", "--out"),
+    (["path", "lego", "kept", "-o", "out"], "#/new", "#/new")])
+def test_problems_name_the_option_that_was_typed(client, daemon, scene, arguments, pointer, option):
+    daemon.refusal = Problem(422, "invalid", f"{pointer}: is odd",
+                             [{"pointer": pointer, "detail": "is odd"}])
+    assert client.run(*arguments, code=INVALID).stderr == f"ripnerf: {option}: is odd\n"
+    others = [{"pointer": pointer, "detail": "is odd"}, {"pointer": "#/type", "detail": "is new"}]
+    daemon.refusal = Problem(422, "invalid", "two things are wrong", others)
+    assert client.run(*arguments, code=INVALID).stderr == (
+        f"ripnerf: Invalid: two things are wrong\n  {option}: is odd\n  #/type: is new\n")
+    told = json.loads(client.run(*arguments, "--json", code=INVALID).stderr)
+    assert told["error"]["errors"] == others
+
+
+@pytest.mark.parametrize("verb", [["render", "lego", "--view", "test:0", "-o", "a.png"],
+                                  ["eval", "lego"], ["path", "lego", "kept", "-o", "out"],
+                                  ["turntable", "lego", "-o", "t.json"]])
+def test_a_budget_goes_alone(client, daemon, verb):
+    said = client.run(*verb, "--render-psnr", "30", "--within", "50ms", code=USAGE).stderr
+    assert said == "ripnerf: --within and --render-psnr exclude each other\n"
+    said = client.run(*verb, "--quality", "0.5", "--step", "0.01", code=USAGE).stderr
+    assert said.startswith("ripnerf: --quality and --step exclude each other: ")
+    assert not daemon.requests
+
+
+@pytest.mark.parametrize("option, value, words", [
+    ("--name", "bad name/x", "must be 1 to 64 letters"), ("--name", "ds_x", "like an id"),
+    ("--split", "evry:8", "every:N"), ("--bounds", "1,2,3", "four numbers"),
+    ("--up", "w", "X,Y,Z"), ("--crop", "1,2", "low corner"), ("--masks", "../m", "within")])
+def test_what_import_is_told_is_checked_before_anything_is_read(client, daemon, option, value, words):
+    name = () if option == "--name" else ("--name", "x")
+    said = client.run("import", "nowhere", *name, option, value, code=USAGE).stderr
+    assert said.startswith(f"ripnerf: {option}: ") and said.endswith(f"; it is '{value}'\n")
+    assert words in said and said.count("\n") == 1 and not daemon.requests
+
+
+@pytest.mark.parametrize("value", ["60sec", "0", "soon"])
+def test_a_time_says_how_times_are_written(client, daemon, value):
+    said = client.run("train", "a", "--name", "x", "--max-time", value, code=USAGE).stderr
+    assert said.startswith("ripnerf: --max-time: must be a time such as 90, 60s, 10m or 1.5h, ")
+    assert said.endswith(f"; it is '{value}'\n") and not daemon.requests
+
+
+@pytest.mark.parametrize("arguments, words", [
+    (["trian", "lego"], "trian: there is no such verb; did you mean train?"),
+    (["help", "sceens"], "sceens: there is no such verb; did you mean scenes?"),
+    (["fly"], "fly: there is no such verb; see ripnerf help"),
+    (["train", "lego", "--nmae", "x"], "--nmae: there is no such option; did you mean --name?"),
+    (["train", "lego", "--max-tme=5"], "--max-tme=5: there is no such option; did you mean --max-time?"),
+    (["train", "lego", "--name", "x", "--effect", "exposur=off"],
+     "--effect: there is no 'exposur'; did you mean exposure?"),
+    (["train", "lego", "--name", "x", "--effect", "exposure"],
+     "--effect: must be auto, on or off; it is ''"),
+    (["jobs", "--jsn"], "--jsn: there is no such option; did you mean --json?"),
+    (["jobs", "--frames", "3"], "--frames: there is no such option"),
+    (["synth"], "synth: needs NAME and DIR: ripnerf synth NAME DIR"),
+    (["synth", "sphere"], "synth: needs DIR: ripnerf synth NAME DIR"),
+    (["train"], "train: needs DATASET: ripnerf train DATASET --name SCENE")])
+def test_what_was_meant_is_said(client, arguments, words):
+    assert client.run(*arguments, code=USAGE).stderr == f"ripnerf: {words}\n"
+
+
+def test_plots_are_svg_and_replace_nothing_unasked(client, daemon, scene, tmp_path):
+    for name in ("c.png", "c"):
+        said = client.run("curve", "lego", "--plot", name, code=USAGE).stderr
+        assert said == f"ripnerf: --plot: must end in .svg; it is '{name}'\n"
+    (tmp_path / "c.svg").write_text("mine")
+    said = client.run("curve", "lego", "--measure", "--plot", "c.svg", code=USAGE).stderr
+    assert "c.svg: is there already; --overwrite" in said and not daemon.requests
+    client.run("curve", "lego", "--plot", "c.svg", "--overwrite", code=NOT_FOUND)
+    assert daemon.requests and (tmp_path / "c.svg").read_text() == "mine"
+
+
+def test_a_file_of_a_dataset_is_not_its_folder(client, folder, tmp_path):
+    for name, meant in (("blank/transforms_train.json", "blank"), ("blank/train/r_0.png", "blank"),
+                        (folder / "val" / "r_1.png", folder)):
+        assert client.run("validate", name, code=INVALID).stdout == (
+            f"error    {name}: is a file; give the folder: {meant}\n")
+    write_png(tmp_path / "a.png", 4, 4)
+    assert "give the folder: .\n" in client.run("validate", "a.png", code=INVALID).stdout
+
+
+def test_differences_from_the_paper_are_listed_where_asked_for(client, scene):
+    told = client.json("show", "lego")["differences"]
+    brief, whole = (client.run("show", "lego", *more).stdout for more in ([], ["--paper"]))
+    plural = "" if len(told) == 1 else "s"
+    assert f"differs from the paper in {len(told)} point{plural}: ripnerf show lego --paper" in brief
+    assert told[0]["what"] not in brief and all(one["what"] in whole for one in told)
+
+
 @pytest.mark.parametrize("verb", ["validate", "import", "synth", "train", "jobs", "show", "watch",
                                   "pause", "resume", "finish", "cancel", "datasets", "scenes",
-                                  "rm", "render", "path", "turntable", "paths", "eval", "info", "bench", "doctor"])
+                                  "rm", "render", "path", "turntable", "paths", "eval", "info", "token", "backup", "restore",
+                                  "bench", "doctor"])
 def test_every_verb_explains_itself(client, verb):
     text = client.run("help", verb).stdout
     assert text.startswith(f"usage: ripnerf {verb}") and "--json" in text
@@ -132,10 +234,19 @@ def test_the_overview_fits_a_terminal(client):
     assert "  paths " in text and [line for line in text.splitlines() if len(line) > 80] == []
 
 
+def test_manual_pages_say_all_that_help_says(build):
+    for program, page in (("client/ripnerf", "client/ripnerf.1"), ("server/ripnerfd", "client/ripnerfd.8")):
+        said = subprocess.run([build / program, "--help"], check=True, capture_output=True, text=True).stdout
+        options = said[re.search(r"^  -", said, re.M).start():].split("\n\n")[0]
+        written = (build / page).read_text().replace("\\-", "-")
+        for word in re.findall(r"\S+", options):
+            assert word in written
+
+
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
 def test_completions_name_every_verb_and_option(client, shell, tmp_path):
     script = client.run("completion", shell).stdout
-    for word in ("turntable", "video-quality", "instant-ngp", "token-file"):
+    for word in ("turntable", "video-quality", "instant-ngp", "token-file", "ls rm convert"):
         assert word in script
     client.run("completion", "csh", code=USAGE)
     if shell != "bash":
@@ -153,6 +264,9 @@ def test_completions_name_every_verb_and_option(client, shell, tmp_path):
     assert complete("ripnerf", "path", "--video") == ["--video-quality"]
     assert complete("ripnerf", "path", "--codec", "") == ["h264", "av1"]
     assert "--host" in complete("ripnerf", "info", "--")
+    assert complete("ripnerf", "paths", "c") == ["convert"]
+    assert complete("ripnerf", "token", "") == ["make", "ls", "revoke"]
+    assert complete("ripnerf", "paths", "--fr") == ["--from"]
 
 
 def test_version(client, daemon):
@@ -194,7 +308,9 @@ def test_validate_needs_no_daemon_and_reports(client, folder, daemon):
     report = client.json("validate", folder)
     contract.check("DatasetReport", report)
     assert report["usable"] == {"train": 3, "val": 3, "test": 3} and report["errors"] == 0
-    assert "usable" in client.run("validate", folder).stdout
+    assert report["expected"] == {"seconds": 60, "memory_bytes": report["survey"]["train_bytes"]}
+    told = client.run("validate", folder).stdout
+    assert "usable" in told and "standard: 60.0 s and" in told and "of memory by formula; draft 15 s" in told
     assert not daemon.requests
 
 
@@ -265,15 +381,15 @@ def test_import_goes_without_bad_photographs(client, folder, daemon):
     client.run("import", folder, "--name", "rest", "--skip-bad", "--format", "blender")
     assert "train/r_2.png" not in daemon.uploads["rest"] and len(daemon.uploads) == 1
     assert next(iter(daemon.jobs.values())).record["options"] == {"format": "blender"}
-    client.run("import", folder, "--name", "other", "--format", "bledner", code=INVALID)
+    client.run("import", folder, "--name", "other", "--format", "bledner", code=USAGE)
     assert client.json("validate", folder, "--format", "blender", code=INVALID)["errors"] == 1
 
 
 def test_import_under_a_taken_or_a_bad_name(client, folder, daemon):
     daemon.add_dataset("blank")
     assert "already" in client.run("import", folder, "--name", "blank", code=FAILED).stderr
-    result = client.run("import", folder, "--name", "a b/ü", code=INVALID)
-    assert "#/name" in result.stderr
+    result = client.run("import", folder, "--name", "a b/ü", code=USAGE)
+    assert "--name: " in result.stderr
 
 
 def test_import_whose_job_fails(client, folder):
@@ -383,11 +499,12 @@ def test_train_sends_what_was_asked_for_and_nothing_else(client, daemon):
     daemon.requests.clear()
     client.run("train", "lego", "--name", "full", "--preset", "draft", "--train-split", "trainval",
                "--planes", 10, "--footprint", "mip", "--max-time", "1.5m", "--max-steps", 1000,
-               "--until-psnr", 33.5, "--seed", 7, "--threads", 2, "--device", "cpu")
+               "--until-psnr", 33.5, "--until-plateau", "--seed", 7, "--threads", 2,
+               "--device", "cpu", "--effect", "exposure=off", "--effect=split-pixels=on")
     assert submitted(daemon)["options"] == {
         "preset": "draft", "train_split": "trainval", "planes": 10, "footprint": "mip",
-        "max_time_s": 90, "max_steps": 1000, "until_psnr": 33.5, "seed": 7, "threads": 2,
-        "device": "cpu"}
+        "max_time_s": 90, "max_steps": 1000, "until_psnr": 33.5, "until_plateau": True, "seed": 7,
+        "threads": 2, "device": "cpu", "effect_exposure": "off", "effect_split_pixels": "on"}
 
 
 def test_train_wait_ends_with_one_object(client, daemon):
@@ -447,7 +564,7 @@ def test_a_lost_connection_is_taken_up_where_it_broke(client, daemon):
 def test_conflict_and_bad_value(client, scene):
     assert "already" in client.run("train", "lego-400", "--name", "lego", code=FAILED).stderr
     result = client.run("train", "lego-400", "--name", "x", "--device", "gpu", code=INVALID)
-    assert result.stderr.count("#/options/device") == 1
+    assert result.stderr.count("--device: ") == 1
 
 
 def wait_for(condition):
@@ -457,8 +574,8 @@ def wait_for(condition):
         time.sleep(0.02)
 
 
-def is_followed(daemon):
-    return any(path.endswith("/events") for _, path, _, _ in daemon.requests)
+def is_followed(daemon, times=1):
+    return sum(path.endswith("/events") for _, path, _, _ in daemon.requests) >= times
 
 
 def test_cancel_while_someone_waits(client, daemon):
@@ -478,16 +595,15 @@ def test_ctrl_c_detaches_and_says_so(client, daemon):
     waiting = client.start("train", "lego", "--name", "slow", "--wait")
     wait_for(lambda: is_followed(daemon))
     job = next(iter(daemon.jobs))
-    time.sleep(0.1)
     waiting.send_signal(signal.SIGINT)
-    _, err = waiting.communicate(timeout=2)
+    _, err = waiting.communicate(timeout=60)
     assert "detached" in err and f"ripnerf watch {job}" in err
     assert waiting.returncode == FAILED
     assert daemon.jobs[job].record["state"] == "running"
     watching = client.start("watch", job)
-    time.sleep(0.2)
+    wait_for(lambda: is_followed(daemon, 2))
     watching.send_signal(signal.SIGINT)
-    watching.communicate(timeout=2)
+    watching.communicate(timeout=60)
     assert watching.returncode == OK
     client.run("finish", job)
 

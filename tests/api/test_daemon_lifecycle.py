@@ -443,7 +443,7 @@ def test_kill_daemon(programs, photographs, tmp_path):
         wait_for_step(daemon, job, 50)
         runners = daemon.runners()
         daemon.stop(signal.SIGKILL)
-        deadline = time.monotonic() + 5
+        deadline = time.monotonic() + 30
         while any(os.path.exists(f"/proc/{pid}") for pid in runners):
             assert time.monotonic() < deadline, "a runner outlives its daemon"
             time.sleep(0.05)
@@ -473,8 +473,10 @@ def test_kill_daemon_in_an_import(programs, photographs, tmp_path):
         record = daemon.wait(job)
         assert record["state"] == "succeeded" and record["attempt"] == 2
         assert daemon.get("/v1/datasets/data").status == 200
-        time.sleep(0.7)
-        assert not list((tmp_path / "d" / "spool").iterdir())
+        deadline = time.monotonic() + 20
+        while list((tmp_path / "d" / "spool").iterdir()):
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
     finally:
         daemon.stop()
 
@@ -657,7 +659,7 @@ def test_access_is_logged(make_daemon):
     daemon.stop()
     lines = [json.loads(line) for line in daemon.log_text().splitlines()]
     told = [line["text"] for line in lines if line["level"] == "info"]
-    assert any(re.fullmatch(rf"POST /v1/camera-paths 201 [\d.]+ ms 127.0.0.1 {trace}", text)
+    assert any(re.fullmatch(rf"POST /v1/camera-paths 201 [\d.]+ ms 127.0.0.1 {trace} -", text)
                for text in told)
     assert any(text.startswith('DELETE /v1/camera-paths/"\\ 404 ') for text in told), told
     assert not any(fresh in line["text"] for line in lines)

@@ -78,7 +78,8 @@ def test_dataset_by_upload(shared):
     dataset = shared.get("/v1/datasets/data").json
     assert dataset["views"] == {"train": 6, "val": 8, "test": 4} and dataset["width"] == 16
     assert shared.get(f"/v1/datasets/{dataset['id']}").json == dataset
-    assert dataset in shared.get("/v1/datasets").json["items"]
+    listed = {key: value for key, value in dataset.items() if key != "past"}  # of the resource alone
+    assert listed in shared.get("/v1/datasets").json["items"]
     cameras = shared.get("/v1/datasets/data/cameras", query={"split": "test"}).json["items"]
     assert [item["name"] for item in cameras] == ["r_0", "r_1", "r_2", "r_3"]
     assert len(shared.get("/v1/datasets/data/cameras").json["items"]) == 18
@@ -143,6 +144,18 @@ def test_upload_refused_by_query(shared, query):
     reply = shared.post("/v1/datasets", body=b"x" * 1000, query=query,
                         headers={"Content-Type": "application/x-tar"})
     assert reply.status == 422, reply.body
+
+
+def test_a_split_that_is_not_needed_is_told(own, photographs):
+    def told(name, **query):
+        own.wait(own.upload(name, photographs, **query))
+        record = own.get(f"/v1/datasets/{name}").json
+        assert record["views"]["test"] == 4
+        return [p for p in record["report"]["problems"] if "test views" in p["text"]]
+    problem, = told("asked", split="every:8")
+    assert problem["severity"] == "info"
+    assert problem["text"] == "the files name 4 test views; --split every:8 was not needed"
+    assert told("plain") == []
 
 
 def test_upload_of_rubbish(shared):
@@ -375,6 +388,14 @@ def test_render_while_training(own):
     own.wait(job, ["cancelled"])
 
 
+def wait_for_loaded(daemon, names):
+    deadline = time.monotonic() + 20
+    while (loaded := {s["name"] for s in daemon.get("/v1/scenes").json["items"]
+                      if s["loaded"]}) != names:
+        assert time.monotonic() < deadline, loaded
+        time.sleep(0.05)
+
+
 def test_several_scenes(make_daemon, photographs):
     daemon = make_daemon(max_loaded=2)
     daemon.wait(daemon.upload("data", photographs))
@@ -385,9 +406,7 @@ def test_several_scenes(make_daemon, photographs):
         while (reply := render(daemon, scene=name, view="test:0")).status != 200:
             assert reply.status == 503 and time.monotonic() < deadline, reply.body
             time.sleep(0.05)
-    time.sleep(1)
-    loaded = [s["name"] for s in daemon.get("/v1/scenes").json["items"] if s["loaded"]]
-    assert len(loaded) == 2 and "a" in loaded and "b" not in loaded
+    wait_for_loaded(daemon, {"a", "c"})
 
 
 def test_memory_limit(make_daemon, photographs):
@@ -396,9 +415,7 @@ def test_memory_limit(make_daemon, photographs):
     daemon.wait(daemon.upload("data", photographs))
     for name in ("a", "b"):
         daemon.train(name)
-    time.sleep(1.5)
-    loaded = [s["name"] for s in daemon.get("/v1/scenes").json["items"] if s["loaded"]]
-    assert loaded == ["b"]
+    wait_for_loaded(daemon, {"b"})
     assert render(daemon, scene="b", view="test:0").status == 200
 
 

@@ -54,7 +54,7 @@ def test_what_is_not_there_is_said(start):
     assert client.json("info")["device"] == "cpu"
     failed = client.run("train", "ball", "--name", "none", "--preset", "draft", "--device",
                         "cuda:0", "--wait", code=FAILED)
-    for part in "/options/device", "/nowhere/ripnerf-cuda.so", "not installed", "--device cpu":
+    for part in "ripnerf: --device: ", "/nowhere/ripnerf-cuda.so", "not installed", "--device cpu":
         assert part in failed.stderr, failed.stderr
     job = submit(daemon, preset="draft", planes=3, base=16, max_steps=2, device="auto")
     assert client.run("watch", job, code=OK)
@@ -79,6 +79,8 @@ def test_a_lost_device_ends_the_runner_alone(start, emulated, tmp_path):
     assert sum(log.count("the device is lost: cuda: ") for log in logs) == 1, logs
     scene = client.json("show", "small")
     assert scene["kernels"].startswith("sm_") and scene["steps"] == 4
+    assert "left out    by the GPU: rays drawn by error\n" in client.run("show", "small").stdout
+    assert "whatever --tolerance says" in client.run("info").stdout
     client.run("render", "small", "--view", "test:0", "-o", "picture.png")
 
 

@@ -7,6 +7,7 @@ import subprocess
 
 import pytest
 
+from support import checked
 from support.client import NOT_FOUND, OK, UNREACHABLE, USAGE, Client
 from support.daemon import Daemon
 
@@ -158,3 +159,64 @@ def test_what_is_missing_is_said(client, alone, tmp_path):
     assert not list(tmp_path.iterdir())
     assert client.run("doctor", "ball", "--replay", str(tmp_path / "no"), code=USAGE).stderr
     assert client.run("doctor", "ball", TMPDIR="/nowhere", code=NOT_FOUND).stderr
+
+
+# ---- the same as a job ----
+
+@pytest.fixture
+def api(client, daemon):
+    """The daemon with the trained ball, its answers held against the contract."""
+    there = checked.Daemon("", "", daemon.folder)
+    there.host, there.port, there.log = "127.0.0.1", int(daemon.url.rsplit(":", 1)[1]), daemon.log
+    return there
+
+
+def job_of(api, **options):
+    job = api.wait(api.submit(type="doctor", scene="ball", options=options), timeout=120)
+    assert job["state"] == "succeeded", job
+    return job["result"]
+
+
+def test_a_doctor_job_finds_what_the_client_finds(client, api, tmp_path):
+    report = job_of(api, seed=11)
+    assert report["passed"] and report["seed"] == 11
+    told = report_of(client.run("doctor", "ball", "--json", "--seed", 11, TMPDIR=str(tmp_path)))
+    assert {(c["name"], c["kernels"]) for c in report["cases"]} == {
+        (c["name"], c["kernels"]) for c in told["cases"]}
+    same = [(a, b) for a in report["cases"] for b in told["cases"]
+            if (a["name"], a["kernels"]) == (b["name"], b["kernels"]) and a["kernels"] != "cuda"]
+    assert all(a == b for a, b in same), [(a, b) for a, b in same if a != b]
+
+
+def test_incidents_are_listed_and_a_job_replays_one(client, daemon, api):
+    assert api.get("/v1/scenes/ball/incidents").json == {"count": 0, "items": []}
+    scene = client.json("show", "ball")
+    folder = daemon.folder / "scenes" / scene["id"] / "incidents"
+    folder.mkdir()
+    for step in (5, 6, 30):
+        record = {**incident(), "kind": "rays", "step": step}
+        (folder / f"step-{step:09d}-rays.json").write_text(json.dumps(record))
+    (folder / "step-000000031-rays.json").write_text("{}")
+    (folder / "notes.txt").write_text("")
+    listed = api.get("/v1/scenes/ball/incidents").json
+    assert listed["count"] == 4
+    assert [item["incident"]["step"] for item in listed["items"]] == [30, 6, 5]
+    assert listed["items"][1]["file"] == "incidents/step-000000006-rays.json"
+    assert listed["items"][1]["incident"]["rays"][0]["near"] == 2
+    report = job_of(api, incident="incidents/step-000000006-rays.json")
+    assert any(case["name"] == "replayed rays, the parameters as they are"
+               for case in report["cases"])
+    assert api.get("/v1/scenes/nothing/incidents").status == 404
+
+
+def test_what_a_doctor_job_cannot_take(api):
+    def refused(options, scene="ball"):
+        return api.post("/v1/jobs", {"type": "doctor", "scene": scene, "options": options})
+
+    for file in ("../../secret", "incidents/../x.json", "incidents/step-1-rays.json/x",
+                 "/etc/passwd", "incidents/step--rays.json", "incidents/step-1-other.json"):
+        reply = refused({"incident": file})
+        assert reply.status == 422 and reply.json["errors"][0]["pointer"] == "#/options/incident"
+    assert refused({"seed": -1}).status == 422 and refused({}, "nobody").status == 404
+    job = api.wait(refused({"incident": "incidents/step-000000099-rays.json"}).json["id"])
+    assert job["state"] == "failed" and "step-000000099" in json.dumps(job["problem"]), job

@@ -73,8 +73,38 @@ def test_training_ends_with_its_figures(client, trained):
     assert end["psnr"] == scene["psnr"] > 8
     assert scene["state"] == "ready" and [effect["name"] for effect in scene["effects"]] == [
         "background", "scale-pyramid", "anisotropy", "view-dependence", "split-pixels", "cones",
-        "distortion", "masks", "exposure", "forward-facing", "unbounded", "straight-alpha"]
+        "distortion", "masks", "exposure", "forward-facing", "unbounded", "straight-alpha",
+        "pose-refinement", "downscaling"]
     assert all(effect["reason"] for effect in scene["effects"])
+
+
+def test_a_path_is_the_same_while_others_look(client, daemon, trained, tmp_path):
+    """Pictures of other cameras, far ones too, between a frame's tiles."""
+    def camera(distance):
+        return {"world_from_camera": [[1, 0, 0, 0], [0, 0, 1, -distance], [0, -1, 0, 0]],
+                "axes": "opencv", "width": 48, "height": 48, "fov_y_deg": 45}
+
+    keys = [{"time": t, "world_from_camera": camera(4 - t)["world_from_camera"], "fov_y_deg": 40}
+            for t in (0, 1)]
+    path = {"axes": "opencv", "fps": 4, "width": 256, "height": 256, "keys": keys}
+    (tmp_path / "p.json").write_text(json.dumps({"path": path}))
+    client.run("path", "ball", tmp_path / "p.json", "-o", tmp_path / "alone")
+    job = client.start("path", "ball", tmp_path / "p.json", "-o", tmp_path / "watched")
+    looks = 0
+    while job.poll() is None:
+        body = {"camera": camera(4 if looks % 2 else 400), "supersample": 1,
+                **({"crop": [-9, -9, 0, 9, 9, 9]} if looks % 3 == 0 else {})}
+        request = Request(f"{daemon.url}/v1/scenes/ball/render", json.dumps(body).encode(),
+                          {"Content-Type": "application/json"})
+        with urlopen(request, timeout=60) as reply:
+            assert reply.status == 200
+        looks += 1
+    assert job.returncode == OK, job.stderr.read()
+    job.stdout.close(), job.stderr.close()
+    assert looks > 3
+    for i in range(5):
+        name = f"{i:05}.png"
+        assert (tmp_path / "watched" / name).read_bytes() == (tmp_path / "alone" / name).read_bytes()
 
 
 def test_bytes_do_not_depend_on_threads_or_pauses(client, trained):
@@ -110,6 +140,24 @@ def test_render(client, trained, tmp_path):
     assert 2.5 <= near < 4.03 < far <= 5.6  # the camera is 4.03 from a ball of radius 1
     assert Image.open(tmp_path / "j.jpg").format == "JPEG"
     client.run("render", "ball", "--view", "test:99", "-o", tmp_path / "x.png", code=NOT_FOUND)
+
+
+def test_what_a_picture_is_made_of(client, trained, tmp_path):
+    file = tmp_path / "map.png"
+    for output, unit in (("cost", "samples"), ("level", "levels"), ("footprint", "dataset units")):
+        told = client.json("render", "ball", "--view", "test:3", "--output", output, "-o", file)
+        low, high, found = told["scale"].split(" ", 2)
+        assert low == "0" and float(high) > 0 and found == unit
+        assert f"bright {high} {unit}" in client.run("render", "ball", "--view", "test:3",
+                                                     "--output", output, "-o", file).stdout
+        colours = {pixel[:3] for pixel in Image.open(file).convert("RGB").getdata()}
+        assert (0, 0, 0) in colours
+        assert len(colours) > 3, (output, colours)
+    told = client.json("render", "ball", "--view", "test:3", "--output", "normal", "-o", file)
+    assert "scale" not in told or not told["scale"]
+    pixels = Image.open(file).convert("RGB")
+    lengths = [sum((v / 127.5 - 1) ** 2 for v in pixel) for pixel in pixels.getdata() if any(pixel)]
+    assert len(lengths) > 100 and all(0.9 < length < 1.1 for length in lengths)
 
 
 def test_a_tolerance_spares_work(client, daemon, trained, tmp_path):
@@ -208,7 +256,7 @@ def test_ctrl_c_leaves_the_job_running(client, daemon, dataset):
     job = client.json("show", "left")["job"]
     daemon.wait_until(lambda: is_training(client, job))
     waiting.send_signal(signal.SIGINT)
-    _, err = waiting.communicate(timeout=5)
+    _, err = waiting.communicate(timeout=60)
     assert waiting.returncode == FAILED and f"ripnerf watch {job}" in err
     assert client.json("show", job)["state"] == "running"
     client.run("cancel", job)

@@ -40,7 +40,7 @@ def test_references_resolve(document):
 
 def test_operations_are_named_once(document):
     names = [operation["operationId"] for path in document["paths"].values()
-             for method, operation in path.items() if method in ("get", "post", "delete")]
+             for method, operation in path.items() if method in ("get", "post", "delete", "patch")]
     assert len(names) == len(set(names))
 
 

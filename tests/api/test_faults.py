@@ -6,6 +6,7 @@ The daemon must go on serving, answer what it documents (or nothing), and keep w
 import errno
 import http.client
 import time
+from pathlib import Path
 
 import pytest
 
@@ -198,3 +199,34 @@ def test_a_frame_that_cannot_be_written_fails_the_path(real, runner_faults):
     assert record["state"] == "failed" and record["problem"]["type"] == "/problems/no-space", record
     again = real.wait(real.submit(type="path", scene="for-frames", camera_path=path))
     assert again["state"] == "succeeded" and again["result"]["frames"] == 11
+
+
+def test_a_disk_that_fills_while_a_film_is_written(real, runner_faults, build):
+    """The reason is told, frames that were made stay, no part of a film is left, and with room the
+    same path becomes a film."""
+    if not (build / "server/film/ripnerf-film.so").is_file():
+        pytest.skip("built without FFmpeg's libraries")
+    real.train("for-a-film", **TRAIN)
+    path = {**PATH, "width": 64, "height": 48, "fps": 2,
+            "keys": [{**PATH["keys"][0], "time": t} for t in (0, 1)]}
+
+    def render():
+        return real.wait(real.submit(type="path", scene="for-a-film", camera_path=path,
+                                     options={"film": "h264"}))
+    whole = 0
+    for n in (3, 5, 6, 8):  # a frame; the film's first part, those that follow
+        runner_faults.arm("write", n, errno.ENOSPC, for_good=True)
+        record = render()
+        runner_faults.disarm()
+        assert record["state"] == "failed", record
+        assert record["problem"]["type"] == "/problems/no-space", record
+        frames = real.get(f"/v1/jobs/{record['id']}/frames").json["items"]
+        assert all(real.get(f"/v1/jobs/{record['id']}/frames/{frame['index']}").status == 200
+                   for frame in frames)
+        whole += len(frames) == 3 and "the frames are kept" in record["problem"]["detail"]
+        assert real.get(f"/v1/jobs/{record['id']}/film").status == 404
+        assert not list(Path(real.data).rglob(f"{record['id']}/*film*"))
+    assert whole >= 2
+    record = render()
+    assert record["state"] == "succeeded" and record["result"]["frames"] == 3
+    assert real.get(f"/v1/jobs/{record['id']}/film").status == 200

@@ -110,12 +110,16 @@ def test_wrong_options_are_refused(daemon, options, pointer):
     assert pointer is None or pointer in [e["pointer"] for e in reply.json["errors"]]
 
 
-def test_without_the_module_the_frames_are_kept(make_daemon, photographs):
+def test_without_the_module_no_frame_is_rendered(make_daemon, photographs):
     daemon = make_daemon({"RIPNERF_FILM_MODULE": os.devnull})
     daemon.wait(daemon.upload("data", photographs))
     daemon.train("scene")
     job = daemon.wait(daemon.submit(type="path", scene="scene", camera_path=PATH,
                                     options={"film": "h264"}))
-    assert job["state"] == "failed" and "film module is not installed" in job["problem"]["detail"]
-    assert len(daemon.get(f"/v1/jobs/{job['id']}/frames").json["items"]) == 13
+    told = job["problem"]["detail"]
+    assert job["state"] == "failed" and "films need ripnerf-film.so, which is not installed" in told
+    assert "libavcodec-dev" in told and "-o FOLDER" in told
+    assert daemon.get(f"/v1/jobs/{job['id']}/frames").json["items"] == []
+    plain = daemon.wait(daemon.submit(type="path", scene="scene", camera_path=PATH))
+    assert plain["state"] == "succeeded" and plain["result"]["frames"] == 13
     assert daemon.get(f"/v1/jobs/{job['id']}/film").status == 404

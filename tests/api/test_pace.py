@@ -3,6 +3,7 @@
 import math
 import resource
 import shutil
+import signal
 import socket
 import subprocess
 import threading
@@ -23,6 +24,18 @@ def many_files():
     resource.setrlimit(resource.RLIMIT_NOFILE, (hard, hard))
     yield
     resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+
+
+@pytest.fixture(autouse=True)
+def time_limit():
+    """A daemon that does not answer fails the test, and does not keep the ones behind it waiting."""
+    def over(*_):
+        raise TimeoutError("the test takes longer than three minutes: something is not answered")
+    before = signal.signal(signal.SIGALRM, over)
+    signal.alarm(180)
+    yield
+    signal.alarm(0)
+    signal.signal(signal.SIGALRM, before)
 
 
 def status_of(answer):
@@ -282,7 +295,7 @@ def test_wrong_tokens_are_counted_and_logged(make_daemon, tmp_path):
     assert statuses[:60] == [401] * 60 and statuses[60:] == [429] * 10
     daemon.token = "correct-horse-battery"
     assert daemon.get("/v1/jobs").status == 200
-    assert "32 wrong tokens" in daemon.log_text() and "wrong0" not in daemon.log_text()
+    assert daemon.logged("32 wrong tokens") and "wrong0" not in daemon.log_text()
 
 
 def test_token_file_that_all_can_read(programs, tmp_path):
@@ -332,3 +345,16 @@ def test_problems_are_utf8(shared):
     for path in ("/v1/scenes/%ff%fe", "/%c3%28", "/v1/jobs?%ff=1"):
         reply = shared.get(path, check=False)
         assert reply.status in (404, 422) and reply.json["detail"], path
+
+
+def test_event_streams_have_a_limit(make_daemon):
+    """1,000 where there is room for as many connections; one more than the limit is told so."""
+    daemon = make_daemon(max_connections=2000)
+    streams = [daemon.socket() for _ in range(1001)]
+    for stream in streams:
+        stream.sendall(b"GET /v1/events HTTP/1.1\r\nHost: localhost\r\n\r\n")
+    codes = [status_of(answer_of(stream)) for stream in streams]
+    assert codes.count(200) == 1000 and codes.count(503) == 1
+    assert longest_answer(daemon, 0.5) < 1
+    for stream in streams:
+        stream.close()

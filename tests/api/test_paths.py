@@ -9,6 +9,7 @@ import pytest
 
 from support.checked import Daemon
 from support.client import Client
+from support.photographs import pose, write_dataset
 
 FORMATS = ["nerfstudio", "instant-ngp", "nerfbaselines", "transforms", "colmap", "supersplat", "3dgs"]
 EXACT = [name for name in FORMATS if name != "supersplat"]  # which has no roll
@@ -256,6 +257,8 @@ def test_a_film_is_one_file_and_is_never_lost(client, served, build, tmp_path):
     assert "--overwrite" in client.run("path", "scene", "p.json", "-o", "f.mp4", *host, code=USAGE).stderr
     client.run("turntable", "scene", "-o", "t.gif", "--seconds", "1", "--fps", "5", *host)
     assert (tmp_path / "t.gif").read_bytes()[:4] == b"GIF8"
+    client.run("turntable", "scene", "-o", "turn", "--seconds", "1", "--fps", "5", *host)
+    assert len(list((tmp_path / "turn").glob("*.png"))) == 5
 
 
 def test_an_interrupted_call_is_gone_on_with(client, served, tmp_path):
@@ -274,6 +277,67 @@ def test_an_interrupted_call_is_gone_on_with(client, served, tmp_path):
     assert [j["id"] for j in served.get("/v1/jobs", query={"type": "path"}).json["items"]] == [job["id"]]
 
 
+def test_a_path_that_was_cancelled_is_gone_on_with(make_daemon, photographs, client, tmp_path):
+    """By another job, over a restart: with what was there, which stays where it was, too."""
+    def again(row_us):
+        daemon.stop()
+        daemon.environment["RIPNERF_FAKE_ROW_US"] = row_us
+        daemon.start()
+
+    def frames(job):
+        folder = Path(daemon.data) / "jobs" / job / "frames"
+        return {file.name: file.stat().st_ino for file in folder.glob("*.png")}
+    daemon = make_daemon()
+    daemon.wait(daemon.upload("data", photographs))
+    daemon.train("scene")
+    again("30000")  # half a second a frame
+    path = ring(2, fps=30, width=32, height=16)
+    first = daemon.submit(type="path", scene="scene", camera_path=path, options={"tolerance": 0.1})
+    daemon.eventually(lambda: daemon.get(f"/v1/jobs/{first}/frames").json["items"])
+    daemon.post(f"/v1/jobs/{first}/cancel")
+    assert daemon.wait(first)["state"] == "cancelled"
+    old = frames(first)
+    assert 1 <= len(old) < 31
+    again("0")
+    reply = daemon.post(f"/v1/jobs/{first}/resume")
+    second = reply.json["id"]
+    assert reply.status == 202 and second != first
+    assert reply.headers["Location"] == f"/v1/jobs/{second}"
+    job = daemon.wait(second)
+    assert job["state"] == "succeeded" and job["result"]["frames"] == 31
+    assert job["options"] == daemon.job(first)["options"] and job["options"]["tolerance"] == 0.1
+    new = frames(second)
+    assert len(new) == 31 and {name: new[name] for name in old} == old
+    assert len(daemon.get(f"/v1/jobs/{first}/frames").json["items"]) == len(old)
+    assert daemon.post(f"/v1/jobs/{second}/resume").status == 409
+    assert daemon.job(first)["state"] == "cancelled"
+
+    write(tmp_path / "p.json", {"path": path})
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / ".ripnerf-job").write_text(first + "\n")
+    host = ["--host", f"http://{daemon.host}:{daemon.port}"]
+    told = json.loads(client.run("path", "scene", "p.json", "-o", "out", "--resume", "--json", *host).stdout)
+    assert told["job"] not in (first, second) and told["frames"] == 31
+    assert len(list((tmp_path / "out").glob("*.png"))) == 31
+    assert not (tmp_path / "out" / ".ripnerf-job").exists()
+
+
+def test_a_call_whose_job_fails_says_how_it_is_gone_on_with(make_daemon, photographs, client, tmp_path):
+    daemon = make_daemon({"RIPNERF_FILM_MODULE": os.devnull})
+    daemon.wait(daemon.upload("data", photographs))
+    daemon.train("scene")
+    write(tmp_path / "p.json", {"path": ring(2)})
+    host = ["--host", f"http://{daemon.host}:{daemon.port}"]
+    said = client.run("path", "scene", "p.json", "-o", "f.gif", *host, code=FAILED).stderr
+    assert "films need ripnerf-film.so" in said and "--resume goes on with what is there" in said
+    job = (tmp_path / "f.gif.job").read_text().strip()
+    said = client.run("path", "scene", "p.json", "-o", "f.gif", "--resume", *host, code=FAILED).stderr
+    assert "films need ripnerf-film.so" in said
+    assert (tmp_path / "f.gif.job").read_text().strip() != job  # the one that went on
+    resumed = client.run("resume", job, *host).stdout
+    assert resumed.startswith("job_") and job not in resumed
+
+
 def test_paths_are_listed_and_removed(client, served, tmp_path):
     host = ["--host", f"http://{served.host}:{served.port}"]
     served.post("/v1/camera-paths", {"name": "arc", "path": ring(2)})
@@ -285,8 +349,9 @@ def test_paths_are_listed_and_removed(client, served, tmp_path):
 
 
 def test_a_turntable_keeps_its_distance_and_looks_at_the_middle(client, served, tmp_path):
-    client.run("turntable", "scene", "-o", "t.json", "--elevation", "20", "--distance", "5",
-               "--host", f"http://{served.host}:{served.port}")
+    said = client.run("turntable", "scene", "-o", "t.json", "--elevation", "20", "--distance", "5",
+                      "--host", f"http://{served.host}:{served.port}").stdout
+    assert said.startswith("t.json: a camera path of 6 s, 30 frames a second; ")
     path = read(tmp_path / "t.json")
     centre = served.get("/v1/scenes/scene").json["bounds"]["centre"]
     assert path["loop"] and path["interpolation"] == "circle" and len(path["keys"]) == 8
@@ -294,3 +359,35 @@ def test_a_turntable_keeps_its_distance_and_looks_at_the_middle(client, served, 
         pose = key["world_from_camera"]
         for i in range(3):
             assert pose[i][3] + 5 * pose[i][2] == pytest.approx(centre[i], abs=1e-9)
+
+
+def test_a_turntable_swings_over_the_part_that_photographs_cover(client, programs, tmp_path):
+    """Of half a circle of photographs, and of a whole one with a gap that is small enough."""
+    for name, covered in (("half", 180), ("most", 280)):
+        folder = write_dataset(tmp_path / "in" / name)
+        for split in ("train", "val", "test"):
+            file = folder / f"transforms_{split}.json"
+            document = json.loads(file.read_text())
+            last = len(document["frames"]) - 1
+            for i, frame in enumerate(document["frames"]):
+                frame["transform_matrix"] = pose(math.radians(30 + covered * i / last))
+            file.write_text(json.dumps(document))
+    with Daemon(*programs, tmp_path / "data", dataset_root=tmp_path / "in") as daemon:
+        host = ["--host", f"http://{daemon.host}:{daemon.port}"]
+
+        def turn(name, *options):
+            told = client.run("turntable", name, "-o", "t.json", "--overwrite", *options, *host).stderr
+            return told, read(tmp_path / "t.json")
+        for name in ("half", "most"):
+            daemon.wait(daemon.upload(f"{name}_data", tmp_path / "in" / name))
+            daemon.train(name, f"{name}_data")
+        centre = daemon.get("/v1/scenes/half").json["bounds"]["centre"]
+        told, path = turn("half")
+        assert "cover 180 of 360 degrees: a swing over them; --whole for a whole turn" in told
+        angles = [math.degrees(math.atan2(key["world_from_camera"][1][3] - centre[1],
+                                          key["world_from_camera"][0][3] - centre[0])) % 360
+                  for key in path["keys"]]
+        assert min(angles) == pytest.approx(30, abs=1) and max(angles) == pytest.approx(210, abs=1)
+        assert path["loop"] and angles.index(max(angles)) == len(angles) // 2
+        for told, path in (turn("half", "--whole"), turn("most")):
+            assert told == "" and len(path["keys"]) == 8

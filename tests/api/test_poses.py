@@ -2,6 +2,7 @@
 
 import io
 import os
+import re
 import shutil
 import subprocess
 import tarfile
@@ -57,8 +58,13 @@ def test_poses_are_found(make_daemon, pictures):
     texts = problems_of(daemon)
     assert any("poses for 9 of 9 photographs" in text for text in texts)
     assert any("one camera" in text for text in texts)
-    assert any("matched with every other" in text for text in texts)
+    assert any("matched with every other, 36 pairs, by about 4096 features" in text
+               for text in texts), texts
+    assert any(text.startswith("COLMAP took finding features") for text in texts)
     assert any("1 photographs have masks" in text for text in texts)
+    points = daemon.get("/v1/datasets/found/points").json
+    assert points == {"count": 1, "items": [[0, 0, 0, 200, 100, 50]]}
+    assert daemon.get("/v1/datasets/found/points?x=1").status == 422
     reply = daemon.get("/v1/datasets/found/model")
     names = tarfile.open(fileobj=io.BytesIO(reply.body)).getnames()
     assert sorted(names) == [f"sparse/0/{part}.bin" for part in ("cameras", "images", "points3D")]
@@ -66,6 +72,43 @@ def test_poses_are_found(make_daemon, pictures):
     assert not list(work.iterdir())
     log = Path(daemon.data, "jobs", job, "log").read_text()
     assert "--ImageReader.mask_path" in log and "OPENCV" not in log
+
+
+def test_many_photographs_are_matched_with_those_alike(make_daemon, tmp_path):
+    """79 photographs that share features with ten before and after: in order by their names, or not."""
+    for number in range(79):
+        for folder, name in (("ordered", f"IMG_{number}.jpg"), ("spaced", f"a walk/IMG {number}.jpg"),
+                             ("mixed", f"{chr(97 + number * 11 % 26)}{7 * number}.jpg")):
+            (tmp_path / folder / name).parent.mkdir(parents=True, exist_ok=True)
+            Image.new("RGB", (16, 16), (3 * number, 100, 200)).save(tmp_path / folder / name)
+    (tmp_path / "mixed" / "a0.jpg").rename(tmp_path / "mixed" / "a1000000.jpg")  # alike to none
+    daemon = make(make_daemon)
+    for folder, words in (("ordered", "and, since names count upwards, with those near it, "),
+                          ("mixed", "whose largest features match best"),
+                          ("spaced", "and, since names count upwards, with those near it, ")):
+        job = import_photos(daemon, tmp_path / folder, folder)
+        assert daemon.wait(job)["state"] == "succeeded", daemon.job(job)
+        texts = problems_of(daemon, folder)
+        assert any(words in text for text in texts), texts
+        log = Path(daemon.data, "jobs", job, "log").read_text()
+        names = [name for pair in re.findall(r"^pair (.*)$", log, re.MULTILINE) for name in pair.split()]
+        numbers = [int(re.sub(r"\D", "", name)) for name in names]
+        apart = [abs(a - b) for a, b in zip(numbers[::2], numbers[1::2])]
+        assert all(name.isascii() and name.isprintable() for name in names)
+        if folder in ("ordered", "spaced"):
+            assert max(apart) <= 7 and 79 * 6 - 30 < len(apart) < 79 * 8
+            assert sum(distance <= 3 for distance in apart) == 78 + 77 + 76
+        if folder == "mixed":
+            assert set(apart) == {7} and len(apart) > 60 and 1000000 not in numbers
+
+
+def test_a_database_that_does_not_agree_with_itself(make_daemon, tmp_path):
+    for number in range(40):
+        Image.new("RGB", (16, 16), (3 * number, 100, 200)).save(tmp_path / f"IMG_{number}.jpg")
+    daemon = make(make_daemon, "damaged")
+    job = daemon.wait(import_photos(daemon, tmp_path))
+    assert job["state"] == "failed"
+    assert "1408 bytes of descriptors for 1 features" in str(job["problem"]), job
 
 
 def test_stages_are_told(make_daemon, pictures):
@@ -186,7 +229,7 @@ def test_a_film(make_daemon, tmp_path):
     assert job["state"] == "succeeded", job
     texts = problems_of(daemon)
     assert any("has 40 frames in 2.0 s" in text and "4 stretches" in text for text in texts), texts
-    assert any("matched with those near it" in text for text in texts)
+    assert any("each photograph is matched with every other" in text for text in texts)
     dataset = daemon.get("/v1/datasets/found").json
     assert dataset["views"]["train"] == 4
     for i in range(4):

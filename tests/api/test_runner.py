@@ -4,6 +4,7 @@ import io
 import json
 import os
 import signal
+import socket
 import struct
 import sys
 import tarfile
@@ -67,7 +68,7 @@ def scene(program, dataset, tmp_path):
 
 def test_probe_describes_the_device(program):
     with Runner(program, "probe") as runner:
-        assert runner.receive()[1]["protocol"] == 3
+        assert runner.receive()[1]["protocol"] == 7
         name, info, _ = runner.receive()
         assert name == "info" and info["device"] == "cpu" and info["threads"] >= 1
         assert runner.receive() is None
@@ -97,6 +98,115 @@ def test_garbage_ends_the_runner(program, magic, number, body):
         runner.receive()
         runner.send_raw(number, body, magic)
         assert runner.receive() is None
+
+
+def test_a_daemon_of_another_version_is_refused(program, dataset, tmp_path):
+    """Before anything of its scene is touched, and with both versions."""
+    with Runner(program, "field") as runner:
+        own = runner.receive()[1]
+        runner.send("open", scene_folder=str(tmp_path / "scene"), dataset_folder=str(dataset),
+                    load=False, version="9.8.7", protocol=99)
+        text = runner.wait_for("failed")[1]["text"]
+        assert "9.8.7 (protocol 99)" in text and f"{own['version']} (protocol {own['protocol']})" in text
+        assert not (tmp_path / "scene").exists()
+
+
+def test_help_makes_its_part_of_a_path(program, dataset, tmp_path, scene):
+    """A runner that helps takes no lock, makes the frames that it is told, and neither film nor list;
+    of a scene that is at another step it makes none."""
+    train(scene)
+    scene.wait_for("done")
+    frames = tmp_path / "scene" / "frames" / JOB
+    order = {"job": JOB, "folder": str(frames), "camera_path": PATH, "options": {}}
+    with Runner(program, "field") as helper:
+        helper.send("open", scene_folder=str(tmp_path / "scene"), dataset_folder=str(dataset),
+                    load=True, helps=True)
+        assert helper.wait_for("opened")[1]["loaded"]
+        helper.send("path", **order, begin=1, end=2)
+        assert "shows another step" in helper.wait_for("failed")[1]["text"]
+        scene.send("path", **order)
+        scene.wait_for("done")
+        whole = {file.name: file.read_bytes() for file in frames.glob("*.png")}
+        for name in ("00001.png", "00002.png", "SHA256SUMS"):
+            (frames / name).unlink()
+        helper.send("path", **order, begin=1, end=2)
+        assert [helper.wait_for("frame")[1]["index"] for _ in range(2)] == [1, 2]
+        helper.wait_for("done")
+        assert {file.name: file.read_bytes() for file in frames.glob("*.png")} == whole
+        assert not (frames / "SHA256SUMS").exists() and not list(frames.glob(".part*"))
+        helper.send("path", **order, begin=1, end=99)
+        assert "are not among" in helper.wait_for("failed")[1]["text"]
+
+
+def test_help_makes_its_part_of_an_evaluation(program, dataset, tmp_path, scene):
+    """Scores that are kept are taken as they are: the result is that of one runner."""
+    train(scene)
+    scene.wait_for("done")
+    scores = tmp_path / "scene" / "frames" / JOB
+    order = {"job": JOB, "options": {"split": "train"}}
+
+    def comparable(result):
+        for part in (result, *result["per_view"], *result["scales"]):
+            for name in ("render_ms", "render_ms_median"):
+                part.pop(name, None)
+        return result
+    scene.send("eval", **order)
+    alone = comparable(scene.wait_for("done")[1]["result"])
+    assert not scores.exists()
+    views = len(alone["per_view"])
+    with Runner(program, "field") as helper:
+        helper.send("open", scene_folder=str(tmp_path / "scene"), dataset_folder=str(dataset),
+                    load=True, helps=True)
+        assert helper.wait_for("opened")[1]["loaded"]
+        helper.send("eval", **order, folder=str(scores), begin=views - 2, end=views - 1)
+        assert "shows another step" in helper.wait_for("failed")[1]["text"]
+        (scores / ".step").write_text(f"{alone['protocol']['step']}\n")
+        helper.send("eval", **order, folder=str(scores), begin=views - 2, end=views - 1)
+        assert [helper.wait_for("frame")[1]["index"] for _ in range(2)] == [views - 2, views - 1]
+        helper.wait_for("done")
+        helper.send("eval", **order, folder=str(scores), begin=1, end=views)
+        assert "are not among" in helper.wait_for("failed")[1]["text"]
+    last = scores / f"{views - 1:05}.json"
+    last.write_text(last.read_text().replace('"ssim":0.9', '"ssim":0.7'))  # so that it shows
+    scene.seen.clear()
+    scene.send("eval", **order, folder=str(scores))
+    together = comparable(scene.wait_for("done")[1]["result"])
+    made = [message["index"] for name, message, _ in scene.seen if name == "frame"]
+    assert made == list(range(views - 2))
+    assert together["per_view"][-1].pop("ssim") < alone["per_view"][-1].pop("ssim")
+    assert together["per_view"] == alone["per_view"]
+
+
+def test_curve_mixes_no_machines(program, dataset, tmp_path, scene, capfd):
+    """What a runner that was killed had measured is gone on with on the same machine and with the
+    same kernels, and with no others."""
+    train(scene)
+    scene.wait_for("done")
+    scene.send("shutdown")
+    while scene.receive() is not None:
+        pass
+
+    def measure_on(machine, kernels, said=""):
+        environment = {"SLURMD_NODENAME": machine, "RIPNERF_FAKE_KERNELS": kernels,
+                       "RIPNERF_FAKE_ROW_US": "2000"}
+        with Scene(program, tmp_path / "scene", dataset, True, environment) as runner:
+            runner.wait_for("opened")
+            runner.send("curve", job=JOB, options={})
+            wait_for_file(tmp_path / "scene" / "curve.part")
+            told = ""
+            while said not in (told := told + capfd.readouterr().err):
+                runner.receive()
+    measure_on("n1", "narrow")
+    measure_on("n1", "narrow", "on n1, narrow, it goes on from there")
+    measure_on("n2", "narrow", "on n2, narrow, it begins anew")
+    measure_on("n2", "wide", "on n2, wide, it begins anew")
+
+
+def wait_for_file(path, seconds=10):
+    deadline = time.monotonic() + seconds
+    while not path.exists():
+        assert time.monotonic() < deadline, f"{path} did not come into being"
+        time.sleep(0.01)
 
 
 def test_scene_is_locked(program, dataset, tmp_path, scene):
@@ -254,6 +364,16 @@ def test_second_training_is_refused(scene):
     assert failed["job"] == OTHER and failed["status"] == "conflict"
 
 
+def test_what_a_cluster_ends_saves_and_says_so(scene, tmp_path):
+    """SIGTERM, as before a time limit, closes the runner's end for reading: the daemon hears of what
+    was saved, or it would count the attempt as one that came to nothing."""
+    train(scene, max_steps=100000, checkpoint_interval_s=3600)
+    scene.wait_for("state")
+    scene.socket.shutdown(socket.SHUT_WR)
+    scene.wait_for("checkpoint")
+    assert len(checkpoints(tmp_path / "scene")) == 1
+
+
 def test_shutdown_saves(scene, tmp_path):
     train(scene, max_steps=100000)
     scene.wait_for("state")
@@ -289,6 +409,8 @@ def render(runner, number=1, **request):
     ({"camera": CAMERA, "format": "jpeg"}, (24, 20), "RGB"),
     ({"camera": CAMERA, "output": "depth", "format": "png"}, (24, 20), "I;16"),
     ({"camera": CAMERA, "output": "alpha", "format": "png"}, (24, 20), None),
+    ({"camera": CAMERA, "output": "normal", "format": "png"}, (24, 20), "RGBA"),
+    ({"camera": CAMERA, "output": "footprint", "format": "jpeg"}, (24, 20), "RGB"),
     ({"view": "test:1", "format": "png"}, (16, 16), "RGBA"),
     ({"view": "train:r_2", "scale": 1, "format": "png"}, (8, 8), "RGBA")])
 def test_render(trained, request_, size, mode):

@@ -1,8 +1,11 @@
 """The runner with the real engine: the same bytes whatever happens on the way."""
 
 import io
+import json
 import os
+import re
 import signal
+import subprocess
 import sys
 from pathlib import Path
 
@@ -38,11 +41,18 @@ def finish(runner):
 
 
 @pytest.fixture(scope="module")
-def digest(program, dataset, tmp_path_factory):
-    """Of a run that nothing disturbs."""
+def undisturbed(program, dataset, tmp_path_factory):
+    """(digest, most bytes of memory) of a run that nothing disturbs."""
     with Scene(program, tmp_path_factory.mktemp("plain") / "scene", dataset) as runner:
         train(runner, **OPTIONS)
-        return finish(runner)
+        digest = finish(runner)
+        status = Path(f"/proc/{runner.process.pid}/status").read_text()
+        return digest, 1024 * int(re.search(r"VmHWM:\s+(\d+) kB", status)[1])
+
+
+@pytest.fixture(scope="module")
+def digest(undisturbed):
+    return undisturbed[0]
 
 
 def test_bytes_do_not_depend_on_a_crash(program, dataset, digest, tmp_path):
@@ -69,6 +79,17 @@ def test_bytes_do_not_depend_on_threads_pauses_and_renders(program, dataset, dig
         assert finish(runner) == digest
 
 
+def test_needs_are_known_before_it_starts(program, dataset, undisturbed, tmp_path):
+    """The memory that a training is said to need holds what it takes in the end, its planes grown,
+    and is no more than three times as much."""
+    told = subprocess.run([program, "--mode", "needs", "--dataset", dataset, "--scene", tmp_path / "none",
+                           "--train", json.dumps(OPTIONS), "--sandbox"], check=True,
+                          capture_output=True, text=True, timeout=30).stdout
+    said = re.fullmatch(r"memory_bytes (\d+) gpus -1\n", told)
+    taken = undisturbed[1]
+    assert taken < int(said[1]) < 3 * taken
+
+
 def test_a_loaded_scene_is_the_trained_one(program, dataset, tmp_path):
     pictures = []
     request = {"view": "test:1", "format": "png"}
@@ -83,3 +104,19 @@ def test_a_loaded_scene_is_the_trained_one(program, dataset, tmp_path):
         pictures.append(runner.wait_for("rendered")[2])
     assert pictures[0] == pictures[1]
     assert Image.open(io.BytesIO(pictures[0])).size == (16, 16)
+
+
+@pytest.mark.parametrize("split, withheld", [("train", False), ("trainval", True)])
+def test_only_what_would_be_trained_on_is_withheld(program, dataset, tmp_path, split, withheld):
+    with Scene(program, tmp_path / "scene", dataset) as runner:
+        train(runner, train_split=split, **OPTIONS)
+        finish(runner)
+        told = next(content["scene"] for name, content, _ in runner.seen
+                    if name == "state" and "scene" in content)
+        assert ("withheld" in told["held_out"]) == withheld
+        assert any("withheld" in each["what"] for each in told["differences"]) == withheld
+        for view, words in (("test:99", "the test split has test:0 to test:3"),
+                            ("val:none", "the val split has val:0 to val:7")):
+            runner.send("render", request=1, render={"view": view, "format": "png"})
+            _, refused, _ = runner.wait_for("rendered", "refused", "error", "failed")
+            assert words in str(refused), refused

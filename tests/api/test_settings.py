@@ -18,19 +18,22 @@ BUILD = Path(os.environ.get("RIPNERF_BUILD", ROOT / "build"))
 KINDS = {"bool": "boolean", "int": "integer", "number": "number", "choice": "string",
          "colour": "array", "text": "string"}
 COMPARED = ("type", "enum", "minimum", "exclusiveMinimum", "maximum", "exclusiveMaximum")
-# Schema -> the table, and whether its rows are asked for (or told of a scene).
+# Schema -> the table, and whether its rows are asked for, by option or by name, or told of a scene.
 SCHEMAS = {"FieldConfig": ("train", False), "TrainOptions": ("train", True),
+           "TrainSettings": ("train", "by name"),
            "RenderRequest": ("render", True), "PathOptions": ("render", True),
-           "EvalOptions": ("render", True), "CurveSetting": ("render", True)}
+           "EvalOptions": ("render", True), "CurveSetting": ("render", True),
+           "Optics": ("optics", True)}
 # What these have beside settings.
 OTHERS = {"FieldConfig": {"finest_cone"},
-          "TrainOptions": {"preset", "threads", "device", "kernels", "checkpoint_interval_s",
-                           "evaluate_interval_s"},
-          "RenderRequest": {"camera", "view", "lens", "scale", "size", "output", "background", "format",
-                            "jpeg_quality"},
+          "TrainOptions": {"preset", "threads", "ranks", "device", "kernels", "checkpoint_interval_s",
+                           "evaluate_interval_s", "settings"},
+          "TrainSettings": set(),
+          "RenderRequest": {"camera", "view", "lens", "at", "scale", "size", "output", "background", "crop", "format",
+                            "jpeg_quality", "optics"},
           "PathOptions": {"width", "height", "first", "last", "output", "fps", "film",
-                          "video_quality"},
-          "EvalOptions": {"split", "views", "scale"}, "CurveSetting": set()}
+                          "video_quality", "format", "jpeg_quality", "crop", "optics"},
+          "EvalOptions": {"split", "views", "scale", "at"}, "CurveSetting": set(), "Optics": set()}
 
 
 def tables():
@@ -42,6 +45,8 @@ def tables():
 def rows(tables, schema):
     """The table's rows as they are named there: {name: row}."""
     table, asked = SCHEMAS[schema]
+    if asked == "by name":
+        return {row["name"]: row for row in tables[table] if row["by_name"]}
     return {row["option"] if asked else row["told"]: row for row in tables[table]
             if row["option"] or not asked}
 
@@ -58,10 +63,11 @@ def schema_of(row, asked):
     def whole(value):
         return int(value) if value == int(value) else value
 
+    or_zero = flags["or_zero"] and asked is not True
     if flags["power_of_two"]:
         count = int(high / low).bit_length()
-        return {"type": KINDS[row["type"]], "enum": [whole(low * 2 ** i) for i in range(count)]}
-    or_zero = flags["or_zero"] and not asked
+        values = [whole(low * 2 ** i) for i in range(count)]
+        return {"type": KINDS[row["type"]], "enum": [0] * or_zero + values}
     over = flags["over_min"] and not or_zero
     return {"type": KINDS[row["type"]],
             "exclusiveMinimum" if over else "minimum": whole(0 if or_zero else low),
@@ -125,7 +131,7 @@ def test_rows_are_complete(built):
 
 def test_help_explains_every_flag(built):
     for verb, table in (("train", "train"), ("render", "render"), ("path", "render"),
-                        ("eval", "render")):
+                        ("eval", "render"), ("render", "optics"), ("path", "optics")):
         usage = subprocess.run([BUILD / "client" / "ripnerf", verb, "--help"],
                                capture_output=True, text=True, check=True).stdout
         words = " ".join(usage.split())  # lines are broken

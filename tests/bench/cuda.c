@@ -2,7 +2,8 @@
 // time until a scene is loaded.
 //
 //   cuda DATASET [preset=paper] [steps=1000] [size=800] [device=cuda:0] [deterministic=0]
-//        [planes=] [base=] [channels=] [levels=] [width=] [occupancy=] [samples=] [step=]
+//        [planes=] [base=] [channels=] [levels=] [width=] [occupancy=] [samples=] [step=] [grow=]
+//        [rounds=5]
 //
 // `steps` are trained before anything is measured. Ceilings are those of
 // server/engine/cuda/README.md for the paper's configuration, scaled with the samples of a step. No
@@ -17,9 +18,8 @@
 #include "server/engine/engine.h"
 #include "server/engine/train/trainer.h"
 
-#define TIMED 20   // steps by stage
-#define TOGETHER 5 // rounds of steps as the product takes them; the quickest counts
-#define FRAMES 20
+#define A_ROUND 4      // steps by stage, and pictures
+#define MOST_ROUNDS 25 // of steps as the product takes them too; the quickest counts
 
 static const double counted_samples = 273e3;
 // Milliseconds at the ceiling on an H200 and on an A100; whether it grows with the samples.
@@ -36,7 +36,7 @@ static const struct {
 struct bench {
     const char *dataset_path, *preset, *device;
     int64_t steps;
-    int size, deterministic;
+    int size, deterministic, rounds;
     struct rn_train_config config;
     struct rn_dataset *dataset;
     struct rn_engine *engine;
@@ -61,6 +61,8 @@ static bool set_option(struct bench *b, const char *name, const char *value) {
                  {"width", &f->width},
                  {"occupancy", &f->occupancy},
                  {"size", &b->size},
+                 {"rounds", &b->rounds},
+                 {"grow", &b->config.grow_to},
                  {"samples", &b->config.target_samples},
                  {"deterministic", &b->deterministic}};
     for (size_t i = 0; i < sizeof table / sizeof *table; i++)
@@ -103,19 +105,19 @@ static double ceiling_of(const char *stage, int gpu, double samples) {
     return NAN;
 }
 
-// Medians over TIMED steps, the occupancy's measurement left out.
+// Medians over the rounds' steps, the occupancy's measurement left out.
 static int compare(const void *a, const void *b) {
     float x = *(const float *)a, y = *(const float *)b;
     return (x > y) - (x < y);
 }
 
 static void print_stages(struct bench *b, double samples, int gpu) {
-    static float ms[RN_DEVICE_STAGES][TIMED];
+    static float ms[RN_DEVICE_STAGES][A_ROUND * MOST_ROUNDS];
     struct rn_device_stage stages[RN_DEVICE_STAGES];
     struct rn_error err;
-    int count = 0;
+    int count = 0, timed = A_ROUND * b->rounds;
     double sum = 0, ceiling_sum = 0;
-    for (int i = 0; i < TIMED; i++) {
+    for (int i = 0; i < timed; i++) {
         check(rn_trainer_time_device(b->trainer, stages, &count, &err), &err);
         for (int s = 0; s < count; s++)
             ms[s][i] = stages[s].ms;
@@ -124,8 +126,8 @@ static void print_stages(struct bench *b, double samples, int gpu) {
     for (int s = 0; s < count; s++) {
         bool counted = is_counted(&b->config.field);
         double ceiling = counted ? ceiling_of(stages[s].name, gpu, samples) : NAN;
-        qsort(ms[s], TIMED, sizeof ms[s][0], compare);
-        double median = (double)ms[s][TIMED / 2];
+        qsort(ms[s], (size_t)timed, sizeof ms[s][0], compare);
+        double median = (double)ms[s][timed / 2];
         sum += median;
         ceiling_sum += isnan(ceiling) ? 0 : ceiling;
         printf("%-16s %9.4f %9.4f %6.2f\n", stages[s].name, median, ceiling, ceiling / median);
@@ -134,13 +136,13 @@ static void print_stages(struct bench *b, double samples, int gpu) {
 }
 
 static void measure_training(struct bench *b, const char *name) {
-    struct rn_progress before = advance(b, b->steps), after;
+    struct rn_progress before = advance(b, b->steps), after = before;
     int gpu = strstr(name, "A100") != NULL;
     double best = INFINITY;
-    for (int i = 0; i < TOGETHER; i++) {
+    for (int i = 0; i < b->rounds; i++) {
         before = advance(b, 0);
         int64_t begin = rn_clock_ns();
-        after = advance(b, b->steps < 160 ? 16 : 160);
+        after = advance(b, b->steps < 160 ? b->steps : 160);
         double ms = (double)(rn_clock_ns() - begin) * 1e-6 / (double)(after.step - before.step);
         best = fmin(best, ms);
     }
@@ -161,14 +163,15 @@ static void measure_frame(struct bench *b, struct rn_field *field, const char *w
         .background = {1, 1, 1}};
     struct rn_error err;
     double best = INFINITY, samples = 0;
-    for (int i = 0; i < FRAMES; i++) {
+    int frames = A_ROUND * b->rounds;
+    for (int i = 0; i < frames; i++) {
         struct rn_render_result result;
         const struct rn_frame *frame =
-            &b->dataset->frames[(size_t)i * b->dataset->frame_count / FRAMES];
+            &b->dataset->frames[(size_t)i * b->dataset->frame_count / (size_t)frames];
         options.camera = rn_camera_resized(&frame->camera, b->size, b->size);
         check(rn_render(b->engine, field, &options, NULL, NULL, &result, &err), &err);
         best = fmin(best, result.stats.render_ms);
-        samples += (double)result.stats.samples / FRAMES;
+        samples += (double)result.stats.samples / frames;
         rn_render_result_finish(&result);
     }
     printf("frame %dx%d, %s: %.2f ms, %.0f a second, %.2f M samples\n", b->size, b->size, what,
@@ -211,12 +214,17 @@ static void read_options(struct bench *b, int argc, char **argv) {
         fprintf(stderr, "cuda: no option '%s'\n", argv[i]);
         exit(2);
     }
+    if (b->rounds < 1 || b->rounds > MOST_ROUNDS) {
+        fprintf(stderr, "cuda: rounds must be 1 to %d\n", MOST_ROUNDS);
+        exit(2);
+    }
     b->config.max_steps = 0; // planes at their final size, a constant rate
     b->config.max_seconds = 0;
 }
 
 int main(int argc, char **argv) {
-    struct bench b = {.preset = "paper", .device = "cuda:0", .steps = 1000, .size = 800};
+    struct bench b = {
+        .preset = "paper", .device = "cuda:0", .steps = 1000, .size = 800, .rounds = 5};
     struct rn_error err = {0};
     struct rn_device_info info;
     if (argc < 2) {

@@ -16,7 +16,7 @@
 #include <string.h>
 
 #include "common/image/metrics.h"
-#include "server/engine/engine.h"
+#include "tests/bench/footprints.h"
 
 #define ZOOMS 11
 #define NEAREST 0.5
@@ -37,24 +37,15 @@ static const struct variant {
 #define VARIANTS (int)(sizeof variants / sizeof *variants)
 
 struct sweep {
-    const char *scene, *preset;
-    struct rn_dataset *dataset;
-    struct rn_engine *engine;
-    double seconds;
-    int64_t steps;
-    uint64_t seed;
-    int threads, size, frames;
+    const char *scene;
+    struct bench_training training;
+    int size, frames;
     double distance, focal, radius; // of the training cameras at full size; of the scene
 };
 
 struct score {
     double psnr_rays, psnr_truth, flicker, ms;
 };
-
-static void die(const struct rn_error *err) {
-    fprintf(stderr, "zoom: %s: %s\n", err->where, err->text);
-    exit(1);
-}
 
 // ---- pictures -------------------------------------------------------------------------------
 
@@ -67,7 +58,7 @@ static struct rn_camera camera_at(const struct sweep *s, double zoom, int i) {
     angle = 0.7 + i * PIXELS_A_FRAME * distance / (focal * s->radius);
     across = distance * sqrt(1 - z * z);
     double eye[3] = {across * cos(angle), across * sin(angle), distance * z};
-    double *centre = s->dataset->bounds.centre;
+    double *centre = s->training.dataset->bounds.centre;
     for (int k = 0; k < 3; k++)
         eye[k] += centre[k];
     struct rn_camera camera = {.lens = RN_LENS_PINHOLE,
@@ -91,11 +82,10 @@ static struct rn_picture render(const struct sweep *s, struct rn_field *field,
                                         .outputs = RN_OUTPUT_RGB,
                                         .background = {1, 1, 1},
                                         .settings.supersample = supersample};
-    if (rn_render(s->engine, field, &options, NULL, NULL, &result, &err) != RN_OK) die(&err);
+    if (rn_render(s->training.engine, field, &options, NULL, NULL, &result, &err) != RN_OK)
+        bench_die(&err);
     if (ret_ms) *ret_ms += result.stats.render_ms;
-    size_t n = (size_t)result.rgb.width * (size_t)result.rgb.height * 3;
-    for (size_t i = 0; i < n; i++)
-        result.rgb.values[i] = fminf(fmaxf(result.rgb.values[i], 0), 1);
+    bench_clamp(&result.rgb);
     return result.rgb;
 }
 
@@ -106,7 +96,7 @@ static struct rn_picture render_rays(const struct sweep *s, struct rn_field *fie
     struct rn_camera fine =
         rn_camera_resized(camera, camera->width * RAYS_A_SIDE, camera->height * RAYS_A_SIDE);
     struct rn_picture rays = render(s, field, &fine, 1, NULL), out;
-    if (rn_picture_init(camera->width, camera->height, 3, &out, &err) != RN_OK) die(&err);
+    if (rn_picture_init(camera->width, camera->height, 3, &out, &err) != RN_OK) bench_die(&err);
     memset(out.values, 0, (size_t)out.width * (size_t)out.height * 3 * sizeof *out.values);
     for (int y = 0; y < rays.height; y++)
         for (int x = 0; x < rays.width; x++)
@@ -122,7 +112,7 @@ static struct rn_picture truth_at(const struct sweep *s, const struct rn_camera 
     struct rn_picture rgba, out;
     if (rn_synth_render(s->scene, camera, TRUTH_SAMPLES, &rgba, &err) != RN_OK ||
         rn_picture_init(camera->width, camera->height, 3, &out, &err) != RN_OK)
-        die(&err);
+        bench_die(&err);
     for (size_t i = 0; i < (size_t)out.width * (size_t)out.height; i++)
         for (size_t c = 0; c < 3; c++) {
             float alpha = rgba.values[4 * i + 3];
@@ -136,14 +126,6 @@ static double psnr(const struct rn_picture *a, const struct rn_picture *b) {
     double value = NAN;
     if (rn_psnr(a, b, &value) != RN_OK) abort();
     return value;
-}
-
-static double difference(const struct rn_picture *a, const struct rn_picture *b) {
-    double sum = 0;
-    size_t n = (size_t)a->width * (size_t)a->height * 3;
-    for (size_t i = 0; i < n; i++)
-        sum += fabs((double)a->values[i] - (double)b->values[i]);
-    return sum / (double)n;
 }
 
 // ---- sweep ----------------------------------------------------------------------------------
@@ -163,8 +145,8 @@ static struct score score_at(const struct sweep *s, struct rn_field *field, int 
             score.psnr_rays = psnr(&picture, &rays);
             rn_picture_finish(&rays);
         } else {
-            moved += difference(&picture, &last);
-            moved_truth += difference(&truth, &last_truth);
+            moved += bench_difference(&picture, &last);
+            moved_truth += bench_difference(&truth, &last_truth);
         }
         rn_picture_finish(&last);
         rn_picture_finish(&last_truth);
@@ -180,25 +162,10 @@ static struct score score_at(const struct sweep *s, struct rn_field *field, int 
 
 static void sweep_footprint(struct sweep *s, enum rn_footprint footprint,
                             struct score ret_scores[VARIANTS][ZOOMS]) {
-    struct rn_error err;
-    struct rn_train_config config;
-    struct rn_trainer *trainer;
     struct rn_progress progress;
-    if (rn_preset(s->preset, s->dataset->scale_count > 1, &config, &err) != RN_OK) die(&err);
-    config.field.footprint = footprint;
-    config.auto_effects = false; // a footprint that is switched off could not be compared
-    config.seed = s->seed;
-    config.max_steps = s->steps;
-    config.max_seconds = s->steps > 0 ? 0 : s->seconds;
-    rn_train_config_suit_time(&config);
-    if (rn_trainer_create(s->engine, s->dataset, &config, 0, &trainer, &err) != RN_OK) die(&err);
-    do {
-        if (rn_trainer_advance(trainer, 200, &err) != RN_OK) die(&err);
-        rn_trainer_progress(trainer, &progress);
-    } while (!progress.done);
+    struct rn_field *field = bench_train(&s->training, footprint, false, &progress);
     fprintf(stderr, "zoom: %s: %lld steps in %.1f s, loss %.5f\n", rn_footprint_names[footprint],
             (long long)progress.step, progress.train_seconds, progress.loss);
-    struct rn_field *field = rn_trainer_finish(&trainer);
     for (int v = 0; v < VARIANTS; v++)
         for (int i = 0; i < ZOOMS && variants[v].footprint == footprint; i++)
             ret_scores[v][i] =
@@ -227,12 +194,13 @@ static void print_table(const struct sweep *s, struct score scores[VARIANTS][ZOO
 static void find_cameras(struct sweep *s) {
     double distance = 0, focal = 0;
     int n = 0;
-    for (size_t i = 0; i < s->dataset->frame_count; i++) {
-        const struct rn_frame *frame = &s->dataset->frames[i];
+    for (size_t i = 0; i < s->training.dataset->frame_count; i++) {
+        const struct rn_frame *frame = &s->training.dataset->frames[i];
         if (frame->split != RN_SPLIT_TRAIN || frame->scale != 0) continue;
         double square = 0;
         for (int k = 0; k < 3; k++) {
-            double d = frame->camera.world_from_camera[k][3] - s->dataset->bounds.centre[k];
+            double d =
+                frame->camera.world_from_camera[k][3] - s->training.dataset->bounds.centre[k];
             square += d * d;
         }
         distance += sqrt(square);
@@ -241,21 +209,12 @@ static void find_cameras(struct sweep *s) {
     }
     s->distance = distance / n;
     s->focal = focal / n;
-    s->radius = s->dataset->bounds.radius;
+    s->radius = s->training.dataset->bounds.radius;
 }
 
 static bool set_option(struct sweep *s, const char *name, const char *value) {
-    if (strcmp(name, "time") == 0)
-        s->seconds = atof(value);
-    else if (strcmp(name, "steps") == 0)
-        s->steps = atoll(value);
-    else if (strcmp(name, "preset") == 0)
-        s->preset = value;
-    else if (strcmp(name, "seed") == 0)
-        s->seed = (uint64_t)atoll(value);
-    else if (strcmp(name, "threads") == 0)
-        s->threads = atoi(value);
-    else if (strcmp(name, "size") == 0)
+    if (bench_set_option(&s->training, name, value)) return true;
+    if (strcmp(name, "size") == 0)
         s->size = atoi(value);
     else if (strcmp(name, "frames") == 0)
         s->frames = atoi(value);
@@ -266,7 +225,8 @@ static bool set_option(struct sweep *s, const char *name, const char *value) {
 
 int main(int argc, char **argv) {
     struct rn_error err = {0};
-    struct sweep s = {.preset = "standard", .seconds = 20, .seed = 1, .size = 96, .frames = 5};
+    struct sweep s = {
+        .training = {.preset = "standard", .seconds = 20, .seed = 1}, .size = 96, .frames = 5};
     if (argc < 3) {
         fprintf(stderr, "usage: zoom SCENE DATASET [name=value ...]\n");
         return 2;
@@ -280,15 +240,15 @@ int main(int argc, char **argv) {
             return 2;
         }
     }
-    struct rn_engine_options options = {.threads = s.threads};
+    struct rn_engine_options options = {.threads = s.training.threads};
     struct score scores[VARIANTS][ZOOMS];
-    if (rn_dataset_read(argv[2], NULL, &s.dataset, &err) != RN_OK) die(&err);
-    if (rn_engine_create(&options, &s.engine, &err) != RN_OK) die(&err);
+    if (rn_dataset_read(argv[2], NULL, &s.training.dataset, &err) != RN_OK) bench_die(&err);
+    if (rn_engine_create(&options, &s.training.engine, &err) != RN_OK) bench_die(&err);
     find_cameras(&s);
     for (int f = RN_FOOTPRINT_RIP; f <= RN_FOOTPRINT_POINT; f++)
         sweep_footprint(&s, (enum rn_footprint)f, scores);
     print_table(&s, scores);
-    rn_engine_destroy(&s.engine);
-    rn_dataset_destroy(&s.dataset);
+    rn_engine_destroy(&s.training.engine);
+    rn_dataset_destroy(&s.training.dataset);
     return 0;
 }

@@ -1,6 +1,7 @@
 """A headless Chromium for the page's tests; without one (or its driver, or selenium) they skip."""
 
 import shutil
+import signal
 import sys
 import time
 from pathlib import Path
@@ -33,6 +34,11 @@ class Page:
     def open(self, url):
         self.driver.get("about:blank")
         self.driver.get(url)
+
+    def path(self):
+        """The camera path that the page keeps."""
+        return self.run("""
+return JSON.parse(Object.entries(sessionStorage).find(([k]) => k.startsWith('ripnerf-path'))[1]);""")
 
     def all(self, css):
         return self.driver.find_elements("css selector", css)
@@ -148,9 +154,31 @@ class Page:
         )
 
 
+class Downloads:
+    """The folder that the browser saves into."""
+
+    def __init__(self, folder):
+        self.folder = folder
+
+    def clear(self):
+        for old in self.folder.iterdir():
+            old.unlink()
+
+    def saved(self, page, pattern):
+        """The file of that name once it is whole: Chromium reserves the name with an empty file,
+        writes to another and renames that."""
+
+        def whole():
+            if list(self.folder.glob("*.crdownload")):
+                return None
+            return next((f for f in self.folder.glob(pattern) if f.stat().st_size), None)
+
+        return page.until(whole, f"a saved {pattern}", 30)
+
+
 @pytest.fixture(scope="session")
 def downloads(tmp_path_factory):
-    return tmp_path_factory.mktemp("downloads")
+    return Downloads(tmp_path_factory.mktemp("downloads"))
 
 
 @pytest.fixture(scope="session")
@@ -179,7 +207,7 @@ def driver(tmp_path_factory, downloads):
     chrome = webdriver.Chrome(service=webdriver.chrome.service.Service(DRIVER), options=options)
     chrome.set_script_timeout(60)
     chrome.execute_cdp_cmd(
-        "Browser.setDownloadBehavior", {"behavior": "allow", "downloadPath": str(downloads)}
+        "Browser.setDownloadBehavior", {"behavior": "allow", "downloadPath": str(downloads.folder)}
     )
     yield chrome
     chrome.quit()
@@ -187,11 +215,15 @@ def driver(tmp_path_factory, downloads):
 
 @pytest.fixture
 def page(driver):
+    """A tab of its own: what a tab remembers is of its address, and ports come again."""
+    first = driver.current_window_handle
+    driver.switch_to.new_window("tab")
+    driver.execute_cdp_cmd("Emulation.setFocusEmulationEnabled", {"enabled": True})
     driver.get_log("browser")
     yield Page(driver)
-    driver.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
-    driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
-    driver.get("about:blank")
+    driver.execute_cdp_cmd("Network.clearBrowserCache", {})
+    driver.close()
+    driver.switch_to.window(first)
 
 
 @pytest.fixture
@@ -209,3 +241,29 @@ def fake():
     for api in started:
         if not api.stopping:
             api.stop()
+
+
+@pytest.fixture
+def daemon(build, tmp_path):
+    """daemon(runner, environment, **options) starts a ripnerfd; all are stopped at the end."""
+    from live_daemon import Daemon
+
+    started = []
+
+    def start(runner=None, environment=None, **options):
+        started.append(Daemon(build, tmp_path / "data", runner, environment, **options))
+        return started[-1]
+
+    yield start
+    for one in started:
+        assert one.stop() in (0, -signal.SIGKILL), one.log.read_text(encoding="utf-8")[-4000:]
+
+
+@pytest.fixture
+def scene(page, fake):
+    """The page of a scene whose picture has come; `api` is the daemon behind it."""
+    api = fake("busy")
+    page.open(api.url + "#/scene/sphere-draft")
+    page.until(lambda: page.ink() > 100, "a picture")
+    page.api = api
+    return page

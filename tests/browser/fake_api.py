@@ -62,7 +62,13 @@ class Handler(BaseHTTPRequestHandler):
             return
         url = urllib.parse.urlsplit(self.path)
         self.query = dict(urllib.parse.parse_qsl(url.query))
-        self.body = self.rfile.read(int(self.headers.get("Content-Length") or 0))
+        size = int(self.headers.get("Content-Length") or 0)
+        if (self.command == "PATCH"
+                and int(self.headers["Upload-Offset"]) < self.server.world.line_dead_below
+                and url.path.rsplit("/", 1)[1] not in self.server.world.looked_at):
+            size = 1000  # so much arrives, and the line is dead
+            self.close_connection = True
+        self.body = self.rfile.read(size)
         path = urllib.parse.unquote(url.path)
         try:
             if path == "/" or path.startswith("/web/"):
@@ -79,14 +85,16 @@ class Handler(BaseHTTPRequestHandler):
         except (BrokenPipeError, ConnectionResetError):
             self.close_connection = True
 
-    do_GET = do_POST = do_DELETE = answer
+    do_GET = do_POST = do_PATCH = do_DELETE = answer
 
     def json_body(self, schema):
         """The request's JSON if it fits the API document; without a schema, a job."""
         body = json.loads(self.body)
         schema = (
             schema
-            or {"train": "TrainRequest", "path": "PathRequest", "eval": "EvalRequest"}[body["type"]]
+            or {"train": "TrainRequest", "path": "PathRequest", "eval": "EvalRequest",
+                "estimate": "EstimateRequest", "doctor": "DoctorRequest",
+                "validate": "ValidateRequest"}[body["type"]]
         )
         errors = contract.errors(schema, body)
         if errors:
@@ -125,6 +133,9 @@ class Handler(BaseHTTPRequestHandler):
                 "uptime_s": 4211.0,
                 "memory_limit_bytes": 8 << 30,
                 "roots": [],
+                "you": {"id": None, "name": None, "scope": "admin", "scene": None, "job": None,
+                        "created_at": None, "expires_at": None, "max_jobs": 0, "max_bytes": 0,
+                        "open_jobs": 0, "bytes": 0},
                 "limits": {
                     "max_body_bytes": 1 << 20,
                     "max_upload_bytes": 32 << 30,
@@ -165,6 +176,10 @@ class Handler(BaseHTTPRequestHandler):
             else:
                 self.reply(200, item)
 
+    def points(self, _world, _key):
+        items = [[0.1 * i, 0.2 * j, 0.05 * (i + j), 40 * i, 40 * j, 120] for i in range(6) for j in range(5)]
+        self.reply(200, {"count": 31, "items": items})
+
     def cameras(self, world, _key):
         self.reply(200, {"items": world.cameras()})
 
@@ -173,19 +188,51 @@ class Handler(BaseHTTPRequestHandler):
         found = next(item for item in views if (item["split"], item["index"]) == (split, int(index)))
         self.reply(200, draw(found["camera"]), "image/png")
 
+    def begin_upload(self, world):
+        body = self.json_body("UploadRequest")
+        with world.lock:
+            if any(item["name"] == body.get("name") for item in world.datasets):
+                raise Refusal(409, "Conflict", "That name is taken.",
+                              [{"pointer": "#/name", "detail": "there is a dataset of that name"}])
+            upload = world.new_id("up")
+            world.uploads[upload] = (body["size_bytes"], b"")
+            if "name" not in body:  # to be looked at, not kept
+                world.looked_at.add(upload)
+        self.reply(201, {"id": upload, "size_bytes": body["size_bytes"], "offset": 0})
+
+    def upload(self, world, key):
+        with world.lock:
+            if key not in world.uploads:
+                raise Refusal(404, "Not found", "There is no such upload.")
+            size, there = world.uploads[key]
+            if self.command == "DELETE":
+                del world.uploads[key]
+                self.reply(204, b"")
+            elif self.command == "PATCH":
+                at = int(self.headers["Upload-Offset"])
+                world.uploads[key] = (size, there[:at] + self.body + there[at + len(self.body):])
+                if key not in world.looked_at:
+                    world.parts.append((at, len(self.body)))
+                if self.close_connection:
+                    return
+                self.reply(204, b"")
+            else:
+                self.reply(200, {"id": key, "size_bytes": size, "offset": len(there)})
+
     def add_dataset(self, world):
         with world.lock:
-            if self.headers["Content-Type"] != "application/x-tar":
-                self.json_body("DatasetRequest")
+            body = self.json_body("DatasetRequest")
+            if "upload" not in body:
                 raise Refusal(
                     403,
                     "Forbidden",
                     "The daemon was started without --dataset-root.",
                     [{"pointer": "#/directory", "detail": "no folder of this machine may be read"}],
                 )
-            with tarfile.open(fileobj=io.BytesIO(self.body)) as tar:
+            _, there = world.uploads.pop(body["upload"])
+            with tarfile.open(fileobj=io.BytesIO(there)) as tar:
                 entries = [(member.name, member.size) for member in tar]
-            self.reply(202, world.ingest(self.query["name"], entries))
+            self.reply(202, world.ingest(body["name"], entries, body.get("options", {})))
 
     def submit(self, world):
         with world.lock:
@@ -193,7 +240,8 @@ class Handler(BaseHTTPRequestHandler):
 
     def act(self, world, key, verb):
         with world.lock:
-            self.reply(200, world.act(world.find(world.jobs, key, "job"), verb))
+            answer = world.act(world.find(world.jobs, key, "job"), verb)
+            self.reply(200 if answer["id"] == key else 202, answer)
 
     def render(self, world, key):
         with world.lock:
@@ -215,6 +263,7 @@ class Handler(BaseHTTPRequestHandler):
             [
                 ("Server-Timing", f"queue;dur=0.2, render;dur={spent:.2f}, encode;dur=1.1"),
                 ("X-Ripnerf-Step", scene["steps"]),
+                *([("X-Ripnerf-At", body["at"])] if "at" in body else []),
                 ("X-Ripnerf-Samples", camera["width"] * camera["height"] * 14),
                 *self.budget(body, spent),
             ],
@@ -228,10 +277,34 @@ class Handler(BaseHTTPRequestHandler):
                 ("X-Ripnerf-Setting", "tolerance=0.03"), ("X-Ripnerf-Curve", "measured"),
                 ("X-Ripnerf-Expected-Psnr", "30.4"), ("X-Ripnerf-Late", "0")]
 
+    def convert_path(self, _world):
+        """This program's own format alone; tests/api has the others."""
+        body = self.json_body("PathConversionRequest")
+        if "path" in body:
+            self.reply(200, {"format": body["to"], "file": json.dumps({"path": body["path"]})})
+            return
+        try:
+            self.reply(200, {"format": "ripnerf", "path": json.loads(body["file"])["path"]})
+        except (ValueError, KeyError) as error:
+            raise Refusal(422, "Invalid", "is no camera path that is known") from error
+
     def curve(self, world, _key):
         if not world.curve:
             raise Refusal(404, "Not found", "the curve was not measured yet")
         self.reply(200, world.curve)
+
+    def effects(self, world, _key):
+        if not world.effects:
+            raise Refusal(404, "Not found", "it was not measured yet")
+        self.reply(200, world.effects)
+
+    def incidents(self, world, _key):
+        self.reply(200, {"count": len(world.incidents), "items": world.incidents})
+
+    def report(self, world, _key):
+        if not world.report:
+            raise Refusal(404, "Not found", "the ladder has not begun yet")
+        self.reply(200, world.report)
 
     def evaluations(self, world, key):
         with world.lock:
@@ -296,6 +369,15 @@ class Handler(BaseHTTPRequestHandler):
         self.end_headers()
         self.close_connection = True
         with world.lock:
+            self.server.streams += 1
+        try:
+            self.follow(world, key)
+        finally:
+            with world.lock:
+                self.server.streams -= 1
+
+    def follow(self, world, key):
+        with world.lock:
             at = 0 if key else len(world.events)
         while not self.server.stopping:
             with world.lock:
@@ -326,19 +408,26 @@ ROUTES = [
     (r"GET /v1/(datasets|scenes|jobs|camera-paths)", "lists"),
     (rf"(?:GET|DELETE) /v1/(datasets|scenes|jobs|camera-paths)/{ID}", "one"),
     (rf"GET /v1/datasets/{ID}/cameras", "cameras"),
+    (rf"GET /v1/datasets/{ID}/points", "points"),
     (rf"GET /v1/datasets/{ID}/images/(train|val|test)/(\d+)", "photo"),
     (r"POST /v1/datasets", "add_dataset"),
+    (r"POST /v1/uploads", "begin_upload"),
+    (rf"(?:GET|PATCH|DELETE) /v1/uploads/{ID}", "upload"),
     (r"POST /v1/jobs", "submit"),
     (rf"POST /v1/jobs/{ID}/(pause|resume|finish|cancel)", "act"),
     (rf"POST /v1/scenes/{ID}/render", "render"),
     (rf"GET /v1/scenes/{ID}/evaluations", "evaluations"),
     (rf"GET /v1/scenes/{ID}/curve", "curve"),
+    (rf"GET /v1/scenes/{ID}/effects", "effects"),
+    (rf"GET /v1/scenes/{ID}/incidents", "incidents"),
     (rf"GET /v1/jobs/{ID}/metrics", "metrics"),
+    (rf"GET /v1/jobs/{ID}/report", "report"),
     (rf"GET /v1/jobs/{ID}/frames", "frames"),
     (rf"GET /v1/jobs/{ID}/film", "film"),
     (rf"GET /v1/jobs/{ID}/frames/(\d+)", "frame"),
     (rf"GET /v1/jobs/{ID}/frames\.tar", "frames_tar"),
     (r"POST /v1/camera-paths", "keep_path"),
+    (r"POST /v1/camera-paths/convert", "convert_path"),
     (rf"GET /v1/jobs/{ID}/events", "events"),
     (r"GET /v1/events", "events"),
 ]
@@ -352,6 +441,7 @@ class FakeApi(ThreadingHTTPServer):
         super().__init__(("127.0.0.1", port), Handler)
         self.world = World(scenario)
         self.stopping = False
+        self.streams = 0  # of events, that someone reads
         threading.Thread(target=self.serve_forever, daemon=True).start()
 
     @property

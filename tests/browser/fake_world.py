@@ -44,9 +44,16 @@ class World:
         self.frames, self.done, self.routes = {}, {}, {}  # by job id; routes are the camera paths
         self.serial = 0
         self.missing = set()  # views that could not be used: (split, index)
-        self.uploads = []
+        self.uploaded = []  # the files of each dataset
+        self.uploads, self.parts, self.line_dead_below = {}, [], 0
         self.untrained = False  # a scene of no steps is rendered all the same
         self.curve = None  # of every scene
+        self.effects = None  # likewise: what they bring
+        self.report = None  # of every ladder
+        self.incidents = []  # of every scene
+        self.looked_at = set()  # uploads that are only looked at
+        self.fails = {}  # by type of job: the problem that it ends with
+        self.doctor = None  # what examining any scene results in
         self.on_render = lambda body: None
         if scenario != "empty":
             self.add_dataset("sphere")
@@ -116,6 +123,7 @@ class World:
                 "footprint": {"min": 0.0071, "max": 0.0074},
                 "size_bytes": 2_340_000,
                 "premultiplied": True,
+                "past": {"trainings": 3, "seconds": 66.4, "memory_bytes": 410_000_000},
                 "report": {
                     "layout": "blender",
                     "usable": {"train": 24, "val": 8, "test": 8},
@@ -127,6 +135,7 @@ class World:
                     "with_alpha": 40,
                     "width": {"min": 200, "max": 200},
                     "height": {"min": 200, "max": 200},
+                    "expected": {"seconds": 60, "memory_bytes": 336_400_000},
                     "errors": 0,
                     "warnings": 1,
                     "dropped": 0,
@@ -212,6 +221,7 @@ class World:
             "loaded": True,
             "held_out": "8 evenly spaced views of the validation split",
             "checkpoints": [],
+            "marks": [],
             "memory_bytes": 412_000_000,
             "kernels": "avx512",
             "config": {
@@ -264,7 +274,12 @@ class World:
                     job for job in self.jobs if job["type"] == "train" and job["state"] == "running"
                 ]
                 for job in reversed(self.jobs):
-                    if job["state"] == "queued" and (job["type"] != "train" or not training):
+                    waits = job.get("runner", {}).get("reason")  # for a cluster
+                    if (
+                        job["state"] == "queued"
+                        and not waits
+                        and (job["type"] != "train" or not training)
+                    ):
                         self.set_state(job, "running")
                         break
                 for job in self.jobs:
@@ -297,7 +312,11 @@ class World:
         }
 
     def advance(self, job, dt):
-        getattr(self, "advance_" + job["type"])(job, dt)
+        if job["type"] in self.fails:
+            job["problem"] = self.fails[job["type"]]
+            self.set_state(job, "failed")
+        else:
+            getattr(self, "advance_" + job["type"])(job, dt)
 
     def advance_train(self, job, dt):
         before = job["progress"]
@@ -320,6 +339,10 @@ class World:
                 *scene["checkpoints"],
             ][:3]
         job["progress"] = progress
+        mark = 3.75 * 2 ** len(scene["marks"])
+        if seconds >= mark:
+            scene["marks"] = [*scene["marks"], {"train_seconds": mark, "step": int(40 * mark),
+                                                "size_bytes": 1 << 20}]
         scene.update(
             steps=progress["step"],
             train_seconds=progress["train_seconds"],
@@ -360,6 +383,38 @@ class World:
             self.add_dataset(job["dataset_name"])
             self.datasets[-1]["id"] = job["dataset"]
             job["result"] = {"dataset": job["dataset"]}
+            self.set_state(job, "succeeded")
+
+    def advance_validate(self, job, dt):
+        """What the options ask for; the files are those of the upload that is five of a ring."""
+        if self.work(job, 4, 20, dt) < 4:
+            return
+        every = int(job["options"].get("split", "every:0").split(":")[-1])
+        size = job["options"].get("max_size", 20)
+        views = [{"split": "test" if every and i % every == 0 else "train",
+                  "file": f"train/r_{i}.png",
+                  "camera": {"world_from_camera": pose, "axes": "opengl", "width": size,
+                             "height": size, "fov_y_deg": 40}} for i, pose in enumerate(ring(5))]
+        views[1]["mask"] = "masks/r_1.png"
+        tests = sum(view["split"] == "test" for view in views)
+        job["result"] = {
+            "report": contract.example("DatasetReport"), "up": [0, 0, 1], "items": views,
+            "scales": job["options"].get("scales", 1),
+            "views": {"train": 5 - tests, "val": 0, "test": tests},
+            "bounds": {"centre": [0, 0, 0], "radius": 1.5, "source": "layout"}}
+        self.set_state(job, "succeeded")
+
+    def advance_doctor(self, job, dt):
+        if self.doctor:
+            job["result"] = self.doctor
+            self.set_state(job, "succeeded")
+
+    def advance_ladder(self, job, dt):
+        """Its trainings take as long as a test wants."""
+
+    def advance_estimate(self, job, dt):
+        if self.work(job, 12, 24, dt) == 12:
+            job["result"] = contract.example("Estimate")
             self.set_state(job, "succeeded")
 
     def advance_path(self, job, dt):
@@ -438,6 +493,12 @@ class World:
     def submit(self, body):
         if body["type"] == "train":
             return self.train(body)
+        if body["type"] == "estimate":
+            dataset = self.find(self.datasets, body["dataset"], "dataset")
+            return self.job("estimate", dataset=dataset["id"], dataset_name=dataset["name"],
+                            options=body.get("options", {}))
+        if body["type"] == "validate":
+            return self.job("validate", options=body.get("options", {}))
         scene = self.find(self.scenes, body["scene"], "scene")
         path = body.get("camera_path")
         facts = {key: path[key] for key in ("fps", "width", "height") if key in path} if path else {}
@@ -450,7 +511,17 @@ class World:
         self.routes[job["id"]] = body.get("camera_path")
         return job
 
+    def go_on(self, job):
+        """Another job, with the frames that a path job which has ended made."""
+        again = self.job("path", **{key: job[key] for key in ("scene", "scene_name", "options")})
+        self.routes[again["id"]] = self.routes[job["id"]]
+        self.frames[again["id"]] = dict(self.frames.get(job["id"], {}))
+        self.done[again["id"]] = len(self.frames[again["id"]])
+        return again
+
     def act(self, job, verb):
+        if verb == "resume" and job["type"] == "path" and job["state"] in ("failed", "cancelled"):
+            return self.go_on(job)
         target = {
             "pause": ("running", "queued"),
             "resume": ("paused",),
@@ -467,7 +538,7 @@ class World:
             )
         return job
 
-    def ingest(self, name, entries):
+    def ingest(self, name, entries, options):
         if any(item["name"] == name for item in self.datasets):
             raise Refusal(
                 409,
@@ -475,5 +546,5 @@ class World:
                 f"The dataset {name} exists.",
                 [{"pointer": "#/name", "detail": "this name is taken"}],
             )
-        self.uploads.append(entries)
-        return self.job("ingest", dataset=self.new_id("ds"), dataset_name=name)
+        self.uploaded.append(entries)
+        return self.job("ingest", dataset=self.new_id("ds"), dataset_name=name, options=options)

@@ -41,6 +41,7 @@ def test_answers_conform(fake):
         ("scenes", "SceneList"),
         ("jobs", "JobList"),
         ("datasets/sphere/cameras", "DatasetCameraList"),
+        ("datasets/sphere/points", "DatasetPointList"),
         (f"jobs/{done[1]['id']}/frames", "FrameList"),
         ("scenes/sphere-draft/evaluations", "EvaluationList"),
     ):

@@ -288,19 +288,29 @@ def test_upload_takes_what_the_json_names(blank):
     )
 
 
-def test_coarse_pictures_keep_the_shape_and_a_budget(blank):
+def test_coarse_pictures_keep_the_shape_and_an_effort(blank):
     result = blank.run(
         """
-        const {sizeFor, nextBudget} = await load('viewer.js');
+        const {sizeFor, coarseOf, nextEffort} = await load('viewer.js');
+        const full = {width: 600, height: 400};
         return {
           small: sizeFor({width: 900, height: 600}, 10000),
           all: sizeFor({width: 30, height: 20}, 1e9),
-          slow: nextBudget(40000, 900),
-          quick: nextBudget(40000, 10),
-          floor: nextBudget(3200, 1e5)
+          coarse: [20000, 100000, 220000, 240000, 500000, 1e7].map((effort) => coarseOf(full, effort)),
+          large: coarseOf({width: 1280, height: 960}, 1e7),
+          slow: nextEffort(40000, 900),
+          quick: nextEffort(40000, 1),
+          floor: nextEffort(8000, 1e5)
         };"""
     )
     assert result["small"]["width"] / result["small"]["height"] == pytest.approx(1.5, rel=0.05)
     assert 7000 < result["small"]["width"] * result["small"]["height"] < 13000
     assert result["all"] == {"width": 30, "height": 20}
-    assert result["slow"] == 20000 and result["quick"] == 64000 and result["floor"] == 64 * 48
+    pixels = [picture["width"] * picture["height"] for picture in result["coarse"]]
+    assert pixels[0] < pixels[1] < pixels[2] == pixels[3] == pixels[5] == 240000
+    tolerances = [picture["tolerance"] for picture in result["coarse"]]
+    assert tolerances[:2] == [0.12, 0.12] and tolerances[3] == 0.25
+    assert tolerances[2] > tolerances[3] > tolerances[4] > tolerances[5] == 0.03
+    assert result["large"] == {"width": 640, "height": 480, "tolerance": 0.03}
+    assert 20000 < result["slow"] < 40000 < result["quick"] == 56000
+    assert result["floor"] == 160 * 48

@@ -6,69 +6,13 @@ RIPNERF_SHOTS names a folder for screenshots on the way.
 
 import os
 import re
-import signal
 import subprocess
 import tarfile
-import time
 
 import pytest
 
 pytest.importorskip("selenium", reason="python3-selenium is not installed")
 from selenium.webdriver.common.action_chains import ActionChains  # noqa: E402
-
-LISTENING = re.compile(r"listening on (http://\S+)")
-
-
-class Daemon:
-    def __init__(self, build, folder, runner, environment=None, options=(), port=0):
-        self.arguments = [
-            build / "server/ripnerfd",
-            "--data",
-            folder,
-            "--listen",
-            f"127.0.0.1:{port}",
-            *options,
-            *(["--runner", build / runner] if runner else []),
-        ]
-        self.log = folder.with_suffix(".log")
-        self.environment = {**os.environ, **(environment or {})}
-        with open(self.log, "w", encoding="utf-8") as log:
-            self.process = subprocess.Popen(
-                self.arguments, stdout=log, stderr=subprocess.STDOUT, env=self.environment
-            )
-        self.url = self.wait_for_address()
-
-    def wait_for_address(self):
-        end = time.monotonic() + 20
-        while time.monotonic() < end and self.process.poll() is None:
-            found = LISTENING.search(self.log.read_text(encoding="utf-8"))
-            if found:
-                return found.group(1) + "/"
-            time.sleep(0.05)
-        pytest.fail(f"ripnerfd did not start:\n{self.log.read_text(encoding='utf-8')}")
-
-    def stop(self):
-        if self.process.poll() is not None:
-            return self.process.returncode
-        self.process.send_signal(signal.SIGTERM)
-        try:
-            return self.process.wait(30)
-        finally:
-            self.process.kill()
-
-
-@pytest.fixture
-def daemon(build, tmp_path):
-    started = []
-
-    def start(runner=None, environment=None, **options):
-        started.append(Daemon(build, tmp_path / "data", runner, environment, **options))
-        return started[-1]
-
-    yield start
-    for one in started:
-        assert one.stop() in (0, -signal.SIGKILL), one.log.read_text(encoding="utf-8")[-4000:]
-
 
 @pytest.fixture(scope="session")
 def sphere(build, tmp_path_factory):
@@ -158,11 +102,9 @@ def render_path(page, downloads, width, height, frames_per_second, expected):
     before = page.text(".player output")
     page.press("Play")
     page.until(lambda: page.text(".player output") != before, "the next frame")
-    for old in downloads.glob("*.tar"):
-        old.unlink()
+    downloads.clear()
     page.press("Download")
-    name = page.until(lambda: next(iter(downloads.glob("*.tar")), None), "the tar")
-    with tarfile.open(name) as tar:
+    with tarfile.open(downloads.saved(page, "*.tar")) as tar:
         pictures = [member for member in tar.getmembers() if member.name.endswith(".png")]
         assert len(pictures) == expected
         assert tar.extractfile(pictures[0]).read(8) == b"\x89PNG\r\n\x1a\n"
@@ -190,7 +132,8 @@ def test_whole_path_with_the_pretending_engine(page, daemon, sphere, downloads):
 
 
 def test_a_second_scene_of_the_same_name_is_refused_at_its_field(page, daemon, sphere):
-    server = daemon("tests/support/ripnerf-runner-fake")
+    # A training that is still seen to train when the page looks.
+    server = daemon("tests/support/ripnerf-runner-fake", {"RIPNERF_FAKE_STEP_US": "50000"})
     page.open(server.url)
     upload(page, sphere)
     train(page, {"Steps": 200})

@@ -11,18 +11,6 @@ pytest.importorskip("selenium", reason="python3-selenium is not installed")
 from selenium.webdriver.common.action_chains import ActionChains  # noqa: E402
 from selenium.webdriver.common.keys import Keys  # noqa: E402
 
-PATH = """
-return JSON.parse(Object.entries(sessionStorage).find(([k]) => k.startsWith('ripnerf-path'))[1]);"""
-
-
-@pytest.fixture
-def scene(page, fake):
-    api = fake("busy")
-    page.open(api.url + "#/scene/sphere-draft")
-    page.until(lambda: page.ink() > 100, "a picture")
-    page.api = api
-    return page
-
 
 def choose(page, name):
     page.driver.execute_script(
@@ -74,19 +62,19 @@ def test_clear_asks(scene):
 def test_a_key_is_dragged_along_the_timeline_and_stops_at_its_neighbours(scene):
     scene.press("Whole turn")
     scene.until(lambda: len(scene.all(".mark")) == 8, "eight marks")
-    before = [key["time"] for key in scene.run(PATH)["keys"]]
+    before = [key["time"] for key in scene.path()["keys"]]
     mark = scene.all(".mark")[1]
     scene.driver.execute_script("arguments[0].scrollIntoView({block: 'center'})", mark)
     ActionChains(scene.driver).click_and_hold(mark).move_by_offset(20, 0).move_by_offset(
         12, 0).release().perform()
     after = scene.until(
-        lambda: (t := [key["time"] for key in scene.run(PATH)["keys"]]) != before and t, "a change")
+        lambda: (t := [key["time"] for key in scene.path()["keys"]]) != before and t, "a change")
     assert before[1] < after[1] < before[2] and after[2:] == before[2:]
     ActionChains(scene.driver).click_and_hold(mark).move_by_offset(900, 0).release().perform()
-    far = [key["time"] for key in scene.run(PATH)["keys"]]
+    far = [key["time"] for key in scene.path()["keys"]]
     assert far == sorted(far) and far[1] < far[2]
     mark.send_keys(Keys.ARROW_LEFT)
-    assert scene.run(PATH)["keys"][1]["time"] < far[1]
+    assert scene.path()["keys"][1]["time"] < far[1]
 
 
 def test_a_key_in_numbers(scene):
@@ -98,7 +86,7 @@ def test_a_key_in_numbers(scene):
     field.send_keys(Keys.TAB)
     scene.type(scene.find("#key-roll"), "30")
     scene.find("#key-roll").send_keys(Keys.TAB)
-    pose = scene.run(PATH)["keys"][0]["pose"]
+    pose = scene.path()["keys"][0]["pose"]
     assert pose[0][3] == pytest.approx(1.25)
     angles = scene.run(
         "return (await load('orbit.js')).anglesOfPose(args[0], [0, 0, 1]);", pose)
@@ -114,7 +102,7 @@ def test_the_scrubber_moves_along_and_a_key_is_made_there(scene):
     scene.says("1.10 s", ".clock")
     scene.press("Key here")
     scene.until(lambda: len(scene.all(".key")) == 9, "nine keys")
-    keys = scene.run(PATH)["keys"]
+    keys = scene.path()["keys"]
     assert keys[2]["time"] == pytest.approx(1.1)
     eyes = [[row[3] for row in key["pose"]] for key in keys]
     radius = [sum(x * x for x in eye) for eye in eyes]
@@ -132,18 +120,113 @@ def test_the_path_is_kept_in_the_daemon_and_found_again(scene):
     scene.says("as it was kept in the daemon", ".kept")
 
 
+# Presses Preview with frames of the test's own: where the scrubber stands after each of them.
+WITH_FRAMES = """
+const real = [requestAnimationFrame, cancelAnimationFrame];
+let [clock, serial, waiting] = [1000, 0, new Map()];
+const put = ([ask, cancel]) => {
+  window.requestAnimationFrame = ask;
+  window.cancelAnimationFrame = cancel;
+};
+const frame = (ms) => {
+  clock += ms;
+  const due = [...waiting.values()];
+  waiting.clear();
+  for (const call of due) call(clock);
+};
+put([(call) => (waiting.set(++serial, call), serial), (id) => waiting.delete(id)]);
+const button = [...document.querySelectorAll('button')].find((b) => b.textContent === 'Preview');
+button.click();
+const seen = args[0].map((ms) => (frame(ms), Number(document.querySelector('.scrub').value)));
+button.click();
+frame(0);
+put(real);
+return seen;"""
+
+
 def test_preview_goes_at_the_paths_own_speed(scene):
+    """A second of frames is a second of the path, over the end of a loop of 6 s, too."""
     scene.press("Whole turn")
     scene.until(lambda: len(scene.all(".key")) == 8, "eight keys")
+    seen = scene.run(WITH_FRAMES, [0, 40, 500, 1000, 16, 4000, 1000])
+    assert seen == pytest.approx([0, 0.04, 0.54, 1.54, 1.556, 5.556, 0.556], abs=1e-6)
     scene.press("Preview")
-    seen = scene.run(
-        """
-        const at = () => Number(document.querySelector('.scrub').value);
-        const [t0, began] = [at(), performance.now()];
-        await new Promise((r) => setTimeout(r, 1000));
-        return (at() - t0) / ((performance.now() - began) / 1000);""")
-    assert 0.8 < seen < 1.2
+    at = "return Number(document.querySelector('.scrub').value);"
+    scene.until(lambda: scene.run(at) > 0.7, "the browser's own frames to move it")
     scene.press("Stop")
+
+
+def measured(*points):
+    """A curve of 200x200 whose points are a tolerance, milliseconds, and PSNR."""
+    return {
+        "machine": "m", "device": "cpu", "kernels": "avx2", "threads": 2, "version": "0.1.0",
+        "digest": None, "step": 5, "measured_at": "2026-01-01T00:00:00Z", "stale": False,
+        "width": 200, "height": 200, "views": 6, "photographs": True, "seconds": 9,
+        "points": [{"setting": {"tolerance": tolerance} if tolerance else {}, "ms_median": ms,
+                    "ms_p95": ms, "psnr": psnr, "ssim": 0.9, "psnr_full": 40, "psnr_spread": 0.5,
+                    "rays": 1, "samples": 1} for tolerance, ms, psnr in points]}
+
+
+def test_a_paths_quality_is_chosen_with_its_time(page, fake):
+    """144 frames of 100x100, a quarter of the curve's pixels; the path that is asked for has the setting."""
+    api = fake("busy")
+    api.world.curve = measured((0.25, 8, 29), (0.12, 20, 30.5), (0.03, 120, 31.1), (0, 400, 31.2))
+    page.open(api.url + "#/scene/sphere-draft")
+    page.press("Whole turn")
+    for name in ("Width", "Height"):
+        page.type(page.field(name), 100)
+    told = "return [...document.querySelectorAll('.qualities label')].map((l) => l.textContent);"
+    page.until(lambda: page.run(told) == [
+        "quickabout 1 s · 30.5 dB", "goodabout 4 s · 31.1 dB", "bestabout 14 s · 31.2 dB"], "times")
+    page.run("document.querySelector('.qualities input[value=good]').click();")
+    page.press("Render the path")
+    page.says("Camera path sphere-draft", "h1")
+    assert api.world.jobs[0]["options"]["tolerance"] == 0.03
+    assert page.complaints() == []
+
+
+def test_through_a_lens_quality_is_cones_and_without_a_curve_nothing_is_promised(page, fake):
+    api = fake("busy")
+    page.open(api.url + "#/scene/sphere-draft")
+    page.until(lambda: page.ink() > 100, "a picture")
+    ways = page.run("""
+        const {qualitiesOf} = await load('views/pathquality.js');
+        return [null, args[0], args[1]].map((curve) => qualitiesOf(curve));""",
+                    measured((0.12, 20, 30.5), (0, 400, 31.2)), measured((0, 400, 31.2)))
+    assert [way["setting"] for way in ways[0]] == [{"tolerance": 0.12}, {"tolerance": 0.03}, {}]
+    assert all(way["msPerPixel"] is None and way["psnr"] is None for way in ways[0])
+    assert [way["setting"] for way in ways[1]] == [{"tolerance": 0.12}, {}, {}]
+    assert [way["setting"] for way in ways[2]] == [{}, {}, {}]
+    page.press("Whole turn")
+    page.says("once the scene’s curve is measured", ".qualities")
+    page.all(".key-picture")[0].click()
+    page.press("Effects of the camera")
+    for name, value in (("focus", 3), ("aperture", 0.1)):
+        page.type(page.find(f"#key-{name}"), value)
+        page.find(f"#key-{name}").send_keys(Keys.TAB)
+    page.says("the fewer cones, the more grain", ".qualities")
+    page.run("document.querySelector('.qualities input[value=quick]').click();")
+    page.press("Render the path")
+    page.says("Camera path sphere-draft", "h1")
+    assert api.world.jobs[0]["options"]["supersample"] == 2
+
+
+def test_a_path_that_was_cancelled_is_gone_on_with(page, fake):
+    api = fake("busy")
+    page.open(api.url + "#/scene/sphere-draft")
+    page.press("Whole turn")
+    page.press("Render the path")
+    page.until(lambda: page.all(".cells [data-there]"), "a frame", 30)
+    page.press("Cancel")
+    page.says("cancelled", ".chip")
+    first = api.world.jobs[0]["id"]
+    made = len(api.world.frames[first])
+    page.press("Resume")
+    page.until(lambda: api.world.jobs[0]["id"] != first, "another job")
+    again = api.world.jobs[0]["id"]
+    page.until(lambda: again in page.driver.current_url, "its page")
+    page.until(lambda: len(page.all(".cells [data-there]")) >= made, "what was there", 30)
+    assert page.complaints() == []
 
 
 def test_a_film_is_asked_for_shown_and_saved(scene, downloads):
@@ -158,7 +241,7 @@ def test_a_film_is_asked_for_shown_and_saved(scene, downloads):
     assert scene.api.world.jobs[0]["options"]["film"] == "gif"
     assert scene.api.world.jobs[0]["options"]["video_quality"] == 40
     scene.press("Save film")
-    scene.until(lambda: list(downloads.glob("sphere-draft*.gif")), "the file")
+    downloads.saved(scene, "sphere-draft*.gif")
     assert scene.complaints() == []
 
 
@@ -173,7 +256,7 @@ def test_the_address_holds_the_camera(scene):
     scene.until(lambda: scene.ink() > 100, "a picture")
     scene.find(".stage").send_keys("k")
     scene.until(lambda: len(scene.all(".key")) == 1, "a key")
-    eye = [row[3] for row in scene.run(PATH)["keys"][0]["pose"]]
+    eye = [row[3] for row in scene.path()["keys"][0]["pose"]]
     numbers = [float(x) for x in word.split("camera=")[1].split("_")]
     assert sum((a - b) ** 2 for a, b in zip(eye, numbers[:3])) == pytest.approx(
         numbers[3] ** 2, rel=1e-3)
@@ -189,7 +272,7 @@ def test_w_flies_forward_and_stops(scene):
     scene.until(lambda: len(scene.all(".key")) == 2, "another key")
     stage.send_keys("k")
     scene.until(lambda: len(scene.all(".key")) == 3, "a third")
-    first, second, third = (key["pose"] for key in scene.run(PATH)["keys"])
+    first, second, third = (key["pose"] for key in scene.path()["keys"])
     moved = [second[i][3] - first[i][3] for i in range(3)]
     assert sum(moved[i] * first[i][2] for i in range(3)) > 0.05  # forward
     assert second == third
@@ -237,13 +320,7 @@ def test_preview_and_daemon_agree_on_arcs_and_speed(page, fake, build, tmp_path)
 
 def test_a_budget_is_chosen_on_the_curve_and_the_truth_is_told(page, fake):
     api = fake("busy")
-    points = [{"setting": {"tolerance": t}, "ms_median": ms, "ms_p95": ms, "psnr": psnr, "ssim": 0.9,
-               "psnr_full": 40, "psnr_spread": 0.5, "rays": 1, "samples": 1}
-              for t, ms, psnr in ((0.06, 8, 27.5), (0.03, 40, 30.4), (0, 200, 31.2))]
-    api.world.curve = {
-        "machine": "m", "device": "cpu", "kernels": "avx2", "threads": 2, "version": "0.1.0",
-        "digest": None, "step": 5, "measured_at": "2026-01-01T00:00:00Z", "stale": False,
-        "width": 200, "height": 200, "views": 6, "photographs": True, "seconds": 9, "points": points}
+    api.world.curve = measured((0.06, 8, 27.5), (0.03, 40, 30.4), (0, 200, 31.2))
     asked = []
     api.world.on_render = asked.append
     page.open(api.url + "#/scene/sphere-draft")
@@ -259,4 +336,36 @@ def test_a_budget_is_chosen_on_the_curve_and_the_truth_is_told(page, fake):
     page.says("tolerance=0.03", "[aria-label='Accuracy against time']")
     assert [body for body in asked if body.get("within_ms") == 51]
     page.says("within 51 ms", ".hud")
+    page.press("Beside the full picture")
+    page.says("The full picture · ", ".wipe-bar label")  # and the truth, in dB
+    page.until(lambda: "between" in page.text(".wipe-bar label") or
+               "equal" in page.text(".wipe-bar label"), "how far they are apart")
+    assert "within_ms" not in asked[-1]
+    assert page.complaints() == []
+
+
+def test_a_mark_on_the_chart_is_looked_at(page, fake):
+    api = fake("bare")
+    asked = []
+    api.world.on_render = asked.append
+    page.open(api.url + "#/dataset/sphere")
+    page.press("Start training")
+    page.until(lambda: len(page.all(".chart .moment")) >= 2, "marks on the chart", 30)
+    words = page.driver.execute_script(
+        "return document.querySelector('.chart .moment').getAttribute('aria-label')")
+    assert words.startswith("Look at it after 3.8 s of training")
+    page.driver.execute_script(
+        "document.querySelector('.chart .moment').dispatchEvent(new MouseEvent('click'));")
+    page.says("after 3.8 s of training", ".hud")
+    assert [body for body in asked if body.get("at") == 3.75]
+    assert page.find(".chart .moment[aria-pressed=true]")
+    page.press("Back to now")
+    page.until(lambda: "at" not in asked[-1], "a picture of now")
+    page.until(lambda: not page.all(".chart .moment[aria-pressed=true]"), "nothing looked back at")
+    page.driver.execute_script("const m = document.querySelectorAll('.chart .moment')[1]; m.focus();"
+                               "m.dispatchEvent(new KeyboardEvent('keydown', {key: 'Enter'}));")
+    page.says("after 7.5 s of training", ".hud")
+    page.until(lambda: "at=7.5" in page.driver.current_url, "the address")
+    page.open(page.driver.current_url)
+    page.says("after 7.5 s of training", ".hud")
     assert page.complaints() == []

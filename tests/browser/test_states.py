@@ -5,6 +5,7 @@ import time
 
 import pytest
 from fake_pictures import draw, ring
+from fake_world import contract
 
 pytest.importorskip("selenium", reason="python3-selenium is not installed")
 from selenium.webdriver.common.action_chains import ActionChains  # noqa: E402
@@ -31,12 +32,12 @@ def test_an_unknown_scene_and_page(page, fake):
     page.open(api.url + "#/scene/nowhere")
     page.says("There is no scene nowhere.", ".problem")
     page.open(api.url + "#/nothing")
-    page.says("No such page", ".problem")
+    page.says("No such page", "h1")
+    page.says("There is nothing at #/nothing.", ".problem")
 
 
-def test_upload_import_and_train(page, fake, tmp_path):
-    api = fake("empty")
-    folder = tmp_path / "ball"
+def five_views(folder):
+    """A dataset of five views, the first of which has no file."""
     (folder / "train").mkdir(parents=True)
     frames = []
     for i, pose in enumerate(ring(5)):
@@ -57,6 +58,12 @@ def test_upload_import_and_train(page, fake, tmp_path):
         json.dumps({"camera_angle_x": 0.7, "frames": frames})
     )
     (folder / "notes.txt").write_text("not for upload")
+
+
+def test_upload_import_and_train(page, fake, tmp_path):
+    api = fake("empty")
+    folder = tmp_path / "ball"
+    five_views(folder)
     page.open(api.url)
     page.find(".drop")
     page.all("#folder-input")[0].send_keys(str(folder))
@@ -66,7 +73,7 @@ def test_upload_import_and_train(page, fake, tmp_path):
     assert page.field("Name").get_attribute("value") == "ball"
     page.press("Upload and import")
     page.says("ball is imported.")
-    names = [name for name, _ in api.world.uploads[0]]
+    names = [name for name, _ in api.world.uploaded[0]]
     assert sorted(names) == [
         "train/r_1.png",
         "train/r_2.png",
@@ -89,6 +96,54 @@ def test_upload_import_and_train(page, fake, tmp_path):
     quiet(page)
 
 
+def test_a_dataset_that_photographs_are_missing_from_is_kept_or_not(page, fake, tmp_path):
+    api = fake("empty")
+    five_views(tmp_path / "ball")
+    add = api.world.add_dataset
+
+    def add_with_faults(name):
+        add(name)
+        report = api.world.datasets[-1]["report"]
+        report["unusable"]["train"] = 2
+        report["problems"].append({"severity": "error", "where": "r_3.png", "text": "is cut off"})
+
+    api.world.add_dataset = add_with_faults
+    for choice, left in (("Keep", 1), ("Delete it", 1)):
+        page.open(api.url)
+        page.find(".drop")
+        page.all("#folder-input")[0].send_keys(str(tmp_path / "ball"))
+        page.says("views: 5 train")
+        page.field("Name").clear()
+        page.field("Name").send_keys("ball" if choice == "Keep" else "other")
+        page.press("Upload and import")
+        page.says("2 photographs cannot be used and were left out of", "dialog[open]")
+        page.says("r_3.png: is cut off", "dialog[open]")
+        page.press(choice)
+        page.until(lambda: not page.all("dialog[open]"), "the question to be answered")
+        page.until(lambda: len(api.world.datasets) == left, "the dataset")
+
+
+def test_an_effect_is_switched_off_before_a_training(page, fake):
+    api = fake("bare")
+    page.open(api.url + "#/dataset/sphere")
+    page.press("Effects")
+    exposure = page.until(
+        lambda: next((e for e in page.all("fieldset.choice") if e.text.startswith("Exposure")), None),
+        "the effect",
+    )
+    assert [e.text for e in exposure.find_elements("css selector", "label")] == ["auto", "on", "off"]
+    exposure.find_elements("css selector", "label")[2].click()
+    page.press("Start training")
+    page.says("training", ".page-head .chip")
+    assert api.world.jobs[-1]["options"] == {
+        "preset": "standard",
+        "train_split": "train",
+        "max_time_s": 60,
+        "effect_exposure": "off",
+    }
+    quiet(page)
+
+
 def test_limits_follow_the_preset_until_one_is_chosen(page, fake):
     page.open(fake("bare").url + "#/dataset/sphere")
     time_field = page.field("Time")
@@ -100,6 +155,51 @@ def test_limits_follow_the_preset_until_one_is_chosen(page, fake):
     page.type(time_field, 7)
     page.press("standard")
     assert time_field.get_attribute("value") == "7"
+
+
+def test_an_estimate_before_a_training(page, fake):
+    api = fake("bare")
+    page.open(api.url + "#/dataset/sphere")
+    page.press("draft")
+    page.press("Estimate")
+    page.says("30 dB after 8.5 s, 33 dB after 30 s.", ".estimate")
+    page.says("Ends after 1 min 00 s of training at 34.6 dB ± 0.7.", ".estimate")
+    page.says("4 estimates here so far: off by 0.4 dB and 12 % of the time.", ".estimate")
+    job = api.world.jobs[0]
+    assert job["type"] == "estimate" and job["options"]["preset"] == "draft"
+    assert not [scene for scene in api.world.scenes if scene["name"] == "sphere"]
+    page.open(api.url + "#/job/" + job["id"])
+    page.says("33 dB after 30 s", ".estimate")
+    quiet(page)
+
+
+def test_a_ladder_and_its_report(page, fake):
+    api = fake("bare")
+    with api.world.lock:
+        job = api.world.job("ladder", dataset=api.world.datasets[0]["id"], dataset_name="sphere",
+                            options={"over": "planes=3,4", "train": {"max_time_s": 15}})
+    page.open(api.url + "#/job/" + job["id"])
+    page.says("Nothing is trained yet", ".ladder")
+    page.says("planes=3,4", "[aria-label='About']")
+    with api.world.lock:
+        api.world.report = contract.example("LadderReport")
+        job["progress"] = {**contract.example("WorkProgress"), "done": 1, "total": 2, "fraction": 0.5}
+        api.world.emit(job, "state", job)
+    page.says("planes=4", ".ladder")
+    page.says("1 of 2 trainings", ".ladder")
+    link = page.find(".ladder a").get_attribute("href")
+    assert link == f"{api.url}v1/jobs/{job['id']}/report"
+    quiet(page)
+
+
+def test_a_training_may_end_by_itself(page, fake):
+    api = fake("bare")
+    page.open(api.url + "#/dataset/sphere")
+    page.find("#until-plateau").click()
+    page.press("Start training")
+    page.says("training", ".page-head .chip")
+    assert api.world.jobs[0]["options"] == {
+        "preset": "standard", "train_split": "train", "until_plateau": True}
 
 
 def test_a_view_that_is_unusable_leaves_no_hole(page, fake):
@@ -119,6 +219,22 @@ def test_effects_are_told_in_their_units(page, fake):
     )
     assert ["8.00×", "threshold 1.41×"] in numbers
     assert numbers[0][1] == "threshold 0 %" and numbers[3] == ["–", "threshold 2/255"]
+
+
+def test_what_effects_bring_is_told(page, fake):
+    api = fake("busy")
+    gain = {"on": True, "psnr": 27.1, "psnr_without": 26.3, "gain": 0.8, "gain_spread": 0.06,
+            "cost": 0.12, "picture_cost": -0.034}
+    api.world.effects = {
+        "machine": "m", "device": "cpu", "kernels": "avx2", "threads": 2, "version": "0.1.0",
+        "measured_at": "2026-01-01T00:00:00Z", "seconds": 10, "seeds": 3, "held_out": "5 views",
+        "gains": [{"name": "anisotropy", **gain},
+                  {"name": "distortion", **gain, "gain": None, "gain_spread": None}]}
+    page.open(api.url + "#/scene/sphere-draft")
+    page.says("+0.80 dB ± 0.06; +12 % time in training, −3 % for a picture", ".effects")
+    page.says("Gains: 3 pairs of trainings of 10 s", "[aria-label='Effects']")
+    assert len(page.all(".effect-gain")) == 2
+    assert page.complaints() == []
 
 
 def test_a_path_cancelled_before_its_first_frame(page, fake):
@@ -258,7 +374,7 @@ def test_path_frames_arrive_and_play(page, fake, downloads):
     page.press("Play")
     page.until(lambda: page.text(".player output") != first, "another frame")
     page.press("Download")
-    page.until(lambda: list(downloads.glob("*-frames.tar")), "the tar")
+    downloads.saved(page, "*-frames.tar")
     quiet(page)
 
 

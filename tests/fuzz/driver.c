@@ -1,6 +1,6 @@
 // Fuzzing without a foreign engine: inputs of the corpus are changed at random; what reaches new
 // edges (gcc's -fsanitize-coverage=trace-pc) is kept and changed further. What crashes, hangs or
-// leaks is written to a file.
+// leaks is written to a file. Built twice: with sanitizers, and without for many more executions.
 #include "tests/fuzz/driver.h"
 
 #include <dirent.h>
@@ -11,7 +11,9 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/mman.h>
 #include <sys/stat.h>
+#include <sys/time.h>
 #include <time.h>
 #include <unistd.h>
 
@@ -20,12 +22,13 @@
 
 #define EDGES (1u << 14)
 #define MAX_INPUTS 20000
-#define HANG_S 20
+#define BATCH 64  // executions between looks at the clock
+#define HANG_S 20 // of CPU, for a batch
 
 const char *__asan_default_options(void);
 const char *__asan_default_options(void) {
     return "allocator_may_return_null=1:max_allocation_size_mb=1024:handle_abort=1:"
-           "detect_stack_use_after_return=0:quarantine_size_mb=16:malloc_context_size=8";
+           "detect_stack_use_after_return=0:quarantine_size_mb=1:malloc_context_size=4";
 }
 const char *__ubsan_default_options(void);
 const char *__ubsan_default_options(void) {
@@ -36,20 +39,27 @@ const char *__lsan_default_suppressions(void);
 const char *__lsan_default_suppressions(void) {
     return "leak:libdav1d\n";
 }
-void __sanitizer_set_death_callback(void (*callback)(void));
-int __lsan_do_recoverable_leak_check(void);
+// NULL in the build without sanitizers.
+void __sanitizer_set_death_callback(void (*callback)(void)) __attribute__((weak));
+int __lsan_do_recoverable_leak_check(void) __attribute__((weak));
 
 // ---- coverage ---------------------------------------------------------------------------------
 
+// How often this input took each edge, which ones it took, and what was seen so far.
 static uint8_t hits[EDGES], seen[EDGES];
+static uint32_t taken[EDGES];
+static size_t taken_count;
 static uintptr_t previous;
 
 void __sanitizer_cov_trace_pc(void);
 void __sanitizer_cov_trace_pc(void) {
     uintptr_t here = (uintptr_t)__builtin_return_address(0);
     here = (here >> 4) ^ (here << 9);
-    hits[(here ^ previous) & (EDGES - 1)]++;
+    uint32_t edge = (uint32_t)((here ^ previous) & (EDGES - 1));
     previous = here >> 1;
+    uint8_t count = hits[edge];
+    if (count == 0) taken[taken_count++] = edge;
+    hits[edge] = (uint8_t)(count + (count < UINT8_MAX));
 }
 
 // Counts as their order of magnitude: 1, 2, 3, 4-7, 8-15, 16-31, 32-127, 128-.
@@ -62,18 +72,16 @@ static uint8_t magnitude(uint8_t count) {
                          : 128;
 }
 
+// Whether the input took an edge as often as none before it; forgets what it took.
 static bool is_new(void) {
     bool found = false;
-    for (size_t i = 0; i < EDGES; i += 8) {
-        uint64_t eight;
-        memcpy(&eight, hits + i, 8);
-        if (eight == 0) continue;
-        for (size_t k = i; k < i + 8; k++) {
-            uint8_t bit = hits[k] ? magnitude(hits[k]) : 0;
-            found |= (bit & ~seen[k]) != 0;
-            seen[k] |= bit;
-        }
+    for (size_t i = 0; i < taken_count; i++) {
+        uint8_t bit = magnitude(hits[taken[i]]), *known = &seen[taken[i]];
+        found |= (bit & ~*known) != 0;
+        *known |= bit;
+        hits[taken[i]] = 0;
     }
+    taken_count = 0;
     return found;
 }
 
@@ -93,6 +101,7 @@ struct input {
 static struct input inputs[MAX_INPUTS];
 static size_t input_count;
 static struct input now;
+static uint8_t *wall; // a page that nobody may read or write; inputs end before it
 static const struct target *target;
 static const char *found_folder = ".";
 static uint64_t state = 1;
@@ -130,6 +139,13 @@ static void keep_file(const char *folder, const char *prefix) {
 
 static void on_death(void) {
     if (now.bytes != NULL) keep_file(found_folder, "crash");
+}
+
+// Without sanitizers: a crash, or undefined behaviour, which traps.
+static void on_crash(int number) {
+    signal(number, SIG_DFL);
+    on_death();
+    raise(number);
 }
 
 static void on_hang(int number) {
@@ -231,17 +247,25 @@ static void change(struct input *input) {
 }
 
 static void run_now(void) {
-    memset(hits, 0, sizeof hits);
+    uint8_t *bytes = wall - now.size - 1;
     previous = 0;
-    now.bytes[now.size] = '\0';
-    alarm(HANG_S);
-    target->run(now.bytes, now.size);
-    alarm(0);
+    memcpy(bytes, now.bytes, now.size);
+    bytes[now.size] = '\0';
+    target->run(bytes, now.size);
+}
+
+// Of three drawn the smallest, as a rule: a small input is changed where it matters, and is quick.
+static const struct input *choose(void) {
+    const struct input *chosen = NULL;
+    for (int i = 0; i < 3; i++) {
+        size_t at = draw() & 1 ? below(input_count) : input_count - 1 - below(input_count / 4 + 1);
+        if (chosen == NULL || inputs[at].size < chosen->size) chosen = &inputs[at];
+    }
+    return draw() & 3 ? chosen : &inputs[below(input_count)];
 }
 
 static void change_and_run(void) {
-    const struct input *from =
-        &inputs[draw() & 1 ? below(input_count) : input_count - 1 - below(input_count / 4 + 1)];
+    const struct input *from = choose();
     now.size = from->size < target->max_size ? from->size : target->max_size;
     memcpy(now.bytes, from->bytes, now.size);
     for (size_t i = (size_t)1 << below(4); i > 0; i--)
@@ -267,6 +291,11 @@ static bool shown;
 
 bool is_shown(void) {
     return shown;
+}
+
+bool is_thorough(void) {
+    static unsigned turn;
+    return __sanitizer_set_death_callback != NULL || turn++ % 16 == 0;
 }
 
 static void remove_scratch(void) {
@@ -301,6 +330,35 @@ static void read_corpus(const char *corpus) {
     free(entries);
 }
 
+static void make_wall(void) {
+    size_t page = (size_t)sysconf(_SC_PAGESIZE);
+    size_t size = (target->max_size + page) / page * page;
+    uint8_t *room =
+        mmap(NULL, size + page, PROT_READ | PROT_WRITE, MAP_PRIVATE | MAP_ANONYMOUS, -1, 0);
+    if (room == MAP_FAILED || mprotect(room + size, page, PROT_NONE) != 0) exit(2);
+    wall = room + size;
+}
+
+static void catch_faults(void) {
+    static const int signals[] = {SIGSEGV, SIGBUS, SIGILL, SIGTRAP, SIGFPE, SIGABRT};
+    static char stack[1 << 16];
+    const stack_t own = {.ss_sp = stack, .ss_size = sizeof stack};
+    struct sigaction action = {.sa_handler = on_crash, .sa_flags = SA_ONSTACK};
+    signal(SIGPROF, on_hang);
+    if (__sanitizer_set_death_callback != NULL) {
+        __sanitizer_set_death_callback(on_death);
+        return;
+    }
+    if (sigaltstack(&own, NULL) != 0) exit(2);
+    for (size_t i = 0; i < sizeof signals / sizeof signals[0]; i++)
+        sigaction(signals[i], &action, NULL);
+}
+
+static void begin_batch(void) {
+    const struct itimerval patience = {.it_value.tv_sec = HANG_S};
+    setitimer(ITIMER_PROF, &patience, NULL);
+}
+
 static int usage(void) {
     fprintf(stderr, "usage: fuzz --list\n"
                     "       fuzz TARGET --corpus DIR [--seconds S] [--runs N] [--seed N]\n"
@@ -315,14 +373,15 @@ static unsigned long long fuzz(double limit_s, unsigned long long most, const ch
     const uint8_t nothing = 0;
     if (input_count == 0) add_input(&nothing, 0);
     for (size_t i = 0; i < input_count; i++, runs++) {
+        begin_batch();
         now.size = inputs[i].size;
         memcpy(now.bytes, inputs[i].bytes, now.size);
         run_now();
         (void)is_new();
     }
-    while (runs < most && (runs % 64 != 0 || seconds() < end)) {
+    for (size_t i = 0; runs < most && (i % BATCH != 0 || seconds() < end); i++, runs++) {
+        if (i % BATCH == 0) begin_batch();
         change_and_run();
-        runs++;
         if (!is_new()) continue;
         add_input(now.bytes, now.size);
         if (keep != NULL) keep_file(keep, "new");
@@ -367,8 +426,8 @@ int main(int argc, char **argv) {
     make_scratch();
     now.bytes = malloc(target->max_size + 65536);
     if (now.bytes == NULL) return 2;
-    __sanitizer_set_death_callback(on_death);
-    signal(SIGALRM, on_hang);
+    make_wall();
+    catch_faults();
     if (input != NULL) {
         read_file(input);
         most = 1;
@@ -378,7 +437,8 @@ int main(int argc, char **argv) {
     }
     double begin = seconds();
     unsigned long long runs = fuzz(limit_s, most, keep);
-    bool leaks = __lsan_do_recoverable_leak_check() != 0;
+    bool leaks =
+        __lsan_do_recoverable_leak_check != NULL && __lsan_do_recoverable_leak_check() != 0;
     printf("%s: %llu executions in %.1f s, %zu inputs, %u edges%s\n", target->name, runs,
            seconds() - begin, input_count, edges(), leaks ? ", LEAKS" : "");
     return leaks ? 1 : 0;

@@ -20,6 +20,9 @@ extern const struct target targets[];
 const char *scratch(void);
 // Whether one input is shown: refusals are printed.
 bool is_shown(void);
+// Whether a check that takes longer than the parser is due: always with sanitizers, else for one
+// in 16.
+bool is_thorough(void);
 // An answer that must not be: prints it, keeps the input and ends.
 void wrong(const char *what);
 

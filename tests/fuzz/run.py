@@ -4,6 +4,10 @@
   run.py --seconds 1                 as the check does: the corpus, then a second for each parser
   run.py --seconds 600 --ledger tests/fuzz/ledger.tsv     the same for longer, counted
   run.py --seconds 600 --keep        and what reaches new edges is kept in corpus/
+  run.py --seconds 600 --lean        without sanitizers, for many more executions; what reaches new
+                                     edges is run with them then
+  run.py --until 10000000            only parsers with fewer executions than that in the ledger, and
+                                     not beyond it
 
 What crashes, hangs or leaks is written to --found; `fuzz PARSER --input FILE` shows it again.
 """
@@ -29,17 +33,17 @@ def read_ledger(ledger):
 
 
 def write_ledger(ledger, rows):
-    head = "parser\texecutions\tseconds\tfindings\tedges\tlast"
+    head = "parser\texecutions\tsanitized\tseconds\tfindings\tedges\tlast"
     ledger.write_text("\n".join([head] + ["\t".join(row) for _, row in sorted(rows.items())]) + "\n")
 
 
-def note(ledger, parser, executions, seconds, failed, edges):
+def note(ledger, parser, executions, sanitized, seconds, failed, edges):
     """Adds to the parser's row; another process may have written since."""
     rows = read_ledger(ledger)
-    row = rows.get(parser, [parser, "0", "0", "0", "0", ""])
-    rows[parser] = [parser, str(int(row[1]) + executions), str(round(float(row[2]) + seconds)),
-                    str(int(row[3]) + failed), str(max(int(row[4]), edges)),
-                    date.today().isoformat()]
+    row = rows.get(parser, [parser, "0", "0", "0", "0", "0", ""])
+    rows[parser] = [parser, str(int(row[1]) + executions), str(int(row[2]) + sanitized),
+                    str(round(float(row[3]) + seconds)), str(int(row[4]) + failed),
+                    str(max(int(row[5]), edges)), date.today().isoformat()]
     write_ledger(ledger, rows)
 
 
@@ -54,25 +58,47 @@ def keep(parser, folder):
         (target / path.name).write_bytes(path.read_bytes())
 
 
-def fuzz(program, parser, options):
-    with tempfile.TemporaryDirectory() as fresh:
-        command = [program, parser, "--corpus", CORPUS, "--seconds", str(options.seconds),
-                   "--seed", str(options.seed), "--found", options.found]
+def run(program, parser, options, *more):
+    """One process; (executions, seconds, edges, whether it found something)."""
+    command = [program, parser, "--found", options.found, *more]
+    result = subprocess.run([str(word) for word in command], capture_output=True, text=True,
+                            errors="replace", check=False)
+    said = SAID.search(result.stdout)
+    print(result.stdout.strip() or f"{parser}: ended with {result.returncode}", flush=True)
+    if result.returncode:
+        print(result.stderr[-3000:], flush=True)
+    executions, seconds, _, edges = said.groups() if said else (0, 0, 0, 0)
+    return int(executions), float(seconds), int(edges), result.returncode != 0
+
+
+def fuzz(parser, options, done, most):
+    limits = ["--seconds", options.seconds, "--runs", most, "--seed", options.seed or 1 + done]
+    with tempfile.TemporaryDirectory() as folder:
+        fresh = Path(folder) / parser
+        fresh.mkdir()
+        limits += ["--keep", fresh] if options.keep or options.lean else []
+        program = f"{options.program}-lean" if options.lean else options.program
+        executions, seconds, edges, failed = run(program, parser, options, "--corpus", CORPUS, *limits)
+        sanitized = 0 if options.lean else executions
+        if options.lean:
+            sanitized, more_s, edges, bad = run(options.program, parser, options, "--corpus", folder,
+                                                "--runs", 0)
+            executions, seconds, failed = executions + sanitized, seconds + more_s, failed or bad
         if options.keep:
-            command += ["--keep", fresh]
-        result = subprocess.run([str(word) for word in command], capture_output=True, text=True,
-                                errors="replace", check=False)
-        said = SAID.search(result.stdout)
-        print(result.stdout.strip() or f"{parser}: ended with {result.returncode}", flush=True)
-        if result.returncode:
-            print(result.stderr[-3000:], flush=True)
-        if options.keep:
-            keep(parser, Path(fresh))
-    if options.ledger and said:
-        executions, seconds, _, edges = said.groups()
-        note(Path(options.ledger), parser, int(executions), float(seconds),
-             int(result.returncode != 0), int(edges))
-    return result.returncode == 0
+            keep(parser, fresh)
+    if options.ledger and (executions or failed):
+        note(Path(options.ledger), parser, executions, sanitized, seconds, int(failed), edges)
+    return not failed
+
+
+def choose(names, options):
+    """Parsers, executions of each so far, and how many more; those with the most come first."""
+    rows = read_ledger(Path(options.ledger)) if options.ledger else {}
+    done = {parser: int(rows[parser][1]) if parser in rows else 0 for parser in names}
+    if not options.until:
+        return [(parser, done[parser], 2**63) for parser in names]
+    return [(parser, done[parser], options.until - done[parser])
+            for parser in sorted(names, key=done.get, reverse=True) if done[parser] < options.until]
 
 
 def main():
@@ -80,16 +106,20 @@ def main():
                                         formatter_class=argparse.RawDescriptionHelpFormatter)
     arguments.add_argument("--program", default="build/tests/fuzz/fuzz")
     arguments.add_argument("--seconds", type=float, default=60, help="for each parser")
-    arguments.add_argument("--seed", type=int, default=1)
+    arguments.add_argument("--seed", type=int, help="another one for each state of the ledger")
     arguments.add_argument("--ledger", help="the file that counts executions, ledger.tsv")
+    arguments.add_argument("--lean", action="store_true")
+    arguments.add_argument("--until", type=int, help="executions by the ledger")
     arguments.add_argument("--keep", action="store_true")
     arguments.add_argument("--found", default=".", help="where findings are written")
     arguments.add_argument("parsers", nargs="*", help="all when none is named")
     options = arguments.parse_args()
     names = subprocess.run([options.program, "--list"], capture_output=True, text=True,
                            check=True).stdout.split()
-    chosen = options.parsers or names
-    good = [fuzz(options.program, parser, options) for parser in chosen]
+    if options.until and not options.ledger:
+        arguments.error("--until takes --ledger")
+    good = [fuzz(parser, options, done, most)
+            for parser, done, most in choose(options.parsers or names, options)]
     print(f"{good.count(True)} passed, {good.count(False)} failed")
     return 0 if all(good) else 1
 

@@ -18,6 +18,7 @@
 #include "common/base/utf8.h"
 #include "common/dataset/dataset.h"
 #include "common/image/image.h"
+#include "common/path/formats/formats.h"
 #include "common/path/path.h"
 #include "proto/job.h"
 #include "proto/problem.h"
@@ -25,6 +26,7 @@
 #include "proto/wire_messages.h"
 #include "server/config.h"
 #include "server/engine/checkpoint/checkpoint.h"
+#include "server/engine/scene/scene.h"
 #include "server/http/guard.h"
 #include "server/http/router.h"
 #include "server/runner/unpack.h"
@@ -44,27 +46,72 @@ static void check_error(enum rn_status status, const struct rn_error *err) {
     if (is_shown()) printf("refused: %s: %s\n", err->where, err->text);
     if (err->status != status) wrong("an error of another status than was returned");
     if (err->text[0] == '\0') wrong("a refusal without a reason");
+    if (!is_thorough()) return;
     char *json = NULL;
     if (rn_problem_json_from_error(err, &json, NULL) != RN_OK) wrong("no problem of an error");
     if (json != NULL && !is_utf8(json)) wrong("a problem that is not UTF-8");
     free(json);
 }
 
-static void put(const char *name, const void *bytes, size_t size) {
-    char path[PATH_MAX];
-    snprintf(path, sizeof path, "%s/%s", scratch(), name);
-    int fd = open(path, O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC, 0600);
-    if (fd < 0 || (size > 0 && write(fd, bytes, size) != (ssize_t)size)) {
-        perror(path);
-        abort();
-    }
-    close(fd);
-}
-
 static const char *place(const char *name) {
     static char path[PATH_MAX];
     snprintf(path, sizeof path, "%s/%s", scratch(), name);
     return path;
+}
+
+// The files of an input, which stay from one to the next: making them takes longer than most
+// parsers. What is read as a whole only is not written at all, but handed to who reads it.
+static struct kept {
+    char name[64];
+    int fd;
+    const uint8_t *bytes; // of whole files
+    size_t size;
+} files[8];
+
+static struct kept *keep(const char *name) {
+    struct kept *file = files;
+    while (file->name[0] != '\0' && strcmp(file->name, name) != 0)
+        if (++file == files + sizeof files / sizeof *files) abort();
+    if (file->name[0] != '\0') return file;
+    snprintf(file->name, sizeof file->name, "%s", name);
+    file->fd = open(place(name), O_RDWR | O_CREAT | O_TRUNC | O_CLOEXEC, 0600);
+    return file;
+}
+
+static void put(const char *name, const void *bytes, size_t size) {
+    int fd = keep(name)->fd;
+    if (pwrite(fd, bytes, size, 0) != (ssize_t)size || ftruncate(fd, (off_t)size) != 0) {
+        perror(name);
+        abort();
+    }
+}
+
+static void put_whole(const char *name, const uint8_t *bytes, size_t size) {
+    struct kept *file = keep(name);
+    file->bytes = bytes;
+    file->size = size;
+}
+
+// The linker's --wrap: calls of rn_file_read come here.
+enum rn_status __real_rn_file_read(const char *path, size_t max_bytes, uint8_t **ret_bytes,
+                                   size_t *ret_size, struct rn_error *err);
+enum rn_status __wrap_rn_file_read(const char *path, size_t max_bytes, uint8_t **ret_bytes,
+                                   size_t *ret_size, struct rn_error *err);
+enum rn_status __wrap_rn_file_read(const char *path, size_t max_bytes, uint8_t **ret_bytes,
+                                   size_t *ret_size, struct rn_error *err) {
+    size_t folder = strlen(scratch()) + 1;
+    bool ours = strlen(path) > folder && strncmp(path, scratch(), folder - 1) == 0;
+    for (const struct kept *file = files; ours && file->name[0] != '\0'; file++) {
+        if (file->bytes == NULL || strcmp(path + folder, file->name) != 0) continue;
+        if (file->size > max_bytes) return rn_error_set(err, RN_ERROR_LIMIT, path, "too large");
+        *ret_bytes = malloc(file->size + 1);
+        if (*ret_bytes == NULL) return rn_error_set(err, RN_ERROR_NO_MEMORY, path, "no memory");
+        memcpy(*ret_bytes, file->bytes, file->size);
+        (*ret_bytes)[file->size] = '\0';
+        *ret_size = file->size;
+        return RN_OK;
+    }
+    return __real_rn_file_read(path, max_bytes, ret_bytes, ret_size, err);
 }
 
 // ---- JSON of requests and of the wire ---------------------------------------------------------
@@ -163,6 +210,15 @@ static void check_camera(const struct rn_camera *camera) {
         wrong("a camera that no picture can be taken with");
 }
 
+static void check_path(const struct rn_path *path) {
+    size_t count = rn_path_frame_count(path);
+    if (count < 1 || count > RN_PATH_MAX_FRAMES) wrong("a path of no or too many frames");
+    for (size_t i = 0; i < count; i += 1 + count / 50) {
+        struct rn_camera camera = rn_path_camera(path, i);
+        check_camera(&camera);
+    }
+}
+
 static void run_path(const uint8_t *bytes, size_t size) {
     struct rn_path *path = NULL;
     struct rn_camera camera;
@@ -170,18 +226,44 @@ static void run_path(const uint8_t *bytes, size_t size) {
     enum rn_status status = rn_path_parse((const char *)bytes, size, "file", &path, &err);
     check_error(status, &err);
     if (status == RN_OK) {
-        size_t count = rn_path_frame_count(path);
-        if (count < 1 || count > RN_PATH_MAX_FRAMES) wrong("a path of no or too many frames");
-        for (size_t i = 0; i < count; i += 1 + count / 50) {
-            camera = rn_path_camera(path, i);
-            check_camera(&camera);
-        }
+        check_path(path);
         rn_path_destroy(&path);
     }
     err = (struct rn_error){0};
     status = rn_camera_parse((const char *)bytes, size, "file", &camera, &err);
     check_error(status, &err);
     if (status == RN_OK) check_camera(&camera);
+}
+
+#define DIVIDER "\n====\n"
+
+// What other programs' paths are read from: a file, the one beside it, and the coordinates' space.
+static void run_path_file(const uint8_t *bytes, size_t size) {
+    struct rn_path_choices choices = {0};
+    struct rn_path_text in = {.text = (const char *)bytes, .size = size, .where = "file"};
+    const struct rn_path_format *format = NULL;
+    struct rn_path_space space;
+    struct rn_path *path = NULL;
+    struct rn_error err = {0};
+    char *beside = memmem(bytes, size, DIVIDER, sizeof DIVIDER - 1), *text = NULL, *other = NULL;
+    if (beside != NULL) {
+        *beside = '\0';
+        in.size = (size_t)(beside - in.text);
+        in.beside = beside + sizeof DIVIDER - 1;
+        in.beside_size = size - in.size - (sizeof DIVIDER - 1);
+        if (rn_path_space_read(in.beside, in.beside_size, "space", &space, &err) == RN_OK)
+            choices.space = &space;
+    }
+    err = (struct rn_error){0};
+    enum rn_status status = rn_path_import(&in, NULL, &choices, &path, &format, &err);
+    check_error(status, &err);
+    if (status != RN_OK) return;
+    check_path(path);
+    if (rn_path_frame_count(path) <= 100) // others take long to write
+        check_error(rn_path_export(path, format, choices.space, &text, &other, &err), &err);
+    free(text);
+    free(other);
+    rn_path_destroy(&path);
 }
 
 static void run_image(const uint8_t *bytes, size_t size) {
@@ -198,11 +280,8 @@ static void run_image(const uint8_t *bytes, size_t size) {
 
 // ---- datasets ---------------------------------------------------------------------------------
 
-#define DIVIDER "\n====\n"
-
 static void make_photographs(void) {
-    static const char *const folders[] = {"",     "images", "train",   "val",
-                                          "test", "sparse", "sparse/0"};
+    static const char *const folders[] = {"", "images", "train", "val", "test", "sparse"};
     static const char *const photos[] = {"images/0.png",  "images/1.png",  "images/2.png",
                                          "train/r_0.png", "train/r_1.png", "test/r_0.png"};
     static bool made;
@@ -236,7 +315,10 @@ static void run_dataset(const char *format, const char *const *names, const uint
         const uint8_t *divider = memmem(at, (size_t)(end - at), DIVIDER, sizeof DIVIDER - 1);
         const uint8_t *stop = divider != NULL && names[i + 1] != NULL ? divider : end;
         snprintf(name, sizeof name, "data/%s", names[i]);
-        put(name, at, (size_t)(stop - at));
+        if (strstr(name, ".json") || strstr(name, ".npy"))
+            put_whole(name, at, (size_t)(stop - at));
+        else
+            put(name, at, (size_t)(stop - at));
         at = stop == end ? end : stop + sizeof DIVIDER - 1;
     }
     enum rn_status status = rn_dataset_read_as(place("data"), &options, &problems, &dataset, &err);
@@ -259,13 +341,13 @@ DATASET(native, "native", "dataset.json")
 DATASET(multiscale, "multiscale", "metadata.json")
 DATASET(blender, "blender", "transforms_train.json", "transforms_test.json")
 DATASET(ngp, "instant-ngp", "transforms.json")
-DATASET(nerfstudio, "nerfstudio", "transforms.json")
+DATASET(nerfstudio, "nerfstudio", "transforms.json", "points.ply")
 DATASET(llff, "llff", "poses_bounds.npy")
-DATASET(colmap, "colmap", "sparse/0/cameras.bin", "sparse/0/images.bin", "sparse/0/points3D.bin")
+DATASET(colmap, "colmap", "sparse/cameras.bin", "sparse/images.bin", "sparse/points3D.bin")
 
 static void run_colmap_text(const uint8_t *bytes, size_t size) {
-    static const char *const names[] = {"sparse/0/cameras.txt", "sparse/0/images.txt",
-                                        "sparse/0/points3D.txt", NULL};
+    static const char *const names[] = {"sparse/cameras.txt", "sparse/images.txt",
+                                        "sparse/points3D.txt", NULL};
     run_dataset("colmap", names, bytes, size);
 }
 
@@ -283,6 +365,17 @@ static void run_tar(const uint8_t *bytes, size_t size) {
     if (rn_remove_tree(place("unpacked"), NULL) != RN_OK) wrong("what was unpacked stays");
 }
 
+// A file for viewing comes from strangers: what it holds is read too, where it is small.
+static void load_small(const struct rn_checkpoint *checkpoint) {
+    struct rn_error err = {0};
+    struct rn_field *field = NULL;
+    if (!checkpoint->viewing.bits || rn_field_bytes(&checkpoint->config, 1) > 16u << 20) return;
+    enum rn_status status = rn_field_create(&checkpoint->config, &checkpoint->bounds, &field, &err);
+    if (status == RN_OK) status = rn_checkpoint_read_field(checkpoint, field, &err);
+    check_error(status, &err);
+    if (field) rn_field_destroy(&field);
+}
+
 // The header of a checkpoint, whose tensors are a hole of the right size.
 static void run_checkpoint(const uint8_t *bytes, size_t size) {
     const off_t whole = 161620176; // of the corpus
@@ -292,7 +385,20 @@ static void run_checkpoint(const uint8_t *bytes, size_t size) {
     if (truncate(place("checkpoint"), whole) != 0) abort();
     enum rn_status status = rn_checkpoint_open(place("checkpoint"), &checkpoint, &err);
     check_error(status, &err);
+    if (status == RN_OK) load_small(&checkpoint);
     if (status == RN_OK) rn_checkpoint_close(&checkpoint);
+}
+
+// A whole file for viewing, tensors and all.
+static void run_scene(const uint8_t *bytes, size_t size) {
+    struct rn_checkpoint checkpoint;
+    struct rn_error err = {0};
+    put("scene", bytes, size);
+    enum rn_status status = rn_checkpoint_open(place("scene"), &checkpoint, &err);
+    check_error(status, &err);
+    if (status != RN_OK) return;
+    load_small(&checkpoint);
+    rn_checkpoint_close(&checkpoint);
 }
 
 static void run_sealed(const uint8_t *bytes, size_t size) {
@@ -320,7 +426,7 @@ static void run_manifest(const uint8_t *bytes, size_t size) {
     struct rn_error err = {0};
     if (mkdir(place("listed"), 0700) != 0 && errno != EEXIST) abort();
     put("listed/a", "a", 1);
-    put("listed/SHA256SUMS", bytes, size);
+    put_whole("listed/SHA256SUMS", bytes, size);
     check_error(rn_manifest_check(place("listed"), NULL, NULL, &err), &err);
     err = (struct rn_error){0};
     check_error(rn_manifest_check_file(place("listed"), "a", &err), &err);
@@ -341,8 +447,8 @@ static void run_http(const uint8_t *bytes, size_t size) {
         if (memchr(match.params[i], '\0', RN_MAX_PARAM_BYTES) == NULL) wrong("a cut parameter");
     (void)rn_guard_host_is_loopback(text);
     (void)rn_guard_address_is_loopback(text);
-    if (rn_guard_token(text, "0123456789abcdef") && strcmp(text, "Bearer 0123456789abcdef") != 0 &&
-        strncasecmp(text, "Bearer", 6) != 0)
+    const char *token = rn_guard_bearer(text);
+    if (token != NULL && (strncasecmp(text, "Bearer ", 7) != 0 || token != text + 7))
         wrong("a token that is none");
     if (rn_guard_origin(rest, text) && strstr(rest, text) == NULL && strcasestr(rest, text) == NULL)
         wrong("an origin of another host");
@@ -358,7 +464,7 @@ static void run_config(const uint8_t *bytes, size_t size) {
     struct rn_config config;
     struct rn_error err = {0};
     char file[PATH_MAX + 16];
-    put("config", bytes, size);
+    put_whole("config", bytes, size);
     snprintf(file, sizeof file, "--config=%s", place("config"));
     char *argv[] = {(char *)"ripnerfd", (char *)"--data=/nowhere", file, NULL};
     enum rn_status status = rn_config_load(3, argv, no_environment, &config, &err);
@@ -371,6 +477,7 @@ const struct target targets[] = {
     {"message", run_message, 1 << 14},
     {"wire", run_wire, 1 << 14},
     {"path", run_path, 1 << 14},
+    {"path-file", run_path_file, 1 << 13},
     {"image", run_image, 1 << 14},
     {"native", run_native, 1 << 14},
     {"multiscale", run_multiscale, 1 << 14},
@@ -382,6 +489,7 @@ const struct target targets[] = {
     {"colmap-text", run_colmap_text, 1 << 13},
     {"tar", run_tar, 1 << 14},
     {"checkpoint", run_checkpoint, 1 << 14},
+    {"scene", run_scene, 1 << 17},
     {"sealed", run_sealed, 1 << 13},
     {"manifest", run_manifest, 1 << 12},
     {"http", run_http, 1 << 12},

@@ -1,4 +1,4 @@
-"""The house rules that a machine can check: lint.py fences|headers|text|shell|format [ROOT].
+"""The house rules that a machine can check: lint.py fences|headers|text|shell|promises|format [ROOT].
 
 Each check prints one line per finding, `file:line: what is wrong`, and exits with 1 when there
 is any. `format` only reports.
@@ -14,18 +14,26 @@ from pathlib import Path
 # Header -> the folders (or file prefixes) that may include it.
 FENCES = {
     r"microhttpd\.h": ("server/http/",),
-    r"sqlite3\.h": ("server/store/", "tests/unit/server/store"),
+    # pairs.c reads the database of another program, COLMAP.
+    r"sqlite3\.h": ("server/store/", "server/runner/pairs.c", "tests/sim/vfs.c", "tests/unit/server/store"),
     r"jansson\.h": (
         "proto/",
+        "common/image/lpips.c",
         "common/dataset/",
         "common/path/",
         "server/engine/checkpoint",
         "tests/",
     ),
     r"cuda\w*(\.h|/.*)": ("server/engine/cuda/",),
+    r"mpi\.h": ("server/engine/mpi/",),
     r"curl/.*": ("client/", "tests/"),
     r"lib(av|sw)\w+/.*": ("server/film/", "tests/"),
 }
+# Who may look at the wall clock, which may be set: nobody else, so that nothing waits for it. Nor is
+# it a condition's own in a folder where one is waited for until some time.
+WALL_CLOCK = re.compile(r"\bCLOCK_REALTIME\b|\bgettimeofday\s*\(|\btime\s*\(\s*(NULL|0|&)")
+WALL_CLOCK_FILE = "common/base/clock.c"
+UNTIMED = re.compile(r"\bpthread_cond_init\s*\([^,]+,\s*NULL\)")
 # Every folder with code, and the folders that it may include from besides itself; what ends with a
 # slash is all folders beneath. The table has no circle, so the folders have none.
 ENGINE = "server/engine"
@@ -35,26 +43,30 @@ LAYERS = {
     "common/settings": ("common/base", "common/math"),
     "common/image": ("common/base", "common/math"),
     "common/dataset": ("common/base", "common/math", "common/image"),
-    "common/path": ("common/base", "common/math", "common/dataset"),
-    "common/path/formats": ("common/base", "common/math", "common/dataset", "common/path"),
+    "common/path": ("common/base", "common/math", "common/settings", "common/dataset"),
+    "common/path/formats": ("common/base", "common/math", "common/settings", "common/dataset",
+                            "common/path"),
     "proto": ("common/",),
     "client": ("common/", "proto"),
     "client/commands": ("common/", "proto", "client"),
     "server/http": ("common/", "proto"),
     "server/store": ("common/", "proto"),
     "server/jobs": ("common/", "proto", "server/http", "server/store"),
-    "server/api": ("common/", "proto", "server/http", "server/store", "server/jobs"),
-    "server": ("common/", "proto", "server/http", "server/store", "server/jobs", "server/api"),
+    "server/report": ("common/", "proto"),
+    "server/api": ("common/", "proto", "server/http", "server/store", "server/jobs", "server/report"),
+    "server/slurm": ("common/", "proto", "server/jobs"),
+    "server": ("common/", "proto", "server/http", "server/store", "server/jobs", "server/slurm",
+               "server/api"),
     f"{ENGINE}/field": ("common/",),
 }
 # The engine's folders from the mathematics up: each may include from those before it.
-FLOORS = [("field",), ("kernels",), ("cpu", "cuda", "reference"), ("scene",),
+FLOORS = [("field",), ("kernels",), ("cpu", "cuda", "mpi", "reference"), ("scene",),
           ("checkpoint", "effects"), ("render",), ("train",), ("",), ("doctor", "bench")]
 below = ["common/", f"{ENGINE}/field"]
 for floor in FLOORS[1:]:
     own = [f"{ENGINE}/{room}".rstrip("/") for room in floor]
     LAYERS |= {room: tuple(below) for room in own}
-    below += [room for room in own if not room.endswith("/cuda")]  # a module of its own
+    below += [room for room in own if not room.endswith(("/cuda", "/mpi"))]  # modules of their own
 LAYERS["server/film"] = ("common/",)
 LAYERS["server/runner"] = ("common/", "proto", "server/film", ENGINE, f"{ENGINE}/doctor", f"{ENGINE}/bench")
 HOUSE = ("common/", "proto/", "client/", "server/")
@@ -110,7 +122,21 @@ def circle(layers):
     return None
 
 
+def check_waits(root):
+    """No wait is on the wall clock."""
+    sources = {name: lines_of(root, name) for name in tracked(root, ".c", ".h") if name.startswith(HOUSE)}
+    timed = {os.path.dirname(name) for name, lines in sources.items()
+             if any("pthread_cond_timedwait(" in line for _, line in lines)}
+    for name, lines in sources.items():
+        for number, line in lines:
+            if WALL_CLOCK.search(line) and name != WALL_CLOCK_FILE:
+                yield f"{name}:{number}: the wall clock belongs to {WALL_CLOCK_FILE}"
+            if UNTIMED.search(line) and os.path.dirname(name) in timed:
+                yield f"{name}:{number}: a condition that is waited for until a time needs CLOCK_MONOTONIC"
+
+
 def check_fences(root):
+    yield from check_waits(root)
     if circle(LAYERS):
         yield f"tests/lint/lint.py:1: a circle of folders: {', '.join(circle(LAYERS))}"
     for name in tracked(root, ".c", ".h", ".cu", ".cuh"):
@@ -162,8 +188,9 @@ def check_text(root):
 
 
 def check_shell(root):
-    scripts = tracked(root, ".sh") + tracked(root, ".ci/deps", ".ci/run", ".ci/debian/build",
-                                           ".ci/debian/postinst", ".ci/debian/prerm")
+    scripts = tracked(root, ".sh") + tracked(root, "tests/slurm", ".ci/deps", ".ci/run", ".ci/debian/build",
+                                           ".ci/debian/postinst", ".ci/debian/prerm",
+                                           ".ci/debian/reproduce", ".ci/debian/root")
     result = subprocess.run(["shellcheck", *scripts], cwd=root, capture_output=True, text=True,
                             check=False)
     if result.returncode:
@@ -178,8 +205,43 @@ def check_format(root):
             yield f"{name}:1: clang-format would change it"
 
 
+PROMISES = "server/README.md"
+
+
+def rows_of_tests(root):
+    """Lines of the tables whose last column is `test`: number, and what stands in that column."""
+    inside = False
+    for number, line in lines_of(root, PROMISES):
+        cells = [cell.strip() for cell in re.split(r"(?<!\\)\|", line)[1:-1]]
+        if not cells:
+            inside = False
+        elif cells[-1] == "test":
+            inside = True
+        elif inside and not re.fullmatch("-+", cells[-1]):
+            yield number, cells[-1]
+
+
+TEST_FUNCTION = re.compile(r"^(?:def |START_TEST\()(test_\w+)", re.MULTILINE)
+
+
+def check_promises(root):
+    """Every promise names tests, all of which are there."""
+    names = tracked(root)
+    sources = [name for name in names if name.startswith("tests/") and name.endswith((".py", ".c"))]
+    there = {Path(name).name for name in sources}
+    for name in sources:
+        there.update(TEST_FUNCTION.findall((root / name).read_text(encoding="utf-8")))
+    for number, cell in rows_of_tests(root):
+        tests = re.findall(r"`([^`]+)`", cell)
+        if not tests:
+            yield f"{PROMISES}:{number}: a promise without a test"
+        for test in tests:
+            if test not in there and not any(name.startswith(test) for name in names):
+                yield f"{PROMISES}:{number}: there is no {test}"
+
+
 CHECKS = {"fences": check_fences, "headers": check_headers, "text": check_text,
-          "shell": check_shell, "format": check_format}
+          "shell": check_shell, "promises": check_promises, "format": check_format}
 
 
 def main(check, root=None):

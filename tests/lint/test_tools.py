@@ -46,12 +46,34 @@ def test_a_fence_is_held(tmp_path, name, text):
     assert not list(lint.check_fences(tmp_path))
 
 
+@pytest.mark.parametrize("line", ["clock_gettime(CLOCK_REALTIME, &now);", "gettimeofday(&now, NULL);",
+                                  "srand(time(NULL));", "pthread_cond_init(&changed, NULL);"])
+def test_a_wait_on_the_wall_clock_is_found(tmp_path, line):
+    write(tmp_path / "server/http/b.c", "pthread_cond_timedwait(&changed, &lock, &until);\n")
+    assert not list(lint.check_waits(tmp_path))
+    write(tmp_path / "server/http/a.c", f"// fine\n{line}\n")
+    findings = list(lint.check_waits(tmp_path))
+    assert len(findings) == 1 and findings[0].startswith("server/http/a.c:2: ")
+
+
 def test_a_folder_without_a_layer_and_a_circle_are_found(tmp_path):
     write(tmp_path / "server" / "new" / "a.c", "int a;\n")
     assert [f.split(":")[0] for f in lint.check_fences(tmp_path)] == ["server/new/a.c"]
     assert lint.circle(lint.LAYERS) is None
     assert lint.circle({"a": ("b",), "b": ("c/",), "c/d": ("a",), "e": ("a",)}) is not None
     assert lint.circle({"a": ("b",), "b": (), "c/d": ("a",)}) is None
+
+
+@pytest.mark.parametrize("cell, wrong", [
+    ("`test_a`, `test_a.py`, `tests/api/`", []), ("`test_b.c` `test_b`", []), ("", ["a promise without a test"]),
+    ("`test_a`, `test_c`", ["there is no test_c"]),
+])
+def test_a_promise_names_its_tests(tmp_path, cell, wrong):
+    write(tmp_path / "tests" / "api" / "test_a.py", "def test_a():\n    pass\n")
+    write(tmp_path / "tests" / "unit" / "test_b.c", "START_TEST(test_b) {\n}\n")
+    write(tmp_path / "server" / "README.md",
+          f"|  | read |\n|---|---|\n| a | b |\n\n| promise | test |\n|---|---|\n| it is `kept` | {cell} |\n")
+    assert list(lint.check_promises(tmp_path)) == [f"server/README.md:7: {text}" for text in wrong]
 
 
 def test_headers_compile_alone(tmp_path):

@@ -300,6 +300,6 @@ int main(void) {
     int failed = check_map(&random) + check_cut(&random, NULL) + check_recovery(&random) +
                  check_width(&random);
     for (int i = 0; (s = subject_at(i)); i++)
-        if (s->fast) failed += check_cut(&random, s) + check_distortion(s, &random);
+        if (s->cut_forward) failed += check_cut(&random, s) + check_distortion(s, &random);
     return failed > 0;
 }

@@ -10,6 +10,7 @@
 #include "server/engine/kernels/kernels.h"
 #include "server/engine/reference/reference.h"
 #include "tests/numerics/exact.h"
+#include "tests/numerics/subject.h"
 #include "tests/support/numerics.h"
 
 #define LANES 16
@@ -167,12 +168,14 @@ static exact exact_change(const struct rn_adamw *o, const struct lane *l, bool s
                  plus(times(number((double)o->decay), number((double)l->parameter)), step));
 }
 
-// What is left of the parameter's error after its own rounding, in units of its change.
+// What is left of the parameter's error after its own rounding, in units of its change. A GPU's own
+// root and quotient are off by 2 ULP each.
 static int check_adamw(const struct rn_kernels *k, struct numerics_random *random) {
     char names[2][80];
     const char *range = "steps 1..1e7, gradients 0 and 1e-30..1e30, eps 1e-15, rates 1e-5..0.1, "
                         "beta2 0.999 and 0.99";
-    struct numerics_case change = {names[0], range, "ULP of the change, beyond rounding", 8, 0, ""};
+    struct numerics_case change = {names[0],          range, "ULP of the change, beyond rounding",
+                                   k->parts ? 8 : 12, 0,     ""};
     struct numerics_case second = {names[1], range, "ULP", 4, 0, ""};
     snprintf(names[0], sizeof names[0], "8 AdamW change, %s", k->name);
     snprintf(names[1], sizeof names[1], "8 AdamW second moment, %s", k->name);
@@ -425,11 +428,11 @@ int main(void) {
         failed += check_log2(k, &random);
         failed += check_wild(k);
         failed += check_moments(k, &random);
-        failed += check_adamw(k, &random);
-        failed += check_denormals(k, &random);
         failed += check_pyramid(k, &random);
         failed += check_smoothing(k, &random);
         failed += check_products(k, &random);
     }
+    for (int i = 0; (k = optimiser_at(i)); i++)
+        failed += check_adamw(k, &random) + check_denormals(k, &random);
     return failed > 0;
 }

@@ -27,6 +27,7 @@ run() {
     local target=tests/numerics/numerics_$1
     case $1 in
     doctor) target=server/ripnerf-runner ;;
+    poses) target=tests/ops/pose_test ;;
     commands) target=build.ninja ;;
     proofs)
         /usr/bin/python3 "$source/tests/numerics/proofs.py" "$source" >"$scratch/log" 2>&1 || return 1
@@ -97,7 +98,7 @@ sound() {
 
 prepare generic
 sound frustum footprint ripmap solid volume camera lens optimiser kernels rays space training incidents \
-    reproducible roulette overflow growth networks metrics_images flags_fma doctor commands proofs
+    reproducible roulette overflow growth networks blocks halves metrics_images flags_fma doctor commands proofs
 
 field=server/engine/field
 cpu=server/engine/cpu
@@ -118,10 +119,10 @@ mutate footprint $field/footprint.h "footprint: 1 - (x.d)^2 for the part across"
     's/return axial \* (dot.*/return axial * (dot * dot) + radial * (1 - dot * dot);/'
 mutate footprint $field/real.h "footprint: plain differences of products" \
     's/return fma(a, b, -cd) + error;/(void)error; return a * b - cd;/'
-mutate footprint $field/footprint.h "level: clamped after the logarithm" \
-    's/rn_real v = rn_clamp(variance, unit \* unit, top \* top);/rn_real v = variance; (void)top;/;s/return rn_clamp(\((rn_real)0.5 \* log2.*\), 0, \(.*\));/rn_real level = \1; return level < 0 ? 0 : level > \2 ? \2 : level;/'
+mutate footprint $field/footprint.h "level: variance not clamped" \
+    's/LOG2(CLAMP(variance \* (unit \* unit), (NUMBER)1, top))/LOG2(variance * (unit * unit) + 0 * top)/'
 mutate footprint $field/footprint.h "level: the paper's equation, without the size" \
-    's/(rn_real)RN_FOOTPRINT_SCALE \* (rn_real)size/(rn_real)RN_FOOTPRINT_SCALE/'
+    's/(NUMBER)RN_FOOTPRINT_SCALE \* (NUMBER)size/(NUMBER)RN_FOOTPRINT_SCALE + 0 * (NUMBER)size/'
 mutate space $field/space.h "contraction: lengths across as along" \
     's/c.scale = c.across = .*/c.scale = (rn_real)0.5 * inverse * (2 - inverse); c.across = (rn_real)0.5 * inverse * inverse;/'
 mutate space $field/space.h "contraction: to the whole ball, not its half" \
@@ -143,9 +144,9 @@ mutate space server/engine/scene/occupancy.c "end of space: half the ball" \
 mutate ripmap $field/ripmap.h "pooling: odd sizes drop their last texel" \
     's/if (size % 2 == 0) {/if (size > 1) {/'
 mutate ripmap $field/ripmap.h "query: position not clamped above" \
-    's/0, (rn_real)(size - 1));/0, (rn_real)(2 * size));/'
+    's/texels - CONSTANT(1)); /CONSTANT(2) * texels);/'
 mutate ripmap $field/ripmap.h "query: corners aligned to the edges" \
-    's/(rn_real)size - (rn_real)0.5/(rn_real)(size - 1)/'
+    's/x = p \* half + (half - CONSTANT(0.5)); /x = (p + CONSTANT(1)) * (half - CONSTANT(0.5));/'
 mutate ripmap server/engine/reference/reference.c "pyramid: adjoint without the weights" \
     's/+= weight\[t\] \* coarse/+= 0.5 * coarse/'
 mutate solid $field/solid.c "planes: computed in float64" \
@@ -194,8 +195,6 @@ mutate kernels $cpu/simd.h "vector log2: a series of two terms" \
     's/p = p \* t2 + 0.4121986f;/p = vf_set(0.0f);/'
 mutate kernels $field/frustum.h "vector moments: half width recovered from the end points" \
     's/hs = half \* s,/hs = ((t + half) - (t - half)) * (NUMBER)0.5 * s,/'
-mutate footprint $cpu/encode.h "vector level: variance not clamped" \
-    's/vf_log2(vf_clamp(variance \* (unit \* unit), 1.0f, top))/vf_log2(variance * (unit * unit) + 0 * top)/'
 mutate volume $cpu/packet.h "vector compositing: optical depth summed in fp32" \
     's/double depth = w->ray_depth\[r\];/float depth = (float)w->ray_depth[r];/;s/depth += sums\[RN_VD - 1\];/depth += (float)sums[RN_VD - 1];/'
 mutate volume $cpu/packet.h "vector compositing: 1 - exp(-x)" \
@@ -225,9 +224,9 @@ mutate rays $cpu/march.h "march: in rounds, what earlier ones found is lost" \
 mutate rays $cpu/march.h "march: cells by truncation towards the centre" \
     's/p \* half + half, 0.0f, top/p * half + half - 0.01f, 0.0f, top/'
 mutate training server/engine/train/step.c "training: parameters not looked at after a step" \
-    's/rn_trainer_guard_step(t, accepted);/(void)accepted;/'
+    's/if (!rn_trainer_guard_step(t, t->step.accepted)) return;//'
 mutate training server/engine/train/trainer.c "training: saved without a look" \
-    's/rn_trainer_guard_save(t);//'
+    's|while (!rn_trainer_guard_save(t))|while (0)|'
 mutate training $train/guard.c "training: rolled back with spoilt moments" \
     's/memset(t->optimiser.[mv], 0, bytes);//'
 mutate incidents $train/schedule.c "training: the rate stays after a rollback" \
@@ -236,10 +235,10 @@ mutate incidents $train/occupancy.c "occupancy: a cell that is no number stays s
     's/if (!isfinite(old)) old = 0;//'
 mutate incidents server/engine/checkpoint/checkpoint.c "checkpoint: read without a look" \
     's/!all_finite(t->data, t->bytes \/ 4)/(all_finite(t->data, 0), false)/'
-mutate incidents server/engine/render/render.c "render: numbers not looked at" \
+mutate incidents server/engine/render/fill.c "render: numbers not looked at" \
     's/return isfinite(value) ? value : other;/return value + 0 * other;/'
-mutate incidents server/engine/render/render.c "render: replaced rays not counted" \
-    's/nonfinite += first \&\& .*/(void)first;/'
+mutate incidents server/engine/render/fill.c "render: replaced rays not counted" \
+    's/nonfinite += !is_finite(&row\[x\]);/(void)row[x];/'
 mutate incidents $train/incident.c "incident: the offending rays are not looked for" \
     's/if (incident->ray_count == 0) search(t, incident);/(void)search;/'
 mutate incidents $cpu/loss.h "training: a ray that is not finite is backpropagated" \
@@ -255,7 +254,7 @@ mutate roulette $cpu/backward.h "roulette: what is likelier than not is backprop
 mutate overflow $cpu/backward.h "roulette: what is not finite is left out" \
     's/(size != 0.0f)/(size > 0.0f)/'
 mutate training $train/optimiser.c "sparse updates: planes decay" \
-    's/if (config->sparse) u.planes.decay = 0;.*//'
+    's/if (config->sparse) o->update.planes.decay = 0;.*//'
 mutate kernels $cpu/smooth.h "smoothing: one colour twice" \
     's/y - 1, y % 2, share/y - 1, 1 - y % 2, share/'
 mutate kernels $cpu/smooth.h "smoothing: a share of 1/2" \
@@ -289,12 +288,20 @@ mutate metrics_images common/image/scale.c "downscale: straight colours averaged
 mutate metrics_images common/image/scale.c "published pyramid: rounded" \
     's/(uint8_t)(values\[i\] \* 255.0f)/(uint8_t)(values[i] * 255.0f + 0.5f)/'
 mutate metrics_images common/image/image.c "pictures to bytes: truncated" \
-    's/(uint8_t)(value \* 255.0f + 0.5f)/(uint8_t)(value * 255.0f)/'
+    's/ \* 255.0f + 0.5f);/ * 255.0f);/'
 mutate doctor $cpu/simd.h "doctor: vector exp with a one-part reduction" \
     's/vf r = x - n \* 0.693145751953125f;.*/vf r = x - n * 0.693147180559945f;/;s/r = r - n \* 1.42860677e-6f;//'
 mutate doctor $field/volume.h "doctor: compositing by a product of 1 - opacity" \
     's/before = after\[i\] = exp(-sum);/before = after[i] = before * (1 - rn_alpha(x[i]));/'
 grow=$train/grow.c
+blocks=server/engine/checkpoint/blocks.c
+mutate blocks $blocks "few bits: the low end rounded to the nearest half" 's/rn_half_below(least)/rn_half_nearest(least)/'
+mutate blocks $blocks "few bits: the step rounded to the nearest half" \
+    's/rn_half_above(nextafterf((float)reach, INFINITY))/rn_half_nearest((float)reach)/'
+mutate blocks $blocks "few bits: codes truncated" 's/ \/ step + 0.5/ \/ step/'
+mutate blocks $blocks "few bits: the border's block one texel short" 's/(c->base + RN_BLOCK_SIDE - 1) \/ RN_BLOCK_SIDE/c->base \/ RN_BLOCK_SIDE/'
+mutate blocks common/math/half.h "halves: truncated" 's/(half + (rest > 0x1000 || (rest == 0x1000 \&\& (half \& 1))))/half/'
+mutate blocks common/math/half.h "halves: ties away from zero" 's/(rest == 0x1000 \&\& (half \& 1))/rest == 0x1000/'
 mutate growth $grow "growth: moments as they were" \
     's/\({t->optimiser.m, m, .*\), share}/\1, 1}/'
 mutate growth $grow "growth: corners aligned to the edges" \
@@ -309,7 +316,7 @@ mutate overflow $grow "growth: overflowing parameters become the good ones" \
 mutate overflow $train/optimiser.c "overflow: the step is taken all the same" \
     's/return check == 0 && isfinite(loss);/return check == 0 || isfinite(loss);/'
 mutate overflow $train/guard.c "overflow: steps are rejected for ever" \
-    's/if (wild || t->optimiser.rejected >= MOST_REJECTED)/if (wild)/'
+    's/if (guard->found || t->optimiser.rejected >= MOST_REJECTED)/if (guard->found)/'
 mutate reproducible server/engine/checkpoint/state.c "growth: a resumed run no longer grows" \
     's/return decode_all(members/members[4] = members[3]; return decode_all(members/'
 mutate proofs $cpu/simd.h "proofs: a coefficient that is not the proved one" \
@@ -324,6 +331,23 @@ mutate commands server/engine/meson.build "flags: fast mathematics in the kernel
     "s/'-Wno-psabi'/'-Wno-psabi', '-ffast-math'/"
 
 if $dry || grep -q avx512_bf16 /proc/cpuinfo; then
+# The GPU's kernels.
+cuda=server/engine/cuda
+mutate frustum $cuda/encode.cuh "GPU: the mean of a frustum is its middle" 's/float mean = s + shift;/float mean = s;/'
+mutate footprint $cuda/encode.cuh "GPU: levels of whole numbers" 's/\*ret_ly = rn_valid_level(p, rn_level_lane(v,/*ret_ly = *ret_lx = (int)rn_valid_level(p, rn_level_lane(v,/'
+mutate volume $cuda/device.cuh "GPU: the depth in front by taking the own one off again" \
+    's/T before = rn_shuffle(x, RN_LANE - 1), sum = .*/T sum = x;/;/RN_LANE % lanes >= d) sum += other;/,/^}/s/return sum;/return sum - x;/'
+mutate volume $cuda/forward.cuh "GPU: opacity as 1 - exp" 's/return -expm1f(-x);/return 1 - expf(-x);/'
+mutate halves $cuda/optimise.cuh "GPU: maps from maps in fp16" \
+    's/mean\[y\]\[c\] = 0.5f \* (mean\[2 \* y\]\[c\] + mean\[2 \* y + 1\]\[c\]);/mean[y][c] = rn_low(rn_pack(0.5f * (mean[2 * y][c] + mean[2 * y + 1][c]), 0));/'
+mutate halves $cuda/encode.cuh "GPU: texels weighed in fp16" 's/weights\[i\]\[k\] = weight \* fy \* fx;/weights[i][k] = rn_low(rn_pack(weight * fy * fx, 0));/'
+mutate halves $cuda/scatter.cuh "GPU: a block is marked by its first channel" \
+    's/if (weight > 0 \&\& p->channel == 0 \&\& (leaves/if (weight > 0 \&\& p->channel == 0 \&\& grad[0] != 0 \&\& (leaves/'
+mutate halves $cuda/scatter.cuh "GPU: the first texel's block alone is marked" 's/x1 = ((x + 2) << lx) - 1/x1 = x << lx/'
+mutate halves $cuda/scatter.cuh "GPU: blocks marked where a nest moves along x alone" 's/ || at.y.low != nest->y)/)/'
+mutate halves $cuda/scatter.cuh "GPU: blocks not marked where levels change" 's/(leaves || at.x.low != nest->x/(at.x.low != nest->x/'
+mutate halves $cuda/scatter.cuh "GPU: a nest begins at the first texel" 's/n.corner\[c\].x = n.corner\[c\].y = RN_NOWHERE/n.corner[c].x = n.corner[c].y = 0/'
+mutate kernels $cuda/optimise.cuh "GPU: AdamW squares what fp32 cannot hold" 's/float g = fminf(fmaxf(grad, -1.8e19f), 1.8e19f);/float g = grad;/'
     prepare bf16
     sound kernels networks
     mutate kernels $cpu/gemm_bf16.h "bf16: truncated instead of rounded" \
@@ -339,5 +363,12 @@ if $dry || grep -q avx512_bf16 /proc/cpuinfo; then
 else
     echo "skipped: this processor has no bf16 products, for five mutations more"
 fi
+
+mutate poses server/engine/scene/pose.c "poses: differences over one step in place of two" \
+    's|(float)(2 \* step)|(float)step|'
+mutate poses server/engine/train/poses.c "poses: what all cameras turn by together stays" \
+    's|move.turn\[i\] -= mean.turn\[i\];||'
+mutate poses server/engine/train/trainer.c "poses: moves of a checkpoint are not followed" \
+    's|^.*// those that were moved$||'
 
 conclude

@@ -5,6 +5,7 @@
 #include "server/engine/kernels/kernels.h"
 #include "server/engine/reference/reference.h"
 #include "tests/numerics/exact.h"
+#include "tests/numerics/subject.h"
 #include "tests/support/numerics.h"
 
 struct state {
@@ -251,7 +252,7 @@ int main(void) {
     struct numerics_random random = numerics_random();
     const struct rn_kernels *k;
     int failed = check_steps(&random) + check_long_run(&random);
-    for (int i = 0; (k = rn_kernels_available(i)); i++) {
+    for (int i = 0; (k = optimiser_at(i)); i++) {
         failed += check_long_runs(k, &random) + check_forgotten(k, &random) + check_decay(k);
     }
     return failed > 0;

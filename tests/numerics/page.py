@@ -18,7 +18,7 @@ TITLES = {
     7: "Cameras", 8: "Optimiser", 9: "Training that would diverge", 10: "Long runs",
     11: "Reproducibility", 12: "Metrics", 13: "Images",
 }
-SETS = ("float64", "float32", "reference", "generic", "avx2", "avx512", "avx512bf16", "amx")
+SETS = ("float64", "float32", "reference", "generic", "avx2", "avx512", "avx512bf16", "amx", "cuda")
 HEAD = """# Numerics: bounds and worst errors
 
 How far each piece of the field's arithmetic is from the truth, against a bound that is stated
@@ -26,15 +26,32 @@ beforehand. The truth is 256-bit arithmetic (MPFR), or long double or float64 wh
 suffices. Inputs are a list of corners and fresh random numbers from the seeds at the end
 (`RN_NUMERICS_SEED` repeats a run). **ULP** are units in the last place of the number type: 2^-23
 for fp32, 2^-52 for float64, relative. **On** names the code: `float64` and `float32` are the
-reference's formulas in that type, `reference` the float64 field, the others are the CPU's kernel sets
-that this machine can run.
+reference's formulas in that type, `reference` the float64 field, `cuda` the functions of the GPU's
+kernels, run by an emulator in which the machine's approximate logarithm, root and quotient are as far
+off as they may be; the others are the CPU's kernel sets that this machine can run.
 
+{storage}
 Written by `meson compile -C BUILD numerics-page`, which runs `meson test --suite numerics`; a test
 fails when a bound does not hold. `tests/numerics/mutations.sh` puts each naive formula back and shows
 that a test then fails. `ripnerf doctor [SCENE]` measures the quick ones on your machine and scene.
 
 {date}, {machine}. {summary}
 """
+
+
+STORAGE = (
+    ("float64, reference", "float64", "float64", "float64", "float64"),
+    ("generic, avx2, avx512", "fp32", "fp32", "fp32", "fp32"),
+    ("avx512bf16, amx", "fp32", "bf16", "bf16 within the networks, fp32 of texels and weights", "fp32"),
+    ("cuda", "fp16, made anew from fp32 texels after every step", "fp16",
+     "fp16 with a power of two, sums of texels fp16 (fixed point of 2^-30 in the deterministic mode)", "fp32"),
+)
+
+
+def storage():
+    return ("What is stored in which type; all sums of products are fp32 or wider:\n\n"
+            + table(["on", "planes' maps", "features and activations", "their gradients",
+                     "parameters, moments, optical depths"], STORAGE))
 
 
 def run_suite(build):
@@ -139,7 +156,8 @@ def page_of(suite):
     count = sum(len(row.sets) for row in suite.rows.values())
     summary = (f"{count} bounds, {len(suite.checks)} proofs and checks"
                + (", NOT ALL OF WHICH HOLD" if suite.failed else "; all hold") + ".")
-    text = HEAD.format(date=date.today().isoformat(), machine=machine(), summary=summary)
+    text = HEAD.format(date=date.today().isoformat(), machine=machine(), summary=summary,
+                       storage=storage())
     for number in sorted({key[0] for key in suite.rows}):
         rows = [row.cells() for key, row in suite.rows.items() if key[0] == number]
         text += f"\n## {number}. {TITLES.get(number, '')}\n\n"

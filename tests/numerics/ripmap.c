@@ -481,15 +481,15 @@ int main(void) {
     struct numerics_random random = numerics_random();
     int failed = 0;
     for (int i = 0; (s = subject_at(i)); i++) {
+        failed += check_lerp(s, &random);
+        if (!s->taps) continue;
         failed += check_taps(s);
         failed += check_order(s, &random);
-        failed += check_lerp(s, &random);
         failed += check_line_adjoint(s, &random);
         const struct rn_kernels *k = s->fast ? rn_kernels_find(s->name) : NULL;
         if (k) failed += check_set_query(s, k, &random) + check_set_borders(s, k, &random);
     }
     failed += check_query_adjoint(&random);
-    numerics_skip("3 ripmap in bf16 or fp16 storage", "planes and maps are stored in fp32");
     failed += check_pyramid_adjoint(&random);
     failed += check_continuity(&random);
     failed += check_bounds(&random);

@@ -55,7 +55,7 @@ static double level(double v, int size, int levels) {
 }
 
 static double ball_level(double ball, int size, int levels) {
-    return (double)rn_level_from_ball((rn_real)ball, size, levels);
+    return (double)rn_level_from_ball((rn_real)ball * (rn_real)size, levels);
 }
 
 static int taps(int size, int i, int *ret_first, double weight[3]) {
@@ -133,6 +133,7 @@ static void harmonics(const double d[3], double ret[16]) {
 extern const struct subject SUBJECT;
 const struct subject SUBJECT = {SUBJECT_NAME,
                                 sizeof(rn_real) == 4 ? 24 : 53,
+                                false,
                                 false,
                                 nearest,
                                 moments,

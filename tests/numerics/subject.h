@@ -13,11 +13,13 @@ struct rn_ray;
 struct rn_cpu_field;
 struct rn_disparity;
 
-// A constant table of functions. Thread-safety: all.
+// A constant table of functions; those that a subject lacks are NULL. Thread-safety: all; `cuda`
+// one thread.
 struct subject {
-    const char *name; // "float64", "float32", or the kernel set's
+    const char *name; // "float64", "float32", the kernel set's, or "cuda": the GPU's, emulated
     int digits;       // bits of its significand: 53 or 24
-    bool fast;        // a kernel set: functions marked * are NULL
+    bool fast;        // a kernel set, or the GPU's: functions marked * are NULL
+    bool device;      // the machine's own approximate logarithm, root and quotient
     double (*nearest)(double x);
     // mean, axial, radial; then the forms that lose digits: from end points by t^5 (the paper's
     // appendix) and mip-NeRF's stable form with its subtraction.
@@ -65,7 +67,11 @@ struct subject {
 #define SUBJECT_MAX_SAMPLES 4096
 #define SUBJECT_QUERIES 64
 
-// float64, float32, then the kernel sets this machine can run; NULL past the end.
+// float64, float32, then the kernel sets this machine can run, then the GPU's kernels where the
+// emulator was built; NULL past the end.
 const struct subject *subject_at(int i);
+// Whose optimiser is examined: the kernel sets, then likewise. Only `name` and `adamw` are sure.
+struct rn_kernels;
+const struct rn_kernels *optimiser_at(int i);
 
 #endif

@@ -503,6 +503,22 @@ START_TEST(unbounded_space_matches_reference) {
 }
 END_TEST
 
+// A mipmap read at the mean of the levels that a ripmap would be.
+START_TEST(mean_levels_match_reference) {
+    const struct rn_kernels *kernels;
+    for (int i = 0; (kernels = rn_kernels_available(i)); i++)
+        for (int space = RN_SPACE_BALL; space <= RN_SPACE_UNBOUNDED; space++) {
+            struct rn_train_config config = small_config();
+            config.field.space = (enum rn_space)space;
+            config.cone_step = space == RN_SPACE_BALL;
+            config.field.footprint = RN_FOOTPRINT_MIP;
+            config.field.mean_level = true;
+            check_rendering(kernels, &config);
+            check_training(kernels, &config);
+        }
+}
+END_TEST
+
 // One plane with its gradients and moments.
 struct plane_state {
     float *texels, *block, *grads, *grad_block, *m, *v;
@@ -662,6 +678,7 @@ int main(void) {
     tcase_add_test(tests, many_pixels_match_one);
     tcase_add_test(tests, rays_match_float64);
     tcase_add_test(tests, unbounded_space_matches_reference);
+    tcase_add_test(tests, mean_levels_match_reference);
     tcase_add_test(tests, tiles_match_whole_planes);
     tcase_add_test(tests, odd_base_matches_reference);
     tcase_add_test(tests, other_solids_and_no_view_dependence_match_reference);

@@ -41,6 +41,9 @@ void rn_emulator_order(int order, uint64_t seed) {
 void rn_emulator_memory(size_t bytes) {
     (void)bytes;
 }
+void rn_emulator_shared(size_t bytes) {
+    (void)bytes;
+}
 size_t rn_emulator_memory_used(void) {
     return 0;
 }

@@ -1,18 +1,21 @@
 #!/bin/bash
 # Plants bugs in the CUDA kernels and in what the engine does with a device, one at a time in a
-# scratch copy, and runs the emulated test that must fail: cuda_mutations.sh [PATTERN], PATTERN
-# choosing some by name. RIPNERF_BUILD names a build folder whose libraries are used. Closes with
-# `N of N caught`; the exit code is 0 only when all were. cuda_mutations.sh --applies runs nothing
-# and says in a second whether each edit still changes its file.
+# scratch copy, and runs the emulated test that must fail: cuda_mutations.sh [--from N] [PATTERN],
+# from the N-th edit on, PATTERN choosing some by name. RIPNERF_BUILD names a build folder whose
+# libraries are used. Closes with `N of N caught`; the exit code is 0 only when all were.
+# cuda_mutations.sh --applies runs nothing and says in a second whether each edit still changes its file.
 set -u
 cd "$(dirname "$0")/../.." || exit 1
 tree=$PWD
 . tests/support/mutations.sh
 [[ ${1-} == --applies ]] && applies_only && shift
+from=1
+[[ ${1-} == --from ]] && from=$2 && shift 2
 $dry || build=${RIPNERF_BUILD:?set RIPNERF_BUILD to a build folder}
 pattern=${1:-}
 scratch=$(mktemp -d) || exit 1
 trap 'rm -rf "$scratch"' EXIT
+number=0 # of the edit
 tried=0
 caught=0
 
@@ -28,6 +31,11 @@ compile() {
         -o "$scratch/$1" >"$scratch/log" 2>&1
 }
 
+# libraries PROGRAM: what the build links it with, of the system.
+libraries() {
+    ninja -C "$build" -t commands "$1" | tail -1 | tr ' ' '\n' | grep -E '^(/.*\.(so|a)|-l.*|-pthread)$'
+}
+
 # run CASE: builds the test and runs one of its cases; 0 passed, 1 failed, 2 did not build.
 run() {
     compile backend.o backend.cpp || return 2
@@ -36,7 +44,7 @@ run() {
         "$scratch/emulator.o" "$build/server/engine/libengine.a" \
         "$build"/server/engine/libkernels_*.a "$build/server/engine/libfield.a" \
         "$build/common/libcommon.a" \
-        $(pkg-config --libs check jansson libpng libturbojpeg libarchive) -ljpeg -lm -lpthread \
+        $(libraries tests/ops/cuda_test) \
         >"$scratch/log" 2>&1 || return 2
     CK_RUN_CASE=$1 "$scratch/test" >"$scratch/log" 2>&1 || return 1
 }
@@ -50,7 +58,7 @@ run_engine() {
     "${CC:-cc}" -o "$scratch/test" "$build"/tests/ops/device_test.p/*.o "$scratch/engine.o" \
         "$build/server/engine/libengine.a" "$build"/server/engine/libkernels_*.a \
         "$build/server/engine/libfield.a" "$build/common/libcommon.a" \
-        $(pkg-config --libs check jansson libpng libturbojpeg libarchive) -ljpeg -lm -lpthread -ldl \
+        $(libraries tests/ops/device_test) \
         >"$scratch/log" 2>&1 || return 2
     CK_RUN_CASE=$1 RIPNERF_CUDA_MODULE=$build/tests/ops/ripnerf-cuda-emulated.so \
         "$scratch/test" >"$scratch/log" 2>&1 || return 1
@@ -68,7 +76,8 @@ run_trained() {
 # try RUN CASE FILE WHAT SED_SCRIPT
 try() {
     local run=$1 case=$2 file=$3 what=$4 script=$5
-    [[ $what == *$pattern* ]] || return
+    number=$((number + 1))
+    [[ $number -ge $from && $what == *$pattern* ]] || return
     tried=$((tried + 1))
     if $dry; then
         applies "$file" "$what" "$script"
@@ -80,9 +89,9 @@ try() {
     else
         "$run" "$case" "$file"
         case $? in
-        1) caught=$((caught + 1)) && echo "caught     $what ($case)" ;;
-        2) echo "NO BUILD   $what" && tail -5 "$scratch/log" ;;
-        *) echo "MISSED     $what ($case)" ;;
+        1) caught=$((caught + 1)) && echo "caught     $number: $what ($case)" ;;
+        2) echo "NO BUILD   $number: $what" && tail -5 "$scratch/log" ;;
+        *) echo "MISSED     $number: $what ($case)" ;;
         esac
     fi
     cp "$tree/$file" "$scratch/tree/$file"
@@ -117,8 +126,11 @@ mutate order step.cuh "order: no barrier after the scan" \
 mutate order step.cuh "order: lanes' sums are read before they are there" 's/^        __syncwarp();//'
 mutate gradients step.cuh "order: rays of a warp share their places" 's/\.first = first + before;/.first = first;/'
 mutate many step.cuh "order: rays behind a warp's first 32 share their places" 's/^        first += rn_shuffle.*//'
-mutate many step.cuh "order: rays with samples share their places" 's/ray + rn_popcount(some \& ((1u << RN_LANE) - 1))/ray + 0 * rn_popcount(some)/'
-mutate many step.cuh "order: rays with samples beyond a warp's first 32" 's/^        ray += rn_popcount(some);//'
+mutate many step.cuh "order: rays with samples share their places" 's/b.pieces\[piece + pieces_before + i\]/b.pieces[piece + i]/'
+mutate many step.cuh "order: rays with samples beyond a warp's first 32" 's/^        piece += rn_shuffle.*//'
+mutate many step.cuh "order: a ray's first piece only" 's/i < pieces; i++/i < 1 \&\& i < pieces; i++/'
+mutate many step.cuh "order: every piece begins with the ray" 's/{own, i \* RN_PIECE}/{own, 0}/'
+mutate many step.cuh "order: pieces of one warp's rays alone" 's/sums\[i\]\[0\].pieces = pieces;/sums[i][0].pieces = 0;/'
 mutate gradients step.cuh "order: samples of a tile share their places" 's/ + rn_popcount(rows & (bit - 1));/;/'
 mutate gradients step.cuh "order: a ray's tiles share their places" 's/ - b.tile_behind\[slot\] / - rn_popcount(rows) /'
 mutate march occupancy.cuh "occupancy: no barrier in the sum" 's/^        __syncthreads();//'
@@ -151,7 +163,8 @@ mutate march forward.cuh "compositing: the stop is not looked at" \
 # Encoding and networks.
 mutate gradients encode.cuh "encode: levels exchanged" \
     's/p->map\[c.ly\]\[c.lx\]/p->map[c.lx][c.ly]/'
-mutate gradients encode.cuh "encode: corners at the edges" 's/p \* half + (half - 0.5f)/p * half + half/'
+mutate gradients ../field/ripmap.h "encode: corners at the edges" \
+    's/p \* half + (half - CONSTANT(0.5))/p * half + half/'
 mutate gradients encode.cuh "encode: row above instead of below" 's/(k >> 1) \* c.width/-(k >> 1) * c.width/'
 mutate gradients encode.cuh "encode: one row's query for both" 's/rn_find_corner(p, &q\[i\], corner)/rn_find_corner(p, \&q[0], corner)/'
 mutate gradients encode.cuh "encode: planes with levels looked up without" 's/corner < (leveled ? 4 : 1)/corner < 1/'
@@ -213,10 +226,14 @@ mutate guards shade.cuh "ray shading: a ray that is not finite reaches the weigh
 mutate gradients scatter.cuh "scatter: a moved nest loses a column" \
     's/if (!stays) rn_flush/if (!stays \&\& k % 2 == 0) rn_flush/'
 mutate gradients scatter.cuh "scatter: not flushed at the end" \
-    's/i <= returned.count; i++/i < returned.count; i++/'
+    's/i <= count; i++/i < count; i++/'
 mutate gradients scatter.cuh "scatter: levels change without a flush" \
     's/bool leaves = ends || .*/bool leaves = ends;/'
-mutate gradients scatter.cuh "scatter: blocks not marked as touched" 's/^    rn_mark_touched(p, lx, ly, x, y);//'
+mutate gradients scatter.cuh "scatter: blocks not marked as touched" 's/^            rn_mark_touched(p, at.*/;/'
+mutate many scatter.cuh "scatter: every piece is a ray's first" 's/returned.first + piece.begin, left/returned.first, left/'
+mutate many scatter.cuh "scatter: pieces that overlap" 's/left < RN_PIECE ? left : RN_PIECE/left/'
+mutate sparse optimise.cuh "update: sparse visits all blocks" 's/(o.update->sparse \&\& !touched)/(0 \&\& !touched)/'
+mutate sparse backend.cu "update: dense where there are levels" 's/c->sparse};/c->sparse \&\& f->scene.planes.levels == 1};/'
 mutate gradients optimise.cuh "pull-down: no weight for the level" 's/weight_y \*= 0.5f/weight_y *= 1/'
 mutate gradients optimise.cuh "pull-down: what does not exist hands down too" 's/exists ? weight \* found\[k\]\[c\] : 0/weight * found[k][c]/'
 mutate gradients optimise.cuh "pooling: rows with the wrong neighbours" 's/quads << (lx - 1)/quads << lx/'
@@ -226,6 +243,31 @@ mutate second optimise.cuh "update: the maps get the moments" \
     's/rn_pool_block<FIXED>(&to, value)/rn_pool_block<FIXED>(\&to, m)/'
 mutate gradients optimise.cuh "AdamW: decay left out" 's/\*p \* a->decay/0/'
 mutate occupancy occupancy.cuh "occupancy: measured cells do not decay" 's/ \* m.decay;/;/'
+# What a card with less shared memory, and a graph that froze its arguments, show.
+mutate cards field.cu "shared memory: two networks staged where one fits" \
+    's/if (both <= device->shared_bytes)/if (one <= device->shared_bytes)/'
+mutate cards forward.cuh "shared memory: the colour network staged where only the other fits" \
+    's/t.head = rn_stage(SHARED || staged > 1,/t.head = rn_stage(SHARED || staged > 0,/'
+mutate cards backward.cuh "shared memory: staged where nothing fits" 's/rn_stage(SHARED || staged > 0,/rn_stage(true,/'
+mutate learning backend.cu "graph: captured before the march is known" \
+    's/if (!e) e = capture_step(f);/float s = f->march.step; f->march.step = 0; if (!e) e = capture_step(f); f->march.step = s;/'
+mutate cards field.cu "shared memory: kernels for all of it where a part fits" 's/train\[staging.all\]/train[staging.networks > 0]/g'
+# Which rays the forward takes.
+mutate march march.cuh "queue: a ray that meets one brick is left out" 's/^    int tiles = 0;/    int tiles = -1;/'
+mutate march march.cuh "queue: bricks counted from too far on" 's/w.k = next == w.k ? w.k + (RN_TILE << w.shift) : next;/w.k = next + (RN_TILE << w.shift);/'
+mutate march march.cuh "queue: short rays are not taken" 's/while (l < RN_LENGTHS \&\& at >=/while (l < RN_LENGTHS - 1 \&\& at >=/;s/if (l < RN_LENGTHS) ray/if (l < RN_LENGTHS - 1) ray/'
+mutate march march.cuh "queue: rays of a warp share their places" 's/first + rn_popcount(mine \& ((1u << RN_LANE) - 1))/first/'
+mutate march step.cuh "queue: pixels of nothing are black" 's/{c\[0\], c\[1\], c\[2\]}, 0, 0}/{0, 0, 0}, 0, 0}/'
+mutate second step.cuh "queue: rays of the step before are taken again" 's/^        s->queued\[l\] = 0;/        ;/'
+mutate parts field.cu "queue: pixels of the part before are taken again" 's/^    RN_TRY(cudaMemsetAsync(f->view.status->queued.*//'
+mutate second step.cuh "queue: an empty ray keeps what another left" 's/if (tiles == 0) rn_leave_empty(.*/;/'
+mutate parts backend.cu "rendering: copied before it is there" 's/^    if (!e) e = cudaStreamWaitEvent.*//'
+mutate parts backend.cu "rendering: all parts in one place" 's/f->view.pixels = f->parts\[stage\]/f->view.pixels = f->parts[0]/'
+# Cells by lot.
+mutate occupancy occupancy.cuh "occupancy: another coin" 's/rn_cell_draw(\&m, cell).v\[3\]/rn_cell_draw(\&m, cell).v[2]/'
+mutate occupancy occupancy.cuh "occupancy: occupied cells are not counted" 's/^    if (bits) atomicAdd(&o.cells_now->occupied.*//'
+mutate occupancy occupancy.cuh "occupancy: every cell counts as empty" 's/chance\[rn_cell_is_set(\&o, cell)\]/chance[0]/'
+mutate occupancy field.cu "occupancy: cells of the turn are measured, not those drawn" 's/f->steps};/f->steps}; m.drawn = false;/'
 # Guards.
 mutate guards scene.cuh "a step that overflowed updates all the same" \
     's/return s->rejected || !(s->weight > 0);/return !(s->weight > 0);/'

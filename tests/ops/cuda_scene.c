@@ -125,9 +125,36 @@ enum rn_status test_scene_train(struct test_scene *s, bool deterministic, struct
                                           .next_rays = s->rays,
                                           .march_step = config->step,
                                           .split = s->split,
-                                          .background_variance = s->background_variance};
+                                          .background_variance = s->background_variance,
+                                          .m = s->m,
+                                          .v = s->v};
     memcpy(training.background, config->background, sizeof training.background);
     return test_backend()->train_begin(s->on_device, &pixels, &training, err);
+}
+
+const struct rn_device_step test_step = {.network_rate = 2e-3f, .plane_rate = 2e-2f};
+
+void test_read_back(struct test_scene *s, struct test_numbers *ret) {
+    size_t n = s->field->parameters.count;
+    ret->parameters = malloc(n * sizeof(float));
+    ret->m = malloc(n * sizeof(float));
+    ret->v = malloc(n * sizeof(float));
+    OK(test_backend()->train_finish(s->on_device, &ret->progress, &err));
+    OK(test_backend()->download(s->on_device, ret->parameters, ret->m, ret->v, NULL, &err));
+}
+
+void test_numbers_finish(struct test_numbers *n) {
+    free(n->parameters);
+    free(n->m);
+    free(n->v);
+}
+
+void test_train(struct test_scene *s, int steps, bool deterministic, struct test_numbers *ret) {
+    OK(test_scene_upload(s, 0, &err));
+    OK(test_scene_train(s, deterministic, &err));
+    for (int i = 0; i < steps; i++)
+        OK(test_backend()->train_step(s->on_device, &test_step, &err));
+    test_read_back(s, ret);
 }
 
 void test_scene_finish(struct test_scene *s) {

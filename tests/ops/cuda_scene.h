@@ -27,6 +27,7 @@ struct test_scene {
     int rays;                  // of a training step, at most MOST_RAYS; RAYS at first
     float background_variance; // of training (rn_march_options); 0.1 at first
     bool split;                // likewise; false at first
+    const float *m, *v;        // moments that training begins with; NULL at first
     struct rn_backend_device *device;
     struct rn_device_field *on_device;
 };
@@ -39,6 +40,16 @@ enum rn_status test_scene_upload(struct test_scene *s, size_t budget, struct rn_
 // Starts training with `rays` rays a step; one scale.
 enum rn_status test_scene_train(struct test_scene *s, bool deterministic, struct rn_error *err);
 void test_scene_finish(struct test_scene *s);
+// What training leaves.
+struct test_numbers {
+    float *parameters, *m, *v;
+    struct rn_device_progress progress;
+};
+extern const struct rn_device_step test_step; // of most tests
+void test_read_back(struct test_scene *s, struct test_numbers *ret);
+void test_numbers_finish(struct test_numbers *n);
+// Uploads, and trains `steps` of them.
+void test_train(struct test_scene *s, int steps, bool deterministic, struct test_numbers *ret);
 // The rays of a training step as the reference takes them; `mid` for test_rays_finish.
 void test_scene_rays(const struct test_scene *s, int64_t step, struct rn_reference_ray *rays,
                      int count);
@@ -54,5 +65,6 @@ struct rn_train_config test_config(enum rn_footprint footprint, int planes, int 
 // A case of its own for a test that runs `count` times; CK_RUN_CASE chooses one.
 void test_add(Suite *suite, const char *name, const TTest *test, int count);
 void test_add_pictures(Suite *suite); // cuda_pictures.c
+void test_add_choices(Suite *suite);  // cuda_choices.c
 
 #endif

@@ -20,36 +20,6 @@
 
 static const struct rn_backend *backend;
 
-struct numbers {
-    float *parameters, *m, *v;
-    struct rn_device_progress progress;
-};
-
-static const struct rn_device_step one_step = {.network_rate = 2e-3f, .plane_rate = 2e-2f};
-
-static void read_back(struct test_scene *s, struct numbers *ret) {
-    size_t n = s->field->parameters.count;
-    ret->parameters = malloc(n * sizeof(float));
-    ret->m = malloc(n * sizeof(float));
-    ret->v = malloc(n * sizeof(float));
-    OK(backend->train_finish(s->on_device, &ret->progress, &err));
-    OK(backend->download(s->on_device, ret->parameters, ret->m, ret->v, NULL, &err));
-}
-
-static void numbers_finish(struct numbers *n) {
-    free(n->parameters);
-    free(n->m);
-    free(n->v);
-}
-
-static void train(struct test_scene *s, int steps, bool deterministic, struct numbers *ret) {
-    OK(test_scene_upload(s, 0, &err));
-    OK(test_scene_train(s, deterministic, &err));
-    for (int i = 0; i < steps; i++)
-        OK(backend->train_step(s->on_device, &one_step, &err));
-    read_back(s, ret);
-}
-
 // Error of a gradient; after one step the first moment is a tenth of it. A sample whose hidden unit
 // lies within fp32's rounding of 0 has another gradient on either side: that happens to one sample
 // in a thousand, so what is bounded is the root mean square and the share of numbers that are off.
@@ -75,10 +45,10 @@ static struct error gradient_error(const float *m, const double *exact, size_t n
 
 // AdamW's first step from the moments it left: parameter - rate (m / 0.1) / (sqrt(v / 0.001) +
 // eps).
-static void check_update(const struct test_scene *s, const struct numbers *n) {
+static void check_update(const struct test_scene *s, const struct test_numbers *n) {
     const struct rn_parameters *p = &s->field->parameters;
     for (size_t i = 0; i < p->count; i++) {
-        double rate = (double)(i < p->plane_count ? one_step.plane_rate : one_step.network_rate);
+        double rate = (double)(i < p->plane_count ? test_step.plane_rate : test_step.network_rate);
         double decay = i < p->plane_count && s->config.sparse ? 0 : s->config.weight_decay;
         double old = (double)p->values[i], m = (double)n->m[i] / 0.1;
         double v = (double)n->v[i] / (1 - 0.999);
@@ -91,7 +61,7 @@ static void check_update(const struct test_scene *s, const struct numbers *n) {
 static void check_training(const struct rn_train_config *config, int count, bool deterministic,
                            bool split) {
     struct test_scene s;
-    struct numbers n;
+    struct test_numbers n;
     struct rn_reference_ray rays[MOST_RAYS];
     double loss;
     bool per_ray = config->field.shading == RN_SHADING_RAY;
@@ -101,7 +71,7 @@ static void check_training(const struct rn_train_config *config, int count, bool
     s.split = split;
     test_scene_rays(&s, 0, rays, s.rays);
     OK(rn_reference_loss(s.reference, rays, s.rays, &loss));
-    train(&s, 1, deterministic, &n);
+    test_train(&s, 1, deterministic, &n);
     const struct rn_parameters *p = &s.field->parameters;
     const double *exact[3] = {s.reference->plane_grad, s.reference->base_grad,
                               s.reference->head_grad};
@@ -132,7 +102,7 @@ static void check_training(const struct rn_train_config *config, int count, bool
     ck_assert_uint_eq(n.progress.samples_returned, n.progress.samples); // no padding among them
     ck_assert_double_eq_tol(n.progress.loss, loss, 1e-3 * loss);
     check_update(&s, &n);
-    numbers_finish(&n);
+    test_numbers_finish(&n);
     test_rays_finish(rays, s.rays);
     test_scene_finish(&s);
 }
@@ -177,7 +147,7 @@ START_TEST(second_steps_match_reference) {
     static const struct rn_device_step still = {.network_rate = 0};
     struct rn_train_config config = test_config(RN_FOOTPRINT_MIP, 3, 8, 16, 3);
     struct test_scene s;
-    struct numbers first, second;
+    struct test_numbers first, second;
     struct rn_reference_ray rays[RAYS];
     double loss;
     config.field.shading = (enum rn_shading)_i;
@@ -186,14 +156,18 @@ START_TEST(second_steps_match_reference) {
     OK(test_scene_upload(&s, 0, &err));
     OK(test_scene_train(&s, false, &err));
     OK(backend->train_step(s.on_device, &still, &err));
-    read_back(&s, &first);
+    test_read_back(&s, &first);
     int count = first.progress.next_rays;
     ck_assert(count < RAYS && count % 16 != 0);
     OK(backend->train_step(s.on_device, &still, &err));
-    read_back(&s, &second);
+    test_read_back(&s, &second);
     test_scene_rays(&s, 1, rays, count);
     OK(rn_reference_loss(s.reference, rays, count, &loss));
     ck_assert_double_eq_tol(second.progress.loss, loss, 1e-3 * loss);
+    uint64_t seen = 0;
+    for (int l = 0; l < RN_MAX_LEVELS; l++)
+        seen += second.progress.level_samples[l];
+    ck_assert_uint_eq(seen, second.progress.samples); // none twice
     const struct rn_parameters *p = &s.field->parameters;
     for (size_t i = 0; i < p->count; i++)
         second.m[i] -= 0.9f * first.m[i];
@@ -202,8 +176,8 @@ START_TEST(second_steps_match_reference) {
     const size_t counts[3] = {p->plane_count, p->base_count, p->head_count};
     for (size_t i = 0, at = 0; i < 3; at += counts[i++])
         ck_assert_double_lt(gradient_error(second.m + at, exact[i], counts[i]).rms, GRADIENT_RMS);
-    numbers_finish(&first);
-    numbers_finish(&second);
+    test_numbers_finish(&first);
+    test_numbers_finish(&second);
     test_rays_finish(rays, count);
     test_scene_finish(&s);
 }
@@ -217,14 +191,14 @@ struct second_step {
 static struct second_step second_step(const struct rn_train_config *config) {
     static const struct rn_device_step still = {.network_rate = 0};
     struct test_scene s;
-    struct numbers first, second;
+    struct test_numbers first, second;
     test_scene_init(&s, config);
     OK(test_scene_upload(&s, 0, &err));
     OK(test_scene_train(&s, true, &err));
     OK(backend->train_step(s.on_device, &still, &err));
-    read_back(&s, &first);
+    test_read_back(&s, &first);
     OK(backend->train_step(s.on_device, &still, &err));
-    read_back(&s, &second);
+    test_read_back(&s, &second);
     const struct rn_parameters *p = &s.field->parameters;
     struct second_step out = {.gradient = malloc(p->count * sizeof(double)),
                               .count = p->count,
@@ -234,8 +208,8 @@ static struct second_step second_step(const struct rn_train_config *config) {
     ck_assert_uint_eq(first.progress.samples_returned, first.progress.samples);
     out.share = (double)(second.progress.samples_returned - first.progress.samples_returned) /
                 (double)(second.progress.samples - first.progress.samples);
-    numbers_finish(&first);
-    numbers_finish(&second);
+    test_numbers_finish(&first);
+    test_numbers_finish(&second);
     test_scene_finish(&s);
     return out;
 }
@@ -290,6 +264,20 @@ START_TEST(papers_networks_match_reference) {
 }
 END_TEST
 
+// The same where a block has as little shared memory as on other cards: one network staged, or
+// none. _i: which card, and the shading.
+START_TEST(smaller_cards_match_reference) {
+    static const size_t shared[] = {163 << 10, 99 << 10};
+    struct rn_train_config config = test_config(RN_FOOTPRINT_MIP, 10, 16, 128, 2);
+    rn_emulator_shared(shared[_i / 2]);
+    config.field.base = 16;
+    config.step = 0.2;
+    config.field.shading = (enum rn_shading)(_i % 2);
+    check_training(&config, RAYS / 2, false, false);
+    rn_emulator_shared(227 << 10);
+}
+END_TEST
+
 // More rays than the list of samples takes at once.
 START_TEST(many_rays_match_reference) {
     struct rn_train_config config = test_config(RN_FOOTPRINT_POINT, 3, 8, 16, 1);
@@ -300,47 +288,12 @@ START_TEST(many_rays_match_reference) {
 }
 END_TEST
 
-// Cells are measured at the points and the level that the CPU takes.
-START_TEST(occupancy_is_measured_as_on_the_cpu) {
-    struct rn_train_config config = test_config(RN_FOOTPRINT_RIP, 4, 16, 32, 3);
-    struct test_scene s;
-    struct rn_device_step step = one_step;
-    struct rn_device_progress progress;
-    config.field.occupancy = 16;
-    test_scene_init(&s, &config);
-    for (int i = 0; i < 4096; i++)
-        s.field->occupancy[i] *= 1e-3f;
-    OK(test_scene_upload(&s, 0, &err));
-    OK(test_scene_train(&s, false, &err));
-    step.measure = true;
-    step.measure_first = 1;
-    step.measure_stride = 3;
-    step.measure_decay = 0.5f;
-    OK(backend->train_step(s.on_device, &step, &err));
-    OK(backend->train_finish(s.on_device, &progress, &err));
-    float *occupancy = malloc(4096 * sizeof(float));
-    OK(backend->download(s.on_device, NULL, NULL, NULL, occupancy, &err));
-    int listed = 0, raised = 0;
-    for (uint32_t cell = 0; cell < 4096; cell++) {
-        float old = s.field->occupancy[cell], density, point[1][3];
-        if (!s.field->hull[cell] || listed++ % 3 != 1) {
-            ck_assert(occupancy[cell] == old);
-            continue;
-        }
-        struct rn_rng4 draw = rn_rng_draw(config.seed, 0x6f63637570000000u + cell, 0);
-        uint32_t at[3] = {cell / 256, cell / 16 % 16, cell % 16};
-        for (int k = 0; k < 3; k++)
-            point[0][k] = ((float)at[k] + rn_rng_unit(draw.v[k])) * 2 / 16 - 1;
-        s.engine.kernels->density(&s.field->cpu, point, 1, 1, rn_engine_workspace(&s.engine, 0),
-                                  &density);
-        float value = density * (float)(config.step * 1.5);
-        float expected = fmaxf(value, old * 0.5f);
-        raised += value > old * 0.5f;
-        ck_assert_double_eq_tol(occupancy[cell], expected, 3e-3 * (double)expected);
-    }
-    ck_assert_int_gt(raised, 100);
-    free(occupancy);
-    test_scene_finish(&s);
+// Rays of more samples than one thread scatters.
+START_TEST(long_rays_match_reference) {
+    struct rn_train_config config = test_config(RN_FOOTPRINT_MIP, 3, 8, 16, 3);
+    config.field.shading = (enum rn_shading)_i;
+    config.step = 0.01;
+    check_training(&config, 24, true, false);
 }
 END_TEST
 
@@ -348,21 +301,21 @@ END_TEST
 // parameters and in the maps that pictures are made from.
 START_TEST(planes_are_smoothed_as_on_the_cpu) {
     struct rn_train_config config = test_config(RN_FOOTPRINT_RIP, 3, 8, 16, 4);
-    struct rn_device_step smooth = one_step;
+    struct rn_device_step smooth = test_step;
     struct rn_march_options options = {.step = (float)config.step, .stop_depth = 1e9f};
     struct rn_pixel pixels[2][SIDE];
-    struct numbers rough, after;
+    struct test_numbers rough, after;
     struct test_scene s, fresh;
     uint64_t samples;
     smooth.smoothing = 0.2f;
     test_scene_init(&fresh, &config);
-    train(&fresh, 1, true, &rough);
+    test_train(&fresh, 1, true, &rough);
     test_scene_finish(&fresh);
     test_scene_init(&s, &config);
     OK(test_scene_upload(&s, 0, &err));
     OK(test_scene_train(&s, true, &err));
     OK(backend->train_step(s.on_device, &smooth, &err));
-    read_back(&s, &after);
+    test_read_back(&s, &after);
     OK(backend->render(s.on_device, &s.frames[0].camera, &options, SIDE / 2, 1, pixels[0], &samples,
                        &err));
     size_t side = (size_t)config.field.base, plane = side * side * 8;
@@ -382,21 +335,22 @@ START_TEST(planes_are_smoothed_as_on_the_cpu) {
     OK(backend->render(fresh.on_device, &s.frames[0].camera, &options, SIDE / 2, 1, pixels[1],
                        &samples, &err));
     ck_assert_mem_eq(pixels[0], pixels[1], sizeof pixels[0]);
-    numbers_finish(&rough);
-    numbers_finish(&after);
+    test_numbers_finish(&rough);
+    test_numbers_finish(&after);
     test_scene_finish(&fresh);
     test_scene_finish(&s);
 }
 END_TEST
 
-static void run_steps(enum rn_shading shading, int order, bool deterministic, struct numbers *ret) {
+static void run_steps(enum rn_shading shading, int order, bool deterministic,
+                      struct test_numbers *ret) {
     struct rn_train_config config = test_config(RN_FOOTPRINT_RIP, 3, 8, 16, 3);
     struct test_scene s;
     config.field.shading = shading;
     test_scene_init(&s, &config);
     s.background_variance = 0;
     rn_emulator_order(order, (uint64_t)order + 1);
-    train(&s, 3, deterministic, ret);
+    test_train(&s, 3, deterministic, ret);
     rn_emulator_order(0, 0);
     test_scene_finish(&s);
 }
@@ -404,22 +358,22 @@ static void run_steps(enum rn_shading shading, int order, bool deterministic, st
 // Which warp takes which ray changes with the order of the threads; in the deterministic mode the
 // bytes do not. They are the orders that a missing barrier shows in, too.
 static void check_orders(enum rn_shading shading) {
-    struct numbers first;
+    struct test_numbers first;
     run_steps(shading, 0, true, &first);
     size_t n = (size_t)3 * 32 * 32 * 8;
     for (int order = 1; order < 4; order++) {
-        struct numbers other;
+        struct test_numbers other;
         run_steps(shading, order, true, &other);
         ck_assert(memcmp(first.parameters, other.parameters, n * sizeof(float)) == 0);
         ck_assert(memcmp(first.v, other.v, n * sizeof(float)) == 0);
         ck_assert(first.progress.loss == other.progress.loss);
-        numbers_finish(&other);
+        test_numbers_finish(&other);
         run_steps(shading, order, false, &other);
         for (size_t i = 0; i < n; i++)
             ck_assert_double_eq_tol(first.m[i], other.m[i], 2e-4);
-        numbers_finish(&other);
+        test_numbers_finish(&other);
     }
-    numbers_finish(&first);
+    test_numbers_finish(&first);
 }
 
 START_TEST(deterministic_mode_gives_the_same_bytes) {
@@ -431,26 +385,26 @@ END_TEST
 START_TEST(overflow_skips_the_step) {
     struct rn_train_config config = test_config(RN_FOOTPRINT_POINT, 3, 8, 16, 1);
     struct test_scene s;
-    struct numbers n;
+    struct test_numbers n;
     config.field.shading = (enum rn_shading)_i;
     test_scene_init(&s, &config);
     const struct rn_parameters *p = &s.field->parameters;
     for (int f = 0; f < FRAMES; f++)
         s.frames[f].loss_weight = 1e5f;
-    train(&s, 1, false, &n);
+    test_train(&s, 1, false, &n);
     ck_assert_int_eq(n.progress.steps_rejected, 1);
     ck_assert_int_eq(n.progress.updates, 0);
     ck_assert(memcmp(n.parameters, p->values, p->count * sizeof(float)) == 0);
     for (size_t i = 0; i < p->count; i++)
         ck_assert(n.m[i] == 0 && n.v[i] == 0);
-    numbers_finish(&n);
+    test_numbers_finish(&n);
     for (int i = 0; i < 20; i++)
-        OK(backend->train_step(s.on_device, &one_step, &err));
-    read_back(&s, &n);
+        OK(backend->train_step(s.on_device, &test_step, &err));
+    test_read_back(&s, &n);
     ck_assert_int_gt(n.progress.updates, 0);
     for (size_t i = 0; i < p->count; i++)
         ck_assert(isfinite(n.parameters[i]));
-    numbers_finish(&n);
+    test_numbers_finish(&n);
     test_scene_finish(&s);
 }
 END_TEST
@@ -459,19 +413,19 @@ END_TEST
 START_TEST(rays_that_are_not_finite_are_left_out) {
     struct rn_train_config config = test_config(RN_FOOTPRINT_POINT, 3, 8, 16, 1);
     struct test_scene s;
-    struct numbers n;
+    struct test_numbers n;
     config.field.shading = (enum rn_shading)_i;
     test_scene_init(&s, &config);
     size_t middle = ((size_t)16 * 32 + 10) * 8;
     s.field->parameters.values[middle] = 1e9f;
-    train(&s, 1, false, &n);
+    test_train(&s, 1, false, &n);
     ck_assert_uint_gt(n.progress.nonfinite_rays, 0);
     ck_assert_uint_lt(n.progress.nonfinite_rays, RAYS / 2);
     ck_assert_int_eq(n.progress.steps_rejected, 0);
     ck_assert_int_eq(n.progress.updates, 1);
     for (size_t i = 0; i < s.field->parameters.count; i++)
         ck_assert(isfinite(n.m[i]));
-    numbers_finish(&n);
+    test_numbers_finish(&n);
     test_scene_finish(&s);
 }
 END_TEST
@@ -480,7 +434,7 @@ END_TEST
 START_TEST(crowded_steps_are_skipped) {
     struct rn_train_config config = test_config(RN_FOOTPRINT_POINT, 3, 8, 16, 1);
     struct test_scene s;
-    struct numbers n;
+    struct test_numbers n;
     config.step = 0.004;
     test_scene_init(&s, &config);
     OK(test_scene_upload(&s, 0, &err));
@@ -493,14 +447,14 @@ START_TEST(crowded_steps_are_skipped) {
                                       .pixel_count = FRAMES * SIDE * SIDE};
     struct rn_device_training training = {.next_rays = 400, .step = 1, .march_step = config.step};
     OK(backend->train_begin(s.on_device, &pixels, &training, &err));
-    OK(backend->train_step(s.on_device, &one_step, &err));
-    read_back(&s, &n);
+    OK(backend->train_step(s.on_device, &test_step, &err));
+    test_read_back(&s, &n);
     const struct rn_parameters *p = &s.field->parameters;
     ck_assert_int_eq(n.progress.steps_rejected, 0); // nothing was wrong with its numbers
     ck_assert_int_eq(n.progress.updates, 0);
     ck_assert_int_eq(n.progress.next_rays, 200);
     ck_assert(memcmp(n.parameters, p->values, p->count * sizeof(float)) == 0);
-    numbers_finish(&n);
+    test_numbers_finish(&n);
     test_scene_finish(&s);
 }
 END_TEST
@@ -513,10 +467,10 @@ START_TEST(it_learns_without_allocating) {
     OK(test_scene_upload(&s, 0, &err));
     OK(test_scene_train(&s, false, &err));
     long allocations = rn_emulator_allocations();
-    OK(backend->train_step(s.on_device, &one_step, &err));
+    OK(backend->train_step(s.on_device, &test_step, &err));
     OK(backend->train_finish(s.on_device, &first, &err));
     for (int i = 0; i < 30; i++)
-        OK(backend->train_step(s.on_device, &one_step, &err));
+        OK(backend->train_step(s.on_device, &test_step, &err));
     OK(backend->train_finish(s.on_device, &last, &err));
     printf("loss %.4f, after 30 steps %.4f\n", first.loss, last.loss);
     ck_assert_double_lt(last.loss, 0.6 * first.loss);
@@ -556,7 +510,7 @@ START_TEST(a_broken_device_says_so) {
     OK(test_scene_upload(&s, 0, &err));
     OK(test_scene_train(&s, false, &err));
     rn_emulator_fail(700);
-    ck_assert(backend->train_step(s.on_device, &one_step, &said) == RN_ERROR_UNAVAILABLE);
+    ck_assert(backend->train_step(s.on_device, &test_step, &said) == RN_ERROR_UNAVAILABLE);
     ck_assert(backend->train_finish(s.on_device, &progress, &said) == RN_ERROR_UNAVAILABLE);
     rn_emulator_fail(0);
     test_scene_finish(&s);
@@ -626,10 +580,12 @@ int main(void) {
     test_add(suite, "second", second_steps_match_reference, shadings);
     test_add(suite, "roulette", roulette_has_no_bias, 2);
     test_add(suite, "paper", papers_networks_match_reference, 1);
+    if (test_is_emulated()) test_add(suite, "cards", smaller_cards_match_reference, 4);
     test_add(suite, "many", many_rays_match_reference, shadings);
+    test_add(suite, "many", long_rays_match_reference, shadings);
     test_add_pictures(suite);
     test_add(suite, "smoothing", planes_are_smoothed_as_on_the_cpu, 1);
-    test_add(suite, "occupancy", occupancy_is_measured_as_on_the_cpu, 1);
+    test_add_choices(suite);
     test_add(suite, "order", deterministic_mode_gives_the_same_bytes, shadings);
     test_add(suite, "guards", overflow_skips_the_step, shadings);
     test_add(suite, "guards", rays_that_are_not_finite_are_left_out, shadings);

@@ -100,8 +100,13 @@ START_TEST(found_by_the_cameras) {
         struct rn_engine *engine = engine_with(1);
         make_wall(cases[i].angle, cases[i].depths, &w);
         struct rn_train_config config = wall_config(&w);
+        config.split_pixels = 0.4;
         struct rn_trainer *t = trainer_for(engine, &w.dataset, &config);
+        const struct rn_effect_record *split = &t->field->effects[RN_EFFECT_SPLIT_PIXELS];
         ck_assert_int_eq(record(t)->on, cases[i].on);
+        // A place's pixels are not split, other photographs of one scale are.
+        ck_assert(split->on == (t->field->config.split_pixels > 0));
+        ck_assert(cases[i].angle > 0 || split->on == !cases[i].on);
         ck_assert_int_eq(t->field->cpu.disparity.on, cases[i].on);
         // One of 14 cameras turned: the mean turns by about a fourteenth of it.
         ck_assert_double_eq_tol(record(t)->number, cases[i].angle * 15 / 16,

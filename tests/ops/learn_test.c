@@ -121,6 +121,56 @@ static void check_tolerance(struct rn_field *field, const struct rn_frame *frame
     rn_render_result_finish(&full);
 }
 
+// Of a field that has learnt a sphere: what a pixel cost, and what its surface is like. Looking
+// changes no pixel.
+static void check_inspection(struct rn_field *field, const struct rn_frame *frame) {
+    const unsigned inside =
+        RN_OUTPUT_NORMAL | RN_OUTPUT_COST | RN_OUTPUT_LEVEL | RN_OUTPUT_FOOTPRINT;
+    struct rn_render_options options = {
+        .outputs = RN_OUTPUT_RGB | RN_OUTPUT_DEPTH | RN_OUTPUT_ALPHA, .background = {1, 1, 1}};
+    for (int cones = 1; cones <= 2; cones++) {
+        options.settings.supersample = cones;
+        options.settings.tolerance = cones == 2 ? 0.05 : 0;
+        options.outputs &= ~inside;
+        struct rn_render_result plain = render_quickly(field, frame, options, 2);
+        options.outputs |= inside;
+        struct rn_render_result seen = render_quickly(field, frame, options, 2);
+        int width = plain.rgb.width, count = width * plain.rgb.height, surfaces = 0;
+        double cost = 0, along = 0, cone = rn_camera_cone(&frame->camera) / cones;
+        ck_assert(memcmp(plain.rgb.values, seen.rgb.values, 3 * (size_t)count * sizeof(float)) ==
+                  0);
+        ck_assert_ptr_null(plain.cost.values);
+        ck_assert_uint_eq(plain.stats.samples, seen.stats.samples);
+        for (int i = 0; i < count; i++) {
+            const float *n = seen.normal.values + 3 * (ptrdiff_t)i;
+            double size = 0, towards = 0, far = 0, distance = (double)seen.depth.values[i];
+            cost += (double)seen.cost.values[i];
+            if (seen.footprint.values[i] == 0) continue;
+            struct rn_ray ray = rn_camera_ray(&frame->camera, i % width + 0.5, i / width + 0.5);
+            ck_assert_double_eq_tol((double)seen.footprint.values[i], 2 * cone * distance,
+                                    0.02 * cone * distance);
+            ck_assert(seen.level.values[i] >= 0 && seen.level.values[i] < RN_MAX_LEVELS);
+            for (int k = 0; k < 3; k++) { // the sphere is around the origin
+                size += pow((double)n[k], 2);
+                double at = ray.origin[k] + ray.direction[k] * distance;
+                towards += (double)n[k] * at;
+                far += at * at;
+            }
+            if (size == 0) continue;
+            ck_assert_double_eq_tol(size, 1, 1e-5);
+            along += towards / sqrt(far);
+            surfaces++;
+        }
+        printf("%d cones: %d surfaces, normals along the sphere's by %.3f\n", cones, surfaces,
+               along / surfaces);
+        ck_assert_double_eq(cost, (double)seen.stats.samples);
+        ck_assert_int_gt(surfaces, count / 10);
+        ck_assert_double_gt(along / surfaces, 0.5); // after 50 steps
+        rn_render_result_finish(&plain);
+        rn_render_result_finish(&seen);
+    }
+}
+
 // Pixels of several cones are interpolated by parts: not whole pixels' rays, nearer to the full
 // picture than the tolerance, on any number of threads the same.
 static void check_parts(struct rn_field *field, const struct rn_frame *frame) {
@@ -161,11 +211,12 @@ static bool count_down(void *context) {
     return --*left > 0;
 }
 
-// A deadline is asked for between tiles: the picture is given up at the first answer that says so.
+// Whether to go on is asked every few milliseconds: the picture is given up at the first answer
+// that says not to.
 static void check_giving_up(struct rn_engine *engine, struct rn_field *field,
                             const struct rn_frame *frame) {
     struct rn_error err;
-    struct rn_render_options options = {.camera = rn_camera_resized(&frame->camera, 256, 256),
+    struct rn_render_options options = {.camera = rn_camera_resized(&frame->camera, 768, 768),
                                         .outputs = RN_OUTPUT_RGB};
     struct rn_render_result result;
     int left = 1000000;
@@ -173,7 +224,7 @@ static void check_giving_up(struct rn_engine *engine, struct rn_field *field,
     rn_render_result_finish(&result);
     int polls = 1000000 - left;
     ck_assert_int_ge(polls, 8);
-    left = polls / 2;
+    left = 4;
     ck_assert(rn_render(engine, field, &options, count_down, &left, &result, &err) ==
               RN_ERROR_CANCELLED);
     ck_assert_int_le(-left, rn_pool_threads(engine->pool)); // other threads may ask once more
@@ -507,6 +558,31 @@ static double worst_difference(const struct rn_picture *a, const struct rn_pictu
     return worst;
 }
 
+// Rays that end early pass over thin haze: fewer samples, and a picture that differs no more than
+// it did by their ends.
+static void check_firm_cells(struct rn_engine *engine, struct rn_field *field,
+                             const struct rn_frame *frame) {
+    struct rn_occupancy_bits firm = field->firm;
+    struct rn_render_options options = {
+        .camera = frame->camera, .outputs = RN_OUTPUT_RGB, .settings = {.stop = 0.1}};
+    struct rn_render_result quick, careful, full = render_all(engine, field, frame->camera, 0);
+    struct rn_error err;
+    memcpy(options.background, (const float[]){1, 1, 1}, sizeof options.background);
+    ck_assert(rn_render(engine, field, &options, NULL, NULL, &quick, &err) == RN_OK);
+    field->firm = field->fine;
+    ck_assert(rn_render(engine, field, &options, NULL, NULL, &careful, &err) == RN_OK);
+    field->firm = firm;
+    double share = (double)quick.stats.samples / (double)careful.stats.samples;
+    double off = rms_difference(&quick.rgb, &full.rgb);
+    double off_before = rms_difference(&careful.rgb, &full.rgb);
+    printf("firm cells: %.0f %% of the samples, rms %.5f for %.5f\n", 100 * share, off, off_before);
+    ck_assert_double_lt(share, 0.97);
+    ck_assert_double_lt(off, off_before + 0.005);
+    rn_render_result_finish(&full);
+    rn_render_result_finish(&quick);
+    rn_render_result_finish(&careful);
+}
+
 // Finer cells leave out samples that hardly show: pictures stay as they are, and do not depend on
 // the number of threads.
 static void check_refinement(struct rn_engine *engine, struct rn_field *field,
@@ -518,8 +594,11 @@ static void check_refinement(struct rn_engine *engine, struct rn_field *field,
     rn_field_refine_occupancy(field, engine);
     struct rn_render_result fine = render_all(engine, field, frame->camera, 0);
     ck_assert_int_eq(field->cpu.occupancy.cells, 2 * field->config.field.occupancy);
-    rn_field_choose_cells(field, field->fine_levels + 1);
+    rn_field_choose_cells(field, field->fine_levels + 1, 0);
     ck_assert_int_eq(field->cpu.occupancy.cells, field->config.field.occupancy);
+    rn_field_choose_cells(field, 1, 0.1);
+    ck_assert_ptr_eq(field->cpu.occupancy.words, field->firm.words);
+    check_firm_cells(engine, field, frame);
     rn_field_refine_occupancy(field, alone);
     struct rn_render_result same = render_all(engine, field, frame->camera, 0);
     ck_assert(averaging_error(&fine, &same, 1) == 0 && fine.stats.samples == same.stats.samples);
@@ -590,6 +669,7 @@ START_TEST(it_learns_and_a_loaded_field_renders_the_same) {
     check_supersampling(engine, field, frame);
     check_tolerance(field, frame);
     check_parts(field, frame);
+    check_inspection(field, frame);
     check_early_stop(field, frame, 1);
     check_early_stop(field, frame, 2);
     check_refinement(engine, kept, frame);

@@ -71,6 +71,11 @@ struct rn_trainer *trainer_for(struct rn_engine *engine, const struct rn_dataset
     return trainer;
 }
 
+bool always(void *context) {
+    (void)context;
+    return true;
+}
+
 bool done(const struct rn_trainer *trainer) {
     struct rn_progress p;
     rn_trainer_progress(trainer, &p);

@@ -21,6 +21,7 @@ struct rn_train_config config_for(const struct rn_dataset *d);
 struct rn_engine *engine_with(int threads);
 struct rn_trainer *trainer_for(struct rn_engine *engine, const struct rn_dataset *d,
                                const struct rn_train_config *config);
+bool always(void *context); // a render that waits
 bool done(const struct rn_trainer *trainer);
 void run_to_end(struct rn_trainer *trainer);
 double held_out_psnr(struct rn_trainer *trainer);

@@ -10,6 +10,8 @@
 
 #include "common/base/clock.h"
 #include "common/base/file.h"
+#include "server/engine/field/occupancy.h"
+#include "server/engine/field/space.h"
 #include "tests/ops/train_scene.h"
 
 static void hash_of_run(const struct rn_dataset *d, int threads, char hex[65]) {
@@ -34,11 +36,6 @@ START_TEST(threads_do_not_change_bytes) {
     }
 }
 END_TEST
-
-static bool always(void *context) {
-    (void)context;
-    return true;
-}
 
 // Every advance is cut short as soon as may be: renders and validates within steps, now and then
 // saves, and resumes three times from files.
@@ -150,6 +147,54 @@ START_TEST(draws_by_error_resume) {
     }
     ck_assert_str_eq(hex[0], hex[1]);
     ck_assert_str_ne(hex[0], hex[2]);
+}
+END_TEST
+
+// The cell of a point that lies `share` of the way from a frame's camera to the bounds' centre.
+static float begins_at(const struct rn_trainer *t, const struct rn_camera *camera, double share) {
+    int cells = t->field->config.field.occupancy, at[3];
+    double x[3], squares = 0;
+    for (int i = 0; i < 3; i++) {
+        double from = camera->world_from_camera[i][3], to = t->field->bounds.centre[i];
+        x[i] = (from + share * (to - from) - to) / t->field->bounds.radius;
+        squares += x[i] * x[i];
+    }
+    for (int i = 0; i < 3; i++)
+        at[i] = rn_cell_of(
+            (rn_real)(x[i] * (double)rn_contraction_at((rn_real)sqrt(squares)).scale), cells);
+    return t->field->occupancy[rn_cell_index(at[0], at[1], at[2], cells)];
+}
+
+// Of unbounded space, what several photographs' sight lines of one sparse point cross begins empty;
+// not the point itself, nor what one line alone crosses.
+START_TEST(what_points_are_seen_through_begins_empty) {
+    struct rn_train_config config = config_for(dataset);
+    config.auto_effects = false;
+    config.field.space = RN_SPACE_UNBOUNDED;
+    config.cone_step = false;
+    struct rn_engine *engine = engine_with(1);
+    dataset->points = (struct rn_points){.items = calloc(1, sizeof(struct rn_point)),
+                                         .count = 1,
+                                         .sightings = calloc(5, sizeof(struct rn_sighting)),
+                                         .sighting_count = 5};
+    const struct rn_camera *cameras[2] = {NULL, NULL};
+    for (size_t f = 0; f < dataset->frame_count; f++) {
+        dataset->frames[f].photo = (int)f;
+        if (dataset->frames[f].split != RN_SPLIT_TRAIN || cameras[1]) continue;
+        int n = cameras[0] ? 1 : 0;
+        cameras[n] = &dataset->frames[f].camera;
+        for (int i = n ? 4 : 0; i < (n ? 5 : 4); i++)
+            dataset->points.sightings[i].photo = (uint32_t)f;
+    }
+    struct rn_trainer *trainer = trainer_for(engine, dataset, &config);
+    memcpy(dataset->points.items[0].position, trainer->field->bounds.centre, 3 * sizeof(double));
+    rn_trainer_destroy(&trainer); // made again, the point in the bounds' middle
+    trainer = trainer_for(engine, dataset, &config);
+    ck_assert_float_eq(begins_at(trainer, cameras[0], 0.5), 0);
+    ck_assert_float_eq(begins_at(trainer, cameras[0], 1), RN_NEVER_SEEN);
+    ck_assert_float_eq(begins_at(trainer, cameras[1], 0.5), RN_NEVER_SEEN);
+    rn_trainer_destroy(&trainer);
+    rn_engine_destroy(&engine);
 }
 END_TEST
 
@@ -453,6 +498,7 @@ static void add_tests(TCase *tests) {
     tcase_add_test(tests, far_renders_do_not_change_bytes);
     tcase_add_test(tests, interruptions_do_not_change_bytes);
     tcase_add_test(tests, draws_by_error_resume);
+    tcase_add_test(tests, what_points_are_seen_through_begins_empty);
     tcase_add_test(tests, unbounded_space_resumes);
     tcase_add_test(tests, photographs_call_for_their_space);
     tcase_add_test(tests, a_figure_does_not_depend_on_interruptions);

@@ -21,7 +21,7 @@ exercised = set()  # operationIds seen in this session
 def operations():
     for path, item in contract.document()["paths"].items():
         for method, operation in item.items():
-            if method in ("get", "post", "delete", "put"):
+            if method in ("get", "post", "delete", "patch"):
                 yield method.upper(), path, operation
 
 
@@ -140,6 +140,14 @@ class Daemon:
         with open(self.log, encoding="utf-8") as file:
             return file.read()
 
+    def logged(self, pattern):
+        """The first line that matches, once it is there: a request is logged after its answer."""
+        deadline = time.monotonic() + 10
+        while not (line := re.search(f"^.*(?:{pattern}).*$", self.log_text(), re.MULTILINE)):
+            assert time.monotonic() < deadline, self.log_text()[-3000:]
+            time.sleep(0.02)
+        return line[0]
+
     # ---- requests ----
 
     def connect(self):
@@ -193,6 +201,14 @@ class Daemon:
             assert record["state"] not in TERMINAL, record
             time.sleep(0.03)
         raise AssertionError(f"{job} is {record['state']}, not {states}\n{self.log_text()[-3000:]}")
+
+    def eventually(self, what, timeout=30):
+        """The first true value of what()."""
+        deadline = time.monotonic() + timeout
+        while not (value := what()):
+            assert time.monotonic() < deadline, self.log_text()[-3000:]
+            time.sleep(0.02)
+        return value
 
     def submit(self, **request):
         reply = self.post("/v1/jobs", request)

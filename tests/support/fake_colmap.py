@@ -3,15 +3,21 @@
 
 RIPNERF_FAKE_COLMAP says how it fails: `crash` in the matcher, `kill` it there, `fail` in the
 mapper, `none` finds nothing, `two` finds two models, `some` leaves the last photograph out, `bad`
-writes a model that ends early, `slow` takes its time.
+writes a model that ends early, `damaged` a database that does not agree with itself, `slow` takes its
+time.
 """
 
 import math
 import os
+import random
+import re
 import signal
+import sqlite3
 import struct
 import sys
 import time
+
+from PIL import Image
 
 mood = os.environ.get("RIPNERF_FAKE_COLMAP", "")
 command, words = sys.argv[1], sys.argv[2:]
@@ -26,16 +32,29 @@ def names():
                   for folder, _, files in os.walk(root) for file in files)
 
 
+def names_in_database():
+    database = sqlite3.connect(options["--database_path"])
+    found = sorted(name for name, in database.execute("SELECT name FROM images"))
+    database.close()
+    return found
+
+
 def write_model(folder, photographs):
     os.makedirs(folder)
+    sizes = [Image.open(os.path.join(options["--image_path"], name)).size for name in photographs]
+    kinds = list(dict.fromkeys(sizes))  # a camera for each size
     with open(f"{folder}/cameras.bin", "wb") as file:
-        file.write(struct.pack("<QIiQQ8d", 1, 1, 4, 16, 16, 20, 20, 8, 8, 0, 0, 0, 0))
+        file.write(struct.pack("<Q", len(kinds)))
+        for i, (width, height) in enumerate(kinds):
+            file.write(struct.pack("<IiQQ8d", i + 1, 4, width, height, 20, 20, width / 2,
+                                   height / 2, 0, 0, 0, 0))
     with open(f"{folder}/images.bin", "wb") as file:
         file.write(struct.pack("<Q", len(photographs)))
         for i, name in enumerate(photographs):
             angle = 2 * math.pi * i / len(photographs)
             half = angle / 2
-            file.write(struct.pack("<I7dI", i + 1, math.cos(half), 0, math.sin(half), 0, 0, 0, 4, 1))
+            file.write(struct.pack("<I7dI", i + 1, math.cos(half), 0, math.sin(half), 0, 0, 0, 4,
+                                   1 + kinds.index(sizes[i])))
             file.write(name.encode() + b"\0")
             file.write(struct.pack("<QddQ", 1, 8, 8, 1))
     with open(f"{folder}/points3D.bin", "wb") as file:
@@ -46,24 +65,49 @@ def write_model(folder, photographs):
         os.truncate(f"{folder}/images.bin", 40)
 
 
+def write_database(path, photographs):
+    """Tables as COLMAP's; a feature a photograph shares with those up to 10 before and after it."""
+    database = sqlite3.connect(path)
+    database.execute("CREATE TABLE images (image_id INTEGER PRIMARY KEY, name TEXT UNIQUE)")
+    database.execute("CREATE TABLE descriptors (image_id INTEGER PRIMARY KEY, rows INTEGER, "
+                     "cols INTEGER, data BLOB)")
+    for i, name in enumerate(photographs):
+        number = int(re.sub(r"\D", "", name) or 0)
+        rows = [random.Random(number + k).choices(range(79), k=128) for k in range(11)]
+        rows = 1 if mood == "damaged" else len(rows), b"".join(map(bytes, rows))
+        database.execute("INSERT INTO images VALUES (?, ?)", (i + 1, name))
+        database.execute("INSERT INTO descriptors VALUES (?, ?, 128, ?)", (i + 1, *rows))
+    database.commit()
+    database.close()
+
+
 if command == "feature_extractor":
     assert options["--SiftExtraction.use_gpu"] == "0"
     for i, name in enumerate(names()):
         print(f"Processed file [{i + 1}/{len(names())}]", flush=True)
         time.sleep(0.5 if mood == "slow" else 0)
-    open(options["--database_path"], "w", encoding="utf-8").close()
-elif command in ("exhaustive_matcher", "sequential_matcher"):
+    write_database(options["--database_path"], names())
+elif command in ("exhaustive_matcher", "matches_importer"):
     if mood == "crash":
         print("about to fail", flush=True)
         os.abort()
     if mood == "kill":
         os.kill(os.getpid(), signal.SIGKILL)
+    if command == "matches_importer":
+        with open(options["--match_list_path"], encoding="utf-8") as file:
+            pairs = [line.rstrip("\n").split(" ") for line in file]
+        assert all(len(pair) == 2 and pair[0] != pair[1] for pair in pairs)
+        assert len({frozenset(pair) for pair in pairs}) == len(pairs)
+        assert {name for pair in pairs for name in pair} <= set(names_in_database())
+        for pair in pairs:
+            print("pair", *pair, flush=True)
     print("Matching block [1/1, 1/1] in 0.1s", flush=True)
 elif command == "mapper":
     if mood == "fail":
         print("ERROR: the database is locked", file=sys.stderr)
         sys.exit(3)
     found = names()
+    assert found == names_in_database()
     if mood == "none":
         print("  => No good initial image pair found.", flush=True)
     elif mood == "two":

@@ -12,6 +12,7 @@ import itertools
 import json
 import random
 import re
+import socket
 import tarfile
 import threading
 import time
@@ -106,7 +107,10 @@ class FakeDaemon:
         self.token = token
         self.datasets, self.scenes, self.jobs, self.frames = {}, {}, {}, {}
         self.requests = []
-        self.uploads = {}
+        self.refusal = None  # a Problem that answers each POST
+        self.uploads = {}  # dataset: {file: bytes}
+        self.parts = {}    # upload: (size, bytes so far)
+        self.cut_after = None  # a part's connection is cut once, after so many bytes
         handler = type("Handler", (Handler,), {"daemon": self})
         self.server = ThreadingHTTPServer(("127.0.0.1", 0), handler)
         self.server.daemon_threads = True
@@ -150,18 +154,45 @@ class FakeDaemon:
         return job.record
 
     # ---- operations ----
+    def begin_upload(self, request):
+        contract.check("UploadRequest", request)
+        self.check_name(request.get("name"))
+        upload = new_id("up")
+        self.parts[upload] = (request["size_bytes"], b"")
+        return self.upload(upload)
+
+    def upload(self, upload):
+        if upload not in self.parts:
+            raise Problem(404, "not-found", f"there is no upload {upload}")
+        size, there = self.parts[upload]
+        return {"id": upload, "size_bytes": size, "offset": len(there)}
+
+    def take_part(self, upload, offset, body):
+        size, there = self.parts[upload]
+        assert offset <= len(there)
+        self.parts[upload] = (size, there[:offset] + body)
+
+    def import_upload(self, request):
+        contract.check("DatasetRequest", request)
+        size, there = self.parts.pop(request["upload"])
+        assert len(there) == size
+        return self.ingest({"name": request["name"], **request.get("options", {})}, there)
+
+    def check_name(self, name):
+        if any(record["name"] == name for record in self.datasets.values()):
+            raise Problem(409, "conflict", f"there is a dataset '{name}' already")
+
     def ingest(self, query, body):
         name = query["name"]
         if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}", name):
             raise Problem(422, "invalid", "the name is not valid",
                           [{"pointer": "#/name", "detail": "must be letters, digits, . _ -"}])
-        if any(record["name"] == name for record in self.datasets.values()):
-            raise Problem(409, "conflict", f"there is a dataset '{name}' already")
+        self.check_name(name)
         with tarfile.open(fileobj=io.BytesIO(body), mode="r:") as archive:
             self.uploads[name] = {member.name: archive.extractfile(member).read()
                                   for member in archive.getmembers()}
         dataset_id = new_id("ds")
-        options = {key: int(value) if value.isdigit() else value
+        options = {key: int(value) if str(value).isdigit() else value
                    for key, value in query.items() if key != "name"}
         contract.check("IngestOptions", options)
         job = Job("ingest", name, options, dataset=dataset_id, dataset_name=name)
@@ -252,12 +283,17 @@ class Handler(BaseHTTPRequestHandler):
         url = urlsplit(self.path)
         query = {key: values[0] for key, values in parse_qs(url.query).items()}
         parts = [unquote(part) for part in url.path.split("/")[1:]]
-        body = self.rfile.read(int(self.headers.get("Content-Length", 0)))
         daemon = self.daemon
+        size = int(self.headers.get("Content-Length", 0))
+        if self.command == "PATCH" and daemon.cut_after is not None:
+            return self.cut(parts[-1], daemon.cut_after)
+        body = self.rfile.read(size)
         daemon.requests.append((self.command, self.path, dict(self.headers), body))
         try:
             if daemon.token and self.headers.get("Authorization") != f"Bearer {daemon.token}":
                 raise Problem(401, "unauthorised", "a token is missing or wrong")
+            if daemon.refusal and self.command == "POST":
+                raise daemon.refusal
             self.route(parts, query, body)
         except Problem as problem:
             contract.check("Problem", problem.body)
@@ -265,7 +301,15 @@ class Handler(BaseHTTPRequestHandler):
         except (BrokenPipeError, ConnectionResetError):
             pass
 
-    do_GET = do_POST = do_DELETE = serve
+    def cut(self, upload, count):
+        """Takes the part's first bytes, and then the line is dead."""
+        self.daemon.cut_after = None
+        self.daemon.take_part(upload, int(self.headers["Upload-Offset"]), self.rfile.read(count))
+        self.daemon.requests.append((self.command, self.path, dict(self.headers), b""))
+        self.close_connection = True
+        self.connection.shutdown(socket.SHUT_RDWR)
+
+    do_GET = do_POST = do_PATCH = do_DELETE = serve
 
     def route(self, parts, query, body):
         daemon = self.daemon
@@ -273,8 +317,15 @@ class Handler(BaseHTTPRequestHandler):
         match (self.command, *parts[1:]):
             case ("GET", "info"):
                 self.reply(200, contract.example("Info"))
+            case ("POST", "uploads"):
+                self.reply(201, daemon.begin_upload(json.loads(body)))
+            case ("GET", "uploads", upload):
+                self.reply(200, daemon.upload(upload))
+            case ("PATCH", "uploads", upload):
+                daemon.take_part(upload, int(self.headers["Upload-Offset"]), body)
+                self.reply(204)
             case ("POST", "datasets"):
-                self.accept(daemon.ingest(query, body))
+                self.accept(daemon.import_upload(json.loads(body)))
             case ("POST", "jobs"):
                 self.accept(daemon.submit(json.loads(body)))
             case ("GET", "jobs"):
@@ -319,7 +370,9 @@ class Handler(BaseHTTPRequestHandler):
         if errors:
             raise Problem(422, "invalid", "not a RenderRequest", errors)
         if request.get("view", "").endswith(":999"):
-            raise Problem(404, "not-found", "there is no view test:999")
+            wrong = "no such view at scale 0; the test split has test:0 to test:7"
+            raise Problem(404, "not-found", f"#/view: {wrong}",
+                          [{"pointer": "#/view", "detail": wrong}])
         kind = "image/jpeg" if request.get("format") == "jpeg" else "image/png"
         self.reply(200, PNG, kind, [
             ("Server-Timing", "queue;dur=0.1, render;dur=12.5, encode;dur=1.5"),

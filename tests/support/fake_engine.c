@@ -2,9 +2,13 @@
 // formula. Deterministic, so that the runner and the daemon can be tested in seconds.
 //
 // RIPNERF_FAKE_STEP_US: microseconds a step takes (1000). RIPNERF_FAKE_ROW_US: a rendered row (0).
-// RIPNERF_FAKE_LOAD_MS: making a trainer (0). RIPNERF_FAKE_DIVERGE_AT: the step that diverges.
+// RIPNERF_FAKE_SPEED: training seconds a second (1). RIPNERF_FAKE_LOAD_MS: making a trainer (0).
+// RIPNERF_FAKE_NEED_MB: memory that a training says it needs (1).
+// RIPNERF_FAKE_KERNELS: the one kernel set of the machine (scalar).
+// RIPNERF_FAKE_DIVERGE_AT: the step that diverges.
 // RIPNERF_FAKE_INCIDENT_AT: the step that is rolled back. With `subsample` rows are left out.
 #include <math.h>
+#include <stddef.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -60,18 +64,19 @@ static double now_s(void) {
 enum rn_status rn_engine_create(const struct rn_engine_options *options,
                                 struct rn_engine **ret_engine, struct rn_error *err) {
     const char *kernels = options->kernels ? options->kernels : "auto";
-    if (strcmp(kernels, "auto") != 0 && strcmp(kernels, "scalar") != 0)
+    const char *own = getenv("RIPNERF_FAKE_KERNELS");
+    if (!own) own = "scalar";
+    if (strcmp(kernels, "auto") != 0 && strcmp(kernels, own) != 0)
         return rn_error_set(err, RN_ERROR_UNSUPPORTED, "kernels",
                             "this machine has no kernel set %s", kernels);
     if (options->device && strncmp(options->device, "cuda", 4) == 0)
         return rn_error_set(err, RN_ERROR_UNSUPPORTED, "device", "there is no GPU");
     struct rn_engine *engine = calloc(1, sizeof *engine);
     if (!engine) return rn_error_set(err, RN_ERROR_NO_MEMORY, "", "out of memory");
-    engine->info = (struct rn_device_info){.device = "cpu",
-                                           .name = "pretended",
-                                           .kernels = "scalar",
-                                           .available = "scalar",
-                                           .threads = options->threads ? options->threads : 1};
+    engine->info = (struct rn_device_info){
+        .device = "cpu", .name = "pretended", .threads = options->threads ? options->threads : 1};
+    snprintf(engine->info.kernels, sizeof engine->info.kernels, "%s", own);
+    snprintf(engine->info.available, sizeof engine->info.available, "%s", own);
     *ret_engine = engine;
     return RN_OK;
 }
@@ -86,8 +91,17 @@ void rn_engine_describe(const struct rn_engine *engine, struct rn_device_info *r
 }
 
 void rn_engine_watch(struct rn_engine *engine, bool (*keep_going)(void *context), void *context) {}
+void rn_engine_keep_in(struct rn_engine *engine, const char *folder) {}
 void rn_engine_yield_to(struct rn_engine *engine, bool (*wanted)(void *context), void *context) {}
 void rn_field_rest(struct rn_field *field) {}
+void rn_engine_join(struct rn_engine *engine, const struct rn_exchange *exchange) {}
+enum rn_status rn_exchange_open(const struct rn_exchange **ret_exchange, struct rn_error *err) {
+    return rn_error_set(err, RN_ERROR_UNSUPPORTED, "ranks", "what pretends has no others");
+}
+void rn_trainer_dismiss(const struct rn_exchange *exchange) {}
+enum rn_status rn_trainer_follow(struct rn_trainer *trainer, struct rn_error *err) {
+    return RN_OK;
+}
 void rn_engine_share(struct rn_engine *engine,
                      enum rn_status (*share)(void *context, const struct rn_device_wish *wish,
                                              size_t *ret_granted, struct rn_error *err),
@@ -96,6 +110,11 @@ void rn_engine_share(struct rn_engine *engine,
 // ---- fields --------------------------------------------------------------------------------
 
 static const char magic[8] = "rnfake1";
+
+// A file for viewing has another: "rnview" and its form.
+static int form_of(const void *bytes) {
+    return memcmp(bytes, "rnview", 6) == 0 ? ((const char *)bytes)[6] : -1;
+}
 
 // Content, then the SHA-256 of it in hex.
 static enum rn_status write_field(const struct rn_field *field, const char *path,
@@ -113,24 +132,33 @@ static enum rn_status write_field(const struct rn_field *field, const char *path
     return rn_file_write_atomic(path, &file, sizeof file, err);
 }
 
+// What an earlier build wrote had another configuration, of another size: it counts as `standard`.
 static enum rn_status read_field(const char *path, struct rn_field *ret_field,
                                  struct rn_error *err) {
+    const size_t behind = offsetof(struct rn_field, bounds), rest = sizeof *ret_field - behind;
     uint8_t *bytes;
     size_t size;
+    char digest[65] = "";
     enum rn_status status = rn_file_read(path, 1 << 20, &bytes, &size, err);
     if (status) return status;
-    char digest[65] = "";
-    if (size >= sizeof *ret_field + sizeof digest) {
-        memcpy(ret_field, bytes, sizeof *ret_field);
+    size_t own = size > sizeof digest + 7 ? size - sizeof digest - 7 : 0; // padded to 8 bytes
+    if (own > rest + sizeof magic) {
         struct rn_sha256 hash;
         rn_sha256_init(&hash);
-        rn_sha256_update(&hash, bytes, sizeof *ret_field);
+        rn_sha256_update(&hash, bytes, own);
         rn_sha256_final_hex(&hash, digest);
     }
-    bool good = *digest && memcmp(ret_field->magic, magic, sizeof magic) == 0 &&
-                memcmp(digest, bytes + sizeof *ret_field, sizeof digest) == 0;
+    bool good = *digest && (memcmp(bytes, magic, sizeof magic) == 0 || form_of(bytes) >= 0) &&
+                memcmp(digest, bytes + own, sizeof digest) == 0;
+    if (good && own == sizeof *ret_field)
+        memcpy(ret_field, bytes, own);
+    else if (good) {
+        status = rn_preset("standard", false, &ret_field->config, err);
+        memcpy(ret_field->magic, magic, sizeof magic);
+        memcpy((char *)ret_field + behind, bytes + own - rest, rest);
+    }
     free(bytes);
-    return good ? RN_OK : rn_error_set(err, RN_ERROR_CORRUPT, path, "the checkpoint is damaged");
+    return good ? status : rn_error_set(err, RN_ERROR_CORRUPT, path, "the checkpoint is damaged");
 }
 
 enum rn_status rn_field_load(struct rn_engine *engine, const char *checkpoint_path,
@@ -150,6 +178,25 @@ void rn_field_destroy(struct rn_field **field) {
     *field = NULL;
 }
 
+const int rn_viewing_bits[RN_VIEWING_FORMS] = {4, 5, 6, 8, 16, 32};
+
+size_t rn_viewing_bytes(const struct rn_field *field, int bits) {
+    return sizeof *field + 72 + (size_t)bits;
+}
+
+enum rn_status rn_viewing_write(struct rn_field *field, const struct rn_viewing *viewing,
+                                const char *path, struct rn_error *err) {
+    struct rn_field file = *field;
+    memcpy(file.magic, "rnview", 6);
+    file.magic[6] = (char)viewing->bits;
+    return write_field(&file, path, err);
+}
+
+// The one effect that can be switched off.
+static bool without_lens(const struct rn_train_config *config) {
+    return config->effect[RN_EFFECT_DISTORTION] == RN_EFFECT_UNWANTED;
+}
+
 void rn_field_describe(const struct rn_field *field, struct rn_field_info *ret_info) {
     *ret_info = (struct rn_field_info){.config = field->config,
                                        .bounds = field->bounds,
@@ -167,6 +214,15 @@ void rn_field_describe(const struct rn_field *field, struct rn_field_info *ret_i
         snprintf(ret_info->effects[i].reason, sizeof ret_info->effects[i].reason, "pretended");
     }
     ret_info->effects[RN_EFFECT_VIEW_DEPENDENCE].number = NAN;
+    ret_info->effects[RN_EFFECT_DISTORTION].on = !without_lens(&field->config);
+    if (form_of(field->magic) > 0)
+        ret_info->viewing = (struct rn_viewing){.bits = form_of(field->magic),
+                                                .psnr = 20,
+                                                .trained = 20,
+                                                .views = 1,
+                                                .split = "test",
+                                                .dataset = "pretended",
+                                                .version = "pretended"};
 }
 
 void rn_field_sha256(const struct rn_field *field, char ret_hex[65]) {
@@ -174,6 +230,37 @@ void rn_field_sha256(const struct rn_field *field, char ret_hex[65]) {
     rn_sha256_init(&hash);
     rn_sha256_update(&hash, &field->state, sizeof field->state);
     rn_sha256_final_hex(&hash, ret_hex);
+}
+
+// ---- meshes --------------------------------------------------------------------------------
+
+// A ball in a cube.
+static enum rn_status slice(void *context, int z, float *ret_values, struct rn_error *err) {
+    const int *cells = context;
+    for (int i = 0; i < (*cells + 1) * (*cells + 1); i++) {
+        int at[3] = {i % (*cells + 1), i / (*cells + 1), z};
+        double squares = 0;
+        for (int k = 0; k < 3; k++)
+            squares += pow(2.0 * at[k] / *cells - 1, 2);
+        *ret_values++ = (float)(0.8 - sqrt(squares));
+    }
+    return RN_OK;
+}
+
+enum rn_status rn_field_mesh(struct rn_engine *engine, struct rn_field *field,
+                             const struct rn_mesh_options *options,
+                             bool (*keep_going)(void *context), void *context,
+                             struct rn_mesh *ret_mesh, struct rn_error *err) {
+    int cells = options->cells;
+    struct rn_mesh_grid grid = {.low = {-1, -1, -1},
+                                .high = {1, 1, 1},
+                                .cells = {cells, cells, cells},
+                                .slice = slice,
+                                .context = &cells};
+    if (isfinite(options->box[0][0]) && !(options->box[1][0] > options->box[0][0]))
+        return rn_error_set(err, RN_ERROR_INVALID, "#/options/crop", "has no size");
+    *ret_mesh = (struct rn_mesh){0};
+    return rn_mesh_march(&grid, options->level - 0.5, ret_mesh, err);
 }
 
 // ---- training ------------------------------------------------------------------------------
@@ -188,6 +275,22 @@ static enum rn_status create(const struct rn_field *field, struct rn_trainer **r
     trainer->psnr_step = isnan(field->psnr) ? 0 : field->steps;
     trainer->load_seconds = now_s() - begin;
     *ret_trainer = trainer;
+    return RN_OK;
+}
+
+int rn_train_scale(const struct rn_dataset *dataset, const struct rn_train_config *config) {
+    return 1;
+}
+
+enum rn_status rn_train_need(struct rn_engine *engine, const struct rn_dataset *dataset,
+                             const struct rn_train_config *config, size_t *ret_bytes,
+                             struct rn_error *err) {
+    *ret_bytes = (size_t)setting("RIPNERF_FAKE_NEED_MB", 1) << 20;
+    return RN_OK;
+}
+
+enum rn_status rn_field_need(const char *checkpoint_path, size_t *ret_bytes, struct rn_error *err) {
+    *ret_bytes = sizeof(struct rn_field);
     return RN_OK;
 }
 
@@ -243,7 +346,7 @@ enum rn_status rn_trainer_advance(struct rn_trainer *trainer, double budget_ms,
         field->state = field->state * 6364136223846793005u + 1442695040888963407u;
         field->steps++;
         double now = now_s();
-        field->train_seconds += now - last;
+        field->train_seconds += (now - last) * (double)setting("RIPNERF_FAKE_SPEED", 1);
         last = now;
     }
     return RN_OK;
@@ -287,7 +390,8 @@ enum rn_status rn_trainer_validate(struct rn_trainer *trainer, double budget_ms,
     trainer->evaluate_seconds += now_s() - begin;
     if (!*ret_done) return RN_OK;
     trainer->validated = 0;
-    trainer->field.psnr = 20 + 15 * (1 - exp(-(double)trainer->field.steps / 200));
+    trainer->field.psnr = (without_lens(&trainer->field.config) ? 18 : 20) +
+                          15 * (1 - exp(-(double)trainer->field.steps / 200));
     trainer->psnr_step = trainer->field.steps;
     return RN_OK;
 }
@@ -335,8 +439,8 @@ struct rn_field *rn_trainer_field(struct rn_trainer *trainer) {
     return &trainer->field;
 }
 
-enum rn_status rn_trainer_save_begin(struct rn_trainer *trainer, const char *path, bool *ret_begun,
-                                     struct rn_error *err) {
+enum rn_status rn_trainer_save_begin(struct rn_trainer *trainer, enum rn_save_part part,
+                                     const char *path, bool *ret_begun, struct rn_error *err) {
     enum rn_status status = write_field(&trainer->field, path, err);
     rn_field_sha256(&trainer->field, trainer->saved_sha256);
     *ret_begun = status == RN_OK;
@@ -400,6 +504,14 @@ enum rn_status rn_render(struct rn_engine *engine, struct rn_field *field,
         status = fill(&result.depth, field, options, 1, keep_going, context, err);
     if (!status && options->outputs & RN_OUTPUT_ALPHA)
         status = fill(&result.alpha, field, options, 1, keep_going, context, err);
+    if (!status && options->outputs & RN_OUTPUT_NORMAL)
+        status = fill(&result.normal, field, options, 3, keep_going, context, err);
+    if (!status && options->outputs & RN_OUTPUT_COST)
+        status = fill(&result.cost, field, options, 1, keep_going, context, err);
+    if (!status && options->outputs & RN_OUTPUT_LEVEL)
+        status = fill(&result.level, field, options, 1, keep_going, context, err);
+    if (!status && options->outputs & RN_OUTPUT_FOOTPRINT)
+        status = fill(&result.footprint, field, options, 1, keep_going, context, err);
     if (status) {
         rn_render_result_finish(&result);
         return status;
@@ -420,6 +532,10 @@ void rn_render_result_finish(struct rn_render_result *result) {
     rn_picture_finish(&result->rgb);
     rn_picture_finish(&result->depth);
     rn_picture_finish(&result->alpha);
+    rn_picture_finish(&result->normal);
+    rn_picture_finish(&result->cost);
+    rn_picture_finish(&result->level);
+    rn_picture_finish(&result->footprint);
 }
 
 enum rn_status rn_evaluate_view(struct rn_engine *engine, struct rn_field *field,
@@ -434,8 +550,18 @@ enum rn_status rn_evaluate_view(struct rn_engine *engine, struct rn_field *field
     if (status) return status;
     *ret_score = (struct rn_view_score){.psnr = 30 + frame->scale + 0.1 * (frame->index % 3),
                                         .ssim = 0.9 + 0.01 * frame->scale,
+                                        .lpips = NAN,
                                         .render_ms = result.stats.render_ms};
     rn_render_result_finish(&result);
+    return RN_OK;
+}
+
+enum rn_status rn_evaluate_depth(struct rn_engine *engine, struct rn_field *field,
+                                 const struct rn_frame *frame, const struct rn_points *points,
+                                 const struct rn_render_options *given,
+                                 bool (*keep_going)(void *context), void *context,
+                                 struct rn_depth_score *ret_score, struct rn_error *err) {
+    *ret_score = (struct rn_depth_score){.median = NAN};
     return RN_OK;
 }
 

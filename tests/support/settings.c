@@ -3,6 +3,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 
+#include "common/settings/optics.h"
 #include "common/settings/render.h"
 #include "common/settings/train.h"
 
@@ -24,13 +25,13 @@ static json_t *row_of(const struct rn_setting *row) {
     json_t *choices = json_array();
     for (int i = 0; row->choices && row->choices[i]; i++)
         json_array_append_new(choices, json_string(row->choices[i]));
-    return json_pack("{s:s,s:s,s:f,s:f,s:s,s:s,s:o,s:o,s:o,s:o,s:o,s:o,s:[f,f,f]}", "name",
+    return json_pack("{s:s,s:s,s:f,s:f,s:s,s:s,s:o,s:o,s:o,s:o,s:o,s:o,s:b,s:[f,f,f]}", "name",
                      row->name, "type", types[row->type], "min", row->min, "max", row->max, "unit",
                      row->unit, "meaning", row->meaning, "option", text(row->option), "flag",
                      text(row->flag), "told", text(row->told ? row->told : row->name), "choices",
                      choices, "flags", flags_of(row), "settled",
-                     isnan(row->settled) ? json_null() : json_real(row->settled), "presets",
-                     row->paper, row->standard, row->draft);
+                     isnan(row->settled) ? json_null() : json_real(row->settled), "by_name",
+                     rn_setting_is_by_name(row), "presets", row->paper, row->standard, row->draft);
 }
 
 static json_t *table(const struct rn_settings *settings) {
@@ -41,11 +42,11 @@ static json_t *table(const struct rn_settings *settings) {
 }
 
 int main(void) {
-    json_t *both = json_pack("{s:o,s:o}", "train", table(&rn_train_settings), "render",
-                             table(&rn_render_settings));
-    char *json = both ? json_dumps(both, JSON_INDENT(1)) : NULL;
+    json_t *all = json_pack("{s:o,s:o,s:o}", "train", table(&rn_train_settings), "render",
+                            table(&rn_render_settings), "optics", table(&rn_optics_settings));
+    char *json = all ? json_dumps(all, JSON_INDENT(1)) : NULL;
     if (json) puts(json);
     free(json);
-    json_decref(both);
+    json_decref(all);
     return json ? 0 : 1;
 }

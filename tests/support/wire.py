@@ -12,7 +12,7 @@ TYPES = {"open": 1, "train": 2, "path": 3, "eval": 4, "ingest": 5, "pause": 6, "
          "finish": 8, "cancel": 9, "render": 10, "shutdown": 11, "hello": 64, "opened": 65,
          "state": 66, "progress": 67, "metric": 68, "checkpoint": 69, "frame": 70,
          "rendered": 71, "done": 72, "failed": 73, "info": 74, "incident": 75, "alive": 76,
-         "grant": 12, "rest": 13, "reserve": 77}
+         "grant": 12, "rest": 13, "curve": 14, "estimate": 15, "reserve": 77}
 NAMES = {number: name for name, number in TYPES.items()}
 HEADER = struct.Struct("<IIII")
 MAGIC = 0x31574E52

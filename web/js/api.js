@@ -1,6 +1,8 @@
 // The daemon's HTTP interface. Addresses are relative to the page, so that a proxy may add a
 // prefix.
 
+import {sleep} from './dom.js';
+
 const base = new URL('.', document.baseURI);
 const TOKEN = 'ripnerf-token';
 
@@ -37,6 +39,17 @@ export const token = {
   set: (value) => (value ? sessionStorage.setItem(TOKEN, value) : sessionStorage.removeItem(TOKEN)),
 };
 
+/**
+ * Takes the token of a link (#t=TOKEN/scene/NAME) out of the address and keeps it for this tab: it
+ * stands in no history, and no server has seen it.
+ */
+export function takeLinkToken() {
+  const found = /^#t=([^/]+)(\/.*)?$/.exec(location.hash);
+  if (!found) return;
+  token.set(found[1]);
+  history.replaceState(null, '', `#${found[2] ?? '/'}`);
+}
+
 /** The absolute address of an API path ("/v1/…" or "v1/…"). */
 export const address = (path) => new URL(path.replace(/^\//, ''), base).href;
 
@@ -66,29 +79,42 @@ async function problemOf(response) {
 /**
  * One exchange. Throws Problem, Unreachable or AbortError.
  * @param {string} method @param {string} path
- * @param {{json?: any, headers?: object, signal?: AbortSignal}} [options]
+ * @param {{json?: any, headers?: object, signal?: AbortSignal, repeatable?: boolean}} [options]
+ *     repeatable: as often asked as once; by default what reads, and what has a key
  * @returns {Promise<Response>} with a 2xx status
  */
-export async function request(method, path, {json, headers = {}, signal} = {}) {
+export async function request(method, path, {json, headers = {}, signal, repeatable} = {}) {
   const used = token.get();
-  let response;
-  try {
-    response = await fetch(address(path), {
-      method,
-      signal,
-      body: json === undefined ? undefined : JSON.stringify(json),
-      headers: withToken(
-          json === undefined ? headers : {'Content-Type': 'application/json', ...headers}),
-    });
-  } catch (error) {
-    if (signal?.aborted) throw error;
-    hooks.unreachable();
-    throw new Unreachable();
-  }
+  const response = await reach(address(path), {
+    method,
+    signal,
+    body: json === undefined ? undefined : JSON.stringify(json),
+    headers: withToken(
+        json === undefined ? headers : {'Content-Type': 'application/json', ...headers}),
+  }, repeatable ?? (method === 'GET' || 'Idempotency-Key' in headers));
   if (response.ok) return response;
   if (response.status === 401 && await renewToken(used))
-    return request(method, path, {json, headers, signal});
+    return request(method, path, {json, headers, signal, repeatable});
   throw await problemOf(response);
+}
+
+const AGAIN_MS = [100, 400];  // a request that was lost on its way is made anew after so long
+
+/** The answer; what may be asked twice is asked again where a line broke. */
+async function reach(url, what, repeatable) {
+  for (let lost = 0;; lost++) {
+    try {
+      return await fetch(url, what);
+    } catch (error) {
+      if (what.signal?.aborted) throw error;
+      if (!repeatable || lost === AGAIN_MS.length) {
+        hooks.unreachable();
+        throw new Unreachable();
+      }
+      await sleep(AGAIN_MS[lost], what.signal);
+      if (what.signal?.aborted) throw new DOMException('given up', 'AbortError');
+    }
+  }
 }
 
 const name = encodeURIComponent;
@@ -122,6 +148,8 @@ function renderFacts(response, started) {
     totalMs: performance.now() - started,
     step: number('X-Ripnerf-Step'),
     samples: number('X-Ripnerf-Samples'),
+    scale: response.headers.get('X-Ripnerf-Scale') ?? '',
+    at: number('X-Ripnerf-At'),
     askedMs: number('X-Ripnerf-Asked-Ms'),
     spentMs: number('X-Ripnerf-Spent-Ms'),
     expectedPsnr: number('X-Ripnerf-Expected-Psnr'),
@@ -140,6 +168,8 @@ export const api = {
   /** Cameras of all splits and scales. */
   cameras: async (id, signal) =>
       (await json('GET', `v1/datasets/${name(id)}/cameras`, {signal})).items,
+  /** Sparse points: {count, items of x, y, z, red, green, blue}. */
+  points: (id, signal) => json('GET', `v1/datasets/${name(id)}/points`, {signal}),
   photo: (id, split, index, scale, signal) =>
       blob(`v1/datasets/${name(id)}/images/${name(split)}/${index}?scale=${scale}`, {signal}),
   addDirectory: (body) => json('POST', 'v1/datasets', {json: body}),
@@ -149,11 +179,17 @@ export const api = {
   removeScene: (id) => request('DELETE', `v1/scenes/${name(id)}`),
   curve: (id, signal) => json('GET', `v1/scenes/${name(id)}/curve`, {signal}),
   measureCurve: (id) => json('POST', `v1/scenes/${name(id)}/curve`, {json: {}}),
+  effects: (id, signal) => json('GET', `v1/scenes/${name(id)}/effects`, {signal}),
+  measureEffects: (id) => json('POST', `v1/scenes/${name(id)}/effects`, {json: {}}),
+  /** Training steps that were not finite: {count, items of file, incident}. */
+  incidents: (id, signal) => json('GET', `v1/scenes/${name(id)}/incidents`, {signal}),
   evaluations: (id, signal) => list(`v1/scenes/${name(id)}/evaluations`, signal),
   jobs: (signal) => list('v1/jobs', signal),
   job: (id, signal) => json('GET', `v1/jobs/${name(id)}`, {signal}),
   /** Held-out figures of a training job so far, oldest first. */
   metrics: async (id, signal) => (await json('GET', `v1/jobs/${name(id)}/metrics`, {signal})).items,
+  /** What a ladder has found so far. */
+  report: (id, signal) => json('GET', `v1/jobs/${name(id)}/report?format=json`, {signal}),
   submit: (body) => json(
       'POST', 'v1/jobs',
       {json: body, headers: {'Idempotency-Key': crypto.randomUUID?.() ?? String(Math.random())}}),
@@ -162,14 +198,18 @@ export const api = {
   frame: (id, index, signal) => blob(`v1/jobs/${name(id)}/frames/${index}`, {signal}),
   paths: (signal) => list('v1/camera-paths', signal),
   path: (id, signal) => json('GET', `v1/camera-paths/${name(id)}`, {signal}),
+  /** Makes a token or a link; its secret is in this answer alone. */
+  makeToken: (body) => json('POST', 'v1/tokens', {json: body}),
   savePath: (body) => json('POST', 'v1/camera-paths', {json: body}),
+  convertPath: (body, signal) => json('POST', 'v1/camera-paths/convert', {json: body, signal}),
   removePath: (id) => request('DELETE', `v1/camera-paths/${name(id)}`),
   stream: (path, headers, signal) => request('GET', path, {headers, signal}),
 
   /** @returns {Promise<{blob: Blob, facts: ReturnType<typeof renderFacts>}>} */
   async render(id, body, signal) {
     const started = performance.now();
-    const response = await request('POST', `v1/scenes/${name(id)}/render`, {json: body, signal});
+    const response = await request(
+        'POST', `v1/scenes/${name(id)}/render`, {json: body, signal, repeatable: true});
     const picture = await response.blob();
     return {blob: picture, facts: renderFacts(response, started)};
   },
@@ -177,38 +217,40 @@ export const api = {
   /** A file to keep: a plain link where no token is needed, else fetched and handed over. */
   download: (path, options) => blob(path, options),
 
+  /** Begins an upload of a tar; a name that is taken is refused here. */
+  beginUpload: (body, signal) => json('POST', 'v1/uploads', {json: body, signal, repeatable: true}),
+  upload: (id, signal) => json('GET', `v1/uploads/${name(id)}`, {signal}),
+  dropUpload: (id) => request('DELETE', `v1/uploads/${name(id)}`),
+  /** Imports an upload that is whole; asked twice, the same job answers. */
+  addUpload: (body, signal) => json('POST', 'v1/datasets', {json: body, signal, repeatable: true}),
+
   /**
-   * Sends a dataset as one plain tar. XMLHttpRequest, because it alone reports what was sent.
-   * @param {Record<string, any>} query @param {Blob} tar
+   * Sends a part of an upload. XMLHttpRequest, because it alone reports what was sent.
+   * @param {string} id @param {number} offset @param {Blob} part
    * @param {(sent: number) => void} onProgress @param {AbortSignal} signal
-   * @returns {Promise<any>} the import job
    */
-  upload(query, tar, onProgress, signal) {
-    const words = new URLSearchParams(
-        Object.entries(query).filter(([, value]) => value !== null && value !== ''));
+  sendPart(id, offset, part, onProgress, signal) {
     const used = token.get();
     return new Promise((resolve, reject) => {
       const call = new XMLHttpRequest();
-      call.open('POST', address(`v1/datasets?${words}`));
-      for (const [key, value] of Object.entries(withToken({'Content-Type': 'application/x-tar'})))
+      call.open('PATCH', address(`v1/uploads/${name(id)}`));
+      const headers =
+          {'Content-Type': 'application/offset+octet-stream', 'Upload-Offset': String(offset)};
+      for (const [key, value] of Object.entries(withToken(headers)))
         call.setRequestHeader(key, value);
       call.upload.onprogress = (event) => onProgress(event.loaded);
-      call.onerror = () => {
-        hooks.unreachable();
-        reject(new Unreachable());
-      };
+      call.onerror = () => reject(new Unreachable());
       call.onabort = () => reject(new DOMException('upload cancelled', 'AbortError'));
       call.onload = async () => {
-        const body = parseJson(call.responseText);
         if (call.status >= 200 && call.status < 300)
-          resolve(body);
+          resolve();
         else if (call.status === 401 && await renewToken(used))
-          resolve(api.upload(query, tar, onProgress, signal));
+          resolve(api.sendPart(id, offset, part, onProgress, signal));
         else
-          reject(new Problem(call.status, body));
+          reject(new Problem(call.status, parseJson(call.responseText)));
       };
       signal?.addEventListener('abort', () => call.abort(), {once: true});
-      call.send(tar);
+      call.send(part);
     });
   },
 };

@@ -36,18 +36,24 @@ const MARGIN = {
 };
 
 /**
- * Draws into `host`; the size follows its box.
+ * Draws into `host`; the size follows its box where none is given. Other trainings' points are
+ * drawn behind, each with its name.
  * @param {HTMLElement} host
  * @param {{x: number, y: number, step: number}[]} points by x, ascending
- * @param {{limitX: number, running: boolean, now: number}} options limitX and now in seconds, 0 =
- *     unknown
+ * @param {{limitX: number, running: boolean, now: number, past?: Past, size?: {width: number,
+ *     height: number}, others?: {name: string, points: {x: number, y: number, step: number}[]}[]}}
+ *     options limitX and now in seconds, 0 = unknown
+ * @typedef {{marks: {train_seconds: number, step: number}[], at: number|null, look: (seconds:
+ *     number) => void}} Past what of the training can be looked at, what is, and how to
  */
-export function drawChart(host, points, {limitX, running, now}) {
-  const width = Math.max(220, host.clientWidth);
-  const height = Math.max(140, host.clientHeight);
+export function drawChart(host, points, {limitX, running, now, past, size, others = []}) {
+  const width = size?.width ?? Math.max(220, host.clientWidth);
+  const height = size?.height ?? Math.max(140, host.clientHeight);
   const inner = {w: width - MARGIN.left - MARGIN.right, h: height - MARGIN.top - MARGIN.bottom};
-  const xHigh = Math.max(limitX || 0, now || 0, points.at(-1)?.x ?? 0, running ? 10 : 1);
-  const [yLow, yHigh] = points.length ? valueRange(points) : [10, 35];
+  const ends = others.map((other) => other.points.at(-1)?.x ?? 0);
+  const xHigh = Math.max(limitX || 0, now || 0, points.at(-1)?.x ?? 0, ...ends, running ? 10 : 1);
+  const all = [...points, ...others.flatMap((other) => other.points)];
+  const [yLow, yHigh] = all.length ? valueRange(all) : [10, 35];
   const X = (x) => MARGIN.left + (x / xHigh) * inner.w;
   const Y = (y) => MARGIN.top + (1 - (y - yLow) / (yHigh - yLow)) * inner.h;
   const last = points.at(-1);
@@ -55,7 +61,7 @@ export function drawChart(host, points, {limitX, running, now}) {
     viewBox: `0 0 ${width} ${height}`,
     width,
     height,
-    role: 'img',
+    role: past?.marks.length ? 'group' : 'img',
     'aria-label': summary(points),
     class: 'chart'
   });
@@ -91,10 +97,14 @@ export function drawChart(host, points, {limitX, running, now}) {
     root.append(
         s('line',
           {class: 'now', x1: X(now), x2: X(now), y1: MARGIN.top, y2: height - MARGIN.bottom}));
+  const lineOf = (some) =>
+      some.map((p, i) => `${i ? 'L' : 'M'}${X(p.x).toFixed(1)},${Y(p.y).toFixed(1)}`).join('');
+  others.forEach(
+      (other, i) => root.append(
+          s('path', {class: `line other other-${i}`, d: lineOf(other.points)},
+            s('title', null, other.name))));
   if (points.length) {
-    const line =
-        points.map((p, i) => `${i ? 'L' : 'M'}${X(p.x).toFixed(1)},${Y(p.y).toFixed(1)}`).join('');
-    root.append(s('path', {class: 'line', d: line}));
+    root.append(s('path', {class: 'line', d: lineOf(points)}));
     if (points.length < 80)
       points.forEach(
           (p) => root.append(s('circle', {class: 'dot', cx: X(p.x), cy: Y(p.y), r: 2.2})));
@@ -118,8 +128,45 @@ export function drawChart(host, points, {limitX, running, now}) {
         },
           running ? 'The first figure comes with the first evaluation' : 'No figures recorded'));
   }
+  const held = host.contains(document.activeElement) ? document.activeElement.dataset.at : null;
   fill(host, root);
-  if (points.length) showProbe(host, root, points, X, Y, height);
+  if (!points.length) return;
+  showProbe(host, root, points, X, Y, height);
+  if (past) root.append(...past.marks.map((mark) => markOf(mark, past, X, Y(valueAt(points, mark.train_seconds)))));
+  if (held) root.querySelector(`[data-at="${held}"]`)?.focus();
+}
+
+/** The curve's value at x: between the points, beyond them the nearest one's. */
+export function valueAt(points, x) {
+  const next = points.findIndex((p) => p.x >= x);
+  if (next < 0) return points.at(-1).y;
+  if (next === 0) return points[0].y;
+  const [a, b] = [points[next - 1], points[next]];
+  return a.y + ((x - a.x) / (b.x - a.x || 1)) * (b.y - a.y);
+}
+
+/** What was kept of the training, to be looked at. */
+function markOf({train_seconds: seconds, step}, {at, look}, X, y) {
+  const x = X(seconds);
+  const words = `Look at it after ${seconds.toFixed(1)} s of training, step ${step}`;
+  const choose = (event) => {
+    if (event.type === 'keydown' && event.key !== 'Enter' && event.key !== ' ') return;
+    event.preventDefault();
+    look(seconds);
+  };
+  return s(
+      'g', {
+        class: 'moment',
+        role: 'button',
+        tabindex: 0,
+        'data-at': seconds,
+        'aria-label': words,
+        'aria-pressed': String(at === seconds),
+        onclick: choose,
+        onkeydown: choose
+      },
+      s('title', null, words), s('circle', {class: 'reach', cx: x, cy: y, r: 12}),
+      s('path', {d: `M${x},${y - 6}l6,6l-6,6l-6,-6z`}));
 }
 
 const pointers = new WeakMap();  // host -> where the pointer is, kept over redrawing

@@ -41,7 +41,7 @@ export async function entriesOfDrop(items) {
 const EXTENSIONS = ['png', 'jpg', 'jpeg', 'webp', 'tif', 'tiff', 'heic', 'heif', 'avif', 'exr'];
 const FILMS = ['mp4', 'mov', 'm4v', 'mkv', 'webm', 'avi'];
 const FEWEST = 3;  // photographs that poses are found for
-const NAMING = ['file_path', 'mask_path', 'ply_file_path', 'file', 'mask'];
+const NAMING = ['file_path', 'mask_path', 'ply_file_path', 'ply_file_path', 'file', 'mask'];
 
 /**
  * The dataset's file that a document means: "./train/r_0" is "train/r_0.png" where no file says

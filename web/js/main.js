@@ -1,5 +1,5 @@
 // Starts the page: header, connection banner, token dialog, router, event stream.
-import {hooks, token} from './api.js';
+import {hooks, takeLinkToken, token} from './api.js';
 import {fill, h, text} from './dom.js';
 import {startRouter} from './router.js';
 import {isActive, retryNow, startSync, state, watch} from './store.js';
@@ -41,9 +41,9 @@ function show(route) {
     view(root, {...route, signal: leave.signal});
   else
     fill(
-        root,
+        root, h('div', {class: 'page-head'}, h('h1', null, 'No such page')),
         problemBox(
-            {title: 'No such page', message: '', detail: `There is nothing at ${location.hash}.`}));
+            {title: 'Not found', message: '', detail: `There is nothing at ${location.hash}.`}));
   if (document.activeElement && document.activeElement !== document.body &&
       !document.activeElement.closest('.top'))
     main.focus({preventScroll: true});
@@ -64,7 +64,7 @@ function askToken() {
           {once: true}));
 }
 
-function showConnection({connection, jobs}) {
+function showConnection({connection, jobs, uploads}) {
   const node = document.getElementById('connection');
   const label = {
     connecting: 'connecting',
@@ -78,10 +78,10 @@ function showConnection({connection, jobs}) {
   const activity = document.getElementById('activity');
   text(
       activity,
-      ['running', 'queued', 'paused']
-          .filter(count)
-          .map((name) => `${count(name)} ${name}`)
-          .join(', '));
+      [
+        ...Object.values(uploads).map((share) => `uploading ${Math.floor(100 * share)} %`),
+        ...['running', 'queued', 'paused'].filter(count).map((name) => `${count(name)} ${name}`)
+      ].join(', '));
   activity.hidden = !activity.textContent;
   document.getElementById('banner').hidden = connection.status !== 'offline';
 }
@@ -133,6 +133,10 @@ function startAnnouncer() {
   });
 }
 
+// An upload ends with its page.
+addEventListener('beforeunload', (event) => {
+  if (Object.keys(state.uploads).length) event.preventDefault();
+});
 hooks.askToken = async () => {
   if (tokenRefused) return null;
   token.set(null);
@@ -143,6 +147,13 @@ hooks.askToken = async () => {
 document.querySelector('.skip').addEventListener('click', (event) => {
   event.preventDefault();  // the hash is the router's
   main.focus();
+});
+takeLinkToken();
+addEventListener('hashchange', (event) => {
+  if (!/^#t=/.test(location.hash)) return;
+  event.stopImmediatePropagation();
+  takeLinkToken();
+  location.reload();
 });
 watch(showConnection);
 startBanner();

@@ -203,12 +203,13 @@ export function listen(element, get, set, signal) {
     element.setPointerCapture(event.pointerId);
     fingers.set(event.pointerId, [event.clientX, event.clientY]);
   }, options);
-  element.addEventListener('pointermove', (event) => {
+  const moved = (event) => {
     const before = fingers.get(event.pointerId);
     if (!before) return;
     const now = [event.clientX, event.clientY];
     const size = element.clientHeight || 1;
     const [dx, dy] = [(now[0] - before[0]) / size, (now[1] - before[1]) / size];
+    if (!dx && !dy) return;  // the second event of one movement
     if (fingers.size === 2)
       set(pinch(get(), fingers, event.pointerId, now, dx, dy));
     else if (event.shiftKey || event.buttons & 6)
@@ -216,7 +217,10 @@ export function listen(element, get, set, signal) {
     else
       set(turn(get(), -dx * Math.PI, dy * Math.PI));
     fingers.set(event.pointerId, now);
-  }, options);
+  };
+  // The first comes at once, the second with the browser's next frame.
+  for (const type of ['pointerrawupdate', 'pointermove'])
+    element.addEventListener(type, moved, options);
   for (const type of ['pointerup', 'pointercancel'])
     element.addEventListener(type, (event) => fingers.delete(event.pointerId), options);
   element.addEventListener('contextmenu', (event) => event.preventDefault(), options);

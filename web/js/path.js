@@ -11,12 +11,15 @@ import {
   slerp,
   sub
 } from './vector.js';
+import {blendOptics, opticsOf, problemOfOptics} from './optics.js';
 import {dolly, poseOfOrbit, turn} from './orbit.js';
 
 /**
- * @typedef {{id: string, time: number, pose: number[][], fovDeg: number, picture?: Blob}} Key
+ * @typedef {{id: string, time: number, pose: number[][], fovDeg: number, optics?: any, picture?:
+ * Blob}} Key
  * @typedef {{keys: Key[], fps: number, interpolation: 'spline'|'linear'|'circle', tension: number,
- * constantSpeed: boolean, loop: boolean, width: number, height: number}} Path
+ * constantSpeed: boolean, loop: boolean, lens: 'pinhole'|'equirectangular', width: number, height:
+ * number}} Path
  */
 
 const STEP_S = 1;
@@ -30,6 +33,7 @@ export const emptyPath = (width, height) => ({
   tension: 0,
   constantSpeed: false,
   loop: false,
+  lens: 'pinhole',
   width,
   height
 });
@@ -41,10 +45,10 @@ export function addKey(path, pose, fovDeg, picture) {
 }
 
 /** A key at a time that no other has, in its place among them. */
-export function insertKey(path, time, pose, fovDeg) {
+export function insertKey(path, time, pose, fovDeg, optics) {
   const keys = [
     ...path.keys.filter((key) => Math.abs(key.time - time) > 1e-6),
-    {id: newId(), time, pose, fovDeg}
+    {id: newId(), time, pose, fovDeg, optics}
   ];
   return {...path, keys: keys.sort((a, b) => a.time - b.time)};
 }
@@ -84,6 +88,8 @@ export function problemOf(path) {
       return `Key ${i + 1}: its time must be later than that of key ${i}.`;
     if (!(fovDeg > 0 && fovDeg < 180))
       return `Key ${i + 1}: the field of view must lie between 0 and 180 degrees.`;
+    const wrong = problemOfOptics(path.keys[i].optics);
+    if (wrong) return `Key ${i + 1}: ${wrong}`;
   }
   if (!(path.fps > 0 && path.fps <= 1000)) return 'Frames per second must lie between 0 and 1000.';
   if (!(path.width >= 1 && path.height >= 1)) return 'The picture needs a width and a height.';
@@ -110,11 +116,13 @@ export const documentOf = (path) => ({
   interpolation: path.interpolation,
   ...(path.tension ? {tension: path.tension} : {}),
   ...(path.constantSpeed ? {constant_speed: true} : {}),
+  ...(path.lens === 'equirectangular' ? {lens: path.lens} : {}),
   loop: path.loop,
   width: path.width,
   height: path.height,
-  keys:
-      path.keys.map(({time, pose, fovDeg}) => ({time, world_from_camera: pose, fov_y_deg: fovDeg})),
+  keys: path.keys.map(
+      ({time, pose, fovDeg, optics}) =>
+          ({time, world_from_camera: pose, fov_y_deg: fovDeg, ...opticsOf(optics)})),
 });
 
 /** Back from a document, in either axes. */
@@ -126,6 +134,7 @@ export function pathOfDocument(document) {
     tension: document.tension ?? 0,
     constantSpeed: Boolean(document.constant_speed),
     loop: Boolean(document.loop),
+    lens: document.lens ?? 'pinhole',
     width: document.width,
     height: document.height,
     keys: document.keys.map(
@@ -133,6 +142,7 @@ export function pathOfDocument(document) {
           id: newId(),
           time: key.time,
           fovDeg: key.fov_y_deg,
+          optics: opticsOf(key),
           pose: key.world_from_camera.map((row) => [row[0], sign * row[1], sign * row[2], row[3]]),
         })),
   };
@@ -380,7 +390,7 @@ function timeOfWay(path, time) {
 /**
  * The camera at `time` seconds from the first key. The daemon's frames follow the same positions
  * and turn a little more smoothly.
- * @param {Path} path @returns {{pose: number[][], fovDeg: number}}
+ * @param {Path} path @returns {{pose: number[][], fovDeg: number, optics?: any}}
  */
 export function cameraAt(path, time) {
   if (path.keys.length === 1) return path.keys[0];
@@ -390,5 +400,6 @@ export function cameraAt(path, time) {
     pose: poseOfQuaternion(
         slerp(quaternionOf(four[1].pose), quaternionOf(four[2].pose), u), positionAt(path, at)),
     fovDeg: mix([four[1].fovDeg], [four[2].fovDeg], u)[0],
+    optics: blendOptics(four[1].optics, four[2].optics, u),
   };
 }

@@ -8,6 +8,7 @@ export const state = {
   connection: {status: 'connecting', retryAt: 0, problem: null},
   loaded: false,
   info: null,
+  uploads: {},  // of this page, under way: dataset's name -> the share that is sent
   /** @type {any[]} newest first */
   datasets: [],
   /** @type {any[]} */
@@ -33,6 +34,15 @@ export function watch(watcher, signal) {
   watchers.add(watcher);
   signal?.addEventListener('abort', () => watchers.delete(watcher), {once: true});
   watcher(state);
+}
+
+/** How far this page has sent a dataset; null: it is over. */
+export function noteUpload(name, share) {
+  if (share === null)
+    delete state.uploads[name];
+  else
+    state.uploads[name] = share;
+  changed();
 }
 
 const TERMINAL = new Set(['succeeded', 'failed', 'cancelled']);
@@ -76,8 +86,27 @@ function putProgress(id, progress) {
   changed();
 }
 
+/** Whether who looks has a link: one scene, or the pictures of one job, is all there is. */
+export const isVisitor = () => Boolean(state.info?.you?.scene ?? state.info?.you?.job);
+/** Whether who looks may make links. */
+export const mayShare = () => ['train', 'admin'].includes(state.info?.you?.scope) && !isVisitor();
+
+/** What a link shows, and no more: no other list would be answered. */
+async function refreshVisit(info, signal) {
+  const {scene, job} = info.you;
+  const [scenes, jobs] = await Promise.all(
+      [scene ? [await api.scene(scene, signal)] : [], job ? [await api.job(job, signal)] : []]);
+  Object.assign(state, {info, scenes, jobs, datasets: [], loaded: true});
+  changed();
+}
+
 /** Reads all lists again. */
 export async function refresh(signal) {
+  if (!state.info || isVisitor()) {
+    const info = await api.info(signal);
+    state.info = info;
+    if (isVisitor()) return refreshVisit(info, signal);
+  }
   const [info, datasets, scenes, jobs] = await Promise.all(
       [api.info(signal), api.datasets(signal), api.scenes(signal), api.jobs(signal)]);
   Object.assign(state, {info, loaded: true});
@@ -118,6 +147,23 @@ async function waitToRetry(failures) {
   await sleep(wait, own.signal);
 }
 
+const VISIT_MS = 5000;
+
+/** As isVisitor, once the daemon has told who looks. */
+export async function isVisit(signal) {
+  state.info ??= await api.info(signal);
+  return isVisitor();
+}
+
+/** A visitor has no stream of events: what the link shows is read now and then. */
+async function visit(signal) {
+  while (!signal.aborted) {
+    await refresh(signal);
+    setConnection({status: 'online', problem: null});
+    await sleep(VISIT_MS, signal);
+  }
+}
+
 /** Follows the daemon for as long as the page lives; a hidden page lets its connection go. */
 export async function startSync() {
   let failures = 0;
@@ -135,6 +181,11 @@ export async function startSync() {
       });
     current = new AbortController();
     try {
+      if (await isVisit(current.signal)) {
+        failures = 0;
+        await visit(current.signal);
+        continue;
+      }
       await readEvents((headers, signal) => api.stream('v1/events', headers, signal), {
         lastId,
         signal: current.signal,

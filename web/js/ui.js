@@ -192,11 +192,12 @@ export function panel(title, props, ...children) {
 }
 
 /**
- * A box that scrolls when its content is wide or tall: with a name and reachable by the keyboard.
+ * A box that scrolls when its content is wide or tall: with a name and reachable by the keyboard. No
+ * landmark: the panel that it stands in is one.
  */
 export const scroller = (label, props, ...children) =>
     h('div', {
-      role: 'region',
+      role: 'group',
       tabindex: 0,
       'aria-label': label,
       ...props,
@@ -216,6 +217,12 @@ const VERBS = {
   eval: 'Evaluation',
   ingest: 'Import',
   curve: 'Curve',
+  estimate: 'Estimate',
+  effects: 'Effects',
+  export: 'Export',
+  ladder: 'Ladder',
+  doctor: 'Doctor',
+  validate: 'Validation',
   poses: 'Poses'
 };
 export const kindOf = (job) => VERBS[job.type] ?? job.type;

@@ -1,17 +1,20 @@
-// Keeps a canvas showing a scene: coarse while the camera moves, refined when it rests. One request
-// is under way at a time, and the latest camera wins.
+// Keeps a canvas showing a scene: coarse while the camera moves, refined when it rests. One picture
+// is asked for at a time, the next one with the newest camera as soon as the answer is there: it is
+// rendered while that is decoded and drawn.
 import {Problem, Unreachable} from './api.js';
 import {pictureOf} from './grey16.js';
+import {opticsOfPicture} from './optics.js';
 
 const STILL_MS = 150;
-const COARSE_MS = 60;       // what a coarse picture may take, answer included, two at a time
-const COARSE_FLIGHTS = 2;   // one is rendered while the other is sent, decoded and drawn
+const COARSE_MS = 30;       // what a coarse picture may take, answer included
 const HALF_FIRST_MS = 500;  // a full picture that takes longer is preceded by one of half the size
+const LENS_MS = 2500;       // a picture through a wide lens: as many cones as there is time for
 const REFRESH_MS = 2000;    // while training; renders take at most about an eighth of the time
 const EARLY_MS = 400;       // the same while a picture is of the first steps, which change most
 const EARLY_STEPS = 300;
 const [COARSE, HALF, FULL] = [0, 1, 2];
-const TOLERANCE = [0.06, 0.03, 0];  // of each; pixels are worth more than their last half dB
+const HALF_TOLERANCE = 0.03;
+const SHARP = 640 * 480;  // pixels of a coarse picture, at most
 
 const even = (x) => Math.max(8, 2 * Math.round(x / 2));
 
@@ -24,17 +27,35 @@ export function sizeFor(full, pixels) {
   return {width: even(full.width * k), height: even(full.height * k)};
 }
 
-/** The next coarse picture's pixels, from what the last one took. */
-export const nextBudget = (pixels, ms) =>
-    Math.min(480 * 360, Math.max(64 * 48, pixels * Math.min(1.6, Math.max(0.5, COARSE_MS / ms))));
+/**
+ * Size and tolerance of a coarse picture that takes as long as `effort` pixels of tolerance 0.25 do.
+ * Where most pixels can be interpolated, many of them with a wide tolerance are nearer to the full
+ * picture than few exact ones in the same time (tests/bench/page.md).
+ * @param {{width: number, height: number}} full @param {number} effort
+ */
+export function coarseOf(full, effort) {
+  const most = Math.min(SHARP, full.width * full.height);
+  if (effort < 0.9 * most) return {...sizeFor(full, 0.47 * effort), tolerance: 0.12};
+  return {
+    ...sizeFor(full, most),
+    tolerance: Number(Math.max(0.03, 0.25 * (most / effort) ** 1.4).toFixed(3))
+  };
+}
+
+const half = (full) =>
+    ({...sizeFor(full, full.width * full.height / 4), tolerance: HALF_TOLERANCE});
+
+/** The next coarse picture's effort, from what the last one took. */
+export const nextEffort = (effort, ms) =>
+    Math.min(4 * SHARP, Math.max(160 * 48, effort * Math.min(1.4, Math.max(0.5, COARSE_MS / ms) ** 0.6)));
 
 /**
  * @param {HTMLCanvasElement} canvas
  * @param {{camera: (width: number, height: number) => any, fullSize: () => {width: number, height:
  *     number},
- *   output: () => string, budgetMs: () => number|null, send: (body: any, signal: AbortSignal) => Promise<{blob: Blob, facts:
- * any}>, live: () => boolean, onPicture: (facts: any) => void, onTrouble: (trouble: Error|null) =>
- * void}} host
+ *   optics?: () => any, at?: () => number|null, crop?: () => number[]|null, output: () => string, budgetMs: () => number|null, send: (body: any,
+ * signal: AbortSignal) => Promise<{blob: Blob, facts: any}>, live: () => boolean, onPicture:
+ * (facts: any) => void, onTrouble: (trouble: Error|null) => void}} host
  * @param {AbortSignal} signal
  */
 export function createViewer(canvas, host, signal) {
@@ -42,7 +63,7 @@ export function createViewer(canvas, host, signal) {
   let shown = {version: -1, level: -1};
   const flights = new Set();
   let movedAt = 0;
-  let budget = 200 * 150;
+  let effort = 200 * 150;
   let msPerPixel = 0;
   let waitUntil = 0;
   let refreshAt = Infinity;
@@ -70,7 +91,8 @@ export function createViewer(canvas, host, signal) {
     if (now - movedAt < STILL_MS) return null;
     const full = host.fullSize();
     if (shown.level === COARSE)
-      return !host.budgetMs() && msPerPixel * full.width * full.height > HALF_FIRST_MS ? HALF : FULL;
+      return !host.budgetMs() && msPerPixel * full.width * full.height > HALF_FIRST_MS ? HALF :
+                                                                                         FULL;
     if (shown.level === HALF) return FULL;
     return host.live() && now >= refreshAt ? FULL : null;
   }
@@ -79,7 +101,7 @@ export function createViewer(canvas, host, signal) {
     if (signal.aborted || document.hidden) return;
     // Only a camera that moved on since the last request is worth a second one.
     const last = [...flights].at(-1);
-    if (last && (last.level > COARSE || last.version === version || flights.size >= COARSE_FLIGHTS))
+    if (last && (last.level > COARSE || last.version === version || !last.answered))
       return;
     const now = performance.now();
     if (now < waitUntil) {
@@ -99,31 +121,43 @@ export function createViewer(canvas, host, signal) {
 
   function requestFor(level) {
     const full = host.fullSize();
-    const size = level === FULL ?
-        full :
-        sizeFor(full, level === HALF ? full.width * full.height / 4 : budget);
+    const {tolerance, ...size} = level === FULL ? full :
+        level === HALF                          ? half(full) :
+                                                  coarseOf(full, effort);
     const output = host.output();
     const lossy = level !== FULL && output === 'rgb';
+    const optics = opticsOfPicture(host.optics?.(), level === FULL);
+    const at = host.at?.() ?? null;
+    const crop = host.crop?.() ?? null;
+    const withinMs = at ? null : host.budgetMs() ?? (optics.aperture ? LENS_MS : null);
     return {
       camera: host.camera(size.width, size.height),
       output,
-      ...(level !== FULL        ? {supersample: 1, tolerance: TOLERANCE[level]} :
-          host.budgetMs() && output === 'rgb' ? {within_ms: host.budgetMs()} :
-                                                {}),
-      ...(lossy ? {format: 'jpeg', jpeg_quality: level === COARSE ? 75 : 90} : {format: 'png'})
+      ...(at ? {at} : {}),
+      ...(crop ? {crop} : {}),
+      ...(level !== FULL                   ? {supersample: 1, tolerance} :
+              withinMs && output === 'rgb' ? {within_ms: withinMs} :
+                                             {}),
+      ...(Object.keys(optics).length ? {optics} : {}),
+      ...(lossy ? {format: 'jpeg', jpeg_quality: level === COARSE ? 88 : 90} : {format: 'png'})
     };
   }
 
   async function fly(level) {
-    const flight = {level, version, stop: new AbortController()};
+    const flight = {level, version, answered: false, stop: new AbortController()};
     flights.add(flight);
     const body = requestFor(level);
     try {
       const {blob, facts} = await host.send(body, AbortSignal.any([flight.stop.signal, signal]));
+      flight.answered = true;
+      if (level === COARSE) {
+        learn(level, body.camera, facts);
+        pump();
+      }
       const picture = await pictureOf(blob, body.output);
       if (signal.aborted) return;
       if (flight.stop.signal.aborted) return picture.close();  // of what was asked for before
-      learn(level, body.camera, facts);
+      if (level > COARSE) learn(level, body.camera, facts);
       if (flight.version < shown.version) return picture.close();  // overtaken
       draw(canvas, picture);
       shown = {version: flight.version, level};
@@ -147,7 +181,7 @@ export function createViewer(canvas, host, signal) {
   function learn(level, {width, height}, facts) {
     const spent = Number.isFinite(facts.renderMs) ? facts.renderMs : facts.totalMs;
     msPerPixel = spent / (width * height);
-    if (level === COARSE) budget = nextBudget(budget, facts.totalMs);
+    if (level === COARSE) effort = nextEffort(effort, facts.totalMs);
     if (level !== FULL) return;
     const wait = facts.step < EARLY_STEPS ? EARLY_MS : REFRESH_MS;
     refreshAt = performance.now() + Math.max(wait, 8 * spent);

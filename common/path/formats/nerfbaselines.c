@@ -32,11 +32,12 @@ static enum rn_status read(const struct rn_path_text *in, const struct rn_path_c
     if (!status && !(size[0] >= 1 && size[1] >= 1 && size[0] <= RN_CAMERA_MAX_SIZE &&
                      size[1] <= RN_CAMERA_MAX_SIZE))
         status = rn_json_error(&root, RN_ERROR_INVALID, err, "has no sensible image_size");
+    if (status) return status;
     path->width = (int)size[0];
     path->height = (int)size[1];
     path->fps = choices->fps > 0 ? choices->fps : 30;
     path->interpolation = RN_INTERPOLATE_LINEAR;
-    if (!status && choices->fps <= 0 && rn_json_find(&root, "fps", &member))
+    if (choices->fps <= 0 && rn_json_find(&root, "fps", &member))
         status = rn_json_number(&root, "fps", 1e-3, 1000, &path->fps, err);
     if (!status) status = rn_json_member(&root, "frames", &frames, err);
     if (!status) status = rn_path_make_keys(path, json_array_size(frames.value), &frames, err);

@@ -4,6 +4,8 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "common/math/vector.h"
+
 #define MAX_SKEW 0.01 // of a rotation that was written with few digits
 
 enum rn_status rn_path_make_keys(struct rn_path *path, size_t count, const struct rn_json *at,
@@ -112,34 +114,21 @@ void rn_path_quaternion_of_pose(double m[3][4], double q[4]) { // Shepperd 1978
         q[c] /= length;
 }
 
-static bool make_unit(double v[3]) {
-    double length = sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]);
-    for (int i = 0; i < 3; i++)
-        v[i] /= length;
-    return length > 1e-9;
-}
-
-static void cross(const double a[3], const double b[3], double ret[3]) {
-    ret[0] = a[1] * b[2] - a[2] * b[1];
-    ret[1] = a[2] * b[0] - a[0] * b[2];
-    ret[2] = a[0] * b[1] - a[1] * b[0];
-}
-
 enum rn_status rn_path_look_at(const struct rn_json *at, const double target[3], const double up[3],
                                double pose[3][4], struct rn_error *err) {
     double forward[3], right[3], down[3];
     for (int i = 0; i < 3; i++)
         forward[i] = target[i] - pose[i][3];
-    bool sound = make_unit(forward);
-    cross(forward, up, right);
-    if (sound && !make_unit(right)) { // straight up or down: any heading
+    bool sound = rn_make_unit(forward);
+    rn_cross(forward, up, right);
+    if (sound && !rn_make_unit(right)) { // straight up or down: any heading
         const double side[3] = {fabs(up[0]) < 0.9, fabs(up[0]) >= 0.9, 0};
-        cross(forward, side, right);
-        sound = make_unit(right);
+        rn_cross(forward, side, right);
+        sound = rn_make_unit(right);
     }
     if (!sound)
         return rn_json_error(at, RN_ERROR_INVALID, err, "has its target where the camera stands");
-    cross(forward, right, down);
+    rn_cross(forward, right, down);
     for (int i = 0; i < 3; i++) {
         pose[i][0] = right[i];
         pose[i][1] = down[i];

@@ -11,35 +11,38 @@
 
 #include "common/dataset/json_memory.h"
 #include "server/engine/checkpoint/state.h"
+#include "server/engine/checkpoint/viewing.h"
 #include "server/engine/scene/device.h"
 #include "server/engine/scene/occupancy.h"
+#include "server/engine/scene/pose.h"
 #include "server/engine/scene/scene.h"
 
 #define MAX_HEADER (100u << 20)
 
 // ---- the list of tensors, the same for writing and reading -----------------------------------
 
-static void add(struct rn_tensor *list, int *count, const char *name, const char *dtype, int rank,
-                const size_t *shape, void *data) {
+void rn_checkpoint_add(struct rn_tensor *list, int *count, const char *name, const char *dtype,
+                       int rank, const size_t *shape, void *data) {
     struct rn_tensor *t = &list[(*count)++];
     snprintf(t->name, sizeof t->name, "%s", name);
     t->dtype = dtype;
     t->rank = rank;
     t->data = data;
-    t->bytes = strcmp(dtype, "U8") == 0 ? 1 : 4;
+    t->bytes = strcmp(dtype, "U8") == 0 ? 1 : strcmp(dtype, "F16") == 0 ? 2 : 4;
     for (int i = 0; i < rank; i++) {
         t->shape[i] = shape[i];
         t->bytes *= shape[i];
     }
 }
 
-static void add_network(struct rn_tensor *list, int *count, const char *prefix,
-                        const struct rn_mlp_shape *shape, float *weights) {
+void rn_checkpoint_add_network(struct rn_tensor *list, int *count, const char *prefix,
+                               const struct rn_mlp_shape *shape, float *weights) {
     for (int l = 0; l < shape->layers; l++) {
         char name[24];
         snprintf(name, sizeof name, "%s.%d", prefix, l);
-        add(list, count, name, "F32", 2, (size_t[]){(size_t)shape->in[l], (size_t)shape->out[l]},
-            weights + shape->offset[l]);
+        rn_checkpoint_add(list, count, name, "F32", 2,
+                          (size_t[]){(size_t)shape->in[l], (size_t)shape->out[l]},
+                          weights + shape->offset[l]);
     }
 }
 
@@ -50,26 +53,34 @@ int rn_checkpoint_tensors(const struct rn_arrays *arrays,
     const struct rn_parameters *p = &field->parameters;
     size_t base = (size_t)c->base, cells = (size_t)c->occupancy;
     int count = 0;
-    add(list, &count, "planes", "F32", 4,
-        (size_t[]){(size_t)c->planes, base, base, (size_t)c->channels}, p->values);
-    add_network(list, &count, "base", &field->cpu.base_shape, p->values + p->plane_count);
-    add_network(list, &count, "head", &field->cpu.head_shape,
-                p->values + p->plane_count + p->base_count);
-    add(list, &count, "occupancy", "F32", 3, (size_t[]){cells, cells, cells}, field->occupancy);
-    add(list, &count, "hull", "U8", 3, (size_t[]){cells, cells, cells}, field->hull);
+    rn_checkpoint_add(list, &count, "planes", "F32", 4,
+                      (size_t[]){(size_t)c->planes, base, base, (size_t)c->channels}, p->values);
+    rn_checkpoint_add_network(list, &count, "base", &field->cpu.base_shape,
+                              p->values + p->plane_count);
+    rn_checkpoint_add_network(list, &count, "head", &field->cpu.head_shape,
+                              p->values + p->plane_count + p->base_count);
+    rn_checkpoint_add(list, &count, "occupancy", "F32", 3, (size_t[]){cells, cells, cells},
+                      field->occupancy);
+    rn_checkpoint_add(list, &count, "hull", "U8", 3, (size_t[]){cells, cells, cells}, field->hull);
     if (arrays->m) {
-        add(list, &count, "adam.m", "F32", 1, &p->count, arrays->m);
+        rn_checkpoint_add(list, &count, "adam.m", "F32", 1, &p->count, arrays->m);
         if (arrays->seen)
-            add(list, &count, "seen", "F32", 3, (size_t[]){cells, cells, cells}, arrays->seen);
-        add(list, &count, "adam.v", "F32", 1, &p->count, arrays->v);
+            rn_checkpoint_add(list, &count, "seen", "F32", 3, (size_t[]){cells, cells, cells},
+                              arrays->seen);
+        rn_checkpoint_add(list, &count, "adam.v", "F32", 1, &p->count, arrays->v);
+        if (arrays->pose_count)
+            rn_checkpoint_add(list, &count, "poses", "F32", 2,
+                              (size_t[]){arrays->pose_count, RN_POSE_UNKNOWNS}, arrays->poses);
     }
     return count;
 }
 
 int rn_checkpoint_add_blocks(const struct rn_arrays *arrays, struct rn_tensor *list, int count) {
     if (arrays->block_count == 0) return count;
-    add(list, &count, "draw.error", "F32", 1, &arrays->block_count, arrays->block_error);
-    add(list, &count, "draw.share", "F32", 1, &arrays->block_count, arrays->block_share);
+    rn_checkpoint_add(list, &count, "draw.error", "F32", 1, &arrays->block_count,
+                      arrays->block_error);
+    rn_checkpoint_add(list, &count, "draw.share", "F32", 1, &arrays->block_count,
+                      arrays->block_share);
     return count;
 }
 
@@ -189,14 +200,14 @@ static enum rn_status read_tensor(const struct rn_checkpoint *c, const struct rn
     if (!whole)
         return rn_error_set(err, RN_ERROR_CORRUPT, c->path, "ends before tensor '%s' does",
                             t->name);
-    if (t->dtype[0] == 'F' && !all_finite(t->data, t->bytes / 4))
+    if (strcmp(t->dtype, "F32") == 0 && !all_finite(t->data, t->bytes / 4))
         return rn_error_set(err, RN_ERROR_CORRUPT, c->path, "tensor '%s' holds non-finite numbers",
                             t->name);
     return RN_OK;
 }
 
-static enum rn_status read_list(const struct rn_checkpoint *c, const struct rn_tensor *list,
-                                int count, struct rn_error *err) {
+enum rn_status rn_checkpoint_read_list(const struct rn_checkpoint *c, const struct rn_tensor *list,
+                                       int count, struct rn_error *err) {
     enum rn_status status = RN_OK;
     for (int i = 0; i < count && status == RN_OK; i++)
         status = read_tensor(c, &list[i], err);
@@ -207,8 +218,12 @@ enum rn_status rn_checkpoint_read_arrays(const struct rn_checkpoint *c,
                                          const struct rn_arrays *arrays, struct rn_error *err) {
     struct rn_tensor list[RN_CHECKPOINT_TENSORS];
     struct rn_field *field = arrays->field;
-    enum rn_status status = read_list(c, list, rn_checkpoint_tensors(arrays, list), err);
+    enum rn_status status =
+        c->viewing.bits
+            ? rn_viewing_read(c, field, err)
+            : rn_checkpoint_read_list(c, list, rn_checkpoint_tensors(arrays, list), err);
     if (status != RN_OK) return status;
+    field->viewing = c->viewing;
     memcpy(field->effects, c->effects, sizeof field->effects);
     snprintf(field->kernels, sizeof field->kernels, "%s", c->kernels);
     field->finest_cone = c->finest_cone;
@@ -227,12 +242,22 @@ enum rn_status rn_checkpoint_read_field(const struct rn_checkpoint *c, struct rn
 enum rn_status rn_checkpoint_read_blocks(const struct rn_checkpoint *c,
                                          const struct rn_arrays *arrays, struct rn_error *err) {
     struct rn_tensor list[2];
-    enum rn_status status = read_list(c, list, rn_checkpoint_add_blocks(arrays, list, 0), err);
+    enum rn_status status =
+        rn_checkpoint_read_list(c, list, rn_checkpoint_add_blocks(arrays, list, 0), err);
     for (size_t i = 0; i < arrays->block_count && status == RN_OK; i++)
         if (!(arrays->block_share[i] > 0))
             status = rn_error_set(err, RN_ERROR_CORRUPT, c->path,
                                   "tensor 'draw.share' holds numbers that are not positive");
     return status;
+}
+
+enum rn_status rn_field_need(const char *checkpoint_path, size_t *ret_bytes, struct rn_error *err) {
+    struct rn_checkpoint checkpoint;
+    enum rn_status status = rn_checkpoint_open(checkpoint_path, &checkpoint, err);
+    if (status != RN_OK) return status;
+    *ret_bytes = rn_field_bytes(&checkpoint.config, checkpoint.config.field.levels);
+    rn_checkpoint_close(&checkpoint);
+    return RN_OK;
 }
 
 enum rn_status rn_field_load(struct rn_engine *engine, const char *checkpoint_path,

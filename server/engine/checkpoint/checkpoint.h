@@ -4,9 +4,10 @@
 // network's last layer is padded to 16 outputs, columns 3.. are zero); adam.m and adam.v F32, in
 // the order of all the former; occupancy F32 and hull U8 [x][y][z], and seen F32 where cells are
 // kept by what they show; draw.error and draw.share F32 of the blocks that rays are drawn from,
-// where they are drawn by error. Everything else is one JSON object in __metadata__["ripnerf"];
+// where they are drawn by error; poses F32 [photograph][move] where they are refined. Everything
+// else is one JSON object in __metadata__["ripnerf"];
 // __metadata__["sha256"] is the file's seal. Random numbers need no state: they are counters of the
-// step.
+// step. A file for viewing (viewing.h) holds other tensors.
 #ifndef RN_ENGINE_CHECKPOINT_CHECKPOINT_H
 #define RN_ENGINE_CHECKPOINT_CHECKPOINT_H
 
@@ -22,6 +23,7 @@ struct rn_counters {
     float gradient_scale; // a device's (cuda/README.md); 0 at the start
     int good_steps;       // since it was last changed
     float gradient_size;  // a device's, for the roulette (kernels/backend.h)
+    int pose_turns;       // of poses that are refined (train/poses.h)
 };
 // The arrays of a field and of its training. Owner: the field and the trainer.
 struct rn_arrays {
@@ -30,6 +32,8 @@ struct rn_arrays {
     uint32_t *seen;     // NULL, or what cells showed since the last round (train/seen.c)
     size_t block_count; // that rays are drawn from, where they are drawn by error; else 0
     float *block_error, *block_share;
+    size_t pose_count; // photographs, where their poses are refined; else 0
+    float *poses;      // of each RN_POSE_UNKNOWNS numbers
 };
 
 // An open checkpoint: header read and checked, tensors not yet. Owner: rn_checkpoint_close.
@@ -42,8 +46,9 @@ struct rn_checkpoint {
     char kernels[32];
     struct rn_effect_record effects[RN_EFFECT_COUNT];
     struct rn_counters counters;
-    bool has_trainer; // optimiser state is in the file
-    void *header;     // the parsed JSON
+    struct rn_viewing viewing; // of 0 bits: it is no file for viewing
+    bool has_trainer;          // optimiser state is in the file
+    void *header;              // the parsed JSON
     int fd;
     uint64_t data_start;
 };
@@ -63,6 +68,9 @@ enum rn_status rn_checkpoint_read_arrays(const struct rn_checkpoint *checkpoint,
 enum rn_status rn_checkpoint_read_blocks(const struct rn_checkpoint *checkpoint,
                                          const struct rn_arrays *arrays,
                                          struct rn_error *err) RN_MUST_CHECK;
+// Bytes of memory that such a field takes, with all levels that a picture may need.
+enum rn_status rn_field_need(const char *checkpoint_path, size_t *ret_bytes,
+                             struct rn_error *err) RN_MUST_CHECK;
 // Loads what rendering needs from a checkpoint. Non-finite parameters are refused as corrupt.
 enum rn_status rn_field_load(struct rn_engine *engine, const char *checkpoint_path,
                              struct rn_field **ret_field, struct rn_error *err) RN_MUST_CHECK;

@@ -5,6 +5,7 @@
 #include <stdio.h>
 #include <string.h>
 
+#include "server/engine/checkpoint/viewing.h"
 #include "server/engine/scene/scene.h"
 
 enum kind { KIND_INT, KIND_INT64, KIND_UINT64, KIND_DOUBLE, KIND_BOOL, KIND_TEXT16, KIND_COLOUR };
@@ -28,6 +29,8 @@ static struct member member_of(const struct rn_setting *row) {
 
 #define PROGRESS(name, kind)                                                                       \
     { #name, kind, offsetof(struct rn_progress, name), false }
+#define PROGRESS_LATER(name, kind)                                                                 \
+    { #name, kind, offsetof(struct rn_progress, name), true }
 static const struct member progress_members[] = {
     PROGRESS(step, KIND_INT64),
     PROGRESS(train_seconds, KIND_DOUBLE),
@@ -40,6 +43,9 @@ static const struct member progress_members[] = {
     PROGRESS(nonfinite_rays, KIND_UINT64),
     PROGRESS(steps_rejected, KIND_UINT64),
     PROGRESS(rollbacks, KIND_UINT64),
+    PROGRESS_LATER(gained_psnr, KIND_DOUBLE),
+    PROGRESS_LATER(gained_seconds, KIND_DOUBLE),
+    PROGRESS_LATER(plateau, KIND_BOOL),
 };
 #define COUNT(a) (sizeof(a) / sizeof *(a))
 
@@ -237,7 +243,51 @@ static enum rn_status decode_disparity(const json_t *state, const char *path,
     return RN_OK;
 }
 
-json_t *rn_checkpoint_state(const struct rn_field *field, const struct rn_counters *counters) {
+// Of a file for viewing. One that an older build cannot read has another `format`.
+static void encode_viewing(const struct rn_viewing *v, json_t *state) {
+    json_object_set_new(state, "viewing",
+                        json_pack("{s:i,s:i,s:o,s:o,s:i,s:s,s:s,s:s,s:s}", "format",
+                                  RN_VIEWING_FORMAT, "bits", v->bits, "psnr", number(v->psnr),
+                                  "trained", number(v->trained), "views", v->views, "split",
+                                  v->split, "dataset", v->dataset, "sha256", v->sha256, "version",
+                                  v->version));
+}
+
+static void decode_text(const json_t *object, const char *name, char *to, size_t size) {
+    const char *text = json_string_value(json_object_get(object, name));
+    snprintf(to, size, "%s", text ? text : "");
+}
+
+static enum rn_status decode_viewing(const json_t *state, const char *path, struct rn_viewing *ret,
+                                     struct rn_error *err) {
+    const json_t *from = json_object_get(state, "viewing");
+    if (!from) return RN_OK;
+    json_int_t format = json_integer_value(json_object_get(from, "format"));
+    char version[32];
+    decode_text(from, "version", version, sizeof version);
+    if (format > RN_VIEWING_FORMAT)
+        return rn_error_set(err, RN_ERROR_UNSUPPORTED, path,
+                            "was written by a newer ripnerf (%s, format %lld; this one reads %d); "
+                            "update this one, or export it there again with an older one",
+                            *version ? version : "no version said", (long long)format,
+                            RN_VIEWING_FORMAT);
+    *ret = (struct rn_viewing){
+        .bits = (int)json_integer_value(json_object_get(from, "bits")),
+        .psnr = number_of(from, "psnr"),
+        .trained = number_of(from, "trained"),
+        .views = (int)json_integer_value(json_object_get(from, "views")),
+    };
+    decode_text(from, "split", ret->split, sizeof ret->split);
+    decode_text(from, "dataset", ret->dataset, sizeof ret->dataset);
+    decode_text(from, "sha256", ret->sha256, sizeof ret->sha256);
+    memcpy(ret->version, version, sizeof version);
+    if (format == RN_VIEWING_FORMAT && rn_viewing_has_bits(ret->bits)) return RN_OK;
+    return rn_error_set(err, RN_ERROR_CORRUPT, path,
+                        "its 'viewing' names no form of planes that this program knows");
+}
+
+json_t *rn_checkpoint_state(const struct rn_field *field, const struct rn_counters *counters,
+                            const struct rn_viewing *viewing) {
     const struct rn_bounds *b = &field->bounds;
     json_t *levels = json_array();
     for (int l = 0; l < RN_PROGRESS_LEVELS; l++)
@@ -253,6 +303,9 @@ json_t *rn_checkpoint_state(const struct rn_field *field, const struct rn_counte
         "kernels", field->kernels, "finest_cone", field->finest_cone, "bounds", "centre",
         b->centre[0], b->centre[1], b->centre[2], "radius", b->radius, "source", (int)b->source);
     if (state) encode_disparity(&field->cpu.disparity, state);
+    if (state && counters->pose_turns > 0)
+        json_object_set_new(state, "pose_turns", json_integer(counters->pose_turns));
+    if (state && viewing) encode_viewing(viewing, state);
     return state;
 }
 
@@ -268,6 +321,7 @@ enum rn_status rn_checkpoint_parse_state(const json_t *state, const char *path,
         status = decode_all(progress_members, COUNT(progress_members),
                             json_object_get(state, "progress"), &c->counters.progress, path, err);
     if (status == RN_OK) status = decode_disparity(state, path, &c->disparity, err);
+    if (status == RN_OK) status = decode_viewing(state, path, &c->viewing, err);
     if (status == RN_OK) status = rn_train_config_check(&c->config, err);
     if (status != RN_OK) return status;
     for (size_t l = 0; l < RN_PROGRESS_LEVELS; l++)
@@ -288,6 +342,7 @@ enum rn_status rn_checkpoint_parse_state(const json_t *state, const char *path,
     c->counters.updates = json_integer_value(json_object_get(state, "updates"));
     c->counters.next_rays = (int)json_integer_value(json_object_get(state, "next_rays"));
     c->counters.gradient_scale = (float)json_number_value(json_object_get(state, "gradient_scale"));
+    c->counters.pose_turns = (int)json_integer_value(json_object_get(state, "pose_turns"));
     c->counters.good_steps = (int)json_integer_value(json_object_get(state, "good_steps"));
     c->counters.gradient_size = (float)json_number_value(json_object_get(state, "gradient_size"));
     if (!(c->counters.gradient_scale >= 0 && c->counters.gradient_scale <= 65536) ||

@@ -10,6 +10,7 @@
 #include <string.h>
 #include <unistd.h>
 
+#include "common/base/file.h"
 #include "common/base/seal.h"
 #include "common/base/sha256.h"
 #include "server/engine/checkpoint/state.h"
@@ -29,8 +30,9 @@ struct rn_checkpoint_writer {
 };
 
 static json_t *make_header(const struct rn_field *field, const struct rn_counters *counters,
-                           const struct rn_tensor *list, int count) {
-    json_t *state = rn_checkpoint_state(field, counters);
+                           const struct rn_viewing *viewing, const struct rn_tensor *list,
+                           int count) {
+    json_t *state = rn_checkpoint_state(field, counters, viewing);
     char *text = state ? json_dumps(state, JSON_COMPACT | JSON_REAL_PRECISION(17)) : NULL;
     json_decref(state);
     if (!text) return NULL;
@@ -50,25 +52,17 @@ static json_t *make_header(const struct rn_field *field, const struct rn_counter
     return header;
 }
 
-static bool write_all(int fd, const void *data, size_t bytes) {
-    const char *at = data;
-    while (bytes > 0) {
-        ssize_t n = write(fd, at, bytes);
-        if (n < 0 && errno == EINTR) continue;
-        if (n == 0) errno = EIO;
-        if (n <= 0) return false;
-        at += n;
-        bytes -= (size_t)n;
+bool rn_checkpoint_put(int fd, const char *header, size_t multiple, const struct rn_tensor *list,
+                       int count) {
+    static const char blanks[] = "                                                               ";
+    uint64_t length = strlen(header), padded = (length + multiple - 1) / multiple * multiple;
+    bool ok = rn_write_all(fd, &padded, sizeof padded) && rn_write_all(fd, header, length);
+    for (uint64_t at = length, part; ok && at < padded; at += part) {
+        part = padded - at < sizeof blanks - 1 ? padded - at : sizeof blanks - 1;
+        ok = rn_write_all(fd, blanks, part);
     }
-    return true;
-}
-
-static bool write_file(int fd, const struct rn_checkpoint_writer *w) {
-    uint64_t length = strlen(w->header), padded = (length + 7) / 8 * 8;
-    bool ok = write_all(fd, &padded, sizeof padded) && write_all(fd, w->header, length) &&
-              write_all(fd, "       ", padded - length);
-    for (int i = 0; ok && i < w->tensor_count; i++)
-        ok = write_all(fd, w->tensors[i].data, w->tensors[i].bytes);
+    for (int i = 0; ok && i < count; i++)
+        ok = rn_write_all(fd, list[i].data, list[i].bytes);
     return ok;
 }
 
@@ -88,22 +82,27 @@ static void digest(struct rn_checkpoint_writer *w) {
     rn_sha256_final_hex(&hash, w->sha256);
 }
 
+int rn_checkpoint_settle(int fd, int error, const char *temporary, const char *path,
+                         char ret_sha256[65]) {
+    if (!error && rn_seal_close(fd, temporary, ret_sha256, NULL) != RN_OK)
+        error = errno ? errno : EIO;
+    if (!error && fsync(fd) != 0) error = errno;
+    if (close(fd) != 0 && !error) error = errno;
+    if (!error && (rename(temporary, path) != 0 || !sync_folder(path))) error = errno;
+    if (error) unlink(temporary);
+    return error;
+}
+
 // 0 or errno.
 static int write_checkpoint(struct rn_checkpoint_writer *w) {
-    char temporary[sizeof w->path + 16];
+    char temporary[sizeof w->path + 16], sealed[65];
     snprintf(temporary, sizeof temporary, "%s.partial", w->path);
     int fd = open(temporary, O_RDWR | O_CREAT | O_TRUNC | O_CLOEXEC, 0644);
     if (fd < 0) return errno;
-    int error = write_file(fd, w) ? 0 : errno;
+    int error = rn_checkpoint_put(fd, w->header, 8, w->tensors, w->tensor_count) ? 0 : errno;
     digest(w);
     atomic_store(&w->stage, RN_SAVE_SYNCS);
-    char sealed[65];
-    if (!error && rn_seal_close(fd, temporary, sealed, NULL) != RN_OK) error = errno ? errno : EIO;
-    if (!error && fsync(fd) != 0) error = errno;
-    if (close(fd) != 0 && !error) error = errno;
-    if (!error && (rename(temporary, w->path) != 0 || !sync_folder(w->path))) error = errno;
-    if (error) unlink(temporary);
-    return error;
+    return rn_checkpoint_settle(fd, error, temporary, w->path, sealed);
 }
 
 static void *run(void *context) {
@@ -113,9 +112,10 @@ static void *run(void *context) {
     return NULL;
 }
 
-static char *header_text(const struct rn_field *field, const struct rn_counters *counters,
-                         const struct rn_checkpoint_writer *w) {
-    json_t *header = make_header(field, counters, w->tensors, w->tensor_count);
+char *rn_checkpoint_header(const struct rn_field *field, const struct rn_counters *counters,
+                           const struct rn_viewing *viewing, const struct rn_tensor *list,
+                           int count) {
+    json_t *header = make_header(field, counters, viewing, list, count);
     char *text = header ? json_dumps(header, JSON_COMPACT) : NULL;
     json_decref(header);
     return text;
@@ -136,7 +136,7 @@ enum rn_status rn_checkpoint_begin(const struct rn_arrays *arrays,
     w->tensor_count = rn_checkpoint_add_blocks(arrays, w->tensors, w->tensor_count);
     w->parameters = arrays->field->parameters.values;
     w->parameter_bytes = arrays->field->parameters.count * sizeof(float);
-    w->header = header_text(arrays->field, counters, w);
+    w->header = rn_checkpoint_header(arrays->field, counters, NULL, w->tensors, w->tensor_count);
     if (!w->header) {
         destroy(w);
         return rn_error_set(err, RN_ERROR_NO_MEMORY, path, "out of memory");

@@ -202,9 +202,10 @@ static void backward_chances(const struct rn_march_options *options, struct rn_w
 
 // Chooses the samples that are backpropagated through the density network, a gradient of chance p
 // scaled by 1 / p (unbiased; the standard deviation of a step's gradient is below 2 % of it at the
-// presets' threshold). One random number a packet: a sample is taken where the sum of the chances passes
-// another whole number (systematic sampling), so that of neighbours on a ray, whose gradients are
-// alike, about as many are taken as should be. Their rows move to the front. Returns their count.
+// presets' threshold). One random number a packet: a sample is taken where the sum of the chances
+// passes another whole number (systematic sampling), so that of neighbours on a ray, whose
+// gradients are alike, about as many are taken as should be. Their rows move to the front. Returns
+// their count.
 static int backward_select(const struct rn_cpu_field *field, const struct rn_march_options *options,
                            const struct rn_march_ray *rays, const row16 *ray_grad,
                            struct rn_workspace *w) {

@@ -78,7 +78,7 @@ static bool unbounded_leveled(const struct rn_cpu_field *field, const struct rn_
     const float *foot = ray->origin;
     float size = (float)rn_footprint_base(field->config);
     float radius = (0.5f * fabsf(ray->near) + 1) * ray->radius;
-    if (field->config->footprint == RN_FOOTPRINT_MIP) return radius * size > 1;
+    if (!rn_levels_by_axis(field->config)) return radius * size > 1;
     float passes = sqrtf(foot[0] * foot[0] + foot[1] * foot[1] + foot[2] * foot[2]);
     float length = (0.5f + passes) * 2 * step, limit = 1 / ((float)RN_FOOTPRINT_SCALE * size);
     return radius * radius * 0.26f + length * length * 0.085f > limit * limit;
@@ -101,7 +101,7 @@ static void ray_footprint_init(const struct rn_cpu_field *field, const struct rn
     float far = (ray->near + ray->length) * ray->radius;
     float size = (float)rn_footprint_base(field->config);
     if (forward) far = widest_forward(space, ray, &ret->forward);
-    if (field->config->footprint == RN_FOOTPRINT_MIP) {
+    if (!rn_levels_by_axis(field->config)) {
         ret->leveled = far * size > 1;
         return;
     }
@@ -118,10 +118,11 @@ static void ray_footprint_init(const struct rn_cpu_field *field, const struct rn
     }
 }
 
-// As rn_level_from_variance: within 2 ULP of max(1, level); NaN gives level 0.
-RN_INLINE vf level_from_variance(vf variance, int size, int levels) {
-    float unit = (float)RN_FOOTPRINT_SCALE * (float)size, top = (float)(1u << (2 * (levels - 1)));
-    return 0.5f * vf_log2(vf_clamp(variance * (unit * unit), 1.0f, top));
+RN_LEVEL_FUNCTIONS(RN_HD, level_from_variance, level_from_ball, vf, float, vf_clamp, vf_log2)
+
+// Of a mip whose level is the mean of both axes'.
+RN_INLINE void mean_levels(const struct rn_field_config *config, vf *lx, vf *ly) {
+    if (config->footprint == RN_FOOTPRINT_MIP) *lx = *ly = 0.5f * (*lx + *ly);
 }
 
 // Samples in unbounded space: where they lie in the frame of the planes, and the Gaussian of each
@@ -186,7 +187,7 @@ static void place_unbounded(const struct rn_cpu_field *field,
         vf_store(w->s + slots, s);
         vf_store(w->interval + slots, vf_set(options->step * (float)RN_DENSITY_UNIT));
         vf ball = vf_set(0);
-        if (leveled && field->config->footprint == RN_FOOTPRINT_MIP)
+        if (leveled && !rn_levels_by_axis(field->config))
             ball = unbounded_ball(&at, across, base, levels);
         for (int p = 0; p < field->config->planes; p++) {
             const double *au = field->solid.axis_u[p], *av = field->solid.axis_v[p];
@@ -195,14 +196,15 @@ static void place_unbounded(const struct rn_cpu_field *field,
             vf_store(w->v[p] + slots,
                      (float)av[0] * at.x[0] + (float)av[1] * at.x[1] + (float)av[2] * at.x[2]);
             if (!leveled) continue;
-            bool rip = field->config->footprint == RN_FOOTPRINT_RIP;
-            const float *d = ray->direction;
-            vf_store(w->lx[p] + slots,
-                     rip ? level_from_variance(unbounded_variance(&at, au, d), base, levels)
-                         : ball);
-            vf_store(w->ly[p] + slots,
-                     rip ? level_from_variance(unbounded_variance(&at, av, d), base, levels)
-                         : ball);
+            vf lx = ball, ly = ball;
+            if (rn_levels_by_axis(field->config)) {
+                const float *d = ray->direction;
+                lx = level_from_variance(unbounded_variance(&at, au, d), base, levels);
+                ly = level_from_variance(unbounded_variance(&at, av, d), base, levels);
+                mean_levels(field->config, &lx, &ly);
+            }
+            vf_store(w->lx[p] + slots, lx);
+            vf_store(w->ly[p] + slots, ly);
         }
     }
 }
@@ -233,23 +235,23 @@ static void place_segment(const struct rn_cpu_field *field, const struct rn_marc
         if (forward) vf_store(w->marched + at, s);
         vf_store(w->interval + at,
                  vf_bits(is.inside & vi_bits(vf_set(step * (float)RN_DENSITY_UNIT))));
-        if (leveled && field->config->footprint == RN_FOOTPRINT_MIP)
-            ball = vf_log2(
-                vf_clamp(forward ? is.wide * (float)base : is.t * (ray->radius * (float)base), 1.0f,
-                         (float)(1u << (levels - 1))));
+        if (leveled && !rn_levels_by_axis(field->config))
+            ball = level_from_ball(
+                forward ? is.wide * (float)base : is.t * (ray->radius * (float)base), levels);
         for (int p = 0; p < field->config->planes; p++) {
             const double *au = field->solid.axis_u[p], *av = field->solid.axis_v[p];
             vf_store(w->u[p] + at, (float)au[0] * is.x + (float)au[1] * is.y + (float)au[2] * is.z);
             vf_store(w->v[p] + at, (float)av[0] * is.x + (float)av[1] * is.y + (float)av[2] * is.z);
             if (!leveled) continue;
             vf lx = ball, ly = ball;
-            if (field->config->footprint == RN_FOOTPRINT_RIP) {
+            if (rn_levels_by_axis(field->config)) {
                 lx = level_from_variance(is.axial * footprint->axial_u[p] +
                                              is.radial * footprint->radial_u[p],
                                          base, levels);
                 ly = level_from_variance(is.axial * footprint->axial_v[p] +
                                              is.radial * footprint->radial_v[p],
                                          base, levels);
+                mean_levels(field->config, &lx, &ly);
             }
             vf_store(w->lx[p] + at, lx);
             vf_store(w->ly[p] + at, ly);

@@ -8,15 +8,18 @@
 #include <stdbool.h>
 
 #include "server/engine/cpu/features.h"
+#include "server/engine/field/ripmap.h"
 
-// Texel coordinate of p in [-1, 1] on `size` texels: *ret_low and the weight of low + 1.
+RN_INLINE vf vf_whole(vf x) {
+    return vf_from_int(vi_from_float(x));
+}
+RN_TEXEL_FUNCTION(texel_lanes, vf, vf_set, vf_min, vf_max, vf_whole)
+
+// The same on a line of one size.
 RN_INLINE void lerp_vector(vf p, int size, vi *ret_low, vf *ret_fraction) {
-    float half = 0.5f * (float)size;
-    vf x = vf_clamp(p * half + (half - 0.5f), 0.0f, (float)(size - 1));
-    vf low = vf_from_int(vi_from_float(x));
-    low = vf_min(low, vf_set((float)(size > 1 ? size - 2 : 0)));
+    vf low;
+    texel_lanes(p, vf_set((float)size), &low, ret_fraction);
     *ret_low = vi_from_float(low);
-    *ret_fraction = x - low;
 }
 
 // Where RN_VL samples look on one axis of a pyramid: level, weight of the next level, and at both
@@ -31,12 +34,10 @@ RN_INLINE void look_up_axis(vf p, vf level, int base, struct axis_lookup *ret) {
     ret->level = whole;
     ret->upper = level - vf_from_int(whole);
     for (int i = 0; i < 2; i++) {
-        vf texels = vf_max(vf_from_int(base >> (whole + i)), vf_set(1)), half = 0.5f * texels;
-        vf x = vf_min(vf_max(p * half + (half - 0.5f), vf_set(0)), texels - 1.0f);
-        vf low = vf_min(vf_from_int(vi_from_float(x)), vf_max(texels - 2.0f, vf_set(0)));
+        vf texels = vf_max(vf_from_int(base >> (whole + i)), vf_set(1)), low;
+        texel_lanes(p, texels, &low, &ret->fraction[i]);
         ret->size[i] = vi_from_float(texels);
         ret->low[i] = vi_from_float(low);
-        ret->fraction[i] = x - low;
     }
 }
 

@@ -174,6 +174,7 @@ static bool stream_round(struct stream *s) {
                       w->candidate + r * w->room, n, w->count, w);
         take(r, n, w);
         memset(w->ray + w->count, r, (size_t)n);
+        if (s->options->samples) s->options->samples[m->ray[r] - s->rays] += (uint16_t)n;
         w->segment_start[w->segment_count] = w->count;
         w->segment_size[w->segment_count++] = (int16_t)n;
         w->count += n;

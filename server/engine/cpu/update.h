@@ -13,8 +13,8 @@
 // change, beyond the parameter's own rounding: 8 ULP; of the second moment: 4 ULP; for gradients of
 // 1e-30 to 1e30. With denormals flushed the change differs by 2e-5 of the rate at most.
 // Returns a mask of the new parameters that are not finite.
-RN_INLINE vi adamw_vector(const struct rn_adamw *o, float *parameter, float *grad, float *m,
-                          float *v) {
+RN_INLINE vi adamw_vector(const struct rn_adamw *o, const float *parameter, float *to, float *grad,
+                          float *m, float *v) {
     float rate = o->rate / o->correction1, fade = o->rate * o->decay;
     float root = 1 / __builtin_sqrtf(o->correction2);
     vf g = vf_min(vf_set(1.8e19f), vf_max(vf_set(-1.8e19f), vf_load(grad) * o->scale));
@@ -23,25 +23,32 @@ RN_INLINE vi adamw_vector(const struct rn_adamw *o, float *parameter, float *gra
     vf_store(v, second);
     vf p = vf_load(parameter), change = p * fade + rate * first / (vf_sqrt(second) * root + o->eps);
     p = p - change;
-    vf_store(parameter, p);
+    vf_store(to, p);
     vf_store(grad, vf_set(0));
     return (vi_bits(p) & 0x7f800000) == 0x7f800000;
 }
 
-static bool adamw(const struct rn_adamw *o, size_t n, float *parameter, float *grad, float *m,
-                  float *v) {
+// The new parameters go to `to`, which may be where the old ones are.
+static bool adamw_to(const struct rn_adamw *o, size_t n, const float *parameter, float *to,
+                     float *grad, float *m, float *v) {
     size_t i = 0;
     vi wild = vi_set(0);
     for (; i + RN_VL <= n; i += RN_VL)
-        wild |= adamw_vector(o, parameter + i, grad + i, m + i, v + i);
+        wild |= adamw_vector(o, parameter + i, to + i, grad + i, m + i, v + i);
     if (i == n) return !vi_mask_bits(wild);
-    float tail[4][RN_VL] = {{0}}, *all[4] = {parameter + i, grad + i, m + i, v + i};
-    for (int k = 0; k < 4; k++)
+    float tail[4][RN_VL] = {{0}}, *all[4] = {to + i, grad + i, m + i, v + i};
+    memcpy(tail[0], parameter + i, (n - i) * sizeof(float));
+    for (int k = 1; k < 4; k++)
         memcpy(tail[k], all[k], (n - i) * sizeof(float));
-    wild |= adamw_vector(o, tail[0], tail[1], tail[2], tail[3]);
+    wild |= adamw_vector(o, tail[0], tail[0], tail[1], tail[2], tail[3]);
     for (int k = 0; k < 4; k++)
         memcpy(all[k], tail[k], (n - i) * sizeof(float));
     return !vi_mask_bits(wild);
+}
+
+static bool adamw(const struct rn_adamw *o, size_t n, float *parameter, float *grad, float *m,
+                  float *v) {
+    return adamw_to(o, n, parameter, parameter, grad, m, v);
 }
 
 // A rectangle of a plane's texels at level 0; its sides are multiples of the coarsest level's.
@@ -135,22 +142,25 @@ RN_INLINE void pull_down_rect(const struct rn_plane_update *u, const struct rect
 
 RN_INLINE void build_rect(const struct rn_plane_update *u, const struct rect *rect,
                           const int channels) {
+    struct rn_map(*to)[RN_MAX_LEVELS] = u->to ? u->to : u->maps;
     for (int level = 1; u->mip && level < u->levels; level++)
-        pass_squares(u->maps, level, rect, channels, true);
+        pass_squares(to, level, rect, channels, true);
     for (int y = 0; !u->mip && y < u->levels; y++)
         for (int x = y == 0; x < u->levels; x++)
-            pass_pairs(u->maps, x, y, rect, channels, true);
+            pass_pairs(to, x, y, rect, channels, true);
 }
 
 RN_INLINE bool update_texels(const struct rn_plane_update *u, const struct rect *rect,
                              const int channels) {
     size_t row = (size_t)u->maps[0][0].width * (size_t)channels;
     size_t at = (size_t)rect->row * row + (size_t)(rect->column * channels);
+    const float *texels = u->maps[0][0].texels;
+    float *to = u->to ? u->to[0][0].texels : u->maps[0][0].texels;
     bool finite = true;
     pull_down_rect(u, rect, channels);
     for (int y = 0; y < rect->height; y++, at += row)
-        finite &= adamw(u->options, (size_t)(rect->width * channels), u->maps[0][0].texels + at,
-                        u->grad_maps[0][0].texels + at, u->m + at, u->v + at);
+        finite &= adamw_to(u->options, (size_t)(rect->width * channels), texels + at, to + at,
+                           u->grad_maps[0][0].texels + at, u->m + at, u->v + at);
     build_rect(u, rect, channels);
     return finite;
 }
@@ -165,10 +175,12 @@ static bool update_rect(const struct rn_plane_update *u, const struct rect *rect
 static void fetch_rect(const struct rn_plane_update *u, const struct rect *rect) {
     size_t row = (size_t)u->maps[0][0].width * (size_t)u->channels;
     size_t at = (size_t)rect->row * row + (size_t)(rect->column * u->channels);
-    float *all[4] = {u->maps[0][0].texels, u->grad_maps[0][0].texels, u->m, u->v};
+    float *all[5] = {u->maps[0][0].texels, u->grad_maps[0][0].texels, u->m, u->v,
+                     u->to ? u->to[0][0].texels : NULL};
+    int count = u->to ? 5 : 4;
     for (int y = 0; y < rect->height; y++, at += row)
         for (int i = 0; i < rect->width * u->channels; i += 16)
-            for (int k = 0; k < 4; k++)
+            for (int k = 0; k < count; k++)
                 __builtin_prefetch(all[k] + at + i, 1);
 }
 

@@ -7,11 +7,14 @@
 
 // ---- shapes ---------------------------------------------------------------------------------
 
+#define RN_BOTH(KERNEL, ...)                                                                       \
+    { KERNEL<__VA_ARGS__, false>, KERNEL<__VA_ARGS__, true> }
 #define RN_SHAPE(KT, WT)                                                                           \
     {                                                                                              \
-        KT, WT, rn_forward_kernel<KT, WT, true>, rn_forward_kernel<KT, WT, false>,                 \
-            rn_shade_kernel<WT, true>, rn_shade_kernel<WT, false>, rn_head_backward_kernel<WT>,    \
-            rn_base_backward_kernel<KT, WT>, rn_measure_kernel<KT, WT>                             \
+        KT, WT, RN_BOTH(rn_forward_kernel, KT, WT, true),                                          \
+            RN_BOTH(rn_forward_kernel, KT, WT, false), RN_BOTH(rn_shade_kernel, WT, true),         \
+            RN_BOTH(rn_shade_kernel, WT, false), RN_BOTH(rn_head_backward_kernel, WT),             \
+            RN_BOTH(rn_base_backward_kernel, KT, WT), RN_BOTH(rn_measure_kernel, KT, WT)           \
     }
 
 // From small to large; a field takes the first that holds it, padded with zeros.
@@ -25,6 +28,19 @@ static const struct rn_kernel_shape *find_shape(int features, int width) {
 }
 
 // ---- devices --------------------------------------------------------------------------------
+
+static void device_close(struct rn_backend_device **device) {
+    if (!*device) return;
+    for (int i = 0; i < 2; i++) {
+        if ((*device)->rendered[i]) (void)cudaEventDestroy((*device)->rendered[i]);
+        if ((*device)->arrived[i]) (void)cudaEventDestroy((*device)->arrived[i]);
+        (void)cudaFreeHost((*device)->staged[i]);
+    }
+    if ((*device)->copies) (void)cudaStreamDestroy((*device)->copies);
+    if ((*device)->stream) (void)cudaStreamDestroy((*device)->stream);
+    free(*device);
+    *device = NULL;
+}
 
 static enum rn_status device_open(int ordinal, struct rn_backend_device **ret_device,
                                   struct rn_device_about *ret_about, struct rn_error *err) {
@@ -48,11 +64,11 @@ static enum rn_status device_open(int ordinal, struct rn_backend_device **ret_de
     d->ordinal = ordinal;
     d->processors = p.multiProcessorCount;
     d->shared_bytes = p.sharedMemPerBlockOptin;
-    status = rn_cuda_check(cudaStreamCreateWithFlags(&d->stream, cudaStreamNonBlocking),
-                           "making a stream", err);
-    if (status != RN_OK) {
-        free(d);
-        return status;
+    cudaError_t e = cudaStreamCreateWithFlags(&d->stream, cudaStreamNonBlocking);
+    if (!e) e = cudaStreamCreateWithFlags(&d->copies, cudaStreamNonBlocking);
+    if (e) {
+        device_close(&d);
+        return rn_cuda_check(e, "making a stream", err);
     }
     memset(ret_about, 0, sizeof *ret_about);
     snprintf(ret_about->name, sizeof ret_about->name, "%.100s", p.name);
@@ -60,17 +76,6 @@ static enum rn_status device_open(int ordinal, struct rn_backend_device **ret_de
     ret_about->memory_bytes = p.totalGlobalMem;
     *ret_device = d;
     return RN_OK;
-}
-
-static void device_close(struct rn_backend_device **device) {
-    if (!*device) return;
-    for (int i = 0; i < 2; i++) {
-        if ((*device)->arrived[i]) (void)cudaEventDestroy((*device)->arrived[i]);
-        (void)cudaFreeHost((*device)->staged[i]);
-    }
-    (void)cudaStreamDestroy((*device)->stream);
-    free(*device);
-    *device = NULL;
 }
 
 static size_t used_bytes(const struct rn_backend_device *device) {
@@ -84,7 +89,8 @@ static size_t free_bytes(const struct rn_backend_device *) {
 
 // ---- memory ---------------------------------------------------------------------------------
 
-static enum rn_status take(struct rn_backend_device *d, size_t bytes, void **ret, struct rn_error *err) {
+static enum rn_status take(struct rn_backend_device *d, size_t bytes, void **ret,
+                           struct rn_error *err) {
     cudaError_t outcome = cudaMalloc(ret, bytes);
     if (outcome == cudaErrorMemoryAllocation) {
         (void)cudaGetLastError(); // this error is over once it has been read
@@ -104,10 +110,12 @@ static void give_back(struct rn_backend_device *d, void **memory, size_t bytes) 
     *memory = NULL;
 }
 
-static cudaError_t copy_in(const struct rn_backend_device *d, void *to, const void *from, size_t bytes) {
+static cudaError_t copy_in(const struct rn_backend_device *d, void *to, const void *from,
+                           size_t bytes) {
     return cudaMemcpyAsync(to, from, bytes, cudaMemcpyHostToDevice, d->stream);
 }
-static cudaError_t copy_out(const struct rn_backend_device *d, void *to, const void *from, size_t bytes) {
+static cudaError_t copy_out(const struct rn_backend_device *d, void *to, const void *from,
+                            size_t bytes) {
     return to ? cudaMemcpyAsync(to, from, bytes, cudaMemcpyDeviceToHost, d->stream) : cudaSuccess;
 }
 
@@ -120,6 +128,9 @@ static enum rn_status check_config(const struct rn_device_scene *s, struct rn_er
         return rn_error_set(err, RN_ERROR_UNSUPPORTED, "space",
                             "the CUDA kernels do not know unbounded space; use --device cpu, or "
                             "train what lies in the ball alone");
+    if (c->mean_level)
+        return rn_error_set(err, RN_ERROR_UNSUPPORTED, "mean_level",
+                            "the CUDA kernels take mip's level from the ball; use --device cpu");
     if (!find_shape(c->planes * c->channels, c->width))
         return rn_error_set(err, RN_ERROR_UNSUPPORTED, "width",
                             "the CUDA kernels hold planes x channels up to 160 and widths up to "
@@ -247,7 +258,8 @@ static void field_destroy(struct rn_device_field **field) {
     *field = NULL;
 }
 
-static enum rn_status field_create(struct rn_backend_device *device, const struct rn_device_scene *scene,
+static enum rn_status field_create(struct rn_backend_device *device,
+                                   const struct rn_device_scene *scene,
                                    struct rn_device_field **ret_field, struct rn_error *err) {
     enum rn_status status = check_config(scene, err);
     if (status != RN_OK) return status;
@@ -370,7 +382,7 @@ static cudaError_t prepare_step(struct rn_device_field *f, const struct rn_devic
                                   c->sparse ? 0 : (float)c->weight_decay,
                                   (float)c->adam_eps,
                                   c->beta2,
-                                  c->sparse && f->scene.planes.levels == 1};
+                                  c->sparse};
     cudaError_t e = step->measure ? rn_queue_measurement(f, step) : cudaSuccess;
     if (!e)
         e = RN_LAUNCH(rn_rates_kernel, 1, 32, 0, f->device->stream, rates, f->optimiser.update,
@@ -476,21 +488,29 @@ static cudaError_t make_stage(struct rn_backend_device *d) {
         if (!d->staged[i])
             e = cudaHostAlloc((void **)&d->staged[i], RN_RENDER_PIXELS * sizeof **d->staged,
                               cudaHostAllocDefault);
+        if (!e && !d->rendered[i]) e = cudaEventCreate(&d->rendered[i]);
         if (!e && !d->arrived[i]) e = cudaEventCreate(&d->arrived[i]);
     }
     return e;
 }
 
+// Parts take turns with two places, so that one is copied while the next is rendered.
 static cudaError_t queue_pixels(struct rn_device_field *f, const struct rn_cuda_view *view,
                                 const struct rn_cuda_march *march, int stage) {
     struct rn_backend_device *d = f->device;
+    size_t bytes = (size_t)view->count * sizeof **d->staged;
+    f->view.pixels = f->parts[stage];
     cudaError_t e = rn_queue_view(f, view, march);
+    if (!e) e = cudaEventRecord(d->rendered[stage], d->stream);
+    if (!e) e = cudaStreamWaitEvent(d->copies, d->rendered[stage], 0);
     if (!e)
-        e = copy_out(d, d->staged[stage], f->view.pixels, (size_t)view->count * sizeof **d->staged);
-    return e ? e : cudaEventRecord(d->arrived[stage], d->stream);
+        e = cudaMemcpyAsync(d->staged[stage], f->view.pixels, bytes, cudaMemcpyDeviceToHost,
+                            d->copies);
+    return e ? e : cudaEventRecord(d->arrived[stage], d->copies);
 }
 
-// While the device has one part of the pixels, the host takes the part before.
+// While the device has one part of the pixels, the host takes the part before; so the place of the
+// one after is free.
 static cudaError_t render_parts(struct rn_device_field *f, struct rn_cuda_view *view,
                                 const struct rn_cuda_march *march, int end,
                                 struct rn_pixel *ret_pixels) {
@@ -532,8 +552,9 @@ static enum rn_status render(struct rn_device_field *f, const struct rn_camera *
     if (!e) e = render_parts(f, &view, &march, end, ret_pixels);
     if (!e && first < end) e = copy_out(f->device, &status, f->view.status, sizeof status);
     cudaError_t waited = cudaStreamSynchronize(f->device->stream);
+    cudaError_t copied = cudaStreamSynchronize(f->device->copies);
     *ret_samples = status.evaluated;
-    return rn_cuda_check(e ? e : waited, "rendering", err);
+    return rn_cuda_check(e ? e : waited ? waited : copied, "rendering", err);
 }
 
 extern "C" {

@@ -91,15 +91,15 @@ RN_DEVICE bool rn_finish_geometry_grad(const struct rn_cuda_batch *b, const uint
     return rn_store_geometry_grad(b, samples, c);
 }
 
-template <int WT>
-__global__ void __launch_bounds__(256, 1)
+template <int WT, bool SHARED>
+__global__ void __launch_bounds__(RN_NETWORK_THREADS(SHARED), 1)
     rn_head_backward_kernel(const __grid_constant__ rn_cuda_scene scene,
                             const __grid_constant__ rn_cuda_batch batch, int staged) {
     uint4 *room = (uint4 *)rn_shared_memory();
     const struct rn_cuda_network *n = &scene.head;
-    const uint4 *forward = rn_stage(staged > 0 ? room : NULL,
+    const uint4 *forward = rn_stage(SHARED || staged > 0, room,
                                     scene.forward + scene.base.packed_count, n->packed_count);
-    const uint4 *backward = rn_stage(staged > 1 ? room + n->packed_count : NULL,
+    const uint4 *backward = rn_stage(SHARED || staged > 1, room + n->packed_count,
                                      scene.backward + scene.base.packed_count, n->packed_count);
     rn_stage_finish();
     struct rn_cuda_scratch scratch = rn_scratch(n, batch.scratch, batch.tile_capacity);
@@ -136,15 +136,15 @@ RN_DEVICE bool rn_store_feature_grad(const struct rn_cuda_batch *b, uint32_t til
     return bad;
 }
 
-template <int KT, int WT>
-__global__ void __launch_bounds__(256, 1)
+template <int KT, int WT, bool SHARED>
+__global__ void __launch_bounds__(RN_NETWORK_THREADS(SHARED), 1)
     rn_base_backward_kernel(const __grid_constant__ rn_cuda_scene scene,
                             const __grid_constant__ rn_cuda_batch batch, int staged) {
     uint4 *room = (uint4 *)rn_shared_memory();
     const struct rn_cuda_network *n = &scene.base;
-    const uint4 *forward = rn_stage(staged > 0 ? room : NULL, scene.forward, n->packed_count);
+    const uint4 *forward = rn_stage(SHARED || staged > 0, room, scene.forward, n->packed_count);
     const uint4 *backward =
-        rn_stage(staged > 1 ? room + n->packed_count : NULL, scene.backward, n->packed_count);
+        rn_stage(SHARED || staged > 1, room + n->packed_count, scene.backward, n->packed_count);
     rn_stage_finish();
     struct rn_cuda_scratch scratch = rn_scratch(n, batch.scratch, batch.tile_capacity);
     uint32_t count = batch.status->returned;

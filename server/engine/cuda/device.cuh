@@ -132,14 +132,15 @@ RN_DEVICE float rn_warp_sum(float value) {
     return value;
 }
 
-// Sum of x over the lanes before this one, of each part of `lanes` lanes.
+// Sum of x over the lanes before this one, of each part of `lanes` lanes. The lane's own x is never
+// in it: a large one would cost what lies before it its digits.
 template <typename T> RN_DEVICE T rn_sum_before(T x, int lanes) {
-    T sum = x;
+    T before = rn_shuffle(x, RN_LANE - 1), sum = RN_LANE % lanes > 0 ? before : 0;
     for (int d = 1; d < lanes; d *= 2) {
         T other = rn_shuffle(sum, RN_LANE - d);
         if (RN_LANE % lanes >= d) sum += other;
     }
-    return sum - x;
+    return sum;
 }
 
 #endif

@@ -6,6 +6,7 @@
 #include "server/engine/cuda/scene.cuh"
 #include "server/engine/field/footprint.h"
 #include "server/engine/field/frustum.h"
+#include "server/engine/field/ripmap.h"
 #include "server/engine/field/volume.h"
 
 // ---- samples --------------------------------------------------------------------------------
@@ -60,25 +61,30 @@ RN_DEVICE struct rn_sample rn_place(const struct rn_march_ray *ray, float s, flo
     return out;
 }
 
-// Level of footprints of `size` texels of level 0, or of the square root where `half` is 0.5; never
-// outside the maps, whatever the logarithm's last bit is.
-RN_DEVICE float rn_level(const struct rn_cuda_planes *p, float size, float half) {
-    return size > 1 ? fminf(half * rn_log2(fminf(size, 3e38f)), (float)(p->levels - 1)) : 0;
+RN_DEVICE float rn_clamp_lane(float x, float low, float high) {
+    return fminf(fmaxf(x, low), high); // NaN gives low
+}
+RN_LEVEL_FUNCTIONS(RN_DEVICE, rn_level_lane, rn_ball_level_lane, float, float, rn_clamp_lane, rn_log2)
+
+// Never outside the maps, whatever the last bit of the logarithm is.
+RN_DEVICE float rn_valid_level(const struct rn_cuda_planes *p, float level) {
+    return rn_clamp_lane(level, 0, (float)(p->levels - 1));
 }
 
 // Levels of a sample on the axes of a plane.
 RN_DEVICE void rn_levels(const struct rn_cuda_planes *p, const struct rn_footprint_factors *f,
                          const struct rn_sample *sample, float radius, float *ret_lx,
                          float *ret_ly) {
-    float size = (float)p->footprint_base, unit = (float)RN_FOOTPRINT_SCALE * size;
+    int size = p->footprint_base;
     if (p->footprint == RN_FOOTPRINT_MIP) {
-        *ret_lx = *ret_ly = rn_level(p, sample->t * (radius * size), 1);
+        float ball = sample->t * (radius * (float)size);
+        *ret_lx = *ret_ly = rn_valid_level(p, rn_ball_level_lane(ball, p->levels));
         return;
     }
     float u = sample->axial * f->axial_u + sample->radial * f->radial_u;
     float v = sample->axial * f->axial_v + sample->radial * f->radial_v;
-    *ret_lx = rn_level(p, u * (unit * unit), 0.5f);
-    *ret_ly = rn_level(p, v * (unit * unit), 0.5f);
+    *ret_lx = rn_valid_level(p, rn_level_lane(u, size, p->levels));
+    *ret_ly = rn_valid_level(p, rn_level_lane(v, size, p->levels));
 }
 
 // ---- maps -----------------------------------------------------------------------------------
@@ -89,12 +95,12 @@ struct rn_texel {
     int low;
     float fraction;
 };
+RN_TEXEL_FUNCTION(rn_texel_lane, float, (float), fminf, fmaxf, truncf)
 RN_DEVICE struct rn_texel rn_find_texel(float p, int size) {
-    float n = (float)size, half = 0.5f * n;
-    float x = fminf(fmaxf(p * half + (half - 0.5f), 0), n - 1);
     struct rn_texel t;
-    t.low = (int)fminf(x, fmaxf(n - 2, 0));
-    t.fraction = x - (float)t.low;
+    float low;
+    rn_texel_lane(p, (float)size, &low, &t.fraction);
+    t.low = (int)low;
     return t;
 }
 

@@ -17,6 +17,8 @@ static void lay_out_occupancy(struct rn_device_field *f, struct rn_arena *a) {
     rn_part(a, &o->values, n);
     rn_part(a, &o->hull, n);
     rn_part(a, &o->list, n);
+    if (f->config.sample_cells) rn_part(a, &o->drawn, n);
+    rn_part(a, &o->cells_now, 1);
     rn_part(a, &o->partial, RN_OCCUPANCY_PARTS);
 }
 
@@ -30,8 +32,11 @@ void rn_field_lay_out(struct rn_device_field *f, struct rn_arena *a) {
     rn_part(a, &s->backward, fragments);
     lay_out_occupancy(f, a);
     rn_part(a, &f->view.status, 1);
+    f->view.ray_capacity = RN_RENDER_PIXELS;
     rn_part(a, &f->view.rays, RN_RENDER_PIXELS);
-    rn_part(a, &f->view.pixels, RN_RENDER_PIXELS);
+    rn_part(a, &f->view.queue, RN_LENGTHS * RN_RENDER_PIXELS);
+    for (int i = 0; i < 2; i++)
+        rn_part(a, &f->parts[i], RN_RENDER_PIXELS);
     if (s->per_ray) rn_part(a, &f->view.ray_sums, RN_RENDER_PIXELS * RN_GEOMETRY);
 }
 
@@ -78,12 +83,13 @@ void rn_train_lay_out(struct rn_device_field *f, const struct rn_device_pixels *
     size_t numbers = (size_t)p->planes * p->plane_texels * (size_t)p->channels;
     rn_part(a, &b->status, 1);
     rn_part(a, &b->rays, rays);
+    rn_part(a, &b->queue, RN_LENGTHS * rays);
     rn_part(a, &b->ray_loss, rays);
     rn_part(a, &b->ray_weight, rays);
     rn_part(a, &b->ray_samples, rays);
     rn_part(a, &b->ray_last, rays);
     rn_part(a, &b->ray_return, rays);
-    rn_part(a, &b->returning, rays);
+    rn_part(a, &b->pieces, rays + (size_t)b->tile_capacity * RN_TILE / RN_PIECE);
     if (f->scene.per_ray) rn_part(a, &b->ray_sums, rays * RN_GEOMETRY);
     lay_out_tiles(f, a);
     lay_out_pixels(f, pixels, a);
@@ -110,11 +116,13 @@ enum rn_status rn_cuda_check(cudaError_t outcome, const char *doing, struct rn_e
 
 // ---- launches -------------------------------------------------------------------------------
 
-struct rn_staging rn_staging_for(const struct rn_backend_device *device, size_t first, size_t second) {
+struct rn_staging rn_staging_for(const struct rn_backend_device *device, size_t first,
+                                 size_t second) {
     size_t one = first * sizeof(uint4), both = (first + second) * sizeof(uint4);
-    if (both <= device->shared_bytes) return rn_staging{2, both};
-    if (one <= device->shared_bytes) return rn_staging{1, one};
-    return rn_staging{0, 0};
+    int fewer = RN_NETWORK_THREADS(false);
+    if (both <= device->shared_bytes) return rn_staging{2, both, true, RN_NETWORK_THREADS(true)};
+    if (one <= device->shared_bytes) return rn_staging{1, one, false, fewer};
+    return rn_staging{0, 0, false, fewer};
 }
 
 // Of kernels that declare none themselves: always all, since a graph of another field may launch
@@ -159,6 +167,7 @@ cudaError_t rn_queue_occupancy(struct rn_device_field *f) {
     RN_TRY(cudaMemsetAsync(o->box, 0x7f, 3 * sizeof(int), stream));
     RN_TRY(cudaMemsetAsync(o->box + 3, 0xff, 3 * sizeof(int), stream));
     RN_TRY(cudaMemsetAsync(spare, 255, count, stream));
+    RN_TRY(cudaMemsetAsync(o->cells_now, 0, sizeof *o->cells_now, stream));
     RN_TRY(RN_LAUNCH(rn_occupancy_sum_kernel, RN_OCCUPANCY_PARTS, 256, 0, stream, *o));
     RN_TRY(RN_LAUNCH(rn_occupancy_bits_kernel, RN_BLOCKS(count * 16), 256, 0, stream, *o, spare));
     RN_TRY(RN_LAUNCH(rn_distance_kernel, RN_BLOCKS(count), 256, 0, stream, bricks, 0, spare,
@@ -171,19 +180,26 @@ cudaError_t rn_queue_occupancy(struct rn_device_field *f) {
 
 cudaError_t rn_queue_measurement(struct rn_device_field *f, const struct rn_device_step *step) {
     const struct rn_field_config *c = &f->config.field;
-    float level = log2f((float)c->base / (float)c->occupancy), top = (float)(f->scene.planes.levels - 1);
-    struct rn_cuda_measurement m = {step->measure_first, step->measure_stride, 0,
+    float level = log2f((float)c->base / (float)c->occupancy),
+          top = (float)(f->scene.planes.levels - 1);
+    uint32_t first = step->measure_drawn ? 0 : step->measure_first;
+    struct rn_cuda_measurement m = {step->measure_drawn,         first,
+                                    step->measure_stride,        0,
                                     fminf(fmaxf(level, 0), top), step->measure_decay,
-                                    (float)f->config.step, f->config.seed, 0x6f63637570000000u,
-                                    f->steps};
-    if (f->scene.occupancy.count <= m.first) return cudaSuccess;
-    m.count = (f->scene.occupancy.count - m.first + m.stride - 1) / m.stride;
-    struct rn_staging s = rn_staging_for(f->device, f->scene.base.packed_count, (size_t)1 << 40);
+                                    (float)f->config.step,       f->config.seed,
+                                    0x6f63637570000000u,         f->steps};
+    uint32_t listed = f->scene.occupancy.count;
+    if (listed <= m.first) return cudaSuccess;
+    m.count = m.drawn ? listed : (listed - m.first + m.stride - 1) / m.stride;
+    if (m.drawn)
+        RN_TRY(RN_LAUNCH(rn_draw_cells_kernel, RN_BLOCKS(listed), 256, 0, f->device->stream,
+                         f->scene.occupancy, m));
+    struct rn_staging s = rn_staging_for(f->device, f->scene.base.packed_count, 0);
     struct rn_device_field *own = f;
     unsigned blocks;
-    RN_TRY(fill(f->device, f->shape->measure, 256, s.bytes, &blocks));
-    RN_TRY(RN_LAUNCH(own->shape->measure, blocks, 256, s.bytes, own->device->stream, own->scene, m,
-                     s.networks));
+    RN_TRY(fill(f->device, f->shape->measure[s.all], s.threads, s.bytes, &blocks));
+    RN_TRY(RN_LAUNCH(own->shape->measure[s.all], blocks, s.threads, s.bytes, own->device->stream,
+                     own->scene, m, s.networks));
     return rn_queue_occupancy(f);
 }
 
@@ -243,9 +259,9 @@ static cudaError_t queue_shading(struct rn_device_field *f) {
     struct rn_staging s =
         rn_staging_for(f->device, f->scene.head.packed_count, f->scene.head.packed_count);
     unsigned shade, back;
-    RN_TRY(fill(f->device, f->shape->shade_train, 256, s.bytes, &shade));
-    RN_TRY(RN_LAUNCH(f->shape->shade_train, shade, 256, s.bytes, f->device->stream, f->scene,
-                     f->batch, f->march, s.networks));
+    RN_TRY(fill(f->device, f->shape->shade_train[s.all], s.threads, s.bytes, &shade));
+    RN_TRY(RN_LAUNCH(f->shape->shade_train[s.all], shade, s.threads, s.bytes, f->device->stream,
+                     f->scene, f->batch, f->march, s.networks));
     RN_TRY(mark(f, "shade rays"));
     RN_TRY(fill(f->device, rn_sums_backward_kernel, 256, 0, &back));
     RN_TRY(RN_LAUNCH(rn_sums_backward_kernel, back, 256, 0, f->device->stream, f->batch));
@@ -259,12 +275,12 @@ static cudaError_t queue_forward(struct rn_device_field *f) {
     struct rn_staging staging =
         rn_staging_for(f->device, s->base.packed_count, s->head.packed_count);
     unsigned blocks;
-    RN_TRY(fill(f->device, f->shape->train, 384, staging.bytes, &blocks));
+    RN_TRY(fill(f->device, f->shape->train[staging.all], 384, staging.bytes, &blocks));
     RN_TRY(RN_LAUNCH(rn_rays_kernel, RN_BLOCKS(f->batch.ray_capacity), 256, 0, stream, f->source,
-                     f->batch));
+                     f->scene, f->batch));
     RN_TRY(mark(f, "rays"));
-    RN_TRY(RN_LAUNCH(f->shape->train, blocks, 384, staging.bytes, stream, f->scene, f->batch,
-                     f->march, staging.networks));
+    RN_TRY(RN_LAUNCH(f->shape->train[staging.all], blocks, 384, staging.bytes, stream, f->scene,
+                     f->batch, f->march, staging.networks));
     RN_TRY(mark(f, "forward"));
     if (s->per_ray) RN_TRY(queue_shading(f));
     RN_TRY(RN_LAUNCH(rn_order_kernel, 1, RN_ORDER_THREADS, 0, stream, f->batch));
@@ -291,13 +307,13 @@ static cudaError_t queue_gradient(struct rn_device_field *f, const struct rn_cud
 static cudaError_t queue_head_backward(struct rn_device_field *f) {
     const struct rn_cuda_scene *s = &f->scene;
     cudaStream_t stream = f->device->stream;
-    struct rn_staging head =
-        rn_staging_for(f->device, s->head.packed_count, s->head.packed_count);
+    struct rn_staging head = rn_staging_for(f->device, s->head.packed_count, s->head.packed_count);
     if (!s->per_ray) {
         unsigned blocks;
-        RN_TRY(fill(f->device, f->shape->head_backward, 256, head.bytes, &blocks));
-        RN_TRY(RN_LAUNCH(f->shape->head_backward, blocks, 256, head.bytes, stream, f->scene,
-                         f->batch, head.networks));
+        RN_TRY(
+            fill(f->device, f->shape->head_backward[head.all], head.threads, head.bytes, &blocks));
+        RN_TRY(RN_LAUNCH(f->shape->head_backward[head.all], blocks, head.threads, head.bytes,
+                         stream, f->scene, f->batch, head.networks));
         RN_TRY(mark(f, "head backward"));
     }
     if (!s->per_ray || s->view_dependence) // else it takes no part
@@ -308,13 +324,12 @@ static cudaError_t queue_head_backward(struct rn_device_field *f) {
 static cudaError_t queue_backward(struct rn_device_field *f) {
     const struct rn_cuda_scene *s = &f->scene;
     cudaStream_t stream = f->device->stream;
-    struct rn_staging base =
-        rn_staging_for(f->device, s->base.packed_count, s->base.packed_count);
+    struct rn_staging base = rn_staging_for(f->device, s->base.packed_count, s->base.packed_count);
     RN_TRY(queue_head_backward(f));
     unsigned blocks;
-    RN_TRY(fill(f->device, f->shape->base_backward, 256, base.bytes, &blocks));
-    RN_TRY(RN_LAUNCH(f->shape->base_backward, blocks, 256, base.bytes, stream, f->scene, f->batch,
-                     base.networks));
+    RN_TRY(fill(f->device, f->shape->base_backward[base.all], base.threads, base.bytes, &blocks));
+    RN_TRY(RN_LAUNCH(f->shape->base_backward[base.all], blocks, base.threads, base.bytes, stream,
+                     f->scene, f->batch, base.networks));
     RN_TRY(mark(f, "base backward"));
     RN_TRY(queue_gradient(f, &s->base, f->optimiser.base_sums));
     return mark(f, "base gradient");
@@ -353,12 +368,13 @@ cudaError_t rn_queue_view(struct rn_device_field *f, const struct rn_cuda_view *
     struct rn_staging both = rn_staging_for(f->device, s->base.packed_count, s->head.packed_count);
     struct rn_staging head = rn_staging_for(f->device, s->head.packed_count, 0);
     unsigned blocks;
-    RN_TRY(fill(f->device, f->shape->render, 384, both.bytes, &blocks));
-    RN_TRY(RN_LAUNCH(rn_view_kernel, RN_BLOCKS(v.count), 256, 0, stream, v, f->view));
-    RN_TRY(RN_LAUNCH(f->shape->render, blocks, 384, both.bytes, stream, f->scene, f->view, m,
-                     both.networks));
+    RN_TRY(fill(f->device, f->shape->render[both.all], 384, both.bytes, &blocks));
+    RN_TRY(cudaMemsetAsync(f->view.status->queued, 0, sizeof f->view.status->queued, stream));
+    RN_TRY(RN_LAUNCH(rn_view_kernel, RN_BLOCKS(v.count), 256, 0, stream, v, f->scene, f->view, m));
+    RN_TRY(RN_LAUNCH(f->shape->render[both.all], blocks, 384, both.bytes, stream, f->scene, f->view,
+                     m, both.networks));
     if (!s->per_ray || !s->view_dependence) return cudaSuccess;
-    RN_TRY(fill(f->device, f->shape->shade_render, 256, head.bytes, &blocks));
-    return RN_LAUNCH(f->shape->shade_render, blocks, 256, head.bytes, stream, f->scene, f->view, m,
-                     head.networks);
+    RN_TRY(fill(f->device, f->shape->shade_render[head.all], head.threads, head.bytes, &blocks));
+    return RN_LAUNCH(f->shape->shade_render[head.all], blocks, head.threads, head.bytes, stream,
+                     f->scene, f->view, m, head.networks);
 }

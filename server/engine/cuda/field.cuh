@@ -8,29 +8,29 @@
 #include "server/engine/cuda/step.cuh"
 
 #define RN_DEVICE_MAX_RAYS (1 << 17)
-#define RN_RENDER_PIXELS (1 << 16) // of one launch
+#define RN_RENDER_PIXELS (1 << 17) // of one launch
 
 struct rn_backend_device {
     int ordinal, processors;
     size_t shared_bytes; // of one block
     size_t used_bytes;
-    cudaStream_t stream;
-    // Pixels on their way to the host, in pinned memory, and whether they are there; made with the
+    cudaStream_t stream, copies; // kernels; pixels on their way to the host
+    // Those pixels, in pinned memory; when a part was rendered, and when it arrived. Made with the
     // first picture.
     struct rn_pixel *staged[2];
-    cudaEvent_t arrived[2];
+    cudaEvent_t rendered[2], arrived[2];
 };
 
-// The kernels of one padded shape.
+// The kernels of one padded shape; of each the second where all that it stages fits shared memory.
 struct rn_kernel_shape {
     int inputs16, width16;
-    void (*train)(struct rn_cuda_scene, struct rn_cuda_batch, struct rn_cuda_march, int);
-    void (*render)(struct rn_cuda_scene, struct rn_cuda_batch, struct rn_cuda_march, int);
-    void (*shade_train)(struct rn_cuda_scene, struct rn_cuda_batch, struct rn_cuda_march, int);
-    void (*shade_render)(struct rn_cuda_scene, struct rn_cuda_batch, struct rn_cuda_march, int);
-    void (*head_backward)(struct rn_cuda_scene, struct rn_cuda_batch, int);
-    void (*base_backward)(struct rn_cuda_scene, struct rn_cuda_batch, int);
-    void (*measure)(struct rn_cuda_scene, struct rn_cuda_measurement, int);
+    void (*train[2])(struct rn_cuda_scene, struct rn_cuda_batch, struct rn_cuda_march, int);
+    void (*render[2])(struct rn_cuda_scene, struct rn_cuda_batch, struct rn_cuda_march, int);
+    void (*shade_train[2])(struct rn_cuda_scene, struct rn_cuda_batch, struct rn_cuda_march, int);
+    void (*shade_render[2])(struct rn_cuda_scene, struct rn_cuda_batch, struct rn_cuda_march, int);
+    void (*head_backward[2])(struct rn_cuda_scene, struct rn_cuda_batch, int);
+    void (*base_backward[2])(struct rn_cuda_scene, struct rn_cuda_batch, int);
+    void (*measure[2])(struct rn_cuda_scene, struct rn_cuda_measurement, int);
 };
 
 // Events between the kernels of a step that is timed.
@@ -50,6 +50,7 @@ struct rn_device_field {
     uint8_t *spare_distance;
     size_t parameter_count;
     struct rn_cuda_batch view; // for rendering
+    struct rn_pixel *parts[2]; // the pixels of a picture's parts in turn
     void *memory, *train_memory;
     size_t memory_bytes, train_bytes;
     // training
@@ -60,7 +61,7 @@ struct rn_device_field {
     struct rn_cuda_march march;
     cudaGraphExec_t graph;
     struct rn_timer *timer; // NULL but for a step that is timed
-    uint64_t steps; // queued
+    uint64_t steps;         // queued
 };
 
 // Hands out parts of one block, 256-byte aligned; with `base` NULL it only counts.
@@ -82,12 +83,16 @@ void rn_train_lay_out(struct rn_device_field *field, const struct rn_device_pixe
 // not recover from.
 enum rn_status rn_cuda_check(cudaError_t outcome, const char *doing, struct rn_error *err);
 
-// Shared memory and the number of networks staged in it (forward.cuh): as many of the two as fit.
+// Shared memory and the number of networks staged in it (forward.cuh): as many of the two as fit;
+// whether that is all, and threads a block of the backward's kernels then.
 struct rn_staging {
     int networks;
     size_t bytes;
+    bool all;
+    int threads;
 };
-struct rn_staging rn_staging_for(const struct rn_backend_device *device, size_t first, size_t second);
+struct rn_staging rn_staging_for(const struct rn_backend_device *device, size_t first,
+                                 size_t second);
 
 // Queues the refresh of the march's bits; the measurement of cells before it.
 cudaError_t rn_queue_occupancy(struct rn_device_field *field);

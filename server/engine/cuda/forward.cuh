@@ -54,6 +54,11 @@ RN_DEVICE float rn_density_float(float logit) {
     return expf(fminf(fmaxf(logit - RN_DENSITY_SHIFT, -RN_DENSITY_CLAMP), RN_DENSITY_CLAMP));
 }
 
+// Opacity of one interval of optical depth x (field/volume.h).
+RN_DEVICE float rn_alpha_float(float x) {
+    return -expm1f(-x);
+}
+
 // Lanes 0..15 hold the samples of a tile.
 struct rn_shaded {
     float x;             // optical depth
@@ -77,7 +82,7 @@ RN_DEVICE float rn_sum_behind(float x) {
 RN_DEVICE void rn_attenuate(float stop_depth, double *depth, struct rn_shaded *s) {
     float inside = rn_sum_before(s->x, RN_TILE), before = (float)(*depth + (double)inside);
     float t = before <= stop_depth ? expf(-before) : 0;
-    s->weight = t * -expm1f(-s->x);
+    s->weight = t * rn_alpha_float(s->x);
     s->after = t * expf(-s->x);
     *depth += (double)rn_shuffle(inside + s->x, RN_TILE - 1);
 }
@@ -299,8 +304,8 @@ RN_DEVICE float rn_attenuate_backward(const struct rn_cuda_batch *b, size_t at, 
     return change * b->depth[at];
 }
 
-// Notes which samples of a tile are backpropagated, lane i sample i's answer, and adds them to those
-// behind it.
+// Notes which samples of a tile are backpropagated, lane i sample i's answer, and adds them to
+// those behind it.
 RN_DEVICE void rn_return_tile(const struct rn_cuda_batch *b, int slot, bool returns, int *behind) {
     uint32_t rows = rn_ballot(returns && RN_LANE < RN_TILE);
     *behind += rn_popcount(rows);
@@ -355,9 +360,10 @@ RN_DEVICE void rn_finish_ray(const struct rn_trace *t) {
 
 // ---- kernels --------------------------------------------------------------------------------
 
-// Rays 0 .. ray_count of the batch, each by the warp that comes first. Shared memory: the two
-// networks' fragments, as far as `staged` says (0 none, 1 the density network, 2 both).
-template <int KT, int WT, bool TRAIN>
+// Rays of the batch that may see something, each by the warp that comes first. Shared memory: the
+// two networks' fragments, as far as `staged` says (0 none, 1 the density network, 2 both, as where
+// SHARED).
+template <int KT, int WT, bool TRAIN, bool SHARED>
 __global__ void __launch_bounds__(384, 1)
     rn_forward_kernel(const __grid_constant__ rn_cuda_scene scene,
                       const __grid_constant__ rn_cuda_batch batch,
@@ -367,16 +373,14 @@ __global__ void __launch_bounds__(384, 1)
     t.scene = &scene;
     t.march = &march;
     t.batch = &batch;
-    t.base = rn_stage(staged > 0 ? room : NULL, scene.forward, scene.base.packed_count);
-    t.head = rn_stage(staged > 1 ? room + scene.base.packed_count : NULL,
+    t.base = rn_stage(SHARED || staged > 0, room, scene.forward, scene.base.packed_count);
+    t.head = rn_stage(SHARED || staged > 1, room + scene.base.packed_count,
                       scene.forward + scene.base.packed_count, scene.head.packed_count);
     rn_stage_finish();
     unsigned long long evaluated = 0;
     for (;;) {
-        int index = 0;
-        if (RN_LANE == 0) index = (int)atomicAdd(&batch.status->queue, 1u);
-        t.index = rn_shuffle(index, 0);
-        if (t.index >= batch.status->ray_count) break;
+        t.index = rn_next_ray(&batch);
+        if (t.index < 0) break;
         t.ray = batch.rays[t.index];
         rn_trace_ray<KT, WT, TRAIN>(&t);
         evaluated += (unsigned long long)t.evaluated;

@@ -99,7 +99,7 @@ __global__ void __launch_bounds__(256, 2)
     uint4 *room = (uint4 *)rn_shared_memory();
     int layers = n.hidden + 1, chunk = (int)blockIdx.x / layers, layer = (int)blockIdx.x % layers;
     struct rn_cuda_scratch scratch = rn_scratch(&n, scratch_block, tile_capacity);
-    struct rn_gradient_layer l = {scratch.into[layer], scratch.out_of[layer],
+    struct rn_gradient_layer l = {rn_into(&scratch, layer), rn_out_of(&scratch, layer),
                                   rn_cuda_layer_k16(&n, layer), rn_cuda_layer_n16(&n, layer)};
     size_t tiles = rn_cuda_tiles(of_rays ? (uint32_t)status->ray_count : status->returned);
     size_t begin = tiles * (size_t)chunk / RN_CHUNKS, end = tiles * (size_t)(chunk + 1) / RN_CHUNKS;

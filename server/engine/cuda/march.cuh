@@ -78,6 +78,20 @@ RN_DEVICE int rn_skip_empty(const struct rn_cuda_occupancy *o, const struct rn_m
     return next > k ? next : k + 1;
 }
 
+// Tiles that a ray may have, counted brick by brick by one thread; 0: it meets no brick with an
+// occupied cell, and the warp's walk would find nothing.
+RN_DEVICE int rn_tiles_ahead(const struct rn_cuda_occupancy *o, const struct rn_march_ray *ray,
+                             float step) {
+    struct rn_walk w = rn_walk_start(o, ray, step);
+    int tiles = 0;
+    while (w.k < w.end) {
+        int next = rn_skip_empty(o, ray, w.k, step);
+        tiles += next == w.k;
+        w.k = next == w.k ? w.k + (RN_TILE << w.shift) : next;
+    }
+    return tiles;
+}
+
 // Whether step k lies in an occupied cell.
 RN_DEVICE bool rn_cell_occupied(const struct rn_cuda_occupancy *o, const struct rn_march_ray *ray,
                                 int k, float step) {
@@ -142,6 +156,38 @@ RN_DEVICE int rn_walk_next(const struct rn_cuda_occupancy *o, const struct rn_ma
         count += taken;
     }
     return count;
+}
+
+// ---- which ray comes next ---------------------------------------------------------------------
+
+// Puts the lanes' rays on the lists of their lengths, those that have no tile on none; all lanes.
+RN_DEVICE void rn_queue_ray(const struct rn_cuda_batch *b, int r, int tiles) {
+    int length = tiles >= 16 ? 0 : tiles >= 8 ? 1 : tiles >= 4 ? 2 : 3;
+    RN_UNROLL
+    for (int l = 0; l < RN_LENGTHS; l++) {
+        uint32_t mine = rn_ballot(tiles > 0 && length == l);
+        int first = 0;
+        if (RN_LANE == 0 && mine)
+            first = (int)atomicAdd(&b->status->queued[l], (uint32_t)rn_popcount(mine));
+        first = rn_shuffle(first, 0);
+        if (mine >> RN_LANE & 1)
+            b->queue[l * b->ray_capacity + first + rn_popcount(mine & ((1u << RN_LANE) - 1))] = r;
+    }
+}
+
+// The next ray, for a whole warp; -1: there is none.
+RN_DEVICE int rn_next_ray(const struct rn_cuda_batch *b) {
+    int ray = -1;
+    if (RN_LANE == 0) {
+        uint32_t at = atomicAdd(&b->status->queue, 1u), count = 0;
+        int l = 0;
+        while (l < RN_LENGTHS && at >= (count = b->status->queued[l])) {
+            at -= count;
+            l++;
+        }
+        if (l < RN_LENGTHS) ray = b->queue[l * b->ray_capacity + (int)at];
+    }
+    return rn_shuffle(ray, 0);
 }
 
 #endif

@@ -15,8 +15,8 @@ enum rn_layer_mode {
     RN_LAYER_PLAIN,
 };
 
-// out[16 rows][16 NT] = a[16][16 KT] times the fragments at w ([NT][KT][lane]). Bit 8 (j % 4) + i of
-// mask[j / 4] belongs to number i of fragment j. True when a number does not fit fp16.
+// out[16 rows][16 NT] = a[16][16 KT] times the fragments at w ([NT][KT][lane]). Bit 8 (j % 4) + i
+// of mask[j / 4] belongs to number i of fragment j. True when a number does not fit fp16.
 template <int KT, int NT, rn_layer_mode MODE>
 RN_DEVICE bool rn_layer(const uint32_t (&a)[KT][4], const uint4 *w, uint32_t (&out)[NT][4],
                         uint32_t (&mask)[(NT + 3) / 4]) {
@@ -73,8 +73,8 @@ template <int NT> RN_DEVICE void rn_move(uint32_t (&to)[NT][4], const uint32_t (
         to[i / 4][i % 4] = from[i / 4][i % 4];
 }
 
-// A fragment of A in memory by rows: [row][lane % 4], four numbers a lane, so that rows from anywhere
-// can be put together.
+// A fragment of A in memory by rows: [row][lane % 4], four numbers a lane, so that rows from
+// anywhere can be put together.
 #define RN_BLOCK (RN_TILE * 4)
 RN_DEVICE void rn_store_rows(const uint32_t a[4], uint2 *to) {
     for (int i = 0; i < 2; i++)
@@ -113,25 +113,27 @@ RN_DEVICE void rn_forward(const struct rn_cuda_network *n, const uint4 *weights,
     rn_last_layer<WT>(x, weights + n->packed[n->hidden], out);
 }
 
-// What the backward of one network leaves for the weights' gradients, in one block: activations
-// that enter each layer, then gradients of what leaves it; [tile][16-column block][lane], every
-// 8x8 part transposed.
+// What the backward of one network leaves for the weights' gradients, in one block: of layer after
+// layer the activations that enter it, then the gradients of what leaves it; [tile][16-column
+// block][lane], every 8x8 part transposed.
 struct rn_cuda_scratch {
-    uint4 *into[RN_MLP_MAX_LAYERS], *out_of[RN_MLP_MAX_LAYERS];
+    uint4 *block;
+    size_t stride; // from one 16-column block to the next: of all tiles
+    int inputs16, width16;
 };
 RN_HD size_t rn_cuda_scratch_fragments(const struct rn_cuda_network *n) {
     return (size_t)(n->inputs16 + 2 * n->width16 * n->hidden + 1);
 }
 RN_DEVICE struct rn_cuda_scratch rn_scratch(const struct rn_cuda_network *n, uint4 *block,
                                             size_t tiles) {
-    struct rn_cuda_scratch s;
-    for (int l = 0; l <= n->hidden; l++) {
-        s.into[l] = block;
-        block += tiles * (size_t)rn_cuda_layer_k16(n, l) * RN_LANES;
-        s.out_of[l] = block;
-        block += tiles * (size_t)rn_cuda_layer_n16(n, l) * RN_LANES;
-    }
-    return s;
+    return rn_cuda_scratch{block, tiles * RN_LANES, n->inputs16, n->width16};
+}
+RN_DEVICE uint4 *rn_into(const struct rn_cuda_scratch *s, int layer) {
+    int before = layer > 0 ? s->inputs16 + (2 * layer - 1) * s->width16 : 0;
+    return s->block + s->stride * (size_t)before;
+}
+RN_DEVICE uint4 *rn_out_of(const struct rn_cuda_scratch *s, int layer) {
+    return s->block + s->stride * (size_t)(s->inputs16 + 2 * layer * s->width16);
 }
 
 // Backward of 16 rows through all layers but the first: the forward again, keeping activations and
@@ -143,33 +145,38 @@ RN_DEVICE bool rn_backward(const struct rn_cuda_network *n, const uint4 *forward
                            const uint32_t (&a)[KT][4], const uint32_t (&grad)[1][4],
                            uint32_t (&x)[WT][4]) {
     uint32_t y[WT][4], mask[(WT + 3) / 4], masks[RN_MLP_MAX_LAYERS][(WT + 3) / 4];
-    rn_keep_transposed<KT>(a, s->into[0] + place * KT * RN_LANES);
+    rn_keep_transposed<KT>(a, rn_into(s, 0) + place * KT * RN_LANES);
     rn_layer<KT, WT, RN_LAYER_RELU>(a, forward, x, mask);
     for (int l = 1;; l++) {
         for (int i = 0; i < (WT + 3) / 4; i++)
             masks[l - 1][i] = mask[i];
-        rn_keep_transposed<WT>(x, s->into[l] + place * WT * RN_LANES);
+        rn_keep_transposed<WT>(x, rn_into(s, l) + place * WT * RN_LANES);
         if (l == n->hidden) break;
         rn_layer<WT, WT, RN_LAYER_RELU>(x, forward + n->packed[l], y, mask);
         rn_move<WT>(x, y);
     }
-    rn_keep_transposed<1>(grad, s->out_of[n->hidden] + place * RN_LANES);
+    rn_keep_transposed<1>(grad, rn_out_of(s, n->hidden) + place * RN_LANES);
     bool bad = rn_layer<1, WT, RN_LAYER_MASKED>(grad, backward + n->packed[n->hidden], x, mask);
-    rn_keep_transposed<WT>(x, s->out_of[n->hidden - 1] + place * WT * RN_LANES);
+    rn_keep_transposed<WT>(x, rn_out_of(s, n->hidden - 1) + place * WT * RN_LANES);
     for (int l = n->hidden - 1; l > 0; l--) {
         for (int i = 0; i < (WT + 3) / 4; i++)
             mask[i] = masks[l - 1][i];
         bad |= rn_layer<WT, WT, RN_LAYER_MASKED>(x, backward + n->packed[l], y, mask);
         rn_move<WT>(x, y);
-        rn_keep_transposed<WT>(x, s->out_of[l - 1] + place * WT * RN_LANES);
+        rn_keep_transposed<WT>(x, rn_out_of(s, l - 1) + place * WT * RN_LANES);
     }
     return bad;
 }
 
-// Copies a network's fragments to the block's shared memory, asynchronously; where they do not fit
-// (`to` NULL) the kernels read them through the caches.
-RN_DEVICE const uint4 *rn_stage(uint4 *to, const uint4 *from, uint32_t count) {
-    if (!to) return from;
+// Threads a block of the kernels behind the forward: what is known to lie in shared memory leaves
+// registers for more.
+#define RN_NETWORK_THREADS(shared) ((shared) ? 384 : 256)
+
+// Copies a network's fragments to the block's shared memory, asynchronously; where it does not fit
+// the kernels read them through the caches. Kernels have a parameter SHARED: all that they stage
+// fits, so that the compiler knows where it lies.
+RN_DEVICE const uint4 *rn_stage(bool fits, uint4 *to, const uint4 *from, uint32_t count) {
+    if (!fits) return from;
     for (uint32_t i = threadIdx.x; i < count; i += blockDim.x)
         rn_copy_async(to + i, from + i);
     return to;

@@ -9,17 +9,23 @@
 
 #define RN_OCCUPANCY_PARTS 256 // blocks that sum the grid
 
-// Which cells to measure: list[first + i stride], i < count.
+// Which cells to measure: those drawn, or list[first + i stride], i < count.
 struct rn_cuda_measurement {
+    bool drawn;
     uint32_t first, stride, count;
     float level, decay, step;
     uint64_t seed, stream, counter;
 };
 
+// What chance gives a cell: where it is measured, and whether, where cells are drawn.
+RN_DEVICE struct rn_rng4 rn_cell_draw(const struct rn_cuda_measurement *m, uint32_t cell) {
+    return rn_rng_draw(m->seed, m->stream + cell, m->counter);
+}
+
 // A random point of a cell.
 RN_DEVICE struct rn_sample rn_cell_point(const struct rn_cuda_measurement *m, uint32_t cell,
                                          int cells) {
-    struct rn_rng4 draw = rn_rng_draw(m->seed, m->stream + cell, m->counter);
+    struct rn_rng4 draw = rn_cell_draw(m, cell);
     uint32_t n = (uint32_t)cells, at[3] = {cell / n / n, cell / n % n, cell % n};
     float p[3];
     for (int k = 0; k < 3; k++)
@@ -28,32 +34,60 @@ RN_DEVICE struct rn_sample rn_cell_point(const struct rn_cuda_measurement *m, ui
     return s;
 }
 
+RN_DEVICE bool rn_cell_is_set(const struct rn_cuda_occupancy *o, uint32_t cell) {
+    int at[3];
+    rn_cell_at(cell, o->cells, at);
+    return o->words[rn_brick_word(at[0], at[1], at[2], o->cells)] & rn_brick_bit(at[0], at[1]);
+}
+
+// Draws the cells to be measured; their order is that of arrival. One thread a cell of the list.
+__global__ void __launch_bounds__(256)
+    rn_draw_cells_kernel(struct rn_cuda_occupancy o,
+                         const __grid_constant__ rn_cuda_measurement m) {
+    uint32_t i = blockIdx.x * blockDim.x + threadIdx.x;
+    double cells = (double)o.cells * (double)o.cells * (double)o.cells;
+    float chance[2];
+    if (i >= o.count) return;
+    rn_chances_of_cells(cells, (double)o.cells_now->occupied, chance);
+    uint32_t cell = o.list[i];
+    if (!(rn_rng_unit(rn_cell_draw(&m, cell).v[3]) < chance[rn_cell_is_set(&o, cell)])) return;
+    o.drawn[atomicAdd(&o.cells_now->drawn, 1u)] = cell;
+}
+
+// Cell i of a measurement of `count`, the last one again behind them.
+RN_DEVICE uint32_t rn_measured_cell(const struct rn_cuda_occupancy *o,
+                                    const struct rn_cuda_measurement *m, uint32_t count,
+                                    uint32_t i) {
+    i = i < count ? i : count - 1;
+    return m->drawn ? o->drawn[i] : o->list[m->first + i * m->stride];
+}
+
 // Sixteen cells a warp: density at a point of each, all at one level.
-template <int KT, int WT>
-__global__ void __launch_bounds__(256, 1)
+template <int KT, int WT, bool SHARED>
+__global__ void __launch_bounds__(RN_NETWORK_THREADS(SHARED), 1)
     rn_measure_kernel(const __grid_constant__ rn_cuda_scene scene,
                       const __grid_constant__ rn_cuda_measurement m, int staged) {
     const struct rn_cuda_occupancy *o = &scene.occupancy;
-    const uint4 *weights = rn_stage(staged > 0 ? (uint4 *)rn_shared_memory() : NULL, scene.forward,
-                                    scene.base.packed_count);
+    const uint4 *weights = rn_stage(SHARED || staged > 0, (uint4 *)rn_shared_memory(),
+                                    scene.forward, scene.base.packed_count);
     rn_stage_finish();
     struct rn_encoder flat = {{0, 0, 0, 0}, ~0u, 0, m.level};
     uint32_t warp = (blockIdx.x * blockDim.x + threadIdx.x) / RN_LANES;
-    for (uint32_t i = warp * RN_TILE; i < m.count; i += gridDim.x * blockDim.x / RN_LANES * RN_TILE) {
+    uint32_t count = m.drawn ? o->cells_now->drawn : m.count;
+    for (uint32_t i = warp * RN_TILE; i < count; i += gridDim.x * blockDim.x / RN_LANES * RN_TILE) {
         uint32_t a[KT][4];
         float out[2][4], top[2];
         struct rn_sample s[2];
         for (int k = 0; k < 2; k++) {
             uint32_t row = i + (uint32_t)(RN_LANE / 4 + 8 * k);
-            uint32_t cell = o->list[m.first + (row < m.count ? row : i) * m.stride];
-            s[k] = rn_cell_point(&m, cell, o->cells);
+            s[k] = rn_cell_point(&m, rn_measured_cell(o, &m, count, row), o->cells);
         }
         rn_encode<KT>(&scene.planes, scene.texels, &flat, 0, s, a, top);
         rn_forward<KT, WT>(&scene.base, weights, a, out);
         float density = rn_density_float(rn_column(out, 0));
         uint32_t own = i + (uint32_t)RN_LANE;
-        if (RN_LANE >= RN_TILE || own >= m.count) continue;
-        uint32_t cell = o->list[m.first + own * m.stride];
+        if (RN_LANE >= RN_TILE || own >= count) continue;
+        uint32_t cell = rn_measured_cell(o, &m, count, own);
         struct rn_sample p = rn_cell_point(&m, cell, o->cells);
         bool inside = p.x * p.x + p.y * p.y + p.z * p.z <= 1;
         float value = inside ? density * (m.step * (float)RN_DENSITY_UNIT) : 0;
@@ -103,6 +137,7 @@ __global__ void __launch_bounds__(256)
         }
     }
     o.words[word] = bits;
+    if (bits) atomicAdd(&o.cells_now->occupied, (uint32_t)rn_popcount(bits));
     if (bits) distance[brick] = 0;
 }
 

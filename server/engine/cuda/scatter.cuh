@@ -1,6 +1,6 @@
-// The fetch's adjoint: feature gradients to the texels they came from. A thread follows a ray on
-// one plane with four channels and holds the sums of the texels around it; what it leaves behind
-// goes to memory, so that neighbouring samples' texels are written once.
+// The fetch's adjoint: feature gradients to the texels they came from. A thread follows a piece of
+// a ray on one plane with four channels and holds the sums of the texels around it; what it leaves
+// behind goes to memory, so that neighbouring samples' texels are written once.
 #ifndef RN_ENGINE_CUDA_SCATTER_CUH
 #define RN_ENGINE_CUDA_SCATTER_CUH
 
@@ -21,8 +21,9 @@ struct rn_cuda_gradients {
 };
 
 // Sums of the four texels of one map around the ray, [row][column][channel]; 0 where it is empty.
+#define RN_NOWHERE -4
 struct rn_nest {
-    int x, y; // of texel (0, 0)
+    int x, y; // of texel (0, 0); RN_NOWHERE before there is one
     float sum[2][2][4];
 };
 
@@ -33,18 +34,18 @@ struct rn_scatter_place {
     int plane, channel;
 };
 
+// Marks the blocks of the four texels of a map from (x, y) on: one block, as nearly always.
 RN_DEVICE void rn_mark_touched(const struct rn_scatter_place *p, int lx, int ly, int x, int y) {
-    int shift_x = lx - 3, shift_y = ly - 3, side = p->planes->update_side;
-    int x0 = shift_x > 0 ? x << shift_x : x >> -shift_x, nx = shift_x > 0 ? 1 << shift_x : 1;
-    int y0 = shift_y > 0 ? y << shift_y : y >> -shift_y, ny = shift_y > 0 ? 1 << shift_y : 1;
+    int side = p->planes->update_side, last = side * RN_UPDATE - 1;
+    int x1 = ((x + 2) << lx) - 1, y1 = ((y + 2) << ly) - 1;
     uint8_t *touched = p->to->touched + (size_t)p->plane * (size_t)(side * side);
-    if (shift_x <= 0 && shift_y <= 0) { // of one block, as nearly all are
-        touched[y0 * side + x0] = 1;
-        return;
-    }
-    for (int j = 0; j < ny; j++)
-        for (int i = 0; i < nx; i++)
-            touched[(y0 + j) * side + x0 + i] = 1;
+    x1 = (x1 < last ? x1 : last) / RN_UPDATE;
+    y1 = (y1 < last ? y1 : last) / RN_UPDATE;
+    RN_ROLLED
+    for (int j = (y << ly) / RN_UPDATE; j <= y1; j++)
+        RN_ROLLED
+    for (int i = (x << lx) / RN_UPDATE; i <= x1; i++)
+        touched[j * side + i] = 1;
 }
 
 // Adds four sums to texel (x, y) of map (lx, ly) and clears them.
@@ -64,11 +65,10 @@ RN_DEVICE void rn_flush(const struct rn_scatter_place *p, int lx, int ly, int x,
                      rn_pack(sum[0] * RN_SCATTER_HEADROOM, sum[1] * RN_SCATTER_HEADROOM),
                      rn_pack(sum[2] * RN_SCATTER_HEADROOM, sum[3] * RN_SCATTER_HEADROOM));
     }
-    rn_mark_touched(p, lx, ly, x, y);
     sum[0] = sum[1] = sum[2] = sum[3] = 0;
 }
 
-// Moves a nest to another place of its map, or to another map (`leaves`): what both places share
+// Moves a nest to another place of its map, or away from it (`leaves`): what both places share
 // stays, what they do not goes to memory.
 template <bool FIXED>
 RN_DEVICE void rn_move_nest(const struct rn_scatter_place *p, int lx, int ly, bool leaves, int x,
@@ -111,8 +111,11 @@ RN_DEVICE void rn_spread(const struct rn_scatter_place *p, const struct rn_query
     for (int c = 0; c < 4; c++) {
         float weight = ends ? 0 : rn_corner_weight(q, p->planes->footprint, c);
         struct rn_nest *nest = &n->corner[c];
-        struct rn_corner at = {};
+        struct rn_corner at = {0, 0, 0, {RN_NOWHERE, 0}, {RN_NOWHERE, 0}};
         if (weight > 0) at = rn_find_corner(p->planes, q, c);
+        // One lane of a texel's marks what all of them will leave there.
+        if (weight > 0 && p->channel == 0 && (leaves || at.x.low != nest->x || at.y.low != nest->y))
+            rn_mark_touched(p, at.lx, at.ly, at.x.low, at.y.low);
         if (leaves || weight > 0)
             rn_move_nest<FIXED>(p, n->lx + (c & 1), n->ly + (c >> 1), leaves, at.x.low, at.y.low,
                                 nest);
@@ -130,6 +133,14 @@ RN_DEVICE void rn_spread(const struct rn_scatter_place *p, const struct rn_query
     n->ly = q->y.level;
 }
 
+// No place yet.
+RN_DEVICE struct rn_nests rn_nests_start() {
+    struct rn_nests n = {};
+    for (int c = 0; c < 4; c++)
+        n.corner[c].x = n.corner[c].y = RN_NOWHERE;
+    return n;
+}
+
 // What a thread needs of a backpropagated sample; asked for while the one before is spread.
 struct rn_returned_sample {
     float mid;
@@ -144,46 +155,49 @@ RN_DEVICE struct rn_returned_sample rn_load_returned(const struct rn_cuda_batch 
     return s;
 }
 
-// Follows ray `r` on the plane of fragment `k`, lane part `t` of four.
+// Follows a piece of a ray on the plane of fragment `k`, lane part `t` of four.
 template <bool FIXED>
-RN_DEVICE void rn_scatter_ray(const struct rn_cuda_scene *scene, const struct rn_cuda_batch *b,
-                              const struct rn_cuda_gradients *to, float step, int r, int k, int t) {
+RN_DEVICE void rn_scatter_piece(const struct rn_cuda_scene *scene, const struct rn_cuda_batch *b,
+                                const struct rn_cuda_gradients *to, float step,
+                                struct rn_cuda_piece piece, int k, int t) {
     const struct rn_cuda_planes *planes = &scene->planes;
     int feature = 16 * k + 4 * t, kt = scene->base.inputs16;
-    struct rn_cuda_return returned = b->ray_return[r];
+    struct rn_cuda_return returned = b->ray_return[piece.ray];
+    int first = returned.first + piece.begin, left = returned.count - piece.begin;
+    int count = left < RN_PIECE ? left : RN_PIECE;
     struct rn_scatter_place p = {planes, to, feature / planes->channels,
                                  feature % planes->channels};
     if (p.plane >= planes->planes) return;
-    struct rn_march_ray ray = b->rays[r];
+    struct rn_march_ray ray = b->rays[piece.ray];
     step *= (float)ray.stride;
     struct rn_footprint_factors f = rn_factors(planes->axis[p.plane], ray.direction);
-    struct rn_nests nests = {};
-    struct rn_returned_sample own, next = rn_load_returned(b, kt, k, t, returned.first);
-    for (int i = 0; i <= returned.count; i++) {
+    struct rn_nests nests = rn_nests_start();
+    struct rn_returned_sample own, next = rn_load_returned(b, kt, k, t, first);
+    for (int i = 0; i <= count; i++) {
         own = next;
-        if (i + 1 < returned.count) next = rn_load_returned(b, kt, k, t, returned.first + i + 1);
+        if (i + 1 < count) next = rn_load_returned(b, kt, k, t, first + i + 1);
         float grad[4] = {rn_low(own.grad.x), rn_high(own.grad.x), rn_low(own.grad.y),
                          rn_high(own.grad.y)};
         struct rn_sample s = rn_place(&ray, own.mid, step);
         float lx = 0, ly = 0;
         if (planes->levels > 1) rn_levels(planes, &f, &s, ray.radius, &lx, &ly);
         struct rn_query q = rn_query_plane(planes, p.plane, &s, lx, ly);
-        rn_spread<FIXED>(&p, &q, grad, i == returned.count, &nests);
+        rn_spread<FIXED>(&p, &q, grad, i == count, &nests);
     }
 }
 
-// One thread a (ray, fragment, part).
+// One thread a (piece, fragment, part).
 template <bool FIXED>
 __global__ void __launch_bounds__(128)
     rn_scatter_kernel(const __grid_constant__ rn_cuda_scene scene,
                       const __grid_constant__ rn_cuda_batch batch,
                       const __grid_constant__ rn_cuda_gradients to, float step) {
-    int parts = 4 * scene.base.inputs16, all = (int)batch.status->returning * parts;
+    int parts = 4 * scene.base.inputs16, all = (int)batch.status->pieces * parts;
     if (rn_cuda_step_skipped(batch.status)) return;
     for (int i = (int)(blockIdx.x * blockDim.x + threadIdx.x); i < all;
          i += (int)(gridDim.x * blockDim.x))
-        rn_scatter_ray<FIXED>(&scene, &batch, &to, step, batch.returning[i / parts],
-                              i % parts / 4, i % 4);
+        rn_scatter_piece<FIXED>(&scene, &batch, &to, step, batch.pieces[i / parts], i % parts / 4,
+                                i % 4);
 }
 
 #endif

@@ -12,6 +12,11 @@ extern "C" {
 #include "server/engine/kernels/backend.h"
 }
 
+// How many cells there are of a kind.
+struct rn_cuda_cells {
+    uint32_t occupied, drawn;
+};
+
 // The occupancy grid as the march reads it (struct rn_occupancy_bits), and what it is made from.
 struct rn_cuda_occupancy {
     int cells;
@@ -23,6 +28,8 @@ struct rn_cuda_occupancy {
     uint8_t *hull;   // cells^3
     uint32_t *list;  // cells that may hold matter
     uint32_t count;  // of `list`
+    uint32_t *drawn; // of these, those that are measured next; NULL where cells are not drawn
+    struct rn_cuda_cells *cells_now;
     double *partial; // sums of the values, one a block
 };
 
@@ -47,27 +54,32 @@ struct rn_cuda_march {
     float look[3];
 };
 
+// Rays are taken by how many tiles they may have, the long ones first: 16 and more, 8, 4, fewer. A
+// ray that comes last then holds nobody up.
+#define RN_LENGTHS 4
+
 // Counters and sums of one step; the host reads a copy now and then.
 struct rn_cuda_status {
-    int ray_count, next_rays; // of this step, of the next one
-    int target_samples;       // that the number of rays aims at
-    uint32_t queue;           // next ray of the forward
-    uint32_t tiles;           // slots taken
-    uint32_t returned;        // samples that are backpropagated
-    uint32_t returning;       // rays that have some
-    int rejected;             // this step overflowed: nothing is updated
-    int crowded;              // the tiles did not suffice
-    int overflowed;           // a texel's gradient overflowed: it alone was left out
+    int ray_count, next_rays;    // of this step, of the next one
+    int target_samples;          // that the number of rays aims at
+    uint32_t queue;              // next ray of the forward
+    uint32_t queued[RN_LENGTHS]; // rays that may see something, by their length
+    uint32_t tiles;              // slots taken
+    uint32_t returned;           // samples that are backpropagated
+    uint32_t pieces;             // of rays that have some
+    int rejected;                // this step overflowed: nothing is updated
+    int crowded;                 // the tiles did not suffice
+    int overflowed;              // a texel's gradient overflowed: it alone was left out
     int rejected_in_a_row;
     uint64_t updates, steps, steps_rejected, nonfinite_rays, nonfinite_numbers;
     uint64_t nonfinite_before;                // rays, in the steps before this one
     uint64_t samples, rays, samples_returned; // totals of training
     uint64_t level_samples[RN_MAX_LEVELS];
-    unsigned long long evaluated;   // samples of the last render or step
-    double loss, weight;            // of this step: sums over rays
-    float gradient_size;            // of a sample, unscaled: mean of the step before; 0: none
-    float gradient_scale;           // of everything in fp16 that is a gradient
-    int good_steps;                 // since the scale was last changed
+    unsigned long long evaluated; // samples of the last render or step
+    double loss, weight;          // of this step: sums over rays
+    float gradient_size;          // of a sample, unscaled: mean of the step before; 0: none
+    float gradient_scale;         // of everything in fp16 that is a gradient
+    int good_steps;               // since the scale was last changed
 };
 
 // Whether the step under way updates nothing.
@@ -88,6 +100,16 @@ struct rn_cuda_return {
     int gradients; // samples that have one
 };
 
+// A part of a ray's backpropagated samples, at most RN_PIECE from its `begin`-th on. The longest
+// ray is several, so that none decides when a kernel ends.
+#define RN_PIECE 64
+struct rn_cuda_piece {
+    int ray, begin;
+};
+RN_HD int rn_cuda_pieces(int samples) {
+    return (samples + RN_PIECE - 1) / RN_PIECE;
+}
+
 // A batch: rays, and tiles of samples that the forward leaves for the backward. A sample is known
 // by slot * RN_TILE + row.
 struct rn_cuda_batch {
@@ -98,12 +120,13 @@ struct rn_cuda_batch {
     uint64_t seed;  // of the roulette
     float roulette; // rn_march_options
     struct rn_march_ray *rays;
+    int *queue; // [RN_LENGTHS][ray_capacity]: rays that the forward takes, of each length
     struct rn_pixel *pixels; // rendering only
     // of each ray
     float *ray_loss, *ray_weight;
     int *ray_samples, *ray_last; // samples seen, the last tile
     struct rn_cuda_return *ray_return;
-    int *returning; // rays of which samples are backpropagated, one after the other
+    struct rn_cuda_piece *pieces; // of all rays, one after the other
     float *ray_sums; // ray shading: [ray][RN_GEOMETRY], in training then dL/d(sums), scaled
     // of each tile slot
     int *tile_ray, *tile_previous;

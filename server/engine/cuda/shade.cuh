@@ -107,16 +107,16 @@ RN_DEVICE void rn_store_sums_grad(const struct rn_cuda_batch *b, uint32_t tile,
 }
 
 // A warp a tile of rays; their places in the scratch are in the rays' order.
-template <int WT, bool TRAIN>
-__global__ void __launch_bounds__(256, 1)
+template <int WT, bool TRAIN, bool SHARED>
+__global__ void __launch_bounds__(RN_NETWORK_THREADS(SHARED), 1)
     rn_shade_kernel(const __grid_constant__ rn_cuda_scene scene,
                     const __grid_constant__ rn_cuda_batch batch,
                     const __grid_constant__ rn_cuda_march march, int staged) {
     uint4 *room = (uint4 *)rn_shared_memory();
     const struct rn_cuda_network *n = &scene.head;
-    const uint4 *forward = rn_stage(staged > 0 ? room : NULL,
+    const uint4 *forward = rn_stage(SHARED || staged > 0, room,
                                     scene.forward + scene.base.packed_count, n->packed_count);
-    const uint4 *backward = rn_stage(TRAIN && staged > 1 ? room + n->packed_count : NULL,
+    const uint4 *backward = rn_stage(TRAIN && (SHARED || staged > 1), room + n->packed_count,
                                      scene.backward + scene.base.packed_count, n->packed_count);
     rn_stage_finish();
     bool bad = false;
@@ -169,8 +169,8 @@ RN_DEVICE struct rn_roulette rn_roulette_start(const struct rn_cuda_batch *b, in
     return l;
 }
 
-// Whether lane i's sample is backpropagated, and what its gradient is to be multiplied by; lanes 0..15.
-// What is not finite always is, to be seen.
+// Whether lane i's sample is backpropagated, and what its gradient is to be multiplied by; lanes
+// 0..15. What is not finite always is, to be seen.
 RN_DEVICE bool rn_roulette_draw(struct rn_roulette *l, float size, float *ret_factor) {
     int chance = RN_CERTAIN;
     if (size < l->threshold)

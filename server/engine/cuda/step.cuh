@@ -3,7 +3,7 @@
 #define RN_ENGINE_CUDA_STEP_CUH
 
 #include "common/math/rng.h"
-#include "server/engine/cuda/scene.cuh"
+#include "server/engine/cuda/march.cuh"
 #include "server/engine/kernels/draw.h"
 #include "server/engine/kernels/ray.h"
 
@@ -103,11 +103,28 @@ RN_DEVICE struct rn_march_ray rn_draw_ray(const struct rn_cuda_source *s, uint64
     return out;
 }
 
+// What the forward would leave of a ray that meets nothing.
+RN_DEVICE void rn_leave_empty(const struct rn_cuda_batch *b, bool per_ray, int r) {
+    b->ray_samples[r] = 0;
+    b->ray_last[r] = -1;
+    b->ray_loss[r] = b->ray_weight[r] = 0;
+    b->ray_return[r] = rn_cuda_return{0, 0, 0, 0};
+    for (int i = 0; i < RN_GEOMETRY && per_ray; i++)
+        b->ray_sums[(size_t)r * RN_GEOMETRY + i] = 0;
+}
+
+// One thread a ray; those that may see something are queued for the forward.
 __global__ void __launch_bounds__(256) rn_rays_kernel(const __grid_constant__ rn_cuda_source source,
+                                                      const __grid_constant__ rn_cuda_scene scene,
                                                       const __grid_constant__ rn_cuda_batch batch) {
-    int r = (int)(blockIdx.x * blockDim.x + threadIdx.x);
-    if (r >= batch.status->ray_count) return;
-    batch.rays[r] = rn_draw_ray(&source, batch.status->steps, batch.status->rays, r);
+    int r = (int)(blockIdx.x * blockDim.x + threadIdx.x), tiles = 0;
+    if (r < batch.status->ray_count) {
+        struct rn_march_ray ray = rn_draw_ray(&source, batch.status->steps, batch.status->rays, r);
+        batch.rays[r] = ray;
+        tiles = rn_tiles_ahead(&scene.occupancy, &ray, (float)source.step);
+        if (tiles == 0) rn_leave_empty(&batch, scene.per_ray, r);
+    }
+    rn_queue_ray(&batch, r, tiles);
 }
 
 // Rays of `count` pixels of a camera from pixel `first` on, row after row.
@@ -118,13 +135,32 @@ struct rn_cuda_view {
     int first, count;
     bool counts_anew; // of the samples: the first pixels of a picture
 };
+
+// A pixel that sees nothing.
+RN_DEVICE void rn_leave_background(const struct rn_cuda_batch *b, const struct rn_cuda_march *march,
+                                   bool per_ray, int r) {
+    const float *c = march->background;
+    b->pixels[r] = rn_pixel{{c[0], c[1], c[2]}, 0, 0};
+    for (int i = 0; i < RN_GEOMETRY && per_ray; i++)
+        b->ray_sums[(size_t)r * RN_GEOMETRY + i] = 0;
+}
+
+// One thread a pixel; those that may see something are queued for the forward.
 __global__ void __launch_bounds__(256) rn_view_kernel(const __grid_constant__ rn_cuda_view view,
-                                                      const __grid_constant__ rn_cuda_batch batch) {
-    int r = (int)(blockIdx.x * blockDim.x + threadIdx.x);
-    if (r >= view.count) return;
-    int pixel = view.first + r, w = view.camera.width;
-    struct rn_ray ray = rn_camera_ray(&view.camera, pixel % w + 0.5, pixel / w + 0.5);
-    batch.rays[r] = rn_ray_cut(view.centre, view.radius, view.cone_step, &ray, view.step, 0);
+                                                      const __grid_constant__ rn_cuda_scene scene,
+                                                      const __grid_constant__ rn_cuda_batch batch,
+                                                      const __grid_constant__ rn_cuda_march march) {
+    int r = (int)(blockIdx.x * blockDim.x + threadIdx.x), tiles = 0;
+    if (r < view.count) {
+        int pixel = view.first + r, w = view.camera.width;
+        struct rn_ray camera_ray = rn_camera_ray(&view.camera, pixel % w + 0.5, pixel / w + 0.5);
+        struct rn_march_ray ray =
+            rn_ray_cut(view.centre, view.radius, view.cone_step, &camera_ray, view.step, 0);
+        batch.rays[r] = ray;
+        tiles = rn_tiles_ahead(&scene.occupancy, &ray, march.step);
+        if (tiles == 0) rn_leave_background(&batch, &march, scene.per_ray, r);
+    }
+    rn_queue_ray(&batch, r, tiles);
     if (r > 0) return;
     batch.status->ray_count = view.count;
     batch.status->queue = 0;
@@ -137,8 +173,8 @@ __global__ void __launch_bounds__(256) rn_view_kernel(const __grid_constant__ rn
 struct rn_sums {
     double loss, weight;
     uint64_t samples;
-    float size;                         // of `gradients` samples
-    uint32_t gradients, returned, rays; // rays: of which samples are backpropagated
+    float size; // of `gradients` samples
+    uint32_t gradients, returned, pieces;
 };
 RN_DEVICE void rn_sums_add(struct rn_sums *to, const struct rn_sums *other) {
     to->loss += other->loss;
@@ -147,7 +183,7 @@ RN_DEVICE void rn_sums_add(struct rn_sums *to, const struct rn_sums *other) {
     to->samples += other->samples;
     to->returned += other->returned;
     to->gradients += other->gradients;
-    to->rays += other->rays;
+    to->pieces += other->pieces;
 }
 
 // A warp's part of the rays; its lanes take them in turn.
@@ -171,7 +207,7 @@ RN_DEVICE struct rn_sums rn_sum_rays(const struct rn_cuda_batch *b, struct rn_ra
                               back.size,
                               (uint32_t)back.gradients,
                               (uint32_t)back.count,
-                              back.count > 0};
+                              (uint32_t)rn_cuda_pieces(back.count)};
         rn_sums_add(&sums, &ray);
     }
     return sums;
@@ -188,7 +224,7 @@ RN_DEVICE void rn_take_sums(const struct rn_cuda_batch *b, const struct rn_sums 
     s->crowded = s->tiles > b->tile_capacity;
     s->rejected |= s->crowded || !(all->loss < 1e300);
     s->returned = s->rejected ? 0 : all->returned;
-    s->returning = all->rays;
+    s->pieces = all->pieces;
     s->samples_returned += s->returned;
     float size = all->gradients > 0 ? all->size / (float)all->gradients / s->gradient_scale : 0;
     s->gradient_size = size < 1e30f ? size : 0;
@@ -200,9 +236,9 @@ RN_DEVICE void rn_take_sums(const struct rn_cuda_batch *b, const struct rn_sums 
     s->next_rays -= s->next_rays % b->pixel_rays;
 }
 
-// The place of every ray's samples in the list of those that are backpropagated, the list of rays
-// that have some, and the step's sums; one block. Ray after ray, so that nothing depends on which
-// warp came first.
+// The place of every ray's samples in the list of those that are backpropagated, the pieces of
+// rays, and the step's sums; one block. Ray after ray, so that nothing depends on which warp came
+// first.
 __global__ void __launch_bounds__(RN_ORDER_THREADS, 1)
     rn_order_kernel(const __grid_constant__ rn_cuda_batch b) {
     RN_SHARED struct rn_sums sums[RN_ORDER_THREADS / RN_LANES][RN_LANES + 1]; // no bank twice
@@ -217,24 +253,25 @@ __global__ void __launch_bounds__(RN_ORDER_THREADS, 1)
         if (RN_LANE == 0) {
             struct rn_sums all = {0, 0, 0, 0, 0, 0, 0};
             for (int i = 0; i < RN_LANES; i++) {
-                uint32_t before = all.returned, rays = all.rays;
+                uint32_t before = all.returned, pieces = all.pieces;
                 rn_sums_add(&all, &sums[i][0]);
                 sums[i][0].returned = before;
-                sums[i][0].rays = rays;
+                sums[i][0].pieces = pieces;
             }
             rn_take_sums(&b, &all);
         }
     }
     __syncthreads();
-    int first = (int)sums[warp][0].returned, ray = (int)sums[warp][0].rays;
+    int first = (int)sums[warp][0].returned, piece = (int)sums[warp][0].pieces;
     for (int r = part.begin; r < part.end; r += RN_LANES) {
         int own = r + RN_LANE, count = own < part.end ? b.ray_return[own].count : 0;
-        int before = rn_sum_before(count, RN_LANES);
-        uint32_t some = rn_ballot(count > 0);
+        int before = rn_sum_before(count, RN_LANES), pieces = rn_cuda_pieces(count);
+        int pieces_before = rn_sum_before(pieces, RN_LANES);
         if (own < part.end) b.ray_return[own].first = first + before;
-        if (count > 0) b.returning[ray + rn_popcount(some & ((1u << RN_LANE) - 1))] = own;
+        for (int i = 0; i < pieces; i++)
+            b.pieces[piece + pieces_before + i] = rn_cuda_piece{own, i * RN_PIECE};
         first += rn_shuffle(before + count, RN_LANES - 1);
-        ray += rn_popcount(some);
+        piece += rn_shuffle(pieces_before + pieces, RN_LANES - 1);
     }
 }
 
@@ -273,6 +310,8 @@ __global__ void rn_finish_kernel(struct rn_cuda_status *s) {
     s->gradient_scale = fminf(fmaxf(scale, RN_SCALE_LEAST), RN_SCALE_MOST);
     s->ray_count = s->next_rays;
     s->queue = s->tiles = 0;
+    for (int l = 0; l < RN_LENGTHS; l++)
+        s->queued[l] = 0;
     s->rejected = s->crowded = s->overflowed = 0;
     s->evaluated = 0;
 }

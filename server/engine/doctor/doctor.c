@@ -7,6 +7,7 @@
 
 #include "common/math/rng.h"
 #include "server/engine/doctor/cases.h"
+#include "server/engine/scene/device.h"
 
 // ---- cases ----------------------------------------------------------------------------------
 
@@ -55,24 +56,36 @@ static void say(void (*progress)(const char *what), const char *what) {
     if (progress) progress(what);
 }
 
-// The cases reach no GPU's kernels, which `meson test` holds against float64; why there is none, or
-// which there is.
-static void skip_cuda(struct rn_doctor_result *result) {
+static void see_device(struct rn_doctor_result *result, const char *name, double bound,
+                       const char *unit, double error, const char *where) {
+    struct rn_doctor_case *c = rn_doctor_open(result, name, "cuda", bound, unit);
+    rn_doctor_see(c, error, "%.120s", where);
+    rn_doctor_close(result, c);
+}
+
+// The first GPU beside the CPU's kernels, or why there is none. (`meson test` holds its kernels
+// against float64.)
+static void check_cuda(struct rn_doctor_result *result) {
     struct rn_engine_options first = {.device = "cuda:0", .threads = 1, .kernels = "generic"};
-    struct rn_doctor_case *c = rn_doctor_open(result, "all of the above", "cuda", NAN, "");
+    struct rn_device_agreement found = {NAN, NAN, 0};
     struct rn_engine *engine = NULL;
     struct rn_device_info info;
     struct rn_error err = {0};
-    c->skipped = true;
-    if (rn_engine_create(&first, &engine, &err) == RN_OK) {
-        rn_engine_describe(engine, &info);
-        snprintf(c->where, sizeof c->where, "%.80s is here; its kernels are measured by meson test",
-                 info.name);
-    } else {
+    if (rn_engine_create(&first, &engine, &err) != RN_OK) {
+        struct rn_doctor_case *c = rn_doctor_open(result, "beside the CPU", "cuda", NAN, "");
+        c->skipped = true;
         snprintf(c->where, sizeof c->where, "%.159s", err.text);
+        rn_doctor_close(result, c);
+        return;
     }
+    rn_engine_describe(engine, &info);
+    enum rn_status status = rn_device_check(engine, true, &found, &err);
+    const char *where = status == RN_OK || status == RN_ERROR_NUMERIC ? info.name : err.text;
+    see_device(result, "pixels beside the CPU's", RN_DEVICE_PIXELS, "of the largest", found.pixels,
+               where);
+    see_device(result, "the loss along its gradient", RN_DEVICE_GRADIENT, "of its change",
+               found.gradient, where);
     rn_engine_destroy(&engine);
-    rn_doctor_close(result, c);
 }
 
 static enum rn_status examine_scene(const struct rn_doctor_options *options,
@@ -103,7 +116,8 @@ enum rn_status rn_doctor_run(const struct rn_doctor_options *options,
     rn_doctor_float64(&random, ret_result);
     say(progress, "the kernel sets");
     rn_doctor_kernels(&random, ret_result);
-    skip_cuda(ret_result);
+    say(progress, "the GPU");
+    check_cuda(ret_result);
     if (options->checkpoint) {
         say(progress, "the scene");
         status = examine_scene(options, &random, engine, ret_result, err);

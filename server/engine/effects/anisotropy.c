@@ -5,6 +5,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "common/math/numbers.h"
 #include "common/math/rng.h"
 #include "server/engine/effects/effects.h"
 #include "server/engine/field/footprint.h"
@@ -12,11 +13,6 @@
 
 #define STREAM 0x6566666563747300u
 #define THRESHOLD 0.585 // levels: a footprint 1.5 times as long as wide
-
-static int compare_doubles(const void *a, const void *b) {
-    double x = *(const double *)a, y = *(const double *)b;
-    return (x > y) - (x < y);
-}
 
 // How the space around a sample is drawn.
 struct bent {
@@ -87,7 +83,7 @@ static double probe(const struct rn_evidence *e) {
         struct rn_march_ray ray = rn_evidence_ray(e, &p, e->field->config.step);
         spread[i] = spread_of(e, &ray, rn_rng_unit(p.random[3]));
     }
-    qsort(spread, RN_EVIDENCE_PROBES, sizeof *spread, compare_doubles);
+    rn_numbers_sort(spread, RN_EVIDENCE_PROBES);
     return spread[RN_EVIDENCE_PROBES * 95 / 100];
 }
 
@@ -98,7 +94,8 @@ static void detect(const struct rn_evidence *e, struct rn_effect_record *r) {
     bool asked = !config->auto_effects || config->footprint_given;
     r->number = probe(e);
     r->threshold = THRESHOLD;
-    r->on = pyramid && rip && (asked || r->number > r->threshold);
+    r->on = rn_effect_choose(config, RN_EFFECT_ANISOTROPY, pyramid && rip,
+                             asked || r->number > r->threshold);
     snprintf(r->reason, sizeof r->reason,
              "95 %% of footprints are at most %.2f times as long as wide%s", exp2(r->number),
              !rip      ? "; the field's footprint is isotropic"
@@ -108,8 +105,9 @@ static void detect(const struct rn_evidence *e, struct rn_effect_record *r) {
 
 static void settle(const struct rn_evidence *e) {
     struct rn_train_config *config = &e->field->config;
-    if (!config->auto_effects || config->footprint_given ||
-        config->field.footprint != RN_FOOTPRINT_RIP || e->field->effects[RN_EFFECT_ANISOTROPY].on)
+    bool asked = !config->auto_effects || config->footprint_given;
+    if (config->effect[RN_EFFECT_ANISOTROPY] == RN_EFFECT_AUTO && asked) return;
+    if (config->field.footprint != RN_FOOTPRINT_RIP || e->field->effects[RN_EFFECT_ANISOTROPY].on)
         return;
     config->field.footprint = RN_FOOTPRINT_MIP;
 }

@@ -8,10 +8,16 @@
 static void detect(const struct rn_evidence *e, struct rn_effect_record *r) {
     const struct rn_pixels *p = e->photographs;
     size_t open = 0;
-    for (size_t i = 0; i < p->pixel_count; i++)
-        open += p->rgba[4 * i + 3] < 255;
+    for (int f = 0; f < p->frame_count; f++) {
+        const struct rn_camera *camera = &p->frames[f].camera;
+        const uint8_t *rgba = p->rgba + 4 * p->frames[f].offset;
+        for (size_t i = 0; i < (size_t)camera->width * (size_t)camera->height; i++)
+            open += rgba[4 * i + 3] < 255;
+        rn_pixels_let_go(p);
+    }
     r->number = (double)open / (double)p->pixel_count;
-    r->on = r->number > r->threshold;
+    r->on =
+        rn_effect_choose(&e->field->config, RN_EFFECT_BACKGROUND, true, r->number > r->threshold);
     snprintf(r->reason, sizeof r->reason, "%.1f %% of the training pixels have alpha below 255",
              100 * r->number);
 }

@@ -19,7 +19,8 @@ static void detect(const struct rn_evidence *e, struct rn_effect_record *r) {
     measure(e);
     r->number = largest > 0 ? log2(largest / smallest) : 0;
     r->threshold = log2(RN_CONES_RATIO);
-    r->on = config->supersample && e->field->finest_cone > 0;
+    bool asked = rn_effect_choose(config, RN_EFFECT_CONES, true, config->supersample);
+    r->on = asked && e->field->finest_cone > 0;
     if (r->on)
         snprintf(r->reason, sizeof r->reason,
                  "pixels of pictures wider than the finest trained on become several cones; the "
@@ -27,8 +28,12 @@ static void detect(const struct rn_evidence *e, struct rn_effect_record *r) {
                  exp2(r->number));
     else
         snprintf(r->reason, sizeof r->reason, "%s",
-                 config->supersample ? "no training pixel's cone has a width"
-                                     : "the configuration asks for one");
+                 asked ? "no training pixel's cone has a width" : "the configuration asks for one");
 }
 
-const struct rn_effect_row rn_effect_cones = {.detect = detect, .turn = measure};
+static void settle(const struct rn_evidence *e) {
+    struct rn_train_config *config = &e->field->config;
+    config->supersample = rn_effect_choose(config, RN_EFFECT_CONES, true, config->supersample);
+}
+
+const struct rn_effect_row rn_effect_cones = {.detect = detect, .settle = settle, .turn = measure};

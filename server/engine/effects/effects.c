@@ -1,6 +1,9 @@
 // The table of effects.
 #include "server/engine/effects/effects.h"
 
+#include <stdio.h>
+#include <string.h>
+
 #define ROW(CONSTANT, ROW, NAME) &rn_effect_##ROW,
 static const struct rn_effect_row *const rows[RN_EFFECT_COUNT] = {RN_EFFECTS(ROW)};
 #undef ROW
@@ -10,6 +13,18 @@ static struct rn_effect_record blank(int effect) {
                                      .decided = true};
 }
 
+// What was asked for in place of what was measured.
+static void tell_choice(const struct rn_train_config *config, struct rn_effect_record *record,
+                        int effect) {
+    enum rn_effect_choice choice = config->effect[effect];
+    size_t length = strlen(record->reason);
+    if (choice == RN_EFFECT_AUTO || !record->decided || !length) return;
+    snprintf(record->reason + length, sizeof record->reason - length, "; %s",
+             choice == RN_EFFECT_UNWANTED ? "switched off as asked"
+             : record->on                 ? "on as asked"
+                                          : "asked for, but it cannot be");
+}
+
 struct rn_bounds rn_effects_prepare(const struct rn_dataset *dataset,
                                     struct rn_train_config *config,
                                     struct rn_effect_record ret_records[RN_EFFECT_COUNT]) {
@@ -17,6 +32,7 @@ struct rn_bounds rn_effects_prepare(const struct rn_dataset *dataset,
     for (int i = 0; i < RN_EFFECT_COUNT; i++) {
         ret_records[i] = blank(i);
         if (rows[i]->prepare) rows[i]->prepare(dataset, config, &bounds, &ret_records[i]);
+        tell_choice(config, &ret_records[i], i);
     }
     return bounds;
 }
@@ -27,6 +43,7 @@ void rn_effects_detect(const struct rn_evidence *e) {
         if (!rows[i]->detect) continue;
         *record = blank(i);
         rows[i]->detect(e, record);
+        tell_choice(&e->field->config, record, i);
     }
     for (int i = RN_EFFECT_COUNT - 1; i >= 0; i--)
         if (rows[i]->settle) rows[i]->settle(e);

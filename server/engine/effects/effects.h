@@ -13,6 +13,7 @@
 //   the colour of a pixel, its       reference/reference.c   cpu/loss.h      cuda/shade.cuh
 //   background, and its loss
 //   the cones of a picture's pixel   render/cones.h          -               -
+//   the photographs' cameras         scene/pose.h            train/poses.c   -
 #ifndef RN_ENGINE_EFFECTS_EFFECTS_H
 #define RN_ENGINE_EFFECTS_EFFECTS_H
 
@@ -28,10 +29,9 @@ struct rn_evidence {
     int64_t step;                        // that comes next
     double done;                         // share of the schedule that is over; NAN without a limit
     struct rn_march_options march;       // of that step; before training none
+    bool pose_gain_known;                // what cameras gain by being sought is measured
+    double pose_gain;                    // dB; NAN: nothing is held out
 };
-
-// Cameras whose axes are within this many degrees of their mean face one way.
-#define RN_FORWARD_WIDEST 30.0
 
 // One effect. A hook that it does not have is NULL.
 struct rn_effect_row {
@@ -56,6 +56,14 @@ struct rn_effect_row {
 RN_EFFECTS(RN_EFFECT_ROW)
 #undef RN_EFFECT_ROW
 
+// Whether an effect is on that the data calls for or not, and that can be or not, where the
+// configuration may say otherwise.
+static inline bool rn_effect_choose(const struct rn_train_config *config, enum rn_effect effect,
+                                    bool can, bool called_for) {
+    enum rn_effect_choice choice = config->effect[effect];
+    return can && (choice == RN_EFFECT_WANTED || (choice == RN_EFFECT_AUTO && called_for));
+}
+
 // What is decided before there is a field: the ball to train in, the configuration's space, and the
 // records of the effects that say so; the others are empty.
 struct rn_bounds rn_effects_prepare(const struct rn_dataset *dataset,
@@ -69,6 +77,12 @@ void rn_effects_decide(const struct rn_evidence *evidence); // those that are du
 void rn_effects_march(const struct rn_train_config *config, double done,
                       struct rn_march_options *march);
 void rn_effects_turn(const struct rn_evidence *evidence);
+
+// Times that a training makes its photographs smaller.
+int rn_effect_scale(const struct rn_dataset *dataset, const struct rn_train_config *config);
+
+// How far cameras were moved on the mean, degrees and bounds' radii, into pose-refinement's record.
+void rn_effect_tell_moves(struct rn_effect_record *record, double turn_deg, double shift);
 
 // ---- what several effects measure ----
 

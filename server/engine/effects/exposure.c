@@ -7,24 +7,21 @@
 #include "common/dataset/exposure.h"
 #include "server/engine/effects/effects.h"
 
-// Of 1. A capture whose photographs spread by 0.11 lost 0.16 dB by it even with each test
-// photograph's own exposure fitted (a cup, 77 photographs, 250 steps of draft): what view
-// dependence takes up is no exposure.
-#define SPREAD 0.2
-
 static void prepare(const struct rn_dataset *dataset, struct rn_train_config *config,
                     struct rn_bounds *bounds, struct rn_effect_record *r) {
-    r->number = 100 * rn_exposure_spread(dataset->frames, dataset->frame_count);
-    r->threshold = 100 * SPREAD;
-    r->on = config->auto_effects && r->number > r->threshold;
+    r->number = 100 * rn_exposure_unrest(dataset->frames, dataset->frame_count);
+    r->threshold = 100 * RN_EXPOSURE_UNREST;
+    r->on = rn_effect_choose(config, RN_EFFECT_EXPOSURE, !isnan(r->number),
+                             config->auto_effects && r->number > r->threshold);
     if (isnan(r->number))
         snprintf(r->reason, sizeof r->reason,
                  "not measured: the dataset has no sparse points that photographs share");
     else
-        snprintf(r->reason, sizeof r->reason,
-                 "90 %% of the photographs are within %.3g %% of the mean brightness, by what they "
-                 "show of shared points",
-                 r->number);
+        snprintf(
+            r->reason, sizeof r->reason,
+            "90 %% of the photographs are within %.3g %% of the brightness of the one that looks "
+            "most nearly the same way, by what they show of shared points",
+            r->number);
 }
 
 const struct rn_effect_row rn_effect_exposure = {.prepare = prepare};

@@ -6,6 +6,8 @@
 #include <stdio.h>
 #include <string.h>
 
+#include "common/dataset/calls.h"
+#include "common/math/vector.h"
 #include "server/engine/effects/effects.h"
 
 #define SIDEWAYS 0.3         // least part of a ray along the reference camera's axis
@@ -22,12 +24,8 @@ struct extent {
     double foremost;          // depth of a camera
 };
 
-static double dot(const double a[3], const double b[3]) {
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-}
-
 static void normalise(double a[3]) {
-    double size = sqrt(dot(a, a));
+    double size = sqrt(rn_dot(a, a));
     for (int i = 0; i < 3; i++)
         a[i] /= size;
 }
@@ -43,7 +41,7 @@ static void reference_camera(const struct rn_pixels *p, struct rn_disparity *spa
             ahead[i] += row[2];
         }
     normalise(ahead);
-    double along = dot(down, ahead);
+    double along = rn_dot(down, ahead);
     for (int i = 0; i < 3; i++)
         down[i] -= along * ahead[i];
     normalise(down);
@@ -148,12 +146,12 @@ static void detect(const struct rn_evidence *e, struct rn_effect_record *r) {
     const char *why_not = find_space(e, &space, &r->number);
     bool asked = e->field->config.auto_effects;
     r->threshold = RN_FORWARD_WIDEST;
-    r->on = asked && !why_not;
+    r->on = rn_effect_choose(&e->field->config, RN_EFFECT_FORWARD_FACING, !why_not, asked);
     snprintf(r->reason, sizeof r->reason,
              "the cameras' axes are within %.1f degrees of their mean%s", r->number,
-             !asked    ? "; the configuration asks for the scene's ball"
-             : why_not ? why_not
-                       : ": planes cover the disparity that they see");
+             !asked && !r->on ? "; the configuration asks for the scene's ball"
+             : why_not        ? why_not
+                              : ": planes cover the disparity that they see");
 }
 
 static void settle(const struct rn_evidence *e) {

@@ -13,7 +13,8 @@ static void detect(const struct rn_evidence *e, struct rn_effect_record *r) {
     bool asked = !config->auto_effects || config->footprint_given;
     r->number = largest > 0 ? log2(largest / smallest) : 0;
     r->threshold = RN_SCALE_RANGE;
-    r->on = can && (asked || r->number > r->threshold);
+    r->on =
+        rn_effect_choose(config, RN_EFFECT_SCALE_PYRAMID, can, asked || r->number > r->threshold);
     snprintf(
         r->reason, sizeof r->reason,
         "footprints at the scene's centre differ by a factor of %.2f over the training cameras%s",
@@ -25,9 +26,9 @@ static void detect(const struct rn_evidence *e, struct rn_effect_record *r) {
 static void settle(const struct rn_evidence *e) {
     struct rn_train_config *config = &e->field->config;
     struct rn_field_config *c = &config->field;
-    if (!config->auto_effects || config->footprint_given || c->footprint == RN_FOOTPRINT_POINT ||
-        e->field->effects[RN_EFFECT_SCALE_PYRAMID].on)
-        return;
+    bool asked = !config->auto_effects || config->footprint_given;
+    if (config->effect[RN_EFFECT_SCALE_PYRAMID] == RN_EFFECT_AUTO && asked) return;
+    if (c->footprint == RN_FOOTPRINT_POINT || e->field->effects[RN_EFFECT_SCALE_PYRAMID].on) return;
     int base = config->grow_to > c->base ? config->grow_to : c->base;
     double top = 0;
     c->footprint_base = base;

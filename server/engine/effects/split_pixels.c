@@ -1,5 +1,7 @@
 // Split pixels: at the end of a training a pixel is supersampled, 2 x 2 cones whose mean is its
-// colour, and rendered so: sharper than one cone, and four times as much work.
+// colour, and rendered so: sharper than one cone, and four times as much work. In a place no gain
+// pays for that: after 120 CPU seconds of one thread fox has 29.67 dB with what `standard` does in
+// that time, split pixels among it, and 844 ms a picture, after 119 without it 29.90 dB and 158 ms.
 #include <math.h>
 #include <stdio.h>
 
@@ -11,7 +13,8 @@ static void detect(const struct rn_evidence *e, struct rn_effect_record *r) {
     bool asked = config->split_pixels > 0;
     r->number = e->field->effects[RN_EFFECT_SCALE_PYRAMID].number;
     r->threshold = RN_SCALE_RANGE;
-    r->on = asked && !(config->auto_effects && r->number > r->threshold);
+    r->on = rn_effect_choose(config, RN_EFFECT_SPLIT_PIXELS, asked,
+                             !(config->auto_effects && r->number > r->threshold));
     if (r->on)
         snprintf(r->reason, sizeof r->reason,
                  "the last %.0f %% of the schedule train pixels as 2 x 2 cones: cameras see the "
@@ -24,7 +27,15 @@ static void detect(const struct rn_evidence *e, struct rn_effect_record *r) {
                        : "the configuration asks for none");
 }
 
+// Whether it is one is known when the effects that follow have settled.
 static void settle(const struct rn_evidence *e) {
+    struct rn_effect_record *r = &e->field->effects[RN_EFFECT_SPLIT_PIXELS];
+    bool asked = e->field->config.effect[RN_EFFECT_SPLIT_PIXELS] == RN_EFFECT_WANTED;
+    if (r->on && !asked && e->field->config.auto_effects && rn_is_place(&e->field->cpu)) {
+        r->on = false;
+        snprintf(r->reason, sizeof r->reason,
+                 "pictures of places take five times as long with them and are no better");
+    }
     if (!e->field->effects[RN_EFFECT_SPLIT_PIXELS].on) e->field->config.split_pixels = 0;
 }
 

@@ -12,10 +12,12 @@
 
 static void detect(const struct rn_evidence *e, struct rn_effect_record *r) {
     const struct rn_train_config *config = &e->field->config;
-    bool asked = config->auto_effects && config->supersample;
+    bool several = rn_effect_choose(config, RN_EFFECT_CONES, true, config->supersample);
+    bool asked = config->auto_effects && several;
     r->number = e->photographs->scale_count > 1 ? rn_pixels_scale_error(e->photographs, FRAMES) : 0;
     r->threshold = THRESHOLD;
-    r->on = asked && r->number > r->threshold;
+    r->on = rn_effect_choose(config, RN_EFFECT_STRAIGHT_ALPHA, several && r->number > 0,
+                             asked && r->number > r->threshold);
     if (asked || r->number <= r->threshold)
         snprintf(r->reason, sizeof r->reason,
                  "at edges the coarsest photographs differ by %.1f/255 RMS from means that weigh "

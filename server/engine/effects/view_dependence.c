@@ -13,11 +13,15 @@
 
 static void detect(const struct rn_evidence *e, struct rn_effect_record *r) {
     r->threshold = THRESHOLD;
-    r->on = e->field->config.field.view_dependence;
-    r->decided = !e->field->config.auto_effects;
+    struct rn_train_config *config = &e->field->config;
+    bool given = config->effect[RN_EFFECT_VIEW_DEPENDENCE] != RN_EFFECT_AUTO;
+    r->on =
+        rn_effect_choose(config, RN_EFFECT_VIEW_DEPENDENCE, true, config->field.view_dependence);
+    r->decided = given || !config->auto_effects;
     r->number = NAN;
     snprintf(r->reason, sizeof r->reason, "%s",
              r->decided ? "as asked for" : "on until measured on the field after its warm-up");
+    config->field.view_dependence = r->on;
 }
 
 static bool is_due(const struct rn_evidence *e) {

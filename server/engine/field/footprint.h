@@ -37,23 +37,25 @@ RN_HD void rn_variance_bounds(float far, float step, float *ret_axial, float *re
     *ret_radial = far * far * 0.26f + step * step * 0.05f;
 }
 
-// level = log2(RN_FOOTPRINT_SCALE * sigma * size), clamped to [0, levels - 1]. sigma^2 = variance
-// in the frame where the plane spans [-1, 1]; `size` texels a side. (The paper's equation leaves
-// out the size; the released code has it.) The variance is clamped, not the level: never NaN or
-// infinite, and continuous at both ends. Error: 2 ULP of max(1, level).
-RN_HD rn_real rn_level_from_variance(rn_real variance, int size, int levels) {
-    rn_real unit = (rn_real)1 / ((rn_real)RN_FOOTPRINT_SCALE * (rn_real)size);
-    rn_real top = ldexp(unit, levels - 1);
-    rn_real v = rn_clamp(variance, unit * unit, top * top);
-    return rn_clamp((rn_real)0.5 * log2(v / (unit * unit)), 0, (rn_real)(levels - 1));
-}
-
-// The isotropic ablation: one level for both axes of every plane from the ball that the cone's
-// cross-section spans, radius in the [-1, 1] frame. level = log2(ball size), clamped alike. Error:
-// 2 ULP of max(1, level).
-RN_HD rn_real rn_level_from_ball(rn_real ball, int size, int levels) {
-    rn_real v = rn_clamp(ball * (rn_real)size, 1, ldexp((rn_real)1, levels - 1));
-    return log2(v);
-}
+// Levels that footprints ask for, in [0, levels - 1]. Of a Gaussian whose variance along an axis is
+// sigma^2 in the frame where the plane spans [-1, 1], `size` texels a side: log2(RN_FOOTPRINT_SCALE
+// * sigma * size). (The paper's equation leaves out the size; the released code has it.) For the
+// isotropic ablation, one for both axes of every plane: log2 of the ball that the cone's
+// cross-section spans, in texels. What goes into the logarithm is clamped, not the level: never NaN
+// or infinite, continuous at both ends, 0 for NaN. Error: 2 ULP of max(1, level).
+// One pair of functions a type, numbers or vectors that hold a sample a lane: CLAMP(x, low, high)
+// gives `low` for NaN, constants are of type NUMBER; WHERE is RN_HD, or RN_DEVICE where CLAMP and
+// LOG2 are a GPU's alone.
+#define RN_LEVEL_FUNCTIONS(WHERE, OF_VARIANCE, OF_BALL, TYPE, NUMBER, CLAMP, LOG2)                 \
+    WHERE TYPE OF_VARIANCE(TYPE variance, int size, int levels) {                                  \
+        NUMBER unit = (NUMBER)RN_FOOTPRINT_SCALE * (NUMBER)size;                                   \
+        NUMBER top = (NUMBER)(1u << (2 * (levels - 1)));                                           \
+        return (NUMBER)0.5 * LOG2(CLAMP(variance * (unit * unit), (NUMBER)1, top));                \
+    }                                                                                              \
+    WHERE TYPE OF_BALL(TYPE texels, int levels) {                                                  \
+        return LOG2(CLAMP(texels, (NUMBER)1, (NUMBER)(1u << (levels - 1))));                       \
+    }
+RN_LEVEL_FUNCTIONS(RN_HD, rn_level_from_variance, rn_level_from_ball, rn_real, rn_real, rn_clamp,
+                   log2)
 
 #endif

@@ -16,6 +16,8 @@
 #define RN_NEVER_SEEN 2.0f
 // Of a field at rest: a finer cell's optical depth from side to side. Thinner haze vanishes.
 #define RN_OCCUPANCY_SEEN 1.5e-2f
+// Of one that a picture's rays which end early pass over: less than they leave out at their ends.
+#define RN_OCCUPANCY_FIRM 8e-2f
 
 // Cell of a coordinate in [-1, 1]; clamped. NaN gives 0.
 RN_HD int rn_cell_of(rn_real p, int cells) {
@@ -33,6 +35,21 @@ RN_HD void rn_cell_at(size_t index, int cells, int ret[3]) {
     ret[0] = (int)(index / n / n);
     ret[1] = (int)(index / n % n);
     ret[2] = (int)(index % n);
+}
+
+// That a cell is among those drawn with replacement, `share` times as many draws as cells.
+RN_HD double rn_chance_of_draw(double share) {
+    return -expm1(-share);
+}
+
+// The released rule by which cells are drawn to be measured: of `cells` a quarter with replacement,
+// and with them all that are occupied, or as many draws of these where they are more. Each cell is
+// measured by a coin of its own with the same chance, of an empty one and of an occupied one.
+RN_HD void rn_chances_of_cells(double cells, double occupied, float ret[2]) {
+    double draws = cells / 4, empty = rn_chance_of_draw(0.25);
+    double own = occupied > draws ? rn_chance_of_draw(draws / occupied) : 1;
+    ret[0] = (float)empty;
+    ret[1] = (float)(1 - (1 - empty) * (1 - own));
 }
 
 // Word and bit of a cell in the bricked bit grid (kernels/kernels.h).

@@ -22,6 +22,13 @@ RN_HD rn_real rn_clamp(rn_real x, rn_real low, rn_real high) {
     return x > low ? (x < high ? x : high) : low; // NaN gives low
 }
 
+RN_HD rn_real rn_min(rn_real a, rn_real b) {
+    return a < b ? a : b;
+}
+RN_HD rn_real rn_max(rn_real a, rn_real b) {
+    return a > b ? a : b; // NaN gives b
+}
+
 // a b - c d without cancellation (Kahan; error at most 1.5 ULP of the result).
 RN_HD rn_real rn_difference_of_products(rn_real a, rn_real b, rn_real c, rn_real d) {
     rn_real cd = c * d;

@@ -7,6 +7,7 @@
 #ifndef RN_ENGINE_FIELD_RIPMAP_H
 #define RN_ENGINE_FIELD_RIPMAP_H
 
+#include <stdbool.h>
 #include <stddef.h>
 
 #include "server/engine/field/real.h"
@@ -43,17 +44,24 @@ struct rn_lerp {
     rn_real fraction;
 };
 
-// Coordinate p in [-1, 1] on a line of `size` texels with centres at (i + 1/2) / size; clamped to
-// the edge texels outside; NaN goes to the low edge. low + fraction: error at most 2 ULP of `size`.
+// Where coordinate p in [-1, 1] falls on a line of `texels` texels with centres at (i + 1/2) /
+// texels: the texel before it and the weight of the next; clamped to the edge texels outside, NaN
+// at the low edge. low + fraction: error at most 2 ULP of `texels`. One function a type, numbers or
+// vectors that hold a sample a lane: CONSTANT(x) is one of it, WHOLE(x) drops the fraction of x >=
+// 0, MAX(NaN, x) is x.
+#define RN_TEXEL_FUNCTION(NAME, TYPE, CONSTANT, MIN, MAX, WHOLE)                                   \
+    RN_HD void NAME(TYPE p, TYPE texels, TYPE *ret_low, TYPE *ret_fraction) {                      \
+        TYPE half = CONSTANT(0.5) * texels, x = p * half + (half - CONSTANT(0.5));                 \
+        x = MIN(MAX(x, CONSTANT(0)), texels - CONSTANT(1));                                        \
+        *ret_low = MIN(WHOLE(x), MAX(texels - CONSTANT(2), CONSTANT(0)));                          \
+        *ret_fraction = x - *ret_low;                                                              \
+    }
+RN_TEXEL_FUNCTION(rn_rip_texel, rn_real, (rn_real), rn_min, rn_max, (rn_real)(int))
+
 RN_HD struct rn_lerp rn_rip_lerp(rn_real p, int size) {
-    struct rn_lerp out;
-    rn_real x =
-        rn_clamp((p + 1) * (rn_real)0.5 * (rn_real)size - (rn_real)0.5, 0, (rn_real)(size - 1));
-    int low = (int)x;
-    if (low > size - 2) low = size - 2 > 0 ? size - 2 : 0;
-    out.low = low;
-    out.high = low + 1 < size ? low + 1 : low;
-    out.fraction = x - (rn_real)low;
+    rn_real low, fraction;
+    rn_rip_texel(p, (rn_real)size, &low, &fraction);
+    struct rn_lerp out = {(int)low, (int)low + 1 < size ? (int)low + 1 : (int)low, fraction};
     return out;
 }
 
@@ -65,6 +73,16 @@ RN_HD struct rn_lerp rn_rip_level(rn_real level, int levels) {
     out.high = out.low + 1 < levels ? out.low + 1 : out.low;
     out.fraction = x - (rn_real)out.low;
     return out;
+}
+
+// The weight of one of the four maps of a query between levels x and y: bit 0 of `corner` is the
+// upper level along x, bit 1 along y. A mipmap has square maps alone, told apart along one axis.
+RN_HD rn_real rn_rip_map_weight(const struct rn_lerp *x, const struct rn_lerp *y, bool mip,
+                                int corner) {
+    rn_real along_x = corner & 1 ? x->fraction : 1 - x->fraction;
+    rn_real along_y = corner & 2 ? y->fraction : 1 - y->fraction;
+    if (!mip) return along_x * along_y;
+    return corner == 0 || corner == 3 ? along_x : 0;
 }
 
 #endif

@@ -10,7 +10,7 @@
 #include "common/math/camera.h"
 #include "server/engine/kernels/kernels.h"
 
-#define RN_BACKEND_VERSION 7
+#define RN_BACKEND_VERSION 8
 #define RN_BACKEND_SYMBOL "rn_backend_table"
 
 struct rn_backend_device; // owner: rn_backend.open's caller
@@ -74,6 +74,7 @@ struct rn_device_training {
 struct rn_device_step {
     float network_rate, plane_rate;
     bool measure;                           // the occupancy first
+    bool measure_drawn;                     // cells that are drawn (rn_chances_of_cells), or
     uint32_t measure_first, measure_stride; // which cells of the hull
     float measure_decay;
     float smoothing; // of the planes, last (kernels/kernels.h); 0: none

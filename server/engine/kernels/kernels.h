@@ -119,6 +119,7 @@ struct rn_march_options {
     float roulette;            // times a packet's mean gradient, below which a sample's backward is
                                // by roulette; 0 = off
     uint64_t seed, counter;    // of the roulette
+    uint16_t *samples;         // pictures: NULL, or of each ray: its samples are added
     const float *look;         // NULL, or a direction for the colour network instead of the ray's
 };
 
@@ -241,8 +242,9 @@ static inline struct rn_tiling rn_tiling(int base, int channels, int levels) {
 struct rn_plane_update {
     const struct rn_adamw *options;
     struct rn_map (*maps)[RN_MAX_LEVELS], (*grad_maps)[RN_MAX_LEVELS];
-    float *m, *v;     // as maps[0][0]
-    uint8_t *touched; // marks of rn_tiling, cleared; NULL: every tile
+    struct rn_map (*to)[RN_MAX_LEVELS]; // where the new texels go, laid out as `maps`; NULL: there
+    float *m, *v;                       // as maps[0][0]
+    uint8_t *touched;                   // marks of rn_tiling, cleared; NULL: every tile
     int levels, channels;
     bool mip;
 };

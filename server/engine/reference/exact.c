@@ -25,8 +25,7 @@ void rn_exact_fetch(const struct rn_cpu_field *f, int plane, const double uv[2],
     struct rn_lerp x = rn_rip_level(l[0], levels), y = rn_rip_level(l[1], levels);
     memset(ret, 0, (size_t)channels * sizeof *ret);
     for (int i = 0; i < 4; i++) {
-        double wx = i & 1 ? x.fraction : 1 - x.fraction, wy = i & 2 ? y.fraction : 1 - y.fraction;
-        double weight = mip ? (i == 1 || i == 2 ? 0 : wx) : wx * wy;
+        double weight = rn_rip_map_weight(&x, &y, mip, i);
         if (!(weight > 0)) continue;
         const struct rn_map *map = &f->maps[plane][i & 2 ? y.high : y.low][i & 1 ? x.high : x.low];
         struct rn_lerp a = rn_rip_lerp(uv[0], map->width), b = rn_rip_lerp(uv[1], map->height);
@@ -88,10 +87,11 @@ static void forward_levels(const struct rn_cpu_field *f, const struct rn_march_r
     for (int i = 0; i < 2; i++) {
         double variance = rn_projected_variance(axes[i], d, width * width / 12, wide * wide / 4);
         if (f->config->footprint == RN_FOOTPRINT_MIP)
-            ret[i] = rn_level_from_ball(wide, size, levels);
-        if (f->config->footprint == RN_FOOTPRINT_RIP)
-            ret[i] = rn_level_from_variance(variance, size, levels);
+            ret[i] = rn_level_from_ball(wide * size, levels);
+        if (rn_levels_by_axis(f->config)) ret[i] = rn_level_from_variance(variance, size, levels);
     }
+    if (f->config->mean_level && f->config->footprint == RN_FOOTPRINT_MIP)
+        ret[0] = ret[1] = (ret[0] + ret[1]) / 2;
 }
 
 void rn_exact_features(const struct rn_cpu_field *f, const struct rn_march_ray *ray, double width,

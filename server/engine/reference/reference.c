@@ -266,13 +266,15 @@ void rn_reference_levels(const struct rn_reference *ref, const struct rn_referen
     *ret_lx = *ret_ly = 0;
     struct placed p = place(ref, ray, mid);
     double drawn = p.contracted ? cbrt(p.lengths.across * p.lengths.across * p.lengths.along) : 1;
-    if (config->footprint == RN_FOOTPRINT_MIP)
-        *ret_lx = *ret_ly = rn_level_from_ball(mid * ray->radius * drawn, base, config->levels);
-    if (config->footprint != RN_FOOTPRINT_RIP) return;
+    bool mip = config->footprint == RN_FOOTPRINT_MIP;
+    if (mip)
+        *ret_lx = *ret_ly = rn_level_from_ball(mid * ray->radius * drawn * base, config->levels);
+    if (!rn_levels_by_axis(config)) return;
     double vu = variance_along(&p, ref->solid.axis_u[plane], ray->direction);
     double vv = variance_along(&p, ref->solid.axis_v[plane], ray->direction);
     *ret_lx = rn_level_from_variance(vu, base, config->levels);
     *ret_ly = rn_level_from_variance(vv, base, config->levels);
+    if (mip) *ret_lx = *ret_ly = (*ret_lx + *ret_ly) / 2;
 }
 
 // Visits the up to 16 texels of a query: calls for each with its offset and weight.
@@ -287,12 +289,8 @@ static int query_corners(const struct rn_reference *ref, int plane, double u, do
     struct rn_lerp x = rn_rip_level(lx, levels), y = rn_rip_level(ly, levels);
     for (int i = 0; i < 4; i++) {
         int map_x = i & 1 ? x.high : x.low, map_y = i & 2 ? y.high : y.low;
-        double weight =
-            (i & 1 ? x.fraction : 1 - x.fraction) * (i & 2 ? y.fraction : 1 - y.fraction);
-        if (mip) { // square maps only: two of the four, weighted along one axis
-            if (i == 1 || i == 2) continue;
-            weight = i & 1 ? x.fraction : 1 - x.fraction;
-        }
+        if (mip && (i == 1 || i == 2)) continue; // square maps only
+        double weight = rn_rip_map_weight(&x, &y, mip, i);
         int w = rn_rip_size(ref->config.base, map_x), h = rn_rip_size(ref->config.base, map_y);
         struct rn_lerp a = rn_rip_lerp(u, w), b = rn_rip_lerp(v, h);
         size_t map = rn_reference_map_offset(ref, plane, map_x, map_y);

@@ -3,6 +3,7 @@
 #include <math.h>
 #include <stdlib.h>
 
+#include "server/engine/render/develop.h"
 #include "server/engine/scene/device.h"
 
 #define SOLID 0.25f // opacity, of rn_cones_mean's straight colours
@@ -70,39 +71,89 @@ static const float *straight_over(const struct rn_march_options *march) {
     return march->straight ? march->background : NULL;
 }
 
+// What all blocks of pixels share.
+struct looking {
+    const struct rn_engine *engine;
+    const struct rn_field *field;
+    const struct rn_march_options *march;
+    const struct rn_view *fine;
+    const struct rn_viewpoints *from; // NULL: all are seen from `fine`
+    int n;
+};
+
+static void cut_parallel(const struct looking *l, const struct rn_spot *spots, int count,
+                         struct rn_march_ray *rays, float *moved) {
+    int n = l->n;
+    for (int i = 0; i < count * n * n; i++) {
+        struct rn_spot s = spots[i / (n * n)];
+        int j = i % (n * n), x = s.x * n + j % n, y = s.y * n + j / n;
+        int from = rn_viewpoints_choose(s.x, s.y, n, j);
+        rays[i] =
+            rn_viewpoints_ray(l->from, l->field, from, x, y, (double)l->march->step, &moved[i]);
+    }
+}
+
+// Cones that are seen from several places, as their colours are: light, until they are averaged.
+static void mean_of_light(struct rn_pixel *cones, int n, struct rn_pixel *ret_pixel) {
+    for (int i = 0; i < 3 * n * n; i++)
+        cones[i / 3].rgb[i % 3] = rn_srgb_to_linear(cones[i / 3].rgb[i % 3]);
+    *ret_pixel = rn_cones_mean(cones, n, NULL);
+    for (int c = 0; c < 3; c++)
+        ret_pixel->rgb[c] = rn_srgb_from_linear(ret_pixel->rgb[c]);
+}
+
 // At most RN_CONES_BLOCK cones.
-static uint64_t render_block(const struct rn_engine *engine, const struct rn_field *field,
-                             const struct rn_march_options *march, const struct rn_view *fine,
-                             int n, const struct rn_spot *spots, int count, int thread,
-                             struct rn_pixel *ret_pixels) {
+static uint64_t render_block(const struct looking *l, const struct rn_spot *spots, int count,
+                             int thread, struct rn_pixel *ret_pixels, uint16_t *ret_costs) {
     struct rn_ray_place places[RN_CONES_BLOCK] = {{0}};
     struct rn_march_ray rays[RN_CONES_BLOCK];
     struct rn_pixel cones[RN_CONES_BLOCK];
-    int total = 0;
-    for (int i = 0; i < count; i++)
-        for (int j = 0; j < n * n; j++)
-            places[total++] =
-                (struct rn_ray_place){fine, spots[i].x * n + j % n, spots[i].y * n + j / n, 0};
-    engine->kernels->rays(places, total, (double)march->step, field->config.cone_step, rays);
+    float moved[RN_CONES_BLOCK];
+    const struct rn_viewpoints *from = l->from;
+    int n = l->n, total = count * n * n;
+    for (int i = 0; i < total; i++) {
+        struct rn_spot s = spots[i / (n * n)];
+        int j = i % (n * n);
+        places[i] = (struct rn_ray_place){l->fine, s.x * n + j % n, s.y * n + j / n, 0};
+        if (from) places[i].view = &from->view[rn_viewpoints_choose(s.x, s.y, n, j)];
+    }
+    if (from && from->parallel)
+        cut_parallel(l, spots, count, rays, moved);
+    else
+        l->engine->kernels->rays(places, total, (double)l->march->step, l->field->config.cone_step,
+                                 rays);
     struct rn_pixel *seen = n == 1 ? ret_pixels : cones;
-    uint64_t samples = engine->kernels->render(&field->cpu, march, rays, total,
-                                               rn_engine_workspace(engine, thread), seen);
-    close_ended(field, march, seen, (size_t)total);
+    uint16_t samples_of[RN_CONES_BLOCK] = {0};
+    struct rn_march_options counting = *l->march;
+    if (ret_costs) counting.samples = samples_of;
+    uint64_t samples = l->engine->kernels->render(&l->field->cpu, &counting, rays, total,
+                                                  rn_engine_workspace(l->engine, thread), seen);
+    close_ended(l->field, l->march, seen, (size_t)total);
+    for (int i = 0; from && from->parallel && i < total; i++)
+        if (seen[i].alpha > 0) seen[i].depth -= moved[i];
     for (int i = 0; i < count && n > 1; i++)
-        ret_pixels[i] = rn_cones_mean(cones + i * n * n, n, straight_over(march));
+        if (from && from->spread)
+            mean_of_light(cones + i * n * n, n, &ret_pixels[i]);
+        else
+            ret_pixels[i] = rn_cones_mean(cones + i * n * n, n, straight_over(l->march));
+    for (int i = 0; i < total && ret_costs; i++) {
+        if (i % (n * n) == 0) ret_costs[i / (n * n)] = 0;
+        ret_costs[i / (n * n)] += samples_of[i];
+    }
     return samples;
 }
 
 uint64_t rn_cones_render(const struct rn_engine *engine, const struct rn_field *field,
                          const struct rn_march_options *march, const struct rn_camera *camera,
-                         int n, const struct rn_spot *spots, int count, int thread,
-                         struct rn_pixel *ret_pixels) {
+                         const struct rn_viewpoints *viewpoints, int n, const struct rn_spot *spots,
+                         int count, int thread, struct rn_pixel *ret_pixels, uint16_t *ret_costs) {
     struct rn_camera fine = rn_camera_resized(camera, camera->width * n, camera->height * n);
     struct rn_view view = rn_field_view(field, &fine);
+    struct looking looking = {engine, field, march, &view, viewpoints, n};
     uint64_t samples = 0;
     for (int i = 0, block = RN_CONES_BLOCK / (n * n); i < count; i += block)
-        samples += render_block(engine, field, march, &view, n, spots + i,
-                                count - i < block ? count - i : block, thread, ret_pixels + i);
+        samples += render_block(&looking, spots + i, count - i < block ? count - i : block, thread,
+                                ret_pixels + i, ret_costs ? ret_costs + i : NULL);
     return samples;
 }
 

@@ -4,7 +4,7 @@
 #ifndef RN_ENGINE_RENDER_CONES_H
 #define RN_ENGINE_RENDER_CONES_H
 
-#include "server/engine/scene/scene.h"
+#include "server/engine/render/optics.h"
 
 #define RN_CONES_BLOCK 256 // cones evaluated together, and the most a pixel has
 
@@ -23,11 +23,13 @@ struct rn_spot {
     int x, y;
 };
 // Renders `count` pixels of a camera, each by n x n cones, on the calling thread; returns the field
-// evaluations. `march->step` is the length of a step of one cone.
+// evaluations. `march->step` is the length of a step of one cone. `viewpoints`: NULL, or where the
+// cones are seen from instead; they are then averaged as light. `ret_costs`:
+// NULL, or of each pixel its field evaluations.
 uint64_t rn_cones_render(const struct rn_engine *engine, const struct rn_field *field,
                          const struct rn_march_options *march, const struct rn_camera *camera,
-                         int n, const struct rn_spot *spots, int count, int thread,
-                         struct rn_pixel *ret_pixels);
+                         const struct rn_viewpoints *viewpoints, int n, const struct rn_spot *spots,
+                         int count, int thread, struct rn_pixel *ret_pixels, uint16_t *ret_costs);
 // Rows [row, row + rows) of a camera on the field's device, as above. The backend's errors.
 enum rn_status rn_field_render_rows(struct rn_field *field, const struct rn_camera *camera,
                                     const struct rn_march_options *march, int n, int row, int rows,

@@ -2,6 +2,8 @@
 
 #include <math.h>
 
+#define LARGEST 0.5f // tolerance
+
 // Of a pass: its first pixel in an even row and in an odd one, how far apart its pixels are, and
 // their neighbours, at +-(dx, dy) and +-(-dy, dx). NONE: no such row.
 #define NONE 2
@@ -28,12 +30,14 @@ static float squares_from_mean(float a, float b, float c, float d) {
 }
 #define SQUARES(n, m) squares_from_mean((n)[0]->m, (n)[1]->m, (n)[2]->m, (n)[3]->m)
 
+static float colours_apart(const struct rn_pixel *const n[4]) {
+    return SQUARES(n, rgb[0]) + SQUARES(n, rgb[1]) + SQUARES(n, rgb[2]);
+}
+
 // Not true of anything with a NaN.
 static bool agree(const struct rn_lattice *l, const struct rn_pixel *const n[4]) {
     float limit = l->tolerance * l->tolerance;
-    if (l->outputs & RN_OUTPUT_RGB &&
-        !(SQUARES(n, rgb[0]) + SQUARES(n, rgb[1]) + SQUARES(n, rgb[2]) <= 3 * limit))
-        return false;
+    if (l->outputs & RN_OUTPUT_RGB && !(colours_apart(n) <= 3 * limit)) return false;
     if (l->outputs & RN_OUTPUT_ALPHA && !(SQUARES(n, alpha) <= limit)) return false;
     return !(l->outputs & RN_OUTPUT_DEPTH) || SQUARES(n, depth) <= limit;
 }
@@ -57,7 +61,8 @@ static struct rn_pixel mean_of(const struct rn_pixel *const n[4]) {
     return rn_cones_mean((const struct rn_pixel[]){*n[0], *n[1], *n[2], *n[3]}, 2, NULL);
 }
 
-static bool interpolate(const struct rn_lattice *l, const struct pass *pass, int x, int y) {
+static bool interpolate(const struct rn_lattice *l, const struct pass *pass, int x, int y,
+                        double *apart) {
     struct rn_pixel *at = l->pixels + (size_t)y * l->width + x;
     const struct rn_pixel *n[4];
     if (!pass->dx || !find_neighbours(l, pass, x, y, n)) return false;
@@ -65,35 +70,50 @@ static bool interpolate(const struct rn_lattice *l, const struct pass *pass, int
     bool empty = seen == 0;
     if (empty ? !l->dense : !(seen > 0 && agree(l, n))) return false;
     *at = empty ? *n[0] : mean_of(n);
+    *apart += (double)colours_apart(n);
     return true;
 }
 
 // What no time is left for: the neighbours' mean; at the border a point of the first pass.
-static bool fill_in(const struct rn_lattice *l, const struct pass *pass, int x, int y) {
+static bool fill_in(const struct rn_lattice *l, const struct pass *pass, int x, int y,
+                    double *apart) {
     struct rn_pixel *at = l->pixels + (size_t)y * l->width + x;
     const struct rn_pixel *n[4];
     if (!l->late || !pass->dx) return false;
-    *at = find_neighbours(l, pass, x, y, n) ? mean_of(n)
-                                            : l->pixels[(size_t)(y & ~1) * l->width + (x & ~1)];
+    bool inside = find_neighbours(l, pass, x, y, n);
+    *at = inside ? mean_of(n) : l->pixels[(size_t)(y & ~1) * l->width + (x & ~1)];
+    if (inside) *apart += (double)colours_apart(n);
     return true;
 }
 
+// Of the mean square distance of four neighbours from their mean, how much the mean is likely to be
+// away from what would have been traced: fitted to photographs of lego at tolerances from 0.05 to
+// 0.5 of either pass, within 0.6 dB. What is interpolated as it is late is so whatever its
+// neighbours are; from neighbours that were traced the last pass is the better.
+static double likely_share(const struct rn_lattice *l, int pass) {
+    double t = l->late ? (double)LARGEST : (double)l->tolerance;
+    if (pass == 1) return 0.48 * pow(t, -0.36);
+    double before = l->earlier > 0 ? fmin((double)l->earlier, t) : t;
+    return 0.85 * pow(t, -0.18) * pow(before / t, 0.42);
+}
+
 int rn_lattice_choose(const struct rn_lattice *lattice, int pass, struct rn_tile tile,
-                      struct rn_spot *ret_spots) {
+                      struct rn_spot *ret_spots, double *interpolation) {
     const struct pass *p = lattice->tolerance > 0 ? &passes[pass] : &all;
     int count = 0;
+    double apart = 0; // of the three channels
     for (int y = tile.y0; y < tile.y1; y++) {
         if (p->first[y & 1] == NONE) continue;
         for (int x = tile.x0 + p->first[y & 1]; x < tile.x1; x += p->apart)
-            if (!fill_in(lattice, p, x, y) && !interpolate(lattice, p, x, y))
+            if (!fill_in(lattice, p, x, y, &apart) && !interpolate(lattice, p, x, y, &apart))
                 ret_spots[count++] = (struct rn_spot){x, y};
     }
+    if (apart > 0) *interpolation += likely_share(lattice, pass) * apart / 3;
     return count;
 }
 
 // ---- what a tolerance costs -----------------------------------------------------------------
 
-#define LARGEST 0.5f // tolerance
 #define SMALLEST 1e-9f
 
 // The bin of a squared distance; NaN and what is above the largest tolerance: RN_LATTICE_BINS.
@@ -106,8 +126,7 @@ static int bin_of(float square) {
 // Of agree: the largest of what it compares.
 static float disagreement(const struct rn_lattice *l, const struct rn_pixel *const n[4]) {
     float most = 0;
-    if (l->outputs & RN_OUTPUT_RGB)
-        most = (SQUARES(n, rgb[0]) + SQUARES(n, rgb[1]) + SQUARES(n, rgb[2])) / 3;
+    if (l->outputs & RN_OUTPUT_RGB) most = colours_apart(n) / 3;
     if (l->outputs & RN_OUTPUT_ALPHA) most = fmaxf(most, SQUARES(n, alpha));
     if (l->outputs & RN_OUTPUT_DEPTH) most = fmaxf(most, SQUARES(n, depth));
     return most;

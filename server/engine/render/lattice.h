@@ -23,6 +23,7 @@ struct rn_lattice {
     int width, height;
     unsigned outputs; // RN_OUTPUT_* ORed
     float tolerance;  // at most 0.5; 0: every pixel is traced, in one pass
+    float earlier;    // of the pass before this one, where it was another; else 0
     bool dense;       // rn_lattice_is_dense
     bool late;        // no time is left: from the second pass on nothing is traced
 };
@@ -39,9 +40,10 @@ bool rn_lattice_is_dense(const struct rn_field *field, const struct rn_camera *c
 int rn_lattice_passes(const struct rn_lattice *lattice);
 // Writes the tile's pixels of pass `pass` (from 0) that are interpolated, lists those to be traced,
 // row by row, and returns their count: at most all of the tile's, and half where there are several
-// passes.
+// passes. Adds to *interpolation what the colours of those that are interpolated are likely to be
+// away from what would be traced, mean square over the channels.
 int rn_lattice_choose(const struct rn_lattice *lattice, int pass, struct rn_tile tile,
-                      struct rn_spot *ret_spots);
+                      struct rn_spot *ret_spots, double *interpolation);
 
 // How many points of a pass a tolerance would have traced: by how much their neighbours disagree.
 #define RN_LATTICE_BINS 64 // quarter octaves of the distance's square, up to the largest tolerance

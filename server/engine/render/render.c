@@ -4,15 +4,19 @@
 #include <string.h>
 
 #include "common/base/clock.h"
-#include "server/engine/render/lattice.h"
+#include "server/engine/render/develop.h"
+#include "server/engine/render/fill.h"
+#include "server/engine/render/inspect.h"
+#include "server/engine/render/silhouette.h"
 #include "server/engine/scene/device.h"
 #include "server/engine/scene/occupancy.h"
 
 #define TILE 16               // cones a side; a tile fills two packets
 #define SPARSE 2              // times as many where a pass takes every second pixel a side
-#define BAND 256              // rows a device renders between two looks at keep_going
-#define ROWS 16               // of a picture that a thread fills at a time
+#define BAND 256              // rows of cones a device renders between two looks at the clock
+#define BAND_CONES (1 << 20)  // cones between two looks at keep_going alone
 #define FINE_POINTS (1 << 23) // of a lattice finer than the pixels, at most
+#define LOOK_NS 4000000       // between two looks at keep_going
 #define TIMED_TOLERANCE 1e-9  // of a frame by a deadline, until it is known what there is time for
 
 struct frame {
@@ -26,10 +30,17 @@ struct frame {
     int tile;                // points a side
     int tiles_x, pass;
     struct rn_lattice lattice;
+    struct rn_silhouette silhouette;
+    struct rn_pixel nothing;          // what shows outside of it
+    struct rn_viewpoints *viewpoints; // of a camera that is no pinhole at one instant; NULL
+    struct rn_development development;
     bool on_device;   // the field's copy there has the levels
     double tolerance; // the largest of the passes
     int64_t late_ns;  // when tracing ends, to leave the rest of a deadline for filling; 0: never
-    _Atomic uint64_t rays, samples, nonfinite;
+    uint16_t *costs;  // of the lattice's points, where they are asked for
+    struct rn_occupancy_bits before, cells; // that the march reads: uncropped, and for this frame
+    _Atomic uint64_t rays, samples;
+    _Atomic uint64_t interpolation; // in 2^-32, so that it is the same in any order
 };
 
 static struct rn_tile tile_at(const struct frame *f, int index) {
@@ -44,154 +55,89 @@ static bool is_late(const struct frame *f) {
     return f->late_ns && rn_clock_ns() >= f->late_ns;
 }
 
+// Points that nothing can be seen at are the background; the others stay in the list.
+static int drop_empty(struct frame *f, struct rn_spot *spots, int n) {
+    int kept = 0;
+    for (int i = 0; i < n; i++) {
+        struct rn_spot s = spots[i];
+        if (rn_silhouette_covers(&f->silhouette, s.x, s.y))
+            spots[kept++] = s;
+        else
+            f->lattice.pixels[(size_t)s.y * f->lattice.width + s.x] = f->nothing;
+    }
+    return kept;
+}
+
 static void render_tile(void *context, int index, int thread) {
     struct frame *f = context;
     struct rn_spot spots[TILE * TILE * SPARSE];
     struct rn_pixel pixels[TILE * TILE * SPARSE];
+    uint16_t costs[TILE * TILE * SPARSE];
     struct rn_lattice lattice = f->lattice;
     lattice.late = is_late(f);
-    int n = rn_lattice_choose(&lattice, f->pass, tile_at(f, index), spots);
-    f->samples += rn_cones_render(f->engine, f->field, &f->march, &f->camera, f->cones, spots, n,
-                                  thread, pixels);
+    double interpolation = 0;
+    int n = rn_lattice_choose(&lattice, f->pass, tile_at(f, index), spots, &interpolation);
+    if (isfinite(interpolation)) f->interpolation += (uint64_t)(interpolation * 0x1p32);
     f->rays += (uint64_t)n * f->cones * f->cones;
+    n = drop_empty(f, spots, n);
+    f->samples += rn_cones_render(f->engine, f->field, &f->march, &f->camera, f->viewpoints,
+                                  f->cones, spots, n, thread, pixels, f->costs ? costs : NULL);
     for (int i = 0; i < n; i++)
         f->lattice.pixels[(size_t)spots[i].y * lattice.width + spots[i].x] = pixels[i];
+    for (int i = 0; i < n && f->costs; i++)
+        f->costs[(size_t)spots[i].y * lattice.width + spots[i].x] = costs[i];
 }
 
-static float finite_or(float value, float other) {
-    return isfinite(value) ? value : other;
-}
-
-// What lies between the middles of two pixels of a row or column: the first one's place, whether
-// there is a second, and how far towards that.
-struct between {
-    int first, step;
-    float weight;
-};
-
-// Pictures to fill from a frame's points.
-struct filling {
-    struct frame *frame;
-    struct rn_render_result *result;
-    struct between
-        *columns; // of a picture that was rendered smaller, for each of its columns; NULL
-};
-
-static struct rn_pixel mean_of_points(const struct frame *f, int x, int y) {
-    int n = f->points, width = f->lattice.width;
-    const struct rn_pixel *first = f->lattice.pixels + (size_t)y * n * width + (size_t)x * n;
-    if (n == 1) return *first;
-    return rn_cones_mean((struct rn_pixel[]){first[0], first[1], first[width], first[width + 1]}, n,
-                         f->march.straight ? f->march.background : NULL);
-}
-
-// Pixel `i` of `whole`, among the `count` that were rendered in their place.
-static struct between find_between(int i, int whole, int count) {
-    float place = ((float)i + 0.5f) * (float)count / (float)whole - 0.5f;
-    place = fminf(fmaxf(place, 0), (float)(count - 1));
-    int first = (int)place;
-    return (struct between){first, first + 1 < count, place - (float)first};
-}
-
-static struct rn_pixel mix(const struct rn_pixel *a, const struct rn_pixel *b, float weight) {
-    struct rn_pixel mean;
-    for (int c = 0; c < 3; c++)
-        mean.rgb[c] = a->rgb[c] + weight * (b->rgb[c] - a->rgb[c]);
-    mean.alpha = a->alpha + weight * (b->alpha - a->alpha);
-    mean.depth = weight < 0.5f ? a->depth : b->depth;
-    return mean;
-}
-
-// A pixel of a picture that was rendered smaller: colour and opacity between the four nearest, the
-// nearest one's depth.
-static struct rn_pixel enlarged(const struct frame *f, struct between x, struct between y) {
-    const struct rn_pixel a = mean_of_points(f, x.first, y.first),
-                          b = mean_of_points(f, x.first + x.step, y.first),
-                          c = mean_of_points(f, x.first, y.first + y.step),
-                          d = mean_of_points(f, x.first + x.step, y.first + y.step);
-    const struct rn_pixel upper = mix(&a, &b, x.weight), lower = mix(&c, &d, x.weight);
-    return mix(&upper, &lower, y.weight);
-}
-
-static bool is_finite(struct rn_pixel p) {
-    return isfinite(p.rgb[0] + p.rgb[1] + p.rgb[2] + p.depth + p.alpha);
-}
-
-static void fill_rows(void *context, int index, int thread) {
-    (void)thread;
-    const struct filling *filling = context;
-    struct frame *f = filling->frame;
-    struct rn_render_result *result = filling->result;
-    const struct rn_render_options *o = f->options;
-    int end = (index + 1) * ROWS, height = f->lattice.height / f->points;
-    int n = o->settings.subsample > 1 ? o->settings.subsample : 1;
-    uint64_t nonfinite = 0;
-    for (int y = index * ROWS; y < end && y < o->camera.height; y++) {
-        struct between row = find_between(y, o->camera.height, height);
-        for (int x = 0; x < o->camera.width; x++) {
-            struct rn_pixel p =
-                filling->columns ? enlarged(f, filling->columns[x], row) : mean_of_points(f, x, y);
-            size_t at = (size_t)y * o->camera.width + x;
-            bool first = y % n + x % n == 0;
-            nonfinite += first && !is_finite(n > 1 ? mean_of_points(f, x / n, y / n) : p);
-            if (result->rgb.values)
-                for (int c = 0; c < 3; c++)
-                    result->rgb.values[3 * at + c] = finite_or(p.rgb[c], o->background[c]);
-            if (result->depth.values)
-                result->depth.values[at] = finite_or(p.depth, 0) * (float)f->field->bounds.radius;
-            if (result->alpha.values) result->alpha.values[at] = finite_or(p.alpha, 0);
-        }
-    }
-    f->nonfinite += nonfinite;
-}
-
-// Spreads the rendered pixels over the pictures asked for; counts those that are not finite.
-static enum rn_status fill_pictures(struct frame *f, struct rn_render_result *result,
+static enum rn_status check_options(const struct rn_field *field, struct rn_render_options *o,
                                     struct rn_error *err) {
-    const struct rn_render_options *o = f->options;
-    struct rn_picture *pictures[3] = {&result->rgb, &result->depth, &result->alpha};
-    const unsigned outputs[3] = {RN_OUTPUT_RGB, RN_OUTPUT_DEPTH, RN_OUTPUT_ALPHA};
-    for (int i = 0; i < 3; i++) {
-        if (!(o->outputs & outputs[i])) continue;
-        enum rn_status status =
-            rn_picture_init(o->camera.width, o->camera.height, i == 0 ? 3 : 1, pictures[i], err);
-        if (status != RN_OK) return status;
-    }
-    struct filling filling = {f, result, NULL};
-    int width = f->lattice.width / f->points;
-    if (o->settings.subsample > 1) {
-        filling.columns = malloc((size_t)o->camera.width * sizeof *filling.columns);
-        if (!filling.columns) return rn_error_set(err, RN_ERROR_NO_MEMORY, "camera", "no memory");
-        for (int x = 0; x < o->camera.width; x++)
-            filling.columns[x] = find_between(x, o->camera.width, width);
-    }
-    rn_pool_run(f->engine->pool, (o->camera.height + ROWS - 1) / ROWS, fill_rows, &filling);
-    free(filling.columns);
-    return RN_OK;
-}
-
-static enum rn_status check_options(struct rn_render_options *o, struct rn_error *err) {
     enum rn_status status = rn_camera_check(&o->camera, "camera", err);
     if (status != RN_OK) return status;
-    if (!(o->outputs & (RN_OUTPUT_RGB | RN_OUTPUT_DEPTH | RN_OUTPUT_ALPHA)))
-        return rn_error_set(err, RN_ERROR_INVALID, "output", "must be rgb, depth or alpha");
-    return rn_settings_check(&rn_render_settings, &o->settings, err);
+    if (!(o->outputs & RN_OUTPUTS_ALL))
+        return rn_error_set(err, RN_ERROR_INVALID, "output", "must be one of those there are");
+    if (o->outputs & RN_OUTPUTS_OF_SURFACES && rn_shot_needs_viewpoints(&o->shot))
+        return rn_error_set(err, RN_ERROR_UNSUPPORTED, "output",
+                            "normals, levels and footprints are of a pinhole's picture: leave out "
+                            "aperture, shutter and parallel rays");
+    o->outputs |= rn_inspect_needs(o->outputs);
+    status = rn_settings_check(&rn_render_settings, &o->settings, err);
+    return status ? status : rn_shot_check(&o->shot, &o->camera, field, err);
 }
 
 // Pyramid levels that this camera may touch; the training's own when rays are shorter.
 static enum rn_status prepare(struct frame *f, struct rn_error *err) {
     struct rn_camera cones =
         rn_camera_resized(&f->camera, f->camera.width * f->cones, f->camera.height * f->cones);
+    const struct rn_shot *shot = &f->options->shot;
     int levels = rn_levels_for_camera(f->field, &cones, (double)f->march.step);
+    for (int i = 0; i < shot->instant_count && shot->optics.shutter > 0; i++) {
+        struct rn_camera then = rn_shot_camera(shot, &shot->instants[i], f->field);
+        then = rn_camera_resized(&then, cones.width, cones.height);
+        int more = rn_levels_for_camera(f->field, &then, (double)f->march.step);
+        if (more > levels) levels = more;
+    }
     enum rn_status status =
         f->field->rests ? rn_field_put_to_render(f->engine, f->field, err) : RN_OK;
     if (status != RN_OK) return status;
-    f->on_device = f->field->on_device && levels <= f->field->device_levels;
+    bool looks_inside = (f->options->outputs & (RN_OUTPUT_COST | RN_OUTPUTS_OF_SURFACES)) != 0;
+    f->on_device = f->field->on_device && levels <= f->field->device_levels &&
+                   !rn_shot_needs_viewpoints(shot) && !looks_inside && !f->options->crop;
     if (f->on_device) return RN_OK;
     status = rn_field_fetch(f->field, NULL, NULL, err);
     if (status == RN_OK) status = rn_field_make_ready(f->field, f->engine, levels, err);
-    if (status == RN_OK) rn_field_choose_cells(f->field, levels);
-    return status;
+    if (status == RN_OK) rn_field_choose_cells(f->field, levels, exp(-(double)f->march.stop_depth));
+    f->before = f->cells = f->field->cpu.occupancy;
+    if (status != RN_OK || !f->options->crop) return status;
+    status = rn_occupancy_bits_crop(f->field, f->options->crop, &f->cells);
+    if (status != RN_OK) return rn_error_set(err, status, "crop", "no memory for its cells");
+    f->field->cpu.occupancy = f->cells;
+    return RN_OK;
+}
+
+// What the march reads is no longer cut off.
+static void put_back(struct frame *f) {
+    if (f->on_device || !f->options->crop) return;
+    f->field->cpu.occupancy = f->before;
+    rn_occupancy_bits_destroy(&f->cells);
 }
 
 static enum rn_status stopped(struct rn_error *err) {
@@ -205,12 +151,18 @@ static enum rn_status too_late(struct rn_error *err) {
 struct poll {
     bool (*keep_going)(void *context);
     void *context;
-    const struct frame *frame;
+    struct frame *frame;
+    int64_t look_ns; // when the next look is due
 };
 
+// Whoever is asked may render the field meanwhile, as it likes, over the same threads: never asked
+// in the midst of a run of theirs.
 static bool must_stop(void *context) {
     const struct poll *poll = context;
-    return poll->keep_going && !poll->keep_going(poll->context);
+    struct frame *f = poll->frame;
+    bool stop = poll->keep_going && !poll->keep_going(poll->context);
+    if (!f->on_device) f->field->cpu.occupancy = f->cells;
+    return stop;
 }
 
 // The frame's pass, and how many tiles it has.
@@ -221,21 +173,30 @@ static int begin_pass(struct frame *f, int pass) {
     return f->tiles_x * ((f->camera.height + f->tile - 1) / f->tile);
 }
 
-// All tiles of a pass, over the engine's threads.
-static enum rn_status render_pass(struct frame *f, int pass, struct poll *poll,
+static bool is_time_to_look(void *context) {
+    return rn_clock_ns() >= ((const struct poll *)context)->look_ns;
+}
+
+// All tiles of a pass, over the engine's threads; given up at `late_ns`, if that is not 0.
+static enum rn_status render_pass(struct frame *f, int pass, struct poll *poll, int64_t late_ns,
                                   struct rn_error *err) {
     int tiles = begin_pass(f, pass), next = 0;
-    if (must_stop(poll) ||
-        !rn_pool_run_some(f->engine->pool, tiles, &next, render_tile, f, must_stop, poll))
-        return stopped(err);
-    return RN_OK;
+    for (;;) {
+        if (must_stop(poll)) return stopped(err);
+        int64_t now_ns = rn_clock_ns();
+        if (late_ns && now_ns >= late_ns) return too_late(err);
+        poll->look_ns = poll->keep_going ? now_ns + LOOK_NS : INT64_MAX;
+        if (late_ns && late_ns < poll->look_ns) poll->look_ns = late_ns;
+        if (rn_pool_run_some(f->engine->pool, tiles, &next, render_tile, f, is_time_to_look, poll))
+            return RN_OK;
+    }
 }
 
 static enum rn_status render_tiles(struct frame *f, struct poll *poll, struct rn_error *err) {
     enum rn_status status = RN_OK;
     int passes = rn_lattice_passes(&f->lattice);
     for (int pass = 0; pass < passes && status == RN_OK; pass++)
-        status = render_pass(f, pass, poll, err);
+        status = render_pass(f, pass, poll, 0, err);
     return status;
 }
 
@@ -258,20 +219,6 @@ static struct rn_lattice_census take_census(const struct frame *f, int tiles, do
     return census;
 }
 
-static bool must_give_up(void *context) {
-    const struct poll *poll = context;
-    return must_stop(context) || rn_clock_ns() >= poll->frame->options->first_ns;
-}
-
-// The first pass is traced whole: all the others can be made from it.
-static enum rn_status render_first(struct frame *f, struct poll *poll, struct rn_error *err) {
-    int tiles = begin_pass(f, 0), next = 0;
-    if (!must_give_up(poll) &&
-        rn_pool_run_some(f->engine->pool, tiles, &next, render_tile, f, must_give_up, poll))
-        return RN_OK;
-    return must_stop(poll) ? stopped(err) : too_late(err);
-}
-
 // Of the time left, what the pass may take when so many more come, each of which traces more.
 static double share_of_pass(int passes_left) {
     double all = 0;
@@ -285,7 +232,8 @@ static double share_of_pass(int passes_left) {
 static enum rn_status render_timed(struct frame *f, struct poll *poll, struct rn_error *err) {
     int passes = rn_lattice_passes(&f->lattice);
     int64_t began_ns = rn_clock_ns();
-    enum rn_status status = render_first(f, poll, err);
+    // The first pass is traced whole: all the others can be made from it.
+    enum rn_status status = render_pass(f, 0, poll, f->options->first_ns, err);
     double point_ns = 0, spent_ns = (double)(rn_clock_ns() - began_ns);
     uint64_t before = 0;
     for (int pass = 1; pass < passes && status == RN_OK; pass++) {
@@ -297,17 +245,25 @@ static enum rn_status render_timed(struct frame *f, struct poll *poll, struct rn
         before = f->rays;
         began_ns = rn_clock_ns();
         double left_ns = share_of_pass(passes - pass) * (double)(f->late_ns - began_ns);
+        f->lattice.earlier = pass == 1 ? 0 : is_late(f) ? 1 : f->lattice.tolerance;
         f->lattice.tolerance = rn_lattice_tolerance_for(&census, share * left_ns / point_ns);
         f->tolerance = fmax(f->tolerance, (double)f->lattice.tolerance);
-        status = render_pass(f, pass, poll, err);
+        status = render_pass(f, pass, poll, 0, err);
         spent_ns = (double)(rn_clock_ns() - began_ns);
     }
     return status;
 }
 
-// Bands of BAND rows of cones on the device instead of tiles here: every pixel.
+// Rows of pixels that a device is asked for at once: a picture of usual size is one, unless there
+// is a deadline.
+static int band_rows(const struct frame *f) {
+    int rows = f->late_ns ? BAND / f->cones : BAND_CONES / (f->camera.width * f->cones * f->cones);
+    return rows > 1 ? rows : 1;
+}
+
+// Bands of rows on the device instead of tiles here: every pixel.
 static enum rn_status render_bands(struct frame *f, struct poll *poll, struct rn_error *err) {
-    int band = BAND / f->cones, width = f->camera.width;
+    int band = band_rows(f), width = f->camera.width;
     for (int row = 0; row < f->camera.height; row += band) {
         int rows = f->camera.height - row < band ? f->camera.height - row : band;
         uint64_t samples;
@@ -323,16 +279,46 @@ static enum rn_status render_bands(struct frame *f, struct poll *poll, struct rn
     return RN_OK;
 }
 
+static enum rn_status fill_pictures(struct frame *f, struct rn_render_result *result,
+                                    struct rn_error *err) {
+    struct rn_filling filling = {.lattice = &f->lattice,
+                                 .points = f->points,
+                                 .straight = f->march.straight ? f->march.background : NULL,
+                                 .options = f->options,
+                                 .radius = f->field->bounds.radius};
+    return rn_fill_pictures(f->engine, &filling, result, err);
+}
+
+// The outputs that colour, depth and opacity do not tell.
+static enum rn_status inspect(struct frame *f, struct rn_render_result *result,
+                              struct rn_error *err) {
+    if (!(f->options->outputs & (RN_OUTPUT_COST | RN_OUTPUTS_OF_SURFACES))) return RN_OK;
+    struct rn_inspection inspection = {.engine = f->engine,
+                                       .field = f->field,
+                                       .options = f->options,
+                                       .lattice = &f->lattice,
+                                       .costs = f->costs,
+                                       .points = f->points,
+                                       .cones = f->cones * f->points,
+                                       .step = (double)f->march.step};
+    return rn_inspect(&inspection, result, err);
+}
+
 // What is asked for, as it is rendered.
 static void init_frame(struct frame *f) {
     const struct rn_render_options *o = f->options;
     const struct rn_train_config *config = &f->field->config;
     int n = o->settings.subsample > 1 ? o->settings.subsample : 1;
-    f->camera = rn_camera_resized(&o->camera, (o->camera.width + n - 1) / n,
+    f->camera = rn_shot_camera(&o->shot, &o->camera, f->field);
+    f->camera = rn_camera_resized(&f->camera, (o->camera.width + n - 1) / n,
                                   (o->camera.height + n - 1) / n);
     f->cones = o->settings.supersample > 0 ? o->settings.supersample
                : n > 1                     ? 1
                                            : rn_cones_for_camera(f->field, &f->camera);
+    if (rn_optics_spreads(&o->shot.optics) && !o->settings.supersample && n == 1 &&
+        f->cones < RN_OPTICS_CONES)
+        f->cones = RN_OPTICS_CONES;
+    f->development = rn_development_of(o->shot.optics.exposure, o->shot.optics.white_balance);
     f->march.step =
         (float)(o->settings.step > 0 ? fmax(o->settings.step, config->step) : config->step);
     f->march.stop_depth = (float)-log(
@@ -350,7 +336,9 @@ static void init_frame(struct frame *f) {
 static void init_lattice(struct frame *f) {
     const struct rn_render_options *o = f->options;
     size_t fine = 4 * (size_t)f->camera.width * (size_t)f->camera.height;
-    f->points = f->tolerance > 0 && f->cones > 1 && !f->on_device && fine <= FINE_POINTS ? 2 : 1;
+    bool finer =
+        f->tolerance > 0 && f->cones > 1 && !f->on_device && !rn_optics_spreads(&o->shot.optics);
+    f->points = finer && fine <= FINE_POINTS ? 2 : 1;
     f->cones /= f->points;
     f->camera =
         rn_camera_resized(&f->camera, f->points * f->camera.width, f->points * f->camera.height);
@@ -361,33 +349,82 @@ static void init_lattice(struct frame *f) {
                                      .dense = rn_lattice_is_dense(f->field, &f->camera)};
 }
 
+// Takes the lattice's pixels, their costs and the places that its cones are seen from.
+static enum rn_status make_room(struct frame *f, struct rn_error *err) {
+    const struct rn_render_options *o = f->options;
+    int width = f->camera.width, height = f->camera.height;
+    size_t bytes = (size_t)width * (size_t)height * sizeof *f->lattice.pixels;
+    f->lattice.pixels = malloc(bytes);
+    if (!f->lattice.pixels)
+        return rn_error_set(err, RN_ERROR_NO_MEMORY, "camera", "a %dx%d picture needs %zu MiB",
+                            width, height, bytes >> 20);
+    if (o->outputs & RN_OUTPUT_COST) {
+        f->costs = calloc((size_t)width * (size_t)height, sizeof *f->costs);
+        if (!f->costs) return rn_error_set(err, RN_ERROR_NO_MEMORY, "camera", "no memory");
+    }
+    if (!rn_shot_needs_viewpoints(&o->shot)) return RN_OK;
+    f->viewpoints =
+        rn_viewpoints_create(&o->shot, &o->camera, f->field, width * f->cones, height * f->cones);
+    return f->viewpoints ? RN_OK : rn_error_set(err, RN_ERROR_NO_MEMORY, "camera", "no memory");
+}
+
+// What a pixel is whose cones meet nothing, as rn_cones_render would have it.
+static struct rn_pixel pixel_of_nothing(const struct frame *f) {
+    const float *background = f->march.background;
+    struct rn_pixel cones[RN_CONES_BLOCK];
+    int n = f->cones;
+    for (int i = 0; i < n * n; i++)
+        cones[i] = (struct rn_pixel){{background[0], background[1], background[2]}, 0, 0};
+    return n == 1 ? cones[0] : rn_cones_mean(cones, n, f->march.straight ? background : NULL);
+}
+
+static void develop_row(void *context, int index, int thread) {
+    struct frame *f = context;
+    struct rn_pixel *row = f->lattice.pixels + (size_t)index * f->lattice.width;
+    (void)thread;
+    for (struct rn_pixel *p = row; p < row + f->lattice.width; p++)
+        rn_develop(&f->development, p->alpha, f->march.background, p->rgb);
+}
+
 enum rn_status rn_render(struct rn_engine *engine, struct rn_field *field,
                          const struct rn_render_options *options, bool (*keep_going)(void *context),
                          void *context, struct rn_render_result *ret_result, struct rn_error *err) {
     int64_t begin = rn_clock_ns();
     struct rn_render_options checked = *options;
-    enum rn_status status = check_options(&checked, err);
+    enum rn_status status = check_options(field, &checked, err);
     if (status != RN_OK) return status;
     struct frame f = {.engine = engine, .field = field, .options = &checked};
     init_frame(&f);
     status = prepare(&f, err);
     if (status != RN_OK) return status;
     init_lattice(&f);
-    size_t bytes = (size_t)f.camera.width * (size_t)f.camera.height * sizeof *f.lattice.pixels;
-    f.lattice.pixels = malloc(bytes);
-    if (!f.lattice.pixels)
-        return rn_error_set(err, RN_ERROR_NO_MEMORY, "camera", "a %dx%d picture needs %zu MiB",
-                            f.camera.width, f.camera.height, bytes >> 20);
     struct rn_render_result result = {0};
-    struct poll poll = {keep_going, context, &f};
-    status = (f.on_device ? render_bands : f.late_ns ? render_timed : render_tiles)(&f, &poll, err);
+    struct poll poll = {.keep_going = keep_going, .context = context, .frame = &f};
+    status = make_room(&f, err);
+    if (status == RN_OK && !f.on_device && !f.viewpoints) {
+        rn_silhouette_init(engine, field, &f.camera, &f.silhouette);
+        f.nothing = pixel_of_nothing(&f);
+    }
+    if (status == RN_OK)
+        status = (f.on_device ? render_bands
+                  : f.late_ns ? render_timed
+                              : render_tiles)(&f, &poll, err);
+    if (status == RN_OK && f.development.on)
+        rn_pool_run(engine->pool, f.lattice.height, develop_row, &f);
     if (status == RN_OK) status = fill_pictures(&f, &result, err);
-    result.stats = (struct rn_render_stats){.cones = f.cones * f.points,
-                                            .tolerance = f.on_device ? 0 : f.tolerance,
-                                            .rays = f.rays,
-                                            .samples = f.samples,
-                                            .nonfinite_rays = f.nonfinite};
+    if (status == RN_OK) status = inspect(&f, &result, err);
+    result.stats.cones = f.cones * f.points;
+    result.stats.tolerance = f.on_device ? 0 : f.tolerance;
+    result.stats.rays = f.rays;
+    result.stats.samples = f.samples;
+    result.stats.interpolation =
+        (double)f.interpolation * 0x1p-32 / ((double)f.lattice.width * f.lattice.height);
+    result.stats.on_device = f.on_device;
+    put_back(&f);
     free(f.lattice.pixels);
+    rn_viewpoints_destroy(&f.viewpoints);
+    rn_silhouette_finish(&f.silhouette);
+    free(f.costs);
     if (status != RN_OK) {
         rn_render_result_finish(&result);
         return status;
@@ -405,4 +442,8 @@ void rn_render_result_finish(struct rn_render_result *result) {
     rn_picture_finish(&result->rgb);
     rn_picture_finish(&result->depth);
     rn_picture_finish(&result->alpha);
+    rn_picture_finish(&result->normal);
+    rn_picture_finish(&result->cost);
+    rn_picture_finish(&result->level);
+    rn_picture_finish(&result->footprint);
 }

@@ -3,10 +3,12 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "common/image/lpips.h"
 #include "common/image/metrics.h"
 #include "server/engine/render/cones.h"
 #include "server/engine/render/render.h"
 #include "server/engine/scene/pixels.h"
+#include "server/engine/scene/pose.h"
 
 static bool is_folded(const struct rn_camera *c, int x, int y) {
     return !(rn_camera_ray(c, x + 0.5, y + 0.5).radius > 0);
@@ -96,24 +98,66 @@ static double fitted_half(const struct rn_picture *rendered, const struct rn_pic
     return sum;
 }
 
-static double fitted_psnr(const struct rn_picture *rendered, const struct rn_picture *truth,
-                          const uint8_t *used) {
-    size_t count = 0;
-    double sum = fitted_half(rendered, truth, used, 0, &count);
-    sum += fitted_half(rendered, truth, used, 1, &count);
-    return count && sum > 0 ? -10 * log10(sum / (double)count) : NAN;
+// A view that is compared: its photograph as it is in the file and over the background, a byte a
+// pixel for those that count (NULL: all), and how its pictures are made.
+struct view {
+    struct rn_engine *engine;
+    struct rn_field *field;
+    const struct rn_frame *frame;
+    struct rn_render_options options;
+    bool (*keep_going)(void *context);
+    void *context;
+    struct rn_image photograph;
+    struct rn_picture truth;
+    uint8_t *used;
+};
+
+// The picture from where the camera is found to be by the photograph's other half.
+static enum rn_status render_sought(const struct view *view, int half,
+                                    struct rn_render_result *ret_result, struct rn_error *err) {
+    struct rn_render_options options = view->options;
+    struct rn_pose_looker looker = rn_pose_looker(view->engine, view->field, 0);
+    struct rn_pose_photo photo = {view->photograph.pixels, view->used, options.camera};
+    int levels = rn_levels_for_camera(view->field, &photo.camera, view->field->config.step);
+    enum rn_status status = rn_field_make_ready(view->field, view->engine, levels, err);
+    if (status != RN_OK) return status;
+    memcpy(looker.march.background, options.background, sizeof looker.march.background);
+    options.camera = rn_pose_seek(&looker, &photo, half ? RN_POSE_LEFT : RN_POSE_RIGHT,
+                                  RN_POSE_UNKNOWNS, view->field->config.seed);
+    return rn_render(view->engine, view->field, &options, view->keep_going, view->context,
+                     ret_result, err);
 }
 
-static enum rn_status compare(struct rn_picture *rendered, const struct rn_picture *truth,
-                              const struct rn_frame *frame, bool even, struct rn_view_score *score,
-                              struct rn_error *err) {
-    uint8_t *used;
-    enum rn_status status = find_used(frame, &used, err);
+static enum rn_status fitted_psnr(const struct view *view, struct rn_picture *rendered,
+                                  double *ret_psnr, struct rn_error *err) {
+    size_t count = 0;
+    double sum = 0;
+    enum rn_status status = RN_OK;
+    bool seeks = view->options.fit & RN_FIT_POSE && !view->field->on_device;
+    for (int half = 0; half < 2 && status == RN_OK; half++) {
+        struct rn_render_result sought = {0};
+        if (seeks) status = render_sought(view, half, &sought, err);
+        if (status == RN_OK && seeks) (void)prepare(&sought.rgb, &view->truth, view->used);
+        if (status == RN_OK)
+            sum +=
+                fitted_half(seeks ? &sought.rgb : rendered, &view->truth, view->used, half, &count);
+        rn_render_result_finish(&sought);
+    }
+    if (status == RN_OK) *ret_psnr = count && sum > 0 ? -10 * log10(sum / (double)count) : NAN;
+    return status;
+}
+
+static enum rn_status compare(struct view *view, struct rn_picture *rendered,
+                              struct rn_view_score *score, struct rn_error *err) {
+    const struct rn_frame *frame = view->frame;
+    const struct rn_picture *truth = &view->truth;
+    enum rn_status status = find_used(frame, &view->used, err);
     if (status != RN_OK) return status;
     size_t n = (size_t)rendered->width * (size_t)rendered->height;
-    size_t count = prepare(rendered, truth, used);
-    score->psnr_fitted = even ? fitted_psnr(rendered, truth, used) : NAN;
-    free(used);
+    size_t count = prepare(rendered, truth, view->used);
+    score->psnr_fitted = NAN;
+    if (view->options.fit) status = fitted_psnr(view, rendered, &score->psnr_fitted, err);
+    if (status != RN_OK) return status;
     if (count == 0)
         return rn_error_set(err, RN_ERROR_INVALID, frame->path,
                             "cannot be compared: its mask leaves no pixel");
@@ -125,32 +169,47 @@ static enum rn_status compare(struct rn_picture *rendered, const struct rn_pictu
     return RN_OK;
 }
 
+// Renders and compares; the photograph is there.
+static enum rn_status score_view(struct view *view, struct rn_view_score *score,
+                                 struct rn_error *err) {
+    const struct rn_render_options *options = &view->options;
+    struct rn_render_result result = {0};
+    enum rn_status status =
+        rn_image_composite(&view->photograph, options->background, &view->truth, err);
+    if (status == RN_OK)
+        status = rn_render(view->engine, view->field, options, view->keep_going, view->context,
+                           &result, err);
+    if (status == RN_OK) {
+        score->render_ms = result.stats.render_ms;
+        score->nonfinite_rays = result.stats.nonfinite_rays;
+        score->on_device = result.stats.on_device;
+        status = compare(view, &result.rgb, score, err);
+    }
+    score->lpips = NAN;
+    if (status == RN_OK && options->lpips)
+        status =
+            rn_lpips_compare(options->lpips, &result.rgb, &view->truth, view->engine->info.threads,
+                             view->keep_going, view->context, &score->lpips, err);
+    rn_render_result_finish(&result);
+    rn_picture_finish(&view->truth);
+    free(view->used);
+    return status;
+}
+
 enum rn_status rn_evaluate_view(struct rn_engine *engine, struct rn_field *field,
                                 const struct rn_frame *frame, const struct rn_render_options *given,
                                 bool (*keep_going)(void *context), void *context,
                                 struct rn_view_score *ret_score, struct rn_error *err) {
-    struct rn_render_options options = *given;
-    options.camera = frame->camera;
-    options.outputs = RN_OUTPUT_RGB;
-    options.straight = rn_field_averages_straight(field, frame);
-    struct rn_render_result result = {0};
-    struct rn_picture truth = {0};
-    struct rn_image photograph;
+    struct view view = {engine, field, frame, *given, keep_going, context, .used = NULL};
     struct rn_view_score score;
-    enum rn_status status = rn_image_read(frame->path, &rn_image_default_limits, &photograph, err);
+    view.options.camera = rn_field_camera(field, frame);
+    view.options.outputs = RN_OUTPUT_RGB;
+    view.options.straight = rn_field_averages_straight(field, frame);
+    enum rn_status status =
+        rn_image_read(frame->path, &rn_image_default_limits, &view.photograph, err);
     if (status != RN_OK) return status;
-    status = rn_image_composite(&photograph, options.background, &truth, err);
-    rn_image_finish(&photograph);
-    if (status == RN_OK)
-        status = rn_render(engine, field, &options, keep_going, context, &result, err);
-    if (status == RN_OK) {
-        score.render_ms = result.stats.render_ms;
-        score.nonfinite_rays = result.stats.nonfinite_rays;
-        status =
-            compare(&result.rgb, &truth, frame, field->effects[RN_EFFECT_EXPOSURE].on, &score, err);
-    }
-    rn_render_result_finish(&result);
-    rn_picture_finish(&truth);
+    status = score_view(&view, &score, err);
+    rn_image_finish(&view.photograph);
     if (status == RN_OK) *ret_score = score;
     return status;
 }

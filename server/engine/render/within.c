@@ -6,7 +6,6 @@
 
 #define SKETCH_SHARE 0.15 // of the time, for a first picture that tells how slow it is here
 #define TIGHT 0.35        // of the time, for the quickest picture: there is none for a second one
-#define TIGHT_SHARE 0.8   // of the time then, what the one picture may be expected to take
 #define PLANNED 0.95      // of the time left, what a picture may be expected to take
 #define RESERVE 1.3       // times the quickest picture's time, kept until there is a first one
 #define AMPLE 1.5         // times what the full picture takes: it is rendered as if without end
@@ -54,16 +53,24 @@ static void learn(struct attempt *a, const struct rn_render_choice *choice, doub
     *slowness = *slowness > 0 ? 0.5 * (*slowness + now) : now;
 }
 
-// One picture, in place of the one before. `timed`: by the deadline, else however long it takes.
-static enum rn_status try_choice(struct attempt *a, size_t choice, bool timed,
+// By when a picture is to be there.
+enum when {
+    WHENEVER, // it is done
+    IN_TIME,  // by the deadline, or not at all
+    AT_LEAST, // by the deadline; its first pass, which is a picture, in any case
+};
+
+// One picture, in place of the one before.
+static enum rn_status try_choice(struct attempt *a, size_t choice, enum when when,
                                  struct rn_error *err) {
     const struct rn_render_choice *wanted = &a->budget->choices[choice];
     struct rn_render_result result;
     int64_t began_ns = rn_clock_ns();
     double kept_ms = a->has_picture ? 0 : RESERVE * expected_ms(a, 0);
     a->options.settings = wanted->settings;
-    a->options.deadline_ns = timed ? a->budget->deadline_ns : 0;
-    a->options.first_ns = a->budget->deadline_ns - (int64_t)(kept_ms * 1e6);
+    a->options.deadline_ns = when == WHENEVER ? 0 : a->budget->deadline_ns;
+    a->options.first_ns =
+        when == AT_LEAST ? INT64_MAX : a->budget->deadline_ns - (int64_t)(kept_ms * 1e6);
     enum rn_status status =
         rn_render(a->engine, a->field, &a->options, a->keep_going, a->context, &result, err);
     double ms = (double)(rn_clock_ns() - began_ns) * 1e-6;
@@ -86,10 +93,12 @@ static enum rn_status begin(struct attempt *a, struct rn_error *err) {
         a->budget->slowness = 1;
         size_t sketch = best_within(a->budget, SKETCH_SHARE * left);
         a->budget->slowness = 0;
-        return try_choice(a, sketch, false, err);
+        return try_choice(a, sketch, WHENEVER, err);
     }
     if (expected_ms(a, 0) <= TIGHT * left) return RN_OK;
-    return try_choice(a, best_within(a->budget, TIGHT_SHARE * left), false, err);
+    // A device renders no passes: what there is no time for in all is not there.
+    enum rn_status status = try_choice(a, best_within(a->budget, PLANNED * left), AT_LEAST, err);
+    return status == RN_ERROR_LIMIT ? RN_OK : status;
 }
 
 // What there was no time for leaves the picture before, and the next attempt expects less.
@@ -100,7 +109,7 @@ static enum rn_status improve(struct attempt *a, struct rn_error *err) {
         size_t next = best_within(a->budget, PLANNED * left);
         if (a->has_picture ? next <= a->spent.choice : next == 0) break;
         bool ample = next + 1 == a->budget->count && AMPLE * expected_ms(a, next) <= left;
-        status = try_choice(a, next, !ample, err);
+        status = try_choice(a, next, ample ? WHENEVER : IN_TIME, err);
         if (status == RN_OK && a->spent.settings.tolerance > TRACES_ALL) break;
         if (status != RN_ERROR_LIMIT) continue;
         a->budget->slowness = fmin(SLOWER * a->budget->slowness, MOST_SLOWNESS);
@@ -124,7 +133,7 @@ enum rn_status rn_render_within(struct rn_engine *engine, struct rn_field *field
                         .result = &result};
     enum rn_status status = begin(&a, err);
     if (status == RN_OK) status = improve(&a, err);
-    if (status == RN_OK && !a.has_picture) status = try_choice(&a, 0, false, err);
+    if (status == RN_OK && !a.has_picture) status = try_choice(&a, 0, WHENEVER, err);
     if (status != RN_OK) {
         rn_render_result_finish(&result);
         return status;

@@ -1,37 +1,16 @@
 #include "server/engine/scene/device.h"
 
 #include <dlfcn.h>
+#include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <unistd.h>
 
+#include "server/engine/scene/module.h"
 #include "server/engine/scene/occupancy.h"
 
-// The CUDA runtime does not survive being unloaded.
-#define MODULE_FLAGS (RTLD_NOW | RTLD_LOCAL | RTLD_NODELETE)
-
 // ---- the module -----------------------------------------------------------------------------
-
-// `name` beside the running program.
-static void beside_program(const char *name, char *ret, size_t size) {
-    char program[1024];
-    ssize_t n = readlink("/proc/self/exe", program, sizeof program - 1);
-    program[n > 0 ? n : 0] = 0;
-    char *slash = strrchr(program, '/');
-    if (slash) *slash = 0;
-    snprintf(ret, size, "%s/%s", program, name);
-}
-
-static void *open_module(void) {
-    char path[2048];
-    const char *given = getenv("RIPNERF_CUDA_MODULE");
-    if (given) return dlopen(given, MODULE_FLAGS);
-    void *module = dlopen(RN_MODULE_FOLDER "/ripnerf-cuda.so", MODULE_FLAGS);
-    beside_program("engine/cuda/ripnerf-cuda.so", path, sizeof path);
-    if (!module && access(path, R_OK) == 0) module = dlopen(path, MODULE_FLAGS);
-    return module;
-}
 
 static const struct rn_backend *find_table(void *module, struct rn_error *err) {
     const struct rn_backend *table = module ? dlsym(module, RN_BACKEND_SYMBOL) : NULL;
@@ -52,7 +31,8 @@ static const struct rn_backend *find_table(void *module, struct rn_error *err) {
 
 static enum rn_status open_ordinal(struct rn_engine *e, int ordinal, struct rn_error *err) {
     struct rn_device_about about;
-    e->module = open_module();
+    e->module =
+        rn_module_open("RIPNERF_CUDA_MODULE", "ripnerf-cuda.so", "engine/cuda/ripnerf-cuda.so");
     const struct rn_backend *table = find_table(e->module, err);
     enum rn_status status =
         table ? table->open(ordinal, &e->device, &about, err) : RN_ERROR_UNSUPPORTED;
@@ -67,13 +47,33 @@ static enum rn_status open_ordinal(struct rn_engine *e, int ordinal, struct rn_e
     return RN_OK;
 }
 
+// A device that nobody insists on is used where it computes what the CPU does.
+static void check_optional(struct rn_engine *e, const struct rn_device_info *cpu) {
+    struct rn_device_agreement found;
+    struct rn_error why;
+    char gradient[64] = "no room to train";
+    if (rn_device_check(e, false, &found, &why) == RN_OK) {
+        if (!isnan(found.gradient))
+            snprintf(gradient, sizeof gradient, "the loss follows its gradient to %.1f %%",
+                     100 * found.gradient);
+        snprintf(e->info.checked, sizeof e->info.checked,
+                 "%s agrees with the CPU: pixels to %.1e, %s", e->info.device, found.pixels,
+                 gradient);
+        return;
+    }
+    rn_engine_close_device(e);
+    e->info = *cpu;
+    snprintf(e->info.checked, sizeof e->info.checked, "the CPU is used: %.200s", why.text);
+}
+
 enum rn_status rn_engine_open_device(struct rn_engine *e, const char *device,
                                      struct rn_error *err) {
     int ordinal = -1, length = 0;
     struct rn_error unused;
     e->device_optional = strcmp(device, "auto") == 0;
     if (e->device_optional) {
-        (void)!open_ordinal(e, 0, &unused);
+        struct rn_device_info cpu = e->info;
+        if (open_ordinal(e, 0, &unused) == RN_OK) check_optional(e, &cpu);
         return RN_OK;
     }
     if (sscanf(device, "cuda:%2d%n", &ordinal, &length) != 1 || device[length] || ordinal < 0)
@@ -135,14 +135,7 @@ static enum rn_status make_room(struct rn_engine *e, const struct rn_device_scen
 
 // ---- fields ---------------------------------------------------------------------------------
 
-enum rn_status rn_field_put(struct rn_engine *engine, struct rn_field *f, int levels,
-                            const struct rn_device_pixels *pixels,
-                            const struct rn_device_training *training, struct rn_error *err) {
-    if (f->on_device) f->backend->field_destroy(&f->on_device);
-    if (f->cpu.disparity.on)
-        return rn_error_set(err, RN_ERROR_UNSUPPORTED, "device",
-                            "forward-facing captures are trained and rendered on the CPU; use "
-                            "--device cpu or auto");
+struct rn_device_scene rn_device_scene_of(const struct rn_field *f, int levels) {
     struct rn_device_scene scene = {.config = f->config,
                                     .radius = f->bounds.radius,
                                     .solid = f->cpu.solid,
@@ -154,6 +147,18 @@ enum rn_status rn_field_put(struct rn_engine *engine, struct rn_field *f, int le
                                     .occupancy = f->occupancy,
                                     .hull = f->hull};
     memcpy(scene.centre, f->bounds.centre, sizeof scene.centre);
+    return scene;
+}
+
+enum rn_status rn_field_put(struct rn_engine *engine, struct rn_field *f, int levels,
+                            const struct rn_device_pixels *pixels,
+                            const struct rn_device_training *training, struct rn_error *err) {
+    if (f->on_device) f->backend->field_destroy(&f->on_device);
+    if (f->cpu.disparity.on)
+        return rn_error_set(err, RN_ERROR_UNSUPPORTED, "device",
+                            "forward-facing captures are trained and rendered on the CPU; use "
+                            "--device cpu or auto");
+    struct rn_device_scene scene = rn_device_scene_of(f, levels);
     const struct rn_backend *backend = engine->backend;
     enum rn_status status = make_room(engine, &scene, pixels, training, err);
     if (status == RN_OK) status = backend->field_create(engine->device, &scene, &f->on_device, err);

@@ -6,7 +6,8 @@
 #include "server/engine/kernels/backend.h"
 #include "server/engine/scene/scene.h"
 
-// Loads the backend's module and opens "cuda:N", or with "auto" the first one if that works. The
+// Loads the backend's module and opens "cuda:N", or with "auto" the first one if that works and its
+// kernels agree with the CPU's (rn_device_check), which the engine's info says either way. The
 // module is looked for at RIPNERF_CUDA_MODULE, where it was installed, and in the build folder.
 // RN_ERROR_UNSUPPORTED says why there is none.
 enum rn_status rn_engine_open_device(struct rn_engine *engine, const char *device,
@@ -18,6 +19,22 @@ bool rn_device_trained(const char *kernels);
 // What a training on a device does otherwise: it draws rays without a look at errors, and where
 // samples are shaded it has no roulette and splits no pixels.
 void rn_device_adapt(struct rn_train_config *config);
+
+// How far a device's kernels are from the CPU's, on small fields: a pixel's largest difference, of
+// the largest number, and by how much the loss leaves its gradient when it is followed.
+struct rn_device_agreement {
+    double pixels, gradient, ms;
+};
+#define RN_DEVICE_PIXELS 5e-3
+#define RN_DEVICE_GRADIENT 0.1
+// Compares them; `whole`: also the gradients of the paper's networks; else pixels alone where a
+// training finds no room, and `gradient` is NAN. RN_ERROR_NUMERIC where the
+// bounds do not hold, then with `ret` written too; the backend's errors.
+enum rn_status rn_device_check(struct rn_engine *engine, bool whole,
+                               struct rn_device_agreement *ret, struct rn_error *err) RN_MUST_CHECK;
+
+// A field as the backend takes it, with maps of `levels` a side.
+struct rn_device_scene rn_device_scene_of(const struct rn_field *field, int levels);
 
 // Makes the field exist on the engine's device as the CPU has it now, with maps of `levels` a side,
 // in place of what is there; with `pixels` it is trained there from now on, else both are NULL. Its

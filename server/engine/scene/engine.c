@@ -100,6 +100,11 @@ void rn_engine_destroy(struct rn_engine **engine) {
     *engine = NULL;
 }
 
+void rn_engine_keep_in(struct rn_engine *engine, const char *folder) {
+    bool fits = folder && strlen(folder) < sizeof engine->folder;
+    snprintf(engine->folder, sizeof engine->folder, "%s", fits ? folder : "");
+}
+
 void rn_engine_watch(struct rn_engine *engine, bool (*keep_going)(void *context), void *context) {
     engine->keep_going = keep_going;
     engine->watcher = context;
@@ -138,7 +143,8 @@ void rn_field_describe(const struct rn_field *field, struct rn_field_info *ret) 
                                   .steps = field->steps,
                                   .train_seconds = field->train_seconds,
                                   .psnr = field->psnr,
-                                  .parameter_count = field->parameters.count};
+                                  .parameter_count = field->parameters.count,
+                                  .viewing = field->viewing};
     ret->memory_bytes = rn_field_bytes(&field->config, field->pyramid_levels);
     memcpy(ret->effects, field->effects, sizeof ret->effects);
     snprintf(ret->kernels, sizeof ret->kernels, "%s", field->kernels);

@@ -12,8 +12,9 @@
 #include "common/settings/train.h"
 #include "server/engine/scene/effect.h"
 
-struct rn_engine; // a device: worker threads, kernel set
-struct rn_field;  // parameters and occupancy of one scene, enough to render
+struct rn_exchange; // other ranks
+struct rn_engine;   // a device: worker threads, kernel set
+struct rn_field;    // parameters and occupancy of one scene, enough to render
 
 struct rn_engine_options {
     // "cpu", "cuda:N", or "auto": the first GPU where there is one that opens and no kernel set is
@@ -29,11 +30,16 @@ struct rn_device_info {
     char name[128];      // model
     char kernels[32];    // the kernel set in use; on a GPU its architecture, "sm_90"
     char available[128]; // comma separated kernel sets this machine can run
+    char checked[240]; // with "auto": how a GPU agrees with the CPU, or why it is not used; else ""
     int threads;
 };
 enum rn_status rn_engine_create(const struct rn_engine_options *options,
                                 struct rn_engine **ret_engine, struct rn_error *err) RN_MUST_CHECK;
 void rn_engine_destroy(struct rn_engine **engine);
+// Where photographs that are more than may lie in memory are kept while they are trained on; NULL:
+// nowhere, they must fit. A path that is longer than RN_ENGINE_FOLDER_MAX is none.
+#define RN_ENGINE_FOLDER_MAX 4096
+void rn_engine_keep_in(struct rn_engine *engine, const char *folder);
 // Asked between images while a trainer loads its pixels; false makes rn_trainer_create and
 // rn_trainer_restore end with RN_ERROR_CANCELLED. NULL = never.
 void rn_engine_watch(struct rn_engine *engine, bool (*keep_going)(void *context), void *context);
@@ -58,11 +64,30 @@ void rn_engine_share(struct rn_engine *engine,
 // Gives what a field that is not trained holds of a GPU back; its next picture takes it there
 // again.
 void rn_field_rest(struct rn_field *field);
+// The ranks that this process was started with, through the module that joins them
+// (kernels/exchange.h), for good. RN_ERROR_UNSUPPORTED: it is not installed, or they are too many.
+enum rn_status rn_exchange_open(const struct rn_exchange **ret_exchange,
+                                struct rn_error *err) RN_MUST_CHECK;
+// Trainers that are made from here on train with the other ranks, on the CPU; NULL: alone, as at
+// first.
+void rn_engine_join(struct rn_engine *engine, const struct rn_exchange *exchange);
 void rn_engine_describe(const struct rn_engine *engine, struct rn_device_info *ret_info);
 
 // ---- fields ---------------------------------------------------------------------------------
 
 void rn_field_destroy(struct rn_field **field); // of one that no trainer has
+
+// What a file for viewing is (checkpoint/viewing.h), and what it lost. A field that came from one
+// renders as any other, and is never trained further.
+struct rn_viewing {
+    int bits; // of a value of the planes: 32 as trained, 16 half, fewer in blocks; 0: none
+    double psnr, trained; // dB: its pictures' mean, and those of the scene it is of
+    int views;            // that both are means over
+    char split[8];        // of which these are
+    char dataset[80];     // what the dataset is called where it was made
+    char sha256[65];      // of the parameters that it is of
+    char version[32];     // of the program that wrote it
+};
 
 struct rn_field_info {
     struct rn_train_config config;
@@ -76,6 +101,7 @@ struct rn_field_info {
     size_t parameter_count;
     struct rn_effect_record effects[RN_EFFECT_COUNT];
     char kernels[32];
+    struct rn_viewing viewing; // of 0 bits: it was trained here
 };
 void rn_field_describe(const struct rn_field *field, struct rn_field_info *ret_info);
 // SHA-256 of the parameters: fp32 little endian, [plane][v][u][channel], then the networks

@@ -5,6 +5,7 @@
 #include <string.h>
 
 #include "server/engine/field/occupancy.h"
+#include "server/engine/field/space.h"
 #include "server/engine/field/volume.h"
 
 // ---- bits -----------------------------------------------------------------------------------
@@ -162,6 +163,7 @@ void rn_field_refresh_occupancy(struct rn_field *field) {
                 put_row(&b, x, y, z, row_over(field, threshold, x, y, z));
     end(&b);
     rn_occupancy_bits_destroy(&field->fine);
+    rn_occupancy_bits_destroy(&field->firm);
     field->cpu.occupancy = field->coarse;
 }
 
@@ -172,7 +174,9 @@ void rn_field_refresh_occupancy(struct rn_field *field) {
 #define POINTS 8     // of a cell, 2 x 2 x 2
 #define SPARSE 0.125 // of all cells, that are occupied at most
 
-// Cells of the finer grid that are not known to be occupied yet, and of a turn: which of them are.
+enum matter { NONE, HAZE, FIRM };
+
+// Cells of the finer grid that are not known to be firm yet, and of a turn: what is there.
 struct search {
     const struct rn_field *field;
     struct rn_engine *engine;
@@ -203,8 +207,8 @@ static void look(void *context, int index, int thread) {
         float depth = density[i] * width * (float)RN_DENSITY_UNIT;
         int at[3];
         rn_cell_at(s->cell[from + (size_t)i], s->cells, at);
-        s->found[from + (size_t)i] =
-            depth > RN_OCCUPANCY_SEEN || is_at_end(field, at[0], at[1], at[2], s->cells);
+        bool firm = depth > RN_OCCUPANCY_FIRM || is_at_end(field, at[0], at[1], at[2], s->cells);
+        s->found[from + (size_t)i] = firm ? FIRM : depth > RN_OCCUPANCY_SEEN ? HAZE : NONE;
     }
 }
 
@@ -229,19 +233,32 @@ static size_t list_cells(const struct rn_occupancy_bits *coarse, uint32_t *ret_c
     return count;
 }
 
-// Looks at one point of every cell that is left; those found leave the list.
-static void take_turn(struct search *s, struct building *b) {
+static void put_cell(struct building *b, const int at[3]) {
+    put_row(b, at[0], at[1], at[2] & ~(RN_BRICK - 1), 1u << at[2] % RN_BRICK);
+}
+
+// Looks at one point of every cell that is left; firm ones leave the list.
+static void take_turn(struct search *s, struct building *all, struct building *firm) {
     size_t left = 0;
     rn_pool_run(s->engine->pool, (int)((s->count + CHUNK - 1) / CHUNK), look, s);
     for (size_t i = 0; i < s->count; i++) {
         int at[3];
         rn_cell_at(s->cell[i], s->cells, at);
-        if (s->found[i])
-            put_row(b, at[0], at[1], at[2] & ~(RN_BRICK - 1), 1u << at[2] % RN_BRICK);
+        if (s->found[i] != NONE) put_cell(all, at);
+        if (s->found[i] == FIRM)
+            put_cell(firm, at);
         else
             s->cell[left++] = s->cell[i];
     }
     s->count = left;
+}
+
+static bool create_both(struct rn_field *field, int cells) {
+    enum rn_space space = field->config.field.space;
+    if (rn_occupancy_bits_create(cells, space, &field->fine) != RN_OK) return false;
+    if (rn_occupancy_bits_create(cells, space, &field->firm) == RN_OK) return true;
+    rn_occupancy_bits_destroy(&field->fine);
+    return false;
 }
 
 void rn_field_refine_occupancy(struct rn_field *field, struct rn_engine *engine) {
@@ -252,6 +269,7 @@ void rn_field_refine_occupancy(struct rn_field *field, struct rn_engine *engine)
     bool pyramid = field->effects[RN_EFFECT_SCALE_PYRAMID].on;
     float level = pyramid ? rn_level_of_cells(&field->config.field) : 0;
     rn_occupancy_bits_destroy(&field->fine);
+    rn_occupancy_bits_destroy(&field->firm);
     field->cpu.occupancy = field->coarse;
     if (!field->config.refine_at_rest || cells > FINEST) return;
     s.count = list_cells(&field->coarse, NULL);
@@ -261,20 +279,80 @@ void rn_field_refine_occupancy(struct rn_field *field, struct rn_engine *engine)
     field->fine_levels = (int)ceilf(level) + 1;
     if (s.cell && s.found &&
         rn_field_make_ready(field, engine, field->fine_levels, &unused) == RN_OK &&
-        rn_occupancy_bits_create(cells, field->config.field.space, &field->fine) == RN_OK) {
-        struct building b = begin(&field->fine);
+        create_both(field, cells)) {
+        struct building all = begin(&field->fine), firm = begin(&field->firm);
         list_cells(&field->coarse, s.cell);
         for (s.turn = 0; s.turn < POINTS; s.turn++) {
             s.level = __builtin_parity((unsigned)s.turn) ? level : 0;
-            take_turn(&s, &b);
+            take_turn(&s, &all, &firm);
         }
-        end(&b);
+        end(&all);
+        end(&firm);
     }
     free(s.cell);
     free(s.found);
 }
 
-void rn_field_choose_cells(struct rn_field *field, int levels) {
+void rn_field_choose_cells(struct rn_field *field, int levels, double stop) {
     bool fine = field->fine.words && levels <= field->fine_levels;
-    field->cpu.occupancy = fine ? field->fine : field->coarse;
+    bool firm = stop >= (double)RN_OCCUPANCY_FIRM;
+    field->cpu.occupancy = !fine ? field->coarse : firm ? field->firm : field->fine;
+}
+
+// ---- of a box -------------------------------------------------------------------------------
+
+// A point of the cells' cube in dataset coordinates.
+static void place_of(const struct rn_field *field, const double q[3], double ret[3]) {
+    const struct rn_disparity *space = &field->cpu.disparity;
+    double seen[3], size = sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2]), scale = 1;
+    if (space->on) {
+        rn_disparity_unmap(space, q, seen);
+        for (int i = 0; i < 3; i++)
+            ret[i] = space->origin[i] +
+                     space->unit * (space->axes[0][i] * seen[0] + space->axes[1][i] * seen[1] +
+                                    space->axes[2][i] * seen[2]);
+        return;
+    }
+    if (field->config.field.space == RN_SPACE_UNBOUNDED && size > 0)
+        scale = (double)rn_uncontracted((rn_real)size) / size;
+    for (int i = 0; i < 3; i++)
+        ret[i] = field->bounds.centre[i] + field->bounds.radius * scale * q[i];
+}
+
+static bool is_kept(const struct rn_field *field, const struct rn_box *box, int cells, int x, int y,
+                    int z) {
+    double q[3] = {(2.0 * x + 1) / cells - 1, (2.0 * y + 1) / cells - 1, (2.0 * z + 1) / cells - 1};
+    double p[3];
+    place_of(field, q, p);
+    for (int i = 0; i < 3; i++)
+        if (!(p[i] >= box->low[i] && p[i] <= box->high[i])) return false;
+    return true;
+}
+
+// A brick's rows of 8 cells along z.
+static void crop_brick(const struct rn_field *field, const struct rn_box *box, struct building *b,
+                       int x0, int y0, int z0) {
+    const struct rn_occupancy_bits *from = &field->cpu.occupancy;
+    for (int x = x0; x < x0 + RN_BRICK; x++)
+        for (int y = y0; y < y0 + RN_BRICK; y++) {
+            unsigned set = 0;
+            for (int k = 0; k < RN_BRICK; k++)
+                if (bit_of(from, x, y, z0 + k) && is_kept(field, box, from->cells, x, y, z0 + k))
+                    set |= 1u << k;
+            put_row(b, x, y, z0, set);
+        }
+}
+
+enum rn_status rn_occupancy_bits_crop(const struct rn_field *field, const struct rn_box *box,
+                                      struct rn_occupancy_bits *ret_bits) {
+    const struct rn_occupancy_bits *from = &field->cpu.occupancy;
+    int n = from->cells, bricks = n / RN_BRICK;
+    if (rn_occupancy_bits_create(n, from->space, ret_bits) != RN_OK) return RN_ERROR_NO_MEMORY;
+    struct building b = begin(ret_bits);
+    for (int i = 0; i < bricks * bricks * bricks; i++)
+        if (from->distance[i] == 0)
+            crop_brick(field, box, &b, i / bricks / bricks * RN_BRICK,
+                       i / bricks % bricks * RN_BRICK, i % bricks * RN_BRICK);
+    end(&b);
+    return RN_OK;
 }

@@ -24,8 +24,14 @@ void rn_field_refresh_occupancy(struct rn_field *field);
 // result does not depend on the number of threads.
 void rn_field_refine_occupancy(struct rn_field *field, struct rn_engine *engine);
 
+// Of the cells that the march reads, those whose middle lies in a box of dataset coordinates: its
+// faces are kept to half a cell. RN_ERROR_NO_MEMORY; else rn_occupancy_bits_destroy.
+enum rn_status rn_occupancy_bits_crop(const struct rn_field *field, const struct rn_box *box,
+                                      struct rn_occupancy_bits *ret_bits) RN_MUST_CHECK;
+
 // Has the march read the finer cells where there are some that hold for cones of so many levels of
-// the pyramid, else the training's.
-void rn_field_choose_cells(struct rn_field *field, int levels);
+// the pyramid, else the training's. Of rays that end at a transmittance `stop` of RN_OCCUPANCY_FIRM
+// or more those finer cells alone whose optical depth is as large.
+void rn_field_choose_cells(struct rn_field *field, int levels, double stop);
 
 #endif

@@ -8,7 +8,7 @@
 // Lists the wanted frames, finest scale first.
 static enum rn_status list_frames(const struct rn_dataset *dataset,
                                   bool (*wanted)(void *, const struct rn_frame *), void *context,
-                                  struct rn_pixels *pixels, struct rn_error *err) {
+                                  int reduced, struct rn_pixels *pixels, struct rn_error *err) {
     bool *take = calloc(dataset->frame_count + 1, sizeof *take);
     pixels->frames = calloc(dataset->frame_count + 1, sizeof *pixels->frames);
     if (!take || !pixels->frames) {
@@ -28,31 +28,17 @@ static enum rn_status list_frames(const struct rn_dataset *dataset,
             if (!take[i] || frame->scale != scale) continue;
             pixels->frames[pixels->frame_count++] =
                 (struct rn_pixel_frame){.frame = frame,
-                                        .camera = frame->camera,
+                                        .camera = rn_camera_reduced(&frame->camera, reduced),
                                         .offset = pixels->pixel_count,
                                         .before = pixels->scale_pixels[scale]};
-            size_t n = (size_t)frame->camera.width * (size_t)frame->camera.height;
+            const struct rn_camera *camera = &pixels->frames[pixels->frame_count - 1].camera;
+            size_t n = (size_t)camera->width * (size_t)camera->height;
             pixels->scale_pixels[scale] += n;
             pixels->pixel_count += n;
         }
     }
     free(take);
     return RN_OK;
-}
-
-enum rn_status rn_mask_read(const struct rn_frame *frame, uint8_t *used, struct rn_error *err) {
-    struct rn_image mask;
-    enum rn_status status = rn_image_read(frame->mask_path, &rn_image_default_limits, &mask, err);
-    if (status != RN_OK) return status;
-    int w = frame->camera.width, h = frame->camera.height;
-    if (mask.width != w || mask.height != h)
-        status = rn_error_set(err, RN_ERROR_CORRUPT, frame->mask_path,
-                              "is %dx%d but its photograph is %dx%d; import the dataset again",
-                              mask.width, mask.height, w, h);
-    for (size_t i = 0; status == RN_OK && i < (size_t)w * (size_t)h; i++)
-        used[i] = mask.pixels[4 * i] >= 128;
-    rn_image_finish(&mask);
-    return status;
 }
 
 size_t rn_pixels_used(const struct rn_pixels *pixels, const struct rn_pixel_frame *frame) {
@@ -66,7 +52,7 @@ size_t rn_pixels_used(const struct rn_pixels *pixels, const struct rn_pixel_fram
 struct decode {
     struct rn_engine *engine;
     struct rn_pixels *pixels;
-    bool even;
+    struct rn_pixel_treatment treatment;
     atomic_bool cancelled;
     enum rn_status *status; // per frame
     struct rn_error *errors;
@@ -84,39 +70,103 @@ static void make_even(const double gain[3], uint8_t *rgba, size_t count) {
             rgba[4 * i + (size_t)c] = becomes[c][rgba[4 * i + (size_t)c]];
 }
 
+// What a mask leaves out becomes transparent.
+static void cut_out(const uint8_t *used, struct rn_image *image) {
+    size_t count = (size_t)image->width * (size_t)image->height;
+    for (size_t i = 0; i < count; i++)
+        if (!used[i]) image->pixels[4 * i + 3] = 0;
+}
+
+static enum rn_status read_photo(const struct rn_frame *frame, struct rn_image *ret_image,
+                                 struct rn_error *err) {
+    int w = frame->camera.width, h = frame->camera.height;
+    enum rn_status status = rn_image_read(frame->path, &rn_image_default_limits, ret_image, err);
+    if (status != RN_OK || (ret_image->width == w && ret_image->height == h)) return status;
+    rn_error_set(err, RN_ERROR_CORRUPT, frame->path,
+                 "is %dx%d but the dataset says %dx%d; import it again", ret_image->width,
+                 ret_image->height, w, h);
+    rn_image_finish(ret_image);
+    return RN_ERROR_CORRUPT;
+}
+
+static enum rn_status read_mask(const struct rn_frame *frame, uint8_t **ret_used,
+                                struct rn_error *err) {
+    uint8_t *used = malloc((size_t)frame->camera.width * (size_t)frame->camera.height);
+    if (!used) return rn_error_set(err, RN_ERROR_NO_MEMORY, frame->mask_path, "out of memory");
+    enum rn_status status = rn_mask_read(frame, used, err);
+    if (status == RN_OK)
+        *ret_used = used;
+    else
+        free(used);
+    return status;
+}
+
+static enum rn_status keep_colours(const struct decode *decode, const struct rn_pixel_frame *f,
+                                   const struct rn_image *image, struct rn_error *err) {
+    uint8_t *to = decode->pixels->rgba + 4 * f->offset;
+    size_t count = (size_t)f->camera.width * (size_t)f->camera.height;
+    if (f->camera.width == image->width && f->camera.height == image->height) {
+        memcpy(to, image->pixels, 4 * count);
+    } else {
+        struct rn_image small;
+        enum rn_status status = rn_image_downscale(image, f->camera.width, f->camera.height,
+                                                   RN_DOWNSCALE_PREMULTIPLIED, &small, err);
+        if (status != RN_OK) return status;
+        memcpy(to, small.pixels, 4 * count);
+        rn_image_finish(&small);
+    }
+    if (decode->treatment.even) make_even(f->frame->gain, to, count);
+    return RN_OK;
+}
+
+// A pixel is left out where any of those that it is made of is.
+static void keep_mask(const struct decode *decode, const struct rn_pixel_frame *f,
+                      const uint8_t *used) {
+    int w = f->frame->camera.width, h = f->frame->camera.height;
+    int64_t width = f->camera.width, height = f->camera.height;
+    uint8_t *to = decode->pixels->used + f->offset;
+    for (int64_t y = 0; y < h; y++)
+        for (int64_t x = 0; x < w; x++, used++)
+            for (int64_t j = y * height / h; !*used && j <= ((y + 1) * height - 1) / h; j++)
+                for (int64_t i = x * width / w; i <= ((x + 1) * width - 1) / w; i++)
+                    to[j * width + i] = 0;
+}
+
+static enum rn_status decode_photo(const struct decode *decode, const struct rn_pixel_frame *f,
+                                   struct rn_error *err) {
+    bool masked = f->frame->mask_path && !decode->treatment.unmasked;
+    size_t count = (size_t)f->camera.width * (size_t)f->camera.height;
+    uint8_t *used = NULL;
+    struct rn_image image;
+    if (decode->pixels->used) memset(decode->pixels->used + f->offset, 1, count);
+    enum rn_status status = read_photo(f->frame, &image, err);
+    if (status != RN_OK) return status;
+    if (masked) status = read_mask(f->frame, &used, err);
+    if (status == RN_OK && masked && decode->treatment.cut_out) cut_out(used, &image);
+    if (status == RN_OK) status = keep_colours(decode, f, &image, err);
+    if (status == RN_OK && masked && !decode->treatment.cut_out) keep_mask(decode, f, used);
+    rn_image_finish(&image);
+    free(used);
+    return status;
+}
+
 static void decode_frame(void *context, int index, int thread) {
     struct decode *decode = context;
     const struct rn_engine *engine = decode->engine; // its watcher is asked on its own thread
     if (thread == 0 && engine->keep_going && !engine->keep_going(engine->watcher))
         decode->cancelled = true;
     if (decode->cancelled) return;
-    const struct rn_pixel_frame *f = &decode->pixels->frames[index];
-    struct rn_error *err = &decode->errors[index];
-    struct rn_image image;
-    enum rn_status status = rn_image_read(f->frame->path, &rn_image_default_limits, &image, err);
-    if (status == RN_OK) {
-        int w = f->frame->camera.width, h = f->frame->camera.height;
-        if (image.width != w || image.height != h)
-            status = rn_error_set(err, RN_ERROR_CORRUPT, f->frame->path,
-                                  "is %dx%d but the dataset says %dx%d; import it again",
-                                  image.width, image.height, w, h);
-        else
-            memcpy(decode->pixels->rgba + 4 * f->offset, image.pixels, (size_t)w * h * 4);
-        if (status == RN_OK && decode->even)
-            make_even(f->frame->gain, decode->pixels->rgba + 4 * f->offset, (size_t)w * h);
-        rn_image_finish(&image);
-    }
-    if (status == RN_OK && f->frame->mask_path)
-        status = rn_mask_read(f->frame, decode->pixels->used + f->offset, err);
-    decode->status[index] = status;
+    decode->status[index] =
+        decode_photo(decode, &decode->pixels->frames[index], &decode->errors[index]);
+    rn_pixels_let_go(decode->pixels);
 }
 
-static enum rn_status decode_all(struct rn_pixels *pixels, struct rn_engine *engine, bool even,
-                                 struct rn_error *err) {
+static enum rn_status decode_all(struct rn_pixels *pixels, struct rn_engine *engine,
+                                 struct rn_pixel_treatment treatment, struct rn_error *err) {
     size_t n = (size_t)pixels->frame_count;
     struct decode decode = {.engine = engine,
                             .pixels = pixels,
-                            .even = even,
+                            .treatment = treatment,
                             .status = calloc(n + 1, sizeof(enum rn_status)),
                             .errors = calloc(n + 1, sizeof(struct rn_error))};
     enum rn_status status = RN_ERROR_NO_MEMORY;
@@ -135,50 +185,73 @@ static enum rn_status decode_all(struct rn_pixels *pixels, struct rn_engine *eng
     return status;
 }
 
+// Whether they lie on disk rather than in memory.
+static bool lies_on_disk(const struct rn_engine *engine, const struct rn_pixel_treatment *treatment,
+                         size_t bytes, size_t limit_bytes) {
+    if (!*engine->folder) return false;
+    size_t most = treatment->memory_bytes;
+    return (most && bytes + treatment->taken_bytes > most) || (limit_bytes && bytes > limit_bytes);
+}
+
+// Room for the pixels that are listed.
+static enum rn_status make_room(const struct rn_engine *engine,
+                                const struct rn_pixel_treatment *treatment, const char *name,
+                                bool masked, size_t limit_bytes, struct rn_pixels *pixels,
+                                struct rn_error *err) {
+    size_t count = pixels->pixel_count, bytes = rn_pixels_bytes(count, masked);
+    if (lies_on_disk(engine, treatment, bytes, limit_bytes)) {
+        enum rn_status status = rn_paged_create(engine->folder, bytes, &pixels->paged, err);
+        if (status != RN_OK) return status;
+        pixels->held_bytes = treatment->memory_bytes ? treatment->memory_bytes : limit_bytes;
+        if (limit_bytes && limit_bytes < pixels->held_bytes) pixels->held_bytes = limit_bytes;
+        pixels->rgba = (uint8_t *)pixels->paged.bytes;
+        if (masked) pixels->used = pixels->rgba + 4 * count;
+        return RN_OK;
+    }
+    if (limit_bytes && bytes > limit_bytes)
+        return rn_error_set(err, RN_ERROR_LIMIT, name,
+                            "its pixels need %zu MiB and %zu MiB are left; import it with a "
+                            "smaller --max-size, or train with --train-scale",
+                            bytes >> 20, limit_bytes >> 20);
+    pixels->rgba = rn_block_create(4 * count);
+    if (masked) pixels->used = rn_block_create(count);
+    if (pixels->rgba && (pixels->used || !masked)) return RN_OK;
+    return rn_error_set(err, RN_ERROR_NO_MEMORY, name,
+                        "its pixels need %zu MiB; import it with a smaller --max-size, or train "
+                        "with --train-scale",
+                        bytes >> 20);
+}
+
 enum rn_status rn_pixels_load(const struct rn_dataset *dataset,
                               bool (*wanted)(void *, const struct rn_frame *), void *context,
-                              struct rn_engine *engine, bool even, size_t limit_bytes,
-                              struct rn_pixels *ret_pixels, struct rn_error *err) {
+                              struct rn_engine *engine, struct rn_pixel_treatment treatment,
+                              size_t limit_bytes, struct rn_pixels *ret_pixels,
+                              struct rn_error *err) {
     struct rn_pixels pixels = {0};
-    enum rn_status status = list_frames(dataset, wanted, context, &pixels, err);
-    if (status != RN_OK) goto fail;
-    if (pixels.frame_count == 0) {
+    enum rn_status status = list_frames(dataset, wanted, context, treatment.reduced, &pixels, err);
+    if (status == RN_OK && pixels.frame_count == 0)
         status = rn_error_set(err, RN_ERROR_INVALID, dataset->name, "has no usable training image");
-        goto fail;
-    }
     bool masked = false;
     for (int f = 0; f < pixels.frame_count; f++)
-        masked = masked || pixels.frames[f].frame->mask_path;
-    size_t bytes = pixels.pixel_count * (masked ? 5 : 4);
-    if (limit_bytes && bytes > limit_bytes) {
-        status = rn_error_set(err, RN_ERROR_LIMIT, dataset->name,
-                              "its pixels need %zu MiB and %zu MiB are left; import it with a "
-                              "smaller --max-size",
-                              bytes >> 20, limit_bytes >> 20);
-        goto fail;
-    }
-    pixels.rgba = rn_block_create(pixels.pixel_count * 4);
-    if (masked) pixels.used = rn_block_create(pixels.pixel_count);
-    if (pixels.used) memset(pixels.used, 1, pixels.pixel_count);
-    if (!pixels.rgba || (masked && !pixels.used)) {
-        status = rn_error_set(err, RN_ERROR_NO_MEMORY, dataset->name,
-                              "its pixels need %zu MiB; import it with a smaller --max-size",
-                              bytes >> 20);
-        goto fail;
-    }
-    status = decode_all(&pixels, engine, even, err);
-    if (status != RN_OK) goto fail;
-    *ret_pixels = pixels;
-    return RN_OK;
-fail:
-    rn_pixels_finish(&pixels);
+        masked = masked || (pixels.frames[f].frame->mask_path && !treatment.unmasked);
+    masked = masked && !treatment.cut_out;
+    if (status == RN_OK)
+        status = make_room(engine, &treatment, dataset->name, masked, limit_bytes, &pixels, err);
+    if (status == RN_OK) status = decode_all(&pixels, engine, treatment, err);
+    if (status == RN_OK)
+        *ret_pixels = pixels;
+    else
+        rn_pixels_finish(&pixels);
     return status;
 }
 
 void rn_pixels_finish(struct rn_pixels *pixels) {
     free(pixels->frames);
-    rn_block_destroy(pixels->rgba);
-    rn_block_destroy(pixels->used);
+    if (!pixels->paged.bytes) {
+        rn_block_destroy(pixels->rgba);
+        rn_block_destroy(pixels->used);
+    }
+    rn_paged_destroy(&pixels->paged);
     memset(pixels, 0, sizeof *pixels);
 }
 

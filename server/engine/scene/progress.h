@@ -22,6 +22,10 @@ struct rn_progress {
     double eta_seconds; // on the clock, NAN when unknown
     double fraction;    // 0..1 of the binding limit, NAN when there is no limit
     bool done;          // a limit is reached: nothing left to train
+    // Of a training that ends where no more is gained: the last figure that was clearly better than
+    // the one noted before it, and when; 0 before there is one. Whether the plateau is reached.
+    double gained_psnr, gained_seconds;
+    bool plateau;
 };
 
 #endif

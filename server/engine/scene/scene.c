@@ -186,6 +186,26 @@ enum rn_status rn_field_fill(struct rn_field *field) {
     return RN_OK;
 }
 
+static void point_at_parameters(struct rn_field *field) {
+    float *values = field->parameters.values;
+    rn_pyramid_lay_out(&field->config.field, field->pyramid_levels, values, field->pyramid,
+                       field->cpu.maps);
+    field->cpu.base_weights = values + field->parameters.plane_count;
+    field->cpu.head_weights = field->cpu.base_weights + field->parameters.base_count;
+}
+
+void rn_field_exchange(struct rn_field *field, float **values, float **pyramid, int *levels) {
+    float *own_values = field->parameters.values, *own_pyramid = field->pyramid;
+    int own_levels = field->pyramid_levels;
+    field->parameters.values = *values;
+    field->pyramid = *pyramid;
+    field->pyramid_levels = *levels;
+    point_at_parameters(field);
+    *values = own_values;
+    *pyramid = own_pyramid;
+    *levels = own_levels;
+}
+
 enum rn_status rn_field_create(const struct rn_train_config *config, const struct rn_bounds *bounds,
                                struct rn_field **ret_field, struct rn_error *err) {
     struct rn_field *field = calloc(1, sizeof *field);
@@ -209,10 +229,7 @@ enum rn_status rn_field_create(const struct rn_train_config *config, const struc
         rn_field_destroy(&field);
         return status;
     }
-    float *values = field->parameters.values;
-    rn_pyramid_lay_out(&config->field, 1, values, NULL, field->cpu.maps);
-    field->cpu.base_weights = values + field->parameters.plane_count;
-    field->cpu.head_weights = field->cpu.base_weights + field->parameters.base_count;
+    point_at_parameters(field);
     field->cpu.base_packed = field->packed;
     field->cpu.head_packed = field->packed + rn_mlp_packed_count(&field->cpu.base_shape);
     rn_field_refresh_occupancy(field);
@@ -231,6 +248,7 @@ void rn_field_destroy(struct rn_field **field) {
     rn_block_destroy(f->hull);
     rn_occupancy_bits_destroy(&f->coarse);
     rn_occupancy_bits_destroy(&f->fine);
+    rn_occupancy_bits_destroy(&f->firm);
     free(f);
     *field = NULL;
 }
@@ -350,6 +368,11 @@ struct rn_march_ray rn_march_ray_from(const struct rn_field *field, const struct
                       step, jitter);
 }
 
+struct rn_camera rn_field_camera(const struct rn_field *field, const struct rn_frame *frame) {
+    const struct rn_effect_record *lenses = &field->effects[RN_EFFECT_DISTORTION];
+    return lenses->decided && !lenses->on ? rn_camera_without_lens(&frame->camera) : frame->camera;
+}
+
 struct rn_view rn_field_view(const struct rn_field *field, const struct rn_camera *camera) {
     const struct rn_disparity *space = &field->cpu.disparity;
     if (space->on) return rn_view_forward(space, camera);
@@ -384,10 +407,10 @@ static double forward_level(const struct rn_field *field, const struct rn_camera
         for (int i = 0; i < 2 && d[2] > RN_FORWARD_LEAST; i++)
             width = fmax(width, ray.radius / d[2] * space->scale[0] * (1 - eye[2] / ends[i]));
     }
-    if (c->footprint == RN_FOOTPRINT_RIP)
+    if (rn_levels_by_axis(c))
         return rn_level_from_variance(fmax(step * step / 12, width * width / 4),
                                       rn_footprint_base(c), c->levels);
-    return rn_level_from_ball(width, rn_footprint_base(c), c->levels);
+    return rn_level_from_ball(width * rn_footprint_base(c), c->levels);
 }
 
 double rn_top_level(const struct rn_field *field, const struct rn_camera *camera, double step) {
@@ -406,8 +429,8 @@ double rn_top_level(const struct rn_field *field, const struct rn_camera *camera
         far = (far + cone) * 0.5; // as it is drawn to at most (cpu/encode.h)
         step *= 2 * 1.5;
     }
-    double level = rn_level_from_ball(far, rn_footprint_base(c), c->levels);
-    if (c->footprint == RN_FOOTPRINT_RIP) {
+    double level = rn_level_from_ball(far * rn_footprint_base(c), c->levels);
+    if (rn_levels_by_axis(c)) {
         double variance = fmax(step * step / 12, far * far * 0.26 + step * step * 0.05);
         level = rn_level_from_variance(variance, rn_footprint_base(c), c->levels);
     }

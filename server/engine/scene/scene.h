@@ -21,6 +21,7 @@ struct rn_engine {
     double laid_out_step;
     struct rn_march_ray *rays; // scratch of the renderer, RN_RENDER_BLOCK
     struct rn_pixel *pixels;
+    char folder[RN_ENGINE_FOLDER_MAX]; // rn_engine_keep_in; "": none
     bool (*keep_going)(void *context); // rn_engine_watch; NULL = never asked
     void *watcher;
     bool (*wanted)(void *context); // rn_engine_yield_to; NULL = never asked
@@ -28,7 +29,8 @@ struct rn_engine {
     enum rn_status (*share)(void *context, const struct rn_device_wish *wish, size_t *ret_granted,
                             struct rn_error *err); // rn_engine_share; NULL = all is its own
     void *sharer;
-    const struct rn_backend *backend; // of a device other than the CPU; NULL without one
+    const struct rn_exchange *exchange; // rn_engine_join; NULL: one rank
+    const struct rn_backend *backend;   // of a device other than the CPU; NULL without one
     struct rn_backend_device *device;
     void *module;               // that the backend comes from
     char device_kernels[32];    // "sm_90"
@@ -64,11 +66,13 @@ struct rn_field {
     uint64_t hull_cells;
     struct rn_occupancy_bits coarse; // of both
     struct rn_occupancy_bits fine;   // finer ones of a field at rest (occupancy.h), or empty
+    struct rn_occupancy_bits firm;   // and those of them that are not thin haze
     int fine_levels;                 // of the pyramid, that those hold for
     int64_t steps;
     double train_seconds, psnr;
     struct rn_effect_record effects[RN_EFFECT_COUNT];
     char kernels[32];
+    struct rn_viewing viewing; // of 0 bits: it holds what training left
     // Its copy on the engine's device (device.h); NULL without one.
     struct rn_device_field *on_device;
     const struct rn_backend *backend;
@@ -97,6 +101,9 @@ size_t rn_field_bytes(const struct rn_train_config *config, int levels);
 // stale beyond fresh_levels until rn_field_refresh. RN_ERROR_NO_MEMORY.
 enum rn_status rn_field_need_levels(struct rn_field *field, int levels,
                                     struct rn_error *err) RN_MUST_CHECK;
+// The field's parameters and pyramid become these, laid out alike, its own are handed out in their
+// place; `*levels` likewise. All are blocks as the field made its own.
+void rn_field_exchange(struct rn_field *field, float **values, float **pyramid, int *levels);
 // After a change of the networks or kernel set: packs them as the set reads them.
 void rn_field_pack(struct rn_field *field, struct rn_engine *engine);
 // After any change of parameters: rn_field_pack, and all maps in use are built anew.
@@ -124,12 +131,15 @@ enum rn_status rn_field_make_ready(struct rn_field *field, struct rn_engine *eng
 // config.cone_step a sample spans as many steps as its cone is wide.
 struct rn_march_ray rn_march_ray_from(const struct rn_field *field, const struct rn_ray *ray,
                                       double step, double jitter);
+// A photograph's camera as the field was trained with it: a pinhole where lenses make no
+// difference, or are not followed.
+struct rn_camera rn_field_camera(const struct rn_field *field, const struct rn_frame *frame);
 // A camera for the kernels' `rays`.
 struct rn_view rn_field_view(const struct rn_field *field, const struct rn_camera *camera);
 // A pixel is rendered as several cones where it is as many times as wide as the finest trained on.
 #define RN_CONES_RATIO 1.41421356
-// The radius of a camera's cones where they pass the ball's centre, dataset units. Unbounded space is
-// looked at from within, at all distances: there it is the radius one of the inner ball's away.
+// The radius of a camera's cones where they pass the ball's centre, dataset units. Unbounded space
+// is looked at from within, at all distances: there it is the radius one of the inner ball's away.
 double rn_cone_at_centre(const struct rn_field *field, const struct rn_camera *camera);
 // The highest level that a camera's rays can reach, and levels per axis, 1 = only the base map.
 double rn_top_level(const struct rn_field *field, const struct rn_camera *camera, double step);

@@ -6,6 +6,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "server/engine/field/occupancy.h"
 #include "server/engine/render/cones.h"
 #include "server/engine/train/guard.h"
 #include "server/engine/train/schedule.h"
@@ -133,9 +134,11 @@ static struct rn_device_step next_step(const struct rn_trainer *t) {
     const struct rn_train_config *config = &t->field->config;
     double rate = rn_schedule_rate(config, &t->progress);
     struct rn_occupancy_turn turn = rn_schedule_occupancy(config, t->progress.step);
+    if (turn.sampled) turn.decay = (float)RN_OCCUPANCY_DECAY;
     return (struct rn_device_step){.network_rate = (float)rate,
                                    .plane_rate = (float)(rate * config->plane_rate),
                                    .measure = turn.due,
+                                   .measure_drawn = turn.sampled,
                                    .measure_first = turn.first,
                                    .measure_stride = turn.stride,
                                    .measure_decay = turn.decay,

@@ -22,6 +22,10 @@ void rn_trainer_carve(struct rn_trainer *trainer);            // by the photogra
 void rn_trainer_carve_unseen(struct rn_trainer *trainer);     // cells of unbounded space
 bool rn_trainer_update_occupancy(struct rn_trainer *trainer); // false: cut short, call again
 
+// sighted.c: cells of unbounded space that photographs saw through to sparse points begin empty. Of
+// at most 100,000 sightings; without points nothing changes.
+void rn_trainer_carve_sighted(struct rn_trainer *trainer);
+
 // seen.c: where the space is a forward-facing one, begins to note what cells show; and the round
 // every RN_OCCUPANCY_EVERY steps, after which cells that showed nothing are empty.
 enum rn_status rn_trainer_watch_cells(struct rn_trainer *trainer,

@@ -110,12 +110,14 @@ static void list_rays(struct rn_trainer *t, struct rn_incident *incident) {
 }
 
 void rn_trainer_note(struct rn_trainer *t, enum rn_incident_kind kind) {
+    if (t->ranks.exchange && t->ranks.exchange->rank > 0) return; // rank 0 does
     if (!t->incidents.held)
         t->incidents.held = calloc(RN_INCIDENTS_HELD, sizeof *t->incidents.held);
     if (!t->incidents.held || t->incidents.count == RN_INCIDENTS_HELD ||
         t->incidents.noted == RN_INCIDENTS_MOST)
         return;
     t->incidents.noted++;
+    if (t->ranks.exchange) rn_trainer_draw(t, 0, t->step.ray_count); // the other ranks' rays too
     int at = (t->incidents.first + t->incidents.count++) % RN_INCIDENTS_HELD;
     struct rn_incident *incident = &t->incidents.held[at];
     *incident = (struct rn_incident){.kind = kind,

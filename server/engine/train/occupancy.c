@@ -152,9 +152,11 @@ void rn_trainer_carve(struct rn_trainer *t) {
     int views = finest < CARVE_VIEWS ? finest : CARVE_VIEWS;
     for (int f = 0; f < views; f++) {
         const struct rn_pixel_frame *frame = &t->train.frames[f * finest / views];
-        if (!frame->frame->has_alpha) continue;
+        bool masked = t->field->config.cut_out && frame->frame->mask_path;
+        if (!frame->frame->has_alpha && !masked) continue;
         carving.silhouette.viewer = rn_ball_viewer_init(&frame->camera);
         fill_table(&carving.silhouette, t->train.rgba + 4 * frame->offset);
+        rn_pixels_let_go(&t->train);
         rn_pool_run(t->engine->pool, t->field->config.field.occupancy / RN_BRICK, carve_layer,
                     &carving);
     }
@@ -237,7 +239,31 @@ struct measurement {
     struct rn_trainer *trainer;
     size_t first, stride, count; // cells hull_list[first + i * stride]
     float level, decay;
+    struct rn_share share; // of the chunks, that is measured here
+    bool sampled;
+    float chance[2]; // where sampled, that a cell is measured: an empty one, an occupied one
 };
+
+static size_t count_occupied(const struct rn_occupancy_bits *bits) {
+    size_t side = (size_t)bits->cells / RN_BRICK, words = side * side * side * 16, n = 0;
+    for (size_t i = 0; i < words; i++)
+        n += (size_t)__builtin_popcount(bits->words[i]);
+    return n;
+}
+
+static void draw_cells(const struct rn_field *field, struct measurement *m) {
+    m->first = 0;
+    m->stride = 1;
+    m->decay = (float)RN_OCCUPANCY_DECAY;
+    m->sampled = true;
+    rn_chances_of_cells(pow(field->config.field.occupancy, 3),
+                        (double)count_occupied(&field->coarse), m->chance);
+}
+
+static bool is_occupied(const struct rn_occupancy_bits *bits, const int at[3]) {
+    size_t word = rn_brick_word(at[0], at[1], at[2], bits->cells);
+    return bits->words[word] & rn_brick_bit(at[0], at[1]);
+}
 
 static void measure_chunk(void *context, int index, int thread) {
     const struct measurement *m = context;
@@ -246,14 +272,19 @@ static void measure_chunk(void *context, int index, int thread) {
     int cells = config->field.occupancy, n = 0;
     uint32_t at[CHUNK];
     float points[CHUNK][3], density[CHUNK];
-    for (size_t i = (size_t)index * CHUNK; i < m->count && n < CHUNK; i++, n++) {
+    size_t begin = (size_t)(m->share.first + index) * CHUNK;
+    for (size_t i = begin; i < m->count && i < begin + CHUNK; i++) {
         uint32_t cell = at[n] = t->hull.list[m->first + i * m->stride];
         struct rn_rng4 draw =
             rn_rng_draw(config->seed, STREAM_OCCUPANCY + cell, (uint64_t)t->progress.step);
         int index3[3];
         rn_cell_at(cell, cells, index3);
+        if (m->sampled &&
+            !(rn_rng_unit(draw.v[3]) < m->chance[is_occupied(&t->field->coarse, index3)]))
+            continue;
         for (int k = 0; k < 3; k++)
             points[n][k] = ((float)index3[k] + rn_rng_unit(draw.v[k])) * 2 / (float)cells - 1;
+        n++;
     }
     t->engine->kernels->density(&t->field->cpu, points, n, m->level,
                                 rn_engine_workspace(t->engine, thread), density);
@@ -273,13 +304,16 @@ bool rn_trainer_update_occupancy(struct rn_trainer *t) {
     struct rn_occupancy_turn turn = rn_schedule_occupancy(&t->field->config, t->progress.step);
     struct measurement m = {
         .trainer = t, .first = turn.first, .stride = turn.stride, .decay = turn.decay};
+    if (turn.sampled) draw_cells(t->field, &m);
     if (t->hull.count <= m.first) return true;
     m.count = (t->hull.count - m.first + m.stride - 1) / m.stride;
     m.level = rn_level_of_cells(&t->field->config.field);
-    if (!rn_pool_run_some(t->engine->pool, (int)((m.count + CHUNK - 1) / CHUNK),
-                          &t->step.next_chunk, measure_chunk, &m, rn_engine_is_wanted, t->engine))
+    m.share = rn_ranks_share(t, (int)((m.count + CHUNK - 1) / CHUNK));
+    if (!rn_pool_run_some(t->engine->pool, m.share.count, &t->step.next_chunk, measure_chunk, &m,
+                          rn_engine_is_wanted, t->engine))
         return false;
     t->step.next_chunk = 0;
+    rn_ranks_tell_cells(t, m.first, m.stride, m.count, CHUNK);
     rn_field_refresh_occupancy(t->field);
     return true;
 }

@@ -14,6 +14,17 @@ size_t rn_optimiser_moments(const struct rn_field *field) {
     return field->parameters.count + 64;
 }
 
+static bool is_apart(const struct rn_train_config *config, bool tiled) {
+    return tiled && !config->sparse && config->smoothing == 0;
+}
+
+size_t rn_optimiser_apart_bytes(const struct rn_train_config *config, size_t parameters,
+                                int levels) {
+    bool tiled = config->field.base % (1 << (levels - 1)) == 0;
+    size_t pyramid = rn_pyramid_count(&config->field, levels) * (size_t)config->field.planes;
+    return is_apart(config, tiled) ? (parameters + pyramid) * sizeof(float) : 0;
+}
+
 enum rn_status rn_optimiser_allocate(const struct rn_field *field, struct rn_optimiser *o,
                                      struct rn_error *err) {
     const struct rn_field_config *c = &field->config.field;
@@ -31,6 +42,11 @@ enum rn_status rn_optimiser_allocate(const struct rn_field *field, struct rn_opt
         return rn_error_set(err, RN_ERROR_NO_MEMORY, "trainer", "out of memory");
     o->m = o->grad + count;
     o->v = o->m + count;
+    if (is_apart(&field->config, o->tiled)) { // without memory for it: in place
+        o->apart = rn_block_create(count * sizeof(float));
+        o->apart_maps = calloc(RN_MAX_PLANES, sizeof *o->apart_maps);
+        o->apart_levels = 1;
+    }
     rn_pyramid_lay_out(c, o->levels, o->grad, o->grad_pyramid, o->grad_maps);
     return RN_OK;
 }
@@ -39,22 +55,33 @@ void rn_optimiser_free(struct rn_optimiser *o) {
     rn_block_destroy(o->grad_pyramid);
     free(o->touched);
     rn_block_destroy(o->good);
-    o->grad_pyramid = o->good = NULL;
+    rn_block_destroy(o->apart);
+    rn_block_destroy(o->apart_pyramid);
+    free(o->apart_maps);
+    o->grad_pyramid = o->good = o->apart = o->apart_pyramid = NULL;
     o->touched = NULL;
+    o->apart_maps = NULL;
+    o->update.under_way = false;
+}
+
+// The first row of a part of a plane; parts are whole tiles.
+static int first_row(const struct rn_trainer *t, int part, int parts) {
+    const struct rn_optimiser *o = &t->optimiser;
+    int base = t->field->config.field.base, unit = o->tiled ? 1 << (o->levels - 1) : base;
+    return base / unit * part / parts * unit;
 }
 
 int rn_trainer_band(const struct rn_trainer *t, int band) {
-    const struct rn_optimiser *o = &t->optimiser;
-    int base = t->field->config.field.base, unit = o->tiled ? 1 << (o->levels - 1) : base;
-    return base / unit * band / o->bands * unit;
+    return first_row(t, band, t->optimiser.bands);
 }
 
 // ---- update ---------------------------------------------------------------------------------
 
-struct update {
-    struct rn_trainer *trainer;
-    struct rn_adamw planes;
-};
+#define APART_PARTS 16 // of a plane: one takes a few milliseconds
+
+static int parts_of(const struct rn_trainer *t) {
+    return t->optimiser.apart ? APART_PARTS : t->optimiser.bands;
+}
 
 static void pull_down_plane(void *context, int plane, int thread) {
     (void)thread;
@@ -81,18 +108,18 @@ static void smooth_plane(void *context, int plane, int thread) {
                                   c->channels);
 }
 
-static void update_band(void *context, int index, int thread) {
+static void update_part(void *context, int index, int thread) {
     (void)thread;
-    const struct update *u = context;
-    struct rn_trainer *t = u->trainer;
+    struct rn_trainer *t = context;
     const struct rn_field_config *c = &t->field->config.field;
-    size_t plane = (size_t)(index / t->optimiser.bands), base = (size_t)c->base;
+    int parts = parts_of(t), part = index % parts;
+    size_t plane = (size_t)(index / parts), base = (size_t)c->base;
     size_t at = plane * base * base * (size_t)c->channels;
-    int band = index % t->optimiser.bands;
     bool sparse = t->field->config.sparse && t->optimiser.tiled;
     struct rn_plane_update update = {
-        .options = &u->planes,
+        .options = &t->optimiser.update.planes,
         .maps = t->field->cpu.maps[plane],
+        .to = t->optimiser.apart ? t->optimiser.apart_maps[plane] : NULL,
         .grad_maps = t->optimiser.grad_maps[plane],
         .m = t->optimiser.m + at,
         .v = t->optimiser.v + at,
@@ -100,8 +127,8 @@ static void update_band(void *context, int index, int thread) {
         .levels = t->optimiser.tiled ? t->optimiser.levels : 1,
         .channels = c->channels,
         .mip = c->footprint == RN_FOOTPRINT_MIP};
-    if (!t->engine->kernels->update(&update, rn_trainer_band(t, band),
-                                    rn_trainer_band(t, band + 1)))
+    if (!t->engine->kernels->update(&update, first_row(t, part, parts),
+                                    first_row(t, part + 1, parts)))
         t->optimiser.wild = true;
 }
 
@@ -126,27 +153,80 @@ static bool sum_groups(struct rn_trainer *t, double *ret_loss, double *ret_weigh
     return check == 0 && isfinite(loss);
 }
 
-static void apply(struct rn_trainer *t, double weight) {
+static void begin(struct rn_trainer *t, double loss, double weight) {
+    const struct rn_train_config *config = &t->field->config;
+    struct rn_optimiser *o = &t->optimiser;
+    double n = (double)++o->updates, rate = rn_schedule_rate(&t->field->config, &t->progress);
+    o->update.networks = (struct rn_adamw){.scale = (float)(1 / weight),
+                                           .rate = (float)rate,
+                                           .decay = (float)config->weight_decay,
+                                           .eps = (float)config->adam_eps,
+                                           .correction1 = (float)-expm1(n * log(0.9)),
+                                           .keep = (float)config->beta2,
+                                           .fresh = (float)(1 - config->beta2),
+                                           .correction2 = (float)-expm1(n * log(config->beta2))};
+    o->update.planes = o->update.networks;
+    o->update.planes.rate = (float)(rate * config->plane_rate);
+    if (config->sparse) o->update.planes.decay = 0; // what is visited more often would decay more
+    o->update.loss = loss / weight;
+    o->update.next = 0;
+    o->update.under_way = true;
+}
+
+// Room apart for as many levels as the field has: a picture in between may have built more.
+static void make_room_apart(struct rn_trainer *t) {
+    struct rn_optimiser *o = &t->optimiser;
+    const struct rn_field_config *c = &t->field->config.field;
+    int levels = t->field->pyramid_levels;
+    if (!o->apart || o->update.next > 0) return;
+    if (o->apart_levels < levels) {
+        rn_block_destroy(o->apart_pyramid);
+        o->apart_pyramid =
+            rn_block_create(rn_pyramid_count(c, levels) * (size_t)c->planes * sizeof(float));
+        o->apart_levels = levels;
+    }
+    if (o->apart_maps && (o->apart_pyramid || o->apart_levels == 1)) {
+        rn_pyramid_lay_out(c, o->apart_levels, o->apart, o->apart_pyramid, o->apart_maps);
+        return;
+    }
+    rn_block_destroy(o->apart); // no memory: in place, from now on
+    o->apart = NULL;
+}
+
+static void take_apart(struct rn_trainer *t) {
+    const struct rn_parameters *p = &t->field->parameters;
+    struct rn_optimiser *o = &t->optimiser;
+    memcpy(o->apart + p->plane_count, p->values + p->plane_count,
+           (p->base_count + p->head_count) * sizeof(float));
+    rn_field_exchange(t->field, &o->apart, &o->apart_pyramid, &o->apart_levels);
+    t->field->cpu.built_levels = o->levels;
+}
+
+// false: cut short.
+static bool update_planes(struct rn_trainer *t) {
+    struct rn_optimiser *o = &t->optimiser;
+    struct rn_pool *pool = t->engine->pool;
+    int planes = t->field->config.field.planes;
+    make_room_apart(t);
+    if (!o->apart) {
+        if (!o->tiled) rn_pool_run(pool, planes, pull_down_plane, t);
+        rn_pool_run(pool, planes * parts_of(t), update_part, t);
+        return true;
+    }
+    if (!rn_pool_run_some(pool, planes * parts_of(t), &o->update.next, update_part, t,
+                          rn_engine_is_wanted, t->engine))
+        return false;
+    take_apart(t);
+    return true;
+}
+
+// What follows the planes, all of it within a few milliseconds.
+static void update_rest(struct rn_trainer *t) {
     const struct rn_train_config *config = &t->field->config;
     const struct rn_parameters *p = &t->field->parameters;
-    double n = (double)++t->optimiser.updates,
-           rate = rn_schedule_rate(&t->field->config, &t->progress);
-    struct rn_adamw networks = {.scale = (float)(1 / weight),
-                                .rate = (float)rate,
-                                .decay = (float)config->weight_decay,
-                                .eps = (float)config->adam_eps,
-                                .correction1 = (float)-expm1(n * log(0.9)),
-                                .keep = (float)config->beta2,
-                                .fresh = (float)(1 - config->beta2),
-                                .correction2 = (float)-expm1(n * log(config->beta2))};
-    struct update u = {t, networks};
-    u.planes.rate = (float)(rate * config->plane_rate);
-    if (config->sparse) u.planes.decay = 0; // what is visited more often would decay more
-    if (!t->optimiser.tiled) rn_pool_run(t->engine->pool, config->field.planes, pull_down_plane, t);
-    rn_pool_run(t->engine->pool, config->field.planes * t->optimiser.bands, update_band, &u);
     size_t at = p->plane_count;
-    if (!t->engine->kernels->adamw(&networks, p->base_count + p->head_count, p->values + at,
-                                   t->optimiser.grad + at, t->optimiser.m + at,
+    if (!t->engine->kernels->adamw(&t->optimiser.update.networks, p->base_count + p->head_count,
+                                   p->values + at, t->optimiser.grad + at, t->optimiser.m + at,
                                    t->optimiser.v + at))
         t->optimiser.wild = true;
     struct smoothing smoothing = {t, rn_schedule_smoothing(&t->field->config, &t->progress)};
@@ -168,13 +248,19 @@ static void reject(struct rn_trainer *t) {
     memset(t->optimiser.touched, 0, (size_t)c->planes * t->optimiser.tiles);
 }
 
-bool rn_trainer_update(struct rn_trainer *t) {
+enum rn_update_end rn_trainer_update(struct rn_trainer *t) {
     double loss, weight;
-    bool finite = sum_groups(t, &loss, &weight);
-    if (!finite)
-        reject(t);
-    else if (weight > 0)
-        apply(t, weight);
-    if (finite && weight > 0) t->progress.loss = loss / weight;
-    return finite;
+    if (!t->optimiser.update.under_way) {
+        if (!sum_groups(t, &loss, &weight)) {
+            reject(t);
+            return RN_UPDATE_REJECTED;
+        }
+        if (!(weight > 0)) return RN_UPDATE_DONE;
+        begin(t, loss, weight);
+    }
+    if (!update_planes(t)) return RN_UPDATE_CUT_SHORT;
+    update_rest(t);
+    t->optimiser.update.under_way = false;
+    t->progress.loss = t->optimiser.update.loss;
+    return RN_UPDATE_DONE;
 }

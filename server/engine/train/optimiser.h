@@ -23,6 +23,18 @@ struct rn_optimiser {
     float *good;      // the parameters a rollback returns to
     int rejected;     // steps in a row
     atomic_bool wild; // the update made a parameter that is not finite
+    // Where every texel changes at each step, which takes long, the new ones are written apart, and
+    // take the place of the old ones at once when all are there: the update can be cut short, and a
+    // picture shows the step before. Else NULL: it is done in place, and not cut short.
+    float *apart, *apart_pyramid;
+    int apart_levels;
+    struct rn_map (*apart_maps)[RN_MAX_LEVELS][RN_MAX_LEVELS]; // [RN_MAX_PLANES]
+    struct {                                                   // the one under way
+        bool under_way;
+        int next; // part
+        double loss;
+        struct rn_adamw networks, planes;
+    } update;
 };
 
 // Numbers from grad to m, and from m to v.
@@ -34,7 +46,16 @@ void rn_optimiser_free(struct rn_optimiser *optimiser);
 
 // The first row of a plane's band, 0 to `bands`.
 int rn_trainer_band(const struct rn_trainer *trainer, int band);
-// AdamW with the sum of all groups' gradients; false, and nothing is done, where it is not finite.
-bool rn_trainer_update(struct rn_trainer *trainer);
+// Bytes of what is written apart, for a training with `levels` a side; 0 where it is in place.
+size_t rn_optimiser_apart_bytes(const struct rn_train_config *config, size_t parameters,
+                                int levels);
+
+enum rn_update_end {
+    RN_UPDATE_CUT_SHORT, // the thread was preempted: call again, before anything else is trained
+    RN_UPDATE_REJECTED,  // the gradients are not finite: nothing was done
+    RN_UPDATE_DONE
+};
+// AdamW with the sum of all groups' gradients.
+enum rn_update_end rn_trainer_update(struct rn_trainer *trainer);
 
 #endif

@@ -173,8 +173,7 @@ void rn_trainer_draw(struct rn_trainer *t, int begin, int end) {
         for (int i = 0; i < n; i++) {
             settle(t, &places[i]);
             if (places[i].frame)
-                __builtin_prefetch(
-                    rn_pixel_at(&t->train, places[i].frame, places[i].x, places[i].y));
+                rn_pixels_expect(&t->train, places[i].frame, places[i].x, places[i].y);
         }
         rn_trainer_rays(t, &t->train, places, n, (double)t->step.march.step, rays);
         for (int i = 0; i < n; i++) {

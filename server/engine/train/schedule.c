@@ -7,7 +7,10 @@
 
 #define LAST_GROWTH 0.35 // fraction of the run at which the planes reach their final size
 #define EARLIER 0.3      // each doubling before that comes at this share of the next one's fraction
-#define STEP_POWER 0.8   // of a texel's size: how steps shrink as planes grow
+#define PLATEAU_DB 0.1   // what is worth going on for,
+#define PLATEAU_PATIENCE 1.5 // times as long a training
+#define PLATEAU_DONE 0.75    // of the schedule, when no more is gained
+#define STEP_POWER 0.8       // of a texel's size: how steps shrink as planes grow
 
 double rn_schedule_done(const struct rn_train_config *config, const struct rn_progress *progress) {
     double done = NAN;
@@ -15,6 +18,26 @@ double rn_schedule_done(const struct rn_train_config *config, const struct rn_pr
     if (config->max_seconds > 0)
         done = fmax(isnan(done) ? 0 : done, progress->train_seconds / config->max_seconds);
     return done;
+}
+
+// The limits, so that this share of the schedule is done now.
+static void bring_to(struct rn_train_config *config, const struct rn_progress *progress,
+                     double done) {
+    if (config->max_steps > 0) config->max_steps = (int64_t)ceil((double)progress->step / done);
+    if (config->max_seconds > 0) config->max_seconds = progress->train_seconds / done;
+}
+
+void rn_schedule_note_figure(struct rn_train_config *config, struct rn_progress *progress) {
+    double done = rn_schedule_done(config, progress);
+    if (!config->until_plateau || progress->plateau || !(done >= LAST_GROWTH)) return;
+    bool first = progress->gained_seconds <= 0;
+    if (first || progress->psnr >= progress->gained_psnr + PLATEAU_DB) {
+        progress->gained_psnr = progress->psnr;
+        progress->gained_seconds = progress->train_seconds;
+        return;
+    }
+    progress->plateau = progress->train_seconds >= PLATEAU_PATIENCE * progress->gained_seconds;
+    if (progress->plateau) bring_to(config, progress, done < PLATEAU_DONE ? PLATEAU_DONE : 1);
 }
 
 // The paper: x 0.6 at 1/2, 3/4, 5/6, 9/10 of the run. Ours: constant, then an exponential decay to
@@ -43,6 +66,7 @@ float rn_schedule_smoothing(const struct rn_train_config *config,
 struct rn_occupancy_turn rn_schedule_occupancy(const struct rn_train_config *config, int64_t step) {
     bool all = step < (config->carve ? 1 : RN_OCCUPANCY_WARM_UP);
     struct rn_occupancy_turn turn = {.due = step % RN_OCCUPANCY_EVERY == 0,
+                                     .sampled = config->sample_cells && !all,
                                      .first = all ? 0 : (uint32_t)(step / RN_OCCUPANCY_EVERY % 4),
                                      .stride = all ? 1 : 4};
     turn.decay = (float)pow(RN_OCCUPANCY_DECAY, turn.stride);

@@ -13,6 +13,10 @@
 
 // 0..1 of the binding limit so far, NAN without one.
 double rn_schedule_done(const struct rn_train_config *config, const struct rn_progress *progress);
+// After a new held-out figure, where the training is to end at its plateau: once the planes have
+// their final size, and half as much time again has gained less than 0.1 dB, the limits are brought
+// so near that the last quarter of the schedule, in which the rate decays, is what is left.
+void rn_schedule_note_figure(struct rn_train_config *config, struct rn_progress *progress);
 // The networks' learning rate as of now.
 double rn_schedule_rate(const struct rn_train_config *config, const struct rn_progress *progress);
 // How far planes are smoothed at the end of the step that comes next (kernels/kernels.h); 0: not.
@@ -27,9 +31,11 @@ struct rn_march_options rn_schedule_march(const struct rn_train_config *config,
 int rn_schedule_base(const struct rn_train_config *config, const struct rn_progress *progress);
 
 // Which cells of the hull are measured before a step: every `stride`-th from `first` on. A cell's
-// turn comes every `stride` times, and what was measured before decays by as much.
+// turn comes every `stride` times, and what was measured before decays by as much. Where `sampled`,
+// cells that are drawn are measured instead (rn_chances_of_cells), each decays by
+// RN_OCCUPANCY_DECAY.
 struct rn_occupancy_turn {
-    bool due;
+    bool due, sampled;
     uint32_t first, stride;
     float decay;
 };

@@ -57,6 +57,7 @@ void rn_trainer_update_seen(struct rn_trainer *t) {
         memset(t->hull.seen, 0, n * n * n * sizeof *t->hull.seen);
         return;
     }
+    rn_ranks_tell_seen(t);
     struct round round = {t, !(done < UNSEEN_ENDS)};
     rn_pool_run(t->engine->pool, side, update_layer, &round);
     rn_field_refresh_occupancy(t->field);

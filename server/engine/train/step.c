@@ -74,17 +74,17 @@ enum rn_status rn_trainer_allocate(struct rn_trainer *t, struct rn_error *err) {
 
 // ---- waves ----------------------------------------------------------------------------------
 
-// The first of `pixels` pixels that is of group g.
-static int first_of_group(int pixels, int g) {
-    return (int)((int64_t)pixels * g / RN_GROUPS);
+int rn_step_first_ray(const struct rn_trainer *t, int group) {
+    int pixel = rn_pixel_rays(&t->step.march), pixels = t->step.ray_count / pixel;
+    return (int)((int64_t)pixels * group / RN_GROUPS) * pixel;
 }
 
 static void forward_backward(void *context, int index, int thread) {
     struct rn_trainer *t = context;
-    struct rn_group *group = &t->step.groups[index];
+    int own = rn_ranks_share(t, RN_GROUPS).first + index;
+    struct rn_group *group = &t->step.groups[own];
     if (group->cursor == group->end) return;
-    int pixel = rn_pixel_rays(&t->step.march);
-    int first = first_of_group(t->step.ray_count / pixel, index) * pixel;
+    int first = rn_step_first_ray(t, own);
     if (group->cursor == first && group->slab.count == 0) rn_trainer_draw(t, first, group->end);
     t->engine->kernels->train(&t->field->cpu, &t->step.march, t->step.rays,
                               rn_engine_workspace(t->engine, thread), group);
@@ -112,7 +112,9 @@ void rn_trainer_take_march(struct rn_trainer *t) {
 
 void rn_trainer_begin_step(struct rn_trainer *t) {
     const struct rn_parameters *p = &t->field->parameters;
+    rn_pixels_let_go(&t->train);
     t->step.under_way = true;
+    t->step.stage = RN_STEP_WAVES;
     t->step.ray_count = t->next_rays;
     t->step.first_ray = t->progress.rays;
     rn_trainer_take_march(t);
@@ -133,8 +135,8 @@ void rn_trainer_begin_step(struct rn_trainer *t) {
                                    .head_grad = group->head_grad,
                                    .ray_loss = t->sampler.ray_loss,
                                    .seen = t->hull.seen};
-        group->cursor = first_of_group(pixels, g) * pixel;
-        group->end = first_of_group(pixels, g + 1) * pixel;
+        group->cursor = rn_step_first_ray(t, g);
+        group->end = rn_step_first_ray(t, g + 1);
         memset(group->base_grad, 0, (p->base_count + p->head_count) * sizeof(float));
     }
 }
@@ -164,28 +166,46 @@ static void count_step(struct rn_trainer *t) {
     t->next_rays = next < MIN_RAYS ? MIN_RAYS : next > RN_MAX_RAYS ? RN_MAX_RAYS : (int)next;
 }
 
+// The update and the guard, either of which may be cut short. Pictures show the new parameters, as
+// those of the step after, once all of them are there.
 static void finish_step(struct rn_trainer *t) {
-    bool accepted = rn_trainer_update(t);
-    rn_trainer_note_losses(t);
-    count_step(t);
-    rn_trainer_guard_step(t, accepted);
+    if (t->step.stage == RN_STEP_UPDATE) {
+        enum rn_update_end end = rn_trainer_update(t);
+        if (end == RN_UPDATE_CUT_SHORT) return;
+        rn_trainer_note_losses(t);
+        count_step(t);
+        t->step.accepted = end == RN_UPDATE_DONE;
+        t->field->steps = t->progress.step + 1;
+        t->step.stage = RN_STEP_GUARD;
+    }
+    if (!rn_trainer_guard_step(t, t->step.accepted)) return;
     t->step.under_way = false;
-    t->field->steps = ++t->progress.step;
+    t->progress.step++;
 }
 
 // Parameters change at the end of a step alone, so that a wave that is cut short can be rendered.
 void rn_trainer_run_wave(struct rn_trainer *t) {
     struct rn_engine *engine = t->engine;
-    if (!rn_pool_run_some(engine->pool, RN_GROUPS, &t->step.next_group, forward_backward, t,
-                          rn_engine_is_wanted, engine) ||
-        !rn_pool_run_some(engine->pool, t->field->config.field.planes * t->optimiser.bands,
+    if (t->step.stage != RN_STEP_WAVES) {
+        finish_step(t);
+        return;
+    }
+    if (!rn_pool_run_some(engine->pool, rn_ranks_share(t, RN_GROUPS).count, &t->step.next_group,
+                          forward_backward, t, rn_engine_is_wanted, engine))
+        return;
+    rn_ranks_tell_wave(t);
+    if (!rn_pool_run_some(engine->pool, t->field->config.field.planes * t->optimiser.bands,
                           &t->step.next_band, scatter_band, t, rn_engine_is_wanted, engine))
         return;
     t->step.next_group = t->step.next_band = 0;
+    t->ranks.shared = false;
     bool complete = true;
     for (int g = 0; g < RN_GROUPS; g++) {
         t->step.groups[g].slab.count = 0;
         complete &= t->step.groups[g].cursor == t->step.groups[g].end;
     }
-    if (complete) finish_step(t);
+    if (!complete) return;
+    rn_ranks_tell_step(t);
+    t->step.stage = RN_STEP_UPDATE;
+    finish_step(t);
 }

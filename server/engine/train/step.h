@@ -10,6 +10,8 @@ struct rn_trainer;
 // The step under way, or the one done last. Owner: whoever has the trainer.
 struct rn_step {
     bool under_way;
+    enum { RN_STEP_WAVES, RN_STEP_UPDATE, RN_STEP_GUARD } stage;
+    bool accepted;  // once it was updated
     int next_chunk; // of the occupancy's cells, before the step
     int next_group, next_band;
     int ray_count;
@@ -25,6 +27,7 @@ enum rn_status rn_trainer_allocate(struct rn_trainer *trainer, struct rn_error *
 void rn_trainer_free_step(struct rn_trainer *trainer);  // that, but grad
 void rn_trainer_take_march(struct rn_trainer *trainer); // for the step that begins
 void rn_trainer_begin_step(struct rn_trainer *trainer);
+int rn_step_first_ray(const struct rn_trainer *trainer, int group); // of the step under way
 // Puts the rays of the step that was done last in place, for an incident's record.
 void rn_trainer_redraw(struct rn_trainer *trainer);
 void rn_trainer_run_wave(struct rn_trainer *trainer); // clears under_way when the step is complete

@@ -4,10 +4,20 @@
 
 #include "common/dataset/dataset.h"
 #include "server/engine/checkpoint/checkpoint.h"
+#include "server/engine/kernels/exchange.h"
 #include "server/engine/scene/engine.h"
 #include "server/engine/scene/progress.h"
 
 struct rn_trainer; // a field, its optimiser, the training pixels
+
+// Bytes of memory that a training takes at its largest, photographs included, beside what the
+// process itself takes: known before anything is loaded. Errors are of the configuration.
+enum rn_status rn_train_need(struct rn_engine *engine, const struct rn_dataset *dataset,
+                             const struct rn_train_config *config, size_t *ret_bytes,
+                             struct rn_error *err) RN_MUST_CHECK;
+
+// Times that a training makes its photographs smaller, so that shorter ones can be made alike.
+int rn_train_scale(const struct rn_dataset *dataset, const struct rn_train_config *config);
 
 // Decodes the training and held-out pixels, detects effects, carves, initialises. Memory is
 // computed first: RN_ERROR_LIMIT says what is needed when it exceeds `memory_limit_bytes` (0 = no
@@ -16,6 +26,10 @@ enum rn_status rn_trainer_create(struct rn_engine *engine, const struct rn_datas
                                  const struct rn_train_config *config, size_t memory_limit_bytes,
                                  struct rn_trainer **ret_trainer,
                                  struct rn_error *err) RN_MUST_CHECK;
+// Ranks other than 0 (kernels/exchange.h): trains as rank 0 says, which trains a field made alike,
+// until it has destroyed its own. Rank 0 tells them so where it could not make one.
+enum rn_status rn_trainer_follow(struct rn_trainer *trainer, struct rn_error *err) RN_MUST_CHECK;
+void rn_trainer_dismiss(const struct rn_exchange *exchange);
 // Continues from a checkpoint: the same bytes as a run that was never interrupted, on a GPU if its
 // engine is deterministic. The kernel set is the checkpoint's (RN_ERROR_UNSUPPORTED when this
 // machine lacks it); what a GPU trained goes on anywhere.
@@ -80,14 +94,20 @@ enum rn_status rn_trainer_validate(struct rn_trainer *trainer, double budget_ms,
 void rn_trainer_progress(const struct rn_trainer *trainer, struct rn_progress *ret_progress);
 // One sentence: which views are held out ("8 of 100 validation views", ...).
 const char *rn_trainer_held_out(const struct rn_trainer *trainer);
+#define RN_WITHHELD "withheld from training" // in it, where they would else be trained on
 const struct rn_train_config *rn_trainer_config(const struct rn_trainer *trainer);
 // The field as of the last completed update; valid until the next advance.
 struct rn_field *rn_trainer_field(struct rn_trainer *trainer);
 
+enum rn_save_part {
+    RN_SAVE_ALL,   // what rn_trainer_restore goes on from
+    RN_SAVE_FIELD, // without the optimiser: what rn_field_load needs
+};
 // A checkpoint is written atomically (temporary, fsync, rename) by a thread beside the caller's.
 // Completes the step under way and begins to write. *ret_begun is false when the thread was
 // preempted before the step was complete: call again. One at a time.
-enum rn_status rn_trainer_save_begin(struct rn_trainer *trainer, const char *path, bool *ret_begun,
+enum rn_status rn_trainer_save_begin(struct rn_trainer *trainer, enum rn_save_part part,
+                                     const char *path, bool *ret_begun,
                                      struct rn_error *err) RN_MUST_CHECK;
 enum rn_save_stage rn_trainer_save_stage(const struct rn_trainer *trainer);
 // Waits for the end. The digest of what was written, as rn_field_sha256.

@@ -20,7 +20,7 @@
 
 struct selection {
     const struct rn_dataset *dataset;
-    bool train_val;
+    const struct rn_train_config *config;
     bool held; // the held-out frames rather than the training ones
 };
 
@@ -39,57 +39,80 @@ static bool wanted(void *context, const struct rn_frame *frame) {
     const struct selection *s = context;
     bool held = is_held_out(s->dataset, frame);
     if (s->held) return held;
-    return !held &&
-           (frame->split == RN_SPLIT_TRAIN || (s->train_val && frame->split == RN_SPLIT_VAL));
+    if (held && !s->config->train_held_out) return false;
+    return frame->split == RN_SPLIT_TRAIN || (s->config->train_val && frame->split == RN_SPLIT_VAL);
+}
+
+// Times that photographs are made smaller.
+static int scale_of(const struct rn_train_config *config) {
+    return config->train_scale > 1 ? config->train_scale : 1;
 }
 
 static void describe_held_out(struct rn_trainer *t) {
+    const struct rn_train_config *config = &t->field->config;
     int views = t->dataset->view_count[RN_SPLIT_VAL];
     int held = t->held.frame_count / (t->held.scale_count > 0 ? t->held.scale_count : 1);
-    if (views > 0)
-        snprintf(t->held_out, sizeof t->held_out, "%d evenly spaced views of %d validation views%s",
-                 held, views, t->field->config.train_val ? ", withheld from training" : "");
+    const char *fate = config->train_held_out ? "trained on too" : RN_WITHHELD;
+    if (views == 0)
+        snprintf(t->held_out, sizeof t->held_out,
+                 "%d training views (every 8th) %s: the dataset has no validation split", held,
+                 fate);
     else
         snprintf(t->held_out, sizeof t->held_out,
-                 "%d training views (every 8th) withheld: the dataset has no validation split",
-                 held);
+                 "%d evenly spaced views of %d validation views%s%s", held, views,
+                 config->train_val ? ", " : "", config->train_val ? fate : "");
+    size_t length = strlen(t->held_out);
+    if (scale_of(config) > 1)
+        snprintf(t->held_out + length, sizeof t->held_out - length, ", at 1/%d of their size",
+                 scale_of(config));
 }
 
 // Again where a lens turns out to make no difference.
-static void place_cameras(const struct rn_field *field, struct rn_pixels *pixels) {
+static void place_cameras(const struct rn_trainer *t, struct rn_pixels *pixels) {
+    const struct rn_field *field = t->field;
     for (int f = 0; f < pixels->frame_count; f++) {
         struct rn_pixel_frame *frame = &pixels->frames[f];
         struct rn_camera *camera = &frame->camera;
-        const struct rn_effect_record *lenses = &field->effects[RN_EFFECT_DISTORTION];
-        *camera = frame->frame->camera;
-        if (lenses->decided && !lenses->on) *camera = rn_camera_without_lens(camera);
+        struct rn_camera as_stored = rn_field_camera(field, frame->frame);
+        *camera = rn_camera_reduced(&as_stored, scale_of(&field->config));
+        if (pixels == &t->train) *camera = rn_trainer_pose(t, f, camera);
         frame->parts = rn_camera_resized(camera, 2 * camera->width, 2 * camera->height);
         frame->view = rn_field_view(field, camera);
         frame->fine = rn_field_view(field, &frame->parts);
     }
 }
 
+void rn_trainer_place_cameras(struct rn_trainer *t) {
+    place_cameras(t, &t->train);
+    place_cameras(t, &t->held);
+}
+
 // What the effects make of the photographs.
 static void take_effects(struct rn_trainer *t) {
-    place_cameras(t->field, &t->train);
-    place_cameras(t->field, &t->held);
+    rn_trainer_place_cameras(t);
     if (t->field->effects[RN_EFFECT_STRAIGHT_ALPHA].on)
         rn_pixels_remake_scales(&t->train, t->engine);
 }
 
 static enum rn_status load_pixels(struct rn_trainer *t, size_t limit, struct rn_error *err) {
-    struct selection s = {t->dataset, t->field->config.train_val, false};
-    bool even = t->field->effects[RN_EFFECT_EXPOSURE].on;
+    struct selection s = {t->dataset, &t->field->config, false};
+    const struct rn_train_config *config = &t->field->config;
+    struct rn_pixel_treatment treatment = {.even = t->field->effects[RN_EFFECT_EXPOSURE].on,
+                                           .unmasked = config->effect[RN_EFFECT_MASKS] ==
+                                                       RN_EFFECT_UNWANTED,
+                                           .cut_out = config->cut_out,
+                                           .reduced = scale_of(config),
+                                           .memory_bytes = (size_t)config->pixel_memory << 20};
     double start = (double)rn_clock_ns();
     enum rn_status status =
-        rn_pixels_load(t->dataset, wanted, &s, t->engine, even, limit, &t->train, err);
+        rn_pixels_load(t->dataset, wanted, &s, t->engine, treatment, limit, &t->train, err);
     if (status != RN_OK) return status;
-    if (limit) {
-        size_t used = t->train.pixel_count * 4;
-        limit = limit > used ? limit - used : 1;
-    }
+    size_t used = t->train.paged.bytes ? 0 : rn_pixels_bytes(t->train.pixel_count, t->train.used);
+    if (limit) limit = limit > used ? limit - used : 1;
+    treatment.taken_bytes = t->train.paged.bytes ? treatment.memory_bytes : used;
     s.held = true;
-    status = rn_pixels_load(t->dataset, wanted, &s, t->engine, even, limit, &t->held, err);
+    treatment.cut_out = treatment.unmasked = false; // what masks leave out is not scored
+    status = rn_pixels_load(t->dataset, wanted, &s, t->engine, treatment, limit, &t->held, err);
     if (status == RN_ERROR_INVALID) status = RN_OK; // nothing to hold out
     take_effects(t);
     describe_held_out(t);
@@ -101,12 +124,13 @@ static enum rn_status load_pixels(struct rn_trainer *t, size_t limit, struct rn_
 
 // That the photographs to train on need; they need not be loaded.
 static int training_levels(const struct rn_trainer *t) {
-    struct selection s = {t->dataset, t->field->config.train_val, false};
+    struct selection s = {t->dataset, &t->field->config, false};
     int levels = 1;
     for (size_t f = 0; f < t->dataset->frame_count; f++) {
         const struct rn_frame *frame = &t->dataset->frames[f];
         if (!wanted(&s, frame)) continue;
-        int need = rn_levels_for_camera(t->field, &frame->camera, t->field->config.step);
+        struct rn_camera camera = rn_camera_reduced(&frame->camera, scale_of(&t->field->config));
+        int need = rn_levels_for_camera(t->field, &camera, t->field->config.step);
         if (need > levels) levels = need;
     }
     return levels < t->field->config.field.levels ? levels : t->field->config.field.levels;
@@ -119,7 +143,9 @@ struct rn_evidence rn_trainer_evidence(const struct rn_trainer *t,
                                 .photographs = &t->train,
                                 .step = t->progress.step,
                                 .done = rn_schedule_done(&t->field->config, &t->progress),
-                                .march = *march};
+                                .march = *march,
+                                .pose_gain_known = t->poses.gain_known,
+                                .pose_gain = t->poses.gain};
 }
 
 void rn_trainer_detect_effects(struct rn_trainer *t) {
@@ -134,12 +160,13 @@ enum rn_status rn_trainer_set_up(struct rn_trainer *t, struct rn_error *err) {
     if (status == RN_OK) status = rn_engine_prepare(t->engine, t->field, err);
     if (status == RN_OK) status = rn_trainer_allocate(t, err);
     if (status == RN_OK) status = rn_trainer_watch_cells(t, err);
+    if (status == RN_OK) status = rn_trainer_allocate_poses(t, err);
     return status;
 }
 
 // What training takes besides pixels once its planes are grown: parameters, their gradients, two
-// moments and the last good ones; a pyramid and its gradients; a packet a thread; what a step's
-// groups keep.
+// moments and the last good ones; a pyramid and its gradients; what an update writes apart; a
+// packet a thread; what a step's groups keep.
 static size_t training_bytes(const struct rn_trainer *t) {
     const struct rn_train_config *config = &t->field->config;
     const struct rn_cpu_field *cpu = &t->field->cpu;
@@ -152,6 +179,7 @@ static size_t training_bytes(const struct rn_trainer *t) {
         rn_pyramid_count(&grown.field, training_levels(t)) * (size_t)grown.field.planes;
     int capacity = 2 * rn_workspace_capacity(cpu, config->step);
     return rn_field_bytes(&grown, 1) + (4 * parameters + 2 * pyramid) * sizeof(float) +
+           rn_optimiser_apart_bytes(&grown, parameters, training_levels(t)) +
            RN_GROUPS * rn_group_numbers(cpu, capacity) * sizeof(float) +
            (size_t)rn_pool_threads(t->engine->pool) * rn_workspace_size(cpu, config->step) +
            RN_MAX_RAYS * sizeof(struct rn_march_ray);
@@ -171,6 +199,24 @@ static enum rn_status check_memory(const struct rn_trainer *t, size_t limit, siz
     return RN_OK;
 }
 
+// Of the photographs that are held decoded in memory, the held-out ones included.
+static size_t pixel_bytes(const struct rn_trainer *t) {
+    struct selection train = {t->dataset, &t->field->config, false}, held = train;
+    size_t pixels = 0;
+    bool masked = false;
+    held.held = true;
+    for (size_t f = 0; f < t->dataset->frame_count; f++) {
+        const struct rn_frame *frame = &t->dataset->frames[f];
+        struct rn_camera camera = rn_camera_reduced(&frame->camera, scale_of(&t->field->config));
+        size_t n = (size_t)camera.width * (size_t)camera.height;
+        masked = masked || frame->mask_path;
+        pixels += n * ((size_t)wanted(&train, frame) + (size_t)wanted(&held, frame));
+    }
+    size_t bytes = rn_pixels_bytes(pixels, masked),
+           most = (size_t)t->field->config.pixel_memory << 20;
+    return most && bytes > most && *t->engine->folder ? most : bytes;
+}
+
 static enum rn_status start(struct rn_engine *engine, const struct rn_dataset *dataset,
                             const struct rn_train_config *config, const struct rn_bounds *bounds,
                             struct rn_trainer **ret_trainer, struct rn_error *err) {
@@ -178,6 +224,7 @@ static enum rn_status start(struct rn_engine *engine, const struct rn_dataset *d
     if (!t) return rn_error_set(err, RN_ERROR_NO_MEMORY, "trainer", "out of memory");
     t->engine = engine;
     t->dataset = dataset;
+    t->ranks.exchange = engine->exchange;
     t->next_rays = config->initial_rays;
     t->progress.psnr = t->progress.eta_seconds = t->progress.fraction = NAN;
     enum rn_status status = rn_field_create(config, bounds, &t->field, err);
@@ -193,9 +240,36 @@ static enum rn_status start(struct rn_engine *engine, const struct rn_dataset *d
 // After the effects: views and hull of the space that they found.
 static enum rn_status take_space(struct rn_trainer *t) {
     if (!t->field->cpu.disparity.on) return RN_OK;
-    place_cameras(t->field, &t->train);
-    place_cameras(t->field, &t->held);
+    rn_trainer_place_cameras(t);
     return rn_field_fill(t->field);
+}
+
+// A trainer before it has loaded anything, and what effects are known of by the dataset alone.
+static enum rn_status plan(struct rn_engine *engine, const struct rn_dataset *dataset,
+                           struct rn_train_config *config,
+                           struct rn_effect_record ret_prepared[RN_EFFECT_COUNT],
+                           struct rn_trainer **ret_trainer, struct rn_error *err) {
+    if (engine->backend) rn_device_adapt(config);
+    struct rn_bounds bounds = rn_effects_prepare(dataset, config, ret_prepared);
+    enum rn_status status = rn_train_config_check(config, err);
+    if (status == RN_OK) status = start(engine, dataset, config, &bounds, ret_trainer, err);
+    return status;
+}
+
+enum rn_status rn_train_need(struct rn_engine *engine, const struct rn_dataset *dataset,
+                             const struct rn_train_config *config, size_t *ret_bytes,
+                             struct rn_error *err) {
+    struct rn_trainer *t = NULL;
+    struct rn_train_config own = *config;
+    struct rn_effect_record prepared[RN_EFFECT_COUNT];
+    enum rn_status status = plan(engine, dataset, &own, prepared, &t, err);
+    if (status == RN_OK) *ret_bytes = training_bytes(t) + pixel_bytes(t);
+    rn_trainer_destroy(&t);
+    return status;
+}
+
+int rn_train_scale(const struct rn_dataset *dataset, const struct rn_train_config *config) {
+    return rn_effect_scale(dataset, config);
 }
 
 enum rn_status rn_trainer_create(struct rn_engine *engine, const struct rn_dataset *dataset,
@@ -204,11 +278,8 @@ enum rn_status rn_trainer_create(struct rn_engine *engine, const struct rn_datas
     struct rn_trainer *t = NULL;
     struct rn_train_config own = *config;
     size_t left;
-    if (engine->backend) rn_device_adapt(&own);
     struct rn_effect_record prepared[RN_EFFECT_COUNT];
-    struct rn_bounds bounds = rn_effects_prepare(dataset, &own, prepared);
-    enum rn_status status = rn_train_config_check(&own, err);
-    if (status == RN_OK) status = start(engine, dataset, &own, &bounds, &t, err);
+    enum rn_status status = plan(engine, dataset, &own, prepared, &t, err);
     if (status == RN_OK) // which photographs are loaded by
         t->field->effects[RN_EFFECT_EXPOSURE] = prepared[RN_EFFECT_EXPOSURE];
     if (status == RN_OK) status = check_memory(t, memory_limit_bytes, &left, err);
@@ -222,10 +293,12 @@ enum rn_status rn_trainer_create(struct rn_engine *engine, const struct rn_datas
     rn_field_randomise(t->field, own.seed);
     status = rn_trainer_set_up(t, err);
     if (status != RN_OK) goto fail;
-    if (own.field.space == RN_SPACE_UNBOUNDED)
+    if (own.field.space == RN_SPACE_UNBOUNDED) {
         rn_trainer_carve_unseen(t);
-    else if (t->field->config.carve)
+        rn_trainer_carve_sighted(t);
+    } else if (t->field->config.carve) {
         rn_trainer_carve(t);
+    }
     status = rn_trainer_list_hull(t, err);
     if (status == RN_OK) status = rn_trainer_list_live(t, err);
     if (status == RN_OK) status = rn_trainer_keep_good(t, err);
@@ -235,6 +308,7 @@ enum rn_status rn_trainer_create(struct rn_engine *engine, const struct rn_datas
     status = rn_trainer_put(t, err);
     if (status != RN_OK) goto fail;
     t->progress.train_seconds = ((double)rn_clock_ns() - begin) * 1e-9;
+    t->ranks.follows = true;
     *ret_trainer = t;
     return RN_OK;
 fail:
@@ -250,7 +324,9 @@ static struct rn_arrays arrays_of(struct rn_trainer *t) {
                               .seen = t->hull.seen,
                               .block_count = t->sampler.importance.count,
                               .block_error = t->sampler.importance.error,
-                              .block_share = t->sampler.importance.share};
+                              .block_share = t->sampler.importance.share,
+                              .pose_count = t->poses.moves ? (size_t)t->train.frame_count : 0,
+                              .poses = t->poses.moves ? t->poses.moves[0] : NULL};
 }
 
 static struct rn_counters counters_of(const struct rn_trainer *t) {
@@ -259,7 +335,8 @@ static struct rn_counters counters_of(const struct rn_trainer *t) {
                                 .next_rays = t->next_rays,
                                 .gradient_scale = t->device.gradient_scale,
                                 .good_steps = t->device.good_steps,
-                                .gradient_size = t->device.gradient_size};
+                                .gradient_size = t->device.gradient_size,
+                                .pose_turns = t->poses.turns};
 }
 
 static void take_counters(struct rn_trainer *t, const struct rn_counters *from) {
@@ -271,6 +348,7 @@ static void take_counters(struct rn_trainer *t, const struct rn_counters *from) 
     t->device.gradient_scale = from->gradient_scale;
     t->device.good_steps = from->good_steps;
     t->device.gradient_size = from->gradient_size;
+    t->poses.turns = from->pose_turns;
 }
 
 enum rn_status rn_trainer_restore(struct rn_engine *engine, const struct rn_dataset *dataset,
@@ -305,6 +383,7 @@ enum rn_status rn_trainer_restore(struct rn_engine *engine, const struct rn_data
     if (status == RN_OK) take_counters(t, &checkpoint.counters);
     if (status == RN_OK) status = rn_trainer_list_hull(t, err);
     if (status == RN_OK) status = rn_trainer_list_live(t, err);
+    if (status == RN_OK) rn_trainer_place_cameras(t); // those that were moved
     arrays = arrays_of(t);
     if (status == RN_OK) status = rn_checkpoint_read_blocks(&checkpoint, &arrays, err);
     if (status == RN_OK) rn_trainer_share_out(t, false);
@@ -315,6 +394,7 @@ enum rn_status rn_trainer_restore(struct rn_engine *engine, const struct rn_data
     status = rn_trainer_put(t, err);
     if (status != RN_OK) goto fail;
     rn_checkpoint_close(&checkpoint);
+    t->ranks.follows = true;
     *ret_trainer = t;
     return RN_OK;
 fail:
@@ -323,20 +403,25 @@ fail:
     return status;
 }
 
+static void end_ranks(struct rn_trainer *t);
+
 void rn_trainer_destroy(struct rn_trainer **trainer) {
     struct rn_trainer *t = *trainer;
     char sha256[65];
     if (!t) return;
     if (t->writer) (void)rn_checkpoint_end(&t->writer, sha256, NULL);
+    end_ranks(t);
     rn_field_destroy(&t->field);
     rn_pixels_finish(&t->train);
     rn_pixels_finish(&t->held);
     rn_trainer_free_step(t);
     rn_block_destroy(t->optimiser.grad);
     rn_trainer_drop_growth(t);
+    rn_ranks_free(t);
     free(t->hull.list);
     rn_block_destroy(t->hull.seen);
     rn_sampler_finish(&t->sampler);
+    rn_poses_finish(&t->poses);
     free(t->incidents.held);
     free(t);
     *trainer = NULL;
@@ -380,18 +465,29 @@ static bool march_due(const struct rn_trainer *t) {
 }
 
 bool rn_trainer_turn_due(const struct rn_trainer *t) {
-    return effects_are_due(t) || t->growth || rn_trainer_grows(t) || march_due(t);
+    return effects_are_due(t) || rn_trainer_poses_due(t) || t->growth || rn_trainer_grows(t) ||
+           march_due(t);
 }
 
-static enum rn_status take_turn(struct rn_trainer *t, struct rn_error *err) {
+// *ret_busy: there is more of it to do before a step.
+static enum rn_status take_turn(struct rn_trainer *t, bool *ret_busy, struct rn_error *err) {
+    *ret_busy = false;
+    if (!t->growth && rn_trainer_poses_due(t)) {
+        enum rn_status status = rn_trainer_refine_poses(t, ret_busy, err);
+        if (status != RN_OK || *ret_busy) return status;
+    }
     if (!t->growth && effects_are_due(t)) decide_effects(t);
-    return rn_trainer_grow(t, err);
+    enum rn_status status = rn_trainer_allocate_poses(t, err);
+    if (status == RN_OK) status = rn_trainer_grow(t, err);
+    *ret_busy = t->growth != NULL;
+    return status;
 }
 
 // What comes before a step, and its beginning, unless it is cut short.
 static enum rn_status begin_step(struct rn_trainer *t, struct rn_error *err) {
-    enum rn_status status = t->step.next_chunk == 0 ? take_turn(t, err) : RN_OK;
-    if (status != RN_OK || t->growth) return status;
+    bool busy = false;
+    enum rn_status status = t->step.next_chunk == 0 ? take_turn(t, &busy, err) : RN_OK;
+    if (status != RN_OK || busy) return status;
     struct rn_occupancy_turn turn = rn_schedule_occupancy(&t->field->config, t->progress.step);
     if (turn.due && !rn_trainer_update_occupancy(t)) return RN_OK;
     if (t->progress.step > 0 && t->progress.step % RN_IMPORTANCE_EVERY == 0)
@@ -410,6 +506,7 @@ static void update_rates(struct rn_trainer *t, double seconds) {
 }
 
 static enum rn_status run_here(struct rn_trainer *t, struct rn_error *err) {
+    rn_ranks_begin_step(t);
     enum rn_status status = t->step.under_way ? RN_OK : begin_step(t, err);
     if (status == RN_OK && t->step.under_way) rn_trainer_run_wave(t);
     return status;
@@ -419,20 +516,46 @@ static enum rn_status run_here(struct rn_trainer *t, struct rn_error *err) {
 static enum rn_status run_there(struct rn_trainer *t, struct rn_error *err) {
     if (!rn_trainer_turn_due(t)) return rn_trainer_run_device(t, err);
     enum rn_status status = rn_trainer_enter(t, err);
-    if (status == RN_OK) status = take_turn(t, err);
-    if (status != RN_OK || t->growth) return status;
+    bool busy = false;
+    if (status == RN_OK) status = take_turn(t, &busy, err);
+    if (status != RN_OK || busy) return status;
     return rn_trainer_put(t, err);
 }
 
 static enum rn_status run_block(struct rn_trainer *t, struct rn_error *err) {
     double begin = (double)rn_clock_ns();
+    int64_t step = t->progress.step;
     enum rn_status status = t->field->on_device ? run_there(t, err) : run_here(t, err);
     if (status != RN_OK) return status;
     double seconds = ((double)rn_clock_ns() - begin) * 1e-9;
-    t->progress.train_seconds += seconds;
+    rn_ranks_end_step(t, t->progress.step != step, seconds);
     t->field->train_seconds = t->progress.train_seconds;
     update_rates(t, seconds);
     return RN_OK;
+}
+
+enum rn_status rn_trainer_agree(struct rn_trainer *t, struct rn_error *err) {
+    enum rn_status status = t->ranks.agreed ? rn_trainer_enter(t, err) : RN_OK;
+    while (status == RN_OK && t->ranks.agreed)
+        status = run_block(t, err);
+    return status;
+}
+
+static void end_ranks(struct rn_trainer *t) {
+    if (t->ranks.agreed && rn_trainer_agree(t, NULL) != RN_OK) t->ranks.exchange->abandon();
+    rn_ranks_end(t);
+}
+
+enum rn_status rn_trainer_follow(struct rn_trainer *t, struct rn_error *err) {
+    for (;;) {
+        enum rn_rank_order order = rn_ranks_hear(t);
+        enum rn_status status = rn_trainer_agree(t, err);
+        if (status != RN_OK || order == RN_RANK_ENDS) return status;
+        if (order != RN_RANK_SAVES) continue;
+        rn_ranks_begin_save(t);
+        while (!rn_trainer_guard_save(t)) {
+        }
+    }
 }
 
 enum rn_status rn_trainer_advance(struct rn_trainer *t, double budget_ms, struct rn_error *err) {
@@ -440,7 +563,7 @@ enum rn_status rn_trainer_advance(struct rn_trainer *t, double budget_ms, struct
     enum rn_status status = t->field->on_device ? RN_OK : rn_trainer_enter(t, err);
     if (status != RN_OK) return status;
     do {
-        if (!t->step.under_way && reached_limit(t)) {
+        if (!t->step.under_way && !t->ranks.agreed && reached_limit(t)) {
             t->progress.done = true;
             return RN_OK;
         }
@@ -478,11 +601,11 @@ struct rn_field *rn_trainer_field(struct rn_trainer *t) {
 // ---- saving ---------------------------------------------------------------------------------
 
 static bool within_step(const struct rn_trainer *t) {
-    return t->step.under_way || t->step.next_chunk > 0;
+    return t->step.under_way || t->step.next_chunk > 0 || t->ranks.agreed;
 }
 
-enum rn_status rn_trainer_save_begin(struct rn_trainer *t, const char *path, bool *ret_begun,
-                                     struct rn_error *err) {
+enum rn_status rn_trainer_save_begin(struct rn_trainer *t, enum rn_save_part part, const char *path,
+                                     bool *ret_begun, struct rn_error *err) {
     *ret_begun = false;
     enum rn_status status = rn_trainer_enter(t, err);
     if (status != RN_OK) return status;
@@ -490,12 +613,16 @@ enum rn_status rn_trainer_save_begin(struct rn_trainer *t, const char *path, boo
         status = run_block(t, err);
         if (status == RN_OK && within_step(t) && rn_engine_is_wanted(t->engine)) return RN_OK;
     }
+    if (status != RN_OK) return status;
     uint64_t rollbacks = t->progress.rollbacks;
-    rn_trainer_guard_save(t);
+    rn_ranks_begin_save(t);
+    while (!rn_trainer_guard_save(t))
+        if (!t->ranks.exchange) return RN_OK;
     if (status == RN_OK && t->field->on_device)
         status = t->progress.rollbacks > rollbacks ? rn_trainer_put(t, err)
                                                    : rn_trainer_keep_good(t, err);
-    struct rn_arrays arrays = arrays_of(t);
+    struct rn_arrays arrays =
+        part == RN_SAVE_ALL ? arrays_of(t) : (struct rn_arrays){.field = t->field};
     struct rn_counters counters = counters_of(t);
     if (status == RN_OK) status = rn_checkpoint_begin(&arrays, &counters, path, &t->writer, err);
     *ret_begun = status == RN_OK;
@@ -515,7 +642,7 @@ enum rn_status rn_trainer_save(struct rn_trainer *t, const char *path, struct rn
     bool begun = false;
     char sha256[65];
     while (!begun) {
-        enum rn_status status = rn_trainer_save_begin(t, path, &begun, err);
+        enum rn_status status = rn_trainer_save_begin(t, RN_SAVE_ALL, path, &begun, err);
         if (status != RN_OK) return status;
     }
     return rn_trainer_save_end(t, sha256, err);
@@ -523,6 +650,7 @@ enum rn_status rn_trainer_save(struct rn_trainer *t, const char *path, struct rn
 
 struct rn_field *rn_trainer_finish(struct rn_trainer **trainer) {
     struct rn_field *field = (*trainer)->field;
+    end_ranks(*trainer);
     bool here = rn_field_fetch(field, NULL, NULL, NULL) == RN_OK;
     if (here) rn_field_refine_occupancy(field, (*trainer)->engine);
     if (here && field->on_device) (void)!rn_field_put_to_render((*trainer)->engine, field, NULL);

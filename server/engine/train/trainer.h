@@ -7,9 +7,12 @@
 #include "server/engine/scene/pixels.h"
 #include "server/engine/scene/scene.h"
 #include "server/engine/train/device.h"
+#include "server/engine/train/guard.h"
 #include "server/engine/train/hull.h"
 #include "server/engine/train/incident.h"
 #include "server/engine/train/optimiser.h"
+#include "server/engine/train/poses.h"
+#include "server/engine/train/ranks.h"
 #include "server/engine/train/sampler.h"
 #include "server/engine/train/step.h"
 #include "server/engine/train/train.h"
@@ -31,9 +34,12 @@ struct rn_trainer {
     struct rn_step step;
     struct rn_sampler sampler;
     struct rn_optimiser optimiser;
+    struct rn_guard guard;
     struct rn_hull hull;
+    struct rn_poses poses;
     struct rn_growth *growth; // NULL when the planes are not growing (grow.h)
     struct rn_device_state device;
+    struct rn_ranks ranks;
     struct rn_incidents incidents;
     struct rn_validation validation;
     struct rn_checkpoint_writer *writer; // NULL when none is being written
@@ -41,6 +47,8 @@ struct rn_trainer {
 
 // Which effects the photographs call for.
 void rn_trainer_detect_effects(struct rn_trainer *trainer);
+// Where the photographs' cameras are, after they have moved.
+void rn_trainer_place_cameras(struct rn_trainer *trainer);
 // What effects look at before the step that marches so.
 struct rn_evidence rn_trainer_evidence(const struct rn_trainer *trainer,
                                        const struct rn_march_options *march);
@@ -49,6 +57,9 @@ enum rn_status rn_trainer_set_up(struct rn_trainer *trainer, struct rn_error *er
 // Before training goes on here, or the host reads what is trained: everything is as new as the
 // device's and built for the training's cameras.
 enum rn_status rn_trainer_enter(struct rn_trainer *trainer, struct rn_error *err) RN_MUST_CHECK;
+// Completes the step that the ranks are agreed on: what they all must know of the same step is not
+// changed within it.
+enum rn_status rn_trainer_agree(struct rn_trainer *trainer, struct rn_error *err) RN_MUST_CHECK;
 // Whether the host has something to decide before the next step: view dependence, growth.
 bool rn_trainer_turn_due(const struct rn_trainer *trainer);
 

@@ -4,6 +4,7 @@
 
 #include "common/base/clock.h"
 #include "server/engine/render/cones.h"
+#include "server/engine/train/schedule.h"
 #include "server/engine/train/trainer.h"
 
 struct validate_block {
@@ -25,7 +26,8 @@ static void validate_packet(void *context, int index, int thread) {
     for (; n < RN_PACKET_RAYS && first + (size_t)n < b->first + b->count; n++)
         spots[n] = (struct rn_spot){(int)((first + (size_t)n) % width),
                                     (int)((first + (size_t)n) / width)};
-    rn_cones_render(t->engine, t->field, &b->march, camera, b->cones, spots, n, thread, pixels);
+    rn_cones_render(t->engine, t->field, &b->march, camera, NULL, b->cones, spots, n, thread,
+                    pixels, NULL);
     double sum = 0;
     for (int i = 0; i < n; i++)
         if (rn_pixel_is_used(&t->held, b->frame, spots[i].x, spots[i].y))
@@ -43,6 +45,7 @@ static void finish_frame(struct rn_trainer *t) {
     v->squares = 0;
     v->pixel = 0;
     v->frame++;
+    rn_pixels_let_go(&t->held);
 }
 
 static enum rn_status validate_on_device(struct rn_trainer *t, struct rn_error *err) {
@@ -86,7 +89,8 @@ enum rn_status rn_trainer_validate(struct rn_trainer *t, double budget_ms, bool 
     struct rn_validation *v = &t->validation;
     *ret_done = t->held.frame_count == 0;
     if (*ret_done) return RN_OK;
-    enum rn_status status = t->field->on_device ? RN_OK : rn_trainer_enter(t, err);
+    enum rn_status status = t->field->on_device ? RN_OK : rn_trainer_agree(t, err);
+    if (status == RN_OK && !t->field->on_device) status = rn_trainer_enter(t, err);
     if (status != RN_OK) return status;
     if (!v->active) *v = (struct rn_validation){.active = true};
     do {
@@ -100,6 +104,7 @@ enum rn_status rn_trainer_validate(struct rn_trainer *t, double budget_ms, bool 
     if (v->frame == t->held.frame_count) {
         t->field->psnr = t->progress.psnr = v->psnr_sum / t->held.frame_count;
         t->progress.psnr_step = t->progress.step;
+        rn_schedule_note_figure(&t->field->config, &t->progress);
         v->active = false;
         *ret_done = true;
     }

@@ -12,12 +12,20 @@ static size_t given_memory() {
     return bytes ? strtoull(bytes, NULL, 10) : (size_t)2 << 30;
 }
 size_t emu::memory_total = given_memory(), emu::memory_used;
+// RIPNERF_EMULATOR_SHARED: bytes of shared memory that a block of every process may have.
+static size_t given_shared() {
+    const char *bytes = getenv("RIPNERF_EMULATOR_SHARED");
+    return bytes ? strtoull(bytes, NULL, 10) : (size_t)emu::SHARED;
+}
+size_t emu::shared_most = given_shared();
 long emu::allocations;
+uint64_t emu::launched;
 cudaError_t emu::sticky;
+enum { CHECKED = 7 }; // graphs that the check of a device by "auto" launches
 void emu::maybe_lose() {
     static int launches;
     const char *file = getenv("RIPNERF_EMULATOR_LOSES");
-    if (file && ++launches == 3 && unlink(file) == 0) sticky = cudaErrorIllegalAddress;
+    if (file && ++launches == CHECKED + 3 && unlink(file) == 0) sticky = cudaErrorIllegalAddress;
 }
 
 static const float *all_halves() {
@@ -38,6 +46,9 @@ void rn_emulator_order(int order, uint64_t seed) {
 }
 void rn_emulator_memory(size_t bytes) {
     emu::memory_total = bytes;
+}
+void rn_emulator_shared(size_t bytes) {
+    emu::shared_most = bytes;
 }
 size_t rn_emulator_memory_used(void) {
     return emu::memory_used;

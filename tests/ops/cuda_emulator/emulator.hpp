@@ -23,6 +23,7 @@
 #include <algorithm>
 #include <functional>
 #include <map>
+#include <tuple>
 #include <vector>
 
 #define __global__
@@ -173,6 +174,12 @@ inline void run_unit(unsigned unit) {
     }
 }
 
+// What lies behind the shared memory that the launch asked for is still as it was.
+inline void check_beyond(size_t bytes) {
+    for (size_t i = bytes; i < SHARED; i++)
+        if (m.shared[i] != 0xff) die("wrote behind its shared memory");
+}
+
 inline void run_block() {
     memset(m.shared, 0xff, sizeof m.shared);
     memset(__start_rn_shared, 0xff, (size_t)(__stop_rn_shared - __start_rn_shared));
@@ -234,6 +241,7 @@ inline void launch(const char *name, dim3 grid, dim3 block, size_t shared,
             makecontext(&f.context, fiber_main, 0);
         }
         run_block();
+        check_beyond(shared);
     }
 }
 

@@ -12,6 +12,9 @@ extern "C" {
 // by `seed`, 3 the first warp after all others.
 void rn_emulator_order(int order, uint64_t seed);
 void rn_emulator_memory(size_t bytes);
+// Bytes of shared memory that a block may have, of devices opened from now on: 227 KB at first, as
+// on an H200; 163 KB as on an A100, 99 KB as on cards for desks.
+void rn_emulator_shared(size_t bytes);
 size_t rn_emulator_memory_used(void);
 long rn_emulator_allocations(void);
 // From now on every call fails with this error; 0 ends it.

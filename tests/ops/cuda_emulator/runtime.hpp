@@ -1,11 +1,14 @@
 // The part of the CUDA runtime that the backend's host side uses, over the emulator: streams run at
-// once, a captured graph is the list of what was launched.
+// once, a captured graph is the list of what was launched with the arguments that it had then. A stream
+// that only copies to the host does so as late as it may, when somebody waits for it, and copies NaN
+// bytes where it did not wait for all that was launched before.
 #ifndef RN_TESTS_EMULATOR_RUNTIME_H
 #define RN_TESTS_EMULATOR_RUNTIME_H
 
 typedef int cudaError_t;
 enum {
     cudaSuccess = 0,
+    cudaErrorInvalidValue = 1,
     cudaErrorMemoryAllocation = 2,
     cudaErrorInitializationError = 3,
     cudaErrorNoDevice = 100,
@@ -15,11 +18,17 @@ enum { cudaMemcpyHostToDevice, cudaMemcpyDeviceToHost, cudaMemcpyDeviceToDevice 
 enum { cudaStreamCaptureModeRelaxed, cudaStreamNonBlocking, cudaHostAllocDefault };
 enum { cudaFuncAttributeMaxDynamicSharedMemorySize };
 struct emu_stream {
-    bool capturing = false;
-    std::vector<std::function<void()>> operations;
+    bool capturing = false, computes = false;
+    uint64_t knows = 0; // of emu::launched, by the events that it waited for
+    std::vector<std::function<void()>> operations; // captured, or late
 };
 typedef emu_stream *cudaStream_t;
-typedef struct timespec *cudaEvent_t;
+struct emu_event {
+    struct timespec at;
+    emu_stream *stream;
+    uint64_t launched;
+};
+typedef emu_event *cudaEvent_t;
 typedef std::vector<std::function<void()>> *cudaGraph_t, *cudaGraphExec_t;
 struct cudaDeviceProp {
     char name[256];
@@ -29,20 +38,30 @@ struct cudaDeviceProp {
 
 namespace emu {
 extern size_t memory_total, memory_used;
+extern size_t shared_most; // bytes a block that kernels may ask for
 extern long allocations;
+extern uint64_t launched; // kernels so far
 extern cudaError_t sticky; // what every call returns once it is set
 
-// The third graph that a process launches meets an error for good, once: when the file exists that
-// RIPNERF_EMULATOR_LOSES names, which is removed.
+// The third graph that a process launches after the check of its device meets an error for good,
+// once: when the file exists that RIPNERF_EMULATOR_LOSES names, which is removed.
 void maybe_lose();
 
-inline cudaError_t enqueue(cudaStream_t stream, std::function<void()> operation) {
+inline cudaError_t enqueue(cudaStream_t stream, std::function<void()> operation,
+                           bool late = false) {
     if (sticky) return sticky;
-    if (stream && stream->capturing)
+    if (stream && (stream->capturing || late))
         stream->operations.push_back(std::move(operation));
     else
         operation();
     return cudaSuccess;
+}
+inline cudaError_t catch_up(cudaStream_t stream) {
+    std::vector<std::function<void()>> late;
+    if (stream && !stream->capturing) late.swap(stream->operations);
+    for (const std::function<void()> &operation : late)
+        operation();
+    return sticky;
 }
 } // namespace emu
 
@@ -65,7 +84,7 @@ inline cudaError_t cudaGetDeviceProperties(cudaDeviceProp *p, int) {
     memset(p, 0, sizeof *p);
     snprintf(p->name, sizeof p->name, "emulated");
     p->totalGlobalMem = emu::memory_total;
-    p->sharedMemPerBlockOptin = emu::SHARED;
+    p->sharedMemPerBlockOptin = emu::shared_most;
     p->multiProcessorCount = 2;
     p->major = 8;
     return cudaSuccess;
@@ -104,8 +123,12 @@ inline cudaError_t cudaFreeHost(void *p) {
     free(p);
     return cudaSuccess;
 }
-inline cudaError_t cudaMemcpyAsync(void *to, const void *from, size_t bytes, int, cudaStream_t s) {
-    return emu::enqueue(s, [=] { memcpy(to, from, bytes); });
+inline cudaError_t cudaMemcpyAsync(void *to, const void *from, size_t bytes, int way,
+                                   cudaStream_t s) {
+    bool late = way == cudaMemcpyDeviceToHost && !s->computes;
+    bool there = !late || s->knows == emu::launched;
+    return emu::enqueue(
+        s, [=] { there ? memcpy(to, from, bytes) : memset(to, 0xff, bytes); }, late);
 }
 inline cudaError_t cudaMemsetAsync(void *to, int value, size_t bytes, cudaStream_t s) {
     return emu::enqueue(s, [=] { memset(to, value, bytes); });
@@ -118,7 +141,11 @@ inline cudaError_t cudaStreamDestroy(cudaStream_t s) {
     delete s;
     return cudaSuccess;
 }
-inline cudaError_t cudaStreamSynchronize(cudaStream_t) {
+inline cudaError_t cudaStreamSynchronize(cudaStream_t s) {
+    return emu::catch_up(s);
+}
+inline cudaError_t cudaStreamWaitEvent(cudaStream_t s, cudaEvent_t e, unsigned) {
+    s->knows = e->launched;
     return emu::sticky;
 }
 inline cudaError_t cudaStreamBeginCapture(cudaStream_t s, int) {
@@ -128,7 +155,8 @@ inline cudaError_t cudaStreamBeginCapture(cudaStream_t s, int) {
 }
 inline cudaError_t cudaStreamEndCapture(cudaStream_t s, cudaGraph_t *ret) {
     s->capturing = false;
-    *ret = new std::vector<std::function<void()>>(s->operations);
+    *ret = new std::vector<std::function<void()>>();
+    s->operations.swap(**ret);
     return cudaSuccess;
 }
 inline cudaError_t cudaGraphInstantiate(cudaGraphExec_t *ret, cudaGraph_t graph, unsigned long) {
@@ -151,7 +179,7 @@ inline cudaError_t cudaGraphLaunch(cudaGraphExec_t g, cudaStream_t) {
     return cudaSuccess;
 }
 inline cudaError_t cudaEventCreate(cudaEvent_t *ret) {
-    *ret = new timespec();
+    *ret = new emu_event();
     return cudaSuccess;
 }
 inline cudaError_t cudaEventDestroy(cudaEvent_t e) {
@@ -159,13 +187,17 @@ inline cudaError_t cudaEventDestroy(cudaEvent_t e) {
     return cudaSuccess;
 }
 inline cudaError_t cudaEventRecord(cudaEvent_t e, cudaStream_t s) {
-    return emu::enqueue(s, [=] { clock_gettime(CLOCK_MONOTONIC, e); });
+    e->stream = s;
+    e->launched = emu::launched;
+    return emu::enqueue(s, [=] { clock_gettime(CLOCK_MONOTONIC, &e->at); });
 }
-inline cudaError_t cudaEventSynchronize(cudaEvent_t) {
-    return emu::sticky;
+inline cudaError_t cudaEventSynchronize(cudaEvent_t e) {
+    return emu::catch_up(e->stream);
 }
 inline cudaError_t cudaEventElapsedTime(float *ret_ms, cudaEvent_t from, cudaEvent_t to) {
-    *ret_ms = 1e3f * (float)(to->tv_sec - from->tv_sec) + 1e-6f * (float)(to->tv_nsec - from->tv_nsec);
+    *ret_ms =
+        1e3f * (float)(to->at.tv_sec - from->at.tv_sec) +
+        1e-6f * (float)(to->at.tv_nsec - from->at.tv_nsec);
     return cudaSuccess;
 }
 namespace emu {
@@ -178,6 +210,7 @@ template <typename F> void check_shared(const char *name, F kernel, size_t bytes
 }
 } // namespace emu
 template <typename F> cudaError_t cudaFuncSetAttribute(F kernel, int, int bytes) {
+    if ((size_t)bytes > emu::shared_most) return cudaErrorInvalidValue;
     emu::shared_allowed[(const void *)kernel] = (size_t)bytes;
     return cudaSuccess;
 }
@@ -187,11 +220,25 @@ cudaError_t cudaOccupancyMaxActiveBlocksPerMultiprocessor(int *ret, F, int, size
     return cudaSuccess;
 }
 
-// kernel<<<grid, block, shared, stream>>>(...), the arguments taken by value now.
+namespace emu {
+// The arguments as they are now, also where a graph that is captured runs the kernel later.
+template <typename... P, typename... A>
+cudaError_t launch_with(const char *name, void (*kernel)(P...), dim3 grid, dim3 block,
+                        size_t shared, cudaStream_t stream, const A &...arguments) {
+    static const char *const skips = getenv("RIPNERF_EMULATOR_SKIPS"); // a kernel that does nothing
+    std::tuple<P...> frozen(arguments...);
+    if (skips && strstr(name, skips)) return sticky;
+    stream->computes = true;
+    launched++;
+    return enqueue(stream, [=] {
+        check_shared(name, kernel, shared);
+        launch(name, grid, block, shared, [&] { std::apply(kernel, frozen); });
+    });
+}
+} // namespace emu
+
+// kernel<<<grid, block, shared, stream>>>(...)
 #define RN_LAUNCH(kernel, grid, block, shared, stream, ...)                                        \
-    emu::enqueue(stream, [=] {                                                                     \
-        emu::check_shared(#kernel, kernel, shared);                                                \
-        emu::launch(#kernel, grid, block, shared, [=] { kernel(__VA_ARGS__); });                   \
-    })
+    emu::launch_with(#kernel, kernel, grid, block, shared, stream, __VA_ARGS__)
 
 #endif

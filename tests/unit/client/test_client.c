@@ -10,9 +10,10 @@
 
 #include "client/http.h"
 #include "client/options.h"
+#include "client/outcome.h"
 #include "client/progress.h"
 #include "client/sse.h"
-#include "client/tar.h"
+#include "common/base/tar.h"
 #include "common/base/file.h"
 #include "tests/support/suite.h"
 
@@ -111,7 +112,7 @@ static const struct rn_option no_table[] = {{0}};
 static enum rn_status parse(const char *line, struct wanted *ret_wanted, const char **args,
                             size_t *count) {
     static char words[256];
-    char *argv[16];
+    char *argv[24];
     int argc = 0;
     struct rn_error err = {0};
     struct rn_option_tables tables = {wanted_table, no_table, ret_wanted, NULL};
@@ -335,6 +336,61 @@ START_TEST(names_are_escaped_in_paths) {
 }
 END_TEST
 
+// ---- how jobs went ----
+
+static const struct {
+    int type;
+    const char *result, *words;
+} outcomes[] = {
+    {RN_JOB_DOCTOR,
+     "{\"passed\":false,\"seed\":4,\"kernels\":\"avx2\",\"cases\":["
+     "{\"name\":\"exp\",\"kernels\":\"avx2\",\"worst\":7,\"bound\":2,\"unit\":\"ULP\","
+     "\"passed\":false,\"skipped\":false,\"where\":\"x = 1\"},"
+     "{\"name\":\"log\",\"kernels\":\"cuda\",\"worst\":null,\"bound\":null,\"unit\":\"ULP\","
+     "\"passed\":false,\"skipped\":true,\"where\":\"\"}]}",
+     "2 cases, 1 failed, 1 skipped"},
+    {RN_JOB_VALIDATE,
+     "{\"report\":{\"layout\":\"blender\",\"usable\":{\"train\":4,\"val\":0,\"test\":1},"
+     "\"unusable\":{\"train\":0,\"val\":0,\"test\":0},\"scales\":1,\"footprint\":{\"min\":1,"
+     "\"max\":2},"
+     "\"camera_distance\":{\"min\":1,\"max\":2},\"looking_at_bounds\":1,\"with_alpha\":5,\"width\":"
+     "{\"min\":1,\"max\":2},"
+     "\"height\":{\"min\":1,\"max\":2},\"errors\":1,\"warnings\":2,\"dropped\":0,\"problems\":[]},"
+     "\"bounds\":{\"centre\":[0,0,0],\"radius\":1.5,\"source\":\"layout\"},\"up\":[0,0,1],"
+     "\"views\":{\"train\":4,\"val\":0,\"test\":1},\"scales\":1,\"items\":[]}",
+     "4 to train, 0 to validate, 1 to test; 1 errors, 2 warnings"},
+    {RN_JOB_CURVE,
+     "{\"machine\":\"m\",\"device\":\"cpu\",\"kernels\":\"avx2\",\"threads\":2,\"version\":\"1\","
+     "\"digest\":null,\"step\":5,\"measured_at\":\"2026-01-01T00:00:00.000Z\",\"stale\":false,"
+     "\"width\":200,\"height\":200,\"views\":6,\"photographs\":true,\"seconds\":9,\"points\":["
+     "{\"setting\":{\"tolerance\":0.06},\"ms_median\":8,\"ms_p95\":9,\"psnr\":27.5,\"ssim\":0.9,"
+     "\"psnr_full\":30,\"psnr_spread\":0.5,\"rays\":1,\"samples\":1},"
+     "{\"setting\":{\"tolerance\":0},\"ms_median\":200,\"ms_p95\":210,\"psnr\":31.25,\"ssim\":0.9,"
+     "\"psnr_full\":null,\"psnr_spread\":0.5,\"rays\":1,\"samples\":1}],\"around\":[]}",
+     "2 settings, 8.0 to 200.0 ms, 27.50 to 31.25 dB"},
+    {RN_JOB_EFFECTS,
+     "{\"machine\":\"m\",\"device\":\"cpu\",\"kernels\":\"avx2\",\"threads\":2,\"version\":\"1\","
+     "\"measured_at\":\"2026-01-01T00:00:00.000Z\",\"seconds\":10,\"seeds\":1,\"held_out\":\"5\","
+     "\"gains\":[{\"name\":\"anisotropy\",\"on\":true,\"psnr\":27.1,\"psnr_without\":26.3,"
+     "\"gain\":0.8,\"gain_spread\":null,\"cost\":0.12,\"picture_cost\":-0.03},"
+     "{\"name\":\"distortion\",\"on\":true,\"psnr\":null,\"psnr_without\":null,\"gain\":null,"
+     "\"gain_spread\":null,\"cost\":0,\"picture_cost\":0}]}",
+     "anisotropy +0.80 dB, distortion not measured"},
+    {RN_JOB_INGEST, "{\"dataset\":\"ds_a2c4e6g3i5k7\"}", ""},
+    {RN_JOB_DOCTOR, "{\"passed\":1}", ""},
+};
+
+START_TEST(jobs_tell_their_figures) {
+    struct rn_job job = {.type = outcomes[_i].type, .result = (char *)outcomes[_i].result};
+    char text[200];
+    rn_format_outcome(&job, text, sizeof text);
+    ck_assert_str_eq(text, outcomes[_i].words);
+    char few[8];
+    rn_format_outcome(&job, few, sizeof few);
+    ck_assert_int_eq(strncmp(few, text, strlen(few)), 0);
+}
+END_TEST
+
 int main(void) {
     Suite *suite = suite_create("client");
     TCase *plain = tcase_create("plain"), *files = tcase_create("files");
@@ -345,6 +401,8 @@ int main(void) {
     tcase_add_test(plain, options_that_are_refused);
     tcase_add_test(plain, figures_for_people);
     tcase_add_test(plain, names_are_escaped_in_paths);
+    tcase_add_loop_test(plain, jobs_tell_their_figures, 0, sizeof outcomes / sizeof *outcomes);
+    tcase_set_timeout(files, 60); // a busy disk
     tcase_add_checked_fixture(files, make_folder, remove_folder);
     tcase_add_test(files, archives_are_read_back_by_libarchive);
     tcase_add_test(files, archives_refuse_what_is_not_theirs);

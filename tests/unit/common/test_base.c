@@ -17,6 +17,7 @@
 #include "common/base/seal.h"
 #include "common/base/sha256.h"
 #include "common/base/threads.h"
+#include "common/base/trace.h"
 #include "tests/support/suite.h"
 
 static char folder[64];
@@ -54,6 +55,75 @@ START_TEST(clock_source) {
     ck_assert_int_eq(rn_clock_wall_ms(), fixed_ms());
     rn_clock_set_source(NULL, NULL);
     ck_assert_int_ge(rn_clock_ns(), before);
+}
+END_TEST
+
+static int64_t moved_ns, moved_ms;
+
+static int64_t get_moved_ns(void) {
+    return moved_ns;
+}
+
+static int64_t get_moved_ms(void) {
+    return moved_ms;
+}
+
+// The time passes, and the wall clock is set besides.
+static void pass(int64_t ms, int64_t set_by_ms) {
+    moved_ns += ms * 1000000;
+    moved_ms += ms + set_by_ms;
+}
+
+START_TEST(clock_that_is_set) {
+    const int64_t year = INT64_C(31557600000);
+    moved_ns = 7, moved_ms = fixed_ms();
+    rn_clock_set_source(get_moved_ns, get_moved_ms);
+    int64_t older = moved_ms - 5000, before = moved_ms;
+    pass(1000, 0);
+    ck_assert_int_eq(rn_clock_since_ms(before), 1000);
+    ck_assert_int_eq(rn_clock_since_ms(older), 6000);
+    pass(1000, 10 * year);
+    ck_assert_int_eq(rn_clock_since_ms(before), 2000);
+    ck_assert_int_eq(rn_clock_since_ms(older), 7000);
+    int64_t after = moved_ms;
+    pass(3000, 0);
+    ck_assert_int_eq(rn_clock_since_ms(after), 3000);
+    ck_assert_int_eq(rn_clock_since_ms(before), 5000);
+    pass(0, -20 * year);
+    ck_assert_int_eq(rn_clock_since_ms(before), 5000);
+    after = moved_ms;
+    pass(4000, 0);
+    ck_assert_int_eq(rn_clock_since_ms(after), 4000);
+    ck_assert_int_eq(rn_clock_since_ms(before), 9000);
+    rn_clock_set_source(NULL, NULL);
+}
+END_TEST
+
+START_TEST(traces) {
+    const char *caller = "00-0af7651916cd43dd8448eb211c80319c-b7ad6b7169203331-00";
+    char own[RN_TRACE_MAX], other[RN_TRACE_MAX], trace[RN_TRACE_ID_MAX], span[17];
+    rn_trace_begin(caller, own);
+    ck_assert(rn_trace_is_good(own));
+    rn_trace_ids(own, trace, span);
+    ck_assert_str_eq(trace, "0af7651916cd43dd8448eb211c80319c");
+    ck_assert_str_ne(span, "b7ad6b7169203331");
+    ck_assert_str_eq(own + 53, "00");
+    const char *const bad[] = {NULL,
+                               "",
+                               "00-0af7651916cd43dd8448eb211c80319c-b7ad6b7169203331-0",
+                               "01-0af7651916cd43dd8448eb211c80319c-b7ad6b7169203331-00",
+                               "00-0AF7651916cd43dd8448eb211c80319c-b7ad6b7169203331-00",
+                               "00-00000000000000000000000000000000-b7ad6b7169203331-00",
+                               "00-0af7651916cd43dd8448eb211c80319c-0000000000000000-00",
+                               "00-0af7651916cd43dd8448eb211c80319c-b7ad6b7169203331-0g",
+                               "00-0af7651916cd43dd8448eb211c80319c_b7ad6b7169203331-00"};
+    for (size_t i = 0; i < sizeof bad / sizeof *bad; i++) {
+        ck_assert(!rn_trace_is_good(bad[i]));
+        rn_trace_begin(bad[i], other);
+        ck_assert(rn_trace_is_good(other));
+        ck_assert(strncmp(other, own, 35) != 0);
+        ck_assert_str_eq(other + 52, "-01");
+    }
 }
 END_TEST
 
@@ -96,6 +166,13 @@ START_TEST(log_lines) {
     ck_assert_int_eq(line[size - 1], '\n');
     free(line);
     rn_log_set_level(RN_LOG_INFO);
+    const char *own = "00-0af7651916cd43dd8448eb211c80319c-b7ad6b7169203331-00";
+    ck_assert_ptr_null(rn_log_set_trace(own));
+    line = logged(RN_LOG_INFO, RN_LOG_INFO, "of it");
+    ck_assert_str_eq(line, "2026-01-31T12:00:00.123Z info of it "
+                           "trace_id=0af7651916cd43dd8448eb211c80319c span_id=b7ad6b7169203331\n");
+    free(line);
+    ck_assert_ptr_eq(rn_log_set_trace(NULL), own);
     rn_clock_set_source(NULL, NULL);
 }
 END_TEST
@@ -382,6 +459,8 @@ int main(void) {
     Suite *suite = suite_create("base");
     TCase *plain = tcase_create("plain"), *files = tcase_create("files");
     tcase_add_test(plain, clock_source);
+    tcase_add_test(plain, clock_that_is_set);
+    tcase_add_test(plain, traces);
     tcase_add_test(plain, file_of_unknown_size);
     tcase_add_test(plain, safe_names);
     tcase_add_test(plain, buffers);

@@ -69,22 +69,18 @@ START_TEST(statue) {
 END_TEST
 
 START_TEST(forward_facing) {
-    struct rn_capture found;
     read_ok(capture(_i ? "real/llff_horns" : "nerf_llff/fern"));
     ck_assert_uint_eq(dataset->frame_count, _i ? 62 : 20);
-    rn_dataset_capture(dataset, &found);
-    ck_assert_int_eq(found.kind, RN_CAPTURE_FORWARD);
+    ck_assert_int_eq(dataset->lie.kind, RN_CAPTURE_FORWARD);
     ck_assert_double_gt(dataset->frames[0].near, 0);
 }
 END_TEST
 
 START_TEST(tractor) {
-    struct rn_capture found;
     read_ok(capture("real/tractor"));
     ck_assert_uint_eq(dataset->frame_count, 74);
     ck_assert_double_gt(dataset->frames[0].camera.fy / dataset->frames[0].camera.fx, 1.19);
-    rn_dataset_capture(dataset, &found);
-    ck_assert_int_eq(found.kind, RN_CAPTURE_OBJECT);
+    ck_assert_int_eq(dataset->lie.kind, RN_CAPTURE_OUTDOOR);
 }
 END_TEST
 

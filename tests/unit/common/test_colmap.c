@@ -179,6 +179,8 @@ static const struct {
     {CAMERAS_TXT, "10 1 0 0 0 1 2 3 7\n\n", "", "images.txt:1", "NAME"},
     {CAMERAS_TXT, "10 1 0 0 0 1 2 3 7 b.png\n1 2\n", POINTS_TXT, "images.txt:2", "triples"},
     {CAMERAS_TXT, "# none\n", "", "images.txt", "no images"},
+    {CAMERAS_TXT, "10 1 0 0 0 1 2 3 7 b.png\n1 2 1000\n10 1 0 0 0 1 2 3 9 gone.png\n1 2 1000\n",
+     POINTS_TXT, "images.txt", "two images have the id 10"},
     {CAMERAS_TXT, IMAGES_TXT, "1000 0.5 1.5 x\n", "points3D.txt:1", "POINT3D_ID X"},
 };
 
@@ -342,8 +344,7 @@ START_TEST(agreement) {
     ck_assert_double_eq_tol(found.mean_px, sqrt(18) / 2, 1e-5);
     ck_assert_double_eq_tol(found.said_px, 2.5, 1e-6);
     ck_assert(tells(RN_SEVERITY_WARNING, "do not belong together"));
-    ck_assert(tells(RN_SEVERITY_INFO,
-                    "forward-facing photographs: the mean view direction has length 1.00"));
+    ck_assert(tells(RN_SEVERITY_INFO, "view directions have a mean of length 1.00"));
 }
 END_TEST
 
@@ -366,6 +367,66 @@ START_TEST(two_layouts) {
     ck_assert_str_eq(dataset->format->name, "nerfstudio");
     ck_assert(tells(RN_SEVERITY_WARNING, "have 1 photographs in common: poses differ by up to 0 "));
     ck_assert(tells(RN_SEVERITY_WARNING, "b: 52 and 50"));
+}
+END_TEST
+
+// The model's photographs as nerfstudio has them, axes permuted, scaled and shifted; of the first
+// one the position is off by `off` of a unit.
+static void put_moved_transforms(double off) {
+    static const double turn[3][3] = {{1, 0, 0}, {0, 0, 1}, {0, -1, 0}}, shift[3] = {5, -7, 0.5};
+    static const char *const files[] = {"b.png", "c.png", "sub/a b.png"}; // as they are sorted
+    char frames[4096] = "";
+    for (int n = 0; n < 3; n++) {
+        double(*m)[4] = dataset->frames[n].camera.world_from_camera;
+        size_t at = strlen(frames);
+        at += (size_t)snprintf(frames + at, sizeof frames - at,
+                               "%s{\"file_path\":\"images/%s\",\"transform_matrix\":[",
+                               n ? "," : "", files[n]);
+        for (int i = 0; i < 3; i++) {
+            double row[4] = {0, 0, 0, shift[i] + (n == 0) * off};
+            for (int j = 0; j < 4; j++)
+                for (int k = 0; k < 3; k++)
+                    row[j] += turn[i][k] * m[k][j] * (j == 3 ? 0.25 : j == 0 ? 1 : -1);
+            at += (size_t)snprintf(frames + at, sizeof frames - at, "[%.17g,%.17g,%.17g,%.17g],",
+                                   row[0], row[1], row[2], row[3]);
+        }
+        snprintf(frames + at, sizeof frames - at, "[0,0,0,1]]}");
+    }
+    char *document;
+    ck_assert(asprintf(&document,
+                       "{\"fl_x\":50,\"fl_y\":50,\"cx\":20,\"cy\":15,\"w\":40,\"h\":30,"
+                       "\"frames\":[%s]}",
+                       frames) > 0);
+    put_text("transforms.json", document);
+    free(document);
+}
+
+// One scene in two programs' coordinates: the same poses to 1e-6 of its radius, or by how much not.
+START_TEST(moved_layouts) {
+    double off = _i ? 0.01 : 0, found;
+    put_texts("7 PINHOLE 40 30 50 50 20 15\n",
+              "10 0.8 0.2 -0.4 0.4 1 2 3 7 b.png\n\n11 0.5 0.5 -0.5 0.5 -1 0 4 7 c.png\n\n"
+              "12 0.6 0 0.8 0 0 -2 5 7 sub/a b.png\n\n",
+              "1000 1 0.5 5 1 2 3 2.5 10 0\n");
+    read_ok(folder);
+    put_moved_transforms(off);
+    rn_dataset_destroy(&dataset);
+    read_ok(folder);
+    const char *text = NULL;
+    for (size_t i = 0; i < problems.count; i++)
+        if (strstr(problems.items[i].text, "3 photographs in common")) {
+            text = strstr(problems.items[i].text, "differ by up to ");
+            ck_assert_int_eq(problems.items[i].severity,
+                             _i ? RN_SEVERITY_WARNING : RN_SEVERITY_INFO);
+        }
+    ck_assert_ptr_nonnull(text);
+    ck_assert_int_eq(sscanf(text, "differ by up to %lf", &found), 1);
+    ck_assert_ptr_nonnull(
+        strstr(text, _i ? "turned by 90.0" : "turned by 90.0 degrees, scaled by 0.25 and"));
+    if (_i)
+        ck_assert_double_gt(found, 1e-3);
+    else
+        ck_assert_double_lt(found, 1e-12);
 }
 END_TEST
 
@@ -508,6 +569,7 @@ int main(void) {
     tcase_add_test(tests, incomplete_model);
     tcase_add_test(tests, agreement);
     tcase_add_test(tests, two_layouts);
+    tcase_add_loop_test(tests, moved_layouts, 0, 2);
     tcase_add_test(tests, imported);
     tcase_add_test(tests, bad_masks);
     tcase_add_test(tests, bad_points);

@@ -6,7 +6,7 @@
 
 static struct rn_curve_point point(double ms, double psnr, double psnr_full, double tolerance,
                                    int subsample) {
-    struct rn_curve_point p = {.ms_median = ms, .psnr = psnr, .psnr_full = psnr_full};
+    struct rn_curve_point p = {.ms_median = ms, .ms_p95 = ms, .psnr = psnr, .psnr_full = psnr_full};
     for (size_t i = 0; i < RN_RENDER_SETTINGS; i++)
         p.setting.values[i] = rn_setting_absent(&rn_render_settings.rows[i]);
     if (tolerance > 0)
@@ -61,6 +61,20 @@ START_TEST(a_time_takes_the_best_that_fits) {
 }
 END_TEST
 
+// Half of the pictures in time are no promise; nineteen of twenty are.
+START_TEST(a_time_is_kept_by_nearly_all_pictures) {
+    bool missed;
+    make_curve();
+    points[2].ms_p95 = 20;
+    ck_assert_uint_eq(chosen(RN_BUDGET_TIME, 15, 1e4, &missed), 1);
+    ck_assert_uint_eq(chosen(RN_BUDGET_TIME, 20, 1e4, &missed), 2);
+    ck_assert(!missed);
+    points[0].ms_p95 = 2;
+    ck_assert_uint_eq(chosen(RN_BUDGET_TIME, 1.5, 1e4, &missed), 0);
+    ck_assert(missed);
+}
+END_TEST
+
 START_TEST(a_psnr_takes_the_quickest_that_reaches_it) {
     bool missed;
     make_curve();
@@ -88,9 +102,6 @@ END_TEST
 START_TEST(what_is_expected_of_a_point) {
     make_curve();
     ck_assert_double_eq(rn_curve_expected(&curve, 1, 99), 25);
-    ck_assert_double_eq_tol(rn_curve_expected_with(&curve, 1, 0.15, 99), 27.5, 1e-9);
-    ck_assert_double_eq(rn_curve_expected_with(&curve, 1, 0.5, 99), 25);
-    ck_assert_double_eq(rn_curve_expected_with(&curve, 0, 0.15, 99), 20);
     // Without photographs: the errors add up, and of the full picture there are no more.
     for (size_t i = 0; i < curve.count; i++)
         points[i].psnr = NAN;
@@ -113,6 +124,56 @@ START_TEST(the_place_says_how_good_a_picture_will_be) {
     ck_assert_double_eq_tol(rn_curve_here(&c, (double[]){0, 0, 0}), 33 - 31, 1e-6);
     ck_assert_double_eq_tol(rn_curve_here(&c, (double[]){2, 0, 0}), 29 - 31, 1e-6);
     ck_assert_double_eq_tol(rn_curve_here(&c, (double[]){1, 0, 0}), 0, 1e-4);
+}
+END_TEST
+
+static double error_of(double psnr) {
+    return pow(10, -psnr / 10);
+}
+
+static double here(size_t point, struct rn_curve_made made, double better) {
+    return rn_curve_expected_here(&curve, point, &made, 31, better);
+}
+
+// The full picture is as much better as they say; a coarse one, whose own error stays, is not.
+START_TEST(a_place_is_better_for_what_is_good) {
+    make_curve();
+    const struct rn_curve_made plain = {0, 0};
+    double coarse = -10 * log10(error_of(20) - error_of(31) + error_of(33));
+    ck_assert_double_eq_tol(here(3, plain, 2), 33, 1e-9);
+    ck_assert_double_eq_tol(here(0, plain, 2), coarse, 1e-9);
+    ck_assert_double_eq_tol(rn_curve_from_here(&curve, coarse, 2), 20, 1e-9);
+    points[2].psnr = 32; // smoother than the full picture
+    ck_assert_double_eq_tol(here(2, plain, 2), 34, 1e-9);
+    ck_assert_double_eq_tol(rn_curve_from_here(&curve, 34, 2), 32, 1e-9);
+}
+END_TEST
+
+// Twice as rough, or twice as much lost between others: twice the loss.
+START_TEST(a_picture_says_itself_what_it_lost) {
+    make_curve();
+    points[0].roughness = 0.02;
+    points[1].interpolation = 0.003;
+    double rough = error_of(20) - error_of(31), apart = error_of(25) - error_of(31);
+    ck_assert_double_eq_tol(here(0, (struct rn_curve_made){0, 0.02}, 0), 20, 1e-9);
+    ck_assert_double_eq_tol(error_of(here(0, (struct rn_curve_made){0, 0.04}, 0)),
+                            error_of(31) + 2 * rough, 1e-9);
+    ck_assert_double_eq_tol(error_of(here(1, (struct rn_curve_made){0.006, 0}, 0)),
+                            error_of(31) + 2 * apart, 1e-9);
+    points[1].interpolation = 0.001; // of a loss that is larger the rest stays as it is
+    ck_assert_double_eq_tol(error_of(here(1, (struct rn_curve_made){0.002, 0}, 0)),
+                            error_of(31) + apart + 0.001, 1e-9);
+    // With less time than the point's own tolerance asks for there is more to lose, and with more
+    // of what the point does not interpolate at all.
+    ck_assert_double_lt(here(0, (struct rn_curve_made){0.001, 0.02}, 0), 20);
+    ck_assert_double_lt(here(3, (struct rn_curve_made){0.001, 0}, 0), 31);
+    // A curve of an older version does not know: the picture's own estimate.
+    points[0].roughness = points[0].interpolation = NAN;
+    double own = here(0, (struct rn_curve_made){0, 0.02}, 0);
+    ck_assert_double_eq_tol(error_of(own), error_of(31) + (1.13 - 1.5 / 4) * 0.02, 1e-9);
+    ck_assert_double_eq_tol(here(0, (struct rn_curve_made){0, 0}, 0), 20, 1e-9);
+    points[3].psnr = points[0].psnr = NAN;
+    ck_assert_double_eq_tol(here(3, (struct rn_curve_made){0, 0}, 0), 31, 1e-9);
 }
 END_TEST
 
@@ -163,10 +224,13 @@ int main(void) {
     TCase *all = tcase_create("all");
     tcase_add_test(all, what_another_beats_is_no_point);
     tcase_add_test(all, a_time_takes_the_best_that_fits);
+    tcase_add_test(all, a_time_is_kept_by_nearly_all_pictures);
     tcase_add_test(all, a_psnr_takes_the_quickest_that_reaches_it);
     tcase_add_test(all, quality_is_linear_in_the_logarithm_of_time);
     tcase_add_test(all, what_is_expected_of_a_point);
     tcase_add_test(all, the_place_says_how_good_a_picture_will_be);
+    tcase_add_test(all, a_place_is_better_for_what_is_good);
+    tcase_add_test(all, a_picture_says_itself_what_it_lost);
     tcase_add_test(all, a_budget_stands_alone);
     tcase_add_test(all, the_presets_curve_is_a_curve);
     suite_add_tcase(suite, all);

@@ -355,7 +355,9 @@ START_TEST(no_dataset) {
     ck_assert_int_eq(rn_dataset_read(in_folder("gone"), NULL, &dataset, &err), RN_ERROR_NOT_FOUND);
     put_text("file", "x");
     ck_assert_int_eq(rn_dataset_read(in_folder("file"), NULL, &dataset, &err), RN_ERROR_INVALID);
-    ck_assert_str_eq(err.text, "is not a folder");
+    char advice[256];
+    snprintf(advice, sizeof advice, "is a file; give the folder: %s", folder);
+    ck_assert_str_eq(err.text, advice);
     put_text("transforms_train.json", "{");
     ck_assert_int_eq(truncate(in_folder("transforms_train.json"), (64L << 20) + 1), 0);
     ck_assert_int_eq(rn_dataset_read(folder, NULL, &dataset, &err), RN_ERROR_LIMIT);

@@ -1,5 +1,6 @@
 // Gains of photographs from the colours of shared points: known ones are found again.
 #include <math.h>
+#include <string.h>
 
 #include "common/dataset/exposure.h"
 #include "tests/unit/common/dataset_fixture.h"
@@ -96,12 +97,39 @@ START_TEST(photographs_that_are_not_seen_are_not_measured) {
 }
 END_TEST
 
+// Cameras all around, in no order; brightness by the camera's place, or by chance.
+START_TEST(what_follows_the_camera_around_is_no_unrest) {
+    enum { CAMERAS = 40 };
+    struct rn_frame ring[CAMERAS];
+    memset(ring, 0, sizeof ring);
+    for (int by_chance = 0; by_chance <= 1; by_chance++) {
+        for (int i = 0; i < CAMERAS; i++) {
+            double angle = 2 * M_PI * (i * 7 % CAMERAS) / CAMERAS;
+            double gain = exp(0.2 * (by_chance ? sin(1e3 * i * i) : sin(angle)));
+            ring[i].camera.world_from_camera[0][2] = cos(angle);
+            ring[i].camera.world_from_camera[1][2] = sin(angle);
+            for (int c = 0; c < 3; c++)
+                ring[i].gain[c] = gain;
+        }
+        ck_assert_double_gt(rn_exposure_spread(ring, CAMERAS), 0.15);
+        double unrest = rn_exposure_unrest(ring, CAMERAS);
+        // Neighbours on the ring: 0.2 * 2 pi / CAMERAS = 3.1 % at most.
+        if (by_chance)
+            ck_assert_double_gt(unrest, 0.2);
+        else
+            ck_assert_double_lt(unrest, 0.033);
+    }
+    ck_assert(isnan(rn_exposure_unrest(ring, 1)));
+}
+END_TEST
+
 int main(void) {
     Suite *suite = suite_create("exposure");
     TCase *tests = tcase_create("exposure");
     tcase_add_checked_fixture(tests, setup, teardown);
     tcase_add_test(tests, known_gains_are_found);
     tcase_add_test(tests, photographs_that_are_not_seen_are_not_measured);
+    tcase_add_test(tests, what_follows_the_camera_around_is_no_unrest);
     suite_add_tcase(suite, tests);
     return run_suite(suite);
 }

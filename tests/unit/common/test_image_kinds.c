@@ -535,10 +535,11 @@ static void put_exr(const char *name, int across, int down) {
     put_float(&at, 1);
     *at++ = 0;
     int line = 4 * 4 * WIDE + 8;
-    uint64_t first = (uint64_t)(at - file) + 8 * HIGH;
-    for (int y = 0; y < HIGH; y++)
+    int rows = down < HIGH ? down : HIGH;
+    uint64_t first = (uint64_t)(at - file) + 8 * (uint64_t)rows;
+    for (int y = 0; y < rows; y++)
         put_le(&at, first + (uint64_t)(y * line), 8);
-    for (int y = 0; y < HIGH; y++) {
+    for (int y = 0; y < rows; y++) {
         put_le(&at, (uint64_t)y, 4);
         put_le(&at, 4 * 4 * WIDE, 4);
         for (int c = 0; c < 4; c++)
@@ -564,6 +565,17 @@ START_TEST(exr) {
     }
     rn_image_finish(&read);
     survives_damage("a.exr", 61);
+}
+END_TEST
+
+// Smaller than a block that the library reads of its header.
+START_TEST(exr_of_one_line) {
+    struct rn_image read;
+    put_exr("a.exr", WIDE, 1);
+    read_kind("a.exr", &read);
+    ck_assert_int_eq(read.height, 1);
+    ck_assert_int_eq(read.pixels[1], 188);
+    rn_image_finish(&read);
 }
 END_TEST
 
@@ -600,6 +612,7 @@ int main(void) {
 #endif
 #ifdef RN_HAVE_EXR
     tcase_add_test(kinds, exr);
+    tcase_add_test(kinds, exr_of_one_line);
     tcase_add_test(kinds, exr_of_huge_size);
 #endif
     Suite *suite = suite_create("image kinds");

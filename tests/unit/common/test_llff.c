@@ -186,6 +186,33 @@ START_TEST(photo_folders) {
 }
 END_TEST
 
+// The camera of the model beside the poses: of the same size and focal length it is theirs.
+static const struct {
+    const char *cameras;
+    double lens;
+} lenses[] = {
+    {"1 SIMPLE_RADIAL 80 60 100 42 28 -0.5\n", -0.5},
+    {"1 SIMPLE_PINHOLE 80 60 100 42 28\n", 0},
+    {"1 SIMPLE_RADIAL 80 60 101 42 28 -0.5\n", 0},
+    {"1 SIMPLE_RADIAL 60 80 100 42 28 -0.5\n", 0},
+    {"1 SIMPLE_RADIAL 80 60 100 42 28 -0.5\n2 SIMPLE_RADIAL 80 60 100 42 28 -0.5\n", 0},
+    {"1 SIMPLE_RADIAL 80 60 100 42\n", 0},
+};
+
+START_TEST(lens_of_the_model_beside) {
+    put_capture();
+    put_text("sparse/0/cameras.txt", lenses[_i].cameras);
+    struct rn_read_options options = {.format = "llff"};
+    ck_assert_int_eq(rn_dataset_read_as(folder, &options, &problems, &dataset, &err), RN_OK);
+    const struct rn_camera *camera = &dataset->frames[1].camera;
+    ck_assert_int_eq(camera->lens, lenses[_i].lens != 0 ? RN_LENS_OPENCV : RN_LENS_PINHOLE);
+    ck_assert_double_eq(camera->lens_k[0], lenses[_i].lens);
+    ck_assert_double_eq(camera->fx, 50);
+    ck_assert_double_eq(camera->cx, lenses[_i].lens != 0 ? 21 : 20);
+    ck_assert_uint_eq(problems.count, lenses[_i].lens != 0 ? 3 : 2);
+}
+END_TEST
+
 int main(void) {
     Suite *suite = suite_create("llff");
     TCase *tests = tcase_create("llff");
@@ -197,6 +224,7 @@ int main(void) {
     tcase_add_loop_test(tests, bad_row, 0, sizeof bad_values / sizeof *bad_values);
     tcase_add_test(tests, portrait_among_landscapes);
     tcase_add_test(tests, photo_folders);
+    tcase_add_loop_test(tests, lens_of_the_model_beside, 0, sizeof lenses / sizeof *lenses);
     suite_add_tcase(suite, tests);
     return run_suite(suite);
 }

@@ -272,6 +272,60 @@ START_TEST(oversized_document) {
 }
 END_TEST
 
+// Effects go over from key to key; a focus that only one key has is the focus, and a light is
+// compared with daylight's. Between frames and around the ends the camera is where it would be.
+START_TEST(effects_go_over_from_key_to_key) {
+    struct rn_path *path =
+        parse("{\"path\":{\"axes\":\"opencv\",\"fps\":4,\"interpolation\":\"linear\",\"width\":64,"
+              "\"height\":48,\"keys\":["
+              "{\"time\":0,\"world_from_camera\":" POSE_A ",\"fov_y_deg\":40,\"aperture\":0.4,"
+              "\"focus\":3,\"exposure\":-1},"
+              "{\"time\":1,\"world_from_camera\":" POSE_B ",\"fov_y_deg\":40,\"shutter\":0.5,"
+              "\"white_balance\":3252}]}}");
+    struct rn_optics half = rn_path_optics(path, 2), end = rn_path_optics(path, 4);
+    ck_assert_double_eq_tol(half.aperture, 0.2, 1e-12);
+    ck_assert_double_eq_tol(half.focus, 3, 1e-12);
+    ck_assert_double_eq_tol(half.shutter, 0.25, 1e-12);
+    ck_assert_double_eq_tol(half.exposure, -0.5, 1e-12);
+    ck_assert_double_eq_tol(half.white_balance, 0.75 * 6504, 1e-9);
+    ck_assert(end.aperture == 0 && end.shutter == 0.5 && half.ortho_height == 0);
+    struct rn_camera before = rn_path_camera(path, -0.25), first = rn_path_camera(path, 0),
+                     between = rn_path_camera(path, 0.5), second = rn_path_camera(path, 1);
+    for (int i = 0; i < 3; i++) {
+        double a = first.world_from_camera[i][3], b = second.world_from_camera[i][3];
+        ck_assert_double_eq_tol(before.world_from_camera[i][3], a, 1e-12);
+        ck_assert_double_eq_tol(between.world_from_camera[i][3], (a + b) / 2, 1e-12);
+    }
+    rn_path_destroy(&path);
+}
+END_TEST
+
+// A loop is everywhere in it: before its first frame it is on the way back.
+START_TEST(a_loop_has_no_ends) {
+    struct rn_path *path =
+        parse(PATH("spline", "true", 10, KEY(0, POSE_A, 40) "," KEY(1, POSE_B, 40)));
+    struct rn_camera before = rn_path_camera(path, -0.5), last = rn_path_camera(path, 19.5);
+    for (int i = 0; i < 12; i++)
+        ck_assert_double_eq_tol(before.world_from_camera[i / 4][i % 4],
+                                last.world_from_camera[i / 4][i % 4], 1e-9);
+    rn_path_destroy(&path);
+}
+END_TEST
+
+START_TEST(equirectangular_frames_are_the_whole_sphere) {
+    struct rn_path *path =
+        parse("{\"path\":{\"axes\":\"opencv\",\"lens\":\"equirectangular\",\"width\":64,"
+              "\"height\":32,\"keys\":[" KEY(0, POSE_A, 40) "]}}");
+    struct rn_camera camera = rn_path_camera(path, 0);
+    struct rn_ray left = rn_camera_ray(&camera, 1e-9, 16),
+                  right = rn_camera_ray(&camera, 64 - 1e-9, 16);
+    ck_assert_double_gt(left.radius, 0);
+    for (int i = 0; i < 3; i++)
+        ck_assert_double_eq_tol(left.direction[i], right.direction[i], 1e-6); // both look back
+    rn_path_destroy(&path);
+}
+END_TEST
+
 int main(void) {
     Suite *suite = suite_create("path");
     TCase *tests = tcase_create("path");
@@ -282,6 +336,9 @@ int main(void) {
     tcase_add_test(tests, still_keys_do_not_move);
     tcase_add_test(tests, opengl_axes);
     tcase_add_test(tests, camera_with_lens);
+    tcase_add_test(tests, effects_go_over_from_key_to_key);
+    tcase_add_test(tests, a_loop_has_no_ends);
+    tcase_add_test(tests, equirectangular_frames_are_the_whole_sphere);
     tcase_add_loop_test(tests, bad_camera, 0, sizeof bad_cameras / sizeof *bad_cameras);
     tcase_add_loop_test(tests, bad_path, 0, sizeof bad_paths / sizeof *bad_paths);
     tcase_add_test(tests, oversized_document);

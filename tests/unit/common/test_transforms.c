@@ -190,6 +190,130 @@ START_TEST(splits_by_lists) {
 }
 END_TEST
 
+// A photograph in several lists is a test photograph before all; what no frame has is told.
+START_TEST(lists_that_disagree) {
+    put_document(LENS
+                 ",\"train_filenames\":[\"images/a.png\",\"images/b.png\"],\"val_filenames\":"
+                 "[\"images/b.png\",\"images/gone.png\"],\"test_filenames\":[\"images/b.png\"]",
+                 AT("images/a.png") "," AT("images/b.png"));
+    read_ok(folder);
+    assert_told(RN_SEVERITY_WARNING, "#/val_filenames/0", "is in train_filenames too");
+    assert_told(RN_SEVERITY_WARNING, "transforms.json", "1 names in its lists of file names");
+    assert_told(RN_SEVERITY_WARNING, "transforms.json", "images/gone.png");
+    ck_assert_int_eq(dataset->view_count[RN_SPLIT_TRAIN], 1);
+    ck_assert_int_eq(dataset->view_count[RN_SPLIT_VAL], 0);
+    ck_assert_int_eq(dataset->view_count[RN_SPLIT_TEST], 1);
+    put_document(LENS ",\"val_filenames\":\"images/a.png\"", AT("images/a.png"));
+    rn_dataset_destroy(&dataset);
+    ck_assert_int_eq(rn_dataset_read(folder, &problems, &dataset, &err), RN_ERROR_INVALID);
+    ck_assert_ptr_nonnull(strstr(err.where, "#/val_filenames"));
+}
+END_TEST
+
+// Each frame has a lens, a size and a focal length of its own.
+START_TEST(intrinsics_by_frame) {
+    put_document("\"camera_model\":\"OPENCV\"",
+                 WITH("images/a.png",
+                      "\"fl_x\":50,\"fl_y\":51,\"cx\":19,\"cy\":14,\"w\":40,\"h\":30,"
+                      "\"k1\":0.1") "," WITH("images/b.png", "\"fl_x\":120,\"w\":80,\"h\":60"));
+    read_ok(folder);
+    ck_assert_uint_eq(problems.errors + problems.warnings, 0);
+    const struct rn_camera *a = &dataset->frames[0].camera, *b = &dataset->frames[1].camera;
+    ck_assert_double_eq(a->fy, 51);
+    ck_assert_double_eq(a->cx, 19);
+    ck_assert_int_eq(a->lens, RN_LENS_OPENCV);
+    ck_assert_double_eq(a->lens_k[0], 0.1);
+    ck_assert_double_eq(b->fx, 60); // its image has 40x30 pixels
+    ck_assert_double_eq(b->fy, 60);
+    ck_assert_double_eq(b->cx, 20);
+    ck_assert_int_eq(b->lens, RN_LENS_PINHOLE);
+}
+END_TEST
+
+#define PLY(kind, count, xyz)                                                                      \
+    "ply\nformat " kind " 1.0\ncomment made up\nelement vertex " count "\nproperty " xyz           \
+    " x\nproperty " xyz " y\nproperty " xyz " z\nproperty uchar red\nproperty short nx\n"          \
+    "property uchar green\nproperty uchar blue\nelement face 0\nproperty list uchar int i\n"       \
+    "end_header\n"
+
+static void put_named_points(void) {
+    put_document(LENS ",\"ply_file_path\":\"./points.ply\"", AT("images/a.png"));
+}
+
+static void assert_named_points(void) {
+    const struct rn_points *points = &dataset->points;
+    ck_assert_uint_eq(problems.errors + problems.warnings, 0);
+    ck_assert_uint_eq(points->count, 2);
+    ck_assert_uint_eq(points->sighting_count, 0);
+    ck_assert_double_eq(points->items[1].position[0], -4.5);
+    ck_assert_double_eq(points->items[1].position[2], 6);
+    ck_assert_uint_eq(points->items[1].colour[0], 7);
+    ck_assert_uint_eq(points->items[1].colour[2], 9);
+    ck_assert_float_lt(points->items[0].error, 0);
+    ck_assert_uint_eq(dataset->document_count, 2);
+}
+
+START_TEST(named_points) {
+    char bytes[1024];
+    size_t size;
+    const double vertices[2][3] = {{1, 2, 3}, {-4.5, 5, 6}};
+    const uint8_t rest[5] = {7, 0, 0, 8, 9};
+    put_named_points();
+    if (_i == 0)
+        put_text("points.ply", PLY("ascii", "3", "float") "1 2 3 7 0 8 9\n-4.5 5 6 7 0 8 9\n"
+                                                          "nan 0 0 1 1 1 1\n");
+    size = strlen(strcpy(bytes, PLY("binary_little_endian", "2", "double")));
+    for (int i = 0; i < 2; i++, size += 29) {
+        memcpy(bytes + size, vertices[i], 24);
+        memcpy(bytes + size + 24, rest, 5);
+    }
+    if (_i) put_bytes("points.ply", bytes, size);
+    read_ok(folder);
+    assert_named_points();
+}
+END_TEST
+
+static const struct {
+    const char *text, *where, *say;
+} bad_points[] = {
+    {"", "points.ply:0", "does not end"},
+    {"plane\n", "points.ply:1", "no PLY file"},
+    {"ply\nformat ascii 1.0\nelement vertex 2\n", "points.ply:3", "does not end"},
+    {"ply\nformat binary_big_endian 1.0\n", "points.ply:2", "save it as ascii"},
+    {"ply\nformat ascii 1.0\nelement face 2\n", "points.ply:3", "before its vertices"},
+    {"ply\nformat ascii 1.0\nelement vertex x\n", "points.ply:3", "how many"},
+    {"ply\nelement vertex 1\nproperty list uchar int x\n", "points.ply:3", "not read"},
+    {"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n1\n", "points.ply:5",
+     "x, y and z"},
+    {PLY("ascii", "9223372036854775808", "float") "1 2 3 7 0 8 9\n", "points.ply",
+     "9223372036854775808 vertices, but has room for 1"},
+    {PLY("ascii", "2", "float") "10 2 3 7 0 8 9\n1 2 3 7 0 8 9", "vertex 2 of 2", "not whole"},
+    {PLY("ascii", "2", "float") "1 2 3 7 0 8 9\n1 2 3 7 0 8      \n", "vertex 2 of 2", "not whole"},
+};
+
+START_TEST(bad_named_points) {
+    put_named_points();
+    put_text("points.ply", bad_points[_i].text);
+    enum rn_status status = rn_dataset_read(folder, &problems, &dataset, &err);
+    ck_assert(status == RN_ERROR_INVALID || status == RN_ERROR_UNSUPPORTED);
+    ck_assert_msg(strstr(err.where, bad_points[_i].where) != NULL, "%s", err.where);
+    ck_assert_msg(strstr(err.text, bad_points[_i].say) != NULL, "%s", err.text);
+}
+END_TEST
+
+START_TEST(points_that_are_not_there) {
+    put_named_points();
+    read_ok(folder);
+    assert_told(RN_SEVERITY_WARNING, "#/ply_file_path", "there are no sparse points");
+    put_document(LENS ",\"ply_file_path\":\"../../x/points.ply\",\"fisheye_crop_radius\":9",
+                 AT("images/a.png"));
+    rn_dataset_destroy(&dataset);
+    ck_assert_int_eq(rn_dataset_read(folder, &problems, &dataset, &err), RN_ERROR_INVALID);
+    ck_assert_ptr_nonnull(strstr(err.text, "leaves the dataset's folder"));
+    assert_told(RN_SEVERITY_WARNING, "#/fisheye_crop_radius", "is not followed");
+}
+END_TEST
+
 START_TEST(no_focal_length) {
     put_document("\"k1\":0.1", AT("images/a.png"));
     ck_assert_int_eq(rn_dataset_read(folder, &problems, &dataset, &err), RN_ERROR_INVALID);
@@ -229,6 +353,11 @@ int main(void) {
     tcase_add_test(tests, missing_photographs);
     tcase_add_test(tests, paths_of_another_machine);
     tcase_add_test(tests, splits_by_lists);
+    tcase_add_test(tests, lists_that_disagree);
+    tcase_add_test(tests, intrinsics_by_frame);
+    tcase_add_loop_test(tests, named_points, 0, 2);
+    tcase_add_loop_test(tests, bad_named_points, 0, sizeof bad_points / sizeof *bad_points);
+    tcase_add_test(tests, points_that_are_not_there);
     tcase_add_test(tests, no_focal_length);
     tcase_add_test(tests, synthetic_with_intrinsics);
     suite_add_tcase(suite, tests);

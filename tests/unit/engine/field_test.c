@@ -71,7 +71,7 @@ START_TEST(levels_are_those_of_the_released_code) {
     for (int level = 0; level < 8; level++) {
         double sigma = ldexp(1, level) / 1024;
         ck_assert_double_eq_tol(rn_level_from_variance(sigma * sigma, 512, 8), level, 1e-15);
-        ck_assert_double_eq_tol(rn_level_from_ball(ldexp(1, level) / 512, 512, 8), level, 1e-15);
+        ck_assert_double_eq_tol(rn_level_from_ball(ldexp(1, level), 8), level, 1e-15);
     }
     ck_assert(rn_level_from_variance(0, 512, 8) == 0 && rn_level_from_variance(9, 512, 8) == 7);
     ck_assert(rn_level_from_variance(NAN, 512, 8) == 0);

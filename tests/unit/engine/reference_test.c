@@ -208,6 +208,33 @@ START_TEST(query_backward_is_the_adjoint_of_query) {
 }
 END_TEST
 
+// A mipmap's level, where it is the mean of the levels that a ripmap would be read at.
+START_TEST(mean_level_is_the_mean_of_both) {
+    struct rn_field_config config = sample_config();
+    struct rn_reference *rip = sample_field(&config);
+    config.footprint = RN_FOOTPRINT_MIP;
+    struct rn_reference *ball = sample_field(&config);
+    config.mean_level = true;
+    struct rn_reference *mean = sample_field(&config);
+    struct rn_reference_ray rays[RAYS];
+    sample_rays(rays);
+    bool differs = false;
+    for (int r = 0; r < RAYS; r++)
+        for (int s = 0; s < SAMPLES; s++) {
+            double l[2], m[2], b[2];
+            rn_reference_levels(rip, &rays[r], r % 3, mids[s], &l[0], &l[1]);
+            rn_reference_levels(mean, &rays[r], r % 3, mids[s], &m[0], &m[1]);
+            rn_reference_levels(ball, &rays[r], r % 3, mids[s], &b[0], &b[1]);
+            ck_assert(m[0] == (l[0] + l[1]) / 2 && m[1] == m[0]);
+            differs = differs || (fabs(m[0] - b[0]) > 0.1 && fabs(l[0] - l[1]) > 0.1);
+        }
+    ck_assert(differs);
+    rn_reference_destroy(&rip);
+    rn_reference_destroy(&ball);
+    rn_reference_destroy(&mean);
+}
+END_TEST
+
 // The pyramid keeps constants: any query of a constant plane gives the constant, whatever the
 // size, the position and the level.
 START_TEST(constant_planes_query_to_the_constant) {
@@ -429,6 +456,7 @@ int main(void) {
     tcase_add_loop_test(tcase, pull_down_is_the_adjoint_of_build, 0, 8);
     tcase_add_test(tcase, smoothing_draws_neighbours_together);
     tcase_add_loop_test(tcase, query_backward_is_the_adjoint_of_query, 0, 6);
+    tcase_add_test(tcase, mean_level_is_the_mean_of_both);
     tcase_add_loop_test(tcase, constant_planes_query_to_the_constant, 0, 20);
     tcase_add_loop_test(tcase, ellipsoids_along_body_diagonals, 0, 4);
     tcase_add_loop_test(tcase, uniform_fog_has_its_closed_form, 0, 2);

@@ -10,6 +10,7 @@
 #include "proto/event.h"
 #include "proto/incident.h"
 #include "proto/job.h"
+#include "proto/ladder.h"
 #include "proto/problem.h"
 #include "proto/render.h"
 #include "proto/scene.h"
@@ -26,6 +27,7 @@ static const struct {
     {"Dataset", &rn_dataset_table},
     {"DatasetReport", &rn_dataset_report_table},
     {"DatasetRequest", &rn_dataset_request_table},
+    {"Estimate", &rn_estimate_table},
     {"EvalResult", &rn_eval_result_table},
     {"IngestResult", &rn_ingest_result_table},
     {"IncidentEvent", &rn_incident_event_table},
@@ -34,6 +36,7 @@ static const struct {
     {"Job.failed", &rn_job_table},
     {"Job.succeeded", &rn_job_table},
     {"JobProgressEvent", &rn_job_progress_event_table},
+    {"LadderReport", &rn_ladder_report_table},
     {"MetricEvent", &rn_metric_event_table},
     {"PathResult", &rn_path_result_table},
     {"Problem", &rn_api_problem_table},

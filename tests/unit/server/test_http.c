@@ -67,21 +67,12 @@ START_TEST(test_other_method) {
 END_TEST
 
 START_TEST(test_token) {
-    static const char token[] = "0123456789abcdef";
-    ck_assert(rn_guard_token("Bearer 0123456789abcdef", token));
-    ck_assert(rn_guard_token("bearer 0123456789abcdef", token));
-    static const char *const bad[] = {NULL,
-                                      "",
-                                      "Bearer",
-                                      "Bearer ",
-                                      "Bearer 0123456789abcde",
-                                      "Bearer 0123456789abcdeX",
-                                      "Bearer 0123456789abcdef0",
-                                      "Bearer 0123456789abcdef0123456789abcdef",
-                                      "Basic 0123456789abcdef",
-                                      "0123456789abcdef"};
+    static const char *const bad[] = {
+        NULL, "", "Bearer", "Bearer ", "Basic 0123456789abcdef", "0123456789abcdef"};
+    ck_assert_str_eq(rn_guard_bearer("Bearer 0123456789abcdef"), "0123456789abcdef");
+    ck_assert_str_eq(rn_guard_bearer("bearer 0123456789abcdef"), "0123456789abcdef");
     for (size_t i = 0; i < sizeof bad / sizeof bad[0]; i++)
-        ck_assert_msg(!rn_guard_token(bad[i], token), "'%s' passes", bad[i]);
+        ck_assert_msg(rn_guard_bearer(bad[i]) == NULL, "'%s' passes", bad[i]);
 }
 END_TEST
 

@@ -8,6 +8,7 @@
 #include <unistd.h>
 
 #include "common/base/file.h"
+#include "common/base/seal.h"
 #include "server/store/table.h"
 #include "tests/support/suite.h"
 
@@ -292,6 +293,56 @@ START_TEST(test_rebuild_from_damaged_copy) {
 }
 END_TEST
 
+// Puts `to` in place of `from` in a record's copy, and seals it again.
+static void forge(const char *id, const char *from, const char *to) {
+    char path[256], digest[65], *end;
+    uint8_t *text;
+    size_t size;
+    snprintf(path, sizeof path, "%s/scenes/%s/record.json", folder, id);
+    ck_assert_int_eq(rn_file_read(path, 1 << 16, &text, &size, &err), RN_OK);
+    char *seal = strstr((char *)text, RN_SEAL_KEY) + sizeof RN_SEAL_KEY - 1;
+    memset(seal, '0', 64);
+    char *at = strstr((char *)text, from);
+    ck_assert_ptr_nonnull(at);
+    end = at + strlen(from);
+    int fd = open(path, O_RDWR | O_TRUNC | O_CLOEXEC);
+    ck_assert_int_eq(dprintf(fd, "%.*s%s%s", (int)(at - (char *)text), text, to, end),
+                     (int)(size - strlen(from) + strlen(to)));
+    ck_assert_int_eq(rn_seal_close(fd, path, digest, &err), RN_OK);
+    close(fd);
+    free(text);
+}
+
+// A copy that a stranger has written may be sealed and still be no record: none comes of it, and
+// what there is can be listed.
+START_TEST(test_rebuild_from_forged_copies) {
+    static const struct {
+        const char *id, *from, *to;
+    } forged[] = {{"sc_a", "\"state\":\"paused\"", "\"state\":\"odd\""},
+                  {"sc_b", "\"id\":\"sc_b\"", "\"id\":\"sc_z\""},
+                  {"sc_c", "\"record\":\"{}\"", "\"record\":\"{\""},
+                  {"sc_d", "\"dataset\":\"", "\"dataset\":\"0123456789012345678901234567890"}};
+    struct rn_scene_row good = make_scene("sc_e", "good");
+    for (size_t i = 0; i < 4; i++) {
+        struct rn_scene_row row = make_scene(forged[i].id, forged[i].id + 3);
+        row.record = (char *)"{}";
+        ck_assert_int_eq(rn_store_insert(store, &rn_scenes, &row, &err), RN_OK);
+    }
+    ck_assert_int_eq(rn_store_insert(store, &rn_scenes, &good, &err), RN_OK);
+    for (size_t i = 0; i < 4; i++)
+        forge(forged[i].id, forged[i].from, forged[i].to);
+    remove_database();
+    ck_assert_int_eq(rn_store_open(folder, true, &store, &err), RN_OK);
+    struct rn_query query = {.limit = 0};
+    void *rows;
+    size_t count;
+    ck_assert_int_eq(rn_store_list(store, &rn_scenes, &query, &rows, &count, &err), RN_OK);
+    ck_assert_uint_eq(count, 1);
+    ck_assert_str_eq(((struct rn_scene_row *)rows)->name, "good");
+    rn_rows_finish(&rn_scenes, rows, count);
+}
+END_TEST
+
 // Half of its pages are zeros: refused, and kept beside when the records are made anew.
 START_TEST(test_half_zeroed) {
     static const char zeros[4096];
@@ -349,6 +400,7 @@ int main(void) {
     tcase_add_test(tcase, test_sweep);
     tcase_add_test(tcase, test_rebuild);
     tcase_add_test(tcase, test_rebuild_from_damaged_copy);
+    tcase_add_test(tcase, test_rebuild_from_forged_copies);
     tcase_add_test(tcase, test_half_zeroed);
     tcase_add_test(tcase, test_ids);
     suite_add_tcase(suite, tcase);

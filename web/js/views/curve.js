@@ -20,8 +20,8 @@ export function expectedWithin(points, ms) {
   return within.length ? Math.max(...within.map(psnrOf)) : null;
 }
 
-function draw(host, points, {budget, spent, truth}) {
-  const [width, height] = [Math.max(220, host.clientWidth), 150];
+export function drawCost(host, points, {budget, spent, truth, size}) {
+  const [width, height] = size ? [size.width, size.height] : [Math.max(220, host.clientWidth), 150];
   const inner = {w: width - MARGIN.left - MARGIN.right, h: height - MARGIN.top - MARGIN.bottom};
   const known = points.filter((point) => psnrOf(point) !== null);
   const times = known.map((point) => point.ms_median);
@@ -65,10 +65,14 @@ function draw(host, points, {budget, spent, truth}) {
 }
 
 /**
- * @param {any} scene @param {(ms: number|null) => void} choose @param {AbortSignal} signal
+ * @param {any} scene
+ * @param {{choose: (ms: number|null) => void, known: (curve: any) => void, besideFull: () =>
+ *     Promise<void>}} host `choose` is told the budget, `known` the curve or null whenever it was
+ *     read; `besideFull` compares the picture with the full one
+ * @param {AbortSignal} signal
  * @returns {{node: HTMLElement, picture: (facts: any) => void}} `picture` hears of each refined one
  */
-export function createCurve(scene, choose, signal) {
+export function createCurve(scene, {choose, known: tell, besideFull}, signal) {
   const chart = h('div', {class: 'cost-chart'});
   const words = h('p', {class: 'quiet'});
   const truth = h('p', {class: 'quiet', role: 'status'});
@@ -80,6 +84,8 @@ export function createCurve(scene, choose, signal) {
   const label = h('output', {'for': 'budget'}, 'as long as it takes');
   const again = action('Measure', async () => putJob(await api.measureCurve(scene.id)),
     {kind: 'small', title: 'Renders held-out views at every setting'});
+  const check = action('Beside the full picture', besideFull,
+    {kind: 'small', title: 'Renders this view in full too, and says how far the two are apart'});
   let curve = null;
   let last = null;
   let known = '';
@@ -96,11 +102,12 @@ export function createCurve(scene, choose, signal) {
                 curve.kernels}${curve.stale ? `; older than the scene: ${curve.stale_because ?? ''}` : ''}.`);
     chart.hidden = !curve;
     if (curve)
-      draw(chart, curve.points, {
+      drawCost(chart, curve.points, {
         budget: ms,
         spent: last?.spentMs,
         truth: last && Number.isFinite(last.expectedPsnr) ? last.expectedPsnr : null
       });
+    check.hidden = !ms || last?.askedMs !== ms;
     const promise = curve && ms ? expectedWithin(curve.points, ms) : null;
     text(
         truth,
@@ -120,6 +127,7 @@ export function createCurve(scene, choose, signal) {
     }
     text(again, curve ? 'Measure again' : 'Measure');
     show();
+    tell(curve);
   }
 
   slider.addEventListener('input', show);
@@ -143,7 +151,7 @@ export function createCurve(scene, choose, signal) {
       'Accuracy against time', {'data-order': 2, tools: again}, chart, words, under,
       h('div', {class: 'tool budget'}, h('label', {'for': 'budget'}, 'Time for a picture'), slider,
         label),
-      truth);
+      truth, check);
   return {
     node,
     picture: (facts) => {

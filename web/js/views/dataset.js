@@ -2,9 +2,10 @@
 import {api} from '../api.js';
 import {fill, h, lazyImage} from '../dom.js';
 import {refreshSoon, state, watch} from '../store.js';
-import {ago, bytes, percent, plural} from '../format.js';
+import {ago, bytes, percent, plural, seconds} from '../format.js';
 import {choice, confirmFirst, facts, panel, problemBox, scroller, skeleton} from '../ui.js';
 import {go, link} from '../router.js';
+import {cloudPanel} from './cloud.js';
 import {trainPanel} from './train.js';
 
 const FIRST = 24;
@@ -42,7 +43,7 @@ function page(dataset, cameras, signal) {
   return h(
       'div', {class: 'columns'},
       h('div', {class: 'main-column'}, photographs(dataset, cameras, signal),
-        report(dataset.report)),
+        cloudPanel(dataset, cameras, signal), report(dataset.report)),
       h('div', {class: 'side-column'}, trainPanel(dataset), about(dataset),
         scenesOf(dataset, signal)));
 }
@@ -83,7 +84,8 @@ function photographs(dataset, cameras, signal) {
   return panel('Photographs', {tools: pick.node}, grid, more);
 }
 
-function report(found) {
+/** What reading a dataset found. */
+export function report(found) {
   const words = [plural(found.errors, 'error'), plural(found.warnings, 'warning')].join(', ');
   const rows = found.problems.map(
       (item) =>
@@ -102,6 +104,17 @@ function report(found) {
 const three = (numbers) => numbers.map((x) => Number(x.toPrecision(4))).join(', ');
 const range = ({min, max}) =>
     (min === max ? min.toPrecision(3) : `${min.toPrecision(3)} to ${max.toPrecision(3)}`);
+
+/** What a training with `standard` takes: by formula, and by those that have ended here. */
+function expected(formula, past) {
+  const takes = (x) => [seconds(x.seconds), `${bytes(x.memory_bytes)} of memory`].join(', ');
+  return [
+    ...(formula ? [['Training, by formula', takes(formula)]] : []),
+    ...(past ?
+            [[`Training, by ${plural(past.trainings, 'training')} here`, takes(past)]] :
+            [])
+  ];
+}
 
 function about(dataset) {
   const {views, report: found} = dataset;
@@ -139,11 +152,14 @@ function about(dataset) {
               three(dataset.bounds.centre)}), ${
               {given: 'as given',
                layout: 'from the layout',
-               cameras: 'from the cameras'}[dataset.bounds.source]}`
+               cameras: 'from the cameras',
+               points: 'from points and depths'}[dataset.bounds.source]}`
         ],
+        ...(dataset.capture ? [['Capture', `${dataset.capture}, up is ${three(dataset.up)}`]] : []),
+        ...(dataset.crop ? [['Crop', three(dataset.crop)]] : []),
         ['Pixel’s footprint', range(dataset.footprint)],
         ['Looking at the bounds', percent(found.looking_at_bounds)], ['Layout', found.layout],
-        ['On disk', bytes(dataset.size_bytes)], ['Imported', ago(dataset.created_at)]
+        ...expected(found.expected, dataset.past), ['On disk', bytes(dataset.size_bytes)], ['Imported', ago(dataset.created_at)]
       ]));
 }
 

@@ -3,11 +3,13 @@ import {api, token} from '../api.js';
 import {fill, h, saveBlob, showBlob, text} from '../dom.js';
 import {followJob} from '../follow.js';
 import {pictureOf} from '../grey16.js';
-import {find, isActive, state, watch} from '../store.js';
+import {find, isActive, mayShare, state, watch} from '../store.js';
 import {bytes, plural} from '../format.js';
+import {link} from '../router.js';
+import {copyLink} from '../share.js';
 import {action, announce, endOf, panel, toast} from '../ui.js';
 
-const KEPT = 240;  // decoded pictures held for playing
+const KEPT_PIXELS = 48e6;  // of decoded pictures held for playing, 4 bytes each
 const ANNOUNCE_MS = 10_000;
 
 /** @param {any} job @param {AbortSignal} signal */
@@ -27,6 +29,7 @@ export function framesPanel(job, signal) {
     id: 'scrub',
     'aria-label': 'Frame number'
   });
+  const shown = job.options?.format !== 'exr';  // a browser has no decoder of EXR
   const at = h('output', {'for': 'scrub'});
   const cells = h('div', {class: 'cells', 'aria-hidden': 'true'});
   const count = h('span', {class: 'quiet'});
@@ -52,13 +55,22 @@ export function framesPanel(job, signal) {
   const total = () => Math.max(known(), there.size);
   const origin = () => job.options?.first ?? 0;
 
+  const kept = () =>
+      Math.max(8, KEPT_PIXELS / ((job.options?.width || 1920) * (job.options?.height || 1080)));
+
+  /** Its memory goes at once, and after whoever waits for it has drawn it. */
+  function forget(index) {
+    pictures.get(index).then((bitmap) => bitmap.close(), () => {});
+    pictures.delete(index);
+  }
+
   async function picture(index) {
     if (!pictures.has(index)) {
       pictures.set(
           index,
           api.frame(job.id, index, signal)
               .then((blob) => pictureOf(blob, job.options?.output ?? 'rgb')));
-      if (pictures.size > KEPT) pictures.delete(pictures.keys().next().value);
+      if (pictures.size > kept()) forget(pictures.keys().next().value);
     }
     try {
       return await pictures.get(index);
@@ -93,8 +105,10 @@ export function framesPanel(job, signal) {
     scrub.min = origin();
     scrub.max = Math.max(origin(), origin() + all - 1);
     text(count, known() ? `${there.size} of ${plural(all, 'frame')}` : plural(there.size, 'frame'));
-    play.disabled = there.size < 2;
+    play.disabled = there.size < 2 || !shown;
     const now = find(state.jobs, job.id) ?? job;
+    if (!shown && there.size)
+      fill(waiting, 'EXR frames are not shown here: download them for a program that reads them.');
     if (!there.size && !isActive(now)) fill(waiting, `No frames: the job ${endOf(now)}.`);
   }
 
@@ -102,7 +116,7 @@ export function framesPanel(job, signal) {
     if (there.has(index)) return;
     there.add(index);
     update();
-    if (!pinned && !timer) show(index);
+    if (shown && !pinned && !timer) show(index);
     if (performance.now() - said > ANNOUNCE_MS) {
       said = performance.now();
       announce(`${plural(there.size, 'frame')} rendered`);
@@ -137,7 +151,10 @@ export function framesPanel(job, signal) {
     stop();
     if (there.has(Number(scrub.value))) show(Number(scrub.value));
   });
-  signal.addEventListener('abort', stop, {once: true});
+  signal.addEventListener('abort', () => {
+    stop();
+    for (const index of [...pictures.keys()]) forget(index);
+  }, {once: true});
 
   api.frames(job.id, signal)
       .then((items) => items.forEach((item) => arrived(item.index)), () => {});
@@ -145,7 +162,7 @@ export function framesPanel(job, signal) {
   watch(update, signal);
   const film = filmPanel(job, signal);
   const frames = panel(
-      'Frames', {tools: h('div', {class: 'row'}, count, download(job))},
+      'Frames', {tools: h('div', {class: 'row'}, count, download(job), shareButton(job))},
       h('div', {class: 'screen'}, canvas, waiting),
       h('div', {class: 'row player'}, play, scrub, at, h('label', {'for': 'play-rate'}, 'at'), rate,
         h('span', {class: 'quiet'}, 'frames/s')),
@@ -196,6 +213,16 @@ function filmPanel(job, signal) {
                             `None: the job ${endOf(now)}.`));
   }, signal);
   return node;
+}
+
+/** For someone without a token: these pictures, read-only. */
+function shareButton(job) {
+  if (!mayShare()) return null;
+  const publish = () => copyLink({job: job.id}, link.job(job.id), job.scene_name ?? job.id);
+  return action('Share', publish, {
+    kind: 'small',
+    title: 'A link for someone without a token: these pictures, read-only, for 30 days'
+  });
 }
 
 function download(job) {

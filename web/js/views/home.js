@@ -102,7 +102,9 @@ function sceneCard(scene, signal) {
   const node =
       h('article', {class: 'card'}, picture, mark,
         h('div', {class: 'card-body'}, h('div', {class: 'row'}, name, state), figures,
-          h('p', {class: 'quiet'}, `from ${scene.dataset_name} · ${ago(scene.created_at)}`)));
+          h('p', {class: 'quiet'}, `${
+                scene.dataset ? `from ${scene.dataset_name}` : 'for viewing'} · ${
+                ago(scene.created_at)}`)));
   const update = (now) => {
     setChip(state, now.state);
     const live = liveFigures(now);
@@ -120,6 +122,7 @@ function sceneCard(scene, signal) {
  * and `mark` is told which it is. A view's numbers have gaps where it went to another split.
  */
 async function sceneThumb(scene, mark, signal) {
+  if (!scene.dataset) return null;
   const views = await api.cameras(scene.dataset, signal);
   const {split, index} = views.find((item) => item.split === 'train') ?? views[0];
   if (scene.loaded && scene.steps > 0) {

@@ -1,7 +1,7 @@
 // One job of any kind: its state and what came of it.
 import {api} from '../api.js';
 import {fill, h, text} from '../dom.js';
-import {find, isActive, putJob, state, watch} from '../store.js';
+import {find, isActive, isVisit, isVisitor, putJob, state, watch} from '../store.js';
 import {ago, decibel, fixed, milliseconds, plural, seconds} from '../format.js';
 import {
   chip,
@@ -20,15 +20,20 @@ import {
   subjectOf
 } from '../ui.js';
 import {link} from '../router.js';
+import {estimateResult} from './estimate.js';
+import {exportResult} from './exports.js';
 import {framesPanel} from './frames.js';
+import {ladderPanel} from './ladder.js';
+import {doctorReport} from './stability.js';
 import {trainingPanel} from './training.js';
-import {jobButtons} from './jobs.js';
+import {jobButtons, runnerWords} from './jobs.js';
 
 export async function jobView(root, {id, signal}) {
   const body = h('div', null, panel('Job', null, skeleton(4)));
   fill(root, body);
   const load = async () => {
     try {
+      await isVisit(signal);
       const job = putJob(await api.job(id, signal));
       const scene = job.type === 'train' && await api.scene(job.scene, signal).catch(() => null);
       if (!signal.aborted) fill(root, head(job, signal), page(job, Boolean(scene), signal));
@@ -53,10 +58,15 @@ function head(job, signal) {
 }
 
 function page(job, trained, signal) {
+  if (isVisitor()) return h('div', null, framesPanel(job, signal));
   const side = [statePanel(job, signal), aboutJob(job, signal)];
   if (job.type === 'path')
     return h(
         'div', {class: 'columns wide'}, h('div', {class: 'main-column'}, framesPanel(job, signal)),
+        h('div', {class: 'side-column'}, side));
+  if (job.type === 'ladder')
+    return h(
+        'div', {class: 'columns wide'}, h('div', {class: 'main-column'}, ladderPanel(job, signal)),
         h('div', {class: 'side-column'}, side));
   if (trained)
     return h(
@@ -86,9 +96,16 @@ const UNIT = {
   width: ' px',
   height: ' px'
 };
+/** Options of options are told as its own. */
+const flat = (options) =>
+    Object.entries(options ?? {})
+        .flatMap(
+            ([key, value]) => value && typeof value === 'object' && !Array.isArray(value) ?
+                flat(value) :
+                [[key, value]]);
 function askedFor(job) {
-  const given = Object.entries(job.options ?? {})
-                    .filter(([, value]) => value !== null && value !== 0 && value !== '');
+  const given =
+      flat(job.options).filter(([, value]) => value !== null && value !== 0 && value !== '');
   const rows = {...(DEFAULTS[job.type] ?? {}), ...Object.fromEntries(given)};
   return Object.entries(rows).map(
       ([key, value]) =>
@@ -147,7 +164,7 @@ function aboutJob(job, signal) {
                 seconds((Date.parse(now.finished_at) - Date.parse(now.started_at)) / 1000) :
                 null
           ],
-          ['Attempt', now.attempt > 1 ? now.attempt : null],
+          ['Runs', runnerWords(now) || null], ['Attempt', now.attempt > 1 ? now.attempt : null],
           [
             'A frame took',
             now.result?.render_ms_median ? milliseconds(now.result.render_ms_median) : null
@@ -180,12 +197,23 @@ function result(job) {
         `This job ${endOf(job)}`,
         h('p', null, job.problem ? 'Why is told beside it.' : 'It left no result.'));
   if (job.type === 'eval') return evaluationResult(job.result, job.scene_name ?? job.scene);
+  if (job.type === 'estimate') return estimateResult(job.result);
+  if (job.type === 'ingest' && job.result.scene)
+    return h(
+        'p', null, 'The scene is imported: ',
+        h('a', {href: link.scene(job.scene_name ?? job.result.scene)},
+          job.scene_name ?? job.result.scene),
+        '.');
   if (job.type === 'ingest')
     return h(
         'p', null, 'The dataset is imported: ',
         h('a', {href: link.dataset(job.dataset_name ?? job.result.dataset)},
           job.dataset_name ?? job.result.dataset),
         '.');
+  if (job.type === 'export') return exportResult(job);
+  if (job.type === 'doctor') return doctorReport(job.result);
+  if (job.type === 'effects' || job.type === 'curve')
+    return h('p', null, 'What was measured is on the scene’s page.');
   return h('p', null, 'The scene that it trained is deleted.');
 }
 
@@ -228,8 +256,8 @@ function evaluationResult(r, scene) {
             views.map(
                 (v) =>
                     h('tr', null,
-                    h('th', {scope: 'row'},
-                      h('a', {href: link.scene(scene, `?view=${p.split}:${v.index}`)}, v.name)),
+                      h('th', {scope: 'row'},
+                        h('a', {href: link.scene(scene, `?view=${p.split}:${v.index}`)}, v.name)),
                       h('td', {class: 'number'}, v.scale ? `1/${2 ** v.scale}` : 'full'),
                       h('td', {class: 'number'}, decibel(v.psnr)),
                       h('td', {class: 'number'}, fixed(v.ssim, 4)),

@@ -2,7 +2,7 @@
 import {api} from '../api.js';
 import {fill, follow, h, text} from '../dom.js';
 import {isActive, putJob, watch} from '../store.js';
-import {ago, decibel, fixed, plural, seconds, whole} from '../format.js';
+import {ago, decibel, fixed, milliseconds, plural, seconds, whole} from '../format.js';
 import {
   action,
   chip,
@@ -16,7 +16,9 @@ import {
   skeleton,
   subjectOf
 } from '../ui.js';
-import {link} from '../router.js';
+import {go, link} from '../router.js';
+import {exportWords} from './exports.js';
+import {doctorWords} from './stability.js';
 
 const NAMES = {
   pause: 'Pause',
@@ -43,9 +45,18 @@ export function verbsOf(job) {
       return ['resume', 'finish', 'cancel'];
     case 'interrupted':
       return ['cancel'];
+    case 'failed':
+    case 'cancelled':
+      return job.type === 'path' ? ['resume'] : [];
     default:
       return [];
   }
+}
+
+/** A path that has ended is gone on with by another job, which is looked at then. */
+async function order(job, verb) {
+  const answer = putJob(await api.act(job.id, verb));
+  if (answer.id !== job.id) go(link.job(answer.id));
 }
 
 /** Buttons for a job that follow its state. */
@@ -63,10 +74,18 @@ export function jobButtons(small) {
           node,
           verbs.map(
               (verb) => action(
-                  NAMES[verb], async () => putJob(await api.act(job.id, verb)),
+                  NAMES[verb], () => order(job, verb),
                   {kind: small ? 'small' : '', title: HINTS[verb]})));
     }
   };
+}
+
+/** Where it runs, or why it waits, when that is not on the daemon's machine. */
+export function runnerWords({runner}) {
+  if (!runner) return '';
+  const number = runner.slurm_job ? `Slurm ${runner.slurm_job}` : '';
+  return runner.reason ? [`waits: ${runner.reason}`, number].filter(Boolean).join(', ') :
+                         [`on ${runner.machine ?? 'a node'}`, number].filter(Boolean).join(', ');
 }
 
 /** Where a job is best looked at: training on its scene's page. */
@@ -75,17 +94,35 @@ export const placeOf = (job) =>
          link.scene(job.scene_name ?? job.scene) :
          link.job(job.id));
 
+/** What each type of job came to, in a few words. */
+const FIGURES = {
+  train: (r) =>
+      `${decibel(r.psnr)} after ${whole(r.steps)} steps in ${seconds(r.train_seconds)}`,
+  path: (r) => `${plural(r.frames, 'frame')} of ${r.width} × ${r.height}`,
+  eval: (r) => `${decibel(r.psnr)}, SSIM ${fixed(r.ssim, 4)} over ${plural(r.views, 'view')}`,
+  ingest: () => 'checked and kept',
+  curve: ({points: [first, ...rest]}) => `${plural(rest.length + 1, 'setting')}, ${
+      milliseconds(first.ms_median)} to ${milliseconds((rest.at(-1) ?? first).ms_median)}`,
+  estimate: (r) => [r.seconds && seconds(r.seconds), r.psnr && `about ${decibel(r.psnr)}`]
+      .filter(Boolean)
+      .join(', '),
+  effects: (r) => r.gains
+      .map(({name, gain}) =>
+          `${name} ${gain === null ? 'not measured' : `${gain < 0 ? '−' : '+'}${fixed(Math.abs(gain), 2)} dB`}`)
+      .join(', '),
+  export: exportWords,
+  ladder: (r) => `${plural(r.trainings, 'training')} of ${plural(r.arms, 'arm')}, ${
+      seconds(r.train_seconds)}${r.failed ? `, ${r.failed} failed` : ''}`,
+  doctor: doctorWords,
+  validate: ({views: v, report}) =>
+      `${v.train} to train, ${v.val} to validate, ${v.test} to test; ${
+          plural(report.errors, 'error')}, ${plural(report.warnings, 'warning')}`
+};
+
 /** How a job that is over went, in one line. */
-function outcomeOf(job) {
-  const {result: r, problem} = job;
+function outcomeOf({type, result, problem}) {
   if (problem) return [problem.title, problem.detail].filter(Boolean).join(': ');
-  if (!r) return '';
-  if (job.type === 'train')
-    return `${decibel(r.psnr)} after ${whole(r.steps)} steps in ${seconds(r.train_seconds)}`;
-  if (job.type === 'eval')
-    return `${decibel(r.psnr)}, SSIM ${fixed(r.ssim, 4)} over ${plural(r.views, 'view')}`;
-  return job.type === 'path' ? `${plural(r.frames, 'frame')} of ${r.width} × ${r.height}` :
-                               'checked and kept';
+  return result ? FIGURES[type](result) : '';
 }
 
 export function jobRow(first) {
@@ -109,7 +146,8 @@ export function jobRow(first) {
     text(
         when,
         `${ago(job.finished_at ?? job.started_at ?? job.created_at)}${
-            job.attempt > 1 ? `, attempt ${job.attempt}` : ''}`);
+            job.attempt > 1 ? `, attempt ${job.attempt}` : ''}${
+            runnerWords(job) && `, ${runnerWords(job)}`}`);
     text(outcome, outcomeOf(job));
     buttons.update(job);
   };

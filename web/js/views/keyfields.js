@@ -1,6 +1,8 @@
 // The chosen key in numbers: place, direction, roll, field of view, time.
 import {fill, h, text} from '../dom.js';
+import {OPTICS, opticsOf} from '../optics.js';
 import {anglesOfPose, poseOfAngles} from '../orbit.js';
+import {action} from '../ui.js';
 import {column} from '../vector.js';
 
 const FIELDS = [
@@ -12,9 +14,11 @@ const DEGREE = Math.PI / 180;
 
 /**
  * @param {number[]} up @param {(id: string, values: any) => void} change
+ * @param {(pose: number[][], fovDeg: number) => Promise<number|null>} depthOf how far away what a
+ *     camera's middle shows is
  * @returns {{node: HTMLElement, show: (key: any, number: number) => void}}
  */
-export function createKeyFields(up, change) {
+export function createKeyFields(up, change, depthOf) {
   let key = null;
   const title = h('h3', null, '');
   const inputs = Object.fromEntries(
@@ -29,6 +33,37 @@ export function createKeyFields(up, change) {
                                                                       ' of the key’s place'}`,
                                                    onchange: () => read()
                                                  })]));
+  const effects = Object.fromEntries(
+      OPTICS.map(([name, label, unit,
+                   step]) => [name, h('input', {
+                                type: 'number',
+                                step: 'any',
+                                'data-step': step,
+                                id: `key-${name}`,
+                                'aria-label': `${label}${unit ? `, ${unit}` : ''}; 0 is none`,
+                                onchange: () => readEffects()
+                              })]));
+  const focus = action('Focus on the middle', async () => {
+    const chosen = key;
+    const distance = chosen && await depthOf(chosen.pose, chosen.fovDeg);
+    if (!distance) throw new Error('Nothing lies in the middle of this key’s picture.');
+    const aperture = chosen.optics?.aperture || Number((distance / 20).toPrecision(2));
+    change(chosen.id, {
+      optics: opticsOf({...chosen.optics, aperture, focus: Number(distance.toPrecision(4))}),
+      picture: undefined
+    });
+  }, {kind: 'small', title: 'Sharp is what the middle shows; with an aperture, if there is none'});
+  const more = h(
+      'details', {class: 'key-effects'}, h('summary', null, 'Effects of the camera'),
+      h('p', {class: 'quiet'},
+        'Off at 0, which costs nothing. An aperture or a shutter takes 64 cones a pixel, about a hundred times as long.'),
+      h('div', null,
+        OPTICS.map(
+            ([name, label, unit]) =>
+                h('label', {'for': `key-${name}`}, h('span', null, label),
+                  h('span', {class: 'with-unit'}, effects[name],
+                    unit ? h('span', {class: 'unit'}, unit) : null)))),
+      focus);
   const node =
       h('fieldset', {class: 'key-numbers', hidden: true},
         h('legend', {class: 'unseen'}, 'The chosen key'), title,
@@ -37,7 +72,14 @@ export function createKeyFields(up, change) {
               ([name, label, unit]) =>
                   h('label', {'for': `key-${name}`}, h('span', null, label),
                     h('span', {class: 'with-unit'}, inputs[name],
-                      unit ? h('span', {class: 'unit'}, unit) : null)))));
+                      unit ? h('span', {class: 'unit'}, unit) : null)))),
+        more);
+
+  function readEffects() {
+    const values = Object.fromEntries(OPTICS.map(([name]) => [name, Number(effects[name].value)]));
+    if (!key || Object.values(values).some((x) => !Number.isFinite(x))) return;
+    change(key.id, {optics: opticsOf(values), picture: undefined});
+  }
 
   function read() {
     const value = Object.fromEntries(FIELDS.map(([name]) => [name, Number(inputs[name].value)]));
@@ -77,6 +119,11 @@ export function createKeyFields(up, change) {
       for (const [name] of FIELDS)
         if (document.activeElement !== inputs[name])
           inputs[name].value = Number(values[name].toFixed(4));
+      const optics = opticsOf(next.optics);
+      if (Object.keys(optics).length) more.open = true;
+      for (const [name] of OPTICS)
+        if (document.activeElement !== effects[name])
+          effects[name].value = Number((optics[name] ?? 0).toPrecision(6));
     },
     clear: () => fill(title),
   };

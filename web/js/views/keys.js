@@ -32,10 +32,13 @@ import {
   showFaults,
   toast
 } from '../ui.js';
+import {PATH_FORMATS, readPathFiles, writePathFiles} from '../pathfile.js';
+import {OUTPUTS} from '../outputs.js';
 import {createPathStore} from '../pathstore.js';
 import {go, link} from '../router.js';
 import {putJob} from '../store.js';
 import {createKeyFields} from './keyfields.js';
+import {createQuality} from './pathquality.js';
 import {createTimeline} from './timeline.js';
 
 /**
@@ -57,11 +60,12 @@ export function createKeys(scene, size, view, signal) {
   const problem = h('div');
   const store = createPathStore(scene, (said) => text(kept, said), signal);
   const form = optionsForm(path, (values) => set({...path, ...values}, Object.keys(values)[0]));
+  const quality = createQuality(scene);
   const numbers = createKeyFields(view.up, (id, values) => {
     set(changeKey(path, id, values), `numbers ${id}`);
     goTo(id);
     pictures();
-  });
+  }, view.depthOf);
   const timeline = createTimeline({
     path: () => path,
     seek,
@@ -138,22 +142,15 @@ export function createKeys(scene, size, view, signal) {
     redo.disabled = !history.canRedo();
     clear.disabled = !path.keys.length;
     timeline.update();
+    quality.update(path, view.msPerPixel());
     const index = path.keys.findIndex((key) => key.id === selected);
     numbers.show(path.keys[index] ?? null, index + 1);
     view.overlay({path, selected, time: fault ? null : at});
   }
 
-  /** Keys, duration, frames, and how long they will take by the pictures shown last. */
-  function describe() {
-    const frames = frameCount(path);
-    const cost = view.msPerPixel() * frames * path.width * path.height / 1000;
-    return [
-      plural(path.keys.length, 'key'), seconds(duration(path)),
-      `${plural(frames, 'frame')} of ${path.width} × ${path.height}`,
-      cost ? `about ${seconds(Math.max(1, Math.round(cost)))} to render` : ''
-    ].filter(Boolean)
-        .join(' · ');
-  }
+  const describe = () => [plural(path.keys.length, 'key'), seconds(duration(path)),
+                          `${plural(frameCount(path), 'frame')} of ${path.width} × ${path.height}`]
+                             .join(' · ');
 
   function goTo(id) {
     const item = path.keys.find((other) => other.id === id);
@@ -161,21 +158,21 @@ export function createKeys(scene, size, view, signal) {
     selected = id;
     at = null;
     timeline.set(item.time - path.keys[0].time);
-    view.show(item.pose, item.fovDeg);
+    view.show(item.pose, item.fovDeg, item.optics);
     show();
   }
 
   function seek(time) {
     if (problemOf(path)) return;
     at = time;
-    const {pose, fovDeg} = cameraAt(path, time);
-    view.show(pose, fovDeg);
+    const {pose, fovDeg, optics} = cameraAt(path, time);
+    view.show(pose, fovDeg, optics);
     show();
   }
 
   function insertHere() {
-    const {pose, fovDeg} = cameraAt(path, at);
-    set(insertKey(path, path.keys[0].time + at, pose, fovDeg));
+    const {pose, fovDeg, optics} = cameraAt(path, at);
+    set(insertKey(path, path.keys[0].time + at, pose, fovDeg, optics));
     pictures();
   }
 
@@ -200,7 +197,7 @@ export function createKeys(scene, size, view, signal) {
     const key = path.keys.find((item) => item.id === id);
     if (!key || key.picture) return;
     try {
-      const blob = await view.thumbnail(key.pose, key.fovDeg, signal);
+      const blob = await view.thumbnail(key.pose, key.fovDeg, signal, key.optics);
       path = changeKey(path, id, {picture: blob});
       show();
     } catch { /* the key stands without its picture */
@@ -230,10 +227,11 @@ export function createKeys(scene, size, view, signal) {
   function preview() {
     const whole = duration(path);
     const from = at !== null && at < whole - 0.05 ? at : 0;
-    const began = performance.now() - 1000 * from;
+    let began = null;
     text(play, 'Stop');
-    const tick = () => {
-      let time = (performance.now() - began) / 1000;
+    const tick = (now) => {
+      began ??= now - 1000 * from;
+      let time = (now - began) / 1000;
       if (signal.aborted || problemOf(path) || time > whole && !path.loop) {
         stopPreview();
         return;
@@ -241,8 +239,8 @@ export function createKeys(scene, size, view, signal) {
       time %= duration(path);
       at = time;
       timeline.set(time);
-      const {pose, fovDeg} = cameraAt(path, time);
-      view.show(pose, fovDeg);
+      const {pose, fovDeg, optics} = cameraAt(path, time);
+      view.show(pose, fovDeg, optics);
       view.overlay({path, selected, time});
       playing = requestAnimationFrame(tick);
     };
@@ -251,7 +249,8 @@ export function createKeys(scene, size, view, signal) {
 
   async function send() {
     showFaults(form.fields, problem, null);
-    const options = form.options();
+    const crop = view.crop();
+    const options = {...form.options(), ...quality.setting(), ...(crop ? {crop} : {})};
     const body = {type: 'path', scene: scene.id, camera_path: documentOf(path)};
     go(link.job(
         putJob(await api.submit(Object.keys(options).length ? {...body, options} : body)).id));
@@ -302,7 +301,7 @@ export function createKeys(scene, size, view, signal) {
                 'Whole turn'),
               clear)
       },
-      box, timeline.node, numbers.node, words, form.node, problem,
+      box, timeline.node, numbers.node, words, form.node, quality.node, problem,
       h('div', {class: 'row wrap'}, play, between, submit, saving(() => path, adopt, signal)),
       kept);
   show();
@@ -323,13 +322,21 @@ export function createKeys(scene, size, view, signal) {
     event.preventDefault();
     step(again ? 'redo' : 'undo');
   }, {signal});
-  return {node, record};
+  return {
+    node,
+    record,
+    /** The scene's curve, or null: what the path's frames cost. */
+    set curve(next) {
+      quality.curve = next;
+      show();
+    }
+  };
 }
 
 function restore(storeKey) {
   try {
     const kept = JSON.parse(sessionStorage.getItem(storeKey));
-    return kept && {tension: 0, constantSpeed: false, ...kept};
+    return kept && {tension: 0, constantSpeed: false, lens: 'pinhole', ...kept};
   } catch { return null; }
 }
 
@@ -438,8 +445,12 @@ function optionsForm(path, change) {
       path.interpolation, {pointer: '/camera_path/interpolation'});
   const loop =
       h('input', {type: 'checkbox', id: 'path-loop', onchange: () => change({loop: loop.checked})});
+  const lens = choice(
+      'Lens', [['pinhole', 'perspective'], ['equirectangular', 'all around']],
+      path.lens ?? 'pinhole', {pointer: '/camera_path/lens'});
+  lens.control.onChange(() => change({lens: lens.control.value}));
   const output = choice(
-      'Output', [['rgb', 'colour'], ['depth', 'depth'], ['alpha', 'opacity']], 'rgb',
+      'Output', OUTPUTS, 'rgb',
       {pointer: '/options/output'});
   const tension = field(
       'Tension', h('input', {
@@ -460,17 +471,31 @@ function optionsForm(path, change) {
       'Made into',
       h('select', null,
         [
-          ['', 'frames'], ['h264', 'MP4, H.264'], ['av1', 'MP4, AV1'], ['vp9', 'WebM, VP9'],
-          ['gif', 'GIF']
+          ['', 'frames, PNG'], ['png16', 'frames, PNG of 16 bits'], ['jpeg', 'frames, JPEG'],
+          ['exr', 'frames, EXR with depth and normals'], ['h264', 'film, MP4 H.264'],
+          ['av1', 'film, MP4 AV1'], ['vp9', 'film, WebM VP9'], ['gif', 'film, GIF']
         ].map(([value, label]) => h('option', {value}, label))),
       {pointer: '/options/film'});
   const quality = field(
       'Film quality', h('input', {type: 'number', min: 0, max: 100, value: 75}),
       {pointer: '/options/video_quality'});
-  quality.node.hidden = true;
-  film.control.addEventListener('change', () => {
-    quality.node.hidden = !film.control.value;
-  });
+  const jpegQuality = field(
+      'JPEG quality', h('input', {type: 'number', min: 1, max: 100, value: 90}),
+      {pointer: '/options/jpeg_quality'});
+  const isFilm = () => ['h264', 'av1', 'vp9', 'gif'].includes(film.control.value);
+  const showMade = () => {
+    quality.node.hidden = !isFilm();
+    jpegQuality.node.hidden = film.control.value !== 'jpeg';
+    output.node.hidden = film.control.value === 'exr';
+  };
+  film.control.addEventListener('change', showMade);
+  showMade();
+  const madeOptions = () => {
+    const made = film.control.value;
+    if (isFilm()) return {film: made, video_quality: Number(quality.control.value)};
+    if (made === 'jpeg') return {format: made, jpeg_quality: Number(jpegQuality.control.value)};
+    return made ? {format: made} : {};
+  };
   interpolation.control.onChange(() => {
     change({interpolation: interpolation.control.value});
     tension.node.hidden = interpolation.control.value !== 'spline';
@@ -483,20 +508,22 @@ function optionsForm(path, change) {
       item.control.value = now[key];
     loop.checked = now.loop;
     interpolation.node.querySelector(`input[value=${now.interpolation}]`).checked = true;
+    lens.node.querySelector(`input[value=${now.lens ?? 'pinhole'}]`).checked = true;
   };
   show(path);
   return {
-    fields: [width, height, fps, interpolation, tension, output, film, quality],
+    fields: [width, height, fps, interpolation, tension, lens, output, film, quality,
+             jpegQuality],
     options: () => ({
-      ...(output.control.value === 'rgb' ? {} : {output: output.control.value}),
-      ...(film.control.value ?
-              {film: film.control.value, video_quality: Number(quality.control.value)} :
-              {})
+      ...(output.control.value === 'rgb' || film.control.value === 'exr' ?
+              {} :
+              {output: output.control.value}),
+      ...madeOptions()
     }),
     show,
     node:
         h('div', {class: 'path-options'}, width.node, height.node, fps.node, interpolation.node,
-          tension.node, output.node, film.node, quality.node,
+          tension.node, lens.node, output.node, film.node, quality.node, jpegQuality.node,
           h('div', {class: 'field check'}, loop, h('label', {'for': 'path-loop'}, 'Loop')),
           h('div', {class: 'field check'}, steady,
             h('label', {'for': 'path-steady'}, 'Constant speed')))
@@ -511,19 +538,27 @@ function saving(get, adopt, signal) {
         {type: 'text', id: 'path-name', maxLength: 64, placeholder: 'name', spellcheck: 'false'});
   const file = h('input', {
     type: 'file',
-    accept: '.json,application/json',
+    multiple: true,
+    accept: '.json,.txt,application/json,text/plain',
     class: 'unseen',
     id: 'path-file',
     onchange: async () => {
+      const files = [...file.files];
+      file.value = '';
       try {
-        adopt(JSON.parse(await file.files[0].text()).path);
+        const {path, format} = await readPathFiles(files, signal);
+        adopt(path);
+        if (format !== 'ripnerf') toast(`Read as a path of ${format}`);
       } catch (error) {
         toast(Object.assign(
-            new Error(`${file.files[0].name}: ${error.message}`), {title: 'Not a path file'}));
+            new Error(`${files.map(({name}) => name).join(', ')}: ${error.detail || error.message}`),
+            {title: 'Not read'}));
       }
-      file.value = '';
     }
   });
+  const format = h(
+      'select', {id: 'path-format'},
+      PATH_FORMATS.map(([value, words]) => h('option', {value}, words)));
   const saved = async () => {
     const paths = await api.paths(signal);
     fill(
@@ -548,14 +583,15 @@ function saving(get, adopt, signal) {
               if (list.value) adopt((await api.path(list.value, signal)).path);
             })),
       h('div', {class: 'row wrap'},
-        h('button', {
-          type: 'button',
-          onclick: () => saveBlob(
-              new Blob(
-                  [JSON.stringify({path: documentOf(get())}, null, 1)], {type: 'application/json'}),
-              'path.json')
-        },
-          'Save as a file'),
-        file, h('label', {class: 'button', 'for': 'path-file'}, 'Open a file')));
+        h('label', {'for': 'path-format'}, 'As a file of'), format,
+        action(
+            'Save as a file',
+            async () => {
+              for (const [called, blob] of await writePathFiles(get(), format.value, signal))
+                saveBlob(blob, called);
+            }),
+        file, h('label', {class: 'button', 'for': 'path-file'}, 'Open a file')),
+      h('p', {class: 'quiet'},
+        'Opened are paths of all these programs, in the dataset’s coordinates; of nerfstudio together with its dataparser_transforms.json, COLMAP’s images.txt with its cameras.txt.'));
   return node;
 }

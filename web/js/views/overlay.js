@@ -1,6 +1,7 @@
 // The camera path and the photographs' cameras, drawn over the picture of the scene.
 import {cameraAt, duration} from '../path.js';
 import {column, dot, norm, sub} from '../vector.js';
+import {edgesOf} from './crop.js';
 
 const STEPS = 160;
 
@@ -52,9 +53,11 @@ function drawCamera(context, project, {pose, fovDeg}, aspect, size) {
  * @param {HTMLCanvasElement} canvas over the picture
  * @param {{pose: number[][], fovDeg: number}} camera that looks
  * @param {{path: any, selected: string|null, time: number|null, photographs: {pose: number[][],
- *     fovDeg: number}[], radius: number}} things
+ *     fovDeg: number, colour?: string}[], radius: number, crop?: number[]|null}} things
  */
-export function drawOverlay(canvas, camera, {path, selected, time, photographs, radius}) {
+export function drawOverlay(canvas, camera, {path, selected, time, photographs, radius, crop}) {
+  canvas.hidden = !photographs.length && !crop && !path?.keys.length;
+  if (canvas.hidden) return;  // a layer less for the browser to put together
   const ratio = devicePixelRatio || 1;
   const [width, height] = [canvas.clientWidth, canvas.clientHeight];
   if (canvas.width !== Math.round(width * ratio)) canvas.width = Math.round(width * ratio);
@@ -66,9 +69,13 @@ export function drawOverlay(canvas, camera, {path, selected, time, photographs, 
   const size = 0.14 * radius;
   context.lineJoin = 'round';
   context.lineWidth = 1;
-  context.strokeStyle = 'rgb(120 130 140 / 75%)';
   const away = (item) => !isNear(item.pose, camera.pose, size);
-  for (const item of photographs.filter(away)) drawCamera(context, project, item, 1, 0.6 * size);
+  for (const item of photographs.filter(away)) {
+    context.strokeStyle = item.colour ?? 'rgb(120 130 140 / 75%)';
+    drawCamera(context, project, item, 1, 0.6 * size);
+  }
+  context.strokeStyle = 'rgb(217 72 15 / 80%)';
+  for (const [a, b] of crop ? edgesOf(crop) : []) line(context, [project(a), project(b)]);
   if (!path?.keys.length) return;
   const whole = duration(path);
   const aspect = path.width / path.height || 1;

@@ -1,66 +1,12 @@
-// A scene's record: effects, differences from the paper, evaluations, checkpoints, deletion.
+// A scene's record: differences from the paper, evaluations, checkpoints, deletion.
 import {api, token} from '../api.js';
 import {fill, h, saveBlob} from '../dom.js';
 import {find, isActive, means, putJob, refreshSoon, state, watch} from '../store.js';
 import {ago, bytes, decibel, fixed, milliseconds, plural, seconds, whole} from '../format.js';
-import {action, confirmFirst, facts, meter, panel, progressWords, recordedProblem} from '../ui.js';
+import {action, confirmFirst, facts, meter, panel, progressWords, recordedProblem, toast} from '../ui.js';
+import {reportOf} from '../report.js';
 import {go, link} from '../router.js';
-
-const EFFECTS = {
-  background: 'Background',
-  'scale-pyramid': 'Scale pyramid',
-  anisotropy: 'Anisotropy',
-  'view-dependence': 'View dependence',
-  'split-pixels': 'Split pixels',
-  cones: 'Cones a pixel',
-  distortion: 'Distortion',
-  masks: 'Masks',
-  exposure: 'Exposure',
-  'forward-facing': 'Forward-facing',
-  unbounded: 'Unbounded space',
-  'straight-alpha': 'Straight alpha'
-};
-
-/** An effect's number in the unit that its reason is told in. */
-const short = (x, digits = 3) => String(Number(x.toPrecision(digits)));
-const octaves = (x) => `${(2 ** x).toFixed(2)}×`;
-const UNITS = {
-  background: (x) => `${short(100 * x)} %`,
-  'scale-pyramid': octaves,
-  anisotropy: octaves,
-  'view-dependence': (x) => `${short(255 * x)}/255`,
-  'split-pixels': octaves,
-  cones: octaves,
-  distortion: (x) => `${short(x)} px`,
-  masks: (x) => `${short(x)} %`,
-  exposure: (x) => `${short(x)} %`,
-  'forward-facing': (x) => `${short(x)}°`,
-  unbounded: (x) => `${short(100 * x)} %`,
-  'straight-alpha': (x) => `${short(255 * x)}/255`
-};
-
-export function effectsPanel(scene) {
-  const number = (effect, x) => (x === null ? '–' : (UNITS[effect.name] ?? short)(x));
-  const rows = scene.effects.map(
-      (effect) =>
-          h('li', {class: 'effect', 'data-on': String(effect.on && effect.decided)},
-            h('span', {class: 'effect-mark'}, effect.decided ? effect.on ? 'on' : 'off' : 'open'),
-            h('div', null, h('strong', null, EFFECTS[effect.name] ?? effect.name),
-              h('p', {class: 'quiet'}, effect.reason)),
-            h('span', {class: 'number'}, number(effect, effect.number),
-              effect.threshold === null ?
-                  null :
-                  h('small', {class: 'line'}, `threshold ${number(effect, effect.threshold)}`))));
-  return panel(
-      'Effects', null,
-      rows.length ?
-          [
-            h('p', {class: 'quiet'},
-              'On where the number is over its threshold and the rest that its reason names allows it. What is off is not computed.'),
-            h('ul', {class: 'effects'}, rows)
-          ] :
-          h('p', {class: 'quiet'}, 'Decided when training begins.'));
-}
+import {exportButtons, planesOf} from './exports.js';
 
 export function differencesPanel(scene) {
   const {differences} = scene;
@@ -82,8 +28,12 @@ export function differencesPanel(scene) {
                            'Known when training begins.'));
 }
 
-/** Finished evaluations, one under way, and the way to start one. */
-export function qualityPanel(scene, signal) {
+/**
+ * Finished evaluations, one under way, and the way to start one.
+ * @param {any} scene @param {(split: string, index: number) => void} look at a view beside its
+ *     photograph @param {AbortSignal} signal
+ */
+export function qualityPanel(scene, look, signal) {
   const list = h('div');
   const bar = meter('Evaluation');
   const now = h('div');
@@ -94,7 +44,7 @@ export function qualityPanel(scene, signal) {
       fill(
           list,
           items.length ?
-              items.slice(0, 3).map(evaluation) :
+              [worstViews(items[0].result, look), items.slice(0, 3).map(evaluation)] :
               h('p', {class: 'quiet'}, 'Not evaluated yet: PSNR and SSIM on the test views.'));
   };
   watch(({jobs}) => {
@@ -132,6 +82,22 @@ const splitOf = (scene) => {
   return !views || views.test ? 'test' : views.val ? 'val' : 'train';
 };
 
+const WORST = 3;
+
+/** The views of the newest evaluation that came out worst, to be looked at. */
+function worstViews({per_view: views, protocol: {split}}, look) {
+  const worst = views.filter((view) => view.scale === 0 && view.psnr !== null)
+                    .sort((a, b) => a.psnr - b.psnr)
+                    .slice(0, WORST);
+  return worst.length ?
+      h('p', {class: 'row wrap worst'}, h('span', {class: 'quiet'}, 'Worst views'),
+        worst.map(
+            ({index, psnr}) =>
+                h('button', {type: 'button', class: 'small', onclick: () => look(split, index)},
+                  `${split}:${index} ${decibel(psnr, 1)}`))) :
+      null;
+}
+
 function evaluation({job, finished_at: when, result}) {
   const p = result.protocol;
   return h(
@@ -158,7 +124,14 @@ export function aboutPanel(scene) {
       h('a', {class: 'button', href: path, download: file}, 'Download checkpoint');
   return panel(
       'Record', {
-        tools:
+        tools: h('div', {class: 'row'},
+            action(
+                'Report',
+                async () => {
+                  saveBlob(await reportOf(scene.id), `${scene.name}-report.html`);
+                  toast('The report is saved: one file, which prints.');
+                },
+                {kind: 'small', title: 'One HTML file with pictures, figures and curves'}),
             h('button', {
               type: 'button',
               class: 'small bare',
@@ -170,10 +143,15 @@ export function aboutPanel(scene) {
                     go(link.home());
                   })
             },
-              'Delete')
+              'Delete'))
       },
       facts([
-        ['Dataset', h('a', {href: link.dataset(scene.dataset_name)}, scene.dataset_name)],
+        [
+          'Dataset',
+          scene.dataset ? h('a', {href: link.dataset(scene.dataset_name)}, scene.dataset_name) :
+                          'none here'
+        ],
+        ['For viewing', viewingOf(scene)],
         [
           'Preset',
           config ? `${config.preset}, seed ${config.seed}, trained on ${config.train_split}` : null
@@ -218,5 +196,15 @@ export function aboutPanel(scene) {
                                     null
         ]
       ]),
-      checkpoint ? h('div', {class: 'row'}, checkpoint) : null);
+      checkpoint ? h('div', {class: 'row'}, checkpoint) : null, exportButtons(scene));
+}
+
+/** Of a scene that came as a file: what it is, and what that lost. */
+function viewingOf({viewing: v}) {
+  if (!v) return null;
+  return [
+    `${planesOf(v.bits)}; it is not trained further`,
+    `${decibel(v.psnr)} on ${plural(v.views, `${v.split} view`)}, ${
+        fixed(v.loss, 3)} dB less than the scene that it is of`
+  ].map((line) => h('span', {class: 'line'}, line));
 }

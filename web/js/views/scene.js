@@ -1,20 +1,23 @@
 // One scene: look at it while it trains, record a path, see how it does.
 import {api} from '../api.js';
 import {every, fill, follow, h} from '../dom.js';
-import {find, isActive, means, state, trainingOf, watch} from '../store.js';
+import {find, isActive, isVisitor, means, state, trainingOf, watch} from '../store.js';
 import {chip, panel, problemBox, setChip, skeleton} from '../ui.js';
 import {link} from '../router.js';
 import {createCurve} from './curve.js';
 import {createKeys} from './keys.js';
 import {createViewport} from './viewport.js';
 import {trainingPanel} from './training.js';
-import {aboutPanel, differencesPanel, effectsPanel, qualityPanel} from './record.js';
+import {createEffects} from './effects.js';
+import {aboutPanel, differencesPanel, qualityPanel} from './record.js';
 import {jobRow} from './jobs.js';
+import {stabilityPanel} from './stability.js';
 
 const RECORD_MS = 4000;  // how often the record is read again while the scene trains
 
 export async function sceneView(root, {id, query, signal}) {
   const mark = chip('loading');
+  const title = h('h1', null, id);
   const from = h('span', {class: 'quiet'});
   const body =
       h('div', null,
@@ -27,15 +30,28 @@ export async function sceneView(root, {id, query, signal}) {
   fill(
       root,
       h('div', {class: 'page-head'}, h('a', {class: 'back', href: link.home()}, 'Scenes'),
-        h('h1', null, id), mark, from),
+        title, mark, from),
       body);
   const load = async () => {
     try {
       const scene = await api.scene(id, signal);
-      const cameras = await api.cameras(scene.dataset, signal).catch(() => []);
       await listed(scene.id, signal);
+      const cameras =
+          isVisitor() || !scene.dataset ?
+          [] :
+          await api.cameras(scene.dataset, signal).catch(() => []);
       if (signal.aborted) return;
-      fill(from, 'from ', h('a', {href: link.dataset(scene.dataset_name)}, scene.dataset_name));
+      if (isVisitor()) {
+        setChip(mark, scene.state);
+        fill(title, scene.name);
+        fill(body, visitedScene(scene, query, signal));
+        return;
+      }
+      fill(
+          from,
+          scene.dataset ?
+              ['from ', h('a', {href: link.dataset(scene.dataset_name)}, scene.dataset_name)] :
+              'for viewing; its photographs are not here');
       fill(body, page(scene, cameras, mark, query, signal));
     } catch (error) {
       if (signal.aborted) return;
@@ -44,6 +60,14 @@ export async function sceneView(root, {id, query, signal}) {
     }
   };
   await load();
+}
+
+/** What a link shows: the scene at any camera. */
+function visitedScene(scene, query, signal) {
+  const training = () => find(state.scenes, scene.id)?.state === 'training';
+  const failed = () => find(state.scenes, scene.id)?.state === 'failed';
+  const host = {live: training, failed, onRefined: () => {}, camera: query?.get('camera')};
+  return createViewport(scene, [], host, signal).node;
 }
 
 /** Resolves once the store's lists are there and hold the scene. */
@@ -67,14 +91,37 @@ function page(scene, cameras, mark, query, signal) {
   const dataset = find(state.datasets, scene.dataset);
   const training = () => isActive(trainingOf(find(state.scenes, scene.id) ?? scene));
   let keys = null;
-  const cost = createCurve(scene, (ms) => { view.budgetMs = ms; }, signal);
+  const past = {
+    seconds: Number(query?.get('at')) || null,
+    changed: () => {},
+    show: (seconds) => {
+      past.seconds = seconds;
+      view.at = seconds;
+      past.changed();
+    }
+  };
+  const cost = createCurve(
+      scene, {
+        choose: (ms) => {
+          view.budgetMs = ms;
+        },
+        known: (curve) => {
+          keys.curve = curve;
+        },
+        besideFull: () => view.besideFull()
+      },
+      signal);
   const view = createViewport(
       scene, cameras, {
         live: training,
         failed: () => find(state.scenes, scene.id)?.state === 'failed',
         onKey: () => keys.record(),
         onRefined: (facts) => cost.picture(facts),
-        camera: query?.get('camera')
+        camera: query?.get('camera'),
+        crop: query?.get('crop'),
+        at: past.seconds,
+        onNow: () => past.show(null),
+        up: dataset?.up
       },
       signal);
   keys = createKeys(
@@ -90,20 +137,22 @@ function page(scene, cameras, mark, query, signal) {
   keepRecord(scene, {record, more}, training, view, signal);
   return h(
       'div', {class: 'columns wide'}, h('div', {class: 'main-column'}, view.node, keys.node, more),
-      h('div', {class: 'side-column'}, trainingPanel(scene.id, signal), cost.node, pathsPanel(scene, signal),
-        qualityPanel(scene, signal), record));
+      h('div', {class: 'side-column'}, trainingPanel(scene.id, signal, past), cost.node, pathsPanel(scene, signal),
+        qualityPanel(scene, view.compare, signal), stabilityPanel(scene, signal), record));
 }
 
 /** Effects, differences and facts, read again while they can change. */
 function keepRecord(scene, {record, more}, training, view, signal) {
   let shown = '';
   let before = null;
+  const effects = createEffects(scene, signal);
   const show = (now) => {
     const key = JSON.stringify(
         [now.effects, now.differences, now.checkpoints, now.config, now.loaded, now.memory_bytes]);
     if (key === shown) return;
     shown = key;
-    fill(more, effectsPanel(now), differencesPanel(now));
+    effects.show(now);
+    fill(more, effects.node, differencesPanel(now));
     fill(record, aboutPanel(now));
   };
   show(scene);

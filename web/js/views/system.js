@@ -29,6 +29,7 @@ export function systemView(root, {signal}) {
                                                       ''}`
                 ],
                 ['Threads', whole(info.threads)],
+                ...(info.executor ? [['Trains on', 'a Slurm cluster; jobs tell where']] : []),
                 [
                   'Memory for scenes',
                   info.memory_limit_bytes ? bytes(info.memory_limit_bytes) : 'no limit'

@@ -4,6 +4,9 @@ import {fill, h} from '../dom.js';
 import {find, putJob, state} from '../store.js';
 import {choice, field, panel, showFaults} from '../ui.js';
 import {go, link} from '../router.js';
+import {estimatePanel} from './estimate.js';
+
+import {EFFECTS} from './effects.js';
 
 /**
  * What each is for and where it ends unless told otherwise; the daemon's own presets say the same.
@@ -45,6 +48,13 @@ export function trainPanel(dataset) {
   const steps = numeric('Steps', '', '/options/max_steps', {min: 1, placeholder: 'any'});
   const psnr = numeric(
       'PSNR', 'dB', '/options/until_psnr', {min: 1, max: 100, step: 'any', placeholder: 'any'});
+  const plateau = h('input', {
+    type: 'checkbox',
+    id: 'until-plateau',
+    onchange: () => {
+      if (plateau.checked && !timeChosen) time.control.value = '';
+    }
+  });
   const planes = choice(
       'Planes', [['', 'preset'], ['3', '3'], ['4', '4'], ['6', '6'], ['10', '10']], '',
       {pointer: '/options/planes', hint: 'More tell more directions apart, and take longer.'});
@@ -56,8 +66,15 @@ export function trainPanel(dataset) {
       {pointer: '/options/train_split'});
   const seed = numeric('Seed', '', '/options/seed', {min: 0, placeholder: '0'});
   const threads = numeric('Threads', '', '/options/threads', {min: 0, placeholder: 'all'});
-  const fields = [name, preset, time, steps, psnr, planes, footprint, split, seed, threads];
+  const effects = Object.entries(EFFECTS).map(
+      ([key, label]) => choice(
+          label, [['', 'auto'], ['on', 'on'], ['off', 'off']], '',
+          {pointer: `/options/effect_${key.replaceAll('-', '_')}`}));
+  const fields =
+      [name, preset, time, steps, psnr, planes, footprint, split, seed, threads, ...effects];
   const problem = h('div');
+  const estimate = estimatePanel(
+      dataset, () => values(), (error) => showFaults(fields, problem, error));
   const start = h('button', {type: 'submit', class: 'primary'}, 'Start training');
   let timeChosen = false;
   time.control.addEventListener('input', () => {
@@ -67,7 +84,7 @@ export function trainPanel(dataset) {
     const {hint, seconds} = PRESETS[preset.control.value];
     preset.fault(null);
     fill(preset.node.querySelector('.note'), hint);
-    if (!timeChosen) time.control.value = seconds;
+    if (!timeChosen) time.control.value = plateau.checked ? '' : seconds;
   });
   async function submit() {
     start.disabled = true;
@@ -89,8 +106,13 @@ export function trainPanel(dataset) {
     const numbers = {max_time_s: time, max_steps: steps, until_psnr: psnr, seed, threads};
     for (const [key, item] of Object.entries(numbers))
       if (item.control.value !== '') options[key] = Number(item.control.value);
+    if (plateau.checked) options.until_plateau = true;
     if (planes.control.value) options.planes = Number(planes.control.value);
     if (footprint.control.value) options.footprint = footprint.control.value;
+    Object.keys(EFFECTS).forEach((key, i) => {
+      if (effects[i].control.value)
+        options[`effect_${key.replaceAll('-', '_')}`] = effects[i].control.value;
+    });
     return options;
   }
   return panel(
@@ -104,9 +126,16 @@ export function trainPanel(dataset) {
         name.node, preset.node,
         h('fieldset', {class: 'field'}, h('legend', null, 'Stop at whichever comes first'),
           h('div', {class: 'form-grid three'}, time.node, steps.node, psnr.node),
-          h('span', {class: 'note'}, 'No time and no steps: where the preset ends.')),
+          h('div', {class: 'field check'}, plateau,
+            h('label', {'for': 'until-plateau'}, 'where more time gains nothing')),
+          h('span', {class: 'note'},
+            'No time and no steps: where the preset ends; of a training that ends by itself, ten times as long at most.')),
         planes.node, footprint.node,
         h('details', null, h('summary', null, 'More'),
           h('div', {class: 'form-grid'}, split.node, seed.node, threads.node)),
-        problem, h('div', {class: 'row end'}, start)));
+        h('details', null, h('summary', null, 'Effects'),
+          h('p', {class: 'quiet'},
+            'Each is on where the photographs call for it, and costs nothing when off.'),
+          h('div', {class: 'form-grid'}, effects.map((effect) => effect.node))),
+        problem, estimate.node, h('div', {class: 'row end'}, estimate.button, start)));
 }

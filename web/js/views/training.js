@@ -1,7 +1,7 @@
 // The training of a scene: state, controls, PSNR over seconds, rates and clocks.
 import {api} from '../api.js';
 import {drawChart} from '../chart.js';
-import {fill, h, text} from '../dom.js';
+import {fill, follow as keyed, h, text} from '../dom.js';
 import {followJob} from '../follow.js';
 import {isActive, trainingOf, find, state, watch} from '../store.js';
 import {compact, decibel, fixed, seconds, whole} from '../format.js';
@@ -16,7 +16,7 @@ import {
   setChip
 } from '../ui.js';
 import {jobButtons} from './jobs.js';
-import {link} from '../router.js';
+import {go, link} from '../router.js';
 
 const ANNOUNCE_MS = 15_000;
 
@@ -45,8 +45,12 @@ function finalFigures(scene, job, last) {
   };
 }
 
-/** @param {string} sceneId @param {AbortSignal} signal */
-export function trainingPanel(sceneId, signal) {
+/**
+ * @param {string} sceneId @param {AbortSignal} signal
+ * @param {{seconds: number|null, show: (seconds: number) => void, changed: () => void}} [past] what
+ *     is looked back at, where there is a view; `changed` is set here. Else marks lead to one
+ */
+export function trainingPanel(sceneId, signal, past) {
   const mark = chip('new');
   const buttons = jobButtons(false);
   const bar = meter('Training');
@@ -56,7 +60,9 @@ export function trainingPanel(sceneId, signal) {
   const stable = h('p', {class: 'stable'});
   const clocks = h('div');
   const levels = h('div');
+  const rivals = createRivals(sceneId, () => update(), signal);
   let points = [];
+  let marks = [];
   let followed = null;
   let shownProblem = null;
   let said = 0;
@@ -65,8 +71,9 @@ export function trainingPanel(sceneId, signal) {
     if (!job || followed === job.id) return;
     followed = job.id;
     points = [];
-    const load = curve(job.id, signal, (figures) => {
+    const load = curve(job.id, signal, async (figures) => {
       points = figures;
+      marks = (await api.scene(sceneId, signal)).marks;
       update();
     });
     followJob(job.id, (type) => (type === 'metric' || type === 'state') && load(), signal);
@@ -92,8 +99,15 @@ export function trainingPanel(sceneId, signal) {
     STATS.forEach(([, read], i) => text(stats[i].value, read(figures)));
     drawChart(
         chart, chartPoints(points, figures),
-        {limitX: active ? figures.max_seconds : 0, running: active, now: figures.train_seconds});
+        {
+          limitX: active ? figures.max_seconds : 0,
+          running: active,
+          now: figures.train_seconds,
+          others: rivals.shown(),
+          past: {marks, at: past?.seconds ?? null, look: (seconds) => look(scene, seconds)}
+        });
     bar.node.hidden = job?.state === 'failed';
+    rivals.offer(scene);
     showProblem(job, scene);
     showMore(figures);
     if (active && figures.psnr && performance.now() - said > ANNOUNCE_MS) {
@@ -101,6 +115,13 @@ export function trainingPanel(sceneId, signal) {
       announce(`${scene.name}: ${figures.psnr.toFixed(1)} decibel after ${
           Math.round(figures.train_seconds)} seconds`);
     }
+  }
+
+  function look(scene, seconds) {
+    if (past)
+      past.show(seconds);
+    else
+      go(link.scene(scene.name, `?at=${seconds}`));
   }
 
   function showProblem(job, scene) {
@@ -139,8 +160,9 @@ export function trainingPanel(sceneId, signal) {
   observer.observe(chart);
   signal.addEventListener('abort', () => observer.disconnect(), {once: true});
   watch(update, signal);
+  if (past) past.changed = update;
   return panel(
-      'Training', {tools: mark}, trouble, buttons.node, bar.node, chart,
+      'Training', {tools: mark}, trouble, buttons.node, bar.node, chart, rivals.node,
       h('dl', {class: 'stats'},
         stats.map(({label, value}) => h('div', null, h('dt', null, label), value))),
       stable, h('details', null, h('summary', null, 'Clocks and levels'), clocks, levels));
@@ -161,14 +183,69 @@ function curve(id, signal, show) {
       again = false;
       try {
         const figures = await api.metrics(id, signal);
-        show(figures.filter((m) => m.psnr !== null)
-                 .map((m) => ({x: m.train_seconds, y: m.psnr, step: m.step})));
+        await show(pointsOf(figures));
       } catch { /* the next event asks again */
       }
     }
     loading = false;
   };
 }
+
+const MOST_RIVALS = 4;  // as many as the chart has colours
+
+/** Other trainings on the same photographs, whose curves are drawn behind this one's. */
+function createRivals(sceneId, changed, signal) {
+  const boxes = h('div', {class: 'rivals'});
+  const node = h(
+      'details', {hidden: true}, h('summary', null, 'Beside other trainings'), boxes);
+  const chosen = new Map();  // a scene's id -> its name and points
+  async function choose(other, box) {
+    if (!box.checked) {
+      chosen.delete(other.id);
+    } else if (chosen.size === MOST_RIVALS) {
+      box.checked = false;
+      return;
+    } else {
+      chosen.set(other.id, {name: other.name, points: []});
+      const figures = await api.metrics(other.job, signal).catch(() => []);
+      if (chosen.has(other.id))
+        chosen.get(other.id).points = pointsOf(figures);
+    }
+    paint();
+    changed();
+  }
+  function paint() {
+    const order = [...chosen.keys()];
+    for (const row of boxes.children) {
+      const at = order.indexOf(row.dataset.scene);
+      row.querySelector('.swatch').className = `swatch${at < 0 ? '' : ` other-${at}`}`;
+    }
+  }
+  const rowOf = (other) => {
+    const id = `rival-of-${other.id}`;
+    const box = h('input', {type: 'checkbox', id, onchange: () => choose(other, box)});
+    const words = h('span', {class: 'quiet'});
+    return {
+      node: h('div', {'data-scene': other.id}, box, h('label', {'for': id}, other.name), words,
+              h('span', {class: 'swatch', 'aria-hidden': 'true'})),
+      update: (now) => text(words, `${decibel(now.psnr)} after ${seconds(now.train_seconds)}`)
+    };
+  };
+  return {
+    node,
+    offer: (scene) => {
+      const others = state.scenes.filter(
+          (other) => other.id !== sceneId && other.dataset === scene.dataset && other.job &&
+              other.steps > 0);
+      node.hidden = !others.length;
+      keyed(boxes, others, (other) => other.id, rowOf);
+    },
+    shown: () => [...chosen.values()].filter((other) => other.points.length)
+  };
+}
+
+const pointsOf = (figures) => figures.filter((m) => m.psnr !== null)
+                                  .map((m) => ({x: m.train_seconds, y: m.psnr, step: m.step}));
 
 /** How far towards the limits; the figures below say the rest. */
 function underWay(job) {
@@ -190,7 +267,8 @@ function ended(job, figures) {
     time: 'time is up',
     steps: 'steps done',
     psnr: 'PSNR reached',
-    finish: 'finished by hand'
+    finish: 'finished by hand',
+    plateau: 'no more was gained'
   }[job.result?.finished_by];
   return `${job.state}${why ? `: ${why}` : ''} · ${whole(figures.step)} steps in ${
       seconds(figures.train_seconds)}`;

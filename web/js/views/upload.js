@@ -1,12 +1,15 @@
 // Add a dataset: drop or choose a folder, see what would be sent, send it, watch the import.
 import {api, Problem} from '../api.js';
+import {checkPhotographs} from '../photocheck.js';
+import {sendInParts} from '../sending.js';
 import {entriesOfDrop, entriesOfInput, planUpload, safeName} from '../folder.js';
-import {fill, h} from '../dom.js';
-import {find, isActive, putJob, state, watch} from '../store.js';
+import {fill, h, text} from '../dom.js';
+import {find, isActive, noteUpload, putJob, refreshSoon, state, watch} from '../store.js';
 import {bytes, plural} from '../format.js';
 import {
   action,
   choice,
+  confirmFirst,
   endOf,
   field,
   meter,
@@ -18,6 +21,7 @@ import {
 } from '../ui.js';
 import {tarOf} from '../tar.js';
 import {link} from '../router.js';
+import {createPreview} from './preview.js';
 
 /** @param {AbortSignal} signal */
 export function uploadPanel(signal) {
@@ -36,7 +40,7 @@ export function uploadPanel(signal) {
     if (plan.problem)
       begin({title: 'Not a dataset', detail: plan.problem, message: plan.problem});
     else
-      fill(body, planForm(plan, {back: () => begin(), follow}));
+      fill(body, planForm(plan, {back: () => begin(), follow, signal}));
   }
   function follow(job) { fill(body, importing(job, begin, signal)); }
   dropTarget(node, take, signal);
@@ -93,6 +97,18 @@ function importOptions() {
       h('input',
         {type: 'text', placeholder: 'from the dataset', spellcheck: 'false', autocomplete: 'off'}),
       {pointer: '/options/bounds', hint: 'Centre and radius: x,y,z,r'});
+  const up = field(
+      'Up', h('input', {
+        type: 'text',
+        placeholder: 'by the cameras',
+        spellcheck: 'false',
+        autocomplete: 'off'
+      }),
+      {pointer: '/options/up', hint: 'A direction x,y,z or an axis: z, -y'});
+  const crop = field(
+      'Crop',
+      h('input', {type: 'text', placeholder: 'none', spellcheck: 'false', autocomplete: 'off'}),
+      {pointer: '/options/crop', hint: 'Corners of the box that matters: x,y,z,x,y,z'});
   const format = field(
       'Layout', h('select', null, h('option', {value: ''}, 'as recognised')),
       {pointer: '/options/format'});
@@ -116,14 +132,16 @@ function importOptions() {
     if (scales.control.value) options.scales = Number(scales.control.value);
     if (alpha.control.value !== 'premultiplied') options.alpha = alpha.control.value;
     if (split.control.value) options.split = `every:${split.control.value}`;
-    if (bounds.control.value.trim()) options.bounds = bounds.control.value.replaceAll(' ', '');
+    for (const [name, {control}] of Object.entries({bounds, up, crop})) {
+      if (control.value.trim()) options[name] = control.value.replaceAll(' ', '');
+    }
     return options;
   };
   const node = h(
       'details', null, h('summary', null, 'Import options'),
       h('div', {class: 'form-grid'}, size.node, scales.node, split.node, bounds.node,
-          format.node, masks.node, alpha.node));
-  return {node, values, fields: [size, scales, alpha, split, bounds, format, masks]};
+          up.node, crop.node, format.node, masks.node, alpha.node));
+  return {node, values, fields: [size, scales, alpha, split, bounds, up, crop, format, masks]};
 }
 
 const nameField = (value) => field(
@@ -137,44 +155,62 @@ const nameField = (value) => field(
     }),
     {pointer: '/name'});
 
-function planForm(plan, {back, follow}) {
+function planForm(plan, {back, follow, signal}) {
   const name = nameField(plan.name);
   const options = importOptions();
   const problem = h('div');
   const progress = h('div');
   const buttons = h('div', {class: 'row end'});
   const splits = Object.entries(plan.views).map(([split, count]) => `${count} ${split}`).join(', ');
+  const bad = badList(plan.entries, signal);
+  const looking = new AbortController();
+  const stopLooking = () => looking.abort();
+  signal.addEventListener('abort', stopLooking, {once: true});
+  const showFault = (error) => showFaults([name, ...options.fields], problem, error);
+  const preview = createPreview(plan, {...options, onFault: showFault}, looking.signal);
   async function send() {
     const stop = new AbortController();
     const bar = meter('Upload');
-    const tar = tarOf(plan.entries);
-    const started = performance.now();
+    const entries = plan.entries.filter(({path}) => !bad.leftOut().has(path));
+    const tar = tarOf(entries);
+    const dataset = name.control.value.trim();
+    const settings = {...(plan.poses && {poses: plan.poses}), ...options.values()};
+    const show = rateWords(tar.size);
     showFaults([name, ...options.fields], problem, null);
     fill(progress, bar.node);
     fill(buttons, h('button', {type: 'button', onclick: () => stop.abort()}, 'Cancel'));
     try {
-      const job = await api.upload(
-          {
-            name: name.control.value.trim(),
-            ...(plan.poses && {poses: plan.poses}),
-            ...options.values()
-          },
-          tar, (sent) => {
-            const rate = sent / Math.max(0.05, (performance.now() - started) / 1000);
-            bar.set(
-                sent / tar.size,
-                sent < tar.size ? `sent ${bytes(sent)} of ${bytes(tar.size)} · ${bytes(rate)}/s` :
-                                  'sent; the daemon takes it in');
-          }, stop.signal);
-      follow(putJob(job));
+      const upload = await sendInParts(tar, dataset, {
+        onProgress: (sent) => {
+          noteUpload(dataset, sent / tar.size);
+          bar.set(sent / tar.size, show(sent));
+        },
+        onWait: (ms) => bar.set(
+            null, `The connection is lost. It goes on in ${Math.ceil(ms / 1000)} s where it was.`),
+        signal: stop.signal
+      });
+      const wanted = {name: dataset, upload};
+      if (Object.keys(settings).length) wanted.options = settings;
+      follow(putJob(await api.addUpload(wanted, stop.signal)));
+      stopLooking();
     } catch (error) {
       fill(progress);
       showFaults([name, ...options.fields], problem, error.name === 'AbortError' ? null : error);
       ready();
+    } finally {
+      noteUpload(dataset, null);
     }
   }
   const ready = () => fill(
-      buttons, h('button', {type: 'button', onclick: back}, 'Back'),
+      buttons,
+      h('button', {
+        type: 'button',
+        onclick: () => {
+          stopLooking();
+          back();
+        }
+      },
+        'Back'),
       h('button', {type: 'submit', class: 'primary'}, 'Upload and import'));
   ready();
   return h(
@@ -201,9 +237,48 @@ function planForm(plan, {back, follow}) {
             h('ul', null,
               plan.missing.slice(0, 5).map((path) => h('li', null, h('code', null, path))),
               plan.missing.length > 5 ? h('li', null, `and ${plan.missing.length - 5} more`) :
-                                        null)) :
+                                        null),
+            h('p', null, 'The dataset is made without them.')) :
           null,
-      name.node, options.node, problem, progress, buttons);
+      bad.node, name.node, options.node, problem, progress, buttons, preview.node);
+}
+
+/** "sent 3 MB of 9 MB · 2 MB/s": the rate of this page's own sending. */
+function rateWords(size) {
+  const started = performance.now();
+  return (sent) => {
+    const rate = sent / Math.max(0.05, (performance.now() - started) / 1000);
+    return sent < size ? `sent ${bytes(sent)} of ${bytes(size)} · ${bytes(rate)}/s` :
+                         'sent; the daemon takes it in';
+  };
+}
+
+/** Photographs that cannot be read, as they are found; which of them to leave out is asked. */
+function badList(entries, signal) {
+  const items = h('ul', {class: 'plain'});
+  const title = h('p', {class: 'problem-title'});
+  const found = h('div', {class: 'problem warn', role: 'status', hidden: true}, title, items,
+                  h('p', null, 'What is ticked is left out. Untick what the daemon shall look at.'));
+  const checking = h('p', {class: 'quiet'});
+  const boxes = new Map();
+  checkPhotographs(entries, {
+    onBad: (path, why) => {
+      const id = `bad-${boxes.size}`;
+      const box = h('input', {type: 'checkbox', id, checked: true});
+      boxes.set(path, box);
+      items.append(h('li', null, box, ' ',
+                     h('label', {'for': id}, h('code', null, path), ` ${why}`)));
+      text(title, `${plural(boxes.size, 'photograph')} cannot be read`);
+      found.hidden = false;
+    },
+    onProgress: (done, total) =>
+        text(checking, done < total ? `${done} of ${total} photographs looked at` : ''),
+    signal
+  });
+  return {
+    node: h('div', null, checking, found),
+    leftOut: () => new Set([...boxes].filter(([, box]) => box.checked).map(([path]) => path))
+  };
 }
 
 function directoryForm(follow) {
@@ -255,6 +330,24 @@ function directoryForm(follow) {
         h('div', {class: 'row end'}, h('button', {type: 'submit'}, 'Import'))));
 }
 
+/** Whether to keep a dataset that photographs had to be left out of. */
+async function askAboutLost(name, begin) {
+  const {report} = await api.dataset(name);
+  const lost = Object.values(report.unusable).reduce((sum, count) => sum + count, 0);
+  if (!lost) return;
+  const faults = report.problems.filter((item) => item.severity === 'error')
+                     .slice(0, 3)
+                     .map((item) => `${item.where}: ${item.text}`);
+  confirmFirst(
+      `${plural(lost, 'photograph')} cannot be used and ${
+          lost === 1 ? 'was' : 'were'} left out of ${name}. ${faults.join(' · ')}`,
+      'Delete it', async () => {
+        await api.removeDataset(name);
+        refreshSoon();
+        begin();
+      });
+}
+
 /** The import job's progress, then what to do next. */
 function importing(job, begin, signal) {
   const box = h('div', {role: 'status'});
@@ -277,6 +370,7 @@ function importing(job, begin, signal) {
         h('button', {type: 'button', onclick: () => begin()},
           now.state === 'succeeded' ? 'Add another' : 'Choose again');
     const name = now.dataset_name ?? now.dataset;
+    if (now.state === 'succeeded') askAboutLost(name, begin).catch(() => {}); // it is kept, then
     if (now.state === 'succeeded')
       fill(
           box, h('p', {class: 'good'}, `${name} is imported.`),

@@ -18,10 +18,15 @@ import {
 import {add, column, cross, scale, unit} from '../vector.js';
 import {fill, h, saveBlob, text} from '../dom.js';
 import {readGrey16} from '../grey16.js';
-import {compact, milliseconds, whole} from '../format.js';
+import {opticsOfPicture} from '../optics.js';
+import {compact, milliseconds, seconds, whole} from '../format.js';
+import {legend, OUTPUTS} from '../outputs.js';
 import {createViewer} from '../viewer.js';
 import {action, choice, toast} from '../ui.js';
 import {link} from '../router.js';
+import {copyLink} from '../share.js';
+import {mayShare, means, state} from '../store.js';
+import {createCrop} from './crop.js';
 import {drawOverlay} from './overlay.js';
 import {createWipe} from './wipe.js';
 
@@ -30,21 +35,25 @@ const MAX_SIDE = 1280;
 
 /**
  * @param {any} scene @param {any[]} cameras the dataset's, all splits
- * @param {{live: () => boolean, failed: () => boolean, onKey: () => void, camera: string|null}}
- *     host camera: the address's
+ * @param {{live: () => boolean, failed: () => boolean, onKey?: () => void, camera: string|null,
+ *     crop?: string|null, at?: number|null, onNow?: () => void, up?: number[]}}
+ *     host camera: the address's; at: training seconds to look back at, and what leads back; up: the
+ *     dataset's
  * @param {AbortSignal} signal
  */
 export function createViewport(scene, cameras, host, signal) {
   const bounds = scene.bounds ?? {centre: [0, 0, 0], radius: 1.5};
   const full = cameras.filter((item) => item.scale === 0);
-  const up = upOf(full.map((item) => item.camera));
+  const up = host.up ?? upOf(full.map((item) => item.camera));
   const orbitAt = (item) => orbitOfPose(openCvPose(item.camera), fovOf(item.camera), up, bounds);
   const start = full.length ? orbitAt(full.find((item) => item.split === 'test') ?? full[0]) :
                               defaultOrbit(bounds, up);
   let orbit = orbitOfWord(host.camera, up) ?? start;
   let things = {path: null, selected: null, time: null};  // drawn over the picture
   let budgetMs = null;  // of a refined picture; null: as long as it takes
-  let pose = null;  // a recorded key's exact pose, until the camera is moved
+  let pose = null;      // a recorded key's exact pose, until the camera is moved
+  let optics = {};      // and its effects
+  let at = host.at ?? null;  // training seconds that are looked back at
 
   const canvas = h('canvas', {class: 'picture'});
   const over = h('canvas', {class: 'overlay', 'aria-hidden': 'true'});
@@ -62,8 +71,14 @@ export function createViewport(scene, cameras, host, signal) {
         'aria-label': `Camera about ${scene.name}. ${help}`
       },
         canvas, over, cover, hud);
+  const past = h(
+      'p', {class: 'past', hidden: true},
+      h('button', {type: 'button', class: 'small', onclick: () => host.onNow?.()}, 'Back to now'));
+  for (const type of ['pointerdown', 'wheel', 'keydown'])
+    past.addEventListener(type, (event) => event.stopPropagation());
+  stage.append(past);
   const output =
-      choice('Show', [['rgb', 'colour'], ['depth', 'depth'], ['alpha', 'opacity']], 'rgb');
+      choice('Show', OUTPUTS, 'rgb');
   const fov =
       h('input', {type: 'range', min: 5, max: 100, step: 0.5, value: orbit.fovDeg, id: 'fov'});
   const fovWords = h('output', {'for': 'fov'});
@@ -74,27 +89,38 @@ export function createViewport(scene, cameras, host, signal) {
       h('input', {type: 'checkbox', id: 'show-route', checked: true, onchange: () => drawThings()});
   const cameras3d =
       h('input', {type: 'checkbox', id: 'show-cameras', onchange: () => drawThings()});
-  const wipe = createWipe(scene, signal);
+  const wipe = createWipe(scene, canvas, signal);
   const views = viewPicker(full, (item) => {
     set(orbitAt(item), openCvPose(item.camera));
     wipe.show(item).catch(toast);
   });
 
+  const crop = createCrop(bounds, host.crop, () => {
+    keepAddress();
+    drawThings();
+    viewer.changed();
+  });
   const viewer = createViewer(
       canvas, {
-        camera: (width, height) =>
-            (pose ?
-                 {world_from_camera: pose, axes: 'opencv', width, height, fov_y_deg: orbit.fovDeg} :
-                 cameraOf(orbit, width, height)),
+        camera: cameraFor,
         fullSize,
+        optics: () => optics,
         output: () => output.control.value,
         budgetMs: () => budgetMs,
-        live: host.live,
+        at: () => at,
+        crop: () => crop.box(),
+        live: () => !at && host.live(),
         send: (body, stop) => api.render(scene.id, body, stop),
         onPicture: showFacts,
         onTrouble: showTrouble,
       },
       signal);
+
+  function cameraFor(width, height) {
+    return pose ?
+        {world_from_camera: pose, axes: 'opencv', width, height, fov_y_deg: orbit.fovDeg} :
+        cameraOf(orbit, width, height);
+  }
 
   function fullSize() {
     const factor = Math.min(
@@ -104,16 +130,26 @@ export function createViewport(scene, cameras, host, signal) {
     return {width: even(stage.clientWidth), height: even(stage.clientHeight)};
   }
 
-  function set(next, exactPose = null) {
+  function set(next, exactPose = null, effects = {}) {
     orbit = next;
     pose = exactPose;
+    optics = effects;
     wipe.hide();
     views?.clear();
     keepAddress();
-    drawThings();
-    fov.value = orbit.fovDeg;
-    text(fovWords, `${Number(orbit.fovDeg.toFixed(1))}°`);
     viewer.changed();
+    drawSoon();
+  }
+
+  /** What follows the camera beside the picture: once a frame, however often it moves. */
+  let planned = 0;
+  function drawSoon() {
+    planned ||= requestAnimationFrame(() => {
+      planned = 0;
+      drawThings();
+      fov.value = orbit.fovDeg;
+      text(fovWords, `${Number(orbit.fovDeg.toFixed(1))}°`);
+    });
   }
 
   /** The address holds the camera, so that it can be sent. */
@@ -124,7 +160,8 @@ export function createViewport(scene, cameras, host, signal) {
       if (!signal.aborted) window.history.replaceState(null, '', addressOf());
     }, 300);
   }
-  const addressOf = () => link.scene(scene.name, `?camera=${wordOfOrbit(orbit)}`);
+  const addressOf = () =>
+      link.scene(scene.name, `?camera=${wordOfOrbit(orbit)}${at ? `&at=${at}` : ''}${crop.word() ? `&crop=${crop.word()}` : ''}`);
 
   const photographs =
       full.filter((item) => item.split === 'train')
@@ -135,6 +172,7 @@ export function createViewport(scene, cameras, host, signal) {
       ...things,
       path: route.checked ? things.path : null,
       photographs: shown,
+      crop: crop.box(),
       radius: bounds.radius
     });
   }
@@ -152,33 +190,80 @@ export function createViewport(scene, cameras, host, signal) {
     const right = unit(cross(ray, up));
     const down = cross(ray, right);
     const aimed = [0, 1, 2].map((i) => [right[i], down[i], ray[i], eye[i]]);
+    const distance = await depthOf(aimed);
+    if (distance) set(lookAt(orbit, add(eye, scale(ray, distance))));
+  }
+
+  /** How far away what a camera's middle shows is, dataset units; null where that is nothing. */
+  async function depthOf(aimed) {
     const camera = {world_from_camera: aimed, axes: 'opencv', width: 9, height: 9, fov_y_deg: 0.6};
     const {blob} = await api.render(
         scene.id, {camera, output: 'depth', format: 'png', supersample: 1}, signal);
     const depth = await readGrey16(blob);
     const hit = [...(depth?.values ?? [])].filter((value) => value).sort((a, b) => a - b);
-    if (!hit.length || !(depth.scale > 0)) return;
-    const distance = (hit[hit.length >> 1] / 65535) * depth.scale;
-    set(lookAt(orbit, add(eye, scale(ray, distance))));
+    if (!hit.length || !(depth.scale > 0)) return null;
+    return (hit[hit.length >> 1] / 65535) * depth.scale;
+  }
+
+  // Another scene of the same photographs, seen by the same camera.
+  const rivals = state.scenes.filter(
+      (other) =>
+          other.id !== scene.id && other.steps > 0 && means(scene.dataset, {id: other.dataset}));
+  // And this scene as it was earlier in its training.
+  const marks = scene.marks?.length ?
+      h('optgroup', {label: 'Earlier in this training'},
+        scene.marks.map((mark) => h('option', {value: `at:${mark.train_seconds}`},
+                                    `after ${seconds(mark.train_seconds)}`))) :
+      null;
+  const rival =
+      h('select', {id: 'rival', onchange: () => beside().catch(toast)},
+        h('option', {value: ''}, 'none'),
+        rivals.map((other) => h('option', {value: other.id}, other.name)), marks);
+  async function beside() {
+    const then = /^at:/.test(rival.value) ? Number(rival.value.slice(3)) : null;
+    const other = then ? {id: scene.id, name: `After ${seconds(then)}`} :
+                         rivals.find((one) => one.id === rival.value);
+    if (!other) return wipe.hide();
+    const seen = orbit;
+    const chosen = rival.value;
+    const blob = await pictureFrom(other.id, then);
+    if (seen === orbit && rival.value === chosen) wipe.lay(blob, other.name);
+  }
+  /** What this camera sees in a scene, in full; `then`: as it was after so many seconds of training. */
+  async function pictureFrom(id, then) {
+    const {width, height} = fullSize();
+    const {blob} = await api.render(
+        id, {
+          camera: cameraFor(width, height),
+          format: 'png',
+          ...(then ? {at: then} : {}),
+          ...(crop.box() ? {crop: crop.box()} : {})
+        },
+        signal);
+    return blob;
   }
 
   function showFacts(facts) {
     if (facts.level === 2) host.onRefined(facts);
+    if (facts.level === 2 && rival.value) beside().catch(toast);
     stage.dataset.ready = 'true';
     stage.dataset.level = LEVELS[facts.level];
     text(
         hud,
         [
-          facts.step === 0               ? 'not trained yet' :
-          Number.isFinite(facts.askedMs) ? `within ${milliseconds(facts.askedMs)}` :
-                                           LEVELS[facts.level],
+          facts.step === 0                   ? 'not trained yet' :
+              Number.isFinite(facts.askedMs) ? `within ${milliseconds(facts.askedMs)}` :
+                                               LEVELS[facts.level],
           `${facts.width} × ${facts.height}`,
+          Number.isFinite(facts.at) ? `after ${seconds(facts.at)} of training` : '',
           Number.isFinite(facts.step) ? `step ${whole(facts.step)}` : '',
           Number.isFinite(facts.renderMs) ? `${milliseconds(facts.renderMs)} rendering` : '',
           `${milliseconds(facts.totalMs)} in all`,
           Number.isFinite(facts.samples) ? `${compact(facts.samples)} samples` : ''
         ].filter(Boolean)
             .join('  ·  '));
+    const scale = legend(facts.scale);
+    if (scale) hud.append(scale);
   }
 
   function showTrouble(error) {
@@ -220,25 +305,35 @@ export function createViewport(scene, cameras, host, signal) {
     if (event.ctrlKey || event.metaKey || event.altKey || keyMove(event, orbit)) return;
     const key = event.key.toLowerCase();
     if (key === 'r') set(start);
-    if (key === 'k') host.onKey();
+    if (key === 'k') host.onKey?.();
     if (key === 'f') fillScreen();
   }, {signal});
   const fillScreen = () =>
       (document.fullscreenElement ? document.exitFullscreen() : node.requestFullscreen())
           .catch(toast);
-  const save = async () => {
-    const {width, height} = fullSize();
-    const camera = pose ?
-        {world_from_camera: pose, axes: 'opencv', width, height, fov_y_deg: orbit.fovDeg} :
-        cameraOf(orbit, width, height);
-    const {blob} =
-        await api.render(scene.id, {camera, output: output.control.value, format: 'png'}, signal);
+  const save = async ({width, height} = fullSize()) => {
+    const camera = cameraFor(width, height);
+    const shown = opticsOfPicture(optics, true);
+    const {blob} = await api.render(
+        scene.id, {
+          camera,
+          output: output.control.value,
+          format: 'png',
+          ...(at ? {at} : {}),
+          ...(crop.box() ? {crop: crop.box()} : {}),
+          ...(Object.keys(shown).length ? {optics: shown} : {})
+        },
+        signal);
     saveBlob(blob, `${scene.name}-${width}x${height}.png`);
   };
   const share = async () => {
     const address = new URL(addressOf(), window.location.href).href;
     await navigator.clipboard.writeText(address);
     toast('The link to this camera is copied');
+  };
+  const publish = async () => {
+    await copyLink(
+        {scene: scene.id}, `${link.scene(scene.id, `?camera=${wordOfOrbit(orbit)}`)}`, scene.name);
   };
   fov.addEventListener('input', () => set({...orbit, fovDeg: Number(fov.value)}));
   output.control.onChange(() => viewer.refresh());
@@ -248,6 +343,7 @@ export function createViewport(scene, cameras, host, signal) {
   signal.addEventListener('abort', () => observer.disconnect(), {once: true});
   text(fovWords, `${Number(orbit.fovDeg.toFixed(1))}°`);
 
+  past.hidden = !at;
   stage.append(wipe.node);
   const node = h(
       'section', {class: 'viewport', 'aria-label': 'View'}, stage,
@@ -258,15 +354,24 @@ export function createViewport(scene, cameras, host, signal) {
         photographs.length ?
             h('div', {class: 'tool'}, cameras3d, h('label', {'for': 'show-cameras'}, 'Cameras')) :
             null,
+        rivals.length || marks ? h('div', {class: 'tool'}, h('label', {'for': 'rival'}, 'Beside'), rival) :
+                        null,
         h('div', {class: 'tool tools-end'},
           h('button', {type: 'button', class: 'small', title: 'R', onclick: () => set(start)},
             'Reset'),
           h('button', {type: 'button', class: 'small', title: 'F', onclick: fillScreen},
             'Full screen'),
-          action('Save picture', save, {kind: 'small', title: 'As it is shown, refined'}),
-          action('Copy link', share, {kind: 'small', title: 'A link to this camera'})),
-        h('button', {type: 'button', class: 'primary', title: 'K', onclick: () => host.onKey()},
-          'Record key')),
+          action('Save picture', () => save(), {kind: 'small', title: 'As it is shown, refined'}),
+          exact(save), crop.node, action('Copy link', share, {kind: 'small', title: 'A link to this camera'}),
+          mayShare() ? action('Share', publish, {
+            kind: 'small',
+            title: 'A link for someone without a token: this scene, read-only, for 30 days'
+          }) :
+                       null),
+        host.onKey ?
+            h('button', {type: 'button', class: 'primary', title: 'K', onclick: () => host.onKey()},
+              'Record key') :
+            null),
       h('p', {class: 'quiet help', 'aria-hidden': 'true'},
         'Drag turns, Shift-drag moves, the wheel comes nearer, a double click looks there. Keys: arrows, W A S D fly, Q E down and up, + and −, F full screen, R resets, K records.'));
   return {
@@ -275,6 +380,19 @@ export function createViewport(scene, cameras, host, signal) {
     /** How long a refined picture may take; null: as long as it takes. */
     set budgetMs(ms) {
       budgetMs = ms;
+      viewer.refresh();
+    },
+    /** Lays the full picture over what is shown, and says how far the two are apart. */
+    besideFull: async () => {
+      const seen = orbit;
+      const blob = await pictureFrom(scene.id, at);
+      if (seen === orbit) wipe.lay(blob, 'The full picture', true);
+    },
+    /** Training seconds to look back at; null: as it is now. */
+    set at(then) {
+      at = then;
+      past.hidden = !at;
+      keepAddress();
       viewer.refresh();
     },
     /** The training photographs' cameras. */
@@ -293,27 +411,44 @@ export function createViewport(scene, cameras, host, signal) {
       stage.scrollIntoView({block: 'nearest'});
     },
     get orbit() { return orbit; },
+    /** The box that is shown: low corner, then high one; null: all. */
+    crop: () => crop.box(),
     pose: () => pose ?? poseOfOrbit(orbit),
     /** Shows an exact pose; moving on from it keeps its direction. */
-    show: (exact, fovDeg) => set(orbitOfPose(exact, fovDeg, up, bounds), exact),
+    show: (exact, fovDeg, effects) =>
+        set(orbitOfPose(exact, fovDeg, up, bounds), exact, effects ?? {}),
+    depthOf,
     /** A small picture of a camera for a key. */
-    thumbnail: async (exact, fovDeg, stop) => (await api.render(
-                                                   scene.id, {
-                                                     camera: {
-                                                       world_from_camera: exact,
-                                                       axes: 'opencv',
-                                                       width: 144,
-                                                       height: 108,
-                                                       fov_y_deg: fovDeg
-                                                     },
-                                                     format: 'jpeg',
-                                                     jpeg_quality: 80
-                                                   },
-                                                   stop))
-                                                  .blob,
+    thumbnail: async (exact, fovDeg, stop, effects) => {
+      const small = opticsOfPicture(effects, true);
+      const camera =
+          {world_from_camera: exact, axes: 'opencv', width: 144, height: 108, fov_y_deg: fovDeg};
+      const {blob} = await api.render(
+          scene.id, {
+            camera,
+            format: 'jpeg',
+            jpeg_quality: 80,
+            ...(Object.keys(small).length ? {optics: small, supersample: 4} : {})
+          },
+          stop);
+      return blob;
+    },
     refresh: viewer.refresh,
     msPerPixel: viewer.msPerPixel,
   };
+}
+
+/** A picture of as many pixels as are asked for. */
+function exact(save) {
+  const [width, height] = [['Width', 1920], ['Height', 1080]].map(
+      ([label, value]) => h(
+          'input', {type: 'number', min: 1, max: 16384, value, 'aria-label': `${label}, pixels`}));
+  return h(
+      'details', {class: 'exact'}, h('summary', null, 'Exact size'),
+      h('div', {class: 'row'}, width, '×', height,
+        action(
+            'Save', () => save({width: Number(width.value), height: Number(height.value)}),
+            {kind: 'small'})));
 }
 
 /**
@@ -370,7 +505,7 @@ function viewPicker(cameras, show) {
   return {
     node: h('div', {class: 'tool'}, h('label', {'for': 'view-pick'}, 'View'), select),
     clear: () => {
-      select.value = '';
+      if (select.value) select.value = '';
     }
   };
 }

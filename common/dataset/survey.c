@@ -1,0 +1,403 @@
+#include "common/dataset/survey.h"
+
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "common/dataset/calls.h"
+#include "common/dataset/exposure.h"
+#include "common/dataset/reader.h"
+#include "common/math/around.h"
+#include "common/math/numbers.h"
+#include "common/math/vector.h"
+
+#define SIDE 960          // pixels, about: the longest side at which sharpness is looked at
+#define THUMB 16          // a side of the picture by which photographs are compared
+#define NEIGHBOURS 4      // before, and after, with which a photograph's sharpness is compared
+#define BLURRED 0.35      // of their median: a photograph that moved or is out of focus
+#define SAME 2.0          // mean difference of thumbnails, of 255, of photographs of the same thing
+#define NEAR 0.002        // of the cameras' median distance: the same place
+#define NEAR_DEG 0.3      // the same direction
+#define REACH 64          // photographs of like brightness that are compared
+#define OFF_PX 2.0        // mean reprojection error of a photograph that is worth a word
+#define GAP_DEG 60        // without a photograph of what is turned around
+#define NAMES 8           // told
+#define FIELD_BYTES 330e6 // memory of a training with `standard` beside its photographs
+#define PIXEL_BYTES 4.0
+
+struct look {
+    enum rn_split split; // of the frame, by which, with the next two, it is known again
+    int index, scale;
+    float sharpness, brightness;
+    uint8_t thumb[THUMB * THUMB];
+    bool seen;
+};
+
+struct rn_survey {
+    const struct rn_frame *first; // of the dataset's frames
+    struct look *looks;
+    size_t count;
+    struct rn_exposures *exposures;
+};
+
+void rn_survey_destroy(struct rn_survey **survey) {
+    if (!*survey) return;
+    rn_exposures_destroy(&(*survey)->exposures);
+    free((*survey)->looks);
+    free(*survey);
+    *survey = NULL;
+}
+
+enum rn_status rn_survey_create(const struct rn_dataset *dataset, struct rn_survey **ret_survey,
+                                struct rn_error *err) {
+    struct rn_survey *survey = calloc(1, sizeof *survey);
+    if (survey) survey->looks = calloc(dataset->frame_count + 1, sizeof *survey->looks);
+    if (!survey || !survey->looks) {
+        rn_survey_destroy(&survey);
+        return rn_error_set(err, RN_ERROR_NO_MEMORY, dataset->name, "out of memory");
+    }
+    survey->count = dataset->frame_count;
+    survey->first = dataset->frames;
+    for (size_t i = 0; i < survey->count; i++) {
+        const struct rn_frame *frame = &dataset->frames[i];
+        survey->looks[i] =
+            (struct look){.split = frame->split, .index = frame->index, .scale = frame->scale};
+    }
+    enum rn_status status = rn_exposures_create(dataset, &survey->exposures, err);
+    if (status) rn_survey_destroy(&survey);
+    if (status == RN_OK) *ret_survey = survey;
+    return status;
+}
+
+// ---- one photograph ----
+
+// Mean brightness of the picture's cells, `cell` pixels a side; malloc'd, NULL when memory is out.
+static float *shrink(const struct rn_image *image, int cell, int width, int height) {
+    float *grey = calloc((size_t)width * (size_t)height, sizeof *grey);
+    for (int y = 0; grey && y < height * cell; y++)
+        for (int x = 0; x < width * cell; x++) {
+            const uint8_t *p = image->pixels + 4 * ((size_t)y * (size_t)image->width + (size_t)x);
+            grey[(size_t)(y / cell) * (size_t)width + (size_t)(x / cell)] +=
+                (float)(p[0] + 2 * p[1] + p[2]) * (float)p[3] / (1020.0f * (float)(cell * cell));
+        }
+    return grey;
+}
+
+// Mean squared Laplacian over the variance, so that little contrast is not taken for blur.
+static float sharpness(const float *grey, int width, int height) {
+    double sum = 0, squares = 0, bends = 0, count = (double)width * height;
+    for (int y = 0; y < height; y++)
+        for (int x = 0; x < width; x++) {
+            const float *p = grey + (size_t)y * (size_t)width + x;
+            sum += (double)*p;
+            squares += (double)(*p * *p);
+            if (x == 0 || y == 0 || x + 1 == width || y + 1 == height) continue;
+            float bend = 4 * p[0] - p[-1] - p[1] - p[-width] - p[width];
+            bends += (double)(bend * bend);
+        }
+    double variance = squares / count - sum / count * (sum / count);
+    return variance > 1 ? (float)(bends / count / variance) : 0;
+}
+
+static void take_thumb(const float *grey, int width, int height, struct look *look) {
+    double sum = 0;
+    for (int i = 0; i < THUMB * THUMB; i++) {
+        int x0 = i % THUMB * width / THUMB, x1 = (i % THUMB + 1) * width / THUMB;
+        int y0 = i / THUMB * height / THUMB, y1 = (i / THUMB + 1) * height / THUMB;
+        double cell = 0;
+        int count = 0;
+        for (int y = y0; y < y1; y++)
+            for (int x = x0; x < x1; x++, count++)
+                cell += (double)grey[(size_t)y * (size_t)width + (size_t)x];
+        look->thumb[i] = (uint8_t)(cell / (count ? count : 1));
+        sum += cell / (count ? count : 1);
+    }
+    look->brightness = (float)(sum / (THUMB * THUMB));
+}
+
+void rn_survey_look(struct rn_survey *survey, const struct rn_frame *frame,
+                    const struct rn_image *image) {
+    if (!survey) return;
+    struct look *look = &survey->looks[frame - survey->first];
+    int longest = image->width > image->height ? image->width : image->height;
+    int cell = longest > SIDE ? (longest + SIDE / 2) / SIDE : 1;
+    int width = image->width / cell, height = image->height / cell;
+    rn_exposures_look(survey->exposures, frame, image);
+    float *grey = width && height ? shrink(image, cell, width, height) : NULL;
+    if (!grey) return; // not measured, then
+    look->sharpness = sharpness(grey, width, height);
+    take_thumb(grey, width, height, look);
+    look->seen = true;
+    free(grey);
+}
+
+// ---- all of them ----
+
+// What is concluded from: a look for each frame of full size, in order.
+struct all {
+    const struct rn_dataset *dataset;
+    const struct look **looks;
+    const struct rn_frame **frames;
+    size_t count;
+    struct rn_problems *problems;
+    struct rn_findings found;
+};
+
+// Names in a list that is cut where it becomes long.
+struct names {
+    char text[224];
+    size_t used, count;
+};
+
+static void add_name(struct names *names, const char *name) {
+    if (names->count++ < NAMES && names->used < sizeof names->text - 64)
+        names->used += (size_t)snprintf(names->text + names->used, sizeof names->text - names->used,
+                                        "%s%.60s", names->count > 1 ? ", " : "", name);
+    else if (names->count == NAMES + 1)
+        snprintf(names->text + names->used, sizeof names->text - names->used, ", ...");
+}
+
+static void find_blurred(struct all *all) {
+    struct names names = {.count = 0};
+    for (size_t i = 0; i < all->count; i++) {
+        double near[2 * NEIGHBOURS];
+        size_t count = 0, first = i > NEIGHBOURS ? i - NEIGHBOURS : 0;
+        for (size_t k = first; k <= i + NEIGHBOURS && k < all->count; k++)
+            if (k != i) near[count++] = (double)all->looks[k]->sharpness;
+        if (count < NEIGHBOURS || all->frames[i]->has_alpha) continue; // what is cut out varies
+        double usual = rn_numbers_quantile(near, count, 0.5);
+        if ((double)all->looks[i]->sharpness < BLURRED * usual)
+            add_name(&names, all->frames[i]->name);
+    }
+    all->found.blurred = (double)names.count;
+    if (names.count)
+        rn_problems_add(all->problems, RN_SEVERITY_WARNING, all->dataset->name,
+                        "%zu photographs have less than %.0f %% of the sharpness of those before "
+                        "and after them: %s",
+                        names.count, 100 * BLURRED, names.text);
+}
+
+static double centre_distance(const struct rn_camera *a, const struct rn_camera *b) {
+    double squared = 0;
+    for (int i = 0; i < 3; i++)
+        squared += pow(a->world_from_camera[i][3] - b->world_from_camera[i][3], 2);
+    return sqrt(squared);
+}
+
+static bool same_place(const struct rn_camera *a, const struct rn_camera *b, double distance) {
+    double cosine = 0;
+    for (int i = 0; i < 3; i++)
+        cosine += a->world_from_camera[i][2] * b->world_from_camera[i][2];
+    return centre_distance(a, b) < NEAR * distance && cosine > cos(NEAR_DEG * M_PI / 180);
+}
+
+static double thumb_difference(const struct look *a, const struct look *b) {
+    double sum = 0;
+    for (int i = 0; i < THUMB * THUMB; i++)
+        sum += abs(a->thumb[i] - b->thumb[i]);
+    return sum / (THUMB * THUMB);
+}
+
+static int compare_brightness(const void *a, const void *b, void *context) {
+    const struct all *all = context;
+    float left = all->looks[*(const size_t *)a]->brightness;
+    float right = all->looks[*(const size_t *)b]->brightness;
+    return (left > right) - (left < right);
+}
+
+// Pairs are looked for among photographs of like brightness.
+static void find_duplicates(struct all *all, double distance) {
+    struct names names = {.count = 0}, apart = {.count = 0};
+    size_t *order = malloc((all->count + 1) * sizeof *order);
+    for (size_t i = 0; order && i < all->count; i++)
+        order[i] = i;
+    if (order) qsort_r(order, all->count, sizeof *order, compare_brightness, all);
+    for (size_t i = 0; order && i < all->count; i++)
+        for (size_t k = i + 1; k < all->count && k < i + REACH; k++) {
+            size_t a = order[i], b = order[k];
+            if (all->looks[b]->brightness - all->looks[a]->brightness > (float)SAME) break;
+            double difference = thumb_difference(all->looks[a], all->looks[b]);
+            bool same = same_place(&all->frames[a]->camera, &all->frames[b]->camera, distance);
+            char pair[64];
+            snprintf(pair, sizeof pair, "%.28s and %.28s", all->frames[a]->name,
+                     all->frames[b]->name);
+            if (same && difference < SAME) add_name(&names, pair);
+            // What is cut out may look the same from all sides.
+            if (!same && difference == 0 && !all->frames[a]->has_alpha) add_name(&apart, pair);
+        }
+    free(order);
+    all->found.duplicates = (double)names.count;
+    if (names.count)
+        rn_problems_add(all->problems, RN_SEVERITY_INFO, all->dataset->name,
+                        "%zu pairs of photographs are nearly the same, from the same place: %s",
+                        names.count, names.text);
+    if (apart.count && all->count > 2 && apart.count < all->count)
+        rn_problems_add(all->problems, RN_SEVERITY_WARNING, all->dataset->name,
+                        "%zu pairs of photographs look the same and have different poses: %s",
+                        apart.count, apart.text);
+}
+
+static void find_looking_away(struct all *all) {
+    struct names names = {.count = 0};
+    for (size_t i = 0; i < all->count; i++)
+        if (!rn_camera_looks_at(&all->frames[i]->camera, &all->dataset->bounds))
+            add_name(&names, all->frames[i]->name);
+    all->found.looking_away = (double)names.count;
+    if (names.count)
+        rn_problems_add(all->problems, RN_SEVERITY_WARNING, all->dataset->name,
+                        "%zu of %zu cameras look away from the bounds: %s", names.count, all->count,
+                        names.text);
+}
+
+// From which directions what is turned around was photographed.
+static void find_coverage(struct all *all) {
+    const struct rn_dataset *dataset = all->dataset;
+    const double *up = dataset->lie.up, *centre = dataset->bounds.centre;
+    double *azimuths = malloc((all->count + 1) * sizeof *azimuths), a[3], b[3];
+    bool turned = dataset->lie.kind == RN_CAPTURE_OBJECT || dataset->lie.kind == RN_CAPTURE_OUTDOOR;
+    if (!azimuths || !turned || !all->count) {
+        free(azimuths);
+        return;
+    }
+    rn_around_axes(up, a, b);
+    double low = 90, high = -90, first;
+    for (size_t f = 0; f < all->count; f++) {
+        double out[3];
+        for (int i = 0; i < 3; i++)
+            out[i] = all->frames[f]->camera.world_from_camera[i][3] - centre[i];
+        double sine = rn_dot(out, up) / sqrt(rn_dot(out, out));
+        double elevation = asin(fmax(-1, fmin(1, sine))) * 180 / M_PI;
+        azimuths[f] = atan2(rn_dot(out, b), rn_dot(out, a));
+        low = fmin(low, elevation);
+        high = fmax(high, elevation);
+    }
+    double gap = 360 - rn_around_arc(azimuths, all->count, &first) * 180 / M_PI;
+    free(azimuths);
+    all->found.azimuth_gap_deg = gap;
+    all->found.elevation_min_deg = low;
+    all->found.elevation_max_deg = high;
+    rn_problems_add(all->problems, RN_SEVERITY_INFO, dataset->name,
+                    "photographed from %.0f of 360 degrees around, %.0f to %.0f degrees above the "
+                    "horizon%s",
+                    360 - gap, low, high,
+                    gap > GAP_DEG ? "; from the side that no photograph shows it will be made up"
+                                  : "");
+}
+
+static void find_exposure(struct all *all, struct rn_survey *survey, struct rn_dataset *dataset) {
+    rn_exposures_solve(survey->exposures, dataset->frames, dataset->frame_count);
+    double spread = rn_exposure_spread(dataset->frames, dataset->frame_count);
+    double unrest = rn_exposure_unrest(dataset->frames, dataset->frame_count);
+    all->found.exposure_spread = spread;
+    if (isfinite(spread))
+        rn_problems_add(all->problems, RN_SEVERITY_INFO, dataset->name,
+                        "exposures of 90 %% of the photographs differ by %.0f %% at most, measured "
+                        "on shared points%s",
+                        100 * spread,
+                        unrest > RN_EXPOSURE_UNREST ? "; training makes them even (effect exposure)"
+                                                    : "");
+}
+
+// What effects of a training the cameras and masks call for, each with its number and from where on
+// it is.
+static void find_effects(struct all *all) {
+    const struct rn_dataset *d = all->dataset;
+    struct rn_lens_shift lens = {0};
+    for (size_t f = 0; f < d->frame_count; f++)
+        if (d->frames[f].scale == 0) rn_lens_shift_add(&lens, &d->frames[f].camera);
+    if (lens.most > RN_LENS_SHIFT)
+        rn_problems_add(all->problems, RN_SEVERITY_INFO, d->name,
+                        "the lens moves pixels by up to %.3g pixels (%.2g): training follows it "
+                        "(effect distortion)",
+                        lens.most, RN_LENS_SHIFT);
+    double past = rn_share_past(d, &d->bounds, rn_share_left_out(d) > RN_SHARE_LEFT_OUT);
+    if (past > RN_SHARE_PAST)
+        rn_problems_add(all->problems, RN_SEVERITY_INFO, d->name,
+                        "%.0f %% of the pixels look past what all cameras look at (%.0f): training "
+                        "%s",
+                        100 * past, 100 * RN_SHARE_PAST,
+                        rn_faces_one_way(d)
+                            ? "puts planes over the disparity between near and far (effect "
+                              "forward-facing)"
+                            : "contracts space to infinity (effect unbounded)");
+}
+
+static void find_reprojection(struct all *all) {
+    struct rn_reprojection r;
+    struct names names = {.count = 0};
+    double *means = malloc((all->count + 1) * sizeof *means), worst = 0;
+    const struct rn_dataset *dataset = all->dataset;
+    if (means && dataset->points.sighting_count &&
+        rn_dataset_reproject(dataset, &r, NULL) == RN_OK &&
+        rn_dataset_reproject_photos(dataset, all->frames, all->count, means) == RN_OK) {
+        all->found.reprojection_px = r.mean_px;
+        all->found.reprojection_median_px = r.median_px;
+        all->found.reprojection_p95_px = r.p95_px;
+        for (size_t i = 0; i < all->count; i++) {
+            if (isnan(means[i])) continue;
+            worst = fmax(worst, means[i]);
+            if (means[i] > OFF_PX && means[i] > 3 * r.median_px)
+                add_name(&names, all->frames[i]->name);
+        }
+        all->found.reprojection_worst_px = worst;
+        if (names.count)
+            rn_problems_add(all->problems, RN_SEVERITY_WARNING, dataset->name,
+                            "sparse points are missed by more than %g px on average in %zu "
+                            "photographs (%.2f at worst), whose poses are doubtful: %s",
+                            OFF_PX, names.count, worst, names.text);
+    }
+    free(means);
+}
+
+static void find_cost(struct all *all) {
+    double pixels = 0;
+    for (size_t i = 0; i < all->dataset->frame_count; i++)
+        if (all->dataset->frames[i].split == RN_SPLIT_TRAIN)
+            pixels += (double)all->dataset->frames[i].camera.width *
+                      all->dataset->frames[i].camera.height;
+    all->found.train_bytes = FIELD_BYTES + PIXEL_BYTES * pixels;
+}
+
+static bool gather(struct rn_survey *survey, struct all *all) {
+    const struct rn_dataset *dataset = all->dataset;
+    all->looks = malloc((dataset->frame_count + 1) * sizeof *all->looks);
+    all->frames = malloc((dataset->frame_count + 1) * sizeof *all->frames);
+    if (!all->looks || !all->frames) return false;
+    for (size_t i = 0; i < survey->count; i++) {
+        const struct look *look = &survey->looks[i];
+        const struct rn_frame *frame =
+            rn_dataset_frame(dataset, look->split, look->index, look->scale);
+        if (!look->seen || look->scale || !frame) continue;
+        all->looks[all->count] = look;
+        all->frames[all->count++] = frame;
+    }
+    return true;
+}
+
+enum rn_status rn_survey_conclude(struct rn_survey *survey, struct rn_dataset *dataset,
+                                  struct rn_problems *problems, struct rn_findings *ret_findings,
+                                  struct rn_error *err) {
+    struct all all = {.dataset = dataset,
+                      .problems = problems,
+                      .found = {NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN}};
+    struct rn_scene_place place;
+    bool whole = gather(survey, &all);
+    enum rn_status status =
+        whole ? rn_dataset_find_place(dataset, &place, err)
+              : rn_error_set(err, RN_ERROR_NO_MEMORY, dataset->name, "out of memory");
+    if (status == RN_OK) {
+        find_blurred(&all);
+        find_duplicates(&all, place.distance);
+        find_looking_away(&all);
+        find_coverage(&all);
+        find_exposure(&all, survey, dataset);
+        find_effects(&all);
+        find_reprojection(&all);
+        find_cost(&all);
+        *ret_findings = all.found;
+    }
+    free(all.looks);
+    free(all.frames);
+    return status;
+}

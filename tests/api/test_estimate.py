@@ -1,0 +1,174 @@
+"""What a training will take, told before it starts; and what came of it."""
+
+import math
+import os
+import signal
+import time
+from datetime import datetime
+
+import pytest
+
+from support.client import Client
+
+# The pretending engine has 20 + 15 (1 - exp(-steps / 200)) dB: 30 after 220 steps, 33 after 403.
+FAST = {"RIPNERF_FAKE_SPEED": "40", "RIPNERF_FAKE_STEP_US": "1000"}
+OPTIONS = {"preset": "standard", "max_time_s": 60}
+
+
+@pytest.fixture(name="daemon")
+def fixture_daemon(make_daemon, photographs):
+    daemon = make_daemon(FAST)
+    assert daemon.wait(daemon.upload("data", photographs))["state"] == "succeeded"
+    return daemon
+
+
+def submit(daemon, **options):
+    asked = {key: value for key, value in {**OPTIONS, **options}.items() if value is not None}
+    return daemon.submit(type="estimate", dataset="data", options=asked)
+
+
+def estimate(daemon, **options):
+    job = daemon.wait(submit(daemon, **options))
+    assert job["state"] == "succeeded", job
+    return job
+
+
+def train(daemon, scene, **options):
+    job = daemon.submit(type="train", dataset="data", scene=scene, options={**OPTIONS, **options})
+    return daemon.wait(job)["result"]
+
+
+def spooled(daemon):
+    return os.listdir(os.path.join(daemon.data, "spool"))
+
+
+def test_what_a_training_takes(daemon):
+    result = estimate(daemon)["result"]
+    assert result["seconds"] == 60 and result["psnr"] > 25 and result["psnr_spread"] > 0
+    measured = result["calibration"]
+    assert measured["seconds"][0] == pytest.approx(3.75, rel=0.3)
+    assert measured["seconds"][1] == pytest.approx(7.5, rel=0.3)
+    assert measured["psnr"][0] < measured["psnr"][1] < result["psnr"]
+    assert [passing["psnr"] for passing in result["passings"]] == [30, 33]
+    assert result["memory_bytes"] > 0 and result["disk_bytes"] > 0
+    assert result["past"] == {"estimates": 0, "psnr_off": None, "seconds_off": None}
+
+
+def test_steps_take_as_long_as_was_measured(daemon):
+    result = estimate(daemon, max_time_s=10, max_steps=100)["result"]
+    assert result["seconds"] == pytest.approx(100 * result["calibration"]["step_seconds"])
+    steps = estimate(daemon, max_time_s=None, max_steps=100000)["result"]
+    assert steps["seconds"] == pytest.approx(1e5 * steps["calibration"]["step_seconds"])
+
+
+def test_nothing_of_it_is_kept(daemon):
+    estimate(daemon)
+    assert daemon.get("/v1/scenes").json["items"] == []
+    end = time.monotonic() + 10
+    while (daemon.runners() or spooled(daemon)) and time.monotonic() < end:
+        time.sleep(0.05)
+    assert not daemon.runners() and not spooled(daemon)
+
+
+def test_the_truth_is_kept_beside_it(daemon):
+    first = estimate(daemon, evaluate_interval_s=1)
+    result = train(daemon, "one", evaluate_interval_s=1)
+    told = result["estimate"]
+    assert told["job"] == first["id"] and told["psnr"] == first["result"]["psnr"]
+    assert told["seconds"] == 60 and result["train_seconds"] == pytest.approx(60, rel=0.1)
+    reached = [passing["reached"] for passing in told["passings"]]
+    assert 0 < reached[0] < reached[1] < 61
+    past = estimate(daemon)["result"]["past"]
+    assert past["estimates"] == 1
+    assert past["psnr_off"] == pytest.approx(abs(result["psnr"] - told["psnr"]), abs=1e-6)
+
+
+def test_what_trainings_took_here_is_told_of_each_dataset(daemon, build, tmp_path, photographs):
+    """By formula before any has ended; then by those with `standard`, whose clock a fake speeds up."""
+    before = daemon.get("/v1/datasets/data").json
+    assert before["report"]["expected"]["seconds"] == 60 and "past" not in before
+    train(daemon, "drafted", preset="draft", max_time_s=5)
+    assert "past" not in daemon.get("/v1/datasets/data").json
+    job = daemon.submit(type="train", dataset="data", scene="one", options=OPTIONS)
+    job = daemon.wait(job)
+    past = daemon.get("/v1/datasets/data").json["past"]
+    took = [datetime.fromisoformat(job[f"{end}_at"]) for end in ("started", "finished")]
+    wall = (took[1] - took[0]).total_seconds()
+    assert past["trainings"] == 1
+    assert past["seconds"] == pytest.approx(60 * wall / job["result"]["train_seconds"], rel=0.01, abs=0.1)
+    assert past["memory_bytes"] > 1e6
+    client = Client(build / "client" / "ripnerf", tmp_path, f"http://127.0.0.1:{daemon.port}")
+    told = client.run("import", photographs, "--name", "again").stdout
+    assert "training with standard takes" in told and "of memory, by 1 training here" in told
+    assert "past" not in daemon.get("/v1/datasets").json["items"][0]
+
+
+def test_only_what_was_estimated_is_checked(daemon):
+    estimate(daemon)
+    assert "estimate" not in train(daemon, "other", seed=3)
+    assert "estimate" in train(daemon, "same")
+
+
+def forecast(result):
+    """Of the calibration alone: each doubling of the time gains as much as the one before up to 350
+    steps, then 0.72 of it."""
+    seconds, psnr = result["calibration"]["seconds"], result["calibration"]["psnr"]
+    gain = (psnr[1] - psnr[0]) / math.log2(seconds[1] / seconds[0])
+    doublings = math.log2(result["seconds"] / seconds[1])
+    early = max(math.log2(350 * result["calibration"]["step_seconds"] / seconds[1]), 0)
+    early = min(early, doublings)
+    late = 0.72 * (1 - 0.72 ** (doublings - early)) / 0.28
+    return psnr[1] + min(max(gain, 0.1), 4) * (early + late)
+
+
+def test_past_errors_are_learnt_from(daemon):
+    """What was promised too much or too little is taken back, the more the more is known."""
+    off = []
+    for i in range(3):
+        result = estimate(daemon)["result"]
+        assert result["psnr"] - forecast(result) == pytest.approx(sum(off) / (i + 2), abs=1e-3)
+        off.append(train(daemon, f"scene-{i}")["psnr"] - result["psnr"])
+    result = estimate(daemon)["result"]
+    mean = sum(abs(one) for one in off) / 3
+    assert result["psnr_spread"] == pytest.approx(mean) == result["past"]["psnr_off"]
+
+
+def test_what_cannot_be_trained_is_refused(daemon):
+    def ask(options, dataset="data"):
+        return daemon.post("/v1/jobs", {"type": "estimate", "dataset": dataset, "options": options})
+    assert ask({"planes": 5}).json["errors"][0]["pointer"] == "#/options/planes"
+    assert ask({"max_time_s": -1}).status == 422 and ask({}, "none").status == 404
+    assert daemon.post("/v1/jobs", {"type": "estimate", "dataset": "data", "scene": "x"}).status == 422
+    job = daemon.wait(submit(daemon, kernels="none"))
+    assert job["state"] == "failed" and "kernels" in str(job["problem"])
+
+
+def test_it_is_cancelled_and_survives_its_runner(make_daemon, photographs):
+    daemon = make_daemon({**FAST, "RIPNERF_FAKE_SPEED": "4"})
+    assert daemon.wait(daemon.upload("data", photographs))["state"] == "succeeded"
+    job = submit(daemon)
+    daemon.wait(job, ("running",))
+    assert daemon.delete("/v1/datasets/data").status == 409
+    assert daemon.post(f"/v1/jobs/{job}/cancel").status == 200
+    assert daemon.wait(job)["state"] == "cancelled"
+    job = submit(daemon)
+    daemon.wait(job, ("running",))
+    while not daemon.runners():
+        time.sleep(0.01)
+    for pid in daemon.runners():
+        os.kill(pid, signal.SIGKILL)
+    job = daemon.wait(job)
+    assert job["state"] == "succeeded" and job["attempt"] == 2
+
+
+def test_the_client_tells(daemon, build, tmp_path):
+    client = Client(build / "client" / "ripnerf", tmp_path, f"http://127.0.0.1:{daemon.port}")
+    words = client.run("train", "data", "--estimate", "--max-time", "60s").stdout
+    assert "ends after 60.0 s of training, with " in words and "no training here has ended" in words
+    assert " of memory, " in words and " on disk; measured in " in words
+    told = client.json("train", "data", "--estimate", "--max-time", "60s")
+    assert told["seconds"] == 60 and told["calibration"]["threads"] >= 1
+    assert daemon.get("/v1/scenes").json["items"] == []
+    client.run("train", "data", "--name", "a", "--max-time", "60s", "--wait")
+    words = client.run("train", "data", "--estimate", "--max-time", "60s").stdout
+    assert "1 estimate of trainings here was off by" in words

@@ -1,0 +1,103 @@
+"""tests/bench/gpu.sh from its packing to its table, on the emulated device; and that `quality` never
+measures the CPU in a device's name."""
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from support.client import Client
+
+BENCH = Path(__file__).resolve().parents[1] / "bench"
+SMALL = ["preset=paper", "planes=3", "channels=4", "base=16", "levels=2", "width=16", "occupancy=16",
+         "samples=1024", "rays=64", "step=0.1", "deterministic=1"]
+# What stands for CUDA's tools: the sanitizer runs what it is given, the profiler prints a counter.
+TOOLS = {"compute-sanitizer": 'shift 4; exec "$@"',
+         "ncu": 'echo \'"Kernel Name","Metric Value"\'; echo \'"rn_forward_kernel","1"\''}
+
+
+@pytest.fixture(scope="module")
+def module(build):
+    found = build / "tests" / "ops" / "ripnerf-cuda-emulated.so"
+    if not found.is_file():
+        pytest.skip("the emulator was not built: it needs a C++ compiler")
+    return found
+
+
+@pytest.fixture(scope="module")
+def scene(build, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("gpu")
+    client = Client(build / "client" / "ripnerf", folder, "http://127.0.0.1:1")
+    client.run("synth", "sphere", "source", "--size", 16, "--views", 8)
+    return folder / "source"
+
+
+@pytest.fixture(scope="module")
+def kit(build, module, scene):
+    target = scene.parent / "kit"
+    subprocess.run([sys.executable, BENCH / "gpu_pack.py", build, scene, target, "--module", module,
+                    "--test", "2", "--val", "2", "--most", "14"], check=True)
+    return target
+
+
+def quality(build, module, scene, *options):
+    return subprocess.run([build / "tests" / "bench" / "quality", scene, *SMALL, *options], text=True,
+                          capture_output=True, check=False, timeout=300,
+                          env=os.environ | {"RIPNERF_CUDA_MODULE": str(module)})
+
+
+def test_the_whole_command(kit, tmp_path):
+    """Two calls: what the first had no time for, the second does; nothing is done twice."""
+    for name, script in TOOLS.items():
+        (tmp_path / name).write_text(f"#!/bin/sh\n{script}\n")
+        (tmp_path / name).chmod(0o755)
+    environment = os.environ | {"PATH": f"{tmp_path}:{os.environ['PATH']}"}
+    environment.pop("RIPNERF_CUDA_MODULE")  # the kit's own
+    command = [kit / "gpu.sh", kit / "photos", tmp_path / "out", "--work", tmp_path / "work", "--trial"]
+    first = subprocess.run([*command, "--seconds", "4"], text=True, capture_output=True, check=False,
+                           env=environment)
+    assert first.returncode == 75, first.stdout + first.stderr
+    begun = json.loads((tmp_path / "out" / "results.json").read_text())
+    assert begun["machine"]["state"] == "done" and "120,000 steps" not in begun, begun
+    shutil.rmtree(tmp_path / "out")
+    second = subprocess.run([*command, "--seconds", "400"], text=True, capture_output=True, check=False,
+                            env=environment)
+    known = json.loads((tmp_path / "out" / "results.json").read_text())
+    assert second.returncode == 0, second.stdout + (tmp_path / "out" / "log.txt").read_text()[-4000:]
+    assert len(known) == 14 and {stage["state"] for stage in known.values()} == {"done"}, known
+    assert known["machine"] == begun["machine"]
+    assert known["data"]["found"]["views"] == {"train": 8, "val": 2, "test": 2}
+    assert known["step"]["found"]["ms"] > 0 and "forward" in known["step"]["found"]["stages"]
+    assert known["120,000 steps"]["found"]["steps"] == 12
+    assert known["120,000 steps"]["found"]["kernels"].startswith("sm_")
+    assert known["two scenes"]["found"]["made_room"] >= 3
+    table = (tmp_path / "out" / "table.md").read_text()
+    assert re.search(r"\| step \| [\d.]+ ms \|.*\| 1.5 \|", table), table
+    assert (tmp_path / "out" / "profile.csv").read_text().startswith('"Kernel Name"')
+
+
+def test_a_device_that_is_not_there_is_an_error(build, module, scene):
+    gone = quality(build, "/nowhere/ripnerf-cuda.so", scene, "device=cuda", "steps=2")
+    assert gone.returncode == 1 and "not installed" in gone.stderr, gone
+    wide = quality(build, module, scene, "device=cuda", "steps=2", "width=144")
+    assert wide.returncode == 1 and "widths up to 128" in wide.stderr, wide
+    narrow = quality(build, module, scene, "device=cuda", "steps=2", "memory=1e5")
+    assert narrow.returncode == 1 and "of which 0 MiB may be used" in narrow.stderr, narrow
+
+
+def test_a_training_goes_on(build, module, scene, tmp_path):
+    """wall= ends it after its first block; what goes on from there is what was never interrupted."""
+    whole = quality(build, module, scene, "device=cuda", "steps=20", "test=2", "goals=1,99")
+    assert whole.returncode == 0 and "trained with sm_80" in whole.stdout, whole
+    assert "goal 1.00 dB reached" in whole.stdout and "goal 99.00" not in whole.stdout
+    saved = f"save={tmp_path}/c"
+    begun = quality(build, module, scene, "device=cuda", "steps=20", "wall=0.01", saved)
+    assert begun.returncode == 75 and "unfinished after 16 steps" in begun.stdout, begun
+    ended = quality(build, module, scene, "device=cuda", f"resume={tmp_path}/c", saved)
+    digest = re.compile(r"parameters \w+")
+    assert digest.search(ended.stdout).group(0) == digest.search(whole.stdout).group(0)

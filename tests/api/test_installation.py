@@ -1,0 +1,126 @@
+"""What an installation consists of: proxies' configurations, the list of linked libraries."""
+
+import http.client
+import json
+import os
+import shutil
+import socket
+import ssl
+import subprocess
+import time
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def test_libraries_are_listed(build):
+    """Every library that a program needs is in the list, with its package and version."""
+    programs = [build / "server/ripnerfd", build / "server/ripnerf-runner", build / "client/ripnerf"]
+    listed = json.loads(subprocess.run([ROOT / ".ci/debian/sbom", *programs], capture_output=True,
+                                       text=True, check=True).stdout)
+    assert listed["bomFormat"] == "CycloneDX"
+    named = {item["name"]: item for item in listed["components"]}
+    for package in ("libmicrohttpd12", "libsqlite3-0", "libjansson4", "libarchive13", "libcurl4",
+                    "libc6"):
+        assert named[package]["purl"] == f"pkg:deb/debian/{package}@{named[package]['version']}"
+
+
+def start_with_socket(build, folder, passed, listen):
+    """As systemd starts a service for a connection: the socket is descriptor 3."""
+    return subprocess.Popen(
+        ["sh", "-c", 'LISTEN_PID=$$ LISTEN_FDS=1 exec "$@"', "sh", build / "server/ripnerfd", "--data",
+         folder, "--listen", listen, "--runner", build / "tests/support/ripnerf-runner-fake"],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, close_fds=False,
+        preexec_fn=lambda: os.dup2(passed.fileno(), 3, inheritable=True))
+
+
+def test_the_service_managers_socket(build, tmp_path):
+    """It is served on, whoever connected before the daemon was there; one of another address, where a
+    token would be needed, is refused."""
+    with socket.create_server(("127.0.0.1", 0)) as passed:
+        port = passed.getsockname()[1]
+        early = http.client.HTTPConnection("127.0.0.1", port, timeout=30)
+        early.request("GET", "/healthz")
+        process = start_with_socket(build, tmp_path / "d", passed, "127.0.0.1:1")
+        assert early.getresponse().status == 200
+        assert process.stdout.readline() == f"ripnerfd: listening on http://127.0.0.1:{port}\n"
+        process.terminate()
+        assert process.wait(30) == 0
+        process.communicate()
+        refused = start_with_socket(build, tmp_path / "d", passed, "127.0.0.2:1")
+        assert refused.wait(30) == 2 and "another address than 127.0.0.2" in refused.communicate()[1]
+
+
+@pytest.fixture
+def nginx(make_daemon, tmp_path):
+    """A daemon with a token behind nginx, as .ci/proxy/nginx.conf has it: (host, a connection)."""
+    if not shutil.which("nginx"):
+        pytest.skip("nginx is not installed")
+    subprocess.run(["openssl", "req", "-x509", "-newkey", "ec", "-pkeyopt",
+                    "ec_paramgen_curve:prime256v1", "-nodes", "-subj", "/CN=scenes.example",
+                    "-keyout", tmp_path / "key", "-out", tmp_path / "certificate"], check=True,
+                   capture_output=True)
+    (tmp_path / "token").write_text("correct-horse-battery\n")
+    (tmp_path / "token").chmod(0o600)
+    daemon = make_daemon(token_file=tmp_path / "token")
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    site = (ROOT / ".ci/proxy/nginx.conf").read_text(encoding="utf-8")
+    for what, instead in (("/etc/ssl/certs/scenes.example.pem", tmp_path / "certificate"),
+                          ("/etc/ssl/private/scenes.example.key", tmp_path / "key"),
+                          ("listen 443 ssl", f"listen 127.0.0.1:{port} ssl"),
+                          ("127.0.0.1:7373", f"127.0.0.1:{daemon.port}")):
+        assert what in site
+        site = site.replace(what, str(instead))
+    configuration = tmp_path / "nginx.conf"
+    configuration.write_text(f"pid {tmp_path}/pid;\nerror_log stderr;\ndaemon off;\nevents {{}}\n"
+                             f"http {{\naccess_log off;\n{site}}}\n")
+    tested = subprocess.run(["nginx", "-t", "-c", configuration], capture_output=True, text=True,
+                            check=False)
+    assert tested.returncode == 0, tested.stderr
+    with open(tmp_path / "log", "w", encoding="utf-8") as log:
+        process = subprocess.Popen(["nginx", "-c", configuration], stderr=log)
+    insecure = ssl.create_default_context()
+    insecure.check_hostname, insecure.verify_mode = False, ssl.CERT_NONE
+    end = time.monotonic() + 10
+    while time.monotonic() < end:
+        with socket.socket() as trial:
+            if trial.connect_ex(("127.0.0.1", port)) == 0:
+                break
+        time.sleep(0.05)
+    yield f"scenes.example:{port}", http.client.HTTPSConnection("127.0.0.1", port, timeout=20,
+                                                               context=insecure)
+    process.terminate()
+    process.wait(10)
+
+
+def test_nginx_in_front(nginx):
+    """Requests, writes of its own page, and events as they come, through the proxy."""
+    host, connection = nginx
+    headers = {"Host": host, "Authorization": "Bearer correct-horse-battery"}
+    def ask(method, path, body=None, **more):
+        connection.request(method, path, body, {**headers, **more})
+        return connection.getresponse()
+    reply = ask("GET", "/v1/jobs")
+    assert reply.status == 200 and reply.read() and "Strict-Transport-Security" in reply.headers
+    body = b'{"name": "guest"}'
+    json_type = {"Content-Type": "application/json"}
+    reply = ask("POST", "/v1/tokens", body, Origin=f"https://{host}", **json_type)
+    assert reply.status == 201 and reply.read()
+    reply = ask("POST", "/v1/tokens", body, Origin="https://evil.example", **json_type)
+    assert reply.status == 403 and reply.read()
+    connection.close()  # nginx does, after a refusal before the body's end
+    begin = time.monotonic()
+    events = ask("GET", "/v1/events")
+    assert events.read1(100).startswith(b":") and time.monotonic() - begin < 2
+
+
+def test_caddy_takes_the_configuration():
+    if not shutil.which("caddy"):
+        pytest.skip("caddy is not installed")
+    tested = subprocess.run(["caddy", "validate", "--config", ROOT / ".ci/proxy/Caddyfile",
+                             "--adapter", "caddyfile"], capture_output=True, text=True, check=False)
+    assert tested.returncode == 0, tested.stderr

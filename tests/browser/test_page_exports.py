@@ -1,0 +1,46 @@
+"""A scene as a file: what it can be exported as, what came of it, and one that came so."""
+
+import pytest
+
+pytest.importorskip("selenium", reason="python3-selenium is not installed")
+
+VIEWING = {"bits": 8, "views": 6, "split": "test", "psnr": 33.5, "trained": 33.53, "loss": 0.03,
+           "dataset": "sphere", "parameters_sha256": "0" * 64, "version": "0.1.0"}
+
+
+def test_what_an_export_made_is_there(page, fake):
+    api = fake("busy")
+    with api.world.lock:
+        job = api.world.submit({"type": "export", "scene": "sphere-draft", "options": {"as": "scene"}})
+        job["result"] = {"file": "scene.ripscene", "bytes": 14_200_000, "bits": 8, "views": 6,
+                         "psnr": 33.5, "trained": 33.53, "loss": 0.03, "split": "test"}
+        api.world.set_state(job, "succeeded")
+        mesh = api.world.submit({"type": "export", "scene": "sphere-draft"})
+        mesh["result"] = {"file": "mesh.ply", "bytes": 9000, "vertices": 120, "triangles": 236}
+        api.world.set_state(mesh, "succeeded")
+    page.open(api.url + f"#/job/{job['id']}")
+    page.says("planes in 8 bits a value by blocks")
+    page.says("33.50 dB on 6 test views, 0.030 dB less than the scene")
+    link = page.button("Download")
+    assert link.get_attribute("download") == "sphere-draft.ripscene"
+    assert link.get_attribute("href").endswith(f"/v1/jobs/{job['id']}/export")
+    page.open(api.url + f"#/job/{mesh['id']}")
+    page.says("120 vertices, 236 triangles")
+    assert page.button("Download").get_attribute("download") == "sphere-draft.ply"
+    page.open(api.url + "#/scene/sphere-draft")
+    page.button("For viewing")
+    page.button("Mesh, .obj")
+    assert page.complaints() == []
+
+
+def test_a_scene_that_came_as_a_file_says_so(page, fake):
+    api = fake("busy")
+    with api.world.lock:
+        scene = api.world.find(api.world.scenes, "sphere-draft", "scene")
+        scene.update(dataset=None, dataset_name=None, viewing=VIEWING)
+    page.open(api.url + "#/")
+    page.says("for viewing", ".card")
+    page.open(api.url + "#/scene/sphere-draft")
+    page.says("its photographs are not here", ".page-head")
+    page.says("planes in 8 bits a value by blocks; it is not trained further")
+    page.says("33.50 dB on 6 test views, 0.030 dB less than the scene that it is of")

@@ -1,0 +1,127 @@
+"""Uploads from the page: parts that go on after a lost connection, photographs that are left out."""
+
+import json
+
+import pytest
+from fake_pictures import draw, ring
+
+pytest.importorskip("selenium", reason="python3-selenium is not installed")
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """Five posed photographs, of which one is damaged and one is empty."""
+    root = tmp_path / "ball"
+    (root / "train").mkdir(parents=True)
+    frames = []
+    for i, pose in enumerate(ring(5)):
+        frames.append({"file_path": f"./train/r_{i}.png", "transform_matrix": pose + [[0, 0, 0, 1]]})
+        camera = {"world_from_camera": pose, "axes": "opengl", "width": 20, "height": 20,
+                  "fov_y_deg": 40}
+        (root / "train" / f"r_{i}.png").write_bytes(draw(camera))
+    (root / "train" / "r_1.png").write_bytes(b"\x89PNG\r\n\x1a\n no picture")
+    (root / "train" / "r_3.png").write_bytes(b"")
+    (root / "transforms_train.json").write_text(
+        json.dumps({"camera_angle_x": 0.7, "frames": frames}))
+    return root
+
+
+def choose(page, api, folder):
+    page.open(api.url)
+    page.find(".drop")
+    page.all("#folder-input")[0].send_keys(str(folder))
+    page.says("views: 5 train")
+
+
+def sent(api):
+    return sorted(name for name, _ in api.world.uploaded[0])
+
+
+def test_an_upload_goes_on_where_a_lost_connection_left_it(page, fake, folder):
+    api = fake("empty")
+    api.world.line_dead_below = 3000
+    choose(page, api, folder)
+    page.press("Upload and import")
+    page.says("ball is imported.", wait_s=30)
+    # A browser itself repeats what was cut off, as often as it likes, from where that began; the
+    # page asks how much is there.
+    assert sorted({at for at, _ in api.world.parts}) == [0, 1000, 2000, 3000]
+    assert "transforms_train.json" in sent(api)
+
+
+def test_which_bad_photographs_to_leave_out_is_asked(page, fake, folder):
+    api = fake("empty")
+    choose(page, api, folder)
+    page.says("2 photographs cannot be read", ".problem")
+    page.says("train/r_3.png is empty", ".problem")
+    damaged = next(e for e in page.all(".problem label") if "r_1.png" in e.text)
+    assert "damaged" in damaged.text
+    damaged.click()  # the daemon shall look at it
+    page.press("Upload and import")
+    page.says("ball is imported.")
+    assert "train/r_1.png" in sent(api) and "train/r_3.png" not in sent(api)
+    assert page.complaints() == []
+
+
+def test_a_taken_name_is_told_before_anything_is_sent(page, fake, folder):
+    api = fake("bare")
+    choose(page, api, folder)
+    page.type(page.field("Name"), "sphere")
+    page.press("Upload and import")
+    page.says("there is a dataset of that name")
+    assert not api.world.parts
+
+
+def test_what_an_import_would_keep_is_shown_before_it_is_sent(page, fake, folder):
+    api = fake("empty")
+    choose(page, api, folder)
+    page.says("5 train", ".preview .facts")
+    page.says("20 × 20 px", ".preview .facts")
+    page.says("1 of 5 views", ".preview .facts")
+    page.says("radius 1.5", ".preview .facts")
+    page.until(lambda: page.ink(".preview canvas.cloud") > 0, "the cameras")
+    page.until(lambda: page.ink(".preview-thumb") > 0, "a thumbnail")
+    assert "train, masked" in page.text(".preview .photos") and not api.world.parts
+    page.press("Import options")
+    page.type(page.field("Test: every N-th view"), "2")
+    page.type(page.field("Longest side"), "10\t")
+    page.says("3 test", ".preview .facts")
+    page.says("10 × 10 px", ".preview .facts")
+    assert api.world.uploads and set(api.world.uploads) == api.world.looked_at
+    page.press("Upload and import")
+    page.says("ball is imported.")
+    page.until(lambda: not api.world.uploads, "what was looked at to be given up")
+    page.open(api.url + "#/jobs")
+    page.says("2 to train, 0 to validate, 3 to test; 1 error, 0 warnings", ".job-row .outcome")
+    assert page.complaints() == []
+
+
+def test_what_cannot_be_read_is_told_before_it_is_sent(page, fake, folder):
+    api = fake("empty")
+    api.world.fails["validate"] = {
+        "type": "/problems/invalid", "title": "Invalid", "status": 422,
+        "detail": "transforms_train.json#/frames/3/transform_matrix: is no rotation", "errors": []}
+    choose(page, api, folder)
+    page.says("transforms_train.json#/frames/3/transform_matrix: is no rotation", ".preview .problem")
+    page.press("Back")
+    page.find(".drop")
+    page.until(lambda: not api.world.uploads, "what was looked at to be given up")
+
+
+def test_a_tab_closed_in_an_upload_leaves_no_dataset(page, fake, folder):
+    """The browser asks first; what was sent is no dataset, and the name is free."""
+    api = fake("empty")
+    api.world.line_dead_below = 1 << 30  # no part ever ends
+    choose(page, api, folder)
+    page.press("Upload and import")
+    page.says("The connection is lost.")
+    asked = """const closing = new Event('beforeunload', {cancelable: true});
+dispatchEvent(closing); return closing.defaultPrevented;"""
+    assert page.run(asked)
+    page.open("about:blank")
+    api.world.line_dead_below = 0
+    choose(page, api, folder)
+    assert not page.run(asked) and not api.world.datasets
+    page.press("Upload and import")
+    page.says("ball is imported.", wait_s=30)
+    assert [item["name"] for item in api.world.datasets] == ["ball"]

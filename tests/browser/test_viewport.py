@@ -1,0 +1,106 @@
+"""The tools of a scene's view: what is laid over it, what lies under a point, pictures to keep."""
+
+import pytest
+
+pytest.importorskip("selenium", reason="python3-selenium is not installed")
+from PIL import Image  # noqa: E402
+from selenium.webdriver.common.action_chains import ActionChains  # noqa: E402
+
+
+@pytest.fixture
+def asked(scene):
+    bodies = []
+    scene.api.world.on_render = bodies.append
+    return bodies
+
+
+def camera(page):
+    """Where the camera stands, as a key that is recorded and taken back tells."""
+    page.run("document.querySelector('.stage').dispatchEvent("
+             "new KeyboardEvent('keydown', {key: 'k', bubbles: true}));")
+    page.until(lambda: page.all(".key"), "a key")
+    pose = page.path()["keys"][0]["pose"]
+    page.press("Undo")
+    page.until(lambda: not page.all(".key"), "no key")
+    return pose
+
+
+def choose(page, value):
+    page.run("const s = document.querySelector('#rival'); s.value = args[0];"
+             "s.dispatchEvent(new Event('change'));", value)
+
+
+def test_another_scene_or_an_earlier_moment_is_laid_over_the_view(page, fake):
+    api = fake("busy")
+    with api.world.lock:
+        job = api.world.train({"dataset": "sphere", "scene": "other", "options": {"max_time_s": 1}})
+        api.world.set_state(job, "running")
+        while job["state"] == "running":
+            api.world.advance(job, 0.1)
+    page.open(api.url + "#/scene/sphere-draft")
+    page.until(lambda: page.ink() > 100, "a picture")
+    before = camera(page)
+    choose(page, job["scene"])
+    page.says("other", ".wipe-bar label")
+    line = page.find(".wipe-line")
+    clip = "return document.querySelector('.wipe img').style.clipPath;"
+    assert "50%" in page.run(clip)
+    ActionChains(page.driver).click_and_hold(line).move_by_offset(60, 0).release().perform()
+    page.until(lambda: "50%" not in page.run(clip), "the line to move")
+    assert camera(page) == before  # and the camera did not turn
+    page.press("Blink")
+    page.until(lambda: page.all(".wipe img.away"), "the rendering alone")
+    page.until(lambda: not page.all(".wipe img.away"), "the other alone")
+    page.press("Blink")
+    assert page.find(".wipe-line").is_displayed()
+    asked = []
+    api.world.on_render = asked.append
+    choose(page, "at:3.75")
+    page.says("After 3.8 s", ".wipe-bar label")
+    assert [body for body in asked if body.get("at") == 3.75]
+    assert page.complaints() == []
+
+
+def test_a_double_click_looks_at_what_is_there(scene, asked):
+    """The depth at that point is asked for, from where the camera stands."""
+    pose = camera(scene)
+    stage = scene.find(".stage")
+    ActionChains(scene.driver).move_to_element_with_offset(stage, 90, 0).double_click().perform()
+    there = scene.until(lambda: next((body["camera"]["world_from_camera"] for body in asked
+                                      if body.get("output") == "depth"), None), "its depth")
+    assert [row[3] for row in there] == pytest.approx([row[3] for row in pose], abs=1e-4)
+    turned = sum(a[2] * b[2] for a, b in zip(there, pose))
+    assert 0.7 < turned < 0.999
+    assert sum(a[2] * b[0] for a, b in zip(there, pose)) > 0.05  # to the right
+
+
+def test_pictures_and_links_are_kept(scene, asked, downloads):
+    downloads.clear()
+    scene.press("Exact size")
+    for label, value in (("Width, pixels", 70), ("Height, pixels", 50)):
+        scene.type(scene.find(f"[aria-label='{label}']"), value)
+    scene.press("Save")
+    with Image.open(downloads.saved(scene, "sphere-draft-70x50*.png")) as picture:
+        assert picture.size == (70, 50)
+    scene.run("navigator.clipboard.writeText = async (words) => { window.copied = words; };")
+    scene.press("Copy link")
+    link = scene.until(lambda: scene.run("return window.copied;"), "the link")
+    assert link.startswith(scene.api.url) and "#/scene/sphere-draft?camera=" in link
+    scene.run("Element.prototype.requestFullscreen = async function () { window.filled = this.className; };")
+    scene.press("Full screen")
+    assert scene.run("return window.filled;") == "viewport"
+
+
+def test_the_worst_views_of_an_evaluation_are_looked_at_beside_their_photographs(page, fake):
+    api = fake("busy")
+    with api.world.lock:
+        job = api.world.submit({"type": "eval", "scene": "sphere-draft", "options": {}})
+        api.world.set_state(job, "running")
+        while job["state"] == "running":
+            api.world.advance(job, 1)
+    page.open(api.url + "#/scene/sphere-draft")
+    page.until(lambda: [e.text for e in page.all(".worst button")] == [
+        "test:0 29.0 dB", "test:1 29.4 dB", "test:2 29.8 dB"], "the worst views, the worst one first")
+    page.press("test:1 29.4 dB")
+    page.says("Photograph test:1", ".wipe-bar label")
+    assert page.complaints() == []

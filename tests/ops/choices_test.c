@@ -1,0 +1,87 @@
+// Effects that are asked for, or switched off, whatever the data calls for.
+#include <math.h>
+#include <string.h>
+
+#include "tests/ops/train_scene.h"
+#include "tests/support/suite.h"
+
+// What a scene of small photographs that alpha cuts out can have, at three scales.
+static const enum rn_effect possible[] = {RN_EFFECT_BACKGROUND,   RN_EFFECT_SCALE_PYRAMID,
+                                          RN_EFFECT_ANISOTROPY,   RN_EFFECT_VIEW_DEPENDENCE,
+                                          RN_EFFECT_SPLIT_PIXELS, RN_EFFECT_CONES,
+                                          RN_EFFECT_UNBOUNDED,    RN_EFFECT_DOWNSCALING};
+
+static bool is_possible(int effect) {
+    for (size_t i = 0; i < sizeof possible / sizeof *possible; i++)
+        if ((int)possible[i] == effect) return true;
+    return false;
+}
+
+static bool ends_with(const char *text, const char *end) {
+    size_t length = strlen(text), size = strlen(end);
+    return length >= size && strcmp(text + length - size, end) == 0;
+}
+
+// Every effect but those that it rests on as the data has it.
+static struct rn_trainer *with(struct rn_engine *engine, int effect, enum rn_effect_choice choice) {
+    struct rn_train_config config = config_for(scaled);
+    config.split_pixels = 0.1;
+    config.field.footprint = RN_FOOTPRINT_RIP;
+    config.effect[RN_EFFECT_SCALE_PYRAMID] = RN_EFFECT_WANTED; // which anisotropy needs
+    config.effect[effect] = choice;
+    return trainer_for(engine, scaled, &config);
+}
+
+// Each effect with that choice: whether it is on, and how its reason ends.
+static void check_each(enum rn_effect_choice choice) {
+    struct rn_engine *engine = engine_with(2);
+    for (int i = 0; i < RN_EFFECT_COUNT; i++) {
+        bool on = choice == RN_EFFECT_WANTED && is_possible(i);
+        struct rn_trainer *t = with(engine, i, choice);
+        run_to_end(t);
+        const struct rn_effect_record *r = &rn_trainer_field(t)->effects[i];
+        const char *end = choice == RN_EFFECT_UNWANTED ? "; switched off as asked"
+                          : on                         ? "; on as asked"
+                                                       : "; asked for, but it cannot be";
+        ck_assert_msg(r->decided && r->on == on, "%s: %s", r->name, r->reason);
+        ck_assert_msg(ends_with(r->reason, end), "%s: %s", r->name, r->reason);
+        ck_assert_msg(held_out_psnr(t) > 10, "%s: %.1f dB", r->name, held_out_psnr(t));
+        rn_trainer_destroy(&t);
+    }
+    rn_engine_destroy(&engine);
+}
+
+START_TEST(what_is_off_stays_off) {
+    check_each(RN_EFFECT_UNWANTED);
+}
+END_TEST
+
+START_TEST(what_is_asked_for_is_on_where_it_can_be) {
+    check_each(RN_EFFECT_WANTED);
+}
+END_TEST
+
+// What the configuration makes of it: the network sees no direction, pictures have one cone a
+// pixel, planes one level.
+START_TEST(what_is_off_is_not_computed) {
+    struct rn_engine *engine = engine_with(1);
+    struct rn_train_config config = config_for(scaled);
+    config.effect[RN_EFFECT_VIEW_DEPENDENCE] = config.effect[RN_EFFECT_CONES] =
+        config.effect[RN_EFFECT_BACKGROUND] = RN_EFFECT_UNWANTED;
+    struct rn_trainer *t = trainer_for(engine, scaled, &config);
+    const struct rn_train_config *own = &rn_trainer_field(t)->config;
+    ck_assert(!own->field.view_dependence && !own->supersample && !own->carve);
+    rn_trainer_destroy(&t);
+    rn_engine_destroy(&engine);
+}
+END_TEST
+
+static void add(TCase *tests) {
+    tcase_add_test(tests, what_is_off_stays_off);
+    tcase_add_test(tests, what_is_asked_for_is_on_where_it_can_be);
+    tcase_add_test(tests, what_is_off_is_not_computed);
+}
+
+int main(void) {
+    return run_on_scene("choices of effects", add);
+}

@@ -1,0 +1,153 @@
+// What a step of the CUDA backend chooses: the cells that are measured, the blocks of texels that
+// are updated (cuda_test.c).
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "common/math/rng.h"
+#include "server/engine/cuda/layout.h"
+#include "server/engine/field/occupancy.h"
+#include "tests/ops/cuda_scene.h"
+
+#define CELLS 16 // of the occupancy grid a side
+
+// ---- cells ----------------------------------------------------------------------------------
+
+// What is measured in a cell at step 0.
+static float measured(struct test_scene *s, uint32_t cell, const struct rn_rng4 *draw) {
+    uint32_t at[3] = {cell / CELLS / CELLS, cell / CELLS % CELLS, cell % CELLS};
+    float point[1][3], density;
+    for (int k = 0; k < 3; k++)
+        point[0][k] = ((float)at[k] + rn_rng_unit(draw->v[k])) * 2 / CELLS - 1;
+    s->engine.kernels->density(&s->field->cpu, point, 1, 1, rn_engine_workspace(&s->engine, 0),
+                               &density);
+    return density * (float)(s->config.step * 1.5);
+}
+
+// Where cells are drawn, every fourth was empty: more are occupied than are drawn of all. A step
+// that measures as it is told; the grid then.
+static float *measure(struct test_scene *s, const struct rn_device_step *step) {
+    struct rn_train_config config = test_config(RN_FOOTPRINT_RIP, 4, 16, 32, 3);
+    struct rn_device_progress progress;
+    float *occupancy = malloc(CELLS * CELLS * CELLS * sizeof(float));
+    config.field.occupancy = CELLS;
+    config.sample_cells = step->measure_drawn;
+    test_scene_init(s, &config);
+    for (int i = 0; i < CELLS * CELLS * CELLS; i++)
+        s->field->occupancy[i] *= step->measure_drawn && i % 4 == 0 ? 0 : 1e-3f;
+    OK(test_scene_upload(s, 0, &err));
+    OK(test_scene_train(s, false, &err));
+    OK(test_backend()->train_step(s->on_device, step, &err));
+    OK(test_backend()->train_finish(s->on_device, &progress, &err));
+    OK(test_backend()->download(s->on_device, NULL, NULL, NULL, occupancy, &err));
+    return occupancy;
+}
+
+// Cells are measured at the points and the level that the CPU takes. _i: in turn, or by lot, by the
+// same coins.
+START_TEST(occupancy_is_measured_as_on_the_cpu) {
+    struct rn_device_step step = test_step;
+    struct test_scene s;
+    step.measure = true;
+    step.measure_drawn = _i;
+    step.measure_first = 1;
+    step.measure_stride = 3;
+    step.measure_decay = 0.5f;
+    float *occupancy = measure(&s, &step), chance[2];
+    int listed = 0, raised = 0, occupied = 0, left = 0;
+    for (int i = 0; i < CELLS * CELLS * CELLS; i++)
+        occupied += s.field->occupancy[i] > 0;
+    rn_chances_of_cells(CELLS * CELLS * CELLS, occupied, chance);
+    for (uint32_t cell = 0; cell < CELLS * CELLS * CELLS; cell++) {
+        float old = s.field->occupancy[cell];
+        struct rn_rng4 draw = rn_rng_draw(s.config.seed, 0x6f63637570000000u + cell, 0);
+        bool takes = _i ? rn_rng_unit(draw.v[3]) < chance[old > 0] : listed % 3 == 1;
+        listed += s.field->hull[cell];
+        left += s.field->hull[cell] && !takes;
+        if (!s.field->hull[cell] || !takes) {
+            ck_assert(occupancy[cell] == old);
+            continue;
+        }
+        float value = measured(&s, cell, &draw), expected = fmaxf(value, old * 0.5f);
+        raised += value > old * 0.5f;
+        ck_assert_double_eq_tol(occupancy[cell], expected, 3e-3 * (double)expected + 1e-30);
+    }
+    ck_assert_int_gt(raised, 100);
+    ck_assert_int_gt(left, 500);
+    free(occupancy);
+    test_scene_finish(&s);
+}
+END_TEST
+
+// ---- blocks of texels -----------------------------------------------------------------------
+
+// Matter in one corner of the ball: some blocks have no gradient.
+static void init_corner(struct test_scene *s, const struct rn_train_config *config) {
+    test_scene_init(s, config);
+    s->rays = 24;
+    for (int i = 0; i < CELLS * CELLS * CELLS; i++)
+        if (i / CELLS / CELLS < CELLS - 4 || i / CELLS % CELLS < CELLS / 2)
+            s->field->occupancy[i] = 0;
+    rn_field_refresh_occupancy(s->field);
+}
+
+// Which blocks of texels have a gradient, of a step that begins with no moments.
+static void find_touched(const struct test_scene *s, const float *m, bool *touched) {
+    int base = s->config.field.base, channels = s->config.field.channels, side = base / RN_UPDATE;
+    for (size_t i = 0; i < s->field->parameters.plane_count; i++) {
+        int texel = (int)(i / (size_t)channels), x = texel % base, y = texel / base % base;
+        int block = (texel / base / base * side + y / RN_UPDATE) * side + x / RN_UPDATE;
+        touched[block] |= m[i] != 0;
+    }
+}
+
+// The sparse optimiser leaves blocks that no sample met as they are, moments and all, and visits
+// every other, with levels too. _i: how many.
+START_TEST(untouched_blocks_stay) {
+    struct rn_train_config config =
+        test_config(_i % 2 ? RN_FOOTPRINT_MIP : RN_FOOTPRINT_RIP, 3, 16, 16, 1 + _i);
+    struct test_scene s;
+    struct test_numbers first, after;
+    bool touched[3 * 8 * 8] = {false};
+    int kept = 0, visited = 0;
+    config.field.base = 64;
+    config.weight_decay = 0.1;
+    init_corner(&s, &config);
+    test_train(&s, 1, false, &first);
+    find_touched(&s, first.m, touched);
+    size_t n = s.field->parameters.count;
+    float *m = malloc(n * sizeof *m), *v = malloc(n * sizeof *v);
+    for (size_t i = 0; i < n; i++) {
+        m[i] = 1e-3f;
+        v[i] = 1e-4f;
+    }
+    test_scene_finish(&s);
+    config.sparse = true;
+    init_corner(&s, &config);
+    s.m = m;
+    s.v = v;
+    test_train(&s, 1, false, &after);
+    for (size_t i = 0; i < s.field->parameters.plane_count; i++) {
+        int texel = (int)i / 16, x = texel % 64, y = texel / 64 % 64;
+        bool is = touched[(texel / 4096 * 8 + y / RN_UPDATE) * 8 + x / RN_UPDATE];
+        bool same = after.parameters[i] == s.field->parameters.values[i] && after.m[i] == m[i] &&
+                    after.v[i] == v[i];
+        ck_assert(is ? !same : same || first.m[i] == 0);
+        kept += same;
+        visited += !same;
+        if (is) ck_assert_double_eq_tol(after.m[i], 0.9 * 1e-3 + (double)first.m[i], 1e-5);
+    }
+    ck_assert_int_gt(kept, 10000);
+    ck_assert_int_gt(visited, 10000);
+    free(m);
+    free(v);
+    test_numbers_finish(&first);
+    test_numbers_finish(&after);
+    test_scene_finish(&s);
+}
+END_TEST
+
+void test_add_choices(Suite *suite) {
+    test_add(suite, "occupancy", occupancy_is_measured_as_on_the_cpu, 2);
+    test_add(suite, "sparse", untouched_blocks_stay, 5);
+}

@@ -1,0 +1,38 @@
+#!/bin/bash
+# Builds with a sanitizer and runs tests of threads, memory and the whole way through daemon and runner:
+#   tests/support/sanitize.sh thread|address [TEST...]
+# in build-thread or build-address. Without tests named: those of the parts and some through the daemon.
+# Anything that the sanitizer reports fails.
+set -eu
+cd "$(dirname "$0")/../.."
+kind=${1-}
+case $kind in
+thread) sanitizer=thread ;;
+address) sanitizer=address,undefined ;;
+*)
+    sed -n '2,5s/^# \?//p' "$0"
+    exit 2
+    ;;
+esac
+shift
+build=$PWD/build-$kind
+[ -f "$build/build.ninja" ] ||
+    meson setup "$build" --buildtype=debugoptimized "-Db_sanitize=$sanitizer" -Db_lundef=false \
+        -Dcuda=disabled
+export TSAN_OPTIONS=halt_on_error=1:second_deadlock_stack=1
+export UBSAN_OPTIONS=halt_on_error=1:print_stacktrace=1
+# Memory that ends is part of some tests, and what a test may take is counted; libx265 keeps a block.
+export ASAN_OPTIONS=allocator_may_return_null=1:quarantine_size_mb=4
+printf 'leak:libx265\n' >"$build/leaks"
+export LSAN_OPTIONS=suppressions=$build/leaks
+if [ $# -gt 0 ]; then
+    exec meson test -C "$build" --print-errorlogs --timeout-multiplier 10 "$@"
+fi
+meson test -C "$build" --print-errorlogs --timeout-multiplier 10 --suite unit
+# Requests, trainings, pictures, events, uploads and backups through the daemon, but for what counts on how
+# much a runner takes; then the whole way.
+RIPNERF_BUILD=$build /usr/bin/python3 -m pytest -q -p no:cacheprovider tests/api/test_tokens.py \
+    tests/api/test_uploads.py tests/api/test_traces.py tests/api/test_daemon_resources.py -k "not test_memory_limit"
+RIPNERF_BUILD=$build /usr/bin/python3 -m pytest -q -p no:cacheprovider tests/api/test_life.py -k backup_and
+[ "$kind" = thread ] ||
+    RIPNERF_BUILD=$build /usr/bin/python3 -m pytest -q -p no:cacheprovider tests/api/test_end_to_end.py -k test_render

@@ -1,0 +1,178 @@
+// Where the scene is: kinds of capture made up, each known, at the origin and where surveys are.
+#include <math.h>
+
+#include "tests/unit/common/dataset_fixture.h"
+
+#define CAMERAS 40
+#define POINTS 400
+
+static struct rn_frame frames[CAMERAS];
+static struct rn_point points[POINTS];
+static struct rn_dataset scene;
+static struct rn_scene_place place;
+static const double utm[3] = {500123.25, 4649776.5, 117.125};
+
+// Uniform in -1 to 1.
+static double draw(int what, int which) {
+    return ldexp(rn_rng_draw(7, (uint64_t)what, (uint64_t)which).v[0], -31) - 1;
+}
+
+// A camera at `eye` that looks at `target`, z up, or lying on its side; somewhat askew.
+static void put_camera(int i, const double eye[3], const double target[3], bool sideways,
+                       const double offset[3]) {
+    struct rn_camera *c = &frames[i].camera;
+    const double up[3] = {0.03 * draw(9, i), 0.03 * draw(10, i), 1};
+    *c =
+        (struct rn_camera){.width = 640, .height = 480, .fx = 500, .fy = 500, .cx = 320, .cy = 240};
+    ck_assert_int_eq(rn_camera_look_at(eye, target, up, c->world_from_camera), RN_OK);
+    for (int r = 0; r < 3; r++) {
+        double right = c->world_from_camera[r][0];
+        if (sideways) c->world_from_camera[r][0] = c->world_from_camera[r][1];
+        if (sideways) c->world_from_camera[r][1] = -right;
+        c->world_from_camera[r][3] += offset[r];
+    }
+    ck_assert_int_eq(rn_camera_check(c, "", &err), RN_OK);
+}
+
+static void put_point(int i, double x, double y, double z, const double offset[3]) {
+    points[i] = (struct rn_point){.position = {x + offset[0], y + offset[1], z + offset[2]}};
+}
+
+// What each kind of capture looks at and from where; `around` in -1 to 1 for the point's draws.
+static void put_capture(enum rn_capture_kind kind, bool sideways, const double offset[3]) {
+    bool looked_down = kind == RN_CAPTURE_OBJECT || kind == RN_CAPTURE_OUTDOOR;
+    for (int i = 0; i < CAMERAS; i++) {
+        double a = 2 * M_PI * i / CAMERAS, c = cos(a), s = sin(a);
+        const double ring[3] = {4 * c, 4 * s, 1.5}, middle[3] = {0.1 * s, 0, 0.05 * c};
+        const double row[3] = {0.05 * i, 0.3 * s, 0}, ahead[3] = {0.05 * i, 9, 0.1 * c};
+        const double inside[3] = {0.5 * s, 0.5 * c, 1}, out[3] = {3 * c, 3 * s, 1};
+        const double high[3] = {i % 8, (double)i / 8, 6};
+        const double below[3] = {i % 8 + 4 * sin(M_PI / 2 * i),
+                                 (double)i / 8 + 4 * cos(M_PI / 2 * i), 0};
+        const double *eyes[] = {ring, row, inside, ring, high};
+        const double *targets[] = {middle, ahead, out, middle, below};
+        put_camera(i, eyes[kind], targets[kind], sideways, offset);
+        frames[i].held = sideways && !looked_down ? 6 : 1; // nothing else tells then
+    }
+    for (int i = 0; i < POINTS; i++) {
+        double x = draw(0, i), y = draw(1, i), z = draw(2, i);
+        if (kind == RN_CAPTURE_OBJECT) put_point(i, 0.5 + x, y, z, offset);
+        if (kind == RN_CAPTURE_FORWARD) put_point(i, 1 + 3 * x, 9 + 0.2 * y, 2 * z, offset);
+        if (kind == RN_CAPTURE_ROOM) put_point(i, copysign(3, x), 3 * y, 1.2 + z, offset);
+        if (kind == RN_CAPTURE_OUTDOOR)
+            put_point(i, i % 4 ? x : 30 * x, i % 4 ? y : 30 * y, z, offset);
+        if (kind == RN_CAPTURE_DRONE) put_point(i, 4 + 5 * x, 3 + 4 * y, 0.1 * z, offset);
+    }
+    points[0].position[0] += 1000; // as a wrong match makes them
+    scene = (struct rn_dataset){.frames = frames,
+                                .frame_count = CAMERAS,
+                                .points = {.items = points, .count = POINTS},
+                                .name = (char *)"scene"};
+    ck_assert_int_eq(rn_dataset_find_place(&scene, &place, &err), RN_OK);
+}
+
+static const double origin[3] = {0, 0, 0};
+
+START_TEST(kinds) {
+    put_capture((enum rn_capture_kind)(_i / 2), _i % 2, origin);
+    ck_assert_int_eq(place.lie.kind, _i / 2);
+    ck_assert_int_eq(place.bounds.source, RN_BOUNDS_POINTS);
+    ck_assert_double_gt(place.lie.up[2], cos(3 * M_PI / 180));
+}
+END_TEST
+
+// The object's cube has its middle at (0.5, 0, 0) and corners sqrt(3) away.
+START_TEST(bounds_are_the_objects) {
+    put_capture(_i ? RN_CAPTURE_OUTDOOR : RN_CAPTURE_OBJECT, false, origin);
+    ck_assert_double_eq_tol(place.bounds.centre[0], _i ? 0 : 0.5, 0.2);
+    ck_assert_double_eq_tol(place.bounds.centre[1], 0, 0.2);
+    ck_assert_double_gt(place.bounds.radius, 1.2);
+    ck_assert_double_lt(place.bounds.radius, _i ? 3 : 1.8);
+}
+END_TEST
+
+START_TEST(far_from_the_origin) {
+    put_capture((enum rn_capture_kind)_i, false, origin);
+    struct rn_scene_place near = place;
+    put_capture((enum rn_capture_kind)_i, false, utm);
+    ck_assert_int_eq(place.lie.kind, near.lie.kind);
+    ck_assert_double_eq_tol(place.bounds.radius, near.bounds.radius, 1e-7);
+    for (int i = 0; i < 3; i++) {
+        ck_assert_double_eq_tol(place.bounds.centre[i] - utm[i], near.bounds.centre[i], 1e-7);
+        ck_assert_double_eq_tol(place.lie.up[i], near.lie.up[i], 1e-12);
+    }
+}
+END_TEST
+
+START_TEST(given) {
+    put_capture(RN_CAPTURE_OUTDOOR, false, origin);
+    scene.lie = (struct rn_lie){.up = {0, -1, 0},
+                                .up_given = true,
+                                .cropped = true,
+                                .crop = {{-0.5, -0.5, -0.5}, {0.5, 0.5, 0.5}}};
+    ck_assert_int_eq(rn_dataset_find_place(&scene, &place, &err), RN_OK);
+    ck_assert_double_eq(place.lie.up[1], -1);
+    ck_assert_double_lt(place.bounds.radius, 1);
+    ck_assert_double_eq(place.beyond, 0);
+}
+END_TEST
+
+// Photographs without points: near and far say what is seen.
+START_TEST(depths) {
+    put_capture(RN_CAPTURE_FORWARD, false, origin);
+    scene.points.count = 0;
+    for (int i = 0; i < CAMERAS; i++) {
+        frames[i].near = 8;
+        frames[i].far = 10;
+    }
+    ck_assert_int_eq(rn_dataset_find_place(&scene, &place, &err), RN_OK);
+    ck_assert_uint_eq(place.witnesses, 15 * CAMERAS);
+    ck_assert_int_eq(place.bounds.source, RN_BOUNDS_POINTS);
+    ck_assert_double_eq_tol(place.bounds.centre[1], 9, 0.5);
+    for (int i = 0; i < CAMERAS; i++)
+        frames[i].near = frames[i].far = 0;
+    ck_assert_int_eq(rn_dataset_find_place(&scene, &place, &err), RN_OK);
+    ck_assert_int_eq(place.bounds.source, RN_BOUNDS_CAMERAS);
+    ck_assert(isnan(place.beyond));
+}
+END_TEST
+
+// An import keeps the similarity, and it is read back as it was.
+START_TEST(kept) {
+    put_transforms("train", FRAME("./train/r_0"));
+    put_image("train/r_0.png", 16, 16);
+    struct rn_read_options how = {
+        .up_given = true, .up = {0, 3, 4}, .cropped = true, .crop = {{-1, -2, -3}, {1, 2, 4}}};
+    struct rn_import_options options = {.scales = 1, .threads = 1};
+    ck_assert_int_eq(rn_dataset_read_as(folder, &how, &problems, &dataset, &err), RN_OK);
+    ck_assert_int_eq(dataset->bounds.source, RN_BOUNDS_GIVEN);
+    ck_assert_double_eq_tol(dataset->bounds.radius, sqrt(1 + 4 + 12.25), 1e-12);
+    ck_assert_int_eq(rn_mkdirs(in_folder("out"), 0755, &err), RN_OK);
+    ck_assert_int_eq(
+        rn_dataset_import(dataset, "kept", &options, in_folder("out"), &problems, NULL, NULL, &err),
+        RN_OK);
+    struct rn_lie lie = dataset->lie;
+    rn_dataset_destroy(&dataset);
+    read_ok(in_folder("out"));
+    ck_assert(dataset->lie.known && dataset->lie.up_given && dataset->lie.cropped);
+    ck_assert_int_eq(dataset->lie.kind, lie.kind);
+    ck_assert_double_eq_tol(dataset->lie.up[2], 0.8, 1e-15);
+    ck_assert_double_eq(dataset->lie.crop.low[1], -2);
+    ck_assert_double_eq(dataset->lie.crop.high[2], 4);
+    ck_assert_double_eq(dataset->bounds.centre[2], 0.5);
+}
+END_TEST
+
+int main(void) {
+    Suite *suite = suite_create("place");
+    TCase *tests = tcase_create("place");
+    tcase_add_checked_fixture(tests, setup, teardown);
+    tcase_add_loop_test(tests, kinds, 0, 2 * RN_CAPTURE_KINDS);
+    tcase_add_loop_test(tests, bounds_are_the_objects, 0, 2);
+    tcase_add_loop_test(tests, far_from_the_origin, 0, RN_CAPTURE_KINDS);
+    tcase_add_test(tests, given);
+    tcase_add_test(tests, depths);
+    tcase_add_test(tests, kept);
+    suite_add_tcase(suite, tests);
+    return run_suite(suite);
+}

@@ -1,0 +1,241 @@
+// What a look at all photographs finds: each fault planted in a capture without any.
+#include <math.h>
+
+#include "common/dataset/survey.h"
+#include "tests/unit/common/dataset_fixture.h"
+
+#define VIEWS 24
+#define SIZE 64
+
+static struct rn_findings found;
+static char *document;
+static bool again; // the seventh is taken where the sixth was
+
+// Photographs from a ring of 270 degrees, 30 degrees above the horizon; the pattern moves along.
+static void put_ring(void) {
+    document = strdup("{\"camera_angle_x\":0.7,\"frames\":[");
+    for (int i = 0; i < VIEWS; i++) {
+        double a = 1.5 * M_PI * (again && i == 6 ? 5 : i) / (VIEWS - 1), up = 0.5,
+               flat = sqrt(0.75);
+        const double out[3] = {flat * cos(a), flat * sin(a), up};
+        const double right[3] = {-sin(a), cos(a), 0};
+        char *next;
+        ck_assert(
+            asprintf(&next,
+                     "%s%s{\"file_path\":\"train/r_%d\",\"transform_matrix\":[[%g,%.17g,%.17g,"
+                     "%.17g],[%.17g,%.17g,%.17g,%.17g],[%g,%.17g,%.17g,%.17g],[0,0,0,1]]}",
+                     document, i ? "," : "", i, right[0], -up * cos(a), out[0], 4 * out[0],
+                     right[1], -up * sin(a), out[1], 4 * out[1], 0.0, flat, up, 4 * up) > 0);
+        free(document);
+        document = next;
+    }
+}
+
+// Noise that is blurred over `blur` pixels, by `seed`.
+static void put_photo(int i, int blur, uint64_t seed) {
+    char name[32];
+    struct rn_image image = noise(SIZE, SIZE, seed);
+    snprintf(name, sizeof name, "train/r_%d.png", i);
+    image.has_alpha = false;
+    for (int y = 0; y < SIZE; y++)
+        for (int x = 0; x < SIZE; x++) {
+            uint8_t *to = image.pixels + 4 * (y * SIZE + x);
+            const uint8_t *from = image.pixels + 4 * (y / blur * blur * SIZE + x / blur * blur);
+            for (int c = 0; c < 3; c++)
+                to[c] = (uint8_t)(128 + (from[c] - 128) * cos(0.2 * x) * cos(0.15 * y));
+            to[3] = 255;
+        }
+    ck_assert_int_eq(rn_image_write_png(&image, in_folder(name), 1, &err), RN_OK);
+    rn_image_finish(&image);
+}
+
+static void look(void) {
+    struct rn_survey *survey = NULL;
+    ck_assert_int_eq(rn_survey_create(dataset, &survey, &err), RN_OK);
+    ck_assert_int_eq(rn_dataset_check_images(dataset, 2, &problems, survey, NULL, NULL, &err),
+                     RN_OK);
+    ck_assert_int_eq(rn_survey_conclude(survey, dataset, &problems, &found, &err), RN_OK);
+    rn_survey_destroy(&survey);
+}
+
+static void read_ring(void) {
+    char *whole;
+    ck_assert(asprintf(&whole, "%s]}", document) > 0);
+    put_text("transforms_train.json", whole);
+    free(whole);
+    free(document);
+    read_ok(folder);
+}
+
+static void survey(void) {
+    read_ring();
+    look();
+}
+
+static void put_photos(void) {
+    for (int i = 0; i < VIEWS; i++)
+        put_photo(i, 1, (uint64_t)i + 1);
+}
+
+// Squares of colours that all photographs show in the same places, `gain` as bright.
+static void put_squares(int i, double gain) {
+    char name[32];
+    struct rn_image image = noise(SIZE, SIZE, 1);
+    snprintf(name, sizeof name, "train/r_%d.png", i);
+    image.has_alpha = false;
+    for (int at = 0; at < SIZE * SIZE; at++)
+        for (int c = 0; c < 4; c++) {
+            int square = at % SIZE / 8 + at / SIZE / 8 * 8;
+            double value = 60 + 100 * fabs(sin(square * 0.7 + 2 * c));
+            image.pixels[4 * at + c] = c == 3 ? 255 : (uint8_t)(value * gain);
+        }
+    ck_assert_int_eq(rn_image_write_png(&image, in_folder(name), 1, &err), RN_OK);
+    rn_image_finish(&image);
+}
+
+// A sparse point in the middle of each square of every photograph.
+static void put_points(void) {
+    struct rn_points *points = &dataset->points;
+    points->count = 64;
+    points->items = calloc(points->count, sizeof *points->items);
+    points->sightings = calloc(VIEWS * points->count, sizeof *points->sightings);
+    for (uint32_t photo = 0; photo < VIEWS; photo++) {
+        dataset->frames[photo].photo = (int)photo;
+        for (uint32_t i = 0; i < points->count; i++)
+            points->sightings[points->sighting_count++] = (struct rn_sighting){
+                i, photo, ((float)(i % 8) + 0.5f) / 8, ((float)(i / 8) + 0.5f) / 8};
+    }
+}
+
+static bool tells(const char *text) {
+    for (size_t i = 0; i < problems.count; i++)
+        if (strstr(problems.items[i].text, text)) return true;
+    return false;
+}
+
+START_TEST(nothing_is_wrong) {
+    put_ring();
+    put_photos();
+    survey();
+    ck_assert_double_eq(found.blurred, 0);
+    ck_assert_double_eq(found.duplicates, 0);
+    ck_assert_double_eq(found.looking_away, 0);
+    ck_assert_double_eq_tol(found.azimuth_gap_deg, 90, 1e-3);
+    ck_assert_double_eq_tol(found.elevation_min_deg, 30, 1e-3);
+    ck_assert_double_eq_tol(found.elevation_max_deg, 30, 1e-3);
+    ck_assert(isnan(found.reprojection_px) && isnan(found.exposure_spread));
+    ck_assert_double_gt(found.train_bytes, 4 * VIEWS * SIZE * SIZE);
+    ck_assert_uint_eq(problems.errors, 0);
+}
+END_TEST
+
+START_TEST(blur) {
+    put_ring();
+    put_photos();
+    put_photo(7, 8, 8);
+    survey();
+    ck_assert_double_eq(found.blurred, 1);
+    ck_assert(tells("those before and after them: r_7"));
+}
+END_TEST
+
+START_TEST(duplicates) {
+    again = _i == 0;
+    put_ring();
+    put_photos();
+    put_photo(6, 1, 6); // the same picture as r_5
+    survey();
+    ck_assert_double_eq(found.duplicates, _i == 0);
+    ck_assert(tells(_i ? "have different poses: r_5 and r_6" : "from the same place: r_5 and r_6"));
+}
+END_TEST
+
+START_TEST(cameras_that_look_away) {
+    put_ring();
+    char *next;
+    ck_assert(asprintf(&next,
+                       "%s,{\"file_path\":\"train/r_24\",\"transform_matrix\":"
+                       "[[1,0,0,4],[0,1,0,0],[0,0,1,9],[0,0,0,1]]}",
+                       document) > 0);
+    free(document);
+    document = next;
+    put_photos();
+    put_photo(VIEWS, 1, 99);
+    survey();
+    ck_assert_double_eq(found.looking_away, 1);
+    ck_assert(tells("1 of 25 cameras look away from the bounds: r_24"));
+}
+END_TEST
+
+// Exposures that follow the camera around, and those by chance, which training makes even.
+START_TEST(exposures) {
+    put_ring();
+    for (int i = 0; i < VIEWS; i++)
+        put_squares(i, exp(0.2 * (_i ? sin(1e3 * i * i) : sin(1.5 * M_PI * i / (VIEWS - 1)))));
+    read_ring();
+    put_points();
+    look();
+    ck_assert_double_gt(found.exposure_spread, 0.15);
+    ck_assert(tells("exposures of 90 % of the photographs differ by"));
+    ck_assert_int_eq(tells("training makes them even (effect exposure)"), _i);
+}
+END_TEST
+
+// What cameras call for: nothing, a lens, space to infinity, planes over disparity.
+START_TEST(effects) {
+    put_ring();
+    put_photos();
+    read_ring();
+    for (int i = 0; i < VIEWS; i++) {
+        struct rn_frame *frame = &dataset->frames[i];
+        if (_i == 1) {
+            frame->camera.lens = RN_LENS_POLYNOMIAL;
+            frame->camera.lens_k[0] = 0.1;
+        }
+        if (_i < 3) continue;
+        double eye[3] = {0.1 * i, 0, 4}, target[3] = {0.1 * i, 0, 0};
+        ck_assert_int_eq(rn_camera_look_at(eye, target, (const double[3]){0, 1, 0},
+                                           frame->camera.world_from_camera),
+                         RN_OK);
+        frame->near = 2;
+        frame->far = 9;
+    }
+    if (_i >= 2) dataset->bounds.source = RN_BOUNDS_CAMERAS;
+    look();
+    ck_assert_int_eq(tells("training follows it (effect distortion)"), _i == 1);
+    ck_assert_int_eq(tells("contracts space to infinity (effect unbounded)"), _i == 2);
+    ck_assert_int_eq(tells("between near and far (effect forward-facing)"), _i == 3);
+}
+END_TEST
+
+// One line for all that is not there.
+START_TEST(missing) {
+    put_ring();
+    put_photos();
+    for (int i = 4; i < VIEWS; i++) {
+        char name[32];
+        snprintf(name, sizeof name, "train/r_%d.png", i);
+        ck_assert_int_eq(remove(in_folder(name)), 0);
+    }
+    survey();
+    ck_assert_uint_eq(problems.errors, 1);
+    ck_assert_int_eq(dataset->unusable[RN_SPLIT_TRAIN], 20);
+    ck_assert(tells("r_4.png, which does not exist; neither do 19 others"));
+    ck_assert(tells("the last at"));
+}
+END_TEST
+
+int main(void) {
+    Suite *suite = suite_create("survey");
+    TCase *tests = tcase_create("survey");
+    tcase_add_checked_fixture(tests, setup, teardown);
+    tcase_add_test(tests, nothing_is_wrong);
+    tcase_add_test(tests, blur);
+    tcase_add_loop_test(tests, duplicates, 0, 2);
+    tcase_add_test(tests, cameras_that_look_away);
+    tcase_add_loop_test(tests, exposures, 0, 2);
+    tcase_add_loop_test(tests, effects, 0, 4);
+    tcase_add_test(tests, missing);
+    suite_add_tcase(suite, tests);
+    return run_suite(suite);
+}

@@ -1,0 +1,47 @@
+// Camera paths in files: this program's own, and other programs' through the daemon's readers.
+import {api} from './api.js';
+import {documentOf} from './path.js';
+
+/** What can be written: the daemon's name, the words, and what such a file is called. */
+export const PATH_FORMATS = [
+  ['ripnerf', 'ripnerf', 'path.json'], ['nerfstudio', 'nerfstudio', 'camera_path.json'],
+  ['instant-ngp', 'instant-ngp', 'base_cam.json'],
+  ['nerfbaselines', 'nerfbaselines', 'trajectory.json'],
+  ['transforms', 'transforms.json', 'transforms.json'], ['colmap', 'COLMAP', 'images.txt'],
+  ['supersplat', 'SuperSplat', 'supersplat.json'], ['3dgs', '3D Gaussian splatting', 'cameras.json']
+];
+
+const named = (files, name) => files.find((file) => file.name === name);
+
+/** What lies beside a path's file among those that were chosen: the path itself is what is left. */
+export function sortFiles(files) {
+  const space = named(files, 'dataparser_transforms.json');
+  const beside = files.length > 1 ? named(files, 'cameras.txt') : undefined;
+  return {file: files.find((one) => one !== space && one !== beside), beside, space};
+}
+
+/**
+ * The document of the chosen files, in the dataset's coordinates.
+ * @param {File[]} files a path, and what its format has beside it: COLMAP's cameras.txt,
+ *     nerfstudio's dataparser_transforms.json
+ */
+export async function readPathFiles(files, signal) {
+  const {file, beside, space} = sortFiles(files);
+  if (!file) throw new Error('Choose the path’s own file too.');
+  const body = {
+    file: await file.text(),
+    ...(beside ? {beside: await beside.text()} : {}),
+    ...(space ? {space: await space.text()} : {})
+  };
+  return api.convertPath(body, signal);
+}
+
+/** The files of a path in another program's words: name and blob of each. */
+export async function writePathFiles(path, to, signal) {
+  const [, , name] = PATH_FORMATS.find(([format]) => format === to);
+  const answer = await api.convertPath(
+      {path: documentOf(path), to, ...(to === 'nerfstudio' ? {space: 'dataset'} : {})}, signal);
+  const files = [[name, answer.file]];
+  if (answer.beside) files.push([answer.beside_name, answer.beside]);
+  return files.map(([called, words]) => [called, new Blob([words], {type: 'text/plain'})]);
+}

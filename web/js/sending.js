@@ -1,0 +1,74 @@
+// Sending a tar in parts: after a lost connection it goes on where the daemon has it.
+import {api, Problem, Unreachable} from './api.js';
+import {sleep} from './dom.js';
+
+const FIRST_PART = 4 << 20;
+const MOST_PART = 64 << 20;
+const QUICK_MS = 4000;  // a part that took less is followed by one of twice the size
+const WAITS_MS = [500, 1000, 2000, 4000, 8000];
+
+/** Whether a failure passes by itself: a lost line, or a daemon that is busy. */
+const passes = (error) => error instanceof Unreachable ||
+    (error instanceof Problem && [409, 429, 502, 503, 504].includes(error.status));
+
+/**
+ * @param {Blob} tar @param {string} name the dataset's
+ * @param {{onProgress: (sent: number) => void, onWait: (ms: number, error: Error) => void,
+ *     signal: AbortSignal}} host onWait: a pause of so long, after a failure that passes
+ * @returns {Promise<string>} the id of the upload, which is whole
+ */
+export async function sendInParts(tar, name, {onProgress, onWait, signal}) {
+  let failures = 0;
+  const pause = async (error) => {
+    if (signal.aborted) throw new DOMException('upload cancelled', 'AbortError');
+    if (!passes(error)) throw error;
+    const ms = WAITS_MS[Math.min(failures++, WAITS_MS.length - 1)];
+    onWait(ms, error);
+    await online(ms, signal);
+  };
+  const patiently = async (ask) => {
+    for (;;) {
+      try {
+        return await ask();
+      } catch (error) {
+        if (error instanceof Problem && error.status === 409) throw error;  // a name that is taken
+        await pause(error);
+      }
+    }
+  };
+  const begin = () => patiently(() => api.beginUpload({size_bytes: tar.size, name}, signal));
+  let upload = await begin();
+  let size = FIRST_PART;
+  signal.addEventListener('abort', () => api.dropUpload(upload.id).catch(() => {}), {once: true});
+  while (upload.offset < tar.size) {
+    const from = upload.offset;
+    const part = tar.slice(from, from + size);
+    const began = performance.now();
+    try {
+      await api.sendPart(upload.id, from, part, (sent) => onProgress(from + sent), signal);
+      upload = {...upload, offset: from + part.size};
+      failures = 0;
+      if (performance.now() - began < QUICK_MS) size = Math.min(MOST_PART, 2 * size);
+    } catch (error) {
+      size = FIRST_PART;
+      await pause(error);
+      upload = await patiently(() => api.upload(upload.id, signal)).catch((lost) => {
+        if (lost instanceof Problem && lost.status === 404) return begin();  // it was removed
+        throw lost;
+      });
+      if (upload.offset > from) failures = 0;
+    }
+    onProgress(upload.offset);
+  }
+  return upload.id;
+}
+
+/** Waits so long, or until the browser says that it is online again. */
+async function online(ms, signal) {
+  const early = new AbortController();
+  const wake = () => early.abort();
+  addEventListener('online', wake, {once: true});
+  await sleep(ms, AbortSignal.any([signal, early.signal]));
+  removeEventListener('online', wake);
+  if (signal.aborted) throw new DOMException('upload cancelled', 'AbortError');
+}

@@ -1,0 +1,119 @@
+// What a scene's effects are, why, and what each brings and costs, where that was measured.
+import {api, Problem} from '../api.js';
+import {fill, h} from '../dom.js';
+import {isActive, isOver, means, putJob, watch} from '../store.js';
+import {fixed, plural} from '../format.js';
+import {action, meter, panel, progressWords, toast} from '../ui.js';
+
+/** What an effect is called on the page, by its name. */
+export const EFFECTS = {
+  background: 'Background',
+  'scale-pyramid': 'Scale pyramid',
+  anisotropy: 'Anisotropy',
+  'view-dependence': 'View dependence',
+  'split-pixels': 'Split pixels',
+  cones: 'Cones a pixel',
+  distortion: 'Distortion',
+  masks: 'Masks',
+  exposure: 'Exposure',
+  'forward-facing': 'Forward-facing',
+  unbounded: 'Unbounded space',
+  'straight-alpha': 'Straight alpha',
+  'pose-refinement': 'Pose refinement',
+  downscaling: 'Downscaling'
+};
+
+/** An effect's number in the unit that its reason is told in. */
+const short = (x, digits = 3) => String(Number(x.toPrecision(digits)));
+const octaves = (x) => `${(2 ** x).toFixed(2)}×`;
+const UNITS = {
+  background: (x) => `${short(100 * x)} %`,
+  'scale-pyramid': octaves,
+  anisotropy: octaves,
+  'view-dependence': (x) => `${short(255 * x)}/255`,
+  'split-pixels': octaves,
+  cones: octaves,
+  distortion: (x) => `${short(x)} px`,
+  masks: (x) => `${short(x)} %`,
+  exposure: (x) => `${short(x)} %`,
+  'forward-facing': (x) => `${short(x)}°`,
+  unbounded: (x) => `${short(100 * x)} %`,
+  'straight-alpha': (x) => `${short(255 * x)}/255`,
+  'pose-refinement': (x) => `${short(x)} dB`,
+  downscaling: (x) => `${short(x)} Mpx/s`
+};
+const number = (effect, x) => (x === null ? '–' : (UNITS[effect.name] ?? short)(x));
+
+const signed = (x, digits) => `${x < 0 ? '−' : '+'}${fixed(Math.abs(x), digits)}`;
+const share = (x) => (x === null ? '–' : `${signed(100 * x, 0)} %`);
+
+/** What it brings beside trainings without it, in words. */
+const gainWords = (gain) =>
+    `${gain.gain === null ? 'No view is withheld' : `${signed(gain.gain, 2)} dB`}${
+        gain.gain_spread === null ? '' : ` ± ${fixed(gain.gain_spread, 2)}`}; ${
+        share(gain.cost)} time in training, ${share(gain.picture_cost)} for a picture`;
+
+const row = (effect, gain) =>
+    h('li', {class: 'effect', 'data-on': String(effect.on && effect.decided)},
+      h('span', {class: 'effect-mark'}, effect.decided ? effect.on ? 'on' : 'off' : 'open'),
+      h('div', null, h('strong', null, EFFECTS[effect.name] ?? effect.name),
+        h('p', {class: 'quiet'}, effect.reason),
+        gain ? h('p', {class: 'effect-gain'}, gainWords(gain)) : null),
+      h('span', {class: 'number'}, number(effect, effect.number),
+        effect.threshold === null ?
+            null :
+            h('small', {class: 'line'}, `threshold ${number(effect, effect.threshold)}`)));
+
+/**
+ * @param {any} scene @param {AbortSignal} signal
+ * @returns {{node: HTMLElement, show: (scene: any) => void}} `show` takes the scene as it is now
+ */
+export function createEffects(scene, signal) {
+  const list = h('ul', {class: 'effects'});
+  const words = h('p', {class: 'quiet'});
+  const about = h('p', {class: 'quiet'});
+  const under = h('div');
+  const bar = meter('Measuring');
+  const measure = action('Measure', async () => putJob(await api.measureEffects(scene.id)),
+    {kind: 'small', title: 'Short trainings with each effect and without it'});
+  let now = scene;
+  let measured = null;
+  let known = null;
+
+  function show(latest) {
+    now = latest;
+    const gains = new Map(measured?.gains.map((gain) => [gain.name, gain]));
+    fill(list, now.effects.map((effect) => row(effect, gains.get(effect.name))));
+    measure.hidden = !now.effects.length;
+    fill(words, now.effects.length ?
+        'On where the number is over its threshold and the rest that its reason names allows it. What is off is not computed.' :
+        'Decided when training begins.');
+    about.hidden = !measured;
+    if (measured)
+      fill(about, `Gains: ${plural(measured.seeds, 'pair')} of trainings of ${
+          measured.seconds} s with each and without, on withheld views (${measured.held_out}).`);
+  }
+
+  async function load() {
+    try {
+      measured = await api.effects(scene.id, signal);
+    } catch (error) {
+      if (signal.aborted) return;
+      if (!(error instanceof Problem && error.status === 404)) toast(error);
+    }
+    show(now);
+  }
+
+  watch(({jobs}) => {
+    const own = jobs.filter((job) => job.type === 'effects' && means(job.scene, scene));
+    const active = own.find(isActive);
+    fill(under, active ? bar.node : null);
+    if (active) bar.set(active.progress?.fraction ?? null, progressWords(active));
+    const over = own.filter(isOver).map((job) => job.id).join();
+    if (over === known) return;
+    known = over;
+    load();
+  }, signal);
+  show(scene);
+  return {node: panel('Effects', {tools: measure}, words, list, about, under), show};
+}

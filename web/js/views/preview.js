@@ -1,0 +1,151 @@
+// What an import would keep, before any photograph is sent: the daemon reads the documents and the
+// beginnings of the images.
+import {api} from '../api.js';
+import {fill, h} from '../dom.js';
+import {find, isActive, putJob, state, watch} from '../store.js';
+import {bytes, plural} from '../format.js';
+import {facts, meter, recordedProblem} from '../ui.js';
+import {sendInParts} from '../sending.js';
+import {tarOf} from '../tar.js';
+import {cameraPlot, SPLIT_COLOURS} from './cloud.js';
+import {report} from './dataset.js';
+
+const HEADS = {
+  // what says an image's size lies in its first so many bytes
+  png: 64 << 10,
+  webp: 64 << 10,
+  jpg: 256 << 10,
+  jpeg: 256 << 10
+};
+const MOST = 128 << 20;  // more is not sent to be looked at
+const THUMBS = 24;
+const THUMB_PX = 160;
+const SETTLE_MS = 400;  // after the last change of an option
+
+const headOf = ({path, file}) => {
+  const size = HEADS[path.split('.').at(-1).toLowerCase()] ?? file.size;
+  return {path, file: file.slice(0, size)};
+};
+
+/** So many of a list, evenly spaced. */
+const some = (items, count) =>
+    (items.length <= count ?
+         items :
+         Array.from({length: count}, (_, i) => items[Math.floor((i * items.length) / count)]));
+
+/** A photograph of the folder, small; what its mask leaves out is darkened. */
+async function paint(canvas, photo, mask) {
+  const picture = await createImageBitmap(photo, {resizeWidth: THUMB_PX, resizeQuality: 'medium'});
+  [canvas.width, canvas.height] = [picture.width, picture.height];
+  const context = canvas.getContext('2d');
+  context.drawImage(picture, 0, 0);
+  if (!mask) return;
+  const cover =
+      await createImageBitmap(mask, {resizeWidth: picture.width, resizeHeight: picture.height});
+  context.globalCompositeOperation = 'multiply';
+  context.globalAlpha = 0.8;
+  context.drawImage(cover, 0, 0);
+}
+
+function thumbnail(item, files) {
+  const canvas =
+      h('canvas',
+        {class: 'preview-thumb', role: 'img', 'aria-label': item.file, width: 1, height: 1});
+  const photo = files.get(item.file);
+  if (photo) paint(canvas, photo, files.get(item.mask)).catch(() => {});  // told in the report
+  return h(
+      'figure', null, canvas,
+      h('figcaption', null, swatch(item.split), ` ${item.split}${item.mask ? ', masked' : ''}`));
+}
+
+const swatch = (split) =>
+    h('span', {class: 'split-mark', 'aria-hidden': 'true', 'data-split': split});
+
+function found(validation, files, signal) {
+  const {views, items, bounds, scales} = validation;
+  const masked = items.filter((item) => item.mask).length;
+  const splits = Object.keys(SPLIT_COLOURS).filter((split) => views[split]);
+  const {width, height} = items[0]?.camera ?? {};
+  const plot = cameraPlot(validation, items, signal);
+  return [
+    facts([
+      ['Views', splits.map((split) => [swatch(split), ` ${views[split]} ${split} `])],
+      ['Kept at', width && `${width} × ${height} px${scales > 1 ? `, ${scales} scales` : ''}`],
+      ['Masks', masked ? `${masked} of ${plural(items.length, 'view')}` : 'none'],
+      [
+        'Bounds',
+        `radius ${Number(bounds.radius.toPrecision(4))} about (${
+            bounds.centre.map((x) => Number(x.toPrecision(3))).join(', ')})`
+      ]
+    ]),
+    items.length ? plot.node : null,
+    h('div', {class: 'photos'}, some(items, THUMBS).map((item) => thumbnail(item, files))),
+    report(validation.report)
+  ];
+}
+
+/**
+ * @param {{entries: {path: string, file: File}[], poses?: string}} plan
+ * @param {{values: () => any, node: HTMLElement, onFault: (error: Error|null) => void}} options of
+ *     the import; a change of them is looked at anew
+ * @param {AbortSignal} signal
+ * @returns {{node: HTMLElement}} empty where there is nothing to read before
+ */
+export function createPreview(plan, {values, node: form, onFault}, signal) {
+  const node = h('div', {class: 'preview', role: 'status'});
+  const files = new Map(plan.entries.map(({path, file}) => [path, file]));
+  const heads = plan.entries.map(headOf);
+  const size = heads.reduce((sum, {file}) => sum + file.size, 0);
+  const bar = meter('Looking at the dataset');
+  let upload = null;
+  let asked = null;  // the newest job
+  let shown = '';
+  let timer = 0;
+
+  async function look() {
+    try {
+      const job = putJob(await api.submit({type: 'validate', upload, options: values()}));
+      onFault(null);
+      asked = job.id;
+    } catch (error) {
+      if (!signal.aborted) onFault(error);
+    }
+  }
+  async function begin() {
+    fill(node, bar.node);
+    const tar = tarOf(heads);
+    upload = await sendInParts(tar, undefined, {
+      onProgress: (sent) => bar.set(sent / tar.size, `documents and image headers: ${bytes(sent)}`),
+      onWait: () => bar.set(null, 'The connection is lost.'),
+      signal
+    });
+    if (!signal.aborted) await look();
+  }
+  const show = (job) => {
+    const key = `${job.id} ${job.state}`;
+    if (key === shown) return;
+    shown = key;
+    if (isActive(job)) return bar.set(null, 'reading documents and image headers');
+    if (job.result) return fill(node, found(job.result, files, signal));
+    fill(node, job.problem ? recordedProblem(job.problem) : null);
+  };
+  if (plan.poses) return {node};
+  if (size > MOST) {
+    fill(
+        node,
+        h('p', {class: 'quiet'},
+          `Documents and image headers are ${
+              bytes(size)}: what is in them is told once they are sent.`));
+    return {node};
+  }
+  form.addEventListener('change', () => {
+    clearTimeout(timer);
+    timer = setTimeout(() => upload && !signal.aborted && look(), SETTLE_MS);
+  }, {signal});
+  watch(() => {
+    const job = asked && find(state.jobs, asked);
+    if (job) show(job);
+  }, signal);
+  begin().catch((error) => !signal.aborted && onFault(error));
+  return {node};
+}
