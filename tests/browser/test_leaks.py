@@ -47,7 +47,8 @@ def test_views_that_were_left_leave_nothing(page, fake):
     def around():
         for place, sign in (
                 ("scene/sphere-draft", ".stage[data-level=refined]"), (f"job/{job}", ".cells [data-there]"),
-                ("dataset/sphere", "#train"), ("jobs", ".job-row"), ("system", ".facts"), ("", ".card")):
+                ("dataset/sphere", "#train"), ("jobs", ".job-row"), ("system", ".facts"),
+                ("", ".card .thumb[data-state=ready]")):  # with its picture, which has an address
             page.run("location.hash = args[0];", f"#/{place}")
             # asked in the page: the driver holds on to elements that it finds
             page.until(lambda: page.run("return Boolean(document.querySelector(args[0]));", sign), sign)
