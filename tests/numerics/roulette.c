@@ -36,8 +36,9 @@ static size_t gradients(struct rn_trainer *t, float threshold, uint64_t seed, do
     march.seed = seed;
     memset(group.base_grad, 0, networks * sizeof(float));
     group.slab.count = 0;
-    t->engine->kernels->train(&t->field->cpu, &march, t->step.rays,
-                              rn_engine_workspace(t->engine, 0), &group);
+    struct rn_workspace *w = rn_engine_workspace(t->engine, 0);
+    while (rn_group_is_open(&group, w))
+        t->engine->kernels->train(&t->field->cpu, &march, t->step.rays, w, &group);
     int channels = t->field->config.field.channels;
     for (int plane = 0; plane < t->field->config.field.planes; plane++)
         for (int i = 0; i < group.slab.count * channels; i++)

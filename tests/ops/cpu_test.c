@@ -264,7 +264,8 @@ static void check_step(const struct rn_kernels *kernels, const struct rn_train_c
         s.exact[2].count = 0;
     }
     if (stop_depth < 1) stop_early(&s, stop_depth);
-    kernels->train(&s.field->cpu, &s.options, s.rays, s.workspace, &s.group);
+    while (rn_group_is_open(&s.group, s.workspace))
+        kernels->train(&s.field->cpu, &s.options, s.rays, s.workspace, &s.group);
     ck_assert_int_eq(s.group.cursor, RAYS);
     double loss, weight = s.group.weight;
     ck_assert(rn_reference_loss(s.reference, s.exact, RAYS, &loss) == RN_OK);

@@ -318,6 +318,37 @@ START_TEST(pictures_in_between_show_one_step) {
 }
 END_TEST
 
+static int rays_done(const struct rn_trainer *t) {
+    int done = 0;
+    for (int g = 0; g < RN_GROUPS; g++)
+        done += t->step.groups[g].cursor - rn_step_first_ray(t, g);
+    return done;
+}
+
+// What a picture waits for is one packet of rays, not a group of them.
+START_TEST(waves_are_cut_short_after_a_packet) {
+    struct rn_error err;
+    struct rn_train_config config = small_paper(dataset);
+    config.initial_rays = 16 * RN_GROUPS * RN_PACKET_RAYS;
+    config.target_samples = 4194304;
+    struct rn_engine *engine = engine_with(1);
+    struct rn_trainer *t = trainer_for(engine, dataset, &config);
+    rn_engine_yield_to(engine, always, NULL);
+    while (!t->step.under_way)
+        ck_assert(rn_trainer_advance(t, 1000, &err) == RN_OK);
+    int before = rays_done(t), pieces = 0;
+    for (; t->step.under_way && t->step.stage == RN_STEP_WAVES; pieces++) {
+        ck_assert(rn_trainer_advance(t, 1000, &err) == RN_OK);
+        ck_assert_int_le(rays_done(t) - before, RN_PACKET_RAYS);
+        before = rays_done(t);
+    }
+    ck_assert_int_eq(before, config.initial_rays);
+    ck_assert_int_ge(pieces, 16 * RN_GROUPS);
+    rn_trainer_destroy(&t);
+    rn_engine_destroy(&engine);
+}
+END_TEST
+
 // Parameters that are not finite: back to the last sound ones at half the rate, and on to the end.
 START_TEST(paper_goes_back_when_it_diverges) {
     struct rn_error err;
@@ -351,6 +382,7 @@ static void add_tests(TCase *tests) {
     tcase_add_test(tests, all_cells_are_measured_at_first);
     tcase_add_test(tests, paper_has_the_same_bytes_however_it_runs);
     tcase_add_test(tests, pictures_in_between_show_one_step);
+    tcase_add_test(tests, waves_are_cut_short_after_a_packet);
     tcase_add_test(tests, paper_goes_back_when_it_diverges);
 }
 

@@ -459,6 +459,39 @@ START_TEST(differences_from_the_paper_have_their_gains) {
 }
 END_TEST
 
+// A weight of a network's first layer that is no number shows in the rays' colours.
+static void check_nan_is_met(struct rn_trainer *t, size_t weight) {
+    struct rn_incident incident;
+    float *value = &t->field->parameters.values[t->field->parameters.plane_count + weight];
+    float good = *value;
+    *value = NAN;
+    rn_field_refresh(t->field, t->engine);
+    rn_trainer_note(t, RN_INCIDENT_REJECTED);
+    ck_assert(rn_trainer_take_incident(t, &incident));
+    ck_assert_msg(incident.rays[0].fault == RN_FAULT_COLOUR, "%s: weight %zu is not met",
+                  t->engine->kernels->name, weight);
+    *value = good;
+}
+
+START_TEST(nan_in_a_network_is_met_by_every_kernel_set) {
+    struct rn_error err;
+    const struct rn_kernels *kernels;
+    struct rn_train_config config = config_for(dataset);
+    for (int i = 0; (kernels = rn_kernels_available(i)); i++) {
+        struct rn_engine_options options = {.threads = 1, .kernels = kernels->name};
+        struct rn_engine *engine;
+        ck_assert(rn_engine_create(&options, &engine, &err) == RN_OK);
+        struct rn_trainer *t = trainer_for(engine, dataset, &config);
+        while (t->progress.step < 4)
+            ck_assert(rn_trainer_advance(t, 1, &err) == RN_OK);
+        check_nan_is_met(t, 0);
+        check_nan_is_met(t, t->field->parameters.base_count);
+        rn_trainer_destroy(&t);
+        rn_engine_destroy(&engine);
+    }
+}
+END_TEST
+
 static size_t peak_bytes(void) {
     struct rusage usage;
     ck_assert_int_eq(getrusage(RUSAGE_SELF, &usage), 0);
@@ -507,6 +540,7 @@ static void add_tests(TCase *tests) {
     tcase_add_test(tests, a_resumed_run_keeps_its_kernels);
     tcase_add_test(tests, training_ends_with_its_time);
     tcase_add_test(tests, differences_from_the_paper_have_their_gains);
+    tcase_add_test(tests, nan_in_a_network_is_met_by_every_kernel_set);
     tcase_add_test(tests, memory_limit_is_said_before_it_is_taken);
 }
 

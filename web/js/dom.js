@@ -122,8 +122,9 @@ export function lazyImage(load, props, signal) {
   return frame;
 }
 
-/** Points `image` at a blob and frees the address when the view goes. */
+/** Points `image` at a blob and frees the address when the view goes; nothing once it is gone. */
 export function showBlob(image, blob, signal) {
+  if (signal.aborted) return;
   const address = URL.createObjectURL(blob);
   image.src = address;
   signal.addEventListener('abort', () => URL.revokeObjectURL(address), {once: true});

@@ -39,14 +39,10 @@ static bool record_packet(struct rn_bench_recording *rec, int begin, int end,
     struct rn_workspace *w = packet->workspace;
     struct rn_group *group = packet->group;
     while (begin < end) {
-        int left = end - begin < RN_PACKET_RAYS ? end - begin : RN_PACKET_RAYS;
-        do { // fewer rays, until they are one packet
-            group->slab.count = 0;
-            group->cursor = begin;
-            group->end = begin + left;
-            rec->kernels->train(rec->field, &t->step.march, t->step.rays, w, group);
-            left /= 2;
-        } while (w->ray_count < group->end - begin);
+        group->slab.count = 0;
+        group->cursor = begin;
+        group->end = end;
+        rec->kernels->train(rec->field, &t->step.march, t->step.rays, w, group);
         packet->rays = t->step.rays + begin;
         packet->ray_count = w->ray_count;
         packet->returned = group->slab.count;
@@ -58,7 +54,7 @@ static bool record_packet(struct rn_bench_recording *rec, int begin, int end,
             packet->found = candidates(w);
             return true;
         }
-        begin = group->end;
+        begin = group->cursor;
     }
     group->slab.count = 0;
     return false;

@@ -324,34 +324,31 @@ static int next_packet(const struct rn_cpu_field *field, const struct rn_march_o
 static void train(const struct rn_cpu_field *field, const struct rn_march_options *options,
                   const struct rn_march_ray *rays, struct rn_workspace *w, struct rn_group *group) {
     bool per_ray = field->config->shading == RN_SHADING_RAY, leveled;
-    int pixel = rn_pixel_rays(options);
-    while (group->cursor < group->end && group->slab.capacity - group->slab.count >= w->capacity) {
-        const struct rn_march_ray *packet = rays + group->cursor;
-        int n = next_packet(field, options, rays, w, group, &leveled), hits = 0, kept = 0;
-        group->cursor += n;
-        if (w->count == 0) continue;
-        struct ray_sums sums[RN_PACKET_RAYS];
-        float rgb[RN_PACKET_RAYS][3], ray_slope[RN_PACKET_RAYS][4] = {{0}};
-        int16_t hit[RN_PACKET_RAYS];
-        bool seen[RN_PACKET_RAYS];
-        row16 ray_grad[RN_PACKET_RAYS]; // with ray shading
-        if (per_ray) {
-            hits = shade_rays(field, options, packet, n, w, sums, rgb, hit);
-        } else {
-            kept = keep_samples(0, w);
-            shade_packet_by_samples(field, options, packet, n, kept, w, sums, rgb);
-        }
-        for (int r = 0; r < n; r++)
-            seen[r] = w->ray_first[r] >= 0 && !(sums[r].opacity <= 0);
-        for (int r = 0; r < n; r += pixel)
-            rays_loss(options, packet + r, pixel, seen + r, sums + r, rgb + r, ray_slope + r,
-                      group);
-        if (per_ray)
-            backward_rays(field, options, hits, hit, sums, ray_slope, w, group, ray_grad);
-        else
-            backward_samples(field, options, kept, ray_slope, w, group);
-        packet_backward(field, options, packet, n, leveled, per_ray ? ray_grad : NULL, w, group);
+    int pixel = rn_pixel_rays(options), hits = 0, kept = 0;
+    const struct rn_march_ray *packet = rays + group->cursor;
+    int n = next_packet(field, options, rays, w, group, &leveled);
+    group->cursor += n;
+    if (w->count == 0) return;
+    struct ray_sums sums[RN_PACKET_RAYS];
+    float rgb[RN_PACKET_RAYS][3], ray_slope[RN_PACKET_RAYS][4] = {{0}};
+    int16_t hit[RN_PACKET_RAYS];
+    bool seen[RN_PACKET_RAYS];
+    row16 ray_grad[RN_PACKET_RAYS]; // with ray shading
+    if (per_ray) {
+        hits = shade_rays(field, options, packet, n, w, sums, rgb, hit);
+    } else {
+        kept = keep_samples(0, w);
+        shade_packet_by_samples(field, options, packet, n, kept, w, sums, rgb);
     }
+    for (int r = 0; r < n; r++)
+        seen[r] = w->ray_first[r] >= 0 && !(sums[r].opacity <= 0);
+    for (int r = 0; r < n; r += pixel)
+        rays_loss(options, packet + r, pixel, seen + r, sums + r, rgb + r, ray_slope + r, group);
+    if (per_ray)
+        backward_rays(field, options, hits, hit, sums, ray_slope, w, group, ray_grad);
+    else
+        backward_samples(field, options, kept, ray_slope, w, group);
+    packet_backward(field, options, packet, n, leveled, per_ray ? ray_grad : NULL, w, group);
 }
 
 #endif

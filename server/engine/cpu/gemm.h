@@ -53,7 +53,7 @@ RN_INLINE void gemm_tile(const struct rn_gemm *g, int row, int column, int k_cou
 #pragma GCC unroll 4
         for (int j = 0; j < VECTORS; j++) {
             vf value = sum[i][j];
-            if (g->relu) value = vf_max(value, vf_set(0));
+            if (g->relu) value = vf_max(vf_set(0), value); // NaN stays NaN
             if (g->mask) {
                 vf m = vf_load(g->mask + (size_t)(row + i) * g->mask_stride + column + j * RN_VL);
                 value = vf_bits(vi_bits(value) & (m > 0.0f));

@@ -6,7 +6,8 @@
 #include <stdlib.h>
 #include <time.h>
 
-#define SPIN_NS 50000 // how long a waiting thread spins before it sleeps
+#define SPIN_NS 50000  // how long a waiting thread spins before it sleeps
+#define ASK_NS 1000000 // how often the caller, who waits for the others, asks whether to stop
 
 struct worker {
     struct rn_pool *pool;
@@ -20,6 +21,9 @@ struct rn_pool {
     void (*work)(void *context, int index, int thread);
     void *context;
     int count;
+    bool (*stop)(void *context); // NULL: the run is not cut short
+    void *stop_context;
+    atomic_bool stopped;
     _Alignas(64) atomic_int next;        // index to hand out
     _Alignas(64) atomic_uint generation; // of the current run
     _Alignas(64) atomic_int running;     // workers still in the current run
@@ -32,6 +36,11 @@ static int64_t now_ns(void) {
     struct timespec t;
     clock_gettime(CLOCK_MONOTONIC, &t);
     return (int64_t)t.tv_sec * 1000000000 + t.tv_nsec;
+}
+
+static struct timespec later(int64_t ns) {
+    ns += now_ns();
+    return (struct timespec){.tv_sec = ns / 1000000000, .tv_nsec = ns % 1000000000};
 }
 
 static void relax(void) {
@@ -48,13 +57,19 @@ static void drain(struct rn_pool *pool, int thread) {
     }
 }
 
+bool rn_pool_is_stopped(struct rn_pool *pool, int thread) {
+    if (thread == 0 && pool->stop && !atomic_load(&pool->stopped) && pool->stop(pool->stop_context))
+        atomic_store(&pool->stopped, true);
+    return atomic_load(&pool->stopped);
+}
+
 // The caller's share of a run that may be cut short; returns the first index that nobody has taken.
-static int drain_until(struct rn_pool *pool, bool (*stop)(void *context), void *context) {
+static int drain_until(struct rn_pool *pool) {
     for (;;) {
         int index = atomic_fetch_add_explicit(&pool->next, 1, memory_order_relaxed);
         if (index >= pool->count) return pool->count;
         pool->work(pool->context, index, 0);
-        if (!stop(context)) continue;
+        if (!rn_pool_is_stopped(pool, 0)) continue;
         index = atomic_exchange_explicit(&pool->next, pool->count, memory_order_relaxed);
         return index < pool->count ? index : pool->count;
     }
@@ -110,8 +125,11 @@ static void wait_for_workers(struct rn_pool *pool) {
         }
     } while (now_ns() < until);
     pthread_mutex_lock(&pool->lock);
-    while (atomic_load(&pool->running) > 0)
-        pthread_cond_wait(&pool->finished, &pool->lock);
+    while (atomic_load(&pool->running) > 0) {
+        struct timespec next = later(ASK_NS);
+        pthread_cond_timedwait(&pool->finished, &pool->lock, &next);
+        rn_pool_is_stopped(pool, 0); // the others may be at work for long
+    }
     pthread_mutex_unlock(&pool->lock);
 }
 
@@ -137,9 +155,13 @@ bool rn_pool_run_some(struct rn_pool *pool, int count, int *next,
     pool->work = work;
     pool->context = context;
     pool->count = count;
+    pool->stop = stop;
+    pool->stop_context = stop_context;
     start_run(pool, *next);
-    *next = drain_until(pool, stop, stop_context);
+    *next = drain_until(pool);
     wait_for_workers(pool);
+    pool->stop = NULL;
+    atomic_store(&pool->stopped, false);
     return *next == count;
 }
 
@@ -153,8 +175,12 @@ enum rn_status rn_pool_create(int threads, struct rn_pool **ret_pool, struct rn_
     }
     *pool = (struct rn_pool){.threads = 1, .workers = workers};
     pthread_mutex_init(&pool->lock, NULL);
-    pthread_cond_init(&pool->started, NULL);
-    pthread_cond_init(&pool->finished, NULL);
+    pthread_condattr_t clock;
+    pthread_condattr_init(&clock);
+    pthread_condattr_setclock(&clock, CLOCK_MONOTONIC);
+    pthread_cond_init(&pool->started, &clock);
+    pthread_cond_init(&pool->finished, &clock);
+    pthread_condattr_destroy(&clock);
     for (int i = 1; i < threads; i++) {
         workers[i - 1] = (struct worker){.pool = pool, .index = i};
         if (pthread_create(&workers[i - 1].thread, NULL, worker_main, &workers[i - 1]) != 0) {

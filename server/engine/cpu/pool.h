@@ -22,11 +22,15 @@ void rn_pool_run(struct rn_pool *pool, int count,
                  void (*work)(void *context, int index, int thread), void *context);
 
 // As rn_pool_run from index *next on, but no more are handed out once `stop` says so, which the
-// caller asks before each of its items but the first. *next becomes the first index that is left;
+// thread 0 asks before each of its items but the first. *next becomes the first index that is left;
 // true: none is. So a long run can be cut short and taken up again; nothing is done twice.
 bool rn_pool_run_some(struct rn_pool *pool, int count, int *next,
                       void (*work)(void *context, int index, int thread), void *context,
                       bool (*stop)(void *stop_context), void *stop_context);
+
+// Whether a run that may be cut short has been: for work that can be left half done and taken up
+// again. On the caller's thread, 0, it is asked anew.
+bool rn_pool_is_stopped(struct rn_pool *pool, int thread);
 
 // Cores this process may use (affinity and the container's quota).
 int rn_pool_cores(void);

@@ -249,6 +249,11 @@ struct rn_plane_update {
     bool mip;
 };
 
+// Whether a group has rays to do and room for what a packet of them leaves.
+static inline bool rn_group_is_open(const struct rn_group *group, const struct rn_workspace *w) {
+    return group->cursor < group->end && group->slab.capacity - group->slab.count >= w->capacity;
+}
+
 // The parts of a packet's work that can be run by themselves, for benchmarks.
 enum rn_stage {
     RN_STAGE_MARCH,        // finds all candidates of every ray
@@ -303,9 +308,9 @@ struct rn_kernels {
     // ULP. Of an absent place or a cone that misses the length is 0. Weight 1, no target, id 0.
     void (*rays)(const struct rn_ray_place *places, int count, double step, bool cone_step,
                  struct rn_march_ray *ret_rays);
-    // Forward and backward of rays[group->cursor .. group->end) until the group's slab has no room
-    // for another packet. Gradients are of the sum over rays of weight * smooth-L1: the division by
-    // the sum of weights is the optimiser's (rn_adamw.scale).
+    // Forward and backward of a packet, the next of rays[group->cursor .. group->end), whose slab
+    // has room for it: rn_group_is_open. Gradients are of the sum over rays of weight * smooth-L1:
+    // the division by the sum of weights is the optimiser's (rn_adamw.scale).
     void (*train)(const struct rn_cpu_field *field, const struct rn_march_options *options,
                   const struct rn_march_ray *rays, struct rn_workspace *workspace,
                   struct rn_group *group);

@@ -29,6 +29,12 @@ void *rn_block_create(size_t bytes) {
     return block;
 }
 
+void rn_block_touch(void *block, size_t bytes) {
+    volatile char *at = block;
+    for (size_t i = 0; i < bytes; i += PAGE)
+        at[i] = at[i];
+}
+
 void rn_block_destroy(void *block) {
     char *whole = NULL;
     if (block) memcpy(&whole, (char *)block - sizeof whole, sizeof whole);

@@ -85,6 +85,7 @@ struct rn_field {
 // A block of zeros, 4,096-byte aligned; on huge pages where it is large and the machine has them,
 // as texels are read at random. Memory is taken as it is first written. NULL without memory.
 void *rn_block_create(size_t bytes);
+void rn_block_touch(void *block, size_t bytes); // takes it now; what it holds stays
 void rn_block_destroy(void *block);
 
 // Allocates everything for a configuration; parameters zero, all cells of the ball occupied.

@@ -81,13 +81,30 @@ int rn_step_first_ray(const struct rn_trainer *t, int group) {
 
 static void forward_backward(void *context, int index, int thread) {
     struct rn_trainer *t = context;
-    int own = rn_ranks_share(t, RN_GROUPS).first + index;
+    int own = rn_ranks_share(t, RN_GROUPS).first + index, first = rn_step_first_ray(t, own);
     struct rn_group *group = &t->step.groups[own];
-    if (group->cursor == group->end) return;
-    int first = rn_step_first_ray(t, own);
-    if (group->cursor == first && group->slab.count == 0) rn_trainer_draw(t, first, group->end);
-    t->engine->kernels->train(&t->field->cpu, &t->step.march, t->step.rays,
-                              rn_engine_workspace(t->engine, thread), group);
+    struct rn_workspace *w = rn_engine_workspace(t->engine, thread);
+    if (!rn_group_is_open(group, w)) return;
+    if (group->cursor == first) rn_trainer_draw(t, first, group->end);
+    do
+        t->engine->kernels->train(&t->field->cpu, &t->step.march, t->step.rays, w, group);
+    while (rn_group_is_open(group, w) && !rn_pool_is_stopped(t->engine->pool, thread));
+}
+
+// Packets of the own groups, until no slab has room or the thread is preempted (false).
+static bool fill_slabs(struct rn_trainer *t) {
+    struct rn_share own = rn_ranks_share(t, RN_GROUPS);
+    const struct rn_workspace *w = rn_engine_workspace(t->engine, 0);
+    int next = 0;
+    while (next < own.count && !rn_group_is_open(&t->step.groups[own.first + next], w))
+        next++;
+    if (!rn_pool_run_some(t->engine->pool, own.count, &next, forward_backward, t,
+                          rn_engine_is_wanted, t->engine))
+        return false;
+    bool open = false; // one may have been left half done
+    for (int g = own.first; g < own.first + own.count; g++)
+        open |= rn_group_is_open(&t->step.groups[g], w);
+    return !open;
 }
 
 static void scatter_band(void *context, int index, int thread) {
@@ -190,14 +207,12 @@ void rn_trainer_run_wave(struct rn_trainer *t) {
         finish_step(t);
         return;
     }
-    if (!rn_pool_run_some(engine->pool, rn_ranks_share(t, RN_GROUPS).count, &t->step.next_group,
-                          forward_backward, t, rn_engine_is_wanted, engine))
-        return;
+    if (!fill_slabs(t)) return;
     rn_ranks_tell_wave(t);
     if (!rn_pool_run_some(engine->pool, t->field->config.field.planes * t->optimiser.bands,
                           &t->step.next_band, scatter_band, t, rn_engine_is_wanted, engine))
         return;
-    t->step.next_group = t->step.next_band = 0;
+    t->step.next_band = 0;
     t->ranks.shared = false;
     bool complete = true;
     for (int g = 0; g < RN_GROUPS; g++) {

@@ -1,5 +1,5 @@
 // One training step: waves of forward and backward over the groups of its rays, then the update.
-// What is cut short for a render goes on at the next group or band.
+// What is cut short for a render goes on at each group's next packet, or at the next band.
 #ifndef RN_ENGINE_TRAIN_STEP_H
 #define RN_ENGINE_TRAIN_STEP_H
 
@@ -13,7 +13,7 @@ struct rn_step {
     enum { RN_STEP_WAVES, RN_STEP_UPDATE, RN_STEP_GUARD } stage;
     bool accepted;  // once it was updated
     int next_chunk; // of the occupancy's cells, before the step
-    int next_group, next_band;
+    int next_band;
     int ray_count;
     uint64_t first_ray; // rays of all steps before
     struct rn_march_ray *rays;
