@@ -457,9 +457,7 @@ static void check_part(const struct rn_trainer *t, int r) {
 // Rays at fault are found one by one, though four of them are a pixel.
 static void check_incident(struct rn_trainer *t) {
     struct rn_incident incident;
-    const struct rn_parameters *p = &t->field->parameters;
-    for (size_t i = p->plane_count; i < p->count; i++)
-        p->values[i] = NAN; // of one, a ReLU leaves nothing to be seen in some kernel sets
+    t->field->parameters.values[t->field->parameters.plane_count] = NAN;
     rn_field_refresh(t->field, t->engine);
     rn_trainer_note(t, RN_INCIDENT_REJECTED);
     ck_assert(rn_trainer_take_incident(t, &incident));
