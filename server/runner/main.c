@@ -2,6 +2,7 @@
 // Started by ripnerfd, which holds the other end of the socket.
 #include <getopt.h>
 #include <signal.h>
+#include <stddef.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -12,15 +13,15 @@
 #include "common/base/log.h"
 #include "proto/join.h"
 #include "server/engine/engine.h"
-#include "server/runner/bench.h"
-#include "server/runner/carry.h"
-#include "server/runner/doctor.h"
-#include "server/runner/host.h"
-#include "server/runner/ingest.h"
-#include "server/runner/join.h"
-#include "server/runner/needs.h"
-#include "server/runner/ranks.h"
-#include "server/runner/sandbox.h"
+#include "server/runner/field/host.h"
+#include "server/runner/field/ranks.h"
+#include "server/runner/ingest/ingest.h"
+#include "server/runner/link/carry.h"
+#include "server/runner/link/join.h"
+#include "server/runner/sandbox/sandbox.h"
+#include "server/runner/tools/bench.h"
+#include "server/runner/tools/doctor.h"
+#include "server/runner/tools/needs.h"
 
 static int probe(int fd) {
     struct rn_link link;
@@ -96,85 +97,157 @@ static int run_rank(const char *folder, bool sandbox) {
     return code;
 }
 
+// A Ctrl-C at the terminal is the daemon's to deal with; it then tells its runners.
+static void ignore_terminal(void) {
+    signal(SIGINT, SIG_IGN);
+    signal(SIGPIPE, SIG_IGN);
+}
+
 static bool is_socket(int fd) {
     struct stat about;
     return fstat(fd, &about) == 0 && S_ISSOCK(about.st_mode);
 }
 
-int main(int argc, char **argv) {
-    static const struct option options[] = {
-        {"mode", required_argument, NULL, 'm'},    {"preset", required_argument, NULL, 'p'},
-        {"kernels", required_argument, NULL, 'k'}, {"threads", required_argument, NULL, 't'},
-        {"seconds", required_argument, NULL, 's'}, {"fd", required_argument, NULL, 'f'},
-        {"seed", required_argument, NULL, 'e'},    {"checkpoint", required_argument, NULL, 'c'},
-        {"cameras", required_argument, NULL, 'a'}, {"replay", required_argument, NULL, 'r'},
-        {"join", required_argument, NULL, 'j'},    {"dataset", required_argument, NULL, 'd'},
-        {"scene", required_argument, NULL, 'S'},   {"train", required_argument, NULL, 'T'},
-        {"cache", required_argument, NULL, 'C'},   {"cache-bytes", required_argument, NULL, 'b'},
-        {"sandbox", no_argument, NULL, 'x'},       {"ranks", no_argument, NULL, 'R'},
-        {"version", no_argument, NULL, 'v'},       {NULL, 0, NULL, 0}};
-    const char *mode = "", *join = NULL;
-    struct rn_bench_options bench = {.seconds = 5};
-    struct rn_runner_doctor doctor = {.seed = 0};
-    struct rn_runner_needs needs = {.threads = 0};
-    struct rn_carry_options carry = {.cache_bytes = 0};
-    bool sandbox = false, ranks = false;
-    int fd = -1, option;
-    while ((option = getopt_long(argc, argv, "", options, NULL)) != -1) {
-        char *end = "";
-        if (option == 'm') mode = optarg;
-        if (option == 'f') fd = (int)strtol(optarg, &end, 10);
-        if (option == 'p') bench.preset = optarg;
-        if (option == 'k') bench.kernels = optarg;
-        if (option == 't') bench.threads = (int)strtol(optarg, &end, 10);
-        if (option == 's') bench.seconds = strtod(optarg, &end);
-        if (option == 'e') doctor.seed = strtoull(optarg, &end, 10);
-        if (option == 'c') doctor.checkpoint = optarg;
-        if (option == 'a') doctor.cameras = optarg;
-        if (option == 'r') doctor.replay = optarg;
-        if (option == 'j') join = optarg;
-        if (option == 'd') needs.dataset = optarg;
-        if (option == 'S') needs.scene = optarg;
-        if (option == 'T') needs.train = optarg;
-        if (option == 'C') carry.cache = optarg;
-        if (option == 'b') carry.cache_bytes = strtoll(optarg, &end, 10);
-        if (option == 'x') sandbox = true;
-        if (option == 'R') ranks = true;
-        if (option == 'v') {
-            puts("ripnerf-runner " RIPNERF_VERSION);
-            return 0;
-        }
-        if (option == '?' || *end) return usage(argv[0]);
+// What the command line says; what it does not is zero.
+struct command {
+    const char *mode;
+    int fd;
+    bool sandbox, ranks, version;
+    struct rn_bench_options bench;
+    struct rn_runner_doctor doctor;
+    struct rn_runner_needs needs;
+    struct rn_carry_options carry; // its name is the folder in mode remote
+};
+
+enum kind { TEXT, WHOLE, WHOLE_64, SEED, NUMBER, FLAG };
+#define TO(member) offsetof(struct command, member)
+static const struct argument {
+    const char *name;
+    enum kind kind;
+    size_t to;
+} arguments[] = {
+    {"mode", TEXT, TO(mode)},
+    {"fd", WHOLE, TO(fd)},
+    {"sandbox", FLAG, TO(sandbox)},
+    {"ranks", FLAG, TO(ranks)},
+    {"version", FLAG, TO(version)},
+    {"preset", TEXT, TO(bench.preset)},
+    {"kernels", TEXT, TO(bench.kernels)},
+    {"threads", WHOLE, TO(bench.threads)},
+    {"seconds", NUMBER, TO(bench.seconds)},
+    {"seed", SEED, TO(doctor.seed)},
+    {"checkpoint", TEXT, TO(doctor.checkpoint)},
+    {"cameras", TEXT, TO(doctor.cameras)},
+    {"replay", TEXT, TO(doctor.replay)},
+    {"dataset", TEXT, TO(needs.dataset)},
+    {"scene", TEXT, TO(needs.scene)},
+    {"train", TEXT, TO(needs.train)},
+    {"join", TEXT, TO(carry.name)},
+    {"cache", TEXT, TO(carry.cache)},
+    {"cache-bytes", WHOLE_64, TO(carry.cache_bytes)},
+};
+#define ARGUMENTS ((int)(sizeof arguments / sizeof *arguments))
+
+// False when the text is no such number.
+static bool take(const struct argument *argument, const char *text, struct command *command) {
+    void *to = (char *)command + argument->to;
+    char *end = "";
+    switch (argument->kind) {
+    case TEXT:
+        *(const char **)to = text;
+        break;
+    case WHOLE:
+        *(int *)to = (int)strtol(text, &end, 10);
+        break;
+    case WHOLE_64:
+        *(int64_t *)to = strtoll(text, &end, 10);
+        break;
+    case SEED:
+        *(uint64_t *)to = strtoull(text, &end, 10);
+        break;
+    case NUMBER:
+        *(double *)to = strtod(text, &end);
+        break;
+    case FLAG:
+        *(bool *)to = true;
+        break;
     }
-    if (optind == argc && strcmp(mode, "bench") == 0) return rn_runner_bench(&bench);
-    if (optind == argc && strcmp(mode, "doctor") == 0 &&
-        (doctor.checkpoint || (!doctor.cameras && !doctor.replay)))
-        return rn_runner_doctor(&doctor);
-    needs.threads = bench.threads;
-    needs.sandbox = sandbox;
-    if (optind == argc && strcmp(mode, "needs") == 0 && needs.dataset && needs.scene)
-        return rn_runner_needs(&needs);
-    carry.name = join;
-    carry.sandbox = sandbox;
-    if (optind == argc && strcmp(mode, "carry") == 0 && carry.name && carry.cache) {
+    return !*end;
+}
+
+static bool parse(int argc, char **argv, struct command *command) {
+    struct option options[ARGUMENTS + 1] = {{NULL, 0, NULL, 0}};
+    for (int i = 0; i < ARGUMENTS; i++) {
+        int has = arguments[i].kind == FLAG ? no_argument : required_argument;
+        options[i] = (struct option){arguments[i].name, has, NULL, i};
+    }
+    int option;
+    while ((option = getopt_long(argc, argv, "", options, NULL)) != -1)
+        if (option == '?' || !take(&arguments[option], optarg, command)) return false;
+    command->needs.threads = command->bench.threads;
+    command->needs.sandbox = command->carry.sandbox = command->sandbox;
+    return optind == argc;
+}
+
+// The modes that no daemon listens to. False: it is none of them, or lacks an argument.
+static bool run_tool(const struct command *c, int *ret_code) {
+    const struct rn_runner_doctor *d = &c->doctor;
+    if (strcmp(c->mode, "bench") == 0)
+        *ret_code = rn_runner_bench(&c->bench);
+    else if (strcmp(c->mode, "doctor") == 0 && (d->checkpoint || (!d->cameras && !d->replay)))
+        *ret_code = rn_runner_doctor(d);
+    else if (strcmp(c->mode, "needs") == 0 && c->needs.dataset && c->needs.scene)
+        *ret_code = rn_runner_needs(&c->needs);
+    else
+        return false;
+    return true;
+}
+
+// Those that find their daemon over the network; likewise.
+static bool run_afar(const struct command *c, int *ret_code) {
+    const char *name = c->carry.name;
+    if (strcmp(c->mode, "carry") == 0 && name && c->carry.cache) {
         signal(SIGPIPE, SIG_IGN);
-        return rn_runner_carry(&carry);
+        *ret_code = rn_runner_carry(&c->carry);
+    } else if (strcmp(c->mode, "remote") == 0 && name) {
+        ignore_terminal();
+        *ret_code = c->ranks ? run_rank(name, c->sandbox) : run_remote(name, NULL, c->sandbox);
+    } else {
+        return false;
     }
-    bool remote = strcmp(mode, "remote") == 0;
-    if (optind != argc || remote != (join != NULL) || (!remote && !is_socket(fd)))
-        return usage(argv[0]);
-    // A Ctrl-C at the terminal is the daemon's to deal with; it then tells its runners.
-    signal(SIGINT, SIG_IGN);
-    signal(SIGPIPE, SIG_IGN);
-    if (remote) return ranks ? run_rank(join, sandbox) : run_remote(join, NULL, sandbox);
+    return true;
+}
+
+// Those that a daemon on this machine has started; likewise.
+static bool run_here(const struct command *c, int *ret_code) {
+    if (c->carry.name || !is_socket(c->fd)) return false;
+    ignore_terminal();
     // One that is stopped when its daemon dies goes on, finds the socket closed, saves and leaves.
     prctl(PR_SET_PDEATHSIG, SIGCONT);
-    const struct rn_profile *profile = sandbox ? rn_profile_of(mode) : NULL;
+    const struct rn_profile *profile = c->sandbox ? rn_profile_of(c->mode) : NULL;
     if (profile) rn_sandbox_begin(profile);
     bool told;
-    if (strcmp(mode, "field") == 0) return rn_host_run(fd, profile, NULL, &told);
-    if (strcmp(mode, RN_MODE_INGEST) == 0 || strcmp(mode, RN_MODE_POSES) == 0)
-        return rn_ingest_run(fd, mode, profile);
-    if (strcmp(mode, "probe") == 0) return probe(fd);
+    if (strcmp(c->mode, "field") == 0)
+        *ret_code = rn_host_run(c->fd, profile, NULL, &told);
+    else if (strcmp(c->mode, RN_MODE_INGEST) == 0 || strcmp(c->mode, RN_MODE_POSES) == 0)
+        *ret_code = rn_ingest_run(c->fd, c->mode, profile);
+    else if (strcmp(c->mode, "probe") == 0)
+        *ret_code = probe(c->fd);
+    else
+        return false;
+    return true;
+}
+
+int main(int argc, char **argv) {
+    struct command command = {.mode = "", .fd = -1, .bench = {.seconds = 5}};
+    int code;
+    bool sound = parse(argc, argv, &command);
+    if (command.version) {
+        puts("ripnerf-runner " RIPNERF_VERSION);
+        return 0;
+    }
+    if (sound &&
+        (run_tool(&command, &code) || run_afar(&command, &code) || run_here(&command, &code)))
+        return code;
     return usage(argv[0]);
 }

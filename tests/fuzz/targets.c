@@ -29,7 +29,7 @@
 #include "server/engine/scene/scene.h"
 #include "server/http/guard.h"
 #include "server/http/router.h"
-#include "server/runner/unpack.h"
+#include "server/runner/ingest/unpack.h"
 #include "tests/fuzz/driver.h"
 
 static bool is_utf8(const char *text) {

@@ -15,7 +15,7 @@ from pathlib import Path
 FENCES = {
     r"microhttpd\.h": ("server/http/",),
     # pairs.c reads the database of another program, COLMAP.
-    r"sqlite3\.h": ("server/store/", "server/runner/pairs.c", "tests/sim/vfs.c", "tests/unit/server/store"),
+    r"sqlite3\.h": ("server/store/", "server/runner/ingest/pairs.c", "tests/sim/vfs.c", "tests/unit/server/store"),
     r"jansson\.h": (
         "proto/",
         "common/image/lpips.c",
@@ -68,7 +68,14 @@ for floor in FLOORS[1:]:
     LAYERS |= {room: tuple(below) for room in own}
     below += [room for room in own if not room.endswith(("/cuda", "/mpi"))]  # modules of their own
 LAYERS["server/film"] = ("common/",)
-LAYERS["server/runner"] = ("common/", "proto", "server/film", ENGINE, f"{ENGINE}/doctor", f"{ENGINE}/bench")
+# The runner's likewise: what a process may do, its way to the daemon, what a scene's folder holds, then
+# the modes.
+below = ["common/", "proto"]
+for room, others in {"sandbox": (), "link": (), "scene": (ENGINE,), "tools": (f"{ENGINE}/doctor", f"{ENGINE}/bench"),
+                     "ingest": (), "field": ("server/film",), "": ()}.items():
+    own = f"server/runner/{room}".rstrip("/")
+    LAYERS[own] = (*below, *others)
+    below += [own, *others]
 HOUSE = ("common/", "proto/", "client/", "server/")
 INCLUDE = re.compile(r'^\s*#\s*include\s+(?:<([^>]+)>|"([^"]+)")')
 UNFINISHED = ("TO" + "DO", "FIX" + "ME", "XX" + "X", "un" + "implemented",

@@ -13,7 +13,7 @@
 #include "tests/sim/life.h"
 
 #define SECOND_NS 1000000000ll
-#define LOCK_WAIT_NS (15 * SECOND_NS) // as in server/runner/lock.c, like the next one
+#define LOCK_WAIT_NS (15 * SECOND_NS) // as in server/runner/scene/lock.c, like the next one
 #define HANGS_NS (3 * SECOND_NS)
 #define PATIENCE_NS (180 * SECOND_NS) // with a runner that hangs, whose time limit is 20 s
 
@@ -106,7 +106,7 @@ static void prune(const char *folder) {
     if (count >= 0) free(entries);
 }
 
-// A temporary file, sealed, flushed, renamed, its folder flushed, as server/runner/saving.c does.
+// A temporary file, sealed, flushed, renamed, its folder flushed, as server/runner/field/saving.c does.
 static bool write_checkpoint(struct sim_runner *runner, char name[64], char digest[65]) {
     char folder[160], fresh[200], path[512];
     static char text[12000];

@@ -5,7 +5,7 @@
 #include <unistd.h>
 
 #include "common/base/file.h"
-#include "server/runner/cache.h"
+#include "server/runner/link/cache.h"
 #include "tests/support/suite.h"
 
 #define MOST 1000

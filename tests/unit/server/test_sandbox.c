@@ -17,7 +17,7 @@
 #include <unistd.h>
 
 #include "common/base/file.h"
-#include "server/runner/sandbox.h"
+#include "server/runner/sandbox/sandbox.h"
 #include "tests/support/suite.h"
 
 static char folder[64], mine[128], theirs[128];

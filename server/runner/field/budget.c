@@ -1,0 +1,296 @@
+#include "server/runner/field/budget.h"
+
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "common/base/clock.h"
+#include "common/base/log.h"
+#include "common/image/image.h"
+
+#define REPLY_NS 1100000.0 // from the file to the last byte, at the other end of a socket here
+#define ENCODE_MARGIN 1.1
+#define LEAST_MARGIN_NS 200000.0
+#define FIRST_MARGIN_NS 800000.0 // until that is known better
+#define KNOWN 16                 // pictures, by which it is
+#define MOST_MARGIN 0.25         // of the time asked for
+#define HOPELESS 0.5             // of the time asked for
+#define JPEG_GROWTH 1.25         // power of a file's size that its error goes by, about
+#define JPEG_COUNTS 0.7          // of a JPEG's error; the rest is of detail that was wrong
+#define SHARPER_DB 1.0           // more than when it was measured what a JPEG takes
+
+// Of a pixel, before one was encoded.
+static const double encode_ns[] = {
+    [RN_FORMAT_PNG] = 60, [RN_FORMAT_JPEG] = 20, [RN_FORMAT_PNG16] = 200, [RN_FORMAT_EXR] = 300};
+
+void rn_pace_finish(struct rn_pace *pace) {
+    rn_message_finish(&rn_curve_record_table, &pace->record);
+    *pace = (struct rn_pace){0};
+}
+
+static void look_for_curve(struct rn_host *host) {
+    struct rn_error err = {0};
+    if (host->pace.looked) return;
+    host->pace.looked = true;
+    enum rn_status status = rn_curve_read(host->place.scene_folder, &host->pace.record, &err);
+    if (status == RN_OK || status == RN_ERROR_NOT_FOUND) return;
+    host->pace.record = (struct rn_curve_record){0};
+    rn_log(RN_LOG_WARN, "the curve is not used: %s: %s", err.where, err.text);
+}
+
+void rn_budget_find_curve(struct rn_host *host, struct rn_budget_curve *ret_found) {
+    look_for_curve(host);
+    const struct rn_curve_record *record = &host->pace.record;
+    if (record->count == 0) {
+        rn_curve_of_presets(ret_found->points, &ret_found->curve);
+        ret_found->source = "preset";
+        return;
+    }
+    bool same = !host->training && strcmp(record->digest, host->digest) == 0;
+    ret_found->curve = rn_curve_in(record);
+    ret_found->source = same ? "measured" : "stale";
+}
+
+static void put_settings(const struct rn_curve_point *point,
+                         union rn_setting_value settings[RN_RENDER_SETTINGS]) {
+    memcpy(settings, point->setting.values, RN_RENDER_BUDGET * sizeof *settings);
+}
+
+static bool has_settings(const union rn_setting_value settings[RN_RENDER_SETTINGS]) {
+    for (size_t i = 0; i < RN_RENDER_BUDGET; i++)
+        if (!rn_setting_is_absent(&rn_render_settings.rows[i], &settings[i])) return true;
+    return false;
+}
+
+void rn_budget_resolve(struct rn_host *host, const struct rn_field_info *info, double pixels,
+                       union rn_setting_value settings[RN_RENDER_SETTINGS], bool *ret_changed) {
+    struct rn_budget_curve found;
+    double number;
+    bool missed;
+    enum rn_budget_kind kind = rn_budget_of(settings, &number);
+    *ret_changed = kind != RN_BUDGET_NONE && !has_settings(settings);
+    if (!*ret_changed) return;
+    rn_budget_find_curve(host, &found);
+    size_t point = rn_curve_choose(&found.curve, kind, number, pixels, info->psnr, &missed);
+    put_settings(&found.curve.points[point], settings);
+    // The full picture's settings are none: what says so, so that the budget is resolved once.
+    if (!has_settings(settings))
+        *rn_settings_value(&rn_render_settings, settings, "tolerance") =
+            (union rn_setting_value){.number = 0};
+}
+
+enum rn_status rn_budget_settle(struct rn_work *work, struct rn_field *field, double pixels,
+                                union rn_setting_value settings[RN_RENDER_SETTINGS],
+                                const struct rn_table *table, const void *options,
+                                struct rn_error *err) {
+    struct rn_wire_resolved resolved = {.options = NULL};
+    struct rn_field_info info;
+    bool changed;
+    rn_field_describe(field, &info);
+    rn_budget_resolve(work->host, &info, pixels, settings, &changed);
+    if (!changed) return RN_OK;
+    enum rn_status status = rn_encode(table, options, &resolved.options, NULL, err);
+    if (status) return status;
+    snprintf(resolved.job, sizeof resolved.job, "%s", work->job);
+    rn_link_post(&work->host->link, RN_WIRE_RESOLVED, &resolved, NULL, 0);
+    free(resolved.options);
+    return RN_OK;
+}
+
+// ---- one picture ----------------------------------------------------------------------------
+
+// Enough for all of the last pictures but one: what needs more is rarer than one in sixty.
+static double margin_ns(const struct rn_pace *pace, double asked_ms) {
+    int count = pace->needed_count < RN_PACE_MEMORY ? pace->needed_count : RN_PACE_MEMORY;
+    double most = 0, second = 0;
+    for (int i = 0; i < count; i++) {
+        second = fmax(second, fmin(most, pace->needed_ns[i]));
+        most = fmax(most, pace->needed_ns[i]);
+    }
+    double margin = count < KNOWN ? fmax(most, FIRST_MARGIN_NS) : second;
+    return fmin(fmax(margin, LEAST_MARGIN_NS), MOST_MARGIN * asked_ms * 1e6);
+}
+
+// Than the mean of the curve's views, dB.
+static double better_here(const struct rn_budget_curve *found, const struct rn_camera *camera) {
+    const double place[3] = {camera->world_from_camera[0][3], camera->world_from_camera[1][3],
+                             camera->world_from_camera[2][3]};
+    return rn_curve_here(&found->curve, place);
+}
+
+static void tell(const struct rn_budget_curve *found, size_t point,
+                 const struct rn_render_stats *stats, const struct rn_camera *camera, double psnr,
+                 struct rn_wire_rendered *rendered) {
+    const struct rn_curve_point *p = &found->curve.points[point];
+    struct rn_curve_setting setting = p->setting;
+    const struct rn_curve_made made = {stats->interpolation, stats->roughness};
+    *rn_settings_value(&rn_render_settings, setting.values, "tolerance") =
+        (union rn_setting_value){.number = stats->tolerance < 1e-6 ? 0 : stats->tolerance};
+    rn_curve_setting_text(&setting, rendered->setting, sizeof rendered->setting);
+    rendered->expected_psnr =
+        rn_curve_expected_here(&found->curve, point, &made, psnr, better_here(found, camera));
+    rendered->expected_spread = isnan(p->psnr) ? NAN : p->psnr_spread;
+    snprintf(rendered->curve, sizeof rendered->curve, "%s", found->source);
+}
+
+// The ways to render a picture, from the quickest on, and what each is expected to take here.
+static size_t plain_choices(const struct rn_budget_curve *found, double scale,
+                            struct rn_render_choice choices[RN_CURVE_POINTS]) {
+    const struct rn_curve *curve = &found->curve;
+    for (size_t i = 0; i < curve->count; i++) {
+        choices[i] = (struct rn_render_choice){.ms = curve->points[i].ms_median * scale,
+                                               .rays = curve->points[i].rays * scale};
+        rn_settings_put(&rn_render_settings, curve->points[i].setting.values, &choices[i].settings);
+    }
+    return curve->count;
+}
+
+// Of one whose pixels are seen from many places (a lens, a shutter): ever more cones a pixel. They
+// cost what the full picture's do.
+static size_t spread_choices(const struct rn_field *field, const struct rn_budget_curve *found,
+                             double scale, const struct rn_camera *camera,
+                             struct rn_render_choice choices[RN_CURVE_POINTS]) {
+    const struct rn_curve_point *full = &found->curve.points[found->curve.count - 1];
+    double cones = pow(rn_render_cones(field, camera), 2);
+    size_t count = 0;
+    for (int side = 1; side <= 16; side *= 2, count++) {
+        double share = scale * side * side / cones;
+        choices[count] = (struct rn_render_choice){.settings = {.supersample = side},
+                                                   .ms = full->ms_median * share,
+                                                   .rays = full->rays * share};
+    }
+    return count;
+}
+
+static enum rn_status render_by_deadline(struct rn_host *host, const struct rn_wire_render *render,
+                                         const struct rn_field_info *info, struct rn_field *field,
+                                         const struct rn_render_options *options,
+                                         struct rn_watch *watch, struct rn_wire_rendered *rendered,
+                                         struct rn_render_result *ret_result,
+                                         struct rn_error *err) {
+    struct rn_budget_curve found;
+    struct rn_render_choice choices[RN_CURVE_POINTS];
+    struct rn_render_spent spent;
+    rn_budget_find_curve(host, &found);
+    double pixels = (double)options->camera.width * (double)options->camera.height;
+    double scale = pixels / rn_curve_pixels(&found.curve);
+    bool spread = rn_optics_spreads(&options->shot.optics);
+    size_t count = spread ? spread_choices(field, &found, scale, &options->camera, choices)
+                          : plain_choices(&found, scale, choices);
+    int format = rn_name_or(render->render.format, RN_FORMAT_PNG);
+    double pixel_ns =
+        host->pace.encode_ns[format] > 0 ? host->pace.encode_ns[format] : encode_ns[format];
+    double asked_ms;
+    rn_budget_of(render->render.settings, &asked_ms);
+    host->pace.kept_ns = margin_ns(&host->pace, asked_ms);
+    double reserve_ns = ENCODE_MARGIN * pixel_ns * pixels + REPLY_NS + host->pace.kept_ns;
+    struct rn_render_budget budget = {.choices = choices,
+                                      .count = count,
+                                      .deadline_ns = render->deadline_ns - (int64_t)reserve_ns,
+                                      .slowness =
+                                          host->pace.slowness > 0 ? host->pace.slowness : 1};
+    enum rn_status status = rn_render_within(host->engine, field, options, &budget,
+                                             rn_watch_keep_going, watch, ret_result, &spent, err);
+    if (status) return status;
+    host->pace.slowness = budget.slowness;
+    rendered->render_ms = spent.ms;
+    if (spread) {
+        snprintf(rendered->setting, sizeof rendered->setting, "supersample=%d",
+                 spent.settings.supersample);
+        snprintf(rendered->curve, sizeof rendered->curve, "%s", found.source);
+        return RN_OK;
+    }
+    tell(&found, spent.choice, &ret_result->stats, &options->camera, info->psnr, rendered);
+    return RN_OK;
+}
+
+enum rn_status rn_budget_render(struct rn_host *host, const struct rn_wire_render *render,
+                                const struct rn_field_info *info, struct rn_field *field,
+                                struct rn_render_options *options, struct rn_watch *watch,
+                                struct rn_wire_rendered *rendered,
+                                struct rn_render_result *ret_result, struct rn_error *err) {
+    struct rn_budget_curve found;
+    double number;
+    enum rn_budget_kind kind = rn_budget_of(render->render.settings, &number);
+    if (kind == RN_BUDGET_TIME && render->deadline_ns != RN_ABSENT)
+        return render_by_deadline(host, render, info, field, options, watch, rendered, ret_result,
+                                  err);
+    size_t point = 0;
+    if (kind != RN_BUDGET_NONE) {
+        rn_budget_find_curve(host, &found);
+        if (kind == RN_BUDGET_PSNR)
+            number =
+                rn_curve_from_here(&found.curve, number, better_here(&found, &options->camera));
+        point = rn_curve_choose(&found.curve, kind, number,
+                                (double)options->camera.width * (double)options->camera.height,
+                                info->psnr, &rendered->missed);
+        rn_settings_put(&rn_render_settings, found.curve.points[point].setting.values,
+                        &options->settings);
+    }
+    enum rn_status status =
+        rn_render(host->engine, field, options, rn_watch_keep_going, watch, ret_result, err);
+    if (status) return status;
+    rendered->render_ms = ret_result->stats.render_ms;
+    if (kind != RN_BUDGET_NONE)
+        tell(&found, point, &ret_result->stats, &options->camera, info->psnr, rendered);
+    return RN_OK;
+}
+
+// Mean square over the colour channels, in [0, 1].
+static double image_error(const struct rn_image *a, const struct rn_image *b) {
+    size_t count = (size_t)a->width * (size_t)a->height;
+    uint64_t sum = 0;
+    for (size_t i = 0; i < 4 * count; i++) {
+        int apart = i % 4 == 3 ? 0 : a->pixels[i] - b->pixels[i];
+        sum += (uint64_t)(apart * apart);
+    }
+    return (double)sum / (3 * 255.0 * 255.0 * (double)count);
+}
+
+// What a JPEG differs from its picture by; 0 where there is no memory to know.
+static double jpeg_error(const struct rn_picture *rgb, const uint8_t *bytes, size_t size) {
+    struct rn_image whole, decoded;
+    if (rn_picture_to_image(rgb, &whole, NULL)) return 0;
+    bool known = !rn_image_decode(bytes, size, "", &rn_image_default_limits, &decoded, NULL);
+    double error = known ? image_error(&whole, &decoded) : 0;
+    if (known) rn_image_finish(&decoded);
+    rn_image_finish(&whole);
+    return error;
+}
+
+// Measured with the first picture of a quality, and again with one that has much more to lose; of
+// others by their size: what takes more bytes has more to lose.
+static void expect_jpeg(struct rn_pace *pace, const struct rn_render_request *request,
+                        const struct rn_picture *rgb, const uint8_t *bytes, size_t size,
+                        struct rn_wire_rendered *rendered) {
+    int quality = (int)rn_int_or(request->jpeg_quality, RN_JPEG_QUALITY);
+    double expected = rendered->expected_psnr;
+    double density = (double)size / ((double)rgb->width * rgb->height);
+    if (pace->jpeg_quality != quality || expected > pace->jpeg_psnr + SHARPER_DB) {
+        pace->jpeg_error = jpeg_error(rgb, bytes, size);
+        pace->jpeg_quality = quality;
+        pace->jpeg_psnr = expected;
+        pace->jpeg_density = density;
+    }
+    double error = pace->jpeg_error * pow(density / pace->jpeg_density, JPEG_GROWTH);
+    rendered->expected_psnr = -10 * log10(pow(10, -expected / 10) + JPEG_COUNTS * error);
+}
+
+void rn_budget_encoded(struct rn_host *host, const struct rn_wire_render *render,
+                       const struct rn_picture *rgb, const uint8_t *bytes, size_t size,
+                       struct rn_wire_rendered *rendered) {
+    if (rendered->format == RN_FORMAT_JPEG && rgb->values && !isnan(rendered->expected_psnr))
+        expect_jpeg(&host->pace, &render->render, rgb, bytes, size, rendered);
+    double pixels = (double)rendered->width * (double)rendered->height;
+    double *kept = &host->pace.encode_ns[rendered->format];
+    double now = rendered->encode_ms * 1e6 / pixels;
+    if (pixels >= 1e4) *kept = *kept > 0 ? 0.8 * *kept + 0.2 * now : now;
+    double asked_ms;
+    struct rn_pace *pace = &host->pace;
+    if (rn_budget_of(render->render.settings, &asked_ms) != RN_BUDGET_TIME) return;
+    // How late it will be; what never had a chance teaches nothing.
+    double late_ns = (double)(rn_clock_ns() - render->deadline_ns) + REPLY_NS;
+    if (late_ns < HOPELESS * asked_ms * 1e6)
+        pace->needed_ns[pace->needed_count++ % RN_PACE_MEMORY] = late_ns + pace->kept_ns;
+}

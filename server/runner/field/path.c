@@ -1,0 +1,217 @@
+#include <errno.h>
+#include <limits.h>
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include "common/base/file.h"
+#include "common/base/manifest.h"
+#include "common/math/numbers.h"
+#include "common/path/path.h"
+#include "server/runner/field/budget.h"
+#include "server/runner/field/film.h"
+#include "server/runner/field/parts.h"
+
+#define FRAME_PNG_LEVEL 6
+#define INSTANTS 64      // at which a shutter looks
+#define VIDEO_QUALITY 75 // where none is asked for
+
+// A camera path: unit i is frame first + i, a file in the job's folder.
+struct path_work {
+    struct rn_work work;
+    struct rn_wire_path request; // its texts are owned
+    struct rn_parts parts;       // its frames
+    double depth_scale;          // one for all frames
+    struct rn_optics optics;     // in place of what the keys say
+    struct rn_optics together;   // of all frames: what was on in any
+};
+
+// At frame first + `unit`, or in between.
+static struct rn_camera frame_camera(const struct path_work *path, double unit) {
+    const struct rn_path_options *options = &path->request.options;
+    struct rn_camera camera =
+        rn_path_camera(path->request.camera_path.path, (double)path->parts.first + unit);
+    if (options->width == RN_ABSENT) return camera;
+    return rn_camera_reframed(&camera, (int)options->width, (int)options->height);
+}
+
+// The effects of a frame, and where the camera stands while its shutter is open: around the frame's
+// time.
+static void frame_shot(struct path_work *path, size_t unit, struct rn_camera instants[INSTANTS],
+                       struct rn_shot *ret_shot) {
+    struct rn_optics optics =
+        rn_path_optics(path->request.camera_path.path, (double)(path->parts.first + unit));
+    struct rn_shot shot = {.optics = rn_optics_over(&optics, &path->optics)};
+    for (int i = 0; i < INSTANTS && shot.optics.shutter > 0; i++)
+        instants[i] =
+            frame_camera(path, (double)unit + shot.optics.shutter * ((i + 0.5) / INSTANTS - 0.5));
+    if (shot.optics.shutter > 0) {
+        shot.instants = instants;
+        shot.instant_count = INSTANTS;
+    }
+    path->together = rn_optics_over(&path->together, &shot.optics);
+    *ret_shot = shot;
+}
+
+static enum rn_picture_format frame_format(const struct path_work *path) {
+    return (enum rn_picture_format)rn_name_or(path->request.options.format, RN_FORMAT_PNG);
+}
+
+// A runner that helps makes some frames and leaves all else to the one that has the job.
+static bool is_part(const struct path_work *path) {
+    return path->request.begin != RN_ABSENT;
+}
+
+static enum rn_status prepare(struct rn_work *work, struct rn_field *field, struct rn_error *err) {
+    struct path_work *path = (struct path_work *)work;
+    const struct rn_path_options *options = &path->request.options;
+    struct rn_field_info info;
+    enum rn_status status = rn_mkdirs(path->request.folder, 0777, err);
+    if (!status && options->film >= 0) status = rn_film_check(err); // before any frame is rendered
+    if (!status && frame_format(path) == RN_FORMAT_EXR) status = rn_exr_check(err);
+    if (!status) status = rn_optics_of_request(&options->optics, &path->optics, err);
+    if (status) return status;
+    struct rn_path *keys = path->request.camera_path.path;
+    keys->fps = rn_number_or(options->fps, keys->fps);
+    size_t count = rn_path_frame_count(keys);
+    size_t first = (size_t)rn_int_or(options->first, 0);
+    size_t last = (size_t)rn_int_or(options->last, (int64_t)count - 1);
+    if (first >= count || last >= count || last < first)
+        return rn_error_set(err, RN_ERROR_INVALID, "#/options/last",
+                            "frames %zu to %zu are asked for; the path has frames 0 to %zu", first,
+                            last, count - 1);
+    path->parts = (struct rn_parts){.folder = path->request.folder,
+                                    .ending = rn_picture_format_extensions[frame_format(path)],
+                                    .first = first,
+                                    .begin = RN_ABSENT};
+    work->total = last - first + 1;
+    rn_field_describe(field, &info);
+    for (size_t i = 0; i < work->total; i++) {
+        struct rn_camera camera = frame_camera(path, (double)i);
+        path->depth_scale = fmax(path->depth_scale, rn_depth_scale(&camera, &info.bounds));
+    }
+    if (is_part(path)) {
+        status = rn_parts_take(&path->parts, path->request.begin, path->request.end, work->total,
+                               &work->total, err);
+        if (status) return status;
+    }
+    struct rn_camera camera = frame_camera(path, 0);
+    return rn_budget_settle(work, field, (double)camera.width * camera.height,
+                            path->request.options.settings, &rn_path_options_table,
+                            &path->request.options, err);
+}
+
+static enum rn_status begin(struct rn_work *work, struct rn_error *err) {
+    return rn_parts_begin(&((struct path_work *)work)->parts, work->step, work->total, err);
+}
+
+static enum rn_status render_frame(struct path_work *path, struct rn_field *field,
+                                   const struct rn_field_info *info, const char *file,
+                                   struct rn_error *err) {
+    const struct rn_path_options *wanted = &path->request.options;
+    enum rn_output_kind output =
+        (enum rn_output_kind)rn_name_or(wanted->output, RN_OUTPUT_KIND_RGB);
+    struct rn_render_options options = {.camera = frame_camera(path, (double)path->work.done)};
+    double high; // of a map: told of single pictures only
+    struct rn_camera instants[INSTANTS];
+    struct rn_render_result result = {0};
+    struct rn_box box;
+    uint8_t *bytes = NULL;
+    size_t size;
+    rn_picture_crop(wanted->crop, &box, &options);
+    rn_settings_put(&rn_render_settings, wanted->settings, &options.settings);
+    memcpy(options.background, info->config.background, sizeof options.background);
+    frame_shot(path, path->work.done, instants, &options.shot);
+    rn_picture_choose(output, frame_format(path), &options);
+    enum rn_status status = rn_render(path->work.host->engine, field, &options, rn_work_keep_going,
+                                      &path->work, &result, err);
+    if (status) return status;
+    rn_work_rendered(&path->work, result.stats.render_ms, result.stats.nonfinite_rays);
+    status = rn_picture_encode(&result, output, frame_format(path),
+                               (int)rn_int_or(wanted->jpeg_quality, RN_JPEG_QUALITY),
+                               FRAME_PNG_LEVEL, path->depth_scale, &bytes, &size, &high, err);
+    if (!status) status = rn_parts_write(&path->parts, file, bytes, size, err);
+    free(bytes);
+    rn_render_result_finish(&result);
+    return status;
+}
+
+static enum rn_status unit(struct rn_work *work, struct rn_field *field,
+                           const struct rn_field_info *info, struct rn_error *err) {
+    struct path_work *path = (struct path_work *)work;
+    char file[PATH_MAX];
+    struct stat about;
+    enum rn_status status = rn_parts_file(&path->parts, work->done, file, err);
+    if (status) return status;
+    if (stat(file, &about) == 0) return RN_OK; // a frame of an earlier attempt; it is whole
+    status = render_frame(path, field, info, file, err);
+    if (status) return status;
+    struct rn_wire_frame frame = {.index = (int64_t)(path->parts.first + work->done)};
+    strcpy(frame.job, work->job);
+    rn_link_post(&work->host->link, RN_WIRE_FRAME, &frame, NULL, 0);
+    return RN_OK;
+}
+
+// The film that was asked for, out of all frames; its size in bytes.
+static enum rn_status make_film(struct path_work *path, struct rn_path_result *record,
+                                struct rn_error *err) {
+    const struct rn_path_options *options = &path->request.options;
+    struct rn_film_order order = {.folder = path->request.folder,
+                                  .first = path->parts.first,
+                                  .count = path->work.total,
+                                  .codec = options->film,
+                                  .fps = path->request.camera_path.path->fps,
+                                  .quality = (int)rn_int_or(options->video_quality, VIDEO_QUALITY),
+                                  .keep_going = rn_work_keep_going,
+                                  .context = &path->work};
+    char file[PATH_MAX];
+    struct stat about;
+    enum rn_status status = rn_film_make(&order, err);
+    if (status) return status;
+    snprintf(record->film, sizeof record->film, "%s", rn_film_name(options->film));
+    snprintf(file, sizeof file, "%s/%s", order.folder, record->film);
+    if (stat(file, &about) < 0) return rn_error_from_errno(err, errno, file, "find the film");
+    record->film_bytes = about.st_size;
+    return RN_OK;
+}
+
+static enum rn_status result(struct rn_work *work, struct rn_field *field, char **ret_json,
+                             struct rn_error *err) {
+    struct path_work *path = (struct path_work *)work;
+    struct rn_camera camera = frame_camera(path, 0);
+    struct rn_path_result record = {.frames = (int64_t)work->total,
+                                    .width = camera.width,
+                                    .height = camera.height,
+                                    .step = work->step,
+                                    .film_bytes = RN_ABSENT,
+                                    .render_ms_median =
+                                        rn_numbers_median(work->render_ms, work->rendered)};
+    (void)field;
+    enum rn_status status = RN_OK;
+    rn_optics_names(&path->together, record.effects, sizeof record.effects);
+    if (!is_part(path) && path->request.options.film >= 0) status = make_film(path, &record, err);
+    if (!status && !is_part(path)) status = rn_manifest_write(path->request.folder, err);
+    if (status) return status;
+    return rn_encode(&rn_path_result_table, &record, ret_json, NULL, err);
+}
+
+static void release(struct rn_work *work) {
+    rn_message_finish(rn_wire_table(RN_WIRE_PATH), &((struct path_work *)work)->request);
+}
+
+static const struct rn_work_kind kind = {.size = sizeof(struct path_work),
+                                         .prepare = prepare,
+                                         .begin = begin,
+                                         .unit = unit,
+                                         .result = result,
+                                         .release = release};
+
+void rn_work_add_path(struct rn_host *host, struct rn_wire_path *request) {
+    struct path_work *path = (struct path_work *)rn_work_append(host, &kind, request->job);
+    if (!path) return;
+    path->request = *request;
+    rn_message_init(rn_wire_table(RN_WIRE_PATH), request);
+}

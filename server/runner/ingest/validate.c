@@ -1,0 +1,68 @@
+// From documents and image headers alone.
+#include "server/runner/ingest/validate.h"
+
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "server/runner/scene/describe.h"
+
+static void under(const char *path, const char *root, char ret_file[256]) {
+    char text[4096];
+    snprintf(text, sizeof text, "%s", path ? path : "");
+    rn_make_relative(text, root);
+    snprintf(ret_file, 256, "%.255s", text);
+}
+
+static struct rn_validated_view describe_view(const struct rn_frame *view, const char *root,
+                                              const struct rn_import_options *options) {
+    struct rn_frame place = rn_import_place(view, options, 0);
+    struct rn_validated_view item = {.split = (int)place.split, .camera = place.camera};
+    under(view->path, root, item.file);
+    under(view->mask_path, root, item.mask);
+    return item;
+}
+
+static void count_view(struct rn_split_counts *views, int split) {
+    views->train += split == RN_SPLIT_TRAIN;
+    views->val += split == RN_SPLIT_VAL;
+    views->test += split == RN_SPLIT_TEST;
+}
+
+// Views of the finest scale; every one is counted, and so many are listed as there is room for.
+static void list_views(const struct rn_dataset *source, const char *root,
+                       const struct rn_import_options *options,
+                       struct rn_validation_record *record) {
+    size_t views = source->frame_count / (size_t)source->scale_count, seen = 0;
+    size_t most = views < RN_VALIDATED_VIEWS ? views : RN_VALIDATED_VIEWS;
+    for (size_t i = 0; i < source->frame_count; i++) {
+        const struct rn_frame *view = &source->frames[i];
+        if (i > 0 && view->split == view[-1].split && view->index == view[-1].index) continue;
+        struct rn_validated_view item = describe_view(view, root, options);
+        count_view(&record->views, item.split);
+        if (record->item_count < most && seen == record->item_count * views / most)
+            record->items[record->item_count++] = item;
+        seen++;
+    }
+}
+
+enum rn_status rn_describe_validation(const struct rn_dataset *source, const char *root,
+                                      const struct rn_import_options *options,
+                                      struct rn_problems *problems, char **ret_json,
+                                      struct rn_error *err) {
+    struct rn_import_options chosen = rn_import_settle(source, options, problems);
+    struct rn_validation_record record = {
+        .bounds = rn_describe_bounds(&source->bounds),
+        .scales = chosen.scales > 1 ? chosen.scales : source->scale_count,
+        .items = calloc(RN_VALIDATED_VIEWS, sizeof *record.items)};
+    memcpy(record.up, source->lie.up, sizeof record.up);
+    enum rn_status status =
+        record.items ? RN_OK
+                     : rn_error_set(err, RN_ERROR_NO_MEMORY, root, "no memory for its views");
+    if (!status) status = rn_describe_report(source, root, problems, NULL, &record.report, err);
+    if (!status) list_views(source, root, &chosen, &record);
+    if (!status) status = rn_encode(&rn_validation_table, &record, ret_json, NULL, err);
+    free(record.report);
+    free(record.items);
+    return status;
+}
