@@ -10,6 +10,7 @@
 #include <unistd.h>
 
 #include "common/dataset/colmap_files.h"
+#include "common/math/rotation.h"
 
 #define MAX_MODELS 32
 #define MAX_CAMERAS 1000000
@@ -240,22 +241,12 @@ static void find_photos(struct model *model) {
     model->photo_folder = folders[0];
 }
 
-// World-to-camera q, t to world-from-camera: R' and -R' t.
+// World-to-camera q, t to world-from-camera.
 static bool set_pose(const struct entry *entry, double pose[3][4]) {
     const double *q = entry->rotation, *t = entry->translation;
-    double norm = sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]);
-    if (!(norm > 1e-6) || !isfinite(norm)) return false;
-    double w = q[0] / norm, x = q[1] / norm, y = q[2] / norm, z = q[3] / norm;
-    const double r[3][3] = {{1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)},
-                            {2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)},
-                            {2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)}};
-    for (int i = 0; i < 3; i++) {
-        pose[i][3] = 0;
-        for (int j = 0; j < 3; j++) {
-            pose[i][j] = r[j][i];
-            pose[i][3] -= r[j][i] * t[j];
-        }
-    }
+    double view[3][4] = {{0, 0, 0, t[0]}, {0, 0, 0, t[1]}, {0, 0, 0, t[2]}};
+    if (!rn_rotation_from_quaternion(q, view)) return false;
+    rn_pose_invert((const double(*)[4])view, pose);
     return true;
 }
 

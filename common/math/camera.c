@@ -2,6 +2,8 @@
 
 #include <stdio.h>
 
+#include "common/math/rotation.h"
+
 #define MAX_POSE_ERROR 1e-3
 
 struct rn_camera rn_camera_reframed(const struct rn_camera *camera, int width, int height) {
@@ -35,25 +37,6 @@ static enum rn_status bad(const char *where, const char *field, const char *text
     return rn_error_set(err, RN_ERROR_INVALID, path, "%s", text);
 }
 
-// Largest entry of |R^T R - 1|.
-static double orthonormality_error(const double pose[3][4]) {
-    double worst = 0;
-    for (int i = 0; i < 3; i++)
-        for (int j = i; j < 3; j++) {
-            double dot = -(i == j);
-            for (int k = 0; k < 3; k++)
-                dot += pose[k][i] * pose[k][j];
-            worst = fmax(worst, fabs(dot));
-        }
-    return worst;
-}
-
-static double determinant(const double m[3][4]) {
-    return m[0][0] * (m[1][1] * m[2][2] - m[1][2] * m[2][1]) -
-           m[0][1] * (m[1][0] * m[2][2] - m[1][2] * m[2][0]) +
-           m[0][2] * (m[1][0] * m[2][1] - m[1][1] * m[2][0]);
-}
-
 static enum rn_status check_pose(const struct rn_camera *camera, const char *where,
                                  struct rn_error *err) {
     const double(*pose)[4] = camera->world_from_camera;
@@ -61,12 +44,12 @@ static enum rn_status check_pose(const struct rn_camera *camera, const char *whe
         for (int j = 0; j < 4; j++)
             if (!isfinite(pose[i][j]))
                 return bad(where, "world_from_camera", "the pose has a non-finite number", err);
-    if (!(orthonormality_error(pose) <= MAX_POSE_ERROR))
+    if (!(rn_rotation_skew(pose) <= MAX_POSE_ERROR))
         return bad(where, "world_from_camera",
                    "the pose's 3x3 part is not a rotation (its columns are not orthonormal to "
                    "1e-3): remove scale and shear",
                    err);
-    if (!(determinant(pose) > 0))
+    if (!(rn_rotation_determinant(pose) > 0))
         return bad(where, "world_from_camera",
                    "the pose is mirrored (negative determinant): flip one axis", err);
     return RN_OK;

@@ -4,44 +4,17 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "common/math/rotation.h"
 #include "common/path/motion.h"
 
 struct quaternion {
     double w, x, y, z;
 };
 
-static struct quaternion quaternion_from_matrix(const double m[3][4]) { // Shepperd 1978
-    double trace = m[0][0] + m[1][1] + m[2][2], q[4];
-    int i = m[1][1] > m[0][0] ? 1 : 0;
-    if (m[2][2] > m[i][i]) i = 2;
-    if (trace > m[i][i]) {
-        q[0] = 1 + trace;
-        q[1] = m[2][1] - m[1][2];
-        q[2] = m[0][2] - m[2][0];
-        q[3] = m[1][0] - m[0][1];
-    } else {
-        int j = (i + 1) % 3, k = (i + 2) % 3;
-        q[0] = m[k][j] - m[j][k];
-        q[1 + i] = 1 + m[i][i] - m[j][j] - m[k][k];
-        q[1 + j] = m[j][i] + m[i][j];
-        q[1 + k] = m[k][i] + m[i][k];
-    }
-    double norm = sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]);
-    return (struct quaternion){q[0] / norm, q[1] / norm, q[2] / norm, q[3] / norm};
-}
-
-static void matrix_from_quaternion(struct quaternion q, double m[3][4]) {
-    double norm = sqrt(q.w * q.w + q.x * q.x + q.y * q.y + q.z * q.z);
-    double w = q.w / norm, x = q.x / norm, y = q.y / norm, z = q.z / norm;
-    m[0][0] = 1 - 2 * (y * y + z * z);
-    m[0][1] = 2 * (x * y - w * z);
-    m[0][2] = 2 * (x * z + w * y);
-    m[1][0] = 2 * (x * y + w * z);
-    m[1][1] = 1 - 2 * (x * x + z * z);
-    m[1][2] = 2 * (y * z - w * x);
-    m[2][0] = 2 * (x * z - w * y);
-    m[2][1] = 2 * (y * z + w * x);
-    m[2][2] = 1 - 2 * (x * x + y * y);
+static struct quaternion quaternion_of(const struct rn_path_key *key) {
+    double q[4];
+    rn_rotation_to_quaternion(key->world_from_camera, q);
+    return (struct quaternion){q[0], q[1], q[2], q[3]};
 }
 
 static double dot(struct quaternion a, struct quaternion b) {
@@ -154,13 +127,13 @@ static void blend_rotation(const struct rn_path *path, const struct segment *at,
                            double pose[3][4]) {
     struct quaternion q[4];
     for (int k = 0; k < 4; k++)
-        q[k] = quaternion_from_matrix(at->key[k]->world_from_camera);
+        q[k] = quaternion_of(at->key[k]);
     q[0] = align(q[0], q[1]);
     q[2] = align(q[2], q[1]);
     q[3] = align(q[3], q[2]);
     bool spline = path->interpolation == RN_INTERPOLATE_SPLINE;
-    matrix_from_quaternion(spline ? squad(q, at->u, path->tension) : slerp(q[1], q[2], at->u),
-                           pose);
+    struct quaternion r = spline ? squad(q, at->u, path->tension) : slerp(q[1], q[2], at->u);
+    rn_rotation_from_quaternion((double[]){r.w, r.x, r.y, r.z}, pose);
 }
 
 // Along the arc from key 1 to key 2 about the centre: the direction by slerp, the distance

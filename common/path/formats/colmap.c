@@ -6,6 +6,7 @@
 #include <string.h>
 
 #include "common/base/buf.h"
+#include "common/math/rotation.h"
 #include "common/path/formats/parts.h"
 
 #define MAX_CAMERAS 4096
@@ -114,7 +115,6 @@ static enum rn_status fill_key(const struct rn_path_text *in, const struct image
                                struct rn_path_key *key, struct rn_error *err) {
     char where[256];
     double view[3][4];
-    struct rn_json at = {.file = where};
     snprintf(where, sizeof where, "%.230s:%u", in->where, image->line);
     if (!camera && !(fov_y_deg > 0))
         return rn_error_set(err, RN_ERROR_INVALID, where,
@@ -124,15 +124,11 @@ static enum rn_status fill_key(const struct rn_path_text *in, const struct image
     for (int i = 0; i < 3; i++)
         if (!isfinite(image->t[i]))
             return rn_error_set(err, RN_ERROR_INVALID, where, "has a position that is no number");
-    enum rn_status status = rn_path_pose_of_quaternion(&at, image->q[0], image->q[1], image->q[2],
-                                                       image->q[3], view, err);
-    if (status) return rn_error_set(err, status, where, "has a quaternion of length 0");
-    for (int i = 0; i < 3; i++) {
-        for (int c = 0; c < 3; c++)
-            key->world_from_camera[i][c] = view[c][i];
-        key->world_from_camera[i][3] =
-            -(view[0][i] * image->t[0] + view[1][i] * image->t[1] + view[2][i] * image->t[2]);
-    }
+    if (!rn_rotation_from_quaternion(image->q, view))
+        return rn_error_set(err, RN_ERROR_INVALID, where, "has a quaternion of length 0");
+    for (int i = 0; i < 3; i++)
+        view[i][3] = image->t[i];
+    rn_pose_invert((const double(*)[4])view, key->world_from_camera);
     key->fov_y_rad =
         fov_y_deg > 0 ? fov_y_deg * M_PI / 180 : 2 * atan(0.5 * camera->height / camera->focal_y);
     return RN_OK;
@@ -182,14 +178,8 @@ static enum rn_status read(const struct rn_path_text *in, const struct rn_path_c
 
 static void write_image(struct rn_buf *text, const struct rn_camera *camera, size_t i) {
     double view[3][4], q[4];
-    for (int r = 0; r < 3; r++) {
-        view[r][3] = 0;
-        for (int c = 0; c < 3; c++) {
-            view[r][c] = camera->world_from_camera[c][r];
-            view[r][3] -= camera->world_from_camera[c][r] * camera->world_from_camera[c][3];
-        }
-    }
-    rn_path_quaternion_of_pose(view, q);
+    rn_pose_invert(camera->world_from_camera, view);
+    rn_rotation_to_quaternion((const double(*)[4])view, q);
     rn_buf_printf(text, "%zu %.17g %.17g %.17g %.17g %.17g %.17g %.17g 1 %05zu.png\n\n", i + 1,
                   q[0], q[1], q[2], q[3], view[0][3], view[1][3], view[2][3], i);
 }

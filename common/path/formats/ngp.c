@@ -3,6 +3,7 @@
 #include <math.h>
 #include <string.h>
 
+#include "common/math/rotation.h"
 #include "common/path/formats/parts.h"
 
 #define SCALE 0.33
@@ -23,9 +24,10 @@ static enum rn_status read_key(const struct rn_json *at, double seconds, double 
     if (!status) status = rn_json_matrix(at, "T", 0, 3, t, err);
     if (!status) status = rn_json_number(at, "fov", 1e-3, 179.9, &fov_deg, err);
     if (!status) status = rn_json_member(at, "R", &rotation, err);
-    if (!status)
-        status = rn_path_pose_of_quaternion(&rotation, q[3], q[0], q[1], q[2],
-                                            key->world_from_camera, err);
+    if (!status &&
+        !rn_rotation_from_quaternion((double[]){q[3], q[0], q[1], q[2]}, key->world_from_camera))
+        status = rn_json_error(&rotation, RN_ERROR_INVALID, err,
+                               "is a quaternion of length 0: no rotation");
     if (!status && rn_json_find(at, "timestamp", &member))
         status = rn_json_number(at, "timestamp", 0, 86400, &time, err);
     if (status) return status;
@@ -78,7 +80,7 @@ static enum rn_status write(const struct rn_path *path, const struct rn_path_spa
         double pose[3][4], q[4];
         memcpy(pose, key->world_from_camera, sizeof pose);
         rn_path_out_of_dataset(space, pose);
-        rn_path_quaternion_of_pose(pose, q);
+        rn_rotation_to_quaternion((const double(*)[4])pose, q);
         json_array_append_new(
             keys, json_pack("{s:[f,f,f,f],s:[f,f,f],s:f,s:f,s:f,s:f,s:f}", "R", q[1], q[2], q[3],
                             q[0], "T", pose[0][3], pose[1][3], pose[2][3], "slice", 0.0, "scale",

@@ -4,6 +4,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "common/math/rotation.h"
 #include "common/math/vector.h"
 
 #define MAX_SKEW 0.01 // of a rotation that was written with few digits
@@ -48,21 +49,12 @@ static double column_dot(double m[3][4], int a, int b) {
     return m[0][a] * m[0][b] + m[1][a] * m[1][b] + m[2][a] * m[2][b];
 }
 
-static double determinant(double m[3][4]) {
-    return m[0][0] * (m[1][1] * m[2][2] - m[1][2] * m[2][1]) -
-           m[0][1] * (m[1][0] * m[2][2] - m[1][2] * m[2][0]) +
-           m[0][2] * (m[1][0] * m[2][1] - m[1][1] * m[2][0]);
-}
-
 enum rn_status rn_path_make_exact(const struct rn_json *at, double pose[3][4],
                                   struct rn_error *err) {
-    double skew = 0;
-    for (int a = 0; a < 3; a++)
-        for (int b = 0; b <= a; b++)
-            skew = fmax(skew, fabs(column_dot(pose, a, b) - (a == b)));
+    double skew = rn_rotation_skew((const double(*)[4])pose);
     if (!(skew <= MAX_SKEW))
         return rn_json_error(at, RN_ERROR_INVALID, err, "holds no rotation (off by %.2g)", skew);
-    if (determinant(pose) < 0)
+    if (rn_rotation_determinant((const double(*)[4])pose) < 0)
         return rn_json_error(at, RN_ERROR_INVALID, err, "is mirrored (determinant -1)");
     for (int c = 0; c < 3; c++) { // Gram and Schmidt
         for (int b = 0; b < c; b++) {
@@ -75,43 +67,6 @@ enum rn_status rn_path_make_exact(const struct rn_json *at, double pose[3][4],
             pose[i][c] /= length;
     }
     return RN_OK;
-}
-
-enum rn_status rn_path_pose_of_quaternion(const struct rn_json *at, double w, double x, double y,
-                                          double z, double m[3][4], struct rn_error *err) {
-    double length = sqrt(w * w + x * x + y * y + z * z);
-    if (!(length > 1e-6))
-        return rn_json_error(at, RN_ERROR_INVALID, err, "is a quaternion of length 0: no rotation");
-    w /= length, x /= length, y /= length, z /= length;
-    const double r[3][3] = {
-        {1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)},
-        {2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)},
-        {2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)},
-    };
-    for (int i = 0; i < 3; i++)
-        memcpy(m[i], r[i], sizeof r[i]);
-    return RN_OK;
-}
-
-void rn_path_quaternion_of_pose(double m[3][4], double q[4]) { // Shepperd 1978
-    double trace = m[0][0] + m[1][1] + m[2][2];
-    int i = m[1][1] > m[0][0] ? 1 : 0;
-    if (m[2][2] > m[i][i]) i = 2;
-    if (trace > m[i][i]) {
-        q[0] = 1 + trace;
-        q[1] = m[2][1] - m[1][2];
-        q[2] = m[0][2] - m[2][0];
-        q[3] = m[1][0] - m[0][1];
-    } else {
-        int j = (i + 1) % 3, k = (i + 2) % 3;
-        q[0] = m[k][j] - m[j][k];
-        q[1 + i] = 1 + m[i][i] - m[j][j] - m[k][k];
-        q[1 + j] = m[j][i] + m[i][j];
-        q[1 + k] = m[k][i] + m[i][k];
-    }
-    double length = sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]);
-    for (int c = 0; c < 4; c++)
-        q[c] /= length;
 }
 
 enum rn_status rn_path_look_at(const struct rn_json *at, const double target[3], const double up[3],

@@ -16,11 +16,6 @@ enum rn_status rn_path_json_pose(const struct rn_json *object, const char *key, 
 // columns are no rotation, or are mirrored.
 enum rn_status rn_path_make_exact(const struct rn_json *at, double pose[3][4],
                                   struct rn_error *err) RN_MUST_CHECK;
-// Unit quaternion and position to a pose; a quaternion of length 0 is RN_ERROR_INVALID at `at`.
-enum rn_status rn_path_pose_of_quaternion(const struct rn_json *at, double w, double x, double y,
-                                          double z, double pose[3][4],
-                                          struct rn_error *err) RN_MUST_CHECK;
-void rn_path_quaternion_of_pose(double pose[3][4], double ret_wxyz[4]);
 // A camera at `position` that looks at `target` with `up` upwards: the rotation of the pose.
 enum rn_status rn_path_look_at(const struct rn_json *at, const double target[3], const double up[3],
                                double pose[3][4], struct rn_error *err) RN_MUST_CHECK;

@@ -7,6 +7,7 @@
 #include "common/math/ball.h"
 #include "common/math/camera.h"
 #include "common/math/rng.h"
+#include "common/math/rotation.h"
 #include "tests/support/suite.h"
 
 static const double pi = 3.14159265358979323846;
@@ -169,6 +170,37 @@ START_TEST(look_at) {
 }
 END_TEST
 
+// Turns of all sizes, about half a turn too, where a quaternion's first number vanishes: there and
+// back, and the inverse's inverse.
+START_TEST(rotations_there_and_back) {
+    for (int i = 0; i < 200; i++) {
+        double half = pi * i / 200, side = 3 * sin(half) / sqrt(5 + i % 3);
+        double q[4] = {3 * cos(half), side, -2 * side, sqrt(i % 3) * side}; // of length 3
+        double pose[3][4], again[4], inverse[3][4], back[3][4];
+        for (int r = 0; r < 3; r++)
+            pose[r][3] = 10 * r - i;
+        ck_assert(rn_rotation_from_quaternion(q, pose));
+        ck_assert_double_lt(rn_rotation_skew((const double(*)[4])pose), 4e-15);
+        ck_assert_double_eq_tol(rn_rotation_determinant((const double(*)[4])pose), 1, 8e-15);
+        rn_rotation_to_quaternion((const double(*)[4])pose, again);
+        double sign = 0;
+        for (int c = 0; c < 4; c++)
+            sign += again[c] * q[c] / 3;
+        ck_assert_double_eq_tol(fabs(sign), 1, 1e-14);
+        rn_pose_invert((const double(*)[4])pose, inverse);
+        rn_pose_invert((const double(*)[4])inverse, back);
+        for (int r = 0; r < 3; r++)
+            for (int c = 0; c < 4; c++)
+                ck_assert_double_eq_tol(back[r][c], pose[r][c], 1e-12);
+    }
+    const double none[4] = {0}, endless[4] = {INFINITY};
+    double untouched[3][4] = {{7}};
+    ck_assert(!rn_rotation_from_quaternion(none, untouched));
+    ck_assert(!rn_rotation_from_quaternion(endless, untouched));
+    ck_assert(untouched[0][0] == 7);
+}
+END_TEST
+
 START_TEST(look_at_degenerate) {
     const double eye[3] = {1, 2, 3}, above[3] = {1, 2, 9}, up[3] = {0, 0, 1}, zero[3] = {0, 0, 0};
     const double nan[3] = {NAN, 0, 0}, infinite[3] = {0, INFINITY, 0}, side[3] = {5, 5, 5};
@@ -315,6 +347,7 @@ int main(void) {
     tcase_add_test(cases, fields_of_view);
     tcase_add_test(cases, checks);
     tcase_add_test(cases, look_at);
+    tcase_add_test(cases, rotations_there_and_back);
     tcase_add_test(cases, look_at_degenerate);
     tcase_add_loop_test(cases, rays_lead_back_to_their_pixels, 0, RN_LENS_COUNT);
     tcase_add_loop_test(cases, boxes_hold_their_balls, 0, RN_LENS_COUNT);
