@@ -68,7 +68,7 @@ union rn_setting_value *rn_settings_value(const struct rn_settings *settings,
 
 // ---- members --------------------------------------------------------------------------------
 
-union rn_setting_value rn_setting_get(const struct rn_setting *row, const void *config) {
+static union rn_setting_value value_in(const struct rn_setting *row, const void *config) {
     const char *at = (const char *)config + row->offset;
     union rn_setting_value value = {.text = ""};
     switch (row->type) {
@@ -133,7 +133,7 @@ void rn_setting_put(const struct rn_setting *row, const union rn_setting_value *
 void rn_settings_get(const struct rn_settings *settings, const void *config,
                      union rn_setting_value *ret_values) {
     for (size_t i = 0; i < settings->count; i++)
-        ret_values[i] = rn_setting_get(&settings->rows[i], config);
+        ret_values[i] = value_in(&settings->rows[i], config);
 }
 
 void rn_settings_put(const struct rn_settings *settings, const union rn_setting_value *values,
@@ -189,7 +189,7 @@ static double number_of(const struct rn_setting *row, const union rn_setting_val
 }
 
 double rn_setting_number(const struct rn_setting *row, const void *config) {
-    union rn_setting_value value = rn_setting_get(row, config);
+    union rn_setting_value value = value_in(row, config);
     return number_of(row, &value);
 }
 
@@ -209,7 +209,8 @@ static void list_values(const struct rn_setting *row, char *ret_text, size_t siz
                                    i + 1 < n ? ", " : " or ", items[i]);
 }
 
-void rn_setting_range(const struct rn_setting *row, char *ret_text, size_t size) {
+// "must be 2 to 4096 texels", "must be rip, mip or point": what is allowed.
+static void tell_range(const struct rn_setting *row, char *ret_text, size_t size) {
     const char *unit = row->unit, *space = *unit ? " " : "";
     bool over = row->flags & RN_SETTING_OVER_MIN, under = row->flags & RN_SETTING_UNDER_MAX;
     if (row->choices || row->flags & RN_SETTING_POWER_OF_TWO)
@@ -248,7 +249,7 @@ static bool is_choice(const struct rn_setting *row, double number) {
     return number >= 0 && number < (row->choices ? n : 2);
 }
 
-bool rn_setting_allows(const struct rn_setting *row, double number) {
+static bool allows(const struct rn_setting *row, double number) {
     switch (row->type) {
     case RN_SETTING_BOOL:
     case RN_SETTING_CHOICE:
@@ -264,13 +265,13 @@ enum rn_status rn_settings_check(const struct rn_settings *settings, const void 
                                  struct rn_error *err) {
     for (size_t i = 0; i < settings->count; i++) {
         const struct rn_setting *row = &settings->rows[i];
-        union rn_setting_value value = rn_setting_get(row, config);
-        bool fine = rn_setting_allows(row, number_of(row, &value));
+        union rn_setting_value value = value_in(row, config);
+        bool fine = allows(row, number_of(row, &value));
         for (int c = 1; row->type == RN_SETTING_COLOUR && c < 3; c++)
             fine = fine && in_range(row, value.colour[c]);
         if (fine) continue;
         char text[160];
-        rn_setting_range(row, text, sizeof text);
+        tell_range(row, text, sizeof text);
         return rn_error_set(err, RN_ERROR_INVALID, row->name, "%s%s", text,
                             row->flags & RN_SETTING_OR_ZERO ? ", or 0" : "");
     }
@@ -341,7 +342,7 @@ enum rn_status rn_setting_parse(const struct rn_setting *row, const char *text,
         return RN_OK;
     }
     char range[160];
-    rn_setting_range(row, range, sizeof range);
+    tell_range(row, range, sizeof range);
     if (strcmp(row->unit, "s") == 0)
         return rn_error_set(err, RN_ERROR_INVALID, row->name,
                             "must be a time such as 90, 60s, 10m or 1.5h, %s; it is '%s'",

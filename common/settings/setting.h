@@ -85,9 +85,8 @@ const struct rn_setting *rn_settings_flagged(const struct rn_settings *settings,
 // Of values in the order of the rows, the one of that name, which there is.
 union rn_setting_value *rn_settings_value(const struct rn_settings *settings,
                                           union rn_setting_value *values, const char *name);
-// A member of `config`, a struct of the kind that the table is of, as a value, and back. A value
-// that is absent changes nothing.
-union rn_setting_value rn_setting_get(const struct rn_setting *row, const void *config);
+// A value into its member of `config`, a struct of the kind that the table is of; one that is absent
+// changes nothing.
 void rn_setting_put(const struct rn_setting *row, const union rn_setting_value *value,
                     void *config);
 // All members, in the order of the rows.
@@ -101,10 +100,6 @@ void rn_setting_put_number(const struct rn_setting *row, double number, void *co
 // BOOL, whole numbers and CHOICE as they are; a colour's first channel; 0 for a text.
 double rn_setting_number(const struct rn_setting *row, const void *config);
 
-// "must be 2 to 4096 texels", "must be rip, mip or point": what is allowed.
-void rn_setting_range(const struct rn_setting *row, char *ret_text, size_t size);
-// Whether a number is allowed.
-bool rn_setting_allows(const struct rn_setting *row, double number);
 // Every member in its range. RN_ERROR_INVALID names the setting.
 enum rn_status rn_settings_check(const struct rn_settings *settings, const void *config,
                                  struct rn_error *err) RN_MUST_CHECK;

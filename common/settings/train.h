@@ -108,7 +108,8 @@ struct rn_train_config {
                       // RN_SMOOTH_EVERY steps, times the square of the rate's factor; 0 to 1/4
 };
 
-// The one table: a row for every member of struct rn_train_config.
+// The one table: a row for every member of struct rn_train_config. What follows from it and the
+// presets is in preset.c.
 #define RN_TRAIN_SETTINGS (54 + RN_EFFECT_COUNT)
 extern const struct rn_settings rn_train_settings;
 
@@ -138,8 +139,6 @@ void rn_train_config_choose(struct rn_train_config *config,
 // Whether what a request asks for can be trained at all. As rn_train_config_check.
 enum rn_status rn_train_choice_check(const union rn_setting_value values[RN_TRAIN_SETTINGS],
                                      struct rn_error *err) RN_MUST_CHECK;
-// Planes of `base` texels a side: where the preset's grow, from an eighth of that.
-void rn_train_config_set_base(struct rn_train_config *config, int base);
 // Every value in its range and consistent with the others; errors name the option.
 enum rn_status rn_train_config_check(const struct rn_train_config *config,
                                      struct rn_error *err) RN_MUST_CHECK;
