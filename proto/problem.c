@@ -70,10 +70,6 @@ static const struct rn_field_spec api_problem[] = {
 const struct rn_table rn_api_problem_table = RN_TABLE(S, "a problem", api_problem);
 #undef S
 
-const char *rn_problem_slug(enum rn_problem_type type) {
-    return kinds[type].slug;
-}
-
 int rn_problem_http_status(enum rn_problem_type type) {
     return kinds[type].status;
 }

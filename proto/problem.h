@@ -41,7 +41,6 @@ struct rn_api_problem {
 };
 extern const struct rn_table rn_api_problem_table;
 
-const char *rn_problem_slug(enum rn_problem_type type); // "not-found"
 int rn_problem_http_status(enum rn_problem_type type);
 // Which type reports a status: RN_ERROR_NOT_FOUND -> RN_PROBLEM_NOT_FOUND, ...
 enum rn_problem_type rn_problem_type_of(enum rn_status status);

@@ -57,6 +57,7 @@ struct rn_scene_import_options {
 };
 extern const struct rn_table rn_scene_import_options_table;
 
+#define RN_CHECKPOINTS_KEPT 2 // of a scene, the newest ones
 struct rn_checkpoint_record {
     int64_t step, size_bytes;
     char created_at[RN_TIME_MAX];

@@ -130,13 +130,15 @@ RN_HANDLER(rn_get_upload);
 RN_HANDLER(rn_delete_upload);
 RN_HANDLER(rn_begin_upload_part);
 RN_HANDLER(rn_take_upload_part);
-RN_HANDLER(rn_list_cameras);
-RN_HANDLER(rn_list_points); // views.c
+RN_HANDLER(rn_list_cameras); // views.c
+RN_HANDLER(rn_list_points);
 RN_HANDLER(rn_get_image);
 RN_HANDLER(rn_get_model);
 RN_HANDLER(rn_list_scenes); // scenes.c
 RN_HANDLER(rn_get_scene);
 RN_HANDLER(rn_delete_scene);
+RN_HANDLER(rn_list_evaluations);
+RN_HANDLER(rn_get_checkpoint);
 RN_HANDLER(rn_create_scene); // scene_file.c
 RN_HANDLER(rn_begin_scene);
 RN_HANDLER(rn_get_curve); // curve.c
@@ -146,8 +148,6 @@ RN_HANDLER(rn_get_effects);    // effects.c
 RN_HANDLER(rn_measure_effects);
 RN_HANDLER(rn_get_export); // frames.c
 RN_HANDLER(rn_get_scene_export);
-RN_HANDLER(rn_list_evaluations);
-RN_HANDLER(rn_get_checkpoint);
 RN_HANDLER(rn_render_scene); // render.c
 RN_HANDLER(rn_list_jobs);    // jobs.c
 RN_HANDLER(rn_create_job);
@@ -172,8 +172,8 @@ RN_HANDLER(rn_create_token);
 RN_HANDLER(rn_delete_token);
 RN_HANDLER(rn_list_camera_paths); // camera_paths.c
 RN_HANDLER(rn_create_camera_path);
-RN_HANDLER(rn_convert_camera_path); // path_files.c
 RN_HANDLER(rn_get_camera_path);
 RN_HANDLER(rn_delete_camera_path);
+RN_HANDLER(rn_convert_camera_path); // path_files.c
 
 #endif

@@ -87,8 +87,8 @@ static enum rn_status dataset_name(struct rn_control *control, const char *id, c
     return RN_OK;
 }
 
-enum rn_status rn_document_scene(struct rn_control *control, struct rn_scene_row *row,
-                                 char **ret_json, struct rn_error *err) {
+static enum rn_status document_scene(struct rn_control *control, struct rn_scene_row *row,
+                                     char **ret_json, struct rn_error *err) {
     const struct rn_task *task = rn_task_training(control, row->id);
     struct rn_checkpoint_record checkpoints[MAX_CHECKPOINTS];
     struct rn_mark marks[RN_MARKS_KEPT];
@@ -131,7 +131,7 @@ enum rn_status rn_document_scene(struct rn_control *control, struct rn_scene_row
 enum rn_status rn_control_scene_json(struct rn_control *control, struct rn_scene_row *row,
                                      char **ret_json, struct rn_error *err) {
     pthread_mutex_lock(&control->lock);
-    enum rn_status status = rn_document_scene(control, row, ret_json, err);
+    enum rn_status status = document_scene(control, row, ret_json, err);
     pthread_mutex_unlock(&control->lock);
     return status;
 }

@@ -138,8 +138,6 @@ struct rn_control {
 // document.c
 enum rn_status rn_document_job(struct rn_control *control, struct rn_job_row *row, char **ret_json,
                                struct rn_error *err) RN_MUST_CHECK;
-enum rn_status rn_document_scene(struct rn_control *control, struct rn_scene_row *row,
-                                 char **ret_json, struct rn_error *err) RN_MUST_CHECK;
 
 // task.c
 struct rn_task *rn_task_find(struct rn_control *control, const char *id);
@@ -242,6 +240,9 @@ void rn_helper_go_on(struct rn_control *control, struct rn_runner *runner);
 // message.c
 void rn_runner_receive(struct rn_control *control, struct rn_runner *runner,
                        const struct rn_wire_message *message);
+// Deletes the records of a scene's checkpoints but for the newest; the files are the runner's.
+enum rn_status rn_task_prune_checkpoints(struct rn_control *control, const char *scene, size_t kept,
+                                         struct rn_error *err);
 
 // gpu.c: memory of GPUs is counted here before a runner takes it.
 void rn_gpu_reserve(struct rn_control *control, struct rn_runner *runner,

@@ -10,8 +10,6 @@
 #include "proto/scene.h"
 #include "server/jobs/inside.h"
 
-// Checkpoints that are kept; the runner removes the files of older ones.
-#define KEPT_CHECKPOINTS 2
 #define BUSY_RETRY_NS 1000000000ll
 
 // The runner's task with this id, or NULL.
@@ -205,15 +203,15 @@ static enum rn_status insert_checkpoint(struct rn_control *control,
     return status;
 }
 
-static enum rn_status prune_checkpoints(struct rn_control *control, const char *scene,
-                                        struct rn_error *err) {
+enum rn_status rn_task_prune_checkpoints(struct rn_control *control, const char *scene, size_t kept,
+                                         struct rn_error *err) {
     struct rn_query query = {.equal = {{"scene", scene}}};
     void *rows = NULL;
     size_t count = 0;
     enum rn_status status =
         rn_store_list(control->store, &rn_checkpoints, &query, &rows, &count, err);
     const struct rn_checkpoint_row *row = rows;
-    for (size_t i = KEPT_CHECKPOINTS; status == RN_OK && i < count; i++)
+    for (size_t i = kept; status == RN_OK && i < count; i++)
         status = rn_store_delete(control->store, &rn_checkpoints, row[i].id, err);
     rn_rows_finish(&rn_checkpoints, rows, count);
     return status;
@@ -226,7 +224,8 @@ static enum rn_status record_checkpoint(struct rn_control *control, struct rn_sc
     if (status != RN_OK) return status;
     status = rn_store_update(control->store, &rn_scenes, scene, err);
     if (status == RN_OK) status = insert_checkpoint(control, scene, checkpoint, err);
-    if (status == RN_OK) status = prune_checkpoints(control, scene->id, err);
+    if (status == RN_OK)
+        status = rn_task_prune_checkpoints(control, scene->id, RN_CHECKPOINTS_KEPT, err);
     if (status == RN_OK) return rn_store_commit(control->store, err);
     rn_store_rollback(control->store);
     return status;

@@ -456,20 +456,6 @@ static void remove_folder(struct rn_control *control, const char *kind, const ch
     free(path);
 }
 
-static enum rn_status delete_checkpoints(struct rn_control *control, const char *scene,
-                                         struct rn_error *err) {
-    struct rn_query query = {.equal = {{"scene", scene}}};
-    void *rows = NULL;
-    size_t count = 0;
-    enum rn_status status =
-        rn_store_list(control->store, &rn_checkpoints, &query, &rows, &count, err);
-    const struct rn_checkpoint_row *row = rows;
-    for (size_t i = 0; status == RN_OK && i < count; i++)
-        status = rn_store_delete(control->store, &rn_checkpoints, row[i].id, err);
-    rn_rows_finish(&rn_checkpoints, rows, count);
-    return status;
-}
-
 static enum rn_status delete_scene(struct rn_control *control, const struct rn_scene_row *scene,
                                    struct rn_error *err) {
     rn_idle_stop(control);
@@ -479,7 +465,7 @@ static enum rn_status delete_scene(struct rn_control *control, const struct rn_s
                             task->row.id, scene->name, rn_job_state_names[task->row.state]);
     enum rn_status status = rn_store_begin(control->store, err);
     if (status != RN_OK) return status;
-    status = delete_checkpoints(control, scene->id, err);
+    status = rn_task_prune_checkpoints(control, scene->id, 0, err);
     if (status == RN_OK) status = rn_store_delete(control->store, &rn_scenes, scene->id, err);
     if (status == RN_OK) {
         status = rn_store_commit(control->store, err);

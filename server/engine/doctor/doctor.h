@@ -1,7 +1,7 @@
 // Is the mathematics of this build sound on this machine, and on this scene? The quick numerics
 // cases, each against a higher precision that every build has: float64 or long double.
-#ifndef RN_ENGINE_DOCTOR_H
-#define RN_ENGINE_DOCTOR_H
+#ifndef RN_ENGINE_DOCTOR_DOCTOR_H
+#define RN_ENGINE_DOCTOR_DOCTOR_H
 
 #include "server/engine/engine.h"
 

@@ -1,6 +1,6 @@
 // What a scene calls for: each effect is one file that measures the data, says so in the record
 // with its number, threshold and reason, and switches the configuration; RN_EFFECTS
-// (scene/effect.h) lists them.
+// (common/settings/effects.h) lists them.
 //
 // Where an effect acts is one of these hooks. What is off costs nothing: those inside the sample
 // loop are constant parameters of the kernels.

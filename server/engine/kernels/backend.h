@@ -4,8 +4,8 @@
 //
 // One thread calls into a backend. After RN_ERROR_UNAVAILABLE the device cannot be used again in
 // this process: the runner ends, and its job goes on from the last checkpoint in a new one.
-#ifndef RN_ENGINE_BACKEND_H
-#define RN_ENGINE_BACKEND_H
+#ifndef RN_ENGINE_KERNELS_BACKEND_H
+#define RN_ENGINE_KERNELS_BACKEND_H
 
 #include "common/math/camera.h"
 #include "server/engine/kernels/kernels.h"

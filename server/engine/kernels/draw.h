@@ -1,6 +1,6 @@
 // Which pixels rays are drawn from: mostly of the finest scale, nearly without replacement.
-#ifndef RN_ENGINE_TRAIN_DRAW_H
-#define RN_ENGINE_TRAIN_DRAW_H
+#ifndef RN_ENGINE_KERNELS_DRAW_H
+#define RN_ENGINE_KERNELS_DRAW_H
 
 #include <stdint.h>
 

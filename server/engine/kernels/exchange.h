@@ -4,8 +4,8 @@
 //
 // All ranks call the same functions in the same order, from one thread. A rank that is lost takes
 // the others with it: none of the functions returns then, and training goes on from a checkpoint.
-#ifndef RN_ENGINE_EXCHANGE_H
-#define RN_ENGINE_EXCHANGE_H
+#ifndef RN_ENGINE_KERNELS_EXCHANGE_H
+#define RN_ENGINE_KERNELS_EXCHANGE_H
 
 #include <stddef.h>
 #include <stdint.h>

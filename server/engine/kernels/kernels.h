@@ -3,8 +3,8 @@
 //
 // All positions are in the normalised frame: the scene's ball is the unit ball, or the field's cube
 // (field/disparity.h).
-#ifndef RN_ENGINE_CPU_KERNELS_H
-#define RN_ENGINE_CPU_KERNELS_H
+#ifndef RN_ENGINE_KERNELS_KERNELS_H
+#define RN_ENGINE_KERNELS_KERNELS_H
 
 #include <stdbool.h>
 #include <stddef.h>
@@ -153,7 +153,7 @@ struct rn_group {
     int cursor, end; // rays of the batch still to do: [cursor, end)
     int packet;      // how many a packet begins with; halved where they have no room. 0: the most
     float *base_grad, *head_grad;
-    uint32_t *seen;  // NULL, or of a cell: the largest weight it showed (cpu/seen.h)
+    uint32_t *seen;  // NULL, or of a cell: the largest weight it showed (cpu/crisp.h)
     float *ray_loss; // NULL, or of a ray's id: its loss without the weight
     double loss, weight;
     uint64_t evaluated; // samples whose density was computed

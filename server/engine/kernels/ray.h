@@ -1,6 +1,6 @@
 // From a camera's cone to the ray that is marched. Host and device.
-#ifndef RN_ENGINE_RAY_H
-#define RN_ENGINE_RAY_H
+#ifndef RN_ENGINE_KERNELS_RAY_H
+#define RN_ENGINE_KERNELS_RAY_H
 
 #include "common/math/camera.h"
 #include "server/engine/kernels/kernels.h"

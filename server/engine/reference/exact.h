@@ -1,8 +1,8 @@
 // Single rays in float64 over a field as the kernels hold it: fp32 parameters and maps, the
 // samples that a march found. What a fast path is held against where a whole reference of the
 // field would be too large.
-#ifndef RN_ENGINE_EXACT_H
-#define RN_ENGINE_EXACT_H
+#ifndef RN_ENGINE_REFERENCE_EXACT_H
+#define RN_ENGINE_REFERENCE_EXACT_H
 
 #include "server/engine/kernels/kernels.h"
 

@@ -1,7 +1,7 @@
 // The plain float64 reference of the whole field: every forward and every backward, one loop after
 // the other, no skipping, no cleverness. What the fast paths are tested against.
-#ifndef RN_ENGINE_REFERENCE_H
-#define RN_ENGINE_REFERENCE_H
+#ifndef RN_ENGINE_REFERENCE_REFERENCE_H
+#define RN_ENGINE_REFERENCE_REFERENCE_H
 
 #include "common/settings/train.h"
 #include "server/engine/field/mlp.h"

@@ -80,26 +80,24 @@ static double run(struct subject *s, enum rn_stage stage) {
     return (double)(rn_clock_ns() - begin) * 1e-9;
 }
 
-double rn_choose_time(const struct rn_kernels *kernels, const struct rn_field_config *config,
-                      int rows, double seconds, double *ret_parts) {
+// Seconds of one thread for CHOOSE_ROWS samples forward and backward through the networks that
+// `config` describes (with ray shading one row in 32 goes through the colour network): the least of
+// several calls, at least two. INFINITY without memory.
+static double time_of(const struct rn_kernels *kernels, const struct rn_field_config *config) {
     struct subject s;
     double forward = INFINITY, backward = INFINITY, spent = 0;
-    if (subject_init(kernels, config, rows, &s)) {
+    if (subject_init(kernels, config, CHOOSE_ROWS, &s)) {
         fill(&s);
-        for (int i = 0; i < 2 || spent < seconds; i++) {
+        for (int i = 0; i < 2 || spent < CHOOSE_SECONDS; i++) {
             double first = run(&s, RN_STAGE_MLP_FORWARD), second = run(&s, RN_STAGE_MLP_BACKWARD);
             forward = fmin(forward, first);
             backward = fmin(backward, second);
             spent += first + second;
         }
-        forward *= rows / (double)s.workspace->count;
-        backward *= rows / (double)s.workspace->count;
+        forward *= CHOOSE_ROWS / (double)s.workspace->count;
+        backward *= CHOOSE_ROWS / (double)s.workspace->count;
     }
     subject_finish(&s);
-    if (ret_parts) {
-        ret_parts[0] = forward;
-        ret_parts[1] = backward;
-    }
     return forward + backward;
 }
 
@@ -107,7 +105,7 @@ const struct rn_kernels *rn_choose_kernels(const struct rn_field_config *config)
     const struct rn_kernels *best = NULL, *k;
     double least = INFINITY;
     for (int i = 0; (k = rn_kernels_available(i)); i++) {
-        double seconds = rn_choose_time(k, config, CHOOSE_ROWS, CHOOSE_SECONDS, NULL);
+        double seconds = time_of(k, config);
         if (!best || seconds < least) {
             least = seconds;
             best = k;

@@ -1,7 +1,7 @@
 // Fields on a device behind a backend's table: the CPU's field stays the owner of everything, the
 // device holds a copy that it renders from and trains.
-#ifndef RN_ENGINE_DEVICE_H
-#define RN_ENGINE_DEVICE_H
+#ifndef RN_ENGINE_SCENE_DEVICE_H
+#define RN_ENGINE_SCENE_DEVICE_H
 
 #include "server/engine/kernels/backend.h"
 #include "server/engine/scene/scene.h"

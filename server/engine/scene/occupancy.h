@@ -1,7 +1,7 @@
 // The occupancy grid that the march reads: from the grid that training measures and, once a field
 // is no longer trained, at half its cells' width from the field itself.
-#ifndef RN_ENGINE_OCCUPANCY_H
-#define RN_ENGINE_OCCUPANCY_H
+#ifndef RN_ENGINE_SCENE_OCCUPANCY_H
+#define RN_ENGINE_SCENE_OCCUPANCY_H
 
 #include "server/engine/scene/scene.h"
 

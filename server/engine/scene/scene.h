@@ -1,7 +1,7 @@
 // A field in memory: parameters, pyramid, occupancy and what is known about them. Inside the
 // engine only.
-#ifndef RN_ENGINE_SCENE_H
-#define RN_ENGINE_SCENE_H
+#ifndef RN_ENGINE_SCENE_SCENE_H
+#define RN_ENGINE_SCENE_SCENE_H
 
 #include "server/engine/cpu/pool.h"
 #include "server/engine/kernels/kernels.h"
@@ -19,8 +19,6 @@ struct rn_engine {
     size_t workspace_bytes;          // of one
     struct rn_field_config laid_out; // that they are laid out for, and the step
     double laid_out_step;
-    struct rn_march_ray *rays; // scratch of the renderer, RN_RENDER_BLOCK
-    struct rn_pixel *pixels;
     char folder[RN_ENGINE_FOLDER_MAX]; // rn_engine_keep_in; "": none
     bool (*keep_going)(void *context); // rn_engine_watch; NULL = never asked
     void *watcher;

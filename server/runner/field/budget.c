@@ -39,7 +39,15 @@ static void look_for_curve(struct rn_host *host) {
     rn_log(RN_LOG_WARN, "the curve is not used: %s: %s", err.where, err.text);
 }
 
-void rn_budget_find_curve(struct rn_host *host, struct rn_budget_curve *ret_found) {
+// The curve to go by, and which one that is: "measured", or "stale" where the parameters have
+// changed since, or "preset". Valid until the scene's curve changes.
+struct chosen_curve {
+    struct rn_curve curve;
+    struct rn_curve_point points[RN_CURVE_POINTS]; // the preset's
+    const char *source;
+};
+
+static void find_curve(struct rn_host *host, struct chosen_curve *ret_found) {
     look_for_curve(host);
     const struct rn_curve_record *record = &host->pace.record;
     if (record->count == 0) {
@@ -63,15 +71,16 @@ static bool has_settings(const union rn_setting_value settings[RN_RENDER_SETTING
     return false;
 }
 
-void rn_budget_resolve(struct rn_host *host, const struct rn_field_info *info, double pixels,
-                       union rn_setting_value settings[RN_RENDER_SETTINGS], bool *ret_changed) {
-    struct rn_budget_curve found;
+// *ret_changed: the settings are others.
+static void resolve(struct rn_host *host, const struct rn_field_info *info, double pixels,
+                    union rn_setting_value settings[RN_RENDER_SETTINGS], bool *ret_changed) {
+    struct chosen_curve found;
     double number;
     bool missed;
     enum rn_budget_kind kind = rn_budget_of(settings, &number);
     *ret_changed = kind != RN_BUDGET_NONE && !has_settings(settings);
     if (!*ret_changed) return;
-    rn_budget_find_curve(host, &found);
+    find_curve(host, &found);
     size_t point = rn_curve_choose(&found.curve, kind, number, pixels, info->psnr, &missed);
     put_settings(&found.curve.points[point], settings);
     // The full picture's settings are none: what says so, so that the budget is resolved once.
@@ -88,7 +97,7 @@ enum rn_status rn_budget_settle(struct rn_work *work, struct rn_field *field, do
     struct rn_field_info info;
     bool changed;
     rn_field_describe(field, &info);
-    rn_budget_resolve(work->host, &info, pixels, settings, &changed);
+    resolve(work->host, &info, pixels, settings, &changed);
     if (!changed) return RN_OK;
     enum rn_status status = rn_encode(table, options, &resolved.options, NULL, err);
     if (status) return status;
@@ -113,13 +122,13 @@ static double margin_ns(const struct rn_pace *pace, double asked_ms) {
 }
 
 // Than the mean of the curve's views, dB.
-static double better_here(const struct rn_budget_curve *found, const struct rn_camera *camera) {
+static double better_here(const struct chosen_curve *found, const struct rn_camera *camera) {
     const double place[3] = {camera->world_from_camera[0][3], camera->world_from_camera[1][3],
                              camera->world_from_camera[2][3]};
     return rn_curve_here(&found->curve, place);
 }
 
-static void tell(const struct rn_budget_curve *found, size_t point,
+static void tell(const struct chosen_curve *found, size_t point,
                  const struct rn_render_stats *stats, const struct rn_camera *camera, double psnr,
                  struct rn_wire_rendered *rendered) {
     const struct rn_curve_point *p = &found->curve.points[point];
@@ -135,7 +144,7 @@ static void tell(const struct rn_budget_curve *found, size_t point,
 }
 
 // The ways to render a picture, from the quickest on, and what each is expected to take here.
-static size_t plain_choices(const struct rn_budget_curve *found, double scale,
+static size_t plain_choices(const struct chosen_curve *found, double scale,
                             struct rn_render_choice choices[RN_CURVE_POINTS]) {
     const struct rn_curve *curve = &found->curve;
     for (size_t i = 0; i < curve->count; i++) {
@@ -148,7 +157,7 @@ static size_t plain_choices(const struct rn_budget_curve *found, double scale,
 
 // Of one whose pixels are seen from many places (a lens, a shutter): ever more cones a pixel. They
 // cost what the full picture's do.
-static size_t spread_choices(const struct rn_field *field, const struct rn_budget_curve *found,
+static size_t spread_choices(const struct rn_field *field, const struct chosen_curve *found,
                              double scale, const struct rn_camera *camera,
                              struct rn_render_choice choices[RN_CURVE_POINTS]) {
     const struct rn_curve_point *full = &found->curve.points[found->curve.count - 1];
@@ -169,10 +178,10 @@ static enum rn_status render_by_deadline(struct rn_host *host, const struct rn_w
                                          struct rn_watch *watch, struct rn_wire_rendered *rendered,
                                          struct rn_render_result *ret_result,
                                          struct rn_error *err) {
-    struct rn_budget_curve found;
+    struct chosen_curve found;
     struct rn_render_choice choices[RN_CURVE_POINTS];
     struct rn_render_spent spent;
-    rn_budget_find_curve(host, &found);
+    find_curve(host, &found);
     double pixels = (double)options->camera.width * (double)options->camera.height;
     double scale = pixels / rn_curve_pixels(&found.curve);
     bool spread = rn_optics_spreads(&options->shot.optics);
@@ -210,7 +219,7 @@ enum rn_status rn_budget_render(struct rn_host *host, const struct rn_wire_rende
                                 struct rn_render_options *options, struct rn_watch *watch,
                                 struct rn_wire_rendered *rendered,
                                 struct rn_render_result *ret_result, struct rn_error *err) {
-    struct rn_budget_curve found;
+    struct chosen_curve found;
     double number;
     enum rn_budget_kind kind = rn_budget_of(render->render.settings, &number);
     if (kind == RN_BUDGET_TIME && render->deadline_ns != RN_ABSENT)
@@ -218,7 +227,7 @@ enum rn_status rn_budget_render(struct rn_host *host, const struct rn_wire_rende
                                   err);
     size_t point = 0;
     if (kind != RN_BUDGET_NONE) {
-        rn_budget_find_curve(host, &found);
+        find_curve(host, &found);
         if (kind == RN_BUDGET_PSNR)
             number =
                 rn_curve_from_here(&found.curve, number, better_here(&found, &options->camera));

@@ -9,23 +9,9 @@
 
 void rn_pace_finish(struct rn_pace *pace);
 
-// The curve to go by, and which one that is: "measured", or "stale" where the parameters have
-// changed since, or "preset". Valid until the scene's curve changes.
-struct rn_budget_curve {
-    struct rn_curve curve;
-    struct rn_curve_point points[RN_CURVE_POINTS]; // the preset's
-    const char *source;
-};
-void rn_budget_find_curve(struct rn_host *host, struct rn_budget_curve *ret_found);
-
 // The settings that a budget becomes for all pictures of a job, of so many pixels each, in place:
-// the budget stays beside them. Nothing without a budget, or where it has become some before.
-// *ret_changed: they are to be recorded.
-void rn_budget_resolve(struct rn_host *host, const struct rn_field_info *info, double pixels,
-                       union rn_setting_value settings[RN_RENDER_SETTINGS], bool *ret_changed);
-
-// The same for a job that has the host's turn: the daemon is told the options, as `table` has them,
-// when the budget in its settings has become others.
+// the budget stays beside them. Nothing without a budget, or where it has become some before. The
+// job has the host's turn; the daemon is told the options, as `table` has them, when they changed.
 enum rn_status rn_budget_settle(struct rn_work *work, struct rn_field *field, double pixels,
                                 union rn_setting_value settings[RN_RENDER_SETTINGS],
                                 const struct rn_table *table, const void *options,

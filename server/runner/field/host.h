@@ -91,7 +91,6 @@ void rn_host_serve_render(struct rn_host *host);
 // Starts or continues the job; a failure is reported to the daemon.
 void rn_training_start(struct rn_host *host, const struct rn_wire_train *train);
 bool rn_training_is(const struct rn_host *host, const char *job);
-bool rn_training_runs(const struct rn_host *host);      // there and not paused
 bool rn_training_is_busy(const struct rn_host *host);   // has something to do, be it to save
 bool rn_training_is_ending(const struct rn_host *host); // was cancelled
 struct rn_field *rn_training_field(struct rn_training *training);
@@ -116,8 +115,7 @@ void rn_calibration_slice(struct rn_host *host);                   // about RN_S
 bool rn_calibration_cancel(struct rn_host *host, const char *job); // false: no such job
 void rn_calibration_drop(struct rn_host *host);
 
-// ---- work.c; path.c, eval.c, curve.c, effects.c, examine.c, export.c, export_scene.c: its kinds
-// ----
+// ---- work.c, and its kinds, a file each ----
 
 // Takes over what the request owns.
 void rn_work_add_path(struct rn_host *host, struct rn_wire_path *request);

@@ -56,12 +56,13 @@ bool rn_training_is(const struct rn_host *host, const char *job) {
     return host->training && *job && strcmp(host->training->job, job) == 0;
 }
 
-bool rn_training_runs(const struct rn_host *host) {
+// There and not paused.
+static bool runs(const struct rn_host *host) {
     return host->training && isnan(host->training->paused_since);
 }
 
 bool rn_training_is_busy(const struct rn_host *host) {
-    return rn_training_runs(host) || (host->training && rn_saving_is_busy(&host->training->saving));
+    return runs(host) || (host->training && rn_saving_is_busy(&host->training->saving));
 }
 
 bool rn_training_is_ending(const struct rn_host *host) {
@@ -73,7 +74,7 @@ struct rn_field *rn_training_field(struct rn_training *training) {
 }
 
 void rn_training_yielded(struct rn_host *host, double seconds) {
-    if (rn_training_runs(host)) host->training->yielded_seconds += seconds;
+    if (runs(host)) host->training->yielded_seconds += seconds;
 }
 
 void rn_training_drop(struct rn_host *host) {
@@ -438,7 +439,7 @@ void rn_training_slice(struct rn_host *host) {
     struct rn_error err = {0};
     rn_link_log_of(&host->link, training->job);
     if (rn_saving_is_busy(&training->saving) && !go_on_saving(host)) return;
-    if (!rn_training_runs(host)) return;
+    if (!runs(host)) return;
     if (advance(host, &err)) {
         fail(host, &err);
         return;

@@ -50,7 +50,7 @@ void rn_work_drop_all(struct rn_host *host) {
         drop(host->works);
 }
 
-void rn_work_fail(struct rn_work *work, const struct rn_error *err) {
+static void fail(struct rn_work *work, const struct rn_error *err) {
     rn_link_fail(&work->host->link, work->job, RN_ABSENT, err);
     drop(work);
 }
@@ -58,7 +58,7 @@ void rn_work_fail(struct rn_work *work, const struct rn_error *err) {
 static void end_cancelled(struct rn_work *work) {
     struct rn_error err;
     rn_error_set(&err, RN_ERROR_CANCELLED, "", "cancelled; what was finished is kept");
-    rn_work_fail(work, &err);
+    fail(work, &err);
 }
 
 bool rn_work_cancel(struct rn_host *host, const char *job) {
@@ -186,5 +186,5 @@ void rn_work_unit(struct rn_host *host) {
     if (status == RN_ERROR_CANCELLED)
         end_cancelled(work);
     else if (status)
-        rn_work_fail(work, &err);
+        fail(work, &err);
 }

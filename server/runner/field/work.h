@@ -47,8 +47,6 @@ struct rn_work {
 // was told.
 struct rn_work *rn_work_append(struct rn_host *host, const struct rn_work_kind *kind,
                                const char *job);
-// Ends the job with `err`, which the daemon is told, and takes it from the list.
-void rn_work_fail(struct rn_work *work, const struct rn_error *err);
 // What a unit's rendering polls: interactive renders do not wait for it. `work`: struct rn_work *.
 bool rn_work_keep_going(void *work);
 // Notes that a unit was rendered: its time and its rays that were replaced.

@@ -129,7 +129,9 @@ static bool is_cancel_of(const struct rn_wire_message *message, const char *job,
            (request != RN_ABSENT && cancel.request == request);
 }
 
-bool rn_link_take_cancel(struct rn_link *link, const char *job, int64_t request) {
+// Whether a cancel for this job ("" for none) or request (RN_ABSENT for none) waits in the inbox;
+// it is taken out.
+static bool take_cancel(struct rn_link *link, const char *job, int64_t request) {
     struct rn_letter *before = NULL;
     for (struct rn_letter *at = link->first; at; before = at, at = at->next) {
         if (!is_cancel_of(&at->message, job, request)) continue;
@@ -202,6 +204,6 @@ void rn_link_fail(struct rn_link *link, const char *job, int64_t request,
 bool rn_watch_keep_going(void *context) {
     struct rn_watch *watch = context;
     rn_link_pump(watch->link, 0);
-    if (rn_link_take_cancel(watch->link, watch->job, watch->request)) watch->cancelled = true;
+    if (take_cancel(watch->link, watch->job, watch->request)) watch->cancelled = true;
     return !watch->cancelled && !rn_link_must_stop(watch->link);
 }

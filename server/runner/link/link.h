@@ -40,9 +40,6 @@ void rn_link_pump(struct rn_link *link, int timeout_ms);
 bool rn_link_take(struct rn_link *link, struct rn_letter *ret_letter);
 // The oldest letter of this type, before those of others.
 bool rn_link_take_type(struct rn_link *link, enum rn_wire_type type, struct rn_letter *ret_letter);
-// Whether a cancel for this job ("" for none) or request (RN_ABSENT for none) waits in the inbox;
-// it is taken out.
-bool rn_link_take_cancel(struct rn_link *link, const char *job, int64_t request);
 // Whether something has arrived that was not taken yet. `link`: struct rn_link.
 bool rn_link_has_news(void *link);
 // What is logged from now on is about this job ("": none): in its trace. The trace before.

@@ -10,6 +10,7 @@
 
 #include "common/base/file.h"
 #include "common/base/log.h"
+#include "proto/scene.h"
 
 static const char format[] = "step-%09" PRId64 ".safetensors";
 

@@ -1,4 +1,5 @@
-// The checkpoints of a scene: SCENE/checkpoints/step-%09d.safetensors, the newest two.
+// The checkpoints of a scene: SCENE/checkpoints/step-%09d.safetensors, the newest
+// RN_CHECKPOINTS_KEPT (proto/scene.h) of them.
 #ifndef RN_SERVER_RUNNER_SCENE_CHECKPOINTS_H
 #define RN_SERVER_RUNNER_SCENE_CHECKPOINTS_H
 
@@ -6,8 +7,6 @@
 #include <stdint.h>
 
 #include "common/base/status.h"
-
-#define RN_CHECKPOINTS_KEPT 2
 
 // Thread-safety: the folder belongs to the process that holds the scene's lock.
 
