@@ -1,7 +1,7 @@
 // Line plots as SVG: axes with round marks, lines, dots that say what they are when pointed at.
 //
 // Colours are classes (s0 to s9, and beyond these the same ones dashed), which the page that holds
-// the plot defines with RN_PLOT_STYLE.
+// the plot defines with rn_plot_style.
 #ifndef RN_COMMON_IMAGE_PLOT_H
 #define RN_COMMON_IMAGE_PLOT_H
 

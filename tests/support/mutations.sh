@@ -1,4 +1,4 @@
-# Sourced by both lists of planted bugs: the check that runs nothing, and how a list ends.
+# Sourced by the lists of planted bugs: the check that runs nothing, and how a list ends.
 # shellcheck shell=bash
 # shellcheck disable=SC2154 # tried, caught and tree are the list's
 
