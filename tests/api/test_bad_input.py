@@ -221,7 +221,7 @@ def test_bad_archive(daemon, tmp_path, info):
     assert job["state"] == "failed" and info.name in job["problem"]["detail"], job
     assert daemon.get("/v1/datasets/archive").status == 404
     assert not (Path(daemon.data) / "datasets" / job["dataset"]).exists()
-    assert not list((Path(daemon.data) / "spool").glob(f"*{job['id']}*"))
+    daemon.eventually(lambda: not list((Path(daemon.data) / "spool").glob(f"*{job['id']}*")))
 
 
 @pytest.mark.parametrize("name", ["..", "a/b", "two words", "größe", "a" * 65, ".hidden", "-x",

@@ -2,7 +2,7 @@
 
 import os
 import signal
-import time
+from pathlib import Path
 
 import pytest
 
@@ -139,7 +139,7 @@ def test_a_job_keeps_what_its_budget_became(shared):
 def measure(daemon, scene="ready", **options):
     reply = daemon.post(f"/v1/scenes/{scene}/curve", options)
     assert reply.status == 202, reply.json
-    job = daemon.wait(reply.json["id"], timeout=120)
+    job = daemon.wait(reply.json["id"])
     assert job["state"] == "succeeded" and job["type"] == "curve", job
     return job
 
@@ -169,12 +169,11 @@ def test_curve(quick):
 
 def test_curve_of_other_parameters_is_stale(own):
     """What was measured while a scene trained says so when the training is over."""
-    job = own.submit(type="train", dataset="data", scene="moving", options={"max_steps": 400})
-    own.wait(job, {"running"})
-    while own.get("/v1/scenes/moving").json["state"] != "training" or \
-            ask(own, "moving").status != 200:
-        time.sleep(0.05)
+    job = own.submit(type="train", dataset="data", scene="moving", options={"max_steps": 100000})
+    own.eventually(lambda: own.get("/v1/scenes/moving").json["state"] == "training" and
+                   ask(own, "moving").status == 200)
     measure(own, "moving", views=1)
+    assert own.post(f"/v1/jobs/{job}/finish").status == 200
     assert own.wait(job)["state"] == "succeeded"
     curve = own.get("/v1/scenes/moving/curve").json
     assert curve["stale"] and "parameters" in curve["stale_because"] and curve["digest"] is None
@@ -184,24 +183,24 @@ def test_curve_of_other_parameters_is_stale(own):
 def test_curve_goes_on_after_its_runner_was_killed(make_daemon, photographs):
     daemon = start(make_daemon, photographs, 4000)
     job = daemon.post("/v1/scenes/ready/curve", {"views": 1}).json["id"]
-    deadline = time.monotonic() + 60
 
     def until(condition):
-        record = daemon.job(job)
-        while not condition(record):
-            assert record["state"] not in ("succeeded", "failed") and time.monotonic() < deadline
-            time.sleep(0.02)
+        def found():
             record = daemon.job(job)
-        return record
+            assert record["state"] not in ("succeeded", "failed")
+            return condition(record) and record
+        return daemon.eventually(found)
 
     until(lambda record: record["progress"] and record["progress"]["done"] >= 10)
-    time.sleep(1.1)  # what was measured is kept once a second
+    (part,) = daemon.eventually(lambda: list(Path(daemon.data).glob("scenes/*/curve.part")))
+    kept = part.read_bytes()
+    daemon.eventually(lambda: part.read_bytes() != kept)  # these are in it
     for pid in daemon.runners():
         os.kill(pid, signal.SIGKILL)
     again = until(lambda record: record["attempt"] == 2 and record["progress"]
                   and record["state"] == "running" and record["progress"]["done"] > 0)
     assert again["progress"]["done"] >= 10
-    record = daemon.wait(job, timeout=120)
+    record = daemon.wait(job)
     assert record["state"] == "succeeded" and record["attempt"] == 2
     assert record["result"]["points"][-1]["setting"] == {}
 
@@ -232,10 +231,8 @@ def test_curves_are_measured_in_idle_time(make_daemon, photographs):
     jobs = "/v1/jobs?type=curve"
 
     def wait_for(state, count=1):
-        deadline = time.monotonic() + 60
-        while [job["state"] for job in daemon.get(jobs).json["items"]].count(state) < count:
-            assert time.monotonic() < deadline, daemon.get(jobs).json
-            time.sleep(0.05)
+        daemon.eventually(lambda: count <= [
+            job["state"] for job in daemon.get(jobs).json["items"]].count(state))
     wait_for("running")
     daemon.train("other")
     assert daemon.get(jobs).json["items"][-1]["state"] in ("cancelling", "cancelled")

@@ -8,7 +8,6 @@ import signal
 import socket
 import struct
 import subprocess
-import time
 import zlib
 
 import pytest
@@ -17,6 +16,7 @@ from support import contract
 from support.client import (CANCELLED, FAILED, INVALID, NOT_FOUND, OK, UNAUTHORISED, UNREACHABLE,
                             USAGE, Client)
 from support.fake_daemon import PNG, FakeDaemon, Problem
+from support.waiting import PATIENCE_S, wait_for
 
 @pytest.fixture
 def daemon():
@@ -258,7 +258,7 @@ def test_completions_name_every_verb_and_option(client, shell, tmp_path):
         run = subprocess.run(
             ["bash", "-c", f"source {tmp_path}/c.bash; COMP_WORDS=({line}); "
              f"COMP_CWORD={len(words) - 1}; _ripnerf; printf '%s\\n' \"${{COMPREPLY[@]}}\""],
-            capture_output=True, text=True, check=True, timeout=20)
+            capture_output=True, text=True, check=True, timeout=PATIENCE_S)
         return run.stdout.split()
     assert complete("ripnerf", "turn") == ["turntable"]
     assert complete("ripnerf", "path", "--video") == ["--video-quality"]
@@ -526,6 +526,15 @@ def test_train_wait_shows_progress_and_the_end(client, daemon):
     assert result.stdout.startswith("scene a (sc_")
 
 
+def read_terminal(ours):
+    """Pieces of what was written, until nobody has it open any more."""
+    try:
+        while piece := os.read(ours, 65536):
+            yield piece.decode()
+    except OSError:
+        os.close(ours)
+
+
 def test_a_terminal_gets_one_line_that_is_rewritten(client, daemon):
     daemon.add_dataset("lego")
     ours, theirs = pty.openpty()
@@ -534,12 +543,11 @@ def test_a_terminal_gets_one_line_that_is_rewritten(client, daemon):
                           stdout=subprocess.DEVNULL, stderr=theirs) as waiting:
         os.close(theirs)
         text = ""
-        while "ETA" not in text:
-            text += os.read(ours, 65536).decode()
-        next(iter(daemon.jobs.values())).want("finish")
-        assert waiting.wait(20) == OK
-        text += os.read(ours, 65536).decode()
-    os.close(ours)
+        for piece in read_terminal(ours):
+            text += piece
+            if "ETA" in text:
+                next(iter(daemon.jobs.values())).wanted = "finish"
+        assert waiting.wait(PATIENCE_S) == OK
     assert "\r\033[K[" in text and "samples/s" in text
     assert text.count("\n") == 1 and text.endswith("\n")
 
@@ -567,13 +575,6 @@ def test_conflict_and_bad_value(client, scene):
     assert result.stderr.count("--device: ") == 1
 
 
-def wait_for(condition):
-    deadline = time.monotonic() + 20
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
-
-
 def is_followed(daemon, times=1):
     return sum(path.endswith("/events") for _, path, _, _ in daemon.requests) >= times
 
@@ -584,7 +585,7 @@ def test_cancel_while_someone_waits(client, daemon):
     wait_for(lambda: is_followed(daemon))
     job = next(iter(daemon.jobs))
     client.run("cancel", "slow")  # by the scene's name
-    out, err = waiting.communicate(timeout=20)
+    out, err = waiting.communicate(timeout=PATIENCE_S)
     assert waiting.returncode == CANCELLED, err
     assert json.loads(out)["state"] == "cancelled"
     client.run("cancel", job)  # again: no error
@@ -596,14 +597,14 @@ def test_ctrl_c_detaches_and_says_so(client, daemon):
     wait_for(lambda: is_followed(daemon))
     job = next(iter(daemon.jobs))
     waiting.send_signal(signal.SIGINT)
-    _, err = waiting.communicate(timeout=60)
+    _, err = waiting.communicate(timeout=PATIENCE_S)
     assert "detached" in err and f"ripnerf watch {job}" in err
     assert waiting.returncode == FAILED
     assert daemon.jobs[job].record["state"] == "running"
     watching = client.start("watch", job)
     wait_for(lambda: is_followed(daemon, 2))
     watching.send_signal(signal.SIGINT)
-    watching.communicate(timeout=60)
+    watching.communicate(timeout=PATIENCE_S)
     assert watching.returncode == OK
     client.run("finish", job)
 

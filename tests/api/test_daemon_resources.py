@@ -389,11 +389,8 @@ def test_render_while_training(own):
 
 
 def wait_for_loaded(daemon, names):
-    deadline = time.monotonic() + 20
-    while (loaded := {s["name"] for s in daemon.get("/v1/scenes").json["items"]
-                      if s["loaded"]}) != names:
-        assert time.monotonic() < deadline, loaded
-        time.sleep(0.05)
+    daemon.eventually(lambda: names == {s["name"] for s in daemon.get("/v1/scenes").json["items"]
+                                        if s["loaded"]})
 
 
 def test_several_scenes(make_daemon, photographs):
@@ -402,10 +399,11 @@ def test_several_scenes(make_daemon, photographs):
     for name in ("a", "b", "c"):
         daemon.train(name)
     for name in ("a", "b", "c", "a"):
-        deadline = time.monotonic() + 10
-        while (reply := render(daemon, scene=name, view="test:0")).status != 200:
-            assert reply.status == 503 and time.monotonic() < deadline, reply.body
-            time.sleep(0.05)
+        def is_there():
+            reply = render(daemon, scene=name, view="test:0")
+            assert reply.status in (200, 503), reply.body
+            return reply.status == 200
+        daemon.eventually(is_there)
     wait_for_loaded(daemon, {"a", "c"})
 
 
@@ -423,10 +421,7 @@ def test_idle_runner_ends(make_daemon, photographs):
     daemon = make_daemon(keep_alive="1s")
     daemon.wait(daemon.upload("data", photographs))
     daemon.train("a")
-    deadline = time.monotonic() + 10
-    while daemon.runners():
-        assert time.monotonic() < deadline
-        time.sleep(0.1)
+    daemon.eventually(lambda: not daemon.runners())
     assert not daemon.get("/v1/scenes/a").json["loaded"]
     assert render(daemon, scene="a", view="test:0").status == 200
 

@@ -172,7 +172,7 @@ def api(client, daemon):
 
 
 def job_of(api, **options):
-    job = api.wait(api.submit(type="doctor", scene="ball", options=options), timeout=120)
+    job = api.wait(api.submit(type="doctor", scene="ball", options=options))
     assert job["state"] == "succeeded", job
     return job["result"]
 

@@ -3,7 +3,6 @@
 import math
 import os
 import signal
-import time
 from datetime import datetime
 
 import pytest
@@ -11,7 +10,7 @@ import pytest
 from support.client import Client
 
 # The pretending engine has 20 + 15 (1 - exp(-steps / 200)) dB: 30 after 220 steps, 33 after 403.
-FAST = {"RIPNERF_FAKE_SPEED": "40", "RIPNERF_FAKE_STEP_US": "1000"}
+FAST = {"RIPNERF_FAKE_STEP_S": "0.04", "RIPNERF_FAKE_STEP_US": "1000"}
 OPTIONS = {"preset": "standard", "max_time_s": 60}
 
 
@@ -64,10 +63,7 @@ def test_steps_take_as_long_as_was_measured(daemon):
 def test_nothing_of_it_is_kept(daemon):
     estimate(daemon)
     assert daemon.get("/v1/scenes").json["items"] == []
-    end = time.monotonic() + 10
-    while (daemon.runners() or spooled(daemon)) and time.monotonic() < end:
-        time.sleep(0.05)
-    assert not daemon.runners() and not spooled(daemon)
+    daemon.eventually(lambda: not daemon.runners() and not spooled(daemon))
 
 
 def test_the_truth_is_kept_beside_it(daemon):
@@ -144,7 +140,7 @@ def test_what_cannot_be_trained_is_refused(daemon):
 
 
 def test_it_is_cancelled_and_survives_its_runner(make_daemon, photographs):
-    daemon = make_daemon({**FAST, "RIPNERF_FAKE_SPEED": "4"})
+    daemon = make_daemon({**FAST, "RIPNERF_FAKE_STEP_S": "0.004"})
     assert daemon.wait(daemon.upload("data", photographs))["state"] == "succeeded"
     job = submit(daemon)
     daemon.wait(job, ("running",))
@@ -153,8 +149,7 @@ def test_it_is_cancelled_and_survives_its_runner(make_daemon, photographs):
     assert daemon.wait(job)["state"] == "cancelled"
     job = submit(daemon)
     daemon.wait(job, ("running",))
-    while not daemon.runners():
-        time.sleep(0.01)
+    daemon.eventually(daemon.runners)
     for pid in daemon.runners():
         os.kill(pid, signal.SIGKILL)
     job = daemon.wait(job)

@@ -13,6 +13,7 @@ import pytest
 from support.checked import Daemon
 from support.faults import Faults
 from support.photographs import pose, write_dataset
+from support.waiting import wait_for
 
 PATH = {"axes": "opengl", "width": 8, "height": 8,
         "keys": [{"time": 0, "world_from_camera": pose(0)[:3], "fov_y_deg": 40}]}
@@ -44,10 +45,7 @@ def post(daemon, path, body):
 
 def is_well(daemon):
     """It serves again as soon as nothing fails any more."""
-    deadline = time.monotonic() + 10
-    while daemon.get("/readyz").status != 200:
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
+    wait_for(lambda: daemon.get("/readyz").status == 200)
 
 
 def rounds(daemon, faults, kind, error, ask, most=400):
@@ -144,13 +142,6 @@ def real(build, runner_faults, tmp_path_factory):
 TRAIN = {"preset": "draft", "max_steps": 20, "seed": 3, "threads": 1}
 
 
-def wait_until(condition, seconds=60):
-    deadline = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
-
-
 @pytest.mark.parametrize("kind, error", [("write", errno.ENOSPC), ("short-write", 0),
                                          ("sync", errno.EIO), ("rename", errno.EIO),
                                          ("open", errno.EMFILE), ("malloc", 0)])
@@ -165,15 +156,15 @@ def test_training_survives_a_checkpoint_that_fails(real, runner_faults, kind, er
     def is_over():
         return real.job(job)["state"] not in ("queued", "running", "interrupted")
 
-    wait_until(step)
+    wait_for(step)
     runner_faults.arm(kind, 2, error)
-    wait_until(lambda: runner_faults.plan.hits or is_over())
+    wait_for(lambda: runner_faults.plan.hits or is_over())
     assert runner_faults.disarm() > 0
     before = step()
-    wait_until(lambda: step() > before + 3 or is_over())
+    wait_for(lambda: step() > before + 3 or is_over())
     if not is_over():
         assert real.post(f"/v1/jobs/{job}/finish").status == 200
-    record = real.wait(job, timeout=60)
+    record = real.wait(job)
     if kind != "malloc":  # which may be one that a step cannot do without
         assert record["state"] == "succeeded" and record["result"]["steps"] > before, record
     assert real.get("/healthz").status == 200
@@ -182,7 +173,7 @@ def test_training_survives_a_checkpoint_that_fails(real, runner_faults, kind, er
 def test_a_full_disk_ends_a_training_with_its_reason(real, runner_faults):
     job = real.submit(type="train", dataset="data", scene="full", options=TRAIN)
     runner_faults.arm("write", 1, errno.ENOSPC, for_good=True)
-    record = real.wait(job, timeout=60)
+    record = real.wait(job)
     runner_faults.disarm()
     assert record["state"] == "failed" and record["problem"]["type"] == "/problems/no-space", record
     assert real.get("/v1/scenes/full").json["state"] == "failed"

@@ -8,17 +8,14 @@ import sqlite3
 import struct
 import subprocess
 import json
-import sys
-import time
 from pathlib import Path
 
 import pytest
 
 from support.checked import Daemon
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
-from wire import Scene, checkpoints, ingest, train  # noqa: E402
-from photographs import pose, write_dataset  # noqa: E402
+from support.photographs import pose, write_dataset
+from support.waiting import PATIENCE_S, wait_for
+from support.wire import Scene, checkpoints, ingest, train
 
 LISTS = ("datasets", "scenes", "jobs", "camera-paths")
 PATH = {"axes": "opengl", "fps": 20, "interpolation": "linear", "loop": False, "width": 8,
@@ -70,7 +67,7 @@ def lose(daemon):
 def refused(daemon):
     result = subprocess.run([daemon.program, "--data", daemon.data, "--runner", daemon.runner,
                              "--listen", "127.0.0.1:0"], capture_output=True, text=True,
-                            timeout=20, check=False)
+                            timeout=PATIENCE_S, check=False)
     assert result.returncode == 1 and result.stdout == ""
     return result.stderr
 
@@ -163,7 +160,7 @@ def trained(program, tmp_path_factory):
     assert last[0] == "done", last
     with Scene(program, folder / "scene", dataset) as runner:
         train(runner, preset="draft", max_steps=8, seed=3, threads=1, checkpoint_interval_s=0)
-        assert runner.wait_for("done", "failed", timeout=60)[0] == "done"
+        assert runner.wait_for("done", "failed")[0] == "done"
     assert len(checkpoints(folder / "scene")) == 2
     return dataset, folder / "scene"
 
@@ -243,20 +240,15 @@ def test_a_resumed_job_tells_of_a_damaged_checkpoint(programs, program, photogra
         assert daemon.wait(daemon.upload("data", photographs))["state"] == "succeeded"
         job = daemon.submit(type="train", dataset="data", scene="s", options={
             "preset": "draft", "max_steps": 100000, "threads": 1, "checkpoint_interval_s": 0})
-        deadline = time.monotonic() + 60
-        while len(list(Path(daemon.data).glob("scenes/*/checkpoints/step-*"))) < 2:
-            assert time.monotonic() < deadline
-            time.sleep(0.05)
+        wait_for(lambda: len(list(Path(daemon.data).glob("scenes/*/checkpoints/step-*"))) >= 2)
+        runners = daemon.runners()
         daemon.stop(signal.SIGKILL)
-        time.sleep(0.5)  # its runner saves and leaves
+        wait_for(lambda: all(map(has_ended, runners)))  # they save before they leave
         newest = max(Path(daemon.data).glob("scenes/*/checkpoints/step-*"))
         flip(newest, newest.stat().st_size // 2)
         daemon.start()
         daemon.wait(job, ["running"])
-        deadline = time.monotonic() + 30
-        while "fell_back" not in (daemon.job(job)["progress"] or {}):
-            assert time.monotonic() < deadline
-            time.sleep(0.05)
+        daemon.eventually(lambda: "fell_back" in (daemon.job(job)["progress"] or {}))
         assert daemon.post(f"/v1/jobs/{job}/finish").status == 200
         record = daemon.wait(job)
         assert record["state"] == "succeeded" and newest.name in record["result"]["fell_back"]
@@ -316,7 +308,7 @@ def test_a_flipped_bit_in_a_dataset(make_daemon, photographs):
 
 def scrub(daemon):
     result = subprocess.run([daemon.program, "--data", daemon.data, "--scrub"],
-                            capture_output=True, text=True, timeout=20, check=False)
+                            capture_output=True, text=True, timeout=PATIENCE_S, check=False)
     return result.returncode, result.stdout, result.stderr
 
 
@@ -339,10 +331,7 @@ def test_scrub(programs, program, photographs, tmp_path):
         assert code == 1 and said.endswith(f" {len(victims)} damaged\n")
         for victim in victims:
             assert str(victim) in why
-        deadline = time.monotonic() + 15
-        while b"ripnerf_scrub_damaged_total 0" in daemon.get("/metrics").body:
-            assert time.monotonic() < deadline
-            time.sleep(0.1)
+        daemon.eventually(lambda: daemon.metric("scrub_damaged_total") > 0)
         assert "scrub: " in daemon.log_text()
     finally:
         daemon.stop()
@@ -366,15 +355,12 @@ def test_stopped_runner_of_a_killed_daemon(programs, photographs, tmp_path):
     try:
         daemon.wait(daemon.upload("data", photographs))
         job = daemon.submit(type="train", dataset="data", scene="s", options={"max_steps": 1500})
-        daemon.wait(job, ["running"])
-        time.sleep(0.3)
-        (runner,) = daemon.runners()
+        daemon.eventually(lambda: (daemon.job(job)["progress"] or {"step": 0})["step"] > 0)
+        (runner,) = daemon.eventually(lambda: len(found := daemon.runners()) == 1 and found)
         os.kill(runner, signal.SIGSTOP)
         daemon.stop(signal.SIGKILL)
-        end = time.monotonic() + 30
-        while not has_ended(runner):
-            assert time.monotonic() < end, "the runner is still there, and nobody left to wake it"
-            time.sleep(0.05)
+        wait_for(lambda: has_ended(runner),
+                 said=lambda: "the runner is still there, and nobody left to wake it")
         assert list((tmp_path / "d").glob("scenes/*/checkpoints/step-*"))
         daemon.start()
         assert daemon.wait(job)["state"] == "succeeded"
@@ -395,5 +381,5 @@ def test_runner_that_hangs_without_its_daemon(programs, photographs, tmp_path):
         hanging.wait_for("progress")
         os.kill(hanging.process.pid, signal.SIGSTOP)
         with Scene(wrapped, tmp_path / "scene", dataset) as runner:
-            assert runner.wait_for("opened", "failed", timeout=14)[0] == "opened"
-        assert hanging.process.wait(5) == -signal.SIGKILL
+            assert runner.wait_for("opened", "failed")[0] == "opened"
+        assert hanging.process.wait(PATIENCE_S) == -signal.SIGKILL

@@ -8,24 +8,17 @@ import sqlite3
 import subprocess
 import tarfile
 import threading
-import time
 from pathlib import Path
 
 import pytest
 
 from support.checked import Daemon
+from support.waiting import PATIENCE_S, wait_for
 
 PATH = {"axes": "opengl", "fps": 2, "interpolation": "linear", "loop": False, "width": 8, "height": 8,
         "keys": [{"time": t, "fov_y_deg": 40, "world_from_camera":
                   [[1, 0, 0, t], [0, 1, 0, 0], [0, 0, 1, 4]]} for t in (0, 1)]}
 RENDER = {"view": "test:0", "size": {"width": 8, "height": 8}}
-
-
-def wait_until(condition, seconds=25):
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.2)
 
 
 def everything(daemon):
@@ -47,7 +40,7 @@ def run(build):
         if daemon is not None:
             environment["RIPNERF_HOST"] = f"http://{daemon.host}:{daemon.port}"
         done = subprocess.run([build / "client/ripnerf", *map(str, words)], env=environment,
-                              capture_output=True, text=True, timeout=60, check=False)
+                              capture_output=True, text=True, timeout=PATIENCE_S, check=False)
         assert done.returncode == code, done.stderr
         return done.stdout + done.stderr
     return run_client
@@ -69,7 +62,7 @@ def test_backup_and_restore(full, programs, run, tmp_path):
     job = full.submit(type="train", dataset="data", scene="busy", options={"max_steps": 100000})
     full.wait(job, states=("running",))
     run("backup", tmp_path / "all.tar", daemon=full)
-    wait_until(lambda: not list((Path(full.data) / "spool").iterdir()))
+    wait_for(lambda: not list((Path(full.data) / "spool").iterdir()))
     assert full.get("/v1/backup").status == 200
     full.post(f"/v1/jobs/{job}/cancel")
     full.wait(job)
@@ -190,7 +183,7 @@ def test_backups_while_much_is_written(full, run, programs, tmp_path):
     try:
         for i in range(5):
             run("backup", tmp_path / f"{i}.tar", daemon=full)
-            wait_until(lambda: not list((Path(full.data) / "spool").iterdir()))
+            wait_for(lambda: not list((Path(full.data) / "spool").iterdir()))
     finally:
         stopped.set()
         thread.join()
@@ -246,13 +239,16 @@ def frames_of(daemon, job):
 
 def test_retention_by_age(make_daemon, photographs):
     """Frames go after their time, linked ones and all else stay; it is said in the log."""
-    daemon = make_daemon(retain_pictures="4s")
+    daemon = make_daemon()
     assert daemon.wait(daemon.upload("data", photographs))["state"] == "succeeded"
     daemon.train("ready")
     gone, linked = make_paths(daemon, 2)
     assert daemon.post("/v1/tokens", {"name": "film", "job": linked}).status == 201
     assert frames_of(daemon, gone) == frames_of(daemon, linked) == 3
-    wait_until(lambda: frames_of(daemon, gone) == 0)
+    daemon.stop()
+    daemon.options["retain_pictures"] = "1s"
+    daemon.start()
+    wait_for(lambda: frames_of(daemon, gone) == 0)
     assert frames_of(daemon, linked) == 3
     assert daemon.job(gone)["state"] == "succeeded"
     assert f"the pictures of job {gone} are removed" in daemon.log_text()
@@ -274,7 +270,7 @@ def test_retention_by_space(make_daemon, photographs):
     daemon.stop()
     daemon.options["retain_space"] = sizes[2] + sizes[3]
     daemon.start()
-    wait_until(lambda: frames_of(daemon, jobs[1]) == 0)
+    wait_for(lambda: frames_of(daemon, jobs[1]) == 0)
     assert [frames_of(daemon, job) for job in jobs] == [0, 0, 3, 3]
 
 
@@ -321,6 +317,6 @@ def test_a_newer_store_is_refused_in_words(programs, tmp_path):
     records.close()
     before = database.read_bytes()
     refused = subprocess.run([programs[0], "--data", tmp_path / "data", "--listen", "127.0.0.1:0"],
-                             capture_output=True, text=True, timeout=20, check=False)
+                             capture_output=True, text=True, timeout=PATIENCE_S, check=False)
     assert refused.returncode == 1 and "newer ripnerfd (version 99" in refused.stderr
     assert database.read_bytes() == before

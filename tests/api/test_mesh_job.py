@@ -5,7 +5,7 @@ import struct
 
 def wait(daemon, **options):
     job = daemon.submit(type="export", scene="ready", options=options)
-    return daemon.wait(job, timeout=60)
+    return daemon.wait(job)
 
 
 def test_a_mesh_is_made_and_served(shared):

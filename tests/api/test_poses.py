@@ -45,6 +45,10 @@ def import_photos(daemon, folder, name="found", **options):
     return reply.json["id"]
 
 
+def wait_until_tidied(daemon):
+    daemon.eventually(lambda: not list(Path(daemon.data, "spool").iterdir()))
+
+
 def problems_of(daemon, name="found"):
     return [problem["text"] for problem in daemon.get(f"/v1/datasets/{name}").json["report"]["problems"]]
 
@@ -68,8 +72,7 @@ def test_poses_are_found(make_daemon, pictures):
     reply = daemon.get("/v1/datasets/found/model")
     names = tarfile.open(fileobj=io.BytesIO(reply.body)).getnames()
     assert sorted(names) == [f"sparse/0/{part}.bin" for part in ("cameras", "images", "points3D")]
-    work = Path(daemon.data) / "spool"
-    assert not list(work.iterdir())
+    wait_until_tidied(daemon)
     log = Path(daemon.data, "jobs", job, "log").read_text()
     assert "--ImageReader.mask_path" in log and "OPENCV" not in log
 
@@ -150,7 +153,7 @@ def test_colmap_that_fails(make_daemon, pictures, mood, words):
     told = str(job["problem"])
     assert all(word in told for word in words), told
     assert daemon.get("/v1/datasets").json["items"] == []
-    assert not list(Path(daemon.data, "spool").iterdir())
+    wait_until_tidied(daemon)
     assert not list(Path(daemon.data, "datasets").iterdir())
 
 
@@ -176,7 +179,7 @@ def test_cancelling_ends_colmap(make_daemon, pictures):
          if event[1] == "progress" and event[2].get("stage") == "finding features")
     daemon.post(f"/v1/jobs/{job}/cancel")
     assert daemon.wait(job)["state"] == "cancelled"
-    assert not list(Path(daemon.data, "spool").iterdir())
+    wait_until_tidied(daemon)
 
 
 def test_a_dataset_with_poses_has_no_model(shared):

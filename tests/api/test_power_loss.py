@@ -209,6 +209,9 @@ def simulate(programs, photographs, shim, folder, seed, forgets=None):
         thread = threading.Thread(target=work, args=(daemon, rng, acknowledged, stopped))
         thread.start()
         time.sleep(random.Random(seed).uniform(0.1, 1.5))
+        needed = {"checkpoints": "trained", "ripnerf.db": "paths"}.get(forgets)
+        while needed and not acknowledged[needed] and thread.is_alive():
+            time.sleep(0.02)  # until there is something to lose
         mode, oracle = disk.lose(random.Random(seed + 1), daemon, acknowledged)
         stopped.set()
         thread.join()

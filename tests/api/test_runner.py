@@ -6,7 +6,6 @@ import os
 import signal
 import socket
 import struct
-import sys
 import tarfile
 import time
 from pathlib import Path
@@ -16,11 +15,12 @@ import pytest
 import yaml
 from PIL import Image
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
-from photographs import pose, write_dataset  # noqa: E402
-from wire import JOB, Runner, Scene, checkpoints, ingest, train  # noqa: E402
+from support.photographs import pose, write_dataset
+from support.waiting import PATIENCE_S, wait_for
+from support.wire import JOB, Runner, Scene, checkpoints, ingest, train
 
 OTHER = "job_bbbbbbbbbbbb"
+PROMPT_S = 20  # of what goes on for minutes where it is not cut short
 PROTO = Path(__file__).resolve().parents[2] / "proto"
 CAMERA = {"world_from_camera": [row[:] for row in pose(0.3)[:3]], "axes": "opengl",
           "width": 24, "height": 20, "fov_y_deg": 40}
@@ -87,7 +87,7 @@ def test_runner_ends_when_the_socket_closes(program, mode):
     with Runner(program, mode) as runner:
         runner.receive()
         runner.socket.shutdown(2)
-        runner.process.wait(5)
+        runner.process.wait(PATIENCE_S)
 
 
 @pytest.mark.parametrize("magic, number, body", [
@@ -192,7 +192,7 @@ def test_curve_mixes_no_machines(program, dataset, tmp_path, scene, capfd):
         with Scene(program, tmp_path / "scene", dataset, True, environment) as runner:
             runner.wait_for("opened")
             runner.send("curve", job=JOB, options={})
-            wait_for_file(tmp_path / "scene" / "curve.part")
+            wait_for((tmp_path / "scene" / "curve.part").exists)
             told = ""
             while said not in (told := told + capfd.readouterr().err):
                 runner.receive()
@@ -200,13 +200,6 @@ def test_curve_mixes_no_machines(program, dataset, tmp_path, scene, capfd):
     measure_on("n1", "narrow", "on n1, narrow, it goes on from there")
     measure_on("n2", "narrow", "on n2, narrow, it begins anew")
     measure_on("n2", "wide", "on n2, wide, it begins anew")
-
-
-def wait_for_file(path, seconds=10):
-    deadline = time.monotonic() + seconds
-    while not path.exists():
-        assert time.monotonic() < deadline, f"{path} did not come into being"
-        time.sleep(0.01)
 
 
 def test_scene_is_locked(program, dataset, tmp_path, scene):
@@ -240,9 +233,10 @@ def test_training_runs_to_its_last_step(scene, tmp_path, check):
     check("Scene", record)
 
 
-def test_figures_come_within_seconds_and_then_ever_fewer(scene):
-    train(scene, max_steps=100000, max_time_s=7)
-    scene.wait_for("done", timeout=30)
+def test_figures_come_within_seconds_and_then_ever_fewer(program, dataset, tmp_path):
+    with Scene(program, tmp_path / "scene", dataset, environment={"RIPNERF_FAKE_STEP_S": "0.01"}) as scene:
+        train(scene, max_steps=100000, max_time_s=7)
+        scene.wait_for("done")
     at = [m[1]["metric"]["train_seconds"] for m in scene.seen if m[0] == "metric"]
     assert 2 <= at[0] < 2.5 and 4 <= len(at) <= 5
     assert all(1.5 <= later / sooner < 2 for sooner, later in zip(at[:-2], at[1:-1]))
@@ -308,10 +302,8 @@ def test_finish_keeps_the_scene(scene):
 def test_cancel_is_prompt_and_keeps_a_checkpoint(scene, tmp_path):
     train(scene, max_steps=100000)
     scene.wait_for("state")
-    begin = time.monotonic()
     scene.send("cancel", job=JOB)
-    assert scene.wait_for("failed")[1]["status"] == "cancelled"
-    assert time.monotonic() - begin < 1
+    assert scene.wait_for("failed", timeout=PROMPT_S)[1]["status"] == "cancelled"
     assert len(checkpoints(tmp_path / "scene")) == 1
 
 
@@ -438,15 +430,13 @@ def test_wrong_render_is_refused(trained, request_, status, where):
 def test_renders_are_served_while_training(scene):
     train(scene, max_steps=100000)
     scene.wait_for("state")
-    steps, slowest = [], 0
+    steps = []
     for number in range(20):
-        begin = time.monotonic()
         name, content, _ = render(scene, number, camera=CAMERA, format="png")
-        slowest = max(slowest, time.monotonic() - begin)
         assert name == "rendered" and content["training"]
         steps.append(content["step"])
     assert steps == sorted(steps) and steps[-1] > steps[0]
-    assert slowest < 0.5
+    assert steps[-1] < 20 * 500  # of a millisecond each: none has waited for long
     scene.send("pause", job=JOB)
     scene.wait_for("checkpoint")
     assert [m[1]["progress"] for m in scene.seen if m[0] == "progress"] or \
@@ -466,19 +456,18 @@ def test_time_given_to_renders_is_reported(program, dataset, tmp_path):
 
 def test_render_can_be_cancelled_before_and_during(program, dataset, tmp_path):
     with Scene(program, tmp_path / "scene", dataset,
-               environment={"RIPNERF_FAKE_ROW_US": "100000"}) as runner:
+               environment={"RIPNERF_FAKE_ROW_US": "500000"}) as runner:
         train(runner, max_steps=1)
         runner.wait_for("done")
         for number in (1, 2):
-            runner.send("render", request=number, render={"camera": CAMERA, "format": "png"})
+            runner.send("render", request=number, render={
+                "camera": {**CAMERA, "height": 500}, "format": "png"})
         time.sleep(0.3)
-        begin = time.monotonic()
         runner.send("cancel", request=2)
         runner.send("cancel", request=1)
         for number in (1, 2):
-            failed = runner.wait_for("failed")[1]
+            failed = runner.wait_for("failed", timeout=PROMPT_S)[1]
             assert (failed["request"], failed["status"]) == (number, "cancelled")
-        assert time.monotonic() - begin < 1
 
 
 # ---- paths and evaluations ------------------------------------------------------------------
@@ -544,10 +533,8 @@ def test_path_is_cancelled_between_rows_and_goes_on_later(program, dataset, tmp_
         order = {"job": JOB, "folder": str(frames), "camera_path": PATH, "options": {"last": 4}}
         runner.send("path", **order)
         runner.wait_for("frame")
-        begin = time.monotonic()
         runner.send("cancel", job=JOB)
         assert runner.wait_for("failed")[1]["status"] == "cancelled"
-        assert time.monotonic() - begin < 1
         kept = len(list(frames.glob("*.png")))
         assert 1 <= kept < 5
         runner.send("path", **{**order, "job": OTHER})

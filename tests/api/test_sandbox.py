@@ -5,7 +5,6 @@ import json
 import os
 import subprocess
 import tarfile
-import time
 from pathlib import Path
 
 import pytest
@@ -34,7 +33,7 @@ def test_runners_are_confined(make_daemon, photographs):
     job = daemon.submit(type="train", dataset="data", scene="s", options={"max_steps": 100000})
     daemon.wait(job, ["running"])
     next(event for event in daemon.follow(f"/v1/jobs/{job}/events") if event[1] == "progress")
-    (runner,) = daemon.runners()
+    (runner,) = daemon.eventually(lambda: len(found := daemon.runners()) == 1 and found)
     status = status_of(runner)
     assert status["NoNewPrivs"] == "1" and status["Seccomp"] == "2"
     seen = environment_of(runner)
@@ -83,14 +82,14 @@ def test_frames_and_pixels_have_limits(make_daemon, tmp_path, option, value, nam
     job = daemon.wait(daemon.upload("many", many))
     assert job["state"] == "failed" and job["problem"]["status"] == 413
     assert name in job["problem"]["detail"]
-    assert not os.listdir(os.path.join(daemon.data, "spool"))
+    daemon.eventually(lambda: not os.listdir(os.path.join(daemon.data, "spool")))
     assert len(os.listdir(os.path.join(daemon.data, "datasets"))) == 1
 
 
 def test_imports_have_a_deadline(make_daemon, tmp_path):
     daemon = make_daemon(import_time=1)
     many = one_image_many_times(tmp_path / "many", 60000)
-    job = daemon.wait(daemon.upload("many", many), timeout=60)
+    job = daemon.wait(daemon.upload("many", many))
     assert job["state"] == "failed" and job["problem"]["status"] == 413, job
     assert "--import-time" in job["problem"]["detail"]
 
@@ -113,15 +112,14 @@ def test_pax_names(make_daemon, tmp_path):
 
 def test_frames_are_lent_to_the_runner(make_daemon, photographs):
     """While a path is rendered its frames lie in the scene's folder, all that its runner may write."""
-    daemon = make_daemon({"RIPNERF_FAKE_ROW_US": "4000"})
+    daemon = make_daemon({"RIPNERF_FAKE_ROW_US": "10000"})
     assert daemon.wait(daemon.upload("data", photographs))["state"] == "succeeded"
     daemon.train("s", max_steps=3)
     keys = [{"time": t, "world_from_camera": pose(t)[:3], "fov_y_deg": 40} for t in (0, 2)]
     job = daemon.submit(type="path", scene="s", camera_path={
         "axes": "opengl", "fps": 20, "width": 8, "height": 8, "keys": keys})
     root = Path(daemon.data)
-    while not (items := daemon.get(f"/v1/jobs/{job}/frames").json["items"]):
-        time.sleep(0.02)
+    items = daemon.eventually(lambda: daemon.get(f"/v1/jobs/{job}/frames").json["items"])
     assert list(root.glob(f"scenes/*/frames/{job}/*.png")) and not list(root.glob(f"jobs/{job}/*/"))
     assert daemon.get(items[0]["url"]).status == 200
     assert daemon.wait(job)["result"]["frames"] == 41

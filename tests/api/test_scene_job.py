@@ -5,7 +5,7 @@ import pytest
 
 def export(daemon, **options):
     job = daemon.submit(type="export", scene="ready", options={"as": "scene", **options})
-    return daemon.wait(job, timeout=60)
+    return daemon.wait(job)
 
 
 def send(daemon, body, kind="application/octet-stream", **query):

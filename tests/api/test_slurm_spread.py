@@ -9,9 +9,10 @@ from pathlib import Path
 import pytest
 
 from support.checked import Daemon
-from support.cluster import processes_of, read, wait_for
+from support.cluster import processes_of, read
 from support.on_slurm import (NODES, PATH, begin, finish, frames, long, needs_slurm,
                               wait_for_step, write_runner)
+from support.waiting import wait_for
 
 pytestmark = needs_slurm
 
@@ -23,7 +24,7 @@ pytestmark = needs_slurm
 def test_a_picture_does_not_wait_for_a_long_queue(on_slurm, slurm):
     """The machine of the daemon makes it, and the answer says so."""
     daemon = on_slurm(**{"keep-alive": "1s"})
-    daemon.wait(begin(daemon), timeout=60)
+    finish(daemon, begin(daemon))
     wait_for(lambda: not slurm.jobs("RUNNING", "PENDING", "COMPLETING"))
     blocker = slurm.run("sbatch", "--parsable", f"--nodes={NODES}", "--exclusive", "--chdir=/",
                         "--output=/dev/null", "--wrap=sleep 60").strip()
@@ -36,7 +37,7 @@ def test_a_picture_does_not_wait_for_a_long_queue(on_slurm, slurm):
     # A job that is asked for then goes to a node.
     path = daemon.submit(type="path", scene="s", camera_path=PATH)
     wait_for(lambda: daemon.job(path).get("runner"))
-    assert daemon.wait(path, timeout=40)["state"] == "succeeded"
+    assert daemon.wait(path)["state"] == "succeeded"
 
 
 def table_of(daemon, **options):
@@ -44,7 +45,7 @@ def table_of(daemon, **options):
     job = daemon.submit(type="ladder", dataset="data",
                         options={"over": "planes=3,4", "seeds": 2, "views": 2, "moments": 0, "keep": True,
                                  "train": {"max_steps": 300}, **options})
-    record = daemon.wait(job, timeout=90)
+    record = daemon.wait(job)
     assert record["state"] == "succeeded", record
     ladder = daemon.get(f"/v1/jobs/{job}/report", query={"format": "json"}).json["ladder"]
     cells = ladder["cells"]
@@ -115,9 +116,9 @@ def test_two_nodes_of_which_one_is_lost(on_slurm, build, programs, slurm, photog
         ranks = [pid for pid in processes_of(number) if "--ranks" in read(f"/proc/{pid}/cmdline")
                  and "SLURM_PROCID=1\0" in read(f"/proc/{pid}/environ")]
         os.kill(ranks[-1], signal.SIGKILL)
-        wait_for(lambda: daemon.job(job)["attempt"] == 2, 60)
+        wait_for(lambda: daemon.job(job)["attempt"] == 2)
         slurm.run("scancel", wait_for_step(daemon, job, 60)["runner"]["slurm_job"])
-        wait_for(lambda: daemon.job(job)["attempt"] == 3, 60)
+        wait_for(lambda: daemon.job(job)["attempt"] == 3)
     together, alone = over_two_nodes(on_slurm, build, programs, photographs, tmp_path, kill, max_steps=300,
                                      checkpoint_interval_s=0.5)
     assert together == alone
@@ -137,7 +138,7 @@ def test_ranks_need_a_cluster_that_shares(on_slurm, programs, photographs, tmp_p
 def test_ranks_without_their_module(on_slurm):
     """The pretending engine has none: the job fails with what is to be installed."""
     daemon = on_slurm()
-    record = daemon.wait(begin(daemon, ranks=2), timeout=60)
+    record = daemon.wait(begin(daemon, ranks=2))
     assert record["state"] == "failed"
     assert "libopenmpi-dev" in record["problem"]["detail"], record["problem"]
 
@@ -155,14 +156,14 @@ def test_a_path_over_several_runners(on_slurm, slurm, programs, tmp_path):
     wait_for(lambda: 75 in frames(daemon, path))  # from the end on
     assert 60 not in frames(daemon, path)
     slurm.run("scancel", helper)
-    record = daemon.wait(path, timeout=60)
+    record = daemon.wait(path)
     assert record["state"] == "succeeded" and record["attempt"] == 1, record
     told = [data["index"] for _, name, data in daemon.events(f"/v1/jobs/{path}/events")
             if name == "frame"]
     assert sorted(told) == list(range(76))
     alone = daemon.submit(type="path", scene="s", camera_path={**PATH, "fps": 50},
                           options={"first": 60, "last": 75})
-    assert daemon.wait(alone, timeout=60)["state"] == "succeeded"
+    assert daemon.wait(alone)["state"] == "succeeded"
     for index in range(60, 76):
         assert frames(daemon, path)[index].read_bytes() == frames(daemon, alone)[index].read_bytes()
     wait_for(lambda: len(slurm.jobs("RUNNING")) == 1)
@@ -176,9 +177,9 @@ def test_an_evaluation_over_several_runners(on_slurm, slurm, programs, tmp_path)
     daemon.wait(begin(daemon, max_steps=60))
     job = daemon.submit(type="eval", scene="s", options={"split": "val"})
     helper = wait_for(lambda: [other for other in slurm.jobs("RUNNING")
-                               if str(other) != daemon.job(job)["runner"]["slurm_job"]], 60)
+                               if str(other) != daemon.job(job)["runner"]["slurm_job"]])
     assert helper
-    together = daemon.wait(job, timeout=90)
+    together = daemon.wait(job)
     assert together["state"] == "succeeded" and together["attempt"] == 1, together
     views = together["result"]["per_view"]
     assert not list(Path(daemon.data).glob(f"scenes/*/frames/{job}"))
@@ -206,7 +207,7 @@ def test_a_curve_is_of_one_machine(on_slurm, slurm, programs, tmp_path):
     try:
         slurm.run("scancel", record["slurm_job"])
         wait_for(lambda: daemon.job(job)["attempt"] == 2)
-        done = daemon.wait(job, timeout=90)
+        done = daemon.wait(job)
     finally:
         slurm.run("scontrol", "update", f"nodename={record['machine']}", "state=resume")
     assert done["state"] == "succeeded", done

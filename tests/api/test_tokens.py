@@ -1,7 +1,6 @@
 """Tokens: scopes, links, quotas, rates; their secrets are on no disk and in no log."""
 
 import json
-import time
 from pathlib import Path
 
 import pytest
@@ -117,7 +116,7 @@ def test_tokens_end(guarded):
     short = make(guarded, "short", expires_s=1)
     make(guarded, "kept", code=409)
     assert guarded.delete("/v1/tokens/gone").status == 204
-    time.sleep(1.1)
+    guarded.eventually(lambda: asked(guarded, short["token"], "GET", "/v1/scenes") == 401)
     guarded.stop()
     guarded.start()
     assert asked(guarded, kept["token"], "GET", "/v1/scenes") == 200
@@ -165,14 +164,13 @@ def test_quota_of_disk(guarded, photographs):
 
 def test_rate(make_daemon):
     """More than --max-rate of one token is told to wait; another one is served."""
-    daemon = make_daemon(max_rate=5)
+    daemon = make_daemon(max_rate=1)
     one, two = (make(daemon, name)["token"] for name in ("one", "two"))
     codes = [asked(daemon, one, "GET", "/v1/scenes") for _ in range(30)]
-    assert codes[:10] == [200] * 10 and codes.count(429) > 10
+    assert codes[:2] == [200] * 2 and codes.count(429) > 10
     assert asked(daemon, two, "GET", "/v1/scenes") == 200
     assert daemon.get("/v1/scenes").status == 200
-    time.sleep(1)
-    assert asked(daemon, one, "GET", "/v1/scenes") == 200
+    daemon.eventually(lambda: asked(daemon, one, "GET", "/v1/scenes") == 200)
 
 
 def test_writes_tell_who_wrote(guarded):

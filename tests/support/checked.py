@@ -9,10 +9,10 @@ import signal
 import socket
 import subprocess
 import tarfile
-import time
 from urllib.parse import urlencode
 
 from support import contract
+from support.waiting import PATIENCE_S, wait_for
 
 TERMINAL = ("succeeded", "failed", "cancelled")
 exercised = set()  # operationIds seen in this session
@@ -109,16 +109,14 @@ class Daemon:
         return self
 
     def wait_for_device(self):
-        deadline = time.monotonic() + 10
-        while time.monotonic() < deadline:
+        def is_known():
             try:
-                if b"examined" not in self.get("/readyz", check=False).body:
-                    return
+                return b"examined" not in self.get("/readyz", check=False).body
             except OSError:
-                return
-            time.sleep(0.01)
+                return True
+        wait_for(is_known)
 
-    def stop(self, how=signal.SIGTERM, timeout=15):
+    def stop(self, how=signal.SIGTERM, timeout=PATIENCE_S):
         if self.process is None:
             return None
         if self.process.poll() is None:
@@ -142,11 +140,12 @@ class Daemon:
 
     def logged(self, pattern):
         """The first line that matches, once it is there: a request is logged after its answer."""
-        deadline = time.monotonic() + 10
-        while not (line := re.search(f"^.*(?:{pattern}).*$", self.log_text(), re.MULTILINE)):
-            assert time.monotonic() < deadline, self.log_text()[-3000:]
-            time.sleep(0.02)
-        return line[0]
+        return self.eventually(
+            lambda: re.search(f"^.*(?:{pattern}).*$", self.log_text(), re.MULTILINE))[0]
+
+    def metric(self, name):
+        """A counter or gauge of /metrics."""
+        return float(re.search(rf"^ripnerf_{name} (\S+)$", self.get("/metrics").body.decode(), re.MULTILINE)[1])
 
     # ---- requests ----
 
@@ -192,23 +191,17 @@ class Daemon:
         assert reply.status == 200, reply.body
         return reply.json
 
-    def wait(self, job, states=TERMINAL, timeout=30):
-        deadline = time.monotonic() + timeout
-        while time.monotonic() < deadline:
+    def wait(self, job, states=TERMINAL, timeout=PATIENCE_S):
+        """Its record, once it is in one of these states: one that it stays in, or it may be missed."""
+        def reached():
             record = self.job(job)
-            if record["state"] in states:
-                return record
-            assert record["state"] not in TERMINAL, record
-            time.sleep(0.03)
-        raise AssertionError(f"{job} is {record['state']}, not {states}\n{self.log_text()[-3000:]}")
+            assert record["state"] in states or record["state"] not in TERMINAL, record
+            return record["state"] in states and record
+        return wait_for(reached, timeout, lambda: f"{self.job(job)}\n{self.log_text()[-3000:]}")
 
-    def eventually(self, what, timeout=30):
+    def eventually(self, what):
         """The first true value of what()."""
-        deadline = time.monotonic() + timeout
-        while not (value := what()):
-            assert time.monotonic() < deadline, self.log_text()[-3000:]
-            time.sleep(0.02)
-        return value
+        return wait_for(what, said=lambda: self.log_text()[-3000:])
 
     def submit(self, **request):
         reply = self.post("/v1/jobs", request)

@@ -4,8 +4,9 @@ import os
 import re
 import shutil
 import subprocess
-import time
 from pathlib import Path
+
+from support.waiting import wait_for
 
 SCRIPT = Path(__file__).resolve().parents[1] / "slurm"
 PATH = os.environ["PATH"] + ":/usr/sbin"
@@ -57,22 +58,13 @@ class Cluster:
         found = re.search(rf"\b{name}=(\S*)", self.run("scontrol", "show", "job", job))
         return found and found[1]
 
-    def wait_until_free(self, seconds=40):
+    def wait_until_free(self):
         """Until no job is left and all nodes are up."""
-        deadline = time.monotonic() + seconds
-        while self.run("squeue", "--noheader").strip() or \
-                len(self.run("sinfo", "--noheader", "--Node", "--states=idle",
-                             "--partition=normal", "--format=%N").split()) != self.nodes:
-            assert time.monotonic() < deadline, self.run("squeue") + self.run("sinfo", "-N", "-l")
-            time.sleep(0.2)
-
-
-def wait_for(condition, seconds=30):
-    deadline = time.monotonic() + seconds
-    while not (found := condition()):
-        assert time.monotonic() < deadline, "it did not come to pass"
-        time.sleep(0.05)
-    return found
+        def is_free():
+            idle = self.run("sinfo", "--noheader", "--Node", "--states=idle", "--partition=normal",
+                            "--format=%N").split()
+            return len(idle) == self.nodes and not self.run("squeue", "--noheader").strip()
+        wait_for(is_free, said=lambda: self.run("squeue") + self.run("sinfo", "-N", "-l"))
 
 
 def runner_of(job):

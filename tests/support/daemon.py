@@ -4,8 +4,9 @@ import os
 import re
 import signal
 import subprocess
-import time
 import urllib.request
+
+from support.waiting import PATIENCE_S, wait_for
 
 
 class Daemon:
@@ -44,25 +45,22 @@ class Daemon:
 
     def is_ready(self):
         try:
-            with urllib.request.urlopen(self.url + "/readyz", timeout=5) as reply:
+            with urllib.request.urlopen(self.url + "/readyz", timeout=PATIENCE_S) as reply:
                 return reply.status == 200
         except OSError:
             return False
 
-    def wait_until(self, condition, seconds=30):
-        deadline = time.monotonic() + seconds
-        while not condition():
-            assert time.monotonic() < deadline, self.log.read_text()[-4000:]
-            time.sleep(0.05)
+    def wait_until(self, condition):
+        wait_for(condition, said=lambda: self.log.read_text()[-4000:])
 
     def stop(self):
         self.process.send_signal(signal.SIGTERM)
-        assert self.process.wait(30) == 0, self.log.read_text()[-4000:]
+        assert self.process.wait(PATIENCE_S) == 0, self.log.read_text()[-4000:]
 
     def kill(self):
         """As a crash: no chance to save anything."""
         self.process.kill()
-        self.process.wait(30)
+        self.process.wait(PATIENCE_S)
 
     def runners(self):
         """Process ids of its runners."""

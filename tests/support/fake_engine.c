@@ -2,7 +2,9 @@
 // formula. Deterministic, so that the runner and the daemon can be tested in seconds.
 //
 // RIPNERF_FAKE_STEP_US: microseconds a step takes (1000). RIPNERF_FAKE_ROW_US: a rendered row (0).
-// RIPNERF_FAKE_SPEED: training seconds a second (1). RIPNERF_FAKE_LOAD_MS: making a trainer (0).
+// RIPNERF_FAKE_STEP_S: seconds that a step counts on the training clock (what it took).
+// RIPNERF_FAKE_HOLD: a file; while it is there no training goes beyond 1000 steps.
+// RIPNERF_FAKE_LOAD_MS: milliseconds that making a trainer takes (0).
 // RIPNERF_FAKE_NEED_MB: memory that a training says it needs (1).
 // RIPNERF_FAKE_KERNELS: the one kernel set of the machine (scalar).
 // RIPNERF_FAKE_DIVERGE_AT: the step that diverges.
@@ -22,7 +24,8 @@
 #include "server/engine/engine.h"
 
 #define HELD_OUT 8
-#define SPARE 16 // samples a step "evaluates" per level
+#define SPARE 16     // samples a step "evaluates" per level
+#define HELD_AT 1000 // steps
 
 struct rn_engine {
     struct rn_device_info info;
@@ -331,22 +334,29 @@ static bool is_done(const struct rn_trainer *trainer) {
            (config->until_psnr > 0 && field->psnr >= config->until_psnr);
 }
 
+static bool is_held(const struct rn_field *field) {
+    const char *path = getenv("RIPNERF_FAKE_HOLD");
+    return field->steps >= HELD_AT && path && access(path, F_OK) == 0;
+}
+
 enum rn_status rn_trainer_advance(struct rn_trainer *trainer, double budget_ms,
                                   struct rn_error *err) {
     struct rn_field *field = &trainer->field;
     double begin = now_s(), last = begin;
     long diverge_at = setting("RIPNERF_FAKE_DIVERGE_AT", -1);
     useconds_t step_us = (useconds_t)setting("RIPNERF_FAKE_STEP_US", 1000);
+    const char *step_s = getenv("RIPNERF_FAKE_STEP_S");
     while (!is_done(trainer) && (last - begin) * 1e3 < budget_ms) {
         if (field->steps == diverge_at)
             return rn_error_set(err, RN_ERROR_NUMERIC, "training", "diverged at step %lld",
                                 (long long)field->steps);
         trainer->incident |= field->steps == setting("RIPNERF_FAKE_INCIDENT_AT", -1);
         usleep(step_us);
+        if (is_held(field)) break;
         field->state = field->state * 6364136223846793005u + 1442695040888963407u;
         field->steps++;
         double now = now_s();
-        field->train_seconds += (now - last) * (double)setting("RIPNERF_FAKE_SPEED", 1);
+        field->train_seconds += step_s ? atof(step_s) : now - last;
         last = now;
     }
     return RN_OK;

@@ -10,7 +10,7 @@ import pytest
 
 from support import cluster
 from support.checked import Daemon
-from support.cluster import wait_for
+from support.waiting import PATIENCE_S, wait_for
 
 needs_slurm = pytest.mark.skipif(not cluster.is_installed(),
                                  reason="Slurm is not installed: apt-get install slurm-wlm munge")
@@ -36,8 +36,13 @@ def slow_runner(programs, tmp_path_factory):
     return write_runner(tmp_path_factory.mktemp("runner") / "runner", programs[1], 1000)
 
 
+def hold_of(runner):
+    """While this file is there trainings wait half way, however long what is done to them takes."""
+    return Path(runner).with_name("hold")
+
+
 def write_runner(path, program, step_us, more=""):
-    path.write_text(f"#!/bin/sh\nexport RIPNERF_FAKE_STEP_US={step_us} {more}\n"
+    path.write_text(f"#!/bin/sh\nexport RIPNERF_FAKE_STEP_US={step_us} RIPNERF_FAKE_HOLD='{hold_of(path)}' {more}\n"
                     f"exec '{program}' \"$@\"\n")
     path.chmod(0o755)
     return path
@@ -56,6 +61,7 @@ def on_slurm(programs, slurm, slow_runner, photographs, tmp_path):
         daemon = Daemon(programs[0], runner, shared / f"d{len(made)}",
                         {**slurm.environment, "RIPNERF_FAKE_STEP_US": "1000", **(environment or {})},
                         **{name: value for name, value in options.items() if value is not None})
+        hold_of(slow_runner).touch()
         made.append(daemon.start())
         assert daemon.wait(daemon.upload("data", photographs))["state"] == "succeeded"
         return daemon
@@ -79,7 +85,7 @@ def begin(daemon, scene="s", **options):
     return daemon.submit(type="train", dataset="data", scene=scene, options={**OPTIONS, **options})
 
 
-def wait_for_step(daemon, job, step, seconds=40):
+def wait_for_step(daemon, job, step, seconds=PATIENCE_S):
     def reached():
         record = daemon.job(job)
         assert record["state"] in ("queued", "running", "interrupted"), record
@@ -88,7 +94,9 @@ def wait_for_step(daemon, job, step, seconds=40):
     return wait_for(reached, seconds)
 
 
-def finish(daemon, job, seconds=60):
+def finish(daemon, job, seconds=PATIENCE_S):
+    """Lets it go on to its end."""
+    hold_of(daemon.runner).unlink(missing_ok=True)
     record = daemon.wait(job, timeout=seconds)
     assert record["state"] == "succeeded", record
     return record["result"]["parameters_sha256"]

@@ -8,6 +8,8 @@ import struct
 import subprocess
 import time
 
+from support.waiting import PATIENCE_S
+
 TYPES = {"open": 1, "train": 2, "path": 3, "eval": 4, "ingest": 5, "pause": 6, "resume": 7,
          "finish": 8, "cancel": 9, "render": 10, "shutdown": 11, "hello": 64, "opened": 65,
          "state": 66, "progress": 67, "metric": 68, "checkpoint": 69, "frame": 70,
@@ -38,7 +40,7 @@ class Runner:
     def __exit__(self, *_):
         self.socket.close()
         try:
-            self.process.wait(10)
+            self.process.wait(PATIENCE_S)
         except subprocess.TimeoutExpired:
             self.process.kill()
             self.process.wait()
@@ -50,7 +52,7 @@ class Runner:
     def send_raw(self, number, body, magic=MAGIC):
         self.socket.sendall(HEADER.pack(magic, number, len(body), 0) + body)
 
-    def receive(self, timeout=10):
+    def receive(self, timeout=PATIENCE_S):
         """The next message, or None at the end of the stream."""
         deadline = time.monotonic() + timeout
         while True:
@@ -76,7 +78,7 @@ class Runner:
                 return None
             self.data += piece
 
-    def wait_for(self, *names, timeout=10, job=None):
+    def wait_for(self, *names, timeout=PATIENCE_S, job=None):
         """The next message of one of these names (and job); others are passed over."""
         deadline = time.monotonic() + timeout
         while True:
