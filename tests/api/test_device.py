@@ -157,7 +157,7 @@ def test_scenes_share_a_gpu(three, monkeypatch, by_option):
     there, back = [reloads[i] for i in (3, 6)], [reloads[i] for i in (4, 5, 7)]
     print(f"{each >> 20} MiB a scene; a picture takes {min(there):.2f} s, "
           f"{min(back):.2f} to {max(back):.2f} s where the scene has to come back")
-    assert min(back) - min(there) < 1
+    assert min(back) - min(there) < 5
     client.run("eval", "a")
     assert rested(client, daemon) == "acbac" and gpu_bytes(daemon)[0] == 2 * each
 

@@ -59,13 +59,13 @@ def test_the_whole_command(kit, tmp_path):
     environment = os.environ | {"PATH": f"{tmp_path}:{os.environ['PATH']}"}
     environment.pop("RIPNERF_CUDA_MODULE")  # the kit's own
     command = [kit / "gpu.sh", kit / "photos", tmp_path / "out", "--work", tmp_path / "work", "--trial"]
-    first = subprocess.run([*command, "--seconds", "4"], text=True, capture_output=True, check=False,
+    first = subprocess.run([*command, "--seconds", "20"], text=True, capture_output=True, check=False,
                            env=environment)
     assert first.returncode == 75, first.stdout + first.stderr
     begun = json.loads((tmp_path / "out" / "results.json").read_text())
     assert begun["machine"]["state"] == "done" and "120,000 steps" not in begun, begun
     shutil.rmtree(tmp_path / "out")
-    second = subprocess.run([*command, "--seconds", "400"], text=True, capture_output=True, check=False,
+    second = subprocess.run([*command, "--seconds", "900"], text=True, capture_output=True, check=False,
                             env=environment)
     known = json.loads((tmp_path / "out" / "results.json").read_text())
     assert second.returncode == 0, second.stdout + (tmp_path / "out" / "log.txt").read_text()[-4000:]
