@@ -73,17 +73,23 @@ static enum rn_status check_lens(const struct rn_camera *camera, const char *whe
     return RN_OK;
 }
 
+static bool is_focal(double pixels) {
+    return pixels >= 1 / RN_CAMERA_MAX_PX && pixels <= RN_CAMERA_MAX_PX;
+}
+
 enum rn_status rn_camera_check(struct rn_camera *camera, const char *where, struct rn_error *err) {
     if (camera->width < 1 || camera->width > RN_CAMERA_MAX_SIZE)
         return bad(where, "width", "the image width must be 1 to 16384 pixels", err);
     if (camera->height < 1 || camera->height > RN_CAMERA_MAX_SIZE)
         return bad(where, "height", "the image height must be 1 to 16384 pixels", err);
-    if (!(camera->fx > 0) || !isfinite(camera->fx))
-        return bad(where, "fx", "the focal length must be a positive number of pixels", err);
-    if (!(camera->fy > 0) || !isfinite(camera->fy))
-        return bad(where, "fy", "the focal length must be a positive number of pixels", err);
-    if (!isfinite(camera->cx)) return bad(where, "cx", "the principal point is not finite", err);
-    if (!isfinite(camera->cy)) return bad(where, "cy", "the principal point is not finite", err);
+    if (!is_focal(camera->fx))
+        return bad(where, "fx", "the focal length must be 1e-9 to 1e9 pixels", err);
+    if (!is_focal(camera->fy))
+        return bad(where, "fy", "the focal length must be 1e-9 to 1e9 pixels", err);
+    if (!(fabs(camera->cx) <= RN_CAMERA_MAX_PX))
+        return bad(where, "cx", "the principal point must be within 1e9 pixels", err);
+    if (!(fabs(camera->cy) <= RN_CAMERA_MAX_PX))
+        return bad(where, "cy", "the principal point must be within 1e9 pixels", err);
     enum rn_status status = check_lens(camera, where, err);
     camera->lens_fold = status || !camera->lens ? 0 : rn_lens_fold(camera->lens, camera->lens_k);
     return status ? status : check_pose(camera, where, err);

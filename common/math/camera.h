@@ -16,12 +16,13 @@ struct rn_camera {
     double lens_k[RN_LENS_PARAMETERS]; // as rn_lens_models names them, 0 where it has fewer
     double lens_fold;                  // rn_lens_fold of them; rn_camera_check fills it in
     int width, height;                 // pixels, 1 .. RN_CAMERA_MAX_SIZE
-    double fx, fy;                     // focal lengths, pixels, > 0
+    double fx, fy;                     // focal lengths, pixels, 1 / RN_CAMERA_MAX_PX ..
     double cx, cy;                     // principal point, pixels from the top-left corner
     double world_from_camera[3][4];    // [R | t], R orthonormal, right-handed
 };
 
 #define RN_CAMERA_MAX_SIZE 16384
+#define RN_CAMERA_MAX_PX 1e9 // of a focal length, and of the principal point on either side
 
 // A cone through one pixel (paper, section 3.1). `direction` is unit. `radius` is the cone's
 // cross-section radius per unit of distance along the ray.
@@ -139,7 +140,7 @@ RN_HD struct rn_camera rn_camera_resized(const struct rn_camera *camera, int wid
 // pixel stay, the sides show more or less. rn_camera_resized where the shapes are the same.
 struct rn_camera rn_camera_reframed(const struct rn_camera *camera, int width, int height);
 
-// Fills in the lens's fold, and checks sizes, finite values, the lens's parameters, positive focals
+// Fills in the lens's fold, and checks sizes, the lens's parameters, focal lengths, principal point
 // and a rigid pose (|R^T R - 1| <= 1e-3 per entry, det > 0). `where` prefixes the field in the
 // error. RN_OK or RN_ERROR_INVALID.
 enum rn_status rn_camera_check(struct rn_camera *camera, const char *where,

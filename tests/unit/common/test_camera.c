@@ -127,6 +127,9 @@ START_TEST(checks) {
     REFUSE(bad.height = -1, "height");
     REFUSE(bad.fx = 0, "fx");
     REFUSE(bad.fx = NAN, "fx");
+    REFUSE(bad.fx = 1e308, "fx"); // finite, and the sum of two is not
+    REFUSE(bad.fy = 1e-308, "fy");
+    REFUSE(bad.cx = -1e300, "cx");
     REFUSE(bad.fy = INFINITY, "fy");
     REFUSE(bad.cx = NAN, "cx");
     REFUSE(bad.cy = -INFINITY, "cy");
