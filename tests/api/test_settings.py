@@ -1,4 +1,5 @@
-"""The contract says of every setting what the tables of common/settings say.
+"""The contract says of every setting what the tables of common/settings say, and names the effects,
+lenses and formats of paths that there are.
 
 `python3 tests/api/test_settings.py --write` brings proto/openapi.yaml up to date.
 """
@@ -36,10 +37,14 @@ OTHERS = {"FieldConfig": {"finest_cone"},
           "EvalOptions": {"split", "views", "scale", "at"}, "CurveSetting": set(), "Optics": set()}
 
 
-def tables():
+def told():
     answer = subprocess.run([BUILD / "tests" / "support" / "settings"], capture_output=True,
                             text=True, check=True)
     return json.loads(answer.stdout)
+
+
+def tables():
+    return {name: table for name, table in told().items() if name in ("train", "render", "optics")}
 
 
 def rows(tables, schema):
@@ -106,6 +111,18 @@ def test_contract_has_the_settings(document, built, schema):
     if schema == "FieldConfig":
         older = {name for name, row in expected.items() if row["flags"]["later"]}
         assert set(written["required"]) == (set(expected) | {"finest_cone"}) - older
+
+
+def test_contract_and_client_have_the_names(document):
+    have, schemas = told(), document["components"]["schemas"]
+    assert schemas["Effect"]["properties"]["name"]["enum"] == have["effects"]
+    assert schemas["PathFormat"]["enum"] == have["path_formats"]
+    lens = schemas["Lens"]["properties"]
+    assert lens["model"]["enum"] == list(have["lenses"])
+    assert set(lens) - {"model"} == {name for names in have["lenses"].values() for name in names}
+    usage = subprocess.run([BUILD / "client" / "ripnerf", "paths", "--help"], capture_output=True,
+                           text=True, check=True).stdout
+    assert ", ".join(have["path_formats"]) in " ".join(usage.split())
 
 
 @pytest.mark.parametrize("name", ["Scene.json", "SceneList.json"])

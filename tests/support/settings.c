@@ -1,8 +1,12 @@
-// Prints the tables of settings as JSON, for tests/api/test_settings.py.
+// Prints the tables of settings, and the names of what else stands in a table, as JSON, for
+// tests/api/test_settings.py.
 #include <jansson.h>
 #include <stdio.h>
 #include <stdlib.h>
 
+#include "common/math/lens.h"
+#include "common/path/formats/formats.h"
+#include "common/settings/effects.h"
 #include "common/settings/optics.h"
 #include "common/settings/render.h"
 #include "common/settings/train.h"
@@ -41,9 +45,37 @@ static json_t *table(const struct rn_settings *settings) {
     return rows;
 }
 
+static json_t *effects(void) {
+    json_t *names = json_array();
+    for (int i = 0; i < RN_EFFECT_COUNT; i++)
+        json_array_append_new(names, json_string(rn_effect_name((enum rn_effect)i)));
+    return names;
+}
+
+// Each with the names of its parameters.
+static json_t *lenses(void) {
+    json_t *all = json_object();
+    for (int i = 0; i < RN_LENS_COUNT; i++) {
+        json_t *parameters = json_array();
+        for (int k = 0; k < rn_lens_models[i].count; k++)
+            json_array_append_new(parameters, json_string(rn_lens_models[i].parameters[k]));
+        json_object_set_new(all, rn_lens_names[i], parameters);
+    }
+    return all;
+}
+
+static json_t *path_formats(void) {
+    json_t *names = json_array();
+    for (size_t i = 0; rn_path_formats[i]; i++)
+        json_array_append_new(names, json_string(rn_path_formats[i]->name));
+    return names;
+}
+
 int main(void) {
-    json_t *all = json_pack("{s:o,s:o,s:o}", "train", table(&rn_train_settings), "render",
-                            table(&rn_render_settings), "optics", table(&rn_optics_settings));
+    json_t *all =
+        json_pack("{s:o,s:o,s:o,s:o,s:o,s:o}", "train", table(&rn_train_settings), "render",
+                  table(&rn_render_settings), "optics", table(&rn_optics_settings), "effects",
+                  effects(), "lenses", lenses(), "path_formats", path_formats());
     char *json = all ? json_dumps(all, JSON_INDENT(1)) : NULL;
     if (json) puts(json);
     free(json);
