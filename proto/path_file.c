@@ -8,6 +8,7 @@ static const struct rn_field_spec request[] = {
     RN_F_PATH(S, path, 0),
     RN_F_TEXT(S, to, 0, NULL),
     RN_F_STRING(S, space, 0, RN_PATH_FILE_MAX),
+    RN_F_STRING(S, dataset, 0, RN_PATH_FILE_MAX),
 };
 const struct rn_table rn_path_file_request_table =
     RN_TABLE(S, "a camera path of another program", request);

@@ -14,8 +14,9 @@ struct rn_path_file_request {
     // Or a path to be written as `to`.
     struct rn_path_document path;
     char to[32];
-    // Where the file's coordinates lie: "dataset", or the text of a dataparser_transforms.json.
-    char *space;
+    // Where the file's coordinates lie: "dataset", or the text of a dataparser_transforms.json; and
+    // the text of the dataset's transforms.json, which may have moved it before.
+    char *space, *dataset;
 };
 extern const struct rn_table rn_path_file_request_table;
 

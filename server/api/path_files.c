@@ -9,12 +9,27 @@
 
 // Where coordinates lie, as the request says; *ret_given is false when it says nothing.
 static enum rn_status find_space(const struct rn_path_file_request *wanted,
+                                 const struct rn_path_format *format,
                                  struct rn_path_space *ret_space, bool *ret_given,
                                  struct rn_error *err) {
-    *ret_given = wanted->space != NULL;
-    *ret_space = rn_path_space_same;
-    if (!wanted->space || strcmp(wanted->space, "dataset") == 0) return RN_OK;
-    return rn_path_space_read(wanted->space, strlen(wanted->space), "#/space", ret_space, err);
+    enum rn_status status = RN_OK;
+    *ret_given = wanted->space || wanted->dataset;
+    *ret_space = wanted->space ? rn_path_space_same : format->usual;
+    if (wanted->space && strcmp(wanted->space, "dataset") != 0)
+        status = rn_path_space_read(wanted->space, strlen(wanted->space), "#/space", ret_space, err);
+    if (status != RN_OK || !wanted->dataset) return status;
+    return rn_path_space_of_dataset(format, wanted->dataset, strlen(wanted->dataset), "#/dataset",
+                                    ret_space, err);
+}
+
+static enum rn_status check_space(const struct rn_path_file_request *wanted,
+                                  const struct rn_path_format *format, struct rn_error *err) {
+    if (!format->needs_space || wanted->space) return RN_OK;
+    return rn_error_set(err, RN_ERROR_INVALID, "#/space",
+                        "coordinates of %s are those of one training, which moved and scaled the "
+                        "dataset: give its dataparser_transforms.json, or \"dataset\" where they are "
+                        "the dataset's own",
+                        format->title);
 }
 
 static enum rn_status find_format(const char *name, const char *pointer,
@@ -39,7 +54,9 @@ static enum rn_status import_file(const struct rn_path_file_request *wanted,
                               .where = "#/file"};
     bool given;
     enum rn_status status = find_format(wanted->from, "#/from", &format, err);
-    if (status == RN_OK) status = find_space(wanted, &space, &given, err);
+    if (status == RN_OK && !format) status = rn_path_recognise(&in, &format, err);
+    if (status == RN_OK) status = check_space(wanted, format, err);
+    if (status == RN_OK) status = find_space(wanted, format, &space, &given, err);
     if (status != RN_OK) return status;
     if (given) choices.space = &space;
     status = rn_path_import(&in, format, &choices, &path, &format, err);
@@ -58,7 +75,7 @@ static enum rn_status export_file(const struct rn_path_file_request *wanted,
     enum rn_status status = find_format(wanted->to, "#/to", &format, err);
     if (status == RN_OK && !format)
         status = rn_error_set(err, RN_ERROR_INVALID, "#/to", "says which format is written");
-    if (status == RN_OK) status = find_space(wanted, &space, &given, err);
+    if (status == RN_OK) status = find_space(wanted, format, &space, &given, err);
     if (status != RN_OK) return status;
     snprintf(answer->format, sizeof answer->format, "%s", format->name);
     if (format->beside)
@@ -78,14 +95,14 @@ static enum rn_status convert(const struct rn_path_file_request *wanted,
 // A place within the file goes to the sentence: the request's member is what an error points at.
 static void tell_place(struct rn_error *err) {
     struct rn_error told = {.status = err->status};
+    // What is wrong with another program's file, its sender can mend.
+    if (err->status == RN_ERROR_UNSUPPORTED) told.status = err->status = RN_ERROR_INVALID;
     if (strncmp(err->where, "#/file", 6) != 0) return;
     snprintf(told.where, sizeof told.where, "#/file");
     if (err->where[6])
         snprintf(told.text, sizeof told.text, "%.200s: %.300s", err->where + 6, err->text);
     else
         snprintf(told.text, sizeof told.text, "%s", err->text);
-    // What is wrong with another program's file, its sender can mend.
-    if (told.status == RN_ERROR_UNSUPPORTED) told.status = RN_ERROR_INVALID;
     *err = told;
 }
 

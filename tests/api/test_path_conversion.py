@@ -75,6 +75,33 @@ def test_what_is_wrong_with_a_file_is_said(daemon, file, words):
 def test_what_is_missing_is_said(daemon):
     written = convert(daemon, path=PATH, to="nerfstudio", space="dataset")
     problem = convert(daemon, 422, file=written["file"])
-    assert "dataparser_transforms.json" in json.dumps(problem)
+    assert problem["errors"][0]["pointer"] == "#/space"
+    assert "dataparser_transforms.json" in problem["errors"][0]["detail"]
     assert "exactly one" in json.dumps(daemon.post("/v1/camera-paths/convert", {}).json)
     assert "#/to" in json.dumps(convert(daemon, 422, path=PATH))
+
+
+def places(answer):
+    return [[row[3] for row in key["world_from_camera"]] for key in answer["path"]["keys"]]
+
+
+def test_the_dataset_says_where_coordinates_lie(daemon):
+    """instant-ngp's scale and offset, and what nerfstudio's tools did to the dataset before training."""
+    eyes = [[row[3] for row in key["world_from_camera"]] for key in PATH["keys"]]
+    moved = json.dumps({"scale": 0.165, "offset": [0.5, 0.5, 0.5], "frames": []})
+    ngp = convert(daemon, path=PATH, to="instant-ngp")["file"]
+    found = places(convert(daemon, file=ngp, dataset=moved))
+    assert found == [pytest.approx([2 * x for x in eye], abs=1e-6) for eye in eyes]
+    again = convert(daemon, path=PATH, to="instant-ngp", dataset=moved)["file"]
+    assert places(convert(daemon, file=again, dataset=moved)) == \
+        [pytest.approx(eye, abs=1e-6) for eye in eyes]
+    studio = convert(daemon, path=PATH, to="nerfstudio", space="dataset")["file"]
+    applied = json.dumps({"applied_transform": [[1, 0, 0, 5], [0, 1, 0, 0], [0, 0, 1, 0]]})
+    training = json.dumps({"scale": 1, "transform": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]]})
+    found = places(convert(daemon, file=studio, space=training, dataset=applied))
+    assert found == [pytest.approx([x + 5, y, z], abs=1e-6) for x, y, z in eyes]
+    problem = convert(daemon, 422, file=studio, dataset=applied)  # whose training is not known
+    assert problem["errors"][0]["pointer"] == "#/space"
+    plain = convert(daemon, path=PATH, to="3dgs")["file"]
+    problem = convert(daemon, 422, file=plain, dataset=applied)
+    assert problem["errors"][0]["pointer"] == "#/dataset"

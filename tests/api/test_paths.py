@@ -218,6 +218,10 @@ def test_files_that_people_published(run, tmp_path):
     for file, count in counts.items():
         space = ["--space", "dataset"] if "nerfstudio" in file else []
         assert len(run(str(REAL / file), "out.json", "--overwrite", *space)["keys"]) == count, file
+    # one that was written by hand: two of its four cameras are no rotations
+    file = REAL / "nerfstudio_Bhoomika_handwritten/camera_path.json"
+    said = run(file, "bad.json", "--space", "dataset", code=INVALID).stderr
+    assert "camera_path.json#/camera_path/1/camera_to_world: holds no rotation" in said
 
 
 # ---- with a daemon: what a job makes, and where it goes ----

@@ -93,6 +93,97 @@ def test_a_key_in_numbers(scene):
     assert angles["roll"] == pytest.approx(math.radians(30), abs=1e-3)
 
 
+def eye_of(key):
+    return [row[3] for row in key["pose"]]
+
+
+def test_a_key_takes_the_view(scene):
+    """By the button and by U; the others stay, and it is one step back."""
+    scene.press("Whole turn")
+    scene.until(lambda: len(scene.all(".key")) == 8, "eight keys")
+    stage = scene.find(".stage")
+    stage.send_keys("u")  # none is chosen
+    before = scene.path()["keys"]
+    scene.all(".key-picture")[2].click()
+    scene.until(lambda: scene.all(".key-numbers")[0].is_displayed(), "the key in numbers")
+    stage.send_keys(Keys.ARROW_LEFT * 3, "+")
+    assert scene.path()["keys"][2]["pose"] == before[2]["pose"]  # to look elsewhere changes no key
+    scene.press("Take this view")
+    after = scene.path()["keys"]
+    assert math.dist(eye_of(after[2]), eye_of(before[2])) > 0.2
+    assert [i for i in range(8) if after[i]["pose"] != before[i]["pose"]] == [2]
+    assert after[2]["time"] == before[2]["time"]
+    stage.send_keys(Keys.ARROW_LEFT, "u")
+    moved = scene.path()["keys"][2]["pose"]
+    assert moved != after[2]["pose"]
+    stage.send_keys("k")  # what is recorded stands where the key now does
+    assert scene.path()["keys"][8]["pose"] == moved
+    for count, pose in ((8, moved), (8, after[2]["pose"]), (8, before[2]["pose"])):
+        scene.press("Undo")
+        keys = scene.path()["keys"]
+        assert len(keys) == count and keys[2]["pose"] == pose
+
+
+# Where a camera's eye is drawn on the stage, pixels from its middle.
+DRAWN = """
+const {projector} = await load('views/overlay.js');
+const {orbitOfWord, poseOfOrbit} = await load('orbit.js');
+const orbit = orbitOfWord(args[0], [0, 0, 1]);
+const {clientWidth: w, clientHeight: h} = document.querySelector('.stage');
+return args[1].map((eye) => {
+  const at = projector(poseOfOrbit(orbit), orbit.fovDeg, w, h)(eye);
+  return at && [at[0] - w / 2, at[1] - h / 2];
+});"""
+
+
+def test_drawn_cameras_lead_to_their_key_and_photograph(page, fake):
+    """From above, where all stand apart: the path is drawn, a click on a camera goes there, and a drag
+    over one turns the view."""
+    camera = "0_0_0_9_0_1.3_60"
+    api = fake("busy")
+
+    def above():
+        page.open(api.url + f"#/scene/sphere-draft?camera={camera}")
+        page.until(lambda: page.ink() > 100, "a picture")
+        return page.find(".stage")
+    page.open(api.url + "#/scene/sphere-draft")
+    page.until(lambda: page.ink() > 100, "a picture")
+    assert page.ink("canvas.overlay") == 0
+    page.press("Whole turn")
+    page.until(lambda: len(page.all(".key")) == 8, "eight keys")
+    keys = page.path()["keys"]
+    stage = above()
+    page.until(lambda: page.ink("canvas.overlay") > 0, "the path over the picture")
+
+    def at(eye):
+        return page.run(DRAWN, camera, [eye])[0]
+
+    def chosen():
+        return [i for i, key in enumerate(page.all(".key")) if key.get_attribute("data-selected") == "true"]
+
+    def click(x, y):
+        page.driver.execute_script("arguments[0].scrollIntoView({block: 'center'})", stage)
+        ActionChains(page.driver).move_to_element_with_offset(stage, round(x), round(y)).click().perform()
+    x, y = at(eye_of(keys[5]))
+    ActionChains(page.driver).move_to_element_with_offset(stage, round(x), round(y)).click_and_hold(
+        ).move_by_offset(40, 0).move_by_offset(-40, 0).release().perform()
+    click(0, 0)
+    assert chosen() == []
+    click(x, y)
+    page.until(lambda: chosen() == [5], "the sixth key")
+    stage = above()
+    page.press("Clear")
+    page.press("Remove")
+    page.until(lambda: not page.all(".key"), "no path")
+    page.find("#show-cameras").click()
+    page.until(lambda: page.ink("canvas.overlay") > 0, "the photographs' cameras")
+    views = page.run("return (await (await fetch('v1/datasets/sphere/cameras')).json()).items;")
+    item = next(v for v in views if (v["split"], v["index"]) == ("train", 7))
+    click(*at([row[3] for row in item["camera"]["world_from_camera"]]))
+    page.says("Photograph train:7", ".wipe-bar label")
+    assert page.complaints() == []
+
+
 def test_the_scrubber_moves_along_and_a_key_is_made_there(scene):
     scene.press("Whole turn")
     scene.until(lambda: len(scene.all(".key")) == 8, "eight keys")

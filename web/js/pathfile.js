@@ -17,24 +17,31 @@ const named = (files, name) => files.find((file) => file.name === name);
 export function sortFiles(files) {
   const space = named(files, 'dataparser_transforms.json');
   const beside = files.length > 1 ? named(files, 'cameras.txt') : undefined;
-  return {file: files.find((one) => one !== space && one !== beside), beside, space};
+  const left = files.filter((one) => one !== space && one !== beside);
+  const dataset = left.length > 1 ? named(left, 'transforms.json') : undefined;
+  return {file: left.find((one) => one !== dataset), beside, space, dataset};
 }
 
 /**
  * The document of the chosen files, in the dataset's coordinates.
  * @param {File[]} files a path, and what its format has beside it: COLMAP's cameras.txt,
- *     nerfstudio's dataparser_transforms.json
+ *     nerfstudio's dataparser_transforms.json, the dataset's transforms.json
+ * @param {boolean} ours the coordinates are the dataset's own, whatever the format
  */
-export async function readPathFiles(files, signal) {
-  const {file, beside, space} = sortFiles(files);
+export async function readPathFiles(files, signal, ours = false) {
+  const {file, beside, space, dataset} = sortFiles(files);
   if (!file) throw new Error('Choose the path’s own file too.');
   const body = {
     file: await file.text(),
     ...(beside ? {beside: await beside.text()} : {}),
-    ...(space ? {space: await space.text()} : {})
+    ...(space ? {space: await space.text()} : ours ? {space: 'dataset'} : {}),
+    ...(dataset ? {dataset: await dataset.text()} : {})
   };
   return api.convertPath(body, signal);
 }
+
+/** Whether a path was not read because its coordinates are known to one training alone. */
+export const needsSpace = (error) => error.errors?.some(({pointer}) => pointer === '#/space');
 
 /** The files of a path in another program's words: name and blob of each. */
 export async function writePathFiles(path, to, signal) {

@@ -65,6 +65,18 @@ export function field(label, control, {hint, pointer, unit} = {}) {
   return {node, control, pointer, fault: (why) => setFault(node, control, note, why, hint)};
 }
 
+/** What something new shall be called. */
+export const nameField = (value) => field(
+    'Name', h('input', {
+      type: 'text',
+      value,
+      required: true,
+      maxLength: 64,
+      spellcheck: 'false',
+      autocomplete: 'off'
+    }),
+    {pointer: '/name'});
+
 /** One of a few: radio buttons that look like one control. */
 export function choice(label, options, value, {pointer, hint} = {}) {
   const name = freshId('choice');
@@ -134,8 +146,8 @@ export function action(label, work, {kind = '', title, onError = toast} = {}) {
   return node;
 }
 
-/** Asks before something that cannot be undone. */
-export function confirmFirst(question, verb, work) {
+/** Asks first: `verb` does it, `leave` does nothing. */
+export function confirmFirst(question, verb, work, {leave = 'Keep', kind = 'danger'} = {}) {
   const dialog = h('dialog', {class: 'dialog', 'aria-label': question});
   const close = () => {
     dialog.close();
@@ -145,11 +157,11 @@ export function confirmFirst(question, verb, work) {
   fill(
       dialog, h('p', null, question), box,
       h('div', {class: 'row end'},
-        h('button', {type: 'button', onclick: close, autofocus: true}, 'Keep'),
+        h('button', {type: 'button', onclick: close, autofocus: true}, leave),
         action(verb, async () => {
           await work();
           close();
-        }, {kind: 'danger', onError: (error) => fill(box, problemBox(error))})));
+        }, {kind, onError: (error) => fill(box, problemBox(error))})));
   document.body.append(dialog);
   dialog.addEventListener('cancel', () => dialog.remove());
   dialog.showModal();

@@ -13,12 +13,13 @@ const FIELDS = [
 const DEGREE = Math.PI / 180;
 
 /**
- * @param {number[]} up @param {(id: string, values: any) => void} change
- * @param {(pose: number[][], fovDeg: number) => Promise<number|null>} depthOf how far away what a
- *     camera's middle shows is
+ * @param {number[]} up
+ * @param {{change: (id: string, values: any) => void,
+ *     depthOf: (pose: number[][], fovDeg: number) => Promise<number|null>, take: () => void}} host
+ *     depthOf: how far away what a camera's middle shows is; take: gives the key the camera that looks
  * @returns {{node: HTMLElement, show: (key: any, number: number) => void}}
  */
-export function createKeyFields(up, change, depthOf) {
+export function createKeyFields(up, {change, depthOf, take}) {
   let key = null;
   const title = h('h3', null, '');
   const inputs = Object.fromEntries(
@@ -66,7 +67,15 @@ export function createKeyFields(up, change, depthOf) {
       focus);
   const node =
       h('fieldset', {class: 'key-numbers', hidden: true},
-        h('legend', {class: 'unseen'}, 'The chosen key'), title,
+        h('legend', {class: 'unseen'}, 'The chosen key'),
+        h('header', null, title,
+          h('button', {
+            type: 'button',
+            class: 'small',
+            title: 'U: the key moves to where the camera stands now',
+            onclick: take
+          },
+            'Take this view')),
         h('div', null,
           FIELDS.map(
               ([name, label, unit]) =>

@@ -32,7 +32,7 @@ import {
   showFaults,
   toast
 } from '../ui.js';
-import {PATH_FORMATS, readPathFiles, writePathFiles} from '../pathfile.js';
+import {needsSpace, PATH_FORMATS, readPathFiles, writePathFiles} from '../pathfile.js';
 import {OUTPUTS} from '../outputs.js';
 import {createPathStore} from '../pathstore.js';
 import {go, link} from '../router.js';
@@ -61,11 +61,15 @@ export function createKeys(scene, size, view, signal) {
   const store = createPathStore(scene, (said) => text(kept, said), signal);
   const form = optionsForm(path, (values) => set({...path, ...values}, Object.keys(values)[0]));
   const quality = createQuality(scene);
-  const numbers = createKeyFields(view.up, (id, values) => {
-    set(changeKey(path, id, values), `numbers ${id}`);
-    goTo(id);
-    pictures();
-  }, view.depthOf);
+  const numbers = createKeyFields(view.up, {
+    change: (id, values) => {
+      set(changeKey(path, id, values), `numbers ${id}`);
+      goTo(id);
+      pictures();
+    },
+    depthOf: view.depthOf,
+    take
+  });
   const timeline = createTimeline({
     path: () => path,
     seek,
@@ -217,6 +221,16 @@ export function createKeys(scene, size, view, signal) {
     pictures();
   }
 
+  /** The chosen key has the camera that looks now. */
+  function take() {
+    const index = path.keys.findIndex((key) => key.id === selected);
+    if (index < 0) return;
+    set(changeKey(
+        path, selected, {pose: view.pose(), fovDeg: view.orbit.fovDeg, picture: undefined}));
+    announce(`Key ${index + 1} is here now`);
+    pictures();
+  }
+
   function stopPreview() {
     cancelAnimationFrame(playing);
     playing = null;
@@ -325,6 +339,8 @@ export function createKeys(scene, size, view, signal) {
   return {
     node,
     record,
+    take,
+    choose: goTo,
     /** The scene's curve, or null: what the path's frames cost. */
     set curve(next) {
       quality.curve = next;
@@ -542,20 +558,26 @@ function saving(get, adopt, signal) {
     accept: '.json,.txt,application/json,text/plain',
     class: 'unseen',
     id: 'path-file',
-    onchange: async () => {
+    onchange: () => {
       const files = [...file.files];
       file.value = '';
-      try {
-        const {path, format} = await readPathFiles(files, signal);
-        adopt(path);
-        if (format !== 'ripnerf') toast(`Read as a path of ${format}`);
-      } catch (error) {
+      open(files, false).catch((error) => {
+        if (needsSpace(error))
+          return confirmFirst(
+              'These coordinates are those of one training of nerfstudio. Its dataparser_transforms.json, opened together with the path, says where they lie. Or are they the dataset’s own?',
+              'They are the dataset’s', () => open(files, true),
+              {leave: 'Leave it', kind: 'primary'});
         toast(Object.assign(
             new Error(`${files.map(({name}) => name).join(', ')}: ${error.detail || error.message}`),
             {title: 'Not read'}));
-      }
+      });
     }
   });
+  async function open(files, ours) {
+    const {path, format} = await readPathFiles(files, signal, ours);
+    adopt(path);
+    if (format !== 'ripnerf') toast(`Read as a path of ${format}`);
+  }
   const format = h(
       'select', {id: 'path-format'},
       PATH_FORMATS.map(([value, words]) => h('option', {value}, words)));
@@ -592,6 +614,6 @@ function saving(get, adopt, signal) {
             }),
         file, h('label', {class: 'button', 'for': 'path-file'}, 'Open a file')),
       h('p', {class: 'quiet'},
-        'Opened are paths of all these programs, in the dataset’s coordinates; of nerfstudio together with its dataparser_transforms.json, COLMAP’s images.txt with its cameras.txt.'));
+        'Opened are paths of all these programs, in the dataset’s coordinates; of nerfstudio together with its dataparser_transforms.json, COLMAP’s images.txt with its cameras.txt, instant-ngp’s with the dataset’s transforms.json where that has a scale or an offset.'));
   return node;
 }

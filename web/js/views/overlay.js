@@ -4,6 +4,7 @@ import {column, dot, norm, sub} from '../vector.js';
 import {edgesOf} from './crop.js';
 
 const STEPS = 160;
+const CAMERA_SIZE = 0.14;  // of a drawn camera, in radii of the scene
 
 /** Where points of the dataset fall in a picture of width x height; null behind the camera. */
 export function projector(pose, fovDeg, width, height) {
@@ -49,6 +50,25 @@ function drawCamera(context, project, {pose, fovDeg}, aspect, size) {
   for (const corner of frame) line(context, [eye, corner]);
 }
 
+const REACH = 14;  // pixels about a drawn camera's eye that mean it
+
+/**
+ * The camera whose eye is drawn nearest to a point of the picture, or null where none is within
+ * reach. @param {{pose: number[][]}[]} items @param {{pose: number[][], fovDeg: number}} camera that
+ *     looks @param {number} radius the scene's @param {number[]} point pixels
+ */
+export function cameraNear(items, camera, radius, {width, height}, [x, y]) {
+  const project = projector(camera.pose, camera.fovDeg, width, height);
+  let [best, found] = [REACH, null];
+  for (const item of items) {
+    if (isNear(item.pose, camera.pose, CAMERA_SIZE * radius)) continue;
+    const at = project(column(item.pose, 3));
+    const away = at ? Math.hypot(at[0] - x, at[1] - y) : Infinity;
+    if (away < best) [best, found] = [away, item];
+  }
+  return found;
+}
+
 /**
  * @param {HTMLCanvasElement} canvas over the picture
  * @param {{pose: number[][], fovDeg: number}} camera that looks
@@ -66,7 +86,7 @@ export function drawOverlay(canvas, camera, {path, selected, time, photographs, 
   context.setTransform(ratio, 0, 0, ratio, 0, 0);
   context.clearRect(0, 0, width, height);
   const project = projector(camera.pose, camera.fovDeg, width, height);
-  const size = 0.14 * radius;
+  const size = CAMERA_SIZE * radius;
   context.lineJoin = 'round';
   context.lineWidth = 1;
   const away = (item) => !isNear(item.pose, camera.pose, size);

@@ -116,6 +116,8 @@ function page(scene, cameras, mark, query, signal) {
         live: training,
         failed: () => find(state.scenes, scene.id)?.state === 'failed',
         onKey: () => keys.record(),
+        onTake: () => keys.take(),
+        onPick: (id) => keys.choose(id),
         onRefined: (facts) => cost.picture(facts),
         camera: query?.get('camera'),
         crop: query?.get('crop'),

@@ -27,7 +27,7 @@ import {link} from '../router.js';
 import {copyLink} from '../share.js';
 import {mayShare, means, state} from '../store.js';
 import {createCrop} from './crop.js';
-import {drawOverlay} from './overlay.js';
+import {cameraNear, drawOverlay} from './overlay.js';
 import {createWipe} from './wipe.js';
 
 const LEVELS = ['coarse', 'half size', 'refined'];
@@ -35,10 +35,11 @@ const MAX_SIDE = 1280;
 
 /**
  * @param {any} scene @param {any[]} cameras the dataset's, all splits
- * @param {{live: () => boolean, failed: () => boolean, onKey?: () => void, camera: string|null,
- *     crop?: string|null, at?: number|null, onNow?: () => void, up?: number[]}}
- *     host camera: the address's; at: training seconds to look back at, and what leads back; up: the
- *     dataset's
+ * @param {{live: () => boolean, failed: () => boolean, onKey?: () => void, onTake?: () => void,
+ *     onPick?: (id: string) => void, camera: string|null, crop?: string|null, at?: number|null,
+ *     onNow?: () => void, up?: number[]}}
+ *     host onTake: the chosen key shall have this camera; onPick: a key was pointed at; camera: the
+ *     address's; at: training seconds to look back at, and what leads back; up: the dataset's
  * @param {AbortSignal} signal
  */
 export function createViewport(scene, cameras, host, signal) {
@@ -62,7 +63,7 @@ export function createViewport(scene, cameras, host, signal) {
       h('div', {class: 'cover-note', role: 'status'},
         h('span', {class: 'spinner', 'aria-hidden': 'true'}), 'Waiting for the first picture');
   const help =
-      'Arrow keys turn, Shift and arrows move, W A S D Q E fly, plus and minus come nearer and go away, F fills the screen, R resets, K records a key.';
+      'Arrow keys turn, Shift and arrows move, W A S D Q E fly, plus and minus come nearer and go away, F fills the screen, R resets, K records a key, U moves the chosen key here.';
   const stage =
       h('div', {
         class: 'stage',
@@ -90,10 +91,11 @@ export function createViewport(scene, cameras, host, signal) {
   const cameras3d =
       h('input', {type: 'checkbox', id: 'show-cameras', onchange: () => drawThings()});
   const wipe = createWipe(scene, canvas, signal);
-  const views = viewPicker(full, (item) => {
+  const visit = (item) => {
     set(orbitAt(item), openCvPose(item.camera));
     wipe.show(item).catch(toast);
-  });
+  };
+  const views = viewPicker(full, visit);
 
   const crop = createCrop(bounds, host.crop, () => {
     keepAddress();
@@ -165,7 +167,7 @@ export function createViewport(scene, cameras, host, signal) {
 
   const photographs =
       full.filter((item) => item.split === 'train')
-          .map((item) => ({pose: openCvPose(item.camera), fovDeg: fovOf(item.camera)}));
+          .map((item) => ({item, pose: openCvPose(item.camera), fovDeg: fovOf(item.camera)}));
   function drawThings() {
     const shown = cameras3d.checked ? photographs : [];
     drawOverlay(over, {pose: pose ?? poseOfOrbit(orbit), fovDeg: orbit.fovDeg}, {
@@ -175,6 +177,31 @@ export function createViewport(scene, cameras, host, signal) {
       crop: crop.box(),
       radius: bounds.radius
     });
+  }
+
+  /** What is drawn at a point of the stage: a key of the path, else a photograph's camera, or null. */
+  function drawnAt(event) {
+    const box = stage.getBoundingClientRect();
+    const near = (items) => cameraNear(
+        items, {pose: pose ?? poseOfOrbit(orbit), fovDeg: orbit.fovDeg}, bounds.radius, box,
+        [event.clientX - box.left, event.clientY - box.top]);
+    return (route.checked && near(things.path?.keys ?? [])) ||
+        (cameras3d.checked && near(photographs)) || null;
+  }
+  let pressedAt = null;  // null: what was pressed has become a drag
+  function hover(event) {
+    if (!event.buttons) stage.toggleAttribute('data-over', Boolean(drawnAt(event)));
+    if (event.buttons && pressedAt &&
+        Math.hypot(event.clientX - pressedAt[0], event.clientY - pressedAt[1]) > 4)
+      pressedAt = null;
+  }
+  function pick(event) {
+    const control = event.target.closest('.wipe-bar, .past, [data-own]');
+    const found = !control && pressedAt && drawnAt(event);
+    if (found?.item)
+      visit(found.item);
+    else if (found)
+      host.onPick?.(found.id);
   }
 
   /** What lies under a point of the stage becomes what the camera turns about. */
@@ -300,12 +327,18 @@ export function createViewport(scene, cameras, host, signal) {
 
   listen(stage, () => orbit, set, signal);
   flyWithKeys(stage, () => orbit, set, bounds.radius, signal);
+  stage.addEventListener('pointerdown', (event) => {
+    pressedAt = [event.clientX, event.clientY];
+  }, {signal});
+  stage.addEventListener('click', pick, {signal});
+  stage.addEventListener('pointermove', hover, {signal});
   stage.addEventListener('dblclick', (event) => lookThere(event).catch(toast), {signal});
   stage.addEventListener('keydown', (event) => {
     if (event.ctrlKey || event.metaKey || event.altKey || keyMove(event, orbit)) return;
     const key = event.key.toLowerCase();
     if (key === 'r') set(start);
     if (key === 'k') host.onKey?.();
+    if (key === 'u') host.onTake?.();
     if (key === 'f') fillScreen();
   }, {signal});
   const fillScreen = () =>
@@ -373,7 +406,7 @@ export function createViewport(scene, cameras, host, signal) {
               'Record key') :
             null),
       h('p', {class: 'quiet help', 'aria-hidden': 'true'},
-        'Drag turns, Shift-drag moves, the wheel comes nearer, a double click looks there. Keys: arrows, W A S D fly, Q E down and up, + and −, F full screen, R resets, K records.'));
+        'Drag turns, Shift-drag moves, the wheel comes nearer, a double click looks there. Keys: arrows, W A S D fly, Q E down and up, + and −, F full screen, R resets, K records a key, U moves the chosen key here. A drawn camera is gone to by a click.'));
   return {
     node,
     up,
@@ -406,8 +439,7 @@ export function createViewport(scene, cameras, host, signal) {
     compare: (split, index) => {
       const item = full.find((one) => one.split === split && one.index === index);
       if (!item) return;
-      set(orbitAt(item), openCvPose(item.camera));
-      wipe.show(item).catch(toast);
+      visit(item);
       stage.scrollIntoView({block: 'nearest'});
     },
     get orbit() { return orbit; },
