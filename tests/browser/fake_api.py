@@ -264,6 +264,7 @@ class Handler(BaseHTTPRequestHandler):
                 ("Server-Timing", f"queue;dur=0.2, render;dur={spent:.2f}, encode;dur=1.1"),
                 ("X-Ripnerf-Step", scene["steps"]),
                 *([("X-Ripnerf-At", body["at"])] if "at" in body else []),
+                *([("X-Ripnerf-Scale", HEAT[body["output"]])] if body.get("output") in HEAT else []),
                 ("X-Ripnerf-Samples", camera["width"] * camera["height"] * 14),
                 *self.budget(body, spent),
             ],
@@ -283,10 +284,21 @@ class Handler(BaseHTTPRequestHandler):
         if "path" in body:
             self.reply(200, {"format": body["to"], "file": json.dumps({"path": body["path"]})})
             return
+        if "of a training" in body["file"] and "space" not in body:
+            raise Refusal(422, "Invalid", "", [{"pointer": "#/space", "detail": "must be given"}])
         try:
             self.reply(200, {"format": "ripnerf", "path": json.loads(body["file"])["path"]})
         except (ValueError, KeyError) as error:
             raise Refusal(422, "Invalid", "is no camera path that is known") from error
+
+    def take_scene(self, world):
+        with world.lock:
+            if any(item["name"] == self.query["name"] for item in world.scenes):
+                raise Refusal(409, "Conflict", "That name is taken.",
+                              [{"pointer": "#/name", "detail": "there is a scene of that name"}])
+            world.uploaded.append(self.body)
+            self.reply(202, world.job("ingest", scene=world.new_id("sc"),
+                                      scene_name=self.query["name"]))
 
     def curve(self, world, _key):
         if not world.curve:
@@ -401,6 +413,7 @@ class Handler(BaseHTTPRequestHandler):
             self.wfile.flush()
 
 
+HEAT = {"cost": "0 50 samples", "level": "0 7 levels", "footprint": "0 0.02 units"}
 ID = "([A-Za-z0-9._-]+)"
 ROUTES = [
     (r"GET /v1/info", "info"),
@@ -415,6 +428,7 @@ ROUTES = [
     (rf"(?:GET|PATCH|DELETE) /v1/uploads/{ID}", "upload"),
     (r"POST /v1/jobs", "submit"),
     (rf"POST /v1/jobs/{ID}/(pause|resume|finish|cancel)", "act"),
+    (r"POST /v1/scenes", "take_scene"),
     (rf"POST /v1/scenes/{ID}/render", "render"),
     (rf"GET /v1/scenes/{ID}/evaluations", "evaluations"),
     (rf"GET /v1/scenes/{ID}/curve", "curve"),

@@ -44,7 +44,7 @@ class World:
         self.frames, self.done, self.routes = {}, {}, {}  # by job id; routes are the camera paths
         self.serial = 0
         self.missing = set()  # views that could not be used: (split, index)
-        self.uploaded = []  # the files of each dataset
+        self.uploaded = []  # the files of each dataset, or a scene's bytes
         self.uploads, self.parts, self.line_dead_below = {}, [], 0
         self.untrained = False  # a scene of no steps is rendered all the same
         self.curve = None  # of every scene
@@ -379,7 +379,12 @@ class World:
         return int(done)
 
     def advance_ingest(self, job, dt):
-        if self.work(job, 40, 30, dt) == 40:
+        if self.work(job, 40, 30, dt) == 40 and "scene" in job:  # one that came as a file
+            self.scenes.insert(0, {**self.scenes[0], "id": job["scene"], "name": job["scene_name"],
+                                   "job": job["id"], "dataset": None, "dataset_name": None})
+            job["result"] = {"scene": job["scene"]}
+            self.set_state(job, "succeeded")
+        elif self.done[job["id"]] == 40:
             self.add_dataset(job["dataset_name"])
             self.datasets[-1]["id"] = job["dataset"]
             job["result"] = {"dataset": job["dataset"]}

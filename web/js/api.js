@@ -224,36 +224,42 @@ export const api = {
   /** Imports an upload that is whole; asked twice, the same job answers. */
   addUpload: (body, signal) => json('POST', 'v1/datasets', {json: body, signal, repeatable: true}),
 
-  /**
-   * Sends a part of an upload. XMLHttpRequest, because it alone reports what was sent.
-   * @param {string} id @param {number} offset @param {Blob} part
-   * @param {(sent: number) => void} onProgress @param {AbortSignal} signal
-   */
-  sendPart(id, offset, part, onProgress, signal) {
-    const used = token.get();
-    return new Promise((resolve, reject) => {
-      const call = new XMLHttpRequest();
-      call.open('PATCH', address(`v1/uploads/${name(id)}`));
-      const headers =
-          {'Content-Type': 'application/offset+octet-stream', 'Upload-Offset': String(offset)};
-      for (const [key, value] of Object.entries(withToken(headers)))
-        call.setRequestHeader(key, value);
-      call.upload.onprogress = (event) => onProgress(event.loaded);
-      call.onerror = () => reject(new Unreachable());
-      call.onabort = () => reject(new DOMException('upload cancelled', 'AbortError'));
-      call.onload = async () => {
-        if (call.status >= 200 && call.status < 300)
-          resolve();
-        else if (call.status === 401 && await renewToken(used))
-          resolve(api.sendPart(id, offset, part, onProgress, signal));
-        else
-          reject(new Problem(call.status, parseJson(call.responseText)));
-      };
-      signal?.addEventListener('abort', () => call.abort(), {once: true});
-      call.send(part);
-    });
-  },
+  /** Sends a part of an upload, from `offset` on. */
+  sendPart: (id, offset, part, onProgress, signal) => send(
+      'PATCH', `v1/uploads/${name(id)}`,
+      {'Content-Type': 'application/offset+octet-stream', 'Upload-Offset': String(offset)}, part,
+      onProgress, signal),
+  /** Sends a scene that was exported; the answer is its ingest job. */
+  sendScene: (called, dataset, file, onProgress, signal) => send(
+      'POST', `v1/scenes?name=${name(called)}${dataset ? `&dataset=${name(dataset)}` : ''}`,
+      {'Content-Type': 'application/octet-stream'}, file, onProgress, signal),
 };
+
+/**
+ * Sends bytes; the answer's JSON. XMLHttpRequest, because it alone reports what was sent.
+ * @param {Blob} body @param {(sent: number) => void} onProgress @param {AbortSignal} signal
+ */
+function send(method, path, headers, body, onProgress, signal) {
+  const used = token.get();
+  return new Promise((resolve, reject) => {
+    const call = new XMLHttpRequest();
+    call.open(method, address(path));
+    for (const [key, value] of Object.entries(withToken(headers))) call.setRequestHeader(key, value);
+    call.upload.onprogress = (event) => onProgress(event.loaded);
+    call.onerror = () => reject(new Unreachable());
+    call.onabort = () => reject(new DOMException('upload cancelled', 'AbortError'));
+    call.onload = async () => {
+      if (call.status >= 200 && call.status < 300)
+        resolve(parseJson(call.responseText));
+      else if (call.status === 401 && await renewToken(used))
+        resolve(send(method, path, headers, body, onProgress, signal));
+      else
+        reject(new Problem(call.status, parseJson(call.responseText)));
+    };
+    signal?.addEventListener('abort', () => call.abort(), {once: true});
+    call.send(body);
+  });
+}
 
 function parseJson(text) {
   try {

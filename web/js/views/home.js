@@ -2,6 +2,7 @@
 import {api} from '../api.js';
 import {fill, follow, h, lazyImage, text} from '../dom.js';
 import {isActive, refreshSoon, trainingOf, watch} from '../store.js';
+import {cameraOf, defaultOrbit} from '../orbit.js';
 import {ago, bytes, decibel, plural, seconds, whole} from '../format.js';
 import {chip, confirmFirst, empty, panel, scroller, setChip, skeleton} from '../ui.js';
 import {link} from '../router.js';
@@ -122,14 +123,18 @@ function sceneCard(scene, signal) {
  * and `mark` is told which it is. A view's numbers have gaps where it went to another split.
  */
 async function sceneThumb(scene, mark, signal) {
-  if (!scene.dataset) return null;
+  const size = {width: 320, height: 240};
+  const rendered = async (of) =>
+      (await api.render(scene.id, {...of, format: 'jpeg'}, signal)).blob;
+  if (!scene.dataset) {
+    if (!scene.loaded) throw new Error('has no photograph');
+    return rendered({camera: cameraOf(defaultOrbit(scene.bounds), size.width, size.height)});
+  }
   const views = await api.cameras(scene.dataset, signal);
   const {split, index} = views.find((item) => item.split === 'train') ?? views[0];
   if (scene.loaded && scene.steps > 0) {
     try {
-      const size = {width: 320, height: 240};
-      const request = {view: `${split}:${index}`, size, format: 'jpeg'};
-      return (await api.render(scene.id, request, signal)).blob;
+      return await rendered({view: `${split}:${index}`, size});
     } catch (error) {
       if (signal.aborted) throw error;
     }

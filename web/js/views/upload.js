@@ -1,5 +1,7 @@
-// Add a dataset: drop or choose a folder, see what would be sent, send it, watch the import.
+// Add a dataset: drop or choose a folder or an archive, see what would be sent, send it, watch the
+// import. A scene that was exported is taken in here too.
 import {api, Problem} from '../api.js';
+import {entriesOfArchive, isArchive} from '../archive.js';
 import {checkPhotographs} from '../photocheck.js';
 import {sendInParts} from '../sending.js';
 import {entriesOfDrop, entriesOfInput, planUpload, safeName} from '../folder.js';
@@ -13,6 +15,7 @@ import {
   endOf,
   field,
   meter,
+  nameField,
   panel,
   problemBox,
   progressWords,
@@ -22,6 +25,7 @@ import {
 import {tarOf} from '../tar.js';
 import {link} from '../router.js';
 import {createPreview} from './preview.js';
+import {isSceneFile, sceneFileForm} from './scenefile.js';
 
 /** @param {AbortSignal} signal */
 export function uploadPanel(signal) {
@@ -29,12 +33,18 @@ export function uploadPanel(signal) {
   const node = panel('Add a dataset', null, body);
   const begin = (problem) =>
       fill(body, chooser(take), problem ? problemBox(problem) : null, directoryForm(follow));
-  async function take(entries) {
-    fill(
-        body,
-        h('p', {class: 'quiet', role: 'status'}, `Reading ${plural(entries.length, 'file')}…`));
+  async function take(chosen) {
+    const alone = chosen.length === 1 ? chosen[0].file : null;
+    if (alone && isSceneFile(alone.name))
+      return fill(body, sceneFileForm(alone, {back: () => begin(), follow, signal}));
+    const words = h('p', {class: 'quiet', role: 'status'});
+    const tell = (count) => text(words, `Reading ${plural(count, 'file')}…`);
+    tell(chosen.length);
+    fill(body, words);
     let plan;
     try {
+      const entries =
+          alone && isArchive(alone.name) ? await entriesOfArchive(alone, tell) : chosen;
       plan = await planUpload(entries, await api.formats(signal));
     } catch (error) { return begin(error); }
     if (plan.problem)
@@ -49,18 +59,25 @@ export function uploadPanel(signal) {
 }
 
 function chooser(take) {
-  const input = h('input', {
-    type: 'file',
-    id: 'folder-input',
-    class: 'unseen',
-    webkitdirectory: true,
-    multiple: true,
-    onchange: () => input.files.length && take(entriesOfInput(input.files))
-  });
+  const choose = (id, words, props) => [
+    h('input', {
+      type: 'file',
+      id,
+      class: 'unseen',
+      ...props,
+      onchange: (event) => event.target.files.length && take(entriesOfInput(event.target.files))
+    }),
+    h('label', {class: 'button', 'for': id}, words)
+  ];
   return h(
       'div', {class: 'drop'}, h('p', {class: 'drop-title'}, 'Drop a dataset’s folder here'),
-      h('p', {class: 'quiet'}, 'photographs and their poses, in any layout that the daemon reads'),
-      input, h('label', {class: 'button', 'for': 'folder-input'}, 'Choose a folder'));
+      h('p', {class: 'quiet'},
+        'photographs and their poses, in any layout that the daemon reads, or an archive of them ' +
+            '(.zip, .tar, .tar.gz); a film; a scene that was exported (.ripscene)'),
+      h('div', {class: 'row wrap'},
+        choose('folder-input', 'Choose a folder', {webkitdirectory: true, multiple: true}),
+        choose('file-input', 'Choose a file',
+               {accept: '.zip,.tar,.tgz,.gz,.ripscene,video/*'})));
 }
 
 function dropTarget(node, take, signal) {
@@ -143,17 +160,6 @@ function importOptions() {
           up.node, crop.node, format.node, masks.node, alpha.node));
   return {node, values, fields: [size, scales, alpha, split, bounds, up, crop, format, masks]};
 }
-
-const nameField = (value) => field(
-    'Name', h('input', {
-      type: 'text',
-      value,
-      required: true,
-      maxLength: 64,
-      spellcheck: 'false',
-      autocomplete: 'off'
-    }),
-    {pointer: '/name'});
 
 function planForm(plan, {back, follow, signal}) {
   const name = nameField(plan.name);
@@ -369,14 +375,15 @@ function importing(job, begin, signal) {
     const more =
         h('button', {type: 'button', onclick: () => begin()},
           now.state === 'succeeded' ? 'Add another' : 'Choose again');
-    const name = now.dataset_name ?? now.dataset;
-    if (now.state === 'succeeded') askAboutLost(name, begin).catch(() => {}); // it is kept, then
+    const name = now.scene_name ?? now.dataset_name ?? now.dataset;
+    const [next, where] = now.scene_name ? ['Look at it', link.scene(name)] :
+                                           ['Look at it and train', link.dataset(name)];
+    if (now.state === 'succeeded' && !now.scene_name)
+      askAboutLost(name, begin).catch(() => {});  // it is kept, then
     if (now.state === 'succeeded')
       fill(
           box, h('p', {class: 'good'}, `${name} is imported.`),
-          h('div', {class: 'row'},
-            h('a', {class: 'button primary', href: link.dataset(name)}, 'Look at it and train'),
-            more));
+          h('div', {class: 'row'}, h('a', {class: 'button primary', href: where}, next), more));
     else
       fill(
           box,

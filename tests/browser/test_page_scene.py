@@ -1,0 +1,68 @@
+"""What a scene's page shows beside its picture: heat maps with their scale, other trainings' curves, and
+a report that needs nothing beside it."""
+
+import re
+
+import pytest
+from test_page_paths import measured
+
+pytest.importorskip("selenium", reason="python3-selenium is not installed")
+
+
+@pytest.mark.parametrize("name, words", [
+    ("cost: samples a pixel", "50 samples"), ("level of the pyramid", "7 levels"),
+    ("footprint of a pixel", "0.02 units")])
+def test_a_heat_map_says_what_its_colours_stand_for(scene, name, words):
+    scene.press(name)
+    scene.says(words, ".hud .legend")
+    assert scene.find(".legend").get_attribute("aria-label") == f"Colours: dark 0, bright {words}"
+    assert scene.ink() > 50
+    scene.press("colour")
+    scene.until(lambda: not scene.all(".legend"), "no legend")
+    assert scene.complaints() == []
+
+
+def test_several_trainings_are_drawn_over_each_other(page, fake):
+    api = fake("busy")
+    with api.world.lock:
+        for name, seconds in (("sphere-long", 60), ("sphere-short", 10)):
+            job = api.world.train({"dataset": "sphere", "scene": name,
+                                   "options": {"preset": "draft", "max_time_s": seconds}})
+            api.world.set_state(job, "running")
+            while job["state"] == "running":
+                api.world.advance(job, 0.1)
+    page.open(api.url + "#/scene/sphere-draft")
+    page.press("Beside other trainings")
+    lines = "return [...document.querySelectorAll('.chart .other')].map((l) => l.getAttribute('class'));"
+    assert page.run(lines) == []
+    for label in page.all(".rivals label"):
+        label.click()
+    page.until(lambda: page.run(lines) == ["line other other-0", "line other other-1"], "two curves")
+    # the axis reaches as far as the longest of them
+    reach = "return [...document.querySelectorAll('.chart-box text')].map((t) => Number(t.textContent));"
+    assert max(x for x in page.run(reach) if x) >= 50
+    page.all(".rivals label")[0].click()
+    page.until(lambda: len(page.run(lines)) == 1, "one curve")
+    assert page.complaints() == []
+
+
+def test_a_report_is_whole_in_one_file(page, fake, downloads):
+    api = fake("busy")
+    api.world.curve = measured((0.06, 8, 27.5), (0, 200, 31.2))
+    page.open(api.url + "#/scene/sphere-draft")
+    page.press("Evaluate")
+    page.says("30.40 dB")
+    downloads.clear()
+    page.press("Report")
+    file = downloads.saved(page, "sphere-draft-report.html")
+    text = file.read_text(encoding="utf-8")
+    assert "<script" not in text and not re.search(r"(src|href)=\"(?!data:)", text)
+    assert text.count("data:image/jpeg") == 9  # photograph, rendering and error of three views
+    page.open(file.as_uri())
+    assert page.text("h1") == "sphere-draft"
+    assert [e.text for e in page.all("h2")] == [
+        "Views", "Evaluations", "Training", "Accuracy against time", "Effects", "Compared with the paper"]
+    page.until(lambda: page.run(
+        "return [...document.images].every((i) => i.naturalWidth > 50);"), "its pictures")
+    page.says("Worst, test:0", "figcaption")
+    page.says("30.40 dB", "td")
