@@ -5,6 +5,7 @@ import pytest
 pytest.importorskip("selenium", reason="python3-selenium is not installed")
 from PIL import Image  # noqa: E402
 from selenium.webdriver.common.action_chains import ActionChains  # noqa: E402
+from test_page_paths import measured  # noqa: E402
 
 
 @pytest.fixture
@@ -104,3 +105,31 @@ def test_the_worst_views_of_an_evaluation_are_looked_at_beside_their_photographs
     page.press("test:1 29.4 dB")
     page.says("Photograph test:1", ".wipe-bar label")
     assert page.complaints() == []
+
+
+CUT_OFF = """
+const wide = document.documentElement.clientWidth;
+const words = (e) => `${e.tagName} ${e.className} ${e.textContent.slice(0, 30)}`;
+const outside = [...document.querySelectorAll('.wipe-bar *')].filter((e) => {
+  const {left, right} = e.getBoundingClientRect();
+  return left < 0 || right > wide;
+});
+const narrow = [...document.querySelectorAll('.qualities label')].filter(
+    (e) => e.scrollWidth > e.clientWidth + 1);
+return [...outside, ...narrow].map(words);"""
+
+
+@pytest.mark.parametrize("width", [320, 390])
+def test_on_a_phone_nothing_is_cut_off(page, fake, width):
+    """Not what closes a comparison, nor a path's time and accuracy."""
+    page.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", {
+        "width": width, "height": 700, "deviceScaleFactor": 2, "mobile": True})
+    api = fake("busy")
+    api.world.curve = measured((0.12, 20, 30.5), (0.03, 120, 31.1), (0, 400, 31.2))
+    page.open(api.url + "#/scene/sphere-draft?view=test:3")
+    page.says("Photograph test:3", ".wipe-bar label")
+    page.press("Whole turn")
+    page.says("30.5 dB", ".qualities")
+    assert page.run(CUT_OFF) == []
+    page.press("×")
+    page.until(lambda: not page.all(".wipe:not([hidden])"), "the comparison closed")

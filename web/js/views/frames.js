@@ -164,8 +164,9 @@ export function framesPanel(job, signal) {
   const frames = panel(
       'Frames', {tools: h('div', {class: 'row'}, count, download(job), shareButton(job))},
       h('div', {class: 'screen'}, canvas, waiting),
-      h('div', {class: 'row player'}, play, scrub, at, h('label', {'for': 'play-rate'}, 'at'), rate,
-        h('span', {class: 'quiet'}, 'frames/s')),
+      h('div', {class: 'row player'}, play, scrub, at,
+        h('div', {class: 'row'}, h('label', {'for': 'play-rate'}, 'at'), rate,
+          h('span', {class: 'quiet'}, 'frames/s'))),
       cells);
   return [film, frames];
 }
