@@ -55,6 +55,40 @@ def test_the_service_managers_socket(build, tmp_path):
         assert refused.wait(PATIENCE_S) == 2 and "another address than 127.0.0.2" in refused.communicate()[1]
 
 
+def test_systemds_own_activation(build, tmp_path):
+    """The daemon is started by its first visitor, whom it serves."""
+    if not shutil.which("systemd-socket-activate"):
+        pytest.skip("systemd is not installed")
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    process = subprocess.Popen(
+        ["systemd-socket-activate", "-l", f"127.0.0.1:{port}", build / "server/ripnerfd", "--data",
+         tmp_path / "d", "--listen", "127.0.0.1:1", "--runner", build / "tests/support/ripnerf-runner-fake"],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    try:
+        wait_for(lambda: is_open(port))
+        visitor = http.client.HTTPConnection("127.0.0.1", port, timeout=PATIENCE_S)
+        visitor.request("GET", "/healthz")
+        assert visitor.getresponse().status == 200
+    finally:
+        process.terminate()
+        assert process.wait(PATIENCE_S) == 0, process.communicate()[1]
+    process.communicate()
+
+
+def test_systemd_takes_the_units(tmp_path):
+    if not shutil.which("systemd-analyze"):
+        pytest.skip("systemd is not installed")
+    for name in ("ripnerfd.service", "ripnerfd.socket"):
+        unit = (ROOT / ".ci/debian" / name).read_text(encoding="utf-8")
+        (tmp_path / name).write_text(unit.replace("/usr/bin/ripnerfd", "/bin/true"))
+    units = [tmp_path / "ripnerfd.service", tmp_path / "ripnerfd.socket"]
+    said = subprocess.run(["systemd-analyze", "verify", "--man=no", *units], capture_output=True,
+                          text=True, check=False)
+    assert said.returncode == 0 and "ripnerfd" not in said.stderr, said.stderr
+
+
 def run_nginx(site, tmp_path, port):
     site = site.replace("/etc/ssl/certs/scenes.example.pem", str(tmp_path / "certificate"))
     site = site.replace("/etc/ssl/private/scenes.example.key", str(tmp_path / "key"))
