@@ -463,14 +463,17 @@ def test_kill_daemon(programs, photographs, tmp_path):
 
 def test_kill_daemon_in_an_import(programs, photographs, tmp_path):
     """The upload was acknowledged: it is there, and imported in the end."""
-    slow = tmp_path / "runner"
-    slow.write_text(f"#!/bin/sh\n[ \"$2\" = ingest ] && sleep 1\nexec {programs[1]} \"$@\"\n")
+    held, slow = tmp_path / "held", tmp_path / "runner"
+    slow.write_text(f"#!/bin/sh\nwhile [ \"$2\" = ingest ] && [ -e {held} ]; do sleep 0.1; done\n"
+                    f"exec {programs[1]} \"$@\"\n")
     slow.chmod(0o755)
     daemon = Daemon(programs[0], slow, tmp_path / "d").start()
     try:
+        held.touch()
         job = daemon.upload("data", photographs)
         daemon.wait(job, ["running"])
         daemon.stop(signal.SIGKILL)
+        held.unlink()
         daemon.start()
         record = daemon.wait(job)
         assert record["state"] == "succeeded" and record["attempt"] == 2
