@@ -16,7 +16,8 @@ static enum rn_status find_space(const struct rn_path_file_request *wanted,
     *ret_given = wanted->space || wanted->dataset;
     *ret_space = wanted->space ? rn_path_space_same : format->usual;
     if (wanted->space && strcmp(wanted->space, "dataset") != 0)
-        status = rn_path_space_read(wanted->space, strlen(wanted->space), "#/space", ret_space, err);
+        status =
+            rn_path_space_read(wanted->space, strlen(wanted->space), "#/space", ret_space, err);
     if (status != RN_OK || !wanted->dataset) return status;
     return rn_path_space_of_dataset(format, wanted->dataset, strlen(wanted->dataset), "#/dataset",
                                     ret_space, err);
@@ -25,11 +26,12 @@ static enum rn_status find_space(const struct rn_path_file_request *wanted,
 static enum rn_status check_space(const struct rn_path_file_request *wanted,
                                   const struct rn_path_format *format, struct rn_error *err) {
     if (!format->needs_space || wanted->space) return RN_OK;
-    return rn_error_set(err, RN_ERROR_INVALID, "#/space",
-                        "coordinates of %s are those of one training, which moved and scaled the "
-                        "dataset: give its dataparser_transforms.json, or \"dataset\" where they are "
-                        "the dataset's own",
-                        format->title);
+    return rn_error_set(
+        err, RN_ERROR_INVALID, "#/space",
+        "coordinates of %s are those of one training, which moved and scaled the "
+        "dataset: give its dataparser_transforms.json, or \"dataset\" where they are "
+        "the dataset's own",
+        format->title);
 }
 
 static enum rn_status find_format(const char *name, const char *pointer,

@@ -182,6 +182,15 @@ def test_a_report(page, fake, finds_nothing, tmp_path):
     finds_nothing("a report")
 
 
+def test_before_a_scene_is_taken_in(page, fake, finds_nothing, tmp_path):
+    (tmp_path / "ball.ripscene").write_bytes(b"as it was exported")
+    page.open(fake("busy").url)
+    page.find(".drop")
+    page.all("#file-input")[0].send_keys(str(tmp_path / "ball.ripscene"))
+    page.says("A scene for viewing")
+    finds_nothing("a scene's file")
+
+
 def test_before_an_upload(page, fake, finds_nothing, folder):  # noqa: F811
     api = fake("empty")
     choose(page, api, folder)
