@@ -91,6 +91,14 @@ def test_a_key_in_numbers(scene):
     angles = scene.run(
         "return (await load('orbit.js')).anglesOfPose(args[0], [0, 0, 1]);", pose)
     assert angles["roll"] == pytest.approx(math.radians(30), abs=1e-3)
+    scene.type(scene.find("#key-focal"), "50")  # the photographer's usual lens
+    scene.find("#key-focal").send_keys(Keys.TAB)
+    key = scene.path()["keys"][0]
+    assert key["fovDeg"] == pytest.approx(2 * math.degrees(math.atan(12 / 50)))
+    assert key["pose"] == [pytest.approx(row, abs=1e-3) for row in pose]
+    scene.type(scene.find("#key-fovDeg"), "90")
+    scene.find("#key-fovDeg").send_keys(Keys.TAB)
+    scene.until(lambda: scene.find("#key-focal").get_attribute("value") == "12", "its focal length")
 
 
 def eye_of(key):

@@ -6,11 +6,16 @@ import {action} from '../ui.js';
 import {column} from '../vector.js';
 
 const FIELDS = [
-  ['time', 'Time', 's', 0.1], ['fovDeg', 'Field of view', '°', 0.5], ['x', 'x', '', 0.05],
+  ['time', 'Time', 's', 0.1], ['fovDeg', 'Field of view', '°', 0.5],
+  ['focal', 'Focal length', 'mm', 1], ['x', 'x', '', 0.05],
   ['y', 'y', '', 0.05], ['z', 'z', '', 0.05], ['yaw', 'Heading', '°', 1], ['pitch', 'Tilt', '°', 1],
   ['roll', 'Roll', '°', 1]
 ];
 const DEGREE = Math.PI / 180;
+const FILM_MM = 24;  // the height of small picture film, which focal lengths are told for
+const UNITS = {s: 'seconds', '°': 'degrees', mm: 'millimetres, of film 24 mm high'};
+const focalOf = (fovDeg) => FILM_MM / 2 / Math.tan((fovDeg * DEGREE) / 2);
+const fovOfFocal = (mm) => (2 * Math.atan(FILM_MM / 2 / mm)) / DEGREE;
 
 /**
  * @param {number[]} up
@@ -29,10 +34,9 @@ export function createKeyFields(up, {change, depthOf, take}) {
                                                    'data-step': step,
                                                    id: `key-${name}`,
                                                    'aria-label': `${label}${
-                                                       unit === 's' ? ', seconds' :
-                                                           unit     ? ', degrees' :
-                                                                      ' of the key’s place'}`,
-                                                   onchange: () => read()
+                                                       unit ? `, ${UNITS[unit]}` :
+                                                              ' of the key’s place'}`,
+                                                   onchange: () => read(name)
                                                  })]));
   const effects = Object.fromEntries(
       OPTICS.map(([name, label, unit,
@@ -90,7 +94,8 @@ export function createKeyFields(up, {change, depthOf, take}) {
     change(key.id, {optics: opticsOf(values), picture: undefined});
   }
 
-  function read() {
+  /** `changed` says which of the two tells how wide the picture is. */
+  function read(changed) {
     const value = Object.fromEntries(FIELDS.map(([name]) => [name, Number(inputs[name].value)]));
     if (!key || Object.values(value).some((x) => !Number.isFinite(x))) return;
     const angles = {
@@ -100,7 +105,7 @@ export function createKeyFields(up, {change, depthOf, take}) {
     };
     change(key.id, {
       time: value.time,
-      fovDeg: value.fovDeg,
+      fovDeg: changed === 'focal' ? fovOfFocal(value.focal) : value.fovDeg,
       pose: poseOfAngles(angles, [value.x, value.y, value.z], up),
       picture: undefined
     });
@@ -118,6 +123,7 @@ export function createKeyFields(up, {change, depthOf, take}) {
       const values = {
         time: next.time,
         fovDeg: next.fovDeg,
+        focal: focalOf(next.fovDeg),
         x,
         y,
         z,
