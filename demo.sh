@@ -20,7 +20,7 @@ for argument in "$@"; do
 done
 
 .ci/deps
-echo "building, which takes a minute or two"
+echo "building, which takes a minute or two; the CUDA module, where nvcc is found, some more (-Dcuda=disabled)"
 if [ ! -f build/build.ninja ]; then
     meson setup build --buildtype=release ${options[@]+"${options[@]}"}
 elif [ ${#options[@]} -gt 0 ]; then
