@@ -122,12 +122,15 @@ void rn_reader_tell_reprojection(struct rn_reader *reader) {
     const struct rn_dataset *dataset = reader->dataset;
     if (!dataset->points.sighting_count || rn_dataset_reproject(dataset, &found, NULL)) return;
     bool suspect = found.mean_px > SUSPECT_PX || found.unseen > found.sightings / 10;
+    char said[64] = "";
+    if (found.said_px >= 0)
+        snprintf(said, sizeof said, ", %.4f px as the model says", found.said_px);
     rn_problems_add(
         reader->problems, suspect ? RN_SEVERITY_WARNING : RN_SEVERITY_INFO, reader->folder,
         "%zu sparse points, seen %zu times: mean reprojection error %.4f px (median "
-        "%.4f) as the cameras are read, %.4f px as the model says; %zu sightings lie "
+        "%.4f) as the cameras are read%s; %zu sightings lie "
         "where their camera does not see%s",
-        found.points, found.sightings, found.mean_px, found.median_px, found.said_px, found.unseen,
+        found.points, found.sightings, found.mean_px, found.median_px, said, found.unseen,
         suspect ? ": poses, lenses and points do not belong together" : "");
 }
 

@@ -204,7 +204,7 @@ struct rn_reprojection {
     double mean_px;           // mean over points of their mean distance, pixels of the photographs
     double median_px;         // of those means
     double p95_px;            // which 95 % of them stay below
-    double said_px;           // mean_px as the source says
+    double said_px;           // mean_px as the source says; below 0: it does not
 };
 enum rn_status rn_dataset_reproject(const struct rn_dataset *dataset,
                                     struct rn_reprojection *ret_found,

@@ -10,7 +10,8 @@
 #include "common/dataset/reader.h"
 
 #define FORMATS(ROW)                                                                               \
-    ROW(native) ROW(multiscale) ROW(blender) ROW(ngp) ROW(nerfstudio) ROW(colmap) ROW(llff)
+    ROW(native)                                                                                    \
+    ROW(multiscale) ROW(blender) ROW(ngp) ROW(nerfstudio) ROW(colmap) ROW(opensfm) ROW(llff)
 
 #define DECLARE(name) extern const struct rn_format rn_format_##name;
 #define ADDRESS(name) &rn_format_##name,

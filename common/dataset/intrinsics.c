@@ -260,8 +260,7 @@ static enum rn_status set_lens(const struct rn_intrinsics *from, enum rn_lens le
     return RN_OK;
 }
 
-// The whole sphere: longitude over the width, latitude over the height.
-static void set_equirectangular(struct rn_camera *camera) {
+void rn_intrinsics_set_sphere(struct rn_camera *camera) {
     camera->lens = RN_LENS_EQUIRECTANGULAR;
     memset(camera->lens_k, 0, sizeof camera->lens_k);
     camera->fx = camera->width / (2 * M_PI);
@@ -285,7 +284,7 @@ enum rn_status rn_intrinsics_read(struct rn_reader *reader, const struct rn_intr
         (status = read_size(reader, from, frame, size, where, err)))
         return status;
     if (lens == RN_LENS_EQUIRECTANGULAR) {
-        set_equirectangular(camera);
+        rn_intrinsics_set_sphere(camera);
         return RN_OK;
     }
     if ((status = set_lens(from, lens, values, camera, err)) ||

@@ -25,4 +25,7 @@ void rn_intrinsics_warn_unknown(struct rn_reader *reader, const struct rn_json *
 enum rn_status rn_intrinsics_read(struct rn_reader *reader, const struct rn_intrinsics *from,
                                   struct rn_frame *frame, struct rn_error *err) RN_MUST_CHECK;
 
+// The whole sphere: longitude over the camera's width, latitude over its height.
+void rn_intrinsics_set_sphere(struct rn_camera *camera);
+
 #endif

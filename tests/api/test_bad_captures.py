@@ -24,14 +24,14 @@ FAKE = Path(__file__).parents[1] / "support" / "fake_colmap.py"
 ENDS, LEFT_OUT, TOLD = "cannot be read", "a photograph is left out", "told"
 NAN = float("nan")
 
-BINARY, TEXT, STUDIO, NGP, LLFF, BLENDER, BARE = LAYOUTS
+BINARY, TEXT, STUDIO, NGP, OPENSFM, LLFF, BLENDER, BARE = LAYOUTS
 TRANSFORMS, TRAIN = "transforms.json#", "transforms_train.json#"
 
 
-def where(binary="", text="", transforms="", llff="", train=""):
+def where(binary="", text="", transforms="", llff="", train="", opensfm="reconstruction.json#/0/shots/p1.png"):
     """Where each reader finds the same fault."""
     return {BINARY: binary, TEXT: text, STUDIO: transforms, NGP: transforms, LLFF: llff,
-            BLENDER: train}
+            BLENDER: train, OPENSFM: opensfm}
 
 
 IMAGE = where('images.bin, image "p1.png"', 'images.txt, image "p1.png"', f"{TRANSFORMS}/frames/1",
@@ -120,7 +120,7 @@ def huge_count(layout, folder):
             for name, data in parts))
     else:
         for path in folder.rglob("*.json" if layout != TEXT else "cameras.txt"):
-            old = r'"w": 40' if layout != TEXT else r"PINHOLE 40"
+            old = {TEXT: "PINHOLE 40", OPENSFM: '"width": 40'}.get(layout, '"w": 40')
             path.write_text(re.sub(old, old.replace("40", str(huge)), path.read_text()))
 
 
@@ -133,9 +133,11 @@ FAULTS = {
         STUDIO: (ENDS, "transforms.json", "integer"), NGP: (ENDS, "transforms.json", "integer"),
         LLFF: (ENDS, "poses_bounds.npy", "9223372036854775808 rows"),
         BLENDER: (ENDS, "transforms_train.json", "integer"),
+        OPENSFM: (ENDS, "reconstruction.json", "integer"),
         BARE: (LEFT_OUT, "p1.png", "2147483647")}),
     "a camera that does not exist": (photograph(camera=7), None, {
-        reader: (LEFT_OUT, IMAGE[reader], "camera 7, which is not among") for reader in (BINARY, TEXT)}),
+        OPENSFM: (LEFT_OUT, f"{IMAGE[OPENSFM]}/camera", '"7", which is not among'),
+        **{reader: (LEFT_OUT, IMAGE[reader], "camera 7, which is not among") for reader in (BINARY, TEXT)}}),
     "a point or a name that does not exist": (unknown_ids, None, {
         BINARY: (TOLD, "images.bin", "the first to point 77"),
         TEXT: (TOLD, "images.txt", "the first to point 77"),
@@ -148,6 +150,7 @@ FAULTS = {
     "no images": (no_images, None, {
         BINARY: (ENDS, "images.bin", "has no images"), TEXT: (ENDS, "images.txt", "has no images"),
         STUDIO: (ENDS, "#/frames", ""), NGP: (ENDS, "#/frames", ""),
+        OPENSFM: (ENDS, "#/0/shots", "none was placed"),
         LLFF: (ENDS, "poses_bounds.npy", "no rows"), BLENDER: (ENDS, "#/frames", "no views"),
         BARE: (ENDS, "", "holds no")}),
     "NaN in a pose": (set_pose(0, 3, NAN), None, all_of(LEFT_OUT, POSE, "finite")),
@@ -166,23 +169,27 @@ FAULTS = {
     "a path that leaves the folder": (photograph(name="../../etc/p9.png"), None, {
         **all_of(LEFT_OUT, IMAGE | {BINARY: 'images.bin, image "../../etc/p9.png"',
                                     TEXT: 'images.txt, image "../../etc/p9.png"',
-                                    STUDIO: f"{TRANSFORMS}/frames/", NGP: f"{TRANSFORMS}/frames/"},
+                                    OPENSFM: "#/0/shots/", STUDIO: f"{TRANSFORMS}/frames/", NGP: f"{TRANSFORMS}/frames/"},
                  "leaves the dataset's folder")}),
     "paths of another machine": (elsewhere, None, {
-        reader: (TOLD, "", "found by its name") for reader in (BINARY, TEXT, STUDIO, NGP, BLENDER)}),
+        reader: (TOLD, "", "found by its name") for reader in (BINARY, TEXT, STUDIO, NGP, OPENSFM, BLENDER)}),
     "an unknown camera model": (unknown_lens, None, {
         BINARY: (ENDS, "cameras.bin, record 2 of 2", "the model 99"),
         TEXT: (LEFT_OUT, IMAGE[TEXT], "NEW_LENS"),
+        OPENSFM: (LEFT_OUT, "#/0/cameras/2/projection_type", "NEW_LENS"),
         **{reader: (ENDS, "#/camera_model", "NEW_LENS") for reader in (STUDIO, NGP, BLENDER)}}),
     "a photograph that is cut": (None, cut_picture,
                                  {reader: (LEFT_OUT, "p1.png", "damaged") for reader in LAYOUTS}),
 }
 FAULTS["a path that leaves the folder"][2].pop(LLFF)
+FAULTS["a rotation of length 0"][2].pop(OPENSFM)
 NOT_THERE = {
     ("a camera that does not exist", reader): "gives each photograph its camera in place"
     for reader in (STUDIO, NGP, LLFF, BLENDER, BARE)} | {
     ("a point or a name that does not exist", reader): "names nothing by an identifier"
     for reader in (LLFF, BLENDER, BARE)} | {
+    ("a point or a name that does not exist", OPENSFM): "has tracks that became no point as a rule",
+    ("a rotation of length 0", OPENSFM): "means that the camera is not turned"} | {
     (fault, BARE): "has no document" for fault in
     ("a photograph that is not there", "NaN in a pose", "a rotation of length 0",
      "a path that leaves the folder", "paths of another machine", "an unknown camera model")} | {

@@ -342,6 +342,7 @@ DATASET(multiscale, "multiscale", "metadata.json")
 DATASET(blender, "blender", "transforms_train.json", "transforms_test.json")
 DATASET(ngp, "instant-ngp", "transforms.json")
 DATASET(nerfstudio, "nerfstudio", "transforms.json", "points.ply")
+DATASET(opensfm, "opensfm", "reconstruction.json", "tracks.csv")
 DATASET(llff, "llff", "poses_bounds.npy")
 DATASET(colmap, "colmap", "sparse/cameras.bin", "sparse/images.bin", "sparse/points3D.bin")
 
@@ -484,6 +485,7 @@ const struct target targets[] = {
     {"blender", run_blender, 1 << 14},
     {"ngp", run_ngp, 1 << 14},
     {"nerfstudio", run_nerfstudio, 1 << 14},
+    {"opensfm", run_opensfm, 1 << 14},
     {"llff", run_llff, 1 << 13},
     {"colmap", run_colmap, 1 << 13},
     {"colmap-text", run_colmap_text, 1 << 13},

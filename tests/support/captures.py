@@ -5,6 +5,7 @@ camera to world in OpenGL axes, as photographs.pose has them.
 """
 
 import json
+import math
 import struct
 from dataclasses import dataclass, field
 
@@ -177,6 +178,30 @@ def write_blender(capture, folder):
     (folder / "transforms_train.json").write_text(json.dumps(document))
 
 
+def rotation_vector(rotation):
+    w, *vector = quaternion(rotation)
+    length = math.hypot(*vector)
+    return [2 * math.atan2(length, w) * x / max(length, 1e-300) for x in vector]
+
+
+def write_opensfm(capture, folder):
+    cameras, shots = {}, {}
+    for number, ((_, name), width, height, (fx, fy, cx, cy)) in capture.cameras.items():
+        size = max(width, height)
+        cameras[str(number)] = {
+            "projection_type": "brown" if name == "PINHOLE" else name, "width": width, "height": height,
+            "focal_x": fx / size, "focal_y": fy / size, "c_x": (cx - width / 2) / size,
+            "c_y": (cy - height / 2) / size, "k1": 0, "k2": 0, "p1": 0, "p2": 0, "k3": 0}
+    for photograph in capture.photographs:
+        rotation, centre = axes(photograph)
+        shots[colmap_name(photograph)] = {
+            "camera": str(photograph.camera), "rotation": rotation_vector(rotation),
+            "translation": [-sum(a * b for a, b in zip(row, centre)) for row in rotation]}
+    points = {str(point): {"coordinates": at, "color": [10, 20, 30]} for point, at in capture.points.items()}
+    (folder / "reconstruction.json").write_text(
+        json.dumps([{"cameras": cameras, "shots": shots, "points": points}]))
+
+
 def write_llff(capture, folder, shape=None):
     rows = b""
     for photograph in sorted(capture.photographs, key=lambda one: one.name):
@@ -199,6 +224,7 @@ LAYOUTS = {
     "nerfstudio": (write_transforms, ["transforms.json"]),
     "instant-ngp": (lambda capture, folder: write_transforms(capture, folder, aabb_scale=4),
                     ["transforms.json"]),
+    "OpenSfM": (write_opensfm, ["reconstruction.json"]),
     "LLFF": (write_llff, ["poses_bounds.npy"]),
     "NeRF-synthetic": (write_blender, ["transforms_train.json"]),
     "photographs": (lambda capture, folder: None, []),
