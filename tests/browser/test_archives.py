@@ -7,6 +7,7 @@ import tarfile
 import zipfile
 
 import pytest
+from test_links import client  # noqa: F401 (a fixture)
 from test_sending import folder  # noqa: F401 (a fixture)
 
 pytest.importorskip("selenium", reason="python3-selenium is not installed")
@@ -146,4 +147,22 @@ def test_an_exported_scene_comes_back(page, fake, tmp_path):
     page.press("Look at it")
     page.says("light", "h1")
     page.until(lambda: page.ink() > 100, "a picture")
+    assert page.complaints() == []
+
+
+def test_a_daemon_takes_what_a_daemon_exported(page, client, tmp_path):  # noqa: F811
+    """By a token, beside the photographs that it was trained on."""
+    client("export", "ball", "--as", "scene", "-o", "ball.ripscene")
+    page.open(client.url)
+    page.type(page.find("#token-input"), "a-token-of-this-test")
+    page.press("Use it")
+    page.until(lambda: page.all(".card .thumb[data-state=ready]"), "the scene there is")
+    give(page, tmp_path / "ball.ripscene")
+    page.type(page.field("Name"), "light")
+    page.field("Photographs").send_keys("data")
+    page.press("Upload and open")
+    page.says("light is imported.", wait_s=60)
+    page.press("Look at it")
+    page.says("from data", ".page-head")
+    page.until(lambda: page.ink() > 0, "a picture", 30)
     assert page.complaints() == []
