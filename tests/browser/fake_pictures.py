@@ -34,7 +34,7 @@ def draw(camera, output="rgb", sharp=1.0):
     pose = np.array(camera["world_from_camera"], float)[:3]
     if camera["axes"] == "opengl":
         pose[:, 1:3] *= -1
-    focal = 0.5 * height / math.tan(math.radians(camera["fov_y_deg"]) / 2)
+    focal = camera.get("fy") or 0.5 * height / math.tan(math.radians(camera["fov_y_deg"]) / 2)
     x, y = np.meshgrid(
         (np.arange(width) + 0.5 - width / 2) / focal, (np.arange(height) + 0.5 - height / 2) / focal
     )

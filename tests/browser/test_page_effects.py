@@ -1,6 +1,8 @@
 """Effects of the camera in keys of a path, pictures laid over another and how they differ, and
 pictures of an exact size."""
 
+import math
+
 import pytest
 
 pytest.importorskip("selenium", reason="python3-selenium is not installed")
@@ -86,6 +88,23 @@ def test_a_key_s_effects_reach_picture_and_path(scene):
     assert moving and all("aperture" not in body["optics"] for body in moving)
     scene.press("Render the path")
     scene.says("Camera path sphere-draft", "h1")  # the stand-in checks it against the contract
+
+
+def test_keys_of_a_path_all_around_show_all_around(scene):
+    asked = []
+    scene.press("Whole turn")
+    shown = "return [...document.querySelectorAll('.key img')].map((i) => i.naturalWidth);"
+    scene.until(lambda: scene.run(shown) == [144] * 8, "what lies ahead of each key")
+    scene.api.world.on_render = asked.append
+    scene.press("all around")
+    scene.until(lambda: scene.run(shown) == [176] * 8, "what lies around each key")
+    around = [body["camera"] for body in asked if "lens" in body["camera"]]
+    assert len(around) == 8 and all(
+        camera["lens"] == {"model": "equirectangular"} and camera["height"] == 88 and
+        camera["fx"] == pytest.approx(88 / math.pi) == camera["fy"] for camera in around)
+    scene.press("Render the path")
+    scene.says("Camera path sphere-draft", "h1")  # the stand-in checks it against the contract
+    assert scene.complaints() == []
 
 
 def test_a_photograph_s_difference_is_shown_and_taken_back(page, fake):

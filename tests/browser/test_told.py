@@ -147,6 +147,23 @@ def test_the_first_steps_are_not_called_refined(page, fake):
     assert "refined" not in page.text(".hud")
 
 
+def test_a_fog_is_not_refined_before_the_first_step(page, fake):
+    """Its full picture would take the longest of all, from the training that makes it a scene."""
+    api = fake("bare")
+    asked = []
+    api.world.untrained, api.world.on_render = True, asked.append
+    api.world.advance_train = lambda job, dt: None
+    with api.world.lock:
+        api.world.train({"dataset": "sphere", "scene": "fog", "options": {"max_time_s": 3000}})
+    page.open(api.url + "#/scene/fog")
+    page.says("not trained yet", ".hud")
+    page.until(lambda: len(asked) > 3, "the next pictures")
+    assert all(body["format"] == "jpeg" for body in asked)
+    del api.world.advance_train
+    page.find(".stage[data-level=refined]")
+    assert asked[-1]["format"] == "png" and "not trained" not in page.text(".hud")
+
+
 def test_training_comes_before_the_small_print_on_a_phone(page, fake):
     phone(page, 390)
     page.open(fake("busy").url + "#/scene/sphere-draft")

@@ -121,7 +121,7 @@ def train(page, keys, seconds):
     keys.type("Time", seconds)
     keys.press("Start training")
     page.says("training", ".page-head .chip", wait_s=60)
-    page.says("ready", ".page-head .chip", wait_s=120)
+    page.says("ready", ".page-head .chip", wait_s=600 if OWN else 120)
 
 
 def look_around(page, keys):

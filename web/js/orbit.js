@@ -42,6 +42,19 @@ export const cameraOf = (orbit, width, height) => ({
   fov_y_deg: orbit.fovDeg
 });
 
+/** A native camera that sees all around, as a path's equirectangular frames do. */
+export const aroundCamera = (pose, width, height) => ({
+  world_from_camera: pose,
+  axes: 'opencv',
+  width,
+  height,
+  fx: width / (2 * Math.PI),
+  fy: height / Math.PI,
+  cx: width / 2,
+  cy: height / 2,
+  lens: {model: 'equirectangular'}
+});
+
 /** A camera's pose in OpenCV axes, whatever axes it is given in. */
 export function openCvPose(camera) {
   const sign = camera.axes === 'opengl' ? -1 : 1;

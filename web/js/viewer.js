@@ -11,7 +11,7 @@ const HALF_FIRST_MS = 500;  // a full picture that takes longer is preceded by o
 const LENS_MS = 2500;       // a picture through a wide lens: as many cones as there is time for
 const REFRESH_MS = 2000;    // while training; renders take at most about an eighth of the time
 const EARLY_MS = 400;       // the same while a picture is of the first steps, which change most
-const EARLY_STEPS = 300;
+const EARLY_STEPS = 300;  // a fog before the first of them, whose full picture takes the longest
 const [COARSE, HALF, FULL] = [0, 1, 2];
 const HALF_TOLERANCE = 0.03;
 const SHARP = 640 * 480;  // pixels of a coarse picture, at most
@@ -65,6 +65,7 @@ export function createViewer(canvas, host, signal) {
   let movedAt = 0;
   let effort = 200 * 150;
   let msPerPixel = 0;
+  let lastStep = NaN;  // of the picture that came last
   let waitUntil = 0;
   let refreshAt = Infinity;
   let timer = 0;
@@ -89,6 +90,7 @@ export function createViewer(canvas, host, signal) {
   function nextLevel(now) {
     if (shown.version !== version) return COARSE;
     if (now - movedAt < STILL_MS) return null;
+    if (lastStep === 0 && host.live()) return now >= refreshAt ? COARSE : null;
     const full = host.fullSize();
     if (shown.level === COARSE)
       return !host.budgetMs() && msPerPixel * full.width * full.height > HALF_FIRST_MS ? HALF :
@@ -181,8 +183,9 @@ export function createViewer(canvas, host, signal) {
   function learn(level, {width, height}, facts) {
     const spent = Number.isFinite(facts.renderMs) ? facts.renderMs : facts.totalMs;
     msPerPixel = spent / (width * height);
+    lastStep = facts.step;
     if (level === COARSE) effort = nextEffort(effort, facts.totalMs);
-    if (level !== FULL) return;
+    if (level !== FULL && lastStep !== 0) return;
     const wait = facts.step < EARLY_STEPS ? EARLY_MS : REFRESH_MS;
     refreshAt = performance.now() + Math.max(wait, 8 * spent);
   }

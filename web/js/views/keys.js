@@ -59,7 +59,11 @@ export function createKeys(scene, size, view, signal) {
   const kept = h('p', {class: 'quiet kept'});
   const problem = h('div');
   const store = createPathStore(scene, (said) => text(kept, said), signal);
-  const form = optionsForm(path, (values) => set({...path, ...values}, Object.keys(values)[0]));
+  const form = optionsForm(path, (values) => {
+    const keys = 'lens' in values ? path.keys.map((key) => ({...key, picture: undefined})) : path.keys;
+    set({...path, keys, ...values}, Object.keys(values)[0]);
+    pictures();
+  });
   const quality = createQuality(scene);
   const numbers = createKeyFields(view.up, {
     change: (id, values) => {
@@ -137,6 +141,7 @@ export function createKeys(scene, size, view, signal) {
                 '. Or take a ready-made path from the list above.')));
     const fault = problemOf(path);
     const many = path.keys.length > 1;
+    strip.dataset.lens = path.lens;
     text(words, path.keys.length ? fault ?? describe() : '');
     words.classList.toggle('bad', Boolean(path.keys.length && fault));
     submit.disabled = Boolean(fault);
@@ -201,7 +206,9 @@ export function createKeys(scene, size, view, signal) {
     const key = path.keys.find((item) => item.id === id);
     if (!key || key.picture) return;
     try {
-      const blob = await view.thumbnail(key.pose, key.fovDeg, signal, key.optics);
+      const around = path.lens === 'equirectangular';
+      const blob = await view.thumbnail(key.pose, key.fovDeg, signal, key.optics, around);
+      if (around !== (path.lens === 'equirectangular')) return;  // another lens was chosen
       path = changeKey(path, id, {picture: blob});
       show();
     } catch { /* the key stands without its picture */

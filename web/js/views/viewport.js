@@ -1,6 +1,7 @@
 // The picture of a scene and everything that moves its camera.
 import {api, Problem, Unreachable} from '../api.js';
 import {
+  aroundCamera,
   cameraOf,
   defaultOrbit,
   fly,
@@ -450,10 +451,11 @@ export function createViewport(scene, cameras, host, signal) {
     show: (exact, fovDeg, effects) =>
         set(orbitOfPose(exact, fovDeg, up, bounds), exact, effects ?? {}),
     depthOf,
-    /** A small picture of a camera for a key. */
-    thumbnail: async (exact, fovDeg, stop, effects) => {
+    /** A small picture of a camera for a key; `around`: of all directions. */
+    thumbnail: async (exact, fovDeg, stop, effects, around) => {
       const small = opticsOfPicture(effects, true);
-      const camera =
+      const camera = around ?
+          aroundCamera(exact, 176, 88) :
           {world_from_camera: exact, axes: 'opencv', width: 144, height: 108, fov_y_deg: fovDeg};
       const {blob} = await api.render(
           scene.id, {
