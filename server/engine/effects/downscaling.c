@@ -7,7 +7,7 @@
 
 #include "server/engine/effects/effects.h"
 
-// Training megapixels for each second, at most: see tests/bench/places.md.
+// Training megapixels for each second, at most: chosen by hand, scales were not compared.
 #define MOST 0.5
 #define LEAST_SIDE 480 // pixels of the longest side that are left at least
 #define LARGEST 16     // times smaller, at most

@@ -496,7 +496,8 @@ END_TEST
 
 START_TEST(native) {
     put_image("images/a.png", 8, 6);
-    put_text("dataset.json", NATIVE(1, "2.5", NATIVE_FRAME(3, "") "," NATIVE_FRAME(1, ""), ""));
+    put_text("dataset.json",
+             NATIVE(1, "2.5", NATIVE_FRAME(3, "") "," NATIVE_FRAME(1, ",\"gain\":[1,1.25,1]"), ""));
     read_ok(folder);
     ck_assert_str_eq(dataset->format->name, "native");
     ck_assert_str_eq(dataset->name, "n");
@@ -506,6 +507,8 @@ START_TEST(native) {
     ck_assert_int_eq(dataset->bounds.source, RN_BOUNDS_GIVEN);
     ck_assert_int_eq(dataset->frames[0].index, 1); // sorted
     ck_assert_double_eq(dataset->frames[1].camera.fy, 10);
+    ck_assert_double_eq(dataset->frames[0].gain[1], 1.25);
+    ck_assert_double_eq(dataset->frames[1].gain[1], 0); // not measured
 }
 END_TEST
 
@@ -518,6 +521,8 @@ static const struct {
     {NATIVE(1, "2", NATIVE_FRAME(0, "") "," NATIVE_FRAME(0, ""), ""), NULL, "two images"},
     {NATIVE(1, "2", NATIVE_FRAME(0, ",\"extra\":1"), ""), NULL, "/frames/0/extra"},
     {NATIVE(1, "2", NATIVE_FRAME(-1, ""), ""), NULL, "/frames/0/index"},
+    {NATIVE(1, "2", NATIVE_FRAME(0, ",\"gain\":[1,0,1]"), ""), NULL, "/frames/0/gain"},
+    {NATIVE(1, "2", NATIVE_FRAME(0, ",\"gain\":[1,1]"), ""), NULL, "/frames/0/gain"},
 };
 
 START_TEST(bad_native_document) {

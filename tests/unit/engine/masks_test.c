@@ -1,5 +1,5 @@
-// What training makes of masks that leave out a few pixels, and of those that cut an object out: of
-// a procedural sphere, small, whose alpha channel becomes masks.
+// What training makes of masks that leave out a few pixels, of those that cut an object out, and of
+// exposures that were measured: of a procedural sphere, small, whose alpha channel becomes masks.
 #include <math.h>
 #include <stdlib.h>
 #include <unistd.h>
@@ -138,6 +138,65 @@ START_TEST(masks_that_leave_out_little) {
 }
 END_TEST
 
+// A photograph as if it had been darker than those beside it.
+static void expose(struct rn_frame *frame) {
+    struct rn_error err = {0};
+    struct rn_image image;
+    must(rn_image_read(frame->path, &rn_image_default_limits, &image, &err), &err);
+    for (int c = 0; c < 3; c++) {
+        frame->gain[c] = frame->index % 2 ? 0.6 + 0.05 * c : 0.95;
+        for (int i = 0; i < SIZE * SIZE; i++)
+            image.pixels[4 * i + c] = (uint8_t)(image.pixels[4 * i + c] * frame->gain[c] + 0.5);
+    }
+    must(rn_image_write_png(&image, frame->path, 3, &err), &err);
+    rn_image_finish(&image);
+}
+
+// The mean distance of what is trained on from the photographs as they were, of 255.
+static double off_by(const struct rn_trainer *trainer, struct rn_image *const were) {
+    double sum = 0, count = 0;
+    for (int f = 0; f < trainer->train.frame_count; f++) {
+        const struct rn_pixel_frame *frame = &trainer->train.frames[f];
+        const uint8_t *is = trainer->train.rgba + 4 * frame->offset;
+        const uint8_t *was = were[frame->frame - dataset->frames].pixels;
+        for (int i = 0; i < 4 * SIZE * SIZE; i++) {
+            if (was[i | 3] == 0) continue;
+            sum += abs(is[i] - was[i]);
+            count++;
+        }
+    }
+    return sum / count;
+}
+
+START_TEST(exposures_are_made_even) {
+    struct rn_error err = {0};
+    struct rn_image were[64];
+    size_t count = dataset->frame_count;
+    ck_assert_uint_le(count, 64);
+    for (size_t f = 0; f < count; f++) {
+        must(rn_image_read(dataset->frames[f].path, &rn_image_default_limits, &were[f], &err),
+             &err);
+        expose(&dataset->frames[f]);
+    }
+    for (int even = 1; even >= 0; even--) {
+        for (size_t f = 0; f < count && !even; f++) // not measured: as they are
+            memset(dataset->frames[f].gain, 0, sizeof dataset->frames[f].gain);
+        struct rn_trainer *trainer = make_trainer();
+        const struct rn_field *field = rn_trainer_field(trainer);
+        ck_assert_int_eq(field->effects[RN_EFFECT_EXPOSURE].on, even);
+        if (even) {
+            ck_assert_double_gt(field->effects[RN_EFFECT_EXPOSURE].number, 20);
+            ck_assert_double_lt(off_by(trainer, were), 1);
+        } else {
+            ck_assert_double_gt(off_by(trainer, were), 5);
+        }
+        rn_trainer_destroy(&trainer);
+    }
+    for (size_t f = 0; f < count; f++)
+        rn_image_finish(&were[f]);
+}
+END_TEST
+
 int main(void) {
     Suite *suite = suite_create("masks");
     TCase *tests = tcase_create("masks");
@@ -145,6 +204,7 @@ int main(void) {
     tcase_set_timeout(tests, 120);
     tcase_add_test(tests, masks_that_cut_out);
     tcase_add_test(tests, masks_that_leave_out_little);
+    tcase_add_test(tests, exposures_are_made_even);
     suite_add_tcase(suite, tests);
     return run_suite(suite);
 }
