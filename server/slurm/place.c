@@ -60,6 +60,10 @@ static const char script_ranks[] =
     "launch=\"srun --mpi=pmix --export=ALL --kill-on-bad-exit=1 "
     "${SLURM_CPUS_PER_TASK:+--cpus-per-task=$SLURM_CPUS_PER_TASK}\"\n"
     "export OMPI_MCA_btl_vader_single_copy_mechanism=none\n";
+// Without PMIx's library srun starts nothing, and says so.
+static const char script_try[] = "said=$($launch true 2>&1) || case $said in\n"
+                                 "*pmix*) echo \"$said\"; exit \"$no_ranks\" ;;\n"
+                                 "esac\n";
 
 // A runner that lost its daemon has saved and ended; another one takes its place, and waits for a
 // secret of the next daemon.
@@ -67,7 +71,8 @@ static const char script_shared[] =
     "[ -d \"$folder\" ] || sleep 5 # a network file system may be behind\n"
     "[ -d \"$folder\" ] || exit \"$not_shared\"\n"
     "[ -x \"$runner\" ] || exit \"$no_program\"\n"
-    "[ -n \"$log\" ] && exec >>\"$log\" 2>&1\n"
+    "[ -n \"$log\" ] && exec >>\"$log\" 2>&1\n";
+static const char script_shared_end[] =
     "status=$lost\n"
     "while [ $status = $lost ] && [ -z \"$told\" ] && [ -d \"$folder\" ]; do\n"
     "    $launch \"$runner\" --mode remote $ranks --join \"$folder\" $sandbox </dev/null &\n"
@@ -100,14 +105,16 @@ static void put_script(struct rn_slurm *slurm, const struct rn_place *place, con
     rn_buf_printf(script, "#!/bin/sh\n");
     put_text(script, "runner", slurm->runner);
     rn_buf_printf(script, "word=TERM\n%s", place->ranks > 1 ? script_ranks : "ranks=\nlaunch=\n");
-    rn_buf_printf(script, "sandbox=%s\nlost=%d\nnot_shared=%d\nno_program=%d\nno_cache=%d\n",
+    rn_buf_printf(script,
+                  "sandbox=%s\nlost=%d\nnot_shared=%d\nno_program=%d\nno_cache=%d\nno_ranks=%d\n",
                   slurm->sandbox ? "--sandbox" : "", RN_JOIN_EXIT_LOST, RN_JOIN_EXIT_NOT_SHARED,
-                  RN_JOIN_EXIT_NO_PROGRAM, RN_JOIN_EXIT_NO_CACHE);
+                  RN_JOIN_EXIT_NO_PROGRAM, RN_JOIN_EXIT_NO_CACHE, RN_JOIN_EXIT_NO_RANKS);
     if (lpips != NULL) put_text(script, "export " RN_LPIPS_VARIABLE, lpips);
     if (slurm->cache == NULL) {
         put_text(script, "folder", folder);
         put_text(script, "log", place->log);
-        rn_buf_printf(script, "%s%s", script_begin, script_shared);
+        rn_buf_printf(script, "%s%s%s%s", script_begin, script_shared,
+                      place->ranks > 1 ? script_try : "", script_shared_end);
         return;
     }
     put_text(script, "name", place->name);

@@ -127,11 +127,12 @@ static void judge(const struct rn_slurm *slurm, const struct rn_place *place,
                      "folder of each node's own",
                      slurm->cache, machine, place->job);
     if (place->exit_code == RN_JOIN_EXIT_NO_RANKS)
-        rn_error_set(refusal, RN_ERROR_UNSUPPORTED, "#/options/ranks",
-                     "the runners of Slurm job %" PRId64 " on %s cannot train together: the MPI "
-                     "module (ripnerf-mpi.so, built with libopenmpi-dev) must be there on each "
-                     "node; the job's log has more",
-                     place->job, machine);
+        rn_error_set(
+            refusal, RN_ERROR_UNSUPPORTED, "#/options/ranks",
+            "the runners of Slurm job %" PRId64 " on %s cannot train together: the MPI "
+            "module (ripnerf-mpi.so, built with libopenmpi-dev) and Slurm's PMIx (libpmix2) "
+            "must be there on each node; the job's log has more",
+            place->job, machine);
     if (place->exit_code == RN_JOIN_EXIT_NO_PROGRAM)
         rn_error_set(refusal, RN_ERROR_INVALID, "runner",
                      "%s is not there on %s (Slurm job %" PRId64 "): install the same version on "

@@ -147,10 +147,10 @@ def test_ranks_without_their_module(on_slurm):
 def test_a_path_over_several_runners(on_slurm, slurm, programs, tmp_path):
     """The frames, each told of once, and the film's order are what one runner makes; a runner that
     helps and is lost costs nothing but its time."""
-    slow = write_runner(tmp_path / "slow", programs[1], 100, "RIPNERF_FAKE_ROW_US=40000")
-    daemon = on_slurm(runner=slow, environment={"RIPNERF_FAKE_ROW_US": "40000"})
+    slow = write_runner(tmp_path / "slow", programs[1], 100, "RIPNERF_FAKE_ROW_US=100000")
+    daemon = on_slurm(runner=slow, environment={"RIPNERF_FAKE_ROW_US": "100000"})
     daemon.wait(begin(daemon, max_steps=60))
-    path = daemon.submit(type="path", scene="s", camera_path={**PATH, "fps": 50})  # 76 of 0.32 s
+    path = daemon.submit(type="path", scene="s", camera_path={**PATH, "fps": 50})  # 76 of 0.8 s
     helper = wait_for(lambda: [job for job in slurm.jobs("RUNNING")
                                if str(job) != daemon.job(path)["runner"]["slurm_job"]])[0]
     wait_for(lambda: 75 in frames(daemon, path))  # from the end on
