@@ -102,7 +102,7 @@ def run_caddy(site, tmp_path, port):
     # A certificate of its own, where Caddy would ask for one.
     site = site.replace("scenes.example {", f"https://scenes.example:{port} {{\n"
                                             f"\ttls {tmp_path}/certificate {tmp_path}/key", 1)
-    (tmp_path / "site").write_text("{\n\tadmin off\n\tauto_https disable_redirects\n"
+    (tmp_path / "site").write_text("{\n\tadmin off\n\tgrace_period 1s\n\tauto_https disable_redirects\n"
                                    f"\tdefault_sni scenes.example\n}}\n{site}")
     return ["caddy", "run", "--config", tmp_path / "site", "--adapter", "caddyfile"]
 
@@ -138,8 +138,8 @@ def proxy(request, make_daemon, tmp_path):
         yield f"scenes.example:{port}", http.client.HTTPSConnection("127.0.0.1", port, timeout=PATIENCE_S,
                                                                    context=insecure)
     finally:
-        process.kill()  # an event stream is open still
-        process.wait()
+        process.terminate()
+        process.wait(PATIENCE_S)
 
 
 def is_open(port):
