@@ -300,7 +300,9 @@ def test_coarse_pictures_keep_the_shape_and_an_effort(blank):
           large: coarseOf({width: 1280, height: 960}, 1e7),
           slow: nextEffort(40000, 900),
           quick: nextEffort(40000, 1),
-          floor: nextEffort(8000, 1e5)
+          floor: nextEffort(8000, 1e5),
+          steady: nextEffort(40000, 30, 22),
+          far: nextEffort(40000, 60, 5)
         };"""
     )
     assert result["small"]["width"] / result["small"]["height"] == pytest.approx(1.5, rel=0.05)
@@ -313,4 +315,5 @@ def test_coarse_pictures_keep_the_shape_and_an_effort(blank):
     assert tolerances[2] > tolerances[3] > tolerances[4] > tolerances[5] == 0.03
     assert result["large"] == {"width": 640, "height": 480, "tolerance": 0.03}
     assert 20000 < result["slow"] < 40000 < result["quick"] == 56000
-    assert result["floor"] == 160 * 48
+    assert result["floor"] == 160 * 48 and result["steady"] == pytest.approx(40000)
+    assert result["far"] > 50000  # a long way is made no shorter by a worse picture

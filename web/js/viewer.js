@@ -7,6 +7,7 @@ import {opticsOfPicture} from './optics.js';
 
 const STILL_MS = 150;
 const COARSE_MS = 30;       // what a coarse picture may take, answer included
+const LEAST_MS = 12;        // of it in rendering, however long its way is
 const HALF_FIRST_MS = 500;  // a full picture that takes longer is preceded by one of half the size
 const LENS_MS = 2500;       // a picture through a wide lens: as many cones as there is time for
 const REFRESH_MS = 2000;    // while training; renders take at most about an eighth of the time
@@ -45,9 +46,16 @@ export function coarseOf(full, effort) {
 const half = (full) =>
     ({...sizeFor(full, full.width * full.height / 4), tolerance: HALF_TOLERANCE});
 
-/** The next coarse picture's effort, from what the last one took. */
-export const nextEffort = (effort, ms) =>
-    Math.min(4 * SHARP, Math.max(160 * 48, effort * Math.min(1.4, Math.max(0.5, COARSE_MS / ms) ** 0.6)));
+/**
+ * The next coarse picture's effort, from what the last one took: in all, and of that in rendering,
+ * which is what fewer pixels make quicker; its way to the daemon and back they do not.
+ */
+export function nextEffort(effort, totalMs, renderMs) {
+  const rendering = Math.max(0.1, Number.isFinite(renderMs) ? renderMs : totalMs);
+  const room = Math.max(LEAST_MS, COARSE_MS - Math.max(0, totalMs - rendering));
+  const change = Math.min(1.4, Math.max(0.5, room / rendering) ** 0.6);
+  return Math.min(4 * SHARP, Math.max(160 * 48, effort * change));
+}
 
 /**
  * @param {HTMLCanvasElement} canvas
@@ -184,7 +192,7 @@ export function createViewer(canvas, host, signal) {
     const spent = Number.isFinite(facts.renderMs) ? facts.renderMs : facts.totalMs;
     msPerPixel = spent / (width * height);
     lastStep = facts.step;
-    if (level === COARSE) effort = nextEffort(effort, facts.totalMs);
+    if (level === COARSE) effort = nextEffort(effort, facts.totalMs, facts.renderMs);
     if (level !== FULL && lastStep !== 0) return;
     const wait = facts.step < EARLY_STEPS ? EARLY_MS : REFRESH_MS;
     refreshAt = performance.now() + Math.max(wait, 8 * spent);
