@@ -124,8 +124,7 @@ static void print_description(const struct rn_scene_description *description) {
     rn_settings_put(&rn_train_settings, description->config.settings, &config);
     print_config(&config);
     if (strncmp(description->kernels, "sm_", 3) == 0) // a GPU's architecture
-        print_field("left out", "by the GPU: rays drawn by error%s",
-                    config.field.shading == RN_SHADING_SAMPLE ? ", roulette, split pixels" : "");
+        print_field("left out", "by the GPU: rays drawn by error");
     print_field("bounds", "centre (%g, %g, %g), radius %g", description->bounds.centre[0],
                 description->bounds.centre[1], description->bounds.centre[2],
                 description->bounds.radius);

@@ -52,7 +52,8 @@ def quality(build, module, scene, *options):
 
 
 def test_the_whole_command(kit, tmp_path):
-    """Two calls: what the first had no time for, the second does; nothing is done twice."""
+    """Two calls: what the first had no time for, the second does; nothing is done twice, nor by a third on
+    another machine."""
     for name, script in TOOLS.items():
         (tmp_path / name).write_text(f"#!/bin/sh\n{script}\n")
         (tmp_path / name).chmod(0o755)
@@ -69,7 +70,7 @@ def test_the_whole_command(kit, tmp_path):
                             env=environment)
     known = json.loads((tmp_path / "out" / "results.json").read_text())
     assert second.returncode == 0, second.stdout + (tmp_path / "out" / "log.txt").read_text()[-4000:]
-    assert len(known) == 14 and {stage["state"] for stage in known.values()} == {"done"}, known
+    assert len(known) == 15 and {stage["state"] for stage in known.values()} == {"done"}, known
     assert known["machine"] == begun["machine"]
     assert known["data"]["found"]["views"] == {"train": 8, "val": 2, "test": 2}
     assert known["step"]["found"]["ms"] > 0 and "forward" in known["step"]["found"]["stages"]
@@ -79,6 +80,13 @@ def test_the_whole_command(kit, tmp_path):
     table = (tmp_path / "out" / "table.md").read_text()
     assert re.search(r"\| step \| [\d.]+ ms \|.*\| 1.5 \|", table), table
     assert (tmp_path / "out" / "profile.csv").read_text().startswith('"Kernel Name"')
+    shutil.rmtree(tmp_path / "work")
+    third = subprocess.run([*command, "--known", tmp_path / "out" / "results.json"], text=True, capture_output=True,
+                           check=False, env=environment)
+    elsewhere = json.loads((tmp_path / "out" / "results.json").read_text())
+    assert third.returncode == 0, third.stdout + third.stderr
+    assert len(elsewhere) == 15 and elsewhere["step"] == known["step"], elsewhere
+    assert [line.split(":")[0] for line in third.stdout.splitlines() if not line.startswith("|")] == ["machine", "data", ""]
 
 
 def test_a_device_that_is_not_there_is_an_error(build, module, scene):

@@ -3,7 +3,7 @@
 //
 //   cuda DATASET [preset=paper] [steps=1000] [size=800] [device=cuda:0] [deterministic=0]
 //        [planes=] [base=] [channels=] [levels=] [width=] [occupancy=] [samples=] [step=] [grow=]
-//        [rounds=5]
+//        [rounds=5] [sparse=]
 //
 // `steps` are trained before anything is measured. Ceilings are those of
 // server/engine/cuda/README.md for the paper's configuration, scaled with the samples of a step. No
@@ -76,6 +76,8 @@ static bool set_option(struct bench *b, const char *name, const char *value) {
         b->steps = atoll(value);
     else if (strcmp(name, "step") == 0)
         b->config.step = atof(value);
+    else if (strcmp(name, "sparse") == 0)
+        b->config.sparse = atoi(value) != 0;
     else
         return strcmp(name, "preset") == 0;
     return true;

@@ -1,12 +1,13 @@
 #!/usr/bin/env python3
 """What a GPU is asked in half an hour, stage by stage; gpu.sh starts it.
 
-    gpu.py DATA OUT [--work DIR] [--seconds 570] [--trial] [--again STAGE]
+    gpu.py DATA OUT [--work DIR] [--seconds 570] [--trial] [--again STAGE] [--known FILE]
 
 DATA is a scene of NeRF-synthetic, OUT gets results.json, table.md, log.txt and profile.csv, anew after
 every stage. A call ends before --seconds have passed, with exit code 75 where stages are left; the next
 call goes on: a stage that was done is not done again, a training goes on from its checkpoint. What that
-needs is kept in --work (OUT/work), for machines that empty OUT between two calls. Each stage has a limit
+needs is kept in --work (OUT/work), for machines that empty OUT between two calls. On another machine --known
+takes the results.json of one that is gone: what was done there is not done again. Each stage has a limit
 of its own; one that fails says so in the table and does not stop the others. --trial takes tiny fields
 and few steps, to try the command itself where a device is slow.
 """
@@ -273,6 +274,7 @@ STAGES = (
     Stage("standard", 150, standard, True),
     Stage("25,000 steps", 300, lambda call: paper(call, 25000, ("36.94",)), True),
     Stage("step, deterministic", 90, lambda call: step(call, "deterministic=1")),
+    Stage("step, sparse", 90, lambda call: step(call, "sparse=1")),
     Stage("step of standard", 60, lambda call: step(call, "preset=standard")),
     Stage("memcheck", 150, lambda call: sanitizer(call, "memcheck")),
     Stage("racecheck", 150, lambda call: sanitizer(call, "racecheck")),
@@ -337,14 +339,15 @@ def keep(call, state):
 def do(call, stage, before):
     """What becomes of a stage, of which `before` is known. What a call cut short once gets another one."""
     call.stage, begin = stage.name, time.monotonic()
-    call.stage_end = min(begin + stage.limit, call.deadline - 2)
+    limit = stage.limit * (5 if call.trial else 1)  # where a device is slow, and not alone
+    call.stage_end = min(begin + limit, call.deadline - 2)
     known = {}
     try:
         known = {"state": "done", "found": stage.run(call)}
     except Unfinished:
         known = {"state": "unfinished", "why": "the next call goes on"}
     except OutOfTime:
-        cut = call.stage_end - begin < stage.limit and not before.get("cut")
+        cut = call.stage_end - begin < limit and not before.get("cut")
         known = {"state": "unfinished", "why": "the call ended", "cut": True} if cut else \
             {"state": "out of time", "why": f"after {call.stage_end - begin:.0f} s"}
     except Absent as why:
@@ -352,6 +355,12 @@ def do(call, stage, before):
     except (Failed, OSError, ValueError, LookupError, AttributeError, subprocess.SubprocessError) as why:
         known = {"state": "failed", "why": f"{type(why).__name__}: {why}"}
     return known | {"seconds": round(time.monotonic() - begin, 1)}
+
+
+def known_elsewhere(path):
+    """What another machine has done, of which nothing needs to lie on this one."""
+    known = json.loads(path.read_text(encoding="utf-8"))
+    return {name: stage for name, stage in known.items() if stage["state"] in FINAL and name not in ("machine", "data")}
 
 
 def main():
@@ -362,10 +371,13 @@ def main():
     parser.add_argument("--seconds", type=float, default=570)
     parser.add_argument("--trial", action="store_true")
     parser.add_argument("--again", action="append", default=[], metavar="STAGE")
+    parser.add_argument("--known", type=Path, metavar="FILE")
     given = parser.parse_args()
     call = Call(given)
     kept = call.work / "results.json"
-    state = json.loads(kept.read_text(encoding="utf-8")) if kept.exists() else {}
+    state = known_elsewhere(given.known) if given.known else {}
+    if kept.exists():
+        state |= json.loads(kept.read_text(encoding="utf-8"))
     for name in given.again:
         state.pop(name, None)
     for begun, stage in enumerate(s for s in STAGES if state.get(s.name, {}).get("state") not in FINAL):

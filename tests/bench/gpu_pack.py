@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Lays out what a machine with a GPU needs for tests/bench/gpu.sh: programs, libraries, photographs.
 
-    gpu_pack.py BUILD SCENE KIT [--module FILE] [--test 25] [--val 8] [--most 58]
+    gpu_pack.py BUILD SCENE KIT [--module FILE] [--test 25] [--val 8] [--most 55]
 
 SCENE is a scene of NeRF-synthetic. Into KIT go gpu.sh with its parts, the programs with the libraries that
 they link to (but for the C library, which is the machine's) as one archive, and photos/: all training views,
@@ -107,7 +107,7 @@ def main():
     parser.add_argument("--module", type=Path, help="instead of the build's")
     parser.add_argument("--test", type=int, default=25)
     parser.add_argument("--val", type=int, default=8)
-    parser.add_argument("--most", type=float, default=58, help="MiB")
+    parser.add_argument("--most", type=float, default=55, help="MiB")
     given = parser.parse_args()
     given.kit = given.kit.resolve()
     pack_programs(given.build, given.module or given.build / MODULE, given.kit)

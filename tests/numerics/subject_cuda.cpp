@@ -1,6 +1,6 @@
 // The GPU's kernels as a subject: their own functions, compiled for the emulator of tests/ops, in
 // which the machine's approximate functions are as far off as they may be.
-#include "server/engine/cuda/forward.cuh"
+#include "server/engine/cuda/loss.cuh"
 #include "server/engine/cuda/optimise.cuh"
 
 extern "C" {
@@ -94,7 +94,7 @@ static double attenuate(int n, const double *x, float stop_depth) {
         double own = 0;
         for (int first = 0; first < n; first += RN_TILE) {
             int i = first + RN_LANE % RN_TILE;
-            struct rn_shaded s = {x_of[i], 0, 0, {0, 0, 0}};
+            struct rn_shaded s = {x_of[i], 0, 0};
             rn_attenuate(stop_depth, &own, &s);
             if (RN_LANE >= RN_TILE) continue;
             weight_of[i] = s.weight;
@@ -236,16 +236,17 @@ void cuda_plane_fetch(const struct cuda_plane *plane, const struct cuda_query *q
     }
 }
 
-template <bool FIXED>
+template <bool FIXED, int C>
 static void scatter(struct cuda_plane *plane, int n, const struct cuda_query *queries,
                     const float *grad) {
     const struct rn_cuda_planes *p = &plane->scene.planes;
-    for (int channel = 0; channel < p->channels; channel += 4) {
+    for (int channel = 0; channel < p->channels; channel += C) {
         const struct rn_scatter_place place = {p, &plane->gradients, 0, channel};
-        struct rn_nests nests = rn_nests_start();
+        struct rn_nests<C> nests = rn_nests_start<C>();
         for (int i = 0; i <= n; i++) {
             struct rn_query q = query_of(&queries[i < n ? i : n - 1]);
-            const float *own = grad + (size_t)(i < n ? i : 0) * (size_t)p->channels + channel;
+            float own[C];
+            memcpy(own, grad + (size_t)(i < n ? i : 0) * (size_t)p->channels + channel, sizeof own);
             rn_spread<FIXED>(&place, &q, own, i == n, &nests);
         }
     }
@@ -253,10 +254,11 @@ static void scatter(struct cuda_plane *plane, int n, const struct cuda_query *qu
 
 void cuda_plane_scatter(struct cuda_plane *plane, int n, const struct cuda_query *queries,
                         const float *grad, bool fixed) {
+    bool by_eight = plane->scene.planes.channels % 8 == 0;
     if (fixed)
-        scatter<true>(plane, n, queries, grad);
+        (by_eight ? scatter<true, 8> : scatter<true, 4>)(plane, n, queries, grad);
     else
-        scatter<false>(plane, n, queries, grad);
+        (by_eight ? scatter<false, 8> : scatter<false, 4>)(plane, n, queries, grad);
 }
 
 double cuda_plane_gradient(const struct cuda_plane *plane, int lx, int ly, int x, int y,

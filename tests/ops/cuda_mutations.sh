@@ -138,8 +138,8 @@ mutate march occupancy.cuh "occupancy: no barrier in the sum's last warp" \
     's/^        __syncthreads();/        if (half >= 32) __syncthreads();/'
 mutate order forward.cuh "forward: a lane leaves before its warp" \
     's/if (walk.k >= walk.end) return;/if (RN_LANE == 31) return;/'
-mutate gradients forward.cuh "order: what has no gradient is backpropagated" \
-    's/!(weight == 0 \&\& logit == 0)/true/'
+mutate gradients loss.cuh "order: what has no gradient is backpropagated" \
+    's/if (size == 0 || RN_LANE >= RN_TILE)/if (RN_LANE >= RN_TILE)/'
 mutate many gradient.cuh "gradient: a tile is read before it is there" \
     's/rn_copy_wait<RN_GRADIENT_STAGES - 2>/rn_copy_wait<RN_GRADIENT_STAGES - 1>/'
 mutate many gradient.cuh "gradient: no barrier before a tile is read" 's|^        __syncthreads(); // this tile.*||'
@@ -160,6 +160,8 @@ mutate march occupancy.cuh "occupancy: distance along two axes only" \
     's/int stride = axis == 0 ? bricks \* bricks/int stride = axis == 0 ? bricks/'
 mutate march forward.cuh "compositing: the stop is not looked at" \
     's/before <= stop_depth ? expf(-before) : 0/expf(-before)/'
+mutate march occupancy.cuh "occupancy: another limit than asked for" 's/mean < o.limit ? mean : o.limit/mean < RN_OCCUPANCY_LIMIT ? mean : RN_OCCUPANCY_LIMIT/'
+mutate march backend.cu "rendering: a field at rest is marched as in training" 's/f->seen.occupancy = f->finer\[cells\];/;/'
 # Encoding and networks.
 mutate gradients encode.cuh "encode: levels exchanged" \
     's/p->map\[c.ly\]\[c.lx\]/p->map[c.lx][c.ly]/'
@@ -167,6 +169,7 @@ mutate gradients ../field/ripmap.h "encode: corners at the edges" \
     's/p \* half + (half - CONSTANT(0.5))/p * half + half/'
 mutate gradients encode.cuh "encode: row above instead of below" 's/(k >> 1) \* c.width/-(k >> 1) * c.width/'
 mutate gradients encode.cuh "encode: one row's query for both" 's/rn_find_corner(p, &q\[i\], corner)/rn_find_corner(p, \&q[0], corner)/'
+mutate gradients encode.cuh "encode: the two fragments of a turn exchanged" 's/own\[k % 2\]\[i\] : a/own[1 - k % 2][i] : a/'
 mutate gradients encode.cuh "encode: planes with levels looked up without" 's/corner < (leveled ? 4 : 1)/corner < 1/'
 mutate gradients network.cuh "network: ReLU without its mask in the backward" \
     's/if (MODE == RN_LAYER_MASKED \&\& .*//'
@@ -178,9 +181,9 @@ mutate gradients gradient.cuh "gradient: halves of a fragment exchanged" \
 mutate gradients backward.cuh "backward: the logit's gradient left out" \
     's/^    rn_set_column(c, 0, logit);//'
 mutate gradients forward.cuh "forward: no constant input" 's/rn_pack(first ? 1 : c\[0\]\[0\]/rn_pack(c[0][0]/'
-mutate gradients forward.cuh "compositing: nothing of what lies behind" \
+mutate gradients loss.cuh "compositing: nothing of what lies behind" \
     's/ - (float)(\*behind + (double)rest)//'
-mutate gradients forward.cuh "compositing: behind within a tile only" 's/^    \*behind += .*//'
+mutate gradients loss.cuh "compositing: behind within a tile only" 's/^    \*behind += .*//'
 mutate gradients layout.h "fragments: channels in another order" 's/4 \* t + 2 \* high + q % 2/4 * t + high + 2 * (q % 2)/'
 mutate pixels forward.cuh "ray shading: features of half the samples" \
     's/ + (high != 0 ? high \* b : 0);/;/'
@@ -191,9 +194,9 @@ mutate pixels shade.cuh "ray shading: a colour without its opacity" 's/+= opacit
 mutate parts backend.cu "rendering: a part is taken before it is there" 's/d->staged\[(part + 1) % 2\], (size_t)before/d->staged[part % 2], (size_t)before/'
 mutate parts backend.cu "rendering: the last part is not taken" 's/(first < end || before > 0) \&\& !e/first < end \&\& !e/'
 mutate parts backend.cu "rendering: samples of the last part only" 's/counts_anew = part == 0/counts_anew = true/'
-mutate march shade.cuh "ray shading: a turned ray keeps its direction" \
-    's/march->turned ? march->look : //'
-mutate rays forward.cuh "ray shading: behind within a tile only" 's/^    \*behind += .*//'
+mutate march forward.cuh "ray shading: a turned ray keeps its direction" \
+    's/march->turned ? march->look\[i\] : //'
+mutate rays loss.cuh "ray shading: behind within a tile only" 's/^    \*behind += .*//'
 mutate rays shade.cuh "ray shading: the last tile only" \
     's/slot >= 0; slot = b->tile_previous\[slot\]/slot >= 0; slot = -1/'
 mutate rays shade.cuh "ray shading: no gradient of the opacity" 's/^        g.opacity += .*//'
@@ -207,16 +210,19 @@ mutate rays shade.cuh "ray shading: diffuse colours without their sigmoid" \
 mutate rays shade.cuh "ray shading: samples without their weights" 's/ \*= of_row;/ *= of_row > 0;/'
 mutate rays shade.cuh "ray shading: weights of the other half of a tile" 's/weight, RN_LANE \/ 4 + 8 \* i/weight, RN_LANE \/ 4 + 8 - 8 * i/'
 mutate rays shade.cuh "ray shading: directions of the tile's first ray" \
-    's/b->rays\[r\].direction, direction/b->rays[r - RN_LANE \/ 4].direction, direction/'
+    's/b->rays\[r\].direction, look/b->rays[r - RN_LANE \/ 4].direction, look/'
 mutate rays shade.cuh "ray shading: every tile in the same place" 's/\&scratch, tile, in/\&scratch, 0, in/'
 mutate second shade.cuh "ray shading: rays of the step before take part" \
     's/bool is = RN_LANE < RN_TILE .*/bool is = RN_LANE < RN_TILE;/'
 mutate second gradient.cuh "ray shading: as many tiles of rays as of samples" 's/of_rays ? .* : status->returned/status->returned/'
-mutate roulette shade.cuh "roulette: what is drawn counts once" 's/\*ret_factor = chance > 0 ? .*/*ret_factor = chance > 0;/'
-mutate roulette shade.cuh "roulette: what is likelier than not is backpropagated" \
+mutate roulette loss.cuh "roulette: what is drawn counts once" 's/\*ret_factor = chance > 0 ? .*/*ret_factor = chance > 0;/'
+mutate roulette loss.cuh "roulette: what is likelier than not is backpropagated" \
     's/return before \/ RN_CERTAIN != after \/ RN_CERTAIN;/return chance > RN_CERTAIN \/ 2;/'
-mutate roulette shade.cuh "roulette: the same start for all rays" 's/    l.sum = rn_rng_draw.*/    l.sum = RN_CERTAIN - 1;/'
+mutate roulette loss.cuh "roulette: the same start for all rays" 's/    l.sum = rn_rng_draw.*/    l.sum = RN_CERTAIN - 1;/'
 mutate roulette step.cuh "roulette: the mean is of scaled gradients" 's| / (float)all->gradients / s->gradient_scale| / (float)all->gradients|'
+mutate roulette loss.cuh "roulette: colours' gradients count once" 's/factor \* sigmoid\[c\]/sigmoid[c]/'
+mutate gradients loss.cuh "loss: a split pixel is its first ray" 's/r - r % rays, rays)/r - r % rays, 1)/'
+mutate gradients loss.cuh "loss: every ray of a split pixel has all of its weight" 's/share \* ray->weight/ray->weight/'
 mutate roulette backend.cu "roulette: none" 's/f->batch.roulette = .*/f->batch.roulette = 0;/'
 mutate_engine bytes train/trainer.c "engine: the gradients' size is forgotten" \
     's/    t->device.gradient_size = from->gradient_size;//'
@@ -225,6 +231,7 @@ mutate guards shade.cuh "ray shading: a ray that is not finite reaches the weigh
 # Scatter and update.
 mutate gradients scatter.cuh "scatter: a moved nest loses a column" \
     's/if (!stays) rn_flush/if (!stays \&\& k % 2 == 0) rn_flush/'
+mutate gradients scatter.cuh "scatter: the first four of eight channels twice" 's/c % 4 < 2 ? own.grad\[c \/ 4\]/c % 4 < 2 ? own.grad[0]/'
 mutate gradients scatter.cuh "scatter: not flushed at the end" \
     's/i <= count; i++/i < count; i++/'
 mutate gradients scatter.cuh "scatter: levels change without a flush" \
@@ -302,6 +309,9 @@ mutate_engine renders scene/device.c "engine: occupancy not read back" \
     's/m, v, f->occupancy, err/m, v, NULL, err/'
 mutate_engine renders render/render.c "engine: a far camera rendered with too few levels" \
     's/levels <= f->field->device_levels/true/'
+mutate_engine rest scene/device.c "engine: firm cells in place of all finer ones" 's/finer\[RN_CELLS_FINE\] = &f->fine;/finer[RN_CELLS_FINE] = \&f->firm;/'
+mutate_engine rest render/render.c "engine: a picture's cells are not chosen for a device" \
+    's/if (status == RN_OK) rn_field_choose_cells/if (status == RN_OK \&\& !f->on_device) rn_field_choose_cells/'
 mutate_engine paper train/device.c "engine: held-out views over black" \
     's/    memcpy(march.background, .*//'
 mutate_engine diverges train/device.c "engine: never back to good numbers" \

@@ -24,8 +24,8 @@ START_TEST(pixels_match_reference) {
         double worst_pixel = 0, largest = 1;
         test_scene_init(&s, &config);
         OK(test_scene_upload(&s, 0, &err));
-        OK(test_backend()->render(s.on_device, &s.frames[0].camera, &options, 2, 6, pixels,
-                                  &samples, &err));
+        OK(test_backend()->render(s.on_device, &s.frames[0].camera, &options, RN_CELLS_OF_TRAINING,
+                                  2, 6, pixels, &samples, &err));
         for (int k = 0; k < 6 * SIDE; k++) {
             struct rn_reference_ray ray =
                 test_reference_ray(&s, &s.frames[0].camera, k % SIDE, 2 + k / SIDE, 0);
@@ -60,8 +60,9 @@ static bool brick_kept(int cell) {
     return unit(cell / 1024 / 8 * 16 + cell / 32 % 32 / 8 * 4 + cell % 32 / 8 + 100000) < 0.25f;
 }
 
-// Scattered cells of scattered bricks, those above the mean: the same samples are evaluated as on
-// the CPU, and give the same picture, also where whole rays are shaded as seen from elsewhere.
+// Scattered cells of scattered bricks, those above the mean or a limit: the same samples are
+// evaluated as on the CPU, and give the same picture, also where whole rays are shaded as seen from
+// elsewhere.
 START_TEST(march_finds_the_cells_that_the_cpu_finds) {
     for (int stride = 0; stride < 2; stride++) {
         struct rn_train_config config = test_config(RN_FOOTPRINT_MIP, 3, 8, 16, 3);
@@ -72,6 +73,7 @@ START_TEST(march_finds_the_cells_that_the_cpu_finds) {
         config.step = 0.011;
         config.cone_step = stride;
         if (stride) config.field.shading = RN_SHADING_RAY;
+        if (stride) config.occupancy_limit = 2e-4;
         test_scene_init(&s, &config);
         for (int i = 0; i < 32 * 32 * 32; i++)
             s.field->occupancy[i] = brick_kept(i) ? 0.004f * unit(i) : 0;
@@ -85,8 +87,8 @@ START_TEST(march_finds_the_cells_that_the_cpu_finds) {
         for (int f = 0; f < FRAMES; f++) {
             const struct rn_camera *camera = &s.frames[f].camera;
             uint64_t samples, cpu;
-            OK(test_backend()->render(s.on_device, camera, &options, 0, SIDE, pixels, &samples,
-                                      &err));
+            OK(test_backend()->render(s.on_device, camera, &options, RN_CELLS_OF_TRAINING, 0, SIDE,
+                                      pixels, &samples, &err));
             for (int i = 0; i < SIDE * SIDE; i++) {
                 struct rn_ray ray = rn_camera_ray(camera, i % SIDE + 0.5, i / SIDE + 0.5);
                 rays[i] = rn_march_ray_from(s.field, &ray, config.step, 0);
@@ -100,6 +102,60 @@ START_TEST(march_finds_the_cells_that_the_cpu_finds) {
         }
         test_scene_finish(&s);
     }
+}
+END_TEST
+
+// A field at rest has finer cells: the samples are those of the CPU's march through the cells that
+// are asked for, or through the training's where there are none. _i: with finer ones or without.
+START_TEST(march_reads_the_cells_that_are_chosen) {
+    struct rn_train_config config = test_config(RN_FOOTPRINT_MIP, 3, 8, 16, 3), finer = config;
+    struct rn_march_options options = {.step = (float)config.step, .stop_depth = 1e9f};
+    struct rn_pixel pixels[SIDE * SIDE], expected[SIDE * SIDE];
+    struct rn_march_ray rays[SIDE * SIDE];
+    struct test_scene s, fine, firm;
+    uint64_t samples, cpu, before = UINT64_MAX;
+    finer.field.occupancy = 32;
+    test_scene_init(&s, &config);
+    test_scene_init(&fine, &finer);
+    test_scene_init(&firm, &finer);
+    for (int i = 0; i < 32 * 32 * 32; i++) {
+        fine.field->occupancy[i] = brick_kept(i);
+        firm.field->occupancy[i] = brick_kept(i) && unit(i) < 0.25f;
+    }
+    rn_field_refresh_occupancy(fine.field);
+    rn_field_refresh_occupancy(firm.field);
+    const struct rn_occupancy_bits cells[] = {
+        [RN_CELLS_FINE] = fine.field->coarse,
+        [RN_CELLS_FIRM] = firm.field->coarse,
+        [RN_CELLS_OF_TRAINING] = s.field->coarse,
+    };
+    for (int i = 0; i < RN_DEVICE_FINER && _i; i++)
+        s.finer[i] = &cells[i];
+    OK(test_scene_upload(&s, 0, &err));
+    const struct rn_camera *camera = &s.frames[1].camera;
+    for (int i = 0; i < SIDE * SIDE; i++) {
+        struct rn_ray ray = rn_camera_ray(camera, i % SIDE + 0.5, i / SIDE + 0.5);
+        rays[i] = rn_march_ray_from(s.field, &ray, config.step, 0);
+    }
+    for (int i = 0; i < 3; i++) {
+        static const enum rn_device_cells fewer[] = {RN_CELLS_OF_TRAINING, RN_CELLS_FINE,
+                                                     RN_CELLS_FIRM};
+        s.field->cpu.occupancy = cells[_i ? fewer[i] : RN_CELLS_OF_TRAINING];
+        OK(test_backend()->render(s.on_device, camera, &options, fewer[i], 0, SIDE, pixels,
+                                  &samples, &err));
+        cpu = s.engine.kernels->render(&s.field->cpu, &options, rays, SIDE * SIDE,
+                                       rn_engine_workspace(&s.engine, 0), expected);
+        ck_assert_uint_gt(cpu, 100);
+        ck_assert_uint_eq(samples, cpu);
+        ck_assert(_i ? cpu < before : cpu == before || before == UINT64_MAX);
+        before = cpu;
+        for (int k = 0; k < SIDE * SIDE; k++)
+            ck_assert_double_eq_tol(pixels[k].rgb[0], expected[k].rgb[0], PIXEL_BOUND);
+    }
+    s.field->cpu.occupancy = s.field->coarse;
+    test_scene_finish(&firm);
+    test_scene_finish(&fine);
+    test_scene_finish(&s);
 }
 END_TEST
 
@@ -120,7 +176,8 @@ START_TEST(pictures_come_in_parts) {
         camera.world_from_camera[i][3] *= 12;
     camera.cy += 0.32 * WIDE; // to where one part ends and the next begins
     OK(test_scene_upload(&s, 0, &err));
-    OK(test_backend()->render(s.on_device, &camera, &options, 0, WIDE, pixels, &samples, &err));
+    OK(test_backend()->render(s.on_device, &camera, &options, RN_CELLS_OF_TRAINING, 0, WIDE, pixels,
+                              &samples, &err));
     for (int i = 0; i < PIXELS; i++) {
         struct rn_ray ray = rn_camera_ray(&camera, i % WIDE + 0.5, i / WIDE + 0.5);
         rays[i] = rn_march_ray_from(s.field, &ray, config.step, 0);
@@ -152,9 +209,11 @@ START_TEST(rays_stop_where_nothing_can_be_seen) {
     OK(test_scene_upload(&s, 0, &err));
     struct rn_march_options options = {.step = 0.05f, .stop_depth = 1e9f};
     const struct rn_camera *camera = &s.frames[1].camera;
-    OK(test_backend()->render(s.on_device, camera, &options, SIDE / 2, 1, pixels, &all, &err));
+    OK(test_backend()->render(s.on_device, camera, &options, RN_CELLS_OF_TRAINING, SIDE / 2, 1,
+                              pixels, &all, &err));
     options.stop_depth = 0.3f;
-    OK(test_backend()->render(s.on_device, camera, &options, SIDE / 2, 1, pixels, &samples, &err));
+    OK(test_backend()->render(s.on_device, camera, &options, RN_CELLS_OF_TRAINING, SIDE / 2, 1,
+                              pixels, &samples, &err));
     struct rn_march_ray rays[SIDE];
     for (int i = 0; i < SIDE; i++) {
         struct rn_ray ray = rn_camera_ray(camera, i + 0.5, SIDE / 2 + 0.5);
@@ -175,6 +234,7 @@ END_TEST
 void test_add_pictures(Suite *suite) {
     test_add(suite, "pixels", pixels_match_reference, 1);
     test_add(suite, "march", march_finds_the_cells_that_the_cpu_finds, 1);
+    test_add(suite, "march", march_reads_the_cells_that_are_chosen, 2);
     test_add(suite, "march", rays_stop_where_nothing_can_be_seen, 1);
     test_add(suite, "parts", pictures_come_in_parts, 1);
 }

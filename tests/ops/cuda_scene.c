@@ -104,6 +104,7 @@ enum rn_status test_scene_upload(struct test_scene *s, size_t budget, struct rn_
                                     .occupancy = f->occupancy,
                                     .hull = f->hull};
     memcpy(scene.centre, f->bounds.centre, sizeof scene.centre);
+    memcpy(scene.finer, s->finer, sizeof scene.finer);
     size_t bytes;
     enum rn_status status = test_backend()->open(0, &s->device, &about, err);
     if (status == RN_OK)

@@ -28,6 +28,7 @@ struct test_scene {
     float background_variance; // of training (rn_march_options); 0.1 at first
     bool split;                // likewise; false at first
     const float *m, *v;        // moments that training begins with; NULL at first
+    const struct rn_occupancy_bits *finer[RN_DEVICE_FINER]; // of pictures; NULL at first
     struct rn_backend_device *device;
     struct rn_device_field *on_device;
 };

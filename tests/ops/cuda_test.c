@@ -107,6 +107,7 @@ static void check_training(const struct rn_train_config *config, int count, bool
     test_scene_finish(&s);
 }
 
+// _i: whether pixels are split.
 START_TEST(gradients_match_reference) {
     struct rn_train_config configs[] = {
         test_config(RN_FOOTPRINT_RIP, 4, 16, 32, 4), test_config(RN_FOOTPRINT_MIP, 3, 8, 16, 3),
@@ -119,8 +120,8 @@ START_TEST(gradients_match_reference) {
     configs[2].weight_decay = 0.1;
     configs[2].sparse = true;
     configs[3].field.view_dependence = false;
-    for (size_t i = 0; i < sizeof configs / sizeof *configs; i++)
-        check_training(&configs[i], RAYS, i % 2, false);
+    for (size_t i = 0; i < (_i ? 2 : sizeof configs / sizeof *configs); i++)
+        check_training(&configs[i], RAYS, i % 2, _i);
 }
 END_TEST
 
@@ -215,28 +216,31 @@ static struct second_step second_step(const struct rn_train_config *config) {
 }
 
 // Over many seeds the mean of the gradients with a roulette is the gradient without, and none of
-// them is far from it; the colour network, which whole rays train, takes no part. _i: which
-// threshold.
+// them is far from it; a colour network that whole rays train takes no part. _i: which threshold
+// and shading.
 START_TEST(roulette_has_no_bias) {
     enum { SEEDS = 8 };
-    static const double thresholds[] = {1, 4}, spreads[] = {0.05, 0.25}, shares[] = {0.8, 0.4};
+    static const double thresholds[] = {1, 4, 1}, spreads[] = {0.05, 0.25, 0.1};
+    static const double shares[] = {0.8, 0.4, 0.8};
+    enum rn_shading shading = _i < 2 ? RN_SHADING_RAY : RN_SHADING_SAMPLE;
     double bias[SEEDS], mean = 0, variance = 0, worst = 0, most = 0;
     for (int seed = 0; seed < SEEDS; seed++) {
         struct rn_train_config config = test_config(RN_FOOTPRINT_MIP, 3, 8, 16, 3);
         double product = 0, square = 0, difference = 0;
-        config.field.shading = RN_SHADING_RAY;
+        config.field.shading = shading;
         config.seed = (uint64_t)seed + 1;
         struct second_step exact = second_step(&config);
         config.roulette = thresholds[_i];
         struct second_step drawn = second_step(&config);
         ck_assert(exact.share == 1);
-        for (size_t i = 0; i < exact.head; i++) {
+        size_t played = shading == RN_SHADING_RAY ? exact.head : exact.count;
+        for (size_t i = 0; i < played; i++) {
             double d = drawn.gradient[i] - exact.gradient[i];
             product += d * exact.gradient[i];
             square += exact.gradient[i] * exact.gradient[i];
             difference += d * d;
         }
-        for (size_t i = exact.head; i < exact.count; i++)
+        for (size_t i = played; i < exact.count; i++)
             ck_assert(drawn.gradient[i] == exact.gradient[i]);
         bias[seed] = product / square;
         mean += bias[seed] / SEEDS;
@@ -247,9 +251,11 @@ START_TEST(roulette_has_no_bias) {
     }
     for (int seed = 0; seed < SEEDS; seed++)
         variance += (bias[seed] - mean) * (bias[seed] - mean) / (SEEDS - 1);
-    printf("roulette, threshold %.0f: %.0f %% at most go back, bias %.1e (standard error %.1e), "
+    printf("roulette, %s shading, threshold %.0f: %.0f %% at most go back, bias %.1e (standard "
+           "error %.1e), "
            "spread at most %.1e\n",
-           thresholds[_i], 100 * most, mean, sqrt(variance / SEEDS), worst);
+           rn_shading_names[shading], thresholds[_i], 100 * most, mean, sqrt(variance / SEEDS),
+           worst);
     ck_assert_double_lt(most, shares[_i]);
     ck_assert_double_lt(worst, spreads[_i]);
     ck_assert_double_lt(fabs(mean), 4 * sqrt(variance / SEEDS));
@@ -316,8 +322,8 @@ START_TEST(planes_are_smoothed_as_on_the_cpu) {
     OK(test_scene_train(&s, true, &err));
     OK(backend->train_step(s.on_device, &smooth, &err));
     test_read_back(&s, &after);
-    OK(backend->render(s.on_device, &s.frames[0].camera, &options, SIDE / 2, 1, pixels[0], &samples,
-                       &err));
+    OK(backend->render(s.on_device, &s.frames[0].camera, &options, RN_CELLS_OF_TRAINING, SIDE / 2,
+                       1, pixels[0], &samples, &err));
     size_t side = (size_t)config.field.base, plane = side * side * 8;
     double largest = 0, moved = 0;
     for (size_t p = 0; p < 3; p++)
@@ -332,8 +338,8 @@ START_TEST(planes_are_smoothed_as_on_the_cpu) {
     memcpy(fresh.field->parameters.values, after.parameters,
            s.field->parameters.count * sizeof(float));
     OK(test_scene_upload(&fresh, 0, &err));
-    OK(backend->render(fresh.on_device, &s.frames[0].camera, &options, SIDE / 2, 1, pixels[1],
-                       &samples, &err));
+    OK(backend->render(fresh.on_device, &s.frames[0].camera, &options, RN_CELLS_OF_TRAINING,
+                       SIDE / 2, 1, pixels[1], &samples, &err));
     ck_assert_mem_eq(pixels[0], pixels[1], sizeof pixels[0]);
     test_numbers_finish(&rough);
     test_numbers_finish(&after);
@@ -575,10 +581,10 @@ int main(void) {
     Suite *suite = suite_create("cuda kernels");
     int shadings = RN_SHADING_RAY + 1;
     test_add(suite, "layout", fragments_hold_every_number_once, 1);
-    test_add(suite, "gradients", gradients_match_reference, 1);
+    test_add(suite, "gradients", gradients_match_reference, 2);
     test_add(suite, "rays", gradients_of_whole_rays_match_reference, 2);
     test_add(suite, "second", second_steps_match_reference, shadings);
-    test_add(suite, "roulette", roulette_has_no_bias, 2);
+    test_add(suite, "roulette", roulette_has_no_bias, 3);
     test_add(suite, "paper", papers_networks_match_reference, 1);
     if (test_is_emulated()) test_add(suite, "cards", smaller_cards_match_reference, 4);
     test_add(suite, "many", many_rays_match_reference, shadings);

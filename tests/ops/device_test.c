@@ -11,6 +11,7 @@
 #include "common/base/file.h"
 #include "server/engine/engine.h"
 #include "server/engine/scene/device.h"
+#include "server/engine/scene/occupancy.h"
 #include "server/engine/train/trainer.h"
 #include "tests/support/suite.h"
 
@@ -338,6 +339,55 @@ static void check_dial(struct rn_render_options options, const struct rn_render_
     rn_render_result_finish(&quick);
 }
 
+// A field at rest has finer cells, and of these firm ones; pictures read them there as on the CPU.
+START_TEST(reads_the_cells_of_a_field_at_rest) {
+    struct rn_train_config config = small_config("draft", 20);
+    struct rn_render_options options = {
+        .camera = dataset->frames[0].camera, .outputs = RN_OUTPUT_RGB, .settings.supersample = 1};
+    begin("cuda:0", &config);
+    advance_to(20);
+    struct rn_field *field = rn_trainer_finish(&run.trainer);
+    int cells = field->config.field.occupancy;
+    for (int i = 0; i < cells * cells * cells; i++) // few enough cells to be refined: a slab
+        if ((i / cells / cells + 1) / 2 != cells / 4) field->occupancy[i] = 0;
+    rn_field_refresh_occupancy(field);
+    rn_field_refine_occupancy(field, run.engine);
+    ck_assert_ptr_nonnull(field->fine.words);
+    size_t bricks = (size_t)field->fine.cells / RN_BRICK, words = bricks * bricks * bricks * 16;
+    memset(field->fine.words, 0, words / 2 * sizeof(uint32_t)); // far fewer than are occupied
+    OK(rn_field_put_to_render(run.engine, field, &err));
+    struct rn_render_result there[2], here[2], coarse;
+    for (int i = 0; i < 2; i++) { // of rays that end early the firm ones
+        options.settings.stop = i ? 0.1 : 0;
+        OK(rn_render(run.engine, field, &options, NULL, NULL, &there[i], &err));
+    }
+    rn_field_withdraw(field);
+    for (int i = 0; i < 2; i++) {
+        options.settings.stop = i ? 0.1 : 0;
+        OK(rn_render(run.engine, field, &options, NULL, NULL, &here[i], &err));
+    }
+    options.settings.stop = 0;
+    rn_field_refresh_occupancy(field);
+    OK(rn_render(run.engine, field, &options, NULL, NULL, &coarse, &err));
+    printf("at rest: %llu samples for %llu, firm ones %llu\n",
+           (unsigned long long)there[0].stats.samples, (unsigned long long)coarse.stats.samples,
+           (unsigned long long)there[1].stats.samples);
+    ck_assert_uint_lt(there[0].stats.samples, coarse.stats.samples * 3 / 4);
+    ck_assert_uint_lt(there[1].stats.samples, there[0].stats.samples);
+    for (int i = 0; i < 2; i++) {
+        // A ray is looked at after 8 samples here and after 16 there.
+        ck_assert_uint_ge(there[i].stats.samples, here[i].stats.samples);
+        ck_assert_uint_le(there[i].stats.samples, here[i].stats.samples + 8 * here[i].stats.rays);
+        ck_assert_double_lt(difference(&there[i].rgb, &here[i].rgb), 5e-3);
+        rn_render_result_finish(&there[i]);
+        rn_render_result_finish(&here[i]);
+    }
+    rn_render_result_finish(&coarse);
+    rn_field_destroy(&field);
+    rn_engine_destroy(&run.engine);
+}
+END_TEST
+
 // What is rendered in the middle of a training is the field as it is there, also where a camera
 // wants levels that the device lacks; and a finished training's field renders on.
 START_TEST(renders_while_it_trains) {
@@ -531,7 +581,7 @@ START_TEST(auto_takes_what_there_is) {
         ck_assert_str_eq(device_of(run.engine), "cuda:0");
         ck_assert_ptr_nonnull(rn_trainer_field(run.trainer)->on_device);
         const struct rn_train_config *own = rn_trainer_config(run.trainer);
-        ck_assert(own->roulette == (shading == RN_SHADING_RAY ? 1 : 0));
+        ck_assert(own->roulette == 1 && own->split_pixels == config.split_pixels);
         ck_assert(!own->draw_by_error);
         end();
     }
@@ -618,6 +668,7 @@ int main(void) {
     add(suite, "anywhere", goes_on_anywhere);
     add(suite, "bytes", resumes_to_the_same_bytes);
     add(suite, "renders", renders_while_it_trains);
+    add(suite, "rest", reads_the_cells_of_a_field_at_rest);
     add(suite, "grows", grows_there_in_parts);
     add(suite, "stops", stops_when_asked);
     add(suite, "diverges", diverges_and_goes_back);

@@ -158,6 +158,10 @@ static void describe_scene(struct rn_device_field *f, const struct rn_device_sce
     f->scene.per_ray = c->shading == RN_SHADING_RAY;
     f->scene.view_dependence = c->view_dependence;
     f->scene.occupancy.cells = c->occupancy;
+    f->scene.occupancy.limit =
+        s->config.occupancy_limit > 0 ? s->config.occupancy_limit : RN_OCCUPANCY_LIMIT;
+    for (int i = 0; i < RN_DEVICE_FINER; i++)
+        f->finer[i].cells = s->finer[i] ? s->finer[i]->cells : 0;
 }
 
 // Tiles for a quarter more samples than aimed at, and for a part-filled one a ray; no fewer than
@@ -223,6 +227,19 @@ static enum rn_status needs(const struct rn_device_scene *scene,
                         budget_bytes >> 20, remedy);
 }
 
+// Bits that the host made; `ret_box` is read until the stream has come so far.
+static cudaError_t upload_bits(const struct rn_backend_device *d, const struct rn_cuda_occupancy *o,
+                               const struct rn_occupancy_bits *bits, int ret_box[6]) {
+    size_t bricks = rn_cuda_bricks(o->cells);
+    for (int i = 0; i < 3; i++) { // in cells; none: beyond the last
+        ret_box[i] = (int)lroundf((bits->low[i] + 1) * 0.5f * (float)o->cells);
+        ret_box[3 + i] = (int)lroundf((bits->high[i] + 1) * 0.5f * (float)o->cells) - 1;
+    }
+    cudaError_t e = copy_in(d, o->words, bits->words, bricks * 16 * sizeof *bits->words);
+    if (!e) e = copy_in(d, o->distance, bits->distance, bricks);
+    return e ? e : copy_in(d, o->box, ret_box, 6 * sizeof *ret_box);
+}
+
 // Uploads, and builds what the kernels read. The lists are the host's only until it returns.
 static enum rn_status upload(struct rn_device_field *f, const struct rn_device_scene *s,
                              struct rn_error *err) {
@@ -243,6 +260,9 @@ static enum rn_status upload(struct rn_device_field *f, const struct rn_device_s
     if (!e) e = cudaMemsetAsync(f->scene.backward, 0, fragments * sizeof(uint4), d->stream);
     if (!e) e = rn_queue_refresh(f);
     if (!e) e = rn_queue_occupancy(f);
+    int box[RN_DEVICE_FINER][6];
+    for (int i = 0; i < RN_DEVICE_FINER && !e; i++)
+        if (s->finer[i]) e = upload_bits(d, &f->finer[i], s->finer[i], box[i]);
     cudaError_t waited = cudaStreamSynchronize(d->stream);
     free(list);
     return rn_cuda_check(e ? e : waited, "loading a field", err);
@@ -534,9 +554,9 @@ static cudaError_t render_parts(struct rn_device_field *f, struct rn_cuda_view *
 }
 
 static enum rn_status render(struct rn_device_field *f, const struct rn_camera *camera,
-                             const struct rn_march_options *options, int first_row, int rows,
-                             struct rn_pixel *ret_pixels, uint64_t *ret_samples,
-                             struct rn_error *err) {
+                             const struct rn_march_options *options, enum rn_device_cells cells,
+                             int first_row, int rows, struct rn_pixel *ret_pixels,
+                             uint64_t *ret_samples, struct rn_error *err) {
     struct rn_cuda_march march = march_of(options);
     int first = first_row * camera->width, end = first + rows * camera->width;
     struct rn_cuda_view view = {*camera,
@@ -548,6 +568,9 @@ static enum rn_status render(struct rn_device_field *f, const struct rn_camera *
                                 0,
                                 true};
     struct rn_cuda_status status = {};
+    f->seen = f->scene;
+    if (cells != RN_CELLS_OF_TRAINING && f->finer[cells].cells > 0)
+        f->seen.occupancy = f->finer[cells];
     cudaError_t e = make_stage(f->device);
     if (!e) e = render_parts(f, &view, &march, end, ret_pixels);
     if (!e && first < end) e = copy_out(f->device, &status, f->view.status, sizeof status);

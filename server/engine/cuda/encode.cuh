@@ -64,7 +64,8 @@ RN_DEVICE struct rn_sample rn_place(const struct rn_march_ray *ray, float s, flo
 RN_DEVICE float rn_clamp_lane(float x, float low, float high) {
     return fminf(fmaxf(x, low), high); // NaN gives low
 }
-RN_LEVEL_FUNCTIONS(RN_DEVICE, rn_level_lane, rn_ball_level_lane, float, float, rn_clamp_lane, rn_log2)
+RN_LEVEL_FUNCTIONS(RN_DEVICE, rn_level_lane, rn_ball_level_lane, float, float, rn_clamp_lane,
+                   rn_log2)
 
 // Never outside the maps, whatever the last bit of the logarithm is.
 RN_DEVICE float rn_valid_level(const struct rn_cuda_planes *p, float level) {
@@ -236,7 +237,8 @@ RN_DEVICE void rn_encode_plane(const struct rn_cuda_planes *p, const uint16_t *t
 }
 
 // Features of the warp's two samples of rows g and g + 8 as A fragments. *ret_top[i]: the largest
-// level of sample i on any axis.
+// level of sample i on any axis. Two fragments a turn: with a copy of the code for each, kernels
+// outgrow the instruction cache. Registers have no index, so every turn goes over all of them.
 template <int KT>
 RN_DEVICE void rn_encode(const struct rn_cuda_planes *p, const uint16_t *texels,
                          const struct rn_encoder *e, float radius, const struct rn_sample (&s)[2],
@@ -245,21 +247,33 @@ RN_DEVICE void rn_encode(const struct rn_cuda_planes *p, const uint16_t *texels,
     int planes = 16 / p->channels, channels = 16 % p->channels; // from one fragment to the next
     ret_top[0] = ret_top[1] = 0;
     RN_UNROLL
-    for (int k = 0; k < KT; k++) {
-        bool present = plane < p->planes;
-        struct rn_footprint_factors f = rn_factors_of(e, present ? plane : 0);
-        float sum[2][4] = {};
-        if (present) rn_encode_plane(p, texels, e, &f, radius, s, plane, channel, sum, ret_top);
-        plane += planes;
-        channel += channels;
-        if (channel >= p->channels) {
-            channel -= p->channels;
-            plane++;
+    for (int i = 0; i < 4 * KT; i++)
+        a[i / 4][i % 4] = 0;
+    RN_ROLLED
+    for (int turn = 0; turn < KT / 2; turn++) {
+        uint32_t own[2][4];
+        RN_UNROLL
+        for (int k = 0; k < 2; k++) {
+            bool present = plane < p->planes;
+            struct rn_footprint_factors f = rn_factors_of(e, present ? plane : 0);
+            float sum[2][4] = {};
+            if (present) rn_encode_plane(p, texels, e, &f, radius, s, plane, channel, sum, ret_top);
+            plane += planes;
+            channel += channels;
+            if (channel >= p->channels) {
+                channel -= p->channels;
+                plane++;
+            }
+            for (int i = 0; i < 2; i++) {
+                own[k][i] = rn_pack(sum[i][0], sum[i][1]);
+                own[k][2 + i] = rn_pack(sum[i][2], sum[i][3]);
+            }
         }
-        for (int i = 0; i < 2; i++) {
-            a[k][i] = rn_pack(sum[i][0], sum[i][1]);
-            a[k][2 + i] = rn_pack(sum[i][2], sum[i][3]);
-        }
+        RN_UNROLL
+        for (int k = 0; k < KT; k++)
+            RN_UNROLL
+        for (int i = 0; i < 4; i++)
+            a[k][i] = k / 2 == turn ? own[k % 2][i] : a[k][i];
     }
 }
 

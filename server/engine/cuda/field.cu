@@ -7,13 +7,21 @@
 
 // ---- memory ---------------------------------------------------------------------------------
 
-static void lay_out_occupancy(struct rn_device_field *f, struct rn_arena *a) {
-    struct rn_cuda_occupancy *o = &f->scene.occupancy;
-    size_t n = (size_t)o->cells * (size_t)o->cells * (size_t)o->cells, bricks = n / 512;
+// What a march reads.
+static void lay_out_bits(struct rn_cuda_occupancy *o, struct rn_arena *a) {
+    size_t bricks = rn_cuda_bricks(o->cells);
     rn_part(a, &o->words, bricks * 16);
     rn_part(a, &o->distance, bricks);
-    rn_part(a, &f->spare_distance, bricks);
     rn_part(a, &o->box, 6);
+}
+
+static void lay_out_occupancy(struct rn_device_field *f, struct rn_arena *a) {
+    struct rn_cuda_occupancy *o = &f->scene.occupancy;
+    size_t n = (size_t)o->cells * (size_t)o->cells * (size_t)o->cells;
+    lay_out_bits(o, a);
+    for (int i = 0; i < RN_DEVICE_FINER; i++)
+        if (f->finer[i].cells > 0) lay_out_bits(&f->finer[i], a);
+    rn_part(a, &f->spare_distance, rn_cuda_bricks(o->cells));
     rn_part(a, &o->values, n);
     rn_part(a, &o->hull, n);
     rn_part(a, &o->list, n);
@@ -90,7 +98,7 @@ void rn_train_lay_out(struct rn_device_field *f, const struct rn_device_pixels *
     rn_part(a, &b->ray_last, rays);
     rn_part(a, &b->ray_return, rays);
     rn_part(a, &b->pieces, rays + (size_t)b->tile_capacity * RN_TILE / RN_PIECE);
-    if (f->scene.per_ray) rn_part(a, &b->ray_sums, rays * RN_GEOMETRY);
+    rn_part(a, &b->ray_sums, rays * RN_GEOMETRY);
     lay_out_tiles(f, a);
     lay_out_pixels(f, pixels, a);
     rn_part(a, &o->update, 1);
@@ -268,6 +276,14 @@ static cudaError_t queue_shading(struct rn_device_field *f) {
     return mark(f, "sums backward");
 }
 
+// Loss of rays that are composited, and the gradients of their samples.
+static cudaError_t queue_loss(struct rn_device_field *f) {
+    unsigned blocks;
+    RN_TRY(fill(f->device, rn_loss_kernel, 256, 0, &blocks));
+    RN_TRY(RN_LAUNCH(rn_loss_kernel, blocks, 256, 0, f->device->stream, f->batch, f->march));
+    return mark(f, "loss");
+}
+
 // Forward, loss, and the list of samples that are backpropagated.
 static cudaError_t queue_forward(struct rn_device_field *f) {
     const struct rn_cuda_scene *s = &f->scene;
@@ -282,7 +298,7 @@ static cudaError_t queue_forward(struct rn_device_field *f) {
     RN_TRY(RN_LAUNCH(f->shape->train[staging.all], blocks, 384, staging.bytes, stream, f->scene,
                      f->batch, f->march, staging.networks));
     RN_TRY(mark(f, "forward"));
-    if (s->per_ray) RN_TRY(queue_shading(f));
+    RN_TRY(s->per_ray ? queue_shading(f) : queue_loss(f));
     RN_TRY(RN_LAUNCH(rn_order_kernel, 1, RN_ORDER_THREADS, 0, stream, f->batch));
     RN_TRY(RN_LAUNCH(rn_place_kernel, RN_BLOCKS(f->batch.tile_capacity * RN_TILE), 256, 0, stream,
                      f->batch));
@@ -335,12 +351,17 @@ static cudaError_t queue_backward(struct rn_device_field *f) {
     return mark(f, "base gradient");
 }
 
-template <bool FIXED> static cudaError_t queue_planes(struct rn_device_field *f) {
-    cudaStream_t stream = f->device->stream;
+template <bool FIXED, int C> static cudaError_t queue_scatter(struct rn_device_field *f) {
     float step = f->march.step;
     unsigned blocks = 16 * (unsigned)f->device->processors; // more than fit: rays differ in length
-    RN_TRY(RN_LAUNCH(rn_scatter_kernel<FIXED>, blocks, 128, 0, stream, f->scene, f->batch,
-                     f->optimiser.gradients, step));
+    return RN_LAUNCH((rn_scatter_kernel<FIXED, C>), blocks, 128, 0, f->device->stream, f->scene,
+                     f->batch, f->optimiser.gradients, step);
+}
+
+template <bool FIXED> static cudaError_t queue_planes(struct rn_device_field *f) {
+    cudaStream_t stream = f->device->stream;
+    bool by_eight = f->scene.planes.channels % 8 == 0;
+    RN_TRY((by_eight ? queue_scatter<FIXED, 8> : queue_scatter<FIXED, 4>)(f));
     RN_TRY(mark(f, "scatter"));
     return RN_LAUNCH(rn_update_planes_kernel<FIXED>, update_blocks(&f->scene.planes),
                      update_threads(&f->scene.planes), 0, stream, f->scene, f->optimiser,
@@ -370,8 +391,8 @@ cudaError_t rn_queue_view(struct rn_device_field *f, const struct rn_cuda_view *
     unsigned blocks;
     RN_TRY(fill(f->device, f->shape->render[both.all], 384, both.bytes, &blocks));
     RN_TRY(cudaMemsetAsync(f->view.status->queued, 0, sizeof f->view.status->queued, stream));
-    RN_TRY(RN_LAUNCH(rn_view_kernel, RN_BLOCKS(v.count), 256, 0, stream, v, f->scene, f->view, m));
-    RN_TRY(RN_LAUNCH(f->shape->render[both.all], blocks, 384, both.bytes, stream, f->scene, f->view,
+    RN_TRY(RN_LAUNCH(rn_view_kernel, RN_BLOCKS(v.count), 256, 0, stream, v, f->seen, f->view, m));
+    RN_TRY(RN_LAUNCH(f->shape->render[both.all], blocks, 384, both.bytes, stream, f->seen, f->view,
                      m, both.networks));
     if (!s->per_ray || !s->view_dependence) return cudaSuccess;
     RN_TRY(fill(f->device, f->shape->shade_render[head.all], head.threads, head.bytes, &blocks));

@@ -47,6 +47,8 @@ struct rn_device_field {
     struct rn_solid solid;
     const struct rn_kernel_shape *shape;
     struct rn_cuda_scene scene;
+    struct rn_cuda_occupancy finer[RN_DEVICE_FINER]; // of pictures; no cells: there are none
+    struct rn_cuda_scene seen;                       // what a picture's rays march through
     uint8_t *spare_distance;
     size_t parameter_count;
     struct rn_cuda_batch view; // for rendering

@@ -1,7 +1,7 @@
 // A warp follows a ray: sixteen samples at a time are found, encoded, given density and colour, and
 // composited, until nothing behind can be seen. Rendering ends there; training also leaves tiles of
-// samples for the backward and takes the loss back to every sample's outputs. Where the field
-// shades whole rays, the ray's sums are left for shade.cuh in place of its colour.
+// samples for the backward, and the ray's colour for loss.cuh. Where the field shades whole rays,
+// the ray's sums are left for shade.cuh in place of its colour.
 #ifndef RN_ENGINE_CUDA_FORWARD_CUH
 #define RN_ENGINE_CUDA_FORWARD_CUH
 
@@ -11,6 +11,13 @@
 #include "server/engine/field/sh.h"
 
 // ---- pieces ---------------------------------------------------------------------------------
+
+// The direction that the colour network is told; each number chosen, not the place of all three,
+// which would have to lie in memory.
+RN_DEVICE void rn_look(const struct rn_cuda_march *march, const float direction[3], float ret[3]) {
+    for (int i = 0; i < 3; i++)
+        ret[i] = march->turned ? march->look[i] : direction[i];
+}
 
 // The direction's spherical harmonics as columns 0..15 of the colour network's input: words for
 // columns 2t, 2t + 1 and 2t + 8, 2t + 9, the same in all rows.
@@ -63,7 +70,6 @@ RN_DEVICE float rn_alpha_float(float x) {
 struct rn_shaded {
     float x;             // optical depth
     float weight, after; // and transmittance behind
-    float colour[3];
 };
 
 // Sum over the lanes behind this one, of 16.
@@ -103,7 +109,8 @@ struct rn_trace {
     int last_tile, samples, evaluated;
 };
 
-// Stores a tile; its slot, or -1 where there is no room: the step is then rejected as a whole.
+// Stores a tile but for its colours; its slot, or -1 where there is no room: the step is then
+// rejected as a whole. Before the colour network, which wants the features' registers.
 template <int KT>
 RN_DEVICE int rn_save_tile(struct rn_trace *t, const uint32_t (&features)[KT][4],
                            const uint32_t geometry[4], const struct rn_shaded *s, float mid) {
@@ -122,13 +129,12 @@ RN_DEVICE int rn_save_tile(struct rn_trace *t, const uint32_t (&features)[KT][4]
         b->depth[at] = s->x;
         b->weight[at] = s->weight;
         b->after[at] = s->after;
-        for (int c = 0; c < 3 && !t->scene->per_ray; c++)
-            b->colour[((size_t)slot * 3 + c) * RN_TILE + RN_LANE] = s->colour[c];
     }
     if (RN_LANE == 0) {
         b->tile_ray[slot] = t->index;
         b->tile_previous[slot] = t->last_tile;
     }
+    t->last_tile = slot;
     return slot;
 }
 
@@ -205,24 +211,26 @@ RN_DEVICE void rn_trace_tile(struct rn_trace *t, const struct rn_encoder *encode
     if (!(seen | strange)) return;
     if (scene->per_ray) rn_activate(out);
     rn_geometry(out, head_in[1]);
-    if (scene->per_ray) {
-        rn_add_sums(t, out, shaded.weight);
-    } else {
-        for (int i = 0; i < 4; i++)
-            head_in[0][i] = t->direction[i / 2];
-        rn_forward<2, WT>(&scene->head, t->head, head_in, out);
-        for (int c = 0; c < 3; c++) {
-            shaded.colour[c] = 1 / (1 + expf(-rn_column(out, c)));
-            t->colour[c] += shaded.weight != 0 ? shaded.weight * shaded.colour[c] : 0;
-        }
+    int slot = -1;
+    if constexpr (TRAIN) {
+        slot = rn_save_tile<KT>(t, a, head_in[1], &shaded, mid);
+        rn_count_levels(t->batch->status, top, shaded.weight > 0 && RN_LANE < RN_TILE);
     }
     t->opacity += shaded.weight;
     t->distance += shaded.weight * (t->ray.near + mid);
     t->samples += rn_popcount(seen);
-    if constexpr (TRAIN) {
-        rn_count_levels(t->batch->status, top, shaded.weight > 0 && RN_LANE < RN_TILE);
-        int slot = rn_save_tile<KT>(t, a, head_in[1], &shaded, mid);
-        if (slot >= 0) t->last_tile = slot;
+    if (scene->per_ray) {
+        rn_add_sums(t, out, shaded.weight);
+        return;
+    }
+    for (int i = 0; i < 4; i++)
+        head_in[0][i] = t->direction[i / 2];
+    rn_forward<2, WT>(&scene->head, t->head, head_in, out);
+    for (int c = 0; c < 3; c++) {
+        float colour = 1 / (1 + expf(-rn_column(out, c)));
+        t->colour[c] += shaded.weight != 0 ? shaded.weight * colour : 0;
+        if (TRAIN && slot >= 0 && RN_LANE < RN_TILE)
+            t->batch->colour[((size_t)slot * 3 + c) * RN_TILE + RN_LANE] = colour;
     }
 }
 
@@ -241,7 +249,9 @@ template <int KT, int WT, bool TRAIN> RN_DEVICE void rn_trace_ray(struct rn_trac
     struct rn_walk walk = rn_walk_start(&scene->occupancy, &t->ray, t->march->step);
     if (walk.k >= walk.end) return;
     struct rn_encoder encoder = rn_encoder_start(&scene->planes, &t->ray, t->march->step);
-    rn_direction(scene, t->march->turned ? t->march->look : t->ray.direction, t->direction);
+    float look[3];
+    rn_look(t->march, t->ray.direction, look);
+    rn_direction(scene, look, t->direction);
     double depth = 0;
     int n, index;
     while (depth <= (double)t->march->stop_depth &&
@@ -262,100 +272,20 @@ RN_DEVICE void rn_store_pixel(const struct rn_trace *t) {
     t->batch->pixels[t->index] = pixel;
 }
 
-// ---- loss -----------------------------------------------------------------------------------
+// ---- training -------------------------------------------------------------------------------
 
-// Loss of a finished ray (smooth L1, beta 1, times the area weight; over random backgrounds its
-// mean) and its gradient: dL/d(colour over the background), and dL/d(opacity) but for what comes
-// through that. As pixel_loss of cpu/backward.h. False where the ray takes no part.
-RN_DEVICE bool rn_ray_loss(const struct rn_march_ray *ray, const struct rn_cuda_march *march,
-                           const float colour[3], float opacity, float ret_grad[4],
-                           float *ret_loss) {
-    float excess = opacity - ray->alpha, spread = 3 * march->background_variance;
-    float loss = 0.5f * spread * excess * excess;
-    ret_grad[3] = ray->weight * spread * excess;
-    for (int c = 0; c < 3; c++) {
-        float value = colour[c] + (1 - opacity) * march->background[c];
-        float d = value - ray->target[c], size = fabsf(d);
-        loss += size < 1 ? 0.5f * d * d : size - 0.5f;
-        ret_grad[c] = ray->weight * fminf(fmaxf(d, -1), 1);
-    }
-    *ret_loss = loss;
-    return opacity > 0 && ray->weight > 0 && loss < 3e38f;
-}
-
-// What a ray's loss adds to the step; `loss` is looked at where the ray takes part.
-RN_DEVICE void rn_save_loss(const struct rn_cuda_batch *b, int index, bool takes_part, float weight,
-                            float loss, float opacity) {
-    b->ray_loss[index] = takes_part ? weight * loss : 0;
-    b->ray_weight[index] = takes_part ? weight : 0;
-    if (!takes_part) b->ray_samples[index] = 0;
-    if (!takes_part && !(opacity <= 0))
-        atomicAdd((unsigned long long *)&b->status->nonfinite_rays, 1ull);
-}
-
-// dL/d(density logit) of a tile's samples, lane i (mod 16) sample i's, tiles taken from a ray's
-// last to its first: dL/dx_i = after_i g_i - sum behind i of w g. `slope`: g_i = dL/dw_i; `behind`:
-// the sum behind the tile, moved to its front.
-RN_DEVICE float rn_attenuate_backward(const struct rn_cuda_batch *b, size_t at, float slope,
-                                      double *behind) {
-    float product = b->weight[at] * slope, rest = rn_sum_behind(product);
-    float change = b->after[at] * slope - (float)(*behind + (double)rest);
-    *behind += (double)rn_shuffle(rest + product, 0);
-    return change * b->depth[at];
-}
-
-// Notes which samples of a tile are backpropagated, lane i sample i's answer, and adds them to
-// those behind it.
-RN_DEVICE void rn_return_tile(const struct rn_cuda_batch *b, int slot, bool returns, int *behind) {
-    uint32_t rows = rn_ballot(returns && RN_LANE < RN_TILE);
-    *behind += rn_popcount(rows);
+// Leaves what the loss is made from: the ray's samples and tiles, its colour and opacity in the
+// first of its sums, unless all of them are there.
+RN_DEVICE void rn_leave_ray(const struct rn_trace *t) {
+    const struct rn_cuda_batch *b = t->batch;
+    float *sums = b->ray_sums + (size_t)t->index * RN_GEOMETRY;
     if (RN_LANE > 0) return;
-    b->tile_rows[slot] = rows;
-    b->tile_behind[slot] = *behind;
-}
-
-// dL/d(colour logits) and dL/d(density logit) of the tiles of one ray, whose loss has the gradient
-// `grad` (rn_ray_loss); g_i = grad[3] + grad . (colour_i - background). Returns the samples that
-// have one.
-RN_DEVICE int rn_composite_backward(const struct rn_trace *t, const float grad[4], float scale) {
-    const struct rn_cuda_batch *b = t->batch;
-    double behind = 0;
-    int count = 0;
-    for (int slot = t->last_tile; slot >= 0; slot = b->tile_previous[slot]) {
-        size_t at = (size_t)slot * RN_TILE + RN_LANE % RN_TILE;
-        float weight = b->weight[at], slope = grad[3], sigmoid[3];
-        for (int c = 0; c < 3; c++) {
-            float colour = b->colour[((size_t)slot * 3 + c) * RN_TILE + RN_LANE % RN_TILE];
-            sigmoid[c] = weight > 0 ? scale * grad[c] * weight * colour * (1 - colour) : 0;
-            slope += grad[c] * ((weight > 0 ? colour : 0) - t->march->background[c]);
-        }
-        float logit = rn_attenuate_backward(b, at, scale * slope, &behind);
-        rn_return_tile(b, slot, !(weight == 0 && logit == 0), &count);
-        if (RN_LANE >= RN_TILE) continue;
-        for (int c = 0; c < 3; c++)
-            b->colour_grad[((size_t)slot * 3 + c) * RN_TILE + RN_LANE] = sigmoid[c];
-        b->logit_grad[at] = logit;
-    }
-    return count;
-}
-
-RN_DEVICE void rn_finish_ray(const struct rn_trace *t) {
-    const struct rn_cuda_batch *b = t->batch;
-    struct rn_cuda_return returned = {0, 0, 0, 0};
-    float grad[4], loss;
-    if (RN_LANE == 0) {
-        b->ray_samples[t->index] = t->samples;
-        b->ray_last[t->index] = t->last_tile;
-    }
+    b->ray_samples[t->index] = t->samples;
+    b->ray_last[t->index] = t->last_tile;
     if (t->scene->per_ray) return;
-    bool takes_part = rn_ray_loss(&t->ray, t->march, t->colour, t->opacity, grad, &loss);
-    if (takes_part) {
-        __syncwarp(); // lane 0 wrote tile_previous
-        returned.count = rn_composite_backward(t, grad, b->status->gradient_scale);
-    }
-    if (RN_LANE > 0) return;
-    b->ray_return[t->index] = returned;
-    rn_save_loss(b, t->index, takes_part, t->ray.weight, loss, t->opacity);
+    sums[0] = t->opacity;
+    for (int c = 0; c < 3; c++)
+        sums[1 + c] = t->colour[c];
 }
 
 // ---- kernels --------------------------------------------------------------------------------
@@ -386,7 +316,7 @@ __global__ void __launch_bounds__(384, 1)
         evaluated += (unsigned long long)t.evaluated;
         if (scene.per_ray) rn_save_sums(&t);
         if (TRAIN)
-            rn_finish_ray(&t);
+            rn_leave_ray(&t);
         else if (RN_LANE == 0)
             rn_store_pixel(&t);
     }

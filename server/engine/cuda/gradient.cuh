@@ -76,14 +76,14 @@ RN_DEVICE void rn_gradient_store(const struct rn_gradient_layer *l,
     RN_UNROLL
     for (int i = 0; i < RN_GRADIENT_M; i++)
         RN_UNROLL
-        for (int j = 0; j < RN_GRADIENT_N; j++) {
-            int m = s->down + RN_GRADIENT_DOWN * i, n = s->across + RN_GRADIENT_ACROSS * j;
-            if (m >= l->into_blocks || n >= l->out_blocks) continue;
-            float4 *block = to + (m * l->out_blocks + n) * 2 * RN_LANES;
-            for (int h = 0; h < 2; h++)
-                block[h * RN_LANES + RN_LANE] = float4{s->c[i][j][h][0], s->c[i][j][h][1],
-                                                       s->c[i][j][h][2], s->c[i][j][h][3]};
-        }
+    for (int j = 0; j < RN_GRADIENT_N; j++) {
+        int m = s->down + RN_GRADIENT_DOWN * i, n = s->across + RN_GRADIENT_ACROSS * j;
+        if (m >= l->into_blocks || n >= l->out_blocks) continue;
+        float4 *block = to + (m * l->out_blocks + n) * 2 * RN_LANES;
+        for (int h = 0; h < 2; h++)
+            block[h * RN_LANES + RN_LANE] =
+                float4{s->c[i][j][h][0], s->c[i][j][h][1], s->c[i][j][h][2], s->c[i][j][h][3]};
+    }
 }
 
 // Numbers of a network's gradient in block order, padding included.

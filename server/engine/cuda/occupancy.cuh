@@ -121,7 +121,7 @@ __global__ void __launch_bounds__(256)
     for (int i = 0; i < RN_OCCUPANCY_PARTS; i++)
         sum += o.partial[i];
     double mean = sum / ((double)o.cells * (double)o.cells * (double)o.cells);
-    float threshold = (float)(mean < RN_OCCUPANCY_LIMIT ? mean : RN_OCCUPANCY_LIMIT);
+    float threshold = (float)(mean < o.limit ? mean : o.limit);
     int brick = word / 16, z = brick % bricks * RN_BRICK + word % 16 / 2;
     int y0 = brick / bricks % bricks * RN_BRICK + word % 2 * 4;
     int x0 = brick / bricks / bricks * RN_BRICK;

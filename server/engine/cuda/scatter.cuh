@@ -1,6 +1,7 @@
 // The fetch's adjoint: feature gradients to the texels they came from. A thread follows a piece of
-// a ray on one plane with four channels and holds the sums of the texels around it; what it leaves
-// behind goes to memory, so that neighbouring samples' texels are written once.
+// a ray on one plane with C channels, 8 where texels have as many, else 4, and holds the sums of
+// the texels around it; what it leaves behind goes to memory, so that neighbouring samples' texels
+// are written once.
 #ifndef RN_ENGINE_CUDA_SCATTER_CUH
 #define RN_ENGINE_CUDA_SCATTER_CUH
 
@@ -22,9 +23,9 @@ struct rn_cuda_gradients {
 
 // Sums of the four texels of one map around the ray, [row][column][channel]; 0 where it is empty.
 #define RN_NOWHERE -4
-struct rn_nest {
+template <int C> struct rn_nest {
     int x, y; // of texel (0, 0); RN_NOWHERE before there is one
-    float sum[2][2][4];
+    float sum[2][2][C];
 };
 
 // Where one thread scatters.
@@ -48,31 +49,49 @@ RN_DEVICE void rn_mark_touched(const struct rn_scatter_place *p, int lx, int ly,
         touched[j * side + i] = 1;
 }
 
-// Adds four sums to texel (x, y) of map (lx, ly) and clears them.
-template <bool FIXED>
+// Adds sums of gradients to a texel of the fp16 maps.
+RN_DEVICE void rn_add_half(const struct rn_cuda_gradients *to, size_t at, const float (&sum)[4]) {
+    rn_red_half4(to->half + at / 4,
+                 rn_pack(sum[0] * RN_SCATTER_HEADROOM, sum[1] * RN_SCATTER_HEADROOM),
+                 rn_pack(sum[2] * RN_SCATTER_HEADROOM, sum[3] * RN_SCATTER_HEADROOM));
+}
+RN_DEVICE void rn_add_half(const struct rn_cuda_gradients *to, size_t at, const float (&sum)[8]) {
+    uint32_t pairs[4];
+    RN_UNROLL
+    for (int i = 0; i < 4; i++)
+        pairs[i] = rn_pack(sum[2 * i] * RN_SCATTER_HEADROOM, sum[2 * i + 1] * RN_SCATTER_HEADROOM);
+    rn_red_half8((uint4 *)(to->half + at / 4), pairs);
+}
+
+// Adds the sums to texel (x, y) of map (lx, ly) and clears them.
+template <bool FIXED, int C>
 RN_DEVICE void rn_flush(const struct rn_scatter_place *p, int lx, int ly, int x, int y,
-                        float sum[4]) {
-    if (sum[0] == 0 && sum[1] == 0 && sum[2] == 0 && sum[3] == 0) return;
+                        float (&sum)[C]) {
+    bool some = false;
+    RN_UNROLL
+    for (int c = 0; c < C; c++)
+        some |= !(sum[c] == 0);
+    if (!some) return;
     uint32_t texel = (uint32_t)p->plane * p->planes->plane_texels + p->planes->map[ly][lx] +
                      (uint32_t)(y * (p->planes->base >> lx) + x);
     size_t at = (size_t)texel * (size_t)p->planes->channels + (size_t)p->channel;
     if (FIXED) {
-        for (int c = 0; c < 4; c++)
+        for (int c = 0; c < C; c++)
             atomicAdd(p->to->fixed + at + c,
                       (unsigned long long)(long long)((double)sum[c] * (double)RN_FIXED_ONE));
     } else {
-        rn_red_half4(p->to->half + at / 4,
-                     rn_pack(sum[0] * RN_SCATTER_HEADROOM, sum[1] * RN_SCATTER_HEADROOM),
-                     rn_pack(sum[2] * RN_SCATTER_HEADROOM, sum[3] * RN_SCATTER_HEADROOM));
+        rn_add_half(p->to, at, sum);
     }
-    sum[0] = sum[1] = sum[2] = sum[3] = 0;
+    RN_UNROLL
+    for (int c = 0; c < C; c++)
+        sum[c] = 0;
 }
 
 // Moves a nest to another place of its map, or away from it (`leaves`): what both places share
 // stays, what they do not goes to memory.
-template <bool FIXED>
+template <bool FIXED, int C>
 RN_DEVICE void rn_move_nest(const struct rn_scatter_place *p, int lx, int ly, bool leaves, int x,
-                            int y, struct rn_nest *n) {
+                            int y, struct rn_nest<C> *n) {
     int dx = leaves ? 2 : x - n->x, dy = y - n->y;
     RN_UNROLL
     for (int k = 0; k < 4; k++) {
@@ -80,37 +99,37 @@ RN_DEVICE void rn_move_nest(const struct rn_scatter_place *p, int lx, int ly, bo
         if (!stays) rn_flush<FIXED>(p, lx, ly, n->x + k % 2, n->y + k / 2, n->sum[k / 2][k % 2]);
     }
     RN_UNROLL
-    for (int i = 0; i < 8; i++) {
-        float left = n->sum[i / 4][0][i % 4], right = n->sum[i / 4][1][i % 4];
-        n->sum[i / 4][0][i % 4] = dx > 0 ? right : dx < 0 ? 0 : left;
-        n->sum[i / 4][1][i % 4] = dx > 0 ? 0 : dx < 0 ? left : right;
+    for (int i = 0; i < 2 * C; i++) {
+        float left = n->sum[i / C][0][i % C], right = n->sum[i / C][1][i % C];
+        n->sum[i / C][0][i % C] = dx > 0 ? right : dx < 0 ? 0 : left;
+        n->sum[i / C][1][i % C] = dx > 0 ? 0 : dx < 0 ? left : right;
     }
     RN_UNROLL
-    for (int i = 0; i < 8; i++) {
-        float above = n->sum[0][i / 4][i % 4], below = n->sum[1][i / 4][i % 4];
-        n->sum[0][i / 4][i % 4] = dy > 0 ? below : dy < 0 ? 0 : above;
-        n->sum[1][i / 4][i % 4] = dy > 0 ? 0 : dy < 0 ? above : below;
+    for (int i = 0; i < 2 * C; i++) {
+        float above = n->sum[0][i / C][i % C], below = n->sum[1][i / C][i % C];
+        n->sum[0][i / C][i % C] = dy > 0 ? below : dy < 0 ? 0 : above;
+        n->sum[1][i / C][i % C] = dy > 0 ? 0 : dy < 0 ? above : below;
     }
     n->x = x;
     n->y = y;
 }
 
 // Four nests, one a corner of the levels, and the levels they are at.
-struct rn_nests {
+template <int C> struct rn_nests {
     int lx, ly;
-    struct rn_nest corner[4];
+    struct rn_nest<C> corner[4];
 };
 
 // Adds the adjoint of one query; with `ends` nothing, and all that is held goes to memory. One copy
 // of this code serves every sample: unrolled as it is, it is most of the kernel.
-template <bool FIXED>
+template <bool FIXED, int C>
 RN_DEVICE void rn_spread(const struct rn_scatter_place *p, const struct rn_query *q,
-                         const float grad[4], bool ends, struct rn_nests *n) {
+                         const float (&grad)[C], bool ends, struct rn_nests<C> *n) {
     bool leaves = ends || q->x.level != n->lx || q->y.level != n->ly;
     RN_UNROLL
     for (int c = 0; c < 4; c++) {
         float weight = ends ? 0 : rn_corner_weight(q, p->planes->footprint, c);
-        struct rn_nest *nest = &n->corner[c];
+        struct rn_nest<C> *nest = &n->corner[c];
         struct rn_corner at = {0, 0, 0, {RN_NOWHERE, 0}, {RN_NOWHERE, 0}};
         if (weight > 0) at = rn_find_corner(p->planes, q, c);
         // One lane of a texel's marks what all of them will leave there.
@@ -125,7 +144,7 @@ RN_DEVICE void rn_spread(const struct rn_scatter_place *p, const struct rn_query
         for (int k = 0; k < 4; k++) {
             float w = weight * (k & 1 ? fx : 1 - fx) * (k & 2 ? fy : 1 - fy);
             RN_UNROLL
-            for (int e = 0; e < 4; e++)
+            for (int e = 0; e < C; e++)
                 nest->sum[k >> 1][k & 1][e] += w * grad[e];
         }
     }
@@ -134,29 +153,33 @@ RN_DEVICE void rn_spread(const struct rn_scatter_place *p, const struct rn_query
 }
 
 // No place yet.
-RN_DEVICE struct rn_nests rn_nests_start() {
-    struct rn_nests n = {};
+template <int C> RN_DEVICE struct rn_nests<C> rn_nests_start() {
+    struct rn_nests<C> n = {};
     for (int c = 0; c < 4; c++)
         n.corner[c].x = n.corner[c].y = RN_NOWHERE;
     return n;
 }
 
 // What a thread needs of a backpropagated sample; asked for while the one before is spread.
+template <int C>
 struct rn_returned_sample {
     float mid;
-    uint2 grad; // four channels
+    uint2 grad[C / 4];
 };
-RN_DEVICE struct rn_returned_sample rn_load_returned(const struct rn_cuda_batch *b, int kt, int k,
-                                                     int t, int place) {
+template <int C>
+RN_DEVICE struct rn_returned_sample<C> rn_load_returned(const struct rn_cuda_batch *b, int kt,
+                                                        int k, int t, int place) {
     size_t block = (size_t)(place / RN_TILE) * (size_t)kt + (size_t)k;
-    struct rn_returned_sample s = {
-        b->returned_mid[place],
-        b->feature_grad[block * RN_BLOCK + (size_t)(place % RN_TILE * 4 + t)]};
+    struct rn_returned_sample<C> s;
+    s.mid = b->returned_mid[place];
+    RN_UNROLL
+    for (int i = 0; i < C / 4; i++)
+        s.grad[i] = b->feature_grad[block * RN_BLOCK + (size_t)(place % RN_TILE * 4 + t + i)];
     return s;
 }
 
-// Follows a piece of a ray on the plane of fragment `k`, lane part `t` of four.
-template <bool FIXED>
+// Follows a piece of a ray on the plane of fragment `k`, from lane part `t` of four on.
+template <bool FIXED, int C>
 RN_DEVICE void rn_scatter_piece(const struct rn_cuda_scene *scene, const struct rn_cuda_batch *b,
                                 const struct rn_cuda_gradients *to, float step,
                                 struct rn_cuda_piece piece, int k, int t) {
@@ -171,13 +194,17 @@ RN_DEVICE void rn_scatter_piece(const struct rn_cuda_scene *scene, const struct 
     struct rn_march_ray ray = b->rays[piece.ray];
     step *= (float)ray.stride;
     struct rn_footprint_factors f = rn_factors(planes->axis[p.plane], ray.direction);
-    struct rn_nests nests = rn_nests_start();
-    struct rn_returned_sample own, next = rn_load_returned(b, kt, k, t, first);
+    struct rn_nests<C> nests = rn_nests_start<C>();
+    struct rn_returned_sample<C> own, next = rn_load_returned<C>(b, kt, k, t, first);
     for (int i = 0; i <= count; i++) {
         own = next;
-        if (i + 1 < count) next = rn_load_returned(b, kt, k, t, first + i + 1);
-        float grad[4] = {rn_low(own.grad.x), rn_high(own.grad.x), rn_low(own.grad.y),
-                         rn_high(own.grad.y)};
+        if (i + 1 < count) next = rn_load_returned<C>(b, kt, k, t, first + i + 1);
+        float grad[C];
+        RN_UNROLL
+        for (int c = 0; c < C; c++) {
+            uint32_t pair = c % 4 < 2 ? own.grad[c / 4].x : own.grad[c / 4].y;
+            grad[c] = c % 2 ? rn_high(pair) : rn_low(pair);
+        }
         struct rn_sample s = rn_place(&ray, own.mid, step);
         float lx = 0, ly = 0;
         if (planes->levels > 1) rn_levels(planes, &f, &s, ray.radius, &lx, &ly);
@@ -186,18 +213,18 @@ RN_DEVICE void rn_scatter_piece(const struct rn_cuda_scene *scene, const struct 
     }
 }
 
-// One thread a (piece, fragment, part).
-template <bool FIXED>
+// One thread a (piece, fragment, C of its 16 channels).
+template <bool FIXED, int C>
 __global__ void __launch_bounds__(128)
     rn_scatter_kernel(const __grid_constant__ rn_cuda_scene scene,
                       const __grid_constant__ rn_cuda_batch batch,
                       const __grid_constant__ rn_cuda_gradients to, float step) {
-    int parts = 4 * scene.base.inputs16, all = (int)batch.status->pieces * parts;
+    int parts = 16 / C * scene.base.inputs16, all = (int)batch.status->pieces * parts;
     if (rn_cuda_step_skipped(batch.status)) return;
     for (int i = (int)(blockIdx.x * blockDim.x + threadIdx.x); i < all;
          i += (int)(gridDim.x * blockDim.x))
-        rn_scatter_piece<FIXED>(&scene, &batch, &to, step, batch.pieces[i / parts], i % parts / 4,
-                                i % 4);
+        rn_scatter_piece<FIXED, C>(&scene, &batch, &to, step, batch.pieces[i / parts],
+                                   i % parts / (16 / C), i % (16 / C) * (C / 4));
 }
 
 #endif

@@ -17,10 +17,16 @@ struct rn_cuda_cells {
     uint32_t occupied, drawn;
 };
 
+// Bricks of a grid of so many cells a side.
+static inline size_t rn_cuda_bricks(int cells) {
+    size_t side = (size_t)cells / RN_BRICK;
+    return side * side * side;
+}
+
 // The occupancy grid as the march reads it (struct rn_occupancy_bits), and what it is made from.
 struct rn_cuda_occupancy {
     int cells;
-    float threshold_limit;
+    double limit; // of a step's optical depth, above which a cell is occupied
     uint32_t *words;
     uint8_t *distance;
     int *box;        // low x y z, high x y z in cells; low > high when none
@@ -127,7 +133,9 @@ struct rn_cuda_batch {
     int *ray_samples, *ray_last; // samples seen, the last tile
     struct rn_cuda_return *ray_return;
     struct rn_cuda_piece *pieces; // of all rays, one after the other
-    float *ray_sums; // ray shading: [ray][RN_GEOMETRY], in training then dL/d(sums), scaled
+    // [ray][RN_GEOMETRY]: sums of a ray that is shaded as a whole, in training then dL/d(sums),
+    // scaled; else in training opacity and colour
+    float *ray_sums;
     // of each tile slot
     int *tile_ray, *tile_previous;
     uint32_t *tile_rows;   // that are backpropagated, one bit each

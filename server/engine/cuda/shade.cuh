@@ -4,8 +4,8 @@
 #ifndef RN_ENGINE_CUDA_SHADE_CUH
 #define RN_ENGINE_CUDA_SHADE_CUH
 
-#include "common/math/rng.h"
 #include "server/engine/cuda/backward.cuh"
+#include "server/engine/cuda/loss.cuh"
 
 // ---- the colour network ---------------------------------------------------------------------
 
@@ -18,7 +18,9 @@ RN_DEVICE void rn_ray_inputs(const struct rn_cuda_scene *scene, const struct rn_
         uint32_t direction[2] = {0, 0}, sums[2] = {0, 0};
         if (r < b->status->ray_count) {
             const float *from = b->ray_sums + (size_t)r * RN_GEOMETRY + 2 * (RN_LANE % 4);
-            rn_direction(scene, march->turned ? march->look : b->rays[r].direction, direction);
+            float look[3];
+            rn_look(march, b->rays[r].direction, look);
+            rn_direction(scene, look, direction);
             for (int k = 0; k < 2; k++)
                 sums[k] = rn_pack(from[8 * k], from[8 * k + 1]);
         }
@@ -50,10 +52,6 @@ struct rn_ray_gradient {
     bool takes_part;
     float colour[3];           // of the network's outputs
     float opacity, diffuse[3]; // of these sums, but for what comes through the network
-};
-
-struct rn_seen {
-    float opacity, colour[3];
 };
 
 // The mean over the rays of a pixel, which are in neighbouring lanes.
@@ -150,38 +148,6 @@ __global__ void __launch_bounds__(RN_NETWORK_THREADS(SHARED), 1)
 }
 
 // ---- samples --------------------------------------------------------------------------------
-
-#define RN_STREAM_LOTS 0x6c6f747300000000u
-#define RN_CERTAIN (1 << 24) // chances are in units of 2^-24
-
-// Roulette along one ray, by the samples' sizes (backward_select of cpu/backward.h): below
-// `threshold` a gradient is backpropagated with the chance that its size has to it.
-struct rn_roulette {
-    float threshold; // 0: all are backpropagated
-    uint32_t sum;    // of the chances so far, from a random start
-};
-
-RN_DEVICE struct rn_roulette rn_roulette_start(const struct rn_cuda_batch *b, int r) {
-    const struct rn_cuda_status *s = b->status;
-    struct rn_roulette l = {b->roulette * s->gradient_size * s->gradient_scale, 0};
-    if (!(l.threshold > 0 && l.threshold < 3e38f)) l.threshold = 0;
-    l.sum = rn_rng_draw(b->seed, RN_STREAM_LOTS | (uint32_t)r, s->steps).v[0];
-    return l;
-}
-
-// Whether lane i's sample is backpropagated, and what its gradient is to be multiplied by; lanes
-// 0..15. What is not finite always is, to be seen.
-RN_DEVICE bool rn_roulette_draw(struct rn_roulette *l, float size, float *ret_factor) {
-    int chance = RN_CERTAIN;
-    if (size < l->threshold)
-        chance = (int)fminf(size * ((float)RN_CERTAIN / l->threshold) + 1, (float)RN_CERTAIN);
-    if (size == 0 || RN_LANE >= RN_TILE) chance = 0;
-    uint32_t before = l->sum + (uint32_t)rn_sum_before(chance, RN_TILE),
-             after = before + (uint32_t)chance;
-    l->sum = (uint32_t)rn_shuffle((int)after, RN_TILE - 1);
-    *ret_factor = chance > 0 ? (float)RN_CERTAIN / (float)chance : 0;
-    return before / RN_CERTAIN != after / RN_CERTAIN;
-}
 
 // dL/d(outputs of the density network) of a tile, from dL/d(sums), of which a lane has its columns.
 // g_i = dL/d(sums) . (1, colour_i, features_i); `behind` as in rn_attenuate_backward.

@@ -104,12 +104,10 @@ RN_DEVICE struct rn_march_ray rn_draw_ray(const struct rn_cuda_source *s, uint64
 }
 
 // What the forward would leave of a ray that meets nothing.
-RN_DEVICE void rn_leave_empty(const struct rn_cuda_batch *b, bool per_ray, int r) {
+RN_DEVICE void rn_leave_empty(const struct rn_cuda_batch *b, int r) {
     b->ray_samples[r] = 0;
     b->ray_last[r] = -1;
-    b->ray_loss[r] = b->ray_weight[r] = 0;
-    b->ray_return[r] = rn_cuda_return{0, 0, 0, 0};
-    for (int i = 0; i < RN_GEOMETRY && per_ray; i++)
+    for (int i = 0; i < RN_GEOMETRY; i++)
         b->ray_sums[(size_t)r * RN_GEOMETRY + i] = 0;
 }
 
@@ -122,7 +120,7 @@ __global__ void __launch_bounds__(256) rn_rays_kernel(const __grid_constant__ rn
         struct rn_march_ray ray = rn_draw_ray(&source, batch.status->steps, batch.status->rays, r);
         batch.rays[r] = ray;
         tiles = rn_tiles_ahead(&scene.occupancy, &ray, (float)source.step);
-        if (tiles == 0) rn_leave_empty(&batch, scene.per_ray, r);
+        if (tiles == 0) rn_leave_empty(&batch, r);
     }
     rn_queue_ray(&batch, r, tiles);
 }

@@ -10,7 +10,7 @@
 #include "common/math/camera.h"
 #include "server/engine/kernels/kernels.h"
 
-#define RN_BACKEND_VERSION 8
+#define RN_BACKEND_VERSION 9
 #define RN_BACKEND_SYMBOL "rn_backend_table"
 
 struct rn_backend_device; // owner: rn_backend.open's caller
@@ -21,6 +21,11 @@ struct rn_device_about {
     char kernels[32];    // "sm_90"
     size_t memory_bytes; // of the device
 };
+
+// The cells that a picture's rays march through (scene/occupancy.h): finer ones of a field at rest,
+// and of these the firm ones; or those of training, also where there are no others.
+#define RN_DEVICE_FINER 2
+enum rn_device_cells { RN_CELLS_FINE, RN_CELLS_FIRM, RN_CELLS_OF_TRAINING };
 
 // What a field on the device is made from. The arrays are the CPU field's, copied.
 struct rn_device_scene {
@@ -33,6 +38,8 @@ struct rn_device_scene {
     const float *parameters;
     const float *occupancy; // cells^3
     const uint8_t *hull;    // cells^3
+    // Of a field at rest; NULL: there are none.
+    const struct rn_occupancy_bits *finer[RN_DEVICE_FINER];
 };
 
 // Where training rays come from.
@@ -65,7 +72,7 @@ struct rn_device_training {
     float gradient_size;  // of a sample, mean of the step before, for the roulette; 0: none yet
     uint64_t rays;        // of all steps before
     double march_step;    // scene radii; the configuration's own is for the occupancy
-    bool split;           // rn_march_options; with ray shading alone
+    bool split;           // rn_march_options
     float background[3], background_variance; // rn_march_options
     const float *m, *v;                       // NULL: zero
 };
@@ -138,9 +145,9 @@ struct rn_backend {
                                float *occupancy, struct rn_error *err);
     // Pixels of rows [first_row, first_row + rows) of a camera, row after row.
     enum rn_status (*render)(struct rn_device_field *field, const struct rn_camera *camera,
-                             const struct rn_march_options *options, int first_row, int rows,
-                             struct rn_pixel *ret_pixels, uint64_t *ret_samples,
-                             struct rn_error *err);
+                             const struct rn_march_options *options, enum rn_device_cells cells,
+                             int first_row, int rows, struct rn_pixel *ret_pixels,
+                             uint64_t *ret_samples, struct rn_error *err);
 };
 
 #endif

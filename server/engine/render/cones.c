@@ -169,13 +169,22 @@ static void average_rows(const struct rn_pixel *cones, int n, const float *strai
         }
 }
 
+// Which cells the CPU's march would read (rn_field_choose_cells).
+static enum rn_device_cells chosen_cells(const struct rn_field *field) {
+    const uint32_t *words = field->cpu.occupancy.words;
+    return words == field->fine.words   ? RN_CELLS_FINE
+           : words == field->firm.words ? RN_CELLS_FIRM
+                                        : RN_CELLS_OF_TRAINING;
+}
+
 enum rn_status rn_field_render_rows(struct rn_field *field, const struct rn_camera *camera,
                                     const struct rn_march_options *march, int n, int row, int rows,
                                     struct rn_pixel *ret_pixels, uint64_t *ret_samples,
                                     struct rn_error *err) {
     if (n == 1) {
-        enum rn_status status = field->backend->render(field->on_device, camera, march, row, rows,
-                                                       ret_pixels, ret_samples, err);
+        enum rn_status status =
+            field->backend->render(field->on_device, camera, march, chosen_cells(field), row, rows,
+                                   ret_pixels, ret_samples, err);
         if (status == RN_OK)
             close_ended(field, march, ret_pixels, (size_t)camera->width * (size_t)rows);
         return status;
@@ -186,8 +195,9 @@ enum rn_status rn_field_render_rows(struct rn_field *field, const struct rn_came
     if (!cones)
         return rn_error_set(err, RN_ERROR_NO_MEMORY, "camera", "%d rows of cones need %zu MiB",
                             rows, count * sizeof *cones >> 20);
-    enum rn_status status = field->backend->render(field->on_device, &fine, march, row * n,
-                                                   rows * n, cones, ret_samples, err);
+    enum rn_status status =
+        field->backend->render(field->on_device, &fine, march, chosen_cells(field), row * n,
+                               rows * n, cones, ret_samples, err);
     if (status == RN_OK) close_ended(field, march, cones, count);
     if (status == RN_OK)
         average_rows(cones, n, straight_over(march), camera->width, rows, ret_pixels);

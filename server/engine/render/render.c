@@ -121,9 +121,9 @@ static enum rn_status prepare(struct frame *f, struct rn_error *err) {
     bool looks_inside = (f->options->outputs & (RN_OUTPUT_COST | RN_OUTPUTS_OF_SURFACES)) != 0;
     f->on_device = f->field->on_device && levels <= f->field->device_levels &&
                    !rn_shot_needs_viewpoints(shot) && !looks_inside && !f->options->crop;
-    if (f->on_device) return RN_OK;
-    status = rn_field_fetch(f->field, NULL, NULL, err);
-    if (status == RN_OK) status = rn_field_make_ready(f->field, f->engine, levels, err);
+    if (!f->on_device) status = rn_field_fetch(f->field, NULL, NULL, err);
+    if (!f->on_device && status == RN_OK)
+        status = rn_field_make_ready(f->field, f->engine, levels, err);
     if (status == RN_OK) rn_field_choose_cells(f->field, levels, exp(-(double)f->march.stop_depth));
     f->before = f->cells = f->field->cpu.occupancy;
     if (status != RN_OK || !f->options->crop) return status;
@@ -161,7 +161,7 @@ static bool must_stop(void *context) {
     const struct poll *poll = context;
     struct frame *f = poll->frame;
     bool stop = poll->keep_going && !poll->keep_going(poll->context);
-    if (!f->on_device) f->field->cpu.occupancy = f->cells;
+    f->field->cpu.occupancy = f->cells;
     return stop;
 }
 

@@ -95,7 +95,6 @@ bool rn_device_trained(const char *kernels) {
 
 void rn_device_adapt(struct rn_train_config *config) {
     config->draw_by_error = false;
-    if (config->field.shading == RN_SHADING_SAMPLE) config->roulette = config->split_pixels = 0;
 }
 
 // ---- memory ---------------------------------------------------------------------------------
@@ -146,6 +145,10 @@ struct rn_device_scene rn_device_scene_of(const struct rn_field *f, int levels) 
                                     .parameters = f->parameters.values,
                                     .occupancy = f->occupancy,
                                     .hull = f->hull};
+    if (f->fine.words) {
+        scene.finer[RN_CELLS_FINE] = &f->fine;
+        scene.finer[RN_CELLS_FIRM] = &f->firm;
+    }
     memcpy(scene.centre, f->bounds.centre, sizeof scene.centre);
     return scene;
 }

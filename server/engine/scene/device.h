@@ -16,8 +16,7 @@ void rn_engine_close_device(struct rn_engine *engine);
 // Whether a checkpoint's kernel set is a device's: any machine may go on from it.
 bool rn_device_trained(const char *kernels);
 
-// What a training on a device does otherwise: it draws rays without a look at errors, and where
-// samples are shaded it has no roulette and splits no pixels.
+// What a training on a device does otherwise: it draws rays without a look at errors.
 void rn_device_adapt(struct rn_train_config *config);
 
 // How far a device's kernels are from the CPU's, on small fields: a pixel's largest difference, of

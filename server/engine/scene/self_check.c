@@ -113,7 +113,8 @@ static enum rn_status compare_pixels(struct subject *s, double *ret_worst, struc
     uint64_t samples;
     enum rn_status status = put(s, s->field->parameters.values, &field, err);
     if (status == RN_OK)
-        status = backend->render(field, camera, &options, 0, SIDE, there, &samples, err);
+        status = backend->render(field, camera, &options, RN_CELLS_OF_TRAINING, 0, SIDE, there,
+                                 &samples, err);
     backend->field_destroy(&field);
     if (status != RN_OK) return status;
     for (int i = 0; i < SIDE * SIDE; i++) {
