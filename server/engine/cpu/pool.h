@@ -21,9 +21,9 @@ int rn_pool_threads(const struct rn_pool *pool);
 void rn_pool_run(struct rn_pool *pool, int count,
                  void (*work)(void *context, int index, int thread), void *context);
 
-// As rn_pool_run from index *next on, but no more are handed out once `stop` says so, which the
-// thread 0 asks before each of its items but the first. *next becomes the first index that is left;
-// true: none is. So a long run can be cut short and taken up again; nothing is done twice.
+// As rn_pool_run from index *next on, but no more are handed out once `stop` says so, which thread
+// 0 asks before each of its items but the first. *next becomes the first index that is left; true:
+// none is. So a long run can be cut short and taken up again; nothing is done twice.
 bool rn_pool_run_some(struct rn_pool *pool, int count, int *next,
                       void (*work)(void *context, int index, int thread), void *context,
                       bool (*stop)(void *stop_context), void *stop_context);
