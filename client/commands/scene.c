@@ -321,8 +321,7 @@ static void print_info(const void *message) {
         print_field("device", "not known: no runner has answered");
     if (strncmp(info->device, "cuda", 4) == 0)
         print_field("CPU's alone", "unbounded and forward-facing captures, masks, bases that the "
-                                   "levels do not halve evenly, cost and surfaces of a picture; a "
-                                   "GPU traces every pixel, whatever --tolerance says");
+                                   "levels do not halve evenly, cost and surfaces of a picture");
     if (*info->kernels) {
         printf("%-12s%s, of", "kernels", info->kernels);
         for (size_t i = 0; i < info->available_kernel_count; i++)

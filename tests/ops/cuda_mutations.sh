@@ -161,7 +161,7 @@ mutate march occupancy.cuh "occupancy: distance along two axes only" \
 mutate march forward.cuh "compositing: the stop is not looked at" \
     's/before <= stop_depth ? expf(-before) : 0/expf(-before)/'
 mutate march occupancy.cuh "occupancy: another limit than asked for" 's/mean < o.limit ? mean : o.limit/mean < RN_OCCUPANCY_LIMIT ? mean : RN_OCCUPANCY_LIMIT/'
-mutate march backend.cu "rendering: a field at rest is marched as in training" 's/f->seen.occupancy = f->finer\[cells\];/;/'
+mutate march backend.cu "rendering: a field at rest is marched as in training" 's/f->seen.occupancy = f->finer\[view->cells\];/;/'
 # Encoding and networks.
 mutate gradients encode.cuh "encode: levels exchanged" \
     's/p->map\[c.ly\]\[c.lx\]/p->map[c.lx][c.ly]/'
@@ -191,8 +191,8 @@ mutate pixels forward.cuh "ray shading: diffuse colours rotated" 's/(c + 1) % 2\
 mutate pixels forward.cuh "ray shading: no opacity in the input" \
     's/out\[0\]\[i\] = column == 0 ? 1 :/out[0][i] = column == 0 ? 0 :/'
 mutate pixels shade.cuh "ray shading: a colour without its opacity" 's/+= opacity \* colour/+= colour/'
-mutate parts backend.cu "rendering: a part is taken before it is there" 's/d->staged\[(part + 1) % 2\], (size_t)before/d->staged[part % 2], (size_t)before/'
-mutate parts backend.cu "rendering: the last part is not taken" 's/(first < end || before > 0) \&\& !e/first < end \&\& !e/'
+mutate parts backend.cu "rendering: a part is taken before it is there" 's/d->staged\[(part + 1) % 2\], before/d->staged[part % 2], before/'
+mutate parts backend.cu "rendering: the last part is not taken" 's/(count > 0 || before > 0) \&\& !e/count > 0 \&\& !e/'
 mutate parts backend.cu "rendering: samples of the last part only" 's/counts_anew = part == 0/counts_anew = true/'
 mutate march forward.cuh "ray shading: a turned ray keeps its direction" \
     's/march->turned ? march->look\[i\] : //'
@@ -268,8 +268,15 @@ mutate march step.cuh "queue: pixels of nothing are black" 's/{c\[0\], c\[1\], c
 mutate second step.cuh "queue: rays of the step before are taken again" 's/^        s->queued\[l\] = 0;/        ;/'
 mutate parts field.cu "queue: pixels of the part before are taken again" 's/^    RN_TRY(cudaMemsetAsync(f->view.status->queued.*//'
 mutate second step.cuh "queue: an empty ray keeps what another left" 's/if (tiles == 0) rn_leave_empty(.*/;/'
+mutate places step.cuh "rendering: pixels as they lie, whatever list" 's/view.places ? view.places\[pixel\] : view.first/view.first/'
+mutate places step.cuh "rendering: every picture through the first camera" 's/view.cameras\[place .*\];/view.cameras[0];/'
+mutate places step.cuh "rendering: one cone instead of four" 's/x \* n + cone % n + 0.5/x * n + 0.5/'
+mutate places step.cuh "rendering: rays that end early stay open" 's/^        rn_close_ended.*/        ;/'
+mutate places step.cuh "rendering: straight colours are averaged as others" 's/view.straight ? march.background : NULL/NULL/'
+mutate places backend.cu "rendering: an fp16 zero is no zero" 's/size < 0x400 ? denormal .* : value/value/'
+mutate parts backend.cu "rendering: the list of the first part again" 's/p->places->numbers + p->asked/p->places->numbers/'
 mutate parts backend.cu "rendering: copied before it is there" 's/^    if (!e) e = cudaStreamWaitEvent.*//'
-mutate parts backend.cu "rendering: all parts in one place" 's/f->view.pixels = f->parts\[stage\]/f->view.pixels = f->parts[0]/'
+mutate parts backend.cu "rendering: all parts in one place" 's/march, f->parts\[stage\])/march, f->parts[0])/'
 # Cells by lot.
 mutate occupancy occupancy.cuh "occupancy: another coin" 's/rn_cell_draw(\&m, cell).v\[3\]/rn_cell_draw(\&m, cell).v[2]/'
 mutate occupancy occupancy.cuh "occupancy: occupied cells are not counted" 's/^    if (bits) atomicAdd(&o.cells_now->occupied.*//'
@@ -309,6 +316,8 @@ mutate_engine renders scene/device.c "engine: occupancy not read back" \
     's/m, v, f->occupancy, err/m, v, NULL, err/'
 mutate_engine renders render/render.c "engine: a far camera rendered with too few levels" \
     's/levels <= f->field->device_levels/true/'
+mutate_engine renders render/render.c "engine: traced points in each other's places" 's/f->lattice.pixels\[f->listed\[i\]\]/f->lattice.pixels[i]/'
+mutate_engine renders render/render.c "engine: no tolerance on a device" 's/if (rn_lattice_passes(&f->lattice) == 1)/if (true)/'
 mutate_engine rest scene/device.c "engine: firm cells in place of all finer ones" 's/finer\[RN_CELLS_FINE\] = &f->fine;/finer[RN_CELLS_FINE] = \&f->firm;/'
 mutate_engine rest render/render.c "engine: a picture's cells are not chosen for a device" \
     's/if (status == RN_OK) rn_field_choose_cells/if (status == RN_OK \&\& !f->on_device) rn_field_choose_cells/'

@@ -5,6 +5,7 @@
 
 #include "common/math/rng.h"
 #include "server/engine/cuda/layout.h"
+#include "server/engine/kernels/pixel.h"
 #include "tests/ops/cuda_scene.h"
 
 #define PIXEL_BOUND 2e-3
@@ -24,8 +25,8 @@ START_TEST(pixels_match_reference) {
         double worst_pixel = 0, largest = 1;
         test_scene_init(&s, &config);
         OK(test_scene_upload(&s, 0, &err));
-        OK(test_backend()->render(s.on_device, &s.frames[0].camera, &options, RN_CELLS_OF_TRAINING,
-                                  2, 6, pixels, &samples, &err));
+        OK(test_render(&s, &s.frames[0].camera, &options, RN_CELLS_OF_TRAINING, 2, 6, pixels,
+                       &samples, &err));
         for (int k = 0; k < 6 * SIDE; k++) {
             struct rn_reference_ray ray =
                 test_reference_ray(&s, &s.frames[0].camera, k % SIDE, 2 + k / SIDE, 0);
@@ -87,8 +88,8 @@ START_TEST(march_finds_the_cells_that_the_cpu_finds) {
         for (int f = 0; f < FRAMES; f++) {
             const struct rn_camera *camera = &s.frames[f].camera;
             uint64_t samples, cpu;
-            OK(test_backend()->render(s.on_device, camera, &options, RN_CELLS_OF_TRAINING, 0, SIDE,
-                                      pixels, &samples, &err));
+            OK(test_render(&s, camera, &options, RN_CELLS_OF_TRAINING, 0, SIDE, pixels, &samples,
+                           &err));
             for (int i = 0; i < SIDE * SIDE; i++) {
                 struct rn_ray ray = rn_camera_ray(camera, i % SIDE + 0.5, i / SIDE + 0.5);
                 rays[i] = rn_march_ray_from(s.field, &ray, config.step, 0);
@@ -141,8 +142,7 @@ START_TEST(march_reads_the_cells_that_are_chosen) {
         static const enum rn_device_cells fewer[] = {RN_CELLS_OF_TRAINING, RN_CELLS_FINE,
                                                      RN_CELLS_FIRM};
         s.field->cpu.occupancy = cells[_i ? fewer[i] : RN_CELLS_OF_TRAINING];
-        OK(test_backend()->render(s.on_device, camera, &options, fewer[i], 0, SIDE, pixels,
-                                  &samples, &err));
+        OK(test_render(&s, camera, &options, fewer[i], 0, SIDE, pixels, &samples, &err));
         cpu = s.engine.kernels->render(&s.field->cpu, &options, rays, SIDE * SIDE,
                                        rn_engine_workspace(&s.engine, 0), expected);
         ck_assert_uint_gt(cpu, 100);
@@ -160,7 +160,7 @@ START_TEST(march_reads_the_cells_that_are_chosen) {
 END_TEST
 
 // A picture of more pixels than the device takes at once, of a far ball that lies across both
-// parts.
+// parts. _i: from the last to the first, by their numbers.
 START_TEST(pictures_come_in_parts) {
     enum { WIDE = 400, PIXELS = WIDE * WIDE, PART = 1 << 17 };
     struct rn_train_config config = test_config(RN_FOOTPRINT_POINT, 3, 8, 16, 1);
@@ -176,8 +176,13 @@ START_TEST(pictures_come_in_parts) {
         camera.world_from_camera[i][3] *= 12;
     camera.cy += 0.32 * WIDE; // to where one part ends and the next begins
     OK(test_scene_upload(&s, 0, &err));
-    OK(test_backend()->render(s.on_device, &camera, &options, RN_CELLS_OF_TRAINING, 0, WIDE, pixels,
-                              &samples, &err));
+    uint32_t *numbers = malloc(PIXELS * sizeof *numbers);
+    for (uint32_t i = 0; i < PIXELS; i++)
+        numbers[i] = PIXELS - 1 - i;
+    const struct rn_device_view view = {
+        .cameras = &camera, .camera_count = 1, .cones = 1, .cells = RN_CELLS_OF_TRAINING};
+    const struct rn_device_places places = {.numbers = _i ? numbers : NULL, .count = PIXELS};
+    OK(test_backend()->render(s.on_device, &view, &options, &places, pixels, &samples, &err));
     for (int i = 0; i < PIXELS; i++) {
         struct rn_ray ray = rn_camera_ray(&camera, i % WIDE + 0.5, i / WIDE + 0.5);
         rays[i] = rn_march_ray_from(s.field, &ray, config.step, 0);
@@ -187,11 +192,13 @@ START_TEST(pictures_come_in_parts) {
                                             rn_engine_workspace(&s.engine, 0), expected);
     ck_assert_uint_eq(samples, cpu);
     for (int i = 0; i < PIXELS; i++) {
+        const struct rn_pixel *there = &pixels[_i ? PIXELS - 1 - i : i];
         seen |= expected[i].alpha > 0 ? 1 << (i / PART) : 0;
-        ck_assert_double_eq_tol(pixels[i].alpha, expected[i].alpha, PIXEL_BOUND);
-        ck_assert_double_eq_tol(pixels[i].rgb[0], expected[i].rgb[0], PIXEL_BOUND);
+        ck_assert_double_eq_tol(there->alpha, expected[i].alpha, PIXEL_BOUND);
+        ck_assert_double_eq_tol(there->rgb[0], expected[i].rgb[0], PIXEL_BOUND);
     }
     ck_assert_int_eq(seen, 3);
+    free(numbers);
     free(pixels);
     free(expected);
     free(rays);
@@ -209,11 +216,10 @@ START_TEST(rays_stop_where_nothing_can_be_seen) {
     OK(test_scene_upload(&s, 0, &err));
     struct rn_march_options options = {.step = 0.05f, .stop_depth = 1e9f};
     const struct rn_camera *camera = &s.frames[1].camera;
-    OK(test_backend()->render(s.on_device, camera, &options, RN_CELLS_OF_TRAINING, SIDE / 2, 1,
-                              pixels, &all, &err));
+    OK(test_render(&s, camera, &options, RN_CELLS_OF_TRAINING, SIDE / 2, 1, pixels, &all, &err));
     options.stop_depth = 0.3f;
-    OK(test_backend()->render(s.on_device, camera, &options, RN_CELLS_OF_TRAINING, SIDE / 2, 1,
-                              pixels, &samples, &err));
+    OK(test_render(&s, camera, &options, RN_CELLS_OF_TRAINING, SIDE / 2, 1, pixels, &samples,
+                   &err));
     struct rn_march_ray rays[SIDE];
     for (int i = 0; i < SIDE; i++) {
         struct rn_ray ray = rn_camera_ray(camera, i + 0.5, SIDE / 2 + 0.5);
@@ -225,8 +231,66 @@ START_TEST(rays_stop_where_nothing_can_be_seen) {
     ck_assert_uint_lt(samples, all);
     ck_assert_uint_ge(samples, cpu);
     ck_assert_uint_le(samples, cpu + SIDE * (RN_TILE - RN_ROUND));
-    for (int i = 0; i < SIDE; i++)
+    for (int i = 0; i < SIDE; i++) {
+        rn_close_ended(rn_ended_opacity(0.3f, config.stop), options.background, &expected[i]);
         ck_assert_double_eq_tol(pixels[i].alpha, expected[i].alpha, 0.02);
+    }
+    test_scene_finish(&s);
+}
+END_TEST
+
+// How far the device's pixels of some places may be from those of single cones, `fine`, averaged
+// here: places, cameras and cones in the order that they are asked for, closed where they ended
+// early, with straight colours, as fp16 has them.
+static void check_places(const struct test_scene *s, const struct rn_march_options *options,
+                         bool halves, const uint32_t *numbers, size_t count) {
+    enum { N = 2, FINE = N * SIDE };
+    static struct rn_pixel fine[2][FINE * FINE];
+    struct rn_camera cameras[2] = {s->frames[0].camera, s->frames[3].camera};
+    struct rn_march_options single = *options;
+    struct rn_pixel pixels[64];
+    uint64_t samples, all = 0;
+    single.straight = false;
+    for (int c = 0; c < 2; c++) {
+        struct rn_camera camera = rn_camera_resized(&cameras[c], FINE, FINE);
+        OK(test_render(s, &camera, &single, RN_CELLS_OF_TRAINING, 0, FINE, fine[c], &samples,
+                       &err));
+        all += samples;
+    }
+    const struct rn_device_view view = {
+        .cameras = cameras, .camera_count = 2, .cones = N, .cells = RN_CELLS_OF_TRAINING, halves};
+    const struct rn_device_places places = {numbers, 100, count};
+    OK(test_backend()->render(s->on_device, &view, options, &places, pixels, &samples, &err));
+    ck_assert_uint_lt(samples, all);
+    for (size_t i = 0; i < count; i++) {
+        int place = numbers ? (int)numbers[i] : 100 + (int)i, x = place % SIDE * N;
+        int y = place / SIDE % SIDE * N, c = place / SIDE / SIDE;
+        const struct rn_pixel *at = &fine[c][y * FINE + x];
+        struct rn_pixel mean =
+            rn_cones_mean((struct rn_pixel[]){at[0], at[1], at[FINE], at[FINE + 1]}, N,
+                          options->straight ? options->background : NULL);
+        double near = halves ? 0x1p-11 : 1e-6; // of numbers below 1
+        for (int k = 0; k < 3; k++)
+            ck_assert_double_eq_tol(pixels[i].rgb[k], mean.rgb[k],
+                                    near * fmax(1, fabs((double)mean.rgb[k])));
+        ck_assert_double_eq_tol(pixels[i].alpha, mean.alpha, mean.alpha > 0 ? near : 1e-30);
+        ck_assert_double_eq_tol(pixels[i].depth, halves ? 0 : mean.depth, 1e-5);
+    }
+}
+
+// _i: plainly; as fp16 has them, with straight colours and an early end.
+START_TEST(places_of_cameras_are_averaged) {
+    struct rn_train_config config = test_config(RN_FOOTPRINT_POINT, 3, 8, 16, 1);
+    static const uint32_t numbers[] = {17, 3, 287, 144 + 66, 66, 67, 78, 144 + 79, 0};
+    struct test_scene s;
+    test_scene_init(&s, &config);
+    OK(test_scene_upload(&s, 0, &err));
+    struct rn_march_options options = {.step = 0.2f,
+                                       .stop_depth = _i ? 0.2f : 1e9f,
+                                       .background = {0.25f, 0.5f, 1},
+                                       .straight = _i};
+    check_places(&s, &options, _i, numbers, sizeof numbers / sizeof *numbers);
+    if (_i) check_places(&s, &options, _i, NULL, 60);
     test_scene_finish(&s);
 }
 END_TEST
@@ -236,5 +300,6 @@ void test_add_pictures(Suite *suite) {
     test_add(suite, "march", march_finds_the_cells_that_the_cpu_finds, 1);
     test_add(suite, "march", march_reads_the_cells_that_are_chosen, 2);
     test_add(suite, "march", rays_stop_where_nothing_can_be_seen, 1);
-    test_add(suite, "parts", pictures_come_in_parts, 1);
+    test_add(suite, "places", places_of_cameras_are_averaged, 2);
+    test_add(suite, "parts", pictures_come_in_parts, 2);
 }

@@ -133,6 +133,18 @@ enum rn_status test_scene_train(struct test_scene *s, bool deterministic, struct
     return test_backend()->train_begin(s->on_device, &pixels, &training, err);
 }
 
+enum rn_status test_render(const struct test_scene *s, const struct rn_camera *camera,
+                           const struct rn_march_options *options, enum rn_device_cells cells,
+                           int row, int rows, struct rn_pixel *ret_pixels, uint64_t *ret_samples,
+                           struct rn_error *err) {
+    const struct rn_device_view view = {
+        .cameras = camera, .camera_count = 1, .cones = 1, .cells = cells};
+    const struct rn_device_places places = {.first = (uint32_t)(row * camera->width),
+                                            .count = (size_t)(rows * camera->width)};
+    return test_backend()->render(s->on_device, &view, options, &places, ret_pixels, ret_samples,
+                                  err);
+}
+
 const struct rn_device_step test_step = {.network_rate = 2e-3f, .plane_rate = 2e-2f};
 
 void test_read_back(struct test_scene *s, struct test_numbers *ret) {

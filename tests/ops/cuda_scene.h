@@ -41,6 +41,11 @@ enum rn_status test_scene_upload(struct test_scene *s, size_t budget, struct rn_
 // Starts training with `rays` rays a step; one scale.
 enum rn_status test_scene_train(struct test_scene *s, bool deterministic, struct rn_error *err);
 void test_scene_finish(struct test_scene *s);
+// Rows [row, row + rows) of a camera, each pixel one cone.
+enum rn_status test_render(const struct test_scene *s, const struct rn_camera *camera,
+                           const struct rn_march_options *options, enum rn_device_cells cells,
+                           int row, int rows, struct rn_pixel *ret_pixels, uint64_t *ret_samples,
+                           struct rn_error *err);
 // What training leaves.
 struct test_numbers {
     float *parameters, *m, *v;

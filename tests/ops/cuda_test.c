@@ -322,8 +322,8 @@ START_TEST(planes_are_smoothed_as_on_the_cpu) {
     OK(test_scene_train(&s, true, &err));
     OK(backend->train_step(s.on_device, &smooth, &err));
     test_read_back(&s, &after);
-    OK(backend->render(s.on_device, &s.frames[0].camera, &options, RN_CELLS_OF_TRAINING, SIDE / 2,
-                       1, pixels[0], &samples, &err));
+    OK(test_render(&s, &s.frames[0].camera, &options, RN_CELLS_OF_TRAINING, SIDE / 2, 1, pixels[0],
+                   &samples, &err));
     size_t side = (size_t)config.field.base, plane = side * side * 8;
     double largest = 0, moved = 0;
     for (size_t p = 0; p < 3; p++)
@@ -338,8 +338,8 @@ START_TEST(planes_are_smoothed_as_on_the_cpu) {
     memcpy(fresh.field->parameters.values, after.parameters,
            s.field->parameters.count * sizeof(float));
     OK(test_scene_upload(&fresh, 0, &err));
-    OK(backend->render(fresh.on_device, &s.frames[0].camera, &options, RN_CELLS_OF_TRAINING,
-                       SIDE / 2, 1, pixels[1], &samples, &err));
+    OK(test_render(&fresh, &s.frames[0].camera, &options, RN_CELLS_OF_TRAINING, SIDE / 2, 1,
+                   pixels[1], &samples, &err));
     ck_assert_mem_eq(pixels[0], pixels[1], sizeof pixels[0]);
     test_numbers_finish(&rough);
     test_numbers_finish(&after);

@@ -35,6 +35,7 @@ static void device_close(struct rn_backend_device **device) {
         if ((*device)->rendered[i]) (void)cudaEventDestroy((*device)->rendered[i]);
         if ((*device)->arrived[i]) (void)cudaEventDestroy((*device)->arrived[i]);
         (void)cudaFreeHost((*device)->staged[i]);
+        (void)cudaFreeHost((*device)->places[i]);
     }
     if ((*device)->copies) (void)cudaStreamDestroy((*device)->copies);
     if ((*device)->stream) (void)cudaStreamDestroy((*device)->stream);
@@ -506,7 +507,10 @@ static cudaError_t make_stage(struct rn_backend_device *d) {
     cudaError_t e = cudaSuccess;
     for (int i = 0; i < 2 && !e; i++) {
         if (!d->staged[i])
-            e = cudaHostAlloc((void **)&d->staged[i], RN_RENDER_PIXELS * sizeof **d->staged,
+            e = cudaHostAlloc(&d->staged[i], RN_RENDER_PIXELS * sizeof(struct rn_pixel),
+                              cudaHostAllocDefault);
+        if (!e && !d->places[i])
+            e = cudaHostAlloc((void **)&d->places[i], RN_RENDER_PIXELS * sizeof *d->places[i],
                               cudaHostAllocDefault);
         if (!e && !d->rendered[i]) e = cudaEventCreate(&d->rendered[i]);
         if (!e && !d->arrived[i]) e = cudaEventCreate(&d->arrived[i]);
@@ -514,66 +518,127 @@ static cudaError_t make_stage(struct rn_backend_device *d) {
     return e;
 }
 
-// Parts take turns with two places, so that one is copied while the next is rendered.
-static cudaError_t queue_pixels(struct rn_device_field *f, const struct rn_cuda_view *view,
-                                const struct rn_cuda_march *march, int stage) {
+// A picture on its way: its view, and how many of its pixels were asked for.
+struct picture {
+    struct rn_cuda_view view;
+    struct rn_cuda_march march;
+    const struct rn_device_places *places;
+    size_t asked;
+};
+
+// The next pixels as part number `part`; *ret_count of them. Parts take turns with two places, so
+// that one is copied while the next is rendered.
+static cudaError_t queue_part(struct rn_device_field *f, struct picture *p, int part,
+                              size_t *ret_count) {
     struct rn_backend_device *d = f->device;
-    size_t bytes = (size_t)view->count * sizeof **d->staged;
-    f->view.pixels = f->parts[stage];
-    cudaError_t e = rn_queue_view(f, view, march);
+    int stage = part % 2, rays = p->view.cones * p->view.cones;
+    size_t left = p->places->count - p->asked, most = (size_t)(RN_RENDER_PIXELS / rays);
+    size_t count = left < most ? left : most;
+    size_t bytes = count * (p->view.halves ? sizeof(rn_cuda_halves) : sizeof(rn_pixel));
+    cudaError_t e = cudaSuccess;
+    *ret_count = count;
+    if (count == 0) return e;
+    p->view.first = p->places->first + (uint32_t)p->asked;
+    p->view.count = (int)count * rays;
+    p->view.counts_anew = part == 0;
+    if (p->places->numbers) {
+        memcpy(d->places[stage], p->places->numbers + p->asked, count * sizeof *d->places[stage]);
+        e = copy_in(d, f->places, d->places[stage], count * sizeof *f->places);
+    }
+    if (!e) e = rn_queue_view(f, &p->view, &p->march, f->parts[stage]);
     if (!e) e = cudaEventRecord(d->rendered[stage], d->stream);
     if (!e) e = cudaStreamWaitEvent(d->copies, d->rendered[stage], 0);
     if (!e)
-        e = cudaMemcpyAsync(d->staged[stage], f->view.pixels, bytes, cudaMemcpyDeviceToHost,
+        e = cudaMemcpyAsync(d->staged[stage], f->parts[stage], bytes, cudaMemcpyDeviceToHost,
                             d->copies);
+    p->asked += count;
     return e ? e : cudaEventRecord(d->arrived[stage], d->copies);
+}
+
+// Exact; no branch, so that a compiler takes several at once.
+static float from_half(uint32_t half) {
+    uint32_t size = half & 0x7fff, bits = (size << 13) + (112u << 23),
+             small = size << 13 | 113u << 23;
+    float value, denormal;
+    bits += size >= 0x7c00 ? 112u << 23 : 0; // infinity, NaN
+    memcpy(&value, &bits, sizeof value);
+    memcpy(&denormal, &small, sizeof denormal);
+    value = size < 0x400 ? denormal - 6.103515625e-05f : value;
+    return half & 0x8000 ? -value : value;
+}
+
+// Pixels that have arrived.
+static void take_pixels(const void *staged, size_t count, bool halves, struct rn_pixel *ret) {
+    const struct rn_cuda_halves *from = (const struct rn_cuda_halves *)staged;
+    if (!halves) memcpy(ret, staged, count * sizeof *ret);
+    for (size_t i = 0; i < count && halves; i++) {
+        uint32_t first = from[i].pairs[0], second = from[i].pairs[1];
+        ret[i] = rn_pixel{
+            {from_half(first & 0xffff), from_half(first >> 16), from_half(second & 0xffff)},
+            from_half(second >> 16),
+            0};
+    }
 }
 
 // While the device has one part of the pixels, the host takes the part before; so the place of the
 // one after is free.
-static cudaError_t render_parts(struct rn_device_field *f, struct rn_cuda_view *view,
-                                const struct rn_cuda_march *march, int end,
+static cudaError_t render_parts(struct rn_device_field *f, struct picture *p,
                                 struct rn_pixel *ret_pixels) {
     struct rn_backend_device *d = f->device;
     cudaError_t e = cudaSuccess;
-    int before = 0, first = view->first;
-    for (int part = 0; (first < end || before > 0) && !e; part++) {
-        int count = end - first < RN_RENDER_PIXELS ? end - first : RN_RENDER_PIXELS;
-        view->first = first;
-        view->count = count;
-        view->counts_anew = part == 0;
-        if (count > 0) e = queue_pixels(f, view, march, part % 2);
+    size_t before = 0, count = 1;
+    for (int part = 0; (count > 0 || before > 0) && !e; part++) {
+        e = queue_part(f, p, part, &count);
         if (before > 0 && !e) e = cudaEventSynchronize(d->arrived[(part + 1) % 2]);
         if (before > 0 && !e)
-            memcpy(ret_pixels, d->staged[(part + 1) % 2], (size_t)before * sizeof *ret_pixels);
+            take_pixels(d->staged[(part + 1) % 2], before, p->view.halves, ret_pixels);
         ret_pixels += before;
         before = count;
-        first += count;
     }
     return e;
 }
 
-static enum rn_status render(struct rn_device_field *f, const struct rn_camera *camera,
-                             const struct rn_march_options *options, enum rn_device_cells cells,
-                             int first_row, int rows, struct rn_pixel *ret_pixels,
+// The view's cameras, as their cones have them.
+static cudaError_t upload_cameras(struct rn_device_field *f, const struct rn_device_view *v) {
+    struct rn_camera cameras[RN_DEVICE_CAMERAS];
+    for (int i = 0; i < v->camera_count; i++)
+        cameras[i] = rn_camera_resized(&v->cameras[i], v->cameras[i].width * v->cones,
+                                       v->cameras[i].height * v->cones);
+    return copy_in(f->device, f->cameras, cameras, (size_t)v->camera_count * sizeof *cameras);
+}
+
+static struct rn_cuda_view view_of(const struct rn_device_field *f, const struct rn_device_view *v,
+                                   const struct rn_march_options *options,
+                                   const struct rn_device_places *places) {
+    struct rn_cuda_view view = {};
+    view.cameras = f->cameras;
+    view.places = places->numbers ? f->places : NULL;
+    view.width = v->cameras->width;
+    view.height = v->cameras->height;
+    view.cones = v->cones;
+    memcpy(view.centre, f->centre, sizeof view.centre);
+    view.radius = f->radius;
+    view.step = (double)options->step;
+    view.cone_step = f->config.cone_step;
+    view.straight = options->straight;
+    view.halves = v->halves;
+    view.ended = rn_ended_opacity(options->stop_depth, f->config.stop);
+    return view;
+}
+
+static enum rn_status render(struct rn_device_field *f, const struct rn_device_view *view,
+                             const struct rn_march_options *options,
+                             const struct rn_device_places *places, struct rn_pixel *ret_pixels,
                              uint64_t *ret_samples, struct rn_error *err) {
-    struct rn_cuda_march march = march_of(options);
-    int first = first_row * camera->width, end = first + rows * camera->width;
-    struct rn_cuda_view view = {*camera,
-                                {f->centre[0], f->centre[1], f->centre[2]},
-                                f->radius,
-                                (double)options->step,
-                                f->config.cone_step,
-                                first,
-                                0,
-                                true};
+    struct picture picture = {view_of(f, view, options, places), march_of(options), places, 0};
     struct rn_cuda_status status = {};
     f->seen = f->scene;
-    if (cells != RN_CELLS_OF_TRAINING && f->finer[cells].cells > 0)
-        f->seen.occupancy = f->finer[cells];
+    if (view->cells != RN_CELLS_OF_TRAINING && f->finer[view->cells].cells > 0)
+        f->seen.occupancy = f->finer[view->cells];
     cudaError_t e = make_stage(f->device);
-    if (!e) e = render_parts(f, &view, &march, end, ret_pixels);
-    if (!e && first < end) e = copy_out(f->device, &status, f->view.status, sizeof status);
+    if (!e) e = upload_cameras(f, view);
+    if (!e) e = render_parts(f, &picture, ret_pixels);
+    if (!e && places->count > 0) e = copy_out(f->device, &status, f->view.status, sizeof status);
     cudaError_t waited = cudaStreamSynchronize(f->device->stream);
     cudaError_t copied = cudaStreamSynchronize(f->device->copies);
     *ret_samples = status.evaluated;

@@ -43,6 +43,9 @@ void rn_field_lay_out(struct rn_device_field *f, struct rn_arena *a) {
     f->view.ray_capacity = RN_RENDER_PIXELS;
     rn_part(a, &f->view.rays, RN_RENDER_PIXELS);
     rn_part(a, &f->view.queue, RN_LENGTHS * RN_RENDER_PIXELS);
+    rn_part(a, &f->view.pixels, RN_RENDER_PIXELS);
+    rn_part(a, &f->cameras, RN_DEVICE_CAMERAS);
+    rn_part(a, &f->places, RN_RENDER_PIXELS);
     for (int i = 0; i < 2; i++)
         rn_part(a, &f->parts[i], RN_RENDER_PIXELS);
     if (s->per_ray) rn_part(a, &f->view.ray_sums, RN_RENDER_PIXELS * RN_GEOMETRY);
@@ -381,7 +384,7 @@ cudaError_t rn_queue_step(struct rn_device_field *f) {
 }
 
 cudaError_t rn_queue_view(struct rn_device_field *f, const struct rn_cuda_view *view,
-                          const struct rn_cuda_march *march) {
+                          const struct rn_cuda_march *march, void *to) {
     const struct rn_cuda_scene *s = &f->scene;
     cudaStream_t stream = f->device->stream;
     struct rn_cuda_view v = *view;
@@ -394,8 +397,12 @@ cudaError_t rn_queue_view(struct rn_device_field *f, const struct rn_cuda_view *
     RN_TRY(RN_LAUNCH(rn_view_kernel, RN_BLOCKS(v.count), 256, 0, stream, v, f->seen, f->view, m));
     RN_TRY(RN_LAUNCH(f->shape->render[both.all], blocks, 384, both.bytes, stream, f->seen, f->view,
                      m, both.networks));
-    if (!s->per_ray || !s->view_dependence) return cudaSuccess;
-    RN_TRY(fill(f->device, f->shape->shade_render[head.all], head.threads, head.bytes, &blocks));
-    return RN_LAUNCH(f->shape->shade_render[head.all], blocks, head.threads, head.bytes, stream,
-                     f->scene, f->view, m, head.networks);
+    if (s->per_ray && s->view_dependence) {
+        RN_TRY(
+            fill(f->device, f->shape->shade_render[head.all], head.threads, head.bytes, &blocks));
+        RN_TRY(RN_LAUNCH(f->shape->shade_render[head.all], blocks, head.threads, head.bytes, stream,
+                         f->scene, f->view, m, head.networks));
+    }
+    return RN_LAUNCH(rn_develop_kernel, RN_BLOCKS(v.count / (v.cones * v.cones)), 256, 0, stream, v,
+                     m, f->view.pixels, to);
 }

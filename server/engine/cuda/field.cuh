@@ -17,7 +17,8 @@ struct rn_backend_device {
     cudaStream_t stream, copies; // kernels; pixels on their way to the host
     // Those pixels, in pinned memory; when a part was rendered, and when it arrived. Made with the
     // first picture.
-    struct rn_pixel *staged[2];
+    void *staged[2];
+    uint32_t *places[2]; // on their way to the device, likewise
     cudaEvent_t rendered[2], arrived[2];
 };
 
@@ -52,6 +53,8 @@ struct rn_device_field {
     uint8_t *spare_distance;
     size_t parameter_count;
     struct rn_cuda_batch view; // for rendering
+    struct rn_camera *cameras; // of the picture under way
+    uint32_t *places;          // of its part under way
     struct rn_pixel *parts[2]; // the pixels of a picture's parts in turn
     void *memory, *train_memory;
     size_t memory_bytes, train_bytes;
@@ -105,8 +108,8 @@ cudaError_t rn_queue_refresh(struct rn_device_field *field);
 cudaError_t rn_queue_smoothing(struct rn_device_field *field, float share);
 // Queues the kernels of one step.
 cudaError_t rn_queue_step(struct rn_device_field *field);
-// Queues the pixels of a view into `field->view`.
+// Queues the pixels of a view, to `to` as rn_develop_kernel has them.
 cudaError_t rn_queue_view(struct rn_device_field *field, const struct rn_cuda_view *view,
-                          const struct rn_cuda_march *march);
+                          const struct rn_cuda_march *march, void *to);
 
 #endif

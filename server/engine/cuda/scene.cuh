@@ -10,6 +10,7 @@
 extern "C" {
 #include "server/engine/cuda/layout.h"
 #include "server/engine/kernels/backend.h"
+#include "server/engine/kernels/pixel.h"
 }
 
 // How many cells there are of a kind.
@@ -127,7 +128,7 @@ struct rn_cuda_batch {
     float roulette; // rn_march_options
     struct rn_march_ray *rays;
     int *queue; // [RN_LENGTHS][ray_capacity]: rays that the forward takes, of each length
-    struct rn_pixel *pixels; // rendering only
+    struct rn_pixel *pixels; // rendering only: of rays
     // of each ray
     float *ray_loss, *ray_weight;
     int *ray_samples, *ray_last; // samples seen, the last tile

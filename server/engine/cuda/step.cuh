@@ -125,13 +125,19 @@ __global__ void __launch_bounds__(256) rn_rays_kernel(const __grid_constant__ rn
     rn_queue_ray(&batch, r, tiles);
 }
 
-// Rays of `count` pixels of a camera from pixel `first` on, row after row.
+// Rays of pixels: the i-th one's, cones x cones of them, are rays from i * cones^2 on.
 struct rn_cuda_view {
-    struct rn_camera camera;
+    const struct rn_camera *cameras; // of the cones; all of one size
+    const uint32_t *places;          // of the pixels (rn_device_places); NULL: from `first` on
+    uint32_t first;
+    int width, height, cones; // in pixels; a side of one
+    int count;                // rays
     double centre[3], radius, step;
     bool cone_step;
-    int first, count;
     bool counts_anew; // of the samples: the first pixels of a picture
+    bool straight;    // rn_march_options
+    bool halves;      // rn_device_view
+    float ended;      // rn_close_ended
 };
 
 // A pixel that sees nothing.
@@ -150,8 +156,12 @@ __global__ void __launch_bounds__(256) rn_view_kernel(const __grid_constant__ rn
                                                       const __grid_constant__ rn_cuda_march march) {
     int r = (int)(blockIdx.x * blockDim.x + threadIdx.x), tiles = 0;
     if (r < view.count) {
-        int pixel = view.first + r, w = view.camera.width;
-        struct rn_ray camera_ray = rn_camera_ray(&view.camera, pixel % w + 0.5, pixel / w + 0.5);
+        int n = view.cones, pixel = r / (n * n), cone = r % (n * n);
+        int place = (int)(view.places ? view.places[pixel] : view.first + (uint32_t)pixel);
+        int x = place % view.width, y = place / view.width % view.height;
+        const struct rn_camera *camera = &view.cameras[place / view.width / view.height];
+        struct rn_ray camera_ray =
+            rn_camera_ray(camera, x * n + cone % n + 0.5, y * n + cone / n + 0.5);
         struct rn_march_ray ray =
             rn_ray_cut(view.centre, view.radius, view.cone_step, &camera_ray, view.step, 0);
         batch.rays[r] = ray;
@@ -163,6 +173,31 @@ __global__ void __launch_bounds__(256) rn_view_kernel(const __grid_constant__ rn
     batch.status->ray_count = view.count;
     batch.status->queue = 0;
     if (view.counts_anew) batch.status->evaluated = 0;
+}
+
+// Colour and opacity of a pixel on their way to the host.
+struct alignas(8) rn_cuda_halves {
+    uint32_t pairs[2];
+};
+
+// From cones to pixels, one thread a pixel: to `to`, as rn_pixel or, where `view` says so, as
+// rn_cuda_halves.
+__global__ void __launch_bounds__(256)
+    rn_develop_kernel(const __grid_constant__ rn_cuda_view view,
+                      const __grid_constant__ rn_cuda_march march, struct rn_pixel *cones,
+                      void *to) {
+    int i = (int)(blockIdx.x * blockDim.x + threadIdx.x), n = view.cones;
+    if (i >= view.count / (n * n)) return;
+    struct rn_pixel *own = cones + (size_t)i * (size_t)(n * n);
+    for (int k = 0; k < n * n; k++)
+        rn_close_ended(view.ended, march.background, &own[k]);
+    struct rn_pixel p =
+        n == 1 ? *own : rn_cones_mean(own, n, view.straight ? march.background : NULL);
+    if (view.halves)
+        ((struct rn_cuda_halves *)to)[i] =
+            rn_cuda_halves{{rn_pack(p.rgb[0], p.rgb[1]), rn_pack(p.rgb[2], p.alpha)}};
+    else
+        ((struct rn_pixel *)to)[i] = p;
 }
 
 // ---- order and sums -------------------------------------------------------------------------

@@ -10,7 +10,7 @@
 #include "common/math/camera.h"
 #include "server/engine/kernels/kernels.h"
 
-#define RN_BACKEND_VERSION 9
+#define RN_BACKEND_VERSION 10
 #define RN_BACKEND_SYMBOL "rn_backend_table"
 
 struct rn_backend_device; // owner: rn_backend.open's caller
@@ -26,6 +26,23 @@ struct rn_device_about {
 // and of these the firm ones; or those of training, also where there are no others.
 #define RN_DEVICE_FINER 2
 enum rn_device_cells { RN_CELLS_FINE, RN_CELLS_FIRM, RN_CELLS_OF_TRAINING };
+
+// Pixels of cameras, each by cones x cones rays that are averaged (kernels/pixel.h).
+#define RN_DEVICE_CAMERAS 32
+struct rn_device_view {
+    const struct rn_camera *cameras; // at most RN_DEVICE_CAMERAS, all of one size
+    int camera_count;
+    int cones; // a side of a pixel, at most RN_CONES_MOST
+    enum rn_device_cells cells;
+    bool halves; // colour and opacity as fp16 has them and no depth: 8 bytes on the way, not 20
+};
+// Which pixels: number y * width + x of the first camera's, the next one's behind them. `numbers`
+// NULL: `count` from `first` on.
+struct rn_device_places {
+    const uint32_t *numbers;
+    uint32_t first;
+    size_t count;
+};
 
 // What a field on the device is made from. The arrays are the CPU field's, copied.
 struct rn_device_scene {
@@ -143,10 +160,11 @@ struct rn_backend {
     // Copies to the CPU's layout; m and v may be NULL.
     enum rn_status (*download)(struct rn_device_field *field, float *parameters, float *m, float *v,
                                float *occupancy, struct rn_error *err);
-    // Pixels of rows [first_row, first_row + rows) of a camera, row after row.
-    enum rn_status (*render)(struct rn_device_field *field, const struct rn_camera *camera,
-                             const struct rn_march_options *options, enum rn_device_cells cells,
-                             int first_row, int rows, struct rn_pixel *ret_pixels,
+    // Of a view the pixels at `places`, in their order. Rays that end earlier than in training are
+    // closed (rn_close_ended).
+    enum rn_status (*render)(struct rn_device_field *field, const struct rn_device_view *view,
+                             const struct rn_march_options *options,
+                             const struct rn_device_places *places, struct rn_pixel *ret_pixels,
                              uint64_t *ret_samples, struct rn_error *err);
 };
 

@@ -6,15 +6,12 @@
 #include "server/engine/render/develop.h"
 #include "server/engine/scene/device.h"
 
-#define SOLID 0.25f // opacity, of rn_cones_mean's straight colours
-#define MOST 16     // cones a side: RN_CONES_BLOCK of them are one pixel
-
 int rn_cones_for_camera(const struct rn_field *field, const struct rn_camera *camera) {
     double finest = field->finest_cone;
     if (!field->config.supersample || !(finest > 0)) return 1;
     double ratio = rn_cone_at_centre(field, camera) / finest;
     int n = 1;
-    while (n < MOST && ratio > n * RN_CONES_RATIO)
+    while (n < RN_CONES_MOST && ratio > n * RN_CONES_RATIO)
         n *= 2;
     return n;
 }
@@ -23,48 +20,11 @@ bool rn_field_averages_straight(const struct rn_field *field, const struct rn_fr
     return field->effects[RN_EFFECT_STRAIGHT_ALPHA].on && frame->scale > 0;
 }
 
-// As a photograph's pixel that is hardly covered has no colour in its file, and a field's edges are
-// wider than a photograph's, a cone's colour counts in full from the opacity SOLID on.
-static void mean_straight(const struct rn_pixel *cones, int n, const float *background,
-                          struct rn_pixel *pixel) {
-    float colour[3] = {0}, scale = 1 / (float)(n * n);
-    for (const struct rn_pixel *p = cones; p < cones + n * n; p++)
-        for (int c = 0; c < 3; c++) {
-            float covered = p->rgb[c] - (1 - p->alpha) * background[c]; // colour times opacity
-            colour[c] += fminf(fmaxf(covered / fmaxf(p->alpha, SOLID), 0), 1) * scale;
-        }
-    for (int c = 0; c < 3; c++)
-        pixel->rgb[c] = colour[c] * pixel->alpha + (1 - pixel->alpha) * background[c];
-}
-
-struct rn_pixel rn_cones_mean(const struct rn_pixel *cones, int n, const float *straight) {
-    struct rn_pixel mean = {{0, 0, 0}, 0, 0};
-    float scale = 1 / (float)(n * n);
-    for (int i = 0; i < n * n; i++) {
-        for (int c = 0; c < 3; c++)
-            mean.rgb[c] += cones[i].rgb[c] * scale;
-        mean.alpha += cones[i].alpha * scale;
-        mean.depth += cones[i].depth * (cones[i].alpha * scale);
-    }
-    mean.depth = mean.alpha > 0 ? mean.depth / mean.alpha : 0;
-    if (straight) mean_straight(cones, n, straight, &mean);
-    return mean;
-}
-
-// Rays that were ended earlier than in training show what they have seen, and not a share of the
-// background with it: what they did not see is taken to look the same.
 static void close_ended(const struct rn_field *field, const struct rn_march_options *march,
                         struct rn_pixel *pixels, size_t count) {
-    if (march->stop_depth >= (float)-log(field->config.stop)) return;
-    float opaque = -expm1f(-march->stop_depth);
-    for (struct rn_pixel *p = pixels; p < pixels + count; p++) {
-        if (!(p->alpha >= opaque)) continue;
-        for (int c = 0; c < 3; c++) {
-            float background = march->background[c];
-            p->rgb[c] = background + (p->rgb[c] - background) / p->alpha;
-        }
-        p->alpha = 1;
-    }
+    float ended = rn_ended_opacity(march->stop_depth, field->config.stop);
+    for (struct rn_pixel *p = pixels; p < pixels + count; p++)
+        rn_close_ended(ended, march->background, p);
 }
 
 static const float *straight_over(const struct rn_march_options *march) {
@@ -157,18 +117,6 @@ uint64_t rn_cones_render(const struct rn_engine *engine, const struct rn_field *
     return samples;
 }
 
-// Rows of cones to rows of pixels, `width` of them.
-static void average_rows(const struct rn_pixel *cones, int n, const float *straight, int width,
-                         int rows, struct rn_pixel *ret_pixels) {
-    struct rn_pixel block[RN_CONES_BLOCK];
-    for (int y = 0; y < rows; y++)
-        for (int x = 0; x < width; x++) {
-            for (int j = 0; j < n * n; j++)
-                block[j] = cones[((size_t)y * n + j / n) * width * n + (size_t)x * n + j % n];
-            ret_pixels[(size_t)y * width + x] = rn_cones_mean(block, n, straight);
-        }
-}
-
 // Which cells the CPU's march would read (rn_field_choose_cells).
 static enum rn_device_cells chosen_cells(const struct rn_field *field) {
     const uint32_t *words = field->cpu.occupancy.words;
@@ -177,30 +125,13 @@ static enum rn_device_cells chosen_cells(const struct rn_field *field) {
                                         : RN_CELLS_OF_TRAINING;
 }
 
-enum rn_status rn_field_render_rows(struct rn_field *field, const struct rn_camera *camera,
-                                    const struct rn_march_options *march, int n, int row, int rows,
-                                    struct rn_pixel *ret_pixels, uint64_t *ret_samples,
-                                    struct rn_error *err) {
-    if (n == 1) {
-        enum rn_status status =
-            field->backend->render(field->on_device, camera, march, chosen_cells(field), row, rows,
-                                   ret_pixels, ret_samples, err);
-        if (status == RN_OK)
-            close_ended(field, march, ret_pixels, (size_t)camera->width * (size_t)rows);
-        return status;
-    }
-    struct rn_camera fine = rn_camera_resized(camera, camera->width * n, camera->height * n);
-    size_t count = (size_t)fine.width * (size_t)rows * (size_t)n;
-    struct rn_pixel *cones = malloc(count * sizeof *cones);
-    if (!cones)
-        return rn_error_set(err, RN_ERROR_NO_MEMORY, "camera", "%d rows of cones need %zu MiB",
-                            rows, count * sizeof *cones >> 20);
-    enum rn_status status =
-        field->backend->render(field->on_device, &fine, march, chosen_cells(field), row * n,
-                               rows * n, cones, ret_samples, err);
-    if (status == RN_OK) close_ended(field, march, cones, count);
-    if (status == RN_OK)
-        average_rows(cones, n, straight_over(march), camera->width, rows, ret_pixels);
-    free(cones);
-    return status;
+enum rn_status rn_cones_render_there(struct rn_field *field, const struct rn_march_options *march,
+                                     const struct rn_device_view *view,
+                                     const struct rn_device_places *places,
+                                     struct rn_pixel *ret_pixels, uint64_t *ret_samples,
+                                     struct rn_error *err) {
+    struct rn_device_view chosen = *view;
+    chosen.cells = chosen_cells(field);
+    return field->backend->render(field->on_device, &chosen, march, places, ret_pixels, ret_samples,
+                                  err);
 }

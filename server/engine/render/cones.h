@@ -4,6 +4,8 @@
 #ifndef RN_ENGINE_RENDER_CONES_H
 #define RN_ENGINE_RENDER_CONES_H
 
+#include "server/engine/kernels/backend.h"
+#include "server/engine/kernels/pixel.h"
 #include "server/engine/render/optics.h"
 
 #define RN_CONES_BLOCK 256 // cones evaluated together, and the most a pixel has
@@ -11,11 +13,6 @@
 // Cones a side of the camera's pixels, a power of two, at most 16: as many as make them as narrow
 // as the finest that the field was trained on, where its configuration asks for that; else 1.
 int rn_cones_for_camera(const struct rn_field *field, const struct rn_camera *camera);
-// n^2 cones to one pixel: colour and opacity are means; depth is weighted by opacity. Where
-// `straight` is no NULL, it is the background that the cones are over, and their colours are
-// averaged without it and without their opacity, as a photograph may have been
-// (effects/straight_alpha.c).
-struct rn_pixel rn_cones_mean(const struct rn_pixel *cones, int n, const float *straight);
 // Whether pixels that are compared with a photograph are averaged so.
 bool rn_field_averages_straight(const struct rn_field *field, const struct rn_frame *frame);
 // A pixel's place: column, row.
@@ -30,10 +27,12 @@ uint64_t rn_cones_render(const struct rn_engine *engine, const struct rn_field *
                          const struct rn_march_options *march, const struct rn_camera *camera,
                          const struct rn_viewpoints *viewpoints, int n, const struct rn_spot *spots,
                          int count, int thread, struct rn_pixel *ret_pixels, uint16_t *ret_costs);
-// Rows [row, row + rows) of a camera on the field's device, as above. The backend's errors.
-enum rn_status rn_field_render_rows(struct rn_field *field, const struct rn_camera *camera,
-                                    const struct rn_march_options *march, int n, int row, int rows,
-                                    struct rn_pixel *ret_pixels, uint64_t *ret_samples,
-                                    struct rn_error *err) RN_MUST_CHECK;
+// Pixels of cameras on the field's device, in the order of their places, from the cells that the
+// CPU's march would read. The backend's errors.
+enum rn_status rn_cones_render_there(struct rn_field *field, const struct rn_march_options *march,
+                                     const struct rn_device_view *view,
+                                     const struct rn_device_places *places,
+                                     struct rn_pixel *ret_pixels, uint64_t *ret_samples,
+                                     struct rn_error *err) RN_MUST_CHECK;
 
 #endif

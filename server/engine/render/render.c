@@ -1,5 +1,6 @@
 // Rendering: tiles of rays, front to back, over the engine's threads.
 #include <math.h>
+#include <stdatomic.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -13,8 +14,9 @@
 
 #define TILE 16               // cones a side; a tile fills two packets
 #define SPARSE 2              // times as many where a pass takes every second pixel a side
-#define BAND 256              // rows of cones a device renders between two looks at the clock
-#define BAND_CONES (1 << 20)  // cones between two looks at keep_going alone
+#define TIMED_CONES (1 << 18) // cones a device renders between two looks at the clock
+#define BAND_CONES (1 << 20)  // between two looks at keep_going alone
+#define SPREAD 4096           // points that a thread puts into the lattice at a time
 #define FINE_POINTS (1 << 23) // of a lattice finer than the pixels, at most
 #define LOOK_NS 4000000       // between two looks at keep_going
 #define TIMED_TOLERANCE 1e-9  // of a frame by a deadline, until it is known what there is time for
@@ -38,6 +40,10 @@ struct frame {
     double tolerance; // the largest of the passes
     int64_t late_ns;  // when tracing ends, to leave the rest of a deadline for filling; 0: never
     uint16_t *costs;  // of the lattice's points, where they are asked for
+    // Of a pass on the device: the points that are traced, and those of them that were.
+    uint32_t *listed;
+    struct rn_pixel *traced;
+    _Atomic uint32_t listed_count;
     struct rn_occupancy_bits before, cells; // that the march reads: uncropped, and for this frame
     _Atomic uint64_t rays, samples;
     _Atomic uint64_t interpolation; // in 2^-32, so that it is the same in any order
@@ -86,6 +92,29 @@ static void render_tile(void *context, int index, int thread) {
         f->lattice.pixels[(size_t)spots[i].y * lattice.width + spots[i].x] = pixels[i];
     for (int i = 0; i < n && f->costs; i++)
         f->costs[(size_t)spots[i].y * lattice.width + spots[i].x] = costs[i];
+}
+
+// A tile's points that the device is to trace.
+static void list_tile(void *context, int index, int thread) {
+    struct frame *f = context;
+    struct rn_spot spots[TILE * TILE * SPARSE];
+    struct rn_lattice lattice = f->lattice;
+    lattice.late = is_late(f);
+    double interpolation = 0;
+    int n = rn_lattice_choose(&lattice, f->pass, tile_at(f, index), spots, &interpolation);
+    if (isfinite(interpolation)) f->interpolation += (uint64_t)(interpolation * 0x1p32);
+    uint32_t first = atomic_fetch_add(&f->listed_count, (uint32_t)n);
+    for (int i = 0; i < n; i++)
+        f->listed[first + i] = (uint32_t)(spots[i].y * lattice.width + spots[i].x);
+    (void)thread;
+}
+
+static void put_traced(void *context, int index, int thread) {
+    struct frame *f = context;
+    uint32_t begin = (uint32_t)index * SPREAD, end = begin + SPREAD;
+    for (uint32_t i = begin; i < end && i < f->listed_count; i++)
+        f->lattice.pixels[f->listed[i]] = f->traced[i];
+    (void)thread;
 }
 
 static enum rn_status check_options(const struct rn_field *field, struct rn_render_options *o,
@@ -177,10 +206,52 @@ static bool is_time_to_look(void *context) {
     return rn_clock_ns() >= ((const struct poll *)context)->look_ns;
 }
 
+// Points of the lattice on the device; given up at `late_ns`, if that is not 0.
+static enum rn_status trace_there(struct frame *f, const uint32_t *numbers, size_t count,
+                                  struct poll *poll, int64_t late_ns, struct rn_pixel *ret,
+                                  struct rn_error *err) {
+    const struct rn_device_view view = {.cameras = &f->camera,
+                                        .camera_count = 1,
+                                        .cones = f->cones,
+                                        .halves = !(f->options->outputs & RN_OUTPUT_DEPTH)};
+    size_t cones = (size_t)(f->cones * f->cones);
+    size_t band = (size_t)(f->late_ns ? TIMED_CONES : BAND_CONES) / cones;
+    for (size_t at = 0; at < count; at += band) {
+        struct rn_device_places places = {.numbers = numbers ? numbers + at : NULL,
+                                          .first = (uint32_t)at,
+                                          .count = count - at < band ? count - at : band};
+        uint64_t samples;
+        if (must_stop(poll)) return stopped(err);
+        if (late_ns && rn_clock_ns() >= late_ns) return too_late(err);
+        enum rn_status status =
+            rn_cones_render_there(f->field, &f->march, &view, &places, ret + at, &samples, err);
+        if (status != RN_OK) return status;
+        f->rays += places.count * cones;
+        f->samples += samples;
+    }
+    return RN_OK;
+}
+
+// A pass whose points the device traces: all of them as they lie, or the tiles' lists.
+static enum rn_status render_pass_there(struct frame *f, int pass, struct poll *poll,
+                                        int64_t late_ns, struct rn_error *err) {
+    size_t all = (size_t)f->lattice.width * (size_t)f->lattice.height;
+    if (rn_lattice_passes(&f->lattice) == 1)
+        return trace_there(f, NULL, all, poll, late_ns, f->lattice.pixels, err);
+    f->listed_count = 0;
+    rn_pool_run(f->engine->pool, begin_pass(f, pass), list_tile, f);
+    enum rn_status status =
+        trace_there(f, f->listed, f->listed_count, poll, late_ns, f->traced, err);
+    if (status == RN_OK)
+        rn_pool_run(f->engine->pool, (int)(f->listed_count / SPREAD + 1), put_traced, f);
+    return status;
+}
+
 // All tiles of a pass, over the engine's threads; given up at `late_ns`, if that is not 0.
 static enum rn_status render_pass(struct frame *f, int pass, struct poll *poll, int64_t late_ns,
                                   struct rn_error *err) {
     int tiles = begin_pass(f, pass), next = 0;
+    if (f->on_device) return render_pass_there(f, pass, poll, late_ns, err);
     for (;;) {
         if (must_stop(poll)) return stopped(err);
         int64_t now_ns = rn_clock_ns();
@@ -254,31 +325,6 @@ static enum rn_status render_timed(struct frame *f, struct poll *poll, struct rn
     return status;
 }
 
-// Rows of pixels that a device is asked for at once: a picture of usual size is one, unless there
-// is a deadline.
-static int band_rows(const struct frame *f) {
-    int rows = f->late_ns ? BAND / f->cones : BAND_CONES / (f->camera.width * f->cones * f->cones);
-    return rows > 1 ? rows : 1;
-}
-
-// Bands of rows on the device instead of tiles here: every pixel.
-static enum rn_status render_bands(struct frame *f, struct poll *poll, struct rn_error *err) {
-    int band = band_rows(f), width = f->camera.width;
-    for (int row = 0; row < f->camera.height; row += band) {
-        int rows = f->camera.height - row < band ? f->camera.height - row : band;
-        uint64_t samples;
-        if (must_stop(poll)) return stopped(err);
-        if (is_late(f)) return too_late(err);
-        enum rn_status status =
-            rn_field_render_rows(f->field, &f->camera, &f->march, f->cones, row, rows,
-                                 f->lattice.pixels + (size_t)row * width, &samples, err);
-        if (status != RN_OK) return status;
-        f->rays += (uint64_t)rows * width * f->cones * f->cones;
-        f->samples += samples;
-    }
-    return RN_OK;
-}
-
 static enum rn_status fill_pictures(struct frame *f, struct rn_render_result *result,
                                     struct rn_error *err) {
     struct rn_filling filling = {.lattice = &f->lattice,
@@ -336,8 +382,7 @@ static void init_frame(struct frame *f) {
 static void init_lattice(struct frame *f) {
     const struct rn_render_options *o = f->options;
     size_t fine = 4 * (size_t)f->camera.width * (size_t)f->camera.height;
-    bool finer =
-        f->tolerance > 0 && f->cones > 1 && !f->on_device && !rn_optics_spreads(&o->shot.optics);
+    bool finer = f->tolerance > 0 && f->cones > 1 && !rn_optics_spreads(&o->shot.optics);
     f->points = finer && fine <= FINE_POINTS ? 2 : 1;
     f->cones /= f->points;
     f->camera =
@@ -347,6 +392,16 @@ static void init_lattice(struct frame *f) {
                                      .outputs = o->outputs,
                                      .tolerance = (float)f->tolerance,
                                      .dense = rn_lattice_is_dense(f->field, &f->camera)};
+}
+
+// Room for a pass on the device: half of the points at most, as all but one take every second.
+static enum rn_status make_room_there(struct frame *f, struct rn_error *err) {
+    size_t most = ((size_t)f->lattice.width + 1) / 2 * (size_t)f->lattice.height;
+    if (!f->on_device || rn_lattice_passes(&f->lattice) == 1) return RN_OK;
+    f->listed = malloc(most * sizeof *f->listed);
+    f->traced = malloc(most * sizeof *f->traced);
+    if (f->listed && f->traced) return RN_OK;
+    return rn_error_set(err, RN_ERROR_NO_MEMORY, "camera", "no memory");
 }
 
 // Takes the lattice's pixels, their costs and the places that its cones are seen from.
@@ -401,20 +456,18 @@ enum rn_status rn_render(struct rn_engine *engine, struct rn_field *field,
     struct rn_render_result result = {0};
     struct poll poll = {.keep_going = keep_going, .context = context, .frame = &f};
     status = make_room(&f, err);
+    if (status == RN_OK) status = make_room_there(&f, err);
     if (status == RN_OK && !f.on_device && !f.viewpoints) {
         rn_silhouette_init(engine, field, &f.camera, &f.silhouette);
         f.nothing = pixel_of_nothing(&f);
     }
-    if (status == RN_OK)
-        status = (f.on_device ? render_bands
-                  : f.late_ns ? render_timed
-                              : render_tiles)(&f, &poll, err);
+    if (status == RN_OK) status = (f.late_ns ? render_timed : render_tiles)(&f, &poll, err);
     if (status == RN_OK && f.development.on)
         rn_pool_run(engine->pool, f.lattice.height, develop_row, &f);
     if (status == RN_OK) status = fill_pictures(&f, &result, err);
     if (status == RN_OK) status = inspect(&f, &result, err);
     result.stats.cones = f.cones * f.points;
-    result.stats.tolerance = f.on_device ? 0 : f.tolerance;
+    result.stats.tolerance = f.tolerance;
     result.stats.rays = f.rays;
     result.stats.samples = f.samples;
     result.stats.interpolation =
@@ -425,6 +478,8 @@ enum rn_status rn_render(struct rn_engine *engine, struct rn_field *field,
     rn_viewpoints_destroy(&f.viewpoints);
     rn_silhouette_finish(&f.silhouette);
     free(f.costs);
+    free(f.listed);
+    free(f.traced);
     if (status != RN_OK) {
         rn_render_result_finish(&result);
         return status;

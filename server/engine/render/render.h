@@ -73,10 +73,9 @@ struct rn_render_result {
     struct rn_render_stats stats;
 };
 // Renders in tiles. `keep_going` (may be NULL) is polled between tiles; false stops with
-// RN_ERROR_CANCELLED. RN_ERROR_LIMIT: a first picture (a quarter of the rays; on a device
-// other than the CPU all of them) was not there in time. Costs, levels, footprints and normals come
-// from the CPU. Depth is the distance along the ray
-// over opacity, dataset units, 0 where nothing was hit. Every value written is finite.
+// RN_ERROR_CANCELLED. RN_ERROR_LIMIT: a first picture (a quarter of the rays) was not there in
+// time. Costs, levels, footprints and normals come from the CPU. Depth is the distance along the
+// ray over opacity, dataset units, 0 where nothing was hit. Every value written is finite.
 enum rn_status rn_render(struct rn_engine *engine, struct rn_field *field,
                          const struct rn_render_options *options, bool (*keep_going)(void *context),
                          void *context, struct rn_render_result *ret_result,

@@ -105,6 +105,9 @@ static enum rn_status put(const struct subject *s, const float *parameters,
 static enum rn_status compare_pixels(struct subject *s, double *ret_worst, struct rn_error *err) {
     const struct rn_backend *backend = s->engine->backend;
     const struct rn_camera *camera = &s->frames[0].camera;
+    const struct rn_device_view view = {
+        .cameras = camera, .camera_count = 1, .cones = 1, .cells = RN_CELLS_OF_TRAINING};
+    const struct rn_device_places all = {.count = SIDE * SIDE};
     struct rn_march_options options = {.step = (float)s->config.step, .stop_depth = 1e9f};
     struct rn_pixel there[SIDE * SIDE], here[SIDE * SIDE];
     struct rn_march_ray rays[SIDE * SIDE];
@@ -113,8 +116,7 @@ static enum rn_status compare_pixels(struct subject *s, double *ret_worst, struc
     uint64_t samples;
     enum rn_status status = put(s, s->field->parameters.values, &field, err);
     if (status == RN_OK)
-        status = backend->render(field, camera, &options, RN_CELLS_OF_TRAINING, 0, SIDE, there,
-                                 &samples, err);
+        status = backend->render(field, &view, &options, &all, there, &samples, err);
     backend->field_destroy(&field);
     if (status != RN_OK) return status;
     for (int i = 0; i < SIDE * SIDE; i++) {

@@ -116,13 +116,17 @@ enum rn_status rn_trainer_validate_rows(struct rn_trainer *t, const struct rn_pi
                                      .stop_depth = (float)-log(config->stop),
                                      .straight =
                                          rn_field_averages_straight(t->field, frame->frame)};
+    const struct rn_device_view view = {.cameras = camera,
+                                        .camera_count = 1,
+                                        .cones = rn_cones_for_camera(t->field, camera),
+                                        .halves = true};
+    const struct rn_device_places places = {.first = (uint32_t)row * (uint32_t)width, .count = n};
     uint64_t samples;
     struct rn_pixel *pixels = malloc(n * sizeof *pixels);
     if (!pixels) return rn_error_set(err, RN_ERROR_NO_MEMORY, "trainer", "out of memory");
     memcpy(march.background, config->background, sizeof march.background);
     enum rn_status status =
-        rn_field_render_rows(t->field, camera, &march, rn_cones_for_camera(t->field, camera), row,
-                             rows, pixels, &samples, err);
+        rn_cones_render_there(t->field, &march, &view, &places, pixels, &samples, err);
     for (size_t i = 0; i < n && status == RN_OK; i++)
         rn_pixel_add_error(&t->held, frame, (int)(i % width), row + (int)(i / width),
                            config->background, pixels[i].rgb, ret_squares);

@@ -1,0 +1,181 @@
+// Pictures that a device renders: the dial, deadlines, cells of a field at rest, in the midst of a
+// training.
+#include <math.h>
+#include <stdio.h>
+#include <string.h>
+
+#include "common/base/clock.h"
+#include "server/engine/scene/device.h"
+#include "server/engine/scene/occupancy.h"
+#include "tests/ops/device_run.h"
+
+// How far a pixel of `p` is from the mean of its neighbours at +-(dx, dy) and +-(-dy, dx).
+static double off_mean(const struct rn_picture *p, int x, int y, int dx, int dy) {
+    double worst = 0;
+    for (int c = 0; c < 3; c++) {
+        const float *at = p->values + 3 * (y * p->width + x) + c;
+        ptrdiff_t along = 3 * (dy * p->width + dx), across = 3 * (dx * p->width - dy);
+        double mean = 0.25 * ((double)at[-along] + (double)at[along] + (double)at[-across] +
+                              (double)at[across]);
+        worst = fmax(worst, fabs((double)*at - mean));
+    }
+    return worst;
+}
+
+// With a tolerance every pixel is as it was traced or the mean of four neighbours, and those that
+// were traced are as many as the rays.
+static void check_tolerance(const struct rn_render_result *full,
+                            const struct rn_render_result *quick) {
+    const struct rn_picture *p = &quick->rgb;
+    uint64_t traced = 0;
+    for (int i = 0; i < p->width * p->height; i++) {
+        int x = i % p->width, y = i / p->width;
+        bool same = memcmp(p->values + 3 * i, full->rgb.values + 3 * i, 3 * sizeof(float)) == 0;
+        bool inside = x > 0 && y > 0 && x + 1 < p->width && y + 1 < p->height;
+        traced += same;
+        if (same) continue;
+        ck_assert(inside && (x % 2 == 1 || y % 2 == 1));
+        ck_assert_double_lt(off_mean(p, x, y, 1, x % 2 == 1 && y % 2 == 1), 1e-6);
+    }
+    ck_assert_uint_ge(traced, quick->stats.rays); // means of what is alike are the same too
+    ck_assert_uint_lt(quick->stats.rays, full->stats.rays * 3 / 4);
+    ck_assert_uint_gt(quick->stats.rays, full->stats.rays / 4);
+}
+
+// By a deadline that is far away as by none; by one that is over there is no picture.
+static void check_deadline(struct rn_render_options options, const struct rn_render_result *full) {
+    struct rn_render_result timed;
+    struct rn_error said;
+    options.deadline_ns = rn_clock_ns() + (int64_t)60e9;
+    OK(rn_render(run.engine, rn_trainer_field(run.trainer), &options, NULL, NULL, &timed, &err));
+    ck_assert(timed.stats.on_device && timed.stats.tolerance > 0);
+    ck_assert_double_lt(difference(&full->rgb, &timed.rgb), 1e-3);
+    rn_render_result_finish(&timed);
+    options.first_ns = options.deadline_ns = 1;
+    ck_assert(rn_render(run.engine, rn_trainer_field(run.trainer), &options, NULL, NULL, &timed,
+                        &said) == RN_ERROR_LIMIT);
+}
+
+// The dial: a tolerance, and rays that end earlier, which are opaque there too.
+static void check_dial(struct rn_render_options options, const struct rn_render_result *full) {
+    struct rn_render_result quick;
+    check_deadline(options, full);
+    options.settings.tolerance = 0.1;
+    options.settings.stop = rn_trainer_field(run.trainer)->config.stop;
+    OK(rn_render(run.engine, rn_trainer_field(run.trainer), &options, NULL, NULL, &quick, &err));
+    printf("of %llu rays a tolerance leaves %llu\n", (unsigned long long)full->stats.rays,
+           (unsigned long long)quick.stats.rays);
+    ck_assert(quick.stats.on_device);
+    check_tolerance(full, &quick);
+    rn_render_result_finish(&quick);
+    int opaque = 0;
+    options.settings.stop = 0.5;
+    options.outputs = RN_OUTPUT_ALPHA;
+    OK(rn_render(run.engine, rn_trainer_field(run.trainer), &options, NULL, NULL, &quick, &err));
+    for (int i = 0; i < quick.alpha.width * quick.alpha.height; i++) {
+        opaque += quick.alpha.values[i] == 1;
+        ck_assert(quick.alpha.values[i] == 1 || quick.alpha.values[i] < 0.5f);
+    }
+    ck_assert_int_gt(opaque, 0);
+    rn_render_result_finish(&quick);
+}
+
+// A field at rest has finer cells, and of these firm ones; pictures read them there as on the CPU.
+START_TEST(reads_the_cells_of_a_field_at_rest) {
+    struct rn_train_config config = small_config("draft", 20);
+    struct rn_render_options options = {.camera = run.dataset->frames[0].camera,
+                                        .outputs = RN_OUTPUT_RGB,
+                                        .settings.supersample = 1};
+    run_begin("cuda:0", &config);
+    run_to(20);
+    struct rn_field *field = rn_trainer_finish(&run.trainer);
+    int cells = field->config.field.occupancy;
+    for (int i = 0; i < cells * cells * cells; i++) // few enough cells to be refined: a slab
+        if ((i / cells / cells + 1) / 2 != cells / 4) field->occupancy[i] = 0;
+    rn_field_refresh_occupancy(field);
+    rn_field_refine_occupancy(field, run.engine);
+    ck_assert_ptr_nonnull(field->fine.words);
+    size_t bricks = (size_t)field->fine.cells / RN_BRICK, words = bricks * bricks * bricks * 16;
+    memset(field->fine.words, 0, words / 2 * sizeof(uint32_t)); // far fewer than are occupied
+    OK(rn_field_put_to_render(run.engine, field, &err));
+    struct rn_render_result there[2], here[2], coarse;
+    for (int i = 0; i < 2; i++) { // of rays that end early the firm ones
+        options.settings.stop = i ? 0.1 : 0;
+        OK(rn_render(run.engine, field, &options, NULL, NULL, &there[i], &err));
+    }
+    rn_field_withdraw(field);
+    for (int i = 0; i < 2; i++) {
+        options.settings.stop = i ? 0.1 : 0;
+        OK(rn_render(run.engine, field, &options, NULL, NULL, &here[i], &err));
+    }
+    options.settings.stop = 0;
+    rn_field_refresh_occupancy(field);
+    OK(rn_render(run.engine, field, &options, NULL, NULL, &coarse, &err));
+    printf("at rest: %llu samples for %llu, firm ones %llu\n",
+           (unsigned long long)there[0].stats.samples, (unsigned long long)coarse.stats.samples,
+           (unsigned long long)there[1].stats.samples);
+    ck_assert_uint_lt(there[0].stats.samples, coarse.stats.samples * 3 / 4);
+    ck_assert_uint_lt(there[1].stats.samples, there[0].stats.samples);
+    for (int i = 0; i < 2; i++) {
+        // A ray is looked at after 8 samples here and after 16 there.
+        ck_assert_uint_ge(there[i].stats.samples, here[i].stats.samples);
+        ck_assert_uint_le(there[i].stats.samples, here[i].stats.samples + 8 * here[i].stats.rays);
+        ck_assert_double_lt(difference(&there[i].rgb, &here[i].rgb), 5e-3);
+        rn_render_result_finish(&there[i]);
+        rn_render_result_finish(&here[i]);
+    }
+    rn_render_result_finish(&coarse);
+    rn_field_destroy(&field);
+    rn_engine_destroy(&run.engine);
+}
+END_TEST
+
+// What is rendered in the middle of a training is the field as it is there, also where a camera
+// wants levels that the device lacks; and a finished training's field renders on.
+START_TEST(renders_while_it_trains) {
+    struct rn_train_config config = small_config("draft", 30);
+    config.field.levels = 4;
+    struct rn_render_options options = {.camera = run.dataset->frames[0].camera,
+                                        .outputs = RN_OUTPUT_RGB,
+                                        .settings.supersample = 1};
+    run_begin("cuda:0", &config);
+    for (int i = 0; i < 2; i++) {
+        struct rn_render_result near, cones, far, after;
+        run_to(16 * (i + 1));
+        OK(rn_render(run.engine, rn_trainer_field(run.trainer), &options, NULL, NULL, &near, &err));
+        check_dial(options, &near);
+        struct rn_render_options away = options, split = options;
+        split.settings.supersample = 2;
+        OK(rn_render(run.engine, rn_trainer_field(run.trainer), &split, NULL, NULL, &cones, &err));
+        for (int k = 0; k < 3; k++)
+            away.camera.world_from_camera[k][3] *= 6;
+        OK(rn_render(run.engine, rn_trainer_field(run.trainer), &away, NULL, NULL, &far, &err));
+        OK(rn_trainer_save(run.trainer, run.path, &err));
+        picture("cpu", 1, 1, &after);
+        ck_assert_double_lt(difference(&near.rgb, &after.rgb), 5e-3);
+        rn_render_result_finish(&after);
+        picture("cpu", 1, 2, &after);
+        ck_assert_double_lt(difference(&cones.rgb, &after.rgb), 5e-3);
+        ck_assert_double_gt(difference(&cones.rgb, &near.rgb), 5e-3);
+        rn_render_result_finish(&after);
+        picture("cpu", 6, 1, &after);
+        ck_assert(difference(&far.rgb, &after.rgb) == 0); // the CPU's, both
+        rn_render_result_finish(&after);
+        rn_render_result_finish(&near);
+        rn_render_result_finish(&cones);
+        rn_render_result_finish(&far);
+    }
+    struct rn_field *field = rn_trainer_finish(&run.trainer);
+    ck_assert_ptr_nonnull(field->on_device);
+    struct rn_render_result last;
+    OK(rn_render(run.engine, field, &options, NULL, NULL, &last, &err));
+    rn_render_result_finish(&last);
+    rn_field_destroy(&field);
+    rn_engine_destroy(&run.engine);
+}
+END_TEST
+
+void device_add_pictures(Suite *suite) {
+    device_add(suite, "renders", renders_while_it_trains);
+    device_add(suite, "rest", reads_the_cells_of_a_field_at_rest);
+}

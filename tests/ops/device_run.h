@@ -1,0 +1,44 @@
+// A training and its pictures on a device, for the tests of the engine with one.
+#ifndef RN_TESTS_OPS_DEVICE_RUN_H
+#define RN_TESTS_OPS_DEVICE_RUN_H
+
+#include "server/engine/engine.h"
+#include "server/engine/train/trainer.h"
+#include "tests/support/suite.h"
+
+// One engine and trainer at a time, of one dataset.
+struct device_run {
+    struct rn_engine *engine;
+    struct rn_trainer *trainer;
+    struct rn_progress progress;
+    struct rn_dataset *dataset;
+    char folder[64], path[128]; // the dataset's; the checkpoint's
+    bool deterministic;         // of engines
+};
+extern struct device_run run;
+
+void make_dataset(void);
+void remove_dataset(void);
+// A preset, so small that an emulator trains it in seconds; no rays drawn by error, as on devices.
+struct rn_train_config small_config(const char *preset, int64_t steps);
+enum rn_status try_engine(const char *device, size_t memory, struct rn_engine **ret_engine,
+                          struct rn_error *err);
+struct rn_engine *engine_on(const char *device);
+
+// `config` NULL restores from the checkpoint.
+void run_begin(const char *device, const struct rn_train_config *config);
+void run_to(int64_t step);
+void run_validate(void);
+void run_end(void);
+
+// Of the checkpoint, by the first camera so many times as far away.
+void picture(const char *device, double away, int supersample, struct rn_render_result *ret);
+double difference(const struct rn_picture *a, const struct rn_picture *b); // the largest
+// Largest difference of two devices' pictures of the checkpoint.
+double compare_pictures(const char *one, const char *other, double away);
+
+// Adds a test of the suite, with a dataset of its own (device_test.c); device_pictures.c.
+void device_add(Suite *suite, const char *name, const TTest *test);
+void device_add_pictures(Suite *suite);
+
+#endif
