@@ -11,7 +11,8 @@
 
 #define FORMATS(ROW)                                                                               \
     ROW(native)                                                                                    \
-    ROW(multiscale) ROW(blender) ROW(ngp) ROW(nerfstudio) ROW(colmap) ROW(opensfm) ROW(llff)
+    ROW(multiscale)                                                                                \
+    ROW(blender) ROW(ngp) ROW(nerfstudio) ROW(colmap) ROW(opensfm) ROW(bundler) ROW(llff)
 
 #define DECLARE(name) extern const struct rn_format rn_format_##name;
 #define ADDRESS(name) &rn_format_##name,

@@ -24,14 +24,15 @@ FAKE = Path(__file__).parents[1] / "support" / "fake_colmap.py"
 ENDS, LEFT_OUT, TOLD = "cannot be read", "a photograph is left out", "told"
 NAN = float("nan")
 
-BINARY, TEXT, STUDIO, NGP, OPENSFM, LLFF, BLENDER, BARE = LAYOUTS
+BINARY, TEXT, STUDIO, NGP, OPENSFM, BUNDLER, LLFF, BLENDER, BARE = LAYOUTS
 TRANSFORMS, TRAIN = "transforms.json#", "transforms_train.json#"
 
 
-def where(binary="", text="", transforms="", llff="", train="", opensfm="reconstruction.json#/0/shots/p1.png"):
+def where(binary="", text="", transforms="", llff="", train="", opensfm="reconstruction.json#/0/shots/p1.png",
+          bundler="bundle.out:8"):
     """Where each reader finds the same fault."""
     return {BINARY: binary, TEXT: text, STUDIO: transforms, NGP: transforms, LLFF: llff,
-            BLENDER: train, OPENSFM: opensfm}
+            BLENDER: train, OPENSFM: opensfm, BUNDLER: bundler}
 
 
 IMAGE = where('images.bin, image "p1.png"', 'images.txt, image "p1.png"', f"{TRANSFORMS}/frames/1",
@@ -82,8 +83,9 @@ def elsewhere(capture):
 
 
 def unknown_ids(capture):
-    """A camera, a point and a photograph of a list."""
+    """A camera, a point and a photograph of a list; a photograph that sees a point."""
     capture.sightings[2] = [5, 77]
+    capture.sightings[77] = [5]
     capture.extra |= {"train_filenames": [one.name for one in capture.photographs] + ["images/none.png"]}
 
 
@@ -109,6 +111,9 @@ def huge_count(layout, folder):
     huge = 1 << 63
     if layout == BINARY:
         patch("sparse/0/images.bin", 0, struct.pack("<Q", huge))(layout, folder)
+    elif layout == BUNDLER:
+        path = folder / "bundle.out"
+        path.write_text(path.read_text().replace("\n4 2\n", f"\n{huge} 2\n"))
     elif layout == LLFF:
         path = folder / "poses_bounds.npy"
         path.write_bytes(path.read_bytes().replace(b"(4, 17)", b"(%d, 17)" % huge))
@@ -134,6 +139,7 @@ FAULTS = {
         LLFF: (ENDS, "poses_bounds.npy", "9223372036854775808 rows"),
         BLENDER: (ENDS, "transforms_train.json", "integer"),
         OPENSFM: (ENDS, "reconstruction.json", "integer"),
+        BUNDLER: (ENDS, "bundle.out:2", "9223372036854775808 cameras"),
         BARE: (LEFT_OUT, "p1.png", "2147483647")}),
     "a camera that does not exist": (photograph(camera=7), None, {
         OPENSFM: (LEFT_OUT, f"{IMAGE[OPENSFM]}/camera", '"7", which is not among'),
@@ -142,7 +148,8 @@ FAULTS = {
         BINARY: (TOLD, "images.bin", "the first to point 77"),
         TEXT: (TOLD, "images.txt", "the first to point 77"),
         STUDIO: (TOLD, "transforms.json", "images/none.png"),
-        NGP: (TOLD, "transforms.json", "images/none.png")}),
+        NGP: (TOLD, "transforms.json", "images/none.png"),
+        BUNDLER: (TOLD, "bundle.out", "1 of its sightings")}),
     "a photograph that is not there": (None, unlink, {
         **all_of(LEFT_OUT, IMAGE, "does not exist"),
         NGP: (TOLD, f"{TRANSFORMS}/frames/1/file_path", "does not exist"),
@@ -151,6 +158,7 @@ FAULTS = {
         BINARY: (ENDS, "images.bin", "has no images"), TEXT: (ENDS, "images.txt", "has no images"),
         STUDIO: (ENDS, "#/frames", ""), NGP: (ENDS, "#/frames", ""),
         OPENSFM: (ENDS, "#/0/shots", "none was placed"),
+        BUNDLER: (ENDS, "bundle.out:2", "has no cameras"),
         LLFF: (ENDS, "poses_bounds.npy", "no rows"), BLENDER: (ENDS, "#/frames", "no views"),
         BARE: (ENDS, "", "holds no")}),
     "NaN in a pose": (set_pose(0, 3, NAN), None, all_of(LEFT_OUT, POSE, "finite")),
@@ -172,7 +180,7 @@ FAULTS = {
                                     OPENSFM: "#/0/shots/", STUDIO: f"{TRANSFORMS}/frames/", NGP: f"{TRANSFORMS}/frames/"},
                  "leaves the dataset's folder")}),
     "paths of another machine": (elsewhere, None, {
-        reader: (TOLD, "", "found by its name") for reader in (BINARY, TEXT, STUDIO, NGP, OPENSFM, BLENDER)}),
+        reader: (TOLD, "", "found by its name") for reader in (BINARY, TEXT, STUDIO, NGP, OPENSFM, BUNDLER, BLENDER)}),
     "an unknown camera model": (unknown_lens, None, {
         BINARY: (ENDS, "cameras.bin, record 2 of 2", "the model 99"),
         TEXT: (LEFT_OUT, IMAGE[TEXT], "NEW_LENS"),
@@ -183,9 +191,14 @@ FAULTS = {
 }
 FAULTS["a path that leaves the folder"][2].pop(LLFF)
 FAULTS["a rotation of length 0"][2].pop(OPENSFM)
+FAULTS["a size that differs"][2].pop(BUNDLER)
+FAULTS["portrait among landscape"][2].pop(BUNDLER)
 NOT_THERE = {
     ("a camera that does not exist", reader): "gives each photograph its camera in place"
-    for reader in (STUDIO, NGP, LLFF, BLENDER, BARE)} | {
+    for reader in (STUDIO, NGP, BUNDLER, LLFF, BLENDER, BARE)} | {
+    ("an unknown camera model", BUNDLER): "has one kind of lens",
+    ("a size that differs", BUNDLER): "says no sizes",
+    ("portrait among landscape", BUNDLER): "says no sizes"} | {
     ("a point or a name that does not exist", reader): "names nothing by an identifier"
     for reader in (LLFF, BLENDER, BARE)} | {
     ("a point or a name that does not exist", OPENSFM): "has tracks that became no point as a rule",

@@ -343,6 +343,7 @@ DATASET(blender, "blender", "transforms_train.json", "transforms_test.json")
 DATASET(ngp, "instant-ngp", "transforms.json")
 DATASET(nerfstudio, "nerfstudio", "transforms.json", "points.ply")
 DATASET(opensfm, "opensfm", "reconstruction.json", "tracks.csv")
+DATASET(bundler, "bundler", "bundle.out", "list.txt")
 DATASET(llff, "llff", "poses_bounds.npy")
 DATASET(colmap, "colmap", "sparse/cameras.bin", "sparse/images.bin", "sparse/points3D.bin")
 
@@ -486,6 +487,7 @@ const struct target targets[] = {
     {"ngp", run_ngp, 1 << 14},
     {"nerfstudio", run_nerfstudio, 1 << 14},
     {"opensfm", run_opensfm, 1 << 14},
+    {"bundler", run_bundler, 1 << 13},
     {"llff", run_llff, 1 << 13},
     {"colmap", run_colmap, 1 << 13},
     {"colmap-text", run_colmap_text, 1 << 13},

@@ -202,6 +202,22 @@ def write_opensfm(capture, folder):
         json.dumps([{"cameras": cameras, "shots": shots, "points": points}]))
 
 
+def write_bundler(capture, folder):
+    """Rows of the rotation, and the translation, to axes right, up and backwards."""
+    text = f"# Bundle file v0.3\n{len(capture.photographs)} {len(capture.points)}\n"
+    for photograph in capture.photographs:
+        rotation, centre = axes(photograph)
+        focal = capture.cameras[photograph.camera][3][0]
+        rows = [[sign * x for x in row] for sign, row in zip((1, -1, -1), rotation)]
+        text += words(float(focal), 0, 0) + "".join(words(*map(float, row)) for row in rows)
+        text += words(*(-sum(a * b for a, b in zip(row, centre)) for row in rows))
+    for point, position in capture.points.items():
+        track = [x for i, k in tracks(capture, point) for x in (i, k, 1.5 + k, -2.5)]
+        text += words(*map(float, position)) + words(10, 20, 30) + words(len(track) // 4, *track)
+    (folder / "bundle.out").write_text(text)
+    (folder / "list.txt").write_text("".join(f"{one.name} 0 {FOCAL}\n" for one in capture.photographs))
+
+
 def write_llff(capture, folder, shape=None):
     rows = b""
     for photograph in sorted(capture.photographs, key=lambda one: one.name):
@@ -225,6 +241,7 @@ LAYOUTS = {
     "instant-ngp": (lambda capture, folder: write_transforms(capture, folder, aabb_scale=4),
                     ["transforms.json"]),
     "OpenSfM": (write_opensfm, ["reconstruction.json"]),
+    "Bundler": (write_bundler, ["bundle.out", "list.txt"]),
     "LLFF": (write_llff, ["poses_bounds.npy"]),
     "NeRF-synthetic": (write_blender, ["transforms_train.json"]),
     "photographs": (lambda capture, folder: None, []),

@@ -325,7 +325,7 @@ START_TEST(incomplete_model) {
                      RN_ERROR_NOT_FOUND);
     options.format = "collmap";
     ck_assert_int_eq(rn_dataset_read_as(folder, &options, NULL, &dataset, &err), RN_ERROR_INVALID);
-    ck_assert_ptr_nonnull(strstr(err.text, "colmap, opensfm, llff"));
+    ck_assert_ptr_nonnull(strstr(err.text, "colmap, opensfm, bundler, llff"));
 }
 END_TEST
 
