@@ -11,6 +11,7 @@ const char *const rn_job_state_names[] = {"queued",     "running",     "paused",
 const char *const rn_scene_state_names[] = {"new", "training", "paused", "ready", "failed", NULL};
 const char *const rn_finished_by_names[] = {"time", "steps", "psnr", "finish", "plateau", NULL};
 const char *const rn_lens_choice_names[] = {"pinhole", "as-taken", NULL};
+const char *const rn_colours_choice_names[] = {"even", "as-taken", NULL};
 const char *const rn_output_kind_names[] = {"rgb",  "depth", "alpha",     "normal",
                                             "cost", "level", "footprint", NULL};
 const char *const rn_output_kind_units[] = {[RN_OUTPUT_KIND_COST] = "samples",

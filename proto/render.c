@@ -32,6 +32,7 @@ static const struct rn_field_spec request[] = {
     RN_F_TEXT(S, view, 0, rn_check_view),
     RN_F_INT(S, scale, 0, 0, 15),
     RN_F_NAME(S, lens, 0, rn_lens_choice_names),
+    RN_F_NAME(S, colours, 0, rn_colours_choice_names),
     RN_F_NUMBER(S, at, RN_OVER_MIN, 0, 31536000),
     RN_F_OBJECT(S, size, 0, &size_table),
     RN_F_NAME(S, output, 0, rn_output_kind_names),
@@ -42,7 +43,7 @@ static const struct rn_field_spec request[] = {
     RN_F_OBJECT(S, optics, 0, &rn_optics_table),
 };
 const struct rn_table rn_render_request_table =
-    RN_TABLE_OF_SETTINGS(S, "a render request", request, &rn_render_settings, settings, 10, true);
+    RN_TABLE_OF_SETTINGS(S, "a render request", request, &rn_render_settings, settings, 11, true);
 #undef S
 
 const char *rn_picture_format_check(int format, int output) {
@@ -72,6 +73,9 @@ static const char *check_request(const struct rn_render_request *r, const char *
     if (!*r->view == !r->camera.width) return "exactly one of camera and view must be given";
     *ret_pointer = "#/scale";
     if (r->camera.width && rn_int_or(r->scale, 0) != 0) return "goes with view only";
+    *ret_pointer = "#/colours";
+    if (r->camera.width && rn_name_or(r->colours, RN_COLOURS_EVEN) != RN_COLOURS_EVEN)
+        return "as-taken goes with view only: no photograph was taken by that camera";
     *ret_pointer = "#/format";
     wrong = rn_picture_format_check(r->format, r->output);
     if (wrong) return wrong;
@@ -107,6 +111,7 @@ enum rn_status rn_render_request_decode(const char *json, size_t json_size,
 void rn_render_request_settle(struct rn_render_request *r, enum rn_picture_format format) {
     r->scale = rn_int_or(r->scale, 0);
     r->lens = rn_name_or(r->lens, RN_LENS_CHOICE_PINHOLE);
+    r->colours = rn_name_or(r->colours, RN_COLOURS_EVEN);
     r->output = rn_name_or(r->output, RN_OUTPUT_KIND_RGB);
     r->format = rn_name_or(r->format, (int)format);
     if (r->output == RN_OUTPUT_KIND_DEPTH) r->format = RN_FORMAT_PNG;

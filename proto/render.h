@@ -32,6 +32,7 @@ struct rn_render_request {
     char view[264];          // "test:12"; "" = absent
     int64_t scale;
     int lens;             // enum rn_lens_choice, of a view; a camera has its own
+    int colours;          // enum rn_colours_choice, of a view
     double at;            // training seconds to look back at (proto/marks.h); NAN = as it is now
     struct rn_size size;  // absent = the camera's own
     int output;           // enum rn_output_kind
@@ -53,9 +54,9 @@ enum rn_status rn_render_request_decode(const char *json, size_t size,
                                         struct rn_render_request *ret_request,
                                         struct rn_field_errors *errors,
                                         struct rn_error *err) RN_MUST_CHECK;
-// Writes the defaults into what is absent (scale, lens, output, jpeg_quality, settings that are the
-// same for every scene; `format` where the request has none), so that equal pictures have equal
-// texts when encoded.
+// Writes the defaults into what is absent (scale, lens, colours, output, jpeg_quality, settings
+// that are the same for every scene; `format` where the request has none), so that equal pictures
+// have equal texts when encoded.
 void rn_render_request_settle(struct rn_render_request *request, enum rn_picture_format format);
 
 // POST /v1/camera-paths, and the record.

@@ -31,7 +31,7 @@ static enum rn_exit read_document(const char *path, char **ret_text, size_t *ret
 // ---- render ----
 
 struct render_options {
-    const char *view, *camera, *lens, *output, *file, *format, *crop;
+    const char *view, *camera, *lens, *colours, *output, *file, *format, *crop;
     double at;
     struct rn_option_pair size;
     struct rn_optics_request optics;
@@ -67,6 +67,12 @@ static const struct rn_option render_table[] = {
      RENDER(lens),
      .choices = "pinhole|as-taken",
      .help = "how a view is rendered: without its photograph's lens (the default), or with it"},
+    {.name = "colours",
+     .kind = RN_OPTION_CHOICE,
+     RENDER(colours),
+     .choices = "even|as-taken",
+     .help =
+         "a view in the exposure of all photographs (the default), or in its\nphotograph's own"},
     AT_OPTION(RENDER(at)),
     SIZE_OPTION(RENDER(size)),
     {.name = "output",
@@ -136,6 +142,8 @@ static enum rn_exit render_body(const struct render_options *options, char **ret
     if (!rn_crop_option(options->crop, request.crop)) return RN_EXIT_USAGE;
     request.format = format_of(options);
     request.lens = options->lens ? rn_name_index(rn_lens_choice_names, options->lens) : -1;
+    request.colours =
+        options->colours ? rn_name_index(rn_colours_choice_names, options->colours) : -1;
     request.output = options->output ? rn_name_index(rn_output_kind_names, options->output) : -1;
     memcpy(request.settings, options->settings, sizeof options->settings);
     *ret_body = rn_api_encode(&rn_render_request_table, &request);

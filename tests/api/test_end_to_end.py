@@ -107,6 +107,39 @@ def test_a_path_is_the_same_while_others_look(client, daemon, trained, tmp_path)
         assert (tmp_path / "watched" / name).read_bytes() == (tmp_path / "alone" / name).read_bytes()
 
 
+def test_a_view_in_its_photograph_s_own_exposure(client, daemon):
+    """Where photographs were made even, and asked for; else it is the same picture."""
+    client.run("synth", "sphere", "uneven", "--size", 24, "--views", 6)
+    client.run("import", "uneven", "--name", "plain")
+    record = client.json("show", "plain")
+    folder = daemon.folder / "datasets" / record["id"]
+    document = json.loads((folder / "dataset.json").read_text())
+    document["name"] = "uneven"
+    for frame in document["frames"]:
+        frame["gain"] = [0.5, 1, 1.25] if frame["index"] % 2 else [1, 1, 1]
+    shutil.copytree(folder, client.cwd / "gains")
+    (client.cwd / "gains" / "dataset.json").write_text(json.dumps(document))
+    client.run("import", "gains", "--name", "uneven")
+    for name, choice in (("even", "on"), ("uncorrected", "off")):
+        client.run("train", "uneven", "--name", name, "--preset", "draft", "--max-steps", STEPS,
+                   "--threads", 1, "--effect", f"exposure={choice}", "--wait")
+
+    def picture(scene, colours, view=1):
+        client.run("render", scene, "--view", f"train:{view}", "--colours", colours, "-o", "p.png")
+        return Image.open(client.cwd / "p.png").convert("RGB")
+
+    even, taken = picture("even", "even"), picture("even", "as-taken")
+    pixels = list(zip(even.getdata(), taken.getdata()))
+    background = even.getpixel((0, 0))
+    inside = [(a, b) for a, b in pixels if a != background]
+    assert inside and all(b == background for a, b in pixels if a == background)
+    assert any(a[0] != b[0] for a, b in inside) and all(abs(a[1] - b[1]) <= 1 for a, b in inside)
+    assert all(b[0] <= a[0] and b[2] >= a[2] for a, b in inside)
+    assert ImageChops.difference(picture("even", "even", 0), picture("even", "as-taken", 0)).getbbox() is None
+    assert ImageChops.difference(picture("uncorrected", "even"),
+                                 picture("uncorrected", "as-taken")).getbbox() is None
+
+
 def test_bytes_do_not_depend_on_threads_or_pauses(client, trained):
     end, _ = trained
     job = train(client, "again", "--max-steps", STEPS, "--seed", 5, "--threads", 2)

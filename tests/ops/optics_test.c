@@ -276,6 +276,30 @@ START_TEST(film_changes_the_light) {
 }
 END_TEST
 
+// Stored values times the gains, of what is the scene's; the film comes after.
+START_TEST(a_photograph_s_exposure_is_put_back) {
+    const float white[3] = {1, 1, 1};
+    const double gain[3] = {1.5, 1, 0.5}, none[3] = {0};
+    float grey[3] = {0.5f, 0.4f, 0.3f}, half[3] = {0.75f, 0.7f, 0.65f},
+          film[3] = {0.5f, 0.4f, 0.3f};
+    struct rn_development taken = rn_development_of(0, 0), brighter = rn_development_of(1, 0);
+    rn_development_expose(&taken, none);
+    ck_assert(!taken.on);
+    rn_development_expose(&taken, gain);
+    rn_development_expose(&brighter, gain);
+    rn_develop(&taken, 1, white, grey);
+    rn_develop(&taken, 0.5f, white, half); // the same colours, half covering white
+    rn_develop(&brighter, 1, white, film);
+    const float expected[3] = {0.75f, 0.4f, 0.15f};
+    for (int c = 0; c < 3; c++) {
+        ck_assert_float_eq_tol(grey[c], expected[c], 2e-6f);
+        ck_assert_float_eq_tol(half[c], 0.5f * expected[c] + 0.5f, 2e-6f);
+        ck_assert_float_eq_tol(rn_srgb_to_linear(film[c]), 2 * rn_srgb_to_linear(expected[c]),
+                               1e-5f);
+    }
+}
+END_TEST
+
 static void add(TCase *tests) {
     tcase_add_test(tests, a_point_is_blurred_by_the_circle_of_confusion);
     tcase_add_test(tests, a_pixel_s_cones_are_spread_evenly);
@@ -284,6 +308,7 @@ static void add(TCase *tests) {
     tcase_add_test(tests, parallel_rays_do_not_depend_on_the_distance);
     tcase_add_test(tests, what_cannot_be_is_refused);
     tcase_add_test(tests, film_changes_the_light);
+    tcase_add_test(tests, a_photograph_s_exposure_is_put_back);
 }
 
 int main(void) {

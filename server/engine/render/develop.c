@@ -74,7 +74,7 @@ static void adapt(double white_k, double ret[3][3]) {
 }
 
 struct rn_development rn_development_of(double stops, double white_k) {
-    struct rn_development out = {.on = stops != 0 || white_k > 0};
+    struct rn_development out = {.on = stops != 0 || white_k > 0, .gain = {1, 1, 1}};
     double matrix[3][3] = {{1, 0, 0}, {0, 1, 0}, {0, 0, 1}};
     if (white_k > 0) adapt(white_k, matrix);
     for (int i = 0; i < 9; i++)
@@ -82,12 +82,20 @@ struct rn_development rn_development_of(double stops, double white_k) {
     return out;
 }
 
+void rn_development_expose(struct rn_development *development, const double gain[3]) {
+    if (!(gain[0] > 0)) return;
+    development->on = true;
+    for (int c = 0; c < 3; c++)
+        development->gain[c] = (float)gain[c];
+}
+
 void rn_develop(const struct rn_development *development, float alpha, const float background[3],
                 float rgb[3]) {
     float light[3];
     if (!development->on || !(alpha > 0) || !isfinite(rgb[0] + rgb[1] + rgb[2])) return;
     for (int c = 0; c < 3; c++)
-        light[c] = rn_srgb_to_linear((rgb[c] - (1 - alpha) * background[c]) / alpha);
+        light[c] = rn_srgb_to_linear(development->gain[c] *
+                                     ((rgb[c] - (1 - alpha) * background[c]) / alpha));
     for (int i = 0; i < 3; i++) {
         const float *row = development->matrix[i];
         float mixed = row[0] * light[0] + row[1] * light[1] + row[2] * light[2];

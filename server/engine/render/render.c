@@ -365,6 +365,7 @@ static void init_frame(struct frame *f) {
         f->cones < RN_OPTICS_CONES)
         f->cones = RN_OPTICS_CONES;
     f->development = rn_development_of(o->shot.optics.exposure, o->shot.optics.white_balance);
+    rn_development_expose(&f->development, o->shot.gain);
     f->march.step =
         (float)(o->settings.step > 0 ? fmax(o->settings.step, config->step) : config->step);
     f->march.stop_depth = (float)-log(

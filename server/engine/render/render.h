@@ -32,6 +32,8 @@ struct rn_shot {
     // Of a shutter: the camera at even instants while it is open, all of one size. Borrowed.
     const struct rn_camera *instants;
     int instant_count;
+    // A photograph's exposure: by which the colours, as they are stored, are multiplied; 0: none.
+    double gain[3];
 };
 
 // All that decides a picture: two requests with equal fields give equal pixels.

@@ -129,11 +129,13 @@ enum rn_status rn_picture_encode(const struct rn_render_result *result, enum rn_
     return status;
 }
 
+// The camera, and of a view as it was taken the gains that made its photograph even.
 static enum rn_status find_camera(struct rn_host *host, const struct rn_render_request *request,
-                                  struct rn_camera *ret_camera, struct rn_error *err) {
+                                  const struct rn_field_info *info,
+                                  struct rn_render_options *options, struct rn_error *err) {
     const struct rn_frame *frame;
     if (request->camera.width) {
-        *ret_camera = request->camera;
+        options->camera = request->camera;
         return RN_OK;
     }
     enum rn_status status = rn_host_need_dataset(host, err);
@@ -144,9 +146,12 @@ static enum rn_status find_camera(struct rn_host *host, const struct rn_render_r
         if (err) snprintf(err->where, sizeof err->where, "#/view");
         return status;
     }
-    *ret_camera = frame->camera;
+    options->camera = frame->camera;
     if (rn_name_or(request->lens, RN_LENS_CHOICE_PINHOLE) == RN_LENS_CHOICE_PINHOLE)
-        *ret_camera = rn_camera_without_lens(&frame->camera);
+        options->camera = rn_camera_without_lens(&frame->camera);
+    if (rn_name_or(request->colours, RN_COLOURS_EVEN) == RN_COLOURS_AS_TAKEN &&
+        info->effects[RN_EFFECT_EXPOSURE].on)
+        memcpy(options->shot.gain, frame->gain, sizeof options->shot.gain);
     return RN_OK;
 }
 
@@ -157,7 +162,7 @@ static enum rn_status render_options(struct rn_host *host, const struct rn_rende
     struct rn_render_options options = {.deadline_ns = 0};
     rn_settings_put(&rn_render_settings, request->settings, &options.settings);
     enum rn_status status = rn_optics_of_request(&request->optics, &options.shot.optics, err);
-    if (!status) status = find_camera(host, request, &options.camera, err);
+    if (!status) status = find_camera(host, request, info, &options, err);
     if (status) return status;
     if (request->size.width != RN_ABSENT)
         options.camera = rn_camera_reframed(&options.camera, (int)request->size.width,
