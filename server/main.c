@@ -263,9 +263,11 @@ static enum rn_status start_http(struct server *server, struct rn_error *err) {
 static int scrub(struct server *server) {
     struct rn_scrub_result result;
     rn_scrub(server->config.data, NULL, NULL, &result);
-    printf("%llu checked, %llu damaged\n", (unsigned long long)result.checked,
+    printf("%llu checked, %llu damaged", (unsigned long long)result.checked,
            (unsigned long long)result.damaged);
-    return result.damaged > 0;
+    if (result.unread > 0) printf(", %llu cannot be read", (unsigned long long)result.unread);
+    puts("");
+    return result.damaged + result.unread > 0;
 }
 
 static void stop(struct server *server) {

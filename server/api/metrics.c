@@ -78,6 +78,8 @@ static void put_store(struct rn_buf *text, const struct rn_control_stats *stats,
         (double)scrub.checked);
     one(text, "scrub_damaged_total", "counter", "Those of them that were not as written.",
         (double)scrub.damaged);
+    one(text, "scrub_unread_total", "counter", "Stored files and folders that could not be read.",
+        (double)scrub.unread);
     one(text, "checkpoints_damaged_total", "counter",
         "Checkpoints that were not as they were written; the one before was taken.",
         (double)stats->checkpoints_damaged);

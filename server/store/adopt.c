@@ -98,6 +98,10 @@ enum rn_status rn_store_adopt(struct rn_store *store, const char *backup,
         return rn_error_set(err, RN_ERROR_CORRUPT, "backup",
                             "of what it holds, %llu parts are not as they were written",
                             (unsigned long long)result.damaged);
+    if (result.unread > 0)
+        return rn_error_set(err, RN_ERROR_IO, "backup",
+                            "of what it holds, %llu parts cannot be read; the log says which",
+                            (unsigned long long)result.unread);
     enum rn_status status = list(backup, &entries, err);
     for (size_t t = 0; t < TABLES && status == RN_OK; t++)
         status = move(store, backup, tables[t]->folder, entries.items[t], entries.counts[t], err);

@@ -182,8 +182,9 @@ static bool is_bare(const char *path) {
     DIR *folder = opendir(path);
     bool bare = folder != NULL;
     snprintf(frames, sizeof frames, "%s/frames", path);
-    while (bare && (entry = readdir(folder)) != NULL)
+    while (bare && (errno = 0, entry = readdir(folder)) != NULL)
         bare = entry->d_name[0] == '.' || (strcmp(entry->d_name, "frames") == 0 && is_bare(frames));
+    if (bare) bare = errno == 0;
     if (folder != NULL) closedir(folder);
     return bare;
 }
@@ -285,16 +286,20 @@ static enum rn_status insert_record(struct rn_store *store, const struct rn_stor
 struct rebuilding {
     const struct rn_store_table *table;
     const char *scene;
+    bool all; // what cannot be read now is not passed over
     int made, left;
 };
 
-static bool has_record(struct rn_store *store, const struct rn_store_table *table, const char *id) {
+static enum rn_status has_record(struct rn_store *store, const struct rn_store_table *table,
+                                 const char *id, bool *ret_has, struct rn_error *err) {
     void *rows = NULL;
     size_t count = 0;
     struct rn_query query = {.equal = {{"id", id}}, .limit = 1};
-    if (rn_store_list(store, table, &query, &rows, &count, NULL) != RN_OK) return true;
+    enum rn_status status = rn_store_list(store, table, &query, &rows, &count, err);
+    if (status != RN_OK) return status;
     rn_rows_finish(table, rows, count);
-    return count > 0;
+    *ret_has = count > 0;
+    return RN_OK;
 }
 
 // A checkpoint file of a scene whose record was made anew.
@@ -308,11 +313,12 @@ static enum rn_status add_checkpoint(struct rn_store *store, void *context, cons
     if (sscanf(name, "step-%lld.safetensors%n", &step, &end) != 1 || name[end] != '\0')
         return RN_OK;
     snprintf(row.id, sizeof row.id, "%s/%lld", scene, step);
-    if (has_record(store, &rn_checkpoints, row.id)) return RN_OK;
+    bool known = false;
+    enum rn_status status = has_record(store, &rn_checkpoints, row.id, &known, err);
+    if (status != RN_OK || known) return status;
     char *path = rn_store_path(store, "scenes/%s/checkpoints/%s", scene, name);
     char relative[128];
     snprintf(relative, sizeof relative, "checkpoints/%.64s", name);
-    enum rn_status status = RN_OK;
     if (path != NULL && stat(path, &about) == 0 && rn_seal_read(path, row.digest, err) == RN_OK) {
         row.step = step;
         row.size_bytes = about.st_size;
@@ -358,9 +364,11 @@ static bool is_sound(struct rn_store *store, const struct rn_store_table *table,
     if (code == SQLITE_OK) code = sqlite3_step(statement);
     sqlite3_finalize(statement);
     rn_buf_finish(&sql);
-    if (code == SQLITE_ROW) return true;
-    rn_error_set(err, RN_ERROR_CORRUPT, COPY, "it is no record of %s", id);
-    return false;
+    if (code == SQLITE_DONE)
+        rn_error_set(err, RN_ERROR_CORRUPT, COPY, "it is no record of %s", id);
+    else if (code != SQLITE_ROW)
+        (void)rn_sqlite_error(store->db, code, COPY, err);
+    return code == SQLITE_ROW;
 }
 
 // As insert_record; nothing comes of a copy that makes no sound record.
@@ -385,11 +393,12 @@ static enum rn_status add_record(struct rn_store *store, void *context, const ch
     uint8_t *text = NULL;
     size_t size;
     char sha256[65];
-    bool done = false;
-    if (has_record(store, table, name)) return RN_OK;
+    bool done = false, known = false;
+    enum rn_status status = has_record(store, table, name, &known, err);
+    if (status != RN_OK || known) return status;
     char *path = rn_store_path(store, "%s/%s/" COPY, table->folder, name);
-    enum rn_status status = path == NULL ? rn_error_set(&why, RN_ERROR_NO_MEMORY, COPY, "no memory")
-                                         : rn_seal_check(path, sha256, &why);
+    status = path == NULL ? rn_error_set(&why, RN_ERROR_NO_MEMORY, COPY, "no memory")
+                          : rn_seal_check(path, sha256, &why);
     if (status == RN_OK) status = rn_file_read(path, MAX_COPY, &text, &size, &why);
     if (status == RN_OK) status = insert_sound(store, table, name, (char *)text, &done, &why);
     if (status == RN_OK && done && table == &rn_scenes) status = add_checkpoints(store, name, err);
@@ -400,12 +409,16 @@ static enum rn_status add_record(struct rn_store *store, void *context, const ch
                table->folder, name, why.text);
     free(text);
     free(path);
-    return RN_OK;
+    if (done) return status;
+    bool passes = why.status == RN_ERROR_NO_MEMORY || why.status == RN_ERROR_NO_SPACE ||
+                  (why.status == RN_ERROR_IO && rebuilding->all);
+    if (passes && err != NULL) *err = why;
+    return passes ? why.status : RN_OK;
 }
 
 enum rn_status rn_records_add(struct rn_store *store, const struct rn_store_table *table,
                               const char *id, bool *ret_made, struct rn_error *err) {
-    struct rebuilding rebuilding = {.table = table};
+    struct rebuilding rebuilding = {.table = table, .all = true};
     enum rn_status status = add_record(store, &rebuilding, id, err);
     *ret_made = rebuilding.made > 0;
     return status;

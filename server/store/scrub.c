@@ -29,11 +29,17 @@ static bool goes_on(const struct pass *pass) {
 }
 
 static void note(struct pass *pass, enum rn_status status, const struct rn_error *err) {
-    if (status != RN_OK && status != RN_ERROR_CORRUPT) return; // gone, or not to be read now
-    pass->result.checked++;
-    if (status == RN_OK) return;
-    pass->result.damaged++;
-    rn_log(RN_LOG_ERROR, "scrub: %s: %s", err->where, err->text);
+    if (status == RN_ERROR_NOT_FOUND || status == RN_ERROR_CANCELLED) return; // gone meanwhile
+    bool read = status == RN_OK || status == RN_ERROR_CORRUPT;
+    pass->result.checked += read;
+    pass->result.damaged += status == RN_ERROR_CORRUPT;
+    pass->result.unread += !read;
+    if (status != RN_OK) rn_log(RN_LOG_ERROR, "scrub: %s: %s", err->where, err->text);
+}
+
+static void note_errno(struct pass *pass, const char *folder) {
+    struct rn_error err = {0};
+    note(pass, rn_error_from_errno(&err, errno, folder, "list the folder"), &err);
 }
 
 static void check_sealed(struct pass *pass, const char *path) {
@@ -51,13 +57,18 @@ static void check_folder(struct pass *pass, const char *path) {
 static void each(struct pass *pass, const char *folder, const char *pattern,
                  void (*visit)(struct pass *pass, const char *path)) {
     DIR *listing = opendir(folder);
-    struct dirent *entry;
+    struct dirent *entry = NULL;
     char path[PATH_MAX];
-    if (listing == NULL) return;
-    while (goes_on(pass) && (entry = readdir(listing)) != NULL)
+    if (listing == NULL) {
+        if (errno != ENOTDIR) note_errno(pass, folder);
+        return;
+    }
+    errno = 0;
+    while (goes_on(pass) && (errno = 0, entry = readdir(listing)) != NULL)
         if (fnmatch(pattern, entry->d_name, FNM_PERIOD) == 0 &&
             snprintf(path, sizeof path, "%s/%s", folder, entry->d_name) < (int)sizeof path)
             visit(pass, path);
+    if (entry == NULL && errno != 0) note_errno(pass, folder);
     closedir(listing);
 }
 
@@ -65,9 +76,15 @@ static void check_record(struct pass *pass, const char *folder) {
     each(pass, folder, "record.json", check_sealed);
 }
 
+static void check_list(struct pass *pass, const char *path) {
+    char folder[PATH_MAX];
+    snprintf(folder, sizeof folder, "%.*s", (int)(strrchr(path, '/') - path), path);
+    check_folder(pass, folder);
+}
+
 static void check_dataset(struct pass *pass, const char *folder) {
     check_record(pass, folder);
-    check_folder(pass, folder);
+    each(pass, folder, "SHA256SUMS", check_list);
 }
 
 static void check_job(struct pass *pass, const char *folder) {
@@ -149,6 +166,7 @@ static void *run(void *context) {
         pthread_mutex_lock(&scrubber->lock);
         scrubber->result.checked += result.checked;
         scrubber->result.damaged += result.damaged;
+        scrubber->result.unread += result.unread;
         pthread_mutex_unlock(&scrubber->lock);
     }
     return NULL;

@@ -9,10 +9,11 @@
 
 struct rn_scrub_result {
     uint64_t checked, damaged; // checkpoints, datasets and copies of records
+    uint64_t unread;           // files and folders that are there and cannot be read
 };
 // Goes through the data folder DIR: sealed files and folders with a SHA256SUMS. Takes no lock: what
 // is written or removed meanwhile is passed over. `keep_going` (may be NULL) is polled between
-// files. Each damaged one is logged as an error.
+// files. Each that is damaged or cannot be read is logged as an error.
 void rn_scrub(const char *dir, bool (*keep_going)(void *context), void *context,
               struct rn_scrub_result *ret_result);
 

@@ -56,9 +56,10 @@ static enum rn_status link_entry(int from, int to, const char *name, int depth,
         return rn_error_set(err, RN_ERROR_LIMIT, name, "folders are nested too deep");
     if (mkdirat(to, name, 0700) != 0) return rn_error_from_errno(err, errno, name, "creating it");
     int inner = openat(from, name, O_RDONLY | O_DIRECTORY | O_NOFOLLOW | O_CLOEXEC);
-    int copy = openat(to, name, O_RDONLY | O_DIRECTORY | O_NOFOLLOW | O_CLOEXEC);
+    if (inner < 0 && errno == ENOENT) return RN_OK; // deleted meanwhile
+    int copy = inner < 0 ? -1 : openat(to, name, O_RDONLY | O_DIRECTORY | O_NOFOLLOW | O_CLOEXEC);
     enum rn_status status = copy < 0 ? rn_error_from_errno(err, errno, name, "opening it") : RN_OK;
-    if (status == RN_OK && inner >= 0) status = link_tree(inner, copy, depth + 1, err);
+    if (status == RN_OK) status = link_tree(inner, copy, depth + 1, err);
     if (inner >= 0) close(inner);
     if (copy >= 0) close(copy);
     return status;
@@ -74,8 +75,10 @@ static enum rn_status link_tree(int from, int to, int depth, struct rn_error *er
         if (listed >= 0) close(listed);
         return status;
     }
-    while (status == RN_OK && (entry = readdir(folder)) != NULL)
+    while (status == RN_OK && (errno = 0, entry = readdir(folder)) != NULL)
         if (is_kept(entry->d_name)) status = link_entry(from, to, entry->d_name, depth, err);
+    if (status == RN_OK && errno != 0)
+        status = rn_error_from_errno(err, errno, "a folder of content", "listing it");
     closedir(folder);
     return status;
 }
@@ -152,11 +155,16 @@ static enum rn_status link_recorded(struct rn_store *store, sqlite3 *db, const c
                                   "SELECT 'scenes', id FROM scenes UNION ALL "
                                   "SELECT 'jobs', id FROM jobs",
                                   -1, &statement, NULL);
-    while (code == SQLITE_OK && status == RN_OK && sqlite3_step(statement) == SQLITE_ROW)
-        status = link_one(store->folder, target, (const char *)sqlite3_column_text(statement, 0),
-                          (const char *)sqlite3_column_text(statement, 1), err);
+    while (code == SQLITE_OK && status == RN_OK && (code = sqlite3_step(statement)) == SQLITE_ROW) {
+        const char *table = (const char *)sqlite3_column_text(statement, 0);
+        const char *id = (const char *)sqlite3_column_text(statement, 1);
+        code = table != NULL && id != NULL ? SQLITE_OK : SQLITE_NOMEM;
+        if (code == SQLITE_OK) status = link_one(store->folder, target, table, id, err);
+    }
+    if (code != SQLITE_DONE && status == RN_OK)
+        status = rn_sqlite_error(db, code, "copying the records", err);
     sqlite3_finalize(statement);
-    return code == SQLITE_OK ? status : rn_sqlite_error(db, code, "copying the records", err);
+    return status;
 }
 
 // What was deleted between the copy of its record and the link to its content is in neither.
@@ -166,15 +174,22 @@ static enum rn_status drop_lost(sqlite3 *db, const char *target, const char *tab
     sqlite3_stmt *statement = NULL;
     snprintf(sql, sizeof sql, "SELECT id FROM %s", table);
     int code = sqlite3_prepare_v2(db, sql, -1, &statement, NULL);
-    while (code == SQLITE_OK && sqlite3_step(statement) == SQLITE_ROW) {
+    enum rn_status status = RN_OK;
+    while (code == SQLITE_OK && status == RN_OK && (code = sqlite3_step(statement)) == SQLITE_ROW) {
         const char *id = (const char *)sqlite3_column_text(statement, 0);
-        snprintf(folder, sizeof folder, "%s/%s/%s", target, table, id);
-        if (access(folder, F_OK) == 0) continue;
-        snprintf(sql, sizeof sql, "DELETE FROM %s WHERE id = '%.32s'", table, id);
-        code = sqlite3_exec(db, sql, NULL, NULL, NULL);
+        snprintf(folder, sizeof folder, "%s/%s/%s", target, table, id != NULL ? id : "");
+        snprintf(sql, sizeof sql, "DELETE FROM %s WHERE id = '%.32s'", table, id != NULL ? id : "");
+        code = id != NULL ? SQLITE_OK : SQLITE_NOMEM;
+        if (code != SQLITE_OK || access(folder, F_OK) == 0) continue;
+        if (errno == ENOENT)
+            code = sqlite3_exec(db, sql, NULL, NULL, NULL);
+        else
+            status = rn_error_from_errno(err, errno, folder, "looking for it");
     }
+    if (code != SQLITE_DONE && status == RN_OK)
+        status = rn_sqlite_error(db, code, "copying the records", err);
     sqlite3_finalize(statement);
-    return code == SQLITE_OK ? RN_OK : rn_sqlite_error(db, code, "copying the records", err);
+    return status;
 }
 
 enum rn_status rn_store_snapshot(struct rn_store *store, const char *scene, const char *target,

@@ -57,8 +57,11 @@ static enum rn_status take_lock(struct rn_store *store, struct rn_error *err) {
     if (store->lock_fd < 0)
         status = rn_error_from_errno(err, errno, path, "opening");
     else if (flock(store->lock_fd, LOCK_EX | LOCK_NB) != 0)
-        status = rn_error_set(err, RN_ERROR_CONFLICT, store->folder,
-                              "another ripnerfd uses this folder; stop it or use another --data");
+        status = errno != EWOULDBLOCK
+                     ? rn_error_from_errno(err, errno, path, "locking")
+                     : rn_error_set(err, RN_ERROR_CONFLICT, store->folder,
+                                    "another ripnerfd uses this folder; stop it or use another "
+                                    "--data");
     free(path);
     return status;
 }

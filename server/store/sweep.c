@@ -19,39 +19,45 @@
 
 enum fate { STAYS, GOES, ORPHAN };
 
-// Whether `sql`, with the text bound, has a row; true when it cannot be asked.
-static bool is_there(struct rn_store *store, const char *sql, const char *text) {
+struct sweep {
+    struct rn_store *store;
+    struct rn_error *err;
+    enum rn_status status; // once it is not RN_OK, what is there is not known and nothing goes
+    int orphans;
+};
+
+// Whether `sql`, with the text bound, has a row.
+static bool is_there(struct sweep *sweep, const char *sql, const char *text) {
+    sqlite3 *db = sweep->store->db;
     sqlite3_stmt *statement = NULL;
-    pthread_mutex_lock(&store->lock);
-    int code = sqlite3_prepare_v2(store->db, sql, -1, &statement, NULL);
+    if (sweep->status != RN_OK) return true;
+    pthread_mutex_lock(&sweep->store->lock);
+    int code = sqlite3_prepare_v2(db, sql, -1, &statement, NULL);
     if (code == SQLITE_OK) code = sqlite3_bind_text(statement, 1, text, -1, SQLITE_STATIC);
     if (code == SQLITE_OK) code = sqlite3_step(statement);
+    if (code != SQLITE_ROW && code != SQLITE_DONE)
+        sweep->status = rn_sqlite_error(db, code, "sweeping", sweep->err);
     sqlite3_finalize(statement);
-    pthread_mutex_unlock(&store->lock);
+    pthread_mutex_unlock(&sweep->store->lock);
     return code != SQLITE_DONE;
 }
 
-static bool can_ask(struct rn_store *store) {
-    return is_there(store, "SELECT 1 WHERE ?1 = 'x'", "x") &&
-           !is_there(store, "SELECT 1 WHERE ?1 = 'x'", "y");
-}
-
-static enum fate fate_of_content(struct rn_store *store, const struct rn_store_table *table,
+static enum fate fate_of_content(struct sweep *sweep, const struct rn_store_table *table,
                                  const char *name) {
     char sql[128];
     snprintf(sql, sizeof sql, "SELECT 1 FROM %s WHERE id = ?1", table->name);
-    if (is_there(store, sql, name)) return STAYS;
-    if (is_there(store, "SELECT 1 FROM removed WHERE id = ?1", name)) return GOES;
+    if (is_there(sweep, sql, name)) return STAYS;
+    if (is_there(sweep, "SELECT 1 FROM removed WHERE id = ?1", name)) return GOES;
     if (table != &rn_datasets && table != &rn_scenes) return ORPHAN;
     const char *column = table == &rn_datasets ? "dataset" : "scene";
     snprintf(sql, sizeof sql, "SELECT 1 FROM jobs WHERE %s = ?1 AND finished_ms = 0%s", column,
              table == &rn_scenes ? " AND type = 'ingest'" : "");
-    if (is_there(store, sql, name)) return STAYS;
+    if (is_there(sweep, sql, name)) return STAYS;
     snprintf(sql, sizeof sql,
              "SELECT 1 FROM jobs WHERE %s = ?1 AND type = 'ingest' AND state IN"
              " ('failed', 'cancelled')",
              column);
-    return is_there(store, sql, name) ? GOES : ORPHAN;
+    return is_there(sweep, sql, name) ? GOES : ORPHAN;
 }
 
 bool rn_store_upload_is_over(const struct stat *about) {
@@ -63,24 +69,26 @@ bool rn_store_upload_is_over(const struct stat *about) {
 }
 
 // Whether an upload in parts may still be gone on with.
-static enum fate fate_of_parts(struct rn_store *store, const char *name) {
+static enum fate fate_of_parts(struct sweep *sweep, const char *name) {
     struct stat about;
-    char *path = rn_store_path(store, "spool/%s", name);
-    bool over = path == NULL || stat(path, &about) != 0 || rn_store_upload_is_over(&about);
+    char *path = rn_store_path(sweep->store, "spool/%s", name);
+    bool known = path != NULL && stat(path, &about) == 0;
+    if (!known)
+        sweep->status = rn_error_from_errno(sweep->err, path ? errno : ENOMEM, name, "sweeping");
     free(path);
-    return over ? GOES : STAYS;
+    return known && rn_store_upload_is_over(&about) ? GOES : STAYS;
 }
 
 // Uploads: up_* comes in parts, <job>.tar is what a client sent, <job>.work what is made of it,
 // upload-* was never answered.
-static enum fate fate_of_upload(struct rn_store *store, const char *name) {
+static enum fate fate_of_upload(struct sweep *sweep, const char *name) {
     char id[RN_ID_MAX];
-    if (strncmp(name, RN_ID_UPLOAD, strlen(RN_ID_UPLOAD)) == 0) return fate_of_parts(store, name);
+    if (strncmp(name, RN_ID_UPLOAD, strlen(RN_ID_UPLOAD)) == 0) return fate_of_parts(sweep, name);
     snprintf(id, sizeof id, "%.*s", (int)strcspn(name, "."), name);
     if (strncmp(name, RN_ID_JOB, strlen(RN_ID_JOB)) != 0) return GOES;
-    if (!is_there(store, "SELECT 1 FROM jobs WHERE id = ?1", id))
+    if (!is_there(sweep, "SELECT 1 FROM jobs WHERE id = ?1", id))
         return strstr(name, ".work") != NULL ? GOES : ORPHAN;
-    bool open = is_there(store, "SELECT 1 FROM jobs WHERE id = ?1 AND finished_ms = 0", id);
+    bool open = is_there(sweep, "SELECT 1 FROM jobs WHERE id = ?1 AND finished_ms = 0", id);
     return open ? STAYS : GOES;
 }
 
@@ -92,44 +100,37 @@ static bool remove_empty(const char *path) {
     return rmdir(path) == 0;
 }
 
-static enum rn_status sweep_entry(struct rn_store *store, const char *folder, const char *name,
-                                  enum fate fate, int *orphans, struct rn_error *err) {
-    if (fate == STAYS) return RN_OK;
-    char *path = rn_store_path(store, "%s/%s", folder, name);
-    if (path == NULL) return rn_error_set(err, RN_ERROR_NO_MEMORY, folder, "no memory");
-    enum rn_status status = RN_OK;
-    if (fate == GOES) {
+static void sweep_entry(struct sweep *sweep, const char *folder, const char *name, enum fate fate) {
+    if (fate == STAYS) return;
+    char *path = rn_store_path(sweep->store, "%s/%s", folder, name);
+    if (path == NULL) {
+        sweep->status = rn_error_set(sweep->err, RN_ERROR_NO_MEMORY, folder, "no memory");
+    } else if (fate == GOES) {
         rn_log(RN_LOG_INFO, "removing %s/%s: it was deleted or never finished", folder, name);
-        status = rn_remove_tree(path, err);
+        sweep->status = rn_remove_tree(path, sweep->err);
     } else if (!remove_empty(path)) {
         rn_log(RN_LOG_WARN, "%s/%s has no record; it is left as it is", folder, name);
-        ++*orphans;
+        sweep->orphans++;
     }
     free(path);
-    return status;
 }
 
-static enum rn_status sweep_folder(struct rn_store *store, const char *name,
-                                   const struct rn_store_table *table, int *orphans,
-                                   struct rn_error *err) {
-    enum rn_status status = RN_OK;
-    char *folder = rn_store_path(store, "%s", name);
+static void sweep_folder(struct sweep *sweep, const char *name,
+                         const struct rn_store_table *table) {
+    char *folder = rn_store_path(sweep->store, "%s", name);
     DIR *dir = folder != NULL ? opendir(folder) : NULL;
-    if (dir == NULL) {
-        status = rn_error_from_errno(err, folder == NULL ? ENOMEM : errno, name, "sweeping");
-        free(folder);
-        return status;
-    }
-    struct dirent *entry;
-    while (status == RN_OK && (entry = readdir(dir)) != NULL) {
+    struct dirent *entry = NULL;
+    int errnum = folder == NULL ? ENOMEM : dir == NULL ? errno : 0;
+    while (dir != NULL && sweep->status == RN_OK && (errno = 0, entry = readdir(dir)) != NULL) {
         if (entry->d_name[0] == '.') continue;
-        enum fate fate = table != NULL ? fate_of_content(store, table, entry->d_name)
-                                       : fate_of_upload(store, entry->d_name);
-        status = sweep_entry(store, name, entry->d_name, fate, orphans, err);
+        enum fate fate = table != NULL ? fate_of_content(sweep, table, entry->d_name)
+                                       : fate_of_upload(sweep, entry->d_name);
+        if (sweep->status == RN_OK) sweep_entry(sweep, name, entry->d_name, fate);
     }
-    closedir(dir);
+    if (dir != NULL && sweep->status == RN_OK) errnum = errno;
+    if (errnum != 0) sweep->status = rn_error_from_errno(sweep->err, errnum, name, "sweeping");
+    if (dir != NULL) closedir(dir);
     free(folder);
-    return status;
 }
 
 // What was removed stays so, whatever happens to the disk, before it is forgotten that it was to
@@ -158,21 +159,16 @@ static enum rn_status forget(struct rn_store *store, struct rn_error *err) {
 }
 
 enum rn_status rn_store_sweep(struct rn_store *store, struct rn_error *err) {
-    int orphans = 0;
-    if (!can_ask(store))
-        return rn_error_set(err, RN_ERROR_IO, "ripnerf.db", "the records cannot be read");
-    enum rn_status status = RN_OK;
-    for (int i = 0; status == RN_OK && rn_content_tables[i] != NULL; i++)
-        status =
-            sweep_folder(store, rn_content_tables[i]->folder, rn_content_tables[i], &orphans, err);
-    if (status == RN_OK) status = sweep_folder(store, "spool", NULL, &orphans, err);
-    if (status == RN_OK) status = flush(store, err);
-    if (status == RN_OK) status = forget(store, err);
-    if (orphans > 0)
+    struct sweep sweep = {.store = store, .err = err, .status = RN_OK};
+    for (int i = 0; sweep.status == RN_OK && rn_content_tables[i] != NULL; i++)
+        sweep_folder(&sweep, rn_content_tables[i]->folder, rn_content_tables[i]);
+    if (sweep.status == RN_OK) sweep_folder(&sweep, "spool", NULL);
+    if (sweep.status == RN_OK) sweep.status = flush(store, err);
+    if (sweep.status == RN_OK) sweep.status = forget(store, err);
+    if (sweep.orphans > 0)
         rn_log(RN_LOG_WARN,
                "%d folders or files of content have no record: records are lost; start once with "
                "--rebuild to make them anew, or remove what is not wanted by hand",
-               orphans);
-    if (status == RN_OK) status = rn_records_write_all(store, err);
-    return status;
+               sweep.orphans);
+    return sweep.status == RN_OK ? rn_records_write_all(store, err) : sweep.status;
 }

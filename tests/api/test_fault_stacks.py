@@ -8,10 +8,12 @@ fails says why.
 """
 
 import http.client
+import io
 import os
 import random
 import re
 import subprocess
+import tarfile
 import time
 from pathlib import Path
 
@@ -24,6 +26,7 @@ from support.waiting import PATIENCE_S, wait_for
 
 SECONDS = float(os.environ.get("RIPNERF_FAULT_SECONDS", "0"))
 SAMPLE_S = 12
+CONTENT = ("datasets", "scenes", "jobs", "camera-paths")
 PATH = {"axes": "opengl", "width": 8, "height": 8, "fps": 2,
         "keys": [{"time": t, "world_from_camera": pose(t)[:3], "fov_y_deg": 40} for t in (0, 1)]}
 TAR = {"Content-Type": "application/x-tar"}
@@ -106,6 +109,50 @@ class Script:
                     f"/v1/datasets/n{self.round}/images/train/0")]
         return all(reply is not None and reply.status == 200 for reply in replies)
 
+    def files(self):
+        """What is stored for good, by its name below the data folder."""
+        root = Path(self.daemon.data)
+        return {str(path.relative_to(root)) for kind in CONTENT for path in root.glob(f"{kind}/*/**/*")
+                if path.is_file() and path.name != "lock" and not path.name.startswith(".")}
+
+    def step_backup(self):
+        """All or nothing."""
+        query = random.choice(({}, {"scene": f"n{self.round}"}))
+        reply = self.ask("GET", "/v1/backup", query=query)
+        if reply is None or reply.status != 200:
+            self.told += [] if reply is None else [reply.json["detail"]]
+            return False
+        with tarfile.open(fileobj=io.BytesIO(reply.body)) as archive:
+            missing = self.files() - set(archive.getnames())
+        assert not [name for name in missing if name.startswith(("scenes", "datasets")) or not query], \
+            (missing, self.faults.last())
+        self.copy = reply.body
+        return True
+
+    def step_adopt(self):
+        """What was deleted comes back as it was, or not at all."""
+        reply = self.ask("POST", "/v1/backup", body=self.copy, headers=TAR)
+        if reply is None or reply.status // 100 != 2:
+            self.told += [] if reply is None else [reply.json["detail"]]
+            return False
+        for kind in ("datasets", "scenes"):
+            assert self.daemon.get(f"/v1/{kind}/n{self.round}").status == 200, self.faults.last()
+        return True
+
+    def step_token(self):
+        made = self.ask("POST", "/v1/tokens", json_body={"name": "anna", "scope": "read"})
+        if made is None or made.status != 201:
+            return False
+        gone = self.ask("DELETE", f"/v1/tokens/{made.json['id']}")
+        return gone is not None and gone.status == 204
+
+    def step_camera_path(self):
+        made = self.ask("POST", "/v1/camera-paths", json_body={"name": f"n{self.round}", "path": PATH})
+        return made is not None and made.status in (201, 409)
+
+    def step_delete_camera_path(self):
+        return self.gone("camera-paths")
+
     def gone(self, kind):
         self.ask("DELETE", f"/v1/{kind}/n{self.round}")
         seen = self.ask("GET", f"/v1/{kind}/n{self.round}")
@@ -117,7 +164,8 @@ class Script:
     def step_delete_dataset(self):
         return self.gone("datasets")
 
-    STEPS = ["import", "train", "render", "path", "list", "delete_scene", "delete_dataset"]
+    STEPS = ["import", "train", "render", "path", "camera_path", "token", "list", "backup", "delete_scene",
+             "delete_dataset", "adopt", "delete_camera_path", "delete_scene", "delete_dataset"]
 
     def run(self, chance):
         """Once through, with as many failures as there are new stacks; how many there were."""

@@ -78,7 +78,7 @@ mutate $jobs/frames.c "the place of a film's frames is not flushed" \
     's/status = rn_file_rename(places.lent, places.kept, &err);/status = rename(places.lent, places.kept) == 0 ? RN_OK : RN_ERROR_NOT_FOUND;/'
 mutate $jobs/runner.c "a training that is resumed does not wait for its slot" \
     's/ || task->row.state == RN_JOB_QUEUED) \/\/ for a slot/)/'
-mutate $store/sweep.c "what was removed is forgotten before it is" '/^    if (status == RN_OK) status = flush(store, err);/d'
+mutate $store/sweep.c "what was removed is forgotten before it is" '/^    if (sweep.status == RN_OK) sweep.status = flush(store, err);/d'
 mutate $store/records.c "a copy whose seal was lost is taken for a good one" 's/return same && rn_seal_check(path, sha256, NULL) == RN_OK;/return same;/'
 mutate $store/records.c "a folder that was made for nothing is content" 's/looking->found |= !is_bare(path);/looking->found = true;/'
 

@@ -5,6 +5,7 @@
 // with each call of the kind; the call that takes it to 0 fails, and with `for_good` all that
 // follow do. `hits` counts failures. Of kind DISTINCT, a call of any kind fails when its stack has
 // not been met before and `left` is not 0, which it takes one from; so the test sees one at a time.
+#include <dirent.h>
 #include <dlfcn.h>
 #include <execinfo.h>
 #include <poll.h>
@@ -20,10 +21,16 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/epoll.h>
+#include <sys/eventfd.h>
+#include <sys/file.h>
 #include <sys/mman.h>
+#include <sys/random.h>
 #include <sys/socket.h>
 #include <sys/stat.h>
+#include <sys/statvfs.h>
 #include <sys/types.h>
+#include <sys/wait.h>
 #include <unistd.h>
 
 enum kind {
@@ -45,6 +52,7 @@ enum kind {
     THREAD,
     MAP,
     SPAWN,
+    CALL, // all others
     KINDS,
     DISTINCT
 };
@@ -134,7 +142,8 @@ static bool fails_by_stack(enum kind kind) {
         [MALLOC] = ENOMEM, [WRITE] = ENOSPC,  [SYNC] = EIO,        [OPEN] = EMFILE,
         [RENAME] = EIO,    [MKDIR] = ENOSPC,  [SOCKET] = EMFILE,   [ACCEPT] = EMFILE,
         [READ] = EIO,      [UNLINK] = EACCES, [TRUNCATE] = ENOSPC, [SEND] = ENOBUFS,
-        [POLL] = EINTR,    [THREAD] = EAGAIN, [MAP] = ENOMEM,      [SPAWN] = EAGAIN};
+        [POLL] = EINTR,    [THREAD] = EAGAIN, [MAP] = ENOMEM,      [SPAWN] = EAGAIN,
+        [CALL] = EIO};
     if (inside || kind == SHORT_WRITE || plan->left <= 0) return false;
     int before = errno;
     inside = true;
@@ -230,7 +239,7 @@ void *mmap64(void *address, size_t size, int protection, int flags, int fd, off6
 
 static bool is_file(int fd) {
     struct stat about;
-    return fstat(fd, &about) == 0 && S_ISREG(about.st_mode);
+    return NEXT(fstat)(fd, &about) == 0 && S_ISREG(about.st_mode);
 }
 
 ssize_t write(int fd, const void *data, size_t size) {
@@ -264,6 +273,9 @@ int fdatasync(int fd) {
     }
 OPEN_LIKE(open)
 OPEN_LIKE(open64)
+FILE *fopen64(const char *path, const char *mode) {
+    return fails(OPEN) ? NULL : NEXT(fopen64)(path, mode);
+}
 
 int rename(const char *from, const char *to) {
     return fails(RENAME) ? -1 : NEXT(rename)(from, to);
@@ -317,4 +329,105 @@ int posix_spawn(pid_t *pid, const char *path, const posix_spawn_file_actions_t *
                 char *const environment[]) {
     return fails(SPAWN) ? EAGAIN
                         : NEXT(posix_spawn)(pid, path, actions, attributes, argv, environment);
+}
+
+// ---- calls of all other kinds -------------------------------------------------------------------
+
+// name(...) fails with `error`, as `result`.
+#define CALL_LIKE(type, name, error, result, declared, given)                                      \
+    type name declared {                                                                           \
+        static __typeof__(&name) next;                                                             \
+        if (!next) next = NEXT(name);                                                              \
+        if (plan == NULL || !fails(CALL)) return next given;                                       \
+        errno = error;                                                                             \
+        return result;                                                                             \
+    }
+CALL_LIKE(DIR *, opendir, EMFILE, NULL, (const char *path), (path))
+CALL_LIKE(DIR *, fdopendir, ENOMEM, NULL, (int fd), (fd))
+CALL_LIKE(struct dirent64 *, readdir64, EIO, NULL, (DIR * folder), (folder))
+CALL_LIKE(int, scandir64, EMFILE, -1,
+          (const char *path, struct dirent64 ***names, int (*filter)(const struct dirent64 *),
+           int (*compare)(const struct dirent64 **, const struct dirent64 **)),
+          (path, names, filter, compare))
+CALL_LIKE(int, stat64, EIO, -1, (const char *path, struct stat64 *about), (path, about))
+CALL_LIKE(int, lstat64, EIO, -1, (const char *path, struct stat64 *about), (path, about))
+CALL_LIKE(int, fstat64, EIO, -1, (int fd, struct stat64 *about), (fd, about))
+CALL_LIKE(int, fstatat64, EIO, -1, (int fd, const char *path, struct stat64 *about, int flags),
+          (fd, path, about, flags))
+CALL_LIKE(int, access, EIO, -1, (const char *path, int mode), (path, mode))
+CALL_LIKE(int, faccessat, EIO, -1, (int fd, const char *path, int mode, int flags),
+          (fd, path, mode, flags))
+CALL_LIKE(int, statvfs64, EIO, -1, (const char *path, struct statvfs64 *about), (path, about))
+CALL_LIKE(off64_t, lseek64, EIO, -1, (int fd, off64_t at, int from), (fd, at, from))
+CALL_LIKE(int, fseeko64, EIO, -1, (FILE * file, off64_t at, int from), (file, at, from))
+CALL_LIKE(int, mkdirat, ENOSPC, -1, (int fd, const char *path, mode_t mode), (fd, path, mode))
+CALL_LIKE(int, mkostemp64, ENOSPC, -1, (char *path, int flags), (path, flags))
+CALL_LIKE(char *, mkdtemp, ENOSPC, NULL, (char *path), (path))
+CALL_LIKE(int, link, ENOSPC, -1, (const char *from, const char *to), (from, to))
+CALL_LIKE(int, linkat, ENOSPC, -1, (int a, const char *from, int b, const char *to, int flags),
+          (a, from, b, to, flags))
+CALL_LIKE(int, symlink, ENOSPC, -1, (const char *from, const char *to), (from, to))
+CALL_LIKE(int, unlinkat, EIO, -1, (int fd, const char *path, int flags), (fd, path, flags))
+CALL_LIKE(int, rmdir, EIO, -1, (const char *path), (path))
+CALL_LIKE(ssize_t, readlink, EIO, -1, (const char *path, char *to, size_t size), (path, to, size))
+CALL_LIKE(int, syncfs, EIO, -1, (int fd), (fd))
+CALL_LIKE(int, flock, ENOLCK, -1, (int fd, int operation), (fd, operation))
+CALL_LIKE(int, posix_fallocate64, ENOSPC, ENOSPC, (int fd, off64_t at, off64_t size),
+          (fd, at, size))
+CALL_LIKE(int, socket, EMFILE, -1, (int domain, int type, int protocol), (domain, type, protocol))
+CALL_LIKE(int, pipe2, EMFILE, -1, (int pair[2], int flags), (pair, flags))
+CALL_LIKE(int, eventfd, EMFILE, -1, (unsigned count, int flags), (count, flags))
+CALL_LIKE(int, epoll_create1, EMFILE, -1, (int flags), (flags))
+CALL_LIKE(int, epoll_wait, EINTR, -1,
+          (int fd, struct epoll_event *events, int most, int timeout_ms),
+          (fd, events, most, timeout_ms))
+CALL_LIKE(int, setsockopt, ENOBUFS, -1,
+          (int fd, int level, int name, const void *value, socklen_t size),
+          (fd, level, name, value, size))
+CALL_LIKE(ssize_t, sendmsg, EINTR, -1, (int fd, const struct msghdr *message, int flags),
+          (fd, message, flags))
+CALL_LIKE(ssize_t, getrandom, EINTR, -1, (void *to, size_t size, unsigned flags), (to, size, flags))
+CALL_LIKE(pid_t, waitpid, EINTR, -1, (pid_t pid, int *status, int options), (pid, status, options))
+CALL_LIKE(int, posix_spawn_file_actions_adddup2, ENOMEM, ENOMEM,
+          (posix_spawn_file_actions_t * actions, int from, int to), (actions, from, to))
+
+// Only what is added needs memory.
+int epoll_ctl(int fd, int what, int of, struct epoll_event *event) {
+    if (plan == NULL || what != EPOLL_CTL_ADD || !fails(CALL))
+        return NEXT(epoll_ctl)(fd, what, of, event);
+    errno = ENOMEM;
+    return -1;
+}
+
+// What a stream does inside of the C library; the stream remembers an error.
+static bool stream_fails(FILE *file) {
+    if (plan == NULL || file == stdout || file == stderr || !fails(CALL)) return false;
+    file->_flags |= _IO_ERR_SEEN;
+    errno = EIO;
+    return true;
+}
+size_t fread(void *to, size_t size, size_t count, FILE *file) {
+    return stream_fails(file) ? 0 : NEXT(fread)(to, size, count, file);
+}
+ssize_t getdelim(char **line, size_t *size, int end, FILE *file) {
+    return stream_fails(file) ? -1 : NEXT(getdelim)(line, size, end, file);
+}
+ssize_t __getdelim(char **line, size_t *size, int end, FILE *file);
+ssize_t __getdelim(char **line, size_t *size, int end, FILE *file) {
+    return stream_fails(file) ? -1 : NEXT(getdelim)(line, size, end, file);
+}
+int fflush(FILE *file) {
+    return file != NULL && stream_fails(file) ? EOF : NEXT(fflush)(file);
+}
+// Closed all the same.
+int fclose(FILE *file) {
+    bool failed = stream_fails(file);
+    int result = NEXT(fclose)(file);
+    return failed ? EOF : result;
+}
+int close(int fd) {
+    bool failed = plan != NULL && is_file(fd) && fails(CALL);
+    int result = NEXT(close)(fd);
+    if (failed) errno = EIO;
+    return failed ? -1 : result;
 }

@@ -5,7 +5,7 @@ import mmap
 import os
 
 KINDS = ["none", "malloc", "write", "short-write", "sync", "open", "rename", "mkdir", "socket",
-         "accept", "read", "unlink", "truncate", "send", "poll", "thread", "map", "spawn"]
+         "accept", "read", "unlink", "truncate", "send", "poll", "thread", "map", "spawn", "call"]
 DISTINCT = len(KINDS) + 1
 DEPTH, STACKS = 24, 1 << 16
 

@@ -4,11 +4,13 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/resource.h>
 #include <sys/stat.h>
 #include <unistd.h>
 
 #include "common/base/file.h"
 #include "common/base/seal.h"
+#include "server/store/scrub.h"
 #include "server/store/table.h"
 #include "tests/support/suite.h"
 
@@ -232,6 +234,62 @@ START_TEST(test_sweep) {
 }
 END_TEST
 
+static int deny_removed(void *context, int action, const char *table, const char *column,
+                        const char *database, const char *by) {
+    return action == SQLITE_READ && strcmp(table, "removed") == 0 ? SQLITE_DENY : SQLITE_OK;
+}
+
+// Where it cannot be asked what was deleted, nothing was.
+START_TEST(test_sweep_that_cannot_ask) {
+    char lost[256];
+    snprintf(lost, sizeof lost, "%s/scenes/sc_lost", folder);
+    ck_assert_int_eq(rn_mkdirs(lost, 0700, &err), RN_OK);
+    write_file("scenes/sc_lost/x", "x");
+    sqlite3_set_authorizer(store->db, deny_removed, NULL);
+    ck_assert_int_ne(rn_store_sweep(store, &err), RN_OK);
+    ck_assert_str_ne(err.text, "");
+    ck_assert(exists("scenes/sc_lost/x"));
+    sqlite3_set_authorizer(store->db, NULL, NULL);
+    ck_assert_int_eq(rn_store_sweep(store, &err), RN_OK);
+    ck_assert(exists("scenes/sc_lost/x"));
+}
+END_TEST
+
+static void allow_descriptors(rlim_t count) {
+    struct rlimit limit;
+    ck_assert_int_eq(getrlimit(RLIMIT_NOFILE, &limit), 0);
+    limit.rlim_cur = count;
+    ck_assert_int_eq(setrlimit(RLIMIT_NOFILE, &limit), 0);
+}
+
+// However few files can be opened: a copy has everything or there is none, and what was not read is
+// told.
+START_TEST(test_few_descriptors) {
+    struct rn_scene_row scene = make_scene("sc_a", "lego");
+    struct rn_scrub_result all, part;
+    int failed = 0, done = 0, unread = 0, next = open("/dev/null", O_RDONLY | O_CLOEXEC);
+    ck_assert_int_eq(rn_store_insert(store, &rn_scenes, &scene, &err), RN_OK);
+    rn_scrub(folder, NULL, NULL, &all);
+    ck_assert(all.checked == 1 && all.unread == 0);
+    for (rlim_t count = 0; count < 24; count++) {
+        char name[64], path[256];
+        snprintf(name, sizeof name, "copy-%d/scenes/sc_a/record.json", (int)count);
+        snprintf(path, sizeof path, "%s/copy-%d", folder, (int)count);
+        allow_descriptors((rlim_t)next + 1 + count);
+        enum rn_status status = rn_store_snapshot(store, NULL, path, &err);
+        rn_scrub(folder, NULL, NULL, &part);
+        allow_descriptors(256);
+        ck_assert_msg(status != RN_OK || exists(name), "%d", (int)count);
+        ck_assert(part.unread > 0 || part.checked == all.checked);
+        failed += status != RN_OK;
+        done += status == RN_OK;
+        unread += part.unread > 0;
+    }
+    ck_assert(failed > 0 && done > 0 && unread > 0);
+    close(next);
+}
+END_TEST
+
 static void remove_database(void) {
     static const char *const names[] = {"ripnerf.db", "ripnerf.db-wal", "ripnerf.db-shm"};
     rn_store_close(&store);
@@ -398,6 +456,8 @@ int main(void) {
     tcase_add_test(tcase, test_lock);
     tcase_add_test(tcase, test_damage);
     tcase_add_test(tcase, test_sweep);
+    tcase_add_test(tcase, test_sweep_that_cannot_ask);
+    tcase_add_test(tcase, test_few_descriptors);
     tcase_add_test(tcase, test_rebuild);
     tcase_add_test(tcase, test_rebuild_from_damaged_copy);
     tcase_add_test(tcase, test_rebuild_from_forged_copies);
