@@ -45,6 +45,7 @@ struct rn_field_config {
     int levels;   // per axis, 1..RN_MAX_LEVELS
     enum rn_footprint footprint;
     int footprint_base; // side of the grid whose texels footprints are measured in; 0: base
+    bool voxels;        // a dense grid of voxels beside the planes (server/engine/field/voxels.h)
     bool mean_level;    // MIP: the level on a plane is the mean of the two that RIP would ask for
     enum rn_shading shading;
     int width;            // of every hidden layer, a multiple of 16
@@ -110,7 +111,7 @@ struct rn_train_config {
 
 // The one table: a row for every member of struct rn_train_config. What follows from it and the
 // presets is in preset.c.
-#define RN_TRAIN_SETTINGS (54 + RN_EFFECT_COUNT)
+#define RN_TRAIN_SETTINGS (55 + RN_EFFECT_COUNT)
 extern const struct rn_settings rn_train_settings;
 
 enum rn_preset_name { RN_PRESET_DRAFT, RN_PRESET_STANDARD, RN_PRESET_PAPER };

@@ -1,4 +1,5 @@
 #include "server/engine/checkpoint/blocks.h"
+#include "server/engine/field/voxels.h"
 
 #include <math.h>
 #include <string.h>
@@ -11,7 +12,7 @@ static int across(const struct rn_field_config *c) {
 
 size_t rn_blocks_count(const struct rn_field_config *c) {
     size_t side = (size_t)across(c);
-    return (size_t)c->planes * side * side * (size_t)c->channels;
+    return (size_t)rn_grid_count(c) * side * side * (size_t)c->channels;
 }
 
 // ---- one block ------------------------------------------------------------------------------

@@ -266,6 +266,17 @@ RN_INLINE void gather(const float *from, const int32_t *at, int n, float *to) {
         vi_store((int32_t *)(to + j), vi_gather((const int32_t *)from, vi_load(at + j)));
 }
 
+RN_INLINE void append_voxels(const struct rn_cpu_field *field, int n, const float *feature_grad,
+                             const struct rn_workspace *w, struct rn_slab *slab) {
+    const float *from = feature_grad + field->config->planes * field->config->channels;
+    float *grad = slab->voxel_grad + (size_t)slab->count * RN_VOXEL_CHANNELS;
+    for (int k = 0; k < 3; k++)
+        gather(w->voxel[k], w->kept, n, slab->voxel[k] + slab->count);
+    for (int j = 0; j < n; j++)
+        *(v4 *)(grad + (size_t)j * RN_VOXEL_CHANNELS) =
+            *(const v4 *)(from + (size_t)j * (size_t)field->feature_stride);
+}
+
 // Appends the kept samples' plane coordinates and feature gradients.
 static void slab_append(const struct rn_cpu_field *field, bool leveled, int n,
                         const float *feature_grad, const struct rn_workspace *w,
@@ -288,6 +299,7 @@ static void slab_append(const struct rn_cpu_field *field, bool leveled, int n,
             memcpy(grad + (size_t)j * (size_t)channels, from + (size_t)j * (size_t)stride,
                    (size_t)channels * sizeof *grad);
     }
+    if (field->config->voxels) append_voxels(field, n, feature_grad, w, slab);
     slab->count += n;
 }
 

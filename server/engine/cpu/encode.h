@@ -8,6 +8,7 @@
 #include "server/engine/cpu/fetch.h"
 #include "server/engine/cpu/forward.h"
 #include "server/engine/cpu/space.h"
+#include "server/engine/cpu/voxels.h"
 #include "server/engine/field/footprint.h"
 #include "server/engine/field/frustum.h"
 #include "server/engine/field/volume.h"
@@ -160,6 +161,14 @@ RN_INLINE vf unbounded_ball(const struct unbounded_lanes *at, vf radius, int siz
     return vf_clamp(level, 0.0f, (float)(levels - 1));
 }
 
+RN_INLINE void put_voxel_place(const struct rn_cpu_field *field, vf x, vf y, vf z, int slot,
+                               struct rn_workspace *w) {
+    if (!field->config->voxels) return;
+    vf_store(w->voxel[0] + slot, x);
+    vf_store(w->voxel[1] + slot, y);
+    vf_store(w->voxel[2] + slot, z);
+}
+
 // place_segment in unbounded space.
 static void place_unbounded(const struct rn_cpu_field *field,
                             const struct rn_march_options *options, const struct rn_march_ray *ray,
@@ -186,6 +195,7 @@ static void place_unbounded(const struct rn_cpu_field *field,
         at.radial = across * across * 0.25f;
         vf_store(w->s + slots, s);
         vf_store(w->interval + slots, vf_set(options->step * (float)RN_DENSITY_UNIT));
+        put_voxel_place(field, at.x[0], at.x[1], at.x[2], slots, w);
         vf ball = vf_set(0);
         if (leveled && !rn_levels_by_axis(field->config))
             ball = unbounded_ball(&at, across, base, levels);
@@ -235,6 +245,7 @@ static void place_segment(const struct rn_cpu_field *field, const struct rn_marc
         if (forward) vf_store(w->marched + at, s);
         vf_store(w->interval + at,
                  vf_bits(is.inside & vi_bits(vf_set(step * (float)RN_DENSITY_UNIT))));
+        put_voxel_place(field, is.x, is.y, is.z, at, w);
         if (leveled && !rn_levels_by_axis(field->config))
             ball = level_from_ball(
                 forward ? is.wide * (float)base : is.t * (ray->radius * (float)base), levels);
@@ -283,6 +294,12 @@ static void encode(const struct rn_cpu_field *field, bool leveled, int begin, in
             encode_plane(field, p, leveled, begin, end, w, 8);
         else
             encode_plane(field, p, leveled, begin, end, w, 16);
+    }
+    if (field->config->voxels) {
+        struct voxels voxels = voxels_of(field->config, &field->maps[field->config->planes][0][0]);
+        encode_voxels(&voxels, w->voxel, begin, end,
+                      feature_row(field, w, 0) + field->config->planes * channels,
+                      features_a_row(field));
     }
     clear_padding(field, end, w);
 }

@@ -26,6 +26,8 @@ static void density(const struct rn_cpu_field *field, float (*points)[3], int co
                 w->v[p][i] = (float)av[0] * x[0] + (float)av[1] * x[1] + (float)av[2] * x[2];
                 w->lx[p][i] = w->ly[p][i] = level;
             }
+            for (int k = 0; field->config->voxels && k < 3; k++)
+                w->voxel[k][i] = x[k];
             float inside = x[0] * x[0] + x[1] * x[1] + x[2] * x[2];
             bool everywhere = field->disparity.on; // the box is the hull
             w->interval[i] = inside <= 1 || everywhere ? 1 : 0;

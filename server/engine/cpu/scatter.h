@@ -4,6 +4,7 @@
 #define RN_ENGINE_CPU_SCATTER_H
 
 #include "server/engine/cpu/fetch.h"
+#include "server/engine/cpu/voxels.h"
 
 // A band of a plane's rows, of level 0 and of the rows pooled from them.
 struct band {
@@ -196,6 +197,12 @@ RN_INLINE void scatter_band(const struct rn_slab *slab, int plane, int levels, b
 static void scatter(const struct rn_cpu_field *field, const struct rn_slab *slab, int plane,
                     int levels, int row_begin, int row_end,
                     struct rn_map (*grad_maps)[RN_MAX_LEVELS], uint8_t *touched) {
+    if (plane == field->config->planes) {
+        struct voxels voxels = voxels_of(field->config, &grad_maps[0][0]);
+        struct voxel_band part = band_of_voxels(field->config, row_begin, row_end);
+        scatter_voxels(&voxels, slab, &part, touched);
+        return;
+    }
     bool mip = field->config->footprint == RN_FOOTPRINT_MIP;
     struct band band = {row_begin, row_end, row_end == field->config->base};
     int channels = field->config->channels;

@@ -66,6 +66,8 @@ static size_t lay_out(const struct rn_cpu_field *field, double step, struct carv
         w->lx[p] = carve(c, n, f);
         w->ly[p] = carve(c, n, f);
     }
+    for (int k = 0; k < 3; k++)
+        w->voxel[k] = field->config->voxels ? carve(c, n, f) : NULL;
     w->features = carve(c, (n + 32) * (size_t)field->feature_stride, f); // products read 32 rows
     for (int l = 0; l < field->config->base_layers; l++)
         w->hidden[l] = carve(c, n * width, f);

@@ -54,11 +54,12 @@ struct rn_cpu_field {
     struct rn_solid solid;
     struct rn_disparity disparity; // that the planes cover; measured (effects/forward_facing.c)
     struct rn_mlp_shape base_shape, head_shape;
-    int features;                             // planes * channels
+    int features;                             // rn_feature_count
     int feature_stride;                       // features rounded up to 16
     const float *base_weights, *head_weights; // [in][out] as the shapes say
     const float *base_packed, *head_packed;   // what the kernel set's `pack` made of them
-    struct rn_map maps[RN_MAX_PLANES][RN_MAX_LEVELS][RN_MAX_LEVELS]; // [plane][ly][lx]
+    struct rn_map maps[RN_MAX_PLANES][RN_MAX_LEVELS][RN_MAX_LEVELS]; // [plane][ly][lx]; behind the
+                                                                     // planes the voxels' [0][0]
     int built_levels; // maps with lx, ly < built_levels exist
     struct rn_occupancy_bits occupancy;
 };
@@ -145,6 +146,7 @@ struct rn_slab {
     float *u[RN_MAX_PLANES], *v[RN_MAX_PLANES];   // plane coordinates, [-1, 1]
     float *lx[RN_MAX_PLANES], *ly[RN_MAX_PLANES]; // levels; unused when every sample is at level 0
     float *grad[RN_MAX_PLANES];                   // [sample][channel]
+    float *voxel[3], *voxel_grad; // place in the planes' frame; [sample][RN_VOXEL_CHANNELS]
 };
 
 // Sums over the rays of one group, in order. Cleared at the start of a step.
@@ -191,6 +193,7 @@ struct rn_workspace {
     float *marched; // the same as marched: its distance in the cube; written where space is forward
     float *interval; // in density units; 0 outside the ball
     float *u[RN_MAX_PLANES], *v[RN_MAX_PLANES], *lx[RN_MAX_PLANES], *ly[RN_MAX_PLANES];
+    float *voxel[3]; // where a sample looks in the voxel grid; where there is one
     void *features;                     // [capacity]: rows in the kernel set's own form
     struct rn_padding padded;           // of these
     float *hidden[RN_MLP_MAX_LAYERS];   // [capacity][width], in the kernel set's own form
@@ -321,7 +324,7 @@ struct rn_kernels {
     // Densities at `count` points [x, y, z], all at one level of every plane.
     void (*density)(const struct rn_cpu_field *field, float (*points)[3], int count, float level,
                     struct rn_workspace *workspace, float *ret_density);
-    // Adds a slab's gradients of one plane to `grad_maps` (indexed as field->maps), rows of level
+    // Adds a slab's gradients of one plane, or of the voxels behind the last one, to `grad_maps` (indexed as field->maps), rows of level
     // 0 in [row_begin, row_end) and the rows of coarser maps they pool into; marks the touched
     // tiles of rn_tiling in `touched`. Of `levels` maps a side gradients are kept;
     // 1: the slab has no levels.

@@ -11,6 +11,7 @@
 #include "server/engine/field/volume.h"
 #include "server/engine/kernels/ray.h"
 #include "server/engine/reference/reference.h"
+#include "server/engine/reference/voxels.h"
 
 // ---- features -------------------------------------------------------------------------------
 
@@ -38,6 +39,16 @@ void rn_exact_fetch(const struct rn_cpu_field *f, int plane, const double uv[2],
                 ret[c] += corner * (double)map->texels[texel * (size_t)channels + (size_t)c];
         }
     }
+}
+
+void rn_exact_voxels(const struct rn_cpu_field *f, const double x[3], double *ret) {
+    struct rn_voxel_corner corners[8];
+    const float *voxels = f->maps[f->config->planes][0][0].texels;
+    rn_voxel_corners(f->config, x, corners);
+    memset(ret, 0, RN_VOXEL_CHANNELS * sizeof *ret);
+    for (int k = 0; k < 8; k++)
+        for (int c = 0; c < RN_VOXEL_CHANNELS; c++)
+            ret[c] += corners[k].weight * (double)voxels[corners[k].offset + (size_t)c];
 }
 
 static double along(const double axis[3], const double x[3]) {
@@ -115,6 +126,8 @@ void rn_exact_features(const struct rn_cpu_field *f, const struct rn_march_ray *
         level = fmax(level, fmax(l[0], l[1]));
         rn_exact_fetch(f, p, uv, l, ret_features + p * f->config->channels);
     }
+    if (f->config->voxels)
+        rn_exact_voxels(f, x, ret_features + f->config->planes * f->config->channels);
     if (ret_level) *ret_level = level;
 }
 

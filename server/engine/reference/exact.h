@@ -10,7 +10,9 @@
 // `channels` numbers.
 void rn_exact_fetch(const struct rn_cpu_field *field, int plane, const double uv[2],
                     const double l[2], double *ret);
-// Features of the sample `s` behind the ray's origin, `width` long (normalised): planes * channels.
+// The trilinear query of the voxels beside the planes: RN_VOXEL_CHANNELS numbers.
+void rn_exact_voxels(const struct rn_cpu_field *field, const double x[3], double *ret);
+// Features of the sample `s` behind the ray's origin, `width` long (normalised): rn_feature_count.
 // *ret_level (may be NULL) is the largest level on any axis of any plane.
 void rn_exact_features(const struct rn_cpu_field *field, const struct rn_march_ray *ray,
                        double width, double s, double *ret_features, double *ret_level);

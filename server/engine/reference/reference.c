@@ -10,6 +10,7 @@
 #include "server/engine/field/sh.h"
 #include "server/engine/field/space.h"
 #include "server/engine/field/volume.h"
+#include "server/engine/reference/voxels.h"
 
 enum rn_status rn_reference_create(const struct rn_field_config *config, uint64_t seed,
                                    struct rn_reference **ret_reference, struct rn_error *err) {
@@ -20,11 +21,11 @@ enum rn_status rn_reference_create(const struct rn_field_config *config, uint64_
     enum rn_status status =
         rn_solid_init(config->planes, config->orientation, seed, &ref->solid, err);
     if (status != RN_OK) goto fail;
-    ref->base_shape = rn_mlp_shape(config->planes * config->channels, config->width,
-                                   config->base_layers, RN_GEOMETRY);
+    ref->base_shape = rn_mlp_shape(rn_feature_count(config), config->width, config->base_layers,
+                                   RN_GEOMETRY);
     ref->head_shape =
         rn_mlp_shape(RN_HEAD_INPUTS, config->width, config->head_layers, RN_HEAD_OUTPUTS);
-    ref->plane_count = (size_t)config->planes * config->base * config->base * config->channels;
+    ref->plane_count = (size_t)rn_grid_count(config) * rn_grid_numbers(config);
     ref->map_count = rn_reference_map_offset(ref, config->planes, 0, 0);
     size_t total =
         2 * (ref->plane_count + ref->map_count + ref->base_shape.count + ref->head_shape.count);
@@ -339,12 +340,21 @@ static struct footing sample_footing(const struct rn_reference *ref,
     return f;
 }
 
+// Of all grid's parameters, or of their gradients, the voxels'.
+static double *voxels_of(const struct rn_reference *ref, double *planes) {
+    return planes + (size_t)ref->config.planes * rn_grid_numbers(&ref->config);
+}
+
 void rn_reference_encode(const struct rn_reference *ref, const struct rn_reference_ray *ray,
                          double mid, double *ret_features) {
     for (int k = 0; k < ref->config.planes; k++) {
         struct footing f = sample_footing(ref, ray, k, mid);
         rn_reference_query(ref, k, f.u, f.v, f.lx, f.ly, ret_features + k * ref->config.channels);
     }
+    if (!ref->config.voxels) return;
+    struct placed p = place(ref, ray, mid);
+    rn_voxels_fetch(&ref->config, voxels_of(ref, ref->planes), p.x,
+                    ret_features + ref->config.planes * ref->config.channels);
 }
 
 // Everything one ray's forward leaves for its backward.
@@ -598,6 +608,10 @@ static enum rn_status backward(struct rn_reference *ref, const struct rn_referen
             rn_reference_query_backward(ref, k, f.u, f.v, f.lx, f.ly,
                                         tape->base_grad[0] + k * ref->config.channels);
         }
+        if (!ref->config.voxels) continue;
+        struct placed p = place(ref, ray, ray->mid[s]);
+        rn_voxels_fetch_backward(&ref->config, voxels_of(ref, ref->plane_grad), p.x,
+                                 tape->base_grad[0] + ref->config.planes * ref->config.channels);
     }
     free(g);
     return RN_OK;

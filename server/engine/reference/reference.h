@@ -12,7 +12,8 @@ struct rn_reference {
     struct rn_field_config config;
     struct rn_solid solid;
     struct rn_mlp_shape base_shape, head_shape;
-    size_t plane_count;                         // numbers in `planes`: [plane][v][u][channel]
+    size_t plane_count;                         // numbers in `planes`: [plane][v][u][channel], then
+                                                // the voxels (field/voxels.h)
     size_t map_count;                           // numbers in `maps`: every map of every plane
     double *planes, *base, *head;               // parameters
     double *plane_grad, *base_grad, *head_grad; // dL/d(parameters), accumulated
@@ -68,7 +69,7 @@ void rn_reference_query(const struct rn_reference *reference, int plane, double 
 // Its adjoint, within 16 ULP of sum |x y|: adds the gradient to map_grad.
 void rn_reference_query_backward(struct rn_reference *reference, int plane, double u, double v,
                                  double lx, double ly, const double *feature_grad);
-// All planes of one sample: planes * channels features.
+// All planes of one sample, and the voxels: rn_feature_count features.
 void rn_reference_encode(const struct rn_reference *reference, const struct rn_reference_ray *ray,
                          double mid, double *ret_features);
 

@@ -95,6 +95,7 @@ bool rn_device_trained(const char *kernels) {
 
 void rn_device_adapt(struct rn_train_config *config) {
     config->draw_by_error = false;
+    config->field.voxels = false;
 }
 
 // ---- memory ---------------------------------------------------------------------------------
@@ -161,6 +162,10 @@ enum rn_status rn_field_put(struct rn_engine *engine, struct rn_field *f, int le
         return rn_error_set(err, RN_ERROR_UNSUPPORTED, "device",
                             "forward-facing captures are trained and rendered on the CPU; use "
                             "--device cpu or auto");
+    if (f->config.field.voxels)
+        return rn_error_set(err, RN_ERROR_UNSUPPORTED, "device",
+                            "fields with voxels beside the planes are trained and rendered on the "
+                            "CPU; use --device cpu or auto");
     struct rn_device_scene scene = rn_device_scene_of(f, levels);
     const struct rn_backend *backend = engine->backend;
     enum rn_status status = make_room(engine, &scene, pixels, training, err);

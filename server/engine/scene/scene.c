@@ -9,6 +9,7 @@
 #include "server/engine/field/footprint.h"
 #include "server/engine/field/occupancy.h"
 #include "server/engine/field/ripmap.h"
+#include "server/engine/field/voxels.h"
 #include "server/engine/kernels/ray.h"
 #include "server/engine/scene/device.h"
 #include "server/engine/scene/occupancy.h"
@@ -78,6 +79,9 @@ void rn_pyramid_lay_out(const struct rn_field_config *c, int levels, float *base
                 map->texels = block;
                 block += map_count(c, x, y);
             }
+    if (c->voxels)
+        maps[c->planes][0][0] =
+            (struct rn_map){base + (size_t)c->planes * rn_grid_numbers(c), c->base, c->base};
 }
 
 enum rn_status rn_field_need_levels(struct rn_field *field, int levels, struct rn_error *err) {
@@ -105,7 +109,7 @@ enum rn_status rn_field_need_levels(struct rn_field *field, int levels, struct r
 
 static void set_shapes(struct rn_cpu_field *cpu, const struct rn_field_config *c) {
     cpu->config = c;
-    cpu->features = c->planes * c->channels;
+    cpu->features = rn_feature_count(c);
     cpu->feature_stride = (cpu->features + 15) / 16 * 16;
     cpu->base_shape = rn_mlp_shape(cpu->features, c->width, c->base_layers, RN_GEOMETRY);
     cpu->head_shape = rn_mlp_shape(RN_HEAD_INPUTS, c->width, c->head_layers, RN_HEAD_OUTPUTS);
@@ -114,7 +118,7 @@ static void set_shapes(struct rn_cpu_field *cpu, const struct rn_field_config *c
 
 static void set_parameter_counts(struct rn_parameters *p, const struct rn_cpu_field *cpu) {
     const struct rn_field_config *c = cpu->config;
-    p->plane_count = (size_t)c->planes * (size_t)c->base * (size_t)c->base * (size_t)c->channels;
+    p->plane_count = (size_t)rn_grid_count(c) * rn_grid_numbers(c);
     p->base_count = cpu->base_shape.count;
     p->head_count = cpu->head_shape.count;
     p->count = p->plane_count + p->base_count + p->head_count;
@@ -279,8 +283,12 @@ static void randomise_network(const struct rn_mlp_shape *shape, uint64_t seed, u
 
 void rn_field_randomise(struct rn_field *field, uint64_t seed) {
     struct rn_parameters *p = &field->parameters;
-    for (size_t i = 0; i < p->plane_count; i++)
+    const struct rn_field_config *c = &field->config.field;
+    size_t used = (size_t)c->planes * rn_grid_numbers(c), side = (size_t)rn_voxel_side(c);
+    if (c->voxels) used += side * side * side * RN_VOXEL_CHANNELS;
+    for (size_t i = 0; i < used; i++)
         p->values[i] = uniform(seed, 100, i, 0.01f);
+    memset(p->values + used, 0, (p->plane_count - used) * sizeof *p->values);
     randomise_network(&field->cpu.base_shape, seed, 200, RN_GEOMETRY, p->values + p->plane_count);
     randomise_network(&field->cpu.head_shape, seed, 300, 3,
                       p->values + p->plane_count + p->base_count);

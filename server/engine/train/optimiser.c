@@ -5,6 +5,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "server/engine/field/voxels.h"
 #include "server/engine/train/schedule.h"
 #include "server/engine/train/trainer.h"
 
@@ -34,10 +35,11 @@ enum rn_status rn_optimiser_allocate(const struct rn_field *field, struct rn_opt
     o->tiled = c->base % (1 << (o->levels - 1)) == 0;
     o->bands = o->tiled ? 4 : 1;
     struct rn_tiling tiling = rn_tiling(c->base, c->channels, o->levels);
+    if (c->voxels) tiling = rn_tiling(c->base, c->channels, 1); // at least as many
     o->tiles = (size_t)tiling.columns * (size_t)tiling.rows;
     if (!o->grad) o->grad = rn_block_create(3 * count * sizeof(float));
     o->grad_pyramid = rn_block_create((pyramid + 64) * sizeof(float));
-    o->touched = calloc((size_t)c->planes * o->tiles, 1);
+    o->touched = calloc((size_t)rn_grid_count(c) * o->tiles, 1);
     if (!o->grad || !o->grad_pyramid || !o->touched)
         return rn_error_set(err, RN_ERROR_NO_MEMORY, "trainer", "out of memory");
     o->m = o->grad + count;
@@ -128,7 +130,7 @@ static void update_part(void *context, int index, int thread) {
         .m = t->optimiser.m + at,
         .v = t->optimiser.v + at,
         .touched = sparse ? t->optimiser.touched + plane * t->optimiser.tiles : NULL,
-        .levels = t->optimiser.tiled ? t->optimiser.levels : 1,
+        .levels = t->optimiser.tiled && (int)plane < c->planes ? t->optimiser.levels : 1,
         .channels = c->channels,
         .mip = c->footprint == RN_FOOTPRINT_MIP};
     if (!t->engine->kernels->update(&update, first_row(t, part, parts),
@@ -210,14 +212,14 @@ static void take_apart(struct rn_trainer *t) {
 static bool update_planes(struct rn_trainer *t) {
     struct rn_optimiser *o = &t->optimiser;
     struct rn_pool *pool = t->engine->pool;
-    int planes = t->field->config.field.planes;
+    int planes = t->field->config.field.planes, grids = rn_grid_count(&t->field->config.field);
     make_room_apart(t);
     if (!o->apart) {
         if (!o->tiled) rn_pool_run(pool, planes, pull_down_plane, t);
-        rn_pool_run(pool, planes * parts_of(t), update_part, t);
+        rn_pool_run(pool, grids * parts_of(t), update_part, t);
         return true;
     }
-    if (!rn_pool_run_some(pool, planes * parts_of(t), &o->update.next, update_part, t,
+    if (!rn_pool_run_some(pool, grids * parts_of(t), &o->update.next, update_part, t,
                           rn_engine_is_wanted, t->engine))
         return false;
     take_apart(t);
@@ -249,7 +251,7 @@ static void reject(struct rn_trainer *t) {
     memset(t->optimiser.grad, 0, t->field->parameters.count * sizeof(float));
     memset(t->optimiser.grad_pyramid, 0,
            rn_pyramid_count(c, t->optimiser.levels) * (size_t)c->planes * sizeof(float));
-    memset(t->optimiser.touched, 0, (size_t)c->planes * t->optimiser.tiles);
+    memset(t->optimiser.touched, 0, (size_t)rn_grid_count(c) * t->optimiser.tiles);
 }
 
 enum rn_update_end rn_trainer_update(struct rn_trainer *t) {

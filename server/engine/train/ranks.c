@@ -3,6 +3,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "server/engine/field/voxels.h"
 #include "server/engine/train/trainer.h"
 
 static bool is_alone(const struct rn_trainer *t) {
@@ -124,9 +125,20 @@ struct reach {
     int32_t cursor, samples;
 };
 
-// Numbers of a sample on one plane: levels go along where there are any.
+// Numbers of a sample: levels go along where there are any.
 static size_t numbers_of(const struct rn_trainer *t) {
-    return (t->optimiser.levels > 1 ? 4 : 2) + (size_t)t->field->config.field.channels;
+    const struct rn_field_config *c = &t->field->config.field;
+    size_t plane = (t->optimiser.levels > 1 ? 4 : 2) + (size_t)c->channels;
+    return (size_t)c->planes * plane + (c->voxels ? 3 + RN_VOXEL_CHANNELS : 0);
+}
+
+// Copies `count` numbers to what is told or from it; the next number of it.
+static float *copy_numbers(float *array, float *told, size_t count, bool to_slab) {
+    if (to_slab)
+        memcpy(array, told, count * sizeof *told);
+    else
+        memcpy(told, array, count * sizeof *told);
+    return told + count;
 }
 
 // Copies between a slab and what is told of it; the next number.
@@ -137,15 +149,13 @@ static float *copy_slab(const struct rn_trainer *t, const struct rn_slab *slab, 
         bool leveled = t->optimiser.levels > 1;
         float *const arrays[] = {slab->u[p], slab->v[p], slab->grad[p], slab->lx[p], slab->ly[p]};
         const size_t counts[] = {n, n, n * channels, leveled ? n : 0, leveled ? n : 0};
-        for (int i = 0; i < 5; i++) {
-            if (to_slab)
-                memcpy(arrays[i], told, counts[i] * sizeof *told);
-            else
-                memcpy(told, arrays[i], counts[i] * sizeof *told);
-            told += counts[i];
-        }
+        for (int i = 0; i < 5; i++)
+            told = copy_numbers(arrays[i], told, counts[i], to_slab);
     }
-    return told;
+    if (!t->field->config.field.voxels) return told;
+    for (int k = 0; k < 3; k++)
+        told = copy_numbers(slab->voxel[k], told, n, to_slab);
+    return copy_numbers(slab->voxel_grad, told, n * RN_VOXEL_CHANNELS, to_slab);
 }
 
 static bool is_own(const struct rn_trainer *t, int group) {
@@ -171,7 +181,7 @@ static void tell_reach(struct rn_trainer *t) {
 static void tell_slabs(struct rn_trainer *t) {
     const struct rn_exchange *x = t->ranks.exchange;
     size_t sizes[RN_MAX_RANKS] = {0}, all = 0;
-    size_t sample = numbers_of(t) * (size_t)t->field->config.field.planes * sizeof(float);
+    size_t sample = numbers_of(t) * sizeof(float);
     for (int r = 0; r < x->ranks; r++) {
         struct rn_share share = share_of(x, r, RN_GROUPS);
         for (int g = share.first; g < share.first + share.count; g++)

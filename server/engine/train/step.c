@@ -3,6 +3,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "server/engine/field/voxels.h"
 #include "server/engine/train/guard.h"
 #include "server/engine/train/schedule.h"
 #include "server/engine/train/trainer.h"
@@ -12,7 +13,9 @@
 // ---- memory ---------------------------------------------------------------------------------
 
 static size_t slab_numbers(const struct rn_field_config *c, int capacity) {
-    return ((size_t)capacity + RN_PACKET_SLACK) * (4 + (size_t)c->channels) * (size_t)c->planes;
+    size_t sample = (4 + (size_t)c->channels) * (size_t)c->planes;
+    if (c->voxels) sample += 3 + RN_VOXEL_CHANNELS;
+    return ((size_t)capacity + RN_PACKET_SLACK) * sample;
 }
 
 static float *slab_lay_out(const struct rn_field_config *c, struct rn_slab *slab, float *at) {
@@ -25,7 +28,11 @@ static float *slab_lay_out(const struct rn_field_config *c, struct rn_slab *slab
         slab->grad[p] = at + 4 * n;
         at += n * (4 + (size_t)c->channels);
     }
-    return at;
+    if (!c->voxels) return at;
+    for (int k = 0; k < 3; k++, at += n)
+        slab->voxel[k] = at;
+    slab->voxel_grad = at;
+    return at + n * RN_VOXEL_CHANNELS;
 }
 
 size_t rn_group_numbers(const struct rn_cpu_field *field, int capacity) {
@@ -209,7 +216,7 @@ void rn_trainer_run_wave(struct rn_trainer *t) {
     }
     if (!fill_slabs(t)) return;
     rn_ranks_tell_wave(t);
-    if (!rn_pool_run_some(engine->pool, t->field->config.field.planes * t->optimiser.bands,
+    if (!rn_pool_run_some(engine->pool, rn_grid_count(&t->field->config.field) * t->optimiser.bands,
                           &t->step.next_band, scatter_band, t, rn_engine_is_wanted, engine))
         return;
     t->step.next_band = 0;
