@@ -1,6 +1,7 @@
 // Cases 3, 9 and 11: planes that grow during training. What the larger planes hold against long
 // double, what the field's values may change by, moments that stay moments, and numbers that are
 // not finite just before and after. (Same bytes across a growth: reproducible.c.)
+#include "server/engine/field/voxels.h"
 #include "server/engine/reference/reference.h"
 #include "server/engine/train/grow.h"
 #include "tests/numerics/trainer.h"
@@ -100,9 +101,61 @@ static long double enlarged(const float *plane, int base, int channels, int side
     return sum;
 }
 
+// Trilinear at voxels' centres, likewise.
+static long double enlarged_voxel(const float *voxels, int old, int side, size_t voxel, int channel,
+                                  double *ret_most) {
+    int at[3] = {(int)voxel % side, (int)voxel / side % side, (int)voxel / side / side}, low[3];
+    long double weight[3], sum = 0;
+    for (int i = 0; i < 3; i++) {
+        long double p = fminl(fmaxl((at[i] + 0.5L) * old / side - 0.5L, 0), old - 1);
+        low[i] = (int)p;
+        weight[i] = p - low[i];
+    }
+    *ret_most = 0;
+    for (int corner = 0; corner < 8; corner++) {
+        size_t from = 0;
+        long double w = 1;
+        for (int i = 2; i >= 0; i--) {
+            bool next = corner >> i & 1;
+            w *= next ? weight[i] : 1 - weight[i];
+            from = from * (size_t)old + (size_t)(low[i] + (next && low[i] + 1 < old));
+        }
+        if (!(w > 0)) continue;
+        float value = voxels[from * RN_VOXEL_CHANNELS + (size_t)channel];
+        sum += w * value;
+        *ret_most = fmax(*ret_most, fabs((double)value));
+    }
+    return sum;
+}
+
 struct planes_cases {
-    struct numerics_case texels, moments, ratio, sum, networks;
+    struct numerics_case texels, moments, voxels, ratio, sum, networks;
 };
+
+// What the voxels hold against long double; what lies behind them is zero.
+static void see_voxels(struct planes_cases *cases, const struct rn_trainer *t,
+                       const struct old *old) {
+    const struct rn_field_config *c = &t->field->config.field;
+    struct rn_field_config before = *c;
+    before.base = old->base;
+    const float *now[3] = {t->field->parameters.values, t->optimiser.m, t->optimiser.v};
+    size_t from = (size_t)c->planes * rn_grid_numbers(&before);
+    size_t to = (size_t)c->planes * rn_grid_numbers(c);
+    int old_side = rn_voxel_side(&before), side = rn_voxel_side(c);
+    for (int k = 0; k < 3; k++)
+        for (size_t i = 0; i < rn_grid_numbers(c); i++) {
+            size_t voxel = i / RN_VOXEL_CHANNELS;
+            double most = 1, scale = pow((double)old_side / side, 3 * k);
+            bool within = voxel < (size_t)side * (size_t)side * (size_t)side;
+            long double truth =
+                within ? scale * enlarged_voxel(old->numbers[k] + from, old_side, side, voxel,
+                                                (int)(i % RN_VOXEL_CHANNELS), &most)
+                       : 0;
+            double error = (double)fabsl(now[k][to + i] - truth) / (scale * most * 0x1p-23);
+            numerics_see(&cases->voxels, error, "%d to %d, number %zu of array %d", old_side, side,
+                         i, k);
+        }
+}
 
 static void see_planes(struct planes_cases *cases, const struct rn_trainer *t,
                        const struct old *old) {
@@ -110,9 +163,11 @@ static void see_planes(struct planes_cases *cases, const struct rn_trainer *t,
     const struct rn_parameters *p = &t->field->parameters;
     const float *now[3] = {p->values, t->optimiser.m, t->optimiser.v};
     size_t old_plane = (size_t)(old->base * old->base * c->channels);
+    size_t old_grids = (size_t)rn_grid_count(c) * old_plane;
+    size_t planes = (size_t)c->planes * rn_grid_numbers(c);
     double share = (double)(old->base * old->base) / (c->base * c->base), sum = 0, size = 0;
     for (int k = 0; k < 3; k++)
-        for (size_t i = 0; i < p->plane_count; i++) {
+        for (size_t i = 0; i < planes; i++) {
             int channel = (int)i % c->channels, x = (int)(i / (size_t)c->channels) % c->base;
             int y = (int)(i / (size_t)(c->channels * c->base)) % c->base;
             size_t plane = i / (size_t)(c->channels * c->base * c->base);
@@ -123,7 +178,7 @@ static void see_planes(struct planes_cases *cases, const struct rn_trainer *t,
             numerics_see(k == 0 ? &cases->texels : &cases->moments, error,
                          "%d to %d, texel %d %d, %g", old->base, c->base, x, y, (double)truth);
         }
-    for (size_t i = 0; i < p->plane_count; i++) {
+    for (size_t i = 0; i < planes; i++) {
         numerics_see(&cases->ratio,
                      fabs((double)t->optimiser.m[i]) / sqrt((double)t->optimiser.v[i]), "%d to %d",
                      old->base, c->base);
@@ -137,9 +192,16 @@ static void see_planes(struct planes_cases *cases, const struct rn_trainer *t,
     for (int k = 0; k < 3; k++)
         numerics_see(&cases->networks,
                      memcmp(now[k] + p->plane_count,
-                            old->numbers[k] + (size_t)c->planes * old_plane,
+                            old->numbers[k] + old_grids,
                             (p->base_count + p->head_count) * sizeof(float)) != 0,
                      "%d to %d", old->base, c->base);
+}
+
+// Numbers of the planes and of the voxels, without the zeros behind them.
+static size_t used_numbers(const struct rn_trainer *t) {
+    const struct rn_field_config *c = &t->field->config.field;
+    size_t side = (size_t)rn_voxel_side(c);
+    return (size_t)c->planes * rn_grid_numbers(c) + side * side * side * RN_VOXEL_CHANNELS;
 }
 
 static int check_planes(struct rn_engine *engine, const struct rn_dataset *dataset,
@@ -148,6 +210,8 @@ static int check_planes(struct rn_engine *engine, const struct rn_dataset *datas
     struct planes_cases cases = {
         {"3 growth: texels against long double", range, "ULP of the largest texel", 3, 0, ""},
         {"3 growth: moments against long double", range, "ULP of the largest moment", 4, 0, ""},
+        {"3 growth: voxels and their moments against long double",
+         "grids beside planes of 16..64 texels", "ULP of the largest", 6, 0, ""},
         {"3 growth: |m| / sqrt(v), at most 1 before", range, "absolute", 1.00001, 0, ""},
         {"3 growth: sum of the first moments", range, "ULP of the sum of sizes", 1, 0, ""},
         {"3 growth: networks and their moments", range, "bytes differ", 0, 0, ""}};
@@ -158,7 +222,8 @@ static int check_planes(struct rn_engine *engine, const struct rn_dataset *datas
             struct rn_trainer *t = make_growing(engine, dataset, n);
             struct old old = grow(t, n, constant, random);
             see_planes(&cases, t, &old);
-            for (size_t i = 0; i < t->field->parameters.plane_count && constant; i++)
+            see_voxels(&cases, t, &old);
+            for (size_t i = 0; i < used_numbers(t) && constant; i++)
                 numerics_see(
                     &unity,
                     fabs((double)t->field->parameters.values[i] - (double)old.numbers[0][0]),
@@ -167,6 +232,7 @@ static int check_planes(struct rn_engine *engine, const struct rn_dataset *datas
             rn_trainer_destroy(&t);
         }
     return numerics_close(&cases.texels) + numerics_close(&cases.moments) +
+           numerics_close(&cases.voxels) +
            numerics_close(&cases.ratio) + numerics_close(&cases.sum) +
            numerics_close(&cases.networks) + numerics_close(&unity);
 }

@@ -7,9 +7,11 @@
 
 #include "common/math/rng.h"
 #include "server/engine/field/space.h"
+#include "server/engine/field/voxels.h"
 #include "server/engine/reference/reference.h"
 #include "server/engine/scene/occupancy.h"
 #include "server/engine/scene/scene.h"
+#include "server/engine/train/step.h"
 #include "tests/support/suite.h"
 
 #define RAYS 24
@@ -37,6 +39,7 @@ static struct rn_train_config small_config(void) {
     config.field.levels = 4;
     config.field.width = 16;
     config.field.base_layers = config.field.head_layers = 2;
+    config.field.voxels = false;
     config.field.occupancy = 16;
     config.step = 0.05;
     config.seed = 7;
@@ -147,23 +150,9 @@ static void set_up(struct setup *s, const struct rn_kernels *kernels,
 }
 
 static void prepare_group(struct setup *s) {
-    const struct rn_parameters *p = &s->field->parameters;
-    int capacity = 12 * s->workspace->capacity, planes = s->field->config.field.planes;
-    size_t n = (size_t)capacity + RN_PACKET_SLACK,
-           channels = (size_t)s->field->config.field.channels;
-    s->memory = calloc(n * (4 + channels) * (size_t)planes + p->base_count + p->head_count, 4);
-    float *at = s->memory;
-    s->group.slab.capacity = capacity;
-    for (int k = 0; k < planes; k++) {
-        s->group.slab.u[k] = at;
-        s->group.slab.v[k] = at + n;
-        s->group.slab.lx[k] = at + 2 * n;
-        s->group.slab.ly[k] = at + 3 * n;
-        s->group.slab.grad[k] = at + 4 * n;
-        at += n * (4 + channels);
-    }
-    s->group.base_grad = at;
-    s->group.head_grad = at + p->base_count;
+    int capacity = 12 * s->workspace->capacity;
+    s->memory = calloc(rn_group_numbers(&s->field->cpu, capacity), sizeof *s->memory);
+    rn_group_lay_out(&s->field->cpu, capacity, s->memory, &s->group);
     s->group.end = RAYS;
 }
 
@@ -279,16 +268,17 @@ static void check_step(const struct rn_kernels *kernels, const struct rn_train_c
     struct rn_map maps[RN_MAX_PLANES][RN_MAX_LEVELS][RN_MAX_LEVELS];
     bool leveled = c->footprint != RN_FOOTPRINT_POINT, mip = c->footprint == RN_FOOTPRINT_MIP;
     int levels = leveled ? c->levels : 1, unit = 1 << (levels - 1);
-    struct rn_tiling tiling = rn_tiling(c->base, c->channels, levels);
+    struct rn_tiling tiling = rn_tiling(c->base, c->channels, 1); // at least as many as with levels
     uint8_t *touched = calloc((size_t)tiling.columns, (size_t)tiling.rows);
     rn_pyramid_lay_out(c, c->levels, grad, pyramid, maps);
-    for (int p = 0; p < c->planes; p++) {
+    for (int p = 0; p < rn_grid_count(c); p++) {
+        bool pooled = leveled && p < c->planes;
         int middle = c->base % unit == 0 ? c->base / unit / 2 * unit : 0; // bands, as threads do
         kernels->scatter(&s.field->cpu, &s.group.slab, p, levels, 0, middle, maps[p], touched);
         kernels->scatter(&s.field->cpu, &s.group.slab, p, levels, middle, c->base, maps[p],
                          touched);
-        if (leveled) kernels->pull_down(maps[p], levels, mip, c->channels);
-        check_marks(c, levels, maps[p], touched);
+        if (pooled) kernels->pull_down(maps[p], levels, mip, c->channels);
+        check_marks(c, pooled ? levels : 1, maps[p], touched);
         memset(touched, 0, (size_t)tiling.columns * (size_t)tiling.rows);
     }
     double (*const error)(const float *, const double *, size_t, double) =
@@ -298,8 +288,8 @@ static void check_step(const struct rn_kernels *kernels, const struct rn_train_c
         error(s.group.base_grad, s.reference->base_grad, s.reference->base_shape.count, 1 / weight);
     double head =
         error(s.group.head_grad, s.reference->head_grad, s.reference->head_shape.count, 1 / weight);
-    printf("%s %d planes %s %s%s%s: gradients planes %.1e base %.1e head %.1e\n", kernels->name,
-           c->planes, rn_footprint_names[c->footprint],
+    printf("%s %d planes%s %s %s%s%s: gradients planes %.1e base %.1e head %.1e\n", kernels->name,
+           c->planes, c->voxels ? " and voxels" : "", rn_footprint_names[c->footprint],
            c->shading == RN_SHADING_RAY ? "ray" : "sample", split ? " split" : "",
            stop_depth < 1 ? " stopped" : "", planes, base, head);
     ck_assert_double_lt(planes, bounds.gradient);
@@ -504,6 +494,25 @@ START_TEST(unbounded_space_matches_reference) {
 }
 END_TEST
 
+// Voxels beside planes, with and without levels, with texels of each width; the grid's bands end
+// within rows of voxels.
+START_TEST(voxels_match_reference) {
+    const struct rn_kernels *kernels;
+    for (int i = 0; (kernels = rn_kernels_available(i)); i++)
+        for (int variant = 0; variant < 6; variant++) {
+            struct rn_train_config config = small_config();
+            config.field.voxels = true;
+            config.field.channels = 4 << variant % 3;
+            config.field.space = variant < 3 ? RN_SPACE_BALL : RN_SPACE_UNBOUNDED;
+            config.cone_step = variant < 3;
+            config.field.footprint = variant % 2 ? RN_FOOTPRINT_MIP : RN_FOOTPRINT_POINT;
+            config.field.shading = variant == 1 ? RN_SHADING_SAMPLE : RN_SHADING_RAY;
+            check_rendering(kernels, &config);
+            check_training(kernels, &config);
+        }
+}
+END_TEST
+
 // A mipmap read at the mean of the levels that a ripmap would be.
 START_TEST(mean_levels_match_reference) {
     const struct rn_kernels *kernels;
@@ -679,6 +688,7 @@ int main(void) {
     tcase_add_test(tests, many_pixels_match_one);
     tcase_add_test(tests, rays_match_float64);
     tcase_add_test(tests, unbounded_space_matches_reference);
+    tcase_add_test(tests, voxels_match_reference);
     tcase_add_test(tests, mean_levels_match_reference);
     tcase_add_test(tests, tiles_match_whole_planes);
     tcase_add_test(tests, odd_base_matches_reference);

@@ -112,6 +112,17 @@ START_TEST(gradients_match_on_every_solid_and_many_layers) {
 }
 END_TEST
 
+// _i: in a ball, in all of space; texels of 4 and 8 channels, so that voxels end within a row.
+START_TEST(gradients_match_with_voxels) {
+    struct rn_field_config config = sample_config();
+    config.voxels = true;
+    config.space = _i % 2 ? RN_SPACE_UNBOUNDED : RN_SPACE_BALL;
+    config.channels = _i / 2 ? 8 : 4;
+    config.base = 9;
+    check_gradients(&config, 1);
+}
+END_TEST
+
 START_TEST(gradients_match_where_rays_share_pixels) {
     struct rn_field_config config = sample_config();
     config.shading = (enum rn_shading)(_i % 2);
@@ -451,6 +462,7 @@ int main(void) {
     tcase_set_timeout(tcase, 60);
     tcase_add_loop_test(tcase, gradients_match_finite_differences, 0, 24);
     tcase_add_loop_test(tcase, gradients_match_on_every_solid_and_many_layers, 0, 3);
+    tcase_add_loop_test(tcase, gradients_match_with_voxels, 0, 4);
     tcase_add_loop_test(tcase, gradients_match_where_rays_share_pixels, 0, 4);
     tcase_add_test(tcase, split_pixels_are_means);
     tcase_add_loop_test(tcase, pull_down_is_the_adjoint_of_build, 0, 8);
