@@ -8,6 +8,7 @@
 #include "common/math/rng.h"
 #include "server/engine/field/occupancy.h"
 #include "server/engine/field/volume.h"
+#include "server/engine/field/voxels.h"
 #include "server/engine/reference/exact.h"
 #include "server/engine/reference/reference.h"
 
@@ -321,6 +322,19 @@ double rn_bench_check_composite(const struct rn_bench_recording *rec,
 
 // ---- scatter, optimiser, occupancy ----------------------------------------------------------
 
+static double product_of_voxels(const struct rn_bench_recording *rec, double *magnitude) {
+    int grid = rec->field->config->planes;
+    const float *texels = rec->field->maps[grid][0][0].texels;
+    const float *grad = rec->trainer->optimiser.grad_maps[grid][0][0].texels;
+    double sum = 0;
+    for (size_t i = 0; i < rn_grid_numbers(rec->field->config); i++) {
+        double one = (double)texels[i] * (double)grad[i];
+        sum += one;
+        *magnitude += fabs(one);
+    }
+    return sum;
+}
+
 // Sums of parameter times gradient over all maps, or the base maps alone; and of their magnitudes.
 static double product(const struct rn_bench_recording *rec, int levels, double *ret_magnitude) {
     const struct rn_cpu_field *f = rec->field;
@@ -338,6 +352,7 @@ static double product(const struct rn_bench_recording *rec, int levels, double *
                     magnitude += fabs(one);
                 }
             }
+    if (f->config->voxels) sum += product_of_voxels(rec, &magnitude);
     *ret_magnitude = magnitude;
     return sum;
 }
@@ -382,6 +397,19 @@ double rn_bench_check_scatter(const struct rn_bench_recording *rec) {
                     magnitude += fabs(product);
                 }
             }
+        for (int i = 0; f->config->voxels && i < slab->count; i++) {
+            double value[RN_VOXEL_CHANNELS];
+            rn_exact_voxels(f,
+                            (const double[3]){slab->voxel[0][i], slab->voxel[1][i],
+                                              slab->voxel[2][i]},
+                            value);
+            for (int c = 0; c < RN_VOXEL_CHANNELS; c++) {
+                double product =
+                    (double)slab->voxel_grad[(size_t)i * RN_VOXEL_CHANNELS + (size_t)c] * value[c];
+                samples += product;
+                magnitude += fabs(product);
+            }
+        }
     }
     double texels = product(rec, levels, &unused);
     return magnitude > 0 && isfinite(texels) ? fabs(samples - texels) / magnitude : INFINITY;

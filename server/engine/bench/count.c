@@ -5,6 +5,7 @@
 #include <stdlib.h>
 
 #include "server/engine/field/ripmap.h"
+#include "server/engine/reference/voxels.h"
 #include "server/engine/train/schedule.h"
 
 #define LINE 64
@@ -19,6 +20,7 @@ enum {
     OPS_PROJECT = 18,   // a plane: u, v 6; texel and fraction 2 x 6
     OPS_LEVELS = 30,    // a plane, where levels are needed: 2 x (variance 2, clamp 3, log2 10)
     OPS_CORNERS = 4,    // a map and channel: one multiply-add a corner
+    OPS_VOXELS = 46,    // texel and fraction 3 x 6, seven interpolations of four channels
     OPS_ADAMW = 15,     // scale 1, moments 5, root and division 4, step 3, decay 1, clear 1
     OPS_COMPOSITE = 20, // depth 2, weight, both transmittances 6, opacity, distance, sums 12
 };
@@ -118,6 +120,19 @@ static void visit(const struct rn_cpu_field *f, int plane, const double uv[2], c
     }
 }
 
+// And from the voxels, two of which lie together.
+static void visit_voxels(const struct rn_cpu_field *f, float *const place[3], int i,
+                         struct fetches *fetches) {
+    struct rn_voxel_corner corners[8];
+    if (!f->config->voxels) return;
+    rn_voxel_corners(f->config, (const double[3]){place[0][i], place[1][i], place[2][i]}, corners);
+    for (int k = 0; k < 8; k += 2) {
+        const float *first = f->maps[f->config->planes][0][0].texels + corners[k].offset;
+        lines_add(&fetches->lines, (uintptr_t)first);
+        lines_add(&fetches->lines, (uintptr_t)(first + 2 * RN_VOXEL_CHANNELS) - 1);
+    }
+}
+
 static struct fetches fetches_begin(void) {
     struct fetches fetches = {.lines.capacity = (size_t)1 << 21};
     fetches.lines.slots = calloc(fetches.lines.capacity, sizeof *fetches.lines.slots);
@@ -132,10 +147,12 @@ static void count_encode(const struct rn_bench_recording *rec, double *ret_maps,
     for (int k = 0; k < rec->packet_count && k < 4; k++) {
         const struct rn_workspace *w = rec->packets[k].workspace;
         struct fetches fetches = fetches_begin();
-        for (int i = 0; fetches.lines.slots && i < w->count; i++)
+        for (int i = 0; fetches.lines.slots && i < w->count; i++) {
             for (int p = 0; p < f->config->planes; p++)
                 visit(f, p, (const double[2]){w->u[p][i], w->v[p][i]},
                       (const double[2]){w->lx[p][i], w->ly[p][i]}, &fetches);
+            visit_voxels(f, w->voxel, i, &fetches);
+        }
         maps += fetches.maps;
         lines += (double)fetches.lines.count;
         samples += w->count;
@@ -160,6 +177,8 @@ static void count_scatter(const struct rn_bench_recording *rec, double *ret_maps
                 visit(f, p, (const double[2]){slab->u[p][i], slab->v[p][i]},
                       (const double[2]){leveled ? slab->lx[p][i] : 0, leveled ? slab->ly[p][i] : 0},
                       &fetches);
+        for (int i = 0; i < slab->count; i++)
+            visit_voxels(f, slab->voxel, i, &fetches);
     }
     *ret_maps = fetches.maps / (samples * f->config->planes);
     *ret_lines = (double)fetches.lines.count / samples;
@@ -170,7 +189,7 @@ static void count_scatter(const struct rn_bench_recording *rec, double *ret_maps
 static double encode_operations(const struct rn_cpu_field *f, double maps) {
     double plane =
         OPS_PROJECT + (maps > 1 ? OPS_LEVELS : 0) + maps * OPS_CORNERS * f->config->channels;
-    return OPS_PLACE + f->config->planes * plane;
+    return OPS_PLACE + f->config->planes * plane + (f->config->voxels ? OPS_VOXELS : 0);
 }
 
 // ---- stages ---------------------------------------------------------------------------------
@@ -236,11 +255,13 @@ struct rn_bench_count rn_bench_count_scatter(const struct rn_bench_recording *re
     count_scatter(rec, &maps, &lines);
     for (int k = 0; k < rec->packet_count; k++)
         samples += rec->packets[k].group->slab.count;
-    double gradient = c->planes * (c->channels + (maps > 1 ? 4 : 2)) * (double)sizeof(float);
+    double numbers = c->planes * (c->channels + (maps > 1 ? 4 : 2));
+    if (c->voxels) numbers += 3 + RN_VOXEL_CHANNELS;
     return (struct rn_bench_count){.amount = samples,
                                    .operations =
-                                       c->planes * (12 + maps * OPS_CORNERS * c->channels),
-                                   .bytes = 2 * lines * LINE + gradient,
+                                       c->planes * (12 + maps * OPS_CORNERS * c->channels) +
+                                       (c->voxels ? OPS_VOXELS : 0),
+                                   .bytes = 2 * lines * LINE + numbers * sizeof(float),
                                    .lines = lines,
                                    .set_bytes = map_numbers(rec->field) * sizeof(float)};
 }

@@ -8,6 +8,7 @@
 #include "server/engine/bench/check.h"
 #include "server/engine/bench/count.h"
 #include "server/engine/bench/machine.h"
+#include "server/engine/field/voxels.h"
 #include "server/engine/train/schedule.h"
 
 // ---- recording ------------------------------------------------------------------------------
@@ -67,7 +68,7 @@ enum rn_status rn_bench_record(struct rn_trainer *trainer, struct rn_bench_recor
     size_t bytes = rn_workspace_size(rec.field, trainer->field->config.step);
     bytes = (bytes + 4095) / 4096 * 4096;
     rec.memory = aligned_alloc(4096, bytes * RN_GROUPS);
-    rec.marks = malloc(trainer->optimiser.tiles * (size_t)rec.field->config->planes);
+    rec.marks = malloc(trainer->optimiser.tiles * (size_t)rn_grid_count(rec.field->config));
     if (!rec.memory || !rec.marks) {
         rn_bench_recording_finish(&rec);
         return rn_error_set(err, RN_ERROR_NO_MEMORY, "bench", "out of memory");
@@ -108,7 +109,7 @@ void rn_bench_stage_run(const struct rn_bench_recording *rec, const struct rn_be
 
 void rn_bench_scatter(const struct rn_bench_recording *rec) {
     struct rn_trainer *t = rec->trainer;
-    for (int plane = 0; plane < rec->field->config->planes; plane++)
+    for (int plane = 0; plane < rn_grid_count(rec->field->config); plane++)
         for (int band = 0; band < t->optimiser.bands; band++)
             for (int k = 0; k < rec->packet_count; k++)
                 rec->kernels->scatter(rec->field, &rec->packets[k].group->slab, plane,
@@ -131,7 +132,9 @@ void rn_bench_update(const struct rn_bench_recording *rec, int plane,
                                      .m = t->optimiser.m + p * size,
                                      .v = t->optimiser.v + p * size,
                                      .touched = sparse ? marks : NULL,
-                                     .levels = t->optimiser.tiled ? t->optimiser.levels : 1,
+                                     .levels = t->optimiser.tiled && plane < c->planes
+                                                   ? t->optimiser.levels
+                                                   : 1,
                                      .channels = c->channels,
                                      .mip = c->footprint == RN_FOOTPRINT_MIP};
     memcpy(marks, t->optimiser.touched + p * t->optimiser.tiles, t->optimiser.tiles);
@@ -146,7 +149,7 @@ void rn_bench_optimise(const struct rn_bench_recording *rec) {
                                             .fresh = 0.001f,
                                             .correction1 = 0.9f,
                                             .correction2 = 0.9f};
-    for (int plane = 0; plane < rec->field->config->planes; plane++)
+    for (int plane = 0; plane < rn_grid_count(rec->field->config); plane++)
         rn_bench_update(rec, plane, &options);
 }
 
@@ -154,11 +157,13 @@ size_t rn_bench_touched(const struct rn_bench_recording *rec) {
     const struct rn_trainer *t = rec->trainer;
     const struct rn_field_config *c = rec->field->config;
     struct rn_tiling tiling = rn_tiling(c->base, c->channels, t->optimiser.levels);
-    size_t tiles = 0, all = t->optimiser.tiles * (size_t)c->planes;
+    struct rn_tiling voxels = rn_tiling(c->base, c->channels, 1);
+    size_t tiles[2] = {0, 0}, of_planes = t->optimiser.tiles * (size_t)c->planes;
     if (!t->field->config.sparse || !t->optimiser.tiled) return t->field->parameters.plane_count;
-    for (size_t i = 0; i < all; i++)
-        tiles += t->optimiser.touched[i];
-    return (tiles * (size_t)c->channels) << (tiling.shift_x + tiling.shift_y);
+    for (size_t i = 0; i < t->optimiser.tiles * (size_t)rn_grid_count(c); i++)
+        tiles[i >= of_planes] += t->optimiser.touched[i];
+    return ((tiles[0] * (size_t)c->channels) << (tiling.shift_x + tiling.shift_y)) +
+           ((tiles[1] * (size_t)c->channels) << voxels.shift_x);
 }
 
 void rn_bench_pyramid(const struct rn_bench_recording *rec) {
