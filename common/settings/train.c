@@ -8,6 +8,7 @@ const char *const rn_orientation_names[] = {"platonic", "golden", "blue", "white
 const char *const rn_footprint_names[] = {"rip", "mip", "point", NULL};
 const char *const rn_space_names[] = {"ball", "unbounded", NULL};
 const char *const rn_shading_names[] = {"sample", "ray", NULL};
+const char *const rn_switch_names[] = {"off", "on", NULL};
 const char *const rn_effect_choice_names[] = {"auto", "on", "off", NULL};
 
 #define PLACE(member) .offset = offsetof(struct rn_train_config, member)
@@ -83,9 +84,14 @@ static const struct rn_setting rows[] = {
      .flags = RN_SETTING_LATER,
      PLACE(field.voxels),
      .unit = "",
-     .meaning = "a dense grid of voxels beside the planes, of as many numbers as one of them",
+     .choices = rn_switch_names,
+     .meaning = "a dense grid of voxels beside the planes, of as many numbers as one of them; not "
+                "on a GPU",
+     .option = "voxels",
+     .flag = "voxels",
      PRESETS(0, 1, 0),
-     .unlike = "a dense grid of voxels beside the planes"},
+     .unlike = "a dense grid of voxels beside the planes",
+     .gain = "+0.2 dB after 60 CPU seconds, +0.3 dB over four scales"},
     {.name = "levels",
      .type = RN_SETTING_INT,
      PLACE(field.levels),

@@ -121,6 +121,7 @@ extern const char *const rn_orientation_names[]; // "platonic", "golden", "blue"
 extern const char *const rn_footprint_names[];   // "rip", "mip", "point"
 extern const char *const rn_space_names[];       // "ball", "unbounded"
 extern const char *const rn_shading_names[];     // "sample", "ray"
+extern const char *const rn_switch_names[];      // "off", "on": of voxels
 
 // Platonic: 3, 4, 6 or 10 planes; other orientations: 1 to RN_MAX_PLANES. RN_ERROR_INVALID else.
 enum rn_status rn_planes_check(int planes, enum rn_orientation orientation,

@@ -157,4 +157,5 @@ const struct subject SUBJECT = {SUBJECT_NAME,
                                 NULL,
                                 NULL,
                                 NULL,
+                                NULL,
                                 NULL};

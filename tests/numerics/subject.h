@@ -48,6 +48,10 @@ struct subject {
     // `channels` numbers; arrays have room for SUBJECT_QUERIES + 16.
     void (*query)(const struct rn_cpu_field *field, int n, const float *u, const float *v,
                   const float *lx, const float *ly, float *ret_features);
+    // Kernel sets only: features of n <= SUBJECT_QUERIES places in the voxels, RN_VOXEL_CHANNELS
+    // each; arrays have the same room.
+    void (*voxels)(const struct rn_cpu_field *field, int n, float *const place[3],
+                   float *ret_features);
     // Kernel sets only: rn_march_ray_from in the unit ball, without jitter and cone steps.
     void (*cut)(const struct rn_ray *ray, double step, struct rn_march_ray *ret);
     // Kernel sets only: rn_ray_cut_forward without jitter, and the gradient of `factor` times the

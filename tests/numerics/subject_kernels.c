@@ -173,6 +173,12 @@ static void query(const struct rn_cpu_field *field, int n, const float *u, const
         get_features(field, i, &w, ret_features + i * field->config->channels);
 }
 
+static void voxels_at(const struct rn_cpu_field *field, int n, float *const place[3],
+                      float *ret_features) {
+    struct voxels grid = voxels_of(field->config, &field->maps[field->config->planes][0][0]);
+    encode_voxels(&grid, place, 0, n, ret_features, RN_VOXEL_CHANNELS);
+}
+
 // In the last lane; the others look elsewhere.
 static void cut(const struct rn_ray *ray, double step, struct rn_march_ray *ret) {
     enum { LAST = RN_VD - 1 };
@@ -287,6 +293,7 @@ const struct subject SUBJECT = {.name = SUBJECT_NAME,
                                 .harmonics = harmonics,
                                 .composite_stopped = composite_stopped,
                                 .query = query,
+                                .voxels = voxels_at,
                                 .cut = cut,
                                 .cut_forward = cut_to_box,
                                 .distortion = distortion,

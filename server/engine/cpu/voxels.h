@@ -1,6 +1,6 @@
 // Reading the voxel grid beside the planes, and adding gradients to it (field/voxels.h). Features
-// of a constant grid are the constant within 6 ULP; scatter is fetch's adjoint within 16 ULP of
-// sum |x y|.
+// of a constant grid are the constant, others within 2 ULP of the side times the largest voxel;
+// adding is reading's adjoint within 16 ULP of sum |x y|.
 #ifndef RN_ENGINE_CPU_VOXELS_H
 #define RN_ENGINE_CPU_VOXELS_H
 

@@ -9,11 +9,10 @@ struct rn_voxel_corner {
     size_t offset;
     double weight;
 };
-// x: in the planes' frame. Weights sum to 1 within 4 ULP.
+// x: in the planes' frame.
 void rn_voxel_corners(const struct rn_field_config *config, const double x[3],
                       struct rn_voxel_corner ret_corners[8]);
-// RN_VOXEL_CHANNELS features of the grid at `voxels`; and the adjoint, which adds to `grad`. A
-// constant grid gives the constant within 8 ULP; <Q x, y> = <x, Q^T y> within 16 ULP of sum |x y|.
+// RN_VOXEL_CHANNELS features of the grid at `voxels`; and the adjoint, which adds to `grad`.
 void rn_voxels_fetch(const struct rn_field_config *config, const double *voxels, const double x[3],
                      double *ret_features);
 void rn_voxels_fetch_backward(const struct rn_field_config *config, double *grad, const double x[3],
