@@ -1,7 +1,7 @@
 // The renderer's dial: what accuracy costs in time, on a trained scene.
 //
 //   dial CHECKPOINT DATASET [split=test] [every=10] [rounds=7] [threads=0] [background=1]
-//        [SETTING ...]
+//        [kernels=auto] [SETTING ...]
 //
 // A SETTING is a comma list of step=, stop=, subsample=, supersample=, tolerance= (engine.h), or
 // `full`; without any, a table of them. Every `every`-th view of the split is rendered with each
@@ -33,6 +33,7 @@ struct dial {
     struct rn_engine *engine;
     struct rn_field *field;
     int split, every, rounds, threads;
+    const char *kernels;
     float background;
     struct setting settings[MAX_SETTINGS];
     int count;
@@ -90,6 +91,8 @@ static bool set_option(struct dial *dial, const char *text) {
         dial->rounds = atoi(value);
     } else if (strncmp(text, "threads=", size) == 0) {
         dial->threads = atoi(value);
+    } else if (strncmp(text, "kernels=", size) == 0) {
+        dial->kernels = value;
     } else if (strncmp(text, "background=", size) == 0) {
         dial->background = (float)atof(value);
     } else {
@@ -165,7 +168,7 @@ int main(int argc, char **argv) {
         }
     for (size_t i = 0, none = dial.count == 0; none && i < sizeof usual / sizeof *usual; i++)
         add_setting(&dial, usual[i]);
-    struct rn_engine_options options = {.threads = dial.threads};
+    struct rn_engine_options options = {.threads = dial.threads, .kernels = dial.kernels};
     if (rn_dataset_read(argv[2], NULL, &dial.dataset, &err) != RN_OK) die(&err);
     if (rn_engine_create(&options, &dial.engine, &err) != RN_OK) die(&err);
     if (rn_field_load(dial.engine, argv[1], &dial.field, &err) != RN_OK) die(&err);
