@@ -1,12 +1,13 @@
 // Interpolated pixels, or quarters of pixels that are several cones: every second pixel of a
 // picture is traced on both axes first. Then come the pixels between four of these (their
-// neighbours are the diagonal ones), then the rest (beside, above and below): each is the mean of
-// its four neighbours where these agree, and is traced where they do not. Neighbours may be
-// interpolated themselves.
+// neighbours are the diagonal ones), then the rest (beside, above and below): each is interpolated
+// where its four neighbours agree, and is traced where they do not. Neighbours may be interpolated
+// themselves. The first are the neighbours' means; the last lie on cubic splines through sixteen
+// pixels, and between the four.
 //
 // Neighbours agree when, of every output asked for, the root mean square distance from their mean
-// is at most the tolerance: colour (over its three channels) and opacity in [0, 1], depth in scene
-// radii. What is narrower than three pixels and lies between neighbours that agree may be lost:
+// is at most 0.7 (first) or 1.4 (last) of the tolerance: colour (over its three channels) and
+// opacity in [0, 1], depth in scene radii. What is narrower than three pixels and lies between neighbours that agree may be lost:
 // that is the price. Four that see nothing agree only where cells are wide enough (`dense`).
 // A pixel at the border, or beside a value that is not finite, is traced.
 //

@@ -74,15 +74,31 @@ static int drop_empty(struct frame *f, struct rn_spot *spots, int n) {
     return kept;
 }
 
+// A tile that nothing can be seen in.
+static void fill_empty_tile(struct frame *f, struct rn_tile tile) {
+    int apart = rn_lattice_passes(&f->lattice) > 1 ? 2 : 1;
+    if (f->pass > 0) return;
+    for (int y = tile.y0; y < tile.y1; y++)
+        for (int x = tile.x0; x < tile.x1; x++)
+            f->lattice.pixels[(size_t)y * f->lattice.width + x] = f->nothing;
+    int columns = (tile.x1 - tile.x0 + apart - 1) / apart;
+    f->rays += (uint64_t)columns * ((tile.y1 - tile.y0 + apart - 1) / apart) * f->cones * f->cones;
+}
+
 static void render_tile(void *context, int index, int thread) {
     struct frame *f = context;
+    struct rn_tile tile = tile_at(f, index);
+    if (!rn_silhouette_reaches(&f->silhouette, tile.x0, tile.y0, tile.x1, tile.y1)) {
+        fill_empty_tile(f, tile);
+        return;
+    }
     struct rn_spot spots[TILE * TILE * SPARSE];
     struct rn_pixel pixels[TILE * TILE * SPARSE];
     uint16_t costs[TILE * TILE * SPARSE];
     struct rn_lattice lattice = f->lattice;
     lattice.late = is_late(f);
     double interpolation = 0;
-    int n = rn_lattice_choose(&lattice, f->pass, tile_at(f, index), spots, &interpolation);
+    int n = rn_lattice_choose(&lattice, f->pass, tile, spots, &interpolation);
     if (isfinite(interpolation)) f->interpolation += (uint64_t)(interpolation * 0x1p32);
     f->rays += (uint64_t)n * f->cones * f->cones;
     n = drop_empty(f, spots, n);

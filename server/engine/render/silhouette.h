@@ -23,4 +23,14 @@ static inline bool rn_silhouette_covers(const struct rn_silhouette *s, int x, in
                                  (size_t)(x / RN_SILHOUETTE_BLOCK)];
 }
 
+// Whether anything can be seen at some point of [x0, x1) x [y0, y1).
+static inline bool rn_silhouette_reaches(const struct rn_silhouette *s, int x0, int y0, int x1,
+                                         int y1) {
+    const int block = RN_SILHOUETTE_BLOCK;
+    for (int y = y0 / block * block; y < y1; y += block)
+        for (int x = x0 / block * block; x < x1; x += block)
+            if (rn_silhouette_covers(s, x, y)) return true;
+    return false;
+}
+
 #endif
