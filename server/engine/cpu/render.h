@@ -1,10 +1,12 @@
-// Rendering: rays go through RN_PACKET_RAYS places, in rounds of up to RN_ROUND samples each. A ray
-// that has ended leaves its place to the next one, so that the rounds stay full; nothing is kept of
+// Rendering: rays go through RN_PACKET_RAYS places, in rounds of up to RN_ROUND samples each, or
+// half as many of rays that end early: their samples behind the last one seen are more. A ray that has ended leaves its place to the next one, so that the rounds stay full; nothing is kept of
 // a sample but its share of the ray's sums.
 #ifndef RN_ENGINE_CPU_RENDER_H
 #define RN_ENGINE_CPU_RENDER_H
 
 #include "server/engine/cpu/packet.h"
+
+#define RN_EARLY 3 // optical depth: a transmittance of 0.05
 
 // A ray's last sample so far, where that is to be opaque.
 struct last_sample {
@@ -18,6 +20,7 @@ struct stream {
     const struct rn_march_options *options;
     const struct rn_march_ray *rays;
     int ray_count, next; // rays not looked at yet: [next, ray_count)
+    int round;           // samples
     struct rn_workspace *w;
     struct rn_pixel *pixels;
     struct marches marches;
@@ -42,6 +45,7 @@ static void stream_init(const struct rn_cpu_field *field, const struct rn_march_
     s->rays = rays;
     s->ray_count = count;
     s->next = s->ended_count = 0;
+    s->round = options->stop_depth < RN_EARLY ? RN_ROUND / 2 : RN_ROUND;
     s->w = w;
     s->pixels = pixels;
     memset(&s->marches.ray, 0, sizeof s->marches.ray);
@@ -147,11 +151,11 @@ static void stream_end(struct stream *s, int r) {
     if (s->ended_count == RN_PACKET_RAYS) stream_shade(s);
 }
 
-// Takes `n` of a ray's samples off, RN_ROUND or all.
+// Takes `n` of a ray's samples off.
 RN_INLINE void take(int r, int n, struct rn_workspace *w) {
     uint16_t *found = w->candidate + r * w->room;
     w->candidate_count[r] -= n;
-    memmove(found, found + RN_ROUND, RN_CHUNK * sizeof *found);
+    memmove(found, found + n, (RN_ROUND + RN_CHUNK) * sizeof *found);
 }
 
 // Places the next samples of every ray, one segment each; a ray without any has ended. Returns
@@ -165,7 +169,7 @@ static bool stream_round(struct stream *s) {
         if (m->ray[r] && w->candidate_count[r] > 0) leveled |= s->footprints[r].leveled;
     for (int r = 0; r < RN_PACKET_RAYS; r++) {
         if (!m->ray[r]) continue;
-        int n = w->candidate_count[r] < RN_ROUND ? w->candidate_count[r] : RN_ROUND;
+        int n = w->candidate_count[r] < s->round ? w->candidate_count[r] : s->round;
         if (n == 0) {
             stream_end(s, r);
             continue;
@@ -219,7 +223,7 @@ static uint64_t render(const struct rn_cpu_field *field, const struct rn_march_o
     stream_init(field, options, rays, count, w, ret_pixels, &s);
     for (;;) {
         stream_fill(&s);
-        march_round(&field->occupancy, options->step, RN_ROUND, &s.marches, w);
+        march_round(&field->occupancy, options->step, s.round, &s.marches, w);
         bool leveled = stream_round(&s);
         if (w->count == 0 && s.next == count) break;
         encode(field, leveled, 0, w->count, w);
