@@ -96,6 +96,22 @@ def test_upload_import_and_train(page, fake, tmp_path):
     quiet(page)
 
 
+def test_what_an_import_found_fits_beside_the_scenes(page, fake):
+    page.open(fake("empty").url)
+    page.find(".drop")
+    wide, high = page.run("""
+const box = document.createElement('div');
+box.className = 'scroll';
+box.style.width = '320px';
+box.innerHTML = `<table class="table problems"><thead><tr><th>Where</th><th>What</th></tr></thead><tbody><tr>
+<td>warning</td><td><code>transforms.json#/frames/4/file_path</code></td>
+<td>names images/0005.jpg, which does not exist; the last at transforms.json#/frames/65/file_path</td>
+</tr></tbody></table>`;
+document.querySelector('main').append(box);
+return [box.scrollWidth - box.clientWidth, box.querySelector('code').getClientRects().length];""")
+    assert wide <= 0 and high <= 2
+
+
 def test_a_dataset_that_photographs_are_missing_from_is_kept_or_not(page, fake, tmp_path):
     api = fake("empty")
     five_views(tmp_path / "ball")
@@ -107,6 +123,20 @@ def test_a_dataset_that_photographs_are_missing_from_is_kept_or_not(page, fake, 
         report["unusable"]["train"] = 2
         report["problems"].append({"severity": "error", "where": "r_3.png", "text": "is cut off"})
 
+    def add_without(name):
+        add(name)
+        api.world.datasets[-1]["report"]["unusable"]["train"] = 1
+
+    api.world.add_dataset = add_without
+    page.open(api.url)
+    page.find(".drop")
+    page.all("#folder-input")[0].send_keys(str(tmp_path / "ball"))
+    page.says("1 image named but not in the folder")
+    page.press("Upload and import")
+    page.says("ball is imported.")
+    time.sleep(1)
+    assert not page.all("dialog[open]")  # it was told before
+    api.world.datasets.clear()
     api.world.add_dataset = add_with_faults
     for choice, left in (("Keep", 1), ("Delete it", 1)):
         page.open(api.url)

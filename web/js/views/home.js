@@ -74,7 +74,7 @@ function noScenes(datasets) {
       'From photographs to a scene',
       h('ol', {class: 'steps'},
         h('li', null, h('strong', null, 'Add a dataset. '),
-          'Choose or drop its folder at the right.'),
+          'Choose or drop its folder.'),
         h('li', null, h('strong', null, 'Train. '),
           'A minute on a few cores is enough for a first look.'),
         h('li', null, h('strong', null, 'Look around. '),

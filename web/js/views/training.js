@@ -263,6 +263,8 @@ function underWay(job) {
 }
 
 function ended(job, figures) {
+  if (job.result?.finished_by === 'time' && !figures.step)
+    return 'time was up before the first step: nothing is trained yet. Train again with more time.';
   const why = {
     time: 'time is up',
     steps: 'steps done',

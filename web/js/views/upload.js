@@ -52,7 +52,7 @@ export function uploadPanel(signal) {
     else
       fill(body, planForm(plan, {back: () => begin(), follow, signal}));
   }
-  function follow(job) { fill(body, importing(job, begin, signal)); }
+  function follow(job, known = 0) { fill(body, importing(job, known, begin, signal)); }
   dropTarget(node, take, signal);
   begin();
   return node;
@@ -197,7 +197,7 @@ function planForm(plan, {back, follow, signal}) {
       });
       const wanted = {name: dataset, upload};
       if (Object.keys(settings).length) wanted.options = settings;
-      follow(putJob(await api.addUpload(wanted, stop.signal)));
+      follow(putJob(await api.addUpload(wanted, stop.signal)), plan.missing.length);
       stopLooking();
     } catch (error) {
       fill(progress);
@@ -336,11 +336,11 @@ function directoryForm(follow) {
         h('div', {class: 'row end'}, h('button', {type: 'submit'}, 'Import'))));
 }
 
-/** Whether to keep a dataset that photographs had to be left out of. */
-async function askAboutLost(name, begin) {
+/** Whether to keep a dataset that more photographs had to be left out of than was known. */
+async function askAboutLost(name, known, begin) {
   const {report} = await api.dataset(name);
   const lost = Object.values(report.unusable).reduce((sum, count) => sum + count, 0);
-  if (!lost) return;
+  if (lost <= known) return;
   const faults = report.problems.filter((item) => item.severity === 'error')
                      .slice(0, 3)
                      .map((item) => `${item.where}: ${item.text}`);
@@ -354,8 +354,8 @@ async function askAboutLost(name, begin) {
       });
 }
 
-/** The import job's progress, then what to do next. */
-function importing(job, begin, signal) {
+/** The import job's progress, then what to do next; `known`: photographs that are known to be missing. */
+function importing(job, known, begin, signal) {
   const box = h('div', {role: 'status'});
   const bar = meter('Import');
   let over = null;
@@ -379,7 +379,7 @@ function importing(job, begin, signal) {
     const [next, where] = now.scene_name ? ['Look at it', link.scene(name)] :
                                            ['Look at it and train', link.dataset(name)];
     if (now.state === 'succeeded' && !now.scene_name)
-      askAboutLost(name, begin).catch(() => {});  // it is kept, then
+      askAboutLost(name, known, begin).catch(() => {});  // it is kept, then
     if (now.state === 'succeeded')
       fill(
           box, h('p', {class: 'good'}, `${name} is imported.`),
