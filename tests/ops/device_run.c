@@ -34,7 +34,7 @@ struct rn_train_config small_config(const char *preset, int64_t steps) {
     config.field.levels = 2;
     config.field.width = 16;
     config.field.occupancy = 16;
-    config.draw_by_error = false;
+    config.draw_by_error = config.field.voxels = false; // as a device leaves them out
     config.step = 0.1;
     config.target_samples = 1024;
     config.initial_rays = 64;

@@ -302,11 +302,10 @@ static const char *device_of(const struct rn_engine *engine) {
     return info.device;
 }
 
-// `auto` takes the device, and the CPU for a field that the kernels cannot hold.
-START_TEST(auto_takes_what_there_is) {
-    struct rn_train_config config = small_config("standard", 4);
-    config.field.width = 144;
-    run_begin("cpu", &config);
+// A field that the kernels cannot hold, trained on the CPU: `auto` leaves it there, and a device that
+// is named says why it does not take it.
+static void check_left_out(const struct rn_train_config *config, const char *where) {
+    run_begin("cpu", config);
     run_to(4);
     ck_assert_str_eq(device_of(run.engine), "cpu");
     OK(rn_trainer_save(run.trainer, run.path, &err));
@@ -317,17 +316,28 @@ START_TEST(auto_takes_what_there_is) {
     struct rn_error said;
     ck_assert(rn_trainer_restore(engine, run.dataset, run.path, 0, &trainer, &said) ==
               RN_ERROR_UNSUPPORTED);
-    ck_assert_str_eq(said.where, "width");
+    ck_assert_str_eq(said.where, where);
     rn_engine_destroy(&engine);
     run_begin("auto", NULL);
     ck_assert_ptr_null(rn_trainer_field(run.trainer)->on_device);
     run_end();
+}
+
+// `auto` takes the device, and the CPU for a field that the kernels cannot hold.
+START_TEST(auto_takes_what_there_is) {
+    struct rn_train_config config = small_config("standard", 4);
+    config.field.width = 144;
+    check_left_out(&config, "width");
+    config = small_config("standard", 4);
+    config.field.voxels = true;
+    check_left_out(&config, "voxels");
+    struct rn_engine *engine;
     struct rn_engine_options named = {.device = "auto", .kernels = "generic", .threads = 1};
     OK(rn_engine_create(&named, &engine, &err));
     ck_assert_str_eq(device_of(engine), "cpu");
     rn_engine_destroy(&engine);
     config = small_config("standard", 4);
-    config.draw_by_error = true;
+    config.draw_by_error = config.field.voxels = true;
     for (int shading = 0; shading <= RN_SHADING_RAY; shading++) {
         config.field.shading = (enum rn_shading)shading;
         run_begin("auto", &config);
@@ -335,7 +345,7 @@ START_TEST(auto_takes_what_there_is) {
         ck_assert_ptr_nonnull(rn_trainer_field(run.trainer)->on_device);
         const struct rn_train_config *own = rn_trainer_config(run.trainer);
         ck_assert(own->roulette == 1 && own->split_pixels == config.split_pixels);
-        ck_assert(!own->draw_by_error);
+        ck_assert(!own->draw_by_error && !own->field.voxels);
         run_end();
     }
     setenv("RIPNERF_CUDA_MODULE", "/nowhere.so", 1);
@@ -343,6 +353,7 @@ START_TEST(auto_takes_what_there_is) {
     ck_assert_str_eq(device_of(run.engine), "cpu");
     ck_assert(rn_trainer_config(run.trainer)->roulette == 1);
     ck_assert(rn_trainer_config(run.trainer)->draw_by_error);
+    ck_assert(rn_trainer_config(run.trainer)->field.voxels);
     run_end();
 }
 END_TEST

@@ -163,7 +163,7 @@ enum rn_status rn_field_put(struct rn_engine *engine, struct rn_field *f, int le
                             "forward-facing captures are trained and rendered on the CPU; use "
                             "--device cpu or auto");
     if (f->config.field.voxels)
-        return rn_error_set(err, RN_ERROR_UNSUPPORTED, "device",
+        return rn_error_set(err, RN_ERROR_UNSUPPORTED, "voxels",
                             "fields with voxels beside the planes are trained and rendered on the "
                             "CPU; use --device cpu or auto");
     struct rn_device_scene scene = rn_device_scene_of(f, levels);
