@@ -7,9 +7,10 @@
 //
 // Neighbours agree when, of every output asked for, the root mean square distance from their mean
 // is at most 0.7 (first) or 1.4 (last) of the tolerance: colour (over its three channels) and
-// opacity in [0, 1], depth in scene radii. What is narrower than three pixels and lies between neighbours that agree may be lost:
-// that is the price. Four that see nothing agree only where cells are wide enough (`dense`).
-// A pixel at the border, or beside a value that is not finite, is traced.
+// opacity in [0, 1], depth in scene radii. What is narrower than three pixels and lies between
+// neighbours that agree may be lost: that is the price. Four that see nothing agree only where
+// cells are wide enough (`dense`). A pixel at the border, or beside a value that is not finite, is
+// traced.
 //
 // A pass reads what the passes before it wrote and nothing else: the tiles of one pass may be done
 // in any order.

@@ -7,23 +7,32 @@
 #include "server/engine/train/schedule.h"
 #include "server/engine/train/trainer.h"
 
+#define WIDE 16384 // weights of the density network
+
 struct validate_block {
     struct rn_trainer *trainer;
     const struct rn_pixel_frame *frame;
     size_t first, count;
     struct rn_march_options march;
     int cones; // a side of a pixel
+    int piece; // pixels between two looks at whether another thread waits
 };
 
-static void validate_packet(void *context, int index, int thread) {
+// As many pixels as a picture can wait for, in the fog of the first steps too, which is up to 400
+// samples a pixel: of networks as wide as the paper's few.
+static int pixels_of_piece(const struct rn_field *field) {
+    return field->cpu.base_shape.count > WIDE ? RN_VALIDATE_LEAST : RN_PACKET_RAYS;
+}
+
+static void validate_piece(void *context, int index, int thread) {
     struct validate_block *b = context;
     struct rn_trainer *t = b->trainer;
-    struct rn_spot spots[RN_PACKET_RAYS];
+    struct rn_spot spots[RN_PACKET_RAYS] = {{0, 0}};
     struct rn_pixel pixels[RN_PACKET_RAYS];
     const struct rn_camera *camera = &b->frame->camera;
-    size_t first = b->first + (size_t)index * RN_PACKET_RAYS, width = (size_t)camera->width;
+    size_t first = b->first + (size_t)index * (size_t)b->piece, width = (size_t)camera->width;
     int n = 0;
-    for (; n < RN_PACKET_RAYS && first + (size_t)n < b->first + b->count; n++)
+    for (; n < b->piece && first + (size_t)n < b->first + b->count; n++)
         spots[n] = (struct rn_spot){(int)((first + (size_t)n) % width),
                                     (int)((first + (size_t)n) / width)};
     rn_cones_render(t->engine, t->field, &b->march, camera, NULL, b->cones, spots, n, thread,
@@ -33,7 +42,7 @@ static void validate_packet(void *context, int index, int thread) {
         if (rn_pixel_is_used(&t->held, b->frame, spots[i].x, spots[i].y))
             rn_pixel_add_error(&t->held, b->frame, spots[i].x, spots[i].y,
                                t->field->config.background, pixels[i].rgb, &sum);
-    t->validation.packets[index] = sum;
+    t->validation.pieces[index] = sum;
 }
 
 // The frame under way is done: its PSNR.
@@ -72,13 +81,14 @@ static void validate_next(struct rn_trainer *t) {
                                   .straight = rn_field_averages_straight(t->field, b.frame->frame)};
     memcpy(b.march.background, config->background, sizeof config->background);
     b.cones = rn_cones_for_camera(t->field, &b.frame->camera);
-    int packets = (int)((b.count + RN_PACKET_RAYS - 1) / RN_PACKET_RAYS);
-    if (!rn_pool_run_some(t->engine->pool, packets, &v->next_packet, validate_packet, &b,
+    b.piece = pixels_of_piece(t->field);
+    int pieces = (int)((b.count + (size_t)b.piece - 1) / (size_t)b.piece);
+    if (!rn_pool_run_some(t->engine->pool, pieces, &v->next_piece, validate_piece, &b,
                           rn_engine_is_wanted, t->engine))
         return;
-    v->next_packet = 0;
-    for (int i = 0; i < packets; i++)
-        v->squares += v->packets[i];
+    v->next_piece = 0;
+    for (int i = 0; i < pieces; i++)
+        v->squares += v->pieces[i];
     v->pixel += b.count;
     if (v->pixel == pixels) finish_frame(t);
 }

@@ -7,15 +7,16 @@
 
 #include "server/engine/kernels/kernels.h"
 
-#define RN_VALIDATE_BLOCK 4096 // rays a block
+#define RN_VALIDATE_BLOCK 4096 // pixels a block
+#define RN_VALIDATE_LEAST 8    // of it, a piece, at least
 
 struct rn_validation {
     bool active;
-    int frame;                                          // of those held out
-    size_t pixel;                                       // where the block under way begins
-    int next_packet;                                    // of the block
-    double packets[RN_VALIDATE_BLOCK / RN_PACKET_RAYS]; // its packets' errors
-    double squares;                                     // of the frame's errors so far
+    int frame;                                            // of those held out
+    size_t pixel;                                         // where the block under way begins
+    int next_piece;                                       // of the block
+    double pieces[RN_VALIDATE_BLOCK / RN_VALIDATE_LEAST]; // its pieces' errors
+    double squares;                                       // of the frame's errors so far
     double psnr_sum;
 };
 
