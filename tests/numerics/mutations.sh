@@ -13,8 +13,6 @@ export RN_NUMERICS_STOP=1 # the first bound that does not hold ends a program
 pattern=${2:-}
 scratch=$(mktemp -d) || exit 1
 trap 'rm -rf "$scratch"' EXIT
-tried=0
-caught=0
 
 give_up() {
     echo "mutations.sh: $1" >&2
@@ -22,7 +20,7 @@ give_up() {
 }
 
 # run PROGRAM: builds it and runs it; 0 passed, 1 failed, 2 did not build. `doctor` is the runner's;
-# `commands` and `proofs` look at the compile commands and at the proofs' quotations.
+# `poses` is a test of tests/ops; `commands` and `proofs` look at the compile commands and at the proofs' quotations.
 run() {
     local target=tests/numerics/numerics_$1
     case $1 in
@@ -45,28 +43,11 @@ run() {
 
 # mutate PROGRAM FILE WHAT SED_SCRIPT
 mutate() {
-    local program=$1 file=$2 what=$3 script=$4 begin=$SECONDS
-    [[ $what == *$pattern* ]] || return
-    tried=$((tried + 1))
-    if $dry; then
-        applies "$file" "$what" "$script"
-        return
-    fi
-    sed -i "$script" "$source/$file"
-    if cmp -s "$pristine/$file" "$source/$file"; then
-        echo "NO CHANGE  $what ($file)"
-    else
-        run "$program"
-        case $? in
-        1) caught=$((caught + 1)) && echo "caught     $what ($program, $((SECONDS - begin)) s)" ;;
-        2) echo "NO BUILD   $what" && tail -5 "$scratch/log" ;;
-        *) echo "MISSED     $what ($program)" ;;
-        esac
-    fi
-    cp "$pristine/$file" "$source/$file"
+    edit "$2" "$3" "$4" run "$1"
 }
 
-# A scratch copy with one kernel set beside the float64 code, quick to compile: prepare SET.
+# A scratch copy with one kernel set beside the float64 code, quick to compile: prepare generic|bf16,
+# and prepare gpu with the GPU's kernels under the emulator.
 prepare() {
     $dry && return
     source=$scratch/$1/source pristine=$scratch/$1/pristine build=$scratch/$1/build
@@ -74,13 +55,15 @@ prepare() {
     git ls-files --cached --others --exclude-standard -z | xargs -0 cp --parents -t "$pristine"
     local engine=$pristine/server/engine
     sed -i 's/-O3/-O1/' "$engine/meson.build"
-    if [ "$1" = generic ]; then
+    sed -i 's/optimization=3/optimization=1/' "$pristine/tests/meson.build"
+    [ "$1" = gpu ] || sed -i 's/^has_cpp = .*/has_cpp = false/' "$pristine/tests/meson.build"
+    if [ "$1" = bf16 ]; then
+        sed -i "/'avx2': \[/d;/'avx512': avx512,/d;/'amx': /d" "$engine/meson.build"
+        sed -i 's/found\[n++\] = &rn_kernels_\(avx2\|avx512\|amx\);/(void)n;/' "$engine/cpu/dispatch.c"
+    else
         sed -i "s/host_machine.cpu_family() == 'x86_64'/false/" "$engine/meson.build" \
             "$engine/bench/meson.build"
         sed -i 's/defined(__x86_64__)/0/' "$engine/cpu/dispatch.c" "$engine/bench/machine.c"
-    else
-        sed -i "/'avx2': \[/d;/'avx512': avx512,/d;/'amx': /d" "$engine/meson.build"
-        sed -i 's/found\[n++\] = &rn_kernels_\(avx2\|avx512\|amx\);/(void)n;/' "$engine/cpu/dispatch.c"
     fi
     cp -r "$pristine" "$source"
     meson setup "$build" "$source" --buildtype=release -Dcuda=disabled >"$scratch/log" 2>&1 ||
@@ -91,14 +74,15 @@ prepare() {
 sound() {
     $dry && return
     for program; do
-        [[ -n $pattern ]] && ! grep -q "^mutate $program .*$pattern" "$tree/tests/numerics/mutations.sh" && continue
+        [[ -n $pattern ]] && ! grep -q "^ *mutate $program .*$pattern" "$tree/tests/numerics/mutations.sh" && continue
         run "$program" || give_up "$program fails before any mutation: $(tail -3 "$scratch/log")"
     done
 }
 
 prepare generic
-sound frustum footprint ripmap solid volume camera lens optimiser kernels rays space training incidents \
-    reproducible roulette overflow growth networks blocks halves metrics_images flags_fma doctor commands proofs
+sound frustum footprint ripmap solid volume camera lens optimiser kernels rays disparity space training \
+    incidents reproducible roulette overflow growth networks blocks metrics_images flags_fma doctor commands \
+    proofs poses
 
 field=server/engine/field
 cpu=server/engine/cpu
@@ -330,8 +314,15 @@ mutate commands server/engine/meson.build "flags: the kernel sets' contraction c
 mutate commands server/engine/meson.build "flags: fast mathematics in the kernel sets" \
     "s/'-Wno-psabi'/'-Wno-psabi', '-ffast-math'/"
 
-if $dry || grep -q avx512_bf16 /proc/cpuinfo; then
-# The GPU's kernels.
+mutate poses server/engine/scene/pose.c "poses: differences over one step in place of two" \
+    's|(float)(2 \* step)|(float)step|'
+mutate poses server/engine/train/poses.c "poses: what all cameras turn by together stays" \
+    's|move.turn\[i\] -= mean.turn\[i\];||'
+mutate poses server/engine/train/trainer.c "poses: moves of a checkpoint are not followed" \
+    's|^.*// those that were moved$||'
+
+prepare gpu
+sound frustum footprint volume halves kernels
 cuda=server/engine/cuda
 mutate frustum $cuda/encode.cuh "GPU: the mean of a frustum is its middle" 's/float mean = s + shift;/float mean = s;/'
 mutate footprint $cuda/encode.cuh "GPU: levels of whole numbers" 's/\*ret_ly = rn_valid_level(p, rn_level_lane(v,/*ret_ly = *ret_lx = (int)rn_valid_level(p, rn_level_lane(v,/'
@@ -348,6 +339,8 @@ mutate halves $cuda/scatter.cuh "GPU: blocks marked where a nest moves along x a
 mutate halves $cuda/scatter.cuh "GPU: blocks not marked where levels change" 's/(leaves || at.x.low != nest->x/(at.x.low != nest->x/'
 mutate halves $cuda/scatter.cuh "GPU: a nest begins at the first texel" 's/n.corner\[c\].x = n.corner\[c\].y = RN_NOWHERE/n.corner[c].x = n.corner[c].y = 0/'
 mutate kernels $cuda/optimise.cuh "GPU: AdamW squares what fp32 cannot hold" 's/float g = fminf(fmaxf(grad, -1.8e19f), 1.8e19f);/float g = grad;/'
+
+if $dry || grep -q avx512_bf16 /proc/cpuinfo; then
     prepare bf16
     sound kernels networks
     mutate kernels $cpu/gemm_bf16.h "bf16: truncated instead of rounded" \
@@ -363,12 +356,5 @@ mutate kernels $cuda/optimise.cuh "GPU: AdamW squares what fp32 cannot hold" 's/
 else
     echo "skipped: this processor has no bf16 products, for five mutations more"
 fi
-
-mutate poses server/engine/scene/pose.c "poses: differences over one step in place of two" \
-    's|(float)(2 \* step)|(float)step|'
-mutate poses server/engine/train/poses.c "poses: what all cameras turn by together stays" \
-    's|move.turn\[i\] -= mean.turn\[i\];||'
-mutate poses server/engine/train/trainer.c "poses: moves of a checkpoint are not followed" \
-    's|^.*// those that were moved$||'
 
 conclude

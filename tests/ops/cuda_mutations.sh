@@ -16,8 +16,7 @@ pattern=${1:-}
 scratch=$(mktemp -d) || exit 1
 trap 'rm -rf "$scratch"' EXIT
 number=0 # of the edit
-tried=0
-caught=0
+source=$scratch/tree pristine=$tree
 
 give_up() {
     echo "cuda_mutations.sh: $1" >&2
@@ -26,8 +25,8 @@ give_up() {
 
 # compile OBJECT SOURCE: the emulated backend out of the scratch copy.
 compile() {
-    "${CXX:-c++}" -std=c++17 -O1 -D_GNU_SOURCE -ffp-contract=off -fPIC -w -I"$scratch/tree" \
-        -I"$scratch/tree/tests/ops/cuda_emulator" -c "$scratch/tree/tests/ops/cuda_emulator/$2" \
+    "${CXX:-c++}" -std=c++17 -O1 -D_GNU_SOURCE -ffp-contract=off -fPIC -w -I"$source" \
+        -I"$source/tests/ops/cuda_emulator" -c "$source/tests/ops/cuda_emulator/$2" \
         -o "$scratch/$1" >"$scratch/log" 2>&1
 }
 
@@ -41,7 +40,7 @@ run() {
     compile backend.o backend.cpp || return 2
     # shellcheck disable=SC2046 # words on purpose
     "${CXX:-c++}" -o "$scratch/test" "$build"/tests/ops/cuda_test.p/*.o "$scratch/backend.o" \
-        "$scratch/emulator.o" "$build/server/engine/libengine.a" \
+        "$scratch/emulator.o" "$build"/server/engine/lib{engine,dispatch}.a \
         "$build"/server/engine/libkernels_*.a "$build/server/engine/libfield.a" \
         "$build/common/libcommon.a" \
         $(libraries tests/ops/cuda_test) \
@@ -51,12 +50,12 @@ run() {
 
 # run_engine CASE FILE: the same of the engine's test, FILE in place of the engine's own.
 run_engine() {
-    "${CC:-cc}" -std=c17 -O1 -D_GNU_SOURCE -ffp-contract=off -w -I"$scratch/tree" \
-        -DRN_MODULE_FOLDER='"/nowhere"' -c "$scratch/tree/$2" -o "$scratch/engine.o" \
+    "${CC:-cc}" -std=c17 -O1 -D_GNU_SOURCE -ffp-contract=off -w -I"$source" \
+        -DRN_MODULE_FOLDER='"/nowhere"' -c "$source/$2" -o "$scratch/engine.o" \
         >"$scratch/log" 2>&1 || return 2
     # shellcheck disable=SC2046 # words on purpose
     "${CC:-cc}" -o "$scratch/test" "$build"/tests/ops/device_test.p/*.o "$scratch/engine.o" \
-        "$build/server/engine/libengine.a" "$build"/server/engine/libkernels_*.a \
+        "$build"/server/engine/lib{engine,dispatch}.a "$build"/server/engine/libkernels_*.a \
         "$build/server/engine/libfield.a" "$build/common/libcommon.a" \
         $(libraries tests/ops/device_test) \
         >"$scratch/log" 2>&1 || return 2
@@ -77,24 +76,8 @@ run_trained() {
 try() {
     local run=$1 case=$2 file=$3 what=$4 script=$5
     number=$((number + 1))
-    [[ $number -ge $from && $what == *$pattern* ]] || return
-    tried=$((tried + 1))
-    if $dry; then
-        applies "$file" "$what" "$script"
-        return
-    fi
-    sed -i "$script" "$scratch/tree/$file"
-    if cmp -s "$tree/$file" "$scratch/tree/$file"; then
-        echo "NO CHANGE  $what ($file)"
-    else
-        "$run" "$case" "$file"
-        case $? in
-        1) caught=$((caught + 1)) && echo "caught     $number: $what ($case)" ;;
-        2) echo "NO BUILD   $number: $what" && tail -5 "$scratch/log" ;;
-        *) echo "MISSED     $number: $what ($case)" ;;
-        esac
-    fi
-    cp "$tree/$file" "$scratch/tree/$file"
+    [[ $number -ge $from ]] || return
+    edit "$file" "$number: $what" "$script" "$run" "$case" "$file"
 }
 # mutate CASE FILE WHAT SED_SCRIPT: of the kernels, of the engine.
 mutate() {
@@ -105,8 +88,8 @@ mutate_engine() {
 }
 
 if ! $dry; then
-    mkdir "$scratch/tree"
-    cp -r --parents common server tests/ops tests/support "$scratch/tree"
+    mkdir "$source"
+    cp -r --parents common server tests/ops tests/support "$source"
     compile emulator.o emulator.cpp || give_up "the emulator does not build"
 fi
 

@@ -10,41 +10,26 @@ tree=$PWD
 [[ ${1-} == --applies ]] && applies_only && shift
 seconds=${1:-300}
 pattern=${2:-}
-tried=0
-caught=0
 
 if ! $dry; then
     scratch=$(mktemp -d) || exit 1
     trap 'rm -rf "$scratch"' EXIT
-    source=$scratch/source build=$scratch/build
+    source=$scratch/source pristine=$tree build=$scratch/build
     mkdir "$source"
     git ls-files --cached --others --exclude-standard -z | xargs -0 cp --parents -t "$source"
     meson setup "$build" "$source" --buildtype=release -Dcuda=disabled >"$scratch/log" 2>&1 ||
         { cat "$scratch/log"; exit 1; }
 fi
 
+# 0 passed, 1 failed, 2 did not build.
+simulate() {
+    ninja -j2 -C "$build" tests/sim/sim >"$scratch/log" 2>&1 || return 2
+    "$build/tests/sim/sim" --seconds "$seconds" >"$scratch/log" 2>&1 || return 1
+}
+
 # mutate FILE WHAT SED_SCRIPT
 mutate() {
-    local file=$1 what=$2 script=$3 begin=$SECONDS
-    [[ $what == *$pattern* ]] || return
-    tried=$((tried + 1))
-    if $dry; then
-        applies "$file" "$what" "$script"
-        return
-    fi
-    sed -i "$script" "$source/$file"
-    if cmp -s "$tree/$file" "$source/$file"; then
-        echo "NO CHANGE  $what ($file)"
-    elif ! ninja -j2 -C "$build" tests/sim/sim >"$scratch/log" 2>&1; then
-        echo "NO BUILD   $what" && tail -5 "$scratch/log"
-    elif "$build/tests/sim/sim" --seconds "$seconds" >"$scratch/log" 2>&1; then
-        echo "MISSED     $what"
-    else
-        caught=$((caught + 1))
-        echo "caught     $what ($((SECONDS - begin)) s)"
-        echo "           $(head -1 "$scratch/log")"
-    fi
-    cp "$tree/$file" "$source/$file"
+    edit "$1" "$2" "$3" simulate && ! $dry && echo "           $(head -1 "$scratch/log")"
 }
 
 jobs=server/jobs
