@@ -26,11 +26,12 @@ static void each_setting(const char *verb, const struct rn_settings *settings,
 }
 
 static void each_option(const char *verb, const struct rn_option *table, option_writer *write) {
+    char room[RN_CHOICES_MAX];
     for (const struct rn_option *option = table; option->name; option++)
         if (option->settings)
             each_setting(verb, option->settings, write);
         else
-            write(verb, option->name, option->letter, option->choices,
+            write(verb, option->name, option->letter, rn_option_choices(option, room),
                   option->kind != RN_OPTION_FLAG, option->help);
 }
 

@@ -89,6 +89,12 @@ static bool parse_pair(const struct rn_option *option, const char *text,
     return true;
 }
 
+const char *rn_option_choices(const struct rn_option *option, char room[RN_CHOICES_MAX]) {
+    if (!option->list) return option->choices;
+    option->list(room, RN_CHOICES_MAX);
+    return room;
+}
+
 static bool is_choice(const char *choices, const char *text) {
     size_t size = strlen(text);
     for (const char *choice = choices; size; choice++) {
@@ -102,12 +108,13 @@ static bool is_choice(const char *choices, const char *text) {
 
 static bool set_value(const struct rn_option *option, const char *value, void *field) {
     const char *rest = NULL;
+    char room[RN_CHOICES_MAX];
     switch (option->kind) {
     case RN_OPTION_FLAG:
         *(bool *)field = true;
         return true;
     case RN_OPTION_CHOICE:
-        if (!is_choice(option->choices, value)) return false;
+        if (!is_choice(rn_option_choices(option, room), value)) return false;
         *(const char **)field = value;
         return true;
     case RN_OPTION_TEXT:
@@ -134,8 +141,10 @@ static void tell_wanted(const struct rn_option *option, char text[200]) {
                                 [RN_OPTION_NUMBER] = "a number",
                                 [RN_OPTION_SIZE] = "two whole numbers, such as 800x600, each",
                                 [RN_OPTION_RANGE] = "A or A-B, whole numbers with A not over B,"};
-    if (option->choices)
-        snprintf(text, 200, "one of %s", option->choices);
+    char room[RN_CHOICES_MAX];
+    const char *choices = rn_option_choices(option, room);
+    if (choices)
+        snprintf(text, 200, "one of %s", choices);
     else if (option->kind == RN_OPTION_SECONDS)
         snprintf(text, 200, "a time such as 90, 60s, 10m or 1.5h, from %.15g s to %.15g h",
                  option->min, option->max / 3600);
@@ -422,12 +431,14 @@ void rn_options_print(const struct rn_option *table) {
                 print_setting(option->settings, &option->settings->rows[i]);
         if (option->settings) continue;
         char left[80];
-        const char *value = option->choices ? option->choices : option->value;
+        char room[RN_CHOICES_MAX];
+        const char *choices = rn_option_choices(option, room);
+        const char *value = choices ? choices : option->value;
         char letter[5] = {'-', option->letter, ',', ' ', '\0'};
         int length = snprintf(left, sizeof left, "%s--%s%s%s", option->letter ? letter : "",
                               option->name, value ? " " : "", value ? value : "");
-        if (option->choices && length > WIDTH - 8)
-            print_choices(option->name, option->choices, option->help);
+        if (choices && length > WIDTH - 8)
+            print_choices(option->name, choices, option->help);
         else
             print_line(left, option->help);
     }

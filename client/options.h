@@ -41,9 +41,13 @@ struct rn_option {
     const char *help;    // one line
     double min, max;     // of numbers, and of both numbers of a pair
     const char *choices; // "a|b|c"
+    void (*list)(char *text, size_t capacity); // writes them, where a table has them
     const struct rn_settings *settings;
     const char *members; // of requests, "first|last"; NULL: the name with '_' for '-'
 };
+#define RN_CHOICES_MAX 256
+// The option's choices, or NULL; `room` is for those of a table.
+const char *rn_option_choices(const struct rn_option *option, char room[RN_CHOICES_MAX]);
 
 // Fills `options` (the struct that the table's offsets mean, of size_bytes) and `globals` (that of
 // global_table) from the arguments, and gathers the others in ret_args, which has room for

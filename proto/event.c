@@ -42,6 +42,7 @@ static const struct rn_field_spec info[] = {
     RN_F_JSON(S, roots, RN_REQUIRED),
     RN_F_OBJECT(S, limits, RN_REQUIRED, &limits_table),
     RN_F_OBJECT(S, you, RN_REQUIRED, &rn_token_table),
+    RN_F_TEXTS(S, effects, effect_count, 0),
     RN_F_TEXT(S, executor, 0, NULL),
 };
 const struct rn_table rn_info_table = RN_TABLE(S, "information", info);

@@ -36,6 +36,8 @@ struct rn_info {
     char *roots; // JSON array of strings, owned
     struct rn_limits_record limits;
     struct rn_token_record you; // who asks; its id is "" with the daemon's own token
+    char effects[32][32];       // that a training can be asked for, or to do without
+    size_t effect_count;
 };
 extern const struct rn_table rn_info_table;
 // JSON array of strings (for roots); malloc'd.

@@ -3,6 +3,7 @@
 #include <jansson.h>
 
 #include "common/dataset/formats.h"
+#include "common/path/formats/formats.h"
 
 static json_t *strings_to_json(const char *const *strings) {
     json_t *array = json_array();
@@ -31,12 +32,19 @@ static json_t *format_to_json(const struct rn_format *format) {
                      "photo_folders", strings_to_json(format->photo_folders));
 }
 
+static json_t *path_format_to_json(const struct rn_path_format *format) {
+    return json_pack("{s:s s:s s:s}", "name", format->name, "title", format->title, "file",
+                     format->file);
+}
+
 enum rn_status rn_formats_to_json(char **ret_json, struct rn_error *err) {
-    json_t *items = json_array();
-    bool complete = items != NULL;
+    json_t *items = json_array(), *paths = json_array();
+    bool complete = items && paths;
     for (size_t i = 0; complete && rn_formats[i]; i++)
         complete = json_array_append_new(items, format_to_json(rn_formats[i])) == 0;
-    json_t *root = json_pack("{s:o}", "items", items);
+    for (size_t i = 0; complete && rn_path_formats[i]; i++)
+        complete = json_array_append_new(paths, path_format_to_json(rn_path_formats[i])) == 0;
+    json_t *root = json_pack("{s:o s:o}", "items", items, "paths", paths);
     char *text = complete ? json_dumps(root, JSON_COMPACT) : NULL;
     json_decref(root);
     if (!text) return rn_error_set(err, RN_ERROR_NO_MEMORY, "formats", "memory ran out");

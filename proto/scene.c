@@ -29,6 +29,8 @@ static const struct rn_field_spec effect[] = {
     RN_F_BOOL(S, decided, RN_REQUIRED),
     RN_F_NUMBER(S, number, RN_REQUIRED | RN_NULLABLE, -INFINITY, INFINITY),
     RN_F_NUMBER(S, threshold, RN_REQUIRED | RN_NULLABLE, -INFINITY, INFINITY),
+    RN_F_TEXT(S, number_text, 0, NULL),
+    RN_F_TEXT(S, threshold_text, 0, NULL),
     RN_F_TEXT(S, reason, RN_REQUIRED, NULL),
 };
 static const struct rn_table effect_table = RN_TABLE(S, "an effect", effect);

@@ -21,6 +21,7 @@ struct rn_effect_entry {
     char name[32];
     bool on, decided;
     double number, threshold;
+    char number_text[32], threshold_text[32]; // with their unit; "" = absent
     char reason[160];
 };
 

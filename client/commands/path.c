@@ -326,18 +326,20 @@ struct paths_options {
     bool overwrite;
 };
 #define PATHS(m) .offset = offsetof(struct paths_options, m)
-#define FORMAT_NAMES                                                                               \
-    "ripnerf|nerfstudio|instant-ngp|nerfbaselines|transforms|colmap|supersplat|3dgs"
+static void list_formats(char *text, size_t capacity) {
+    rn_path_format_names("|", text, capacity);
+}
+
 static const struct rn_option paths_table[] = {
     {.name = "from",
      .kind = RN_OPTION_CHOICE,
      PATHS(from),
-     .choices = FORMAT_NAMES,
+     .list = list_formats,
      .help = "IN is this; else it is recognised"},
     {.name = "to",
      .kind = RN_OPTION_CHOICE,
      PATHS(to),
-     .choices = FORMAT_NAMES,
+     .list = list_formats,
      .help = "OUT becomes this (ripnerf)"},
     {.name = "space",
      .kind = RN_OPTION_TEXT,

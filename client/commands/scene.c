@@ -66,28 +66,6 @@ static void print_config(const struct rn_train_config *config) {
                 (unsigned long long)config->seed, rn_train_split_names[config->train_val]);
 }
 
-// The threshold in the unit that the reason is told in.
-static void print_threshold(const struct rn_effect_entry *effect) {
-    double threshold = effect->threshold;
-    if (isnan(threshold) || strcmp(effect->name, "view-dependence") == 0 ||
-        strcmp(effect->name, "masks") == 0)
-        return; // is said
-    if (strcmp(effect->name, "background") == 0 || strcmp(effect->name, "unbounded") == 0)
-        printf(" (threshold %.3g %%)", 100 * threshold);
-    else if (strcmp(effect->name, "straight-alpha") == 0)
-        printf(" (threshold %.3g/255)", 255 * threshold);
-    else if (strcmp(effect->name, "distortion") == 0 || strcmp(effect->name, "exposure") == 0)
-        printf(" (threshold %.3g)", threshold);
-    else if (strcmp(effect->name, "downscaling") == 0)
-        printf(" (threshold %.3g megapixels a second)", threshold);
-    else if (strcmp(effect->name, "pose-refinement") == 0)
-        printf(" (threshold %.3g dB)", threshold);
-    else if (strcmp(effect->name, "forward-facing") == 0)
-        printf(" (threshold %.3g degrees)", threshold);
-    else
-        printf(" (threshold %.3g times)", exp2(threshold)); // all of these are in octaves
-}
-
 static void print_differences(const void *message) {
     const struct rn_scene_description *description =
         &((const struct rn_scene *)message)->description;
@@ -113,7 +91,7 @@ static void print_effects(const struct rn_scene_description *description) {
         const struct rn_effect_entry *effect = &description->effects[i];
         printf("  %-16s %-8s  %s", effect->name,
                effect->decided ? effect->on ? "on" : "off" : "not yet", effect->reason);
-        print_threshold(effect);
+        if (*effect->threshold_text) printf(" (threshold %s)", effect->threshold_text);
         putchar('\n');
     }
 }

@@ -39,7 +39,7 @@ static enum rn_status find_format(const char *name, const char *pointer,
     char names[200];
     *ret_format = *name ? rn_path_format_find(name) : NULL;
     if (*ret_format || !*name) return RN_OK;
-    rn_path_format_names(names, sizeof names);
+    rn_path_format_names(", ", names, sizeof names);
     return rn_error_set(err, RN_ERROR_INVALID, pointer, "must be one of %s", names);
 }
 

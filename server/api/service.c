@@ -6,6 +6,7 @@
 #include <unistd.h>
 
 #include "common/base/clock.h"
+#include "common/settings/effects.h"
 #include "proto/event.h"
 #include "proto/formats.h"
 #include "proto/openapi.h"
@@ -69,6 +70,9 @@ void rn_get_info(void *context, struct rn_request *request, struct rn_reply *rep
     const struct rn_caller *caller = rn_request_caller(request);
     size_t roots = rn_caller_is_link(caller) ? 0 : app->root_count;
     rn_api_describe_caller(app, caller, &info.you);
+    for (; info.effect_count < RN_EFFECT_COUNT; info.effect_count++)
+        snprintf(info.effects[info.effect_count], sizeof *info.effects, "%s",
+                 rn_effect_name((enum rn_effect)info.effect_count));
     enum rn_status status = rn_encode_strings(app->roots, roots, &info.roots, &err);
     if (status == RN_OK) status = rn_encode(&rn_info_table, &info, &json, NULL, &err);
     rn_message_finish(&rn_info_table, &info);

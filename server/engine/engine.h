@@ -10,6 +10,7 @@
 
 #include "server/engine/checkpoint/checkpoint.h"
 #include "server/engine/checkpoint/viewing.h"
+#include "server/engine/effects/about.h"
 #include "server/engine/render/mesh.h"
 #include "server/engine/render/render.h"
 #include "server/engine/render/within.h"

@@ -456,8 +456,8 @@ def test_an_effect_is_told_in_its_own_unit(client, scene):
     for effect in contract.example("Scene")["effects"]:
         line = next(line for line in text.splitlines() if f" {effect['name']} " in line)
         assert effect["reason"] in line
-        if effect["name"] in ("scale-pyramid", "anisotropy") and effect["threshold"] is not None:
-            assert f"threshold {2 ** effect['threshold']:.3g} times" in line
+        if effect["threshold"] is not None:
+            assert f"(threshold {effect['threshold_text']})" in line
 
 
 def test_what_is_not_there(client, daemon):

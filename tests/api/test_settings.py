@@ -35,6 +35,7 @@ OTHERS = {"FieldConfig": {"finest_cone"},
           "PathOptions": {"width", "height", "first", "last", "output", "fps", "film",
                           "video_quality", "format", "jpeg_quality", "crop", "optics"},
           "EvalOptions": {"split", "views", "scale", "at"}, "CurveSetting": set(), "Optics": set()}
+NAMES = {"EffectName": "effects", "PathFormat": "path_formats"}  # schema -> the names that it lists
 
 
 def told():
@@ -115,8 +116,8 @@ def test_contract_has_the_settings(document, built, schema):
 
 def test_contract_and_client_have_the_names(document):
     have, schemas = told(), document["components"]["schemas"]
-    assert schemas["Effect"]["properties"]["name"]["enum"] == have["effects"]
-    assert schemas["PathFormat"]["enum"] == have["path_formats"]
+    for schema, names in NAMES.items():
+        assert schemas[schema]["enum"] == have[names], "tests/api/test_settings.py --write"
     lens = schemas["Lens"]["properties"]
     assert lens["model"]["enum"] == list(have["lenses"])
     assert set(lens) - {"model"} == {name for names in have["lenses"].values() for name in names}
@@ -157,13 +158,13 @@ def test_help_explains_every_flag(built):
                 assert f"--{row['flag']} " in usage and row["meaning"] in words, verb
 
 
-def line_of(name, node):
+def line_of(name, node, indent=8):
     text = yaml.safe_dump(node, default_flow_style=True, width=10 ** 9, sort_keys=False)
-    return f"        {name}: {text.strip()}"
+    return f"{' ' * indent}{name}: {text.strip()}"
 
 
 def write():
-    """Mends the lines of properties that say something else, and adds those that are missing."""
+    """Mends the lines of properties and names that say something else, and adds what is missing."""
     built, document = tables(), yaml.safe_load(OPENAPI.read_text(encoding="utf-8"))
     lines = OPENAPI.read_text(encoding="utf-8").split("\n")
     for schema, (_, asked) in SCHEMAS.items():
@@ -186,6 +187,10 @@ def write():
             while lines[at].startswith("        "):
                 at += 1
             lines.insert(at, line)
+    for schema, names in NAMES.items():
+        node = {**document["components"]["schemas"][schema], "enum": told()[names]}
+        at = next(i for i, line in enumerate(lines) if line.startswith(f"    {schema}: {{"))
+        lines[at] = line_of(schema, node, 4)
     OPENAPI.write_text("\n".join(lines), encoding="utf-8")
 
 

@@ -23,6 +23,7 @@ from fake_world import OVER, Refusal, World, contract, now
 
 WEB = Path(__file__).resolve().parents[2] / "web"
 FORMATS = WEB.parent / "proto/examples/FormatList.json"
+INFO = WEB.parent / "proto/examples/Info.json"
 CSP = (
     "default-src 'self'; img-src 'self' blob:; media-src 'self' blob:; object-src 'none'; base-uri 'none'; "
     "form-action 'none'; frame-ancestors 'none'"
@@ -133,6 +134,7 @@ class Handler(BaseHTTPRequestHandler):
                 "uptime_s": 4211.0,
                 "memory_limit_bytes": 8 << 30,
                 "roots": [],
+                "effects": json.loads(INFO.read_text(encoding="utf-8"))["effects"],
                 "you": {"id": None, "name": None, "scope": "admin", "scene": None, "job": None,
                         "created_at": None, "expires_at": None, "max_jobs": 0, "max_bytes": 0,
                         "open_jobs": 0, "bytes": 0},

@@ -10,11 +10,12 @@ pytest.importorskip("selenium", reason="python3-selenium is not installed")
 POSES = [[[1, 0, 0, x], [0, 0, 1, -4], [0, -1, 0, 0.5]] for x in (0, 1, 3)]
 THERE_AND_BACK = """
 const {pathOfDocument} = await load('path.js');
-const {PATH_FORMATS, readPathFiles, writePathFiles} = await load('pathfile.js');
+const {api} = await load('api.js');
+const {readPathFiles, writePathFiles} = await load('pathfile.js');
 const path = pathOfDocument(args[0]);
 const files = (made) => made.map(([name, blob]) => new File([blob], name));
 const seen = {};
-for (const [format] of PATH_FORMATS) {
+for (const {name: format} of (await api.formats()).paths) {
   const made = files(await writePathFiles(path, format));
   const back = await readPathFiles([...made].reverse(), undefined, format === 'nerfstudio');
   seen[format] = [made.map(({name}) => name), back.format,

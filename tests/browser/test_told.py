@@ -65,13 +65,14 @@ return c.width && c.toDataURL();"""
 def test_an_effect_that_is_off_over_its_threshold_says_why(page, fake):
     api = fake("busy")
     effect = next(e for e in api.world.scenes[0]["effects"] if e["name"] == "anisotropy")
-    effect.update(on=False, decided=True, number=0.95, threshold=0.585)
+    effect.update(on=False, decided=True, number=0.95, threshold=0.585,
+                  number_text="1.93 times", threshold_text="1.5 times")
     effect["reason"] = "95 % of footprints are at most 1.93 times as long as wide; without a scale pyramid it has no use"
     page.open(api.url + "#/scene/sphere-draft")
     row = page.until(
         lambda: next((e for e in page.all(".effect") if "Anisotropy" in e.text), None), "the effect"
     )
-    assert "off" in row.text and "1.93×" in row.text and "without a scale pyramid" in row.text
+    assert "off" in row.text and "1.93 times" in row.text and "without a scale pyramid" in row.text
     assert "and the rest that its reason names allows it" in page.text("[aria-label=Effects]")
 
 

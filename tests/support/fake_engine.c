@@ -228,6 +228,22 @@ void rn_field_describe(const struct rn_field *field, struct rn_field_info *ret_i
                                                 .version = "pretended"};
 }
 
+void rn_effect_text(enum rn_effect effect, double number, char *text, size_t capacity) {
+    (void)effect;
+    *text = '\0';
+    if (!isnan(number)) snprintf(text, capacity, "%g pretended", number);
+}
+
+bool rn_effect_is_optional(enum rn_effect effect, bool on) {
+    (void)effect;
+    return on;
+}
+
+unsigned rn_effects_fit(const struct rn_effect_record records[RN_EFFECT_COUNT]) {
+    (void)records;
+    return 0;
+}
+
 void rn_field_sha256(const struct rn_field *field, char ret_hex[65]) {
     struct rn_sha256 hash;
     rn_sha256_init(&hash);

@@ -162,7 +162,7 @@ function renderFacts(response, started) {
 export const api = {
   info: (signal) => json('GET', 'v1/info', {signal}),
   /** By which files each layout of a dataset is recognised, in the order of precedence. */
-  formats: async (signal) => (await json('GET', 'v1/formats', {signal})).items,
+  formats: (signal) => json('GET', 'v1/formats', {signal}),
   datasets: (signal) => list('v1/datasets', signal),
   dataset: (id, signal) => json('GET', `v1/datasets/${name(id)}`, {signal}),
   /** Cameras of all splits and scales. */

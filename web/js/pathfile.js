@@ -2,15 +2,6 @@
 import {api} from './api.js';
 import {documentOf} from './path.js';
 
-/** What can be written: the daemon's name, the words, and what such a file is called. */
-export const PATH_FORMATS = [
-  ['ripnerf', 'ripnerf', 'path.json'], ['nerfstudio', 'nerfstudio', 'camera_path.json'],
-  ['instant-ngp', 'instant-ngp', 'base_cam.json'],
-  ['nerfbaselines', 'nerfbaselines', 'trajectory.json'],
-  ['transforms', 'transforms.json', 'transforms.json'], ['colmap', 'COLMAP', 'images.txt'],
-  ['supersplat', 'SuperSplat', 'supersplat.json'], ['3dgs', '3D Gaussian splatting', 'cameras.json']
-];
-
 const named = (files, name) => files.find((file) => file.name === name);
 
 /** What lies beside a path's file among those that were chosen: the path itself is what is left. */
@@ -43,12 +34,15 @@ export async function readPathFiles(files, signal, ours = false) {
 /** Whether a path was not read because its coordinates are known to one training alone. */
 export const needsSpace = (error) => error.errors?.some(({pointer}) => pointer === '#/space');
 
-/** The files of a path in another program's words: name and blob of each. */
+/**
+ * The files of a path in another program's words: name and blob of each.
+ * @param {string} to a format, as GET /v1/formats has them
+ */
 export async function writePathFiles(path, to, signal) {
-  const [, , name] = PATH_FORMATS.find(([format]) => format === to);
   const answer = await api.convertPath(
       {path: documentOf(path), to, ...(to === 'nerfstudio' ? {space: 'dataset'} : {})}, signal);
-  const files = [[name, answer.file]];
+  const {file} = (await api.formats(signal)).paths.find(({name}) => name === answer.format);
+  const files = [[file, answer.file]];
   if (answer.beside) files.push([answer.beside_name, answer.beside]);
   return files.map(([called, words]) => [called, new Blob([words], {type: 'text/plain'})]);
 }

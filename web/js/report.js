@@ -4,7 +4,7 @@ import {drawChart} from './chart.js';
 import {differenceOf} from './difference.js';
 import {h} from './dom.js';
 import {bytes, decibel, fixed, milliseconds, plural, seconds, whole} from './format.js';
-import {EFFECTS} from './views/effects.js';
+import {effectTitle} from './views/effects.js';
 import {drawCost} from './views/curve.js';
 
 const PICTURE_SIDE = 400;  // pixels, of the longer side
@@ -145,7 +145,7 @@ function effectsTable(scene, measured) {
             scene.effects.map((effect) => {
               const gain = gains.get(effect.name);
               return [
-                EFFECTS[effect.name] ?? effect.name,
+                effectTitle(effect.name),
                 effect.decided ? effect.on ? 'on' : 'off' : 'open', effect.reason,
                 gain && gain.gain !== null ? decibel(gain.gain) : '–',
                 gain && gain.cost !== null ? `${fixed(100 * gain.cost, 0)} %` : '–'

@@ -228,7 +228,8 @@ static enum rn_status write(const struct rn_path *path, const struct rn_path_spa
 
 const struct rn_path_format rn_path_format_colmap = {
     .name = "colmap",
-    .title = "COLMAP's images.txt",
+    .title = "COLMAP",
+    .file = "images.txt",
     .beside = "cameras.txt",
     .usual = {1, {{1, 0, 0, 0}, {0, 1, 0, 0}, {0, 0, 1, 0}}},
     .recognise = recognise,

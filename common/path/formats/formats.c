@@ -32,10 +32,10 @@ const struct rn_path_format *rn_path_format_find(const char *name) {
     return NULL;
 }
 
-void rn_path_format_names(char *text, size_t capacity) {
+void rn_path_format_names(const char *between, char *text, size_t capacity) {
     size_t used = 0;
     for (size_t i = 0; rn_path_formats[i] && used < capacity; i++)
-        used += (size_t)snprintf(text + used, capacity - used, "%s%s", i ? ", " : "",
+        used += (size_t)snprintf(text + used, capacity - used, "%s%s", i ? between : "",
                                  rn_path_formats[i]->name);
 }
 
@@ -49,7 +49,7 @@ static enum rn_status recognise(const struct rn_path_text *in,
             *ret_format = rn_path_formats[i];
             return RN_OK;
         }
-    rn_path_format_names(names, sizeof names);
+    rn_path_format_names(", ", names, sizeof names);
     return rn_error_set(err, RN_ERROR_INVALID, in->where,
                         "is no camera path that is known; read are %s", names);
 }

@@ -35,7 +35,8 @@ struct rn_path_text {
 };
 
 struct rn_path_format {
-    const char *name, *title; // "nerfstudio", "nerfstudio camera_path.json"
+    const char *name, *title; // "colmap", "COLMAP"
+    const char *file;         // what such a file is called
     const char *beside;       // the name of the file beside it; NULL: none
     bool needs_space;         // its coordinates are those of one training: the space must be given
     struct rn_path_space usual; // where needs_space is not set, and none is given
@@ -50,8 +51,8 @@ struct rn_path_format {
 // NULL ends.
 extern const struct rn_path_format *const rn_path_formats[];
 const struct rn_path_format *rn_path_format_find(const char *name);
-// "ripnerf, nerfstudio, ...".
-void rn_path_format_names(char *text, size_t capacity);
+// "ripnerf, nerfstudio, ...", with ", " between them.
+void rn_path_format_names(const char *between, char *text, size_t capacity);
 
 // A path in a file's text; `format` NULL: recognised by the file's signs. *ret_format (may be NULL)
 // says which it was. RN_ERROR_INVALID names the place and what is wrong with it; RN_ERROR_LIMIT:

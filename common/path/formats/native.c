@@ -29,7 +29,8 @@ static enum rn_status write(const struct rn_path *path, const struct rn_path_spa
 
 const struct rn_path_format rn_path_format_native = {
     .name = "ripnerf",
-    .title = "this program's camera paths",
+    .title = "ripnerf",
+    .file = "path.json",
     .usual = {1, {{1, 0, 0, 0}, {0, 1, 0, 0}, {0, 0, 1, 0}}},
     .recognise = recognise,
     .read = read,

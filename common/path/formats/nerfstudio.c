@@ -100,7 +100,8 @@ static enum rn_status write(const struct rn_path *path, const struct rn_path_spa
 
 const struct rn_path_format rn_path_format_nerfstudio = {
     .name = "nerfstudio",
-    .title = "nerfstudio's camera_path.json",
+    .title = "nerfstudio",
+    .file = "camera_path.json",
     .needs_space = true,
     .usual = {1, {{1, 0, 0, 0}, {0, 1, 0, 0}, {0, 0, 1, 0}}},
     .recognise = recognise,

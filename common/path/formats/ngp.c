@@ -95,7 +95,8 @@ static enum rn_status write(const struct rn_path *path, const struct rn_path_spa
 
 const struct rn_path_format rn_path_format_ngp = {
     .name = "instant-ngp",
-    .title = "instant-ngp's base_cam.json",
+    .title = "instant-ngp",
+    .file = "base_cam.json",
     .usual = {SCALE, {{0, 1, 0, OFFSET}, {0, 0, 1, OFFSET}, {1, 0, 0, OFFSET}}},
     .recognise = recognise,
     .read = read,

@@ -75,7 +75,8 @@ static enum rn_status write(const struct rn_path *path, const struct rn_path_spa
 
 const struct rn_path_format rn_path_format_splatting = {
     .name = "3dgs",
-    .title = "3D Gaussian splatting's cameras.json",
+    .title = "3D Gaussian splatting",
+    .file = "cameras.json",
     .usual = {1, {{1, 0, 0, 0}, {0, 1, 0, 0}, {0, 0, 1, 0}}},
     .recognise = recognise,
     .read = read,

@@ -102,7 +102,8 @@ static enum rn_status write(const struct rn_path *path, const struct rn_path_spa
 
 const struct rn_path_format rn_path_format_supersplat = {
     .name = "supersplat",
-    .title = "SuperSplat's camera poses",
+    .title = "SuperSplat",
+    .file = "supersplat.json",
     .usual = {1, {{-1, 0, 0, 0}, {0, -1, 0, 0}, {0, 0, 1, 0}}},
     .recognise = recognise,
     .read = read,

@@ -91,6 +91,7 @@ static enum rn_status write(const struct rn_path *path, const struct rn_path_spa
 const struct rn_path_format rn_path_format_transforms = {
     .name = "transforms",
     .title = "transforms.json",
+    .file = "transforms.json",
     .usual = {1, {{1, 0, 0, 0}, {0, 1, 0, 0}, {0, 0, 1, 0}}},
     .recognise = recognise,
     .read = read,

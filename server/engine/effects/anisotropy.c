@@ -112,4 +112,9 @@ static void settle(const struct rn_evidence *e) {
     config->field.footprint = RN_FOOTPRINT_MIP;
 }
 
-const struct rn_effect_row rn_effect_anisotropy = {.detect = detect, .settle = settle};
+const struct rn_effect_row rn_effect_anisotropy = {
+    .unit = {" times", 0},
+    .optional = true,
+    .detect = detect,
+    .settle = settle,
+};

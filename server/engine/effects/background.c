@@ -39,4 +39,8 @@ static void march(const struct rn_train_config *config, double done, struct rn_m
 }
 
 const struct rn_effect_row rn_effect_background = {
-    .detect = detect, .settle = settle, .march = march};
+    .unit = {" %", 100},
+    .detect = detect,
+    .settle = settle,
+    .march = march,
+};

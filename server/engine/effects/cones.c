@@ -36,4 +36,9 @@ static void settle(const struct rn_evidence *e) {
     config->supersample = rn_effect_choose(config, RN_EFFECT_CONES, true, config->supersample);
 }
 
-const struct rn_effect_row rn_effect_cones = {.detect = detect, .settle = settle, .turn = measure};
+const struct rn_effect_row rn_effect_cones = {
+    .unit = {" times", 0},
+    .detect = detect,
+    .settle = settle,
+    .turn = measure,
+};

@@ -20,4 +20,8 @@ static void detect(const struct rn_evidence *e, struct rn_effect_record *r) {
              shifts.most, folded);
 }
 
-const struct rn_effect_row rn_effect_distortion = {.detect = detect};
+const struct rn_effect_row rn_effect_distortion = {
+    .unit = {" pixels", 1},
+    .optional = true,
+    .detect = detect,
+};

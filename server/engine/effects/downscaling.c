@@ -83,4 +83,7 @@ static void prepare(const struct rn_dataset *dataset, struct rn_train_config *co
                  asked ? ", as asked" : "");
 }
 
-const struct rn_effect_row rn_effect_downscaling = {.prepare = prepare};
+const struct rn_effect_row rn_effect_downscaling = {
+    .unit = {" megapixels a second", 1},
+    .prepare = prepare,
+};

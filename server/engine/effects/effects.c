@@ -1,6 +1,7 @@
 // The table of effects.
 #include "server/engine/effects/effects.h"
 
+#include <math.h>
 #include <stdio.h>
 #include <string.h>
 
@@ -74,7 +75,40 @@ void rn_effects_march(const struct rn_train_config *config, double done,
         if (rows[i]->march) rows[i]->march(config, done, march);
 }
 
+void rn_effects_treat(const struct rn_train_config *config,
+                      const struct rn_effect_record records[RN_EFFECT_COUNT], bool held,
+                      struct rn_pixel_treatment *treatment) {
+    for (int i = 0; i < RN_EFFECT_COUNT; i++)
+        if (rows[i]->treat) rows[i]->treat(config, &records[i], held, treatment);
+}
+
+void rn_effects_take(struct rn_field *field, struct rn_pixels *photographs,
+                     struct rn_engine *engine) {
+    for (int i = 0; i < RN_EFFECT_COUNT; i++)
+        if (rows[i]->take && field->effects[i].on) rows[i]->take(photographs, engine);
+}
+
 void rn_effects_turn(const struct rn_evidence *e) {
     for (int i = 0; i < RN_EFFECT_COUNT; i++)
         if (rows[i]->turn) rows[i]->turn(e);
+}
+
+// ---- what is told of them ---------------------------------------------------------------------
+
+void rn_effect_text(enum rn_effect effect, double number, char *text, size_t capacity) {
+    const struct rn_effect_unit *unit = &rows[effect]->unit;
+    double told = unit->factor == 0 ? exp2(number) : unit->factor * number;
+    *text = '\0';
+    if (!isnan(number)) snprintf(text, capacity, "%.3g%s", told, unit->name);
+}
+
+bool rn_effect_is_optional(enum rn_effect effect, bool on) {
+    return on ? rows[effect]->optional : rows[effect]->optional_when_off;
+}
+
+unsigned rn_effects_fit(const struct rn_effect_record records[RN_EFFECT_COUNT]) {
+    unsigned fit = 0;
+    for (int i = 0; i < RN_EFFECT_COUNT; i++)
+        if (records[i].on) fit |= rows[i]->fit;
+    return fit;
 }

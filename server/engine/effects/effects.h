@@ -6,6 +6,8 @@
 // loop are constant parameters of the kernels.
 //
 //   hook                             reference               CPU             CUDA
+//   the photographs                  rn_effect_row.treat     -               -
+//                                    and take
 //   the march and rays of a step     rn_effect_row.march     -               -
 //   the space that is sampled        field/space.h           cpu/space.h     -
 //   the ray of a pixel               kernels/ray.h           cpu/rays.h      kernels/ray.h
@@ -17,7 +19,7 @@
 #ifndef RN_ENGINE_EFFECTS_EFFECTS_H
 #define RN_ENGINE_EFFECTS_EFFECTS_H
 
-#include "server/engine/scene/effect.h"
+#include "server/engine/effects/about.h"
 #include "server/engine/scene/pixels.h"
 #include "server/engine/scene/scene.h"
 
@@ -33,8 +35,19 @@ struct rn_evidence {
     double pose_gain;                    // dB; NAN: nothing is held out
 };
 
+// In which the record's number and threshold are told.
+struct rn_effect_unit {
+    const char *name; // behind the number: " dB"
+    double factor;    // that the number is told times; 0: as 2 to the power of it
+};
+
 // One effect. A hook that it does not have is NULL.
 struct rn_effect_row {
+    struct rn_effect_unit unit;
+    // What it brings can be measured: beside a training without it, and where it is off beside one
+    // with it.
+    bool optional, optional_when_off;
+    unsigned fit; // RN_FIT_*: what withheld photographs differ in where it is on
     // Before there is a field: what kind of one is trained, and in which ball. Fills the record.
     void (*prepare)(const struct rn_dataset *dataset, struct rn_train_config *config,
                     struct rn_bounds *bounds, struct rn_effect_record *record);
@@ -49,6 +62,11 @@ struct rn_effect_row {
     // What it makes of the step at which `done` of the schedule is over.
     void (*march)(const struct rn_train_config *config, double done,
                   struct rn_march_options *march);
+    // How photographs are loaded, those to train on or those that are `held` out.
+    void (*treat)(const struct rn_train_config *config, const struct rn_effect_record *record,
+                  bool held, struct rn_pixel_treatment *treatment);
+    // Of one that is on: what it makes of those to train on.
+    void (*take)(struct rn_pixels *photographs, struct rn_engine *engine);
     // Training rays are other ones from this step on.
     void (*turn)(const struct rn_evidence *evidence);
 };
@@ -76,6 +94,11 @@ bool rn_effects_are_due(const struct rn_evidence *evidence);
 void rn_effects_decide(const struct rn_evidence *evidence); // those that are due
 void rn_effects_march(const struct rn_train_config *config, double done,
                       struct rn_march_options *march);
+void rn_effects_treat(const struct rn_train_config *config,
+                      const struct rn_effect_record records[RN_EFFECT_COUNT], bool held,
+                      struct rn_pixel_treatment *treatment);
+void rn_effects_take(struct rn_field *field, struct rn_pixels *photographs,
+                     struct rn_engine *engine);
 void rn_effects_turn(const struct rn_evidence *evidence);
 
 // Times that a training makes its photographs smaller.

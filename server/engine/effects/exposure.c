@@ -24,4 +24,18 @@ static void prepare(const struct rn_dataset *dataset, struct rn_train_config *co
             r->number);
 }
 
-const struct rn_effect_row rn_effect_exposure = {.prepare = prepare};
+static void treat(const struct rn_train_config *config, const struct rn_effect_record *r, bool held,
+                  struct rn_pixel_treatment *treatment) {
+    (void)config;
+    (void)held;
+    treatment->even = r->on;
+}
+
+const struct rn_effect_row rn_effect_exposure = {
+    .unit = {" %", 1},
+    .optional = true,
+    .optional_when_off = true,
+    .fit = RN_FIT_EXPOSURE,
+    .prepare = prepare,
+    .treat = treat,
+};

@@ -171,4 +171,9 @@ static void march(const struct rn_train_config *config, double done, struct rn_m
 }
 
 const struct rn_effect_row rn_effect_forward_facing = {
-    .detect = detect, .settle = settle, .march = march};
+    .unit = {" degrees", 1},
+    .optional = true,
+    .detect = detect,
+    .settle = settle,
+    .march = march,
+};

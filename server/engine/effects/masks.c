@@ -44,4 +44,17 @@ static void detect(const struct rn_evidence *e, struct rn_effect_record *r) {
              cut_out ? ": they cut an object out, and around it is nothing" : "");
 }
 
-const struct rn_effect_row rn_effect_masks = {.prepare = prepare, .detect = detect};
+// Of photographs that are held out, what masks leave out is not scored.
+static void treat(const struct rn_train_config *config, const struct rn_effect_record *r, bool held,
+                  struct rn_pixel_treatment *treatment) {
+    (void)r;
+    treatment->cut_out = !held && config->cut_out;
+    treatment->unmasked = !held && config->effect[RN_EFFECT_MASKS] == RN_EFFECT_UNWANTED;
+}
+
+const struct rn_effect_row rn_effect_masks = {
+    .unit = {" %", 1},
+    .prepare = prepare,
+    .detect = detect,
+    .treat = treat,
+};

@@ -63,4 +63,9 @@ void rn_effect_tell_moves(struct rn_effect_record *r, double turn_deg, double sh
 }
 
 const struct rn_effect_row rn_effect_pose_refinement = {
-    .detect = detect, .is_due = is_due, .decide = decide};
+    .unit = {" dB", 1},
+    .fit = RN_FIT_EXPOSURE | RN_FIT_POSE,
+    .detect = detect,
+    .is_due = is_due,
+    .decide = decide,
+};

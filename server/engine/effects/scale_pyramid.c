@@ -38,4 +38,10 @@ static void settle(const struct rn_evidence *e) {
     if (c->footprint_base < 1) c->footprint_base = 1;
 }
 
-const struct rn_effect_row rn_effect_scale_pyramid = {.detect = detect, .settle = settle};
+const struct rn_effect_row rn_effect_scale_pyramid = {
+    .unit = {" times", 0},
+    .optional = true,
+    .optional_when_off = true,
+    .detect = detect,
+    .settle = settle,
+};

@@ -44,4 +44,9 @@ static void march(const struct rn_train_config *config, double done, struct rn_m
 }
 
 const struct rn_effect_row rn_effect_split_pixels = {
-    .detect = detect, .settle = settle, .march = march};
+    .unit = {" times", 0},
+    .optional = true,
+    .detect = detect,
+    .settle = settle,
+    .march = march,
+};

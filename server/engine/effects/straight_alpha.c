@@ -28,4 +28,8 @@ static void detect(const struct rn_evidence *e, struct rn_effect_record *r) {
                  "the configuration asks for one cone a pixel, or for no effects by evidence");
 }
 
-const struct rn_effect_row rn_effect_straight_alpha = {.detect = detect};
+const struct rn_effect_row rn_effect_straight_alpha = {
+    .unit = {"/255", 255},
+    .detect = detect,
+    .take = rn_pixels_remake_scales,
+};

@@ -55,4 +55,9 @@ static void march(const struct rn_train_config *config, double done, struct rn_m
     m->distortion_loss = (float)(config->distortion_loss * grown);
 }
 
-const struct rn_effect_row rn_effect_unbounded = {.prepare = prepare, .march = march};
+const struct rn_effect_row rn_effect_unbounded = {
+    .unit = {" %", 100},
+    .optional = true,
+    .prepare = prepare,
+    .march = march,
+};

@@ -67,10 +67,15 @@ static void decide(const struct rn_evidence *e, struct rn_effect_record *r) {
     r->number = direction_change(e);
     r->on = r->number > r->threshold;
     snprintf(r->reason, sizeof r->reason,
-             "another camera's direction changes the colours by %.2f/255 RMS (noise: %.0f/255)",
-             255 * r->number, 255 * r->threshold);
+             "another camera's direction changes the colours by %.2f/255 RMS", 255 * r->number);
     e->field->config.field.view_dependence = r->on;
 }
 
 const struct rn_effect_row rn_effect_view_dependence = {
-    .detect = detect, .is_due = is_due, .decide = decide};
+    .unit = {"/255", 255},
+    .optional = true,
+    .optional_when_off = true,
+    .detect = detect,
+    .is_due = is_due,
+    .decide = decide,
+};

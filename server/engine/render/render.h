@@ -20,12 +20,6 @@ enum rn_output {
 };
 #define RN_OUTPUTS_ALL 127
 
-// What a photograph may be given of its own before it is compared.
-enum rn_fit {
-    RN_FIT_EXPOSURE = 1, // a gain and an offset a channel
-    RN_FIT_POSE = 2,     // and where its camera was, and its focal length
-};
-
 // Effects of the camera, of one picture.
 struct rn_shot {
     struct rn_optics optics;

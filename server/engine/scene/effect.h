@@ -6,6 +6,12 @@
 
 #include "common/settings/effects.h"
 
+// What a photograph may be given of its own before it is compared.
+enum rn_fit {
+    RN_FIT_EXPOSURE = 1, // a gain and an offset a channel
+    RN_FIT_POSE = 2,     // and where its camera was, and its focal length
+};
+
 // An effect that is off is not computed.
 struct rn_effect_record {
     const char *name;

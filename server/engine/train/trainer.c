@@ -90,20 +90,18 @@ void rn_trainer_place_cameras(struct rn_trainer *t) {
 // What the effects make of the photographs.
 static void take_effects(struct rn_trainer *t) {
     rn_trainer_place_cameras(t);
-    if (t->field->effects[RN_EFFECT_STRAIGHT_ALPHA].on)
-        rn_pixels_remake_scales(&t->train, t->engine);
+    rn_effects_take(t->field, &t->train, t->engine);
 }
 
-static enum rn_status load_pixels(struct rn_trainer *t, size_t limit, struct rn_error *err) {
+// `records`: of the effects, as far as they are known.
+static enum rn_status load_pixels(struct rn_trainer *t, const struct rn_effect_record *records,
+                                  size_t limit, struct rn_error *err) {
     struct selection s = {t->dataset, &t->field->config, false};
     const struct rn_train_config *config = &t->field->config;
-    struct rn_pixel_treatment treatment = {.even = t->field->effects[RN_EFFECT_EXPOSURE].on,
-                                           .unmasked = config->effect[RN_EFFECT_MASKS] ==
-                                                       RN_EFFECT_UNWANTED,
-                                           .cut_out = config->cut_out,
-                                           .reduced = scale_of(config),
+    struct rn_pixel_treatment treatment = {.reduced = scale_of(config),
                                            .memory_bytes = (size_t)config->pixel_memory << 20};
     double start = (double)rn_clock_ns();
+    rn_effects_treat(config, records, false, &treatment);
     enum rn_status status =
         rn_pixels_load(t->dataset, wanted, &s, t->engine, treatment, limit, &t->train, err);
     if (status != RN_OK) return status;
@@ -111,7 +109,7 @@ static enum rn_status load_pixels(struct rn_trainer *t, size_t limit, struct rn_
     if (limit) limit = limit > used ? limit - used : 1;
     treatment.taken_bytes = t->train.paged.bytes ? treatment.memory_bytes : used;
     s.held = true;
-    treatment.cut_out = treatment.unmasked = false; // what masks leave out is not scored
+    rn_effects_treat(config, records, true, &treatment);
     status = rn_pixels_load(t->dataset, wanted, &s, t->engine, treatment, limit, &t->held, err);
     if (status == RN_ERROR_INVALID) status = RN_OK; // nothing to hold out
     take_effects(t);
@@ -280,10 +278,8 @@ enum rn_status rn_trainer_create(struct rn_engine *engine, const struct rn_datas
     size_t left;
     struct rn_effect_record prepared[RN_EFFECT_COUNT];
     enum rn_status status = plan(engine, dataset, &own, prepared, &t, err);
-    if (status == RN_OK) // which photographs are loaded by
-        t->field->effects[RN_EFFECT_EXPOSURE] = prepared[RN_EFFECT_EXPOSURE];
     if (status == RN_OK) status = check_memory(t, memory_limit_bytes, &left, err);
-    if (status == RN_OK) status = load_pixels(t, left, err);
+    if (status == RN_OK) status = load_pixels(t, prepared, left, err);
     if (status != RN_OK) goto fail;
     double begin = (double)rn_clock_ns();
     memcpy(t->field->effects, prepared, sizeof prepared);
@@ -376,7 +372,7 @@ enum rn_status rn_trainer_restore(struct rn_engine *engine, const struct rn_data
         memcpy(t->field->effects, checkpoint.effects, sizeof checkpoint.effects);
         status = check_memory(t, memory_limit_bytes, &left, err);
     }
-    if (status == RN_OK) status = load_pixels(t, left, err);
+    if (status == RN_OK) status = load_pixels(t, t->field->effects, left, err);
     if (status == RN_OK) status = rn_trainer_set_up(t, err);
     struct rn_arrays arrays = arrays_of(t);
     if (status == RN_OK) status = rn_checkpoint_read_arrays(&checkpoint, &arrays, err);

@@ -18,15 +18,6 @@
 #define ADVANCE_MS 50.0
 #define VALIDATE_MS 1000.0
 
-#define BIT(CONSTANT) (1 << RN_EFFECT_##CONSTANT)
-// A training without one of these can be compared with one that has it; without the others other
-// pictures would be.
-#define OPTIONAL                                                                                   \
-    (BIT(SCALE_PYRAMID) | BIT(ANISOTROPY) | BIT(VIEW_DEPENDENCE) | BIT(SPLIT_PIXELS) |             \
-     BIT(DISTORTION) | BIT(EXPOSURE) | BIT(FORWARD_FACING) | BIT(UNBOUNDED))
-// Of these, what may pay though the data does not call for it.
-#define ON_CALL (BIT(SCALE_PYRAMID) | BIT(VIEW_DEPENDENCE) | BIT(EXPOSURE))
-
 // A training at its end.
 struct outcome {
     double psnr, ray_s, picture_s; // training seconds a ray, evaluation seconds of all views
@@ -149,7 +140,7 @@ static void list_measures(struct effects_work *effects, struct rn_field *field) 
     effects->count = 0;
     for (int i = 0; i < RN_EFFECT_COUNT; i++) {
         bool on = info.effects[i].on;
-        if (!((on ? OPTIONAL : ON_CALL) & 1 << i)) continue;
+        if (!rn_effect_is_optional((enum rn_effect)i, on)) continue;
         effects->measures[effects->count++] = (struct measure){.effect = i, .on = on};
     }
 }

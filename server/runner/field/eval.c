@@ -96,8 +96,7 @@ static enum rn_status score_view(struct eval_work *eval, const struct rn_frame *
     struct rn_view_score score;
     rn_settings_put(&rn_render_settings, eval->request.options.settings, &options.settings);
     memcpy(options.background, info->config.background, sizeof options.background);
-    if (info->effects[RN_EFFECT_EXPOSURE].on) options.fit = RN_FIT_EXPOSURE;
-    if (info->effects[RN_EFFECT_POSE_REFINEMENT].on) options.fit |= RN_FIT_EXPOSURE | RN_FIT_POSE;
+    options.fit = rn_effects_fit(info->effects);
     enum rn_status status = rn_evaluate_view(work->host->engine, field, frame, &options,
                                              rn_work_keep_going, work, &score, err);
     struct rn_depth_score depth = {.median = NAN};

@@ -58,13 +58,16 @@ static size_t fill_differences(const struct rn_train_config *config, const char 
     return (size_t)count;
 }
 
-static struct rn_effect_entry effect_entry(const struct rn_effect_record *effect) {
+static struct rn_effect_entry effect_entry(enum rn_effect which,
+                                           const struct rn_effect_record *effect) {
     struct rn_effect_entry entry = {.on = effect->on,
                                     .decided = effect->decided,
                                     .number = effect->number,
                                     .threshold = effect->threshold};
     snprintf(entry.name, sizeof entry.name, "%s", effect->name);
     snprintf(entry.reason, sizeof entry.reason, "%s", effect->reason);
+    rn_effect_text(which, effect->number, entry.number_text, sizeof entry.number_text);
+    rn_effect_text(which, effect->threshold, entry.threshold_text, sizeof entry.threshold_text);
     return entry;
 }
 
@@ -97,7 +100,7 @@ enum rn_status rn_describe_scene(const struct rn_field_info *info, const char *h
         .memory_bytes = rn_resident_bytes(),
     };
     for (int i = 0; i < RN_EFFECT_COUNT; i++)
-        effects[i] = effect_entry(&info->effects[i]);
+        effects[i] = effect_entry((enum rn_effect)i, &info->effects[i]);
     fill_viewing(&info->viewing, &scene.viewing);
     rn_settings_get(&rn_train_settings, &info->config, scene.config.settings);
     scene.config.finest_cone = info->finest_cone;

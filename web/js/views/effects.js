@@ -5,44 +5,9 @@ import {isActive, isOver, means, putJob, watch} from '../store.js';
 import {fixed, plural} from '../format.js';
 import {action, meter, panel, progressWords, toast} from '../ui.js';
 
-/** What an effect is called on the page, by its name. */
-export const EFFECTS = {
-  background: 'Background',
-  'scale-pyramid': 'Scale pyramid',
-  anisotropy: 'Anisotropy',
-  'view-dependence': 'View dependence',
-  'split-pixels': 'Split pixels',
-  cones: 'Cones a pixel',
-  distortion: 'Distortion',
-  masks: 'Masks',
-  exposure: 'Exposure',
-  'forward-facing': 'Forward-facing',
-  unbounded: 'Unbounded space',
-  'straight-alpha': 'Straight alpha',
-  'pose-refinement': 'Pose refinement',
-  downscaling: 'Downscaling'
-};
-
-/** An effect's number in the unit that its reason is told in. */
-const short = (x, digits = 3) => String(Number(x.toPrecision(digits)));
-const octaves = (x) => `${(2 ** x).toFixed(2)}×`;
-const UNITS = {
-  background: (x) => `${short(100 * x)} %`,
-  'scale-pyramid': octaves,
-  anisotropy: octaves,
-  'view-dependence': (x) => `${short(255 * x)}/255`,
-  'split-pixels': octaves,
-  cones: octaves,
-  distortion: (x) => `${short(x)} px`,
-  masks: (x) => `${short(x)} %`,
-  exposure: (x) => `${short(x)} %`,
-  'forward-facing': (x) => `${short(x)}°`,
-  unbounded: (x) => `${short(100 * x)} %`,
-  'straight-alpha': (x) => `${short(255 * x)}/255`,
-  'pose-refinement': (x) => `${short(x)} dB`,
-  downscaling: (x) => `${short(x)} Mpx/s`
-};
-const number = (effect, x) => (x === null ? '–' : (UNITS[effect.name] ?? short)(x));
+/** What an effect is called on the page: "scale-pyramid" is "Scale pyramid". */
+export const effectTitle = (name) =>
+    name[0].toUpperCase() + name.slice(1).replaceAll('-', ' ');
 
 const signed = (x, digits) => `${x < 0 ? '−' : '+'}${fixed(Math.abs(x), digits)}`;
 const share = (x) => (x === null ? '–' : `${signed(100 * x, 0)} %`);
@@ -56,13 +21,13 @@ const gainWords = (gain) =>
 const row = (effect, gain) =>
     h('li', {class: 'effect', 'data-on': String(effect.on && effect.decided)},
       h('span', {class: 'effect-mark'}, effect.decided ? effect.on ? 'on' : 'off' : 'open'),
-      h('div', null, h('strong', null, EFFECTS[effect.name] ?? effect.name),
+      h('div', null, h('strong', null, effectTitle(effect.name)),
         h('p', {class: 'quiet'}, effect.reason),
         gain ? h('p', {class: 'effect-gain'}, gainWords(gain)) : null),
-      h('span', {class: 'number'}, number(effect, effect.number),
-        effect.threshold === null ?
-            null :
-            h('small', {class: 'line'}, `threshold ${number(effect, effect.threshold)}`)));
+      h('span', {class: 'number'}, effect.number_text ?? '–',
+        effect.threshold_text ?
+            h('small', {class: 'line'}, `threshold ${effect.threshold_text}`) :
+            null));
 
 /**
  * @param {any} scene @param {AbortSignal} signal

@@ -32,7 +32,7 @@ import {
   showFaults,
   toast
 } from '../ui.js';
-import {needsSpace, PATH_FORMATS, readPathFiles, writePathFiles} from '../pathfile.js';
+import {needsSpace, readPathFiles, writePathFiles} from '../pathfile.js';
 import {OUTPUTS} from '../outputs.js';
 import {createPathStore} from '../pathstore.js';
 import {go, link} from '../router.js';
@@ -585,9 +585,10 @@ function saving(get, adopt, signal) {
     adopt(path);
     if (format !== 'ripnerf') toast(`Read as a path of ${format}`);
   }
-  const format = h(
-      'select', {id: 'path-format'},
-      PATH_FORMATS.map(([value, words]) => h('option', {value}, words)));
+  const format = h('select', {id: 'path-format'});
+  api.formats(signal).then(
+      ({paths}) => format.append(
+          ...paths.map(({name, title}) => h('option', {value: name}, title))), () => {});
   const saved = async () => {
     const paths = await api.paths(signal);
     fill(

@@ -6,7 +6,7 @@ import {choice, field, panel, showFaults} from '../ui.js';
 import {go, link} from '../router.js';
 import {estimatePanel} from './estimate.js';
 
-import {EFFECTS} from './effects.js';
+import {effectTitle} from './effects.js';
 
 /**
  * What each is for and where it ends unless told otherwise; the daemon's own presets say the same.
@@ -66,10 +66,11 @@ export function trainPanel(dataset) {
       {pointer: '/options/train_split'});
   const seed = numeric('Seed', '', '/options/seed', {min: 0, placeholder: '0'});
   const threads = numeric('Threads', '', '/options/threads', {min: 0, placeholder: 'all'});
-  const effects = Object.entries(EFFECTS).map(
-      ([key, label]) => choice(
-          label, [['', 'auto'], ['on', 'on'], ['off', 'off']], '',
-          {pointer: `/options/effect_${key.replaceAll('-', '_')}`}));
+  const optionOf = (effect) => `effect_${effect.replaceAll('-', '_')}`;
+  const effects = state.info.effects.map(
+      (effect) => choice(
+          effectTitle(effect), [['', 'auto'], ['on', 'on'], ['off', 'off']], '',
+          {pointer: `/options/${optionOf(effect)}`}));
   const fields =
       [name, preset, time, steps, psnr, planes, footprint, split, seed, threads, ...effects];
   const problem = h('div');
@@ -109,9 +110,8 @@ export function trainPanel(dataset) {
     if (plateau.checked) options.until_plateau = true;
     if (planes.control.value) options.planes = Number(planes.control.value);
     if (footprint.control.value) options.footprint = footprint.control.value;
-    Object.keys(EFFECTS).forEach((key, i) => {
-      if (effects[i].control.value)
-        options[`effect_${key.replaceAll('-', '_')}`] = effects[i].control.value;
+    state.info.effects.forEach((effect, i) => {
+      if (effects[i].control.value) options[optionOf(effect)] = effects[i].control.value;
     });
     return options;
   }

@@ -45,7 +45,7 @@ export function uploadPanel(signal) {
     try {
       const entries =
           alone && isArchive(alone.name) ? await entriesOfArchive(alone, tell) : chosen;
-      plan = await planUpload(entries, await api.formats(signal));
+      plan = await planUpload(entries, (await api.formats(signal)).items);
     } catch (error) { return begin(error); }
     if (plan.problem)
       begin({title: 'Not a dataset', detail: plan.problem, message: plan.problem});
@@ -130,7 +130,7 @@ function importOptions() {
       'Layout', h('select', null, h('option', {value: ''}, 'as recognised')),
       {pointer: '/options/format'});
   api.formats().then(
-      (items) => format.control.append(
+      ({items}) => format.control.append(
           ...items.map((item) => h('option', {value: item.name}, item.title))), () => {});
   const masks = field(
       'Masks', h('input', {
