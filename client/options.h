@@ -36,11 +36,11 @@ struct rn_option {
     const char *name; // without the dashes
     char letter;      // "-o", 0 for none
     enum rn_option_kind kind;
-    size_t offset;       // of the field in the options' struct
-    const char *value;   // the value's name in the usage
-    const char *help;    // one line
-    double min, max;     // of numbers, and of both numbers of a pair
-    const char *choices; // "a|b|c"
+    size_t offset;                             // of the field in the options' struct
+    const char *value;                         // the value's name in the usage
+    const char *help;                          // one line
+    double min, max;                           // of numbers, and of both numbers of a pair
+    const char *choices;                       // "a|b|c"
     void (*list)(char *text, size_t capacity); // writes them, where a table has them
     const struct rn_settings *settings;
     const char *members; // of requests, "first|last"; NULL: the name with '_' for '-'
