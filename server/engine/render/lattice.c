@@ -175,8 +175,8 @@ static bool fill_in(const struct rn_lattice *l, const struct pass *pass, int x, 
 
 // Of the mean square distance of four neighbours from their mean, how much what is interpolated is
 // likely to be away from what would have been traced: fitted to lego at tolerances from 0.02 to
-// 0.5 of either pass, mostly within a fifth. What is interpolated as it is late is so whatever its
-// neighbours are; from neighbours that were traced the last pass is the better.
+// 0.5 of either pass. What is interpolated as it is late is so whatever its neighbours are; from
+// neighbours that were traced the last pass is the better.
 static double likely_share(const struct rn_lattice *l, int pass) {
     double t = l->late ? (double)LARGEST : (double)(l->tolerance * passes[pass].part);
     if (pass == 1) return 0.45 * pow(t, -0.43);
