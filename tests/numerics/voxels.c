@@ -1,6 +1,7 @@
 // Case 3: the voxel grid beside the planes. The kernel sets' query against float64, of constants and
 // of places that are no numbers; and that adding gradients is its adjoint, cut into bands anywhere.
 #include <float.h>
+#include <string.h>
 
 #include "server/engine/field/voxels.h"
 #include "server/engine/reference/exact.h"
@@ -178,6 +179,56 @@ static int check_adjoint(const struct subject *s, const struct rn_kernels *kerne
     return numerics_close(&cases[0]) + numerics_close(&cases[1]);
 }
 
+// Every voxel of one colour against long double, the other colour as it was; and the range, which
+// no voxel leaves.
+static void see_smoothed(struct numerics_case cases[2], const float *before, const float *after,
+                         int side, int odd, float share) {
+    for (int i = 0; i < side * side * side * RN_VOXEL_CHANNELS; i++) {
+        int c = i % RN_VOXEL_CHANNELS, voxel = i / RN_VOXEL_CHANNELS;
+        int at[3] = {voxel % side, voxel / side % side, voxel / side / side};
+        int step[3] = {1, side, side * side};
+        long double own = before[i], sum = own;
+        double most = fabs((double)own);
+        for (int k = 0; k < 6 && (at[0] + at[1] + at[2]) % 2 == odd; k++) {
+            int next = at[k / 2] + (k % 2 ? 1 : -1);
+            bool inside = next >= 0 && next < side;
+            int near = voxel + (inside ? (k % 2 ? 1 : -1) * step[k / 2] : 0);
+            long double value = before[near * RN_VOXEL_CHANNELS + c];
+            sum += share * (value - own);
+            most = fmax(most, fabs((double)value));
+        }
+        numerics_see(&cases[0], (double)fabsl(after[i] - sum) / (most * FLT_EPSILON),
+                     "side %d, voxel %d, share %g", side, voxel, (double)share);
+        numerics_see(&cases[1], fabs((double)after[i]) - 1, "side %d, voxel %d, share %g", side,
+                     voxel, (double)share);
+    }
+}
+
+static int check_smoothing(const struct subject *s, const struct rn_kernels *kernels,
+                           struct numerics_random *random) {
+    char names[2][80];
+    const char *const range = "sides 2..40, shares up to 1/6";
+    snprintf(names[0], sizeof names[0], "3 voxels: smoothing, %s", s->name);
+    snprintf(names[1], sizeof names[1], "3 voxels: smoothing leaves the range, %s", s->name);
+    struct numerics_case cases[2] = {{names[0], range, "ULP of the largest", 8, 0, ""},
+                                     {names[1], range, "beyond", 1e-6, 0, ""}};
+    for (int n = 0; n < SIZES; n++)
+        for (int turn = 0; turn < 4; turn++) {
+            struct grid g;
+            make_grid(sizes[n], &g);
+            int side = rn_voxel_side(&g.config), odd = turn % 2;
+            float share = turn < 2 ? 1.0f / 6 : (float)numerics_uniform(random, 0, 1.0 / 6);
+            fill(&g, -1, 1, random);
+            float *voxels = g.memory + g.numbers, *before = g.memory + 2 * g.numbers;
+            memcpy(before, voxels, g.numbers * sizeof *before);
+            for (int z = 0; z < side; z++)
+                kernels->smooth_voxels(voxels, side, z, odd, share);
+            see_smoothed(cases, before, voxels, side, odd, share);
+            finish_grid(&g);
+        }
+    return numerics_close(&cases[0]) + numerics_close(&cases[1]);
+}
+
 int main(void) {
     struct numerics_random random = numerics_random();
     int failed = 0;
@@ -186,6 +237,7 @@ int main(void) {
         if (!s->voxels) continue;
         failed += check_query(s, &random);
         failed += check_adjoint(s, rn_kernels_find(s->name), &random);
+        failed += check_smoothing(s, rn_kernels_find(s->name), &random);
     }
     return failed > 0;
 }

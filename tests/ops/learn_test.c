@@ -6,6 +6,7 @@
 #include <string.h>
 
 #include "server/engine/field/occupancy.h"
+#include "server/engine/field/voxels.h"
 #include "server/engine/scene/occupancy.h"
 #include "tests/ops/train_scene.h"
 
@@ -525,6 +526,10 @@ START_TEST(planes_are_smoothed_in_their_turn) {
     for (int p = 0; p < c->planes; p++)
         engine->kernels->smooth(rough->field->cpu.maps[p][0][0].texels, c->base, c->channels,
                                 share);
+    ck_assert(c->voxels);
+    for (int i = 0, side = rn_voxel_side(c); i < 2 * side; i++)
+        engine->kernels->smooth_voxels(rough->field->cpu.maps[c->planes][0][0].texels, side,
+                                       i % side, i >= side, share * (4.0f / 6));
     ck_planes_eq(smooth, rough);
     rn_field_refresh(rough->field, engine);
     for (int p = 0; p < c->planes; p++)

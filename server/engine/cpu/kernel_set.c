@@ -89,6 +89,7 @@ const struct rn_kernels RN_PASTE(rn_kernels_, RN_KERNEL_SET) = {
     .build = build_plane,
     .pull_down = pull_down_plane,
     .smooth = smooth,
+    .smooth_voxels = smooth_voxels,
     .adamw = adamw,
     .parts = &parts,
 };

@@ -133,4 +133,25 @@ RN_INLINE void scatter_voxels(const struct voxels *v, const struct rn_slab *slab
     }
 }
 
+RN_INLINE v4 voxel_at(const float *voxel) {
+    return *(const v4 *)voxel;
+}
+
+static void smooth_voxels(float *first, int side, int z, bool odd, float share) {
+    size_t row = (size_t)side * RN_VOXEL_CHANNELS, slice = row * (size_t)side;
+    size_t nearer = z > 0 ? slice : 0, farther = z + 1 < side ? slice : 0;
+    for (int y = 0; y < side; y++) {
+        size_t above = y > 0 ? row : 0, below = y + 1 < side ? row : 0;
+        float *voxel = first + (size_t)z * slice + (size_t)y * row;
+        for (int x = (y + z + odd) % 2; x < side; x += 2) {
+            float *at = voxel + (size_t)x * RN_VOXEL_CHANNELS;
+            v4 around = voxel_at(x > 0 ? at - RN_VOXEL_CHANNELS : at) +
+                        voxel_at(x + 1 < side ? at + RN_VOXEL_CHANNELS : at);
+            around += voxel_at(at - above) + voxel_at(at + below);
+            around += voxel_at(at - nearer) + voxel_at(at + farther);
+            *(v4 *)at += share * (around - 6 * voxel_at(at));
+        }
+    }
+}
+
 #endif

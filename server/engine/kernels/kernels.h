@@ -344,6 +344,10 @@ struct rn_kernels {
     // x), texels whose u + v is even first; beyond the border a texel is its own neighbour. share
     // in [0, 1/4]: no texel leaves the range of the five. Error: 8 ULP of the largest of them.
     void (*smooth)(float *texels, int side, int channels, float share);
+    // The same of one slice of a grid of side^3 voxels: those whose x + y + z is even, or `odd`,
+    // are drawn towards their six neighbours, share in [0, 1/6]; all slices of one, then of the
+    // other. Error: 8 ULP of the largest of them.
+    void (*smooth_voxels)(float *voxels, int side, int z, bool odd, float share);
     // AdamW over n numbers (Loshchilov & Hutter 2019); clears grad. Returns whether all parameters
     // are finite.
     bool (*adamw)(const struct rn_adamw *options, size_t n, float *parameter, float *grad, float *m,

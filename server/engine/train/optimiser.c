@@ -100,6 +100,7 @@ static void pull_down_plane(void *context, int plane, int thread) {
 struct smoothing {
     struct rn_trainer *trainer;
     float share;
+    bool odd; // voxels: of one colour of a chessboard, then of the other
 };
 
 static void smooth_plane(void *context, int plane, int thread) {
@@ -112,6 +113,26 @@ static void smooth_plane(void *context, int plane, int thread) {
     if (t->optimiser.tiled && t->optimiser.levels > 1)
         t->engine->kernels->build(maps, t->optimiser.levels, c->footprint == RN_FOOTPRINT_MIP,
                                   c->channels);
+}
+
+// As far towards the mean of its neighbours as a texel goes: they are six, not four.
+static void smooth_slice(void *context, int z, int thread) {
+    (void)thread;
+    const struct smoothing *s = context;
+    const struct rn_field_config *c = &s->trainer->field->config.field;
+    float *voxels = s->trainer->field->cpu.maps[c->planes][0][0].texels;
+    s->trainer->engine->kernels->smooth_voxels(voxels, rn_voxel_side(c), z, s->odd,
+                                               s->share * (4.0f / 6));
+}
+
+static void smooth_all(struct rn_trainer *t, float share) {
+    const struct rn_field_config *c = &t->field->config.field;
+    struct smoothing smoothing = {t, share, false};
+    rn_pool_run(t->engine->pool, c->planes, smooth_plane, &smoothing);
+    for (int odd = 0; odd < 2 && c->voxels; odd++) {
+        smoothing.odd = odd;
+        rn_pool_run(t->engine->pool, rn_voxel_side(c), smooth_slice, &smoothing);
+    }
 }
 
 static void update_part(void *context, int index, int thread) {
@@ -235,9 +256,8 @@ static void update_rest(struct rn_trainer *t) {
                                    p->values + at, t->optimiser.grad + at, t->optimiser.m + at,
                                    t->optimiser.v + at))
         t->optimiser.wild = true;
-    struct smoothing smoothing = {t, rn_schedule_smoothing(&t->field->config, &t->progress)};
-    if (smoothing.share > 0)
-        rn_pool_run(t->engine->pool, config->field.planes, smooth_plane, &smoothing);
+    float share = rn_schedule_smoothing(config, &t->progress);
+    if (share > 0) smooth_all(t, share);
     t->field->fresh_levels = t->optimiser.levels;
     if (t->optimiser.tiled)
         rn_field_pack(t->field, t->engine);
