@@ -329,8 +329,8 @@ START_TEST(render_request_is_checked_and_settled) {
     ck_assert_int_eq(rn_encode(&rn_render_request_table, &request, &json, NULL, NULL), RN_OK);
     ck_assert_str_eq(json,
                      "{\"view\":\"val:r_1\",\"scale\":0,\"lens\":\"pinhole\",\"colours\":\"even\","
-                          "\"output\":\"rgb\","
-                     "\"format\":\"jpeg\",\"subsample\":1,\"tolerance\":0,\"jpeg_quality\":90}");
+                     "\"output\":\"rgb\",\"format\":\"jpeg\",\"subsample\":1,"
+                     "\"tolerance\":0,\"jpeg_quality\":90}");
     free(json);
     rn_message_finish(&rn_render_request_table, &request);
 }
