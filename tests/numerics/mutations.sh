@@ -243,6 +243,13 @@ mutate kernels $cpu/smooth.h "smoothing: one colour twice" \
     's/y - 1, y % 2, share/y - 1, 1 - y % 2, share/'
 mutate kernels $cpu/smooth.h "smoothing: a share of 1/2" \
     's/texel\[c\] += share \*/texel[c] += 2 * share */'
+mutate voxels $cpu/voxels.h "voxels: the far slice weighs as the row below" \
+    's/near + at.z\[j\] \*/near + at.y[j] */'
+mutate voxels $cpu/voxels.h "voxels: the next band's first is added to" \
+    's/voxel >= band->end) return/voxel > band->end) return/'
+mutate voxels $cpu/voxels.h "voxels: a neighbour's tile is not marked" \
+    's/\(touched\[row.*\] = \)1;/\1voxel % 2 == 0;/'
+mutate voxels $cpu/voxels.h "voxels smoothed: a share of 1/4" 's/+= share \* (around/+= 1.5f * share * (around/'
 mutate optimiser $cpu/update.h "vector AdamW: moments not corrected" \
     's/rate = o->rate \/ o->correction1/rate = o->rate/'
 mutate ripmap $cpu/fetch.h "vector query: nearest level" \
@@ -291,6 +298,7 @@ mutate growth $grow "growth: moments as they were" \
 mutate growth $grow "growth: corners aligned to the edges" \
     's/double u = .*/double u = x * (e->old - 1.0) \/ (e->side - 1);/'
 mutate growth $grow "growth: nearest texels" 's/float fx = .*/float fx = 0;/'
+mutate growth $grow "growth: voxels' moments as texels'" 's/, 3 \* (float)i)/, 2 * (float)i)/'
 mutate growth $grow "growth: a border's texel as its neighbour and the difference" \
     's/int column = (int)u, right = .*/int column = (int)fmin(u, e->old - 2), right = e->channels;/'
 mutate growth $grow "growth: spoilt parameters become the good ones" \

@@ -526,7 +526,6 @@ START_TEST(planes_are_smoothed_in_their_turn) {
     for (int p = 0; p < c->planes; p++)
         engine->kernels->smooth(rough->field->cpu.maps[p][0][0].texels, c->base, c->channels,
                                 share);
-    ck_assert(c->voxels);
     for (int i = 0, side = rn_voxel_side(c); i < 2 * side; i++)
         engine->kernels->smooth_voxels(rough->field->cpu.maps[c->planes][0][0].texels, side,
                                        i % side, i >= side, share * (4.0f / 6));
