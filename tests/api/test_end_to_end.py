@@ -363,10 +363,10 @@ def test_kernels_can_be_forced(client, dataset, trained):
     info = client.json("info")
     text = client.run("info").stdout
     assert f"{info['kernels']}, of {' '.join(info['available_kernels'])}" in " ".join(text.split())
-    client.run("train", "sphere", "--name", "plain", "--preset", "draft", "--max-steps", 3,
+    client.run("train", "sphere", "--name", "by-generic", "--preset", "draft", "--max-steps", 3,
                "--kernels", "generic", "--wait")
-    assert client.json("show", "plain")["kernels"] == "generic"
-    assert re.search(r"kernels +generic\n", client.run("show", "plain").stdout)
+    assert client.json("show", "by-generic")["kernels"] == "generic"
+    assert re.search(r"kernels +generic\n", client.run("show", "by-generic").stdout)
     result = client.run("train", "sphere", "--name", "odd", "--preset", "draft", "--max-steps", 3,
                         "--kernels", "mmx", "--wait", code=FAILED)
     assert "mmx" in result.stderr and "generic" in result.stderr
