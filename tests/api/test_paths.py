@@ -193,7 +193,7 @@ def test_one_key_is_a_path_and_100000_are_too_many(run, client, tmp_path):
 def test_another_format_than_was_said(run, tmp_path):
     write(tmp_path / "in.json", ngp())
     said = run("in.json", "out.json", "--from", "nerfstudio", "--space", "dataset", code=INVALID).stderr
-    assert "is a path of instant-ngp's base_cam.json, not of nerfstudio" in said
+    assert "is a path of instant-ngp, not of nerfstudio" in said
 
 
 def test_nothing_is_replaced_unasked(run, tmp_path):
