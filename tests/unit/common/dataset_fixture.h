@@ -28,6 +28,20 @@ static inline void teardown(void) {
     ck_assert_int_eq(rn_remove_tree(folder, &err), RN_OK);
 }
 
+// Whether a problem of that severity was told that has `text` in it.
+static inline bool problems_tell(enum rn_severity severity, const char *text) {
+    for (size_t i = 0; i < problems.count; i++)
+        if (problems.items[i].severity == severity && strstr(problems.items[i].text, text))
+            return true;
+    return false;
+}
+
+static inline void assert_pose(const struct rn_frame *frame, const double expected[3][4]) {
+    for (int i = 0; i < 12; i++)
+        ck_assert_double_eq_tol((&frame->camera.world_from_camera[0][0])[i], (&expected[0][0])[i],
+                                1e-14);
+}
+
 // "folder/name" in one of a few rotating buffers; makes the folders above it.
 static inline const char *in_folder(const char *name) {
     static char paths[8][512];

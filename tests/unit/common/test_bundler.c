@@ -21,19 +21,6 @@ static void put_capture(const char *document, const char *list) {
     put_image("images/b.png", WIDTH, HEIGHT);
 }
 
-static bool tells(enum rn_severity severity, const char *text) {
-    for (size_t i = 0; i < problems.count; i++)
-        if (problems.items[i].severity == severity && strstr(problems.items[i].text, text))
-            return true;
-    return false;
-}
-
-static void assert_pose(const struct rn_frame *frame, const double expected[3][4]) {
-    for (int i = 0; i < 12; i++)
-        ck_assert_double_eq_tol((&frame->camera.world_from_camera[0][0])[i], (&expected[0][0])[i],
-                                1e-14);
-}
-
 START_TEST(cameras_and_poses) {
     put_capture(HEAD "2 0\n" FIRST SECOND, LIST);
     read_ok(folder);
@@ -87,7 +74,7 @@ START_TEST(within_a_project) {
     put_image("images/a 7.png", WIDTH, HEIGHT);
     read_ok(folder);
     ck_assert_uint_eq(problems.errors, 0);
-    ck_assert(tells(RN_SEVERITY_WARNING, "1 of its 3 photographs"));
+    ck_assert(problems_tell(RN_SEVERITY_WARNING, "1 of its 3 photographs"));
     ck_assert_uint_eq(dataset->frame_count, 2);
     ck_assert_str_eq(dataset->frames[0].name, "b"); // "./b.png" comes before "a 7.png"
     ck_assert_str_eq(dataset->frames[1].name, "a 7");
@@ -170,8 +157,9 @@ START_TEST(what_is_left_out_is_told) {
                      "1 0 0\n1 2 3\n4 0 0 1 1 2 0 1 1 -1 0 1 1 1 0 nan 1\n",
                 LIST);
     read_ok(folder);
-    ck_assert(tells(RN_SEVERITY_WARNING, "3 of its sightings are by photographs that it does not"));
-    ck_assert(tells(RN_SEVERITY_WARNING, "1 of its 2 points"));
+    ck_assert(problems_tell(RN_SEVERITY_WARNING,
+                            "3 of its sightings are by photographs that it does not"));
+    ck_assert(problems_tell(RN_SEVERITY_WARNING, "1 of its 2 points"));
     ck_assert_uint_eq(dataset->points.count, 1);
     ck_assert_uint_eq(dataset->points.sighting_count, 1);
     ck_assert_uint_eq(dataset->points.sightings[0].point, 0);

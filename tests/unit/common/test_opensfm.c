@@ -30,25 +30,12 @@ static void put_capture(const char *document) {
     put_image("images/b.png", WIDTH, HEIGHT);
 }
 
-static bool tells(enum rn_severity severity, const char *text) {
-    for (size_t i = 0; i < problems.count; i++)
-        if (problems.items[i].severity == severity && strstr(problems.items[i].text, text))
-            return true;
-    return false;
-}
-
-static void assert_pose(const struct rn_frame *frame, const double expected[3][4]) {
-    for (int i = 0; i < 12; i++)
-        ck_assert_double_eq_tol((&frame->camera.world_from_camera[0][0])[i], (&expected[0][0])[i],
-                                1e-14);
-}
-
 START_TEST(cameras_and_poses) {
     put_capture("[" MODEL("", "", "") "," GOOD "]");
     read_ok(folder);
     ck_assert_str_eq(dataset->format->name, "opensfm");
     ck_assert_uint_eq(problems.errors, 0);
-    ck_assert(tells(RN_SEVERITY_WARNING, "has 2 models"));
+    ck_assert(problems_tell(RN_SEVERITY_WARNING, "has 2 models"));
     ck_assert_uint_eq(problems.warnings, 1);
     ck_assert_uint_eq(dataset->frame_count, 2);
     ck_assert_str_eq(dataset->frames[0].name, "a"); // by name, not as they stand
@@ -102,8 +89,8 @@ START_TEST(points_are_where_they_were_seen) {
     ck_assert_int_eq(rn_dataset_reproject(dataset, &found, &err), RN_OK);
     ck_assert_uint_eq(found.sightings, 2);
     ck_assert_double_lt(found.mean_px, 1e-5); // sightings are kept in single precision
-    ck_assert(tells(RN_SEVERITY_INFO, "mean reprojection error 0.0000 px"));
-    ck_assert(!tells(RN_SEVERITY_INFO, "as the model says"));
+    ck_assert(problems_tell(RN_SEVERITY_INFO, "mean reprojection error 0.0000 px"));
+    ck_assert(!problems_tell(RN_SEVERITY_INFO, "as the model says"));
 }
 END_TEST
 
@@ -227,7 +214,7 @@ START_TEST(points_that_are_not_finite) {
     put_capture("[" MODEL("\"c\":" BROWN, SHOTS, "\"1\":{\"coordinates\":[NaN,0,0]}," POINTS) "]");
     read_ok(folder);
     ck_assert_uint_eq(dataset->points.count, 2);
-    ck_assert(tells(RN_SEVERITY_WARNING, "1 of its 3 points"));
+    ck_assert(problems_tell(RN_SEVERITY_WARNING, "1 of its 3 points"));
 }
 END_TEST
 
