@@ -322,37 +322,30 @@ double rn_bench_check_composite(const struct rn_bench_recording *rec,
 
 // ---- scatter, optimiser, occupancy ----------------------------------------------------------
 
-static double product_of_voxels(const struct rn_bench_recording *rec, double *magnitude) {
-    int grid = rec->field->config->planes;
-    const float *texels = rec->field->maps[grid][0][0].texels;
-    const float *grad = rec->trainer->optimiser.grad_maps[grid][0][0].texels;
-    double sum = 0;
-    for (size_t i = 0; i < rn_grid_numbers(rec->field->config); i++) {
-        double one = (double)texels[i] * (double)grad[i];
-        sum += one;
+static void add_products(const struct rn_map *map, const struct rn_map *grad, int channels,
+                         double *sum, double *magnitude) {
+    size_t n = (size_t)map->width * (size_t)map->height * (size_t)channels;
+    for (size_t i = 0; i < n; i++) {
+        double one = (double)map->texels[i] * (double)grad->texels[i];
+        *sum += one;
         *magnitude += fabs(one);
     }
-    return sum;
 }
 
 // Sums of parameter times gradient over all maps, or the base maps alone; and of their magnitudes.
 static double product(const struct rn_bench_recording *rec, int levels, double *ret_magnitude) {
     const struct rn_cpu_field *f = rec->field;
+    struct rn_map(*grads)[RN_MAX_LEVELS][RN_MAX_LEVELS] = rec->trainer->optimiser.grad_maps;
+    int planes = f->config->planes, channels = f->config->channels;
     double sum = 0, magnitude = 0;
-    for (int p = 0; p < f->config->planes; p++)
+    for (int p = 0; p < planes; p++)
         for (int y = 0; y < levels; y++)
             for (int x = 0; x < levels; x++) {
-                const struct rn_map *map = &f->maps[p][y][x];
-                const struct rn_map *grad = &rec->trainer->optimiser.grad_maps[p][y][x];
                 if (!rn_map_exists(f->config->footprint == RN_FOOTPRINT_MIP, x, y)) continue;
-                size_t n = (size_t)map->width * (size_t)map->height * (size_t)f->config->channels;
-                for (size_t i = 0; i < n; i++) {
-                    double one = (double)map->texels[i] * (double)grad->texels[i];
-                    sum += one;
-                    magnitude += fabs(one);
-                }
+                add_products(&f->maps[p][y][x], &grads[p][y][x], channels, &sum, &magnitude);
             }
-    if (f->config->voxels) sum += product_of_voxels(rec, &magnitude);
+    if (f->config->voxels)
+        add_products(&f->maps[planes][0][0], &grads[planes][0][0], channels, &sum, &magnitude);
     *ret_magnitude = magnitude;
     return sum;
 }
