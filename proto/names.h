@@ -65,8 +65,8 @@ enum rn_lens_choice { RN_LENS_CHOICE_PINHOLE, RN_LENS_CHOICE_AS_TAKEN };
 extern const char *const rn_lens_choice_names[]; // "pinhole", "as-taken"
 enum rn_colours_choice { RN_COLOURS_EVEN, RN_COLOURS_AS_TAKEN };
 extern const char *const rn_colours_choice_names[]; // "even", "as-taken"
-extern const char *const rn_output_kind_names[]; // "rgb", "depth", "alpha", ...
-extern const char *const rn_output_kind_units[]; // of a heat map's scale; NULL of the others
+extern const char *const rn_output_kind_names[];    // "rgb", "depth", "alpha", ...
+extern const char *const rn_output_kind_units[];    // of a heat map's scale; NULL of the others
 
 // An EXR holds colour as linear light times alpha, alpha, depth and normals.
 enum rn_picture_format { RN_FORMAT_PNG, RN_FORMAT_JPEG, RN_FORMAT_PNG16, RN_FORMAT_EXR };

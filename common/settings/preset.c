@@ -102,8 +102,7 @@ enum rn_status rn_train_config_check(const struct rn_train_config *c, struct rn_
     enum rn_status status = rn_planes_check(c->field.planes, c->field.orientation, err);
     if (status == RN_OK && c->field.voxels && c->field.planes == RN_MAX_PLANES)
         return rn_error_set(err, RN_ERROR_INVALID, "voxels",
-                            "there is room for voxels beside at most %d planes",
-                            RN_MAX_PLANES - 1);
+                            "there is room for voxels beside at most %d planes", RN_MAX_PLANES - 1);
     return status != RN_OK ? status : rn_settings_check(&rn_train_settings, c, err);
 }
 

@@ -191,8 +191,7 @@ static void see_planes(struct planes_cases *cases, const struct rn_trainer *t,
     numerics_see(&cases->sum, fabs(sum) / (size * 0x1p-23), "%d to %d", old->base, c->base);
     for (int k = 0; k < 3; k++)
         numerics_see(&cases->networks,
-                     memcmp(now[k] + p->plane_count,
-                            old->numbers[k] + old_grids,
+                     memcmp(now[k] + p->plane_count, old->numbers[k] + old_grids,
                             (p->base_count + p->head_count) * sizeof(float)) != 0,
                      "%d to %d", old->base, c->base);
 }
@@ -232,9 +231,8 @@ static int check_planes(struct rn_engine *engine, const struct rn_dataset *datas
             rn_trainer_destroy(&t);
         }
     return numerics_close(&cases.texels) + numerics_close(&cases.moments) +
-           numerics_close(&cases.voxels) +
-           numerics_close(&cases.ratio) + numerics_close(&cases.sum) +
-           numerics_close(&cases.networks) + numerics_close(&unity);
+           numerics_close(&cases.voxels) + numerics_close(&cases.ratio) +
+           numerics_close(&cases.sum) + numerics_close(&cases.networks) + numerics_close(&unity);
 }
 
 // ---- continuity -------------------------------------------------------------------------------

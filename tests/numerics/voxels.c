@@ -1,5 +1,6 @@
-// Case 3: the voxel grid beside the planes. The kernel sets' query against float64, of constants and
-// of places that are no numbers; and that adding gradients is its adjoint, cut into bands anywhere.
+// Case 3: the voxel grid beside the planes. The kernel sets' query against float64, of constants
+// and of places that are no numbers; and that adding gradients is its adjoint, cut into bands
+// anywhere.
 #include <float.h>
 #include <string.h>
 
@@ -83,7 +84,8 @@ static int check_query(const struct subject *s, struct numerics_random *random) 
     struct numerics_case cases[3];
     for (int i = 0; i < 3; i++)
         snprintf(names[i], sizeof names[i], "3 voxels: %s, %s", what[i], s->name);
-    cases[0] = (struct numerics_case){names[0], range, "ULP of the side times the largest", 2, 0, ""};
+    cases[0] =
+        (struct numerics_case){names[0], range, "ULP of the side times the largest", 2, 0, ""};
     cases[1] = (struct numerics_case){names[1], range, "ULP", 0, 0, ""};
     cases[2] = (struct numerics_case){names[2], range, "beyond the voxels", 1e-6, 0, ""};
     float found[SUBJECT_QUERIES * RN_VOXEL_CHANNELS];
@@ -97,8 +99,7 @@ static int check_query(const struct subject *s, struct numerics_random *random) 
         query(s, &g, &at, found);
         for (int i = 0; i < SUBJECT_QUERIES; i++) {
             double exact[RN_VOXEL_CHANNELS];
-            rn_exact_voxels(&g.field,
-                            (const double[3]){at.x[0][i], at.x[1][i], at.x[2][i]}, exact);
+            rn_exact_voxels(&g.field, (const double[3]){at.x[0][i], at.x[1][i], at.x[2][i]}, exact);
             for (int c = 0; c < RN_VOXEL_CHANNELS; c++)
                 numerics_see(&cases[0],
                              fabs((double)found[i * RN_VOXEL_CHANNELS + c] - exact[c]) /
@@ -137,7 +138,8 @@ static bool scatter(const struct rn_kernels *kernels, struct grid *g, struct pla
     kernels->scatter(&g->field, &slab, 1, 1, 0, middle, g->grads, g->touched);
     kernels->scatter(&g->field, &slab, 1, 1, middle, c->base, g->grads, g->touched);
     for (size_t i = 0; i < g->numbers; i++) {
-        size_t row = i / (size_t)(c->base * c->channels), in_row = i % (size_t)(c->base * c->channels);
+        size_t row = i / (size_t)(c->base * c->channels),
+               in_row = i % (size_t)(c->base * c->channels);
         size_t tile = in_row / (size_t)c->channels >> tiling.shift_x;
         if (g->grads[0][0].texels[i] != 0)
             marked &= g->touched[row * (size_t)tiling.columns + tile] != 0;

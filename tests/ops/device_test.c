@@ -302,8 +302,8 @@ static const char *device_of(const struct rn_engine *engine) {
     return info.device;
 }
 
-// A field that the kernels cannot hold, trained on the CPU: `auto` leaves it there, and a device that
-// is named says why it does not take it.
+// A field that the kernels cannot hold, trained on the CPU: `auto` leaves it there, and a device
+// that is named says why it does not take it.
 static void check_left_out(const struct rn_train_config *config, const char *where) {
     run_begin("cpu", config);
     run_to(4);

@@ -392,10 +392,9 @@ double rn_bench_check_scatter(const struct rn_bench_recording *rec) {
             }
         for (int i = 0; f->config->voxels && i < slab->count; i++) {
             double value[RN_VOXEL_CHANNELS];
-            rn_exact_voxels(f,
-                            (const double[3]){slab->voxel[0][i], slab->voxel[1][i],
-                                              slab->voxel[2][i]},
-                            value);
+            rn_exact_voxels(
+                f, (const double[3]){slab->voxel[0][i], slab->voxel[1][i], slab->voxel[2][i]},
+                value);
             for (int c = 0; c < RN_VOXEL_CHANNELS; c++) {
                 double product =
                     (double)slab->voxel_grad[(size_t)i * RN_VOXEL_CHANNELS + (size_t)c] * value[c];

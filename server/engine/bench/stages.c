@@ -126,17 +126,16 @@ void rn_bench_update(const struct rn_bench_recording *rec, int plane,
     size_t size = (size_t)c->base * (size_t)c->base * (size_t)c->channels, p = (size_t)plane;
     uint8_t *marks = rec->marks + p * t->optimiser.tiles;
     bool sparse = t->field->config.sparse && t->optimiser.tiled;
-    struct rn_plane_update update = {.options = options,
-                                     .maps = t->field->cpu.maps[p],
-                                     .grad_maps = t->optimiser.grad_maps[p],
-                                     .m = t->optimiser.m + p * size,
-                                     .v = t->optimiser.v + p * size,
-                                     .touched = sparse ? marks : NULL,
-                                     .levels = t->optimiser.tiled && plane < c->planes
-                                                   ? t->optimiser.levels
-                                                   : 1,
-                                     .channels = c->channels,
-                                     .mip = c->footprint == RN_FOOTPRINT_MIP};
+    struct rn_plane_update update = {
+        .options = options,
+        .maps = t->field->cpu.maps[p],
+        .grad_maps = t->optimiser.grad_maps[p],
+        .m = t->optimiser.m + p * size,
+        .v = t->optimiser.v + p * size,
+        .touched = sparse ? marks : NULL,
+        .levels = t->optimiser.tiled && plane < c->planes ? t->optimiser.levels : 1,
+        .channels = c->channels,
+        .mip = c->footprint == RN_FOOTPRINT_MIP};
     memcpy(marks, t->optimiser.touched + p * t->optimiser.tiles, t->optimiser.tiles);
     rec->kernels->update(&update, 0, c->base);
 }

@@ -55,7 +55,8 @@ int rn_checkpoint_tensors(const struct rn_arrays *arrays,
     size_t base = (size_t)c->base, cells = (size_t)c->occupancy;
     int count = 0;
     rn_checkpoint_add(list, &count, "planes", "F32", 4,
-                      (size_t[]){(size_t)rn_grid_count(c), base, base, (size_t)c->channels}, p->values);
+                      (size_t[]){(size_t)rn_grid_count(c), base, base, (size_t)c->channels},
+                      p->values);
     rn_checkpoint_add_network(list, &count, "base", &field->cpu.base_shape,
                               p->values + p->plane_count);
     rn_checkpoint_add_network(list, &count, "head", &field->cpu.head_shape,

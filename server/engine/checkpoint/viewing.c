@@ -51,7 +51,8 @@ static void finish(struct stored *s) {
 static void list_tensors(const struct rn_field *field, int bits, struct stored *s) {
     const struct rn_field_config *c = &field->config.field;
     const struct rn_parameters *p = &field->parameters;
-    const size_t base = (size_t)c->base, channels = (size_t)c->channels, planes = (size_t)rn_grid_count(c);
+    const size_t base = (size_t)c->base, channels = (size_t)c->channels,
+                 planes = (size_t)rn_grid_count(c);
     size_t side = (base + RN_BLOCK_SIDE - 1) / RN_BLOCK_SIDE;
     const size_t texels[] = {planes, base, base, channels},
                  blocks[] = {planes, side, side, channels};

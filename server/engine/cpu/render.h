@@ -1,6 +1,7 @@
 // Rendering: rays go through RN_PACKET_RAYS places, in rounds of up to RN_ROUND samples each, or
-// half as many of rays that end early: their samples behind the last one seen are more. A ray that has ended leaves its place to the next one, so that the rounds stay full; nothing is kept of
-// a sample but its share of the ray's sums.
+// half as many of rays that end early: their samples behind the last one seen are more. A ray that
+// has ended leaves its place to the next one, so that the rounds stay full; nothing is kept of a
+// sample but its share of the ray's sums.
 #ifndef RN_ENGINE_CPU_RENDER_H
 #define RN_ENGINE_CPU_RENDER_H
 

@@ -123,8 +123,7 @@ RN_INLINE void scatter_voxels(const struct voxels *v, const struct rn_slab *slab
             for (int corner = 0; corner < 4; corner++) {
                 float y = corner & 1 ? at.y[j] : 1 - at.y[j];
                 float z = corner & 2 ? at.z[j] : 1 - at.z[j];
-                int32_t voxel =
-                    at.voxel[j] + (corner & 1 ? v->side : 0) + (corner & 2 ? slice : 0);
+                int32_t voxel = at.voxel[j] + (corner & 1 ? v->side : 0) + (corner & 2 ? slice : 0);
                 v4 share = grad * (y * z), next = share * at.x[j];
                 add_to_voxel(v, band, voxel, share - next, touched);
                 add_to_voxel(v, band, voxel + 1, next, touched);

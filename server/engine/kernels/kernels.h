@@ -193,11 +193,11 @@ struct rn_workspace {
     float *marched; // the same as marched: its distance in the cube; written where space is forward
     float *interval; // in density units; 0 outside the ball
     float *u[RN_MAX_PLANES], *v[RN_MAX_PLANES], *lx[RN_MAX_PLANES], *ly[RN_MAX_PLANES];
-    float *voxel[3]; // where a sample looks in the voxel grid; where there is one
-    void *features;                     // [capacity]: rows in the kernel set's own form
-    struct rn_padding padded;           // of these
-    float *hidden[RN_MLP_MAX_LAYERS];   // [capacity][width], in the kernel set's own form
-    float *geometry;                    // [capacity][16]: outputs, then activated in place
+    float *voxel[3];                  // where a sample looks in the voxel grid; where there is one
+    void *features;                   // [capacity]: rows in the kernel set's own form
+    struct rn_padding padded;         // of these
+    float *hidden[RN_MLP_MAX_LAYERS]; // [capacity][width], in the kernel set's own form
+    float *geometry;                  // [capacity][16]: outputs, then activated in place
     float *x, *before, *weight, *after; // optical depth; depth before; weight; T behind
     float *head_in, *head_hidden[RN_MLP_MAX_LAYERS], *head_out; // rows: samples or rays
     float *slope;                           // [capacity]: dL/d(weight), then dL/d(optical depth)
@@ -324,10 +324,10 @@ struct rn_kernels {
     // Densities at `count` points [x, y, z], all at one level of every plane.
     void (*density)(const struct rn_cpu_field *field, float (*points)[3], int count, float level,
                     struct rn_workspace *workspace, float *ret_density);
-    // Adds a slab's gradients of one plane, or of the voxels behind the last one, to `grad_maps` (indexed as field->maps), rows of level
-    // 0 in [row_begin, row_end) and the rows of coarser maps they pool into; marks the touched
-    // tiles of rn_tiling in `touched`. Of `levels` maps a side gradients are kept;
-    // 1: the slab has no levels.
+    // Adds a slab's gradients of one plane, or of the voxels behind the last one, to `grad_maps`
+    // (indexed as field->maps), rows of level 0 in [row_begin, row_end) and the rows of coarser
+    // maps they pool into; marks the touched tiles of rn_tiling in `touched`. Of `levels` maps a
+    // side gradients are kept; 1: the slab has no levels.
     void (*scatter)(const struct rn_cpu_field *field, const struct rn_slab *slab, int plane,
                     int levels, int row_begin, int row_end,
                     struct rn_map (*grad_maps)[RN_MAX_LEVELS], uint8_t *touched);

@@ -21,8 +21,8 @@ enum rn_status rn_reference_create(const struct rn_field_config *config, uint64_
     enum rn_status status =
         rn_solid_init(config->planes, config->orientation, seed, &ref->solid, err);
     if (status != RN_OK) goto fail;
-    ref->base_shape = rn_mlp_shape(rn_feature_count(config), config->width, config->base_layers,
-                                   RN_GEOMETRY);
+    ref->base_shape =
+        rn_mlp_shape(rn_feature_count(config), config->width, config->base_layers, RN_GEOMETRY);
     ref->head_shape =
         rn_mlp_shape(RN_HEAD_INPUTS, config->width, config->head_layers, RN_HEAD_OUTPUTS);
     ref->plane_count = (size_t)rn_grid_count(config) * rn_grid_numbers(config);

@@ -40,7 +40,8 @@ struct rn_engine {
 // Whether the calling thread is preempted. `engine`: struct rn_engine.
 bool rn_engine_is_wanted(void *engine);
 
-// Numbers of one field: planes and voxels (rn_grid_count of them), density network, colour network, in one block in this order.
+// Numbers of one field: planes and voxels (rn_grid_count of them), density network, colour network,
+// in one block in this order.
 struct rn_parameters {
     size_t plane_count, base_count, head_count, count;
     float *values; // 64-byte aligned, owned by whoever made the block

@@ -154,12 +154,12 @@ static struct carry carry_of(const struct rn_trainer *t) {
         const struct enlarge *e = &carry.planes[i];
         const struct rn_field_config *before = &from->config.field;
         int side = rn_voxel_side(before), new_side = rn_voxel_side(c);
-        carry.voxels[i] = (struct enlarge_voxels){
-            .from = e->from + (size_t)c->planes * rn_grid_numbers(before),
-            .to = e->to + (size_t)c->planes * rn_grid_numbers(c),
-            .old = side,
-            .side = new_side,
-            .scale = powf((float)side / (float)new_side, 3 * (float)i)};
+        carry.voxels[i] =
+            (struct enlarge_voxels){.from = e->from + (size_t)c->planes * rn_grid_numbers(before),
+                                    .to = e->to + (size_t)c->planes * rn_grid_numbers(c),
+                                    .old = side,
+                                    .side = new_side,
+                                    .scale = powf((float)side / (float)new_side, 3 * (float)i)};
     }
     return carry;
 }

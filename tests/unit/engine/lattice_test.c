@@ -110,9 +110,8 @@ static void check_picture(double tolerance) {
             all += squares / 3 *
                    (d ? 0.45 * pow(limit, -0.43) : 0.46 * pow(limit, -0.34) * pow(0.5, 0.55));
             for (int c = 0; c < 3; c++)
-                ck_assert_float_eq_tol(
-                    picture[y][x].rgb[c],
-                    (float)(!d && inside ? spline(x, y, c) : mean(n, c)), 1e-6f);
+                ck_assert_float_eq_tol(picture[y][x].rgb[c],
+                                       (float)(!d && inside ? spline(x, y, c) : mean(n, c)), 1e-6f);
         }
     ck_assert(all > 0);
     ck_assert_double_eq_tol(interpolation, all, 1e-4 * all);
