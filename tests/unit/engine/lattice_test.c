@@ -4,6 +4,7 @@
 
 #include "common/math/rng.h"
 #include "server/engine/render/lattice.h"
+#include "tests/support/naive_spline.h"
 #include "tests/support/suite.h"
 
 #define WIDTH 37
@@ -62,20 +63,9 @@ static double distance(double a, double b, double c, double d) {
                 4);
 }
 
-// Sixteen pixels around one of the last pass, on axes that are turned by 45 degrees, by the weights
-// of a cubic spline halfway between its middle points, and between the nearest four.
 static double spline(int x, int y, int c) {
-    static const double weights[4] = {-1 / 16.0, 9 / 16.0, 9 / 16.0, -1 / 16.0};
-    double sum = 0, low = INFINITY, high = -INFINITY;
-    for (int i = 0; i < 4; i++)
-        for (int j = 0; j < 4; j++) {
-            double value = (double)picture[y + i + j - 3][x + i - j].rgb[c];
-            bool nearest = (i == 1 || i == 2) && (j == 1 || j == 2);
-            sum += weights[i] * weights[j] * value;
-            low = nearest ? fmin(low, value) : low;
-            high = nearest ? fmax(high, value) : high;
-        }
-    return fmin(fmax(sum, low), high);
+    const ptrdiff_t right = sizeof(struct rn_pixel) / sizeof(float);
+    return naive_spline(&picture[y][x].rgb[c], right, WIDTH * right);
 }
 
 static double mean(const struct rn_pixel *const n[4], int c) {
