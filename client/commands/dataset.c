@@ -1,6 +1,7 @@
 // validate, import, synth, datasets: photographs before they are a scene.
 
 #include <libgen.h>
+#include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -462,7 +463,10 @@ static enum rn_exit run_import(struct rn_client *client, const void *context, co
 // ---- synth ----
 
 struct synth_options {
-    int64_t size, views;
+    int64_t size, views, movers;
+    const char *lens;
+    double exposure, aperture, shutter;
+    bool capture;
 };
 #define SYNTH(m) .offset = offsetof(struct synth_options, m)
 static const struct rn_option synth_table[] = {
@@ -480,7 +484,53 @@ static const struct rn_option synth_table[] = {
      .min = 1,
      .max = 10000,
      .help = "training views (60); a quarter as many to validate and to test"},
+    {.name = "lens",
+     .kind = RN_OPTION_TEXT,
+     SYNTH(lens),
+     .value = "K1,K2,P1,P2",
+     .help = "a lens that bends the pictures, as OpenCV's; -0.2 alone is K1"},
+    {.name = "exposure",
+     .kind = RN_OPTION_NUMBER,
+     SYNTH(exposure),
+     .value = "STOPS",
+     .max = 4,
+     .help = "photographs are lighter or darker by up to STOPS, but for test views"},
+    {.name = "aperture",
+     .kind = RN_OPTION_NUMBER,
+     SYNTH(aperture),
+     .value = "R",
+     .max = 1,
+     .help = "radius of the lens in the scene's units: test views alone are sharp all over"},
+    {.name = "shutter",
+     .kind = RN_OPTION_NUMBER,
+     SYNTH(shutter),
+     .value = "D",
+     .max = 1,
+     .help = "so far a camera moves while it looks, in the scene's units, but for test views"},
+    {.name = "movers",
+     .kind = RN_OPTION_INTEGER,
+     SYNTH(movers),
+     .value = "N",
+     .max = RN_SYNTH_MOVERS,
+     .help = "people who stand elsewhere in each photograph of a place, in no test view"},
+    {.name = "capture",
+     .kind = RN_OPTION_FLAG,
+     SYNTH(capture),
+     .help = "write images/ and sparse/0 with points as COLMAP does, for import --split every:8"},
     {0}};
+
+// "K1,K2,P1,P2" or its beginning.
+static bool parse_lens(const char *text, double lens[RN_SYNTH_LENS]) {
+    for (int i = 0; i < RN_SYNTH_LENS; i++) {
+        char *end;
+        lens[i] = strtod(text, &end);
+        if (end == text || !isfinite(lens[i])) return false;
+        if (!*end) return true;
+        if (*end != ',') return false;
+        text = end + 1;
+    }
+    return false;
+}
 
 static enum rn_exit run_synth(struct rn_client *client, const void *context, const char **args) {
     const struct synth_options *options = context;
@@ -489,6 +539,14 @@ static enum rn_exit run_synth(struct rn_client *client, const void *context, con
     struct rn_synth_options synth = {.size = 200, .views = 60, .threads = core_count()};
     if (options->size != RN_OPTION_ABSENT) synth.size = (int)options->size;
     if (options->views != RN_OPTION_ABSENT) synth.views = (int)options->views;
+    if (options->movers != RN_OPTION_ABSENT) synth.movers = (int)options->movers;
+    if (!isnan(options->exposure)) synth.exposure = options->exposure;
+    if (!isnan(options->aperture)) synth.aperture = options->aperture;
+    if (!isnan(options->shutter)) synth.shutter = options->shutter;
+    synth.capture = options->capture;
+    if (options->lens && !parse_lens(options->lens, synth.lens))
+        return rn_client_usage("lens", "\"%.80s\" is not K1,K2,P1,P2 or the first of them",
+                               options->lens);
     rn_progress_init(&progress, !client->json);
     enum rn_status status = rn_synthesise(args[0], &synth, args[1], show_made, &progress, &err);
     rn_progress_finish(&progress);
@@ -563,7 +621,9 @@ const struct rn_verb rn_verbs_dataset[] = {
          "and\n"
          "still-life are objects cut out by alpha; place (around in a room) and window (out of\n"
          "it) are captures without alpha of a place that reaches to the horizon. The depth of\n"
-         "each test view lies beside it, as float32 in test/r_N_depth.npy.",
+         "each test view lies beside it, as float32 in test/r_N_depth.npy. What photographs have\n"
+         "and the truth has not, options add; test views are never darker, blurred or crowded,\n"
+         "of a --capture every 8th photograph from the first.",
      .args_min = 2,
      .args_max = 2,
      .table = synth_table,

@@ -271,12 +271,22 @@ enum rn_status rn_dataset_import(struct rn_dataset *source, const char *name,
 // "fence", "nested" and "still-life" are objects, cut out by alpha; "place" (around in a room) and
 // "window" (one way, out of it) are two captures of a place without bounds, photographs without
 // alpha. Writes the NeRF-synthetic layout: transforms_{train,val,test}.json, PNGs, and the test
-// views' depth as rn_synth_depth's float32 in test/r_N_depth.npy.
+// views' depth as rn_synth_depth's float32 in test/r_N_depth.npy; or, as a `capture`, COLMAP's, of
+// whose photographs every 8th from the first is as a test view, with sparse points that are right.
+#define RN_SYNTH_LENS 4
+#define RN_SYNTH_MOVERS 8
 struct rn_synth_options {
-    int size;    // image side, pixels
-    int views;   // training views; validation and test get max(8, views / 4) each
-    int threads; // >= 1
-    int samples; // per pixel, a square number; 0 = 64
+    int size;                   // image side, pixels
+    int views;                  // training views; validation and test get max(8, views / 4) each
+    int threads;                // >= 1
+    int samples;                // per pixel, a square number; 0 = 64
+    double lens[RN_SYNTH_LENS]; // k1 k2 p1 p2 of every camera's lens (RN_LENS_OPENCV); 0: none
+    // How photographs are taken, but for the test views:
+    double exposure; // each up to so many stops lighter or darker, 0 .. 4
+    double aperture; // the lens's radius, dataset units, sharp where the camera looks at, 0 .. 1
+    double shutter;  // so far a camera moves while it looks, dataset units, 0 .. 1
+    int movers;      // who stand somewhere else in each, 0 .. RN_SYNTH_MOVERS
+    bool capture;
 };
 enum rn_status rn_synthesise(const char *scene, const struct rn_synth_options *options,
                              const char *target,

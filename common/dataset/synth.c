@@ -1,4 +1,4 @@
-// Synthetic datasets: cameras around a scene, supersampled pictures, NeRF-synthetic layout.
+// Synthetic datasets: cameras around a scene, supersampled pictures, in one of two layouts.
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -7,86 +7,16 @@
 #include "common/base/file.h"
 #include "common/dataset/output.h"
 #include "common/dataset/reader.h"
-#include "common/dataset/synth_scenes.h"
-#include "common/math/rng.h"
+#include "common/dataset/synth_capture.h"
 
 #define DEFAULT_SAMPLES 64
 #define MAX_SAMPLES 4096
 #define MAX_SIZE 4096
 #define MAX_VIEWS 10000
+#define MAX_STOPS 4
+#define MAX_BLUR 1
 #define PNG_LEVEL 6
-
-// False beyond the lens's fold.
-static bool pixel_ray(const struct rn_camera *camera, double px, double py, struct ray *ret) {
-    struct rn_ray cone = rn_camera_ray(camera, px, py);
-    *ret = (struct ray){{cone.origin[0], cone.origin[1], cone.origin[2]},
-                        {cone.direction[0], cone.direction[1], cone.direction[2]},
-                        {0}};
-    return cone.radius > 0;
-}
-
-// Sample s of a pixel on the lamp's disc: an additive recurrence over radius and angle, so that the
-// samples of a pixel cover the lamp evenly.
-static void place_on_lamp(int s, uint64_t pixel, double lamp[2]) {
-    struct rn_rng4 offset = rn_rng_draw(1, pixel, 0);
-    double radius = fmod((double)rn_rng_unit(offset.v[0]) + s * 0.7548776662466927, 1);
-    double angle = 2 * M_PI * fmod((double)rn_rng_unit(offset.v[1]) + s * 0.5698402909980532, 1);
-    lamp[0] = sqrt(radius) * cos(angle);
-    lamp[1] = sqrt(radius) * sin(angle);
-}
-
-// The mean over one pixel: `side` x `side` strata with one jittered ray each.
-static void render_pixel(const struct rn_synth_scene *scene, const struct rn_camera *camera, int x,
-                         int y, int side, float rgba[4]) {
-    double sum[3] = {0};
-    int hits = 0, samples = side * side;
-    uint64_t stream = (uint64_t)y * (uint64_t)camera->width + (uint64_t)x;
-    struct rn_rng4 jitter = {{0}};
-    for (int s = 0; s < samples; s++) {
-        if (s % 2 == 0) jitter = rn_rng_draw(0, stream, (uint64_t)s / 2);
-        double u = (s % side + (double)rn_rng_unit(jitter.v[s % 2 * 2])) / side;
-        double v = ((double)(s / side) + (double)rn_rng_unit(jitter.v[s % 2 * 2 + 1])) / side;
-        struct ray ray;
-        if (!pixel_ray(camera, x + u, y + v, &ray)) continue;
-        if (scene->lamp > 0) place_on_lamp(s, stream, ray.lamp);
-        double rgb[3], distance;
-        if (!rn_synth_trace(scene, &ray, rgb, &distance)) continue;
-        hits++;
-        for (int i = 0; i < 3; i++)
-            sum[i] += rgb[i];
-    }
-    for (int i = 0; i < 3; i++)
-        rgba[i] = hits ? (float)(sum[i] / hits) : 0;
-    rgba[3] = (float)hits / (float)samples;
-}
-
-// Whether no ray of the pixel can meet the scene's sphere: the centre ray stays away from it by
-// more than the pixel's diagonal.
-static bool pixel_is_empty(const struct rn_synth_scene *scene, const struct rn_camera *camera,
-                           int x, int y) {
-    if (camera->lens != RN_LENS_PINHOLE) return false;
-    struct rn_ray cone = rn_camera_ray(camera, x + 0.5, y + 0.5);
-    double along = 0, squared = 0;
-    for (int i = 0; i < 3; i++) {
-        along -= cone.origin[i] * cone.direction[i];
-        squared += cone.origin[i] * cone.origin[i];
-    }
-    double distance = sqrt(squared), half_diagonal = 0.7072 * 1.7725 * cone.radius;
-    double reach = scene->radius + half_diagonal * distance;
-    return along > 0 && squared - along * along > reach * reach;
-}
-
-static void render(const struct rn_synth_scene *scene, const struct rn_camera *camera, int side,
-                   struct rn_picture *picture) {
-    for (int y = 0; y < camera->height; y++)
-        for (int x = 0; x < camera->width; x++) {
-            float *rgba = picture->values + 4 * ((size_t)y * (size_t)camera->width + (size_t)x);
-            if (pixel_is_empty(scene, camera, x, y))
-                memset(rgba, 0, 4 * sizeof *rgba);
-            else
-                render_pixel(scene, camera, x, y, side, rgba);
-        }
-}
+#define CAPTURE_TEST 8 // every so manieth photograph of a capture tests
 
 static enum rn_status check_scene(const char *name, int samples,
                                   const struct rn_synth_scene **ret_scene, int *ret_side,
@@ -111,15 +41,15 @@ static enum rn_status check_scene(const char *name, int samples,
 enum rn_status rn_synth_render(const char *scene, const struct rn_camera *camera, int samples,
                                struct rn_picture *ret_rgba, struct rn_error *err) {
     const struct rn_synth_scene *found = NULL;
-    struct rn_camera checked = *camera;
+    struct rn_synth_shot shot = {.camera = *camera};
     struct rn_picture picture;
     int side = 0;
     enum rn_status status;
     if ((status = check_scene(scene, samples, &found, &side, err)) ||
-        (status = rn_camera_check(&checked, "camera", err)) ||
+        (status = rn_camera_check(&shot.camera, "camera", err)) ||
         (status = rn_picture_init(camera->width, camera->height, 4, &picture, err)))
         return status;
-    render(found, &checked, side, &picture);
+    rn_synth_shoot(found, &shot, side, &picture);
     *ret_rgba = picture;
     return RN_OK;
 }
@@ -140,25 +70,12 @@ enum rn_status rn_synth_depth(const char *scene, const struct rn_camera *camera,
         for (int x = 0; x < camera->width; x++, value++) {
             struct ray ray;
             double rgb[3], distance;
-            bool hit = pixel_ray(&checked, x + 0.5, y + 0.5, &ray) &&
+            bool hit = rn_synth_ray(&checked, x + 0.5, y + 0.5, &ray) &&
                        rn_synth_trace(found, &ray, rgb, &distance);
             *value = hit ? (float)distance : INFINITY;
         }
     *ret_depth = picture;
     return RN_OK;
-}
-
-static enum rn_status place_camera(const struct rn_synth_scene *scene, enum rn_split split,
-                                   int index, int count, int size, struct rn_camera *ret_camera) {
-    static const double up[3] = {0, 0, 1};
-    double eye[3], target[3];
-    struct rn_camera camera = {.lens = RN_LENS_PINHOLE, .width = size, .height = size};
-    camera.fx = camera.fy = rn_camera_focal_from_fov(scene->angle_x, size);
-    camera.cx = camera.cy = 0.5 * size;
-    scene->stand(split, index, count, eye, target);
-    enum rn_status status = rn_camera_look_at(eye, target, up, camera.world_from_camera);
-    if (status == RN_OK) *ret_camera = camera;
-    return status;
 }
 
 struct synth {
@@ -173,12 +90,42 @@ static size_t total_views(const struct synth *synth) {
     return (size_t)(synth->count[0] + synth->count[1] + synth->count[2]);
 }
 
+// Of `total` photographs of a capture, those that are withheld by every:8.
+static int withheld(int total) {
+    return (total + CAPTURE_TEST - 1) / CAPTURE_TEST;
+}
+
+// The split of a view, and its index there.
+static enum rn_split split_of(const struct synth *synth, int view, int *ret_index) {
+    int split = 0;
+    if (synth->options->capture) {
+        bool test = view % CAPTURE_TEST == 0;
+        *ret_index = test ? view / CAPTURE_TEST : view - withheld(view);
+        return test ? RN_SPLIT_TEST : RN_SPLIT_TRAIN;
+    }
+    while (view >= synth->count[split])
+        view -= synth->count[split++];
+    *ret_index = view;
+    return (enum rn_split)split;
+}
+
+static enum rn_status shot_of(const struct synth *synth, enum rn_split split, int index,
+                              struct rn_synth_shot *ret_shot) {
+    return rn_synth_place_shot(synth->scene, synth->options, split, index, synth->count[split],
+                               ret_shot);
+}
+
 static enum rn_status write_view(const struct synth *synth, const struct rn_picture *picture,
-                                 enum rn_split split, int index, struct rn_error *err) {
+                                 int view, struct rn_error *err) {
     struct rn_image image;
+    int index;
+    enum rn_split split = split_of(synth, view, &index);
     char *path;
-    if (asprintf(&path, "%s/%s/r_%d.png", synth->target, rn_split_name(split), index) < 0)
-        return rn_error_set(err, RN_ERROR_NO_MEMORY, synth->target, "out of memory");
+    int length =
+        synth->options->capture
+            ? asprintf(&path, "%s/images/" RN_SYNTH_PHOTO, synth->target, view)
+            : asprintf(&path, "%s/%s/r_%d.png", synth->target, rn_split_name(split), index);
+    if (length < 0) return rn_error_set(err, RN_ERROR_NO_MEMORY, synth->target, "out of memory");
     enum rn_status status = rn_picture_to_image(picture, &image, err);
     if (status == RN_OK) {
         image.has_alpha = !synth->scene->sky; // a place fills its photographs
@@ -226,32 +173,47 @@ static enum rn_status write_depth(const struct synth *synth, const struct rn_cam
 
 static enum rn_status make_view(void *context, size_t view, struct rn_error *err) {
     const struct synth *synth = context;
-    int index = (int)view, split = 0, size = synth->options->size;
-    while (index >= synth->count[split])
-        index -= synth->count[split++];
-    struct rn_camera camera;
+    int index, size = synth->options->size;
+    enum rn_split split = split_of(synth, (int)view, &index);
+    struct rn_synth_shot shot;
     struct rn_picture picture;
-    enum rn_status status =
-        place_camera(synth->scene, (enum rn_split)split, index, synth->count[split], size, &camera);
+    enum rn_status status = shot_of(synth, split, index, &shot);
     if (status) return rn_error_set(err, status, synth->target, "degenerate camera");
     if ((status = rn_picture_init(size, size, 4, &picture, err))) return status;
-    render(synth->scene, &camera, synth->side, &picture);
-    status = write_view(synth, &picture, (enum rn_split)split, index, err);
+    rn_synth_shoot(synth->scene, &shot, synth->side, &picture);
+    status = write_view(synth, &picture, (int)view, err);
     rn_picture_finish(&picture);
-    if (status == RN_OK && split == RN_SPLIT_TEST) status = write_depth(synth, &camera, index, err);
+    if (status == RN_OK && split == RN_SPLIT_TEST && !synth->options->capture)
+        status = write_depth(synth, &shot.camera, index, err);
     return status;
 }
 
 static json_t *frame_to_json(const struct synth *synth, enum rn_split split, int index) {
-    struct rn_camera camera;
-    int count = synth->count[split], size = synth->options->size;
+    struct rn_synth_shot shot;
     char file[64];
     snprintf(file, sizeof file, "./%s/r_%d", rn_split_name(split), index);
-    if (place_camera(synth->scene, split, index, count, size, &camera)) return NULL;
-    double(*m)[4] = camera.world_from_camera; // to OpenGL axes: columns 1 and 2 negated
+    if (shot_of(synth, split, index, &shot)) return NULL;
+    double(*m)[4] = shot.camera.world_from_camera; // to OpenGL axes: columns 1 and 2 negated
     return json_pack("{s:s s:[[ffff][ffff][ffff][ffff]]}", "file_path", file, "transform_matrix",
                      m[0][0], -m[0][1], -m[0][2], m[0][3], m[1][0], -m[1][1], -m[1][2], m[1][3],
                      m[2][0], -m[2][1], -m[2][2], m[2][3], 0.0, 0.0, 0.0, 1.0);
+}
+
+// The lens, as nerfstudio and instant-ngp say it, and with it the camera's whole inside.
+static bool add_lens(const struct synth *synth, json_t *root) {
+    struct rn_synth_shot shot;
+    if (shot_of(synth, RN_SPLIT_TRAIN, 0, &shot)) return false;
+    const struct rn_camera *camera = &shot.camera;
+    if (camera->lens == RN_LENS_PINHOLE) return true;
+    json_t *inside = json_pack("{s:s s:f s:f s:f s:f s:i s:i}", "camera_model", "OPENCV", "fl_x",
+                               camera->fx, "fl_y", camera->fy, "cx", camera->cx, "cy", camera->cy,
+                               "w", camera->width, "h", camera->height);
+    bool good = inside && !json_object_update(root, inside);
+    for (int i = 0; i < RN_SYNTH_LENS && good; i++)
+        good = !json_object_set_new(root, rn_lens_models[RN_LENS_OPENCV].parameters[i],
+                                    json_real(camera->lens_k[i]));
+    json_decref(inside);
+    return good;
 }
 
 static char *transforms_text(const struct synth *synth, enum rn_split split) {
@@ -263,7 +225,9 @@ static char *transforms_text(const struct synth *synth, enum rn_split split) {
             return NULL;
         }
     root = json_pack("{s:f s:o}", "camera_angle_x", synth->scene->angle_x, "frames", frames);
-    char *text = root ? json_dumps(root, JSON_INDENT(1) | JSON_REAL_PRECISION(17)) : NULL;
+    char *text = root && add_lens(synth, root)
+                     ? json_dumps(root, JSON_INDENT(1) | JSON_REAL_PRECISION(17))
+                     : NULL;
     json_decref(root);
     return text;
 }
@@ -281,21 +245,89 @@ static enum rn_status write_transforms(const struct synth *synth, enum rn_split 
     return status;
 }
 
-static enum rn_status make_folder(const struct synth *synth, enum rn_split split,
+static enum rn_status make_folder(const struct synth *synth, const char *name,
                                   struct rn_error *err) {
     char *path;
-    if (asprintf(&path, "%s/%s", synth->target, rn_split_name(split)) < 0)
+    if (asprintf(&path, "%s/%s", synth->target, name) < 0)
         return rn_error_set(err, RN_ERROR_NO_MEMORY, synth->target, "out of memory");
     enum rn_status status = rn_mkdirs(path, 0777, err);
     free(path);
     return status;
 }
 
-static enum rn_status check_options(const struct rn_synth_options *options, struct rn_error *err) {
+static enum rn_status make_folders(const struct synth *synth, struct rn_error *err) {
+    enum rn_status status = RN_OK;
+    if (synth->options->capture) {
+        status = make_folder(synth, "images", err);
+        return status ? status : make_folder(synth, "sparse/0", err);
+    }
+    for (int split = 0; split < RN_SPLIT_COUNT && status == RN_OK; split++)
+        status = make_folder(synth, rn_split_name((enum rn_split)split), err);
+    return status;
+}
+
+static enum rn_status write_capture(const struct synth *synth, struct rn_error *err) {
+    int count = (int)total_views(synth);
+    struct rn_synth_shot *shots = calloc((size_t)count, sizeof *shots);
+    enum rn_status status = RN_OK;
+    if (!shots) return rn_error_set(err, RN_ERROR_NO_MEMORY, synth->target, "out of memory");
+    for (int view = 0; view < count && status == RN_OK; view++) {
+        int index;
+        enum rn_split split = split_of(synth, view, &index);
+        status = shot_of(synth, split, index, &shots[view]);
+    }
+    if (status == RN_OK)
+        status = rn_synth_write_capture(synth->scene, shots, count, synth->target, err);
+    free(shots);
+    return status;
+}
+
+static enum rn_status write_cameras(const struct synth *synth, struct rn_error *err) {
+    enum rn_status status = RN_OK;
+    if (synth->options->capture) return write_capture(synth, err);
+    for (int split = 0; split < RN_SPLIT_COUNT && status == RN_OK; split++)
+        status = write_transforms(synth, (enum rn_split)split, err);
+    return status;
+}
+
+static bool within(double value, double most) {
+    return value >= 0 && value <= most;
+}
+
+static enum rn_status check_options(const struct rn_synth_scene *scene,
+                                    const struct rn_synth_options *options, struct rn_error *err) {
     if (options->size < 1 || options->size > MAX_SIZE)
         return rn_error_set(err, RN_ERROR_INVALID, "size", "must be 1 to %d pixels", MAX_SIZE);
     if (options->views < 1 || options->views > MAX_VIEWS)
         return rn_error_set(err, RN_ERROR_INVALID, "views", "must be 1 to %d", MAX_VIEWS);
+    if (!within(options->exposure, MAX_STOPS))
+        return rn_error_set(err, RN_ERROR_INVALID, "exposure", "must be 0 to %d stops", MAX_STOPS);
+    if (!within(options->aperture, MAX_BLUR) || !within(options->shutter, MAX_BLUR))
+        return rn_error_set(err, RN_ERROR_INVALID,
+                            within(options->aperture, MAX_BLUR) ? "shutter" : "aperture",
+                            "must be 0 to %d of the scene's units", MAX_BLUR);
+    if (options->movers < 0 || options->movers > RN_SYNTH_MOVERS)
+        return rn_error_set(err, RN_ERROR_INVALID, "movers", "must be 0 to %d", RN_SYNTH_MOVERS);
+    if (options->movers > 0 && !(scene->roam_low.x < scene->roam_high.x))
+        return rn_error_set(err, RN_ERROR_INVALID, "movers",
+                            "nobody can stand about in \"%s\"; there is room in place and window",
+                            scene->name);
+    return RN_OK;
+}
+
+// That the cameras can be: of a lens that folds the picture over, none.
+static enum rn_status check_camera(const struct synth *synth, struct rn_error *err) {
+    struct rn_synth_shot shot;
+    double margin[3];
+    if (shot_of(synth, RN_SPLIT_TEST, 0, &shot))
+        return rn_error_set(err, RN_ERROR_INVALID, "lens",
+                            "its parameters are too large for a lens of this kind");
+    int size = synth->options->size;
+    if (shot.camera.lens != RN_LENS_PINHOLE &&
+        rn_camera_look(&shot.camera, -0.5 * size / shot.camera.fx, -0.5 * size / shot.camera.fy,
+                       margin) <= 0)
+        return rn_error_set(err, RN_ERROR_INVALID, "lens",
+                            "it folds the picture's corners over; make its parameters smaller");
     return RN_OK;
 }
 
@@ -308,15 +340,17 @@ enum rn_status rn_synthesise(const char *scene, const struct rn_synth_options *o
         .options = options, .target = target, .count = {options->views, others, others}};
     enum rn_status status;
     if ((status = check_scene(scene, options->samples, &synth.scene, &synth.side, err)) ||
-        (status = check_options(options, err)) || (status = rn_output_check_new(target, err)))
+        (status = check_options(synth.scene, options, err)))
         return status;
-    for (int split = 0; split < RN_SPLIT_COUNT; split++)
-        if ((status = make_folder(&synth, (enum rn_split)split, err))) return status;
-    if ((status = rn_output_run(options->threads, total_views(&synth), make_view, &synth, progress,
+    if (options->capture) {
+        synth.count[RN_SPLIT_VAL] = 0;
+        synth.count[RN_SPLIT_TEST] = (options->views + CAPTURE_TEST - 2) / (CAPTURE_TEST - 1);
+    }
+    if ((status = check_camera(&synth, err)) || (status = rn_output_check_new(target, err)) ||
+        (status = make_folders(&synth, err)) ||
+        (status = rn_output_run(options->threads, total_views(&synth), make_view, &synth, progress,
                                 context, target, err)) ||
         (status = rn_output_sync(target, err)))
         return status;
-    for (int split = 0; split < RN_SPLIT_COUNT; split++)
-        if ((status = write_transforms(&synth, (enum rn_split)split, err))) return status;
-    return RN_OK;
+    return write_cameras(&synth, err);
 }

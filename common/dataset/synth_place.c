@@ -223,13 +223,16 @@ static void towards_window(enum rn_split split, int index, int count, double eye
     target[2] = 0.9;
 }
 
-#define PLACE(title, rig, angle)                                                                   \
+#define PLACE(title, rig, angle, ...)                                                              \
     {                                                                                              \
         .name = title, .radius = INFINITY,                                                         \
         .light = {0.62019197913091, 0.55017030406774, 0.55917309085886}, /* in between columns */  \
             .nearest = place_nearest, .describe = place_describe, .stand = rig, .angle_x = angle,  \
-        .sky = place_sky                                                                           \
+        __VA_ARGS__, .sky = place_sky                                                              \
     }
 
-const struct rn_synth_scene rn_synth_place = PLACE("place", around, 0.95);
-const struct rn_synth_scene rn_synth_window = PLACE("window", towards_window, 0.85);
+const struct rn_synth_scene rn_synth_place =
+    PLACE("place", around, 0.95, .roam_low = {-2.6, -2.6, FLOOR}, .roam_high = {2.6, 2.6, FLOOR});
+const struct rn_synth_scene rn_synth_window =
+    PLACE("window", towards_window, 0.85, .roam_low = {-2.6, -1.5, FLOOR},
+          .roam_high = {2.6, 5.5, FLOOR});

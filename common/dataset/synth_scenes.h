@@ -7,6 +7,16 @@
 #include "common/dataset/dataset.h"
 #include "common/dataset/synth_shapes.h"
 
+// People, roughly: a striped post with a head, somewhere else in every photograph.
+struct rn_mover {
+    double x, y, colour[3];
+};
+struct rn_crowd {
+    int count;
+    double floor; // on which they stand
+    struct rn_mover movers[RN_SYNTH_MOVERS];
+};
+
 // What shading needs to know of a point.
 struct surface {
     double colour[3];
@@ -25,7 +35,8 @@ struct rn_synth_scene {
     void (*describe)(const struct hit *hit, struct vec point, struct surface *surface);
     // Where view `index` of the split's `count` stands and looks; up is z.
     void (*stand)(enum rn_split split, int index, int count, double eye[3], double target[3]);
-    double angle_x; // field of view across, radians
+    double angle_x;                 // field of view across, radians
+    struct vec roam_low, roam_high; // where people may stand, on the height `low`; low = high: none
     // The colour behind everything, by direction; NULL: nothing is there, alpha 0.
     void (*sky)(struct vec direction, double rgb[3]);
     // What mirrors show where they show nothing of the scene.

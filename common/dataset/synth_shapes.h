@@ -10,9 +10,12 @@ struct vec {
     double x, y, z;
 };
 
+struct rn_crowd;
+
 struct ray {
     struct vec origin, direction; // direction: unit
     double lamp[2];               // place on the lamp's disc that shadows are cast from, -1..1
+    const struct rn_crowd *crowd; // who stands about in this photograph; NULL: nobody
 };
 
 struct hit {
@@ -197,7 +200,7 @@ static inline bool hit_wall(const struct shell *shell, const struct ray *ray, do
 }
 
 static inline bool hit_shell(const struct ray *ray, const struct shell *shell, struct hit *hit) {
-    struct ray local = {vec_add(ray->origin, -1, shell->centre), ray->direction, {0}};
+    struct ray local = {vec_add(ray->origin, -1, shell->centre), ray->direction, {0}, NULL};
     const struct vec origin = {0, 0, 0};
     double outer_begin, outer_end, inner_begin, inner_end;
     if (!sphere_span(&local, origin, shell->outer, &outer_begin, &outer_end)) return false;

@@ -44,11 +44,40 @@ static struct vec towards_lamp(const struct rn_synth_scene *scene, const struct 
     return vec_unit(vec_add(l, scene->lamp * ray->lamp[1], up));
 }
 
-static bool in_shadow(const struct rn_synth_scene *scene, struct vec point, struct vec normal,
-                      struct vec light) {
-    struct ray ray = {vec_add(point, 1e-6, normal), light, {0}};
+// The parts of mover i: its body, the body's ends, its head.
+enum { MOVER = 1000, MOVER_PARTS = 3 };
+
+static void nearest(const struct rn_synth_scene *scene, const struct ray *ray, struct hit *hit) {
+    scene->nearest(ray, hit);
+    for (int i = 0; ray->crowd && i < ray->crowd->count; i++) {
+        const struct rn_mover *mover = &ray->crowd->movers[i];
+        int part = MOVER + MOVER_PARTS * i;
+        struct ray local = *ray;
+        local.origin.x -= mover->x;
+        local.origin.y -= mover->y;
+        local.origin.z -= ray->crowd->floor;
+        hit_cylinder(&local, 0.25, 0, 1.2, part, hit);
+        hit_ball(&local, (struct vec){0, 0, 1.4}, 0.2, part + 2, hit);
+    }
+}
+
+static void describe(const struct rn_synth_scene *scene, const struct ray *ray,
+                     const struct hit *hit, struct vec point, struct surface *surface) {
+    if (hit->part < MOVER) {
+        scene->describe(hit, point, surface);
+        return;
+    }
+    const struct rn_mover *mover = &ray->crowd->movers[(hit->part - MOVER) / MOVER_PARTS];
+    double share = rn_odd(point.z / 0.15) ? 1 : 0.6;
+    surface->ambient = 0.7;
+    rn_paint(surface, share * mover->colour[0], share * mover->colour[1], share * mover->colour[2]);
+}
+
+static bool in_shadow(const struct rn_synth_scene *scene, const struct ray *seen, struct vec point,
+                      struct vec normal, struct vec light) {
+    struct ray ray = {vec_add(point, 1e-6, normal), light, {0}, seen->crowd};
     struct hit hit = {.t_min = 1e-6, .t = INFINITY};
-    scene->nearest(&ray, &hit);
+    nearest(scene, &ray, &hit);
     return hit.t < INFINITY;
 }
 
@@ -57,9 +86,9 @@ static struct surface shade(const struct rn_synth_scene *scene, const struct ray
                             const struct hit *hit, double rgb[3]) {
     struct vec point = ray_at(ray, hit->t), light = towards_lamp(scene, ray);
     struct surface surface = {.gloss = 0};
-    scene->describe(hit, point, &surface);
+    describe(scene, ray, hit, point, &surface);
     double facing = vec_dot(hit->normal, light);
-    bool lit = facing > 0 && !in_shadow(scene, point, hit->normal, light);
+    bool lit = facing > 0 && !in_shadow(scene, ray, point, hit->normal, light);
     double diffuse = surface.ambient * (0.85 + 0.15 * hit->normal.z), highlight = 0;
     if (lit) {
         struct vec half = vec_unit(vec_add(light, -1, ray->direction)); // Blinn 1977
@@ -81,7 +110,7 @@ static void reflect(const struct rn_synth_scene *scene, const struct ray *ray,
     turned.origin = vec_add(ray_at(ray, hit->t), 1e-6, hit->normal);
     turned.direction = vec_unit(vec_add(ray->direction, 2 * cosine, hit->normal));
     struct hit other = {.t_min = 1e-6, .t = INFINITY};
-    scene->nearest(&turned, &other);
+    nearest(scene, &turned, &other);
     if (other.t < INFINITY)
         shade(scene, &turned, &other, seen);
     else
@@ -96,7 +125,7 @@ bool rn_synth_trace(const struct rn_synth_scene *scene, const struct ray *ray, d
     if (!sphere_span(ray, (struct vec){0, 0, 0}, scene->radius, &begin, &end) || end < 0)
         return false;
     struct hit hit = {.t_min = 0, .t = INFINITY};
-    scene->nearest(ray, &hit);
+    nearest(scene, ray, &hit);
     *ret_distance = hit.t;
     if (hit.t < INFINITY) {
         struct surface surface = shade(scene, ray, &hit, rgb);

@@ -17,7 +17,7 @@ static struct ray random_ray(uint64_t i) {
     struct vec to = {uniform(6 * i + 3, -1, 1), uniform(6 * i + 4, -1, 1),
                      uniform(6 * i + 5, -1, 1)};
     from = vec_scale(3, vec_unit(from));
-    return (struct ray){from, vec_unit(vec_add(to, -1, from)), {0}};
+    return (struct ray){from, vec_unit(vec_add(to, -1, from)), {0}, NULL};
 }
 
 // ---- shapes against their definitions, by marching
@@ -120,7 +120,7 @@ START_TEST(view_dependence) {
     double largest = 0;
     int points = 0;
     for (uint64_t i = 0; i < 3000; i++) {
-        struct ray ray = random_ray(i), other;
+        struct ray ray = random_ray(i), other = ray;
         double rgb[3], again[3], t, t_other;
         if (!rn_synth_trace(scene, &ray, rgb, &t)) continue;
         struct vec p = ray_at(&ray, t), shift = {0.2, 0.3, -0.2};
