@@ -236,7 +236,7 @@ enum rn_status rn_dataset_find_place(const struct rn_dataset *dataset,
                                      struct rn_scene_place *ret_place,
                                      struct rn_error *err) RN_MUST_CHECK;
 
-// Import: decode, scale and write a native dataset (dataset.json and images/*.png) into the empty
+// Import: decode, scale and write a native dataset (dataset.json and images/) into the empty
 // folder `target`, dataset.json last and atomically. At most `threads` source images are in memory
 // at once. An image that cannot be decoded is left out, of `source` too (counted there as
 // unusable), with an error in `problems` (optional); RN_ERROR_INVALID when that leaves no training

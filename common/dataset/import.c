@@ -76,11 +76,12 @@ struct rn_frame rn_import_place(const struct rn_frame *view,
 
 // Level `level` of a view: its place in the new dataset, its camera, its file.
 static enum rn_status describe_output(const struct import *import, const struct rn_frame *view,
-                                      int level, struct rn_frame *output, struct rn_error *err) {
+                                      int level, const char *extension, struct rn_frame *output,
+                                      struct rn_error *err) {
     *output = rn_import_place(view, import->options, level);
     output->name = strdup(view->name);
-    if (asprintf(&output->path, "%s/images/%s_%05d_d%d.png", import->target,
-                 rn_split_name(output->split), output->index, output->scale) < 0)
+    if (asprintf(&output->path, "%s/images/%s_%05d_d%d%s", import->target,
+                 rn_split_name(output->split), output->index, output->scale, extension) < 0)
         output->path = NULL;
     if (output->name && output->path) return RN_OK;
     rn_frame_finish(output);
@@ -110,7 +111,7 @@ static enum rn_status write_mask(const struct rn_frame *view, struct rn_frame *o
                                  struct rn_error *err) {
     struct rn_image mask, scaled;
     int width = output->camera.width, height = output->camera.height;
-    size_t stem = strlen(output->path) - strlen(".png");
+    size_t stem = (size_t)(strrchr(output->path, '.') - output->path);
     if (asprintf(&output->mask_path, "%.*s_mask.png", (int)stem, output->path) < 0) {
         output->mask_path = NULL;
         return rn_error_set(err, RN_ERROR_NO_MEMORY, view->path, "out of memory");
@@ -130,20 +131,44 @@ static enum rn_status write_mask(const struct rn_frame *view, struct rn_frame *o
     return status;
 }
 
-static enum rn_status write_level(const struct import *import, const struct rn_frame *view,
-                                  const struct rn_image *image, int level, struct rn_frame *output,
-                                  struct rn_error *err) {
-    enum rn_status status = describe_output(import, view, level, output, err);
-    if (status == RN_OK && view->mask_path) status = write_mask(view, output, err);
-    if (status) return status;
+// The photograph's own file, where that is what an output shows: smaller than a PNG by far, and
+// written and read in less time. NULL: the output is another picture, or the file is not kept.
+static uint8_t *keep_file(const struct import *import, const struct rn_frame *view, int level,
+                          size_t *ret_size) {
+    struct rn_error why;
+    uint8_t *bytes;
+    int width, height;
+    scaled_size(view, import->options, level, &width, &height);
+    bool same = width == view->camera.width && height == view->camera.height && view->turn <= 1;
+    return same && rn_image_strip(view->path, NULL, &bytes, ret_size, &why) == RN_OK ? bytes : NULL;
+}
+
+static enum rn_status write_scaled(const struct import *import, const struct rn_image *image,
+                                   const struct rn_frame *output, struct rn_error *err) {
     int width = output->camera.width, height = output->camera.height;
     if (image->width == width && image->height == height)
         return rn_output_png(image, output->path, PNG_LEVEL, err);
     struct rn_image scaled;
-    status = rn_image_downscale(image, width, height, import->options->downscale, &scaled, err);
+    enum rn_status status =
+        rn_image_downscale(image, width, height, import->options->downscale, &scaled, err);
     if (status) return status;
     status = rn_output_png(&scaled, output->path, PNG_LEVEL, err);
     rn_image_finish(&scaled);
+    return status;
+}
+
+static enum rn_status write_level(const struct import *import, const struct rn_frame *view,
+                                  const struct rn_image *image, int level, struct rn_frame *output,
+                                  struct rn_error *err) {
+    size_t size;
+    uint8_t *kept = keep_file(import, view, level, &size);
+    enum rn_status status =
+        describe_output(import, view, level, kept ? ".jpg" : ".png", output, err);
+    if (status == RN_OK && view->mask_path) status = write_mask(view, output, err);
+    if (status == RN_OK)
+        status = kept ? rn_output_file(output->path, kept, size, err)
+                      : write_scaled(import, image, output, err);
+    free(kept);
     return status;
 }
 

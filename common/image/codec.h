@@ -21,6 +21,10 @@ struct rn_codec {
     // has none.
     bool (*profile)(const uint8_t *bytes, size_t size_bytes, uint8_t **ret_profile,
                     size_t *ret_size);
+    // The file without what is not the picture, malloc'd; a decodable one. NULL: files of this
+    // format are not kept.
+    enum rn_status (*strip)(const uint8_t *bytes, size_t size_bytes, const char *where,
+                            uint8_t **ret_bytes, size_t *ret_size, struct rn_error *err);
 };
 
 extern const struct rn_codec rn_codec_png, rn_codec_jpeg, rn_codec_webp, rn_codec_tiff,

@@ -4,11 +4,15 @@
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/mman.h>
 
 #include "common/base/file.h"
 #include "common/image/codec.h"
 
 #define FIRST_HEAD_BYTES 4096
+#define PAGE 4096
+#define LARGE_BYTES (8u << 20)
+#define GRID 9 // colours a channel on which a profile is looked at
 
 const struct rn_image_limits rn_image_default_limits = {
     .max_width = 16384,
@@ -37,11 +41,22 @@ static enum rn_status no_memory(struct rn_error *err, int width, int height) {
                         width, height);
 }
 
+// Zeros. Large ones come from the kernel page by page as they are first written, which takes as
+// long as a decoder does: on huge pages where the machine has them, a hint that may be refused.
+static void *zeros(size_t count, size_t size) {
+    void *block = calloc(count, size);
+    size_t bytes = count * size;
+    if (!block || bytes < LARGE_BYTES) return block;
+    char *first = (char *)block + (PAGE - (uintptr_t)block % PAGE) % PAGE;
+    (void)madvise(first, (bytes - PAGE) / PAGE * PAGE, MADV_HUGEPAGE);
+    return block;
+}
+
 enum rn_status rn_image_init(int width, int height, struct rn_image *ret_image,
                              struct rn_error *err) {
     enum rn_status status = rn_image_check_size(width, height, &rn_image_default_limits, "", err);
     if (status != RN_OK) return status;
-    uint8_t *pixels = calloc((size_t)width * (size_t)height, 4);
+    uint8_t *pixels = zeros((size_t)width * (size_t)height, 4);
     if (!pixels) return no_memory(err, width, height);
     *ret_image =
         (struct rn_image){.width = width, .height = height, .has_alpha = true, .pixels = pixels};
@@ -60,7 +75,7 @@ enum rn_status rn_picture_init(int width, int height, int channels, struct rn_pi
                             channels);
     enum rn_status status = rn_image_check_size(width, height, &rn_image_default_limits, "", err);
     if (status != RN_OK) return status;
-    float *values = calloc((size_t)width * (size_t)height, (size_t)channels * sizeof(float));
+    float *values = zeros((size_t)width * (size_t)height, (size_t)channels * sizeof(float));
     if (!values) return no_memory(err, width, height);
     *ret_picture = (struct rn_picture){
         .width = width, .height = height, .channels = channels, .values = values};
@@ -155,6 +170,51 @@ enum rn_status rn_image_decode(const void *bytes, size_t size_bytes, const char 
         *ret_image = image;
     else
         rn_image_finish(&image);
+    return status;
+}
+
+// Whether a profile's colours are sRGB's, to one of 255.
+static bool is_srgb(const uint8_t *profile, size_t size) {
+    uint8_t grid[GRID * GRID * GRID][4], same[GRID * GRID * GRID][4];
+    struct rn_image image = {.width = GRID * GRID, .height = GRID, .pixels = grid[0]};
+    for (int i = 0; i < GRID * GRID * GRID; i++) {
+        grid[i][0] = (uint8_t)(i % GRID * 255 / (GRID - 1));
+        grid[i][1] = (uint8_t)(i / GRID % GRID * 255 / (GRID - 1));
+        grid[i][2] = (uint8_t)(i / GRID / GRID * 255 / (GRID - 1));
+        grid[i][3] = 255;
+    }
+    memcpy(same, grid, sizeof same);
+    return rn_icc_to_srgb(profile, size, "", &image, NULL) == RN_OK &&
+           memcmp(same, grid, sizeof same) == 0;
+}
+
+static enum rn_status strip(const uint8_t *bytes, size_t size, const char *path,
+                            uint8_t **ret_bytes, size_t *ret_size, struct rn_error *err) {
+    const struct rn_codec *codec = NULL;
+    uint8_t *profile = NULL;
+    size_t profile_size;
+    enum rn_status status = find_codec(bytes, size, path, &codec, err);
+    if (status) return status;
+    if (!codec->strip)
+        return rn_error_set(err, RN_ERROR_UNSUPPORTED, path, "%s files are not kept as they are",
+                            codec->title);
+    bool converted = codec->profile && codec->profile(bytes, size, &profile, &profile_size) &&
+                     !is_srgb(profile, profile_size);
+    free(profile);
+    if (converted)
+        return rn_error_set(err, RN_ERROR_UNSUPPORTED, path, "its colours are not sRGB's");
+    return codec->strip(bytes, size, path, ret_bytes, ret_size, err);
+}
+
+enum rn_status rn_image_strip(const char *path, const struct rn_image_limits *limits,
+                              uint8_t **ret_bytes, size_t *ret_size, struct rn_error *err) {
+    if (!limits) limits = &rn_image_default_limits;
+    uint8_t *bytes;
+    size_t size;
+    enum rn_status status = rn_file_read(path, limits->max_file_bytes, &bytes, &size, err);
+    if (status != RN_OK) return status;
+    status = strip(bytes, size, path, ret_bytes, ret_size, err);
+    free(bytes);
     return status;
 }
 

@@ -69,6 +69,12 @@ enum rn_status rn_image_read(const char *path, const struct rn_image_limits *lim
 enum rn_status rn_image_decode(const void *bytes, size_t size_bytes, const char *where,
                                const struct rn_image_limits *limits, struct rn_image *ret_image,
                                struct rn_error *err) RN_MUST_CHECK;
+// The file without what is not the picture: EXIF (who took it, when and where), profiles, comments.
+// It decodes to the same pixels. Of a JPEG in sRGB; RN_ERROR_UNSUPPORTED for any other file. An
+// orientation is lost. *ret_bytes is malloc'd.
+enum rn_status rn_image_strip(const char *path, const struct rn_image_limits *limits,
+                              uint8_t **ret_bytes, size_t *ret_size,
+                              struct rn_error *err) RN_MUST_CHECK;
 
 // Turns the picture upright: undoes an EXIF orientation of 1 to 8.
 enum rn_status rn_image_turn(struct rn_image *image, int orientation,

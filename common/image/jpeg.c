@@ -66,6 +66,56 @@ static bool profile_jpeg(const uint8_t *bytes, size_t size_bytes, uint8_t **ret_
     return true;
 }
 
+// Whether a segment says what the picture is: not what applications say of it, but for JFIF's and
+// Adobe's, which name its colours, and no comment.
+static bool is_of_picture(uint8_t marker) {
+    bool application = marker >= 0xe0 && marker <= 0xef;
+    return marker != 0xfe && (!application || marker == 0xe0 || marker == 0xee);
+}
+
+// Where the coded pixels behind a scan's header end: at the next marker that is none of theirs.
+static size_t end_of_scan(const uint8_t *bytes, size_t size_bytes, size_t at) {
+    for (; at + 1 < size_bytes; at++) {
+        uint8_t next = bytes[at + 1];
+        if (bytes[at] == 0xff && next != 0 && next != 0xff && (next < 0xd0 || next > 0xd7))
+            return at;
+    }
+    return size_bytes;
+}
+
+// How long the segment is that begins at `at`, coded pixels included; what no marker begins ends
+// the file.
+static size_t segment_length(const uint8_t *bytes, size_t size_bytes, size_t at) {
+    if (at + 4 > size_bytes || bytes[at] != 0xff) return size_bytes - at;
+    if (bytes[at + 1] == 0xff) return 1; // padding
+    size_t length = 2 + ((size_t)bytes[at + 2] << 8 | bytes[at + 3]);
+    if (length > size_bytes - at) return size_bytes - at;
+    if (bytes[at + 1] == 0xda) length = end_of_scan(bytes, size_bytes, at + length) - at;
+    return length;
+}
+
+// What lies behind the picture's end, another picture or a film, is left out too.
+static enum rn_status strip_jpeg(const uint8_t *bytes, size_t size_bytes, const char *where,
+                                 uint8_t **ret_bytes, size_t *ret_size, struct rn_error *err) {
+    static const uint8_t end[2] = {0xff, 0xd9};
+    uint8_t *kept = malloc(size_bytes + sizeof end);
+    if (!kept) return rn_error_set(err, RN_ERROR_NO_MEMORY, where, "no memory to keep the JPEG");
+    size_t at = 2, size = 2;
+    memcpy(kept, bytes, 2);
+    while (at + 2 <= size_bytes && memcmp(bytes + at, end, sizeof end) != 0) {
+        size_t length = segment_length(bytes, size_bytes, at);
+        if (length > 1 && is_of_picture(bytes[at + 1])) {
+            memcpy(kept + size, bytes + at, length);
+            size += length;
+        }
+        at += length;
+    }
+    memcpy(kept + size, end, sizeof end);
+    *ret_bytes = kept;
+    *ret_size = size + sizeof end;
+    return RN_OK;
+}
+
 static enum rn_status damaged(const char *problem, const char *where, struct rn_error *err) {
     return rn_error_set(err, RN_ERROR_INVALID, where,
                         "the JPEG file is damaged (%s): copy or export it again", problem);
@@ -140,7 +190,8 @@ const struct rn_codec rn_codec_jpeg = {.title = "JPEG",
                                        .is = is_jpeg,
                                        .probe = probe_jpeg,
                                        .decode = decode_jpeg,
-                                       .profile = profile_jpeg};
+                                       .profile = profile_jpeg,
+                                       .strip = strip_jpeg};
 
 static enum rn_status encode(tjhandle handle, const struct rn_image *image, int quality,
                              uint8_t **ret_bytes, size_t *ret_size, struct rn_error *err) {

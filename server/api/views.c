@@ -151,7 +151,9 @@ void rn_get_image(void *context, struct rn_request *request, struct rn_reply *re
         return;
     }
     if (!is_sound(context, frame, reply)) return;
-    rn_reply_file(reply, "image/png", frame->path);
+    const char *ending = strrchr(frame->path, '.');
+    bool kept = ending && strcmp(ending, ".jpg") == 0; // as it was sent; the others are made here
+    rn_reply_file(reply, kept ? "image/jpeg" : "image/png", frame->path);
     rn_reply_header(reply, "Cache-Control", "private, max-age=3600");
 }
 

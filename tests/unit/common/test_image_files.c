@@ -425,6 +425,50 @@ START_TEST(jpeg_odd_but_sound) {
 }
 END_TEST
 
+static struct bytes with(struct bytes file, const void *more, size_t size) {
+    struct bytes all = {malloc(file.size + size), file.size + size};
+    ck_assert_ptr_nonnull(all.data);
+    memcpy(all.data, file.data, file.size);
+    memcpy(all.data + file.size, more, size);
+    return all;
+}
+
+// A JPEG, baseline or progressive, with EXIF, a comment and padding in front and another picture
+// behind it: what is kept is the file without them.
+START_TEST(jpeg_without_what_is_said_of_it) {
+    static const uint8_t said[] = {0xff, 0xd8, 0xff, 0xe1, 0,    9, 'w', 'h', 'e', 'r', 'e',
+                                   '!',  '!',  0xff, 0xff, 0xfe, 0, 6,   'm', 'i', 'n', 'e'};
+    struct rn_image image = smooth(40, 24, false);
+    for (int progressive = 0; progressive < 2; progressive++) {
+        tjhandle handle = tjInitCompress();
+        struct bytes plain = {0}, kept;
+        unsigned long size = 0;
+        ck_assert_int_eq(tjCompress2(handle, image.pixels, 40, 0, 24, TJPF_RGBX, &plain.data, &size,
+                                     TJSAMP_420, 95, progressive ? TJFLAG_PROGRESSIVE : 0),
+                         0);
+        plain.size = size;
+        struct bytes head = with((struct bytes){(uint8_t *)said, sizeof said}, plain.data + 2,
+                                 plain.size - 2),
+                     all = with(head, plain.data, plain.size);
+        const char *path = store(all);
+        ck_assert_int_eq(rn_image_strip(path, NULL, &kept.data, &kept.size, NULL), RN_OK);
+        ck_assert_uint_eq(kept.size, plain.size);
+        ck_assert_mem_eq(kept.data, plain.data, plain.size);
+        free(kept.data);
+        for (size_t end = 0; end < all.size;
+             end += 17) { // nothing is read beyond a file that is cut
+            ck_assert_int_eq(truncate(path, (off_t)(all.size - end)), 0);
+            if (rn_image_strip(path, NULL, &kept.data, &kept.size, NULL) == RN_OK) free(kept.data);
+        }
+        free(all.data);
+        free(head.data);
+        tjFree(plain.data);
+        tjDestroy(handle);
+    }
+    rn_image_finish(&image);
+}
+END_TEST
+
 START_TEST(encoded_png_is_lossless) {
     static const int sizes[][2] = {{1, 1}, {37, 21}};
     for (int i = 0; i < 2 * 2 * 10; i++) {
@@ -535,6 +579,7 @@ int main(void) {
     tcase_add_test(cases, jpeg_cmyk_is_refused);
     tcase_add_test(cases, jpeg_truncated_anywhere);
     tcase_add_test(cases, jpeg_odd_but_sound);
+    tcase_add_test(cases, jpeg_without_what_is_said_of_it);
     tcase_add_test(cases, encoded_png_is_lossless);
     tcase_add_test(cases, encoded_jpeg);
     tcase_add_test(cases, written_png);

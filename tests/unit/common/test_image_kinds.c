@@ -169,7 +169,7 @@ START_TEST(poses_decide_on_turning) {
     struct rn_import_options options = {.scales = 1, .threads = 1};
     ck_assert_int_eq(
         rn_dataset_import(dataset, "n", &options, in_folder("out"), NULL, NULL, NULL, &err), RN_OK);
-    read_kind("out/images/train_00000_d0.png", &image);
+    read_kind(upright ? "out/images/train_00000_d0.png" : "out/images/train_00000_d0.jpg", &image);
     ck_assert_int_eq(image.width, upright ? HIGH : WIDE);
     rn_image_finish(&image);
 }
@@ -266,6 +266,31 @@ START_TEST(profile_of_srgb_changes_nothing) {
     struct rn_image image = with_profile(cmsCreate_sRGBProfile(), true, false);
     ck_assert_int_eq(worst_difference(&plain, &image), 0);
     rn_image_finish(&plain);
+    rn_image_finish(&image);
+}
+END_TEST
+
+static enum rn_status strip_kind(uint8_t **ret_bytes, size_t *ret_size) {
+    return rn_image_strip(in_folder("p"), NULL, ret_bytes, ret_size, &err);
+}
+
+// What is kept of a JPEG is the picture; a PNG and what has to be converted are not kept.
+START_TEST(only_srgb_is_kept_as_it_is) {
+    uint8_t *bytes;
+    size_t size;
+    struct rn_image image = with_profile(wide_profile(2.2), false, false), kept;
+    ck_assert_int_eq(strip_kind(&bytes, &size), RN_ERROR_UNSUPPORTED);
+    rn_image_finish(&image);
+    image = with_profile(cmsCreate_sRGBProfile(), true, false);
+    ck_assert_int_eq(strip_kind(&bytes, &size), RN_ERROR_UNSUPPORTED);
+    rn_image_finish(&image);
+    image = with_profile(cmsCreate_sRGBProfile(), false, false);
+    ck_assert_int_eq(strip_kind(&bytes, &size), RN_OK);
+    ck_assert_ptr_null(memmem(bytes, size, "ICC_PROFILE", 11));
+    ck_assert_int_eq(rn_image_decode(bytes, size, "", NULL, &kept, &err), RN_OK);
+    ck_assert_int_eq(worst_difference(&image, &kept), 0);
+    free(bytes);
+    rn_image_finish(&kept);
     rn_image_finish(&image);
 }
 END_TEST
@@ -597,6 +622,7 @@ int main(void) {
     tcase_add_loop_test(kinds, poses_decide_on_turning, 0, 2);
     tcase_add_loop_test(kinds, profile_of_wide_colours, 0, 2);
     tcase_add_test(kinds, profile_of_srgb_changes_nothing);
+    tcase_add_test(kinds, only_srgb_is_kept_as_it_is);
     tcase_add_test(kinds, profile_of_grey);
     tcase_add_test(kinds, profile_that_is_damaged);
     tcase_add_loop_test(kinds, absent_libraries_are_named, 0, 4);

@@ -185,6 +185,44 @@ START_TEST(scaled_again) {
 }
 END_TEST
 
+// The photographs' own files, of those that are JPEGs and as large as they are wanted.
+START_TEST(jpeg_is_kept) {
+    uint8_t *sent, *kept;
+    size_t sent_size, kept_size;
+    struct rn_image image = noise(32, 24, 9);
+    ck_assert_int_eq(rn_image_encode_jpeg(&image, 90, &sent, &sent_size, &err), RN_OK);
+    rn_image_finish(&image);
+    for (int i = 0; i < VIEWS - 1; i++) {
+        char name[64];
+        snprintf(name, sizeof name, "source/train/r_%d.png", i); // the content decides
+        put_bytes(name, sent, sent_size);
+    }
+    dataset->frames[0].turn = 3;
+    options.scales = 2;
+    import_ok("out");
+    for (size_t i = 0; i < made->frame_count; i++) {
+        const struct rn_frame *frame = &made->frames[i];
+        bool is_kept = frame->scale == 0 && frame->index > 0 && frame->index < VIEWS - 1;
+        ck_assert_str_eq(strrchr(frame->path, '.'), is_kept ? ".jpg" : ".png");
+        if (!is_kept) continue;
+        ck_assert_int_eq(rn_file_read(frame->path, 1 << 20, &kept, &kept_size, &err), RN_OK);
+        ck_assert_uint_eq(kept_size, sent_size);
+        ck_assert_mem_eq(kept, sent, sent_size);
+        free(kept);
+    }
+    free(sent);
+    struct rn_image turned = read_image(rn_dataset_frame(made, RN_SPLIT_TRAIN, 0, 0)->path),
+                    upright = read_image(rn_dataset_frame(made, RN_SPLIT_TRAIN, 1, 0)->path);
+    ck_assert_mem_eq(turned.pixels, upright.pixels + 4 * (32 * 24 - 1), 4);
+    rn_image_finish(&turned);
+    rn_image_finish(&upright);
+    options.max_size = 20; // of a smaller size none is
+    options.scales = 1;
+    import_ok("small");
+    ck_assert_str_eq(strrchr(made->frames[1].path, '.'), ".png");
+}
+END_TEST
+
 START_TEST(given_bounds) {
     struct rn_read_options how = {.bounds = {.centre = {1, 2, 3}, .radius = 0.1}};
     rn_dataset_destroy(&dataset);
@@ -305,6 +343,7 @@ int main(void) {
     tcase_add_test(tests, legacy_scales_want_divisible_sizes);
     tcase_add_test(tests, every_nth_training_view);
     tcase_add_test(tests, scaled_again);
+    tcase_add_test(tests, jpeg_is_kept);
     tcase_add_test(tests, given_bounds);
     tcase_add_test(tests, threads_do_not_show);
     tcase_add_test(tests, damaged_image_is_left_out);
