@@ -3,6 +3,7 @@
 #define RN_TESTS_SUPPORT_NAIVE_SPLINE_H
 
 #include <math.h>
+#include <stdbool.h>
 #include <stddef.h>
 
 // Sixteen pixels around the one at `at`, on axes that are turned by 45 degrees, by the weights of a

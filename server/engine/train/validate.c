@@ -12,7 +12,8 @@
 struct validate_block {
     struct rn_trainer *trainer;
     const struct rn_pixel_frame *frame;
-    size_t first, count;
+    struct rn_validate_grid grid;
+    size_t first, count; // of the grid
     struct rn_march_options march;
     int cones; // a side of a pixel
     int piece; // pixels between two looks at whether another thread waits
@@ -30,28 +31,28 @@ static void validate_piece(void *context, int index, int thread) {
     struct rn_spot spots[RN_PACKET_RAYS] = {{0, 0}};
     struct rn_pixel pixels[RN_PACKET_RAYS];
     const struct rn_camera *camera = &b->frame->camera;
-    size_t first = b->first + (size_t)index * (size_t)b->piece, width = (size_t)camera->width;
+    size_t first = b->first + (size_t)index * (size_t)b->piece;
     int n = 0;
     for (; n < b->piece && first + (size_t)n < b->first + b->count; n++)
-        spots[n] = (struct rn_spot){(int)((first + (size_t)n) % width),
-                                    (int)((first + (size_t)n) / width)};
+        spots[n] = rn_validate_spot(&b->grid, first + (size_t)n);
     rn_cones_render(t->engine, t->field, &b->march, camera, NULL, b->cones, spots, n, thread,
                     pixels, NULL);
-    double sum = 0;
-    for (int i = 0; i < n; i++)
-        if (rn_pixel_is_used(&t->held, b->frame, spots[i].x, spots[i].y))
-            rn_pixel_add_error(&t->held, b->frame, spots[i].x, spots[i].y,
-                               t->field->config.background, pixels[i].rgb, &sum);
+    struct rn_validated sum = {0};
+    for (int i = 0; i < n; i++) {
+        if (!rn_pixel_is_used(&t->held, b->frame, spots[i].x, spots[i].y)) continue;
+        rn_pixel_add_error(&t->held, b->frame, spots[i].x, spots[i].y, t->field->config.background,
+                           pixels[i].rgb, &sum.squares);
+        sum.pixels++;
+    }
     t->validation.pieces[index] = sum;
 }
 
 // The frame under way is done: its PSNR.
 static void finish_frame(struct rn_trainer *t) {
     struct rn_validation *v = &t->validation;
-    size_t pixels = rn_pixels_used(&t->held, &t->held.frames[v->frame]);
-    if (pixels == 0) pixels = 1;
-    v->psnr_sum += -10 * log10(fmax(v->squares / (3.0 * (double)pixels), 1e-10));
-    v->squares = 0;
+    double pixels = v->sum.pixels ? (double)v->sum.pixels : 1;
+    v->psnr_sum += -10 * log10(fmax(v->sum.squares / (3 * pixels), 1e-10));
+    v->sum = (struct rn_validated){0};
     v->pixel = 0;
     v->frame++;
     rn_pixels_let_go(&t->held);
@@ -62,8 +63,9 @@ static enum rn_status validate_on_device(struct rn_trainer *t, struct rn_error *
     const struct rn_pixel_frame *frame = &t->held.frames[v->frame];
     int width = frame->camera.width, height = frame->camera.height;
     int row = (int)(v->pixel / (size_t)width), rows = height - row < 64 ? height - row : 64;
-    enum rn_status status = rn_trainer_validate_rows(t, frame, row, rows, &v->squares, err);
+    enum rn_status status = rn_trainer_validate_rows(t, frame, row, rows, &v->sum.squares, err);
     v->pixel += (size_t)rows * (size_t)width;
+    v->sum.pixels = rn_pixels_used(&t->held, frame);
     if (row + rows == height) finish_frame(t);
     return status;
 }
@@ -73,7 +75,8 @@ static void validate_next(struct rn_trainer *t) {
     struct rn_validation *v = &t->validation;
     const struct rn_train_config *config = &t->field->config;
     struct validate_block b = {.trainer = t, .frame = &t->held.frames[v->frame], .first = v->pixel};
-    size_t pixels = (size_t)b.frame->camera.width * (size_t)b.frame->camera.height;
+    b.grid = rn_validate_grid(b.frame->camera.width, b.frame->camera.height);
+    size_t pixels = (size_t)b.grid.width * (size_t)b.grid.height;
     b.count = pixels - v->pixel < RN_VALIDATE_BLOCK ? pixels - v->pixel : RN_VALIDATE_BLOCK;
     b.march =
         (struct rn_march_options){.step = (float)config->step,
@@ -87,8 +90,10 @@ static void validate_next(struct rn_trainer *t) {
                           rn_engine_is_wanted, t->engine))
         return;
     v->next_piece = 0;
-    for (int i = 0; i < pieces; i++)
-        v->squares += v->pieces[i];
+    for (int i = 0; i < pieces; i++) {
+        v->sum.squares += v->pieces[i].squares;
+        v->sum.pixels += v->pieces[i].pixels;
+    }
     v->pixel += b.count;
     if (v->pixel == pixels) finish_frame(t);
 }

@@ -6,17 +6,49 @@
 #include <stddef.h>
 
 #include "server/engine/kernels/kernels.h"
+#include "server/engine/render/cones.h"
 
 #define RN_VALIDATE_BLOCK 4096 // pixels a block
 #define RN_VALIDATE_LEAST 8    // of it, a piece, at least
 
+// Pixels of a view that are rendered, at most: of larger ones every second, third, ... along both
+// axes, so that photographs of 12 megapixels take no longer than these.
+#define RN_VALIDATE_PIXELS (1 << 20)
+
+// Which ones: the middles of squares of `apart` pixels, rows of `width` of them.
+struct rn_validate_grid {
+    int apart, width, height;
+};
+
+static inline struct rn_validate_grid rn_validate_grid(int width, int height) {
+    struct rn_validate_grid grid = {.apart = 0};
+    do {
+        grid.apart++;
+        grid.width = width / grid.apart;
+        grid.height = height / grid.apart;
+    } while ((size_t)grid.width * (size_t)grid.height > RN_VALIDATE_PIXELS);
+    return grid;
+}
+
+static inline struct rn_spot rn_validate_spot(const struct rn_validate_grid *grid, size_t index) {
+    size_t apart = (size_t)grid->apart, width = (size_t)grid->width;
+    return (struct rn_spot){(int)(index % width * apart + apart / 2),
+                            (int)(index / width * apart + apart / 2)};
+}
+
+// Errors of the pixels that count.
+struct rn_validated {
+    double squares;
+    size_t pixels;
+};
+
 struct rn_validation {
     bool active;
-    int frame;                                            // of those held out
-    size_t pixel;                                         // where the block under way begins
-    int next_piece;                                       // of the block
-    double pieces[RN_VALIDATE_BLOCK / RN_VALIDATE_LEAST]; // its pieces' errors
-    double squares;                                       // of the frame's errors so far
+    int frame;      // of those held out
+    size_t pixel;   // where the block under way begins, of those that are rendered
+    int next_piece; // of the block
+    struct rn_validated pieces[RN_VALIDATE_BLOCK / RN_VALIDATE_LEAST]; // of it
+    struct rn_validated sum;                                           // of the frame so far
     double psnr_sum;
 };
 

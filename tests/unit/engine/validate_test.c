@@ -1,0 +1,41 @@
+// Which pixels of a held-out view are rendered.
+#include "server/engine/train/validate.h"
+#include "tests/support/suite.h"
+
+static const int sizes[][2] = {{1, 1},       {400, 400},   {800, 800},   {1024, 1024},
+                               {1025, 1024}, {1080, 1920}, {4000, 3000}, {3001, 4003},
+                               {16384, 3},   {16384, 65},  {16384, 8192}};
+
+// Every pixel of what is small enough; of what is larger as many as may be, all in the picture, a
+// step apart, and no wider border left out.
+START_TEST(pixels_of_a_view_are_spread_evenly) {
+    int width = sizes[_i][0], height = sizes[_i][1];
+    struct rn_validate_grid grid = rn_validate_grid(width, height);
+    size_t all = (size_t)width * (size_t)height, count = (size_t)grid.width * (size_t)grid.height;
+    ck_assert_uint_le(count, RN_VALIDATE_PIXELS);
+    if (all <= RN_VALIDATE_PIXELS)
+        ck_assert_uint_eq(count, all);
+    else
+        ck_assert_uint_ge(count, RN_VALIDATE_PIXELS / 4);
+    bool even = true;
+    for (size_t i = 0; i < count; i++) {
+        struct rn_spot spot = rn_validate_spot(&grid, i);
+        even &= spot.x >= 0 && spot.x < width && spot.y >= 0 && spot.y < height;
+        even &= spot.x % grid.apart == grid.apart / 2 && spot.y % grid.apart == grid.apart / 2;
+        even &= (size_t)(spot.y / grid.apart * grid.width + spot.x / grid.apart) == i;
+    }
+    ck_assert(even);
+    struct rn_spot last = rn_validate_spot(&grid, count - 1);
+    ck_assert_int_lt(width - 1 - last.x, 2 * grid.apart);
+    ck_assert_int_lt(height - 1 - last.y, 2 * grid.apart);
+}
+END_TEST
+
+int main(void) {
+    Suite *suite = suite_create("validate");
+    TCase *cases = tcase_create("validate");
+    tcase_add_loop_test(cases, pixels_of_a_view_are_spread_evenly, 0,
+                        (int)(sizeof sizes / sizeof *sizes));
+    suite_add_tcase(suite, cases);
+    return run_suite(suite);
+}
