@@ -111,10 +111,9 @@ static void make_rays(struct setup *s) {
             e->origin[i] = (double)s->rays[r].origin[i] - e->direction[i] * (double)s->rays[r].near;
             s->rays[r].target[i] = unit(1000 + 10 * r + i);
             e->target[i] = s->rays[r].target[i];
-            e->background[i] = s->options.background[i];
         }
         e->alpha = s->rays[r].alpha = unit(1000 + 10 * r + 3);
-        e->background_variance = s->options.background_variance;
+        e->colour = s->options.colour;
     }
 }
 
@@ -142,9 +141,8 @@ static void set_up(struct setup *s, const struct rn_kernels *kernels,
     copy_parameters(s);
     s->options = (struct rn_march_options){.step = (float)config->step,
                                            .stop_depth = 1e9f,
-                                           .background = {1, 0.5f, 0.25f},
-                                           .distortion_loss = (float)config->distortion_loss,
-                                           .background_variance = 0.1f};
+                                           .colour = {{1, 0.5f, 0.25f}, 0.1f},
+                                           .distortion_loss = (float)config->distortion_loss};
     s->reference->distortion_loss = config->distortion_loss;
     make_rays(s);
 }

@@ -183,7 +183,7 @@ mutate rays loss.cuh "ray shading: behind within a tile only" 's/^    \*behind +
 mutate rays shade.cuh "ray shading: the last tile only" \
     's/slot >= 0; slot = b->tile_previous\[slot\]/slot >= 0; slot = -1/'
 mutate rays shade.cuh "ray shading: no gradient of the opacity" 's/^        g.opacity += .*//'
-mutate rays shade.cuh "ray shading: the background takes no part" 's/(out\[c\] - march->background\[c\])/out[c]/'
+mutate rays loss.cuh "ray shading: the background takes no part" 's/^    rn_colour_back_lane(.*//'
 mutate rays shade.cuh "ray shading: no gradient of the diffuse colours" \
     's/^        rn_set_column(direct, 1 + k.*/;/'
 mutate rays shade.cuh "ray shading: nothing through the colour network" \
@@ -255,7 +255,7 @@ mutate places step.cuh "rendering: pixels as they lie, whatever list" 's/view.pl
 mutate places step.cuh "rendering: every picture through the first camera" 's/view.cameras\[place .*\];/view.cameras[0];/'
 mutate places step.cuh "rendering: one cone instead of four" 's/x \* n + cone % n + 0.5/x * n + 0.5/'
 mutate places step.cuh "rendering: rays that end early stay open" 's/^        rn_close_ended.*/        ;/'
-mutate places step.cuh "rendering: straight colours are averaged as others" 's/view.straight ? march.background : NULL/NULL/'
+mutate places step.cuh "rendering: straight colours are averaged as others" 's/view.straight ? march.colour.background : NULL/NULL/'
 mutate places backend.cu "rendering: an fp16 zero is no zero" 's/size < 0x400 ? denormal .* : value/value/'
 mutate parts backend.cu "rendering: the list of the first part again" 's/p->places->numbers + p->asked/p->places->numbers/'
 mutate parts backend.cu "rendering: copied before it is there" 's/^    if (!e) e = cudaStreamWaitEvent.*//'
@@ -305,7 +305,7 @@ mutate_engine rest scene/device.c "engine: firm cells in place of all finer ones
 mutate_engine rest render/render.c "engine: a picture's cells are not chosen for a device" \
     's/if (status == RN_OK) rn_field_choose_cells/if (status == RN_OK \&\& !f->on_device) rn_field_choose_cells/'
 mutate_engine paper train/device.c "engine: held-out views over black" \
-    's/    memcpy(march.background, .*//'
+    's/^    march.straight = .*/    memset(\&march.colour, 0, sizeof march.colour);/'
 mutate_engine diverges train/device.c "engine: never back to good numbers" \
     's/p.rejected_in_a_row < MOST_REJECTED ? RN_OK : roll_back(t, err)/RN_OK/'
 mutate_engine diverges train/device.c "engine: the device keeps what training went back from" \

@@ -20,7 +20,7 @@ START_TEST(pixels_match_reference) {
         struct test_scene s;
         struct rn_pixel pixels[SIDE * SIDE];
         struct rn_march_options options = {
-            .step = (float)config.step, .stop_depth = 1e9f, .background = {1, 0.5f, 0.25f}};
+            .step = (float)config.step, .stop_depth = 1e9f, .colour = {{1, 0.5f, 0.25f}, 0}};
         uint64_t samples;
         double worst_pixel = 0, largest = 1;
         test_scene_init(&s, &config);
@@ -31,8 +31,7 @@ START_TEST(pixels_match_reference) {
             struct rn_reference_ray ray =
                 test_reference_ray(&s, &s.frames[0].camera, k % SIDE, 2 + k / SIDE, 0);
             double rgb[3], opacity, depth;
-            for (int c = 0; c < 3; c++)
-                ray.background[c] = (double)options.background[c];
+            ray.colour = options.colour;
             OK(rn_reference_render(s.reference, &ray, rgb, &opacity, &depth));
             for (int c = 0; c < 3; c++) {
                 worst_pixel = fmax(worst_pixel, fabs((double)pixels[k].rgb[c] - rgb[c]));
@@ -83,7 +82,7 @@ START_TEST(march_finds_the_cells_that_the_cpu_finds) {
         const float look[3] = {0.6f, 0, 0.8f};
         struct rn_march_options options = {.step = (float)config.step,
                                            .stop_depth = 1e9f,
-                                           .background = {0.25f, 0.5f, 1},
+                                           .colour = {{0.25f, 0.5f, 1}, 0},
                                            .look = stride ? look : NULL};
         for (int f = 0; f < FRAMES; f++) {
             const struct rn_camera *camera = &s.frames[f].camera;
@@ -232,7 +231,8 @@ START_TEST(rays_stop_where_nothing_can_be_seen) {
     ck_assert_uint_ge(samples, cpu);
     ck_assert_uint_le(samples, cpu + SIDE * (RN_TILE - RN_ROUND));
     for (int i = 0; i < SIDE; i++) {
-        rn_close_ended(rn_ended_opacity(0.3f, config.stop), options.background, &expected[i]);
+        rn_close_ended(rn_ended_opacity(0.3f, config.stop), options.colour.background,
+                       &expected[i]);
         ck_assert_double_eq_tol(pixels[i].alpha, expected[i].alpha, 0.02);
     }
     test_scene_finish(&s);
@@ -268,7 +268,7 @@ static void check_places(const struct test_scene *s, const struct rn_march_optio
         const struct rn_pixel *at = &fine[c][y * FINE + x];
         struct rn_pixel mean =
             rn_cones_mean((struct rn_pixel[]){at[0], at[1], at[FINE], at[FINE + 1]}, N,
-                          options->straight ? options->background : NULL);
+                          options->straight ? options->colour.background : NULL);
         double near = halves ? 0x1p-11 : 1e-6; // of numbers below 1
         for (int k = 0; k < 3; k++)
             ck_assert_double_eq_tol(pixels[i].rgb[k], mean.rgb[k],
@@ -287,7 +287,7 @@ START_TEST(places_of_cameras_are_averaged) {
     OK(test_scene_upload(&s, 0, &err));
     struct rn_march_options options = {.step = 0.2f,
                                        .stop_depth = _i ? 0.2f : 1e9f,
-                                       .background = {0.25f, 0.5f, 1},
+                                       .colour = {{0.25f, 0.5f, 1}, 0},
                                        .straight = _i};
     check_places(&s, &options, _i, numbers, sizeof numbers / sizeof *numbers);
     if (_i) check_places(&s, &options, _i, NULL, 60);

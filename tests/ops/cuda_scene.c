@@ -113,6 +113,11 @@ enum rn_status test_scene_upload(struct test_scene *s, size_t budget, struct rn_
     return test_backend()->field_create(s->device, &scene, &s->on_device, err);
 }
 
+static struct rn_colouring colouring_of(const struct test_scene *s) {
+    const float *c = s->config.background;
+    return (struct rn_colouring){{c[0], c[1], c[2]}, s->background_variance};
+}
+
 enum rn_status test_scene_train(struct test_scene *s, bool deterministic, struct rn_error *err) {
     struct rn_device_pixels pixels = {.frames = s->frames,
                                       .rgba = s->rgba,
@@ -126,10 +131,9 @@ enum rn_status test_scene_train(struct test_scene *s, bool deterministic, struct
                                           .next_rays = s->rays,
                                           .march_step = config->step,
                                           .split = s->split,
-                                          .background_variance = s->background_variance,
+                                          .colour = colouring_of(s),
                                           .m = s->m,
                                           .v = s->v};
-    memcpy(training.background, config->background, sizeof training.background);
     return test_backend()->train_begin(s->on_device, &pixels, &training, err);
 }
 
@@ -196,9 +200,8 @@ struct rn_reference_ray test_reference_ray(const struct test_scene *s,
     for (int i = 0; i < 3; i++) {
         out.direction[i] = (double)ray.direction[i];
         out.origin[i] = (double)ray.origin[i] - out.direction[i] * (double)ray.near;
-        out.background[i] = (double)s->config.background[i];
     }
-    out.background_variance = (double)s->background_variance;
+    out.colour = colouring_of(s);
     return out;
 }
 

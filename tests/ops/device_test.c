@@ -16,7 +16,8 @@ static struct rn_field_info train(const char *device, const struct rn_train_conf
     struct rn_field_info info;
     run_begin(device, config);
     run_to(INT64_MAX);
-    ck_assert(run.trainer->step.march.background_variance == 0); // random backgrounds have ended
+    ck_assert(run.trainer->step.march.colour.background_variance ==
+              0); // random backgrounds have ended
     run_validate();
     OK(rn_trainer_save(run.trainer, run.path, &err));
     rn_field_describe(rn_trainer_field(run.trainer), &info);

@@ -421,10 +421,10 @@ START_TEST(random_backgrounds_have_their_time) {
     struct rn_engine *engine = engine_with(1);
     struct rn_trainer *t = trainer_for(engine, dataset, &config);
     for (; t->progress.step < 10; t->progress.step++) {
-        struct rn_march_options march = rn_schedule_march(&t->field->config, &t->progress);
+        struct rn_march_options march = rn_schedule_march(t->field, &t->progress);
         bool first = t->progress.step < 4;
-        ck_assert_float_eq(march.background[1], first ? 0.5f : 0.75f);
-        ck_assert_float_eq_tol(march.background_variance, first ? 0.25f : 0, 1e-9f);
+        ck_assert_float_eq(march.colour.background[1], first ? 0.5f : 0.75f);
+        ck_assert_float_eq_tol(march.colour.background_variance, first ? 0.25f : 0, 1e-9f);
     }
     memset(t->train.rgba, 255, 4 * t->train.pixel_count);
     rn_trainer_detect_effects(t);

@@ -94,11 +94,12 @@ START_TEST(slopes_are_those_of_float64) {
     const struct rn_pixel_frame *frame = &t->train.frames[0];
     struct rn_pose_photo photo = {.rgba = t->train.rgba + 4 * frame->offset,
                                   .camera = frame->camera};
-    struct rn_pose_looker looker = rn_pose_looker(engine, t->field, 0);
+    struct rn_pose_looker looker = {engine, t->field, 0, rn_effects_march_trained(t->field)};
     struct rn_pose_sights sights;
     static float slopes[RN_POSE_UNKNOWNS][RN_POSE_SIGHTS][3];
     looker.march.stop_depth = 1e9f;
-    rn_pose_draw(&photo, RN_POSE_WHOLE, 1, SIGHTS, looker.march.background, 1, 2, 3, &sights);
+    rn_pose_draw(&photo, RN_POSE_WHOLE, 1, SIGHTS, looker.march.colour.background, 1, 2, 3,
+                 &sights);
     ck_assert_int_eq(sights.count, SIGHTS);
     rn_pose_slopes(&looker, &frame->camera, &sights, slopes);
     double apart = 0, size = 0, half = 0.5 / frame->camera.fx;

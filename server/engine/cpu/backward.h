@@ -83,15 +83,12 @@ static const row16 linear = {0, 0, 0, 0, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1};
 
 // Ray shading: dL/d(sums) of every ray through the head, then of its samples dL/dw and the size of
 // dL/d(geometry).
-static void backward_rays(const struct rn_cpu_field *field, const struct rn_march_options *options,
-                          int hits, const int16_t *hit, const struct ray_sums *sums,
-                          float (*ray_slope)[4], struct rn_workspace *w, struct rn_group *group,
-                          row16 *ret_ray_grad) {
+static void backward_rays(const struct rn_cpu_field *field, int hits, const int16_t *hit,
+                          const struct ray_sums *sums, float (*ray_slope)[4],
+                          struct rn_workspace *w, struct rn_group *group, row16 *ret_ray_grad) {
     for (int j = 0; j < hits; j++) {
         const float *g = ray_slope[hit[j]];
         row16 d = {g[3], g[0], g[1], g[2]};
-        for (int c = 0; c < 3; c++)
-            d[0] -= g[c] * options->background[c];
         if (field->config->view_dependence) {
             float *out = w->head_out + (size_t)j * RN_HEAD_OUTPUTS;
             for (int c = 0; c < 3; c++) {
@@ -134,16 +131,11 @@ RN_INLINE row16 geometry_slope(row16 ray_grad, int i, const struct rn_workspace 
 }
 
 // Sample shading: the same, through a head per sample; `kept` rows of the head.
-static void backward_samples(const struct rn_cpu_field *field,
-                             const struct rn_march_options *options, int kept,
-                             float (*ray_slope)[4], struct rn_workspace *w,
-                             struct rn_group *group) {
+static void backward_samples(const struct rn_cpu_field *field, int kept, float (*ray_slope)[4],
+                             struct rn_workspace *w, struct rn_group *group) {
     memset(w->geometry_grad, 0, (size_t)w->count * RN_GEOMETRY * sizeof(float));
-    for (int i = 0; i < w->count; i++) {
-        const float *g = ray_slope[w->ray[i]];
-        w->slope[i] = g[3] - (g[0] * options->background[0] + g[1] * options->background[1] +
-                              g[2] * options->background[2]);
-    }
+    for (int i = 0; i < w->count; i++)
+        w->slope[i] = ray_slope[w->ray[i]][3];
     for (int j = 0; j < kept; j++) {
         int i = w->kept[j];
         const float *g = ray_slope[w->ray[i]];
@@ -357,9 +349,9 @@ static void train(const struct rn_cpu_field *field, const struct rn_march_option
     for (int r = 0; r < n; r += pixel)
         rays_loss(options, packet + r, pixel, seen + r, sums + r, rgb + r, ray_slope + r, group);
     if (per_ray)
-        backward_rays(field, options, hits, hit, sums, ray_slope, w, group, ray_grad);
+        backward_rays(field, hits, hit, sums, ray_slope, w, group, ray_grad);
     else
-        backward_samples(field, options, kept, ray_slope, w, group);
+        backward_samples(field, kept, ray_slope, w, group);
     packet_backward(field, options, packet, n, leveled, per_ray ? ray_grad : NULL, w, group);
 }
 

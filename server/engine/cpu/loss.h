@@ -15,7 +15,7 @@
 static bool pixel_loss(const struct rn_march_options *options, const struct rn_march_ray *ray,
                        const float rgb[3], float opacity, float ret_grad[4],
                        struct rn_group *group) {
-    float excess = opacity - ray->alpha, spread = 3 * options->background_variance;
+    float excess = opacity - ray->alpha, spread = 3 * options->colour.background_variance;
     double loss = 0.5 * (double)spread * (double)excess * (double)excess;
     for (int c = 0; c < 3; c++) {
         float d = rgb[c] - ray->target[c], size = fabsf(d);
@@ -31,8 +31,8 @@ static bool pixel_loss(const struct rn_march_options *options, const struct rn_m
 }
 
 // The loss of a pixel whose colour and opacity are the mean of `n` rays', of which those that met
-// nothing show the background (hit[] is false of them). A ray that is not finite counts as such,
-// and its pixel gets no gradient.
+// nothing show the background (hit[] is false of them), and dL/d(composited colour), dL/d(opacity)
+// of each ray. A ray that is not finite counts as such, and its pixel gets no gradient.
 static void rays_loss(const struct rn_march_options *options, const struct rn_march_ray *rays,
                       int n, const bool *hit, const struct ray_sums *sums, float (*rgb)[3],
                       float (*ret_slope)[4], struct rn_group *group) {
@@ -41,7 +41,7 @@ static void rays_loss(const struct rn_march_options *options, const struct rn_ma
     for (int r = 0; r < n; hits += hit[r++]) {
         opacity += hit[r] ? sums[r].opacity * share : 0;
         for (int c = 0; c < 3; c++)
-            mean[c] += (hit[r] ? rgb[r][c] : options->background[c]) * share;
+            mean[c] += (hit[r] ? rgb[r][c] : options->colour.background[c]) * share;
     }
     if (hits == 0) return;
     bool finite = pixel_loss(options, rays, mean, opacity, grad, group);
@@ -51,6 +51,7 @@ static void rays_loss(const struct rn_march_options *options, const struct rn_ma
             group->rays_hit++;
             for (int c = 0; c < 4; c++)
                 ret_slope[r][c] = grad[c] * share;
+            colour_back(&options->colour, ret_slope[r]);
         } else if (!isfinite(rgb[r][0] + rgb[r][1] + rgb[r][2] + sums[r].opacity) || n == 1) {
             if (group->nonfinite_rays < RN_OFFENDERS)
                 group->offender[group->nonfinite_rays] = rays[r].id;

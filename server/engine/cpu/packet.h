@@ -290,6 +290,8 @@ static void head_inputs(const struct rn_cpu_field *field, const struct rn_march_
     in[31] = sums->opacity;
 }
 
+RN_COLOUR_FUNCTIONS(colour_seen, colour_back, float)
+
 // The colours of `n` rays with those inputs; the j-th's sums and colour are number at[j].
 static void head_colours(const struct rn_cpu_field *field, const struct rn_march_options *options,
                          int n, const int16_t *at, const struct ray_sums *sums,
@@ -304,9 +306,9 @@ static void head_colours(const struct rn_cpu_field *field, const struct rn_march
         for (int c = 0; c < 3; c++) {
             float specular =
                 field->config->view_dependence ? w->head_out[(size_t)j * RN_HEAD_OUTPUTS + c] : 0;
-            rgb[at[j]][c] =
-                s->sum[1 + c] + s->opacity * specular + (1 - s->opacity) * options->background[c];
+            rgb[at[j]][c] = s->sum[1 + c] + s->opacity * specular;
         }
+        colour_seen(&options->colour, s->opacity, rgb[at[j]]);
     }
 }
 
@@ -372,14 +374,15 @@ static void shade_packet_by_samples(const struct rn_cpu_field *field,
     for (int r = 0; r < ray_count; r++) {
         if (w->ray_first[r] < 0) continue;
         sums[r] = sum_ray(r, false, w);
-        for (int c = 0; c < 3; c++)
-            rgb[r][c] = (1 - sums[r].opacity) * options->background[c];
+        memset(rgb[r], 0, sizeof rgb[r]);
     }
     for (int j = 0; j < kept; j++) {
         int i = w->kept[j];
         for (int c = 0; c < 3; c++)
             rgb[w->ray[i]][c] += w->weight[i] * w->head_out[(size_t)j * RN_HEAD_OUTPUTS + c];
     }
+    for (int r = 0; r < ray_count; r++)
+        if (w->ray_first[r] >= 0) colour_seen(&options->colour, sums[r].opacity, rgb[r]);
 }
 
 #endif

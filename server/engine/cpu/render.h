@@ -83,7 +83,7 @@ static void stream_place(struct stream *s, const struct rn_march_ray *ray,
 // Looks at the next rays while there is room: the ones that meet an occupied brick get a place, the
 // others the background.
 static void stream_fill(struct stream *s) {
-    const float *background = s->options->background;
+    const float *background = s->options->colour.background;
     const struct rn_occupancy_bits *o = &s->field->occupancy;
     while (s->next < s->ray_count && s->free_count >= RN_VL) {
         const struct rn_march_ray *rays = s->rays + s->next;
@@ -140,8 +140,8 @@ static void stream_end(struct stream *s, int r) {
     pixel->alpha = total.opacity < 1 ? total.opacity : 1;
     pixel->depth = total.opacity > 0 ? total.depth / total.opacity : 0;
     if (s->field->config->shading == RN_SHADING_SAMPLE) {
-        for (int c = 0; c < 3; c++)
-            pixel->rgb[c] = s->rgb[r][c] + (1 - total.opacity) * s->options->background[c];
+        memcpy(pixel->rgb, s->rgb[r], sizeof pixel->rgb);
+        colour_seen(&s->options->colour, total.opacity, pixel->rgb);
         return;
     }
     int j = s->ended_count++;

@@ -321,7 +321,7 @@ static void describe_training(struct rn_device_field *f, const struct rn_device_
     memcpy(s->centre, f->centre, sizeof s->centre);
     s->radius = f->radius;
     s->step = t->march_step;
-    memcpy(s->background, t->background, sizeof s->background);
+    s->colour = f->march.colour = t->colour;
     s->seed = c->seed;
     s->cone_step = c->cone_step;
     s->favour_finest = c->favour_finest;
@@ -331,8 +331,6 @@ static void describe_training(struct rn_device_field *f, const struct rn_device_
     f->batch.roulette = (float)c->roulette;
     f->march.step = (float)t->march_step;
     f->march.stop_depth = (float)-log(c->stop);
-    f->march.background_variance = t->background_variance;
-    memcpy(f->march.background, t->background, sizeof f->march.background);
     choose_capacities(f);
 }
 
@@ -497,7 +495,7 @@ static struct rn_cuda_march march_of(const struct rn_march_options *o) {
     struct rn_cuda_march m = {};
     m.step = o->step;
     m.stop_depth = o->stop_depth;
-    memcpy(m.background, o->background, sizeof m.background);
+    m.colour = o->colour;
     m.turned = o->look != NULL;
     if (o->look) memcpy(m.look, o->look, sizeof m.look);
     return m;

@@ -263,10 +263,16 @@ template <int KT, int WT, bool TRAIN> RN_DEVICE void rn_trace_ray(struct rn_trac
     t->distance = rn_tile_sum(t->distance);
 }
 
+RN_COLOUR_FUNCTIONS(rn_colour_seen_lane, rn_colour_back_lane, float)
+
 RN_DEVICE void rn_store_pixel(const struct rn_trace *t) {
     struct rn_pixel pixel;
     for (int c = 0; c < 3; c++)
-        pixel.rgb[c] = t->colour[c] + (1 - t->opacity) * t->march->background[c];
+        pixel.rgb[c] = t->colour[c];
+    // What is shaded by the ray gets the network's part first (rn_shade_pixel), if it meets
+    // anything.
+    bool waits = t->scene->per_ray && t->scene->view_dependence && t->opacity != 0;
+    if (!waits) rn_colour_seen_lane(&t->march->colour, t->opacity, pixel.rgb);
     pixel.alpha = fminf(t->opacity, 1);
     pixel.depth = t->opacity > 0 ? t->distance / t->opacity : 0;
     t->batch->pixels[t->index] = pixel;

@@ -8,21 +8,21 @@
 
 // ---- loss -----------------------------------------------------------------------------------
 
-// Loss of a finished ray (smooth L1, beta 1, times the area weight; over random backgrounds its
-// mean) and its gradient: dL/d(colour over the background), and dL/d(opacity) but for what comes
-// through that. As pixel_loss of cpu/backward.h. False where the ray takes no part.
+// Loss of a pixel of that colour (smooth L1, beta 1, times the area weight; over random backgrounds
+// its mean) and its gradient back to the composited colours and opacities of its rays
+// (rn_colour_back_lane). As pixel_loss of cpu/loss.h. False where the ray takes no part.
 RN_DEVICE bool rn_ray_loss(const struct rn_march_ray *ray, const struct rn_cuda_march *march,
                            const float colour[3], float opacity, float ret_grad[4],
                            float *ret_loss) {
-    float excess = opacity - ray->alpha, spread = 3 * march->background_variance;
+    float excess = opacity - ray->alpha, spread = 3 * march->colour.background_variance;
     float loss = 0.5f * spread * excess * excess;
     ret_grad[3] = ray->weight * spread * excess;
     for (int c = 0; c < 3; c++) {
-        float value = colour[c] + (1 - opacity) * march->background[c];
-        float d = value - ray->target[c], size = fabsf(d);
+        float d = colour[c] - ray->target[c], size = fabsf(d);
         loss += size < 1 ? 0.5f * d * d : size - 0.5f;
         ret_grad[c] = ray->weight * fminf(fmaxf(d, -1), 1);
     }
+    rn_colour_back_lane(&march->colour, ret_grad);
     *ret_loss = loss;
     return opacity > 0 && ray->weight > 0 && loss < 3e38f;
 }
@@ -43,14 +43,17 @@ struct rn_seen {
 };
 
 // The mean over `rays` rays from ray `first` on.
-RN_DEVICE struct rn_seen rn_seen_by(const struct rn_cuda_batch *b, int first, int rays) {
+RN_DEVICE struct rn_seen rn_seen_by(const struct rn_cuda_batch *b,
+                                    const struct rn_cuda_march *march, int first, int rays) {
     struct rn_seen mean = {0, {0, 0, 0}};
     float share = 1 / (float)rays;
     for (int r = first; r < first + rays; r++) {
         const float *sums = b->ray_sums + (size_t)r * RN_GEOMETRY;
+        float seen[3] = {sums[1], sums[2], sums[3]};
+        rn_colour_seen_lane(&march->colour, sums[0], seen);
         mean.opacity += share * sums[0];
         for (int c = 0; c < 3; c++)
-            mean.colour[c] += share * sums[1 + c];
+            mean.colour[c] += share * seen[c];
     }
     return mean;
 }
@@ -114,11 +117,10 @@ RN_DEVICE void rn_return_tile(const struct rn_cuda_batch *b, int slot, bool retu
 }
 
 // dL/d(colour logits) and dL/d(density logit) of the samples of one ray, whose loss has the
-// gradient `grad` (rn_ray_loss); g_i = grad[3] + grad . (colour_i - background). From the last tile
-// to the first; those that draw no blank are backpropagated.
-RN_DEVICE void rn_composite_backward(const struct rn_cuda_batch *b, const float background[3],
-                                     int r, const float grad[4], float scale,
-                                     struct rn_cuda_return *ret) {
+// gradient `grad` (rn_ray_loss); g_i = grad[3] + grad . colour_i. From the last tile to the first;
+// those that draw no blank are backpropagated.
+RN_DEVICE void rn_composite_backward(const struct rn_cuda_batch *b, int r, const float grad[4],
+                                     float scale, struct rn_cuda_return *ret) {
     struct rn_roulette roulette = rn_roulette_start(b, r);
     double behind = 0;
     for (int slot = b->ray_last[r]; slot >= 0; slot = b->tile_previous[slot]) {
@@ -127,7 +129,7 @@ RN_DEVICE void rn_composite_backward(const struct rn_cuda_batch *b, const float 
         for (int c = 0; c < 3; c++) {
             float colour = b->colour[((size_t)slot * 3 + c) * RN_TILE + RN_LANE % RN_TILE];
             sigmoid[c] = weight > 0 ? scale * grad[c] * weight * colour * (1 - colour) : 0;
-            slope += grad[c] * ((weight > 0 ? colour : 0) - background[c]);
+            slope += weight > 0 ? grad[c] * colour : 0;
             size += fabsf(sigmoid[c]);
         }
         float logit = rn_attenuate_backward(b, at, scale * slope, &behind);
@@ -151,11 +153,11 @@ __global__ void __launch_bounds__(256) rn_loss_kernel(const __grid_constant__ rn
          r < batch.status->ray_count; r += stride) {
         const struct rn_march_ray *ray = &batch.rays[r];
         struct rn_cuda_return returned = {0, 0, 0, 0};
-        struct rn_seen seen = rn_seen_by(&batch, r - r % rays, rays),
-                       own = rn_seen_by(&batch, r, 1);
+        struct rn_seen seen = rn_seen_by(&batch, &march, r - r % rays, rays),
+                       own = rn_seen_by(&batch, &march, r, 1);
         float grad[4], loss, sum = own.opacity + own.colour[0] + own.colour[1] + own.colour[2];
         bool takes_part = rn_ray_loss(ray, &march, seen.colour, seen.opacity, grad, &loss);
-        if (takes_part) rn_composite_backward(&batch, march.background, r, grad, scale, &returned);
+        if (takes_part) rn_composite_backward(&batch, r, grad, scale, &returned);
         if (RN_LANE > 0) continue;
         batch.ray_return[r] = returned;
         rn_save_loss(&batch, r, takes_part, share * ray->weight, loss,

@@ -54,10 +54,10 @@ struct rn_cuda_scene {
 
 // What a march needs besides the scene.
 struct rn_cuda_march {
-    float step, stop_depth, background[3];
-    float background_variance; // rn_march_options
-    bool split;                // rn_march_options
-    bool turned;               // `look` replaces the rays' direction for the colour network
+    float step, stop_depth;
+    struct rn_colouring colour;
+    bool split;  // rn_march_options
+    bool turned; // `look` replaces the rays' direction for the colour network
     float look[3];
 };
 

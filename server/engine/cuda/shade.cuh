@@ -37,12 +37,15 @@ RN_DEVICE void rn_keep_rows(uint32_t (&a)[2][4], uint32_t rows) {
         if (!(rows >> (RN_LANE / 4 + 8 * (i % 2)) & 1)) a[i / 4][i % 4] = 0;
 }
 
-// Adds the network's part to the pixel of lane i's ray.
-RN_DEVICE void rn_shade_pixel(const struct rn_cuda_batch *b, int r, const float colour[3]) {
+// Adds the network's part to the pixel of lane i's ray, if that meets anything.
+RN_DEVICE void rn_shade_pixel(const struct rn_cuda_batch *b, const struct rn_cuda_march *march,
+                              int r, const float colour[3]) {
     if (RN_LANE >= RN_TILE || r >= b->status->ray_count) return;
-    float opacity = b->ray_sums[(size_t)r * RN_GEOMETRY];
-    for (int c = 0; c < 3 && opacity != 0; c++)
-        b->pixels[r].rgb[c] += opacity * colour[c];
+    float opacity = b->ray_sums[(size_t)r * RN_GEOMETRY], *rgb = b->pixels[r].rgb;
+    if (opacity == 0) return;
+    for (int c = 0; c < 3; c++)
+        rgb[c] += opacity * colour[c];
+    rn_colour_seen_lane(&march->colour, opacity, rgb);
 }
 
 // ---- training -------------------------------------------------------------------------------
@@ -72,6 +75,7 @@ RN_DEVICE struct rn_ray_gradient rn_ray_gradient(const struct rn_cuda_batch *b,
     float opacity = is ? b->ray_sums[(size_t)r * RN_GEOMETRY] : 0, colour[3] = {0, 0, 0};
     for (int c = 0; c < 3 && is && opacity != 0; c++)
         colour[c] = b->ray_sums[(size_t)r * RN_GEOMETRY + 1 + c] + opacity * out[c];
+    rn_colour_seen_lane(&march->colour, opacity, colour);
     struct rn_seen seen = {opacity, {colour[0], colour[1], colour[2]}};
     float share = march->split ? 1.0f / RN_PIXEL_RAYS : 1;
     if (march->split) seen = rn_pixel_mean(seen);
@@ -84,7 +88,7 @@ RN_DEVICE struct rn_ray_gradient rn_ray_gradient(const struct rn_cuda_batch *b,
     for (int c = 0; c < 3 && g.takes_part; c++) {
         g.diffuse[c] = scale * grad[c];
         g.colour[c] = g.diffuse[c] * opacity;
-        g.opacity += g.diffuse[c] * (out[c] - march->background[c]);
+        g.opacity += g.diffuse[c] * out[c];
     }
     return g;
 }
@@ -128,7 +132,7 @@ __global__ void __launch_bounds__(RN_NETWORK_THREADS(SHARED), 1)
         for (int c = 0; c < 3; c++)
             colour[c] = rn_column(out, c);
         if constexpr (!TRAIN) {
-            rn_shade_pixel(&batch, own, colour);
+            rn_shade_pixel(&batch, &march, own, colour);
         } else {
             struct rn_ray_gradient g = rn_ray_gradient(&batch, &march, own, colour);
             float sums_grad[2][4] = {};

@@ -21,7 +21,7 @@
 struct rn_cuda_source {
     struct rn_device_pixels pixels;
     double centre[3], radius, step;
-    float background[3];
+    struct rn_colouring colour;
     uint64_t seed;
     bool cone_step, favour_finest, split;
 };
@@ -96,7 +96,8 @@ RN_DEVICE struct rn_march_ray rn_draw_ray(const struct rn_cuda_source *s, uint64
         p->rgba + 4 * (f->offset + (uint64_t)y * (uint64_t)f->camera.width + (uint64_t)x);
     float alpha = (float)rgba[3] * (1 / 255.0f);
     for (int c = 0; c < 3; c++)
-        out.target[c] = (float)rgba[c] * (1 / 255.0f) * alpha + (1 - alpha) * s->background[c];
+        out.target[c] =
+            (float)rgba[c] * (1 / 255.0f) * alpha + (1 - alpha) * s->colour.background[c];
     out.alpha = alpha;
     out.weight = !(ray.radius > 0) ? 0 : s->favour_finest ? 1 : f->loss_weight;
     out.id = (uint32_t)r;
@@ -143,7 +144,7 @@ struct rn_cuda_view {
 // A pixel that sees nothing.
 RN_DEVICE void rn_leave_background(const struct rn_cuda_batch *b, const struct rn_cuda_march *march,
                                    bool per_ray, int r) {
-    const float *c = march->background;
+    const float *c = march->colour.background;
     b->pixels[r] = rn_pixel{{c[0], c[1], c[2]}, 0, 0};
     for (int i = 0; i < RN_GEOMETRY && per_ray; i++)
         b->ray_sums[(size_t)r * RN_GEOMETRY + i] = 0;
@@ -190,9 +191,9 @@ __global__ void __launch_bounds__(256)
     if (i >= view.count / (n * n)) return;
     struct rn_pixel *own = cones + (size_t)i * (size_t)(n * n);
     for (int k = 0; k < n * n; k++)
-        rn_close_ended(view.ended, march.background, &own[k]);
+        rn_close_ended(view.ended, march.colour.background, &own[k]);
     struct rn_pixel p =
-        n == 1 ? *own : rn_cones_mean(own, n, view.straight ? march.background : NULL);
+        n == 1 ? *own : rn_cones_mean(own, n, view.straight ? march.colour.background : NULL);
     if (view.halves)
         ((struct rn_cuda_halves *)to)[i] =
             rn_cuda_halves{{rn_pack(p.rgb[0], p.rgb[1]), rn_pack(p.rgb[2], p.alpha)}};

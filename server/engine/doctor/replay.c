@@ -90,11 +90,11 @@ enum rn_status rn_doctor_replay(const struct rn_incident *incident, struct rn_en
                                 struct rn_error *err) {
     struct replay replay = {.incident = incident, .engine = engine, .field = field};
     const struct rn_kernels *kernels;
-    replay.march = (struct rn_march_options){.step = incident->march_step,
-                                             .stop_depth = (float)-log(field->config.stop),
-                                             .seed = incident->seed,
-                                             .counter = (uint64_t)incident->step};
-    memcpy(replay.march.background, incident->background, sizeof replay.march.background);
+    replay.march = rn_effects_march_trained(field);
+    replay.march.step = incident->march_step;
+    replay.march.seed = incident->seed;
+    replay.march.counter = (uint64_t)incident->step;
+    memcpy(replay.march.colour.background, incident->background, sizeof incident->background);
     set_rays(&replay);
     enum rn_status status = rn_field_need_levels(field, field->config.field.levels, err);
     if (status == RN_OK) status = rn_engine_prepare(engine, field, err);

@@ -5,6 +5,7 @@
 #include <string.h>
 
 #include "server/engine/doctor/cases.h"
+#include "server/engine/effects/effects.h"
 #include "server/engine/reference/exact.h"
 
 #define CAMERAS 32                 // looked at, evenly spaced
@@ -156,8 +157,8 @@ enum rn_status rn_doctor_scene(const struct rn_doctor_options *options,
     count_wild(result, "the scene's parameters", field->parameters.values, field->parameters.count);
     count_wild(result, "the scene's occupancy", field->occupancy, side * side * side);
     if (options->camera_count == 0) return RN_OK;
-    e.march = (struct rn_march_options){.step = (float)field->config.step, .stop_depth = OPEN_END};
-    memcpy(e.march.background, field->config.background, sizeof e.march.background);
+    e.march = rn_effects_march_trained(field);
+    e.march.stop_depth = OPEN_END;
     check_cameras(&e, random, result);
     draw_rays(&e, random);
     enum rn_status status = need_levels(&e, err);

@@ -31,16 +31,21 @@ static void settle(const struct rn_evidence *e) {
 }
 
 // Over random backgrounds the loss is the mean over all whose channels are 0 or 1.
+static void colour(const struct rn_field *field, struct rn_colouring *colouring) {
+    memcpy(colouring->background, field->config.background, sizeof colouring->background);
+}
+
 static void march(const struct rn_train_config *config, double done, struct rn_march_options *m) {
-    memcpy(m->background, config->background, sizeof config->background);
     if (!(done < config->random_background)) return;
-    m->background[0] = m->background[1] = m->background[2] = 0.5f;
-    m->background_variance = 0.25f; // of a number that is 0 or 1, as often
+    for (int c = 0; c < 3; c++)
+        m->colour.background[c] = 0.5f;
+    m->colour.background_variance = 0.25f; // of a number that is 0 or 1, as often
 }
 
 const struct rn_effect_row rn_effect_background = {
     .unit = {" %", 100},
     .detect = detect,
     .settle = settle,
+    .colour = colour,
     .march = march,
 };

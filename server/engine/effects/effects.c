@@ -69,6 +69,14 @@ void rn_effects_decide(const struct rn_evidence *e) {
     }
 }
 
+struct rn_march_options rn_effects_march_trained(const struct rn_field *field) {
+    struct rn_march_options march = {.step = (float)field->config.step,
+                                     .stop_depth = (float)-log(field->config.stop)};
+    for (int i = 0; i < RN_EFFECT_COUNT; i++)
+        if (rows[i]->colour) rows[i]->colour(field, &march.colour);
+    return march;
+}
+
 void rn_effects_march(const struct rn_train_config *config, double done,
                       struct rn_march_options *march) {
     for (int i = 0; i < RN_EFFECT_COUNT; i++)

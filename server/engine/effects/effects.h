@@ -12,8 +12,8 @@
 //   the space that is sampled        field/space.h           cpu/space.h     -
 //   the ray of a pixel               kernels/ray.h           cpu/rays.h      kernels/ray.h
 //   where a sample lies, how large   field/frustum.h         cpu/encode.h    cuda/encode.cuh
-//   the colour of a pixel, its       reference/reference.c   cpu/loss.h      cuda/shade.cuh
-//   background, and its loss
+//   the colour of a ray              field/colour.h, with rn_effect_row.colour
+//   the loss of a pixel              reference/reference.c   cpu/loss.h      cuda/loss.cuh
 //   the cones of a picture's pixel   render/cones.h          -               -
 //   the photographs' cameras         scene/pose.h            train/poses.c   -
 #ifndef RN_ENGINE_EFFECTS_EFFECTS_H
@@ -59,6 +59,8 @@ struct rn_effect_row {
     // Of one that is undecided: whether training has come far enough, and its decision.
     bool (*is_due)(const struct rn_evidence *evidence);
     void (*decide)(const struct rn_evidence *evidence, struct rn_effect_record *record);
+    // What it makes of the colour of rays, in training and in pictures.
+    void (*colour)(const struct rn_field *field, struct rn_colouring *colouring);
     // What it makes of the step at which `done` of the schedule is over.
     void (*march)(const struct rn_train_config *config, double done,
                   struct rn_march_options *march);
@@ -92,6 +94,8 @@ struct rn_bounds rn_effects_prepare(const struct rn_dataset *dataset,
 void rn_effects_detect(const struct rn_evidence *evidence);
 bool rn_effects_are_due(const struct rn_evidence *evidence);
 void rn_effects_decide(const struct rn_evidence *evidence); // those that are due
+// A field's march as trained, whatever the step: of pictures where nothing else is asked for.
+struct rn_march_options rn_effects_march_trained(const struct rn_field *field);
 void rn_effects_march(const struct rn_train_config *config, double done,
                       struct rn_march_options *march);
 void rn_effects_treat(const struct rn_train_config *config,

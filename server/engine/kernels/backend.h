@@ -10,7 +10,7 @@
 #include "common/math/camera.h"
 #include "server/engine/kernels/kernels.h"
 
-#define RN_BACKEND_VERSION 10
+#define RN_BACKEND_VERSION 11
 #define RN_BACKEND_SYMBOL "rn_backend_table"
 
 struct rn_backend_device; // owner: rn_backend.open's caller
@@ -90,8 +90,8 @@ struct rn_device_training {
     uint64_t rays;        // of all steps before
     double march_step;    // scene radii; the configuration's own is for the occupancy
     bool split;           // rn_march_options
-    float background[3], background_variance; // rn_march_options
-    const float *m, *v;                       // NULL: zero
+    struct rn_colouring colour;
+    const float *m, *v; // NULL: zero
 };
 
 // What a step needs that the host decides.

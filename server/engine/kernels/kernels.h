@@ -11,6 +11,7 @@
 #include <stdint.h>
 
 #include "common/settings/train.h"
+#include "server/engine/field/colour.h"
 #include "server/engine/field/mlp.h"
 #include "server/engine/field/solid.h"
 #include "server/engine/field/disparity.h"
@@ -112,16 +113,15 @@ struct rn_ray_place {
 struct rn_march_options {
     float step;       // normalised
     float stop_depth; // -ln of the early-stop transmittance
-    float background[3];
-    float distortion_loss;     // training: weight of the distortion loss; 0: there is none
-    float background_variance; // training: a channel's, of random backgrounds with that mean
-    bool split;                // training: RN_PIXEL_RAYS rays in turn are one pixel
-    bool straight;             // pictures: a pixel's cones are averaged as render/cones.h has it
-    float roulette;            // times a packet's mean gradient, below which a sample's backward is
-                               // by roulette; 0 = off
-    uint64_t seed, counter;    // of the roulette
-    uint16_t *samples;         // pictures: NULL, or of each ray: its samples are added
-    const float *look;         // NULL, or a direction for the colour network instead of the ray's
+    struct rn_colouring colour;
+    float distortion_loss;  // training: weight of the distortion loss; 0: there is none
+    bool split;             // training: RN_PIXEL_RAYS rays in turn are one pixel
+    bool straight;          // pictures: a pixel's cones are averaged as render/cones.h has it
+    float roulette;         // times a packet's mean gradient, below which a sample's backward is
+                            // by roulette; 0 = off
+    uint64_t seed, counter; // of the roulette
+    uint16_t *samples;      // pictures: NULL, or of each ray: its samples are added
+    const float *look;      // NULL, or a direction for the colour network instead of the ray's
 };
 
 // Whether the field holds a place, which reaches as far as its cameras see, and not what lies in a

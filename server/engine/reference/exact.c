@@ -243,6 +243,6 @@ void rn_exact_render(struct rn_exact *exact, const struct rn_march_options *opti
     }
     ret_pixel->alpha = rn_alpha(depth);
     if (per_ray) shade_ray(exact, ray, sums, ret_pixel->alpha, rgb);
-    for (int c = 0; c < 3; c++)
-        ret_pixel->rgb[c] = rgb[c] + (1 - ret_pixel->alpha) * (double)options->background[c];
+    rn_colour_seen(&options->colour, ret_pixel->alpha, rgb);
+    memcpy(ret_pixel->rgb, rgb, sizeof rgb);
 }

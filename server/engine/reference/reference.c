@@ -484,8 +484,7 @@ static void forward(const struct rn_reference *ref, const struct rn_reference_ra
         shade_ray(ref, ray, tape);
     else
         shade_samples(ref, ray, tape);
-    for (int c = 0; c < 3; c++)
-        tape->rgb[c] += (1 - tape->opacity) * ray->background[c];
+    rn_colour_seen(&ray->colour, tape->opacity, tape->rgb);
 }
 
 enum rn_status rn_reference_render(const struct rn_reference *ref,
@@ -503,15 +502,14 @@ enum rn_status rn_reference_render(const struct rn_reference *ref,
 }
 
 // dL/d(weight of sample s) and dL/d(geometry) with sample shading.
-static double backward_sample_shade(struct rn_reference *ref, const struct rn_reference_ray *ray,
-                                    struct tape *tape, int s, const double rgb_grad[3],
-                                    double *geometry_grad) {
+static double backward_sample_shade(struct rn_reference *ref, struct tape *tape, int s,
+                                    const double rgb_grad[3], double *geometry_grad) {
     int layers = ref->head_shape.layers;
     double g = 0;
     memset(tape->head_grad[layers], 0, RN_HEAD_OUTPUTS * sizeof(double));
     for (int c = 0; c < 3; c++) {
         double colour = tape->colour[3 * s + c];
-        g += rgb_grad[c] * (colour - ray->background[c]);
+        g += rgb_grad[c] * colour;
         tape->head_grad[layers][c] = rgb_grad[c] * tape->weights[s] * colour * (1 - colour);
     }
     rn_mlp_backward(&ref->head_shape, ref->head, tape->head + s * (layers + 1), tape->head_grad,
@@ -543,8 +541,7 @@ static double backward_ray_head(struct rn_reference *ref, struct tape *tape,
     return opacity_grad + inputs_grad[31];
 }
 
-static double backward_ray_shade(const struct rn_reference *ref, const struct rn_reference_ray *ray,
-                                 const struct tape *tape, int s, const double rgb_grad[3],
+static double backward_ray_shade(const struct rn_reference *ref, const struct tape *tape, int s,
                                  const double *sums_grad, double opacity_grad,
                                  double *geometry_grad) {
     const double *geometry = tape->base[s * (ref->base_shape.layers + 1) + ref->base_shape.layers];
@@ -555,12 +552,9 @@ static double backward_ray_shade(const struct rn_reference *ref, const struct rn
         g += sums_grad[i] * value;
         geometry_grad[i] = sums_grad[i] * tape->weights[s] * slope;
     }
-    for (int c = 0; c < 3; c++)
-        g -= rgb_grad[c] * ray->background[c];
     return g;
 }
 
-// `excess_grad`: dL/d(opacity) but for what comes through the colour.
 // The distortion loss over all pairs (Barron et al. 2022, equation 15), times `factor`; its
 // dL/dw is added to g.
 static double distort(const struct rn_reference_ray *ray, const struct tape *tape, double factor,
@@ -579,21 +573,21 @@ static double distort(const struct rn_reference_ray *ray, const struct tape *tap
     return factor * loss;
 }
 
+// `grad`: dL/d(composited colour), and dL/d(opacity) but for what comes through the colour network.
 static enum rn_status backward(struct rn_reference *ref, const struct rn_reference_ray *ray,
-                               struct tape *tape, const double rgb_grad[3], double excess_grad,
-                               double distortion, double *ret_distortion) {
+                               struct tape *tape, const double grad[4], double distortion,
+                               double *ret_distortion) {
     int layers = ref->base_shape.layers, n = ray->count;
     double *g = calloc((size_t)n * (1 + RN_GEOMETRY) + 1, sizeof *g);
     if (!g) return RN_ERROR_NO_MEMORY;
     double *geometry = g + n, sums_grad[RN_GEOMETRY], opacity_grad = 0;
     bool per_ray = ref->config.shading == RN_SHADING_RAY;
-    if (per_ray) opacity_grad = backward_ray_head(ref, tape, rgb_grad, sums_grad);
+    if (per_ray) opacity_grad = backward_ray_head(ref, tape, grad, sums_grad);
     for (int s = 0; s < n; s++) {
         double *out = geometry + (size_t)s * RN_GEOMETRY;
-        g[s] = per_ray
-                   ? backward_ray_shade(ref, ray, tape, s, rgb_grad, sums_grad, opacity_grad, out)
-                   : backward_sample_shade(ref, ray, tape, s, rgb_grad, out);
-        g[s] += excess_grad;
+        g[s] = grad[3];
+        g[s] += per_ray ? backward_ray_shade(ref, tape, s, sums_grad, opacity_grad, out)
+                        : backward_sample_shade(ref, tape, s, grad, out);
     }
     *ret_distortion = distort(ray, tape, distortion, g);
     rn_composite_backward(n, tape->weights, tape->after, g, g);
@@ -626,27 +620,32 @@ static double smooth_l1(double d, double *ret_slope) {
 // Loss of one pixel, the mean of `n` rays that are not all empty, and its gradients.
 static enum rn_status pixel_loss(struct rn_reference *ref, const struct rn_reference_ray *rays,
                                  int n, double total_weight, struct tape *tapes, double *loss) {
-    double rgb[3] = {0, 0, 0}, opacity = 0, grad[3];
+    double rgb[3] = {0, 0, 0}, opacity = 0, grad[4];
     enum rn_status status = RN_OK;
     for (int r = 0; r < n && status == RN_OK; r++) {
         status = tape_init(ref, rays[r].count, &tapes[r]);
         if (status == RN_OK && rays[r].count > 0) forward(ref, &rays[r], &tapes[r]);
         opacity += tapes[r].opacity / n;
         for (int c = 0; c < 3; c++)
-            rgb[c] += (rays[r].count > 0 ? tapes[r].rgb[c] : rays[r].background[c]) / n;
+            rgb[c] +=
+                (rays[r].count > 0 ? tapes[r].rgb[c] : (double)rays[r].colour.background[c]) / n;
     }
-    double excess = opacity - rays->alpha, spread = rays->weight * 3 * rays->background_variance;
+    double excess = opacity - rays->alpha;
+    double spread = rays->weight * 3 * (double)rays->colour.background_variance;
     *loss += 0.5 * spread * excess * excess;
     for (int c = 0; c < 3; c++) {
         double slope;
         *loss += rays->weight * smooth_l1(rgb[c] - rays->target[c], &slope);
         grad[c] = rays->weight * slope / total_weight / n;
     }
+    grad[3] = spread * excess / total_weight / n;
     for (int r = 0; r < n && status == RN_OK; r++) {
         double distortion = ref->distortion_loss * rays->weight / total_weight / n, own = 0;
+        double of_ray[4];
+        memcpy(of_ray, grad, sizeof of_ray);
+        rn_colour_back(&rays[r].colour, of_ray);
         if (rays[r].count > 0)
-            status = backward(ref, &rays[r], &tapes[r], grad, spread * excess / total_weight / n,
-                              distortion, &own);
+            status = backward(ref, &rays[r], &tapes[r], of_ray, distortion, &own);
         *loss += own * total_weight;
     }
     return status;

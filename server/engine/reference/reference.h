@@ -4,6 +4,7 @@
 #define RN_ENGINE_REFERENCE_REFERENCE_H
 
 #include "common/settings/train.h"
+#include "server/engine/field/colour.h"
 #include "server/engine/field/mlp.h"
 #include "server/engine/field/solid.h"
 
@@ -32,12 +33,11 @@ struct rn_reference_ray {
     int count;
     const double *mid; // `count` distances of the samples' middles, normalised
     double width;      // of every sample, normalised; in unbounded space half of that in places
-    double target[3], background[3];
-    double alpha;               // the pixel's own
-    double background_variance; // a channel's, of random backgrounds with the mean `background`; 0:
-                                // there is that one
-    double weight;              // area weight
-    bool cut; // it was ended before the end of space: its last sample is not made opaque
+    double target[3];
+    struct rn_colouring colour;
+    double alpha;  // the pixel's own
+    double weight; // area weight
+    bool cut;      // it was ended before the end of space: its last sample is not made opaque
 };
 
 // All zero parameters. RN_ERROR_INVALID for a bad configuration, RN_ERROR_NO_MEMORY.

@@ -24,11 +24,11 @@ static void close_ended(const struct rn_field *field, const struct rn_march_opti
                         struct rn_pixel *pixels, size_t count) {
     float ended = rn_ended_opacity(march->stop_depth, field->config.stop);
     for (struct rn_pixel *p = pixels; p < pixels + count; p++)
-        rn_close_ended(ended, march->background, p);
+        rn_close_ended(ended, march->colour.background, p);
 }
 
 static const float *straight_over(const struct rn_march_options *march) {
-    return march->straight ? march->background : NULL;
+    return march->straight ? march->colour.background : NULL;
 }
 
 // What all blocks of pixels share.

@@ -4,6 +4,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "server/engine/effects/effects.h"
 #include "server/engine/field/occupancy.h"
 #include "server/engine/field/volume.h"
 #include "server/engine/scene/device.h"
@@ -147,11 +148,8 @@ static void colour_packet(void *context, int index, int thread) {
 }
 
 static enum rn_status colour(struct meshing *m, struct rn_mesh *mesh, struct rn_error *err) {
-    const struct rn_train_config *config = &m->field->config;
-    struct colouring c = {
-        .meshing = m,
-        .mesh = mesh,
-        .march = {.step = (float)config->step, .stop_depth = (float)-log(config->stop)}};
+    struct colouring c = {.meshing = m, .mesh = mesh, .march = rn_effects_march_trained(m->field)};
+    memset(c.march.colour.background, 0, sizeof c.march.colour.background);
     c.normals = malloc((mesh->vertex_count + 1) * sizeof *c.normals);
     if (!c.normals) return rn_error_set(err, RN_ERROR_NO_MEMORY, "mesh", "out of memory");
     rn_mesh_normals(mesh, c.normals);

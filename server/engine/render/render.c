@@ -5,6 +5,7 @@
 #include <string.h>
 
 #include "common/base/clock.h"
+#include "server/engine/effects/effects.h"
 #include "server/engine/render/develop.h"
 #include "server/engine/render/fill.h"
 #include "server/engine/render/inspect.h"
@@ -345,7 +346,7 @@ static enum rn_status fill_pictures(struct frame *f, struct rn_render_result *re
                                     struct rn_error *err) {
     struct rn_filling filling = {.lattice = &f->lattice,
                                  .points = f->points,
-                                 .straight = f->march.straight ? f->march.background : NULL,
+                                 .straight = f->march.straight ? f->march.colour.background : NULL,
                                  .options = f->options,
                                  .radius = f->field->bounds.radius};
     return rn_fill_pictures(f->engine, &filling, result, err);
@@ -382,15 +383,15 @@ static void init_frame(struct frame *f) {
         f->cones = RN_OPTICS_CONES;
     f->development = rn_development_of(o->shot.optics.exposure, o->shot.optics.white_balance);
     rn_development_expose(&f->development, o->shot.gain);
-    f->march.step =
-        (float)(o->settings.step > 0 ? fmax(o->settings.step, config->step) : config->step);
+    f->march = rn_effects_march_trained(f->field);
+    f->march.step = (float)fmax(o->settings.step, config->step);
     f->march.stop_depth = (float)-log(
         o->settings.stop > 0 ? o->settings.stop : fmax(config->stop, o->settings.tolerance));
     f->tolerance = o->deadline_ns ? TIMED_TOLERANCE : o->settings.tolerance;
     f->late_ns = o->deadline_ns
                      ? o->deadline_ns - (int64_t)(FILL_NS * o->camera.width * o->camera.height)
                      : 0;
-    memcpy(f->march.background, o->background, sizeof f->march.background);
+    memcpy(f->march.colour.background, o->background, sizeof f->march.colour.background);
     f->march.straight = o->straight;
 }
 
@@ -442,7 +443,7 @@ static enum rn_status make_room(struct frame *f, struct rn_error *err) {
 
 // What a pixel is whose cones meet nothing, as rn_cones_render would have it.
 static struct rn_pixel pixel_of_nothing(const struct frame *f) {
-    const float *background = f->march.background;
+    const float *background = f->march.colour.background;
     struct rn_pixel cones[RN_CONES_BLOCK];
     int n = f->cones;
     for (int i = 0; i < n * n; i++)
@@ -455,7 +456,7 @@ static void develop_row(void *context, int index, int thread) {
     struct rn_pixel *row = f->lattice.pixels + (size_t)index * f->lattice.width;
     (void)thread;
     for (struct rn_pixel *p = row; p < row + f->lattice.width; p++)
-        rn_develop(&f->development, p->alpha, f->march.background, p->rgb);
+        rn_develop(&f->development, p->alpha, f->march.colour.background, p->rgb);
 }
 
 enum rn_status rn_render(struct rn_engine *engine, struct rn_field *field,

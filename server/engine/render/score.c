@@ -5,6 +5,7 @@
 
 #include "common/image/lpips.h"
 #include "common/image/metrics.h"
+#include "server/engine/effects/effects.h"
 #include "server/engine/render/cones.h"
 #include "server/engine/render/render.h"
 #include "server/engine/scene/pixels.h"
@@ -116,12 +117,14 @@ struct view {
 static enum rn_status render_sought(const struct view *view, int half,
                                     struct rn_render_result *ret_result, struct rn_error *err) {
     struct rn_render_options options = view->options;
-    struct rn_pose_looker looker = rn_pose_looker(view->engine, view->field, 0);
+    struct rn_pose_looker looker = {view->engine, view->field, 0,
+                                    rn_effects_march_trained(view->field)};
+    float *background = looker.march.colour.background;
     struct rn_pose_photo photo = {view->photograph.pixels, view->used, options.camera};
     int levels = rn_levels_for_camera(view->field, &photo.camera, view->field->config.step);
     enum rn_status status = rn_field_make_ready(view->field, view->engine, levels, err);
     if (status != RN_OK) return status;
-    memcpy(looker.march.background, options.background, sizeof looker.march.background);
+    memcpy(background, options.background, sizeof options.background);
     options.camera = rn_pose_seek(&looker, &photo, half ? RN_POSE_LEFT : RN_POSE_RIGHT,
                                   RN_POSE_UNKNOWNS, view->field->config.seed);
     return rn_render(view->engine, view->field, &options, view->keep_going, view->context,

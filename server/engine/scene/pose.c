@@ -82,17 +82,6 @@ void rn_pose_draw(const struct rn_pose_photo *photo, enum rn_pose_part part, int
 
 // ---- looking ----
 
-struct rn_pose_looker rn_pose_looker(const struct rn_engine *engine, const struct rn_field *field,
-                                     int thread) {
-    struct rn_pose_looker looker = {.engine = engine,
-                                    .field = field,
-                                    .thread = thread,
-                                    .march = {.step = (float)field->config.step,
-                                              .stop_depth = (float)-log(field->config.stop)}};
-    memcpy(looker.march.background, field->config.background, sizeof looker.march.background);
-    return looker;
-}
-
 static void look(const struct rn_pose_looker *l, const struct rn_camera *camera,
                  const struct rn_pose_sights *sights, colours ret) {
     struct rn_view view = rn_field_view(l->field, camera);
@@ -250,7 +239,7 @@ struct rn_camera rn_pose_seek(const struct rn_pose_looker *l, const struct rn_po
     for (int side = COARSEST; side >= 1; side /= 2) {
         double damping = 1e-3;
         int wanted = side > 4 ? RN_POSE_SIGHTS / 4 : RN_POSE_SIGHTS / side;
-        rn_pose_draw(photo, part, side, wanted, l->march.background, seed, (uint64_t)part,
+        rn_pose_draw(photo, part, side, wanted, l->march.colour.background, seed, (uint64_t)part,
                      (uint64_t)side, &sights);
         rn_pose_equations(l, &camera, &sights, &equations);
         for (int step = 0; step < STEPS; step++) {

@@ -46,8 +46,6 @@ struct rn_pose_looker {
     int thread;
     struct rn_march_options march;
 };
-struct rn_pose_looker rn_pose_looker(const struct rn_engine *engine, const struct rn_field *field,
-                                     int thread);
 
 // Of the squared differences between a photograph's colours and `gain` times the rendered ones plus
 // `offset`, weighed by Huber's function: half the sum's second derivatives to the camera's moves

@@ -74,10 +74,9 @@ static enum rn_status put_training(struct rn_trainer *t, struct rn_error *err) {
                                           .rays = t->progress.rays,
                                           .march_step = (double)t->step.march.step,
                                           .split = t->step.march.split,
-                                          .background_variance = t->step.march.background_variance,
+                                          .colour = t->step.march.colour,
                                           .m = t->optimiser.m,
                                           .v = t->optimiser.v};
-    memcpy(training.background, t->step.march.background, sizeof training.background);
     enum rn_status status = pack_pixels(t, &packed, err);
     if (status == RN_OK)
         status =
@@ -112,10 +111,7 @@ enum rn_status rn_trainer_validate_rows(struct rn_trainer *t, const struct rn_pi
     const struct rn_train_config *config = &t->field->config;
     const struct rn_camera *camera = &frame->camera;
     size_t width = (size_t)camera->width, n = width * (size_t)rows;
-    struct rn_march_options march = {.step = (float)config->step,
-                                     .stop_depth = (float)-log(config->stop),
-                                     .straight =
-                                         rn_field_averages_straight(t->field, frame->frame)};
+    struct rn_march_options march = rn_effects_march_trained(t->field);
     const struct rn_device_view view = {.cameras = camera,
                                         .camera_count = 1,
                                         .cones = rn_cones_for_camera(t->field, camera),
@@ -124,7 +120,7 @@ enum rn_status rn_trainer_validate_rows(struct rn_trainer *t, const struct rn_pi
     uint64_t samples;
     struct rn_pixel *pixels = malloc(n * sizeof *pixels);
     if (!pixels) return rn_error_set(err, RN_ERROR_NO_MEMORY, "trainer", "out of memory");
-    memcpy(march.background, config->background, sizeof march.background);
+    march.straight = rn_field_averages_straight(t->field, frame->frame);
     enum rn_status status =
         rn_cones_render_there(t->field, &march, &view, &places, pixels, &samples, err);
     for (size_t i = 0; i < n && status == RN_OK; i++)

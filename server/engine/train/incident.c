@@ -125,7 +125,7 @@ void rn_trainer_note(struct rn_trainer *t, enum rn_incident_kind kind) {
                                      .seed = t->field->config.seed,
                                      .rate = rn_schedule_rate(&t->field->config, &t->progress),
                                      .march_step = t->step.march.step};
-    memcpy(incident->background, t->step.march.background, sizeof incident->background);
+    memcpy(incident->background, t->step.march.colour.background, sizeof incident->background);
     if (kind == RN_INCIDENT_ROLLBACK) list_parameters(t, incident);
     list_rays(t, incident);
 }

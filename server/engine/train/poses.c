@@ -10,10 +10,10 @@
 
 #define STREAM 0x706f736500000000u
 #define MEASURED_AT 0.15 // of the schedule: whether cameras gain by being moved
-#define LAST_AT 0.85    // the field has the rest to follow the last moves
-#define TURNS 24        // evenly from one to the other
-#define MEASURING 6     // passes in which held-out cameras are sought, before one that scores them
-#define MEASURED_SIDE 2 // pixels, of squares
+#define LAST_AT 0.85     // the field has the rest to follow the last moves
+#define TURNS 24         // evenly from one to the other
+#define MEASURING 6      // passes in which held-out cameras are sought, before one that scores them
+#define MEASURED_SIDE 2  // pixels, of squares
 #define MEASURED_SIGHTS 128
 #define MOVED_SIGHTS 192
 #define DAMPING 0.01
@@ -67,8 +67,9 @@ bool rn_trainer_poses_due(const struct rn_trainer *t) {
 
 // In the steps that training takes now.
 static struct rn_pose_looker looker_of(const struct rn_trainer *t, int thread) {
-    struct rn_pose_looker looker = rn_pose_looker(t->engine, t->field, thread);
-    looker.march.step = rn_schedule_march(&t->field->config, &t->progress).step;
+    struct rn_pose_looker looker = {t->engine, t->field, thread,
+                                    rn_effects_march_trained(t->field)};
+    looker.march.step = rn_schedule_march(t->field, &t->progress).step;
     return looker;
 }
 
@@ -88,14 +89,15 @@ static void look_held_out(void *context, int index, int thread) {
     struct rn_pose_sights looked, scored;
     bool scores = t->poses.pass == MEASURING;
     if (t->poses.pass == 0) view->found = photo.camera;
-    rn_pose_draw(&photo, RN_POSE_WHOLE, MEASURED_SIDE, MEASURED_SIGHTS, looker.march.background,
-                 seed, stream, (uint64_t)t->poses.pass, &looked);
+    rn_pose_draw(&photo, RN_POSE_WHOLE, MEASURED_SIDE, MEASURED_SIGHTS,
+                 looker.march.colour.background, seed, stream, (uint64_t)t->poses.pass, &looked);
     if (!scores) {
         rn_pose_equations(&looker, &view->found, &looked, &view->equations);
         return;
     }
-    rn_pose_draw(&photo, RN_POSE_WHOLE, MEASURED_SIDE, RN_POSE_SIGHTS, looker.march.background,
-                 seed, stream, (uint64_t)t->poses.pass + 1, &scored);
+    rn_pose_draw(&photo, RN_POSE_WHOLE, MEASURED_SIDE, RN_POSE_SIGHTS,
+                 looker.march.colour.background, seed, stream, (uint64_t)t->poses.pass + 1,
+                 &scored);
     view->before = rn_pose_error(&looker, &photo.camera, &looked, &scored);
     view->after = rn_pose_error(&looker, &view->found, &looked, &scored);
 }
@@ -105,7 +107,7 @@ static void look_trained(void *context, int index, int thread) {
     struct rn_pose_looker looker = looker_of(t, thread);
     struct rn_pose_photo photo = photo_of(&t->train, &t->train.frames[index]);
     struct rn_pose_sights sights;
-    rn_pose_draw(&photo, RN_POSE_WHOLE, 1, MOVED_SIGHTS, looker.march.background,
+    rn_pose_draw(&photo, RN_POSE_WHOLE, 1, MOVED_SIGHTS, looker.march.colour.background,
                  t->field->config.seed, STREAM + (uint64_t)index, 1000 + (uint64_t)t->poses.turns,
                  &sights);
     rn_pose_equations(&looker, &photo.camera, &sights, &t->poses.views[index].equations);

@@ -42,8 +42,9 @@ void rn_trainer_rays(const struct rn_trainer *t, const struct rn_pixels *pixels,
         lanes[i].y = 2 * p->y + (p->part - 1) / 2;
     }
     t->engine->kernels->rays(lanes, count, step, t->field->config.cone_step, ret_rays);
-    const float *background = t->step.march.background_variance > 0 ? t->step.march.background
-                                                                    : t->field->config.background;
+    const struct rn_colouring *colour = &t->step.march.colour;
+    const float *background =
+        colour->background_variance > 0 ? colour->background : t->field->config.background;
     for (int i = 0; i < count; i++) {
         const struct rn_trainer_place *p = &places[i];
         if (!p->frame) {

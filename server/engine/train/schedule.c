@@ -73,15 +73,16 @@ struct rn_occupancy_turn rn_schedule_occupancy(const struct rn_train_config *con
     return turn;
 }
 
-struct rn_march_options rn_schedule_march(const struct rn_train_config *config,
+struct rn_march_options rn_schedule_march(const struct rn_field *field,
                                           const struct rn_progress *progress) {
+    const struct rn_train_config *config = &field->config;
     double texels =
         config->grow_to > config->field.base ? (double)config->grow_to / config->field.base : 1;
-    struct rn_march_options march = {.step = (float)(config->step * pow(texels, STEP_POWER)),
-                                     .stop_depth = (float)-log(config->stop),
-                                     .roulette = (float)config->roulette,
-                                     .seed = config->seed,
-                                     .counter = (uint64_t)progress->step};
+    struct rn_march_options march = rn_effects_march_trained(field);
+    march.step = (float)(config->step * pow(texels, STEP_POWER));
+    march.roulette = (float)config->roulette;
+    march.seed = config->seed;
+    march.counter = (uint64_t)progress->step;
     rn_effects_march(config, rn_schedule_done(config, progress), &march);
     return march;
 }

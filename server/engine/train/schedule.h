@@ -6,6 +6,7 @@
 #include "common/settings/train.h"
 #include "server/engine/kernels/kernels.h"
 #include "server/engine/scene/progress.h"
+#include "server/engine/scene/scene.h"
 
 #define RN_OCCUPANCY_EVERY 16    // steps
 #define RN_OCCUPANCY_WARM_UP 256 // steps with every cell measured
@@ -24,7 +25,7 @@ float rn_schedule_smoothing(const struct rn_train_config *config,
                             const struct rn_progress *progress);
 // How the next step marches, in longer steps while the planes are coarse; nothing of the step
 // before is in it.
-struct rn_march_options rn_schedule_march(const struct rn_train_config *config,
+struct rn_march_options rn_schedule_march(const struct rn_field *field,
                                           const struct rn_progress *progress);
 
 // The side of planes that grow, as it should be by now; without a limit the last one.

@@ -128,7 +128,7 @@ static void scatter_band(void *context, int index, int thread) {
 
 void rn_trainer_take_march(struct rn_trainer *t) {
     bool split = t->step.march.split;
-    t->step.march = rn_schedule_march(&t->field->config, &t->progress);
+    t->step.march = rn_schedule_march(t->field, &t->progress);
     if (t->step.march.split == split) return;
     struct rn_evidence evidence = rn_trainer_evidence(t, &t->step.march);
     rn_effects_turn(&evidence);

@@ -447,7 +447,7 @@ static bool effects_are_due(const struct rn_trainer *t) {
 }
 
 static void decide_effects(const struct rn_trainer *t) {
-    struct rn_march_options march = rn_schedule_march(&t->field->config, &t->progress);
+    struct rn_march_options march = rn_schedule_march(t->field, &t->progress);
     struct rn_evidence evidence = rn_trainer_evidence(t, &march);
     rn_effects_decide(&evidence);
 }
@@ -455,9 +455,10 @@ static void decide_effects(const struct rn_trainer *t) {
 // The device still trains over random backgrounds, whose time is over, or does not split pixels
 // yet.
 static bool march_due(const struct rn_trainer *t) {
-    struct rn_march_options now = rn_schedule_march(&t->field->config, &t->progress);
-    return t->field->on_device && (t->step.march.background_variance > now.background_variance ||
-                                   t->step.march.split != now.split);
+    struct rn_march_options now = rn_schedule_march(t->field, &t->progress);
+    return t->field->on_device &&
+           (t->step.march.colour.background_variance > now.colour.background_variance ||
+            t->step.march.split != now.split);
 }
 
 bool rn_trainer_turn_due(const struct rn_trainer *t) {

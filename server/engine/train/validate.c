@@ -73,16 +73,12 @@ static enum rn_status validate_on_device(struct rn_trainer *t, struct rn_error *
 // One block, or what is left of one that was cut short.
 static void validate_next(struct rn_trainer *t) {
     struct rn_validation *v = &t->validation;
-    const struct rn_train_config *config = &t->field->config;
     struct validate_block b = {.trainer = t, .frame = &t->held.frames[v->frame], .first = v->pixel};
     b.grid = rn_validate_grid(b.frame->camera.width, b.frame->camera.height);
     size_t pixels = (size_t)b.grid.width * (size_t)b.grid.height;
     b.count = pixels - v->pixel < RN_VALIDATE_BLOCK ? pixels - v->pixel : RN_VALIDATE_BLOCK;
-    b.march =
-        (struct rn_march_options){.step = (float)config->step,
-                                  .stop_depth = (float)-log(config->stop),
-                                  .straight = rn_field_averages_straight(t->field, b.frame->frame)};
-    memcpy(b.march.background, config->background, sizeof config->background);
+    b.march = rn_effects_march_trained(t->field);
+    b.march.straight = rn_field_averages_straight(t->field, b.frame->frame);
     b.cones = rn_cones_for_camera(t->field, &b.frame->camera);
     b.piece = pixels_of_piece(t->field);
     int pieces = (int)((b.count + (size_t)b.piece - 1) / (size_t)b.piece);

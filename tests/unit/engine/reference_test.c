@@ -22,11 +22,12 @@ static void sample_rays(struct rn_reference_ray rays[RAYS]) {
             rays[r].direction[i] = -eye[i] / sqrt(norm);
             rays[r].origin[i] =
                 -1.8 * rays[r].direction[i] + 0.2 * sample_number(11, (uint64_t)(3 * r + i));
-            rays[r].background[i] = 0.5 + 0.5 * sample_number(12, (uint64_t)(3 * r + i));
+            rays[r].colour.background[i] =
+                (float)(0.5 + 0.5 * sample_number(12, (uint64_t)(3 * r + i)));
             rays[r].target[i] = r == 1 ? 3 : 0.5; // ray 1: the straight part of the loss
         }
         rays[r].alpha = 0.3 * r;
-        rays[r].background_variance = r == 1 ? 0 : 0.1;
+        rays[r].colour.background_variance = r == 1 ? 0 : 0.1f;
         rays[r].radius = 0.03 * (r + 1);
         rays[r].count = r + 1 < RAYS ? SAMPLES : 0;
         rays[r].mid = mids;
@@ -321,15 +322,17 @@ START_TEST(uniform_fog_has_its_closed_form) {
                                    .count = 4,
                                    .mid = mid,
                                    .width = 0.2,
-                                   .background = {1, 0, 0.25}};
+                                   .colour = {{1, 0, 0.25f}, 0}};
     double rgb[3], opacity, depth, x = exp(-1) * 0.2 * 1.5, expected_depth = 0;
     ck_assert_int_eq(rn_reference_render(ref, &ray, rgb, &opacity, &depth), RN_OK);
     for (int i = 0; i < 4; i++)
         expected_depth += exp(-x * i) * (1 - exp(-x)) * mid[i];
     ck_assert_double_eq_tol(opacity, 1 - exp(-4 * x), 1e-15);
     ck_assert_double_eq_tol(depth, expected_depth, 1e-15);
-    for (int c = 0; c < 3; c++)
-        ck_assert_double_eq_tol(rgb[c], 0.5 * opacity + (1 - opacity) * ray.background[c], 1e-15);
+    for (int c = 0; c < 3; c++) {
+        double background = (double)ray.colour.background[c];
+        ck_assert_double_eq_tol(rgb[c], 0.5 * opacity + (1 - opacity) * background, 1e-15);
+    }
     rn_reference_destroy(&ref);
 }
 END_TEST
@@ -349,7 +352,7 @@ START_TEST(loss_is_that_of_the_rendered_colours) {
             sum += rays[r].weight * (d < 1 ? d * d / 2 : d - 0.5);
         }
         double excess = opacity - rays[r].alpha;
-        sum += rays[r].weight * 1.5 * rays[r].background_variance * excess * excess;
+        sum += rays[r].weight * 1.5 * rays[r].colour.background_variance * excess * excess;
     }
     ck_assert_double_eq_tol(loss_of(ref), sum / weights, 1e-14);
     rn_reference_destroy(&ref);
@@ -370,7 +373,8 @@ START_TEST(split_pixels_are_means) {
             ck_assert_int_eq(rn_reference_render(ref, &rays[r + i], rgb[i], &opacity[i], &depth),
                              RN_OK);
         if (rays[r + 1].count == 0) {
-            memcpy(rgb[1], rays[r + 1].background, sizeof rgb[1]);
+            for (int c = 0; c < 3; c++)
+                rgb[1][c] = (double)rays[r + 1].colour.background[c];
             opacity[1] = 0;
         }
         for (int c = 0; c < 3; c++) {
@@ -378,7 +382,8 @@ START_TEST(split_pixels_are_means) {
             sum += rays[r].weight * (d < 1 ? d * d / 2 : d - 0.5);
         }
         double excess = (opacity[0] + opacity[1]) / 2 - rays[r].alpha;
-        sum += rays[r].weight * 1.5 * rays[r].background_variance * excess * excess;
+        double variance = (double)rays[r].colour.background_variance;
+        sum += rays[r].weight * 1.5 * variance * excess * excess;
         weights += rays[r].weight;
     }
     ref->pixel_rays = 2;
@@ -401,10 +406,11 @@ START_TEST(random_backgrounds_are_averaged) {
         struct rn_reference_ray rays[RAYS];
         sample_rays(rays);
         for (int r = 0; r < RAYS; r++) {
-            rays[r].background_variance = both == 2 ? 0.25 : 0;
+            rays[r].colour.background_variance = both == 2 ? 0.25f : 0;
             for (int c = 0; c < 3; c++) {
-                rays[r].background[c] = both == 2 ? 0.5 : both;
-                rays[r].target[c] = 0.2 * c + (1 - rays[r].alpha) * rays[r].background[c];
+                float background = both == 2 ? 0.5f : (float)both;
+                rays[r].colour.background[c] = background;
+                rays[r].target[c] = 0.2 * c + (1 - rays[r].alpha) * (double)background;
             }
         }
         memset(ref->plane_grad, 0, count * sizeof *grads);
