@@ -356,7 +356,7 @@ static void find_cost(struct all *all) {
         if (all->dataset->frames[i].split == RN_SPLIT_TRAIN)
             pixels += (double)all->dataset->frames[i].camera.width *
                       all->dataset->frames[i].camera.height;
-    all->found.train_bytes = FIELD_BYTES + PIXEL_BYTES * pixels;
+    all->found.train_bytes = FIELD_BYTES + fmin(PIXEL_BYTES * pixels, RN_SURVEY_PIXELS_BYTES);
 }
 
 static bool gather(struct rn_survey *survey, struct all *all) {

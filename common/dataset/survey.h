@@ -21,6 +21,9 @@ struct rn_findings {
     double train_bytes;           // memory of a training with `standard`
 };
 
+// Photographs that `standard` holds in memory at most (its pixel_memory); the others lie on disk.
+#define RN_SURVEY_PIXELS_BYTES (1024.0 * 1048576)
+
 // For the frames of a dataset, which must outlive it. RN_ERROR_NO_MEMORY.
 enum rn_status rn_survey_create(const struct rn_dataset *dataset, struct rn_survey **ret_survey,
                                 struct rn_error *err) RN_MUST_CHECK;

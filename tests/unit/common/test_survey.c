@@ -2,6 +2,7 @@
 #include <math.h>
 
 #include "common/dataset/survey.h"
+#include "common/settings/train.h"
 #include "tests/unit/common/dataset_fixture.h"
 
 #define VIEWS 24
@@ -129,6 +130,24 @@ START_TEST(nothing_is_wrong) {
 }
 END_TEST
 
+// Photographs of any number and size train in so much memory.
+START_TEST(memory_is_bounded) {
+    const struct rn_setting *most = rn_settings_find(&rn_train_settings, "pixel_memory");
+    ck_assert_double_eq(most->standard * 1048576, RN_SURVEY_PIXELS_BYTES);
+    put_ring();
+    put_photos();
+    survey();
+    double small = found.train_bytes - 4 * VIEWS * SIZE * SIZE;
+    for (size_t i = 0; i < dataset->frame_count; i++)
+        dataset->frames[i].camera.width = dataset->frames[i].camera.height = 16384;
+    struct rn_survey *survey = NULL; // of sizes alone
+    ck_assert_int_eq(rn_survey_create(dataset, &survey, &err), RN_OK);
+    ck_assert_int_eq(rn_survey_conclude(survey, dataset, &problems, &found, &err), RN_OK);
+    rn_survey_destroy(&survey);
+    ck_assert_double_eq_tol(found.train_bytes, small + RN_SURVEY_PIXELS_BYTES, 1);
+}
+END_TEST
+
 START_TEST(blur) {
     put_ring();
     put_photos();
@@ -230,6 +249,7 @@ int main(void) {
     TCase *tests = tcase_create("survey");
     tcase_add_checked_fixture(tests, setup, teardown);
     tcase_add_test(tests, nothing_is_wrong);
+    tcase_add_test(tests, memory_is_bounded);
     tcase_add_test(tests, blur);
     tcase_add_loop_test(tests, duplicates, 0, 2);
     tcase_add_test(tests, cameras_that_look_away);
