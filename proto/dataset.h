@@ -80,6 +80,9 @@ struct rn_dataset_report_record {
     char layout[RN_FORMAT_NAME_MAX];
     struct rn_split_counts usable, unusable;
     int64_t scales;
+    struct rn_bounds_record bounds; // absent in reports of before they were told, as the next two
+    int capture;                    // rn_capture_names
+    double up[3];
     struct rn_range footprint, camera_distance;
     double looking_at_bounds;
     int64_t with_alpha;

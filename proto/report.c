@@ -2,6 +2,7 @@
 
 #include <stdio.h>
 #include <stdlib.h>
+#include <string.h>
 
 #include "common/settings/train.h"
 
@@ -33,6 +34,13 @@ static struct rn_split_counts split_counts(const int counts[RN_SPLIT_COUNT]) {
                                     .test = counts[RN_SPLIT_TEST]};
 }
 
+struct rn_bounds_record rn_describe_bounds(const struct rn_bounds *bounds) {
+    return (struct rn_bounds_record){
+        .centre = {bounds->centre[0], bounds->centre[1], bounds->centre[2]},
+        .radius = bounds->radius,
+        .source = (int)bounds->source};
+}
+
 enum rn_status rn_dataset_report_fill(const struct rn_dataset *dataset,
                                       const struct rn_problems *problems,
                                       const struct rn_findings *survey,
@@ -52,6 +60,9 @@ enum rn_status rn_dataset_report_fill(const struct rn_dataset *dataset,
     ret_report->usable = split_counts(found.usable);
     ret_report->unusable = split_counts(found.unusable);
     ret_report->scales = found.scale_count;
+    ret_report->bounds = rn_describe_bounds(&dataset->bounds);
+    ret_report->capture = (int)dataset->lie.kind;
+    memcpy(ret_report->up, dataset->lie.up, sizeof ret_report->up);
     ret_report->footprint = (struct rn_range){found.footprint_min, found.footprint_max};
     ret_report->camera_distance =
         (struct rn_range){found.camera_distance_min, found.camera_distance_max};

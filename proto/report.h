@@ -20,4 +20,6 @@ enum rn_status rn_report_problems_fill(const struct rn_problems *problems,
                                        struct rn_dataset_report_record *ret_report,
                                        struct rn_error *err) RN_MUST_CHECK;
 
+struct rn_bounds_record rn_describe_bounds(const struct rn_bounds *bounds);
+
 #endif

@@ -52,8 +52,6 @@ static void print_problems(FILE *out, const struct rn_dataset_report_record *rep
 
 static void print_report(const char *folder, const struct rn_dataset *dataset,
                          const struct rn_dataset_report_record *report) {
-    static const char *const sources[] = {"given", "by layout", "from the cameras",
-                                          "from the points"};
     const struct rn_bounds *bounds = &dataset->bounds;
     const struct rn_split_counts *usable = &report->usable, *bad = &report->unusable;
     int64_t images = usable->train + usable->val + usable->test;
@@ -75,7 +73,8 @@ static void print_report(const char *folder, const struct rn_dataset *dataset,
            report->footprint.max);
     rn_print_expected(&report->expected);
     printf("bounds      centre (%g, %g, %g), radius %g, %s\n\n", bounds->centre[0],
-           bounds->centre[1], bounds->centre[2], bounds->radius, sources[bounds->source]);
+           bounds->centre[1], bounds->centre[2], bounds->radius,
+           rn_bounds_source_titles[bounds->source]);
     print_problems(stdout, report);
     printf("%lld error%s, %lld warning%s\n", (long long)report->errors,
            report->errors == 1 ? "" : "s", (long long)report->warnings,

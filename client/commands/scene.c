@@ -169,11 +169,11 @@ static void print_dataset(const void *message) {
                 (long long)dataset->width, (long long)dataset->height, (long long)dataset->scales,
                 dataset->scales == 1 ? "" : "s", dataset->has_alpha ? "with" : "without", bytes);
     print_field("averaged", "%s", dataset->premultiplied ? "premultiplied" : "straight");
-    print_field("bounds", "centre (%g, %g, %g), radius %g, source: %s", dataset->bounds.centre[0],
+    print_field("bounds", "centre (%g, %g, %g), radius %g, %s", dataset->bounds.centre[0],
                 dataset->bounds.centre[1], dataset->bounds.centre[2], dataset->bounds.radius,
-                rn_bounds_source_names[dataset->bounds.source]);
+                rn_bounds_source_titles[dataset->bounds.source]);
     if (dataset->capture >= 0)
-        print_field("capture", "%s, up is (%.3g, %.3g, %.3g)", rn_capture_names[dataset->capture],
+        print_field("capture", "%s, up is (%.3g, %.3g, %.3g)", rn_capture_titles[dataset->capture],
                     dataset->up[0], dataset->up[1], dataset->up[2]);
     if (isfinite(dataset->crop[0]))
         print_field("crop", "%g, %g, %g to %g, %g, %g", dataset->crop[0], dataset->crop[1],

@@ -10,7 +10,14 @@
 
 #define SEEN_ENOUGH 0.8 // of photographs without alpha; the NeRF-synthetic sphere has 0.9
 
-const char *const rn_bounds_source_names[] = {"given", "layout", "cameras", "points", NULL};
+const char *const rn_bounds_source_names[] = {"given",  "layout", "cameras",
+                                              "points", "depths", NULL};
+const char *const rn_bounds_source_titles[] = {"as given",
+                                               "by its layout",
+                                               "from the cameras",
+                                               "from its points",
+                                               "from the depths that its poses give",
+                                               NULL};
 const char *const rn_downscale_names[2] = {"premultiplied", "straight"};
 
 void rn_frame_finish(struct rn_frame *frame) {

@@ -57,8 +57,17 @@ struct rn_points {
     size_t sighting_count;
 };
 
-enum rn_bounds_source { RN_BOUNDS_GIVEN, RN_BOUNDS_LAYOUT, RN_BOUNDS_CAMERAS, RN_BOUNDS_POINTS };
-extern const char *const rn_bounds_source_names[]; // "given", "layout", "cameras", "points", NULL
+// DEPTHS: near and far of each photograph, as the source gives them.
+enum rn_bounds_source {
+    RN_BOUNDS_GIVEN,
+    RN_BOUNDS_LAYOUT,
+    RN_BOUNDS_CAMERAS,
+    RN_BOUNDS_POINTS,
+    RN_BOUNDS_DEPTHS,
+    RN_BOUNDS_SOURCES
+};
+extern const char *const rn_bounds_source_names[];  // "given", "layout", ..., NULL
+extern const char *const rn_bounds_source_titles[]; // for people: "as given", "by its layout", ...
 
 // The sphere that holds the scene, dataset units.
 struct rn_bounds {
@@ -77,7 +86,8 @@ enum rn_capture_kind {
     RN_CAPTURE_DRONE,
     RN_CAPTURE_KINDS
 };
-extern const char *const rn_capture_names[]; // "object", "forward-facing", ..., NULL
+extern const char *const rn_capture_names[];  // "object", "forward-facing", ..., NULL
+extern const char *const rn_capture_titles[]; // for people: "an object, turned around", ..., NULL
 
 struct rn_box {
     double low[3], high[3]; // dataset units

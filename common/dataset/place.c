@@ -24,6 +24,10 @@
 
 const char *const rn_capture_names[] = {"object",  "forward-facing", "room",
                                         "outdoor", "drone",          NULL};
+const char *const rn_capture_titles[] = {
+    "an object, turned around", "forward-facing, as of a wall",
+    "a room, from within",      "something turned around in its surroundings",
+    "seen from the air",        NULL};
 
 static void column(const struct rn_camera *camera, int of, double ret[3]) {
     for (int i = 0; i < 3; i++)
@@ -231,7 +235,6 @@ static bool enclose(struct witnesses *w, const double near[3], double reach, dou
     if (!(radius > 0)) return false;
     memcpy(bounds->centre, middle, sizeof middle);
     bounds->radius = radius;
-    bounds->source = RN_BOUNDS_POINTS;
     return true;
 }
 
@@ -315,7 +318,7 @@ static void measure(const struct rn_dataset *dataset, struct witnesses *w,
 static struct rn_bounds find_bounds(const struct rn_dataset *dataset, struct witnesses *w,
                                     const struct rn_scene_place *place) {
     bool turned = place->lie.kind == RN_CAPTURE_OBJECT || place->lie.kind == RN_CAPTURE_OUTDOOR;
-    struct rn_bounds bounds;
+    struct rn_bounds bounds = {.source = place->by_points ? RN_BOUNDS_POINTS : RN_BOUNDS_DEPTHS};
     if (enclose(w, place->turned_around, turned ? place->distance : INFINITY,
                 place->cut_out ? ALL : MOST, &bounds))
         return bounds;
@@ -351,25 +354,34 @@ static void tell_of_what_is_seen(const struct rn_scene_place *place, char *text,
     else if (isnan(place->beyond))
         snprintf(text, capacity, "no points say how far what they see reaches");
     else
-        snprintf(text, capacity, "%.0f %% of %zu points lie farther than the cameras (%.0f)",
-                 100 * place->beyond, place->witnesses, 100 * BEYOND);
+        snprintf(text, capacity, "%.0f %% of %zu %s lie farther than the cameras (%.0f)",
+                 100 * place->beyond, place->witnesses,
+                 place->by_points ? "points" : "places at the depths that the poses give",
+                 100 * BEYOND);
+}
+
+static void tell_slope(double below_deg, char *text, size_t capacity) {
+    double whole = round(fabs(below_deg));
+    if (whole > 0)
+        snprintf(text, capacity, "%.0f degree%s %s", whole, whole > 1 ? "s" : "",
+                 below_deg > 0 ? "down" : "up");
+    else
+        snprintf(text, capacity, "straight ahead");
 }
 
 // The thresholds stand in brackets behind what was measured.
 void rn_reader_tell_place(struct rn_reader *reader, const struct rn_scene_place *place) {
-    static const char *const kinds[] = {
-        "an object, turned around", "forward-facing, as of a wall", "a room, from within",
-        "something turned around in its surroundings", "seen from the air"};
-    char seen[96];
+    char seen[96], slope[32];
     const double *up = place->lie.up;
     tell_of_what_is_seen(place, seen, sizeof seen);
+    tell_slope(place->below_deg, slope, sizeof slope);
     rn_problems_add(reader->problems, RN_SEVERITY_INFO, reader->folder,
                     "%s: view directions have a mean of length %.2f (%.1f), half of the axes pass "
-                    "one point within %.0f %% of its distance (%.0f), they look %.0f degrees down "
-                    "(%d), %s; up is %.3g,%.3g,%.3g, %s, half of the cameras are held askew by "
+                    "one point within %.0f %% of its distance (%.0f), they look %s (%d down), "
+                    "%s; up is %.3g,%.3g,%.3g, %s, half of the cameras are held askew by "
                     "%.1f degrees at most",
-                    kinds[place->lie.kind], place->alignment, FORWARD,
-                    100 * fmin(place->miss, 9.99), 100 * CONVERGENT, place->below_deg, STEEP_DEG,
-                    seen, up[0], up[1], up[2], place->lie.up_given ? "as given" : "by the cameras",
+                    rn_capture_titles[place->lie.kind], place->alignment, FORWARD,
+                    100 * fmin(place->miss, 9.99), 100 * CONVERGENT, slope, STEEP_DEG, seen, up[0],
+                    up[1], up[2], place->lie.up_given ? "as given" : "by the cameras",
                     place->tilt_deg);
 }

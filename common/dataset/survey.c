@@ -215,8 +215,9 @@ static void find_duplicates(struct all *all, double distance) {
     if (order) qsort_r(order, all->count, sizeof *order, compare_brightness, all);
     for (size_t i = 0; order && i < all->count; i++)
         for (size_t k = i + 1; k < all->count && k < i + REACH; k++) {
-            size_t a = order[i], b = order[k];
-            if (all->looks[b]->brightness - all->looks[a]->brightness > (float)SAME) break;
+            size_t a = order[i] < order[k] ? order[i] : order[k], b = order[i] + order[k] - a;
+            if (all->looks[order[k]]->brightness - all->looks[order[i]]->brightness > (float)SAME)
+                break;
             double difference = thumb_difference(all->looks[a], all->looks[b]);
             bool same = same_place(&all->frames[a]->camera, &all->frames[b]->camera, distance);
             char pair[64];
@@ -250,6 +251,18 @@ static void find_looking_away(struct all *all) {
                         names.text);
 }
 
+static void tell_heights(double low_deg, double high_deg, char *text, size_t capacity) {
+    double low = round(low_deg), high = round(high_deg);
+    const char *side = low < 0 ? "below" : "above";
+    if (low < 0 && high > 0)
+        snprintf(text, capacity, "%.0f degrees below to %.0f above the horizon", -low, high);
+    else if (low < high)
+        snprintf(text, capacity, "%.0f to %.0f degrees %s the horizon", fmin(fabs(low), fabs(high)),
+                 fmax(fabs(low), fabs(high)), side);
+    else
+        snprintf(text, capacity, "%.0f degrees %s the horizon", fabs(low), side);
+}
+
 // From which directions what is turned around was photographed.
 static void find_coverage(struct all *all) {
     const struct rn_dataset *dataset = all->dataset;
@@ -277,10 +290,10 @@ static void find_coverage(struct all *all) {
     all->found.azimuth_gap_deg = gap;
     all->found.elevation_min_deg = low;
     all->found.elevation_max_deg = high;
+    char heights[64];
+    tell_heights(low, high, heights, sizeof heights);
     rn_problems_add(all->problems, RN_SEVERITY_INFO, dataset->name,
-                    "photographed from %.0f of 360 degrees around, %.0f to %.0f degrees above the "
-                    "horizon%s",
-                    360 - gap, low, high,
+                    "photographed from %.0f of 360 degrees around, %s%s", 360 - gap, heights,
                     gap > GAP_DEG ? "; from the side that no photograph shows it will be made up"
                                   : "");
 }
@@ -307,10 +320,11 @@ static void find_effects(struct all *all) {
     for (size_t f = 0; f < d->frame_count; f++)
         if (d->frames[f].scale == 0) rn_lens_shift_add(&lens, &d->frames[f].camera);
     if (lens.most > RN_LENS_SHIFT)
-        rn_problems_add(all->problems, RN_SEVERITY_INFO, d->name,
-                        "the lens moves pixels by up to %.3g pixels (%.2g): training follows it "
-                        "(effect distortion)",
-                        lens.most, RN_LENS_SHIFT);
+        rn_problems_add(
+            all->problems, RN_SEVERITY_INFO, d->name,
+            "the lens moves what is seen by up to %.3g pixels (%.2g): training follows it "
+            "(effect distortion)",
+            lens.most, RN_LENS_SHIFT);
     double past = rn_share_past(d, &d->bounds, rn_share_left_out(d) > RN_SHARE_LEFT_OUT);
     if (past > RN_SHARE_PAST)
         rn_problems_add(all->problems, RN_SEVERITY_INFO, d->name,

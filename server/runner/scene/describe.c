@@ -7,7 +7,6 @@
 #include <string.h>
 #include <unistd.h>
 
-#include "proto/report.h"
 #include "proto/scene.h"
 
 int64_t rn_resident_bytes(void) {
@@ -31,13 +30,6 @@ enum rn_status rn_configure(const struct rn_train_options *options, bool multi_s
     status = rn_train_config_check(&config, err);
     if (!status) *ret_config = config;
     return status;
-}
-
-struct rn_bounds_record rn_describe_bounds(const struct rn_bounds *bounds) {
-    return (struct rn_bounds_record){
-        .centre = {bounds->centre[0], bounds->centre[1], bounds->centre[2]},
-        .radius = bounds->radius,
-        .source = (int)bounds->source};
 }
 
 // ---- scene ---------------------------------------------------------------------------------

@@ -5,6 +5,7 @@
 #include "common/dataset/dataset.h"
 #include "proto/dataset.h"
 #include "proto/job.h"
+#include "proto/report.h"
 #include "server/engine/engine.h"
 
 // JSON of rn_scene_description_table; malloc'd. `held_out` may be NULL.
@@ -22,7 +23,6 @@ enum rn_status rn_describe_report(const struct rn_dataset *source, const char *r
                                   const struct rn_problems *problems,
                                   const struct rn_findings *survey, char **ret_json,
                                   struct rn_error *err) RN_MUST_CHECK;
-struct rn_bounds_record rn_describe_bounds(const struct rn_bounds *bounds);
 // The engine's part of the progress; paused, yielded and evaluating_first are the caller's.
 struct rn_train_progress rn_describe_progress(const struct rn_progress *progress,
                                               const struct rn_train_config *config);

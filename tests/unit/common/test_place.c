@@ -1,6 +1,7 @@
 // Where the scene is: kinds of capture made up, each known, at the origin and where surveys are.
 #include <math.h>
 
+#include "common/dataset/reader.h"
 #include "tests/unit/common/dataset_fixture.h"
 
 #define CAMERAS 40
@@ -73,6 +74,13 @@ static void put_capture(enum rn_capture_kind kind, bool sideways, const double o
 
 static const double origin[3] = {0, 0, 0};
 
+// Whether the evidence is told in these words.
+static bool told(const char *words) {
+    struct rn_reader reader = {.problems = &problems, .folder = "scene"};
+    rn_reader_tell_place(&reader, &place);
+    return strstr(problems.items[problems.count - 1].text, words) != NULL;
+}
+
 START_TEST(kinds) {
     put_capture((enum rn_capture_kind)(_i / 2), _i % 2, origin);
     ck_assert_int_eq(place.lie.kind, _i / 2);
@@ -127,13 +135,27 @@ START_TEST(depths) {
     }
     ck_assert_int_eq(rn_dataset_find_place(&scene, &place, &err), RN_OK);
     ck_assert_uint_eq(place.witnesses, 15 * CAMERAS);
-    ck_assert_int_eq(place.bounds.source, RN_BOUNDS_POINTS);
+    ck_assert_int_eq(place.bounds.source, RN_BOUNDS_DEPTHS);
+    ck_assert(told("places at the depths that the poses give lie farther"));
     ck_assert_double_eq_tol(place.bounds.centre[1], 9, 0.5);
     for (int i = 0; i < CAMERAS; i++)
         frames[i].near = frames[i].far = 0;
     ck_assert_int_eq(rn_dataset_find_place(&scene, &place, &err), RN_OK);
     ck_assert_int_eq(place.bounds.source, RN_BOUNDS_CAMERAS);
     ck_assert(isnan(place.beyond));
+}
+END_TEST
+
+// Which way cameras look is said of an angle without a sign.
+START_TEST(slopes) {
+    static const char *const words[] = {
+        "they look 17 degrees up (25 down)", "they look 1 degree up (25 down)",
+        "they look straight ahead (25 down)", "they look 1 degree down (25 down)",
+        "they look 40 degrees down (25 down)"};
+    static const double below_deg[] = {-17.2, -0.8, -0.3, 1.2, 40};
+    put_capture(RN_CAPTURE_OBJECT, false, origin);
+    place.below_deg = below_deg[_i];
+    ck_assert(told(words[_i]));
 }
 END_TEST
 
@@ -172,6 +194,7 @@ int main(void) {
     tcase_add_loop_test(tests, far_from_the_origin, 0, RN_CAPTURE_KINDS);
     tcase_add_test(tests, given);
     tcase_add_test(tests, depths);
+    tcase_add_loop_test(tests, slopes, 0, 5);
     tcase_add_test(tests, kept);
     suite_add_tcase(suite, tests);
     return run_suite(suite);

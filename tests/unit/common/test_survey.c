@@ -186,6 +186,27 @@ START_TEST(cameras_that_look_away) {
 }
 END_TEST
 
+// Angles have no signs: half of the cameras are moved by so much of the ring's height, all by that.
+START_TEST(heights) {
+    static const struct {
+        double half, all;
+        const char *words;
+    } cases[] = {{0, 0, "around, 30 degrees above the horizon"},
+                 {0, -4, "around, 30 degrees below the horizon"},
+                 {-4, 0, "around, 30 degrees below to 30 above the horizon"},
+                 {-2, -2, "around, 0 to 30 degrees below the horizon"},
+                 {-1, 0, "around, 16 to 30 degrees above the horizon"}};
+    put_ring();
+    put_photos();
+    read_ring();
+    for (int i = 0; i < VIEWS; i++)
+        dataset->frames[i].camera.world_from_camera[2][3] +=
+            cases[_i].all + (i % 2 ? cases[_i].half : 0);
+    look();
+    ck_assert(tells(cases[_i].words));
+}
+END_TEST
+
 // Exposures that follow the camera around, and those by chance, which training makes even.
 START_TEST(exposures) {
     put_ring();
@@ -253,6 +274,7 @@ int main(void) {
     tcase_add_test(tests, blur);
     tcase_add_loop_test(tests, duplicates, 0, 2);
     tcase_add_test(tests, cameras_that_look_away);
+    tcase_add_loop_test(tests, heights, 0, 5);
     tcase_add_loop_test(tests, exposures, 0, 2);
     tcase_add_loop_test(tests, effects, 0, 4);
     tcase_add_test(tests, missing);

@@ -10,6 +10,14 @@ import {trainPanel} from './train.js';
 
 const FIRST = 24;
 
+const CAPTURES = {
+  'object': 'an object, turned around',
+  'forward-facing': 'forward-facing, as of a wall',
+  'room': 'a room, from within',
+  'outdoor': 'something turned around in its surroundings',
+  'drone': 'seen from the air'
+};
+
 export async function datasetView(root, {id, signal}) {
   const title = h('h1', null, id);
   const body = h('div', null, panel('Photographs', null, skeleton(4)));
@@ -153,9 +161,10 @@ function about(dataset) {
               {given: 'as given',
                layout: 'from the layout',
                cameras: 'from the cameras',
-               points: 'from points and depths'}[dataset.bounds.source]}`
+               points: 'from its points',
+               depths: 'from the depths that its poses give'}[dataset.bounds.source]}`
         ],
-        ...(dataset.capture ? [['Capture', `${dataset.capture}, up is ${three(dataset.up)}`]] : []),
+        ...(dataset.capture ? [['Capture', `${CAPTURES[dataset.capture] ?? dataset.capture}; up is ${three(dataset.up)}`]] : []),
         ...(dataset.crop ? [['Crop', three(dataset.crop)]] : []),
         ['Pixel’s footprint', range(dataset.footprint)],
         ['Looking at the bounds', percent(found.looking_at_bounds)], ['Layout', found.layout],
