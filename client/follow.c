@@ -18,6 +18,12 @@ bool rn_job_has_ended(const struct rn_job *job) {
 
 static void format_train(const struct rn_train_progress *progress, char *ret_text,
                          size_t capacity) {
+    if (*progress->stage) {
+        char load[24];
+        rn_format_seconds(progress->load_seconds, load, sizeof load);
+        snprintf(ret_text, capacity, "%s  %s", progress->stage, load);
+        return;
+    }
     char seconds[24], limit[32] = "", psnr[24] = "", rate[16], speed[32] = "", steps[32] = "";
     rn_format_seconds(progress->train_seconds, seconds, sizeof seconds);
     if (progress->max_seconds > 0) rn_format_seconds(progress->max_seconds, limit, sizeof limit);
@@ -65,7 +71,9 @@ void rn_format_progress(const struct rn_job *job, const char *json, double *ret_
     else
         format_work(&progress.work, ret_text, capacity);
     *ret_fraction = train ? progress.train.fraction : progress.work.fraction;
-    if (!train || !progress.train.evaluating_first) {
+    if (train && *progress.train.stage) {
+        *ending = '\0';
+    } else if (!train || !progress.train.evaluating_first) {
         rn_format_seconds(train ? progress.train.eta_seconds : progress.work.eta_seconds, eta,
                           sizeof eta);
         snprintf(ending, sizeof ending, "ETA %s", eta);

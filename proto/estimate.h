@@ -10,7 +10,7 @@ struct rn_calibration {
     double seconds[2],
         psnr[2];          // on the training clock, and held out at their ends; NAN: nothing is
     double step_seconds;  // of the second
-    double load_seconds;  // decoding the photographs, once
+    double load_seconds;  // all before the first step, once
     double spent_seconds; // in all
     double max_seconds;   // that the training asked for may take; 0: no limit
     int64_t max_steps;    // 0: no limit

@@ -394,6 +394,7 @@ static const struct rn_field_spec train_progress[] = {
     RN_F_NUMBER(S, fraction, RN_REQUIRED | RN_NULLABLE, 0, 1),
     RN_F_BOOL(S, evaluating_first, RN_REQUIRED),
     RN_F_TEXT(S, fell_back, 0, NULL),
+    RN_F_TEXT(S, stage, 0, NULL),
 };
 const struct rn_table rn_train_progress_table = RN_TABLE(S, "training progress", train_progress);
 #undef S

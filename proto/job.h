@@ -129,6 +129,7 @@ struct rn_train_progress {
     double eta_seconds, fraction;
     bool evaluating_first;
     char fell_back[256]; // a damaged checkpoint that was passed over; "" = absent
+    char stage[32];      // what comes before the first step; "" = absent: it trains
 };
 extern const struct rn_table rn_train_progress_table;
 

@@ -130,9 +130,11 @@ static void on_progress(struct rn_control *control, struct rn_runner *runner,
         if (rn_decode(&rn_train_progress_table, progress->progress, strlen(progress->progress),
                       &live, NULL, NULL) == RN_OK) {
             count_nonfinite(control, task, &live.nonfinite);
-            task->live = live;
-            if (!task->began) control->schedule_due = true; // paths may have waited for this
-            task->began = true;
+            bool trains = live.stage[0] == '\0';
+            if (trains) task->live = live;
+            if (trains && !task->began)
+                control->schedule_due = true; // paths may have waited for it
+            task->began |= trains;
         }
     } else {
         struct rn_work_progress work;

@@ -224,6 +224,9 @@ def test_bounds_that_are_given_are_the_ones_that_are_checked(client, tmp_path):
     client.run("synth", "place", "p", "--size", "32", "--views", "8")
     said = client.run("validate", "p").stdout
     assert "covers only" in said and "radius 1.5, by its layout" in said
+    told = json.loads(client.run("validate", "p", "--json").stdout)
+    assert told["bounds"]["radius"] == 1.5 and told["bounds"]["source"] == "layout"
+    assert told["capture"] == "outdoor" and told["up"][2] > 0.99
     bounds = re.search(r"--bounds X,Y,Z,R`: (\S+) reaches", said)[1]
     said = client.run("validate", "p", "--bounds", bounds).stdout
     assert "covers only" not in said and "0 warnings" in said and "radius 1.5" not in said

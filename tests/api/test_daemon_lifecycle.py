@@ -194,13 +194,18 @@ def test_path_and_evaluation_while_training(own):
 
 
 def test_path_into_a_training_that_is_loading(make_daemon, photographs):
-    """Before there is anything to render it is a conflict."""
+    """Loading is told as a stage. Before there is anything to render a path is a conflict."""
     daemon = make_daemon({"RIPNERF_FAKE_LOAD_MS": "2000"})
     daemon.wait(daemon.upload("data", photographs))
     job = train(daemon, "s")
+    progress = wait_for(lambda: daemon.job(job)["progress"])
+    assert progress["stage"] == "loading photographs" and progress["load_seconds"] > 0
+    assert progress["train_seconds"] == 0 and progress["step"] == 0
     reply = daemon.post("/v1/jobs", {"type": "path", "scene": "s", "camera_path": PATH})
     assert reply.status == 409 and job in reply.json["detail"]
     wait_for_step(daemon, job, 1)
+    progress = daemon.job(job)["progress"]
+    assert "stage" not in progress and progress["load_seconds"] >= 2
     assert daemon.wait(daemon.submit(type="path", scene="s", camera_path=PATH))["state"] == \
         "succeeded"
     command(daemon, job, "cancel")

@@ -420,6 +420,8 @@ START_TEST(training_ends_with_its_time) {
     struct rn_trainer *trainer = trainer_for(engine, dataset, &config);
     struct rn_progress progress;
     double rate = rn_schedule_rate(&trainer->field->config, &trainer->progress);
+    rn_trainer_progress(trainer, &progress);
+    ck_assert(progress.train_seconds == 0 && progress.load_seconds > 0); // it begins with a step
     ck_assert_int_eq(rn_trainer_config(trainer)->field.base, 32);
     for (progress.done = false; !progress.done;) {
         ck_assert(rn_trainer_advance(trainer, 1, &err) == RN_OK);

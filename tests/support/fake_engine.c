@@ -29,6 +29,8 @@
 
 struct rn_engine {
     struct rn_device_info info;
+    bool (*keep_going)(void *context);
+    void *watcher;
 };
 
 struct rn_field {
@@ -93,7 +95,10 @@ void rn_engine_describe(const struct rn_engine *engine, struct rn_device_info *r
     *ret_info = engine->info;
 }
 
-void rn_engine_watch(struct rn_engine *engine, bool (*keep_going)(void *context), void *context) {}
+void rn_engine_watch(struct rn_engine *engine, bool (*keep_going)(void *context), void *context) {
+    engine->keep_going = keep_going;
+    engine->watcher = context;
+}
 void rn_engine_keep_in(struct rn_engine *engine, const char *folder) {}
 void rn_engine_yield_to(struct rn_engine *engine, bool (*wanted)(void *context), void *context) {}
 void rn_field_rest(struct rn_field *field) {}
@@ -284,12 +289,25 @@ enum rn_status rn_field_mesh(struct rn_engine *engine, struct rn_field *field,
 
 // ---- training ------------------------------------------------------------------------------
 
-static enum rn_status create(const struct rn_field *field, struct rn_trainer **ret_trainer,
-                             struct rn_error *err) {
+static enum rn_status load(const struct rn_engine *engine, struct rn_error *err) {
+    for (double left = setting("RIPNERF_FAKE_LOAD_MS", 0); left > 0; left -= 20) {
+        if (engine->keep_going && !engine->keep_going(engine->watcher))
+            return rn_error_set(err, RN_ERROR_CANCELLED, "images", "stopped while loading");
+        usleep(20000);
+    }
+    return RN_OK;
+}
+
+static enum rn_status create(const struct rn_engine *engine, const struct rn_field *field,
+                             struct rn_trainer **ret_trainer, struct rn_error *err) {
     struct rn_trainer *trainer = calloc(1, sizeof *trainer);
     if (!trainer) return rn_error_set(err, RN_ERROR_NO_MEMORY, "", "out of memory");
     double begin = now_s();
-    usleep((useconds_t)setting("RIPNERF_FAKE_LOAD_MS", 0) * 1000);
+    enum rn_status status = load(engine, err);
+    if (status != RN_OK) {
+        free(trainer);
+        return status;
+    }
     trainer->field = *field;
     trainer->psnr_step = isnan(field->psnr) ? 0 : field->steps;
     trainer->load_seconds = now_s() - begin;
@@ -326,7 +344,7 @@ enum rn_status rn_trainer_create(struct rn_engine *engine, const struct rn_datas
     field.psnr = NAN;
     field.state = config->seed;
     field.scale_count = dataset->scale_count;
-    return create(&field, ret_trainer, err);
+    return create(engine, &field, ret_trainer, err);
 }
 
 enum rn_status rn_trainer_restore(struct rn_engine *engine, const struct rn_dataset *dataset,
@@ -334,7 +352,7 @@ enum rn_status rn_trainer_restore(struct rn_engine *engine, const struct rn_data
                                   struct rn_trainer **ret_trainer, struct rn_error *err) {
     struct rn_field field;
     enum rn_status status = read_field(checkpoint_path, &field, err);
-    return status ? status : create(&field, ret_trainer, err);
+    return status ? status : create(engine, &field, ret_trainer, err);
 }
 
 void rn_trainer_destroy(struct rn_trainer **trainer) {

@@ -256,6 +256,7 @@ export function progressWords(job) {
       left
     ].filter(Boolean)
         .join(' · ');
+  if (p.stage) return `${p.stage} · ${format.seconds(p.load_seconds)}`;
   if (p.evaluating_first) return `last evaluation after ${format.seconds(p.train_seconds)}`;
   return [
     `step ${format.whole(p.step)}`,

@@ -9,7 +9,7 @@
 struct rn_progress {
     int64_t step;
     double train_seconds;                       // the --max-time clock
-    double load_seconds;                        // decoding, before the clock starts
+    double load_seconds;                        // all before the first step, not on the clock
     double evaluate_seconds;                    // held-out evaluation, not on the clock
     double loss;                                // of the last step
     double rays_per_second, samples_per_second; // over the last second or so

@@ -100,7 +100,6 @@ static enum rn_status load_pixels(struct rn_trainer *t, const struct rn_effect_r
     const struct rn_train_config *config = &t->field->config;
     struct rn_pixel_treatment treatment = {.reduced = scale_of(config),
                                            .memory_bytes = (size_t)config->pixel_memory << 20};
-    double start = (double)rn_clock_ns();
     rn_effects_treat(config, records, false, &treatment);
     enum rn_status status =
         rn_pixels_load(t->dataset, wanted, &s, t->engine, treatment, limit, &t->train, err);
@@ -114,7 +113,6 @@ static enum rn_status load_pixels(struct rn_trainer *t, const struct rn_effect_r
     if (status == RN_ERROR_INVALID) status = RN_OK; // nothing to hold out
     take_effects(t);
     describe_held_out(t);
-    t->progress.load_seconds = ((double)rn_clock_ns() - start) * 1e-9;
     return status;
 }
 
@@ -277,11 +275,11 @@ enum rn_status rn_trainer_create(struct rn_engine *engine, const struct rn_datas
     struct rn_train_config own = *config;
     size_t left;
     struct rn_effect_record prepared[RN_EFFECT_COUNT];
+    double begin = (double)rn_clock_ns();
     enum rn_status status = plan(engine, dataset, &own, prepared, &t, err);
     if (status == RN_OK) status = check_memory(t, memory_limit_bytes, &left, err);
     if (status == RN_OK) status = load_pixels(t, prepared, left, err);
     if (status != RN_OK) goto fail;
-    double begin = (double)rn_clock_ns();
     memcpy(t->field->effects, prepared, sizeof prepared);
     rn_trainer_detect_effects(t);
     status = take_space(t);
@@ -303,7 +301,7 @@ enum rn_status rn_trainer_create(struct rn_engine *engine, const struct rn_datas
     rn_field_refresh_occupancy(t->field);
     status = rn_trainer_put(t, err);
     if (status != RN_OK) goto fail;
-    t->progress.train_seconds = ((double)rn_clock_ns() - begin) * 1e-9;
+    t->progress.load_seconds = ((double)rn_clock_ns() - begin) * 1e-9;
     t->ranks.follows = true;
     *ret_trainer = t;
     return RN_OK;
@@ -336,9 +334,7 @@ static struct rn_counters counters_of(const struct rn_trainer *t) {
 }
 
 static void take_counters(struct rn_trainer *t, const struct rn_counters *from) {
-    double load_seconds = t->progress.load_seconds;
     t->progress = from->progress;
-    t->progress.load_seconds = load_seconds;
     t->optimiser.updates = from->updates;
     t->next_rays = from->next_rays;
     t->device.gradient_scale = from->gradient_scale;
@@ -353,6 +349,7 @@ enum rn_status rn_trainer_restore(struct rn_engine *engine, const struct rn_data
     struct rn_trainer *t = NULL;
     struct rn_checkpoint checkpoint;
     size_t left;
+    double begin = (double)rn_clock_ns();
     enum rn_status status = rn_checkpoint_open(checkpoint_path, &checkpoint, err);
     if (status != RN_OK) return status;
     const struct rn_kernels *kernels = rn_device_trained(checkpoint.kernels)
@@ -390,6 +387,7 @@ enum rn_status rn_trainer_restore(struct rn_engine *engine, const struct rn_data
     status = rn_trainer_put(t, err);
     if (status != RN_OK) goto fail;
     rn_checkpoint_close(&checkpoint);
+    t->progress.load_seconds = ((double)rn_clock_ns() - begin) * 1e-9;
     t->ranks.follows = true;
     *ret_trainer = t;
     return RN_OK;

@@ -16,12 +16,13 @@
 #include "server/runner/scene/describe.h"
 
 #define PROGRESS_INTERVAL_S 0.5
-#define FIRST_EVALUATION_S 2.0     // of training, and not before FIRST_EVALUATION_STEPS
-#define FIRST_EVALUATION_STEPS 16  // so that a wide field's first steps are not waited on
-#define EVALUATION_GROWTH 0.5      // of the time trained so far, until the next round,
-#define EVALUATION_INTERVAL_S 30.0 // but this at most,
-#define TRAIN_PER_EVALUATION 4.0   // and this many times the last round's time at least
-#define CHECKPOINT_INTERVAL_S 30.0 // at most; a fifth of the time trained, but FIRST_ at least
+#define LOADING "loading photographs" // the stage before the first step
+#define FIRST_EVALUATION_S 2.0        // of training, and not before FIRST_EVALUATION_STEPS
+#define FIRST_EVALUATION_STEPS 16     // so that a wide field's first steps are not waited on
+#define EVALUATION_GROWTH 0.5         // of the time trained so far, until the next round,
+#define EVALUATION_INTERVAL_S 30.0    // but this at most,
+#define TRAIN_PER_EVALUATION 4.0      // and this many times the last round's time at least
+#define CHECKPOINT_INTERVAL_S 30.0    // at most; a fifth of the time trained, but FIRST_ at least
 #define FIRST_CHECKPOINT_S 5.0
 #define QUICK_STEP_S 0.1 // a step that is worth completing and saving before a cancel
 #define SAVING_POLL_MS 2
@@ -114,6 +115,19 @@ static void tell_fallback(const struct rn_training *training, char ret_text[256]
     snprintf(ret_text, 256, "%.255s", training->set_aside);
 }
 
+static void post_record(struct rn_host *host, const char *job,
+                        const struct rn_train_progress *record) {
+    struct rn_wire_progress message = {.progress = NULL};
+    struct rn_error err = {0};
+    snprintf(message.job, sizeof message.job, "%s", job);
+    if (rn_encode(&rn_train_progress_table, record, &message.progress, NULL, &err)) {
+        rn_log(RN_LOG_ERROR, "progress cannot be reported: %s", err.text);
+        return;
+    }
+    rn_link_post(&host->link, RN_WIRE_PROGRESS, &message, NULL, 0);
+    free(message.progress);
+}
+
 static void post_progress(struct rn_host *host, const struct rn_progress *progress) {
     struct rn_training *training = host->training;
     struct rn_train_progress record =
@@ -122,15 +136,7 @@ static void post_progress(struct rn_host *host, const struct rn_progress *progre
     record.yielded_seconds = training->yielded_seconds;
     record.evaluating_first = training->closing;
     tell_fallback(training, record.fell_back);
-    struct rn_wire_progress message = {.progress = NULL};
-    struct rn_error err = {0};
-    memcpy(message.job, training->job, sizeof message.job);
-    if (rn_encode(&rn_train_progress_table, &record, &message.progress, NULL, &err)) {
-        rn_log(RN_LOG_ERROR, "progress cannot be reported: %s", err.text);
-        return;
-    }
-    rn_link_post(&host->link, RN_WIRE_PROGRESS, &message, NULL, 0);
-    free(message.progress);
+    post_record(host, training->job, &record);
     training->reported_at = now_s();
 }
 
@@ -235,6 +241,30 @@ static enum rn_status restore_or_create(struct rn_host *host,
     return rn_ranks_make_trainer(host, &config, NULL, ret_trainer, err);
 }
 
+// Photographs are checked and loaded: what lasts is told.
+struct loading {
+    struct rn_host *host;
+    double begun, told;
+};
+
+static bool keep_loading(void *context) {
+    struct loading *loading = context;
+    struct rn_host *host = loading->host;
+    double now = now_s();
+    struct rn_train_progress record = {.load_seconds = now - loading->begun,
+                                       .loss = NAN,
+                                       .psnr = NAN,
+                                       .psnr_step = RN_ABSENT,
+                                       .eta_seconds = NAN,
+                                       .fraction = NAN,
+                                       .stage = LOADING};
+    if (now - loading->told >= PROGRESS_INTERVAL_S) {
+        post_record(host, host->watch->job, &record);
+        loading->told = now;
+    }
+    return rn_watch_keep_going(host->watch);
+}
+
 static enum rn_status create_trainer(struct rn_host *host, const char *job,
                                      const struct rn_train_options *options,
                                      struct rn_trainer **ret_trainer, char told[512],
@@ -245,8 +275,9 @@ static enum rn_status create_trainer(struct rn_host *host, const char *job,
     if (host->marked) rn_field_destroy(&host->marked);
     if (host->loaded) rn_field_destroy(&host->loaded); // room for the optimiser
     struct rn_watch watch = {.link = &host->link, .job = job, .request = RN_ABSENT};
+    struct loading loading = {.host = host, .begun = now_s(), .told = now_s()};
     host->watch = &watch;
-    rn_engine_watch(host->engine, rn_watch_keep_going, &watch);
+    rn_engine_watch(host->engine, keep_loading, &loading);
     status = restore_or_create(host, options, ret_trainer, told, err);
     rn_engine_watch(host->engine, NULL, NULL);
     host->watch = NULL;

@@ -86,7 +86,7 @@ function noScenes(datasets) {
 /** Figures of a scene, from its training job while that runs. */
 export function liveFigures(scene) {
   const job = trainingOf(scene);
-  const p = job && isActive(job) ? job.progress : null;
+  const p = job && isActive(job) && !job.progress?.stage ? job.progress : null;
   return {
     steps: p?.step ?? scene.steps,
     seconds: p?.train_seconds ?? scene.train_seconds,

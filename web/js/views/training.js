@@ -32,7 +32,7 @@ const STATS = [
 
 /** What a finished job's record gives in place of live progress. */
 function finalFigures(scene, job, last) {
-  const p = job?.progress;
+  const p = job?.progress?.stage ? null : job?.progress;
   const r = job?.result;
   return {
     loss: null,
@@ -250,8 +250,8 @@ const pointsOf = (figures) => figures.filter((m) => m.psnr !== null)
 /** How far towards the limits; the figures below say the rest. */
 function underWay(job) {
   const p = job.progress;
-  if (!p || p.evaluating_first)
-    return progressWords(job) || (job.state === 'running' ? 'loading the photographs' : '');
+  if (!p || p.stage || p.evaluating_first)
+    return progressWords(job) || (job.state === 'running' ? 'loading photographs' : '');
   const limits = [
     p.max_seconds ? `${seconds(p.train_seconds)} of ${seconds(p.max_seconds)}` : '',
     p.max_steps ? `step ${whole(p.step)} of ${whole(p.max_steps)}` : ''
@@ -263,8 +263,6 @@ function underWay(job) {
 }
 
 function ended(job, figures) {
-  if (job.result?.finished_by === 'time' && !figures.step)
-    return 'time was up before the first step: nothing is trained yet. Train again with more time.';
   const why = {
     time: 'time is up',
     steps: 'steps done',
