@@ -48,7 +48,11 @@ def test_figures_say_which_views_they_are_of(page, fake):
 
 def test_a_dataset_tells_what_training_takes_and_shows_its_points(page, fake):
     api = fake("busy")
+    api.world.find(api.world.datasets, "sphere", "dataset").update(
+        capture="outdoor", up=[0, 0, 1], bounds={"centre": [0, 0, 0], "radius": 1.5, "source": "depths"})
     page.open(api.url + "#/dataset/sphere")
+    page.says("from the depths that its poses give", ".facts")
+    page.says("something turned around in its surroundings; up is 0, 0, 1", ".facts")
     page.says("Training, by formula", ".facts")
     page.says("1 min 00 s, 321 MiB of memory", ".facts")
     page.says("Training, by 3 trainings here", ".facts")
@@ -137,6 +141,19 @@ def test_a_training_job_has_its_curve_and_what_was_asked(page, fake):
     page.until(lambda: page.all(".chart .last"), "the curve")
     page.says("PSNR, held out", ".stats")
     page.says("30 s", ".facts")
+
+
+def test_loading_is_told_as_a_stage(page, fake):
+    api = fake("busy")
+    api.world.advance_train = lambda job, dt: None
+    with api.world.lock:
+        job = api.world.train({"dataset": "sphere", "scene": "large", "options": {"max_time_s": 30}})
+        api.world.set_state(job, "running")
+    job["progress"] = api.world.train_progress(job, 0) | {"stage": "loading photographs", "load_seconds": 12.3}
+    page.open(api.url + "#/jobs")
+    page.says("loading photographs · 12 s")
+    page.open(api.url + f"#/scene/{job['scene']}")
+    page.says("loading photographs · 12 s", ".panel")
 
 
 def test_the_first_steps_are_not_called_refined(page, fake):
