@@ -82,7 +82,7 @@ sound() {
 prepare generic
 sound frustum footprint ripmap solid volume camera lens optimiser kernels rays disparity space training \
     incidents reproducible roulette overflow growth networks blocks metrics_images flags_fma doctor commands \
-    proofs poses
+    proofs poses voxels
 
 field=server/engine/field
 cpu=server/engine/cpu

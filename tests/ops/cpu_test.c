@@ -139,10 +139,11 @@ static void set_up(struct setup *s, const struct rn_kernels *kernels,
     s->workspace = rn_engine_workspace(&s->engine, 0);
     ck_assert(rn_reference_create(&config->field, config->seed, &s->reference, &err) == RN_OK);
     copy_parameters(s);
-    s->options = (struct rn_march_options){.step = (float)config->step,
-                                           .stop_depth = 1e9f,
-                                           .colour = {{1, 0.5f, 0.25f}, 0.1f},
-                                           .distortion_loss = (float)config->distortion_loss};
+    s->options = (struct rn_march_options){
+        .step = (float)config->step,
+        .stop_depth = 1e9f,
+        .colour = {.background = {1, 0.5f, 0.25f}, .background_variance = 0.1f},
+        .distortion_loss = (float)config->distortion_loss};
     s->reference->distortion_loss = config->distortion_loss;
     make_rays(s);
 }

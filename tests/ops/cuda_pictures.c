@@ -20,7 +20,7 @@ START_TEST(pixels_match_reference) {
         struct test_scene s;
         struct rn_pixel pixels[SIDE * SIDE];
         struct rn_march_options options = {
-            .step = (float)config.step, .stop_depth = 1e9f, .colour = {{1, 0.5f, 0.25f}, 0}};
+            .step = (float)config.step, .stop_depth = 1e9f, .colour.background = {1, 0.5f, 0.25f}};
         uint64_t samples;
         double worst_pixel = 0, largest = 1;
         test_scene_init(&s, &config);
@@ -82,7 +82,7 @@ START_TEST(march_finds_the_cells_that_the_cpu_finds) {
         const float look[3] = {0.6f, 0, 0.8f};
         struct rn_march_options options = {.step = (float)config.step,
                                            .stop_depth = 1e9f,
-                                           .colour = {{0.25f, 0.5f, 1}, 0},
+                                           .colour.background = {0.25f, 0.5f, 1},
                                            .look = stride ? look : NULL};
         for (int f = 0; f < FRAMES; f++) {
             const struct rn_camera *camera = &s.frames[f].camera;
@@ -287,7 +287,7 @@ START_TEST(places_of_cameras_are_averaged) {
     OK(test_scene_upload(&s, 0, &err));
     struct rn_march_options options = {.step = 0.2f,
                                        .stop_depth = _i ? 0.2f : 1e9f,
-                                       .colour = {{0.25f, 0.5f, 1}, 0},
+                                       .colour.background = {0.25f, 0.5f, 1},
                                        .straight = _i};
     check_places(&s, &options, _i, numbers, sizeof numbers / sizeof *numbers);
     if (_i) check_places(&s, &options, _i, NULL, 60);

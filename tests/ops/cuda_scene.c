@@ -115,7 +115,8 @@ enum rn_status test_scene_upload(struct test_scene *s, size_t budget, struct rn_
 
 static struct rn_colouring colouring_of(const struct test_scene *s) {
     const float *c = s->config.background;
-    return (struct rn_colouring){{c[0], c[1], c[2]}, s->background_variance};
+    return (struct rn_colouring){.background = {c[0], c[1], c[2]},
+                                 .background_variance = s->background_variance};
 }
 
 enum rn_status test_scene_train(struct test_scene *s, bool deterministic, struct rn_error *err) {

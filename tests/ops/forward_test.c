@@ -131,7 +131,7 @@ END_TEST
 static void check_rays(const struct rn_kernels *kernels, struct rn_trainer *t,
                        const struct wall *w) {
     struct rn_march_options options = {
-        .step = (float)t->field->config.step, .stop_depth = 1e9f, .colour = {{1, 0, 1}, 0}};
+        .step = (float)t->field->config.step, .stop_depth = 1e9f, .colour.background = {1, 0, 1}};
     struct rn_exact *exact;
     struct rn_error err;
     int seen = 0;

@@ -322,7 +322,7 @@ START_TEST(uniform_fog_has_its_closed_form) {
                                    .count = 4,
                                    .mid = mid,
                                    .width = 0.2,
-                                   .colour = {{1, 0, 0.25f}, 0}};
+                                   .colour.background = {1, 0, 0.25f}};
     double rgb[3], opacity, depth, x = exp(-1) * 0.2 * 1.5, expected_depth = 0;
     ck_assert_int_eq(rn_reference_render(ref, &ray, rgb, &opacity, &depth), RN_OK);
     for (int i = 0; i < 4; i++)
