@@ -60,7 +60,7 @@ RN_DEVICE struct rn_seen rn_seen_by(const struct rn_cuda_batch *b,
 
 // ---- roulette -------------------------------------------------------------------------------
 
-#define RN_STREAM_LOTS 0x6c6f747300000000u
+#define RN_STREAM_ROULETTE 0x6c6f747300000000u
 #define RN_CERTAIN (1 << 24) // chances are in units of 2^-24
 
 // Roulette along one ray, by the sizes of its samples' gradients (backward_select of
@@ -75,7 +75,7 @@ RN_DEVICE struct rn_roulette rn_roulette_start(const struct rn_cuda_batch *b, in
     const struct rn_cuda_status *s = b->status;
     struct rn_roulette l = {b->roulette * s->gradient_size * s->gradient_scale, 0};
     if (!(l.threshold > 0 && l.threshold < 3e38f)) l.threshold = 0;
-    l.sum = rn_rng_draw(b->seed, RN_STREAM_LOTS | (uint32_t)r, s->steps).v[0];
+    l.sum = rn_rng_draw(b->seed, RN_STREAM_ROULETTE | (uint32_t)r, s->steps).v[0];
     return l;
 }
 
@@ -118,7 +118,7 @@ RN_DEVICE void rn_return_tile(const struct rn_cuda_batch *b, int slot, bool retu
 
 // dL/d(colour logits) and dL/d(density logit) of the samples of one ray, whose loss has the
 // gradient `grad` (rn_ray_loss); g_i = grad[3] + grad . colour_i. From the last tile to the first;
-// those that draw no blank are backpropagated.
+// those that the roulette takes are backpropagated.
 RN_DEVICE void rn_composite_backward(const struct rn_cuda_batch *b, int r, const float grad[4],
                                      float scale, struct rn_cuda_return *ret) {
     struct rn_roulette roulette = rn_roulette_start(b, r);

@@ -195,8 +195,8 @@ RN_DEVICE float rn_row_size(const float (&c)[2][4]) {
     return sqrtf(rn_of_row(squares));
 }
 
-// Gradients of the samples of a ray, from its last tile to its first, those that draw no blank.
-// True on overflow.
+// Gradients of the samples of a ray, from its last tile to its first, those that the roulette
+// takes. True on overflow.
 RN_DEVICE bool rn_return_ray(const struct rn_cuda_batch *b, int r, struct rn_cuda_return *ret) {
     const float *from = b->ray_sums + (size_t)r * RN_GEOMETRY + 2 * (RN_LANE % 4);
     const float sums_grad[2][2] = {{from[0], from[1]}, {from[8], from[9]}};

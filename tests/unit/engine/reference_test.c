@@ -13,6 +13,7 @@ static const double mids[SAMPLES] = {0.9, 1.3, 1.7, 2.1, 2.5, 3.3}; // the last 
 // Rays through the ball, cones wide enough for several levels; the last ray has no samples.
 static void sample_rays(struct rn_reference_ray rays[RAYS]) {
     for (int r = 0; r < RAYS; r++) {
+        rays[r] = (struct rn_reference_ray){.mid = mids, .width = 0.4};
         double eye[3], norm = 0;
         for (int i = 0; i < 3; i++) {
             eye[i] = sample_number(10, (uint64_t)(3 * r + i));
@@ -30,8 +31,6 @@ static void sample_rays(struct rn_reference_ray rays[RAYS]) {
         rays[r].colour.background_variance = r == 1 ? 0 : 0.1f;
         rays[r].radius = 0.03 * (r + 1);
         rays[r].count = r + 1 < RAYS ? SAMPLES : 0;
-        rays[r].mid = mids;
-        rays[r].width = 0.4;
         rays[r].weight = r == 2 ? 4 : 1;
     }
 }
