@@ -117,21 +117,36 @@ enum rn_status rn_dataset_reproject_photos(const struct rn_dataset *dataset,
     return status;
 }
 
+// A model's pixels are those of the photographs that it was made from.
+static void tell_said(const struct rn_reader *reader, double said_px, char *text, size_t capacity) {
+    double by = reader->resized;
+    if (isnan(by))
+        snprintf(text, capacity, ", %.4f px as the model says of photographs of its sizes",
+                 said_px);
+    else if (by > 0 && by != 1)
+        snprintf(text, capacity,
+                 ", %.4f px as the model says (%.4f px of photographs %.3g times as large)",
+                 said_px * by, said_px, 1 / by);
+    else
+        snprintf(text, capacity, ", %.4f px as the model says", said_px);
+}
+
 void rn_reader_tell_reprojection(struct rn_reader *reader) {
     struct rn_reprojection found;
     const struct rn_dataset *dataset = reader->dataset;
     if (!dataset->points.sighting_count || rn_dataset_reproject(dataset, &found, NULL)) return;
     bool suspect = found.mean_px > SUSPECT_PX || found.unseen > found.sightings / 10;
-    char said[64] = "";
-    if (found.said_px >= 0)
-        snprintf(said, sizeof said, ", %.4f px as the model says", found.said_px);
-    rn_problems_add(
-        reader->problems, suspect ? RN_SEVERITY_WARNING : RN_SEVERITY_INFO, reader->folder,
-        "%zu sparse points, seen %zu times: mean reprojection error %.4f px (median "
-        "%.4f) as the cameras are read%s; %zu sightings lie "
-        "where their camera does not see%s",
-        found.points, found.sightings, found.mean_px, found.median_px, said, found.unseen,
-        suspect ? ": poses, lenses and points do not belong together" : "");
+    char said[96] = "", unseen[80] = "";
+    if (found.said_px >= 0) tell_said(reader, found.said_px, said, sizeof said);
+    if (found.unseen)
+        snprintf(unseen, sizeof unseen, "; %zu sightings lie where their camera does not see",
+                 found.unseen);
+    rn_problems_add(reader->problems, suspect ? RN_SEVERITY_WARNING : RN_SEVERITY_INFO,
+                    reader->folder,
+                    "%zu sparse points, seen %zu times: mean reprojection error %.4f px (median "
+                    "%.4f) as the cameras are read%s%s%s",
+                    found.points, found.sightings, found.mean_px, found.median_px, said, unseen,
+                    suspect ? ": poses, lenses and points do not belong together" : "");
 }
 
 // ---- two layouts of one folder ----

@@ -340,6 +340,7 @@ enum rn_status rn_reader_fit(struct rn_reader *reader, const char *where, double
     if (!(fabs(across / down - 1) <= SHAPE_TOLERANCE))
         return rn_error_set(err, RN_ERROR_INVALID, where, "says %gx%g pixels, %s is %dx%d", width,
                             height, frame->path, camera->width, camera->height);
+    reader->resized = reader->resized == 0 || reader->resized == across ? across : NAN;
     camera->fx *= across;
     camera->cx *= across;
     camera->fy *= down;

@@ -27,6 +27,7 @@ struct rn_reader {
     bool missing_is_usual; // a photograph that is not there is no fault of the dataset
     struct rn_error missing, last_missing; // the first and the last photograph that is not there
     size_t missing_count;
+    double resized;  // widths by those that the source says; NAN: not all alike; 0: none yet
     bool told_moved; // that files named outside of the folder were found within
 };
 

@@ -348,6 +348,18 @@ START_TEST(agreement) {
 }
 END_TEST
 
+// The model is of photographs twice as large as those that are there: its error is told for both.
+START_TEST(agreement_in_pixels_of_the_photographs) {
+    put_texts("7 PINHOLE 80 60 100 120 40 30\n",
+              "10 1 0 0 0 0 0 0 7 b.png\n60 42 1000\n11 1 0 0 0 -1 0 0 7 c.png\n40 42 1000\n",
+              "1000 1 0.5 5 1 2 3 2.5 10 0 11 0\n");
+    read_ok(folder);
+    ck_assert(tells(RN_SEVERITY_INFO,
+                    "1.2500 px as the model says (2.5000 px of photographs 2 times as large)"));
+    ck_assert(!tells(RN_SEVERITY_INFO, "does not see"));
+}
+END_TEST
+
 START_TEST(two_layouts) {
     put_capture();
     read_ok(folder);
@@ -568,6 +580,7 @@ int main(void) {
     tcase_add_test(tests, no_points);
     tcase_add_test(tests, incomplete_model);
     tcase_add_test(tests, agreement);
+    tcase_add_test(tests, agreement_in_pixels_of_the_photographs);
     tcase_add_test(tests, two_layouts);
     tcase_add_loop_test(tests, moved_layouts, 0, 2);
     tcase_add_test(tests, imported);
