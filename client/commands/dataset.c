@@ -101,7 +101,8 @@ static bool show_made(void *context, size_t done, size_t total) {
 // Reads a dataset and decodes its images; what is wrong goes into `problems`. NULL when nothing
 // usable is left.
 static struct rn_dataset *read_dataset(const char *folder, const struct rn_read_options *options,
-                                       bool quiet, struct rn_problems *problems,
+                                       const struct rn_import_options *kept, bool quiet,
+                                       struct rn_problems *problems,
                                        struct rn_findings *ret_found) {
     struct rn_dataset *dataset = NULL;
     struct rn_survey *survey = NULL;
@@ -115,7 +116,8 @@ static struct rn_dataset *read_dataset(const char *folder, const struct rn_read_
                                          &progress, &err);
         rn_progress_finish(&progress);
     }
-    if (status == RN_OK) status = rn_survey_conclude(survey, dataset, problems, ret_found, &err);
+    if (status == RN_OK)
+        status = rn_survey_conclude(survey, dataset, kept, problems, ret_found, &err);
     rn_survey_destroy(&survey);
     if (status != RN_OK) {
         rn_problems_add(problems, RN_SEVERITY_ERROR, err.where, "%s", err.text);
@@ -127,13 +129,14 @@ static struct rn_dataset *read_dataset(const char *folder, const struct rn_read_
 // Reads a dataset without any daemon. RN_EXIT_INVALID when it cannot be used as it is; *ret_dataset
 // is then NULL or what is left. `show` prints the report; without it problems go to stderr where
 // there are errors or warnings.
-static enum rn_exit examine(const char *folder, const struct rn_read_options *options, bool json,
-                            bool show, struct rn_dataset **ret_dataset) {
+static enum rn_exit examine(const char *folder, const struct rn_read_options *options,
+                            const struct rn_import_options *kept, bool json, bool show,
+                            struct rn_dataset **ret_dataset) {
     struct rn_problems problems = {0};
     struct rn_dataset_report_record report;
     struct rn_error err = {0};
     struct rn_findings found;
-    *ret_dataset = read_dataset(folder, options, json, &problems, &found);
+    *ret_dataset = read_dataset(folder, options, kept, json, &problems, &found);
     bool failed = problems.errors > 0, worth_saying = failed || problems.warnings > 0;
     enum rn_status status =
         *ret_dataset ? rn_dataset_report_fill(*ret_dataset, &problems, &found, &report, &err)
@@ -271,7 +274,10 @@ static enum rn_exit examine_capture(const char *path, const struct import_option
     struct rn_read_options how = rn_ingest_reading(&capture->asked);
     capture->bare = wants_poses(path, options);
     if (capture->bare) return examine_photos(path, options, json, show, capture);
-    return examine(path, &how, json, show, &capture->dataset);
+    struct rn_import_options kept = {.max_size = (int)rn_int_or(capture->asked.max_size, 0),
+                                     .scales = (int)rn_int_or(capture->asked.scales, 1),
+                                     .test_every = rn_ingest_split_every(capture->asked.split)};
+    return examine(path, &how, &kept, json, show, &capture->dataset);
 }
 
 // What is asked of photographs is not of a scene, and the other way round.
@@ -553,7 +559,8 @@ static enum rn_exit run_synth(struct rn_client *client, const void *context, con
         return rn_client_usage(err.where, "%s", err.text);
     if (status != RN_OK) return rn_client_fail(&err);
     struct rn_dataset *dataset = NULL;
-    enum rn_exit code = examine(args[1], NULL, client->json, client->json, &dataset);
+    struct rn_import_options kept = {.scales = 1};
+    enum rn_exit code = examine(args[1], NULL, &kept, client->json, client->json, &dataset);
     if (code == RN_EXIT_OK && !client->json)
         printf("%s: %d views to train, %d to validate, %d to test\n", args[1],
                dataset->view_count[RN_SPLIT_TRAIN], dataset->view_count[RN_SPLIT_VAL],

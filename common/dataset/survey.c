@@ -140,6 +140,7 @@ struct all {
     const struct look **looks;
     const struct rn_frame **frames;
     size_t count;
+    bool looked; // else all is by cameras alone
     struct rn_problems *problems;
     struct rn_findings found;
 };
@@ -364,12 +365,15 @@ static void find_reprojection(struct all *all) {
     free(means);
 }
 
-static void find_cost(struct all *all) {
+static void find_cost(struct all *all, const struct rn_import_options *kept) {
     double pixels = 0;
+    struct rn_import_options as = rn_import_settle(all->dataset, kept, NULL);
     for (size_t i = 0; i < all->dataset->frame_count; i++)
-        if (all->dataset->frames[i].split == RN_SPLIT_TRAIN)
-            pixels += (double)all->dataset->frames[i].camera.width *
-                      all->dataset->frames[i].camera.height;
+        for (int level = 0; level < as.scales; level++) {
+            struct rn_frame frame = rn_import_place(&all->dataset->frames[i], &as, level);
+            if (frame.split == RN_SPLIT_TRAIN)
+                pixels += (double)frame.camera.width * frame.camera.height;
+        }
     all->found.train_bytes = FIELD_BYTES + fmin(PIXEL_BYTES * pixels, RN_SURVEY_PIXELS_BYTES);
 }
 
@@ -378,11 +382,13 @@ static bool gather(struct rn_survey *survey, struct all *all) {
     all->looks = malloc((dataset->frame_count + 1) * sizeof *all->looks);
     all->frames = malloc((dataset->frame_count + 1) * sizeof *all->frames);
     if (!all->looks || !all->frames) return false;
+    for (size_t i = 0; i < survey->count; i++)
+        all->looked |= survey->looks[i].seen;
     for (size_t i = 0; i < survey->count; i++) {
         const struct look *look = &survey->looks[i];
         const struct rn_frame *frame =
             rn_dataset_frame(dataset, look->split, look->index, look->scale);
-        if (!look->seen || look->scale || !frame) continue;
+        if (look->seen != all->looked || look->scale || !frame) continue;
         all->looks[all->count] = look;
         all->frames[all->count++] = frame;
     }
@@ -390,6 +396,7 @@ static bool gather(struct rn_survey *survey, struct all *all) {
 }
 
 enum rn_status rn_survey_conclude(struct rn_survey *survey, struct rn_dataset *dataset,
+                                  const struct rn_import_options *kept,
                                   struct rn_problems *problems, struct rn_findings *ret_findings,
                                   struct rn_error *err) {
     struct all all = {.dataset = dataset,
@@ -401,14 +408,14 @@ enum rn_status rn_survey_conclude(struct rn_survey *survey, struct rn_dataset *d
         whole ? rn_dataset_find_place(dataset, &place, err)
               : rn_error_set(err, RN_ERROR_NO_MEMORY, dataset->name, "out of memory");
     if (status == RN_OK) {
-        find_blurred(&all);
-        find_duplicates(&all, place.distance);
+        if (all.looked) find_blurred(&all);
+        if (all.looked) find_duplicates(&all, place.distance);
         find_looking_away(&all);
         find_coverage(&all);
         find_exposure(&all, survey, dataset);
         find_effects(&all);
         find_reprojection(&all);
-        find_cost(&all);
+        find_cost(&all, kept);
         *ret_findings = all.found;
     }
     free(all.looks);

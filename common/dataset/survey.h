@@ -31,9 +31,12 @@ void rn_survey_destroy(struct rn_survey **survey);
 // Looks at a decoded frame, one of the dataset's as they lay when the survey began. NULL-safe.
 void rn_survey_look(struct rn_survey *survey, const struct rn_frame *frame,
                     const struct rn_image *image);
-// What was seen of the frames that `dataset` still has, and the figures of its poses; what is worth
-// knowing also goes into `problems` (optional), with names. RN_ERROR_NO_MEMORY.
+// What was seen of the frames that `dataset` still has, and the figures of its poses, which are all
+// there is where nothing was looked at; what is worth knowing also goes into `problems` (optional),
+// with names. `kept`: how an import would keep them, which a training's memory is of.
+// RN_ERROR_NO_MEMORY.
 enum rn_status rn_survey_conclude(struct rn_survey *survey, struct rn_dataset *dataset,
+                                  const struct rn_import_options *kept,
                                   struct rn_problems *problems, struct rn_findings *ret_findings,
                                   struct rn_error *err) RN_MUST_CHECK;
 

@@ -391,6 +391,7 @@ def test_import_goes_without_bad_photographs(client, folder, daemon):
 def test_import_under_a_taken_or_a_bad_name(client, folder, daemon):
     daemon.add_dataset("blank")
     assert "already" in client.run("import", folder, "--name", "blank", code=FAILED).stderr
+    assert "already" in client.run("import", "nowhere", "--name", "blank", code=FAILED).stderr  # unread
     result = client.run("import", folder, "--name", "a b/ü", code=USAGE)
     assert "--name: " in result.stderr
 

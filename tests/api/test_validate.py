@@ -57,7 +57,10 @@ def test_what_an_import_would_keep(real, photographs):
     cameras = real.get(f"/v1/datasets/{imported['result']['dataset']}/cameras").json["items"]
     assert found["views"] == dataset["views"] and found["bounds"] == dataset["bounds"]
     assert found["report"]["usable"] == dataset["report"]["usable"]
-    assert "survey" not in found["report"]  # no picture was looked at
+    told, known = found["report"]["survey"], dataset["report"]["survey"]
+    assert "blurred" in known and "blurred" not in told  # no picture was looked at
+    assert told["looking_away"] == known["looking_away"] and "azimuth_gap_deg" in told
+    assert found["report"]["expected"] == dataset["report"]["expected"]
     assert [item["camera"] for item in found["items"]] == [
         item["camera"] for item in cameras if item["scale"] == 0]
     assert all((photographs / item["file"]).is_file() for item in found["items"])
@@ -71,6 +74,7 @@ def test_the_effect_of_options_is_told(real, tmp_path):
     assert validate(real, there)["views"] == {"train": 6, "val": 2, "test": 0}
     found = validate(real, there, split="every:2", max_size=8, scales=2, bounds="1,2,3,4")
     assert found["views"] == {"train": 3, "val": 2, "test": 3} and found["scales"] == 2
+    assert found["report"]["expected"]["memory_bytes"] == 330e6 + 4 * 3 * (8 * 8 + 4 * 4)
     assert {item["camera"]["width"] for item in found["items"]} == {8}
     assert [item["split"] for item in found["items"][:4]] == ["test", "train", "test", "train"]
     assert found["bounds"] == {"centre": [1, 2, 3], "radius": 4, "source": "given"}

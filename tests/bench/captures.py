@@ -31,7 +31,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from support.client import Client  # noqa: E402
 from support.daemon import Daemon  # noqa: E402
 
-LAYOUTS = ("blender", "instant-ngp", "nerfstudio", "colmap", "llff")
+LAYOUTS = ("blender", "instant-ngp", "nerfstudio", "colmap", "opensfm", "bundler", "llff")
 
 
 def validate(program, folder, layout):

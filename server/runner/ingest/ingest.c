@@ -188,7 +188,9 @@ static enum rn_status import(struct ingest *ingest, struct rn_dataset *source,
                                    on_progress, ingest, err);
     struct rn_dataset *made = NULL;
     int64_t bytes = 0;
-    if (!status) status = rn_survey_conclude(import_options.survey, source, problems, &found, err);
+    if (!status)
+        status = rn_survey_conclude(import_options.survey, source, &import_options, problems,
+                                    &found, err);
     rn_survey_destroy(&import_options.survey);
     if (!status && ingest->posed) status = rn_poses_keep(ingest->posed, order->target, err);
     if (!status) status = rn_manifest_write(order->target, err);

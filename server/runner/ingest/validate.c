@@ -46,7 +46,18 @@ static void list_views(const struct rn_dataset *source, const char *root,
     }
 }
 
-enum rn_status rn_describe_validation(const struct rn_dataset *source, const char *root,
+// What cameras tell, without a look at any picture.
+static enum rn_status survey(struct rn_dataset *source, const struct rn_import_options *options,
+                             struct rn_problems *problems, struct rn_findings *ret_found,
+                             struct rn_error *err) {
+    struct rn_survey *survey = NULL;
+    enum rn_status status = rn_survey_create(source, &survey, err);
+    if (!status) status = rn_survey_conclude(survey, source, options, problems, ret_found, err);
+    rn_survey_destroy(&survey);
+    return status;
+}
+
+enum rn_status rn_describe_validation(struct rn_dataset *source, const char *root,
                                       const struct rn_import_options *options,
                                       struct rn_problems *problems, char **ret_json,
                                       struct rn_error *err) {
@@ -56,10 +67,12 @@ enum rn_status rn_describe_validation(const struct rn_dataset *source, const cha
         .scales = chosen.scales > 1 ? chosen.scales : source->scale_count,
         .items = calloc(RN_VALIDATED_VIEWS, sizeof *record.items)};
     memcpy(record.up, source->lie.up, sizeof record.up);
+    struct rn_findings found;
     enum rn_status status =
         record.items ? RN_OK
                      : rn_error_set(err, RN_ERROR_NO_MEMORY, root, "no memory for its views");
-    if (!status) status = rn_describe_report(source, root, problems, NULL, &record.report, err);
+    if (!status) status = survey(source, &chosen, problems, &found, err);
+    if (!status) status = rn_describe_report(source, root, problems, &found, &record.report, err);
     if (!status) list_views(source, root, &chosen, &record);
     if (!status) status = rn_encode(&rn_validation_table, &record, ret_json, NULL, err);
     free(record.report);

@@ -5,7 +5,7 @@
 #include "common/dataset/dataset.h"
 
 // JSON of rn_validation_table: what an import of `source` by these options would keep.
-enum rn_status rn_describe_validation(const struct rn_dataset *source, const char *root,
+enum rn_status rn_describe_validation(struct rn_dataset *source, const char *root,
                                       const struct rn_import_options *options,
                                       struct rn_problems *problems, char **ret_json,
                                       struct rn_error *err) RN_MUST_CHECK;

@@ -13,6 +13,8 @@ static char *document;
 static bool again; // the seventh is taken where the sixth was
 
 // Photographs from a ring of 270 degrees, 30 degrees above the horizon; the pattern moves along.
+static const struct rn_import_options as_is = {.scales = 1};
+
 static void put_ring(void) {
     document = strdup("{\"camera_angle_x\":0.7,\"frames\":[");
     for (int i = 0; i < VIEWS; i++) {
@@ -55,7 +57,7 @@ static void look(void) {
     ck_assert_int_eq(rn_survey_create(dataset, &survey, &err), RN_OK);
     ck_assert_int_eq(rn_dataset_check_images(dataset, 2, &problems, survey, NULL, NULL, &err),
                      RN_OK);
-    ck_assert_int_eq(rn_survey_conclude(survey, dataset, &problems, &found, &err), RN_OK);
+    ck_assert_int_eq(rn_survey_conclude(survey, dataset, &as_is, &problems, &found, &err), RN_OK);
     rn_survey_destroy(&survey);
 }
 
@@ -142,7 +144,7 @@ START_TEST(memory_is_bounded) {
         dataset->frames[i].camera.width = dataset->frames[i].camera.height = 16384;
     struct rn_survey *survey = NULL; // of sizes alone
     ck_assert_int_eq(rn_survey_create(dataset, &survey, &err), RN_OK);
-    ck_assert_int_eq(rn_survey_conclude(survey, dataset, &problems, &found, &err), RN_OK);
+    ck_assert_int_eq(rn_survey_conclude(survey, dataset, &as_is, &problems, &found, &err), RN_OK);
     rn_survey_destroy(&survey);
     ck_assert_double_eq_tol(found.train_bytes, small + RN_SURVEY_PIXELS_BYTES, 1);
 }
@@ -183,6 +185,26 @@ START_TEST(cameras_that_look_away) {
     survey();
     ck_assert_double_eq(found.looking_away, 1);
     ck_assert(tells("1 of 25 cameras look away from the bounds: r_24"));
+}
+END_TEST
+
+// What cameras tell before any picture is looked at, and a training's memory at the size that is
+// asked.
+START_TEST(not_looked_at) {
+    struct rn_import_options kept = {
+        .scales = 1, .max_size = _i ? SIZE / 2 : 0, .test_every = _i ? 2 : 0};
+    struct rn_survey *survey = NULL;
+    put_ring();
+    put_photos();
+    read_ring();
+    ck_assert_int_eq(rn_survey_create(dataset, &survey, &err), RN_OK);
+    ck_assert_int_eq(rn_survey_conclude(survey, dataset, &kept, &problems, &found, &err), RN_OK);
+    ck_assert_double_eq_tol(found.azimuth_gap_deg, 90, 1e-3);
+    ck_assert_double_eq(found.looking_away, 0);
+    ck_assert(isnan(found.blurred) && isnan(found.duplicates) && isnan(found.exposure_spread));
+    double bytes = found.train_bytes - 330e6;
+    ck_assert_double_eq_tol(bytes, 4.0 * VIEWS * SIZE * SIZE / (_i ? 8 : 1), 1);
+    rn_survey_destroy(&survey);
 }
 END_TEST
 
@@ -275,6 +297,7 @@ int main(void) {
     tcase_add_loop_test(tests, duplicates, 0, 2);
     tcase_add_test(tests, cameras_that_look_away);
     tcase_add_loop_test(tests, heights, 0, 5);
+    tcase_add_loop_test(tests, not_looked_at, 0, 2);
     tcase_add_loop_test(tests, exposures, 0, 2);
     tcase_add_loop_test(tests, effects, 0, 4);
     tcase_add_test(tests, missing);

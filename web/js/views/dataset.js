@@ -114,7 +114,7 @@ const range = ({min, max}) =>
     (min === max ? min.toPrecision(3) : `${min.toPrecision(3)} to ${max.toPrecision(3)}`);
 
 /** What a training with `standard` takes: by formula, and by those that have ended here. */
-function expected(formula, past) {
+export function expected(formula, past) {
   const takes = (x) => [seconds(x.seconds), `${bytes(x.memory_bytes)} of memory`].join(', ');
   return [
     ...(formula ? [['Training, by formula', takes(formula)]] : []),

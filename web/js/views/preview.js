@@ -8,7 +8,7 @@ import {facts, meter, recordedProblem} from '../ui.js';
 import {sendInParts} from '../sending.js';
 import {tarOf} from '../tar.js';
 import {cameraPlot, SPLIT_COLOURS} from './cloud.js';
-import {report} from './dataset.js';
+import {expected, report} from './dataset.js';
 
 const HEADS = {
   // what says an image's size lies in its first so many bytes
@@ -76,7 +76,8 @@ function found(validation, files, signal) {
         'Bounds',
         `radius ${Number(bounds.radius.toPrecision(4))} about (${
             bounds.centre.map((x) => Number(x.toPrecision(3))).join(', ')})`
-      ]
+      ],
+      ...expected(validation.report.expected, null)
     ]),
     items.length ? plot.node : null,
     h('div', {class: 'photos'}, some(items, THUMBS).map((item) => thumbnail(item, files))),
