@@ -18,6 +18,7 @@
     X(UNBOUNDED, unbounded, "unbounded")                                                           \
     X(STRAIGHT_ALPHA, straight_alpha, "straight-alpha")                                            \
     X(POSE_REFINEMENT, pose_refinement, "pose-refinement")                                         \
+    X(ROBUST_LOSS, robust_loss, "robust-loss")                                                     \
     X(DOWNSCALING, downscaling, "downscaling")
 
 #define RN_EFFECT_CONSTANT(CONSTANT, ROW, NAME) RN_EFFECT_##CONSTANT,

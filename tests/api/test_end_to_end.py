@@ -74,7 +74,7 @@ def test_training_ends_with_its_figures(client, trained):
     assert scene["state"] == "ready" and [effect["name"] for effect in scene["effects"]] == [
         "background", "scale-pyramid", "anisotropy", "view-dependence", "split-pixels", "cones",
         "distortion", "masks", "exposure", "forward-facing", "unbounded", "straight-alpha",
-        "pose-refinement", "downscaling"]
+        "pose-refinement", "robust-loss", "downscaling"]
     assert all(effect["reason"] for effect in scene["effects"])
 
 

@@ -20,12 +20,13 @@ give_up() {
 }
 
 # run PROGRAM: builds it and runs it; 0 passed, 1 failed, 2 did not build. `doctor` is the runner's;
-# `poses` is a test of tests/ops; `commands` and `proofs` look at the compile commands and at the proofs' quotations.
+# `poses` and `outliers` are tests of tests/ops; `commands` and `proofs` look at the compile commands and at the proofs' quotations.
 run() {
     local target=tests/numerics/numerics_$1
     case $1 in
     doctor) target=server/ripnerf-runner ;;
     poses) target=tests/ops/pose_test ;;
+    outliers) target=tests/ops/outlier_test ;;
     commands) target=build.ninja ;;
     proofs)
         /usr/bin/python3 "$source/tests/numerics/proofs.py" "$source" >"$scratch/log" 2>&1 || return 1
@@ -82,7 +83,7 @@ sound() {
 prepare generic
 sound frustum footprint ripmap solid volume camera lens optimiser kernels rays disparity space training \
     incidents reproducible roulette overflow growth networks blocks metrics_images flags_fma doctor commands \
-    proofs poses voxels
+    proofs poses voxels outliers
 
 field=server/engine/field
 cpu=server/engine/cpu
@@ -328,6 +329,13 @@ mutate poses server/engine/train/poses.c "poses: what all cameras turn by togeth
     's|move.turn\[i\] -= mean.turn\[i\];||'
 mutate poses server/engine/train/trainer.c "poses: moves of a checkpoint are not followed" \
     's|^.*// those that were moved$||'
+
+mutate outliers server/engine/train/outliers.c "outliers: a photograph's own light is not taken off" \
+    's| - middle\[c\]||'
+mutate outliers server/engine/train/outliers.c "outliers: blocks that are not known count" \
+    's|if (!known\[j \* across + i\]) continue;||'
+mutate outliers server/engine/train/trainer.c "outliers: turns of a checkpoint are not counted" \
+    's|t->outliers.turns = from->outlier_turns;||'
 
 prepare gpu
 sound frustum footprint volume halves kernels

@@ -73,6 +73,9 @@ int rn_checkpoint_tensors(const struct rn_arrays *arrays,
         if (arrays->pose_count)
             rn_checkpoint_add(list, &count, "poses", "F32", 2,
                               (size_t[]){arrays->pose_count, RN_POSE_UNKNOWNS}, arrays->poses);
+        if (arrays->outlier_count)
+            rn_checkpoint_add(list, &count, "outliers", "U8", 1, &arrays->outlier_count,
+                              arrays->outliers);
     }
     return count;
 }

@@ -4,10 +4,10 @@
 // network's last layer is padded to 16 outputs, columns 3.. are zero); adam.m and adam.v F32, in
 // the order of all the former; occupancy F32 and hull U8 [x][y][z], and seen F32 where cells are
 // kept by what they show; draw.error and draw.share F32 of the blocks that rays are drawn from,
-// where they are drawn by error; poses F32 [photograph][move] where they are refined. Everything
-// else is one JSON object in __metadata__["ripnerf"];
-// __metadata__["sha256"] is the file's seal. Random numbers need no state: they are counters of the
-// step. A file for viewing (viewing.h) holds other tensors.
+// where they are drawn by error; poses F32 [photograph][move] where they are refined; outliers U8
+// of the photographs' blocks that are left out, where some are. Everything else is one JSON object
+// in __metadata__["ripnerf"]; __metadata__["sha256"] is the file's seal. Random numbers need no
+// state: they are counters of the step. A file for viewing (viewing.h) holds other tensors.
 #ifndef RN_ENGINE_CHECKPOINT_CHECKPOINT_H
 #define RN_ENGINE_CHECKPOINT_CHECKPOINT_H
 
@@ -24,6 +24,7 @@ struct rn_counters {
     int good_steps;       // since it was last changed
     float gradient_size;  // a device's, for the roulette (kernels/backend.h)
     int pose_turns;       // of poses that are refined (train/poses.h)
+    int outlier_turns;    // of outliers that are left out (train/outliers.h)
 };
 // The arrays of a field and of its training. Owner: the field and the trainer.
 struct rn_arrays {
@@ -32,8 +33,10 @@ struct rn_arrays {
     uint32_t *seen;     // NULL, or what cells showed since the last round (train/seen.c)
     size_t block_count; // that rays are drawn from, where they are drawn by error; else 0
     float *block_error, *block_share;
-    size_t pose_count; // photographs, where their poses are refined; else 0
-    float *poses;      // of each RN_POSE_UNKNOWNS numbers
+    size_t pose_count;    // photographs, where their poses are refined; else 0
+    float *poses;         // of each RN_POSE_UNKNOWNS numbers
+    size_t outlier_count; // blocks of photographs, where some are left out; else 0
+    uint8_t *outliers;
 };
 
 // An open checkpoint: header read and checked, tensors not yet. Owner: rn_checkpoint_close.

@@ -305,6 +305,8 @@ json_t *rn_checkpoint_state(const struct rn_field *field, const struct rn_counte
     if (state) encode_disparity(&field->cpu.disparity, state);
     if (state && counters->pose_turns > 0)
         json_object_set_new(state, "pose_turns", json_integer(counters->pose_turns));
+    if (state && counters->outlier_turns > 0)
+        json_object_set_new(state, "outlier_turns", json_integer(counters->outlier_turns));
     if (state && viewing) encode_viewing(viewing, state);
     return state;
 }
@@ -343,6 +345,7 @@ enum rn_status rn_checkpoint_parse_state(const json_t *state, const char *path,
     c->counters.next_rays = (int)json_integer_value(json_object_get(state, "next_rays"));
     c->counters.gradient_scale = (float)json_number_value(json_object_get(state, "gradient_scale"));
     c->counters.pose_turns = (int)json_integer_value(json_object_get(state, "pose_turns"));
+    c->counters.outlier_turns = (int)json_integer_value(json_object_get(state, "outlier_turns"));
     c->counters.good_steps = (int)json_integer_value(json_object_get(state, "good_steps"));
     c->counters.gradient_size = (float)json_number_value(json_object_get(state, "gradient_size"));
     if (!(c->counters.gradient_scale >= 0 && c->counters.gradient_scale <= 65536) ||

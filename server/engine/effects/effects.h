@@ -16,6 +16,7 @@
 //   the loss of a pixel              reference/reference.c   cpu/loss.h      cuda/loss.cuh
 //   the cones of a picture's pixel   render/cones.h          -               -
 //   the photographs' cameras         scene/pose.h            train/poses.c   -
+//   the pixels that rays are of      train/outliers.h        train/sampler.c -
 #ifndef RN_ENGINE_EFFECTS_EFFECTS_H
 #define RN_ENGINE_EFFECTS_EFFECTS_H
 
@@ -33,6 +34,8 @@ struct rn_evidence {
     struct rn_march_options march;       // of that step; before training none
     bool pose_gain_known;                // what cameras gain by being sought is measured
     double pose_gain;                    // dB; NAN: nothing is held out
+    bool outlier_share_known;            // what photographs show and the others do not is measured
+    double outlier_share;                // of the training pixels
 };
 
 // In which the record's number and threshold are told.

@@ -125,7 +125,8 @@ static void settle(const struct rn_trainer *t, struct rn_trainer_place *place) {
     place->x += block->x;
     place->y += block->y;
     if (place->x < frame->camera.width && place->y < frame->camera.height &&
-        rn_pixel_is_used(&t->train, frame, place->x, place->y))
+        rn_pixel_is_used(&t->train, frame, place->x, place->y) &&
+        !rn_trainer_is_outlier(t, frame, place->x, place->y))
         place->frame = frame;
     if (!place->frame || place->part > 1) place->block = -1; // a pixel's error is noted once
 }
@@ -147,7 +148,9 @@ static struct rn_trainer_place draw_place(const struct rn_trainer *t, int r) {
     } else {
         place.frame = draw_pixel(t, of_pixel, &place.x, &place.y);
         place.weight = (float)place.frame->frame->loss_weight;
-        if (!rn_pixel_is_used(&t->train, place.frame, place.x, place.y)) place.frame = NULL;
+        if (!rn_pixel_is_used(&t->train, place.frame, place.x, place.y) ||
+            rn_trainer_is_outlier(t, place.frame, place.x, place.y))
+            place.frame = NULL;
     }
     return place;
 }

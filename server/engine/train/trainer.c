@@ -141,7 +141,9 @@ struct rn_evidence rn_trainer_evidence(const struct rn_trainer *t,
                                 .done = rn_schedule_done(&t->field->config, &t->progress),
                                 .march = *march,
                                 .pose_gain_known = t->poses.gain_known,
-                                .pose_gain = t->poses.gain};
+                                .pose_gain = t->poses.gain,
+                                .outlier_share_known = t->outliers.share_known,
+                                .outlier_share = t->outliers.share};
 }
 
 void rn_trainer_detect_effects(struct rn_trainer *t) {
@@ -157,6 +159,7 @@ enum rn_status rn_trainer_set_up(struct rn_trainer *t, struct rn_error *err) {
     if (status == RN_OK) status = rn_trainer_allocate(t, err);
     if (status == RN_OK) status = rn_trainer_watch_cells(t, err);
     if (status == RN_OK) status = rn_trainer_allocate_poses(t, err);
+    if (status == RN_OK) status = rn_trainer_allocate_outliers(t, err);
     return status;
 }
 
@@ -320,7 +323,9 @@ static struct rn_arrays arrays_of(struct rn_trainer *t) {
                               .block_error = t->sampler.importance.error,
                               .block_share = t->sampler.importance.share,
                               .pose_count = t->poses.moves ? (size_t)t->train.frame_count : 0,
-                              .poses = t->poses.moves ? t->poses.moves[0] : NULL};
+                              .poses = t->poses.moves ? t->poses.moves[0] : NULL,
+                              .outlier_count = t->outliers.out ? t->outliers.count : 0,
+                              .outliers = t->outliers.out};
 }
 
 static struct rn_counters counters_of(const struct rn_trainer *t) {
@@ -330,7 +335,8 @@ static struct rn_counters counters_of(const struct rn_trainer *t) {
                                 .gradient_scale = t->device.gradient_scale,
                                 .good_steps = t->device.good_steps,
                                 .gradient_size = t->device.gradient_size,
-                                .pose_turns = t->poses.turns};
+                                .pose_turns = t->poses.turns,
+                                .outlier_turns = t->outliers.turns};
 }
 
 static void take_counters(struct rn_trainer *t, const struct rn_counters *from) {
@@ -341,6 +347,7 @@ static void take_counters(struct rn_trainer *t, const struct rn_counters *from) 
     t->device.good_steps = from->good_steps;
     t->device.gradient_size = from->gradient_size;
     t->poses.turns = from->pose_turns;
+    t->outliers.turns = from->outlier_turns;
 }
 
 enum rn_status rn_trainer_restore(struct rn_engine *engine, const struct rn_dataset *dataset,
@@ -416,6 +423,7 @@ void rn_trainer_destroy(struct rn_trainer **trainer) {
     rn_block_destroy(t->hull.seen);
     rn_sampler_finish(&t->sampler);
     rn_poses_finish(&t->poses);
+    rn_outliers_finish(&t->outliers);
     free(t->incidents.held);
     free(t);
     *trainer = NULL;
@@ -460,8 +468,8 @@ static bool march_due(const struct rn_trainer *t) {
 }
 
 bool rn_trainer_turn_due(const struct rn_trainer *t) {
-    return effects_are_due(t) || rn_trainer_poses_due(t) || t->growth || rn_trainer_grows(t) ||
-           march_due(t);
+    return effects_are_due(t) || rn_trainer_poses_due(t) || rn_trainer_outliers_due(t) ||
+           t->growth || rn_trainer_grows(t) || march_due(t);
 }
 
 // *ret_busy: there is more of it to do before a step.
@@ -471,8 +479,13 @@ static enum rn_status take_turn(struct rn_trainer *t, bool *ret_busy, struct rn_
         enum rn_status status = rn_trainer_refine_poses(t, ret_busy, err);
         if (status != RN_OK || *ret_busy) return status;
     }
+    if (!t->growth && rn_trainer_outliers_due(t)) {
+        enum rn_status status = rn_trainer_seek_outliers(t, ret_busy, err);
+        if (status != RN_OK || *ret_busy) return status;
+    }
     if (!t->growth && effects_are_due(t)) decide_effects(t);
     enum rn_status status = rn_trainer_allocate_poses(t, err);
+    if (status == RN_OK) status = rn_trainer_allocate_outliers(t, err);
     if (status == RN_OK) status = rn_trainer_grow(t, err);
     *ret_busy = t->growth != NULL;
     return status;

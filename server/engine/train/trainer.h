@@ -11,6 +11,7 @@
 #include "server/engine/train/hull.h"
 #include "server/engine/train/incident.h"
 #include "server/engine/train/optimiser.h"
+#include "server/engine/train/outliers.h"
 #include "server/engine/train/poses.h"
 #include "server/engine/train/ranks.h"
 #include "server/engine/train/sampler.h"
@@ -37,6 +38,7 @@ struct rn_trainer {
     struct rn_guard guard;
     struct rn_hull hull;
     struct rn_poses poses;
+    struct rn_outliers outliers;
     struct rn_growth *growth; // NULL when the planes are not growing (grow.h)
     struct rn_device_state device;
     struct rn_ranks ranks;

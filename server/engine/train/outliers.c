@@ -1,0 +1,297 @@
+#include "server/engine/train/outliers.h"
+
+#include <math.h>
+#include <stdlib.h>
+
+#include "common/math/rng.h"
+#include "server/engine/train/schedule.h"
+#include "server/engine/train/trainer.h"
+
+#define STREAM 0x6f75746c69657200u
+#define MEASURED_AT 0.2 // of the schedule: how much of the photographs is left out
+#define LAST_AT 0.8
+#define TURNS 7     // evenly from one to the other
+#define OTHERS 64   // photographs, at most about, that a block is compared with
+#define WITNESSES 3 // of them that see the place, at least
+#define LOOKS 2     // pixels of a block that are looked at
+#define BATCH 128   // rays rendered together, RN_TRAINER_RAYS at most
+
+static const struct rn_effect_record *record_of(const struct rn_trainer *t) {
+    return &t->field->effects[RN_EFFECT_ROBUST_LOSS];
+}
+
+static int across_of(const struct rn_pixel_frame *frame) {
+    return (frame->camera.width + RN_OUTLIER_BLOCK - 1) / RN_OUTLIER_BLOCK;
+}
+
+static int down_of(const struct rn_pixel_frame *frame) {
+    return (frame->camera.height + RN_OUTLIER_BLOCK - 1) / RN_OUTLIER_BLOCK;
+}
+
+// ---- the formulas -----------------------------------------------------------------------------
+
+static int compare(const void *a, const void *b) {
+    float x = *(const float *)a, y = *(const float *)b;
+    return (x > y) - (x < y);
+}
+
+// The median of values[0], values[stride], ..; `room` for `count` numbers.
+static float median(const float *values, const uint8_t *known, size_t count, size_t stride,
+                    float *room) {
+    size_t kept = 0;
+    for (size_t i = 0; i < count; i++)
+        if (!known || known[i]) room[kept++] = values[i * stride];
+    qsort(room, kept, sizeof *room, compare);
+    return kept ? room[kept / 2] : 0;
+}
+
+enum rn_status rn_outlier_sizes(const float *difference, const uint8_t *known, int across, int down,
+                                float *ret_size, struct rn_error *err) {
+    float middle[3], *room = malloc((size_t)across * (size_t)down * sizeof *room);
+    if (!room) return rn_error_set(err, RN_ERROR_NO_MEMORY, "outliers", "out of memory");
+    for (int c = 0; c < 3; c++)
+        middle[c] = median(difference + c, known, (size_t)across * (size_t)down, 3, room);
+    free(room);
+    for (int y = 0; y < down; y++)
+        for (int x = 0; x < across; x++) {
+            float sum[3] = {0}, squares = 0;
+            int count = 0;
+            for (int j = y > 0 ? y - 1 : 0; j <= y + 1 && j < down; j++)
+                for (int i = x > 0 ? x - 1 : 0; i <= x + 1 && i < across; i++) {
+                    if (!known[j * across + i]) continue;
+                    for (int c = 0; c < 3; c++)
+                        sum[c] += difference[3 * (j * across + i) + c] - middle[c];
+                    count++;
+                }
+            for (int c = 0; c < 3 && count > 0; c++)
+                squares += sum[c] / (float)count * sum[c] / (float)count;
+            ret_size[y * across + x] = sqrtf(squares / 3);
+        }
+    return RN_OK;
+}
+
+void rn_outlier_trim(const uint8_t *large, int across, int down, uint8_t *ret_out) {
+    for (int y = 0; y < down; y++)
+        for (int x = 0; x < across; x++) {
+            int count = 0;
+            for (int j = y > 1 ? y - 2 : 0; j <= y + 2 && j < down; j++)
+                for (int i = x > 1 ? x - 2 : 0; i <= x + 2 && i < across; i++)
+                    count += large[j * across + i];
+            ret_out[y * across + x] = count >= 9;
+        }
+}
+
+// ---- memory -----------------------------------------------------------------------------------
+
+void rn_outliers_finish(struct rn_outliers *o) {
+    free(o->out);
+    free(o->first);
+    free(o->difference);
+    free(o->known);
+    free(o->size);
+    free(o->depth);
+    free(o->large);
+    o->depth = NULL;
+    o->out = o->known = o->large = NULL;
+    o->first = NULL;
+    o->difference = NULL;
+    o->size = NULL;
+}
+
+// Where each photograph's blocks are.
+static enum rn_status list_blocks(struct rn_trainer *t, struct rn_error *err) {
+    struct rn_outliers *o = &t->outliers;
+    if (o->first) return RN_OK;
+    o->first = malloc((size_t)t->train.frame_count * sizeof *o->first);
+    if (!o->first) return rn_error_set(err, RN_ERROR_NO_MEMORY, "outliers", "out of memory");
+    o->count = 0;
+    for (int f = 0; f < t->train.frame_count; f++) {
+        o->first[f] = o->count;
+        o->count += (size_t)across_of(&t->train.frames[f]) * (size_t)down_of(&t->train.frames[f]);
+    }
+    return RN_OK;
+}
+
+enum rn_status rn_trainer_allocate_outliers(struct rn_trainer *t, struct rn_error *err) {
+    struct rn_outliers *o = &t->outliers;
+    if (!record_of(t)->on || o->out) return RN_OK;
+    enum rn_status status = list_blocks(t, err);
+    if (status != RN_OK) return status;
+    o->out = calloc(o->count, 1);
+    return o->out ? RN_OK : rn_error_set(err, RN_ERROR_NO_MEMORY, "outliers", "out of memory");
+}
+
+static enum rn_status begin_pass(struct rn_trainer *t, struct rn_error *err) {
+    struct rn_outliers *o = &t->outliers;
+    enum rn_status status = list_blocks(t, err);
+    if (status != RN_OK || o->difference) return status;
+    o->next = 0;
+    o->difference = calloc(o->count, sizeof *o->difference);
+    o->known = calloc(o->count, 1);
+    o->size = calloc(o->count, sizeof *o->size);
+    o->depth = calloc(o->count, sizeof *o->depth);
+    o->large = calloc(o->count, 1);
+    if (o->difference && o->known && o->size && o->depth && o->large) return RN_OK;
+    return rn_error_set(err, RN_ERROR_NO_MEMORY, "outliers", "out of memory");
+}
+
+static void end_pass(struct rn_outliers *o) {
+    free(o->difference);
+    free(o->known);
+    free(o->size);
+    free(o->depth);
+    free(o->large);
+    o->difference = NULL;
+    o->known = o->large = NULL;
+    o->size = o->depth = NULL;
+}
+
+// ---- a pass -----------------------------------------------------------------------------------
+
+bool rn_trainer_is_outlier(const struct rn_trainer *t, const struct rn_pixel_frame *frame, int x,
+                           int y) {
+    const struct rn_outliers *o = &t->outliers;
+    if (!o->out) return false;
+    size_t first = o->first[frame - t->train.frames];
+    return o->out[first + (size_t)(y / RN_OUTLIER_BLOCK) * (size_t)across_of(frame) +
+                  (size_t)(x / RN_OUTLIER_BLOCK)];
+}
+
+bool rn_trainer_outliers_due(const struct rn_trainer *t) {
+    const struct rn_effect_record *record = record_of(t);
+    double done = rn_schedule_done(&t->field->config, &t->progress);
+    if (!record->decided) return !t->outliers.share_known && done >= MEASURED_AT;
+    return record->on && t->outliers.turns < TURNS &&
+           done >= MEASURED_AT + (LAST_AT - MEASURED_AT) * t->outliers.turns / TURNS;
+}
+
+// Pixels of consecutive blocks, in the order of the blocks.
+struct looks {
+    int count;
+    size_t block[BATCH]; // of the photograph
+    struct rn_trainer_place places[BATCH];
+};
+
+static void render(struct rn_trainer *t, int thread, const struct looks *looks, size_t first) {
+    struct rn_outliers *o = &t->outliers;
+    struct rn_march_ray rays[BATCH];
+    struct rn_pixel pixels[BATCH];
+    struct rn_march_options march = rn_effects_march_trained(t->field);
+    march.step = rn_schedule_march(t->field, &t->progress).step;
+    rn_trainer_rays(t, &t->train, looks->places, looks->count, (double)march.step, rays);
+    t->engine->kernels->render(&t->field->cpu, &march, rays, looks->count,
+                               rn_engine_workspace(t->engine, thread), pixels);
+    for (int i = 0; i < looks->count; i++) {
+        size_t block = first + looks->block[i];
+        for (int c = 0; c < 3; c++) {
+            float mean = o->difference[block][c] * (float)o->known[block];
+            o->difference[block][c] =
+                (mean + pixels[i].rgb[c] - rays[i].target[c]) / (float)(o->known[block] + 1);
+        }
+        o->depth[block] = (o->depth[block] * (float)o->known[block] + pixels[i].depth) /
+                          (float)(o->known[block] + 1);
+        o->known[block]++;
+    }
+}
+
+static void look(void *context, int index, int thread) {
+    struct rn_trainer *t = context;
+    const struct rn_pixel_frame *frame = &t->train.frames[index];
+    int across = across_of(frame), blocks = across * down_of(frame);
+    struct looks looks = {.count = 0};
+    for (int i = 0; i < LOOKS * blocks; i++) {
+        int block = i / LOOKS;
+        struct rn_rng4 draw = rn_rng_draw(t->field->config.seed, STREAM + (uint64_t)index,
+                                          (uint64_t)t->outliers.turns << 32 | (uint64_t)i);
+        int x = block % across * RN_OUTLIER_BLOCK + (int)rn_rng_below(draw.v[0], RN_OUTLIER_BLOCK);
+        int y = block / across * RN_OUTLIER_BLOCK + (int)rn_rng_below(draw.v[1], RN_OUTLIER_BLOCK);
+        if (x < frame->camera.width && y < frame->camera.height &&
+            rn_pixel_is_used(&t->train, frame, x, y)) {
+            looks.block[looks.count] = (size_t)block;
+            looks.places[looks.count++] =
+                (struct rn_trainer_place){.frame = frame, .x = x, .y = y, .block = -1};
+        }
+        if (looks.count < BATCH && (looks.count == 0 || i + 1 < LOOKS * blocks)) continue;
+        render(t, thread, &looks, t->outliers.first[index]);
+        looks.count = 0;
+    }
+}
+
+// Whether photographs that look at what is behind a block, where the field has it, mostly agree
+// with the field there: what is not learned yet, all of them miss.
+static bool is_contradicted(const struct rn_trainer *t, int f, int block, float threshold) {
+    const struct rn_outliers *o = &t->outliers;
+    const struct rn_pixel_frame *frame = &t->train.frames[f];
+    int across = across_of(frame), seen = 0, agree = 0;
+    struct rn_ray ray = rn_camera_ray(&frame->camera, (block % across + 0.5) * RN_OUTLIER_BLOCK,
+                                      ((double)(block / across) + 0.5) * RN_OUTLIER_BLOCK);
+    double point[3], axes[3], at[2];
+    for (int i = 0; i < 3; i++)
+        point[i] = ray.origin[i] + ray.direction[i] *
+                                       (double)o->depth[o->first[f] + (size_t)block] *
+                                       t->field->bounds.radius;
+    int stride = t->train.frame_count / OTHERS + 1;
+    for (int g = 0; g < t->train.frame_count; g += stride) {
+        const struct rn_pixel_frame *other = &t->train.frames[g];
+        rn_camera_axes(&other->camera, point, axes);
+        if (g == f || !rn_camera_project(&other->camera, axes, at) || !(at[0] >= 0) ||
+            !(at[1] >= 0) || at[0] >= other->camera.width || at[1] >= other->camera.height)
+            continue;
+        size_t there = o->first[g] + (size_t)(at[1] / RN_OUTLIER_BLOCK) * (size_t)across_of(other) +
+                       (size_t)(at[0] / RN_OUTLIER_BLOCK);
+        seen += o->known[there] > 0;
+        agree += o->known[there] > 0 && o->size[there] < 0.5f * threshold;
+    }
+    return seen >= WITNESSES && 2 * agree > seen;
+}
+
+static enum rn_status conclude(struct rn_trainer *t, struct rn_error *err) {
+    struct rn_outliers *o = &t->outliers;
+    enum rn_status status = RN_OK;
+    for (int f = 0; f < t->train.frame_count && status == RN_OK; f++) {
+        const struct rn_pixel_frame *frame = &t->train.frames[f];
+        size_t first = o->first[f];
+        status = rn_outlier_sizes(o->difference[first], o->known + first, across_of(frame),
+                                  down_of(frame), o->size + first, err);
+    }
+    float *room = status == RN_OK ? malloc(o->count * sizeof *room) : NULL;
+    if (!room) return rn_error_set(err, RN_ERROR_NO_MEMORY, "outliers", "out of memory");
+    float middle = median(o->size, o->known, o->count, 1, room);
+    float threshold = fmaxf((float)RN_OUTLIER_LEAST, RN_OUTLIER_TIMES * middle);
+    free(room);
+    size_t out = 0;
+    for (int f = 0; f < t->train.frame_count; f++) {
+        int blocks = across_of(&t->train.frames[f]) * down_of(&t->train.frames[f]);
+        for (int b = 0; b < blocks; b++) {
+            size_t at = o->first[f] + (size_t)b;
+            o->large[at] = o->size[at] > threshold && is_contradicted(t, f, b, threshold);
+        }
+    }
+    uint8_t *mask = o->out ? o->out : o->known;
+    for (int f = 0; f < t->train.frame_count; f++)
+        rn_outlier_trim(o->large + o->first[f], across_of(&t->train.frames[f]),
+                        down_of(&t->train.frames[f]), mask + o->first[f]);
+    for (size_t i = 0; i < o->count; i++)
+        out += mask[i];
+    o->share = (double)out / (double)o->count;
+    return RN_OK;
+}
+
+enum rn_status rn_trainer_seek_outliers(struct rn_trainer *t, bool *ret_busy,
+                                        struct rn_error *err) {
+    struct rn_outliers *o = &t->outliers;
+    *ret_busy = false;
+    enum rn_status status = begin_pass(t, err);
+    if (status != RN_OK) return status;
+    rn_pixels_let_go(&t->train);
+    *ret_busy = !rn_pool_run_some(t->engine->pool, t->train.frame_count, &o->next, look, t,
+                                  rn_engine_is_wanted, t->engine);
+    if (*ret_busy) return RN_OK;
+    status = conclude(t, err);
+    end_pass(o);
+    if (record_of(t)->decided)
+        o->turns++;
+    else
+        o->share_known = true;
+    return status;
+}
