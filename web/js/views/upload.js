@@ -26,6 +26,7 @@ import {tarOf} from '../tar.js';
 import {link} from '../router.js';
 import {createPreview} from './preview.js';
 import {isSceneFile, sceneFileForm} from './scenefile.js';
+import {sendForm} from './sendform.js';
 
 /** @param {AbortSignal} signal */
 export function uploadPanel(signal) {
@@ -164,27 +165,19 @@ function importOptions() {
 function planForm(plan, {back, follow, signal}) {
   const name = nameField(plan.name);
   const options = importOptions();
-  const problem = h('div');
-  const progress = h('div');
-  const buttons = h('div', {class: 'row end'});
   const splits = Object.entries(plan.views).map(([split, count]) => `${count} ${split}`).join(', ');
   const bad = badList(plan.entries, signal);
   const looking = new AbortController();
   const stopLooking = () => looking.abort();
   signal.addEventListener('abort', stopLooking, {once: true});
-  const showFault = (error) => showFaults([name, ...options.fields], problem, error);
-  const preview = createPreview(plan, {...options, onFault: showFault}, looking.signal);
-  async function send() {
-    const stop = new AbortController();
-    const bar = meter('Upload');
+  const preview = createPreview(
+      plan, {...options, onFault: (error) => form.showFault(error)}, looking.signal);
+  async function send(bar, stop) {
     const entries = plan.entries.filter(({path}) => !bad.leftOut().has(path));
     const tar = tarOf(entries);
     const dataset = name.control.value.trim();
     const settings = {...(plan.poses && {poses: plan.poses}), ...options.values()};
     const show = rateWords(tar.size);
-    showFaults([name, ...options.fields], problem, null);
-    fill(progress, bar.node);
-    fill(buttons, h('button', {type: 'button', onclick: () => stop.abort()}, 'Cancel'));
     try {
       const upload = await sendInParts(tar, dataset, {
         onProgress: (sent) => {
@@ -193,60 +186,46 @@ function planForm(plan, {back, follow, signal}) {
         },
         onWait: (ms) => bar.set(
             null, `The connection is lost. It goes on in ${Math.ceil(ms / 1000)} s where it was.`),
-        signal: stop.signal
+        signal: stop
       });
       const wanted = {name: dataset, upload};
       if (Object.keys(settings).length) wanted.options = settings;
-      follow(putJob(await api.addUpload(wanted, stop.signal)), plan.missing.length);
+      follow(putJob(await api.addUpload(wanted, stop)), plan.missing.length);
       stopLooking();
-    } catch (error) {
-      fill(progress);
-      showFaults([name, ...options.fields], problem, error.name === 'AbortError' ? null : error);
-      ready();
     } finally {
       noteUpload(dataset, null);
     }
   }
-  const ready = () => fill(
-      buttons,
-      h('button', {
-        type: 'button',
-        onclick: () => {
-          stopLooking();
-          back();
-        }
-      },
-        'Back'),
-      h('button', {type: 'submit', class: 'primary'}, 'Upload and import'));
-  ready();
-  return h(
-      'form', {
-        onsubmit: (event) => {
-          event.preventDefault();
-          send();
-        }
-      },
-      h('p', null, h('strong', null, plan.layout), splits && ` · views: ${splits}`),
-      plan.poses ?
-          h('p', {class: 'quiet'},
-            'The daemon looks for the poses with COLMAP, where it is installed. That takes ' +
-                'seconds to minutes a photograph.') :
-          null,
-      h('p', {class: 'quiet'},
-        `${plural(plan.entries.length, 'file')}, ${bytes(plan.bytes)} to send`,
-        plan.left ? `; ${plural(plan.left, 'file')} that the JSON does not name stay here` : '',
-        '.'),
-      plan.missing.length ?
-          h('div', {class: 'problem warn'},
-            h('p', {class: 'problem-title'},
-              `${plural(plan.missing.length, 'image')} named but not in the folder`),
-            h('ul', null,
-              plan.missing.slice(0, 5).map((path) => h('li', null, h('code', null, path))),
-              plan.missing.length > 5 ? h('li', null, `and ${plan.missing.length - 5} more`) :
-                                        null),
-            h('p', null, 'The dataset is made without them.')) :
-          null,
-      bad.node, name.node, options.node, problem, progress, buttons, preview.node);
+  const leave = () => {
+    stopLooking();
+    back();
+  };
+  const form = sendForm(
+      {words: 'Upload and import', fields: [name, ...options.fields], back: leave, send}, [
+        h('p', null, h('strong', null, plan.layout), splits && ` · views: ${splits}`),
+        plan.poses ?
+            h('p', {class: 'quiet'},
+              'The daemon looks for the poses with COLMAP, where it is installed. That takes ' +
+                  'seconds to minutes a photograph.') :
+            null,
+        h('p', {class: 'quiet'},
+          `${plural(plan.entries.length, 'file')}, ${bytes(plan.bytes)} to send`,
+          plan.left ? `; ${plural(plan.left, 'file')} that the JSON does not name stay here` : '',
+          '.'),
+        plan.missing.length ?
+            h('div', {class: 'problem warn'},
+              h('p', {class: 'problem-title'},
+                `${plural(plan.missing.length, 'image')} named but not in the folder`),
+              h('ul', null,
+                plan.missing.slice(0, 5).map((path) => h('li', null, h('code', null, path))),
+                plan.missing.length > 5 ? h('li', null, `and ${plan.missing.length - 5} more`) :
+                                          null),
+              h('p', null, 'The dataset is made without them.')) :
+            null,
+        bad.node, name.node, options.node
+      ],
+      preview.node);
+  return form.node;
 }
 
 /** "sent 3 MB of 9 MB · 2 MB/s": the rate of this page's own sending. */

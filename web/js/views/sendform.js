@@ -1,0 +1,44 @@
+// The form around what is sent in: what it says of it, its fields, and buttons that give way to a
+// meter and Cancel while it is on its way.
+import {fill, h} from '../dom.js';
+import {meter, showFaults} from '../ui.js';
+
+/**
+ * @param {{words: string, fields: any[], back: () => void, isReady?: () => boolean,
+ *     send: (bar: any, stop: AbortSignal) => Promise<void>}} how `words`: on the button that sends
+ * @param {any} above the buttons
+ * @param {any} below
+ */
+export function sendForm({words, fields, back, isReady = () => true, send}, above, below = null) {
+  const problem = h('div');
+  const progress = h('div');
+  const buttons = h('div', {class: 'row end'});
+  const showFault = (error) => showFaults(fields, problem, error);
+  async function begin() {
+    const stop = new AbortController();
+    const bar = meter('Upload');
+    showFault(null);
+    fill(progress, bar.node);
+    fill(buttons, h('button', {type: 'button', onclick: () => stop.abort()}, 'Cancel'));
+    try {
+      await send(bar, stop.signal);
+    } catch (error) {
+      fill(progress);
+      showFault(error.name === 'AbortError' ? null : error);
+      ready();
+    }
+  }
+  const ready = () => fill(
+      buttons, h('button', {type: 'button', onclick: back}, 'Back'),
+      h('button', {type: 'submit', class: 'primary'}, words));
+  ready();
+  const node = h(
+      'form', {
+        onsubmit: (event) => {
+          event.preventDefault();
+          if (isReady()) begin();
+        }
+      },
+      above, problem, progress, buttons, below);
+  return {node, showFault};
+}
