@@ -15,6 +15,7 @@
 #include "server/engine/scene/occupancy.h"
 
 #define HELD_OUT_VIEWS 8
+#define WITHHELD_VIEWS 16 // about, where there are more than eight times as many
 
 // ---- which frames ---------------------------------------------------------------------------
 
@@ -24,10 +25,18 @@ struct selection {
     bool held; // the held-out frames rather than the training ones
 };
 
-// Eight evenly spaced validation views, or every 8th training view where there are none.
+// Of how many training views one is held out where there are no others: of 8, and of many views so
+// that a round over those held out does not grow with them.
+static int withheld_apart(const struct rn_dataset *d) {
+    int apart = d->view_count[RN_SPLIT_TRAIN] / WITHHELD_VIEWS;
+    return apart > 8 ? apart : 8;
+}
+
+// Eight evenly spaced validation views, or evenly spaced training views where there are none.
 static bool is_held_out(const struct rn_dataset *d, const struct rn_frame *frame) {
     int views = d->view_count[RN_SPLIT_VAL];
-    if (views == 0) return frame->split == RN_SPLIT_TRAIN && frame->index % 8 == 7;
+    int apart = withheld_apart(d);
+    if (views == 0) return frame->split == RN_SPLIT_TRAIN && frame->index % apart == apart - 1;
     if (frame->split != RN_SPLIT_VAL) return false;
     int held = views < HELD_OUT_VIEWS ? views : HELD_OUT_VIEWS;
     for (int i = 0; i < held; i++)
@@ -55,8 +64,8 @@ static void describe_held_out(struct rn_trainer *t) {
     const char *fate = config->train_held_out ? "trained on too" : RN_WITHHELD;
     if (views == 0)
         snprintf(t->held_out, sizeof t->held_out,
-                 "%d training views (every 8th) %s: the dataset has no validation split", held,
-                 fate);
+                 "%d training views (one of %d) %s: the dataset has no validation split", held,
+                 withheld_apart(t->dataset), fate);
     else
         snprintf(t->held_out, sizeof t->held_out,
                  "%d evenly spaced views of %d validation views%s%s", held, views,
