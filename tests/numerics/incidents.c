@@ -1,5 +1,8 @@
 // Case 9: what went wrong is recorded with the offending rays, and the record reproduces it; what
 // is not finite is never rendered, and never read back from a file.
+#include <float.h>
+#include <math.h>
+
 #include "server/engine/checkpoint/checkpoint.h"
 #include "tests/numerics/trainer.h"
 
@@ -91,10 +94,15 @@ static int check_records(struct rn_engine *engine, const struct rn_dataset *data
     return numerics_close(&c);
 }
 
-// One step over a background that is no number, seen by the photographs alone (which are integers:
-// nothing else can enter them) or by the renderer too.
+// A step over a background that is no number, or so large that gradients are none.
+struct behind {
+    float renderer, photographs; // what each sees; 0: as it was. Photographs are integers: nothing
+                                 // else can enter them
+    bool rejected;               // the step, and no ray left out
+};
+
 static void see_background(struct numerics_case *c, struct rn_engine *engine,
-                           const struct rn_dataset *dataset, bool renderer) {
+                           const struct rn_dataset *dataset, const struct behind *behind) {
     struct rn_trainer *t = make_trainer(engine, dataset, 1);
     struct rn_incident incident = {0};
     float *background = t->field->config.background, before = *background;
@@ -102,17 +110,18 @@ static void see_background(struct numerics_case *c, struct rn_engine *engine,
     while (t->progress.step < 16)
         advance(t);
     rn_trainer_update_occupancy(t);
-    if (renderer) *background = NAN;
+    if (behind->renderer != 0) *background = behind->renderer;
     rn_trainer_begin_step(t);
-    *background = NAN;
+    *background = behind->photographs != 0 ? behind->photographs : before;
     while (t->step.under_way)
         rn_trainer_run_wave(t);
     *background = before;
     uint64_t rays = t->progress.nonfinite_rays;
-    bool good = rn_trainer_take_incident(t, &incident) && incident.step == 16 && rays > 0 &&
-                incident.kind == (renderer ? RN_INCIDENT_REJECTED : RN_INCIDENT_RAYS) &&
-                t->progress.steps_rejected == renderer && incident.ray_count > 0;
-    for (int r = 0; r < incident.ray_count; r++)
+    bool good = rn_trainer_take_incident(t, &incident) && incident.step == 16 &&
+                incident.kind == (behind->rejected ? RN_INCIDENT_REJECTED : RN_INCIDENT_RAYS) &&
+                t->progress.steps_rejected == behind->rejected && (rays > 0) != behind->rejected &&
+                incident.ray_count > 0;
+    for (int r = 0; r < incident.ray_count && !behind->rejected; r++)
         good &= incident.rays[r].fault == RN_FAULT_COLOUR;
     while (advance(t))
         continue;
@@ -120,19 +129,21 @@ static void see_background(struct numerics_case *c, struct rn_engine *engine,
     double left = count_left(engine, t);
     numerics_see(c, !good + left, "%llu rays, %d listed, %g numbers left%s",
                  (unsigned long long)rays, incident.ray_count, left,
-                 renderer ? ", step rejected" : "");
+                 behind->rejected ? ", step rejected" : "");
     rn_trainer_destroy(&t);
 }
 
 static int check_background(struct rn_engine *engine, const struct rn_dataset *dataset) {
-    struct numerics_case c = {"9 NaN behind the photographs: left out or rejected, recorded, gone",
-                              "one step of 60",
-                              "wrong",
-                              0.5,
-                              0,
-                              ""};
-    see_background(&c, engine, dataset, false);
-    see_background(&c, engine, dataset, true);
+    static const struct behind all[] = {{0, NAN, false}, {NAN, NAN, false}, {FLT_MAX, 0, true}};
+    struct numerics_case c = {
+        "9 NaN or 3e38 behind the photographs: left out or rejected, recorded, gone",
+        "one step of 60",
+        "wrong",
+        0.5,
+        0,
+        ""};
+    for (size_t i = 0; i < sizeof all / sizeof *all; i++)
+        see_background(&c, engine, dataset, &all[i]);
     return numerics_close(&c);
 }
 
