@@ -20,7 +20,7 @@ def test_a_synthetic_capture_has_what_photographs_have(client):
     assert "0 errors, 0 warnings" in said and "colmap layout" in said
     assert "seen" in said and "mean reprojection error 0.0000 px" in said
     assert 10 < float(re.search(r"exposures of 90 % of the photographs differ by (\S+) %", said)[1]) < 70
-    assert 3 < float(re.search(r"the lens moves pixels by up to (\S+) pixels", said)[1]) < 6
+    assert 3 < float(re.search(r"the lens moves what is seen by up to (\S+) pixels", said)[1]) < 6
     said = client.run("synth", "place", "q", "--lens", "0.1,", code=USAGE).stderr
     assert "lens" in said and "K1,K2,P1,P2" in said
     said = client.run("synth", "sphere", "q", "--movers", "1", code=USAGE).stderr
