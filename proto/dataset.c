@@ -80,6 +80,14 @@ struct rn_read_options rn_ingest_reading(const struct rn_ingest_options *options
     return reading;
 }
 
+struct rn_import_options rn_ingest_keeping(const struct rn_ingest_options *options) {
+    return (struct rn_import_options){
+        .max_size = (int)rn_int_or(options->max_size, 0),
+        .scales = (int)rn_int_or(options->scales, 1),
+        .downscale = (enum rn_downscale)rn_name_or(options->alpha, RN_DOWNSCALE_PREMULTIPLIED),
+        .test_every = rn_ingest_split_every(options->split)};
+}
+
 static const char *check_directory(const char *text) {
     return *text == '/' ? NULL : "must be an absolute path";
 }

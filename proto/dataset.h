@@ -36,6 +36,8 @@ bool rn_ingest_up(const char *up, double ret_up[3]);
 bool rn_ingest_crop(const char *crop, struct rn_box *ret_crop);
 // How the source is to be read; valid while `options` is.
 struct rn_read_options rn_ingest_reading(const struct rn_ingest_options *options);
+// How it is to be kept, on no threads and looked at by no survey yet.
+struct rn_import_options rn_ingest_keeping(const struct rn_ingest_options *options);
 
 // POST /v1/datasets with application/json: exactly one of directory and upload.
 struct rn_dataset_request {

@@ -274,9 +274,7 @@ static enum rn_exit examine_capture(const char *path, const struct import_option
     struct rn_read_options how = rn_ingest_reading(&capture->asked);
     capture->bare = wants_poses(path, options);
     if (capture->bare) return examine_photos(path, options, json, show, capture);
-    struct rn_import_options kept = {.max_size = (int)rn_int_or(capture->asked.max_size, 0),
-                                     .scales = (int)rn_int_or(capture->asked.scales, 1),
-                                     .test_every = rn_ingest_split_every(capture->asked.split)};
+    struct rn_import_options kept = rn_ingest_keeping(&capture->asked);
     return examine(path, &how, &kept, json, show, &capture->dataset);
 }
 

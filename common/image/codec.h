@@ -44,6 +44,9 @@ void rn_exif_read(const uint8_t *bytes, size_t size_bytes, struct rn_image_info 
 enum rn_status rn_icc_to_srgb(const uint8_t *profile, size_t size_bytes, const char *where,
                               struct rn_image *image, struct rn_error *err) RN_MUST_CHECK;
 
+// Whether that changes nothing; false for a profile that it refuses.
+bool rn_icc_is_srgb(const uint8_t *profile, size_t size_bytes);
+
 // Linear light to an sRGB byte: IEC 61966-2-1's curve, clamped to 0 to 1; not finite: 0.
 uint8_t rn_srgb_byte(float linear);
 

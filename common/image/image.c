@@ -12,7 +12,6 @@
 #define FIRST_HEAD_BYTES 4096
 #define PAGE 4096
 #define LARGE_BYTES (8u << 20)
-#define GRID 9 // colours a channel on which a profile is looked at
 
 const struct rn_image_limits rn_image_default_limits = {
     .max_width = 16384,
@@ -173,47 +172,44 @@ enum rn_status rn_image_decode(const void *bytes, size_t size_bytes, const char 
     return status;
 }
 
-// Whether a profile's colours are sRGB's, to one of 255.
-static bool is_srgb(const uint8_t *profile, size_t size) {
-    uint8_t grid[GRID * GRID * GRID][4], same[GRID * GRID * GRID][4];
-    struct rn_image image = {.width = GRID * GRID, .height = GRID, .pixels = grid[0]};
-    for (int i = 0; i < GRID * GRID * GRID; i++) {
-        grid[i][0] = (uint8_t)(i % GRID * 255 / (GRID - 1));
-        grid[i][1] = (uint8_t)(i / GRID % GRID * 255 / (GRID - 1));
-        grid[i][2] = (uint8_t)(i / GRID / GRID * 255 / (GRID - 1));
-        grid[i][3] = 255;
-    }
-    memcpy(same, grid, sizeof same);
-    return rn_icc_to_srgb(profile, size, "", &image, NULL) == RN_OK &&
-           memcmp(same, grid, sizeof same) == 0;
-}
-
-static enum rn_status strip(const uint8_t *bytes, size_t size, const char *path,
-                            uint8_t **ret_bytes, size_t *ret_size, struct rn_error *err) {
-    const struct rn_codec *codec = NULL;
+static enum rn_status strip(const struct rn_codec *codec, const uint8_t *bytes, size_t size,
+                            const char *path, uint8_t **ret_bytes, size_t *ret_size,
+                            struct rn_error *err) {
     uint8_t *profile = NULL;
     size_t profile_size;
-    enum rn_status status = find_codec(bytes, size, path, &codec, err);
-    if (status) return status;
-    if (!codec->strip)
-        return rn_error_set(err, RN_ERROR_UNSUPPORTED, path, "%s files are not kept as they are",
-                            codec->title);
+    if (!codec->is(bytes, size))
+        return rn_error_set(err, RN_ERROR_INVALID, path, "the file changes while it is read");
     bool converted = codec->profile && codec->profile(bytes, size, &profile, &profile_size) &&
-                     !is_srgb(profile, profile_size);
+                     !rn_icc_is_srgb(profile, profile_size);
     free(profile);
     if (converted)
         return rn_error_set(err, RN_ERROR_UNSUPPORTED, path, "its colours are not sRGB's");
     return codec->strip(bytes, size, path, ret_bytes, ret_size, err);
 }
 
+// By its first bytes: others are not read in whole.
+static enum rn_status find_kept(const char *path, const struct rn_codec **ret_codec,
+                                struct rn_error *err) {
+    uint8_t head[FIRST_HEAD_BYTES];
+    uint64_t file_size;
+    size_t size;
+    enum rn_status status = rn_file_read_head(path, head, sizeof head, &size, &file_size, err);
+    if (status == RN_OK) status = find_codec(head, size, path, ret_codec, err);
+    if (status != RN_OK || (*ret_codec)->strip) return status;
+    return rn_error_set(err, RN_ERROR_UNSUPPORTED, path, "%s files are not kept as they are",
+                        (*ret_codec)->title);
+}
+
 enum rn_status rn_image_strip(const char *path, const struct rn_image_limits *limits,
                               uint8_t **ret_bytes, size_t *ret_size, struct rn_error *err) {
     if (!limits) limits = &rn_image_default_limits;
+    const struct rn_codec *codec = NULL;
     uint8_t *bytes;
     size_t size;
-    enum rn_status status = rn_file_read(path, limits->max_file_bytes, &bytes, &size, err);
+    enum rn_status status = find_kept(path, &codec, err);
+    if (status == RN_OK) status = rn_file_read(path, limits->max_file_bytes, &bytes, &size, err);
     if (status != RN_OK) return status;
-    status = strip(bytes, size, path, ret_bytes, ret_size, err);
+    status = strip(codec, bytes, size, path, ret_bytes, ret_size, err);
     free(bytes);
     return status;
 }

@@ -88,6 +88,39 @@ void run_to_end(struct rn_trainer *trainer) {
         ck_assert(rn_trainer_advance(trainer, 1, &err) == RN_OK);
 }
 
+void check_goes_on(const struct rn_dataset *d, const struct rn_train_config *config,
+                   void (*look)(const struct rn_trainer *trainer, bool restored)) {
+    char path[128], hash[3][65];
+    struct rn_error err;
+    snprintf(path, sizeof path, "%s/half", folder);
+    for (int run = 0; run < 2; run++) {
+        struct rn_engine *engine = engine_with(1 + run);
+        struct rn_trainer *t = trainer_for(engine, d, config);
+        if (run == 1) rn_engine_yield_to(engine, always, NULL);
+        while (!done(t)) {
+            ck_assert(rn_trainer_advance(t, 0, &err) == RN_OK);
+            struct rn_progress p;
+            rn_trainer_progress(t, &p);
+            if (run == 0 && p.step == config->max_steps / 2)
+                ck_assert(rn_trainer_save(t, path, &err) == RN_OK);
+        }
+        rn_field_sha256(t->field, hash[run]);
+        look(t, false);
+        rn_trainer_destroy(&t);
+        rn_engine_destroy(&engine);
+    }
+    struct rn_engine *engine = engine_with(2);
+    struct rn_trainer *t;
+    ck_assert_msg(rn_trainer_restore(engine, d, path, 0, &t, &err) == RN_OK, "%s", err.text);
+    look(t, true);
+    run_to_end(t);
+    rn_field_sha256(t->field, hash[2]);
+    ck_assert_str_eq(hash[0], hash[1]);
+    ck_assert_str_eq(hash[0], hash[2]);
+    rn_trainer_destroy(&t);
+    rn_engine_destroy(&engine);
+}
+
 double held_out_psnr(struct rn_trainer *trainer) {
     struct rn_error err;
     struct rn_progress p;

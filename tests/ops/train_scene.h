@@ -24,6 +24,11 @@ struct rn_trainer *trainer_for(struct rn_engine *engine, const struct rn_dataset
 bool always(void *context); // a render that waits
 bool done(const struct rn_trainer *trainer);
 void run_to_end(struct rn_trainer *trainer);
+// The same bytes by one thread, by two over a render that waits all the time, and by two from the
+// checkpoint of half of the steps on. `look` sees each training, `restored` before it goes on, else
+// at its end.
+void check_goes_on(const struct rn_dataset *d, const struct rn_train_config *config,
+                   void (*look)(const struct rn_trainer *trainer, bool restored));
 double held_out_psnr(struct rn_trainer *trainer);
 // Whether a frame's pixel is in a live block.
 bool is_live(const struct rn_trainer *t, int frame, int x, int y);

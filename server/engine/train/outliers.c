@@ -3,6 +3,7 @@
 #include <math.h>
 #include <stdlib.h>
 
+#include "common/math/numbers.h"
 #include "common/math/rng.h"
 #include "server/engine/train/schedule.h"
 #include "server/engine/train/trainer.h"
@@ -30,24 +31,20 @@ static int down_of(const struct rn_pixel_frame *frame) {
 
 // ---- the formulas -----------------------------------------------------------------------------
 
-static int compare(const void *a, const void *b) {
-    float x = *(const float *)a, y = *(const float *)b;
-    return (x > y) - (x < y);
-}
-
-// The median of values[0], values[stride], ..; `room` for `count` numbers.
+// The median of values[0], values[stride], .. that are known, 0 of none; `room` for `count`
+// numbers.
 static float median(const float *values, const uint8_t *known, size_t count, size_t stride,
-                    float *room) {
+                    double *room) {
     size_t kept = 0;
     for (size_t i = 0; i < count; i++)
-        if (!known || known[i]) room[kept++] = values[i * stride];
-    qsort(room, kept, sizeof *room, compare);
-    return kept ? room[kept / 2] : 0;
+        if (known[i]) room[kept++] = (double)values[i * stride];
+    return kept ? (float)rn_numbers_quantile(room, kept, 0.5) : 0;
 }
 
 enum rn_status rn_outlier_sizes(const float *difference, const uint8_t *known, int across, int down,
                                 float *ret_size, struct rn_error *err) {
-    float middle[3], *room = malloc((size_t)across * (size_t)down * sizeof *room);
+    float middle[3];
+    double *room = malloc((size_t)across * (size_t)down * sizeof *room);
     if (!room) return rn_error_set(err, RN_ERROR_NO_MEMORY, "outliers", "out of memory");
     for (int c = 0; c < 3; c++)
         middle[c] = median(difference + c, known, (size_t)across * (size_t)down, 3, room);
@@ -83,19 +80,23 @@ void rn_outlier_trim(const uint8_t *large, int across, int down, uint8_t *ret_ou
 
 // ---- memory -----------------------------------------------------------------------------------
 
-void rn_outliers_finish(struct rn_outliers *o) {
-    free(o->out);
-    free(o->first);
+static void end_pass(struct rn_outliers *o) {
     free(o->difference);
     free(o->known);
     free(o->size);
     free(o->depth);
     free(o->large);
-    o->depth = NULL;
-    o->out = o->known = o->large = NULL;
-    o->first = NULL;
     o->difference = NULL;
-    o->size = NULL;
+    o->known = o->large = NULL;
+    o->size = o->depth = NULL;
+}
+
+void rn_outliers_finish(struct rn_outliers *o) {
+    end_pass(o);
+    free(o->out);
+    free(o->first);
+    o->out = NULL;
+    o->first = NULL;
 }
 
 // Where each photograph's blocks are.
@@ -133,17 +134,6 @@ static enum rn_status begin_pass(struct rn_trainer *t, struct rn_error *err) {
     o->large = calloc(o->count, 1);
     if (o->difference && o->known && o->size && o->depth && o->large) return RN_OK;
     return rn_error_set(err, RN_ERROR_NO_MEMORY, "outliers", "out of memory");
-}
-
-static void end_pass(struct rn_outliers *o) {
-    free(o->difference);
-    free(o->known);
-    free(o->size);
-    free(o->depth);
-    free(o->large);
-    o->difference = NULL;
-    o->known = o->large = NULL;
-    o->size = o->depth = NULL;
 }
 
 // ---- a pass -----------------------------------------------------------------------------------
@@ -254,7 +244,7 @@ static enum rn_status conclude(struct rn_trainer *t, struct rn_error *err) {
         status = rn_outlier_sizes(o->difference[first], o->known + first, across_of(frame),
                                   down_of(frame), o->size + first, err);
     }
-    float *room = status == RN_OK ? malloc(o->count * sizeof *room) : NULL;
+    double *room = status == RN_OK ? malloc(o->count * sizeof *room) : NULL;
     if (!room) return rn_error_set(err, RN_ERROR_NO_MEMORY, "outliers", "out of memory");
     float middle = median(o->size, o->known, o->count, 1, room);
     float threshold = fmaxf((float)RN_OUTLIER_LEAST, RN_OUTLIER_TIMES * middle);

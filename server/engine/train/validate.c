@@ -65,8 +65,9 @@ static enum rn_status validate_on_device(struct rn_trainer *t, struct rn_error *
     int row = (int)(v->pixel / (size_t)width), rows = height - row < 64 ? height - row : 64;
     enum rn_status status = rn_trainer_validate_rows(t, frame, row, rows, &v->sum.squares, err);
     v->pixel += (size_t)rows * (size_t)width;
+    if (row + rows < height) return status;
     v->sum.pixels = rn_pixels_used(&t->held, frame);
-    if (row + rows == height) finish_frame(t);
+    finish_frame(t);
     return status;
 }
 

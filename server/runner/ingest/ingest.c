@@ -166,14 +166,10 @@ static enum rn_status tree_bytes(const struct rn_dataset *dataset, int64_t *ret_
 }
 
 static struct rn_import_options import_options_of(const struct rn_wire_ingest *order) {
-    const struct rn_ingest_options *options = &order->options;
+    struct rn_import_options options = rn_ingest_keeping(&order->options);
     int threads = (int)rn_int_or(order->threads, 0);
-    return (struct rn_import_options){
-        .max_size = (int)rn_int_or(options->max_size, 0),
-        .scales = (int)rn_int_or(options->scales, 1),
-        .downscale = (enum rn_downscale)rn_name_or(options->alpha, RN_DOWNSCALE_PREMULTIPLIED),
-        .test_every = rn_ingest_split_every(options->split),
-        .threads = threads ? threads : usable_cores()};
+    options.threads = threads ? threads : usable_cores();
+    return options;
 }
 
 static enum rn_status import(struct ingest *ingest, struct rn_dataset *source,
