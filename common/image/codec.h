@@ -17,6 +17,13 @@ struct rn_codec {
     enum rn_status (*decode)(const uint8_t *bytes, size_t size_bytes, const char *where,
                              const struct rn_image_limits *limits, struct rn_image *ret_image,
                              struct rn_error *err);
+    // The same made smaller while it is decoded, for less: each pixel is the mean of *ret_times x
+    // *ret_times, in the file's own colours; *ret_times divides `most` and both sides. Only called
+    // with 2 or more; 1: as decode. NULL: the format cannot.
+    enum rn_status (*decode_smaller)(const uint8_t *bytes, size_t size_bytes, const char *where,
+                                     const struct rn_image_limits *limits, int most,
+                                     struct rn_image *ret_image, int *ret_times,
+                                     struct rn_error *err);
     // The file's ICC profile, malloc'd; false without one, or where memory is out. NULL: the format
     // has none.
     bool (*profile)(const uint8_t *bytes, size_t size_bytes, uint8_t **ret_profile,

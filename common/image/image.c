@@ -150,26 +150,48 @@ enum rn_status rn_image_probe(const char *path, const struct rn_image_limits *li
     return status;
 }
 
-enum rn_status rn_image_decode(const void *bytes, size_t size_bytes, const char *where,
-                               const struct rn_image_limits *limits, struct rn_image *ret_image,
-                               struct rn_error *err) {
-    if (!limits) limits = &rn_image_default_limits;
+static enum rn_status decode(const struct rn_codec *codec, const uint8_t *bytes, size_t size_bytes,
+                             const char *where, const struct rn_image_limits *limits, int most,
+                             struct rn_image *ret_image, int *ret_times, struct rn_error *err) {
+    *ret_times = 1;
+    if (most > 1 && codec->decode_smaller)
+        return codec->decode_smaller(bytes, size_bytes, where, limits, most, ret_image, ret_times,
+                                     err);
+    return codec->decode(bytes, size_bytes, where, limits, ret_image, err);
+}
+
+static enum rn_status decode_smaller(const uint8_t *bytes, size_t size_bytes, const char *where,
+                                     const struct rn_image_limits *limits, int most,
+                                     struct rn_image *ret_image, int *ret_times,
+                                     struct rn_error *err) {
     const struct rn_codec *codec = NULL;
     struct rn_image image;
     uint8_t *profile;
     size_t profile_size;
+    int times;
     enum rn_status status = find_codec(bytes, size_bytes, where, &codec, err);
-    if (status == RN_OK) status = codec->decode(bytes, size_bytes, where, limits, &image, err);
+    if (status == RN_OK)
+        status = decode(codec, bytes, size_bytes, where, limits, most, &image, &times, err);
     if (status) return status;
     if (codec->profile && codec->profile(bytes, size_bytes, &profile, &profile_size)) {
         status = rn_icc_to_srgb(profile, profile_size, where, &image, err);
         free(profile);
     }
-    if (status == RN_OK)
-        *ret_image = image;
-    else
+    if (status != RN_OK) {
         rn_image_finish(&image);
-    return status;
+        return status;
+    }
+    *ret_image = image;
+    *ret_times = times;
+    return RN_OK;
+}
+
+enum rn_status rn_image_decode(const void *bytes, size_t size_bytes, const char *where,
+                               const struct rn_image_limits *limits, struct rn_image *ret_image,
+                               struct rn_error *err) {
+    int times;
+    if (!limits) limits = &rn_image_default_limits;
+    return decode_smaller(bytes, size_bytes, where, limits, 1, ret_image, &times, err);
 }
 
 static enum rn_status strip(const struct rn_codec *codec, const uint8_t *bytes, size_t size,
@@ -268,16 +290,23 @@ enum rn_status rn_image_turn(struct rn_image *image, int orientation, struct rn_
     return RN_OK;
 }
 
-enum rn_status rn_image_read(const char *path, const struct rn_image_limits *limits,
-                             struct rn_image *ret_image, struct rn_error *err) {
+enum rn_status rn_image_read_smaller(const char *path, const struct rn_image_limits *limits,
+                                     int most, struct rn_image *ret_image, int *ret_times,
+                                     struct rn_error *err) {
     if (!limits) limits = &rn_image_default_limits;
     uint8_t *bytes;
     size_t size;
     enum rn_status status = rn_file_read(path, limits->max_file_bytes, &bytes, &size, err);
     if (status != RN_OK) return status;
-    status = rn_image_decode(bytes, size, path, limits, ret_image, err);
+    status = decode_smaller(bytes, size, path, limits, most, ret_image, ret_times, err);
     free(bytes);
     return status;
+}
+
+enum rn_status rn_image_read(const char *path, const struct rn_image_limits *limits,
+                             struct rn_image *ret_image, struct rn_error *err) {
+    int times;
+    return rn_image_read_smaller(path, limits, 1, ret_image, &times, err);
 }
 
 enum rn_status rn_image_write_png(const struct rn_image *image, const char *path, int level,

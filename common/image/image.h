@@ -69,6 +69,14 @@ enum rn_status rn_image_read(const char *path, const struct rn_image_limits *lim
 enum rn_status rn_image_decode(const void *bytes, size_t size_bytes, const char *where,
                                const struct rn_image_limits *limits, struct rn_image *ret_image,
                                struct rn_error *err) RN_MUST_CHECK;
+// As rn_image_read, of a picture that is to be made `most` times smaller: where its format can do
+// part of that while it decodes, each pixel is the mean of *ret_times x *ret_times of the file's,
+// in its own colours. *ret_times divides `most` and both sides; it is 1 where the picture is whole.
+// JPEG can, by 2, 4 and 8: what differs from the mean of decoded pixels is where those are rounded
+// and cut at 0 and 255, and that chroma stored at half the size is not widened before.
+enum rn_status rn_image_read_smaller(const char *path, const struct rn_image_limits *limits,
+                                     int most, struct rn_image *ret_image, int *ret_times,
+                                     struct rn_error *err) RN_MUST_CHECK;
 // The file without what is not the picture: EXIF (who took it, when and where), profiles, comments.
 // It decodes to the same pixels. Of a JPEG in sRGB; RN_ERROR_UNSUPPORTED for any other file. An
 // orientation is lost. *ret_bytes is malloc'd.

@@ -154,14 +154,25 @@ static bool lost_pixels(tjhandle handle) {
            !strstr(tjGetErrorStr2(handle), "extraneous bytes");
 }
 
+// By how much, of at most `most`, the library makes the picture smaller: its reduced inverse DCTs
+// are means of a whole one's pixels, where blocks are whole.
+static int times_smaller(const struct rn_image_info *info, int most) {
+    for (int times = 8; times > 1; times /= 2)
+        if (most % times == 0 && info->width % times == 0 && info->height % times == 0)
+            return times;
+    return 1;
+}
+
 static enum rn_status decode(tjhandle handle, const uint8_t *bytes, size_t size_bytes,
-                             const char *where, const struct rn_image_limits *limits,
-                             struct rn_image *ret_image, struct rn_error *err) {
+                             const char *where, const struct rn_image_limits *limits, int most,
+                             struct rn_image *ret_image, int *ret_times, struct rn_error *err) {
     struct rn_image_info info = {0};
     enum rn_status status = read_header(handle, bytes, size_bytes, where, &info, err);
     if (status == RN_OK) status = rn_image_check_size(info.width, info.height, limits, where, err);
+    if (status != RN_OK) return status;
     struct rn_image image;
-    if (status == RN_OK) status = rn_image_init(info.width, info.height, &image, err);
+    int times = times_smaller(&info, most);
+    status = rn_image_init(info.width / times, info.height / times, &image, err);
     if (status != RN_OK) return status;
     image.has_alpha = false;
     if (tjDecompress2(handle, bytes, (unsigned long)size_bytes, image.pixels, image.width, 0,
@@ -172,17 +183,27 @@ static enum rn_status decode(tjhandle handle, const uint8_t *bytes, size_t size_
         return status;
     }
     *ret_image = image;
+    *ret_times = times;
     return RN_OK;
+}
+
+static enum rn_status decode_smaller_jpeg(const uint8_t *bytes, size_t size_bytes,
+                                          const char *where, const struct rn_image_limits *limits,
+                                          int most, struct rn_image *ret_image, int *ret_times,
+                                          struct rn_error *err) {
+    tjhandle handle = tjInitDecompress();
+    if (!handle) return rn_error_set(err, RN_ERROR_NO_MEMORY, where, "no memory to read the JPEG");
+    enum rn_status status =
+        decode(handle, bytes, size_bytes, where, limits, most, ret_image, ret_times, err);
+    tjDestroy(handle);
+    return status;
 }
 
 static enum rn_status decode_jpeg(const uint8_t *bytes, size_t size_bytes, const char *where,
                                   const struct rn_image_limits *limits, struct rn_image *ret_image,
                                   struct rn_error *err) {
-    tjhandle handle = tjInitDecompress();
-    if (!handle) return rn_error_set(err, RN_ERROR_NO_MEMORY, where, "no memory to read the JPEG");
-    enum rn_status status = decode(handle, bytes, size_bytes, where, limits, ret_image, err);
-    tjDestroy(handle);
-    return status;
+    int times;
+    return decode_smaller_jpeg(bytes, size_bytes, where, limits, 1, ret_image, &times, err);
 }
 
 const struct rn_codec rn_codec_jpeg = {.title = "JPEG",
@@ -190,6 +211,7 @@ const struct rn_codec rn_codec_jpeg = {.title = "JPEG",
                                        .is = is_jpeg,
                                        .probe = probe_jpeg,
                                        .decode = decode_jpeg,
+                                       .decode_smaller = decode_smaller_jpeg,
                                        .profile = profile_jpeg,
                                        .strip = strip_jpeg};
 

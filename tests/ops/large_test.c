@@ -163,6 +163,49 @@ START_TEST(masks_are_made_smaller_too) {
 }
 END_TEST
 
+// JPEG photographs are made smaller in part while they are decoded: to means of what they show.
+START_TEST(jpegs_are_decoded_smaller) {
+    struct rn_error err = {0};
+    struct rn_image photo, whole, mean;
+    struct rn_frame frames[2] = {dataset->frames[0], dataset->frames[1]};
+    struct rn_dataset jpegs = *dataset;
+    char path[128];
+    uint8_t *bytes;
+    size_t size;
+    snprintf(path, sizeof path, "%s/photo.jpg", folder);
+    ck_assert(rn_image_init(48, 32, &photo, &err) == RN_OK);
+    for (int i = 0; i < 4 * 48 * 32; i++)
+        photo.pixels[i] = i % 4 == 3 ? 255 : (uint8_t)(60 + (i * 5 + i / 192 * 37) % 131);
+    ck_assert(rn_image_encode_jpeg(&photo, 95, &bytes, &size, &err) == RN_OK);
+    ck_assert(rn_file_write_atomic(path, bytes, size, &err) == RN_OK);
+    ck_assert(rn_image_read(path, NULL, &whole, &err) == RN_OK);
+    ck_assert(rn_image_downscale(&whole, 3, 2, RN_DOWNSCALE_PREMULTIPLIED, &mean, &err) == RN_OK);
+    jpegs.frames = frames;
+    jpegs.frame_count = 2;
+    for (int i = 0; i < 2; i++) {
+        frames[i].camera = rn_camera_resized(&frames[i].camera, 48, 32);
+        frames[i].path = path;
+    }
+    struct rn_train_config config = config_for(&jpegs);
+    config.train_scale = 16; // an eighth while it is decoded, and a half of that
+    struct rn_engine *engine = engine_with(1);
+    struct rn_trainer *trainer = trainer_for(engine, &jpegs, &config);
+    ck_assert_uint_eq(trainer->train.pixel_count, 2 * 3 * 2);
+    for (size_t i = 0; i < (size_t)4 * 12; i++)
+        ck_assert_int_le(abs(trainer->train.rgba[i] - mean.pixels[i % 24]), 2);
+    rn_trainer_destroy(&trainer);
+    frames[1].camera = rn_camera_resized(&frames[1].camera, 96, 64);
+    ck_assert_int_eq(rn_trainer_create(engine, &jpegs, &config, 0, &trainer, &err),
+                     RN_ERROR_CORRUPT);
+    ck_assert_ptr_nonnull(strstr(err.text, "is 48x32 but the dataset says 96x64"));
+    rn_engine_destroy(&engine);
+    rn_image_finish(&photo);
+    rn_image_finish(&whole);
+    rn_image_finish(&mean);
+    free(bytes);
+}
+END_TEST
+
 // ---- on disk --------------------------------------------------------------------------------
 
 #define SIDE 1536 // 9.4 MB a photograph, 20 of which are loaded: 189 MB
@@ -252,6 +295,7 @@ static void add(TCase *tests) {
     tcase_add_test(tests, as_if_imported_smaller);
     tcase_add_test(tests, a_resumed_training_keeps_its_scale);
     tcase_add_test(tests, masks_are_made_smaller_too);
+    tcase_add_test(tests, jpegs_are_decoded_smaller);
     tcase_add_test(tests, more_than_memory_is_to_hold);
     tcase_add_test(tests, where_there_is_no_place);
 }

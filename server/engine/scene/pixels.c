@@ -77,14 +77,17 @@ static void cut_out(const uint8_t *used, struct rn_image *image) {
         if (!used[i]) image->pixels[4 * i + 3] = 0;
 }
 
-static enum rn_status read_photo(const struct rn_frame *frame, struct rn_image *ret_image,
+// In part made smaller already, where that is quick: `most` times at most.
+static enum rn_status read_photo(const struct rn_frame *frame, int most, struct rn_image *ret_image,
                                  struct rn_error *err) {
-    int w = frame->camera.width, h = frame->camera.height;
-    enum rn_status status = rn_image_read(frame->path, &rn_image_default_limits, ret_image, err);
-    if (status != RN_OK || (ret_image->width == w && ret_image->height == h)) return status;
+    int w = frame->camera.width, h = frame->camera.height, times;
+    enum rn_status status =
+        rn_image_read_smaller(frame->path, &rn_image_default_limits, most, ret_image, &times, err);
+    if (status != RN_OK || (ret_image->width * times == w && ret_image->height * times == h))
+        return status;
     rn_error_set(err, RN_ERROR_CORRUPT, frame->path,
-                 "is %dx%d but the dataset says %dx%d; import it again", ret_image->width,
-                 ret_image->height, w, h);
+                 "is %dx%d but the dataset says %dx%d; import it again", ret_image->width * times,
+                 ret_image->height * times, w, h);
     rn_image_finish(ret_image);
     return RN_ERROR_CORRUPT;
 }
@@ -138,8 +141,10 @@ static enum rn_status decode_photo(const struct decode *decode, const struct rn_
     size_t count = (size_t)f->camera.width * (size_t)f->camera.height;
     uint8_t *used = NULL;
     struct rn_image image;
+    // A mask that cuts out is of whole photographs.
+    int most = masked && decode->treatment.cut_out ? 1 : decode->treatment.reduced;
     if (decode->pixels->used) memset(decode->pixels->used + f->offset, 1, count);
-    enum rn_status status = read_photo(f->frame, &image, err);
+    enum rn_status status = read_photo(f->frame, most, &image, err);
     if (status != RN_OK) return status;
     if (masked) status = read_mask(f->frame, &used, err);
     if (status == RN_OK && masked && decode->treatment.cut_out) cut_out(used, &image);

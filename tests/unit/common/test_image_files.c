@@ -368,6 +368,39 @@ START_TEST(jpeg_colours) {
 }
 END_TEST
 
+// Made smaller while it is decoded: the means of what is decoded whole, to a rounding, where the
+// library's own sizes divide what is asked for and the picture.
+START_TEST(jpeg_made_smaller) {
+    static const struct {
+        int width, most, times;
+    } cases[] = {{64, 2, 2}, {64, 4, 4}, {64, 8, 8}, {64, 16, 8}, {64, 6, 2},
+                 {64, 3, 1}, {64, 1, 1}, {64, 0, 1}, {60, 8, 4},  {61, 8, 1}};
+    for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
+        struct rn_image image = smooth(cases[i].width, 48, false), whole, mean, smaller;
+        int times = 0;
+        for (int at = 0; at < 4 * image.width * image.height; at++)
+            if (at % 4 < 3)
+                image.pixels[at] = (uint8_t)(60 + (image.pixels[at] * 5 + at * 3) % 131);
+        struct bytes file = make_jpeg(&image, TJPF_RGBX, TJSAMP_444);
+        const char *path = store(file);
+        ck_assert_int_eq(rn_image_read(path, NULL, &whole, NULL), RN_OK);
+        ck_assert_int_eq(rn_image_read_smaller(path, NULL, cases[i].most, &smaller, &times, NULL),
+                         RN_OK);
+        ck_assert_int_eq(times, cases[i].times);
+        ck_assert_int_eq(rn_image_downscale(&whole, whole.width / times, whole.height / times,
+                                            RN_DOWNSCALE_PREMULTIPLIED, &mean, NULL),
+                         RN_OK);
+        ck_assert(!smaller.has_alpha && smaller.pixels[3] == 255);
+        assert_close(&smaller, &mean, 2);
+        rn_image_finish(&image);
+        rn_image_finish(&whole);
+        rn_image_finish(&mean);
+        rn_image_finish(&smaller);
+        tjFree(file.data);
+    }
+}
+END_TEST
+
 START_TEST(jpeg_cmyk_is_refused) {
     struct rn_image image = smooth(16, 16, true);
     struct bytes file = make_jpeg(&image, TJPF_CMYK, TJSAMP_444);
@@ -576,6 +609,7 @@ int main(void) {
     tcase_add_test(cases, probe_behind_long_chunks);
     tcase_add_test(cases, not_an_image);
     tcase_add_test(cases, jpeg_colours);
+    tcase_add_test(cases, jpeg_made_smaller);
     tcase_add_test(cases, jpeg_cmyk_is_refused);
     tcase_add_test(cases, jpeg_truncated_anywhere);
     tcase_add_test(cases, jpeg_odd_but_sound);
