@@ -19,7 +19,7 @@
 #define SAME 2.0          // mean difference of thumbnails, of 255, of photographs of the same thing
 #define NEAR 0.002        // of the cameras' median distance: the same place
 #define NEAR_DEG 0.3      // the same direction
-#define REACH 64          // photographs of like brightness that are compared
+#define REACH 64          // photographs of like brightness, or before and after, that are compared
 #define OFF_PX 2.0        // mean reprojection error of a photograph that is worth a word
 #define GAP_DEG 60        // without a photograph of what is turned around
 #define NAMES 8           // told
@@ -141,6 +141,7 @@ struct all {
     const struct rn_frame **frames;
     size_t count;
     bool looked; // else all is by cameras alone
+    bool named;  // some say by which camera they were taken
     struct rn_problems *problems;
     struct rn_findings found;
 };
@@ -159,14 +160,39 @@ static void add_name(struct names *names, const char *name) {
         snprintf(names->text + names->used, sizeof names->text - names->used, ", ...");
 }
 
+// By size, whichever way it was held, and by what EXIF says of maker, model and zoom; where some of
+// a capture's photographs say that, those that do not are of cameras that nobody knows.
+static bool same_camera(const struct all *all, const struct rn_frame *a, const struct rn_frame *b) {
+    const struct rn_camera *as = &a->camera, *bs = &b->camera;
+    bool upright = as->width == bs->width && as->height == bs->height;
+    bool turned = as->width == bs->height && as->height == bs->width;
+    bool known = a->camera_key || !all->named;
+    return known && a->camera_key == b->camera_key && (upright || turned);
+}
+
+// The sharpness of the photographs of the same camera on one side of one, nearest first.
+static size_t near_sharpness(const struct all *all, size_t i, int side, double *ret_sharpness) {
+    size_t count = 0, k = i;
+    for (int step = 0; step < REACH && count < NEIGHBOURS; step++) {
+        k += (size_t)side; // wraps below the first one
+        if (k >= all->count) break;
+        if (same_camera(all, all->frames[i], all->frames[k]))
+            ret_sharpness[count++] = (double)all->looks[k]->sharpness;
+    }
+    return count;
+}
+
+// Other cameras, and what else was done to their pictures, are sharp in other ways.
 static void find_blurred(struct all *all) {
     struct names names = {.count = 0};
+    size_t alone = 0;
     for (size_t i = 0; i < all->count; i++) {
         double near[2 * NEIGHBOURS];
-        size_t count = 0, first = i > NEIGHBOURS ? i - NEIGHBOURS : 0;
-        for (size_t k = first; k <= i + NEIGHBOURS && k < all->count; k++)
-            if (k != i) near[count++] = (double)all->looks[k]->sharpness;
-        if (count < NEIGHBOURS || all->frames[i]->has_alpha) continue; // what is cut out varies
+        if (all->frames[i]->has_alpha) continue; // what is cut out varies
+        size_t count = near_sharpness(all, i, -1, near);
+        count += near_sharpness(all, i, 1, near + count);
+        alone += count < NEIGHBOURS;
+        if (count < NEIGHBOURS) continue;
         double usual = rn_numbers_quantile(near, count, 0.5);
         if ((double)all->looks[i]->sharpness < BLURRED * usual)
             add_name(&names, all->frames[i]->name);
@@ -174,9 +200,14 @@ static void find_blurred(struct all *all) {
     all->found.blurred = (double)names.count;
     if (names.count)
         rn_problems_add(all->problems, RN_SEVERITY_WARNING, all->dataset->name,
-                        "%zu photographs have less than %.0f %% of the sharpness of those before "
-                        "and after them: %s",
+                        "%zu photographs have less than %.0f %% of the sharpness of those that the "
+                        "same camera took before and after them: %s",
                         names.count, 100 * BLURRED, names.text);
+    if (alone && all->count > NEIGHBOURS)
+        rn_problems_add(all->problems, RN_SEVERITY_INFO, all->dataset->name,
+                        "whether %zu of the photographs are sharp is not judged: fewer than %d near "
+                        "each are of its camera, by size and EXIF",
+                        alone, NEIGHBOURS);
 }
 
 static double centre_distance(const struct rn_camera *a, const struct rn_camera *b) {
@@ -389,6 +420,7 @@ static bool gather(struct rn_survey *survey, struct all *all) {
         const struct rn_frame *frame =
             rn_dataset_frame(dataset, look->split, look->index, look->scale);
         if (look->seen != all->looked || look->scale || !frame) continue;
+        all->named |= frame->camera_key != 0;
         all->looks[all->count] = look;
         all->frames[all->count++] = frame;
     }

@@ -10,7 +10,8 @@ struct rn_survey;
 
 // Numbers that are not known are NAN.
 struct rn_findings {
-    double blurred;         // photographs that are far less sharp than those taken before and after
+    double blurred; // photographs that are far less sharp than those that their camera took before
+                    // and after; of photographs alone of their camera nothing is known
     double duplicates;      // photographs that show what another shows, from the same place
     double looking_away;    // cameras whose axis does not meet the bounds
     double exposure_spread; // by how much 90 % of the photographs differ at most, less 1

@@ -8,7 +8,8 @@
 #define EXIF_FOLDER 0x8769
 #define FOCAL_LENGTH 0x920a
 #define TYPE_SHORT 3
-#define MAX_TEXT 64 // bytes of a maker's or model's name that count
+#define MAX_TEXT 64         // bytes of a maker's or model's name that count
+#define NOTHING 2166136261u // FNV-1a of no bytes
 
 struct block {
     const uint8_t *bytes;
@@ -45,7 +46,6 @@ static void read_folder(const struct block *block, size_t at, struct rn_image_in
             if (value >= 1 && value <= 8) info->orientation = (int)value;
         }
         if (tag == EXIF_FOLDER) *ret_inner = number(block, entry + 8, 4);
-        if (!info->camera_key) info->camera_key = 2166136261u;
         if (tag == MAKE || tag == MODEL)
             info->camera_key = mix(block, entry, length, info->camera_key);
         if (tag == FOCAL_LENGTH) info->camera_key = mix(block, entry, 8, info->camera_key);
@@ -58,6 +58,8 @@ void rn_exif_read(const uint8_t *bytes, size_t size_bytes, struct rn_image_info 
     info->orientation = 1;
     info->camera_key = 0;
     if (size_bytes < 8 || bytes[0] != bytes[1] || number(&block, 2, 2) != 42) return;
+    info->camera_key = NOTHING;
     read_folder(&block, number(&block, 4, 4), info, &inner);
     if (inner) read_folder(&block, inner, info, &inner);
+    if (info->camera_key == NOTHING) info->camera_key = 0;
 }

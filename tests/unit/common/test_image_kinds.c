@@ -112,6 +112,7 @@ START_TEST(orientation_is_told_not_applied) {
     put_held("a.jpg", 1 + _i % 8, _i >= 8);
     struct rn_image_info info = probe_kind("a.jpg");
     ck_assert_int_eq(info.orientation, 1 + _i % 8);
+    ck_assert_uint_eq(info.camera_key, 0); // nothing is said of the camera
     ck_assert_int_eq(info.width, WIDE);
     read_kind("a.jpg", &image);
     ck_assert_int_eq(image.width, WIDE);

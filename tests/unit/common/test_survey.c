@@ -156,7 +156,29 @@ START_TEST(blur) {
     put_photo(7, 8, 8);
     survey();
     ck_assert_double_eq(found.blurred, 1);
-    ck_assert(tells("those before and after them: r_7"));
+    ck_assert(tells("the same camera took before and after them: r_7"));
+    ck_assert(!tells("is not judged"));
+}
+END_TEST
+
+// Every third photograph is of another camera, whose pictures are softer, and r_7 is blurred. Which
+// camera it was is known; not known of any; of each another; known of one alone.
+START_TEST(cameras_that_are_soft) {
+    static const int blurred[] = {1, 9, 0, 0}, unjudged[] = {0, 0, VIEWS, VIEWS};
+    put_ring();
+    for (int i = 0; i < VIEWS; i++)
+        put_photo(i, i % 3 == 2 || i == 7 ? 8 : 1, (uint64_t)i + 1);
+    read_ring();
+    for (int i = 0; i < VIEWS; i++) {
+        const int keys[] = {1 + (i % 3 == 2), 0, 1 + i, i == 0};
+        dataset->frames[i].camera_key = (uint32_t)keys[_i];
+    }
+    look();
+    char words[64];
+    snprintf(words, sizeof words, "whether %d of the photographs are sharp is not", unjudged[_i]);
+    ck_assert_double_eq(found.blurred, blurred[_i]);
+    ck_assert_int_eq(tells("took before and after them: r_7"), _i == 0);
+    ck_assert_int_eq(tells(words), unjudged[_i] > 0);
 }
 END_TEST
 
@@ -294,6 +316,7 @@ int main(void) {
     tcase_add_test(tests, nothing_is_wrong);
     tcase_add_test(tests, memory_is_bounded);
     tcase_add_test(tests, blur);
+    tcase_add_loop_test(tests, cameras_that_are_soft, 0, 4);
     tcase_add_loop_test(tests, duplicates, 0, 2);
     tcase_add_test(tests, cameras_that_look_away);
     tcase_add_loop_test(tests, heights, 0, 5);
