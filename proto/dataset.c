@@ -178,6 +178,22 @@ static const struct rn_table findings_table = RN_TABLE(S, "a survey", findings);
 #undef NUMBER
 #undef S
 
+#define S struct rn_import_choice
+static const struct rn_field_spec choice[] = {
+    RN_F_INT(S, max_size, 0, 1, 16384),
+    RN_F_INT(S, scales, 0, 1, 8),
+    RN_F_TEXT(S, split, 0, rn_check_split_spec),
+    RN_F_OBJECT(S, views, RN_REQUIRED, &rn_split_counts_table),
+    RN_F_INT(S, width, RN_REQUIRED, 0, INFINITY),
+    RN_F_INT(S, height, RN_REQUIRED, 0, INFINITY),
+    RN_F_INT(S, train_scale, RN_REQUIRED, 1, 16),
+    RN_F_NUMBER(S, memory_bytes, RN_REQUIRED, 0, INFINITY),
+    RN_F_NUMBER(S, load_seconds, RN_REQUIRED, 0, INFINITY),
+    RN_F_NUMBER(S, seconds, RN_REQUIRED, 0, INFINITY),
+};
+static const struct rn_table choice_table = RN_TABLE(S, "an import's options", choice);
+#undef S
+
 #define S struct rn_dataset_report_record
 static const struct rn_field_spec report[] = {
     RN_F_TEXT(S, layout, RN_REQUIRED, NULL),
@@ -195,6 +211,7 @@ static const struct rn_field_spec report[] = {
     RN_F_OBJECT(S, height, RN_REQUIRED, &rn_range_table),
     RN_F_OBJECT(S, survey, 0, &findings_table),
     RN_F_OBJECT(S, expected, 0, &rn_expected_table),
+    RN_F_OBJECTS(S, choices, choice_count, 0, &choice_table, RN_REPORT_CHOICES_MAX),
     RN_F_INT(S, errors, RN_REQUIRED, 0, INFINITY),
     RN_F_INT(S, warnings, RN_REQUIRED, 0, INFINITY),
     RN_F_INT(S, dropped, RN_REQUIRED, 0, INFINITY),

@@ -78,6 +78,15 @@ struct rn_report_problem {
     int severity; // rn_severity_names
     char where[256], text[384];
 };
+// What an import by some options would keep, and what a training with `standard` takes of that.
+struct rn_import_choice {
+    int64_t max_size, scales; // absent: as the files are
+    char split[24];           // "": the files'
+    struct rn_split_counts views;
+    int64_t width, height; // of the largest photograph
+    int64_t train_scale;   // times that training makes photographs smaller
+    double memory_bytes, load_seconds, seconds;
+};
 struct rn_dataset_report_record {
     char layout[RN_FORMAT_NAME_MAX];
     struct rn_split_counts usable, unusable;
@@ -91,11 +100,15 @@ struct rn_dataset_report_record {
     struct rn_range width, height;
     struct rn_findings survey;   // of the photographs; absent where they were not looked at
     struct rn_expected expected; // of a training; absent with it
+    struct rn_import_choice
+        *choices;        // owned; the first is what was asked for. None after an import
+    size_t choice_count; // <= RN_REPORT_CHOICES_MAX
     int64_t errors, warnings, dropped;
     struct rn_report_problem *problems; // owned
     size_t problem_count;               // <= RN_REPORT_PROBLEMS_MAX
 };
 #define RN_REPORT_PROBLEMS_MAX 1000
+#define RN_REPORT_CHOICES_MAX 8
 extern const struct rn_table rn_dataset_report_table;
 
 // What a `validate` job results in: the report, and each view as it would be kept.

@@ -41,14 +41,64 @@ struct rn_bounds_record rn_describe_bounds(const struct rn_bounds *bounds) {
         .source = (int)bounds->source};
 }
 
-enum rn_status rn_dataset_report_fill(const struct rn_dataset *dataset,
-                                      const struct rn_problems *problems,
-                                      const struct rn_findings *survey,
-                                      struct rn_dataset_report_record *ret_report,
-                                      struct rn_error *err) {
+// ---- what other options would give ----
+
+#define LEAST_SIDE 400 // pixels of the longest side that are suggested at least
+#define SUGGESTED_SCALES 4
+#define SUGGESTED_SPLIT 8
+
+static void add_choice(const struct rn_dataset *dataset, struct rn_import_options options,
+                       struct rn_dataset_report_record *report) {
+    if (report->choice_count == RN_REPORT_CHOICES_MAX) return;
+    struct rn_training_cost cost = rn_training_cost(dataset, &options);
+    struct rn_import_choice *choice = &report->choices[report->choice_count++];
+    *choice =
+        (struct rn_import_choice){.max_size = options.max_size > 0 ? options.max_size : RN_ABSENT,
+                                  .scales = options.scales > 1 ? options.scales : RN_ABSENT,
+                                  .views = split_counts(cost.views),
+                                  .width = cost.width,
+                                  .height = cost.height,
+                                  .train_scale = cost.reduced,
+                                  .memory_bytes = cost.bytes,
+                                  .load_seconds = cost.load_seconds,
+                                  .seconds = cost.seconds};
+    if (options.test_every > 0)
+        snprintf(choice->split, sizeof choice->split, "every:%d", options.test_every);
+}
+
+// What is asked for first; then with a test split, smaller, and at several scales.
+static enum rn_status fill_choices(const struct rn_dataset *dataset,
+                                   const struct rn_import_options *kept,
+                                   struct rn_dataset_report_record *report, struct rn_error *err) {
+    report->choices = calloc(RN_REPORT_CHOICES_MAX, sizeof *report->choices);
+    if (!report->choices) return rn_error_set(err, RN_ERROR_NO_MEMORY, "report", "memory ran out");
+    const struct rn_import_options asked = rn_import_settle(dataset, kept, NULL);
+    add_choice(dataset, asked, report);
+    int64_t width = report->choices[0].width, height = report->choices[0].height;
+    struct rn_import_options other = asked;
+    other.test_every = SUGGESTED_SPLIT;
+    if (!asked.test_every && report->choices[0].views.test == 0) add_choice(dataset, other, report);
+    other = asked;
+    other.max_size = (int)(width > height ? width : height);
+    while ((other.max_size /= 2) >= LEAST_SIDE)
+        add_choice(dataset, other, report);
+    other = asked;
+    other.scales = SUGGESTED_SCALES;
+    if (asked.scales == 1 && dataset->scale_count == 1) add_choice(dataset, other, report);
+    return RN_OK;
+}
+
+enum rn_status
+rn_dataset_report_fill(const struct rn_dataset *dataset, const struct rn_problems *problems,
+                       const struct rn_findings *survey, const struct rn_import_options *kept,
+                       struct rn_dataset_report_record *ret_report, struct rn_error *err) {
     struct rn_dataset_report found;
     enum rn_status status = rn_report_problems_fill(problems, ret_report, err);
     if (status != RN_OK) return status;
+    if (kept && (status = fill_choices(dataset, kept, ret_report, err)) != RN_OK) {
+        rn_message_finish(&rn_dataset_report_table, ret_report);
+        return status;
+    }
     rn_dataset_describe(dataset, &found);
     if (survey) {
         ret_report->survey = *survey;

@@ -5,13 +5,15 @@
 #include "common/dataset/dataset.h"
 #include "proto/dataset.h"
 
-// Fills *ret_report from what was read, the problems on the way, and a survey (optional). The
+// Fills *ret_report from what was read, the problems on the way, a survey (optional), and, before
+// an import, what it would keep by `kept` and by some other options (NULL: nothing of these). The
 // caller finishes it with rn_message_finish(&rn_dataset_report_table). At most
 // RN_REPORT_PROBLEMS_MAX problems are listed; `dropped` counts the others. RN_ERROR_NO_MEMORY
 // (nothing to finish then).
 enum rn_status rn_dataset_report_fill(const struct rn_dataset *dataset,
                                       const struct rn_problems *problems,
                                       const struct rn_findings *survey,
+                                      const struct rn_import_options *kept,
                                       struct rn_dataset_report_record *ret_report,
                                       struct rn_error *err) RN_MUST_CHECK;
 

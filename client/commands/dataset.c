@@ -72,6 +72,7 @@ static void print_report(const char *folder, const struct rn_dataset *dataset,
     printf("footprint   %.3g to %.3g at the centre\n", report->footprint.min,
            report->footprint.max);
     rn_print_expected(&report->expected);
+    rn_print_choices(report->choices, report->choice_count);
     printf("bounds      centre (%g, %g, %g), radius %g, %s\n\n", bounds->centre[0],
            bounds->centre[1], bounds->centre[2], bounds->radius,
            rn_bounds_source_titles[bounds->source]);
@@ -139,7 +140,7 @@ static enum rn_exit examine(const char *folder, const struct rn_read_options *op
     *ret_dataset = read_dataset(folder, options, kept, json, &problems, &found);
     bool failed = problems.errors > 0, worth_saying = failed || problems.warnings > 0;
     enum rn_status status =
-        *ret_dataset ? rn_dataset_report_fill(*ret_dataset, &problems, &found, &report, &err)
+        *ret_dataset ? rn_dataset_report_fill(*ret_dataset, &problems, &found, kept, &report, &err)
                      : rn_report_problems_fill(&problems, &report, &err);
     rn_problems_finish(&problems);
     if (status != RN_OK) return rn_client_fail(&err);

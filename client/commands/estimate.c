@@ -6,6 +6,7 @@
 
 #include "client/follow.h"
 #include "client/progress.h"
+#include "client/table.h"
 #include "common/settings/train.h"
 #include "proto/job.h"
 
@@ -22,6 +23,43 @@ void rn_print_expected(const struct rn_expected *expected) {
     print_takes(expected->seconds, expected->memory_bytes);
     printf(" by formula; draft %g s, or as long as you like (--max-time)\n",
            rn_settings_find(&rn_train_settings, "max_seconds")->draft);
+}
+
+// As they are given to import; "-" where the files stay as they are.
+static void write_options(const struct rn_import_choice *choice, char *text, size_t capacity) {
+    size_t used = 0;
+    text[0] = '\0';
+    if (choice->max_size != RN_ABSENT)
+        used += (size_t)snprintf(text, capacity, " --max-size %lld", (long long)choice->max_size);
+    if (*choice->split)
+        used += (size_t)snprintf(text + used, capacity - used, " --split %s", choice->split);
+    if (choice->scales != RN_ABSENT)
+        used += (size_t)snprintf(text + used, capacity - used, " --scales %lld",
+                                 (long long)choice->scales);
+    if (!used) snprintf(text, capacity, " -");
+}
+
+void rn_print_choices(const struct rn_import_choice *choices, size_t count) {
+    struct rn_text_table table;
+    struct rn_error err;
+    if (!count) return;
+    rn_text_table_init(&table,
+                       "options|>train|>test|>pixels|>trained at|>memory|>loading, training");
+    for (size_t i = 0; i < count; i++) {
+        const struct rn_import_choice *c = &choices[i];
+        char options[80], memory[24], load[24], train[24];
+        write_options(c, options, sizeof options);
+        rn_format_bytes(c->memory_bytes, memory, sizeof memory);
+        rn_format_seconds(c->load_seconds, load, sizeof load);
+        rn_format_seconds(c->seconds, train, sizeof train);
+        rn_text_table_row(&table, "%s|%lld|%lld|%lldx%lld|1/%lld|%s|%s, %s", options + 1,
+                          (long long)c->views.train, (long long)c->views.test, (long long)c->width,
+                          (long long)c->height, (long long)c->train_scale, memory, load, train);
+    }
+    putchar('\n');
+    if (rn_text_table_print(&table, &err) != RN_OK) rn_client_fail(&err);
+    putchar('\n');
+    rn_text_table_finish(&table);
 }
 
 void rn_print_past(const struct rn_expected_past *past) {

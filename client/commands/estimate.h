@@ -10,6 +10,8 @@ enum rn_exit rn_wait_for_estimate(struct rn_client *client, const char *job);
 
 // A line: what `standard` takes by formula.
 void rn_print_expected(const struct rn_expected *expected);
+// A table: what an import by some options would keep, and what `standard` takes of that.
+void rn_print_choices(const struct rn_import_choice *choices, size_t count);
 // A line, where any training has ended in the daemon: what `standard` takes by those.
 void rn_print_past(const struct rn_expected_past *past);
 

@@ -22,12 +22,12 @@ struct rn_frame {
     char *mask_path; // a picture of the same size whose black pixels are left out of the loss; NULL
                      // where there is none
     enum rn_split split;
-    int index;          // zero-based among the views of its split, in the JSON's order; views
-                        // that were left out leave a gap
-    int scale;          // 0 = full size, j = downsampled 2^j times
-    double loss_weight; // area weight of a pixel's loss: 4^scale (1 on single-scale data)
-    bool has_alpha;     // by the file's header
-    int held;           // how the camera was held, by the file's EXIF: 1 upright, to 8
+    int index;           // zero-based among the views of its split, in the JSON's order; views
+                         // that were left out leave a gap
+    int scale;           // 0 = full size, j = downsampled 2^j times
+    double loss_weight;  // area weight of a pixel's loss: 4^scale (1 on single-scale data)
+    bool has_alpha;      // by the file's header
+    int held;            // how the camera was held, by the file's EXIF: 1 upright, to 8
     uint32_t camera_key; // of struct rn_image_info: which camera it was; 0: not said
     int turn;         // the EXIF orientation that is undone when the file is decoded; 0 and 1: none
     double gain[3];   // how bright its stored values are against the other photographs', by

@@ -23,8 +23,6 @@
 #define OFF_PX 2.0        // mean reprojection error of a photograph that is worth a word
 #define GAP_DEG 60        // without a photograph of what is turned around
 #define NAMES 8           // told
-#define FIELD_BYTES 330e6 // memory of a training with `standard` beside its photographs
-#define PIXEL_BYTES 4.0
 
 struct look {
     enum rn_split split; // of the frame, by which, with the next two, it is known again
@@ -396,18 +394,6 @@ static void find_reprojection(struct all *all) {
     free(means);
 }
 
-static void find_cost(struct all *all, const struct rn_import_options *kept) {
-    double pixels = 0;
-    struct rn_import_options as = rn_import_settle(all->dataset, kept, NULL);
-    for (size_t i = 0; i < all->dataset->frame_count; i++)
-        for (int level = 0; level < as.scales; level++) {
-            struct rn_frame frame = rn_import_place(&all->dataset->frames[i], &as, level);
-            if (frame.split == RN_SPLIT_TRAIN)
-                pixels += (double)frame.camera.width * frame.camera.height;
-        }
-    all->found.train_bytes = FIELD_BYTES + fmin(PIXEL_BYTES * pixels, RN_SURVEY_PIXELS_BYTES);
-}
-
 static bool gather(struct rn_survey *survey, struct all *all) {
     const struct rn_dataset *dataset = all->dataset;
     all->looks = malloc((dataset->frame_count + 1) * sizeof *all->looks);
@@ -447,7 +433,7 @@ enum rn_status rn_survey_conclude(struct rn_survey *survey, struct rn_dataset *d
         find_exposure(&all, survey, dataset);
         find_effects(&all);
         find_reprojection(&all);
-        find_cost(&all, kept);
+        all.found.train_bytes = rn_training_cost(dataset, kept).bytes;
         *ret_findings = all.found;
     }
     free(all.looks);

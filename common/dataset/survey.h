@@ -22,8 +22,19 @@ struct rn_findings {
     double train_bytes;           // memory of a training with `standard`
 };
 
-// Photographs that `standard` holds in memory at most (its pixel_memory); the others lie on disk.
-#define RN_SURVEY_PIXELS_BYTES (1024.0 * 1048576)
+// What a training with `standard` takes of a capture as an import would keep it: by the preset and
+// a formula of the photographs' pixels.
+struct rn_training_cost {
+    int views[RN_SPLIT_COUNT];
+    int width, height;   // of the largest photograph that is kept
+    int scales;          // that are kept of each
+    int reduced;         // times that it makes photographs smaller to train on them
+    double bytes;        // of memory
+    double load_seconds; // CPU time before its first step, about
+    double seconds;      // from that on
+};
+struct rn_training_cost rn_training_cost(const struct rn_dataset *dataset,
+                                         const struct rn_import_options *kept);
 
 // For the frames of a dataset, which must outlive it. RN_ERROR_NO_MEMORY.
 enum rn_status rn_survey_create(const struct rn_dataset *dataset, struct rn_survey **ret_survey,

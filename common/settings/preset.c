@@ -56,6 +56,17 @@ void rn_train_config_suit_time(struct rn_train_config *config) {
                               config);
 }
 
+#define LEAST_SIDE 480 // pixels of the longest side that are left at least
+#define LARGEST 16     // times smaller, at most
+
+int rn_train_scale_by_time(double megapixels, int longest_side, double seconds) {
+    int scale = 1;
+    while (seconds > 0 && scale < LARGEST && longest_side / (2 * scale) >= LEAST_SIDE &&
+           megapixels / (scale * scale) > RN_TRAIN_MEGAPIXELS * seconds)
+        scale *= 2;
+    return scale;
+}
+
 // Planes of `base` texels a side: where the preset's grow, from an eighth of that.
 static void set_base(struct rn_train_config *config, int base) {
     bool grows = config->grow_to > 0 && base % 8 == 0 && base >= 128;

@@ -95,7 +95,7 @@ struct rn_train_config {
     bool supersample;    // pixels wider than those trained on are rendered as several of these
     uint64_t seed;
     int train_scale;  // times that photographs are made smaller to be trained on, a power of two;
-                      // 0: by the time given (effects/downscaling.c)
+                      // 0: by the time given (rn_train_scale_by_time)
     int pixel_memory; // MiB: photographs that take more lie on disk, where the engine has a place
     bool train_val;   // train on train+val
     bool train_held_out;      // also on the views by which progress is measured
@@ -133,6 +133,12 @@ enum rn_status rn_preset(const char *name, bool multi_scale, struct rn_train_con
                          struct rn_error *err) RN_MUST_CHECK;
 // After a change of max_seconds: what the preset makes of the time.
 void rn_train_config_suit_time(struct rn_train_config *config);
+// Times, a power of two, that photographs of so many megapixels in all, the largest of so many
+// pixels a side, are made smaller for a training of so many seconds (effects/downscaling.c). 1
+// without a limit, of 0 seconds.
+int rn_train_scale_by_time(double megapixels, int longest_side, double seconds);
+// Training megapixels for each second, at most: chosen by hand, scales were not compared.
+#define RN_TRAIN_MEGAPIXELS 0.5
 // What a request asks for, onto a preset: a limit of its own takes the place of the preset's, and
 // what follows from the time or from a base grid that grows is settled. Until its plateau, and
 // without a limit of its own, a training may take ten times as long as the preset's.

@@ -311,10 +311,10 @@ def test_validate_needs_no_daemon_and_reports(client, folder, daemon):
     report = client.json("validate", folder)
     contract.check("DatasetReport", report)
     assert report["usable"] == {"train": 3, "val": 3, "test": 3} and report["errors"] == 0
-    assert report["expected"] == {"seconds": 60, "memory_bytes": report["survey"]["train_bytes"]}
+    assert report["expected"] == {"seconds": 60, "memory_bytes": report["choices"][0]["memory_bytes"]}
     told = client.run("validate", folder).stdout
-    assert "usable" in told and "standard: 60.0 s and" in told and "of memory by formula; draft 15 s" in told
-    assert not daemon.requests
+    assert "trained at" in told and "--scales 4" in told and "usable" in told
+    assert "standard: 60.0 s and" in told and "of memory by formula; draft 15 s" in told and not daemon.requests
 
 
 def test_validate_names_file_and_field(client, folder):

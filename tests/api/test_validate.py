@@ -81,6 +81,26 @@ def test_the_effect_of_options_is_told(real, tmp_path):
     assert real.get(f"/v1/uploads/{there}").status == 200
 
 
+def test_what_other_options_would_give_is_told(real, tmp_path):
+    folder = write_dataset(tmp_path / "untested", train=9, val=2, test=0)
+    there = upload(real, heads(folder))
+    as_is, split, scales = validate(real, there)["report"]["choices"]
+    assert as_is["views"] == {"train": 9, "val": 2, "test": 0} and "split" not in as_is
+    assert split["split"] == "every:8" and split["views"] == {"train": 7, "val": 2, "test": 2}
+    assert scales["scales"] == 4 and scales["memory_bytes"] > as_is["memory_bytes"]
+    asked = validate(real, there, split="every:3", max_size=8)["report"]
+    assert [(c["max_size"], c["split"], c["width"]) for c in asked["choices"]] == [
+        (8, "every:3", 8)] * 2  # as asked, and at several scales
+    for choice in asked["choices"]:
+        told = validate(real, there, **{key: choice[key] for key in ("max_size", "split", "scales")
+                                        if key in choice})
+        assert told["views"] == choice["views"]
+        assert told["report"]["expected"]["memory_bytes"] == choice["memory_bytes"]
+    imported = real.wait(real.upload("data", folder))
+    kept = real.get(f"/v1/datasets/{imported['result']['dataset']}").json
+    assert "choices" not in kept["report"]
+
+
 def test_what_is_wrong_is_told(real, photographs):
     def cut(name, content):
         return b"[" if name.endswith("train.json") else content

@@ -96,6 +96,20 @@ def test_what_an_import_would_keep_is_shown_before_it_is_sent(page, fake, folder
     assert page.complaints() == []
 
 
+def test_what_other_options_would_give_is_told_and_can_be_taken(page, fake, folder):
+    api = fake("empty")
+    choose(page, api, folder)
+    rows = page.until(lambda: page.all(".preview .choices tbody tr"), "what options would give")
+    assert [row.text.split("\n")[0] for row in rows][0].startswith("as the files are")
+    assert "longest side 400 px" in rows[1].text and "376 MiB" in rows[1].text
+    page.press("Take longest side 400 px")
+    page.says("400 × 400 px", ".preview .facts")
+    page.press("Take test: every 8th view, 4 scales")
+    page.says("20 × 20 px, 4 scales", ".preview .facts")
+    page.says("1 test", ".preview .facts")
+    assert page.complaints() == []
+
+
 def test_what_cannot_be_read_is_told_before_it_is_sent(page, fake, folder):
     api = fake("empty")
     api.world.fails["validate"] = {

@@ -42,7 +42,7 @@ LAYERS = {
     "common/math": ("common/base",),
     "common/settings": ("common/base", "common/math"),
     "common/image": ("common/base", "common/math"),
-    "common/dataset": ("common/base", "common/math", "common/image"),
+    "common/dataset": ("common/base", "common/math", "common/settings", "common/image"),
     "common/path": ("common/base", "common/math", "common/settings", "common/dataset"),
     "common/path/formats": ("common/base", "common/math", "common/settings", "common/dataset",
                             "common/path"),

@@ -7,10 +7,6 @@
 
 #include "server/engine/effects/effects.h"
 
-// Training megapixels for each second, at most: chosen by hand, scales were not compared.
-#define MOST 0.5
-#define LEAST_SIDE 480 // pixels of the longest side that are left at least
-#define LARGEST 16     // times smaller, at most
 // Of two cores that train a place: how steps are counted as seconds, so that a training by steps
 // has the same bytes everywhere.
 #define SAMPLES_A_SECOND 3.6e6
@@ -45,11 +41,8 @@ static double time_of(const struct rn_train_config *config) {
 }
 
 static int suit(const struct photographs *p, double seconds) {
-    int scale = 1, side = p->width > p->height ? p->width : p->height;
-    while (seconds > 0 && scale < LARGEST && side / (2 * scale) >= LEAST_SIDE &&
-           p->megapixels / (scale * scale) > MOST * seconds)
-        scale *= 2;
-    return scale;
+    int side = p->width > p->height ? p->width : p->height;
+    return rn_train_scale_by_time(p->megapixels, side, seconds);
 }
 
 int rn_effect_scale(const struct rn_dataset *dataset, const struct rn_train_config *config) {
@@ -71,7 +64,7 @@ static void prepare(const struct rn_dataset *dataset, struct rn_train_config *co
     (void)bounds;
     config->train_scale = rn_effect_scale(dataset, config);
     r->number = seconds > 0 ? p.megapixels / seconds : NAN;
-    r->threshold = MOST;
+    r->threshold = RN_TRAIN_MEGAPIXELS;
     r->on = config->train_scale > 1;
     if (seconds > 0) snprintf(time, sizeof time, "%.3g s", seconds);
     int length =

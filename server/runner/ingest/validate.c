@@ -72,7 +72,7 @@ enum rn_status rn_describe_validation(struct rn_dataset *source, const char *roo
         record.items ? RN_OK
                      : rn_error_set(err, RN_ERROR_NO_MEMORY, root, "no memory for its views");
     if (!status) status = survey(source, &chosen, problems, &found, err);
-    if (!status) status = rn_describe_report(source, root, problems, &found, &record.report, err);
+    if (!status) status = rn_describe_report(source, root, problems, &found, options, &record.report, err);
     if (!status) list_views(source, root, &chosen, &record);
     if (!status) status = rn_encode(&rn_validation_table, &record, ret_json, NULL, err);
     free(record.report);

@@ -149,10 +149,11 @@ void rn_make_relative(char *text, const char *root) {
 
 enum rn_status rn_describe_report(const struct rn_dataset *source, const char *root,
                                   const struct rn_problems *problems,
-                                  const struct rn_findings *survey, char **ret_json,
+                                  const struct rn_findings *survey,
+                                  const struct rn_import_options *kept, char **ret_json,
                                   struct rn_error *err) {
     struct rn_dataset_report_record report;
-    enum rn_status status = rn_dataset_report_fill(source, problems, survey, &report, err);
+    enum rn_status status = rn_dataset_report_fill(source, problems, survey, kept, &report, err);
     if (status) return status;
     for (size_t i = 0; i < report.problem_count; i++) {
         rn_make_relative(report.problems[i].where, root);
@@ -187,7 +188,8 @@ enum rn_status rn_describe_dataset(const struct rn_dataset *dataset, int64_t siz
         .size_bytes = size_bytes,
         .premultiplied = dataset->premultiplied_scales,
     };
-    enum rn_status status = rn_describe_report(source, root, problems, survey, &record.report, err);
+    enum rn_status status =
+        rn_describe_report(source, root, problems, survey, NULL, &record.report, err);
     if (!status) status = rn_encode(&rn_dataset_contents_table, &record, ret_json, NULL, err);
     free(record.report);
     return status;

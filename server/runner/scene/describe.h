@@ -18,10 +18,11 @@ enum rn_status rn_describe_dataset(const struct rn_dataset *dataset, int64_t siz
                                    const struct rn_problems *problems,
                                    const struct rn_findings *survey, char **ret_json,
                                    struct rn_error *err) RN_MUST_CHECK;
-// JSON of rn_dataset_report_table: of `source`, as above.
+// JSON of rn_dataset_report_table: of `source`, as above; `kept` as of rn_dataset_report_fill.
 enum rn_status rn_describe_report(const struct rn_dataset *source, const char *root,
                                   const struct rn_problems *problems,
-                                  const struct rn_findings *survey, char **ret_json,
+                                  const struct rn_findings *survey,
+                                  const struct rn_import_options *kept, char **ret_json,
                                   struct rn_error *err) RN_MUST_CHECK;
 // The engine's part of the progress; paused, yielded and evaluating_first are the caller's.
 struct rn_train_progress rn_describe_progress(const struct rn_progress *progress,

@@ -132,21 +132,34 @@ START_TEST(nothing_is_wrong) {
 }
 END_TEST
 
-// Photographs of any number and size train in so much memory.
-START_TEST(memory_is_bounded) {
+// What an import by `kept` costs to train on: photographs of one scale are made smaller where there
+// are more pixels than the time has rays for, and of several, more than may lie in memory are on disk.
+START_TEST(cost) {
     const struct rn_setting *most = rn_settings_find(&rn_train_settings, "pixel_memory");
-    ck_assert_double_eq(most->standard * 1048576, RN_SURVEY_PIXELS_BYTES);
     put_ring();
     put_photos();
     survey();
-    double small = found.train_bytes - 4 * VIEWS * SIZE * SIZE;
     for (size_t i = 0; i < dataset->frame_count; i++)
-        dataset->frames[i].camera.width = dataset->frames[i].camera.height = 16384;
-    struct rn_survey *survey = NULL; // of sizes alone
-    ck_assert_int_eq(rn_survey_create(dataset, &survey, &err), RN_OK);
-    ck_assert_int_eq(rn_survey_conclude(survey, dataset, &as_is, &problems, &found, &err), RN_OK);
-    rn_survey_destroy(&survey);
-    ck_assert_double_eq_tol(found.train_bytes, small + RN_SURVEY_PIXELS_BYTES, 1);
+        dataset->frames[i].camera.width = dataset->frames[i].camera.height = 8192;
+    double pixels = VIEWS * 8192.0 * 8192, field = 330e6;
+    struct rn_training_cost whole = rn_training_cost(dataset, &as_is);
+    ck_assert_int_eq(whole.views[RN_SPLIT_TRAIN], VIEWS);
+    ck_assert_int_eq(whole.views[RN_SPLIT_TEST], 0);
+    ck_assert(whole.width == 8192 && whole.height == 8192 && whole.scales == 1);
+    ck_assert_int_eq(whole.reduced, 8); // to 25 megapixels for 60 s
+    ck_assert_double_eq_tol(whole.bytes, field + 4 * pixels / 64, 1);
+    ck_assert_double_gt(whole.load_seconds, 1);
+    ck_assert_double_eq(whole.seconds, 60);
+    struct rn_import_options kept = {.scales = 2, .test_every = 4};
+    struct rn_training_cost scales = rn_training_cost(dataset, &kept);
+    ck_assert_int_eq(scales.views[RN_SPLIT_TEST], VIEWS / 4);
+    ck_assert(scales.reduced == 1 && scales.scales == 2);
+    ck_assert_double_eq_tol(scales.bytes, field + most->standard * 1048576, 1);
+    kept = (struct rn_import_options){.scales = 1, .max_size = 512};
+    struct rn_training_cost small = rn_training_cost(dataset, &kept);
+    ck_assert(small.width == 512 && small.reduced == 1);
+    ck_assert_double_eq_tol(small.bytes, field + 4.0 * VIEWS * 512 * 512, 1);
+    ck_assert_double_eq_tol(small.load_seconds, whole.load_seconds / 256, 1e-6);
 }
 END_TEST
 
@@ -314,7 +327,7 @@ int main(void) {
     TCase *tests = tcase_create("survey");
     tcase_add_checked_fixture(tests, setup, teardown);
     tcase_add_test(tests, nothing_is_wrong);
-    tcase_add_test(tests, memory_is_bounded);
+    tcase_add_test(tests, cost);
     tcase_add_test(tests, blur);
     tcase_add_loop_test(tests, cameras_that_are_soft, 0, 4);
     tcase_add_loop_test(tests, duplicates, 0, 2);

@@ -3,8 +3,8 @@
 import {api} from '../api.js';
 import {fill, h} from '../dom.js';
 import {find, isActive, putJob, state, watch} from '../store.js';
-import {bytes, plural} from '../format.js';
-import {facts, meter, recordedProblem} from '../ui.js';
+import {bytes, plural, seconds} from '../format.js';
+import {facts, meter, recordedProblem, scroller} from '../ui.js';
 import {sendInParts} from '../sending.js';
 import {tarOf} from '../tar.js';
 import {cameraPlot, SPLIT_COLOURS} from './cloud.js';
@@ -61,7 +61,40 @@ function thumbnail(item, files) {
 const swatch = (split) =>
     h('span', {class: 'split-mark', 'aria-hidden': 'true', 'data-split': split});
 
-function found(validation, files, signal) {
+const optionWords = ({max_size: size, split, scales}) =>
+    [size && `longest side ${size} px`, split && `test: every ${split.split(':')[1]}th view`,
+     scales && `${scales} scales`]
+        .filter(Boolean)
+        .join(', ') ||
+    'as the files are';
+
+/** What an import by other options would keep, and what training takes of that; each can be taken. */
+function choices(offered, take) {
+  const heads = ['Options', 'Train', 'Test', 'Pixels', 'Trained at', 'Memory', 'Loading, training', ''];
+  const row = (choice, i) => h(
+      'tr', null, h('th', {scope: 'row'}, optionWords(choice)), h('td', null, `${choice.views.train}`),
+      h('td', null, `${choice.views.test}`), h('td', null, `${choice.width} × ${choice.height}`),
+      h('td', null, choice.train_scale > 1 ? `1/${choice.train_scale}` : 'full size'),
+      h('td', null, bytes(choice.memory_bytes)),
+      h('td', null, `${seconds(choice.load_seconds)}, ${seconds(choice.seconds)}`),
+      h('td', null,
+        i ? h('button', {
+          type: 'button',
+          class: 'small',
+          'aria-label': `Take ${optionWords(choice)}`,
+          onclick: () => take(choice)
+        },
+              'Take') :
+            'chosen'));
+  const words = 'What import options would give, training with standard, by formula';
+  return scroller(
+      words, null,
+      h('table', {class: 'table choices'}, h('caption', null, words),
+        h('thead', null, h('tr', null, heads.map((t) => h('th', {scope: 'col'}, t)))),
+        h('tbody', null, offered.map(row))));
+}
+
+function found(validation, files, take, signal) {
   const {views, items, bounds, scales} = validation;
   const masked = items.filter((item) => item.mask).length;
   const splits = Object.keys(SPLIT_COLOURS).filter((split) => views[split]);
@@ -81,18 +114,19 @@ function found(validation, files, signal) {
     ]),
     items.length ? plot.node : null,
     h('div', {class: 'photos'}, some(items, THUMBS).map((item) => thumbnail(item, files))),
+    validation.report.choices ? choices(validation.report.choices, take) : null,
     report(validation.report)
   ];
 }
 
 /**
  * @param {{entries: {path: string, file: File}[], poses?: string}} plan
- * @param {{values: () => any, node: HTMLElement, onFault: (error: Error|null) => void}} options of
+ * @param {{values: () => any, take: (choice: any) => void, node: HTMLElement, onFault: (error: Error|null) => void}} options of
  *     the import; a change of them is looked at anew
  * @param {AbortSignal} signal
  * @returns {{node: HTMLElement}} empty where there is nothing to read before
  */
-export function createPreview(plan, {values, node: form, onFault}, signal) {
+export function createPreview(plan, {values, take, node: form, onFault}, signal) {
   const node = h('div', {class: 'preview', role: 'status'});
   const files = new Map(plan.entries.map(({path, file}) => [path, file]));
   const heads = plan.entries.map(headOf);
@@ -127,7 +161,7 @@ export function createPreview(plan, {values, node: form, onFault}, signal) {
     if (key === shown) return;
     shown = key;
     if (isActive(job)) return bar.set(null, 'reading documents and image headers');
-    if (job.result) return fill(node, found(job.result, files, signal));
+    if (job.result) return fill(node, found(job.result, files, take, signal));
     fill(node, job.problem ? recordedProblem(job.problem) : null);
   };
   if (plan.poses) return {node};

@@ -159,7 +159,14 @@ function importOptions() {
       'details', null, h('summary', null, 'Import options'),
       h('div', {class: 'form-grid'}, size.node, scales.node, split.node, bounds.node,
           up.node, crop.node, format.node, masks.node, alpha.node));
-  return {node, values, fields: [size, scales, alpha, split, bounds, up, crop, format, masks]};
+  /** What a row of the report's choices says; told as a change by hand is. */
+  const take = (choice) => {
+    size.control.value = choice.max_size ?? '';
+    scales.control.value = choice.scales ?? '';
+    split.control.value = choice.split?.split(':')[1] ?? '';
+    node.dispatchEvent(new Event('change'));
+  };
+  return {node, values, take, fields: [size, scales, alpha, split, bounds, up, crop, format, masks]};
 }
 
 function planForm(plan, {back, follow, signal}) {
