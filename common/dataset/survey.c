@@ -12,17 +12,17 @@
 #include "common/math/numbers.h"
 #include "common/math/vector.h"
 
-#define SIDE 960          // pixels, about: the longest side at which sharpness is looked at
-#define THUMB 16          // a side of the picture by which photographs are compared
-#define NEIGHBOURS 4      // before, and after, with which a photograph's sharpness is compared
-#define BLURRED 0.35      // of their median: a photograph that moved or is out of focus
-#define SAME 2.0          // mean difference of thumbnails, of 255, of photographs of the same thing
-#define NEAR 0.002        // of the cameras' median distance: the same place
-#define NEAR_DEG 0.3      // the same direction
-#define REACH 64          // photographs of like brightness, or before and after, that are compared
-#define OFF_PX 2.0        // mean reprojection error of a photograph that is worth a word
-#define GAP_DEG 60        // without a photograph of what is turned around
-#define NAMES 8           // told
+#define SIDE 960     // pixels, about: the longest side at which sharpness is looked at
+#define THUMB 16     // a side of the picture by which photographs are compared
+#define NEIGHBOURS 4 // before, and after, with which a photograph's sharpness is compared
+#define BLURRED 0.35 // of their median: a photograph that moved or is out of focus
+#define SAME 2.0     // mean difference of thumbnails, of 255, of photographs of the same thing
+#define NEAR 0.002   // of the cameras' median distance: the same place
+#define NEAR_DEG 0.3 // the same direction
+#define REACH 64     // photographs of like brightness, or before and after, that are compared
+#define OFF_PX 2.0   // mean reprojection error of a photograph that is worth a word
+#define GAP_DEG 60   // without a photograph of what is turned around
+#define NAMES 8      // told
 
 struct look {
     enum rn_split split; // of the frame, by which, with the next two, it is known again
@@ -132,13 +132,13 @@ void rn_survey_look(struct rn_survey *survey, const struct rn_frame *frame,
 
 // ---- all of them ----
 
-// What is concluded from: a look for each frame of full size, in order.
+// What is concluded from: a look, if there was one, for each frame of full size, in order.
 struct all {
     const struct rn_dataset *dataset;
     const struct look **looks;
     const struct rn_frame **frames;
     size_t count;
-    bool looked; // else all is by cameras alone
+    bool looked; // at some; else all is by cameras alone
     bool named;  // some say by which camera they were taken
     struct rn_problems *problems;
     struct rn_findings found;
@@ -174,7 +174,7 @@ static size_t near_sharpness(const struct all *all, size_t i, int side, double *
     for (int step = 0; step < REACH && count < NEIGHBOURS; step++) {
         k += (size_t)side; // wraps below the first one
         if (k >= all->count) break;
-        if (same_camera(all, all->frames[i], all->frames[k]))
+        if (all->looks[k]->seen && same_camera(all, all->frames[i], all->frames[k]))
             ret_sharpness[count++] = (double)all->looks[k]->sharpness;
     }
     return count;
@@ -186,7 +186,7 @@ static void find_blurred(struct all *all) {
     size_t alone = 0;
     for (size_t i = 0; i < all->count; i++) {
         double near[2 * NEIGHBOURS];
-        if (all->frames[i]->has_alpha) continue; // what is cut out varies
+        if (!all->looks[i]->seen || all->frames[i]->has_alpha) continue; // what is cut out varies
         size_t count = near_sharpness(all, i, -1, near);
         count += near_sharpness(all, i, 1, near + count);
         alone += count < NEIGHBOURS;
@@ -202,10 +202,11 @@ static void find_blurred(struct all *all) {
                         "same camera took before and after them: %s",
                         names.count, 100 * BLURRED, names.text);
     if (alone && all->count > NEIGHBOURS)
-        rn_problems_add(all->problems, RN_SEVERITY_INFO, all->dataset->name,
-                        "whether %zu of the photographs are sharp is not judged: fewer than %d near "
-                        "each are of its camera, by size and EXIF",
-                        alone, NEIGHBOURS);
+        rn_problems_add(
+            all->problems, RN_SEVERITY_INFO, all->dataset->name,
+            "whether %zu of the photographs are sharp is not judged: fewer than %d near "
+            "each are of its camera, by size and EXIF",
+            alone, NEIGHBOURS);
 }
 
 static double centre_distance(const struct rn_camera *a, const struct rn_camera *b) {
@@ -239,12 +240,12 @@ static int compare_brightness(const void *a, const void *b, void *context) {
 // Pairs are looked for among photographs of like brightness.
 static void find_duplicates(struct all *all, double distance) {
     struct names names = {.count = 0}, apart = {.count = 0};
-    size_t *order = malloc((all->count + 1) * sizeof *order);
+    size_t *order = malloc((all->count + 1) * sizeof *order), count = 0;
     for (size_t i = 0; order && i < all->count; i++)
-        order[i] = i;
-    if (order) qsort_r(order, all->count, sizeof *order, compare_brightness, all);
-    for (size_t i = 0; order && i < all->count; i++)
-        for (size_t k = i + 1; k < all->count && k < i + REACH; k++) {
+        if (all->looks[i]->seen) order[count++] = i;
+    if (order) qsort_r(order, count, sizeof *order, compare_brightness, all);
+    for (size_t i = 0; i < count; i++)
+        for (size_t k = i + 1; k < count && k < i + REACH; k++) {
             size_t a = order[i] < order[k] ? order[i] : order[k], b = order[i] + order[k] - a;
             if (all->looks[order[k]]->brightness - all->looks[order[i]]->brightness > (float)SAME)
                 break;
@@ -405,7 +406,7 @@ static bool gather(struct rn_survey *survey, struct all *all) {
         const struct look *look = &survey->looks[i];
         const struct rn_frame *frame =
             rn_dataset_frame(dataset, look->split, look->index, look->scale);
-        if (look->seen != all->looked || look->scale || !frame) continue;
+        if (look->scale || !frame) continue;
         all->named |= frame->camera_key != 0;
         all->looks[all->count] = look;
         all->frames[all->count++] = frame;

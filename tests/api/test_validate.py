@@ -1,14 +1,18 @@
 """A validation: what an import would keep, from documents and the beginnings of images."""
 
 import io
+import json
+import math
 import tarfile
 
 import pytest
+from PIL import Image, ImageFilter, ImageOps
 
+from support import captures
 from support.checked import Daemon
-from support.photographs import write_dataset
+from support.photographs import pose, write_dataset
 
-HEAD = 48  # bytes of a photograph that hold its size
+HEADS = {".png": 48, ".jpg": 1024}  # bytes of a photograph that hold its size
 
 
 @pytest.fixture(scope="module", name="real")
@@ -19,15 +23,27 @@ def fixture_real(build, programs, tmp_path_factory):
         yield daemon
 
 
-def heads(folder, spoil=None):
-    """A tar of the folder's documents and of its images' beginnings."""
+def small(path):
+    """A photograph as the page shrinks it: an upright JPEG."""
+    picture = io.BytesIO()
+    ImageOps.exif_transpose(Image.open(path)).convert("RGB").save(picture, "JPEG", quality=90)
+    return picture.getvalue()
+
+
+def heads(folder, spoil=None, looks=()):
+    """A tar of the folder's documents and of its images' beginnings, and of small pictures of some."""
     archive = io.BytesIO()
     with tarfile.open(fileobj=archive, mode="w", format=tarfile.USTAR_FORMAT) as tar:
         for path in sorted(p for p in folder.rglob("*") if p.is_file()):
             content = path.read_bytes()
-            content = content[:HEAD] if path.suffix == ".png" else content
+            content = content[:HEADS.get(path.suffix)]
             member = tarfile.TarInfo(str(path.relative_to(folder)))
             content = spoil(member.name, content) if spoil else content
+            member.size = len(content)
+            tar.addfile(member, io.BytesIO(content))
+        for path in looks:
+            content = small(folder / path)
+            member = tarfile.TarInfo(f"ripnerf-looks/{path}.jpg")
             member.size = len(content)
             tar.addfile(member, io.BytesIO(content))
     return archive.getvalue()
@@ -96,9 +112,64 @@ def test_what_other_options_would_give_is_told(real, tmp_path):
                                         if key in choice})
         assert told["views"] == choice["views"]
         assert told["report"]["expected"]["memory_bytes"] == choice["memory_bytes"]
-    imported = real.wait(real.upload("data", folder))
+    imported = real.wait(real.upload("chosen", folder))
     kept = real.get(f"/v1/datasets/{imported['result']['dataset']}").json
     assert "choices" not in kept["report"]
+
+
+def imported_survey(daemon, name, folder):
+    job = daemon.wait(daemon.upload(name, folder))
+    return daemon.get(f"/v1/datasets/{job['result']['dataset']}").json["report"]["survey"]
+
+
+def test_small_pictures_are_judged_as_photographs_are(real, tmp_path):
+    folder, frames, names = tmp_path / "ring", [], [f"r_{i}.png" for i in range(16)]
+    folder.mkdir()
+    for i, name in enumerate(names):
+        picture = Image.effect_noise((96, 96), 60).resize((192, 192), Image.Resampling.BICUBIC)
+        if i == 5:
+            picture = picture.filter(ImageFilter.GaussianBlur(4))
+        if i == 12:
+            picture = Image.open(folder / names[11])
+        picture.convert("RGB").save(folder / name)
+        frames.append({"file_path": name, "transform_matrix": pose(0.3 * (i - (i == 12)))})
+    (folder / "transforms_train.json").write_text(json.dumps({"camera_angle_x": 0.7, "frames": frames}))
+    found = validate(real, upload(real, heads(folder, looks=names)))["report"]
+    known = imported_survey(real, "ring", folder)
+    assert known["blurred"] == 1 and known["duplicates"] == 1
+    assert {key: found["survey"][key] for key in known} == known
+    told = " ".join(problem["text"] for problem in found["problems"])
+    assert "before and after them: r_5" in told and "r_11 and r_12" in told
+    some = validate(real, upload(real, heads(folder, looks=names[:8])))["report"]["survey"]
+    assert some["blurred"] == 1 and some["duplicates"] == 0
+    assert some["azimuth_gap_deg"] == known["azimuth_gap_deg"]  # of all cameras
+
+
+@pytest.mark.parametrize("orientation", range(1, 9))
+def test_small_pictures_of_photographs_that_lie_are_laid_down(real, tmp_path, orientation):
+    """A strip that shared points lie on differs from photograph to photograph, in whichever way EXIF
+    says that the camera was held: small pictures stand upright, the document's photographs do not."""
+    capture, folder = captures.make(), tmp_path / "lying"
+    for photograph in capture.photographs:
+        photograph.name = photograph.name.replace(".png", ".jpg")
+        photograph.size = (60, 30)
+    lens = (captures.PINHOLE, 60, 30, [50.0, 50.0, 30.0, 15.0])
+    capture.cameras = {1: lens, 2: lens}
+    capture.points = {i: (0.1 * math.sin(i), 0.1 * math.cos(i), 0.01 * i) for i in range(1, 41)}
+    capture.sightings = {i: list(capture.points) for i in range(captures.COUNT)}
+    captures.write_colmap_binary(capture, folder)
+    (folder / "images").mkdir()
+    exif = Image.Exif()
+    exif[0x0112] = orientation
+    for i, photograph in enumerate(capture.photographs):
+        picture = Image.new("RGB", photograph.size, (128, 128, 128))
+        picture.paste((60 + 40 * i,) * 3, (6, 9, 54, 16))  # points are in row 12, columns 10 to 49
+        picture.save(folder / photograph.name, quality=95, exif=exif)
+    looks = [photograph.name for photograph in capture.photographs]
+    found = validate(real, upload(real, heads(folder, looks=looks)))["report"]["survey"]
+    known = imported_survey(real, f"lying{orientation}", folder)
+    assert known["exposure_spread"] > 0.2
+    assert found["exposure_spread"] == pytest.approx(known["exposure_spread"], rel=0.1)
 
 
 def test_what_is_wrong_is_told(real, photographs):

@@ -1,11 +1,19 @@
-// From documents and image headers alone.
+// From documents, image headers and, where they are sent along, small pictures of the photographs.
 #include "server/runner/ingest/validate.h"
 
+#include <limits.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
+#include "common/dataset/output.h"
 #include "server/runner/scene/describe.h"
+
+#define LOOKS "ripnerf-looks" // the folder of small pictures: PATH.jpg of the photograph at PATH
+static const struct rn_image_limits look_limits = {.max_width = 2048,
+                                                   .max_height = 2048,
+                                                   .max_pixels = (size_t)1 << 22,
+                                                   .max_file_bytes = (size_t)1 << 23};
 
 static void under(const char *path, const char *root, char ret_file[256]) {
     char text[4096];
@@ -46,14 +54,46 @@ static void list_views(const struct rn_dataset *source, const char *root,
     }
 }
 
-// What cameras tell, without a look at any picture.
-static enum rn_status survey(struct rn_dataset *source, const struct rn_import_options *options,
-                             struct rn_problems *problems, struct rn_findings *ret_found,
-                             struct rn_error *err) {
-    struct rn_survey *survey = NULL;
-    enum rn_status status = rn_survey_create(source, &survey, err);
-    if (!status) status = rn_survey_conclude(survey, source, options, problems, ret_found, err);
-    rn_survey_destroy(&survey);
+struct looks {
+    const struct rn_dataset *source;
+    const char *root;
+    struct rn_survey *survey;
+};
+
+// A small picture stands upright, as EXIF has it; photographs are looked at as they are decoded.
+static enum rn_status lay_down(const struct rn_frame *frame, struct rn_image *image,
+                               struct rn_error *err) {
+    static const int back[] = {1, 1, 2, 3, 4, 5, 8, 7, 6};
+    bool lies = frame->turn <= 1 && frame->held >= 2 && frame->held <= 8;
+    return lies ? rn_image_turn(image, back[frame->held], err) : RN_OK;
+}
+
+// One that is not there, or cannot be read, is not looked at.
+static enum rn_status look_at(void *context, size_t index, struct rn_error *err) {
+    const struct looks *looks = context;
+    const struct rn_frame *frame = &looks->source->frames[index];
+    char file[256], path[PATH_MAX];
+    struct rn_image image;
+    (void)err;
+    under(frame->path, looks->root, file);
+    snprintf(path, sizeof path, "%s/%s/%s.jpg", looks->root, LOOKS, file);
+    if (rn_image_read(path, &look_limits, &image, NULL) != RN_OK) return RN_OK;
+    if (lay_down(frame, &image, NULL) == RN_OK) rn_survey_look(looks->survey, frame, &image);
+    rn_image_finish(&image);
+    return RN_OK;
+}
+
+static enum rn_status survey(struct rn_dataset *source, const char *root,
+                             const struct rn_import_options *options, struct rn_problems *problems,
+                             struct rn_findings *ret_found, struct rn_error *err) {
+    struct looks looks = {.source = source, .root = root};
+    enum rn_status status = rn_survey_create(source, &looks.survey, err);
+    if (!status)
+        status = rn_output_run(options->threads, source->frame_count, look_at, &looks, NULL, NULL,
+                               root, err);
+    if (!status)
+        status = rn_survey_conclude(looks.survey, source, options, problems, ret_found, err);
+    rn_survey_destroy(&looks.survey);
     return status;
 }
 
@@ -71,8 +111,9 @@ enum rn_status rn_describe_validation(struct rn_dataset *source, const char *roo
     enum rn_status status =
         record.items ? RN_OK
                      : rn_error_set(err, RN_ERROR_NO_MEMORY, root, "no memory for its views");
-    if (!status) status = survey(source, &chosen, problems, &found, err);
-    if (!status) status = rn_describe_report(source, root, problems, &found, options, &record.report, err);
+    if (!status) status = survey(source, root, &chosen, problems, &found, err);
+    if (!status)
+        status = rn_describe_report(source, root, problems, &found, options, &record.report, err);
     if (!status) list_views(source, root, &chosen, &record);
     if (!status) status = rn_encode(&rn_validation_table, &record, ret_json, NULL, err);
     free(record.report);

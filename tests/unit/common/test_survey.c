@@ -133,7 +133,8 @@ START_TEST(nothing_is_wrong) {
 END_TEST
 
 // What an import by `kept` costs to train on: photographs of one scale are made smaller where there
-// are more pixels than the time has rays for, and of several, more than may lie in memory are on disk.
+// are more pixels than the time has rays for, and of several, more than may lie in memory are on
+// disk.
 START_TEST(cost) {
     const struct rn_setting *most = rn_settings_find(&rn_train_settings, "pixel_memory");
     put_ring();

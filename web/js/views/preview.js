@@ -1,5 +1,5 @@
 // What an import would keep, before any photograph is sent: the daemon reads the documents and the
-// beginnings of the images.
+// beginnings of the images at once, and once all have been looked at here, small pictures of them.
 import {api} from '../api.js';
 import {fill, h} from '../dom.js';
 import {find, isActive, putJob, state, watch} from '../store.js';
@@ -18,6 +18,7 @@ const HEADS = {
   jpeg: 256 << 10
 };
 const MOST = 128 << 20;  // more is not sent to be looked at
+const LOOKS = 'ripnerf-looks';  // the folder of small pictures in what is sent
 const THUMBS = 24;
 const THUMB_PX = 160;
 const SETTLE_MS = 400;  // after the last change of an option
@@ -121,12 +122,13 @@ function found(validation, files, take, signal) {
 
 /**
  * @param {{entries: {path: string, file: File}[], poses?: string}} plan
- * @param {{values: () => any, take: (choice: any) => void, node: HTMLElement, onFault: (error: Error|null) => void}} options of
- *     the import; a change of them is looked at anew
+ * @param {{values: () => any, take: (choice: any) => void, looks: Promise<{path: string, file:
+ *     Blob}[]>, node: HTMLElement, onFault: (error: Error|null) => void}} options of the import, a
+ *     change of which is looked at anew, and small pictures of the photographs, when there are
  * @param {AbortSignal} signal
  * @returns {{node: HTMLElement}} empty where there is nothing to read before
  */
-export function createPreview(plan, {values, take, node: form, onFault}, signal) {
+export function createPreview(plan, {values, take, looks, node: form, onFault}, signal) {
   const node = h('div', {class: 'preview', role: 'status'});
   const files = new Map(plan.entries.map(({path, file}) => [path, file]));
   const heads = plan.entries.map(headOf);
@@ -146,15 +148,22 @@ export function createPreview(plan, {values, take, node: form, onFault}, signal)
       if (!signal.aborted) onFault(error);
     }
   }
-  async function begin() {
-    fill(node, bar.node);
-    const tar = tarOf(heads);
+  async function send(entries, words) {
+    const tar = tarOf(entries);
     upload = await sendInParts(tar, undefined, {
-      onProgress: (sent) => bar.set(sent / tar.size, `documents and image headers: ${bytes(sent)}`),
+      onProgress: (sent) => bar.set(sent / tar.size, `${words}: ${bytes(sent)}`),
       onWait: () => bar.set(null, 'The connection is lost.'),
       signal
     });
     if (!signal.aborted) await look();
+  }
+  async function begin() {
+    fill(node, bar.node);
+    await send(heads, 'documents and image headers');
+    const small = (await looks).map(({path, file}) => ({path: `${LOOKS}/${path}.jpg`, file}));
+    const more = small.reduce((sum, {file}) => sum + file.size, 0);
+    if (!signal.aborted && more && size + more <= MOST)
+      await send([...heads, ...small], 'small pictures');
   }
   const show = (job) => {
     const key = `${job.id} ${job.state}`;

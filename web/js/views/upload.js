@@ -173,12 +173,13 @@ function planForm(plan, {back, follow, signal}) {
   const name = nameField(plan.name);
   const options = importOptions();
   const splits = Object.entries(plan.views).map(([split, count]) => `${count} ${split}`).join(', ');
-  const bad = badList(plan.entries, signal);
+  const bad = badList(plan, signal);
   const looking = new AbortController();
   const stopLooking = () => looking.abort();
   signal.addEventListener('abort', stopLooking, {once: true});
   const preview = createPreview(
-      plan, {...options, onFault: (error) => form.showFault(error)}, looking.signal);
+      plan, {...options, looks: bad.looks, onFault: (error) => form.showFault(error)},
+      looking.signal);
   async function send(bar, stop) {
     const entries = plan.entries.filter(({path}) => !bad.leftOut().has(path));
     const tar = tarOf(entries);
@@ -246,14 +247,14 @@ function rateWords(size) {
 }
 
 /** Photographs that cannot be read, as they are found; which of them to leave out is asked. */
-function badList(entries, signal) {
+function badList({entries, poses}, signal) {
   const items = h('ul', {class: 'plain'});
   const title = h('p', {class: 'problem-title'});
   const found = h('div', {class: 'problem warn', role: 'status', hidden: true}, title, items,
                   h('p', null, 'What is ticked is left out. Untick what the daemon shall look at.'));
   const checking = h('p', {class: 'quiet'});
   const boxes = new Map();
-  checkPhotographs(entries, {
+  const looks = checkPhotographs(entries, {
     onBad: (path, why) => {
       const id = `bad-${boxes.size}`;
       const box = h('input', {type: 'checkbox', id, checked: true});
@@ -266,9 +267,11 @@ function badList(entries, signal) {
     onProgress: (done, total) =>
         text(checking, done < total ? `${done} of ${total} photographs looked at` : ''),
     signal
-  });
+  },
+                                 !poses);
   return {
     node: h('div', null, checking, found),
+    looks,
     leftOut: () => new Set([...boxes].filter(([, box]) => box.checked).map(([path]) => path))
   };
 }

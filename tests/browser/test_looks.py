@@ -1,0 +1,50 @@
+"""What the page says of photographs before it sends any: small pictures of them are judged."""
+
+import json
+import math
+
+import pytest
+
+pytest.importorskip("selenium", reason="python3-selenium is not installed")
+from PIL import Image, ImageFilter  # noqa: E402
+
+SIZE = 1200  # pixels a side: small pictures are of as many, from 1440 on they are smaller
+
+
+def pose(angle):
+    c, s = math.cos(angle), math.sin(angle)
+    return [[-s, 0, c, 4 * c], [c, 0, s, 4 * s], [0, 1, 0, 0], [0, 0, 0, 1]]
+
+
+@pytest.fixture
+def ring(tmp_path):
+    """Twelve photographs, of which one is blurred and one shows what the next one shows."""
+    folder, frames = tmp_path / "ring", []
+    (folder / "images").mkdir(parents=True)
+    for i in range(12):
+        picture = Image.effect_noise((SIZE // 4, SIZE // 4), 60).resize(
+            (SIZE, SIZE), Image.Resampling.BICUBIC).convert("RGB")
+        if i == 4:
+            picture = picture.filter(ImageFilter.GaussianBlur(8))
+        name = f"images/p_{i}.jpg"
+        picture.save(folder / name, quality=92)
+        if i == 9:
+            (folder / name).write_bytes((folder / "images/p_8.jpg").read_bytes())
+        frames.append({"file_path": name, "transform_matrix": pose(0.4 * (i - (i == 9)))})
+    f = SIZE / 0.73
+    (folder / "transforms.json").write_text(json.dumps(
+        {"camera_model": "PINHOLE", "fl_x": f, "fl_y": f, "cx": SIZE / 2, "cy": SIZE / 2, "w": SIZE,
+         "h": SIZE, "frames": frames}))
+    return folder
+
+
+def test_blur_and_duplicates_are_told_before_anything_is_sent(page, daemon, ring):
+    server = daemon()
+    page.open(server.url)
+    page.find(".drop")
+    page.all("#folder-input")[0].send_keys(str(ring))
+    page.says("the same camera took before and after them: p_4", ".preview .problems")
+    page.says("p_8 and p_9", ".preview .problems")
+    page.says("12 train", ".preview .facts")
+    assert page.run("return fetch('v1/datasets').then((r) => r.json());")["items"] == []
+    assert page.complaints() == []
