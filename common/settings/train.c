@@ -520,7 +520,9 @@ static const struct rn_setting rows[] = {
      .meaning = "the views by which progress is measured are trained on too",
      PRESETS(1, 0, 0),
      .unlike = "the views by which progress is measured are withheld",
-     .gain = "level with all 200 views trained on, after 30 CPU seconds"},
+     .gain =
+         "level with all 200 views trained on, after 30 CPU seconds; captures without test views "
+         "lose 0.2 to 1.3 dB"},
     {.name = "seed",
      .type = RN_SETTING_UINT64,
      PLACE(seed),

@@ -4,7 +4,7 @@
 //           [test=0] [split=test|train] [any training setting by its name: planes=3 width=64 ...]
 //           [device=auto|cpu|cuda|cuda:N] [deterministic=0] [memory=BYTES] [every=5] [goals=DB,DB]
 //           [out=PREFIX] [save=CHECKPOINT] [resume=CHECKPOINT] [wall=SECONDS] [cones=both|own|one]
-//           [fit=exposure|pose]
+//           [fit=exposure|pose] [an effect by its name: robust-loss=auto|on|off ...]
 //
 // clock=cpu with threads=1 counts CPU seconds, for comparisons on a machine that is not idle.
 // A device that is named trains and renders everything or the program fails; memory= is what it may
@@ -94,6 +94,17 @@ static void set_goals(struct run *run, const char *values) {
     }
 }
 
+// An effect by its name: auto, on or off.
+static bool set_effect(struct rn_train_config *config, const char *name, const char *value) {
+    for (int e = 0; e < RN_EFFECT_COUNT; e++)
+        for (int c = 0; c < 3 && strcmp(name, rn_effect_name((enum rn_effect)e)) == 0; c++)
+            if (strcmp(value, rn_effect_choice_names[c]) == 0) {
+                config->effect[e] = (enum rn_effect_choice)c;
+                return true;
+            }
+    return false;
+}
+
 static bool set_option(struct run *run, const char *name, const char *value) {
     if (strcmp(name, "preset") == 0)
         return true;
@@ -130,7 +141,7 @@ static bool set_option(struct run *run, const char *name, const char *value) {
     else if (strcmp(name, "save") == 0)
         run->save = value;
     else
-        return set_setting(&run->config, name, value);
+        return set_effect(&run->config, name, value) || set_setting(&run->config, name, value);
     return true;
 }
 

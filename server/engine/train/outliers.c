@@ -2,6 +2,7 @@
 
 #include <math.h>
 #include <stdlib.h>
+#include <string.h>
 
 #include "common/math/numbers.h"
 #include "common/math/rng.h"
@@ -14,8 +15,11 @@
 #define TURNS 7     // evenly from one to the other
 #define OTHERS 64   // photographs, at most about, that a block is compared with
 #define WITNESSES 3 // of them that see the place, at least
-#define LOOKS 2     // pixels of a block that are looked at
-#define BATCH 128   // rays rendered together, RN_TRAINER_RAYS at most
+#define STANDS 64   // distances at which it may stand, evenly in disparity,
+#define NEAREST 6.0 // that of where the field has it is 1
+#define FARTHEST 0.25
+#define LOOKS 2   // pixels of a block that are looked at
+#define BATCH 128 // rays rendered together, RN_TRAINER_RAYS at most
 
 static const struct rn_effect_record *record_of(const struct rn_trainer *t) {
     return &t->field->effects[RN_EFFECT_ROBUST_LOSS];
@@ -82,11 +86,12 @@ void rn_outlier_trim(const uint8_t *large, int across, int down, uint8_t *ret_ou
 
 static void end_pass(struct rn_outliers *o) {
     free(o->difference);
+    free(o->taken);
     free(o->known);
     free(o->size);
     free(o->depth);
     free(o->large);
-    o->difference = NULL;
+    o->difference = o->taken = NULL;
     o->known = o->large = NULL;
     o->size = o->depth = NULL;
 }
@@ -128,11 +133,12 @@ static enum rn_status begin_pass(struct rn_trainer *t, struct rn_error *err) {
     if (status != RN_OK || o->difference) return status;
     o->next = 0;
     o->difference = calloc(o->count, sizeof *o->difference);
+    o->taken = calloc(o->count, sizeof *o->taken);
     o->known = calloc(o->count, 1);
     o->size = calloc(o->count, sizeof *o->size);
     o->depth = calloc(o->count, sizeof *o->depth);
     o->large = calloc(o->count, 1);
-    if (o->difference && o->known && o->size && o->depth && o->large) return RN_OK;
+    if (o->difference && o->taken && o->known && o->size && o->depth && o->large) return RN_OK;
     return rn_error_set(err, RN_ERROR_NO_MEMORY, "outliers", "out of memory");
 }
 
@@ -177,6 +183,8 @@ static void render(struct rn_trainer *t, int thread, const struct looks *looks, 
             float mean = o->difference[block][c] * (float)o->known[block];
             o->difference[block][c] =
                 (mean + pixels[i].rgb[c] - rays[i].target[c]) / (float)(o->known[block] + 1);
+            o->taken[block][c] = (o->taken[block][c] * (float)o->known[block] + rays[i].target[c]) /
+                                 (float)(o->known[block] + 1);
         }
         o->depth[block] = (o->depth[block] * (float)o->known[block] + pixels[i].depth) /
                           (float)(o->known[block] + 1);
@@ -207,32 +215,76 @@ static void look(void *context, int index, int thread) {
     }
 }
 
-// Whether photographs that look at what is behind a block, where the field has it, mostly agree
-// with the field there: what is not learned yet, all of them miss.
-static bool is_contradicted(const struct rn_trainer *t, int f, int block, float threshold) {
+// What a photograph shows in a block and its neighbours, on the mean.
+static void taken_around(const struct rn_trainer *t, int f, int block, float ret[3]) {
+    const struct rn_outliers *o = &t->outliers;
+    int across = across_of(&t->train.frames[f]), down = down_of(&t->train.frames[f]), count = 0;
+    memset(ret, 0, 3 * sizeof *ret);
+    for (int j = block / across - 1; j <= block / across + 1; j++)
+        for (int i = block % across - 1; i <= block % across + 1; i++) {
+            size_t at = o->first[f] + (size_t)(j * across + i);
+            if (j < 0 || j >= down || i < 0 || i >= across || !o->known[at]) continue;
+            for (int c = 0; c < 3; c++)
+                ret[c] += o->taken[at][c];
+            count++;
+        }
+    for (int c = 0; c < 3 && count > 0; c++)
+        ret[c] /= (float)count;
+}
+
+// The other photographs that see what a block looks at, at a distance: how many, how many of them
+// are near the field there, and how many show there what the block shows.
+struct witnesses {
+    int seen, near, alike;
+};
+
+static struct witnesses ask_others(const struct rn_trainer *t, int f, int block, double distance,
+                                   float threshold) {
     const struct rn_outliers *o = &t->outliers;
     const struct rn_pixel_frame *frame = &t->train.frames[f];
-    int across = across_of(frame), seen = 0, agree = 0;
+    struct witnesses others = {.seen = 0};
+    int across = across_of(frame), stride = t->train.frame_count / OTHERS + 1;
+    float size = o->size[o->first[f] + (size_t)block], here[3], there[3];
     struct rn_ray ray = rn_camera_ray(&frame->camera, (block % across + 0.5) * RN_OUTLIER_BLOCK,
                                       ((double)(block / across) + 0.5) * RN_OUTLIER_BLOCK);
     double point[3], axes[3], at[2];
     for (int i = 0; i < 3; i++)
-        point[i] = ray.origin[i] + ray.direction[i] *
-                                       (double)o->depth[o->first[f] + (size_t)block] *
-                                       t->field->bounds.radius;
-    int stride = t->train.frame_count / OTHERS + 1;
+        point[i] = ray.origin[i] + ray.direction[i] * distance;
+    taken_around(t, f, block, here);
     for (int g = 0; g < t->train.frame_count; g += stride) {
         const struct rn_pixel_frame *other = &t->train.frames[g];
         rn_camera_axes(&other->camera, point, axes);
         if (g == f || !rn_camera_project(&other->camera, axes, at) || !(at[0] >= 0) ||
             !(at[1] >= 0) || at[0] >= other->camera.width || at[1] >= other->camera.height)
             continue;
-        size_t there = o->first[g] + (size_t)(at[1] / RN_OUTLIER_BLOCK) * (size_t)across_of(other) +
-                       (size_t)(at[0] / RN_OUTLIER_BLOCK);
-        seen += o->known[there] > 0;
-        agree += o->known[there] > 0 && o->size[there] < 0.5f * threshold;
+        int its =
+            (int)(at[1] / RN_OUTLIER_BLOCK) * across_of(other) + (int)(at[0] / RN_OUTLIER_BLOCK);
+        if (!o->known[o->first[g] + (size_t)its]) continue;
+        taken_around(t, g, its, there);
+        float squares = 0;
+        for (int c = 0; c < 3; c++)
+            squares += (there[c] - here[c]) * (there[c] - here[c]);
+        others.seen++;
+        others.near += o->size[o->first[g] + (size_t)its] < 0.5f * threshold;
+        others.alike += sqrtf(squares / 3) < 0.75f * size;
     }
-    return seen >= WITNESSES && 2 * agree > seen;
+    return others;
+}
+
+// Whether photographs that look at what is behind a block, where the field has it, mostly agree
+// with the field there: what is not learned yet, all of them miss. Where the field has it too near
+// or too far, they say nothing of it; so at no distance may most of them show what the block shows.
+static bool is_contradicted(const struct rn_trainer *t, int f, int block, float threshold) {
+    const struct rn_outliers *o = &t->outliers;
+    double depth = (double)o->depth[o->first[f] + (size_t)block] * t->field->bounds.radius;
+    struct witnesses others = ask_others(t, f, block, depth, threshold);
+    if (others.seen < WITNESSES || 2 * others.near <= others.seen) return false;
+    for (int i = 0; i < STANDS; i++) {
+        double disparity = FARTHEST + (NEAREST - FARTHEST) * (double)i / STANDS;
+        others = ask_others(t, f, block, depth / disparity, threshold);
+        if (others.alike >= WITNESSES && 2 * others.alike > others.seen) return false;
+    }
+    return true;
 }
 
 static enum rn_status conclude(struct rn_trainer *t, struct rn_error *err) {

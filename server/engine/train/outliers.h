@@ -38,8 +38,9 @@ struct rn_outliers {
     size_t *first; // [train.frame_count]: of a photograph's blocks
     size_t count;
     int turns; // that are over
-    // The pass under way: differences so far, and photographs done.
-    float (*difference)[3];
+    // The pass under way: means of the differences and of what photographs show, so far, and
+    // photographs done.
+    float (*difference)[3], (*taken)[3];
     uint8_t *known;
     float *size, *depth; // depth: where the field has what a block shows, bounds' radii
     uint8_t *large;

@@ -25,6 +25,13 @@ struct selection {
     bool held; // the held-out frames rather than the training ones
 };
 
+// The split whose views tell the progress: test views where there are no validation views, so that
+// every other photograph is trained on, and training views only where there are neither.
+static enum rn_split held_out_split(const struct rn_dataset *d) {
+    if (d->view_count[RN_SPLIT_VAL] > 0) return RN_SPLIT_VAL;
+    return d->view_count[RN_SPLIT_TEST] > 0 ? RN_SPLIT_TEST : RN_SPLIT_TRAIN;
+}
+
 // Of how many training views one is held out where there are no others: of 8, and of many views so
 // that a round over those held out does not grow with them.
 static int withheld_apart(const struct rn_dataset *d) {
@@ -32,12 +39,12 @@ static int withheld_apart(const struct rn_dataset *d) {
     return apart > 8 ? apart : 8;
 }
 
-// Eight evenly spaced validation views, or evenly spaced training views where there are none.
+// Eight evenly spaced views of the split, or one of so many training views.
 static bool is_held_out(const struct rn_dataset *d, const struct rn_frame *frame) {
-    int views = d->view_count[RN_SPLIT_VAL];
-    int apart = withheld_apart(d);
-    if (views == 0) return frame->split == RN_SPLIT_TRAIN && frame->index % apart == apart - 1;
-    if (frame->split != RN_SPLIT_VAL) return false;
+    enum rn_split split = held_out_split(d);
+    int views = d->view_count[split], apart = withheld_apart(d);
+    if (frame->split != split) return false;
+    if (split == RN_SPLIT_TRAIN) return frame->index % apart == apart - 1;
     int held = views < HELD_OUT_VIEWS ? views : HELD_OUT_VIEWS;
     for (int i = 0; i < held; i++)
         if (frame->index == i * views / held) return true;
@@ -59,17 +66,19 @@ static int scale_of(const struct rn_train_config *config) {
 
 static void describe_held_out(struct rn_trainer *t) {
     const struct rn_train_config *config = &t->field->config;
-    int views = t->dataset->view_count[RN_SPLIT_VAL];
+    enum rn_split split = held_out_split(t->dataset);
+    bool learned = split == RN_SPLIT_VAL && config->train_val;
+    int views = t->dataset->view_count[split];
     int held = t->held.frame_count / (t->held.scale_count > 0 ? t->held.scale_count : 1);
     const char *fate = config->train_held_out ? "trained on too" : RN_WITHHELD;
-    if (views == 0)
+    if (split == RN_SPLIT_TRAIN)
         snprintf(t->held_out, sizeof t->held_out,
-                 "%d training views (one of %d) %s: the dataset has no validation split", held,
+                 "%d training views (one of %d) %s: the dataset has no other split", held,
                  withheld_apart(t->dataset), fate);
     else
-        snprintf(t->held_out, sizeof t->held_out,
-                 "%d evenly spaced views of %d validation views%s%s", held, views,
-                 config->train_val ? ", " : "", config->train_val ? fate : "");
+        snprintf(t->held_out, sizeof t->held_out, "%d evenly spaced views of %d %s views%s%s", held,
+                 views, split == RN_SPLIT_VAL ? "validation" : "test", learned ? ", " : "",
+                 learned ? fate : "");
     size_t length = strlen(t->held_out);
     if (scale_of(config) > 1)
         snprintf(t->held_out + length, sizeof t->held_out - length, ", at 1/%d of their size",
