@@ -109,13 +109,13 @@ mutate footprint $field/footprint.h "level: variance not clamped" \
 mutate footprint $field/footprint.h "level: the paper's equation, without the size" \
     's/(NUMBER)RN_FOOTPRINT_SCALE \* (NUMBER)size/(NUMBER)RN_FOOTPRINT_SCALE + 0 * (NUMBER)size/'
 mutate space $field/space.h "contraction: lengths across as along" \
-    's/c.scale = c.across = .*/c.scale = (rn_real)0.5 * inverse * (2 - inverse); c.across = (rn_real)0.5 * inverse * inverse;/'
+    's/LENGTHS c = {across, across, half \* inverse}; /LENGTHS c = {across, half * inverse, half * inverse};/'
 mutate space $field/space.h "contraction: to the whole ball, not its half" \
-    's/c.along = (rn_real)0.5 \* inverse/c.along = inverse/'
+    's/LENGTHS c = {across, across, half \* inverse}; /LENGTHS c = {across, across, inverse * inverse};/'
 mutate space $field/space.h "Jacobian: the part along the direction left out" \
     's/ret\[i\] = c->across \* axis\[i\] + along \* towards\[i\];/ret[i] = c->across * axis[i] + 0 * along;/'
 mutate space $field/space.h "places: distance not stretched beyond 1" \
-    's/return size <= 1 ? s : copysign(2 - 1 \/ size, s);/return size <= 1 ? s : copysign(2 - 1 \/ (size * size), s);/'
+    's/return size <= 1 ? s : COPYSIGN(2 - 1 \/ size, s); /return size <= 1 ? s : COPYSIGN(2 - 1 \/ (size * size), s);/'
 mutate space $cpu/space.h "bent rays: steps half as long" \
     's/(k + 0.5f) \* (2 \* step)/(k + 0.5f) * step/'
 mutate space $cpu/space.h "bent rays: the first step looked at twice" \
@@ -124,8 +124,8 @@ mutate space $cpu/march.h "bent rays: cells looked up where the ray is straight"
     's/scale = contraction_at(distance_from_centre(ray, s)).scale;/scale = vf_set(0.5f);/'
 mutate space $cpu/crisp.h "what cells showed: told to the cell where the ray is straight" \
     's/scale \*= contraction_at(distance_from_centre(ray, s)).scale;/scale *= vf_set(0.5f);/'
-mutate space server/engine/scene/occupancy.c "end of space: half the ball" \
-    's/#define END 0.96875/#define END 0.5/'
+mutate space $field/occupancy.h "end of space: half the ball" \
+    's/#define RN_END 0.96875/#define RN_END 0.5/'
 mutate ripmap $field/ripmap.h "pooling: odd sizes drop their last texel" \
     's/if (size % 2 == 0) {/if (size > 1) {/'
 mutate ripmap $field/ripmap.h "query: position not clamped above" \

@@ -4,15 +4,15 @@
 #define RN_ENGINE_CPU_CRISP_H
 
 #include "server/engine/cpu/packet.h"
+#include "server/engine/field/occupancy.h"
 
 // ---- distortion -----------------------------------------------------------------------------
 
 // Where sample i lies, in the frame of the planes along the ray: what distortion is measured in.
 RN_INLINE double reach_of(const struct rn_cpu_field *field, const struct rn_workspace *w, int i) {
     if (field->disparity.on) return (double)w->marched[i];
-    double s = (double)w->s[i], size = fabs(s);
-    if (field->config->space == RN_SPACE_BALL) return s;
-    return 0.5 * (size <= 1 ? s : copysign(2 - 1 / size, s));
+    double s = (double)w->s[i];
+    return field->config->space == RN_SPACE_BALL ? s : 0.5 * rn_place_of_distance(s);
 }
 
 // Adds to w->slope, dL/dw of ray r's samples, the gradient of `factor` times its distortion (Barron
@@ -49,10 +49,6 @@ static void distort_packet(const struct rn_cpu_field *field, const struct rn_mar
 }
 
 // ---- what cells showed ----------------------------------------------------------------------
-
-#define RN_HIDDEN_DEPTH                                                                            \
-    2.3f // of the optical depth in front of what is hidden: a tenth shines through
-#define RN_SEEN_LEAST 1e-9f // weight of a cell that was looked at and showed nothing
 
 // The largest of what a cell showed and `weight`; in any order the same.
 RN_INLINE void note_weight(uint32_t *cell, float weight) {

@@ -44,11 +44,10 @@ RN_INLINE struct samples place_samples(const struct rn_march_ray *ray, vf s, flo
 
 // The same in a disparity box, `s` marched: a piece of a cone is short there beside its distance
 // from the apex, and its Gaussian a cylinder's.
-RN_INLINE struct samples place_forward(const struct rn_cpu_field *field,
-                                       const struct rn_march_ray *ray,
-                                       const struct rn_forward_ray *was, vf s, float step) {
+RN_INLINE struct samples place_forward(const struct rn_march_ray *ray,
+                                       const struct rn_forward_line *line, vf s, float step) {
     struct samples out = {.inside = vi_set(-1), .axial = vf_set(step * step / 12)};
-    forward_sample(&field->disparity, ray, was, s, &out.t, &out.wide);
+    forward_sample(line, s, &out.t, &out.wide);
     out.radial = 0.25f * out.wide * out.wide;
     out.x = ray->direction[0] * s + ray->origin[0];
     out.y = ray->direction[1] * s + ray->origin[1];
@@ -60,29 +59,14 @@ RN_INLINE struct samples place_forward(const struct rn_cpu_field *field,
 struct ray_footprint {
     float axial_u[RN_MAX_PLANES], radial_u[RN_MAX_PLANES];
     float axial_v[RN_MAX_PLANES], radial_v[RN_MAX_PLANES];
-    struct rn_forward_ray forward; // in a forward-facing space
-    bool leveled;                  // some sample of the ray may lie above level 0
+    struct rn_forward_line forward; // in a forward-facing space
+    bool leveled;                   // some sample of the ray may lie above level 0
 };
 
 static void footprint_factors(const double axis[3], const float d[3], float *ret_axial,
                               float *ret_radial) {
     double direction[3] = {d[0], d[1], d[2]};
     rn_variance_factors(axis, direction, ret_axial, ret_radial);
-}
-
-// In unbounded space: a footprint's radius is at most that of the cone at half the camera's
-// distance from `origin` and 1 more, as lengths at a distance s are drawn together by 1 / s or
-// more; a step is at most 1/2 and the distance from the centre at which the ray passes it times as
-// long as one through the centre.
-static bool unbounded_leveled(const struct rn_cpu_field *field, const struct rn_march_ray *ray,
-                              float step) {
-    const float *foot = ray->origin;
-    float size = (float)rn_footprint_base(field->config);
-    float radius = (0.5f * fabsf(ray->near) + 1) * ray->radius;
-    if (!rn_levels_by_axis(field->config)) return radius * size > 1;
-    float passes = sqrtf(foot[0] * foot[0] + foot[1] * foot[1] + foot[2] * foot[2]);
-    float length = (0.5f + passes) * 2 * step, limit = 1 / ((float)RN_FOOTPRINT_SCALE * size);
-    return radius * radius * 0.26f + length * length * 0.085f > limit * limit;
 }
 
 // Whether the footprint at the ray's far end exceeds a texel of level 0 anywhere.
@@ -92,16 +76,21 @@ static void ray_footprint_init(const struct rn_cpu_field *field, const struct rn
         field->built_levels < field->config->levels ? field->built_levels : field->config->levels;
     const struct rn_disparity *space = &field->disparity;
     bool forward = space->on;
-    if (forward) ret->forward = rn_forward_ray(space, ray);
+    if (forward) {
+        struct rn_forward_ray was = rn_forward_ray(space, ray);
+        ret->forward = rn_forward_line(space, ray, &was);
+    }
     ret->leveled = false;
     if (levels < 2 || field->config->footprint == RN_FOOTPRINT_POINT) return;
     if (field->config->space == RN_SPACE_UNBOUNDED) {
-        ret->leveled = unbounded_leveled(field, ray, step);
+        ret->leveled = rn_contracted_leveled(ray->origin, ray->near, ray->radius, step,
+                                             rn_footprint_base(field->config),
+                                             rn_levels_by_axis(field->config));
         return;
     }
     float far = (ray->near + ray->length) * ray->radius;
     float size = (float)rn_footprint_base(field->config);
-    if (forward) far = widest_forward(space, ray, &ret->forward);
+    if (forward) far = widest_forward(&ret->forward, ray->length);
     if (!rn_levels_by_axis(field->config)) {
         ret->leveled = far * size > 1;
         return;
@@ -134,31 +123,10 @@ struct unbounded_lanes {
     vf axial, radial; // variances along the ray and across it, before the contraction
 };
 
-// Variance along a plane's axis: that along the Jacobian times the axis of the Gaussian as it was.
 RN_INLINE vf unbounded_variance(const struct unbounded_lanes *at, const double axis[3],
                                 const float d[3]) {
-    vf dot = vf_set(0), y[3], along = vf_set(0), across = vf_set(0);
-    for (int i = 0; i < 3; i++)
-        dot += (float)axis[i] * at->towards[i];
-    dot *= at->lengths.along - at->lengths.across;
-    for (int i = 0; i < 3; i++) {
-        y[i] = (float)axis[i] * at->lengths.across + dot * at->towards[i];
-        along += y[i] * d[i];
-    }
-    for (int i = 0; i < 3; i++) {
-        int j = (i + 1) % 3, k = (i + 2) % 3;
-        vf c = y[j] * d[k] - y[k] * d[j];
-        across += c * c;
-    }
-    return at->axial * (along * along) + at->radial * across;
-}
-
-// The isotropic footprint's level: of the ball with the Gaussian's cross-section whose volume is
-// drawn together as it is (Barron et al. 2023, Zip-NeRF).
-RN_INLINE vf unbounded_ball(const struct unbounded_lanes *at, vf radius, int size, int levels) {
-    vf shrunk = 2.0f * vf_log2(at->lengths.across) + vf_log2(at->lengths.along);
-    vf level = vf_log2(vf_max(radius * (float)size, vf_set(1e-30f))) + shrunk * (1.0f / 3);
-    return vf_clamp(level, 0.0f, (float)(levels - 1));
+    const float narrow[3] = {(float)axis[0], (float)axis[1], (float)axis[2]};
+    return contracted_variance(&at->lengths, at->towards, at->axial, at->radial, narrow, d);
 }
 
 RN_INLINE void put_voxel_place(const struct rn_cpu_field *field, vf x, vf y, vf z, int slot,
@@ -198,7 +166,7 @@ static void place_unbounded(const struct rn_cpu_field *field,
         put_voxel_place(field, at.x[0], at.x[1], at.x[2], slots, w);
         vf ball = vf_set(0);
         if (leveled && !rn_levels_by_axis(field->config))
-            ball = unbounded_ball(&at, across, base, levels);
+            ball = contracted_ball_level(&at.lengths, across, base, levels);
         for (int p = 0; p < field->config->planes; p++) {
             const double *au = field->solid.axis_u[p], *av = field->solid.axis_v[p];
             vf_store(w->u[p] + slots,
@@ -238,7 +206,7 @@ static void place_segment(const struct rn_cpu_field *field, const struct rn_marc
         for (int i = 0; i < RN_VL; i++)
             index[i] = (float)k[j + i];
         vf s = (index + 0.5f) * step, ball = vf_set(0);
-        struct samples is = forward ? place_forward(field, ray, &footprint->forward, s, step)
+        struct samples is = forward ? place_forward(ray, &footprint->forward, s, step)
                                     : place_samples(ray, s, half);
         int at = slot + j;
         vf_store(w->s + at, forward ? is.t - ray->near : s);

@@ -46,22 +46,13 @@ RN_INLINE void cut_forward(const struct rn_disparity *space, const vd o[3], vd d
     ret->stride = vd_set(1);
 }
 
-// Distance from the camera, and the cone's radius in the cube, at marched distance `s`.
-RN_INLINE void forward_sample(const struct rn_disparity *space, const struct rn_march_ray *ray,
-                              const struct rn_forward_ray *was, vf s, vf *ret_distance,
-                              vf *ret_width) {
-    float inverse = (float)(1 / space->scale[2]), eye = (float)was->eye, slant = (float)was->slant;
-    vf disparity = (ray->direction[2] * s + (ray->origin[2] - (float)space->shift[2])) * inverse;
-    *ret_distance = (1.0f / disparity - eye) * slant;
-    *ret_width = (1.0f - eye * disparity) * (ray->radius * slant * (float)space->scale[0]);
-}
+RN_FORWARD_FUNCTION(RN_INLINE, forward_sample, vf)
 
 // A cone's largest radius along a ray: at one of its ends, as it is linear in 1 / z.
-RN_INLINE float widest_forward(const struct rn_disparity *space, const struct rn_march_ray *ray,
-                               const struct rn_forward_ray *was) {
+RN_INLINE float widest_forward(const struct rn_forward_line *line, float length) {
     vf s = vf_set(0), distance, width;
-    s[1] = ray->length;
-    forward_sample(space, ray, was, s, &distance, &width);
+    s[1] = length;
+    forward_sample(line, s, &distance, &width);
     return width[0] > width[1] ? width[0] : width[1];
 }
 

@@ -154,8 +154,6 @@ static void finish_weights(const struct rn_march_options *options, struct rn_wor
     }
 }
 
-#define RN_OPAQUE 40 // optical depth that nothing shines through
-
 // Where space ends, its end is opaque: the last sample of each of `n` rays takes what shines
 // through the others.
 static void close_ends(const struct rn_march_options *options, int n, struct rn_workspace *w) {

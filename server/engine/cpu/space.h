@@ -10,18 +10,10 @@ struct contraction_lanes {
     vf scale, across, along;
 };
 
-// As rn_contraction_at: each within 4 ULP for r up to 1e12.
-RN_INLINE struct contraction_lanes contraction_at(vf r) {
-    vf inverse = 1.0f / vf_max(r, vf_set(1.0f)), half = 0.5f * inverse;
-    vf across = half * (2.0f - inverse);
-    return (struct contraction_lanes){across, across, half * inverse};
-}
-
-// As rn_distance_of_place; a place within 1e-6 of the end is taken for that.
-RN_INLINE vf distance_of_place(vf place) {
-    vf size = vf_abs(place), far = 1.0f / vf_max(2.0f - size, vf_set(1e-6f));
-    return vf_select(size <= 1.0f, place, vf_select(place < 0.0f, -far, far));
-}
+RN_CONTRACTION_FUNCTION(RN_INLINE, contraction_at, struct contraction_lanes, vf, vf_set, vf_max)
+RN_CONTRACTED_FUNCTIONS(RN_INLINE, contracted_variance, contracted_ball_level,
+                        struct contraction_lanes, vf, vf_set, vf_max, vf_clamp, vf_log2)
+RN_DISTANCE_FUNCTION(RN_INLINE, distance_of_place, vf, vf_set, vf_max, vf_abs, vf_select)
 
 // From the ray's origin to the middle of its steps `k`.
 RN_INLINE vf unbounded_distance(const struct rn_march_ray *ray, vf k, float step) {

@@ -2,6 +2,8 @@
 #ifndef RN_ENGINE_FIELD_FOOTPRINT_H
 #define RN_ENGINE_FIELD_FOOTPRINT_H
 
+#include <stdbool.h>
+
 #include "server/engine/field/real.h"
 
 // Half the footprint's extent in standard deviations: 2 * RN_FOOTPRINT_SCALE * sigma spans the
@@ -35,6 +37,20 @@ RN_HD void rn_variance_factors(const rn_real x[3], const rn_real d[3], float *re
 RN_HD void rn_variance_bounds(float far, float step, float *ret_axial, float *ret_radial) {
     *ret_axial = step * step / 12 * 1.01f;
     *ret_radial = far * far * 0.26f + step * step * 0.05f;
+}
+
+// Whether a sample of a ray through unbounded space may ask for more than level 0, planes of `size`
+// texels: a footprint's radius is at most that of the cone at half the camera's distance from the
+// ray's `foot`, the point nearest to the centre, and 1 more, as lengths at a distance s are drawn
+// together by 1 / s or more; a step is at most 1/2 and the distance from the centre at which the
+// ray passes it times as long as one through the centre.
+RN_HD bool rn_contracted_leveled(const float foot[3], float near, float cone, float step, int size,
+                                 bool by_axis) {
+    float radius = (0.5f * fabsf(near) + 1) * cone;
+    if (!by_axis) return radius * (float)size > 1;
+    float passes = sqrtf(foot[0] * foot[0] + foot[1] * foot[1] + foot[2] * foot[2]);
+    float length = (0.5f + passes) * 2 * step, limit = 1 / (RN_FOOTPRINT_SCALE * (float)size);
+    return radius * radius * 0.26f + length * length * 0.085f > limit * limit;
 }
 
 // Levels that footprints ask for, in [0, levels - 1]. Of a Gaussian whose variance along an axis is

@@ -3,6 +3,7 @@
 #ifndef RN_ENGINE_FIELD_OCCUPANCY_H
 #define RN_ENGINE_FIELD_OCCUPANCY_H
 
+#include <stdbool.h>
 #include <stddef.h>
 #include <stdint.h>
 
@@ -14,6 +15,9 @@
 // miss, and what stands for a cell that no ray came to yet.
 #define RN_SEEN_LIMIT 0.03f
 #define RN_NEVER_SEEN 2.0f
+#define RN_SEEN_LEAST 1e-9f  // of a cell that was looked at and showed nothing
+#define RN_HIDDEN_DEPTH 2.3f // of what lies in front of a hidden cell: a tenth shines through
+#define RN_SEEN_LEFT 0.6f    // share of what a cell showed that is left after a round
 // Of a field at rest: a finer cell's optical depth from side to side. Thinner haze vanishes.
 #define RN_OCCUPANCY_SEEN 1.5e-2f
 // Of one that a picture's rays which end early pass over: less than they leave out at their ends.
@@ -35,6 +39,28 @@ RN_HD void rn_cell_at(size_t index, int cells, int ret[3]) {
     ret[0] = (int)(index / n / n);
     ret[1] = (int)(index / n % n);
     ret[2] = (int)(index % n);
+}
+
+// What is kept of a cell after a round in which it showed `shown`, NaN where no ray came to it;
+// when `all_looked`, one that no ray ever came to is empty.
+RN_HD float rn_cell_kept(float kept, float shown, bool all_looked) {
+    float left = RN_SEEN_LEFT * (kept < 1 ? kept : 1);
+    if (shown >= 0) return shown > left ? shown : left;
+    return all_looked && kept == RN_NEVER_SEEN ? 0 : kept;
+}
+
+#define RN_END 0.96875  // of the ball that all of space is drawn into: 16 radii of the inner one
+#define RN_END_LAYERS 4 // of a disparity box, of the grid in training
+
+// Whether a cell lies where a place ends, in unbounded space or, where `forward`, in a disparity
+// box with `trained` cells a side in training. There is always something to see: a ray that nothing
+// else stops ends there.
+RN_HD bool rn_cell_ends(bool forward, const int at[3], int cells, int trained) {
+    double squares = 0, end = RN_END * (double)cells;
+    if (forward) return at[2] >= cells - RN_END_LAYERS * cells / trained;
+    for (int i = 0; i < 3; i++)
+        squares += (2 * at[i] + 1.0 - cells) * (2 * at[i] + 1.0 - cells);
+    return squares > end * end;
 }
 
 // That a cell is among those drawn with replacement, `share` times as many draws as cells.

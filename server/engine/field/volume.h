@@ -13,6 +13,8 @@
 // scenes' radius is 1.5 dataset units).
 #define RN_DENSITY_UNIT 1.5
 
+#define RN_OPAQUE 40 // optical depth that nothing shines through: where a place ends
+
 // exp(clamp(logit - 1, -15, 15)): the truncated exponential. NaN gives exp(-15). Error: within
 // 1 + |logit - 1| ULP, the exponential's condition number.
 RN_HD rn_real rn_density(rn_real logit) {

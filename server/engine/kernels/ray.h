@@ -80,6 +80,32 @@ RN_HD struct rn_forward_ray rn_forward_ray(const struct rn_disparity *space,
     return out;
 }
 
+// What a march needs of it: 1 / z = (rise s + from) inverse at marched distance s; the camera's
+// `eye` and `slant`; the cone's radius in the cube over 1 - eye / z.
+struct rn_forward_line {
+    float rise, from, inverse, eye, slant, wide;
+};
+RN_HD struct rn_forward_line rn_forward_line(const struct rn_disparity *space,
+                                             const struct rn_march_ray *ray,
+                                             const struct rn_forward_ray *was) {
+    struct rn_forward_line line = {ray->direction[2],
+                                   ray->origin[2] - (float)space->shift[2],
+                                   (float)(1 / space->scale[2]),
+                                   (float)was->eye,
+                                   (float)was->slant,
+                                   ray->radius * (float)was->slant * (float)space->scale[0]};
+    return line;
+}
+// Distance from the camera, and the cone's radius in the cube, at marched distance `s`: numbers, or
+// vectors that hold a sample a lane.
+#define RN_FORWARD_FUNCTION(WHERE, NAME, TYPE)                                                     \
+    WHERE void NAME(const struct rn_forward_line *line, TYPE s, TYPE *ret_distance,                \
+                    TYPE *ret_width) {                                                             \
+        TYPE disparity = (line->rise * s + line->from) * line->inverse;                            \
+        *ret_distance = (1.0f / disparity - line->eye) * line->slant;                              \
+        *ret_width = (1.0f - line->eye * disparity) * line->wide;                                  \
+    }
+
 #define RN_FORWARD_LEAST 1e-3 // of a direction, along the reference camera's axis: others miss
 
 // The cone, in the reference camera's frame, as the kernels want it in a forward-facing space: cut

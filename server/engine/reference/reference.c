@@ -455,8 +455,6 @@ static void shade_ray(const struct rn_reference *ref, const struct rn_reference_
         tape->rgb[c] += tape->opacity * tape->head[ref->head_shape.layers][c];
 }
 
-#define OPAQUE 40 // optical depth that nothing shines through
-
 // Whether the last sample of a ray takes what shines through the others.
 static bool ends_opaque(const struct rn_reference *ref, const struct rn_reference_ray *ray) {
     return ref->config.space == RN_SPACE_UNBOUNDED && ref->config.shading == RN_SHADING_RAY &&
@@ -475,7 +473,7 @@ static void forward(const struct rn_reference *ref, const struct rn_reference_ra
         network_forward(ref, &ref->base_shape, ref->base, base);
         tape->x[s] = rn_density(base[layers][0]) * tape->interval[s];
     }
-    if (ends_opaque(ref, ray)) tape->x[ray->count - 1] = OPAQUE;
+    if (ends_opaque(ref, ray)) tape->x[ray->count - 1] = RN_OPAQUE;
     double depth = rn_composite(ray->count, tape->x, tape->weights, tape->after);
     tape->opacity = -expm1(-depth);
     for (int s = 0; s < ray->count; s++)

@@ -119,18 +119,10 @@ static double occupancy_threshold(const struct rn_field *field) {
     return mean < limit ? mean : limit;
 }
 
-#define END 0.96875 // of the ball that all of space is drawn into: 16 radii of the inner one
-#define LAST 4      // layers of a disparity box
-
-// Whether a cell lies where a place ends. There is always something to see: a ray that nothing else
-// stops ends there.
+// Whether a cell lies where a place ends.
 static bool is_at_end(const struct rn_field *field, int x, int y, int z, int cells) {
-    int at[3] = {x, y, z};
-    double squares = 0;
-    if (field->cpu.disparity.on) return z >= cells - LAST * cells / field->config.field.occupancy;
-    for (int i = 0; i < 3; i++)
-        squares += (2 * at[i] + 1.0 - cells) * (2 * at[i] + 1.0 - cells);
-    return field->config.field.space == RN_SPACE_UNBOUNDED && squares > END * END * cells * cells;
+    return rn_is_place(&field->cpu) && rn_cell_ends(field->cpu.disparity.on, (int[3]){x, y, z},
+                                                    cells, field->config.field.occupancy);
 }
 
 // Of the 8 cells from (x, y, z) on, those over the threshold.
@@ -141,7 +133,7 @@ static unsigned row_over(const struct rn_field *field, float threshold, int x, i
     if (!any_of_8(field->hull + at)) return 0;
     for (int k = 0; k < RN_BRICK; k++) {
         bool over = field->occupancy[at + k] > threshold;
-        if (!over) over = rn_is_place(&field->cpu) && is_at_end(field, x, y, z + k, cells);
+        if (!over) over = is_at_end(field, x, y, z + k, cells);
         set |= (unsigned)(field->hull[at + k] && over) << k;
     }
     return set;

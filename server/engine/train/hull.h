@@ -31,5 +31,11 @@ void rn_trainer_carve_sighted(struct rn_trainer *trainer);
 enum rn_status rn_trainer_watch_cells(struct rn_trainer *trainer,
                                       struct rn_error *err) RN_MUST_CHECK;
 void rn_trainer_update_seen(struct rn_trainer *trainer);
+// What the round before the next step is: whether it counts, or all is forgotten; whether every
+// camera has looked at its cells (rn_cell_kept).
+struct rn_seen_round {
+    bool counts, all_looked;
+};
+struct rn_seen_round rn_trainer_seen_round(const struct rn_trainer *trainer);
 
 #endif

@@ -11,7 +11,6 @@
 #include "server/engine/train/trainer.h"
 
 #define BEGINS 0.05      // share of the schedule before which everything may still come
-#define FORGOTTEN 0.6    // share of what a cell showed that is left after a round that looked at it
 #define UNSEEN_ENDS 0.25 // share of the schedule by which every camera has looked at its cells
 #define ENDLESS 10000.0  // steps that stand for a schedule without a limit
 
@@ -27,7 +26,7 @@ enum rn_status rn_trainer_watch_cells(struct rn_trainer *t, struct rn_error *err
 
 struct round {
     struct rn_trainer *trainer;
-    bool unseen_end;
+    bool all_looked;
 };
 
 static void update_layer(void *context, int layer, int thread) {
@@ -38,27 +37,27 @@ static void update_layer(void *context, int layer, int thread) {
     for (size_t i = first; i < first + side * side; i++) {
         float *kept = &t->field->occupancy[i], shown;
         memcpy(&shown, &t->hull.seen[i], sizeof shown);
-        if (t->hull.seen[i]) {
-            float left = (float)FORGOTTEN * fminf(*kept, 1);
-            *kept = shown > left ? shown : left;
-        } else if (round->unseen_end && *kept == (float)RN_NEVER_SEEN) {
-            *kept = 0;
-        }
+        *kept = rn_cell_kept(*kept, t->hull.seen[i] ? shown : NAN, round->all_looked);
     }
     memset(t->hull.seen + first, 0, side * side * sizeof *t->hull.seen);
 }
 
-void rn_trainer_update_seen(struct rn_trainer *t) {
-    int side = t->field->config.field.occupancy;
+struct rn_seen_round rn_trainer_seen_round(const struct rn_trainer *t) {
     double done = rn_schedule_done(&t->field->config, &t->progress);
     if (isnan(done)) done = (double)t->progress.step / ENDLESS;
-    if (done < BEGINS) {
+    return (struct rn_seen_round){.counts = !(done < BEGINS), .all_looked = !(done < UNSEEN_ENDS)};
+}
+
+void rn_trainer_update_seen(struct rn_trainer *t) {
+    int side = t->field->config.field.occupancy;
+    struct rn_seen_round turn = rn_trainer_seen_round(t);
+    if (!turn.counts) {
         size_t n = (size_t)side;
         memset(t->hull.seen, 0, n * n * n * sizeof *t->hull.seen);
         return;
     }
     rn_ranks_tell_seen(t);
-    struct round round = {t, !(done < UNSEEN_ENDS)};
+    struct round round = {t, turn.all_looked};
     rn_pool_run(t->engine->pool, side, update_layer, &round);
     rn_field_refresh_occupancy(t->field);
 }
