@@ -29,7 +29,7 @@ KINDS = {"LD": {0x180}, "ST": {0x185}, "LDS": {0x184}, "STS": {0x188}, "LDG": {0
          "MUFU": {0x108}, "fp64": {0x28, 0x29, 0x2A, 0x2B}, "barriers": {0x11D}}
 NOP = 0x118
 COLUMNS = ("registers", "frame", "KB", "instructions", *KINDS, "waits")
-PAPERS = re.compile(r"<10, 8|<8[,>]|^[^<]*$|<false(, 8)?>$")
+PAPERS = re.compile(r"<10, 8|<8[,>]|^[^<]*$|<false(, 8)?(, \d)?>$|<\d>$")
 
 
 def images(module, arch):

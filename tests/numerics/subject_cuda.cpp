@@ -18,7 +18,7 @@ static void moments(double mid, double width, double radius, double ret[3]) {
     struct rn_march_ray ray = {};
     ray.direction[0] = 1;
     ray.radius = (float)radius;
-    struct rn_sample s = rn_place(&ray, (float)mid, (float)width);
+    struct rn_sample s = rn_place<RN_WORLD_BALL>(&ray, NULL, (float)mid, (float)width);
     ret[0] = (double)s.x;
     ret[1] = (double)s.axial;
     ret[2] = (double)s.radial;
@@ -39,21 +39,23 @@ static double level_of(const struct rn_sample *sample, enum rn_footprint footpri
                        int levels) {
     static struct rn_cuda_planes planes;
     struct rn_footprint_factors f = {1, 0, 1, 0};
+    struct rn_march_ray ray = {};
     float lx, ly;
+    ray.radius = 1;
     planes.footprint = footprint;
     planes.footprint_base = size;
     planes.levels = levels;
-    rn_levels(&planes, &f, sample, 1, &lx, &ly);
+    rn_levels<RN_WORLD_BALL>(&planes, 0, &f, sample, &ray, &lx, &ly);
     return lx == ly ? (double)lx : NAN;
 }
 
 static double level(double v, int size, int levels) {
-    struct rn_sample sample = {0, 0, 0, 0, (float)v, 0};
+    struct rn_sample sample = {0, 0, 0, 0, (float)v, 0, 0};
     return level_of(&sample, RN_FOOTPRINT_RIP, size, levels);
 }
 
 static double ball_level(double ball, int size, int levels) {
-    struct rn_sample sample = {0, 0, 0, (float)ball, 0, 0};
+    struct rn_sample sample = {0, 0, 0, (float)ball, 0, 0, 0};
     return level_of(&sample, RN_FOOTPRINT_MIP, size, levels);
 }
 
@@ -62,6 +64,17 @@ static void lerp(double p, int size, int *ret_low, int *ret_high, double *ret_fr
     *ret_low = t.low;
     *ret_high = t.low + (size > 1);
     *ret_fraction = (double)t.fraction;
+}
+
+static void contraction(double r, double ret[3]) {
+    struct rn_contraction_lane c = rn_contraction_at_lane((float)r);
+    ret[0] = (double)c.scale;
+    ret[1] = (double)c.across;
+    ret[2] = (double)c.along;
+}
+
+static double distance_of_place(double place) {
+    return (double)rn_distance_of_place_lane((float)place);
 }
 
 static double density(double logit) {
@@ -94,7 +107,7 @@ static double attenuate(int n, const double *x, float stop_depth) {
         double own = 0;
         for (int first = 0; first < n; first += RN_TILE) {
             int i = first + RN_LANE % RN_TILE;
-            struct rn_shaded s = {x_of[i], 0, 0};
+            struct rn_shaded s = {x_of[i], 0, 0, 0};
             rn_attenuate(stop_depth, &own, &s);
             if (RN_LANE >= RN_TILE) continue;
             weight_of[i] = s.weight;
@@ -184,7 +197,9 @@ struct cuda_plane *cuda_plane_create(const struct rn_field_config *config, const
     memcpy(p->parameters.data(), texels, first * sizeof *texels);
     p->scene.texels = p->maps.data();
     p->scene.parameters = (float *)p->parameters.data();
-    p->gradients = {p->half.data(), p->fixed.data(), p->touched.data()};
+    p->gradients.half = p->half.data();
+    p->gradients.fixed = p->fixed.data();
+    p->gradients.touched = p->touched.data();
     struct rn_cuda_gradients none = {};
     const struct rn_cuda_scene scene = p->scene;
     unsigned blocks = (unsigned)(planes->update_side * planes->update_side);
@@ -220,7 +235,7 @@ double cuda_plane_texel(const struct cuda_plane *plane, int lx, int ly, int x, i
 // On a plane that spans x and y.
 static struct rn_query query_of(const struct cuda_query *q) {
     struct rn_cuda_planes planes = {};
-    struct rn_sample s = {q->u, q->v, 0, 0, 0, 0};
+    struct rn_sample s = {q->u, q->v, 0, 0, 0, 0, 0};
     planes.axis[0][0] = planes.axis[0][4] = 1;
     return rn_query_plane(&planes, 0, &s, q->lx, q->ly);
 }
@@ -299,6 +314,8 @@ static struct subject make_subject() {
     s.composite = composite;
     s.composite_backward = composite_backward;
     s.composite_stopped = composite_stopped;
+    s.contraction = contraction;
+    s.distance_of_place = distance_of_place;
     return s;
 }
 

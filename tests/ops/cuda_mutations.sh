@@ -193,7 +193,7 @@ mutate rays shade.cuh "ray shading: diffuse colours without their sigmoid" \
 mutate rays shade.cuh "ray shading: samples without their weights" 's/ \*= of_row;/ *= of_row > 0;/'
 mutate rays shade.cuh "ray shading: weights of the other half of a tile" 's/weight, RN_LANE \/ 4 + 8 \* i/weight, RN_LANE \/ 4 + 8 - 8 * i/'
 mutate rays shade.cuh "ray shading: directions of the tile's first ray" \
-    's/b->rays\[r\].direction, look/b->rays[r - RN_LANE \/ 4].direction, look/'
+    's/rn_direction_of(b, r), look/rn_direction_of(b, r - RN_LANE \/ 4), look/'
 mutate rays shade.cuh "ray shading: every tile in the same place" 's/\&scratch, tile, in/\&scratch, 0, in/'
 mutate second shade.cuh "ray shading: rays of the step before take part" \
     's/bool is = RN_LANE < RN_TILE .*/bool is = RN_LANE < RN_TILE;/'
@@ -223,7 +223,7 @@ mutate gradients scatter.cuh "scatter: blocks not marked as touched" 's/^       
 mutate many scatter.cuh "scatter: every piece is a ray's first" 's/returned.first + piece.begin, left/returned.first, left/'
 mutate many scatter.cuh "scatter: pieces that overlap" 's/left < RN_PIECE ? left : RN_PIECE/left/'
 mutate sparse optimise.cuh "update: sparse visits all blocks" 's/(o.update->sparse \&\& !touched)/(0 \&\& !touched)/'
-mutate sparse backend.cu "update: dense where there are levels" 's/c->sparse};/c->sparse \&\& f->scene.planes.levels == 1};/'
+mutate sparse backend.cu "update: dense where there are levels" 's/ c->sparse,$/ c->sparse \&\& f->scene.planes.levels == 1,/'
 mutate gradients optimise.cuh "pull-down: no weight for the level" 's/weight_y \*= 0.5f/weight_y *= 1/'
 mutate gradients optimise.cuh "pull-down: what does not exist hands down too" 's/exists ? weight \* found\[k\]\[c\] : 0/weight * found[k][c]/'
 mutate gradients optimise.cuh "pooling: rows with the wrong neighbours" 's/quads << (lx - 1)/quads << lx/'
@@ -265,6 +265,28 @@ mutate occupancy occupancy.cuh "occupancy: another coin" 's/rn_cell_draw(\&m, ce
 mutate occupancy occupancy.cuh "occupancy: occupied cells are not counted" 's/^    if (bits) atomicAdd(&o.cells_now->occupied.*//'
 mutate occupancy occupancy.cuh "occupancy: every cell counts as empty" 's/chance\[rn_cell_is_set(\&o, cell)\]/chance[0]/'
 mutate occupancy field.cu "occupancy: cells of the turn are measured, not those drawn" 's/f->steps};/f->steps}; m.drawn = false;/'
+# Places, and voxels.
+mutate unbounded space.cuh "bent rays: steps of half their length" 's/k \* (2 \* step) + (2 - ray->length)/k * step + (2 - ray->length)/'
+mutate worlds march.cuh "bent rays: cells looked up where the ray is straight" 's/p \*= scale;/p *= 0.5f;/'
+mutate unbounded encode.cuh "unbounded: footprints as before the contraction" 's/float r = size <= 1 ? .*/float r = 1;/'
+mutate unbounded encode.cuh "unbounded: samples far away as long as those near by" 's/fmaxf(s \* s, 1) \* (2 \* step)/2 * step/'
+mutate unbounded forward.cuh "end of a place: something shines through" 's/if (rn_ends<WORLD>() \&\& last)/if (false)/'
+mutate worlds forward.cuh "end of a place: behind what ended a ray, too" 's/depth + (double)all <= (double)stop_depth \&\& //'
+try run_trained "place step" server/engine/cuda/forward.cuh "cells of a place: what is hidden shows itself" 's/if (!(s->before <= RN_HIDDEN_DEPTH)) return;//'
+mutate cells occupancy.cuh "cells of a place: kept as a ball's are" 's/o.by_sight ? RN_SEEN_LIMIT : //'
+mutate cells occupancy.cuh "cells of a place: its end may be empty" 's/if (o.by_sight \&\& !over) over = .*//'
+mutate cells occupancy.cuh "cells of a place: every round has all that came before" 's/^    seen\[i\] = 0;//'
+mutate cells backend.cu "cells of a place: what they showed before is forgotten" 's/if (!e \&\& t->seen \&\& f->batch.seen)/if (false)/'
+mutate_engine "place bytes" train/device.c "engine: what cells showed does not follow to the device" 's/\.seen = t->hull.seen}/.seen = NULL}/'
+mutate unbounded loss.cuh "distortion: behind within a tile only" 's/^    d->behind += .*//'
+mutate unbounded loss.cuh "distortion: in distances, not in places" 's/0.5f \* rn_place_of_distance_lane(mid)/mid/'
+mutate unbounded loss.cuh "distortion: every ray of a split pixel has all of its weight" 's|rays\].weight / (float)rays;|rays].weight;|'
+mutate voxels encode.cuh "voxels: weights of x along z" 's/corner \& 4 ? q->z : 1 - q->z/corner \& 4 ? q->x : 1 - q->x/'
+mutate voxels scatter.cuh "voxels: left without being written" 's/if (voxel != held) rn_flush_voxel.*/;/'
+mutate voxels field.cu "voxels: not updated" 's/^    RN_TRY(queue_voxels<FIXED>(f));//'
+try run_trained place server/engine/cuda/optimise.cuh "voxels: gradients not cleared" 's/^            o.gradients.voxels\[own + c\] = 0;//'
+mutate smoothing optimise.cuh "smoothing: voxels of a slice alone" 's/at\[z > 0 ? -slice : 0\]/at[0]/'
+mutate smoothing field.cu "smoothing: voxels as far as texels" 's/share \* (4.0f \/ 6)/share/'
 # Guards.
 mutate guards scene.cuh "a step that overflowed updates all the same" \
     's/return s->rejected || !(s->weight > 0);/return !(s->weight > 0);/'
@@ -282,7 +304,7 @@ mutate_engine standard train/device.c "engine: planes at the networks' rate" \
 mutate_engine standard train/device.c "engine: occupancy measured at no step" \
     's/.measure = turn.due,/.measure = false,/'
 mutate_engine standard train/device.c "engine: moments do not follow to the device" \
-    's/\.m = t->optimiser.m,/.m = NULL,/;s/\.v = t->optimiser.v}/.v = NULL}/'
+    's/\.m = t->optimiser.m,/.m = NULL,/;s/\.v = t->optimiser.v,/.v = NULL,/'
 mutate_engine standard scene/device.c "engine: moments are not read back" \
     's/download(f->on_device, f->parameters.values, m, v,/download(f->on_device, f->parameters.values, NULL, NULL,/'
 mutate_engine paper train/device.c "engine: samples counted twice" \
@@ -296,7 +318,7 @@ mutate_engine renders scene/device.c "engine: parameters read back once only" \
 mutate_engine renders scene/device.c "engine: pyramid not built anew after reading back" \
     's/    f->fresh_levels = 0;//;s/    f->packed_for = NULL;//'
 mutate_engine renders scene/device.c "engine: occupancy not read back" \
-    's/m, v, f->occupancy, err/m, v, NULL, err/'
+    's/m, v, f->occupancy, seen/m, v, NULL, seen/'
 mutate_engine renders render/render.c "engine: a far camera rendered with too few levels" \
     's/levels <= f->field->device_levels/true/'
 mutate_engine renders render/render.c "engine: traced points in each other's places" 's/f->lattice.pixels\[f->listed\[i\]\]/f->lattice.pixels[i]/'

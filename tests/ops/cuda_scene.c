@@ -5,6 +5,7 @@
 #include <string.h>
 
 #include "common/math/rng.h"
+#include "server/engine/field/voxels.h"
 
 static float unit(uint64_t i) {
     return rn_rng_unit(rn_rng_draw(99, 1, i).v[0]);
@@ -34,8 +35,12 @@ struct rn_train_config test_config(enum rn_footprint footprint, int planes, int 
 static void fill_parameters(struct test_scene *s) {
     struct rn_parameters *p = &s->field->parameters;
     rn_field_randomise(s->field, 5);
+    size_t side = s->config.field.voxels ? (size_t)rn_voxel_side(&s->config.field) : 0;
+    size_t zeros = side > 0 ? (size_t)s->config.field.planes * rn_grid_numbers(&s->config.field) +
+                                  side * side * side * RN_VOXEL_CHANNELS
+                            : p->plane_count; // behind the voxels
     for (size_t i = 0; i < p->plane_count; i++)
-        p->values[i] = floorf(2048 * unit(5000 + i) - 1024) / 1024;
+        p->values[i] = i < zeros ? floorf(2048 * unit(5000 + i) - 1024) / 1024 : 0;
     for (size_t i = p->plane_count; i < p->count; i++)
         p->values[i] = roundf(p->values[i] * 2 * 1024) / 1024;
     for (size_t i = 0; i < p->plane_count; i++)
@@ -67,6 +72,36 @@ static void fill_frames(struct test_scene *s) {
         s->rgba[i] = (uint8_t)(255 * unit(90000 + i));
 }
 
+void test_scene_occupy(struct test_scene *s) {
+    size_t cells = (size_t)s->config.field.occupancy;
+    for (size_t i = 0; i < cells * cells * cells; i++)
+        s->field->occupancy[i] = s->field->hull[i];
+    rn_field_refresh(s->field, &s->engine);
+    rn_field_refresh_occupancy(s->field);
+}
+
+void test_scene_face(struct test_scene *s) {
+    struct rn_disparity *box = &s->field->cpu.disparity;
+    *box = (struct rn_disparity){.on = true,
+                                 .unit = 1.2,
+                                 .origin = {0, 0, -1},
+                                 .axes = {{1, 0, 0}, {0, 1, 0}, {0, 0, 1}},
+                                 .scale = {1.8, 1.8, 0},
+                                 .shift = {0.05, -0.1, 0},
+                                 .half = {1, 0.7, 1},
+                                 .near = 1,
+                                 .far = 8};
+    box->scale[2] = -2 / (1 / box->near - 1 / box->far);
+    box->shift[2] = 1 - box->scale[2] / box->far;
+    for (int f = 0; f < FRAMES; f++) {
+        double eye[3] = {0.3 * f - 0.4, 0.2 - 0.1 * f, -1 - 0.1 * f};
+        ck_assert(rn_camera_look_at(eye, (double[3]){0, 0, 3}, (double[3]){0, 1, 0},
+                                    s->frames[f].camera.world_from_camera) == RN_OK);
+    }
+    ck_assert(rn_field_fill(s->field) == RN_OK);
+    test_scene_occupy(s);
+}
+
 void test_scene_init(struct test_scene *s, const struct rn_train_config *config) {
     struct rn_error err;
     struct rn_bounds bounds = {.centre = {0.1, -0.05, 0}, .radius = 1.2};
@@ -80,12 +115,9 @@ void test_scene_init(struct test_scene *s, const struct rn_train_config *config)
     ck_assert(rn_field_need_levels(s->field, config->field.levels, &err) == RN_OK);
     ck_assert(rn_reference_create(&config->field, config->seed, &s->reference, &err) == RN_OK);
     s->reference->half = true;
+    s->reference->distortion_loss = config->distortion_loss;
     fill_parameters(s);
-    size_t cells = (size_t)config->field.occupancy;
-    for (size_t i = 0; i < cells * cells * cells; i++)
-        s->field->occupancy[i] = s->field->hull[i];
-    rn_field_refresh(s->field, &s->engine);
-    rn_field_refresh_occupancy(s->field);
+    test_scene_occupy(s);
     ck_assert(rn_engine_prepare(&s->engine, s->field, &err) == RN_OK);
     fill_frames(s);
 }
@@ -95,6 +127,7 @@ enum rn_status test_scene_upload(struct test_scene *s, size_t budget, struct rn_
     const struct rn_field *f = s->field;
     struct rn_device_scene scene = {.config = s->config,
                                     .radius = f->bounds.radius,
+                                    .disparity = f->cpu.disparity,
                                     .solid = f->cpu.solid,
                                     .base_shape = f->cpu.base_shape,
                                     .head_shape = f->cpu.head_shape,
@@ -130,11 +163,13 @@ enum rn_status test_scene_train(struct test_scene *s, bool deterministic, struct
     const struct rn_train_config *config = &s->field->config;
     struct rn_device_training training = {.deterministic = deterministic,
                                           .next_rays = s->rays,
+                                          .gradient_scale = s->gradient_scale,
                                           .march_step = config->step,
                                           .split = s->split,
                                           .colour = colouring_of(s),
                                           .m = s->m,
-                                          .v = s->v};
+                                          .v = s->v,
+                                          .seen = s->seen};
     return test_backend()->train_begin(s->on_device, &pixels, &training, err);
 }
 
@@ -158,7 +193,7 @@ void test_read_back(struct test_scene *s, struct test_numbers *ret) {
     ret->m = malloc(n * sizeof(float));
     ret->v = malloc(n * sizeof(float));
     OK(test_backend()->train_finish(s->on_device, &ret->progress, &err));
-    OK(test_backend()->download(s->on_device, ret->parameters, ret->m, ret->v, NULL, &err));
+    OK(test_backend()->download(s->on_device, ret->parameters, ret->m, ret->v, NULL, NULL, &err));
 }
 
 void test_numbers_finish(struct test_numbers *n) {
@@ -170,8 +205,10 @@ void test_numbers_finish(struct test_numbers *n) {
 void test_train(struct test_scene *s, int steps, bool deterministic, struct test_numbers *ret) {
     OK(test_scene_upload(s, 0, &err));
     OK(test_scene_train(s, deterministic, &err));
+    struct rn_device_step step = test_step;
+    step.distortion = (float)s->config.distortion_loss;
     for (int i = 0; i < steps; i++)
-        OK(test_backend()->train_step(s->on_device, &test_step, &err));
+        OK(test_backend()->train_step(s->on_device, &step, &err));
     test_read_back(s, ret);
 }
 
@@ -194,7 +231,11 @@ struct rn_reference_ray test_reference_ray(const struct test_scene *s,
     double length = ray.length > 0 ? (double)ray.length : 0;
     double width = s->config.step * ray.stride, *mid = calloc(2000, sizeof *mid);
     struct rn_reference_ray out = {.radius = (double)ray.radius, .mid = mid, .width = width};
-    while ((out.count * ray.stride + 0.5) * s->config.step < length) {
+    bool bent = s->config.field.space == RN_SPACE_UNBOUNDED;
+    for (; bent && out.count < (int)(length / (2 * width)); out.count++)
+        mid[out.count] =
+            (double)ray.near + rn_distance_of_place(2 - length + (2 * out.count + 1) * width);
+    while (!bent && (out.count * ray.stride + 0.5) * s->config.step < length) {
         mid[out.count] = (double)ray.near + (out.count + 0.5) * width;
         out.count++;
     }

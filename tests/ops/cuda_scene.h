@@ -27,7 +27,9 @@ struct test_scene {
     int rays;                  // of a training step, at most MOST_RAYS; RAYS at first
     float background_variance; // of training (rn_march_options); 0.1 at first
     bool split;                // likewise; false at first
+    float gradient_scale;      // that training begins with; 0, the backend's own, at first
     const float *m, *v;        // moments that training begins with; NULL at first
+    const uint32_t *seen;      // of a place: what cells showed before; NULL at first
     const struct rn_occupancy_bits *finer[RN_DEVICE_FINER]; // of pictures; NULL at first
     struct rn_backend_device *device;
     struct rn_device_field *on_device;
@@ -36,6 +38,11 @@ struct test_scene {
 // A field of numbers that fp16 holds exactly, every cell of the ball occupied; a CPU field and a
 // reference of the same numbers.
 void test_scene_init(struct test_scene *s, const struct rn_train_config *config);
+// All cells of its hull occupied, again.
+void test_scene_occupy(struct test_scene *s);
+// Before it is uploaded: in place of the ball a forward-facing space's box, and cameras before it.
+// The reference does not know such a space.
+void test_scene_face(struct test_scene *s);
 // The same field on the device, with `budget` bytes (0: all).
 enum rn_status test_scene_upload(struct test_scene *s, size_t budget, struct rn_error *err);
 // Starts training with `rays` rays a step; one scale.
@@ -60,7 +67,7 @@ void test_train(struct test_scene *s, int steps, bool deterministic, struct test
 void test_scene_rays(const struct test_scene *s, int64_t step, struct rn_reference_ray *rays,
                      int count);
 void test_rays_finish(struct rn_reference_ray *rays, int count);
-// One ray of a camera's pixel, every sample inside the ball.
+// One ray of a camera's pixel, every sample inside the ball, or of unbounded space.
 struct rn_reference_ray test_reference_ray(const struct test_scene *s,
                                            const struct rn_camera *camera, int x, int y,
                                            double jitter);
@@ -72,5 +79,6 @@ struct rn_train_config test_config(enum rn_footprint footprint, int planes, int 
 void test_add(Suite *suite, const char *name, const TTest *test, int count);
 void test_add_pictures(Suite *suite); // cuda_pictures.c
 void test_add_choices(Suite *suite);  // cuda_choices.c
+void test_add_places(Suite *suite);   // cuda_places.c
 
 #endif

@@ -6,16 +6,21 @@
 #include <string.h>
 
 #include "common/base/file.h"
+#include "server/engine/scene/device.h"
 
 struct device_run run;
 
-void make_dataset(void) {
+void make_dataset_of(const char *scene) {
     struct rn_synth_options synth = {.size = 16, .views = 12, .threads = 1, .samples = 4};
     snprintf(run.folder, sizeof run.folder, "/tmp/ripnerf-device-XXXXXX");
     ck_assert_ptr_nonnull(mkdtemp(run.folder));
     snprintf(run.path, sizeof run.path, "%s/checkpoint.safetensors", run.folder);
-    OK(rn_synthesise("sphere", &synth, run.folder, NULL, NULL, &err));
+    OK(rn_synthesise(scene, &synth, run.folder, NULL, NULL, &err));
     OK(rn_dataset_read(run.folder, NULL, &run.dataset, &err));
+}
+
+void make_dataset(void) {
+    make_dataset_of("sphere");
 }
 
 void remove_dataset(void) {
@@ -34,7 +39,8 @@ struct rn_train_config small_config(const char *preset, int64_t steps) {
     config.field.levels = 2;
     config.field.width = 16;
     config.field.occupancy = 16;
-    config.draw_by_error = config.field.voxels = false; // as a device leaves them out
+    config.draw_by_error = false; // as a device leaves it out
+    config.field.voxels = false;
     config.step = 0.1;
     config.target_samples = 1024;
     config.initial_rays = 64;
@@ -83,6 +89,63 @@ void run_validate(void) {
 void run_end(void) {
     rn_trainer_destroy(&run.trainer);
     rn_engine_destroy(&run.engine);
+}
+
+// ---- one step -------------------------------------------------------------------------------
+
+struct one_step take_step(const char *device, const struct rn_train_config *config) {
+    struct rn_engine_options options = {.device = device, .threads = 1};
+    struct one_step out = {.loss = NAN};
+    if (strcmp(device, "cpu") == 0) options.kernels = "generic"; // all of it in fp32
+    OK(rn_engine_create(&options, &run.engine, &err));
+    OK(rn_trainer_create(run.engine, run.dataset, config, 0, &run.trainer, &err));
+    ck_assert(!rn_trainer_field(run.trainer)->on_device == (strcmp(device, "cpu") == 0));
+    run_to(1);
+    struct rn_trainer *t = run.trainer;
+    const struct rn_parameters *p = &t->field->parameters;
+    OK(rn_field_fetch(t->field, t->optimiser.m, t->optimiser.v, t->hull.seen, &err));
+    ck_assert_int_eq(t->optimiser.updates, 1);
+    out.counts[0] = p->plane_count;
+    out.counts[1] = p->base_count;
+    out.counts[2] = p->head_count;
+    out.m = malloc(p->count * sizeof *out.m);
+    memcpy(out.m, t->optimiser.m, p->count * sizeof *out.m);
+    size_t side = (size_t)t->field->config.field.occupancy;
+    out.cells = t->hull.seen ? side * side * side : 0;
+    out.seen = calloc(out.cells + 1, sizeof *out.seen);
+    for (size_t i = 0; i < out.cells; i++)
+        memcpy(&out.seen[i], &t->hull.seen[i], sizeof *out.seen);
+    out.loss = run.progress.loss;
+    out.samples = run.progress.samples;
+    run_end();
+    return out;
+}
+
+void compare_steps(const struct one_step *here, const struct one_step *there, double bound) {
+    static const char *const names[3] = {"planes", "density network", "colour network"};
+    size_t noted = 0, apart_cells = 0;
+    for (size_t i = 0, at = 0; i < 3; at += here->counts[i++]) {
+        double apart = 0, size = 0;
+        for (size_t k = at; k < at + here->counts[i]; k++) {
+            apart += pow((double)(there->m[k] - here->m[k]), 2);
+            size += pow((double)here->m[k], 2);
+        }
+        printf(", %s %.1e", names[i], sqrt(apart / size));
+        ck_assert_double_lt(sqrt(apart / size), bound);
+    }
+    for (size_t i = 0; i < here->cells; i++) {
+        noted += here->seen[i] > 0;
+        apart_cells += fabsf(here->seen[i] - there->seen[i]) > 1e-3f;
+    }
+    if (here->cells > 0) printf(", %zu of %zu cells showed another weight", apart_cells, noted);
+    printf("\n");
+    ck_assert(here->cells == there->cells && (here->cells == 0 || noted > 100));
+    ck_assert_uint_le(apart_cells, noted / 50); // a sample at a cell's side may be of either
+}
+
+void step_finish(struct one_step *step) {
+    free(step->m);
+    free(step->seen);
 }
 
 // ---- pictures -------------------------------------------------------------------------------

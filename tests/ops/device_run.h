@@ -17,7 +17,8 @@ struct device_run {
 };
 extern struct device_run run;
 
-void make_dataset(void);
+void make_dataset(void); // of a sphere
+void make_dataset_of(const char *scene);
 void remove_dataset(void);
 // A preset, so small that an emulator trains it in seconds; no rays drawn by error, as on devices.
 struct rn_train_config small_config(const char *preset, int64_t steps);
@@ -31,6 +32,19 @@ void run_to(int64_t step);
 void run_validate(void);
 void run_end(void);
 
+// What one step leaves of the planes' and networks' gradients, and of what the cells of a place
+// showed.
+struct one_step {
+    float *m, *seen;
+    size_t counts[3], cells; // planes, density network, colour network
+    double loss;
+    uint64_t samples;
+};
+struct one_step take_step(const char *device, const struct rn_train_config *config);
+// Prints and bounds how far they are apart (root mean square over that of the CPU's).
+void compare_steps(const struct one_step *here, const struct one_step *there, double bound);
+void step_finish(struct one_step *step);
+
 // Of the checkpoint, by the first camera so many times as far away.
 void picture(const char *device, double away, int supersample, struct rn_render_result *ret);
 double difference(const struct rn_picture *a, const struct rn_picture *b); // the largest
@@ -39,6 +53,8 @@ double compare_pictures(const char *one, const char *other, double away);
 
 // Adds a test of the suite, with a dataset of its own (device_test.c); device_pictures.c.
 void device_add(Suite *suite, const char *name, const TTest *test);
+void device_add_with(Suite *suite, const char *name, const TTest *test, void (*make)(void));
 void device_add_pictures(Suite *suite);
+void device_add_places(Suite *suite); // device_places.c
 
 #endif

@@ -72,41 +72,10 @@ END_TEST
 
 // ---- one step -------------------------------------------------------------------------------
 
-// What one step of the paper's networks leaves of the planes' and networks' gradients.
-struct one_step {
-    float *m;
-    size_t counts[3]; // planes, density network, colour network
-    double loss;
-    uint64_t samples;
-};
-
-static struct one_step take_step(const char *device, const struct rn_train_config *config) {
-    struct rn_engine_options options = {.device = device, .threads = 1};
-    struct one_step out = {.loss = NAN};
-    if (strcmp(device, "cpu") == 0) options.kernels = "generic"; // all of it in fp32
-    OK(rn_engine_create(&options, &run.engine, &err));
-    OK(rn_trainer_create(run.engine, run.dataset, config, 0, &run.trainer, &err));
-    run_to(1);
-    struct rn_trainer *t = run.trainer;
-    const struct rn_parameters *p = &t->field->parameters;
-    OK(rn_field_fetch(t->field, t->optimiser.m, t->optimiser.v, &err));
-    ck_assert_int_eq(t->optimiser.updates, 1);
-    out.counts[0] = p->plane_count;
-    out.counts[1] = p->base_count;
-    out.counts[2] = p->head_count;
-    out.m = malloc(p->count * sizeof *out.m);
-    memcpy(out.m, t->optimiser.m, p->count * sizeof *out.m);
-    out.loss = run.progress.loss;
-    out.samples = run.progress.samples;
-    run_end();
-    return out;
-}
-
 // A step of the paper's configuration beside the CPU's, the same rays of the same field; the device
 // rounds maps, features and activations to fp16. The planes have 64 texels a side, or
 // RIPNERF_DEVICE_BASE: with the paper's 512 the emulator takes most of a minute, and 2 GB.
 START_TEST(a_step_is_the_cpus) {
-    static const char *const names[3] = {"planes", "density network", "colour network"};
     const char *base = getenv("RIPNERF_DEVICE_BASE");
     struct rn_train_config config;
     OK(rn_preset("paper", false, &config, &err));
@@ -124,18 +93,9 @@ START_TEST(a_step_is_the_cpus) {
     ck_assert_double_eq_tol(there.loss, here.loss, 1e-3 * here.loss);
     ck_assert_double_eq_tol((double)there.samples, (double)here.samples,
                             1e-3 * (double)here.samples);
-    for (size_t i = 0, at = 0; i < 3; at += here.counts[i++]) {
-        double apart = 0, size = 0;
-        for (size_t k = at; k < at + here.counts[i]; k++) {
-            apart += pow((double)(there.m[k] - here.m[k]), 2);
-            size += pow((double)here.m[k], 2);
-        }
-        printf(", %s %.1e", names[i], sqrt(apart / size));
-        ck_assert_double_lt(sqrt(apart / size), 4e-2);
-    }
-    printf("\n");
-    free(here.m);
-    free(there.m);
+    compare_steps(&here, &there, 4e-2);
+    step_finish(&here);
+    step_finish(&there);
 }
 END_TEST
 
@@ -329,9 +289,6 @@ START_TEST(auto_takes_what_there_is) {
     struct rn_train_config config = small_config("standard", 4);
     config.field.width = 144;
     check_left_out(&config, "width");
-    config = small_config("standard", 4);
-    config.field.voxels = true;
-    check_left_out(&config, "voxels");
     struct rn_engine *engine;
     struct rn_engine_options named = {.device = "auto", .kernels = "generic", .threads = 1};
     OK(rn_engine_create(&named, &engine, &err));
@@ -346,7 +303,7 @@ START_TEST(auto_takes_what_there_is) {
         ck_assert_ptr_nonnull(rn_trainer_field(run.trainer)->on_device);
         const struct rn_train_config *own = rn_trainer_config(run.trainer);
         ck_assert(own->roulette == 1 && own->split_pixels == config.split_pixels);
-        ck_assert(!own->draw_by_error && !own->field.voxels);
+        ck_assert(!own->draw_by_error && own->field.voxels);
         run_end();
     }
     setenv("RIPNERF_CUDA_MODULE", "/nowhere.so", 1);
@@ -354,7 +311,6 @@ START_TEST(auto_takes_what_there_is) {
     ck_assert_str_eq(device_of(run.engine), "cpu");
     ck_assert(rn_trainer_config(run.trainer)->roulette == 1);
     ck_assert(rn_trainer_config(run.trainer)->draw_by_error);
-    ck_assert(rn_trainer_config(run.trainer)->field.voxels);
     run_end();
 }
 END_TEST
@@ -399,12 +355,16 @@ START_TEST(memory_is_counted_first) {
 }
 END_TEST
 
-void device_add(Suite *suite, const char *name, const TTest *test) {
+void device_add_with(Suite *suite, const char *name, const TTest *test, void (*make)(void)) {
     TCase *tests = tcase_create(name);
-    tcase_add_unchecked_fixture(tests, make_dataset, remove_dataset);
+    tcase_add_unchecked_fixture(tests, make, remove_dataset);
     tcase_set_timeout(tests, getenv("RIPNERF_DEVICE_BASE") ? 590 : 120);
     tcase_add_test(tests, test);
     suite_add_tcase(suite, tests);
+}
+
+void device_add(Suite *suite, const char *name, const TTest *test) {
+    device_add_with(suite, name, test, make_dataset);
 }
 
 static bool has_device(void) {
@@ -434,6 +394,7 @@ int main(void) {
     device_add(suite, "anywhere", goes_on_anywhere);
     device_add(suite, "bytes", resumes_to_the_same_bytes);
     device_add_pictures(suite);
+    device_add_places(suite);
     device_add(suite, "grows", grows_there_in_parts);
     device_add(suite, "stops", stops_when_asked);
     device_add(suite, "diverges", diverges_and_goes_back);

@@ -9,22 +9,41 @@
 
 #define RN_BOTH(KERNEL, ...)                                                                       \
     { KERNEL<__VA_ARGS__, false>, KERNEL<__VA_ARGS__, true> }
-#define RN_SHAPE(KT, WT)                                                                           \
+#define RN_IN(KERNEL, WORLD, ...)                                                                  \
+    { KERNEL<__VA_ARGS__, false, WORLD>, KERNEL<__VA_ARGS__, true, WORLD> }
+#define RN_SHAPE(KT, WT, WORLD, ...)                                                               \
     {                                                                                              \
-        KT, WT, RN_BOTH(rn_forward_kernel, KT, WT, true),                                          \
-            RN_BOTH(rn_forward_kernel, KT, WT, false), RN_BOTH(rn_shade_kernel, WT, true),         \
+        WORLD, KT, WT, RN_IN(rn_forward_kernel, WORLD, KT, WT, true),                              \
+            RN_IN(rn_forward_kernel, WORLD, KT, WT, false), RN_BOTH(rn_shade_kernel, WT, true),    \
             RN_BOTH(rn_shade_kernel, WT, false), RN_BOTH(rn_head_backward_kernel, WT),             \
-            RN_BOTH(rn_base_backward_kernel, KT, WT), RN_BOTH(rn_measure_kernel, KT, WT)           \
+            RN_BOTH(rn_base_backward_kernel, KT, WT), __VA_ARGS__                                  \
     }
+// A ball's cells are measured, those of a place told by what they showed.
+#define RN_BALL(KT, WT, WORLD) RN_SHAPE(KT, WT, WORLD, RN_IN(rn_measure_kernel, WORLD, KT, WT))
+#define RN_PLACE(KT, WT, WORLD) RN_SHAPE(KT, WT, WORLD, {})
 
 // From small to large; a field takes the first that holds it, padded with zeros.
-static const struct rn_kernel_shape shapes[] = {RN_SHAPE(4, 2), RN_SHAPE(10, 2), RN_SHAPE(4, 4),
-                                                RN_SHAPE(4, 8), RN_SHAPE(10, 8)};
+static const struct rn_kernel_shape shapes[] = {
+    RN_BALL(4, 2, RN_WORLD_BALL),        RN_BALL(10, 2, RN_WORLD_BALL),
+    RN_BALL(4, 4, RN_WORLD_BALL),        RN_BALL(4, 8, RN_WORLD_BALL),
+    RN_BALL(10, 8, RN_WORLD_BALL),       RN_BALL(4, 4, RN_WORLD_VOXELS),
+    RN_BALL(10, 8, RN_WORLD_VOXELS),     RN_PLACE(4, 4, RN_WORLD_UNBOUNDED),
+    RN_PLACE(10, 8, RN_WORLD_UNBOUNDED), RN_PLACE(4, 4, RN_WORLD_FORWARD),
+    RN_PLACE(10, 8, RN_WORLD_FORWARD)};
 
-static const struct rn_kernel_shape *find_shape(int features, int width) {
+static const struct rn_kernel_shape *find_shape(enum rn_world world,
+                                                const struct rn_field_config *c) {
+    int features = rn_feature_count(c);
     for (const struct rn_kernel_shape &s : shapes)
-        if (features <= 16 * s.inputs16 && width <= 16 * s.width16) return &s;
+        if (s.world == world && features <= 16 * s.inputs16 && c->width <= 16 * s.width16)
+            return &s;
     return NULL;
+}
+
+static enum rn_world world_of(const struct rn_device_scene *s) {
+    if (s->disparity.on) return RN_WORLD_FORWARD;
+    if (s->config.field.space == RN_SPACE_UNBOUNDED) return RN_WORLD_UNBOUNDED;
+    return s->config.field.voxels ? RN_WORLD_VOXELS : RN_WORLD_BALL;
 }
 
 // ---- devices --------------------------------------------------------------------------------
@@ -125,17 +144,13 @@ static cudaError_t copy_out(const struct rn_backend_device *d, void *to, const v
 static enum rn_status check_config(const struct rn_device_scene *s, struct rn_error *err) {
     const struct rn_field_config *c = &s->config.field;
     int unit = 1 << (s->levels > 3 ? s->levels - 1 : 3);
-    if (c->space != RN_SPACE_BALL)
-        return rn_error_set(err, RN_ERROR_UNSUPPORTED, "space",
-                            "the CUDA kernels do not know unbounded space; use --device cpu, or "
-                            "train what lies in the ball alone");
     if (c->mean_level)
         return rn_error_set(err, RN_ERROR_UNSUPPORTED, "mean_level",
                             "the CUDA kernels take mip's level from the ball; use --device cpu");
-    if (!find_shape(c->planes * c->channels, c->width))
+    if (!find_shape(world_of(s), c))
         return rn_error_set(err, RN_ERROR_UNSUPPORTED, "width",
-                            "the CUDA kernels hold planes x channels up to 160 and widths up to "
-                            "128; use --device cpu or a smaller field");
+                            "the CUDA kernels hold up to 160 features (planes x channels, voxels "
+                            "4) and widths up to 128; use --device cpu or a smaller field");
     if (c->base % unit != 0)
         return rn_error_set(err, RN_ERROR_UNSUPPORTED, "base",
                             "the CUDA kernels pool by whole factors of two: %d levels need a base "
@@ -147,15 +162,21 @@ static enum rn_status check_config(const struct rn_device_scene *s, struct rn_er
 static void describe_scene(struct rn_device_field *f, const struct rn_device_scene *s) {
     const struct rn_field_config *c = &s->config.field;
     f->config = s->config;
-    memcpy(f->centre, s->centre, sizeof f->centre);
-    f->radius = s->radius;
-    f->shape = find_shape(c->planes * c->channels, c->width);
+    memcpy(f->cut.centre, s->centre, sizeof f->cut.centre);
+    f->cut.radius = s->radius;
+    f->cut.cone_step = s->config.cone_step;
+    f->cut.disparity = s->disparity;
+    f->world = world_of(s);
+    f->shape = find_shape(f->world, c);
     f->parameter_count = s->parameter_count;
     f->solid = s->solid;
     rn_cuda_planes_init(&f->scene.planes, c, &s->solid, s->levels);
     rn_cuda_network_init(&f->scene.base, &s->base_shape, f->shape->inputs16, f->shape->width16);
     rn_cuda_network_init(&f->scene.head, &s->head_shape, 2, f->shape->width16);
     f->scene.plane_count = s->parameter_count - s->base_shape.count - s->head_shape.count;
+    f->scene.voxels.side = c->voxels ? rn_voxel_side(c) : 0;
+    f->scene.occupancy.by_sight = f->world == RN_WORLD_UNBOUNDED || s->disparity.on;
+    f->scene.occupancy.forward = s->disparity.on;
     f->scene.per_ray = c->shading == RN_SHADING_RAY;
     f->scene.view_dependence = c->view_dependence;
     f->scene.occupancy.cells = c->occupancy;
@@ -188,8 +209,9 @@ static size_t bytes_at(const struct rn_device_field *f, const struct rn_device_p
         levels++; // finer texels, higher levels
     while (levels > 1 && base >> (levels - 1) == 0)
         levels--;
-    other.parameter_count += (size_t)c->planes * (size_t)c->channels * texels;
+    other.parameter_count += (size_t)rn_grid_count(c) * (size_t)c->channels * texels;
     c->base = base;
+    other.scene.voxels.side = c->voxels ? rn_voxel_side(c) : 0;
     rn_cuda_planes_init(&other.scene.planes, c, &f->solid, levels);
     rn_field_lay_out(&other, &arena);
     if (pixels) rn_train_lay_out(&other, pixels, &arena);
@@ -308,7 +330,8 @@ static enum rn_status field_create(struct rn_backend_device *device,
 
 // As many rays as fit even if every sample of each is seen.
 static int first_rays(const struct rn_device_field *f, int asked) {
-    int tiles = (int)(2.8 / f->source.step) / RN_TILE + 2;
+    double longest = f->world == RN_WORLD_FORWARD ? 3.5 : 2.8; // a cube's diagonal; a ball's chord
+    int tiles = (int)(longest / f->source.cut.step) / RN_TILE + 2;
     int most = (int)(f->batch.tile_capacity / (uint32_t)tiles);
     return asked < most ? asked : most;
 }
@@ -318,12 +341,10 @@ static void describe_training(struct rn_device_field *f, const struct rn_device_
     const struct rn_train_config *c = &f->config;
     struct rn_cuda_source *s = &f->source;
     s->pixels = *pixels;
-    memcpy(s->centre, f->centre, sizeof s->centre);
-    s->radius = f->radius;
-    s->step = t->march_step;
+    s->cut = f->cut;
+    s->cut.step = t->march_step;
     s->colour = f->march.colour = t->colour;
     s->seed = c->seed;
-    s->cone_step = c->cone_step;
     s->favour_finest = c->favour_finest;
     s->split = f->march.split = t->split;
     f->batch.pixel_rays = t->split ? RN_PIXEL_RAYS : 1;
@@ -357,6 +378,9 @@ static cudaError_t upload_training(struct rn_device_field *f, const struct rn_de
     if (!e) e = copy_in(d, (void *)f->source.pixels.live, p->live, p->live_count * sizeof *p->live);
     if (!e && t->m) e = copy_in(d, f->optimiser.m, t->m, f->parameter_count * 4);
     if (!e && t->v) e = copy_in(d, f->optimiser.v, t->v, f->parameter_count * 4);
+    size_t cells = (size_t)f->scene.occupancy.cells;
+    if (!e && t->seen && f->batch.seen)
+        e = copy_in(d, f->batch.seen, t->seen, cells * cells * cells * sizeof *t->seen);
     cudaError_t waited = cudaStreamSynchronize(d->stream);
     return e ? e : waited;
 }
@@ -401,7 +425,8 @@ static cudaError_t prepare_step(struct rn_device_field *f, const struct rn_devic
                                   c->sparse ? 0 : (float)c->weight_decay,
                                   (float)c->adam_eps,
                                   c->beta2,
-                                  c->sparse};
+                                  c->sparse,
+                                  step->distortion};
     cudaError_t e = step->measure ? rn_queue_measurement(f, step) : cudaSuccess;
     if (!e)
         e = RN_LAUNCH(rn_rates_kernel, 1, 32, 0, f->device->stream, rates, f->optimiser.update,
@@ -476,15 +501,17 @@ static enum rn_status train_finish(struct rn_device_field *f,
 }
 
 static enum rn_status download(struct rn_device_field *f, float *parameters, float *m, float *v,
-                               float *occupancy, struct rn_error *err) {
+                               float *occupancy, uint32_t *seen, struct rn_error *err) {
     struct rn_backend_device *d = f->device;
     size_t cells = (size_t)f->scene.occupancy.cells, bytes = f->parameter_count * sizeof(float);
-    if ((m || v) && !f->train_memory)
+    if ((m || v || seen) && !f->train_memory)
         return rn_error_set(err, RN_ERROR_CONFLICT, "cuda", "this field is not being trained");
     cudaError_t e = copy_out(d, parameters, f->scene.parameters, bytes);
     if (!e) e = copy_out(d, m, f->optimiser.m, bytes);
     if (!e) e = copy_out(d, v, f->optimiser.v, bytes);
     if (!e) e = copy_out(d, occupancy, f->scene.occupancy.values, cells * cells * cells * 4);
+    if (!e && f->batch.seen)
+        e = copy_out(d, seen, f->batch.seen, cells * cells * cells * sizeof *seen);
     cudaError_t waited = cudaStreamSynchronize(d->stream);
     return rn_cuda_check(e ? e : waited, "reading a field", err);
 }
@@ -614,10 +641,8 @@ static struct rn_cuda_view view_of(const struct rn_device_field *f, const struct
     view.width = v->cameras->width;
     view.height = v->cameras->height;
     view.cones = v->cones;
-    memcpy(view.centre, f->centre, sizeof view.centre);
-    view.radius = f->radius;
-    view.step = (double)options->step;
-    view.cone_step = f->config.cone_step;
+    view.cut = f->cut;
+    view.cut.step = (double)options->step;
     view.straight = options->straight;
     view.halves = v->halves;
     view.ended = rn_ended_opacity(options->stop_depth, f->config.stop);

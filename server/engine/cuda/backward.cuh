@@ -70,7 +70,8 @@ RN_DEVICE void rn_sample_inputs(const struct rn_cuda_scene *scene, const struct 
         uint32_t direction[2] = {0, 0};
         in[1][i] = in[1][2 + i] = 0;
         if (samples[i] != RN_NO_SAMPLE) {
-            rn_direction(scene, b->rays[b->tile_ray[samples[i] / RN_TILE]].direction, direction);
+            int ray = b->tile_ray[samples[i] / RN_TILE];
+            rn_direction(scene, rn_direction_of(b, ray), direction);
             rn_load_row(b->geometry, samples[i], i, in[1]);
         }
         in[0][i] = direction[0];

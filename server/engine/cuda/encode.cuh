@@ -3,7 +3,7 @@
 #ifndef RN_ENGINE_CUDA_ENCODE_CUH
 #define RN_ENGINE_CUDA_ENCODE_CUH
 
-#include "server/engine/cuda/scene.cuh"
+#include "server/engine/cuda/space.cuh"
 #include "server/engine/field/footprint.h"
 #include "server/engine/field/frustum.h"
 #include "server/engine/field/ripmap.h"
@@ -30,27 +30,79 @@ RN_DEVICE struct rn_footprint_factors rn_factors(const float axis[6], const floa
     return f;
 }
 
-// Whether a footprint at the ray's far end exceeds a texel of level 0 on this plane.
+// The cone's radius at its widest along a ray: at an end.
+template <int WORLD>
+RN_DEVICE float rn_widest(const struct rn_march_ray *ray, const struct rn_forward_line *line) {
+    float distance, begin, end;
+    if (WORLD != RN_WORLD_FORWARD) return (ray->near + ray->length) * ray->radius;
+    rn_forward_lane(line, 0, &distance, &begin);
+    rn_forward_lane(line, ray->length, &distance, &end);
+    return fmaxf(begin, end);
+}
+
+// Whether a footprint along the ray exceeds a texel of level 0 on this plane.
+template <int WORLD>
 RN_DEVICE bool rn_ray_leveled(const struct rn_cuda_planes *p, const struct rn_march_ray *ray,
+                              const struct rn_forward_line *line,
                               const struct rn_footprint_factors *f, float step) {
-    float far = ray->near + ray->length, size = (float)p->footprint_base;
+    float size = (float)p->footprint_base;
     if (p->levels < 2) return false;
-    if (p->footprint == RN_FOOTPRINT_MIP) return far * ray->radius * size > 1;
+    if (WORLD == RN_WORLD_UNBOUNDED)
+        return rn_contracted_leveled(ray->origin, ray->near, ray->radius, step, p->footprint_base,
+                                     p->footprint != RN_FOOTPRINT_MIP);
+    float far = rn_widest<WORLD>(ray, line);
+    if (p->footprint == RN_FOOTPRINT_MIP) return far * size > 1;
     float axial, radial, limit = 1 / ((float)RN_FOOTPRINT_SCALE * size);
-    rn_variance_bounds(far * ray->radius, step, &axial, &radial);
+    rn_variance_bounds(far, step, &axial, &radial);
     return f->axial_u * axial + f->radial_u * radial > limit * limit ||
            f->axial_v * axial + f->radial_v * radial > limit * limit;
 }
 
 RN_FRUSTUM_FUNCTION(rn_frustum_lane, float, float)
 
-// A sample: mean of its Gaussian, variances along and across the ray.
+// A sample: mean of its Gaussian, distance from the camera, variances along and across the ray; in
+// unbounded space the mean is contracted, the variances are not.
 struct rn_sample {
     float x, y, z, t, axial, radial;
+    float wide; // forward: the cone's radius in the cube
 };
 
-RN_DEVICE struct rn_sample rn_place(const struct rn_march_ray *ray, float s, float step) {
+// In unbounded space: a cylinder as long as its step is there.
+RN_DEVICE struct rn_sample rn_place_unbounded(const struct rn_march_ray *ray, float s, float step) {
     struct rn_sample out;
+    float scale = rn_lengths_at(ray, s).scale, width = fmaxf(s * s, 1) * (2 * step), across;
+    out.t = s + ray->near;
+    across = out.t * ray->radius;
+    out.axial = width * width * (1.0f / 12);
+    out.radial = across * across * 0.25f;
+    out.x = (ray->direction[0] * s + ray->origin[0]) * scale;
+    out.y = (ray->direction[1] * s + ray->origin[1]) * scale;
+    out.z = (ray->direction[2] * s + ray->origin[2]) * scale;
+    out.wide = across;
+    return out;
+}
+
+// In a disparity box: a cylinder, as cpu/encode.h has it.
+RN_DEVICE struct rn_sample rn_place_forward(const struct rn_march_ray *ray,
+                                            const struct rn_forward_line *line, float s,
+                                            float step) {
+    struct rn_sample out;
+    rn_forward_lane(line, s, &out.t, &out.wide);
+    out.axial = step * step * (1.0f / 12);
+    out.radial = 0.25f * out.wide * out.wide;
+    out.x = ray->direction[0] * s + ray->origin[0];
+    out.y = ray->direction[1] * s + ray->origin[1];
+    out.z = ray->direction[2] * s + ray->origin[2];
+    return out;
+}
+
+// The sample whose middle lies `s` behind the ray's origin. `line`: of a forward-facing space.
+template <int WORLD>
+RN_DEVICE struct rn_sample rn_place(const struct rn_march_ray *ray,
+                                    const struct rn_forward_line *line, float s, float step) {
+    struct rn_sample out;
+    if (WORLD == RN_WORLD_UNBOUNDED) return rn_place_unbounded(ray, s, step);
+    if (WORLD == RN_WORLD_FORWARD) return rn_place_forward(ray, line, s, step);
     float t = s + ray->near, half = 0.5f * step, shift;
     rn_frustum_lane(t, half / fmaxf(t, 1e-30f), half, ray->radius, &shift, &out.axial, &out.radial);
     float mean = s + shift;
@@ -58,12 +110,16 @@ RN_DEVICE struct rn_sample rn_place(const struct rn_march_ray *ray, float s, flo
     out.y = ray->direction[1] * mean + ray->origin[1];
     out.z = ray->direction[2] * mean + ray->origin[2];
     out.t = t;
+    out.wide = 0;
     return out;
 }
 
-RN_DEVICE float rn_clamp_lane(float x, float low, float high) {
-    return fminf(fmaxf(x, low), high); // NaN gives low
+// Whether it lies in the scene.
+template <int WORLD> RN_DEVICE bool rn_is_inside(const struct rn_sample *s) {
+    if (WORLD == RN_WORLD_UNBOUNDED || WORLD == RN_WORLD_FORWARD) return true;
+    return s->x * s->x + s->y * s->y + s->z * s->z <= 1;
 }
+
 RN_LEVEL_FUNCTIONS(RN_DEVICE, rn_level_lane, rn_ball_level_lane, float, float, rn_clamp_lane,
                    rn_log2)
 
@@ -72,13 +128,43 @@ RN_DEVICE float rn_valid_level(const struct rn_cuda_planes *p, float level) {
     return rn_clamp_lane(level, 0, (float)(p->levels - 1));
 }
 
-// Levels of a sample on the axes of a plane.
-RN_DEVICE void rn_levels(const struct rn_cuda_planes *p, const struct rn_footprint_factors *f,
-                         const struct rn_sample *sample, float radius, float *ret_lx,
-                         float *ret_ly) {
-    int size = p->footprint_base;
+// In unbounded space: what the contraction does to lengths follows from where it drew the sample.
+RN_DEVICE void rn_levels_unbounded(const struct rn_cuda_planes *p, int plane,
+                                   const struct rn_sample *sample, const float direction[3],
+                                   float *ret_lx, float *ret_ly) {
+    float y = rn_root(sample->x * sample->x + sample->y * sample->y + sample->z * sample->z);
+    float inverse = 1 / fmaxf(y, 1e-30f), size = 2 * y, limit = 2 - 1e-6f;
+    float r = size <= 1 ? size : 1 / (2 - fminf(size, limit)); // rn_uncontracted
+    float towards[3] = {sample->x * inverse, sample->y * inverse, sample->z * inverse};
+    struct rn_contraction_lane lengths = rn_contraction_at_lane(r);
     if (p->footprint == RN_FOOTPRINT_MIP) {
-        float ball = sample->t * (radius * (float)size);
+        float level =
+            rn_contracted_level_lane(&lengths, sample->wide, p->footprint_base, p->levels);
+        *ret_lx = *ret_ly = rn_valid_level(p, level);
+        return;
+    }
+    const float *axes = p->axis[plane];
+    float u = rn_contracted_variance_lane(&lengths, towards, sample->axial, sample->radial, axes,
+                                          direction);
+    float v = rn_contracted_variance_lane(&lengths, towards, sample->axial, sample->radial,
+                                          axes + 3, direction);
+    *ret_lx = rn_valid_level(p, rn_level_lane(u, p->footprint_base, p->levels));
+    *ret_ly = rn_valid_level(p, rn_level_lane(v, p->footprint_base, p->levels));
+}
+
+// Levels of a sample on the axes of a plane. `f`: but in unbounded space.
+template <int WORLD>
+RN_DEVICE void rn_levels(const struct rn_cuda_planes *p, int plane,
+                         const struct rn_footprint_factors *f, const struct rn_sample *sample,
+                         const struct rn_march_ray *ray, float *ret_lx, float *ret_ly) {
+    int size = p->footprint_base;
+    if (WORLD == RN_WORLD_UNBOUNDED) {
+        rn_levels_unbounded(p, plane, sample, ray->direction, ret_lx, ret_ly);
+        return;
+    }
+    if (p->footprint == RN_FOOTPRINT_MIP) {
+        float ball = WORLD == RN_WORLD_FORWARD ? sample->wide * (float)size
+                                               : sample->t * (ray->radius * (float)size);
         *ret_lx = *ret_ly = rn_valid_level(p, rn_ball_level_lane(ball, p->levels));
         return;
     }
@@ -187,6 +273,48 @@ RN_DEVICE void rn_fetch_corner(const struct rn_cuda_planes *p, const uint16_t *t
         rn_add_texel(found[i / 4][i % 4], weights[i / 4][i % 4], sum[i / 4]);
 }
 
+// ---- voxels ---------------------------------------------------------------------------------
+
+// The eight voxels of a sample: the first of them, and the weights of the next along x, y and z.
+struct rn_voxel_query {
+    int first;
+    float x, y, z;
+};
+RN_DEVICE struct rn_voxel_query rn_query_voxels(int side, const struct rn_sample *s) {
+    struct rn_texel x = rn_find_texel(s->x, side), y = rn_find_texel(s->y, side),
+                    z = rn_find_texel(s->z, side);
+    struct rn_voxel_query q = {(z.low * side + y.low) * side + x.low, x.fraction, y.fraction,
+                               z.fraction};
+    return q;
+}
+// Voxel `corner` of them, whose bits 0, 1 and 2 step along x, y and z, and its weight.
+RN_DEVICE int rn_voxel_corner(int side, const struct rn_voxel_query *q, int corner,
+                              float *ret_weight) {
+    *ret_weight = (corner & 1 ? q->x : 1 - q->x) * (corner & 2 ? q->y : 1 - q->y) *
+                  (corner & 4 ? q->z : 1 - q->z);
+    return q->first + (corner & 1) + (corner & 2 ? side : 0) + (corner & 4 ? side * side : 0);
+}
+
+// Their features of two samples. Those of weight 0 are not read.
+RN_DEVICE void rn_fetch_voxels(const struct rn_cuda_voxels *v, const struct rn_sample (&s)[2],
+                               float (&sum)[2][4]) {
+    RN_UNROLL
+    for (int i = 0; i < 2; i++) {
+        struct rn_voxel_query q = rn_query_voxels(v->side, &s[i]);
+        RN_UNROLL
+        for (int corner = 0; corner < 8; corner++) {
+            float weight;
+            int at = rn_voxel_corner(v->side, &q, corner, &weight);
+            float4 voxel = float4{0, 0, 0, 0};
+            if (weight > 0) voxel = v->first[at];
+            sum[i][0] += weight * voxel.x;
+            sum[i][1] += weight * voxel.y;
+            sum[i][2] += weight * voxel.z;
+            sum[i][3] += weight * voxel.w;
+        }
+    }
+}
+
 // ---- a tile ---------------------------------------------------------------------------------
 
 // A ray as a warp encodes its samples: lane p holds the factors of plane p.
@@ -197,14 +325,19 @@ struct rn_encoder {
     float fixed_level; // in place of the footprints', where >= 0
 };
 
+template <int WORLD>
 RN_DEVICE struct rn_encoder rn_encoder_start(const struct rn_cuda_planes *p,
-                                             const struct rn_march_ray *ray, float step) {
+                                             const struct rn_march_ray *ray,
+                                             const struct rn_forward_line *line, float step) {
     struct rn_encoder e;
     e.step = step * (float)ray->stride;
     e.fixed_level = -1;
     int plane = RN_LANE < p->planes ? RN_LANE : 0;
-    e.factors = rn_factors(p->axis[plane], ray->direction);
-    e.leveled = rn_ballot(rn_ray_leveled(p, ray, &e.factors, e.step));
+    if (WORLD == RN_WORLD_UNBOUNDED)
+        e.factors = rn_footprint_factors{0, 0, 0, 0};
+    else
+        e.factors = rn_factors(p->axis[plane], ray->direction);
+    e.leveled = rn_ballot(rn_ray_leveled<WORLD>(p, ray, line, &e.factors, e.step));
     return e;
 }
 
@@ -218,16 +351,17 @@ RN_DEVICE struct rn_footprint_factors rn_factors_of(const struct rn_encoder *e, 
 }
 
 // Four channels of two samples on one plane. top[i]: raised to sample i's level on any axis.
+template <int WORLD>
 RN_DEVICE void rn_encode_plane(const struct rn_cuda_planes *p, const uint16_t *texels,
                                const struct rn_encoder *e, const struct rn_footprint_factors *f,
-                               float radius, const struct rn_sample (&s)[2], int plane, int channel,
-                               float (&sum)[2][4], float (&top)[2]) {
+                               const struct rn_march_ray *ray, const struct rn_sample (&s)[2],
+                               int plane, int channel, float (&sum)[2][4], float (&top)[2]) {
     bool leveled = e->leveled >> plane & 1;
     struct rn_query q[2];
     RN_UNROLL
     for (int i = 0; i < 2; i++) {
         float lx = fmaxf(e->fixed_level, 0), ly = lx;
-        if (leveled && e->fixed_level < 0) rn_levels(p, f, &s[i], radius, &lx, &ly);
+        if (leveled && e->fixed_level < 0) rn_levels<WORLD>(p, plane, f, &s[i], ray, &lx, &ly);
         q[i] = rn_query_plane(p, plane, &s[i], lx, ly);
         top[i] = fmaxf(top[i], fmaxf(lx, ly));
     }
@@ -239,10 +373,11 @@ RN_DEVICE void rn_encode_plane(const struct rn_cuda_planes *p, const uint16_t *t
 // Features of the warp's two samples of rows g and g + 8 as A fragments. *ret_top[i]: the largest
 // level of sample i on any axis. Two fragments a turn: with a copy of the code for each, kernels
 // outgrow the instruction cache. Registers have no index, so every turn goes over all of them.
-template <int KT>
-RN_DEVICE void rn_encode(const struct rn_cuda_planes *p, const uint16_t *texels,
-                         const struct rn_encoder *e, float radius, const struct rn_sample (&s)[2],
+template <int KT, int WORLD>
+RN_DEVICE void rn_encode(const struct rn_cuda_scene *scene, const struct rn_encoder *e,
+                         const struct rn_march_ray *ray, const struct rn_sample (&s)[2],
                          uint32_t (&a)[KT][4], float (&ret_top)[2]) {
+    const struct rn_cuda_planes *p = &scene->planes;
     int plane = 4 * (RN_LANE % 4) / p->channels, channel = 4 * (RN_LANE % 4) % p->channels;
     int planes = 16 / p->channels, channels = 16 % p->channels; // from one fragment to the next
     ret_top[0] = ret_top[1] = 0;
@@ -257,7 +392,12 @@ RN_DEVICE void rn_encode(const struct rn_cuda_planes *p, const uint16_t *texels,
             bool present = plane < p->planes;
             struct rn_footprint_factors f = rn_factors_of(e, present ? plane : 0);
             float sum[2][4] = {};
-            if (present) rn_encode_plane(p, texels, e, &f, radius, s, plane, channel, sum, ret_top);
+            if (present)
+                rn_encode_plane<WORLD>(p, scene->texels, e, &f, ray, s, plane, channel, sum,
+                                       ret_top);
+            if (WORLD != RN_WORLD_BALL && plane == p->planes && channel == 0 &&
+                scene->voxels.side > 0)
+                rn_fetch_voxels(&scene->voxels, s, sum);
             plane += planes;
             channel += channels;
             if (channel >= p->channels) {

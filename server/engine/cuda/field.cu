@@ -30,6 +30,16 @@ static void lay_out_occupancy(struct rn_device_field *f, struct rn_arena *a) {
     rn_part(a, &o->partial, RN_OCCUPANCY_PARTS);
 }
 
+// The directions that the colour network is told of a batch's rays.
+static void lay_out_looks(const struct rn_device_field *f, struct rn_cuda_batch *b,
+                          struct rn_arena *a) {
+    bool forward = f->world == RN_WORLD_FORWARD;
+    if (forward) rn_part(a, &b->forward, (size_t)b->ray_capacity);
+    if (!a->base) return;
+    b->looks = forward ? b->forward->view : b->rays->direction;
+    b->look_stride = (int)((forward ? sizeof *b->forward : sizeof *b->rays) / sizeof *b->looks);
+}
+
 void rn_field_lay_out(struct rn_device_field *f, struct rn_arena *a) {
     struct rn_cuda_scene *s = &f->scene;
     size_t fragments = s->base.packed_count + s->head.packed_count;
@@ -48,6 +58,9 @@ void rn_field_lay_out(struct rn_device_field *f, struct rn_arena *a) {
     rn_part(a, &f->places, RN_RENDER_PIXELS);
     for (int i = 0; i < 2; i++)
         rn_part(a, &f->parts[i], RN_RENDER_PIXELS);
+    s->voxels.first =
+        (const float4 *)s->parameters + rn_grid_numbers(&f->config.field) / 4 * s->planes.planes;
+    lay_out_looks(f, &f->view, a);
     if (s->per_ray) rn_part(a, &f->view.ray_sums, RN_RENDER_PIXELS * RN_GEOMETRY);
 }
 
@@ -85,15 +98,22 @@ static void lay_out_pixels(struct rn_device_field *f, const struct rn_device_pix
     rn_part(a, (struct rn_device_block **)&f->source.pixels.live, (size_t)p->live_count);
 }
 
+static int voxel_count(const struct rn_device_field *f) {
+    int side = f->scene.voxels.side;
+    return side * side * side;
+}
+
 void rn_train_lay_out(struct rn_device_field *f, const struct rn_device_pixels *pixels,
                       struct rn_arena *a) {
     struct rn_cuda_batch *b = &f->batch;
     struct rn_cuda_optimiser *o = &f->optimiser;
     const struct rn_cuda_planes *p = &f->scene.planes;
-    size_t rays = (size_t)b->ray_capacity;
+    size_t rays = (size_t)b->ray_capacity, cells = (size_t)f->scene.occupancy.cells;
     size_t numbers = (size_t)p->planes * p->plane_texels * (size_t)p->channels;
     rn_part(a, &b->status, 1);
     rn_part(a, &b->rays, rays);
+    lay_out_looks(f, b, a);
+    if (f->scene.occupancy.by_sight) rn_part(a, &b->seen, cells * cells * cells);
     rn_part(a, &b->queue, RN_LENGTHS * rays);
     rn_part(a, &b->ray_loss, rays);
     rn_part(a, &b->ray_weight, rays);
@@ -115,6 +135,13 @@ void rn_train_lay_out(struct rn_device_field *f, const struct rn_device_pixels *
         rn_part(a, &o->gradients.half, numbers / 4);
     rn_part(a, &o->gradients.touched,
             (size_t)p->planes * (size_t)p->update_side * (size_t)p->update_side);
+    size_t voxels = (size_t)voxel_count(f);
+    if (voxels == 0) return;
+    if (f->deterministic)
+        rn_part(a, &o->gradients.voxels_fixed, voxels * RN_VOXEL_CHANNELS);
+    else
+        rn_part(a, &o->gradients.voxels, voxels * RN_VOXEL_CHANNELS);
+    rn_part(a, &o->gradients.voxels_touched, voxels / RN_VOXELS_A_MARK + 1);
 }
 
 enum rn_status rn_cuda_check(cudaError_t outcome, const char *doing, struct rn_error *err) {
@@ -189,7 +216,19 @@ cudaError_t rn_queue_occupancy(struct rn_device_field *f) {
                      o->distance);
 }
 
+// The round over what the cells of a place showed.
+static cudaError_t queue_seen(struct rn_device_field *f, const struct rn_device_step *step) {
+    const struct rn_cuda_occupancy *o = &f->scene.occupancy;
+    size_t cells = (size_t)o->cells, n = cells * cells * cells;
+    if (!step->seen_counts)
+        return cudaMemsetAsync(f->batch.seen, 0, n * sizeof *f->batch.seen, f->device->stream);
+    RN_TRY(RN_LAUNCH(rn_seen_kernel, RN_BLOCKS(n), 256, 0, f->device->stream, *o, f->batch.seen,
+                     step->all_looked));
+    return rn_queue_occupancy(f);
+}
+
 cudaError_t rn_queue_measurement(struct rn_device_field *f, const struct rn_device_step *step) {
+    if (f->scene.occupancy.by_sight) return queue_seen(f, step);
     const struct rn_field_config *c = &f->config.field;
     float level = log2f((float)c->base / (float)c->occupancy),
           top = (float)(f->scene.planes.levels - 1);
@@ -262,8 +301,24 @@ cudaError_t rn_queue_smoothing(struct rn_device_field *f, float share) {
     for (int odd = 0; odd < 2; odd++)
         RN_TRY(RN_LAUNCH(rn_smooth_kernel, RN_BLOCKS(threads), 256, 0, f->device->stream, f->scene,
                          share, odd));
+    int voxels = voxel_count(f);
+    for (int odd = 0; odd < 2 && voxels > 0; odd++) // they have six neighbours, not four
+        RN_TRY(RN_LAUNCH(rn_smooth_voxels_kernel, RN_BLOCKS(voxels), 256, 0, f->device->stream,
+                         (float4 *)f->scene.voxels.first, f->scene.voxels.side, share * (4.0f / 6),
+                         odd));
     return queue_maps(f);
 }
+
+// One of a kernel's forms for the loss of distortion.
+#define RN_DISTORTING(KERNEL)                                                                      \
+    (f->config.distortion_loss <= 0   ? KERNEL<RN_DISTORTS_NOT>                                    \
+     : f->world == RN_WORLD_UNBOUNDED ? KERNEL<RN_DISTORTS_PLACES>                                 \
+                                      : KERNEL<RN_DISTORTS_ALONG>)
+// For a world, the voxels not regarded.
+#define RN_IN_WORLD(KERNEL)                                                                        \
+    (f->world == RN_WORLD_UNBOUNDED ? KERNEL<RN_WORLD_UNBOUNDED>                                   \
+     : f->world == RN_WORLD_FORWARD ? KERNEL<RN_WORLD_FORWARD>                                     \
+                                    : KERNEL<RN_WORLD_BALL>)
 
 // Colour and loss of rays that are shaded as a whole, and the gradients of their samples.
 static cudaError_t queue_shading(struct rn_device_field *f) {
@@ -274,16 +329,18 @@ static cudaError_t queue_shading(struct rn_device_field *f) {
     RN_TRY(RN_LAUNCH(f->shape->shade_train[s.all], shade, s.threads, s.bytes, f->device->stream,
                      f->scene, f->batch, f->march, s.networks));
     RN_TRY(mark(f, "shade rays"));
-    RN_TRY(fill(f->device, rn_sums_backward_kernel, 256, 0, &back));
-    RN_TRY(RN_LAUNCH(rn_sums_backward_kernel, back, 256, 0, f->device->stream, f->batch));
+    auto sums_backward = RN_DISTORTING(rn_sums_backward_kernel);
+    RN_TRY(fill(f->device, sums_backward, 256, 0, &back));
+    RN_TRY(RN_LAUNCH(sums_backward, back, 256, 0, f->device->stream, f->batch, f->march));
     return mark(f, "sums backward");
 }
 
 // Loss of rays that are composited, and the gradients of their samples.
 static cudaError_t queue_loss(struct rn_device_field *f) {
     unsigned blocks;
-    RN_TRY(fill(f->device, rn_loss_kernel, 256, 0, &blocks));
-    RN_TRY(RN_LAUNCH(rn_loss_kernel, blocks, 256, 0, f->device->stream, f->batch, f->march));
+    auto loss = RN_DISTORTING(rn_loss_kernel);
+    RN_TRY(fill(f->device, loss, 256, 0, &blocks));
+    RN_TRY(RN_LAUNCH(loss, blocks, 256, 0, f->device->stream, f->batch, f->march));
     return mark(f, "loss");
 }
 
@@ -295,8 +352,8 @@ static cudaError_t queue_forward(struct rn_device_field *f) {
         rn_staging_for(f->device, s->base.packed_count, s->head.packed_count);
     unsigned blocks;
     RN_TRY(fill(f->device, f->shape->train[staging.all], 384, staging.bytes, &blocks));
-    RN_TRY(RN_LAUNCH(rn_rays_kernel, RN_BLOCKS(f->batch.ray_capacity), 256, 0, stream, f->source,
-                     f->scene, f->batch));
+    RN_TRY(RN_LAUNCH(RN_IN_WORLD(rn_rays_kernel), RN_BLOCKS(f->batch.ray_capacity), 256, 0, stream,
+                     f->source, f->scene, f->batch));
     RN_TRY(mark(f, "rays"));
     RN_TRY(RN_LAUNCH(f->shape->train[staging.all], blocks, 384, staging.bytes, stream, f->scene,
                      f->batch, f->march, staging.networks));
@@ -354,18 +411,33 @@ static cudaError_t queue_backward(struct rn_device_field *f) {
     return mark(f, "base gradient");
 }
 
-template <bool FIXED, int C> static cudaError_t queue_scatter(struct rn_device_field *f) {
+template <bool FIXED, int WORLD> static cudaError_t queue_scatter(struct rn_device_field *f) {
     float step = f->march.step;
     unsigned blocks = 16 * (unsigned)f->device->processors; // more than fit: rays differ in length
-    return RN_LAUNCH((rn_scatter_kernel<FIXED, C>), blocks, 128, 0, f->device->stream, f->scene,
-                     f->batch, f->optimiser.gradients, step);
+    auto scatter = f->scene.planes.channels % 8 == 0 ? rn_scatter_kernel<FIXED, 8, WORLD>
+                                                     : rn_scatter_kernel<FIXED, 4, WORLD>;
+    RN_TRY(RN_LAUNCH(scatter, blocks, 128, 0, f->device->stream, f->scene, f->batch,
+                     f->optimiser.gradients, step));
+    if (f->scene.voxels.side == 0) return cudaSuccess;
+    return RN_LAUNCH((rn_scatter_voxels_kernel<FIXED, WORLD>), blocks, 128, 0, f->device->stream,
+                     f->scene, f->batch, f->optimiser.gradients, step);
+}
+
+template <bool FIXED> static cudaError_t queue_voxels(struct rn_device_field *f) {
+    int count = voxel_count(f);
+    size_t first = rn_grid_numbers(&f->config.field) * (size_t)f->scene.planes.planes;
+    if (count == 0) return cudaSuccess;
+    return RN_LAUNCH(rn_update_voxels_kernel<FIXED>, RN_BLOCKS(count), 256, 0, f->device->stream,
+                     f->scene, f->optimiser, f->batch.status, first, count);
 }
 
 template <bool FIXED> static cudaError_t queue_planes(struct rn_device_field *f) {
     cudaStream_t stream = f->device->stream;
-    bool by_eight = f->scene.planes.channels % 8 == 0;
-    RN_TRY((by_eight ? queue_scatter<FIXED, 8> : queue_scatter<FIXED, 4>)(f));
+    RN_TRY((f->world == RN_WORLD_UNBOUNDED ? queue_scatter<FIXED, RN_WORLD_UNBOUNDED>
+            : f->world == RN_WORLD_FORWARD ? queue_scatter<FIXED, RN_WORLD_FORWARD>
+                                           : queue_scatter<FIXED, RN_WORLD_BALL>)(f));
     RN_TRY(mark(f, "scatter"));
+    RN_TRY(queue_voxels<FIXED>(f));
     return RN_LAUNCH(rn_update_planes_kernel<FIXED>, update_blocks(&f->scene.planes),
                      update_threads(&f->scene.planes), 0, stream, f->scene, f->optimiser,
                      f->batch.status);
@@ -394,7 +466,8 @@ cudaError_t rn_queue_view(struct rn_device_field *f, const struct rn_cuda_view *
     unsigned blocks;
     RN_TRY(fill(f->device, f->shape->render[both.all], 384, both.bytes, &blocks));
     RN_TRY(cudaMemsetAsync(f->view.status->queued, 0, sizeof f->view.status->queued, stream));
-    RN_TRY(RN_LAUNCH(rn_view_kernel, RN_BLOCKS(v.count), 256, 0, stream, v, f->seen, f->view, m));
+    RN_TRY(RN_LAUNCH(RN_IN_WORLD(rn_view_kernel), RN_BLOCKS(v.count), 256, 0, stream, v, f->seen,
+                     f->view, m));
     RN_TRY(RN_LAUNCH(f->shape->render[both.all], blocks, 384, both.bytes, stream, f->seen, f->view,
                      m, both.networks));
     if (s->per_ray && s->view_dependence) {

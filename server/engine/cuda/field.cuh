@@ -24,6 +24,7 @@ struct rn_backend_device {
 
 // The kernels of one padded shape; of each the second where all that it stages fits shared memory.
 struct rn_kernel_shape {
+    enum rn_world world;
     int inputs16, width16;
     void (*train[2])(struct rn_cuda_scene, struct rn_cuda_batch, struct rn_cuda_march, int);
     void (*render[2])(struct rn_cuda_scene, struct rn_cuda_batch, struct rn_cuda_march, int);
@@ -31,7 +32,7 @@ struct rn_kernel_shape {
     void (*shade_render[2])(struct rn_cuda_scene, struct rn_cuda_batch, struct rn_cuda_march, int);
     void (*head_backward[2])(struct rn_cuda_scene, struct rn_cuda_batch, int);
     void (*base_backward[2])(struct rn_cuda_scene, struct rn_cuda_batch, int);
-    void (*measure[2])(struct rn_cuda_scene, struct rn_cuda_measurement, int);
+    void (*measure[2])(struct rn_cuda_scene, struct rn_cuda_measurement, int); // of a ball
 };
 
 // Events between the kernels of a step that is timed.
@@ -44,7 +45,8 @@ struct rn_timer {
 struct rn_device_field {
     struct rn_backend_device *device;
     struct rn_train_config config;
-    double centre[3], radius;
+    struct rn_cuda_cut cut; // but for the step
+    enum rn_world world;
     struct rn_solid solid;
     const struct rn_kernel_shape *shape;
     struct rn_cuda_scene scene;
@@ -104,7 +106,7 @@ cudaError_t rn_queue_occupancy(struct rn_device_field *field);
 cudaError_t rn_queue_measurement(struct rn_device_field *field, const struct rn_device_step *step);
 // Queues what new parameters entail: pyramids and fragments.
 cudaError_t rn_queue_refresh(struct rn_device_field *field);
-// Queues the smoothing of the planes, and their maps.
+// Queues the smoothing of planes and voxels, and the maps.
 cudaError_t rn_queue_smoothing(struct rn_device_field *field, float share);
 // Queues the kernels of one step.
 cudaError_t rn_queue_step(struct rn_device_field *field);

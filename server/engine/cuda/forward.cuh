@@ -8,15 +8,21 @@
 #include "server/engine/cuda/encode.cuh"
 #include "server/engine/cuda/march.cuh"
 #include "server/engine/cuda/network.cuh"
+#include "server/engine/field/occupancy.h"
 #include "server/engine/field/sh.h"
 
 // ---- pieces ---------------------------------------------------------------------------------
 
-// The direction that the colour network is told; each number chosen, not the place of all three,
-// which would have to lie in memory.
-RN_DEVICE void rn_look(const struct rn_cuda_march *march, const float direction[3], float ret[3]) {
+// The direction that the colour network is told of a ray whose own is `own`; each number chosen,
+// not the place of all three, which would have to lie in memory.
+RN_DEVICE void rn_look(const struct rn_cuda_march *march, const float own[3], float ret[3]) {
     for (int i = 0; i < 3; i++)
-        ret[i] = march->turned ? march->look[i] : direction[i];
+        ret[i] = march->turned ? march->look[i] : own[i];
+}
+
+// The own one of ray r.
+RN_DEVICE const float *rn_direction_of(const struct rn_cuda_batch *b, int r) {
+    return b->looks + (size_t)r * (size_t)b->look_stride;
 }
 
 // The direction's spherical harmonics as columns 0..15 of the colour network's input: words for
@@ -70,6 +76,7 @@ RN_DEVICE float rn_alpha_float(float x) {
 struct rn_shaded {
     float x;             // optical depth
     float weight, after; // and transmittance behind
+    float before;        // optical depth in front
 };
 
 // Sum over the lanes behind this one, of 16.
@@ -88,6 +95,7 @@ RN_DEVICE float rn_sum_behind(float x) {
 RN_DEVICE void rn_attenuate(float stop_depth, double *depth, struct rn_shaded *s) {
     float inside = rn_sum_before(s->x, RN_TILE), before = (float)(*depth + (double)inside);
     float t = before <= stop_depth ? expf(-before) : 0;
+    s->before = before;
     s->weight = t * rn_alpha_float(s->x);
     s->after = t * expf(-s->x);
     *depth += (double)rn_shuffle(inside + s->x, RN_TILE - 1);
@@ -101,7 +109,8 @@ struct rn_trace {
     const struct rn_cuda_batch *batch;
     const uint4 *base, *head; // fragments
     struct rn_march_ray ray;
-    int index; // of the ray
+    struct rn_forward_line line; // of a forward-facing space
+    int index;                   // of the ray
     uint32_t direction[2];
     // sums over the lane's own samples: colour, opacity, opacity times distance
     float colour[3], opacity, distance;
@@ -184,26 +193,63 @@ RN_DEVICE void rn_save_sums(struct rn_trace *t) {
         t->colour[c] = rn_shuffle(t->sums[(c + 1) % 2], (c + 1) / 2);
 }
 
+// ---- the end of a place ---------------------------------------------------------------------
+
+// Sum of lanes 0..15, in all lanes.
+RN_DEVICE float rn_tile_sum(float x) {
+    return rn_warp_sum(RN_LANE < RN_TILE ? x : 0);
+}
+
+// Whether a world is a place (rn_is_place).
+template <int WORLD> RN_DEVICE constexpr bool rn_ends() {
+    return WORLD == RN_WORLD_UNBOUNDED || WORLD == RN_WORLD_FORWARD;
+}
+
+// Where rays are shaded as a whole nothing shines through the end of a place (rn_ends_opaque): the
+// last of a ray's samples, number `last` of a tile, takes what shines through the others.
+RN_DEVICE void rn_close_end(float stop_depth, double depth, int last, struct rn_shaded *s) {
+    float all = rn_tile_sum(s->x);
+    if (depth + (double)all <= (double)stop_depth && RN_LANE == last) s->x = RN_OPAQUE;
+}
+
+// Notes what the cell of a lane's sample showed; in any order the same. What is hidden showed
+// nothing.
+RN_DEVICE void rn_note_seen(const struct rn_cuda_batch *b, int cells, const struct rn_sample *at,
+                            const struct rn_shaded *s) {
+    const float p[3] = {at->x, at->y, at->z};
+    float half = 0.5f * (float)cells, weight = fmaxf(s->weight, RN_SEEN_LEAST);
+    int cell[3], bits;
+    if (!(s->before <= RN_HIDDEN_DEPTH)) return;
+    for (int i = 0; i < 3; i++)
+        cell[i] = (int)rn_clamp_lane(p[i] * half + half, 0, (float)(cells - 1));
+    memcpy(&bits, &weight, sizeof bits); // of numbers that are not negative, ordered as they are
+    atomicMax((int *)b->seen + rn_cell_index(cell[0], cell[1], cell[2], cells), bits);
+}
+
 // ---- a tile ---------------------------------------------------------------------------------
 
-// One tile: `n` samples at march indices `index` (lane i: sample i).
-template <int KT, int WT, bool TRAIN>
+// One tile: `n` samples at march indices `index` (lane i: sample i); `last`: of the ray.
+template <int KT, int WT, bool TRAIN, int WORLD>
 RN_DEVICE void rn_trace_tile(struct rn_trace *t, const struct rn_encoder *encoder, int n, int index,
-                             double *depth) {
+                             bool last, double *depth) {
     const struct rn_cuda_scene *scene = t->scene;
     uint32_t a[KT][4], head_in[2][4];
-    float out[2][4], top[2], mid = ((float)index + 0.5f) * encoder->step;
+    float out[2][4], top[2], mid = rn_middle<WORLD>(&t->ray, index, encoder->step);
     struct rn_sample s[2];
     for (int i = 0; i < 2; i++)
-        s[i] = rn_place(&t->ray, rn_shuffle(mid, RN_LANE / 4 + 8 * i), encoder->step);
-    rn_encode<KT>(&scene->planes, scene->texels, encoder, t->ray.radius, s, a, top);
+        s[i] =
+            rn_place<WORLD>(&t->ray, &t->line, rn_shuffle(mid, RN_LANE / 4 + 8 * i), encoder->step);
+    rn_encode<KT, WORLD>(scene, encoder, &t->ray, s, a, top);
     rn_forward<KT, WT>(&scene->base, t->base, a, out);
-    struct rn_sample own = rn_place(&t->ray, mid, encoder->step);
-    bool inside = own.x * own.x + own.y * own.y + own.z * own.z <= 1 && RN_LANE % RN_TILE < n;
+    struct rn_sample own = rn_place<WORLD>(&t->ray, &t->line, mid, encoder->step);
+    bool inside = rn_is_inside<WORLD>(&own) && RN_LANE % RN_TILE < n;
     struct rn_shaded shaded;
     float density = rn_density_float(rn_column(out, 0));
     shaded.x = inside ? density * (encoder->step * (float)RN_DENSITY_UNIT) : 0;
+    if (rn_ends<WORLD>() && last) rn_close_end(t->march->stop_depth, *depth, n - 1, &shaded);
     rn_attenuate(t->march->stop_depth, depth, &shaded);
+    if (TRAIN && rn_ends<WORLD>() && RN_LANE < n)
+        rn_note_seen(t->batch, scene->occupancy.cells, &own, &shaded);
     uint32_t seen = rn_ballot(shaded.weight > 0 && RN_LANE < RN_TILE);
     // A number that is not finite is seen too: it must reach the pixel, and be counted there.
     uint32_t strange = rn_ballot(!(shaded.weight >= 0) && RN_LANE < RN_TILE);
@@ -217,7 +263,7 @@ RN_DEVICE void rn_trace_tile(struct rn_trace *t, const struct rn_encoder *encode
         rn_count_levels(t->batch->status, top, shaded.weight > 0 && RN_LANE < RN_TILE);
     }
     t->opacity += shaded.weight;
-    t->distance += shaded.weight * (t->ray.near + mid);
+    t->distance += shaded.weight * (WORLD == RN_WORLD_FORWARD ? own.t : t->ray.near + mid);
     t->samples += rn_popcount(seen);
     if (scene->per_ray) {
         rn_add_sums(t, out, shaded.weight);
@@ -234,29 +280,49 @@ RN_DEVICE void rn_trace_tile(struct rn_trace *t, const struct rn_encoder *encode
     }
 }
 
-// Sum of lanes 0..15, in all lanes.
-RN_DEVICE float rn_tile_sum(float x) {
-    return rn_warp_sum(RN_LANE < RN_TILE ? x : 0);
+// The ray's samples, tile by tile; where its last one is another than the others it is found before
+// it is looked at.
+template <int KT, int WT, bool TRAIN, int WORLD>
+RN_DEVICE void rn_trace_tiles(struct rn_trace *t, const struct rn_encoder *encoder,
+                              struct rn_walk *walk) {
+    double depth = 0;
+    int n, index;
+    auto next_tile = [&](int *ret_index) {
+        return rn_walk_next<WORLD>(&t->scene->occupancy, &t->ray, t->march->step, walk, ret_index);
+    };
+    if constexpr (rn_ends<WORLD>()) {
+        int next = 0, next_index = 0;
+        n = next_tile(&index);
+        for (; depth <= (double)t->march->stop_depth && n > 0; n = next, index = next_index) {
+            next = next_tile(&next_index);
+            bool last = next == 0 && t->scene->per_ray;
+            rn_trace_tile<KT, WT, TRAIN, WORLD>(t, encoder, n, index, last, &depth);
+        }
+    } else {
+        while (depth <= (double)t->march->stop_depth && (n = next_tile(&index)) > 0)
+            rn_trace_tile<KT, WT, TRAIN, WORLD>(t, encoder, n, index, false, &depth);
+    }
 }
 
 // Follows the ray; afterwards the sums are those of the whole ray, in all lanes.
-template <int KT, int WT, bool TRAIN> RN_DEVICE void rn_trace_ray(struct rn_trace *t) {
+template <int KT, int WT, bool TRAIN, int WORLD> RN_DEVICE void rn_trace_ray(struct rn_trace *t) {
     const struct rn_cuda_scene *scene = t->scene;
     t->last_tile = -1;
     t->samples = t->evaluated = 0;
     t->colour[0] = t->colour[1] = t->colour[2] = t->opacity = t->distance = 0;
     t->sums[0] = t->sums[1] = t->sums[2] = t->sums[3] = 0;
-    struct rn_walk walk = rn_walk_start(&scene->occupancy, &t->ray, t->march->step);
+    struct rn_walk walk = rn_walk_start<WORLD>(&scene->occupancy, &t->ray, t->march->step);
     if (walk.k >= walk.end) return;
-    struct rn_encoder encoder = rn_encoder_start(&scene->planes, &t->ray, t->march->step);
+    if (WORLD == RN_WORLD_FORWARD) t->line = t->batch->forward[t->index].line;
+    struct rn_encoder encoder =
+        rn_encoder_start<WORLD>(&scene->planes, &t->ray, &t->line, t->march->step);
     float look[3];
-    rn_look(t->march, t->ray.direction, look);
+    if constexpr (WORLD == RN_WORLD_FORWARD)
+        rn_look(t->march, rn_direction_of(t->batch, t->index), look);
+    else
+        rn_look(t->march, t->ray.direction, look);
     rn_direction(scene, look, t->direction);
-    double depth = 0;
-    int n, index;
-    while (depth <= (double)t->march->stop_depth &&
-           (n = rn_walk_next(&scene->occupancy, &t->ray, t->march->step, &walk, &index)) > 0)
-        rn_trace_tile<KT, WT, TRAIN>(t, &encoder, n, index, &depth);
+    rn_trace_tiles<KT, WT, TRAIN, WORLD>(t, &encoder, &walk);
     for (int c = 0; c < 3; c++)
         t->colour[c] = rn_tile_sum(t->colour[c]);
     t->opacity = rn_tile_sum(t->opacity);
@@ -299,7 +365,7 @@ RN_DEVICE void rn_leave_ray(const struct rn_trace *t) {
 // Rays of the batch that may see something, each by the warp that comes first. Shared memory: the
 // two networks' fragments, as far as `staged` says (0 none, 1 the density network, 2 both, as where
 // SHARED).
-template <int KT, int WT, bool TRAIN, bool SHARED>
+template <int KT, int WT, bool TRAIN, bool SHARED, int WORLD>
 __global__ void __launch_bounds__(384, 1)
     rn_forward_kernel(const __grid_constant__ rn_cuda_scene scene,
                       const __grid_constant__ rn_cuda_batch batch,
@@ -318,7 +384,7 @@ __global__ void __launch_bounds__(384, 1)
         t.index = rn_next_ray(&batch);
         if (t.index < 0) break;
         t.ray = batch.rays[t.index];
-        rn_trace_ray<KT, WT, TRAIN>(&t);
+        rn_trace_ray<KT, WT, TRAIN, WORLD>(&t);
         evaluated += (unsigned long long)t.evaluated;
         if (scene.per_ray) rn_save_sums(&t);
         if (TRAIN)

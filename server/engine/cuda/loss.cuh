@@ -93,6 +93,53 @@ RN_DEVICE bool rn_roulette_draw(struct rn_roulette *l, float size, float *ret_fa
     return before / RN_CERTAIN != after / RN_CERTAIN;
 }
 
+// ---- distortion -----------------------------------------------------------------------------
+
+// What distortion is measured in (reach_of in cpu/crisp.h): how far behind the ray's origin a
+// sample lies, or in unbounded space its place. A parameter of the kernels, which without the loss
+// do nothing for it.
+enum rn_distorts { RN_DISTORTS_NOT, RN_DISTORTS_ALONG, RN_DISTORTS_PLACES };
+template <int DISTORTS> RN_DEVICE float rn_reach(float mid) {
+    return DISTORTS == RN_DISTORTS_PLACES ? 0.5f * rn_place_of_distance_lane(mid) : mid;
+}
+
+// The distortion loss along one ray (distort in cpu/crisp.h), tiles taken from its last to its
+// first: sums of the weights, and of weights times reach, of all samples and of those behind.
+struct rn_distortion {
+    float factor, width; // of the loss; of a sample
+    double all, all_moment, behind, behind_moment;
+};
+
+template <int DISTORTS>
+RN_DEVICE struct rn_distortion rn_distortion_start(const struct rn_cuda_batch *b,
+                                                   const struct rn_cuda_march *march, int r) {
+    int rays = b->pixel_rays;
+    if (!DISTORTS) return rn_distortion{0, 0, 0, 0, 0, 0};
+    float weight = b->status->distortion * b->rays[r - r % rays].weight / (float)rays;
+    struct rn_distortion d = {
+        weight * b->status->gradient_scale, march->step * (float)b->rays[r].stride, 0, 0, 0, 0};
+    for (int slot = b->ray_last[r]; slot >= 0; slot = b->tile_previous[slot]) {
+        size_t at = (size_t)slot * RN_TILE + RN_LANE % RN_TILE;
+        float own = b->weight[at];
+        d.all += (double)rn_tile_sum(own);
+        d.all_moment += (double)rn_tile_sum(own * rn_reach<DISTORTS>(b->mid[at]));
+    }
+    return d;
+}
+
+// Its part of dL/dw of lane i's sample, scaled; collective.
+template <int DISTORTS>
+RN_DEVICE float rn_distort(const struct rn_cuda_batch *b, size_t at, struct rn_distortion *d) {
+    float weight = b->weight[at], reach = rn_reach<DISTORTS>(b->mid[at]), moment = weight * reach;
+    float behind = rn_sum_behind(weight), behind_moment = rn_sum_behind(moment);
+    float beyond = (float)(d->all - 2 * (d->behind + (double)behind));
+    float beyond_moment = (float)(d->all_moment - 2 * (d->behind_moment + (double)behind_moment));
+    d->behind += (double)rn_shuffle(behind + weight, 0);
+    d->behind_moment += (double)rn_shuffle(behind_moment + moment, 0);
+    float apart = reach * beyond - beyond_moment;
+    return weight > 0 ? d->factor * (2 * apart + weight * d->width * (2.0f / 3)) : 0;
+}
+
 // ---- back to the samples --------------------------------------------------------------------
 
 // dL/d(density logit) of a tile's samples, lane i (mod 16) sample i's, tiles taken from a ray's
@@ -117,11 +164,14 @@ RN_DEVICE void rn_return_tile(const struct rn_cuda_batch *b, int slot, bool retu
 }
 
 // dL/d(colour logits) and dL/d(density logit) of the samples of one ray, whose loss has the
-// gradient `grad` (rn_ray_loss); g_i = grad[3] + grad . colour_i. From the last tile to the first;
-// those that the roulette takes are backpropagated.
-RN_DEVICE void rn_composite_backward(const struct rn_cuda_batch *b, int r, const float grad[4],
+// gradient `grad` (rn_ray_loss); g_i = grad[3] + grad . colour_i, and the distortion's. From the
+// last tile to the first; those that the roulette takes are backpropagated.
+template <int DISTORTS>
+RN_DEVICE void rn_composite_backward(const struct rn_cuda_batch *b,
+                                     const struct rn_cuda_march *march, int r, const float grad[4],
                                      float scale, struct rn_cuda_return *ret) {
     struct rn_roulette roulette = rn_roulette_start(b, r);
+    struct rn_distortion distortion = rn_distortion_start<DISTORTS>(b, march, r);
     double behind = 0;
     for (int slot = b->ray_last[r]; slot >= 0; slot = b->tile_previous[slot]) {
         size_t at = (size_t)slot * RN_TILE + RN_LANE % RN_TILE;
@@ -132,7 +182,9 @@ RN_DEVICE void rn_composite_backward(const struct rn_cuda_batch *b, int r, const
             slope += weight > 0 ? grad[c] * colour : 0;
             size += fabsf(sigmoid[c]);
         }
-        float logit = rn_attenuate_backward(b, at, scale * slope, &behind);
+        slope *= scale;
+        if (DISTORTS) slope += rn_distort<DISTORTS>(b, at, &distortion);
+        float logit = rn_attenuate_backward(b, at, slope, &behind);
         size += fabsf(logit);
         rn_return_tile(b, slot, rn_roulette_draw(&roulette, size, &factor), &ret->count);
         ret->size += rn_tile_sum(size);
@@ -145,6 +197,7 @@ RN_DEVICE void rn_composite_backward(const struct rn_cuda_batch *b, int r, const
 }
 
 // A warp a ray. Each ray of a split pixel has its share of the pixel's weight.
+template <int DISTORTS>
 __global__ void __launch_bounds__(256) rn_loss_kernel(const __grid_constant__ rn_cuda_batch batch,
                                                       const __grid_constant__ rn_cuda_march march) {
     int rays = march.split ? RN_PIXEL_RAYS : 1, stride = (int)(gridDim.x * blockDim.x / RN_LANES);
@@ -157,7 +210,7 @@ __global__ void __launch_bounds__(256) rn_loss_kernel(const __grid_constant__ rn
                        own = rn_seen_by(&batch, &march, r, 1);
         float grad[4], loss, sum = own.opacity + own.colour[0] + own.colour[1] + own.colour[2];
         bool takes_part = rn_ray_loss(ray, &march, seen.colour, seen.opacity, grad, &loss);
-        if (takes_part) rn_composite_backward(&batch, r, grad, scale, &returned);
+        if (takes_part) rn_composite_backward<DISTORTS>(&batch, &march, r, grad, scale, &returned);
         if (RN_LANE > 0) continue;
         batch.ray_return[r] = returned;
         rn_save_loss(&batch, r, takes_part, share * ray->weight, loss,

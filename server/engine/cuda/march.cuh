@@ -3,7 +3,7 @@
 #ifndef RN_ENGINE_CUDA_MARCH_CUH
 #define RN_ENGINE_CUDA_MARCH_CUH
 
-#include "server/engine/cuda/scene.cuh"
+#include "server/engine/cuda/space.cuh"
 
 // A walk along one ray; the same in all lanes. `bits` are the samples found and not yet taken, of
 // the window of 32 steps that begins at `window`.
@@ -39,13 +39,16 @@ RN_DEVICE void rn_walk_clip(const struct rn_cuda_occupancy *o, const struct rn_m
     if (last < w->end) w->end = last;
 }
 
+// Through unbounded space rays are bent: every step is looked at.
+template <int WORLD>
 RN_DEVICE struct rn_walk rn_walk_start(const struct rn_cuda_occupancy *o,
                                        const struct rn_march_ray *ray, float step) {
     struct rn_walk w = {0, 0, 0, rn_lowest((uint32_t)ray->stride), 0};
     if (!(ray->length > 0) || o->box[0] > o->box[3]) return w;
-    w.end = rn_index_at(ray->length, 1 / step);
+    bool bent = WORLD == RN_WORLD_UNBOUNDED;
+    w.end = bent ? (int)(ray->length / (2 * step)) : rn_index_at(ray->length, 1 / step);
     if (w.end > 65535) w.end = 65535;
-    rn_walk_clip(o, ray, 1 / step, &w);
+    if (!bent) rn_walk_clip(o, ray, 1 / step, &w);
     return w;
 }
 
@@ -79,11 +82,13 @@ RN_DEVICE int rn_skip_empty(const struct rn_cuda_occupancy *o, const struct rn_m
 }
 
 // Tiles that a ray may have, counted brick by brick by one thread; 0: it meets no brick with an
-// occupied cell, and the warp's walk would find nothing.
+// occupied cell, and the warp's walk would find nothing. Of a bent ray as many as it has steps for.
+template <int WORLD>
 RN_DEVICE int rn_tiles_ahead(const struct rn_cuda_occupancy *o, const struct rn_march_ray *ray,
                              float step) {
-    struct rn_walk w = rn_walk_start(o, ray, step);
+    struct rn_walk w = rn_walk_start<WORLD>(o, ray, step);
     int tiles = 0;
+    if (WORLD == RN_WORLD_UNBOUNDED) return (w.end + RN_TILE - 1) / RN_TILE;
     while (w.k < w.end) {
         int next = rn_skip_empty(o, ray, w.k, step);
         tiles += next == w.k;
@@ -93,12 +98,15 @@ RN_DEVICE int rn_tiles_ahead(const struct rn_cuda_occupancy *o, const struct rn_
 }
 
 // Whether step k lies in an occupied cell.
+template <int WORLD>
 RN_DEVICE bool rn_cell_occupied(const struct rn_cuda_occupancy *o, const struct rn_march_ray *ray,
                                 int k, float step) {
-    float s = ((float)k + 0.5f) * step, half = 0.5f * (float)o->cells;
+    float s = rn_middle<WORLD>(ray, k, step), half = 0.5f * (float)o->cells;
+    float scale = WORLD == RN_WORLD_UNBOUNDED ? rn_lengths_at(ray, s).scale : 1;
     int cell[3], bricks = o->cells / RN_BRICK;
     for (int i = 0; i < 3; i++) {
         float p = ray->direction[i] * s + ray->origin[i];
+        if (WORLD == RN_WORLD_UNBOUNDED) p *= scale;
         cell[i] = (int)fminf(fmaxf(p * half + half, 0), (float)(o->cells - 1));
     }
     int brick = ((cell[0] >> 3) * bricks + (cell[1] >> 3)) * bricks + (cell[2] >> 3);
@@ -130,20 +138,21 @@ RN_DEVICE int rn_nth_bit(uint32_t bits, int n) {
 
 // The next samples, at most RN_TILE: lane i gets the march index of the i-th, in units of the ray's
 // stride. Returns how many there are; 0 at the ray's end. Ends: every turn advances k.
+template <int WORLD>
 RN_DEVICE int rn_walk_next(const struct rn_cuda_occupancy *o, const struct rn_march_ray *ray,
                            float step, struct rn_walk *w, int *ret_index) {
     int count = 0;
     *ret_index = 0;
     while (count < RN_TILE && (w->bits || w->k < w->end)) {
         if (!w->bits) {
-            int next = rn_skip_empty(o, ray, w->k, step);
+            int next = WORLD == RN_WORLD_UNBOUNDED ? w->k : rn_skip_empty(o, ray, w->k, step);
             if (next != w->k) {
                 w->k = next;
                 continue;
             }
             w->window = w->k & -(1 << w->shift);
             int mine = w->window + RN_LANE;
-            bool hit = mine < w->end && rn_cell_occupied(o, ray, mine, step);
+            bool hit = mine < w->end && rn_cell_occupied<WORLD>(o, ray, mine, step);
             w->bits = rn_merge_steps(rn_ballot(hit), w->shift);
             w->k = w->window + RN_LANES;
         }

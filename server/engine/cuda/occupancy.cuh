@@ -30,7 +30,7 @@ RN_DEVICE struct rn_sample rn_cell_point(const struct rn_cuda_measurement *m, ui
     float p[3];
     for (int k = 0; k < 3; k++)
         p[k] = ((float)at[k] + rn_rng_unit(draw.v[k])) * 2 / (float)cells - 1;
-    struct rn_sample s = {p[0], p[1], p[2], 0, 0, 0};
+    struct rn_sample s = {p[0], p[1], p[2], 0, 0, 0, 0};
     return s;
 }
 
@@ -63,7 +63,7 @@ RN_DEVICE uint32_t rn_measured_cell(const struct rn_cuda_occupancy *o,
 }
 
 // Sixteen cells a warp: density at a point of each, all at one level.
-template <int KT, int WT, bool SHARED>
+template <int KT, int WT, bool SHARED, int WORLD>
 __global__ void __launch_bounds__(RN_NETWORK_THREADS(SHARED), 1)
     rn_measure_kernel(const __grid_constant__ rn_cuda_scene scene,
                       const __grid_constant__ rn_cuda_measurement m, int staged) {
@@ -72,6 +72,7 @@ __global__ void __launch_bounds__(RN_NETWORK_THREADS(SHARED), 1)
                                     scene.forward, scene.base.packed_count);
     rn_stage_finish();
     struct rn_encoder flat = {{0, 0, 0, 0}, ~0u, 0, m.level};
+    const struct rn_march_ray none = {};
     uint32_t warp = (blockIdx.x * blockDim.x + threadIdx.x) / RN_LANES;
     uint32_t count = m.drawn ? o->cells_now->drawn : m.count;
     for (uint32_t i = warp * RN_TILE; i < count; i += gridDim.x * blockDim.x / RN_LANES * RN_TILE) {
@@ -82,7 +83,7 @@ __global__ void __launch_bounds__(RN_NETWORK_THREADS(SHARED), 1)
             uint32_t row = i + (uint32_t)(RN_LANE / 4 + 8 * k);
             s[k] = rn_cell_point(&m, rn_measured_cell(o, &m, count, row), o->cells);
         }
-        rn_encode<KT>(&scene.planes, scene.texels, &flat, 0, s, a, top);
+        rn_encode<KT, WORLD>(&scene, &flat, &none, s, a, top);
         rn_forward<KT, WT>(&scene.base, weights, a, out);
         float density = rn_density_float(rn_column(out, 0));
         uint32_t own = i + (uint32_t)RN_LANE;
@@ -94,6 +95,17 @@ __global__ void __launch_bounds__(RN_NETWORK_THREADS(SHARED), 1)
         float old = o->values[cell] * m.decay;
         o->values[cell] = value > old ? value : old;
     }
+}
+
+// What is kept of the cells of a place after a round over what they showed. One thread a cell.
+__global__ void __launch_bounds__(256)
+    rn_seen_kernel(struct rn_cuda_occupancy o, uint32_t *seen, bool all_looked) {
+    size_t i = (size_t)blockIdx.x * blockDim.x + threadIdx.x, n = (size_t)o.cells;
+    if (i >= n * n * n) return;
+    float shown = NAN;
+    if (seen[i]) memcpy(&shown, &seen[i], sizeof shown);
+    o.values[i] = rn_cell_kept(o.values[i], shown, all_looked);
+    seen[i] = 0;
 }
 
 // Sums of the values of cells that may hold matter, one a block.
@@ -121,7 +133,7 @@ __global__ void __launch_bounds__(256)
     for (int i = 0; i < RN_OCCUPANCY_PARTS; i++)
         sum += o.partial[i];
     double mean = sum / ((double)o.cells * (double)o.cells * (double)o.cells);
-    float threshold = (float)(mean < o.limit ? mean : o.limit);
+    float threshold = o.by_sight ? RN_SEEN_LIMIT : (float)(mean < o.limit ? mean : o.limit);
     int brick = word / 16, z = brick % bricks * RN_BRICK + word % 16 / 2;
     int y0 = brick / bricks % bricks * RN_BRICK + word % 2 * 4;
     int x0 = brick / bricks / bricks * RN_BRICK;
@@ -129,7 +141,9 @@ __global__ void __launch_bounds__(256)
     for (int i = 0; i < 32; i++) {
         int cell[3] = {x0 + i % 8, y0 + i / 8, z};
         size_t at = rn_cell_index(cell[0], cell[1], cell[2], o.cells);
-        if (!o.hull[at] || !(o.values[at] > threshold)) continue;
+        bool over = o.values[at] > threshold;
+        if (o.by_sight && !over) over = rn_cell_ends(o.forward, cell, o.cells, o.cells);
+        if (!o.hull[at] || !over) continue;
         bits |= 1u << i;
         for (int k = 0; k < 3; k++) {
             atomicMin(o.box + k, cell[k]);

@@ -11,6 +11,7 @@ struct rn_cuda_rates {
     float network_rate, plane_rate, network_decay, plane_decay, eps;
     double beta2; // of the second moment; the first's is 0.9
     int sparse;   // blocks that no sample touched keep their parameters and moments
+    float distortion;
 };
 
 // AdamW of a step, for planes or networks.
@@ -46,12 +47,13 @@ RN_DEVICE struct rn_adam rn_adam_start(const struct rn_cuda_rates *o, float rate
 
 // One thread; the rates are a value, so that the host need not wait before it changes them.
 __global__ void rn_rates_kernel(struct rn_cuda_rates o, struct rn_cuda_update *to,
-                                const struct rn_cuda_status *status) {
+                                struct rn_cuda_status *status) {
     if (threadIdx.x != 0) return;
     double n = (double)(status->updates + 1);
     to->planes = rn_adam_start(&o, o.plane_rate, o.plane_decay, n);
     to->networks = rn_adam_start(&o, o.network_rate, o.network_decay, n);
     to->sparse = o.sparse;
+    status->distortion = o.distortion;
 }
 
 // One number (cpu/kernel_set.c). False where the outcome is not finite: then the parameter stays
@@ -337,6 +339,70 @@ __global__ void __launch_bounds__(256)
             if (!FIXED && g.half) g.half[at / 4] = uint2{0, 0};
         }
     }
+}
+
+// ---- voxels ---------------------------------------------------------------------------------
+
+// AdamW of the voxels, and of the zeros behind them; one thread one. A warp has whole marks.
+template <bool FIXED>
+__global__ void __launch_bounds__(256)
+    rn_update_voxels_kernel(const __grid_constant__ rn_cuda_scene scene,
+                            const __grid_constant__ rn_cuda_optimiser o,
+                            struct rn_cuda_status *status, size_t first, int count) {
+    int i = (int)(blockIdx.x * blockDim.x + threadIdx.x);
+    bool is = i < count, touched = is && o.gradients.voxels_touched[i / RN_VOXELS_A_MARK] != 0;
+    __syncwarp(); // all have read the mark
+    if (rn_cuda_step_skipped(status) || !is || (o.update->sparse && !touched)) return;
+    size_t own = (size_t)i * RN_VOXEL_CHANNELS, at = first + own;
+    float scale = 1 / (status->gradient_scale * (float)status->weight), value[4], m[4], v[4];
+    float grad[4] = {0, 0, 0, 0};
+    struct rn_adam adam = o.update->planes;
+    rn_load4(scene.parameters + at, value);
+    rn_load4(o.m + at, m);
+    rn_load4(o.v + at, v);
+    for (int c = 0; c < 4 && touched; c++) {
+        if (FIXED) {
+            long long fixed = (long long)o.gradients.voxels_fixed[own + c];
+            grad[c] = (float)((double)fixed / (double)RN_FIXED_ONE);
+            o.gradients.voxels_fixed[own + c] = 0;
+        } else {
+            grad[c] = o.gradients.voxels[own + c];
+            o.gradients.voxels[own + c] = 0;
+        }
+    }
+    for (int c = 0; c < 4; c++)
+        if (!rn_adamw(&adam, grad[c] * scale, &value[c], &m[c], &v[c]))
+            atomicAdd((unsigned long long *)&status->nonfinite_numbers, 1ull);
+    rn_store4(value, scene.parameters + at);
+    rn_store4(m, o.m + at);
+    rn_store4(v, o.v + at);
+    if (touched) o.gradients.voxels_touched[i / RN_VOXELS_A_MARK] = 0;
+}
+
+// Draws the voxels of one colour of a chessboard towards their six neighbours (smooth_voxels of
+// cpu/voxels.h). One thread a voxel.
+__global__ void __launch_bounds__(256)
+    rn_smooth_voxels_kernel(float4 *voxels, int side, float share, int odd) {
+    int i = (int)(blockIdx.x * blockDim.x + threadIdx.x), slice = side * side;
+    int x = i % side, y = i / side % side, z = i / slice;
+    if (z >= side || (x + y + z) % 2 != odd) return;
+    float4 *at = voxels + i, here = *at;
+    const float4 around[6] = {at[x > 0 ? -1 : 0],     at[x + 1 < side ? 1 : 0],
+                              at[y > 0 ? -side : 0],  at[y + 1 < side ? side : 0],
+                              at[z > 0 ? -slice : 0], at[z + 1 < side ? slice : 0]};
+    float4 sum = {0, 0, 0, 0};
+    RN_UNROLL
+    for (int k = 0; k < 6; k++) {
+        sum.x += around[k].x;
+        sum.y += around[k].y;
+        sum.z += around[k].z;
+        sum.w += around[k].w;
+    }
+    here.x += share * (sum.x - 6 * here.x);
+    here.y += share * (sum.y - 6 * here.y);
+    here.z += share * (sum.z - 6 * here.z);
+    here.w += share * (sum.w - 6 * here.w);
+    *at = here;
 }
 
 // ---- networks -------------------------------------------------------------------------------

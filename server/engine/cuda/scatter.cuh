@@ -19,7 +19,12 @@ struct rn_cuda_gradients {
     uint2 *half;
     unsigned long long *fixed;
     uint8_t *touched;
+    // Of the voxels: fp32, or int64 too; one byte for RN_VOXELS_A_MARK of them.
+    float *voxels;
+    unsigned long long *voxels_fixed;
+    uint8_t *voxels_touched;
 };
+#define RN_VOXELS_A_MARK 4 // as many numbers as the CPU's tiles hold (rn_tiling)
 
 // Sums of the four texels of one map around the ray, [row][column][channel]; 0 where it is empty.
 #define RN_NOWHERE -4
@@ -179,7 +184,7 @@ RN_DEVICE struct rn_returned_sample<C> rn_load_returned(const struct rn_cuda_bat
 }
 
 // Follows a piece of a ray on the plane of fragment `k`, from lane part `t` of four on.
-template <bool FIXED, int C>
+template <bool FIXED, int C, int WORLD>
 RN_DEVICE void rn_scatter_piece(const struct rn_cuda_scene *scene, const struct rn_cuda_batch *b,
                                 const struct rn_cuda_gradients *to, float step,
                                 struct rn_cuda_piece piece, int k, int t) {
@@ -193,7 +198,10 @@ RN_DEVICE void rn_scatter_piece(const struct rn_cuda_scene *scene, const struct 
     if (p.plane >= planes->planes) return;
     struct rn_march_ray ray = b->rays[piece.ray];
     step *= (float)ray.stride;
-    struct rn_footprint_factors f = rn_factors(planes->axis[p.plane], ray.direction);
+    struct rn_forward_line line = {};
+    struct rn_footprint_factors f = {};
+    if (WORLD == RN_WORLD_FORWARD) line = b->forward[piece.ray].line;
+    if (WORLD != RN_WORLD_UNBOUNDED) f = rn_factors(planes->axis[p.plane], ray.direction);
     struct rn_nests<C> nests = rn_nests_start<C>();
     struct rn_returned_sample<C> own, next = rn_load_returned<C>(b, kt, k, t, first);
     for (int i = 0; i <= count; i++) {
@@ -205,16 +213,16 @@ RN_DEVICE void rn_scatter_piece(const struct rn_cuda_scene *scene, const struct 
             uint32_t pair = c % 4 < 2 ? own.grad[c / 4].x : own.grad[c / 4].y;
             grad[c] = c % 2 ? rn_high(pair) : rn_low(pair);
         }
-        struct rn_sample s = rn_place(&ray, own.mid, step);
+        struct rn_sample s = rn_place<WORLD>(&ray, &line, own.mid, step);
         float lx = 0, ly = 0;
-        if (planes->levels > 1) rn_levels(planes, &f, &s, ray.radius, &lx, &ly);
+        if (planes->levels > 1) rn_levels<WORLD>(planes, p.plane, &f, &s, &ray, &lx, &ly);
         struct rn_query q = rn_query_plane(planes, p.plane, &s, lx, ly);
         rn_spread<FIXED>(&p, &q, grad, i == count, &nests);
     }
 }
 
 // One thread a (piece, fragment, C of its 16 channels).
-template <bool FIXED, int C>
+template <bool FIXED, int C, int WORLD>
 __global__ void __launch_bounds__(128)
     rn_scatter_kernel(const __grid_constant__ rn_cuda_scene scene,
                       const __grid_constant__ rn_cuda_batch batch,
@@ -223,8 +231,63 @@ __global__ void __launch_bounds__(128)
     if (rn_cuda_step_skipped(batch.status)) return;
     for (int i = (int)(blockIdx.x * blockDim.x + threadIdx.x); i < all;
          i += (int)(gridDim.x * blockDim.x))
-        rn_scatter_piece<FIXED, C>(&scene, &batch, &to, step, batch.pieces[i / parts],
-                                   i % parts / (16 / C), i % (16 / C) * (C / 4));
+        rn_scatter_piece<FIXED, C, WORLD>(&scene, &batch, &to, step, batch.pieces[i / parts],
+                                          i % parts / (16 / C), i % (16 / C) * (C / 4));
+}
+
+// ---- voxels ---------------------------------------------------------------------------------
+
+// Adds the sums to a voxel and clears them; none: -1.
+template <bool FIXED>
+RN_DEVICE void rn_flush_voxel(const struct rn_cuda_gradients *to, int voxel, float (&sum)[4]) {
+    if (voxel < 0) return;
+    to->voxels_touched[voxel / RN_VOXELS_A_MARK] = 1;
+    for (int c = 0; c < RN_VOXEL_CHANNELS; c++) {
+        size_t at = (size_t)voxel * RN_VOXEL_CHANNELS + (size_t)c;
+        if (FIXED)
+            atomicAdd(to->voxels_fixed + at,
+                      (unsigned long long)(long long)((double)sum[c] * (double)RN_FIXED_ONE));
+        else
+            atomicAdd(to->voxels + at, sum[c]);
+        sum[c] = 0;
+    }
+}
+
+// One thread a (piece, corner of its samples' eight voxels): neighbours on a ray share them.
+template <bool FIXED, int WORLD>
+__global__ void __launch_bounds__(128)
+    rn_scatter_voxels_kernel(const __grid_constant__ rn_cuda_scene scene,
+                             const __grid_constant__ rn_cuda_batch batch,
+                             const __grid_constant__ rn_cuda_gradients to, float step) {
+    int feature = scene.planes.planes * scene.planes.channels, side = scene.voxels.side;
+    int all = (int)batch.status->pieces * 8;
+    if (rn_cuda_step_skipped(batch.status)) return;
+    for (int i = (int)(blockIdx.x * blockDim.x + threadIdx.x); i < all;
+         i += (int)(gridDim.x * blockDim.x)) {
+        struct rn_cuda_piece piece = batch.pieces[i / 8];
+        struct rn_cuda_return returned = batch.ray_return[piece.ray];
+        struct rn_march_ray ray = batch.rays[piece.ray];
+        struct rn_forward_line line = {};
+        if (WORLD == RN_WORLD_FORWARD) line = batch.forward[piece.ray].line;
+        int end = returned.first + returned.count, first = returned.first + piece.begin, held = -1;
+        float sum[4] = {0, 0, 0, 0};
+        for (int place = first; place < end && place < first + RN_PIECE; place++) {
+            struct rn_returned_sample<4> own = rn_load_returned<4>(
+                &batch, scene.base.inputs16, feature / 16, feature % 16 / 4, place);
+            struct rn_sample s = rn_place<WORLD>(&ray, &line, own.mid, step * (float)ray.stride);
+            struct rn_voxel_query q = rn_query_voxels(side, &s);
+            float weight;
+            int voxel = rn_voxel_corner(side, &q, i % 8, &weight);
+            if (!(weight > 0)) continue;
+            if (voxel != held) rn_flush_voxel<FIXED>(&to, held, sum);
+            held = voxel;
+            sum[0] += weight * rn_low(own.grad[0].x);
+            sum[1] += weight * rn_high(own.grad[0].x);
+            sum[2] += weight * rn_low(own.grad[0].y);
+            sum[3] += weight * rn_high(own.grad[0].y);
+        }
+        rn_flush_voxel<FIXED>(&to, held, sum);
+    }
 }
 
 #endif

@@ -9,9 +9,15 @@
 #define RN_WIDE double // devices have no wider type
 extern "C" {
 #include "server/engine/cuda/layout.h"
+#include "server/engine/field/voxels.h"
 #include "server/engine/kernels/backend.h"
 #include "server/engine/kernels/pixel.h"
+#include "server/engine/kernels/ray.h"
 }
+
+// What samples lie in: a parameter of the kernels that look at them, so that what a field has none
+// of costs it nothing. The ball without voxels; with; all of space, and a disparity box, either.
+enum rn_world { RN_WORLD_BALL, RN_WORLD_VOXELS, RN_WORLD_UNBOUNDED, RN_WORLD_FORWARD };
 
 // How many cells there are of a kind.
 struct rn_cuda_cells {
@@ -38,18 +44,40 @@ struct rn_cuda_occupancy {
     uint32_t *drawn; // of these, those that are measured next; NULL where cells are not drawn
     struct rn_cuda_cells *cells_now;
     double *partial; // sums of the values, one a block
+    bool by_sight;   // of a place: values are what cells showed (train/seen.c)
+    bool forward;    // a disparity box
+};
+
+// The grid of voxels beside the planes, as the parameters have it.
+struct rn_cuda_voxels {
+    const float4 *first;
+    int side; // 0: there is none
 };
 
 struct rn_cuda_scene {
     struct rn_cuda_planes planes;
+    struct rn_cuda_voxels voxels;
     struct rn_cuda_network base, head;
     struct rn_cuda_occupancy occupancy;
     bool per_ray, view_dependence;
     uint16_t *texels;  // fp16 pyramids, [texel][channel]
     uint4 *forward;    // the networks' fragments: base, then head
     uint4 *backward;   // likewise
-    float *parameters; // planes [plane][v][u][channel], base, head, as the CPU has them
+    float *parameters; // planes [plane][v][u][channel], voxels, base, head, as the CPU has them
     size_t plane_count;
+};
+
+// How a camera's cones become rays.
+struct rn_cuda_cut {
+    double centre[3], radius, step;
+    bool cone_step;
+    struct rn_disparity disparity;
+};
+
+// What a ray of a forward-facing space was: the direction that the colour network is told.
+struct rn_cuda_forward {
+    float view[3];
+    struct rn_forward_line line;
 };
 
 // What a march needs besides the scene.
@@ -84,6 +112,7 @@ struct rn_cuda_status {
     uint64_t level_samples[RN_MAX_LEVELS];
     unsigned long long evaluated; // samples of the last render or step
     double loss, weight;          // of this step: sums over rays
+    float distortion;             // weight of that loss in this step
     float gradient_size;          // of a sample, unscaled: mean of the step before; 0: none
     float gradient_scale;         // of everything in fp16 that is a gradient
     int good_steps;               // since the scale was last changed
@@ -127,6 +156,10 @@ struct rn_cuda_batch {
     uint64_t seed;  // of the roulette
     float roulette; // rn_march_options
     struct rn_march_ray *rays;
+    struct rn_cuda_forward *forward; // of rays, in a forward-facing space
+    const float *looks;              // the first ray's direction for the colour network,
+    int look_stride;                 // numbers to the next one's
+    uint32_t *seen;                  // training of a place: of a cell (rn_group)
     int *queue; // [RN_LENGTHS][ray_capacity]: rays that the forward takes, of each length
     struct rn_pixel *pixels; // rendering only: of rays
     // of each ray

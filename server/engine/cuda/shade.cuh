@@ -19,7 +19,7 @@ RN_DEVICE void rn_ray_inputs(const struct rn_cuda_scene *scene, const struct rn_
         if (r < b->status->ray_count) {
             const float *from = b->ray_sums + (size_t)r * RN_GEOMETRY + 2 * (RN_LANE % 4);
             float look[3];
-            rn_look(march, b->rays[r].direction, look);
+            rn_look(march, rn_direction_of(b, r), look);
             rn_direction(scene, look, direction);
             for (int k = 0; k < 2; k++)
                 sums[k] = rn_pack(from[8 * k], from[8 * k + 1]);
@@ -155,9 +155,10 @@ __global__ void __launch_bounds__(RN_NETWORK_THREADS(SHARED), 1)
 
 // dL/d(outputs of the density network) of a tile, from dL/d(sums), of which a lane has its columns.
 // g_i = dL/d(sums) . (1, colour_i, features_i); `behind` as in rn_attenuate_backward.
+template <int DISTORTS>
 RN_DEVICE void rn_sums_backward(const struct rn_cuda_batch *b, int slot,
-                                const float (&sums_grad)[2][2], double *behind,
-                                float (&ret)[2][4]) {
+                                const float (&sums_grad)[2][2], struct rn_distortion *distortion,
+                                double *behind, float (&ret)[2][4]) {
     size_t at = (size_t)slot * RN_TILE + RN_LANE % RN_TILE;
     uint32_t kept[4];
     for (int i = 0; i < 2; i++)
@@ -179,6 +180,7 @@ RN_DEVICE void rn_sums_backward(const struct rn_cuda_batch *b, int slot,
             slopes[i] += rn_shuffle_xor(slopes[i], mask);
     }
     float slope = rn_of_row(slopes);
+    if (DISTORTS) slope += rn_distort<DISTORTS>(b, at, distortion);
     rn_set_column(ret, 0, rn_attenuate_backward(b, at, weight > 0 ? slope : 0, behind));
 }
 
@@ -197,16 +199,19 @@ RN_DEVICE float rn_row_size(const float (&c)[2][4]) {
 
 // Gradients of the samples of a ray, from its last tile to its first, those that the roulette
 // takes. True on overflow.
-RN_DEVICE bool rn_return_ray(const struct rn_cuda_batch *b, int r, struct rn_cuda_return *ret) {
+template <int DISTORTS>
+RN_DEVICE bool rn_return_ray(const struct rn_cuda_batch *b, const struct rn_cuda_march *march,
+                             int r, struct rn_cuda_return *ret) {
     const float *from = b->ray_sums + (size_t)r * RN_GEOMETRY + 2 * (RN_LANE % 4);
     const float sums_grad[2][2] = {{from[0], from[1]}, {from[8], from[9]}};
     struct rn_roulette roulette = rn_roulette_start(b, r);
+    struct rn_distortion distortion = rn_distortion_start<DISTORTS>(b, march, r);
     double behind = 0;
     bool bad = false;
     for (int slot = b->ray_last[r]; slot >= 0; slot = b->tile_previous[slot]) {
         float c[2][4], factor;
         uint32_t samples[2];
-        rn_sums_backward(b, slot, sums_grad, &behind, c);
+        rn_sums_backward<DISTORTS>(b, slot, sums_grad, &distortion, &behind, c);
         float size = rn_row_size(c);
         bool has = RN_LANE < RN_TILE && size != 0;
         rn_return_tile(b, slot, rn_roulette_draw(&roulette, size, &factor), &ret->count);
@@ -224,12 +229,14 @@ RN_DEVICE bool rn_return_ray(const struct rn_cuda_batch *b, int r, struct rn_cud
 }
 
 // A warp a ray.
+template <int DISTORTS>
 __global__ void __launch_bounds__(256)
-    rn_sums_backward_kernel(const __grid_constant__ rn_cuda_batch batch) {
+    rn_sums_backward_kernel(const __grid_constant__ rn_cuda_batch batch,
+                            const __grid_constant__ rn_cuda_march march) {
     bool bad = false;
     for (int r = (int)rn_first_tile(); r < batch.status->ray_count; r += (int)rn_tile_stride()) {
         struct rn_cuda_return returned = {0, 0, 0, 0};
-        if (batch.ray_samples[r] > 0) bad |= rn_return_ray(&batch, r, &returned);
+        if (batch.ray_samples[r] > 0) bad |= rn_return_ray<DISTORTS>(&batch, &march, r, &returned);
         if (RN_LANE == 0) batch.ray_return[r] = returned;
     }
     if (rn_ballot(bad) && RN_LANE == 0) batch.status->rejected = 1;

@@ -20,11 +20,41 @@
 // Pixels in device memory, and how rays are drawn from them.
 struct rn_cuda_source {
     struct rn_device_pixels pixels;
-    double centre[3], radius, step;
+    struct rn_cuda_cut cut;
     struct rn_colouring colour;
     uint64_t seed;
-    bool cone_step, favour_finest, split;
+    bool favour_finest, split;
 };
+
+// A camera's cone as the kernels want it (rn_march_ray_from).
+template <int WORLD>
+RN_DEVICE struct rn_march_ray rn_cut_cone(const struct rn_cuda_cut *c, const struct rn_ray *ray,
+                                          double jitter) {
+    if (WORLD == RN_WORLD_UNBOUNDED)
+        return rn_ray_cut_unbounded(c->centre, c->radius, ray, c->step, jitter);
+    if (WORLD == RN_WORLD_FORWARD) {
+        struct rn_ray seen = *ray;
+        rn_disparity_seen(&c->disparity, ray->origin, seen.origin);
+        rn_disparity_turn(&c->disparity, ray->direction, seen.direction);
+        return rn_ray_cut_forward(&c->disparity, &seen, c->step, jitter);
+    }
+    return rn_ray_cut(c->centre, c->radius, c->cone_step, ray, c->step, jitter);
+}
+
+// What a ray was, in a forward-facing space; zeros where it misses.
+template <int WORLD>
+RN_DEVICE void rn_keep_forward(const struct rn_cuda_batch *b, const struct rn_cuda_cut *cut, int r,
+                               const struct rn_march_ray *ray) {
+    struct rn_cuda_forward out = {};
+    if (WORLD != RN_WORLD_FORWARD) return;
+    if (ray->length > 0) {
+        struct rn_forward_ray was = rn_forward_ray(&cut->disparity, ray);
+        for (int i = 0; i < 3; i++)
+            out.view[i] = (float)was.view[i];
+        out.line = rn_forward_line(&cut->disparity, ray, &was);
+    }
+    b->forward[r] = out;
+}
 
 // Uniform in [0, n) from 64 random bits, n < 2^53.
 RN_DEVICE uint64_t rn_below(const struct rn_rng4 *draw, uint64_t n) {
@@ -74,6 +104,7 @@ RN_DEVICE struct rn_ray rn_part_ray(const struct rn_camera *camera, int x, int y
 }
 
 // Ray r of a step; `first_ray`: rays of all steps before. The rays of a split pixel have one turn.
+template <int WORLD>
 RN_DEVICE struct rn_march_ray rn_draw_ray(const struct rn_cuda_source *s, uint64_t step,
                                           uint64_t first_ray, int r) {
     const struct rn_device_pixels *p = &s->pixels;
@@ -90,8 +121,7 @@ RN_DEVICE struct rn_march_ray rn_draw_ray(const struct rn_cuda_source *s, uint64
     const struct rn_device_frame *f = &p->frames[frame];
     struct rn_ray ray = s->split ? rn_part_ray(&f->camera, x, y, part)
                                  : rn_camera_ray(&f->camera, x + 0.5, y + 0.5);
-    out = rn_ray_cut(s->centre, s->radius, s->cone_step, &ray, s->step,
-                     (double)rn_rng_unit(draw.v[2]));
+    out = rn_cut_cone<WORLD>(&s->cut, &ray, (double)rn_rng_unit(draw.v[2]));
     const uint8_t *rgba =
         p->rgba + 4 * (f->offset + (uint64_t)y * (uint64_t)f->camera.width + (uint64_t)x);
     float alpha = (float)rgba[3] * (1 / 255.0f);
@@ -113,14 +143,17 @@ RN_DEVICE void rn_leave_empty(const struct rn_cuda_batch *b, int r) {
 }
 
 // One thread a ray; those that may see something are queued for the forward.
+template <int WORLD>
 __global__ void __launch_bounds__(256) rn_rays_kernel(const __grid_constant__ rn_cuda_source source,
                                                       const __grid_constant__ rn_cuda_scene scene,
                                                       const __grid_constant__ rn_cuda_batch batch) {
     int r = (int)(blockIdx.x * blockDim.x + threadIdx.x), tiles = 0;
     if (r < batch.status->ray_count) {
-        struct rn_march_ray ray = rn_draw_ray(&source, batch.status->steps, batch.status->rays, r);
+        struct rn_march_ray ray =
+            rn_draw_ray<WORLD>(&source, batch.status->steps, batch.status->rays, r);
         batch.rays[r] = ray;
-        tiles = rn_tiles_ahead(&scene.occupancy, &ray, (float)source.step);
+        rn_keep_forward<WORLD>(&batch, &source.cut, r, &ray);
+        tiles = rn_tiles_ahead<WORLD>(&scene.occupancy, &ray, (float)source.cut.step);
         if (tiles == 0) rn_leave_empty(&batch, r);
     }
     rn_queue_ray(&batch, r, tiles);
@@ -133,8 +166,7 @@ struct rn_cuda_view {
     uint32_t first;
     int width, height, cones; // in pixels; a side of one
     int count;                // rays
-    double centre[3], radius, step;
-    bool cone_step;
+    struct rn_cuda_cut cut;
     bool counts_anew; // of the samples: the first pixels of a picture
     bool straight;    // rn_march_options
     bool halves;      // rn_device_view
@@ -151,6 +183,7 @@ RN_DEVICE void rn_leave_background(const struct rn_cuda_batch *b, const struct r
 }
 
 // One thread a pixel; those that may see something are queued for the forward.
+template <int WORLD>
 __global__ void __launch_bounds__(256) rn_view_kernel(const __grid_constant__ rn_cuda_view view,
                                                       const __grid_constant__ rn_cuda_scene scene,
                                                       const __grid_constant__ rn_cuda_batch batch,
@@ -163,10 +196,10 @@ __global__ void __launch_bounds__(256) rn_view_kernel(const __grid_constant__ rn
         const struct rn_camera *camera = &view.cameras[place / view.width / view.height];
         struct rn_ray camera_ray =
             rn_camera_ray(camera, x * n + cone % n + 0.5, y * n + cone / n + 0.5);
-        struct rn_march_ray ray =
-            rn_ray_cut(view.centre, view.radius, view.cone_step, &camera_ray, view.step, 0);
+        struct rn_march_ray ray = rn_cut_cone<WORLD>(&view.cut, &camera_ray, 0);
         batch.rays[r] = ray;
-        tiles = rn_tiles_ahead(&scene.occupancy, &ray, march.step);
+        rn_keep_forward<WORLD>(&batch, &view.cut, r, &ray);
+        tiles = rn_tiles_ahead<WORLD>(&scene.occupancy, &ray, march.step);
         if (tiles == 0) rn_leave_background(&batch, &march, scene.per_ray, r);
     }
     rn_queue_ray(&batch, r, tiles);

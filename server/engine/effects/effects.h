@@ -9,7 +9,7 @@
 //   the photographs                  rn_effect_row.treat     -               -
 //                                    and take
 //   the march and rays of a step     rn_effect_row.march     -               -
-//   the space that is sampled        field/space.h           cpu/space.h     -
+//   the space that is sampled        field/space.h           cpu/space.h     cuda/space.cuh
 //   the ray of a pixel               kernels/ray.h           cpu/rays.h      kernels/ray.h
 //   where a sample lies, how large   field/frustum.h         cpu/encode.h    cuda/encode.cuh
 //   the colour of a ray              field/colour.h, with rn_effect_row.colour

@@ -10,7 +10,7 @@
 #include "common/math/camera.h"
 #include "server/engine/kernels/kernels.h"
 
-#define RN_BACKEND_VERSION 11
+#define RN_BACKEND_VERSION 12
 #define RN_BACKEND_SYMBOL "rn_backend_table"
 
 struct rn_backend_device; // owner: rn_backend.open's caller
@@ -48,6 +48,7 @@ struct rn_device_places {
 struct rn_device_scene {
     struct rn_train_config config;
     double centre[3], radius; // of the scene's ball, dataset units
+    struct rn_disparity disparity;
     struct rn_solid solid;
     struct rn_mlp_shape base_shape, head_shape;
     int levels;             // of the pyramids
@@ -91,17 +92,20 @@ struct rn_device_training {
     double march_step;    // scene radii; the configuration's own is for the occupancy
     bool split;           // rn_march_options
     struct rn_colouring colour;
-    const float *m, *v; // NULL: zero
+    const float *m, *v;   // NULL: zero
+    const uint32_t *seen; // of a place: what cells showed since the last round (rn_group); NULL: 0
 };
 
 // What a step needs that the host decides.
 struct rn_device_step {
     float network_rate, plane_rate;
-    bool measure;                           // the occupancy first
+    bool measure;                           // the occupancy first; of a place by what was seen:
+    bool seen_counts, all_looked;           // train/hull.h
     bool measure_drawn;                     // cells that are drawn (rn_chances_of_cells), or
     uint32_t measure_first, measure_stride; // which cells of the hull
     float measure_decay;
-    float smoothing; // of the planes, last (kernels/kernels.h); 0: none
+    float distortion; // weight of that loss, where the configuration has it
+    float smoothing;  // of planes and voxels, last (kernels/kernels.h); 0: none
 };
 
 struct rn_device_progress {
@@ -157,9 +161,9 @@ struct rn_backend {
     enum rn_status (*train_timed)(struct rn_device_field *field, const struct rn_device_step *step,
                                   struct rn_device_stage ret_stages[RN_DEVICE_STAGES],
                                   int *ret_count, struct rn_error *err);
-    // Copies to the CPU's layout; m and v may be NULL.
+    // Copies to the CPU's layout what is not NULL; moments and `seen` of a field that is trained.
     enum rn_status (*download)(struct rn_device_field *field, float *parameters, float *m, float *v,
-                               float *occupancy, struct rn_error *err);
+                               float *occupancy, uint32_t *seen, struct rn_error *err);
     // Of a view the pixels at `places`, in their order. Rays that end earlier than in training are
     // closed (rn_close_ended).
     enum rn_status (*render)(struct rn_device_field *field, const struct rn_device_view *view,

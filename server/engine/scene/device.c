@@ -95,7 +95,6 @@ bool rn_device_trained(const char *kernels) {
 
 void rn_device_adapt(struct rn_train_config *config) {
     config->draw_by_error = false;
-    config->field.voxels = false;
 }
 
 // ---- memory ---------------------------------------------------------------------------------
@@ -138,6 +137,7 @@ static enum rn_status make_room(struct rn_engine *e, const struct rn_device_scen
 struct rn_device_scene rn_device_scene_of(const struct rn_field *f, int levels) {
     struct rn_device_scene scene = {.config = f->config,
                                     .radius = f->bounds.radius,
+                                    .disparity = f->cpu.disparity,
                                     .solid = f->cpu.solid,
                                     .base_shape = f->cpu.base_shape,
                                     .head_shape = f->cpu.head_shape,
@@ -158,14 +158,6 @@ enum rn_status rn_field_put(struct rn_engine *engine, struct rn_field *f, int le
                             const struct rn_device_pixels *pixels,
                             const struct rn_device_training *training, struct rn_error *err) {
     if (f->on_device) f->backend->field_destroy(&f->on_device);
-    if (f->cpu.disparity.on)
-        return rn_error_set(err, RN_ERROR_UNSUPPORTED, "device",
-                            "forward-facing captures are trained and rendered on the CPU; use "
-                            "--device cpu or auto");
-    if (f->config.field.voxels)
-        return rn_error_set(err, RN_ERROR_UNSUPPORTED, "voxels",
-                            "fields with voxels beside the planes are trained and rendered on the "
-                            "CPU; use --device cpu or auto");
     struct rn_device_scene scene = rn_device_scene_of(f, levels);
     const struct rn_backend *backend = engine->backend;
     enum rn_status status = make_room(engine, &scene, pixels, training, err);
@@ -199,10 +191,11 @@ enum rn_status rn_field_put_to_render(struct rn_engine *engine, struct rn_field 
     return status;
 }
 
-enum rn_status rn_field_fetch(struct rn_field *f, float *m, float *v, struct rn_error *err) {
+enum rn_status rn_field_fetch(struct rn_field *f, float *m, float *v, uint32_t *seen,
+                              struct rn_error *err) {
     if (!f->on_device || !(f->behind || (m && f->moments_behind))) return RN_OK;
     enum rn_status status =
-        f->backend->download(f->on_device, f->parameters.values, m, v, f->occupancy, err);
+        f->backend->download(f->on_device, f->parameters.values, m, v, f->occupancy, seen, err);
     if (status != RN_OK) return status;
     f->behind = false;
     if (m) f->moments_behind = false;

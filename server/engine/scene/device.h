@@ -47,9 +47,10 @@ enum rn_status rn_field_put(struct rn_engine *engine, struct rn_field *field, in
 // where there is no device, or one that may be done without cannot hold the field.
 enum rn_status rn_field_put_to_render(struct rn_engine *engine, struct rn_field *field,
                                       struct rn_error *err) RN_MUST_CHECK;
-// Copies parameters and occupancy (and the moments, where not NULL) from the device, after training
-// there. Nothing to do where the CPU's are as new.
-enum rn_status rn_field_fetch(struct rn_field *field, float *m, float *v,
+// Copies parameters and occupancy from the device, after training there; for its training to go on
+// here, where not NULL, the moments and what cells showed. Nothing to do where the CPU's are as
+// new.
+enum rn_status rn_field_fetch(struct rn_field *field, float *m, float *v, uint32_t *seen,
                               struct rn_error *err) RN_MUST_CHECK;
 // Gives the device's copy and its memory back.
 void rn_field_withdraw(struct rn_field *field);

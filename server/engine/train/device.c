@@ -76,7 +76,8 @@ static enum rn_status put_training(struct rn_trainer *t, struct rn_error *err) {
                                           .split = t->step.march.split,
                                           .colour = t->step.march.colour,
                                           .m = t->optimiser.m,
-                                          .v = t->optimiser.v};
+                                          .v = t->optimiser.v,
+                                          .seen = t->hull.seen};
     enum rn_status status = pack_pixels(t, &packed, err);
     if (status == RN_OK)
         status =
@@ -134,6 +135,8 @@ static struct rn_device_step next_step(const struct rn_trainer *t) {
     const struct rn_train_config *config = &t->field->config;
     double rate = rn_schedule_rate(config, &t->progress);
     struct rn_occupancy_turn turn = rn_schedule_occupancy(config, t->progress.step);
+    struct rn_march_options march = rn_schedule_march(t->field, &t->progress);
+    struct rn_seen_round seen = rn_trainer_seen_round(t);
     if (turn.sampled) turn.decay = (float)RN_OCCUPANCY_DECAY;
     return (struct rn_device_step){.network_rate = (float)rate,
                                    .plane_rate = (float)(rate * config->plane_rate),
@@ -142,6 +145,9 @@ static struct rn_device_step next_step(const struct rn_trainer *t) {
                                    .measure_first = turn.first,
                                    .measure_stride = turn.stride,
                                    .measure_decay = turn.decay,
+                                   .seen_counts = seen.counts,
+                                   .all_looked = seen.all_looked,
+                                   .distortion = march.distortion_loss,
                                    .smoothing = rn_schedule_smoothing(config, &t->progress)};
 }
 

@@ -449,7 +449,8 @@ void rn_trainer_destroy(struct rn_trainer **trainer) {
 
 // The field may have been rendered in between, with more levels.
 enum rn_status rn_trainer_enter(struct rn_trainer *t, struct rn_error *err) {
-    enum rn_status status = rn_field_fetch(t->field, t->optimiser.m, t->optimiser.v, err);
+    enum rn_status status =
+        rn_field_fetch(t->field, t->optimiser.m, t->optimiser.v, t->hull.seen, err);
     if (status == RN_OK) status = rn_engine_prepare(t->engine, t->field, err);
     t->field->cpu.built_levels = t->optimiser.levels;
     if (status == RN_OK && t->field->fresh_levels < t->optimiser.levels)
@@ -677,7 +678,7 @@ enum rn_status rn_trainer_save(struct rn_trainer *t, const char *path, struct rn
 struct rn_field *rn_trainer_finish(struct rn_trainer **trainer) {
     struct rn_field *field = (*trainer)->field;
     end_ranks(*trainer);
-    bool here = rn_field_fetch(field, NULL, NULL, NULL) == RN_OK;
+    bool here = rn_field_fetch(field, NULL, NULL, NULL, NULL) == RN_OK;
     if (here) rn_field_refine_occupancy(field, (*trainer)->engine);
     if (here && field->on_device) (void)!rn_field_put_to_render((*trainer)->engine, field, NULL);
     (*trainer)->field = NULL;

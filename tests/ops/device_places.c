@@ -1,0 +1,158 @@
+// Places on a device, unbounded space and forward-facing captures, with the voxels beside the
+// planes: a step, a training, its pictures and its checkpoints beside the CPU's.
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "server/engine/field/occupancy.h"
+#include "server/engine/scene/device.h"
+#include "tests/ops/device_run.h"
+
+static void make_place(void) {
+    make_dataset_of("place");
+}
+static void make_window(void) {
+    make_dataset_of("window");
+    for (size_t f = 0; f < run.dataset->frame_count; f++) { // as a capture of LLFF's tells them
+        run.dataset->frames[f].near = 2;
+        run.dataset->frames[f].far = 40;
+    }
+}
+
+static struct rn_train_config place_config(const char *preset, int64_t steps) {
+    struct rn_train_config config = small_config(preset, steps);
+    config.field.voxels = strcmp(preset, "standard") == 0;
+    config.split_pixels = 0;
+    config.roulette = 0; // each draws its own lots
+    config.smoothing = 0.1;
+    config.step = 0.04;
+    config.target_samples = 1024;
+    config.initial_rays = 24;
+    return config;
+}
+
+// Which space the cameras called for.
+static void check_space(bool forward) {
+    const struct rn_field *field = rn_trainer_field(run.trainer);
+    ck_assert_msg(field->cpu.disparity.on == forward, "%s",
+                  field->effects[RN_EFFECT_FORWARD_FACING].reason);
+    ck_assert(field->config.field.space == (forward ? RN_SPACE_BALL : RN_SPACE_UNBOUNDED));
+}
+
+// The same rays of the same field; the device rounds maps, features and activations to fp16.
+static void check_step(const char *preset, const char *what) {
+    struct rn_train_config config = place_config(preset, 1);
+    config.field.width = 64;
+    config.field.base = 32;
+    config.grow_to = 0;
+    config.target_samples = 4096;
+    config.initial_rays = 200;
+    struct one_step here = take_step("cpu", &config), there = take_step("cuda:0", &config);
+    printf("%s, %s: loss %.1e apart", what, preset, fabs(there.loss - here.loss) / here.loss);
+    ck_assert_double_eq_tol(there.loss, here.loss, 1e-3 * here.loss);
+    ck_assert_double_eq_tol((double)there.samples, (double)here.samples,
+                            2e-3 * (double)here.samples);
+    compare_steps(&here, &there, 4e-2);
+    step_finish(&here);
+    step_finish(&there);
+}
+
+// The checkpoint's picture there and here: colour and opacity, and the depth as far as it is.
+static double compare_views(void) {
+    struct rn_render_result here, there;
+    picture("cpu", 1, 1, &here);
+    picture("cuda:0", 1, 1, &there);
+    double worst = fmax(difference(&here.rgb, &there.rgb), difference(&here.alpha, &there.alpha));
+    for (int i = 0; i < here.depth.width * here.depth.height; i++) {
+        double depth = (double)here.depth.values[i];
+        ck_assert_double_eq_tol(there.depth.values[i], depth, 1e-2 * depth);
+    }
+    rn_render_result_finish(&here);
+    rn_render_result_finish(&there);
+    return worst;
+}
+
+// The whole of a training there and here: losses within 3 hundredths, held-out views within a
+// quarter of a decibel, pictures of the device's checkpoint.
+static void check_training(bool forward, const char *what) {
+    struct rn_train_config config = place_config("standard", 24);
+    double losses[2], held[2];
+    int occupied[2] = {0, 0};
+    for (int device = 0; device < 2; device++) {
+        run_begin(device ? "auto" : "cpu", &config);
+        check_space(forward);
+        const struct rn_field *field = rn_trainer_field(run.trainer);
+        ck_assert(rn_trainer_config(run.trainer)->field.voxels);
+        ck_assert(rn_trainer_config(run.trainer)->distortion_loss > 0);
+        run_to(INT64_MAX);
+        ck_assert(!field->on_device == !device);
+        run_validate();
+        OK(rn_trainer_save(run.trainer, run.path, &err));
+        losses[device] = run.progress.loss;
+        held[device] = run.progress.psnr;
+        for (int i = 0; i < 16 * 16 * 16; i++)
+            occupied[device] += field->occupancy[i] > RN_SEEN_LIMIT;
+        ck_assert_uint_eq(run.progress.steps_rejected + run.progress.nonfinite_rays, 0);
+        run_end();
+    }
+    double apart = compare_views();
+    printf("%s after 24 steps: loss %.5f and %.5f, held out %.2f and %.2f dB, %d and %d cells, "
+           "pictures %.1e apart\n",
+           what, losses[1], losses[0], held[1], held[0], occupied[1], occupied[0], apart);
+    ck_assert_double_eq_tol(losses[1], losses[0], 0.03 * losses[0]);
+    ck_assert_double_eq_tol(held[1], held[0], 0.25);
+    ck_assert_double_lt(apart, 5e-3);
+    ck_assert_double_eq_tol(occupied[1], occupied[0], 0.05 * occupied[0]);
+}
+
+START_TEST(a_step_in_all_of_space) {
+    check_step("standard", "unbounded");
+    check_step("paper", "unbounded");
+}
+END_TEST
+START_TEST(a_step_before_a_window) {
+    check_step("standard", "forward-facing");
+    check_step("paper", "forward-facing");
+}
+END_TEST
+START_TEST(a_place_trains) {
+    check_training(false, "place");
+}
+END_TEST
+START_TEST(a_window_trains) {
+    check_training(true, "window");
+}
+END_TEST
+
+// In the deterministic mode, with rounds over the cells between: interrupted or not, the same
+// bytes.
+START_TEST(goes_on_to_the_same_bytes) {
+    struct rn_train_config config = place_config("standard", 20);
+    char whole[65], pieces[65];
+    run.deterministic = true;
+    run_begin("cuda:0", &config);
+    run_to(20);
+    OK(rn_trainer_save(run.trainer, run.path, &err));
+    rn_field_sha256(rn_trainer_field(run.trainer), whole);
+    run_end();
+    run_begin("cuda:0", &config);
+    for (bool done = false; !done;) {
+        run_to(0);
+        done = run.progress.done;
+        OK(rn_trainer_save(run.trainer, run.path, &err));
+        rn_field_sha256(rn_trainer_field(run.trainer), pieces);
+        run_end();
+        if (!done) run_begin("cuda:0", NULL);
+    }
+    ck_assert_str_eq(whole, pieces);
+}
+END_TEST
+
+void device_add_places(Suite *suite) {
+    device_add_with(suite, "place step", a_step_in_all_of_space, make_place);
+    device_add_with(suite, "window step", a_step_before_a_window, make_window);
+    device_add_with(suite, "place", a_place_trains, make_place);
+    device_add_with(suite, "window", a_window_trains, make_window);
+    device_add_with(suite, "place bytes", goes_on_to_the_same_bytes, make_place);
+}
