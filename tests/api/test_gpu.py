@@ -66,7 +66,7 @@ def test_the_whole_command(kit, tmp_path):
     begun = json.loads((tmp_path / "out" / "results.json").read_text())
     assert begun["machine"]["state"] == "done" and "120,000 steps" not in begun, begun
     shutil.rmtree(tmp_path / "out")
-    second = subprocess.run([*command, "--seconds", "900"], text=True, capture_output=True, check=False,
+    second = subprocess.run([*command, "--seconds", "3000"], text=True, capture_output=True, check=False,
                             env=environment)
     known = json.loads((tmp_path / "out" / "results.json").read_text())
     assert second.returncode == 0, second.stdout + (tmp_path / "out" / "log.txt").read_text()[-4000:]

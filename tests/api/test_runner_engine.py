@@ -61,7 +61,9 @@ def test_bytes_do_not_depend_on_a_crash(program, dataset, digest, tmp_path):
         os.kill(runner.process.pid, signal.SIGKILL)
     with Scene(program, tmp_path / "scene", dataset) as runner:
         train(runner, **OPTIONS)
-        assert runner.wait_for("progress")[1]["progress"]["step"] > 0
+        while "stage" in (progress := runner.wait_for("progress")[1]["progress"]):
+            continue  # photographs are loaded
+        assert progress["step"] > 0
         assert finish(runner) == digest
 
 
