@@ -1,4 +1,4 @@
-"""Adds up what meson and pytest recorded: tally.py TESTLOG_JSON PYTEST_XML.
+"""Adds up what meson and pytest recorded: tally.py TESTLOG_JSON PYTEST_XML...
 
 Prints `N passed, N failed`, with `, N skipped` where something was skipped. A record that is
 missing or unreadable counts as one failure, and so does a run without any passed test. The exit
@@ -39,8 +39,10 @@ def collect(reader, path):
         return [FAILED]
 
 
-def main(testlog, junit):
-    results = collect(meson_results, testlog) + collect(pytest_results, junit)
+def main(testlog, *junits):
+    results = collect(meson_results, testlog)
+    for junit in junits:
+        results += collect(pytest_results, junit)
     passed, failed, skipped = (results.count(kind) for kind in (PASSED, FAILED, SKIPPED))
     if passed == 0 and failed == 0:
         failed = 1
