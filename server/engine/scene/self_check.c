@@ -28,10 +28,16 @@ static float unit(uint64_t stream, size_t i) {
     return rn_rng_unit(rn_rng_draw(99, stream, i).v[0]);
 }
 
-// The paper's networks and footprints, or those that shade rays as a whole.
-static enum rn_status describe(bool per_ray, struct rn_train_config *ret, struct rn_error *err) {
+// The paper's networks and footprints; those that shade rays as a whole; the same in all of space,
+// with voxels beside the planes.
+enum kind { OF_SAMPLES, OF_RAYS, OF_A_PLACE, KINDS };
+
+static enum rn_status describe(enum kind kind, struct rn_train_config *ret, struct rn_error *err) {
     enum rn_status status = rn_preset("paper", false, ret, err);
+    bool per_ray = kind != OF_SAMPLES;
     if (status != RN_OK) return status;
+    ret->field.voxels = kind == OF_A_PLACE;
+    if (kind == OF_A_PLACE) ret->field.space = RN_SPACE_UNBOUNDED;
     ret->field.planes = per_ray ? 3 : 10;
     ret->field.width = per_ray ? 64 : 128;
     ret->field.footprint = per_ray ? RN_FOOTPRINT_MIP : RN_FOOTPRINT_RIP;
@@ -81,11 +87,11 @@ static enum rn_status fill_frames(struct subject *s, struct rn_error *err) {
     return RN_OK;
 }
 
-static enum rn_status subject_init(struct rn_engine *e, bool per_ray, struct subject *s,
+static enum rn_status subject_init(struct rn_engine *e, enum kind kind, struct subject *s,
                                    struct rn_error *err) {
     const struct rn_bounds bounds = {.radius = 1};
     *s = (struct subject){.engine = e, .kernels = rn_kernels_find("generic")};
-    enum rn_status status = describe(per_ray, &s->config, err);
+    enum rn_status status = describe(kind, &s->config, err);
     if (status == RN_OK) status = rn_field_create(&s->config, &bounds, &s->field, err);
     if (status == RN_OK) status = rn_field_need_levels(s->field, s->config.field.levels, err);
     if (status == RN_OK) status = rn_engine_prepare(e, s->field, err);
@@ -217,12 +223,13 @@ enum rn_status rn_device_check(struct rn_engine *e, bool whole, struct rn_device
     struct rn_device_agreement out = {0};
     int64_t begin = rn_clock_ns();
     enum rn_status status = RN_OK;
-    for (int per_ray = 0; per_ray < 2 && status == RN_OK; per_ray++) {
+    for (int kind = 0; kind < KINDS && status == RN_OK; kind++) {
         struct subject s;
         double pixels = 0, gradient = 0;
-        status = subject_init(e, per_ray, &s, err);
+        status = subject_init(e, (enum kind)kind, &s, err);
         if (status == RN_OK) status = compare_pixels(&s, &pixels, err);
-        if (status == RN_OK && (whole || per_ray)) status = check_gradient(&s, &gradient, err);
+        if (status == RN_OK && (whole || kind == OF_RAYS))
+            status = check_gradient(&s, &gradient, err);
         if (status == RN_ERROR_NO_MEMORY && !whole && pixels > 0) { // beside others' scenes
             gradient = NAN;
             status = RN_OK;
