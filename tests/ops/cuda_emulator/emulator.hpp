@@ -77,7 +77,7 @@ struct fiber {
     ucontext_t context;
     jmp_buf jump;
     std::vector<char> stack;
-    bool started, done;
+    bool started = false, done;
     const uint64_t *waits_on; // runnable when *waits_on != waited
     uint64_t waited;
     std::vector<copy> copies;
@@ -149,13 +149,16 @@ inline void barrier(const char *name) {
     m.generation++;
 }
 
+// A thread of one block after the other: making a fiber costs system calls.
 inline void fiber_main() {
-    m.body();
-    fiber &f = m.fibers[m.current];
-    if (!f.copies.empty()) die("ends before its asynchronous copies");
-    f.done = true;
-    m.finished++;
-    _longjmp(m.scheduler, 1);
+    for (;;) {
+        m.body();
+        fiber &f = m.fibers[m.current];
+        if (!f.copies.empty()) die("ends before its asynchronous copies");
+        f.done = true;
+        m.finished++;
+        yield();
+    }
 }
 
 // Runs every runnable thread of a part of the order once.
@@ -176,8 +179,9 @@ inline void run_unit(unsigned unit) {
 
 // What lies behind the shared memory that the launch asked for is still as it was.
 inline void check_beyond(size_t bytes) {
-    for (size_t i = bytes; i < SHARED; i++)
-        if (m.shared[i] != 0xff) die("wrote behind its shared memory");
+    const unsigned char *beyond = m.shared + bytes;
+    if (bytes < SHARED && (*beyond != 0xff || memcmp(beyond, beyond + 1, SHARED - bytes - 1) != 0))
+        die("wrote behind its shared memory");
 }
 
 inline void run_block() {
@@ -187,7 +191,7 @@ inline void run_block() {
     for (warp &w : m.warps)
         w.arrived = 0;
     for (fiber &f : m.fibers) {
-        f.started = f.done = false;
+        f.done = false;
         f.waits_on = NULL;
         f.group = 0;
     }
@@ -217,6 +221,16 @@ inline void set_order() {
         }
 }
 
+inline void make_fiber(fiber &f) {
+    if (f.started) return;
+    f.stack.resize(STACK);
+    getcontext(&f.context);
+    f.context.uc_stack.ss_sp = f.stack.data();
+    f.context.uc_stack.ss_size = STACK;
+    f.context.uc_link = NULL;
+    makecontext(&f.context, fiber_main, 0);
+}
+
 inline void launch(const char *name, dim3 grid, dim3 block, size_t shared,
                    const std::function<void()> &body) {
     m.kernel = name;
@@ -228,18 +242,9 @@ inline void launch(const char *name, dim3 grid, dim3 block, size_t shared,
     if (m.fibers.size() < m.threads) m.fibers.resize(m.threads);
     m.warps.resize(m.threads / LANES);
     set_order();
-    ucontext_t blank;
-    getcontext(&blank);
+    for (unsigned i = 0; i < m.threads; i++)
+        make_fiber(m.fibers[i]);
     for (m.index.x = 0; m.index.x < grid.x; m.index.x++) {
-        for (unsigned i = 0; i < m.threads; i++) {
-            fiber &f = m.fibers[i];
-            f.stack.resize(STACK);
-            f.context = blank;
-            f.context.uc_stack.ss_sp = f.stack.data();
-            f.context.uc_stack.ss_size = STACK;
-            f.context.uc_link = NULL;
-            makecontext(&f.context, fiber_main, 0);
-        }
         run_block();
         check_beyond(shared);
     }
