@@ -334,6 +334,10 @@ mutate outliers server/engine/train/outliers.c "outliers: a photograph's own lig
     's| - middle\[c\]||'
 mutate outliers server/engine/train/outliers.c "outliers: blocks that are not known count" \
     's|if (!known\[j \* across + i\]) continue;||'
+mutate outliers server/engine/train/outliers.c "outliers: what is not learned yet counts" \
+    's|define STANDS 64|define STANDS 0|'
+mutate outliers server/engine/train/outliers.c "outliers: what any other photograph shows is left in" \
+    's|2 \* others.alike > others.seen|others.alike > 0|; s|others.alike >= WITNESSES|others.seen > 0|'
 mutate outliers server/engine/train/trainer.c "outliers: turns of a checkpoint are not counted" \
     's|t->outliers.turns = from->outlier_turns;||'
 
