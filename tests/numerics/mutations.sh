@@ -331,7 +331,7 @@ mutate poses server/engine/train/trainer.c "poses: moves of a checkpoint are not
     's|^.*// those that were moved$||'
 
 mutate outliers server/engine/train/outliers.c "outliers: a photograph's own light is not taken off" \
-    's| - middle\[c\]||'
+    's| - less\[c\]||'
 mutate outliers server/engine/train/outliers.c "outliers: blocks that are not known count" \
     's|if (!known\[j \* across + i\]) continue;||'
 mutate outliers server/engine/train/outliers.c "outliers: what is not learned yet counts" \

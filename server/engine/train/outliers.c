@@ -45,6 +45,21 @@ static float median(const float *values, const uint8_t *known, size_t count, siz
     return kept ? (float)rn_numbers_quantile(room, kept, 0.5) : 0;
 }
 
+// The sum, less so much each, over a block and its neighbours that are known: how many they are.
+static int sum_around(const float *values, const uint8_t *known, int across, int down, int block,
+                      const float less[3], float ret_sum[3]) {
+    int x = block % across, y = block / across, count = 0;
+    memset(ret_sum, 0, 3 * sizeof *ret_sum);
+    for (int j = y > 0 ? y - 1 : 0; j <= y + 1 && j < down; j++)
+        for (int i = x > 0 ? x - 1 : 0; i <= x + 1 && i < across; i++) {
+            if (!known[j * across + i]) continue;
+            for (int c = 0; c < 3; c++)
+                ret_sum[c] += values[3 * (j * across + i) + c] - less[c];
+            count++;
+        }
+    return count;
+}
+
 enum rn_status rn_outlier_sizes(const float *difference, const uint8_t *known, int across, int down,
                                 float *ret_size, struct rn_error *err) {
     float middle[3];
@@ -53,21 +68,13 @@ enum rn_status rn_outlier_sizes(const float *difference, const uint8_t *known, i
     for (int c = 0; c < 3; c++)
         middle[c] = median(difference + c, known, (size_t)across * (size_t)down, 3, room);
     free(room);
-    for (int y = 0; y < down; y++)
-        for (int x = 0; x < across; x++) {
-            float sum[3] = {0}, squares = 0;
-            int count = 0;
-            for (int j = y > 0 ? y - 1 : 0; j <= y + 1 && j < down; j++)
-                for (int i = x > 0 ? x - 1 : 0; i <= x + 1 && i < across; i++) {
-                    if (!known[j * across + i]) continue;
-                    for (int c = 0; c < 3; c++)
-                        sum[c] += difference[3 * (j * across + i) + c] - middle[c];
-                    count++;
-                }
-            for (int c = 0; c < 3 && count > 0; c++)
-                squares += sum[c] / (float)count * sum[c] / (float)count;
-            ret_size[y * across + x] = sqrtf(squares / 3);
-        }
+    for (int block = 0; block < across * down; block++) {
+        float sum[3], squares = 0;
+        int count = sum_around(difference, known, across, down, block, middle, sum);
+        for (int c = 0; c < 3 && count > 0; c++)
+            squares += sum[c] / (float)count * sum[c] / (float)count;
+        ret_size[block] = sqrtf(squares / 3);
+    }
     return RN_OK;
 }
 
@@ -218,16 +225,10 @@ static void look(void *context, int index, int thread) {
 // What a photograph shows in a block and its neighbours, on the mean.
 static void taken_around(const struct rn_trainer *t, int f, int block, float ret[3]) {
     const struct rn_outliers *o = &t->outliers;
-    int across = across_of(&t->train.frames[f]), down = down_of(&t->train.frames[f]), count = 0;
-    memset(ret, 0, 3 * sizeof *ret);
-    for (int j = block / across - 1; j <= block / across + 1; j++)
-        for (int i = block % across - 1; i <= block % across + 1; i++) {
-            size_t at = o->first[f] + (size_t)(j * across + i);
-            if (j < 0 || j >= down || i < 0 || i >= across || !o->known[at]) continue;
-            for (int c = 0; c < 3; c++)
-                ret[c] += o->taken[at][c];
-            count++;
-        }
+    const struct rn_pixel_frame *frame = &t->train.frames[f];
+    static const float nothing[3] = {0, 0, 0};
+    int count = sum_around(o->taken[o->first[f]], o->known + o->first[f], across_of(frame),
+                           down_of(frame), block, nothing, ret);
     for (int c = 0; c < 3 && count > 0; c++)
         ret[c] /= (float)count;
 }
