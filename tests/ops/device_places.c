@@ -125,27 +125,10 @@ START_TEST(a_window_trains) {
 }
 END_TEST
 
-// In the deterministic mode, with rounds over the cells between: interrupted or not, the same
-// bytes.
+// With rounds over the cells between.
 START_TEST(goes_on_to_the_same_bytes) {
     struct rn_train_config config = place_config("standard", 20);
-    char whole[65], pieces[65];
-    run.deterministic = true;
-    run_begin("cuda:0", &config);
-    run_to(20);
-    OK(rn_trainer_save(run.trainer, run.path, &err));
-    rn_field_sha256(rn_trainer_field(run.trainer), whole);
-    run_end();
-    run_begin("cuda:0", &config);
-    for (bool done = false; !done;) {
-        run_to(0);
-        done = run.progress.done;
-        OK(rn_trainer_save(run.trainer, run.path, &err));
-        rn_field_sha256(rn_trainer_field(run.trainer), pieces);
-        run_end();
-        if (!done) run_begin("cuda:0", NULL);
-    }
-    ck_assert_str_eq(whole, pieces);
+    compare_interrupted(&config, 20);
 }
 END_TEST
 

@@ -185,3 +185,26 @@ double compare_pictures(const char *one, const char *other, double away) {
     rn_render_result_finish(&b);
     return worst;
 }
+
+void compare_interrupted(const struct rn_train_config *config, int64_t steps) {
+    char whole[65], pieces[65];
+    run.deterministic = true;
+    run_begin("cuda:0", config);
+    run_to(steps);
+    OK(rn_trainer_save(run.trainer, run.path, &err));
+    rn_field_sha256(rn_trainer_field(run.trainer), whole);
+    int good_steps = run.trainer->device.good_steps;
+    run_end();
+    run_begin("cuda:0", config);
+    for (bool done = false; !done;) {
+        run_to(0);
+        done = run.progress.done;
+        OK(rn_trainer_save(run.trainer, run.path, &err));
+        rn_field_sha256(rn_trainer_field(run.trainer), pieces);
+        if (!done) run_end();
+        if (!done) run_begin("cuda:0", NULL);
+    }
+    ck_assert_str_eq(whole, pieces);
+    ck_assert_int_eq(run.trainer->device.good_steps, good_steps);
+    run_end();
+}

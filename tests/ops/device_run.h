@@ -31,6 +31,8 @@ void run_begin(const char *device, const struct rn_train_config *config);
 void run_to(int64_t step);
 void run_validate(void);
 void run_end(void);
+// In the deterministic mode a run that is interrupted again and again ends as one that is not.
+void compare_interrupted(const struct rn_train_config *config, int64_t steps);
 
 // What one step leaves of the planes' and networks' gradients, and of what the cells of a place
 // showed.

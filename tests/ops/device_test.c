@@ -119,30 +119,9 @@ START_TEST(goes_on_anywhere) {
 }
 END_TEST
 
-// In the deterministic mode a run that was interrupted again and again ends as one that was not.
 START_TEST(resumes_to_the_same_bytes) {
     struct rn_train_config config = small_config("draft", 30);
-    char whole[65], pieces[65];
-    int good_steps;
-    run.deterministic = true;
-    run_begin("cuda:0", &config);
-    run_to(30);
-    OK(rn_trainer_save(run.trainer, run.path, &err));
-    rn_field_sha256(rn_trainer_field(run.trainer), whole);
-    good_steps = run.trainer->device.good_steps;
-    run_end();
-    run_begin("cuda:0", &config);
-    for (bool done = false; !done;) {
-        run_to(0);
-        done = run.progress.done;
-        OK(rn_trainer_save(run.trainer, run.path, &err));
-        rn_field_sha256(rn_trainer_field(run.trainer), pieces);
-        if (!done) run_end();
-        if (!done) run_begin("cuda:0", NULL);
-    }
-    ck_assert_str_eq(whole, pieces);
-    ck_assert_int_eq(run.trainer->device.good_steps, good_steps);
-    run_end();
+    compare_interrupted(&config, 30);
 }
 END_TEST
 
