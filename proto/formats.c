@@ -2,6 +2,7 @@
 
 #include <jansson.h>
 
+#include "common/dataset/dataset.h"
 #include "common/dataset/formats.h"
 #include "common/path/formats/formats.h"
 
@@ -37,6 +38,18 @@ static json_t *path_format_to_json(const struct rn_path_format *format) {
                      format->file);
 }
 
+// What names that end with NULL are called, for people.
+static json_t *titles_to_json(const char *const *names, const char *const *titles) {
+    json_t *array = json_array();
+    for (; *names; names++, titles++)
+        if (json_array_append_new(
+                array, json_pack("{s:s s:s}", "name", *names, "title", *titles)) != 0) {
+            json_decref(array);
+            return NULL;
+        }
+    return array;
+}
+
 enum rn_status rn_formats_to_json(char **ret_json, struct rn_error *err) {
     json_t *items = json_array(), *paths = json_array();
     bool complete = items && paths;
@@ -44,7 +57,9 @@ enum rn_status rn_formats_to_json(char **ret_json, struct rn_error *err) {
         complete = json_array_append_new(items, format_to_json(rn_formats[i])) == 0;
     for (size_t i = 0; complete && rn_path_formats[i]; i++)
         complete = json_array_append_new(paths, path_format_to_json(rn_path_formats[i])) == 0;
-    json_t *root = json_pack("{s:o s:o}", "items", items, "paths", paths);
+    json_t *root = json_pack("{s:o s:o s:o s:o}", "items", items, "paths", paths, "captures",
+                             titles_to_json(rn_capture_names, rn_capture_titles), "bounds",
+                             titles_to_json(rn_bounds_source_names, rn_bounds_source_titles));
     char *text = complete ? json_dumps(root, JSON_COMPACT) : NULL;
     json_decref(root);
     if (!text) return rn_error_set(err, RN_ERROR_NO_MEMORY, "formats", "memory ran out");

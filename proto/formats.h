@@ -1,4 +1,5 @@
-// The tables of dataset formats and of formats of camera paths as GET /v1/formats gives them.
+// The tables of dataset formats and of formats of camera paths, and what kinds of captures and
+// sources of bounds are called, as GET /v1/formats gives them.
 #ifndef RN_PROTO_FORMATS_H
 #define RN_PROTO_FORMATS_H
 

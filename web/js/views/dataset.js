@@ -10,14 +10,6 @@ import {trainPanel} from './train.js';
 
 const FIRST = 24;
 
-const CAPTURES = {
-  'object': 'an object, turned around',
-  'forward-facing': 'forward-facing, as of a wall',
-  'room': 'a room, from within',
-  'outdoor': 'something turned around in its surroundings',
-  'drone': 'seen from the air'
-};
-
 export async function datasetView(root, {id, signal}) {
   const title = h('h1', null, id);
   const body = h('div', null, panel('Photographs', null, skeleton(4)));
@@ -38,8 +30,9 @@ export async function datasetView(root, {id, signal}) {
             }
           }, stop.signal);
         });
-      const cameras = await api.cameras(dataset.id, signal);
-      if (!signal.aborted) fill(body, page(dataset, cameras, signal));
+      const [cameras, words] =
+          await Promise.all([api.cameras(dataset.id, signal), api.formats(signal)]);
+      if (!signal.aborted) fill(body, page(dataset, cameras, words, signal));
     } catch (error) {
       if (!signal.aborted) fill(body, problemBox(error, {again: load}));
     }
@@ -47,12 +40,12 @@ export async function datasetView(root, {id, signal}) {
   await load();
 }
 
-function page(dataset, cameras, signal) {
+function page(dataset, cameras, words, signal) {
   return h(
       'div', {class: 'columns'},
       h('div', {class: 'main-column'}, photographs(dataset, cameras, signal),
         cloudPanel(dataset, cameras, signal), report(dataset.report)),
-      h('div', {class: 'side-column'}, trainPanel(dataset), about(dataset),
+      h('div', {class: 'side-column'}, trainPanel(dataset), about(dataset, words),
         scenesOf(dataset, signal)));
 }
 
@@ -124,7 +117,10 @@ export function expected(formula, past) {
   ];
 }
 
-function about(dataset) {
+/** What the daemon calls one of its names. */
+const titleOf = (items, name) => items.find((item) => item.name === name)?.title ?? name;
+
+function about(dataset, words) {
   const {views, report: found} = dataset;
   return panel(
       'About', {
@@ -158,13 +154,9 @@ function about(dataset) {
           'Bounds',
           `radius ${Number(dataset.bounds.radius.toPrecision(4))} about (${
               three(dataset.bounds.centre)}), ${
-              {given: 'as given',
-               layout: 'from the layout',
-               cameras: 'from the cameras',
-               points: 'from its points',
-               depths: 'from the depths that its poses give'}[dataset.bounds.source]}`
+              titleOf(words.bounds, dataset.bounds.source)}`
         ],
-        ...(dataset.capture ? [['Capture', `${CAPTURES[dataset.capture] ?? dataset.capture}; up is ${three(dataset.up)}`]] : []),
+        ...(dataset.capture ? [['Capture', `${titleOf(words.captures, dataset.capture)}; up is ${three(dataset.up)}`]] : []),
         ...(dataset.crop ? [['Crop', three(dataset.crop)]] : []),
         ['Pixel’s footprint', range(dataset.footprint)],
         ['Looking at the bounds', percent(found.looking_at_bounds)], ['Layout', found.layout],
