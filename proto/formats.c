@@ -42,8 +42,8 @@ static json_t *path_format_to_json(const struct rn_path_format *format) {
 static json_t *titles_to_json(const char *const *names, const char *const *titles) {
     json_t *array = json_array();
     for (; *names; names++, titles++)
-        if (json_array_append_new(
-                array, json_pack("{s:s s:s}", "name", *names, "title", *titles)) != 0) {
+        if (json_array_append_new(array,
+                                  json_pack("{s:s s:s}", "name", *names, "title", *titles)) != 0) {
             json_decref(array);
             return NULL;
         }

@@ -22,8 +22,8 @@
 
 // How a runner on another machine ends, beside 0 (it was told to) and what a crash makes of it.
 enum {
-    RN_JOIN_EXIT_LOST = 75,   // its connection: it may be started again, for another secret
-    RN_JOIN_EXIT_ALONE = 100, // no daemon wanted it
+    RN_JOIN_EXIT_LOST = 75,      // its connection: it may be started again, for another secret
+    RN_JOIN_EXIT_ALONE = 100,    // no daemon wanted it
     RN_JOIN_EXIT_NO_RANKS = 104, // it cannot join the other ranks
     // Of the script that starts it:
     RN_JOIN_EXIT_NOT_SHARED = 101, // the folder is not there

@@ -10,11 +10,11 @@
 // malloc'd, the caller's to free.
 enum rn_exit rn_submit(struct rn_client *client, const char *body, char ret_job[RN_ID_MAX],
                        char **ret_json);
-// Takes up an earlier call's job; where that has failed or was cancelled, `job` becomes the one that
-// goes on with its frames. Complains.
+// Takes up an earlier call's job; where that has failed or was cancelled, `job` becomes the one
+// that goes on with its frames. Complains.
 enum rn_exit rn_take_up(struct rn_client *client, char job[RN_ID_MAX]);
-// As rn_submit, of a body that it frees (NULL: RN_EXIT_FAILED), and waits as rn_follow_job does. The
-// follow is the caller's to finish, whatever is returned.
+// As rn_submit, of a body that it frees (NULL: RN_EXIT_FAILED), and waits as rn_follow_job does.
+// The follow is the caller's to finish, whatever is returned.
 enum rn_exit rn_submit_and_follow(struct rn_client *client, char *body,
                                   struct rn_follow *ret_follow);
 // --crop's box into a request, where there is one; false, with a complaint, where it is none.

@@ -85,8 +85,8 @@ const struct rn_setting *rn_settings_flagged(const struct rn_settings *settings,
 // Of values in the order of the rows, the one of that name, which there is.
 union rn_setting_value *rn_settings_value(const struct rn_settings *settings,
                                           union rn_setting_value *values, const char *name);
-// A value into its member of `config`, a struct of the kind that the table is of; one that is absent
-// changes nothing.
+// A value into its member of `config`, a struct of the kind that the table is of; one that is
+// absent changes nothing.
 void rn_setting_put(const struct rn_setting *row, const union rn_setting_value *value,
                     void *config);
 // All members, in the order of the rows.

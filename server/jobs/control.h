@@ -75,8 +75,9 @@ enum rn_status rn_control_usage(struct rn_control *control, const char *token, i
 enum rn_status rn_control_command(struct rn_control *control, const char *id,
                                   enum rn_job_event event, char **ret_json,
                                   struct rn_error *err) RN_MUST_CHECK;
-// Goes on with a paused job. Of a path job that has failed or was cancelled a new one, the caller's,
-// makes the frames that are missing: *ret_id is its id, else "". As rn_control_submit and _command.
+// Goes on with a paused job. Of a path job that has failed or was cancelled a new one, the
+// caller's, makes the frames that are missing: *ret_id is its id, else "". As rn_control_submit and
+// _command.
 enum rn_status rn_control_go_on(struct rn_control *control, const char *id,
                                 const struct rn_caller *caller, char ret_id[RN_ID_MAX],
                                 char **ret_json, struct rn_error *err) RN_MUST_CHECK;

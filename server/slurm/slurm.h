@@ -1,8 +1,9 @@
 // Runners of mode field on the nodes of a Slurm cluster; all others stay on this machine.
 //
-// A runner is a batch job of one task. It finds the daemon by a file in the shared folder, or by its
-// script, which also has the secret that it must say (proto/join.h), and connects back over TCP. Queues, limits,
-// priorities and the health of nodes are Slurm's: what it takes away or loses is asked for again.
+// A runner is a batch job of one task. It finds the daemon by a file in the shared folder, or by
+// its script, which also has the secret that it must say (proto/join.h), and connects back over
+// TCP. Queues, limits, priorities and the health of nodes are Slurm's: what it takes away or loses
+// is asked for again.
 #ifndef RN_SERVER_SLURM_SLURM_H
 #define RN_SERVER_SLURM_SLURM_H
 

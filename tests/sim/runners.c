@@ -106,7 +106,8 @@ static void prune(const char *folder) {
     if (count >= 0) free(entries);
 }
 
-// A temporary file, sealed, flushed, renamed, its folder flushed, as server/runner/field/saving.c does.
+// A temporary file, sealed, flushed, renamed, its folder flushed, as server/runner/field/saving.c
+// does.
 static bool write_checkpoint(struct sim_runner *runner, char name[64], char digest[65]) {
     char folder[160], fresh[200], path[512];
     static char text[12000];

@@ -1,5 +1,5 @@
-// The runner's needs mode: no connection; what a runner of a scene takes of a machine, before one is
-// asked for.
+// The runner's needs mode: no connection; what a runner of a scene takes of a machine, before one
+// is asked for.
 #ifndef RN_SERVER_RUNNER_TOOLS_NEEDS_H
 #define RN_SERVER_RUNNER_TOOLS_NEEDS_H
 
