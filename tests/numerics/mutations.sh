@@ -20,11 +20,12 @@ give_up() {
 }
 
 # run PROGRAM: builds it and runs it; 0 passed, 1 failed, 2 did not build. `doctor` is the runner's;
-# `poses` and `outliers` are tests of tests/ops; `commands` and `proofs` look at the compile commands and at the proofs' quotations.
+# `reference` is a test of tests/unit, `poses` and `outliers` of tests/ops; `commands` and `proofs` look at the compile commands and at the proofs' quotations.
 run() {
     local target=tests/numerics/numerics_$1
     case $1 in
     doctor) target=server/ripnerf-runner ;;
+    reference) target=tests/unit/engine/test_reference ;;
     poses) target=tests/ops/pose_test ;;
     outliers) target=tests/ops/outlier_test ;;
     commands) target=build.ninja ;;
@@ -83,7 +84,7 @@ sound() {
 prepare generic
 sound frustum footprint ripmap solid volume camera lens optimiser kernels rays disparity space training \
     incidents reproducible roulette overflow growth networks blocks metrics_images flags_fma doctor commands \
-    proofs poses voxels outliers
+    proofs reference poses voxels outliers
 
 field=server/engine/field
 cpu=server/engine/cpu
@@ -149,6 +150,9 @@ mutate volume $field/volume.h "backward: total minus prefix" \
     's/rn_real suffix = 0;/rn_real suffix = 0; for (int i = 0; i < n; i++) suffix += weights[i] * g[i]; for (int i = 0; i < n; i++) { rn_real gi = g[i]; suffix -= weights[i] * gi; grad[i] = after[i] * gi - suffix; } return;/'
 mutate volume $field/volume.h "backward: divided by 1 - opacity" \
     's/grad\[i\] = after\[i\] \* gi - suffix;/grad[i] = after[i] * gi - suffix \/ (1 - weights[i]) * (1 - weights[i]);/'
+mutate reference $field/loss.h "loss: squares where it should be straight" 's/size < 1 ?/size < 4 ?/'
+mutate reference $field/loss.h "loss: over the mean of random backgrounds alone" \
+    's/3 \* (NUMBER)colouring/0 * (NUMBER)colouring/'
 mutate optimiser server/engine/reference/reference.c "AdamW: 1 - 0.999^t by pow" \
     's/c2 = -expm1(.*/c2 = 1 - pow(0.999, (double)step);/'
 mutate optimiser server/engine/reference/reference.c "AdamW: fp32 second moment" \

@@ -1,28 +1,19 @@
-// From the colours of rays to that of a pixel and its loss, and back to the rays.
+// From the colours of rays to that of a pixel and its loss (field/loss.h), and back to the rays.
 #ifndef RN_ENGINE_CPU_LOSS_H
 #define RN_ENGINE_CPU_LOSS_H
 
 #include <math.h>
 
 #include "server/engine/cpu/packet.h"
+#include "server/engine/field/loss.h"
 
-// Loss of one pixel (smooth L1, beta 1, times the area weight) and its gradient: dL/d(rgb), and
-// dL/d(opacity) but for what comes through rgb. Over random backgrounds both are the mean: a
-// channel's error is then that over the mean background, less (opacity - alpha) times the
-// background's deviation from it, so that half its square is on average half the first's square and
-// half the variance times (opacity - alpha)^2. False where it is not finite; then it does not
-// count.
+RN_LOSS_FUNCTION(loss_of, struct rn_march_ray, float, double)
+
+// Adds the loss of one pixel. False where it is not finite; then it does not count.
 static bool pixel_loss(const struct rn_march_options *options, const struct rn_march_ray *ray,
                        const float rgb[3], float opacity, float ret_grad[4],
                        struct rn_group *group) {
-    float excess = opacity - ray->alpha, spread = 3 * options->colour.background_variance;
-    double loss = 0.5 * (double)spread * (double)excess * (double)excess;
-    for (int c = 0; c < 3; c++) {
-        float d = rgb[c] - ray->target[c], size = fabsf(d);
-        loss += size < 1 ? 0.5 * (double)d * (double)d : (double)size - 0.5;
-        ret_grad[c] = ray->weight * (d < -1 ? -1 : d > 1 ? 1 : d);
-    }
-    ret_grad[3] = ray->weight * spread * excess;
+    double loss = loss_of(&options->colour, ray, rgb, opacity, ret_grad);
     if (!isfinite(loss)) return false;
     group->loss += (double)ray->weight * loss;
     group->weight += (double)ray->weight;

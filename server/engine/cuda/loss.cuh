@@ -5,26 +5,20 @@
 
 #include "common/math/rng.h"
 #include "server/engine/cuda/forward.cuh"
+#include "server/engine/field/loss.h"
 
 // ---- loss -----------------------------------------------------------------------------------
 
-// Loss of a pixel of that colour (smooth L1, beta 1, times the area weight; over random backgrounds
-// its mean) and its gradient back to the composited colours and opacities of its rays
-// (rn_colour_back_lane). As pixel_loss of cpu/loss.h. False where the ray takes no part.
+RN_LOSS_FUNCTION(rn_loss_of_lane, struct rn_march_ray, float, float)
+
+// Loss of a pixel of that colour, and its gradient back to the composited colours and opacities of
+// its rays. False where the ray takes no part.
 RN_DEVICE bool rn_ray_loss(const struct rn_march_ray *ray, const struct rn_cuda_march *march,
                            const float colour[3], float opacity, float ret_grad[4],
                            float *ret_loss) {
-    float excess = opacity - ray->alpha, spread = 3 * march->colour.background_variance;
-    float loss = 0.5f * spread * excess * excess;
-    ret_grad[3] = ray->weight * spread * excess;
-    for (int c = 0; c < 3; c++) {
-        float d = colour[c] - ray->target[c], size = fabsf(d);
-        loss += size < 1 ? 0.5f * d * d : size - 0.5f;
-        ret_grad[c] = ray->weight * fminf(fmaxf(d, -1), 1);
-    }
+    *ret_loss = rn_loss_of_lane(&march->colour, ray, colour, opacity, ret_grad);
     rn_colour_back_lane(&march->colour, ret_grad);
-    *ret_loss = loss;
-    return opacity > 0 && ray->weight > 0 && loss < 3e38f;
+    return opacity > 0 && ray->weight > 0 && *ret_loss < 3e38f;
 }
 
 // What a ray's loss adds to the step; `loss` is looked at where the ray takes part.

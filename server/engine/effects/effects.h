@@ -13,7 +13,7 @@
 //   the ray of a pixel               kernels/ray.h           cpu/rays.h      kernels/ray.h
 //   where a sample lies, how large   field/frustum.h         cpu/encode.h    cuda/encode.cuh
 //   the colour of a ray              field/colour.h, with rn_effect_row.colour
-//   the loss of a pixel              reference/reference.c   cpu/loss.h      cuda/loss.cuh
+//   the loss of a pixel              field/loss.h
 //   the cones of a picture's pixel   render/cones.h          -               -
 //   the photographs' cameras         scene/pose.h            train/poses.c   -
 //   the pixels that rays are of      train/outliers.h        train/sampler.c -

@@ -6,6 +6,7 @@
 
 #include "server/engine/field/footprint.h"
 #include "server/engine/field/frustum.h"
+#include "server/engine/field/loss.h"
 #include "server/engine/field/ripmap.h"
 #include "server/engine/field/sh.h"
 #include "server/engine/field/space.h"
@@ -609,11 +610,7 @@ static enum rn_status backward(struct rn_reference *ref, const struct rn_referen
     return RN_OK;
 }
 
-// Smooth L1 with beta 1 and its slope.
-static double smooth_l1(double d, double *ret_slope) {
-    *ret_slope = d < -1 ? -1 : d > 1 ? 1 : d;
-    return fabs(d) < 1 ? 0.5 * d * d : fabs(d) - 0.5;
-}
+RN_LOSS_FUNCTION(loss_of, struct rn_reference_ray, double, double)
 
 // Loss of one pixel, the mean of `n` rays that are not all empty, and its gradients.
 static enum rn_status pixel_loss(struct rn_reference *ref, const struct rn_reference_ray *rays,
@@ -628,15 +625,9 @@ static enum rn_status pixel_loss(struct rn_reference *ref, const struct rn_refer
             rgb[c] +=
                 (rays[r].count > 0 ? tapes[r].rgb[c] : (double)rays[r].colour.background[c]) / n;
     }
-    double excess = opacity - rays->alpha;
-    double spread = rays->weight * 3 * (double)rays->colour.background_variance;
-    *loss += 0.5 * spread * excess * excess;
-    for (int c = 0; c < 3; c++) {
-        double slope;
-        *loss += rays->weight * smooth_l1(rgb[c] - rays->target[c], &slope);
-        grad[c] = rays->weight * slope / total_weight / n;
-    }
-    grad[3] = spread * excess / total_weight / n;
+    *loss += rays->weight * loss_of(&rays->colour, rays, rgb, opacity, grad);
+    for (int c = 0; c < 4; c++)
+        grad[c] /= total_weight * n;
     for (int r = 0; r < n && status == RN_OK; r++) {
         double distortion = ref->distortion_loss * rays->weight / total_weight / n, own = 0;
         double of_ray[4];
