@@ -168,6 +168,9 @@ bool rn_task_is_attached(const struct rn_task *task);
 void rn_task_detach(struct rn_task *task);
 void rn_task_publish(struct rn_control *control, struct rn_task *task, const char *name,
                      const char *json, bool latest);
+// Writes what a full disk left unwritten of a scene's jobs: some of it needs the scene's record.
+enum rn_status rn_task_settle_scene(struct rn_control *control, const char *scene,
+                                    struct rn_error *err) RN_MUST_CHECK;
 // Writes late records, and forgets finished tasks.
 void rn_tasks_tidy(struct rn_control *control);
 void rn_task_free(struct rn_task *task);

@@ -463,7 +463,8 @@ static enum rn_status delete_scene(struct rn_control *control, const struct rn_s
     if (task != NULL && !task->automatic)
         return rn_error_set(err, RN_ERROR_CONFLICT, "", "job %s works on scene '%s' (%s)",
                             task->row.id, scene->name, rn_job_state_names[task->row.state]);
-    enum rn_status status = rn_store_begin(control->store, err);
+    enum rn_status status = rn_task_settle_scene(control, scene->id, err);
+    if (status == RN_OK) status = rn_store_begin(control->store, err);
     if (status != RN_OK) return status;
     status = rn_task_prune_checkpoints(control, scene->id, 0, err);
     if (status == RN_OK) status = rn_store_delete(control->store, &rn_scenes, scene->id, err);

@@ -274,11 +274,27 @@ static void remove_spooled(struct rn_control *control, const struct rn_task *tas
     free(path);
 }
 
+static enum rn_status settle(struct rn_control *control, struct rn_task *task,
+                             struct rn_error *err) {
+    if (!task->dirty) return RN_OK;
+    enum rn_status status = persist(control, task, err);
+    task->dirty = status != RN_OK;
+    return status;
+}
+
+enum rn_status rn_task_settle_scene(struct rn_control *control, const char *scene,
+                                    struct rn_error *err) {
+    enum rn_status status = RN_OK;
+    for (struct rn_task *task = control->tasks; task != NULL && status == RN_OK; task = task->next)
+        if (strcmp(task->row.scene, scene) == 0) status = settle(control, task, err);
+    return status;
+}
+
 void rn_tasks_tidy(struct rn_control *control) {
     struct rn_task **link = &control->tasks;
     while (*link != NULL) {
         struct rn_task *task = *link;
-        if (task->dirty && persist(control, task, NULL) == RN_OK) task->dirty = false;
+        (void)settle(control, task, NULL);
         if (!rn_job_is_over(task->row.state) || task->dirty || task->runner != NULL) {
             link = &task->next;
             continue;

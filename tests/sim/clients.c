@@ -220,6 +220,14 @@ static struct sim_thing *some_thing(struct sim_thing *things, int count) {
     return thing != NULL && thing->promise == SIM_KEPT ? thing : NULL;
 }
 
+static void check_without_runner(const char *scene) {
+    for (int i = 0; i < SIM_RUNNERS; i++) {
+        const struct sim_runner *runner = &sim->runners[i];
+        if (runner->alive && !runner->orphan && strcmp(runner->scene, scene) == 0)
+            sim_violated("scene %s is deleted, and runner %d goes on", scene, runner->pid);
+    }
+}
+
 static void delete_scene(void) {
     struct sim_thing *thing = some_thing(sim->scenes, sim->scene_count);
     struct rn_error err = {0};
@@ -227,6 +235,7 @@ static void delete_scene(void) {
     thing->promise = SIM_IN_DOUBT;
     enum rn_status status = rn_control_delete_scene(life.control, thing->id, &err);
     thing->promise = status == RN_OK ? SIM_GONE : SIM_KEPT;
+    if (status == RN_OK) check_without_runner(thing->id);
 }
 
 static void delete_dataset(void) {

@@ -1,7 +1,7 @@
 #!/bin/bash
 # Breaks server/jobs and server/store in ways that programmers do, in a scratch copy of the tree, and
-# runs the simulation, which must find each: mutations.sh [SECONDS [PATTERN]], SECONDS for each, PATTERN
-# choosing some by name. Closes with `N of N caught`. mutations.sh --applies runs nothing and says in a
+# runs the simulation, which must find each: mutations.sh [SECONDS [PATTERN]], SECONDS for each after the
+# kept seeds, PATTERN choosing some by name. Closes with `N of N caught`. mutations.sh --applies runs nothing and says in a
 # second whether each edit still changes its file.
 set -u
 cd "$(dirname "$0")/../.." || exit 1
@@ -24,6 +24,7 @@ fi
 # 0 passed, 1 failed, 2 did not build.
 simulate() {
     ninja -j2 -C "$build" tests/sim/sim >"$scratch/log" 2>&1 || return 2
+    "$build/tests/sim/sim" --seeds tests/sim/seeds.txt >"$scratch/log" 2>&1 || return 1
     "$build/tests/sim/sim" --seconds "$seconds" >"$scratch/log" 2>&1 || return 1
 }
 
@@ -41,14 +42,14 @@ mutate $store/schema.c "it is not remembered which scenes were deleted" 's/"CREA
 mutate $jobs/task.c "a job that starts is not written down" 's/    status = persist(control, task, err);/    status = event == RN_JOB_START ? RN_OK : persist(control, task, err);/'
 mutate $jobs/task.c "pictures are taken back after their job has succeeded" \
     '/if (rn_job_is_over(next)) rn_frames_take_back(control, task);/d;s/^    rn_task_announce(control, task);/    if (rn_job_is_over(next)) rn_frames_take_back(control, task);&/'
-mutate $jobs/task.c "what could not be written is never written" 's/if (task->dirty && persist(control, task, NULL) == RN_OK) task->dirty = false;/task->dirty = false;/'
+mutate $jobs/task.c "what could not be written is never written" 's/    enum rn_status status = persist(control, task, err);/    enum rn_status status = RN_OK;/'
 mutate $jobs/task.c "a lost job stays with its runner" '/^                  const struct rn_ending \*ending) {/{n;d}'
 mutate $jobs/machine.c "a lost job is queued without being interrupted" 's/? RN_JOB_INTERRUPTED : -1/? RN_JOB_QUEUED : -1/'
 mutate $jobs/control.c "interrupted jobs are forgotten by the next daemon" 's/RN_JOB_CANCELLING, RN_JOB_INTERRUPTED};/RN_JOB_CANCELLING, RN_JOB_CANCELLING};/'
 mutate $jobs/control.c "a runner that hangs is waited for" 's/> control->options.runner_timeout_s \* 1000000000ll/> INT64_MAX - 1/'
 mutate $jobs/schedule.c "one training more than there are slots" 's/count_active(control, RN_JOB_TRAIN, RN_JOB_ESTIMATE) </count_active(control, RN_JOB_TRAIN, RN_JOB_ESTIMATE) <=/'
 mutate $jobs/submit.c "a key is written after its job" 's/status = rn_store_insert(control->store, &rn_keys, &key, err);/status = RN_OK;/'
-mutate $jobs/submit.c "a scene's files go before its record" 's/^    enum rn_status status = rn_store_begin(control->store, err);/    if (task == NULL) remove_folder(control, "scenes", scene->id);&/'
+mutate $jobs/submit.c "a scene's files go before its record" 's/^    enum rn_status status = rn_task_settle_scene(/    if (task == NULL) remove_folder(control, "scenes", scene->id);\n&/'
 mutate $jobs/submit.c "a deleted scene's runner goes on" 's/if (runner != NULL) rn_runner_remove(control, runner, true);/(void)runner;/'
 mutate $jobs/render.c "who has left is not let go" 's/if (found) rn_parked_answer(parked, NULL);/(void)found;/'
 
@@ -63,6 +64,8 @@ mutate $jobs/frames.c "the place of a film's frames is not flushed" \
     's/status = rn_file_rename(places.lent, places.kept, &err);/status = rename(places.lent, places.kept) == 0 ? RN_OK : RN_ERROR_NOT_FOUND;/'
 mutate $jobs/runner.c "a training that is resumed does not wait for its slot" \
     's/ || task->row.state == RN_JOB_QUEUED) \/\/ for a slot/)/'
+mutate $jobs/submit.c "a scene is deleted before the end of its training is written" \
+    's/= rn_task_settle_scene(control, scene->id, err)/= RN_OK/'
 mutate $store/sweep.c "what was removed is forgotten before it is" '/^    if (sweep.status == RN_OK) sweep.status = flush(store, err);/d'
 mutate $store/records.c "a copy whose seal was lost is taken for a good one" 's/return same && rn_seal_check(path, sha256, NULL) == RN_OK;/return same;/'
 mutate $store/records.c "a folder that was made for nothing is content" 's/looking->found |= !is_bare(path);/looking->found = true;/'
