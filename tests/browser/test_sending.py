@@ -120,6 +120,23 @@ def test_what_other_options_would_give_is_told_and_can_be_taken(page, fake, fold
     assert page.complaints() == []
 
 
+def test_what_other_options_would_give_fits_and_can_be_reached(page, fake, folder):
+    """At the page's own width beside the form, on a phone a row below the other: nothing is scrolled for."""
+    api = fake("empty")
+    choose(page, api, folder)
+    for width, high in ((1440, 60), (375, 120)):
+        page.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", {
+            "width": width, "height": 900, "deviceScaleFactor": 1, "mobile": width < 400})
+        page.says("376 MiB", ".preview .choices")
+        hidden, tall, beside = page.run("""
+const box = document.querySelector('.choices').parentElement;
+const rows = [...box.querySelectorAll('tbody tr')];
+return [box.scrollWidth - box.clientWidth, Math.max(...rows.map((row) => row.offsetHeight)),
+        document.querySelector('.sending').getBoundingClientRect().right <=
+            document.querySelector('.preview').getBoundingClientRect().left];""")
+        assert hidden <= 0 and tall <= high and beside == (width > 1000)
+
+
 def test_what_cannot_be_read_is_told_before_it_is_sent(page, fake, folder):
     api = fake("empty")
     api.world.fails["validate"] = {

@@ -72,12 +72,13 @@ const optionWords = ({max_size: size, split, scales}) =>
 /** What an import by other options would keep, and what training takes of that; each can be taken. */
 function choices(offered, take) {
   const heads = ['Options', 'Train', 'Test', 'Pixels', 'Trained at', 'Memory', 'Loading, training', ''];
+  const cells = (choice) =>
+      [choice.views.train, choice.views.test, `${choice.width} × ${choice.height}`,
+       choice.train_scale > 1 ? `1/${choice.train_scale}` : 'full size', bytes(choice.memory_bytes),
+       `${seconds(choice.load_seconds)}, ${seconds(choice.seconds)}`];
   const row = (choice, i) => h(
-      'tr', null, h('th', {scope: 'row'}, optionWords(choice)), h('td', null, `${choice.views.train}`),
-      h('td', null, `${choice.views.test}`), h('td', null, `${choice.width} × ${choice.height}`),
-      h('td', null, choice.train_scale > 1 ? `1/${choice.train_scale}` : 'full size'),
-      h('td', null, bytes(choice.memory_bytes)),
-      h('td', null, `${seconds(choice.load_seconds)}, ${seconds(choice.seconds)}`),
+      'tr', null, h('th', {scope: 'row'}, optionWords(choice)),
+      cells(choice).map((words, k) => h('td', {'data-head': heads[k + 1]}, `${words}`)),
       h('td', null,
         i ? h('button', {
           type: 'button',

@@ -39,6 +39,6 @@ export function sendForm({words, fields, back, isReady = () => true, send}, abov
           if (isReady()) begin();
         }
       },
-      above, problem, progress, buttons, below);
+      h('div', {class: 'sending'}, above, problem, progress, buttons), below);
   return {node, showFault};
 }
