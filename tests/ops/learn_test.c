@@ -562,18 +562,18 @@ static double worst_difference(const struct rn_picture *a, const struct rn_pictu
     return worst;
 }
 
-// Rays that end early pass over thin haze: fewer samples, and a picture that differs no more than
-// it did by their ends.
+// Rays that end early pass over thin haze, which they would have met in `cells`: fewer samples, and
+// a picture that differs no more than it did by their ends.
 static void check_firm_cells(struct rn_engine *engine, struct rn_field *field,
-                             const struct rn_frame *frame) {
+                             const struct rn_camera *camera, struct rn_occupancy_bits cells) {
     struct rn_occupancy_bits firm = field->firm;
     struct rn_render_options options = {
-        .camera = frame->camera, .outputs = RN_OUTPUT_RGB, .settings = {.stop = 0.1}};
-    struct rn_render_result quick, careful, full = render_all(engine, field, frame->camera, 0);
+        .camera = *camera, .outputs = RN_OUTPUT_RGB, .settings = {.stop = 0.1, .supersample = 1}};
+    struct rn_render_result quick, careful, full = render_all(engine, field, *camera, 0);
     struct rn_error err;
     memcpy(options.background, (const float[]){1, 1, 1}, sizeof options.background);
     ck_assert(rn_render(engine, field, &options, NULL, NULL, &quick, &err) == RN_OK);
-    field->firm = field->fine;
+    field->firm = cells;
     ck_assert(rn_render(engine, field, &options, NULL, NULL, &careful, &err) == RN_OK);
     field->firm = firm;
     double share = (double)quick.stats.samples / (double)careful.stats.samples;
@@ -600,9 +600,15 @@ static void check_refinement(struct rn_engine *engine, struct rn_field *field,
     ck_assert_int_eq(field->cpu.occupancy.cells, 2 * field->config.field.occupancy);
     rn_field_choose_cells(field, field->fine_levels + 1, 0);
     ck_assert_int_eq(field->cpu.occupancy.cells, field->config.field.occupancy);
-    rn_field_choose_cells(field, 1, 0.1);
+    rn_field_choose_cells(field, field->fine_levels + 2, 0.1);
+    ck_assert_int_eq(field->cpu.occupancy.cells, field->config.field.occupancy);
+    rn_field_choose_cells(field, field->fine_levels + 1, 0.1);
     ck_assert_ptr_eq(field->cpu.occupancy.words, field->firm.words);
-    check_firm_cells(engine, field, frame);
+    check_firm_cells(engine, field, &frame->camera, field->fine);
+    // Of cones twice as wide as any that the cells were looked at with.
+    struct rn_camera wide =
+        rn_camera_resized(&frame->camera, frame->camera.width / 2, frame->camera.height / 2);
+    check_firm_cells(engine, field, &wide, field->coarse);
     rn_field_refine_occupancy(field, alone);
     struct rn_render_result same = render_all(engine, field, frame->camera, 0);
     ck_assert(averaging_error(&fine, &same, 1) == 0 && fine.stats.samples == same.stats.samples);

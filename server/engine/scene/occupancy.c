@@ -286,8 +286,8 @@ void rn_field_refine_occupancy(struct rn_field *field, struct rn_engine *engine)
 }
 
 void rn_field_choose_cells(struct rn_field *field, int levels, double stop) {
-    bool fine = field->fine.words && levels <= field->fine_levels;
     bool firm = stop >= (double)RN_OCCUPANCY_FIRM;
+    bool fine = field->fine.words && levels <= field->fine_levels + (firm ? 1 : 0);
     field->cpu.occupancy = !fine ? field->coarse : firm ? field->firm : field->fine;
 }
 
