@@ -134,6 +134,7 @@ const rows = [...box.querySelectorAll('tbody tr')];
 return [box.scrollWidth - box.clientWidth, Math.max(...rows.map((row) => row.offsetHeight)),
         document.querySelector('.sending').getBoundingClientRect().right <=
             document.querySelector('.preview').getBoundingClientRect().left];""")
+        assert not page.run("return [...document.querySelectorAll('th')].filter((e) => !e.textContent).length;")
         assert hidden <= 0 and tall <= high and beside == (width > 1000)
 
 

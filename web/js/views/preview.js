@@ -71,7 +71,8 @@ const optionWords = ({max_size: size, split, scales}) =>
 
 /** What an import by other options would keep, and what training takes of that; each can be taken. */
 function choices(offered, take) {
-  const heads = ['Options', 'Train', 'Test', 'Pixels', 'Trained at', 'Memory', 'Loading, training', ''];
+  const heads =
+      ['Options', 'Train', 'Test', 'Pixels', 'Trained at', 'Memory', 'Loading, training', 'Use'];
   const cells = (choice) =>
       [choice.views.train, choice.views.test, `${choice.width} × ${choice.height}`,
        choice.train_scale > 1 ? `1/${choice.train_scale}` : 'full size', bytes(choice.memory_bytes),
