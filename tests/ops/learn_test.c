@@ -10,18 +10,29 @@
 #include "server/engine/scene/occupancy.h"
 #include "tests/ops/train_scene.h"
 
-static struct rn_render_result render_all(struct rn_engine *engine, struct rn_field *field,
-                                          struct rn_camera camera, int supersample) {
+static struct rn_render_result render(struct rn_engine *engine, struct rn_field *field,
+                                      struct rn_camera camera, struct rn_render_options options) {
     struct rn_error err;
     struct rn_render_result result;
-    struct rn_render_options options = {.camera = camera,
-                                        .outputs =
-                                            RN_OUTPUT_RGB | RN_OUTPUT_DEPTH | RN_OUTPUT_ALPHA,
-                                        .background = {1, 1, 1},
-                                        .settings.supersample = supersample};
+    options.camera = camera;
     ck_assert_msg(rn_render(engine, field, &options, NULL, NULL, &result, &err) == RN_OK, "%s",
                   err.text);
     return result;
+}
+
+static struct rn_render_result render_all(struct rn_engine *engine, struct rn_field *field,
+                                          struct rn_camera camera, int supersample) {
+    struct rn_render_options options = {.background = {1, 1, 1},
+                                        .settings.supersample = supersample};
+    options.outputs = RN_OUTPUT_RGB | RN_OUTPUT_DEPTH | RN_OUTPUT_ALPHA;
+    return render(engine, field, camera, options);
+}
+
+static void finish_three(struct rn_render_result *a, struct rn_render_result *b,
+                         struct rn_render_result *c) {
+    rn_render_result_finish(a);
+    rn_render_result_finish(b);
+    rn_render_result_finish(c);
 }
 
 // `given` is `fine` averaged over n x n pixels, depths by their opacity. Worst difference.
@@ -64,21 +75,15 @@ static void check_supersampling(struct rn_engine *engine, struct rn_field *field
         ck_assert(averaging_error(&mean, &fine, n) < 1e-5);
         ck_assert(averaging_error(&given, &mean, 1) == 0);
         ck_assert(averaging_error(&one, &fine, n) > 1e-3); // else this test shows nothing
-        rn_render_result_finish(&mean);
-        rn_render_result_finish(&given);
-        rn_render_result_finish(&one);
+        finish_three(&mean, &given, &one);
     }
     rn_render_result_finish(&fine);
 }
 
 static struct rn_render_result render_quickly(struct rn_field *field, const struct rn_frame *frame,
                                               struct rn_render_options options, int threads) {
-    struct rn_error err;
-    struct rn_render_result result;
     struct rn_engine *engine = engine_with(threads);
-    options.camera = frame->camera;
-    ck_assert_msg(rn_render(engine, field, &options, NULL, NULL, &result, &err) == RN_OK, "%s",
-                  err.text);
+    struct rn_render_result result = render(engine, field, frame->camera, options);
     rn_engine_destroy(&engine);
     return result;
 }
@@ -201,9 +206,7 @@ static void check_parts(struct rn_field *field, const struct rn_frame *frame) {
         ck_assert(sqrt(squares / (double)count) < 0.05 && sqrt(alpha / (double)count * 3) < 0.05);
         ck_assert(memcmp(one.rgb.values, two.rgb.values, count * sizeof(float)) == 0);
         ck_assert(memcmp(one.alpha.values, two.alpha.values, count / 3 * sizeof(float)) == 0);
-        rn_render_result_finish(&full);
-        rn_render_result_finish(&one);
-        rn_render_result_finish(&two);
+        finish_three(&full, &one, &two);
     }
 }
 
@@ -258,9 +261,7 @@ static void check_early_stop(struct rn_field *field, const struct rn_frame *fram
            opaque, count, sqrt(squares / (3 * (double)count)));
     ck_assert_uint_gt(opaque, count / 20);
     ck_assert(sqrt(squares / (3 * (double)count)) < 0.02);
-    rn_render_result_finish(&full);
-    rn_render_result_finish(&white);
-    rn_render_result_finish(&black);
+    finish_three(&full, &white, &black);
 }
 
 // Whether all pixels up to `reach` beside a point's image are inside it and without alpha.
@@ -565,26 +566,22 @@ static double worst_difference(const struct rn_picture *a, const struct rn_pictu
 // Rays that end early pass over thin haze, which they would have met in `cells`: fewer samples, and
 // a picture that differs no more than it did by their ends.
 static void check_firm_cells(struct rn_engine *engine, struct rn_field *field,
-                             const struct rn_camera *camera, struct rn_occupancy_bits cells) {
+                             struct rn_camera camera, struct rn_occupancy_bits cells) {
+    const struct rn_render_options early = {.outputs = RN_OUTPUT_RGB,
+                                            .background = {1, 1, 1},
+                                            .settings = {.stop = 0.1, .supersample = 1}};
     struct rn_occupancy_bits firm = field->firm;
-    struct rn_render_options options = {
-        .camera = *camera, .outputs = RN_OUTPUT_RGB, .settings = {.stop = 0.1, .supersample = 1}};
-    struct rn_render_result quick, careful, full = render_all(engine, field, *camera, 0);
-    struct rn_error err;
-    memcpy(options.background, (const float[]){1, 1, 1}, sizeof options.background);
-    ck_assert(rn_render(engine, field, &options, NULL, NULL, &quick, &err) == RN_OK);
+    struct rn_render_result full = render_all(engine, field, camera, 0);
+    struct rn_render_result quick = render(engine, field, camera, early);
     field->firm = cells;
-    ck_assert(rn_render(engine, field, &options, NULL, NULL, &careful, &err) == RN_OK);
+    struct rn_render_result slow = render(engine, field, camera, early);
     field->firm = firm;
-    double share = (double)quick.stats.samples / (double)careful.stats.samples;
-    double off = rms_difference(&quick.rgb, &full.rgb);
-    double off_before = rms_difference(&careful.rgb, &full.rgb);
-    printf("firm cells: %.0f %% of the samples, rms %.5f for %.5f\n", 100 * share, off, off_before);
+    double share = (double)quick.stats.samples / (double)slow.stats.samples;
+    double off = rms_difference(&quick.rgb, &full.rgb), was = rms_difference(&slow.rgb, &full.rgb);
+    printf("firm cells: %.0f %% of the samples, rms %.5f for %.5f\n", 100 * share, off, was);
     ck_assert_double_lt(share, 0.97);
-    ck_assert_double_lt(off, off_before + 0.005);
-    rn_render_result_finish(&full);
-    rn_render_result_finish(&quick);
-    rn_render_result_finish(&careful);
+    ck_assert_double_lt(off, was + 0.005);
+    finish_three(&full, &quick, &slow);
 }
 
 // Finer cells leave out samples that hardly show: pictures stay as they are, and do not depend on
@@ -598,17 +595,16 @@ static void check_refinement(struct rn_engine *engine, struct rn_field *field,
     rn_field_refine_occupancy(field, engine);
     struct rn_render_result fine = render_all(engine, field, frame->camera, 0);
     ck_assert_int_eq(field->cpu.occupancy.cells, 2 * field->config.field.occupancy);
-    rn_field_choose_cells(field, field->fine_levels + 1, 0);
-    ck_assert_int_eq(field->cpu.occupancy.cells, field->config.field.occupancy);
-    rn_field_choose_cells(field, field->fine_levels + 2, 0.1);
-    ck_assert_int_eq(field->cpu.occupancy.cells, field->config.field.occupancy);
+    for (int quick = 0; quick < 2; quick++) {
+        rn_field_choose_cells(field, field->fine_levels + 1 + quick, 0.1 * quick);
+        ck_assert_int_eq(field->cpu.occupancy.cells, field->config.field.occupancy);
+    }
     rn_field_choose_cells(field, field->fine_levels + 1, 0.1);
     ck_assert_ptr_eq(field->cpu.occupancy.words, field->firm.words);
-    check_firm_cells(engine, field, &frame->camera, field->fine);
+    check_firm_cells(engine, field, frame->camera, field->fine);
     // Of cones twice as wide as any that the cells were looked at with.
-    struct rn_camera wide =
-        rn_camera_resized(&frame->camera, frame->camera.width / 2, frame->camera.height / 2);
-    check_firm_cells(engine, field, &wide, field->coarse);
+    struct rn_camera wide = rn_camera_resized(&frame->camera, 24, 24);
+    check_firm_cells(engine, field, wide, field->coarse);
     rn_field_refine_occupancy(field, alone);
     struct rn_render_result same = render_all(engine, field, frame->camera, 0);
     ck_assert(averaging_error(&fine, &same, 1) == 0 && fine.stats.samples == same.stats.samples);
@@ -623,9 +619,7 @@ static void check_refinement(struct rn_engine *engine, struct rn_field *field,
     ck_assert_double_lt(rms, 0.002); // of eight seeds at most 0.0013; the worst pixel 0.067
     ck_assert_double_lt(error, 0.1);
     ck_assert_double_lt(share, 0.97);
-    rn_render_result_finish(&coarse);
-    rn_render_result_finish(&fine);
-    rn_render_result_finish(&same);
+    finish_three(&coarse, &fine, &same);
     rn_engine_destroy(&alone);
 }
 
