@@ -98,8 +98,14 @@ START_TEST(slopes_are_those_of_float64) {
     struct rn_pose_sights sights;
     static float slopes[RN_POSE_UNKNOWNS][RN_POSE_SIGHTS][3];
     looker.march.stop_depth = 1e9f;
-    rn_pose_draw(&photo, RN_POSE_WHOLE, 1, SIGHTS, looker.march.colour.background, 1, 2, 3,
-                 &sights);
+    struct rn_pose_draw draw = {.part = RN_POSE_WHOLE,
+                                .side = 1,
+                                .wanted = SIGHTS,
+                                .background = looker.march.colour.background,
+                                .seed = 1,
+                                .stream = 2,
+                                .counter = 3};
+    rn_pose_draw(&photo, &draw, &sights);
     ck_assert_int_eq(sights.count, SIGHTS);
     rn_pose_slopes(&looker, &frame->camera, &sights, slopes);
     double apart = 0, size = 0, half = 0.5 / frame->camera.fx;

@@ -31,25 +31,21 @@ static const float *straight_over(const struct rn_march_options *march) {
     return march->straight ? march->colour.background : NULL;
 }
 
-// What all blocks of pixels share.
+// The picture's camera of n x n as many pixels.
 struct looking {
-    const struct rn_engine *engine;
-    const struct rn_field *field;
-    const struct rn_march_options *march;
-    const struct rn_view *fine;
-    const struct rn_viewpoints *from; // NULL: all are seen from `fine`
-    int n;
+    const struct rn_cones *cones;
+    struct rn_view fine;
 };
 
-static void cut_parallel(const struct looking *l, const struct rn_spot *spots, int count,
+static void cut_parallel(const struct rn_cones *c, const struct rn_spot *spots, int count,
                          struct rn_march_ray *rays, float *moved) {
-    int n = l->n;
+    int n = c->n;
     for (int i = 0; i < count * n * n; i++) {
         struct rn_spot s = spots[i / (n * n)];
         int j = i % (n * n), x = s.x * n + j % n, y = s.y * n + j / n;
         int from = rn_viewpoints_choose(s.x, s.y, n, j);
-        rays[i] =
-            rn_viewpoints_ray(l->from, l->field, from, x, y, (double)l->march->step, &moved[i]);
+        rays[i] = rn_viewpoints_ray(c->viewpoints, c->field, from, x, y, (double)c->march->step,
+                                    &moved[i]);
     }
 }
 
@@ -69,33 +65,34 @@ static uint64_t render_block(const struct looking *l, const struct rn_spot *spot
     struct rn_march_ray rays[RN_CONES_BLOCK];
     struct rn_pixel cones[RN_CONES_BLOCK];
     float moved[RN_CONES_BLOCK];
-    const struct rn_viewpoints *from = l->from;
-    int n = l->n, total = count * n * n;
+    const struct rn_cones *c = l->cones;
+    const struct rn_viewpoints *from = c->viewpoints;
+    int n = c->n, total = count * n * n;
     for (int i = 0; i < total; i++) {
         struct rn_spot s = spots[i / (n * n)];
         int j = i % (n * n);
-        places[i] = (struct rn_ray_place){l->fine, s.x * n + j % n, s.y * n + j / n, 0};
+        places[i] = (struct rn_ray_place){&l->fine, s.x * n + j % n, s.y * n + j / n, 0};
         if (from) places[i].view = &from->view[rn_viewpoints_choose(s.x, s.y, n, j)];
     }
     if (from && from->parallel)
-        cut_parallel(l, spots, count, rays, moved);
+        cut_parallel(c, spots, count, rays, moved);
     else
-        l->engine->kernels->rays(places, total, (double)l->march->step, l->field->config.cone_step,
+        c->engine->kernels->rays(places, total, (double)c->march->step, c->field->config.cone_step,
                                  rays);
     struct rn_pixel *seen = n == 1 ? ret_pixels : cones;
     uint16_t samples_of[RN_CONES_BLOCK] = {0};
-    struct rn_march_options counting = *l->march;
+    struct rn_march_options counting = *c->march;
     if (ret_costs) counting.samples = samples_of;
-    uint64_t samples = l->engine->kernels->render(&l->field->cpu, &counting, rays, total,
-                                                  rn_engine_workspace(l->engine, thread), seen);
-    close_ended(l->field, l->march, seen, (size_t)total);
+    uint64_t samples = c->engine->kernels->render(&c->field->cpu, &counting, rays, total,
+                                                  rn_engine_workspace(c->engine, thread), seen);
+    close_ended(c->field, c->march, seen, (size_t)total);
     for (int i = 0; from && from->parallel && i < total; i++)
         if (seen[i].alpha > 0) seen[i].depth -= moved[i];
     for (int i = 0; i < count && n > 1; i++)
         if (from && from->spread)
             mean_of_light(cones + i * n * n, n, &ret_pixels[i]);
         else
-            ret_pixels[i] = rn_cones_mean(cones + i * n * n, n, straight_over(l->march));
+            ret_pixels[i] = rn_cones_mean(cones + i * n * n, n, straight_over(c->march));
     for (int i = 0; i < total && ret_costs; i++) {
         if (i % (n * n) == 0) ret_costs[i / (n * n)] = 0;
         ret_costs[i / (n * n)] += samples_of[i];
@@ -103,13 +100,12 @@ static uint64_t render_block(const struct looking *l, const struct rn_spot *spot
     return samples;
 }
 
-uint64_t rn_cones_render(const struct rn_engine *engine, const struct rn_field *field,
-                         const struct rn_march_options *march, const struct rn_camera *camera,
-                         const struct rn_viewpoints *viewpoints, int n, const struct rn_spot *spots,
-                         int count, int thread, struct rn_pixel *ret_pixels, uint16_t *ret_costs) {
+uint64_t rn_cones_render(const struct rn_cones *cones, const struct rn_spot *spots, int count,
+                         int thread, struct rn_pixel *ret_pixels, uint16_t *ret_costs) {
+    const struct rn_camera *camera = cones->camera;
+    int n = cones->n;
     struct rn_camera fine = rn_camera_resized(camera, camera->width * n, camera->height * n);
-    struct rn_view view = rn_field_view(field, &fine);
-    struct looking looking = {engine, field, march, &view, viewpoints, n};
+    struct looking looking = {cones, rn_field_view(cones->field, &fine)};
     uint64_t samples = 0;
     for (int i = 0, block = RN_CONES_BLOCK / (n * n); i < count; i += block)
         samples += render_block(&looking, spots + i, count - i < block ? count - i : block, thread,

@@ -19,14 +19,20 @@ bool rn_field_averages_straight(const struct rn_field *field, const struct rn_fr
 struct rn_spot {
     int x, y;
 };
-// Renders `count` pixels of a camera, each by n x n cones, on the calling thread; returns the field
-// evaluations. `march->step` is the length of a step of one cone. `viewpoints`: NULL, or where the
-// cones are seen from instead; they are then averaged as light. `ret_costs`:
-// NULL, or of each pixel its field evaluations.
-uint64_t rn_cones_render(const struct rn_engine *engine, const struct rn_field *field,
-                         const struct rn_march_options *march, const struct rn_camera *camera,
-                         const struct rn_viewpoints *viewpoints, int n, const struct rn_spot *spots,
-                         int count, int thread, struct rn_pixel *ret_pixels, uint16_t *ret_costs);
+// What the pixels of a picture have in common. All is the caller's.
+struct rn_cones {
+    const struct rn_engine *engine;
+    const struct rn_field *field;
+    const struct rn_march_options *march; // `step`: of one cone
+    const struct rn_camera *camera;
+    const struct rn_viewpoints *viewpoints; // where cones are seen from instead, which are then
+                                            // averaged as light; NULL: all from the camera
+    int n;                                  // a side of a pixel
+};
+// Renders `count` pixels, each by n x n cones, on the calling thread, which is the engine's that
+// `thread` says; returns the field evaluations. `ret_costs`: NULL, or of each pixel its own.
+uint64_t rn_cones_render(const struct rn_cones *cones, const struct rn_spot *spots, int count,
+                         int thread, struct rn_pixel *ret_pixels, uint16_t *ret_costs);
 // Pixels of cameras on the field's device, in the order of their places, from the cells that the
 // CPU's march would read. The backend's errors.
 enum rn_status rn_cones_render_there(struct rn_field *field, const struct rn_march_options *march,

@@ -103,8 +103,8 @@ static void render_tile(void *context, int index, int thread) {
     if (isfinite(interpolation)) f->interpolation += (uint64_t)(interpolation * 0x1p32);
     f->rays += (uint64_t)n * f->cones * f->cones;
     n = drop_empty(f, spots, n);
-    f->samples += rn_cones_render(f->engine, f->field, &f->march, &f->camera, f->viewpoints,
-                                  f->cones, spots, n, thread, pixels, f->costs ? costs : NULL);
+    struct rn_cones cones = {f->engine, f->field, &f->march, &f->camera, f->viewpoints, f->cones};
+    f->samples += rn_cones_render(&cones, spots, n, thread, pixels, f->costs ? costs : NULL);
     for (int i = 0; i < n; i++)
         f->lattice.pixels[(size_t)spots[i].y * lattice.width + spots[i].x] = pixels[i];
     for (int i = 0; i < n && f->costs; i++)

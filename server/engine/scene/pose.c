@@ -4,6 +4,7 @@
 #include <string.h>
 
 #include "common/math/rng.h"
+#include "server/engine/scene/pixels.h"
 
 #define HUBER 0.1   // difference of colours beyond which it counts linearly
 #define NEAREST 0.1 // of the bounds' radius: a camera that is nearer to their centre counts as this
@@ -51,32 +52,30 @@ static bool mean_of(const struct rn_pose_photo *photo, int side, const float bac
     for (int j = 0; j < side * side; j++) {
         size_t at = (size_t)(sight->y + j / side) * (size_t)photo->camera.width +
                     (size_t)(sight->x + j % side);
-        const uint8_t *rgba = photo->rgba + 4 * at;
-        float alpha = (float)rgba[3] * (1 / 255.0f);
+        float colour[3];
         if (photo->used && !photo->used[at]) return false;
+        (void)rn_pixel_over(photo->rgba + 4 * at, background, colour);
         for (int c = 0; c < 3; c++)
-            sight->target[c] +=
-                ((float)rgba[c] * (1 / 255.0f) * alpha + (1 - alpha) * background[c]) /
-                (float)(side * side);
+            sight->target[c] += colour[c] / (float)(side * side);
     }
     return true;
 }
 
-void rn_pose_draw(const struct rn_pose_photo *photo, enum rn_pose_part part, int side, int wanted,
-                  const float background[3], uint64_t seed, uint64_t stream, uint64_t counter,
+void rn_pose_draw(const struct rn_pose_photo *photo, const struct rn_pose_draw *draw,
                   struct rn_pose_sights *ret) {
-    int middle = photo->camera.width / 2;
-    int begin = part == RN_POSE_RIGHT ? middle : 0;
-    int columns = (part == RN_POSE_LEFT ? middle : photo->camera.width) - begin - side + 1;
+    int middle = photo->camera.width / 2, side = draw->side;
+    int begin = draw->part == RN_POSE_RIGHT ? middle : 0;
+    int columns = (draw->part == RN_POSE_LEFT ? middle : photo->camera.width) - begin - side + 1;
     int rows = photo->camera.height - side + 1;
     ret->side = side;
     ret->count = 0;
-    for (int i = 0; i < wanted && columns > 0 && rows > 0; i++) {
-        struct rn_rng4 draw = rn_rng_draw(seed, stream, counter * RN_POSE_SIGHTS + (uint64_t)i);
+    for (int i = 0; i < draw->wanted && columns > 0 && rows > 0; i++) {
+        struct rn_rng4 at =
+            rn_rng_draw(draw->seed, draw->stream, draw->counter * RN_POSE_SIGHTS + (uint64_t)i);
         struct rn_pose_sight *sight = &ret->at[ret->count];
-        sight->x = begin + (int)rn_rng_below(draw.v[0], (uint32_t)columns);
-        sight->y = (int)rn_rng_below(draw.v[1], (uint32_t)rows);
-        ret->count += mean_of(photo, side, background, sight);
+        sight->x = begin + (int)rn_rng_below(at.v[0], (uint32_t)columns);
+        sight->y = (int)rn_rng_below(at.v[1], (uint32_t)rows);
+        ret->count += mean_of(photo, side, draw->background, sight);
     }
 }
 
@@ -238,9 +237,14 @@ struct rn_camera rn_pose_seek(const struct rn_pose_looker *l, const struct rn_po
     colours seen;
     for (int side = COARSEST; side >= 1; side /= 2) {
         double damping = 1e-3;
-        int wanted = side > 4 ? RN_POSE_SIGHTS / 4 : RN_POSE_SIGHTS / side;
-        rn_pose_draw(photo, part, side, wanted, l->march.colour.background, seed, (uint64_t)part,
-                     (uint64_t)side, &sights);
+        struct rn_pose_draw draw = {.part = part,
+                                    .side = side,
+                                    .wanted = RN_POSE_SIGHTS / (side > 4 ? 4 : side),
+                                    .background = l->march.colour.background,
+                                    .seed = seed,
+                                    .stream = (uint64_t)part,
+                                    .counter = (uint64_t)side};
+        rn_pose_draw(photo, &draw, &sights);
         rn_pose_equations(l, &camera, &sights, &equations);
         for (int step = 0; step < STEPS; step++) {
             rn_pose_solve(&equations, unknowns, damping, by);

@@ -35,8 +35,13 @@ struct rn_pose_sights {
 };
 // Draws up to `wanted` <= RN_POSE_SIGHTS of them, evenly over the part, over a background; fewer
 // where masks leave pixels out. The same numbers, the same sights.
-void rn_pose_draw(const struct rn_pose_photo *photo, enum rn_pose_part part, int side, int wanted,
-                  const float background[3], uint64_t seed, uint64_t stream, uint64_t counter,
+struct rn_pose_draw {
+    enum rn_pose_part part;
+    int side, wanted;
+    const float *background;        // 3
+    uint64_t seed, stream, counter; // of the random numbers
+};
+void rn_pose_draw(const struct rn_pose_photo *photo, const struct rn_pose_draw *draw,
                   struct rn_pose_sights *ret_sights);
 
 // Who looks: a field as its kernels read it (rn_field_make_ready), on one of the engine's threads.

@@ -85,19 +85,24 @@ static void look_held_out(void *context, int index, int thread) {
     struct rn_pose_view *view = &t->poses.views[index];
     struct rn_pose_looker looker = looker_of(t, thread);
     struct rn_pose_photo photo = photo_of(&t->held, &t->held.frames[index]);
-    uint64_t seed = t->field->config.seed, stream = STREAM + (uint64_t)index;
+    struct rn_pose_draw draw = {.part = RN_POSE_WHOLE,
+                                .side = MEASURED_SIDE,
+                                .wanted = MEASURED_SIGHTS,
+                                .background = looker.march.colour.background,
+                                .seed = t->field->config.seed,
+                                .stream = STREAM + (uint64_t)index,
+                                .counter = (uint64_t)t->poses.pass};
     struct rn_pose_sights looked, scored;
     bool scores = t->poses.pass == MEASURING;
     if (t->poses.pass == 0) view->found = photo.camera;
-    rn_pose_draw(&photo, RN_POSE_WHOLE, MEASURED_SIDE, MEASURED_SIGHTS,
-                 looker.march.colour.background, seed, stream, (uint64_t)t->poses.pass, &looked);
+    rn_pose_draw(&photo, &draw, &looked);
     if (!scores) {
         rn_pose_equations(&looker, &view->found, &looked, &view->equations);
         return;
     }
-    rn_pose_draw(&photo, RN_POSE_WHOLE, MEASURED_SIDE, RN_POSE_SIGHTS,
-                 looker.march.colour.background, seed, stream, (uint64_t)t->poses.pass + 1,
-                 &scored);
+    draw.wanted = RN_POSE_SIGHTS;
+    draw.counter++;
+    rn_pose_draw(&photo, &draw, &scored);
     view->before = rn_pose_error(&looker, &photo.camera, &looked, &scored);
     view->after = rn_pose_error(&looker, &view->found, &looked, &scored);
 }
@@ -107,9 +112,14 @@ static void look_trained(void *context, int index, int thread) {
     struct rn_pose_looker looker = looker_of(t, thread);
     struct rn_pose_photo photo = photo_of(&t->train, &t->train.frames[index]);
     struct rn_pose_sights sights;
-    rn_pose_draw(&photo, RN_POSE_WHOLE, 1, MOVED_SIGHTS, looker.march.colour.background,
-                 t->field->config.seed, STREAM + (uint64_t)index, 1000 + (uint64_t)t->poses.turns,
-                 &sights);
+    struct rn_pose_draw draw = {.part = RN_POSE_WHOLE,
+                                .side = 1,
+                                .wanted = MOVED_SIGHTS,
+                                .background = looker.march.colour.background,
+                                .seed = t->field->config.seed,
+                                .stream = STREAM + (uint64_t)index,
+                                .counter = 1000 + (uint64_t)t->poses.turns};
+    rn_pose_draw(&photo, &draw, &sights);
     rn_pose_equations(&looker, &photo.camera, &sights, &t->poses.views[index].equations);
 }
 

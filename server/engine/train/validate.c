@@ -30,13 +30,12 @@ static void validate_piece(void *context, int index, int thread) {
     struct rn_trainer *t = b->trainer;
     struct rn_spot spots[RN_PACKET_RAYS] = {{0, 0}};
     struct rn_pixel pixels[RN_PACKET_RAYS];
-    const struct rn_camera *camera = &b->frame->camera;
+    struct rn_cones cones = {t->engine, t->field, &b->march, &b->frame->camera, NULL, b->cones};
     size_t first = b->first + (size_t)index * (size_t)b->piece;
     int n = 0;
     for (; n < b->piece && first + (size_t)n < b->first + b->count; n++)
         spots[n] = rn_validate_spot(&b->grid, first + (size_t)n);
-    rn_cones_render(t->engine, t->field, &b->march, camera, NULL, b->cones, spots, n, thread,
-                    pixels, NULL);
+    rn_cones_render(&cones, spots, n, thread, pixels, NULL);
     struct rn_validated sum = {0};
     for (int i = 0; i < n; i++) {
         if (!rn_pixel_is_used(&t->held, b->frame, spots[i].x, spots[i].y)) continue;

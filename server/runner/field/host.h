@@ -142,11 +142,18 @@ void rn_picture_choose(enum rn_output_kind output, enum rn_picture_format format
 // A request's box into `ret_box`, which the options borrow; none, where it has none.
 void rn_picture_crop(const double crop[6], struct rn_box *ret_box,
                      struct rn_render_options *options);
-// Encodes the one output asked for, or an EXR of what rn_picture_choose chose. png_level: 0..9.
-// *ret_high: the end of the scale of a heat map's colours, NAN of what is none.
-enum rn_status rn_picture_encode(const struct rn_render_result *result, enum rn_output_kind output,
-                                 enum rn_picture_format format, int quality, int png_level,
-                                 double depth_scale, uint8_t **ret_bytes, size_t *ret_size,
-                                 double *ret_high, struct rn_error *err) RN_MUST_CHECK;
+// How a picture becomes a file.
+struct rn_picture_file {
+    enum rn_output_kind output; // of an EXR all that rn_picture_choose chose
+    enum rn_picture_format format;
+    int jpeg_quality, png_level; // 1..100; 0..9
+    double depth_scale;          // rn_depth_scale
+};
+// *ret_bytes is malloc'd, the caller's to free. *ret_high: the end of the scale of a heat map's
+// colours, NAN of what is none.
+enum rn_status rn_picture_encode(const struct rn_render_result *result,
+                                 const struct rn_picture_file *file, uint8_t **ret_bytes,
+                                 size_t *ret_size, double *ret_high,
+                                 struct rn_error *err) RN_MUST_CHECK;
 
 #endif

@@ -112,8 +112,12 @@ static enum rn_status render_frame(struct path_work *path, struct rn_field *fiel
                                    const struct rn_field_info *info, const char *file,
                                    struct rn_error *err) {
     const struct rn_path_options *wanted = &path->request.options;
-    enum rn_output_kind output =
-        (enum rn_output_kind)rn_name_or(wanted->output, RN_OUTPUT_KIND_RGB);
+    struct rn_picture_file how = {
+        .output = (enum rn_output_kind)rn_name_or(wanted->output, RN_OUTPUT_KIND_RGB),
+        .format = frame_format(path),
+        .jpeg_quality = (int)rn_int_or(wanted->jpeg_quality, RN_JPEG_QUALITY),
+        .png_level = FRAME_PNG_LEVEL,
+        .depth_scale = path->depth_scale};
     struct rn_render_options options = {.camera = frame_camera(path, (double)path->work.done)};
     double high; // of a map: told of single pictures only
     struct rn_camera instants[INSTANTS];
@@ -125,14 +129,12 @@ static enum rn_status render_frame(struct path_work *path, struct rn_field *fiel
     rn_settings_put(&rn_render_settings, wanted->settings, &options.settings);
     memcpy(options.background, info->config.background, sizeof options.background);
     frame_shot(path, path->work.done, instants, &options.shot);
-    rn_picture_choose(output, frame_format(path), &options);
+    rn_picture_choose(how.output, how.format, &options);
     enum rn_status status = rn_render(path->work.host->engine, field, &options, rn_work_keep_going,
                                       &path->work, &result, err);
     if (status) return status;
     rn_work_rendered(&path->work, result.stats.render_ms, result.stats.nonfinite_rays);
-    status = rn_picture_encode(&result, output, frame_format(path),
-                               (int)rn_int_or(wanted->jpeg_quality, RN_JPEG_QUALITY),
-                               FRAME_PNG_LEVEL, path->depth_scale, &bytes, &size, &high, err);
+    status = rn_picture_encode(&result, &how, &bytes, &size, &high, err);
     if (!status) status = rn_parts_write(&path->parts, file, bytes, size, err);
     free(bytes);
     rn_render_result_finish(&result);

@@ -96,35 +96,34 @@ static enum rn_status to_colours(const struct rn_render_result *result, enum rn_
     return RN_OK;
 }
 
-static enum rn_status encode_bytes(const struct rn_picture *colours, enum rn_picture_format format,
-                                   int quality, int png_level, uint8_t **ret_bytes,
+static enum rn_status encode_bytes(const struct rn_picture *colours,
+                                   const struct rn_picture_file *file, uint8_t **ret_bytes,
                                    size_t *ret_size, struct rn_error *err) {
     struct rn_image image;
     enum rn_status status = rn_picture_to_image(colours, &image, err);
     if (status) return status;
-    status = format == RN_FORMAT_JPEG
-                 ? rn_image_encode_jpeg(&image, quality, ret_bytes, ret_size, err)
-                 : rn_image_encode_png(&image, png_level, ret_bytes, ret_size, err);
+    status = file->format == RN_FORMAT_JPEG
+                 ? rn_image_encode_jpeg(&image, file->jpeg_quality, ret_bytes, ret_size, err)
+                 : rn_image_encode_png(&image, file->png_level, ret_bytes, ret_size, err);
     rn_image_finish(&image);
     return status;
 }
 
-enum rn_status rn_picture_encode(const struct rn_render_result *result, enum rn_output_kind output,
-                                 enum rn_picture_format format, int quality, int png_level,
-                                 double depth_scale, uint8_t **ret_bytes, size_t *ret_size,
-                                 double *ret_high, struct rn_error *err) {
+enum rn_status rn_picture_encode(const struct rn_render_result *result,
+                                 const struct rn_picture_file *file, uint8_t **ret_bytes,
+                                 size_t *ret_size, double *ret_high, struct rn_error *err) {
     struct rn_picture made = {0};
     const struct rn_picture *colours;
     *ret_high = NAN;
-    if (format == RN_FORMAT_EXR) return encode_exr(result, ret_bytes, ret_size, err);
-    if (output == RN_OUTPUT_KIND_DEPTH)
-        return rn_picture_encode_depth_png(&result->depth, (float)depth_scale, png_level, ret_bytes,
-                                           ret_size, err);
-    enum rn_status status = to_colours(result, output, &made, &colours, ret_high, err);
-    if (!status && format == RN_FORMAT_PNG16)
-        status = rn_picture_encode_png16(colours, png_level, ret_bytes, ret_size, err);
+    if (file->format == RN_FORMAT_EXR) return encode_exr(result, ret_bytes, ret_size, err);
+    if (file->output == RN_OUTPUT_KIND_DEPTH)
+        return rn_picture_encode_depth_png(&result->depth, (float)file->depth_scale,
+                                           file->png_level, ret_bytes, ret_size, err);
+    enum rn_status status = to_colours(result, file->output, &made, &colours, ret_high, err);
+    if (!status && file->format == RN_FORMAT_PNG16)
+        status = rn_picture_encode_png16(colours, file->png_level, ret_bytes, ret_size, err);
     else if (!status)
-        status = encode_bytes(colours, format, quality, png_level, ret_bytes, ret_size, err);
+        status = encode_bytes(colours, file, ret_bytes, ret_size, err);
     rn_picture_finish(&made);
     return status;
 }
@@ -205,12 +204,13 @@ static enum rn_status make(struct rn_host *host, const struct rn_wire_render *re
     rendered->width = options.camera.width;
     rendered->height = options.camera.height;
     rendered->format = rn_name_or(request->format, RN_FORMAT_PNG);
-    enum rn_output_kind output =
-        (enum rn_output_kind)rn_name_or(request->output, RN_OUTPUT_KIND_RGB);
-    status = rn_picture_encode(&result, output, (enum rn_picture_format)rendered->format,
-                               (int)rn_int_or(request->jpeg_quality, RN_JPEG_QUALITY),
-                               INTERACTIVE_PNG_LEVEL, rn_depth_scale(&options.camera, &info.bounds),
-                               ret_bytes, ret_size, &rendered->scale_high, err);
+    struct rn_picture_file file = {
+        .output = (enum rn_output_kind)rn_name_or(request->output, RN_OUTPUT_KIND_RGB),
+        .format = (enum rn_picture_format)rendered->format,
+        .jpeg_quality = (int)rn_int_or(request->jpeg_quality, RN_JPEG_QUALITY),
+        .png_level = INTERACTIVE_PNG_LEVEL,
+        .depth_scale = rn_depth_scale(&options.camera, &info.bounds)};
+    status = rn_picture_encode(&result, &file, ret_bytes, ret_size, &rendered->scale_high, err);
     rendered->encode_ms = elapsed_ms(rendered_ns);
     if (!status) rn_budget_encoded(host, render, &result.rgb, *ret_bytes, *ret_size, rendered);
     rn_render_result_finish(&result);
