@@ -153,13 +153,10 @@ static enum rn_status read_camera(struct rn_reader *reader, const struct rn_json
 
 // ---- shots ----
 
-// World-to-camera, a turn about `v` by its length and then `t`; a turn beyond all numbers is none.
+// World-to-camera, a turn about `v` by its length and then `t`.
 static void set_pose(const double v[3], const double t[3], double pose[3][4]) {
-    double angle = sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]);
-    double part = angle > 1e-8 ? sin(angle / 2) / angle : 0.5;
-    const double q[4] = {cos(angle / 2), part * v[0], part * v[1], part * v[2]};
-    double view[3][4] = {{NAN, 0, 0, t[0]}, {0, NAN, 0, t[1]}, {0, 0, NAN, t[2]}};
-    (void)rn_rotation_from_quaternion(q, view);
+    double view[3][4] = {{0, 0, 0, t[0]}, {0, 0, 0, t[1]}, {0, 0, 0, t[2]}};
+    rn_rotation_from_vector(v, view);
     rn_pose_invert((const double(*)[4])view, pose);
 }
 

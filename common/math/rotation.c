@@ -3,6 +3,16 @@
 #include <math.h>
 #include <string.h>
 
+void rn_rotation_from_vector(const double by[3], double pose[3][4]) {
+    double angle = sqrt(by[0] * by[0] + by[1] * by[1] + by[2] * by[2]);
+    double s = angle > 1e-12 ? sin(angle) / angle : 1;
+    double c = angle > 1e-6 ? (1 - cos(angle)) / (angle * angle) : 0.5;
+    const double cross[3][3] = {{0, -by[2], by[1]}, {by[2], 0, -by[0]}, {-by[1], by[0], 0}};
+    for (int i = 0; i < 3; i++)
+        for (int j = 0; j < 3; j++)
+            pose[i][j] = (i == j) * cos(angle) + s * cross[i][j] + c * by[i] * by[j];
+}
+
 bool rn_rotation_from_quaternion(const double q[4], double pose[3][4]) {
     double length = sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]);
     if (!(length > 1e-6) || !isfinite(length)) return false;

@@ -4,8 +4,11 @@
 
 #include <stdbool.h>
 
+// A turn about `by` by its length, radians (Rodrigues), to 2e-15 up to a whole turn; NAN where the
+// length is not finite. The pose's last column stays, here and below.
+void rn_rotation_from_vector(const double by[3], double pose[3][4]);
 // The quaternion is made a unit; false, and nothing written, where it has no length to speak of or
-// is not finite. The pose's last column stays.
+// is not finite.
 bool rn_rotation_from_quaternion(const double wxyz[4], double pose[3][4]);
 // One of the two quaternions of a rotation. Shepperd 1978.
 void rn_rotation_to_quaternion(const double pose[3][4], double ret_wxyz[4]);

@@ -4,6 +4,7 @@
 #include <string.h>
 
 #include "common/math/rng.h"
+#include "common/math/rotation.h"
 #include "server/engine/scene/pixels.h"
 
 #define HUBER 0.1   // difference of colours beyond which it counts linearly
@@ -14,22 +15,11 @@
 
 typedef float colours[RN_POSE_SIGHTS][3];
 
-// exp of a turn about `by`, radians (Rodrigues).
-static void turn_of(const double by[3], double ret[3][3]) {
-    double angle = sqrt(by[0] * by[0] + by[1] * by[1] + by[2] * by[2]);
-    double s = angle > 1e-12 ? sin(angle) / angle : 1;
-    double c = angle > 1e-6 ? (1 - cos(angle)) / (angle * angle) : 0.5;
-    const double cross[3][3] = {{0, -by[2], by[1]}, {by[2], 0, -by[0]}, {-by[1], by[0], 0}};
-    for (int i = 0; i < 3; i++)
-        for (int j = 0; j < 3; j++)
-            ret[i][j] = (i == j) * cos(angle) + s * cross[i][j] + c * by[i] * by[j];
-}
-
 struct rn_camera rn_pose_move(const struct rn_camera *from, const double by[RN_POSE_UNKNOWNS],
                               double unit) {
     struct rn_camera camera = *from;
-    double turn[3][3];
-    turn_of(by + RN_POSE_TURN, turn);
+    double turn[3][4];
+    rn_rotation_from_vector(by + RN_POSE_TURN, turn);
     for (int i = 0; i < 3; i++)
         for (int j = 0; j < 3; j++) {
             camera.world_from_camera[i][j] = 0;

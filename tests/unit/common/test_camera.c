@@ -204,6 +204,31 @@ START_TEST(rotations_there_and_back) {
 }
 END_TEST
 
+// The same turn as a vector and as a quaternion, from none to a whole one.
+START_TEST(turns_by_vectors) {
+    for (int i = 0; i < 60; i++) {
+        double angle = i < 20 ? 2 * pi * pow(10, -i) : 2 * pi * (i - 20) / 40;
+        double axis[3] = {2.0 / 3, -1.0 / 3, 2.0 / 3}, by[3], q[4] = {cos(angle / 2)};
+        double turned[3][4] = {{0, 0, 0, 7}}, expected[3][4] = {{0, 0, 0, 7}};
+        for (int c = 0; c < 3; c++) {
+            by[c] = angle * axis[c];
+            q[1 + c] = sin(angle / 2) * axis[c];
+        }
+        rn_rotation_from_vector(by, turned);
+        ck_assert(rn_rotation_from_quaternion(q, expected));
+        for (int r = 0; r < 3; r++)
+            for (int c = 0; c < 4; c++)
+                ck_assert_double_eq_tol(turned[r][c], expected[r][c], 2e-15);
+    }
+    const double endless[3] = {1, INFINITY, 0}, beyond[3] = {1e200, 0, 1e200};
+    double pose[3][4];
+    rn_rotation_from_vector(endless, pose);
+    ck_assert(isnan(pose[0][0]));
+    rn_rotation_from_vector(beyond, pose);
+    ck_assert(isnan(pose[0][0]));
+}
+END_TEST
+
 START_TEST(look_at_degenerate) {
     const double eye[3] = {1, 2, 3}, above[3] = {1, 2, 9}, up[3] = {0, 0, 1}, zero[3] = {0, 0, 0};
     const double nan[3] = {NAN, 0, 0}, infinite[3] = {0, INFINITY, 0}, side[3] = {5, 5, 5};
@@ -351,6 +376,7 @@ int main(void) {
     tcase_add_test(cases, checks);
     tcase_add_test(cases, look_at);
     tcase_add_test(cases, rotations_there_and_back);
+    tcase_add_test(cases, turns_by_vectors);
     tcase_add_test(cases, look_at_degenerate);
     tcase_add_loop_test(cases, rays_lead_back_to_their_pixels, 0, RN_LENS_COUNT);
     tcase_add_loop_test(cases, boxes_hold_their_balls, 0, RN_LENS_COUNT);
