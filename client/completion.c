@@ -11,11 +11,8 @@ static void each_setting(const char *verb, const struct rn_settings *settings,
                          option_writer *write) {
     for (size_t i = 0; i < settings->count; i++) {
         const struct rn_setting *row = &settings->rows[i];
-        char choices[256] = "";
-        size_t length = 0;
-        for (int k = 0; row->choices && row->choices[k] && length < sizeof choices; k++)
-            length += (size_t)snprintf(choices + length, sizeof choices - length, "%s%s",
-                                       k ? "|" : "", row->choices[k]);
+        char choices[RN_CHOICES_MAX];
+        size_t length = rn_choices_join(row->choices, choices);
         bool first =
             row->flag && rn_settings_flagged(settings, 0, row->flag, strlen(row->flag)) == row;
         if (row->key) length = 0; // NAME=..., which shells split in their own ways

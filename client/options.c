@@ -89,9 +89,20 @@ static bool parse_pair(const struct rn_option *option, const char *text,
     return true;
 }
 
+size_t rn_choices_join(const char *const *names, char ret_text[RN_CHOICES_MAX]) {
+    size_t length = 0;
+    ret_text[0] = '\0';
+    for (int i = 0; names && names[i] && length < RN_CHOICES_MAX; i++)
+        length += (size_t)snprintf(ret_text + length, RN_CHOICES_MAX - length, "%s%s", i ? "|" : "",
+                                   names[i]);
+    return length;
+}
+
 const char *rn_option_choices(const struct rn_option *option, char room[RN_CHOICES_MAX]) {
-    if (!option->list) return option->choices;
-    option->list(room, RN_CHOICES_MAX);
+    if (option->list)
+        option->list(room, RN_CHOICES_MAX);
+    else if (!rn_choices_join(option->choices, room))
+        return NULL;
     return room;
 }
 
@@ -386,12 +397,10 @@ static void print_choices(const char *name, const char *choices, const char *hel
 
 // Rows that share a flag, told as one.
 static void print_keys(const struct rn_settings *settings, const struct rn_setting *first) {
-    char left[80], text[600];
-    size_t length = (size_t)snprintf(left, sizeof left, "--%s NAME=", first->flag);
-    for (int i = 0; first->choices[i]; i++)
-        length += (size_t)snprintf(left + length, sizeof left - length, "%s%s", i ? "|" : "",
-                                   first->choices[i]);
-    length = (size_t)snprintf(text, sizeof text, "%s:", first->meaning);
+    char left[RN_CHOICES_MAX + 80], text[600], room[RN_CHOICES_MAX];
+    rn_choices_join(first->choices, room);
+    snprintf(left, sizeof left, "--%s NAME=%s", first->flag, room);
+    size_t length = (size_t)snprintf(text, sizeof text, "%s:", first->meaning);
     for (size_t i = 0; i < settings->count; i++) {
         const struct rn_setting *row = &settings->rows[i];
         if (row->flag && strcmp(row->flag, first->flag) == 0 && length < sizeof text)
@@ -407,19 +416,16 @@ static void print_setting(const struct rn_settings *settings, const struct rn_se
             print_keys(settings, row);
         return;
     }
-    char left[256];
-    size_t length = (size_t)snprintf(left, sizeof left, "--%s ", row->flag);
-    if (!row->choices && !rn_setting_is_flag(row))
-        snprintf(left + length, sizeof left - length, "%s",
-                 strcmp(row->unit, "s") == 0      ? "T"
-                 : strcmp(row->unit, "dB") == 0   ? "DB"
-                 : row->type == RN_SETTING_NUMBER ? "X"
-                                                  : "N");
-    for (int i = 0; row->choices && row->choices[i] && length < sizeof left; i++)
-        length += (size_t)snprintf(left + length, sizeof left - length, "%s%s", i ? "|" : "",
-                                   row->choices[i]);
-    if (length > WIDTH - 8)
-        print_choices(row->flag, strchr(left, ' ') + 1, row->meaning);
+    char left[RN_CHOICES_MAX + 80], room[RN_CHOICES_MAX];
+    const char *value = rn_choices_join(row->choices, room) ? room
+                        : rn_setting_is_flag(row)           ? ""
+                        : strcmp(row->unit, "s") == 0       ? "T"
+                        : strcmp(row->unit, "dB") == 0      ? "DB"
+                        : row->type == RN_SETTING_NUMBER    ? "X"
+                                                            : "N";
+    int length = snprintf(left, sizeof left, "--%s %s", row->flag, value);
+    if (row->choices && length > WIDTH - 8)
+        print_choices(row->flag, room, row->meaning);
     else
         print_line(left, row->meaning);
 }

@@ -40,13 +40,15 @@ struct rn_option {
     const char *value;                         // the value's name in the usage
     const char *help;                          // one line
     double min, max;                           // of numbers, and of both numbers of a pair
-    const char *choices;                       // "a|b|c"
-    void (*list)(char *text, size_t capacity); // writes them, where a table has them
+    const char *const *choices;                // names, as a table has them; NULL ends
+    void (*list)(char *text, size_t capacity); // writes "a|b|c", where they are no list of names
     const struct rn_settings *settings;
     const char *members; // of requests, "first|last"; NULL: the name with '_' for '-'
 };
 #define RN_CHOICES_MAX 256
-// The option's choices, or NULL; `room` is for those of a table.
+// "a|b|c"; "" where there are none, or names is NULL. Returns its length.
+size_t rn_choices_join(const char *const *names, char ret_text[RN_CHOICES_MAX]);
+// The option's choices so, in `room`; NULL where it has none.
 const char *rn_option_choices(const struct rn_option *option, char room[RN_CHOICES_MAX]);
 
 // Fills `options` (the struct that the table's offsets mean, of size_bytes) and `globals` (that of

@@ -7,14 +7,13 @@
 #include "proto/checks.h"
 #include "proto/job.h"
 
-const char *const rn_alpha_mode_names[] = {"premultiplied", "straight", NULL};
 const char *const rn_poses_names[] = {"auto", "find", "file", NULL};
 const char *const rn_severity_names[] = {"info", "warning", "error", NULL};
 
 #define S struct rn_ingest_options
 static const struct rn_field_spec ingest_options[] = {
     RN_F_INT(S, max_size, 0, 0, 16384),          RN_F_INT(S, scales, 0, 1, 8),
-    RN_F_NAME(S, alpha, 0, rn_alpha_mode_names), RN_F_TEXT(S, split, 0, rn_check_split_spec),
+    RN_F_NAME(S, alpha, 0, rn_downscale_names), RN_F_TEXT(S, split, 0, rn_check_split_spec),
     RN_F_TEXT(S, bounds, 0, rn_check_bounds),    RN_F_TEXT(S, up, 0, rn_check_up),
     RN_F_TEXT(S, crop, 0, rn_check_crop),        RN_F_TEXT(S, format, 0, rn_check_format),
     RN_F_TEXT(S, masks, 0, rn_check_inner_path), RN_F_NAME(S, poses, 0, rn_poses_names),

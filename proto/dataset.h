@@ -7,7 +7,6 @@
 #include "proto/estimate.h"
 #include "proto/names.h"
 
-extern const char *const rn_alpha_mode_names[]; // "premultiplied", "straight"
 extern const char *const rn_poses_names[];      // by enum rn_poses
 extern const char *const rn_severity_names[];   // "info", "warning", "error"
 
@@ -17,7 +16,7 @@ enum rn_poses { RN_POSES_AUTO, RN_POSES_FIND, RN_POSES_FILE };
 
 struct rn_ingest_options {
     int64_t max_size, scales;
-    int alpha;                       // rn_alpha_mode_names
+    int alpha;                       // rn_downscale_names
     char split[16];                  // "files" or "every:N"
     char bounds[128];                // "X,Y,Z,RADIUS" of the sphere that holds the scene
     char up[96];                     // "X,Y,Z", or an axis: "z", "-y"; "": by the cameras

@@ -11,7 +11,6 @@
 
 #define MAX_SIZE 16384 // pixels
 
-const char *const rn_split_names[] = {"train", "val", "test", NULL};
 
 // ---- options ----
 
@@ -480,7 +479,7 @@ const struct rn_table rn_view_result_table = RN_TABLE(S, "view score", view_resu
 static const struct rn_field_spec protocol[] = {
     RN_F_NAME(S, split, RN_REQUIRED, rn_split_names),
     RN_F_NUMBERS(S, background, RN_REQUIRED, 0, 1),
-    RN_F_NAME(S, downscale, RN_REQUIRED, rn_alpha_mode_names),
+    RN_F_NAME(S, downscale, RN_REQUIRED, rn_downscale_names),
     RN_F_TEXT(S, rounding, RN_REQUIRED, NULL),
     RN_F_INT(S, seed, RN_REQUIRED, 0, INFINITY),
     RN_F_NAME(S, train_split, RN_REQUIRED, rn_train_split_names),

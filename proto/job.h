@@ -31,7 +31,6 @@ struct rn_train_options {
     double checkpoint_interval_s, evaluate_interval_s;
 };
 extern const struct rn_table rn_train_options_table;
-extern const char *const rn_split_names[]; // "train", "val", "test"
 
 struct rn_path_options {
     int64_t width, height, first, last;
@@ -187,7 +186,7 @@ struct rn_view_result {
 struct rn_protocol {
     int split; // rn_split_names
     double background[3];
-    int downscale; // rn_alpha_mode_names
+    int downscale; // rn_downscale_names
     char rounding[64];
     int64_t seed;
     int train_split; // rn_train_split_names

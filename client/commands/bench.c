@@ -6,6 +6,7 @@
 
 #include "client/local.h"
 #include "client/table.h"
+#include "common/settings/train.h"
 #include "proto/bench.h"
 
 struct bench_options {
@@ -20,7 +21,7 @@ static const struct rn_option bench_table[] = {
      BENCH(preset),
      .value = "NAME",
      .help = "the field that is measured: draft, standard (default), paper",
-     .choices = "draft|standard|paper"},
+     .choices = rn_preset_names},
     {.name = "kernels",
      .kind = RN_OPTION_TEXT,
      BENCH(kernels),

@@ -181,7 +181,7 @@ static bool take_options(const struct import_options *from, struct rn_ingest_opt
     rn_message_init(&rn_ingest_options_table, ret);
     ret->max_size = from->max_size;
     ret->scales = from->scales;
-    ret->alpha = from->alpha ? rn_name_index(rn_alpha_mode_names, from->alpha) : -1;
+    ret->alpha = from->alpha ? rn_name_index(rn_downscale_names, from->alpha) : -1;
 #define TAKE(field, check) take_text("--" #field, from->field, check, ret->field, sizeof ret->field)
     return TAKE(split, rn_check_split_spec) && TAKE(bounds, rn_check_bounds) &&
            TAKE(up, rn_check_up) && TAKE(crop, rn_check_crop) && TAKE(format, rn_check_format) &&
@@ -332,7 +332,7 @@ static const struct rn_option import_table[] = {
     {.name = "alpha",
      .kind = RN_OPTION_CHOICE,
      IMPORT(alpha),
-     .choices = "premultiplied|straight",
+     .choices = rn_downscale_names,
      .help = "how sizes are averaged; straight as in the published benchmark"},
     {.name = "split",
      .kind = RN_OPTION_TEXT,
@@ -367,7 +367,7 @@ static const struct rn_option import_table[] = {
     {.name = "poses",
      .kind = RN_OPTION_CHOICE,
      IMPORT(poses),
-     .choices = "auto|find|file",
+     .choices = rn_poses_names,
      .help = "find poses with COLMAP, or take a file's; auto: find where no file has them"},
     {.name = "skip-bad",
      .kind = RN_OPTION_FLAG,

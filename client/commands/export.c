@@ -23,12 +23,13 @@ struct export_options {
     int64_t views, max_size, cells;
     double level, max_bytes;
 };
+static const char *const export_names[] = {"points", "mesh", "scene", NULL};
 #define EXPORT(m) .offset = offsetof(struct export_options, m)
 static const struct rn_option export_table[] = {
     {.name = "as",
      .kind = RN_OPTION_CHOICE,
      EXPORT(as),
-     .choices = "points|mesh|scene",
+     .choices = export_names,
      .help = "what is written (points): a point cloud with colours, .ply;\ntriangles with "
              "colours at their corners, .ply or .obj; or the\nscene without its optimiser, which "
              "ripnerf import takes"},

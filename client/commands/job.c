@@ -31,7 +31,7 @@ static const struct rn_option train_table[] = {
     {.name = "preset",
      .kind = RN_OPTION_CHOICE,
      TRAIN(preset),
-     .choices = "draft|standard|paper",
+     .choices = rn_preset_names,
      .help = "where the settings start from (standard)"},
     {.name = "", .kind = RN_OPTION_SETTINGS, TRAIN(settings), .settings = &rn_train_settings},
     {.name = "threads",

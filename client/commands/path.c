@@ -23,6 +23,7 @@ struct path_options {
     struct rn_optics_request optics;
     union rn_setting_value settings[RN_RENDER_SETTINGS];
 };
+static const char *const mp4_codec_names[] = {"h264", "av1", NULL}; // of rn_film_names
 #define PATH(m) .offset = offsetof(struct path_options, m)
 #define SIZE_OPTION                                                                                \
     {                                                                                              \
@@ -53,7 +54,7 @@ struct path_options {
         {.name = "format",                                                                         \
          .kind = RN_OPTION_CHOICE,                                                                 \
          PATH(format),                                                                             \
-         .choices = "png|jpeg|png16|exr",                                                          \
+         .choices = rn_picture_format_names,                                                       \
          .help =                                                                                   \
              "of frames (png); png16: 16 bits a channel; exr: linear colour,\nalpha, depth and "   \
              "normals in one file"},                                                               \
@@ -72,12 +73,12 @@ struct path_options {
         {.name = "output",                                                                         \
          .kind = RN_OPTION_CHOICE,                                                                 \
          PATH(output),                                                                             \
-         .choices = "rgb|depth|alpha|normal|cost|level|footprint",                                 \
+         .choices = rn_output_kind_names,                                                          \
          .help = "what the frames show (rgb)"},                                                    \
         {.name = "codec",                                                                          \
          .kind = RN_OPTION_CHOICE,                                                                 \
          PATH(codec),                                                                              \
-         .choices = "h264|av1",                                                                    \
+         .choices = mp4_codec_names,                                                               \
          .help = "of an .mp4 (h264)"},                                                             \
         {.name = "video-quality",                                                                  \
          .kind = RN_OPTION_INTEGER,                                                                \

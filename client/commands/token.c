@@ -20,7 +20,7 @@ static const struct rn_option token_table[] = {
      .kind = RN_OPTION_CHOICE,
      TOKEN(scope),
      .value = "SCOPE",
-     .choices = "read|render|train|admin",
+     .choices = rn_scope_names,
      .help = "what it allows, each with the ones before it: read"},
     {.name = "scene",
      .kind = RN_OPTION_TEXT,

@@ -18,7 +18,7 @@ const char *const rn_bounds_source_titles[] = {"as given",
                                                "from its points",
                                                "from the depths that its poses give",
                                                NULL};
-const char *const rn_downscale_names[2] = {"premultiplied", "straight"};
+const char *const rn_downscale_names[] = {"premultiplied", "straight", NULL};
 
 void rn_frame_finish(struct rn_frame *frame) {
     free(frame->name);

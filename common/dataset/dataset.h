@@ -13,7 +13,8 @@
 #include "common/math/camera.h"
 
 enum rn_split { RN_SPLIT_TRAIN, RN_SPLIT_VAL, RN_SPLIT_TEST, RN_SPLIT_COUNT };
-const char *rn_split_name(enum rn_split split); // "train", "val", "test"
+extern const char *const rn_split_names[];      // "train", "val", "test"
+const char *rn_split_name(enum rn_split split); // "?" of what is none
 
 // One image file. A view photographed once and kept at several scales has one frame a scale.
 struct rn_frame {
@@ -246,6 +247,8 @@ struct rn_scene_place {
 enum rn_status rn_dataset_find_place(const struct rn_dataset *dataset,
                                      struct rn_scene_place *ret_place,
                                      struct rn_error *err) RN_MUST_CHECK;
+
+extern const char *const rn_downscale_names[]; // "premultiplied", "straight"
 
 // Import: decode, scale and write a native dataset (dataset.json and images/) into the empty
 // folder `target`, dataset.json last and atomically. At most `threads` source images are in memory

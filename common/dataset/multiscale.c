@@ -120,15 +120,14 @@ static enum rn_status read_split(struct rn_reader *reader, const struct rn_json 
 
 static enum rn_status read_document(struct rn_reader *reader, const struct rn_json *root,
                                     void *context, struct rn_error *err) {
-    static const char *const known[] = {"train", "val", "test", NULL};
     if (!json_is_object(root->value))
         return rn_json_error(root, RN_ERROR_INVALID, err, "must be an object");
-    rn_reader_warn_unknown(reader, root, known);
+    rn_reader_warn_unknown(reader, root, rn_split_names);
     for (int split = 0; split < RN_SPLIT_COUNT; split++) {
         struct rn_json object;
-        if (!rn_json_find(root, known[split], &object)) {
+        if (!rn_json_find(root, rn_split_names[split], &object)) {
             rn_problems_add(reader->problems, RN_SEVERITY_INFO, root->file, "has no %s split",
-                            known[split]);
+                            rn_split_names[split]);
             continue;
         }
         enum rn_status status = read_split(reader, &object, (enum rn_split)split, err);

@@ -58,13 +58,12 @@ static enum rn_status read_frame(struct rn_reader *reader, const struct rn_json 
     static const char *const known[] = {"name",        "file",   "split", "index", "scale",
                                         "loss_weight", "camera", "near",  "far",   "mask",
                                         "photo",       "gain",   NULL};
-    static const char *const splits[] = {"train", "val", "test"};
     struct rn_json camera_at, photo_at;
     struct rn_camera camera;
     const char *name;
     int split;
     enum rn_status status;
-    if ((status = rn_json_choice(object, "split", splits, RN_SPLIT_COUNT, &split, err)))
+    if ((status = rn_json_choice(object, "split", rn_split_names, RN_SPLIT_COUNT, &split, err)))
         return status;
     frame->split = (enum rn_split)split;
     if ((status = rn_json_refuse_unknown(object, known, err)) ||

@@ -41,7 +41,8 @@ void rn_problems_finish(struct rn_problems *problems) {
     *problems = (struct rn_problems){0};
 }
 
+const char *const rn_split_names[] = {"train", "val", "test", NULL};
+
 const char *rn_split_name(enum rn_split split) {
-    static const char *const names[RN_SPLIT_COUNT] = {"train", "val", "test"};
-    return (unsigned)split < RN_SPLIT_COUNT ? names[split] : "?";
+    return (unsigned)split < RN_SPLIT_COUNT ? rn_split_names[split] : "?";
 }

@@ -14,8 +14,6 @@
 #define RN_NATIVE_FORMAT "ripnerf-dataset"
 #define RN_NATIVE_VERSION 1
 
-extern const char *const rn_downscale_names[2]; // by enum rn_downscale
-
 // A dataset being filled. Thread-safety: one thread. Owner: rn_dataset_read.
 struct rn_reader {
     const char *folder;

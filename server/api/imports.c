@@ -63,7 +63,7 @@ static enum rn_status read_query(struct rn_request *request, const char **ret_na
     if ((status = read_text(request, "name", rn_check_name, checked, sizeof checked, err)) ||
         (status = read_number(request, "max_size", 0, 16384, &options->max_size, err)) ||
         (status = read_number(request, "scales", 1, 8, &options->scales, err)) ||
-        (status = read_choice(request, "alpha", rn_alpha_mode_names, &options->alpha, err)) ||
+        (status = read_choice(request, "alpha", rn_downscale_names, &options->alpha, err)) ||
         (status = read_choice(request, "poses", rn_poses_names, &options->poses, err)) ||
         (status = TEXT(split, rn_check_split_spec)) || (status = TEXT(bounds, rn_check_bounds)) ||
         (status = TEXT(up, rn_check_up)) || (status = TEXT(crop, rn_check_crop)) ||

@@ -95,11 +95,12 @@ struct wanted {
     double number, seconds;
     struct rn_option_pair size, range;
 };
+static const char *const numbers[] = {"one", "three", NULL};
 #define FIELD(m) .name = #m, .offset = offsetof(struct wanted, m)
 static const struct rn_option wanted_table[] = {
     {FIELD(flag), .letter = 'f', .kind = RN_OPTION_FLAG},
     {FIELD(text), .letter = 't', .kind = RN_OPTION_TEXT},
-    {FIELD(choice), .kind = RN_OPTION_CHOICE, .choices = "one|three"},
+    {FIELD(choice), .kind = RN_OPTION_CHOICE, .choices = numbers},
     {FIELD(integer), .kind = RN_OPTION_INTEGER, .value = "N", .min = 1, .max = 100},
     {FIELD(number), .kind = RN_OPTION_NUMBER, .value = "X", .min = 0, .max = 1},
     {FIELD(seconds), .kind = RN_OPTION_SECONDS, .value = "T", .min = 0, .max = 1e6},
