@@ -301,7 +301,7 @@ def test_coarse_pictures_keep_the_shape_and_an_effort(blank):
           slow: nextEffort(40000, 900),
           quick: nextEffort(40000, 1),
           floor: nextEffort(8000, 1e5),
-          steady: nextEffort(40000, 30, 22),
+          steady: nextEffort(40000, 27, 19),
           far: nextEffort(40000, 60, 5)
         };"""
     )
@@ -317,3 +317,35 @@ def test_coarse_pictures_keep_the_shape_and_an_effort(blank):
     assert 20000 < result["slow"] < 40000 < result["quick"] == 56000
     assert result["floor"] == 160 * 48 and result["steady"] == pytest.approx(40000)
     assert result["far"] > 50000  # a long way is made no shorter by a worse picture
+
+
+def test_the_next_coarse_picture_is_asked_for_when_the_daemon_should_be_done(blank):
+    """Not when the answer is there, which a long way delays; and never more than two wait for theirs."""
+    counts = blank.run(
+        """
+        const {createViewer} = await load('viewer.js');
+        const canvas = Object.assign(document.createElement('canvas'), {width: 40, height: 30});
+        const blob = await new Promise((yes) => canvas.toBlob(yes));
+        const pause = (ms) => new Promise((yes) => setTimeout(yes, ms));
+        const asked = [];
+        const host = {
+          camera: (width, height) => ({width, height, pose: asked.length}),
+          fullSize: () => ({width: 40, height: 30}), output: () => 'rgb', budgetMs: () => null,
+          send: () => new Promise((yes) => asked.push((renderMs) => yes({blob, facts: {
+              totalMs: 500, queueMs: 0, renderMs, encodeMs: 0, step: 9}}))),
+          live: () => false, onPicture: () => {}, onTrouble: () => {}};
+        const stop = new AbortController();
+        const viewer = createViewer(canvas, host, stop.signal);
+        const moved = async (ms) => { viewer.changed(); await pause(ms); return asked.length; };
+        const counts = [await moved(100), await moved(100)];
+        asked[0](300);
+        await pause(20);
+        counts.push(asked.length, await moved(0), await moved(500), await moved(500));
+        asked.slice(1).forEach((answer) => answer(NaN));  // not told: one after the other again
+        await pause(50);
+        counts.push(await moved(100) - await moved(100));
+        stop.abort();
+        return counts;"""
+    )
+    # one until it is answered, then the camera of meanwhile; a third 300 ms after that, no fourth
+    assert counts == [1, 1, 2, 2, 3, 3, 0]

@@ -1,13 +1,14 @@
-// Keeps a canvas showing a scene: coarse while the camera moves, refined when it rests. One picture
-// is asked for at a time, the next one with the newest camera as soon as the answer is there: it is
-// rendered while that is decoded and drawn.
+// Keeps a canvas showing a scene: coarse while the camera moves, refined when it rests. The next
+// picture is asked for, with the newest camera, when the daemon should be done with the one before:
+// it is rendered while that is on its way, decoded and drawn.
 import {Problem, Unreachable} from './api.js';
 import {pictureOf} from './grey16.js';
 import {opticsOfPicture} from './optics.js';
 
 const STILL_MS = 150;
-const COARSE_MS = 30;       // what a coarse picture may take, answer included
+const COARSE_MS = 46;       // from an input to the answer with its coarse picture, nearly always
 const LEAST_MS = 12;        // of it in rendering, however long its way is
+const MOST_AHEAD = 2;       // coarse pictures that are not answered yet
 const HALF_FIRST_MS = 500;  // a full picture that takes longer is preceded by one of half the size
 const LENS_MS = 2500;       // a picture through a wide lens: as many cones as there is time for
 const REFRESH_MS = 2000;    // while training; renders take at most about an eighth of the time
@@ -48,11 +49,12 @@ const half = (full) =>
 
 /**
  * The next coarse picture's effort, from what the last one took: in all, and of that in rendering,
- * which is what fewer pixels make quicker; its way to the daemon and back they do not.
+ * which is what fewer pixels make quicker; its way to the daemon and back they do not. An input that
+ * just missed a picture waits for as long as that is rendered, and then for its own.
  */
 export function nextEffort(effort, totalMs, renderMs) {
   const rendering = Math.max(0.1, Number.isFinite(renderMs) ? renderMs : totalMs);
-  const room = Math.max(LEAST_MS, COARSE_MS - Math.max(0, totalMs - rendering));
+  const room = Math.max(LEAST_MS, (COARSE_MS - Math.max(0, totalMs - rendering)) / 2);
   const change = Math.min(1.4, Math.max(0.5, room / rendering) ** 0.6);
   return Math.min(4 * SHARP, Math.max(160 * 48, effort * change));
 }
@@ -73,6 +75,7 @@ export function createViewer(canvas, host, signal) {
   let movedAt = 0;
   let effort = 200 * 150;
   let msPerPixel = 0;
+  let daemonMs = Infinity;  // what the last coarse picture took there; before one, no other is sent
   let lastStep = NaN;  // of the picture that came last
   let waitUntil = 0;
   let refreshAt = Infinity;
@@ -111,9 +114,16 @@ export function createViewer(canvas, host, signal) {
     if (signal.aborted || document.hidden) return;
     // Only a camera that moved on since the last request is worth a second one.
     const last = [...flights].at(-1);
-    if (last && (last.level > COARSE || last.version === version || !last.answered))
-      return;
+    if (last && (last.level > COARSE || last.version === version)) return;
     const now = performance.now();
+    if (last && !last.answered) {
+      if ([...flights].filter((flight) => !flight.answered).length === MOST_AHEAD) return;
+      const left = last.sentAt + daemonMs - now;
+      if (left > 0) {
+        if (left < Infinity) poke(left);
+        return;
+      }
+    }
     if (now < waitUntil) {
       poke(waitUntil - now);
       return;
@@ -154,7 +164,13 @@ export function createViewer(canvas, host, signal) {
   }
 
   async function fly(level) {
-    const flight = {level, version, answered: false, stop: new AbortController()};
+    const flight = {
+      level,
+      version,
+      sentAt: performance.now(),
+      answered: false,
+      stop: new AbortController()
+    };
     flights.add(flight);
     const body = requestFor(level);
     try {
@@ -169,7 +185,7 @@ export function createViewer(canvas, host, signal) {
       if (flight.stop.signal.aborted) return picture.close();  // of what was asked for before
       if (level > COARSE) learn(level, body.camera, facts);
       if (flight.version < shown.version) return picture.close();  // overtaken
-      draw(canvas, picture);
+      draw(canvas, picture, level === COARSE ? 'low' : 'high');
       shown = {version: flight.version, level};
       host.onTrouble(null);
       host.onPicture({
@@ -192,7 +208,11 @@ export function createViewer(canvas, host, signal) {
     const spent = Number.isFinite(facts.renderMs) ? facts.renderMs : facts.totalMs;
     msPerPixel = spent / (width * height);
     lastStep = facts.step;
-    if (level === COARSE) effort = nextEffort(effort, facts.totalMs, facts.renderMs);
+    if (level === COARSE) {
+      effort = nextEffort(effort, facts.totalMs, facts.renderMs);
+      const there = facts.queueMs + facts.renderMs + facts.encodeMs;
+      daemonMs = Number.isFinite(there) ? there : Infinity;
+    }
     if (level !== FULL && lastStep !== 0) return;
     const wait = facts.step < EARLY_STEPS ? EARLY_MS : REFRESH_MS;
     refreshAt = performance.now() + Math.max(wait, 8 * spent);
@@ -223,9 +243,10 @@ export function createViewer(canvas, host, signal) {
   };
 }
 
-function draw(canvas, picture) {
+/** `smoothing`: low is a quarter of high's time, and enlarges as well to 0.3 dB. */
+function draw(canvas, picture, smoothing) {
   const context = canvas.getContext('2d');
-  context.imageSmoothingQuality = 'high';
+  context.imageSmoothingQuality = smoothing;
   context.drawImage(picture, 0, 0, canvas.width, canvas.height);
   picture.close();
 }
