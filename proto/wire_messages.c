@@ -172,6 +172,7 @@ static const struct rn_field_spec render[] = {
     RN_F_INT(S, request, RN_REQUIRED, 0, INFINITY),
     RN_F_OBJECT(S, render, RN_REQUIRED, &rn_render_request_table),
     RN_F_INT(S, deadline_ns, 0, 0, INFINITY),
+    RN_F_NUMBER(S, needed_ms, 0, -INFINITY, INFINITY),
 };
 static const struct rn_table render_table = RN_TABLE(S, "render", render);
 #undef S
@@ -253,6 +254,7 @@ static const struct rn_field_spec rendered[] = {
     RN_F_NUMBER(S, expected_spread, 0, 0, INFINITY),
     RN_F_TEXT(S, curve, 0, NULL),
     RN_F_BOOL(S, missed, RN_REQUIRED),
+    RN_F_NUMBER(S, kept_ms, 0, 0, INFINITY),
 };
 static const struct rn_table rendered_table = RN_TABLE(S, "rendered", rendered);
 #undef S

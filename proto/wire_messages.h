@@ -188,6 +188,9 @@ struct rn_wire_render {
     // When a picture within a time must have been handed back, by the daemon's rn_clock_ns. Absent:
     // no such budget.
     int64_t deadline_ns;
+    // Of the picture by a deadline before it: rendered.kept_ms, and how late its last byte was
+    // handed to the socket. NAN: nothing is known.
+    double needed_ms;
 };
 
 struct rn_wire_state {
@@ -236,6 +239,7 @@ struct rn_wire_rendered {
     double expected_psnr, expected_spread; // against photographs, of one view in many
     char curve[16];                        // where that is from: "measured", "stale", "preset"
     bool missed;                           // the budget could not be met by any point
+    double kept_ms; // of a deadline, when the picture was rendered, but for its file; NAN: none
 };
 // A path's or evaluation's options with the settings that its budget has become, which the job
 // keeps: all of its pictures are made with them, also after an interruption.

@@ -75,6 +75,9 @@ struct rn_request {
     size_t answer_bytes; // http->lock: held for the answer
     struct rn_event_stream events;
     int64_t begin_ns;
+    void (*on_sent)(void *context, int64_t number, int64_t sent_ns); // of the answer
+    void *sent_context;
+    int64_t sent_number;
     // Of the answering, in the caller's trace (its header traceparent) or a new one; and that
     // trace's id.
     char traceparent[RN_TRACE_MAX], trace[RN_TRACE_ID_MAX];

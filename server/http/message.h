@@ -65,6 +65,11 @@ struct rn_reply {
     struct rn_stream stream; // RN_BODY_STREAM: owned
     struct rn_ring *ring;    // RN_BODY_EVENTS: one reference, owned
     uint64_t after_id;       // RN_BODY_EVENTS: replay what is newer
+    // Told when the last byte was handed to the socket (rn_clock_ns), on a thread of the library's;
+    // NULL: nobody is. An answer that was cut off is not told.
+    void (*on_sent)(void *context, int64_t number, int64_t sent_ns);
+    void *sent_context;
+    int64_t sent_number;
 };
 
 // ---- reading a request ------------------------------------------------------------------------

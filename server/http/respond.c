@@ -202,6 +202,9 @@ enum MHD_Result rn_respond(struct rn_request *request, struct rn_reply *reply) {
     struct MHD_Response *response = open_response(request, reply);
     enum MHD_Result result = MHD_NO;
     request->status = status;
+    request->on_sent = reply->on_sent;
+    request->sent_context = reply->sent_context;
+    request->sent_number = reply->sent_number;
     if (response != NULL && add_headers(response, reply) &&
         MHD_add_response_header(response, "X-Request-Id", request->trace) == MHD_YES)
         result = MHD_queue_response(request->connection, status, response);

@@ -57,6 +57,7 @@ static void on_completed(void *context, struct MHD_Connection *connection, void 
     struct rn_http *http = context;
     struct rn_request *request = *state;
     if (request == NULL) return;
+    int64_t now_ns = rn_clock_ns();
     *state = NULL;
     rn_access_tell(request);
     rn_socket_end(request);
@@ -74,6 +75,8 @@ static void on_completed(void *context, struct MHD_Connection *connection, void 
     pthread_cond_broadcast(&http->changed);
     pthread_mutex_unlock(&http->lock);
     if (tell) request->parked.on_gone(request->parked.context, &request->parked);
+    if (request->on_sent != NULL && code == MHD_REQUEST_TERMINATED_COMPLETED_OK)
+        request->on_sent(request->sent_context, request->sent_number, now_ns);
     rn_exchange_unref(request);
 }
 

@@ -61,6 +61,13 @@ struct rn_render {
     bool sent;
 };
 
+// The last picture by a deadline that a runner has made: what it is told of it with the next one.
+struct rn_last_timed {
+    int64_t number, deadline_ns;
+    double asked_ms, kept_ms; // as rn_wire_rendered; NAN: it told none
+    double needed_ms;         // as rn_wire_render; NAN: nothing new
+};
+
 enum rn_runner_state {
     RN_RUNNER_AWAITED,  // a remote one: asked for, and not there yet
     RN_RUNNER_STARTING, // no hello, or not opened yet
@@ -80,6 +87,7 @@ struct rn_runner {
     enum rn_runner_state state;
     struct rn_task *train, *work; // work: path, eval or ingest
     struct rn_render *renders;
+    struct rn_last_timed timed; // picture
     int64_t memory_bytes;
     char gpu[16];                // "cuda:0"; "" before it has asked for any
     int64_t gpu_bytes;           // that it holds there, or has been granted

@@ -10,6 +10,7 @@
 #include "server/jobs/inside.h"
 
 #define RENDER_TIMEOUT_MS 120000
+#define HOPELESS 0.5 // of the time asked for, late
 
 const double rn_render_ms_bounds[9] = {10, 25, 50, 100, 250, 500, 1000, 2500, 10000};
 
@@ -165,7 +166,10 @@ void rn_render_send(struct rn_control *control, struct rn_runner *runner) {
         if (render->sent) continue;
         struct rn_wire_render message = {.request = render->number,
                                          .render = render->request,
-                                         .deadline_ns = deadline_of(render)};
+                                         .deadline_ns = deadline_of(render),
+                                         .needed_ms =
+                                             runner->timed.number ? runner->timed.needed_ms : NAN};
+        if (message.deadline_ns != RN_ABSENT) runner->timed.needed_ms = NAN;
         render->sent = true;
         rn_runner_post(control, runner, RN_WIRE_RENDER, &message);
     }
@@ -224,6 +228,32 @@ static void fill_reply(struct rn_reply *reply, const struct rn_render *render,
     tell_budget(reply, render, rendered);
 }
 
+// What a picture by a deadline needed kept free, by when its last byte went. What never had a
+// chance teaches nothing.
+static void on_sent(void *context, int64_t number, int64_t sent_ns) {
+    struct rn_control *control = context;
+    pthread_mutex_lock(&control->lock);
+    for (struct rn_runner *runner = control->runners; runner != NULL; runner = runner->next) {
+        struct rn_last_timed *timed = &runner->timed;
+        double late_ms = (double)(sent_ns - timed->deadline_ns) * 1e-6;
+        if (timed->number == number && late_ms < HOPELESS * timed->asked_ms)
+            timed->needed_ms = timed->kept_ms + late_ms;
+    }
+    pthread_mutex_unlock(&control->lock);
+}
+
+static void follow_timed(struct rn_control *control, struct rn_runner *runner,
+                         const struct rn_render *render, const struct rn_wire_rendered *rendered,
+                         struct rn_reply *reply) {
+    double asked_ms;
+    if (rn_budget_of(render->request.settings, &asked_ms) != RN_BUDGET_TIME) return;
+    runner->timed = (struct rn_last_timed){render->number, deadline_of(render), asked_ms,
+                                           rendered->kept_ms, NAN};
+    reply->on_sent = on_sent;
+    reply->sent_context = control;
+    reply->sent_number = render->number;
+}
+
 static void count(struct rn_control *control, const struct rn_render *render) {
     double ms = (double)(rn_clock_ns() - render->begin_ns) * 1e-6;
     int bucket = 0;
@@ -248,6 +278,7 @@ void rn_render_done(struct rn_control *control, struct rn_runner *runner,
             memcpy(copy, blob, size);
             fill_reply(&reply, render, rendered, copy, size);
             tell_machine(&reply, runner);
+            follow_timed(control, runner, render, rendered, &reply);
         } else {
             free(copy);
             rn_reply_problem(&reply, RN_PROBLEM_INTERNAL, "no memory for the picture");

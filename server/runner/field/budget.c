@@ -9,16 +9,9 @@
 #include "common/base/log.h"
 #include "common/image/image.h"
 
-#define REPLY_NS 1100000.0 // from the file to the last byte, at the other end of a socket here
-#define ENCODE_MARGIN 1.1
-#define LEAST_MARGIN_NS 200000.0
-#define FIRST_MARGIN_NS 800000.0 // until that is known better
-#define KNOWN 16                 // pictures, by which it is
-#define MOST_MARGIN 0.25         // of the time asked for
-#define HOPELESS 0.5             // of the time asked for
-#define JPEG_GROWTH 1.25         // power of a file's size that its error goes by, about
-#define JPEG_COUNTS 0.7          // of a JPEG's error; the rest is of detail that was wrong
-#define SHARPER_DB 1.0           // more than when it was measured what a JPEG takes
+#define JPEG_GROWTH 1.25 // power of a file's size that its error goes by, about
+#define JPEG_COUNTS 0.7  // of a JPEG's error; the rest is of detail that was wrong
+#define SHARPER_DB 1.0   // more than when it was measured what a JPEG takes
 
 // Of a pixel, before one was encoded.
 static const double encode_ns[] = {
@@ -109,18 +102,6 @@ enum rn_status rn_budget_settle(struct rn_work *work, struct rn_field *field, do
 
 // ---- one picture ----------------------------------------------------------------------------
 
-// Enough for all of the last pictures but one: what needs more is rarer than one in sixty.
-static double margin_ns(const struct rn_pace *pace, double asked_ms) {
-    int count = pace->needed_count < RN_PACE_MEMORY ? pace->needed_count : RN_PACE_MEMORY;
-    double most = 0, second = 0;
-    for (int i = 0; i < count; i++) {
-        second = fmax(second, fmin(most, pace->needed_ns[i]));
-        most = fmax(most, pace->needed_ns[i]);
-    }
-    double margin = count < KNOWN ? fmax(most, FIRST_MARGIN_NS) : second;
-    return fmin(fmax(margin, LEAST_MARGIN_NS), MOST_MARGIN * asked_ms * 1e6);
-}
-
 // Than the mean of the curve's views, dB.
 static double better_here(const struct chosen_curve *found, const struct rn_camera *camera) {
     const double place[3] = {camera->world_from_camera[0][3], camera->world_from_camera[1][3],
@@ -192,8 +173,9 @@ static enum rn_status render_by_deadline(struct rn_host *host, const struct rn_w
         host->pace.encode_ns[format] > 0 ? host->pace.encode_ns[format] : encode_ns[format];
     double asked_ms;
     rn_budget_of(render->render.settings, &asked_ms);
-    host->pace.kept_ns = margin_ns(&host->pace, asked_ms);
-    double reserve_ns = ENCODE_MARGIN * pixel_ns * pixels + REPLY_NS + host->pace.kept_ns;
+    if (!isnan(render->needed_ms)) rn_pace_note(&host->pace.end, render->needed_ms);
+    double kept_ms = rn_pace_keep_ms(&host->pace.end, asked_ms);
+    double reserve_ns = pixel_ns * pixels + kept_ms * 1e6;
     struct rn_render_budget budget = {.choices = choices,
                                       .count = count,
                                       .deadline_ns = render->deadline_ns - (int64_t)reserve_ns,
@@ -203,6 +185,8 @@ static enum rn_status render_by_deadline(struct rn_host *host, const struct rn_w
                                              rn_watch_keep_going, watch, ret_result, &spent, err);
     if (status) return status;
     host->pace.slowness = budget.slowness;
+    rendered->kept_ms =
+        kept_ms + fmax((double)(budget.deadline_ns - rn_clock_ns()) * 1e-6, 0); // what is left
     rendered->render_ms = spent.ms;
     if (spread) {
         snprintf(rendered->setting, sizeof rendered->setting, "supersample=%d",
@@ -268,38 +252,39 @@ static double jpeg_error(const struct rn_picture *rgb, const uint8_t *bytes, siz
     return error;
 }
 
-// Measured with the first picture of a quality, and again with one that has much more to lose; of
-// others by their size: what takes more bytes has more to lose.
-static void expect_jpeg(struct rn_pace *pace, const struct rn_render_request *request,
-                        const struct rn_picture *rgb, const uint8_t *bytes, size_t size,
-                        struct rn_wire_rendered *rendered) {
-    int quality = (int)rn_int_or(request->jpeg_quality, RN_JPEG_QUALITY);
-    double expected = rendered->expected_psnr;
-    double density = (double)size / ((double)rgb->width * rgb->height);
-    if (pace->jpeg_quality != quality || expected > pace->jpeg_psnr + SHARPER_DB) {
-        pace->jpeg_error = jpeg_error(rgb, bytes, size);
-        pace->jpeg_quality = quality;
-        pace->jpeg_psnr = expected;
-        pace->jpeg_density = density;
-    }
-    double error = pace->jpeg_error * pow(density / pace->jpeg_density, JPEG_GROWTH);
-    rendered->expected_psnr = -10 * log10(pow(10, -expected / 10) + JPEG_COUNTS * error);
+// Measured with the first picture of a quality, and again with one that has much more to lose.
+void rn_budget_look(struct rn_host *host, const struct rn_wire_render *render,
+                    const struct rn_picture *rgb, const uint8_t *bytes, size_t size,
+                    double picture_psnr) {
+    struct rn_pace *pace = &host->pace;
+    int quality = (int)rn_int_or(render->render.jpeg_quality, RN_JPEG_QUALITY);
+    bool known = pace->jpeg_quality == quality && picture_psnr <= pace->jpeg_psnr + SHARPER_DB;
+    if (known || render->render.format != RN_FORMAT_JPEG || !rgb->values || isnan(picture_psnr))
+        return;
+    pace->jpeg_error = jpeg_error(rgb, bytes, size);
+    pace->jpeg_quality = quality;
+    pace->jpeg_psnr = picture_psnr;
+    pace->jpeg_density = (double)size / ((double)rgb->width * rgb->height);
+}
+
+// By its size: what takes more bytes has more to lose.
+static void expect_jpeg(const struct rn_pace *pace, const struct rn_render_request *request,
+                        double pixels, size_t size, struct rn_wire_rendered *rendered) {
+    if (pace->jpeg_quality != (int)rn_int_or(request->jpeg_quality, RN_JPEG_QUALITY)) return;
+    double growth = pow((double)size / pixels / pace->jpeg_density, JPEG_GROWTH);
+    double error = JPEG_COUNTS * pace->jpeg_error * growth;
+    rendered->expected_psnr = -10 * log10(pow(10, -rendered->expected_psnr / 10) + error);
 }
 
 void rn_budget_encoded(struct rn_host *host, const struct rn_wire_render *render,
                        const struct rn_picture *rgb, const uint8_t *bytes, size_t size,
                        struct rn_wire_rendered *rendered) {
-    if (rendered->format == RN_FORMAT_JPEG && rgb->values && !isnan(rendered->expected_psnr))
-        expect_jpeg(&host->pace, &render->render, rgb, bytes, size, rendered);
     double pixels = (double)rendered->width * (double)rendered->height;
     double *kept = &host->pace.encode_ns[rendered->format];
     double now = rendered->encode_ms * 1e6 / pixels;
     if (pixels >= 1e4) *kept = *kept > 0 ? 0.8 * *kept + 0.2 * now : now;
-    double asked_ms;
-    struct rn_pace *pace = &host->pace;
-    if (rn_budget_of(render->render.settings, &asked_ms) != RN_BUDGET_TIME) return;
-    // How late it will be; what never had a chance teaches nothing.
-    double late_ns = (double)(rn_clock_ns() - render->deadline_ns) + REPLY_NS;
-    if (late_ns < HOPELESS * asked_ms * 1e6)
-        pace->needed_ns[pace->needed_count++ % RN_PACE_MEMORY] = late_ns + pace->kept_ns;
+    if (rendered->format != RN_FORMAT_JPEG || !rgb->values) return;
+    if (render->deadline_ns == RN_ABSENT)
+        rn_budget_look(host, render, rgb, bytes, size, rendered->expected_psnr);
+    expect_jpeg(&host->pace, &render->render, pixels, size, rendered);
 }

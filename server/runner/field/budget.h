@@ -31,5 +31,11 @@ enum rn_status rn_budget_render(struct rn_host *host, const struct rn_wire_rende
 void rn_budget_encoded(struct rn_host *host, const struct rn_wire_render *render,
                        const struct rn_picture *rgb, const uint8_t *bytes, size_t size,
                        struct rn_wire_rendered *rendered);
+// Looks at what a JPEG loses, once it is sent: of a picture by a deadline there is no time for that
+// before, and the next ones know it. `picture_psnr`: expected of the picture before it became a
+// file.
+void rn_budget_look(struct rn_host *host, const struct rn_wire_render *render,
+                    const struct rn_picture *rgb, const uint8_t *bytes, size_t size,
+                    double picture_psnr);
 
 #endif

@@ -18,7 +18,7 @@
 
 #define VIEWS 6
 #define MOST_VIEWS 64
-#define WAYS 128         // to render, tried on the first view
+#define WAYS 160         // to render, tried on the first view
 #define FINALISTS 40     // of these, measured on all views
 #define ROUNDS 3         // times
 #define MOST_PIXELS 1e6  // of its pictures; larger views are rendered smaller, without photographs
@@ -91,7 +91,7 @@ static void add_way(struct state *state, int subsample, int supersample, double 
 }
 
 static void list_ways(struct state *state, double trained_step, int cones) {
-    static const double tolerances[] = {0, 0.01, 0.02, 0.03, 0.045, 0.07, 0.1, 0.15, 0.2};
+    static const double tolerances[] = {0, 0.01, 0.02, 0.03, 0.045, 0.07, 0.1, 0.15, 0.2, 0.3, 0.5};
     static const int subsamples[] = {2, 3, 4, 6, 8, 12, 16};
     const double steps[] = {0, 1.5 * trained_step, 2.2 * trained_step};
     add_way(state, 1, 0, 0, 0, 0);

@@ -9,6 +9,7 @@
 #include "proto/marks.h"
 #include "proto/wire_messages.h"
 #include "server/engine/engine.h"
+#include "server/runner/field/pace.h"
 #include "server/runner/link/link.h"
 
 #define RN_SLICE_MS 10.0 // of training between two looks at the inbox
@@ -17,17 +18,12 @@ struct rn_training;
 struct rn_calibrating;
 struct rn_work;
 
-#define RN_PACE_MEMORY 64
-
 // What the scene's runner has learnt; zero at the start. Owned by the host.
 struct rn_pace {
     struct rn_curve_record record; // the scene's; of 0 points: it has none
     bool looked;                   // for it
     double slowness;               // of pictures by a deadline (engine/render/within.h); 0: unknown
-    // What the last pictures by a deadline needed to be kept free at its end, and how many they are
-    // of all; what was kept free of the one under way.
-    double needed_ns[RN_PACE_MEMORY], kept_ns;
-    int needed_count;
+    struct rn_pace_end end;        // of deadlines
     double encode_ns[RN_FORMAT_EXR + 1]; // a pixel, of each rn_picture_format; 0: unknown
     // What JPEGs of a quality lose, mean square, by one whose picture was expected to be so good.
     int jpeg_quality;

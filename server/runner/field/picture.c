@@ -176,15 +176,16 @@ static enum rn_status render_options(struct rn_host *host, const struct rn_rende
     return RN_OK;
 }
 
-// Renders and encodes; fills what `rendered` reports.
+// Renders and encodes; fills what `rendered` reports. The caller finishes the result, also on
+// failure. `ret_psnr`: expected of the picture, before it is a file.
 static enum rn_status make(struct rn_host *host, const struct rn_wire_render *render,
                            struct rn_watch *watch, struct rn_wire_rendered *rendered,
+                           struct rn_render_result *ret_result, double *ret_psnr,
                            uint8_t **ret_bytes, size_t *ret_size, struct rn_error *err) {
     const struct rn_render_request *request = &render->render;
     struct rn_field *field;
     struct rn_field_info info;
     struct rn_render_options options;
-    struct rn_render_result result = {0};
     struct rn_box box;
     enum rn_status status = rn_host_field_at(host, request->at, &field, err);
     if (status) return status;
@@ -193,13 +194,13 @@ static enum rn_status make(struct rn_host *host, const struct rn_wire_render *re
     status = render_options(host, request, &info, &options, err);
     rn_picture_crop(request->crop, &box, &options);
     if (!status)
-        status =
-            rn_budget_render(host, render, &info, field, &options, watch, rendered, &result, err);
+        status = rn_budget_render(host, render, &info, field, &options, watch, rendered, ret_result,
+                                  err);
     if (status) return status;
     int64_t rendered_ns = rn_clock_ns();
     rendered->step = info.steps;
-    rendered->samples = (int64_t)result.stats.samples;
-    rendered->cones = (int64_t)result.stats.cones * result.stats.cones;
+    rendered->samples = (int64_t)ret_result->stats.samples;
+    rendered->cones = (int64_t)ret_result->stats.cones * ret_result->stats.cones;
     rn_optics_names(&options.shot.optics, rendered->effects, sizeof rendered->effects);
     rendered->width = options.camera.width;
     rendered->height = options.camera.height;
@@ -210,10 +211,10 @@ static enum rn_status make(struct rn_host *host, const struct rn_wire_render *re
         .jpeg_quality = (int)rn_int_or(request->jpeg_quality, RN_JPEG_QUALITY),
         .png_level = INTERACTIVE_PNG_LEVEL,
         .depth_scale = rn_depth_scale(&options.camera, &info.bounds)};
-    status = rn_picture_encode(&result, &file, ret_bytes, ret_size, &rendered->scale_high, err);
+    *ret_psnr = rendered->expected_psnr;
+    status = rn_picture_encode(ret_result, &file, ret_bytes, ret_size, &rendered->scale_high, err);
     rendered->encode_ms = elapsed_ms(rendered_ns);
-    if (!status) rn_budget_encoded(host, render, &result.rgb, *ret_bytes, *ret_size, rendered);
-    rn_render_result_finish(&result);
+    if (!status) rn_budget_encoded(host, render, &ret_result->rgb, *ret_bytes, *ret_size, rendered);
     return status;
 }
 
@@ -225,20 +226,26 @@ void rn_picture_serve(struct rn_host *host, const struct rn_wire_render *render,
                                         .at = NAN,
                                         .scale_high = NAN,
                                         .expected_psnr = NAN,
-                                        .expected_spread = NAN};
+                                        .expected_spread = NAN,
+                                        .kept_ms = NAN};
     struct rn_watch watch = {.link = &host->link, .job = "", .request = render->request};
+    struct rn_render_result result = {0};
     uint8_t *bytes = NULL;
     size_t size = 0;
+    double psnr = NAN;
     struct rn_error err = {0};
     enum rn_status status = RN_OK;
     if (!rn_watch_keep_going(&watch))
         status = rn_error_set(&err, RN_ERROR_CANCELLED, "", "cancelled before it began");
-    if (!status) status = make(host, render, &watch, &rendered, &bytes, &size, &err);
+    if (!status)
+        status = make(host, render, &watch, &rendered, &result, &psnr, &bytes, &size, &err);
     if (!status && size > RN_WIRE_MAX_BLOB)
         status = rn_error_set(&err, RN_ERROR_LIMIT, "#/size", "the picture's file is too large");
     if (status)
         rn_link_fail(&host->link, "", render->request, &err);
     else
         rn_link_post(&host->link, RN_WIRE_RENDERED, &rendered, bytes, size);
+    if (!status) rn_budget_look(host, render, &result.rgb, bytes, size, psnr);
+    rn_render_result_finish(&result);
     free(bytes);
 }

@@ -17,7 +17,8 @@
 static struct rn_http *http;
 static struct rn_ring *ring;
 static _Atomic(struct rn_parked *) parked;
-static atomic_int gone, park_ms;
+static atomic_int gone, park_ms, sent;
+static _Atomic int64_t answered_ns, sent_ns;
 
 static void on_gone(void *context, struct rn_parked *request) {
     ck_assert_ptr_eq(request, parked);
@@ -111,6 +112,40 @@ static void answer(const char *text) {
     rn_parked_answer(parked, &reply);
     ck_assert_int_eq(reply.status, 0);
 }
+
+static void on_sent(void *context, int64_t number, int64_t now_ns) {
+    ck_assert_ptr_eq(context, &sent);
+    sent_ns = now_ns;
+    sent = (int)number;
+}
+
+// Whoever answers is told when the last byte went, and not of an answer that nobody took.
+START_TEST(test_sent) {
+    struct rn_reply reply = {.on_sent = on_sent, .sent_context = &sent, .sent_number = 7};
+    sent = 0;
+    int fd = ask("/park");
+    WAIT_UNTIL(parked != NULL);
+    answered_ns = rn_clock_ns();
+    rn_reply_text(&reply, 200, "text/plain", "later");
+    rn_parked_answer(parked, &reply);
+    expect_status(fd, 200);
+    WAIT_UNTIL(sent == 7);
+    ck_assert(sent_ns > answered_ns && sent_ns <= rn_clock_ns());
+    close(fd);
+    sent = 0;
+    parked = NULL;
+    fd = ask("/park");
+    WAIT_UNTIL(parked != NULL);
+    close(fd);
+    WAIT_UNTIL(gone == 1);
+    reply = (struct rn_reply){.on_sent = on_sent, .sent_context = &sent, .sent_number = 8};
+    rn_reply_text(&reply, 200, "text/plain", "too late");
+    rn_parked_answer(parked, &reply);
+    leave();
+    ck_assert_int_eq(sent, 0);
+    enter();
+}
+END_TEST
 
 START_TEST(test_answer) {
     int fd = ask("/park");
@@ -231,6 +266,7 @@ int main(void) {
     tcase_set_timeout(tcase, 20);
     tcase_add_checked_fixture(tcase, enter, leave);
     tcase_add_test(tcase, test_answer);
+    tcase_add_test(tcase, test_sent);
     tcase_add_test(tcase, test_deadline);
     tcase_add_test(tcase, test_client_leaves);
     tcase_add_test(tcase, test_park_limit);
