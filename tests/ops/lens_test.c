@@ -1,5 +1,6 @@
 // Photographs through lenses: what a lens changes is seen and undone, and one that changes nothing
 // costs nothing.
+#include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -7,6 +8,7 @@
 #include "common/dataset/output.h"
 #include "common/image/image.h"
 #include "server/engine/field/occupancy.h"
+#include "server/engine/field/space.h"
 #include "tests/ops/train_scene.h"
 
 // The sphere's dataset with another lens; photographs anew where `shown`.
@@ -173,10 +175,78 @@ START_TEST(a_lens_that_does_nothing_costs_nothing) {
 }
 END_TEST
 
+// The middle (i = 0) or a corner of two cells a side, in the dataset's units, where all of space is
+// drawn into a ball: how far out in it.
+static double corner_of(const struct rn_field *field, const int first[3], int i, double ret[3]) {
+    double y[3], size = 0;
+    for (int k = 0; k < 3; k++) {
+        double at = first[k] + (i == 0 ? 1 : (i - 1) >> k & 1 ? 2 : 0);
+        y[k] = 2 * at / field->config.field.occupancy - 1;
+        size += y[k] * y[k];
+    }
+    size = sqrt(size);
+    for (int k = 0; k < 3; k++)
+        ret[k] = field->bounds.centre[k] + (size > 0 ? field->bounds.radius * y[k] / size *
+                                                           rn_uncontracted(fmin(size, 1 - 1e-6))
+                                                     : 0);
+    return size;
+}
+
+static bool is_shown(const struct rn_trainer *t, const double point[3]) {
+    for (int f = 0; f < t->train.frame_count; f++) {
+        const struct rn_camera *c = &t->train.frames[f].camera;
+        double p[3], at[2];
+        rn_camera_axes(c, point, p);
+        if (rn_camera_project(c, p, at) && at[0] >= 0 && at[1] >= 0 && at[0] < c->width &&
+            at[1] < c->height)
+            return true;
+    }
+    return false;
+}
+
+// Where all of space is the field's, cells that no photograph shows are none of it; _i: a lens.
+START_TEST(cells_that_no_photograph_shows_are_empty) {
+    static const double k1[] = {0, -0.25, 0.1};
+    static const enum rn_lens lens[] = {RN_LENS_PINHOLE, RN_LENS_OPENCV, RN_LENS_FISHEYE};
+    struct lens_case c = through(lens[_i], k1[_i], 0.01, false);
+    for (size_t f = 1; f < c.dataset.frame_count; f++) // all look the same way
+        memcpy(c.frames[f].camera.world_from_camera, c.frames[0].camera.world_from_camera,
+               sizeof c.frames[0].camera.world_from_camera);
+    struct rn_train_config config = config_for(&c.dataset);
+    config.field.space = RN_SPACE_UNBOUNDED;
+    config.cone_step = false;
+    config.auto_effects = false;
+    config.effect[RN_EFFECT_DISTORTION] = RN_EFFECT_WANTED;
+    struct rn_engine *engine = engine_with(2);
+    struct rn_trainer *t = trainer_for(engine, &c.dataset, &config);
+    int cells = t->field->config.field.occupancy, clumps = cells / 2, counts[2] = {0};
+    for (int i = 0; i < clumps * clumps * clumps; i++) {
+        int first[3] = {i / clumps / clumps * 2, i / clumps % clumps * 2, i % clumps * 2};
+        bool shown = false, within = true;
+        for (int k = 0; k < 9; k++) {
+            double point[3];
+            within &= corner_of(t->field, first, k, point) < 1;
+            shown = shown || is_shown(t, point);
+        }
+        if (!within) continue;
+        counts[shown]++;
+        ck_assert_int_eq(t->field->hull[rn_cell_index(first[0], first[1], first[2], cells)], shown);
+    }
+    printf("lens %d: %d blocks are shown, %d are not\n", (int)lens[_i], counts[1], counts[0]);
+    ck_assert_int_eq(t->train.frames[0].camera.lens, lens[_i]);
+    ck_assert_int_gt(counts[0], 300);
+    ck_assert_int_gt(counts[1], 100);
+    rn_trainer_destroy(&t);
+    rn_engine_destroy(&engine);
+    finish(&c, false);
+}
+END_TEST
+
 static void add(TCase *tests) {
     tcase_add_loop_test(tests, hull_is_seen_through_the_lens, 0, sizeof lenses / sizeof *lenses);
     tcase_add_test(tests, a_known_lens_gains);
     tcase_add_test(tests, a_lens_that_does_nothing_costs_nothing);
+    tcase_add_loop_test(tests, cells_that_no_photograph_shows_are_empty, 0, 3);
 }
 
 int main(void) {

@@ -168,10 +168,25 @@ void rn_trainer_carve(struct rn_trainer *t) {
 
 // ---- what no camera sees --------------------------------------------------------------------
 
-// Whether a point (dataset units) projects into the photograph.
-static bool is_in_sight(const struct rn_camera *c, const double point[3]) {
+struct unseen {
+    struct rn_trainer *trainer;
+    double *edges; // squares of the sizes of what photographs show of the plane z = 1, at most
+};
+
+static double square_of_edge(const struct rn_camera *c) {
+    struct rn_ball_viewer viewer = rn_ball_viewer_init(c);
+    return viewer.terms.omega == 0 && viewer.edge > 0 ? viewer.edge * viewer.edge : INFINITY;
+}
+
+// Whether a point (dataset units) projects into a photograph; most that do not are beyond its edge,
+// which is quicker to see.
+static bool is_in_sight(const struct unseen *u, int f, const double point[3]) {
+    const struct rn_camera *c = &u->trainer->train.frames[f].camera;
     double p[3], at[2];
     rn_camera_axes(c, point, p);
+    if (isfinite(u->edges[f]) &&
+        (p[2] <= 0 || p[0] * p[0] + p[1] * p[1] > u->edges[f] * p[2] * p[2]))
+        return false;
     if (!rn_camera_project(c, p, at)) return false;
     return at[0] >= 0 && at[1] >= 0 && at[0] < c->width && at[1] < c->height;
 }
@@ -194,7 +209,8 @@ static void uncontracted_point(const struct rn_trainer *t, const double at[3], d
 
 // Whether some photograph shows the middle or a corner of the clump that begins at `first`; `*last`
 // is the one that showed the clump before, and likely this one.
-static bool is_clump_seen(const struct rn_trainer *t, const int first[3], int *last) {
+static bool is_clump_seen(const struct unseen *u, const int first[3], int *last) {
+    const struct rn_trainer *t = u->trainer;
     for (int i = 0; i < 9; i++) {
         double at[3], point[3];
         for (int k = 0; k < 3; k++)
@@ -202,7 +218,7 @@ static bool is_clump_seen(const struct rn_trainer *t, const int first[3], int *l
         uncontracted_point(t, at, point);
         for (int f = 0; f < t->train.frame_count; f++) {
             int frame = (*last + f) % t->train.frame_count;
-            if (!is_in_sight(&t->train.frames[frame].camera, point)) continue;
+            if (!is_in_sight(u, frame, point)) continue;
             *last = frame;
             return true;
         }
@@ -221,16 +237,23 @@ static void carve_clump(struct rn_field *field, const int first[3]) {
 
 static void carve_unseen_layer(void *context, int layer, int thread) {
     (void)thread;
-    const struct rn_trainer *t = context;
-    int clumps = t->field->config.field.occupancy / CLUMP, last = 0;
+    const struct unseen *u = context;
+    struct rn_field *field = u->trainer->field;
+    int clumps = field->config.field.occupancy / CLUMP, last = 0;
     for (int i = 0; i < clumps * clumps; i++) {
         int first[3] = {layer * CLUMP, i / clumps * CLUMP, i % clumps * CLUMP};
-        if (!is_clump_seen(t, first, &last)) carve_clump(t->field, first);
+        if (!is_clump_seen(u, first, &last)) carve_clump(field, first);
     }
 }
 
 void rn_trainer_carve_unseen(struct rn_trainer *t) {
-    rn_pool_run(t->engine->pool, t->field->config.field.occupancy / CLUMP, carve_unseen_layer, t);
+    int frames = t->train.frame_count;
+    struct unseen u = {.trainer = t, .edges = malloc((size_t)frames * sizeof *u.edges)};
+    if (!u.edges) return; // carving only saves time
+    for (int f = 0; f < frames; f++)
+        u.edges[f] = square_of_edge(&t->train.frames[f].camera);
+    rn_pool_run(t->engine->pool, t->field->config.field.occupancy / CLUMP, carve_unseen_layer, &u);
+    free(u.edges);
 }
 
 // ---- measuring ------------------------------------------------------------------------------
