@@ -219,6 +219,35 @@ START_TEST(what_one_photograph_shows_is_left_out) {
 }
 END_TEST
 
+// Where all photographs are more than a pass looks at, they take turns.
+START_TEST(many_photographs_take_turns) {
+    struct rn_dataset *d = place("many", true);
+    struct rn_engine *engine = engine_with(2);
+    struct rn_train_config config = config_of(d, RN_EFFECT_WANTED);
+    struct rn_trainer *t = trainer_for(engine, d, &config);
+    int out[2][2] = {{0}}; // after the first turn, in the end; of photographs 0, 2, .. and 1, 3, ..
+    t->outliers.most = 1;
+    for (int when = 0; when < 2; when++) {
+        while (!t->progress.done && (when || !t->outliers.turns))
+            ck_assert(rn_trainer_advance(t, 0, NULL) == RN_OK);
+        for (size_t f = 0, b = 0; b < t->outliers.count; b++) {
+            while ((int)f + 1 < t->train.frame_count && b >= t->outliers.first[f + 1])
+                f++;
+            out[when][f % 2] += t->outliers.out[b];
+        }
+    }
+    printf("turns: %d and %d blocks out, then %d and %d\n", out[0][0], out[0][1], out[1][0],
+           out[1][1]);
+    ck_assert_int_gt(out[0][0], 10);
+    ck_assert_int_eq(out[0][1], 0);
+    ck_assert_int_gt(out[1][0], 20);
+    ck_assert_int_gt(out[1][1], 20);
+    rn_trainer_destroy(&t);
+    rn_engine_destroy(&engine);
+    rn_dataset_destroy(&d);
+}
+END_TEST
+
 START_TEST(a_place_that_holds_still_is_left_alone) {
     struct rn_dataset *d = place("still", false);
     struct rn_engine *engine = engine_with(2);
@@ -264,6 +293,7 @@ static void add(TCase *tests) {
     tcase_add_test(tests, sizes_are_those_of_float64);
     tcase_add_test(tests, a_thing_is_told_from_detail_and_light);
     tcase_add_test(tests, what_one_photograph_shows_is_left_out);
+    tcase_add_test(tests, many_photographs_take_turns);
     tcase_add_test(tests, a_place_that_holds_still_is_left_alone);
     tcase_add_test(tests, what_is_left_out_goes_on_from_a_checkpoint);
 }

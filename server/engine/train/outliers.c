@@ -18,8 +18,10 @@
 #define STANDS 64   // distances at which it may stand, evenly in disparity,
 #define NEAREST 6.0 // that of where the field has it is 1
 #define FARTHEST 0.25
-#define LOOKS 2   // pixels of a block that are looked at
-#define BATCH 128 // rays rendered together, RN_TRAINER_RAYS at most
+#define LOOKS 2        // pixels of a block that are looked at
+#define MOST (1 << 18) // blocks of a pass, about
+#define FEWEST 16      // photographs of a pass, where there are as many
+#define BATCH 128      // rays rendered together, RN_TRAINER_RAYS at most
 
 static const struct rn_effect_record *record_of(const struct rn_trainer *t) {
     return &t->field->effects[RN_EFFECT_ROBUST_LOSS];
@@ -118,6 +120,7 @@ static enum rn_status list_blocks(struct rn_trainer *t, struct rn_error *err) {
     o->first = malloc((size_t)t->train.frame_count * sizeof *o->first);
     if (!o->first) return rn_error_set(err, RN_ERROR_NO_MEMORY, "outliers", "out of memory");
     o->count = 0;
+    if (!o->most) o->most = MOST;
     for (int f = 0; f < t->train.frame_count; f++) {
         o->first[f] = o->count;
         o->count += (size_t)across_of(&t->train.frames[f]) * (size_t)down_of(&t->train.frames[f]);
@@ -139,6 +142,7 @@ static enum rn_status begin_pass(struct rn_trainer *t, struct rn_error *err) {
     enum rn_status status = list_blocks(t, err);
     if (status != RN_OK || o->difference) return status;
     o->next = 0;
+    o->threshold = 0;
     o->difference = calloc(o->count, sizeof *o->difference);
     o->taken = calloc(o->count, sizeof *o->taken);
     o->known = calloc(o->count, 1);
@@ -150,6 +154,18 @@ static enum rn_status begin_pass(struct rn_trainer *t, struct rn_error *err) {
 }
 
 // ---- a pass -----------------------------------------------------------------------------------
+
+// A pass looks at every so many-th photograph, the next one at those beside them, so that of 1,000
+// it takes as long as of some.
+static int apart(const struct rn_trainer *t) {
+    int by_blocks = (int)(t->outliers.count / t->outliers.most) + 1;
+    int by_photographs = t->train.frame_count / FEWEST;
+    return by_blocks < by_photographs ? by_blocks : by_photographs > 1 ? by_photographs : 1;
+}
+
+static bool is_looked_at(const struct rn_trainer *t, int f) {
+    return f % apart(t) == t->outliers.turns % apart(t);
+}
 
 bool rn_trainer_is_outlier(const struct rn_trainer *t, const struct rn_pixel_frame *frame, int x,
                            int y) {
@@ -204,6 +220,7 @@ static void look(void *context, int index, int thread) {
     const struct rn_pixel_frame *frame = &t->train.frames[index];
     int across = across_of(frame), blocks = across * down_of(frame);
     struct looks looks = {.count = 0};
+    if (!is_looked_at(t, index)) return;
     for (int i = 0; i < LOOKS * blocks; i++) {
         int block = i / LOOKS;
         struct rn_rng4 draw = rn_rng_draw(t->field->config.seed, STREAM + (uint64_t)index,
@@ -244,7 +261,8 @@ static struct witnesses ask_others(const struct rn_trainer *t, int f, int block,
     const struct rn_outliers *o = &t->outliers;
     const struct rn_pixel_frame *frame = &t->train.frames[f];
     struct witnesses others = {.seen = 0};
-    int across = across_of(frame), stride = t->train.frame_count / OTHERS + 1;
+    int across = across_of(frame), every = apart(t);
+    int stride = every * (t->train.frame_count / every / OTHERS + 1);
     float size = o->size[o->first[f] + (size_t)block], here[3], there[3];
     struct rn_ray ray = rn_camera_ray(&frame->camera, (block % across + 0.5) * RN_OUTLIER_BLOCK,
                                       ((double)(block / across) + 0.5) * RN_OUTLIER_BLOCK);
@@ -252,7 +270,7 @@ static struct witnesses ask_others(const struct rn_trainer *t, int f, int block,
     for (int i = 0; i < 3; i++)
         point[i] = ray.origin[i] + ray.direction[i] * distance;
     taken_around(t, f, block, here);
-    for (int g = 0; g < t->train.frame_count; g += stride) {
+    for (int g = o->turns % every; g < t->train.frame_count; g += stride) {
         const struct rn_pixel_frame *other = &t->train.frames[g];
         rn_camera_axes(&other->camera, point, axes);
         if (g == f || !rn_camera_project(&other->camera, axes, at) || !(at[0] >= 0) ||
@@ -288,36 +306,56 @@ static bool is_contradicted(const struct rn_trainer *t, int f, int block, float 
     return true;
 }
 
-static enum rn_status conclude(struct rn_trainer *t, struct rn_error *err) {
+// The sizes of all differences, and from where on they are large.
+static enum rn_status measure(struct rn_trainer *t, struct rn_error *err) {
     struct rn_outliers *o = &t->outliers;
     enum rn_status status = RN_OK;
     for (int f = 0; f < t->train.frame_count && status == RN_OK; f++) {
         const struct rn_pixel_frame *frame = &t->train.frames[f];
         size_t first = o->first[f];
-        status = rn_outlier_sizes(o->difference[first], o->known + first, across_of(frame),
-                                  down_of(frame), o->size + first, err);
+        if (is_looked_at(t, f))
+            status = rn_outlier_sizes(o->difference[first], o->known + first, across_of(frame),
+                                      down_of(frame), o->size + first, err);
     }
     double *room = status == RN_OK ? malloc(o->count * sizeof *room) : NULL;
     if (!room) return rn_error_set(err, RN_ERROR_NO_MEMORY, "outliers", "out of memory");
     float middle = median(o->size, o->known, o->count, 1, room);
-    float threshold = fmaxf((float)RN_OUTLIER_LEAST, RN_OUTLIER_TIMES * middle);
+    o->threshold = fmaxf((float)RN_OUTLIER_LEAST, RN_OUTLIER_TIMES * middle);
     free(room);
-    size_t out = 0;
-    for (int f = 0; f < t->train.frame_count; f++) {
-        int blocks = across_of(&t->train.frames[f]) * down_of(&t->train.frames[f]);
-        for (int b = 0; b < blocks; b++) {
-            size_t at = o->first[f] + (size_t)b;
-            o->large[at] = o->size[at] > threshold && is_contradicted(t, f, b, threshold);
-        }
-    }
-    uint8_t *mask = o->out ? o->out : o->known;
-    for (int f = 0; f < t->train.frame_count; f++)
-        rn_outlier_trim(o->large + o->first[f], across_of(&t->train.frames[f]),
-                        down_of(&t->train.frames[f]), mask + o->first[f]);
-    for (size_t i = 0; i < o->count; i++)
-        out += mask[i];
-    o->share = (double)out / (double)o->count;
     return RN_OK;
+}
+
+static void judge(void *context, int index, int thread) {
+    (void)thread;
+    struct rn_trainer *t = context;
+    struct rn_outliers *o = &t->outliers;
+    const struct rn_pixel_frame *frame = &t->train.frames[index];
+    for (int b = 0; b < across_of(frame) * down_of(frame) && is_looked_at(t, index); b++) {
+        size_t at = o->first[index] + (size_t)b;
+        o->large[at] = o->size[at] > o->threshold && is_contradicted(t, index, b, o->threshold);
+    }
+}
+
+static void conclude(struct rn_trainer *t) {
+    struct rn_outliers *o = &t->outliers;
+    size_t out = 0, all = 0;
+    uint8_t *mask = o->out ? o->out : o->known;
+    for (int f = 0; f < t->train.frame_count; f++) {
+        int across = across_of(&t->train.frames[f]), down = down_of(&t->train.frames[f]);
+        if (!is_looked_at(t, f)) continue;
+        rn_outlier_trim(o->large + o->first[f], across, down, mask + o->first[f]);
+        for (int b = 0; b < across * down; b++)
+            out += mask[o->first[f] + (size_t)b];
+        all += (size_t)across * (size_t)down;
+    }
+    o->share = (double)out / (double)all;
+}
+
+// Photographs from o->next on, until all are done (true) or the engine is wanted.
+static bool go_through(struct rn_trainer *t, void (*work)(void *context, int index, int thread)) {
+    struct rn_outliers *o = &t->outliers;
+    return rn_pool_run_some(t->engine->pool, t->train.frame_count, &o->next, work, t,
+                            rn_engine_is_wanted, t->engine);
 }
 
 enum rn_status rn_trainer_seek_outliers(struct rn_trainer *t, bool *ret_busy,
@@ -327,14 +365,20 @@ enum rn_status rn_trainer_seek_outliers(struct rn_trainer *t, bool *ret_busy,
     enum rn_status status = begin_pass(t, err);
     if (status != RN_OK) return status;
     rn_pixels_let_go(&t->train);
-    *ret_busy = !rn_pool_run_some(t->engine->pool, t->train.frame_count, &o->next, look, t,
-                                  rn_engine_is_wanted, t->engine);
+    if (!(o->threshold > 0)) { // not all are looked at
+        *ret_busy = !go_through(t, look);
+        if (*ret_busy) return RN_OK;
+        status = measure(t, err);
+        if (status != RN_OK) return status;
+        o->next = 0;
+    }
+    *ret_busy = !go_through(t, judge);
     if (*ret_busy) return RN_OK;
-    status = conclude(t, err);
+    conclude(t);
     end_pass(o);
     if (record_of(t)->decided)
         o->turns++;
     else
         o->share_known = true;
-    return status;
+    return RN_OK;
 }

@@ -34,15 +34,16 @@ void rn_outlier_trim(const uint8_t *large, int across, int down, uint8_t *ret_ou
 
 // Owner: whoever has the trainer; rn_outliers_finish.
 struct rn_outliers {
-    uint8_t *out;  // [count]: 1 where no ray is drawn; NULL: everywhere
-    size_t *first; // [train.frame_count]: of a photograph's blocks
-    size_t count;
-    int turns; // that are over
+    uint8_t *out;       // [count]: 1 where no ray is drawn; NULL: everywhere
+    size_t *first;      // [train.frame_count]: of a photograph's blocks
+    size_t count, most; // most: of a pass, about; of more photographs every second, third, ...
+    int turns;          // that are over
     // The pass under way: means of the differences and of what photographs show, so far, and
     // photographs done.
     float (*difference)[3], (*taken)[3];
     uint8_t *known;
     float *size, *depth; // depth: where the field has what a block shows, bounds' radii
+    float threshold;     // of the sizes; 0: not all photographs are looked at
     uint8_t *large;
     int next;
     double share; // of the pixels, as the effect has it
