@@ -74,7 +74,8 @@ static enum rn_status validate_on_device(struct rn_trainer *t, struct rn_error *
 static void validate_next(struct rn_trainer *t) {
     struct rn_validation *v = &t->validation;
     struct validate_block b = {.trainer = t, .frame = &t->held.frames[v->frame], .first = v->pixel};
-    b.grid = rn_validate_grid(b.frame->camera.width, b.frame->camera.height);
+    b.grid = rn_validate_grid(b.frame->camera.width, b.frame->camera.height,
+                              RN_VALIDATE_PIXELS / (size_t)t->held.frame_count);
     size_t pixels = (size_t)b.grid.width * (size_t)b.grid.height;
     b.count = pixels - v->pixel < RN_VALIDATE_BLOCK ? pixels - v->pixel : RN_VALIDATE_BLOCK;
     b.march = rn_effects_march_trained(t->field);

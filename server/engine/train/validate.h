@@ -11,22 +11,22 @@
 #define RN_VALIDATE_BLOCK 4096 // pixels a block
 #define RN_VALIDATE_LEAST 8    // of it, a piece, at least
 
-// Pixels of a view that are rendered, at most: of larger ones every second, third, ... along both
-// axes, so that photographs of 12 megapixels take no longer than these.
-#define RN_VALIDATE_PIXELS (1 << 20)
+// Pixels that a round renders, at most, as many of each view: of larger ones every second, third,
+// ... along both axes, so that photographs of 12 megapixels take no longer than these.
+#define RN_VALIDATE_PIXELS (1 << 21)
 
-// Which ones: the middles of squares of `apart` pixels, rows of `width` of them.
+// Which ones, `most` at most: the middles of squares of `apart` pixels, rows of `width` of them.
 struct rn_validate_grid {
     int apart, width, height;
 };
 
-static inline struct rn_validate_grid rn_validate_grid(int width, int height) {
+static inline struct rn_validate_grid rn_validate_grid(int width, int height, size_t most) {
     struct rn_validate_grid grid = {.apart = 0};
     do {
         grid.apart++;
         grid.width = width / grid.apart;
         grid.height = height / grid.apart;
-    } while ((size_t)grid.width * (size_t)grid.height > RN_VALIDATE_PIXELS);
+    } while ((size_t)grid.width * (size_t)grid.height > most);
     return grid;
 }
 
