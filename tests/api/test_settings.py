@@ -1,7 +1,8 @@
 """The contract says of every setting what the tables of common/settings say, and names the effects,
 lenses and formats of paths that there are.
 
-`python3 tests/api/test_settings.py --write` brings proto/openapi.yaml up to date.
+`python3 tests/api/test_settings.py --write` brings proto/openapi.yaml and camera.schema.json up to
+date.
 """
 
 import json
@@ -15,6 +16,7 @@ import yaml
 
 ROOT = Path(__file__).resolve().parents[2]
 OPENAPI = ROOT / "proto" / "openapi.yaml"
+CAMERA = ROOT / "proto" / "camera.schema.json"
 BUILD = Path(os.environ.get("RIPNERF_BUILD", ROOT / "build"))
 KINDS = {"bool": "boolean", "int": "integer", "number": "number", "choice": "string",
          "colour": "array", "text": "string"}
@@ -89,6 +91,17 @@ def resolved(document, node):
     return {**target, **{key: value for key, value in node.items() if key != "$ref"}}
 
 
+def lens_schemas():
+    """What the contract has to say of a lens: {property: schema}."""
+    lenses, parameters = told()["lenses"], {}
+    for own in lenses.values():
+        for name, most in own.items():
+            parameters[name] = max(most, parameters.get(name, 0))
+    return {"model": {"type": "string", "enum": list(lenses)},
+            **{name: {"type": "number", "minimum": -most, "maximum": most}
+               for name, most in parameters.items()}}
+
+
 @pytest.fixture(scope="module", name="document")
 def fixture_document():
     return yaml.safe_load(OPENAPI.read_text(encoding="utf-8"))
@@ -118,9 +131,7 @@ def test_contract_and_client_have_the_names(document):
     have, schemas = told(), document["components"]["schemas"]
     for schema, names in NAMES.items():
         assert schemas[schema]["enum"] == have[names], "tests/api/test_settings.py --write"
-    lens = schemas["Lens"]["properties"]
-    assert lens["model"]["enum"] == list(have["lenses"])
-    assert set(lens) - {"model"} == {name for names in have["lenses"].values() for name in names}
+    assert schemas["Lens"]["properties"] == lens_schemas(), "tests/api/test_settings.py --write"
     usage = subprocess.run([BUILD / "client" / "ripnerf", "paths", "--help"], capture_output=True,
                            text=True, check=True).stdout
     assert ", ".join(have["path_formats"]) in " ".join(usage.split())
@@ -163,6 +174,34 @@ def line_of(name, node, indent=8):
     return f"{' ' * indent}{name}: {text.strip()}"
 
 
+def mend(lines, begin, name, line):
+    """Puts a property's line in the place of the one that it has, or behind the last."""
+    at = begin
+    while lines[at].startswith("        ") and not lines[at].startswith(f"        {name}: "):
+        at += 1
+    lines[at:at + lines[at].startswith("        ")] = [line]
+
+
+def replace_block(lines, begin, block):
+    """Puts lines in the place of those that stand at `begin` and are as deep as its first."""
+    end = begin
+    while lines[end].startswith("        "):
+        end += 1
+    lines[begin:end] = block
+
+
+def write_lenses(lines):
+    """All properties of a lens, in both documents."""
+    schemas = lens_schemas()
+    replace_block(lines, lines.index("      properties:", lines.index("    Lens:")) + 1,
+                  [line_of(name, schema) for name, schema in schemas.items()])
+    alone = CAMERA.read_text(encoding="utf-8").split("\n")
+    begin = next(i for i, line in enumerate(alone) if line.startswith('        "model": '))
+    rows = [f'        "{name}": {json.dumps(schema)}' for name, schema in schemas.items()]
+    replace_block(alone, begin, ",\n".join(rows).split("\n"))
+    CAMERA.write_text("\n".join(alone), encoding="utf-8")
+
+
 def write():
     """Mends the lines of properties and names that say something else, and adds what is missing."""
     built, document = tables(), yaml.safe_load(OPENAPI.read_text(encoding="utf-8"))
@@ -177,16 +216,8 @@ def write():
             if {key: said[key] for key in COMPARED if key in said} == wanted:
                 continue
             kept = {key: value for key, value in node.items() if key not in COMPARED}
-            line = line_of(name, {**wanted, **kept})
-            if name in have:
-                at = next(i for i in range(begin, len(lines))
-                          if lines[i].startswith(f"        {name}: "))
-                lines[at] = line
-                continue
-            at = begin
-            while lines[at].startswith("        "):
-                at += 1
-            lines.insert(at, line)
+            mend(lines, begin, name, line_of(name, {**wanted, **kept}))
+    write_lenses(lines)
     for schema, names in NAMES.items():
         node = {**document["components"]["schemas"][schema], "enum": told()[names]}
         at = next(i for i, line in enumerate(lines) if line.startswith(f"    {schema}: {{"))

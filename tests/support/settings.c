@@ -52,13 +52,14 @@ static json_t *effects(void) {
     return names;
 }
 
-// Each with the names of its parameters.
+// Each with its parameters and the most of their size.
 static json_t *lenses(void) {
     json_t *all = json_object();
     for (int i = 0; i < RN_LENS_COUNT; i++) {
-        json_t *parameters = json_array();
+        json_t *parameters = json_object();
         for (int k = 0; k < rn_lens_models[i].count; k++)
-            json_array_append_new(parameters, json_string(rn_lens_models[i].parameters[k]));
+            json_object_set_new(parameters, rn_lens_models[i].parameters[k],
+                                json_real(rn_lens_models[i].most));
         json_object_set_new(all, rn_lens_names[i], parameters);
     }
     return all;
