@@ -59,6 +59,16 @@ def test_clear_asks(scene):
     scene.says("No keys yet")
 
 
+def test_the_picture_is_in_sight_with_the_timeline(scene):
+    """Of a path that is scrubbed or played: in a window of 1000 pixels, and on the whole screen."""
+    scene.press("Whole turn")
+    scene.until(lambda: len(scene.all(".mark")) == 8, "eight marks")
+    scene.driver.execute_script("document.querySelector('.stage').scrollIntoView();")
+    parts = "return args.map((css) => document.querySelector(css).getBoundingClientRect().bottom)"
+    stage, lane, play = scene.run(parts, ".stage", ".viewport .lane", ".viewport .reel button")
+    assert stage < min(lane, play) and max(lane, play) < scene.run("return innerHeight;")
+
+
 def test_a_key_is_dragged_along_the_timeline_and_stops_at_its_neighbours(scene):
     scene.press("Whole turn")
     scene.until(lambda: len(scene.all(".mark")) == 8, "eight marks")

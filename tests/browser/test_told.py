@@ -4,6 +4,7 @@ is reachable by the keyboard."""
 import time
 
 import pytest
+from test_leaks import finished_path
 
 pytest.importorskip("selenium", reason="python3-selenium is not installed")
 
@@ -350,3 +351,16 @@ def test_an_import_takes_a_layout_and_masks(page, fake):
     page.until(lambda: len(field.find_elements("css selector", "option")) > 4, "the layouts")
     assert "COLMAP" in field.text
     assert page.field("Masks").get_attribute("placeholder") == "as in the files"
+
+
+def test_a_frame_keeps_its_shape(page, fake):
+    """On a phone a frame that is wider than high was drawn as high as the player."""
+    api = fake("busy")
+    phone(page, 375)
+    page.open(api.url + f"#/job/{finished_path(api)}")
+    page.until(lambda: page.ink("canvas.frame") > 0, "a frame")
+    fit, shown, drawn = page.run("""
+const frame = document.querySelector('canvas.frame');
+return [getComputedStyle(frame).objectFit, frame.clientWidth / frame.clientHeight,
+        frame.width / frame.height];""")
+    assert drawn > 1.2 and (fit == "contain" or shown == pytest.approx(drawn, rel=0.02))

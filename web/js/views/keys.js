@@ -322,9 +322,9 @@ export function createKeys(scene, size, view, signal) {
                 'Whole turn'),
               clear)
       },
-      box, timeline.node, numbers.node, words, form.node, quality.node, problem,
-      h('div', {class: 'row wrap'}, play, between, submit, saving(() => path, adopt, signal)),
-      kept);
+      box, numbers.node, words, form.node, quality.node, problem,
+      h('div', {class: 'row wrap'}, submit, saving(() => path, adopt, signal)), kept);
+  view.below(h('div', {class: 'reel'}, play, timeline.node, between));
   show();
   pictures();
   if (!path.keys.length)

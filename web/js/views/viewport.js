@@ -431,6 +431,8 @@ export function createViewport(scene, cameras, host, signal) {
     },
     /** The training photographs' cameras. */
     cameras: photographs,
+    /** Right below the picture, in sight with it. */
+    below: (part) => stage.after(part),
     /** What of a path is drawn over the picture. */
     overlay: (next) => {
       things = next;
