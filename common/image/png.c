@@ -41,9 +41,9 @@ static void take_bytes(png_structp png, png_bytep to, size_t size) {
 }
 
 // Up to the first pixel data; everything but sizes, palette, transparency, how the camera was held
-// and, where it is `wanted`, the colour profile is skipped. libpng's
-// own size limit is lifted: ours, which the caller checks next, names itself. Damage in a chunk
-// that libpng calls ancillary is an error too, or transparency could get lost silently.
+// and, where it is `wanted`, the colour profile is skipped. libpng's own size limit is lifted:
+// ours, which the caller checks next, names itself. Damage in a chunk that libpng calls ancillary
+// is an error too, or transparency could get lost silently.
 static void read_header(struct reader *reader) {
     static const char kept[] = "eXIf\0iCCP";
     png_set_read_fn(reader->png, reader, take_bytes);

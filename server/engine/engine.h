@@ -3,8 +3,8 @@
 //
 // One thread calls into an engine and everything made from it (the engine has its own worker
 // threads inside). Work is cut into blocks of a few milliseconds: rn_trainer_advance and
-// rn_trainer_validate return after `budget_ms`, or when the thread is preempted, so
-// that the caller can render or cancel between.
+// rn_trainer_validate return after `budget_ms`, or when the thread is preempted, so that the caller
+// can render or cancel between.
 #ifndef RN_SERVER_ENGINE_ENGINE_H
 #define RN_SERVER_ENGINE_ENGINE_H
 

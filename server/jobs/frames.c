@@ -1,7 +1,6 @@
 // Where the pictures of a path job lie, the scores of an evaluation on other machines, and what an
-// export wrote. A runner may write its own
-// scene's folder alone, so while one works on a job they are lent to it: jobs/ID/frames is
-// scenes/SCENE/frames/ID until the job is over.
+// export wrote. A runner may write its own scene's folder alone, so while one works on a job they
+// are lent to it: jobs/ID/frames is scenes/SCENE/frames/ID until the job is over.
 #include <dirent.h>
 #include <errno.h>
 #include <fcntl.h>

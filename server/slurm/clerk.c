@@ -158,8 +158,8 @@ static void ask_needs(struct rn_slurm *slurm, struct rn_place *place) {
 }
 
 // Nothing of the daemon's environment, and no secret, is among them. Before the time is over the
-// script is told, so that its runner saves. A job that is lost is asked
-// for again by the daemon, with another secret.
+// script is told, so that its runner saves. A job that is lost is asked for again by the daemon,
+// with another secret.
 static void write_order(const struct rn_slurm *slurm, const struct rn_place *place,
                         struct words *words) {
     char name[64], signal[32], *rest = words->flags, *flag;

@@ -82,6 +82,11 @@ def schema_of(row, asked):
             "exclusiveMaximum" if flags["under_max"] else "maximum": whole(high)}
 
 
+def description_of(row):
+    unit = "" if row["unit"] in row["meaning"] else f" ({row['unit']})"
+    return row["meaning"][0].upper() + row["meaning"][1:] + unit
+
+
 def resolved(document, node):
     if "$ref" not in node:
         return node
@@ -122,6 +127,8 @@ def test_contract_has_the_settings(document, built, schema):
         node = resolved(document, written["properties"][name])
         assert {key: node[key] for key in COMPARED if key in node} == \
             schema_of(row, SCHEMAS[schema][1]), f"{schema}.{name}"
+        if "$ref" not in written["properties"][name]:  # which may say more
+            assert node["description"] == description_of(row), f"{schema}.{name}"
     if schema == "FieldConfig":
         older = {name for name, row in expected.items() if row["flags"]["later"]}
         assert set(written["required"]) == (set(expected) | {"finest_cone"}) - older
@@ -210,13 +217,16 @@ def write():
         have = document["components"]["schemas"][schema]["properties"]
         begin = lines.index("      properties:", lines.index(f"    {schema}:")) + 1
         for name, row in rows(built, schema).items():
-            node = have.get(name, {"description": row["meaning"][0].upper() + row["meaning"][1:]})
+            node = have.get(name, {})
             said = resolved(document, node)
             wanted = schema_of(row, asked)
-            if {key: said[key] for key in COMPARED if key in said} == wanted:
+            same = {key: said[key] for key in COMPARED if key in said} == wanted
+            if same and ("$ref" in node or node.get("description") == description_of(row)):
                 continue
-            kept = {key: value for key, value in node.items() if key not in COMPARED}
-            mend(lines, begin, name, line_of(name, {**wanted, **kept}))
+            kept = {key: value for key, value in node.items()
+                    if key not in (*COMPARED, "$ref", "description")}
+            line = line_of(name, {**wanted, **kept, "description": description_of(row)})
+            mend(lines, begin, name, line)
     write_lenses(lines)
     for schema, names in NAMES.items():
         node = {**document["components"]["schemas"][schema], "enum": told()[names]}

@@ -58,8 +58,8 @@ RN_DEVICE struct rn_seen rn_seen_by(const struct rn_cuda_batch *b,
 #define RN_CERTAIN (1 << 24) // chances are in units of 2^-24
 
 // Roulette along one ray, by the sizes of its samples' gradients (backward_select of
-// cpu/backward.h): below
-// `threshold` a gradient is backpropagated with the chance that its size has to it.
+// cpu/backward.h): below `threshold` a gradient is backpropagated with the chance that its size has
+// to it.
 struct rn_roulette {
     float threshold; // 0: all are backpropagated
     uint32_t sum;    // of the chances so far, from a random start

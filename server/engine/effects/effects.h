@@ -116,6 +116,11 @@ void rn_effect_tell_moves(struct rn_effect_record *record, double turn_deg, doub
 
 // ---- what several effects measure ----
 
+// Whether the photographs are a renderer's: layouts that say what their scene's ball is are.
+static inline bool rn_evidence_is_rendered(const struct rn_evidence *evidence) {
+    return evidence->field->bounds.source == RN_BOUNDS_LAYOUT;
+}
+
 #define RN_EVIDENCE_PROBES 512 // rays looked at
 // Beyond it, in levels, cameras see a scene at several scales: footprints 1.4 times as large.
 #define RN_SCALE_RANGE 0.5

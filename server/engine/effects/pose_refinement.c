@@ -9,11 +9,6 @@
 
 #define GAIN 0.5 // dB of the pixels that were not looked at
 
-// Layouts that say what their scene's ball is are those of renderers.
-static bool was_rendered(const struct rn_evidence *e) {
-    return e->field->bounds.source == RN_BOUNDS_LAYOUT;
-}
-
 static bool can(const struct rn_evidence *e) {
     return !e->engine->backend && e->photographs->scale_count == 1;
 }
@@ -24,13 +19,14 @@ static void detect(const struct rn_evidence *e, struct rn_effect_record *r) {
     r->number = NAN;
     r->threshold = GAIN;
     r->on = rn_effect_choose(config, RN_EFFECT_POSE_REFINEMENT, can(e), false);
-    r->decided = choice != RN_EFFECT_AUTO || !config->auto_effects || !can(e) || was_rendered(e);
+    r->decided =
+        choice != RN_EFFECT_AUTO || !config->auto_effects || !can(e) || rn_evidence_is_rendered(e);
     const char *reason = "to be measured on held-out photographs once the field shows something";
     if (e->engine->backend)
         reason = "not measured: poses are refined on the CPU";
     else if (!can(e))
         reason = "not measured: photographs are there at several scales";
-    else if (was_rendered(e))
+    else if (rn_evidence_is_rendered(e))
         reason = "poses are those that the pictures were rendered with";
     else if (r->decided)
         reason = "not measured";

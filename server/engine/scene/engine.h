@@ -20,7 +20,7 @@ struct rn_engine_options {
     // "cpu", "cuda:N", or "auto": the first GPU where there is one that opens and no kernel set is
     // asked for by name, and the CPU for what it cannot do; NULL = "auto"
     const char *device;
-    const char *kernels;        // "auto" (timed), "scalar", "avx2", "avx512", ...; NULL = "auto"
+    const char *kernels;        // "auto" (timed), "generic", "avx2", ...; NULL = "auto"
     int threads;                // 0 = all cores this process may use
     size_t device_memory_bytes; // at most of a GPU's memory; 0 = what is free (rn_engine_share)
     bool deterministic;         // a GPU trains the same bytes every time, at a price

@@ -127,8 +127,8 @@ enum rn_status rn_field_make_ready(struct rn_field *field, struct rn_engine *eng
 // The ray of a cone in dataset coordinates as the kernels want it: normalised, cut to the ball,
 // starting where it enters the scene's cube plus `jitter` in [0, 1) of a sample's interval. Start
 // and end are off by at most 2^-21 (fp32 positions) + 2^-50 of the origin's distance, the end's
-// times the condition of the chord: 1 + 1 / its half length. With
-// config.cone_step a sample spans as many steps as its cone is wide.
+// times the condition of the chord: 1 + 1 / its half length. With config.cone_step a sample spans
+// as many steps as its cone is wide.
 struct rn_march_ray rn_march_ray_from(const struct rn_field *field, const struct rn_ray *ray,
                                       double step, double jitter);
 // A photograph's camera as the field was trained with it: a pinhole where lenses make no

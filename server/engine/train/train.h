@@ -88,8 +88,8 @@ struct rn_incident {
 bool rn_trainer_take_incident(struct rn_trainer *trainer, struct rn_incident *ret_incident);
 
 // Held-out PSNR, cut into blocks like training, of at most 2^20 evenly spread pixels a view on the
-// CPU; changes no training state. *ret_done when a
-// whole round over the held-out views is finished and progress.psnr is new.
+// CPU; changes no training state. *ret_done when a whole round over the held-out views is finished
+// and progress.psnr is new.
 enum rn_status rn_trainer_validate(struct rn_trainer *trainer, double budget_ms, bool *ret_done,
                                    struct rn_error *err) RN_MUST_CHECK;
 void rn_trainer_progress(const struct rn_trainer *trainer, struct rn_progress *ret_progress);
