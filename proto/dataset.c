@@ -13,7 +13,7 @@ const char *const rn_severity_names[] = {"info", "warning", "error", NULL};
 #define S struct rn_ingest_options
 static const struct rn_field_spec ingest_options[] = {
     RN_F_INT(S, max_size, 0, 0, 16384),          RN_F_INT(S, scales, 0, 1, 8),
-    RN_F_NAME(S, alpha, 0, rn_downscale_names), RN_F_TEXT(S, split, 0, rn_check_split_spec),
+    RN_F_NAME(S, alpha, 0, rn_downscale_names),  RN_F_TEXT(S, split, 0, rn_check_split_spec),
     RN_F_TEXT(S, bounds, 0, rn_check_bounds),    RN_F_TEXT(S, up, 0, rn_check_up),
     RN_F_TEXT(S, crop, 0, rn_check_crop),        RN_F_TEXT(S, format, 0, rn_check_format),
     RN_F_TEXT(S, masks, 0, rn_check_inner_path), RN_F_NAME(S, poses, 0, rn_poses_names),
@@ -195,16 +195,16 @@ static const struct rn_table choice_table = RN_TABLE(S, "an import's options", c
 
 #define S struct rn_dataset_report_record
 static const struct rn_field_spec report[] = {
-    RN_F_TEXT(S, layout, RN_REQUIRED, NULL),
+    RN_F_TEXT(S, layout, 0, NULL),
     RN_F_OBJECT(S, usable, RN_REQUIRED, &rn_split_counts_table),
     RN_F_OBJECT(S, unusable, RN_REQUIRED, &rn_split_counts_table),
     RN_F_INT(S, scales, RN_REQUIRED, 0, INFINITY),
     RN_F_OBJECT(S, bounds, 0, &rn_bounds_record_table),
     RN_F_NAME(S, capture, 0, rn_capture_names),
     RN_F_NUMBERS(S, up, 0, -INFINITY, INFINITY),
-    RN_F_OBJECT(S, footprint, RN_REQUIRED, &rn_range_table),
-    RN_F_OBJECT(S, camera_distance, RN_REQUIRED, &rn_range_table),
-    RN_F_NUMBER(S, looking_at_bounds, RN_REQUIRED, 0, 1),
+    RN_F_OBJECT(S, footprint, 0, &rn_range_table),
+    RN_F_OBJECT(S, camera_distance, 0, &rn_range_table),
+    RN_F_NUMBER(S, looking_at_bounds, 0, 0, 1),
     RN_F_INT(S, with_alpha, RN_REQUIRED, 0, INFINITY),
     RN_F_OBJECT(S, width, RN_REQUIRED, &rn_range_table),
     RN_F_OBJECT(S, height, RN_REQUIRED, &rn_range_table),
@@ -233,8 +233,8 @@ static const struct rn_table validated_view_table = RN_TABLE(S, "a view", valida
 #define S struct rn_validation_record
 static const struct rn_field_spec validation[] = {
     RN_F_JSON(S, report, RN_REQUIRED | RN_IS_OBJECT),
-    RN_F_OBJECT(S, bounds, RN_REQUIRED, &rn_bounds_record_table),
-    RN_F_NUMBERS(S, up, RN_REQUIRED, -1.01, 1.01),
+    RN_F_OBJECT(S, bounds, 0, &rn_bounds_record_table),
+    RN_F_NUMBERS(S, up, 0, -1.01, 1.01),
     RN_F_OBJECT(S, views, RN_REQUIRED, &rn_split_counts_table),
     RN_F_INT(S, scales, RN_REQUIRED, 1, 16),
     RN_F_OBJECTS(S, items, item_count, RN_REQUIRED, &validated_view_table, RN_VALIDATED_VIEWS),

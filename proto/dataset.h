@@ -7,8 +7,8 @@
 #include "proto/estimate.h"
 #include "proto/names.h"
 
-extern const char *const rn_poses_names[];      // by enum rn_poses
-extern const char *const rn_severity_names[];   // "info", "warning", "error"
+extern const char *const rn_poses_names[];    // by enum rn_poses
+extern const char *const rn_severity_names[]; // "info", "warning", "error"
 
 // Where poses come from: found by a program where no document has them, always found, or only from
 // a document.
@@ -87,7 +87,8 @@ struct rn_import_choice {
     double memory_bytes, load_seconds, seconds;
 };
 struct rn_dataset_report_record {
-    char layout[RN_FORMAT_NAME_MAX];
+    char layout[RN_FORMAT_NAME_MAX]; // absent, as footprint, camera_distance and looking_at_bounds,
+                                     // where there are no poses
     struct rn_split_counts usable, unusable;
     int64_t scales;
     struct rn_bounds_record bounds; // absent in reports of before they were told, as the next two
@@ -117,8 +118,8 @@ struct rn_validated_view {
     struct rn_camera camera;   // of the size that was asked for
 };
 struct rn_validation_record {
-    char *report; // JSON of a DatasetReport, owned
-    struct rn_bounds_record bounds;
+    char *report;                   // JSON of a DatasetReport, owned
+    struct rn_bounds_record bounds; // absent, as up is, where there are no poses
     double up[3];
     struct rn_split_counts views;    // all of them
     int64_t scales;                  // images that would be kept of each

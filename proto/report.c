@@ -88,6 +88,30 @@ static enum rn_status fill_choices(const struct rn_dataset *dataset,
     return RN_OK;
 }
 
+static void fill_images(const struct rn_dataset_report *found,
+                        struct rn_dataset_report_record *report) {
+    report->usable = split_counts(found->usable);
+    report->unusable = split_counts(found->unusable);
+    report->scales = found->scale_count;
+    report->with_alpha = found->with_alpha;
+    report->width = (struct rn_range){found->width_min, found->width_max};
+    report->height = (struct rn_range){found->height_min, found->height_max};
+}
+
+enum rn_status rn_photos_report_fill(const struct rn_dataset *frames,
+                                     const struct rn_problems *problems,
+                                     const struct rn_findings *survey,
+                                     struct rn_dataset_report_record *ret_report,
+                                     struct rn_error *err) {
+    struct rn_dataset_report found;
+    enum rn_status status = rn_report_problems_fill(problems, ret_report, err);
+    if (status != RN_OK) return status;
+    rn_dataset_describe(frames, &found);
+    fill_images(&found, ret_report);
+    ret_report->survey = *survey;
+    return RN_OK;
+}
+
 enum rn_status
 rn_dataset_report_fill(const struct rn_dataset *dataset, const struct rn_problems *problems,
                        const struct rn_findings *survey, const struct rn_import_options *kept,
@@ -107,9 +131,7 @@ rn_dataset_report_fill(const struct rn_dataset *dataset, const struct rn_problem
             .memory_bytes = survey->train_bytes};
     }
     snprintf(ret_report->layout, sizeof ret_report->layout, "%s", dataset->format->name);
-    ret_report->usable = split_counts(found.usable);
-    ret_report->unusable = split_counts(found.unusable);
-    ret_report->scales = found.scale_count;
+    fill_images(&found, ret_report);
     ret_report->bounds = rn_describe_bounds(&dataset->bounds);
     ret_report->capture = (int)dataset->lie.kind;
     memcpy(ret_report->up, dataset->lie.up, sizeof ret_report->up);
@@ -117,8 +139,5 @@ rn_dataset_report_fill(const struct rn_dataset *dataset, const struct rn_problem
     ret_report->camera_distance =
         (struct rn_range){found.camera_distance_min, found.camera_distance_max};
     ret_report->looking_at_bounds = found.looking_at_bounds;
-    ret_report->with_alpha = found.with_alpha;
-    ret_report->width = (struct rn_range){found.width_min, found.width_max};
-    ret_report->height = (struct rn_range){found.height_min, found.height_max};
     return RN_OK;
 }

@@ -17,6 +17,14 @@ enum rn_status rn_dataset_report_fill(const struct rn_dataset *dataset,
                                       struct rn_dataset_report_record *ret_report,
                                       struct rn_error *err) RN_MUST_CHECK;
 
+// The same of photographs without poses (rn_photos_frames), of which there are no bounds, and
+// nothing is told of a training.
+enum rn_status rn_photos_report_fill(const struct rn_dataset *frames,
+                                     const struct rn_problems *problems,
+                                     const struct rn_findings *survey,
+                                     struct rn_dataset_report_record *ret_report,
+                                     struct rn_error *err) RN_MUST_CHECK;
+
 // The problems alone, for when nothing could be read: as above.
 enum rn_status rn_report_problems_fill(const struct rn_problems *problems,
                                        struct rn_dataset_report_record *ret_report,

@@ -219,23 +219,6 @@ static bool wants_poses(const char *path, const struct import_options *options) 
     return true;
 }
 
-static void tell_photos(const char *path, const struct rn_photos *photos,
-                        struct rn_problems *problems) {
-    if (photos->film) {
-        rn_problems_add(problems, RN_SEVERITY_INFO, photos->film,
-                        "is a film: import takes its sharpest frames and looks for their poses "
-                        "with COLMAP");
-        return;
-    }
-    const struct rn_image_info *first = &photos->items[0].info;
-    rn_problems_add(problems, RN_SEVERITY_INFO, path,
-                    "%zu photographs without poses, the first of %dx%d pixels, %s: import looks "
-                    "for their poses with COLMAP",
-                    photos->count, first->width, first->height,
-                    photos->one_camera ? "all of one camera as far as sizes and EXIF say"
-                                       : "of several sizes or, by EXIF, cameras");
-}
-
 // As examine, of photographs without poses.
 static enum rn_exit examine_photos(const char *path, const struct import_options *options,
                                    bool json, bool show, struct capture *capture) {
@@ -243,17 +226,18 @@ static enum rn_exit examine_photos(const char *path, const struct import_options
     struct rn_dataset_report_record report;
     struct rn_error err = {0};
     struct rn_progress progress;
+    struct rn_findings found;
     enum rn_status status = rn_photos_read(path, options->masks, &problems, &capture->photos, &err);
     if (status == RN_OK) {
         rn_progress_init(&progress, !json);
-        status = rn_photos_check(&capture->photos, core_count(), &problems, show_checked, &progress,
-                                 &err);
+        status = rn_photos_check(&capture->photos, path, core_count(), &problems, show_checked,
+                                 &progress, &found, &err);
         rn_progress_finish(&progress);
     }
     if (status == RN_OK && !capture->photos.film && !capture->photos.count)
         status = rn_error_set(&err, RN_ERROR_INVALID, path, "holds no photograph that is usable");
     if (status == RN_OK)
-        tell_photos(path, &capture->photos, &problems);
+        rn_photos_tell(&capture->photos, path, &problems);
     else
         rn_problems_add(&problems, RN_SEVERITY_ERROR, err.where, "%s", err.text);
     bool failed = problems.errors > 0;

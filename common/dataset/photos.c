@@ -108,8 +108,9 @@ static enum rn_status look_at(struct walk *walk, const char *path, int depth,
     const char *name = strrchr(path, '/') + 1;
     if (stat(path, &about) != 0) return RN_OK;
     if (S_ISDIR(about.st_mode)) {
-        bool masks = strcmp(path + strlen(walk->root) + 1, walk->masks) == 0;
-        return masks || depth == MAX_DEPTH ? RN_OK : look_through(walk, path, depth + 1, err);
+        const char *below = path + strlen(walk->root) + 1;
+        bool other = strcmp(below, walk->masks) == 0 || strcmp(below, RN_PHOTOS_LOOKS) == 0;
+        return other || depth == MAX_DEPTH ? RN_OK : look_through(walk, path, depth + 1, err);
     }
     if (!S_ISREG(about.st_mode)) return RN_OK;
     if (rn_reader_is_photo(name)) return add_photo(walk, path, err);
@@ -238,10 +239,66 @@ enum rn_status rn_photos_read(const char *path, const char *masks, struct rn_pro
     return status;
 }
 
-// ---- whether they can be decoded ----
+void rn_photos_tell(const struct rn_photos *photos, const char *path,
+                    struct rn_problems *problems) {
+    if (photos->film) {
+        rn_problems_add(problems, RN_SEVERITY_INFO, photos->film,
+                        "is a film: import takes its sharpest frames and looks for their poses "
+                        "with COLMAP");
+        return;
+    }
+    const struct rn_image_info *first = &photos->items[0].info;
+    rn_problems_add(problems, RN_SEVERITY_INFO, path,
+                    "%zu photographs without poses, the first of %dx%d pixels, %s: import looks "
+                    "for their poses with COLMAP",
+                    photos->count, first->width, first->height,
+                    photos->one_camera ? "all of one camera as far as sizes and EXIF say"
+                                       : "of several sizes or, by EXIF, cameras");
+}
+
+// ---- whether they can be decoded, and what they look like ----
+
+// Upright, as decoding leaves it, in no place.
+static struct rn_frame frame_of(const struct rn_photo *photo, int index) {
+    struct rn_frame frame = {.name = strdup(photo->name),
+                             .path = strdup(photo->path),
+                             .split = RN_SPLIT_TRAIN,
+                             .index = index,
+                             .photo = index,
+                             .has_alpha = photo->info.has_alpha,
+                             .held = photo->info.orientation,
+                             .turn = photo->info.orientation,
+                             .camera_key = photo->info.camera_key,
+                             .camera = {.width = photo->info.width, .height = photo->info.height}};
+    for (int i = 0; i < 3; i++)
+        frame.camera.world_from_camera[i][i] = 1;
+    return frame;
+}
+
+enum rn_status rn_photos_frames(const struct rn_photos *photos, const char *name,
+                                struct rn_dataset **ret_frames, struct rn_error *err) {
+    struct rn_dataset *made = calloc(1, sizeof *made);
+    bool whole = made && (made->name = strdup(name)) &&
+                 (made->frames = calloc(photos->count + 1, sizeof *made->frames));
+    for (size_t i = 0; whole && i < photos->count; i++) {
+        struct rn_frame *frame = &made->frames[made->frame_count++];
+        *frame = frame_of(&photos->items[i], (int)i);
+        whole = frame->name && frame->path;
+    }
+    if (!whole) {
+        rn_dataset_destroy(&made);
+        return rn_error_set(err, RN_ERROR_NO_MEMORY, name, "out of memory");
+    }
+    made->scale_count = 1;
+    made->view_count[RN_SPLIT_TRAIN] = (int)photos->count;
+    *ret_frames = made;
+    return RN_OK;
+}
 
 struct decoding {
     const struct rn_photos *photos;
+    const struct rn_dataset *frames;
+    struct rn_survey *survey;
     struct rn_error *faults; // of each; status RN_OK where none
 };
 
@@ -251,31 +308,48 @@ static enum rn_status decode(void *context, size_t index, struct rn_error *err) 
     struct rn_image image;
     enum rn_status status =
         rn_image_read(decoding->photos->items[index].path, &rn_image_default_limits, &image, fault);
-    if (status == RN_OK) rn_image_finish(&image);
+    if (status == RN_OK) {
+        rn_survey_look(decoding->survey, &decoding->frames->frames[index], &image);
+        rn_image_finish(&image);
+    }
     if (status == RN_ERROR_NO_MEMORY) *err = *fault;
     return status == RN_ERROR_NO_MEMORY ? status : RN_OK;
 }
 
-enum rn_status rn_photos_check(struct rn_photos *photos, int threads, struct rn_problems *problems,
-                               bool (*progress)(void *context, size_t done, size_t total),
-                               void *context, struct rn_error *err) {
-    struct decoding decoding = {.photos = photos,
-                                .faults = calloc(photos->count + 1, sizeof *decoding.faults)};
-    if (!decoding.faults)
-        return rn_error_set(err, RN_ERROR_NO_MEMORY, "photographs", "out of memory");
-    enum rn_status status = rn_output_run(threads, photos->count, decode, &decoding, progress,
-                                          context, "photographs", err);
+static void leave_out(struct rn_photos *photos, const struct rn_error *faults,
+                      struct rn_problems *problems) {
     size_t kept = 0;
-    for (size_t i = 0; i < photos->count && status == RN_OK; i++) {
-        if (decoding.faults[i].status == RN_OK) {
+    for (size_t i = 0; i < photos->count; i++) {
+        if (faults[i].status == RN_OK) {
             photos->items[kept++] = photos->items[i];
             continue;
         }
-        rn_problems_add(problems, RN_SEVERITY_ERROR, decoding.faults[i].where, "%s",
-                        decoding.faults[i].text);
+        rn_problems_add(problems, RN_SEVERITY_ERROR, faults[i].where, "%s", faults[i].text);
         finish_photo(&photos->items[i]);
     }
-    if (status == RN_OK) photos->count = kept;
-    free(decoding.faults);
+    photos->count = kept;
+}
+
+enum rn_status rn_photos_check(struct rn_photos *photos, const char *name, int threads,
+                               struct rn_problems *problems,
+                               bool (*progress)(void *context, size_t done, size_t total),
+                               void *context, struct rn_findings *ret_findings,
+                               struct rn_error *err) {
+    struct rn_dataset *frames = NULL;
+    struct rn_survey *survey = NULL;
+    struct rn_error *faults = calloc(photos->count + 1, sizeof *faults);
+    enum rn_status status =
+        faults ? RN_OK : rn_error_set(err, RN_ERROR_NO_MEMORY, name, "out of memory");
+    if (!status) status = rn_photos_frames(photos, name, &frames, err);
+    if (!status) status = rn_survey_create(frames, &survey, err);
+    struct decoding decoding = {photos, frames, survey, faults};
+    if (!status)
+        status = rn_output_run(threads, photos->count, decode, &decoding, progress, context,
+                               "photographs", err);
+    if (!status) leave_out(photos, faults, problems);
+    if (!status) status = rn_survey_conclude_photos(survey, frames, problems, ret_findings, err);
+    rn_survey_destroy(&survey);
+    rn_dataset_destroy(&frames);
+    free(faults);
     return status;
 }

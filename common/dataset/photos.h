@@ -2,7 +2,7 @@
 #ifndef RN_COMMON_DATASET_PHOTOS_H
 #define RN_COMMON_DATASET_PHOTOS_H
 
-#include "common/dataset/dataset.h"
+#include "common/dataset/survey.h"
 
 struct rn_photo {
     char *name; // relative to the photographs' folder, with slashes
@@ -20,6 +20,8 @@ struct rn_photos {
     bool in_order;   // names count upwards, as a camera names what it takes one after the other
 };
 #define RN_PHOTOS_MAX 20000
+#define RN_PHOTOS_LOOKS                                                                            \
+    "ripnerf-looks" // a folder of small pictures of them, which are none of them
 
 // Looks through `path`: a folder of photographs (those in its folder "images", where that has some,
 // else all below it but masks), a folder of one film, or a film. `masks` as of rn_read_options.
@@ -29,11 +31,20 @@ struct rn_photos {
 enum rn_status rn_photos_read(const char *path, const char *masks, struct rn_problems *problems,
                               struct rn_photos *ret_photos, struct rn_error *err) RN_MUST_CHECK;
 void rn_photos_finish(struct rn_photos *photos);
-// Decodes all of them; those that are damaged are left out, each with an error in `problems`
-// (optional). `progress` as of rn_dataset_check_images. RN_ERROR_NO_MEMORY, RN_ERROR_CANCELLED.
-enum rn_status rn_photos_check(struct rn_photos *photos, int threads, struct rn_problems *problems,
+// How many there are, of what size and by how many cameras, into `problems`.
+void rn_photos_tell(const struct rn_photos *photos, const char *path, struct rn_problems *problems);
+// For a survey (rn_survey_conclude_photos): training views without poses, as they are decoded. It
+// has no format and is not to be trained on. rn_dataset_destroy. RN_ERROR_NO_MEMORY.
+enum rn_status rn_photos_frames(const struct rn_photos *photos, const char *name,
+                                struct rn_dataset **ret_frames, struct rn_error *err) RN_MUST_CHECK;
+// Decodes all of them and judges them by a survey, into `problems`; those that are damaged are left
+// out, each with an error there. `progress` as of rn_dataset_check_images. RN_ERROR_NO_MEMORY,
+// RN_ERROR_CANCELLED.
+enum rn_status rn_photos_check(struct rn_photos *photos, const char *name, int threads,
+                               struct rn_problems *problems,
                                bool (*progress)(void *context, size_t done, size_t total),
-                               void *context, struct rn_error *err) RN_MUST_CHECK;
+                               void *context, struct rn_findings *ret_findings,
+                               struct rn_error *err) RN_MUST_CHECK;
 
 // Whether a file of this name is a film, by its extension.
 bool rn_is_film(const char *name);

@@ -237,7 +237,7 @@ static int compare_brightness(const void *a, const void *b, void *context) {
     return (left > right) - (left < right);
 }
 
-// Pairs are looked for among photographs of like brightness.
+// Pairs are looked for among photographs of like brightness; without poses `distance` is infinite.
 static void find_duplicates(struct all *all, double distance) {
     struct names names = {.count = 0}, apart = {.count = 0};
     size_t *order = malloc((all->count + 1) * sizeof *order), count = 0;
@@ -262,8 +262,8 @@ static void find_duplicates(struct all *all, double distance) {
     all->found.duplicates = (double)names.count;
     if (names.count)
         rn_problems_add(all->problems, RN_SEVERITY_INFO, all->dataset->name,
-                        "%zu pairs of photographs are nearly the same, from the same place: %s",
-                        names.count, names.text);
+                        "%zu pairs of photographs are nearly the same%s: %s", names.count,
+                        isfinite(distance) ? ", from the same place" : "", names.text);
     if (apart.count && all->count > 2 && apart.count < all->count)
         rn_problems_add(all->problems, RN_SEVERITY_WARNING, all->dataset->name,
                         "%zu pairs of photographs look the same and have different poses: %s",
@@ -414,13 +414,27 @@ static bool gather(struct rn_survey *survey, struct all *all) {
     return true;
 }
 
+#define NOTHING                                                                                    \
+    { NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN }
+
+enum rn_status rn_survey_conclude_photos(struct rn_survey *survey, const struct rn_dataset *frames,
+                                         struct rn_problems *problems,
+                                         struct rn_findings *ret_findings, struct rn_error *err) {
+    struct all all = {.dataset = frames, .problems = problems, .found = NOTHING};
+    bool whole = gather(survey, &all);
+    if (whole && all.looked) find_blurred(&all);
+    if (whole && all.looked) find_duplicates(&all, INFINITY);
+    if (whole) *ret_findings = all.found;
+    free(all.looks);
+    free(all.frames);
+    return whole ? RN_OK : rn_error_set(err, RN_ERROR_NO_MEMORY, frames->name, "out of memory");
+}
+
 enum rn_status rn_survey_conclude(struct rn_survey *survey, struct rn_dataset *dataset,
                                   const struct rn_import_options *kept,
                                   struct rn_problems *problems, struct rn_findings *ret_findings,
                                   struct rn_error *err) {
-    struct all all = {.dataset = dataset,
-                      .problems = problems,
-                      .found = {NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN}};
+    struct all all = {.dataset = dataset, .problems = problems, .found = NOTHING};
     struct rn_scene_place place;
     bool whole = gather(survey, &all);
     enum rn_status status =

@@ -51,5 +51,10 @@ enum rn_status rn_survey_conclude(struct rn_survey *survey, struct rn_dataset *d
                                   const struct rn_import_options *kept,
                                   struct rn_problems *problems, struct rn_findings *ret_findings,
                                   struct rn_error *err) RN_MUST_CHECK;
+// The same of photographs without poses (rn_photos_frames): what pictures alone say.
+enum rn_status rn_survey_conclude_photos(struct rn_survey *survey, const struct rn_dataset *frames,
+                                         struct rn_problems *problems,
+                                         struct rn_findings *ret_findings,
+                                         struct rn_error *err) RN_MUST_CHECK;
 
 #endif

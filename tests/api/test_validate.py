@@ -61,7 +61,7 @@ def upload(daemon, content, part=None):
 
 def validate(daemon, there, **options):
     job = daemon.wait(daemon.submit(type="validate", upload=there, options=options))
-    assert job["state"] == "succeeded", job
+    assert job["state"] == "succeeded", job.get("problem", job)
     return job["result"]
 
 
@@ -143,6 +143,32 @@ def test_small_pictures_are_judged_as_photographs_are(real, tmp_path):
     some = validate(real, upload(real, heads(folder, looks=names[:8])))["report"]["survey"]
     assert some["blurred"] == 1 and some["duplicates"] == 0
     assert some["azimuth_gap_deg"] == known["azimuth_gap_deg"]  # of all cameras
+
+
+def test_photographs_without_poses_are_judged_by_their_pictures(real, tmp_path):
+    folder, names = tmp_path / "walk", [f"w_{i}.jpg" for i in range(12)]
+    folder.mkdir()
+    exif = Image.Exif()
+    exif[0x0112] = 6
+    for i, name in enumerate(names):
+        picture = Image.effect_noise((96, 48), 60).resize((192, 96), Image.Resampling.BICUBIC)
+        if i == 5:
+            picture = picture.filter(ImageFilter.GaussianBlur(4))
+        picture.convert("RGB").save(folder / name, quality=92, exif=exif)
+    (folder / names[9]).write_bytes((folder / names[8]).read_bytes())
+    there = upload(real, heads(folder, looks=names))
+    found = validate(real, there, poses="find")
+    assert found["views"] == {"train": 12, "val": 0, "test": 0} and found["items"] == []
+    assert "bounds" not in found and "up" not in found
+    assert found["report"]["survey"] == {"blurred": 1, "duplicates": 1}
+    told = " ".join(problem["text"] for problem in found["report"]["problems"])
+    assert "before and after them: w_5.jpg" in told and "nearly the same: w_8.jpg and w_9.jpg" in told
+    assert {problem["where"] for problem in found["report"]["problems"]} == {"dataset"}
+    assert "12 photographs without poses, the first of 192x96 pixels, all of one camera" in told
+    unseen = validate(real, upload(real, heads(folder)), poses="find")["report"]
+    assert unseen.get("survey", {}) == {} and len(unseen["problems"]) == 1
+    job = real.wait(real.submit(type="validate", upload=there))  # nothing says that they have none
+    assert job["state"] == "failed"
 
 
 @pytest.mark.parametrize("orientation", range(1, 9))

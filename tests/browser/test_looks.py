@@ -48,3 +48,17 @@ def test_blur_and_duplicates_are_told_before_anything_is_sent(page, daemon, ring
     page.says("12 train", ".preview .facts")
     assert page.run("return fetch('v1/datasets').then((r) => r.json());")["items"] == []
     assert page.complaints() == []
+
+
+def test_photographs_without_poses_are_looked_at_too(page, daemon, ring):
+    server = daemon()
+    page.open(server.url)
+    page.find(".drop")
+    page.all("#folder-input")[0].send_keys(str(ring / "images"))
+    page.says("photographs without poses")
+    page.says("the same camera took before and after them: p_4.jpg", ".preview .problems")
+    page.says("nearly the same: p_8.jpg and p_9.jpg", ".preview .problems")
+    page.says("12 photographs without poses, the first of 1200x1200", ".preview .problems")
+    page.until(lambda: page.ink(".preview-thumb") > 0, "a thumbnail")
+    assert page.text(".preview .photos").split() == [f"p_{i}.jpg" for i in range(12)]
+    assert page.complaints() == []

@@ -6,6 +6,9 @@ const KNOWN =
 const MASKS = /(^|\/)masks\//;
 const AT_ONCE = 3;
 
+/** One that can be looked at here. @param {string} path */
+export const isPhotograph = (path) => KNOWN.test(path) && !MASKS.test(path);
+
 const SIDE = 960;  // pixels, about: the longest side of a small picture
 
 async function shrink(picture) {
@@ -34,10 +37,9 @@ async function lookAt(file, wantsSmall) {
  * @param {{path: string, file: File}[]} entries
  * @param {{onBad: (path: string, why: string) => void, onProgress: (done: number, total: number) =>
  *     void, signal: AbortSignal}} host
- * @param {boolean} wantsSmall
  * @returns {Promise<{path: string, file: Blob}[]>} small pictures, upright, of those that can be read
  */
-export async function checkPhotographs(entries, {onBad, onProgress, signal}, wantsSmall) {
+export async function checkPhotographs(entries, {onBad, onProgress, signal}) {
   const photographs = entries.filter(({path}) => KNOWN.test(path));
   const small = [];
   let next = 0;
@@ -45,7 +47,7 @@ export async function checkPhotographs(entries, {onBad, onProgress, signal}, wan
   const work = async () => {
     while (next < photographs.length && !signal.aborted) {
       const {path, file} = photographs[next++];
-      const found = await lookAt(file, wantsSmall && !MASKS.test(path));
+      const found = await lookAt(file, isPhotograph(path));
       if (signal.aborted) return;
       if (found.why) onBad(path, found.why);
       if (found.small) small.push({path, file: found.small});

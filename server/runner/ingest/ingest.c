@@ -261,11 +261,26 @@ static enum rn_status rename_dataset(struct rn_dataset *dataset, const char *nam
     return RN_OK;
 }
 
+static enum rn_status validate_photos(struct ingest *ingest, char **ret_json,
+                                      struct rn_error *err) {
+    struct rn_problems problems = {0};
+    struct rn_read_options reading = rn_ingest_reading(&ingest->order.options);
+    struct rn_import_options options = import_options_of(&ingest->order);
+    enum rn_status status = find_source(ingest, err);
+    if (!status)
+        status = rn_describe_photos(ingest->folder, ingest->order.name, reading.masks,
+                                    options.threads, &problems, ret_json, err);
+    rn_problems_finish(&problems);
+    return status;
+}
+
 static enum rn_status ingest_all(struct ingest *ingest, char **ret_json, struct rn_error *err) {
     struct rn_problems problems = {0};
     struct rn_dataset *source = NULL;
     post_progress(ingest, 0, 0);
     if (ingest->order.scene) return rn_scene_adopt(&ingest->order, ret_json, err);
+    if (ingest->order.validate && ingest->order.options.poses == RN_POSES_FIND)
+        return validate_photos(ingest, ret_json, err);
     enum rn_status status = find_source(ingest, err);
     if (!status) status = read_source(ingest, &problems, &source, err);
     tell_all_as_unpacked(ingest, &problems);

@@ -7,9 +7,10 @@
 #include <string.h>
 
 #include "common/dataset/output.h"
+#include "common/dataset/photos.h"
 #include "server/runner/scene/describe.h"
 
-#define LOOKS "ripnerf-looks" // the folder of small pictures: PATH.jpg of the photograph at PATH
+// RN_PHOTOS_LOOKS has PATH.jpg of the photograph at PATH.
 static const struct rn_image_limits look_limits = {.max_width = 2048,
                                                    .max_height = 2048,
                                                    .max_pixels = (size_t)1 << 22,
@@ -76,24 +77,35 @@ static enum rn_status look_at(void *context, size_t index, struct rn_error *err)
     struct rn_image image;
     (void)err;
     under(frame->path, looks->root, file);
-    snprintf(path, sizeof path, "%s/%s/%s.jpg", looks->root, LOOKS, file);
+    snprintf(path, sizeof path, "%s/%s/%s.jpg", looks->root, RN_PHOTOS_LOOKS, file);
     if (rn_image_read(path, &look_limits, &image, NULL) != RN_OK) return RN_OK;
     if (lay_down(frame, &image, NULL) == RN_OK) rn_survey_look(looks->survey, frame, &image);
     rn_image_finish(&image);
     return RN_OK;
 }
 
-static enum rn_status survey(struct rn_dataset *source, const char *root,
-                             const struct rn_import_options *options, struct rn_problems *problems,
-                             struct rn_findings *ret_found, struct rn_error *err) {
+// A survey of the small pictures that are there.
+static enum rn_status look_at_all(const struct rn_dataset *source, const char *root, int threads,
+                                  struct rn_survey **ret_survey, struct rn_error *err) {
     struct looks looks = {.source = source, .root = root};
     enum rn_status status = rn_survey_create(source, &looks.survey, err);
     if (!status)
-        status = rn_output_run(options->threads, source->frame_count, look_at, &looks, NULL, NULL,
-                               root, err);
-    if (!status)
-        status = rn_survey_conclude(looks.survey, source, options, problems, ret_found, err);
-    rn_survey_destroy(&looks.survey);
+        status =
+            rn_output_run(threads, source->frame_count, look_at, &looks, NULL, NULL, root, err);
+    if (status)
+        rn_survey_destroy(&looks.survey);
+    else
+        *ret_survey = looks.survey;
+    return status;
+}
+
+static enum rn_status survey(struct rn_dataset *source, const char *root,
+                             const struct rn_import_options *options, struct rn_problems *problems,
+                             struct rn_findings *ret_found, struct rn_error *err) {
+    struct rn_survey *survey = NULL;
+    enum rn_status status = look_at_all(source, root, options->threads, &survey, err);
+    if (!status) status = rn_survey_conclude(survey, source, options, problems, ret_found, err);
+    rn_survey_destroy(&survey);
     return status;
 }
 
@@ -118,5 +130,31 @@ enum rn_status rn_describe_validation(struct rn_dataset *source, const char *roo
     if (!status) status = rn_encode(&rn_validation_table, &record, ret_json, NULL, err);
     free(record.report);
     free(record.items);
+    return status;
+}
+
+enum rn_status rn_describe_photos(const char *root, const char *name, const char *masks,
+                                  int threads, struct rn_problems *problems, char **ret_json,
+                                  struct rn_error *err) {
+    struct rn_photos photos = {0};
+    struct rn_dataset *frames = NULL;
+    struct rn_survey *survey = NULL;
+    struct rn_findings found;
+    struct rn_validation_record record;
+    rn_message_init(&rn_validation_table, &record);
+    enum rn_status status = rn_photos_read(root, masks, problems, &photos, err);
+    if (!status) rn_photos_tell(&photos, name, problems);
+    if (!status) status = rn_photos_frames(&photos, name, &frames, err);
+    if (!status) status = look_at_all(frames, root, threads, &survey, err);
+    if (!status) status = rn_survey_conclude_photos(survey, frames, problems, &found, err);
+    record.views = (struct rn_split_counts){.train = (int64_t)photos.count};
+    record.scales = 1;
+    if (!status)
+        status = rn_describe_photos_report(frames, root, problems, &found, &record.report, err);
+    if (!status) status = rn_encode(&rn_validation_table, &record, ret_json, NULL, err);
+    free(record.report);
+    rn_survey_destroy(&survey);
+    rn_dataset_destroy(&frames);
+    rn_photos_finish(&photos);
     return status;
 }

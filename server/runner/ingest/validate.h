@@ -9,5 +9,10 @@ enum rn_status rn_describe_validation(struct rn_dataset *source, const char *roo
                                       const struct rn_import_options *options,
                                       struct rn_problems *problems, char **ret_json,
                                       struct rn_error *err) RN_MUST_CHECK;
+// The same of photographs without poses below `root`, which are called by `name`: what pictures
+// alone say. `masks` as of rn_read_options.
+enum rn_status rn_describe_photos(const char *root, const char *name, const char *masks,
+                                  int threads, struct rn_problems *problems, char **ret_json,
+                                  struct rn_error *err) RN_MUST_CHECK;
 
 #endif

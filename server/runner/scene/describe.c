@@ -147,6 +147,26 @@ void rn_make_relative(char *text, const char *root) {
     }
 }
 
+static enum rn_status encode_report(struct rn_dataset_report_record *report, const char *root,
+                                    char **ret_json, struct rn_error *err) {
+    for (size_t i = 0; i < report->problem_count; i++) {
+        rn_make_relative(report->problems[i].where, root);
+        rn_make_relative(report->problems[i].text, root);
+    }
+    enum rn_status status = rn_encode(&rn_dataset_report_table, report, ret_json, NULL, err);
+    rn_message_finish(&rn_dataset_report_table, report);
+    return status;
+}
+
+enum rn_status rn_describe_photos_report(const struct rn_dataset *frames, const char *root,
+                                         const struct rn_problems *problems,
+                                         const struct rn_findings *survey, char **ret_json,
+                                         struct rn_error *err) {
+    struct rn_dataset_report_record report;
+    enum rn_status status = rn_photos_report_fill(frames, problems, survey, &report, err);
+    return status ? status : encode_report(&report, root, ret_json, err);
+}
+
 enum rn_status rn_describe_report(const struct rn_dataset *source, const char *root,
                                   const struct rn_problems *problems,
                                   const struct rn_findings *survey,
@@ -154,14 +174,7 @@ enum rn_status rn_describe_report(const struct rn_dataset *source, const char *r
                                   struct rn_error *err) {
     struct rn_dataset_report_record report;
     enum rn_status status = rn_dataset_report_fill(source, problems, survey, kept, &report, err);
-    if (status) return status;
-    for (size_t i = 0; i < report.problem_count; i++) {
-        rn_make_relative(report.problems[i].where, root);
-        rn_make_relative(report.problems[i].text, root);
-    }
-    status = rn_encode(&rn_dataset_report_table, &report, ret_json, NULL, err);
-    rn_message_finish(&rn_dataset_report_table, &report);
-    return status;
+    return status ? status : encode_report(&report, root, ret_json, err);
 }
 
 enum rn_status rn_describe_dataset(const struct rn_dataset *dataset, int64_t size_bytes,

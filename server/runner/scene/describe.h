@@ -24,6 +24,11 @@ enum rn_status rn_describe_report(const struct rn_dataset *source, const char *r
                                   const struct rn_findings *survey,
                                   const struct rn_import_options *kept, char **ret_json,
                                   struct rn_error *err) RN_MUST_CHECK;
+// The same of photographs without poses (rn_photos_frames).
+enum rn_status rn_describe_photos_report(const struct rn_dataset *frames, const char *root,
+                                         const struct rn_problems *problems,
+                                         const struct rn_findings *survey, char **ret_json,
+                                         struct rn_error *err) RN_MUST_CHECK;
 // The engine's part of the progress; paused, yielded and evaluating_first are the caller's.
 struct rn_train_progress rn_describe_progress(const struct rn_progress *progress,
                                               const struct rn_train_config *config);

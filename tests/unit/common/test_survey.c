@@ -1,7 +1,7 @@
 // What a look at all photographs finds: each fault planted in a capture without any.
 #include <math.h>
 
-#include "common/dataset/survey.h"
+#include "common/dataset/photos.h"
 #include "common/settings/train.h"
 #include "tests/unit/common/dataset_fixture.h"
 
@@ -323,6 +323,27 @@ START_TEST(missing) {
 }
 END_TEST
 
+// Blur and what is the same are seen without poses too; one that is damaged is left out.
+START_TEST(photographs_without_poses) {
+    struct rn_photos photos = {0};
+    put_photos();
+    put_photo(7, 4, 8);
+    put_photo(12, 1, 12); // as the one before it
+    put_text("train/r_3.png", "no picture");
+    ck_assert_int_eq(rn_photos_read(folder, NULL, &problems, &photos, &err), RN_OK);
+    put_text("train/r_5.png", "\x89PNG\r\n\x1a\n");
+    ck_assert_int_eq(rn_photos_check(&photos, "ring", 2, &problems, NULL, NULL, &found, &err),
+                     RN_OK);
+    ck_assert_uint_eq(photos.count, VIEWS - 2);
+    ck_assert_uint_eq(problems.errors, 2);
+    ck_assert(found.blurred == 1 && found.duplicates == 1);
+    ck_assert(isnan(found.looking_away) && isnan(found.train_bytes));
+    ck_assert(tells("took before and after them: train/r_7.png"));
+    ck_assert(tells("nearly the same: train/r_11.png and train/r_12.png"));
+    rn_photos_finish(&photos);
+}
+END_TEST
+
 int main(void) {
     Suite *suite = suite_create("survey");
     TCase *tests = tcase_create("survey");
@@ -338,6 +359,7 @@ int main(void) {
     tcase_add_loop_test(tests, exposures, 0, 2);
     tcase_add_loop_test(tests, effects, 0, 4);
     tcase_add_test(tests, missing);
+    tcase_add_test(tests, photographs_without_poses);
     suite_add_tcase(suite, tests);
     return run_suite(suite);
 }

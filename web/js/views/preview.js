@@ -5,6 +5,7 @@ import {fill, h} from '../dom.js';
 import {find, isActive, putJob, state, watch} from '../store.js';
 import {bytes, plural, seconds} from '../format.js';
 import {facts, meter, recordedProblem, scroller} from '../ui.js';
+import {isPhotograph} from '../photocheck.js';
 import {sendInParts} from '../sending.js';
 import {tarOf} from '../tar.js';
 import {cameraPlot, SPLIT_COLOURS} from './cloud.js';
@@ -48,6 +49,7 @@ async function paint(canvas, photo, mask) {
   context.drawImage(cover, 0, 0);
 }
 
+/** Without poses nothing says which split a photograph is of. */
 function thumbnail(item, files) {
   const canvas =
       h('canvas',
@@ -56,7 +58,10 @@ function thumbnail(item, files) {
   if (photo) paint(canvas, photo, files.get(item.mask)).catch(() => {});  // told in the report
   return h(
       'figure', null, canvas,
-      h('figcaption', null, swatch(item.split), ` ${item.split}${item.mask ? ', masked' : ''}`));
+      item.split ?
+          h('figcaption', null, swatch(item.split),
+            ` ${item.split}${item.mask ? ', masked' : ''}`) :
+          h('figcaption', null, item.file.split('/').at(-1)));
 }
 
 const swatch = (split) =>
@@ -97,6 +102,19 @@ function choices(offered, take) {
         h('tbody', null, offered.map(row))));
 }
 
+/** Of photographs without poses: what pictures alone say. */
+function foundUnposed({views, report: told}, files) {
+  const photos = [...files.keys()]
+                     .filter(isPhotograph)
+                     .sort((a, b) => a.localeCompare(b, 'en', {numeric: true}))
+                     .map((file) => ({file}));
+  return [
+    facts([['Photographs', `${views.train}`]]),
+    h('div', {class: 'photos'}, some(photos, THUMBS).map((item) => thumbnail(item, files))),
+    report(told)
+  ];
+}
+
 function found(validation, files, take, signal) {
   const {views, items, bounds, scales} = validation;
   const masked = items.filter((item) => item.mask).length;
@@ -123,7 +141,7 @@ function found(validation, files, take, signal) {
 }
 
 /**
- * @param {{entries: {path: string, file: File}[], poses?: string}} plan
+ * @param {{entries: {path: string, file: File}[], poses?: string}} plan not looked at: a film
  * @param {{values: () => any, take: (choice: any) => void, looks: Promise<{path: string, file:
  *     Blob}[]>, node: HTMLElement, onFault: (error: Error|null) => void}} options of the import, a
  *     change of which is looked at anew, and small pictures of the photographs, when there are
@@ -141,9 +159,11 @@ export function createPreview(plan, {values, take, looks, node: form, onFault}, 
   let shown = '';
   let timer = 0;
 
+  const poses = plan.poses && {poses: plan.poses};
   async function look() {
     try {
-      const job = putJob(await api.submit({type: 'validate', upload, options: values()}));
+      const options = {...poses, ...values()};
+      const job = putJob(await api.submit({type: 'validate', upload, options}));
       onFault(null);
       asked = job.id;
     } catch (error) {
@@ -172,10 +192,13 @@ export function createPreview(plan, {values, take, looks, node: form, onFault}, 
     if (key === shown) return;
     shown = key;
     if (isActive(job)) return bar.set(null, 'reading documents and image headers');
-    if (job.result) return fill(node, found(job.result, files, take, signal));
+    if (job.result)
+      return fill(
+          node,
+          plan.poses ? foundUnposed(job.result, files) : found(job.result, files, take, signal));
     fill(node, job.problem ? recordedProblem(job.problem) : null);
   };
-  if (plan.poses) return {node};
+  if (!plan.entries.some(({path}) => isPhotograph(path))) return {node};
   if (size > MOST) {
     fill(
         node,

@@ -247,7 +247,7 @@ function rateWords(size) {
 }
 
 /** Photographs that cannot be read, as they are found; which of them to leave out is asked. */
-function badList({entries, poses}, signal) {
+function badList({entries}, signal) {
   const items = h('ul', {class: 'plain'});
   const title = h('p', {class: 'problem-title'});
   const found = h('div', {class: 'problem warn', role: 'status', hidden: true}, title, items,
@@ -267,8 +267,7 @@ function badList({entries, poses}, signal) {
     onProgress: (done, total) =>
         text(checking, done < total ? `${done} of ${total} photographs looked at` : ''),
     signal
-  },
-                                 !poses);
+  });
   return {
     node: h('div', null, checking, found),
     looks,
