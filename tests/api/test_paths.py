@@ -150,6 +150,13 @@ def test_ngp_takes_scale_and_offset_of_its_dataset(run, client, tmp_path):
     assert far(back["keys"][0], ring(2)["keys"][0]) < 1e-9
 
 
+def test_the_path_of_a_job_is_one_alone_in_a_file_too(run, tmp_path):
+    write(tmp_path / "a.json", ring(2))
+    assert far(run("a.json", "b.json")["keys"][1], ring(2)["keys"][1]) < 1e-9
+    write(tmp_path / "a.json", ring(2, colour="red"))
+    assert "a.json#/colour" in run("a.json", "c.json", code=INVALID).stderr
+
+
 def ngp(**more):
     key = {"R": [0, 0, 0, 1], "T": [0, 0, 0], "fov": 40, "slice": 0, "scale": 1}
     return {"path": [{**key, **more}, {**key, "T": [1, 0, 0]}]}

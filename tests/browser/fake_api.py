@@ -291,7 +291,9 @@ class Handler(BaseHTTPRequestHandler):
         try:
             self.reply(200, {"format": "ripnerf", "path": json.loads(body["file"])["path"]})
         except (ValueError, KeyError) as error:
-            raise Refusal(422, "Invalid", "is no camera path that is known") from error
+            why = "is no camera path that is known"
+            raise Refusal(422, "Invalid", f"#/file: {why}",
+                          [{"pointer": "#/file", "detail": why}]) from error
 
     def take_scene(self, world):
         with world.lock:

@@ -67,7 +67,7 @@ def test_a_path_is_saved_and_opened(scene, downloads, tmp_path):
     wrong = tmp_path / "notes.json"
     wrong.write_text("{}")
     scene.all("#path-file")[0].send_keys(str(wrong))
-    scene.says("notes.json: is no camera path that is known", "#toasts")
+    scene.says("Not read notes.json: is no camera path that is known", "#toasts")
 
 
 def test_whose_coordinates_they_are_is_asked(scene, tmp_path):

@@ -28,7 +28,18 @@ export async function readPathFiles(files, signal, ours = false) {
     ...(space ? {space: await space.text()} : ours ? {space: 'dataset'} : {}),
     ...(dataset ? {dataset: await dataset.text()} : {})
   };
-  return api.convertPath(body, signal);
+  try {
+    return await api.convertPath(body, signal);
+  } catch (error) {
+    throw Object.assign(error, {detail: saidOf(error, {file, beside, space, dataset})});
+  }
+}
+
+/** What is wrong, with the name of the file that the daemon found it in. */
+function saidOf(error, parts) {
+  const [found] = error.errors ?? [];
+  const part = parts[found?.pointer.slice(2)] ?? parts.file;
+  return `${part.name}: ${found?.detail ?? (error.detail || error.message)}`;
 }
 
 /** Whether a path was not read because its coordinates are known to one training alone. */

@@ -574,9 +574,7 @@ function saving(get, adopt, signal) {
               'These coordinates are those of one training of nerfstudio. Its dataparser_transforms.json, opened together with the path, says where they lie. Or are they the dataset’s own?',
               'They are the dataset’s', () => open(files, true),
               {leave: 'Leave it', kind: 'primary'});
-        toast(Object.assign(
-            new Error(`${files.map(({name}) => name).join(', ')}: ${error.detail || error.message}`),
-            {title: 'Not read'}));
+        toast(Object.assign(error, {title: 'Not read'}));
       });
     }
   });
