@@ -7,6 +7,7 @@ date.
 
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -153,6 +154,24 @@ def test_examples_tell_every_setting(built, name):
             older = {key for key, row in all_of_them.items() if row["flags"]["later"]}
             assert set(scene["config"]) - older == set(all_of_them) - older | {"finest_cone"}
             assert set(scene["config"]) & older <= set(all_of_them)
+
+
+def test_presets_end_where_it_is_told(built):
+    """README, the guide, the client's help and the page's form say when a preset ends."""
+    rows_by_name = {row["name"]: row["presets"] for row in built["train"]}
+    seconds, steps = rows_by_name["max_seconds"], rows_by_name["max_steps"]
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    guide = (ROOT / "web/guide/index.html").read_text(encoding="utf-8")
+    page = (ROOT / "web/js/views/train.js").read_text(encoding="utf-8")
+    usage = subprocess.run([BUILD / "client" / "ripnerf", "train", "--help"], capture_output=True,
+                           text=True, check=True).stdout
+    for i, name in enumerate(("paper", "standard", "draft")):
+        end = f"{seconds[i]:g} s" if seconds[i] else f"{steps[i]:,.0f} steps"
+        assert re.search(rf"^\| `{name}` \|.*\| {end} \|$", readme, re.MULTILINE), name
+        assert re.search(rf"<td><code>{name}</code></td>.*<td>{end}</td>", guide), name
+        assert f"{name} after {end}" in " ".join(usage.split()), name
+        given = f"{seconds[i]:g}" if seconds[i] else ""
+        assert re.search(rf"^  {name}: {{.*seconds: '{given}'}}", page, re.MULTILINE), name
 
 
 def test_rows_are_complete(built):

@@ -9,7 +9,8 @@ import {estimatePanel} from './estimate.js';
 import {effectTitle} from './effects.js';
 
 /**
- * What each is for and where it ends unless told otherwise; the daemon's own presets say the same.
+ * What each is for and where it ends unless told otherwise (tests/api/test_settings.py holds it
+ * against the daemon's).
  */
 const PRESETS = {
   draft: {hint: 'Quickest to a picture: 15 seconds.', seconds: '15'},
