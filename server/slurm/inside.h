@@ -14,8 +14,8 @@
 // DATA/slurm/NAME:
 //   join    the secret of the next connection (proto/join.h)
 //   scene   a link to the scene's folder, by which the runner writes: without it, it cannot
-//   script  what the node runs; where no folder is shared it has the secret, and `join` is not
-//   there job     Slurm's number of it
+//   script  what the node runs; it has the secret, and there is no `join`, without a shared folder
+//   job     Slurm's number of it
 struct rn_place {
     struct rn_place *next;
     int number; // of its rn_process

@@ -28,8 +28,7 @@ unsigned rn_inspect_needs(unsigned outputs);
 // normal: minus the gradient of the opacity of a short way through the density there, by central
 //   differences in the planes' cube over the width of the cone or a texel, whichever is larger; of
 //   length 1, dataset axes. As wide as that are edges rounded. 0 where nothing rises.
-// level: of the ripmap, mean over the planes and their axes, of the Gaussian that a sample there
-// has
+// level: of the ripmap, mean over the planes and their axes, of a sample's Gaussian there
 //   (field/footprint.h), as it is drawn into the planes' cube; 0 where the field has none.
 // footprint: diameter of one cone there, dataset units.
 enum rn_status rn_inspect(const struct rn_inspection *inspection, struct rn_render_result *result,
