@@ -6,7 +6,7 @@
 #include "common/base/status.h"
 
 // {"items": [{name, title, signs, documents, photo_folders}] in the order of precedence,
-// "paths": [{name, title, file}]}; malloc'd.
+// "paths": [{name, title, file}], "captures" and "bounds": [{name, title}]}; malloc'd.
 // RN_ERROR_NO_MEMORY.
 enum rn_status rn_formats_to_json(char **ret_json, struct rn_error *err) RN_MUST_CHECK;
 
