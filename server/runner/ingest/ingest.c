@@ -50,8 +50,7 @@ static void post_progress(struct ingest *ingest, size_t done, size_t total) {
     int64_t now = rn_clock_ns();
     if (done < total && (double)(now - ingest->reported_ns) * 1e-9 < PROGRESS_INTERVAL_S) return;
     ingest->reported_ns = now;
-    int64_t began = ingest->stage ? ingest->began_stage_ns : ingest->began_ns;
-    double elapsed = (double)(now - began) * 1e-9;
+    double elapsed = (double)(now - ingest->began_stage_ns) * 1e-9;
     struct rn_work_progress record = {
         .done = (int64_t)done,
         .total = total ? (int64_t)total : RN_ABSENT,
@@ -177,6 +176,7 @@ static enum rn_status import(struct ingest *ingest, struct rn_dataset *source,
     const struct rn_wire_ingest *order = &ingest->order;
     struct rn_import_options import_options = import_options_of(order);
     struct rn_findings found;
+    ingest->began_stage_ns = rn_clock_ns(); // unpacking is over
     enum rn_status status = rn_mkdirs(order->target, 0777, err);
     if (!status) status = rn_survey_create(source, &import_options.survey, err);
     if (!status)
@@ -333,7 +333,7 @@ static void carry_out(struct ingest *ingest) {
     struct stat about;
     ingest->watch =
         (struct rn_watch){.link = &ingest->link, .job = ingest->order.job, .request = RN_ABSENT};
-    ingest->began_ns = ingest->reported_ns = rn_clock_ns();
+    ingest->began_ns = ingest->began_stage_ns = ingest->reported_ns = rn_clock_ns();
     bool target_is_ours = stat(ingest->order.target, &about) < 0;
     if (target_is_ours && ingest->link.profile) confine(ingest);
     enum rn_status status = target_is_ours
