@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from fake_api import FORMATS
 from fake_pictures import png
+from PIL import Image
 
 
 @pytest.fixture
@@ -224,6 +225,30 @@ def test_grey16_reads_every_bit(blank):
     assert (
         read["width"] == 6 and read["values"] == values.ravel().tolist() and read["other"] is None
     )
+
+
+def test_the_beginning_of_a_photograph_says_its_size_and_its_camera(blank):
+    exif = Image.Exif()
+    exif[0x010F] = "Maker " * 800
+    whole = io.BytesIO()
+    noise = np.random.default_rng(1).integers(0, 255, (90, 160, 3), np.uint8)
+    Image.fromarray(noise).save(whole, "JPEG", quality=95, exif=exif, progressive=True)
+    heads = blank.run(
+        """
+        const {headOf} = await load('photocheck.js');
+        const head = async (path, bytes) =>
+            [...new Uint8Array(await (await headOf({path, file: new Blob([new Uint8Array(bytes)])}))
+                                   .file.arrayBuffer())];
+        return [await head('a/p.JPG', args[0]), await head('a/p.jpg', args[1]),
+                await head('a/cameras.bin', args[1])];""",
+        list(whole.getvalue()),
+        list(b"\xff\xd8 no picture"),
+    )
+    assert bytes(heads[0]) == whole.getvalue()[:len(heads[0])]
+    assert 4800 < len(heads[0]) < 5900 < len(whole.getvalue())
+    seen = Image.open(io.BytesIO(bytes(heads[0])))
+    assert seen.size == (160, 90) and seen.getexif()[0x010F].startswith("Maker Maker")
+    assert bytes(heads[1]) == bytes(heads[2]) == b"\xff\xd8 no picture"
 
 
 def test_upload_takes_what_the_json_names(blank):

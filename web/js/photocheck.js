@@ -11,6 +11,37 @@ export const isPhotograph = (path) => KNOWN.test(path) && !MASKS.test(path);
 
 const SIDE = 960;  // pixels, about: the longest side of a small picture
 
+const HEADS = {
+  // what says an image's size lies in its first so many bytes
+  png: 64 << 10,
+  webp: 64 << 10,
+  jpg: 256 << 10,
+  jpeg: 256 << 10
+};
+const SCAN = 0xda;  // the JPEG segment that pixels follow
+
+/** How much of a JPEG's beginning comes before its pixels. @param {Uint8Array} bytes */
+function beforePixels(bytes) {
+  let at = 2;
+  while (at + 4 <= bytes.length && bytes[at] === 0xff) {
+    const end = at + 2 + 256 * bytes[at + 2] + bytes[at + 3];
+    if (bytes[at + 1] === SCAN) return end;
+    at = end;
+  }
+  return bytes.length;
+}
+
+/**
+ * What of a file says a picture's size and its camera; all of one that is no picture.
+ * @param {{path: string, file: Blob}} entry
+ */
+export async function headOf({path, file}) {
+  const ending = path.split('.').at(-1).toLowerCase();
+  const head = file.slice(0, HEADS[ending] ?? file.size);
+  if (!/^jpe?g$/.test(ending)) return {path, file: head};
+  return {path, file: head.slice(0, beforePixels(new Uint8Array(await head.arrayBuffer())))};
+}
+
 async function shrink(picture) {
   const cell = Math.max(1, Math.round(Math.max(picture.width, picture.height) / SIDE));
   const canvas =

@@ -5,29 +5,17 @@ import {fill, h} from '../dom.js';
 import {find, isActive, putJob, state, watch} from '../store.js';
 import {bytes, plural, seconds} from '../format.js';
 import {facts, meter, recordedProblem, scroller} from '../ui.js';
-import {isPhotograph} from '../photocheck.js';
+import {headOf, isPhotograph} from '../photocheck.js';
 import {sendInParts} from '../sending.js';
 import {tarOf} from '../tar.js';
 import {cameraPlot, SPLIT_COLOURS} from './cloud.js';
 import {expected, report} from './dataset.js';
 
-const HEADS = {
-  // what says an image's size lies in its first so many bytes
-  png: 64 << 10,
-  webp: 64 << 10,
-  jpg: 256 << 10,
-  jpeg: 256 << 10
-};
-const MOST = 128 << 20;  // more is not sent to be looked at
+const MOST = 128 << 20;  // more is not sent to be looked at, or a quarter of what an import takes
 const LOOKS = 'ripnerf-looks';  // the folder of small pictures in what is sent
 const THUMBS = 24;
 const THUMB_PX = 160;
 const SETTLE_MS = 400;  // after the last change of an option
-
-const headOf = ({path, file}) => {
-  const size = HEADS[path.split('.').at(-1).toLowerCase()] ?? file.size;
-  return {path, file: file.slice(0, size)};
-};
 
 /** So many of a list, evenly spaced. */
 const some = (items, count) =>
@@ -141,7 +129,7 @@ function found(validation, files, take, signal) {
 }
 
 /**
- * @param {{entries: {path: string, file: File}[], poses?: string}} plan not looked at: a film
+ * @param {{entries: {path: string, file: File}[], bytes: number, poses?: string}} plan not looked at: a film
  * @param {{values: () => any, take: (choice: any) => void, looks: Promise<{path: string, file:
  *     Blob}[]>, node: HTMLElement, onFault: (error: Error|null) => void}} options of the import, a
  *     change of which is looked at anew, and small pictures of the photographs, when there are
@@ -151,8 +139,7 @@ function found(validation, files, take, signal) {
 export function createPreview(plan, {values, take, looks, node: form, onFault}, signal) {
   const node = h('div', {class: 'preview', role: 'status'});
   const files = new Map(plan.entries.map(({path, file}) => [path, file]));
-  const heads = plan.entries.map(headOf);
-  const size = heads.reduce((sum, {file}) => sum + file.size, 0);
+  const most = Math.max(MOST, plan.bytes / 4);
   const bar = meter('Looking at the dataset');
   let upload = null;
   let asked = null;  // the newest job
@@ -181,10 +168,18 @@ export function createPreview(plan, {values, take, looks, node: form, onFault}, 
   }
   async function begin() {
     fill(node, bar.node);
+    const heads = await Promise.all(plan.entries.map(headOf));
+    const size = heads.reduce((sum, {file}) => sum + file.size, 0);
+    if (size > most)
+      return fill(
+          node,
+          h('p', {class: 'quiet'},
+            `Documents and image headers are ${
+                bytes(size)}: what is in them is told once they are sent.`));
     await send(heads, 'documents and image headers');
     const small = (await looks).map(({path, file}) => ({path: `${LOOKS}/${path}.jpg`, file}));
     const more = small.reduce((sum, {file}) => sum + file.size, 0);
-    if (!signal.aborted && more && size + more <= MOST)
+    if (!signal.aborted && more && size + more <= most)
       await send([...heads, ...small], 'small pictures');
   }
   const show = (job) => {
@@ -199,14 +194,6 @@ export function createPreview(plan, {values, take, looks, node: form, onFault}, 
     fill(node, job.problem ? recordedProblem(job.problem) : null);
   };
   if (!plan.entries.some(({path}) => isPhotograph(path))) return {node};
-  if (size > MOST) {
-    fill(
-        node,
-        h('p', {class: 'quiet'},
-          `Documents and image headers are ${
-              bytes(size)}: what is in them is told once they are sent.`));
-    return {node};
-  }
   form.addEventListener('change', () => {
     clearTimeout(timer);
     timer = setTimeout(() => upload && !signal.aborted && look(), SETTLE_MS);
