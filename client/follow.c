@@ -24,16 +24,19 @@ static void format_train(const struct rn_train_progress *progress, char *ret_tex
         snprintf(ret_text, capacity, "%s  %s", progress->stage, load);
         return;
     }
-    char seconds[24], limit[32] = "", psnr[24] = "", rate[16], speed[32] = "", steps[32] = "";
+    char seconds[24], limit[32] = "", psnr[48], rate[16], speed[32] = "", steps[32] = "";
     rn_format_seconds(progress->train_seconds, seconds, sizeof seconds);
     if (progress->max_seconds > 0) rn_format_seconds(progress->max_seconds, limit, sizeof limit);
-    if (!isnan(progress->psnr)) snprintf(psnr, sizeof psnr, "  %.2f dB", progress->psnr);
+    bool old = 3 * progress->psnr_step < 2 * progress->step; // none has followed it, nor will
+    rn_format_figure(progress->psnr, old ? progress->psnr_step : progress->step, progress->step,
+                     psnr, sizeof psnr);
     rn_format_count(progress->samples_per_second, rate, sizeof rate);
     if (progress->samples_per_second > 0) snprintf(speed, sizeof speed, "  %s samples/s", rate);
     if (progress->max_steps > 0)
         snprintf(steps, sizeof steps, " of %lld", (long long)progress->max_steps);
-    int used = snprintf(ret_text, capacity, "step %lld%s  %s%s%s%s%s", (long long)progress->step,
-                        steps, seconds, *limit ? " of " : "", limit, psnr, speed);
+    int used =
+        snprintf(ret_text, capacity, "step %lld%s  %s%s%s%s%s%s", (long long)progress->step, steps,
+                 seconds, *limit ? " of " : "", limit, *psnr ? "  " : "", psnr, speed);
     int64_t rejected = progress->nonfinite.rays + progress->nonfinite.steps_rejected;
     if (rejected && used > 0 && (size_t)used < capacity)
         snprintf(ret_text + used, capacity - (size_t)used, "  %lld non-finite",

@@ -11,10 +11,11 @@
 
 static void format_training(const void *message, char *ret_text, size_t capacity) {
     const struct rn_train_result *result = message;
-    char seconds[24], psnr[24] = "";
+    char seconds[24], psnr[48];
     rn_format_seconds(result->train_seconds, seconds, sizeof seconds);
-    if (!isnan(result->psnr)) snprintf(psnr, sizeof psnr, ", %.2f dB", result->psnr);
-    snprintf(ret_text, capacity, "%lld steps in %s%s%s", (long long)result->steps, seconds, psnr,
+    rn_format_figure(result->psnr, result->psnr_step, result->steps, psnr, sizeof psnr);
+    snprintf(ret_text, capacity, "%lld steps in %s%s%s%s", (long long)result->steps, seconds,
+             *psnr ? ", " : "", psnr,
              *result->fell_back ? "; a damaged checkpoint was passed over" : "");
 }
 

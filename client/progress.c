@@ -114,6 +114,17 @@ void rn_format_seconds(double seconds, char *ret_text, size_t capacity) {
                  (int)fmod(seconds, 3600) / 60, (int)fmod(seconds, 60));
 }
 
+void rn_format_figure(double psnr, int64_t psnr_step, int64_t steps, char *ret_text,
+                      size_t capacity) {
+    bool of_the_last = psnr_step == steps || psnr_step < 0;
+    if (isnan(psnr))
+        snprintf(ret_text, capacity, "%s", "");
+    else if (of_the_last)
+        snprintf(ret_text, capacity, "%.2f dB", psnr);
+    else
+        snprintf(ret_text, capacity, "%.2f dB at step %lld", psnr, (long long)psnr_step);
+}
+
 void rn_format_bytes(double bytes, char *ret_text, size_t capacity) {
     char count[16];
     rn_format_count(bytes, count, sizeof count);

@@ -37,6 +37,10 @@ void rn_progress_finish(struct rn_progress *progress);
 void rn_format_count(double value, char *ret_text, size_t capacity);
 // "42.0 s", "3:25", "1:02:03"; "-" when it is not finite.
 void rn_format_seconds(double seconds, char *ret_text, size_t capacity);
+// A PSNR, and the step that it is of where that is not the last: "26.10 dB at step 1200"; "" of
+// NAN.
+void rn_format_figure(double psnr, int64_t psnr_step, int64_t steps, char *ret_text,
+                      size_t capacity);
 // "12.3 MB"
 void rn_format_bytes(double bytes, char *ret_text, size_t capacity);
 

@@ -427,6 +427,7 @@ static const struct rn_field_spec train_result[] = {
     RN_F_NUMBER(S, train_seconds, RN_REQUIRED, 0, INFINITY),
     RN_F_INT(S, samples, RN_REQUIRED, 0, INFINITY),
     RN_F_NUMBER(S, psnr, RN_REQUIRED | RN_NULLABLE, -INFINITY, INFINITY),
+    RN_F_INT(S, psnr_step, 0, 0, INFINITY),
     RN_F_TEXT(S, parameters_sha256, RN_REQUIRED, rn_check_sha256),
     RN_F_NAME(S, finished_by, RN_REQUIRED, rn_finished_by_names),
     RN_F_TEXT(S, fell_back, 0, NULL),

@@ -154,6 +154,7 @@ struct rn_train_result {
     double train_seconds;
     int64_t samples;
     double psnr;
+    int64_t psnr_step; // that it is of: earlier where withheld views were trained on after it
     char parameters_sha256[65];
     int finished_by;                   // enum rn_finished_by
     char fell_back[256];               // as in rn_train_progress

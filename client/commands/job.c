@@ -107,6 +107,7 @@ struct train_summary {
     double train_seconds;
     int64_t samples;
     double psnr;
+    int64_t psnr_step;
     char parameters_sha256[65];
     int finished_by;
     char *problem; // borrowed
@@ -121,6 +122,7 @@ static const struct rn_field_spec train_summary_fields[] = {
     RN_F_NUMBER(struct train_summary, train_seconds, RN_REQUIRED, 0, INFINITY),
     RN_F_INT(struct train_summary, samples, RN_REQUIRED, 0, INT64_MAX),
     RN_F_NUMBER(struct train_summary, psnr, NULLABLE, -INFINITY, INFINITY),
+    RN_F_INT(struct train_summary, psnr_step, 0, 0, INT64_MAX),
     RN_F_TEXT(struct train_summary, parameters_sha256, NULLABLE, NULL),
     RN_F_NAME(struct train_summary, finished_by, NULLABLE, rn_finished_by_names),
     RN_F_JSON(struct train_summary, problem, 0)};
@@ -144,6 +146,7 @@ static void summarise(const struct rn_job *job, struct train_summary *ret_summar
         ret_summary->train_seconds = result.train_seconds;
         ret_summary->samples = result.samples;
         ret_summary->psnr = result.psnr;
+        ret_summary->psnr_step = result.psnr_step;
         ret_summary->finished_by = result.finished_by;
         memcpy(ret_summary->parameters_sha256, result.parameters_sha256,
                sizeof result.parameters_sha256);
@@ -154,12 +157,13 @@ static void summarise(const struct rn_job *job, struct train_summary *ret_summar
         ret_summary->train_seconds = progress.train_seconds;
         ret_summary->samples = progress.samples;
         ret_summary->psnr = progress.psnr;
+        ret_summary->psnr_step = progress.psnr_step;
     }
 }
 
 static void print_summary(const struct rn_job *job, bool json) {
     struct train_summary summary;
-    char seconds[24], psnr[24] = "not measured";
+    char seconds[24], psnr[48];
     summarise(job, &summary);
     if (json) {
         char *text = rn_api_encode(&train_summary_table, &summary);
@@ -168,9 +172,9 @@ static void print_summary(const struct rn_job *job, bool json) {
         return;
     }
     rn_format_seconds(summary.train_seconds, seconds, sizeof seconds);
-    if (!isnan(summary.psnr)) snprintf(psnr, sizeof psnr, "%.2f dB", summary.psnr);
+    rn_format_figure(summary.psnr, summary.psnr_step, summary.steps, psnr, sizeof psnr);
     printf("scene %s (%s): %lld steps in %s, PSNR %s\n", summary.scene_name, summary.scene,
-           (long long)summary.steps, seconds, psnr);
+           (long long)summary.steps, seconds, *psnr ? psnr : "not measured");
 }
 
 // Waits for a job and prints how it ended.

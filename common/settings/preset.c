@@ -94,6 +94,7 @@ void rn_train_config_choose(struct rn_train_config *config,
     rn_settings_put(&rn_train_settings, values, config); // what the time suits gives way
     if (ASKS(field.base) && !ASKS(grow_to)) set_base(config, config->field.base);
     if (ASKS(field.footprint)) config->footprint_given = true;
+    if (config->until_psnr > 0) config->give_back = 0; // which needs its figure to the end
 }
 
 // ---- checks ---------------------------------------------------------------------------------

@@ -523,6 +523,16 @@ static const struct rn_setting rows[] = {
      .gain =
          "level with all 200 views trained on, after 30 CPU seconds; captures without test views "
          "lose 0.2 to 1.3 dB"},
+    {.name = "give_back",
+     .type = RN_SETTING_NUMBER,
+     .flags = RN_SETTING_LATER,
+     PLACE(give_back),
+     .min = 0,
+     .max = 1,
+     .unit = "",
+     .meaning = "share of the schedule at whose end the views by which progress is measured are "
+                "trained on too; 0: never",
+     PRESETS(0, 0.5, 0.5)},
     {.name = "seed",
      .type = RN_SETTING_UINT64,
      PLACE(seed),

@@ -99,6 +99,8 @@ struct rn_train_config {
     int pixel_memory; // MiB: photographs that take more lie on disk, where the engine has a place
     bool train_val;   // train on train+val
     bool train_held_out;      // also on the views by which progress is measured
+    double give_back;         // share of the schedule at whose end these are trained on too; 0:
+                              // never. At the plateau where the training ends there
     float background[3];      // white unless the scene says otherwise
     double random_background; // share of the schedule at whose beginning the loss is the mean over
                               // all backgrounds whose channels are 0 or 1; 0: never
@@ -111,7 +113,7 @@ struct rn_train_config {
 
 // The one table: a row for every member of struct rn_train_config. What follows from it and the
 // presets is in preset.c.
-#define RN_TRAIN_SETTINGS (55 + RN_EFFECT_COUNT)
+#define RN_TRAIN_SETTINGS (56 + RN_EFFECT_COUNT)
 extern const struct rn_settings rn_train_settings;
 
 enum rn_preset_name { RN_PRESET_DRAFT, RN_PRESET_STANDARD, RN_PRESET_PAPER };

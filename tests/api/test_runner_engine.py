@@ -120,3 +120,22 @@ def test_only_what_would_be_trained_on_is_withheld(program, dataset, tmp_path, s
             runner.send("render", request=1, render={"view": view, "format": "png"})
             _, refused, _ = runner.wait_for("rendered", "refused", "error", "failed")
             assert words in str(refused), refused
+
+
+def test_the_last_figure_is_of_before_photographs_are_given_back(program, tmp_path):
+    """A folder without splits: all of it is trained on from half of the steps on."""
+    source = write_dataset(tmp_path / "source", train=16, val=0, test=0)
+    for split in ("val", "test"):
+        (source / f"transforms_{split}.json").unlink()
+    last, target, _ = ingest(program, tmp_path, source)
+    assert last[0] == "done", last
+    with Scene(program, tmp_path / "scene", target) as runner:
+        train(runner, **OPTIONS)
+        result = runner.wait_for("done", "failed")[1]["result"]
+        scene = [content["scene"] for name, content, _ in runner.seen if name == "checkpoint"][-1]
+        measured = [content["metric"] for name, content, _ in runner.seen if name == "metric"]
+    half = OPTIONS["max_steps"] // 2
+    assert measured[-1]["step"] == result["psnr_step"] == half
+    assert result["psnr"] == pytest.approx(measured[-1]["psnr"])
+    assert scene["held_out"].startswith("2 training views (one of 8) withheld from training until "
+                                        f"step {half} and trained on since")

@@ -246,8 +246,9 @@ static void report(struct rn_trainer *trainer) {
     printf(
         "step %6lld  %6.2f s  psnr %.2f  loss %.6f  %.2f Msamples/s  %.0f krays/s  rays/step %.0f  "
         "levels %.2f\n",
-        (long long)p.step, p.train_seconds, p.psnr, p.loss, p.samples_per_second * 1e-6,
-        p.rays_per_second * 1e-3, (double)p.rays / (double)(p.step ? p.step : 1),
+        (long long)p.step, p.train_seconds, p.psnr_step == p.step ? p.psnr : NAN, p.loss,
+        p.samples_per_second * 1e-6, p.rays_per_second * 1e-3,
+        (double)p.rays / (double)(p.step ? p.step : 1),
         p.samples ? 1 - (double)p.level_samples[0] / (double)p.samples : 0);
     fflush(stdout);
 }
@@ -265,7 +266,8 @@ static bool train(struct run *run, struct rn_trainer *trainer) {
         rn_trainer_progress(trainer, &p);
         if (!p.done && run->wall > 0 && wall_seconds() >= run->begin + run->wall) break;
         if (run->every <= 0 || (!p.done && p.train_seconds < next)) continue;
-        for (bool done = false; !done;)
+        bool done = rn_trainer_figure(trainer) == RN_FIGURE_NONE;
+        while (!done)
             if (rn_trainer_validate(trainer, 1000, &done, &err) != RN_OK) die(&err);
         report(trainer);
         look_at_goals(run, trainer);

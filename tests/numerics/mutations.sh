@@ -20,7 +20,7 @@ give_up() {
 }
 
 # run PROGRAM: builds it and runs it; 0 passed, 1 failed, 2 did not build. `doctor` is the runner's;
-# `reference` is a test of tests/unit, `poses` and `outliers` of tests/ops; `commands` and `proofs` look at the compile commands and at the proofs' quotations.
+# `reference` is a test of tests/unit, `poses`, `outliers` and `withheld` of tests/ops; `commands` and `proofs` look at the compile commands and at the proofs' quotations.
 run() {
     local target=tests/numerics/numerics_$1
     case $1 in
@@ -28,6 +28,7 @@ run() {
     reference) target=tests/unit/engine/test_reference ;;
     poses) target=tests/ops/pose_test ;;
     outliers) target=tests/ops/outlier_test ;;
+    withheld) target=tests/ops/withheld_test ;;
     commands) target=build.ninja ;;
     proofs)
         /usr/bin/python3 "$source/tests/numerics/proofs.py" "$source" >"$scratch/log" 2>&1 || return 1
@@ -84,7 +85,7 @@ sound() {
 prepare generic
 sound frustum footprint ripmap solid volume camera lens optimiser kernels rays disparity space training \
     incidents reproducible roulette overflow growth networks blocks metrics_images flags_fma doctor commands \
-    proofs reference poses voxels outliers
+    proofs reference poses voxels outliers withheld
 
 field=server/engine/field
 cpu=server/engine/cpu
@@ -344,6 +345,19 @@ mutate outliers server/engine/train/outliers.c "outliers: what any other photogr
     's|2 \* others.alike > others.seen|others.alike > 0|; s|others.alike >= WITNESSES|others.seen > 0|'
 mutate outliers server/engine/train/trainer.c "outliers: turns of a checkpoint are not counted" \
     's|t->outliers.turns = from->outlier_turns;||'
+
+mutate withheld $train/live.c "withheld: photographs that tell the progress are trained on" \
+    's|if (rn_trainer_withholds(.*)) return;||'
+mutate withheld $train/occupancy.c "withheld: what they leave empty is carved" \
+    's|if (rn_trainer_withholds(.*)) continue;||'
+mutate withheld $train/withheld.c "withheld: what was given back still measures" \
+    's|bool learned = .*;|bool learned = false;|'
+mutate withheld $train/seen.c "withheld: cells that they alone see are empty before they look" \
+    's|(double)t->progress.step < SINCE|false \&\& 0 < SINCE|'
+mutate withheld $train/schedule.c "withheld: a plateau is not waited for" \
+    's|if (config->until_plateau) return progress->plateau;||'
+mutate withheld server/engine/checkpoint/state.c "withheld: a checkpoint does not say that they were given back" \
+    's|PROGRESS_LATER(given_back, KIND_INT64),||'
 
 prepare gpu
 sound frustum footprint volume halves kernels

@@ -268,62 +268,6 @@ START_TEST(photographs_call_for_their_space) {
 }
 END_TEST
 
-// Where there are no validation views, test views tell the progress and every training view is
-// trained on.
-START_TEST(nothing_is_withheld_where_there_are_test_views) {
-    struct rn_train_config config = config_for(dataset);
-    struct rn_engine *engine = engine_with(1);
-    struct rn_dataset split = *dataset;
-    split.frame_count = 24;
-    split.frames = calloc(split.frame_count, sizeof *split.frames);
-    ck_assert_ptr_nonnull(split.frames);
-    memset(split.view_count, 0, sizeof split.view_count);
-    for (int f = 0; f < 24; f++) {
-        split.frames[f] = dataset->frames[0];
-        split.frames[f].split = f < 20 ? RN_SPLIT_TRAIN : RN_SPLIT_TEST;
-        split.frames[f].index = split.view_count[split.frames[f].split]++;
-    }
-    struct rn_trainer *trainer = trainer_for(engine, &split, &config);
-    ck_assert_str_eq(rn_trainer_held_out(trainer), "4 evenly spaced views of 4 test views");
-    ck_assert_int_eq(trainer->train.frame_count, 20);
-    rn_trainer_destroy(&trainer);
-    rn_engine_destroy(&engine);
-    free(split.frames);
-}
-END_TEST
-
-// Of few training views one of eight, of many about sixteen in all: a round over them does not
-// grow.
-START_TEST(few_of_many_views_are_withheld) {
-    static const struct {
-        int views;
-        const char *told;
-    } cases[] = {{16, "2 training views (one of 8) withheld"},
-                 {143, "17 training views (one of 8) withheld"},
-                 {300, "16 training views (one of 18) withheld"}};
-    struct rn_engine *engine = engine_with(1);
-    for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
-        struct rn_train_config config = config_for(dataset);
-        struct rn_dataset many = *dataset;
-        many.frame_count = (size_t)cases[i].views;
-        many.frames = calloc(many.frame_count, sizeof *many.frames);
-        for (int f = 0; f < cases[i].views; f++) {
-            many.frames[f] = dataset->frames[0];
-            many.frames[f].split = RN_SPLIT_TRAIN;
-            many.frames[f].index = f;
-        }
-        memset(many.view_count, 0, sizeof many.view_count);
-        many.view_count[RN_SPLIT_TRAIN] = cases[i].views;
-        struct rn_trainer *trainer = trainer_for(engine, &many, &config);
-        const char *held = rn_trainer_held_out(trainer);
-        ck_assert_msg(strncmp(held, cases[i].told, strlen(cases[i].told)) == 0, "%s", held);
-        rn_trainer_destroy(&trainer);
-        free(many.frames);
-    }
-    rn_engine_destroy(&engine);
-}
-END_TEST
-
 START_TEST(a_figure_does_not_depend_on_interruptions) {
     struct rn_train_config config = config_for(scaled);
     struct rn_engine *engine = engine_with(2);
@@ -592,8 +536,6 @@ static void add_tests(TCase *tests) {
     tcase_add_test(tests, what_points_are_seen_through_begins_empty);
     tcase_add_test(tests, unbounded_space_resumes);
     tcase_add_test(tests, photographs_call_for_their_space);
-    tcase_add_test(tests, few_of_many_views_are_withheld);
-    tcase_add_test(tests, nothing_is_withheld_where_there_are_test_views);
     tcase_add_test(tests, a_figure_does_not_depend_on_interruptions);
     tcase_add_test(tests, damaged_checkpoints_are_refused);
     tcase_add_test(tests, earlier_checkpoints_lack_what_came_later);

@@ -440,6 +440,10 @@ enum rn_status rn_trainer_validate(struct rn_trainer *trainer, double budget_ms,
     return RN_OK;
 }
 
+enum rn_figure rn_trainer_figure(const struct rn_trainer *trainer) {
+    return RN_FIGURE_ANY_TIME;
+}
+
 void rn_trainer_progress(const struct rn_trainer *trainer, struct rn_progress *ret_progress) {
     const struct rn_field *field = &trainer->field;
     const struct rn_train_config *config = &field->config;

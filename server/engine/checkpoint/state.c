@@ -46,6 +46,7 @@ static const struct member progress_members[] = {
     PROGRESS_LATER(gained_psnr, KIND_DOUBLE),
     PROGRESS_LATER(gained_seconds, KIND_DOUBLE),
     PROGRESS_LATER(plateau, KIND_BOOL),
+    PROGRESS_LATER(given_back, KIND_INT64),
 };
 #define COUNT(a) (sizeof(a) / sizeof *(a))
 

@@ -18,6 +18,7 @@ struct rn_progress {
     uint64_t level_samples[RN_PROGRESS_LEVELS]; // per ripmap level (the larger of the two axes)
     double psnr;                                // latest held-out figure, dB; NAN before the first
     int64_t psnr_step;
+    int64_t given_back; // step from which withheld photographs are trained on; 0: they are not
     uint64_t nonfinite_rays, steps_rejected, rollbacks;
     double eta_seconds; // on the clock, NAN when unknown
     double fraction;    // 0..1 of the binding limit, NAN when there is no limit

@@ -7,6 +7,7 @@
 #include "common/math/ball.h"
 #include "server/engine/field/occupancy.h"
 #include "server/engine/train/trainer.h"
+#include "server/engine/train/withheld.h"
 
 #define CLUMP 2 // cells a side
 
@@ -122,6 +123,7 @@ static bool is_used(const struct rn_pixels *pixels, const struct rn_pixel_frame 
 static void list_frame(struct rn_trainer *t, int frame, const uint8_t *marks) {
     int columns, rows;
     size_t n = blocks_of(&t->train.frames[frame].camera, &columns, &rows);
+    if (rn_trainer_withholds(t, t->train.frames[frame].frame)) return;
     for (size_t i = 0; i < n; i++)
         if ((marks[i] || t->field->cpu.disparity.on) &&
             is_used(&t->train, &t->train.frames[frame], (int)i % columns * RN_LIVE_BLOCK,

@@ -10,6 +10,7 @@
 #include "server/engine/scene/occupancy.h"
 #include "server/engine/train/schedule.h"
 #include "server/engine/train/trainer.h"
+#include "server/engine/train/withheld.h"
 
 #define STREAM_OCCUPANCY 0x6f63637570000000u
 #define CHUNK 2048     // cells a task
@@ -154,6 +155,7 @@ void rn_trainer_carve(struct rn_trainer *t) {
         const struct rn_pixel_frame *frame = &t->train.frames[f * finest / views];
         bool masked = t->field->config.cut_out && frame->frame->mask_path;
         if (!frame->frame->has_alpha && !masked) continue;
+        if (rn_trainer_withholds(t, frame->frame)) continue;
         carving.silhouette.viewer = rn_ball_viewer_init(&frame->camera);
         fill_table(&carving.silhouette, t->train.rgba + 4 * frame->offset);
         rn_pixels_let_go(&t->train);

@@ -8,6 +8,7 @@
 #include "common/math/rng.h"
 #include "server/engine/train/schedule.h"
 #include "server/engine/train/trainer.h"
+#include "server/engine/train/withheld.h"
 
 #define STREAM 0x6f75746c69657200u
 #define MEASURED_AT 0.2 // of the schedule: how much of the photographs is left out
@@ -156,7 +157,7 @@ static enum rn_status begin_pass(struct rn_trainer *t, struct rn_error *err) {
 // ---- a pass -----------------------------------------------------------------------------------
 
 // A pass looks at every so many-th photograph, the next one at those beside them, so that of 1,000
-// it takes as long as of some.
+// it takes as long as of some. What is withheld is not learned, whatever it shows.
 static int apart(const struct rn_trainer *t) {
     int by_blocks = (int)(t->outliers.count / t->outliers.most) + 1;
     int by_photographs = t->train.frame_count / FEWEST;
@@ -164,7 +165,8 @@ static int apart(const struct rn_trainer *t) {
 }
 
 static bool is_looked_at(const struct rn_trainer *t, int f) {
-    return f % apart(t) == t->outliers.turns % apart(t);
+    return f % apart(t) == t->outliers.turns % apart(t) &&
+           !rn_trainer_withholds(t, t->train.frames[f].frame);
 }
 
 bool rn_trainer_is_outlier(const struct rn_trainer *t, const struct rn_pixel_frame *frame, int x,
@@ -348,7 +350,7 @@ static void conclude(struct rn_trainer *t) {
             out += mask[o->first[f] + (size_t)b];
         all += (size_t)across * (size_t)down;
     }
-    o->share = (double)out / (double)all;
+    o->share = (double)out / (double)(all ? all : 1);
 }
 
 // Photographs from o->next on, until all are done (true) or the engine is wanted.

@@ -40,6 +40,13 @@ void rn_schedule_note_figure(struct rn_train_config *config, struct rn_progress 
     if (progress->plateau) bring_to(config, progress, done < PLATEAU_DONE ? PLATEAU_DONE : 1);
 }
 
+bool rn_schedule_gives_back(const struct rn_train_config *config,
+                            const struct rn_progress *progress) {
+    if (config->give_back <= 0) return false;
+    if (config->until_plateau) return progress->plateau;
+    return rn_schedule_done(config, progress) >= config->give_back;
+}
+
 // The paper: x 0.6 at 1/2, 3/4, 5/6, 9/10 of the run. Ours: constant, then an exponential decay to
 // 1/20, made for the time given; without a limit the rate stays.
 static double rate_factor(const struct rn_train_config *config,

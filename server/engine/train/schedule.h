@@ -18,6 +18,10 @@ double rn_schedule_done(const struct rn_train_config *config, const struct rn_pr
 // their final size, and half as much time again has gained less than 0.1 dB, the limits are brought
 // so near that the last quarter of the schedule, in which the rate decays, is what is left.
 void rn_schedule_note_figure(struct rn_train_config *config, struct rn_progress *progress);
+// Whether photographs that are withheld, to tell the progress by, are to be trained on from now on:
+// after `give_back` of the schedule, or at the plateau where the training ends by it.
+bool rn_schedule_gives_back(const struct rn_train_config *config,
+                            const struct rn_progress *progress);
 // The networks' learning rate as of now.
 double rn_schedule_rate(const struct rn_train_config *config, const struct rn_progress *progress);
 // How far planes are smoothed at the end of the step that comes next (kernels/kernels.h); 0: not.

@@ -9,10 +9,12 @@
 #include "server/engine/scene/occupancy.h"
 #include "server/engine/train/schedule.h"
 #include "server/engine/train/trainer.h"
+#include "server/engine/train/withheld.h"
 
 #define BEGINS 0.05      // share of the schedule before which everything may still come
 #define UNSEEN_ENDS 0.25 // share of the schedule by which every camera has looked at its cells
-#define ENDLESS 10000.0  // steps that stand for a schedule without a limit
+#define SINCE 1.2 // steps, of those till photographs were given back, after which they have too
+#define ENDLESS 10000.0 // steps that stand for a schedule without a limit
 
 enum rn_status rn_trainer_watch_cells(struct rn_trainer *t, struct rn_error *err) {
     size_t side = (size_t)t->field->config.field.occupancy, n = side * side * side;
@@ -45,7 +47,10 @@ static void update_layer(void *context, int layer, int thread) {
 struct rn_seen_round rn_trainer_seen_round(const struct rn_trainer *t) {
     double done = rn_schedule_done(&t->field->config, &t->progress);
     if (isnan(done)) done = (double)t->progress.step / ENDLESS;
-    return (struct rn_seen_round){.counts = !(done < BEGINS), .all_looked = !(done < UNSEEN_ENDS)};
+    bool withheld = rn_trainer_withholds_any(t) ||
+                    (double)t->progress.step < SINCE * (double)t->progress.given_back;
+    return (struct rn_seen_round){.counts = !(done < BEGINS),
+                                  .all_looked = !(done < UNSEEN_ENDS) && !withheld};
 }
 
 void rn_trainer_update_seen(struct rn_trainer *t) {

@@ -92,6 +92,15 @@ bool rn_trainer_take_incident(struct rn_trainer *trainer, struct rn_incident *re
 // and progress.psnr is new.
 enum rn_status rn_trainer_validate(struct rn_trainer *trainer, double budget_ms, bool *ret_done,
                                    struct rn_error *err) RN_MUST_CHECK;
+// Whether such a figure can be had. Photographs that are withheld for it may be trained on later in
+// the schedule (`give_back`): an advance returns just before, once, so that the last figure is of
+// then. Training is the same whether it is asked for or not.
+enum rn_figure {
+    RN_FIGURE_ANY_TIME,
+    RN_FIGURE_LAST, // now or never again
+    RN_FIGURE_NONE  // rn_trainer_validate has nothing to look at
+};
+enum rn_figure rn_trainer_figure(const struct rn_trainer *trainer);
 void rn_trainer_progress(const struct rn_trainer *trainer, struct rn_progress *ret_progress);
 // One sentence: which views are held out ("8 of 100 validation views", ...).
 const char *rn_trainer_held_out(const struct rn_trainer *trainer);

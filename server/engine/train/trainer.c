@@ -3,6 +3,7 @@
 #include "server/engine/train/guard.h"
 #include "server/engine/train/schedule.h"
 #include "server/engine/train/trainer.h"
+#include "server/engine/train/withheld.h"
 
 #include <math.h>
 #include <stdio.h>
@@ -14,75 +15,9 @@
 #include "server/engine/scene/device.h"
 #include "server/engine/scene/occupancy.h"
 
-#define HELD_OUT_VIEWS 8
-#define WITHHELD_VIEWS 16 // about, where there are more than eight times as many
-
-// ---- which frames ---------------------------------------------------------------------------
-
-struct selection {
-    const struct rn_dataset *dataset;
-    const struct rn_train_config *config;
-    bool held; // the held-out frames rather than the training ones
-};
-
-// The split whose views tell the progress: test views where there are no validation views, so that
-// every other photograph is trained on, and training views only where there are neither.
-static enum rn_split held_out_split(const struct rn_dataset *d) {
-    if (d->view_count[RN_SPLIT_VAL] > 0) return RN_SPLIT_VAL;
-    return d->view_count[RN_SPLIT_TEST] > 0 ? RN_SPLIT_TEST : RN_SPLIT_TRAIN;
-}
-
-// Of how many training views one is held out where there are no others: of 8, and of many views so
-// that a round over those held out does not grow with them.
-static int withheld_apart(const struct rn_dataset *d) {
-    int apart = d->view_count[RN_SPLIT_TRAIN] / WITHHELD_VIEWS;
-    return apart > 8 ? apart : 8;
-}
-
-// Eight evenly spaced views of the split, or one of so many training views.
-static bool is_held_out(const struct rn_dataset *d, const struct rn_frame *frame) {
-    enum rn_split split = held_out_split(d);
-    int views = d->view_count[split], apart = withheld_apart(d);
-    if (frame->split != split) return false;
-    if (split == RN_SPLIT_TRAIN) return frame->index % apart == apart - 1;
-    int held = views < HELD_OUT_VIEWS ? views : HELD_OUT_VIEWS;
-    for (int i = 0; i < held; i++)
-        if (frame->index == i * views / held) return true;
-    return false;
-}
-
-static bool wanted(void *context, const struct rn_frame *frame) {
-    const struct selection *s = context;
-    bool held = is_held_out(s->dataset, frame);
-    if (s->held) return held;
-    if (held && !s->config->train_held_out) return false;
-    return frame->split == RN_SPLIT_TRAIN || (s->config->train_val && frame->split == RN_SPLIT_VAL);
-}
-
 // Times that photographs are made smaller.
 static int scale_of(const struct rn_train_config *config) {
     return config->train_scale > 1 ? config->train_scale : 1;
-}
-
-static void describe_held_out(struct rn_trainer *t) {
-    const struct rn_train_config *config = &t->field->config;
-    enum rn_split split = held_out_split(t->dataset);
-    bool learned = split == RN_SPLIT_VAL && config->train_val;
-    int views = t->dataset->view_count[split];
-    int held = t->held.frame_count / (t->held.scale_count > 0 ? t->held.scale_count : 1);
-    const char *fate = config->train_held_out ? "trained on too" : RN_WITHHELD;
-    if (split == RN_SPLIT_TRAIN)
-        snprintf(t->held_out, sizeof t->held_out,
-                 "%d training views (one of %d) %s: the dataset has no other split", held,
-                 withheld_apart(t->dataset), fate);
-    else
-        snprintf(t->held_out, sizeof t->held_out, "%d evenly spaced views of %d %s views%s%s", held,
-                 views, split == RN_SPLIT_VAL ? "validation" : "test", learned ? ", " : "",
-                 learned ? fate : "");
-    size_t length = strlen(t->held_out);
-    if (scale_of(config) > 1)
-        snprintf(t->held_out + length, sizeof t->held_out - length, ", at 1/%d of their size",
-                 scale_of(config));
 }
 
 // Again where a lens turns out to make no difference.
@@ -114,23 +49,24 @@ static void take_effects(struct rn_trainer *t) {
 // `records`: of the effects, as far as they are known.
 static enum rn_status load_pixels(struct rn_trainer *t, const struct rn_effect_record *records,
                                   size_t limit, struct rn_error *err) {
-    struct selection s = {t->dataset, &t->field->config, false};
+    struct rn_selection s = {t->dataset, &t->field->config, false};
     const struct rn_train_config *config = &t->field->config;
     struct rn_pixel_treatment treatment = {.reduced = scale_of(config),
                                            .memory_bytes = (size_t)config->pixel_memory << 20};
     rn_effects_treat(config, records, false, &treatment);
-    enum rn_status status =
-        rn_pixels_load(t->dataset, wanted, &s, t->engine, treatment, limit, &t->train, err);
+    enum rn_status status = rn_pixels_load(t->dataset, rn_selection_wants, &s, t->engine, treatment,
+                                           limit, &t->train, err);
     if (status != RN_OK) return status;
     size_t used = t->train.paged.bytes ? 0 : rn_pixels_bytes(t->train.pixel_count, t->train.used);
     if (limit) limit = limit > used ? limit - used : 1;
     treatment.taken_bytes = t->train.paged.bytes ? treatment.memory_bytes : used;
     s.held = true;
     rn_effects_treat(config, records, true, &treatment);
-    status = rn_pixels_load(t->dataset, wanted, &s, t->engine, treatment, limit, &t->held, err);
+    status = rn_pixels_load(t->dataset, rn_selection_wants, &s, t->engine, treatment, limit,
+                            &t->held, err);
     if (status == RN_ERROR_INVALID) status = RN_OK; // nothing to hold out
     take_effects(t);
-    describe_held_out(t);
+    rn_trainer_note_withheld(t);
     return status;
 }
 
@@ -138,11 +74,11 @@ static enum rn_status load_pixels(struct rn_trainer *t, const struct rn_effect_r
 
 // That the photographs to train on need; they need not be loaded.
 static int training_levels(const struct rn_trainer *t) {
-    struct selection s = {t->dataset, &t->field->config, false};
+    struct rn_selection s = {t->dataset, &t->field->config, false};
     int levels = 1;
     for (size_t f = 0; f < t->dataset->frame_count; f++) {
         const struct rn_frame *frame = &t->dataset->frames[f];
-        if (!wanted(&s, frame)) continue;
+        if (!rn_selection_wants(&s, frame)) continue;
         struct rn_camera camera = rn_camera_reduced(&frame->camera, scale_of(&t->field->config));
         int need = rn_levels_for_camera(t->field, &camera, t->field->config.step);
         if (need > levels) levels = need;
@@ -218,7 +154,7 @@ static enum rn_status check_memory(const struct rn_trainer *t, size_t limit, siz
 
 // Of the photographs that are held decoded in memory, the held-out ones included.
 static size_t pixel_bytes(const struct rn_trainer *t) {
-    struct selection train = {t->dataset, &t->field->config, false}, held = train;
+    struct rn_selection train = {t->dataset, &t->field->config, false}, held = train;
     size_t pixels = 0;
     bool masked = false;
     held.held = true;
@@ -227,7 +163,8 @@ static size_t pixel_bytes(const struct rn_trainer *t) {
         struct rn_camera camera = rn_camera_reduced(&frame->camera, scale_of(&t->field->config));
         size_t n = (size_t)camera.width * (size_t)camera.height;
         masked = masked || frame->mask_path;
-        pixels += n * ((size_t)wanted(&train, frame) + (size_t)wanted(&held, frame));
+        pixels += n * ((size_t)rn_selection_wants(&train, frame) +
+                       (size_t)rn_selection_wants(&held, frame));
     }
     size_t bytes = rn_pixels_bytes(pixels, masked),
            most = (size_t)t->field->config.pixel_memory << 20;
@@ -399,6 +336,7 @@ enum rn_status rn_trainer_restore(struct rn_engine *engine, const struct rn_data
     struct rn_arrays arrays = arrays_of(t);
     if (status == RN_OK) status = rn_checkpoint_read_arrays(&checkpoint, &arrays, err);
     if (status == RN_OK) take_counters(t, &checkpoint.counters);
+    if (status == RN_OK) rn_trainer_note_withheld(t); // what was given back
     if (status == RN_OK) status = rn_trainer_list_hull(t, err);
     if (status == RN_OK) status = rn_trainer_list_live(t, err);
     if (status == RN_OK) rn_trainer_place_cameras(t); // those that were moved
@@ -466,6 +404,10 @@ static bool reached_limit(const struct rn_trainer *t) {
     return rn_schedule_done(&t->field->config, &t->progress) >= 1;
 }
 
+static bool within_step(const struct rn_trainer *t) {
+    return t->step.under_way || t->step.next_chunk > 0 || t->ranks.agreed;
+}
+
 static bool effects_are_due(const struct rn_trainer *t) {
     struct rn_evidence evidence = rn_trainer_evidence(t, &t->step.march);
     return rn_effects_are_due(&evidence);
@@ -488,7 +430,7 @@ static bool march_due(const struct rn_trainer *t) {
 
 bool rn_trainer_turn_due(const struct rn_trainer *t) {
     return effects_are_due(t) || rn_trainer_poses_due(t) || rn_trainer_outliers_due(t) ||
-           t->growth || rn_trainer_grows(t) || march_due(t);
+           rn_trainer_gives_back(t) || t->growth || rn_trainer_grows(t) || march_due(t);
 }
 
 // *ret_busy: there is more of it to do before a step.
@@ -505,6 +447,7 @@ static enum rn_status take_turn(struct rn_trainer *t, bool *ret_busy, struct rn_
     if (!t->growth && effects_are_due(t)) decide_effects(t);
     enum rn_status status = rn_trainer_allocate_poses(t, err);
     if (status == RN_OK) status = rn_trainer_allocate_outliers(t, err);
+    if (status == RN_OK && rn_trainer_gives_back(t)) status = rn_trainer_give_back(t, err);
     if (status == RN_OK) status = rn_trainer_grow(t, err);
     *ret_busy = t->growth != NULL;
     return status;
@@ -594,6 +537,10 @@ enum rn_status rn_trainer_advance(struct rn_trainer *t, double budget_ms, struct
             t->progress.done = true;
             return RN_OK;
         }
+        if (!within_step(t) && rn_trainer_gives_back(t) && !t->figure_offered) {
+            t->figure_offered = true;
+            return RN_OK;
+        }
         status = run_block(t, err);
         if (status == RN_OK) status = rn_trainer_guard_check(t, err);
         if (status != RN_OK) return status;
@@ -615,9 +562,6 @@ void rn_trainer_progress(const struct rn_trainer *t, struct rn_progress *ret_pro
 
 // ---- access ---------------------------------------------------------------------------------
 
-const char *rn_trainer_held_out(const struct rn_trainer *t) {
-    return t->held_out;
-}
 const struct rn_train_config *rn_trainer_config(const struct rn_trainer *t) {
     return &t->field->config;
 }
@@ -626,10 +570,6 @@ struct rn_field *rn_trainer_field(struct rn_trainer *t) {
 }
 
 // ---- saving ---------------------------------------------------------------------------------
-
-static bool within_step(const struct rn_trainer *t) {
-    return t->step.under_way || t->step.next_chunk > 0 || t->ranks.agreed;
-}
 
 enum rn_status rn_trainer_save_begin(struct rn_trainer *t, enum rn_save_part part, const char *path,
                                      bool *ret_begun, struct rn_error *err) {

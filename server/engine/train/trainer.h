@@ -23,8 +23,10 @@ struct rn_trainer {
     struct rn_engine *engine;
     const struct rn_dataset *dataset;
     struct rn_field *field;
-    struct rn_pixels train, held;
-    char held_out[160];
+    struct rn_pixels train, held; // photographs that are given back later are in both
+    int withheld;                 // of those to train on, by what is told of the progress
+    bool figure_offered;          // the last one, before these are given back
+    char held_out[224];
     struct rn_progress progress;
     struct { // since the rates were last told
         double seconds;

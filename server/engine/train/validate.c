@@ -99,7 +99,7 @@ enum rn_status rn_trainer_validate(struct rn_trainer *t, double budget_ms, bool 
                                    struct rn_error *err) {
     int64_t begin = rn_clock_ns(), until = begin + (int64_t)(budget_ms * 1e6);
     struct rn_validation *v = &t->validation;
-    *ret_done = t->held.frame_count == 0;
+    *ret_done = rn_trainer_figure(t) == RN_FIGURE_NONE;
     if (*ret_done) return RN_OK;
     enum rn_status status = t->field->on_device ? RN_OK : rn_trainer_agree(t, err);
     if (status == RN_OK && !t->field->on_device) status = rn_trainer_enter(t, err);

@@ -69,6 +69,7 @@ static enum rn_status start_one(struct effects_work *effects, const struct measu
     config.max_steps = 0;
     config.until_psnr = 0;
     config.train_held_out = false;
+    config.give_back = 0; // the figure is of the end
     config.seed += (uint64_t)seed;
     config.effect[m->effect] = !with   ? RN_EFFECT_UNWANTED
                                : m->on ? RN_EFFECT_AUTO

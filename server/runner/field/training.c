@@ -354,6 +354,8 @@ static void conclude(struct rn_host *host) {
                                      .train_seconds = progress->train_seconds,
                                      .samples = (int64_t)progress->samples,
                                      .psnr = progress->psnr,
+                                     .psnr_step =
+                                         isnan(progress->psnr) ? RN_ABSENT : progress->psnr_step,
                                      .finished_by = (int)reason(training, progress),
                                      .estimate = {.seconds = NAN, .psnr = NAN}};
     memcpy(result.parameters_sha256, training->saving.sha256, sizeof result.parameters_sha256);
@@ -419,11 +421,13 @@ static bool go_on_saving(struct rn_host *host) {
 // ---- slices --------------------------------------------------------------------------------
 
 // A figure within seconds, then ever fewer: half as long again after each, a fifth of the time at
-// most. Training does not depend on it.
+// most; and the last that can be had. Training does not depend on it.
 static bool evaluation_is_due(const struct rn_training *training,
                               const struct rn_progress *progress) {
     double since = progress->train_seconds - training->evaluated_at;
-    if (progress->step == training->evaluated_step) return false;
+    enum rn_figure figure = rn_trainer_figure(training->trainer);
+    if (progress->step == training->evaluated_step || figure == RN_FIGURE_NONE) return false;
+    if (training->closing || figure == RN_FIGURE_LAST) return true;
     if (!isnan(training->evaluate_interval_s)) return since >= training->evaluate_interval_s;
     if (training->evaluated_step < 0)
         return since >= FIRST_EVALUATION_S && progress->step >= FIRST_EVALUATION_STEPS;
@@ -479,8 +483,7 @@ void rn_training_slice(struct rn_host *host) {
     rn_trainer_progress(training->trainer, &progress);
     if (!training->evaluating) {
         training->closing = progress.done || training->finish_asked;
-        training->evaluating = training->closing ? progress.step != training->evaluated_step
-                                                 : evaluation_is_due(training, &progress);
+        training->evaluating = evaluation_is_due(training, &progress);
     }
     if (training->closing && !training->evaluating) {
         training->then = THEN_DONE;

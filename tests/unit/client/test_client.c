@@ -377,6 +377,18 @@ static const struct {
      "{\"name\":\"distortion\",\"on\":true,\"psnr\":null,\"psnr_without\":null,\"gain\":null,"
      "\"gain_spread\":null,\"cost\":0,\"picture_cost\":0}]}",
      "anisotropy +0.80 dB, distortion not measured"},
+    {RN_JOB_TRAIN,
+     "{\"steps\":2400,\"train_seconds\":60,\"samples\":9,\"psnr\":26.1,"
+     "\"parameters_sha256\":\"\",\"finished_by\":\"time\"}",
+     "2400 steps in 60.0 s, 26.10 dB"},
+    {RN_JOB_TRAIN,
+     "{\"steps\":2400,\"train_seconds\":60,\"samples\":9,\"psnr\":26.1,\"psnr_step\":2400,"
+     "\"parameters_sha256\":\"\",\"finished_by\":\"time\"}",
+     "2400 steps in 60.0 s, 26.10 dB"},
+    {RN_JOB_TRAIN,
+     "{\"steps\":2400,\"train_seconds\":60,\"samples\":9,\"psnr\":26.1,\"psnr_step\":1200,"
+     "\"parameters_sha256\":\"\",\"finished_by\":\"time\"}",
+     "2400 steps in 60.0 s, 26.10 dB at step 1200"},
     {RN_JOB_INGEST, "{\"dataset\":\"ds_a2c4e6g3i5k7\"}", ""},
     {RN_JOB_DOCTOR, "{\"passed\":1}", ""},
 };

@@ -97,7 +97,9 @@ export const placeOf = (job) =>
 /** What each type of job came to, in a few words. */
 const FIGURES = {
   train: (r) =>
-      `${decibel(r.psnr)} after ${whole(r.steps)} steps in ${seconds(r.train_seconds)}`,
+      `${decibel(r.psnr)}${
+          (r.psnr_step ?? r.steps) < r.steps ? ` at step ${whole(r.psnr_step)};` : ' after'} ${
+          whole(r.steps)} steps in ${seconds(r.train_seconds)}`,
   path: (r) => `${plural(r.frames, 'frame')} of ${r.width} × ${r.height}`,
   eval: (r) => `${decibel(r.psnr)}, SSIM ${fixed(r.ssim, 4)} over ${plural(r.views, 'view')}`,
   ingest: () => 'checked and kept',

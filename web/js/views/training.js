@@ -20,9 +20,15 @@ import {go, link} from '../router.js';
 
 const ANNOUNCE_MS = 15_000;
 
+/** The figure, and its step where that is long ago: withheld photographs are trained on since. */
+function heldOut(p) {
+  const old = p.psnr !== null && 3 * p.psnr_step < 2 * p.step;
+  return decibel(p.psnr) + (old ? ` at step ${whole(p.psnr_step)}` : '');
+}
+
 /** Figures worth a place of their own. */
 const STATS = [
-  ['PSNR, held out', (p) => decibel(p.psnr)],
+  ['PSNR, held out', heldOut],
   ['Step', (p) => whole(p.step)],
   ['Trained', (p) => seconds(p.train_seconds)],
   ['Rays', (p) => `${compact(p.rays_per_second)}/s`],
@@ -40,6 +46,7 @@ function finalFigures(scene, job, last) {
     samples_per_second: NaN,
     ...p,
     psnr: r?.psnr ?? last?.y ?? p?.psnr ?? scene.psnr,
+    psnr_step: r?.psnr_step ?? last?.step ?? p?.psnr_step,
     step: r?.steps ?? Math.max(p?.step ?? 0, scene.steps),
     train_seconds: r?.train_seconds ?? Math.max(p?.train_seconds ?? 0, scene.train_seconds)
   };
