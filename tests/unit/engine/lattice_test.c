@@ -97,8 +97,8 @@ static void check_picture(double tolerance) {
             bool inside = x >= 3 && y >= 3 && x + 3 < WIDTH && y + 3 < HEIGHT;
             if (fabs(off - limit) > 1e-5) ck_assert_int_eq(traced[y][x] == 0, off < limit);
             if (traced[y][x] != 0) continue;
-            all += squares / 3 *
-                   (d ? 0.45 * pow(limit, -0.43) : 0.46 * pow(limit, -0.34) * pow(0.5, 0.55));
+            bool beside_traced = sqrt(2 * squares / 3) > 0.7 * tolerance;
+            all += (d ? 0.275 : beside_traced ? 0.15 : 0.33) * pow(squares / 3, 0.75);
             for (int c = 0; c < 3; c++)
                 ck_assert_float_eq_tol(picture[y][x].rgb[c],
                                        (float)(!d && inside ? spline(x, y, c) : mean(n, c)), 1e-6f);
