@@ -44,6 +44,7 @@ def heads(folder, spoil=None, looks=()):
         for path in looks:
             content = small(folder / path)
             member = tarfile.TarInfo(f"ripnerf-looks/{path}.jpg")
+            content = spoil(member.name, content) if spoil else content
             member.size = len(content)
             tar.addfile(member, io.BytesIO(content))
     return archive.getvalue()
@@ -165,6 +166,11 @@ def test_photographs_without_poses_are_judged_by_their_pictures(real, tmp_path):
     assert "before and after them: w_5.jpg" in told and "nearly the same: w_8.jpg and w_9.jpg" in told
     assert {problem["where"] for problem in found["report"]["problems"]} == {"dataset"}
     assert "12 photographs without poses, the first of 192x96 pixels, all of one camera" in told
+    wide = io.BytesIO()
+    Image.new("L", (4096, 64)).save(wide, "JPEG")
+    bad = {"ripnerf-looks/w_8.jpg.jpg": wide.getvalue(), "ripnerf-looks/w_5.jpg.jpg": b"no picture"}
+    some = validate(real, upload(real, heads(folder, bad.get, names)), poses="find")["report"]
+    assert some["survey"] == {"blurred": 0, "duplicates": 0} and some["errors"] == 0
     unseen = validate(real, upload(real, heads(folder)), poses="find")["report"]
     assert unseen.get("survey", {}) == {} and len(unseen["problems"]) == 1
     job = real.wait(real.submit(type="validate", upload=there))  # nothing says that they have none
