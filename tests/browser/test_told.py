@@ -197,6 +197,17 @@ def test_training_comes_before_the_small_print_on_a_phone(page, fake):
     assert list(top) == sorted(top, key=top.get), top
 
 
+def test_a_few_photographs_come_before_training_on_a_phone(page, fake):
+    api = fake("busy")
+    count = api.world.datasets[0]["views"]["train"]
+    phone(page, 390)
+    page.open(api.url + "#/dataset/sphere")
+    page.find("#train")
+    assert len(page.all(".photos figure")) == 6 < count
+    page.press(f"Show all {count}")
+    assert len(page.all(".photos figure")) == count
+
+
 @pytest.mark.parametrize("width", [320, 390])
 def test_nothing_is_wider_than_a_phone(page, fake, width):
     api = fake("busy")

@@ -9,6 +9,7 @@ import {cloudPanel} from './cloud.js';
 import {trainPanel} from './train.js';
 
 const FIRST = 24;
+const FIRST_ON_PHONE = 6;  // training is to be in sight soon after them
 
 export async function datasetView(root, {id, signal}) {
   const title = h('h1', null, id);
@@ -72,7 +73,8 @@ function photographs(dataset, cameras, signal) {
   const show = (all) => {
     const split = pick.control.value;
     const every = indices(split);
-    const shown = all ? every : every.slice(0, FIRST);
+    const few = matchMedia('(max-width: 700px)').matches ? FIRST_ON_PHONE : FIRST;
+    const shown = all ? every : every.slice(0, few);
     fill(grid, shown.map(photo(split)));
     fill(
         more,
