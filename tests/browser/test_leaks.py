@@ -1,5 +1,5 @@
 """A page that stays open keeps nothing of the views that were left: no nodes, no listeners, no
-addresses of pictures, no streams of events."""
+pictures or addresses of some, no streams of events."""
 
 import time
 
@@ -12,8 +12,16 @@ window.addresses = new Set();
 const [make, drop] = [URL.createObjectURL, URL.revokeObjectURL];
 URL.createObjectURL = (what) => { const a = make.call(URL, what); addresses.add(a); return a; };
 URL.revokeObjectURL = (a) => { addresses.delete(a); drop.call(URL, a); };
+window.bitmaps = new Set();
+const decode = window.createImageBitmap;
+window.createImageBitmap = async (...what) => {
+  const bitmap = await decode(...what);
+  const close = bitmap.close.bind(bitmap);
+  bitmaps.add(bitmap);
+  return Object.assign(bitmap, {close: () => { bitmaps.delete(bitmap); close(); }});
+};
 """
-FEW = {"Nodes": 40, "JSEventListeners": 4, "addresses": 0, "streams": 0}  # a scene's page: 2,000 nodes
+FEW = {"Nodes": 40, "JSEventListeners": 4, "addresses": 0, "bitmaps": 0, "streams": 0}  # a scene's page: 2,000 nodes
 
 
 def held(page, api):
@@ -21,7 +29,8 @@ def held(page, api):
     page.driver.execute_cdp_cmd("HeapProfiler.collectGarbage", {})
     metrics = page.driver.execute_cdp_cmd("Performance.getMetrics", {})["metrics"]
     figures = {item["name"]: item["value"] for item in metrics if item["name"] in FEW}
-    return {**figures, "addresses": page.run("return addresses.size;"), "streams": api.streams}
+    return {**figures, "addresses": page.run("return addresses.size;"),
+            "bitmaps": page.run("return bitmaps.size;"), "streams": api.streams}
 
 
 def finished_path(api):
@@ -43,10 +52,13 @@ def test_views_that_were_left_leave_nothing(page, fake):
     page.open(api.url)
     page.driver.execute_cdp_cmd("Performance.enable", {})
     page.run(COUNT)
+    page.run("location.hash = '#/scene/sphere-draft';")
+    page.press("Whole turn")  # eight keys, which have pictures
 
     def around():
         for place, sign in (
-                ("scene/sphere-draft", ".stage[data-level=refined]"), (f"job/{job}", ".cells [data-there]"),
+                ("scene/sphere-draft", ".stage[data-level=refined]"),
+                ("scene/sphere-draft", ".key:last-child img:not([hidden])"), (f"job/{job}", ".cells [data-there]"),
                 ("dataset/sphere", "#train"), ("jobs", ".job-row"), ("system", ".facts"),
                 ("", ".card .thumb[data-state=ready]")):  # with its picture, which has an address
             page.run("location.hash = args[0];", f"#/{place}")

@@ -122,12 +122,16 @@ export function lazyImage(load, props, signal) {
   return frame;
 }
 
-/** Points `image` at a blob and frees the address when the view goes; nothing once it is gone. */
+/**
+ * Points `image` at a blob, in place of the one before; frees the address when the view goes; nothing
+ * once it is gone.
+ */
 export function showBlob(image, blob, signal) {
   if (signal.aborted) return;
-  const address = URL.createObjectURL(blob);
-  image.src = address;
-  signal.addEventListener('abort', () => URL.revokeObjectURL(address), {once: true});
+  const before = image.getAttribute('src');
+  image.src = URL.createObjectURL(blob);
+  if (before) return URL.revokeObjectURL(before);
+  signal.addEventListener('abort', () => URL.revokeObjectURL(image.src), {once: true});
 }
 
 /** Hands a blob to the browser as a file. */

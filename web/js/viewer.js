@@ -181,8 +181,8 @@ export function createViewer(canvas, host, signal) {
         pump();
       }
       const picture = await pictureOf(blob, body.output);
-      if (signal.aborted) return;
-      if (flight.stop.signal.aborted) return picture.close();  // of what was asked for before
+      // Nobody looks any more, or it is of what was asked for before.
+      if (signal.aborted || flight.stop.signal.aborted) return picture.close();
       if (level > COARSE) learn(level, body.camera, facts);
       if (flight.version < shown.version) return picture.close();  // overtaken
       draw(canvas, picture, level === COARSE ? 'low' : 'high');

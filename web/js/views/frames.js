@@ -64,6 +64,8 @@ export function framesPanel(job, signal) {
     pictures.delete(index);
   }
 
+  signal.addEventListener('abort', () => [...pictures.keys()].forEach(forget), {once: true});
+
   async function picture(index) {
     if (!pictures.has(index)) {
       pictures.set(

@@ -186,6 +186,7 @@ export function createKeys(scene, size, view, signal) {
   }
 
   const createRow = (key) => keyRow(key, {
+    signal,
     change: (id, values) => {
       set(changeKey(path, id, values), `row ${id}`);
       pictures();
@@ -444,7 +445,7 @@ function keyRow(first, host) {
     if (key.picture && key.picture !== shown) {
       shown = key.picture;
       image.hidden = false;
-      showBlob(image, shown, gone.signal);
+      showBlob(image, shown, AbortSignal.any([gone.signal, host.signal]));
     }
   };
   return {node, update, remove: () => gone.abort()};

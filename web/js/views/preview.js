@@ -29,12 +29,14 @@ async function paint(canvas, photo, mask) {
   [canvas.width, canvas.height] = [picture.width, picture.height];
   const context = canvas.getContext('2d');
   context.drawImage(picture, 0, 0);
+  picture.close();
   if (!mask) return;
   const cover =
-      await createImageBitmap(mask, {resizeWidth: picture.width, resizeHeight: picture.height});
+      await createImageBitmap(mask, {resizeWidth: canvas.width, resizeHeight: canvas.height});
   context.globalCompositeOperation = 'multiply';
   context.globalAlpha = 0.8;
   context.drawImage(cover, 0, 0);
+  cover.close();
 }
 
 /** Without poses nothing says which split a photograph is of. */

@@ -322,6 +322,7 @@ export function createViewport(scene, cameras, host, signal) {
     Promise.resolve(before).then((old) => {
       Object.assign(canvas, {width, height});
       if (old) canvas.getContext('2d').drawImage(old, 0, 0, width, height);
+      old?.close();
       viewer.changed();
     });
   }
