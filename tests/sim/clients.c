@@ -188,19 +188,27 @@ static struct sim_job *some_job(void) {
     return recent > 0 ? &sim->jobs[sim->job_count - 1 - sim_below(recent)] : NULL;
 }
 
-static void command(void) {
-    static const enum rn_job_event commands[] = {RN_JOB_PAUSE, RN_JOB_RESUME, RN_JOB_RESUME,
-                                                 RN_JOB_FINISH, RN_JOB_CANCEL};
-    const struct sim_job *job = some_job();
+static void order(const struct sim_job *job, enum rn_job_event event) {
     struct rn_error err = {0};
     char *json = NULL;
-    if (job == NULL) return;
     bool over = is_over(job);
-    enum rn_job_event event = commands[sim_below(5)];
     enum rn_status status = rn_control_command(life.control, job->id, event, &json, &err);
     if (status == RN_OK && over && event != RN_JOB_CANCEL)
         sim_violated("job %s is over and takes a command", job->id);
     free(json);
+}
+
+// Every other one who pauses a job thinks better of it, before its runner has heard of it at times.
+static void command(void) {
+    static const enum rn_job_event commands[] = {RN_JOB_PAUSE, RN_JOB_RESUME, RN_JOB_RESUME,
+                                                 RN_JOB_FINISH, RN_JOB_CANCEL};
+    const struct sim_job *job = some_job();
+    if (job == NULL) return;
+    enum rn_job_event event = commands[sim_below(5)];
+    order(job, event);
+    if (event != RN_JOB_PAUSE || sim_chance(2)) return;
+    sim_sleep(sim_below(400) * 1000000ll);
+    if (life.open) order(job, RN_JOB_RESUME);
 }
 
 static void look(void) {
@@ -228,12 +236,17 @@ static void check_without_runner(const char *scene) {
     }
 }
 
+// Who is told that the disk is full asks again, until there is room.
 static void delete_scene(void) {
     struct sim_thing *thing = some_thing(sim->scenes, sim->scene_count);
+    enum rn_status status = RN_ERROR_NO_SPACE;
     struct rn_error err = {0};
     if (thing == NULL) return;
     thing->promise = SIM_IN_DOUBT;
-    enum rn_status status = rn_control_delete_scene(life.control, thing->id, &err);
+    while (status == RN_ERROR_NO_SPACE && life.open) {
+        status = rn_control_delete_scene(life.control, thing->id, &err);
+        if (status == RN_ERROR_NO_SPACE) sim_sleep(50 * 1000000ll);
+    }
     thing->promise = status == RN_OK ? SIM_GONE : SIM_KEPT;
     if (status == RN_OK) check_without_runner(thing->id);
 }

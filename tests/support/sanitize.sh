@@ -20,6 +20,7 @@ build=$PWD/build-$kind
     meson setup "$build" --buildtype=debugoptimized "-Db_sanitize=$sanitizer" -Db_lundef=false \
         -Dcuda=disabled
 rm -f "$build"/report.*
+export CK_TIMEOUT_MULTIPLIER=10 # of a test case, as --timeout-multiplier of a program
 export TSAN_OPTIONS=halt_on_error=1:second_deadlock_stack=1:log_path=$build/report
 export UBSAN_OPTIONS=halt_on_error=1:print_stacktrace=1:log_path=$build/report
 # Memory that ends is part of some tests, and what a test may take is counted; libx265 keeps a block.
