@@ -164,24 +164,42 @@ static double lost(int64_t subsample, double interpolation, double roughness) {
     return (1 + 0.12 * apart) * interpolation + (1.13 - 1.5 / apart) * roughness;
 }
 
+static int64_t subsample_of(const struct rn_curve_point *point) {
+    struct rn_render_settings settings = {.subsample = 1}; // where the point says nothing
+    rn_settings_put(&rn_render_settings, point->setting.values, &settings);
+    return settings.subsample;
+}
+
+// Of what interpolation is likely to lose, how much it does beside the photographs: the least that
+// points with at least half as much to lose have lost in all, as the others have coarser steps and
+// rays that end early too; no more than what is likely.
+static double share_lost(const struct rn_curve *curve, size_t point, double full, double psnr) {
+    double share = 1, most = curve->points[point].interpolation;
+    for (size_t i = 0; i < curve->count; i++) {
+        double likely = curve->points[i].interpolation;
+        if (!(2 * likely >= most) || subsample_of(&curve->points[i]) > 1) continue;
+        share = fmin(share, (error_of(rn_curve_expected(curve, i, psnr)) - full) / likely);
+    }
+    return fmax(share, 0);
+}
+
 double rn_curve_expected_here(const struct rn_curve *curve, size_t point,
                               const struct rn_curve_made *made, double psnr, double better) {
     const struct rn_curve_point *p = &curve->points[point];
-    struct rn_render_settings settings = {.subsample = 1}; // where the point says nothing
-    rn_settings_put(&rn_render_settings, p->setting.values, &settings);
+    int64_t subsample = subsample_of(p);
     double full = error_of(rn_curve_expected(curve, curve->count - 1, psnr));
     double loss = error_of(rn_curve_expected(curve, point, psnr)) - full;
-    double now = lost(settings.subsample, made->interpolation, made->roughness);
-    double then = lost(settings.subsample, p->interpolation, p->roughness);
+    double now = lost(subsample, made->interpolation, made->roughness);
+    double then = lost(subsample, p->interpolation, p->roughness);
     // A picture that is better than the full one, as it is smoother, is so wherever it is taken.
     if (loss < 0)
         loss *= error_of(better);
     else if (isnan(then))
         loss = now > 0 ? now : loss;
-    else if (then > 0 && (settings.subsample > 1 || loss < then))
+    else if (subsample > 1 && then > 0)
         loss *= now / then;
-    else
-        loss += now - then; // the rest is of steps and of rays that end
+    else // what remains is of steps and of rays that end
+        loss += (then > 0 ? share_lost(curve, point, full, psnr) : 1) * (now - then);
     return -10 * log10(full * error_of(better) + loss);
 }
 

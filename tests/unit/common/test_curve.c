@@ -163,6 +163,20 @@ START_TEST(a_picture_says_itself_what_it_lost) {
     points[1].interpolation = 0.001; // of a loss that is larger the rest stays as it is
     ck_assert_double_eq_tol(error_of(here(1, (struct rn_curve_made){0.002, 0}, 0)),
                             error_of(31) + apart + 0.001, 1e-9);
+    points[2].interpolation = 0.001; // of one that has as much to lose more than half is lost
+    double share = (error_of(28) - error_of(31)) / 0.001;
+    points[2].psnr = 28;
+    ck_assert(share > 0.5 && share < 1);
+    ck_assert_double_eq_tol(error_of(here(1, (struct rn_curve_made){0.002, 0}, 0)),
+                            error_of(31) + apart + share * 0.001, 1e-9);
+    points[2].psnr = 30;
+    share = (error_of(30) - error_of(31)) / 0.001;
+    ck_assert(share < 0.5);
+    ck_assert_double_eq_tol(error_of(here(1, (struct rn_curve_made){0.002, 0}, 0)),
+                            error_of(31) + apart + share * 0.001, 1e-9);
+    points[2].interpolation = 0.0004; // of one with less to lose nothing is learnt
+    ck_assert_double_eq_tol(error_of(here(1, (struct rn_curve_made){0.002, 0}, 0)),
+                            error_of(31) + apart + 0.001, 1e-9);
     // With less time than the point's own tolerance asks for there is more to lose, and with more
     // of what the point does not interpolate at all.
     ck_assert_double_lt(here(0, (struct rn_curve_made){0.001, 0.02}, 0), 20);
