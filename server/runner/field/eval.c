@@ -49,7 +49,8 @@ static enum rn_status choose_frames(const struct rn_dataset *dataset, struct eva
     if (eval->work.total) return RN_OK;
     if (!views)
         return rn_error_set(err, RN_ERROR_INVALID, "#/options/split",
-                            "the dataset has no %s views; it has %d train, %d val and %d test",
+                            "the dataset has no %s views; it has %d train, %d val and %d test: "
+                            "ask for a split that it has, or import it with --split every:8",
                             rn_split_name(split), dataset->view_count[RN_SPLIT_TRAIN],
                             dataset->view_count[RN_SPLIT_VAL], dataset->view_count[RN_SPLIT_TEST]);
     return rn_error_set(err, RN_ERROR_INVALID, "#/options/scale",
