@@ -4,13 +4,15 @@
 
 #include "server/engine/field/colour.h"
 
-// One function a type of ray, which says what the photograph shows (`target`, `alpha`) and the
-// area `weight`, of numbers, and of the loss. Loss of a pixel of that colour and opacity, without
-// the weight: smooth L1, beta 1; and its gradient with it: dL/d(rgb), and dL/d(opacity) but for
-// what comes through rgb. Over random backgrounds both are the mean: a channel's error is then that
-// over the mean background, less (opacity - alpha) times the background's deviation from it, so
-// that half its square is on average half the first's square and half the variance times (opacity -
-// alpha)^2.
+// The loss of a pixel of that colour and opacity, without its weight: smooth L1, beta 1. Writes the
+// gradient with the weight: dL/d(rgb), and dL/d(opacity) but for what comes through rgb.
+//
+// Over random backgrounds both are the mean: a channel's error is then that over the mean
+// background, less (opacity - alpha) times the background's deviation from it, so that half its
+// square is on average half the first's square and half the variance times (opacity - alpha)^2.
+//
+// One function a set of types: RAY, with what the photograph shows (`target`, `alpha`) and the area
+// `weight`; NUMBER, of colours and gradients; LOSS, of the sum.
 #define RN_LOSS_FUNCTION(NAME, RAY, NUMBER, LOSS)                                                  \
     RN_HD LOSS NAME(const struct rn_colouring *colouring, const RAY *ray, const NUMBER rgb[3],     \
                     NUMBER opacity, NUMBER ret_grad[4]) {                                          \
