@@ -101,8 +101,6 @@ static void print_description(const struct rn_scene_description *description) {
     if (isnan(description->bounds.radius)) return; // it has not trained yet
     rn_settings_put(&rn_train_settings, description->config.settings, &config);
     print_config(&config);
-    if (strncmp(description->kernels, "sm_", 3) == 0) // a GPU's architecture
-        print_field("left out", "by the GPU: rays drawn by error");
     print_field("bounds", "centre (%g, %g, %g), radius %g", description->bounds.centre[0],
                 description->bounds.centre[1], description->bounds.centre[2],
                 description->bounds.radius);
@@ -298,8 +296,7 @@ static void print_info(const void *message) {
     else
         print_field("device", "not known: no runner has answered");
     if (strncmp(info->device, "cuda", 4) == 0)
-        print_field("CPU's alone", "unbounded and forward-facing captures, masks, bases that the "
-                                   "levels do not halve evenly, cost and surfaces of a picture");
+        print_field("CPU's alone", "cost, surfaces and a crop of a picture");
     if (*info->kernels) {
         printf("%-12s%s, of", "kernels", info->kernels);
         for (size_t i = 0; i < info->available_kernel_count; i++)

@@ -363,7 +363,7 @@ prepare gpu
 sound frustum footprint volume halves kernels
 cuda=server/engine/cuda
 mutate frustum $cuda/encode.cuh "GPU: the mean of a frustum is its middle" 's/float mean = s + shift;/float mean = s;/'
-mutate footprint $cuda/encode.cuh "GPU: levels of whole numbers" 's/\*ret_ly = rn_valid_level(p, rn_level_lane(v,/*ret_ly = *ret_lx = (int)rn_valid_level(p, rn_level_lane(v,/'
+mutate footprint $cuda/encode.cuh "GPU: levels of whole numbers" 's/\*ret_ly = rn_valid_level(p, ly);/*ret_ly = *ret_lx = (int)rn_valid_level(p, ly);/'
 mutate volume $cuda/device.cuh "GPU: the depth in front by taking the own one off again" \
     's/T before = rn_shuffle(x, RN_LANE - 1), sum = .*/T sum = x;/;/RN_LANE % lanes >= d) sum += other;/,/^}/s/return sum;/return sum - x;/'
 mutate volume $cuda/forward.cuh "GPU: opacity as 1 - exp" 's/return -expm1f(-x);/return 1 - expf(-x);/'

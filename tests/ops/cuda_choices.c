@@ -39,7 +39,8 @@ static float *measure(struct test_scene *s, const struct rn_device_step *step) {
     OK(test_scene_train(s, false, &err));
     OK(test_backend()->train_step(s->on_device, step, &err));
     OK(test_backend()->train_finish(s->on_device, &progress, &err));
-    OK(test_backend()->download(s->on_device, NULL, NULL, NULL, occupancy, NULL, &err));
+    const struct rn_device_numbers cells = {.occupancy = occupancy};
+    OK(test_backend()->download(s->on_device, &cells, &err));
     return occupancy;
 }
 

@@ -230,9 +230,13 @@ mutate gradients optimise.cuh "pooling: rows with the wrong neighbours" 's/quads
 mutate gradients optimise.cuh "pooling: columns of every second row" 's/mean\[2 \* y + 1\]\[c\]/mean[2 * y][c]/'
 try run_trained paper server/engine/cuda/optimise.cuh "update: gradients not cleared" 's/{&scene, &o.gradients, b, touched}/{\&scene, \&o.gradients, b, false}/'
 mutate second optimise.cuh "update: the maps get the moments" \
-    's/rn_pool_block<FIXED>(&to, value)/rn_pool_block<FIXED>(\&to, m)/'
+    's/rn_pool_block<FIXED>(&to, own.value)/rn_pool_block<FIXED>(\&to, own.m)/'
 mutate gradients optimise.cuh "AdamW: decay left out" 's/\*p \* a->decay/0/'
 mutate occupancy occupancy.cuh "occupancy: measured cells do not decay" 's/ \* m.decay;/;/'
+mutate uneven uneven.cuh "uneven: one texel of a level alone gets a gradient back" 's/k < 4; k++/k < 1; k++/'
+mutate uneven layout.h "uneven: an odd line halves as an even one" 's/rn_rip_taps(size, of, /rn_rip_taps(size \& ~1, of, /'
+try run_trained uneven server/engine/cuda/uneven.cuh "uneven: gradients not cleared" 's/g.fixed\[at + c\] = 0;/;/;s/g.half\[at \/ 4\] = uint2{0, 0};/;/'
+try run_trained uneven server/engine/cuda/uneven.cuh "uneven: a texel of the base counts once" 's/share->first + 1 == of ? share->weight\[1\] : 0/0/'
 # What a card with less shared memory, and a graph that froze its arguments, show.
 mutate cards field.cu "shared memory: two networks staged where one fits" \
     's/if (both <= device->shared_bytes)/if (one <= device->shared_bytes)/'
@@ -256,7 +260,7 @@ mutate places step.cuh "rendering: every picture through the first camera" 's/vi
 mutate places step.cuh "rendering: one cone instead of four" 's/x \* n + cone % n + 0.5/x * n + 0.5/'
 mutate places step.cuh "rendering: rays that end early stay open" 's/^        rn_close_ended.*/        ;/'
 mutate places step.cuh "rendering: straight colours are averaged as others" 's/view.straight ? march.colour.background : NULL/NULL/'
-mutate places backend.cu "rendering: an fp16 zero is no zero" 's/size < 0x400 ? denormal .* : value/value/'
+mutate places step.cuh "rendering: an fp16 zero is no zero" 's/size < 0x400 ? denormal .* : value/value/'
 mutate parts backend.cu "rendering: the list of the first part again" 's/p->places->numbers + p->asked/p->places->numbers/'
 mutate parts backend.cu "rendering: copied before it is there" 's/^    if (!e) e = cudaStreamWaitEvent.*//'
 mutate parts backend.cu "rendering: all parts in one place" 's/march, f->parts\[stage\])/march, f->parts[0])/'
@@ -268,12 +272,15 @@ mutate occupancy field.cu "occupancy: cells of the turn are measured, not those 
 # Places, and voxels.
 mutate unbounded space.cuh "bent rays: steps of half their length" 's/k \* (2 \* step) + (2 - ray->length)/k * step + (2 - ray->length)/'
 mutate worlds march.cuh "bent rays: cells looked up where the ray is straight" 's/p \*= scale;/p *= 0.5f;/'
+mutate bent march.cuh "bent rays: a brick skipped too far" 's/(float)(brick\[i\] - distance + 1) \* side/(float)(brick[i] - distance) * side/'
+mutate bent march.cuh "bent rays: as quick far from the centre as near it" 's/rn_root(1 + 4 \* across)/1/'
 mutate unbounded encode.cuh "unbounded: footprints as before the contraction" 's/float r = size <= 1 ? .*/float r = 1;/'
 mutate unbounded encode.cuh "unbounded: samples far away as long as those near by" 's/fmaxf(s \* s, 1) \* (2 \* step)/2 * step/'
 mutate unbounded forward.cuh "end of a place: something shines through" 's/if (rn_ends<WORLD>() \&\& last)/if (false)/'
 try run_trained agrees server/engine/cuda/encode.cuh "self-check: places without their contraction" 's/float scale = rn_lengths_at(ray, s).scale, width/float scale = 0.5f, width/'
 mutate worlds forward.cuh "end of a place: behind what ended a ray, too" 's/depth + (double)all <= (double)stop_depth \&\& //'
 mutate cells occupancy.cuh "cells of a place: kept as a ball's are" 's/o.by_sight ? RN_SEEN_LIMIT : //'
+try run_trained hidden server/engine/cuda/forward.cuh "cells of a place: what is hidden shows itself" 's/^    if (!(s->before <= RN_HIDDEN_DEPTH)) return;//'
 mutate cells occupancy.cuh "cells of a place: its end may be empty" 's/if (o.by_sight \&\& !over) over = .*//'
 mutate cells occupancy.cuh "cells of a place: every round has all that came before" 's/^    seen\[i\] = 0;//'
 mutate cells backend.cu "cells of a place: what they showed before is forgotten" 's/if (!e \&\& t->seen \&\& f->batch.seen)/if (false)/'
@@ -287,6 +294,21 @@ mutate voxels field.cu "voxels: not updated" 's/^    RN_TRY(queue_voxels<FIXED>(
 try run_trained place server/engine/cuda/optimise.cuh "voxels: gradients not cleared" 's/^            o.gradients.voxels\[own + c\] = 0;//'
 mutate smoothing optimise.cuh "smoothing: voxels of a slice alone" 's/at\[z > 0 ? -slice : 0\]/at[0]/'
 mutate smoothing field.cu "smoothing: voxels as far as texels" 's/share \* (4.0f \/ 6)/share/'
+# Where rays come from.
+try run_trained masks server/engine/cuda/step.cuh "rays: from pixels that are left out, too" 's/^    if (!rn_is_used(p, pixel)) return out;//'
+try run_trained masks server/engine/cuda/step.cuh "rays: another pixel's bit" 's/>> pixel % 32 \& 1/>> (31 - pixel % 32) \& 1/'
+mutate_engine outliers train/device.c "engine: outliers do not follow to the device" 's/if (rn_trainer_is_drawn(t, frame, x, y))/if (rn_pixel_is_used(\&t->train, frame, x, y))/'
+mutate_engine "masked views" train/device.c "engine: what masks leave out is scored" 's/if (rn_pixel_is_used(&t->held, frame, x, y))/if (true)/'
+mutate_engine moved train/device.c "engine: cameras stay where they were given" 's/{.camera = from->camera,/{.camera = from->frame->camera,/'
+try run_trained "error step" server/engine/kernels/draw.h "by errors: rays of blocks that are drawn often weigh as others" 's/\*ret_weight = 1 \/ .*/*ret_weight = 1;/'
+try run_trained "error step" server/engine/cuda/step.cuh "by errors: every block alike" 's/? rn_shared_pixel(.*/? rn_live_pixel(s->seed, from.turn, count)/'
+try run_trained "error step" server/engine/cuda/step.cuh "by errors: losses in the order of arrival" 's/if (i > done \&\& i < next) next = i;/if (i > done) next = i;/'
+try run_trained "error step" server/engine/cuda/step.cuh "by errors: the loss of one ray of a block" 's/^        done = next;/        done = b.ray_capacity;/'
+try run_trained "error step" server/engine/cuda/step.cuh "by errors: every ray of a split pixel is noted" 's/r % b->pixel_rays ? -1 : block/block/'
+mutate_engine errors train/device.c "engine: shares stay as they began" 's/shares_are_due(t) ? share_out(t, err) : RN_OK/RN_OK/'
+mutate_engine "error bytes" train/device.c "engine: new shares do not reach the device" 's/return t->field->backend->train_share(on, &shares, err);/return RN_OK;/'
+mutate_engine "error bytes" train/device.c "engine: errors are not read back for a checkpoint" '/^enum rn_status rn_trainer_fetch/,/^}/s/.block_error = t->sampler.importance.error/.block_error = NULL/'
+try run_trained "mip step" server/engine/cuda/encode.cuh "mip: the level of one axis" 's/lx = ly = 0.5f \* (lx + ly);/ly = lx;/'
 # Guards.
 mutate guards scene.cuh "a step that overflowed updates all the same" \
     's/return s->rejected || !(s->weight > 0);/return !(s->weight > 0);/'
@@ -306,7 +328,7 @@ mutate_engine standard train/device.c "engine: occupancy measured at no step" \
 mutate_engine standard train/device.c "engine: moments do not follow to the device" \
     's/\.m = t->optimiser.m,/.m = NULL,/;s/\.v = t->optimiser.v,/.v = NULL,/'
 mutate_engine standard scene/device.c "engine: moments are not read back" \
-    's/download(f->on_device, f->parameters.values, m, v,/download(f->on_device, f->parameters.values, NULL, NULL,/'
+    's/if (training) numbers = \*training;/if (training) numbers.seen = training->seen;/'
 mutate_engine paper train/device.c "engine: samples counted twice" \
     's/    t->device.counted = p;//'
 mutate_engine bytes train/trainer.c "engine: the gradients' scale is forgotten" \
@@ -318,7 +340,7 @@ mutate_engine renders scene/device.c "engine: parameters read back once only" \
 mutate_engine renders scene/device.c "engine: pyramid not built anew after reading back" \
     's/    f->fresh_levels = 0;//;s/    f->packed_for = NULL;//'
 mutate_engine renders scene/device.c "engine: occupancy not read back" \
-    's/m, v, f->occupancy, seen/m, v, NULL, seen/'
+    's/numbers.occupancy = f->occupancy;/;/'
 mutate_engine renders render/render.c "engine: a far camera rendered with too few levels" \
     's/levels <= f->field->device_levels/true/'
 mutate_engine renders render/render.c "engine: traced points in each other's places" 's/f->lattice.pixels\[f->listed\[i\]\]/f->lattice.pixels[i]/'

@@ -193,7 +193,8 @@ void test_read_back(struct test_scene *s, struct test_numbers *ret) {
     ret->m = malloc(n * sizeof(float));
     ret->v = malloc(n * sizeof(float));
     OK(test_backend()->train_finish(s->on_device, &ret->progress, &err));
-    OK(test_backend()->download(s->on_device, ret->parameters, ret->m, ret->v, NULL, NULL, &err));
+    const struct rn_device_numbers all = {.parameters = ret->parameters, .m = ret->m, .v = ret->v};
+    OK(test_backend()->download(s->on_device, &all, &err));
 }
 
 void test_numbers_finish(struct test_numbers *n) {

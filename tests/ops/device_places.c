@@ -106,6 +106,23 @@ static void check_training(bool forward, const char *what) {
     ck_assert_double_eq_tol(occupied[1], occupied[0], 0.05 * occupied[0]);
 }
 
+// Most of it opaque, so that what lies behind is hidden: its cells are not looked at.
+static void thicken(struct rn_trainer *t) {
+    const struct rn_mlp_shape *shape = &t->field->cpu.base_shape;
+    const struct rn_parameters *p = &t->field->parameters;
+    int last = shape->layers - 1;
+    float *weights = p->values + p->plane_count + shape->offset[last];
+    for (int row = 0; row < shape->in[last]; row++)
+        weights[row * shape->out[last]] = 40 * fabsf(weights[row * shape->out[last]]);
+    rn_field_refresh(t->field, t->engine);
+}
+
+START_TEST(what_is_hidden_shows_nothing) {
+    run.prepare = thicken;
+    check_step("standard", "opaque");
+}
+END_TEST
+
 START_TEST(a_step_in_all_of_space) {
     check_step("standard", "unbounded");
     check_step("paper", "unbounded");
@@ -135,6 +152,7 @@ END_TEST
 void device_add_places(Suite *suite) {
     device_add_with(suite, "place step", a_step_in_all_of_space, make_place);
     device_add_with(suite, "window step", a_step_before_a_window, make_window);
+    device_add_with(suite, "hidden", what_is_hidden_shows_nothing, make_place);
     device_add_with(suite, "place", a_place_trains, make_place);
     device_add_with(suite, "window", a_window_trains, make_window);
     device_add_with(suite, "place bytes", goes_on_to_the_same_bytes, make_place);

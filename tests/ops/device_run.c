@@ -10,13 +10,17 @@
 
 struct device_run run;
 
-void make_dataset_of(const char *scene) {
-    struct rn_synth_options synth = {.size = 16, .views = 12, .threads = 1, .samples = 4};
+void make_dataset_sized(const char *scene, int size) {
+    struct rn_synth_options synth = {.size = size, .views = 12, .threads = 1, .samples = 4};
     snprintf(run.folder, sizeof run.folder, "/tmp/ripnerf-device-XXXXXX");
     ck_assert_ptr_nonnull(mkdtemp(run.folder));
     snprintf(run.path, sizeof run.path, "%s/checkpoint.safetensors", run.folder);
     OK(rn_synthesise(scene, &synth, run.folder, NULL, NULL, &err));
     OK(rn_dataset_read(run.folder, NULL, &run.dataset, &err));
+}
+
+void make_dataset_of(const char *scene) {
+    make_dataset_sized(scene, 16);
 }
 
 void make_dataset(void) {
@@ -39,7 +43,7 @@ struct rn_train_config small_config(const char *preset, int64_t steps) {
     config.field.levels = 2;
     config.field.width = 16;
     config.field.occupancy = 16;
-    config.draw_by_error = false; // as a device leaves it out
+    config.draw_by_error = false;
     config.field.voxels = false;
     config.step = 0.1;
     config.target_samples = 1024;
@@ -100,10 +104,12 @@ struct one_step take_step(const char *device, const struct rn_train_config *conf
     OK(rn_engine_create(&options, &run.engine, &err));
     OK(rn_trainer_create(run.engine, run.dataset, config, 0, &run.trainer, &err));
     ck_assert(!rn_trainer_field(run.trainer)->on_device == (strcmp(device, "cpu") == 0));
-    run_to(1);
     struct rn_trainer *t = run.trainer;
+    if (run.prepare) run.prepare(t);
+    OK(rn_trainer_put(t, &err));
+    run_to(1);
     const struct rn_parameters *p = &t->field->parameters;
-    OK(rn_field_fetch(t->field, t->optimiser.m, t->optimiser.v, t->hull.seen, &err));
+    OK(rn_trainer_fetch(t, &err));
     ck_assert_int_eq(t->optimiser.updates, 1);
     out.counts[0] = p->plane_count;
     out.counts[1] = p->base_count;
@@ -115,6 +121,10 @@ struct one_step take_step(const char *device, const struct rn_train_config *conf
     out.seen = calloc(out.cells + 1, sizeof *out.seen);
     for (size_t i = 0; i < out.cells; i++)
         memcpy(&out.seen[i], &t->hull.seen[i], sizeof *out.seen);
+    out.blocks = t->sampler.importance.count;
+    out.errors = calloc(out.blocks + 1, sizeof *out.errors);
+    if (out.blocks > 0)
+        memcpy(out.errors, t->sampler.importance.error, out.blocks * sizeof *out.errors);
     out.loss = run.progress.loss;
     out.samples = run.progress.samples;
     run_end();
@@ -135,7 +145,8 @@ void compare_steps(const struct one_step *here, const struct one_step *there, do
     }
     for (size_t i = 0; i < here->cells; i++) {
         noted += here->seen[i] > 0;
-        apart_cells += fabsf(here->seen[i] - there->seen[i]) > 1e-3f;
+        apart_cells += fabsf(here->seen[i] - there->seen[i]) > 1e-3f ||
+                       (here->seen[i] == 0) != (there->seen[i] == 0);
     }
     if (here->cells > 0) printf(", %zu of %zu cells showed another weight", apart_cells, noted);
     printf("\n");
@@ -146,6 +157,7 @@ void compare_steps(const struct one_step *here, const struct one_step *there, do
 void step_finish(struct one_step *step) {
     free(step->m);
     free(step->seen);
+    free(step->errors);
 }
 
 // ---- pictures -------------------------------------------------------------------------------
@@ -197,7 +209,8 @@ void compare_interrupted(const struct rn_train_config *config, int64_t steps) {
     run_end();
     run_begin("cuda:0", config);
     for (bool done = false; !done;) {
-        run_to(0);
+        rn_trainer_progress(run.trainer, &run.progress);
+        run_to(run.progress.step + 1); // a measurement that is cut short begins anew
         done = run.progress.done;
         OK(rn_trainer_save(run.trainer, run.path, &err));
         rn_field_sha256(rn_trainer_field(run.trainer), pieces);

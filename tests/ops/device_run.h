@@ -12,15 +12,17 @@ struct device_run {
     struct rn_trainer *trainer;
     struct rn_progress progress;
     struct rn_dataset *dataset;
-    char folder[64], path[128]; // the dataset's; the checkpoint's
-    bool deterministic;         // of engines
+    char folder[64], path[128];                  // the dataset's; the checkpoint's
+    bool deterministic;                          // of engines
+    void (*prepare)(struct rn_trainer *trainer); // NULL, or before take_step's step
 };
 extern struct device_run run;
 
 void make_dataset(void); // of a sphere
 void make_dataset_of(const char *scene);
+void make_dataset_sized(const char *scene, int size); // pixels a side
 void remove_dataset(void);
-// A preset, so small that an emulator trains it in seconds; no rays drawn by error, as on devices.
+// A preset, so small that an emulator trains it in seconds; rays drawn from all blocks alike.
 struct rn_train_config small_config(const char *preset, int64_t steps);
 enum rn_status try_engine(const char *device, size_t memory, struct rn_engine **ret_engine,
                           struct rn_error *err);
@@ -34,11 +36,11 @@ void run_end(void);
 // In the deterministic mode a run that is interrupted again and again ends as one that is not.
 void compare_interrupted(const struct rn_train_config *config, int64_t steps);
 
-// What one step leaves of the planes' and networks' gradients, and of what the cells of a place
-// showed.
+// What one step leaves of the planes' and networks' gradients, of what the cells of a place showed,
+// and of the errors of blocks that are drawn by them.
 struct one_step {
-    float *m, *seen;
-    size_t counts[3], cells; // planes, density network, colour network
+    float *m, *seen, *errors;
+    size_t counts[3], cells, blocks; // planes, density network, colour network
     double loss;
     uint64_t samples;
 };
@@ -57,6 +59,7 @@ double compare_pictures(const char *one, const char *other, double away);
 void device_add(Suite *suite, const char *name, const TTest *test);
 void device_add_with(Suite *suite, const char *name, const TTest *test, void (*make)(void));
 void device_add_pictures(Suite *suite);
-void device_add_places(Suite *suite); // device_places.c
+void device_add_places(Suite *suite);   // device_places.c
+void device_add_captures(Suite *suite); // device_captures.c
 
 #endif

@@ -156,7 +156,7 @@ static enum rn_status write_stored(const struct rn_field *field, const struct rn
 enum rn_status rn_viewing_write(struct rn_field *field, const struct rn_viewing *viewing,
                                 const char *path, struct rn_error *err) {
     struct stored s;
-    enum rn_status status = rn_field_fetch(field, NULL, NULL, NULL, err);
+    enum rn_status status = rn_field_fetch(field, NULL, err);
     if (status == RN_OK && viewing->bits < 32) status = check_range(field, err);
     if (status == RN_OK) status = begin(field, viewing->bits, &s, err);
     if (status != RN_OK) return status;

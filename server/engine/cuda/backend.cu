@@ -143,19 +143,15 @@ static cudaError_t copy_out(const struct rn_backend_device *d, void *to, const v
 
 static enum rn_status check_config(const struct rn_device_scene *s, struct rn_error *err) {
     const struct rn_field_config *c = &s->config.field;
-    int unit = 1 << (s->levels > 3 ? s->levels - 1 : 3);
-    if (c->mean_level)
-        return rn_error_set(err, RN_ERROR_UNSUPPORTED, "mean_level",
-                            "the CUDA kernels take mip's level from the ball; use --device cpu");
     if (!find_shape(world_of(s), c))
         return rn_error_set(err, RN_ERROR_UNSUPPORTED, "width",
                             "the CUDA kernels hold up to 160 features (planes x channels, voxels "
                             "4) and widths up to 128; use --device cpu or a smaller field");
-    if (c->base % unit != 0)
-        return rn_error_set(err, RN_ERROR_UNSUPPORTED, "base",
-                            "the CUDA kernels pool by whole factors of two: %d levels need a base "
-                            "that is a multiple of %d; use --device cpu or another base",
-                            s->levels, unit);
+    if (s->levels > 1 && c->base >> (s->levels - 1) == 0)
+        return rn_error_set(err, RN_ERROR_UNSUPPORTED, "levels",
+                            "the CUDA kernels hold maps of one texel at least: %d levels need a "
+                            "base of %d; use --device cpu or fewer levels",
+                            s->levels, 1 << (s->levels - 1));
     return RN_OK;
 }
 
@@ -279,6 +275,12 @@ static enum rn_status upload(struct rn_device_field *f, const struct rn_device_s
     if (!e) e = copy_in(d, o->values, s->occupancy, n * 4);
     if (!e) e = copy_in(d, o->hull, s->hull, n);
     if (!e) e = copy_in(d, o->list, list, o->count * sizeof *list);
+    struct rn_cuda_planes *p = &f->scene.planes;
+    size_t taps = p->shares ? (size_t)p->levels * (size_t)p->base : 0;
+    struct rn_cuda_share *shares = (struct rn_cuda_share *)malloc((taps + 1) * sizeof *shares);
+    if (!shares) e = cudaErrorMemoryAllocation;
+    if (shares && taps) rn_cuda_shares_init(p->base, p->levels, shares);
+    if (!e && taps) e = copy_in(d, (void *)p->shares, shares, taps * sizeof *shares);
     if (!e) e = cudaMemsetAsync(f->scene.forward, 0, fragments * sizeof(uint4), d->stream);
     if (!e) e = cudaMemsetAsync(f->scene.backward, 0, fragments * sizeof(uint4), d->stream);
     if (!e) e = rn_queue_refresh(f);
@@ -288,6 +290,7 @@ static enum rn_status upload(struct rn_device_field *f, const struct rn_device_s
         if (s->finer[i]) e = upload_bits(d, &f->finer[i], s->finer[i], box[i]);
     cudaError_t waited = cudaStreamSynchronize(d->stream);
     free(list);
+    free(shares);
     return rn_cuda_check(e ? e : waited, "loading a field", err);
 }
 
@@ -355,6 +358,15 @@ static void describe_training(struct rn_device_field *f, const struct rn_device_
     choose_capacities(f);
 }
 
+static cudaError_t upload_shares(struct rn_device_field *f, const struct rn_shares *shares) {
+    const struct rn_backend_device *d = f->device;
+    const struct rn_shares *to = &f->source.pixels.shares;
+    size_t blocks = (size_t)f->source.pixels.live_count;
+    cudaError_t e = copy_in(d, (void *)to->share, shares->share, blocks * sizeof *shares->share);
+    if (!e) e = copy_in(d, (void *)to->begin, shares->begin, blocks * sizeof *shares->begin);
+    return e ? e : copy_in(d, (void *)to->guide, shares->guide, blocks * sizeof *shares->guide);
+}
+
 static cudaError_t upload_training(struct rn_device_field *f, const struct rn_device_pixels *p,
                                    const struct rn_device_training *t) {
     struct rn_backend_device *d = f->device;
@@ -375,7 +387,14 @@ static cudaError_t upload_training(struct rn_device_field *f, const struct rn_de
         e = copy_in(d, (void *)f->source.pixels.frames, p->frames,
                     (size_t)p->frame_count * sizeof *p->frames);
     if (!e) e = copy_in(d, (void *)f->source.pixels.rgba, p->rgba, 4 * p->pixel_count);
+    if (!e && p->used)
+        e = copy_in(d, (void *)f->source.pixels.used, p->used,
+                    rn_device_used_words(p->pixel_count) * sizeof *p->used);
     if (!e) e = copy_in(d, (void *)f->source.pixels.live, p->live, p->live_count * sizeof *p->live);
+    if (!e && p->shares.share) e = upload_shares(f, &p->shares);
+    if (!e && p->shares.share)
+        e = copy_in(d, f->batch.block_error, p->block_error,
+                    (size_t)p->live_count * sizeof *p->block_error);
     if (!e && t->m) e = copy_in(d, f->optimiser.m, t->m, f->parameter_count * 4);
     if (!e && t->v) e = copy_in(d, f->optimiser.v, t->v, f->parameter_count * 4);
     size_t cells = (size_t)f->scene.occupancy.cells;
@@ -500,18 +519,28 @@ static enum rn_status train_finish(struct rn_device_field *f,
     return RN_OK;
 }
 
-static enum rn_status download(struct rn_device_field *f, float *parameters, float *m, float *v,
-                               float *occupancy, uint32_t *seen, struct rn_error *err) {
+static enum rn_status train_share(struct rn_device_field *f, const struct rn_shares *shares,
+                                  struct rn_error *err) {
+    cudaError_t e = upload_shares(f, shares);
+    cudaError_t waited = cudaStreamSynchronize(f->device->stream);
+    return rn_cuda_check(e ? e : waited, "sharing rays out", err);
+}
+
+static enum rn_status download(struct rn_device_field *f, const struct rn_device_numbers *to,
+                               struct rn_error *err) {
     struct rn_backend_device *d = f->device;
     size_t cells = (size_t)f->scene.occupancy.cells, bytes = f->parameter_count * sizeof(float);
-    if ((m || v || seen) && !f->train_memory)
+    if ((to->m || to->v || to->seen || to->block_error) && !f->train_memory)
         return rn_error_set(err, RN_ERROR_CONFLICT, "cuda", "this field is not being trained");
-    cudaError_t e = copy_out(d, parameters, f->scene.parameters, bytes);
-    if (!e) e = copy_out(d, m, f->optimiser.m, bytes);
-    if (!e) e = copy_out(d, v, f->optimiser.v, bytes);
-    if (!e) e = copy_out(d, occupancy, f->scene.occupancy.values, cells * cells * cells * 4);
+    cudaError_t e = copy_out(d, to->parameters, f->scene.parameters, bytes);
+    if (!e) e = copy_out(d, to->m, f->optimiser.m, bytes);
+    if (!e) e = copy_out(d, to->v, f->optimiser.v, bytes);
+    if (!e) e = copy_out(d, to->occupancy, f->scene.occupancy.values, cells * cells * cells * 4);
     if (!e && f->batch.seen)
-        e = copy_out(d, seen, f->batch.seen, cells * cells * cells * sizeof *seen);
+        e = copy_out(d, to->seen, f->batch.seen, cells * cells * cells * sizeof *to->seen);
+    if (!e && f->batch.block_error)
+        e = copy_out(d, to->block_error, f->batch.block_error,
+                     (size_t)f->source.pixels.live_count * sizeof *to->block_error);
     cudaError_t waited = cudaStreamSynchronize(d->stream);
     return rn_cuda_check(e ? e : waited, "reading a field", err);
 }
@@ -580,31 +609,6 @@ static cudaError_t queue_part(struct rn_device_field *f, struct picture *p, int 
     return e ? e : cudaEventRecord(d->arrived[stage], d->copies);
 }
 
-// Exact; no branch, so that a compiler takes several at once.
-static float from_half(uint32_t half) {
-    uint32_t size = half & 0x7fff, bits = (size << 13) + (112u << 23),
-             small = size << 13 | 113u << 23;
-    float value, denormal;
-    bits += size >= 0x7c00 ? 112u << 23 : 0; // infinity, NaN
-    memcpy(&value, &bits, sizeof value);
-    memcpy(&denormal, &small, sizeof denormal);
-    value = size < 0x400 ? denormal - 6.103515625e-05f : value;
-    return half & 0x8000 ? -value : value;
-}
-
-// Pixels that have arrived.
-static void take_pixels(const void *staged, size_t count, bool halves, struct rn_pixel *ret) {
-    const struct rn_cuda_halves *from = (const struct rn_cuda_halves *)staged;
-    if (!halves) memcpy(ret, staged, count * sizeof *ret);
-    for (size_t i = 0; i < count && halves; i++) {
-        uint32_t first = from[i].pairs[0], second = from[i].pairs[1];
-        ret[i] = rn_pixel{
-            {from_half(first & 0xffff), from_half(first >> 16), from_half(second & 0xffff)},
-            from_half(second >> 16),
-            0};
-    }
-}
-
 // While the device has one part of the pixels, the host takes the part before; so the place of the
 // one after is free.
 static cudaError_t render_parts(struct rn_device_field *f, struct picture *p,
@@ -616,7 +620,7 @@ static cudaError_t render_parts(struct rn_device_field *f, struct picture *p,
         e = queue_part(f, p, part, &count);
         if (before > 0 && !e) e = cudaEventSynchronize(d->arrived[(part + 1) % 2]);
         if (before > 0 && !e)
-            take_pixels(d->staged[(part + 1) % 2], before, p->view.halves, ret_pixels);
+            rn_take_pixels(d->staged[(part + 1) % 2], before, p->view.halves, ret_pixels);
         ret_pixels += before;
         before = count;
     }
@@ -671,8 +675,9 @@ static enum rn_status render(struct rn_device_field *f, const struct rn_device_v
 extern "C" {
 extern const struct rn_backend rn_backend_table;
 const struct rn_backend rn_backend_table = {
-    RN_BACKEND_VERSION, "cuda",       device_open,  device_close,  used_bytes,
-    free_bytes,         needs,        field_create, field_destroy, train_begin,
-    train_step,         train_finish, train_timed,  download,      render,
+    RN_BACKEND_VERSION, "cuda",      device_open, device_close,
+    used_bytes,         free_bytes,  needs,       field_create,
+    field_destroy,      train_begin, train_step,  train_finish,
+    train_timed,        train_share, download,    render,
 };
 }

@@ -49,9 +49,9 @@ RN_DEVICE bool rn_ray_leveled(const struct rn_cuda_planes *p, const struct rn_ma
     if (p->levels < 2) return false;
     if (WORLD == RN_WORLD_UNBOUNDED)
         return rn_contracted_leveled(ray->origin, ray->near, ray->radius, step, p->footprint_base,
-                                     p->footprint != RN_FOOTPRINT_MIP);
+                                     p->by_axis);
     float far = rn_widest<WORLD>(ray, line);
-    if (p->footprint == RN_FOOTPRINT_MIP) return far * size > 1;
+    if (!p->by_axis) return far * size > 1;
     float axial, radial, limit = 1 / ((float)RN_FOOTPRINT_SCALE * size);
     rn_variance_bounds(far, step, &axial, &radial);
     return f->axial_u * axial + f->radial_u * radial > limit * limit ||
@@ -128,6 +128,16 @@ RN_DEVICE float rn_valid_level(const struct rn_cuda_planes *p, float level) {
     return rn_clamp_lane(level, 0, (float)(p->levels - 1));
 }
 
+// Levels from the variances along a plane's axes; of a mip their mean.
+RN_DEVICE void rn_levels_of_axes(const struct rn_cuda_planes *p, float u, float v, float *ret_lx,
+                                 float *ret_ly) {
+    float lx = rn_level_lane(u, p->footprint_base, p->levels);
+    float ly = rn_level_lane(v, p->footprint_base, p->levels);
+    if (p->footprint == RN_FOOTPRINT_MIP) lx = ly = 0.5f * (lx + ly);
+    *ret_lx = rn_valid_level(p, lx);
+    *ret_ly = rn_valid_level(p, ly);
+}
+
 // In unbounded space: what the contraction does to lengths follows from where it drew the sample.
 RN_DEVICE void rn_levels_unbounded(const struct rn_cuda_planes *p, int plane,
                                    const struct rn_sample *sample, const float direction[3],
@@ -137,7 +147,7 @@ RN_DEVICE void rn_levels_unbounded(const struct rn_cuda_planes *p, int plane,
     float r = size <= 1 ? size : 1 / (2 - fminf(size, limit)); // rn_uncontracted
     float towards[3] = {sample->x * inverse, sample->y * inverse, sample->z * inverse};
     struct rn_contraction_lane lengths = rn_contraction_at_lane(r);
-    if (p->footprint == RN_FOOTPRINT_MIP) {
+    if (!p->by_axis) {
         float level =
             rn_contracted_level_lane(&lengths, sample->wide, p->footprint_base, p->levels);
         *ret_lx = *ret_ly = rn_valid_level(p, level);
@@ -148,8 +158,7 @@ RN_DEVICE void rn_levels_unbounded(const struct rn_cuda_planes *p, int plane,
                                           direction);
     float v = rn_contracted_variance_lane(&lengths, towards, sample->axial, sample->radial,
                                           axes + 3, direction);
-    *ret_lx = rn_valid_level(p, rn_level_lane(u, p->footprint_base, p->levels));
-    *ret_ly = rn_valid_level(p, rn_level_lane(v, p->footprint_base, p->levels));
+    rn_levels_of_axes(p, u, v, ret_lx, ret_ly);
 }
 
 // Levels of a sample on the axes of a plane. `f`: but in unbounded space.
@@ -157,21 +166,20 @@ template <int WORLD>
 RN_DEVICE void rn_levels(const struct rn_cuda_planes *p, int plane,
                          const struct rn_footprint_factors *f, const struct rn_sample *sample,
                          const struct rn_march_ray *ray, float *ret_lx, float *ret_ly) {
-    int size = p->footprint_base;
     if (WORLD == RN_WORLD_UNBOUNDED) {
         rn_levels_unbounded(p, plane, sample, ray->direction, ret_lx, ret_ly);
         return;
     }
-    if (p->footprint == RN_FOOTPRINT_MIP) {
-        float ball = WORLD == RN_WORLD_FORWARD ? sample->wide * (float)size
-                                               : sample->t * (ray->radius * (float)size);
+    if (!p->by_axis) {
+        float ball = WORLD == RN_WORLD_FORWARD
+                         ? sample->wide * (float)p->footprint_base
+                         : sample->t * (ray->radius * (float)p->footprint_base);
         *ret_lx = *ret_ly = rn_valid_level(p, rn_ball_level_lane(ball, p->levels));
         return;
     }
     float u = sample->axial * f->axial_u + sample->radial * f->radial_u;
     float v = sample->axial * f->axial_v + sample->radial * f->radial_v;
-    *ret_lx = rn_valid_level(p, rn_level_lane(u, size, p->levels));
-    *ret_ly = rn_valid_level(p, rn_level_lane(v, size, p->levels));
+    rn_levels_of_axes(p, u, v, ret_lx, ret_ly);
 }
 
 // ---- maps -----------------------------------------------------------------------------------

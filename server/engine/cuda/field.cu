@@ -44,6 +44,9 @@ void rn_field_lay_out(struct rn_device_field *f, struct rn_arena *a) {
     struct rn_cuda_scene *s = &f->scene;
     size_t fragments = s->base.packed_count + s->head.packed_count;
     rn_part(a, &s->parameters, f->parameter_count);
+    if (!rn_cuda_halves_evenly(&s->planes))
+        rn_part(a, (struct rn_cuda_share **)&s->planes.shares,
+                (size_t)s->planes.levels * (size_t)s->planes.base);
     rn_part(a, &s->texels,
             (size_t)s->planes.planes * s->planes.plane_texels * (size_t)s->planes.channels);
     rn_part(a, &s->forward, fragments);
@@ -95,7 +98,19 @@ static void lay_out_pixels(struct rn_device_field *f, const struct rn_device_pix
                            struct rn_arena *a) {
     rn_part(a, (struct rn_device_frame **)&f->source.pixels.frames, (size_t)p->frame_count);
     rn_part(a, (uint8_t **)&f->source.pixels.rgba, 4 * (size_t)p->pixel_count);
+    if (p->used)
+        rn_part(a, (uint32_t **)&f->source.pixels.used, rn_device_used_words(p->pixel_count));
     rn_part(a, (struct rn_device_block **)&f->source.pixels.live, (size_t)p->live_count);
+    if (!p->shares.share) return;
+    size_t blocks = (size_t)p->live_count, rays = (size_t)f->batch.ray_capacity;
+    rn_part(a, (float **)&f->source.pixels.shares.share, blocks);
+    rn_part(a, (double **)&f->source.pixels.shares.begin, blocks);
+    rn_part(a, (uint32_t **)&f->source.pixels.shares.guide, blocks);
+    rn_part(a, &f->batch.block_error, blocks);
+    rn_part(a, &f->batch.block_ray, blocks);
+    rn_part(a, &f->batch.ray_error, rays);
+    rn_part(a, &f->batch.ray_before, rays);
+    rn_part(a, &f->batch.ray_block, rays);
 }
 
 static int voxel_count(const struct rn_device_field *f) {
@@ -255,12 +270,37 @@ cudaError_t rn_queue_measurement(struct rn_device_field *f, const struct rn_devi
 
 static cudaError_t queue_coarse(struct rn_device_field *f) {
     unsigned processors = (unsigned)f->device->processors;
-    if (f->scene.planes.levels <= RN_FINE_LEVELS) return cudaSuccess;
+    if (f->scene.planes.levels <= RN_FINE_LEVELS || f->scene.planes.shares) return cudaSuccess;
     if (f->deterministic)
         return RN_LAUNCH(rn_coarse_kernel<true>, 4 * processors, 256, 0, f->device->stream,
                          f->scene, f->optimiser.gradients);
     return RN_LAUNCH(rn_coarse_kernel<false>, 4 * processors, 256, 0, f->device->stream, f->scene,
                      f->optimiser.gradients);
+}
+
+// Maps of planes that do not halve evenly; `o`, `status` NULL: of no step.
+static cudaError_t queue_maps_uneven(struct rn_device_field *f, const struct rn_cuda_optimiser *o,
+                                     const struct rn_cuda_status *status) {
+    const struct rn_cuda_planes *p = &f->scene.planes;
+    struct rn_cuda_gradients gradients = o ? o->gradients : rn_cuda_gradients{};
+    auto kernel = f->deterministic ? rn_maps_uneven_kernel<true> : rn_maps_uneven_kernel<false>;
+    for (int map = 0; map < p->levels * p->levels; map++) {
+        int lx = map % p->levels, ly = map / p->levels;
+        int count = p->planes * (p->base >> lx) * (p->base >> ly) * p->channels / 4;
+        if (rn_cuda_map_exists(p->footprint, lx, ly))
+            RN_TRY(RN_LAUNCH(kernel, RN_BLOCKS(count), 256, 0, f->device->stream, f->scene,
+                             gradients, status, lx, ly));
+    }
+    return cudaSuccess;
+}
+
+static cudaError_t queue_uneven(struct rn_device_field *f) {
+    const struct rn_cuda_planes *p = &f->scene.planes;
+    int count = p->planes * p->base * p->base * p->channels / 4;
+    auto kernel = f->deterministic ? rn_update_uneven_kernel<true> : rn_update_uneven_kernel<false>;
+    RN_TRY(RN_LAUNCH(kernel, RN_BLOCKS(count), 256, 0, f->device->stream, f->scene, f->optimiser,
+                     f->batch.status));
+    return queue_maps_uneven(f, &f->optimiser, f->batch.status);
 }
 
 static unsigned update_blocks(const struct rn_cuda_planes *p) {
@@ -283,6 +323,7 @@ static cudaError_t queue_networks(struct rn_device_field *f, const struct rn_cud
 
 // The maps of planes whose parameters are others.
 static cudaError_t queue_maps(struct rn_device_field *f) {
+    if (f->scene.planes.shares) return queue_maps_uneven(f, NULL, NULL);
     RN_TRY(RN_LAUNCH(rn_build_kernel, update_blocks(&f->scene.planes),
                      update_threads(&f->scene.planes), 0, f->device->stream, f->scene));
     return queue_coarse(f);
@@ -360,6 +401,9 @@ static cudaError_t queue_forward(struct rn_device_field *f) {
     RN_TRY(mark(f, "forward"));
     RN_TRY(s->per_ray ? queue_shading(f) : queue_loss(f));
     RN_TRY(RN_LAUNCH(rn_order_kernel, 1, RN_ORDER_THREADS, 0, stream, f->batch));
+    if (f->batch.block_error)
+        RN_TRY(RN_LAUNCH(rn_errors_kernel, RN_BLOCKS(f->batch.ray_capacity), 256, 0, stream,
+                         f->batch));
     RN_TRY(RN_LAUNCH(rn_place_kernel, RN_BLOCKS(f->batch.tile_capacity * RN_TILE), 256, 0, stream,
                      f->batch));
     return mark(f, "order");
@@ -438,6 +482,7 @@ template <bool FIXED> static cudaError_t queue_planes(struct rn_device_field *f)
                                            : queue_scatter<FIXED, RN_WORLD_BALL>)(f));
     RN_TRY(mark(f, "scatter"));
     RN_TRY(queue_voxels<FIXED>(f));
+    if (f->scene.planes.shares) return queue_uneven(f);
     return RN_LAUNCH(rn_update_planes_kernel<FIXED>, update_blocks(&f->scene.planes),
                      update_threads(&f->scene.planes), 0, stream, f->scene, f->optimiser,
                      f->batch.status);

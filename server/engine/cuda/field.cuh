@@ -6,6 +6,7 @@
 #include "server/engine/cuda/optimise.cuh"
 #include "server/engine/cuda/shade.cuh"
 #include "server/engine/cuda/step.cuh"
+#include "server/engine/cuda/uneven.cuh"
 
 #define RN_DEVICE_MAX_RAYS (1 << 17)
 #define RN_RENDER_PIXELS (1 << 17) // of one launch

@@ -6,6 +6,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
+#include "server/engine/field/ripmap.h"
 #include "server/engine/kernels/kernels.h"
 
 #define RN_TILE 16       // samples of one ray that are evaluated together: rows of a fragment
@@ -15,20 +16,55 @@
 
 // ---- planes ---------------------------------------------------------------------------------
 
+// What a texel of the base gives to the texels of a level along one axis, the first and the next.
+struct rn_cuda_share {
+    int first;
+    float weight[2];
+};
+
 // The pyramids of all planes in one block of texels, plane after plane; within a plane the maps
 // with both levels below RN_FINE_LEVELS first. Plain value; kernels take it as a parameter.
 struct rn_cuda_planes {
     int planes, channels, base, levels, footprint;
-    int footprint_base;    // side of the grid whose texels footprints are measured in
-    int update_side;       // blocks of RN_UPDATE texels a side
-    uint32_t plane_texels; // of one plane, all its maps
-    uint32_t fine_texels;  // of these, the maps that update blocks pool
+    bool by_axis;                       // levels are (rn_levels_by_axis)
+    int footprint_base;                 // side of the grid whose texels footprints are measured in
+    int update_side;                    // blocks of RN_UPDATE texels a side
+    const struct rn_cuda_share *shares; // [level][base]; NULL: levels halve evenly
+    uint32_t plane_texels;              // of one plane, all its maps
+    uint32_t fine_texels;               // of these, the maps that update blocks pool
     uint32_t map[RN_MAX_LEVELS][RN_MAX_LEVELS]; // [ly][lx]: first texel, where the map exists
     float axis[RN_MAX_PLANES][6];               // axis_u, axis_v
 };
 
-// Levels are coarsened by whole factors of two: base a multiple of 8 and of 2^(levels - 1). Of a
-// mipmap only the diagonal is stored.
+// Whether blocks of texels are pooled by themselves: the base is a multiple of 8, and all levels
+// are coarsened by whole factors of two.
+RN_HD bool rn_cuda_halves_evenly(const struct rn_cuda_planes *p) {
+    return p->base % (1 << (p->levels > RN_FINE_LEVELS ? p->levels - 1 : RN_FINE_LEVELS - 1)) == 0;
+}
+
+// The shares of all levels, [level][base] of them.
+static inline void rn_cuda_shares_init(int base, int levels, struct rn_cuda_share *ret) {
+    for (int x = 0; x < base; x++)
+        ret[x] = (struct rn_cuda_share){x, {1, 0}};
+    for (int i = base; i < levels * base; i++) {
+        const struct rn_cuda_share *finer = &ret[i - base];
+        int size = rn_rip_size(base, i / base - 1), coarse = rn_rip_size(base, i / base);
+        struct rn_cuda_share share = {-1, {0, 0}};
+        for (int k = 0; k < 2; k++) {
+            int fine = finer->first + k, last = fine / 2 < coarse ? fine / 2 : coarse - 1;
+            for (int of = last > 0 ? last - 1 : 0; of <= last && finer->weight[k] > 0; of++) {
+                rn_real weight[3];
+                int first, taps = rn_rip_taps(size, of, &first, weight);
+                if (fine < first || fine >= first + taps) continue;
+                if (share.first < 0) share.first = of;
+                share.weight[of - share.first] += finer->weight[k] * (float)weight[fine - first];
+            }
+        }
+        ret[i] = share;
+    }
+}
+
+// Of a mipmap only the diagonal is stored.
 RN_HD bool rn_cuda_map_exists(int footprint, int lx, int ly) {
     return footprint == RN_FOOTPRINT_RIP || lx == ly;
 }
@@ -41,7 +77,9 @@ static inline void rn_cuda_planes_init(struct rn_cuda_planes *p, const struct rn
     p->footprint_base = rn_footprint_base(c);
     p->levels = c->footprint == RN_FOOTPRINT_POINT ? 1 : levels;
     p->footprint = c->footprint;
-    p->update_side = c->base / RN_UPDATE;
+    p->by_axis = rn_levels_by_axis(c);
+    p->update_side = (c->base + RN_UPDATE - 1) / RN_UPDATE;
+    p->shares = NULL;
     p->plane_texels = p->fine_texels = 0;
     for (int coarse = 0; coarse < 2; coarse++) {
         for (int ly = 0; ly < p->levels; ly++)

@@ -26,6 +26,7 @@ RN_DEVICE void rn_save_loss(const struct rn_cuda_batch *b, int index, bool takes
                             float loss, float opacity) {
     b->ray_loss[index] = takes_part ? weight * loss : 0;
     b->ray_weight[index] = takes_part ? weight : 0;
+    if (b->ray_error) b->ray_error[index] = takes_part ? loss : 0;
     if (!takes_part) b->ray_samples[index] = 0;
     if (!takes_part && !(opacity <= 0))
         atomicAdd((unsigned long long *)&b->status->nonfinite_rays, 1ull);

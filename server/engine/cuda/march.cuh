@@ -39,7 +39,6 @@ RN_DEVICE void rn_walk_clip(const struct rn_cuda_occupancy *o, const struct rn_m
     if (last < w->end) w->end = last;
 }
 
-// Through unbounded space rays are bent: every step is looked at.
 template <int WORLD>
 RN_DEVICE struct rn_walk rn_walk_start(const struct rn_cuda_occupancy *o,
                                        const struct rn_march_ray *ray, float step) {
@@ -59,18 +58,49 @@ RN_DEVICE float rn_axis_exit(float at, float direction, float low, float high) {
     return 1e30f;
 }
 
-// Index of the first sample behind the run of empty bricks around sample k; k where there is none.
-RN_DEVICE int rn_skip_empty(const struct rn_cuda_occupancy *o, const struct rn_march_ray *ray,
-                            int k, float step) {
-    int bricks = o->cells / RN_BRICK, index = 0, brick[3];
-    float at[3], s = ((float)k + 0.5f) * step, side = 2.0f / (float)bricks, leave = 1e30f;
+// The brick of a point in the cube, its number, and how many bricks away the next one is that holds
+// an occupied cell.
+RN_DEVICE int rn_brick_of(const struct rn_cuda_occupancy *o, const float at[3], int ret_brick[3]) {
+    int bricks = o->cells / RN_BRICK, index = 0;
     for (int i = 0; i < 3; i++) {
-        at[i] = ray->origin[i] + ray->direction[i] * s;
         float b = (at[i] + 1) * 0.5f * (float)bricks;
-        brick[i] = b > 0 ? (b < (float)bricks ? (int)b : bricks - 1) : 0;
-        index = index * bricks + brick[i];
+        ret_brick[i] = b > 0 ? (b < (float)bricks ? (int)b : bricks - 1) : 0;
+        index = index * bricks + ret_brick[i];
     }
-    int distance = o->distance[index];
+    return o->distance[index];
+}
+
+// Through unbounded space rays are bent: as far as they come however they bend. From one step to
+// the next a ray moves by less than step sqrt(1 + 4 b^2) in the cube, b its distance from the
+// centre: along the radius by step, across it by 2 step b at most (d y / d x of field/space.h times
+// d distance / d step, of which distance^2 / r^2 <= 1 is left).
+RN_DEVICE int rn_skip_bent(const struct rn_cuda_occupancy *o, const struct rn_march_ray *ray, int k,
+                           float step) {
+    float s = rn_middle<RN_WORLD_UNBOUNDED>(ray, k, step), scale = rn_lengths_at(ray, s).scale;
+    float at[3], side = 2.0f / (float)(o->cells / RN_BRICK), margin = 1e30f, across = 0;
+    int brick[3];
+    for (int i = 0; i < 3; i++) {
+        at[i] = (ray->origin[i] + ray->direction[i] * s) * scale;
+        across += ray->origin[i] * ray->origin[i];
+    }
+    int distance = rn_brick_of(o, at, brick);
+    for (int i = 0; i < 3; i++) {
+        float low = (float)(brick[i] - distance + 1) * side - 1;
+        margin = fminf(margin, fminf(at[i] - low, low + (float)(2 * distance - 1) * side - at[i]));
+    }
+    float steps = margin * 0.999f / (step * rn_root(1 + 4 * across));
+    return distance > 0 && steps > 1 ? k + (int)fminf(steps, 65535) : k;
+}
+
+// Index of the first sample behind the run of empty bricks around sample k; k where there is none.
+RN_DEVICE int rn_skip_straight(const struct rn_cuda_occupancy *o, const struct rn_march_ray *ray,
+                               int k, float step) {
+    float at[3], s = ((float)k + 0.5f) * step, leave = 1e30f;
+    float side = 2.0f / (float)(o->cells / RN_BRICK);
+    int brick[3];
+    for (int i = 0; i < 3; i++)
+        at[i] = ray->origin[i] + ray->direction[i] * s;
+    int distance = rn_brick_of(o, at, brick);
     if (distance == 0) return k;
     for (int i = 0; i < 3; i++) {
         float low = (float)(brick[i] - distance + 1) * side - 1;
@@ -81,16 +111,24 @@ RN_DEVICE int rn_skip_empty(const struct rn_cuda_occupancy *o, const struct rn_m
     return next > k ? next : k + 1;
 }
 
+// The same of a bent ray; k too where it is no more than what is looked at at once, `least` steps.
+template <int WORLD>
+RN_DEVICE int rn_skip_empty(const struct rn_cuda_occupancy *o, const struct rn_march_ray *ray,
+                            int k, float step, int least) {
+    if (WORLD != RN_WORLD_UNBOUNDED) return rn_skip_straight(o, ray, k, step);
+    int next = rn_skip_bent(o, ray, k, step);
+    return next - k > least ? next : k;
+}
+
 // Tiles that a ray may have, counted brick by brick by one thread; 0: it meets no brick with an
-// occupied cell, and the warp's walk would find nothing. Of a bent ray as many as it has steps for.
+// occupied cell, and the warp's walk would find nothing.
 template <int WORLD>
 RN_DEVICE int rn_tiles_ahead(const struct rn_cuda_occupancy *o, const struct rn_march_ray *ray,
                              float step) {
     struct rn_walk w = rn_walk_start<WORLD>(o, ray, step);
     int tiles = 0;
-    if (WORLD == RN_WORLD_UNBOUNDED) return (w.end + RN_TILE - 1) / RN_TILE;
     while (w.k < w.end) {
-        int next = rn_skip_empty(o, ray, w.k, step);
+        int next = rn_skip_empty<WORLD>(o, ray, w.k, step, RN_TILE << w.shift);
         tiles += next == w.k;
         w.k = next == w.k ? w.k + (RN_TILE << w.shift) : next;
     }
@@ -145,7 +183,7 @@ RN_DEVICE int rn_walk_next(const struct rn_cuda_occupancy *o, const struct rn_ma
     *ret_index = 0;
     while (count < RN_TILE && (w->bits || w->k < w->end)) {
         if (!w->bits) {
-            int next = WORLD == RN_WORLD_UNBOUNDED ? w->k : rn_skip_empty(o, ray, w->k, step);
+            int next = rn_skip_empty<WORLD>(o, ray, w->k, step, RN_LANES);
             if (next != w->k) {
                 w->k = next;
                 continue;

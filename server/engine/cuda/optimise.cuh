@@ -239,6 +239,40 @@ RN_DEVICE size_t rn_parameter_at(const struct rn_cuda_planes *p, const struct rn
            (size_t)(4 * b->quad);
 }
 
+// Four parameters of a texel and their moments, asked for before their gradient is.
+struct rn_update_texel {
+    size_t at;
+    float value[4], m[4], v[4];
+};
+RN_DEVICE struct rn_update_texel rn_load_texel(const struct rn_cuda_scene *scene,
+                                               const struct rn_cuda_optimiser *o, size_t at) {
+    struct rn_update_texel t;
+    t.at = at;
+    rn_load4(scene->parameters + at, t.value);
+    rn_load4(o->m + at, t.m);
+    rn_load4(o->v + at, t.v);
+    return t;
+}
+
+// AdamW; a gradient that overflowed is left out.
+RN_DEVICE void rn_update_texel(const struct rn_cuda_scene *scene, const struct rn_cuda_optimiser *o,
+                               struct rn_cuda_status *status, float grad[4],
+                               struct rn_update_texel *t) {
+    float scale = 1 / (status->gradient_scale * (float)status->weight);
+    struct rn_adam adam = o->update->planes;
+    for (int c = 0; c < 4; c++) {
+        if (!(fabsf(grad[c]) < 3e38f)) {
+            grad[c] = 0;
+            status->overflowed = 1;
+        }
+        if (!rn_adamw(&adam, grad[c] * scale, &t->value[c], &t->m[c], &t->v[c]))
+            atomicAdd((unsigned long long *)&status->nonfinite_numbers, 1ull);
+    }
+    rn_store4(t->value, scene->parameters + t->at);
+    rn_store4(t->m, o->m + t->at);
+    rn_store4(t->v, o->v + t->at);
+}
+
 // Pull-down, AdamW and pooling of one block a block of threads; 64 threads times channels / 4.
 template <bool FIXED>
 __global__ void __launch_bounds__(256)
@@ -249,30 +283,15 @@ __global__ void __launch_bounds__(256)
     struct rn_update_block b = rn_update_block(p);
     bool touched = o.gradients.touched[blockIdx.x] != 0;
     if (rn_cuda_step_skipped(status) || (o.update->sparse && !touched)) return;
-    size_t at = rn_parameter_at(p, &b);
     int texel = b.texel, quad = b.quad;
-    float grad[4] = {0, 0, 0, 0}, scale = 1 / (status->gradient_scale * (float)status->weight);
-    float value[4], m[4], v[4];
-    struct rn_adam adam = o.update->planes;
-    rn_load4(scene.parameters + at, value);
-    rn_load4(o.m + at, m);
-    rn_load4(o.v + at, v);
+    float grad[4] = {0, 0, 0, 0};
+    struct rn_update_texel own = rn_load_texel(&scene, &o, rn_parameter_at(p, &b));
     if (touched)
         rn_pull_down<FIXED>(p, &o.gradients, &b, b.x + texel % RN_UPDATE, b.y + texel / RN_UPDATE,
                             quad, grad);
-    for (int c = 0; c < 4; c++) {
-        if (!(fabsf(grad[c]) < 3e38f)) {
-            grad[c] = 0;
-            status->overflowed = 1;
-        }
-        if (!rn_adamw(&adam, grad[c] * scale, &value[c], &m[c], &v[c]))
-            atomicAdd((unsigned long long *)&status->nonfinite_numbers, 1ull);
-    }
-    rn_store4(value, scene.parameters + at);
-    rn_store4(m, o.m + at);
-    rn_store4(v, o.v + at);
+    rn_update_texel(&scene, &o, status, grad, &own);
     struct rn_pool to = {&scene, &o.gradients, b, touched};
-    rn_pool_block<FIXED>(&to, value);
+    rn_pool_block<FIXED>(&to, own.value);
     if (touched && threadIdx.x == 0) o.gradients.touched[blockIdx.x] = 0;
 }
 

@@ -164,6 +164,10 @@ struct rn_cuda_batch {
     struct rn_pixel *pixels; // rendering only: of rays
     // of each ray
     float *ray_loss, *ray_weight;
+    // Drawing by error: of each block its error, and 1 + the ray of it that came last; of each ray
+    // 1 + the one before, its block or -1, and its pixel's loss.
+    float *block_error, *ray_error;
+    int *block_ray, *ray_before, *ray_block;
     int *ray_samples, *ray_last; // samples seen, the last tile
     struct rn_cuda_return *ray_return;
     struct rn_cuda_piece *pieces; // of all rays, one after the other

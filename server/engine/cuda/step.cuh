@@ -62,9 +62,16 @@ RN_DEVICE uint64_t rn_below(const struct rn_rng4 *draw, uint64_t n) {
     return (uint64_t)((double)(wide >> 11) * 0x1p-53 * (double)n);
 }
 
-// A pixel drawn uniformly over all scales; returns its frame.
-RN_DEVICE int rn_draw_pixel(const struct rn_device_pixels *p, const struct rn_rng4 *draw,
-                            int *ret_x, int *ret_y) {
+// Where a ray comes from: its pixel, of no frame where there is none; its weight in the loss.
+struct rn_cuda_place {
+    int frame, x, y;
+    float weight;
+    int block; // of the live ones; -1: of none
+};
+
+// A pixel drawn uniformly over all scales.
+RN_DEVICE struct rn_cuda_place rn_draw_pixel(const struct rn_device_pixels *p,
+                                             const struct rn_rng4 *draw) {
     int scale = 0;
     uint64_t pixel = rn_below(draw, p->pixel_count);
     while (pixel >= p->scale_pixels[scale])
@@ -77,24 +84,29 @@ RN_DEVICE int rn_draw_pixel(const struct rn_device_pixels *p, const struct rn_rn
         else
             high = middle;
     }
-    uint64_t within = pixel - p->frames[low].before;
-    *ret_x = (int)(within % (uint64_t)p->frames[low].camera.width);
-    *ret_y = (int)(within / (uint64_t)p->frames[low].camera.width);
-    return low;
+    uint64_t within = pixel - p->frames[low].before, width = (uint64_t)p->frames[low].camera.width;
+    return rn_cuda_place{low, (int)(within % width), (int)(within / width),
+                         p->frames[low].loss_weight, -1};
 }
 
-// A pixel of the scale that turn `turn` falls to, of the blocks that may see the hull; -1 outside.
-RN_DEVICE int rn_draw_live(const struct rn_cuda_source *s, uint64_t turn, int *ret_x, int *ret_y) {
+// A pixel of the scale that turn `turn` falls to, of the blocks that may see the hull.
+RN_DEVICE struct rn_cuda_place rn_draw_live(const struct rn_cuda_source *s, uint64_t turn) {
     const struct rn_device_pixels *p = &s->pixels;
+    struct rn_cuda_place out = {-1, 0, 0, 1, -1};
     struct rn_scale_turn from = rn_scale_turn(turn, p->scale_count);
     uint64_t first = p->live_first[from.scale], count = p->live_first[from.scale + 1] - first;
-    if (count == 0) return -1;
-    struct rn_live_pixel pixel = rn_live_pixel(s->seed, from.turn, count);
+    if (count == 0) return out;
+    struct rn_live_pixel pixel =
+        p->shares.share ? rn_shared_pixel(&p->shares, first, count, s->seed, from.turn, &out.weight)
+                        : rn_live_pixel(s->seed, from.turn, count);
     const struct rn_device_block *block = &p->live[first + pixel.block];
-    *ret_x = block->x + pixel.x;
-    *ret_y = block->y + pixel.y;
+    out.x = block->x + pixel.x;
+    out.y = block->y + pixel.y;
     const struct rn_camera *c = &p->frames[block->frame].camera;
-    return *ret_x < c->width && *ret_y < c->height ? (int)block->frame : -1;
+    if (out.x >= c->width || out.y >= c->height) return out;
+    out.frame = (int)block->frame;
+    out.block = (int)(first + pixel.block);
+    return out;
 }
 
 // The ray of part `part` of a pixel that is split 2 x 2.
@@ -103,33 +115,48 @@ RN_DEVICE struct rn_ray rn_part_ray(const struct rn_camera *camera, int x, int y
     return rn_camera_ray(&fine, 2 * x + part % 2 + 0.5, 2 * y + part / 2 + 0.5);
 }
 
+// Whether rays are drawn from a pixel of `rgba`.
+RN_DEVICE bool rn_is_used(const struct rn_device_pixels *p, uint64_t pixel) {
+    return !p->used || p->used[pixel / 32] >> pixel % 32 & 1;
+}
+
+// Notes which block ray r is of, on its block's list of the step's rays. The first of a split
+// pixel's does it for all.
+RN_DEVICE void rn_note_block(const struct rn_cuda_batch *b, int r, int block) {
+    if (!b->block_error) return;
+    b->ray_block[r] = r % b->pixel_rays ? -1 : block;
+    if (b->ray_block[r] >= 0) b->ray_before[r] = atomicExch(&b->block_ray[block], r + 1);
+}
+
 // Ray r of a step; `first_ray`: rays of all steps before. The rays of a split pixel have one turn.
 template <int WORLD>
 RN_DEVICE struct rn_march_ray rn_draw_ray(const struct rn_cuda_source *s, uint64_t step,
-                                          uint64_t first_ray, int r) {
+                                          uint64_t first_ray, int r, int *ret_block) {
     const struct rn_device_pixels *p = &s->pixels;
     int rays = s->split ? RN_PIXEL_RAYS : 1, part = r % rays;
     struct rn_rng4 draw = rn_rng_draw(s->seed, RN_STREAM_RAYS | (uint32_t)r, step);
     struct rn_rng4 of_pixel =
         part ? rn_rng_draw(s->seed, RN_STREAM_RAYS | (uint32_t)(r - part), step) : draw;
     uint64_t turn = (first_ray + (uint64_t)(r - part)) / (uint64_t)rays;
-    int x, y,
-        frame =
-            s->favour_finest ? rn_draw_live(s, turn, &x, &y) : rn_draw_pixel(p, &of_pixel, &x, &y);
+    struct rn_cuda_place at =
+        s->favour_finest ? rn_draw_live(s, turn) : rn_draw_pixel(p, &of_pixel);
     struct rn_march_ray out = {{0, 0, 0}, {0, 0, 0}, 0, 0, 0, 1, {0, 0, 0}, 0, 0, (uint32_t)r};
-    if (frame < 0) return out;
-    const struct rn_device_frame *f = &p->frames[frame];
-    struct rn_ray ray = s->split ? rn_part_ray(&f->camera, x, y, part)
-                                 : rn_camera_ray(&f->camera, x + 0.5, y + 0.5);
+    *ret_block = -1;
+    if (at.frame < 0) return out;
+    const struct rn_device_frame *f = &p->frames[at.frame];
+    uint64_t pixel = f->offset + (uint64_t)at.y * (uint64_t)f->camera.width + (uint64_t)at.x;
+    if (!rn_is_used(p, pixel)) return out;
+    *ret_block = at.block;
+    struct rn_ray ray = s->split ? rn_part_ray(&f->camera, at.x, at.y, part)
+                                 : rn_camera_ray(&f->camera, at.x + 0.5, at.y + 0.5);
     out = rn_cut_cone<WORLD>(&s->cut, &ray, (double)rn_rng_unit(draw.v[2]));
-    const uint8_t *rgba =
-        p->rgba + 4 * (f->offset + (uint64_t)y * (uint64_t)f->camera.width + (uint64_t)x);
+    const uint8_t *rgba = p->rgba + 4 * pixel;
     float alpha = (float)rgba[3] * (1 / 255.0f);
     for (int c = 0; c < 3; c++)
         out.target[c] =
             (float)rgba[c] * (1 / 255.0f) * alpha + (1 - alpha) * s->colour.background[c];
     out.alpha = alpha;
-    out.weight = !(ray.radius > 0) ? 0 : s->favour_finest ? 1 : f->loss_weight;
+    out.weight = ray.radius > 0 ? at.weight : 0;
     out.id = (uint32_t)r;
     return out;
 }
@@ -147,11 +174,12 @@ template <int WORLD>
 __global__ void __launch_bounds__(256) rn_rays_kernel(const __grid_constant__ rn_cuda_source source,
                                                       const __grid_constant__ rn_cuda_scene scene,
                                                       const __grid_constant__ rn_cuda_batch batch) {
-    int r = (int)(blockIdx.x * blockDim.x + threadIdx.x), tiles = 0;
+    int r = (int)(blockIdx.x * blockDim.x + threadIdx.x), tiles = 0, block;
     if (r < batch.status->ray_count) {
         struct rn_march_ray ray =
-            rn_draw_ray<WORLD>(&source, batch.status->steps, batch.status->rays, r);
+            rn_draw_ray<WORLD>(&source, batch.status->steps, batch.status->rays, r, &block);
         batch.rays[r] = ray;
+        rn_note_block(&batch, r, block);
         rn_keep_forward<WORLD>(&batch, &source.cut, r, &ray);
         tiles = rn_tiles_ahead<WORLD>(&scene.occupancy, &ray, (float)source.cut.step);
         if (tiles == 0) rn_leave_empty(&batch, r);
@@ -213,6 +241,32 @@ __global__ void __launch_bounds__(256) rn_view_kernel(const __grid_constant__ rn
 struct alignas(8) rn_cuda_halves {
     uint32_t pairs[2];
 };
+
+// Exact; no branch, so that a compiler takes several at once.
+static inline float rn_from_half(uint32_t half) {
+    uint32_t size = half & 0x7fff, bits = (size << 13) + (112u << 23),
+             small = size << 13 | 113u << 23;
+    float value, denormal;
+    bits += size >= 0x7c00 ? 112u << 23 : 0; // infinity, NaN
+    memcpy(&value, &bits, sizeof value);
+    memcpy(&denormal, &small, sizeof denormal);
+    value = size < 0x400 ? denormal - 6.103515625e-05f : value;
+    return half & 0x8000 ? -value : value;
+}
+
+// Pixels that have arrived.
+static inline void rn_take_pixels(const void *staged, size_t count, bool halves,
+                                  struct rn_pixel *ret) {
+    const struct rn_cuda_halves *from = (const struct rn_cuda_halves *)staged;
+    if (!halves) memcpy(ret, staged, count * sizeof *ret);
+    for (size_t i = 0; i < count && halves; i++) {
+        uint32_t first = from[i].pairs[0], second = from[i].pairs[1];
+        ret[i] = rn_pixel{{rn_from_half(first & 0xffff), rn_from_half(first >> 16),
+                           rn_from_half(second & 0xffff)},
+                          rn_from_half(second >> 16),
+                          0};
+    }
+}
 
 // From cones to pixels, one thread a pixel: to `to`, as rn_pixel or, where `view` says so, as
 // rn_cuda_halves.
@@ -353,6 +407,26 @@ __global__ void __launch_bounds__(256) rn_place_kernel(const __grid_constant__ r
     int place = ray.first + ray.count - b.tile_behind[slot] + rn_popcount(rows & (bit - 1));
     b.returned[place] = sample;
     b.returned_mid[place] = b.mid[sample];
+}
+
+// The errors of the blocks after the losses of a step's rays, in the rays' order, whatever order
+// they came in; nothing of a step that is rejected. One thread a ray: that which came last of its
+// block does it for all.
+__global__ void __launch_bounds__(256) rn_errors_kernel(const __grid_constant__ rn_cuda_batch b) {
+    int r = (int)(blockIdx.x * blockDim.x + threadIdx.x), done = -1;
+    int block = r < b.status->ray_count ? b.ray_block[r] : -1;
+    if (block < 0 || b.block_ray[block] != r + 1) return;
+    float error = b.block_error[block];
+    for (;;) {
+        int next = b.ray_capacity;
+        for (int i = r; i >= 0; i = b.ray_before[i] - 1)
+            if (i > done && i < next) next = i;
+        if (next == b.ray_capacity) break;
+        error = rn_block_error(error, b.ray_error[next]);
+        done = next;
+    }
+    if (!b.status->rejected) b.block_error[block] = error;
+    b.block_ray[block] = 0;
 }
 
 // Counts the step and makes ready for the next; one thread.

@@ -10,7 +10,7 @@
 #define GAIN 0.5 // dB of the pixels that were not looked at
 
 static bool can(const struct rn_evidence *e) {
-    return !e->engine->backend && e->photographs->scale_count == 1;
+    return e->photographs->scale_count == 1;
 }
 
 static void detect(const struct rn_evidence *e, struct rn_effect_record *r) {
@@ -22,9 +22,7 @@ static void detect(const struct rn_evidence *e, struct rn_effect_record *r) {
     r->decided =
         choice != RN_EFFECT_AUTO || !config->auto_effects || !can(e) || rn_evidence_is_rendered(e);
     const char *reason = "to be measured on held-out photographs once the field shows something";
-    if (e->engine->backend)
-        reason = "not measured: poses are refined on the CPU";
-    else if (!can(e))
+    if (!can(e))
         reason = "not measured: photographs are there at several scales";
     else if (rn_evidence_is_rendered(e))
         reason = "poses are those that the pictures were rendered with";

@@ -10,16 +10,12 @@
 static void detect(const struct rn_evidence *e, struct rn_effect_record *r) {
     const struct rn_train_config *config = &e->field->config;
     enum rn_effect_choice choice = config->effect[RN_EFFECT_ROBUST_LOSS];
-    bool can = !e->engine->backend;
     r->number = NAN;
     r->threshold = SHARE;
-    r->on = rn_effect_choose(config, RN_EFFECT_ROBUST_LOSS, can, false);
-    r->decided =
-        choice != RN_EFFECT_AUTO || !config->auto_effects || !can || rn_evidence_is_rendered(e);
+    r->on = rn_effect_choose(config, RN_EFFECT_ROBUST_LOSS, true, false);
+    r->decided = choice != RN_EFFECT_AUTO || !config->auto_effects || rn_evidence_is_rendered(e);
     const char *reason = "to be measured once the field shows something";
-    if (!can)
-        reason = "not measured: outliers are sought on the CPU";
-    else if (rn_evidence_is_rendered(e))
+    if (rn_evidence_is_rendered(e))
         reason = "photographs are a renderer's, which agree";
     else if (r->decided)
         reason = "not measured";

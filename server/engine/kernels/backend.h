@@ -8,9 +8,10 @@
 #define RN_ENGINE_KERNELS_BACKEND_H
 
 #include "common/math/camera.h"
+#include "server/engine/kernels/draw.h"
 #include "server/engine/kernels/kernels.h"
 
-#define RN_BACKEND_VERSION 12
+#define RN_BACKEND_VERSION 13
 #define RN_BACKEND_SYMBOL "rn_backend_table"
 
 struct rn_backend_device; // owner: rn_backend.open's caller
@@ -73,12 +74,20 @@ struct rn_device_block { // of pixels that may see the hull (train/trainer.h)
 };
 struct rn_device_pixels {
     const struct rn_device_frame *frames;
-    const uint8_t *rgba; // straight alpha
+    const uint8_t *rgba;  // straight alpha
+    const uint32_t *used; // a bit a pixel, 0 where no ray is drawn; NULL: all are
     const struct rn_device_block *live;
+    // Of the blocks in `live`: how they are drawn, and the errors of their rays so far; `share`
+    // NULL: all alike.
+    struct rn_shares shares;
+    const float *block_error;
     int frame_count, scale_count;
     int scale_first[17];
     uint64_t scale_pixels[16], pixel_count, live_first[17], live_count;
 };
+static inline size_t rn_device_used_words(uint64_t pixels) {
+    return (size_t)(pixels / 32 + 1);
+}
 
 // State of a training that is not in the parameters.
 struct rn_device_training {
@@ -118,6 +127,13 @@ struct rn_device_progress {
     float gradient_scale;
     int good_steps;
     float gradient_size;
+};
+
+// What is copied from a device, in the CPU's layout; NULL: is not.
+struct rn_device_numbers {
+    float *parameters, *occupancy;
+    float *m, *v, *block_error; // of a field that is trained, and the next
+    uint32_t *seen;
 };
 
 #define RN_DEVICE_STAGES 16
@@ -161,9 +177,11 @@ struct rn_backend {
     enum rn_status (*train_timed)(struct rn_device_field *field, const struct rn_device_step *step,
                                   struct rn_device_stage ret_stages[RN_DEVICE_STAGES],
                                   int *ret_count, struct rn_error *err);
-    // Copies to the CPU's layout what is not NULL; moments and `seen` of a field that is trained.
-    enum rn_status (*download)(struct rn_device_field *field, float *parameters, float *m, float *v,
-                               float *occupancy, uint32_t *seen, struct rn_error *err);
+    // Other shares of the blocks, from the next step on.
+    enum rn_status (*train_share)(struct rn_device_field *field, const struct rn_shares *shares,
+                                  struct rn_error *err);
+    enum rn_status (*download)(struct rn_device_field *field, const struct rn_device_numbers *to,
+                               struct rn_error *err);
     // Of a view the pixels at `places`, in their order. Rays that end earlier than in training are
     // closed (rn_close_ended).
     enum rn_status (*render)(struct rn_device_field *field, const struct rn_device_view *view,

@@ -52,4 +52,37 @@ RN_HD struct rn_live_pixel rn_live_pixel(uint64_t seed, uint64_t turn, uint64_t 
     return rn_pixel_of_block(block, (uint32_t)(turn / count));
 }
 
+// ---- blocks that are drawn by shares (train/importance.h) -------------------------------------
+
+#define RN_IMPORTANCE_FRESH 0.3f // weight of a block's newest loss in its mean
+
+// The running mean of the losses of a block's rays after one more; < 0: none yet.
+RN_HD float rn_block_error(float error, float loss) {
+    return error < 0 ? loss : error + RN_IMPORTANCE_FRESH * (loss - error);
+}
+
+// Of blocks in lists, one after the other.
+struct rn_shares {
+    const float *share;    // how often a block is drawn, 1 = as often as the mean of its list
+    const double *begin;   // of a block's part of its list's [0, 1)
+    const uint32_t *guide; // of a list of n, the block at i / n
+};
+
+// The pixel of turn `turn` over the list [first, first + count), count > 0; *ret_weight is 1 /
+// share. Turns lie evenly over the list's [0, 1), so evenly over a block's part of it too: its
+// pixels take turns.
+RN_HD struct rn_live_pixel rn_shared_pixel(const struct rn_shares *shares, uint64_t first,
+                                           uint64_t count, uint64_t seed, uint64_t turn,
+                                           float *ret_weight) {
+    double at = rn_golden_place(seed, turn);
+    const double *begin = shares->begin + first;
+    uint64_t block = shares->guide[first + (uint64_t)(at * (double)count)];
+    while (block + 1 < count && begin[block + 1] <= at)
+        block++;
+    double end = block + 1 < count ? begin[block + 1] : 1;
+    *ret_weight = 1 / shares->share[first + block];
+    return rn_pixel_of_block(block, (uint32_t)((at - begin[block]) / (end - begin[block]) *
+                                               (RN_LIVE_BLOCK * RN_LIVE_BLOCK)));
+}
+
 #endif

@@ -225,7 +225,7 @@ enum rn_status rn_field_mesh(struct rn_engine *engine, struct rn_field *field,
                         .context = context};
     struct rn_mesh mesh = {0};
     enum rn_status status = choose_grid(&m, options, err);
-    if (!status) status = rn_field_fetch(field, NULL, NULL, NULL, err);
+    if (!status) status = rn_field_fetch(field, NULL, err);
     if (status) return status;
     m.grid.slice = take_slice;
     m.grid.context = &m;

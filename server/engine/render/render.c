@@ -167,7 +167,7 @@ static enum rn_status prepare(struct frame *f, struct rn_error *err) {
     bool looks_inside = (f->options->outputs & (RN_OUTPUT_COST | RN_OUTPUTS_OF_SURFACES)) != 0;
     f->on_device = f->field->on_device && levels <= f->field->device_levels &&
                    !rn_shot_needs_viewpoints(shot) && !looks_inside && !f->options->crop;
-    if (!f->on_device) status = rn_field_fetch(f->field, NULL, NULL, NULL, err);
+    if (!f->on_device) status = rn_field_fetch(f->field, NULL, err);
     if (!f->on_device && status == RN_OK)
         status = rn_field_make_ready(f->field, f->engine, levels, err);
     if (status == RN_OK) rn_field_choose_cells(f->field, levels, exp(-(double)f->march.stop_depth));

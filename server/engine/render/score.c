@@ -8,6 +8,7 @@
 #include "server/engine/effects/effects.h"
 #include "server/engine/render/cones.h"
 #include "server/engine/render/render.h"
+#include "server/engine/scene/device.h"
 #include "server/engine/scene/pixels.h"
 #include "server/engine/scene/pose.h"
 
@@ -122,7 +123,8 @@ static enum rn_status render_sought(const struct view *view, int half,
     float *background = looker.march.colour.background;
     struct rn_pose_photo photo = {view->photograph.pixels, view->used, options.camera};
     int levels = rn_levels_for_camera(view->field, &photo.camera, view->field->config.step);
-    enum rn_status status = rn_field_make_ready(view->field, view->engine, levels, err);
+    enum rn_status status = rn_field_fetch(view->field, NULL, err);
+    if (status == RN_OK) status = rn_field_make_ready(view->field, view->engine, levels, err);
     if (status != RN_OK) return status;
     memcpy(background, options.background, sizeof options.background);
     options.camera = rn_pose_seek(&looker, &photo, half ? RN_POSE_LEFT : RN_POSE_RIGHT,
@@ -136,7 +138,7 @@ static enum rn_status fitted_psnr(const struct view *view, struct rn_picture *re
     size_t count = 0;
     double sum = 0;
     enum rn_status status = RN_OK;
-    bool seeks = view->options.fit & RN_FIT_POSE && !view->field->on_device;
+    bool seeks = view->options.fit & RN_FIT_POSE;
     for (int half = 0; half < 2 && status == RN_OK; half++) {
         struct rn_render_result sought = {0};
         if (seeks) status = render_sought(view, half, &sought, err);

@@ -93,10 +93,6 @@ bool rn_device_trained(const char *kernels) {
     return strncmp(kernels, "sm_", 3) == 0;
 }
 
-void rn_device_adapt(struct rn_train_config *config) {
-    config->draw_by_error = false;
-}
-
 // ---- memory ---------------------------------------------------------------------------------
 
 // Asks whoever shares the device out for `bytes` of it, or takes what is free; a part is left for
@@ -182,7 +178,7 @@ enum rn_status rn_field_put_to_render(struct rn_engine *engine, struct rn_field 
     int levels = c->footprint == RN_FOOTPRINT_POINT ? 1 : c->levels;
     struct rn_error own;
     if (!engine->backend) return RN_OK;
-    while (levels > 1 && c->base % (1 << (levels - 1)) != 0)
+    while (levels > 1 && c->base >> (levels - 1) == 0)
         levels--;
     enum rn_status status = rn_field_put(engine, f, levels, NULL, NULL, &own);
     f->rests = status == RN_ERROR_LIMIT || status == RN_ERROR_NO_MEMORY;
@@ -191,14 +187,17 @@ enum rn_status rn_field_put_to_render(struct rn_engine *engine, struct rn_field 
     return status;
 }
 
-enum rn_status rn_field_fetch(struct rn_field *f, float *m, float *v, uint32_t *seen,
+enum rn_status rn_field_fetch(struct rn_field *f, const struct rn_device_numbers *training,
                               struct rn_error *err) {
-    if (!f->on_device || !(f->behind || (m && f->moments_behind))) return RN_OK;
-    enum rn_status status =
-        f->backend->download(f->on_device, f->parameters.values, m, v, f->occupancy, seen, err);
+    if (!f->on_device || !(f->behind || (training && f->moments_behind))) return RN_OK;
+    struct rn_device_numbers numbers = {.parameters = NULL};
+    if (training) numbers = *training;
+    numbers.parameters = f->parameters.values;
+    numbers.occupancy = f->occupancy;
+    enum rn_status status = f->backend->download(f->on_device, &numbers, err);
     if (status != RN_OK) return status;
     f->behind = false;
-    if (m) f->moments_behind = false;
+    if (training) f->moments_behind = false;
     f->fresh_levels = 0;
     f->packed_for = NULL;
     rn_field_refresh_occupancy(f);

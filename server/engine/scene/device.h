@@ -16,9 +16,6 @@ void rn_engine_close_device(struct rn_engine *engine);
 // Whether a checkpoint's kernel set is a device's: any machine may go on from it.
 bool rn_device_trained(const char *kernels);
 
-// What a training on a device does otherwise: it draws rays without a look at errors.
-void rn_device_adapt(struct rn_train_config *config);
-
 // How far a device's kernels are from the CPU's, on small fields: a pixel's largest difference, of
 // the largest number, and by how much the loss leaves its gradient when it is followed.
 struct rn_device_agreement {
@@ -48,9 +45,9 @@ enum rn_status rn_field_put(struct rn_engine *engine, struct rn_field *field, in
 enum rn_status rn_field_put_to_render(struct rn_engine *engine, struct rn_field *field,
                                       struct rn_error *err) RN_MUST_CHECK;
 // Copies parameters and occupancy from the device, after training there; for its training to go on
-// here, where not NULL, the moments and what cells showed. Nothing to do where the CPU's are as
+// here, where not NULL, what of `training` is not NULL. Nothing to do where the CPU's are as
 // new.
-enum rn_status rn_field_fetch(struct rn_field *field, float *m, float *v, uint32_t *seen,
+enum rn_status rn_field_fetch(struct rn_field *field, const struct rn_device_numbers *training,
                               struct rn_error *err) RN_MUST_CHECK;
 // Gives the device's copy and its memory back.
 void rn_field_withdraw(struct rn_field *field);

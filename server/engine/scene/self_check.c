@@ -164,8 +164,8 @@ static enum rn_status loss_of(const struct subject *s, const float *parameters, 
     if (status == RN_OK) status = backend->train_begin(field, &pixels, &training, err);
     if (status == RN_OK) status = backend->train_step(field, &still, err);
     if (status == RN_OK) status = backend->train_finish(field, &progress, err);
-    if (status == RN_OK && ret_gradient)
-        status = backend->download(field, NULL, ret_gradient, NULL, NULL, NULL, err);
+    const struct rn_device_numbers moments = {.m = ret_gradient};
+    if (status == RN_OK) status = backend->download(field, &moments, err);
     backend->field_destroy(&field);
     for (size_t i = 0; i < count && ret_gradient && status == RN_OK; i++)
         ret_gradient[i] *= 10; // the first moment after one step is a tenth of it

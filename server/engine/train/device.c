@@ -20,6 +20,7 @@ struct packed_pixels {
     struct rn_device_pixels pixels;
     struct rn_device_frame *frames;
     struct rn_device_block *live;
+    uint32_t *used;
 };
 
 static void pack_scales(const struct rn_trainer *t, struct rn_device_pixels *p) {
@@ -37,11 +38,30 @@ static void pack_scales(const struct rn_trainer *t, struct rn_device_pixels *p) 
         p->live_first[s] = t->sampler.live_first[s];
 }
 
+static void pack_used(const struct rn_trainer *t, uint32_t *ret) {
+    for (int f = 0; f < t->train.frame_count; f++) {
+        const struct rn_pixel_frame *frame = &t->train.frames[f];
+        size_t at = frame->offset;
+        for (int y = 0; y < frame->camera.height; y++)
+            for (int x = 0; x < frame->camera.width; x++, at++)
+                if (rn_trainer_is_drawn(t, frame, x, y)) ret[at / 32] |= 1u << at % 32;
+        rn_pixels_let_go(&t->train);
+    }
+}
+
+static void free_packed(struct packed_pixels *packed) {
+    free(packed->frames);
+    free(packed->live);
+    free(packed->used);
+}
+
 static enum rn_status pack_pixels(const struct rn_trainer *t, struct packed_pixels *ret,
                                   struct rn_error *err) {
     ret->frames = calloc((size_t)t->train.frame_count + 1, sizeof *ret->frames);
     ret->live = calloc(t->sampler.live_count + 1, sizeof *ret->live);
-    if (!ret->frames || !ret->live)
+    if (rn_trainer_leaves_out(t))
+        ret->used = calloc(rn_device_used_words(t->train.pixel_count), sizeof *ret->used);
+    if (!ret->frames || !ret->live || (!ret->used && rn_trainer_leaves_out(t)))
         return rn_error_set(err, RN_ERROR_NO_MEMORY, "trainer", "out of memory");
     for (int f = 0; f < t->train.frame_count; f++) {
         const struct rn_pixel_frame *from = &t->train.frames[f];
@@ -57,6 +77,12 @@ static enum rn_status pack_pixels(const struct rn_trainer *t, struct packed_pixe
     pack_scales(t, &ret->pixels);
     ret->pixels.frames = ret->frames;
     ret->pixels.live = ret->live;
+    if (ret->used) pack_used(t, ret->used);
+    ret->pixels.used = ret->used;
+    if (t->sampler.importance.count > 0) {
+        ret->pixels.shares = rn_importance_shares(&t->sampler.importance);
+        ret->pixels.block_error = t->sampler.importance.error;
+    }
     return RN_OK;
 }
 
@@ -82,9 +108,16 @@ static enum rn_status put_training(struct rn_trainer *t, struct rn_error *err) {
     if (status == RN_OK)
         status =
             rn_field_put(t->engine, t->field, t->optimiser.levels, &packed.pixels, &training, err);
-    free(packed.frames);
-    free(packed.live);
+    free_packed(&packed);
     return status;
+}
+
+enum rn_status rn_trainer_fetch(struct rn_trainer *t, struct rn_error *err) {
+    const struct rn_device_numbers training = {.m = t->optimiser.m,
+                                               .v = t->optimiser.v,
+                                               .seen = t->hull.seen,
+                                               .block_error = t->sampler.importance.error};
+    return rn_field_fetch(t->field, &training, err);
 }
 
 enum rn_status rn_trainer_put(struct rn_trainer *t, struct rn_error *err) {
@@ -93,19 +126,13 @@ enum rn_status rn_trainer_put(struct rn_trainer *t, struct rn_error *err) {
     enum rn_status status = RN_OK;
     t->device.counted =
         (struct rn_device_progress){.steps = t->progress.step, .rays = t->progress.rays};
-    if (e->backend && t->train.used)
-        status = rn_error_set(err, RN_ERROR_UNSUPPORTED, "masks",
-                              "the CUDA kernels do not know masks; use --device cpu, or import the "
-                              "dataset without its masks");
-    else if (e->backend)
-        status = put_training(t, err);
+    if (e->backend) status = put_training(t, err);
     if (status == RN_ERROR_UNSUPPORTED && e->device_optional) status = RN_OK;
     if (t->field->on_device) kernels = e->device_kernels;
     snprintf(t->field->kernels, sizeof t->field->kernels, "%s", kernels);
     return status;
 }
 
-// Squared errors of `rows` rows of a held-out frame, rendered on the device.
 enum rn_status rn_trainer_validate_rows(struct rn_trainer *t, const struct rn_pixel_frame *frame,
                                         int row, int rows, double *ret_squares,
                                         struct rn_error *err) {
@@ -124,9 +151,12 @@ enum rn_status rn_trainer_validate_rows(struct rn_trainer *t, const struct rn_pi
     march.straight = rn_field_averages_straight(t->field, frame->frame);
     enum rn_status status =
         rn_cones_render_there(t->field, &march, &view, &places, pixels, &samples, err);
-    for (size_t i = 0; i < n && status == RN_OK; i++)
-        rn_pixel_add_error(&t->held, frame, (int)(i % width), row + (int)(i / width),
-                           config->background, pixels[i].rgb, ret_squares);
+    for (size_t i = 0; i < n && status == RN_OK; i++) {
+        int x = (int)(i % width), y = row + (int)(i / width);
+        if (rn_pixel_is_used(&t->held, frame, x, y))
+            rn_pixel_add_error(&t->held, frame, x, y, config->background, pixels[i].rgb,
+                               ret_squares);
+    }
     free(pixels);
     return status;
 }
@@ -183,16 +213,34 @@ static enum rn_status roll_back(struct rn_trainer *t, struct rn_error *err) {
     return rn_trainer_put(t, err);
 }
 
+static bool shares_are_due(const struct rn_trainer *t) {
+    return t->sampler.importance.count > 0 && t->progress.step > 0 &&
+           t->progress.step % RN_IMPORTANCE_EVERY == 0;
+}
+
+// Which blocks the next rays come from, by the errors that the device has noted.
+static enum rn_status share_out(struct rn_trainer *t, struct rn_error *err) {
+    const struct rn_device_numbers errors = {.block_error = t->sampler.importance.error};
+    struct rn_device_field *on = t->field->on_device;
+    enum rn_status status = t->field->backend->download(on, &errors, err);
+    if (status != RN_OK) return status;
+    rn_trainer_share_out(t, true);
+    struct rn_shares shares = rn_importance_shares(&t->sampler.importance);
+    return t->field->backend->train_share(on, &shares, err);
+}
+
 enum rn_status rn_trainer_run_device(struct rn_trainer *t, struct rn_error *err) {
     struct rn_device_field *on = t->field->on_device;
     struct rn_device_progress p;
-    enum rn_status status = RN_OK;
+    enum rn_status status = shares_are_due(t) ? share_out(t, err) : RN_OK;
     t->field->behind = t->field->moments_behind = true;
     for (int i = 0; i < QUEUED && status == RN_OK; i++) {
         struct rn_device_step step = next_step(t);
         status = t->field->backend->train_step(on, &step, err);
         t->field->steps = ++t->progress.step;
-        if (rn_trainer_turn_due(t) || rn_schedule_done(&t->field->config, &t->progress) >= 1) break;
+        if (rn_trainer_turn_due(t) || shares_are_due(t) ||
+            rn_schedule_done(&t->field->config, &t->progress) >= 1)
+            break;
     }
     if (status == RN_OK) status = t->field->backend->train_finish(on, &p, err);
     if (status != RN_OK) return status;

@@ -19,6 +19,8 @@ struct rn_device_state {
 // where there is no device, or one that may be done without cannot train this field. The levels
 // and counts of the field's copy start anew.
 enum rn_status rn_trainer_put(struct rn_trainer *trainer, struct rn_error *err) RN_MUST_CHECK;
+// What is trained from there: parameters, moments, what cells showed, errors of blocks.
+enum rn_status rn_trainer_fetch(struct rn_trainer *trainer, struct rn_error *err) RN_MUST_CHECK;
 // Adds the squared errors of `rows` rows of a held-out frame, rendered there.
 enum rn_status rn_trainer_validate_rows(struct rn_trainer *trainer,
                                         const struct rn_pixel_frame *frame, int row, int rows,

@@ -4,8 +4,7 @@
 
 #include "server/engine/scene/scene.h"
 
-#define FRESH 0.3f // weight of a block's newest loss in its mean
-#define AHEAD 16   // turns for which memory is asked ahead
+#define AHEAD 16 // turns for which memory is asked ahead
 
 enum rn_status rn_importance_init(size_t count, struct rn_importance *ret, struct rn_error *err) {
     *ret = (struct rn_importance){.count = count,
@@ -33,8 +32,7 @@ void rn_importance_finish(struct rn_importance *im) {
 }
 
 void rn_importance_note(struct rn_importance *im, size_t block, double loss) {
-    float *error = &im->error[block];
-    *error = *error < 0 ? (float)loss : *error + FRESH * ((float)loss - *error);
+    im->error[block] = rn_block_error(im->error[block], (float)loss);
 }
 
 void rn_importance_weigh(struct rn_importance *im, size_t first, size_t count) {
@@ -73,6 +71,10 @@ static const uint32_t *guide_to(const struct rn_importance *im, size_t first, si
     return &im->guide[first + (size_t)(at * (double)count)];
 }
 
+struct rn_shares rn_importance_shares(const struct rn_importance *im) {
+    return (struct rn_shares){im->share, im->begin, im->guide};
+}
+
 struct rn_live_pixel rn_importance_pixel(const struct rn_importance *im, size_t first, size_t count,
                                          uint64_t seed, uint64_t turn, float *ret_weight) {
     // Turns follow each other, and their blocks lie anywhere.
@@ -80,13 +82,6 @@ struct rn_live_pixel rn_importance_pixel(const struct rn_importance *im, size_t 
     size_t later = first + *guide_to(im, first, count, rn_golden_place(seed, turn + AHEAD));
     __builtin_prefetch(&im->begin[later]);
     __builtin_prefetch(&im->share[later]);
-    double at = rn_golden_place(seed, turn);
-    const double *begin = im->begin + first;
-    size_t block = *guide_to(im, first, count, at);
-    while (block + 1 < count && begin[block + 1] <= at)
-        block++;
-    double end = block + 1 < count ? begin[block + 1] : 1;
-    *ret_weight = 1 / im->share[first + block];
-    return rn_pixel_of_block(block, (uint32_t)((at - begin[block]) / (end - begin[block]) *
-                                               (RN_LIVE_BLOCK * RN_LIVE_BLOCK)));
+    struct rn_shares shares = rn_importance_shares(im);
+    return rn_shared_pixel(&shares, first, count, seed, turn, ret_weight);
 }

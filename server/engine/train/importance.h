@@ -34,8 +34,8 @@ void rn_importance_note(struct rn_importance *importance, size_t block, double l
 void rn_importance_weigh(struct rn_importance *importance, size_t first, size_t count);
 // Makes drawing follow the shares of the list [first, first + count).
 void rn_importance_lay_out(struct rn_importance *importance, size_t first, size_t count);
-// The pixel of turn `turn` over the list (draw.h), count > 0; *ret_weight is 1 / share. Turns lie
-// evenly over the list's [0, 1), so evenly over a block's part of it too: its pixels take turns.
+struct rn_shares rn_importance_shares(const struct rn_importance *importance);
+// rn_shared_pixel, which asks ahead for the memory of later turns.
 struct rn_live_pixel rn_importance_pixel(const struct rn_importance *importance, size_t first,
                                          size_t count, uint64_t seed, uint64_t turn,
                                          float *ret_weight);

@@ -116,6 +116,16 @@ static void draw_live_pixel(const struct rn_trainer *t, int r, struct rn_trainer
     ret->block = (int32_t)(first + pixel.block);
 }
 
+bool rn_trainer_is_drawn(const struct rn_trainer *t, const struct rn_pixel_frame *frame, int x,
+                         int y) {
+    return rn_pixel_is_used(&t->train, frame, x, y) && !rn_trainer_is_outlier(t, frame, x, y);
+}
+
+bool rn_trainer_leaves_out(const struct rn_trainer *t) {
+    const struct rn_effect_record *outliers = &t->field->effects[RN_EFFECT_ROBUST_LOSS];
+    return t->train.used || outliers->on || !outliers->decided;
+}
+
 // From a place in a block to that in the block's image. No frame where the block reaches over the
 // image's edge, or a mask leaves the pixel out.
 static void settle(const struct rn_trainer *t, struct rn_trainer_place *place) {
@@ -125,8 +135,7 @@ static void settle(const struct rn_trainer *t, struct rn_trainer_place *place) {
     place->x += block->x;
     place->y += block->y;
     if (place->x < frame->camera.width && place->y < frame->camera.height &&
-        rn_pixel_is_used(&t->train, frame, place->x, place->y) &&
-        !rn_trainer_is_outlier(t, frame, place->x, place->y))
+        rn_trainer_is_drawn(t, frame, place->x, place->y))
         place->frame = frame;
     if (!place->frame || place->part > 1) place->block = -1; // a pixel's error is noted once
 }
@@ -148,9 +157,7 @@ static struct rn_trainer_place draw_place(const struct rn_trainer *t, int r) {
     } else {
         place.frame = draw_pixel(t, of_pixel, &place.x, &place.y);
         place.weight = (float)place.frame->frame->loss_weight;
-        if (!rn_pixel_is_used(&t->train, place.frame, place.x, place.y) ||
-            rn_trainer_is_outlier(t, place.frame, place.x, place.y))
-            place.frame = NULL;
+        if (!rn_trainer_is_drawn(t, place.frame, place.x, place.y)) place.frame = NULL;
     }
     return place;
 }

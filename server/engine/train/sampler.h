@@ -34,6 +34,12 @@ enum rn_status rn_trainer_list_live(struct rn_trainer *trainer, struct rn_error 
 // Makes rays be drawn by the blocks' shares as they are; with `weigh` by their errors so far.
 void rn_trainer_share_out(struct rn_trainer *trainer, bool weigh);
 
+// Whether rays are drawn from a pixel, and whether there may be one from which none are: masks
+// leave it out, or it is an outlier by now or later.
+bool rn_trainer_is_drawn(const struct rn_trainer *trainer, const struct rn_pixel_frame *frame,
+                         int x, int y);
+bool rn_trainer_leaves_out(const struct rn_trainer *trainer);
+
 // Where a ray starts, and its weight in the loss; `frame` is NULL for an absent one.
 struct rn_trainer_place {
     const struct rn_pixel_frame *frame;

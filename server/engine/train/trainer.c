@@ -203,7 +203,6 @@ static enum rn_status plan(struct rn_engine *engine, const struct rn_dataset *da
                            struct rn_train_config *config,
                            struct rn_effect_record ret_prepared[RN_EFFECT_COUNT],
                            struct rn_trainer **ret_trainer, struct rn_error *err) {
-    if (engine->backend) rn_device_adapt(config);
     struct rn_bounds bounds = rn_effects_prepare(dataset, config, ret_prepared);
     enum rn_status status = rn_train_config_check(config, err);
     if (status == RN_OK) status = start(engine, dataset, config, &bounds, ret_trainer, err);
@@ -387,8 +386,7 @@ void rn_trainer_destroy(struct rn_trainer **trainer) {
 
 // The field may have been rendered in between, with more levels.
 enum rn_status rn_trainer_enter(struct rn_trainer *t, struct rn_error *err) {
-    enum rn_status status =
-        rn_field_fetch(t->field, t->optimiser.m, t->optimiser.v, t->hull.seen, err);
+    enum rn_status status = rn_trainer_fetch(t, err);
     if (status == RN_OK) status = rn_engine_prepare(t->engine, t->field, err);
     t->field->cpu.built_levels = t->optimiser.levels;
     if (status == RN_OK && t->field->fresh_levels < t->optimiser.levels)
@@ -618,7 +616,7 @@ enum rn_status rn_trainer_save(struct rn_trainer *t, const char *path, struct rn
 struct rn_field *rn_trainer_finish(struct rn_trainer **trainer) {
     struct rn_field *field = (*trainer)->field;
     end_ranks(*trainer);
-    bool here = rn_field_fetch(field, NULL, NULL, NULL, NULL) == RN_OK;
+    bool here = rn_field_fetch(field, NULL, NULL) == RN_OK;
     if (here) rn_field_refine_occupancy(field, (*trainer)->engine);
     if (here && field->on_device) (void)!rn_field_put_to_render((*trainer)->engine, field, NULL);
     (*trainer)->field = NULL;

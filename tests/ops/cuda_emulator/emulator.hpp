@@ -3,10 +3,10 @@
 //
 // What is checked: every warp collective is entered by all 32 lanes with the same operation and
 // __syncthreads by the whole block (anything else ends the program); memory from the allocator, and
-// shared memory at every block's beginning, hold NaN bytes until written; asynchronous copies run as
-// late as they may, when their group is waited for, and must be waited for; a warp runs as far as it
-// can before the next one begins, first to last or last to first, or all threads shuffled, so that a
-// missing barrier shows. What is not: weak memory order between blocks, timing, registers.
+// shared memory at every block's beginning, hold NaN bytes until written; asynchronous copies run
+// as late as they may, when their group is waited for, and must be waited for; a warp runs as far
+// as it can before the next one begins, first to last or last to first, or all threads shuffled, so
+// that a missing barrier shows. What is not: weak memory order between blocks, timing, registers.
 #ifndef RN_TESTS_EMULATOR_H
 #define RN_TESTS_EMULATOR_H
 
@@ -55,8 +55,7 @@ struct longlong4_t {
 };
 struct dim3 {
     unsigned x, y, z;
-    dim3(unsigned a = 1, unsigned b = 1, unsigned c = 1) : x(a), y(b), z(c) {
-    }
+    dim3(unsigned a = 1, unsigned b = 1, unsigned c = 1) : x(a), y(b), z(c) {}
 };
 
 enum rn_emu_order { RN_EMU_FORWARD, RN_EMU_BACKWARD, RN_EMU_RANDOM, RN_EMU_STARVE_FIRST };
@@ -282,8 +281,7 @@ RN_DEVICE void __syncthreads() {
 RN_DEVICE void __syncwarp() {
     emu::collective("__syncwarp", [](emu::warp &) {});
 }
-RN_DEVICE void __threadfence() {
-}
+RN_DEVICE void __threadfence() {}
 
 RN_DEVICE uint32_t rn_shuffle_bits(uint32_t value, int from) {
     int lane = (int)(emu::m.current % 32);
@@ -439,6 +437,11 @@ RN_DEVICE int atomicMin(int *to, int value) {
 RN_DEVICE uint32_t atomicOr(uint32_t *to, uint32_t value) {
     uint32_t old = *to;
     *to |= value;
+    return old;
+}
+RN_DEVICE int atomicExch(int *to, int value) {
+    int old = *to;
+    *to = value;
     return old;
 }
 RN_DEVICE void rn_red_half4(uint2 *to, uint32_t a, uint32_t b) {
