@@ -45,6 +45,7 @@ static double level_of(const struct rn_sample *sample, enum rn_footprint footpri
     planes.footprint = footprint;
     planes.footprint_base = size;
     planes.levels = levels;
+    planes.by_axis = footprint == RN_FOOTPRINT_RIP;
     rn_levels<RN_WORLD_BALL>(&planes, 0, &f, sample, &ray, &lx, &ly);
     return lx == ly ? (double)lx : NAN;
 }

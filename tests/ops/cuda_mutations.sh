@@ -291,7 +291,7 @@ mutate unbounded loss.cuh "distortion: every ray of a split pixel has all of its
 mutate voxels encode.cuh "voxels: weights of x along z" 's/corner \& 4 ? q->z : 1 - q->z/corner \& 4 ? q->x : 1 - q->x/'
 mutate voxels scatter.cuh "voxels: left without being written" 's/if (voxel != held) rn_flush_voxel.*/;/'
 mutate voxels field.cu "voxels: not updated" 's/^    RN_TRY(queue_voxels<FIXED>(f));//'
-try run_trained place server/engine/cuda/optimise.cuh "voxels: gradients not cleared" 's/^            o.gradients.voxels\[own + c\] = 0;//'
+mutate second optimise.cuh "voxels: gradients not cleared" 's/^            o.gradients.voxels\[own + c\] = 0;//'
 mutate smoothing optimise.cuh "smoothing: voxels of a slice alone" 's/at\[z > 0 ? -slice : 0\]/at[0]/'
 mutate smoothing field.cu "smoothing: voxels as far as texels" 's/share \* (4.0f \/ 6)/share/'
 # Where rays come from.

@@ -199,6 +199,7 @@ START_TEST(second_steps_match_reference) {
     struct rn_reference_ray rays[RAYS];
     double loss;
     config.field.shading = (enum rn_shading)_i;
+    config.field.voxels = true;
     config.target_samples = 2000;
     test_scene_init(&s, &config);
     OK(test_scene_upload(&s, 0, &err));
