@@ -327,7 +327,9 @@ def test_coarse_pictures_keep_the_shape_and_an_effort(blank):
           quick: nextEffort(40000, 1),
           floor: nextEffort(8000, 1e5),
           steady: nextEffort(40000, 27, 19),
-          far: nextEffort(40000, 60, 5)
+          far: nextEffort(40000, 60, 5),
+          farther: nextEffort(40000, 150, 30),
+          farthest: nextEffort(40000, 3060, 60)
         };"""
     )
     assert result["small"]["width"] / result["small"]["height"] == pytest.approx(1.5, rel=0.05)
@@ -342,6 +344,7 @@ def test_coarse_pictures_keep_the_shape_and_an_effort(blank):
     assert 20000 < result["slow"] < 40000 < result["quick"] == 56000
     assert result["floor"] == 160 * 48 and result["steady"] == pytest.approx(40000)
     assert result["far"] > 50000  # a long way is made no shorter by a worse picture
+    assert result["farther"] == result["farthest"] == pytest.approx(40000)
 
 
 def test_the_next_coarse_picture_is_asked_for_when_the_daemon_should_be_done(blank):

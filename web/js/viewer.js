@@ -7,7 +7,9 @@ import {opticsOfPicture} from './optics.js';
 
 const STILL_MS = 150;
 const COARSE_MS = 46;       // from an input to the answer with its coarse picture, nearly always
-const LEAST_MS = 12;        // of it in rendering, however long its way is
+const LEAST_MS = 12;        // of it in rendering, however long its way is;
+const WAY_SHARE = 0.25;     // and as much as this of a long way, which is hardly longer by it,
+const MOST_MS = 60;         // up to so much
 const MOST_AHEAD = 2;       // coarse pictures that are not answered yet
 const HALF_FIRST_MS = 500;  // a full picture that takes longer is preceded by one of half the size
 const LENS_MS = 2500;       // a picture through a wide lens: as many cones as there is time for
@@ -54,7 +56,9 @@ const half = (full) =>
  */
 export function nextEffort(effort, totalMs, renderMs) {
   const rendering = Math.max(0.1, Number.isFinite(renderMs) ? renderMs : totalMs);
-  const room = Math.max(LEAST_MS, (COARSE_MS - Math.max(0, totalMs - rendering)) / 2);
+  const way = Math.max(0, totalMs - rendering);
+  const room =
+      Math.max(LEAST_MS, (COARSE_MS - way) / 2, Math.min(MOST_MS, WAY_SHARE * way));
   const change = Math.min(1.4, Math.max(0.5, room / rendering) ** 0.6);
   return Math.min(4 * SHARP, Math.max(160 * 48, effort * change));
 }
