@@ -111,7 +111,7 @@ START_TEST(bent_rays_skip_what_is_empty) {
     struct test_scene s;
     config.field.space = RN_SPACE_UNBOUNDED;
     config.field.occupancy = 64;
-    config.step = 0.003;
+    config.step = 0.0008;
     test_scene_init(&s, &config);
     for (int f = 0; f < FRAMES; f++) {
         double eye[3] = {3 - f, 1 + f, 0.5 * f}, target[3] = {2.5 - f, -1.5, 0.5 * f - 1};
@@ -120,7 +120,7 @@ START_TEST(bent_rays_skip_what_is_empty) {
     }
     for (int i = 0; i < 64 * 64 * 64; i++) {
         int brick = (i / 4096 / 8 * 8 + i / 64 % 64 / 8) * 8 + i % 64 / 8;
-        if (unit(9, brick) > 0.06f) s.field->occupancy[i] = 0;
+        if (unit(9, brick) > 0.02f) s.field->occupancy[i] = 0;
     }
     rn_field_refresh_occupancy(s.field);
     OK(test_scene_upload(&s, 0, &err));
