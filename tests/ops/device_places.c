@@ -112,6 +112,8 @@ static void thicken(struct rn_trainer *t) {
     const struct rn_parameters *p = &t->field->parameters;
     int last = shape->layers - 1;
     float *weights = p->values + p->plane_count + shape->offset[last];
+    for (size_t i = 0; i < p->plane_count; i++)
+        p->values[i] *= 6; // they begin near zero
     for (int row = 0; row < shape->in[last]; row++)
         weights[row * shape->out[last]] = 40 * fabsf(weights[row * shape->out[last]]);
     rn_field_refresh(t->field, t->engine);
