@@ -44,6 +44,7 @@ meson test -C "$build" --print-errorlogs --timeout-multiplier 10 --suite unit
 # Requests, trainings, pictures, events, uploads and backups through the daemon, but for what counts on how
 # much a runner takes; then the whole way. In the sandbox leaks cannot be looked for, and no report be written.
 export RIPNERFD_SANDBOX=0
+ninja -C "$build" >"$build/log" || { cat "$build/log"; exit 1; }
 RIPNERF_BUILD=$build /usr/bin/python3 -m pytest -q -p no:cacheprovider tests/api/test_tokens.py \
     tests/api/test_uploads.py tests/api/test_traces.py tests/api/test_daemon_resources.py -k "not test_memory_limit"
 RIPNERF_BUILD=$build /usr/bin/python3 -m pytest -q -p no:cacheprovider tests/api/test_life.py -k backup_and
