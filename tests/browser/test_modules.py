@@ -326,7 +326,7 @@ def test_coarse_pictures_keep_the_shape_and_an_effort(blank):
           slow: nextEffort(40000, 900),
           quick: nextEffort(40000, 1),
           floor: nextEffort(8000, 1e5),
-          steady: nextEffort(40000, 27, 19),
+          steady: nextEffort(40000, 30, 22),
           far: nextEffort(40000, 60, 5),
           farther: nextEffort(40000, 150, 30),
           farthest: nextEffort(40000, 3060, 60)

@@ -6,7 +6,7 @@ import {pictureOf} from './grey16.js';
 import {opticsOfPicture} from './optics.js';
 
 const STILL_MS = 150;
-const COARSE_MS = 46;       // from an input to the answer with its coarse picture, nearly always
+const COARSE_MS = 52;       // from an input to the answer with its coarse picture, nearly always
 const LEAST_MS = 12;        // of it in rendering, however long its way is;
 const WAY_SHARE = 0.25;     // and as much as this of a long way, which is hardly longer by it,
 const MOST_MS = 60;         // up to so much
