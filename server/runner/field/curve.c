@@ -24,7 +24,7 @@
 #define MOST_PIXELS 1e6  // of its pictures; larger views are rendered smaller, without photographs
 #define NEAR_FACTOR 1.1  // of time, and
 #define NEAR_DB 0.2      // of worth, that a finalist may be away from the best ones
-#define LEAST_APART 1.04 // times as long as the finalist before
+#define LEAST_APART 1.04 // one finalist of those that take so much longer, or a power of it
 #define SAVE_EVERY_S 1.0
 
 // One way to render, and what is known of it.
@@ -113,26 +113,42 @@ static int by_first_ms(const void *a, const void *b) {
     return (x->first_ms > y->first_ms) - (x->first_ms < y->first_ms);
 }
 
-// The full picture, and of the rest those that on the first view lie on the front or near it.
-static void choose_finalists(struct state *state) {
-    struct way *sorted[WAYS];
-    double best = -INFINITY, last_ms = 0;
-    for (int i = 0; i < state->ways; i++)
-        sorted[i] = &state->way[i];
-    qsort(sorted, (size_t)state->ways, sizeof *sorted, by_first_ms);
+// The full picture, and of the rest those that on the first view lie on the front or near it: the
+// best of each group that takes at most `apart` times as long as its first one. False where these
+// are more than there is room for.
+static bool choose_apart(struct state *state, struct way *const *sorted, double apart) {
+    double best = -INFINITY, group_ms = 0;
     state->finalists = 0;
     state->finalist[state->finalists++] = 0;
-    for (int i = 0; i < state->ways && state->finalists < FINALISTS; i++) {
+    for (int i = 0; i < state->ways; i++) {
         double worth = sorted[i]->first_worth, reach = -INFINITY;
+        int32_t way = (int32_t)(sorted[i] - state->way);
         for (int j = 0; j < i && sorted[j]->first_ms * NEAR_FACTOR < sorted[i]->first_ms; j++)
             reach = fmax(reach, sorted[j]->first_worth);
         bool near = worth > best || worth > reach + NEAR_DB;
         best = fmax(best, worth);
-        if (!near || sorted[i] == state->way || sorted[i]->first_ms < last_ms * LEAST_APART)
+        if (!near || way == 0) continue;
+        if (sorted[i]->first_ms <= group_ms * apart) {
+            int32_t *last = &state->finalist[state->finalists - 1];
+            if (worth > state->way[*last].first_worth) *last = way;
             continue;
-        last_ms = sorted[i]->first_ms;
-        state->finalist[state->finalists++] = (int32_t)(sorted[i] - state->way);
+        }
+        if (state->finalists == FINALISTS) return false;
+        group_ms = sorted[i]->first_ms;
+        state->finalist[state->finalists++] = way;
     }
+    return true;
+}
+
+// As close to each other as there is room for, from the quickest to the full picture.
+static void choose_finalists(struct state *state) {
+    struct way *sorted[WAYS];
+    double apart = LEAST_APART;
+    for (int i = 0; i < state->ways; i++)
+        sorted[i] = &state->way[i];
+    qsort(sorted, (size_t)state->ways, sizeof *sorted, by_first_ms);
+    while (!choose_apart(state, sorted, apart))
+        apart *= LEAST_APART;
 }
 
 // ---- views ----------------------------------------------------------------------------------

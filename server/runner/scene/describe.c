@@ -36,12 +36,13 @@ enum rn_status rn_configure(const struct rn_train_options *options, bool multi_s
 
 enum { MAX_DIFFERENCES = 64 };
 
-// Views that are not of the training's splits are not withheld from it.
+// Views that are not of the training's splits are not withheld from it, and not given back.
 static size_t fill_differences(const struct rn_train_config *config, const char *held_out,
                                struct rn_difference_record *records) {
     struct rn_difference items[MAX_DIFFERENCES];
     struct rn_train_config told = *config;
     told.train_held_out = told.train_held_out || !strstr(held_out, RN_WITHHELD);
+    if (told.train_held_out) told.give_back = 0;
     int count = rn_train_config_differences(&told, items, MAX_DIFFERENCES);
     for (int i = 0; i < count; i++) {
         snprintf(records[i].what, sizeof records[i].what, "%s", items[i].what);
