@@ -221,3 +221,15 @@ void compare_interrupted(const struct rn_train_config *config, int64_t steps) {
     ck_assert_int_eq(run.trainer->device.good_steps, good_steps);
     run_end();
 }
+
+void compare_one_step(const struct rn_train_config *config, const char *what,
+                      double samples_apart) {
+    struct one_step here = take_step("cpu", config), there = take_step("cuda:0", config);
+    printf("%s: loss %.1e apart", what, fabs(there.loss - here.loss) / here.loss);
+    ck_assert_double_eq_tol(there.loss, here.loss, 1e-3 * here.loss);
+    ck_assert_double_eq_tol((double)there.samples, (double)here.samples,
+                            samples_apart * (double)here.samples);
+    compare_steps(&here, &there, 4e-2);
+    step_finish(&here);
+    step_finish(&there);
+}

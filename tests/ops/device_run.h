@@ -48,6 +48,8 @@ struct one_step take_step(const char *device, const struct rn_train_config *conf
 // Prints and bounds how far they are apart (root mean square over that of the CPU's).
 void compare_steps(const struct one_step *here, const struct one_step *there, double bound);
 void step_finish(struct one_step *step);
+// Takes the same step here and there: losses within a thousandth, samples within that share.
+void compare_one_step(const struct rn_train_config *config, const char *what, double samples_apart);
 
 // Of the checkpoint, by the first camera so many times as far away.
 void picture(const char *device, double away, int supersample, struct rn_render_result *ret);
