@@ -91,7 +91,17 @@ return JSON.parse(Object.entries(sessionStorage).find(([k]) => k.startsWith('rip
     def press(self, words):
         element = self.button(words)
         self.driver.execute_script("arguments[0].scrollIntoView({block: 'center'})", element)
+        self.until(lambda: self.rests(element), f"the button {words!r} to stand still")
         element.click()
+
+    def rests(self, element):
+        """Whether it stays where it is for two frames."""
+        return self.driver.execute_async_script(
+            "const [element, done] = arguments; const top = () => element.getBoundingClientRect().top;"
+            "const was = top();"
+            "requestAnimationFrame(() => requestAnimationFrame(() => done(top() === was)));",
+            element,
+        )
 
     def type(self, element, words):
         element.clear()

@@ -44,6 +44,29 @@ def upload(page, folder):
     page.until(lambda: page.all(".photos .thumb[data-state=ready]"), "a photograph")
 
 
+def test_what_sends_a_dataset_stays_where_it_is_while_that_is_looked_at(page, daemon, sphere):
+    """Looking takes jobs of the daemon's; what they add to the page does not move the button."""
+    page.open(daemon("tests/support/ripnerf-runner-fake").url)
+    page.find(".drop")
+    page.run("""
+window.tops = new Set(); window.sawJob = false;
+const look = () => {
+  const button = document.querySelector('form .sending button.primary');
+  if (button) window.tops.add(button.getBoundingClientRect().top);
+  requestAnimationFrame(look);
+};
+look();
+const box = [...document.querySelectorAll('section')].find(
+    (e) => e.textContent.startsWith('Under way'));
+new MutationObserver(() => window.sawJob = true).observe(box, {attributeFilter: ['hidden']});""")
+    page.all("#folder-input")[0].send_keys(str(sphere))
+    page.says("32 photographs looked at")
+    page.says("What the import found")
+    page.until(lambda: page.run("return window.sawJob;"), "a job that is under way")
+    page.until(lambda: "Under way" not in page.text("main"), "the jobs' end")
+    assert len(page.run("return [...window.tops];")) == 1
+
+
 def train(page, limits):
     for label in ("Time", "Steps"):
         page.type(page.field(label), limits.get(label, ""))

@@ -85,6 +85,7 @@ export async function checkPhotographs(entries, {onBad, onProgress, signal}) {
       onProgress(++done, photographs.length);
     }
   };
+  if (photographs.length) onProgress(0, photographs.length);
   await Promise.all(Array.from({length: AT_ONCE}, work));
   return small;
 }

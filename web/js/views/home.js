@@ -34,7 +34,8 @@ export function homeView(root, {signal}) {
       h('div', {class: 'columns'},
         h('div', {class: 'main-column'}, panel('Scenes', null, sceneBox),
           panel('Datasets', null, datasetBox)),
-        h('div', {class: 'side-column'}, runningBox, uploadPanel(signal))));
+        // What is under way comes and goes: above the panel it would move what is to be pressed.
+        h('div', {class: 'side-column'}, uploadPanel(signal), runningBox)));
 
   watch((state) => {
     const active = state.jobs.filter(isActive);

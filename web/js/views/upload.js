@@ -265,7 +265,7 @@ function badList({entries}, signal) {
       found.hidden = false;
     },
     onProgress: (done, total) =>
-        text(checking, done < total ? `${done} of ${total} photographs looked at` : ''),
+        text(checking, `${done < total ? `${done} of ` : ''}${plural(total, 'photograph')} looked at`),
     signal
   });
   return {
