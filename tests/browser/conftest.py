@@ -11,7 +11,7 @@ import pytest
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE))
 CHROMIUM, DRIVER = "/usr/bin/chromium", "/usr/bin/chromedriver"
-WAIT_S = 60  # the machine may be busy
+WAIT_S = 120  # the machine may be busy
 
 
 def missing():
@@ -183,7 +183,7 @@ class Downloads:
                 return None
             return next((f for f in self.folder.glob(pattern) if f.stat().st_size), None)
 
-        return page.until(whole, f"a saved {pattern}", 30)
+        return page.until(whole, f"a saved {pattern}")
 
 
 @pytest.fixture(scope="session")

@@ -161,8 +161,8 @@ def test_a_daemon_takes_what_a_daemon_exported(page, client, tmp_path):  # noqa:
     page.type(page.field("Name"), "light")
     page.field("Photographs").send_keys("data")
     page.press("Upload and open")
-    page.says("light is imported.", wait_s=60)
+    page.says("light is imported.")
     page.press("Look at it")
     page.says("from data", ".page-head")
-    page.until(lambda: page.ink() > 0, "a picture", 30)
+    page.until(lambda: page.ink() > 0, "a picture")
     assert page.complaints() == []

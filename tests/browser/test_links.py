@@ -48,7 +48,7 @@ def test_a_link_opens_a_scene_and_nothing_else(page, client):
     link = client("token", "make", "guest", "--scene", "ball")
     assert link.startswith(client.url + "/#t=rnt_")
     page.open(link)
-    page.says("refined", ".hud", wait_s=30)
+    page.says("refined", ".hud")
     page.says("ball", "h1")
     address = page.run("return location.href;")
     assert "rnt_" not in address and "/scene/" in address
@@ -72,7 +72,7 @@ def test_a_link_opens_the_pictures_of_a_path(page, client, tmp_path):
     job = next(job["id"] for job in json.loads(client("jobs", "--json"))["items"]
                if job["type"] == "path")
     page.open(client("token", "make", "film", "--job", job))
-    page.says("frame 2", ".player", wait_s=30)
+    page.says("frame 2", ".player")
     assert "Cancel" not in page.find("main").text and page.complaints() == []
 
 
@@ -81,7 +81,7 @@ def test_the_page_makes_a_link(page, client):
     page.type(page.find("#token-input"), "a-token-of-this-test")
     page.press("Use it")
     page.run("location.hash = '#/scene/ball';")
-    page.says("refined", ".hud", wait_s=30)
+    page.says("refined", ".hud")
     page.run("navigator.clipboard.writeText = async (words) => { window.copied = words; };")
     page.press("Share")
     copied = page.until(lambda: page.run("return window.copied ?? '';"), "a link")

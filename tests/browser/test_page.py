@@ -38,7 +38,7 @@ def upload(page, folder):
     page.says("views: 16 train")
     page.type(page.field("Name"), "ball")
     page.press("Upload and import")
-    page.says("ball is imported.", wait_s=60)
+    page.says("ball is imported.")
     page.press("Look at it and train")
     page.says("What the import found")
     page.until(lambda: page.all(".photos .thumb[data-state=ready]"), "a photograph")
@@ -72,8 +72,8 @@ def train(page, limits):
         page.type(page.field(label), limits.get(label, ""))
     page.press("draft")
     page.press("Start training")
-    page.says("training", ".page-head .chip", wait_s=30)
-    page.until(lambda: page.all(".chart .last"), "a point on the chart", 60)
+    page.says("training", ".page-head .chip")
+    page.until(lambda: page.all(".chart .last"), "a point on the chart")
 
 
 def shown_psnr(page):
@@ -83,16 +83,16 @@ def shown_psnr(page):
 
 def orbit(page):
     """Turns the scene while it trains: coarse pictures while moving, a refined one when still."""
-    stage = page.until(lambda: page.ink() > 30 and page.find(".stage"), "a picture", 60)
-    page.until(lambda: stage.get_attribute("data-level") == "refined", "a refined picture", 60)
+    stage = page.until(lambda: page.ink() > 30 and page.find(".stage"), "a picture")
+    page.until(lambda: stage.get_attribute("data-level") == "refined", "a refined picture")
     levels = page.watch_levels()
     hand = ActionChains(page.driver).click_and_hold(stage)
     for _ in range(5):
         hand.move_by_offset(25, 4)
     hand.perform()
-    page.until(lambda: "coarse" in levels(), "a coarse picture", 30)
+    page.until(lambda: "coarse" in levels(), "a coarse picture")
     ActionChains(page.driver).release().perform()
-    page.until(lambda: levels()[-1] == "refined", "a refined picture", 60)
+    page.until(lambda: levels()[-1] == "refined", "a refined picture")
     assert re.search(r"step [\d\u202f]+ .* rendering .* samples", page.text(".hud"))
 
 
@@ -118,9 +118,9 @@ def render_path(page, downloads, width, height, frames_per_second, expected):
     page.says(f"{expected} frames of {width} × {height}")
     shoot(page, "keys")
     page.press("Render the path")
-    page.until(lambda: page.ink("canvas.frame") > 30, "the first frame", 60)
+    page.until(lambda: page.ink("canvas.frame") > 30, "the first frame")
     shoot(page, "frames")
-    page.says("succeeded", ".page-head .chip", wait_s=120)
+    page.says("succeeded", ".page-head .chip")
     page.until(lambda: len(page.all(".cells span[data-there]")) == expected, "all frames")
     before = page.text(".player output")
     page.press("Play")
@@ -146,7 +146,7 @@ def test_whole_path_with_the_pretending_engine(page, daemon, sphere, downloads):
     page.says("training", ".page-head .chip")
     record(page, 3)
     page.press("Finish")
-    page.says("ready", ".page-head .chip", wait_s=30)
+    page.says("ready", ".page-head .chip")
     page.says("finished by hand")
     render_path(page, downloads, 48, 32, 4, 9)
     page.open(server.url)
@@ -186,7 +186,7 @@ def test_token_and_a_killed_daemon(page, daemon, sphere, tmp_path):
     page.press("Use it")
     upload(page, sphere)
     train(page, {"Time": 60})
-    page.until(lambda: page.ink() > 30, "a picture", 30)
+    page.until(lambda: page.ink() > 30, "a picture")
     points = page.until(lambda: len(page.all(".chart .dot")), "a point on the curve")
     server.process.kill()
     server.process.wait()
@@ -196,12 +196,12 @@ def test_token_and_a_killed_daemon(page, daemon, sphere, tmp_path):
         **options,
         port=server.url.rstrip("/").rsplit(":", 1)[1],
     )
-    page.says("connected", ".connection", wait_s=30)
+    page.says("connected", ".connection")
     page.until(lambda: not any(e.is_displayed() for e in page.all("#banner")), "the banner gone")
-    page.says("training", ".page-head .chip", wait_s=30)
+    page.says("training", ".page-head .chip")
     page.until(lambda: len(page.all(".chart .dot")) >= points, "the curve after the restart")
     page.press("Finish")
-    page.says("ready", ".page-head .chip", wait_s=30)
+    page.says("ready", ".page-head .chip")
     page.says("finished by hand")
 
 
@@ -215,12 +215,12 @@ def test_whole_path_with_the_real_engine(page, daemon, sphere, downloads):
     orbit(page)
     shoot(page, "orbited")
     record(page, 3)
-    page.until(lambda: (shown_psnr(page) or 0) > 18, "a good picture", 90)
+    page.until(lambda: (shown_psnr(page) or 0) > 18, "a good picture")
     points = len(page.all(".chart .dot"))
     page.driver.refresh()
     page.until(lambda: len(page.all(".chart .dot")) >= points, "the curve after a reload")
     page.press("Finish")
-    page.says("ready", ".page-head .chip", wait_s=60)
+    page.says("ready", ".page-head .chip")
     assert shown_psnr(page) > 18
     page.until(lambda: len(page.all(".effect")) >= 4, "the effects")
     shoot(page, "ready")

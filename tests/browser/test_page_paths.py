@@ -325,7 +325,7 @@ def test_a_path_that_was_cancelled_is_gone_on_with(page, fake):
     page.open(api.url + "#/scene/sphere-draft")
     page.press("Whole turn")
     page.press("Render the path")
-    page.until(lambda: page.all(".cells [data-there]"), "a frame", 30)
+    page.until(lambda: page.all(".cells [data-there]"), "a frame")
     page.press("Cancel")
     page.says("cancelled", ".chip")
     first = api.world.jobs[0]["id"]
@@ -334,7 +334,7 @@ def test_a_path_that_was_cancelled_is_gone_on_with(page, fake):
     page.until(lambda: api.world.jobs[0]["id"] != first, "another job")
     again = api.world.jobs[0]["id"]
     page.until(lambda: again in page.driver.current_url, "its page")
-    page.until(lambda: len(page.all(".cells [data-there]")) >= made, "what was there", 30)
+    page.until(lambda: len(page.all(".cells [data-there]")) >= made, "what was there")
     assert page.complaints() == []
 
 
@@ -346,7 +346,7 @@ def test_a_film_is_asked_for_shown_and_saved(scene, downloads):
         "s.value = 'gif'; s.dispatchEvent(new Event('change'));")
     scene.type(scene.field("Film quality"), 40)
     scene.press("Render the path")
-    scene.until(lambda: scene.all("img.film"), "the film", 30)
+    scene.until(lambda: scene.all("img.film"), "the film")
     assert scene.api.world.jobs[0]["options"]["film"] == "gif"
     assert scene.api.world.jobs[0]["options"]["video_quality"] == 40
     scene.press("Save film")
@@ -459,7 +459,7 @@ def test_a_mark_on_the_chart_is_looked_at(page, fake):
     api.world.on_render = asked.append
     page.open(api.url + "#/dataset/sphere")
     page.press("Start training")
-    page.until(lambda: len(page.all(".chart .moment")) >= 2, "marks on the chart", 30)
+    page.until(lambda: len(page.all(".chart .moment")) >= 2, "marks on the chart")
     words = page.driver.execute_script(
         "return document.querySelector('.chart .moment').getAttribute('aria-label')")
     assert words.startswith("Look at it after 3.8 s of training")

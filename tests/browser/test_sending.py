@@ -42,7 +42,7 @@ def test_an_upload_goes_on_where_a_lost_connection_left_it(page, fake, folder):
     api.world.line_dead_below = 3000
     choose(page, api, folder)
     page.press("Upload and import")
-    page.says("ball is imported.", wait_s=30)
+    page.says("ball is imported.")
     # A browser itself repeats what was cut off, as often as it likes, from where that began; the
     # page asks how much is there.
     assert sorted({at for at, _ in api.world.parts}) == [0, 1000, 2000, 3000]
@@ -165,5 +165,5 @@ dispatchEvent(closing); return closing.defaultPrevented;"""
     choose(page, api, folder)
     assert not page.run(asked) and not api.world.datasets
     page.press("Upload and import")
-    page.says("ball is imported.", wait_s=30)
+    page.says("ball is imported.")
     assert [item["name"] for item in api.world.datasets] == ["ball"]

@@ -471,7 +471,7 @@ def test_daemon_goes_and_comes_back(page, fake):
     page.says("not connected", ".connection")
     page.says("sphere-draft")
     again = fake("failed", port)
-    page.says("sphere-paper", wait_s=30)
+    page.says("sphere-paper")
     page.says("connected", ".connection")
     assert not page.find("main").find_elements("css selector", "#banner")
     assert again.url == api.url

@@ -110,9 +110,9 @@ def take_in(page, keys, folder):
     page.says("to send")
     keys.type("Name", "room")
     keys.press("Upload and import")
-    page.says("room is imported.", wait_s=120)
+    page.says("room is imported.")
     keys.press("Look at it and train")
-    page.says("What the import found", wait_s=60)
+    page.says("What the import found")
 
 
 def train(page, keys, seconds):
@@ -120,12 +120,12 @@ def train(page, keys, seconds):
     keys.send(Keys.ARROW_LEFT)  # draft
     keys.type("Time", seconds)
     keys.press("Start training")
-    page.says("training", ".page-head .chip", wait_s=60)
+    page.says("training", ".page-head .chip")
     page.says("ready", ".page-head .chip", wait_s=600 if OWN else 120)
 
 
 def look_around(page, keys):
-    page.until(lambda: page.ink() > 30 and page.all(".stage[data-level=refined]"), "a picture", 60)
+    page.until(lambda: page.ink() > 30 and page.all(".stage[data-level=refined]"), "a picture")
     keys.reach("e.classList.contains('stage')", "the picture")
     before = page.driver.current_url
     keys.send(*[Keys.ARROW_LEFT] * 4, "k")
@@ -141,8 +141,8 @@ def make_film(page, keys, downloads, made, ending):
     keys.field("Made into")
     keys.send(made)
     keys.press("Render the path")
-    page.says("succeeded", ".page-head .chip", wait_s=120)
-    page.until(lambda: page.all("video.film, img.film"), "the film", 60)
+    page.says("succeeded", ".page-head .chip")
+    page.until(lambda: page.all("video.film, img.film"), "the film")
     for old in downloads.folder.glob(f"room*{ending}"):
         old.unlink()
     keys.press("Save film")
