@@ -107,7 +107,7 @@ static void *supervise(void *context) {
         rn_schedule(control);
         rn_tasks_tidy(control);
         nfds_t count = fill_polls(control, polls);
-        int timeout_ms = control->schedule_due ? 0 : TICK_MS;
+        int timeout_ms = control->schedule_due ? 0 : rn_hold_timeout_ms(control, TICK_MS);
         pthread_mutex_unlock(&control->lock);
         uint64_t wakes;
         if (poll(polls, count, timeout_ms) > 0 && polls[0].revents != 0 &&

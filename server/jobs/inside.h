@@ -5,6 +5,7 @@
 #include <pthread.h>
 
 #include "common/base/log.h"
+#include "common/base/turns.h"
 #include "proto/wire_messages.h"
 #include "server/jobs/control.h"
 
@@ -139,7 +140,7 @@ struct rn_control {
     struct rn_gpu gpus[RN_MAX_GPUS];
     int64_t next_turn;
     bool schedule_due;
-    int64_t urgent_ns; // since when there is always a picture that runners stand still for; 0: none
+    struct rn_turns turns; // of pictures by a deadline and of runners that stand still for them
     struct rn_control_stats stats;
 };
 
@@ -303,9 +304,13 @@ void rn_retain_work(struct rn_control *control);
 void rn_schedule(struct rn_control *control);
 
 // hold.c
-// While a picture is made by a deadline, what other runners train or work at on the same cores
-// stands still.
+// While a picture is made by a deadline, and until the next one where they follow one another, what
+// other runners train or work at on the same cores stands still, but for its turns.
 void rn_hold_others(struct rn_control *control);
+// How long until that changes by itself, at most `most_ms`.
+int rn_hold_timeout_ms(const struct rn_control *control, int most_ms);
+// A picture was made, and is about to be sent: if it was by a deadline, the next one may be near.
+void rn_hold_after(struct rn_control *control, const struct rn_render *render);
 // render.c
 void rn_render_send(struct rn_control *control, struct rn_runner *runner);
 void rn_render_done(struct rn_control *control, struct rn_runner *runner,

@@ -269,6 +269,7 @@ void rn_render_done(struct rn_control *control, struct rn_runner *runner,
     struct rn_render *render = take(runner, rendered->request);
     if (render == NULL) return;
     count(control, render);
+    if (!runner->process.remote) rn_hold_after(control, render);
     runner->last_used_ns = rn_clock_ns();
     while (render->waiters != NULL) {
         struct rn_waiter *waiter = render->waiters;

@@ -56,6 +56,24 @@ static enum rn_status share_device(void *context, const struct rn_device_wish *w
     return RN_OK;
 }
 
+// ---- turns ---------------------------------------------------------------------------------
+
+// Whether what trains is to stop here. `context`: the host.
+static bool is_wanted(void *context) {
+    struct rn_host *host = context;
+    enum rn_turn turn = rn_turns_at(&host->turns, rn_clock_ns());
+    return turn == RN_TURN_WAITS || (turn == RN_TURN_FREE && rn_link_has_news(&host->link));
+}
+
+// What trains stands still until its next turn, or until something arrives; false: it is its turn.
+static bool stands_still(struct rn_host *host) {
+    int64_t now_ns = rn_clock_ns(), left_ns = rn_turns_next_ns(&host->turns, now_ns) - now_ns;
+    if (rn_turns_at(&host->turns, now_ns) != RN_TURN_WAITS) return false;
+    rn_link_pump(&host->link, (int)(left_ns / 1000000) + 1);
+    rn_training_yielded(host, (double)(rn_clock_ns() - now_ns) * 1e-9);
+    return true;
+}
+
 // ---- what jobs and renders need ------------------------------------------------------------
 
 enum rn_status rn_host_need_engine(struct rn_host *host, const char *device, const char *kernels,
@@ -81,7 +99,7 @@ enum rn_status rn_host_need_engine(struct rn_host *host, const char *device, con
     struct rn_device_info about;
     rn_engine_describe(host->engine, &about);
     if (*about.checked) rn_log(RN_LOG_INFO, "device: %s", about.checked);
-    rn_engine_yield_to(host->engine, rn_link_has_news, &host->link);
+    rn_engine_yield_to(host->engine, is_wanted, host);
     rn_engine_share(host->engine, share_device, host);
     if (!host->exchange) rn_engine_keep_in(host->engine, host->place.scene_folder);
     return RN_OK;
@@ -308,7 +326,9 @@ static void handle_render(struct rn_host *host, struct rn_wire_render *render, i
     int64_t begin_ns = rn_clock_ns();
     if (render->deadline_ns != RN_ABSENT) render->deadline_ns += host->clock_ns;
     rn_picture_serve(host, render, arrived_ns);
-    rn_training_yielded(host, (double)(rn_clock_ns() - begin_ns) * 1e-9);
+    int64_t end_ns = rn_clock_ns();
+    rn_turns_end(&host->turns, begin_ns, end_ns, (int64_t)(RN_SLICE_MS * 1e6));
+    rn_training_yielded(host, (double)(end_ns - begin_ns) * 1e-9);
 }
 
 // The job that a message is about; "": none.
@@ -433,6 +453,8 @@ static void do_some_work(struct rn_host *host) {
         int64_t begin_ns = rn_clock_ns();
         rn_work_unit(host);
         rn_training_yielded(host, (double)(rn_clock_ns() - begin_ns) * 1e-9);
+    } else if (stands_still(host)) {
+        return;
     } else if (rn_training_is_busy(host)) {
         rn_training_slice(host);
     } else if (host->calibrating) {

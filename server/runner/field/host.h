@@ -5,6 +5,7 @@
 #ifndef RN_SERVER_RUNNER_FIELD_HOST_H
 #define RN_SERVER_RUNNER_FIELD_HOST_H
 
+#include "common/base/turns.h"
 #include "proto/curve.h"
 #include "proto/marks.h"
 #include "proto/wire_messages.h"
@@ -12,7 +13,9 @@
 #include "server/runner/field/pace.h"
 #include "server/runner/link/link.h"
 
-#define RN_SLICE_MS 10.0 // of training between two looks at the inbox
+#define RN_SLICE_MS                                                                                \
+    10.0 // of training between two looks at the inbox, and at most what a picture
+         // waits for it where it has a turn of its own
 
 struct rn_training;
 struct rn_calibrating;
@@ -54,7 +57,8 @@ struct rn_host {
     char set_aside[512];                // the damaged checkpoint found last, and why; "" = none
     struct rn_work *works;              // path, eval, ... jobs, in order; the first is worked on
     struct rn_pace pace;
-    int64_t clock_ns; // this machine's rn_clock_ns is so much ahead of the daemon's
+    struct rn_turns turns; // of interactive renders and of what trains
+    int64_t clock_ns;      // this machine's rn_clock_ns is so much ahead of the daemon's
 };
 
 // Runs mode field until the link closes or the daemon asks for the end (*ret_told), confined to

@@ -105,17 +105,44 @@ START_TEST(whoever_is_needed_goes_on) {
 }
 END_TEST
 
-// However many follow one another, of every second some is the training's.
+// However many follow one another, after each it has its turn, also while the next one is made. The
+// turn is as long as none is met by chance: pictures of 900 ms, and half of one is over.
 START_TEST(nobody_waits_for_ever) {
+    int64_t second_ns = 1000000000;
     ask_within(900);
-    rn_hold_others(&control);
-    ck_assert(stands[TRAINS]);
-    control.urgent_ns = rn_clock_ns() - 2960000000;
+    picture.begin_ns = rn_clock_ns() - 900 * second_ns;
+    rn_turns_end(&control.turns, picture.begin_ns - second_ns, picture.begin_ns, 1);
+    rn_hold_after(&control, &picture); // an hour's worth of share, of which it has the most at once
+    int64_t own_ms = (control.turns.own_until_ns - control.turns.ended_ns) / 1000000;
+    ck_assert_int_eq(own_ms, 50);
+    picture.begin_ns = rn_clock_ns();
+    control.turns.ended_ns -= second_ns;
+    control.turns.own_until_ns += 100 * second_ns;
     rn_hold_others(&control);
     ck_assert(!stands[TRAINS]);
-    control.urgent_ns = rn_clock_ns() - 2500000000;
+    control.turns.own_until_ns -= 101 * second_ns;
     rn_hold_others(&control);
     ck_assert(stands[TRAINS]);
+}
+END_TEST
+
+// Between two pictures that follow one another nothing else is on the cores; but the runner that
+// makes them, which has something to train itself, sees to that alone.
+START_TEST(it_waits_for_the_next_one) {
+    ask_within(900);
+    control.turns.wait_until_ns = INT64_MAX;
+    runners[RENDERS].train = &other;
+    runners[RENDERS].last_used_ns = rn_clock_ns() + 1000000000000;
+    answered();
+    ck_assert(stands[TRAINS] && !stands[RENDERS]);
+    ck_assert_int_eq(rn_hold_timeout_ms(&control, 500), 500);
+    control.turns.free_until_ns = INT64_MAX; // but for its turn
+    rn_hold_others(&control);
+    ck_assert(!stands[TRAINS]);
+    control.turns = (struct rn_turns){.free_until_ns = rn_clock_ns()};
+    ck_assert_int_eq(rn_hold_timeout_ms(&control, 500), 500); // nothing more changes
+    control.turns.wait_until_ns = rn_clock_ns() + 1000000000;
+    ck_assert_int_le(rn_hold_timeout_ms(&control, 2000), 1001);
 }
 END_TEST
 
@@ -127,6 +154,7 @@ int main(void) {
     tcase_add_test(cases, only_for_what_is_urgent);
     tcase_add_test(cases, whoever_is_needed_goes_on);
     tcase_add_test(cases, nobody_waits_for_ever);
+    tcase_add_test(cases, it_waits_for_the_next_one);
     suite_add_tcase(suite, cases);
     return run_suite(suite);
 }
