@@ -35,6 +35,69 @@ void rn_curve_reduce(struct rn_curve_point *points, size_t *count) {
     *count = kept;
 }
 
+// ---- finalists ------------------------------------------------------------------------------
+
+#define NEAR_FACTOR 1.1  // of time, and
+#define NEAR_DB 0.2      // of worth, that a finalist may be away from the best ones
+#define LEAST_APART 1.04 // one finalist of those that take so much longer, or a power of it
+
+struct ranked {
+    struct rn_curve_trial trial;
+    size_t place; // in the list
+};
+
+static int quicker_trial(const void *a, const void *b) {
+    const struct ranked *x = a, *y = b;
+    if (x->trial.ms != y->trial.ms) return x->trial.ms < y->trial.ms ? -1 : 1;
+    return (x->place > y->place) - (x->place < y->place);
+}
+
+// Better than all quicker ones, or but little worse than those that are clearly quicker.
+static bool is_near_front(const struct ranked *sorted, size_t i) {
+    double best = -INFINITY, reach = -INFINITY, worth = sorted[i].trial.worth;
+    for (size_t j = 0; j < i; j++) {
+        best = fmax(best, sorted[j].trial.worth);
+        if (sorted[j].trial.ms * NEAR_FACTOR < sorted[i].trial.ms)
+            reach = fmax(reach, sorted[j].trial.worth);
+    }
+    return worth > best || worth > reach + NEAR_DB;
+}
+
+// The best of each group that takes at most `apart` times as long as its first one; 0 where there
+// are more groups than there is room for.
+static size_t choose_apart(const struct ranked *sorted, size_t count, double apart, size_t most,
+                           const struct rn_curve_trial *trials, size_t *ret_finalists) {
+    double group_ms = -INFINITY;
+    size_t chosen = 0;
+    ret_finalists[chosen++] = 0;
+    for (size_t i = 0; i < count; i++) {
+        const struct ranked *way = &sorted[i];
+        if (way->place == 0 || !is_near_front(sorted, i)) continue;
+        if (way->trial.ms <= group_ms * apart) {
+            size_t *last = &ret_finalists[chosen - 1];
+            if (way->trial.worth > trials[*last].worth) *last = way->place;
+            continue;
+        }
+        if (chosen == most) return 0;
+        group_ms = way->trial.ms;
+        ret_finalists[chosen++] = way->place;
+    }
+    return chosen;
+}
+
+size_t rn_curve_finalists(const struct rn_curve_trial *trials, size_t count, size_t most,
+                          size_t *ret_finalists) {
+    struct ranked sorted[RN_CURVE_TRIALS];
+    double apart = LEAST_APART;
+    size_t chosen;
+    for (size_t i = 0; i < count; i++)
+        sorted[i] = (struct ranked){trials[i], i};
+    qsort(sorted, count, sizeof *sorted, quicker_trial);
+    while (!(chosen = choose_apart(sorted, count, apart, most, trials, ret_finalists)))
+        apart *= LEAST_APART;
+    return chosen;
+}
+
 // ---- budgets --------------------------------------------------------------------------------
 
 enum rn_budget_kind rn_budget_of(const union rn_setting_value values[RN_RENDER_SETTINGS],

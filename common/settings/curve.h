@@ -41,6 +41,18 @@ struct rn_curve {
     int64_t width, height; // of the pictures it was measured with; 0 x 0: it was not
 };
 
+// What a way to render took and was worth on the first view that it was tried on.
+struct rn_curve_trial {
+    double ms, worth;
+};
+#define RN_CURVE_TRIALS 160
+// Which of these ways are worth measuring on all views, at most `most` >= 2: the full picture,
+// `trials[0]`, then, from the quickest on, those that on this view lie on the front or near it, the
+// best of each group that takes about as long; the groups are as close to each other as there is
+// room for. `count` is 1 to RN_CURVE_TRIALS. How many there are.
+size_t rn_curve_finalists(const struct rn_curve_trial *trials, size_t count, size_t most,
+                          size_t *ret_finalists);
+
 // Pixels of a picture whose times the curve tells.
 double rn_curve_pixels(const struct rn_curve *curve);
 // What makes a point good: its PSNR against photographs, else against the full picture, of which

@@ -18,13 +18,10 @@
 
 #define VIEWS 6
 #define MOST_VIEWS 64
-#define WAYS 160         // to render, tried on the first view
-#define FINALISTS 40     // of these, measured on all views
-#define ROUNDS 3         // times
-#define MOST_PIXELS 1e6  // of its pictures; larger views are rendered smaller, without photographs
-#define NEAR_FACTOR 1.1  // of time, and
-#define NEAR_DB 0.2      // of worth, that a finalist may be away from the best ones
-#define LEAST_APART 1.04 // one finalist of those that take so much longer, or a power of it
+#define WAYS RN_CURVE_TRIALS // to render, tried on the first view
+#define FINALISTS 40         // of these, measured on all views
+#define ROUNDS 3             // times
+#define MOST_PIXELS 1e6 // of its pictures; larger views are rendered smaller, without photographs
 #define SAVE_EVERY_S 1.0
 
 // One way to render, and what is known of it.
@@ -108,47 +105,14 @@ static void list_ways(struct state *state, double trained_step, int cones) {
             add_way(state, 1, n, 0, 0.1, tolerances[t]);
 }
 
-static int by_first_ms(const void *a, const void *b) {
-    const struct way *x = *(struct way *const *)a, *y = *(struct way *const *)b;
-    return (x->first_ms > y->first_ms) - (x->first_ms < y->first_ms);
-}
-
-// The full picture, and of the rest those that on the first view lie on the front or near it: the
-// best of each group that takes at most `apart` times as long as its first one. False where these
-// are more than there is room for.
-static bool choose_apart(struct state *state, struct way *const *sorted, double apart) {
-    double best = -INFINITY, group_ms = 0;
-    state->finalists = 0;
-    state->finalist[state->finalists++] = 0;
-    for (int i = 0; i < state->ways; i++) {
-        double worth = sorted[i]->first_worth, reach = -INFINITY;
-        int32_t way = (int32_t)(sorted[i] - state->way);
-        for (int j = 0; j < i && sorted[j]->first_ms * NEAR_FACTOR < sorted[i]->first_ms; j++)
-            reach = fmax(reach, sorted[j]->first_worth);
-        bool near = worth > best || worth > reach + NEAR_DB;
-        best = fmax(best, worth);
-        if (!near || way == 0) continue;
-        if (sorted[i]->first_ms <= group_ms * apart) {
-            int32_t *last = &state->finalist[state->finalists - 1];
-            if (worth > state->way[*last].first_worth) *last = way;
-            continue;
-        }
-        if (state->finalists == FINALISTS) return false;
-        group_ms = sorted[i]->first_ms;
-        state->finalist[state->finalists++] = way;
-    }
-    return true;
-}
-
-// As close to each other as there is room for, from the quickest to the full picture.
 static void choose_finalists(struct state *state) {
-    struct way *sorted[WAYS];
-    double apart = LEAST_APART;
+    struct rn_curve_trial trials[WAYS];
+    size_t chosen[FINALISTS];
     for (int i = 0; i < state->ways; i++)
-        sorted[i] = &state->way[i];
-    qsort(sorted, (size_t)state->ways, sizeof *sorted, by_first_ms);
-    while (!choose_apart(state, sorted, apart))
-        apart *= LEAST_APART;
+        trials[i] = (struct rn_curve_trial){state->way[i].first_ms, state->way[i].first_worth};
+    state->finalists = (int32_t)rn_curve_finalists(trials, (size_t)state->ways, FINALISTS, chosen);
+    for (int i = 0; i < state->finalists; i++)
+        state->finalist[i] = (int32_t)chosen[i];
 }
 
 // ---- views ----------------------------------------------------------------------------------

@@ -48,6 +48,57 @@ START_TEST(what_another_beats_is_no_point) {
 }
 END_TEST
 
+// A curve full of quick ways keeps the slow ones: 100 that take 0.1 % longer each, then a few.
+START_TEST(finalists_are_of_all_times) {
+    struct rn_curve_trial trials[120] = {{100, 36}};
+    size_t chosen[10], count = 1;
+    for (; count < 101; count++)
+        trials[count] =
+            (struct rn_curve_trial){1 + 0.001 * (double)count, 10 + 0.01 * (double)count};
+    for (double ms = 2; ms < 90; ms *= 2)
+        trials[count++] = (struct rn_curve_trial){ms, 20 + ms / 8};
+    size_t left = rn_curve_finalists(trials, count, 10, chosen);
+    ck_assert_uint_le(left, 10);
+    ck_assert_uint_ge(left, 8); // the full one, the six slow ones, and of the quick ones
+    ck_assert_uint_eq(chosen[0], 0);
+    for (size_t i = 0; i < 6; i++)
+        ck_assert_uint_eq(chosen[left - 6 + i], 101 + i);
+    for (size_t i = 2; i < left; i++)
+        ck_assert_double_gt(trials[chosen[i]].ms, trials[chosen[i - 1]].ms);
+}
+END_TEST
+
+// Each group is one that takes up to 4 % longer than its first, and has its best one.
+START_TEST(a_group_of_finalists_keeps_its_best) {
+    const struct rn_curve_trial trials[] = {{50, 33},     {10.3, 26}, {10, 25},
+                                            {10.2, 25.9}, {20, 31},   {10.5, 27}};
+    const size_t expected[] = {0, 1, 5, 4}; // 10.5 begins the next group, and ends it
+    size_t chosen[6];
+    ck_assert_uint_eq(rn_curve_finalists(trials, 6, 6, chosen), 4);
+    for (size_t i = 0; i < 4; i++)
+        ck_assert_uint_eq(chosen[i], expected[i]);
+    // With room for three the groups are wider: one of all that take about 10.
+    ck_assert_uint_eq(rn_curve_finalists(trials, 6, 3, chosen), 3);
+    ck_assert(chosen[0] == 0 && chosen[1] == 5 && chosen[2] == 4);
+}
+END_TEST
+
+START_TEST(finalists_lie_near_the_front) {
+    const struct rn_curve_trial trials[] = {{50, 33},     {10, 25},   {10.9, 24.9}, {12, 24.9},
+                                            {12.5, 25.1}, {14, 25.3}, {60, 32}};
+    const size_t expected[] = {0, 1, 2, 4, 5};
+    size_t chosen[7];
+    // 10.9 ms may be as quick as 10 on another view; 12 is beaten; 12.5 is better than all before
+    ck_assert_uint_eq(rn_curve_finalists(trials, 7, 7, chosen), 5);
+    for (size_t i = 0; i < 5; i++)
+        ck_assert_uint_eq(chosen[i], expected[i]);
+    ck_assert_uint_eq(rn_curve_finalists(trials, 1, 7, chosen), 1);
+    ck_assert_uint_eq(chosen[0], 0);
+    ck_assert_uint_eq(rn_curve_finalists(trials, 7, 2, chosen), 2);
+    ck_assert_uint_eq(chosen[1], 5); // all but the full one are one group
+}
+END_TEST
+
 START_TEST(a_time_takes_the_best_that_fits) {
     bool missed;
     make_curve();
@@ -237,6 +288,9 @@ int main(void) {
     Suite *suite = suite_create("curve");
     TCase *all = tcase_create("all");
     tcase_add_test(all, what_another_beats_is_no_point);
+    tcase_add_test(all, finalists_are_of_all_times);
+    tcase_add_test(all, a_group_of_finalists_keeps_its_best);
+    tcase_add_test(all, finalists_lie_near_the_front);
     tcase_add_test(all, a_time_takes_the_best_that_fits);
     tcase_add_test(all, a_time_is_kept_by_nearly_all_pictures);
     tcase_add_test(all, a_psnr_takes_the_quickest_that_reaches_it);
