@@ -118,6 +118,10 @@ mutate space $field/space.h "Jacobian: the part along the direction left out" \
     's/ret\[i\] = c->across \* axis\[i\] + along \* towards\[i\];/ret[i] = c->across * axis[i] + 0 * along;/'
 mutate space $field/space.h "places: distance not stretched beyond 1" \
     's/return size <= 1 ? s : COPYSIGN(2 - 1 \/ size, s); /return size <= 1 ? s : COPYSIGN(2 - 1 \/ (size * size), s);/'
+mutate space $field/space.h "bent rays: come half as far across the radius" \
+    's/return 1 + 4 \* squares;/return 1 + squares;/'
+mutate space $field/space.h "bent rays: as far from the centre as near it" \
+    's/return 1 + 4 \* squares;/return 1;/'
 mutate space $cpu/space.h "bent rays: steps half as long" \
     's/(k + 0.5f) \* (2 \* step)/(k + 0.5f) * step/'
 mutate space $cpu/space.h "bent rays: the first step looked at twice" \

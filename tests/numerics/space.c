@@ -152,6 +152,32 @@ static int check_footprint(struct numerics_random *random) {
     return numerics_close(&c);
 }
 
+// Between any two steps of a ray, and that some come nearly as far.
+static int check_pace(struct numerics_random *random) {
+    struct numerics_case pace = {"18 way of a bent ray in a step",
+                                 "0.01 to 10 radii past the centre",
+                                 "of the bound",
+                                 1,
+                                 0,
+                                 ""};
+    struct numerics_case slack = {
+        "18 bound of that way", "0.01 to 10 radii past the centre", "of the way", 1.05, 0, ""};
+    for (int n = 0; n < 400; n++) {
+        double b = numerics_spread(random, 0.01, 10), h = numerics_spread(random, 5e-4, 4e-3);
+        double bound = h * sqrt((double)rn_squared_pace((float)(b * b))) * (1 + 1e-6), most = 0;
+        double at[2][3] = {{0}};
+        for (int k = 0; k * 2 * h < 4 - 2 * h; k++) {
+            double x[3] = {rn_distance_of_place((2 * k + 1) * h - 2), b, 0}, *y = at[k % 2];
+            contract(x, y);
+            double way = hypot(y[0] - at[1 - k % 2][0], y[1] - at[1 - k % 2][1]);
+            if (k > 0) most = fmax(most, way);
+        }
+        numerics_see(&pace, most / bound, "b %.9g h %.9g", b, h);
+        numerics_see(&slack, bound / most, "b %.9g h %.9g", b, h);
+    }
+    return numerics_close(&pace) + numerics_close(&slack);
+}
+
 static struct rn_field *make_grid(struct numerics_random *random, double part) {
     struct rn_train_config config;
     struct rn_bounds bounds = {.radius = 1};
@@ -240,7 +266,8 @@ static int check_steps(const struct subject *s, struct numerics_random *random) 
 int main(void) {
     struct numerics_random random = numerics_random();
     const struct subject *s;
-    int failed = check_inverses(&random) + check_jacobian(&random) + check_footprint(&random);
+    int failed = check_inverses(&random) + check_jacobian(&random) + check_footprint(&random) +
+                 check_pace(&random);
     for (int i = 0; (s = subject_at(i)); i++) {
         if (s->contraction) failed += check_contraction(s, &random) + check_places(s, &random);
         if (s->march) failed += check_steps(s, &random);

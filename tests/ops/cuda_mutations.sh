@@ -272,7 +272,7 @@ mutate occupancy field.cu "occupancy: cells of the turn are measured, not those 
 # Places, and voxels.
 mutate unbounded space.cuh "bent rays: steps of half their length" 's/k \* (2 \* step) + (2 - ray->length)/k * step + (2 - ray->length)/'
 mutate worlds march.cuh "bent rays: cells looked up where the ray is straight" 's/p \*= scale;/p *= 0.5f;/'
-mutate bent march.cuh "bent rays: skipped beyond what is empty" 's/margin \* 0.999f/margin * 6/'
+mutate bent march.cuh "bent rays: skipped beyond what is empty" 's/margin \* 0.999f/margin * 1.5/'
 mutate unbounded encode.cuh "unbounded: footprints as before the contraction" 's/float r = size <= 1 ? .*/float r = 1;/'
 mutate unbounded encode.cuh "unbounded: samples far away as long as those near by" 's/fmaxf(s \* s, 1) \* (2 \* step)/2 * step/'
 mutate unbounded forward.cuh "end of a place: something shines through" 's/if (rn_ends<WORLD>() \&\& last)/if (false)/'

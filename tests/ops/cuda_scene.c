@@ -230,7 +230,7 @@ struct rn_reference_ray test_reference_ray(const struct test_scene *s,
     struct rn_ray cone = rn_camera_ray(camera, x + 0.5, y + 0.5);
     struct rn_march_ray ray = rn_march_ray_from(s->field, &cone, s->config.step, jitter);
     double length = ray.length > 0 ? (double)ray.length : 0;
-    double width = s->config.step * ray.stride, *mid = calloc(2000, sizeof *mid);
+    double width = s->config.step * ray.stride, *mid = calloc(4000, sizeof *mid);
     struct rn_reference_ray out = {.radius = (double)ray.radius, .mid = mid, .width = width};
     bool bent = s->config.field.space == RN_SPACE_UNBOUNDED;
     for (; bent && out.count < (int)(length / (2 * width)); out.count++)

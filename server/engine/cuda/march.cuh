@@ -70,10 +70,7 @@ RN_DEVICE int rn_brick_of(const struct rn_cuda_occupancy *o, const float at[3], 
     return o->distance[index];
 }
 
-// Through unbounded space rays are bent: as far as they come however they bend. From one step to
-// the next a ray moves by less than step sqrt(1 + 4 b^2) in the cube, b its distance from the
-// centre: along the radius by step, across it by 2 step b at most (d y / d x of field/space.h times
-// d distance / d step, of which distance^2 / r^2 <= 1 is left).
+// Through unbounded space rays are bent: as far as they come however they bend.
 RN_DEVICE int rn_skip_bent(const struct rn_cuda_occupancy *o, const struct rn_march_ray *ray, int k,
                            float step) {
     float s = rn_middle<RN_WORLD_UNBOUNDED>(ray, k, step), scale = rn_lengths_at(ray, s).scale;
@@ -88,7 +85,7 @@ RN_DEVICE int rn_skip_bent(const struct rn_cuda_occupancy *o, const struct rn_ma
         float low = (float)(brick[i] - distance + 1) * side - 1;
         margin = fminf(margin, fminf(at[i] - low, low + (float)(2 * distance - 1) * side - at[i]));
     }
-    float steps = margin * 0.999f / (step * rn_root(1 + 4 * across));
+    float steps = margin * 0.999f / (step * rn_root(rn_squared_pace(across)));
     return distance > 0 && steps > 1 ? k + (int)fminf(steps, 65535) : k;
 }
 

@@ -101,6 +101,14 @@ RN_HD rn_real rn_distance_of_place(rn_real place) {
         return CHOOSE(size <= 1, place, CHOOSE(place < 0, -far, far));                             \
     }
 
+// How far a ray may come in the unit ball while its place changes by 2 h, in units of h and
+// squared; `squares`: the square of its distance b from the centre. Along the radius h at most;
+// across it 2 h b, as `across` <= 1 / r of lengths, of which the ray has b / r across the radius,
+// stretched by distance^2 <= r^2. Both are reached, the second far away.
+RN_HD float rn_squared_pace(float squares) {
+    return 1 + 4 * squares;
+}
+
 // d distance / d place: max(1, distance^2).
 RN_HD rn_real rn_stretch_at(rn_real s) {
     return s * s > 1 ? s * s : 1;
