@@ -83,6 +83,21 @@ def test_a_lost_device_ends_the_runner_alone(start, emulated, tmp_path):
     client.run("render", "small", "--view", "test:0", "-o", "picture.png")
 
 
+def test_a_paths_frames_are_those_of_one_at_a_time(start, emulated, tmp_path):
+    """Frames that a device renders are encoded on the processor's threads while the next ones are rendered."""
+    client, daemon = start(emulated)
+    client.run("watch", submit(daemon, preset="draft", planes=3, base=16, channels=4, max_steps=2, device="auto"))
+    client.run("turntable", "small", "-o", "turn.json")
+    client.run("path", "small", "turn.json", "--size", "16x16", "--frames", "0-5", "-o", "all")
+    for frame in (0, 2, 5):
+        client.run("path", "small", "turn.json", "--size", "16x16", "--frames", f"{frame}-{frame}", "-o", f"only-{frame}")
+        name = f"{frame:05}.png"
+        assert (tmp_path / "all" / name).read_bytes() == (tmp_path / f"only-{frame}" / name).read_bytes()
+    assert len({path.read_bytes() for path in (tmp_path / "all").glob("*.png")}) > 3
+    log = "".join(path.read_text() for path in (tmp_path / "data").rglob("log"))
+    assert "frames are encoded while cuda:0 renders the next ones" in log, log
+
+
 # ---- memory ---------------------------------------------------------------------------------
 
 def gpu_bytes(daemon):

@@ -299,6 +299,7 @@ try run_trained masks server/engine/cuda/step.cuh "rays: another pixel's bit" 's
 mutate_engine outliers train/device.c "engine: outliers do not follow to the device" 's/if (rn_trainer_is_drawn(t, frame, x, y))/if (rn_pixel_is_used(\&t->train, frame, x, y))/'
 mutate_engine "masked views" train/device.c "engine: what masks leave out is scored" 's/if (rn_pixel_is_used(&t->held, frame, x, y))/if (true)/'
 mutate_engine moved train/device.c "engine: cameras stay where they were given" 's/{.camera = from->camera,/{.camera = from->frame->camera,/'
+mutate_engine turn train/trainer.c "engine: cameras are moved by the field that the host had before" '/^enum rn_status rn_trainer_enter/,/^}/s/rn_trainer_fetch(t, err)/RN_OK/'
 try run_trained "error step" server/engine/kernels/draw.h "by errors: rays of blocks that are drawn often weigh as others" 's/\*ret_weight = 1 \/ .*/*ret_weight = 1;/'
 try run_trained "error step" server/engine/cuda/step.cuh "by errors: every block alike" 's/? rn_shared_pixel(.*/? rn_live_pixel(s->seed, from.turn, count)/'
 try run_trained "error step" server/engine/cuda/step.cuh "by errors: losses in the order of arrival" 's/if (i > done \&\& i < next) next = i;/if (i > done) next = i;/'

@@ -58,6 +58,7 @@ enum rn_status try_engine(const char *device, size_t memory, struct rn_engine **
                           struct rn_error *err) {
     struct rn_engine_options options = {.device = device,
                                         .threads = 1,
+                                        .kernels = run.kernels,
                                         .device_memory_bytes = memory,
                                         .deterministic = run.deterministic};
     return rn_engine_create(&options, ret_engine, err);

@@ -14,6 +14,7 @@ struct device_run {
     struct rn_dataset *dataset;
     char folder[64], path[128];                  // the dataset's; the checkpoint's
     bool deterministic;                          // of engines
+    const char *kernels;                         // likewise, the CPU's; NULL: the fastest
     void (*prepare)(struct rn_trainer *trainer); // NULL, or before take_step's step
 };
 extern struct device_run run;

@@ -8,16 +8,19 @@
 #include <unistd.h>
 
 #include "common/base/file.h"
+#include "common/base/log.h"
 #include "common/base/manifest.h"
 #include "common/math/numbers.h"
 #include "common/path/path.h"
+#include "server/runner/field/behind.h"
 #include "server/runner/field/budget.h"
 #include "server/runner/field/film.h"
 #include "server/runner/field/parts.h"
 
 #define FRAME_PNG_LEVEL 6
-#define INSTANTS 64      // at which a shutter looks
-#define VIDEO_QUALITY 75 // where none is asked for
+#define INSTANTS 64             // at which a shutter looks
+#define VIDEO_QUALITY 75        // where none is asked for
+#define PIXELS_BEHIND (1 << 23) // of frames that wait for their files, at most
 
 // A camera path: unit i is frame first + i, a file in the job's folder.
 struct path_work {
@@ -27,6 +30,17 @@ struct path_work {
     double depth_scale;          // one for all frames
     struct rn_optics optics;     // in place of what the keys say
     struct rn_optics together;   // of all frames: what was on in any
+    struct rn_behind behind;
+};
+
+// A frame that is rendered, on its way to its file.
+struct path_frame {
+    struct rn_piece piece;
+    struct path_work *path;
+    struct rn_render_result result;
+    struct rn_picture_file how;
+    int64_t index;
+    char file[PATH_MAX];
 };
 
 // At frame first + `unit`, or in between.
@@ -105,39 +119,89 @@ static enum rn_status prepare(struct rn_work *work, struct rn_field *field, stru
 }
 
 static enum rn_status begin(struct rn_work *work, struct rn_error *err) {
-    return rn_parts_begin(&((struct path_work *)work)->parts, work->step, work->total, err);
+    struct path_work *path = (struct path_work *)work;
+    rn_behind_drop(&path->behind);
+    return rn_parts_begin(&path->parts, work->step, work->total, err);
 }
 
-static enum rn_status render_frame(struct path_work *path, struct rn_field *field,
-                                   const struct rn_field_info *info, const char *file,
-                                   struct rn_error *err) {
+static enum rn_status render_frame(struct path_frame *frame, struct rn_field *field,
+                                   const struct rn_field_info *info, struct rn_error *err) {
+    struct path_work *path = frame->path;
     const struct rn_path_options *wanted = &path->request.options;
-    struct rn_picture_file how = {
+    struct rn_render_options options = {.camera = frame_camera(path, (double)path->work.done)};
+    struct rn_camera instants[INSTANTS];
+    struct rn_box box;
+    frame->how = (struct rn_picture_file){
         .output = (enum rn_output_kind)rn_name_or(wanted->output, RN_OUTPUT_KIND_RGB),
         .format = frame_format(path),
         .jpeg_quality = (int)rn_int_or(wanted->jpeg_quality, RN_JPEG_QUALITY),
         .png_level = FRAME_PNG_LEVEL,
         .depth_scale = path->depth_scale};
-    struct rn_render_options options = {.camera = frame_camera(path, (double)path->work.done)};
-    double high; // of a map: told of single pictures only
-    struct rn_camera instants[INSTANTS];
-    struct rn_render_result result = {0};
-    struct rn_box box;
-    uint8_t *bytes = NULL;
-    size_t size;
     rn_picture_crop(wanted->crop, &box, &options);
     rn_settings_put(&rn_render_settings, wanted->settings, &options.settings);
     memcpy(options.background, info->config.background, sizeof options.background);
     frame_shot(path, path->work.done, instants, &options.shot);
-    rn_picture_choose(how.output, how.format, &options);
+    rn_picture_choose(frame->how.output, frame->how.format, &options);
     enum rn_status status = rn_render(path->work.host->engine, field, &options, rn_work_keep_going,
-                                      &path->work, &result, err);
+                                      &path->work, &frame->result, err);
     if (status) return status;
-    rn_work_rendered(&path->work, result.stats.render_ms, result.stats.nonfinite_rays);
-    status = rn_picture_encode(&result, &how, &bytes, &size, &high, err);
-    if (!status) status = rn_parts_write(&path->parts, file, bytes, size, err);
+    rn_work_rendered(&path->work, frame->result.stats.render_ms,
+                     frame->result.stats.nonfinite_rays);
+    return RN_OK;
+}
+
+static enum rn_status write_frame(struct rn_piece *piece, struct rn_error *err) {
+    struct path_frame *frame = (struct path_frame *)piece;
+    uint8_t *bytes = NULL;
+    size_t size;
+    double high; // of a map: told of single pictures only
+    enum rn_status status =
+        rn_picture_encode(&frame->result, &frame->how, &bytes, &size, &high, err);
+    if (!status) status = rn_parts_write(&frame->path->parts, frame->file, bytes, size, err);
     free(bytes);
-    rn_render_result_finish(&result);
+    return status;
+}
+
+static void tell_frame(struct rn_piece *piece) {
+    const struct path_frame *frame = (const struct path_frame *)piece;
+    const struct rn_work *work = &frame->path->work;
+    struct rn_wire_frame message = {.index = frame->index};
+    strcpy(message.job, work->job);
+    rn_link_post(&work->host->link, RN_WIRE_FRAME, &message, NULL, 0);
+}
+
+static void release_frame(struct rn_piece *piece) {
+    rn_render_result_finish(&((struct path_frame *)piece)->result);
+    free(piece);
+}
+
+// How many frames may wait for their files while the next ones are rendered: where a device does
+// that, one a thread of the processor.
+static size_t frames_behind(const struct path_work *path, const struct path_frame *frame) {
+    struct rn_camera camera = frame_camera(path, 0);
+    struct rn_device_info about;
+    rn_engine_describe(path->work.host->engine, &about);
+    size_t fit = PIXELS_BEHIND / ((size_t)camera.width * (size_t)camera.height);
+    if (!frame->result.stats.on_device) return 0;
+    if (path->work.done == 0)
+        rn_log(RN_LOG_INFO, "frames are encoded while %s renders the next ones", about.device);
+    return fit < (size_t)about.threads ? fit : (size_t)about.threads;
+}
+
+static enum rn_status make_frame(struct path_work *path, struct rn_field *field,
+                                 const struct rn_field_info *info, const char *file,
+                                 struct rn_error *err) {
+    struct path_frame *frame = calloc(1, sizeof *frame);
+    if (!frame) return rn_error_set(err, RN_ERROR_NO_MEMORY, "", "out of memory");
+    frame->piece =
+        (struct rn_piece){.run = write_frame, .settle = tell_frame, .release = release_frame};
+    frame->path = path;
+    frame->index = (int64_t)(path->parts.first + path->work.done);
+    snprintf(frame->file, sizeof frame->file, "%s", file);
+    enum rn_status status = render_frame(frame, field, info, err);
+    if (!status)
+        return rn_behind_add(&path->behind, &frame->piece, frames_behind(path, frame), err);
+    release_frame(&frame->piece);
     return status;
 }
 
@@ -149,12 +213,7 @@ static enum rn_status unit(struct rn_work *work, struct rn_field *field,
     enum rn_status status = rn_parts_file(&path->parts, work->done, file, err);
     if (status) return status;
     if (stat(file, &about) == 0) return RN_OK; // a frame of an earlier attempt; it is whole
-    status = render_frame(path, field, info, file, err);
-    if (status) return status;
-    struct rn_wire_frame frame = {.index = (int64_t)(path->parts.first + work->done)};
-    strcpy(frame.job, work->job);
-    rn_link_post(&work->host->link, RN_WIRE_FRAME, &frame, NULL, 0);
-    return RN_OK;
+    return make_frame(path, field, info, file, err);
 }
 
 // The film that was asked for, out of all frames; its size in bytes.
@@ -192,7 +251,8 @@ static enum rn_status result(struct rn_work *work, struct rn_field *field, char 
                                     .render_ms_median =
                                         rn_numbers_median(work->render_ms, work->rendered)};
     (void)field;
-    enum rn_status status = RN_OK;
+    enum rn_status status = rn_behind_settle(&path->behind, 0, err);
+    if (status) return status;
     rn_optics_names(&path->together, record.effects, sizeof record.effects);
     if (!is_part(path) && path->request.options.film >= 0) status = make_film(path, &record, err);
     if (!status && !is_part(path)) status = rn_manifest_write(path->request.folder, err);
@@ -201,7 +261,9 @@ static enum rn_status result(struct rn_work *work, struct rn_field *field, char 
 }
 
 static void release(struct rn_work *work) {
-    rn_message_finish(rn_wire_table(RN_WIRE_PATH), &((struct path_work *)work)->request);
+    struct path_work *path = (struct path_work *)work;
+    rn_behind_drop(&path->behind);
+    rn_message_finish(rn_wire_table(RN_WIRE_PATH), &path->request);
 }
 
 static const struct rn_work_kind kind = {.size = sizeof(struct path_work),
