@@ -121,8 +121,7 @@ static enum rn_status parse(const char *path, const char *text, size_t size, jso
     return *ret_root != NULL ? RN_OK : cannot_read(path, err);
 }
 
-static enum rn_status read_header(struct rn_checkpoint *c, json_t **ret_header,
-                                  struct rn_error *err) {
+static enum rn_status read_header(struct rn_checkpoint *c, struct rn_error *err) {
     uint64_t length;
     if (!read_all(c->fd, &length, sizeof length, 0)) return cannot_read(c->path, err);
     errno = 0;
@@ -131,22 +130,27 @@ static enum rn_status read_header(struct rn_checkpoint *c, json_t **ret_header,
     if (text == NULL) return rn_error_set(err, RN_ERROR_NO_MEMORY, c->path, "out of memory");
     enum rn_status status = RN_OK;
     if (!read_all(c->fd, text, length, sizeof length)) status = cannot_read(c->path, err);
-    if (status == RN_OK) status = parse(c->path, text, length, ret_header, err);
+    if (status == RN_OK) status = parse(c->path, text, length, &c->header, err);
     free(text);
     c->data_start = sizeof length + length;
     return status;
 }
 
 // Whether the file is as long as its header says: the tensors' end is the file's.
-static bool complete(int fd, json_t *header, uint64_t data_start) {
+static enum rn_status check_length(const struct rn_checkpoint *c, struct rn_error *err) {
     int64_t last = 0;
     const char *name;
     json_t *entry;
-    json_object_foreach(header, name, entry) {
+    json_object_foreach(c->header, name, entry) {
         int64_t end = json_integer_value(json_array_get(json_object_get(entry, "data_offsets"), 1));
         if (end > last) last = end;
     }
-    return lseek(fd, 0, SEEK_END) == (off_t)data_start + last;
+    const off_t size = lseek(c->fd, 0, SEEK_END);
+    if (size < 0) return cannot_read(c->path, err);
+    return last == size - (off_t)c->data_start
+               ? RN_OK
+               : rn_error_set(err, RN_ERROR_CORRUPT, c->path,
+                              "is cut off or has bytes too many; use an older checkpoint");
 }
 
 enum rn_status rn_checkpoint_open(const char *path, struct rn_checkpoint *ret,
@@ -155,20 +159,16 @@ enum rn_status rn_checkpoint_open(const char *path, struct rn_checkpoint *ret,
     snprintf(ret->path, sizeof ret->path, "%s", path);
     ret->fd = open(path, O_RDONLY | O_CLOEXEC);
     if (ret->fd < 0) return rn_error_from_errno(err, errno, path, "open the checkpoint");
-    json_t *header = NULL, *state = NULL;
-    enum rn_status status = read_header(ret, &header, err);
-    ret->header = header;
+    json_t *state = NULL;
+    enum rn_status status = read_header(ret, err);
     const char *text =
-        json_string_value(json_object_get(json_object_get(header, "__metadata__"), "ripnerf"));
+        json_string_value(json_object_get(json_object_get(ret->header, "__metadata__"), "ripnerf"));
     if (status == RN_OK)
         status = parse(path, text ? text : "", text ? strlen(text) : 0, &state, err);
-    if (status == RN_OK && !complete(ret->fd, header, ret->data_start))
-        status = rn_error_set(err, RN_ERROR_CORRUPT, path,
-                              "is cut off or has bytes too many; use an older checkpoint");
-    else if (status == RN_OK)
-        status = rn_checkpoint_parse_state(state, path, ret, err);
+    if (status == RN_OK) status = check_length(ret, err);
+    if (status == RN_OK) status = rn_checkpoint_parse_state(state, path, ret, err);
     json_decref(state);
-    ret->has_trainer = json_object_get(header, "adam.m") != NULL;
+    ret->has_trainer = json_object_get(ret->header, "adam.m") != NULL;
     if (status != RN_OK) rn_checkpoint_close(ret);
     return status;
 }
@@ -197,7 +197,7 @@ static enum rn_status read_tensor(const struct rn_checkpoint *c, const struct rn
         same = (size_t)json_integer_value(json_array_get(shape, (size_t)i)) == t->shape[i];
     int64_t begin = json_integer_value(json_array_get(at, 0));
     int64_t end = json_integer_value(json_array_get(at, 1));
-    if (!same || begin < 0 || end - begin != (int64_t)t->bytes)
+    if (!same || begin < 0 || end < begin || end - begin != (int64_t)t->bytes)
         return rn_error_set(err, RN_ERROR_CORRUPT, c->path, "tensor '%s' is missing or misshapen",
                             t->name);
     bool whole = read_all(c->fd, t->data, t->bytes, c->data_start + (uint64_t)begin);
