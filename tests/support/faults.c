@@ -5,6 +5,7 @@
 // with each call of the kind; the call that takes it to 0 fails, and with `for_good` all that
 // follow do. `hits` counts failures. Of kind DISTINCT, a call of any kind fails when its stack has
 // not been met before and `left` is not 0, which it takes one from; so the test sees one at a time.
+// Of kind SURVEY such a stack is noted and nothing fails.
 #include <dirent.h>
 #include <dlfcn.h>
 #include <execinfo.h>
@@ -54,7 +55,8 @@ enum kind {
     SPAWN,
     CALL, // all others
     KINDS,
-    DISTINCT
+    DISTINCT,
+    SURVEY
 };
 
 #define DEPTH 24
@@ -147,7 +149,7 @@ static bool fails_by_stack(enum kind kind) {
     if (inside || kind == SHORT_WRITE || plan->left <= 0) return false;
     int before = errno;
     inside = true;
-    bool found = is_new_stack(kind);
+    bool found = is_new_stack(kind) && plan->kind == DISTINCT;
     inside = false;
     errno = found ? errors[kind] : before;
     if (found) atomic_fetch_add(&plan->hits, 1);
@@ -157,7 +159,7 @@ static bool fails_by_stack(enum kind kind) {
 static bool fails(enum kind kind) {
     if (plan == NULL) return false;
     int wanted = atomic_load_explicit(&plan->kind, memory_order_relaxed);
-    if (wanted == DISTINCT) return fails_by_stack(kind);
+    if (wanted == DISTINCT || wanted == SURVEY) return fails_by_stack(kind);
     if (wanted != (int)kind) return false;
     int left = atomic_fetch_sub(&plan->left, 1);
     if (left != 1 && !(left < 1 && atomic_load(&plan->for_good))) return false;

@@ -6,7 +6,7 @@ import os
 
 KINDS = ["none", "malloc", "write", "short-write", "sync", "open", "rename", "mkdir", "socket",
          "accept", "read", "unlink", "truncate", "send", "poll", "thread", "map", "spawn", "call"]
-DISTINCT = len(KINDS) + 1
+DISTINCT, SURVEY = len(KINDS) + 1, len(KINDS) + 2
 DEPTH, STACKS = 24, 1 << 16
 
 
@@ -53,8 +53,17 @@ class Faults:
         self.plan.hits, self.plan.left, self.plan.chance, self.plan.seed = 0, 1, chance, seed
         self.plan.kind = DISTINCT
 
-    def count_stacks(self):
-        return sum(1 for stack in self.plan.stacks if stack)
+    def survey(self):
+        """From now on stacks are noted and nothing fails."""
+        self.plan.kind = 0
+        self.plan.hits, self.plan.left, self.plan.chance = 0, 1 << 30, 256
+        self.plan.kind = SURVEY
+
+    def stacks(self):
+        return {stack for stack in self.plan.stacks if stack}
+
+    def forget_stacks(self):
+        ctypes.memset(self.plan.stacks, 0, ctypes.sizeof(self.plan.stacks))
 
     def last(self):
         """The call that failed last: its kind and its stack, as `addr2line -e MODULE` takes it."""
