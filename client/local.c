@@ -20,7 +20,7 @@ static enum rn_status find_runner(char ret_path[PATH_MAX], struct rn_error *err)
                                          "../libexec/ripnerf/ripnerf-runner"};
     char folder[PATH_MAX];
     ssize_t size = readlink("/proc/self/exe", folder, sizeof folder - 1);
-    if (size <= 0) return rn_error_from_errno(err, errno, "/proc/self/exe", "reading");
+    if (size <= 0) return rn_error_from_errno(err, errno, "/proc/self/exe", "read");
     folder[size] = '\0';
     dirname(folder);
     for (size_t i = 0; i < sizeof places / sizeof *places; i++)
@@ -37,8 +37,7 @@ static enum rn_status start(const char *const *argv, pid_t *ret_pid, int *ret_fd
     const char *runner = argv[0];
     posix_spawn_file_actions_t actions;
     int ends[2];
-    if (pipe2(ends, O_CLOEXEC) != 0)
-        return rn_error_from_errno(err, errno, runner, "making a pipe");
+    if (pipe2(ends, O_CLOEXEC) != 0) return rn_error_from_errno(err, errno, runner, "make a pipe");
     posix_spawn_file_actions_init(&actions);
     int errnum = posix_spawn_file_actions_adddup2(&actions, ends[1], STDOUT_FILENO);
     if (errnum == 0)
@@ -47,7 +46,7 @@ static enum rn_status start(const char *const *argv, pid_t *ret_pid, int *ret_fd
     close(ends[1]);
     if (errnum != 0) {
         close(ends[0]);
-        return rn_error_from_errno(err, errnum, runner, "starting");
+        return rn_error_from_errno(err, errnum, runner, "start");
     }
     *ret_fd = ends[0];
     return RN_OK;
@@ -58,7 +57,7 @@ static enum rn_status read_all(int fd, struct rn_buf *report, struct rn_error *e
     ssize_t size;
     while ((size = read(fd, part, sizeof part)) != 0) {
         if (size < 0 && errno == EINTR) continue;
-        if (size < 0) return rn_error_from_errno(err, errno, "ripnerf-runner", "reading");
+        if (size < 0) return rn_error_from_errno(err, errno, "ripnerf-runner", "read");
         rn_buf_append(report, part, (size_t)size);
     }
     if (report->failed) return rn_error_set(err, RN_ERROR_LIMIT, "ripnerf-runner", "says too much");

@@ -16,7 +16,7 @@
 static enum rn_status make_secret(char ret_hex[RN_JOIN_SECRET_MAX], struct rn_error *err) {
     unsigned char bytes[(RN_JOIN_SECRET_MAX - 1) / 2];
     if (getrandom(bytes, sizeof bytes, 0) != (ssize_t)sizeof bytes)
-        return rn_error_from_errno(err, errno, "secret", "taking random bytes");
+        return rn_error_from_errno(err, errno, "secret", "take random bytes");
     for (size_t i = 0; i < sizeof bytes; i++)
         snprintf(ret_hex + 2 * i, 3, "%02x", bytes[i]);
     return RN_OK;

@@ -179,7 +179,9 @@ static enum rn_status add_root(struct rn_config *config, const char *value, cons
         return rn_error_set(err, RN_ERROR_LIMIT, where, "more than %d dataset roots",
                             RN_CONFIG_MAX_ROOTS);
     char *path = realpath(value, NULL);
-    if (path == NULL) return rn_error_from_errno(err, errno, where, value);
+    if (path == NULL)
+        return rn_error_set(err, RN_ERROR_NOT_FOUND, where, "cannot find the folder %s: %s", value,
+                            strerror(errno));
     config->roots[config->root_count++] = path;
     return RN_OK;
 }

@@ -67,7 +67,7 @@ static enum rn_exit download(struct rn_client *client, const char *scene, const 
     if (code != RN_EXIT_OK) return code;
     if (target.errnum == 0 && fsync(fd) != 0) target.errnum = errno;
     if (target.errnum == 0) return RN_EXIT_OK;
-    rn_error_from_errno(&err, target.errnum, file, "writing");
+    rn_error_from_errno(&err, target.errnum, file, "write");
     return rn_client_fail(&err);
 }
 
@@ -84,14 +84,14 @@ static enum rn_exit run_backup(struct rn_client *client, const void *options, co
         return rn_client_usage(file, "is too long a name");
     int fd = open(partial, O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC, 0600);
     if (fd < 0) {
-        rn_error_from_errno(&err, errno, partial, "creating");
+        rn_error_from_errno(&err, errno, partial, "create");
         return rn_client_fail(&err);
     }
     enum rn_exit code = download(client, opt->scene, file, fd);
     if (fstat(fd, &about) != 0) about.st_size = 0;
     close(fd);
     if (code == RN_EXIT_OK && rename(partial, file) != 0) {
-        rn_error_from_errno(&err, errno, file, "renaming");
+        rn_error_from_errno(&err, errno, file, "rename");
         code = rn_client_fail(&err);
     }
     if (code != RN_EXIT_OK) (void)unlink(partial);
@@ -124,7 +124,7 @@ static enum rn_status restore(struct archive *archive, const char *folder, struc
     if (status == RN_OK) status = rn_mkdirs(archive->folder, 0700, err);
     if (status == RN_OK) status = unpack(archive, err);
     if (status == RN_OK && rename(archive->folder, folder) != 0)
-        status = rn_error_from_errno(err, errno, folder, "renaming");
+        status = rn_error_from_errno(err, errno, folder, "rename");
     if (status != RN_OK && rn_remove_tree(archive->folder, NULL) != RN_OK)
         fprintf(stderr, "ripnerf: %s is left over; remove it\n", archive->folder);
     return status;
@@ -177,7 +177,7 @@ static enum rn_exit restore_into_daemon(struct rn_client *client, const char *na
     struct stat about;
     FILE *file = fopen(name, "rbe");
     if (file == NULL || fstat(fileno(file), &about) != 0 || !S_ISREG(about.st_mode)) {
-        rn_error_from_errno(&err, file == NULL ? errno : EINVAL, name, "opening");
+        rn_error_from_errno(&err, file == NULL ? errno : EINVAL, name, "open");
         if (file != NULL) fclose(file);
         return rn_client_fail(&err);
     }

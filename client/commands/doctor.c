@@ -68,7 +68,7 @@ static enum rn_exit fetch(struct rn_client *client, const char *kind, const char
     char *path = rn_api_path(kind, id, tail);
     struct download to = {.fd = open(file, O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC, 0600)};
     if (!path || to.fd < 0) {
-        rn_error_from_errno(&err, errno, file, "writing");
+        rn_error_from_errno(&err, errno, file, "write");
         free(path);
         if (to.fd >= 0) close(to.fd);
         return rn_client_fail(&err);
@@ -81,7 +81,7 @@ static enum rn_exit fetch(struct rn_client *client, const char *kind, const char
     free(path);
     if (close(to.fd) < 0 && !to.failed) to.failed = true, to.errnum = errno;
     if (code != RN_EXIT_OK || !to.failed) return code;
-    rn_error_from_errno(&err, to.errnum, file, "writing");
+    rn_error_from_errno(&err, to.errnum, file, "write");
     return rn_client_fail(&err);
 }
 
@@ -182,7 +182,7 @@ static enum rn_exit run_doctor(struct rn_client *client, const void *context, co
                         parent && *parent ? parent : "/tmp");
     if (size >= (int)sizeof folder) return rn_client_usage("TMPDIR", "is too long a name");
     if (!mkdtemp(folder)) {
-        rn_error_from_errno(&err, errno, folder, "making a folder");
+        rn_error_from_errno(&err, errno, folder, "make a folder");
         return rn_client_fail(&err);
     }
     enum rn_exit code = examine(client, options, args[0], folder);

@@ -43,10 +43,10 @@ struct rn_error {
 enum rn_status rn_error_set(struct rn_error *err, enum rn_status status, const char *where,
                             const char *fmt, ...) RN_PRINTF(4, 5);
 
-// As rn_error_set, with the text and the status taken from an errno value; ENOENT becomes
-// RN_ERROR_NOT_FOUND, ENOSPC and EDQUOT RN_ERROR_NO_SPACE, ENOMEM RN_ERROR_NO_MEMORY.
+// As rn_error_set, with the text ("cannot VERB: ...") and the status of an errno value; ENOENT
+// becomes RN_ERROR_NOT_FOUND, ENOSPC and EDQUOT RN_ERROR_NO_SPACE, ENOMEM RN_ERROR_NO_MEMORY.
 enum rn_status rn_error_from_errno(struct rn_error *err, int errnum, const char *where,
-                                   const char *doing);
+                                   const char *verb);
 
 // A stable lower-case name: "invalid", "not-found", ... Never NULL.
 const char *rn_status_name(enum rn_status status);

@@ -57,7 +57,7 @@ static enum rn_status copy_file(struct archive *archive, const char *path, long 
     char bytes[65536];
     int fd = open(path, O_WRONLY | O_CREAT | O_EXCL | O_CLOEXEC, 0600);
     if (fd < 0 && errno == EEXIST) return damaged(archive, "a name is there twice", err);
-    if (fd < 0) return rn_error_from_errno(err, errno, path, "creating");
+    if (fd < 0) return rn_error_from_errno(err, errno, path, "create");
     enum rn_status status = RN_OK;
     for (long long left = (size + BLOCK - 1) / BLOCK * BLOCK; status == RN_OK && left > 0;) {
         if (archive->keep_going != NULL && !archive->keep_going(archive->context)) {
@@ -69,12 +69,11 @@ static enum rn_status copy_file(struct archive *archive, const char *path, long 
         if (fread(bytes, 1, wanted, archive->file) != wanted)
             status = damaged(archive, "its end is missing", err);
         else if (!rn_write_all(fd, bytes, kept))
-            status = rn_error_from_errno(err, errno, path, "writing");
+            status = rn_error_from_errno(err, errno, path, "write");
         left -= (long long)wanted;
         size -= (long long)kept;
     }
-    if (status == RN_OK && fsync(fd) != 0)
-        status = rn_error_from_errno(err, errno, path, "writing");
+    if (status == RN_OK && fsync(fd) != 0) status = rn_error_from_errno(err, errno, path, "write");
     close(fd);
     return status;
 }
@@ -119,7 +118,7 @@ enum rn_status rn_tar_unpack(const char *name, const char *folder, bool (*keep_g
                               .folder = folder,
                               .keep_going = keep_going,
                               .context = context};
-    if (archive.file == NULL) return rn_error_from_errno(err, errno, name, "opening");
+    if (archive.file == NULL) return rn_error_from_errno(err, errno, name, "open");
     enum rn_status status = unpack(&archive, err);
     fclose(archive.file);
     if (status == RN_OK) *ret_contents = archive.contents;

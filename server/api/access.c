@@ -114,7 +114,7 @@ static enum rn_status make_secret(char secret[RN_SECRET_MAX], struct rn_error *e
     static const char digits[] = "abcdefghijklmnopqrstuvwxyz234567";
     uint8_t random[32];
     if (getrandom(random, sizeof random, 0) != (ssize_t)sizeof random)
-        return rn_error_from_errno(err, errno, "getrandom", "making a token");
+        return rn_error_from_errno(err, errno, "getrandom", "make a token");
     size_t size = (size_t)snprintf(secret, RN_SECRET_MAX, SECRET_PREFIX);
     for (size_t i = 0; i < sizeof random; i++)
         secret[size++] = digits[random[i] & 31];

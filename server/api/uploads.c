@@ -151,8 +151,8 @@ void rn_create_upload(void *context, struct rn_request *request, struct rn_reply
     char *path = status == RN_OK ? rn_api_upload_path(app, &upload) : NULL;
     int fd = path != NULL ? open(path, O_WRONLY | O_CREAT | O_EXCL | O_CLOEXEC, 0600) : -1;
     if (status == RN_OK && fd < 0)
-        status = rn_error_from_errno(&err, path == NULL ? ENOMEM : errno, "spool",
-                                     "beginning an upload");
+        status =
+            rn_error_from_errno(&err, path == NULL ? ENOMEM : errno, "spool", "begin an upload");
     if (fd >= 0) close(fd);
     free(path);
     if (rn_api_failed(status, &err, reply)) return;

@@ -17,7 +17,7 @@ enum rn_status rn_audit_open(struct rn_http *http, struct rn_error *err) {
     const char *path = http->options.audit;
     if (path == NULL) return RN_OK;
     http->audit_fd = open(path, O_WRONLY | O_APPEND | O_CREAT | O_CLOEXEC, 0600);
-    return http->audit_fd < 0 ? rn_error_from_errno(err, errno, path, "opening the audit") : RN_OK;
+    return http->audit_fd < 0 ? rn_error_from_errno(err, errno, path, "open the audit") : RN_OK;
 }
 
 static const char *address_of(const struct rn_request *request, char text[INET6_ADDRSTRLEN]) {

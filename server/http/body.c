@@ -26,7 +26,7 @@ static void write_file(struct rn_sink *sink, const char *bytes, size_t size) {
         if (written < 0 && errno == EINTR) continue;
         if (written <= 0) {
             (void)rn_error_from_errno(&sink->error, written < 0 ? errno : EIO, sink->path,
-                                      "writing the upload");
+                                      "write the upload");
             return;
         }
         bytes += written;
@@ -55,7 +55,7 @@ bool rn_sink_write(struct rn_sink *sink, const char *bytes, size_t size) {
 enum rn_status rn_sink_close(struct rn_sink *sink, struct rn_error *err) {
     if (sink->fd >= 0) {
         if (sink->error.status == RN_OK && fsync(sink->fd) != 0)
-            (void)rn_error_from_errno(&sink->error, errno, sink->path, "writing the upload");
+            (void)rn_error_from_errno(&sink->error, errno, sink->path, "write the upload");
         close(sink->fd);
         sink->fd = -1;
     }
@@ -107,7 +107,7 @@ enum rn_status rn_request_spool(struct rn_request *request, const char *folder, 
         return rn_error_set(err, RN_ERROR_NO_MEMORY, folder, "no memory for an upload");
     int fd = mkostemp(path, O_CLOEXEC);
     if (fd < 0) {
-        enum rn_status status = rn_error_from_errno(err, errno, path, "creating an upload file");
+        enum rn_status status = rn_error_from_errno(err, errno, path, "create an upload file");
         free(path);
         return status;
     }
@@ -125,8 +125,8 @@ enum rn_status rn_request_append(struct rn_request *request, const char *path, u
     char *copy = strdup(path);
     int fd = copy != NULL ? open(path, O_WRONLY | O_CLOEXEC | O_NOFOLLOW) : -1;
     if (fd < 0 || lseek(fd, (off_t)offset, SEEK_SET) < 0) {
-        enum rn_status status = rn_error_from_errno(err, copy != NULL ? errno : ENOMEM, path,
-                                                    "going on with an upload");
+        enum rn_status status =
+            rn_error_from_errno(err, copy != NULL ? errno : ENOMEM, path, "go on with an upload");
         if (fd >= 0) close(fd);
         free(copy);
         return status;

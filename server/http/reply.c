@@ -50,7 +50,7 @@ void rn_reply_file(struct rn_reply *reply, const char *content_type, const char 
     struct rn_error err = {0};
     int fd = open(path, O_RDONLY | O_CLOEXEC | O_NOFOLLOW);
     if (fd < 0 || fstat(fd, &info) != 0) {
-        (void)rn_error_from_errno(&err, errno, path, "opening");
+        (void)rn_error_from_errno(&err, errno, path, "open");
     } else if (!S_ISREG(info.st_mode)) {
         (void)rn_error_set(&err, RN_ERROR_NOT_FOUND, path, "not a file");
     } else {

@@ -264,7 +264,7 @@ static enum rn_status open_socket(const struct rn_http_options *options, int *re
     int fd = passed_socket();
     bool passed = fd >= 0;
     if (!passed) fd = socket(family, SOCK_STREAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0);
-    if (fd < 0) return rn_error_from_errno(err, errno, "listen", "opening a socket");
+    if (fd < 0) return rn_error_from_errno(err, errno, "listen", "open a socket");
     enum rn_status status = listen_at(options, fd, passed, &address, size, ret_port, err);
     if (status != RN_OK) {
         close(fd);

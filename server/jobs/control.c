@@ -204,7 +204,7 @@ enum rn_status rn_control_create(const struct rn_control_options *options, struc
     pthread_mutex_init(&control->lock, NULL);
     control->wake_fd = eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK);
     enum rn_status status =
-        control->wake_fd < 0 ? rn_error_from_errno(err, errno, "eventfd", "creating")
+        control->wake_fd < 0 ? rn_error_from_errno(err, errno, "eventfd", "create")
                              : rn_ring_create(RN_RING_EVENTS, RN_RING_BYTES, &control->ring, err);
     if (status == RN_OK) status = adopt_all(control, err);
     if (status == RN_OK) {

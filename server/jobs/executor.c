@@ -92,7 +92,7 @@ static enum rn_status local_start(struct rn_executor *executor, const struct rn_
     struct local *local = (struct local *)executor;
     int pair[2];
     if (socketpair(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0, pair) != 0)
-        return rn_error_from_errno(err, errno, local->program, "opening a socket pair");
+        return rn_error_from_errno(err, errno, local->program, "open a socket pair");
     // The child's end must not be CHILD_FD itself: dup2 to the same number keeps close-on-exec.
     int child = fcntl(pair[1], F_DUPFD_CLOEXEC, CHILD_FD + 1);
     int errnum = child < 0 ? errno : 0;
@@ -103,7 +103,7 @@ static enum rn_status local_start(struct rn_executor *executor, const struct rn_
     if (child >= 0) close(child);
     if (errnum != 0) {
         close(pair[0]);
-        return rn_error_from_errno(err, errnum, local->program, "starting a runner");
+        return rn_error_from_errno(err, errnum, local->program, "start a runner");
     }
     *ret_process = (struct rn_process){.pid = pid, .fd = pair[0]};
     return RN_OK;

@@ -42,7 +42,7 @@ enum rn_status rn_frames_lend(struct rn_control *control, const struct rn_task *
                                 : rn_error_set(err, RN_ERROR_NO_MEMORY, "frames", "no memory");
     // They may be there already: from an attempt of a daemon that was killed.
     if (status == RN_OK && rename(places.kept, places.lent) != 0 && errno != ENOENT)
-        status = rn_error_from_errno(err, errno, places.lent, "lending the frames");
+        status = rn_error_from_errno(err, errno, places.lent, "lend the frames");
     free_places(&places);
     return status;
 }

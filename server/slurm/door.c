@@ -38,7 +38,7 @@ static enum rn_status split(const char *listen, char host[256], char port[8],
     if (listen == NULL) {
         snprintf(port, 8, "0");
         if (gethostname(host, 255) == 0) return RN_OK;
-        return rn_error_from_errno(err, errno, "slurm-listen", "looking up this machine's name");
+        return rn_error_from_errno(err, errno, "slurm-listen", "look up this machine's name");
     }
     unsigned long number = colon != NULL ? strtoul(colon + 1, &end, 10) : 0;
     if (size == 0 || size > 255 || end == colon + 1 || *end != '\0' || number > 65535)
@@ -90,7 +90,7 @@ enum rn_status rn_door_open(struct rn_slurm *slurm, const char *where, struct rn
     slurm->listener = listen_at(found);
     int errnum = errno;
     freeaddrinfo(found);
-    if (slurm->listener < 0) return rn_error_from_errno(err, errnum, "slurm-listen", "listening");
+    if (slurm->listener < 0) return rn_error_from_errno(err, errnum, "slurm-listen", "listen");
     slurm->port = port_of(slurm->listener);
     slurm->host = strdup(host);
     if (slurm->host == NULL) return rn_error_set(err, RN_ERROR_NO_MEMORY, "slurm", "no memory");

@@ -146,7 +146,7 @@ static enum rn_status link_scene(struct rn_slurm *slurm, const struct rn_place *
     char *path = rn_place_path(slurm, place, "scene");
     enum rn_status status = path == NULL ? no_memory(err) : RN_OK;
     if (status == RN_OK && symlink(scene_folder, path) != 0)
-        status = rn_error_from_errno(err, errno, path, "linking the scene's folder");
+        status = rn_error_from_errno(err, errno, path, "link the scene's folder");
     free(path);
     return status;
 }

@@ -385,7 +385,7 @@ enum rn_status rn_porter_start(int fd, const char *scene, const char *log, int *
     }
     if (socketpair(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0, pair) != 0) {
         free_porter(porter);
-        return rn_error_from_errno(err, errno, "porter", "opening a socket pair");
+        return rn_error_from_errno(err, errno, "porter", "open a socket pair");
     }
     porter->inner = pair[0];
     rn_wire_reader_init(&porter->reader, pair[0]);

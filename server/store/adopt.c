@@ -26,8 +26,7 @@ static enum rn_status list(const char *backup, struct entries *entries, struct r
     for (size_t t = 0; t < TABLES; t++) {
         snprintf(path, sizeof path, "%s/%s", backup, tables[t]->folder);
         int count = scandir(path, &entries->items[t], NULL, alphasort), kept = 0;
-        if (count < 0 && errno != ENOENT)
-            return rn_error_from_errno(err, errno, path, "listing it");
+        if (count < 0 && errno != ENOENT) return rn_error_from_errno(err, errno, path, "list it");
         for (int i = 0; i < count; i++) {
             struct dirent *item = entries->items[t][i];
             if (rn_path_is_safe_name(item->d_name))
@@ -59,7 +58,7 @@ static enum rn_status move(struct rn_store *store, const char *backup, const cha
         if (to == NULL)
             status = rn_error_set(err, RN_ERROR_NO_MEMORY, folder, "no memory");
         else if (access(to, F_OK) != 0 && rename(from, to) != 0)
-            status = rn_error_from_errno(err, errno, to, "moving it");
+            status = rn_error_from_errno(err, errno, to, "move it");
         free(to);
     }
     char *flushed = rn_store_path(store, "%s", folder);

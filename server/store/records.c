@@ -60,15 +60,14 @@ static enum rn_status write_copy(const char *path, const char *text, size_t size
     if (is_same(path, text, size)) return RN_OK;
     snprintf(temporary, sizeof temporary, "%s.tmp", path);
     int fd = open(temporary, O_RDWR | O_CREAT | O_TRUNC | O_CLOEXEC, 0600);
-    if (fd < 0) return rn_error_from_errno(err, errno, temporary, "creating");
+    if (fd < 0) return rn_error_from_errno(err, errno, temporary, "create");
     enum rn_status status = RN_OK;
-    if (!rn_write_all(fd, text, size))
-        status = rn_error_from_errno(err, errno, temporary, "writing");
+    if (!rn_write_all(fd, text, size)) status = rn_error_from_errno(err, errno, temporary, "write");
     if (status == RN_OK) status = rn_seal_close(fd, temporary, sha256, err);
     if (close(fd) != 0 && status == RN_OK)
-        status = rn_error_from_errno(err, errno, temporary, "writing");
+        status = rn_error_from_errno(err, errno, temporary, "write");
     if (status == RN_OK && rename(temporary, path) != 0)
-        status = rn_error_from_errno(err, errno, path, "renaming");
+        status = rn_error_from_errno(err, errno, path, "rename");
     if (status != RN_OK) unlink(temporary);
     return status;
 }
@@ -159,8 +158,7 @@ static enum rn_status each_entry(struct rn_store *store, const char *folder,
     char *path = rn_store_path(store, "%s", folder);
     int count = path != NULL ? scandir(path, &entries, NULL, alphasort) : -1;
     enum rn_status status =
-        count < 0 ? rn_error_from_errno(err, path == NULL ? ENOMEM : errno, folder, "listing")
-                  : RN_OK;
+        count < 0 ? rn_error_from_errno(err, path == NULL ? ENOMEM : errno, folder, "list") : RN_OK;
     for (int i = 0; i < count; i++) {
         const char *name = entries[i]->d_name;
         if (status == RN_OK && name[0] != '.') status = visit(store, context, name, err);
@@ -450,7 +448,7 @@ enum rn_status rn_store_set_aside(struct rn_store *store, struct rn_error *err) 
         if (from == NULL || to == NULL)
             status = rn_error_set(err, RN_ERROR_NO_MEMORY, "ripnerf.db", "no memory");
         else if (rename(from, to) != 0 && errno != ENOENT)
-            status = rn_error_from_errno(err, errno, from, "setting it aside");
+            status = rn_error_from_errno(err, errno, from, "set it aside");
         free(from);
         free(to);
         if (status != RN_OK) return status;

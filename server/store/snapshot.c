@@ -46,19 +46,19 @@ static enum rn_status link_entry(int from, int to, const char *name, int depth,
                                  struct rn_error *err) {
     struct stat about;
     if (fstatat(from, name, &about, AT_SYMLINK_NOFOLLOW) != 0)
-        return errno == ENOENT ? RN_OK : rn_error_from_errno(err, errno, name, "looking at it");
+        return errno == ENOENT ? RN_OK : rn_error_from_errno(err, errno, name, "look at it");
     if (S_ISREG(about.st_mode)) {
         if (linkat(from, name, to, name, 0) == 0 || errno == ENOENT) return RN_OK;
-        return rn_error_from_errno(err, errno, name, "linking it");
+        return rn_error_from_errno(err, errno, name, "link it");
     }
     if (!S_ISDIR(about.st_mode)) return RN_OK;
     if (depth == MAX_DEPTH)
         return rn_error_set(err, RN_ERROR_LIMIT, name, "folders are nested too deep");
-    if (mkdirat(to, name, 0700) != 0) return rn_error_from_errno(err, errno, name, "creating it");
+    if (mkdirat(to, name, 0700) != 0) return rn_error_from_errno(err, errno, name, "create it");
     int inner = openat(from, name, O_RDONLY | O_DIRECTORY | O_NOFOLLOW | O_CLOEXEC);
     if (inner < 0 && errno == ENOENT) return RN_OK; // deleted meanwhile
     int copy = inner < 0 ? -1 : openat(to, name, O_RDONLY | O_DIRECTORY | O_NOFOLLOW | O_CLOEXEC);
-    enum rn_status status = copy < 0 ? rn_error_from_errno(err, errno, name, "opening it") : RN_OK;
+    enum rn_status status = copy < 0 ? rn_error_from_errno(err, errno, name, "open it") : RN_OK;
     if (status == RN_OK) status = link_tree(inner, copy, depth + 1, err);
     if (inner >= 0) close(inner);
     if (copy >= 0) close(copy);
@@ -71,14 +71,14 @@ static enum rn_status link_tree(int from, int to, int depth, struct rn_error *er
     int listed = openat(from, ".", O_RDONLY | O_DIRECTORY | O_CLOEXEC);
     DIR *folder = listed >= 0 ? fdopendir(listed) : NULL;
     if (folder == NULL) {
-        status = rn_error_from_errno(err, errno, "a folder of content", "listing it");
+        status = rn_error_from_errno(err, errno, "a folder of content", "list it");
         if (listed >= 0) close(listed);
         return status;
     }
     while (status == RN_OK && (errno = 0, entry = readdir(folder)) != NULL)
         if (is_kept(entry->d_name)) status = link_entry(from, to, entry->d_name, depth, err);
     if (status == RN_OK && errno != 0)
-        status = rn_error_from_errno(err, errno, "a folder of content", "listing it");
+        status = rn_error_from_errno(err, errno, "a folder of content", "list it");
     closedir(folder);
     return status;
 }
@@ -91,11 +91,11 @@ static enum rn_status link_content(struct rn_store *store, const char *target, b
     enum rn_status status = RN_OK;
     int from = open(store->folder, O_RDONLY | O_DIRECTORY | O_CLOEXEC);
     int to = open(target, O_RDONLY | O_DIRECTORY | O_CLOEXEC);
-    if (from < 0 || to < 0) status = rn_error_from_errno(err, errno, target, "opening it");
+    if (from < 0 || to < 0) status = rn_error_from_errno(err, errno, target, "open it");
     for (size_t i = 0; status == RN_OK && i < count; i++)
         status = link_entry(from, to, all[i], 0, err);
     if (status == RN_OK && linkat(from, "layout", to, "layout", 0) != 0)
-        status = rn_error_from_errno(err, errno, "layout", "linking it");
+        status = rn_error_from_errno(err, errno, "layout", "link it");
     if (from >= 0) close(from);
     if (to >= 0) close(to);
     return status;
@@ -138,7 +138,7 @@ static enum rn_status link_one(const char *from, const char *to, const char *tab
     if (status != RN_OK) return status;
     int inner = open(source, O_RDONLY | O_DIRECTORY | O_CLOEXEC);
     int copy = open(target, O_RDONLY | O_DIRECTORY | O_CLOEXEC);
-    if (inner < 0 || copy < 0) status = rn_error_from_errno(err, errno, target, "opening it");
+    if (inner < 0 || copy < 0) status = rn_error_from_errno(err, errno, target, "open it");
     if (status == RN_OK) status = link_entry(inner, copy, id, 1, err);
     if (inner >= 0) close(inner);
     if (copy >= 0) close(copy);
@@ -184,7 +184,7 @@ static enum rn_status drop_lost(sqlite3 *db, const char *target, const char *tab
         if (errno == ENOENT)
             code = sqlite3_exec(db, sql, NULL, NULL, NULL);
         else
-            status = rn_error_from_errno(err, errno, folder, "looking for it");
+            status = rn_error_from_errno(err, errno, folder, "look for it");
     }
     if (code != SQLITE_DONE && status == RN_OK)
         status = rn_sqlite_error(db, code, "copying the records", err);

@@ -55,10 +55,10 @@ static enum rn_status take_lock(struct rn_store *store, struct rn_error *err) {
     enum rn_status status = RN_OK;
     store->lock_fd = open(path, O_RDWR | O_CREAT | O_CLOEXEC, 0600);
     if (store->lock_fd < 0)
-        status = rn_error_from_errno(err, errno, path, "opening");
+        status = rn_error_from_errno(err, errno, path, "open");
     else if (flock(store->lock_fd, LOCK_EX | LOCK_NB) != 0)
         status = errno != EWOULDBLOCK
-                     ? rn_error_from_errno(err, errno, path, "locking")
+                     ? rn_error_from_errno(err, errno, path, "lock")
                      : rn_error_set(err, RN_ERROR_CONFLICT, store->folder,
                                     "another ripnerfd uses this folder; stop it or use another "
                                     "--data");
@@ -247,7 +247,7 @@ enum rn_status rn_store_new_id(const char *prefix, char ret_id[RN_ID_MAX], struc
     static const char digits[] = "abcdefghijklmnopqrstuvwxyz234567";
     uint8_t random[RN_ID_RANDOM];
     if (getrandom(random, sizeof random, 0) != (ssize_t)sizeof random)
-        return rn_error_from_errno(err, errno, "getrandom", "making an id");
+        return rn_error_from_errno(err, errno, "getrandom", "make an id");
     size_t size = (size_t)snprintf(ret_id, RN_ID_MAX, "%s", prefix);
     for (int i = 0; i < RN_ID_RANDOM; i++)
         ret_id[size++] = digits[random[i] & 31];

@@ -74,7 +74,7 @@ static enum fate fate_of_parts(struct sweep *sweep, const char *name) {
     char *path = rn_store_path(sweep->store, "spool/%s", name);
     bool known = path != NULL && stat(path, &about) == 0;
     if (!known)
-        sweep->status = rn_error_from_errno(sweep->err, path ? errno : ENOMEM, name, "sweeping");
+        sweep->status = rn_error_from_errno(sweep->err, path ? errno : ENOMEM, name, "sweep");
     free(path);
     return known && rn_store_upload_is_over(&about) ? GOES : STAYS;
 }
@@ -128,7 +128,7 @@ static void sweep_folder(struct sweep *sweep, const char *name,
         if (sweep->status == RN_OK) sweep_entry(sweep, name, entry->d_name, fate);
     }
     if (dir != NULL && sweep->status == RN_OK) errnum = errno;
-    if (errnum != 0) sweep->status = rn_error_from_errno(sweep->err, errnum, name, "sweeping");
+    if (errnum != 0) sweep->status = rn_error_from_errno(sweep->err, errnum, name, "sweep");
     if (dir != NULL) closedir(dir);
     free(folder);
 }

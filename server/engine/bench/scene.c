@@ -81,7 +81,7 @@ enum rn_status rn_bench_scene_init(struct rn_pool *pool, struct rn_bench_scene *
     if (size >= (int)sizeof scene->folder)
         return rn_error_set(err, RN_ERROR_INVALID, "TMPDIR", "is too long a name");
     if (!mkdtemp(scene->folder)) {
-        enum rn_status status = rn_error_from_errno(err, errno, scene->folder, "making a folder");
+        enum rn_status status = rn_error_from_errno(err, errno, scene->folder, "make a folder");
         scene->folder[0] = '\0';
         return status;
     }

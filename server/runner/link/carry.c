@@ -307,11 +307,11 @@ static void become_field(int fd, int words, bool sandbox) {
 static enum rn_status start_field(struct carrier *c, struct rn_error *err) {
     int pair[2], words[2];
     if (socketpair(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0, pair) != 0)
-        return rn_error_from_errno(err, errno, "field", "opening a socket pair");
+        return rn_error_from_errno(err, errno, "field", "open a socket pair");
     if (pipe2(words, O_CLOEXEC | O_NONBLOCK) != 0) {
         close(pair[0]);
         close(pair[1]);
-        return rn_error_from_errno(err, errno, "field", "opening a pipe");
+        return rn_error_from_errno(err, errno, "field", "open a pipe");
     }
     // The child's ends must not be FIELD_FD itself: dup2 to the same number keeps close-on-exec.
     int child = fcntl(pair[1], F_DUPFD_CLOEXEC, FIELD_FD + 1);
@@ -324,7 +324,7 @@ static enum rn_status start_field(struct carrier *c, struct rn_error *err) {
     if (c->field < 0) {
         close(pair[0]);
         close(words[0]);
-        return rn_error_from_errno(err, errnum, "field", "starting it");
+        return rn_error_from_errno(err, errnum, "field", "start it");
     }
     c->field_fd = pair[0];
     c->words_fd = words[0];
