@@ -106,13 +106,13 @@ END_TEST
 
 // Bytes survive the way to floats over any background and back.
 START_TEST(bytes_round_trip) {
-    struct rn_image image = filled(256, 1, (const uint8_t[4]){0, 0, 0, 255}), back;
-    for (int i = 0; i < 256; i++)
+    struct rn_image image = filled(600, 1, (const uint8_t[4]){0, 0, 0, 255}), back;
+    for (int i = 0; i < 600; i++)
         image.pixels[4 * i] = (uint8_t)i;
     struct rn_picture picture;
     ck_assert_int_eq(rn_image_composite(&image, (const float[3]){1, 1, 1}, &picture, NULL), RN_OK);
     ck_assert_int_eq(rn_picture_to_image(&picture, &back, NULL), RN_OK);
-    ck_assert_mem_eq(back.pixels, image.pixels, 4 * 256);
+    ck_assert_mem_eq(back.pixels, image.pixels, 4 * 600);
     rn_picture_finish(&picture);
     rn_image_finish(&back);
     rn_image_finish(&image);
