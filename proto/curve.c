@@ -1,5 +1,7 @@
 #include "proto/curve.h"
 
+#include <string.h>
+
 #include "proto/checks.h"
 #include "proto/folder.h"
 
@@ -42,6 +44,7 @@ static const struct rn_field_spec record[] = {
     RN_F_TEXT(S, kernels, RN_REQUIRED, NULL),
     RN_F_INT(S, threads, RN_REQUIRED, 1, 1024),
     RN_F_TEXT(S, version, RN_REQUIRED, NULL),
+    RN_F_INT(S, method, 0, 0, INFINITY),
     RN_F_TEXT(S, digest, RN_REQUIRED | RN_NULLABLE, NULL),
     RN_F_INT(S, step, RN_REQUIRED, 0, INFINITY),
     RN_F_TEXT(S, measured_at, RN_REQUIRED, NULL),
@@ -67,6 +70,18 @@ const struct rn_table rn_curve_options_table = RN_TABLE(S, "curve options", opti
 
 struct rn_curve rn_curve_in(const struct rn_curve_record *r) {
     return (struct rn_curve){r->points, r->count, r->around, r->around_count, r->width, r->height};
+}
+
+const char *rn_curve_changed(const struct rn_curve_record *curve,
+                             const struct rn_curve_record *now) {
+    if (strcmp(curve->digest, now->digest) != 0) return "the scene's parameters";
+    if (curve->method != now->method) return "the way of measuring";
+    if (now->kernels[0] == '\0') return NULL;
+    if (strcmp(curve->machine, now->machine) != 0) return "the machine";
+    if (strcmp(curve->device, now->device) != 0) return "the device";
+    if (strcmp(curve->kernels, now->kernels) != 0) return "the kernel set";
+    if (curve->threads != now->threads) return "the number of threads";
+    return strcmp(curve->version, now->version) != 0 ? "the version" : NULL;
 }
 
 enum rn_status rn_curve_read(const char *scene_folder, struct rn_curve_record *ret_record,

@@ -6,10 +6,15 @@
 #include "common/settings/curve.h"
 #include "proto/codec.h"
 
+// How points are measured and what is noted of them: another number wherever what a budget takes
+// from a curve changes its meaning.
+#define RN_CURVE_METHOD 1
+
 struct rn_curve_record {
     char machine[128], device[16], kernels[32];
     int64_t threads;
     char version[32];
+    int64_t method;  // RN_CURVE_METHOD; absent: of before methods were counted
     char digest[65]; // of the checkpoint; "" where it was measured while it trained
     int64_t step;    // of the parameters; as digest
     char measured_at[RN_TIME_MAX];
@@ -28,6 +33,10 @@ extern const struct rn_table rn_curve_record_table;
 
 // The curve in a record; it borrows points and views.
 struct rn_curve rn_curve_in(const struct rn_curve_record *record);
+// What of that which a curve is of is another now: the parameters, the machine, the way of
+// measuring; NULL: nothing. Of `now` kernels may be "", where the machine is not known yet.
+const char *rn_curve_changed(const struct rn_curve_record *curve,
+                             const struct rn_curve_record *now);
 // curve.json of a scene's folder. RN_ERROR_NOT_FOUND: it was not measured; RN_ERROR_INVALID.
 enum rn_status rn_curve_read(const char *scene_folder, struct rn_curve_record *ret_record,
                              struct rn_error *err) RN_MUST_CHECK;

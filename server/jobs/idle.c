@@ -1,4 +1,5 @@
-// What is done when nobody wants anything: the curves of scenes that were trained.
+// What is done when nobody wants anything: the curves of scenes that were trained, and of those
+// where pictures had to go by an older one or by none.
 #include <stdio.h>
 #include <string.h>
 
@@ -8,6 +9,8 @@
 
 void rn_idle_want_curve(struct rn_control *control, const char *scene) {
     if (control->options.curve_after_s == 0) return;
+    for (int i = 0; i < control->curves_wanted; i++)
+        if (strcmp(control->curve_wanted[i], scene) == 0) return;
     if (control->curves_wanted == RN_MAX_WANTED) control->curves_wanted--; // the oldest gives way
     memmove(control->curve_wanted + 1, control->curve_wanted,
             (size_t)control->curves_wanted * sizeof *control->curve_wanted);

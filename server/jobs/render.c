@@ -254,6 +254,15 @@ static void follow_timed(struct rn_control *control, struct rn_runner *runner,
     reply->sent_number = render->number;
 }
 
+// A picture by a budget went by a curve that is not of now, or by none: where all pictures are made
+// on one machine it is measured when there is time.
+static void want_curve(struct rn_control *control, const struct rn_runner *runner,
+                       const struct rn_wire_rendered *rendered) {
+    bool other = *rendered->curve && strcmp(rendered->curve, "measured") != 0;
+    if (other && !rendered->training && control->executor->look == NULL)
+        rn_idle_want_curve(control, runner->scene);
+}
+
 static void count(struct rn_control *control, const struct rn_render *render) {
     double ms = (double)(rn_clock_ns() - render->begin_ns) * 1e-6;
     int bucket = 0;
@@ -269,6 +278,7 @@ void rn_render_done(struct rn_control *control, struct rn_runner *runner,
     struct rn_render *render = take(runner, rendered->request);
     if (render == NULL) return;
     count(control, render);
+    want_curve(control, runner, rendered);
     if (!runner->process.remote) rn_hold_after(control, render);
     runner->last_used_ns = rn_clock_ns();
     while (render->waiters != NULL) {

@@ -1,5 +1,6 @@
 """Asking for a picture by what it may cost, and the curve that says what it will."""
 
+import json
 import os
 import signal
 from pathlib import Path
@@ -178,6 +179,27 @@ def test_curve_of_other_parameters_is_stale(own):
     curve = own.get("/v1/scenes/moving/curve").json
     assert curve["stale"] and "parameters" in curve["stale_because"] and curve["digest"] is None
     assert ask(own, "moving", quality=0).headers["X-Ripnerf-Curve"] == "stale"
+
+
+def test_an_older_curve_is_measured_anew(make_daemon, photographs):
+    """One that was measured in another way says so, and in idle time there is a new one."""
+    daemon = make_daemon({"RIPNERF_FAKE_ROW_US": "100"}, curve_after=1)
+    assert daemon.wait(daemon.upload("data", photographs))["state"] == "succeeded"
+    daemon.train("ready")
+    curve = "/v1/scenes/ready/curve"
+    daemon.eventually(lambda: daemon.get(curve).status == 200)
+    assert not daemon.get(curve).json["stale"]
+    assert daemon.stop() == 0
+    (file,) = Path(daemon.data).glob("scenes/*/curve.json")
+    older = json.loads(file.read_text(encoding="utf-8"))
+    del older["method"]
+    file.write_text(json.dumps(older), encoding="utf-8")
+    daemon.start()
+    told = daemon.get(curve).json
+    assert told["stale"] and told["stale_because"] == "the way of measuring"
+    assert ask(daemon, quality=0).headers["X-Ripnerf-Curve"] == "stale"
+    daemon.eventually(lambda: not daemon.get(curve).json["stale"])
+    assert ask(daemon, quality=0).headers["X-Ripnerf-Curve"] == "measured"
 
 
 def test_curve_goes_on_after_its_runner_was_killed(make_daemon, photographs):

@@ -32,8 +32,25 @@ static void look_for_curve(struct rn_host *host) {
     rn_log(RN_LOG_WARN, "the curve is not used: %s: %s", err.where, err.text);
 }
 
-// The curve to go by, and which one that is: "measured", or "stale" where the parameters have
-// changed since, or "preset". Valid until the scene's curve changes.
+void rn_curve_place(const struct rn_host *host, struct rn_curve_record *ret_record) {
+    struct rn_device_info device;
+    rn_engine_describe(host->engine, &device);
+    *ret_record = (struct rn_curve_record){.threads = device.threads, .method = RN_CURVE_METHOD};
+    snprintf(ret_record->machine, sizeof ret_record->machine, "%s", device.name);
+    snprintf(ret_record->device, sizeof ret_record->device, "%s", device.device);
+    snprintf(ret_record->kernels, sizeof ret_record->kernels, "%s", device.kernels);
+    snprintf(ret_record->version, sizeof ret_record->version, "%s", RIPNERF_VERSION);
+}
+
+static bool is_of_now(const struct rn_host *host, const struct rn_curve_record *record) {
+    struct rn_curve_record now;
+    rn_curve_place(host, &now);
+    snprintf(now.digest, sizeof now.digest, "%s", host->digest);
+    return !host->training && !rn_curve_changed(record, &now);
+}
+
+// The curve to go by, and which one that is: "measured", or "stale" where the parameters or the
+// machine have changed since, or "preset". Valid until the scene's curve changes.
 struct chosen_curve {
     struct rn_curve curve;
     struct rn_curve_point points[RN_CURVE_POINTS]; // the preset's
@@ -48,9 +65,8 @@ static void find_curve(struct rn_host *host, struct chosen_curve *ret_found) {
         ret_found->source = "preset";
         return;
     }
-    bool same = !host->training && strcmp(record->digest, host->digest) == 0;
     ret_found->curve = rn_curve_in(record);
-    ret_found->source = same ? "measured" : "stale";
+    ret_found->source = is_of_now(host, record) ? "measured" : "stale";
 }
 
 static void put_settings(const struct rn_curve_point *point,

@@ -8,6 +8,8 @@
 #include "server/runner/field/work.h"
 
 void rn_pace_finish(struct rn_pace *pace);
+// What a curve that is measured here and now is of, but for its digest and its pictures.
+void rn_curve_place(const struct rn_host *host, struct rn_curve_record *ret_record);
 
 // The settings that a budget becomes for all pictures of a job, of so many pixels each, in place:
 // the budget stays beside them. Nothing without a budget, or where it has become some before. The

@@ -38,7 +38,7 @@ struct way {
 // What a killed runner leaves for the next one: plain data.
 struct state {
     char digest[65], version[32], kernels[32], machine[64];
-    int32_t threads, views, done;
+    int32_t method, threads, views, done;
     int32_t ways, finalists, finalist[FINALISTS];
     double seconds;
     struct way way[WAYS]; // [0]: the full picture
@@ -256,8 +256,9 @@ static void save_state(struct curve_work *curve) {
 
 static bool is_of_the_same(const struct state *before, const struct state *now) {
     return *now->digest && strcmp(before->digest, now->digest) == 0 &&
-           strcmp(before->version, now->version) == 0 && before->threads == now->threads &&
-           before->views == now->views && before->ways == now->ways && before->done > 0;
+           strcmp(before->version, now->version) == 0 && before->method == now->method &&
+           before->threads == now->threads && before->views == now->views &&
+           before->ways == now->ways && before->done > 0;
 }
 
 // Goes on where a runner was killed, if it was measuring the same, on the same machine and with the
@@ -331,7 +332,8 @@ static enum rn_status begin(struct rn_work *work, struct rn_error *err) {
     rn_field_describe(field, &info);
     rn_engine_describe(host->engine, &device);
     struct rn_camera camera = view_camera(curve, 0);
-    *state = (struct state){.threads = device.threads, .views = curve->views};
+    *state =
+        (struct state){.method = RN_CURVE_METHOD, .threads = device.threads, .views = curve->views};
     rn_machine_name(state->machine);
     snprintf(state->version, sizeof state->version, "%s", RIPNERF_VERSION);
     snprintf(state->kernels, sizeof state->kernels, "%s", device.kernels);
@@ -392,20 +394,14 @@ static struct rn_curve_point point_of(const struct curve_work *curve, struct way
 }
 
 static void describe(struct curve_work *curve, struct rn_curve_record *record) {
-    struct rn_device_info device;
     struct rn_camera camera = view_camera(curve, 0);
-    rn_engine_describe(curve->work.host->engine, &device);
-    *record = (struct rn_curve_record){.threads = device.threads,
-                                       .step = curve->work.step,
-                                       .width = camera.width,
-                                       .height = camera.height,
-                                       .views = curve->views,
-                                       .photographs = curve->photographs,
-                                       .seconds = curve->state->seconds};
-    snprintf(record->machine, sizeof record->machine, "%s", device.name);
-    snprintf(record->device, sizeof record->device, "%s", device.device);
-    snprintf(record->kernels, sizeof record->kernels, "%s", device.kernels);
-    snprintf(record->version, sizeof record->version, "%s", RIPNERF_VERSION);
+    rn_curve_place(curve->work.host, record);
+    record->step = curve->work.step;
+    record->width = camera.width;
+    record->height = camera.height;
+    record->views = curve->views;
+    record->photographs = curve->photographs;
+    record->seconds = curve->state->seconds;
     snprintf(record->digest, sizeof record->digest, "%s", curve->state->digest);
     rn_time_text(rn_clock_wall_ms(), record->measured_at);
 }
