@@ -221,7 +221,7 @@ static void count_point(const struct rn_lattice *l, const struct pass *p, int x,
     float seen = seen_by(n);
     if (seen == 0) {
         census->unseen++;
-        census->always += !l->dense;
+        census->empty += !l->dense;
         return;
     }
     float square = disagreement(l, n, squares_apart(n)) / (p->part * p->part);
@@ -242,7 +242,7 @@ void rn_lattice_count(const struct rn_lattice *lattice, int pass, struct rn_tile
 }
 
 float rn_lattice_tolerance_for(const struct rn_lattice_census *census, double rays) {
-    double traced = census->always;
+    double traced = census->always + RN_LATTICE_MISS * census->empty;
     int bin = RN_LATTICE_BINS - 1;
     while (bin >= 0 && traced + census->above[bin] <= rays)
         traced += census->above[bin--];

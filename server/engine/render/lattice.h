@@ -48,16 +48,18 @@ int rn_lattice_choose(const struct rn_lattice *lattice, int pass, struct rn_tile
                       struct rn_spot *ret_spots, double *interpolation);
 
 // How many points of a pass a tolerance would have traced: by how much their neighbours disagree.
-#define RN_LATTICE_BINS 64 // quarter octaves of the distance's square, up to the largest tolerance
+#define RN_LATTICE_MISS 0.1 // of a ray that sees nothing, its cost in rays that see something
+#define RN_LATTICE_BINS 64  // quarter octaves of the distance's square, up to the largest tolerance
 struct rn_lattice_census {
     uint32_t points, unseen; // all of the tile; of these, those whose neighbours see nothing
-    uint32_t always;         // traced whatever the tolerance is
+    uint32_t always, empty;  // traced whatever the tolerance is; of the unseen, those traced, too
     uint32_t above[RN_LATTICE_BINS]; // traced where the tolerance is below the bin's
 };
 // Adds the tile's points of pass `pass` (from 1), before it is chosen.
 void rn_lattice_count(const struct rn_lattice *lattice, int pass, struct rn_tile tile,
                       struct rn_lattice_census *census);
-// The smallest tolerance, above 0 and at most 0.5, that has at most `rays` points traced.
+// The smallest tolerance, above 0 and at most 0.5, that has at most `rays` points traced, of which
+// ten that are likely to see nothing count as one.
 float rn_lattice_tolerance_for(const struct rn_lattice_census *census, double rays);
 
 #endif

@@ -86,10 +86,15 @@ static void fill_empty_tile(struct frame *f, struct rn_tile tile) {
     f->rays += (uint64_t)columns * ((tile.y1 - tile.y0 + apart - 1) / apart) * f->cones * f->cones;
 }
 
+// Whether anything can be seen in a tile.
+static bool is_reached(const struct frame *f, struct rn_tile tile) {
+    return rn_silhouette_reaches(&f->silhouette, tile.x0, tile.y0, tile.x1, tile.y1);
+}
+
 static void render_tile(void *context, int index, int thread) {
     struct frame *f = context;
     struct rn_tile tile = tile_at(f, index);
-    if (!rn_silhouette_reaches(&f->silhouette, tile.x0, tile.y0, tile.x1, tile.y1)) {
+    if (!is_reached(f, tile)) {
         fill_empty_tile(f, tile);
         return;
     }
@@ -292,17 +297,20 @@ static enum rn_status render_tiles(struct frame *f, struct poll *poll, struct rn
 
 #define GROWTH 1.5      // of the points traced from pass to pass, about
 #define SPEND 0.95      // of the time left, what is planned for
-#define MISS_COST 0.1   // of a ray that sees nothing, in rays that see something
 #define FILL_NS 4.0     // of a picture's pixel
 #define LEAST_TIMED 256 // points, for their time to say what the next ones take
 #define CENSUS 4000     // points that a census asks, about
 
-// What points of the frame's next pass there are, from some of its tiles; `ret_share` of all.
+// What points of the frame's next pass there are, from some of its tiles; `ret_share` of all. In
+// tiles that nothing can be seen in none is traced.
 static struct rn_lattice_census take_census(const struct frame *f, int tiles, double *ret_share) {
     struct rn_lattice_census census = {0};
     int apart = tiles * TILE * TILE / CENSUS, taken = 0;
-    for (int i = 0; i < tiles; i += 1 + apart, taken++)
+    for (int i = 0; i < tiles; i += 1 + apart, taken++) {
+        uint32_t empty = census.empty;
         rn_lattice_count(&f->lattice, f->pass, tile_at(f, i), &census);
+        if (!is_reached(f, tile_at(f, i))) census.empty = empty;
+    }
     *ret_share = (double)taken / tiles;
     return census;
 }
@@ -315,21 +323,22 @@ static double share_of_pass(int passes_left) {
     return SPEND / all;
 }
 
-// Each pass tells what a point costs here and now; of the next one as many are traced as there is
-// time for, those first whose neighbours disagree most.
+// Each pass tells what a point that sees something costs here and now; of the next one as many are
+// traced as there is time for, those first whose neighbours disagree most.
 static enum rn_status render_timed(struct frame *f, struct poll *poll, struct rn_error *err) {
     int passes = rn_lattice_passes(&f->lattice);
     int64_t began_ns = rn_clock_ns();
     // The first pass is traced whole: all the others can be made from it.
     enum rn_status status = render_pass(f, 0, poll, f->options->first_ns, err);
-    double point_ns = 0, spent_ns = (double)(rn_clock_ns() - began_ns);
+    double point_ns = 0, spent_ns = (double)(rn_clock_ns() - began_ns), missed = 0;
     uint64_t before = 0;
     for (int pass = 1; pass < passes && status == RN_OK; pass++) {
         double share, points = (double)(f->rays - before) / (f->cones * f->cones);
         struct rn_lattice_census census = take_census(f, begin_pass(f, pass), &share);
-        double unseen = pass == 1 ? (double)census.unseen / fmax(census.points, 1) : 0;
-        if (pass == 1 || points >= LEAST_TIMED)
-            point_ns = spent_ns / (points * (1 - unseen + MISS_COST * unseen));
+        if (pass == 1) missed = points * census.unseen / fmax(census.points, 1);
+        points -= (1 - RN_LATTICE_MISS) * fmin(missed, points);
+        if (pass == 1 || points >= LEAST_TIMED) point_ns = spent_ns / points;
+        missed = census.empty / share;
         before = f->rays;
         began_ns = rn_clock_ns();
         double left_ns = share_of_pass(passes - pass) * (double)(f->late_ns - began_ns);

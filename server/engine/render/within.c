@@ -12,6 +12,7 @@
 #define SLOWER 2.0        // times as slow as thought, when there was no time for a first picture
 #define MOST_PICTURES 5   // one after another
 #define MOST_SLOWNESS 50.0
+#define SAMPLING 0.65      // of a picture's time, that goes by its samples
 #define LEAST_TIMED_MS 0.5 // a picture's time, for it to say how slow the next one will be
 #define TRACES_ALL 1e-6    // a tolerance below this leaves no pixel out
 
@@ -43,12 +44,13 @@ static double expected_ms(const struct attempt *a, size_t choice) {
     return a->budget->choices[choice].ms * a->budget->slowness;
 }
 
-// By what the picture that was made took for its rays.
+// By what the picture that was made took for its samples, of which one by a deadline may have more
+// or fewer than the choice had. (Rays would not do: many of them see nothing, and cost nothing.)
 static void learn(struct attempt *a, const struct rn_render_choice *choice, double ms,
-                  double rays) {
+                  double samples) {
     double *slowness = &a->budget->slowness;
-    if (ms < LEAST_TIMED_MS || !(choice->rays > 0)) return;
-    double now = ms * choice->rays / (choice->ms * fmax(rays, 1));
+    if (ms < LEAST_TIMED_MS || !(choice->samples > 0)) return;
+    double now = ms / (choice->ms * (1 - SAMPLING + SAMPLING * samples / choice->samples));
     now = fmin(fmax(now, 1 / MOST_SLOWNESS), MOST_SLOWNESS);
     *slowness = *slowness > 0 ? 0.5 * (*slowness + now) : now;
 }
@@ -76,7 +78,7 @@ static enum rn_status try_choice(struct attempt *a, size_t choice, enum when whe
     double ms = (double)(rn_clock_ns() - began_ns) * 1e-6;
     a->spent.ms += ms;
     if (status != RN_OK) return status;
-    learn(a, wanted, ms, (double)result.stats.rays);
+    learn(a, wanted, ms, (double)result.stats.samples);
     rn_render_result_finish(a->result);
     *a->result = result;
     a->has_picture = true;

@@ -7,10 +7,10 @@
 
 #include "server/engine/render/render.h"
 
-// A way to render this picture, the milliseconds that it is expected to take, and its rays.
+// A way to render this picture, the milliseconds that it is expected to take, and its samples.
 struct rn_render_choice {
     struct rn_render_settings settings;
-    double ms, rays;
+    double ms, samples;
 };
 
 // From the quickest to the full picture; `count` >= 1. The array is the caller's and lives for the

@@ -146,7 +146,7 @@ static size_t plain_choices(const struct chosen_curve *found, double scale,
     const struct rn_curve *curve = &found->curve;
     for (size_t i = 0; i < curve->count; i++) {
         choices[i] = (struct rn_render_choice){.ms = curve->points[i].ms_median * scale,
-                                               .rays = curve->points[i].rays * scale};
+                                               .samples = curve->points[i].samples * scale};
         rn_settings_put(&rn_render_settings, curve->points[i].setting.values, &choices[i].settings);
     }
     return curve->count;
@@ -164,7 +164,7 @@ static size_t spread_choices(const struct rn_field *field, const struct chosen_c
         double share = scale * side * side / cones;
         choices[count] = (struct rn_render_choice){.settings = {.supersample = side},
                                                    .ms = full->ms_median * share,
-                                                   .rays = full->rays * share};
+                                                   .samples = full->samples * share};
     }
     return count;
 }

@@ -199,6 +199,34 @@ START_TEST(a_census_knows_what_a_tolerance_costs) {
 }
 END_TEST
 
+// Between neighbours that see nothing points are traced, too, where something may be hidden; ten of
+// them count as one, so that they leave room for those that see something.
+START_TEST(a_census_knows_what_sees_nothing) {
+    struct rn_tile whole = {0, 0, WIDTH, HEIGHT};
+    struct rn_spot spots[WIDTH * HEIGHT];
+    fill(0, 0.2f);
+    for (int i = 0; i < WIDTH * HEIGHT; i++)
+        if (i % WIDTH > WIDTH / 2) truth[i / WIDTH][i % WIDTH] = (struct rn_pixel){.alpha = 0};
+    struct rn_lattice l = lattice(0.5, RN_OUTPUT_RGB);
+    l.dense = false;
+    draw(&l, 8, false);
+    for (double rays = 80; rays < 400; rays *= 1.3) {
+        struct rn_lattice_census census = {0};
+        rn_lattice_count(&l, 2, whole, &census);
+        ck_assert(census.empty == census.unseen && census.empty > 150);
+        l.tolerance = rn_lattice_tolerance_for(&census, rays);
+        int seen = -(int)census.empty + rn_lattice_choose(&l, 2, whole, spots, &interpolation);
+        ck_assert(l.tolerance >= 0.5f || seen + 0.1 * census.empty <= rays);
+        ck_assert(l.tolerance <= 0.25f); // half as many of those that see something
+        l.tolerance = 0.5f;
+    }
+    struct rn_lattice_census census = {0};
+    l.dense = true;
+    rn_lattice_count(&l, 2, whole, &census);
+    ck_assert(census.empty == 0 && census.unseen > 150);
+}
+END_TEST
+
 START_TEST(when_it_is_late_nothing_more_is_traced) {
     fill(0.01f, 0.2f);
     struct rn_lattice l = lattice(1e-9, RN_OUTPUT_RGB);
@@ -227,6 +255,7 @@ int main(void) {
     Suite *suite = suite_create("lattice");
     TCase *tests = tcase_create("lattice");
     tcase_add_test(tests, a_census_knows_what_a_tolerance_costs);
+    tcase_add_test(tests, a_census_knows_what_sees_nothing);
     tcase_add_test(tests, when_it_is_late_nothing_more_is_traced);
     tcase_add_test(tests, a_pixel_is_traced_or_lies_between_neighbours_that_agree);
     tcase_add_test(tests, without_a_tolerance_every_pixel_is_traced_row_by_row);
