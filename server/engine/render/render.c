@@ -297,7 +297,8 @@ static enum rn_status render_tiles(struct frame *f, struct poll *poll, struct rn
 
 #define GROWTH 1.5      // of the points traced from pass to pass, about
 #define SPEND 0.95      // of the time left, what is planned for
-#define FILL_NS 4.0     // of a picture's pixel
+#define FILL_NS 4.0     // of a picture's pixel, for one thread
+#define ENLARGE_NS 8.0  // the same where it is enlarged
 #define LEAST_TIMED 256 // points, for their time to say what the next ones take
 #define CENSUS 4000     // points that a census asks, about
 
@@ -376,6 +377,14 @@ static enum rn_status inspect(struct frame *f, struct rn_render_result *result,
     return rn_inspect(&inspection, result, err);
 }
 
+// What is kept of a deadline to make pictures of the lattice.
+static int64_t fill_ns(const struct frame *f) {
+    const struct rn_render_options *o = f->options;
+    double pixels = (double)o->camera.width * o->camera.height;
+    double pixel_ns = o->settings.subsample > 1 ? ENLARGE_NS : FILL_NS;
+    return (int64_t)(pixels * pixel_ns / rn_pool_threads(f->engine->pool));
+}
+
 // What is asked for, as it is rendered.
 static void init_frame(struct frame *f) {
     const struct rn_render_options *o = f->options;
@@ -397,9 +406,7 @@ static void init_frame(struct frame *f) {
     f->march.stop_depth = (float)-log(
         o->settings.stop > 0 ? o->settings.stop : fmax(config->stop, o->settings.tolerance));
     f->tolerance = o->deadline_ns ? TIMED_TOLERANCE : o->settings.tolerance;
-    f->late_ns = o->deadline_ns
-                     ? o->deadline_ns - (int64_t)(FILL_NS * o->camera.width * o->camera.height)
-                     : 0;
+    f->late_ns = o->deadline_ns ? o->deadline_ns - fill_ns(f) : 0;
     memcpy(f->march.colour.background, o->background, sizeof f->march.colour.background);
     f->march.straight = o->straight;
 }
