@@ -22,9 +22,3 @@ const char *const rn_picture_format_extensions[] = {"png", "jpg", "png", "exr", 
 const char *const rn_picture_format_types[] = {"image/png", "image/jpeg", "image/png",
                                                "image/x-exr", NULL};
 const char *const rn_scope_names[] = {"read", "render", "train", "admin", NULL};
-
-int rn_name_index(const char *const *names, const char *name) {
-    for (int i = 0; names[i]; i++)
-        if (strcmp(names[i], name) == 0) return i;
-    return -1;
-}

@@ -2,9 +2,7 @@
 #ifndef RN_PROTO_NAMES_H
 #define RN_PROTO_NAMES_H
 
-#include <stddef.h>
-
-// A table of names is an array of strings that ends with NULL; an enum's value is its index.
+#include "common/base/names.h"
 
 enum rn_job_type {
     RN_JOB_TRAIN,
@@ -95,8 +93,5 @@ extern const char *const rn_scope_names[]; // "read", "render", "train", "admin"
 #define RN_ID_RANDOM 12
 #define RN_ID_MAX 24   // an id with its NUL fits
 #define RN_NAME_MAX 65 // a name with its NUL fits
-
-// The index of `name` in a table of names, or -1.
-int rn_name_index(const char *const *names, const char *name);
 
 #endif

@@ -173,11 +173,10 @@ static enum rn_exit make_body(const struct ladder_options *options, const char *
 // ---- its report -----------------------------------------------------------------------------
 
 static const char *format_of(const char *file) {
-    static const char *const formats[] = {"html", "csv", "json"};
+    static const char *const formats[] = {"html", "csv", "json", NULL};
     const char *dot = file ? strrchr(file, '.') : NULL;
-    for (size_t i = 0; dot && i < 3; i++)
-        if (strcmp(dot + 1, formats[i]) == 0) return formats[i];
-    return NULL;
+    int i = dot ? rn_name_index(formats, dot + 1) : -1;
+    return i < 0 ? NULL : formats[i];
 }
 
 static enum rn_exit check_report(const struct ladder_options *options) {

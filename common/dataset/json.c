@@ -7,6 +7,7 @@
 #include <string.h>
 
 #include "common/base/file.h"
+#include "common/base/names.h"
 #include "common/dataset/json_memory.h"
 
 // Turns the bare words NaN and Infinity into strings of the same length.
@@ -300,10 +301,7 @@ enum rn_status rn_json_refuse_unknown(const struct rn_json *object, const char *
     const char *key;
     json_t *value;
     json_object_foreach((json_t *)object->value, key, value) {
-        size_t i = 0;
-        while (known[i] && strcmp(known[i], key) != 0)
-            i++;
-        if (known[i]) continue;
+        if (rn_name_index(known, key) >= 0) continue;
         struct rn_json at = {value, object->file, object, key, 0};
         return rn_json_error(&at, RN_ERROR_INVALID, err, "is not a known field");
     }

@@ -9,6 +9,8 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
+#include "common/base/names.h"
+
 #define SHAPE_TOLERANCE 0.01 // of the ratio of width to height
 
 char *rn_reader_path(const struct rn_reader *reader, const char *name) {
@@ -364,10 +366,7 @@ void rn_reader_warn_unknown(struct rn_reader *reader, const struct rn_json *obje
     const char *key;
     json_t *value;
     json_object_foreach((json_t *)object->value, key, value) {
-        size_t i = 0;
-        while (known[i] && strcmp(known[i], key) != 0)
-            i++;
-        if (known[i] || !rn_reader_says(reader, key)) continue;
+        if (rn_name_index(known, key) >= 0 || !rn_reader_says(reader, key)) continue;
         struct rn_json at = {value, object->file, object, key, 0};
         char where[256];
         rn_json_where(&at, where);

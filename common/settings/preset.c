@@ -5,6 +5,7 @@
 #include <stdio.h>
 #include <string.h>
 
+#include "common/base/names.h"
 #include "common/settings/train.h"
 
 static double preset_value(const struct rn_setting *row, int preset) {
@@ -15,7 +16,7 @@ static double preset_value(const struct rn_setting *row, int preset) {
 
 enum rn_status rn_preset(const char *name, bool multi_scale, struct rn_train_config *ret_config,
                          struct rn_error *err) {
-    int preset = rn_choice_index(rn_preset_names, name);
+    int preset = rn_name_index(rn_preset_names, name);
     if (preset < 0)
         return rn_error_set(err, RN_ERROR_INVALID, "preset",
                             "'%s' is no preset; use draft, standard or paper", name);

@@ -5,6 +5,8 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "common/base/names.h"
+
 union rn_setting_value rn_setting_absent(const struct rn_setting *row) {
     union rn_setting_value value = {.text = ""};
     switch (row->type) {
@@ -280,12 +282,6 @@ enum rn_status rn_settings_check(const struct rn_settings *settings, const void 
 
 // ---- as people write them -------------------------------------------------------------------
 
-int rn_choice_index(const char *const *choices, const char *name) {
-    for (int i = 0; choices[i]; i++)
-        if (strcmp(choices[i], name) == 0) return i;
-    return -1;
-}
-
 static bool parse_whole(const char *text, int64_t *ret_whole) {
     char *rest = NULL;
     if (*text < '0' || *text > '9') return false;
@@ -313,7 +309,7 @@ static bool parse(const struct rn_setting *row, const char *text, union rn_setti
     switch (row->type) {
     case RN_SETTING_BOOL:
     case RN_SETTING_CHOICE:
-        value->choice = rn_choice_index(row->choices ? row->choices : truths, text);
+        value->choice = rn_name_index(row->choices ? row->choices : truths, text);
         return value->choice >= 0;
     case RN_SETTING_INT:
     case RN_SETTING_INT64:

@@ -120,7 +120,4 @@ static inline bool rn_setting_is_flag(const struct rn_setting *row) {
     return row->type == RN_SETTING_BOOL && !row->choices;
 }
 
-// The index of a name in a NULL-terminated list; -1.
-int rn_choice_index(const char *const *choices, const char *name);
-
 #endif

@@ -1,5 +1,6 @@
 #include <string.h>
 
+#include "common/base/names.h"
 #include "server/http/exchange.h"
 
 enum rn_method rn_request_method(const struct rn_request *request) {
@@ -48,19 +49,16 @@ struct query_check {
 static enum MHD_Result check_argument(void *context, enum MHD_ValueKind kind, const char *key,
                                       const char *value) {
     struct query_check *check = context;
-    for (unsigned i = 0; check->known[i] != NULL; i++) {
-        if (strcmp(check->known[i], key) != 0) continue;
-        if (check->seen & 1u << i) {
-            check->status = rn_error_set(check->err, RN_ERROR_INVALID, key,
-                                         "the query parameter is given twice");
-            return MHD_NO;
-        }
+    int i = rn_name_index(check->known, key);
+    if (i < 0)
+        check->status = rn_error_set(check->err, RN_ERROR_INVALID, key,
+                                     "unknown query parameter; leave it out");
+    else if (check->seen & 1u << i)
+        check->status =
+            rn_error_set(check->err, RN_ERROR_INVALID, key, "the query parameter is given twice");
+    else
         check->seen |= 1u << i;
-        return MHD_YES;
-    }
-    check->status =
-        rn_error_set(check->err, RN_ERROR_INVALID, key, "unknown query parameter; leave it out");
-    return MHD_NO;
+    return check->status == RN_OK ? MHD_YES : MHD_NO;
 }
 
 enum rn_status rn_request_check_query(const struct rn_request *request, const char *const *known,

@@ -13,6 +13,7 @@
 #include "common/base/clock.h"
 #include "common/base/file.h"
 #include "common/base/log.h"
+#include "common/base/names.h"
 #include "common/base/seal.h"
 #include "server/store/table.h"
 
@@ -226,14 +227,12 @@ enum rn_status rn_store_is_empty(struct rn_store *store, bool *ret_empty, struct
 
 // A column's value in the copy. One that an older daemon wrote lacks the columns that came later.
 static void print_value(struct rn_buf *sql, const struct rn_column *column) {
-    static const char *const late[] = {"owner", "size_bytes", "traceparent"};
-    for (size_t i = 0; i < sizeof late / sizeof late[0]; i++)
-        if (strcmp(column->name, late[i]) == 0) {
-            rn_buf_printf(sql, ", ifnull(json_extract(?1, '$.row.%s'), %s)", column->name,
-                          column->kind == RN_COLUMN_TEXT ? "''" : "0");
-            return;
-        }
-    rn_buf_printf(sql, ", json_extract(?1, '$.row.%s')", column->name);
+    static const char *const late[] = {"owner", "size_bytes", "traceparent", NULL};
+    if (rn_name_index(late, column->name) < 0)
+        rn_buf_printf(sql, ", json_extract(?1, '$.row.%s')", column->name);
+    else
+        rn_buf_printf(sql, ", ifnull(json_extract(?1, '$.row.%s'), %s)", column->name,
+                      column->kind == RN_COLUMN_TEXT ? "''" : "0");
 }
 
 // Runs an INSERT whose ?1 is the copy's text; *ret_done: a row came of it.

@@ -138,7 +138,7 @@ mutate ripmap $field/ripmap.h "query: position not clamped above" \
     's/texels - CONSTANT(1)); /CONSTANT(2) * texels);/'
 mutate ripmap $field/ripmap.h "query: corners aligned to the edges" \
     's/x = p \* half + (half - CONSTANT(0.5)); /x = (p + CONSTANT(1)) * (half - CONSTANT(0.5));/'
-mutate ripmap server/engine/reference/reference.c "pyramid: adjoint without the weights" \
+mutate ripmap server/engine/reference/pyramid.c "pyramid: adjoint without the weights" \
     's/+= weight\[t\] \* coarse/+= 0.5 * coarse/'
 mutate solid $field/solid.c "planes: computed in float64" \
     's/typedef long double vec3/typedef double vec3/;s/sqrtl(/sqrt(/;s/long double norm/double norm/'
@@ -219,7 +219,7 @@ mutate rays $cpu/march.h "march: cells by truncation towards the centre" \
     's/p \* half + half, 0.0f, top/p * half + half - 0.01f, 0.0f, top/'
 mutate training server/engine/train/step.c "training: parameters not looked at after a step" \
     's/if (!rn_trainer_guard_step(t, t->step.accepted)) return;//'
-mutate training server/engine/train/trainer.c "training: saved without a look" \
+mutate training server/engine/train/saving.c "training: saved without a look" \
     's|while (!rn_trainer_guard_save(t))|while (0)|'
 mutate training $train/guard.c "training: rolled back with spoilt moments" \
     's/memset(t->optimiser.[mv], 0, bytes);//'
@@ -336,7 +336,7 @@ mutate poses server/engine/scene/pose.c "poses: differences over one step in pla
     's|(float)(2 \* step)|(float)step|'
 mutate poses server/engine/train/poses.c "poses: what all cameras turn by together stays" \
     's|move.turn\[i\] -= mean.turn\[i\];||'
-mutate poses server/engine/train/trainer.c "poses: moves of a checkpoint are not followed" \
+mutate poses server/engine/train/lifetime.c "poses: moves of a checkpoint are not followed" \
     's|^.*// those that were moved$||'
 
 mutate outliers server/engine/train/outliers.c "outliers: a photograph's own light is not taken off" \
@@ -347,7 +347,7 @@ mutate outliers server/engine/train/outliers.c "outliers: what is not learned ye
     's|define STANDS 64|define STANDS 0|'
 mutate outliers server/engine/train/outliers.c "outliers: what any other photograph shows is left in" \
     's|2 \* others.alike > others.seen|others.alike > 0|; s|others.alike >= WITNESSES|others.seen > 0|'
-mutate outliers server/engine/train/trainer.c "outliers: turns of a checkpoint are not counted" \
+mutate outliers server/engine/train/saving.c "outliers: turns of a checkpoint are not counted" \
     's|t->outliers.turns = from->outlier_turns;||'
 
 mutate withheld $train/live.c "withheld: photographs that tell the progress are trained on" \

@@ -207,7 +207,7 @@ mutate roulette loss.cuh "roulette: colours' gradients count once" 's/factor \* 
 mutate gradients loss.cuh "loss: a split pixel is its first ray" 's/r - r % rays, rays)/r - r % rays, 1)/'
 mutate gradients loss.cuh "loss: every ray of a split pixel has all of its weight" 's/share \* ray->weight/ray->weight/'
 mutate roulette backend.cu "roulette: none" 's/f->batch.roulette = .*/f->batch.roulette = 0;/'
-mutate_engine bytes train/trainer.c "engine: the gradients' size is forgotten" \
+mutate_engine bytes train/saving.c "engine: the gradients' size is forgotten" \
     's/    t->device.gradient_size = from->gradient_size;//'
 mutate guards shade.cuh "ray shading: a ray that is not finite reaches the weights" \
     's/^                rn_keep_rows(in.*//'
@@ -331,7 +331,7 @@ mutate_engine standard scene/device.c "engine: moments are not read back" \
     's/if (training) numbers = \*training;/if (training) numbers.seen = training->seen;/'
 mutate_engine paper train/device.c "engine: samples counted twice" \
     's/    t->device.counted = p;//'
-mutate_engine bytes train/trainer.c "engine: the gradients' scale is forgotten" \
+mutate_engine bytes train/saving.c "engine: the gradients' scale is forgotten" \
     's/    t->device.good_steps = from->good_steps;//'
 mutate_engine bytes train/device.c "engine: a resumed run draws its first rays again" \
     's/\.step = t->progress.step,/.step = 1,/'

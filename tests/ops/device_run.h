@@ -3,6 +3,7 @@
 #define RN_TESTS_OPS_DEVICE_RUN_H
 
 #include "server/engine/engine.h"
+#include "server/engine/train/photographs.h"
 #include "server/engine/train/trainer.h"
 #include "tests/support/suite.h"
 

@@ -6,6 +6,7 @@
 
 #include "server/engine/engine.h"
 #include "server/engine/train/schedule.h"
+#include "server/engine/train/photographs.h"
 #include "server/engine/train/trainer.h"
 
 extern char folder[64];                     // for what a test writes

@@ -6,6 +6,7 @@
 #include <string.h>
 
 #include "common/base/buf.h"
+#include "common/base/names.h"
 #include "common/math/rotation.h"
 #include "common/path/formats/parts.h"
 
@@ -95,8 +96,7 @@ static bool parse_camera(const char *line, struct camera *camera) {
                        &camera->height, &first, &second);
     if (count < 5) return false;
     camera->focal_y = count == 6 ? second : first;
-    for (int i = 0; one_focal[i]; i++)
-        if (strcmp(model, one_focal[i]) == 0) camera->focal_y = first;
+    if (rn_name_index(one_focal, model) >= 0) camera->focal_y = first;
     return camera->focal_y > 0 && camera->width > 0 && camera->height > 0 &&
            camera->width <= RN_CAMERA_MAX_SIZE && camera->height <= RN_CAMERA_MAX_SIZE;
 }

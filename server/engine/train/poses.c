@@ -5,6 +5,7 @@
 #include <string.h>
 
 #include "common/math/vector.h"
+#include "server/engine/train/photographs.h"
 #include "server/engine/train/schedule.h"
 #include "server/engine/train/trainer.h"
 

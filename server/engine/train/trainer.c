@@ -1,90 +1,12 @@
-// The trainer: set-up, training in blocks, held-out evaluation.
-#include "server/engine/train/grow.h"
-#include "server/engine/train/guard.h"
-#include "server/engine/train/schedule.h"
+// Training in blocks: what the host decides between steps, steps, and the ranks' agreement on them.
 #include "server/engine/train/trainer.h"
-#include "server/engine/train/withheld.h"
 
 #include <math.h>
-#include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
 
 #include "common/base/clock.h"
-#include "server/engine/checkpoint/checkpoint.h"
-#include "server/engine/scene/device.h"
-#include "server/engine/scene/occupancy.h"
-
-// Times that photographs are made smaller.
-static int scale_of(const struct rn_train_config *config) {
-    return config->train_scale > 1 ? config->train_scale : 1;
-}
-
-// Again where a lens turns out to make no difference.
-static void place_cameras(const struct rn_trainer *t, struct rn_pixels *pixels) {
-    const struct rn_field *field = t->field;
-    for (int f = 0; f < pixels->frame_count; f++) {
-        struct rn_pixel_frame *frame = &pixels->frames[f];
-        struct rn_camera *camera = &frame->camera;
-        struct rn_camera as_stored = rn_field_camera(field, frame->frame);
-        *camera = rn_camera_reduced(&as_stored, scale_of(&field->config));
-        if (pixels == &t->train) *camera = rn_trainer_pose(t, f, camera);
-        frame->parts = rn_camera_resized(camera, 2 * camera->width, 2 * camera->height);
-        frame->view = rn_field_view(field, camera);
-        frame->fine = rn_field_view(field, &frame->parts);
-    }
-}
-
-void rn_trainer_place_cameras(struct rn_trainer *t) {
-    place_cameras(t, &t->train);
-    place_cameras(t, &t->held);
-}
-
-// What the effects make of the photographs.
-static void take_effects(struct rn_trainer *t) {
-    rn_trainer_place_cameras(t);
-    rn_effects_take(t->field, &t->train, t->engine);
-}
-
-// `records`: of the effects, as far as they are known.
-static enum rn_status load_pixels(struct rn_trainer *t, const struct rn_effect_record *records,
-                                  size_t limit, struct rn_error *err) {
-    struct rn_selection s = {t->dataset, &t->field->config, false};
-    const struct rn_train_config *config = &t->field->config;
-    struct rn_pixel_treatment treatment = {.reduced = scale_of(config),
-                                           .memory_bytes = (size_t)config->pixel_memory << 20};
-    rn_effects_treat(config, records, false, &treatment);
-    enum rn_status status = rn_pixels_load(t->dataset, rn_selection_wants, &s, t->engine, treatment,
-                                           limit, &t->train, err);
-    if (status != RN_OK) return status;
-    size_t used = t->train.paged.bytes ? 0 : rn_pixels_bytes(t->train.pixel_count, t->train.used);
-    if (limit) limit = limit > used ? limit - used : 1;
-    treatment.taken_bytes = t->train.paged.bytes ? treatment.memory_bytes : used;
-    s.held = true;
-    rn_effects_treat(config, records, true, &treatment);
-    status = rn_pixels_load(t->dataset, rn_selection_wants, &s, t->engine, treatment, limit,
-                            &t->held, err);
-    if (status == RN_ERROR_INVALID) status = RN_OK; // nothing to hold out
-    take_effects(t);
-    rn_trainer_note_withheld(t);
-    return status;
-}
-
-// ---- set-up ---------------------------------------------------------------------------------
-
-// That the photographs to train on need; they need not be loaded.
-static int training_levels(const struct rn_trainer *t) {
-    struct rn_selection s = {t->dataset, &t->field->config, false};
-    int levels = 1;
-    for (size_t f = 0; f < t->dataset->frame_count; f++) {
-        const struct rn_frame *frame = &t->dataset->frames[f];
-        if (!rn_selection_wants(&s, frame)) continue;
-        struct rn_camera camera = rn_camera_reduced(&frame->camera, scale_of(&t->field->config));
-        int need = rn_levels_for_camera(t->field, &camera, t->field->config.step);
-        if (need > levels) levels = need;
-    }
-    return levels < t->field->config.field.levels ? levels : t->field->config.field.levels;
-}
+#include "server/engine/train/grow.h"
+#include "server/engine/train/schedule.h"
+#include "server/engine/train/withheld.h"
 
 struct rn_evidence rn_trainer_evidence(const struct rn_trainer *t,
                                        const struct rn_march_options *march) {
@@ -100,290 +22,6 @@ struct rn_evidence rn_trainer_evidence(const struct rn_trainer *t,
                                 .outlier_share = t->outliers.share};
 }
 
-void rn_trainer_detect_effects(struct rn_trainer *t) {
-    struct rn_evidence evidence = rn_trainer_evidence(t, &t->step.march);
-    rn_effects_detect(&evidence);
-    take_effects(t);
-}
-
-// Everything that follows from the pixels and the configuration.
-enum rn_status rn_trainer_set_up(struct rn_trainer *t, struct rn_error *err) {
-    enum rn_status status = rn_field_need_levels(t->field, training_levels(t), err);
-    if (status == RN_OK) status = rn_engine_prepare(t->engine, t->field, err);
-    if (status == RN_OK) status = rn_trainer_allocate(t, err);
-    if (status == RN_OK) status = rn_trainer_watch_cells(t, err);
-    if (status == RN_OK) status = rn_trainer_allocate_poses(t, err);
-    if (status == RN_OK) status = rn_trainer_allocate_outliers(t, err);
-    return status;
-}
-
-// What training takes besides pixels once its planes are grown: parameters, their gradients, two
-// moments and the last good ones; a pyramid and its gradients; what an update writes apart; a
-// packet a thread; what a step's groups keep.
-static size_t training_bytes(const struct rn_trainer *t) {
-    const struct rn_train_config *config = &t->field->config;
-    const struct rn_cpu_field *cpu = &t->field->cpu;
-    struct rn_train_config grown = *config;
-    if (config->grow_to > config->field.base) grown.field.base = config->grow_to;
-    size_t side = (size_t)grown.field.base, before = (size_t)config->field.base;
-    size_t parameters = t->field->parameters.plane_count / (before * before) * (side * side) +
-                        t->field->parameters.base_count + t->field->parameters.head_count;
-    size_t pyramid =
-        rn_pyramid_count(&grown.field, training_levels(t)) * (size_t)grown.field.planes;
-    int capacity = 2 * rn_workspace_capacity(cpu, config->step);
-    return rn_field_bytes(&grown, 1) + (4 * parameters + 2 * pyramid) * sizeof(float) +
-           rn_optimiser_apart_bytes(&grown, parameters, training_levels(t)) +
-           RN_GROUPS * rn_group_numbers(cpu, capacity) * sizeof(float) +
-           (size_t)rn_pool_threads(t->engine->pool) * rn_workspace_size(cpu, config->step) +
-           RN_MAX_RAYS * sizeof(struct rn_march_ray);
-}
-
-static enum rn_status check_memory(const struct rn_trainer *t, size_t limit, size_t *ret_left,
-                                   struct rn_error *err) {
-    *ret_left = 0;
-    if (!limit) return RN_OK;
-    size_t need = training_bytes(t);
-    if (need >= limit)
-        return rn_error_set(err, RN_ERROR_LIMIT, t->dataset->name,
-                            "training needs %zu MiB besides the pixels and the limit is %zu MiB; "
-                            "use fewer planes or a smaller base",
-                            need >> 20, limit >> 20);
-    *ret_left = limit - need;
-    return RN_OK;
-}
-
-// Of the photographs that are held decoded in memory, the held-out ones included.
-static size_t pixel_bytes(const struct rn_trainer *t) {
-    struct rn_selection train = {t->dataset, &t->field->config, false}, held = train;
-    size_t pixels = 0;
-    bool masked = false;
-    held.held = true;
-    for (size_t f = 0; f < t->dataset->frame_count; f++) {
-        const struct rn_frame *frame = &t->dataset->frames[f];
-        struct rn_camera camera = rn_camera_reduced(&frame->camera, scale_of(&t->field->config));
-        size_t n = (size_t)camera.width * (size_t)camera.height;
-        masked = masked || frame->mask_path;
-        pixels += n * ((size_t)rn_selection_wants(&train, frame) +
-                       (size_t)rn_selection_wants(&held, frame));
-    }
-    size_t bytes = rn_pixels_bytes(pixels, masked),
-           most = (size_t)t->field->config.pixel_memory << 20;
-    return most && bytes > most && *t->engine->folder ? most : bytes;
-}
-
-static enum rn_status start(struct rn_engine *engine, const struct rn_dataset *dataset,
-                            const struct rn_train_config *config, const struct rn_bounds *bounds,
-                            struct rn_trainer **ret_trainer, struct rn_error *err) {
-    struct rn_trainer *t = calloc(1, sizeof *t);
-    if (!t) return rn_error_set(err, RN_ERROR_NO_MEMORY, "trainer", "out of memory");
-    t->engine = engine;
-    t->dataset = dataset;
-    t->ranks.exchange = engine->exchange;
-    t->next_rays = config->initial_rays;
-    t->progress.psnr = t->progress.eta_seconds = t->progress.fraction = NAN;
-    enum rn_status status = rn_field_create(config, bounds, &t->field, err);
-    if (status != RN_OK) {
-        rn_trainer_destroy(&t);
-        return status;
-    }
-    snprintf(t->field->kernels, sizeof t->field->kernels, "%s", engine->kernels->name);
-    *ret_trainer = t;
-    return RN_OK;
-}
-
-// After the effects: views and hull of the space that they found.
-static enum rn_status take_space(struct rn_trainer *t) {
-    if (!t->field->cpu.disparity.on) return RN_OK;
-    rn_trainer_place_cameras(t);
-    return rn_field_fill(t->field);
-}
-
-// A trainer before it has loaded anything, and what effects are known of by the dataset alone.
-static enum rn_status plan(struct rn_engine *engine, const struct rn_dataset *dataset,
-                           struct rn_train_config *config,
-                           struct rn_effect_record ret_prepared[RN_EFFECT_COUNT],
-                           struct rn_trainer **ret_trainer, struct rn_error *err) {
-    struct rn_bounds bounds = rn_effects_prepare(dataset, config, ret_prepared);
-    enum rn_status status = rn_train_config_check(config, err);
-    if (status == RN_OK) status = start(engine, dataset, config, &bounds, ret_trainer, err);
-    return status;
-}
-
-enum rn_status rn_train_need(struct rn_engine *engine, const struct rn_dataset *dataset,
-                             const struct rn_train_config *config, size_t *ret_bytes,
-                             struct rn_error *err) {
-    struct rn_trainer *t = NULL;
-    struct rn_train_config own = *config;
-    struct rn_effect_record prepared[RN_EFFECT_COUNT];
-    enum rn_status status = plan(engine, dataset, &own, prepared, &t, err);
-    if (status == RN_OK) *ret_bytes = training_bytes(t) + pixel_bytes(t);
-    rn_trainer_destroy(&t);
-    return status;
-}
-
-int rn_train_scale(const struct rn_dataset *dataset, const struct rn_train_config *config) {
-    return rn_effect_scale(dataset, config);
-}
-
-enum rn_status rn_trainer_create(struct rn_engine *engine, const struct rn_dataset *dataset,
-                                 const struct rn_train_config *config, size_t memory_limit_bytes,
-                                 struct rn_trainer **ret_trainer, struct rn_error *err) {
-    struct rn_trainer *t = NULL;
-    struct rn_train_config own = *config;
-    size_t left;
-    struct rn_effect_record prepared[RN_EFFECT_COUNT];
-    double begin = (double)rn_clock_ns();
-    enum rn_status status = plan(engine, dataset, &own, prepared, &t, err);
-    if (status == RN_OK) status = check_memory(t, memory_limit_bytes, &left, err);
-    if (status == RN_OK) status = load_pixels(t, prepared, left, err);
-    if (status != RN_OK) goto fail;
-    memcpy(t->field->effects, prepared, sizeof prepared);
-    rn_trainer_detect_effects(t);
-    status = take_space(t);
-    if (status != RN_OK) goto fail;
-    rn_field_randomise(t->field, own.seed);
-    status = rn_trainer_set_up(t, err);
-    if (status != RN_OK) goto fail;
-    if (own.field.space == RN_SPACE_UNBOUNDED) {
-        rn_trainer_carve_unseen(t);
-        rn_trainer_carve_sighted(t);
-    } else if (t->field->config.carve) {
-        rn_trainer_carve(t);
-    }
-    status = rn_trainer_list_hull(t, err);
-    if (status == RN_OK) status = rn_trainer_list_live(t, err);
-    if (status == RN_OK) status = rn_trainer_keep_good(t, err);
-    if (status != RN_OK) goto fail;
-    rn_field_refresh(t->field, engine);
-    rn_field_refresh_occupancy(t->field);
-    status = rn_trainer_put(t, err);
-    if (status != RN_OK) goto fail;
-    t->progress.load_seconds = ((double)rn_clock_ns() - begin) * 1e-9;
-    t->ranks.follows = true;
-    *ret_trainer = t;
-    return RN_OK;
-fail:
-    rn_trainer_destroy(&t);
-    return status;
-}
-
-// What a checkpoint holds of a training.
-static struct rn_arrays arrays_of(struct rn_trainer *t) {
-    return (struct rn_arrays){.field = t->field,
-                              .m = t->optimiser.m,
-                              .v = t->optimiser.v,
-                              .seen = t->hull.seen,
-                              .block_count = t->sampler.importance.count,
-                              .block_error = t->sampler.importance.error,
-                              .block_share = t->sampler.importance.share,
-                              .pose_count = t->poses.moves ? (size_t)t->train.frame_count : 0,
-                              .poses = t->poses.moves ? t->poses.moves[0] : NULL,
-                              .outlier_count = t->outliers.out ? t->outliers.count : 0,
-                              .outliers = t->outliers.out};
-}
-
-static struct rn_counters counters_of(const struct rn_trainer *t) {
-    return (struct rn_counters){.progress = t->progress,
-                                .updates = t->optimiser.updates,
-                                .next_rays = t->next_rays,
-                                .gradient_scale = t->device.gradient_scale,
-                                .good_steps = t->device.good_steps,
-                                .gradient_size = t->device.gradient_size,
-                                .pose_turns = t->poses.turns,
-                                .outlier_turns = t->outliers.turns};
-}
-
-static void take_counters(struct rn_trainer *t, const struct rn_counters *from) {
-    t->progress = from->progress;
-    t->optimiser.updates = from->updates;
-    t->next_rays = from->next_rays;
-    t->device.gradient_scale = from->gradient_scale;
-    t->device.good_steps = from->good_steps;
-    t->device.gradient_size = from->gradient_size;
-    t->poses.turns = from->pose_turns;
-    t->outliers.turns = from->outlier_turns;
-}
-
-enum rn_status rn_trainer_restore(struct rn_engine *engine, const struct rn_dataset *dataset,
-                                  const char *checkpoint_path, size_t memory_limit_bytes,
-                                  struct rn_trainer **ret_trainer, struct rn_error *err) {
-    struct rn_trainer *t = NULL;
-    struct rn_checkpoint checkpoint;
-    size_t left;
-    double begin = (double)rn_clock_ns();
-    enum rn_status status = rn_checkpoint_open(checkpoint_path, &checkpoint, err);
-    if (status != RN_OK) return status;
-    const struct rn_kernels *kernels = rn_device_trained(checkpoint.kernels)
-                                           ? engine->kernels
-                                           : rn_kernels_find(checkpoint.kernels);
-    if (!kernels) {
-        status = rn_error_set(err, RN_ERROR_UNSUPPORTED, checkpoint_path,
-                              "was trained with the kernel set '%s', which this machine lacks; "
-                              "train a new scene",
-                              checkpoint.kernels);
-        goto fail;
-    }
-    engine->kernels = kernels;
-    status = start(engine, dataset, &checkpoint.config, &checkpoint.bounds, &t, err);
-    if (status == RN_OK) {
-        t->field->cpu.disparity = checkpoint.disparity;
-        memcpy(t->field->effects, checkpoint.effects, sizeof checkpoint.effects);
-        status = check_memory(t, memory_limit_bytes, &left, err);
-    }
-    if (status == RN_OK) status = load_pixels(t, t->field->effects, left, err);
-    if (status == RN_OK) status = rn_trainer_set_up(t, err);
-    struct rn_arrays arrays = arrays_of(t);
-    if (status == RN_OK) status = rn_checkpoint_read_arrays(&checkpoint, &arrays, err);
-    if (status == RN_OK) take_counters(t, &checkpoint.counters);
-    if (status == RN_OK) rn_trainer_note_withheld(t); // what was given back
-    if (status == RN_OK) status = rn_trainer_list_hull(t, err);
-    if (status == RN_OK) status = rn_trainer_list_live(t, err);
-    if (status == RN_OK) rn_trainer_place_cameras(t); // those that were moved
-    arrays = arrays_of(t);
-    if (status == RN_OK) status = rn_checkpoint_read_blocks(&checkpoint, &arrays, err);
-    if (status == RN_OK) rn_trainer_share_out(t, false);
-    if (status == RN_OK) status = rn_trainer_keep_good(t, err);
-    if (status != RN_OK) goto fail;
-    rn_field_refresh(t->field, engine);
-    rn_field_refresh_occupancy(t->field);
-    status = rn_trainer_put(t, err);
-    if (status != RN_OK) goto fail;
-    rn_checkpoint_close(&checkpoint);
-    t->progress.load_seconds = ((double)rn_clock_ns() - begin) * 1e-9;
-    t->ranks.follows = true;
-    *ret_trainer = t;
-    return RN_OK;
-fail:
-    rn_checkpoint_close(&checkpoint);
-    rn_trainer_destroy(&t);
-    return status;
-}
-
-static void end_ranks(struct rn_trainer *t);
-
-void rn_trainer_destroy(struct rn_trainer **trainer) {
-    struct rn_trainer *t = *trainer;
-    char sha256[65];
-    if (!t) return;
-    if (t->writer) (void)rn_checkpoint_end(&t->writer, sha256, NULL);
-    end_ranks(t);
-    rn_field_destroy(&t->field);
-    rn_pixels_finish(&t->train);
-    rn_pixels_finish(&t->held);
-    rn_trainer_free_step(t);
-    rn_block_destroy(t->optimiser.grad);
-    rn_trainer_drop_growth(t);
-    rn_ranks_free(t);
-    free(t->hull.list);
-    rn_block_destroy(t->hull.seen);
-    rn_sampler_finish(&t->sampler);
-    rn_poses_finish(&t->poses);
-    rn_outliers_finish(&t->outliers);
-    free(t->incidents.held);
-    free(t);
-    *trainer = NULL;
-}
-
 // The field may have been rendered in between, with more levels.
 enum rn_status rn_trainer_enter(struct rn_trainer *t, struct rn_error *err) {
     enum rn_status status = rn_trainer_fetch(t, err);
@@ -393,8 +31,6 @@ enum rn_status rn_trainer_enter(struct rn_trainer *t, struct rn_error *err) {
         rn_field_refresh(t->field, t->engine);
     return status;
 }
-
-// ---- training -------------------------------------------------------------------------------
 
 static bool reached_limit(const struct rn_trainer *t) {
     const struct rn_train_config *config = &t->field->config;
@@ -502,6 +138,18 @@ static enum rn_status run_block(struct rn_trainer *t, struct rn_error *err) {
     return RN_OK;
 }
 
+enum rn_status rn_trainer_complete_step(struct rn_trainer *t, bool *ret_complete,
+                                        struct rn_error *err) {
+    enum rn_status status = RN_OK;
+    *ret_complete = false;
+    while (status == RN_OK && within_step(t)) {
+        status = run_block(t, err);
+        if (status == RN_OK && within_step(t) && rn_engine_is_wanted(t->engine)) return RN_OK;
+    }
+    *ret_complete = status == RN_OK;
+    return status;
+}
+
 enum rn_status rn_trainer_agree(struct rn_trainer *t, struct rn_error *err) {
     enum rn_status status = t->ranks.agreed ? rn_trainer_enter(t, err) : RN_OK;
     while (status == RN_OK && t->ranks.agreed)
@@ -509,7 +157,7 @@ enum rn_status rn_trainer_agree(struct rn_trainer *t, struct rn_error *err) {
     return status;
 }
 
-static void end_ranks(struct rn_trainer *t) {
+void rn_trainer_end_ranks(struct rn_trainer *t) {
     if (t->ranks.agreed && rn_trainer_agree(t, NULL) != RN_OK) t->ranks.exchange->abandon();
     rn_ranks_end(t);
 }
@@ -558,68 +206,10 @@ void rn_trainer_progress(const struct rn_trainer *t, struct rn_progress *ret_pro
     ret_progress->done = t->progress.done || (!t->step.under_way && reached_limit(t));
 }
 
-// ---- access ---------------------------------------------------------------------------------
-
 const struct rn_train_config *rn_trainer_config(const struct rn_trainer *t) {
     return &t->field->config;
 }
+
 struct rn_field *rn_trainer_field(struct rn_trainer *t) {
     return t->field;
-}
-
-// ---- saving ---------------------------------------------------------------------------------
-
-enum rn_status rn_trainer_save_begin(struct rn_trainer *t, enum rn_save_part part, const char *path,
-                                     bool *ret_begun, struct rn_error *err) {
-    *ret_begun = false;
-    enum rn_status status = rn_trainer_enter(t, err);
-    if (status != RN_OK) return status;
-    while (status == RN_OK && within_step(t)) {
-        status = run_block(t, err);
-        if (status == RN_OK && within_step(t) && rn_engine_is_wanted(t->engine)) return RN_OK;
-    }
-    if (status != RN_OK) return status;
-    uint64_t rollbacks = t->progress.rollbacks;
-    rn_ranks_begin_save(t);
-    while (!rn_trainer_guard_save(t))
-        if (!t->ranks.exchange) return RN_OK;
-    if (status == RN_OK && t->field->on_device)
-        status = t->progress.rollbacks > rollbacks ? rn_trainer_put(t, err)
-                                                   : rn_trainer_keep_good(t, err);
-    struct rn_arrays arrays =
-        part == RN_SAVE_ALL ? arrays_of(t) : (struct rn_arrays){.field = t->field};
-    struct rn_counters counters = counters_of(t);
-    if (status == RN_OK) status = rn_checkpoint_begin(&arrays, &counters, path, &t->writer, err);
-    *ret_begun = status == RN_OK;
-    return status;
-}
-
-enum rn_save_stage rn_trainer_save_stage(const struct rn_trainer *t) {
-    return rn_checkpoint_stage(t->writer);
-}
-
-enum rn_status rn_trainer_save_end(struct rn_trainer *t, char ret_sha256[65],
-                                   struct rn_error *err) {
-    return rn_checkpoint_end(&t->writer, ret_sha256, err);
-}
-
-enum rn_status rn_trainer_save(struct rn_trainer *t, const char *path, struct rn_error *err) {
-    bool begun = false;
-    char sha256[65];
-    while (!begun) {
-        enum rn_status status = rn_trainer_save_begin(t, RN_SAVE_ALL, path, &begun, err);
-        if (status != RN_OK) return status;
-    }
-    return rn_trainer_save_end(t, sha256, err);
-}
-
-struct rn_field *rn_trainer_finish(struct rn_trainer **trainer) {
-    struct rn_field *field = (*trainer)->field;
-    end_ranks(*trainer);
-    bool here = rn_field_fetch(field, NULL, NULL) == RN_OK;
-    if (here) rn_field_refine_occupancy(field, (*trainer)->engine);
-    if (here && field->on_device) (void)!rn_field_put_to_render((*trainer)->engine, field, NULL);
-    (*trainer)->field = NULL;
-    rn_trainer_destroy(trainer);
-    return field;
 }

@@ -49,10 +49,6 @@ struct rn_trainer {
     struct rn_checkpoint_writer *writer; // NULL when none is being written
 };
 
-// Which effects the photographs call for.
-void rn_trainer_detect_effects(struct rn_trainer *trainer);
-// Where the photographs' cameras are, after they have moved.
-void rn_trainer_place_cameras(struct rn_trainer *trainer);
 // What effects look at before the step that marches so.
 struct rn_evidence rn_trainer_evidence(const struct rn_trainer *trainer,
                                        const struct rn_march_options *march);
@@ -64,6 +60,11 @@ enum rn_status rn_trainer_enter(struct rn_trainer *trainer, struct rn_error *err
 // Completes the step that the ranks are agreed on: what they all must know of the same step is not
 // changed within it.
 enum rn_status rn_trainer_agree(struct rn_trainer *trainer, struct rn_error *err) RN_MUST_CHECK;
+// Completes the step under way; *ret_complete is false where the thread was preempted before.
+enum rn_status rn_trainer_complete_step(struct rn_trainer *trainer, bool *ret_complete,
+                                        struct rn_error *err) RN_MUST_CHECK;
+// Lets the other ranks go, after the step that they are agreed on.
+void rn_trainer_end_ranks(struct rn_trainer *trainer);
 // Whether the host has something to decide before the next step: view dependence, growth.
 bool rn_trainer_turn_due(const struct rn_trainer *trainer);
 
