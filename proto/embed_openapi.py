@@ -11,4 +11,4 @@ rows = [",".join(map(str, text[i:i + 24])) for i in range(0, len(text), 24)]
 with open(target, "w", encoding="ascii") as stream:
     stream.write('#include "proto/openapi.h"\nconst char rn_openapi_json[] = {\n')
     stream.write(",\n".join(rows))
-    stream.write(",0};\nconst size_t rn_openapi_json_size = sizeof rn_openapi_json - 1;\n")
+    stream.write(",0};\n")

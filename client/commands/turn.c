@@ -46,7 +46,7 @@ static void find_stand(const struct rn_camera_list_record *cameras, const double
             stand.elevation_rad += asin(rn_dot(out, stand.up) / distance) / (double)count;
     }
     const struct rn_camera *first = &cameras->items[0].camera;
-    stand.fov_y_rad = 2 * atan(0.5 * first->height / first->fy);
+    stand.fov_y_rad = rn_camera_fov_from_focal(first->fy, first->height);
     stand.width = first->width;
     stand.height = first->height;
     *ret = stand;

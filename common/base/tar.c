@@ -123,10 +123,6 @@ enum rn_status rn_tar_add(struct rn_tar *tar, const char *name, struct rn_error 
     return RN_OK;
 }
 
-size_t rn_tar_files(const struct rn_tar *tar) {
-    return tar->count;
-}
-
 uint64_t rn_tar_size(const struct rn_tar *tar) {
     return tar->size;
 }

@@ -23,7 +23,6 @@ void rn_tar_destroy(struct rn_tar **tar);
 // with equal ones side by side keeps the list free of repeats.
 enum rn_status rn_tar_add(struct rn_tar *tar, const char *name, struct rn_error *err) RN_MUST_CHECK;
 
-size_t rn_tar_files(const struct rn_tar *tar);
 // Of the whole archive, known once the list is complete.
 uint64_t rn_tar_size(const struct rn_tar *tar);
 uint64_t rn_tar_sent(const struct rn_tar *tar);

@@ -144,7 +144,7 @@ static enum rn_status read_focal(struct rn_reader *reader, const struct rn_intri
         if (status) return status;
         if (!at.value) continue;
         double focal =
-            i == 1 ? value : 0.5 * size / tan(0.5 * (i == 0 ? value * M_PI / 180 : value));
+            i == 1 ? value : rn_camera_focal_from_fov(i == 0 ? value * M_PI / 180 : value, size);
         if (first && fabs(focal / found - 1) > SAME && rn_reader_says(reader, keys[i])) {
             char where[256];
             rn_json_where(&at, where);

@@ -95,12 +95,16 @@ enum rn_status rn_camera_check(struct rn_camera *camera, const char *where, stru
     return status ? status : check_pose(camera, where, err);
 }
 
-double rn_camera_fov_y(const struct rn_camera *camera) {
-    return 2 * atan(camera->height / (2 * camera->fy));
+double rn_camera_fov_from_focal(double focal_px, double size_px) {
+    return 2 * atan(size_px / (2 * focal_px));
 }
 
-double rn_camera_focal_from_fov(double fov_rad, int size_px) {
+double rn_camera_focal_from_fov(double fov_rad, double size_px) {
     return size_px / (2 * tan(fov_rad / 2));
+}
+
+double rn_camera_fov_across(double fov_rad, double ratio) {
+    return 2 * atan(tan(0.5 * fov_rad) * ratio);
 }
 
 // a b - c d with one rounding error of each product cancelled (Kahan).

@@ -146,10 +146,12 @@ struct rn_camera rn_camera_reframed(const struct rn_camera *camera, int width, i
 enum rn_status rn_camera_check(struct rn_camera *camera, const char *where,
                                struct rn_error *err) RN_MUST_CHECK;
 
-// Vertical field of view in radians, in (0, pi), and the square-pixel focal length it gives; each
-// within 4 ULP.
-double rn_camera_fov_y(const struct rn_camera *camera);
-double rn_camera_focal_from_fov(double fov_rad, int size_px);
+// Field of view along a side of an image, in radians, in (0, pi), and the focal length in pixels;
+// each within 4 ULP.
+double rn_camera_fov_from_focal(double focal_px, double size_px);
+double rn_camera_focal_from_fov(double fov_rad, double size_px);
+// The field of view along the other side, which is `ratio` times as long.
+double rn_camera_fov_across(double fov_rad, double ratio);
 
 // A camera at `eye` looking at `target`, `up` roughly up. RN_ERROR_INVALID when degenerate.
 enum rn_status rn_camera_look_at(const double eye[3], const double target[3], const double up[3],

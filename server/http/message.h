@@ -74,8 +74,6 @@ struct rn_reply {
 
 // ---- reading a request ------------------------------------------------------------------------
 
-enum rn_method rn_request_method(const struct rn_request *request);
-const char *rn_request_path(const struct rn_request *request);
 const struct rn_caller *rn_request_caller(const struct rn_request *request);
 unsigned rn_request_flags(const struct rn_request *request); // of its route, RN_ROUTE_*
 // The trace in which it is answered (common/base/trace.h): what it causes is a part of it.

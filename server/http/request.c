@@ -3,10 +3,6 @@
 #include "common/base/names.h"
 #include "server/http/exchange.h"
 
-enum rn_method rn_request_method(const struct rn_request *request) {
-    return request->method;
-}
-
 const struct rn_caller *rn_request_caller(const struct rn_request *request) {
     return &request->caller;
 }
@@ -21,10 +17,6 @@ const char *rn_request_traceparent(const struct rn_request *request) {
 
 int64_t rn_request_begin_ns(const struct rn_request *request) {
     return request->begin_ns;
-}
-
-const char *rn_request_path(const struct rn_request *request) {
-    return request->path;
 }
 
 const char *rn_request_param(const struct rn_request *request, int i) {

@@ -23,7 +23,6 @@ struct rn_ring {
     size_t count, bytes;
     struct rn_ring_reader *readers;
     bool closed;
-    uint64_t lost;
     atomic_int references;
 };
 
@@ -96,7 +95,6 @@ void rn_ring_publish(struct rn_ring *ring, uint64_t id, const char *name, const 
     char *copy = size <= ring->max_bytes ? strdup(data) : NULL;
     pthread_mutex_lock(&ring->lock);
     if (copy == NULL || ring->closed) {
-        ring->lost++;
         free(copy);
     } else {
         if (key != NULL) drop_superseded(ring, name, key);
@@ -118,13 +116,6 @@ void rn_ring_close(struct rn_ring *ring) {
     for (struct rn_ring_reader *reader = ring->readers; reader != NULL; reader = reader->next)
         reader->wake(reader->context);
     pthread_mutex_unlock(&ring->lock);
-}
-
-uint64_t rn_ring_lost(struct rn_ring *ring) {
-    pthread_mutex_lock(&ring->lock);
-    uint64_t lost = ring->lost;
-    pthread_mutex_unlock(&ring->lock);
-    return lost;
 }
 
 void rn_ring_attach(struct rn_ring *ring, struct rn_ring_reader *reader, uint64_t after_id) {

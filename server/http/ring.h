@@ -36,13 +36,12 @@ uint64_t rn_ring_last_id(void);
 
 // Publishes an event. `name` is static text, `data` one line (JSON), copied; `key` (fewer than
 // RN_RING_KEY bytes) may be NULL: the event replaces none. An event that does not fit
-// (allocation, max_bytes) is lost and counted.
+// (allocation, max_bytes) is lost.
 #define RN_RING_KEY 24
 void rn_ring_publish(struct rn_ring *ring, uint64_t id, const char *name, const char *data,
                      const char *key);
 // No further events: readers end when they have read what is left.
 void rn_ring_close(struct rn_ring *ring);
-uint64_t rn_ring_lost(struct rn_ring *ring);
 
 // Starts reading after event `after_id` (0: everything still kept).
 void rn_ring_attach(struct rn_ring *ring, struct rn_ring_reader *reader, uint64_t after_id);

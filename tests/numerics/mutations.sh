@@ -268,8 +268,6 @@ mutate ripmap $cpu/fetch.h "vector query: weights that do not sum to 1" \
     's/vf_store(ret->weight\[3\], below \* right);/vf_store(ret->weight[3], weight * right * right);/'
 mutate rays server/engine/kernels/ray.h "rays: slabs divided by a zero component" \
     's/double direction = fabs(d\[i\]) < 1e-300.*/double direction = d[i];/;s/enter = first > enter ? first : enter;/enter = enter > first ? enter : first;/'
-mutate disparity $field/disparity.h "disparity: the Jacobian's depth column left out" \
-    's/ret\[i\]\[2\] = -space->scale\[i\] \* p\[i\] \* inverse \* inverse;/ret[i][2] = 0;/'
 mutate disparity server/engine/kernels/ray.h "disparity: rays go on behind their camera" \
     's/if (o\[2\] > 0 && 1 \/ o\[2\] < high) high = 1 \/ o\[2\];/;/'
 mutate disparity $cpu/forward.h "disparity: vectors cut to the cube, not the box" \

@@ -129,8 +129,8 @@ static enum rn_status fill_key(const struct rn_path_text *in, const struct image
     for (int i = 0; i < 3; i++)
         view[i][3] = image->t[i];
     rn_pose_invert((const double(*)[4])view, key->world_from_camera);
-    key->fov_y_rad =
-        fov_y_deg > 0 ? fov_y_deg * M_PI / 180 : 2 * atan(0.5 * camera->height / camera->focal_y);
+    key->fov_y_rad = fov_y_deg > 0 ? fov_y_deg * M_PI / 180
+                                   : rn_camera_fov_from_focal(camera->focal_y, camera->height);
     return RN_OK;
 }
 

@@ -20,7 +20,7 @@ static enum rn_status read_frame(const struct rn_json *at, int height, struct rn
     if (!status) status = rn_json_matrix(at, "intrinsics", 0, 4, intrinsics, err);
     if (!status && !(intrinsics[1] > 0))
         status = rn_json_error(at, RN_ERROR_INVALID, err, "has a focal length of 0 or less");
-    if (!status) key->fov_y_rad = 2 * atan(0.5 * height / intrinsics[1]);
+    if (!status) key->fov_y_rad = rn_camera_fov_from_focal(intrinsics[1], height);
     return status;
 }
 

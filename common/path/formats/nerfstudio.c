@@ -72,7 +72,7 @@ static json_t *write_camera(const struct rn_path_space *space, const struct rn_c
     memcpy(pose, camera->world_from_camera, sizeof pose);
     rn_path_out_of_dataset(space, pose);
     rn_pose_from_opengl(pose); // its own inverse
-    double fov_deg = 2 * atan(0.5 * camera->height / camera->fy) * 180 / M_PI;
+    double fov_deg = rn_camera_fov_from_focal(camera->fy, camera->height) * 180 / M_PI;
     return json_pack("{s:o,s:f,s:f}", matrix, rn_path_json_flat(pose, 4), "fov", fov_deg, "aspect",
                      (double)camera->width / camera->height);
 }

@@ -29,7 +29,7 @@ static enum rn_status read_camera(const struct rn_json *at, struct rn_path *path
         key->world_from_camera[r][3] = position[r];
     }
     key->time_s = (double)i / path->fps;
-    key->fov_y_rad = 2 * atan(0.5 * height / focal);
+    key->fov_y_rad = rn_camera_fov_from_focal(focal, (double)height);
     if (i == 0) {
         path->width = width;
         path->height = height;

@@ -27,11 +27,6 @@ static double frame_rate(const json_t *root) {
     return rate >= 1e-3 && rate <= 1000 ? rate : 30;
 }
 
-// The angle along the shorter side, or back, by the ratio of the sides.
-static double other_side(double fov_rad, double ratio) {
-    return 2 * atan(tan(0.5 * fov_rad) * ratio);
-}
-
 static enum rn_status read_pose(const struct rn_json *at, size_t index, double rate,
                                 const struct rn_path_choices *choices, double ratio,
                                 struct rn_path_key *key, struct rn_error *err) {
@@ -50,7 +45,7 @@ static enum rn_status read_pose(const struct rn_json *at, size_t index, double r
     if (!status) status = rn_path_look_at(at, target, up, key->world_from_camera, err);
     if (status) return status;
     key->time_s = frame / rate;
-    key->fov_y_rad = other_side(fov_deg * M_PI / 180, own_fov ? ratio : 1);
+    key->fov_y_rad = rn_camera_fov_across(fov_deg * M_PI / 180, own_fov ? ratio : 1);
     return RN_OK;
 }
 
@@ -92,7 +87,7 @@ static enum rn_status write(const struct rn_path *path, const struct rn_path_spa
             poses, json_pack("{s:s,s:f,s:o,s:o,s:f}", "name", name, "frame",
                              round((key->time_s - path->keys[0].time_s) * path->fps), "position",
                              rn_path_json_three(position), "target", rn_path_json_three(target),
-                             "fov", other_side(key->fov_y_rad, ratio) * 180 / M_PI));
+                             "fov", rn_camera_fov_across(key->fov_y_rad, ratio) * 180 / M_PI));
     }
     return rn_path_dump(json_pack("{s:{s:f,s:i},s:[{s:s,s:o}]}", "timeline", "frameRate", path->fps,
                                   "frames", (int)rn_path_frame_count(path), "poseSets", "name",

@@ -27,11 +27,11 @@ static enum rn_status find_fov(const struct rn_json *root, const struct rn_json 
     bool sized = find_number(root, frame, "h", &height) && find_number(root, frame, "w", &width);
     if (sized &&
         (find_number(root, frame, "fl_y", &focal) || find_number(root, frame, "fl_x", &focal)))
-        *ret_fov_rad = 2 * atan(0.5 * height / focal);
+        *ret_fov_rad = rn_camera_fov_from_focal(focal, height);
     else if (find_number(root, frame, "camera_angle_y", &angle))
         *ret_fov_rad = angle;
     else if (find_number(root, frame, "camera_angle_x", &angle)) // square where no size is said
-        *ret_fov_rad = 2 * atan(tan(0.5 * angle) * (sized ? height / width : 1));
+        *ret_fov_rad = rn_camera_fov_across(angle, sized ? height / width : 1);
     else if (fallback_deg > 0)
         *ret_fov_rad = fallback_deg * M_PI / 180;
     else

@@ -56,18 +56,4 @@ RN_HD void rn_disparity_unmap(const struct rn_disparity *space, const double q[3
     ret[1] = ret[2] * ((q[1] - space->shift[1]) / space->scale[1]);
 }
 
-// The map's derivative at p: ret[i][j] = dq_i / dp_j.
-RN_HD void rn_disparity_jacobian(const struct rn_disparity *space, const double p[3],
-                                 double ret[3][3]) {
-    double inverse = 1 / p[2];
-    for (int i = 0; i < 3; i++)
-        for (int j = 0; j < 3; j++)
-            ret[i][j] = 0;
-    for (int i = 0; i < 2; i++) {
-        ret[i][i] = space->scale[i] * inverse;
-        ret[i][2] = -space->scale[i] * p[i] * inverse * inverse;
-    }
-    ret[2][2] = -space->scale[2] * inverse * inverse;
-}
-
 #endif

@@ -244,7 +244,6 @@ START_TEST(archives_are_read_back_by_libarchive) {
             ck_assert_int_eq(rn_tar_add(tar, files[i].name, &err), RN_OK);
             ck_assert_int_eq(rn_tar_add(tar, files[i].name, &err), RN_OK); // once is enough
         }
-        ck_assert_uint_eq(rn_tar_files(tar), 5);
         char *bytes = read_all(tar, pieces[p]);
         struct archive *archive = archive_read_new();
         struct archive_entry *entry;
@@ -273,6 +272,7 @@ START_TEST(archives_refuse_what_is_not_theirs) {
     char name[512];
     write_file("outside", 3);
     ck_assert_int_eq(rn_tar_create("in", &tar, &err), RN_OK);
+    uint64_t empty = rn_tar_size(tar);
     ck_assert_int_eq(rn_tar_add(tar, "../outside", &err), RN_ERROR_INVALID);
     ck_assert_int_eq(rn_tar_add(tar, "sub/../../outside", &err), RN_ERROR_INVALID);
     ck_assert_int_eq(rn_tar_add(tar, "/etc/passwd", &err), RN_ERROR_INVALID);
@@ -282,7 +282,7 @@ START_TEST(archives_refuse_what_is_not_theirs) {
     memset(name, 'n', sizeof name);
     name[101] = '\0';
     ck_assert_int_eq(rn_tar_add(tar, name, &err), RN_ERROR_INVALID);
-    ck_assert_uint_eq(rn_tar_files(tar), 0);
+    ck_assert_uint_eq(rn_tar_size(tar), empty);
     rn_tar_destroy(&tar);
 }
 END_TEST
