@@ -19,6 +19,7 @@ from support import captures
 from support.captures import COUNT, LAYOUTS
 from support.checked import Daemon, make_tar
 from support.client import INVALID, OK
+from support.waiting import PATIENCE_S
 
 FAKE = Path(__file__).parents[1] / "support" / "fake_colmap.py"
 ENDS, LEFT_OUT, TOLD = "cannot be read", "a photograph is left out", "told"
@@ -220,7 +221,7 @@ def daemon(programs, tmp_path_factory):
 
 def validate(build, folder):
     done = subprocess.run([build / "client" / "ripnerf", "--json", "validate", folder],
-                          capture_output=True, text=True, timeout=60, check=False)
+                          capture_output=True, text=True, timeout=PATIENCE_S, check=False)
     return done.returncode, json.loads(done.stdout)
 
 

@@ -13,6 +13,7 @@ from PIL import Image
 from support.checked import Daemon, make_tar
 from support.client import INVALID, OK
 from support.photographs import pose, write_dataset
+from support.waiting import PATIENCE_S
 
 TRAIN = "transforms_train.json"
 FIRST = f"{TRAIN}#/frames/0/file_path"
@@ -134,7 +135,7 @@ GOOD = {
 
 def validate(build, folder):
     done = subprocess.run([build / "client" / "ripnerf", "--json", "validate", folder],
-                          capture_output=True, text=True, timeout=60, check=False)
+                          capture_output=True, text=True, timeout=PATIENCE_S, check=False)
     return done.returncode, json.loads(done.stdout)
 
 

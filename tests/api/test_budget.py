@@ -53,7 +53,7 @@ def test_within_a_time(slow):
         assert headers["X-Ripnerf-Late"] == ("1" if late else "0")
         assert float(headers["X-Ripnerf-Expected-Psnr"]) > 0
     assert "subsample" in ask(slow, within_ms=40).headers["X-Ripnerf-Setting"]
-    assert ask(slow, within_ms=2000).headers["X-Ripnerf-Setting"] == "full"
+    assert ask(slow, within_ms=60000).headers["X-Ripnerf-Setting"] == "full"
 
 
 def test_less_time_than_the_cheapest_picture_takes(slow):

@@ -2,6 +2,7 @@
 
 import io
 import json
+import os
 import re
 import shutil
 import signal
@@ -140,10 +141,17 @@ def test_a_view_in_its_photograph_s_own_exposure(client, daemon):
                                  picture("uncorrected", "as-taken")).getbbox() is None
 
 
-def test_bytes_do_not_depend_on_threads_or_pauses(client, trained):
+def test_bytes_do_not_depend_on_threads_or_pauses(client, daemon, trained):
     end, _ = trained
+    others = set(daemon.runners())
     job = train(client, "again", "--max-steps", STEPS, "--seed", 5, "--threads", 2)
+    daemon.wait_until(lambda: set(daemon.runners()) - others)
+    held = set(daemon.runners()) - others
+    for pid in held:  # or it might be over before the client has started
+        os.kill(pid, signal.SIGSTOP)
     client.run("pause", job)
+    for pid in held:
+        os.kill(pid, signal.SIGCONT)
     client.run("resume", job)
     client.run("watch", job)
     assert client.json("show", "again")["parameters_sha256"] == end["parameters_sha256"]
@@ -340,12 +348,14 @@ def test_a_lost_runner_is_told(client, daemon, trained):
 def test_a_lost_daemon_is_told(client, daemon, trained):
     waiting, job = wait_for_training(client, daemon, "gone")
     daemon.kill()
+    said = ""
+    while "the daemon does not answer" not in said:  # it has noticed before there is another
+        assert (said := waiting.stderr.readline())
     daemon.start()
     daemon.wait_until(lambda: client.json("show", job)["attempt"] == 2)
     client.run("cancel", job)
     _, err = waiting.communicate(timeout=PATIENCE_S)
     assert waiting.returncode == CANCELLED
-    assert "the daemon does not answer" in err
     assert "the daemon ended in attempt 1" in err and "it is started again" in err
     client.run("rm", "gone")
 

@@ -9,6 +9,7 @@ fails says why.
 
 import http.client
 import io
+import math
 import os
 import random
 import re
@@ -41,7 +42,7 @@ class Script:
         self.daemon, self.faults, self.options = daemon, faults, options
         self.tar = make_tar(photographs)
         self.failures, self.told, self.round = 0, [], 0
-        self.end = time.monotonic() + (SECONDS or SAMPLE_S)
+        self.end = math.inf
         self.read = 0  # of the log
 
     def ask(self, method, path, **keys):
@@ -226,6 +227,7 @@ def test_each_way_to_fail(build, tmp_path, program):
         assert script.run(None) == 0  # nothing fails: all that is opened once is open now
         before, met = descriptors(daemon), faults.stacks()
         faults.forget_stacks()
+        script.end = time.monotonic() + (SECONDS or SAMPLE_S)
         while time.monotonic() < script.end:
             if script.run(256 if SECONDS else 128) == 0 and SECONDS:
                 break

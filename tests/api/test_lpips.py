@@ -10,6 +10,7 @@ import pytest
 
 from support.client import Client
 from support.daemon import Daemon
+from support.waiting import PATIENCE_S
 
 LAYERS = [("net.slice1.0", 3, 64), ("net.slice1.2", 64, 64), ("net.slice2.5", 64, 128),
           ("net.slice2.7", 128, 128), ("net.slice3.10", 128, 256), ("net.slice3.12", 256, 256),
@@ -81,5 +82,5 @@ def test_a_file_of_other_things_is_refused(build, tmp_path):
         write()
         said = subprocess.run([build / "server" / "ripnerfd", "--data", tmp_path / "data", "--listen",
                                "127.0.0.1:0", "--lpips", weights], capture_output=True, text=True,
-                              timeout=30, check=False)
+                              timeout=PATIENCE_S, check=False)
         assert said.returncode != 0 and words in said.stderr and str(weights) in said.stderr

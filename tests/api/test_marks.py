@@ -47,8 +47,11 @@ def fixture_trained(daemon):
     return daemon
 
 
-def test_marks_stand_at_times_that_double(trained):
-    found = marks(trained)
+def test_marks_stand_at_times_that_double(make_daemon, photographs):
+    daemon = make_daemon({**FAST, "RIPNERF_FAKE_STEP_US": "5000"})  # one is written before the next is due
+    assert daemon.wait(daemon.upload("data", photographs))["state"] == "succeeded"
+    assert daemon.wait(train(daemon, 40))["state"] == "succeeded"
+    found = marks(daemon)
     assert len(found) == len(SECONDS)
     for mark, seconds in zip(found, SECONDS):
         assert seconds <= mark["train_seconds"] < seconds + 2.5 and mark["size_bytes"] > 0

@@ -241,7 +241,8 @@ def test_a_forgotten_flush_is_found(programs, photographs, shim, tmp_path, forge
     for seed in range(12):
         try:
             simulate(programs, photographs, shim, tmp_path / "disk", seed, forgets)
-        except AssertionError:
+        except AssertionError as error:
+            assert "RIPNERF_LOSSES" in str(error), error  # it is what is missing after the loss
             return
     raise AssertionError(f"12 losses have not shown that {forgets} is never flushed")
 

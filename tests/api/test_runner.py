@@ -20,7 +20,7 @@ from support.waiting import PATIENCE_S, wait_for
 from support.wire import JOB, Runner, Scene, checkpoints, ingest, train
 
 OTHER = "job_bbbbbbbbbbbb"
-PROMPT_S = 20  # of what goes on for minutes where it is not cut short
+PROMPT_S = 60  # of what goes on for minutes where it is not cut short
 PROTO = Path(__file__).resolve().parents[2] / "proto"
 CAMERA = {"world_from_camera": [row[:] for row in pose(0.3)[:3]], "axes": "opengl",
           "width": 24, "height": 20, "fov_y_deg": 40}
@@ -213,7 +213,7 @@ def test_scene_is_locked(program, dataset, tmp_path, scene):
 
 
 def test_training_runs_to_its_last_step(scene, tmp_path, check):
-    train(scene, max_steps=300)
+    train(scene, max_steps=300, evaluate_interval_s=1000)
     name, done, _ = scene.wait_for("done", "failed")
     assert name == "done", done
     check("TrainResult", done["result"])
@@ -280,11 +280,11 @@ def test_pause_stops_the_clock_and_is_reported(scene):
     assert scene.wait_for("state")[1]["state"] == "paused"
     assert scene.wait_for("checkpoint")
     before = [m[1]["progress"] for m in scene.seen if m[0] == "progress"][-1]
-    time.sleep(0.3)
+    time.sleep(2)
     scene.send("resume", job=JOB)
     after = scene.wait_for("progress")[1]["progress"]
-    assert after["paused_seconds"] >= 0.3
-    assert after["train_seconds"] - before["train_seconds"] < after["paused_seconds"] + 0.6
+    assert after["paused_seconds"] >= 2
+    assert after["train_seconds"] - before["train_seconds"] < after["paused_seconds"]
     assert after["step"] > before["step"]
 
 
@@ -526,7 +526,7 @@ def test_wrong_cameras_end_the_runner(program, dataset, tmp_path, name, content)
 
 def test_path_is_cancelled_between_rows_and_goes_on_later(program, dataset, tmp_path):
     with Scene(program, tmp_path / "scene", dataset,
-               environment={"RIPNERF_FAKE_ROW_US": "20000"}) as runner:
+               environment={"RIPNERF_FAKE_ROW_US": "60000"}) as runner:
         train(runner, max_steps=1)
         runner.wait_for("done")
         frames = tmp_path / "frames"

@@ -150,7 +150,7 @@ class Daemon:
     # ---- requests ----
 
     def connect(self):
-        return http.client.HTTPConnection(self.host, self.port, timeout=60)
+        return http.client.HTTPConnection(self.host, self.port, timeout=PATIENCE_S)
 
     def request(self, method, path, body=None, headers=None, json_body=None, query=None,
                 check=True):
@@ -182,7 +182,7 @@ class Daemon:
         return self.request("DELETE", path, **arguments)
 
     def socket(self):
-        return socket.create_connection((self.host, self.port), timeout=60)
+        return socket.create_connection((self.host, self.port), timeout=PATIENCE_S)
 
     # ---- what tests do again and again ----
 
