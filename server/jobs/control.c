@@ -15,6 +15,7 @@
 #include "server/jobs/inside.h"
 
 #define TICK_MS 500
+#define READING_NS 20000000 // of all runners in a turn, but one message of each at least
 #define MAX_RUNNERS 256
 
 void rn_control_wake(struct rn_control *control) {
@@ -23,8 +24,9 @@ void rn_control_wake(struct rn_control *control) {
         rn_log(RN_LOG_ERROR, "eventfd: %s", strerror(errno));
 }
 
-// Reads all that is there, one message at a time.
-static void read_runner(struct rn_control *control, struct rn_runner *runner) {
+// Reads what is there, one message at a time, until `until_ns`: what follows from a message may be
+// written to a slow disk, and others wait for the lock.
+static void read_runner(struct rn_control *control, struct rn_runner *runner, int64_t until_ns) {
     struct rn_error err = {0};
     bool ready = true;
     while (ready && !runner->broken) {
@@ -38,6 +40,10 @@ static void read_runner(struct rn_control *control, struct rn_runner *runner) {
             runner->heard_ns = rn_clock_ns();
             rn_runner_receive(control, runner, &message);
             rn_wire_message_finish(&message);
+            if (rn_clock_ns() > until_ns) {
+                control->unread = true;
+                return;
+            }
         }
     }
 }
@@ -49,20 +55,21 @@ static bool is_silent(struct rn_control *control, struct rn_runner *runner, int6
 }
 
 static void serve_runners(struct rn_control *control) {
-    int64_t now_ns = rn_clock_ns();
+    int64_t now_ns = rn_clock_ns(), until_ns = now_ns + READING_NS;
     struct rn_runner *next;
     for (struct rn_runner *runner = control->runners; runner != NULL; runner = next) {
         bool empty;
         next = runner->next;
         if (runner->process.remote && rn_remote_is_lost(control, runner)) {
-            if (runner->state != RN_RUNNER_AWAITED) read_runner(control, runner); // its last words
+            if (runner->state != RN_RUNNER_AWAITED)
+                read_runner(control, runner, INT64_MAX); // its last words
             rn_runner_remove(control, runner, runner->state == RN_RUNNER_AWAITED);
             continue;
         }
         if (runner->state == RN_RUNNER_AWAITED) continue;
-        if (!runner->broken) read_runner(control, runner);
+        if (!runner->broken) read_runner(control, runner, until_ns);
         if (!runner->broken && rn_wire_flush(&runner->writer, &empty, NULL) != RN_OK)
-            read_runner(control, runner);
+            read_runner(control, runner, INT64_MAX);
         bool late = (runner->state != RN_RUNNER_READY && now_ns > runner->deadline_ns) ||
                     is_silent(control, runner, now_ns);
         if (late) runner->hangs = true;
@@ -95,8 +102,9 @@ static nfds_t fill_polls(struct rn_control *control, struct pollfd *polls) {
 static void *supervise(void *context) {
     struct rn_control *control = context;
     struct pollfd polls[MAX_RUNNERS + 1];
-    pthread_mutex_lock(&control->lock);
+    rn_control_lock(control);
     while (!control->quit) {
+        control->unread = false;
         serve_runners(control);
         rn_hold_others(control);
         measure_memory(control);
@@ -107,15 +115,16 @@ static void *supervise(void *context) {
         rn_schedule(control);
         rn_tasks_tidy(control);
         nfds_t count = fill_polls(control, polls);
-        int timeout_ms = control->schedule_due ? 0 : rn_hold_timeout_ms(control, TICK_MS);
-        pthread_mutex_unlock(&control->lock);
+        bool at_once = control->schedule_due || control->unread;
+        int timeout_ms = at_once ? 0 : rn_hold_timeout_ms(control, TICK_MS);
+        rn_control_unlock(control);
         uint64_t wakes;
         if (poll(polls, count, timeout_ms) > 0 && polls[0].revents != 0 &&
             read(control->wake_fd, &wakes, sizeof wakes) < 0 && errno != EAGAIN)
             rn_log(RN_LOG_ERROR, "eventfd: %s", strerror(errno));
-        pthread_mutex_lock(&control->lock);
+        rn_control_lock(control);
     }
-    pthread_mutex_unlock(&control->lock);
+    rn_control_unlock(control);
     return NULL;
 }
 
@@ -173,10 +182,10 @@ static enum rn_status adopt_all(struct rn_control *control, struct rn_error *err
 }
 
 enum rn_status rn_control_adopt(struct rn_control *control, struct rn_error *err) {
-    pthread_mutex_lock(&control->lock);
+    rn_control_lock(control);
     enum rn_status status = adopt_all(control, err);
     control->schedule_due = true;
-    pthread_mutex_unlock(&control->lock);
+    rn_control_unlock(control);
     rn_control_wake(control);
     return status;
 }
@@ -202,6 +211,7 @@ enum rn_status rn_control_create(const struct rn_control_options *options, struc
     control->store = store;
     control->executor = executor;
     pthread_mutex_init(&control->lock, NULL);
+    pthread_mutex_init(&control->turn, NULL);
     control->wake_fd = eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK);
     enum rn_status status =
         control->wake_fd < 0 ? rn_error_from_errno(err, errno, "eventfd", "create")
@@ -224,7 +234,7 @@ enum rn_status rn_control_create(const struct rn_control_options *options, struc
 void rn_control_drain(struct rn_control *control, int64_t timeout_ms) {
     struct rn_error err = {.status = RN_ERROR_UNAVAILABLE, .text = "the daemon is shutting down"};
     int64_t deadline_ns = rn_clock_ns() + timeout_ms * 1000000;
-    pthread_mutex_lock(&control->lock);
+    rn_control_lock(control);
     control->stopping = true;
     struct rn_runner *next;
     for (struct rn_runner *runner = control->runners; runner != NULL; runner = next) {
@@ -243,22 +253,22 @@ void rn_control_drain(struct rn_control *control, int64_t timeout_ms) {
     }
     rn_control_wake(control);
     while (control->runners != NULL && rn_clock_ns() < deadline_ns) {
-        pthread_mutex_unlock(&control->lock);
+        rn_control_unlock(control);
         nanosleep(&(struct timespec){.tv_nsec = 10000000}, NULL);
-        pthread_mutex_lock(&control->lock);
+        rn_control_lock(control);
     }
     while (control->runners != NULL)
         rn_runner_remove(control, control->runners, true);
-    pthread_mutex_unlock(&control->lock);
+    rn_control_unlock(control);
 }
 
 void rn_control_destroy(struct rn_control **control_pointer) {
     struct rn_control *control = *control_pointer;
     *control_pointer = NULL;
     if (control == NULL) return;
-    pthread_mutex_lock(&control->lock);
+    rn_control_lock(control);
     control->stopping = control->quit = true;
-    pthread_mutex_unlock(&control->lock);
+    rn_control_unlock(control);
     if (control->thread_runs) {
         rn_control_wake(control);
         pthread_join(control->thread, NULL);
@@ -276,6 +286,7 @@ void rn_control_destroy(struct rn_control **control_pointer) {
     if (control->executor->watch != NULL) control->executor->watch(control->executor, NULL, NULL);
     if (control->wake_fd >= 0) close(control->wake_fd);
     pthread_mutex_destroy(&control->lock);
+    pthread_mutex_destroy(&control->turn);
     free(control);
 }
 
@@ -305,15 +316,15 @@ static enum rn_status make_ring(struct rn_control *control, const char *id,
 
 enum rn_status rn_control_events(struct rn_control *control, const char *id,
                                  struct rn_ring **ret_ring, struct rn_error *err) {
-    pthread_mutex_lock(&control->lock);
+    rn_control_lock(control);
     struct rn_ring *ring = id == NULL ? control->ring : find_ring(control, id);
     if (ring != NULL) *ret_ring = rn_ring_ref(ring);
-    pthread_mutex_unlock(&control->lock);
+    rn_control_unlock(control);
     return ring != NULL ? RN_OK : make_ring(control, id, ret_ring, err);
 }
 
 void rn_control_stats(struct rn_control *control, struct rn_control_stats *ret_stats) {
-    pthread_mutex_lock(&control->lock);
+    rn_control_lock(control);
     *ret_stats = control->stats;
     for (const struct rn_task *task = control->tasks; task != NULL; task = task->next)
         ret_stats->jobs_open[task->row.state] += !rn_job_is_over(task->row.state);
@@ -327,7 +338,7 @@ void rn_control_stats(struct rn_control *control, struct rn_control_stats *ret_s
              render = render->next)
             ret_stats->renders_waiting++;
     }
-    pthread_mutex_unlock(&control->lock);
+    rn_control_unlock(control);
 }
 
 bool rn_control_spreads(const struct rn_control *control) {
@@ -335,7 +346,7 @@ bool rn_control_spreads(const struct rn_control *control) {
 }
 
 void rn_control_device(struct rn_control *control, struct rn_runner_device *ret_device) {
-    pthread_mutex_lock(&control->lock);
+    rn_control_lock(control);
     *ret_device = control->device;
-    pthread_mutex_unlock(&control->lock);
+    rn_control_unlock(control);
 }

@@ -130,19 +130,19 @@ static enum rn_status document_scene(struct rn_control *control, struct rn_scene
 
 enum rn_status rn_control_scene_json(struct rn_control *control, struct rn_scene_row *row,
                                      char **ret_json, struct rn_error *err) {
-    pthread_mutex_lock(&control->lock);
+    rn_control_lock(control);
     enum rn_status status = document_scene(control, row, ret_json, err);
-    pthread_mutex_unlock(&control->lock);
+    rn_control_unlock(control);
     return status;
 }
 
 enum rn_status rn_control_row_json(struct rn_control *control, struct rn_job_row *row,
                                    char **ret_json, struct rn_error *err) {
-    pthread_mutex_lock(&control->lock);
+    rn_control_lock(control);
     struct rn_task *task = rn_task_find(control, row->id);
     enum rn_status status =
         rn_document_job(control, task != NULL ? &task->row : row, ret_json, err);
-    pthread_mutex_unlock(&control->lock);
+    rn_control_unlock(control);
     return status;
 }
 

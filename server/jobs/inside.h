@@ -122,9 +122,10 @@ struct rn_control {
     struct rn_control_options options;
     struct rn_store *store;
     struct rn_executor *executor;
-    pthread_mutex_t lock;
+    pthread_mutex_t lock, turn; // rn_control_lock
     pthread_t thread;
     bool thread_runs, stopping, quit;
+    bool unread; // a runner has said more than was read in a turn
     int wake_fd;
     struct rn_task *tasks;
     struct rn_runner *runners;
@@ -143,6 +144,17 @@ struct rn_control {
     struct rn_turns turns; // of pictures by a deadline and of runners that stand still for them
     struct rn_control_stats stats;
 };
+
+// Whoever waits holds the turn, so that the one who has the lock and wants it back at once, as the
+// supervising thread does while runners talk, comes behind: nobody waits longer than for one turn.
+static inline void rn_control_lock(struct rn_control *control) {
+    pthread_mutex_lock(&control->turn);
+    pthread_mutex_lock(&control->lock);
+    pthread_mutex_unlock(&control->turn);
+}
+static inline void rn_control_unlock(struct rn_control *control) {
+    pthread_mutex_unlock(&control->lock);
+}
 
 // document.c
 enum rn_status rn_document_job(struct rn_control *control, struct rn_job_row *row, char **ret_json,

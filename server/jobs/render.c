@@ -18,12 +18,12 @@ enum rn_status rn_control_etag(struct rn_control *control, const struct rn_scene
                                const struct rn_render_request *request, char ret_etag[RN_ETAG_MAX],
                                struct rn_error *err) {
     ret_etag[0] = '\0';
-    pthread_mutex_lock(&control->lock);
+    rn_control_lock(control);
     const struct rn_task *task = rn_task_training(control, scene->id);
     bool trains = task != NULL;
     bool has_runner = trains && task->runner != NULL;
     struct rn_runner_device device = control->device;
-    pthread_mutex_unlock(&control->lock);
+    rn_control_unlock(control);
     if (scene->sha256[0] == '\0' && !has_runner)
         return rn_error_set(err, RN_ERROR_CONFLICT, "",
                             "scene '%s' has no checkpoint yet: there is nothing to render",
@@ -69,7 +69,7 @@ static struct rn_render *take(struct rn_runner *runner, int64_t number) {
 static void on_gone(void *context, struct rn_parked *parked) {
     struct rn_control *control = context;
     bool found = false;
-    pthread_mutex_lock(&control->lock);
+    rn_control_lock(control);
     for (struct rn_runner *runner = control->runners; runner != NULL; runner = runner->next) {
         for (struct rn_render *render = runner->renders; render != NULL; render = render->next) {
             struct rn_waiter **link = &render->waiters;
@@ -87,7 +87,7 @@ static void on_gone(void *context, struct rn_parked *parked) {
         }
     }
     if (found) rn_parked_answer(parked, NULL);
-    pthread_mutex_unlock(&control->lock);
+    rn_control_unlock(control);
 }
 
 static struct rn_render *find_equal(struct rn_runner *runner, const char *etag) {
@@ -149,9 +149,9 @@ void rn_control_render(struct rn_control *control, const struct rn_scene_row *sc
                        const struct rn_render_request *render, const char *etag,
                        struct rn_request *request, struct rn_reply *reply) {
     struct rn_error err = {0};
-    pthread_mutex_lock(&control->lock);
+    rn_control_lock(control);
     enum rn_status status = enqueue(control, scene, render, etag, request, &err);
-    pthread_mutex_unlock(&control->lock);
+    rn_control_unlock(control);
     if (status != RN_OK) rn_reply_error(reply, &err);
 }
 
@@ -232,14 +232,14 @@ static void fill_reply(struct rn_reply *reply, const struct rn_render *render,
 // chance teaches nothing.
 static void on_sent(void *context, int64_t number, int64_t sent_ns) {
     struct rn_control *control = context;
-    pthread_mutex_lock(&control->lock);
+    rn_control_lock(control);
     for (struct rn_runner *runner = control->runners; runner != NULL; runner = runner->next) {
         struct rn_last_timed *timed = &runner->timed;
         double late_ms = (double)(sent_ns - timed->deadline_ns) * 1e-6;
         if (timed->number == number && late_ms < HOPELESS * timed->asked_ms)
             timed->needed_ms = timed->kept_ms + late_ms;
     }
-    pthread_mutex_unlock(&control->lock);
+    rn_control_unlock(control);
 }
 
 static void follow_timed(struct rn_control *control, struct rn_runner *runner,

@@ -84,10 +84,10 @@ static enum rn_status check_quotas(struct rn_control *control, const struct rn_s
 
 enum rn_status rn_control_usage(struct rn_control *control, const char *token, int64_t *ret_jobs,
                                 int64_t *ret_bytes, struct rn_error *err) {
-    pthread_mutex_lock(&control->lock);
+    rn_control_lock(control);
     *ret_jobs = count_open(control, token);
     enum rn_status status = owned_bytes(control, token, ret_bytes, err);
-    pthread_mutex_unlock(&control->lock);
+    rn_control_unlock(control);
     return status;
 }
 
@@ -346,11 +346,11 @@ static enum rn_status submit(struct rn_control *control, const struct rn_submiss
 enum rn_status rn_control_submit(struct rn_control *control, const struct rn_submission *wanted,
                                  char ret_id[RN_ID_MAX], char **ret_json, struct rn_error *err) {
     enum rn_status status = RN_ERROR_NOT_FOUND;
-    pthread_mutex_lock(&control->lock);
+    rn_control_lock(control);
     if (wanted->key != NULL) status = find_key(control, wanted, ret_id, err);
     bool again = status == RN_OK;
     if (status == RN_ERROR_NOT_FOUND) status = submit(control, wanted, NULL, ret_id, ret_json, err);
-    pthread_mutex_unlock(&control->lock);
+    rn_control_unlock(control);
     return again ? rn_control_job_json(control, ret_id, ret_json, err) : status;
 }
 
@@ -401,7 +401,7 @@ bool rn_task_cancel(struct rn_control *control, struct rn_task *task) {
 
 enum rn_status rn_control_command(struct rn_control *control, const char *id,
                                   enum rn_job_event event, char **ret_json, struct rn_error *err) {
-    pthread_mutex_lock(&control->lock);
+    rn_control_lock(control);
     struct rn_task *task = rn_task_find(control, id);
     enum rn_status status;
     if (task == NULL) {
@@ -414,7 +414,7 @@ enum rn_status rn_control_command(struct rn_control *control, const char *id,
             status = rn_document_job(control, &task->row, ret_json, err);
         }
     }
-    pthread_mutex_unlock(&control->lock);
+    rn_control_unlock(control);
     return status;
 }
 
@@ -428,7 +428,7 @@ enum rn_status rn_control_go_on(struct rn_control *control, const char *id,
                                 char **ret_json, struct rn_error *err) {
     struct rn_job_row row;
     ret_id[0] = '\0';
-    pthread_mutex_lock(&control->lock);
+    rn_control_lock(control);
     const struct rn_task *task = rn_task_find(control, id);
     enum rn_status status =
         rn_store_resolve(control->store, &rn_jobs_table, RN_ID_JOB, id, &row, err);
@@ -442,7 +442,7 @@ enum rn_status rn_control_go_on(struct rn_control *control, const char *id,
         status = submit(control, &wanted, row.id, ret_id, ret_json, err);
     }
     if (unfinished || status == RN_OK) rn_row_finish(&rn_jobs_table, &row);
-    pthread_mutex_unlock(&control->lock);
+    rn_control_unlock(control);
     if (unfinished || status != RN_OK) return status;
     return rn_control_command(control, id, RN_JOB_RESUME, ret_json, err);
 }
@@ -493,9 +493,9 @@ enum rn_status rn_task_delete_scene(struct rn_control *control, const char *refe
 
 enum rn_status rn_control_delete_scene(struct rn_control *control, const char *reference,
                                        struct rn_error *err) {
-    pthread_mutex_lock(&control->lock);
+    rn_control_lock(control);
     enum rn_status status = rn_task_delete_scene(control, reference, err);
-    pthread_mutex_unlock(&control->lock);
+    rn_control_unlock(control);
     return status;
 }
 
@@ -522,7 +522,7 @@ static enum rn_status check_unused(struct rn_control *control, const struct rn_d
 enum rn_status rn_control_delete_dataset(struct rn_control *control, const char *reference,
                                          struct rn_error *err) {
     struct rn_dataset_row dataset;
-    pthread_mutex_lock(&control->lock);
+    rn_control_lock(control);
     enum rn_status status =
         rn_store_resolve(control->store, &rn_datasets, RN_ID_DATASET, reference, &dataset, err);
     if (status == RN_OK) {
@@ -532,6 +532,6 @@ enum rn_status rn_control_delete_dataset(struct rn_control *control, const char 
         if (status == RN_OK) remove_folder(control, "datasets", dataset.id);
         rn_row_finish(&rn_datasets, &dataset);
     }
-    pthread_mutex_unlock(&control->lock);
+    rn_control_unlock(control);
     return status;
 }
