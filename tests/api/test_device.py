@@ -83,8 +83,8 @@ def test_a_lost_device_ends_the_runner_alone(start, emulated, tmp_path):
     client.run("render", "small", "--view", "test:0", "-o", "picture.png")
 
 
-def test_a_paths_frames_are_those_of_one_at_a_time(start, emulated, tmp_path):
-    """Frames that a device renders are encoded on the processor's threads while the next ones are rendered."""
+def test_frames_and_scores_are_those_of_one_at_a_time(start, emulated, tmp_path):
+    """What a device renders is encoded, or compared, on the processor's threads while the next ones are rendered."""
     client, daemon = start(emulated)
     client.run("watch", submit(daemon, preset="draft", planes=3, base=16, channels=4, max_steps=2, device="auto"))
     client.run("turntable", "small", "-o", "turn.json")
@@ -94,8 +94,14 @@ def test_a_paths_frames_are_those_of_one_at_a_time(start, emulated, tmp_path):
         name = f"{frame:05}.png"
         assert (tmp_path / "all" / name).read_bytes() == (tmp_path / f"only-{frame}" / name).read_bytes()
     assert len({path.read_bytes() for path in (tmp_path / "all").glob("*.png")}) > 3
+    views = [client.json("eval", "small", "--split", "train", "--views", count)["per_view"] for count in (1, 4)]
+    for view in (view for views in views for view in views):
+        view.pop("render_ms")
+    assert len(views[1]) == 4 and views[0] == views[1][:1]
+    assert len({view["psnr"] for view in views[1]}) == 4
     log = "".join(path.read_text() for path in (tmp_path / "data").rglob("log"))
-    assert "frames are encoded while cuda:0 renders the next ones" in log, log
+    assert "frames are encoded while the next ones are rendered" in log, log
+    assert "views are compared while the next ones are rendered" in log, log
 
 
 # ---- memory ---------------------------------------------------------------------------------

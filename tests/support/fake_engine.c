@@ -586,22 +586,42 @@ void rn_render_result_finish(struct rn_render_result *result) {
     rn_picture_finish(&result->footprint);
 }
 
+enum rn_status rn_view_render(struct rn_engine *engine, struct rn_field *field,
+                              const struct rn_frame *frame, const struct rn_render_options *given,
+                              bool (*keep_going)(void *context), void *context,
+                              struct rn_rendered_view *ret_view, struct rn_error *err) {
+    struct rn_rendered_view view = {.frame = frame, .options = *given};
+    view.options.camera = frame->camera;
+    view.options.outputs = RN_OUTPUT_RGB;
+    enum rn_status status =
+        rn_render(engine, field, &view.options, keep_going, context, &view.result, err);
+    if (!status) *ret_view = view;
+    return status;
+}
+
+enum rn_status rn_view_compare(struct rn_rendered_view *view, struct rn_view_score *ret_score,
+                               struct rn_error *err) {
+    const struct rn_frame *frame = view->frame;
+    *ret_score = (struct rn_view_score){.psnr = 30 + frame->scale + 0.1 * (frame->index % 3),
+                                        .ssim = 0.9 + 0.01 * frame->scale,
+                                        .lpips = NAN,
+                                        .render_ms = view->result.stats.render_ms};
+    rn_render_result_finish(&view->result);
+    return RN_OK;
+}
+
+bool rn_view_is_apart(const struct rn_rendered_view *view) {
+    return true;
+}
+
 enum rn_status rn_evaluate_view(struct rn_engine *engine, struct rn_field *field,
                                 const struct rn_frame *frame, const struct rn_render_options *given,
                                 bool (*keep_going)(void *context), void *context,
                                 struct rn_view_score *ret_score, struct rn_error *err) {
-    struct rn_render_options options = *given;
-    options.camera = frame->camera;
-    options.outputs = RN_OUTPUT_RGB;
-    struct rn_render_result result;
-    enum rn_status status = rn_render(engine, field, &options, keep_going, context, &result, err);
-    if (status) return status;
-    *ret_score = (struct rn_view_score){.psnr = 30 + frame->scale + 0.1 * (frame->index % 3),
-                                        .ssim = 0.9 + 0.01 * frame->scale,
-                                        .lpips = NAN,
-                                        .render_ms = result.stats.render_ms};
-    rn_render_result_finish(&result);
-    return RN_OK;
+    struct rn_rendered_view view;
+    enum rn_status status =
+        rn_view_render(engine, field, frame, given, keep_going, context, &view, err);
+    return status ? status : rn_view_compare(&view, ret_score, err);
 }
 
 enum rn_status rn_evaluate_depth(struct rn_engine *engine, struct rn_field *field,

@@ -97,6 +97,27 @@ enum rn_status rn_evaluate_view(struct rn_engine *engine, struct rn_field *field
                                 struct rn_view_score *ret_score,
                                 struct rn_error *err) RN_MUST_CHECK;
 
+// The same in two parts: a view that is rendered, which `compare` frees.
+struct rn_rendered_view {
+    struct rn_engine *engine;
+    struct rn_field *field;
+    const struct rn_frame *frame;
+    struct rn_render_options options;
+    bool (*keep_going)(void *context);
+    void *context;
+    struct rn_render_result result;
+};
+enum rn_status rn_view_render(struct rn_engine *engine, struct rn_field *field,
+                              const struct rn_frame *frame, const struct rn_render_options *options,
+                              bool (*keep_going)(void *context), void *context,
+                              struct rn_rendered_view *ret_view,
+                              struct rn_error *err) RN_MUST_CHECK;
+enum rn_status rn_view_compare(struct rn_rendered_view *view, struct rn_view_score *ret_score,
+                               struct rn_error *err) RN_MUST_CHECK;
+// Whether that takes nothing of engine and field - no LPIPS, no camera to be sought -, and so may
+// be done by any thread while they render the next one.
+bool rn_view_is_apart(const struct rn_rendered_view *view);
+
 // How right depths are where the view's photograph sees sparse points: the median over its
 // sightings of |depth - distance of the point| over that distance. A pixel that shows nothing is
 // off by 1.

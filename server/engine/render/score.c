@@ -100,15 +100,10 @@ static double fitted_half(const struct rn_picture *rendered, const struct rn_pic
     return sum;
 }
 
-// A view that is compared: its photograph as it is in the file and over the background, a byte a
-// pixel for those that count (NULL: all), and how its pictures are made.
+// A view that is compared: its photograph as it is in the file and over the background, and a byte
+// a pixel for those that count (NULL: all).
 struct view {
-    struct rn_engine *engine;
-    struct rn_field *field;
-    const struct rn_frame *frame;
-    struct rn_render_options options;
-    bool (*keep_going)(void *context);
-    void *context;
+    struct rn_rendered_view *rendered;
     struct rn_image photograph;
     struct rn_picture truth;
     uint8_t *used;
@@ -117,28 +112,27 @@ struct view {
 // The picture from where the camera is found to be by the photograph's other half.
 static enum rn_status render_sought(const struct view *view, int half,
                                     struct rn_render_result *ret_result, struct rn_error *err) {
-    struct rn_render_options options = view->options;
-    struct rn_pose_looker looker = {view->engine, view->field, 0,
-                                    rn_effects_march_trained(view->field)};
+    const struct rn_rendered_view *r = view->rendered;
+    struct rn_render_options options = r->options;
+    struct rn_pose_looker looker = {r->engine, r->field, 0, rn_effects_march_trained(r->field)};
     float *background = looker.march.colour.background;
     struct rn_pose_photo photo = {view->photograph.pixels, view->used, options.camera};
-    int levels = rn_levels_for_camera(view->field, &photo.camera, view->field->config.step);
-    enum rn_status status = rn_field_fetch(view->field, NULL, err);
-    if (status == RN_OK) status = rn_field_make_ready(view->field, view->engine, levels, err);
+    int levels = rn_levels_for_camera(r->field, &photo.camera, r->field->config.step);
+    enum rn_status status = rn_field_fetch(r->field, NULL, err);
+    if (status == RN_OK) status = rn_field_make_ready(r->field, r->engine, levels, err);
     if (status != RN_OK) return status;
     memcpy(background, options.background, sizeof options.background);
     options.camera = rn_pose_seek(&looker, &photo, half ? RN_POSE_LEFT : RN_POSE_RIGHT,
-                                  RN_POSE_UNKNOWNS, view->field->config.seed);
-    return rn_render(view->engine, view->field, &options, view->keep_going, view->context,
-                     ret_result, err);
+                                  RN_POSE_UNKNOWNS, r->field->config.seed);
+    return rn_render(r->engine, r->field, &options, r->keep_going, r->context, ret_result, err);
 }
 
-static enum rn_status fitted_psnr(const struct view *view, struct rn_picture *rendered,
-                                  double *ret_psnr, struct rn_error *err) {
+static enum rn_status fitted_psnr(const struct view *view, double *ret_psnr, struct rn_error *err) {
+    struct rn_picture *rendered = &view->rendered->result.rgb;
     size_t count = 0;
     double sum = 0;
     enum rn_status status = RN_OK;
-    bool seeks = view->options.fit & RN_FIT_POSE;
+    bool seeks = view->rendered->options.fit & RN_FIT_POSE;
     for (int half = 0; half < 2 && status == RN_OK; half++) {
         struct rn_render_result sought = {0};
         if (seeks) status = render_sought(view, half, &sought, err);
@@ -152,16 +146,17 @@ static enum rn_status fitted_psnr(const struct view *view, struct rn_picture *re
     return status;
 }
 
-static enum rn_status compare(struct view *view, struct rn_picture *rendered,
-                              struct rn_view_score *score, struct rn_error *err) {
-    const struct rn_frame *frame = view->frame;
+static enum rn_status compare(struct view *view, struct rn_view_score *score,
+                              struct rn_error *err) {
+    struct rn_picture *rendered = &view->rendered->result.rgb;
+    const struct rn_frame *frame = view->rendered->frame;
     const struct rn_picture *truth = &view->truth;
     enum rn_status status = find_used(frame, &view->used, err);
     if (status != RN_OK) return status;
     size_t n = (size_t)rendered->width * (size_t)rendered->height;
     size_t count = prepare(rendered, truth, view->used);
     score->psnr_fitted = NAN;
-    if (view->options.fit) status = fitted_psnr(view, rendered, &score->psnr_fitted, err);
+    if (view->rendered->options.fit) status = fitted_psnr(view, &score->psnr_fitted, err);
     if (status != RN_OK) return status;
     if (count == 0)
         return rn_error_set(err, RN_ERROR_INVALID, frame->path,
@@ -174,30 +169,60 @@ static enum rn_status compare(struct view *view, struct rn_picture *rendered,
     return RN_OK;
 }
 
-// Renders and compares; the photograph is there.
+// The photograph is there.
 static enum rn_status score_view(struct view *view, struct rn_view_score *score,
                                  struct rn_error *err) {
-    const struct rn_render_options *options = &view->options;
-    struct rn_render_result result = {0};
+    const struct rn_rendered_view *r = view->rendered;
+    const struct rn_render_options *options = &r->options;
     enum rn_status status =
         rn_image_composite(&view->photograph, options->background, &view->truth, err);
-    if (status == RN_OK)
-        status = rn_render(view->engine, view->field, options, view->keep_going, view->context,
-                           &result, err);
-    if (status == RN_OK) {
-        score->render_ms = result.stats.render_ms;
-        score->nonfinite_rays = result.stats.nonfinite_rays;
-        score->on_device = result.stats.on_device;
-        status = compare(view, &result.rgb, score, err);
-    }
+    if (status == RN_OK) status = compare(view, score, err);
     score->lpips = NAN;
     if (status == RN_OK && options->lpips)
         status =
-            rn_lpips_compare(options->lpips, &result.rgb, &view->truth, view->engine->info.threads,
-                             view->keep_going, view->context, &score->lpips, err);
-    rn_render_result_finish(&result);
+            rn_lpips_compare(options->lpips, &r->result.rgb, &view->truth, r->engine->info.threads,
+                             r->keep_going, r->context, &score->lpips, err);
     rn_picture_finish(&view->truth);
     free(view->used);
+    return status;
+}
+
+enum rn_status rn_view_render(struct rn_engine *engine, struct rn_field *field,
+                              const struct rn_frame *frame, const struct rn_render_options *given,
+                              bool (*keep_going)(void *context), void *context,
+                              struct rn_rendered_view *ret_view, struct rn_error *err) {
+    struct rn_rendered_view view = {.engine = engine,
+                                    .field = field,
+                                    .frame = frame,
+                                    .options = *given,
+                                    .keep_going = keep_going,
+                                    .context = context};
+    view.options.camera = rn_field_camera(field, frame);
+    view.options.outputs = RN_OUTPUT_RGB;
+    view.options.straight = rn_field_averages_straight(field, frame);
+    enum rn_status status =
+        rn_render(engine, field, &view.options, keep_going, context, &view.result, err);
+    if (status == RN_OK) *ret_view = view;
+    return status;
+}
+
+bool rn_view_is_apart(const struct rn_rendered_view *view) {
+    return !view->options.lpips && !(view->options.fit & RN_FIT_POSE);
+}
+
+enum rn_status rn_view_compare(struct rn_rendered_view *rendered, struct rn_view_score *ret_score,
+                               struct rn_error *err) {
+    struct view view = {.rendered = rendered};
+    const struct rn_render_stats *stats = &rendered->result.stats;
+    struct rn_view_score score = {.render_ms = stats->render_ms,
+                                  .nonfinite_rays = stats->nonfinite_rays,
+                                  .on_device = stats->on_device};
+    enum rn_status status =
+        rn_image_read(rendered->frame->path, &rn_image_default_limits, &view.photograph, err);
+    if (status == RN_OK) status = score_view(&view, &score, err);
+    rn_image_finish(&view.photograph);
+    rn_render_result_finish(&rendered->result);
+    if (status == RN_OK) *ret_score = score;
     return status;
 }
 
@@ -205,16 +230,8 @@ enum rn_status rn_evaluate_view(struct rn_engine *engine, struct rn_field *field
                                 const struct rn_frame *frame, const struct rn_render_options *given,
                                 bool (*keep_going)(void *context), void *context,
                                 struct rn_view_score *ret_score, struct rn_error *err) {
-    struct view view = {engine, field, frame, *given, keep_going, context, .used = NULL};
-    struct rn_view_score score;
-    view.options.camera = rn_field_camera(field, frame);
-    view.options.outputs = RN_OUTPUT_RGB;
-    view.options.straight = rn_field_averages_straight(field, frame);
+    struct rn_rendered_view view;
     enum rn_status status =
-        rn_image_read(frame->path, &rn_image_default_limits, &view.photograph, err);
-    if (status != RN_OK) return status;
-    status = score_view(&view, &score, err);
-    rn_image_finish(&view.photograph);
-    if (status == RN_OK) *ret_score = score;
-    return status;
+        rn_view_render(engine, field, frame, given, keep_going, context, &view, err);
+    return status != RN_OK ? status : rn_view_compare(&view, ret_score, err);
 }

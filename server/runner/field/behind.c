@@ -2,6 +2,13 @@
 
 #include <string.h>
 
+#define MOST_PIXELS (1 << 23) // of the pictures together
+
+size_t rn_behind_most(bool on_device, int threads, int width, int height) {
+    size_t fit = MOST_PIXELS / ((size_t)width * (size_t)height), wanted = (size_t)threads;
+    return !on_device ? 0 : fit < wanted ? fit : wanted;
+}
+
 static void *run(void *context) {
     struct rn_piece *piece = context;
     piece->status = piece->run(piece, &piece->err);
@@ -30,7 +37,7 @@ enum rn_status rn_behind_settle(struct rn_behind *behind, size_t most, struct rn
     while (behind->count > most && status == RN_OK) {
         struct rn_piece *oldest = take_oldest(behind);
         status = oldest->status;
-        if (status == RN_OK) oldest->settle(oldest);
+        if (status == RN_OK) status = oldest->settle(oldest, &oldest->err);
         if (status != RN_OK && err) *err = oldest->err;
         oldest->release(oldest);
     }

@@ -4,7 +4,9 @@
 #include <string.h>
 
 #include "common/base/file.h"
+#include "common/base/log.h"
 #include "common/math/numbers.h"
+#include "server/runner/field/behind.h"
 #include "server/runner/field/budget.h"
 #include "server/runner/field/parts.h"
 #include "server/runner/link/join.h"
@@ -19,6 +21,18 @@ struct eval_work {
     struct rn_parts parts;       // scores, where they are kept
     const struct rn_frame **frames;
     struct rn_view_result *scores;
+    struct rn_behind behind;
+};
+
+// A view that is rendered, on its way to its score.
+struct eval_view {
+    struct rn_piece piece;
+    struct eval_work *eval;
+    size_t unit;
+    struct rn_rendered_view rendered;
+    struct rn_view_score score;
+    double depth_error;
+    char file[PATH_MAX]; // of the score; "": none is kept
 };
 
 // The frames of `wanted` (0 = all) evenly spaced views of the split, at one scale or all.
@@ -85,37 +99,33 @@ static enum rn_status prepare(struct rn_work *work, struct rn_field *field, stru
 
 static enum rn_status begin(struct rn_work *work, struct rn_error *err) {
     struct eval_work *eval = (struct eval_work *)work;
+    rn_behind_drop(&eval->behind);
     return eval->request.folder ? rn_parts_begin(&eval->parts, work->step, work->total, err)
                                 : RN_OK;
 }
 
-static enum rn_status score_view(struct eval_work *eval, const struct rn_frame *frame,
-                                 struct rn_field *field, const struct rn_field_info *info,
-                                 struct rn_view_result *ret_view, struct rn_error *err) {
+static enum rn_status render_view(struct eval_view *view, struct rn_field *field,
+                                  const struct rn_field_info *info, struct rn_error *err) {
+    struct eval_work *eval = view->eval;
     struct rn_work *work = &eval->work;
+    const struct rn_frame *frame = eval->frames[eval->parts.first + view->unit];
     struct rn_render_options options = {.outputs = RN_OUTPUT_RGB, .lpips = work->host->lpips};
-    struct rn_view_score score;
     rn_settings_put(&rn_render_settings, eval->request.options.settings, &options.settings);
     memcpy(options.background, info->config.background, sizeof options.background);
     options.fit = rn_effects_fit(info->effects);
-    enum rn_status status = rn_evaluate_view(work->host->engine, field, frame, &options,
-                                             rn_work_keep_going, work, &score, err);
+    enum rn_status status = rn_view_render(work->host->engine, field, frame, &options,
+                                           rn_work_keep_going, work, &view->rendered, err);
     struct rn_depth_score depth = {.median = NAN};
     if (!status && frame->scale == 0)
         status = rn_evaluate_depth(work->host->engine, field, frame, &work->host->dataset->points,
                                    &options, rn_work_keep_going, work, &depth, err);
-    if (status) return status;
-    *ret_view = (struct rn_view_result){.index = frame->index,
-                                        .scale = frame->scale,
-                                        .psnr = score.psnr,
-                                        .ssim = score.ssim,
-                                        .psnr_fitted = score.psnr_fitted,
-                                        .lpips = score.lpips,
-                                        .depth_error = depth.median,
-                                        .render_ms = score.render_ms};
-    snprintf(ret_view->name, sizeof ret_view->name, "%s", frame->name);
-    rn_work_rendered(work, score.render_ms, score.nonfinite_rays);
-    return RN_OK;
+    view->depth_error = depth.median;
+    return status;
+}
+
+static enum rn_status compare_view(struct rn_piece *piece, struct rn_error *err) {
+    struct eval_view *view = (struct eval_view *)piece;
+    return rn_view_compare(&view->rendered, &view->score, err);
 }
 
 // A score of an earlier attempt, or of a runner that helps; false: there is none.
@@ -130,31 +140,78 @@ static bool take_score(struct eval_work *eval, const char *path, struct rn_view_
     return taken;
 }
 
-static enum rn_status keep_score(struct eval_work *eval, const char *path,
-                                 const struct rn_view_result *view, struct rn_error *err) {
-    struct rn_wire_frame frame = {.index = (int64_t)(eval->parts.first + eval->work.done)};
+static enum rn_status keep_score(struct eval_view *view, struct rn_error *err) {
+    struct eval_work *eval = view->eval;
+    struct rn_wire_frame frame = {.index = (int64_t)(eval->parts.first + view->unit)};
     char *json;
     size_t size;
-    enum rn_status status = rn_encode(&rn_view_result_table, view, &json, &size, err);
+    enum rn_status status =
+        rn_encode(&rn_view_result_table, &eval->scores[view->unit], &json, &size, err);
     if (status) return status;
-    status = rn_parts_write(&eval->parts, path, json, size, err);
+    status = rn_parts_write(&eval->parts, view->file, json, size, err);
     free(json);
     strcpy(frame.job, eval->work.job);
     if (!status) rn_link_post(&eval->work.host->link, RN_WIRE_FRAME, &frame, NULL, 0);
     return status;
 }
 
+static enum rn_status note_score(struct rn_piece *piece, struct rn_error *err) {
+    struct eval_view *view = (struct eval_view *)piece;
+    struct eval_work *eval = view->eval;
+    const struct rn_frame *frame = eval->frames[eval->parts.first + view->unit];
+    const struct rn_view_score *score = &view->score;
+    struct rn_view_result *result = &eval->scores[view->unit];
+    *result = (struct rn_view_result){.index = frame->index,
+                                      .scale = frame->scale,
+                                      .psnr = score->psnr,
+                                      .ssim = score->ssim,
+                                      .psnr_fitted = score->psnr_fitted,
+                                      .lpips = score->lpips,
+                                      .depth_error = view->depth_error,
+                                      .render_ms = score->render_ms};
+    snprintf(result->name, sizeof result->name, "%s", frame->name);
+    rn_work_rendered(&eval->work, score->render_ms, score->nonfinite_rays);
+    return *view->file ? keep_score(view, err) : RN_OK;
+}
+
+static void release_view(struct rn_piece *piece) {
+    rn_render_result_finish(&((struct eval_view *)piece)->rendered.result);
+    free(piece);
+}
+
+static enum rn_status score_view(struct eval_work *eval, const char *file, struct rn_field *field,
+                                 const struct rn_field_info *info, struct rn_error *err) {
+    struct eval_view *view = calloc(1, sizeof *view);
+    if (!view) return rn_error_set(err, RN_ERROR_NO_MEMORY, "", "out of memory");
+    view->piece =
+        (struct rn_piece){.run = compare_view, .settle = note_score, .release = release_view};
+    view->eval = eval;
+    view->unit = eval->work.done;
+    snprintf(view->file, sizeof view->file, "%s", file);
+    enum rn_status status = render_view(view, field, info, err);
+    if (status) {
+        release_view(&view->piece);
+        return status;
+    }
+    const struct rn_rendered_view *rendered = &view->rendered;
+    struct rn_device_info about;
+    rn_engine_describe(eval->work.host->engine, &about);
+    size_t most = rn_behind_most(rendered->result.stats.on_device, about.threads,
+                                 rendered->options.camera.width, rendered->options.camera.height);
+    if (!rn_view_is_apart(rendered)) most = 0;
+    if (most > 0 && eval->work.done == 0)
+        rn_log(RN_LOG_INFO, "views are compared while the next ones are rendered");
+    return rn_behind_add(&eval->behind, &view->piece, most, err);
+}
+
 static enum rn_status unit(struct rn_work *work, struct rn_field *field,
                            const struct rn_field_info *info, struct rn_error *err) {
     struct eval_work *eval = (struct eval_work *)work;
-    const struct rn_frame *frame = eval->frames[eval->parts.first + work->done];
-    struct rn_view_result *view = &eval->scores[work->done];
-    char path[PATH_MAX];
-    if (!eval->request.folder) return score_view(eval, frame, field, info, view, err);
-    enum rn_status status = rn_parts_file(&eval->parts, work->done, path, err);
-    if (status || take_score(eval, path, view)) return status;
-    status = score_view(eval, frame, field, info, view, err);
-    return status ? status : keep_score(eval, path, view, err);
+    char path[PATH_MAX] = "";
+    enum rn_status status = RN_OK;
+    if (eval->request.folder) status = rn_parts_file(&eval->parts, work->done, path, err);
+    if (status || (*path && take_score(eval, path, &eval->scores[work->done]))) return status;
+    return score_view(eval, path, field, info, err);
 }
 
 // Mean psnr and ssim and median time of each scale; returns the number of scales. `times`: scratch.
@@ -246,6 +303,8 @@ static void fill_protocol(const struct eval_work *eval, const struct rn_field_in
 static enum rn_status result(struct rn_work *work, struct rn_field *field, char **ret_json,
                              struct rn_error *err) {
     struct eval_work *eval = (struct eval_work *)work;
+    enum rn_status status = rn_behind_settle(&eval->behind, 0, err);
+    if (status) return status;
     struct rn_scale_score scales[MAX_SCALES];
     struct rn_eval_result record = {.scales = scales,
                                     .per_view = eval->scores,
@@ -271,6 +330,7 @@ static enum rn_status result(struct rn_work *work, struct rn_field *field, char 
 
 static void release(struct rn_work *work) {
     struct eval_work *eval = (struct eval_work *)work;
+    rn_behind_drop(&eval->behind);
     free(eval->frames);
     free(eval->scores);
     rn_message_finish(rn_wire_table(RN_WIRE_EVAL), &eval->request);

@@ -18,9 +18,8 @@
 #include "server/runner/field/parts.h"
 
 #define FRAME_PNG_LEVEL 6
-#define INSTANTS 64             // at which a shutter looks
-#define VIDEO_QUALITY 75        // where none is asked for
-#define PIXELS_BEHIND (1 << 23) // of frames that wait for their files, at most
+#define INSTANTS 64      // at which a shutter looks
+#define VIDEO_QUALITY 75 // where none is asked for
 
 // A camera path: unit i is frame first + i, a file in the job's folder.
 struct path_work {
@@ -162,30 +161,19 @@ static enum rn_status write_frame(struct rn_piece *piece, struct rn_error *err) 
     return status;
 }
 
-static void tell_frame(struct rn_piece *piece) {
+static enum rn_status tell_frame(struct rn_piece *piece, struct rn_error *err) {
     const struct path_frame *frame = (const struct path_frame *)piece;
     const struct rn_work *work = &frame->path->work;
     struct rn_wire_frame message = {.index = frame->index};
     strcpy(message.job, work->job);
     rn_link_post(&work->host->link, RN_WIRE_FRAME, &message, NULL, 0);
+    (void)err;
+    return RN_OK;
 }
 
 static void release_frame(struct rn_piece *piece) {
     rn_render_result_finish(&((struct path_frame *)piece)->result);
     free(piece);
-}
-
-// How many frames may wait for their files while the next ones are rendered: where a device does
-// that, one a thread of the processor.
-static size_t frames_behind(const struct path_work *path, const struct path_frame *frame) {
-    struct rn_camera camera = frame_camera(path, 0);
-    struct rn_device_info about;
-    rn_engine_describe(path->work.host->engine, &about);
-    size_t fit = PIXELS_BEHIND / ((size_t)camera.width * (size_t)camera.height);
-    if (!frame->result.stats.on_device) return 0;
-    if (path->work.done == 0)
-        rn_log(RN_LOG_INFO, "frames are encoded while %s renders the next ones", about.device);
-    return fit < (size_t)about.threads ? fit : (size_t)about.threads;
 }
 
 static enum rn_status make_frame(struct path_work *path, struct rn_field *field,
@@ -199,10 +187,18 @@ static enum rn_status make_frame(struct path_work *path, struct rn_field *field,
     frame->index = (int64_t)(path->parts.first + path->work.done);
     snprintf(frame->file, sizeof frame->file, "%s", file);
     enum rn_status status = render_frame(frame, field, info, err);
-    if (!status)
-        return rn_behind_add(&path->behind, &frame->piece, frames_behind(path, frame), err);
-    release_frame(&frame->piece);
-    return status;
+    if (status) {
+        release_frame(&frame->piece);
+        return status;
+    }
+    struct rn_camera camera = frame_camera(path, 0);
+    struct rn_device_info about;
+    rn_engine_describe(path->work.host->engine, &about);
+    size_t most =
+        rn_behind_most(frame->result.stats.on_device, about.threads, camera.width, camera.height);
+    if (most > 0 && path->work.done == 0)
+        rn_log(RN_LOG_INFO, "frames are encoded while the next ones are rendered");
+    return rn_behind_add(&path->behind, &frame->piece, most, err);
 }
 
 static enum rn_status unit(struct rn_work *work, struct rn_field *field,

@@ -14,8 +14,8 @@ struct numbered {
 static struct {
     pthread_mutex_t mutex;
     pthread_cond_t changed;
-    int begun, together; // pieces that have begun; that wait for each other
-    int fails;           // the number of one that does
+    int begun, together;  // pieces that have begun; that wait for each other
+    int fails, unsettled; // the number of one that does; whose settling does
     int settled[16], settled_count, released;
     pthread_t adds;
     bool elsewhere; // a piece ran on another thread
@@ -32,9 +32,11 @@ static enum rn_status run(struct rn_piece *piece, struct rn_error *err) {
     pthread_mutex_unlock(&seen.mutex);
     return own->number == seen.fails ? rn_error_set(err, RN_ERROR_IO, "frame", "no room") : RN_OK;
 }
-static void settle(struct rn_piece *piece) {
+static enum rn_status settle(struct rn_piece *piece, struct rn_error *err) {
+    int number = ((struct numbered *)piece)->number;
     ck_assert(pthread_equal(pthread_self(), seen.adds));
-    seen.settled[seen.settled_count++] = ((struct numbered *)piece)->number;
+    seen.settled[seen.settled_count++] = number;
+    return number == seen.unsettled ? rn_error_set(err, RN_ERROR_IO, "score", "no file") : RN_OK;
 }
 static void release(struct rn_piece *piece) {
     seen.released++;
@@ -45,6 +47,7 @@ static void begin(int together, int fails) {
     seen.begun = seen.settled_count = seen.released = 0;
     seen.together = together;
     seen.fails = fails;
+    seen.unsettled = -1;
     seen.adds = pthread_self();
     seen.elsewhere = false;
 }
@@ -101,12 +104,34 @@ START_TEST(an_error_is_told_by_who_waits) {
 }
 END_TEST
 
+// What goes wrong in the end is told as what went wrong before.
+START_TEST(an_error_of_settling_is_told) {
+    struct rn_behind behind = {0};
+    struct rn_error said = {0};
+    begin(0, -1);
+    seen.unsettled = 0;
+    ck_assert(rn_behind_add(&behind, numbered(0), 0, &said) == RN_ERROR_IO);
+    ck_assert_str_eq(said.where, "score");
+    ck_assert(behind.count == 0 && seen.released == 1);
+}
+END_TEST
+
+START_TEST(as_many_as_there_are_threads_and_room_for) {
+    ck_assert_uint_eq(rn_behind_most(true, 4, 800, 800), 4);
+    ck_assert_uint_eq(rn_behind_most(true, 4, 3840, 2160), 1);
+    ck_assert_uint_eq(rn_behind_most(true, 4, 8192, 8192), 0);
+    ck_assert_uint_eq(rn_behind_most(false, 4, 800, 800), 0); // its threads render
+}
+END_TEST
+
 int main(void) {
     Suite *suite = suite_create("behind");
     TCase *group = tcase_create("behind");
     tcase_add_test(group, run_together_and_settle_in_order);
     tcase_add_test(group, none_behind_is_here_and_now);
     tcase_add_test(group, an_error_is_told_by_who_waits);
+    tcase_add_test(group, an_error_of_settling_is_told);
+    tcase_add_test(group, as_many_as_there_are_threads_and_room_for);
     suite_add_tcase(suite, group);
     return run_suite(suite);
 }
