@@ -235,8 +235,8 @@ mutate gradients optimise.cuh "AdamW: decay left out" 's/\*p \* a->decay/0/'
 mutate occupancy occupancy.cuh "occupancy: measured cells do not decay" 's/ \* m.decay;/;/'
 mutate uneven uneven.cuh "uneven: one texel of a level alone gets a gradient back" 's/k < 4; k++/k < 1; k++/'
 mutate uneven layout.h "uneven: an odd line halves as an even one" 's/rn_rip_taps(size, of, /rn_rip_taps(size \& ~1, of, /'
-try run_trained uneven server/engine/cuda/uneven.cuh "uneven: gradients not cleared" 's/g.fixed\[at + c\] = 0;/;/;s/g.half\[at \/ 4\] = uint2{0, 0};/;/'
-try run_trained uneven server/engine/cuda/uneven.cuh "uneven: a texel of the base counts once" 's/share->first + 1 == of ? share->weight\[1\] : 0/0/'
+mutate second uneven.cuh "uneven: gradients not cleared" 's/g.fixed\[at + c\] = 0;/;/;s/g.half\[at \/ 4\] = uint2{0, 0};/;/'
+mutate uneven uneven.cuh "uneven: a texel of the base counts once" 's/share->first + 1 == of ? share->weight\[1\] : 0/0/'
 # What a card with less shared memory, and a graph that froze its arguments, show.
 mutate cards field.cu "shared memory: two networks staged where one fits" \
     's/if (both <= device->shared_bytes)/if (one <= device->shared_bytes)/'

@@ -6,6 +6,12 @@
 #include "knobs.h"
 
 emu::machine emu::m;
+// RIPNERF_EMULATOR_ORDER: as rn_emulator_order's, of every process.
+static const bool order_given = [] {
+    const char *order = getenv("RIPNERF_EMULATOR_ORDER");
+    if (order) rn_emulator_order(atoi(order), 1);
+    return order != NULL;
+}();
 // RIPNERF_EMULATOR_MEMORY: bytes of every process's device.
 static size_t given_memory() {
     const char *bytes = getenv("RIPNERF_EMULATOR_MEMORY");
