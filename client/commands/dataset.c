@@ -213,10 +213,13 @@ static bool wants_poses(const char *path, const struct import_options *options) 
     if (options->format) return false;
     if (rn_is_film(path)) return true;
     if (rn_formats_recognise(path, found, &count, NULL) != RN_OK || count) return false;
+    char *inner = rn_formats_find_below(path); // whose poses would be left out
+    free(inner);
+    if (inner) return false;
     struct rn_photos photos;
-    if (rn_photos_read(path, options->masks, NULL, &photos, NULL) != RN_OK) return false;
-    rn_photos_finish(&photos);
-    return true;
+    enum rn_status status = rn_photos_read(path, options->masks, NULL, &photos, NULL);
+    if (status == RN_OK) rn_photos_finish(&photos);
+    return status == RN_OK || status == RN_ERROR_UNSUPPORTED;
 }
 
 // As examine, of photographs without poses.

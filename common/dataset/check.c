@@ -1,5 +1,6 @@
 // Whether the images are what their headers promise.
 #include <stdlib.h>
+#include <string.h>
 
 #include "common/dataset/output.h"
 #include "common/dataset/reader.h"
@@ -11,8 +12,23 @@ struct check {
     struct rn_survey *survey;
 };
 
-enum rn_status rn_frame_decode(const struct rn_frame *frame, struct rn_image *ret_image,
-                               struct rn_error *err) {
+// Whether a frame's mask is what its header promises, and uses anything.
+static enum rn_status look_at_mask(const struct rn_frame *frame, bool *ret_hidden,
+                                   struct rn_error *err) {
+    size_t count = (size_t)frame->camera.width * (size_t)frame->camera.height;
+    uint8_t *used = frame->mask_path ? malloc(count) : NULL;
+    *ret_hidden = false;
+    if (!frame->mask_path) return RN_OK;
+    if (!used) return rn_error_set(err, RN_ERROR_NO_MEMORY, frame->mask_path, "out of memory");
+    enum rn_status status = rn_mask_read(frame, used, err);
+    *ret_hidden = status == RN_OK && !memchr(used, 1, count);
+    free(used);
+    return status;
+}
+
+enum rn_status rn_frame_decode(const struct rn_frame *frame, struct rn_survey *survey,
+                               struct rn_image *ret_image, struct rn_error *err) {
+    bool hidden;
     struct rn_image image;
     enum rn_status status = rn_image_read(frame->path, &rn_image_default_limits, &image, err);
     if (status == RN_OK && frame->turn > 1 &&
@@ -25,6 +41,11 @@ enum rn_status rn_frame_decode(const struct rn_frame *frame, struct rn_image *re
         rn_image_finish(&image);
         return status;
     }
+    if ((status = look_at_mask(frame, &hidden, err))) {
+        rn_image_finish(&image);
+        return status;
+    }
+    rn_survey_look(survey, frame, &image, hidden);
     *ret_image = image;
     return RN_OK;
 }
@@ -33,8 +54,7 @@ static enum rn_status check_frame(void *context, size_t index, struct rn_error *
     struct check *check = context;
     struct rn_error *fault = &check->faults[index];
     struct rn_image image;
-    if (rn_frame_decode(&check->dataset->frames[index], &image, fault) == RN_OK) {
-        rn_survey_look(check->survey, &check->dataset->frames[index], &image);
+    if (rn_frame_decode(&check->dataset->frames[index], check->survey, &image, fault) == RN_OK) {
         rn_image_finish(&image);
     } else if (fault->status == RN_ERROR_NO_MEMORY) {
         *err = *fault;

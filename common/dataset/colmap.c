@@ -16,7 +16,9 @@
 #define MAX_CAMERAS 1000000
 
 // Where models lie, in the order in which they are looked for.
-static const char *const places[] = {"sparse/0/", "sparse/", "colmap/sparse/0/", "", NULL};
+static const char *const places[] = {"sparse/0/",        "sparse/1/", "sparse/",
+                                     "colmap/sparse/0/", "",          NULL};
+#define NUMBERED 2 // so many of them are of a folder of models
 
 // A registered photograph.
 struct entry {
@@ -73,16 +75,34 @@ static bool is_there(const struct rn_reader *reader, const char *place, const ch
     return there;
 }
 
-// How many photographs the binary model there has registered; 0 without one.
-static uint64_t registered(const struct rn_reader *reader, const char *place) {
+static FILE *open_images(const struct rn_reader *reader, const char *place, const char *name) {
     char file[256];
-    uint64_t count = 0;
-    snprintf(file, sizeof file, "%simages.bin", place);
+    snprintf(file, sizeof file, "%s%s", place, name);
     char *path = rn_reader_path(reader, file);
     FILE *images = path ? fopen(path, "rbe") : NULL;
-    if (images && fread(&count, 8, 1, images) != 1) count = 0;
-    if (images) fclose(images);
     free(path);
+    return images;
+}
+
+// Two lines an image, the second of which may be empty.
+static uint64_t count_images(FILE *text) {
+    char *line = NULL;
+    size_t capacity = 0;
+    uint64_t lines = 0;
+    while (getline(&line, &capacity, text) >= 0)
+        lines += line[0] != '#';
+    free(line);
+    return (lines + 1) / 2;
+}
+
+// How many photographs the model there has registered; 0 without one.
+static uint64_t registered(const struct rn_reader *reader, const char *place) {
+    uint64_t count = 0;
+    FILE *images = open_images(reader, place, "images.bin");
+    if (images && fread(&count, 8, 1, images) != 1) count = 0;
+    if (!images && (images = open_images(reader, place, "images.txt")))
+        count = count_images(images);
+    if (images) fclose(images);
     return count;
 }
 
@@ -93,6 +113,7 @@ static void choose_largest(struct model *model) {
     for (int i = 1; i < MAX_MODELS; i++) {
         char place[32], *path = NULL;
         snprintf(place, sizeof place, "sparse/%d/", i);
+        if (strcmp(place, model->place) == 0) continue;
         uint64_t count = registered(model->reader, place);
         if (count == 0) continue;
         bool larger = count > most;
@@ -118,7 +139,11 @@ static void find_model(struct model *model) {
             is_there(model->reader, places[j], "cameras.txt"))
             i = j;
     snprintf(model->place, sizeof model->place, "%s", places[i]);
-    if (i == 0) choose_largest(model);
+    if (i < NUMBERED) choose_largest(model);
+    if (is_there(model->reader, model->place, "images.bin") &&
+        is_there(model->reader, model->place, "images.txt"))
+        rn_problems_add(model->reader->problems, RN_SEVERITY_INFO, model->reader->folder,
+                        "has its model %sas text too; the binary one is read", model->place);
     if (is_there(model->reader, model->place, "rigs.bin") ||
         is_there(model->reader, model->place, "rigs.txt"))
         rn_problems_add(model->reader->problems, RN_SEVERITY_INFO, model->reader->folder,
@@ -198,6 +223,8 @@ static enum rn_status add_entry(struct model *model, const struct rn_colmap_imag
                             RN_DATASET_MAX_FRAMES);
     struct entry *entry = &images[model->image_count];
     *entry = (struct entry){.id = image->id, .camera = image->camera, .name = strdup(image->name)};
+    for (char *c = entry->name; c && *c; c++) // of Windows
+        if (*c == '\\') *c = '/';
     memcpy(entry->rotation, image->rotation, sizeof entry->rotation);
     memcpy(entry->translation, image->translation, sizeof entry->translation);
     if (!entry->name) return no_memory(model, err);
@@ -457,6 +484,8 @@ const struct rn_format rn_format_colmap = {
     .title = "COLMAP",
     .signs = (const struct rn_sign[]){{"sparse/0/cameras.bin", NULL},
                                       {"sparse/0/cameras.txt", NULL},
+                                      {"sparse/1/cameras.bin", NULL},
+                                      {"sparse/1/cameras.txt", NULL},
                                       {"sparse/cameras.bin", NULL},
                                       {"sparse/cameras.txt", NULL},
                                       {"colmap/sparse/0/cameras.bin", NULL},

@@ -149,9 +149,13 @@ static enum rn_status next_line(struct rn_colmap_file *file, bool empty, bool *r
                                 struct rn_error *err) {
     ssize_t size;
     while ((size = getline(&file->line, &file->capacity, file->file)) >= 0) {
-        file->number++;
+        if (file->number++ == 0 && strncmp(file->line, "\xef\xbb\xbf", 3) == 0)
+            memmove(file->line, file->line + 3, (size_t)(size -= 3) + 1); // Windows' mark
         if (file->line[size - 1] != '\n')
-            return bad_line(file, "the file ends within this line: copy it again", err);
+            return bad_line(file,
+                            "the file ends within this line: copy it again or, where the line is "
+                            "whole, end it as the others are",
+                            err);
         while (size > 0 && strchr("\r\n", file->line[size - 1]))
             file->line[--size] = 0;
         (void)sscanf(file->line, "# Number of %*[a-z]: %" SCNu64, &file->count);

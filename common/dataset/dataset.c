@@ -169,12 +169,22 @@ static enum rn_status settle_place(struct rn_reader *reader, struct rn_error *er
 }
 
 static enum rn_status nothing_found(const struct rn_reader *reader, struct rn_error *err) {
-    char signs[256] = "";
+    char signs[256] = "", *inner = rn_formats_find_below(reader->folder);
+    enum rn_status status;
     for (size_t i = 0, used = 0; rn_formats[i] && used < sizeof signs; i++)
-        used += (size_t)snprintf(signs + used, sizeof signs - used, "%s%s (%s)", i ? ", " : "",
-                                 rn_formats[i]->signs[0].file, rn_formats[i]->title);
-    return rn_error_set(err, RN_ERROR_NOT_FOUND, reader->folder,
-                        "holds no dataset: none of these is there: %s", signs);
+        if (i == 0 || strcmp(rn_formats[i]->signs[0].file, rn_formats[i - 1]->signs[0].file) != 0)
+            used += (size_t)snprintf(signs + used, sizeof signs - used, "%s%s", i ? ", " : "",
+                                     rn_formats[i]->signs[0].file);
+    if (inner)
+        status = rn_error_set(err, RN_ERROR_NOT_FOUND, reader->folder,
+                              "holds no dataset, but %s does: give that folder, or look for poses "
+                              "anew with --poses find",
+                              inner);
+    else
+        status = rn_error_set(err, RN_ERROR_NOT_FOUND, reader->folder,
+                              "holds no dataset: none of these is there: %s", signs);
+    free(inner);
+    return status;
 }
 
 static void forget_documents(struct rn_dataset *dataset) {

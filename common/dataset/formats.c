@@ -1,13 +1,18 @@
 #include "common/dataset/formats.h"
 
+#include <dirent.h>
 #include <errno.h>
 #include <fcntl.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <strings.h>
 #include <unistd.h>
 
 #include "common/dataset/reader.h"
+
+#define DEEPEST 3      // folders below one in which a dataset is looked for
+#define MOST_INNER 999 // and how many of them
 
 #define FORMATS(ROW)                                                                               \
     ROW(native)                                                                                    \
@@ -58,10 +63,46 @@ static bool is_dataset(const char *folder) {
     return rn_formats_recognise(folder, found, &count, NULL) == RN_OK && count;
 }
 
+static int is_folder(const struct dirent *entry) {
+    bool may_be = entry->d_type == DT_DIR || entry->d_type == DT_LNK || entry->d_type == DT_UNKNOWN;
+    return entry->d_name[0] != '.' && may_be;
+}
+
+// The first dataset so many folders below; malloc'd, NULL where there is none.
+static char *find_at(const char *folder, int depth, int *left) {
+    struct dirent **entries;
+    char *found = NULL;
+    int count = scandir(folder, &entries, is_folder, alphasort);
+    for (int i = 0; i < count; i++) {
+        char *path = NULL;
+        if (!found && --*left >= 0 && asprintf(&path, "%s/%s", folder, entries[i]->d_name) >= 0)
+            found = depth > 1          ? find_at(path, depth - 1, left)
+                    : is_dataset(path) ? strdup(path)
+                                       : NULL;
+        free(path);
+        free(entries[i]);
+    }
+    if (count >= 0) free(entries);
+    return found;
+}
+
+char *rn_formats_find_below(const char *folder) {
+    char *found = NULL;
+    int left = MOST_INNER;
+    for (int depth = 1; depth <= DEEPEST && !found; depth++)
+        found = find_at(folder, depth, &left);
+    return found;
+}
+
 // Names the nearest folder above a file that is of a format, else the one that the file is in.
 static enum rn_status complain_of_file(const char *file, struct rn_error *err) {
+    static const char *const archives[] = {".zip", ".tar", ".gz", ".tgz", ".7z", ".rar", NULL};
     char folder[256], first[256] = "";
-    const char *slash;
+    const char *slash, *dot = strrchr(file, '.');
+    for (size_t i = 0; dot && archives[i]; i++)
+        if (strcasecmp(dot, archives[i]) == 0)
+            return rn_error_set(err, RN_ERROR_INVALID, file,
+                                "is an archive: unpack it and give its folder");
     if (snprintf(folder, sizeof folder, "%s", file) >= (int)sizeof folder)
         return rn_error_set(err, RN_ERROR_INVALID, file, "is a file, not a folder");
     do {

@@ -49,5 +49,8 @@ void rn_format_names(char *text, size_t capacity);
 // RN_ERROR_INVALID when it is none.
 enum rn_status rn_formats_recognise(const char *folder, const struct rn_format *ret_found[],
                                     size_t *ret_count, struct rn_error *err) RN_MUST_CHECK;
+// The folder of a dataset that is nearest below this one, as in an archive of a folder; malloc'd,
+// NULL where there is none.
+char *rn_formats_find_below(const char *folder);
 
 #endif

@@ -88,15 +88,20 @@ static enum rn_status describe_output(const struct import *import, const struct 
     return rn_error_set(err, RN_ERROR_NO_MEMORY, view->path, "out of memory");
 }
 
-// Black below half, so that what a lossy file blurred does not count; opaque.
-static void make_binary(struct rn_image *mask) {
-    size_t bytes = 4 * (size_t)mask->width * (size_t)mask->height;
-    for (size_t i = 0; i < bytes; i += 4) {
-        int sum = mask->pixels[i] + mask->pixels[i + 1] + mask->pixels[i + 2];
-        memset(mask->pixels + i, sum >= 3 * 128 ? 255 : 0, 3);
-        mask->pixels[i + 3] = 255;
+// What is used of a view by its mask: white, opaque; else black.
+static enum rn_status read_mask(const struct rn_frame *view, struct rn_image *ret_mask,
+                                struct rn_error *err) {
+    size_t count = (size_t)view->camera.width * (size_t)view->camera.height;
+    uint8_t *used = malloc(count);
+    if (!used) return rn_error_set(err, RN_ERROR_NO_MEMORY, view->mask_path, "out of memory");
+    enum rn_status status = rn_mask_read(view, used, err);
+    if (!status) status = rn_image_init(view->camera.width, view->camera.height, ret_mask, err);
+    for (size_t i = 0; i < count && !status; i++) {
+        memset(ret_mask->pixels + 4 * i, used[i] ? 255 : 0, 3);
+        ret_mask->pixels[4 * i + 3] = 255;
     }
-    mask->has_alpha = false;
+    free(used);
+    return status;
 }
 
 // Where any part of a pixel is left out, all of it is.
@@ -116,9 +121,8 @@ static enum rn_status write_mask(const struct rn_frame *view, struct rn_frame *o
         output->mask_path = NULL;
         return rn_error_set(err, RN_ERROR_NO_MEMORY, view->path, "out of memory");
     }
-    enum rn_status status = rn_image_read(view->mask_path, &rn_image_default_limits, &mask, err);
+    enum rn_status status = read_mask(view, &mask, err);
     if (status) return status;
-    make_binary(&mask);
     if (mask.width != width || mask.height != height) {
         status = rn_image_downscale(&mask, width, height, RN_DOWNSCALE_PREMULTIPLIED, &scaled, err);
         rn_image_finish(&mask);
@@ -205,14 +209,14 @@ static enum rn_status import_view(void *context, size_t index, struct rn_error *
     const struct rn_frame *view = import->views[index];
     struct rn_error *fault = &import->faults[index];
     struct rn_image image;
-    enum rn_status status = rn_frame_decode(view, &image, fault); // its fault, not the import's
+    enum rn_status status = rn_frame_decode(view, import->options->survey, &image,
+                                            fault); // its fault, not the import's
     if (status == RN_ERROR_NO_MEMORY) {
         *err = *fault;
         return status;
     }
     if (status) return RN_OK;
     rn_exposures_look(import->exposures, view, &image);
-    rn_survey_look(import->options->survey, view, &image);
     int width, height;
     scaled_size(view, import->options, 0, &width, &height);
     if (width != image.width || height != image.height) {

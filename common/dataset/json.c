@@ -57,8 +57,19 @@ static void blank_comments(char *json, size_t size_bytes) {
     }
 }
 
+// Windows' editors begin a text with a mark that says how it is encoded.
+static enum rn_status drop_mark(char *text, size_t size_bytes, const char *where,
+                                struct rn_error *err) {
+    if (size_bytes >= 3 && memcmp(text, "\xef\xbb\xbf", 3) == 0) memset(text, ' ', 3);
+    bool wide =
+        size_bytes >= 2 && (memcmp(text, "\xff\xfe", 2) == 0 || memcmp(text, "\xfe\xff", 2) == 0);
+    return wide ? rn_error_set(err, RN_ERROR_INVALID, where, "is UTF-16; save it as UTF-8") : RN_OK;
+}
+
 static enum rn_status parse_in_place(char *json, size_t size_bytes, const char *where,
                                      json_t **ret_root, struct rn_error *err) {
+    enum rn_status status = drop_mark(json, size_bytes, where, err);
+    if (status) return status;
     quote_nonfinite(json, size_bytes);
     json_error_t error;
     json_t *root = rn_json_load(json, size_bytes, &error);

@@ -17,11 +17,19 @@
 
 static const char *const films[] = {".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi", NULL};
 
-bool rn_is_film(const char *name) {
+// Pictures that are not read.
+static const char *const others[] = {".bmp", ".gif", ".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf",
+                                     ".orf", ".rw2", ".jxl", ".jp2", ".psd", ".tga", NULL};
+
+static bool has_extension(const char *name, const char *const *extensions) {
     const char *dot = strrchr(name, '.');
-    for (size_t i = 0; dot && films[i]; i++)
-        if (strcasecmp(dot, films[i]) == 0) return true;
+    for (size_t i = 0; dot && extensions[i]; i++)
+        if (strcasecmp(dot, extensions[i]) == 0) return true;
     return false;
+}
+
+bool rn_is_film(const char *name) {
+    return has_extension(name, films);
 }
 
 static void finish_photo(struct rn_photo *photo) {
@@ -45,6 +53,8 @@ struct walk {
     struct rn_photos photos;
     size_t capacity;
     int film_count;
+    size_t unread; // pictures of kinds that are not read
+    char first_unread[128];
 };
 
 static enum rn_status no_memory(const struct walk *walk, struct rn_error *err) {
@@ -114,6 +124,8 @@ static enum rn_status look_at(struct walk *walk, const char *path, int depth,
     }
     if (!S_ISREG(about.st_mode)) return RN_OK;
     if (rn_reader_is_photo(name)) return add_photo(walk, path, err);
+    if (has_extension(name, others) && !walk->unread++)
+        snprintf(walk->first_unread, sizeof walk->first_unread, "%s", name);
     if (!rn_is_film(name)) return RN_OK;
     walk->film_count++;
     free(walk->photos.film);
@@ -198,10 +210,47 @@ static void look_for_masks(struct walk *walk, const char *path) {
                         "%zu photographs have masks, whose black pixels are left out", found);
 }
 
+// Where photographs lie in a folder of their own, those beside it.
+static enum rn_status count_beside(const char *path, const char *root, size_t *ret_count,
+                                   struct rn_error *err) {
+    struct dirent **entries;
+    int count = strcmp(path, root) == 0 ? 0 : scandir(path, &entries, is_visible, NULL);
+    if (count < 0) return rn_error_from_errno(err, errno, path, "list the folder");
+    *ret_count = 0;
+    for (int i = 0; i < count; i++) {
+        *ret_count += rn_reader_is_photo(entries[i]->d_name);
+        free(entries[i]);
+    }
+    if (strcmp(path, root) != 0) free(entries);
+    return RN_OK;
+}
+
+static enum rn_status tell_left_out(const struct walk *walk, const char *path,
+                                    struct rn_error *err) {
+    size_t beside = 0;
+    enum rn_status status = count_beside(path, walk->root, &beside, err);
+    if (beside)
+        rn_problems_add(walk->problems, RN_SEVERITY_WARNING, path,
+                        "has photographs outside of its folder %s too, %zu, which are left out: "
+                        "put them there as well, or give a folder without it",
+                        rn_photo_folders[0], beside);
+    if (walk->unread)
+        rn_problems_add(walk->problems, RN_SEVERITY_WARNING, walk->root,
+                        "has %zu pictures of kinds that are not read, the first %s; they are left "
+                        "out: save them as PNG, JPEG or TIFF",
+                        walk->unread, walk->first_unread);
+    return status;
+}
+
 static enum rn_status gather(struct walk *walk, const char *path, struct rn_error *err) {
     enum rn_status status = look_through(walk, walk->root, 0, err);
     if (status) return status;
     if (!walk->photos.count && walk->film_count == 1) return RN_OK;
+    if (!walk->photos.count && walk->unread)
+        return rn_error_set(err, RN_ERROR_UNSUPPORTED, path,
+                            "holds no photograph that is read, but %zu of other kinds, the first "
+                            "%s: save them as PNG, JPEG or TIFF",
+                            walk->unread, walk->first_unread);
     if (!walk->photos.count)
         return rn_error_set(err, RN_ERROR_NOT_FOUND, path,
                             walk->film_count ? "holds several films: give one of them"
@@ -211,7 +260,7 @@ static enum rn_status gather(struct walk *walk, const char *path, struct rn_erro
     qsort(walk->photos.items, walk->photos.count, sizeof *walk->photos.items, compare_photos);
     judge(&walk->photos);
     look_for_masks(walk, path);
-    return RN_OK;
+    return tell_left_out(walk, path, err);
 }
 
 enum rn_status rn_photos_read(const char *path, const char *masks, struct rn_problems *problems,
@@ -309,7 +358,7 @@ static enum rn_status decode(void *context, size_t index, struct rn_error *err) 
     enum rn_status status =
         rn_image_read(decoding->photos->items[index].path, &rn_image_default_limits, &image, fault);
     if (status == RN_OK) {
-        rn_survey_look(decoding->survey, &decoding->frames->frames[index], &image);
+        rn_survey_look(decoding->survey, &decoding->frames->frames[index], &image, false);
         rn_image_finish(&image);
     }
     if (status == RN_ERROR_NO_MEMORY) *err = *fault;

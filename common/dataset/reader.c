@@ -59,8 +59,8 @@ enum rn_status rn_reader_json(struct rn_reader *reader, const char *name, bool c
 }
 
 const char *const rn_photo_folders[] = {"images", "images_2", "images_4", "images_8", NULL};
-static const char *const extensions[] = {".png",  ".jpg",  ".jpeg", ".webp", ".tif", ".tiff",
-                                         ".heic", ".heif", ".avif", ".exr",  NULL};
+static const char *const extensions[] = {".png",  ".jpg",  ".jpeg", ".jfif", ".webp", ".tif",
+                                         ".tiff", ".heic", ".heif", ".avif", ".exr",  NULL};
 
 bool rn_reader_is_photo(const char *name) {
     const char *dot = strrchr(name, '.');
@@ -83,14 +83,57 @@ bool rn_reader_has(const struct rn_reader *reader, const char *file) {
     return there;
 }
 
-// The name with `extension` where it has none of an image; with RN_ANY_EXTENSION, one by which the
-// file is there, else ".png".
-static void put_extension(const struct rn_reader *reader, const char *name, const char *extension,
+// Whether "NAME.ext" or "NAME.EXT" is there, which is then *ret_file.
+static bool has_either_case(const struct rn_reader *reader, const char *stem, size_t size,
+                            const char *extension, char ret_file[RN_FILE_NAME_MAX]) {
+    char file[RN_FILE_NAME_MAX];
+    for (int upper = 0; upper < 2; upper++) {
+        snprintf(file, sizeof file, "%.*s%s", (int)size, stem, extension);
+        for (char *c = file + size; size < sizeof file && *c; c++)
+            *c = (char)(upper ? toupper((unsigned char)*c) : tolower((unsigned char)*c));
+        if (!rn_reader_has(reader, file)) continue;
+        snprintf(ret_file, RN_FILE_NAME_MAX, "%s", file);
+        return true;
+    }
+    return false;
+}
+
+// The file that the name stands for: as it is written where that is there, else with its extension
+// in another case or, where it has none of an image, with `extension`; with RN_ANY_EXTENSION, one
+// by which the file is there, else ".png".
+static bool put_extension(const struct rn_reader *reader, const char *name, const char *extension,
                           char file[RN_FILE_NAME_MAX]) {
     bool any = strcmp(extension, RN_ANY_EXTENSION) == 0, whole = rn_reader_is_photo(name);
-    snprintf(file, RN_FILE_NAME_MAX, "%s%s", name, whole ? "" : any ? extensions[0] : extension);
-    for (size_t i = 0; any && !whole && extensions[i] && !rn_reader_has(reader, file); i++)
-        snprintf(file, RN_FILE_NAME_MAX, "%s%s", name, extensions[i]);
+    const char *dot = whole ? strrchr(name, '.') : name + strlen(name), *wanted = extension;
+    if (whole || any) wanted = whole ? dot : extensions[0];
+    snprintf(file, RN_FILE_NAME_MAX, "%s", name);
+    if (strrchr(name, '.') > strrchr(name, '/') && rn_reader_has(reader, file)) return true;
+    snprintf(file, RN_FILE_NAME_MAX, "%.*s%s", (int)(dot - name), name, wanted);
+    bool found = has_either_case(reader, name, (size_t)(dot - name), wanted, file);
+    for (size_t i = 0; any && !whole && !found && extensions[i]; i++)
+        found = has_either_case(reader, name, (size_t)(dot - name), extensions[i], file);
+    return found;
+}
+
+// A photograph of full size that is not there, among those made smaller.
+static bool find_smaller(struct rn_reader *reader, const char *where, const char *name,
+                         const char *extension, char file[RN_FILE_NAME_MAX]) {
+    size_t size = strlen(rn_photo_folders[0]);
+    char other[RN_FILE_NAME_MAX + 16], there[RN_FILE_NAME_MAX];
+    if (strncmp(name, rn_photo_folders[0], size) != 0 || name[size] != '/') return false;
+    for (const char *const *folder = rn_photo_folders + 1; *folder; folder++) {
+        snprintf(other, sizeof other, "%s%s", *folder, name + size);
+        if (strlen(other) >= RN_FILE_NAME_MAX || !put_extension(reader, other, extension, there))
+            continue;
+        if (rn_reader_says(reader, "smaller"))
+            rn_problems_add(reader->problems, RN_SEVERITY_INFO, where,
+                            "\"%.150s\" is not there; %.150s is taken, and so are others of that "
+                            "folder",
+                            name, there);
+        strcpy(file, there);
+        return true;
+    }
+    return false;
 }
 
 // Where a path's part within the dataset's folder may begin: behind its last "..", and behind the
@@ -137,13 +180,16 @@ static enum rn_status locate(struct rn_reader *reader, const char *where, const 
         if (*c == '\\') *c = '/';
     const char *inner = inner_part(name, &fault);
     if (!fault) {
-        put_extension(reader, name, extension, file);
+        const char *plain = name;
+        while (plain[0] == '.' && plain[1] == '/')
+            plain += 2;
+        if (!put_extension(reader, plain, extension, file))
+            (void)find_smaller(reader, where, plain, extension, file);
         return RN_OK;
     }
     for (; inner && *inner; inner = strchr(inner, '/')) {
         inner += strspn(inner, "/");
-        put_extension(reader, inner, extension, file);
-        if (!*inner || !rn_reader_has(reader, file)) continue;
+        if (!put_extension(reader, inner, extension, file) || !*inner) continue;
         if (!reader->told_moved)
             rn_problems_add(reader->problems, RN_SEVERITY_INFO, where,
                             "\"%.200s\" lies outside of the folder; %.200s, found by its name, is "
@@ -291,9 +337,12 @@ enum rn_status rn_reader_add(struct rn_reader *reader, struct rn_frame *frame,
     if (status == RN_ERROR_NOT_FOUND) {
         if (!reader->missing_count++) reader->missing = *err;
         reader->last_missing = *err;
-    } else {
-        rn_problems_add(reader->problems, RN_SEVERITY_ERROR, err->where, "%s", err->text);
+        return RN_OK;
     }
+    bool same =
+        strcmp(reader->fault.where, err->where) == 0 && strcmp(reader->fault.text, err->text) == 0;
+    reader->fault = *err;
+    if (!same) rn_problems_add(reader->problems, RN_SEVERITY_ERROR, err->where, "%s", err->text);
     return RN_OK;
 }
 

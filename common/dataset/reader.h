@@ -23,10 +23,12 @@ struct rn_reader {
     size_t capacity;       // of dataset->frames
     json_t *reported;      // what was told once: unknown fields, and rn_reader_says
     bool missing_is_usual; // a photograph that is not there is no fault of the dataset
+    bool dynamic_masks;    // dynamic_mask_NAME.png beside a photograph is its mask
     struct rn_error missing, last_missing; // the first and the last photograph that is not there
     size_t missing_count;
-    double resized;  // widths by those that the source says; NAN: not all alike; 0: none yet
-    bool told_moved; // that files named outside of the folder were found within
+    struct rn_error fault; // what was told last: of the whole file, it is told once
+    double resized;        // widths by those that the source says; NAN: not all alike; 0: none yet
+    bool told_moved;       // that files named outside of the folder were found within
 };
 
 // A format's `read` appends frames in any order. A bad document is an error, a bad frame a problem.
@@ -129,8 +131,10 @@ enum rn_status rn_dataset_seal(struct rn_dataset *dataset, const char *where,
                                const struct rn_problems *problems,
                                struct rn_error *err) RN_MUST_CHECK;
 void rn_frame_finish(struct rn_frame *frame);
-// Decodes a frame's image, which must have the size that its header had when it was read.
-enum rn_status rn_frame_decode(const struct rn_frame *frame, struct rn_image *ret_image,
-                               struct rn_error *err) RN_MUST_CHECK;
+// Decodes a frame's image, which must have the size that its header had when it was read, and shows
+// it to the survey (optional). A mask that cannot be read is a fault of the frame.
+struct rn_survey;
+enum rn_status rn_frame_decode(const struct rn_frame *frame, struct rn_survey *survey,
+                               struct rn_image *ret_image, struct rn_error *err) RN_MUST_CHECK;
 
 #endif

@@ -29,7 +29,7 @@ struct look {
     int index, scale;
     float sharpness, brightness;
     uint8_t thumb[THUMB * THUMB];
-    bool seen;
+    bool seen, hidden;
 };
 
 struct rn_survey {
@@ -115,9 +115,10 @@ static void take_thumb(const float *grey, int width, int height, struct look *lo
 }
 
 void rn_survey_look(struct rn_survey *survey, const struct rn_frame *frame,
-                    const struct rn_image *image) {
+                    const struct rn_image *image, bool hidden) {
     if (!survey) return;
     struct look *look = &survey->looks[frame - survey->first];
+    look->hidden = hidden;
     int longest = image->width > image->height ? image->width : image->height;
     int cell = longest > SIDE ? (longest + SIDE / 2) / SIDE : 1;
     int width = image->width / cell, height = image->height / cell;
@@ -221,6 +222,17 @@ static bool same_place(const struct rn_camera *a, const struct rn_camera *b, dou
     for (int i = 0; i < 3; i++)
         cosine += a->world_from_camera[i][2] * b->world_from_camera[i][2];
     return centre_distance(a, b) < NEAR * distance && cosine > cos(NEAR_DEG * M_PI / 180);
+}
+
+static void find_hidden(const struct all *all) {
+    struct names names = {.count = 0};
+    for (size_t i = 0; i < all->count; i++)
+        if (all->looks[i]->hidden) add_name(&names, all->frames[i]->name);
+    if (names.count)
+        rn_problems_add(all->problems, RN_SEVERITY_WARNING, all->dataset->name,
+                        "%zu photographs are left out as a whole, since their masks are black "
+                        "everywhere: %s; what is used must be white",
+                        names.count, names.text);
 }
 
 static double thumb_difference(const struct look *a, const struct look *b) {
@@ -443,6 +455,7 @@ enum rn_status rn_survey_conclude(struct rn_survey *survey, struct rn_dataset *d
     if (status == RN_OK) {
         if (all.looked) find_blurred(&all);
         if (all.looked) find_duplicates(&all, place.distance);
+        find_hidden(&all);
         find_looking_away(&all);
         find_coverage(&all);
         find_exposure(&all, survey, dataset);

@@ -40,9 +40,10 @@ struct rn_training_cost rn_training_cost(const struct rn_dataset *dataset,
 enum rn_status rn_survey_create(const struct rn_dataset *dataset, struct rn_survey **ret_survey,
                                 struct rn_error *err) RN_MUST_CHECK;
 void rn_survey_destroy(struct rn_survey **survey);
-// Looks at a decoded frame, one of the dataset's as they lay when the survey began. NULL-safe.
+// Looks at a decoded frame, one of the dataset's as they lay when the survey began; `hidden`: its
+// mask leaves nothing of it. NULL-safe.
 void rn_survey_look(struct rn_survey *survey, const struct rn_frame *frame,
-                    const struct rn_image *image);
+                    const struct rn_image *image, bool hidden);
 // What was seen of the frames that `dataset` still has, and the figures of its poses, which are all
 // there is where nothing was looked at; what is worth knowing also goes into `problems` (optional),
 // with names. `kept`: how an import would keep them, which a training's memory is of.

@@ -48,6 +48,27 @@ static const char *const of_root[] = {"frames",
 static const char *const of_frame[] = {
     "file_path",  "transform_matrix", "sharpness", "colmap_im_id",
     "depth_path", "depth_file_path",  "mask_path", NULL};
+
+// Of Windows' paths.
+static void turn_slashes(json_t *text) {
+    const char *from = json_string_value(text);
+    char *path = from && strchr(from, '\\') ? strdup(from) : NULL;
+    for (char *c = path; c && *c; c++)
+        if (*c == '\\') *c = '/';
+    if (path) (void)json_string_set(text, path);
+    free(path);
+}
+
+static void turn_all_slashes(const struct transforms *transforms) {
+    size_t i;
+    json_t *frame, *text;
+    json_array_foreach((json_t *)transforms->frames.value, i, frame)
+        turn_slashes(json_object_get(frame, "file_path"));
+    for (int split = 0; split < RN_SPLIT_COUNT; split++)
+        json_array_foreach(json_object_get(transforms->intrinsics.root.value, list_names[split]), i,
+                           text) turn_slashes(text);
+}
+
 static const char *without_dot(const char *path) {
     while (path[0] == '.' && path[1] == '/')
         path += 2;
@@ -227,6 +248,7 @@ static enum rn_status read_document(struct rn_reader *reader, const struct rn_js
     enum rn_status status =
         rn_json_array(root, "frames", 1, RN_DATASET_MAX_FRAMES, &transforms->frames, err);
     if (status) return status;
+    turn_all_slashes(transforms);
     rn_intrinsics_warn_unknown(reader, root, of_root);
     tell_crop(reader, root);
     status = sort_frames(transforms, err);
@@ -242,7 +264,7 @@ static enum rn_status read_document(struct rn_reader *reader, const struct rn_js
 
 static enum rn_status read_ngp(struct rn_reader *reader, struct rn_error *err) {
     struct transforms transforms = {.intrinsics = {.frame_wins = true}};
-    reader->missing_is_usual = true;
+    reader->missing_is_usual = reader->dynamic_masks = true;
     return rn_reader_json(reader, DOCUMENT, true, read_document, &transforms, err);
 }
 

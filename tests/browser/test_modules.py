@@ -280,11 +280,21 @@ def test_upload_takes_what_the_json_names(blank):
           ...[1, 2, 3].map((n) => file(`trip/images/IMG_${n}.HEIC`, 'abc')),
           file('trip/images/.thumb.jpg', 'x'), file('trip/notes.txt', 'x')
         ]);
+        const paths = async (...entries) => (await planUpload(entries)).entries.map((e) => e.path);
+        const awkward = [
+          await paths(file('d/transforms.json', `\ufeff${json(['images/a.png', './images/b'])}`),
+                      file('d/images/a.PNG', 'x'), file('d/images/b.JPG', 'x'),
+                      file('d/images/dynamic_mask_a.png', 'x'), file('d/masks/sub/b.png', 'x')),
+          await paths(file('d/transforms.json',
+                           '{"k1": NaN, "frames": [{"file_path": "images/NaN.png", "m": -Infinity}]}'),
+                      file('d/images_4/NaN.png', 'x'))
+        ];
         const film = await planUpload([file('walk/a.MOV', 'abcd'), file('walk/a.txt', 'x')]);
         return {
           bare: {...bare, entries: bare.entries.map((e) => e.path)},
           film: {...film, entries: film.entries.map((e) => e.path)},
           good: {...good, entries: good.entries.map((e) => e.path)},
+          awkward,
           multi: multi.layout,
           none: none.problem,
           broken: broken.problem,
@@ -292,6 +302,9 @@ def test_upload_takes_what_the_json_names(blank):
         };""",
         formats,
     )
+    assert [sorted(paths) for paths in result["awkward"]] == [
+        ["images/a.PNG", "images/b.JPG", "images/dynamic_mask_a.png", "masks/sub/b.png", "transforms.json"],
+        ["images_4/NaN.png", "transforms.json"]]
     good = result["good"]
     assert good["name"] == "my-lego" and good["views"] == {"train": 2, "test": 1}
     assert sorted(good["entries"]) == [

@@ -38,10 +38,27 @@ export async function entriesOfDrop(items) {
   return entries;
 }
 
-const EXTENSIONS = ['png', 'jpg', 'jpeg', 'webp', 'tif', 'tiff', 'heic', 'heif', 'avif', 'exr'];
+const EXTENSIONS =
+    ['png', 'jpg', 'jpeg', 'jfif', 'webp', 'tif', 'tiff', 'heic', 'heif', 'avif', 'exr'];
+const SMALLER = ['images_2', 'images_4', 'images_8'];  // where images/ has none
 const FILMS = ['mp4', 'mov', 'm4v', 'mkv', 'webm', 'avi'];
 const FEWEST = 3;  // photographs that poses are found for
 const NAMING = ['file_path', 'mask_path', 'ply_file_path', 'ply_file_path', 'file', 'mask'];
+
+/** What a path may stand for: itself, another case of its extension, the same in a smaller size. */
+function choicesOf(path) {
+  const [, stem, extension] = /^(.*)\.([A-Za-z0-9]{2,4})$/.exec(path) ?? [path, path];
+  const cased = (extension ? [extension] : EXTENSIONS)
+                    .flatMap((one) => [one.toLowerCase(), one.toUpperCase()])
+                    .map((one) => `${stem}.${one}`);
+  const named = extension ? [path, ...cased] : cased;
+  const inner = /^images\/(.*)/;
+  return [
+    ...named, ...SMALLER.flatMap(
+                  (folder) => named.filter((one) => inner.test(one))
+                                  .map((one) => one.replace(inner, `${folder}/$1`)))
+  ];
+}
 
 /**
  * The dataset's file that a document means: "./train/r_0" is "train/r_0.png" where no file says
@@ -50,8 +67,7 @@ const NAMING = ['file_path', 'mask_path', 'ply_file_path', 'ply_file_path', 'fil
  */
 export function imagePath(named, files) {
   const path = named.replaceAll('\\', '/').replace(/^(\.\/)+/, '');
-  const whole = /\.[A-Za-z0-9]{2,4}$/.test(path);
-  const choices = whole ? [path] : EXTENSIONS.map((extension) => `${path}.${extension}`);
+  const choices = choicesOf(path);
   if (!/^\/|^[A-Za-z]:|(^|\/)\.\.(\/|$)/.test(path))
     return choices.find((choice) => files.has(choice)) ?? choices[0];
   for (const choice of choices) {
@@ -80,9 +96,10 @@ function viewsIn(fileName, json) {
   return {photographs: json.frames?.length ?? 0};
 }
 
-/** JSON with comments, which some programs write. */
-const withoutComments = (text) =>
-    text.replace(/("(?:\\.|[^"\\])*")|\/\/[^\n]*|\/\*[\s\S]*?\*\//g, '$1');
+/** JSON without what some programs write into it: comments, and numbers that are none. */
+const plainJson = (text) => text.replace(
+    /("(?:\\.|[^"\\])*")|-?\b(NaN|Infinity)\b|\/\/[^\n]*|\/\*[\s\S]*?\*\//g,
+    (all, string, number) => string ?? (number ? 'null' : ''));
 
 const isPhoto = (path) => EXTENSIONS.includes(path.split('.').at(-1).toLowerCase());
 const pattern = (text) =>
@@ -104,7 +121,7 @@ async function bearsSign(format, files) {
     if (!files.has(file)) continue;
     if (!member) return true;
     try {
-      if (member in JSON.parse(withoutComments(await files.get(file).text()))) return true;
+      if (member in JSON.parse(plainJson(await files.get(file).text()))) return true;
     } catch {
       continue;  // no sign then; whoever reads it as a document says why
     }
@@ -179,13 +196,14 @@ export async function planUpload(entries, formats) {
   const described = [...files.keys()].filter((path) => documents.some((one) => one.test(path)));
   const photos = [...files.keys()].filter(
       (path) => isPhoto(path) && folders.some((folder) => path.startsWith(`${folder}/`)));
-  const wanted = new Set([...described, ...photos]);
+  const masks = [...files.keys()].filter((path) => isPhoto(path) && /mask/i.test(path));
+  const wanted = new Set([...described, ...photos, ...masks]);
   plan.layout = format.title;
   if (photos.length) plan.views.photographs = photos.length;
   for (const path of described.filter((name) => name.endsWith('.json'))) {
     let json;
     try {
-      json = JSON.parse(withoutComments(await files.get(path).text()));
+      json = JSON.parse(plainJson(await files.get(path).text()));
     } catch (error) { return {...plan, problem: `${path}: ${error.message}`}; }
     namesIn(json).forEach((name) => wanted.add(imagePath(name, files)));
     for (const [split, count] of Object.entries(viewsIn(path, json)))

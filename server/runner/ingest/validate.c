@@ -79,7 +79,7 @@ static enum rn_status look_at(void *context, size_t index, struct rn_error *err)
     under(frame->path, looks->root, file);
     snprintf(path, sizeof path, "%s/%s/%s.jpg", looks->root, RN_PHOTOS_LOOKS, file);
     if (rn_image_read(path, &look_limits, &image, NULL) != RN_OK) return RN_OK;
-    if (lay_down(frame, &image, NULL) == RN_OK) rn_survey_look(looks->survey, frame, &image);
+    if (lay_down(frame, &image, NULL) == RN_OK) rn_survey_look(looks->survey, frame, &image, false);
     rn_image_finish(&image);
     return RN_OK;
 }

@@ -449,7 +449,7 @@ START_TEST(imported) {
     put_png("masks/sub/a b.png", 40, 30, PNG_COLOR_TYPE_RGB, 8, PNG_INTERLACE_NONE);
     read_ok(folder);
     ck_assert_uint_eq(problems.errors, 0);
-    ck_assert(tells(RN_SEVERITY_INFO, "2 photographs have masks"));
+    ck_assert(tells(RN_SEVERITY_INFO, "2 of 3 photographs have masks"));
     struct rn_import_options options = {.max_size = 20, .scales = 2, .test_every = 2, .threads = 1};
     struct rn_dataset *source = dataset;
     dataset = NULL;
