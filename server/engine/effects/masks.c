@@ -1,7 +1,8 @@
 // Masks: pixels that are no part of the scene, such as who walks by. No training ray goes through
 // them, and no evaluation counts them. Where they leave out most of the photographs, they cut an
 // object out of its surroundings, as an alpha channel does: what they leave out is empty. Otherwise
-// nothing would keep it so, and what fills it would show each photograph its own picture.
+// nothing would keep it so, and what fills it would show each photograph its own picture. Where the
+// effect is asked for, they do so however little they leave out.
 #include <stdio.h>
 
 #include "common/dataset/calls.h"
@@ -11,9 +12,10 @@ static void prepare(const struct rn_dataset *dataset, struct rn_train_config *co
                     struct rn_bounds *bounds, struct rn_effect_record *r) {
     (void)bounds;
     (void)r;
-    bool used = config->effect[RN_EFFECT_MASKS] != RN_EFFECT_UNWANTED;
-    if (config->auto_effects)
-        config->cut_out = used && rn_share_left_out(dataset) > RN_SHARE_LEFT_OUT;
+    enum rn_effect_choice choice = config->effect[RN_EFFECT_MASKS];
+    double most = choice == RN_EFFECT_WANTED ? 0 : RN_SHARE_LEFT_OUT;
+    if (config->auto_effects || choice == RN_EFFECT_WANTED)
+        config->cut_out = choice != RN_EFFECT_UNWANTED && rn_share_left_out(dataset) > most;
 }
 
 // Pixels that no mask has made transparent.

@@ -38,7 +38,7 @@ static void teardown(void) {
     (void)!rn_remove_tree(folder, NULL);
 }
 
-static struct rn_trainer *make_trainer(void) {
+static struct rn_trainer *make_trainer_as(enum rn_effect_choice masks) {
     struct rn_error err = {0};
     struct rn_train_config config;
     struct rn_trainer *trainer;
@@ -50,8 +50,13 @@ static struct rn_trainer *make_trainer(void) {
     config.initial_rays = 256;
     config.max_seconds = 0;
     config.max_steps = STEPS;
+    config.effect[RN_EFFECT_MASKS] = masks;
     must(rn_trainer_create(engine, dataset, &config, 0, &trainer, &err), &err);
     return trainer;
+}
+
+static struct rn_trainer *make_trainer(void) {
+    return make_trainer_as(RN_EFFECT_AUTO);
 }
 
 static void train(struct rn_trainer *trainer) {
@@ -138,6 +143,20 @@ START_TEST(masks_that_leave_out_little) {
 }
 END_TEST
 
+// However little they leave out, where that is asked for; and none do where they are not wanted.
+START_TEST(masks_that_cut_out_on_request) {
+    put_masks(false);
+    struct rn_trainer *trainer = make_trainer_as(RN_EFFECT_WANTED);
+    const struct rn_field *field = rn_trainer_field(trainer);
+    ck_assert(field->config.cut_out && field->effects[RN_EFFECT_BACKGROUND].on);
+    rn_trainer_destroy(&trainer);
+    put_masks(true);
+    trainer = make_trainer_as(RN_EFFECT_UNWANTED);
+    ck_assert(!rn_trainer_field(trainer)->config.cut_out);
+    rn_trainer_destroy(&trainer);
+}
+END_TEST
+
 // A photograph as if it had been darker than those beside it.
 static void expose(struct rn_frame *frame) {
     struct rn_error err = {0};
@@ -204,6 +223,7 @@ int main(void) {
     tcase_set_timeout(tests, 120);
     tcase_add_test(tests, masks_that_cut_out);
     tcase_add_test(tests, masks_that_leave_out_little);
+    tcase_add_test(tests, masks_that_cut_out_on_request);
     tcase_add_test(tests, exposures_are_made_even);
     suite_add_tcase(suite, tests);
     return run_suite(suite);
