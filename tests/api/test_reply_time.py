@@ -65,11 +65,11 @@ def answer(connection, body, pause_s):
         time.sleep(pause_s)
         over_ns = time.monotonic_ns()
         while b"\r\n\r\n" not in first:
-            first += stream.read(1)
+            first += stream.read(1) or pytest.fail(f"the answer ends: {first}")
         assert first.startswith(b"HTTP/1.1 200 "), first
         left = LARGE
         while left > 0:
-            left -= len(stream.read(left))
+            left -= len(stream.read(left)) or pytest.fail(f"{left} bytes of the answer are missing")
     return over_ns
 
 
