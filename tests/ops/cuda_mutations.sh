@@ -287,6 +287,8 @@ mutate_engine "place bytes" train/device.c "engine: what cells showed does not f
 mutate unbounded loss.cuh "distortion: behind within a tile only" 's/^    d->behind += .*//'
 mutate unbounded loss.cuh "distortion: in distances, not in places" 's/0.5f \* rn_place_of_distance_lane(mid)/mid/'
 mutate unbounded loss.cuh "distortion: every ray of a split pixel has all of its weight" 's|rays\].weight / (float)rays;|rays].weight;|'
+mutate voxels field.cu "distortion in a ball: in places, as along bent rays" 's/: f->world == RN_WORLD_UNBOUNDED ? KERNEL<RN_DISTORTS_PLACES>/: true ? KERNEL<RN_DISTORTS_PLACES>/'
+try run_trained "window step" server/engine/cuda/field.cu "distortion in a disparity box: in places, as along bent rays" 's/: f->world == RN_WORLD_UNBOUNDED ? KERNEL<RN_DISTORTS_PLACES>/: true ? KERNEL<RN_DISTORTS_PLACES>/'
 mutate voxels encode.cuh "voxels: weights of x along z" 's/corner \& 4 ? q->z : 1 - q->z/corner \& 4 ? q->x : 1 - q->x/'
 mutate voxels scatter.cuh "voxels: left without being written" 's/if (voxel != held) rn_flush_voxel.*/;/'
 mutate voxels field.cu "voxels: not updated" 's/^    RN_TRY(queue_voxels<FIXED>(f));//'

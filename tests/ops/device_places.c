@@ -120,14 +120,27 @@ START_TEST(what_is_hidden_shows_nothing) {
 }
 END_TEST
 
+// The last of a training's steps, by when the loss of distortion has grown, here fifty times
+// larger.
+static void distort(struct rn_trainer *t) {
+    t->field->config.max_steps = 100;
+    t->progress.step = 99;
+    t->field->config.distortion_loss = 1;
+}
+
+static void check_steps(const char *what, const char *last) {
+    check_step("standard", what);
+    check_step("paper", what);
+    run.prepare = distort;
+    check_step("standard", last);
+}
+
 START_TEST(a_step_in_all_of_space) {
-    check_step("standard", "unbounded");
-    check_step("paper", "unbounded");
+    check_steps("unbounded", "unbounded, distortion");
 }
 END_TEST
 START_TEST(a_step_before_a_window) {
-    check_step("standard", "forward-facing");
-    check_step("paper", "forward-facing");
+    check_steps("forward-facing", "forward-facing, distortion");
 }
 END_TEST
 START_TEST(a_place_trains) {

@@ -108,7 +108,7 @@ struct one_step take_step(const char *device, const struct rn_train_config *conf
     struct rn_trainer *t = run.trainer;
     if (run.prepare) run.prepare(t);
     OK(rn_trainer_put(t, &err));
-    run_to(1);
+    run_to(t->progress.step + 1);
     const struct rn_parameters *p = &t->field->parameters;
     OK(rn_trainer_fetch(t, &err));
     ck_assert_int_eq(t->optimiser.updates, 1);
