@@ -90,10 +90,10 @@ static void warn_of_what_is_beyond(struct rn_reader *reader) {
     struct rn_bounds wider = rn_bounds_from_cameras(dataset, RN_CAPTURE_DISTANCES);
     rn_problems_add(reader->problems, RN_SEVERITY_WARNING, reader->folder,
                     "the layout's sphere (radius %g about the origin) covers only %.0f %% of the "
-                    "training photographs' pixels, and no alpha channel cuts the rest away; where "
-                    "over a tenth of them look past it, all of space is trained. A scene that ends "
-                    "somewhere is finer in a sphere of its own, `import --bounds X,Y,Z,R`: "
-                    "%.6g,%.6g,%.6g,%.6g reaches %g times as far as the cameras' mean distance",
+                    "training photographs' pixels; where over a tenth of them look past it, all of "
+                    "space is trained. A scene that ends is finer in a sphere of its own, "
+                    "`import --bounds X,Y,Z,R`: %.6g,%.6g,%.6g,%.6g reaches %g times the cameras' "
+                    "mean distance",
                     dataset->format->sphere, 100 * seen, wider.centre[0], wider.centre[1],
                     wider.centre[2], wider.radius, RN_CAPTURE_DISTANCES);
 }

@@ -115,8 +115,9 @@ START_TEST(photographs_of_more_than_the_sphere) {
             if (problems.items[k].severity != RN_SEVERITY_WARNING) continue;
             ck_assert_ptr_nonnull(strstr(problems.items[k].text, "covers only 64 %"));
             // One axis: a unit ahead of the camera, and one and a half times as wide.
-            ck_assert_ptr_nonnull(
-                strstr(problems.items[k].text, ": 0.5,0.25,3,1.5 reaches 1.5 times"));
+            ck_assert_ptr_nonnull(strstr(problems.items[k].text, // to its last word
+                                         ": 0.5,0.25,3,1.5 reaches 1.5 times the cameras' mean "
+                                         "distance"));
         }
         rn_dataset_destroy(&dataset);
         rn_problems_finish(&problems);
