@@ -90,6 +90,7 @@ static void straighten(const struct rn_dataset *dataset, double up[3]) {
         if (a[i][i] < a[least][least]) least = i;
         if (a[i][i] > a[most][most]) most = i;
     }
+    if (most == least) most = 2; // all three are alike
     for (int i = 0; i < 3; i++) {
         found[i] = axes[i][least];
         across[i] = axes[i][most];
