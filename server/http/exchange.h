@@ -7,6 +7,7 @@
 
 #include <microhttpd.h>
 #include <pthread.h>
+#include <stdatomic.h>
 
 #include "common/base/buf.h"
 #include "common/base/trace.h"
@@ -71,7 +72,8 @@ struct rn_request {
     struct rn_match match;
     struct rn_caller caller;
     struct rn_sink sink;
-    bool begun, handled, is_head;
+    bool begun, is_head;
+    atomic_bool handled; // nothing more is taken from the peer; the keeper thread asks, too
     size_t answer_bytes; // http->lock: held for the answer
     struct rn_event_stream events;
     int64_t begin_ns;

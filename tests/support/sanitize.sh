@@ -21,7 +21,8 @@ build=$PWD/build-$kind
         -Dcuda=disabled
 rm -f "$build"/report.*
 export CK_TIMEOUT_MULTIPLIER=10 # of a test case, as --timeout-multiplier of a program
-export TSAN_OPTIONS=halt_on_error=1:allocator_may_return_null=1:second_deadlock_stack=1:log_path=$build/report
+# A second SIGTERM ends the daemon at once, and waits for no thread.
+export TSAN_OPTIONS=halt_on_error=1:allocator_may_return_null=1:second_deadlock_stack=1:report_thread_leaks=0:log_path=$build/report
 export UBSAN_OPTIONS=halt_on_error=1:print_stacktrace=1:log_path=$build/report
 # Memory that ends is part of some tests, and what a test may take is counted; libx265 keeps a block.
 export ASAN_OPTIONS=allocator_may_return_null=1:quarantine_size_mb=4:log_path=$build/report
