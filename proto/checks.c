@@ -69,8 +69,11 @@ const char *rn_check_inner_path(const char *text) {
 }
 
 const char *rn_check_format(const char *text) {
-    return rn_format_find(text) ? NULL
-                                : "must be the name of a format, as GET /v1/formats lists them";
+    static _Thread_local char wrong[256] = "must be one of ";
+    static const size_t begun = sizeof "must be one of " - 1;
+    if (rn_format_find(text)) return NULL;
+    rn_format_names(wrong + begun, sizeof wrong - begun);
+    return wrong;
 }
 
 const char *rn_check_device(const char *text) {

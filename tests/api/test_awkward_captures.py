@@ -14,7 +14,7 @@ from PIL import Image
 from support import captures
 from support.captures import COUNT
 from support.checked import Daemon
-from support.client import INVALID, OK
+from support.client import INVALID, OK, USAGE
 
 MARK = b"\xef\xbb\xbf"  # with which Windows' editors begin a text
 BINARY, TEXT, STUDIO, NGP = "COLMAP, binary", "COLMAP, text", "nerfstudio", "instant-ngp"
@@ -191,6 +191,13 @@ def test_what_is_made_of_it(build, tmp_path, change, case):
     assert any(words in text for text in told), told
     assert usable is None or sum(report["usable"].values()) == usable, report
     assert len(set(told)) == len(told), told
+
+
+def test_a_format_that_is_none(build, tmp_path):
+    done = subprocess.run([build / "client" / "ripnerf", "validate", tmp_path, "--format", "nerf"],
+                          capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == USAGE and "must be one of native, " in done.stderr, done.stderr
+    assert "llff; it is 'nerf'" in done.stderr
 
 
 # How masks are stored: what is used is white, or as said; of the left half all is.
