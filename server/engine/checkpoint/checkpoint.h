@@ -15,6 +15,8 @@
 #include "server/engine/scene/engine.h"
 #include "server/engine/scene/progress.h"
 
+struct json_t;
+
 // Where a training is, besides its arrays.
 struct rn_counters {
     struct rn_progress progress;
@@ -51,7 +53,7 @@ struct rn_checkpoint {
     struct rn_counters counters;
     struct rn_viewing viewing; // of 0 bits: it is no file for viewing
     bool has_trainer;          // optimiser state is in the file
-    void *header;              // the parsed JSON
+    struct json_t *header;     // the parsed JSON
     int fd;
     uint64_t data_start;
 };
