@@ -614,16 +614,6 @@ bool rn_view_is_apart(const struct rn_rendered_view *view) {
     return true;
 }
 
-enum rn_status rn_evaluate_view(struct rn_engine *engine, struct rn_field *field,
-                                const struct rn_frame *frame, const struct rn_render_options *given,
-                                bool (*keep_going)(void *context), void *context,
-                                struct rn_view_score *ret_score, struct rn_error *err) {
-    struct rn_rendered_view view;
-    enum rn_status status =
-        rn_view_render(engine, field, frame, given, keep_going, context, &view, err);
-    return status ? status : rn_view_compare(&view, ret_score, err);
-}
-
 enum rn_status rn_evaluate_depth(struct rn_engine *engine, struct rn_field *field,
                                  const struct rn_frame *frame, const struct rn_points *points,
                                  const struct rn_render_options *given,

@@ -90,12 +90,12 @@ struct rn_view_score {
     uint64_t nonfinite_rays; // as of a rendering
     bool on_device;          // likewise
 };
-enum rn_status rn_evaluate_view(struct rn_engine *engine, struct rn_field *field,
-                                const struct rn_frame *frame,
-                                const struct rn_render_options *options,
-                                bool (*keep_going)(void *context), void *context,
-                                struct rn_view_score *ret_score,
-                                struct rn_error *err) RN_MUST_CHECK;
+static inline enum rn_status rn_evaluate_view(struct rn_engine *engine, struct rn_field *field,
+                                              const struct rn_frame *frame,
+                                              const struct rn_render_options *options,
+                                              bool (*keep_going)(void *context), void *context,
+                                              struct rn_view_score *ret_score,
+                                              struct rn_error *err) RN_MUST_CHECK;
 
 // The same in two parts: a view that is rendered, which `compare` frees.
 struct rn_rendered_view {
@@ -114,6 +114,15 @@ enum rn_status rn_view_render(struct rn_engine *engine, struct rn_field *field,
                               struct rn_error *err) RN_MUST_CHECK;
 enum rn_status rn_view_compare(struct rn_rendered_view *view, struct rn_view_score *ret_score,
                                struct rn_error *err) RN_MUST_CHECK;
+static inline enum rn_status
+rn_evaluate_view(struct rn_engine *engine, struct rn_field *field, const struct rn_frame *frame,
+                 const struct rn_render_options *options, bool (*keep_going)(void *context),
+                 void *context, struct rn_view_score *ret_score, struct rn_error *err) {
+    struct rn_rendered_view view;
+    enum rn_status status =
+        rn_view_render(engine, field, frame, options, keep_going, context, &view, err);
+    return status != RN_OK ? status : rn_view_compare(&view, ret_score, err);
+}
 // Whether that takes nothing of engine and field - no LPIPS, no camera to be sought -, and so may
 // be done by any thread while they render the next one.
 bool rn_view_is_apart(const struct rn_rendered_view *view);

@@ -225,13 +225,3 @@ enum rn_status rn_view_compare(struct rn_rendered_view *rendered, struct rn_view
     if (status == RN_OK) *ret_score = score;
     return status;
 }
-
-enum rn_status rn_evaluate_view(struct rn_engine *engine, struct rn_field *field,
-                                const struct rn_frame *frame, const struct rn_render_options *given,
-                                bool (*keep_going)(void *context), void *context,
-                                struct rn_view_score *ret_score, struct rn_error *err) {
-    struct rn_rendered_view view;
-    enum rn_status status =
-        rn_view_render(engine, field, frame, given, keep_going, context, &view, err);
-    return status != RN_OK ? status : rn_view_compare(&view, ret_score, err);
-}
