@@ -132,7 +132,7 @@ START_TEST(a_step_by_errors) {
     struct rn_train_config config = sharing_config(1);
     config.initial_rays = 600;
     run.prepare = share_out;
-    setenv("RIPNERF_EMULATOR_ORDER", "2", 1); // they come in any other
+    emulate((struct emulation){.order = 2}); // they come in any other
     for (int split = 0; split < 2; split++) {
         config.split_pixels = split;
         struct one_step here = take_step("cpu", &config), there = take_step("cuda:0", &config);

@@ -1,5 +1,6 @@
 #include "tests/ops/device_run.h"
 
+#include <dlfcn.h>
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -7,11 +8,44 @@
 
 #include "common/base/file.h"
 #include "server/engine/scene/device.h"
+#include "tests/ops/cuda_emulator/knobs.h"
 
 struct device_run run;
 
+#define MODULE "RIPNERF_CUDA_MODULE" // names it in the environment
+static void *emulator;               // the module, where one has been asked to do otherwise
+static char *hidden;                 // what named the module; NULL: it does
+
+bool emulate(struct emulation how) {
+    __typeof__(rn_emulator_fail) *lose;
+    __typeof__(rn_emulator_order) *order;
+    __typeof__(rn_emulator_skip) *skip;
+    if (!emulator) emulator = dlopen(getenv(MODULE), RTLD_NOW | RTLD_NODELETE);
+    *(void **)&lose = emulator ? dlsym(emulator, "rn_emulator_fail") : NULL;
+    if (!lose) return false;
+    *(void **)&order = dlsym(emulator, "rn_emulator_order");
+    *(void **)&skip = dlsym(emulator, "rn_emulator_skip");
+    lose(how.error);
+    order(how.order, 1);
+    skip(how.skips);
+    return true;
+}
+
+void hide_module(void) {
+    hidden = strdup(getenv(MODULE));
+    setenv(MODULE, "/nowhere.so", 1);
+}
+
+void put_back(void) {
+    if (emulator) emulate((struct emulation){0});
+    if (hidden) setenv(MODULE, hidden, 1);
+    free(hidden);
+    hidden = NULL;
+}
+
 void make_dataset_sized(const char *scene, int size) {
     struct rn_synth_options synth = {.size = size, .views = 12, .threads = 1, .samples = 4};
+    run = (struct device_run){0};
     snprintf(run.folder, sizeof run.folder, "/tmp/ripnerf-device-XXXXXX");
     ck_assert_ptr_nonnull(mkdtemp(run.folder));
     snprintf(run.path, sizeof run.path, "%s/checkpoint.safetensors", run.folder);
@@ -28,6 +62,7 @@ void make_dataset(void) {
 }
 
 void remove_dataset(void) {
+    put_back();
     rn_dataset_destroy(&run.dataset);
     OK(rn_remove_tree(run.folder, &err));
 }

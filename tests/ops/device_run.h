@@ -20,10 +20,23 @@ struct device_run {
 };
 extern struct device_run run;
 
+// Of a test's beginning and its end: tests share a process where it may not be forked, and leave
+// nothing to the next one.
 void make_dataset(void); // of a sphere
 void make_dataset_of(const char *scene);
 void make_dataset_sized(const char *scene, int size); // pixels a side
 void remove_dataset(void);
+void put_back(void);    // what the two below have changed
+void hide_module(void); // there is none where one is looked for
+
+// What an emulated device does from now on (cuda_emulator/knobs.h); false where the device is real.
+struct emulation {
+    int error;         // of every call; 0: none
+    int order;         // of threads
+    const char *skips; // kernels that do nothing; NULL: none
+};
+bool emulate(struct emulation how);
+
 // A preset, so small that an emulator trains it in seconds; rays drawn from all blocks alike.
 struct rn_train_config small_config(const char *preset, int64_t steps);
 enum rn_status try_engine(const char *device, size_t memory, struct rn_engine **ret_engine,

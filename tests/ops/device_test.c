@@ -1,7 +1,6 @@
 // The engine with a device, against itself without one: training, growth, effects, evaluation,
 // checkpoints, pictures; and what happens when the device cannot or no longer will. The device is
 // emulated (RIPNERF_CUDA_MODULE names the module); on a machine with a GPU give the real one.
-#include <dlfcn.h>
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -227,25 +226,16 @@ START_TEST(diverges_and_goes_back) {
 }
 END_TEST
 
-// From now on every call of the emulated device fails; 0 ends it. NULL where the device is real.
-typedef void fail_device(int error);
-static fail_device *find_knob(void) {
-    void *module = dlopen(getenv("RIPNERF_CUDA_MODULE"), RTLD_NOW | RTLD_NOLOAD);
-    fail_device *knob;
-    *(void **)&knob = module ? dlsym(module, "rn_emulator_fail") : NULL;
-    return knob;
-}
-
 START_TEST(a_lost_device_is_said) {
     struct rn_train_config config = small_config("paper", 16);
     struct rn_error said;
     bool done;
     run_begin("cuda:0", &config);
-    find_knob()(700);
+    emulate((struct emulation){.error = 700});
     ck_assert(rn_trainer_advance(run.trainer, 1, &said) == RN_ERROR_UNAVAILABLE);
     ck_assert(rn_trainer_validate(run.trainer, 1, &done, &said) == RN_ERROR_UNAVAILABLE);
     ck_assert(rn_trainer_save(run.trainer, run.path, &said) == RN_ERROR_UNAVAILABLE);
-    find_knob()(0);
+    emulate((struct emulation){0});
     run_end();
 }
 END_TEST
@@ -259,7 +249,7 @@ START_TEST(what_is_not_there_is_said) {
         ck_assert_str_eq(said.where, "device");
         ck_assert_ptr_nonnull(strstr(said.text, "cpu"));
     }
-    setenv("RIPNERF_CUDA_MODULE", "/nowhere.so", 1);
+    hide_module();
     ck_assert(try_engine("cuda:0", 0, &engine, &said) == RN_ERROR_UNSUPPORTED);
     ck_assert_ptr_nonnull(strstr(said.text, "not installed"));
     ck_assert_ptr_nonnull(strstr(said.text, "--device cpu"));
@@ -315,7 +305,7 @@ START_TEST(auto_takes_what_there_is) {
         ck_assert(own->draw_by_error && own->field.voxels);
         run_end();
     }
-    setenv("RIPNERF_CUDA_MODULE", "/nowhere.so", 1);
+    hide_module();
     run_begin("auto", &config);
     ck_assert_str_eq(device_of(run.engine), "cpu");
     ck_assert(rn_trainer_config(run.trainer)->roulette == 1);
@@ -338,11 +328,11 @@ static bool takes_the_device(void) {
 // A device whose kernels do otherwise than the CPU's is not taken by `auto`, which says so. _i:
 // which of them does nothing; every one of them counts.
 START_TEST(auto_takes_what_agrees) {
-    static const char *const kernels[] = {"none",          "shape->render",  "shape->train",
-                                          "shape->shade",  "scatter",        "base_backward",
-                                          "rn_gradient",   "update_network", "rn_order",
-                                          "sums_backward", "rn_place",       "update_planes"};
-    setenv("RIPNERF_EMULATOR_SKIPS", kernels[_i], 1);
+    static const char *const kernels[] = {
+        NULL,       "shape->render", "shape->train", "shape->shade",
+        "scatter",  "base_backward", "rn_gradient",  "update_network",
+        "rn_order", "sums_backward", "rn_place",     "update_planes"};
+    emulate((struct emulation){.skips = kernels[_i]});
     ck_assert_int_eq(takes_the_device(), _i == 0);
 }
 END_TEST
@@ -389,7 +379,7 @@ static bool has_device(void) {
 
 // In a process of its own: the module is loaded with the first device.
 static bool is_emulated(void) {
-    return has_device() && find_knob() != NULL;
+    return has_device() && emulate((struct emulation){0});
 }
 
 int main(void) {
@@ -416,6 +406,7 @@ int main(void) {
     device_add(suite, "auto", auto_takes_what_there_is);
     if (emulated) {
         TCase *agrees = tcase_create("agrees");
+        tcase_add_unchecked_fixture(agrees, NULL, put_back);
         tcase_set_timeout(agrees, 60);
         tcase_add_loop_test(agrees, auto_takes_what_agrees, 0, 12);
         suite_add_tcase(suite, agrees);

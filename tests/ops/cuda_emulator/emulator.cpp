@@ -6,12 +6,6 @@
 #include "knobs.h"
 
 emu::machine emu::m;
-// RIPNERF_EMULATOR_ORDER: as rn_emulator_order's, of every process.
-static const bool order_given = [] {
-    const char *order = getenv("RIPNERF_EMULATOR_ORDER");
-    if (order) rn_emulator_order(atoi(order), 1);
-    return order != NULL;
-}();
 // RIPNERF_EMULATOR_MEMORY: bytes of every process's device.
 static size_t given_memory() {
     const char *bytes = getenv("RIPNERF_EMULATOR_MEMORY");
@@ -27,6 +21,7 @@ size_t emu::shared_most = given_shared();
 long emu::allocations;
 uint64_t emu::launched;
 cudaError_t emu::sticky;
+const char *emu::skips;
 enum { CHECKED = 7 }; // graphs that the check of a device by "auto" launches
 void emu::maybe_lose() {
     static int launches;
@@ -64,4 +59,7 @@ long rn_emulator_allocations(void) {
 }
 void rn_emulator_fail(int error) {
     emu::sticky = error;
+}
+void rn_emulator_skip(const char *name) {
+    emu::skips = name;
 }

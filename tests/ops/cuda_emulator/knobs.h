@@ -19,6 +19,8 @@ size_t rn_emulator_memory_used(void);
 long rn_emulator_allocations(void);
 // From now on every call fails with this error; 0 ends it.
 void rn_emulator_fail(int error);
+// Kernels in whose name this is do nothing from now on; NULL: there are none.
+void rn_emulator_skip(const char *name);
 #ifdef __cplusplus
 }
 #endif
