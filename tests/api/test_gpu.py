@@ -16,8 +16,9 @@ from support.client import Client
 BENCH = Path(__file__).resolve().parents[1] / "bench"
 SMALL = ["preset=paper", "planes=3", "channels=4", "base=16", "levels=2", "width=16", "occupancy=16",
          "samples=1024", "rays=64", "step=0.1", "deterministic=1"]
-# What stands for CUDA's tools: the sanitizer runs what it is given, the profiler prints a counter.
-TOOLS = {"compute-sanitizer": 'shift 4; exec "$@"',
+# What stands for a driver's and CUDA's tools: the sanitizer runs what it is given, the profiler prints a counter.
+TOOLS = {"nvidia-smi": "echo 'A GPU, 580.1, 9 MiB, 345 MHz, 1980 MHz, 3201 MHz, 3201 MHz, 700.00 W'",
+         "compute-sanitizer": 'shift 4; exec "$@"',
          "ncu": 'echo \'"Kernel Name","Metric Value"\'; echo \'"rn_forward_kernel","1"\''}
 
 
@@ -72,6 +73,7 @@ def test_the_whole_command(kit, tmp_path):
     assert second.returncode == 0, second.stdout + (tmp_path / "out" / "log.txt").read_text()[-4000:]
     assert len(known) == 15 and {stage["state"] for stage in known.values()} == {"done"}, known
     assert known["machine"] == begun["machine"]
+    assert known["machine"]["found"]["gpu"]["clocks.max.sm"] == "1980 MHz"
     assert known["data"]["found"]["views"] == {"train": 8, "val": 2, "test": 2}
     assert known["step"]["found"]["ms"] > 0 and "forward" in known["step"]["found"]["stages"]
     assert known["120,000 steps"]["found"]["steps"] == 12
@@ -79,6 +81,7 @@ def test_the_whole_command(kit, tmp_path):
     assert known["two scenes"]["found"]["made_room"] >= 3
     table = (tmp_path / "out" / "table.md").read_text()
     assert re.search(r"\| step \| [\d.]+ ms \|.*\| 1.5 \|", table), table
+    assert re.search(r"\| step: rays \| [\d.]+ ms \|  \|  \|", table), table
     assert (tmp_path / "out" / "profile.csv").read_text().startswith('"Kernel Name"')
     shutil.rmtree(tmp_path / "work")
     third = subprocess.run([*command, "--known", tmp_path / "out" / "results.json"], text=True, capture_output=True,

@@ -13,7 +13,6 @@ and few steps, to try the command itself where a device is slow.
 """
 import argparse
 import json
-import math
 import os
 import platform
 import re
@@ -31,6 +30,7 @@ MORE = 75  # exit code: another call goes on; of tests/bench/quality too
 SKIPPED = 77  # of a test program: not on this machine
 FINAL = ("done", "failed", "absent", "out of time")
 SMALL = ["planes=3", "channels=4", "levels=2", "width=16", "occupancy=16", "samples=1024", "step=0.1"]
+GPU = ("name", "driver_version", "memory.total", "clocks.sm", "clocks.max.sm", "clocks.mem", "clocks.max.mem", "power.limit")
 GOALS = {"step": "1.5", "step, deterministic": "", "pictures": "200", "memory": "3.0",
          "36.94": "40", "38.36": "180"}
 
@@ -109,14 +109,13 @@ def numbers(pattern, text, *names):
 # ---- the machine, the data ----------------------------------------------------------------------
 
 def machine(call):
-    """Which GPU, which driver; that the programs run here."""
+    """Which system, which GPU, its driver and clocks; that the programs run here."""
     call.run(call.program("quality"), codes=(2,))
     found = {"processor": platform.processor() or platform.machine(), "cores": os.cpu_count(),
-             "libc": "-".join(platform.libc_ver())}
+             "kernel": platform.release(), "libc": "-".join(platform.libc_ver())}
     if shutil.which("nvidia-smi"):
-        said, _ = call.run("nvidia-smi", "--query-gpu=name,driver_version,memory.total,clocks.max.sm",
-                           "--format=csv,noheader")
-        found["gpu"] = said.strip()
+        said, _ = call.run("nvidia-smi", f"--query-gpu={','.join(GPU)}", "--format=csv,noheader")
+        found["gpu"] = dict(zip(GPU, said.strip().splitlines()[0].split(", ")))
     return found
 
 
@@ -286,19 +285,22 @@ STAGES = (
 
 # ---- what is known so far -----------------------------------------------------------------------
 
+def ceiling(stage):
+    """In milliseconds; nothing where none was counted."""
+    return f"{stage['ceiling_ms']:.4f}" if stage["ceiling_ms"] else ""
+
+
 def shown(name, found):
     """A stage's rows of the table: what, measured, ceiling, goal."""
     if name.startswith("step"):
-        ceilings = [stage["ceiling_ms"] for stage in found["stages"].values() if stage["ceiling_ms"]]
-        counted = f"{sum(ceilings):.2f}" if ceilings else ""
-        yield name, f"{found['ms']:.3f} ms", counted, GOALS.get(name, "")
+        yield name, f"{found['ms']:.3f} ms", ceiling(found["stages"]["in series"]), GOALS.get(name, "")
         yield f"{name}: memory", f"{found['memory_mb'] / 1000:.2f} GB", "", GOALS["memory"] if name == "step" else ""
         for key in ("full", "coarse", "half"):
             picture = found[f"picture_{key}"]
             yield (f"{name}: pictures a second, {key}", f"{picture['a_second']:.0f}", "",
                    GOALS["pictures"] if (name, key) == ("step", "full") else "")
         for stage, times in found["stages"].items():
-            yield f"{name}: {stage}", f"{times['ms']:.4f} ms", f"{times['ceiling_ms'] or math.nan:.4f}", ""
+            yield f"{name}: {stage}", f"{times['ms']:.4f} ms", ceiling(times), ""
     elif "psnr" in found:
         yield name, f"{found['psnr']} dB after {found['seconds']:.1f} s on {found['kernels']}", "", ""
         for goal, seconds in found["seconds_to"].items():
