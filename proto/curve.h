@@ -8,7 +8,7 @@
 
 // How points are measured and what is noted of them: another number wherever what a budget takes
 // from a curve changes its meaning.
-#define RN_CURVE_METHOD 1
+#define RN_CURVE_METHOD 2
 
 struct rn_curve_record {
     char machine[128], device[16], kernels[32];
@@ -43,7 +43,7 @@ enum rn_status rn_curve_read(const char *scene_folder, struct rn_curve_record *r
 
 // POST /v1/scenes/{id}/curve, and the options of a `curve` job.
 struct rn_curve_options {
-    int64_t views; // held-out views to measure on; absent = 6
+    int64_t views; // held-out views to measure on; absent = 16
 };
 extern const struct rn_table rn_curve_options_table;
 

@@ -236,7 +236,7 @@ struct rn_wire_rendered {
     double scale_high;                     // the end of a heat map's scale; NAN of other pictures
     // Of a budget; "" and NAN without one.
     char setting[96];                      // that was used
-    double expected_psnr, expected_spread; // against photographs, of one view in many
+    double expected_psnr, expected_spread; // against photographs, of this picture
     char curve[16];                        // where that is from: "measured", "stale", "preset"
     bool missed;                           // the budget could not be met by any point
     double kept_ms; // of a deadline, when the picture was rendered, but for its file; NAN: none

@@ -30,7 +30,7 @@ static const struct rn_option curve_table[] = {
      .value = "N",
      .min = 1,
      .max = 64,
-     .help = "with --measure, on so many held-out views (6)"},
+     .help = "with --measure, on so many held-out views (16)"},
     {.name = "plot",
      .kind = RN_OPTION_TEXT,
      CURVE(plot),

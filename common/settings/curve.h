@@ -31,7 +31,7 @@ struct rn_curve_view {
     double position[3]; // dataset coordinates
     double psnr;        // against its photograph
 };
-#define RN_CURVE_VIEWS 128
+#define RN_CURVE_VIEWS 512
 // Plain but for `points` and `around`, which whoever made it owns.
 struct rn_curve {
     struct rn_curve_point *points; // by ms_median, the last one the full picture
@@ -83,9 +83,14 @@ size_t rn_curve_choose(const struct rn_curve *curve, enum rn_budget_kind kind, d
 // does not know it. NAN: nothing is known.
 double rn_curve_expected(const struct rn_curve *curve, size_t point, double psnr);
 
-// What to add to it for a camera in this place: how much better than the mean of the curve's views
-// the full pictures of the nearest three are, each counted by its nearness. 0 where none is known.
-double rn_curve_here(const struct rn_curve *curve, const double position[3]);
+// What is known of a full picture from a place, dB.
+struct rn_curve_here {
+    double better; // than the mean of the curve's views, is to be expected
+    double spread; // of that: two of three pictures are within
+};
+// By the full pictures of the nearest four views, each counted by its nearness: at the place of one
+// of them that one alone. Where none is known: 0, and the spread of the curve's views.
+struct rn_curve_here rn_curve_here(const struct rn_curve *curve, const double position[3]);
 
 // What a picture was interpolated from, which tells what it lost by that (rn_render_stats).
 struct rn_curve_made {
@@ -93,10 +98,14 @@ struct rn_curve_made {
     double roughness;     // of what was rendered smaller, mean square
 };
 // The PSNR to expect of this picture, made with a point's settings but for the tolerance, where the
-// full pictures are better by so much (rn_curve_here): the full one's error here, and what the
+// full pictures are better by so much (rn_curve_here.better): the full one's error here, and what the
 // point loses to it, by as much more as there was more to interpolate than in the curve's pictures.
 double rn_curve_expected_here(const struct rn_curve *curve, size_t point,
                               const struct rn_curve_made *made, double psnr, double better);
+// How far off `expected` (rn_curve_expected_here) may be, dB, two of three are within: of the full
+// picture's error by the place, of what is lost to it by how well pictures tell that themselves.
+double rn_curve_spread_here(const struct rn_curve *curve, double expected, double psnr,
+                            const struct rn_curve_here *here);
 // The PSNR expected at the curve's views of what is worth `psnr` where the full pictures are so
 // much better: what a picture differs from the full one by stays what it was.
 double rn_curve_from_here(const struct rn_curve *curve, double psnr, double better);

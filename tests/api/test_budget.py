@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from support.client import Client
-from support.photographs import pose
+from support.photographs import pose, write_dataset
 
 CAMERA = {"world_from_camera": [row[:] for row in pose(0.3)[:3]], "axes": "opengl",
           "width": 64, "height": 64, "fov_y_deg": 40}
@@ -114,6 +114,9 @@ def test_psnr_is_what_is_expected_of_this_view(quick, build, tmp_path):
     for view in range(4):
         def view_asked(**budget):
             reply = quick.post("/v1/scenes/ready/render", {"view": f"test:{view}", **budget})
+            spread = float(reply.headers["X-Ripnerf-Expected-Spread"])
+            if "quality" in budget:
+                assert spread < 0.15  # this very picture was compared with its photograph
             return float(reply.headers["X-Ripnerf-Expected-Psnr"]), reply.headers["X-Ripnerf-Late"]
         best, _ = view_asked(quality=100)
         here.append(best - mean)
@@ -166,6 +169,18 @@ def test_curve(quick):
         assert quick.post("/v1/scenes/ready/curve", body).status == 422
     assert quick.post("/v1/scenes/nobody/curve", {}).status == 404
     assert quick.get("/v1/scenes/nobody/curve").status == 404
+
+
+def test_a_curve_knows_every_view_that_was_held_out(make_daemon, tmp_path):
+    """Also of many: what is expected of a picture from the place of one is what that one is worth."""
+    daemon = make_daemon()
+    held_out = {"val": 66, "test": 70}
+    folder = write_dataset(tmp_path / "many", size=8, train=2, **held_out)
+    assert daemon.wait(daemon.upload("data", folder))["state"] == "succeeded"
+    daemon.train("ready")
+    measure(daemon, views=1)
+    curve = daemon.get("/v1/scenes/ready/curve").json
+    assert len(curve["around"]) == sum(held_out.values())
 
 
 def test_curve_of_other_parameters_is_stale(own):

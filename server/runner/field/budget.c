@@ -9,8 +9,8 @@
 #include "common/base/log.h"
 #include "common/image/image.h"
 
-#define JPEG_GROWTH 1.25 // power of a file's size that its error goes by, about
-#define JPEG_COUNTS 0.7  // of a JPEG's error; the rest is of detail that was wrong
+#define JPEG_GROWTH 1.5  // power of a file's size that its error goes by, about
+#define JPEG_COUNTS 0.85 // of a JPEG's error; the rest is of detail that was wrong
 #define SHARPER_DB 1.0   // more than when it was measured what a JPEG takes
 
 // Of a pixel, before one was encoded.
@@ -118,8 +118,8 @@ enum rn_status rn_budget_settle(struct rn_work *work, struct rn_field *field, do
 
 // ---- one picture ----------------------------------------------------------------------------
 
-// Than the mean of the curve's views, dB.
-static double better_here(const struct chosen_curve *found, const struct rn_camera *camera) {
+static struct rn_curve_here look_here(const struct chosen_curve *found,
+                                      const struct rn_camera *camera) {
     const double place[3] = {camera->world_from_camera[0][3], camera->world_from_camera[1][3],
                              camera->world_from_camera[2][3]};
     return rn_curve_here(&found->curve, place);
@@ -131,12 +131,15 @@ static void tell(const struct chosen_curve *found, size_t point,
     const struct rn_curve_point *p = &found->curve.points[point];
     struct rn_curve_setting setting = p->setting;
     const struct rn_curve_made made = {stats->interpolation, stats->roughness};
+    const struct rn_curve_here here = look_here(found, camera);
     *rn_settings_value(&rn_render_settings, setting.values, "tolerance") =
         (union rn_setting_value){.number = stats->tolerance < 1e-6 ? 0 : stats->tolerance};
     rn_curve_setting_text(&setting, rendered->setting, sizeof rendered->setting);
     rendered->expected_psnr =
-        rn_curve_expected_here(&found->curve, point, &made, psnr, better_here(found, camera));
-    rendered->expected_spread = isnan(p->psnr) ? NAN : p->psnr_spread;
+        rn_curve_expected_here(&found->curve, point, &made, psnr, here.better);
+    if (!isnan(p->psnr))
+        rendered->expected_spread =
+            rn_curve_spread_here(&found->curve, rendered->expected_psnr, psnr, &here);
     snprintf(rendered->curve, sizeof rendered->curve, "%s", found->source);
 }
 
@@ -229,8 +232,8 @@ enum rn_status rn_budget_render(struct rn_host *host, const struct rn_wire_rende
     if (kind != RN_BUDGET_NONE) {
         find_curve(host, &found);
         if (kind == RN_BUDGET_PSNR)
-            number =
-                rn_curve_from_here(&found.curve, number, better_here(&found, &options->camera));
+            number = rn_curve_from_here(&found.curve, number,
+                                        look_here(&found, &options->camera).better);
         point = rn_curve_choose(&found.curve, kind, number,
                                 (double)options->camera.width * (double)options->camera.height,
                                 info->psnr, &rendered->missed);

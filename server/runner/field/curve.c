@@ -16,11 +16,11 @@
 #include "server/runner/field/work.h"
 #include "server/runner/link/join.h"
 
-#define VIEWS 6
+#define VIEWS 16 // so many tell what ways are worth; their times are one sample each
 #define MOST_VIEWS 64
 #define WAYS RN_CURVE_TRIALS // to render, tried on the first view
 #define FINALISTS 40         // of these, measured on all views
-#define ROUNDS 3             // times
+#define MOST_ROUNDS 3        // times, where views are few
 #define MOST_PIXELS 1e6 // of its pictures; larger views are rendered smaller, without photographs
 #define SAVE_EVERY_S 1.0
 
@@ -29,7 +29,7 @@ struct way {
     struct rn_curve_setting setting;
     double first_ms, first_worth; // on the first view
     uint32_t times;
-    float ms[MOST_VIEWS * ROUNDS];
+    float ms[MOST_VIEWS];
     double psnr, psnr_squares, ssim, psnr_full, rays, samples; // sums over views
     double interpolation, roughness;
     uint32_t same; // views equal to the full picture
@@ -203,6 +203,12 @@ static enum rn_status note_quality(struct curve_work *curve, struct way *way,
     return RN_OK;
 }
 
+// So that there are as many times as with VIEWS views.
+static int rounds_of(const struct curve_work *curve) {
+    int rounds = (VIEWS + curve->views - 1) / curve->views;
+    return rounds < MOST_ROUNDS ? rounds : MOST_ROUNDS;
+}
+
 // Unit i < WAYS: way i on the first view. Then a view after the other, in rounds over the
 // finalists.
 static enum rn_status measure(struct curve_work *curve, struct rn_field *field,
@@ -210,13 +216,14 @@ static enum rn_status measure(struct curve_work *curve, struct rn_field *field,
     struct state *state = curve->state;
     int unit = (int)curve->work.done, rest = unit - WAYS;
     bool first = rest < 0;
-    int round = first ? 0 : rest / FINALISTS % ROUNDS, place = rest % FINALISTS;
+    int rounds = rounds_of(curve);
+    int round = first ? 0 : rest / FINALISTS % rounds, place = rest % FINALISTS;
     if (rest == 0) choose_finalists(state);
     if (first ? unit >= state->ways : place >= state->finalists) return RN_OK;
     struct way *way = &state->way[first ? unit : state->finalist[place]];
     struct rn_render_result result;
     enum rn_status status =
-        show_view(curve, field, info, first ? 0 : rest / (FINALISTS * ROUNDS), err);
+        show_view(curve, field, info, first ? 0 : rest / (FINALISTS * rounds), err);
     if (!status) status = render(curve, field, info, &way->setting, &result, err);
     if (status) return status;
     rn_work_rendered(&curve->work, result.stats.render_ms, result.stats.nonfinite_rays);
@@ -315,7 +322,8 @@ static enum rn_status prepare(struct rn_work *work, struct rn_field *field, stru
     const struct rn_camera camera = view_camera(curve, 0), taken = curve->frames[0]->camera;
     curve->photographs &= camera.width == taken.width && camera.height == taken.height;
     if (curve->photographs) choose_around(curve, dataset, field);
-    work->total = WAYS + (size_t)(curve->views * FINALISTS * ROUNDS) + (size_t)curve->around_count;
+    work->total =
+        WAYS + (size_t)(curve->views * FINALISTS * rounds_of(curve)) + (size_t)curve->around_count;
     curve->state = calloc(1, sizeof *curve->state);
     return curve->state ? RN_OK : rn_error_set(err, RN_ERROR_NO_MEMORY, "", "out of memory");
 }

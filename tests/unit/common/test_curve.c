@@ -163,18 +163,36 @@ START_TEST(what_is_expected_of_a_point) {
 }
 END_TEST
 
-// At a view's own place its PSNR; between two of three the mean; further ones do not count.
+// At a view's own place its PSNR; between two of four the mean; further ones do not count. What is
+// expected is as sure as views from near there are alike.
 START_TEST(the_place_says_how_good_a_picture_will_be) {
-    struct rn_curve_view around[] = {
-        {{0, 0, 0}, 33}, {{2, 0, 0}, 29}, {{1, 1e3, 0}, 50}, {{1, 0, 1e3}, 50}, {{1, 9e2, 0}, 31}};
+    struct rn_curve_view around[] = {{{0, 0, 0}, 33},   {{2, 0, 0}, 29},   {{1, 1e3, 0}, 50},
+                                     {{1, 0, 1e3}, 50}, {{1, 9e2, 0}, 31}, {{0, 4, 0}, 33}};
     make_curve();
     struct rn_curve c = curve;
-    ck_assert_double_eq(rn_curve_here(&c, (double[]){0, 0, 0}), 0);
+    points[3].psnr_spread = 1.2;
+    struct rn_curve_here here = rn_curve_here(&c, (double[]){0, 0, 0});
+    ck_assert(here.better == 0 && here.spread == 1.2);
     c.around = around;
     c.around_count = sizeof around / sizeof *around;
-    ck_assert_double_eq_tol(rn_curve_here(&c, (double[]){0, 0, 0}), 33 - 31, 1e-6);
-    ck_assert_double_eq_tol(rn_curve_here(&c, (double[]){2, 0, 0}), 29 - 31, 1e-6);
-    ck_assert_double_eq_tol(rn_curve_here(&c, (double[]){1, 0, 0}), 0, 1e-4);
+    here = rn_curve_here(&c, (double[]){0, 0, 0});
+    ck_assert_double_eq_tol(here.better, 33 - 31, 1e-6);
+    ck_assert_double_lt(here.spread, 1e-4);
+    here = rn_curve_here(&c, (double[]){2, 0, 0});
+    ck_assert_double_eq_tol(here.better, 29 - 31, 1e-6);
+    ck_assert_double_lt(here.spread, 1e-4);
+    here = rn_curve_here(&c, (double[]){1, 0, 0}); // beside (0, 4, 0), of a weight of 1 / 17
+    double mean = (33 + 29 + 33 / 17.0) / (2 + 1 / 17.0);
+    double squares = (33 * 33 + 29 * 29 + 33 * 33 / 17.0) / (2 + 1 / 17.0);
+    ck_assert_double_eq_tol(here.better, mean - 31, 1e-3);
+    ck_assert_double_eq_tol(here.spread, sqrt(1.5 * (squares - mean * mean)), 1e-3);
+    // Of the full picture that is all; of a poor one, what it lost to it counts.
+    ck_assert_double_eq_tol(rn_curve_spread_here(&c, 31 + here.better, NAN, &here),
+                            hypot(here.spread, 0.1), 1e-9);
+    double poor = rn_curve_spread_here(&c, 10, NAN, &here);
+    ck_assert(poor > 0.5 && poor < 0.6);
+    here.spread = 0;
+    ck_assert_double_eq_tol(rn_curve_spread_here(&c, 31 + here.better, NAN, &here), 0.1, 1e-9);
 }
 END_TEST
 
@@ -235,7 +253,7 @@ START_TEST(a_picture_says_itself_what_it_lost) {
     // A curve of an older version does not know: the picture's own estimate.
     points[0].roughness = points[0].interpolation = NAN;
     double own = here(0, (struct rn_curve_made){0, 0.02}, 0);
-    ck_assert_double_eq_tol(error_of(own), error_of(31) + (1.13 - 1.5 / 4) * 0.02, 1e-9);
+    ck_assert_double_eq_tol(error_of(own), error_of(31) + 0.18 * 4 * 0.02, 1e-9);
     ck_assert_double_eq_tol(here(0, (struct rn_curve_made){0, 0}, 0), 20, 1e-9);
     points[3].psnr = points[0].psnr = NAN;
     ck_assert_double_eq_tol(here(3, (struct rn_curve_made){0, 0}, 0), 31, 1e-9);
