@@ -7,6 +7,7 @@
 #include "common/math/rng.h"
 #include "server/engine/cuda/layout.h"
 #include "server/engine/field/occupancy.h"
+#include "server/engine/field/voxels.h"
 #include "tests/ops/cuda_scene.h"
 
 #define CELLS 16 // of the occupancy grid a side
@@ -148,7 +149,45 @@ START_TEST(untouched_blocks_stay) {
 }
 END_TEST
 
+// Planes whose levels do not halve evenly, and voxels beside them, are visited whole, as on the
+// CPU.
+START_TEST(uneven_planes_are_visited_whole) {
+    struct rn_train_config config = test_config(RN_FOOTPRINT_MIP, 3, 16, 16, 3);
+    struct test_scene s;
+    struct test_numbers first, after;
+    int unmet = 0;
+    config.field.base = 27;
+    config.field.voxels = true;
+    init_corner(&s, &config);
+    test_train(&s, 1, false, &first);
+    size_t n = s.field->parameters.count, side = (size_t)rn_voxel_side(&config.field);
+    size_t held = 3 * 27 * 27 * 16 + side * side * side * RN_VOXEL_CHANNELS;
+    test_scene_finish(&s);
+    float *m = malloc(n * sizeof *m), *v = malloc(n * sizeof *v);
+    for (size_t i = 0; i < n; i++) {
+        m[i] = 1e-3f;
+        v[i] = 1e-4f;
+    }
+    config.sparse = true;
+    init_corner(&s, &config);
+    s.m = m;
+    s.v = v;
+    test_train(&s, 1, false, &after);
+    for (size_t i = 0; i < held; i++) {
+        unmet += first.m[i] == 0;
+        ck_assert_double_eq_tol(after.m[i], 0.9 * 1e-3 + (double)first.m[i], 1e-5);
+    }
+    ck_assert_int_gt(unmet, 10000);
+    free(m);
+    free(v);
+    test_numbers_finish(&first);
+    test_numbers_finish(&after);
+    test_scene_finish(&s);
+}
+END_TEST
+
 void test_add_choices(Suite *suite) {
     test_add(suite, "occupancy", occupancy_is_measured_as_on_the_cpu, 2);
     test_add(suite, "sparse", untouched_blocks_stay, 5);
+    test_add(suite, "whole", uneven_planes_are_visited_whole, 1);
 }

@@ -444,7 +444,7 @@ static cudaError_t prepare_step(struct rn_device_field *f, const struct rn_devic
                                   c->sparse ? 0 : (float)c->weight_decay,
                                   (float)c->adam_eps,
                                   c->beta2,
-                                  c->sparse,
+                                  c->sparse && !f->scene.planes.shares,
                                   step->distortion};
     cudaError_t e = step->measure ? rn_queue_measurement(f, step) : cudaSuccess;
     if (!e)

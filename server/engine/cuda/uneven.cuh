@@ -39,8 +39,8 @@ RN_DEVICE void rn_pull_down_uneven(const struct rn_cuda_planes *p,
     }
 }
 
-// Pull-down and AdamW; where the optimiser is sparse, of texels that have a gradient. The gradients
-// stay until the maps are made: other texels read them too.
+// Pull-down and AdamW of every texel, as on the CPU: these planes have no tiles. The gradients stay
+// until the maps are made: other texels read them too.
 template <bool FIXED>
 __global__ void __launch_bounds__(256)
     rn_update_uneven_kernel(const __grid_constant__ rn_cuda_scene scene,
@@ -54,8 +54,6 @@ __global__ void __launch_bounds__(256)
     for (int map = 0; map < p->levels * p->levels; map++)
         if (rn_cuda_map_exists(p->footprint, map % p->levels, map / p->levels))
             rn_pull_down_uneven<FIXED>(p, &o.gradients, &t, map % p->levels, map / p->levels, grad);
-    bool some = grad[0] != 0 || grad[1] != 0 || grad[2] != 0 || grad[3] != 0;
-    if (o.update->sparse && !some) return;
     struct rn_update_texel own = rn_load_texel(&scene, &o, 4 * (size_t)i);
     rn_update_texel(&scene, &o, status, grad, &own);
 }
