@@ -241,29 +241,36 @@ static struct rn_query query_of(const struct cuda_query *q) {
     return rn_query_plane(&planes, 0, &s, q->lx, q->ly);
 }
 
-void cuda_plane_fetch(const struct cuda_plane *plane, const struct cuda_query *query, float *ret) {
+template <int C>
+static void fetch(const struct cuda_plane *plane, const struct cuda_query *query, float *ret) {
     const struct rn_cuda_planes *p = &plane->scene.planes;
     const struct rn_query both[2] = {query_of(query), query_of(query)};
-    for (int channel = 0; channel < p->channels; channel += 4) {
-        float sum[2][4] = {};
-        for (int corner = 0; corner < 4; corner++)
-            rn_fetch_corner(p, plane->maps.data(), 0, channel, both, corner, sum);
+    for (int channel = 0; channel < p->channels; channel += C) {
+        const struct rn_fetch_place place = {p, plane->maps.data(), 0, channel};
+        float sum[2][C] = {};
+        rn_fetch<C>(&place, both, true, sum);
         memcpy(ret + channel, sum[1], sizeof sum[1]);
     }
+}
+
+void cuda_plane_fetch(const struct cuda_plane *plane, const struct cuda_query *query, float *ret) {
+    (plane->scene.planes.channels % 8 == 0 ? fetch<8> : fetch<4>)(plane, query, ret);
 }
 
 template <bool FIXED, int C>
 static void scatter(struct cuda_plane *plane, int n, const struct cuda_query *queries,
                     const float *grad) {
     const struct rn_cuda_planes *p = &plane->scene.planes;
-    for (int channel = 0; channel < p->channels; channel += C) {
-        const struct rn_scatter_place place = {p, &plane->gradients, 0, channel};
-        struct rn_nests<C> nests = rn_nests_start<C>();
+    int parts = p->channels / C;
+    for (int part = 0; part < 4 * parts; part++) {
+        const struct rn_scatter_place place = {p, &plane->gradients, 0, part % parts * C};
+        struct rn_nest<C> nest = rn_nest_start<C>();
         for (int i = 0; i <= n; i++) {
             struct rn_query q = query_of(&queries[i < n ? i : n - 1]);
             float own[C];
-            memcpy(own, grad + (size_t)(i < n ? i : 0) * (size_t)p->channels + channel, sizeof own);
-            rn_spread<FIXED>(&place, &q, own, i == n, &nests);
+            memcpy(own, grad + (size_t)(i < n ? i : 0) * (size_t)p->channels + place.channel,
+                   sizeof own);
+            rn_spread<FIXED>(&place, &q, part / parts, own, i == n, &nest);
         }
     }
 }

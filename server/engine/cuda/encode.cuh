@@ -248,37 +248,74 @@ RN_DEVICE void rn_add_texel(uint2 texel, float weight, float sum[4]) {
     sum[3] += weight * rn_high(texel.y);
 }
 
-// Adds four channels, `channel` on, of one corner of two queries. Every texel is asked for before
-// one is used: what takes time here is the wait. Texels of weight 0 are not read.
-RN_DEVICE void rn_fetch_corner(const struct rn_cuda_planes *p, const uint16_t *texels, int plane,
-                               int channel, const struct rn_query (&q)[2], int corner,
-                               float (&sum)[2][4]) {
-    float weights[2][4], of_map[2];
-    uint2 found[2][4];
-    for (int i = 0; i < 2; i++)
-        of_map[i] = rn_corner_weight(&q[i], p->footprint, corner);
-    if (!(of_map[0] > 0) && !(of_map[1] > 0)) return;
+// C channels of a texel, in one load.
+template <int C> struct rn_channels;
+template <> struct rn_channels<4> {
+    uint2 first;
+};
+template <> struct alignas(16) rn_channels<8> {
+    uint2 first, second;
+};
+RN_DEVICE void rn_add_channels(const struct rn_channels<4> *texel, float weight, float (&sum)[4]) {
+    rn_add_texel(texel->first, weight, sum);
+}
+RN_DEVICE void rn_add_channels(const struct rn_channels<8> *texel, float weight, float (&sum)[8]) {
+    rn_add_texel(texel->first, weight, sum);
+    rn_add_texel(texel->second, weight, sum + 4);
+}
+
+// Where one plane is read, by one thread.
+struct rn_fetch_place {
+    const struct rn_cuda_planes *planes;
+    const uint16_t *texels; // of all planes
+    int plane, channel;
+};
+
+// Adds C channels of N corners of two queries, `corner` and the one across, 3 - corner. Every texel
+// is asked for before one is used: what takes time here is the wait. A corner of weight 0 reads the
+// query's first, which is there.
+template <int C, int N>
+RN_DEVICE void rn_fetch_corners(const struct rn_fetch_place *at, const struct rn_query (&q)[2],
+                                int corner, float (&sum)[2][C]) {
+    const struct rn_cuda_planes *p = at->planes;
+    struct rn_channels<C> found[N][2][4];
+    float weights[N][2][4];
     RN_UNROLL
-    for (int i = 0; i < 2; i++) {
-        float weight = of_map[i];
-        struct rn_corner c = {};
-        if (weight > 0) c = rn_find_corner(p, &q[i], corner);
-        uint32_t map = (uint32_t)plane * p->plane_texels + p->map[c.ly][c.lx];
-        size_t texel = map + (uint32_t)(c.y.low * c.width + c.x.low);
-        const uint16_t *from = texels + texel * (size_t)p->channels + (size_t)channel;
+    for (int i = 0; i < 2 * N; i++) {
+        int of = i < 2 ? corner : 3 - corner;
+        float weight = rn_corner_weight(&q[i % 2], p->footprint, of);
+        struct rn_corner c = rn_find_corner(p, &q[i % 2], weight > 0 ? of : 0);
+        uint32_t map = (uint32_t)at->plane * p->plane_texels + p->map[c.ly][c.lx];
+        uint32_t texel = map + (uint32_t)(c.y.low * c.width + c.x.low);
+        int across = c.width > 1 ? p->channels : 0;
+        int down = p->base >> c.ly > 1 ? c.width * p->channels : 0;
+        const uint16_t *from = at->texels + texel * (size_t)p->channels + (size_t)at->channel;
         RN_UNROLL
         for (int k = 0; k < 4; k++) {
             float fx = k & 1 ? c.x.fraction : 1 - c.x.fraction;
             float fy = k & 2 ? c.y.fraction : 1 - c.y.fraction;
-            size_t at = (size_t)(((k >> 1) * c.width + (k & 1)) * p->channels);
-            weights[i][k] = weight * fy * fx;
-            found[i][k] = uint2{0, 0};
-            if (weights[i][k] > 0) found[i][k] = *(const uint2 *)(from + at);
+            weights[i / 2][i % 2][k] = weight * fy * fx;
+            found[i / 2][i % 2][k] =
+                *(const struct rn_channels<C> *)(from + (k & 1 ? across : 0) + (k & 2 ? down : 0));
         }
     }
     RN_UNROLL
-    for (int i = 0; i < 8; i++)
-        rn_add_texel(found[i / 4][i % 4], weights[i / 4][i % 4], sum[i / 4]);
+    for (int i = 0; i < 8 * N; i++)
+        rn_add_channels(&found[i / 8][i / 4 % 2][i % 4], weights[i / 8][i / 4 % 2][i % 4],
+                        sum[i / 4 % 2]);
+}
+
+// All corners; `leveled`: there may be more than the first. A mip's are two.
+template <int C>
+RN_DEVICE void rn_fetch(const struct rn_fetch_place *at, const struct rn_query (&q)[2],
+                        bool leveled, float (&sum)[2][C]) {
+    if (!leveled) {
+        rn_fetch_corners<C, 1>(at, q, 0, sum);
+        return;
+    }
+    RN_ROLLED
+    for (int corner = 0; corner < (at->planes->footprint == RN_FOOTPRINT_MIP ? 1 : 2); corner++)
+        rn_fetch_corners<C, 2>(at, q, corner, sum);
 }
 
 // ---- voxels ---------------------------------------------------------------------------------
@@ -304,8 +341,9 @@ RN_DEVICE int rn_voxel_corner(int side, const struct rn_voxel_query *q, int corn
 }
 
 // Their features of two samples. Those of weight 0 are not read.
+template <int C>
 RN_DEVICE void rn_fetch_voxels(const struct rn_cuda_voxels *v, const struct rn_sample (&s)[2],
-                               float (&sum)[2][4]) {
+                               float (&sum)[2][C]) {
     RN_UNROLL
     for (int i = 0; i < 2; i++) {
         struct rn_voxel_query q = rn_query_voxels(v->side, &s[i]);
@@ -358,65 +396,75 @@ RN_DEVICE struct rn_footprint_factors rn_factors_of(const struct rn_encoder *e, 
     return f;
 }
 
-// Four channels of two samples on one plane. top[i]: raised to sample i's level on any axis.
-template <int WORLD>
-RN_DEVICE void rn_encode_plane(const struct rn_cuda_planes *p, const uint16_t *texels,
-                               const struct rn_encoder *e, const struct rn_footprint_factors *f,
-                               const struct rn_march_ray *ray, const struct rn_sample (&s)[2],
-                               int plane, int channel, float (&sum)[2][4], float (&top)[2]) {
-    bool leveled = e->leveled >> plane & 1;
+// C features of two samples, `feature` on: channels of a plane, voxels behind the last, or none.
+// top[i]: raised to sample i's level on any axis.
+template <int C, int WORLD>
+RN_DEVICE void rn_encode_features(const struct rn_cuda_scene *scene, const struct rn_encoder *e,
+                                  const struct rn_march_ray *ray, const struct rn_sample (&s)[2],
+                                  int feature, float (&sum)[2][C], float (&top)[2]) {
+    const struct rn_cuda_planes *p = &scene->planes;
+    int plane = feature / p->channels;
+    bool present = plane < p->planes, leveled = present && e->leveled >> plane & 1;
+    struct rn_fetch_place at = {p, scene->texels, plane, feature % p->channels};
+    struct rn_footprint_factors f = rn_factors_of(e, present ? plane : 0);
+    bool any_leveled = rn_ballot(leveled) != 0;
     struct rn_query q[2];
     RN_UNROLL
-    for (int i = 0; i < 2; i++) {
+    for (int i = 0; i < 2 && present; i++) {
         float lx = fmaxf(e->fixed_level, 0), ly = lx;
-        if (leveled && e->fixed_level < 0) rn_levels<WORLD>(p, plane, f, &s[i], ray, &lx, &ly);
+        if (leveled && e->fixed_level < 0) rn_levels<WORLD>(p, plane, &f, &s[i], ray, &lx, &ly);
         q[i] = rn_query_plane(p, plane, &s[i], lx, ly);
         top[i] = fmaxf(top[i], fmaxf(lx, ly));
     }
+    if (present) rn_fetch<C>(&at, q, any_leveled, sum);
+    if constexpr (WORLD != RN_WORLD_BALL)
+        if (feature == p->planes * p->channels && scene->voxels.side > 0)
+            rn_fetch_voxels<C>(&scene->voxels, s, sum);
+}
+
+// Eight features, likewise; where texels have four channels, of two planes.
+template <int WORLD>
+RN_DEVICE void rn_encode_eight(const struct rn_cuda_scene *scene, const struct rn_encoder *e,
+                               const struct rn_march_ray *ray, const struct rn_sample (&s)[2],
+                               int feature, float (&sum)[2][8], float (&top)[2]) {
+    if (scene->planes.channels >= 8) {
+        rn_encode_features<8, WORLD>(scene, e, ray, s, feature, sum, top);
+        return;
+    }
     RN_ROLLED
-    for (int corner = 0; corner < (leveled ? 4 : 1); corner++)
-        rn_fetch_corner(p, texels, plane, channel, q, corner, sum);
+    for (int part = 0; part < 2; part++) {
+        float four[2][4] = {};
+        rn_encode_features<4, WORLD>(scene, e, ray, s, feature + 4 * part, four, top);
+        RN_UNROLL
+        for (int i = 0; i < 8; i++)
+            sum[i / 4][i % 4] = part == 0 ? four[i / 4][i % 4] : sum[i / 4][i % 4];
+        RN_UNROLL
+        for (int i = 0; i < 8; i++)
+            sum[i / 4][4 + i % 4] = four[i / 4][i % 4];
+    }
 }
 
 // Features of the warp's two samples of rows g and g + 8 as A fragments. *ret_top[i]: the largest
-// level of sample i on any axis. Two fragments a turn: with a copy of the code for each, kernels
-// outgrow the instruction cache. Registers have no index, so every turn goes over all of them.
+// level of sample i on any axis. Two fragments a turn, of which a lane has eight features
+// (rn_cuda_feature): with a copy of the code for each, kernels outgrow the instruction cache.
+// Registers have no index, so every turn goes over all of them.
 template <int KT, int WORLD>
 RN_DEVICE void rn_encode(const struct rn_cuda_scene *scene, const struct rn_encoder *e,
                          const struct rn_march_ray *ray, const struct rn_sample (&s)[2],
                          uint32_t (&a)[KT][4], float (&ret_top)[2]) {
-    const struct rn_cuda_planes *p = &scene->planes;
-    int plane = 4 * (RN_LANE % 4) / p->channels, channel = 4 * (RN_LANE % 4) % p->channels;
-    int planes = 16 / p->channels, channels = 16 % p->channels; // from one fragment to the next
     ret_top[0] = ret_top[1] = 0;
     RN_UNROLL
     for (int i = 0; i < 4 * KT; i++)
         a[i / 4][i % 4] = 0;
     RN_ROLLED
     for (int turn = 0; turn < KT / 2; turn++) {
+        float sum[2][8] = {};
         uint32_t own[2][4];
+        rn_encode_eight<WORLD>(scene, e, ray, s, 32 * turn + 8 * (RN_LANE % 4), sum, ret_top);
         RN_UNROLL
-        for (int k = 0; k < 2; k++) {
-            bool present = plane < p->planes;
-            struct rn_footprint_factors f = rn_factors_of(e, present ? plane : 0);
-            float sum[2][4] = {};
-            if (present)
-                rn_encode_plane<WORLD>(p, scene->texels, e, &f, ray, s, plane, channel, sum,
-                                       ret_top);
-            if (WORLD != RN_WORLD_BALL && plane == p->planes && channel == 0 &&
-                scene->voxels.side > 0)
-                rn_fetch_voxels(&scene->voxels, s, sum);
-            plane += planes;
-            channel += channels;
-            if (channel >= p->channels) {
-                channel -= p->channels;
-                plane++;
-            }
-            for (int i = 0; i < 2; i++) {
-                own[k][i] = rn_pack(sum[i][0], sum[i][1]);
-                own[k][2 + i] = rn_pack(sum[i][2], sum[i][3]);
-            }
-        }
+        for (int i = 0; i < 8; i++)
+            own[i / 4][i % 4] = rn_pack(sum[i % 2][i / 4 * 4 + i % 4 / 2 * 2],
+                                        sum[i % 2][i / 4 * 4 + i % 4 / 2 * 2 + 1]);
         RN_UNROLL
         for (int k = 0; k < KT; k++)
             RN_UNROLL

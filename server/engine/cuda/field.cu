@@ -457,7 +457,7 @@ static cudaError_t queue_backward(struct rn_device_field *f) {
 
 template <bool FIXED, int WORLD> static cudaError_t queue_scatter(struct rn_device_field *f) {
     float step = f->march.step;
-    unsigned blocks = 16 * (unsigned)f->device->processors; // more than fit: rays differ in length
+    unsigned blocks = 64 * (unsigned)f->device->processors; // more than fit: rays differ in length
     auto scatter = f->scene.planes.channels % 8 == 0 ? rn_scatter_kernel<FIXED, 8, WORLD>
                                                      : rn_scatter_kernel<FIXED, 4, WORLD>;
     RN_TRY(RN_LAUNCH(scatter, blocks, 128, 0, f->device->stream, f->scene, f->batch,

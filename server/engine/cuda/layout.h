@@ -134,11 +134,19 @@ static inline void rn_cuda_network_init(struct rn_cuda_network *n, const struct 
     }
 }
 
-// A lane fetches four neighbouring channels of a texel and they become columns 2t, 2t + 1, 2t + 8
-// and 2t + 9 of its fragment: which feature stands in column `k` of the density network's input.
+// A lane fetches eight neighbouring channels and they become columns 2t, 2t + 1, 2t + 8 and 2t + 9
+// of two neighbouring fragments: which feature stands in column `k` of the density network's input.
 RN_HD int rn_cuda_feature(int k) {
     int q = k % 16, high = q / 8, t = q % 8 / 2;
-    return k - q + 4 * t + 2 * high + q % 2;
+    return k / 32 * 32 + 8 * t + 4 * (k / 16 % 2) + 2 * high + q % 2;
+}
+// Where four features from `feature` on, a multiple of four, stand: fragment, and part of four.
+struct rn_cuda_feature_place {
+    int fragment, part;
+};
+RN_HD struct rn_cuda_feature_place rn_cuda_place_of_features(int feature) {
+    struct rn_cuda_feature_place place = {feature / 32 * 2 + feature / 4 % 2, feature / 8 % 4};
+    return place;
 }
 
 // The density network's outputs are the colour network's inputs without moving: which input stands

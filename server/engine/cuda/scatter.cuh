@@ -1,7 +1,7 @@
 // The fetch's adjoint: feature gradients to the texels they came from. A thread follows a piece of
-// a ray on one plane with C channels, 8 where texels have as many, else 4, and holds the sums of
-// the texels around it; what it leaves behind goes to memory, so that neighbouring samples' texels
-// are written once.
+// a ray on one plane and one corner of its levels with C channels, 8 where texels have as many, else
+// 4, and holds the sums of the four texels around it; what it leaves behind goes to memory, so that
+// neighbouring samples' texels are written once.
 #ifndef RN_ENGINE_CUDA_SCATTER_CUH
 #define RN_ENGINE_CUDA_SCATTER_CUH
 
@@ -26,10 +26,12 @@ struct rn_cuda_gradients {
 };
 #define RN_VOXELS_A_MARK 4 // as many numbers as the CPU's tiles hold (rn_tiling)
 
-// Sums of the four texels of one map around the ray, [row][column][channel]; 0 where it is empty.
+// The four texels of a map around a ray and their sums, [row][column][channel], each in the place
+// of its coordinates' parities: where the ray comes to texels that it shares with those before, they
+// are where they were.
 #define RN_NOWHERE -4
 template <int C> struct rn_nest {
-    int x, y; // of texel (0, 0); RN_NOWHERE before there is one
+    int lx, ly, x[2], y[2]; // of the map; of texels; RN_NOWHERE before there is one
     float sum[2][2][C];
 };
 
@@ -92,76 +94,57 @@ RN_DEVICE void rn_flush(const struct rn_scatter_place *p, int lx, int ly, int x,
         sum[c] = 0;
 }
 
-// Moves a nest to another place of its map, or away from it (`leaves`): what both places share
-// stays, what they do not goes to memory.
-template <bool FIXED, int C>
-RN_DEVICE void rn_move_nest(const struct rn_scatter_place *p, int lx, int ly, bool leaves, int x,
-                            int y, struct rn_nest<C> *n) {
-    int dx = leaves ? 2 : x - n->x, dy = y - n->y;
-    RN_UNROLL
-    for (int k = 0; k < 4; k++) {
-        bool stays = (unsigned)(k % 2 - dx) < 2 && (unsigned)(k / 2 - dy) < 2;
-        if (!stays) rn_flush<FIXED>(p, lx, ly, n->x + k % 2, n->y + k / 2, n->sum[k / 2][k % 2]);
-    }
-    RN_UNROLL
-    for (int i = 0; i < 2 * C; i++) {
-        float left = n->sum[i / C][0][i % C], right = n->sum[i / C][1][i % C];
-        n->sum[i / C][0][i % C] = dx > 0 ? right : dx < 0 ? 0 : left;
-        n->sum[i / C][1][i % C] = dx > 0 ? 0 : dx < 0 ? left : right;
-    }
-    RN_UNROLL
-    for (int i = 0; i < 2 * C; i++) {
-        float above = n->sum[0][i / C][i % C], below = n->sum[1][i / C][i % C];
-        n->sum[0][i / C][i % C] = dy > 0 ? below : dy < 0 ? 0 : above;
-        n->sum[1][i / C][i % C] = dy > 0 ? 0 : dy < 0 ? above : below;
-    }
-    n->x = x;
-    n->y = y;
+// The even and the odd one of two neighbouring coordinates.
+RN_DEVICE void rn_by_parity(int low, int (&ret)[2]) {
+    ret[0] = low + (low & 1);
+    ret[1] = low + 1 - (low & 1);
 }
 
-// Four nests, one a corner of the levels, and the levels they are at.
-template <int C> struct rn_nests {
-    int lx, ly;
-    struct rn_nest<C> corner[4];
-};
-
-// Adds the adjoint of one query; with `ends` nothing, and all that is held goes to memory. One copy
-// of this code serves every sample: unrolled as it is, it is most of the kernel.
+// Adds the adjoint of one corner of a query; with `ends` nothing, and all that is held goes to
+// memory.
 template <bool FIXED, int C>
-RN_DEVICE void rn_spread(const struct rn_scatter_place *p, const struct rn_query *q,
-                         const float (&grad)[C], bool ends, struct rn_nests<C> *n) {
-    bool leaves = ends || q->x.level != n->lx || q->y.level != n->ly;
+RN_DEVICE void rn_spread(const struct rn_scatter_place *p, const struct rn_query *q, int corner,
+                         const float (&grad)[C], bool ends, struct rn_nest<C> *n) {
+    float weight = ends ? 0 : rn_corner_weight(q, p->planes->footprint, corner);
+    bool takes = weight > 0, moved = false;
+    if (!takes && !ends) return;
+    struct rn_corner at = rn_find_corner(p->planes, q, takes ? corner : 0);
+    bool leaves = ends || at.lx != n->lx || at.ly != n->ly;
+    int x[2], y[2];
+    rn_by_parity(at.x.low, x);
+    rn_by_parity(at.y.low, y);
     RN_UNROLL
-    for (int c = 0; c < 4; c++) {
-        float weight = ends ? 0 : rn_corner_weight(q, p->planes->footprint, c);
-        struct rn_nest<C> *nest = &n->corner[c];
-        struct rn_corner at = {0, 0, 0, {RN_NOWHERE, 0}, {RN_NOWHERE, 0}};
-        if (weight > 0) at = rn_find_corner(p->planes, q, c);
-        // One lane of a texel's marks what all of them will leave there.
-        if (weight > 0 && p->channel == 0 && (leaves || at.x.low != nest->x || at.y.low != nest->y))
-            rn_mark_touched(p, at.lx, at.ly, at.x.low, at.y.low);
-        if (leaves || weight > 0)
-            rn_move_nest<FIXED>(p, n->lx + (c & 1), n->ly + (c >> 1), leaves, at.x.low, at.y.low,
-                                nest);
-        if (!(weight > 0)) continue;
-        float fx = at.x.fraction, fy = at.y.fraction;
-        RN_UNROLL
-        for (int k = 0; k < 4; k++) {
-            float w = weight * (k & 1 ? fx : 1 - fx) * (k & 2 ? fy : 1 - fy);
-            RN_UNROLL
-            for (int e = 0; e < C; e++)
-                nest->sum[k >> 1][k & 1][e] += w * grad[e];
-        }
+    for (int k = 0; k < 4; k++) {
+        bool stays = !leaves && x[k & 1] == n->x[k & 1] && y[k >> 1] == n->y[k >> 1];
+        if (!stays)
+            rn_flush<FIXED>(p, n->lx, n->ly, n->x[k & 1], n->y[k >> 1], n->sum[k >> 1][k & 1]);
+        moved |= !stays;
     }
-    n->lx = q->x.level;
-    n->ly = q->y.level;
+    if (!takes) return;
+    // One lane of a texel's marks what all of them will leave there.
+    if (moved && p->channel == 0) rn_mark_touched(p, at.lx, at.ly, at.x.low, at.y.low);
+    n->lx = at.lx;
+    n->ly = at.ly;
+    RN_UNROLL
+    for (int k = 0; k < 2; k++) {
+        n->x[k] = x[k];
+        n->y[k] = y[k];
+    }
+    RN_UNROLL
+    for (int k = 0; k < 4; k++) {
+        float fx = x[k & 1] == at.x.low ? 1 - at.x.fraction : at.x.fraction;
+        float fy = y[k >> 1] == at.y.low ? 1 - at.y.fraction : at.y.fraction;
+        float w = weight * fx * fy;
+        RN_UNROLL
+        for (int e = 0; e < C; e++)
+            n->sum[k >> 1][k & 1][e] += w * grad[e];
+    }
 }
 
 // No place yet.
-template <int C> RN_DEVICE struct rn_nests<C> rn_nests_start() {
-    struct rn_nests<C> n = {};
-    for (int c = 0; c < 4; c++)
-        n.corner[c].x = n.corner[c].y = RN_NOWHERE;
+template <int C> RN_DEVICE struct rn_nest<C> rn_nest_start() {
+    struct rn_nest<C> n = {};
+    n.lx = n.ly = n.x[0] = n.x[1] = n.y[0] = n.y[1] = RN_NOWHERE;
     return n;
 }
 
@@ -173,40 +156,53 @@ struct rn_returned_sample {
 };
 template <int C>
 RN_DEVICE struct rn_returned_sample<C> rn_load_returned(const struct rn_cuda_batch *b, int kt,
-                                                        int k, int t, int place) {
-    size_t block = (size_t)(place / RN_TILE) * (size_t)kt + (size_t)k;
+                                                        int feature, int place) {
+    size_t tile = (size_t)(place / RN_TILE) * (size_t)kt;
     struct rn_returned_sample<C> s;
     s.mid = b->returned_mid[place];
     RN_UNROLL
-    for (int i = 0; i < C / 4; i++)
-        s.grad[i] = b->feature_grad[block * RN_BLOCK + (size_t)(place % RN_TILE * 4 + t + i)];
+    for (int i = 0; i < C / 4; i++) {
+        struct rn_cuda_feature_place at = rn_cuda_place_of_features(feature + 4 * i);
+        s.grad[i] = b->feature_grad[(tile + (size_t)at.fragment) * RN_BLOCK +
+                                    (size_t)(place % RN_TILE * 4 + at.part)];
+    }
     return s;
 }
 
-// Follows a piece of a ray on the plane of fragment `k`, from lane part `t` of four on.
+// Of which rays a corner takes a part: the first of all.
+template <int WORLD>
+RN_DEVICE bool rn_corner_takes_part(const struct rn_cuda_planes *p, const struct rn_march_ray *ray,
+                                    const struct rn_forward_line *line,
+                                    const struct rn_footprint_factors *f, float step, int corner) {
+    if (corner == 0) return true;
+    if (p->footprint == RN_FOOTPRINT_MIP && corner != 3) return false;
+    return rn_ray_leveled<WORLD>(p, ray, line, f, step);
+}
+
+// Follows a piece of a ray with the channels from `feature` on, on one corner's maps.
 template <bool FIXED, int C, int WORLD>
 RN_DEVICE void rn_scatter_piece(const struct rn_cuda_scene *scene, const struct rn_cuda_batch *b,
                                 const struct rn_cuda_gradients *to, float step,
-                                struct rn_cuda_piece piece, int k, int t) {
+                                struct rn_cuda_piece piece, int feature, int corner) {
     const struct rn_cuda_planes *planes = &scene->planes;
-    int feature = 16 * k + 4 * t, kt = scene->base.inputs16;
+    int kt = scene->base.inputs16;
     struct rn_cuda_return returned = b->ray_return[piece.ray];
     int first = returned.first + piece.begin, left = returned.count - piece.begin;
     int count = left < RN_PIECE ? left : RN_PIECE;
     struct rn_scatter_place p = {planes, to, feature / planes->channels,
                                  feature % planes->channels};
-    if (p.plane >= planes->planes) return;
     struct rn_march_ray ray = b->rays[piece.ray];
     step *= (float)ray.stride;
     struct rn_forward_line line = {};
     struct rn_footprint_factors f = {};
     if (WORLD == RN_WORLD_FORWARD) line = b->forward[piece.ray].line;
     if (WORLD != RN_WORLD_UNBOUNDED) f = rn_factors(planes->axis[p.plane], ray.direction);
-    struct rn_nests<C> nests = rn_nests_start<C>();
-    struct rn_returned_sample<C> own, next = rn_load_returned<C>(b, kt, k, t, first);
+    if (!rn_corner_takes_part<WORLD>(planes, &ray, &line, &f, step, corner)) return;
+    struct rn_nest<C> nest = rn_nest_start<C>();
+    struct rn_returned_sample<C> own, next = rn_load_returned<C>(b, kt, feature, first);
     for (int i = 0; i <= count; i++) {
         own = next;
-        if (i + 1 < count) next = rn_load_returned<C>(b, kt, k, t, first + i + 1);
+        if (i + 1 < count) next = rn_load_returned<C>(b, kt, feature, first + i + 1);
         float grad[C];
         RN_UNROLL
         for (int c = 0; c < C; c++) {
@@ -217,22 +213,26 @@ RN_DEVICE void rn_scatter_piece(const struct rn_cuda_scene *scene, const struct 
         float lx = 0, ly = 0;
         if (planes->levels > 1) rn_levels<WORLD>(planes, p.plane, &f, &s, &ray, &lx, &ly);
         struct rn_query q = rn_query_plane(planes, p.plane, &s, lx, ly);
-        rn_spread<FIXED>(&p, &q, grad, i == count, &nests);
+        rn_spread<FIXED>(&p, &q, corner, grad, i == count, &nest);
     }
 }
 
-// One thread a (piece, fragment, C of its 16 channels).
+// One thread a (corner, piece, C channels of a plane): a warp has one corner, and those that few
+// rays have end with them.
 template <bool FIXED, int C, int WORLD>
 __global__ void __launch_bounds__(128)
     rn_scatter_kernel(const __grid_constant__ rn_cuda_scene scene,
                       const __grid_constant__ rn_cuda_batch batch,
                       const __grid_constant__ rn_cuda_gradients to, float step) {
-    int parts = 16 / C * scene.base.inputs16, all = (int)batch.status->pieces * parts;
+    int parts = scene.planes.planes * scene.planes.channels / C;
+    int of_corner = (int)batch.status->pieces * parts;
+    int all = of_corner * (scene.planes.levels > 1 ? 4 : 1);
     if (rn_cuda_step_skipped(batch.status)) return;
     for (int i = (int)(blockIdx.x * blockDim.x + threadIdx.x); i < all;
          i += (int)(gridDim.x * blockDim.x))
-        rn_scatter_piece<FIXED, C, WORLD>(&scene, &batch, &to, step, batch.pieces[i / parts],
-                                          i % parts / (16 / C), i % (16 / C) * (C / 4));
+        rn_scatter_piece<FIXED, C, WORLD>(&scene, &batch, &to, step,
+                                          batch.pieces[i % of_corner / parts],
+                                          i % of_corner % parts * C, i / of_corner);
 }
 
 // ---- voxels ---------------------------------------------------------------------------------
@@ -273,7 +273,7 @@ __global__ void __launch_bounds__(128)
         float sum[4] = {0, 0, 0, 0};
         for (int place = first; place < end && place < first + RN_PIECE; place++) {
             struct rn_returned_sample<4> own = rn_load_returned<4>(
-                &batch, scene.base.inputs16, feature / 16, feature % 16 / 4, place);
+                &batch, scene.base.inputs16, feature, place);
             struct rn_sample s = rn_place<WORLD>(&ray, &line, own.mid, step * (float)ray.stride);
             struct rn_voxel_query q = rn_query_voxels(side, &s);
             float weight;
