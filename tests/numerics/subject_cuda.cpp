@@ -248,7 +248,11 @@ static void fetch(const struct cuda_plane *plane, const struct cuda_query *query
     for (int channel = 0; channel < p->channels; channel += C) {
         const struct rn_fetch_place place = {p, plane->maps.data(), 0, channel};
         float sum[2][C] = {};
-        rn_fetch<C>(&place, both, true, sum);
+        for (int corner = 0; corner < 4; corner++) {
+            float weight = rn_corner_weight(&both[0], p->footprint, corner);
+            const float of_map[2] = {weight, weight};
+            rn_fetch_corner<C>(&place, both, corner, of_map, sum);
+        }
         memcpy(ret + channel, sum[1], sizeof sum[1]);
     }
 }
@@ -260,28 +264,30 @@ void cuda_plane_fetch(const struct cuda_plane *plane, const struct cuda_query *q
 template <bool FIXED, int C>
 static void scatter(struct cuda_plane *plane, int n, const struct cuda_query *queries,
                     const float *grad) {
-    const struct rn_cuda_planes *p = &plane->scene.planes;
-    int parts = p->channels / C;
-    for (int part = 0; part < 4 * parts; part++) {
-        const struct rn_scatter_place place = {p, &plane->gradients, 0, part % parts * C};
+    const struct rn_scatter_place place = {&plane->scene.planes, &plane->gradients, 0};
+    for (int corner = 0; corner < 4; corner++) {
         struct rn_nest<C> nest = rn_nest_start<C>();
         for (int i = 0; i <= n; i++) {
             struct rn_query q = query_of(&queries[i < n ? i : n - 1]);
             float own[C];
-            memcpy(own, grad + (size_t)(i < n ? i : 0) * (size_t)p->channels + place.channel,
-                   sizeof own);
-            rn_spread<FIXED>(&place, &q, part / parts, own, i == n, &nest);
+            memcpy(own, grad + (size_t)(i < n ? i : 0) * C, sizeof own);
+            rn_spread<FIXED>(&place, &q, corner, own, i == n, &nest);
         }
     }
 }
 
+template <bool FIXED>
+static void scatter_channels(struct cuda_plane *plane, int n, const struct cuda_query *queries,
+                             const float *grad) {
+    int channels = plane->scene.planes.channels;
+    (channels == 16  ? scatter<FIXED, 16>
+     : channels == 8 ? scatter<FIXED, 8>
+                     : scatter<FIXED, 4>)(plane, n, queries, grad);
+}
+
 void cuda_plane_scatter(struct cuda_plane *plane, int n, const struct cuda_query *queries,
                         const float *grad, bool fixed) {
-    bool by_eight = plane->scene.planes.channels % 8 == 0;
-    if (fixed)
-        (by_eight ? scatter<true, 8> : scatter<true, 4>)(plane, n, queries, grad);
-    else
-        (by_eight ? scatter<false, 8> : scatter<false, 4>)(plane, n, queries, grad);
+    (fixed ? scatter_channels<true> : scatter_channels<false>)(plane, n, queries, grad);
 }
 
 double cuda_plane_gradient(const struct cuda_plane *plane, int lx, int ly, int x, int y,

@@ -19,6 +19,7 @@
 #define RN_DEVICE static __device__ __forceinline__
 #define RN_SHARED __shared__
 #define RN_UNROLL _Pragma("unroll")
+#define RN_UNROLL_8 _Pragma("unroll 8")
 #define RN_ROLLED _Pragma("unroll 1")
 #define RN_LAUNCH(kernel, grid, block, shared, stream, ...)                                        \
     (kernel<<<grid, block, shared, stream>>>(__VA_ARGS__), cudaGetLastError())
@@ -116,7 +117,7 @@ RN_DEVICE void rn_red_half4(uint2 *to, uint32_t a, uint32_t b) {
     asm volatile("red.global.add.noftz.f16x2 [%0], %1;" ::"l"(&to->y), "r"(b) : "memory");
 #endif
 }
-RN_DEVICE void rn_red_half8(uint4 *to, const uint32_t (&pairs)[4]) {
+RN_DEVICE void rn_red_half8(uint4 *to, const uint32_t *pairs) { // four
 #if __CUDA_ARCH__ >= 900
     asm volatile("red.global.add.noftz.v4.f16x2 [%0], {%1, %2, %3, %4};" ::"l"(to), "r"(pairs[0]),
                  "r"(pairs[1]), "r"(pairs[2]), "r"(pairs[3])

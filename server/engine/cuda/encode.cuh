@@ -264,6 +264,11 @@ RN_DEVICE void rn_add_channels(const struct rn_channels<8> *texel, float weight,
     rn_add_texel(texel->second, weight, sum + 4);
 }
 
+// log2 of how many channels a texel has, which are 4, 8 or 16.
+RN_DEVICE int rn_channels_shift(const struct rn_cuda_planes *p) {
+    return p->channels == 16 ? 4 : p->channels == 8 ? 3 : 2;
+}
+
 // Where one plane is read, by one thread.
 struct rn_fetch_place {
     const struct rn_cuda_planes *planes;
@@ -271,51 +276,35 @@ struct rn_fetch_place {
     int plane, channel;
 };
 
-// Adds C channels of N corners of two queries, `corner` and the one across, 3 - corner. Every texel
-// is asked for before one is used: what takes time here is the wait. A corner of weight 0 reads the
-// query's first, which is there.
-template <int C, int N>
-RN_DEVICE void rn_fetch_corners(const struct rn_fetch_place *at, const struct rn_query (&q)[2],
-                                int corner, float (&sum)[2][C]) {
+// Adds C channels of one corner of two queries, whose maps have these weights. Every texel is asked
+// for before one is used: what takes time here is the wait. Of a map of weight 0 the query's first
+// is read, which is there.
+template <int C>
+RN_DEVICE void rn_fetch_corner(const struct rn_fetch_place *at, const struct rn_query (&q)[2],
+                               int corner, const float (&of_map)[2], float (&sum)[2][C]) {
     const struct rn_cuda_planes *p = at->planes;
-    struct rn_channels<C> found[N][2][4];
-    float weights[N][2][4];
+    struct rn_channels<C> found[2][4];
+    float weights[2][4];
     RN_UNROLL
-    for (int i = 0; i < 2 * N; i++) {
-        int of = i < 2 ? corner : 3 - corner;
-        float weight = rn_corner_weight(&q[i % 2], p->footprint, of);
-        struct rn_corner c = rn_find_corner(p, &q[i % 2], weight > 0 ? of : 0);
+    for (int i = 0; i < 2; i++) {
+        struct rn_corner c = rn_find_corner(p, &q[i], of_map[i] > 0 ? corner : 0);
         uint32_t map = (uint32_t)at->plane * p->plane_texels + p->map[c.ly][c.lx];
         uint32_t texel = map + (uint32_t)(c.y.low * c.width + c.x.low);
-        int across = c.width > 1 ? p->channels : 0;
-        int down = p->base >> c.ly > 1 ? c.width * p->channels : 0;
+        uint32_t across = c.width > 1 ? (uint32_t)p->channels : 0;
+        uint32_t down = p->base >> c.ly > 1 ? (uint32_t)(c.width * p->channels) : 0;
         const uint16_t *from = at->texels + texel * (size_t)p->channels + (size_t)at->channel;
+        float low = of_map[i] * (1 - c.y.fraction), high = of_map[i] * c.y.fraction;
         RN_UNROLL
         for (int k = 0; k < 4; k++) {
             float fx = k & 1 ? c.x.fraction : 1 - c.x.fraction;
-            float fy = k & 2 ? c.y.fraction : 1 - c.y.fraction;
-            weights[i / 2][i % 2][k] = weight * fy * fx;
-            found[i / 2][i % 2][k] =
+            weights[i][k] = (k & 2 ? high : low) * fx;
+            found[i][k] =
                 *(const struct rn_channels<C> *)(from + (k & 1 ? across : 0) + (k & 2 ? down : 0));
         }
     }
     RN_UNROLL
-    for (int i = 0; i < 8 * N; i++)
-        rn_add_channels(&found[i / 8][i / 4 % 2][i % 4], weights[i / 8][i / 4 % 2][i % 4],
-                        sum[i / 4 % 2]);
-}
-
-// All corners; `leveled`: there may be more than the first. A mip's are two.
-template <int C>
-RN_DEVICE void rn_fetch(const struct rn_fetch_place *at, const struct rn_query (&q)[2],
-                        bool leveled, float (&sum)[2][C]) {
-    if (!leveled) {
-        rn_fetch_corners<C, 1>(at, q, 0, sum);
-        return;
-    }
-    RN_ROLLED
-    for (int corner = 0; corner < (at->planes->footprint == RN_FOOTPRINT_MIP ? 1 : 2); corner++)
-        rn_fetch_corners<C, 2>(at, q, corner, sum);
+    for (int i = 0; i < 8; i++)
+        rn_add_channels(&found[i / 4][i % 4], weights[i / 4][i % 4], sum[i / 4]);
 }
 
 // ---- voxels ---------------------------------------------------------------------------------
@@ -397,26 +386,34 @@ RN_DEVICE struct rn_footprint_factors rn_factors_of(const struct rn_encoder *e, 
 }
 
 // C features of two samples, `feature` on: channels of a plane, voxels behind the last, or none.
-// top[i]: raised to sample i's level on any axis.
+// top[i]: raised to sample i's level on any axis. Corners that no lane has are left out.
 template <int C, int WORLD>
 RN_DEVICE void rn_encode_features(const struct rn_cuda_scene *scene, const struct rn_encoder *e,
                                   const struct rn_march_ray *ray, const struct rn_sample (&s)[2],
                                   int feature, float (&sum)[2][C], float (&top)[2]) {
     const struct rn_cuda_planes *p = &scene->planes;
-    int plane = feature / p->channels;
-    bool present = plane < p->planes, leveled = present && e->leveled >> plane & 1;
-    struct rn_fetch_place at = {p, scene->texels, plane, feature % p->channels};
-    struct rn_footprint_factors f = rn_factors_of(e, present ? plane : 0);
-    bool any_leveled = rn_ballot(leveled) != 0;
+    int plane = feature >> rn_channels_shift(p);
+    bool present = plane < p->planes;
+    if (!present) plane = 0;
+    struct rn_fetch_place at = {p, scene->texels, plane, feature & (p->channels - 1)};
+    struct rn_footprint_factors f = rn_factors_of(e, plane);
+    bool leveled = e->leveled >> plane & 1;
     struct rn_query q[2];
     RN_UNROLL
-    for (int i = 0; i < 2 && present; i++) {
+    for (int i = 0; i < 2; i++) {
         float lx = fmaxf(e->fixed_level, 0), ly = lx;
         if (leveled && e->fixed_level < 0) rn_levels<WORLD>(p, plane, &f, &s[i], ray, &lx, &ly);
         q[i] = rn_query_plane(p, plane, &s[i], lx, ly);
-        top[i] = fmaxf(top[i], fmaxf(lx, ly));
+        if (present) top[i] = fmaxf(top[i], fmaxf(lx, ly));
     }
-    if (present) rn_fetch<C>(&at, q, any_leveled, sum);
+    RN_ROLLED
+    for (int corner = 0; corner < 4; corner++) {
+        float of_map[2];
+        for (int i = 0; i < 2; i++)
+            of_map[i] = present ? rn_corner_weight(&q[i], p->footprint, corner) : 0;
+        if (rn_ballot(of_map[0] > 0 || of_map[1] > 0))
+            rn_fetch_corner<C>(&at, q, corner, of_map, sum);
+    }
     if constexpr (WORLD != RN_WORLD_BALL)
         if (feature == p->planes * p->channels && scene->voxels.side > 0)
             rn_fetch_voxels<C>(&scene->voxels, s, sum);

@@ -90,6 +90,7 @@ static void lay_out_tiles(struct rn_device_field *f, struct rn_arena *a) {
     rn_part(a, &b->geometry_grad, tiles * RN_BLOCK);
     rn_part(a, &b->returned, samples);
     rn_part(a, &b->returned_mid, samples);
+    rn_part(a, &b->queries, samples * (size_t)f->scene.planes.planes);
     rn_part(a, &b->feature_grad, tiles * k * RN_BLOCK);
     rn_part(a, &b->scratch, tiles * (base > head ? base : head) * RN_LANES);
 }
@@ -411,16 +412,17 @@ static cudaError_t queue_forward(struct rn_device_field *f) {
 
 static cudaError_t queue_gradient(struct rn_device_field *f, const struct rn_cuda_network *n,
                                   float4 *sums) {
-    unsigned blocks = (unsigned)(RN_CHUNKS * (n->hidden + 1));
     struct rn_cuda_network network = *n;
     bool of_rays = f->scene.per_ray && n == &f->scene.head;
     size_t bytes = RN_GRADIENT_STAGES * rn_cuda_gradient_stage(n) * sizeof(uint4);
-    RN_TRY(allow_shared(f->device, rn_gradient_kernel));
-    RN_TRY(RN_LAUNCH(rn_gradient_kernel, blocks, 256, bytes, f->device->stream, network,
-                     f->batch.status, f->batch.scratch, f->batch.tile_capacity, of_rays, sums));
+    unsigned blocks;
+    RN_TRY(fill(f->device, rn_gradient_kernel, 256, bytes, &blocks));
+    struct rn_cuda_chunks chunks = rn_cuda_chunks_of(n, (int)blocks);
+    RN_TRY(RN_LAUNCH(rn_gradient_kernel, (unsigned)chunks.first[n->hidden + 1], 256, bytes,
+                     f->device->stream, network, chunks, f->batch.status, f->batch.scratch,
+                     f->batch.tile_capacity, of_rays, sums));
     return RN_LAUNCH(rn_reduce_kernel, RN_BLOCKS(rn_cuda_gradient_count(n)), 256, 0,
-                     f->device->stream, (float *)sums, rn_cuda_gradient_count(&network),
-                     f->batch.status);
+                     f->device->stream, network, chunks, (float *)sums, f->batch.status);
 }
 
 // Gradients of the colour network's weights, and before where samples are shaded, of its inputs.
@@ -458,10 +460,14 @@ static cudaError_t queue_backward(struct rn_device_field *f) {
 template <bool FIXED, int WORLD> static cudaError_t queue_scatter(struct rn_device_field *f) {
     float step = f->march.step;
     unsigned blocks = 64 * (unsigned)f->device->processors; // more than fit: rays differ in length
-    auto scatter = f->scene.planes.channels % 8 == 0 ? rn_scatter_kernel<FIXED, 8, WORLD>
-                                                     : rn_scatter_kernel<FIXED, 4, WORLD>;
+    int queries = (int)f->batch.tile_capacity * RN_TILE * f->scene.planes.planes;
+    auto scatter = f->scene.planes.channels == 16  ? rn_scatter_kernel<FIXED, 16>
+                   : f->scene.planes.channels == 8 ? rn_scatter_kernel<FIXED, 8>
+                                                   : rn_scatter_kernel<FIXED, 4>;
+    RN_TRY(RN_LAUNCH(rn_queries_kernel<WORLD>, RN_BLOCKS(queries), 256, 0, f->device->stream,
+                     f->scene, f->batch, step));
     RN_TRY(RN_LAUNCH(scatter, blocks, 128, 0, f->device->stream, f->scene, f->batch,
-                     f->optimiser.gradients, step));
+                     f->optimiser.gradients));
     if (f->scene.voxels.side == 0) return cudaSuccess;
     return RN_LAUNCH((rn_scatter_voxels_kernel<FIXED, WORLD>), blocks, 128, 0, f->device->stream,
                      f->scene, f->batch, f->optimiser.gradients, step);

@@ -1,6 +1,6 @@
 // Gradients of the networks' weights: for every layer the product of activations transposed with
 // gradients, over all tiles. Both operands lie as transposed fragments (network.cuh). A block of
-// threads has one layer and one of RN_CHUNKS parts of the tiles, and all of the layer's sums in
+// threads has one layer and one part of the tiles (rn_cuda_chunks), and all of the layer's sums in
 // registers; the next tiles are on their way to shared memory while one is multiplied, since what
 // bounds this is how many bytes are in flight. The parts' sums are added in order: the same bits
 // every time.
@@ -28,13 +28,35 @@ RN_HD size_t rn_cuda_gradient_stage(const struct rn_cuda_network *n) {
     return (size_t)(k16 + n->width16) * RN_LANES;
 }
 
-// Begins the copy of a tile, where there is one, as a group of its own.
-RN_DEVICE void rn_gradient_load(const struct rn_gradient_layer *l, size_t tile, size_t end,
-                                uint4 *to) {
+// What a thread copies of every tile: at most so many fragments, each a tile's stride further on.
+#define RN_GRADIENT_COPIES 3 // 576 fragments of the widest tile, 256 threads
+struct rn_gradient_copy {
+    const uint4 *from[RN_GRADIENT_COPIES];
+    int stride[RN_GRADIENT_COPIES], count;
+};
+RN_DEVICE struct rn_gradient_copy rn_gradient_copy_start(const struct rn_gradient_layer *l,
+                                                         size_t tile) {
     int into = l->into_blocks * RN_LANES, out_of = l->out_blocks * RN_LANES;
-    for (int i = (int)threadIdx.x; i < into + out_of && tile < end; i += (int)blockDim.x)
-        rn_copy_async(to + i, i < into ? l->into + tile * (size_t)into + i
-                                       : l->out_of + tile * (size_t)out_of + (i - into));
+    struct rn_gradient_copy copy;
+    copy.count = into + out_of;
+    RN_UNROLL
+    for (int k = 0; k < RN_GRADIENT_COPIES; k++) {
+        int i = (int)(threadIdx.x + (unsigned)k * blockDim.x);
+        copy.stride[k] = i < into ? into : out_of;
+        copy.from[k] = (i < into ? l->into + i : l->out_of + (i - into)) +
+                       tile * (size_t)copy.stride[k];
+    }
+    return copy;
+}
+
+// Begins the copy of the next tile, where there is one, as a group of its own.
+RN_DEVICE void rn_gradient_load(struct rn_gradient_copy *copy, bool is, uint4 *to) {
+    RN_UNROLL
+    for (int k = 0; k < RN_GRADIENT_COPIES; k++) {
+        int i = (int)(threadIdx.x + (unsigned)k * blockDim.x);
+        if (is && i < copy->count) rn_copy_async(to + i, copy->from[k]);
+        copy->from[k] += copy->stride[k];
+    }
     rn_copy_commit();
 }
 
@@ -94,26 +116,34 @@ RN_HD size_t rn_cuda_gradient_count(const struct rn_cuda_network *n) {
 // Block (chunk, layer): the layer's gradient over the chunk's tiles, into sums[chunk]. `of_rays`:
 // the tiles hold rays, not samples. Shared memory: RN_GRADIENT_STAGES tiles.
 __global__ void __launch_bounds__(256, 2)
-    rn_gradient_kernel(const __grid_constant__ rn_cuda_network n, struct rn_cuda_status *status,
+    rn_gradient_kernel(const __grid_constant__ rn_cuda_network n,
+                       const __grid_constant__ rn_cuda_chunks chunks, struct rn_cuda_status *status,
                        uint4 *scratch_block, uint32_t tile_capacity, bool of_rays, float4 *sums) {
     uint4 *room = (uint4 *)rn_shared_memory();
-    int layers = n.hidden + 1, chunk = (int)blockIdx.x / layers, layer = (int)blockIdx.x % layers;
+    int layer = 0;
+    while ((int)blockIdx.x >= chunks.first[layer + 1])
+        layer++;
+    int chunk = (int)blockIdx.x - chunks.first[layer];
+    size_t parts = (size_t)(chunks.first[layer + 1] - chunks.first[layer]);
     struct rn_cuda_scratch scratch = rn_scratch(&n, scratch_block, tile_capacity);
     struct rn_gradient_layer l = {rn_into(&scratch, layer), rn_out_of(&scratch, layer),
                                   rn_cuda_layer_k16(&n, layer), rn_cuda_layer_n16(&n, layer)};
     size_t tiles = rn_cuda_tiles(of_rays ? (uint32_t)status->ray_count : status->returned);
-    size_t begin = tiles * (size_t)chunk / RN_CHUNKS, end = tiles * (size_t)(chunk + 1) / RN_CHUNKS;
+    size_t begin = tiles * (size_t)chunk / parts, end = tiles * (size_t)(chunk + 1) / parts;
     size_t stage = rn_cuda_gradient_stage(&n);
     int warp = (int)threadIdx.x / RN_LANES;
     struct rn_gradient_sums own = {warp / RN_GRADIENT_ACROSS, warp % RN_GRADIENT_ACROSS, {{{{0}}}}};
+    struct rn_gradient_copy copy = rn_gradient_copy_start(&l, begin);
+    int count = (int)(end - begin), slot = 0; // of the tile under way
     for (int i = 0; i < RN_GRADIENT_STAGES - 1; i++)
-        rn_gradient_load(&l, begin + i, end, room + i * stage);
-    for (size_t tile = begin; tile < end; tile++) {
+        rn_gradient_load(&copy, i < count, room + i * stage);
+    for (int tile = 0; tile < count; tile++) {
         rn_copy_wait<RN_GRADIENT_STAGES - 2>();
         __syncthreads(); // this tile is here, and all have read the one before
-        size_t ahead = tile + RN_GRADIENT_STAGES - 1;
-        rn_gradient_load(&l, ahead, end, room + (ahead - begin) % RN_GRADIENT_STAGES * stage);
-        rn_gradient_multiply(&l, room + (tile - begin) % RN_GRADIENT_STAGES * stage, &own);
+        int ahead = slot > 0 ? slot - 1 : RN_GRADIENT_STAGES - 1;
+        rn_gradient_load(&copy, tile + RN_GRADIENT_STAGES - 1 < count, room + ahead * stage);
+        rn_gradient_multiply(&l, room + slot * stage, &own);
+        slot = slot + 1 < RN_GRADIENT_STAGES ? slot + 1 : 0;
     }
     rn_gradient_store(&l, &own,
                       sums + (size_t)chunk * rn_cuda_gradient_count(&n) / 4 +

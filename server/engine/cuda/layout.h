@@ -12,7 +12,7 @@
 #define RN_TILE 16       // samples of one ray that are evaluated together: rows of a fragment
 #define RN_UPDATE 8      // texels a side of the blocks that the optimiser works on
 #define RN_FINE_LEVELS 4 // levels a side that such a block pools by itself
-#define RN_CHUNKS 64     // parts that the networks' gradients are summed in, in a fixed order
+#define RN_CHUNKS 128    // most parts that a layer's gradients are summed in, in a fixed order
 
 // ---- planes ---------------------------------------------------------------------------------
 
@@ -132,6 +132,24 @@ static inline void rn_cuda_network_init(struct rn_cuda_network *n, const struct 
         n->packed[l] = n->packed_count;
         n->packed_count += (uint32_t)(rn_cuda_layer_k16(n, l) * rn_cuda_layer_n16(n, l)) * 32;
     }
+}
+
+// The parts that layers' gradients are summed in: blocks of a launch, `first[l]` on for layer l.
+struct rn_cuda_chunks {
+    int first[RN_MLP_MAX_LAYERS + 1];
+};
+// Of at most `blocks`: as many as the layers' tiles have bytes.
+static inline struct rn_cuda_chunks rn_cuda_chunks_of(const struct rn_cuda_network *n, int blocks) {
+    struct rn_cuda_chunks chunks = {{0}};
+    int all = 0;
+    for (int l = 0; l <= n->hidden; l++)
+        all += rn_cuda_layer_k16(n, l) + rn_cuda_layer_n16(n, l);
+    for (int l = 0; l <= n->hidden; l++) {
+        int own = blocks * (rn_cuda_layer_k16(n, l) + rn_cuda_layer_n16(n, l)) / all;
+        own = own < 1 ? 1 : own < RN_CHUNKS ? own : RN_CHUNKS;
+        chunks.first[l + 1] = chunks.first[l] + own;
+    }
+    return chunks;
 }
 
 // A lane fetches eight neighbouring channels and they become columns 2t, 2t + 1, 2t + 8 and 2t + 9

@@ -107,29 +107,27 @@ RN_DEVICE void rn_load_gradient(const struct rn_cuda_gradients *g, size_t at, fl
     }
 }
 
-// The base texel's gradient: every map's texel above it hands down 2^-(lx + ly) of its own. Four
-// maps are asked for before one is used.
+// The base texel's gradient: every map's texel above it hands down 2^-(lx + ly) of its own. The maps
+// of two levels by four are asked for before one is used.
 template <bool FIXED>
 RN_DEVICE void rn_pull_down(const struct rn_cuda_planes *p, const struct rn_cuda_gradients *g,
                             const struct rn_update_block *b, int x, int y, int quad, float sum[4]) {
     float weight_y = 1;
-    for (int ly = 0; ly < p->levels; ly++, weight_y *= 0.5f) {
-        float weight = weight_y;
-        for (int first = 0; first < p->levels; first += 4) {
-            float found[4][4] = {};
+    for (int first_y = 0; first_y < p->levels; first_y += 2, weight_y *= 0.25f) {
+        float weight_x = weight_y;
+        for (int first_x = 0; first_x < p->levels; first_x += 4, weight_x *= 0.0625f) {
+            float found[8][4] = {};
             RN_UNROLL
-            for (int k = 0; k < 4; k++) { // of the last level again where there are no more
-                int lx = first + k < p->levels ? first + k : p->levels - 1;
-                rn_load_gradient<FIXED>(g, rn_texel_at(p, b, lx, ly, x >> lx, y >> ly, quad),
-                                        found[k]);
+            for (int k = 0; k < 8; k++) {
+                int lx = first_x + k % 4, ly = first_y + k / 4;
+                if (lx < p->levels && ly < p->levels && rn_cuda_map_exists(p->footprint, lx, ly))
+                    rn_load_gradient<FIXED>(g, rn_texel_at(p, b, lx, ly, x >> lx, y >> ly, quad),
+                                            found[k]);
             }
             RN_UNROLL
-            for (int k = 0; k < 4; k++, weight *= 0.5f) {
-                int lx = first + k;
-                bool exists = lx < p->levels && rn_cuda_map_exists(p->footprint, lx, ly);
+            for (int k = 0; k < 8; k++)
                 for (int c = 0; c < 4; c++)
-                    sum[c] += exists ? weight * found[k][c] : 0;
-            }
+                    sum[c] += weight_x / (float)(1 << (k % 4 + k / 4)) * found[k][c];
         }
     }
 }
@@ -281,8 +279,8 @@ __global__ void __launch_bounds__(256)
                             struct rn_cuda_status *status) {
     const struct rn_cuda_planes *p = &scene.planes;
     struct rn_update_block b = rn_update_block(p);
-    bool touched = o.gradients.touched[blockIdx.x] != 0;
-    if (rn_cuda_step_skipped(status) || (o.update->sparse && !touched)) return;
+    bool touched = o.gradients.touched[blockIdx.x] != 0, sparse = o.update->sparse != 0;
+    if (rn_cuda_step_skipped(status) | (sparse & !touched)) return; // all asked for at once
     int texel = b.texel, quad = b.quad;
     float grad[4] = {0, 0, 0, 0};
     struct rn_update_texel own = rn_load_texel(&scene, &o, rn_parameter_at(p, &b));
@@ -426,12 +424,25 @@ __global__ void __launch_bounds__(256)
 
 // ---- networks -------------------------------------------------------------------------------
 
+// Layer of number i of a network's gradient.
+RN_DEVICE int rn_layer_of(const struct rn_cuda_network *n, size_t i) {
+    int layer = n->hidden;
+    while (layer > 0 && i < (size_t)n->packed[layer] * 8)
+        layer--;
+    return layer;
+}
+
 // Adds the chunks' sums in order into the first; a sum that is not finite rejects the step.
 __global__ void __launch_bounds__(256)
-    rn_reduce_kernel(float *sums, size_t count, struct rn_cuda_status *status) {
+    rn_reduce_kernel(const __grid_constant__ rn_cuda_network n,
+                     const __grid_constant__ rn_cuda_chunks chunks, float *sums,
+                     struct rn_cuda_status *status) {
+    size_t count = rn_cuda_gradient_count(&n);
     for (size_t i = blockIdx.x * blockDim.x + threadIdx.x; i < count; i += gridDim.x * blockDim.x) {
+        int layer = rn_layer_of(&n, i), parts = chunks.first[layer + 1] - chunks.first[layer];
         float sum = 0;
-        for (int chunk = 0; chunk < RN_CHUNKS; chunk++)
+        RN_UNROLL_8
+        for (int chunk = 0; chunk < parts; chunk++)
             sum += sums[(size_t)chunk * count + i];
         if (!(fabsf(sum) < 3e38f)) status->rejected = 1;
         sums[i] = sum;
@@ -445,9 +456,7 @@ RN_DEVICE void rn_store_half(uint4 *fragments, size_t at, float value) {
 // Number i of a network's gradient: its layer, and the index of its parameter; -1 for padding.
 RN_DEVICE int rn_network_element(const struct rn_cuda_network *n, bool head, bool per_ray, size_t i,
                                  int *ret_layer, int *ret_k, int *ret_n) {
-    int layer = n->hidden;
-    while (layer > 0 && i < (size_t)n->packed[layer] * 8)
-        layer--;
+    int layer = rn_layer_of(n, i);
     rn_cuda_gradient_element(i - (size_t)n->packed[layer] * 8, rn_cuda_layer_n16(n, layer), ret_k,
                              ret_n);
     *ret_layer = layer;

@@ -1,7 +1,6 @@
 // The fetch's adjoint: feature gradients to the texels they came from. A thread follows a piece of
-// a ray on one plane and one corner of its levels with C channels, 8 where texels have as many, else
-// 4, and holds the sums of the four texels around it; what it leaves behind goes to memory, so that
-// neighbouring samples' texels are written once.
+// a ray on one plane and one corner of its levels, and holds the sums of the four texels around it;
+// what it leaves behind goes to memory, so that neighbouring samples' texels are written once.
 #ifndef RN_ENGINE_CUDA_SCATTER_CUH
 #define RN_ENGINE_CUDA_SCATTER_CUH
 
@@ -39,7 +38,7 @@ template <int C> struct rn_nest {
 struct rn_scatter_place {
     const struct rn_cuda_planes *planes;
     const struct rn_cuda_gradients *to;
-    int plane, channel;
+    int plane;
 };
 
 // Marks the blocks of the four texels of a map from (x, y) on: one block, as nearly always.
@@ -57,17 +56,16 @@ RN_DEVICE void rn_mark_touched(const struct rn_scatter_place *p, int lx, int ly,
 }
 
 // Adds sums of gradients to a texel of the fp16 maps.
-RN_DEVICE void rn_add_half(const struct rn_cuda_gradients *to, size_t at, const float (&sum)[4]) {
-    rn_red_half4(to->half + at / 4,
-                 rn_pack(sum[0] * RN_SCATTER_HEADROOM, sum[1] * RN_SCATTER_HEADROOM),
-                 rn_pack(sum[2] * RN_SCATTER_HEADROOM, sum[3] * RN_SCATTER_HEADROOM));
-}
-RN_DEVICE void rn_add_half(const struct rn_cuda_gradients *to, size_t at, const float (&sum)[8]) {
-    uint32_t pairs[4];
+template <int C>
+RN_DEVICE void rn_add_half(const struct rn_cuda_gradients *to, size_t at, const float (&sum)[C]) {
+    uint32_t pairs[C / 2];
     RN_UNROLL
-    for (int i = 0; i < 4; i++)
+    for (int i = 0; i < C / 2; i++)
         pairs[i] = rn_pack(sum[2 * i] * RN_SCATTER_HEADROOM, sum[2 * i + 1] * RN_SCATTER_HEADROOM);
-    rn_red_half8((uint4 *)(to->half + at / 4), pairs);
+    if constexpr (C == 4) rn_red_half4(to->half + at / 4, pairs[0], pairs[1]);
+    RN_UNROLL
+    for (int i = 0; i + 8 <= C; i += 8)
+        rn_red_half8((uint4 *)(to->half + (at + (size_t)i) / 4), &pairs[i / 2]);
 }
 
 // Adds the sums to texel (x, y) of map (lx, ly) and clears them.
@@ -81,7 +79,7 @@ RN_DEVICE void rn_flush(const struct rn_scatter_place *p, int lx, int ly, int x,
     if (!some) return;
     uint32_t texel = (uint32_t)p->plane * p->planes->plane_texels + p->planes->map[ly][lx] +
                      (uint32_t)(y * (p->planes->base >> lx) + x);
-    size_t at = (size_t)texel * (size_t)p->planes->channels + (size_t)p->channel;
+    size_t at = (size_t)texel * C;
     if (FIXED) {
         for (int c = 0; c < C; c++)
             atomicAdd(p->to->fixed + at + c,
@@ -121,8 +119,7 @@ RN_DEVICE void rn_spread(const struct rn_scatter_place *p, const struct rn_query
         moved |= !stays;
     }
     if (!takes) return;
-    // One lane of a texel's marks what all of them will leave there.
-    if (moved && p->channel == 0) rn_mark_touched(p, at.lx, at.ly, at.x.low, at.y.low);
+    if (moved) rn_mark_touched(p, at.lx, at.ly, at.x.low, at.y.low);
     n->lx = at.lx;
     n->ly = at.ly;
     RN_UNROLL
@@ -148,18 +145,15 @@ template <int C> RN_DEVICE struct rn_nest<C> rn_nest_start() {
     return n;
 }
 
-// What a thread needs of a backpropagated sample; asked for while the one before is spread.
-template <int C>
-struct rn_returned_sample {
-    float mid;
+// The gradients of C features from `feature` on, of a backpropagated sample.
+template <int C> struct rn_returned_gradient {
     uint2 grad[C / 4];
 };
 template <int C>
-RN_DEVICE struct rn_returned_sample<C> rn_load_returned(const struct rn_cuda_batch *b, int kt,
-                                                        int feature, int place) {
+RN_DEVICE struct rn_returned_gradient<C> rn_load_returned(const struct rn_cuda_batch *b, int kt,
+                                                          int feature, int place) {
     size_t tile = (size_t)(place / RN_TILE) * (size_t)kt;
-    struct rn_returned_sample<C> s;
-    s.mid = b->returned_mid[place];
+    struct rn_returned_gradient<C> s;
     RN_UNROLL
     for (int i = 0; i < C / 4; i++) {
         struct rn_cuda_feature_place at = rn_cuda_place_of_features(feature + 4 * i);
@@ -169,70 +163,84 @@ RN_DEVICE struct rn_returned_sample<C> rn_load_returned(const struct rn_cuda_bat
     return s;
 }
 
-// Of which rays a corner takes a part: the first of all.
+// Where the backpropagated samples look on the planes, [sample][plane]: coordinates, and levels.
+// One thread one of them: what is found here once is needed once a corner.
 template <int WORLD>
-RN_DEVICE bool rn_corner_takes_part(const struct rn_cuda_planes *p, const struct rn_march_ray *ray,
-                                    const struct rn_forward_line *line,
-                                    const struct rn_footprint_factors *f, float step, int corner) {
-    if (corner == 0) return true;
-    if (p->footprint == RN_FOOTPRINT_MIP && corner != 3) return false;
-    return rn_ray_leveled<WORLD>(p, ray, line, f, step);
+__global__ void __launch_bounds__(256)
+    rn_queries_kernel(const __grid_constant__ rn_cuda_scene scene,
+                      const __grid_constant__ rn_cuda_batch b, float step) {
+    const struct rn_cuda_planes *p = &scene.planes;
+    int i = (int)(blockIdx.x * blockDim.x + threadIdx.x), place = i / p->planes;
+    int plane = i - place * p->planes;
+    if (rn_cuda_step_skipped(b.status) || place >= (int)b.status->returned) return;
+    int index = b.tile_ray[b.returned[place] / RN_TILE];
+    struct rn_march_ray ray = b.rays[index];
+    struct rn_forward_line line = {};
+    struct rn_footprint_factors f = {};
+    if (WORLD == RN_WORLD_FORWARD) line = b.forward[index].line;
+    if (WORLD != RN_WORLD_UNBOUNDED) f = rn_factors(p->axis[plane], ray.direction);
+    struct rn_sample s =
+        rn_place<WORLD>(&ray, &line, b.returned_mid[place], step * (float)ray.stride);
+    float lx = 0, ly = 0;
+    if (p->levels > 1) rn_levels<WORLD>(p, plane, &f, &s, &ray, &lx, &ly);
+    struct rn_query q = rn_query_plane(p, plane, &s, 0, 0);
+    b.queries[i] = float4{q.x.p, q.y.p, lx, ly};
 }
 
-// Follows a piece of a ray with the channels from `feature` on, on one corner's maps.
-template <bool FIXED, int C, int WORLD>
+RN_DEVICE struct rn_query rn_query_found(float4 found) {
+    struct rn_query q = {{found.x, found.z - (float)(int)found.z, (int)found.z},
+                         {found.y, found.w - (float)(int)found.w, (int)found.w}};
+    return q;
+}
+
+// Follows a piece of a ray on a plane, on one corner's maps.
+template <bool FIXED, int C>
 RN_DEVICE void rn_scatter_piece(const struct rn_cuda_scene *scene, const struct rn_cuda_batch *b,
-                                const struct rn_cuda_gradients *to, float step,
-                                struct rn_cuda_piece piece, int feature, int corner) {
+                                const struct rn_cuda_gradients *to, struct rn_cuda_piece piece,
+                                int plane, int corner) {
     const struct rn_cuda_planes *planes = &scene->planes;
     int kt = scene->base.inputs16;
     struct rn_cuda_return returned = b->ray_return[piece.ray];
     int first = returned.first + piece.begin, left = returned.count - piece.begin;
     int count = left < RN_PIECE ? left : RN_PIECE;
-    struct rn_scatter_place p = {planes, to, feature / planes->channels,
-                                 feature % planes->channels};
-    struct rn_march_ray ray = b->rays[piece.ray];
-    step *= (float)ray.stride;
-    struct rn_forward_line line = {};
-    struct rn_footprint_factors f = {};
-    if (WORLD == RN_WORLD_FORWARD) line = b->forward[piece.ray].line;
-    if (WORLD != RN_WORLD_UNBOUNDED) f = rn_factors(planes->axis[p.plane], ray.direction);
-    if (!rn_corner_takes_part<WORLD>(planes, &ray, &line, &f, step, corner)) return;
+    struct rn_scatter_place p = {planes, to, plane};
     struct rn_nest<C> nest = rn_nest_start<C>();
-    struct rn_returned_sample<C> own, next = rn_load_returned<C>(b, kt, feature, first);
+    const float4 *found = b->queries + (size_t)first * (size_t)planes->planes + plane;
+    struct rn_returned_gradient<C> own, next = rn_load_returned<C>(b, kt, plane * C, first);
+    float4 query = *found;
     for (int i = 0; i <= count; i++) {
         own = next;
-        if (i + 1 < count) next = rn_load_returned<C>(b, kt, feature, first + i + 1);
+        struct rn_query q = rn_query_found(query);
+        if (i + 1 < count) {
+            next = rn_load_returned<C>(b, kt, plane * C, first + i + 1);
+            query = found[(size_t)(i + 1) * (size_t)planes->planes];
+        }
         float grad[C];
         RN_UNROLL
         for (int c = 0; c < C; c++) {
             uint32_t pair = c % 4 < 2 ? own.grad[c / 4].x : own.grad[c / 4].y;
             grad[c] = c % 2 ? rn_high(pair) : rn_low(pair);
         }
-        struct rn_sample s = rn_place<WORLD>(&ray, &line, own.mid, step);
-        float lx = 0, ly = 0;
-        if (planes->levels > 1) rn_levels<WORLD>(planes, p.plane, &f, &s, &ray, &lx, &ly);
-        struct rn_query q = rn_query_plane(planes, p.plane, &s, lx, ly);
         rn_spread<FIXED>(&p, &q, corner, grad, i == count, &nest);
     }
 }
 
-// One thread a (corner, piece, C channels of a plane): a warp has one corner, and those that few
-// rays have end with them.
-template <bool FIXED, int C, int WORLD>
+// One thread a (corner, piece, plane of C channels): a warp has one corner.
+template <bool FIXED, int C>
 __global__ void __launch_bounds__(128)
     rn_scatter_kernel(const __grid_constant__ rn_cuda_scene scene,
                       const __grid_constant__ rn_cuda_batch batch,
-                      const __grid_constant__ rn_cuda_gradients to, float step) {
-    int parts = scene.planes.planes * scene.planes.channels / C;
-    int of_corner = (int)batch.status->pieces * parts;
+                      const __grid_constant__ rn_cuda_gradients to) {
+    int planes = scene.planes.planes, of_corner = (int)batch.status->pieces * planes;
     int all = of_corner * (scene.planes.levels > 1 ? 4 : 1);
     if (rn_cuda_step_skipped(batch.status)) return;
     for (int i = (int)(blockIdx.x * blockDim.x + threadIdx.x); i < all;
-         i += (int)(gridDim.x * blockDim.x))
-        rn_scatter_piece<FIXED, C, WORLD>(&scene, &batch, &to, step,
-                                          batch.pieces[i % of_corner / parts],
-                                          i % of_corner % parts * C, i / of_corner);
+         i += (int)(gridDim.x * blockDim.x)) {
+        int corner = i / of_corner, of = i - corner * of_corner, piece = of / planes;
+        if (scene.planes.footprint == RN_FOOTPRINT_MIP && (corner == 1 || corner == 2)) continue;
+        rn_scatter_piece<FIXED, C>(&scene, &batch, &to, batch.pieces[piece], of - piece * planes,
+                                   corner);
+    }
 }
 
 // ---- voxels ---------------------------------------------------------------------------------
@@ -272,9 +280,10 @@ __global__ void __launch_bounds__(128)
         int end = returned.first + returned.count, first = returned.first + piece.begin, held = -1;
         float sum[4] = {0, 0, 0, 0};
         for (int place = first; place < end && place < first + RN_PIECE; place++) {
-            struct rn_returned_sample<4> own = rn_load_returned<4>(
-                &batch, scene.base.inputs16, feature, place);
-            struct rn_sample s = rn_place<WORLD>(&ray, &line, own.mid, step * (float)ray.stride);
+            struct rn_returned_gradient<4> own =
+                rn_load_returned<4>(&batch, scene.base.inputs16, feature, place);
+            struct rn_sample s = rn_place<WORLD>(&ray, &line, batch.returned_mid[place],
+                                                 step * (float)ray.stride);
             struct rn_voxel_query q = rn_query_voxels(side, &s);
             float weight;
             int voxel = rn_voxel_corner(side, &q, i % 8, &weight);

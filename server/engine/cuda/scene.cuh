@@ -191,6 +191,7 @@ struct rn_cuda_batch {
     // backpropagated samples, ray after ray, front to back
     uint32_t *returned;
     float *returned_mid;
+    float4 *queries;     // [backpropagated sample][plane]: rn_queries_kernel
     uint2 *feature_grad; // [tile of 16 of them][inputs16][row][4]
     uint4 *scratch;      // activations and gradients of one network's layers
 };
