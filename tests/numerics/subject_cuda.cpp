@@ -261,33 +261,27 @@ void cuda_plane_fetch(const struct cuda_plane *plane, const struct cuda_query *q
     (plane->scene.planes.channels % 8 == 0 ? fetch<8> : fetch<4>)(plane, query, ret);
 }
 
-template <bool FIXED, int C>
+template <bool FIXED>
 static void scatter(struct cuda_plane *plane, int n, const struct cuda_query *queries,
                     const float *grad) {
-    const struct rn_scatter_place place = {&plane->scene.planes, &plane->gradients, 0};
-    for (int corner = 0; corner < 4; corner++) {
-        struct rn_nest<C> nest = rn_nest_start<C>();
+    const struct rn_cuda_planes *p = &plane->scene.planes;
+    int parts = p->channels / 4;
+    for (int part = 0; part < 4 * parts; part++) {
+        const struct rn_scatter_place place = {p, &plane->gradients, 0, part % parts * 4};
+        struct rn_nest nest = rn_nest_start();
         for (int i = 0; i <= n; i++) {
             struct rn_query q = query_of(&queries[i < n ? i : n - 1]);
-            float own[C];
-            memcpy(own, grad + (size_t)(i < n ? i : 0) * C, sizeof own);
-            rn_spread<FIXED>(&place, &q, corner, own, i == n, &nest);
+            float own[4];
+            memcpy(own, grad + (size_t)(i < n ? i : 0) * (size_t)p->channels + place.channel,
+                   sizeof own);
+            rn_spread<FIXED>(&place, &q, part / parts, own, i == n, &nest);
         }
     }
 }
 
-template <bool FIXED>
-static void scatter_channels(struct cuda_plane *plane, int n, const struct cuda_query *queries,
-                             const float *grad) {
-    int channels = plane->scene.planes.channels;
-    (channels == 16  ? scatter<FIXED, 16>
-     : channels == 8 ? scatter<FIXED, 8>
-                     : scatter<FIXED, 4>)(plane, n, queries, grad);
-}
-
 void cuda_plane_scatter(struct cuda_plane *plane, int n, const struct cuda_query *queries,
                         const float *grad, bool fixed) {
-    (fixed ? scatter_channels<true> : scatter_channels<false>)(plane, n, queries, grad);
+    (fixed ? scatter<true> : scatter<false>)(plane, n, queries, grad);
 }
 
 double cuda_plane_gradient(const struct cuda_plane *plane, int lx, int ly, int x, int y,

@@ -106,8 +106,7 @@ template <int N> RN_DEVICE void rn_copy_wait() {
     asm volatile("cp.async.wait_group %0;" ::"n"(N) : "memory");
 }
 
-// Adds four fp16 numbers to four in global memory, 8-byte aligned; eight, 16-byte aligned: one
-// instruction from sm_90 on.
+// Adds four fp16 numbers to four in global memory, 8-byte aligned: one instruction from sm_90 on.
 RN_DEVICE void rn_red_half4(uint2 *to, uint32_t a, uint32_t b) {
 #if __CUDA_ARCH__ >= 900
     asm volatile("red.global.add.noftz.v2.f16x2 [%0], {%1, %2};" ::"l"(to), "r"(a), "r"(b)
@@ -117,17 +116,6 @@ RN_DEVICE void rn_red_half4(uint2 *to, uint32_t a, uint32_t b) {
     asm volatile("red.global.add.noftz.f16x2 [%0], %1;" ::"l"(&to->y), "r"(b) : "memory");
 #endif
 }
-RN_DEVICE void rn_red_half8(uint4 *to, const uint32_t *pairs) { // four
-#if __CUDA_ARCH__ >= 900
-    asm volatile("red.global.add.noftz.v4.f16x2 [%0], {%1, %2, %3, %4};" ::"l"(to), "r"(pairs[0]),
-                 "r"(pairs[1]), "r"(pairs[2]), "r"(pairs[3])
-                 : "memory");
-#else
-    rn_red_half4((uint2 *)to, pairs[0], pairs[1]);
-    rn_red_half4((uint2 *)to + 1, pairs[2], pairs[3]);
-#endif
-}
-
 #else
 #include <emulator.hpp>
 #endif

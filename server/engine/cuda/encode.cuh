@@ -250,12 +250,8 @@ RN_DEVICE void rn_add_texel(uint2 texel, float weight, float sum[4]) {
 
 // C channels of a texel, in one load.
 template <int C> struct rn_channels;
-template <> struct rn_channels<4> {
-    uint2 first;
-};
-template <> struct alignas(16) rn_channels<8> {
-    uint2 first, second;
-};
+template <> struct rn_channels<4> { uint2 first; };
+template <> struct alignas(16) rn_channels<8> { uint2 first, second; };
 RN_DEVICE void rn_add_channels(const struct rn_channels<4> *texel, float weight, float (&sum)[4]) {
     rn_add_texel(texel->first, weight, sum);
 }

@@ -393,12 +393,13 @@ static cudaError_t queue_forward(struct rn_device_field *f) {
     struct rn_staging staging =
         rn_staging_for(f->device, s->base.packed_count, s->head.packed_count);
     unsigned blocks;
-    RN_TRY(fill(f->device, f->shape->train[staging.all], 384, staging.bytes, &blocks));
+    RN_TRY(
+        fill(f->device, f->shape->train[staging.all], RN_FORWARD_THREADS, staging.bytes, &blocks));
     RN_TRY(RN_LAUNCH(RN_IN_WORLD(rn_rays_kernel), RN_BLOCKS(f->batch.ray_capacity), 256, 0, stream,
                      f->source, f->scene, f->batch));
     RN_TRY(mark(f, "rays"));
-    RN_TRY(RN_LAUNCH(f->shape->train[staging.all], blocks, 384, staging.bytes, stream, f->scene,
-                     f->batch, f->march, staging.networks));
+    RN_TRY(RN_LAUNCH(f->shape->train[staging.all], blocks, RN_FORWARD_THREADS, staging.bytes,
+                     stream, f->scene, f->batch, f->march, staging.networks));
     RN_TRY(mark(f, "forward"));
     RN_TRY(s->per_ray ? queue_shading(f) : queue_loss(f));
     RN_TRY(RN_LAUNCH(rn_order_kernel, 1, RN_ORDER_THREADS, 0, stream, f->batch));
@@ -461,13 +462,10 @@ template <bool FIXED, int WORLD> static cudaError_t queue_scatter(struct rn_devi
     float step = f->march.step;
     unsigned blocks = 64 * (unsigned)f->device->processors; // more than fit: rays differ in length
     int queries = (int)f->batch.tile_capacity * RN_TILE * f->scene.planes.planes;
-    auto scatter = f->scene.planes.channels == 16  ? rn_scatter_kernel<FIXED, 16>
-                   : f->scene.planes.channels == 8 ? rn_scatter_kernel<FIXED, 8>
-                                                   : rn_scatter_kernel<FIXED, 4>;
     RN_TRY(RN_LAUNCH(rn_queries_kernel<WORLD>, RN_BLOCKS(queries), 256, 0, f->device->stream,
                      f->scene, f->batch, step));
-    RN_TRY(RN_LAUNCH(scatter, blocks, 128, 0, f->device->stream, f->scene, f->batch,
-                     f->optimiser.gradients));
+    RN_TRY(RN_LAUNCH(rn_scatter_kernel<FIXED>, blocks, 128, 0, f->device->stream, f->scene,
+                     f->batch, f->optimiser.gradients));
     if (f->scene.voxels.side == 0) return cudaSuccess;
     return RN_LAUNCH((rn_scatter_voxels_kernel<FIXED, WORLD>), blocks, 128, 0, f->device->stream,
                      f->scene, f->batch, f->optimiser.gradients, step);
@@ -515,12 +513,12 @@ cudaError_t rn_queue_view(struct rn_device_field *f, const struct rn_cuda_view *
     struct rn_staging both = rn_staging_for(f->device, s->base.packed_count, s->head.packed_count);
     struct rn_staging head = rn_staging_for(f->device, s->head.packed_count, 0);
     unsigned blocks;
-    RN_TRY(fill(f->device, f->shape->render[both.all], 384, both.bytes, &blocks));
+    RN_TRY(fill(f->device, f->shape->render[both.all], RN_FORWARD_THREADS, both.bytes, &blocks));
     RN_TRY(cudaMemsetAsync(f->view.status->queued, 0, sizeof f->view.status->queued, stream));
     RN_TRY(RN_LAUNCH(RN_IN_WORLD(rn_view_kernel), RN_BLOCKS(v.count), 256, 0, stream, v, f->seen,
                      f->view, m));
-    RN_TRY(RN_LAUNCH(f->shape->render[both.all], blocks, 384, both.bytes, stream, f->seen, f->view,
-                     m, both.networks));
+    RN_TRY(RN_LAUNCH(f->shape->render[both.all], blocks, RN_FORWARD_THREADS, both.bytes, stream,
+                     f->seen, f->view, m, both.networks));
     if (s->per_ray && s->view_dependence) {
         RN_TRY(
             fill(f->device, f->shape->shade_render[head.all], head.threads, head.bytes, &blocks));

@@ -365,8 +365,9 @@ RN_DEVICE void rn_leave_ray(const struct rn_trace *t) {
 // Rays of the batch that may see something, each by the warp that comes first. Shared memory: the
 // two networks' fragments, as far as `staged` says (0 none, 1 the density network, 2 both, as where
 // SHARED).
+#define RN_FORWARD_THREADS 384
 template <int KT, int WT, bool TRAIN, bool SHARED, int WORLD>
-__global__ void __launch_bounds__(384, 1)
+__global__ void __launch_bounds__(RN_FORWARD_THREADS, 1)
     rn_forward_kernel(const __grid_constant__ rn_cuda_scene scene,
                       const __grid_constant__ rn_cuda_batch batch,
                       const __grid_constant__ rn_cuda_march march, int staged) {

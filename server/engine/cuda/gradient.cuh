@@ -43,8 +43,8 @@ RN_DEVICE struct rn_gradient_copy rn_gradient_copy_start(const struct rn_gradien
     for (int k = 0; k < RN_GRADIENT_COPIES; k++) {
         int i = (int)(threadIdx.x + (unsigned)k * blockDim.x);
         copy.stride[k] = i < into ? into : out_of;
-        copy.from[k] = (i < into ? l->into + i : l->out_of + (i - into)) +
-                       tile * (size_t)copy.stride[k];
+        copy.from[k] =
+            (i < into ? l->into + i : l->out_of + (i - into)) + tile * (size_t)copy.stride[k];
     }
     return copy;
 }

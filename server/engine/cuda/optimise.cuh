@@ -107,27 +107,33 @@ RN_DEVICE void rn_load_gradient(const struct rn_cuda_gradients *g, size_t at, fl
     }
 }
 
-// The base texel's gradient: every map's texel above it hands down 2^-(lx + ly) of its own. The maps
-// of two levels by four are asked for before one is used.
+// The base texel's gradient: every map's texel above it hands down 2^-(lx + ly) of its own. The
+// maps of two levels by four are asked for before one is used, those of the last level again where
+// there are no more.
 template <bool FIXED>
 RN_DEVICE void rn_pull_down(const struct rn_cuda_planes *p, const struct rn_cuda_gradients *g,
                             const struct rn_update_block *b, int x, int y, int quad, float sum[4]) {
+    int top = p->levels - 1;
     float weight_y = 1;
-    for (int first_y = 0; first_y < p->levels; first_y += 2, weight_y *= 0.25f) {
+    for (int first_y = 0; first_y <= top; first_y += 2, weight_y *= 0.25f) {
         float weight_x = weight_y;
-        for (int first_x = 0; first_x < p->levels; first_x += 4, weight_x *= 0.0625f) {
+        for (int first_x = 0; first_x <= top; first_x += 4, weight_x *= 0.0625f) {
             float found[8][4] = {};
             RN_UNROLL
             for (int k = 0; k < 8; k++) {
-                int lx = first_x + k % 4, ly = first_y + k / 4;
-                if (lx < p->levels && ly < p->levels && rn_cuda_map_exists(p->footprint, lx, ly))
-                    rn_load_gradient<FIXED>(g, rn_texel_at(p, b, lx, ly, x >> lx, y >> ly, quad),
-                                            found[k]);
+                int lx = first_x + k % 4 < top ? first_x + k % 4 : top;
+                int ly = first_y + k / 4 < top ? first_y + k / 4 : top;
+                rn_load_gradient<FIXED>(g, rn_texel_at(p, b, lx, ly, x >> lx, y >> ly, quad),
+                                        found[k]);
             }
             RN_UNROLL
-            for (int k = 0; k < 8; k++)
+            for (int k = 0; k < 8; k++) {
+                int lx = first_x + k % 4, ly = first_y + k / 4;
+                bool exists = lx <= top && ly <= top && rn_cuda_map_exists(p->footprint, lx, ly);
+                float weight = exists ? weight_x / (float)(1 << (k % 4 + k / 4)) : 0;
                 for (int c = 0; c < 4; c++)
-                    sum[c] += weight_x / (float)(1 << (k % 4 + k / 4)) * found[k][c];
+                    sum[c] += exists ? weight * found[k][c] : 0;
+            }
         }
     }
 }
@@ -273,7 +279,7 @@ RN_DEVICE void rn_update_texel(const struct rn_cuda_scene *scene, const struct r
 
 // Pull-down, AdamW and pooling of one block a block of threads; 64 threads times channels / 4.
 template <bool FIXED>
-__global__ void __launch_bounds__(256)
+__global__ void __launch_bounds__(256, 4)
     rn_update_planes_kernel(const __grid_constant__ rn_cuda_scene scene,
                             const __grid_constant__ rn_cuda_optimiser o,
                             struct rn_cuda_status *status) {

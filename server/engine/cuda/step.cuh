@@ -2,6 +2,10 @@
 #ifndef RN_ENGINE_CUDA_STEP_CUH
 #define RN_ENGINE_CUDA_STEP_CUH
 
+#ifdef __x86_64__
+#include <immintrin.h>
+#endif
+
 #include "common/math/rng.h"
 #include "server/engine/cuda/march.cuh"
 #include "server/engine/kernels/draw.h"
@@ -242,7 +246,7 @@ struct alignas(8) rn_cuda_halves {
     uint32_t pairs[2];
 };
 
-// Exact; no branch, so that a compiler takes several at once.
+// Exact.
 static inline float rn_from_half(uint32_t half) {
     uint32_t size = half & 0x7fff, bits = (size << 13) + (112u << 23),
              small = size << 13 | 113u << 23;
@@ -254,18 +258,44 @@ static inline float rn_from_half(uint32_t half) {
     return half & 0x8000 ? -value : value;
 }
 
+static inline struct rn_pixel rn_pixel_of_halves(const struct rn_cuda_halves *from) {
+    uint32_t first = from->pairs[0], second = from->pairs[1];
+    struct rn_pixel pixel = {
+        {rn_from_half(first & 0xffff), rn_from_half(first >> 16), rn_from_half(second & 0xffff)},
+        rn_from_half(second >> 16),
+        0};
+    return pixel;
+}
+
+#ifdef __x86_64__
+// Four numbers at once, where the processor has the instruction: while a picture comes the host
+// does little else.
+__attribute__((target("f16c"))) static void
+rn_take_halves_f16c(const struct rn_cuda_halves *from, size_t count, struct rn_pixel *ret) {
+    for (size_t i = 0; i < count; i++) {
+        float four[4];
+        _mm_storeu_ps(four, _mm_cvtph_ps(_mm_loadl_epi64((const __m128i *)(const void *)&from[i])));
+        ret[i] = rn_pixel{{four[0], four[1], four[2]}, four[3], 0};
+    }
+}
+#endif
+
 // Pixels that have arrived.
 static inline void rn_take_pixels(const void *staged, size_t count, bool halves,
                                   struct rn_pixel *ret) {
     const struct rn_cuda_halves *from = (const struct rn_cuda_halves *)staged;
-    if (!halves) memcpy(ret, staged, count * sizeof *ret);
-    for (size_t i = 0; i < count && halves; i++) {
-        uint32_t first = from[i].pairs[0], second = from[i].pairs[1];
-        ret[i] = rn_pixel{{rn_from_half(first & 0xffff), rn_from_half(first >> 16),
-                           rn_from_half(second & 0xffff)},
-                          rn_from_half(second >> 16),
-                          0};
+    if (!halves) {
+        memcpy(ret, staged, count * sizeof *ret);
+        return;
     }
+#ifdef __x86_64__
+    if (__builtin_cpu_supports("f16c")) {
+        rn_take_halves_f16c(from, count, ret);
+        return;
+    }
+#endif
+    for (size_t i = 0; i < count; i++)
+        ret[i] = rn_pixel_of_halves(&from[i]);
 }
 
 // From cones to pixels, one thread a pixel: to `to`, as rn_pixel or, where `view` says so, as

@@ -450,11 +450,6 @@ RN_DEVICE void rn_red_half4(uint2 *to, uint32_t a, uint32_t b) {
     to->x = rn_pack(rn_low(to->x) + rn_low(a), rn_high(to->x) + rn_high(a));
     to->y = rn_pack(rn_low(to->y) + rn_low(b), rn_high(to->y) + rn_high(b));
 }
-RN_DEVICE void rn_red_half8(uint4 *to, const uint32_t *pairs) { // four
-    if ((uintptr_t)to % 16) emu::die("vector red to unaligned bytes");
-    rn_red_half4((uint2 *)to, pairs[0], pairs[1]);
-    rn_red_half4((uint2 *)to + 1, pairs[2], pairs[3]);
-}
 
 #include "runtime.hpp"
 
