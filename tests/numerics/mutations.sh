@@ -371,13 +371,13 @@ mutate volume $cuda/device.cuh "GPU: the depth in front by taking the own one of
 mutate volume $cuda/forward.cuh "GPU: opacity as 1 - exp" 's/return -expm1f(-x);/return 1 - expf(-x);/'
 mutate halves $cuda/optimise.cuh "GPU: maps from maps in fp16" \
     's/mean\[y\]\[c\] = 0.5f \* (mean\[2 \* y\]\[c\] + mean\[2 \* y + 1\]\[c\]);/mean[y][c] = rn_low(rn_pack(0.5f * (mean[2 * y][c] + mean[2 * y + 1][c]), 0));/'
-mutate halves $cuda/encode.cuh "GPU: texels weighed in fp16" 's/weights\[i\]\[k\] = weight \* fy \* fx;/weights[i][k] = rn_low(rn_pack(weight * fy * fx, 0));/'
+mutate halves $cuda/encode.cuh "GPU: texels weighed in fp16" 's/weights\[i\]\[k\] = (k \& 2 ? high : low) \* fx;/weights[i][k] = rn_low(rn_pack((k \& 2 ? high : low) * fx, 0));/'
 mutate halves $cuda/scatter.cuh "GPU: a block is marked by its first channel" \
-    's/if (weight > 0 \&\& p->channel == 0 \&\& (leaves/if (weight > 0 \&\& p->channel == 0 \&\& grad[0] != 0 \&\& (leaves/'
+    's/if (moved \&\& p->channel == 0)/if (moved \&\& p->channel == 0 \&\& grad[0] != 0)/'
 mutate halves $cuda/scatter.cuh "GPU: the first texel's block alone is marked" 's/x1 = ((x + 2) << lx) - 1/x1 = x << lx/'
-mutate halves $cuda/scatter.cuh "GPU: blocks marked where a nest moves along x alone" 's/ || at.y.low != nest->y)/)/'
-mutate halves $cuda/scatter.cuh "GPU: blocks not marked where levels change" 's/(leaves || at.x.low != nest->x/(at.x.low != nest->x/'
-mutate halves $cuda/scatter.cuh "GPU: a nest begins at the first texel" 's/n.corner\[c\].x = n.corner\[c\].y = RN_NOWHERE/n.corner[c].x = n.corner[c].y = 0/'
+mutate halves $cuda/scatter.cuh "GPU: blocks marked where a nest moves along x alone" 's/moved |= !stays;/moved |= leaves || x[k \& 1] != n->x[k \& 1];/'
+mutate halves $cuda/scatter.cuh "GPU: blocks not marked where levels change" 's/moved |= !stays;/moved |= x[k \& 1] != n->x[k \& 1] || y[k >> 1] != n->y[k >> 1];/'
+mutate halves $cuda/scatter.cuh "GPU: a nest begins at the first texel" 's/n.lx = n.ly = n.x\[0\] = .*/n.x[1] = n.y[1] = 1; n.marked[0] = n.marked[1] = RN_NOWHERE;/'
 mutate kernels $cuda/optimise.cuh "GPU: AdamW squares what fp32 cannot hold" 's/float g = fminf(fmaxf(grad, -1.8e19f), 1.8e19f);/float g = grad;/'
 
 if $dry || grep -q avx512_bf16 /proc/cpuinfo; then

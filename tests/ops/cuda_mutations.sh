@@ -126,7 +126,8 @@ mutate gradients loss.cuh "order: what has no gradient is backpropagated" \
 mutate many gradient.cuh "gradient: a tile is read before it is there" \
     's/rn_copy_wait<RN_GRADIENT_STAGES - 2>/rn_copy_wait<RN_GRADIENT_STAGES - 1>/'
 mutate many gradient.cuh "gradient: no barrier before a tile is read" 's|^        __syncthreads(); // this tile.*||'
-mutate many gradient.cuh "gradient: the tile under way is overwritten" 's/size_t ahead = tile + RN_GRADIENT_STAGES - 1;/size_t ahead = tile + RN_GRADIENT_STAGES;/'
+mutate many gradient.cuh "gradient: the tile under way is overwritten" 's/int ahead = slot > 0 ? .*/int ahead = slot;/'
+mutate gradients gradient.cuh "gradient: every part is a layer's first" 's/int chunk = (int)blockIdx.x - chunks.first\[layer\]/int chunk = 0/'
 mutate many gradient.cuh "gradient: groups that are not committed" 's/^    rn_copy_commit();//'
 mutate gradients gradient.cuh "gradient: chunks that overlap" \
     's/end = tiles \* (size_t)(chunk + 1)/end = 1 + tiles * (size_t)(chunk + 1)/'
@@ -150,10 +151,11 @@ mutate gradients encode.cuh "encode: levels exchanged" \
     's/p->map\[c.ly\]\[c.lx\]/p->map[c.lx][c.ly]/'
 mutate gradients ../field/ripmap.h "encode: corners at the edges" \
     's/p \* half + (half - CONSTANT(0.5))/p * half + half/'
-mutate gradients encode.cuh "encode: row above instead of below" 's/(k >> 1) \* c.width/-(k >> 1) * c.width/'
-mutate gradients encode.cuh "encode: one row's query for both" 's/rn_find_corner(p, &q\[i\], corner)/rn_find_corner(p, \&q[0], corner)/'
+mutate gradients encode.cuh "encode: rows exchanged" 's/(k \& 2 ? down : 0)/(k \& 2 ? 0 : down)/'
+mutate gradients encode.cuh "encode: one row's query for both" 's/rn_find_corner(p, \&q\[i\], of_map/rn_find_corner(p, \&q[0], of_map/'
 mutate gradients encode.cuh "encode: the two fragments of a turn exchanged" 's/own\[k % 2\]\[i\] : a/own[1 - k % 2][i] : a/'
-mutate gradients encode.cuh "encode: planes with levels looked up without" 's/corner < (leveled ? 4 : 1)/corner < 1/'
+mutate gradients encode.cuh "encode: planes with levels looked up without" 's/corner < 4; corner++/corner < 1; corner++/'
+mutate gradients encode.cuh "encode: corners that not all lanes have are left out" 's/if (rn_ballot(of_map\[0\] > 0 || of_map\[1\] > 0))/if (!rn_ballot(!(of_map[0] > 0 || of_map[1] > 0)))/'
 mutate gradients network.cuh "network: ReLU without its mask in the backward" \
     's/if (MODE == RN_LAYER_MASKED \&\& .*//'
 mutate gradients network.cuh "network: masks of another layer" 's/mask\[i\] = masks\[l - 1\]\[i\]/mask[i] = masks[l][i]/'
@@ -167,13 +169,15 @@ mutate gradients forward.cuh "forward: no constant input" 's/rn_pack(first ? 1 :
 mutate gradients loss.cuh "compositing: nothing of what lies behind" \
     's/ - (float)(\*behind + (double)rest)//'
 mutate gradients loss.cuh "compositing: behind within a tile only" 's/^    \*behind += .*//'
-mutate gradients layout.h "fragments: channels in another order" 's/4 \* t + 2 \* high + q % 2/4 * t + high + 2 * (q % 2)/'
+mutate gradients layout.h "fragments: channels in another order" 's/(k \/ 16 % 2) + 2 \* high + q % 2/(k \/ 16 % 2) + high + 2 * (q % 2)/'
+mutate gradients layout.h "fragments: a lane's two fragments exchanged" 's/feature \/ 32 \* 2 + feature \/ 4 % 2/feature \/ 32 * 2 + 1 - feature \/ 4 % 2/'
 mutate pixels forward.cuh "ray shading: features of half the samples" \
     's/ + (high != 0 ? high \* b : 0);/;/'
 mutate pixels forward.cuh "ray shading: diffuse colours rotated" 's/(c + 1) % 2\], (c + 1) \/ 2/c % 2], c \/ 2/'
 mutate pixels forward.cuh "ray shading: no opacity in the input" \
     's/out\[0\]\[i\] = column == 0 ? 1 :/out[0][i] = column == 0 ? 0 :/'
 mutate pixels shade.cuh "ray shading: a colour without its opacity" 's/+= opacity \* colour/+= colour/'
+mutate parts step.cuh "rendering: opacity as blue" 's/four\[2\]}, four\[3\], 0}/four[2]}, four[2], 0}/'
 mutate parts backend.cu "rendering: a part is taken before it is there" 's/d->staged\[(part + 1) % 2\], before/d->staged[part % 2], before/'
 mutate parts backend.cu "rendering: the last part is not taken" 's/(count > 0 || before > 0) \&\& !e/count > 0 \&\& !e/'
 mutate parts backend.cu "rendering: samples of the last part only" 's/counts_anew = part == 0/counts_anew = true/'
@@ -212,20 +216,20 @@ mutate_engine bytes train/saving.c "engine: the gradients' size is forgotten" \
 mutate guards shade.cuh "ray shading: a ray that is not finite reaches the weights" \
     's/^                rn_keep_rows(in.*//'
 # Scatter and update.
-mutate gradients scatter.cuh "scatter: a moved nest loses a column" \
-    's/if (!stays) rn_flush/if (!stays \&\& k % 2 == 0) rn_flush/'
-mutate gradients scatter.cuh "scatter: the first four of eight channels twice" 's/c % 4 < 2 ? own.grad\[c \/ 4\]/c % 4 < 2 ? own.grad[0]/'
-mutate gradients scatter.cuh "scatter: not flushed at the end" \
-    's/i <= count; i++/i < count; i++/'
+mutate gradients scatter.cuh "scatter: a moved nest loses a column" 's/^        if (!stays)$/        if (!stays \&\& k % 2 == 0)/'
+mutate gradients scatter.cuh "scatter: the first four channels for all" 's/p->planes->channels + p->channel;/p->planes->channels;/'
+mutate gradients scatter.cuh "scatter: levels exchanged" 's/float4{q.x.p, q.y.p, lx, ly}/float4{q.x.p, q.y.p, ly, lx}/'
+mutate gradients scatter.cuh "scatter: only the first block is marked" 's/if (marked\[0\] == .*/if (marked[0] >= 0) return;/'
+mutate gradients scatter.cuh "scatter: not flushed at the end" 's/if (i > count) break;/if (i >= count) break;/'
 mutate gradients scatter.cuh "scatter: levels change without a flush" \
     's/bool leaves = ends || .*/bool leaves = ends;/'
-mutate gradients scatter.cuh "scatter: blocks not marked as touched" 's/^            rn_mark_touched(p, at.*/;/'
+mutate gradients scatter.cuh "scatter: blocks not marked as touched" 's/if (moved \&\& p->channel == 0) rn_mark.*/;/'
 mutate many scatter.cuh "scatter: every piece is a ray's first" 's/returned.first + piece.begin, left/returned.first, left/'
 mutate many scatter.cuh "scatter: pieces that overlap" 's/left < RN_PIECE ? left : RN_PIECE/left/'
 mutate sparse optimise.cuh "update: sparse visits all blocks" 's/(o.update->sparse \&\& !touched)/(0 \&\& !touched)/'
 mutate sparse backend.cu "update: dense where there are levels" 's/ c->sparse \&\& .*,$/ c->sparse \&\& f->scene.planes.levels == 1,/'
 mutate whole backend.cu "update: voxels beside uneven planes are visited where samples met them" 's/ \&\& !f->scene.planes.shares,$/,/'
-mutate gradients optimise.cuh "pull-down: no weight for the level" 's/weight_y \*= 0.5f/weight_y *= 1/'
+mutate gradients optimise.cuh "pull-down: no weight for the level" 's/(1 << (k % 4 + k \/ 4))/(1 << (k % 4))/'
 mutate gradients optimise.cuh "pull-down: what does not exist hands down too" 's/exists ? weight \* found\[k\]\[c\] : 0/weight * found[k][c]/'
 mutate gradients optimise.cuh "pooling: rows with the wrong neighbours" 's/quads << (lx - 1)/quads << lx/'
 mutate gradients optimise.cuh "pooling: columns of every second row" 's/mean\[2 \* y + 1\]\[c\]/mean[2 * y][c]/'

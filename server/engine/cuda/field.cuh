@@ -9,7 +9,7 @@
 #include "server/engine/cuda/uneven.cuh"
 
 #define RN_DEVICE_MAX_RAYS (1 << 17)
-#define RN_RENDER_PIXELS (1 << 19) // of one launch
+#define RN_RENDER_PIXELS (1 << 17) // of one launch: the host takes one part while the next comes
 
 struct rn_backend_device {
     int ordinal, processors;

@@ -204,17 +204,10 @@ RN_DEVICE int rn_walk_next(const struct rn_cuda_occupancy *o, const struct rn_ma
 
 // ---- which ray comes next ---------------------------------------------------------------------
 
-// The list of rays that may have so many tiles.
-RN_DEVICE int rn_length_class(int tiles) {
-    if (tiles >= 32) return tiles >= 64 ? 0 : tiles >= 48 ? 1 : 2;
-    if (tiles >= 16) return tiles >= 24 ? 3 : 4;
-    return tiles >= 8 ? 5 : tiles >= 4 ? 6 : 7;
-}
-
 // Puts the lanes' rays on the lists of their lengths, those that have no tile on none; all lanes.
 RN_DEVICE void rn_queue_ray(const struct rn_cuda_batch *b, int r, int tiles) {
-    int length = rn_length_class(tiles);
-    RN_ROLLED
+    int length = tiles >= 16 ? 0 : tiles >= 8 ? 1 : tiles >= 4 ? 2 : 3;
+    RN_UNROLL
     for (int l = 0; l < RN_LENGTHS; l++) {
         uint32_t mine = rn_ballot(tiles > 0 && length == l);
         int first = 0;

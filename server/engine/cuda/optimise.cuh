@@ -130,7 +130,7 @@ RN_DEVICE void rn_pull_down(const struct rn_cuda_planes *p, const struct rn_cuda
             for (int k = 0; k < 8; k++) {
                 int lx = first_x + k % 4, ly = first_y + k / 4;
                 bool exists = lx <= top && ly <= top && rn_cuda_map_exists(p->footprint, lx, ly);
-                float weight = exists ? weight_x / (float)(1 << (k % 4 + k / 4)) : 0;
+                float weight = weight_x / (float)(1 << (k % 4 + k / 4));
                 for (int c = 0; c < 4; c++)
                     sum[c] += exists ? weight * found[k][c] : 0;
             }

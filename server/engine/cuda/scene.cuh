@@ -89,10 +89,9 @@ struct rn_cuda_march {
     float look[3];
 };
 
-// Rays are taken by how many tiles they may have, the long ones first (rn_length_class): a ray that
-// comes last then holds nobody up, and the longest, which are the shortest time that a step can
-// take, begin at once.
-#define RN_LENGTHS 8
+// Rays are taken by how many tiles they may have, the long ones first: 16 and more, 8, 4, fewer. A
+// ray that comes last then holds nobody up.
+#define RN_LENGTHS 4
 
 // Counters and sums of one step; the host reads a copy now and then.
 struct rn_cuda_status {
