@@ -138,8 +138,9 @@ static enum rn_status adopt(struct rn_control *control, struct rn_job_row *row,
                             struct rn_error *err) {
     struct rn_task *task;
     if (rn_task_find(control, row->id) != NULL) return RN_OK;
-    enum rn_status status = rn_task_add(control, row, &task, err);
+    enum rn_status status = rn_task_create(&task, err);
     if (status != RN_OK) return status;
+    rn_task_add(control, task, row);
     task->progressed = true; // the daemon ended, not the runner
     rn_task_announce(control, task);
     bool ending = task->row.type == RN_JOB_LADDER && task->row.state == RN_JOB_CANCELLING;

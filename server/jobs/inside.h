@@ -165,9 +165,10 @@ struct rn_task *rn_task_find(struct rn_control *control, const char *id);
 // The unfinished training job of a scene, or any unfinished job of it.
 struct rn_task *rn_task_training(struct rn_control *control, const char *scene);
 struct rn_task *rn_task_of_scene(struct rn_control *control, const char *scene);
-// A task for a row (moved in) at the end of the list.
-enum rn_status rn_task_add(struct rn_control *control, struct rn_job_row *row,
-                           struct rn_task **ret_task, struct rn_error *err) RN_MUST_CHECK;
+// A task that is in no list; rn_task_free.
+enum rn_status rn_task_create(struct rn_task **ret_task, struct rn_error *err) RN_MUST_CHECK;
+// It has the row (moved in) and stands at the end of the list; cannot fail: the row may be on disk.
+void rn_task_add(struct rn_control *control, struct rn_task *task, struct rn_job_row *row);
 // Publishes its state as it is.
 void rn_task_announce(struct rn_control *control, struct rn_task *task);
 // The one function that makes a transition: one record, one event. When the record cannot be

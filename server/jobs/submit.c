@@ -308,12 +308,15 @@ enum rn_status rn_task_submit(struct rn_control *control, const struct rn_submis
     enum rn_status status = check_queue(control, err);
     if (status == RN_OK) status = check_quotas(control, wanted, err);
     if (status == RN_OK) status = make_draft(control, wanted, &draft, err);
+    if (status == RN_OK) status = rn_task_create(&task, err);
     if (status == RN_OK) status = write_draft(control, wanted, &draft, err);
-    if (status == RN_OK) status = rn_task_add(control, &draft.job, &task, err);
     if (status == RN_OK) {
+        rn_task_add(control, task, &draft.job);
         rn_task_announce(control, task);
         rn_control_wake(control);
         *ret_task = task;
+    } else {
+        rn_task_free(task);
     }
     rn_row_finish(&rn_jobs_table, &draft.job);
     return status;

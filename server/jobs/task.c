@@ -46,8 +46,7 @@ struct rn_task *rn_task_of_scene(struct rn_control *control, const char *scene) 
     return NULL;
 }
 
-enum rn_status rn_task_add(struct rn_control *control, struct rn_job_row *row,
-                           struct rn_task **ret_task, struct rn_error *err) {
+enum rn_status rn_task_create(struct rn_task **ret_task, struct rn_error *err) {
     struct rn_task *task = calloc(1, sizeof *task);
     if (task == NULL) return rn_error_set(err, RN_ERROR_NO_MEMORY, "job", "no memory for a job");
     enum rn_status status = rn_ring_create(RN_RING_EVENTS, RN_RING_BYTES, &task->ring, err);
@@ -55,18 +54,22 @@ enum rn_status rn_task_add(struct rn_control *control, struct rn_job_row *row,
         free(task);
         return status;
     }
-    task->row = *row;
     task->live.step = RN_ABSENT;
+    *ret_task = task;
+    return RN_OK;
+}
+
+void rn_task_add(struct rn_control *control, struct rn_task *task, struct rn_job_row *row) {
+    task->row = *row;
     *row = (struct rn_job_row){0};
     struct rn_task **link = &control->tasks;
     while (*link != NULL)
         link = &(*link)->next;
     *link = task;
-    *ret_task = task;
-    return RN_OK;
 }
 
 void rn_task_free(struct rn_task *task) {
+    if (task == NULL) return;
     rn_ring_unref(&task->ring);
     rn_row_finish(&rn_jobs_table, &task->row);
     rn_ladder_free(task->ladder);

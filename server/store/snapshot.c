@@ -1,5 +1,5 @@
 // A copy of all that is stored, as of one moment, while the daemon goes on: the records copied by
-// SQLite, the content as hard links, for what is named is never written again.
+// SQLite, their content as hard links, for what is named is never written again.
 #include <dirent.h>
 #include <errno.h>
 #include <fcntl.h>
@@ -83,21 +83,15 @@ static enum rn_status link_tree(int from, int to, int depth, struct rn_error *er
     return status;
 }
 
-// The layout and, when `whole`, all content.
-static enum rn_status link_content(struct rn_store *store, const char *target, bool whole,
-                                   struct rn_error *err) {
-    static const char *const all[] = {"datasets", "scenes", "camera-paths", "jobs"};
-    const size_t count = whole ? sizeof all / sizeof all[0] : 0;
-    enum rn_status status = RN_OK;
-    int from = open(store->folder, O_RDONLY | O_DIRECTORY | O_CLOEXEC);
-    int to = open(target, O_RDONLY | O_DIRECTORY | O_CLOEXEC);
-    if (from < 0 || to < 0) status = rn_error_from_errno(err, errno, target, "open it");
-    for (size_t i = 0; status == RN_OK && i < count; i++)
-        status = link_entry(from, to, all[i], 0, err);
-    if (status == RN_OK && linkat(from, "layout", to, "layout", 0) != 0)
-        status = rn_error_from_errno(err, errno, "layout", "link it");
-    if (from >= 0) close(from);
-    if (to >= 0) close(to);
+static enum rn_status link_layout(struct rn_store *store, const char *target,
+                                  struct rn_error *err) {
+    char copy[4300];
+    char *layout = rn_store_path(store, "layout");
+    if (layout == NULL) return rn_error_set(err, RN_ERROR_NO_MEMORY, "layout", "no memory");
+    snprintf(copy, sizeof copy, "%s/layout", target);
+    enum rn_status status =
+        link(layout, copy) == 0 ? RN_OK : rn_error_from_errno(err, errno, "layout", "link it");
+    free(layout);
     return status;
 }
 
@@ -145,7 +139,8 @@ static enum rn_status link_one(const char *from, const char *to, const char *tab
     return status;
 }
 
-// The content of the records that are left in the copy.
+// The content of the records that are left in the copy, and no other: an import that failed may
+// have left a part of a dataset, with which nothing could be restored.
 static enum rn_status link_recorded(struct rn_store *store, sqlite3 *db, const char *target,
                                     struct rn_error *err) {
     sqlite3_stmt *statement = NULL;
@@ -153,6 +148,7 @@ static enum rn_status link_recorded(struct rn_store *store, sqlite3 *db, const c
     int code = sqlite3_prepare_v2(db,
                                   "SELECT 'datasets', id FROM datasets UNION ALL "
                                   "SELECT 'scenes', id FROM scenes UNION ALL "
+                                  "SELECT 'camera-paths', id FROM camera_paths UNION ALL "
                                   "SELECT 'jobs', id FROM jobs",
                                   -1, &statement, NULL);
     while (code == SQLITE_OK && status == RN_OK && (code = sqlite3_step(statement)) == SQLITE_ROW) {
@@ -199,13 +195,13 @@ enum rn_status rn_store_snapshot(struct rn_store *store, const char *scene, cons
     snprintf(records, sizeof records, "%s/ripnerf.db", target);
     enum rn_status status = rn_mkdirs(target, 0700, err);
     if (status == RN_OK) status = copy_records(store, records, err);
-    if (status == RN_OK) status = link_content(store, target, scene == NULL, err);
+    if (status == RN_OK) status = link_layout(store, target, err);
     if (status == RN_OK) {
         int code = sqlite3_open_v2(records, &db, SQLITE_OPEN_READWRITE, NULL);
         if (code != SQLITE_OK) status = rn_sqlite_error(db, code, "copying the records", err);
     }
     if (status == RN_OK && scene != NULL) status = keep_scene(db, scene, err);
-    if (status == RN_OK && scene != NULL) status = link_recorded(store, db, target, err);
+    if (status == RN_OK) status = link_recorded(store, db, target, err);
     if (status == RN_OK) status = drop_lost(db, target, "datasets", err);
     if (status == RN_OK) status = drop_lost(db, target, "scenes", err);
     sqlite3_close(db);

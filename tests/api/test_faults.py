@@ -100,6 +100,19 @@ def test_jobs_end_whatever_fails(daemon, faults, kind, error):
     assert daemon.wait(job)["state"] == "succeeded"
 
 
+def test_a_refused_submission_is_no_job(daemon, faults):
+    """Whichever call fails on the way to it: none stays queued that nobody runs."""
+    tried = quiet = 0
+    while quiet < 3 and tried < 1000:
+        faults.arm_stacks()
+        post(daemon, "/v1/jobs", {"type": "eval", "scene": "s", "options": {"views": 1}})
+        hit = faults.disarm()
+        tried, quiet = tried + hit, 0 if hit else quiet + 1
+    assert tried > 100
+    wait_for(lambda: not daemon.get("/v1/jobs?state=queued").json["items"])
+    is_well(daemon)
+
+
 def test_no_connection_can_be_accepted(daemon, faults):
     """Out of descriptors for a moment: later ones are served."""
     faults.arm("accept", 1, errno.EMFILE)

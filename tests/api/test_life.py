@@ -85,6 +85,19 @@ def test_backup_and_restore(full, programs, run, tmp_path):
     assert after[1][-len(before[1]):] == before[1]
 
 
+def test_what_has_no_record_is_in_no_backup(full, programs, tmp_path):
+    """What a failed import left of a dataset keeps no backup from being taken in."""
+    left = Path(full.data) / "datasets" / "ds_leftleftleft"
+    left.mkdir()
+    (left / "SHA256SUMS").write_text(f"{'0' * 64}  images/gone.png\n")
+    backup = full.get("/v1/backup")
+    with Daemon(*programs, tmp_path / "there") as there:
+        taken = there.request("POST", "/v1/backup", body=backup.body, check=False,
+                              headers={"Content-Type": "application/x-tar"})
+        assert taken.status == 200, taken.body
+        assert pictures_of(there, "ready") == pictures_of(full, "ready")
+
+
 def pictures_of(daemon, scene):
     answers = [daemon.post(f"/v1/scenes/{scene}/render", {**RENDER, "view": f"test:{i}"}) for i in (0, 1)]
     assert [answer.status for answer in answers] == [200, 200]

@@ -1,5 +1,6 @@
 """The test's end of the preloaded faults.c."""
 
+import contextlib
 import ctypes
 import mmap
 import os
@@ -64,6 +65,17 @@ class Faults:
 
     def forget_stacks(self):
         ctypes.memset(self.plan.stacks, 0, ctypes.sizeof(self.plan.stacks))
+
+    @contextlib.contextmanager
+    def kept_stacks(self, path):
+        """Those in the file are known meanwhile, and it has all that are known afterwards; None: no file."""
+        if path and path.exists():
+            ctypes.memmove(self.plan.stacks, path.read_bytes(), ctypes.sizeof(self.plan.stacks))
+        try:
+            yield
+        finally:
+            if path:
+                path.write_bytes(bytes(self.plan.stacks))
 
     def last(self):
         """The call that failed last: its kind and its stack, as `addr2line -e MODULE` takes it."""
