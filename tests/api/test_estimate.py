@@ -60,6 +60,16 @@ def test_steps_take_as_long_as_was_measured(daemon):
     assert steps["seconds"] == pytest.approx(1e5 * steps["calibration"]["step_seconds"])
 
 
+def test_passes_over_the_photographs_are_no_steps(make_daemon, photographs):
+    """They take as long in a short training as in a long one, of which they are little."""
+    daemon = make_daemon({**FAST, "RIPNERF_FAKE_PASS_S": "1"})
+    assert daemon.wait(daemon.upload("data", photographs))["state"] == "succeeded"
+    step = float(FAST["RIPNERF_FAKE_STEP_S"])
+    assert estimate(daemon)["result"]["calibration"]["step_seconds"] == pytest.approx(step)
+    asked = estimate(daemon, effect_pose_refinement="on")["result"]["calibration"]
+    assert asked["step_seconds"] > 1.1 * step
+
+
 def test_nothing_of_it_is_kept(daemon):
     estimate(daemon)
     assert daemon.get("/v1/scenes").json["items"] == []

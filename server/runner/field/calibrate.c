@@ -52,6 +52,15 @@ bool rn_calibration_cancel(struct rn_host *host, const char *job) {
 
 // ---- the runs ------------------------------------------------------------------------------
 
+// What is decided by passes over the photographs, as many of a short training as of a long one: of
+// some seconds they would be most, and leave a few dozen steps. Whoever asks for one has it.
+static void leave_out_passes(struct rn_train_config *config) {
+    static const enum rn_effect passes[] = {RN_EFFECT_POSE_REFINEMENT, RN_EFFECT_ROBUST_LOSS};
+    for (size_t i = 0; i < sizeof passes / sizeof *passes; i++)
+        if (config->effect[passes[i]] == RN_EFFECT_AUTO)
+            config->effect[passes[i]] = RN_EFFECT_UNWANTED;
+}
+
 static double run_seconds(const struct rn_calibrating *c) {
     double first = c->config.max_seconds > 0 ? c->config.max_seconds / SHARE : MOST_S;
     return fmin(fmax(first, LEAST_S), MOST_S) * (c->run + 1);
@@ -65,6 +74,7 @@ static enum rn_status start_run(struct rn_host *host, struct rn_error *err) {
     config.max_steps = 0;
     config.until_psnr = 0;
     config.until_plateau = false;
+    leave_out_passes(&config);
     c->validates = false;
     host->watch = &watch;
     rn_engine_watch(host->engine, rn_watch_keep_going, &watch);
