@@ -7,7 +7,7 @@
 
 // Plain values. Of each, 0 is what the scene calls for.
 struct rn_render_settings {
-    double step; // marching step in scene radii; 0 = as trained
+    double step; // marching step in scene radii; 0 = as trained, in places half of that
     // Early-stop transmittance; 0 = as trained, or the tolerance where that is larger. A ray that
     // ends earlier than in training counts as opaque. From 0.08 on, rays pass over thin haze
     // (engine/scene/occupancy.h).

@@ -20,7 +20,7 @@ give_up() {
 }
 
 # run PROGRAM: builds it and runs it; 0 passed, 1 failed, 2 did not build. `doctor` is the runner's;
-# `reference` is a test of tests/unit, `poses`, `outliers` and `withheld` of tests/ops; `commands` and `proofs` look at the compile commands and at the proofs' quotations.
+# `reference` is a test of tests/unit, `poses`, `outliers`, `withheld` and `places` of tests/ops; `commands` and `proofs` look at the compile commands and at the proofs' quotations.
 run() {
     local target=tests/numerics/numerics_$1
     case $1 in
@@ -29,6 +29,7 @@ run() {
     poses) target=tests/ops/pose_test ;;
     outliers) target=tests/ops/outlier_test ;;
     withheld) target=tests/ops/withheld_test ;;
+    places) target=tests/ops/forward_test ;;
     commands) target=build.ninja ;;
     proofs)
         /usr/bin/python3 "$source/tests/numerics/proofs.py" "$source" >"$scratch/log" 2>&1 || return 1
@@ -85,7 +86,7 @@ sound() {
 prepare generic
 sound frustum footprint ripmap solid volume camera lens optimiser kernels rays disparity space training \
     incidents reproducible roulette overflow growth networks blocks metrics_images flags_fma doctor commands \
-    proofs reference poses voxels outliers withheld
+    proofs reference poses voxels outliers withheld places
 
 field=server/engine/field
 cpu=server/engine/cpu
@@ -360,6 +361,11 @@ mutate withheld $train/schedule.c "withheld: a plateau is not waited for" \
     's|if (config->until_plateau) return progress->plateau;||'
 mutate withheld server/engine/checkpoint/state.c "withheld: a checkpoint does not say that they were given back" \
     's|PROGRESS_LATER(given_back, KIND_INT64),||'
+
+mutate places server/engine/scene/scene.c "places: pictures march in the trained steps" \
+    's|define PICTURE_STEP 0.5|define PICTURE_STEP 1|'
+mutate places $train/schedule.c "places: a field is not trained in its pictures' steps" \
+    's|bool as_pictures = .*;|bool as_pictures = false;|'
 
 prepare gpu
 sound frustum footprint volume halves kernels

@@ -10,6 +10,7 @@
 #include "server/engine/field/occupancy.h"
 #include "server/engine/reference/exact.h"
 #include "server/engine/scene/occupancy.h"
+#include "server/engine/train/schedule.h"
 #include "tests/ops/train_scene.h"
 
 #define VIEWS 16
@@ -122,6 +123,7 @@ START_TEST(cut_out_scenes_keep_the_ball) {
     struct rn_train_config config = config_for(dataset);
     struct rn_trainer *t = trainer_for(engine, dataset, &config);
     ck_assert(!record(t)->on && !t->field->cpu.disparity.on);
+    ck_assert_double_eq(rn_picture_step(t->field), t->field->config.step);
     rn_trainer_destroy(&t);
     rn_engine_destroy(&engine);
 }
@@ -235,6 +237,45 @@ START_TEST(depth_in_dataset_units) {
 }
 END_TEST
 
+// PSNR against the photograph of a picture marched in `step`, 0 as pictures usually are.
+static double psnr_at(struct rn_trainer *t, const struct rn_frame *frame, double step) {
+    struct rn_render_options options = {.settings.step = step};
+    struct rn_view_score score;
+    struct rn_error err;
+    ck_assert_int_eq(
+        rn_evaluate_view(t->engine, t->field, frame, &options, NULL, NULL, &score, &err), RN_OK);
+    return score.psnr;
+}
+
+static double step_at(const struct rn_trainer *t, int64_t step) {
+    struct rn_progress progress = {.step = step};
+    return (double)rn_schedule_march(t->field, &progress).step;
+}
+
+// Pictures of a place march in half the steps that it was trained in up to the last of the
+// schedule, and are the nearer to its photographs; a step that is asked for is taken.
+START_TEST(pictures_march_in_half_steps) {
+    struct wall w;
+    struct rn_engine *engine = engine_with(2);
+    make_wall(0, true, &w);
+    struct rn_train_config config = wall_config(&w);
+    config.max_steps = 400;
+    struct rn_trainer *t = trainer_for(engine, &w.dataset, &config);
+    run_to_end(t);
+    double trained = t->field->config.step, half = trained / 2;
+    ck_assert_double_eq(rn_picture_step(t->field), half);
+    ck_assert_double_eq(step_at(t, 339), (double)(float)trained);
+    ck_assert_double_eq(step_at(t, 340), (double)(float)half);
+    for (int i = 0; i < VIEWS; i += 5) {
+        double usual = psnr_at(t, &w.frames[i], 0);
+        ck_assert_double_eq(usual, psnr_at(t, &w.frames[i], half));
+        ck_assert_double_gt(usual, psnr_at(t, &w.frames[i], trained));
+    }
+    rn_trainer_destroy(&t);
+    rn_engine_destroy(&engine);
+}
+END_TEST
+
 // Interrupted between two rounds over the cells, and with other threads: the same parameters.
 START_TEST(goes_on_as_it_was) {
     struct wall w;
@@ -269,6 +310,7 @@ static void add(TCase *tests) {
     tcase_add_test(tests, cut_out_scenes_keep_the_ball);
     tcase_add_test(tests, rays_match_float64);
     tcase_add_test(tests, depth_in_dataset_units);
+    tcase_add_test(tests, pictures_march_in_half_steps);
     tcase_add_test(tests, goes_on_as_it_was);
 }
 

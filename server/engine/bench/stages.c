@@ -65,7 +65,7 @@ enum rn_status rn_bench_record(struct rn_trainer *trainer, struct rn_bench_recor
                                struct rn_error *err) {
     struct rn_bench_recording rec = {
         .trainer = trainer, .field = &trainer->field->cpu, .kernels = trainer->engine->kernels};
-    size_t bytes = rn_workspace_size(rec.field, trainer->field->config.step);
+    size_t bytes = rn_workspace_size(rec.field, rn_picture_step(trainer->field));
     bytes = (bytes + 4095) / 4096 * 4096;
     rec.memory = aligned_alloc(4096, bytes * RN_GROUPS);
     rec.marks = malloc(trainer->optimiser.tiles * (size_t)rn_grid_count(rec.field->config));
@@ -77,7 +77,7 @@ enum rn_status rn_bench_record(struct rn_trainer *trainer, struct rn_bench_recor
     rn_trainer_begin_step(trainer); // clears the groups
     for (int g = 0; g < RN_GROUPS; g++) {
         struct rn_bench_packet *packet = &rec.packets[rec.packet_count];
-        packet->workspace = rn_workspace_init(rec.field, trainer->field->config.step,
+        packet->workspace = rn_workspace_init(rec.field, rn_picture_step(trainer->field),
                                               rec.memory + (size_t)rec.packet_count * bytes);
         packet->group = &trainer->step.groups[g];
         rec.packet_count += record_packet(&rec, (int)((int64_t)rays * g / RN_GROUPS),

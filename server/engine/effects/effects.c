@@ -77,6 +77,12 @@ struct rn_march_options rn_effects_march_trained(const struct rn_field *field) {
     return march;
 }
 
+struct rn_march_options rn_effects_march_pictures(const struct rn_field *field) {
+    struct rn_march_options march = rn_effects_march_trained(field);
+    march.step = (float)rn_picture_step(field);
+    return march;
+}
+
 void rn_effects_march(const struct rn_train_config *config, double done,
                       struct rn_march_options *march) {
     for (int i = 0; i < RN_EFFECT_COUNT; i++)

@@ -97,8 +97,10 @@ struct rn_bounds rn_effects_prepare(const struct rn_dataset *dataset,
 void rn_effects_detect(const struct rn_evidence *evidence);
 bool rn_effects_are_due(const struct rn_evidence *evidence);
 void rn_effects_decide(const struct rn_evidence *evidence); // those that are due
-// A field's march as trained, whatever the step: of pictures where nothing else is asked for.
+// A field's march as trained, whatever the step, and that of pictures where nothing else is asked
+// for, which differs in its step (rn_picture_step).
 struct rn_march_options rn_effects_march_trained(const struct rn_field *field);
+struct rn_march_options rn_effects_march_pictures(const struct rn_field *field);
 void rn_effects_march(const struct rn_train_config *config, double done,
                       struct rn_march_options *march);
 void rn_effects_treat(const struct rn_train_config *config,

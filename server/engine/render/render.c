@@ -401,8 +401,8 @@ static void init_frame(struct frame *f) {
         f->cones = RN_OPTICS_CONES;
     f->development = rn_development_of(o->shot.optics.exposure, o->shot.optics.white_balance);
     rn_development_expose(&f->development, o->shot.gain);
-    f->march = rn_effects_march_trained(f->field);
-    f->march.step = (float)fmax(o->settings.step, config->step);
+    f->march = rn_effects_march_pictures(f->field);
+    f->march.step = (float)fmax(o->settings.step, (double)f->march.step);
     f->march.stop_depth = (float)-log(
         o->settings.stop > 0 ? o->settings.stop : fmax(config->stop, o->settings.tolerance));
     f->tolerance = o->deadline_ns ? TIMED_TOLERANCE : o->settings.tolerance;

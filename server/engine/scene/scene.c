@@ -328,10 +328,16 @@ void rn_field_refresh(struct rn_field *field, struct rn_engine *engine) {
 
 // ---- workspaces and rays ---------------------------------------------------------------------
 
+#define PICTURE_STEP 0.5 // of the trained step, in places
+
+double rn_picture_step(const struct rn_field *field) {
+    return field->config.step * (rn_is_place(&field->cpu) ? PICTURE_STEP : 1);
+}
+
 enum rn_status rn_engine_prepare(struct rn_engine *engine, const struct rn_field *field,
                                  struct rn_error *err) {
     const struct rn_field_config *config = &field->config.field;
-    double step = field->config.step;
+    double step = rn_picture_step(field);
     if (engine->workspaces && engine->laid_out_step == step &&
         memcmp(&engine->laid_out, config, sizeof *config) == 0)
         return RN_OK;

@@ -115,6 +115,12 @@ size_t rn_pyramid_count(const struct rn_field_config *config, int levels);
 void rn_pyramid_lay_out(const struct rn_field_config *config, int levels, float *base, float *block,
                         struct rn_map maps[RN_MAX_PLANES][RN_MAX_LEVELS][RN_MAX_LEVELS]);
 
+// The step that pictures march in where nothing else is asked for. A training ray starts anywhere
+// within a step, and the field learns what is right on the mean; a picture's rays all start alike,
+// and in places, where a step is about a pixel of parallax, that shows. So these are marched in
+// half the steps they are trained in, and the last of the training is as its pictures are.
+double rn_picture_step(const struct rn_field *field);
+
 // The engine's workspaces for a field: laid out on first use and after a change of configuration.
 enum rn_status rn_engine_prepare(struct rn_engine *engine, const struct rn_field *field,
                                  struct rn_error *err) RN_MUST_CHECK;

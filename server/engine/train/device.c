@@ -139,7 +139,7 @@ enum rn_status rn_trainer_validate_rows(struct rn_trainer *t, const struct rn_pi
     const struct rn_train_config *config = &t->field->config;
     const struct rn_camera *camera = &frame->camera;
     size_t width = (size_t)camera->width, n = width * (size_t)rows;
-    struct rn_march_options march = rn_effects_march_trained(t->field);
+    struct rn_march_options march = rn_effects_march_pictures(t->field);
     const struct rn_device_view view = {.cameras = camera,
                                         .camera_count = 1,
                                         .cones = rn_cones_for_camera(t->field, camera),

@@ -31,11 +31,12 @@ static size_t training_bytes(const struct rn_trainer *t) {
                         t->field->parameters.base_count + t->field->parameters.head_count;
     size_t pyramid =
         rn_pyramid_count(&grown.field, rn_trainer_levels(t)) * (size_t)grown.field.planes;
-    int capacity = 2 * rn_workspace_capacity(cpu, config->step);
+    double step = rn_picture_step(t->field);
+    int capacity = 2 * rn_workspace_capacity(cpu, step);
     return rn_field_bytes(&grown, 1) + (4 * parameters + 2 * pyramid) * sizeof(float) +
            rn_optimiser_apart_bytes(&grown, parameters, rn_trainer_levels(t)) +
            RN_GROUPS * rn_group_numbers(cpu, capacity) * sizeof(float) +
-           (size_t)rn_pool_threads(t->engine->pool) * rn_workspace_size(cpu, config->step) +
+           (size_t)rn_pool_threads(t->engine->pool) * rn_workspace_size(cpu, step) +
            RN_MAX_RAYS * sizeof(struct rn_march_ray);
 }
 

@@ -54,12 +54,12 @@ static void decide_effects(const struct rn_trainer *t) {
 }
 
 // The device still trains over random backgrounds, whose time is over, or does not split pixels
-// yet.
+// yet, or marches in longer steps.
 static bool march_due(const struct rn_trainer *t) {
     struct rn_march_options now = rn_schedule_march(t->field, &t->progress);
     return t->field->on_device &&
            (t->step.march.colour.background_variance > now.colour.background_variance ||
-            t->step.march.split != now.split);
+            t->step.march.split != now.split || t->step.march.step > now.step);
 }
 
 bool rn_trainer_turn_due(const struct rn_trainer *t) {

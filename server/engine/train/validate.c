@@ -78,7 +78,7 @@ static void validate_next(struct rn_trainer *t) {
                               RN_VALIDATE_PIXELS / (size_t)t->held.frame_count);
     size_t pixels = (size_t)b.grid.width * (size_t)b.grid.height;
     b.count = pixels - v->pixel < RN_VALIDATE_BLOCK ? pixels - v->pixel : RN_VALIDATE_BLOCK;
-    b.march = rn_effects_march_trained(t->field);
+    b.march = rn_effects_march_pictures(t->field);
     b.march.straight = rn_field_averages_straight(t->field, b.frame->frame);
     b.cones = rn_cones_for_camera(t->field, &b.frame->camera);
     b.piece = pixels_of_piece(t->field);
