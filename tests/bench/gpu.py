@@ -232,7 +232,7 @@ def paper(call, steps, goals):
 
 def sharing(call):
     """Two scenes of a daemon whose room on the device is enough for one and a half."""
-    small = {"planes": 3, "base": 16, "channels": 4, "max_steps": 4} if call.trial else {"max_time": 10}
+    small = {"planes": 3, "base": 16, "channels": 4, "max_time_s": 2} if call.trial else {"max_time_s": 10}
     return share(call.program("ripnerfd"), call.work / "standard", call.work / "daemon", call.log(), small,
                  2 if call.trial else 10, call.stage_end)
 

@@ -6,6 +6,7 @@ import signal
 import statistics
 import subprocess
 import time
+import urllib.error
 import urllib.request
 
 
@@ -35,8 +36,11 @@ class Daemon:
     def ask(self, path, body=None):
         request = urllib.request.Request(self.url + path, json.dumps(body).encode() if body else None,
                                          {"Content-Type": "application/json"})
-        with urllib.request.urlopen(request, timeout=120) as reply:
-            return reply.read()
+        try:
+            with urllib.request.urlopen(request, timeout=120) as reply:
+                return reply.read()
+        except urllib.error.HTTPError as error:
+            raise ValueError(f"{path}: {error}: {error.read().decode(errors='replace')[:300]}") from error
 
     def metric(self, name):
         found = re.search(rf"^ripnerf_{name} (\S+)$", self.ask("/metrics").decode(), re.MULTILINE)

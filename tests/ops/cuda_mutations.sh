@@ -177,7 +177,7 @@ mutate pixels forward.cuh "ray shading: diffuse colours rotated" 's/(c + 1) % 2\
 mutate pixels forward.cuh "ray shading: no opacity in the input" \
     's/out\[0\]\[i\] = column == 0 ? 1 :/out[0][i] = column == 0 ? 0 :/'
 mutate pixels shade.cuh "ray shading: a colour without its opacity" 's/+= opacity \* colour/+= colour/'
-mutate parts step.cuh "rendering: opacity as blue" 's/four\[2\]}, four\[3\], 0}/four[2]}, four[2], 0}/'
+mutate places step.cuh "rendering: opacity as blue" 's/four\[2\]}, four\[3\], 0}/four[2]}, four[2], 0}/'
 mutate parts backend.cu "rendering: a part is taken before it is there" 's/d->staged\[(part + 1) % 2\], before/d->staged[part % 2], before/'
 mutate parts backend.cu "rendering: the last part is not taken" 's/(count > 0 || before > 0) \&\& !e/count > 0 \&\& !e/'
 mutate parts backend.cu "rendering: samples of the last part only" 's/counts_anew = part == 0/counts_anew = true/'
