@@ -365,7 +365,7 @@ mutate withheld server/engine/checkpoint/state.c "withheld: a checkpoint does no
 mutate places server/engine/scene/scene.c "places: pictures march in the trained steps" \
     's|define PICTURE_STEP 0.5|define PICTURE_STEP 1|'
 mutate places $train/schedule.c "places: a field is not trained in its pictures' steps" \
-    's|bool as_pictures = .*;|bool as_pictures = false;|'
+    's|define PICTURE_STEPS 0.85|define PICTURE_STEPS 2|'
 
 prepare gpu
 sound frustum footprint volume halves kernels

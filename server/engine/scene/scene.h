@@ -118,7 +118,8 @@ void rn_pyramid_lay_out(const struct rn_field_config *config, int levels, float 
 // The step that pictures march in where nothing else is asked for. A training ray starts anywhere
 // within a step, and the field learns what is right on the mean; a picture's rays all start alike,
 // and in places, where a step is about a pixel of parallax, that shows. So these are marched in
-// half the steps they are trained in, and the last of the training is as its pictures are.
+// half the steps they are trained in, and the last of a forward-facing training is as its pictures
+// are.
 double rn_picture_step(const struct rn_field *field);
 
 // The engine's workspaces for a field: laid out on first use and after a change of configuration.

@@ -11,7 +11,7 @@
 #define PLATEAU_PATIENCE 1.5 // times as long a training
 #define PLATEAU_DONE 0.75    // of the schedule, when no more is gained
 #define STEP_POWER 0.8       // of a texel's size: how steps shrink as planes grow
-#define PICTURE_STEPS 0.85   // of the run, from when rays are marched as pictures are
+#define PICTURE_STEPS 0.85   // of the run, from when a disparity box is marched as its pictures are
 
 double rn_schedule_done(const struct rn_train_config *config, const struct rn_progress *progress) {
     double done = NAN;
@@ -87,7 +87,8 @@ struct rn_march_options rn_schedule_march(const struct rn_field *field,
     double texels =
         config->grow_to > config->field.base ? (double)config->grow_to / config->field.base : 1;
     struct rn_march_options march = rn_effects_march_trained(field);
-    bool as_pictures = rn_schedule_done(config, progress) >= PICTURE_STEPS;
+    bool as_pictures =
+        field->cpu.disparity.on && rn_schedule_done(config, progress) >= PICTURE_STEPS;
     march.step =
         (float)((as_pictures ? rn_picture_step(field) : config->step) * pow(texels, STEP_POWER));
     march.roulette = (float)config->roulette;
