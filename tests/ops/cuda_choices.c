@@ -103,6 +103,25 @@ static void find_touched(const struct test_scene *s, const float *m, bool *touch
     }
 }
 
+// The scene anew, and a step of it by the sparse optimiser, from moments of 1e-3 and 1e-4
+// everywhere; returned, first and second, for the caller to free.
+static float *step_sparsely(struct rn_train_config *config, struct test_scene *s,
+                            struct test_numbers *after) {
+    size_t n = s->field->parameters.count;
+    float *moments = malloc(2 * n * sizeof *moments);
+    for (size_t i = 0; i < n; i++) {
+        moments[i] = 1e-3f;
+        moments[n + i] = 1e-4f;
+    }
+    test_scene_finish(s);
+    config->sparse = true;
+    init_corner(s, config);
+    s->m = moments;
+    s->v = moments + n;
+    test_train(s, 1, false, after);
+    return moments;
+}
+
 // The sparse optimiser leaves blocks that no sample met as they are, moments and all, and visits
 // every other, with levels too. _i: how many.
 START_TEST(untouched_blocks_stay) {
@@ -117,23 +136,12 @@ START_TEST(untouched_blocks_stay) {
     init_corner(&s, &config);
     test_train(&s, 1, false, &first);
     find_touched(&s, first.m, touched);
-    size_t n = s.field->parameters.count;
-    float *m = malloc(n * sizeof *m), *v = malloc(n * sizeof *v);
-    for (size_t i = 0; i < n; i++) {
-        m[i] = 1e-3f;
-        v[i] = 1e-4f;
-    }
-    test_scene_finish(&s);
-    config.sparse = true;
-    init_corner(&s, &config);
-    s.m = m;
-    s.v = v;
-    test_train(&s, 1, false, &after);
+    float *moments = step_sparsely(&config, &s, &after);
     for (size_t i = 0; i < s.field->parameters.plane_count; i++) {
         int texel = (int)i / 16, x = texel % 64, y = texel / 64 % 64;
         bool is = touched[(texel / 4096 * 8 + y / RN_UPDATE) * 8 + x / RN_UPDATE];
-        bool same = after.parameters[i] == s.field->parameters.values[i] && after.m[i] == m[i] &&
-                    after.v[i] == v[i];
+        bool same = after.parameters[i] == s.field->parameters.values[i] && after.m[i] == s.m[i] &&
+                    after.v[i] == s.v[i];
         ck_assert(is ? !same : same || first.m[i] == 0);
         kept += same;
         visited += !same;
@@ -141,8 +149,7 @@ START_TEST(untouched_blocks_stay) {
     }
     ck_assert_int_gt(kept, 10000);
     ck_assert_int_gt(visited, 10000);
-    free(m);
-    free(v);
+    free(moments);
     test_numbers_finish(&first);
     test_numbers_finish(&after);
     test_scene_finish(&s);
@@ -160,26 +167,15 @@ START_TEST(uneven_planes_are_visited_whole) {
     config.field.voxels = true;
     init_corner(&s, &config);
     test_train(&s, 1, false, &first);
-    size_t n = s.field->parameters.count, side = (size_t)rn_voxel_side(&config.field);
+    size_t side = (size_t)rn_voxel_side(&config.field);
     size_t held = 3 * 27 * 27 * 16 + side * side * side * RN_VOXEL_CHANNELS;
-    test_scene_finish(&s);
-    float *m = malloc(n * sizeof *m), *v = malloc(n * sizeof *v);
-    for (size_t i = 0; i < n; i++) {
-        m[i] = 1e-3f;
-        v[i] = 1e-4f;
-    }
-    config.sparse = true;
-    init_corner(&s, &config);
-    s.m = m;
-    s.v = v;
-    test_train(&s, 1, false, &after);
+    float *moments = step_sparsely(&config, &s, &after);
     for (size_t i = 0; i < held; i++) {
         unmet += first.m[i] == 0;
         ck_assert_double_eq_tol(after.m[i], 0.9 * 1e-3 + (double)first.m[i], 1e-5);
     }
     ck_assert_int_gt(unmet, 10000);
-    free(m);
-    free(v);
+    free(moments);
     test_numbers_finish(&first);
     test_numbers_finish(&after);
     test_scene_finish(&s);

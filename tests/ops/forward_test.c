@@ -215,17 +215,23 @@ static void check_depth(struct rn_engine *engine, struct rn_field *field,
     rn_render_result_finish(&result);
 }
 
+// A training of the wall after its 400 steps.
+static struct rn_trainer *trained_wall(struct rn_engine *engine, struct wall *ret_wall) {
+    make_wall(0, true, ret_wall);
+    struct rn_train_config config = wall_config(ret_wall);
+    config.max_steps = 400;
+    struct rn_trainer *t = trainer_for(engine, &ret_wall->dataset, &config);
+    run_to_end(t);
+    return t;
+}
+
 START_TEST(depth_in_dataset_units) {
     struct wall w;
     struct rn_error err;
     struct rn_field *field;
     char path[128];
     struct rn_engine *engine = engine_with(2);
-    make_wall(0, true, &w);
-    struct rn_train_config config = wall_config(&w);
-    config.max_steps = 400;
-    struct rn_trainer *t = trainer_for(engine, &w.dataset, &config);
-    run_to_end(t);
+    struct rn_trainer *t = trained_wall(engine, &w);
     check_depth(engine, rn_trainer_field(t), &w.frames[5].camera);
     snprintf(path, sizeof path, "%s/wall.safetensors", folder);
     ck_assert_int_eq(rn_trainer_save(t, path, &err), RN_OK);
@@ -257,11 +263,7 @@ static double step_at(const struct rn_trainer *t, int64_t step) {
 START_TEST(pictures_march_in_half_steps) {
     struct wall w;
     struct rn_engine *engine = engine_with(2);
-    make_wall(0, true, &w);
-    struct rn_train_config config = wall_config(&w);
-    config.max_steps = 400;
-    struct rn_trainer *t = trainer_for(engine, &w.dataset, &config);
-    run_to_end(t);
+    struct rn_trainer *t = trained_wall(engine, &w);
     double trained = t->field->config.step, half = trained / 2;
     ck_assert_double_eq(rn_picture_step(t->field), half);
     ck_assert_double_eq(step_at(t, 339), (double)(float)trained);

@@ -207,12 +207,15 @@ struct rn_axis_query {
 struct rn_query {
     struct rn_axis_query x, y;
 };
+RN_DEVICE struct rn_query rn_query_at(float x, float y, float lx, float ly) {
+    struct rn_query q = {{x, lx - (float)(int)lx, (int)lx}, {y, ly - (float)(int)ly, (int)ly}};
+    return q;
+}
 RN_DEVICE struct rn_query rn_query_plane(const struct rn_cuda_planes *p, int plane,
                                          const struct rn_sample *s, float lx, float ly) {
     const float *a = p->axis[plane];
-    struct rn_query q = {{a[0] * s->x + a[1] * s->y + a[2] * s->z, lx - (float)(int)lx, (int)lx},
-                         {a[3] * s->x + a[4] * s->y + a[5] * s->z, ly - (float)(int)ly, (int)ly}};
-    return q;
+    return rn_query_at(a[0] * s->x + a[1] * s->y + a[2] * s->z,
+                       a[3] * s->x + a[4] * s->y + a[5] * s->z, lx, ly);
 }
 
 // The maps of a query: bit 0 of a corner steps up along x, bit 1 along y. Their weight; 0 for

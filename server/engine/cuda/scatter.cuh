@@ -179,12 +179,6 @@ __global__ void __launch_bounds__(256)
     b.queries[i] = float4{q.x.p, q.y.p, lx, ly};
 }
 
-RN_DEVICE struct rn_query rn_query_found(float4 found) {
-    struct rn_query q = {{found.x, found.z - (float)(int)found.z, (int)found.z},
-                         {found.y, found.w - (float)(int)found.w, (int)found.w}};
-    return q;
-}
-
 // What is known of a sample before it is its turn.
 struct rn_returned_sample {
     float4 query;
@@ -221,7 +215,8 @@ RN_DEVICE void rn_scatter_piece(const struct rn_scatter_place *p, const struct r
             if (i > count) break;
             const float grad[4] = {rn_low(own.gradient.x), rn_high(own.gradient.x),
                                    rn_low(own.gradient.y), rn_high(own.gradient.y)};
-            struct rn_query q = rn_query_found(own.query);
+            float4 at = own.query;
+            struct rn_query q = rn_query_at(at.x, at.y, at.z, at.w);
             rn_spread<FIXED>(p, &q, corner, grad, i == count, &nest);
         }
     }
