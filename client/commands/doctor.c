@@ -41,23 +41,13 @@ static const struct rn_option doctor_table[] = {
 // ---- a scene's files ------------------------------------------------------------------------
 
 struct download {
-    int fd;
-    bool failed;
-    int errnum;
+    int fd, errnum; // of the first write that failed; 0: none
 };
 
 static bool write_part(void *context, const char *bytes, size_t size) {
     struct download *to = context;
-    while (size > 0 && !to->failed) {
-        ssize_t done = write(to->fd, bytes, size);
-        if (done < 0 && errno == EINTR) continue;
-        to->failed = done < 0;
-        to->errnum = errno;
-        if (done < 0) break;
-        bytes += done;
-        size -= (size_t)done;
-    }
-    return !to->failed;
+    if (!rn_write_all(to->fd, bytes, size)) to->errnum = errno;
+    return to->errnum == 0;
 }
 
 // A resource's body into a file.
@@ -79,8 +69,8 @@ static enum rn_exit fetch(struct rn_client *client, const char *kind, const char
     enum rn_exit code = reply.code == RN_EXIT_OK ? RN_EXIT_OK : rn_api_complain(&reply);
     rn_api_reply_finish(&reply);
     free(path);
-    if (close(to.fd) < 0 && !to.failed) to.failed = true, to.errnum = errno;
-    if (code != RN_EXIT_OK || !to.failed) return code;
+    if (close(to.fd) < 0 && to.errnum == 0) to.errnum = errno;
+    if (code != RN_EXIT_OK || to.errnum == 0) return code;
     rn_error_from_errno(&err, to.errnum, file, "write");
     return rn_client_fail(&err);
 }

@@ -7,6 +7,7 @@
 #include <stdlib.h>
 #include <unistd.h>
 
+#include "common/base/file.h"
 #include "common/base/threads.h"
 
 enum rn_status rn_output_check_new(const char *folder, struct rn_error *err) {
@@ -72,17 +73,10 @@ enum rn_status rn_output_run(int threads, size_t count, rn_output_work work, voi
 
 enum rn_status rn_output_file(const char *path, const void *content, size_t size,
                               struct rn_error *err) {
-    const uint8_t *bytes = content;
     int file = open(path, O_WRONLY | O_CREAT | O_EXCL | O_CLOEXEC, 0666);
     if (file < 0) return rn_error_from_errno(err, errno, path, "create");
-    enum rn_status status = RN_OK;
-    while (size > 0 && status == RN_OK) {
-        ssize_t written = write(file, bytes, size);
-        if (written < 0 && errno != EINTR) status = rn_error_from_errno(err, errno, path, "write");
-        if (written <= 0) continue;
-        bytes += written;
-        size -= (size_t)written;
-    }
+    enum rn_status status =
+        rn_write_all(file, content, size) ? RN_OK : rn_error_from_errno(err, errno, path, "write");
     if (close(file) != 0 && status == RN_OK)
         status = rn_error_from_errno(err, errno, path, "write");
     return status;

@@ -6,32 +6,18 @@
 #include <sys/statvfs.h>
 #include <unistd.h>
 
+#include "common/base/file.h"
 #include "server/http/exchange.h"
 
 #define MAX_UPLOADS 16 // at once
 
-enum rn_status rn_sink_init(struct rn_sink *sink, uint64_t max_bytes) {
+void rn_sink_init(struct rn_sink *sink, uint64_t max_bytes) {
     *sink = (struct rn_sink){.fd = -1, .max = max_bytes};
     rn_buf_init(&sink->memory, (size_t)max_bytes);
-    return RN_OK;
 }
 
 static void fail(struct rn_sink *sink, enum rn_status status, const char *text) {
     if (sink->error.status == RN_OK) (void)rn_error_set(&sink->error, status, "body", "%s", text);
-}
-
-static void write_file(struct rn_sink *sink, const char *bytes, size_t size) {
-    while (size > 0) {
-        ssize_t written = write(sink->fd, bytes, size);
-        if (written < 0 && errno == EINTR) continue;
-        if (written <= 0) {
-            (void)rn_error_from_errno(&sink->error, written < 0 ? errno : EIO, sink->path,
-                                      "write the upload");
-            return;
-        }
-        bytes += written;
-        size -= (size_t)written;
-    }
 }
 
 bool rn_sink_write(struct rn_sink *sink, const char *bytes, size_t size) {
@@ -44,7 +30,8 @@ bool rn_sink_write(struct rn_sink *sink, const char *bytes, size_t size) {
     if (sink->error.status != RN_OK) return false;
     sink->size += size;
     if (sink->fd >= 0) {
-        write_file(sink, bytes, size);
+        if (!rn_write_all(sink->fd, bytes, size))
+            (void)rn_error_from_errno(&sink->error, errno, sink->path, "write the upload");
     } else {
         rn_buf_append(&sink->memory, bytes, size);
         if (sink->memory.failed) fail(sink, RN_ERROR_NO_MEMORY, "no memory for the body");

@@ -121,7 +121,7 @@ struct rn_http {
 };
 
 // body.c
-enum rn_status rn_sink_init(struct rn_sink *sink, uint64_t max_bytes);
+void rn_sink_init(struct rn_sink *sink, uint64_t max_bytes);
 // False when it failed: sink->error says why, and the rest of the body is not wanted.
 bool rn_sink_write(struct rn_sink *sink, const char *bytes, size_t size);
 enum rn_status rn_sink_close(struct rn_sink *sink, struct rn_error *err) RN_MUST_CHECK;

@@ -62,18 +62,6 @@ static enum rn_status make_folders(const char *path, struct rn_error *err) {
     return rn_mkdirs(folder, 0777, err);
 }
 
-static enum rn_status write_block(int fd, const char *bytes, size_t size, const char *path,
-                                  struct rn_error *err) {
-    while (size) {
-        ssize_t put = write(fd, bytes, size);
-        if (put < 0 && errno == EINTR) continue;
-        if (put < 0) return rn_error_from_errno(err, errno, path, "write");
-        bytes += put;
-        size -= (size_t)put;
-    }
-    return RN_OK;
-}
-
 static enum rn_status copy_data(struct unpacking *unpacking, int fd, const char *name,
                                 const char *path, struct rn_error *err) {
     static char block[BLOCK_BYTES]; // one import a process
@@ -83,8 +71,8 @@ static enum rn_status copy_data(struct unpacking *unpacking, int fd, const char 
         la_ssize_t got = archive_read_data(unpacking->archive, block, sizeof block);
         if (got == 0) return RN_OK;
         if (got < 0) return damaged(unpacking, name, err);
-        enum rn_status status = write_block(fd, block, (size_t)got, path, err);
-        if (status) return status;
+        if (!rn_write_all(fd, block, (size_t)got))
+            return rn_error_from_errno(err, errno, path, "write");
     }
 }
 
