@@ -5,7 +5,6 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-#include <strings.h>
 #include <unistd.h>
 
 #include "common/base/file.h"
@@ -83,8 +82,8 @@ static void *adopt(void *context) {
     else
         tell(&err, &reply);
     clean_up(adoption);
+    adoption->working = false; // before its sender may come with another one
     rn_parked_answer(adoption->parked, &reply);
-    adoption->working = false;
     return NULL;
 }
 
@@ -92,8 +91,7 @@ static void on_gone(void *context, struct rn_parked *parked) {}
 
 void rn_begin_adoption(void *context, struct rn_request *request, struct rn_reply *reply) {
     struct rn_error err = {0};
-    const char *type = rn_request_header(request, "Content-Type");
-    if (type == NULL || strcasecmp(type, TAR_TYPE) != 0)
+    if (!rn_request_has_type(request, TAR_TYPE))
         rn_reply_problem(reply, RN_PROBLEM_MEDIA_TYPE,
                          "send the backup as Content-Type: " TAR_TYPE);
     else

@@ -3,20 +3,12 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-#include <strings.h>
 
 #include "proto/checks.h"
 #include "proto/dataset.h"
 #include "server/api/app.h"
 
 #define TAR_TYPE "application/x-tar"
-
-static bool is_tar(const struct rn_request *request) {
-    const char *type = rn_request_header(request, "Content-Type");
-    size_t size = sizeof TAR_TYPE - 1;
-    return type != NULL && strncasecmp(type, TAR_TYPE, size) == 0 &&
-           (type[size] == '\0' || type[size] == ';');
-}
 
 // A text of the query into its field, where it is given and `check` finds nothing wrong.
 static enum rn_status read_text(struct rn_request *request, const char *key,
@@ -114,7 +106,7 @@ void rn_begin_dataset(void *context, struct rn_request *request, struct rn_reply
     struct rn_error err = {0};
     struct rn_ingest_options options;
     const char *name = NULL;
-    if (!is_tar(request)) return;
+    if (!rn_request_has_type(request, TAR_TYPE)) return;
     enum rn_status status = read_query(request, &name, &options, &err);
     if (status == RN_OK) status = rn_api_check_free_name(app, name, &err);
     if (rn_api_failed(status, &err, reply)) return;

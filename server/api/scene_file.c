@@ -1,7 +1,6 @@
 // POST /v1/scenes: a scene that was exported for viewing comes back.
 #include <stdio.h>
 #include <stdlib.h>
-#include <string.h>
 
 #include "proto/checks.h"
 #include "proto/scene.h"
@@ -44,8 +43,7 @@ void rn_begin_scene(void *context, struct rn_request *request, struct rn_reply *
     struct rn_error err = {0};
     struct rn_scene_import_options options;
     const char *name = NULL;
-    const char *type = rn_request_header(request, "Content-Type");
-    if (type == NULL || strcmp(type, SCENE_TYPE) != 0) return;
+    if (!rn_request_has_type(request, SCENE_TYPE)) return;
     enum rn_status status = read_query(app, request, &name, &options, &err);
     if (status == RN_OK) status = check_free(app, name, &err);
     if (status == RN_OK) status = rn_api_spool(app, request, &err);

@@ -6,7 +6,6 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-#include <strings.h>
 #include <sys/stat.h>
 #include <sys/statvfs.h>
 #include <unistd.h>
@@ -194,8 +193,7 @@ void rn_begin_upload_part(void *context, struct rn_request *request, struct rn_r
     struct rn_error err = {0};
     struct rn_upload_record upload;
     int64_t offset;
-    const char *type = rn_request_header(request, "Content-Type");
-    if (type == NULL || strncasecmp(type, PART_TYPE, strlen(PART_TYPE)) != 0) {
+    if (!rn_request_has_type(request, PART_TYPE)) {
         rn_reply_problem(reply, RN_PROBLEM_MEDIA_TYPE, "send a part as Content-Type: " PART_TYPE);
         return;
     }

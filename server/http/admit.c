@@ -109,14 +109,6 @@ static void check_caller(struct rn_request *request, struct rn_reply *reply) {
                          origin);
 }
 
-// Whether the Content-Type is the given one, parameters aside.
-static bool has_type(const struct rn_request *request, const char *type) {
-    const char *value = rn_request_header(request, "Content-Type");
-    size_t size = strlen(type);
-    return value != NULL && strncasecmp(value, type, size) == 0 &&
-           (value[size] == '\0' || value[size] == ';' || value[size] == ' ');
-}
-
 uint64_t rn_body_size(const struct rn_request *request) {
     const char *length = rn_request_header(request, "Content-Length");
     return length == NULL ? 0 : strtoull(length, NULL, 10);
@@ -135,7 +127,8 @@ static void check_body(struct rn_request *request, struct rn_reply *reply) {
         rn_reply_problem(reply, RN_PROBLEM_TOO_LARGE,
                          "the body has %llu bytes, the limit is %llu bytes",
                          (unsigned long long)size, (unsigned long long)max);
-    else if (max > 0 && request->sink.path == NULL && !has_type(request, "application/json"))
+    else if (max > 0 && request->sink.path == NULL &&
+             !rn_request_has_type(request, "application/json"))
         rn_reply_problem(reply, RN_PROBLEM_MEDIA_TYPE,
                          "send the body with Content-Type: application/json");
 }
@@ -179,7 +172,7 @@ void rn_admit(struct rn_request *request, const char *method, struct rn_reply *r
     if (reply->status == 0) check_caller(request, reply);
     if (reply->status != 0) return;
     const struct rn_route *route = request->match.route;
-    (void)rn_sink_init(&request->sink, route->max_body_bytes);
+    rn_sink_init(&request->sink, route->max_body_bytes);
     if (route->begin != NULL) route->begin(request->http->options.context, request, reply);
     if (reply->status == 0) check_body(request, reply);
 }

@@ -85,6 +85,8 @@ const char *rn_request_param(const struct rn_request *request, int i);
 // A query parameter or a header, decoded; NULL when absent.
 const char *rn_request_query(const struct rn_request *request, const char *name);
 const char *rn_request_header(const struct rn_request *request, const char *name);
+// Whether the body is of this media type; parameters do not count.
+bool rn_request_has_type(const struct rn_request *request, const char *type);
 // RN_ERROR_INVALID with the parameter's name when the query holds one that is not in the
 // NULL-terminated list, or one of them twice.
 enum rn_status rn_request_check_query(const struct rn_request *request, const char *const *known,

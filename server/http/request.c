@@ -1,4 +1,5 @@
 #include <string.h>
+#include <strings.h>
 
 #include "common/base/names.h"
 #include "server/http/exchange.h"
@@ -29,6 +30,13 @@ const char *rn_request_query(const struct rn_request *request, const char *name)
 
 const char *rn_request_header(const struct rn_request *request, const char *name) {
     return MHD_lookup_connection_value(request->connection, MHD_HEADER_KIND, name);
+}
+
+bool rn_request_has_type(const struct rn_request *request, const char *type) {
+    const char *value = rn_request_header(request, "Content-Type");
+    size_t size = strlen(type);
+    return value != NULL && strncasecmp(value, type, size) == 0 &&
+           (value[size] == '\0' || value[size] == ';' || value[size] == ' ');
 }
 
 struct query_check {
