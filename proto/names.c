@@ -1,5 +1,7 @@
 #include "proto/names.h"
 
+#include <stdbool.h>
+#include <stdlib.h>
 #include <string.h>
 
 const char *const rn_job_type_names[] = {"train",  "path",     "eval",     "ingest",
@@ -21,4 +23,11 @@ const char *const rn_picture_format_names[] = {"png", "jpeg", "png16", "exr", NU
 const char *const rn_picture_format_extensions[] = {"png", "jpg", "png", "exr", NULL};
 const char *const rn_picture_format_types[] = {"image/png", "image/jpeg", "image/png",
                                                "image/x-exr", NULL};
+
+int rn_frame_index(const char *name) {
+    bool named = strspn(name, "0123456789") == 5 && name[5] == '.' &&
+                 rn_name_index(rn_picture_format_extensions, name + 6) >= 0;
+    return named ? atoi(name) : -1;
+}
+
 const char *const rn_scope_names[] = {"read", "render", "train", "admin", NULL};

@@ -71,6 +71,8 @@ enum rn_picture_format { RN_FORMAT_PNG, RN_FORMAT_JPEG, RN_FORMAT_PNG16, RN_FORM
 extern const char *const rn_picture_format_names[];      // "png", "jpeg", "png16", "exr"
 extern const char *const rn_picture_format_extensions[]; // "png", "jpg", "png", "exr"
 extern const char *const rn_picture_format_types[];      // "image/png", ...
+// Which frame of a path a file of this name holds, 12 of "00012.png"; -1: none.
+int rn_frame_index(const char *name);
 
 // What a token allows; each holds the ones before it.
 enum rn_scope { RN_SCOPE_READ, RN_SCOPE_RENDER, RN_SCOPE_TRAIN, RN_SCOPE_ADMIN };

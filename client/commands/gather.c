@@ -39,11 +39,8 @@ static bool holds_frames(const char *folder) {
     struct dirent *entry;
     bool found = false;
     DIR *dir = opendir(folder);
-    while (dir && !found && (entry = readdir(dir))) {
-        int index, end = 0;
-        found = sscanf(entry->d_name, "%5d.%n", &index, &end) == 1 && end == 6 &&
-                rn_name_index(rn_picture_format_extensions, entry->d_name + end) >= 0;
-    }
+    while (dir && !found && (entry = readdir(dir)))
+        found = rn_frame_index(entry->d_name) >= 0;
     if (dir) closedir(dir);
     return found;
 }
@@ -86,7 +83,7 @@ enum rn_exit rn_target_open(const char *out, bool overwrite, bool resume,
     if (resume && !noted && there && (target.is_film || holds_frames(out)))
         return rn_client_usage(out, "holds nothing that was interrupted; --overwrite replaces it");
     if (!target.is_film && rn_mkdirs(out, 0777, &err) != RN_OK)
-        return (rn_client_fail(&err), RN_EXIT_FAILED);
+        return rn_client_error(RN_EXIT_FAILED, err.where, "%s", err.text);
     *ret_target = target;
     return RN_EXIT_OK;
 }
@@ -211,7 +208,7 @@ static enum rn_exit follow_and_bring(struct rn_client *client, struct frames *fr
                 "--resume brings them\n",
                 rn_http_host(client->http), frames->job);
     else if (code == RN_EXIT_FAILED || code == RN_EXIT_CANCELLED)
-        fputs("ripnerf: the same command with --resume goes on with what is there\n", stderr);
+        rn_client_note("ripnerf: the same command with --resume goes on with what is there");
     else if (code != RN_EXIT_UNREACHABLE && code != RN_EXIT_OK)
         unlink(frames->target->note); // it would end the same way
     if (code == RN_EXIT_OK) code = bring(frames, &follow, first, client->json);
@@ -234,7 +231,7 @@ enum rn_exit rn_gather(struct rn_client *client, const struct rn_target *target,
     int size = snprintf(id, sizeof id, "%s\n", job);
     enum rn_exit code = RN_EXIT_OK;
     if (rn_file_write_atomic(target->note, id, (size_t)size, &err) != RN_OK)
-        code = (rn_client_fail(&err), RN_EXIT_FAILED);
+        code = rn_client_error(RN_EXIT_FAILED, err.where, "%s", err.text);
     if (code == RN_EXIT_OK) code = follow_and_bring(client, frames, first);
     free(frames);
     return code;

@@ -44,10 +44,8 @@ static enum rn_status list_frames(int folder, int **ret_frames, size_t *ret_coun
     if (dir == NULL && copy >= 0) close(copy);
     rn_buf_init(&frames, 1u << 20);
     while (dir != NULL && (entry = readdir(dir)) != NULL) {
-        int index, end = 0;
-        if (sscanf(entry->d_name, "%5d.%n", &index, &end) == 1 && end == 6 &&
-            rn_name_index(extensions, entry->d_name + end) >= 0)
-            rn_buf_append(&frames, &index, sizeof index);
+        int index = rn_frame_index(entry->d_name);
+        if (index >= 0) rn_buf_append(&frames, &index, sizeof index);
     }
     if (dir != NULL) closedir(dir);
     enum rn_status status = rn_buf_status(&frames, "the list of frames", err);

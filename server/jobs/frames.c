@@ -72,10 +72,7 @@ static void drop_scores(struct rn_control *control, const struct rn_task *task) 
 
 // Of a path job's folder: a frame, or the note of the step that all of them show.
 static bool is_made(const char *name) {
-    int index, end = 0;
-    if (strcmp(name, ".step") == 0) return true;
-    return sscanf(name, "%5d.%n", &index, &end) == 1 && end == 6 &&
-           rn_name_index(rn_picture_format_extensions, name + end) >= 0;
+    return strcmp(name, ".step") == 0 || rn_frame_index(name) >= 0;
 }
 
 void rn_frames_hand_on(struct rn_control *control, const char *from, const char *to) {

@@ -272,21 +272,26 @@ static enum rn_status send_changes(struct carrier *c, struct rn_error *err) {
     return status ? status : send_gone(c, err);
 }
 
+static enum rn_status look_at_part(struct carrier *c, const struct rn_wire_frame *frame,
+                                   const char *ending, struct rn_error *err) {
+    char name[200];
+    snprintf(name, sizeof name, RN_CARRY_SCENE "/frames/%s/%05lld.%s", frame->job,
+             (long long)frame->index, ending);
+    return look_at(c, name, err);
+}
+
 // Of a path or an evaluation: what the message speaks of, and of which step it is.
 static enum rn_status send_frame(struct carrier *c, const struct rn_wire_message *message,
                                  struct rn_error *err) {
-    static const char *const endings[] = {"png", "json"};
     struct rn_wire_frame frame;
     char name[200];
     enum rn_status status = rn_wire_take(message, &frame, err);
     if (status) return status;
     snprintf(name, sizeof name, RN_CARRY_SCENE "/frames/%s/.step", frame.job);
     status = look_at(c, name, err);
-    for (int i = 0; i < 2 && !status; i++) {
-        snprintf(name, sizeof name, RN_CARRY_SCENE "/frames/%s/%05lld.%s", frame.job,
-                 (long long)frame.index, endings[i]);
-        status = look_at(c, name, err);
-    }
+    if (!status) status = look_at_part(c, &frame, "json", err);
+    for (int i = 0; rn_picture_format_extensions[i] && !status; i++)
+        status = look_at_part(c, &frame, rn_picture_format_extensions[i], err);
     return status;
 }
 
