@@ -1,9 +1,16 @@
 #include "common/base/threads.h"
 
 #include <pthread.h>
+#include <sched.h>
 #include <stdatomic.h>
 
 #define MAX_THREADS 256
+
+int rn_usable_cores(void) {
+    cpu_set_t cores;
+    int count = sched_getaffinity(0, sizeof cores, &cores) == 0 ? CPU_COUNT(&cores) : 1;
+    return count > 0 ? count : 1;
+}
 
 struct loop {
     void (*work)(void *context, size_t index);

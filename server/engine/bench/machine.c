@@ -6,9 +6,9 @@
 #include <string.h>
 
 #include "common/base/clock.h"
+#include "common/base/threads.h"
 #include "server/engine/bench/peak.h"
 #include "server/engine/cpu/dispatch.h"
-#include "server/engine/cpu/pool.h"
 
 double rn_bench_least(double seconds, void (*work)(void *context), void *context) {
     double least = INFINITY;
@@ -166,7 +166,7 @@ static void measure_array(int index, double seconds, struct rn_bench_machine *m)
 void rn_bench_machine_measure(const char *kernels, double seconds, struct rn_bench_machine *m) {
     static const double sizes[RN_BENCH_ARRAYS] = {1, 8, 32, 512};
     double each = seconds / (4 + 2 * RN_BENCH_ARRAYS);
-    m->cores = rn_pool_cores();
+    m->cores = rn_usable_cores();
     m->fma = measure_peak(fma_of(kernels), each);
     measure_units(each, m);
     for (int i = 0; i < RN_BENCH_ARRAYS; i++) {

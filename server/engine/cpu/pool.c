@@ -1,7 +1,6 @@
 #include "server/engine/cpu/pool.h"
 
 #include <pthread.h>
-#include <sched.h>
 #include <stdatomic.h>
 #include <stdlib.h>
 #include <time.h>
@@ -211,11 +210,4 @@ void rn_pool_destroy(struct rn_pool **pool) {
 
 int rn_pool_threads(const struct rn_pool *pool) {
     return pool->threads;
-}
-
-int rn_pool_cores(void) {
-    cpu_set_t set;
-    if (sched_getaffinity(0, sizeof set, &set) != 0) return 1;
-    int n = CPU_COUNT(&set);
-    return n > 0 ? n : 1;
 }

@@ -32,7 +32,4 @@ bool rn_pool_run_some(struct rn_pool *pool, int count, int *next,
 // again. On the caller's thread, 0, it is asked anew.
 bool rn_pool_is_stopped(struct rn_pool *pool, int thread);
 
-// Cores this process may use (affinity and the container's quota).
-int rn_pool_cores(void);
-
 #endif

@@ -8,6 +8,7 @@
 
 #include "common/base/clock.h"
 #include "common/base/sha256.h"
+#include "common/base/threads.h"
 #include "server/engine/scene/choose.h"
 #include "server/engine/scene/device.h"
 #include "server/engine/scene/scene.h"
@@ -72,7 +73,7 @@ enum rn_status rn_engine_create(const struct rn_engine_options *options,
     if (!e) return rn_error_set(err, RN_ERROR_NO_MEMORY, "engine", "out of memory");
     e->kernels = chosen;
     enum rn_status status =
-        rn_pool_create(options->threads ? options->threads : rn_pool_cores(), &e->pool, err);
+        rn_pool_create(options->threads ? options->threads : rn_usable_cores(), &e->pool, err);
     if (status != RN_OK) {
         free(e);
         return status;

@@ -4,7 +4,6 @@
 #include <errno.h>
 #include <limits.h>
 #include <math.h>
-#include <sched.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -15,6 +14,7 @@
 #include "common/base/file.h"
 #include "common/base/log.h"
 #include "common/base/manifest.h"
+#include "common/base/threads.h"
 #include "common/dataset/survey.h"
 #include "server/runner/ingest/adopt.h"
 #include "server/runner/ingest/poses.h"
@@ -39,12 +39,6 @@ struct ingest {
     int64_t began_ns, began_stage_ns, reported_ns;
     bool late; // the time it may take is over
 };
-
-static int usable_cores(void) {
-    cpu_set_t cores;
-    int count = sched_getaffinity(0, sizeof cores, &cores) == 0 ? CPU_COUNT(&cores) : 1;
-    return count > 0 ? count : 1;
-}
 
 static void post_progress(struct ingest *ingest, size_t done, size_t total) {
     int64_t now = rn_clock_ns();
@@ -167,7 +161,7 @@ static enum rn_status tree_bytes(const struct rn_dataset *dataset, int64_t *ret_
 static struct rn_import_options import_options_of(const struct rn_wire_ingest *order) {
     struct rn_import_options options = rn_ingest_keeping(&order->options);
     int threads = (int)rn_int_or(order->threads, 0);
-    options.threads = threads ? threads : usable_cores();
+    options.threads = threads ? threads : rn_usable_cores();
     return options;
 }
 
