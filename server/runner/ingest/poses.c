@@ -53,7 +53,7 @@ static enum rn_status copy_file(const char *from, const char *to, struct rn_erro
     }
     int errnum = errno;
     if (in >= 0) close(in);
-    if (out >= 0 && close(out) != 0 && size == 0) size = -1;
+    if (out >= 0 && close(out) != 0 && size == 0) size = -1, errnum = errno;
     return size == 0 ? RN_OK : rn_error_from_errno(err, errnum, from, "copy");
 }
 
