@@ -69,12 +69,16 @@ static const struct rn_field_spec told_fields[] = {
     RN_F_INT(struct told_error, exit_code, RN_REQUIRED, 0, 255)};
 static const struct rn_table told_table = RN_TABLE(struct told_error, "error", told_fields);
 
+void rn_client_error_json(const char *json) {
+    fprintf(stderr, "{\"error\":%s}\n", json);
+}
+
 // {"error": {"where", "detail", "exit_code"}}; false: no memory.
 static bool print_json_error(const char *where, const char *text, enum rn_exit code) {
     struct told_error error = {(char *)where, (char *)text, code};
     char *json = NULL;
     if (rn_encode(&told_table, &error, &json, NULL, NULL) != RN_OK) return false;
-    fprintf(stderr, "{\"error\":%s}\n", json);
+    rn_client_error_json(json);
     free(json);
     return true;
 }
@@ -94,14 +98,25 @@ enum rn_exit rn_client_fail(const struct rn_error *err) {
     return exit_of_status(err->status);
 }
 
-enum rn_exit rn_client_usage(const char *where, const char *fmt, ...) {
+enum rn_exit rn_client_error(enum rn_exit code, const char *where, const char *fmt, ...) {
     char text[512];
     va_list args;
     va_start(args, fmt);
     vsnprintf(text, sizeof text, fmt, args);
     va_end(args);
-    print_error(where, text, RN_EXIT_USAGE);
-    return RN_EXIT_USAGE;
+    print_error(where, text, code);
+    return code;
+}
+
+void rn_client_note(const char *fmt, ...) {
+    char text[512];
+    va_list args;
+    if (errors_are_json) return;
+    va_start(args, fmt);
+    vsnprintf(text, sizeof text, fmt, args);
+    va_end(args);
+    rn_client_print(stderr, text);
+    fputc('\n', stderr);
 }
 
 void rn_api_exchange(struct rn_client *client, const struct rn_http_request *request,
@@ -166,18 +181,15 @@ static void print_problem(const struct rn_api_problem *problem, enum rn_exit cod
 enum rn_exit rn_api_print_problem(const char *json) {
     struct rn_api_problem problem;
     struct rn_error err = {0};
-    if (rn_decode(&rn_api_problem_table, json, strlen(json), &problem, NULL, &err) != RN_OK) {
-        fprintf(stderr, "ripnerf: an answer that is no problem document: %.200s\n", json);
-        return RN_EXIT_FAILED;
-    }
+    if (rn_decode(&rn_api_problem_table, json, strlen(json), &problem, NULL, &err) != RN_OK)
+        return rn_client_error(RN_EXIT_FAILED, "", "an answer that is no problem document: %.200s",
+                               json);
     bool unsupported = strcmp(problem.type, "/problems/unsupported") == 0; // shares 422
     enum rn_exit code = unsupported ? RN_EXIT_FAILED : exit_of_http(problem.status);
-    if (errors_are_json) {
-        fprintf(stderr, "{\"error\":%s}\n", json);
-        rn_message_finish(&rn_api_problem_table, &problem);
-        return code;
-    }
-    print_problem(&problem, code);
+    if (errors_are_json)
+        rn_client_error_json(json);
+    else
+        print_problem(&problem, code);
     rn_message_finish(&rn_api_problem_table, &problem);
     return code;
 }
@@ -189,9 +201,8 @@ enum rn_exit rn_api_complain(const struct rn_api_reply *reply) {
     if (strncmp(reply->http.content_type, "application/problem+json", 24) == 0)
         code = rn_api_print_problem(body);
     else
-        fprintf(stderr, "ripnerf: HTTP %d: %.200s\n", reply->http.status, body);
-    if (reply->http.retry_after_s)
-        fprintf(stderr, "  try again in %d s\n", reply->http.retry_after_s);
+        rn_client_error(code, "", "HTTP %d: %.200s", reply->http.status, body);
+    if (reply->http.retry_after_s) rn_client_note("  try again in %d s", reply->http.retry_after_s);
     return code;
 }
 
@@ -202,7 +213,7 @@ enum rn_exit rn_api_save(struct rn_client *client, const char *path, const char 
     enum rn_exit code = reply.code == RN_EXIT_OK ? RN_EXIT_OK : rn_api_complain(&reply);
     if (code == RN_EXIT_OK &&
         rn_file_write_atomic(file, reply.http.body.data, reply.http.body.size, &err) != RN_OK)
-        code = (rn_client_fail(&err), RN_EXIT_FAILED);
+        code = rn_client_error(RN_EXIT_FAILED, err.where, "%s", err.text);
     rn_api_reply_finish(&reply);
     return code;
 }
@@ -214,9 +225,9 @@ enum rn_exit rn_api_decode(const struct rn_api_reply *reply, const struct rn_tab
     if (rn_decode(table, body->data ? (const char *)body->data : "", body->size, ret_message, NULL,
                   &err) == RN_OK)
         return RN_EXIT_OK;
-    fprintf(stderr, "ripnerf: an answer that this client does not understand: %s: %s\n", err.where,
-            err.text);
-    return RN_EXIT_FAILED;
+    return rn_client_error(RN_EXIT_FAILED, "",
+                           "an answer that this client does not understand: %s: %s", err.where,
+                           err.text);
 }
 
 char *rn_api_encode(const struct rn_table *table, const void *message) {
@@ -228,7 +239,7 @@ char *rn_api_encode(const struct rn_table *table, const void *message) {
 
 char *rn_api_path(const char *kind, const char *reference, const char *tail) {
     struct rn_buf path;
-    rn_buf_init(&path, 4096);
+    rn_buf_init(&path, SIZE_MAX); // as long as what was typed
     rn_buf_printf(&path, "/v1/%s/", kind);
     rn_http_escape(&path, reference);
     rn_buf_printf(&path, "%s", tail);
@@ -269,8 +280,8 @@ static void get_thing(struct rn_client *client, const char *collection, const ch
     if (path) {
         rn_api_send(client, "GET", path, NULL, ret_reply);
     } else {
-        rn_error_set(&ret_reply->err, RN_ERROR_LIMIT, reference, "is too long a name");
-        ret_reply->code = RN_EXIT_NOT_FOUND;
+        rn_error_set(&ret_reply->err, RN_ERROR_NO_MEMORY, reference, "memory ran out");
+        ret_reply->code = RN_EXIT_FAILED;
     }
     free(path);
 }
@@ -331,10 +342,8 @@ enum rn_exit rn_api_find(struct rn_client *client, unsigned kinds, const char *r
         return rn_client_usage(reference, "is ambiguous; give the id: %s", matches);
     }
     list_kinds(kinds, wanted, sizeof wanted);
-    char text[200];
-    snprintf(text, sizeof text, "there is no %s of that name or id", wanted);
-    print_error(reference, text, RN_EXIT_NOT_FOUND);
-    return RN_EXIT_NOT_FOUND;
+    return rn_client_error(RN_EXIT_NOT_FOUND, reference, "there is no %s of that name or id",
+                           wanted);
 }
 
 // The members of a Scene or Job that lead to a job.

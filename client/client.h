@@ -66,7 +66,14 @@ void rn_client_errors_of(const struct rn_verb *verb);
 void rn_client_errors_as_json(void);
 // Prints "ripnerf: where: text" on stderr and returns the exit code that the status stands for.
 enum rn_exit rn_client_fail(const struct rn_error *err);
-// As rn_client_fail, for a wrong command line.
-enum rn_exit rn_client_usage(const char *where, const char *fmt, ...) RN_PRINTF(2, 3);
+// The same of any text; returns `code`.
+enum rn_exit rn_client_error(enum rn_exit code, const char *where, const char *fmt, ...)
+    RN_PRINTF(3, 4);
+// {"error": JSON} on stderr.
+void rn_client_error_json(const char *json);
+// As rn_client_error, for a wrong command line.
+#define rn_client_usage(where, ...) rn_client_error(RN_EXIT_USAGE, where, __VA_ARGS__)
+// A line on stderr beside an error or a result; none where errors are JSON.
+void rn_client_note(const char *fmt, ...) RN_PRINTF(1, 2);
 
 #endif

@@ -106,7 +106,7 @@ static void show(struct rn_follow *follow, const char *progress_json) {
 static void tell_interruption(struct rn_follow *follow) {
     struct rn_api_problem problem;
     const char *json = follow->job.problem;
-    if (follow->quiet || !json ||
+    if (!json ||
         rn_decode(&rn_api_problem_table, json, strlen(json), &problem, NULL, NULL) != RN_OK)
         return;
     rn_progress_note(&follow->progress, "%s; it is started again", problem.detail);
@@ -194,7 +194,7 @@ static enum rn_exit stream_to_end(struct rn_follow *follow, const char *path) {
             rn_api_reply_finish(&reply);
             break;
         }
-        if (lost_ns == now && !follow->quiet)
+        if (lost_ns == now)
             rn_progress_note(&follow->progress, "the daemon does not answer; trying for %d s",
                              RN_FOLLOW_PATIENCE_S);
         rn_api_reply_finish(&reply);
@@ -206,10 +206,8 @@ static enum rn_exit stream_to_end(struct rn_follow *follow, const char *path) {
 
 static enum rn_exit code_of_end(const struct rn_follow *follow) {
     if (follow->job.state == RN_JOB_SUCCEEDED) return RN_EXIT_OK;
-    if (follow->job.state == RN_JOB_CANCELLED) {
-        fprintf(stderr, "ripnerf: %s was cancelled\n", follow->job.id);
-        return RN_EXIT_CANCELLED;
-    }
+    if (follow->job.state == RN_JOB_CANCELLED)
+        return rn_client_error(RN_EXIT_CANCELLED, follow->job.id, "was cancelled");
     enum rn_exit code = RN_EXIT_FAILED;
     if (follow->job.problem) code = rn_api_print_problem(follow->job.problem);
     return code == RN_EXIT_INVALID ? RN_EXIT_INVALID : RN_EXIT_FAILED;

@@ -68,10 +68,9 @@ static enum rn_exit wait_for(pid_t pid) {
     int status = 0;
     while (waitpid(pid, &status, 0) < 0)
         if (errno != EINTR) return RN_EXIT_FAILED;
-    if (!WIFEXITED(status)) {
-        fprintf(stderr, "ripnerf: ripnerf-runner was killed by signal %d\n", WTERMSIG(status));
-        return RN_EXIT_FAILED;
-    }
+    if (!WIFEXITED(status))
+        return rn_client_error(RN_EXIT_FAILED, "ripnerf-runner", "was killed by signal %d",
+                               WTERMSIG(status));
     return WEXITSTATUS(status) == 0   ? RN_EXIT_OK
            : WEXITSTATUS(status) == 2 ? RN_EXIT_USAGE
                                       : RN_EXIT_FAILED;

@@ -45,6 +45,72 @@ void rn_options_clear(const struct rn_option *table, void *options) {
     }
 }
 
+// The row of an option's settings that was given; NULL: none.
+static const struct rn_setting *given_setting(const struct rn_option *option, const void *field) {
+    const union rn_setting_value *values = field;
+    for (size_t i = 0; i < option->settings->count; i++)
+        if (!rn_setting_is_absent(&option->settings->rows[i], &values[i]))
+            return &option->settings->rows[i];
+    return NULL;
+}
+
+// The flag by which the option was given, without its dashes; NULL: it was not.
+static const char *given(const struct rn_option *option, const void *options) {
+    const void *field = (const char *)options + option->offset;
+    const struct rn_setting *row;
+    bool is = false;
+    switch (option->kind) {
+    case RN_OPTION_FLAG:
+        is = *(const bool *)field;
+        break;
+    case RN_OPTION_TEXT:
+    case RN_OPTION_CHOICE:
+        is = *(const char *const *)field != NULL;
+        break;
+    case RN_OPTION_INTEGER:
+        is = *(const int64_t *)field != RN_OPTION_ABSENT;
+        break;
+    case RN_OPTION_NUMBER:
+    case RN_OPTION_SECONDS:
+    case RN_OPTION_BYTES:
+        is = !isnan(*(const double *)field);
+        break;
+    case RN_OPTION_SIZE:
+    case RN_OPTION_RANGE:
+        is = ((const struct rn_option_pair *)field)->first != RN_OPTION_ABSENT;
+        break;
+    case RN_OPTION_SETTINGS:
+        row = given_setting(option, field);
+        return row ? row->flag : NULL;
+    }
+    return is ? option->name : NULL;
+}
+
+bool rn_options_given(const struct rn_option *table, const void *options, char *ret_name,
+                      size_t capacity) {
+    const char *name = NULL;
+    for (const struct rn_option *option = table; option->name && !name; option++)
+        name = given(option, options);
+    if (name) snprintf(ret_name, capacity, "--%s", name);
+    return name;
+}
+
+static enum rn_status check_needs(const struct rn_option *table, const void *options,
+                                  struct rn_error *err) {
+    for (const struct rn_option *option = table; option->name; option++) {
+        const char *name = option->needs ? given(option, options) : NULL;
+        const struct rn_option *other = table;
+        while (name && strcmp(other->name, option->needs) != 0)
+            other++; // which is there
+        if (!name || given(other, options)) continue;
+        char where[64];
+        snprintf(where, sizeof where, "--%s", name);
+        return rn_error_set(err, RN_ERROR_INVALID, where, "says nothing without --%s",
+                            option->needs);
+    }
+    return RN_OK;
+}
+
 // An integer of the option's range that ends where `end` says (a NUL or a separator).
 static bool parse_integer(const struct rn_option *option, const char *text, char end,
                           int64_t *ret_value, const char **ret_rest) {
@@ -310,13 +376,15 @@ enum rn_status rn_options_parse(const struct rn_option_tables *tables, int argc,
             if (status != RN_OK) return status;
         } else if (count == arg_max) {
             return rn_error_set(err, RN_ERROR_INVALID, argv[i], "is one argument too many");
+        } else if (!*argv[i]) {
+            return rn_error_set(err, RN_ERROR_INVALID, "", "an argument is empty");
         } else {
             ret_args[count++] = argv[i++];
         }
     }
     ret_args[count] = NULL;
     *ret_arg_count = count;
-    return RN_OK;
+    return check_needs(tables->table, tables->options, err);
 }
 
 static bool is_member(const struct rn_option *option, const char *member) {

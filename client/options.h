@@ -43,6 +43,7 @@ struct rn_option {
     const char *const *choices;                // names, as a table has them; NULL ends
     void (*list)(char *text, size_t capacity); // writes "a|b|c", where they are no list of names
     const struct rn_settings *settings;
+    const char *needs;   // an option of the table without which this one says nothing; NULL: none
     const char *members; // of requests, "first|last"; NULL: the name with '_' for '-'
 };
 #define RN_CHOICES_MAX 256
@@ -53,7 +54,8 @@ const char *rn_option_choices(const struct rn_option *option, char room[RN_CHOIC
 
 // Fills `options` (the struct that the table's offsets mean, of size_bytes) and `globals` (that of
 // global_table) from the arguments, and gathers the others in ret_args, which has room for
-// arg_max + 1 and ends with NULL. "--" ends the options. RN_ERROR_INVALID names the option.
+// arg_max + 1 and ends with NULL. "--" ends the options. RN_ERROR_INVALID names the option, also
+// one that is given without what it needs.
 struct rn_option_tables {
     const struct rn_option *table, *global_table;
     void *options, *globals;
@@ -66,6 +68,9 @@ enum rn_status rn_options_parse(const struct rn_option_tables *tables, int argc,
 // problem names: "#/options/last" is "--frames". false where it is of no option.
 bool rn_options_find_member(const struct rn_option *table, const char *pointer, char *ret_option,
                             size_t capacity);
+// The name of an option that was given, into `ret_name`; false: none was.
+bool rn_options_given(const struct rn_option *table, const void *options, char *ret_name,
+                      size_t capacity);
 // Sets every field of a table to "absent".
 void rn_options_clear(const struct rn_option *table, void *options);
 // Words of a text on stdout, wrapped to 80 columns and indented; the first one goes to `column`.

@@ -74,6 +74,7 @@ void rn_progress_update(struct rn_progress *progress, double fraction, const cha
 
 void rn_progress_note(struct rn_progress *progress, const char *fmt, ...) {
     va_list args;
+    if (!progress->shown) return;
     if (progress->drawn) fputs("\r\033[K", stderr);
     va_start(args, fmt);
     vfprintf(stderr, fmt, args);

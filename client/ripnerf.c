@@ -179,7 +179,6 @@ static enum rn_exit run_verb(const struct rn_verb *verb, const struct globals *g
                              const void *options, const char **args) {
     struct rn_error err = {0};
     struct rn_client client = {.json = globals->json};
-    if (globals->json) rn_client_errors_as_json();
     rn_client_errors_of(verb);
     const char *host = globals->host ? globals->host : getenv("RIPNERF_HOST");
     char token[TOKEN_MAX];
@@ -193,6 +192,13 @@ static enum rn_exit run_verb(const struct rn_verb *verb, const struct globals *g
     enum rn_exit code = verb->run(&client, options, args);
     rn_http_destroy(&client.http);
     return code;
+}
+
+// Also where the rest of the command line is not understood.
+static bool wants_json(int argc, char **argv) {
+    for (int i = 1; i < argc && strcmp(argv[i], "--") != 0; i++)
+        if (strcmp(argv[i], "--json") == 0) return true;
+    return false;
 }
 
 // The verb is the first argument that is neither an option nor a global option's value.
@@ -237,18 +243,14 @@ static enum rn_exit run(int argc, char **argv, int word, const struct rn_verb *v
 
 int main(int argc, char **argv) {
     signal(SIGPIPE, SIG_IGN);
+    if (wants_json(argc, argv)) rn_client_errors_as_json();
     int word = find_verb_word(argc, argv);
     const struct rn_verb *verb = word < argc ? find_verb(argv[word]) : NULL;
     void *options = calloc(1, verb && verb->options_size ? verb->options_size : 1);
-    if (!options) {
-        fputs("ripnerf: out of memory\n", stderr);
-        return RN_EXIT_FAILED;
-    }
+    if (!options) return rn_client_error(RN_EXIT_FAILED, "", "out of memory");
     enum rn_exit code = run(argc, argv, word, verb, options);
     free(options);
-    if (fflush(stdout) != 0 || ferror(stdout)) {
-        fputs("ripnerf: standard output cannot be written\n", stderr);
-        return code == RN_EXIT_OK ? RN_EXIT_FAILED : code;
-    }
-    return code;
+    if (fflush(stdout) == 0 && !ferror(stdout)) return code;
+    return rn_client_error(code == RN_EXIT_OK ? RN_EXIT_FAILED : code, "standard output",
+                           "cannot be written");
 }

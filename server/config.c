@@ -429,6 +429,21 @@ void rn_config_finish(struct rn_config *config) {
     *config = (struct rn_config){0};
 }
 
+enum { LEFT = 24, COLUMN = LEFT + 4, WIDTH = 80 };
+
+// Words in 80 columns, from `column` on; further lines begin at `indent`.
+static void put_words(struct rn_buf *text, const char *words, int column, int indent) {
+    for (const char *word = words; *word;) {
+        int size = (int)strcspn(word, " ");
+        bool first = word == words, wraps = !first && column + 1 + size > WIDTH;
+        rn_buf_printf(text, "%s%*s%.*s", wraps ? "\n" : "", wraps ? indent : !first, "", size,
+                      word);
+        column = wraps ? indent + size : column + !first + size;
+        word += size + (word[size] == ' ');
+    }
+    rn_buf_printf(text, "\n");
+}
+
 char *rn_config_help(void) {
     struct rn_buf text;
     size_t size;
@@ -436,14 +451,19 @@ char *rn_config_help(void) {
     rn_buf_printf(&text, "usage: ripnerfd --data DIR [OPTION]...\n\n"
                          "Trains and renders radiance fields; HTTP/JSON on --listen.\n\n");
     for (size_t i = 0; i < OPTION_COUNT; i++) {
-        char flag[64];
-        snprintf(flag, sizeof flag, "--%s %s", options[i].name, options[i].value);
-        rn_buf_printf(&text, "  %-24s %s", flag, options[i].help);
-        if (options[i].initial != NULL) rn_buf_printf(&text, " (%s)", options[i].initial);
-        rn_buf_printf(&text, "\n");
+        const struct option *option = &options[i];
+        const char *initial = option->initial;
+        char flag[64], help[256];
+        snprintf(flag, sizeof flag, "--%s %s", option->name, option->value);
+        snprintf(help, sizeof help, "%s%s%s%s", option->help, initial ? " (" : "",
+                 initial ? initial : "", initial ? ")" : "");
+        rn_buf_printf(&text, "  %-*s  ", LEFT, flag);
+        put_words(&text, help, COLUMN, COLUMN);
     }
-    rn_buf_printf(&text, "\nEvery option may also stand in the --config file (name = value) or in "
-                         "the environment\n(RIPNERFD_NAME); flags win over the environment, that "
-                         "over the file.\n");
+    rn_buf_printf(&text, "\n");
+    put_words(&text,
+              "Every option may also stand in the --config file (name = value) or in the "
+              "environment (RIPNERFD_NAME); flags win over the environment, that over the file.",
+              0, 0);
     return (char *)rn_buf_take(&text, &size);
 }

@@ -1,5 +1,6 @@
 // backup, restore: a data folder, or what belongs to one scene, as one file, and back.
 
+#include <dirent.h>
 #include <errno.h>
 #include <fcntl.h>
 #include <stddef.h>
@@ -90,10 +91,8 @@ static enum rn_exit run_backup(struct rn_client *client, const void *options, co
     enum rn_exit code = download(client, opt->scene, file, fd);
     if (fstat(fd, &about) != 0) about.st_size = 0;
     close(fd);
-    if (code == RN_EXIT_OK && rename(partial, file) != 0) {
-        rn_error_from_errno(&err, errno, file, "rename");
+    if (code == RN_EXIT_OK && rn_file_rename(partial, file, &err) != RN_OK)
         code = rn_client_fail(&err);
-    }
     if (code != RN_EXIT_OK) (void)unlink(partial);
     if (code == RN_EXIT_OK && !client->json)
         printf("%lld bytes in %s; to use them: ripnerf restore %s DIR\n", (long long)about.st_size,
@@ -123,21 +122,35 @@ static enum rn_status restore(struct archive *archive, const char *folder, struc
     enum rn_status status = rn_remove_tree(archive->folder, err);
     if (status == RN_OK) status = rn_mkdirs(archive->folder, 0700, err);
     if (status == RN_OK) status = unpack(archive, err);
-    if (status == RN_OK && rename(archive->folder, folder) != 0)
-        status = rn_error_from_errno(err, errno, folder, "rename");
+    if (status == RN_OK) status = rn_file_rename(archive->folder, folder, err);
     if (status != RN_OK && rn_remove_tree(archive->folder, NULL) != RN_OK)
-        fprintf(stderr, "ripnerf: %s is left over; remove it\n", archive->folder);
+        rn_client_note("ripnerf: %s is left over; remove it", archive->folder);
     return status;
 }
 
+// Whether a folder may be renamed to this: nothing is there, or an empty folder.
+static bool is_free(const char *name) {
+    DIR *folder = opendir(name);
+    int entries = 0; // with . and ..
+    if (!folder) return errno == ENOENT;
+    while (readdir(folder))
+        entries++;
+    closedir(folder);
+    return entries <= 2;
+}
+
 static enum rn_exit restore_folder(const struct rn_client *client, const char *file,
-                                   const char *folder) {
+                                   const char *name) {
     struct rn_error err = {0};
-    char partial[4200];
+    char folder[4096], partial[4200];
     struct archive archive = {.name = file, .folder = partial};
-    if (snprintf(partial, sizeof partial, "%s.partial", folder) >= (int)sizeof partial)
-        return rn_client_usage(folder, "is too long a name");
-    if (access(folder, F_OK) == 0 && rmdir(folder) != 0)
+    size_t length = strlen(name);
+    while (length > 1 && name[length - 1] == '/')
+        length--;
+    if (length >= sizeof folder) return rn_client_usage(name, "is too long a name");
+    snprintf(folder, sizeof folder, "%.*s", (int)length, name);
+    snprintf(partial, sizeof partial, "%s.partial", folder);
+    if (!is_free(folder))
         return rn_client_usage(folder, "is there already; a backup goes into a new folder, or, "
                                        "without one, to what a daemon has");
     if (restore(&archive, folder, &err) != RN_OK) return rn_client_fail(&err);

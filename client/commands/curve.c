@@ -27,6 +27,7 @@ static const struct rn_option curve_table[] = {
     {.name = "views",
      .kind = RN_OPTION_INTEGER,
      CURVE(views),
+     .needs = "measure",
      .value = "N",
      .min = 1,
      .max = 64,
@@ -39,6 +40,7 @@ static const struct rn_option curve_table[] = {
     {.name = "overwrite",
      .kind = RN_OPTION_FLAG,
      CURVE(overwrite),
+     .needs = "plot",
      .help = "replace the picture's file"},
     {0}};
 
@@ -160,7 +162,8 @@ static enum rn_exit plot(const char *file, const char *scene, const struct rn_cu
     enum rn_status status = rn_buf_status(&svg, file, &err);
     if (status == RN_OK) status = rn_file_write_atomic(file, svg.data, svg.size, &err);
     rn_buf_finish(&svg);
-    return status == RN_OK ? RN_EXIT_OK : (rn_client_fail(&err), RN_EXIT_FAILED);
+    return status == RN_OK ? RN_EXIT_OK
+                           : rn_client_error(RN_EXIT_FAILED, err.where, "%s", err.text);
 }
 
 // ---- the table ------------------------------------------------------------------------------

@@ -5,14 +5,15 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-#include <unistd.h>
 
 #include "client/commands/estimate.h"
 #include "client/commands/pack.h"
 #include "client/commands/scene_file.h"
+#include "client/commands/submit.h"
 #include "client/commands/upload.h"
 #include "client/follow.h"
 #include "client/table.h"
+#include "common/base/threads.h"
 #include "common/dataset/dataset.h"
 #include "common/dataset/photos.h"
 #include "proto/checks.h"
@@ -50,6 +51,17 @@ static void print_problems(FILE *out, const struct rn_dataset_report_record *rep
     if (report->dropped) fprintf(out, "and %lld more\n", (long long)report->dropped);
 }
 
+// Shown, or without being asked for where there is an error.
+static void print_json_report(const struct rn_table *table,
+                              const struct rn_dataset_report_record *report, bool show) {
+    char *text = show || report->errors ? rn_api_encode(table, report) : NULL;
+    if (text && show)
+        puts(text);
+    else if (text)
+        rn_client_error_json(text);
+    free(text);
+}
+
 static void print_report(const char *folder, const struct rn_dataset *dataset,
                          const struct rn_dataset_report_record *report) {
     const struct rn_bounds *bounds = &dataset->bounds;
@@ -82,11 +94,6 @@ static void print_report(const char *folder, const struct rn_dataset *dataset,
            report->warnings == 1 ? "" : "s");
 }
 
-static int core_count(void) {
-    long cores = sysconf(_SC_NPROCESSORS_ONLN);
-    return cores < 1 ? 1 : cores > 256 ? 256 : (int)cores;
-}
-
 static bool show_checked(void *context, size_t done, size_t total) {
     rn_progress_update(context, (double)done / (double)total, "%zu of %zu images checked", done,
                        total);
@@ -113,7 +120,7 @@ static struct rn_dataset *read_dataset(const char *folder, const struct rn_read_
     if (status == RN_OK) status = rn_survey_create(dataset, &survey, &err);
     if (status == RN_OK) {
         rn_progress_init(&progress, !quiet);
-        status = rn_dataset_check_images(dataset, core_count(), problems, survey, show_checked,
+        status = rn_dataset_check_images(dataset, rn_usable_cores(), problems, survey, show_checked,
                                          &progress, &err);
         rn_progress_finish(&progress);
     }
@@ -144,15 +151,12 @@ static enum rn_exit examine(const char *folder, const struct rn_read_options *op
                      : rn_report_problems_fill(&problems, &report, &err);
     rn_problems_finish(&problems);
     if (status != RN_OK) return rn_client_fail(&err);
-    const struct rn_table *table = *ret_dataset ? &rn_dataset_report_table : &bad_table;
-    char *text = json && show ? rn_api_encode(table, &report) : NULL;
-    if (text)
-        puts(text);
+    if (json)
+        print_json_report(*ret_dataset ? &rn_dataset_report_table : &bad_table, &report, show);
     else if (show && *ret_dataset)
         print_report(folder, *ret_dataset, &report);
     else if (show || worth_saying)
         print_problems(show ? stdout : stderr, &report);
-    free(text);
     rn_message_finish(&rn_dataset_report_table, &report);
     return failed ? RN_EXIT_INVALID : RN_EXIT_OK;
 }
@@ -163,26 +167,16 @@ struct import_options {
     bool skip_bad;
 };
 
-static bool take_text(const char *name, const char *text, const char *(*check)(const char *),
-                      char *field, size_t capacity) {
-    if (!text) return true;
-    const char *wrong = strlen(text) >= capacity ? "is too long" : check(text);
-    if (!wrong)
-        snprintf(field, capacity, "%s", text);
-    else
-        rn_client_usage(name, "%s; it is '%s'", wrong, text);
-    return !wrong;
-}
-
 // What is asked for, as the daemon will be; false, with an explanation, where it is not understood.
 static bool take_options(const struct import_options *from, struct rn_ingest_options *ret) {
     char name[RN_NAME_MAX];
-    if (!take_text("--name", from->name, rn_check_name, name, sizeof name)) return false;
+    if (!rn_take_text("--name", from->name, rn_check_name, name, sizeof name)) return false;
     rn_message_init(&rn_ingest_options_table, ret);
     ret->max_size = from->max_size;
     ret->scales = from->scales;
     ret->alpha = from->alpha ? rn_name_index(rn_downscale_names, from->alpha) : -1;
-#define TAKE(field, check) take_text("--" #field, from->field, check, ret->field, sizeof ret->field)
+#define TAKE(field, check)                                                                         \
+    rn_take_text("--" #field, from->field, check, ret->field, sizeof ret->field)
     return TAKE(split, rn_check_split_spec) && TAKE(bounds, rn_check_bounds) &&
            TAKE(up, rn_check_up) && TAKE(crop, rn_check_crop) && TAKE(format, rn_check_format) &&
            TAKE(masks, rn_check_inner_path);
@@ -233,7 +227,7 @@ static enum rn_exit examine_photos(const char *path, const struct import_options
     enum rn_status status = rn_photos_read(path, options->masks, &problems, &capture->photos, &err);
     if (status == RN_OK) {
         rn_progress_init(&progress, !json);
-        status = rn_photos_check(&capture->photos, path, core_count(), &problems, show_checked,
+        status = rn_photos_check(&capture->photos, path, rn_usable_cores(), &problems, show_checked,
                                  &progress, &found, &err);
         rn_progress_finish(&progress);
     }
@@ -247,12 +241,10 @@ static enum rn_exit examine_photos(const char *path, const struct import_options
     status = rn_report_problems_fill(&problems, &report, &err);
     rn_problems_finish(&problems);
     if (status != RN_OK) return rn_client_fail(&err);
-    char *text = json && show ? rn_api_encode(&bad_table, &report) : NULL;
-    if (text)
-        puts(text);
+    if (json)
+        print_json_report(&bad_table, &report, show);
     else if (show || failed)
         print_problems(show ? stdout : stderr, &report);
-    free(text);
     rn_message_finish(&rn_dataset_report_table, &report);
     return failed ? RN_EXIT_INVALID : RN_EXIT_OK;
 }
@@ -409,8 +401,8 @@ static enum rn_exit check_name(struct rn_client *client, const char *name) {
     free(path);
     enum rn_exit code = RN_EXIT_OK;
     if (reply.code == RN_EXIT_OK) {
-        fprintf(stderr, "ripnerf: there is a dataset '%s' already; choose another name\n", name);
-        code = RN_EXIT_FAILED;
+        code = rn_client_error(RN_EXIT_FAILED, "--name",
+                               "there is a dataset '%s' already; choose another name", name);
     } else if (reply.code == RN_EXIT_UNREACHABLE || reply.code == RN_EXIT_UNAUTHORISED) {
         code = rn_api_complain(&reply);
     }
@@ -434,8 +426,8 @@ static enum rn_exit run_import(struct rn_client *client, const void *context, co
     bool left = capture.dataset || capture.photos.count;
     if (code == RN_EXIT_INVALID && left && options->skip_bad) code = RN_EXIT_OK;
     if (code != RN_EXIT_OK) {
-        fprintf(stderr, "ripnerf: %s: nothing was sent%s\n", args[0],
-                left ? "; mend what is named above, or go without it: --skip-bad" : "");
+        rn_client_note("ripnerf: %s: nothing was sent%s", args[0],
+                       left ? "; mend what is named above, or go without it: --skip-bad" : "");
     } else {
         code = pack(args[0], &capture, &tar);
     }
@@ -527,7 +519,7 @@ static enum rn_exit run_synth(struct rn_client *client, const void *context, con
     const struct synth_options *options = context;
     struct rn_progress progress;
     struct rn_error err = {0};
-    struct rn_synth_options synth = {.size = 200, .views = 60, .threads = core_count()};
+    struct rn_synth_options synth = {.size = 200, .views = 60, .threads = rn_usable_cores()};
     if (options->size != RN_OPTION_ABSENT) synth.size = (int)options->size;
     if (options->views != RN_OPTION_ABSENT) synth.views = (int)options->views;
     if (options->movers != RN_OPTION_ABSENT) synth.movers = (int)options->movers;
@@ -536,7 +528,7 @@ static enum rn_exit run_synth(struct rn_client *client, const void *context, con
     if (!isnan(options->shutter)) synth.shutter = options->shutter;
     synth.capture = options->capture;
     if (options->lens && !parse_lens(options->lens, synth.lens))
-        return rn_client_usage("lens", "\"%.80s\" is not K1,K2,P1,P2 or the first of them",
+        return rn_client_usage("--lens", "\"%.80s\" is not K1,K2,P1,P2 or the first of them",
                                options->lens);
     rn_progress_init(&progress, !client->json);
     enum rn_status status = rn_synthesise(args[0], &synth, args[1], show_made, &progress, &err);

@@ -83,7 +83,8 @@ static int index_of(const char *const *names, const char *word) {
     return word ? rn_name_index(names, word) : -1;
 }
 
-static char *train_body(const struct train_options *options, const char *dataset) {
+static enum rn_exit train_body(const struct train_options *options, const char *dataset,
+                               char **ret_body) {
     struct train_request request;
     rn_message_init(&train_request_table, &request);
     request.type = options->estimate ? RN_JOB_ESTIMATE : RN_JOB_TRAIN;
@@ -94,9 +95,11 @@ static char *train_body(const struct train_options *options, const char *dataset
     memcpy(train->settings, options->settings, sizeof train->settings);
     train->threads = options->threads;
     train->ranks = options->ranks;
-    if (options->device) snprintf(train->device, sizeof train->device, "%s", options->device);
-    if (options->kernels) snprintf(train->kernels, sizeof train->kernels, "%s", options->kernels);
-    return rn_api_encode(&train_request_table, &request);
+    if (!rn_take_text("--device", options->device, NULL, train->device, sizeof train->device) ||
+        !rn_take_text("--kernels", options->kernels, NULL, train->kernels, sizeof train->kernels))
+        return RN_EXIT_USAGE;
+    *ret_body = rn_api_encode(&train_request_table, &request);
+    return *ret_body ? RN_EXIT_OK : RN_EXIT_FAILED;
 }
 
 // What `train --wait --json` ends with: the job's end, with what is known of it.
@@ -195,9 +198,9 @@ static enum rn_exit run_train(struct rn_client *client, const void *context, con
     if (!options->name && !options->estimate) return rn_client_usage("train", "needs --name SCENE");
     if (rn_train_choice_check(options->settings, &err) != RN_OK)
         return rn_client_usage("train", "--%s: %s", err.where, err.text);
-    char *body = train_body(options, args[0]);
-    if (!body) return RN_EXIT_FAILED;
-    enum rn_exit code = rn_submit(client, body, job, &answer);
+    char *body = NULL;
+    enum rn_exit code = train_body(options, args[0], &body);
+    if (code == RN_EXIT_OK) code = rn_submit(client, body, job, &answer);
     free(body);
     if (code == RN_EXIT_OK && options->estimate)
         code = rn_wait_for_estimate(client, job);

@@ -27,16 +27,19 @@ static const struct rn_option ladder_table[] = {
     {.name = "with",
      .kind = RN_OPTION_TEXT,
      LADDER(with),
+     .needs = "over",
      .value = "NAME=V ...",
      .help = "settings of all of them by name, such as 'target_samples=65536 carve=false'"},
     {.name = "equal",
      .kind = RN_OPTION_CHOICE,
      LADDER(equal),
+     .needs = "over",
      .choices = rn_ladder_equal_names,
      .help = "what all have in common: seconds (the default), --max-steps, or the planes' texels"},
     {.name = "seeds",
      .kind = RN_OPTION_INTEGER,
      LADDER(seeds),
+     .needs = "over",
      .value = "N",
      .min = 1,
      .max = 16,
@@ -44,17 +47,24 @@ static const struct rn_option ladder_table[] = {
     {.name = "preset",
      .kind = RN_OPTION_CHOICE,
      LADDER(preset),
+     .needs = "over",
      .choices = rn_preset_names,
      .help = "where the settings start from (standard)"},
-    {.name = "", .kind = RN_OPTION_SETTINGS, LADDER(settings), .settings = &rn_train_settings},
+    {.name = "",
+     .kind = RN_OPTION_SETTINGS,
+     LADDER(settings),
+     .needs = "over",
+     .settings = &rn_train_settings},
     {.name = "split",
      .kind = RN_OPTION_CHOICE,
      LADDER(split),
+     .needs = "over",
      .choices = rn_split_names,
      .help = "views to evaluate on (test)"},
     {.name = "views",
      .kind = RN_OPTION_INTEGER,
      LADDER(views),
+     .needs = "over",
      .value = "N",
      .min = 0,
      .max = 1000000,
@@ -62,6 +72,7 @@ static const struct rn_option ladder_table[] = {
     {.name = "moments",
      .kind = RN_OPTION_INTEGER,
      LADDER(moments),
+     .needs = "over",
      .value = "N",
      .min = 0,
      .max = 8,
@@ -69,10 +80,12 @@ static const struct rn_option ladder_table[] = {
     {.name = "one-cone",
      .kind = RN_OPTION_FLAG,
      LADDER(one_cone),
+     .needs = "over",
      .help = "also evaluated with one cone a pixel"},
     {.name = "threads",
      .kind = RN_OPTION_INTEGER,
      LADDER(threads),
+     .needs = "over",
      .value = "N",
      .min = 0,
      .max = 1024,
@@ -80,16 +93,19 @@ static const struct rn_option ladder_table[] = {
     {.name = "device",
      .kind = RN_OPTION_TEXT,
      LADDER(device),
+     .needs = "over",
      .value = "auto|cpu|cuda:0",
      .help = "where to train (auto)"},
     {.name = "kernels",
      .kind = RN_OPTION_TEXT,
      LADDER(kernels),
+     .needs = "over",
      .value = "SET",
      .help = "the CPU's kernel set; else the fastest"},
     {.name = "keep",
      .kind = RN_OPTION_FLAG,
      LADDER(keep),
+     .needs = "over",
      .help = "keep the scenes; else each is removed once it is evaluated"},
     {.name = "wait", .kind = RN_OPTION_FLAG, LADDER(wait), .help = "show progress until the end"},
     {.name = "report",
@@ -100,6 +116,7 @@ static const struct rn_option ladder_table[] = {
     {.name = "overwrite",
      .kind = RN_OPTION_FLAG,
      LADDER(overwrite),
+     .needs = "report",
      .help = "replace the report's file"},
     {0}};
 
@@ -164,8 +181,9 @@ static enum rn_exit make_body(const struct ladder_options *options, const char *
     enum rn_exit code = options->with ? take_with(options->with, train->settings) : RN_EXIT_OK;
     if (code != RN_EXIT_OK) return code;
     train->threads = options->threads;
-    if (options->device) snprintf(train->device, sizeof train->device, "%s", options->device);
-    if (options->kernels) snprintf(train->kernels, sizeof train->kernels, "%s", options->kernels);
+    if (!rn_take_text("--device", options->device, NULL, train->device, sizeof train->device) ||
+        !rn_take_text("--kernels", options->kernels, NULL, train->kernels, sizeof train->kernels))
+        return RN_EXIT_USAGE;
     *ret_body = rn_api_encode(&ladder_request_table, &request);
     return *ret_body ? RN_EXIT_OK : RN_EXIT_FAILED;
 }
@@ -325,8 +343,8 @@ const struct rn_verb rn_verbs_ladder[] = {
      .summary = "train a table of settings and compare: PSNR, SSIM, time, memory, bytes on disk",
      .details =
          "  ripnerf ladder lego --over planes=3,4,6,10 footprint=rip,mip --max-time 15s\n"
-         "  ripnerf ladder lego --over planes=3,10 + planes=10 footprint=mip --preset paper \\\n"
-         "      --equal steps --max-steps 1000\n\n"
+         "  ripnerf ladder lego --over planes=3,10 + planes=10 footprint=mip \\\n"
+         "      --preset paper --equal steps --max-steps 1000\n\n"
          "Every arm is trained with the same seeds, one training after the other, and evaluated "
          "on views it never saw, on the way too. The ladder is a job: it goes on after the daemon "
          "was stopped or killed, without training anything again, and can be cancelled. With its "

@@ -42,15 +42,11 @@ static const char *const mp4_codec_names[] = {"h264", "av1", NULL}; // of rn_fil
         .members = "first|last", .min = 0, .max = RN_PATH_MAX_FRAMES - 1,                          \
         .help = "only the frames A to B, both included"                                            \
     }
-// What is made of the frames, for both verbs.
-#define OUT_OPTIONS                                                                                \
-    {.name = "out",                                                                                \
-     .letter = 'o',                                                                                \
-     .kind = RN_OPTION_TEXT,                                                                       \
-     PATH(out),                                                                                    \
-     .value = "OUT",                                                                               \
-     .members = "film",                                                                            \
-     .help = "a folder for 00000.png, ..., or a film: .mp4, .webm, .gif"},                         \
+// Of the frames and what is made of them, for both verbs.
+#define PICTURE_OPTIONS                                                                            \
+    FRAMES_OPTION,                                                                                 \
+        {.name = "", .kind = RN_OPTION_SETTINGS, PATH(settings), .settings = &rn_render_settings}, \
+        {.name = "", .kind = RN_OPTION_SETTINGS, PATH(optics), .settings = &rn_optics_settings},   \
         {.name = "format",                                                                         \
          .kind = RN_OPTION_CHOICE,                                                                 \
          PATH(format),                                                                             \
@@ -87,22 +83,25 @@ static const char *const mp4_codec_names[] = {"h264", "av1", NULL}; // of rn_fil
          .min = 0,                                                                                 \
          .max = 100,                                                                               \
          .help = "of a film: 0 smallest, 100 best (75)"},                                          \
-        {.name = "overwrite",                                                                      \
-         .kind = RN_OPTION_FLAG,                                                                   \
-         PATH(overwrite),                                                                          \
-         .help = "replace what OUT holds"},                                                        \
     {                                                                                              \
         .name = "resume", .kind = RN_OPTION_FLAG, PATH(resume),                                    \
         .help = "go on with what an earlier call began in OUT"                                     \
     }
+#define OUT_OPTIONS                                                                                \
+    {.name = "out",                                                                                \
+     .letter = 'o',                                                                                \
+     .kind = RN_OPTION_TEXT,                                                                       \
+     PATH(out),                                                                                    \
+     .value = "OUT",                                                                               \
+     .members = "film",                                                                            \
+     .help = "a folder for 00000.png, ..., or a film: .mp4, .webm, .gif"},                         \
+    {                                                                                              \
+        .name = "overwrite", .kind = RN_OPTION_FLAG, PATH(overwrite),                              \
+        .help = "replace what OUT holds"                                                           \
+    }
+static const struct rn_option picture_table[] = {PICTURE_OPTIONS, {0}};
 static const struct rn_option path_table[] = {
-    SIZE_OPTION,
-    FPS_OPTION,
-    FRAMES_OPTION,
-    {.name = "", .kind = RN_OPTION_SETTINGS, PATH(settings), .settings = &rn_render_settings},
-    {.name = "", .kind = RN_OPTION_SETTINGS, PATH(optics), .settings = &rn_optics_settings},
-    OUT_OPTIONS,
-    {0}};
+    SIZE_OPTION, FPS_OPTION, OUT_OPTIONS, PICTURE_OPTIONS, {0}};
 static const struct rn_option turntable_table[] = {
     {.name = "seconds",
      .kind = RN_OPTION_SECONDS,
@@ -138,10 +137,8 @@ static const struct rn_option turntable_table[] = {
      .help = "a whole turn, where photographs cover only a part too"},
     SIZE_OPTION,
     FPS_OPTION,
-    FRAMES_OPTION,
-    {.name = "", .kind = RN_OPTION_SETTINGS, PATH(settings), .settings = &rn_render_settings},
-    {.name = "", .kind = RN_OPTION_SETTINGS, PATH(optics), .settings = &rn_optics_settings},
     OUT_OPTIONS,
+    PICTURE_OPTIONS,
     {0}};
 
 struct path_request {
@@ -169,7 +166,7 @@ static enum rn_exit load_path(const char *file, char **ret_json) {
     in.text = (char *)bytes;
     if (status == RN_OK) status = rn_path_import(&in, NULL, &none, &path, NULL, &err);
     if (status == RN_ERROR_UNSUPPORTED)
-        fputs("ripnerf: such a path is converted first: ripnerf help paths\n", stderr);
+        rn_client_note("ripnerf: such a path is converted first: ripnerf help paths");
     if (status == RN_OK) status = rn_path_object_text(path, ret_json, &err);
     free(bytes);
     rn_path_destroy(&path);
@@ -192,7 +189,7 @@ static bool fill_options(const struct path_options *options, struct rn_path_opti
     wanted->format = format_of(options);
     wanted->jpeg_quality = options->jpeg_quality;
     wanted->output = options->output ? rn_name_index(rn_output_kind_names, options->output) : -1;
-    wanted->video_quality = wanted->film >= 0 ? options->video_quality : RN_ABSENT;
+    wanted->video_quality = options->video_quality;
     memcpy(wanted->settings, options->settings, sizeof options->settings);
     return rn_crop_option(options->crop, wanted->crop);
 }
@@ -234,13 +231,26 @@ static enum rn_exit submit_and_gather(struct rn_client *client, const struct pat
     return rn_gather(client, target, job, rn_int_or(options->frames.first, 0));
 }
 
-static enum rn_exit open_target(const struct path_options *options, struct rn_target *ret_target) {
-    int format = format_of(options);
-    enum rn_exit code =
-        rn_target_open(options->out, options->overwrite, options->resume, ret_target);
-    ret_target->extension = rn_picture_format_extensions[rn_name_or(format, RN_FORMAT_PNG)];
-    if (code == RN_EXIT_OK && ret_target->is_film && format > RN_FORMAT_PNG)
+// What is asked of a film, or of frames, that OUT is not.
+static enum rn_exit check_kind(const struct path_options *options) {
+    int film = rn_target_film(options->out, NULL);
+    if (film >= 0 && format_of(options) > RN_FORMAT_PNG)
         return rn_client_usage("--format", "is of frames in a folder; a film is made of png");
+    if (options->jpeg_quality != RN_OPTION_ABSENT && format_of(options) != RN_FORMAT_JPEG)
+        return rn_client_usage("--jpeg-quality", "is of --format jpeg");
+    if (options->codec && (film < 0 || rn_name_index(mp4_codec_names, rn_film_names[film]) < 0))
+        return rn_client_usage("--codec", "is of an .mp4; OUT is %s", options->out);
+    if (options->video_quality != RN_OPTION_ABSENT && film < 0)
+        return rn_client_usage("--video-quality", "is of a film; OUT is %s", options->out);
+    return RN_EXIT_OK;
+}
+
+static enum rn_exit open_target(const struct path_options *options, struct rn_target *ret_target) {
+    enum rn_exit code = check_kind(options);
+    if (code == RN_EXIT_OK)
+        code = rn_target_open(options->out, options->overwrite, options->resume, ret_target);
+    ret_target->extension =
+        rn_picture_format_extensions[rn_name_or(format_of(options), RN_FORMAT_PNG)];
     return code;
 }
 
@@ -291,17 +301,19 @@ static enum rn_exit run_turntable(struct rn_client *client, const void *context,
                            .height = rn_int_or(options->size.second, 0),
                            .whole = options->whole};
     double covered_deg = 360;
+    char given[64];
     if (!options->out) return rn_client_usage("turntable", "needs -o OUT");
     enum rn_exit code = rn_check_budget(options->settings);
+    if (code == RN_EXIT_OK && is_path_file(options->out) &&
+        rn_options_given(picture_table, options, given, sizeof given))
+        code = rn_client_usage(given, "is of pictures; %s is a camera path", options->out);
     if (code == RN_EXIT_OK && !is_path_file(options->out)) code = open_target(options, &target);
     if (code == RN_EXIT_OK && !*target.job)
         code = rn_turn_path(client, args[0], &turn, &json, &covered_deg);
     if (code == RN_EXIT_OK && covered_deg < 360 && !options->whole)
-        fprintf(
-            stderr,
-            "ripnerf: the photographs cover %.0f of 360 degrees: a swing over them; --whole for "
-            "a whole turn\n",
-            covered_deg);
+        rn_client_note("ripnerf: the photographs cover %.0f of 360 degrees: a swing over them; "
+                       "--whole for a whole turn",
+                       covered_deg);
     if (code == RN_EXIT_OK && is_path_file(options->out)) {
         code = write_path(options->out, json, options->overwrite);
         if (code == RN_EXIT_OK && !client->json)
@@ -523,8 +535,11 @@ static enum rn_exit remove_path(struct rn_client *client, const char *name) {
 
 static enum rn_exit run_paths(struct rn_client *client, const void *context, const char **args) {
     const char *word = args[0] ? args[0] : "ls";
+    char given[64];
     if (strcmp(word, "convert") == 0)
         return convert(client, context, args[1], args[1] ? args[2] : NULL);
+    if (rn_options_given(paths_table, context, given, sizeof given))
+        return rn_client_usage(given, "is of paths convert");
     if (args[0] && args[1] && args[2]) return rn_client_usage(args[2], "is one argument too many");
     if (strcmp(word, "rm") == 0) return remove_path(client, args[1]);
     if (strcmp(word, "ls") == 0 && (!args[0] || !args[1])) return list_paths(client);

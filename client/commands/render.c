@@ -130,10 +130,8 @@ static enum rn_exit render_body(const struct render_options *options, char **ret
     if (options->camera) {
         enum rn_exit code = load_camera(options->camera, &request.camera);
         if (code != RN_EXIT_OK) return code;
-    } else if (strlen(options->view) >= sizeof request.view) {
-        return rn_client_usage("--view", "is too long");
-    } else {
-        snprintf(request.view, sizeof request.view, "%s", options->view);
+    } else if (!rn_take_text("--view", options->view, NULL, request.view, sizeof request.view)) {
+        return RN_EXIT_USAGE;
     }
     request.optics = options->optics;
     request.at = options->at;
@@ -268,7 +266,7 @@ static enum rn_exit run_render(struct rn_client *client, const void *context, co
     code = reply.code == RN_EXIT_OK ? RN_EXIT_OK : rn_api_complain(&reply);
     if (code == RN_EXIT_OK && rn_file_write_atomic(options->file, reply.http.body.data,
                                                    reply.http.body.size, &err) != RN_OK)
-        code = (rn_client_fail(&err), RN_EXIT_FAILED);
+        code = rn_client_error(RN_EXIT_FAILED, err.where, "%s", err.text);
     if (code == RN_EXIT_OK) print_render(client, options->file, client_ms, &reply.http);
     rn_api_reply_finish(&reply);
     return code;

@@ -1,9 +1,21 @@
 #include "client/commands/submit.h"
 
+#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
 #include "proto/dataset.h"
+
+bool rn_take_text(const char *option, const char *text, const char *(*check)(const char *),
+                  char *ret_field, size_t capacity) {
+    if (!text) return true;
+    const char *wrong = strlen(text) >= capacity ? "is too long" : check ? check(text) : NULL;
+    if (!wrong)
+        snprintf(ret_field, capacity, "%s", text);
+    else
+        rn_client_usage(option, "%s; it is '%s'", wrong, text);
+    return !wrong;
+}
 
 bool rn_crop_option(const char *text, double ret_crop[6]) {
     struct rn_box box;

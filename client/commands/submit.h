@@ -17,6 +17,10 @@ enum rn_exit rn_take_up(struct rn_client *client, char job[RN_ID_MAX]);
 // The follow is the caller's to finish, whatever is returned.
 enum rn_exit rn_submit_and_follow(struct rn_client *client, char *body,
                                   struct rn_follow *ret_follow);
+// An option's text into a field of a request, where it was given: checked as proto/checks.h does
+// (NULL: by its length alone). false, with a complaint, where it does not do.
+bool rn_take_text(const char *option, const char *text, const char *(*check)(const char *),
+                  char *ret_field, size_t capacity);
 // --crop's box into a request, where there is one; false, with a complaint, where it is none.
 bool rn_crop_option(const char *text, double ret_crop[6]);
 // A usage error where settings ask for more than one budget, or for one beside others.

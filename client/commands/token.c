@@ -5,7 +5,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "client/api.h"
+#include "client/commands/submit.h"
 #include "client/progress.h"
 #include "proto/token.h"
 
@@ -80,9 +80,10 @@ static enum rn_exit make(struct rn_client *client, const struct token_options *o
     struct rn_api_reply reply;
     if (!name) return rn_client_usage("token", "make needs a name");
     rn_message_init(&rn_token_request_table, &wanted);
-    snprintf(wanted.name, sizeof wanted.name, "%s", name);
-    snprintf(wanted.scene, sizeof wanted.scene, "%s", options->scene ? options->scene : "");
-    snprintf(wanted.job, sizeof wanted.job, "%s", options->job ? options->job : "");
+    if (!rn_take_text("NAME", name, NULL, wanted.name, sizeof wanted.name) ||
+        !rn_take_text("--scene", options->scene, NULL, wanted.scene, sizeof wanted.scene) ||
+        !rn_take_text("--job", options->job, NULL, wanted.job, sizeof wanted.job))
+        return RN_EXIT_USAGE;
     if (options->scope) wanted.scope = rn_name_index(rn_scope_names, options->scope);
     if (!isnan(options->expires_s)) wanted.expires_s = (int64_t)options->expires_s;
     if (!isnan(options->max_bytes)) wanted.max_bytes = (int64_t)options->max_bytes;
@@ -130,7 +131,10 @@ static enum rn_exit revoke(struct rn_client *client, const char *name) {
 
 static enum rn_exit run_token(struct rn_client *client, const void *options, const char **args) {
     const char *word = args[0];
+    char given[64];
     if (strcmp(word, "make") == 0) return make(client, options, args[1]);
+    if (rn_options_given(token_table, options, given, sizeof given))
+        return rn_client_usage(given, "is of token make");
     if (strcmp(word, "revoke") == 0) return revoke(client, args[1]);
     if (strcmp(word, "ls") == 0 && !args[1]) return list(client);
     return rn_client_usage(word, "must be make NAME, ls or revoke NAME");

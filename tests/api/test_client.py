@@ -200,17 +200,6 @@ def test_differences_from_the_paper_are_listed_where_asked_for(client, scene):
     assert told[0]["what"] not in brief and all(one["what"] in whole for one in told)
 
 
-@pytest.mark.parametrize("verb", ["validate", "import", "synth", "train", "jobs", "show", "watch",
-                                  "pause", "resume", "finish", "cancel", "datasets", "scenes",
-                                  "rm", "render", "path", "turntable", "paths", "eval", "info", "token", "backup", "restore",
-                                  "bench", "doctor"])
-def test_every_verb_explains_itself(client, verb):
-    text = client.run("help", verb).stdout
-    assert text.startswith(f"usage: ripnerf {verb}") and "--json" in text
-    assert client.run(verb, "--help").stdout == text
-    assert [line for line in text.splitlines() if len(line) > 80] == []
-
-
 def test_errors_are_json_where_that_is_asked_for(client, daemon):
     said = json.loads(client.run("show", "nothing", "--json", code=NOT_FOUND).stderr)
     assert said["error"]["where"] == "nothing" and said["error"]["exit_code"] == NOT_FOUND

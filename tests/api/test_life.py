@@ -239,6 +239,15 @@ def test_a_restore_replaces_nothing(full, run, tmp_path):
     assert (tmp_path / "there" / "a").read_text() == "kept"
 
 
+def test_a_restore_takes_an_empty_folder_with_a_slash(full, run, tmp_path):
+    run("backup", tmp_path / "all.tar", daemon=full)
+    (tmp_path / "new").mkdir()
+    run("restore", tmp_path / "none.tar", f"{tmp_path}/new/", code=3)
+    assert (tmp_path / "new").is_dir()
+    run("restore", tmp_path / "all.tar", f"{tmp_path}/new/")
+    assert (tmp_path / "new" / "ripnerf.db").exists() and not (tmp_path / "new.partial").exists()
+
+
 def make_paths(daemon, count):
     jobs = [daemon.submit(type="path", scene="ready", camera_path=PATH) for _ in range(count)]
     for job in jobs:

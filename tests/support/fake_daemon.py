@@ -128,11 +128,11 @@ class FakeDaemon:
         for record in table.values():
             if reference in (record["id"], record.get("name")):
                 return record
-        raise Problem(404, "not-found", f"there is no '{reference}'")
+        raise Problem(404, "not-found", f"there is no '{reference:.64}'")
 
     def job(self, job_id):
         if job_id not in self.jobs:
-            raise Problem(404, "not-found", f"there is no job {job_id}")
+            raise Problem(404, "not-found", f"there is no job {job_id:.64}")
         return self.jobs[job_id]
 
     def add_dataset(self, name):
@@ -353,7 +353,7 @@ class Handler(BaseHTTPRequestHandler):
                 daemon.remove(tables[kind], reference)
                 self.reply(204)
             case _:
-                raise Problem(404, "not-found", f"there is no {self.path}")
+                raise Problem(404, "not-found", f"there is no {self.path:.200}")
 
     def accept(self, record):
         self.reply(202, record, headers=[("Location", f"/v1/jobs/{record['id']}")])

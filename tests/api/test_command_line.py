@@ -1,0 +1,83 @@
+"""What the programs say of their own command lines: errors as JSON, words and options that mean nothing."""
+
+import json
+import re
+import subprocess
+
+import pytest
+
+from support.client import FAILED, INVALID, NOT_FOUND, USAGE, Client
+from support.fake_daemon import FakeDaemon
+from test_client import write_dataset
+
+
+@pytest.fixture
+def daemon():
+    with FakeDaemon() as fake:
+        yield fake
+
+
+@pytest.fixture
+def client(build, daemon, tmp_path):
+    return Client(build / "client" / "ripnerf", tmp_path, daemon.url)
+
+
+def wide_lines(text):
+    return [line for line in text.splitlines() if len(line) > 80]
+
+
+def test_help_fits_a_terminal_for_every_verb(client, build):
+    verbs = set(re.findall(r"^  ([a-z]+) ", client.run("help").stdout, re.M))
+    assert {"train", "curve", "ladder", "completion"} < verbs
+    for verb in verbs - {"help"}:
+        text = client.run("help", verb).stdout
+        assert text.startswith(f"usage: ripnerf {verb}") and "--json" in text
+        assert client.run(verb, "--help").stdout == text and wide_lines(text) == []
+    daemon = subprocess.run([build / "server/ripnerfd", "--help"], check=True, capture_output=True, text=True)
+    assert "--slurm-path-runners N" in daemon.stdout and wide_lines(daemon.stdout) == []
+
+
+@pytest.mark.parametrize("arguments, code, word", [
+    (["fly"], USAGE, "no such verb"), (["train", "lego", "--speed", "9"], USAGE, "no such option"),
+    (["train"], USAGE, "needs DATASET"), (["show", ""], USAGE, "empty"),
+    (["render", "lego", "--view", "test:0", "-o", "nowhere/a.png"], FAILED, "nowhere/a.png"),
+    (["import", "blank", "--name", "lego"], FAILED, "choose another name"),
+    (["import", "broken", "--name", "x"], INVALID, "r_1"),
+    (["path", "lego", "none.json", "-o", "out"], NOT_FOUND, "none.json")])
+def test_every_error_is_one_object_where_json_is_asked_for(client, daemon, tmp_path, arguments, code, word):
+    daemon.add_scene("lego", daemon.add_dataset("lego"))
+    write_dataset(tmp_path / "blank")
+    (write_dataset(tmp_path / "broken") / "train" / "r_1.png").write_text("")
+    said = client.run(*arguments, "--json", code=code)
+    error = json.loads(said.stderr)["error"]
+    assert word in json.dumps(error) and said.stdout == ""
+    assert error.get("exit_code", code) == code
+
+
+@pytest.mark.parametrize("verb", [["show"], ["rm"], ["watch"], ["curve"], ["effects"], ["export", "-o", "a.ply"]])
+def test_a_name_may_be_empty_or_long(client, daemon, verb):
+    assert "an argument is empty\n" in client.run(*verb, "", code=USAGE).stderr and not daemon.requests
+    assert "there is no" in client.run(*verb, "x" * 5000, code=NOT_FOUND).stderr
+
+
+@pytest.mark.parametrize("arguments, words", [
+    (["curve", "a", "--views", "3"], "--views: says nothing without --measure"),
+    (["curve", "a", "--overwrite"], "--overwrite: says nothing without --plot"),
+    (["effects", "a", "--seeds", "2"], "--seeds: says nothing without --measure"),
+    (["ladder", "job_a", "--max-steps", "9"], "--max-steps: says nothing without --over"),
+    (["ladder", "job_a", "--keep"], "--keep: says nothing without --over"),
+    (["path", "a", "b", "-o", "c", "--codec", "av1"], "--codec: is of an .mp4; OUT is c"),
+    (["path", "a", "b", "-o", "c.webm", "--codec", "av1"], "--codec: is of an .mp4; OUT is c.webm"),
+    (["path", "a", "b", "-o", "c", "--video-quality", "9"], "--video-quality: is of a film; OUT is c"),
+    (["path", "a", "b", "-o", "c", "--jpeg-quality", "9"], "--jpeg-quality: is of --format jpeg"),
+    (["turntable", "a", "-o", "c.json", "--frames", "1-2"], "--frames: is of pictures; c.json is a camera path"),
+    (["turntable", "a", "-o", "c.json", "--quality", "3"], "--quality: is of pictures; c.json is a camera path"),
+    (["paths", "ls", "--fov", "40"], "--fov: is of paths convert"),
+    (["token", "ls", "--scope", "read"], "--scope: is of token make"),
+    (["token", "make", "x" * 65], f"NAME: is too long; it is '{'x' * 65}'"),
+    (["token", "make", "x", "--job", "y" * 65], f"--job: is too long; it is '{'y' * 65}'"),
+    (["train", "a", "--name", "b", "--kernels", "k" * 99], f"--kernels: is too long; it is '{'k' * 99}'"),
+])
+def test_what_would_be_ignored_is_refused(client, daemon, tmp_path, arguments, words):
+    assert client.run(*arguments, code=USAGE).stderr == f"ripnerf: {words}\n"
+    assert not daemon.requests and list(tmp_path.iterdir()) == []
