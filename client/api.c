@@ -108,6 +108,23 @@ enum rn_exit rn_client_error(enum rn_exit code, const char *where, const char *f
     return code;
 }
 
+struct made_file {
+    char *file; // borrowed
+    int64_t bytes;
+};
+static const struct rn_field_spec made_fields[] = {
+    RN_F_STRING(struct made_file, file, RN_REQUIRED, 4096),
+    RN_F_INT(struct made_file, bytes, RN_REQUIRED, 0, INT64_MAX)};
+static const struct rn_table made_table = RN_TABLE(struct made_file, "file", made_fields);
+
+enum rn_exit rn_client_print_file(const char *file, int64_t bytes) {
+    struct made_file made = {(char *)file, bytes};
+    char *json = rn_api_encode(&made_table, &made);
+    if (json) puts(json);
+    free(json);
+    return json ? RN_EXIT_OK : RN_EXIT_FAILED;
+}
+
 void rn_client_note(const char *fmt, ...) {
     char text[512];
     va_list args;
@@ -202,6 +219,8 @@ enum rn_exit rn_api_complain(const struct rn_api_reply *reply) {
         code = rn_api_print_problem(body);
     else
         rn_client_error(code, "", "HTTP %d: %.200s", reply->http.status, body);
+    if (reply->http.status == 401)
+        rn_client_note("  a token is given with --token-file FILE or RIPNERF_TOKEN");
     if (reply->http.retry_after_s) rn_client_note("  try again in %d s", reply->http.retry_after_s);
     return code;
 }

@@ -73,6 +73,8 @@ enum rn_exit rn_client_error(enum rn_exit code, const char *where, const char *f
 void rn_client_error_json(const char *json);
 // As rn_client_error, for a wrong command line.
 #define rn_client_usage(where, ...) rn_client_error(RN_EXIT_USAGE, where, __VA_ARGS__)
+// {"file", "bytes"} on stdout, of a verb whose result is a file or folder.
+enum rn_exit rn_client_print_file(const char *file, int64_t bytes);
 // A line on stderr beside an error or a result; none where errors are JSON.
 void rn_client_note(const char *fmt, ...) RN_PRINTF(1, 2);
 

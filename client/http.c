@@ -36,9 +36,12 @@ static char *join(const char *first, const char *second) {
 
 enum rn_status rn_http_create(const char *host, const char *token, struct rn_http **ret_http,
                               struct rn_error *err) {
-    const char *scheme = strstr(host, "://") ? "" : "http://";
-    if (!*scheme && strncmp(host, "http://", 7) != 0 && strncmp(host, "https://", 8) != 0)
-        return rn_error_set(err, RN_ERROR_INVALID, host, "is not an http or https URL");
+    const char *named = strstr(host, "://"), *scheme = named ? "" : "http://";
+    const char *place = named ? named + 3 : host;
+    if ((named && strncmp(host, "http://", 7) != 0 && strncmp(host, "https://", 8) != 0) ||
+        !*place || strcspn(place, "/ ") == 0 || strchr(place, ' '))
+        return rn_error_set(err, RN_ERROR_INVALID, host,
+                            "is not an http or https URL, such as " RN_HTTP_DEFAULT_HOST);
     if (token && strpbrk(token, "\r\n"))
         return rn_error_set(err, RN_ERROR_INVALID, "token", "holds a line break");
     struct rn_http *http = calloc(1, sizeof *http);

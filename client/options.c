@@ -8,6 +8,8 @@
 
 #include "client/nearest.h"
 
+#define KEYS_MAX 400
+
 static void *field_of(const struct rn_option *option, void *options) {
     return (char *)options + option->offset;
 }
@@ -223,13 +225,13 @@ static void tell_wanted(const struct rn_option *option, char text[200]) {
     if (choices)
         snprintf(text, 200, "one of %s", choices);
     else if (option->kind == RN_OPTION_SECONDS)
-        snprintf(text, 200, "a time such as 90, 60s, 10m or 1.5h, from %.15g s to %.15g h",
+        snprintf(text, 200, "a time such as 90, 60s, 10m or 1.5h, from %.16g s to %.16g h",
                  option->min, option->max / 3600);
     else if (option->kind == RN_OPTION_BYTES)
-        snprintf(text, 200, "a size such as 4096, 40M or 2G, from %.15g to %.15g bytes",
+        snprintf(text, 200, "a size such as 4096, 40M or 2G, from %.16g to %.16g bytes",
                  option->min, option->max);
     else
-        snprintf(text, 200, "%s from %.15g to %.15g", kind[option->kind], option->min, option->max);
+        snprintf(text, 200, "%s from %.16g to %.16g", kind[option->kind], option->min, option->max);
 }
 
 static enum rn_status complain(const struct rn_option *option, const char *value,
@@ -275,6 +277,18 @@ static const struct rn_setting *find_setting(const struct rn_option *table, cons
     return NULL;
 }
 
+// " KEY, KEY" of the rows that share the flag of `first`.
+static void list_keys(const struct rn_settings *settings, const struct rn_setting *first,
+                      char ret_text[KEYS_MAX]) {
+    const struct rn_setting *row;
+    size_t from = 0, length = 0, flag = strlen(first->flag);
+    while ((row = rn_settings_flagged(settings, from, first->flag, flag)) && length < KEYS_MAX) {
+        from = (size_t)(row - settings->rows) + 1;
+        length += (size_t)snprintf(ret_text + length, KEYS_MAX - length, "%s %s",
+                                   row == first ? "" : ",", row->key);
+    }
+}
+
 // Of rows that share the flag of `first`, the one that "KEY=VALUE" names; *value becomes VALUE.
 static enum rn_status find_key(const struct rn_settings *settings, const struct rn_setting *first,
                                const char **value, const struct rn_setting **ret_row,
@@ -290,9 +304,14 @@ static enum rn_status find_key(const struct rn_settings *settings, const struct 
         *ret_row = row;
         return RN_OK;
     }
-    const char *near = nearest.name;
-    return rn_error_set(err, RN_ERROR_INVALID, first->flag, "there is no '%.*s'%s%s%s", (int)size,
-                        *value, near ? "; did you mean " : "", near ? near : "", near ? "?" : "");
+    if (nearest.name)
+        return rn_error_set(err, RN_ERROR_INVALID, first->flag,
+                            "there is no '%.*s'; did you mean %s?", (int)size, *value,
+                            nearest.name);
+    char keys[KEYS_MAX];
+    list_keys(settings, first, keys);
+    return rn_error_set(err, RN_ERROR_INVALID, first->flag, "there is no '%.*s'; there is%s",
+                        (int)size, *value, keys);
 }
 
 // Takes a setting and its value, if that is one: *ret_taken.
@@ -465,16 +484,11 @@ static void print_choices(const char *name, const char *choices, const char *hel
 
 // Rows that share a flag, told as one.
 static void print_keys(const struct rn_settings *settings, const struct rn_setting *first) {
-    char left[RN_CHOICES_MAX + 80], text[600], room[RN_CHOICES_MAX];
+    char left[RN_CHOICES_MAX + 80], text[600], room[RN_CHOICES_MAX], keys[KEYS_MAX];
     rn_choices_join(first->choices, room);
     snprintf(left, sizeof left, "--%s NAME=%s", first->flag, room);
-    size_t length = (size_t)snprintf(text, sizeof text, "%s:", first->meaning);
-    for (size_t i = 0; i < settings->count; i++) {
-        const struct rn_setting *row = &settings->rows[i];
-        if (row->flag && strcmp(row->flag, first->flag) == 0 && length < sizeof text)
-            length += (size_t)snprintf(text + length, sizeof text - length, "%s %s",
-                                       row == first ? "" : ",", row->key);
-    }
+    list_keys(settings, first, keys);
+    snprintf(text, sizeof text, "%s:%s", first->meaning, keys);
     print_line(left, text);
 }
 

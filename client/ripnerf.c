@@ -85,6 +85,7 @@ static enum rn_exit complain_of_verb(const char *name) {
     for (size_t i = 0; i < GROUP_COUNT; i++)
         for (const struct rn_verb *verb = groups[i]; verb->name; verb++)
             rn_nearest_try(&nearest, verb->name);
+    rn_nearest_try(&nearest, "help");
     if (nearest.name)
         return rn_client_usage(name, "there is no such verb; did you mean %s?", nearest.name);
     return rn_client_usage(name, "there is no such verb; see ripnerf help");

@@ -24,10 +24,11 @@ const char *rn_check_reference(const char *text) {
 }
 
 const char *rn_check_name(const char *text) {
-    static const char *const prefixes[] = {RN_ID_DATASET, RN_ID_SCENE, RN_ID_JOB, RN_ID_PATH};
+    static const char *const prefixes[] = {RN_ID_DATASET, RN_ID_SCENE, RN_ID_JOB, RN_ID_PATH,
+                                           RN_ID_TOKEN};
     for (size_t i = 0; i < sizeof prefixes / sizeof *prefixes; i++)
         if (strncmp(text, prefixes[i], strlen(prefixes[i])) == 0)
-            return "must not begin like an id (ds_, sc_, job_, path_)";
+            return "must not begin like an id (ds_, sc_, job_, path_, tok_)";
     return rn_check_reference(text);
 }
 

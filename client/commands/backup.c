@@ -86,7 +86,7 @@ static enum rn_exit run_backup(struct rn_client *client, const void *options, co
     int fd = open(partial, O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC, 0600);
     if (fd < 0) {
         rn_error_from_errno(&err, errno, partial, "create");
-        return rn_client_fail(&err);
+        return rn_client_error(RN_EXIT_FAILED, err.where, "%s", err.text);
     }
     enum rn_exit code = download(client, opt->scene, file, fd);
     if (fstat(fd, &about) != 0) about.st_size = 0;
@@ -94,7 +94,9 @@ static enum rn_exit run_backup(struct rn_client *client, const void *options, co
     if (code == RN_EXIT_OK && rn_file_rename(partial, file, &err) != RN_OK)
         code = rn_client_fail(&err);
     if (code != RN_EXIT_OK) (void)unlink(partial);
-    if (code == RN_EXIT_OK && !client->json)
+    if (code == RN_EXIT_OK && client->json)
+        code = rn_client_print_file(file, about.st_size);
+    else if (code == RN_EXIT_OK)
         printf("%lld bytes in %s; to use them: ripnerf restore %s DIR\n", (long long)about.st_size,
                file, file);
     return code;
@@ -154,9 +156,9 @@ static enum rn_exit restore_folder(const struct rn_client *client, const char *f
         return rn_client_usage(folder, "is there already; a backup goes into a new folder, or, "
                                        "without one, to what a daemon has");
     if (restore(&archive, folder, &err) != RN_OK) return rn_client_fail(&err);
-    if (!client->json)
-        printf("%lld files, %lld bytes; now: ripnerfd --data %s --scrub, and start it\n",
-               (long long)archive.contents.files, (long long)archive.contents.bytes, folder);
+    if (client->json) return rn_client_print_file(folder, archive.contents.bytes);
+    printf("%lld files, %lld bytes; now: ripnerfd --data %s --scrub, and start it\n",
+           (long long)archive.contents.files, (long long)archive.contents.bytes, folder);
     return RN_EXIT_OK;
 }
 
@@ -189,10 +191,13 @@ static enum rn_exit restore_into_daemon(struct rn_client *client, const char *na
     struct rn_api_reply reply;
     struct stat about;
     FILE *file = fopen(name, "rbe");
-    if (file == NULL || fstat(fileno(file), &about) != 0 || !S_ISREG(about.st_mode)) {
-        rn_error_from_errno(&err, file == NULL ? errno : EINVAL, name, "open");
-        if (file != NULL) fclose(file);
+    if (file == NULL) {
+        rn_error_from_errno(&err, errno, name, "open");
         return rn_client_fail(&err);
+    }
+    if (fstat(fileno(file), &about) != 0 || !S_ISREG(about.st_mode)) {
+        fclose(file);
+        return rn_client_error(RN_EXIT_INVALID, name, "is no file; give what ripnerf backup wrote");
     }
     const struct rn_http_request request = {.method = "POST",
                                             .path = "/v1/backup",

@@ -466,7 +466,7 @@ static const struct rn_option synth_table[] = {
      .value = "N",
      .min = 1,
      .max = 10000,
-     .help = "training views (60); a quarter as many to validate and to test"},
+     .help = "training views (60); a quarter as many, 8 at least, to validate and to test"},
     {.name = "lens",
      .kind = RN_OPTION_TEXT,
      SYNTH(lens),
@@ -533,8 +533,11 @@ static enum rn_exit run_synth(struct rn_client *client, const void *context, con
     rn_progress_init(&progress, !client->json);
     enum rn_status status = rn_synthesise(args[0], &synth, args[1], show_made, &progress, &err);
     rn_progress_finish(&progress);
-    if (status == RN_ERROR_NOT_FOUND || status == RN_ERROR_INVALID)
-        return rn_client_usage(err.where, "%s", err.text);
+    if (status == RN_ERROR_INVALID) {
+        char where[64];
+        snprintf(where, sizeof where, "--%.60s", err.where);
+        return rn_client_usage(strcmp(err.where, "scene") == 0 ? args[0] : where, "%s", err.text);
+    }
     if (status != RN_OK) return rn_client_fail(&err);
     struct rn_dataset *dataset = NULL;
     struct rn_import_options kept = {.scales = 1};

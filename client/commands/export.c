@@ -187,8 +187,8 @@ static void print_summary(const struct rn_client *client, const struct summary *
     char *json = client->json ? rn_api_encode(&summary_table, summary) : NULL;
     if (json) puts(json);
     if (!client->json)
-        printf("%s: %lld points out of %lld views\n", summary->file, (long long)summary->points,
-               (long long)summary->views);
+        printf("%s: %lld points out of %lld view%s\n", summary->file, (long long)summary->points,
+               (long long)summary->views, summary->views == 1 ? "" : "s");
     free(json);
 }
 
@@ -301,7 +301,7 @@ static enum rn_exit run_export(struct rn_client *client, const void *context, co
 
 const struct rn_verb rn_verbs_export[] = {
     {.name = "export",
-     .arguments = "SCENE",
+     .arguments = "SCENE -o FILE",
      .summary = "a scene for viewing elsewhere, its surface as a mesh, or as points",
      .details =
          "Looks at the scene through cameras of its dataset and writes a point for each pixel "

@@ -196,8 +196,11 @@ static enum rn_exit run_train(struct rn_client *client, const void *context, con
     char job[RN_ID_MAX], *answer = NULL;
     struct rn_error err;
     if (!options->name && !options->estimate) return rn_client_usage("train", "needs --name SCENE");
-    if (rn_train_choice_check(options->settings, &err) != RN_OK)
-        return rn_client_usage("train", "--%s: %s", err.where, err.text);
+    if (rn_train_choice_check(options->settings, &err) != RN_OK) {
+        char flag[64];
+        snprintf(flag, sizeof flag, "--%.60s", err.where);
+        return rn_client_usage(flag, "%s", err.text);
+    }
     char *body = NULL;
     enum rn_exit code = train_body(options, args[0], &body);
     if (code == RN_EXIT_OK) code = rn_submit(client, body, job, &answer);

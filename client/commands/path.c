@@ -272,19 +272,38 @@ static bool is_path_file(const char *out) {
     return size > 5 && strcmp(out + size - 5, ".json") == 0;
 }
 
-static enum rn_exit write_path(const char *file, const char *json, bool overwrite) {
+static enum rn_exit write_path(const char *file, const char *json, int64_t *ret_bytes) {
     struct rn_error err = {0};
     struct rn_buf text;
     rn_buf_init(&text, RN_PATH_MAX_BYTES);
     rn_buf_printf(&text, "{\"path\":%s}\n", json);
     enum rn_status status = rn_buf_status(&text, file, &err);
-    if (status == RN_OK && !overwrite && access(file, F_OK) == 0) {
-        rn_buf_finish(&text);
-        return rn_client_usage(file, "is there already; --overwrite replaces it");
-    }
     if (status == RN_OK) status = rn_file_write_atomic(file, text.data, text.size, &err);
+    *ret_bytes = (int64_t)text.size;
     rn_buf_finish(&text);
-    return status == RN_OK ? RN_EXIT_OK : rn_client_fail(&err);
+    if (status == RN_OK) return RN_EXIT_OK;
+    return rn_client_error(RN_EXIT_FAILED, err.where, "%s", err.text);
+}
+
+// OUT is to be a camera path's file.
+static enum rn_exit check_path_file(const struct path_options *options) {
+    char given[64];
+    if (rn_options_given(picture_table, options, given, sizeof given))
+        return rn_client_usage(given, "is of pictures; %s is a camera path", options->out);
+    if (!options->overwrite && access(options->out, F_OK) == 0)
+        return rn_client_usage(options->out, "is there already; --overwrite replaces it");
+    return RN_EXIT_OK;
+}
+
+static enum rn_exit save_path(const struct rn_client *client, const struct path_options *options,
+                              const struct rn_turn *turn, const char *scene, const char *json) {
+    int64_t bytes;
+    enum rn_exit code = write_path(options->out, json, &bytes);
+    if (code != RN_EXIT_OK) return code;
+    if (client->json) return rn_client_print_file(options->out, bytes);
+    printf("%s: a camera path of %g s, %g frames a second; ripnerf path %s %s -o OUT renders it\n",
+           options->out, turn->seconds, turn->fps, scene, options->out);
+    return RN_EXIT_OK;
 }
 
 static enum rn_exit run_turntable(struct rn_client *client, const void *context,
@@ -301,26 +320,19 @@ static enum rn_exit run_turntable(struct rn_client *client, const void *context,
                            .height = rn_int_or(options->size.second, 0),
                            .whole = options->whole};
     double covered_deg = 360;
-    char given[64];
     if (!options->out) return rn_client_usage("turntable", "needs -o OUT");
+    bool is_path = is_path_file(options->out);
     enum rn_exit code = rn_check_budget(options->settings);
-    if (code == RN_EXIT_OK && is_path_file(options->out) &&
-        rn_options_given(picture_table, options, given, sizeof given))
-        code = rn_client_usage(given, "is of pictures; %s is a camera path", options->out);
-    if (code == RN_EXIT_OK && !is_path_file(options->out)) code = open_target(options, &target);
+    if (code == RN_EXIT_OK)
+        code = is_path ? check_path_file(options) : open_target(options, &target);
     if (code == RN_EXIT_OK && !*target.job)
         code = rn_turn_path(client, args[0], &turn, &json, &covered_deg);
     if (code == RN_EXIT_OK && covered_deg < 360 && !options->whole)
         rn_client_note("ripnerf: the photographs cover %.0f of 360 degrees: a swing over them; "
                        "--whole for a whole turn",
                        covered_deg);
-    if (code == RN_EXIT_OK && is_path_file(options->out)) {
-        code = write_path(options->out, json, options->overwrite);
-        if (code == RN_EXIT_OK && !client->json)
-            printf(
-                "%s: a camera path of %g s, %g frames a second; ripnerf path %s %s -o OUT renders "
-                "it\n",
-                options->out, turn.seconds, turn.fps, args[0], options->out);
+    if (code == RN_EXIT_OK && is_path) {
+        code = save_path(client, options, &turn, args[0], json);
     } else if (code == RN_EXIT_OK) {
         if (json) code = encode_request(options, args[0], NULL, json, &body);
         if (code == RN_EXIT_OK) code = submit_and_gather(client, options, &target, body);
@@ -468,15 +480,18 @@ static enum rn_status import_file(const struct paths_options *options, const cha
     return status;
 }
 
-static enum rn_status write_texts(const char *file, const struct rn_path_format *format,
-                                  const char *text, const char *beside, struct rn_error *err) {
-    enum rn_status status = rn_file_write_atomic(file, text, strlen(text), err);
-    if (status != RN_OK || !beside) return status;
-    char *path = beside_of(file, format->beside);
-    if (!path) return rn_error_set(err, RN_ERROR_NO_MEMORY, file, "no memory");
-    status = rn_file_write_atomic(path, beside, strlen(beside), err);
+static enum rn_exit write_texts(const char *file, const struct rn_path_format *format,
+                                const char *text, const char *beside) {
+    struct rn_error err = {0};
+    enum rn_status status = rn_file_write_atomic(file, text, strlen(text), &err);
+    char *path = status == RN_OK && beside ? beside_of(file, format->beside) : NULL;
+    if (path)
+        status = rn_file_write_atomic(path, beside, strlen(beside), &err);
+    else if (status == RN_OK && beside)
+        status = rn_error_set(&err, RN_ERROR_NO_MEMORY, file, "no memory");
     free(path);
-    return status;
+    if (status == RN_OK) return RN_EXIT_OK;
+    return rn_client_error(RN_EXIT_FAILED, err.where, "%s", err.text);
 }
 
 static enum rn_exit convert(struct rn_client *client, const struct paths_options *options,
@@ -496,15 +511,17 @@ static enum rn_exit convert(struct rn_client *client, const struct paths_options
     if (ours) status = find_space(options, to, &space, &given, &err);
     if (status == RN_OK)
         status = rn_path_export(path, to, given ? &space : NULL, &text, &beside, &err);
-    if (status == RN_OK) status = write_texts(out, to, text, beside, &err);
-    if (status == RN_OK && !client->json)
+    enum rn_exit code = status == RN_OK ? write_texts(out, to, text, beside) : rn_client_fail(&err);
+    if (code == RN_EXIT_OK && client->json)
+        code = rn_client_print_file(out, (int64_t)strlen(text));
+    else if (code == RN_EXIT_OK)
         printf("%s: %zu keys, %zu frames of %dx%d at %g a second, from %s to %s\n", out,
                path->key_count, rn_path_frame_count(path), path->width, path->height, path->fps,
                from->name, to->name);
     free(text);
     free(beside);
     rn_path_destroy(&path);
-    return status == RN_OK ? RN_EXIT_OK : rn_client_fail(&err);
+    return code;
 }
 
 static void path_row(struct rn_text_table *table, const void *message) {

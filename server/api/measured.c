@@ -12,9 +12,9 @@ static enum rn_status encode(struct rn_app *app, const struct rn_scene_row *scen
     free(folder);
     if (status == RN_ERROR_NOT_FOUND)
         return rn_error_set(err, status, "",
-                            "%s of scene '%s'%s was not measured yet; POST here or ripnerf %s "
-                            "--measure measures it",
-                            kind->what, scene->name, kind->does, kind->verb);
+                            "%s of scene '%s'%s was not measured yet: ripnerf %s %s --measure, or "
+                            "POST here",
+                            kind->what, scene->name, kind->does, kind->verb, scene->name);
     if (status != RN_OK) return rn_error_set(err, RN_ERROR_CORRUPT, "", "%.300s", err->text);
     if (kind->complete) kind->complete(app, scene, record);
     status = rn_encode(kind->table, record, ret_json, NULL, err);

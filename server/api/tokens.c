@@ -90,8 +90,6 @@ static enum rn_status fill_row(struct rn_app *app, const struct rn_caller *calle
                                struct rn_error *err) {
     bool link = wanted->scene[0] != '\0' || wanted->job[0] != '\0';
     row->scope = (enum rn_scope)rn_name_or(wanted->scope, RN_SCOPE_READ);
-    if (strncmp(wanted->name, RN_ID_TOKEN, strlen(RN_ID_TOKEN)) == 0)
-        return rn_error_set(err, RN_ERROR_INVALID, "#/name", "must not begin like an id (tok_)");
     if (wanted->scene[0] != '\0' && wanted->job[0] != '\0')
         return rn_error_set(err, RN_ERROR_INVALID, "#/job", "a link is to a scene or to a job");
     if (link && row->scope != RN_SCOPE_READ)

@@ -78,7 +78,9 @@ static void refuse_token(struct rn_request *request, struct rn_reply *reply) {
         rn_reply_header(reply, "Connection", "close");
         return;
     }
-    rn_reply_problem(reply, RN_PROBLEM_UNAUTHORISED, "send a token as 'Authorization: Bearer …'");
+    rn_reply_problem(reply, RN_PROBLEM_UNAUTHORISED,
+                     guessed ? "the token that was sent is not one of this daemon's"
+                             : "send a token as 'Authorization: Bearer …'");
     rn_reply_header(reply, "WWW-Authenticate", "Bearer");
 }
 

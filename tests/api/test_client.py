@@ -137,7 +137,7 @@ def test_a_budget_goes_alone(client, daemon, verb):
 
 @pytest.mark.parametrize("option, value, words", [
     ("--name", "bad name/x", "must be 1 to 64 letters"), ("--name", "ds_x", "like an id"),
-    ("--split", "evry:8", "every:N"), ("--bounds", "1,2,3", "four numbers"),
+    ("--name", "tok_x", "like an id"), ("--split", "evry:8", "every:N"), ("--bounds", "1,2,3", "four numbers"),
     ("--up", "w", "X,Y,Z"), ("--crop", "1,2", "low corner"), ("--masks", "../m", "within")])
 def test_what_import_is_told_is_checked_before_anything_is_read(client, daemon, option, value, words):
     name = () if option == "--name" else ("--name", "x")

@@ -6,6 +6,7 @@ import subprocess
 
 import pytest
 
+from support import contract
 from support.client import FAILED, INVALID, NOT_FOUND, USAGE, Client
 from support.fake_daemon import FakeDaemon
 from test_client import write_dataset
@@ -81,3 +82,26 @@ def test_a_name_may_be_empty_or_long(client, daemon, verb):
 def test_what_would_be_ignored_is_refused(client, daemon, tmp_path, arguments, words):
     assert client.run(*arguments, code=USAGE).stderr == f"ripnerf: {words}\n"
     assert not daemon.requests and list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("arguments, words", [
+    (["hlep"], "hlep: there is no such verb; did you mean help?"),
+    (["train", "a", "--name", "b", "--planes", "7"],
+     "--planes: 7 planes belong to no Platonic solid; use 3, 4, 6 or 10"),
+    (["synth", "cube", "d"], 'cube: no synthetic scene "cube"; there are sphere, '),
+    (["synth", "sphere", "d", "--movers", "2"], '--movers: nobody can stand about in "sphere"; '),
+    (["train", "a", "--name", "b", "--effect", "foo=on"], "--effect: there is no 'foo'; there is background, "),
+    (["doctor", "--seed", "x"], "--seed: must be a whole number from 0 to 9007199254740991; it is 'x'\n"),
+    (["info", "--host", "http://"], "http://: is not an http or https URL, such as http://127.0.0.1:"),
+])
+def test_what_is_wrong_is_named_with_its_remedy(client, daemon, tmp_path, arguments, words):
+    assert client.run(*arguments, code=USAGE).stderr.startswith(f"ripnerf: {words}")
+    assert not daemon.requests and list(tmp_path.iterdir()) == []
+
+
+def test_a_file_that_was_made_is_a_result_in_json(client, tmp_path):
+    (tmp_path / "in.json").write_text(json.dumps(contract.example("PathFile")))
+    convert = ("paths", "convert", "in.json")
+    made = client.json(*convert, "out.json", "--to", "nerfstudio")
+    assert made == {"file": "out.json", "bytes": (tmp_path / "out.json").stat().st_size}
+    assert "cannot create" in client.run(*convert, "nowhere/out.json", code=FAILED).stderr
