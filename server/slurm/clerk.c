@@ -17,7 +17,8 @@
 #define RETRY_NS (5 * SECOND_NS)    // of what Slurm does not answer
 #define ASK_SOON_NS (1 * SECOND_NS) // while a runner is waited for, or has hung up
 #define ASK_NS (5 * SECOND_NS)
-#define MAX_WORDS 32
+#define MAX_FLAGS 32 // of --slurm-flags
+#define MAX_WORDS (MAX_FLAGS + 24)
 #define SAID_SIZE 96
 
 // ---- a command ----------------------------------------------------------------------------------
@@ -65,8 +66,20 @@ static enum rn_status run(struct rn_slurm *slurm, const char *name, const char *
     return status;
 }
 
-enum rn_status rn_clerk_check(struct rn_error *err) {
+static int count_words(const char *text) {
+    int count = 0;
+    for (; *text != '\0'; text += strcspn(text, " ")) {
+        text += strspn(text, " ");
+        count += *text != '\0';
+    }
+    return count;
+}
+
+enum rn_status rn_clerk_check(const char *flags, struct rn_error *err) {
     static const char *const names[] = {"sbatch", "squeue", "scancel"};
+    if (flags != NULL && count_words(flags) > MAX_FLAGS)
+        return rn_error_set(err, RN_ERROR_LIMIT, "slurm-flags", "more than %d flags of sbatch",
+                            MAX_FLAGS);
     for (int i = 0; i < 3; i++)
         if (rn_program_find(names[i]) == NULL)
             return rn_error_set(err, RN_ERROR_UNSUPPORTED, "executor",
@@ -100,7 +113,7 @@ static bool is_passing(const struct rn_error *err) {
 struct words {
     const char *list[MAX_WORDS + 1];
     int count;
-    char texts[8][512]; // of those made here
+    char texts[MAX_WORDS][512]; // of those made here
     int made;
     char *flags; // cut at its spaces
 };
@@ -185,7 +198,7 @@ static void write_order(const struct rn_slurm *slurm, const struct rn_place *pla
     add_number(words, "mem", (memory + (1 << 20) - 1) >> 20, "M");
     add_number(words, "cpus-per-task", slurm->threads, "");
     while (rest != NULL && (flag = strsep(&rest, " ")) != NULL)
-        if (*flag != '\0' && words->count < MAX_WORDS - 1) add(words, flag);
+        if (*flag != '\0') add(words, flag);
 }
 
 static void submitted(struct rn_slurm *slurm, struct rn_place *place, enum rn_status status,

@@ -91,7 +91,8 @@ enum rn_status rn_door_open(struct rn_slurm *slurm, const char *listen,
 void *rn_door_serve(void *slurm);
 
 // clerk.c: the thread that talks to Slurm, by its commands.
-enum rn_status rn_clerk_check(struct rn_error *err) RN_MUST_CHECK; // that they are there
+// That they are there, and that `flags` (of sbatch, by spaces; NULL: none) are not too many.
+enum rn_status rn_clerk_check(const char *flags, struct rn_error *err) RN_MUST_CHECK;
 void *rn_clerk_serve(void *slurm);
 
 // slurm.c: tells whoever watches. Not under the lock.

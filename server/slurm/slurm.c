@@ -384,7 +384,7 @@ enum rn_status rn_slurm_executor_create(const struct rn_slurm_options *options,
     slurm->listener = slurm->wake_fd = -1;
     slurm->spares_until_ns = rn_clock_ns() + SPARE_NS;
     init_lock(slurm);
-    enum rn_status status = rn_clerk_check(err);
+    enum rn_status status = rn_clerk_check(options->flags, err);
     if (status == RN_OK) status = copy_texts(slurm, options, err);
     if (status == RN_OK) status = find_folders(slurm, options, err);
     if (status == RN_OK) status = rn_place_find_all(slurm, err);
