@@ -85,8 +85,7 @@ static const struct rn_setting rows[] = {
      PLACE(field.voxels),
      .unit = "",
      .choices = rn_switch_names,
-     .meaning = "a dense grid of voxels beside the planes, of as many numbers as one of them; not "
-                "on a GPU",
+     .meaning = "a dense grid of voxels beside the planes, of as many numbers as one of them",
      .option = "voxels",
      .flag = "voxels",
      PRESETS(0, 1, 0),
