@@ -1,5 +1,6 @@
 #include "client/api.h"
 
+#include <errno.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -223,6 +224,31 @@ enum rn_exit rn_api_complain(const struct rn_api_reply *reply) {
         rn_client_note("  a token is given with --token-file FILE or RIPNERF_TOKEN");
     if (reply->http.retry_after_s) rn_client_note("  try again in %d s", reply->http.retry_after_s);
     return code;
+}
+
+struct download {
+    int fd, errnum; // of the first write that failed; 0: none
+};
+
+static bool write_part(void *context, const char *bytes, size_t size) {
+    struct download *to = context;
+    if (!rn_write_all(to->fd, bytes, size)) to->errnum = errno;
+    return to->errnum == 0;
+}
+
+enum rn_exit rn_api_download(struct rn_client *client, const char *path, int idle_s, int fd,
+                             const char *file) {
+    struct download to = {.fd = fd};
+    struct rn_error err = {0};
+    struct rn_api_reply reply;
+    struct rn_http_request request = {
+        .method = "GET", .path = path, .receive = write_part, .context = &to, .idle_s = idle_s};
+    rn_api_exchange(client, &request, &reply);
+    enum rn_exit code = reply.code == RN_EXIT_OK ? RN_EXIT_OK : rn_api_complain(&reply);
+    rn_api_reply_finish(&reply);
+    if (code != RN_EXIT_OK || to.errnum == 0) return code;
+    rn_error_from_errno(&err, to.errnum, file, "write");
+    return rn_client_fail(&err);
 }
 
 enum rn_exit rn_api_save(struct rn_client *client, const char *path, const char *file) {

@@ -20,6 +20,10 @@ void rn_api_send(struct rn_client *client, const char *method, const char *path,
 // As rn_api_send, for a request of any shape.
 void rn_api_exchange(struct rn_client *client, const struct rn_http_request *request,
                      struct rn_api_reply *ret_reply);
+// GETs a path into an open file as it comes; `file` is its name, for errors. Complains, also where
+// no byte came for idle_s seconds.
+enum rn_exit rn_api_download(struct rn_client *client, const char *path, int idle_s, int fd,
+                             const char *file);
 // GETs a path into a file, which is there whole or not at all. Complains.
 enum rn_exit rn_api_save(struct rn_client *client, const char *path, const char *file);
 // Prints why a reply is not what was asked for: the problem's title, detail and pointers, or why

@@ -198,14 +198,10 @@ static enum rn_status begin_file(struct rn_carry *carry, const struct rn_wire_fi
     return carry->fd < 0 ? rn_error_from_errno(err, errno, carry->own, "make the file") : RN_OK;
 }
 
-static enum rn_status write_all(struct rn_carry *carry, const uint8_t *bytes, size_t size,
-                                struct rn_error *err) {
-    for (size_t done = 0; done < size;) {
-        ssize_t part = write(carry->fd, bytes + done, size - done);
-        if (part < 0 && errno == EINTR) continue;
-        if (part < 0) return rn_error_from_errno(err, errno, carry->own, "write the file");
-        done += (size_t)part;
-    }
+static enum rn_status write_piece(struct rn_carry *carry, const uint8_t *bytes, size_t size,
+                                  struct rn_error *err) {
+    if (!rn_write_all(carry->fd, bytes, size))
+        return rn_error_from_errno(err, errno, carry->own, "write the file");
     rn_sha256_update(&carry->hash, bytes, size);
     carry->have += (int64_t)size;
     return RN_OK;
@@ -246,7 +242,7 @@ enum rn_status rn_carry_take(struct rn_carry *carry, const struct rn_wire_file *
                     strcmp(carry->path, path) != 0 || piece->size != carry->file.size ||
                     carry->have + (int64_t)message->blob_size > piece->size))
         status = rn_error_set(err, RN_ERROR_CORRUPT, path, "arrives in the wrong order");
-    if (!status) status = write_all(carry, message->blob, message->blob_size, err);
+    if (!status) status = write_piece(carry, message->blob, message->blob_size, err);
     if (!status && carry->have == piece->size) {
         status = end_file(carry, piece, err);
         *ret_whole = status == RN_OK;

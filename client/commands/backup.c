@@ -32,43 +32,19 @@ static const struct rn_option no_options[] = {{0}};
 
 // ---- backup ---------------------------------------------------------------------------------
 
-struct target {
-    int fd, errnum; // of the first write that failed; 0: none
-};
-
-static bool write_part(void *context, const char *bytes, size_t size) {
-    struct target *target = context;
-    if (!rn_write_all(target->fd, bytes, size)) target->errnum = errno;
-    return target->errnum == 0;
-}
-
 static enum rn_exit download(struct rn_client *client, const char *scene, const char *file,
                              int fd) {
-    struct target target = {.fd = fd};
     struct rn_error err = {0};
-    struct rn_api_reply reply;
     struct rn_buf path;
-    rn_buf_init(&path, 4096);
+    rn_buf_init(&path, SIZE_MAX);
     rn_buf_printf(&path, "/v1/backup%s", scene != NULL ? "?scene=" : "");
     if (scene != NULL) rn_http_escape(&path, scene);
-    rn_buf_append(&path, "", 1);
-    if (path.failed) {
-        rn_buf_finish(&path);
-        return rn_client_usage("--scene", "is too long a name");
-    }
-    struct rn_http_request request = {.method = "GET",
-                                      .path = (const char *)path.data,
-                                      .receive = write_part,
-                                      .context = &target,
-                                      .idle_s = IDLE_S};
-    rn_api_exchange(client, &request, &reply);
+    enum rn_exit code = rn_buf_status(&path, "--scene", &err) == RN_OK
+                            ? rn_api_download(client, (const char *)path.data, IDLE_S, fd, file)
+                            : rn_client_fail(&err);
     rn_buf_finish(&path);
-    enum rn_exit code = reply.code == RN_EXIT_OK ? RN_EXIT_OK : rn_api_complain(&reply);
-    rn_api_reply_finish(&reply);
-    if (code != RN_EXIT_OK) return code;
-    if (target.errnum == 0 && fsync(fd) != 0) target.errnum = errno;
-    if (target.errnum == 0) return RN_EXIT_OK;
-    rn_error_from_errno(&err, target.errnum, file, "write");
+    if (code != RN_EXIT_OK || fsync(fd) == 0) return code;
+    rn_error_from_errno(&err, errno, file, "write");
     return rn_client_fail(&err);
 }
 

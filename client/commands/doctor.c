@@ -40,39 +40,20 @@ static const struct rn_option doctor_table[] = {
 
 // ---- a scene's files ------------------------------------------------------------------------
 
-struct download {
-    int fd, errnum; // of the first write that failed; 0: none
-};
-
-static bool write_part(void *context, const char *bytes, size_t size) {
-    struct download *to = context;
-    if (!rn_write_all(to->fd, bytes, size)) to->errnum = errno;
-    return to->errnum == 0;
-}
-
 // A resource's body into a file.
 static enum rn_exit fetch(struct rn_client *client, const char *kind, const char *id,
                           const char *tail, const char *file) {
     struct rn_error err = {0};
-    struct rn_api_reply reply = {.code = RN_EXIT_FAILED};
     char *path = rn_api_path(kind, id, tail);
-    struct download to = {.fd = open(file, O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC, 0600)};
-    if (!path || to.fd < 0) {
+    int fd = open(file, O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC, 0600);
+    enum rn_exit code =
+        path && fd >= 0 ? rn_api_download(client, path, IDLE_S, fd, file) : RN_EXIT_FAILED;
+    if (fd < 0 || (close(fd) < 0 && code == RN_EXIT_OK)) {
         rn_error_from_errno(&err, errno, file, "write");
-        free(path);
-        if (to.fd >= 0) close(to.fd);
-        return rn_client_fail(&err);
+        code = rn_client_fail(&err);
     }
-    struct rn_http_request request = {
-        .method = "GET", .path = path, .receive = write_part, .context = &to, .idle_s = IDLE_S};
-    rn_api_exchange(client, &request, &reply);
-    enum rn_exit code = reply.code == RN_EXIT_OK ? RN_EXIT_OK : rn_api_complain(&reply);
-    rn_api_reply_finish(&reply);
     free(path);
-    if (close(to.fd) < 0 && to.errnum == 0) to.errnum = errno;
-    if (code != RN_EXIT_OK || to.errnum == 0) return code;
-    rn_error_from_errno(&err, to.errnum, file, "write");
-    return rn_client_fail(&err);
+    return code;
 }
 
 // The scene's last checkpoint and its dataset's cameras.
