@@ -111,14 +111,9 @@ static void print_bash(const struct rn_verb *const *groups, size_t count,
 
 // ---- zsh --------------------------------------------------------------------------------------
 
-static void zsh_option(const char *verb, const char *name, char letter, const char *choices,
-                       bool takes_value, const char *help) {
-    char clean[400];
-    size_t length = 0;
-    for (; *help && length + 2 < sizeof clean; help++) // brackets and colons are its own
-        clean[length++] = strchr("[]:\n'", *help) ? ' ' : *help;
-    clean[length] = '\0';
-    printf("            '--%s[%s]", name, clean);
+static void zsh_word(const char *dashes, const char *name, const char *help, const char *choices,
+                     bool takes_value) {
+    printf("            '%s%s[%s]", dashes, name, help);
     if (choices) {
         printf(":value:(");
         for (; *choices; choices++)
@@ -128,6 +123,17 @@ static void zsh_option(const char *verb, const char *name, char letter, const ch
         printf(":value:_files");
     }
     puts("' \\");
+}
+
+static void zsh_option(const char *verb, const char *name, char letter, const char *choices,
+                       bool takes_value, const char *help) {
+    char clean[400];
+    size_t length = 0;
+    for (; *help && length + 2 < sizeof clean; help++) // brackets and colons are its own
+        clean[length++] = strchr("[]:\n'", *help) ? ' ' : *help;
+    clean[length] = '\0';
+    zsh_word("--", name, clean, choices, takes_value);
+    if (letter) zsh_word("-", (char[]){letter, '\0'}, clean, choices, takes_value);
 }
 
 static void print_zsh(const struct rn_verb *const *groups, size_t count,

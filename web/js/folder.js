@@ -132,7 +132,7 @@ async function bearsSign(format, files) {
 /** A name the daemon takes: letters, digits, dot, dash, underscore. */
 export function safeName(text) {
   const name = text.replace(/[^A-Za-z0-9._-]+/g, '-').replace(/^[^A-Za-z0-9]+/, '').slice(0, 64);
-  return /^(ds_|sc_|job_|path_)/.test(name) ? name.replace('_', '-') : name;
+  return /^(ds_|sc_|job_|path_|tok_)/.test(name) ? name.replace('_', '-') : name;
 }
 
 const isFilm = (path) => FILMS.includes(path.split('.').at(-1).toLowerCase());
