@@ -46,12 +46,14 @@ enum rn_status rn_optimiser_allocate(const struct rn_field *field, struct rn_opt
     o->v = o->m + count;
     if (is_apart(&field->config, o->tiled)) { // without memory for it: in place
         o->apart = rn_block_create(count * sizeof(float));
+        o->apart_pyramid = rn_block_create(pyramid * sizeof(float));
         o->apart_maps = calloc(RN_MAX_PLANES, sizeof *o->apart_maps);
-        o->apart_levels = 1;
+        o->apart_levels = o->apart_pyramid ? o->levels : 1;
         // All of it is written by the first step, for which no picture should wait.
         rn_block_touch(o->grad, 3 * count * sizeof(float));
         rn_block_touch(o->grad_pyramid, pyramid * sizeof(float));
         if (o->apart) rn_block_touch(o->apart, count * sizeof(float));
+        if (o->apart_pyramid) rn_block_touch(o->apart_pyramid, pyramid * sizeof(float));
     }
     rn_pyramid_lay_out(c, o->levels, o->grad, o->grad_pyramid, o->grad_maps);
     return RN_OK;

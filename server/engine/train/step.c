@@ -51,9 +51,10 @@ float *rn_group_lay_out(const struct rn_cpu_field *field, int capacity, float *a
 static enum rn_status allocate_groups(struct rn_trainer *t) {
     const struct rn_cpu_field *field = &t->field->cpu;
     int capacity = 2 * rn_engine_workspace(t->engine, 0)->capacity;
-    t->step.group_memory =
-        rn_block_create(RN_GROUPS * rn_group_numbers(field, capacity) * sizeof(float));
+    size_t bytes = RN_GROUPS * rn_group_numbers(field, capacity) * sizeof(float);
+    t->step.group_memory = rn_block_create(bytes);
     if (!t->step.group_memory) return RN_ERROR_NO_MEMORY;
+    rn_block_touch(t->step.group_memory, bytes); // no picture waits for the first step's memory
     float *at = t->step.group_memory;
     for (int g = 0; g < RN_GROUPS; g++)
         at = rn_group_lay_out(field, capacity, at, &t->step.groups[g]);

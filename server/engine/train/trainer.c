@@ -111,9 +111,9 @@ static void update_rates(struct rn_trainer *t, double seconds) {
 
 static enum rn_status run_here(struct rn_trainer *t, struct rn_error *err) {
     rn_ranks_begin_step(t);
-    enum rn_status status = t->step.under_way ? RN_OK : begin_step(t, err);
-    if (status == RN_OK && t->step.under_way) rn_trainer_run_wave(t);
-    return status;
+    if (!t->step.under_way) return begin_step(t, err);
+    rn_trainer_run_wave(t);
+    return RN_OK;
 }
 
 // What the host decides, it decides on its own copy, and the device gets a new one.
