@@ -4,6 +4,7 @@
 #include <string.h>
 
 #include "common/base/clock.h"
+#include "common/base/log.h"
 #include "server/api/app.h"
 
 static void add_usage(struct rn_app *app, struct rn_token_record *record) {
@@ -127,6 +128,9 @@ void rn_create_token(void *context, struct rn_request *request, struct rn_reply 
     describe(app, &row, &record);
     snprintf(record.token, sizeof record.token, "%s", secret);
     status = rn_encode(&rn_token_table, &record, &json, NULL, &err);
+    struct rn_error stays = {0};
+    if (status != RN_OK && rn_access_revoke(app->access, row.id, &stays) != RN_OK)
+        rn_log(RN_LOG_WARN, "token %s, which nobody was told, stays: %s", row.id, stays.text);
     if (rn_api_failed(status, &err, reply)) return;
     rn_api_json(reply, 201, json);
     rn_reply_header(reply, "Location", "/v1/tokens/%s", row.id);

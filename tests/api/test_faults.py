@@ -100,16 +100,35 @@ def test_jobs_end_whatever_fails(daemon, faults, kind, error):
     assert daemon.wait(job)["state"] == "succeeded"
 
 
-def test_a_refused_submission_is_no_job(daemon, faults):
-    """Whichever call fails on the way to it: none stays queued that nobody runs."""
+def refuse(faults, ask):
+    """Calls ask() with each call on its way failing once, until none is left; how many failed."""
     tried = quiet = 0
     while quiet < 3 and tried < 1000:
         faults.arm_stacks()
-        post(daemon, "/v1/jobs", {"type": "eval", "scene": "s", "options": {"views": 1}})
+        ask()
         hit = faults.disarm()
         tried, quiet = tried + hit, 0 if hit else quiet + 1
-    assert tried > 100
+    return tried
+
+
+def test_a_refused_submission_is_no_job(daemon, faults):
+    """Whichever call fails on the way to it: none stays queued that nobody runs."""
+    assert refuse(faults, lambda: post(daemon, "/v1/jobs", {
+        "type": "eval", "scene": "s", "options": {"views": 1}})) > 100
     wait_for(lambda: not daemon.get("/v1/jobs?state=queued").json["items"])
+    is_well(daemon)
+
+
+def test_a_refused_token_is_none(daemon, faults):
+    """None stays whose secret nobody was told, and which has the name."""
+    def ask():
+        reply = post(daemon, "/v1/tokens", {"name": "anna", "scope": "read"})
+        faults.disarm()
+        names = [token["name"] for token in daemon.get("/v1/tokens").json["items"]]
+        assert reply is None or reply.status == 201 or "anna" not in names, faults.last()
+        if "anna" in names:
+            assert daemon.delete("/v1/tokens/anna").status == 204
+    assert refuse(faults, ask) > 30
     is_well(daemon)
 
 
