@@ -1,15 +1,18 @@
 """Every allocation and system call that can fail, made to fail once for each way that leads to it.
 
 A script of import, training, picture, path and deletion is gone through step by step; while a step
-runs, one call whose stack was not met before fails, until a step meets none. The check takes a sample
-for some seconds; `RIPNERF_FAULT_SECONDS=3600 pytest tests/api/test_fault_stacks.py -s` goes on until
-no new stack is found; with `RIPNERF_FAULT_TRIED=FOLDER` those tried before of the same programs are left
-out. Nothing may crash, hang, leak descriptors or lose what it acknowledged, and what fails says why.
+runs, one call whose stack was not met before fails, until a step meets none. After some failures the
+next life of a daemon begins, with nothing stored, for a step takes the longer the more jobs there were.
+The check takes a sample for some seconds; `RIPNERF_FAULT_SECONDS=3600 pytest
+tests/api/test_fault_stacks.py -s` goes on until no new stack is found. `RIPNERF_FAULT_TRIED=FOLDER`
+leaves out those tried before of the same programs, also by others that run beside it.
+Nothing may crash, hang, leak descriptors or lose what it acknowledged, and what fails says why.
 """
 
 import contextlib
 import http.client
 import io
+import itertools
 import math
 import os
 import random
@@ -30,6 +33,7 @@ from support.waiting import PATIENCE_S, wait_for
 SECONDS = float(os.environ.get("RIPNERF_FAULT_SECONDS", "0"))
 SAMPLE_S = 12
 TRIED = os.environ.get("RIPNERF_FAULT_TRIED")
+LIFE = 150  # calls that fail in a daemon's life
 MADE = {"import": "datasets", "train": "scenes"}  # by a step, which is refused where it is there
 CONTENT = ("datasets", "scenes", "jobs", "camera-paths")
 PATH = {"axes": "opengl", "width": 8, "height": 8, "fps": 2,
@@ -45,7 +49,7 @@ class Script:
     def __init__(self, daemon, faults, photographs, options):
         self.daemon, self.faults, self.options = daemon, faults, options
         self.tar = make_tar(photographs)
-        self.failures, self.told, self.round = 0, [], 0
+        self.failures, self.told, self.round = 0, set(), 0
         self.end = math.inf
         self.read = 0  # of the log
 
@@ -54,6 +58,15 @@ class Script:
             return self.daemon.request(method, path, check=False, **keys)
         except (http.client.HTTPException, ConnectionError):
             return None  # the connection is all that was lost
+
+    def follow(self, job):
+        """Its events to their end, or until the connection ends: asking again and again would cost more."""
+        connection = self.daemon.connect()
+        end = time.monotonic() + PATIENCE_S
+        with contextlib.closing(connection), contextlib.suppress(http.client.HTTPException, ConnectionError):
+            connection.request("GET", f"/v1/jobs/{job}/events")
+            for _ in connection.getresponse():
+                assert time.monotonic() < end, f"the events of a job do not end; failed: {self.faults.last()}"
 
     def job_of(self, reply):
         """How the job of a reply ended; None: there is none."""
@@ -64,16 +77,17 @@ class Script:
             seen = self.ask("GET", f"/v1/jobs/{reply.json['id']}")
             assert seen is None or seen.status != 404, "an acknowledged job is lost"
             return seen is not None and seen.status == 200 and seen.json["finished_at"] and seen.json
+        self.follow(reply.json["id"])
         return wait_for(ended, said=lambda: f"a job does not end; failed: {self.faults.last()}")
 
     def is_done(self, reply, kind):
         job = self.job_of(reply)
         if job is not None and job["state"] != "succeeded":
             assert job["state"] == "failed" and job["problem"]["detail"], job
-            self.told.append(job["problem"]["detail"])
+            self.told.add(job["problem"]["detail"])
         elif job is None and reply is not None and reply.status != 409:
             assert reply.status >= 400 and reply.json["detail"], reply.body
-            self.told.append(reply.json["detail"])
+            self.told.add(reply.json["detail"])
         return (job is not None and job["state"] == "succeeded") or self.is_there(kind)
 
     def is_there(self, kind):
@@ -96,7 +110,7 @@ class Script:
         reply = self.ask("POST", f"/v1/scenes/n{self.round}/render",
                          json_body={"view": "test:0"})
         if reply is not None and reply.status != 200:
-            self.told.append(reply.json["detail"])
+            self.told.add(reply.json["detail"])
         return reply is not None and reply.status == 200
 
     def step_path(self):
@@ -128,7 +142,7 @@ class Script:
         query = random.choice(({}, {"scene": f"n{self.round}"}))
         reply = self.ask("GET", "/v1/backup", query=query)
         if reply is None or reply.status != 200:
-            self.told += [] if reply is None else [reply.json["detail"]]
+            self.told |= {reply.json["detail"]} if reply is not None else set()
             return False
         with tarfile.open(fileobj=io.BytesIO(reply.body)) as archive:
             missing = self.files() - set(archive.getnames())
@@ -141,7 +155,7 @@ class Script:
         """What was deleted comes back as it was, or not at all."""
         reply = self.ask("POST", "/v1/backup", body=self.copy, headers=TAR)
         if reply is None or reply.status // 100 != 2:
-            self.told += [] if reply is None else [reply.json["detail"]]
+            self.told |= {reply.json["detail"]} if reply is not None else set()
             return False
         for kind in ("datasets", "scenes"):
             assert self.daemon.get(f"/v1/{kind}/n{self.round}").status == 200, self.faults.last()
@@ -150,6 +164,7 @@ class Script:
     def step_token(self):
         made = self.ask("POST", "/v1/tokens", json_body={"name": "anna", "scope": "read"})
         if made is None or made.status != 201:
+            self.ask("DELETE", "/v1/tokens/anna")  # its answer may be all that was lost
             return False
         gone = self.ask("DELETE", f"/v1/tokens/{made.json['id']}")
         return gone is not None and gone.status == 204
@@ -184,7 +199,7 @@ class Script:
             step = getattr(self, "step_" + name)
             quiet = 0
             while True:
-                late = time.monotonic() > self.end
+                late = time.monotonic() > self.end or self.failures >= LIFE
                 if chance is None:
                     self.faults.survey()
                 else:
@@ -199,7 +214,7 @@ class Script:
                     self.ask("DELETE", f"/v1/{MADE[name]}/n{self.round}")
                 quiet = 0 if hit else quiet + 1
                 if not hit:
-                    assert quiet < 100, (name, self.told[-5:], self.faults.last())
+                    assert quiet < 100, (name, self.told, self.faults.last())
                     time.sleep(0.05)
         return self.failures - before
 
@@ -210,49 +225,63 @@ class Script:
         assert self.daemon.process.poll() is None, \
             f"it ended after {self.faults.last()}\n{self.daemon.log_text()[-2000:]}"
         assert not list(self.damaged()), f"a sound checkpoint is set aside after {self.faults.last()}"
-        log = self.daemon.log_text()
-        crashed = re.search(r"killed by signal (?!9 |15 )\d+[^\n]*", log[self.read:])
-        self.read = len(log)
-        where = self.faults.last().split(" ")[1]
-        assert not crashed or where.startswith(FRAIL), f"{crashed[0]} after {self.faults.last()}"
-        assert self.daemon.get("/healthz").status == 200
+        with open(self.daemon.log, "rb") as log:
+            log.seek(self.read)
+            fresh = log.read().decode(errors="replace")
+            self.read = log.tell()
+        crashed = re.search(r"killed by signal (?!9 |15 )\d+[^\n]*", fresh)
+        assert not crashed or self.faults.last().split(" ")[1].startswith(FRAIL), f"{crashed[0]} after {self.faults.last()}"
+        assert self.daemon.get("/healthz", check=False).status == 200
 
 
 def descriptors(daemon):
     return len(os.listdir(f"/proc/{daemon.process.pid}/fd"))
 
 
+def tried(program):
+    return TRIED and Path(TRIED) / program
+
+
 @pytest.mark.parametrize("program", ["ripnerfd", "ripnerf-runner"])
 def test_each_way_to_fail(build, tmp_path, program):
-    faults = Faults(build, tmp_path / "plan", program)
+    faults = Faults(build, tmp_path / "plan", program, tried(program))
     options = {"preset": "draft", "max_steps": 3, "threads": 1}
     runner = build / "server" / "ripnerf-runner"
     if program == "ripnerfd":
         runner = build / "tests" / "support" / "ripnerf-runner-fake"
     photographs = write_dataset(tmp_path / "photographs", train=3, val=1, test=1)
-    with Daemon(build / "server" / "ripnerfd", runner, tmp_path / "data", faults.environment,
-                keep_alive=0, log_level="info") as daemon:
-        script = Script(daemon, faults, photographs, options)
-        assert script.run(None) == 0  # nothing fails: all that is opened once is open now
-        before, met = descriptors(daemon), faults.stacks()
-        faults.forget_stacks()
-        script.end = time.monotonic() + (SECONDS or SAMPLE_S)
-        with faults.kept_stacks(TRIED and Path(TRIED) / program):
-            while time.monotonic() < script.end:
-                if script.run(256 if SECONDS else 128) == 0 and SECONDS:
-                    break
-        assert script.run(0) == 0
-        wait_for(lambda: descriptors(daemon) <= before, said=lambda: f"{descriptors(daemon)} of {before}")
-        tried = faults.stacks()
-        print(f"\n{program}: {script.failures} calls failed, {len(tried)} stacks, {len(met & tried)} of the "
-              f"{len(met)} that are met where nothing fails, {script.round} rounds, "
-              f"{len(set(script.told))} reasons told")
-        assert script.failures > 1 and all(script.told)
+    failures, told, end = 0, set(), None
+
+    def live(life):
+        """How many calls failed in one life of a daemon."""
+        nonlocal end
+        with Daemon(build / "server" / "ripnerfd", runner, tmp_path / f"data{life}", faults.environment,
+                    keep_alive=0, log_level="info") as daemon:
+            script = Script(daemon, faults, photographs, options)
+            assert script.run(None) == 0  # nothing fails: all that is opened once is open now
+            before = descriptors(daemon)
+            script.end = end = end or time.monotonic() + (SECONDS or SAMPLE_S)
+            while script.run(256 if SECONDS else 128) > 0 and script.failures < LIFE and time.monotonic() < end:
+                pass
+            assert script.run(0) == 0
+            wait_for(lambda: descriptors(daemon) <= before, said=lambda: f"{descriptors(daemon)} of {before}")
+            assert daemon.stop() == 0, daemon.log_text()[-2000:]
+        told.update(script.told)
+        return script.failures
+
+    for life in itertools.count():
+        failures += (fresh := live(life))
+        print(f"\n{program}: {failures} calls failed, {len(faults.tried())} stacks tried, "
+              f"{len(faults.met() & faults.tried())} of the {len(faults.met())} that are met where nothing fails, "
+              f"{life + 1} lives, {len(told)} reasons told", flush=True)
+        if fresh == 0 or time.monotonic() > end:
+            break
+    assert (failures > 1 or TRIED) and all(told)
 
 
 def test_each_way_to_fail_at_the_start(build, tmp_path):
     """A start ends with a reason, or serves."""
-    faults = Faults(build, tmp_path / "plan", "ripnerfd")
+    faults = Faults(build, tmp_path / "plan", "ripnerfd", tried("start"))
     runner = build / "tests" / "support" / "ripnerf-runner-fake"
     end = time.monotonic() + (SECONDS or 6)
     count = 0
@@ -274,4 +303,36 @@ def test_each_way_to_fail_at_the_start(build, tmp_path):
         if not hit and SECONDS:
             break
     print(f"\n{count} calls failed at the start")
-    assert count > 5
+    assert count > 5 or TRIED
+
+
+def under_way(daemon, job):
+    """The training, once it runs, or another one in place of one that has failed and says why."""
+    record = daemon.wait(job, ("running", "failed"))
+    if record["state"] == "running":
+        return job
+    assert record["problem"]["detail"], record
+    return under_way(daemon, daemon.submit(type="train", dataset="data", scene=f"of-{job}",
+                                           options={"max_steps": 10**9}))
+
+
+def test_each_way_to_fail_at_the_end(build, tmp_path, programs):
+    """An end comes, and the next life has what was acknowledged and goes on with what was under way."""
+    faults = Faults(build, tmp_path / "plan", "ripnerfd", tried("end"))
+    photographs = write_dataset(tmp_path / "photographs", train=3, val=1, test=1)
+    end = time.monotonic() + (SECONDS or 6)
+    hits = []
+    with Daemon(*programs, tmp_path / "data", faults.environment, keep_alive=0) as daemon:
+        daemon.wait(daemon.upload("data", photographs))
+        job = daemon.submit(type="train", dataset="data", scene="s", options={"max_steps": 10**9})
+        while len(hits) < 3 or (hits[-1] or not SECONDS) and time.monotonic() < end:
+            job = under_way(daemon, job)
+            assert daemon.post("/v1/camera-paths", {"name": f"n{len(hits)}", "path": PATH}).status == 201
+            faults.arm_stacks(256 if SECONDS else 48, random.randrange(1 << 30))
+            assert daemon.stop() == 0, f"{faults.last()}\n{daemon.log_text()[-2000:]}"
+            hits.append(faults.disarm())
+            daemon.start()
+            assert daemon.get(f"/v1/camera-paths/n{len(hits) - 1}").status == 200, faults.last()
+            assert not list(Path(daemon.data).glob("scenes/*/checkpoints/*.damaged")), faults.last()
+    print(f"\n{sum(hits)} calls failed at the end")
+    assert sum(hits) > 1 or TRIED

@@ -3,12 +3,12 @@
 //
 // RIPNERF_FAULTS names a file that the test maps too; it holds a struct plan. `left` counts down
 // with each call of the kind; the call that takes it to 0 fails, and with `for_good` all that
-// follow do. `hits` counts failures. Of kind DISTINCT, a call of any kind fails when its stack has
-// not been met before and `left` is not 0, which it takes one from; so the test sees one at a time.
-// Of kind SURVEY such a stack is noted and nothing fails.
+// follow do. `hits` counts failures. Of kind DISTINCT, a call of any kind fails when its stack is
+// none of those tried and `left` is not 0, which it takes one from; so the test sees one at a time.
+// Those tried are in the file RIPNERF_FAULTS_TRIED, which several programs may share.
+// Of kind SURVEY such a stack is noted as met and nothing fails.
 #include <dirent.h>
 #include <dlfcn.h>
-#include <execinfo.h>
 #include <poll.h>
 #include <pthread.h>
 #include <spawn.h>
@@ -33,6 +33,7 @@
 #include <sys/types.h>
 #include <sys/wait.h>
 #include <unistd.h>
+#include <unwind.h>
 
 enum kind {
     NONE,
@@ -59,7 +60,8 @@ enum kind {
     SURVEY
 };
 
-#define DEPTH 24
+#define DEPTH 24 // frames of a stack that tell it from others
+#define WALK 160
 #define STACKS (1u << 16)
 
 struct plan {
@@ -71,69 +73,118 @@ struct plan {
         uint64_t offset;
         char module[40];
     } last[DEPTH]; // the stack that failed
-    _Atomic uint64_t stacks[STACKS];
+    _Atomic uint64_t met[STACKS];
 };
 
 static struct plan *plan;
+static _Atomic uint64_t *tried;   // of STACKS
+static struct dl_find_object own; // this library
 static __thread bool inside;
 
-__attribute__((constructor)) static void begin(void) {
-    const char *path = getenv("RIPNERF_FAULTS");
+// The file that a variable names; NULL: there is none.
+static void *map_named(const char *variable, size_t size) {
+    const char *path = getenv(variable);
     int fd = path ? open(path, O_RDWR | O_CLOEXEC) : -1;
     void *mapped =
-        fd < 0 ? MAP_FAILED : mmap(NULL, sizeof *plan, PROT_READ | PROT_WRITE, MAP_SHARED, fd, 0);
+        fd < 0 ? MAP_FAILED : mmap(NULL, size, PROT_READ | PROT_WRITE, MAP_SHARED, fd, 0);
     if (fd >= 0) close(fd);
-    if (mapped == MAP_FAILED) return;
-    struct plan *wanted = mapped;
-    void *warm[4];
-    (void)backtrace(warm, 4); // which loads a library the first time
+    return mapped == MAP_FAILED ? NULL : mapped;
+}
+
+__attribute__((constructor)) static void begin(void) {
+    struct plan *wanted = map_named("RIPNERF_FAULTS", sizeof *plan);
+    tried = map_named("RIPNERF_FAULTS_TRIED", STACKS * sizeof *tried);
+    if (wanted == NULL || tried == NULL || _dl_find_object(&own, &own) != 0) return;
     const char *name = program_invocation_short_name;
-    if (strncmp(name, wanted->program, sizeof wanted->program) == 0) plan = mapped;
+    if (strncmp(name, wanted->program, sizeof wanted->program) == 0) plan = wanted;
 }
 
 // ---- once for each stack ----------------------------------------------------------------------
 
-static void remember(void *const *stack, int depth, enum kind kind) {
+struct walk {
+    int depth;
+    struct frame {
+        uintptr_t pc, sp; // the word below sp is where pc returns from
+    } frames[WALK];
+};
+
+// What a thread walked last, to its end: of its stack the outer part is mostly still as it was.
+static __thread struct walk walked;
+
+// Takes over the rest of the last walk from this frame on, if each return address is still there.
+static bool goes_on_as_before(struct walk *walk, const struct frame *frame) {
+    int from = 0;
+    while (from < walked.depth && walked.frames[from].sp < frame->sp)
+        from++;
+    int count = walked.depth - from;
+    if (count == 0 || walked.frames[from].sp != frame->sp || walk->depth + count > WALK)
+        return false;
+    for (int i = from; i < walked.depth; i++)
+        if (*((uintptr_t *)walked.frames[i].sp - 1) != walked.frames[i].pc) return false;
+    memcpy(&walk->frames[walk->depth], &walked.frames[from], (size_t)count * sizeof *frame);
+    walk->depth += count;
+    return true;
+}
+
+static _Unwind_Reason_Code take_frame(struct _Unwind_Context *context, void *to) {
+    struct walk *walk = to;
+    struct frame frame = {_Unwind_GetIP(context), _Unwind_GetCFA(context)};
+    if (frame.pc == 0 || walk->depth == WALK) return _URC_END_OF_STACK;
+    if (frame.pc >= (uintptr_t)own.dlfo_map_start && frame.pc < (uintptr_t)own.dlfo_map_end)
+        return _URC_NO_REASON;
+    if (goes_on_as_before(walk, &frame)) return _URC_END_OF_STACK;
+    walk->frames[walk->depth++] = frame;
+    return _URC_NO_REASON;
+}
+
+static void remember(const struct walk *walk, enum kind kind) {
     plan->last_kind = (int)kind;
-    plan->last_depth = depth;
-    for (int i = 0; i < depth; i++) {
+    plan->last_depth = walk->depth < DEPTH ? walk->depth : DEPTH;
+    for (int i = 0; i < plan->last_depth; i++) {
         struct dl_find_object found;
+        uintptr_t pc = walk->frames[i].pc, base = 0;
         const char *name = "?";
-        uint64_t base = 0;
-        if (_dl_find_object(stack[i], &found) == 0) {
-            base = (uint64_t)(uintptr_t)found.dlfo_map_start;
+        if (_dl_find_object((void *)pc, &found) == 0) {
+            base = (uintptr_t)found.dlfo_map_start;
             const char *path = found.dlfo_link_map->l_name;
             name = strrchr(path, '/') ? strrchr(path, '/') + 1 : path;
             if (*name == '\0') name = program_invocation_short_name;
         }
-        plan->last[i].offset = (uint64_t)(uintptr_t)stack[i] - base;
+        plan->last[i].offset = pc - base;
         snprintf(plan->last[i].module, sizeof plan->last[i].module, "%s", name);
     }
 }
 
 // Whether the stack is met for the first time; it is known from then on.
 static bool is_new_stack(enum kind kind) {
-    void *stack[DEPTH + 2];
-    int depth = backtrace(stack, DEPTH + 2);
+    static __thread struct walk walk;
+    walk.depth = 0;
+    _Unwind_Backtrace(take_frame, &walk);
+    walked.depth = walk.depth < WALK ? walk.depth : 0;
+    memcpy(walked.frames, walk.frames, (size_t)walked.depth * sizeof *walk.frames);
     uint64_t hash = 1469598103934665603ull * (unsigned)(kind + 1);
-    for (int i = 2; i < depth; i++) {
+    for (int i = 0; i < walk.depth && i < DEPTH; i++) {
         struct dl_find_object found;
+        uintptr_t pc = walk.frames[i].pc;
         uintptr_t base =
-            _dl_find_object(stack[i], &found) == 0 ? (uintptr_t)found.dlfo_map_start : 0;
-        hash = (hash ^ ((uintptr_t)stack[i] - base)) * 1099511628211ull;
+            _dl_find_object((void *)pc, &found) == 0 ? (uintptr_t)found.dlfo_map_start : 0;
+        hash = (hash ^ (pc - base)) * 1099511628211ull;
     }
     hash |= 1;
     if ((((hash >> 20) * (2 * plan->seed + 1)) >> 12 & 255) >= plan->chance) return false;
+    _Atomic uint64_t *table = plan->kind == SURVEY ? plan->met : tried;
     for (uint64_t at = hash >> 7; plan->left > 0; at++) {
-        uint64_t free_place = 0, known = plan->stacks[at % STACKS];
+        uint64_t free_place = 0, known = table[at % STACKS];
         if (known == hash) return false;
         if (known != 0) continue;
         int left = plan->left;
         if (left <= 0 || !atomic_compare_exchange_strong(&plan->left, &left, left - 1))
             return false;
-        if (!atomic_compare_exchange_strong(&plan->stacks[at % STACKS], &free_place, hash))
+        if (!atomic_compare_exchange_strong(&table[at % STACKS], &free_place, hash)) {
+            atomic_fetch_add(&plan->left, 1); // another has the place, perhaps for this stack
             return false;
-        remember(stack + 2, depth - 2, kind);
+        }
+        remember(&walk, kind);
         return true;
     }
     return false;

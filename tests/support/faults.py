@@ -1,6 +1,5 @@
 """The test's end of the preloaded faults.c."""
 
-import contextlib
 import ctypes
 import mmap
 import os
@@ -20,21 +19,27 @@ class Plan(ctypes.Structure):
                 ("error", ctypes.c_int), ("for_good", ctypes.c_int),
                 ("program", ctypes.c_char * 16), ("chance", ctypes.c_uint),
                 ("seed", ctypes.c_uint), ("last_kind", ctypes.c_int), ("last_depth", ctypes.c_int),
-                ("last", Frame * DEPTH), ("stacks", ctypes.c_uint64 * STACKS)]
+                ("last", Frame * DEPTH), ("met", ctypes.c_uint64 * STACKS)]
+
+
+def mapped(path, kind):
+    """The file as what `kind` says, in memory; zeros where there is none yet."""
+    with open(path, "a+b") as file:
+        file.truncate(ctypes.sizeof(kind))
+        return kind.from_buffer(mmap.mmap(file.fileno(), ctypes.sizeof(kind)))
 
 
 class Faults:
-    """faults.arm("write", 3, errno.ENOSPC): the third write from now on fails."""
+    """faults.arm("write", 3, errno.ENOSPC): the third write from now on fails. `tried`: a file that keeps
+    the stacks that have failed; others may use it meanwhile."""
 
-    def __init__(self, build, path, program):
-        size = ctypes.sizeof(Plan)
-        path.write_bytes(bytes(size))
-        self.environment = {"RIPNERF_FAULTS": str(path),
+    def __init__(self, build, path, program, tried=None):
+        tried = tried or path.with_suffix(".tried")
+        self.environment = {"RIPNERF_FAULTS": str(path), "RIPNERF_FAULTS_TRIED": str(tried),
                             "ASAN_OPTIONS": "verify_asan_link_order=0:detect_leaks=0",
                             "LD_PRELOAD": str(build / "tests" / "support" / "ripnerf-faults.so")}
         assert os.path.exists(self.environment["LD_PRELOAD"])
-        with open(path, "r+b") as file:
-            self.plan = Plan.from_buffer(mmap.mmap(file.fileno(), size))
+        self.plan, self.table = mapped(path, Plan), mapped(tried, ctypes.c_uint64 * STACKS)
         self.plan.program = program.encode()[:15]
 
     def arm(self, kind, number, error=0, for_good=False):
@@ -60,22 +65,11 @@ class Faults:
         self.plan.hits, self.plan.left, self.plan.chance = 0, 1 << 30, 256
         self.plan.kind = SURVEY
 
-    def stacks(self):
-        return {stack for stack in self.plan.stacks if stack}
+    def met(self):
+        return set(self.plan.met) - {0}
 
-    def forget_stacks(self):
-        ctypes.memset(self.plan.stacks, 0, ctypes.sizeof(self.plan.stacks))
-
-    @contextlib.contextmanager
-    def kept_stacks(self, path):
-        """Those in the file are known meanwhile, and it has all that are known afterwards; None: no file."""
-        if path and path.exists():
-            ctypes.memmove(self.plan.stacks, path.read_bytes(), ctypes.sizeof(self.plan.stacks))
-        try:
-            yield
-        finally:
-            if path:
-                path.write_bytes(bytes(self.plan.stacks))
+    def tried(self):
+        return set(self.table) - {0}
 
     def last(self):
         """The call that failed last: its kind and its stack, as `addr2line -e MODULE` takes it."""
