@@ -82,10 +82,15 @@ enum rn_exit rn_target_open(const char *out, bool overwrite, bool resume,
     }
     if (resume && !noted && there && (target.is_film || holds_frames(out)))
         return rn_client_usage(out, "holds nothing that was interrupted; --overwrite replaces it");
-    if (!target.is_film && rn_mkdirs(out, 0777, &err) != RN_OK)
+    target.made = !there && !target.is_film;
+    if (target.made && rn_mkdirs(out, 0777, &err) != RN_OK)
         return rn_client_error(RN_EXIT_FAILED, err.where, "%s", err.text);
     *ret_target = target;
     return RN_EXIT_OK;
+}
+
+void rn_target_close(const struct rn_target *target) {
+    if (target->made) (void)rmdir(target->out); // one that holds something stays
 }
 
 // ---- bringing ----

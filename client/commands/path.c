@@ -256,13 +256,14 @@ static enum rn_exit open_target(const struct path_options *options, struct rn_ta
 
 static enum rn_exit run_path(struct rn_client *client, const void *context, const char **args) {
     const struct path_options *options = context;
-    struct rn_target target;
+    struct rn_target target = {.job = ""};
     char *body = NULL;
     if (!options->out) return rn_client_usage("path", "needs -o DIR or -o film.mp4");
     enum rn_exit code = rn_check_budget(options->settings);
     if (code == RN_EXIT_OK) code = open_target(options, &target);
     if (code == RN_EXIT_OK && !*target.job) code = path_body(options, args, &body);
     if (code == RN_EXIT_OK) code = submit_and_gather(client, options, &target, body);
+    rn_target_close(&target);
     free(body);
     return code;
 }
@@ -337,6 +338,7 @@ static enum rn_exit run_turntable(struct rn_client *client, const void *context,
         if (json) code = encode_request(options, args[0], NULL, json, &body);
         if (code == RN_EXIT_OK) code = submit_and_gather(client, options, &target, body);
     }
+    rn_target_close(&target);
     free(json);
     free(body);
     return code;

@@ -105,3 +105,16 @@ def test_a_file_that_was_made_is_a_result_in_json(client, tmp_path):
     made = client.json(*convert, "out.json", "--to", "nerfstudio")
     assert made == {"file": "out.json", "bytes": (tmp_path / "out.json").stat().st_size}
     assert "cannot create" in client.run(*convert, "nowhere/out.json", code=FAILED).stderr
+
+
+@pytest.mark.parametrize("arguments, code", [
+    (["path", "lego", "none.json"], NOT_FOUND), (["path", "none", "in.json"], NOT_FOUND),
+    (["turntable", "none"], NOT_FOUND)])
+def test_what_fails_leaves_no_folder(client, daemon, tmp_path, arguments, code):
+    daemon.add_scene("lego", daemon.add_dataset("lego"))
+    (tmp_path / "in.json").write_text(json.dumps(contract.example("PathFile")))
+    client.run(*arguments, "-o", "out", code=code)
+    assert not (tmp_path / "out").exists()
+    (tmp_path / "out").mkdir()
+    client.run(*arguments, "-o", "out", code=code)
+    assert (tmp_path / "out").exists()
