@@ -408,7 +408,7 @@ enum rn_status rn_config_load(int argc, char **argv, const char *(*get_env)(cons
     enum rn_status status = set_defaults(&config, err);
     if (status == RN_OK) status = read_all(&config, argc, argv, get_env, err);
     if (status == RN_OK && !config.help && !config.version) {
-        if (config.data == NULL)
+        if (config.data == NULL || config.data[0] == '\0')
             status = rn_error_set(err, RN_ERROR_INVALID, "data", "give a folder with --data DIR");
         if (status == RN_OK) status = split_listen(&config, err);
         if (status == RN_OK) status = read_token(&config, err);

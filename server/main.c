@@ -103,6 +103,17 @@ static void find_files(struct server *server) {
         snprintf(server->web, sizeof server->web, "%s", server->config.web);
 }
 
+// Of --web; where the page is not found by itself, the daemon goes without.
+static enum rn_status check_web(const struct server *server, struct rn_error *err) {
+    char page[PATH_MAX + 16];
+    snprintf(page, sizeof page, "%s/index.html", server->web);
+    if (server->config.web == NULL || access(page, R_OK) == 0) return RN_OK;
+    return rn_error_set(err, RN_ERROR_NOT_FOUND, "web",
+                        "there is no %s; leave --web out for the page "
+                        "that came with the daemon",
+                        page);
+}
+
 static enum rn_status set_log_level(const char *name, struct rn_error *err) {
     static const char *const names[] = {"error", "warn", "info", "debug", NULL};
     int level = rn_name_index(names, name);
@@ -259,17 +270,6 @@ static enum rn_status start_http(struct server *server, struct rn_error *err) {
     return status == RN_OK ? rn_http_start(&options, &server->app.http, err) : status;
 }
 
-// By hand, beside a daemon or without one: 0 when all is as it was written.
-static int scrub(struct server *server) {
-    struct rn_scrub_result result;
-    rn_scrub(server->config.data, NULL, NULL, &result);
-    printf("%llu checked, %llu damaged", (unsigned long long)result.checked,
-           (unsigned long long)result.damaged);
-    if (result.unread > 0) printf(", %llu cannot be read", (unsigned long long)result.unread);
-    puts("");
-    return result.damaged + result.unread > 0;
-}
-
 static void stop(struct server *server) {
     rn_scrubber_stop(&server->scrubber);
     if (server->app.http != NULL) rn_http_drain(server->app.http, HTTP_DRAIN_MS);
@@ -305,6 +305,25 @@ static int complain(const struct rn_error *err) {
     return err->status == RN_ERROR_INVALID ? 2 : 1;
 }
 
+// By hand, beside a daemon or without one: 0 when all is as it was written.
+static int scrub(struct server *server) {
+    struct rn_scrub_result result;
+    struct rn_error err;
+    char layout[PATH_MAX];
+    snprintf(layout, sizeof layout, "%s/layout", server->config.data);
+    if (access(layout, F_OK) != 0) {
+        rn_error_set(&err, RN_ERROR_NOT_FOUND, server->config.data,
+                     "there is no data folder of ripnerfd: nothing was checked");
+        return complain(&err);
+    }
+    rn_scrub(server->config.data, NULL, NULL, &result);
+    printf("%llu checked, %llu damaged", (unsigned long long)result.checked,
+           (unsigned long long)result.damaged);
+    if (result.unread > 0) printf(", %llu cannot be read", (unsigned long long)result.unread);
+    puts("");
+    return result.damaged + result.unread > 0;
+}
+
 int main(int argc, char **argv) {
     static struct server server;
     struct rn_error err = {0};
@@ -321,7 +340,8 @@ int main(int argc, char **argv) {
     block_signals(&signals);
     raise_file_limit();
     find_files(&server);
-    enum rn_status status = set_log_level(server.config.log_level, &err);
+    enum rn_status status = check_web(&server, &err);
+    if (status == RN_OK) status = set_log_level(server.config.log_level, &err);
     if (status == RN_OK) status = set_log_format(server.config.log_format, &err);
     if (status == RN_OK) status = start_control(&server, &err);
     if (status == RN_OK) status = start_http(&server, &err);

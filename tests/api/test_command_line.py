@@ -9,6 +9,7 @@ import pytest
 from support import contract
 from support.client import FAILED, INVALID, NOT_FOUND, USAGE, Client
 from support.fake_daemon import FakeDaemon
+from support.waiting import PATIENCE_S
 from test_client import write_dataset
 
 
@@ -118,3 +119,13 @@ def test_what_fails_leaves_no_folder(client, daemon, tmp_path, arguments, code):
     (tmp_path / "out").mkdir()
     client.run(*arguments, "-o", "out", code=code)
     assert (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("options, words", [
+    (["--data", ""], "data: give a folder with --data DIR"),
+    (["--data", "nowhere", "--scrub"], "nowhere: there is no data folder of ripnerfd: nothing was checked"),
+    (["--data", "d", "--web", "nowhere"], "web: there is no nowhere/index.html; leave --web out")])
+def test_the_daemon_does_not_begin_with_what_is_not_there(build, tmp_path, options, words):
+    run = subprocess.run([build / "server/ripnerfd", "--listen", "127.0.0.1:0", *options], cwd=tmp_path,
+                         capture_output=True, text=True, timeout=PATIENCE_S, check=False)
+    assert run.returncode in (1, 2) and run.stderr.startswith(f"ripnerfd: {words}") and run.stdout == ""
