@@ -271,9 +271,18 @@ static enum rn_exit check_scene_options(const struct import_options *o, bool sce
     return RN_EXIT_OK;
 }
 
+static enum rn_exit validate_scene(const struct rn_client *client, const char *path) {
+    uint64_t bytes;
+    enum rn_exit code = rn_check_scene_file(path, &bytes);
+    if (code != RN_EXIT_OK) return code;
+    if (client->json) return rn_client_print_file(path, (int64_t)bytes);
+    printf("%s: a scene for viewing, as it was written\n", path);
+    return RN_EXIT_OK;
+}
+
 static enum rn_exit run_validate(struct rn_client *client, const void *context, const char **args) {
     struct capture capture = {.dataset = NULL};
-    if (rn_is_scene_file(args[0])) return rn_check_scene_file(args[0]);
+    if (rn_is_scene_file(args[0])) return validate_scene(client, args[0]);
     if (!take_options(context, &capture.asked)) return RN_EXIT_USAGE;
     enum rn_exit code = examine_capture(args[0], context, client->json, true, &capture);
     finish_capture(&capture);

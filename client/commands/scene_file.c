@@ -28,7 +28,7 @@ bool rn_is_scene_file(const char *path) {
            begins_like_one(path, &bytes);
 }
 
-enum rn_exit rn_check_scene_file(const char *path) {
+enum rn_exit rn_check_scene_file(const char *path, uint64_t *ret_bytes) {
     struct rn_error err = {0};
     uint64_t bytes;
     uint8_t first;
@@ -41,7 +41,9 @@ enum rn_exit rn_check_scene_file(const char *path) {
         status = rn_error_set(&err, RN_ERROR_INVALID, path,
                               "is no scene that ripnerf export --as scene wrote, or is damaged");
     if (status == RN_OK) status = rn_seal_check(path, digest, &err);
-    return status == RN_OK ? RN_EXIT_OK : rn_client_fail(&err);
+    if (status != RN_OK) return rn_client_fail(&err);
+    *ret_bytes = bytes;
+    return RN_EXIT_OK;
 }
 
 struct sending {
@@ -124,15 +126,14 @@ static enum rn_exit print_made(struct rn_client *client, const char *id) {
 enum rn_exit rn_import_scene(struct rn_client *client, const char *path, const char *name,
                              const char *dataset) {
     struct sending sending = {.file = NULL};
-    uint8_t first;
-    size_t size;
     char job[RN_ID_MAX];
-    enum rn_exit code = rn_check_scene_file(path);
+    enum rn_exit code = rn_check_scene_file(path, &sending.bytes);
     if (code != RN_EXIT_OK) return code;
     char *query = query_of(name, dataset);
     sending.file = fopen(path, "rb");
-    if (!query || !sending.file ||
-        rn_file_read_head(path, &first, 1, &size, &sending.bytes, NULL) != RN_OK)
+    if (!query)
+        code = rn_client_usage("--name", "is too long, or --dataset");
+    else if (!sending.file)
         code = rn_client_usage(path, "cannot be read");
     if (code == RN_EXIT_OK) code = send_file(client, query, &sending, job);
     if (sending.file) fclose(sending.file);

@@ -134,7 +134,7 @@ def test_damaged_files_are_refused(ball, exported, tmp_path):
         assert run.returncode in (FAILED, INVALID) and words in run.stderr, (words, run.stderr)
         assert "/spool/" not in run.stderr
     ball.run("show", "bad", code=NOT_FOUND)
-    ball.run("validate", exported[0])
+    assert ball.json("validate", exported[0]) == {"file": str(exported[0]), "bytes": len(whole)}
     assert ball.run("validate", bad, code=None).returncode == 0  # only its header is wrong
 
 
