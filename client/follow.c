@@ -76,7 +76,7 @@ void rn_format_progress(const struct rn_job *job, const char *json, double *ret_
     *ret_fraction = train ? progress.train.fraction : progress.work.fraction;
     if (train && *progress.train.stage) {
         *ending = '\0';
-    } else if (!train || !progress.train.evaluating_first) {
+    } else if (!train || !(progress.train.evaluating_first || progress.train.evaluating)) {
         rn_format_seconds(train ? progress.train.eta_seconds : progress.work.eta_seconds, eta,
                           sizeof eta);
         snprintf(ending, sizeof ending, "ETA %s", eta);

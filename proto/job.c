@@ -392,6 +392,7 @@ static const struct rn_field_spec train_progress[] = {
     RN_F_NUMBER(S, eta_seconds, RN_REQUIRED | RN_NULLABLE, 0, INFINITY),
     RN_F_NUMBER(S, fraction, RN_REQUIRED | RN_NULLABLE, 0, 1),
     RN_F_BOOL(S, evaluating_first, RN_REQUIRED),
+    RN_F_BOOL(S, evaluating, 0),
     RN_F_TEXT(S, fell_back, 0, NULL),
     RN_F_TEXT(S, stage, 0, NULL),
 };

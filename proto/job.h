@@ -126,7 +126,7 @@ struct rn_train_progress {
     int64_t psnr_step;
     struct rn_nonfinite nonfinite;
     double eta_seconds, fraction;
-    bool evaluating_first;
+    bool evaluating_first, evaluating;
     char fell_back[256]; // a damaged checkpoint that was passed over; "" = absent
     char stage[32];      // what comes before the first step; "" = absent: it trains
 };

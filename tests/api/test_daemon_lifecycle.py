@@ -279,6 +279,19 @@ def test_figures_outlive_the_daemon(programs, photographs, tmp_path):
         daemon.stop()
 
 
+def test_the_first_figure_is_not_of_the_fog(programs, photographs, tmp_path):
+    """Before the first empty space is known pictures take the longest, and tell the least."""
+    daemon = Daemon(*programs, tmp_path / "d", {"RIPNERF_FAKE_STEP_US": "12000"}).start()
+    try:
+        daemon.wait(daemon.upload("data", photographs))
+        job = train(daemon, "s", max_steps=100000)
+        first, *_ = wait_for(lambda: daemon.get(f"/v1/jobs/{job}/metrics").json["items"])
+        assert first["step"] >= 256 or first["train_seconds"] >= 10
+        command(daemon, job, "cancel")
+    finally:
+        daemon.stop()
+
+
 def test_figures_that_a_crash_has_undone_go(own):
     job = train(own, "s", max_steps=100000, evaluate_interval_s=0.02, checkpoint_interval_s=1000)
     figures = f"/v1/jobs/{job}/metrics"

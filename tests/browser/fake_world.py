@@ -309,6 +309,7 @@ class World:
             "eta_seconds": limit - seconds if limit else None,
             "fraction": min(1, seconds / limit) if limit else None,
             "evaluating_first": False,
+            "evaluating": False,
         }
 
     def advance(self, job, dt):

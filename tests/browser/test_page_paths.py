@@ -229,6 +229,14 @@ def test_the_path_is_kept_in_the_daemon_and_found_again(scene):
     scene.says("as it was kept in the daemon", ".kept")
 
 
+def test_a_path_is_kept_that_was_made_just_before_the_scene_is_left(scene):
+    scene.run("""
+document.querySelector('.stage').dispatchEvent(new KeyboardEvent('keydown', {key: 'k', bubbles: true}));
+location.hash = '#/jobs';""")
+    scene.until(lambda: scene.api.world.paths, "the path in the daemon")
+    assert len(scene.api.world.paths[0]["path"]["keys"]) == 1
+
+
 # Presses Preview with frames of the test's own: where the scrubber stands after each of them.
 WITH_FRAMES = """
 const real = [requestAnimationFrame, cancelAnimationFrame];

@@ -155,6 +155,9 @@ def test_loading_is_told_as_a_stage(page, fake):
     page.says("loading photographs · 12 s")
     page.open(api.url + f"#/scene/{job['scene']}")
     page.says("loading photographs · 12 s", ".panel")
+    job["progress"] = api.world.train_progress(job, 5) | {"evaluating": True}  # the clock stands still
+    page.open(api.url + f"#/scene/{job['scene']}")
+    page.says("evaluating after 5 s", ".panel")
 
 
 def test_the_first_steps_are_not_called_refined(page, fake):

@@ -92,6 +92,18 @@ def test_pictures_and_links_are_kept(scene, asked, downloads):
     assert scene.run("return window.filled;") == "viewport"
 
 
+def test_a_link_that_cannot_be_copied_is_shown(scene):
+    """A page over plain HTTP from another machine has no clipboard."""
+    scene.run("Object.defineProperty(navigator, 'clipboard', {value: undefined});")
+    scene.press("Copy link")
+    words = scene.find("dialog input[readonly]").get_attribute("value")
+    assert words.startswith(scene.api.url) and "#/scene/sphere-draft?camera=" in words
+    chosen = "const e = document.activeElement; return e.value.slice(e.selectionStart, e.selectionEnd);"
+    assert scene.run(chosen) == words  # Ctrl C takes it
+    scene.press("Close")
+    scene.until(lambda: not scene.all("dialog input[readonly]"), "the dialog closed")
+
+
 def test_the_worst_views_of_an_evaluation_are_looked_at_beside_their_photographs(page, fake):
     api = fake("busy")
     with api.world.lock:

@@ -21,7 +21,7 @@ export function createPathStore(scene, say, signal) {
     const path = latest;
     latest = null;
     try {
-      id ??= (await api.paths(signal)).find((item) => item.name === name)?.id ?? null;
+      id ??= (await api.paths()).find((item) => item.name === name)?.id ?? null;
       if (id) await api.removePath(id);
       id = null;
       if (path.keys.length) id = (await api.savePath({name, path: documentOf(path)})).id;

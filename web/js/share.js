@@ -1,6 +1,6 @@
 // Links for people without a token of their own: a token for one thing, in the address's fragment.
 import {api} from './api.js';
-import {toast} from './ui.js';
+import {copyWords} from './ui.js';
 
 const DAYS = 30;
 
@@ -8,7 +8,7 @@ const DAYS = 30;
 const nameFor = (word) => `link-${word.slice(0, 40)}-${Date.now().toString(36)}`;
 
 /**
- * Makes a link and copies it.
+ * Makes a link and copies it, or shows it where it cannot be copied.
  * @param {{scene: string}|{job: string}} what @param {string} hash where it leads, "#/scene/…"
  * @param {string} word names it in the list of tokens
  */
@@ -16,7 +16,7 @@ export async function copyLink(what, hash, word) {
   const made = await api.makeToken({name: nameFor(word), expires_s: DAYS * 86400, ...what});
   const address = new URL(location.href);
   address.hash = `t=${made.token}${hash.replace(/^#/, '')}`;
-  await navigator.clipboard.writeText(address.href);
-  toast(`A link is copied. Who has it sees this and nothing else, for ${DAYS} days; "ripnerf token revoke ${
-      made.name}" ends it.`);
+  const more = `Who has it sees this and nothing else, for ${DAYS} days; "ripnerf token revoke ${
+      made.name}" ends it.`;
+  await copyWords(address.href, {what: 'A link to share', copied: `A link is copied. ${more}`, more});
 }

@@ -167,6 +167,32 @@ export function confirmFirst(question, verb, work, {leave = 'Keep', kind = 'dang
   dialog.showModal();
 }
 
+/**
+ * Copies words, and says so. A browser has no clipboard for a page that came over plain HTTP from
+ * another machine: there the words are shown, chosen, to be copied by hand.
+ */
+export async function copyWords(words, said) {
+  try {
+    await navigator.clipboard.writeText(words);
+  } catch {
+    return showWords(words, said);
+  }
+  toast(said.copied);
+}
+
+function showWords(words, said) {
+  const shown = h('input', {type: 'text', readOnly: true, value: words, 'aria-label': said.what});
+  const dialog = h(
+      'dialog', {class: 'dialog', 'aria-label': said.what, onclose: () => dialog.remove()},
+      h('h2', null, said.what), h('p', null, 'Copy it from here: this page may not use the clipboard.'),
+      shown, said.more ? h('p', {class: 'quiet'}, said.more) : null,
+      h('div', {class: 'row end'},
+        h('button', {type: 'button', onclick: () => dialog.close()}, 'Close')));
+  document.body.append(dialog);
+  dialog.showModal();
+  shown.select();
+}
+
 /** Says something to a screen reader without moving the focus. */
 export function announce(words) { text(document.getElementById('announcer'), words); }
 
@@ -258,6 +284,7 @@ export function progressWords(job) {
         .join(' · ');
   if (p.stage) return `${p.stage} · ${format.seconds(p.load_seconds)}`;
   if (p.evaluating_first) return `last evaluation after ${format.seconds(p.train_seconds)}`;
+  if (p.evaluating) return `evaluating after ${format.seconds(p.train_seconds)}`;
   return [
     `step ${format.whole(p.step)}`,
     p.max_seconds ? `${format.seconds(p.train_seconds)} of ${format.seconds(p.max_seconds)}` :

@@ -5,7 +5,7 @@ import {Problem, Unreachable} from './api.js';
 import {pictureOf} from './grey16.js';
 import {opticsOfPicture} from './optics.js';
 
-const STILL_MS = 150;
+const STILL_MS = 80;  // from the last input to a finer picture, which the next one gives up
 const COARSE_MS = 52;       // from an input to the answer with its coarse picture, nearly always
 const LEAST_MS = 12;        // of it in rendering, however long its way is;
 const WAY_SHARE = 0.25;     // and as much as this of a long way, which is hardly longer by it,
@@ -79,6 +79,7 @@ export function createViewer(canvas, host, signal) {
   let movedAt = 0;
   let effort = 200 * 150;
   let msPerPixel = 0;
+  let fullMsPerPixel = 0;
   let daemonMs = Infinity;  // what the last coarse picture took there; before one, no other is sent
   let lastStep = NaN;  // of the picture that came last
   let waitUntil = 0;
@@ -211,6 +212,7 @@ export function createViewer(canvas, host, signal) {
   function learn(level, {width, height}, facts) {
     const spent = Number.isFinite(facts.renderMs) ? facts.renderMs : facts.totalMs;
     msPerPixel = spent / (width * height);
+    if (level === FULL) fullMsPerPixel = msPerPixel;
     lastStep = facts.step;
     if (level === COARSE) {
       effort = nextEffort(effort, facts.totalMs, facts.renderMs);
@@ -234,8 +236,8 @@ export function createViewer(canvas, host, signal) {
   signal.addEventListener('abort', () => clearTimeout(timer), {once: true});
   return {
     changed,
-    /** What a pixel of the last picture took, ms; 0 before the first. */
-    msPerPixel: () => msPerPixel,
+    /** What a pixel of the last refined picture took, ms; 0 before the first. */
+    msPerPixel: () => fullMsPerPixel,
     /** Draws again with the same camera: another output, another size, newer parameters. */
     refresh() {
       shown = {...shown, level: COARSE};
@@ -249,7 +251,7 @@ export function createViewer(canvas, host, signal) {
 
 /** `smoothing`: low is a quarter of high's time, and enlarges as well to 0.3 dB. */
 function draw(canvas, picture, smoothing) {
-  const context = canvas.getContext('2d');
+  const context = canvas.getContext('2d', {alpha: false});  // put on the page without blending
   context.imageSmoothingQuality = smoothing;
   context.drawImage(picture, 0, 0, canvas.width, canvas.height);
   picture.close();

@@ -18,7 +18,9 @@
 #define PROGRESS_INTERVAL_S 0.5
 #define LOADING "loading photographs" // the stage before the first step
 #define FIRST_EVALUATION_S 2.0        // of training, and not before FIRST_EVALUATION_STEPS
-#define FIRST_EVALUATION_STEPS 16     // so that a wide field's first steps are not waited on
+#define FIRST_EVALUATION_STEPS 16     // so that a wide field's first steps are not waited on;
+#define FOG_S 10.0                    // nor, for as long as that,
+#define FOG_STEPS 256                 // while the field is a fog, whose pictures take the longest
 #define EVALUATION_GROWTH 0.5         // of the time trained so far, until the next round,
 #define EVALUATION_INTERVAL_S 30.0    // but this at most,
 #define TRAIN_PER_EVALUATION 4.0      // and this many times the last round's time at least
@@ -135,6 +137,7 @@ static void post_progress(struct rn_host *host, const struct rn_progress *progre
     record.paused_seconds = training->paused_seconds;
     record.yielded_seconds = training->yielded_seconds;
     record.evaluating_first = training->closing;
+    record.evaluating = training->evaluating;
     tell_fallback(training, record.fell_back);
     post_record(host, training->job, &record);
     training->reported_at = now_s();
@@ -430,7 +433,8 @@ static bool evaluation_is_due(const struct rn_training *training,
     if (training->closing || figure == RN_FIGURE_LAST) return true;
     if (!isnan(training->evaluate_interval_s)) return since >= training->evaluate_interval_s;
     if (training->evaluated_step < 0)
-        return since >= FIRST_EVALUATION_S && progress->step >= FIRST_EVALUATION_STEPS;
+        return since >= FIRST_EVALUATION_S && progress->step >= FIRST_EVALUATION_STEPS &&
+               (since >= FOG_S || progress->step >= FOG_STEPS);
     double wait = fmin(EVALUATION_GROWTH * training->evaluated_at, EVALUATION_INTERVAL_S);
     return since >= fmax(wait, TRAIN_PER_EVALUATION * training->round_seconds);
 }

@@ -62,12 +62,24 @@ export async function sceneView(root, {id, query, signal}) {
   await load();
 }
 
-/** What a link shows: the scene at any camera. */
+/** What a link shows: the scene at any camera, as who shared it saw it at first. */
 function visitedScene(scene, query, signal) {
   const training = () => find(state.scenes, scene.id)?.state === 'training';
   const failed = () => find(state.scenes, scene.id)?.state === 'failed';
-  const host = {live: training, failed, onRefined: () => {}, camera: query?.get('camera')};
-  return createViewport(scene, [], host, signal).node;
+  const view = createViewport(
+      scene, [], {
+        live: training,
+        failed,
+        onRefined: () => {},
+        camera: query?.get('camera'),
+        crop: query?.get('crop'),
+        at: Number(query?.get('at')) || null,
+        onNow: () => {
+          view.at = null;
+        }
+      },
+      signal);
+  return view.node;
 }
 
 /** Resolves once the store's lists are there and hold the scene. */

@@ -257,7 +257,7 @@ const pointsOf = (figures) => figures.filter((m) => m.psnr !== null)
 /** How far towards the limits; the figures below say the rest. */
 function underWay(job) {
   const p = job.progress;
-  if (!p || p.stage || p.evaluating_first)
+  if (!p || p.stage || p.evaluating_first || p.evaluating)
     return progressWords(job) || (job.state === 'running' ? 'loading photographs' : '');
   const limits = [
     p.max_seconds ? `${seconds(p.train_seconds)} of ${seconds(p.max_seconds)}` : '',

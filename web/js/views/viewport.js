@@ -23,7 +23,7 @@ import {opticsOfPicture} from '../optics.js';
 import {compact, milliseconds, seconds, whole} from '../format.js';
 import {legend, OUTPUTS} from '../outputs.js';
 import {createViewer} from '../viewer.js';
-import {action, choice, toast} from '../ui.js';
+import {action, choice, copyWords, toast} from '../ui.js';
 import {link} from '../router.js';
 import {copyLink} from '../share.js';
 import {mayShare, means, state} from '../store.js';
@@ -33,6 +33,7 @@ import {createWipe} from './wipe.js';
 
 const LEVELS = ['coarse', 'half size', 'refined'];
 const MAX_SIDE = 1280;
+const TOLD_MS = 250;  // figures of pictures of a moving camera are told no more often: nobody reads them
 
 /**
  * @param {any} scene @param {any[]} cameras the dataset's, all splits
@@ -163,8 +164,9 @@ export function createViewport(scene, cameras, host, signal) {
       if (!signal.aborted) window.history.replaceState(null, '', addressOf());
     }, 300);
   }
-  const addressOf = () =>
-      link.scene(scene.name, `?camera=${wordOfOrbit(orbit)}${at ? `&at=${at}` : ''}${crop.word() ? `&crop=${crop.word()}` : ''}`);
+  const queryOf = () => `?camera=${wordOfOrbit(orbit)}${at ? `&at=${at}` : ''}${
+      crop.word() ? `&crop=${crop.word()}` : ''}`;
+  const addressOf = () => link.scene(scene.name, queryOf());
 
   const photographs =
       full.filter((item) => item.split === 'train')
@@ -271,11 +273,15 @@ export function createViewport(scene, cameras, host, signal) {
     return blob;
   }
 
+  let toldAt = -Infinity;
   function showFacts(facts) {
     if (facts.level === 2) host.onRefined(facts);
     if (facts.level === 2 && rival.value) beside().catch(toast);
     stage.dataset.ready = 'true';
     stage.dataset.level = LEVELS[facts.level];
+    const now = performance.now();
+    if (facts.level === 0 && now - toldAt < TOLD_MS) return;
+    toldAt = now;
     text(
         hud,
         [
@@ -363,13 +369,11 @@ export function createViewport(scene, cameras, host, signal) {
   };
   const share = async () => {
     const address = new URL(addressOf(), window.location.href).href;
-    await navigator.clipboard.writeText(address);
-    toast('The link to this camera is copied');
+    await copyWords(
+        address, {what: 'A link to this camera', copied: 'The link to this camera is copied'});
   };
-  const publish = async () => {
-    await copyLink(
-        {scene: scene.id}, `${link.scene(scene.id, `?camera=${wordOfOrbit(orbit)}`)}`, scene.name);
-  };
+  const publish = () =>
+      copyLink({scene: scene.id}, link.scene(scene.id, queryOf()), scene.name);
   fov.addEventListener('input', () => set({...orbit, fovDeg: Number(fov.value)}));
   output.control.onChange(() => viewer.refresh());
   detail.addEventListener('change', () => viewer.refresh());
