@@ -167,3 +167,31 @@ dispatchEvent(closing); return closing.defaultPrevented;"""
     page.press("Upload and import")
     page.says("ball is imported.")
     assert [item["name"] for item in api.world.datasets] == ["ball"]
+
+
+def test_photographs_are_chosen_as_files_where_there_is_no_folder(page, fake, folder):
+    """As of a phone's gallery: whose cameras are looked for."""
+    page.open(fake("empty").url)
+    page.find(".drop")
+    good = [folder / "train" / f"r_{i}.png" for i in (0, 2, 4)]
+    page.all("#file-input")[0].send_keys("\n".join(str(path) for path in good))
+    page.says("photographs without poses · views: 3 photographs")
+    page.says("3 files")
+
+
+def test_on_a_phone_what_is_added_comes_first(page, fake, folder):
+    """Where there is nothing yet, and once it was chosen."""
+    page.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", {
+        "width": 390, "height": 800, "deviceScaleFactor": 1, "mobile": True})
+    above = """const top = (words) => [...document.querySelectorAll('.panel')].find(
+        (e) => e.getAttribute('aria-label') === words).getBoundingClientRect().top;
+return top('Add a dataset') < top('Scenes');"""
+    page.open(fake("empty").url)
+    page.says("From photographs to a scene")
+    page.until(lambda: page.run(above), "the panel above the scenes")
+    page.open(fake("busy").url)
+    page.until(lambda: page.all(".card"), "scenes")
+    assert not page.run(above)
+    page.all("#folder-input")[0].send_keys(str(folder))
+    page.says("views: 5 train")
+    assert page.run(above)

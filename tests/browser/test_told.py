@@ -54,7 +54,7 @@ def test_a_dataset_tells_what_training_takes_and_shows_its_points(page, fake):
     page.open(api.url + "#/dataset/sphere")
     page.says("from the depths that its poses give", ".facts")
     page.says("something turned around in its surroundings; up is 0, 0, 1", ".facts")
-    page.says("Training, by formula", ".facts")
+    page.says("Training, estimated", ".facts")
     page.says("1 min 00 s, 321 MiB of memory", ".facts")
     page.says("Training, by 3 trainings here", ".facts")
     page.says("1 min 06 s, 391 MiB of memory", ".facts")

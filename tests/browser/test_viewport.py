@@ -128,16 +128,23 @@ const outside = [...document.querySelectorAll('.wipe-bar *')].filter((e) => {
 });
 const narrow = [...document.querySelectorAll('.qualities label')].filter(
     (e) => e.scrollWidth > e.clientWidth + 1);
-return [...outside, ...narrow].map(words);"""
+const over = [...document.querySelectorAll('.effect strong')].filter((e) => {
+  const range = document.createRange();
+  range.selectNodeContents(e);
+  const number = e.closest('.effect').querySelector('.number').getBoundingClientRect();
+  return range.getBoundingClientRect().right > number.left;
+});
+return [...outside, ...narrow, ...over].map(words);"""
 
 
 @pytest.mark.parametrize("width", [320, 390])
 def test_on_a_phone_nothing_is_cut_off(page, fake, width):
-    """Not what closes a comparison, nor a path's time and accuracy."""
+    """Not what closes a comparison, nor a path's time and accuracy, nor an effect's name."""
     page.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", {
         "width": width, "height": 700, "deviceScaleFactor": 2, "mobile": True})
     api = fake("busy")
     api.world.curve = measured((0.12, 20, 30.5), (0.03, 120, 31.1), (0, 400, 31.2))
+    api.world.scenes[0]["effects"][0]["number_text"] = "0.0619 megapixels a second"
     page.open(api.url + "#/scene/sphere-draft?view=test:3")
     page.says("Photograph test:3", ".wipe-bar label")
     page.press("Whole turn")

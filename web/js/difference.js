@@ -36,31 +36,34 @@ export function differenceOf(a, b, kind) {
   return {pixels: out, psnr: mean > 0 ? 10 * Math.log10((255 * 255) / mean) : null};
 }
 
-/** What lies under a picture on a canvas, and the picture over its background, at its own size. */
-function alike(image, canvas, background) {
-  const [width, height] = [image.naturalWidth, image.naturalHeight];
-  const [at, under] = [image.getBoundingClientRect(), canvas.getBoundingClientRect()];
-  const scale = canvas.width / under.width;
+/** What lies under a picture, and the picture over its background, at the smaller one's size. */
+function alike(image, under, background) {
+  const [width, height] = under instanceof HTMLImageElement ?
+      [under.naturalWidth, under.naturalHeight] :
+      [image.naturalWidth, image.naturalHeight];
+  const [at, box] = [image.getBoundingClientRect(), under.getBoundingClientRect()];
+  const scale = (under.naturalWidth || under.width) / box.width;
   return [
     (context) => {
       context.fillStyle = background;
       context.fillRect(0, 0, width, height);
-      context.drawImage(image, 0, 0);
+      context.drawImage(image, 0, 0, width, height);
     },
     (context) => context.drawImage(
-        canvas, (at.left - under.left) * scale, (at.top - under.top) * scale, at.width * scale,
+        under, (at.left - box.left) * scale, (at.top - box.top) * scale, at.width * scale,
         at.height * scale, 0, 0, width, height)
   ].map((draw) => {
     const context = new OffscreenCanvas(width, height).getContext('2d', {willReadFrequently: true});
+    context.imageSmoothingQuality = 'high';
     draw(context);
     return context.getImageData(0, 0, width, height);
   });
 }
 
-/** A picture that lies over a canvas against what it covers: the map as a blob, and the PSNR. */
-export async function differenceMap(image, canvas, background, kind) {
-  const [over, under] = alike(image, canvas, background);
-  const {pixels, psnr} = differenceOf(over.data, under.data, kind);
+/** A picture that lies over a canvas or another picture against what it covers: the map, and the PSNR. */
+export async function differenceMap(image, under, background, kind) {
+  const [over, below] = alike(image, under, background);
+  const {pixels, psnr} = differenceOf(over.data, below.data, kind);
   const room = new OffscreenCanvas(over.width, over.height);
   room.getContext('2d').putImageData(new ImageData(pixels, over.width, over.height), 0, 0);
   return {blob: await room.convertToBlob({type: 'image/png'}), psnr};

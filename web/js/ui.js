@@ -2,6 +2,7 @@
 import {fill, h, text} from './dom.js';
 import {Unreachable} from './api.js';
 import * as format from './format.js';
+import {state} from './store.js';
 
 let serial = 0;
 const freshId = (word) => `${word}-${++serial}`;
@@ -267,18 +268,23 @@ export const kindOf = (job) => VERBS[job.type] ?? job.type;
 export const subjectOf = (job) =>
     job.scene_name ?? job.scene ?? job.dataset_name ?? job.dataset ?? '';
 
+function waiting(job) {
+  const ahead = state.jobs.find((one) => one.id !== job.id && one.state === 'running');
+  return `waiting for its turn${ahead ? `: ${kindOf(ahead)} ${subjectOf(ahead)} is running` : ''}`;
+}
+
 /** A job's progress in a few words. */
 export function progressWords(job) {
   const p = job.progress;
-  if (!p) return job.state === 'queued' ? 'waiting for its turn' : '';
+  if (!p) return job.state === 'queued' ? waiting(job) : '';
   const left =
       job.state === 'running' && p.eta_seconds > 0.5 ? `${format.seconds(p.eta_seconds)} left` : '';
   if (job.type !== 'train')
     return [
       p.stage ?? '',
       p.total ? `${format.whole(p.done)} of ${format.whole(p.total)}` :
-          p.stage && !p.done ? '' :
-                               `${format.whole(p.done)} done`,
+          p.done ? `${format.whole(p.done)} done` :
+                   '',
       left
     ].filter(Boolean)
         .join(' · ');

@@ -103,7 +103,7 @@ export function cameraPlot({bounds, up}, items, signal) {
  * @param {any} dataset @param {any[]} cameras @param {AbortSignal} signal
  */
 export function cloudPanel(dataset, cameras, signal) {
-  const node = h('div');
+  const node = h('div', {hidden: true});
   const finest = cameras.filter((item) => item.scale === 0);
   const plot = cameraPlot(dataset, finest, signal);
   api.points(dataset.id, signal)
@@ -118,6 +118,7 @@ export function cloudPanel(dataset, cameras, signal) {
                       count > items.length ?
                           `, ${items.length} of them shown` :
                           ''}, ${plural(finest.length, 'camera')}; drag to turn`)));
+        node.hidden = false;
         plot.show(items);
       })
       .catch(() => {});  // there is nothing to draw, then

@@ -5,6 +5,7 @@ import {decibel, milliseconds, plural} from '../format.js';
 import {ticks} from '../chart.js';
 import {isActive, isOver, means, putJob, watch} from '../store.js';
 import {action, meter, panel, progressWords, toast} from '../ui.js';
+import {jobButtons} from './jobs.js';
 
 const [LEAST_MS, MOST_MS] = [5, 5000];
 const MARGIN = {left: 34, right: 14, top: 12, bottom: 32};
@@ -77,6 +78,7 @@ export function createCurve(scene, {choose, known: tell, besideFull}, signal) {
   const words = h('p', {class: 'quiet'});
   const truth = h('p', {class: 'quiet', role: 'status'});
   const bar = meter('Measuring');
+  const buttons = jobButtons(true);
   const under = h('div');
   const slider = h('input', {
     type: 'range', id: 'budget', min: 0, max: ANY, step: 0.005, value: ANY
@@ -135,8 +137,11 @@ export function createCurve(scene, {choose, known: tell, besideFull}, signal) {
   watch(({jobs}) => {
     const own = jobs.filter((job) => job.type === 'curve' && means(job.scene, scene));
     const active = own.find(isActive);
-    fill(under, active ? bar.node : null);
-    if (active) bar.set(active.progress?.fraction ?? null, progressWords(active));
+    fill(under, active ? [bar.node, buttons.node] : null);
+    if (active) {
+      bar.set(active.progress?.fraction ?? null, progressWords(active));
+      buttons.update(active);
+    }
     const key = own.filter(isOver).map((job) => job.id).join();
     if (key !== known) {
       known = key;

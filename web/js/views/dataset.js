@@ -98,7 +98,7 @@ export function report(found) {
   const head = h('tr', null, ['Kind', 'Where', 'What'].map((t) => h('th', {scope: 'col'}, t)));
   const more = found.dropped ? `; ${found.dropped} more not listed` : '';
   const table =
-      h('table', {class: 'table problems'}, h('caption', null, words, more), h('thead', null, head),
+      h('table', {class: 'table problems'}, h('caption', null, words, more, '; in brackets the limits that numbers are held against'), h('thead', null, head),
         h('tbody', null, rows));
   const list = scroller('What the import found', null, table);
   return panel('What the import found', null, rows.length ? list : clean);
@@ -112,7 +112,7 @@ const range = ({min, max}) =>
 export function expected(formula, past) {
   const takes = (x) => [seconds(x.seconds), `${bytes(x.memory_bytes)} of memory`].join(', ');
   return [
-    ...(formula ? [['Training, by formula', takes(formula)]] : []),
+    ...(formula ? [['Training, estimated', takes(formula)]] : []),
     ...(past ?
             [[`Training, by ${plural(past.trainings, 'training')} here`, takes(past)]] :
             [])
@@ -160,7 +160,7 @@ function about(dataset, words) {
         ],
         ...(dataset.capture ? [['Capture', `${titleOf(words.captures, dataset.capture)}; up is ${three(dataset.up)}`]] : []),
         ...(dataset.crop ? [['Crop', three(dataset.crop)]] : []),
-        ['Pixel’s footprint', range(dataset.footprint)],
+        ['Pixel’s footprint', `${range(dataset.footprint)} of the dataset’s units`],
         ['Looking at the bounds', percent(found.looking_at_bounds)], ['Layout', found.layout],
         ...expected(found.expected, dataset.past), ['On disk', bytes(dataset.size_bytes)], ['Imported', ago(dataset.created_at)]
       ]));

@@ -4,6 +4,7 @@ import {fill, h} from '../dom.js';
 import {isActive, isOver, means, putJob, watch} from '../store.js';
 import {fixed, plural} from '../format.js';
 import {action, meter, panel, progressWords, toast} from '../ui.js';
+import {jobButtons} from './jobs.js';
 
 /** What an effect is called on the page: "scale-pyramid" is "Scale pyramid". */
 export const effectTitle = (name) =>
@@ -39,8 +40,9 @@ export function createEffects(scene, signal) {
   const about = h('p', {class: 'quiet'});
   const under = h('div');
   const bar = meter('Measuring');
+  const buttons = jobButtons(true);
   const measure = action('Measure', async () => putJob(await api.measureEffects(scene.id)),
-    {kind: 'small', title: 'Short trainings with each effect and without it'});
+    {kind: 'small', title: 'Short trainings with each effect and without it: many minutes, for which other jobs wait'});
   let now = scene;
   let measured = null;
   let known = null;
@@ -72,8 +74,11 @@ export function createEffects(scene, signal) {
   watch(({jobs}) => {
     const own = jobs.filter((job) => job.type === 'effects' && means(job.scene, scene));
     const active = own.find(isActive);
-    fill(under, active ? bar.node : null);
-    if (active) bar.set(active.progress?.fraction ?? null, progressWords(active));
+    fill(under, active ? [bar.node, buttons.node] : null);
+    if (active) {
+      bar.set(active.progress?.fraction ?? null, progressWords(active));
+      buttons.update(active);
+    }
     const over = own.filter(isOver).map((job) => job.id).join();
     if (over === known) return;
     known = over;

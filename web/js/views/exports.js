@@ -16,7 +16,8 @@ const KINDS = [
 export function exportButtons(scene) {
   if (!scene.checkpoints.length) return null;
   return h(
-      'div', {class: 'row', 'aria-label': 'Export'},
+      'div', {class: 'row wrap', role: 'group', 'aria-label': 'Export'},
+      h('span', {class: 'quiet'}, 'Export'),
       KINDS.map(
           ([words, options, hint]) =>
               action(words, async () => {

@@ -33,6 +33,7 @@ export function framesPanel(job, signal) {
   const at = h('output', {'for': 'scrub'});
   const cells = h('div', {class: 'cells', 'aria-hidden': 'true'});
   const count = h('span', {class: 'quiet'});
+  const keep = h('div', {class: 'row', hidden: true}, download(job), shareButton(job));
   const play =
       h('button', {type: 'button', disabled: true, onclick: () => (timer ? stop() : start())},
         'Play');
@@ -108,6 +109,7 @@ export function framesPanel(job, signal) {
     scrub.max = Math.max(origin(), origin() + all - 1);
     text(count, known() ? `${there.size} of ${plural(all, 'frame')}` : plural(there.size, 'frame'));
     play.disabled = there.size < 2 || !shown;
+    keep.hidden = !there.size;
     const now = find(state.jobs, job.id) ?? job;
     if (!shown && there.size)
       fill(waiting, 'EXR frames are not shown here: download them for a program that reads them.');
@@ -164,7 +166,7 @@ export function framesPanel(job, signal) {
   watch(update, signal);
   const film = filmPanel(job, signal);
   const frames = panel(
-      'Frames', {tools: h('div', {class: 'row'}, count, download(job), shareButton(job))},
+      'Frames', {tools: h('div', {class: 'row'}, count, keep)},
       h('div', {class: 'screen'}, canvas, waiting),
       h('div', {class: 'row player'}, play, scrub, at,
         h('div', {class: 'row'}, h('label', {'for': 'play-rate'}, 'at'), rate,

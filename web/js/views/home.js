@@ -25,22 +25,24 @@ export function homeView(root, {signal}) {
                 (t, i) =>
                     h('th', {
                       scope: 'col',
-                      class: ['', '', 'number', 'number optional', 'number optional', ''][i]
+                      class: ['', '', 'number optional', 'number optional', 'number optional', ''][i]
                     },
                       t || h('span', {class: 'unseen'}, 'Actions'))))),
         tableBody));
+  const side = h('div', {class: 'side-column'}, uploadPanel(signal), runningBox);
   fill(
       root, h('h1', {class: 'unseen'}, 'Scenes and datasets'),
       h('div', {class: 'columns'},
         h('div', {class: 'main-column'}, panel('Scenes', null, sceneBox),
           panel('Datasets', null, datasetBox)),
         // What is under way comes and goes: above the panel it would move what is to be pressed.
-        h('div', {class: 'side-column'}, uploadPanel(signal), runningBox)));
+        side));
 
   watch((state) => {
     const active = state.jobs.filter(isActive);
     runningBox.hidden = !active.length;
     follow(running, active, (job) => job.id, jobRow);
+    side.toggleAttribute('data-first', state.loaded && !state.datasets.length);
     if (!state.loaded) {
       fill(sceneBox, skeleton(3));
       fill(datasetBox, skeleton(2));
@@ -59,8 +61,7 @@ export function homeView(root, {signal}) {
           datasetBox,
           empty(
               'No datasets',
-              h('p', null,
-                'Photographs with known cameras, in any layout that the daemon reads.')));
+              h('p', null, 'What you add shows here, with its views and sizes.')));
   }, signal);
 }
 
@@ -75,7 +76,7 @@ function noScenes(datasets) {
       'From photographs to a scene',
       h('ol', {class: 'steps'},
         h('li', null, h('strong', null, 'Add a dataset. '),
-          'Choose or drop its folder.'),
+          'Choose or drop a folder of photographs.'),
         h('li', null, h('strong', null, 'Train. '),
           'A minute on a few cores is enough for a first look.'),
         h('li', null, h('strong', null, 'Look around. '),
@@ -112,8 +113,11 @@ function sceneCard(scene, signal) {
     const live = liveFigures(now);
     text(
         figures,
-        live.steps ? `${decibel(live.psnr)} held out · ${seconds(live.seconds)} · ${
-                         whole(live.steps)} steps` :
+        live.steps ? [
+          live.psnr && `${decibel(live.psnr)} held out`, seconds(live.seconds),
+          `${whole(live.steps)} steps`
+        ].filter(Boolean)
+                         .join(' · ') :
                      'not trained yet');
   };
   return {node, update};
@@ -150,9 +154,8 @@ function datasetRow(set) {
         h('td', null,
           ['train', 'val', 'test']
               .filter((split) => set.views[split])
-              .map((split) => `${set.views[split]} ${split}`)
-              .join(', ')),
-        h('td', {class: 'number'}, `${set.width} × ${set.height}`),
+              .map((split, i) => [i ? ', ' : '', h('span', {class: 'whole'}, `${set.views[split]} ${split}`)])),
+        h('td', {class: 'number optional'}, `${set.width} × ${set.height}`),
         h('td', {class: 'number optional'}, set.scales),
         h('td', {class: 'number optional'}, bytes(set.size_bytes)),
         h('td', {class: 'actions'},

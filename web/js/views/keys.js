@@ -225,6 +225,7 @@ export function createKeys(scene, size, view, signal) {
     set(addKey(path, view.pose(), view.orbit.fovDeg));
     selected = path.keys.at(-1).id;
     show();
+    timeline.set(path.keys.at(-1).time - path.keys[0].time);
     announce(`Key ${path.keys.length} recorded`);
     pictures();
   }

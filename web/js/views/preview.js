@@ -84,7 +84,7 @@ function choices(offered, take) {
         },
               'Take') :
             'chosen'));
-  const words = 'What import options would give, training with standard, by formula';
+  const words = 'What other options would give, estimated for the preset standard';
   return scroller(
       words, null,
       h('table', {class: 'table choices'}, h('caption', null, words),

@@ -130,7 +130,7 @@ export function trainPanel(dataset) {
           h('div', {class: 'field check'}, plateau,
             h('label', {'for': 'until-plateau'}, 'where more time gains nothing')),
           h('span', {class: 'note'},
-            'No time and no steps: where the preset ends; of a training that ends by itself, ten times as long at most.')),
+            'With neither time nor steps it ends where the preset does, or, where more time is to gain nothing, after ten times that at most.')),
         planes.node, footprint.node,
         h('details', null, h('summary', null, 'More'),
           h('div', {class: 'form-grid'}, split.node, seed.node, threads.node)),

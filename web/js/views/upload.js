@@ -73,12 +73,14 @@ function chooser(take) {
   return h(
       'div', {class: 'drop'}, h('p', {class: 'drop-title'}, 'Drop a dataset’s folder here'),
       h('p', {class: 'quiet'},
-        'photographs and their poses, in any layout that the daemon reads, or an archive of them ' +
-            '(.zip, .tar, .tar.gz); a film; a scene that was exported (.ripscene)'),
+        'Photographs with their cameras, as COLMAP, nerfstudio, Blender and others leave them; ' +
+            'photographs or a film alone, where the daemon has COLMAP to find the cameras; an ' +
+            'archive of either (.zip, .tar, .tar.gz); a scene that was exported (.ripscene). ',
+        h('a', {href: 'web/guide/index.html#datasets'}, 'What is read')),
       h('div', {class: 'row wrap'},
         choose('folder-input', 'Choose a folder', {webkitdirectory: true, multiple: true}),
-        choose('file-input', 'Choose a file',
-               {accept: '.zip,.tar,.tgz,.gz,.ripscene,video/*'})));
+        choose('file-input', 'Choose files',
+               {multiple: true, accept: 'image/*,.zip,.tar,.tgz,.gz,.ripscene,video/*'})));
 }
 
 function dropTarget(node, take, signal) {
@@ -105,7 +107,10 @@ function importOptions() {
       {pointer: '/options/scales', hint: 'Each half the size of the one before'});
   const alpha = choice(
       'Scaling of alpha', [['premultiplied', 'premultiplied'], ['straight', 'as the benchmark']],
-      'premultiplied', {pointer: '/options/alpha'});
+      'premultiplied', {
+        pointer: '/options/alpha',
+        hint: 'How transparent edges are averaged; the published benchmark’s are darker'
+      });
   const split = field(
       'Test: every N-th view',
       h('input', {type: 'number', min: 1, max: 100000, placeholder: 'as in the files'}),

@@ -5,15 +5,19 @@ import {differenceMap} from '../difference.js';
 import {decibel} from '../format.js';
 import {h, text} from '../dom.js';
 
+const MOST_SIDE = 1280;  // of a view that is rendered to be compared, pixels
+
 /**
  * @param {any} scene @param {HTMLCanvasElement} canvas what it is laid over
  * @param {AbortSignal} signal
  * @returns {{node: HTMLElement, show: (item: any) => Promise<void>, lay: (blob: Blob, words:
- *     string, told?: boolean) => void, hide: () => void}} `node` covers the stage; `show` takes a
- *     dataset camera whose height fills the picture's height, `lay` a picture of the canvas's shape,
- *     and whether it says at once how far the two are apart
+ *     string, told?: boolean, rendered?: Blob) => void, hide: () => void}} `node` covers the stage;
+ *     `show` takes a dataset camera whose height fills the picture's height, `lay` a picture of the
+ *     canvas's shape, whether it says at once how far the two are apart, and what it is compared with,
+ *     where that is not the canvas: a photograph has a lens, and its middle seldom is the axis
  */
 export function createWipe(scene, canvas, signal) {
+  const own = h('img', {class: 'wipe-own', alt: '', draggable: 'false', hidden: true});
   const image = h('img', {alt: '', draggable: 'false'});
   const line = h('span', {class: 'wipe-line', 'aria-hidden': 'true', 'data-own': ''});
   const label = h('label', {'for': 'wipe'}, 'Photograph');
@@ -33,14 +37,14 @@ export function createWipe(scene, canvas, signal) {
         },
           '×'));
   const node =
-      h('div', {class: 'wipe', hidden: true}, h('div', {class: 'wipe-picture'}, image, line), bar);
+      h('div', {class: 'wipe', hidden: true}, h('div', {class: 'wipe-picture'}, image, own, line), bar);
   for (const type of ['pointerdown', 'wheel', 'keydown'])
     bar.addEventListener(type, (event) => event.stopPropagation());
   const [red, green, blue] =
       (scene.config?.background ?? [1, 1, 1]).map((x) => Math.round(255 * x));
   image.style.background = `rgb(${red} ${green} ${blue})`;
   let laid = null;  // the picture itself: blob and words
-  let address = '';
+  const addresses = new Map();  // of the pictures that are shown, by their element
   let serial = 0;
   let blinking = 0;
   line.addEventListener('pointerdown', (event) => {
@@ -88,19 +92,24 @@ export function createWipe(scene, canvas, signal) {
     node.hidden = true;
     laid = null;
     kind.value = '';
-    put(null);
+    put(image, null);
+    put(own, null);
   }
-  function put(blob) {
-    image.removeAttribute('src');
-    URL.revokeObjectURL(address);
-    address = blob ? URL.createObjectURL(blob) : '';
-    if (blob) image.src = address;
+  function put(picture, blob) {
+    picture.removeAttribute('src');
+    URL.revokeObjectURL(addresses.get(picture));
+    addresses.delete(picture);
+    if (!blob) return;
+    addresses.set(picture, URL.createObjectURL(blob));
+    picture.src = addresses.get(picture);
   }
-  function lay(blob, words, told = false) {
+  function lay(blob, words, told = false, rendered = null) {
     const before = kind.value;
     hide();
     laid = {blob, words};
-    put(blob);
+    put(image, blob);
+    put(own, rendered);
+    own.hidden = !rendered;
     text(label, words);
     place();
     node.hidden = false;
@@ -111,21 +120,34 @@ export function createWipe(scene, canvas, signal) {
   async function compare(told = false) {
     const mine = laid;
     if (!mine) return;
-    put(mine.blob);
+    put(image, mine.blob);
     text(label, mine.words);
     if (!kind.value && !told) return;
-    await image.decode();
-    const map = await differenceMap(image, canvas, image.style.background, kind.value || 'error');
+    await Promise.all([image.decode(), own.hidden || own.decode()]);
+    const map = await differenceMap(
+        image, own.hidden ? canvas : own, image.style.background, kind.value || 'error');
     if (mine !== laid) return;
-    if (kind.value) put(map.blob);
+    if (kind.value) put(image, map.blob);
     text(label, `${mine.words} · ${map.psnr === null ? 'equal' : `${decibel(map.psnr)} between`}`);
   }
+  /** The view as its photograph was taken, with its lens and colours; null where there is none. */
+  const renderedAs = ({split, index, camera: {width, height}}) => {
+    const share = Math.min(1, MOST_SIDE / Math.max(width, height));
+    const size = {width: Math.round(share * width), height: Math.round(share * height)};
+    const taken = {lens: 'as-taken', colours: 'as-taken'};
+    return api.render(scene.id, {view: `${split}:${index}`, size, format: 'png', ...taken}, signal)
+        .then(({blob}) => blob, () => null);
+  };
   async function show(item) {
     hide();
     const mine = serial;
+    const words = `Photograph ${item.split}:${item.index}`;
     const blob = await api.photo(scene.dataset, item.split, item.index, item.scale, signal);
     if (mine !== serial) return;
-    lay(blob, `Photograph ${item.split}:${item.index}`);
+    lay(blob, words);
+    const shown = laid;
+    const rendered = await renderedAs(item);
+    if (rendered && shown === laid) lay(blob, words, false, rendered);
   }
   signal.addEventListener('abort', hide, {once: true});
   return {node, show, lay, hide};
