@@ -287,7 +287,11 @@ def test_upload_takes_what_the_json_names(blank):
                       file('d/images/dynamic_mask_a.png', 'x'), file('d/masks/sub/b.png', 'x')),
           await paths(file('d/transforms.json',
                            '{"k1": NaN, "frames": [{"file_path": "images/NaN.png", "m": -Infinity}]}'),
-                      file('d/images_4/NaN.png', 'x'))
+                      file('d/images_4/NaN.png', 'x')),
+          await paths(...['cameras.bin', 'images.bin', 'points3D.bin'].map((name) => file(`d/sparse/0/${name}`, 'x')),
+                      ...['images', 'images_2', 'images_4'].flatMap((folder) =>
+                          ['a.jpg', 'b.jpg'].map((name) => file(`d/${folder}/${name}`, 'x'))),
+                      file('d/images_4/c.jpg', 'x'))
         ];
         const film = await planUpload([file('walk/a.MOV', 'abcd'), file('walk/a.txt', 'x')]);
         return {
@@ -304,7 +308,9 @@ def test_upload_takes_what_the_json_names(blank):
     )
     assert [sorted(paths) for paths in result["awkward"]] == [
         ["images/a.PNG", "images/b.JPG", "images/dynamic_mask_a.png", "masks/sub/b.png", "transforms.json"],
-        ["images_4/NaN.png", "transforms.json"]]
+        ["images_4/NaN.png", "transforms.json"],
+        ["images/a.jpg", "images/b.jpg", "images_4/a.jpg", "images_4/b.jpg", "images_4/c.jpg",
+         "sparse/0/cameras.bin", "sparse/0/images.bin", "sparse/0/points3D.bin"]]
     good = result["good"]
     assert good["name"] == "my-lego" and good["views"] == {"train": 2, "test": 1}
     assert sorted(good["entries"]) == [

@@ -69,7 +69,7 @@ def test_upload_import_and_train(page, fake, tmp_path):
     page.all("#folder-input")[0].send_keys(str(folder))
     page.says("views: 5 train")
     page.says("1 image named but not in the folder")
-    page.says("1 file that the JSON does not name")
+    page.says("1 file that the dataset does not need")
     assert page.field("Name").get_attribute("value") == "ball"
     page.press("Upload and import")
     page.says("ball is imported.")

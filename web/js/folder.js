@@ -115,6 +115,17 @@ function rootsOf(entries, formats) {
   return [...roots].sort((a, b) => a.length - b.length);
 }
 
+/** Photographs without smaller ones of the very same names: readers take those that are larger. */
+function withoutCopies(photos) {
+  const namesOf = (folder) => photos.filter((path) => path.startsWith(`${folder}/`))
+                                  .map((path) => path.slice(folder.length + 1))
+                                  .sort()
+                                  .join('\n');
+  const largest = namesOf('images');
+  const copies = SMALLER.filter((folder) => namesOf(folder) === largest);
+  return photos.filter((path) => !copies.some((folder) => path.startsWith(`${folder}/`)));
+}
+
 /** Whether the folder bears one of a format's signs. */
 async function bearsSign(format, files) {
   for (const {file, member} of format.signs) {
@@ -175,7 +186,8 @@ export async function planUpload(entries, formats) {
     const signs = formats.map(({title, signs}) => `${signs[0].file} (${title})`).join(', ');
     return {
       ...plan,
-      problem: `None of ${signs} is in this folder. Choose the folder that holds it.`
+      problem: `None of ${signs} is in this folder, nor are ${
+          FEWEST} photographs or one film, whose cameras could be looked for. Choose another folder.`
     };
   }
   const root = roots[0];
@@ -194,8 +206,8 @@ export async function planUpload(entries, formats) {
   format ??= formats.find(({signs}) => signs.some(({file}) => files.has(file)));
   const documents = format.documents.map(pattern), folders = format.photo_folders;
   const described = [...files.keys()].filter((path) => documents.some((one) => one.test(path)));
-  const photos = [...files.keys()].filter(
-      (path) => isPhoto(path) && folders.some((folder) => path.startsWith(`${folder}/`)));
+  const photos = withoutCopies([...files.keys()].filter(
+      (path) => isPhoto(path) && folders.some((folder) => path.startsWith(`${folder}/`))));
   const masks = [...files.keys()].filter((path) => isPhoto(path) && /mask/i.test(path));
   const wanted = new Set([...described, ...photos, ...masks]);
   plan.layout = format.title;

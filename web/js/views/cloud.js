@@ -28,11 +28,11 @@ function drawPoints(canvas, camera, points) {
   }
 }
 
-/** How far from the bounds' centre the cameras are, the middle one of them. */
-function distanceOf(photographs, centre) {
+/** How far from the bounds' centre the cameras are: so large a share of them is nearer. */
+function distanceOf(photographs, centre, share) {
   const all = photographs.map(({pose}) => Math.hypot(...centre.map((c, i) => pose[i][3] - c)))
                   .sort((a, b) => a - b);
-  return all[Math.floor(all.length / 2)] ?? 1;
+  return all[Math.floor(share * all.length)] ?? 1;
 }
 
 /** What marks a split in the plot, and in its legend. */
@@ -50,10 +50,10 @@ export function cameraPlot({bounds, up}, items, signal) {
   const photographs = items.map(
       ({camera, split}) =>
           ({pose: openCvPose(camera), fovDeg: fovOf(camera), colour: SPLIT_COLOURS[split]}));
-  const away = distanceOf(photographs, bounds.centre);
+  const away = distanceOf(photographs, bounds.centre, 0.5);
   const orbit = {
     target: bounds.centre,
-    distance: 2.5 * away,
+    distance: Math.max(2.5 * away, 2.8 * distanceOf(photographs, bounds.centre, 0.95)),  // all in sight
     yaw: 0.6,
     pitch: 0.5,
     up: up ?? upOf(items.map(({camera}) => camera)),

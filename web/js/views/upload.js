@@ -223,7 +223,7 @@ function planForm(plan, {back, follow, signal}) {
             null,
         h('p', {class: 'quiet'},
           `${plural(plan.entries.length, 'file')}, ${bytes(plan.bytes)} to send`,
-          plan.left ? `; ${plural(plan.left, 'file')} that the JSON does not name stay here` : '',
+          plan.left ? `; ${plural(plan.left, 'file')} that the dataset does not need stay here` : '',
           '.'),
         plan.missing.length ?
             h('div', {class: 'problem warn'},
