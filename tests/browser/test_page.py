@@ -138,7 +138,7 @@ def test_whole_path_with_the_pretending_engine(page, daemon, sphere, downloads):
     page.open(server.url)
     page.says("From photographs to a scene")
     upload(page, sphere)
-    train(page, {"Time": 60})
+    train(page, {"Time": 3600})  # ended by Finish, however long the way there takes
     orbit(page)
     page.press("Pause")
     page.says("paused", ".page-head .chip")
@@ -185,7 +185,7 @@ def test_token_and_a_killed_daemon(page, daemon, sphere, tmp_path):
     page.type(page.find("#token-input"), "a-token-of-this-test")
     page.press("Use it")
     upload(page, sphere)
-    train(page, {"Time": 60})
+    train(page, {"Time": 3600})  # ended by Finish, however long the way there takes
     page.until(lambda: page.ink() > 30, "a picture")
     points = page.until(lambda: len(page.all(".chart .dot")), "a point on the curve")
     server.process.kill()
@@ -210,7 +210,7 @@ def test_whole_path_with_the_real_engine(page, daemon, sphere, downloads):
     page.open(server.url)
     upload(page, sphere)
     shoot(page, "dataset")
-    train(page, {"Time": 120})
+    train(page, {"Time": 600})
     shoot(page, "training")
     orbit(page)
     shoot(page, "orbited")
