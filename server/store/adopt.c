@@ -8,6 +8,7 @@
 #include <unistd.h>
 
 #include "common/base/file.h"
+#include "common/base/seal.h"
 #include "server/store/scrub.h"
 #include "server/store/table.h"
 
@@ -47,17 +48,39 @@ static void finish(struct entries *entries) {
     }
 }
 
-// What is there under its id already is the same, and stays.
-static enum rn_status move(struct rn_store *store, const char *backup, const char *folder,
-                           struct dirent *const *items, int count, struct rn_error *err) {
+// What is there under its id already is the same, and stays; but not the rest of what was deleted.
+static enum rn_status make_room(struct rn_store *store, const struct rn_store_table *table,
+                                const char *id, const char *to, struct rn_error *err) {
+    char copy[4700], sha256[65];
+    bool known = false, removed = false;
+    if (access(to, F_OK) != 0) return RN_OK;
+    enum rn_status status = rn_record_is_there(store, table, id, &known, err);
+    if (status != RN_OK || known) return status;
+    status = rn_store_was_removed(store, id, &removed, err);
+    if (status == RN_OK && removed) return rn_remove_tree(to, err);
+    snprintf(copy, sizeof copy, "%s/record.json", to);
+    if (status == RN_OK) status = rn_seal_check(copy, sha256, err);
+    if (status != RN_ERROR_CORRUPT && status != RN_ERROR_NOT_FOUND) return status;
+    return rn_error_set(err, RN_ERROR_CONFLICT, "backup",
+                        "%s/%s is in the data folder, and no record can be made of it; move it "
+                        "away and send the backup once more",
+                        table->folder, id);
+}
+
+static enum rn_status move(struct rn_store *store, const char *backup,
+                           const struct rn_store_table *table, struct dirent *const *items,
+                           int count, struct rn_error *err) {
     enum rn_status status = RN_OK;
+    const char *folder = table->folder;
     char from[4700];
     for (int i = 0; status == RN_OK && i < count; i++) {
         char *to = rn_store_path(store, "%s/%s", folder, items[i]->d_name);
         snprintf(from, sizeof from, "%s/%s/%s", backup, folder, items[i]->d_name);
         if (to == NULL)
             status = rn_error_set(err, RN_ERROR_NO_MEMORY, folder, "no memory");
-        else if (access(to, F_OK) != 0 && rename(from, to) != 0)
+        else
+            status = make_room(store, table, items[i]->d_name, to, err);
+        if (status == RN_OK && access(to, F_OK) != 0 && rename(from, to) != 0)
             status = rn_error_from_errno(err, errno, to, "move it");
         free(to);
     }
@@ -103,7 +126,7 @@ enum rn_status rn_store_adopt(struct rn_store *store, const char *backup,
                             (unsigned long long)result.unread);
     enum rn_status status = list(backup, &entries, err);
     for (size_t t = 0; t < TABLES && status == RN_OK; t++)
-        status = move(store, backup, tables[t]->folder, entries.items[t], entries.counts[t], err);
+        status = move(store, backup, tables[t], entries.items[t], entries.counts[t], err);
     if (status == RN_OK) status = add(store, &entries, counts, err);
     finish(&entries);
     if (status == RN_OK)

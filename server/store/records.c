@@ -287,15 +287,15 @@ struct rebuilding {
     int made, left;
 };
 
-static enum rn_status has_record(struct rn_store *store, const struct rn_store_table *table,
-                                 const char *id, bool *ret_has, struct rn_error *err) {
+enum rn_status rn_record_is_there(struct rn_store *store, const struct rn_store_table *table,
+                                  const char *id, bool *ret_there, struct rn_error *err) {
     void *rows = NULL;
     size_t count = 0;
     struct rn_query query = {.equal = {{"id", id}}, .limit = 1};
     enum rn_status status = rn_store_list(store, table, &query, &rows, &count, err);
     if (status != RN_OK) return status;
     rn_rows_finish(table, rows, count);
-    *ret_has = count > 0;
+    *ret_there = count > 0;
     return RN_OK;
 }
 
@@ -311,7 +311,7 @@ static enum rn_status add_checkpoint(struct rn_store *store, void *context, cons
         return RN_OK;
     snprintf(row.id, sizeof row.id, "%s/%lld", scene, step);
     bool known = false;
-    enum rn_status status = has_record(store, &rn_checkpoints, row.id, &known, err);
+    enum rn_status status = rn_record_is_there(store, &rn_checkpoints, row.id, &known, err);
     if (status != RN_OK || known) return status;
     char *path = rn_store_path(store, "scenes/%s/checkpoints/%s", scene, name);
     char relative[128];
@@ -391,7 +391,7 @@ static enum rn_status add_record(struct rn_store *store, void *context, const ch
     size_t size;
     char sha256[65];
     bool done = false, known = false;
-    enum rn_status status = has_record(store, table, name, &known, err);
+    enum rn_status status = rn_record_is_there(store, table, name, &known, err);
     if (status != RN_OK || known) return status;
     char *path = rn_store_path(store, "%s/%s/" COPY, table->folder, name);
     status = path == NULL ? rn_error_set(&why, RN_ERROR_NO_MEMORY, COPY, "no memory")

@@ -17,6 +17,8 @@
 #define KEY_AGE_MS (7 * 86400000ll) // how long an Idempotency-Key is remembered
 #define UPLOAD_AGE_MS 86400000ll    // how long an upload waits for its next part
 
+#define REMOVED "SELECT 1 FROM removed WHERE id = ?1"
+
 enum fate { STAYS, GOES, ORPHAN };
 
 struct sweep {
@@ -42,12 +44,20 @@ static bool is_there(struct sweep *sweep, const char *sql, const char *text) {
     return code != SQLITE_DONE;
 }
 
+enum rn_status rn_store_was_removed(struct rn_store *store, const char *id, bool *ret_removed,
+                                    struct rn_error *err) {
+    struct sweep sweep = {.store = store, .err = err, .status = RN_OK};
+    bool removed = is_there(&sweep, REMOVED, id);
+    if (sweep.status == RN_OK) *ret_removed = removed;
+    return sweep.status;
+}
+
 static enum fate fate_of_content(struct sweep *sweep, const struct rn_store_table *table,
                                  const char *name) {
     char sql[128];
     snprintf(sql, sizeof sql, "SELECT 1 FROM %s WHERE id = ?1", table->name);
     if (is_there(sweep, sql, name)) return STAYS;
-    if (is_there(sweep, "SELECT 1 FROM removed WHERE id = ?1", name)) return GOES;
+    if (is_there(sweep, REMOVED, name)) return GOES;
     if (table != &rn_datasets && table != &rn_scenes) return ORPHAN;
     const char *column = table == &rn_datasets ? "dataset" : "scene";
     snprintf(sql, sizeof sql, "SELECT 1 FROM jobs WHERE %s = ?1 AND finished_ms = 0%s", column,

@@ -60,6 +60,10 @@ enum rn_status rn_store_migrate(sqlite3 *db, const char *const *scripts, int cou
 // Whether what is written still has a place: RN_ERROR_IO when the folder was removed.
 enum rn_status rn_store_check_folder(struct rn_store *store, struct rn_error *err) RN_MUST_CHECK;
 
+// sweep.c: whether content of this id was deleted on purpose since the start; its rest may go.
+enum rn_status rn_store_was_removed(struct rn_store *store, const char *id, bool *ret_removed,
+                                    struct rn_error *err) RN_MUST_CHECK;
+
 // records.c
 extern const struct rn_store_table *const rn_content_tables[]; // those with folders; NULL ends it
 // A row of the table was written: its copy follows now, or when the transaction is committed.
@@ -67,6 +71,9 @@ void rn_record_changed(struct rn_store *store, const struct rn_store_table *tabl
 void rn_records_write_changed(struct rn_store *store);
 // Brings all copies up to date.
 enum rn_status rn_records_write_all(struct rn_store *store, struct rn_error *err) RN_MUST_CHECK;
+enum rn_status rn_record_is_there(struct rn_store *store, const struct rn_store_table *table,
+                                  const char *id, bool *ret_there,
+                                  struct rn_error *err) RN_MUST_CHECK;
 // Makes the record `id` from its copy, unless there is one, within a transaction; none that is not
 // sound, which the log tells.
 enum rn_status rn_records_add(struct rn_store *store, const struct rn_store_table *table,

@@ -157,6 +157,7 @@ class Script:
         if reply is None or reply.status // 100 != 2:
             self.told |= {reply.json["detail"]} if reply is not None else set()
             return False
+        self.faults.disarm()
         for kind in ("datasets", "scenes"):
             assert self.daemon.get(f"/v1/{kind}/n{self.round}").status == 200, self.faults.last()
         return True

@@ -98,6 +98,32 @@ def test_what_has_no_record_is_in_no_backup(full, programs, tmp_path):
         assert pictures_of(there, "ready") == pictures_of(full, "ready")
 
 
+def test_a_backup_is_taken_in_where_a_rest_of_its_content_lies(full):
+    """What a deletion could not remove is in nobody's way; what has no record otherwise is not touched."""
+    def send():
+        return full.post("/v1/backup", body=backup, headers={"Content-Type": "application/x-tar"})
+    before = pictures_of(full, "ready")
+    scene = full.get("/v1/scenes/ready").json
+    backup = full.get("/v1/backup").body
+    content = [Path(full.data) / "scenes" / scene["id"], Path(full.data) / "datasets" / scene["dataset"]]
+    for folder in content:
+        assert full.delete(f"/v1/{folder.parent.name}/{folder.name}").status == 204
+        (folder / "images").mkdir(parents=True)
+    assert send().json["datasets"] == 1
+    assert pictures_of(full, "ready") == before
+    for folder in content:
+        assert full.delete(f"/v1/{folder.parent.name}/{folder.name}").status == 204
+    full.stop()
+    full.start()  # it is not remembered any more what was deleted
+    (content[1] / "images").mkdir(parents=True)
+    refused = send()
+    assert refused.status == 409 and content[1].name in refused.json["detail"], refused.body
+    assert (content[1] / "images").is_dir() and full.get("/v1/scenes").json["items"] == []
+    content[1].rename(Path(full.data) / "aside")
+    assert send().status == 200
+    assert pictures_of(full, "ready") == before
+
+
 def pictures_of(daemon, scene):
     answers = [daemon.post(f"/v1/scenes/{scene}/render", {**RENDER, "view": f"test:{i}"}) for i in (0, 1)]
     assert [answer.status for answer in answers] == [200, 200]
