@@ -1,9 +1,11 @@
 // ripnerf: the command line of a ripnerfd.
 
+#include <fcntl.h>
 #include <signal.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <unistd.h>
 
 #include "client/client.h"
 #include "client/completion.h"
@@ -242,7 +244,16 @@ static enum rn_exit run(int argc, char **argv, int word, const struct rn_verb *v
     return run_verb(verb, &globals, options, args);
 }
 
+// A standard stream that is closed would be the next socket, and what is printed go there.
+static void fill_standard_streams(void) {
+    int fd;
+    while ((fd = open("/dev/null", O_RDONLY)) >= 0 && fd <= STDERR_FILENO)
+        continue;
+    if (fd >= 0) close(fd);
+}
+
 int main(int argc, char **argv) {
+    fill_standard_streams();
     signal(SIGPIPE, SIG_IGN);
     if (wants_json(argc, argv)) rn_client_errors_as_json();
     int word = find_verb_word(argc, argv);

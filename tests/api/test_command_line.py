@@ -24,6 +24,12 @@ def client(build, daemon, tmp_path):
     return Client(build / "client" / "ripnerf", tmp_path, daemon.url)
 
 
+@pytest.fixture
+def scene_job(client, daemon):
+    daemon.add_dataset("lego")
+    return client.json("train", "lego", "--name", "a")["id"]
+
+
 def wide_lines(text):
     return [line for line in text.splitlines() if len(line) > 80]
 
@@ -129,3 +135,11 @@ def test_the_daemon_does_not_begin_with_what_is_not_there(build, tmp_path, optio
     run = subprocess.run([build / "server/ripnerfd", "--listen", "127.0.0.1:0", *options], cwd=tmp_path,
                          capture_output=True, text=True, timeout=PATIENCE_S, check=False)
     assert run.returncode in (1, 2) and run.stderr.startswith(f"ripnerfd: {words}") and run.stdout == ""
+
+
+def test_what_is_printed_without_an_output_goes_nowhere_else(client, daemon, scene_job):
+    """Its descriptor is not the next socket's."""
+    command = " ".join(client.command("watch", scene_job, "--json"))
+    run = subprocess.run(["sh", "-c", f"exec {command} >&-"], env=client.environment, stdin=subprocess.DEVNULL,
+                         stderr=subprocess.PIPE, text=True, timeout=PATIENCE_S, check=False)
+    assert run.returncode == FAILED and "cannot be written" in run.stderr
