@@ -4,12 +4,13 @@
 
 #include "proto/codec.h"
 
-// What a runner measured: two trainings of the dataset, complete but short, the second twice as
-// long.
+#define RN_CALIBRATION_LOOKED 0.3125 // of its schedule, at the second look; half of it at the first
+
+// What a runner measured: the beginning of the training, looked at twice.
 struct rn_calibration {
     double seconds[2],
-        psnr[2];          // on the training clock, and held out at their ends; NAN: nothing is
-    double step_seconds;  // of the second
+        psnr[2];          // on the training clock, and held out, at the looks; NAN: nothing is
+    double step_seconds;  // on the mean, until the second look
     double load_seconds;  // all before the first step, once
     double spent_seconds; // in all
     double max_seconds;   // that the training asked for may take; 0: no limit

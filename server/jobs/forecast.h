@@ -1,4 +1,4 @@
-// How a training will do, by two short ones of the same dataset: what an estimate is made of.
+// How a training will do, by its beginning: what an estimate is made of.
 #ifndef RN_SERVER_JOBS_FORECAST_H
 #define RN_SERVER_JOBS_FORECAST_H
 
@@ -6,12 +6,10 @@
 
 // Seconds of training until the limits asked for; NAN without any.
 double rn_forecast_seconds(const struct rn_calibration *calibration);
-// PSNR at the end of a training of so many seconds, its schedule complete. What each doubling of
-// the time gains shrinks by the same factor, from some hundred steps on. NAN where nothing was held
-// out, or the second run had no more than a few steps.
+// PSNR at the end of a training of so many seconds: what is gained after the second look goes by
+// what was gained since the first. NAN where nothing was held out, or only a few steps were made.
 double rn_forecast_psnr(const struct rn_calibration *calibration, double seconds);
-// When a training of `limit` seconds passes a PSNR: on the way it is behind one that ends then, as
-// its rate has not decayed yet. NAN: not within its limit.
+// When a training of `limit` seconds passes a PSNR. NAN: not within its limit.
 double rn_forecast_passing(const struct rn_calibration *calibration, double limit, double psnr);
 
 #endif

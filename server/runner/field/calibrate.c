@@ -1,5 +1,5 @@
-// A calibration: two short trainings of the dataset, complete with their schedules, whose ends say
-// how the one that was asked for will do. Nothing of them is kept.
+// A calibration: the beginning of the training that was asked for, looked at twice, which says how
+// the whole will do. Nothing of it is kept.
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -10,17 +10,16 @@
 #include "server/runner/field/host.h"
 #include "server/runner/scene/describe.h"
 
-#define SHARE 16    // of the time asked for, that the first run takes; the second twice that
-#define LEAST_S 2.0 // but no less
-#define MOST_S 4.0  // and no more
+#define LONGEST_S 60.0 // a training that is asked for longer is begun as one of that
+#define GROWN 0.4      // of the schedule, when planes have their last size in any case
 #define PROGRESS_S 0.5
 #define CHECKPOINTS 2 // kept of a training
 
 struct rn_calibrating {
     char job[RN_ID_MAX];
     struct rn_train_config config; // as asked for
-    struct rn_trainer *trainer;    // of the run under way; NULL before it
-    int run;
+    struct rn_trainer *trainer;    // NULL before it began
+    int look;                      // that is next
     bool validates;
     struct rn_calibration found;
     double began_s, reported_s;
@@ -50,32 +49,22 @@ bool rn_calibration_cancel(struct rn_host *host, const char *job) {
     return true;
 }
 
-// ---- the runs ------------------------------------------------------------------------------
+// ---- the beginning -------------------------------------------------------------------------
 
-// What is decided by passes over the photographs, as many of a short training as of a long one: of
-// some seconds they would be most, and leave a few dozen steps. Whoever asks for one has it.
-static void leave_out_passes(struct rn_train_config *config) {
-    static const enum rn_effect passes[] = {RN_EFFECT_POSE_REFINEMENT, RN_EFFECT_ROBUST_LOSS};
-    for (size_t i = 0; i < sizeof passes / sizeof *passes; i++)
-        if (config->effect[passes[i]] == RN_EFFECT_AUTO)
-            config->effect[passes[i]] = RN_EFFECT_UNWANTED;
+// Of the training that is begun.
+static double whole_seconds(const struct rn_calibrating *c) {
+    double asked = c->config.max_seconds;
+    return asked > 0 ? fmin(asked, LONGEST_S) : LONGEST_S;
 }
 
-static double run_seconds(const struct rn_calibrating *c) {
-    double first = c->config.max_seconds > 0 ? c->config.max_seconds / SHARE : MOST_S;
-    return fmin(fmax(first, LEAST_S), MOST_S) * (c->run + 1);
-}
-
-static enum rn_status start_run(struct rn_host *host, struct rn_error *err) {
+static enum rn_status start(struct rn_host *host, struct rn_error *err) {
     struct rn_calibrating *c = host->calibrating;
     struct rn_watch watch = {.link = &host->link, .job = c->job, .request = RN_ABSENT};
     struct rn_train_config config = c->config;
-    config.max_seconds = run_seconds(c);
+    config.max_seconds = whole_seconds(c);
     config.max_steps = 0;
     config.until_psnr = 0;
     config.until_plateau = false;
-    leave_out_passes(&config);
-    c->validates = false;
     host->watch = &watch;
     rn_engine_watch(host->engine, rn_watch_keep_going, &watch);
     enum rn_status status =
@@ -95,32 +84,41 @@ static int64_t disk_bytes(const struct rn_field_info *info) {
     return CHECKPOINTS * (3 * field + (int64_t)(9 * cells)) + marks;
 }
 
-static void note_run(struct rn_host *host) {
+static void note_look(struct rn_host *host) {
     struct rn_calibrating *c = host->calibrating;
     struct rn_progress progress;
-    struct rn_field_info info;
     rn_trainer_progress(c->trainer, &progress);
-    rn_field_describe(rn_trainer_field(c->trainer), &info);
-    c->found.seconds[c->run] = progress.train_seconds;
-    c->found.psnr[c->run] = progress.psnr;
+    c->found.seconds[c->look] = progress.train_seconds;
+    c->found.psnr[c->look] = progress.psnr;
     c->found.step_seconds = progress.train_seconds / (double)(progress.step ? progress.step : 1);
     c->found.load_seconds = progress.load_seconds;
-    c->found.memory_bytes = rn_resident_bytes();
-    c->found.disk_bytes = disk_bytes(&info);
-    rn_trainer_destroy(&c->trainer);
-    c->run++;
+    c->validates = false;
+    c->look++;
 }
 
-// A little of the run under way; *ret_over: its figure is there.
-static enum rn_status go_on(struct rn_host *host, bool *ret_over, struct rn_error *err) {
+// All is known once the planes have their last size, which they get soon after the second look;
+// memory and disk are what they are then.
+static bool is_over(struct rn_calibrating *c) {
+    struct rn_progress progress;
+    struct rn_field_info info;
+    if (c->look < 2) return false;
+    rn_trainer_progress(c->trainer, &progress);
+    rn_field_describe(rn_trainer_field(c->trainer), &info);
+    c->found.memory_bytes = rn_resident_bytes();
+    c->found.disk_bytes = disk_bytes(&info);
+    return info.config.field.base >= info.config.grow_to || progress.fraction >= GROWN;
+}
+
+// A little of it; *ret_seen: a look's figure is there.
+static enum rn_status go_on(struct rn_host *host, bool *ret_seen, struct rn_error *err) {
     struct rn_calibrating *c = host->calibrating;
     struct rn_progress progress;
-    *ret_over = false;
-    if (!c->trainer) return start_run(host, err);
-    if (c->validates) return rn_trainer_validate(c->trainer, RN_SLICE_MS, ret_over, err);
+    *ret_seen = false;
+    if (!c->trainer) return start(host, err);
+    if (c->validates) return rn_trainer_validate(c->trainer, RN_SLICE_MS, ret_seen, err);
     enum rn_status status = rn_trainer_advance(c->trainer, RN_SLICE_MS, err);
     rn_trainer_progress(c->trainer, &progress);
-    c->validates = progress.done;
+    c->validates = c->look < 2 && progress.fraction >= RN_CALIBRATION_LOOKED / 2 * (c->look + 1);
     return status;
 }
 
@@ -129,9 +127,9 @@ static enum rn_status go_on(struct rn_host *host, bool *ret_over, struct rn_erro
 static void post_progress(struct rn_host *host) {
     struct rn_calibrating *c = host->calibrating;
     struct rn_progress now = {0};
-    double total = 1.5 * run_seconds(&(struct rn_calibrating){.config = c->config, .run = 1});
+    double total = GROWN * whole_seconds(c);
     if (c->trainer) rn_trainer_progress(c->trainer, &now);
-    double done = now.train_seconds + (c->run > 0 ? c->found.seconds[0] : 0);
+    double done = now.train_seconds;
     struct rn_work_progress record = {.done = (int64_t)done,
                                       .total = (int64_t)ceil(total),
                                       .fraction = fmin(done / total, 1),
@@ -170,18 +168,18 @@ static void conclude(struct rn_host *host) {
 void rn_calibration_slice(struct rn_host *host) {
     struct rn_calibrating *c = host->calibrating;
     struct rn_error err = {0};
-    bool over;
+    bool seen;
     rn_link_log_of(&host->link, c->job);
-    enum rn_status status = go_on(host, &over, &err);
+    enum rn_status status = go_on(host, &seen, &err);
     // Stopped because the runner must end: the daemon will start the job again.
     if (status == RN_ERROR_CANCELLED && rn_link_must_stop(&host->link)) return;
     if (status) {
         fail(host, &err);
         return;
     }
-    if (over) note_run(host);
+    if (seen) note_look(host);
     if (now_s() - c->reported_s >= PROGRESS_S) post_progress(host);
-    if (c->run == 2) conclude(host);
+    if (is_over(c)) conclude(host);
 }
 
 void rn_calibration_start(struct rn_host *host, const struct rn_wire_train *train) {
