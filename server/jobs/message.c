@@ -432,7 +432,9 @@ static void on_failed(struct rn_control *control, struct rn_runner *runner,
     } else if (failed->job[0] == '\0') {
         open_failed(control, runner, &err);
     } else if (task != NULL && err.status == RN_ERROR_CANCELLED) {
-        rn_task_happened(control, task, RN_JOB_STOPPED);
+        // By the daemon's own end: the next one finds it as it is.
+        if (!control->stopping || task->row.state == RN_JOB_CANCELLING)
+            rn_task_happened(control, task, RN_JOB_STOPPED);
         rn_task_detach(task);
     } else if (task != NULL) {
         rn_task_fail(control, task, &err);

@@ -207,7 +207,9 @@ char *rn_store_path(const struct rn_store *store, const char *fmt, ...) {
 
 enum rn_status rn_store_check_folder(struct rn_store *store, struct rn_error *err) {
     struct stat about;
-    if (fstat(store->lock_fd, &about) == 0 && about.st_nlink > 0) return RN_OK;
+    if (fstat(store->lock_fd, &about) != 0)
+        return rn_error_from_errno(err, errno, store->folder, "look at it");
+    if (about.st_nlink > 0) return RN_OK;
     return rn_error_set(err, RN_ERROR_IO, store->folder,
                         "the data folder was removed under the daemon: nothing is kept any more; "
                         "stop it");

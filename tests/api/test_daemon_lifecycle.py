@@ -542,6 +542,18 @@ def test_acknowledged_writes_survive(programs, tmp_path):
 
 # ---- shutdown -------------------------------------------------------------------------------
 
+def test_shutdown_while_a_training_loads(make_daemon, photographs):
+    """Its photographs are given up, the training is not."""
+    daemon = make_daemon({"RIPNERF_FAKE_LOAD_MS": "600000"})
+    daemon.wait(daemon.upload("data", photographs))
+    job = daemon.submit(type="train", dataset="data", scene="s", options={"max_steps": 3})
+    daemon.eventually(lambda: (daemon.job(job)["progress"] or {}).get("load_seconds"))
+    assert daemon.stop() == 0
+    daemon.environment["RIPNERF_FAKE_LOAD_MS"] = "0"
+    daemon.start()
+    assert daemon.wait(job)["state"] == "succeeded"
+
+
 def test_shutdown(make_daemon, photographs):
     """With a training job, a parked render, a stream and an upload under way."""
     daemon = make_daemon({"RIPNERF_FAKE_ROW_US": "2000000"})
