@@ -283,7 +283,7 @@ static enum rn_status insert_record(struct rn_store *store, const struct rn_stor
 struct rebuilding {
     const struct rn_store_table *table;
     const char *scene;
-    bool all; // what cannot be read now is not passed over
+    bool all; // none is passed over but what never had a copy
     int made, left;
 };
 
@@ -337,22 +337,24 @@ static enum rn_status add_checkpoints(struct rn_store *store, const char *scene,
     return status == RN_ERROR_NOT_FOUND ? RN_OK : status;
 }
 
-// Whether the record that was made reads as one of this folder: the copy may be a stranger's.
-static bool is_sound(struct rn_store *store, const struct rn_store_table *table, const char *id,
-                     struct rn_error *err) {
+// RN_ERROR_CORRUPT unless the record that was made reads as one of this folder: the copy may be a
+// stranger's.
+static enum rn_status check_sound(struct rn_store *store, const struct rn_store_table *table,
+                                  const char *id, struct rn_error *err) {
     struct rn_buf sql;
     struct rn_query query = {.equal = {{"id", id}}, .limit = 1};
     sqlite3_stmt *statement = NULL;
     void *rows = NULL;
     size_t count = 0;
-    if (rn_store_list(store, table, &query, &rows, &count, err) != RN_OK) return false;
+    enum rn_status status = rn_store_list(store, table, &query, &rows, &count, err);
+    if (status != RN_OK) return status;
     rn_rows_finish(table, rows, count);
     rn_buf_init(&sql, 4096);
     rn_buf_printf(&sql, "SELECT 1 FROM %s WHERE id = ?1", table->name);
     for (int i = 0; i < table->column_count; i++) {
         const char *name = table->columns[i].name;
         if (table->columns[i].kind == RN_COLUMN_DOCUMENT && strcmp(name, "source") != 0)
-            rn_buf_printf(&sql, " AND (%s IS NULL OR json_valid(%s))", name, name);
+            rn_buf_printf(&sql, " AND (%s IS NULL OR json(%s) IS NOT NULL)", name, name);
     }
     int code = sql.failed ? SQLITE_NOMEM
                           : sqlite3_prepare_v2(store->db, (char *)sql.data, (int)sql.size,
@@ -361,11 +363,10 @@ static bool is_sound(struct rn_store *store, const struct rn_store_table *table,
     if (code == SQLITE_OK) code = sqlite3_step(statement);
     sqlite3_finalize(statement);
     rn_buf_finish(&sql);
-    if (code == SQLITE_DONE)
-        rn_error_set(err, RN_ERROR_CORRUPT, COPY, "it is no record of %s", id);
-    else if (code != SQLITE_ROW)
-        (void)rn_sqlite_error(store->db, code, COPY, err);
-    return code == SQLITE_ROW;
+    if (code == SQLITE_DONE ||
+        code == SQLITE_ERROR) // json() tells of memory; json_valid() does not
+        return rn_error_set(err, RN_ERROR_CORRUPT, COPY, "it is no record of %s", id);
+    return code == SQLITE_ROW ? RN_OK : rn_sqlite_error(store->db, code, COPY, err);
 }
 
 // As insert_record; nothing comes of a copy that makes no sound record.
@@ -375,10 +376,13 @@ static enum rn_status insert_sound(struct rn_store *store, const struct rn_store
     int code = sqlite3_exec(store->db, "SAVEPOINT record", NULL, NULL, NULL);
     if (code != SQLITE_OK) return rn_sqlite_error(store->db, code, COPY, err);
     enum rn_status status = insert_record(store, table, text, ret_done, err);
-    if (*ret_done) *ret_done = is_sound(store, table, id, err);
+    if (status == RN_OK)
+        status = *ret_done ? check_sound(store, table, id, err)
+                           : rn_error_set(err, RN_ERROR_CORRUPT, COPY, "it is no record of %s", id);
+    *ret_done &= status == RN_OK;
     if (!*ret_done) code = sqlite3_exec(store->db, "ROLLBACK TO record", NULL, NULL, NULL);
     if (code == SQLITE_OK) code = sqlite3_exec(store->db, "RELEASE record", NULL, NULL, NULL);
-    if (code != SQLITE_OK) status = rn_sqlite_error(store->db, code, COPY, err);
+    if (code != SQLITE_OK && status == RN_OK) status = rn_sqlite_error(store->db, code, COPY, err);
     return status;
 }
 
@@ -408,7 +412,7 @@ static enum rn_status add_record(struct rn_store *store, void *context, const ch
     free(path);
     if (done) return status;
     bool passes = why.status == RN_ERROR_NO_MEMORY || why.status == RN_ERROR_NO_SPACE ||
-                  (why.status == RN_ERROR_IO && rebuilding->all);
+                  (rebuilding->all && why.status != RN_ERROR_NOT_FOUND);
     if (passes && err != NULL) *err = why;
     return passes ? why.status : RN_OK;
 }

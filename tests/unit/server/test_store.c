@@ -373,6 +373,43 @@ static void forge(const char *id, const char *from, const char *to) {
 
 // A copy that a stranger has written may be sealed and still be no record: none comes of it, and
 // what there is can be listed.
+static sqlite3_mem_methods usual; // of SQLite's memory
+static int until_none;            // allocations until one fails; 0: none does
+
+static void *fail_in_turn(int size) {
+    return until_none > 0 && --until_none == 0 ? NULL : usual.xMalloc(size);
+}
+
+// Whichever allocation of SQLite fails: a record is made, or it is said that there is no memory; a
+// sound copy is never taken for a damaged one.
+START_TEST(test_record_without_memory) {
+    struct rn_scene_row scene = make_scene("sc_a", "lego");
+    bool made = false;
+    int tries = 0;
+    rn_store_close(&store);
+    ck_assert_int_eq(sqlite3_shutdown(), SQLITE_OK);
+    ck_assert_int_eq(sqlite3_config(SQLITE_CONFIG_GETMALLOC, &usual), SQLITE_OK);
+    sqlite3_mem_methods failing = usual;
+    failing.xMalloc = fail_in_turn;
+    ck_assert_int_eq(sqlite3_config(SQLITE_CONFIG_MALLOC, &failing), SQLITE_OK);
+    ck_assert_int_eq(sqlite3_config(SQLITE_CONFIG_LOOKASIDE, 0, 0), SQLITE_OK);
+    reopen();
+    scene.record = (char *)"{\"numbers\":[1,2,3]}";
+    ck_assert_int_eq(rn_store_insert(store, &rn_scenes, &scene, &err), RN_OK);
+    while (!made) {
+        ck_assert_int_eq(rn_store_begin(store, &err), RN_OK);
+        ck_assert_int_eq(sqlite3_exec(store->db, "DELETE FROM scenes", NULL, NULL, NULL),
+                         SQLITE_OK);
+        until_none = ++tries;
+        enum rn_status status = rn_records_add(store, &rn_scenes, "sc_a", &made, &err);
+        until_none = 0;
+        ck_assert_msg(made || status == RN_ERROR_NO_MEMORY, "%d: %s", tries, err.text);
+        rn_store_rollback(store);
+    }
+    ck_assert_int_gt(tries, 10);
+}
+END_TEST
+
 START_TEST(test_rebuild_from_forged_copies) {
     static const struct {
         const char *id, *from, *to;
@@ -460,6 +497,7 @@ int main(void) {
     tcase_add_test(tcase, test_few_descriptors);
     tcase_add_test(tcase, test_rebuild);
     tcase_add_test(tcase, test_rebuild_from_damaged_copy);
+    tcase_add_test(tcase, test_record_without_memory);
     tcase_add_test(tcase, test_rebuild_from_forged_copies);
     tcase_add_test(tcase, test_half_zeroed);
     tcase_add_test(tcase, test_ids);
