@@ -25,7 +25,7 @@ END_TEST
 // What gains more is told more; twice the time gains ever less.
 START_TEST(ends) {
     double last = rn_forecast_psnr(&calibration, 60), gain = INFINITY;
-    ck_assert_double_eq_tol(last, 30 + 1.58 + 0.73 * 2, 1e-9);
+    ck_assert_double_eq_tol(last, 30 + 2.08 * sqrt(2), 1e-9);
     for (double seconds = 120; seconds < 1e5; seconds *= 2) {
         double now = rn_forecast_psnr(&calibration, seconds);
         ck_assert(now > last && now - last < gain);
@@ -37,12 +37,12 @@ START_TEST(ends) {
     slow.psnr[0] = 29.5;
     ck_assert_double_lt(rn_forecast_psnr(&slow, 60), rn_forecast_psnr(&calibration, 60));
     slow.psnr[0] = 31; // noise: it does not fall
-    ck_assert_double_gt(rn_forecast_psnr(&slow, 60), 30);
+    ck_assert_double_eq_tol(rn_forecast_psnr(&slow, 60), 30, 1e-9);
 }
 END_TEST
 
-// Fourteen trainings of nine scenes, as they were measured (tests/bench/figures.md): their ends in
-// dB and their steps in time.
+// Seventeen trainings of twelve datasets, as they were measured (tests/bench/figures.md): their
+// ends in dB and their steps in time.
 START_TEST(as_it_was) {
     static const struct {
         double limit, looks[2], psnr;
@@ -53,7 +53,9 @@ START_TEST(as_it_was) {
                 {32, {32.86, 35.89}, 39.64, 645, 1543},   {32, {36.76, 39.65}, 42.52, 747, 1695},
                 {32, {23.78, 25.57}, 28.63, 672, 1627},   {40, {25.30, 26.18}, 27.63, 656, 1309},
                 {40, {27.50, 29.57}, 34.20, 1057, 2338},  {40, {27.61, 30.05}, 32.52, 1201, 2586},
-                {40, {25.59, 26.91}, 28.96, 866, 1951},   {40, {26.67, 28.73}, 31.41, 739, 1485}};
+                {40, {25.59, 26.91}, 28.96, 866, 1951},   {40, {26.67, 28.73}, 31.41, 739, 1485},
+                {32, {27.99, 30.61}, 33.30, 1011, 2208},  {32, {14.75, 14.91}, 14.68, 792, 2160},
+                {32, {25.47, 26.76}, 28.09, 548, 1312}};
     int count = sizeof seen / sizeof *seen, near = 0;
     double squares = 0;
     for (int i = 0; i < count; i++) {
@@ -67,7 +69,7 @@ START_TEST(as_it_was) {
         printf("%g s: %.2f dB off, %.0f %% of the time\n", seen[i].limit, off, 100 * time);
         squares += off * off / count;
         near += fabs(off) <= 0.9;
-        ck_assert_double_eq_tol(time, 1, 0.2);
+        ck_assert_double_eq_tol(time, 1, 0.25);
     }
     ck_assert_double_lt(sqrt(squares), 0.9);
     ck_assert_int_ge(3 * near, 2 * count);
