@@ -92,6 +92,13 @@ def test_pictures_and_links_are_kept(scene, asked, downloads):
     assert scene.run("return window.filled;") == "viewport"
 
 
+def test_the_picture_is_put_on_the_page_without_blending(page, fake):
+    page.open(fake("busy").url + "#/scene/sphere-draft")
+    page.find(".stage[data-level=refined]")
+    assert not page.run(
+        "return document.querySelector('.picture').getContext('2d').getContextAttributes().alpha;")
+
+
 def test_a_link_that_cannot_be_copied_is_shown(scene):
     """A page over plain HTTP from another machine has no clipboard."""
     scene.run("Object.defineProperty(navigator, 'clipboard', {value: undefined});")

@@ -323,7 +323,7 @@ export function createViewport(scene, cameras, host, signal) {
     const [width, height] =
         [Math.round(stage.clientWidth * ratio), Math.round(stage.clientHeight * ratio)];
     if (!width || canvas.width === width && canvas.height === height) return;
-    const before = canvas.width > 1 ? createImageBitmap(canvas) : null;
+    const before = stage.dataset.ready ? createImageBitmap(canvas) : null;
     drawThings();
     Promise.resolve(before).then((old) => {
       Object.assign(canvas, {width, height});
