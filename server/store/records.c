@@ -382,7 +382,10 @@ static enum rn_status insert_sound(struct rn_store *store, const struct rn_store
     *ret_done &= status == RN_OK;
     if (!*ret_done) code = sqlite3_exec(store->db, "ROLLBACK TO record", NULL, NULL, NULL);
     if (code == SQLITE_OK) code = sqlite3_exec(store->db, "RELEASE record", NULL, NULL, NULL);
-    if (code != SQLITE_OK && status == RN_OK) status = rn_sqlite_error(store->db, code, COPY, err);
+    if (code != SQLITE_OK && status == RN_OK) {
+        *ret_done = false;
+        status = rn_sqlite_error(store->db, code, COPY, err);
+    }
     return status;
 }
 
