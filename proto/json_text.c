@@ -24,6 +24,7 @@ void rn_json_put_string(struct rn_buf *buf, const char *text) {
 
 void rn_json_put_number(struct rn_buf *buf, double value) {
     char text[32];
+    if (value == 0) value = 0; // "-0" would be read as a whole number, which has no sign
     for (int digits = 15; digits <= 17; digits++) {
         snprintf(text, sizeof text, "%.*g", digits, value);
         if (strtod(text, NULL) == value) break;

@@ -10,6 +10,7 @@
 #include "proto/event.h"
 #include "proto/incident.h"
 #include "proto/job.h"
+#include "proto/json_text.h"
 #include "proto/ladder.h"
 #include "proto/problem.h"
 #include "proto/render.h"
@@ -232,6 +233,16 @@ START_TEST(numbers_read_back_the_same) {
 }
 END_TEST
 
+START_TEST(zero_has_no_sign) {
+    struct rn_buf buf;
+    rn_buf_init(&buf, 8);
+    rn_json_put_number(&buf, -0.0);
+    ck_assert_uint_eq(buf.size, 1);
+    ck_assert_int_eq(buf.data[0], '0');
+    rn_buf_finish(&buf);
+}
+END_TEST
+
 START_TEST(missing_value_is_not_encoded) {
     struct rn_metric_event event = {.step = 1, .train_seconds = NAN, .psnr = 1};
     struct rn_error err = {0};
@@ -420,6 +431,7 @@ int main(void) {
     tcase_add_test(tests, description_is_part_of_a_scene);
     tcase_add_test(tests, render_request_is_checked_and_settled);
     tcase_add_test(tests, time_is_rfc3339);
+    tcase_add_test(tests, zero_has_no_sign);
     tcase_add_loop_test(tests, every_status_has_a_problem, 0, RN_STATUS_COUNT);
     Suite *suite = suite_create("proto");
     suite_add_tcase(suite, tests);
