@@ -233,12 +233,14 @@ def test_training_runs_to_its_last_step(scene, tmp_path, check):
     check("Scene", record)
 
 
-def test_figures_come_within_seconds_and_then_ever_fewer(program, dataset, tmp_path):
-    with Scene(program, tmp_path / "scene", dataset, environment={"RIPNERF_FAKE_STEP_S": "0.01"}) as scene:
-        train(scene, max_steps=100000, max_time_s=7)
+@pytest.mark.parametrize("step_s, first", [(0.005, 2), (0.01, 2.56), (0.1, 10)])
+def test_figures_come_within_seconds_and_then_ever_fewer(program, dataset, tmp_path, step_s, first):
+    """The first after 2 s, but once 256 steps have cleared the fog, for which 10 s are waited at most."""
+    with Scene(program, tmp_path / "scene", dataset, environment={"RIPNERF_FAKE_STEP_S": str(step_s)}) as scene:
+        train(scene, max_steps=100000, max_time_s=3.5 * first)
         scene.wait_for("done")
     at = [m[1]["metric"]["train_seconds"] for m in scene.seen if m[0] == "metric"]
-    assert 2 <= at[0] < 2.5 and 4 <= len(at) <= 5
+    assert first - 1e-6 <= at[0] < first + max(0.5, 12 * step_s) and 4 <= len(at) <= 5
     assert all(1.5 <= later / sooner < 2 for sooner, later in zip(at[:-2], at[1:-1]))
 
 
