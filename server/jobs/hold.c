@@ -5,28 +5,26 @@
 #include "common/settings/curve.h"
 #include "server/jobs/inside.h"
 
-#define LONGEST_MS 1000.0 // deadlines beyond it leave time to share the cores
-#define MOST_NS 50000000  // of the others' turn at once
+#define LONGEST_MS 1000.0  // deadlines beyond it leave time to share the cores
+#define MOST_NS 50000000   // of the others' turn at once
+#define SENDING_NS 1000000 // from here to the last byte in the socket, about
 
-// Whether it was sent to be made by a deadline that others stand still for, and that is to come.
-static bool is_urgent(const struct rn_render *render, int64_t now_ns) {
+// Whether it was sent to be made by a deadline that others stand still for, and until when.
+static bool is_timed(const struct rn_render *render, int64_t *ret_until_ns) {
     double asked_ms;
     bool timed = rn_budget_of(render->request.settings, &asked_ms) == RN_BUDGET_TIME;
-    return timed && render->sent && asked_ms <= LONGEST_MS &&
-           now_ns < render->begin_ns + (int64_t)(asked_ms * 1e6);
+    if (!timed || !render->sent || !(asked_ms <= LONGEST_MS)) return false;
+    *ret_until_ns = render->begin_ns + (int64_t)(asked_ms * 1e6);
+    return true;
 }
 
-// One to be made, or one that is not in its socket yet: who sends it needs a core too.
 static bool has_urgent(const struct rn_control *control, int64_t now_ns) {
-    for (const struct rn_runner *runner = control->runners; runner != NULL; runner = runner->next) {
-        const struct rn_last_timed *last = &runner->timed;
-        if (runner->process.remote) continue;
-        if (last->on_its_way && last->asked_ms <= LONGEST_MS && now_ns < last->deadline_ns)
-            return true;
+    int64_t until_ns;
+    for (const struct rn_runner *runner = control->runners; runner != NULL; runner = runner->next)
         for (const struct rn_render *render = runner->renders; render != NULL;
              render = render->next)
-            if (is_urgent(render, now_ns)) return true;
-    }
+            if (!runner->process.remote && is_timed(render, &until_ns) && now_ns < until_ns)
+                return true;
     return false;
 }
 
@@ -57,9 +55,8 @@ int rn_hold_timeout_ms(const struct rn_control *control, int most_ms) {
     return left_ms < most_ms ? (int)left_ms : most_ms;
 }
 
-void rn_hold_after(struct rn_control *control, const struct rn_runner *runner, int64_t sent_ns) {
-    if (runner->process.remote || !(runner->timed.asked_ms <= LONGEST_MS)) return;
-    rn_turns_end(&control->turns, runner->timed.begin_ns, sent_ns, MOST_NS);
-    rn_hold_others(control);
-    rn_control_wake(control); // which sleeps until a turn of before
+void rn_hold_after(struct rn_control *control, const struct rn_render *render) {
+    int64_t until_ns;
+    if (is_timed(render, &until_ns))
+        rn_turns_end(&control->turns, render->begin_ns, rn_clock_ns() + SENDING_NS, MOST_NS);
 }

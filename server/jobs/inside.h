@@ -64,10 +64,9 @@ struct rn_render {
 
 // The last picture by a deadline that a runner has made: what it is told of it with the next one.
 struct rn_last_timed {
-    int64_t number, begin_ns, deadline_ns;
+    int64_t number, deadline_ns;
     double asked_ms, kept_ms; // as rn_wire_rendered; NAN: it told none
     double needed_ms;         // as rn_wire_render; NAN: nothing new
-    bool on_its_way;          // the last byte is not in the socket yet
 };
 
 enum rn_runner_state {
@@ -323,8 +322,8 @@ void rn_schedule(struct rn_control *control);
 void rn_hold_others(struct rn_control *control);
 // How long until that changes by itself, at most `most_ms`.
 int rn_hold_timeout_ms(const struct rn_control *control, int most_ms);
-// The last byte of `runner->timed` is in its socket: others go on, and the next one may be near.
-void rn_hold_after(struct rn_control *control, const struct rn_runner *runner, int64_t sent_ns);
+// A picture was made, and is about to be sent: if it was by a deadline, the next one may be near.
+void rn_hold_after(struct rn_control *control, const struct rn_render *render);
 // render.c
 void rn_render_send(struct rn_control *control, struct rn_runner *runner);
 void rn_render_done(struct rn_control *control, struct rn_runner *runner,

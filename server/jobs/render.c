@@ -236,10 +236,8 @@ static void on_sent(void *context, int64_t number, int64_t sent_ns) {
     for (struct rn_runner *runner = control->runners; runner != NULL; runner = runner->next) {
         struct rn_last_timed *timed = &runner->timed;
         double late_ms = (double)(sent_ns - timed->deadline_ns) * 1e-6;
-        if (timed->number != number) continue;
-        if (late_ms < HOPELESS * timed->asked_ms) timed->needed_ms = timed->kept_ms + late_ms;
-        timed->on_its_way = false;
-        rn_hold_after(control, runner, sent_ns);
+        if (timed->number == number && late_ms < HOPELESS * timed->asked_ms)
+            timed->needed_ms = timed->kept_ms + late_ms;
     }
     rn_control_unlock(control);
 }
@@ -249,13 +247,8 @@ static void follow_timed(struct rn_control *control, struct rn_runner *runner,
                          struct rn_reply *reply) {
     double asked_ms;
     if (rn_budget_of(render->request.settings, &asked_ms) != RN_BUDGET_TIME) return;
-    runner->timed = (struct rn_last_timed){.number = render->number,
-                                           .begin_ns = render->begin_ns,
-                                           .deadline_ns = deadline_of(render),
-                                           .asked_ms = asked_ms,
-                                           .kept_ms = rendered->kept_ms,
-                                           .needed_ms = NAN,
-                                           .on_its_way = true};
+    runner->timed = (struct rn_last_timed){render->number, deadline_of(render), asked_ms,
+                                           rendered->kept_ms, NAN};
     reply->on_sent = on_sent;
     reply->sent_context = control;
     reply->sent_number = render->number;
@@ -286,6 +279,7 @@ void rn_render_done(struct rn_control *control, struct rn_runner *runner,
     if (render == NULL) return;
     count(control, render);
     want_curve(control, runner, rendered);
+    if (!runner->process.remote) rn_hold_after(control, render);
     runner->last_used_ns = rn_clock_ns();
     while (render->waiters != NULL) {
         struct rn_waiter *waiter = render->waiters;

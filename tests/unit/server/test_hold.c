@@ -87,28 +87,6 @@ START_TEST(only_for_what_is_urgent) {
 }
 END_TEST
 
-// What was made is to be sent, for which there must be a core; one that nobody reads is not waited
-// for beyond its time.
-START_TEST(it_waits_for_the_last_byte) {
-    struct rn_last_timed *last = &runners[RENDERS].timed;
-    *last = (struct rn_last_timed){.begin_ns = picture.begin_ns,
-                                   .deadline_ns = picture.begin_ns + 900000000,
-                                   .asked_ms = 900,
-                                   .on_its_way = true};
-    answered();
-    ck_assert(stands[TRAINS]);
-    last->on_its_way = false;
-    rn_hold_after(&control, &runners[RENDERS], rn_clock_ns());
-    ck_assert(!stands[TRAINS]);
-    last->on_its_way = true;
-    rn_hold_others(&control);
-    ck_assert(stands[TRAINS]);
-    last->deadline_ns = rn_clock_ns();
-    rn_hold_others(&control);
-    ck_assert(!stands[TRAINS]);
-}
-END_TEST
-
 // One that has a picture of its own to make, or is told to end, goes on at once.
 START_TEST(whoever_is_needed_goes_on) {
     struct rn_render own = {.number = 2, .begin_ns = rn_clock_ns()};
@@ -130,13 +108,13 @@ END_TEST
 // However many follow one another, after each it has its turn, also while the next one is made.
 START_TEST(nobody_waits_for_ever) {
     int64_t second_ns = 1000000000;
-    int64_t begin_ns = rn_clock_ns() - 900 * second_ns;
     ask_within(900);
-    rn_turns_end(&control.turns, begin_ns - second_ns, begin_ns, 1);
-    runners[RENDERS].timed = (struct rn_last_timed){.begin_ns = begin_ns, .asked_ms = 900};
-    rn_hold_after(&control, &runners[RENDERS], rn_clock_ns()); // a quarter of an hour later
+    picture.begin_ns = rn_clock_ns() - 900 * second_ns;
+    rn_turns_end(&control.turns, picture.begin_ns - second_ns, picture.begin_ns, 1);
+    rn_hold_after(&control, &picture); // a quarter of an hour after the one before
     int64_t own_ms = (control.turns.own_until_ns - control.turns.ended_ns) / 1000000;
     ck_assert_int_eq(own_ms, 50);
+    picture.begin_ns = rn_clock_ns() + HOUR_NS;
     control.turns.ended_ns -= second_ns;
     control.turns.own_until_ns += 100 * second_ns;
     rn_hold_others(&control);
@@ -173,7 +151,6 @@ int main(void) {
     tcase_add_checked_fixture(cases, set_up, tear_down);
     tcase_add_test(cases, a_training_waits);
     tcase_add_test(cases, only_for_what_is_urgent);
-    tcase_add_test(cases, it_waits_for_the_last_byte);
     tcase_add_test(cases, whoever_is_needed_goes_on);
     tcase_add_test(cases, nobody_waits_for_ever);
     tcase_add_test(cases, it_waits_for_the_next_one);
