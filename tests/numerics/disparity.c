@@ -115,6 +115,7 @@ static int check_cut(struct numerics_random *random, const struct subject *s) {
     }
     cases[0].unit = cases[3].unit = "wrong";
     cases[0].bound = cases[3].bound = 0.5;
+    cases[2].bound = 0.5;
     for (int n = 0; n < 20000; n++) {
         struct rn_disparity box = draw_box(random);
         box.far = fmin(box.far, 1e3 * box.near); // as positions in fp32 tell apart
@@ -144,12 +145,13 @@ static int check_cut(struct numerics_random *random, const struct subject *s) {
             double at = (double)got.length * i / 8, there[3];
             double t = distance_of(&box, &was, &got, at);
             point_at(&box, &ray, t, there);
-            double apart = 0;
+            double apart = 0, along = 0; // `there` is the ray's point of the same depth
             for (int k = 0; k < 3; k++) {
-                double p = (double)got.origin[k] + at * (double)got.direction[k];
-                apart = fmax(apart, fabs(p - there[k]));
-                q[k] = p;
+                q[k] = (double)got.origin[k] + at * (double)got.direction[k];
+                along += (q[k] - there[k]) * (double)got.direction[k];
             }
+            for (int k = 0; k < 3; k++)
+                apart = fmax(apart, fabs(q[k] - there[k] - along * (double)got.direction[k]));
             numerics_see(&cases[2], apart / 0x1p-20, "ray %d, %d eighths", n, i);
             numerics_see(&cases[3], !(t > last), "ray %d, %d eighths", n, i);
             last = t;
