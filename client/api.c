@@ -109,6 +109,10 @@ enum rn_exit rn_client_error(enum rn_exit code, const char *where, const char *f
     return code;
 }
 
+enum rn_exit rn_client_not_written(const struct rn_error *err) {
+    return rn_client_error(RN_EXIT_FAILED, err->where, "%s", err->text);
+}
+
 struct made_file {
     char *file; // borrowed
     int64_t bytes;
@@ -258,7 +262,7 @@ enum rn_exit rn_api_save(struct rn_client *client, const char *path, const char 
     enum rn_exit code = reply.code == RN_EXIT_OK ? RN_EXIT_OK : rn_api_complain(&reply);
     if (code == RN_EXIT_OK &&
         rn_file_write_atomic(file, reply.http.body.data, reply.http.body.size, &err) != RN_OK)
-        code = rn_client_error(RN_EXIT_FAILED, err.where, "%s", err.text);
+        code = rn_client_not_written(&err);
     rn_api_reply_finish(&reply);
     return code;
 }

@@ -66,6 +66,8 @@ void rn_client_errors_of(const struct rn_verb *verb);
 void rn_client_errors_as_json(void);
 // Prints "ripnerf: where: text" on stderr and returns the exit code that the status stands for.
 enum rn_exit rn_client_fail(const struct rn_error *err);
+// As rn_client_fail, of what could not be written: a failure, whatever the status.
+enum rn_exit rn_client_not_written(const struct rn_error *err);
 // The same of any text; returns `code`.
 enum rn_exit rn_client_error(enum rn_exit code, const char *where, const char *fmt, ...)
     RN_PRINTF(3, 4);

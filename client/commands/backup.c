@@ -62,7 +62,7 @@ static enum rn_exit run_backup(struct rn_client *client, const void *options, co
     int fd = open(partial, O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC, 0600);
     if (fd < 0) {
         rn_error_from_errno(&err, errno, partial, "create");
-        return rn_client_error(RN_EXIT_FAILED, err.where, "%s", err.text);
+        return rn_client_not_written(&err);
     }
     enum rn_exit code = download(client, opt->scene, file, fd);
     if (fstat(fd, &about) != 0) about.st_size = 0;

@@ -162,8 +162,7 @@ static enum rn_exit plot(const char *file, const char *scene, const struct rn_cu
     enum rn_status status = rn_buf_status(&svg, file, &err);
     if (status == RN_OK) status = rn_file_write_atomic(file, svg.data, svg.size, &err);
     rn_buf_finish(&svg);
-    return status == RN_OK ? RN_EXIT_OK
-                           : rn_client_error(RN_EXIT_FAILED, err.where, "%s", err.text);
+    return status == RN_OK ? RN_EXIT_OK : rn_client_not_written(&err);
 }
 
 // ---- the table ------------------------------------------------------------------------------

@@ -168,8 +168,7 @@ static enum rn_exit write_cloud(const struct rn_cloud *cloud, const char *file) 
     if (rn_cloud_encode_ply(cloud, &bytes, &size, &err) != RN_OK) return rn_client_fail(&err);
     enum rn_status status = rn_file_write_atomic(file, bytes, size, &err);
     free(bytes);
-    return status == RN_OK ? RN_EXIT_OK
-                           : rn_client_error(RN_EXIT_FAILED, err.where, "%s", err.text);
+    return status == RN_OK ? RN_EXIT_OK : rn_client_not_written(&err);
 }
 
 // What is printed in the end.

@@ -83,8 +83,7 @@ enum rn_exit rn_target_open(const char *out, bool overwrite, bool resume,
     if (resume && !noted && there && (target.is_film || holds_frames(out)))
         return rn_client_usage(out, "holds nothing that was interrupted; --overwrite replaces it");
     target.made = !there && !target.is_film;
-    if (target.made && rn_mkdirs(out, 0777, &err) != RN_OK)
-        return rn_client_error(RN_EXIT_FAILED, err.where, "%s", err.text);
+    if (target.made && rn_mkdirs(out, 0777, &err) != RN_OK) return rn_client_not_written(&err);
     *ret_target = target;
     return RN_EXIT_OK;
 }
@@ -236,7 +235,7 @@ enum rn_exit rn_gather(struct rn_client *client, const struct rn_target *target,
     int size = snprintf(id, sizeof id, "%s\n", job);
     enum rn_exit code = RN_EXIT_OK;
     if (rn_file_write_atomic(target->note, id, (size_t)size, &err) != RN_OK)
-        code = rn_client_error(RN_EXIT_FAILED, err.where, "%s", err.text);
+        code = rn_client_not_written(&err);
     if (code == RN_EXIT_OK) code = follow_and_bring(client, frames, first);
     free(frames);
     return code;

@@ -283,7 +283,7 @@ static enum rn_exit write_path(const char *file, const char *json, int64_t *ret_
     *ret_bytes = (int64_t)text.size;
     rn_buf_finish(&text);
     if (status == RN_OK) return RN_EXIT_OK;
-    return rn_client_error(RN_EXIT_FAILED, err.where, "%s", err.text);
+    return rn_client_not_written(&err);
 }
 
 // OUT is to be a camera path's file.
@@ -493,7 +493,7 @@ static enum rn_exit write_texts(const char *file, const struct rn_path_format *f
         status = rn_error_set(&err, RN_ERROR_NO_MEMORY, file, "no memory");
     free(path);
     if (status == RN_OK) return RN_EXIT_OK;
-    return rn_client_error(RN_EXIT_FAILED, err.where, "%s", err.text);
+    return rn_client_not_written(&err);
 }
 
 static enum rn_exit convert(struct rn_client *client, const struct paths_options *options,

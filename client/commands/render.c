@@ -266,7 +266,7 @@ static enum rn_exit run_render(struct rn_client *client, const void *context, co
     code = reply.code == RN_EXIT_OK ? RN_EXIT_OK : rn_api_complain(&reply);
     if (code == RN_EXIT_OK && rn_file_write_atomic(options->file, reply.http.body.data,
                                                    reply.http.body.size, &err) != RN_OK)
-        code = rn_client_error(RN_EXIT_FAILED, err.where, "%s", err.text);
+        code = rn_client_not_written(&err);
     if (code == RN_EXIT_OK) print_render(client, options->file, client_ms, &reply.http);
     rn_api_reply_finish(&reply);
     return code;

@@ -6,6 +6,7 @@ from support import checked
 from support.checked import Daemon
 from support.client import Client
 from support.daemon import Daemon as RealDaemon
+from support.fake_daemon import FakeDaemon
 from support.on_slurm import on_slurm, slow_runner, slurm, undisturbed  # noqa: F401, fixtures
 from support.photographs import write_dataset
 
@@ -65,6 +66,19 @@ def own(make_daemon, photographs):
     daemon = make_daemon({"RIPNERF_FAKE_STEP_US": "2000"})
     assert daemon.wait(daemon.upload("data", photographs))["state"] == "succeeded"
     return daemon
+
+
+@pytest.fixture
+def daemon():
+    """A stand-in for a daemon, without an engine; modules of other daemons have their own."""
+    with FakeDaemon() as fake:
+        yield fake
+
+
+@pytest.fixture
+def client(build, daemon, tmp_path):
+    """The client, of that daemon."""
+    return Client(build / "client" / "ripnerf", tmp_path, daemon.url)
 
 
 @pytest.fixture(scope="session")

@@ -18,16 +18,6 @@ from support.client import (CANCELLED, FAILED, INVALID, NOT_FOUND, OK, UNAUTHORI
 from support.fake_daemon import PNG, FakeDaemon, Problem
 from support.waiting import PATIENCE_S, wait_for
 
-@pytest.fixture
-def daemon():
-    with FakeDaemon() as fake:
-        yield fake
-
-
-@pytest.fixture
-def client(build, daemon, tmp_path):
-    return Client(build / "client" / "ripnerf", tmp_path, daemon.url)
-
 
 def write_png(path, width, height):
     def chunk(kind, data):

@@ -7,21 +7,9 @@ import subprocess
 import pytest
 
 from support import contract
-from support.client import FAILED, INVALID, NOT_FOUND, USAGE, Client
-from support.fake_daemon import FakeDaemon
+from support.client import FAILED, INVALID, NOT_FOUND, USAGE
 from support.waiting import PATIENCE_S
 from test_client import write_dataset
-
-
-@pytest.fixture
-def daemon():
-    with FakeDaemon() as fake:
-        yield fake
-
-
-@pytest.fixture
-def client(build, daemon, tmp_path):
-    return Client(build / "client" / "ripnerf", tmp_path, daemon.url)
 
 
 @pytest.fixture
