@@ -3,9 +3,9 @@
 #include <math.h>
 
 // Fitted to seventeen trainings of twelve datasets (tests/bench/figures.md, "Estimates").
-#define RISE                                                                                       \
-    2.08               // dB from the second look to the end of a training as long as the one begun,
-                       // times the square root of what was gained between the looks
+// From the second look to the end of a training as long as the one begun: dB, times the square root
+// of what was gained between the looks.
+#define RISE 2.08
 #define LONGER 0.3     // of that rise, what twice the time gains,
 #define SHRINKS 0.72   // and of that the next doubling
 #define LATER 1.43     // times as long takes a step of the whole as one before the second look

@@ -3,8 +3,6 @@
 //
 // RIPNERF_FAKE_STEP_US: microseconds a step takes (1000). RIPNERF_FAKE_ROW_US: a rendered row (0).
 // RIPNERF_FAKE_STEP_S: seconds that a step counts on the training clock (what it took).
-// RIPNERF_FAKE_PASS_S: seconds of that clock that an effect decided by passes over the photographs
-// takes at the first step, unless it is off (0).
 // RIPNERF_FAKE_HOLD: a file; while it is there no training goes beyond 1000 steps.
 // RIPNERF_FAKE_LOAD_MS: milliseconds that making a trainer takes (0).
 // RIPNERF_FAKE_NEED_MB: memory that a training says it needs (1).
@@ -370,12 +368,6 @@ static bool is_done(const struct rn_trainer *trainer) {
            (config->until_psnr > 0 && field->psnr >= config->until_psnr);
 }
 
-static double pass_seconds(const struct rn_train_config *config) {
-    int passes = (config->effect[RN_EFFECT_POSE_REFINEMENT] != RN_EFFECT_UNWANTED) +
-                 (config->effect[RN_EFFECT_ROBUST_LOSS] != RN_EFFECT_UNWANTED);
-    return (double)passes * (double)setting("RIPNERF_FAKE_PASS_S", 0);
-}
-
 static bool is_held(const struct rn_field *field) {
     const char *path = getenv("RIPNERF_FAKE_HOLD");
     return field->steps >= HELD_AT && path && access(path, F_OK) == 0;
@@ -396,7 +388,7 @@ enum rn_status rn_trainer_advance(struct rn_trainer *trainer, double budget_ms,
         usleep(step_us);
         if (is_held(field)) break;
         field->state = field->state * 6364136223846793005u + 1442695040888963407u;
-        if (field->steps++ == 0) field->train_seconds += pass_seconds(&field->config);
+        field->steps++;
         double now = now_s();
         field->train_seconds += step_s ? atof(step_s) : now - last;
         last = now;
