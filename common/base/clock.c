@@ -17,6 +17,10 @@ int64_t rn_clock_ns(void) {
     return monotonic_source ? monotonic_source() : read_clock(CLOCK_MONOTONIC, 1000000000);
 }
 
+int64_t rn_clock_thread_ns(void) {
+    return read_clock(CLOCK_THREAD_CPUTIME_ID, 1000000000);
+}
+
 int64_t rn_clock_wall_ms(void) {
     return wall_source ? wall_source() : read_clock(CLOCK_REALTIME, 1000);
 }

@@ -7,6 +7,9 @@
 // Monotonic time in nanoseconds since an arbitrary origin (CLOCK_MONOTONIC). Thread-safe.
 int64_t rn_clock_ns(void);
 
+// CPU time of the calling thread in nanoseconds: what it did, not how long it waited for a core.
+int64_t rn_clock_thread_ns(void);
+
 // Wall time in milliseconds since 1970-01-01T00:00:00Z; may jump. Thread-safe.
 int64_t rn_clock_wall_ms(void);
 
