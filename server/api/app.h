@@ -96,6 +96,10 @@ enum rn_status rn_api_most_upload(struct rn_app *app, const struct rn_caller *ca
 // RN_ERROR_CONFLICT when there is a dataset of that name. imports.c
 enum rn_status rn_api_check_free_name(struct rn_app *app, const char *name,
                                       struct rn_error *err) RN_MUST_CHECK;
+// What a request is known by if it comes once more: a token has keys of its own. The kinds are ':',
+// an Idempotency-Key, and '/', an upload; no token's id has either. imports.c
+void rn_api_own_key(const struct rn_caller *caller, char kind, const char *key,
+                    char ret_key[RN_KEY_MAX]);
 // An upload that is there; where its bytes are (malloc, NULL without memory). uploads.c
 bool rn_api_find_upload(struct rn_app *app, const char *id, struct rn_upload_record *ret_upload);
 char *rn_api_upload_path(struct rn_app *app, const struct rn_upload_record *upload);

@@ -172,13 +172,18 @@ static void submit(struct rn_app *app, struct rn_request *request, struct rn_sub
     free(options_json);
 }
 
+void rn_api_own_key(const struct rn_caller *caller, char kind, const char *key,
+                    char ret_key[RN_KEY_MAX]) {
+    snprintf(ret_key, RN_KEY_MAX, "%s%c%s", caller->id, kind, key);
+}
+
 // The same request once more, whose answer was lost: the upload is the job's by now.
-static bool reply_earlier(struct rn_app *app, const struct rn_dataset_request *wanted,
-                          struct rn_reply *reply) {
+static bool reply_earlier(struct rn_app *app, const char *own_key,
+                          const struct rn_dataset_request *wanted, struct rn_reply *reply) {
     struct rn_key_row key;
     struct rn_error err = {0};
     char *json = NULL;
-    if (rn_store_find(app->store, &rn_keys, "id", wanted->upload, &key, NULL) != RN_OK ||
+    if (rn_store_find(app->store, &rn_keys, "id", own_key, &key, NULL) != RN_OK ||
         strcmp(key.digest, wanted->name) != 0)
         return false;
     enum rn_status status = rn_control_job_json(app->control, key.job, &json, &err);
@@ -191,7 +196,9 @@ static bool reply_earlier(struct rn_app *app, const struct rn_dataset_request *w
 static void import_upload(struct rn_app *app, struct rn_request *request,
                           const struct rn_dataset_request *wanted, struct rn_reply *reply) {
     struct rn_upload_record upload;
-    if (reply_earlier(app, wanted, reply)) return;
+    char key[RN_KEY_MAX];
+    rn_api_own_key(rn_request_caller(request), '/', wanted->upload, key);
+    if (reply_earlier(app, key, wanted, reply)) return;
     if (!rn_api_find_upload(app, wanted->upload, &upload)) {
         rn_reply_problem(reply, RN_PROBLEM_NOT_FOUND, "there is no upload '%s'", wanted->upload);
         return;
@@ -205,7 +212,7 @@ static void import_upload(struct rn_app *app, struct rn_request *request,
     struct rn_submission submission = {.dataset = wanted->name,
                                        .spooled = path,
                                        .upload_bytes = upload.size_bytes,
-                                       .key = wanted->upload,
+                                       .key = key,
                                        .digest = wanted->name};
     if (path == NULL)
         rn_reply_no_memory(reply);

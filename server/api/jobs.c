@@ -155,7 +155,7 @@ void rn_create_job(void *context, struct rn_request *request, struct rn_reply *r
     size_t size;
     const char *body = (const char *)rn_request_body(request, &size);
     const char *key = rn_request_header(request, "Idempotency-Key");
-    char *json = NULL, id[RN_ID_MAX], hex[65];
+    char *json = NULL, id[RN_ID_MAX], hex[65], own_key[RN_KEY_MAX];
     if (key != NULL && (key[0] == '\0' || strlen(key) > 128)) {
         rn_reply_problem(reply, RN_PROBLEM_INVALID, "Idempotency-Key must have 1 to 128 bytes");
         return;
@@ -173,7 +173,9 @@ void rn_create_job(void *context, struct rn_request *request, struct rn_reply *r
         return;
     }
     digest(body, size, hex);
-    enum rn_status status = submit(context, request, &wanted, key, hex, id, &json, &err);
+    if (key != NULL) rn_api_own_key(caller, ':', key, own_key);
+    enum rn_status status =
+        submit(context, request, &wanted, key != NULL ? own_key : NULL, hex, id, &json, &err);
     rn_job_request_finish(&wanted);
     reply_accepted(status, &err, id, json, reply);
 }

@@ -58,7 +58,7 @@ struct rn_submission {
     const char *spooled;  // ingest: an uploaded tar or scene, taken over on success
     int64_t upload_bytes; // of it
     const char *options;  // JSON
-    const char *key, *digest;       // Idempotency-Key and a digest of the request; NULL: none
+    const char *key, *digest;       // what makes it once, and a digest of the request; NULL: none
     const struct rn_caller *caller; // whose job it is, within its quotas; NULL: nobody's
     const char *traceparent;        // that it is part of (common/base/trace.h); NULL, "": of none
 };

@@ -132,9 +132,10 @@ struct rn_metric_row { // a held-out figure of a training job
     double psnr; // NAN: there is nothing to compare with
 };
 
-struct rn_key_row { // Idempotency-Key
+#define RN_KEY_MAX 160
+struct rn_key_row { // of what is submitted once, however often it is asked for
     int64_t seq;
-    char id[129]; // the key
+    char id[RN_KEY_MAX];
     char digest[65];
     char job[RN_ID_MAX];
     int64_t created_ms;

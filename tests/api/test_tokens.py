@@ -75,6 +75,34 @@ def test_only_the_maker_or_an_admin_changes_a_thing(guarded):
     assert guarded.delete("/v1/scenes/ready").status == 204
 
 
+def test_a_token_has_keys_of_its_own(guarded):
+    """Who sends another token's key, or asks for its upload once more, learns nothing of either."""
+    anna, ben = (make(guarded, name, scope="train")["token"] for name in ("anna", "ben"))
+
+    def ask(token, path, body, key="once"):
+        return guarded.post(path, body, headers={"Authorization": f"Bearer {token}", "Idempotency-Key": key})
+
+    other = {**EVAL, "options": {"split": "test", "views": 1}}
+    first = [ask(token, "/v1/jobs", body) for token, body in ((anna, EVAL), (ben, other), (OWN, EVAL))]
+    jobs = [reply.json["id"] for reply in first]
+    assert len(set(jobs)) == 3, [reply.body for reply in first]
+    assert [ask(token, "/v1/jobs", body).json["id"]
+            for token, body in ((anna, EVAL), (ben, other), (OWN, EVAL))] == jobs
+    refused = ask(ben, "/v1/jobs", EVAL)
+    assert refused.status == 409 and jobs[1] in refused.json["detail"] and jobs[0] not in refused.json["detail"]
+
+    upload = guarded.post("/v1/uploads", {"size_bytes": 1024}).json["id"]
+    part = {"Content-Type": "application/offset+octet-stream", "Upload-Offset": "0"}
+    assert guarded.request("PATCH", f"/v1/uploads/{upload}", bytes(1024), part).status == 204
+    wanted = {"name": "sent", "upload": upload}
+    sent = ask(anna, "/v1/datasets", wanted)
+    assert sent.status == 202 and ask(anna, "/v1/datasets", wanted).json["id"] == sent.json["id"]
+    assert ask(ben, "/v1/datasets", wanted).status == 404
+    assert ask(anna, "/v1/jobs", EVAL, key=upload).status == 202
+    for job in (*jobs, sent.json["id"]):
+        guarded.wait(job)
+
+
 def test_a_link_shows_one_thing(guarded):
     """A scene at any camera, or a path's pictures; not its photographs, not another scene."""
     guarded.train("other")
