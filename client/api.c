@@ -4,6 +4,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/stat.h>
 
 #include "common/base/file.h"
 #include "proto/problem.h"
@@ -111,6 +112,31 @@ enum rn_exit rn_client_error(enum rn_exit code, const char *where, const char *f
 
 enum rn_exit rn_client_not_written(const struct rn_error *err) {
     return rn_client_error(RN_EXIT_FAILED, err->where, "%s", err->text);
+}
+
+enum rn_exit rn_client_check_target(const char *file, bool overwrite) {
+    struct rn_error err = {0};
+    struct stat about;
+    const char *slash = strrchr(file, '/');
+    if (stat(file, &about) == 0) {
+        if (S_ISDIR(about.st_mode)) return rn_client_usage(file, "is a folder; name a file in it");
+        if (overwrite) return RN_EXIT_OK;
+        return rn_client_usage(file, "is there already; --overwrite replaces it");
+    }
+    char *folder = slash ? strndup(file, (size_t)(slash + 1 - file)) : strdup(".");
+    int errnum = !folder ? ENOMEM : stat(folder, &about) != 0 ? errno : 0;
+    free(folder);
+    if (errnum == 0) return RN_EXIT_OK;
+    rn_error_from_errno(&err, errnum, file, "create");
+    return rn_client_not_written(&err);
+}
+
+enum rn_exit rn_client_check_source(const char *path) {
+    struct rn_error err = {0};
+    struct stat about;
+    if (stat(path, &about) == 0 || (errno != ENOENT && errno != ENOTDIR)) return RN_EXIT_OK;
+    rn_error_set(&err, RN_ERROR_NOT_FOUND, path, "there is no such file or folder");
+    return rn_client_fail(&err);
 }
 
 struct made_file {

@@ -68,13 +68,18 @@ void rn_client_errors_as_json(void);
 enum rn_exit rn_client_fail(const struct rn_error *err);
 // As rn_client_fail, of what could not be written: a failure, whatever the status.
 enum rn_exit rn_client_not_written(const struct rn_error *err);
-// The same of any text; returns `code`.
+// As rn_client_fail, of any text; returns `code`.
 enum rn_exit rn_client_error(enum rn_exit code, const char *where, const char *fmt, ...)
     RN_PRINTF(3, 4);
 // {"error": JSON} on stderr.
 void rn_client_error_json(const char *json);
 // As rn_client_error, for a wrong command line.
 #define rn_client_usage(where, ...) rn_client_error(RN_EXIT_USAGE, where, __VA_ARGS__)
+// Before a file is made: fails where something has its name already, unless that is a file which
+// `overwrite` lets go, or where the folder is missing that it is to lie in.
+enum rn_exit rn_client_check_target(const char *file, bool overwrite);
+// RN_EXIT_NOT_FOUND where a file or folder that is to be read is missing.
+enum rn_exit rn_client_check_source(const char *path);
 // {"file", "bytes"} on stdout, of a verb whose result is a file or folder.
 enum rn_exit rn_client_print_file(const char *file, int64_t bytes);
 // A line on stderr beside an error or a result; none where errors are JSON.

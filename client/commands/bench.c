@@ -136,7 +136,7 @@ static enum rn_exit run_bench(struct rn_client *client, const void *context, con
     if (options->preset) argv[n++] = "--preset", argv[n++] = options->preset;
     if (options->kernels) argv[n++] = "--kernels", argv[n++] = options->kernels;
     struct rn_buf report;
-    enum rn_exit code = rn_local_run(argv, &report), shown = RN_EXIT_OK;
+    enum rn_exit code = rn_local_run(argv, client->json, &report), shown = RN_EXIT_OK;
     if (report.size > 0) shown = show(client, &report);
     rn_buf_finish(&report);
     return code != RN_EXIT_OK ? code : shown;

@@ -5,7 +5,6 @@
 #include <stdlib.h>
 #include <string.h>
 #include <strings.h>
-#include <unistd.h>
 
 #include "client/commands/submit.h"
 #include "client/table.h"
@@ -217,9 +216,7 @@ static enum rn_exit check_plot(const struct curve_options *options) {
     if (!options->plot) return RN_EXIT_OK;
     if (!dot || strcasecmp(dot, ".svg") != 0)
         return rn_client_usage("--plot", "must end in .svg; it is '%s'", options->plot);
-    if (!options->overwrite && access(options->plot, F_OK) == 0)
-        return rn_client_usage(options->plot, "is there already; --overwrite replaces it");
-    return RN_EXIT_OK;
+    return rn_client_check_target(options->plot, options->overwrite);
 }
 
 static enum rn_exit run_curve(struct rn_client *client, const void *context, const char **args) {

@@ -282,9 +282,12 @@ static enum rn_exit validate_scene(const struct rn_client *client, const char *p
 
 static enum rn_exit run_validate(struct rn_client *client, const void *context, const char **args) {
     struct capture capture = {.dataset = NULL};
-    if (rn_is_scene_file(args[0])) return validate_scene(client, args[0]);
-    if (!take_options(context, &capture.asked)) return RN_EXIT_USAGE;
-    enum rn_exit code = examine_capture(args[0], context, client->json, true, &capture);
+    bool scene = rn_is_scene_file(args[0]);
+    if (!scene && !take_options(context, &capture.asked)) return RN_EXIT_USAGE;
+    enum rn_exit code = rn_client_check_source(args[0]);
+    if (code != RN_EXIT_OK) return code;
+    if (scene) return validate_scene(client, args[0]);
+    code = examine_capture(args[0], context, client->json, true, &capture);
     finish_capture(&capture);
     return code;
 }
@@ -427,9 +430,10 @@ static enum rn_exit run_import(struct rn_client *client, const void *context, co
     bool scene = rn_is_scene_file(args[0]);
     if (!options->name) return rn_client_usage("import", "needs --name N");
     if (check_scene_options(options, scene) != RN_EXIT_OK) return RN_EXIT_USAGE;
+    if (!scene && !take_options(options, &capture.asked)) return RN_EXIT_USAGE;
     if (scene) return rn_import_scene(client, args[0], options->name, options->dataset);
-    if (!take_options(options, &capture.asked)) return RN_EXIT_USAGE;
     enum rn_exit code = check_name(client, options->name);
+    if (code == RN_EXIT_OK) code = rn_client_check_source(args[0]);
     if (code != RN_EXIT_OK) return code;
     code = examine_capture(args[0], options, client->json, false, &capture);
     bool left = capture.dataset || capture.photos.count;
@@ -587,7 +591,7 @@ const struct rn_verb rn_verbs_dataset[] = {
      .summary = "check a dataset here, before anything is sent",
      .details = "Recognises the folder's format by its files, reads it and decodes its images.\n"
                 "Takes the options of import, so that it says what import would do. Exit code 4\n"
-                "when there is an error.",
+                "when there is an error, 3 when there is nothing of that name.",
      .args_min = 1,
      .args_max = 1,
      .table = import_table,

@@ -135,7 +135,7 @@ static enum rn_exit examine(struct rn_client *client, const struct doctor_option
         if (options->replay) argv[n++] = "--replay", argv[n++] = options->replay;
     }
     struct rn_buf report;
-    enum rn_exit code = rn_local_run(argv, &report), shown = RN_EXIT_OK;
+    enum rn_exit code = rn_local_run(argv, client->json, &report), shown = RN_EXIT_OK;
     if (report.size > 0) shown = show(client, &report);
     rn_buf_finish(&report);
     return code != RN_EXIT_OK ? code : shown;
@@ -148,7 +148,9 @@ static enum rn_exit run_doctor(struct rn_client *client, const void *context, co
     char folder[512];
     if (!args[0] && options->replay)
         return rn_client_usage("--replay", "needs the scene: ripnerf doctor SCENE --replay FILE");
-    if (!args[0]) return examine(client, options, NULL, "");
+    enum rn_exit code = options->replay ? rn_client_check_source(options->replay) : RN_EXIT_OK;
+    if (code != RN_EXIT_OK || !args[0])
+        return code != RN_EXIT_OK ? code : examine(client, options, NULL, "");
     int size = snprintf(folder, sizeof folder, "%s/ripnerf-doctor-XXXXXX",
                         parent && *parent ? parent : "/tmp");
     if (size >= (int)sizeof folder) return rn_client_usage("TMPDIR", "is too long a name");
@@ -156,7 +158,7 @@ static enum rn_exit run_doctor(struct rn_client *client, const void *context, co
         rn_error_from_errno(&err, errno, folder, "make a folder");
         return rn_client_fail(&err);
     }
-    enum rn_exit code = examine(client, options, args[0], folder);
+    code = examine(client, options, args[0], folder);
     if (rn_remove_tree(folder, &err) != RN_OK) {
         enum rn_exit left = rn_client_fail(&err);
         if (code == RN_EXIT_OK) code = left;

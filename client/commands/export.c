@@ -22,6 +22,7 @@ struct export_options {
     const char *out, *as, *crop, *max_loss;
     int64_t views, max_size, cells;
     double level, max_bytes;
+    bool overwrite;
 };
 static const char *const export_names[] = {"points", "mesh", "scene", NULL};
 #define EXPORT(m) .offset = offsetof(struct export_options, m)
@@ -86,6 +87,10 @@ static const struct rn_option export_table[] = {
      EXPORT(out),
      .value = "FILE",
      .help = "the file: .ply, or .obj of a mesh; .ripscene of a scene"},
+    {.name = "overwrite",
+     .kind = RN_OPTION_FLAG,
+     EXPORT(overwrite),
+     .help = "replace FILE where it is there"},
     {0}};
 
 // A picture of the scene through a camera, as a PNG; the reply is the caller's to finish.
@@ -219,12 +224,9 @@ static bool ends_in(const char *text, const char *end) {
 static enum rn_exit export_surface(struct rn_client *client, const struct export_options *options,
                                    const char *scene, const double box[2][3]) {
     struct rn_export_options wanted;
-    bool obj = ends_in(options->out, ".obj");
-    if (!obj && !ends_in(options->out, ".ply"))
-        return rn_client_usage(options->out, "is no file of a mesh; use .ply or .obj");
     rn_message_init(&rn_export_options_table, &wanted);
     wanted.as = RN_EXPORT_MESH;
-    wanted.format = obj ? RN_EXPORT_OBJ : RN_EXPORT_PLY;
+    wanted.format = ends_in(options->out, ".obj") ? RN_EXPORT_OBJ : RN_EXPORT_PLY;
     if (options->cells != RN_OPTION_ABSENT) wanted.cells = options->cells;
     wanted.level = options->level;
     if (box) memcpy(wanted.crop, box, sizeof wanted.crop);
@@ -243,8 +245,6 @@ static enum rn_exit export_scene(struct rn_client *client, const struct export_o
     struct rn_export_options wanted;
     rn_message_init(&rn_export_options_table, &wanted);
     wanted.as = RN_EXPORT_SCENE;
-    if (!ends_in(options->out, ".ripscene"))
-        return rn_client_usage(options->out, "is no file of a scene; use .ripscene");
     if (options->max_loss && !parse_loss(options->max_loss, &wanted.max_loss))
         return rn_client_usage("--max-loss", "must be dB from 0 to 100, such as 0.05dB; it is '%s'",
                                options->max_loss);
@@ -262,6 +262,17 @@ static const char *stray(const struct export_options *o) {
     return !points && !mesh && o->crop ? "--crop" : NULL;
 }
 
+static enum rn_exit check_out(const struct export_options *o) {
+    bool scene = o->as && strcmp(o->as, "scene") == 0, mesh = o->as && strcmp(o->as, "mesh") == 0;
+    if (scene && !ends_in(o->out, ".ripscene"))
+        return rn_client_usage(o->out, "is no file of a scene; use .ripscene");
+    if (mesh && !ends_in(o->out, ".obj") && !ends_in(o->out, ".ply"))
+        return rn_client_usage(o->out, "is no file of a mesh; use .ply or .obj");
+    if (!scene && !mesh && !ends_in(o->out, ".ply"))
+        return rn_client_usage(o->out, "is no file of points; use .ply");
+    return rn_client_check_target(o->out, o->overwrite);
+}
+
 static enum rn_exit run_export(struct rn_client *client, const void *context, const char **args) {
     const struct export_options *options = context;
     struct rn_scene scene;
@@ -273,14 +284,14 @@ static enum rn_exit run_export(struct rn_client *client, const void *context, co
     if (stray(options))
         return rn_client_usage(stray(options), "is not of --as %s",
                                options->as ? options->as : "points");
+    enum rn_exit code = check_out(options);
+    if (code != RN_EXIT_OK) return code;
     if (options->as && strcmp(options->as, "scene") == 0)
         return export_scene(client, options, args[0]);
     if (options->as && strcmp(options->as, "mesh") == 0)
         return export_surface(client, options, args[0],
                               options->crop ? (const double(*)[3])box : NULL);
-    if (!ends_in(options->out, ".ply"))
-        return rn_client_usage(options->out, "is no file of points; use .ply");
-    enum rn_exit code = rn_api_get(client, "scenes", args[0], "", &rn_scene_table, &scene);
+    code = rn_api_get(client, "scenes", args[0], "", &rn_scene_table, &scene);
     if (code != RN_EXIT_OK) return code;
     if (!*scene.dataset) {
         rn_message_finish(&rn_scene_table, &scene);

@@ -4,7 +4,6 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-#include <unistd.h>
 
 #include "client/commands/submit.h"
 #include "client/table.h"
@@ -202,9 +201,7 @@ static enum rn_exit check_report(const struct ladder_options *options) {
     if (!format_of(options->report))
         return rn_client_usage("--report", "must end in .html, .csv or .json; it is '%s'",
                                options->report);
-    if (!options->overwrite && access(options->report, F_OK) == 0)
-        return rn_client_usage(options->report, "is there already; --overwrite replaces it");
-    return RN_EXIT_OK;
+    return rn_client_check_target(options->report, options->overwrite);
 }
 
 // "/v1/jobs/JOB/report?format=..."; malloc'd.

@@ -291,9 +291,7 @@ static enum rn_exit check_path_file(const struct path_options *options) {
     char given[64];
     if (rn_options_given(picture_table, options, given, sizeof given))
         return rn_client_usage(given, "is of pictures; %s is a camera path", options->out);
-    if (!options->overwrite && access(options->out, F_OK) == 0)
-        return rn_client_usage(options->out, "is there already; --overwrite replaces it");
-    return RN_EXIT_OK;
+    return rn_client_check_target(options->out, options->overwrite);
 }
 
 static enum rn_exit save_path(const struct rn_client *client, const struct path_options *options,
@@ -506,14 +504,14 @@ static enum rn_exit convert(struct rn_client *client, const struct paths_options
     char *text = NULL, *beside = NULL;
     bool given = false;
     if (!in || !out) return rn_client_usage("paths", "convert needs IN and OUT");
-    if (!options->overwrite && access(out, F_OK) == 0)
-        return rn_client_usage(out, "is there already; --overwrite replaces it");
+    enum rn_exit code = rn_client_check_target(out, options->overwrite);
+    if (code != RN_EXIT_OK) return code;
     enum rn_status status = import_file(options, in, &path, &from, &err);
     bool ours = status == RN_OK && from == rn_path_formats[0]; // --space and --dataset are of OUT's
     if (ours) status = find_space(options, to, &space, &given, &err);
     if (status == RN_OK)
         status = rn_path_export(path, to, given ? &space : NULL, &text, &beside, &err);
-    enum rn_exit code = status == RN_OK ? write_texts(out, to, text, beside) : rn_client_fail(&err);
+    code = status == RN_OK ? write_texts(out, to, text, beside) : rn_client_fail(&err);
     if (code == RN_EXIT_OK && client->json)
         code = rn_client_print_file(out, (int64_t)strlen(text));
     else if (code == RN_EXIT_OK)

@@ -93,7 +93,8 @@ static const struct rn_option render_table[] = {
      RENDER(file),
      .value = "FILE",
      .members = "format",
-     .help = "the picture: .png, .jpg, .jpeg, or .exr: linear colour, alpha, depth,\nnormals"},
+     .help = "the picture: .png, .jpg, .jpeg, or .exr: linear colour, alpha, depth,\nnormals; one "
+             "that is there is replaced"},
     {.name = "format",
      .kind = RN_OPTION_CHOICE,
      RENDER(format),
@@ -241,7 +242,8 @@ static enum rn_exit check_render(const struct render_options *options) {
     if (!options->file) return rn_client_usage("render", "needs -o FILE");
     if (format_of(options) < 0)
         return rn_client_usage(options->file, "must end in .png, .jpg, .jpeg or .exr");
-    return rn_check_budget(options->settings);
+    enum rn_exit code = rn_client_check_target(options->file, true);
+    return code == RN_EXIT_OK ? rn_check_budget(options->settings) : code;
 }
 
 static enum rn_exit run_render(struct rn_client *client, const void *context, const char **args) {
@@ -408,7 +410,9 @@ const struct rn_verb rn_verbs_render[] = {
          "each of\n"
          "the dataset's axes from -1 to 1. Cost (samples a pixel), level (of the ripmap, at the "
          "surface)\n"
-         "and footprint (diameter of a pixel's cone there) are heat maps whose scale is printed.",
+         "and footprint (diameter of a pixel's cone there) are heat maps whose scale is printed.\n"
+         "FILE is replaced where it is there: a picture is made again in a moment, and over and "
+         "over\nwith other settings. No other verb replaces a file without --overwrite.",
      .args_min = 1,
      .args_max = 1,
      .table = render_table,

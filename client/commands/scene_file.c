@@ -127,7 +127,8 @@ enum rn_exit rn_import_scene(struct rn_client *client, const char *path, const c
                              const char *dataset) {
     struct sending sending = {.file = NULL};
     char job[RN_ID_MAX];
-    enum rn_exit code = rn_check_scene_file(path, &sending.bytes);
+    enum rn_exit code = rn_client_check_source(path);
+    if (code == RN_EXIT_OK) code = rn_check_scene_file(path, &sending.bytes);
     if (code != RN_EXIT_OK) return code;
     char *query = query_of(name, dataset);
     sending.file = fopen(path, "rb");

@@ -10,7 +10,7 @@
 
 #include "common/base/buf.h"
 
-#define BLOCK 512
+#define BLOCK RN_TAR_BLOCK
 #define MAX_FILES 1000000
 #define MAX_FILE_BYTES 077777777777 // eleven octal digits
 
@@ -135,27 +135,23 @@ const struct rn_error *rn_tar_error(const struct rn_tar *tar) {
     return &tar->error;
 }
 
-// The header of POSIX.1-1988: fixed fields, numbers in octal, mode 0644, no owner, no time.
-static void put_header(struct rn_tar *tar, const struct member *member) {
-    char *header = tar->block;
-    const char *name = split_name(member->name);
-    memset(header, 0, BLOCK);
-    memcpy(header, name, strlen(name));
-    if (name > member->name) memcpy(header + 345, member->name, (size_t)(name - member->name) - 1);
-    snprintf(header + 100, 8, "%07o", 0644);
-    snprintf(header + 108, 8, "%07o", 0);
-    snprintf(header + 116, 8, "%07o", 0);
-    snprintf(header + 124, 12, "%011llo", (unsigned long long)member->size_bytes);
-    snprintf(header + 136, 12, "%011o", 0);
-    header[156] = '0';
-    memcpy(header + 257, "ustar\00000", 8);
+void rn_tar_header(const char *name, uint64_t size_bytes, int64_t mtime_s, char ret[BLOCK]) {
+    const char *last = split_name(name);
+    memset(ret, 0, BLOCK);
+    memcpy(ret, last, strlen(last));
+    if (last > name) memcpy(ret + 345, name, (size_t)(last - name) - 1);
+    snprintf(ret + 100, 8, "%07o", 0644);
+    snprintf(ret + 108, 8, "%07o", 0);
+    snprintf(ret + 116, 8, "%07o", 0);
+    snprintf(ret + 124, 12, "%011llo", (unsigned long long)size_bytes);
+    snprintf(ret + 136, 12, "%011llo", (unsigned long long)mtime_s);
+    ret[156] = '0';
+    memcpy(ret + 257, "ustar\00000", 8);
     unsigned sum = 8 * ' '; // the sum's own field counts as blanks
     for (size_t i = 0; i < BLOCK; i++)
-        sum += (unsigned char)header[i];
-    snprintf(header + 148, 8, "%06o", sum);
-    header[155] = ' ';
-    tar->block_size = BLOCK;
-    tar->block_used = 0;
+        sum += (unsigned char)ret[i];
+    snprintf(ret + 148, 8, "%06o", sum);
+    ret[155] = ' ';
 }
 
 static void put_zeros(struct rn_tar *tar, size_t size) {
@@ -180,7 +176,9 @@ static bool advance(struct rn_tar *tar) {
         return false;
     }
     tar->left = member->size_bytes;
-    put_header(tar, member);
+    rn_tar_header(member->name, member->size_bytes, 0, tar->block);
+    tar->block_size = BLOCK;
+    tar->block_used = 0;
     return true;
 }
 

@@ -34,6 +34,12 @@ size_t rn_tar_read(struct rn_tar *tar, char *buffer, size_t capacity);
 bool rn_tar_seek(struct rn_tar *tar, uint64_t offset);
 const struct rn_error *rn_tar_error(const struct rn_tar *tar);
 
+// The header of POSIX.1-1988 (ustar) before a regular file's bytes, which are padded to whole
+// blocks: numbers in octal, mode 0644, no owner. `name` is one that rn_tar_add takes; sizes have 33
+// bits, as have times from 1970 on.
+#define RN_TAR_BLOCK 512
+void rn_tar_header(const char *name, uint64_t size_bytes, int64_t mtime_s, char ret[RN_TAR_BLOCK]);
+
 struct rn_tar_contents {
     int64_t files, bytes;
 };

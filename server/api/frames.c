@@ -10,11 +10,12 @@
 
 #include "common/base/buf.h"
 #include "common/base/manifest.h"
+#include "common/base/tar.h"
 #include "proto/event.h"
 #include "proto/export.h"
 #include "server/api/app.h"
 
-#define BLOCK 512
+#define BLOCK RN_TAR_BLOCK
 
 // The extensions that a frame may have, each once.
 static const char *const extensions[] = {"png", "jpg", "exr", NULL};
@@ -246,7 +247,9 @@ void rn_get_scene_export(void *context, struct rn_request *request, struct rn_re
 
 // ---- tar --------------------------------------------------------------------------------------
 
-// An archive being sent: for each frame a header block, the file and padding; two zero blocks.
+// An archive being sent: for each frame a header block, the file and padding; two zero blocks. Not
+// an rn_tar, nor libarchive's: this thread must not wait, and rn_tar looks at every file before the
+// first byte (frames may be 100,000), while libarchive pushes what the connection pulls.
 struct archive {
     int folder;
     int *frames;
@@ -255,29 +258,6 @@ struct archive {
     int64_t left, padding;
     int end_blocks;
 };
-
-static void put_octal(char *field, size_t size, long long value) {
-    snprintf(field, size, "%0*llo", (int)size - 1, value);
-}
-
-// POSIX ustar header of a regular file.
-static void make_header(uint8_t block[BLOCK], const char *name, const struct stat *info) {
-    char *header = (char *)block;
-    unsigned sum = 0;
-    memset(block, 0, BLOCK);
-    snprintf(header, 100, "%s", name);
-    put_octal(header + 100, 8, 0644);
-    put_octal(header + 108, 8, 0);
-    put_octal(header + 116, 8, 0);
-    put_octal(header + 124, 12, (long long)info->st_size);
-    put_octal(header + 136, 12, (long long)info->st_mtime);
-    memset(header + 148, ' ', 8);
-    header[156] = '0';
-    memcpy(header + 257, "ustar\00000", 8);
-    for (int i = 0; i < BLOCK; i++)
-        sum += block[i];
-    snprintf(header + 148, 8, "%06o", sum);
-}
 
 // The next header, or an end block. False: an error.
 static bool next_block(struct archive *archive, uint8_t block[BLOCK]) {
@@ -297,7 +277,7 @@ static bool next_block(struct archive *archive, uint8_t block[BLOCK]) {
     if (archive->fd < 0 || fstat(archive->fd, &info) != 0) return false;
     archive->left = info.st_size;
     archive->padding = (BLOCK - info.st_size % BLOCK) % BLOCK;
-    make_header(block, name, &info);
+    rn_tar_header(name, (uint64_t)info.st_size, info.st_mtime, (char *)block);
     return true;
 }
 

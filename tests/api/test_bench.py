@@ -103,4 +103,7 @@ def test_the_table_names_every_stage(client, tmp_path):
 def test_unknown_kernels_are_refused(client, tmp_path):
     result = client.run("bench", "--kernels", "mmx", code=USAGE, TMPDIR=str(tmp_path))
     assert "mmx" in result.stderr and not result.stdout
+    said = client.run("bench", "--kernels", "mmx", "--json", code=USAGE, TMPDIR=str(tmp_path))
+    error = json.loads(said.stderr)["error"]
+    assert "mmx" in error["detail"] and error["exit_code"] == USAGE and not said.stdout
     assert not list(tmp_path.iterdir())

@@ -6,9 +6,7 @@ import pty
 import re
 import signal
 import socket
-import struct
 import subprocess
-import zlib
 
 import pytest
 
@@ -16,37 +14,13 @@ from support import contract
 from support.client import (CANCELLED, FAILED, INVALID, NOT_FOUND, OK, UNAUTHORISED, UNREACHABLE,
                             USAGE, Client)
 from support.fake_daemon import PNG, FakeDaemon, Problem
+from support.photographs import write_blank, write_blank_dataset
 from support.waiting import PATIENCE_S, wait_for
-
-
-def write_png(path, width, height):
-    def chunk(kind, data):
-        body = kind + data
-        return struct.pack(">I", len(data)) + body + struct.pack(">I", zlib.crc32(body))
-    header = struct.pack(">IIBBBBB", width, height, 8, 6, 0, 0, 0)
-    rows = (b"\0" + bytes(4 * width)) * height
-    path.write_bytes(b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) +
-                     chunk(b"IDAT", zlib.compress(rows)) + chunk(b"IEND", b""))
-
-
-def write_dataset(folder, views=3):
-    """A NeRF-synthetic dataset of blank images, with a file that no JSON names."""
-    pose = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 4], [0, 0, 0, 1]]
-    for split in ("train", "val", "test"):
-        (folder / split).mkdir(parents=True)
-        for i in range(views):
-            write_png(folder / split / f"r_{i}.png", 16, 12)
-        frames = [{"file_path": f"./{split}/r_{i}", "transform_matrix": pose}
-                  for i in range(views)]
-        (folder / f"transforms_{split}.json").write_text(
-            json.dumps({"camera_angle_x": 0.69, "frames": frames}))
-    write_png(folder / "test" / "r_0_depth_0001.png", 16, 12)
-    return folder
 
 
 @pytest.fixture
 def folder(tmp_path):
-    return write_dataset(tmp_path / "blank")
+    return write_blank_dataset(tmp_path / "blank")
 
 
 @pytest.fixture
@@ -178,7 +152,7 @@ def test_a_file_of_a_dataset_is_not_its_folder(client, folder, tmp_path):
                         (folder / "val" / "r_1.png", folder)):
         assert client.run("validate", name, code=INVALID).stdout == (
             f"error    {name}: is a file; give the folder: {meant}\n")
-    write_png(tmp_path / "a.png", 4, 4)
+    write_blank(tmp_path / "a.png", 4, 4)
     assert "give the folder: .\n" in client.run("validate", "a.png", code=INVALID).stdout
 
 
@@ -316,7 +290,19 @@ def test_names_in_a_dataset_cannot_command_the_terminal(client, folder):
 
 def test_validate_of_nothing(client, tmp_path):
     assert client.json("validate", tmp_path, code=INVALID)["errors"] == 1
-    client.run("validate", tmp_path / "missing", code=INVALID)
+
+
+@pytest.mark.parametrize("verb", [["validate", "MISSING"], ["validate", "MISSING.ripscene"],
+                                  ["import", "MISSING", "--name", "x"],
+                                  ["import", "MISSING.ripscene", "--name", "x"],
+                                  ["validate", "blank/transforms_train.json/MISSING"],
+                                  ["restore", "MISSING"], ["restore", "MISSING", "new"],
+                                  ["doctor", "lego", "--replay", "MISSING"]])
+def test_a_local_file_that_is_missing_is_not_found(client, folder, daemon, tmp_path, verb):
+    said = client.run(*verb, code=NOT_FOUND)
+    assert "MISSING" in said.stderr and not said.stdout and "nothing was sent" not in said.stderr
+    assert json.loads(client.run(*verb, "--json", code=NOT_FOUND).stderr)["error"]["exit_code"] == NOT_FOUND
+    assert not daemon.uploads and not daemon.jobs and not (tmp_path / "new").exists()
 
 
 def test_import_sends_exactly_the_files_that_the_json_names(client, folder, daemon):
@@ -336,7 +322,7 @@ def test_import_sends_exactly_the_files_that_the_json_names(client, folder, daem
 
 def test_import_with_a_slash_and_long_names(client, tmp_path, daemon):
     deep = tmp_path / "deep"
-    write_dataset(deep, views=1)
+    write_blank_dataset(deep, views=1)
     inner = "a" * 90 + "/" + "b" * 90
     (deep / inner).mkdir(parents=True)
     (deep / "train" / "r_0.png").rename(deep / inner / "r_0.png")

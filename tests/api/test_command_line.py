@@ -8,8 +8,8 @@ import pytest
 
 from support import contract
 from support.client import FAILED, INVALID, NOT_FOUND, USAGE
+from support.photographs import write_blank_dataset
 from support.waiting import PATIENCE_S
-from test_client import write_dataset
 
 
 @pytest.fixture
@@ -42,8 +42,8 @@ def test_help_fits_a_terminal_for_every_verb(client, build):
     (["path", "lego", "none.json", "-o", "out"], NOT_FOUND, "none.json")])
 def test_every_error_is_one_object_where_json_is_asked_for(client, daemon, tmp_path, arguments, code, word):
     daemon.add_scene("lego", daemon.add_dataset("lego"))
-    write_dataset(tmp_path / "blank")
-    (write_dataset(tmp_path / "broken") / "train" / "r_1.png").write_text("")
+    write_blank_dataset(tmp_path / "blank")
+    (write_blank_dataset(tmp_path / "broken") / "train" / "r_1.png").write_text("")
     said = client.run(*arguments, "--json", code=code)
     error = json.loads(said.stderr)["error"]
     assert word in json.dumps(error) and said.stdout == ""

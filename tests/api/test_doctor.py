@@ -136,8 +136,8 @@ def test_a_record_of_another_scene_is_refused(client, tmp_path):
 def test_a_wrong_record_is_named(client, tmp_path, spoil, what):
     record = incident()
     spoil(record)
-    result = replay(client, tmp_path, record, USAGE)
-    assert f"record.json{what}" in result.stderr
+    error = json.loads(replay(client, tmp_path, record, USAGE).stderr)["error"]
+    assert error["where"].endswith(f"record.json{what}") and error["exit_code"] == USAGE
 
 
 def test_a_checkpoint_with_a_spoilt_number_does_not_pass(build, client, daemon, tmp_path):
@@ -157,7 +157,7 @@ def test_what_is_missing_is_said(client, alone, tmp_path):
     assert "needs the scene" in alone.run("doctor", "--replay", "x", code=USAGE).stderr
     assert alone.run("doctor", "ball", code=UNREACHABLE, TMPDIR=str(tmp_path)).stderr
     assert not list(tmp_path.iterdir())
-    assert client.run("doctor", "ball", "--replay", str(tmp_path / "no"), code=USAGE).stderr
+    assert client.run("doctor", "ball", "--replay", str(tmp_path / "no"), code=NOT_FOUND).stderr
     assert client.run("doctor", "ball", TMPDIR="/nowhere", code=NOT_FOUND).stderr
 
 

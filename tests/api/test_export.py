@@ -7,7 +7,7 @@ import struct
 import pytest
 from PIL import Image
 
-from support.client import NOT_FOUND, USAGE
+from support.client import FAILED, NOT_FOUND, USAGE
 
 
 def read_points(path):
@@ -94,6 +94,24 @@ def test_a_mesh_lies_on_the_sphere(ball, tmp_path):
     lines = (tmp_path / "half.obj").read_text().splitlines()
     heights = [float(line.split()[3]) for line in lines if line.startswith("v ")]
     assert heights and min(heights) >= -1e-6
+
+
+def test_what_is_there_is_kept_unless_asked(ball, tmp_path):
+    for options in (["-o", "kept.ply"], ["--as", "mesh", "-o", "kept.obj"],
+                    ["--as", "scene", "-o", "kept.ripscene"]):
+        kept = tmp_path / options[-1]
+        kept.write_text("mine")
+        said = ball.run("export", "nothing", *options[:-1], kept, code=USAGE).stderr
+        assert f"{kept}: is there already; --overwrite replaces it" in said
+        ball.run("export", "nothing", *options[:-1], kept, "--overwrite", code=NOT_FOUND)
+        assert kept.read_text() == "mine"
+    ball.run("export", "ball", "--views", 2, "--max-size", 16, "-o", tmp_path / "kept.ply", "--overwrite")
+    assert (tmp_path / "kept.ply").read_bytes().startswith(b"ply")
+    (tmp_path / "folder.ply").mkdir()
+    said = ball.run("export", "ball", "-o", tmp_path / "folder.ply", "--overwrite", code=USAGE)
+    assert "is a folder" in said.stderr
+    said = ball.run("export", "nothing", "-o", tmp_path / "nowhere" / "a.ply", code=FAILED).stderr
+    assert "nowhere/a.ply: cannot create" in said
 
 
 def test_what_is_refused(ball, tmp_path):

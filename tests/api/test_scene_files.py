@@ -79,7 +79,7 @@ def test_a_budget_is_kept(ball, tmp_path):
     assert finest["bits"] == 32 and finest["loss"] == 0
     bits, most = [32], finest["bytes"]
     while bits[-1] > 4:
-        said = export(ball, tmp_path / "less.ripscene", "--max-bytes", most - 1)
+        said = export(ball, tmp_path / "less.ripscene", "--overwrite", "--max-bytes", most - 1)
         assert said["bytes"] < most and said["bits"] < bits[-1]
         bits.append(said["bits"])
         most = said["bytes"]
@@ -91,7 +91,7 @@ def test_a_budget_is_kept(ball, tmp_path):
     assert said["bits"] == 4 and said["loss"] <= 5
     coarse = said["loss"]
     assert coarse > 0.001  # or the next line would say nothing
-    said = export(ball, tmp_path / "loss.ripscene", "--max-loss", f"{coarse / 2}dB")
+    said = export(ball, tmp_path / "loss.ripscene", "--overwrite", "--max-loss", f"{coarse / 2}dB")
     assert said["bits"] > 4 and said["loss"] <= coarse / 2
     refused = export(ball, tmp_path / "none.ripscene", "--max-bytes", most, "--max-loss", "0",
                      code=INVALID)

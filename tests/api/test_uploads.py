@@ -5,11 +5,11 @@ import socket
 from pathlib import Path
 
 import pytest
-from test_client import write_dataset
 
 from support.checked import Daemon, make_tar
 from support.client import Client
 from support.fake_daemon import FakeDaemon
+from support.photographs import write_blank_dataset
 
 PART = "application/offset+octet-stream"
 
@@ -133,7 +133,7 @@ def test_open_uploads_have_a_limit(make_daemon):
 
 @pytest.mark.parametrize("cut_after", [0, 100, 3000])
 def test_the_client_goes_on_after_a_lost_connection(build, tmp_path, cut_after):
-    folder = write_dataset(tmp_path / "blank")
+    folder = write_blank_dataset(tmp_path / "blank")
     with FakeDaemon() as daemon:
         daemon.cut_after = cut_after
         client = Client(build / "client" / "ripnerf", tmp_path, daemon.url)

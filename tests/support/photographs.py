@@ -26,3 +26,21 @@ def write_dataset(folder, size=16, train=6, val=8, test=4):
         (folder / f"transforms_{split}.json").write_text(
             json.dumps({"camera_angle_x": 0.7, "frames": frames}))
     return folder
+
+
+def write_blank(path, width, height):
+    """A picture that is transparent all over."""
+    Image.new("RGBA", (width, height)).save(path)
+
+
+def write_blank_dataset(folder, views=3):
+    """The same layout of blank photographs, with a file that no JSON names."""
+    for split in ("train", "val", "test"):
+        (folder / split).mkdir(parents=True)
+        for i in range(views):
+            write_blank(folder / split / f"r_{i}.png", 16, 12)
+        frames = [{"file_path": f"./{split}/r_{i}", "transform_matrix": pose(0)} for i in range(views)]
+        (folder / f"transforms_{split}.json").write_text(
+            json.dumps({"camera_angle_x": 0.69, "frames": frames}))
+    write_blank(folder / "test" / "r_0_depth_0001.png", 16, 12)
+    return folder
