@@ -117,7 +117,12 @@ class Script:
             self.tell(reply.json)
         return reply is not None and reply.status == 200
 
+    def rests(self):
+        seen = self.ask("GET", f"/v1/scenes/n{self.round}")
+        return seen is not None and seen.status == 200 and not seen.json["loaded"]
+
     def step_path(self):
+        wait_for(self.rests)  # its job starts a runner, or meets the last picture's: 208 stacks that came by chance
         job = self.job_of(self.ask("POST", "/v1/jobs", json_body={
             "type": "path", "scene": f"n{self.round}", "camera_path": PATH}))
         if job is None or job["state"] != "succeeded":
@@ -142,8 +147,13 @@ class Script:
                 if path.is_file() and path.name != "lock" and not path.name.startswith(".")}
 
     def step_backup(self):
+        return self.backup({})
+
+    def step_backup_of_scene(self):
+        return self.backup({"scene": f"n{self.round}"})
+
+    def backup(self, query):
         """All or nothing."""
-        query = random.choice(({}, {"scene": f"n{self.round}"}))
         reply = self.ask("GET", "/v1/backup", query=query)
         if reply is None or reply.status != 200:
             if reply is not None:
@@ -194,8 +204,9 @@ class Script:
     def step_delete_dataset(self):
         return self.gone("datasets")
 
-    STEPS = ["import", "train", "render", "path", "camera_path", "token", "list", "backup", "delete_scene",
-             "delete_dataset", "adopt", "delete_camera_path", "delete_scene", "delete_dataset"]
+    RESTORE = ["delete_scene", "delete_dataset", "adopt"]
+    STEPS = ["import", "train", "render", "path", "camera_path", "token", "list", "backup", *RESTORE,
+             "backup_of_scene", *RESTORE, "delete_camera_path", "delete_scene", "delete_dataset"]
 
     def run(self, chance):
         """Once through, with as many failures as there are new stacks; how many there were. With chance

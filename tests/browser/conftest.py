@@ -7,11 +7,11 @@ import time
 from pathlib import Path
 
 import pytest
+from support.waiting import PATIENCE_S
 
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE))
 CHROMIUM, DRIVER = "/usr/bin/chromium", "/usr/bin/chromedriver"
-WAIT_S = 120  # the machine may be busy
 
 
 def missing():
@@ -43,7 +43,7 @@ return JSON.parse(Object.entries(sessionStorage).find(([k]) => k.startsWith('rip
     def all(self, css):
         return self.driver.find_elements("css selector", css)
 
-    def until(self, what, describe, wait_s=WAIT_S):
+    def until(self, what, describe, wait_s=PATIENCE_S):
         """The first true value of what(), polled; stale elements are looked for again."""
         from selenium.common.exceptions import StaleElementReferenceException
 
@@ -61,7 +61,7 @@ return JSON.parse(Object.entries(sessionStorage).find(([k]) => k.startsWith('rip
                 )
             time.sleep(0.05)
 
-    def find(self, css, wait_s=WAIT_S):
+    def find(self, css, wait_s=PATIENCE_S):
         return self.until(
             lambda: next((e for e in self.all(css) if e.is_displayed()), None), css, wait_s
         )
@@ -70,12 +70,12 @@ return JSON.parse(Object.entries(sessionStorage).find(([k]) => k.startsWith('rip
         elements = self.all(css)
         return elements[0].text if elements else ""
 
-    def says(self, words, css="main", wait_s=WAIT_S):
+    def says(self, words, css="main", wait_s=PATIENCE_S):
         return self.until(
             lambda: any(words in e.text for e in self.all(css)), f"{words!r} in {css}", wait_s
         )
 
-    def button(self, words, wait_s=WAIT_S):
+    def button(self, words, wait_s=PATIENCE_S):
         def look():
             return next(
                 (
@@ -215,7 +215,7 @@ def driver(tmp_path_factory, downloads):
         options.add_argument(flag)
     options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
     chrome = webdriver.Chrome(service=webdriver.chrome.service.Service(DRIVER), options=options)
-    chrome.set_script_timeout(60)
+    chrome.set_script_timeout(PATIENCE_S)
     chrome.execute_cdp_cmd(
         "Browser.setDownloadBehavior", {"behavior": "allow", "downloadPath": str(downloads.folder)}
     )

@@ -4,9 +4,8 @@ import os
 import re
 import signal
 import subprocess
-import time
 
-import pytest
+from support.waiting import PATIENCE_S, wait_for
 
 LISTENING = re.compile(r"listening on (http://\S+)")
 
@@ -31,19 +30,20 @@ class Daemon:
         self.url = self.wait_for_address()
 
     def wait_for_address(self):
-        end = time.monotonic() + 20
-        while time.monotonic() < end and self.process.poll() is None:
-            found = LISTENING.search(self.log.read_text(encoding="utf-8"))
-            if found:
-                return found.group(1) + "/"
-            time.sleep(0.05)
-        pytest.fail(f"ripnerfd did not start:\n{self.log.read_text(encoding='utf-8')}")
+        def log():
+            return self.log.read_text(encoding="utf-8")
+
+        def listening():
+            assert self.process.poll() is None, log()
+            return LISTENING.search(log())
+
+        return wait_for(listening, said=log).group(1) + "/"
 
     def stop(self):
         if self.process.poll() is not None:
             return self.process.returncode
         self.process.send_signal(signal.SIGTERM)
         try:
-            return self.process.wait(30)
+            return self.process.wait(PATIENCE_S)
         finally:
             self.process.kill()

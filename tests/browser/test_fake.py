@@ -1,11 +1,11 @@
 """The stand-in answers in the shapes of the API document: the states shown are real ones."""
 
 import json
-import time
 import urllib.request
 
 import pytest
 from support import contract
+from support.waiting import wait_for
 
 
 def get(api, path):
@@ -30,12 +30,7 @@ def test_answers_conform(fake):
         submit(api, {"type": "eval", "scene": "sphere-draft"}),
         submit(api, {"type": "path", "scene": "sphere-draft", "camera_path": path}),
     ]
-    end = time.monotonic() + 20
-    while (
-        any(get(api, f"v1/jobs/{job['id']}")["state"] != "succeeded" for job in done)
-        and time.monotonic() < end
-    ):
-        time.sleep(0.1)
+    wait_for(lambda: all(get(api, f"v1/jobs/{job['id']}")["state"] == "succeeded" for job in done))
     for what, schema in (
         ("datasets", "DatasetList"),
         ("scenes", "SceneList"),

@@ -1,9 +1,8 @@
 """A page that stays open keeps nothing of the views that were left: no nodes, no listeners, no
 pictures or addresses of some, no streams of events."""
 
-import time
-
 import pytest
+from support.waiting import wait_for
 
 pytest.importorskip("selenium", reason="python3-selenium is not installed")
 
@@ -69,8 +68,10 @@ def test_views_that_were_left_leave_nothing(page, fake):
     before = page.until(lambda: (now := held(page, api))["streams"] == 1 and now, "one stream of events")
     for _ in range(2):
         around()
-    end = time.monotonic() + 15
-    while any((now := held(page, api))[name] > before[name] + few for name, few in FEW.items()):
-        assert time.monotonic() < end, f"{now} is held, {before} before"
-        time.sleep(0.1)
+    now = {}
+
+    def all_gone():
+        now.update(held(page, api))
+        return all(now[name] <= before[name] + few for name, few in FEW.items())
+    wait_for(all_gone, said=lambda: f"{now} is held, {before} before")
     assert page.complaints() == []

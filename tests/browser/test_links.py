@@ -8,6 +8,7 @@ import urllib.error
 import urllib.request
 
 import pytest
+from support.waiting import PATIENCE_S
 
 pytest.importorskip("selenium", reason="python3-selenium is not installed")
 
@@ -31,7 +32,7 @@ def client(build, tmp_path):
 
     def run(*words):
         done = subprocess.run([build / "client/ripnerf", *words], env=environment, text=True,
-                              cwd=tmp_path, capture_output=True, timeout=60, check=False)
+                              cwd=tmp_path, capture_output=True, timeout=PATIENCE_S, check=False)
         assert done.returncode == 0, done.stderr
         return done.stdout.strip()
     run.url = url
@@ -40,7 +41,7 @@ def client(build, tmp_path):
     run("train", "data", "--name", "ball", "--max-steps", "20", "--wait")
     yield run
     process.terminate()
-    process.wait(20)
+    process.wait(PATIENCE_S)
     process.stdout.close()
 
 

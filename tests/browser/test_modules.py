@@ -373,7 +373,25 @@ def test_the_next_coarse_picture_is_asked_for_when_the_daemon_should_be_done(bla
         const {createViewer} = await load('viewer.js');
         const canvas = Object.assign(document.createElement('canvas'), {width: 40, height: 30});
         const blob = await new Promise((yes) => canvas.toBlob(yes));
-        const pause = (ms) => new Promise((yes) => setTimeout(yes, ms));
+        // A clock of the test's own: what is due is done at its time, however long that takes.
+        const real = [setTimeout, clearTimeout, performance.now];
+        const timers = new Map();
+        let [clock, serial] = [1000, 0];
+        window.setTimeout = (call, ms = 0) => (timers.set(++serial, [clock + ms, call]), serial);
+        window.clearTimeout = (id) => timers.delete(id);
+        performance.now = () => clock;
+        const settle = () => new Promise((yes) => real[0].call(window, yes));
+        const pause = async (ms) => {
+          const end = clock + ms;
+          for (await settle();; await settle()) {
+            const next = [...timers].filter(([, [at]]) => at <= end).sort(([, a], [, b]) => a[0] - b[0])[0];
+            if (!next) break;
+            timers.delete(next[0]);
+            clock = next[1][0];
+            next[1][1]();
+          }
+          clock = end;
+        };
         const asked = [];
         const host = {
           camera: (width, height) => ({width, height, pose: asked.length}),
@@ -392,6 +410,7 @@ def test_the_next_coarse_picture_is_asked_for_when_the_daemon_should_be_done(bla
         await pause(50);
         counts.push(await moved(100) - await moved(100));
         stop.abort();
+        [window.setTimeout, window.clearTimeout, performance.now] = real;
         return counts;"""
     )
     # one until it is answered, then the camera of meanwhile; a third 300 ms after that, no fourth

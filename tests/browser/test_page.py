@@ -108,7 +108,6 @@ def record(page, keys):
     page.until(
         lambda: len([image for image in page.all(".key img") if image.is_displayed()]) == keys,
         "their pictures",
-        60,
     )
 
 
@@ -155,11 +154,10 @@ def test_whole_path_with_the_pretending_engine(page, daemon, sphere, downloads):
 
 
 def test_a_second_scene_of_the_same_name_is_refused_at_its_field(page, daemon, sphere):
-    # A training that is still seen to train when the page looks.
-    server = daemon("tests/support/ripnerf-runner-fake", {"RIPNERF_FAKE_STEP_US": "50000"})
+    server = daemon("tests/support/ripnerf-runner-fake", {"RIPNERF_FAKE_STEP_US": "2000"})
     page.open(server.url)
     upload(page, sphere)
-    train(page, {"Steps": 200})
+    train(page, {"Time": 3600})
     page.open(server.url + "#/dataset/ball")
     page.type(page.field("Scene’s name"), "ball")
     page.press("Start training")

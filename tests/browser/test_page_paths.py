@@ -330,6 +330,8 @@ def test_through_a_lens_quality_is_cones_and_without_a_curve_nothing_is_promised
 
 def test_a_path_that_was_cancelled_is_gone_on_with(page, fake):
     api = fake("busy")
+    go_on = api.world.advance_path
+    api.world.advance_path = lambda job, dt: len(api.world.frames.get(job["id"], {})) < 9 and go_on(job, dt)
     page.open(api.url + "#/scene/sphere-draft")
     page.press("Whole turn")
     page.press("Render the path")
@@ -338,6 +340,7 @@ def test_a_path_that_was_cancelled_is_gone_on_with(page, fake):
     page.says("cancelled", ".chip")
     first = api.world.jobs[0]["id"]
     made = len(api.world.frames[first])
+    api.world.advance_path = go_on
     page.press("Resume")
     page.until(lambda: api.world.jobs[0]["id"] != first, "another job")
     again = api.world.jobs[0]["id"]
@@ -384,7 +387,9 @@ def test_w_flies_forward_and_stops(scene):
     scene.until(lambda: len(scene.all(".key")) == 1, "a key")
     stage = scene.find(".stage")
     stage.click()
-    ActionChains(scene.driver).key_down("w").pause(0.4).key_up("w").perform()
+    ActionChains(scene.driver).key_down("w").perform()
+    scene.run("for (let i = 0; i < 20; i++) await new Promise(requestAnimationFrame);")
+    ActionChains(scene.driver).key_up("w").perform()
     stage.send_keys("k")
     scene.until(lambda: len(scene.all(".key")) == 2, "another key")
     stage.send_keys("k")
@@ -420,7 +425,7 @@ def test_preview_and_daemon_agree_on_arcs_and_speed(page, fake, build, tmp_path)
         (tmp_path / "a.json").write_text(json.dumps({"path": document}))
         subprocess.run([build / "client/ripnerf", "paths", "convert", tmp_path / "a.json",
                         tmp_path / "b.json", "--to", "transforms", "--overwrite"],
-                       check=True, capture_output=True, timeout=60)
+                       check=True, capture_output=True, timeout=120)
         frames = json.loads((tmp_path / "b.json").read_text())["frames"]
         shown = page.run(
             """

@@ -12,6 +12,10 @@ from selenium.webdriver.common.action_chains import ActionChains  # noqa: E402
 from selenium.webdriver.common.keys import Keys  # noqa: E402
 
 
+def never(_job, _why):
+    """In the place of the end of a training that shall be seen to train, however long the page takes."""
+
+
 def quiet(page):
     """The browser has nothing to complain about: no script error, no breach of the CSP."""
     assert page.complaints() == []
@@ -84,6 +88,7 @@ def test_upload_import_and_train(page, fake, tmp_path):
     page.press("Look at it and train")
     page.says("What the import found")
     page.press("draft")
+    api.world.end_train = never
     page.press("Start training")
     page.says("training", ".page-head .chip")
     page.until(lambda: page.all(".chart .last"), "a point on the chart")
@@ -163,6 +168,7 @@ def test_an_effect_is_switched_off_before_a_training(page, fake):
     )
     assert [e.text for e in exposure.find_elements("css selector", "label")] == ["auto", "on", "off"]
     exposure.find_elements("css selector", "label")[2].click()
+    api.world.end_train = never
     page.press("Start training")
     page.says("training", ".page-head .chip")
     assert api.world.jobs[-1]["options"] == {
@@ -307,7 +313,7 @@ def test_directory_is_refused_with_its_reason(page, fake):
 def test_orbit_while_training_and_pause(page, fake):
     api = fake("bare")
     page.open(api.url + "#/dataset/sphere")
-    page.type(page.field("Time"), 3000)
+    page.type(page.field("Time"), 36000)
     page.press("Start training")
     page.until(lambda: page.ink() > 100, "a picture")
     stage = page.find(".stage")

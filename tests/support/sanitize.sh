@@ -20,7 +20,6 @@ build=$PWD/build-$kind
     meson setup "$build" --buildtype=debugoptimized "-Db_sanitize=$sanitizer" -Db_lundef=false \
         -Dcuda=disabled
 rm -f "$build"/report.*
-export CK_TIMEOUT_MULTIPLIER=10 # of a test case, as --timeout-multiplier of a program
 # A second SIGTERM ends the daemon at once, and waits for no thread.
 export TSAN_OPTIONS=halt_on_error=1:allocator_may_return_null=1:second_deadlock_stack=1:report_thread_leaks=0:log_path=$build/report
 export UBSAN_OPTIONS=halt_on_error=1:print_stacktrace=1:log_path=$build/report
@@ -38,10 +37,10 @@ tell() {
 }
 trap tell EXIT
 if [ $# -gt 0 ]; then
-    meson test -C "$build" --print-errorlogs --timeout-multiplier 10 "$@"
+    meson test -C "$build" --print-errorlogs "$@"
     exit
 fi
-meson test -C "$build" --print-errorlogs --timeout-multiplier 10 --suite unit
+meson test -C "$build" --print-errorlogs --suite unit
 # Requests, trainings, pictures, events, uploads and backups through the daemon, but for what counts on how
 # much a runner takes; then the whole way. In the sandbox leaks cannot be looked for, and no report be written.
 export RIPNERFD_SANDBOX=0

@@ -14,6 +14,8 @@
 #include "server/http/server.h"
 #include "tests/support/suite.h"
 
+#define PATIENCE_S 50 // the machine may be busy; a case has a minute
+
 static struct rn_http *http;
 static struct rn_ring *ring;
 static _Atomic(struct rn_parked *) parked;
@@ -61,7 +63,7 @@ static void enter(void) {
     struct rn_error err;
     parked = NULL;
     gone = 0;
-    park_ms = 10000;
+    park_ms = 1000 * PATIENCE_S;
     ck_assert_int_eq(rn_ring_create(10000, 64u << 20, &ring, &err), RN_OK);
     ck_assert_int_eq(rn_http_start(&options, &http, &err), RN_OK);
 }
@@ -73,7 +75,7 @@ static void leave(void) {
 
 static int ask(const char *path) {
     char text[128];
-    struct timeval timeout = {.tv_sec = 5};
+    struct timeval timeout = {.tv_sec = PATIENCE_S};
     struct sockaddr_in address = {.sin_family = AF_INET,
                                   .sin_port = htons(rn_http_port(http)),
                                   .sin_addr.s_addr = htonl(INADDR_LOOPBACK)};
@@ -93,16 +95,29 @@ static const char *read_some(int fd) {
     return text;
 }
 
+// Reads on until `words` have come, since an answer may come in several pieces; all that came.
+static const char *expect(int fd, const char *words) {
+    static char seen[8192];
+    *seen = '\0';
+    while (strstr(seen, words) == NULL) {
+        const char *more = read_some(fd);
+        ck_assert_msg(*more && strlen(seen) + strlen(more) < sizeof seen, "'%s' after '%.80s'",
+                      words, seen);
+        strcat(seen, more);
+    }
+    return seen;
+}
+
 static void expect_status(int fd, int status) {
     char wanted[32];
     snprintf(wanted, sizeof wanted, "HTTP/1.1 %d ", status);
-    const char *text = read_some(fd);
-    ck_assert_msg(strncmp(text, wanted, strlen(wanted)) == 0, "'%.40s'", text);
+    const char *text = expect(fd, wanted);
+    ck_assert_msg(text == strstr(text, wanted), "'%.40s'", text);
 }
 
 #define WAIT_UNTIL(condition)                                                                      \
     for (int tries = 0; !(condition); tries++) {                                                   \
-        ck_assert_msg(tries < 500, "%s does not come true", #condition);                           \
+        ck_assert_msg(tries < 100 * PATIENCE_S, "%s does not come true", #condition);              \
         usleep(10000);                                                                             \
     }
 
@@ -151,11 +166,11 @@ START_TEST(test_answer) {
     int fd = ask("/park");
     WAIT_UNTIL(parked != NULL);
     answer("later");
-    ck_assert_ptr_nonnull(strstr(read_some(fd), "\r\n\r\nlater"));
+    expect(fd, "\r\n\r\nlater");
     ck_assert_int_eq(gone, 0);
     close(fd);
     fd = ask("/at-once");
-    ck_assert_ptr_nonnull(strstr(read_some(fd), "\r\n\r\nat once"));
+    expect(fd, "\r\n\r\nat once");
     close(fd);
 }
 END_TEST
@@ -207,10 +222,10 @@ END_TEST
 START_TEST(test_drain) {
     int waiting = ask("/park"), stream = ask("/events");
     WAIT_UNTIL(parked != NULL);
-    ck_assert_ptr_nonnull(strstr(read_some(stream), "text/event-stream"));
+    expect(stream, "text/event-stream");
     int64_t begin_ns = rn_clock_ns();
-    rn_http_drain(http, 3000);
-    ck_assert_int_lt(rn_clock_ns() - begin_ns, 2500000000ll);
+    rn_http_drain(http, 1000 * PATIENCE_S);
+    ck_assert_int_lt(rn_clock_ns() - begin_ns, PATIENCE_S * 900000000ll);
     expect_status(waiting, 503);
     ck_assert_int_eq(gone, 1);
     rn_parked_answer(parked, NULL);
@@ -234,11 +249,9 @@ END_TEST
 
 START_TEST(test_stream) {
     int fd = ask("/events");
-    const char *text = read_some(fd);
-    ck_assert_ptr_nonnull(strstr(text, "200 OK"));
-    if (strstr(text, ": beat") == NULL) ck_assert_ptr_nonnull(strstr(read_some(fd), ": beat"));
+    ck_assert_ptr_nonnull(strstr(expect(fd, ": beat"), " 200 OK"));
     rn_ring_publish(ring, 5, "metric", "{}", NULL);
-    ck_assert_ptr_nonnull(strstr(read_some(fd), "id: 5\nevent: metric\ndata: {}\n\n"));
+    expect(fd, "id: 5\nevent: metric\ndata: {}\n\n");
     rn_ring_close(ring);
     read_some(fd); // the last chunk
     struct rn_http_stats stats;
@@ -263,7 +276,6 @@ END_TEST
 int main(void) {
     Suite *suite = suite_create("park");
     TCase *tcase = tcase_create("park");
-    tcase_set_timeout(tcase, 20);
     tcase_add_checked_fixture(tcase, enter, leave);
     tcase_add_test(tcase, test_answer);
     tcase_add_test(tcase, test_sent);
