@@ -35,9 +35,11 @@ enum rn_status rn_effects_read(const char *scene_folder, struct rn_effects_recor
                                struct rn_error *err) RN_MUST_CHECK;
 
 // POST /v1/scenes/{id}/effects, and the options of an `effects` job.
+#define RN_EFFECTS_SECONDS 10.0
+#define RN_EFFECTS_SEEDS 3
 struct rn_effects_options {
-    double seconds; // of each training; absent = 10
-    int64_t seeds;  // absent = 3
+    double seconds; // of each training; absent = RN_EFFECTS_SECONDS
+    int64_t seeds;  // pairs of trainings an effect; absent = RN_EFFECTS_SEEDS
 };
 extern const struct rn_table rn_effects_options_table;
 

@@ -32,6 +32,7 @@ static const struct rn_field_spec effect[] = {
     RN_F_TEXT(S, number_text, 0, NULL),
     RN_F_TEXT(S, threshold_text, 0, NULL),
     RN_F_TEXT(S, reason, RN_REQUIRED, NULL),
+    {.name = "measurable", .type = RN_TYPE_TRUTH, .offset = offsetof(S, measurable)},
 };
 static const struct rn_table effect_table = RN_TABLE(S, "an effect", effect);
 #undef S

@@ -23,6 +23,7 @@ struct rn_effect_entry {
     double number, threshold;
     char number_text[32], threshold_text[32]; // with their unit; "" = absent
     char reason[160];
+    int measurable; // 1: an effects job measures it; -1: not known, of an older build
 };
 
 // What a scene that came as a file for viewing is; bits absent: it was trained here.

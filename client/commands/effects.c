@@ -90,10 +90,24 @@ static void add_row(struct rn_text_table *table, const struct rn_effect_entry *e
                       picture, effect->reason);
 }
 
+// How long it takes to measure them, but for evaluations and what loads: "12 min of trainings"; ""
+// where that is not known.
+static void format_duration(const struct rn_scene_description *made, char *ret_text, size_t size) {
+    size_t count = 0;
+    char seconds[24];
+    for (size_t i = 0; i < made->effect_count; i++)
+        count += made->effects[i].measurable == 1;
+    rn_format_seconds(2 * (double)count * RN_EFFECTS_SEEDS * RN_EFFECTS_SECONDS, seconds,
+                      sizeof seconds);
+    snprintf(ret_text, size, "%s", "");
+    if (count) snprintf(ret_text, size, " (%s of trainings)", seconds);
+}
+
 static enum rn_exit print_effects(const struct rn_scene *scene,
                                   const struct rn_effects_record *measured) {
     struct rn_text_table table;
     struct rn_error err = {0};
+    char duration[48];
     const struct rn_scene_description *made = &scene->description;
     rn_text_table_init(&table, "EFFECT|STATE|>GAIN, DB|>+-|>TRAINING|>PICTURE|WHY");
     for (size_t i = 0; i < made->effect_count; i++)
@@ -109,8 +123,10 @@ static enum rn_exit print_effects(const struct rn_scene *scene,
         printf("the scene itself trained %.0f s: what gains late does not show in so short ones; "
                "--seconds %.0f tells\n",
                scene->train_seconds, scene->train_seconds);
-    else if (!measured)
-        printf("\nwhat they bring was not measured: ripnerf effects %s --measure\n", scene->name);
+    format_duration(made, duration, sizeof duration);
+    if (!measured)
+        printf("\nwhat they bring was not measured: ripnerf effects %s --measure%s\n", scene->name,
+               duration);
     return status == RN_OK ? RN_EXIT_OK : rn_client_fail(&err);
 }
 

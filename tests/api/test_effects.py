@@ -59,7 +59,8 @@ def test_effects_are_measured_anew_after_a_crash_and_can_be_cancelled(ready):
 def test_the_client_tells_effects(ready, build, tmp_path):
     client = Client(build / "client" / "ripnerf", tmp_path, f"http://127.0.0.1:{ready.port}")
     told = client.run("effects", "ready").stdout
-    assert "was not measured: ripnerf effects ready --measure" in told and "distortion" in told
+    assert "was not measured: ripnerf effects ready --measure (" in told and "of trainings)" in told
+    assert "distortion" in told
     client.run("effects", "ready", "--json", code=NOT_FOUND)
     told = client.run("effects", "ready", "--measure", "--seconds", "1", "--seeds", "1").stdout
     (line,) = [line for line in told.splitlines() if line.startswith("distortion")]

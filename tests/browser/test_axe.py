@@ -124,6 +124,15 @@ def test_every_job(page, fake, finds_nothing):
         finds_nothing(type)
 
 
+def test_a_photograph_and_a_training_like_another(page, fake, finds_nothing):
+    page.open(fake("busy").url + "#/dataset/sphere?like=sphere-draft")
+    page.says("As sphere-draft was trained", ".like")
+    finds_nothing("a training like another")
+    page.all(".photo")[0].click()
+    page.find(".enlarged-frame[data-state=ready]")
+    finds_nothing("a photograph enlarged")
+
+
 def test_the_tools_of_a_view(page, fake, finds_nothing):
     api = fake("busy")
     rich(api)

@@ -46,6 +46,49 @@ def test_several_trainings_are_drawn_over_each_other(page, fake):
     assert page.complaints() == []
 
 
+def test_a_ready_scene_is_trained_again_with_its_settings(page, fake):
+    api = fake("busy")
+    with api.world.lock:
+        job = next(j for j in api.world.jobs if j["type"] == "train")
+        job["options"].update(planes=6, until_plateau=True, effect_cones="off", kernels="avx2", seed=7)
+    page.open(api.url + "#/scene/sphere-draft")
+    page.press("Train again")
+    page.says("steps in 30 s, 31.47 dB", ".like")
+    page.says("Also as there: kernels avx2.", ".like")
+    name = page.field("Scene’s name")
+    assert name.get_attribute("value") == "sphere-draft-2"
+    time = page.field("Time")
+    assert time.get_attribute("value") == "30"
+    page.type(time, "45")
+    page.press("Start training")
+    page.says("sphere-draft-2", "h1")
+    assert api.world.jobs[0]["options"] == {
+        "preset": "draft", "train_split": "train", "max_time_s": 45, "seed": 7, "until_plateau": True,
+        "planes": 6, "effect_cones": "off", "kernels": "avx2"}
+    page.until(lambda: not any(e.text == "Train again" for e in page.all("a.button")), "none while it trains")
+    assert page.complaints() == []
+
+
+def test_a_photograph_is_enlarged(page, fake):
+    from selenium.webdriver.common.keys import Keys
+
+    page.open(fake("busy").url + "#/dataset/sphere")
+    second = page.until(lambda: page.all(".photo")[1:2], "a second photograph")[0]
+    second.send_keys(Keys.ENTER)
+    dialog = page.find("dialog.enlarged")
+    page.says("train:1 · 2 of 24", ".enlarged")
+    page.find(".enlarged-frame[data-state=ready]")
+    assert page.run("return document.querySelector('.enlarged img').naturalWidth;") == 200  # not the thumbnail
+    for key, words in ((Keys.ARROW_LEFT, "train:0 · 1 of 24"), (Keys.ARROW_LEFT, "train:23 · 24 of 24"),
+                       (Keys.ARROW_RIGHT, "train:0 · 1 of 24")):
+        dialog.send_keys(key)
+        page.says(words, ".enlarged")
+    dialog.send_keys(Keys.ESCAPE)
+    page.until(lambda: not page.all(".enlarged"), "the page alone")
+    assert page.run("return document.activeElement.className;") == "photo"
+    assert page.complaints() == []
+
+
 def test_a_report_is_whole_in_one_file(page, fake, downloads):
     api = fake("busy")
     api.world.curve = measured((0.06, 8, 27.5), (0, 200, 31.2))

@@ -81,8 +81,24 @@ def test_an_effect_that_is_off_over_its_threshold_says_why(page, fake):
     assert "and the rest that its reason names allows it" in page.text("[aria-label=Effects]")
 
 
+def test_how_long_measuring_takes_is_told_before(page, fake):
+    api = fake("busy")
+    effects = api.world.scenes[0]["effects"]
+    count = sum(effect["measurable"] for effect in effects)
+    page.open(api.url + "#/scene/sphere-draft")
+    page.says(f"takes {count} min 00 s and what loading", "[aria-label=Effects]")
+    page.says(f"3 pairs of trainings of 10 s for each of {count} that", "[aria-label=Effects]")
+    page.button("Measure")
+    for effect in effects:
+        effect["measurable"] = False
+    page.driver.refresh()
+    page.says("there is nothing to measure", "[aria-label=Effects]")
+    assert not any(e.is_displayed() for e in page.all("[aria-label=Effects] header button"))
+
+
 def test_gains_stand_apart_from_what_they_are_of(page, fake):
     page.open(fake("busy").url + "#/scene/sphere-draft")
+    page.press("4 differences")
     item = page.until(
         lambda: next((e for e in page.all(".differences li") if e.text.count("dB")), None),
         "a difference with its gain",

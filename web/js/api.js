@@ -180,7 +180,8 @@ export const api = {
   curve: (id, signal) => json('GET', `v1/scenes/${name(id)}/curve`, {signal}),
   measureCurve: (id) => json('POST', `v1/scenes/${name(id)}/curve`, {json: {}}),
   effects: (id, signal) => json('GET', `v1/scenes/${name(id)}/effects`, {signal}),
-  measureEffects: (id) => json('POST', `v1/scenes/${name(id)}/effects`, {json: {}}),
+  measureEffects: (id, options) =>
+      json('POST', `v1/scenes/${name(id)}/effects`, {json: options}),
   /** Training steps that were not finite: {count, items of file, incident}. */
   incidents: (id, signal) => json('GET', `v1/scenes/${name(id)}/incidents`, {signal}),
   evaluations: (id, signal) => list(`v1/scenes/${name(id)}/evaluations`, signal),

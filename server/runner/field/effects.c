@@ -11,8 +11,6 @@
 #include "server/runner/field/work.h"
 #include "server/runner/scene/describe.h"
 
-#define SECONDS 10.0 // of a training
-#define SEEDS 3
 #define MOST_SEEDS 16
 #define TURNS 10 // of a pair, each of a tenth of its time: a unit of the work
 #define ADVANCE_MS 50.0
@@ -150,8 +148,8 @@ static enum rn_status prepare(struct rn_work *work, struct rn_field *field, stru
     struct effects_work *effects = (struct effects_work *)work;
     enum rn_status status = rn_host_need_sound_dataset(work->host, err);
     if (status) return status;
-    effects->seconds = isnan(effects->options.seconds) ? SECONDS : effects->options.seconds;
-    effects->seeds = (int)rn_int_or(effects->options.seeds, SEEDS);
+    effects->seconds = rn_number_or(effects->options.seconds, RN_EFFECTS_SECONDS);
+    effects->seeds = (int)rn_int_or(effects->options.seeds, RN_EFFECTS_SEEDS);
     list_measures(effects, field);
     work->total = (size_t)(effects->count * effects->seeds * TURNS);
     return RN_OK;

@@ -56,7 +56,8 @@ static struct rn_effect_entry effect_entry(enum rn_effect which,
     struct rn_effect_entry entry = {.on = effect->on,
                                     .decided = effect->decided,
                                     .number = effect->number,
-                                    .threshold = effect->threshold};
+                                    .threshold = effect->threshold,
+                                    .measurable = rn_effect_is_optional(which, effect->on)};
     snprintf(entry.name, sizeof entry.name, "%s", effect->name);
     snprintf(entry.reason, sizeof entry.reason, "%s", effect->reason);
     rn_effect_text(which, effect->number, entry.number_text, sizeof entry.number_text);

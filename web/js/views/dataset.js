@@ -1,17 +1,18 @@
 // One dataset: its photographs, what the import found, its facts, and the way to train it.
 import {api} from '../api.js';
 import {fill, h, lazyImage} from '../dom.js';
-import {refreshSoon, state, watch} from '../store.js';
+import {find, refreshSoon, state, watch} from '../store.js';
 import {ago, bytes, percent, plural, seconds} from '../format.js';
 import {choice, confirmFirst, facts, panel, problemBox, scroller, skeleton} from '../ui.js';
 import {go, link} from '../router.js';
 import {cloudPanel} from './cloud.js';
+import {enlarge} from './enlarge.js';
 import {trainPanel} from './train.js';
 
 const FIRST = 24;
 const FIRST_ON_PHONE = 6;  // training is to be in sight soon after them
 
-export async function datasetView(root, {id, signal}) {
+export async function datasetView(root, {id, query, signal}) {
   const title = h('h1', null, id);
   const body = h('div', null, panel('Photographs', null, skeleton(4)));
   fill(
@@ -31,9 +32,12 @@ export async function datasetView(root, {id, signal}) {
             }
           }, stop.signal);
         });
-      const [cameras, words] =
-          await Promise.all([api.cameras(dataset.id, signal), api.formats(signal)]);
-      if (!signal.aborted) fill(body, page(dataset, cameras, words, signal));
+      const [cameras, words, like] = await Promise.all([
+        api.cameras(dataset.id, signal), api.formats(signal), trainingLike(query?.get('like'), signal)
+      ]);
+      if (signal.aborted) return;
+      fill(body, page(dataset, cameras, words, like, signal));
+      if (like) document.getElementById('train').scrollIntoView();
     } catch (error) {
       if (!signal.aborted) fill(body, problemBox(error, {again: load}));
     }
@@ -41,12 +45,19 @@ export async function datasetView(root, {id, signal}) {
   await load();
 }
 
-function page(dataset, cameras, words, signal) {
+/** A scene and the job that trained it, whose settings are asked for once more; null: none. */
+async function trainingLike(name, signal) {
+  const scene = name ? find(state.scenes, name) : null;
+  const job = scene?.job ? await api.job(scene.job, signal).catch(() => null) : null;
+  return job?.type === 'train' ? {scene, job} : null;
+}
+
+function page(dataset, cameras, words, like, signal) {
   return h(
       'div', {class: 'columns'},
       h('div', {class: 'main-column'}, photographs(dataset, cameras, signal),
         cloudPanel(dataset, cameras, signal), report(dataset.report)),
-      h('div', {class: 'side-column'}, trainPanel(dataset), about(dataset, words),
+      h('div', {class: 'side-column'}, trainPanel(dataset, like), about(dataset, words),
         scenesOf(dataset, signal)));
 }
 
@@ -64,18 +75,29 @@ function photographs(dataset, cameras, signal) {
       Math.min(
           dataset.scales - 1,
           Math.floor(Math.log2(Math.max(dataset.width, dataset.height) / 160))));
-  const photo = (split) => (index) =>
+  const photo = (split, every) => (index, at) =>
       h('figure', null,
-        lazyImage(
-            (stop) => api.photo(dataset.id, split, index, scale, stop),
-            {alt: `${split} view ${index}`}, signal),
+        h('button', {
+          type: 'button',
+          class: 'photo',
+          'aria-label': `Enlarge ${split} view ${index}`,
+          onclick: () => enlarge({
+            count: every.length,
+            at,
+            words: (i) => `${split}:${every[i]}`,
+            picture: (i, stop) => api.photo(dataset.id, split, every[i], 0, stop)
+          }, signal)
+        },
+          lazyImage(
+              (stop) => api.photo(dataset.id, split, index, scale, stop),
+              {alt: `${split} view ${index}`}, signal)),
         h('figcaption', null, `${split}:${index}`));
   const show = (all) => {
     const split = pick.control.value;
     const every = indices(split);
     const few = matchMedia('(max-width: 700px)').matches ? FIRST_ON_PHONE : FIRST;
     const shown = all ? every : every.slice(0, few);
-    fill(grid, shown.map(photo(split)));
+    fill(grid, shown.map(photo(split, every)));
     fill(
         more,
         shown.length < every.length ?

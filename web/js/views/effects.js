@@ -2,9 +2,23 @@
 import {api, Problem} from '../api.js';
 import {fill, h} from '../dom.js';
 import {isActive, isOver, means, putJob, watch} from '../store.js';
-import {fixed, plural} from '../format.js';
+import {fixed, plural, seconds} from '../format.js';
 import {action, meter, panel, progressWords, toast} from '../ui.js';
 import {jobButtons} from './jobs.js';
+
+/** What is asked of a measurement: each effect's pairs of trainings, of so many seconds each. */
+const ASKED = {seeds: 3, seconds: 10};
+
+/** How long it takes; null where a scene of an older build does not tell what can be measured. */
+function durationWords(effects) {
+  if (effects.some((effect) => effect.measurable === undefined)) return null;
+  const count = effects.filter((effect) => effect.measurable).length;
+  if (!count) return 'None of them can be left out: there is nothing to measure.';
+  const time = seconds(2 * count * ASKED.seeds * ASKED.seconds);
+  return `What they bring was not measured. That takes ${time} and what loading and evaluating add: ${
+      plural(ASKED.seeds, 'pair')} of trainings of ${ASKED.seconds} s for ${
+      count === 1 ? 'the one' : `each of ${count}`} that can be left out. Other jobs wait for it.`;
+}
 
 /** What an effect is called on the page: "scale-pyramid" is "Scale pyramid". */
 export const effectTitle = (name) =>
@@ -41,7 +55,7 @@ export function createEffects(scene, signal) {
   const under = h('div');
   const bar = meter('Measuring');
   const buttons = jobButtons(true);
-  const measure = action('Measure', async () => putJob(await api.measureEffects(scene.id)),
+  const measure = action('Measure', async () => putJob(await api.measureEffects(scene.id, ASKED)),
     {kind: 'small', title: 'Short trainings with each effect and without it: many minutes, for which other jobs wait'});
   let now = scene;
   let measured = null;
@@ -51,14 +65,16 @@ export function createEffects(scene, signal) {
     now = latest;
     const gains = new Map(measured?.gains.map((gain) => [gain.name, gain]));
     fill(list, now.effects.map((effect) => row(effect, gains.get(effect.name))));
-    measure.hidden = !now.effects.length;
+    measure.hidden = !now.effects.some((effect) => effect.measurable !== false);
     fill(words, now.effects.length ?
         'On where the number is over its threshold and the rest that its reason names allows it. What is off is not computed.' :
         'Decided when training begins.');
-    about.hidden = !measured;
-    if (measured)
-      fill(about, `Gains: ${plural(measured.seeds, 'pair')} of trainings of ${
-          measured.seconds} s with each and without, on withheld views (${measured.held_out}).`);
+    const told = measured ?
+        `Gains: ${plural(measured.seeds, 'pair')} of trainings of ${
+            measured.seconds} s with each and without, on withheld views (${measured.held_out}).` :
+        now.effects.length ? durationWords(now.effects) : null;
+    about.hidden = !told;
+    fill(about, told);
   }
 
   async function load() {
@@ -85,5 +101,5 @@ export function createEffects(scene, signal) {
     load();
   }, signal);
   show(scene);
-  return {node: panel('Effects', {tools: measure}, words, list, about, under), show};
+  return {node: panel('Effects', {tools: measure}, words, about, under, list), show};
 }

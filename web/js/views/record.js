@@ -8,21 +8,20 @@ import {reportOf} from '../report.js';
 import {go, link} from '../router.js';
 import {exportButtons, planesOf} from './exports.js';
 
+/** Folded: it is long, and few who look at a scene ask for it. */
 export function differencesPanel(scene) {
   const {differences} = scene;
   return panel(
       'Compared with the paper', null,
       differences.length ?
-          [
+          h('details', null, h('summary', null, plural(differences.length, 'difference')),
             h('p', {class: 'quiet'},
-              `${plural(differences.length, 'difference')}; the gain where it was measured, ` +
-                  'in test PSNR of lego after 15 s:'),
+              'With the gain where it was measured, in test PSNR of lego after 15 s:'),
             h('ul', {class: 'differences'},
               differences.map(
                   (item) =>
                       h('li', null, item.what,
-                        item.measured ? h('span', {class: 'gain'}, item.measured) : null)))
-          ] :
+                        item.measured ? h('span', {class: 'gain'}, item.measured) : null)))) :
           h('p', {class: 'quiet'},
             scene.config ? 'No difference: this is the published method.' :
                            'Known when training begins.'));

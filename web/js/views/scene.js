@@ -143,7 +143,7 @@ function page(scene, cameras, mark, query, signal) {
   const [split, index] = (query?.get('view') ?? '').split(':');
   if (split) queueMicrotask(() => view.compare(split, Number(index)));
   const record = h('div', {class: 'stack', 'data-order': 4});
-  const more = h('div', {class: 'columns even', 'data-order': 3});
+  const more = h('div', {class: 'stack', 'data-order': 3});
   watch(() => {
     const now = find(state.scenes, scene.id);
     if (now) setChip(mark, now.state);
@@ -160,13 +160,17 @@ function keepRecord(scene, {record, more}, training, view, signal) {
   let shown = '';
   let before = null;
   const effects = createEffects(scene, signal);
+  let differences = null;  // its panel, which stays as long as they do: somebody may have unfolded it
+  let told = '';
   const show = (now) => {
+    if (told !== JSON.stringify(now.differences)) differences = differencesPanel(now);
+    told = JSON.stringify(now.differences);
     const key = JSON.stringify(
         [now.effects, now.differences, now.checkpoints, now.config, now.loaded, now.memory_bytes]);
     if (key === shown) return;
     shown = key;
     effects.show(now);
-    fill(more, effects.node, differencesPanel(now));
+    fill(more, effects.node, differences);
     fill(record, aboutPanel(now));
   };
   show(scene);

@@ -1,8 +1,9 @@
 // The form that starts a training job.
 import {api} from '../api.js';
 import {fill, h} from '../dom.js';
+import {bytes, decibel, seconds, whole} from '../format.js';
 import {find, putJob, state} from '../store.js';
-import {choice, field, panel, showFaults} from '../ui.js';
+import {choice, endOf, field, panel, showFaults} from '../ui.js';
 import {go, link} from '../router.js';
 import {estimatePanel} from './estimate.js';
 
@@ -28,8 +29,30 @@ export function freeName(name, scenes) {
 const numeric = (label, unit, pointer, props, hint) =>
     field(label, h('input', {type: 'number', ...props}), {unit, pointer, hint});
 
-/** @param {any} dataset */
-export function trainPanel(dataset) {
+/** How the other one went, which is what to expect; and what of its options has no field here. */
+function likeWords({scene, job}, rest) {
+  const r = job.result;
+  const took = r ? `${whole(r.steps)} steps in ${seconds(r.train_seconds)}${
+                       r.psnr ? `, ${decibel(r.psnr)}` : ''}` :
+                   `it ${endOf(job)}`;
+  const more = Object.entries(rest).map(([key, value]) => `${key} ${value}`).join(', ');
+  return `As ${scene.name} was trained: ${took}, ${bytes(scene.memory_bytes)} of memory.${
+      more ? ` Also as there: ${more}.` : ''}`;
+}
+
+/**
+ * @param {any} dataset @param {{scene: any, job: any}|null} like a training whose options the form
+ *     begins with
+ */
+export function trainPanel(dataset, like = null) {
+  const was = {...like?.job.options};
+  // What the form has a field for is taken out of them; the rest is asked for once more.
+  const take = (key, fallback, known) => {
+    const value = was[key];
+    if (value === undefined || known && !known.includes(String(value))) return fallback;
+    delete was[key];
+    return String(value);
+  };
   const name = field(
       'Scene’s name', h('input', {
         type: 'text',
@@ -37,56 +60,61 @@ export function trainPanel(dataset) {
         maxLength: 64,
         spellcheck: 'false',
         autocomplete: 'off',
-        value: freeName(dataset.name, state.scenes)
+        value: freeName(like?.scene.name ?? dataset.name, state.scenes)
       }),
       {pointer: '/scene'});
+  const chosen = take('preset', 'standard', Object.keys(PRESETS));
   const preset = choice(
-      'Preset', Object.keys(PRESETS).map((key) => [key, key]), 'standard',
-      {pointer: '/options/preset', hint: PRESETS.standard.hint});
+      'Preset', Object.keys(PRESETS).map((key) => [key, key]), chosen,
+      {pointer: '/options/preset', hint: PRESETS[chosen].hint});
   const time = numeric(
       'Time', 's', '/options/max_time_s',
-      {min: 1, step: 'any', placeholder: 'any', value: PRESETS.standard.seconds});
-  const steps = numeric('Steps', '', '/options/max_steps', {min: 1, placeholder: 'any'});
+      {min: 1, step: 'any', placeholder: 'any', value: take('max_time_s', like ? '' : PRESETS.standard.seconds)});
+  const steps = numeric(
+      'Steps', '', '/options/max_steps', {min: 1, placeholder: 'any', value: take('max_steps', '')});
   const psnr = numeric(
-      'PSNR', 'dB', '/options/until_psnr', {min: 1, max: 100, step: 'any', placeholder: 'any'});
+      'PSNR', 'dB', '/options/until_psnr', {min: 1, max: 100, step: 'any', placeholder: 'any', value: take('until_psnr', '')});
   const plateau = h('input', {
     type: 'checkbox',
     id: 'until-plateau',
+    checked: take('until_plateau', 'false') === 'true',
     onchange: () => {
       if (plateau.checked && !timeChosen) time.control.value = '';
     }
   });
   const planes = choice(
-      'Planes', [['', 'preset'], ['3', '3'], ['4', '4'], ['6', '6'], ['10', '10']], '',
+      'Planes', [['', 'preset'], ['3', '3'], ['4', '4'], ['6', '6'], ['10', '10']], take('planes', '', ['3', '4', '6', '10']),
       {pointer: '/options/planes', hint: 'More tell more directions apart, and take longer.'});
   const footprint = choice(
-      'Footprint', [['', 'preset'], ['rip', 'rip'], ['mip', 'mip'], ['point', 'point']], '',
+      'Footprint', [['', 'preset'], ['rip', 'rip'], ['mip', 'mip'], ['point', 'point']],
+      take('footprint', '', ['rip', 'mip', 'point']),
       {pointer: '/options/footprint', hint: 'rip: anisotropic, mip: one level, point: none'});
   const split = choice(
-      'Train on', [['train', 'train'], ['trainval', 'train and val']], 'train',
+      'Train on', [['train', 'train'], ['trainval', 'train and val']],
+      take('train_split', 'train', ['train', 'trainval']),
       {pointer: '/options/train_split'});
-  const seed = numeric('Seed', '', '/options/seed', {min: 0, placeholder: '0'});
-  const threads = numeric('Threads', '', '/options/threads', {min: 0, placeholder: 'all'});
+  const seed = numeric('Seed', '', '/options/seed', {min: 0, placeholder: '0', value: take('seed', '')});
+  const threads = numeric('Threads', '', '/options/threads', {min: 0, placeholder: 'all', value: take('threads', '')});
   const optionOf = (effect) => `effect_${effect.replaceAll('-', '_')}`;
   const effects = state.info.effects.map(
       (effect) => choice(
-          effectTitle(effect), [['', 'auto'], ['on', 'on'], ['off', 'off']], '',
-          {pointer: `/options/${optionOf(effect)}`}));
+          effectTitle(effect), [['', 'auto'], ['on', 'on'], ['off', 'off']],
+          take(optionOf(effect), '', ['on', 'off']), {pointer: `/options/${optionOf(effect)}`}));
   const fields =
       [name, preset, time, steps, psnr, planes, footprint, split, seed, threads, ...effects];
   const problem = h('div');
   const estimate = estimatePanel(
       dataset, () => values(), (error) => showFaults(fields, problem, error));
   const start = h('button', {type: 'submit', class: 'primary'}, 'Start training');
-  let timeChosen = false;
+  let timeChosen = Boolean(like);
   time.control.addEventListener('input', () => {
     timeChosen = true;
   });
   preset.control.onChange(() => {
-    const {hint, seconds} = PRESETS[preset.control.value];
+    const {hint, seconds: usual} = PRESETS[preset.control.value];
     preset.fault(null);
     fill(preset.node.querySelector('.note'), hint);
-    if (!timeChosen) time.control.value = plateau.checked ? '' : seconds;
+    if (!timeChosen) time.control.value = plateau.checked ? '' : usual;
   });
   async function submit() {
     start.disabled = true;
@@ -104,7 +132,7 @@ export function trainPanel(dataset) {
     }
   }
   function values() {
-    const options = {preset: preset.control.value, train_split: split.control.value};
+    const options = {...was, preset: preset.control.value, train_split: split.control.value};
     const numbers = {max_time_s: time, max_steps: steps, until_psnr: psnr, seed, threads};
     for (const [key, item] of Object.entries(numbers))
       if (item.control.value !== '') options[key] = Number(item.control.value);
@@ -138,5 +166,5 @@ export function trainPanel(dataset) {
           h('p', {class: 'quiet'},
             'Each is on where the photographs call for it, and costs nothing when off.'),
           h('div', {class: 'form-grid'}, effects.map((effect) => effect.node))),
-        problem, estimate.node, h('div', {class: 'row end'}, estimate.button, start)));
+        like ? h('p', {class: 'quiet like'}, likeWords(like, was)) : null, problem, estimate.node, h('div', {class: 'row end'}, estimate.button, start)));
 }

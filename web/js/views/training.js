@@ -64,6 +64,7 @@ export function trainingPanel(sceneId, signal, past) {
   const chart = h('div', {class: 'chart-box'});
   const stats = STATS.map(([label]) => ({label, value: h('dd', null, '–')}));
   const trouble = h('div');
+  const again = h('a', {class: 'button', hidden: true}, 'Train again');
   const stable = h('p', {class: 'stable'});
   const clocks = h('div');
   const levels = h('div');
@@ -116,6 +117,7 @@ export function trainingPanel(sceneId, signal, past) {
     bar.node.hidden = job?.state === 'failed';
     rivals.offer(scene);
     showProblem(job, scene);
+    offerAgain(job, scene);
     showMore(figures);
     if (active && figures.psnr && performance.now() - said > ANNOUNCE_MS) {
       said = performance.now();
@@ -131,20 +133,19 @@ export function trainingPanel(sceneId, signal, past) {
       go(link.scene(scene.name, `?at=${seconds}`));
   }
 
+  /** The form with the same settings, to be changed: a scene itself is not trained further. */
+  function offerAgain(job, scene) {
+    again.hidden = !find(state.datasets, scene.dataset) || Boolean(scene.viewing) ||
+        (job ? isActive(job) : scene.state !== 'ready');
+    again.setAttribute(
+        'href', link.dataset(scene.dataset_name, `?like=${encodeURIComponent(scene.name)}`));
+  }
+
   function showProblem(job, scene) {
     const problem = job?.problem ?? null;
     if (JSON.stringify(problem) === shownProblem) return;
     shownProblem = JSON.stringify(problem);
-    fill(
-        trouble,
-        problem ?
-            [
-              recordedProblem(problem),
-              isActive(job) ?
-                  null :
-                  h('a', {class: 'button', href: link.dataset(scene.dataset_name)}, 'Train again')
-            ] :
-            null);
+    fill(trouble, problem ? recordedProblem(problem) : null);
   }
 
   function showMore(p) {
@@ -172,7 +173,8 @@ export function trainingPanel(sceneId, signal, past) {
       'Training', {tools: mark}, trouble, buttons.node, bar.node, chart, rivals.node,
       h('dl', {class: 'stats'},
         stats.map(({label, value}) => h('div', null, h('dt', null, label), value))),
-      stable, h('details', null, h('summary', null, 'Clocks and levels'), clocks, levels));
+      stable, h('details', null, h('summary', null, 'Clocks and levels'), clocks, levels),
+      h('div', {class: 'row'}, again));
 }
 
 /**
