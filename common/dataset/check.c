@@ -45,6 +45,7 @@ enum rn_status rn_frame_decode(const struct rn_frame *frame, struct rn_survey *s
         rn_image_finish(&image);
         return status;
     }
+    image.has_alpha &= frame->has_alpha; // an alpha channel that cuts nothing out is none
     rn_survey_look(survey, frame, &image, hidden);
     *ret_image = image;
     return RN_OK;

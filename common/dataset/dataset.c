@@ -9,14 +9,17 @@
 #include "common/dataset/reader.h"
 
 #define SEEN_ENOUGH 0.8 // of photographs without alpha; the NeRF-synthetic sphere has 0.9
+#define SMALL 0.25      // of the layout's sphere, where what is cut out has its own
+#define MARGIN 1.1      // of what is cut out
 
-const char *const rn_bounds_source_names[] = {"given",  "layout", "cameras",
-                                              "points", "depths", NULL};
+const char *const rn_bounds_source_names[] = {"given",  "layout",   "cameras", "points",
+                                              "depths", "outlines", NULL};
 const char *const rn_bounds_source_titles[] = {"as given",
                                                "by its layout",
                                                "from the cameras",
                                                "from its points",
                                                "from the depths that its poses give",
+                                               "from the outlines of what is cut out",
                                                NULL};
 const char *const rn_downscale_names[] = {"premultiplied", "straight", NULL};
 
@@ -110,6 +113,19 @@ static struct rn_bounds around(const struct rn_box *box) {
     return bounds;
 }
 
+// Scenes of other sizes than the benchmark's: a sphere that fits what is cut out.
+static void fit_outlines(struct rn_reader *reader) {
+    struct rn_bounds *bounds = &reader->dataset->bounds;
+    double reach = rn_outline_reach(reader->dataset, bounds->centre), sphere = bounds->radius;
+    if (!(reach > sphere || reach < SMALL * sphere)) return;
+    bounds->radius = MARGIN * reach;
+    bounds->source = RN_BOUNDS_OUTLINES;
+    rn_problems_add(reader->problems, RN_SEVERITY_INFO, reader->folder,
+                    "the layout's sphere (radius %g about the origin) does not fit what alpha "
+                    "channels cut out, which reaches %.3g far: its radius is %.3g",
+                    sphere, reach, bounds->radius);
+}
+
 // The layout's convention, unless no camera at all looks at that sphere.
 static void set_layout_bounds(struct rn_reader *reader) {
     struct rn_dataset *dataset = reader->dataset;
@@ -118,6 +134,7 @@ static void set_layout_bounds(struct rn_reader *reader) {
     for (size_t i = 0; i < dataset->frame_count; i++)
         if (rn_camera_looks_at(&dataset->frames[i].camera, &dataset->bounds)) {
             warn_of_what_is_beyond(reader);
+            fit_outlines(reader);
             return;
         }
     dataset->bounds = rn_bounds_from_cameras(dataset, RN_OBJECT_DISTANCES);
@@ -159,6 +176,7 @@ static enum rn_status settle_place(struct rn_reader *reader, struct rn_error *er
     if (options) dataset->lie.up_given |= options->up_given;
     if (options) dataset->lie.cropped |= options->cropped;
     if (dataset->lie.known && !options) return RN_OK;
+    rn_reader_settle_alpha(reader);
     enum rn_status status = rn_dataset_find_place(dataset, &place, err);
     if (status) return status;
     dataset->lie = place.lie;

@@ -59,13 +59,15 @@ struct rn_points {
     size_t sighting_count;
 };
 
-// DEPTHS: near and far of each photograph, as the source gives them.
+// DEPTHS: near and far of each photograph, as the source gives them. OUTLINES: of what alpha
+// channels cut out, about the layout's centre. Checkpoints hold the numbers.
 enum rn_bounds_source {
     RN_BOUNDS_GIVEN,
     RN_BOUNDS_LAYOUT,
     RN_BOUNDS_CAMERAS,
     RN_BOUNDS_POINTS,
     RN_BOUNDS_DEPTHS,
+    RN_BOUNDS_OUTLINES,
     RN_BOUNDS_SOURCES
 };
 extern const char *const rn_bounds_source_names[];  // "given", "layout", ..., NULL
@@ -77,6 +79,11 @@ struct rn_bounds {
     double radius; // > 0
     enum rn_bounds_source source;
 };
+
+// Whether they are of a layout of rendered scenes, which says what its ball is.
+static inline bool rn_bounds_are_rendered(const struct rn_bounds *bounds) {
+    return bounds->source == RN_BOUNDS_LAYOUT || bounds->source == RN_BOUNDS_OUTLINES;
+}
 
 // How photographs were taken: around an object; one way, at a wall; from within a room; around
 // something that stands in its surroundings; down, from the air.

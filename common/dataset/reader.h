@@ -120,6 +120,12 @@ void rn_reader_warn_unknown(struct rn_reader *reader, const struct rn_json *obje
 // and of one that holds them and what is behind.
 #define RN_OBJECT_DISTANCES 0.5
 #define RN_CAPTURE_DISTANCES 1.5
+// Alpha channels that are opaque everywhere, by some photographs, cut nothing out: they are told
+// and taken for none.
+void rn_reader_settle_alpha(struct rn_reader *reader);
+// How near the point, dataset units, the rays through all but little of what alpha channels cut out
+// pass; NAN where they cut out nothing that can be decoded.
+double rn_outline_reach(const struct rn_dataset *dataset, const double point[3]);
 // Share of the training photographs' pixels, of 16 x 16 in each, whose rays meet the sphere.
 double rn_bounds_seen(const struct rn_dataset *dataset, const struct rn_bounds *bounds);
 // Whether the camera's optical axis (forwards) meets the sphere.

@@ -4,6 +4,7 @@
 #include <turbojpeg.h>
 #include <unistd.h>
 
+#include "common/math/vector.h"
 #include "tests/unit/common/dataset_fixture.h"
 
 // The only error among the problems is at `where` (relative to the folder) and says `text`.
@@ -56,7 +57,7 @@ START_TEST(blender) {
 END_TEST
 
 START_TEST(bounds_and_report) {
-    put_image("train/r_0.png", 8, 6);
+    put_png("train/r_0.png", 8, 6, PNG_COLOR_TYPE_RGB_ALPHA, 8, PNG_INTERLACE_NONE);
     put_transforms("train", FRAME("./train/r_0"));
     read_ok(folder);
     ck_assert_int_eq(dataset->bounds.source, RN_BOUNDS_LAYOUT);
@@ -123,6 +124,65 @@ START_TEST(photographs_of_more_than_the_sphere) {
         rn_problems_finish(&problems);
         problems = (struct rn_problems){0};
     }
+}
+END_TEST
+
+#define SIDE 64
+
+// A photograph whose middle, `half` pixels to each side, is opaque.
+static void put_cut_out(const char *name, int half) {
+    struct rn_image image = noise(SIDE, SIDE, 1);
+    for (int i = 0; i < SIDE * SIDE; i++) {
+        int x = abs(2 * (i % SIDE) + 1 - SIDE), y = abs(2 * (i / SIDE) + 1 - SIDE);
+        image.pixels[4 * i + 3] = x < 2 * half && y < 2 * half ? 255 : 0;
+    }
+    ck_assert_int_eq(rn_image_write_png(&image, in_folder(name), 1, &err), RN_OK);
+    rn_image_finish(&image);
+}
+
+#define AHEAD(file)                                                                                \
+    "{\"file_path\":\"" file "\",\"transform_matrix\":[[1,0,0,0],[0,1,0,0],[0,0,1,4],[0,0,0,1]]}"
+
+// Seen from 4 away: what is cut out fits the layout's sphere, or is larger or far smaller than it.
+START_TEST(a_sphere_that_fits_what_is_cut_out) {
+    static const int halves[] = {16, 30, 4};
+    put_cut_out("train/r_0.png", halves[_i]);
+    put_cut_out("train/r_1.png", halves[_i]);
+    put_transforms("train", AHEAD("train/r_0") "," AHEAD("train/r_1"));
+    read_ok(folder);
+    ck_assert_uint_eq(problems.errors + problems.warnings, 0);
+    if (_i == 0) {
+        ck_assert_int_eq(dataset->bounds.source, RN_BOUNDS_LAYOUT);
+        ck_assert_double_eq(dataset->bounds.radius, 1.5);
+        return;
+    }
+    double corner = 4 * sin(atan(sqrt(2) * halves[_i] * tan(0.45) / (SIDE / 2)));
+    ck_assert_int_eq(dataset->bounds.source, RN_BOUNDS_OUTLINES);
+    ck_assert_double_eq(rn_dot(dataset->bounds.centre, dataset->bounds.centre), 0);
+    ck_assert_double_gt(dataset->bounds.radius, 0.9 * corner);
+    ck_assert_double_lt(dataset->bounds.radius, 1.1 * corner);
+    ck_assert_ptr_nonnull(strstr(problems.items[problems.count - 1].text, "does not fit"));
+}
+END_TEST
+
+// As many tools write: of such photographs nothing is cut out, and none is imported with alpha.
+START_TEST(alpha_that_is_opaque_everywhere) {
+    static const char *const names[] = {"train/r_0.png", "train/r_1.png"};
+    for (int i = 0; i < 2; i++)
+        put_cut_out(names[i], _i == 1 && i == 1 ? SIDE / 2 - 1 : SIDE / 2);
+    put_transforms("train", AHEAD("train/r_0") "," AHEAD("train/r_1"));
+    read_ok(folder);
+    ck_assert_int_eq(dataset->frames[0].has_alpha, _i == 1);
+    ck_assert_int_eq(dataset->frames[1].has_alpha, _i == 1);
+    if (_i == 0) ck_assert_ptr_nonnull(strstr(problems.items[problems.count - 2].text, "opaque"));
+    struct rn_import_options options = {.scales = 1, .threads = 1};
+    struct rn_dataset *made = NULL;
+    ck_assert_int_eq(rn_dataset_import(dataset, "made", &options, in_folder("made"), &problems,
+                                       NULL, NULL, &err),
+                     RN_OK);
+    ck_assert_int_eq(rn_dataset_read(in_folder("made"), NULL, &made, &err), RN_OK);
+    ck_assert_int_eq(made->frames[0].has_alpha, _i == 1);
+    rn_dataset_destroy(&made);
 }
 END_TEST
 
@@ -546,6 +606,8 @@ int main(void) {
     tcase_add_test(tests, bounds_and_report);
     tcase_add_test(tests, bounds_from_cameras);
     tcase_add_test(tests, photographs_of_more_than_the_sphere);
+    tcase_add_loop_test(tests, a_sphere_that_fits_what_is_cut_out, 0, 3);
+    tcase_add_loop_test(tests, alpha_that_is_opaque_everywhere, 0, 2);
     tcase_add_test(tests, find_view);
     tcase_add_test(tests, unknown_fields_warn_once);
     tcase_add_loop_test(tests, bad_frame, 0, COUNT(bad_frames));

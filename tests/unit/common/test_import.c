@@ -63,7 +63,8 @@ START_TEST(as_it_is) {
     import_ok("out");
     ck_assert_str_eq(made->name, "name \xc3\xa9");
     ck_assert_uint_eq(made->frame_count, VIEWS);
-    ck_assert_int_eq(made->bounds.source, RN_BOUNDS_LAYOUT);
+    ck_assert_int_eq(made->bounds.source, dataset->bounds.source);
+    ck_assert_double_eq(made->bounds.radius, dataset->bounds.radius);
     ck_assert(made->premultiplied_scales);
     for (size_t i = 0; i < VIEWS; i++) {
         const struct rn_frame *from = &dataset->frames[i], *to = &made->frames[i];
