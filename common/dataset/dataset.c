@@ -10,7 +10,7 @@
 
 #define SEEN_ENOUGH 0.8 // of photographs without alpha; the NeRF-synthetic sphere has 0.9
 #define SMALL 0.25      // of the layout's sphere, where what is cut out has its own
-#define MARGIN 1.1      // of what is cut out
+#define MARGIN 1.2      // of what is cut out
 
 const char *const rn_bounds_source_names[] = {"given",  "layout",   "cameras", "points",
                                               "depths", "outlines", NULL};

@@ -288,9 +288,7 @@ static enum rn_capture_kind judge(const struct rn_scene_place *place) {
     if (place->alignment >= FORWARD) return RN_CAPTURE_FORWARD;
     if (place->miss > CONVERGENT)
         return place->below_deg >= STEEP_DEG ? RN_CAPTURE_DRONE : RN_CAPTURE_ROOM;
-    if (place->beyond <= BEYOND) return RN_CAPTURE_OBJECT;
-    bool from_above = place->below_deg >= STEEP_DEG && place->by_points && place->beyond > BEYOND;
-    return from_above ? RN_CAPTURE_DRONE : RN_CAPTURE_OUTDOOR;
+    return place->beyond <= BEYOND ? RN_CAPTURE_OBJECT : RN_CAPTURE_OUTDOOR;
 }
 
 static void measure(const struct rn_dataset *dataset, struct witnesses *w,

@@ -16,8 +16,11 @@
 char *rn_reader_path(const struct rn_reader *reader, const char *name) {
     while (name[0] == '.' && name[1] == '/')
         name += 2;
+    size_t size = strlen(reader->folder);
+    while (size > 1 && reader->folder[size - 1] == '/')
+        size--;
     char *path;
-    return asprintf(&path, "%s/%s", reader->folder, name) < 0 ? NULL : path;
+    return asprintf(&path, "%.*s/%s", (int)size, reader->folder, name) < 0 ? NULL : path;
 }
 
 enum rn_status rn_reader_document(struct rn_reader *reader, const char *name, char **ret_path,
@@ -166,8 +169,25 @@ static enum rn_status check_characters(const char *name, const char *where, stru
     return rn_error_set(err, RN_ERROR_INVALID, where, "\"%.200s\" %s", name, fault);
 }
 
-// The file, relative to the folder, that a document calls `named`. One that lies outside, as paths
-// of another machine do, is looked for by the longest end of its path.
+// The file by the longest end of its path, from `end` on, that is there.
+static bool find_by_end(struct rn_reader *reader, const char *where, const char *named,
+                        const char *end, const char *extension, char file[RN_FILE_NAME_MAX]) {
+    for (; end && *end; end = strchr(end, '/')) {
+        end += strspn(end, "/");
+        if (!*end || !put_extension(reader, end, extension, file)) continue;
+        if (!reader->told_moved)
+            rn_problems_add(reader->problems, RN_SEVERITY_INFO, where,
+                            "\"%.200s\" is not in the folder; %.200s, found by its name, is "
+                            "taken, and so are others that are named so",
+                            named, file);
+        reader->told_moved = true;
+        return true;
+    }
+    return false;
+}
+
+// The file, relative to the folder, that a document calls `named`. One that is not there, or lies
+// outside, as paths of another machine do, is looked for by the longest end of its path.
 static enum rn_status locate(struct rn_reader *reader, const char *where, const char *named,
                              const char *extension, char file[RN_FILE_NAME_MAX],
                              struct rn_error *err) {
@@ -183,21 +203,13 @@ static enum rn_status locate(struct rn_reader *reader, const char *where, const 
         const char *plain = name;
         while (plain[0] == '.' && plain[1] == '/')
             plain += 2;
-        if (!put_extension(reader, plain, extension, file))
-            (void)find_smaller(reader, where, plain, extension, file);
+        if (!put_extension(reader, plain, extension, file) &&
+            !find_smaller(reader, where, plain, extension, file) &&
+            !find_by_end(reader, where, named, strchr(plain, '/'), extension, file))
+            (void)put_extension(reader, plain, extension, file);
         return RN_OK;
     }
-    for (; inner && *inner; inner = strchr(inner, '/')) {
-        inner += strspn(inner, "/");
-        if (!put_extension(reader, inner, extension, file) || !*inner) continue;
-        if (!reader->told_moved)
-            rn_problems_add(reader->problems, RN_SEVERITY_INFO, where,
-                            "\"%.200s\" lies outside of the folder; %.200s, found by its name, is "
-                            "taken, and so are others that are named so",
-                            named, file);
-        reader->told_moved = true;
-        return RN_OK;
-    }
+    if (find_by_end(reader, where, named, inner, extension, file)) return RN_OK;
     return rn_error_set(err, RN_ERROR_INVALID, where, "\"%.200s\" %s", named, fault);
 }
 

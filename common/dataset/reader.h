@@ -28,7 +28,7 @@ struct rn_reader {
     size_t missing_count;
     struct rn_error fault; // what was told last: of the whole file, it is told once
     double resized;        // widths by those that the source says; NAN: not all alike; 0: none yet
-    bool told_moved;       // that files named outside of the folder were found within
+    bool told_moved;       // that files named elsewhere were found by their ends
 };
 
 // A format's `read` appends frames in any order. A bad document is an error, a bad frame a problem.
@@ -52,9 +52,9 @@ extern const char *const rn_photo_folders[RN_PHOTO_FOLDERS + 1];
 bool rn_reader_is_photo(const char *name);
 // The photograph that a document calls `named`, with `extension` appended unless it is "" or the
 // name has an image's: fills name (without folder and extension), path, has_alpha and the camera's
-// width and height from the header. A path that leaves the folder, as one of another machine does,
-// is looked for by its end. On failure nothing is owned by *frame, and `where` is where the name
-// stands.
+// width and height from the header. A path that is not there, or leaves the folder, as one of
+// another machine does, is looked for by its end. On failure nothing is owned by *frame, and
+// `where` is where the name stands.
 #define RN_ANY_EXTENSION "*" // one by which the file is there
 enum rn_status rn_reader_photo(struct rn_reader *reader, const char *where, const char *named,
                                const char *extension, struct rn_frame *frame,

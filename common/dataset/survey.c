@@ -181,8 +181,52 @@ static size_t near_sharpness(const struct all *all, size_t i, int side, double *
     return count;
 }
 
+static double centre_distance(const struct rn_camera *a, const struct rn_camera *b) {
+    double squared = 0;
+    for (int i = 0; i < 3; i++)
+        squared += pow(a->world_from_camera[i][3] - b->world_from_camera[i][3], 2);
+    return sqrt(squared);
+}
+
+// Radians between two cameras' axes.
+static double axes_angle(const struct rn_camera *a, const struct rn_camera *b) {
+    double cosine = 0;
+    for (int i = 0; i < 3; i++)
+        cosine += a->world_from_camera[i][2] * b->world_from_camera[i][2];
+    return acos(fmax(-1, fmin(1, cosine)));
+}
+
+static bool same_place(const struct rn_camera *a, const struct rn_camera *b, double distance) {
+    return centre_distance(a, b) < NEAR * distance && axes_angle(a, b) < NEAR_DEG * M_PI / 180;
+}
+
+// Whether it is sharp beside those of its camera that look most nearly the same way from most
+// nearly the same place: of photographs whose names are in no order, neighbours by name show other
+// things.
+static bool is_sharp_in_its_place(const struct all *all, size_t i, double distance) {
+    double off[2 * NEIGHBOURS], sharp[2 * NEIGHBOURS];
+    size_t count = 0;
+    for (size_t k = 0; k < all->count && isfinite(distance); k++) {
+        const struct rn_camera *a = &all->frames[i]->camera, *b = &all->frames[k]->camera;
+        if (k == i || !all->looks[k]->seen || !same_camera(all, all->frames[i], all->frames[k]))
+            continue;
+        double apart = centre_distance(a, b) / distance + axes_angle(a, b);
+        size_t at = count < 2 * NEIGHBOURS ? count++ : 2 * NEIGHBOURS;
+        for (; at > 0 && off[at - 1] > apart; at--) {
+            if (at == 2 * NEIGHBOURS) continue;
+            off[at] = off[at - 1];
+            sharp[at] = sharp[at - 1];
+        }
+        if (at == 2 * NEIGHBOURS) continue;
+        off[at] = apart;
+        sharp[at] = (double)all->looks[k]->sharpness;
+    }
+    return count &&
+           (double)all->looks[i]->sharpness >= BLURRED * rn_numbers_quantile(sharp, count, 0.5);
+}
+
 // Other cameras, and what else was done to their pictures, are sharp in other ways.
-static void find_blurred(struct all *all) {
+static void find_blurred(struct all *all, double distance) {
     struct names names = {.count = 0};
     size_t alone = 0;
     for (size_t i = 0; i < all->count; i++) {
@@ -193,7 +237,8 @@ static void find_blurred(struct all *all) {
         alone += count < NEIGHBOURS;
         if (count < NEIGHBOURS) continue;
         double usual = rn_numbers_quantile(near, count, 0.5);
-        if ((double)all->looks[i]->sharpness < BLURRED * usual)
+        if ((double)all->looks[i]->sharpness < BLURRED * usual &&
+            !is_sharp_in_its_place(all, i, distance))
             add_name(&names, all->frames[i]->name);
     }
     all->found.blurred = (double)names.count;
@@ -208,20 +253,6 @@ static void find_blurred(struct all *all) {
             "whether %zu of the photographs are sharp is not judged: fewer than %d near "
             "each are of its camera, by size and EXIF",
             alone, NEIGHBOURS);
-}
-
-static double centre_distance(const struct rn_camera *a, const struct rn_camera *b) {
-    double squared = 0;
-    for (int i = 0; i < 3; i++)
-        squared += pow(a->world_from_camera[i][3] - b->world_from_camera[i][3], 2);
-    return sqrt(squared);
-}
-
-static bool same_place(const struct rn_camera *a, const struct rn_camera *b, double distance) {
-    double cosine = 0;
-    for (int i = 0; i < 3; i++)
-        cosine += a->world_from_camera[i][2] * b->world_from_camera[i][2];
-    return centre_distance(a, b) < NEAR * distance && cosine > cos(NEAR_DEG * M_PI / 180);
 }
 
 static void find_hidden(const struct all *all) {
@@ -274,7 +305,8 @@ static void find_duplicates(struct all *all, double distance) {
     all->found.duplicates = (double)names.count;
     if (names.count)
         rn_problems_add(all->problems, RN_SEVERITY_INFO, all->dataset->name,
-                        "%zu pairs of photographs are nearly the same%s: %s", names.count,
+                        "%zu pair%s of photographs %s nearly the same%s: %s", names.count,
+                        names.count > 1 ? "s" : "", names.count > 1 ? "are" : "is",
                         isfinite(distance) ? ", from the same place" : "", names.text);
     if (apart.count && all->count > 2 && apart.count < all->count)
         rn_problems_add(all->problems, RN_SEVERITY_WARNING, all->dataset->name,
@@ -282,13 +314,15 @@ static void find_duplicates(struct all *all, double distance) {
                         apart.count, apart.text);
 }
 
+// From within a room cameras look any way.
 static void find_looking_away(struct all *all) {
     struct names names = {.count = 0};
+    bool within = all->dataset->lie.kind == RN_CAPTURE_ROOM;
     for (size_t i = 0; i < all->count; i++)
         if (!rn_camera_looks_at(&all->frames[i]->camera, &all->dataset->bounds))
             add_name(&names, all->frames[i]->name);
     all->found.looking_away = (double)names.count;
-    if (names.count)
+    if (names.count && !within)
         rn_problems_add(all->problems, RN_SEVERITY_WARNING, all->dataset->name,
                         "%zu of %zu cameras look away from the bounds: %s", names.count, all->count,
                         names.text);
@@ -434,7 +468,7 @@ enum rn_status rn_survey_conclude_photos(struct rn_survey *survey, const struct 
                                          struct rn_findings *ret_findings, struct rn_error *err) {
     struct all all = {.dataset = frames, .problems = problems, .found = NOTHING};
     bool whole = gather(survey, &all);
-    if (whole && all.looked) find_blurred(&all);
+    if (whole && all.looked) find_blurred(&all, INFINITY);
     if (whole && all.looked) find_duplicates(&all, INFINITY);
     if (whole) *ret_findings = all.found;
     free(all.looks);
@@ -453,7 +487,7 @@ enum rn_status rn_survey_conclude(struct rn_survey *survey, struct rn_dataset *d
         whole ? rn_dataset_find_place(dataset, &place, err)
               : rn_error_set(err, RN_ERROR_NO_MEMORY, dataset->name, "out of memory");
     if (status == RN_OK) {
-        if (all.looked) find_blurred(&all);
+        if (all.looked) find_blurred(&all, place.distance);
         if (all.looked) find_duplicates(&all, place.distance);
         find_hidden(&all);
         find_looking_away(&all);

@@ -177,6 +177,20 @@ START_TEST(paths_of_another_machine) {
 }
 END_TEST
 
+// As where photographs were moved and their document was not; and no slash is doubled in what is
+// told.
+START_TEST(photographs_in_another_folder) {
+    char slashed[256];
+    snprintf(slashed, sizeof slashed, "%s/", folder);
+    put_document(LENS, AT("capture/images/a.png") "," AT("./elsewhere/gone.png"));
+    read_ok(slashed);
+    ck_assert_uint_eq(dataset->frame_count, 1);
+    ck_assert_str_eq(dataset->frames[0].path, in_folder("images/a.png"));
+    assert_told(RN_SEVERITY_INFO, "file_path", "found by its name");
+    assert_told(RN_SEVERITY_ERROR, "frames/1/file_path", in_folder("elsewhere/gone.png"));
+}
+END_TEST
+
 START_TEST(splits_by_lists) {
     put_document(LENS
                  ",\"train_filenames\":[\"./images/b.png\"],\"test_filenames\":[\"images/a.png\"]",
@@ -352,6 +366,7 @@ int main(void) {
     tcase_add_test(tests, portrait_is_told);
     tcase_add_test(tests, missing_photographs);
     tcase_add_test(tests, paths_of_another_machine);
+    tcase_add_test(tests, photographs_in_another_folder);
     tcase_add_test(tests, splits_by_lists);
     tcase_add_test(tests, lists_that_disagree);
     tcase_add_test(tests, intrinsics_by_frame);
