@@ -18,8 +18,9 @@ def write_dataset(folder, size=16, train=6, val=8, test=4):
         frames = []
         (folder / split).mkdir(exist_ok=True)
         for i in range(count):
-            image = Image.new("RGBA", (size, size), (40 * i % 256, 128, 200, 255))
-            image.putpixel((0, 0), (0, 0, 0, 0))
+            image = Image.new("RGBA", (size, size))  # what it shows lies in the layout's sphere
+            rim = size // 8
+            image.paste((40 * i % 256, 128, 200, 255), (rim, rim, size - rim, size - rim))
             image.save(folder / split / f"r_{i}.png")
             frames.append({"file_path": f"./{split}/r_{i}",
                            "transform_matrix": pose(2 * math.pi * i / count)})
