@@ -457,7 +457,12 @@ def test_token_is_asked_for_once(page, fake):
     page.open(fake("token").url)
     page.type(page.find("#token-input"), "wrong")
     page.press("Use it")
-    page.until(lambda: page.find("#token-input").get_attribute("value") == "", "the question again")
+    page.says("That token was refused: A token is missing or wrong.", "#token-why")
+    assert page.find("#token-input").get_attribute("value") == ""
+    page.press("Not now")
+    page.says("Nothing can be shown without one", "#banner")
+    page.press("Try now")
+    assert page.find("#token-input") and page.text("#token-why") == ""
     page.type(page.find("#token-input"), "secret")
     page.press("Use it")
     page.says("sphere-draft")
@@ -465,6 +470,8 @@ def test_token_is_asked_for_once(page, fake):
     page.says("sphere-draft")
     assert page.run("return sessionStorage.getItem('ripnerf-token');") == "secret"
     page.until(lambda: page.all(".card .thumb[data-state=ready]"), "a picture behind the token")
+    page.run("location.hash = '#/system';")
+    page.says("with the scope admin")
 
 
 def test_daemon_goes_and_comes_back(page, fake):
@@ -476,7 +483,13 @@ def test_daemon_goes_and_comes_back(page, fake):
     page.says("No connection to the daemon", "#banner")
     page.says("not connected", ".connection")
     page.says("sphere-draft")
+    page.run("location.hash = '#/dataset/sphere';")
+    page.says("Daemon unreachable", "main .problem")
+    page.run("document.body.style.minHeight = '4000px'; scrollTo(0, 2000);")
+    assert page.run("return document.getElementById('banner').getBoundingClientRect().top;") >= 0
     again = fake("failed", port)
+    page.find("#train")  # by itself
+    page.run("document.body.style.minHeight = ''; location.hash = '#/';")
     page.says("sphere-paper")
     page.says("connected", ".connection")
     assert not page.find("main").find_elements("css selector", "#banner")

@@ -58,9 +58,10 @@ const withToken = (headers) =>
 
 let asking = null;  // one question at a time, however many requests were refused
 
-async function renewToken(used) {
+/** @param {string|null} used that was refused @param {string} [why] */
+async function renewToken(used, why = '') {
   if (token.get() !== used) return true;
-  asking ??= hooks.askToken().finally(() => {
+  asking ??= hooks.askToken(used ? `That token was refused${why ? `: ${why.replace(/\.$/, '')}` : ''}.` : '').finally(() => {
     asking = null;
   });
   const answer = await asking;
@@ -93,9 +94,10 @@ export async function request(method, path, {json, headers = {}, signal, repeata
         json === undefined ? headers : {'Content-Type': 'application/json', ...headers}),
   }, repeatable ?? (method === 'GET' || 'Idempotency-Key' in headers));
   if (response.ok) return response;
-  if (response.status === 401 && await renewToken(used))
+  const problem = await problemOf(response);
+  if (response.status === 401 && await renewToken(used, problem.detail))
     return request(method, path, {json, headers, signal, repeatable});
-  throw await problemOf(response);
+  throw problem;
 }
 
 const AGAIN_MS = [100, 400];  // a request that was lost on its way is made anew after so long

@@ -51,11 +51,12 @@ function show(route) {
 
 function setTitle(words) { document.title = words === 'home' ? 'ripnerf' : `${words} · ripnerf`; }
 
-/** The token dialog; resolves with what was typed, or null when it was closed. */
-function askToken() {
+/** The token dialog, with why the one before was refused; resolves with what was typed, or null when it was closed. */
+function askToken(why) {
   const dialog = document.getElementById('token-dialog');
   const input = document.getElementById('token-input');
   input.value = '';
+  text(document.getElementById('token-why'), why);
   dialog.returnValue = '';
   if (!dialog.open) dialog.showModal();
   return new Promise(
@@ -137,13 +138,15 @@ function startAnnouncer() {
 addEventListener('beforeunload', (event) => {
   if (Object.keys(state.uploads).length) event.preventDefault();
 });
-hooks.askToken = async () => {
+hooks.askToken = async (why) => {
   if (tokenRefused) return null;
   token.set(null);
-  const answer = await askToken();
+  const answer = await askToken(why);
   tokenRefused = !answer;
   return answer;
 };
+document.getElementById('token-leave').addEventListener(
+    'click', () => document.getElementById('token-dialog').close());
 document.querySelector('.skip').addEventListener('click', (event) => {
   event.preventDefault();  // the hash is the router's
   main.focus();

@@ -2,7 +2,7 @@
 import {fill, h, text} from './dom.js';
 import {Unreachable} from './api.js';
 import * as format from './format.js';
-import {state} from './store.js';
+import {state, watch} from './store.js';
 
 let serial = 0;
 const freshId = (word) => `${word}-${++serial}`;
@@ -23,7 +23,7 @@ export function problemBox(error, {again} = {}) {
   const told = error.detail ?? '';
   const faults =
       (error.errors ?? []).filter((e) => !told.includes(e.pointer) || !told.includes(e.detail));
-  return h(
+  const node = h(
       'div', {class: 'problem', role: 'alert'},
       h('p', {class: 'problem-title'}, error.title ?? 'That did not work'),
       h('p', null, error.detail || (error.title === error.message ? null : error.message)),
@@ -32,6 +32,20 @@ export function problemBox(error, {again} = {}) {
             faults.map((e) => h('li', null, h('code', null, e.pointer), ' ', e.detail))) :
           null,
       again ? h('button', {type: 'button', onclick: again}, 'Try again') : null);
+  if (again && error instanceof Unreachable) onReturn(node, again);
+  return node;
+}
+
+/** Calls `again` when the daemon, which was away, is back, if `node` is still to be seen then. */
+function onReturn(node, again) {
+  const stop = new AbortController();
+  let away = state.connection.status !== 'online';
+  watch(({connection}) => {
+    away ||= connection.status === 'offline';
+    if (!away || connection.status !== 'online') return;
+    stop.abort();
+    if (node.isConnected) again();
+  }, stop.signal);
 }
 
 /** The problem that a record carries. */

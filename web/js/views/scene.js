@@ -1,5 +1,5 @@
 // One scene: look at it while it trains, record a path, see how it does.
-import {api} from '../api.js';
+import {api, Unreachable} from '../api.js';
 import {every, fill, follow, h} from '../dom.js';
 import {find, isActive, isVisitor, means, state, trainingOf, watch} from '../store.js';
 import {chip, panel, problemBox, setChip, skeleton} from '../ui.js';
@@ -55,7 +55,7 @@ export async function sceneView(root, {id, query, signal}) {
       fill(body, page(scene, cameras, mark, query, signal));
     } catch (error) {
       if (signal.aborted) return;
-      setChip(mark, 'error');
+      if (!(error instanceof Unreachable)) setChip(mark, 'error');
       fill(body, problemBox(error, {again: load}));
     }
   };

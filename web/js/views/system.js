@@ -55,14 +55,20 @@ export function systemView(root, {signal}) {
             'This page', null,
             h('p', null, 'Everything here goes through the documented interface: ',
               h('a', {href: 'v1/openapi.json'}, 'openapi.json'), '.'),
-            token.get() ? h('button', {
+            token.get() ?
+                [
+                  h('p', {class: 'quiet'},
+                    `Its token is ${info.you.name ?? 'the daemon’s own'}, with the scope ${info.you.scope}${
+                        info.you.expires_at ? `, until ${info.you.expires_at.slice(0, 16).replace('T', ' ')} UTC` : ''}.`),
+                  h('button', {
               type: 'button',
               onclick: () => {
                 token.set(null);
                 location.reload();
               }
             },
-                            'Forget the token') :
-                          h('p', {class: 'quiet'}, 'No token is in use.')));
+                    'Forget the token')
+                ] :
+                h('p', {class: 'quiet'}, 'No token is in use.')));
   }, signal);
 }
