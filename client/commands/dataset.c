@@ -136,7 +136,7 @@ static struct rn_dataset *read_dataset(const char *folder, const struct rn_read_
 
 // Reads a dataset without any daemon. RN_EXIT_INVALID when it cannot be used as it is; *ret_dataset
 // is then NULL or what is left. `show` prints the report; without it problems go to stderr where
-// there are errors or warnings.
+// there are errors or warnings, or what was asked for is not needed.
 static enum rn_exit examine(const char *folder, const struct rn_read_options *options,
                             const struct rn_import_options *kept, bool json, bool show,
                             struct rn_dataset **ret_dataset) {
@@ -145,7 +145,9 @@ static enum rn_exit examine(const char *folder, const struct rn_read_options *op
     struct rn_error err = {0};
     struct rn_findings found;
     *ret_dataset = read_dataset(folder, options, kept, json, &problems, &found);
-    bool failed = problems.errors > 0, worth_saying = failed || problems.warnings > 0;
+    bool unused = *ret_dataset &&
+                  kept->test_every != rn_import_settle(*ret_dataset, kept, &problems).test_every;
+    bool failed = problems.errors > 0, worth_saying = failed || problems.warnings > 0 || unused;
     enum rn_status status =
         *ret_dataset ? rn_dataset_report_fill(*ret_dataset, &problems, &found, kept, &report, &err)
                      : rn_report_problems_fill(&problems, &report, &err);

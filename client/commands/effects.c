@@ -90,17 +90,16 @@ static void add_row(struct rn_text_table *table, const struct rn_effect_entry *e
                       picture, effect->reason);
 }
 
-// How long it takes to measure them, but for evaluations and what loads: "12 min of trainings"; ""
-// where that is not known.
+// How long it takes to measure them, but for evaluations and what loads: " (3 min of trainings)";
+// "" where that is not known.
 static void format_duration(const struct rn_scene_description *made, char *ret_text, size_t size) {
-    size_t count = 0;
-    char seconds[24];
+    int count = 0;
     for (size_t i = 0; i < made->effect_count; i++)
         count += made->effects[i].measurable == 1;
-    rn_format_seconds(2 * (double)count * RN_EFFECTS_SEEDS * RN_EFFECTS_SECONDS, seconds,
-                      sizeof seconds);
     snprintf(ret_text, size, "%s", "");
-    if (count) snprintf(ret_text, size, " (%s of trainings)", seconds);
+    if (count)
+        snprintf(ret_text, size, " (%.0f min of trainings)",
+                 2 * count * RN_EFFECTS_SEEDS * RN_EFFECTS_SECONDS / 60);
 }
 
 static enum rn_exit print_effects(const struct rn_scene *scene,

@@ -402,14 +402,35 @@ static bool has_names(const struct rn_store_table *table) {
     return false;
 }
 
+// What else has this name: a dataset may be taken for its scene. NULL: nothing.
+static const char *other_of_name(struct rn_store *store, const struct rn_store_table *table,
+                                 const char *name) {
+    const struct rn_store_table *const others[] = {&rn_datasets, &rn_scenes, &rn_camera_paths};
+    union {
+        struct rn_dataset_row dataset;
+        struct rn_scene_row scene;
+        struct rn_camera_path_row path;
+    } row;
+    for (size_t i = 0; i < sizeof others / sizeof *others; i++) {
+        if (others[i] == table ||
+            rn_store_find(store, others[i], "name", name, &row, NULL) != RN_OK)
+            continue;
+        rn_row_finish(others[i], &row);
+        return others[i]->title;
+    }
+    return NULL;
+}
+
 enum rn_status rn_store_resolve(struct rn_store *store, const struct rn_store_table *table,
                                 const char *prefix, const char *reference, void *row,
                                 struct rn_error *err) {
     bool is_id = strncmp(reference, prefix, strlen(prefix)) == 0 || !has_names(table);
     enum rn_status status = rn_store_find(store, table, is_id ? "id" : "name", reference, row, err);
-    if (status == RN_ERROR_NOT_FOUND)
-        return rn_error_set(err, status, "", "there is no %s '%.64s'", table->title, reference);
-    return status;
+    if (status != RN_ERROR_NOT_FOUND || err == NULL) return status;
+    const char *other = is_id ? NULL : other_of_name(store, table, reference);
+    return rn_error_set(err, status, "", "there is no %s '%.64s'%s%s%s", table->title, reference,
+                        other != NULL ? ", but a " : "", other != NULL ? other : "",
+                        other != NULL ? " of that name" : "");
 }
 
 size_t rn_store_row_size(const struct rn_store_table *table) {

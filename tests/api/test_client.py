@@ -305,6 +305,13 @@ def test_a_local_file_that_is_missing_is_not_found(client, folder, daemon, tmp_p
     assert not daemon.uploads and not daemon.jobs and not (tmp_path / "new").exists()
 
 
+def test_a_split_that_is_not_needed_is_told(client, folder, daemon):
+    said = "info     split: the files name 3 test views; --split every:2 was not needed\n"
+    assert said in client.run("validate", folder, "--split", "every:2").stdout
+    assert said in client.run("import", folder, "--name", "x", "--split", "every:2").stderr
+    assert "--split" not in client.run("import", folder, "--name", "y").stderr
+
+
 def test_import_sends_exactly_the_files_that_the_json_names(client, folder, daemon):
     dataset = client.json("import", folder, "--name", "blank", "--max-size", 8, "--scales", 2,
                           "--alpha", "straight", "--split", "every:8", "--bounds", "0,0,1,2.5")

@@ -235,6 +235,14 @@ def test_unknown_things(shared):
     assert shared.get("/v1/jobs", query={"scene": "none"}).status == 404
 
 
+def test_a_name_that_another_kind_of_thing_has_is_told(shared):
+    assert shared.get("/v1/scenes/data").json["detail"].endswith(
+        "there is no scene 'data', but a dataset of that name")
+    assert shared.get("/v1/datasets/ready").json["detail"].endswith(
+        "there is no dataset 'ready', but a scene of that name")
+    assert shared.get("/v1/scenes/none").json["detail"].endswith("there is no scene 'none'")
+
+
 def test_scene_name_is_taken(shared):
     reply = shared.post("/v1/jobs", {"type": "train", "dataset": "data", "scene": "ready"})
     assert reply.status == 409 and pointers(reply) == ["#/scene"]

@@ -345,6 +345,8 @@ static enum rn_status map(struct search *search, const char *database, const cha
     if (status == RN_ERROR_INVALID && !search->said[0])
         snprintf(search->said, sizeof search->said, "%.*s", (int)sizeof search->said - 1,
                  failure.text);
+    size_t size = strlen(search->said);
+    if (size > 0 && search->said[size - 1] == '.') search->said[size - 1] = '\0';
     return rn_error_set(err, RN_ERROR_INVALID, "colmap",
                         "found no poses%s%s: take the photographs again so that each shares two "
                         "thirds of what it shows with the next, from a new place each time, with "
