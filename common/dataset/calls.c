@@ -91,7 +91,7 @@ static bool passes(const struct rn_camera *camera, const struct rn_bounds *ball,
 }
 
 double rn_share_past(const struct rn_dataset *d, const struct rn_bounds *bounds, bool cut_out) {
-    bool known = bounds->source == RN_BOUNDS_GIVEN || rn_bounds_are_rendered(bounds);
+    bool known = bounds->source <= RN_BOUNDS_LAYOUT;
     struct rn_bounds ball = known ? *bounds : rn_bounds_from_cameras(d, NARROW);
     size_t past = 0, all = 0;
     for (size_t f = 0; f < d->frame_count; f++) {

@@ -113,13 +113,12 @@ static struct rn_bounds around(const struct rn_box *box) {
     return bounds;
 }
 
-// Scenes of other sizes than the benchmark's: a sphere that fits what is cut out.
-static void fit_outlines(struct rn_reader *reader) {
+// Scenes of other sizes than the benchmark's: a sphere about its centre that fits what is cut out.
+static void fit_layout(struct rn_reader *reader) {
     struct rn_bounds *bounds = &reader->dataset->bounds;
     double reach = rn_outline_reach(reader->dataset, bounds->centre), sphere = bounds->radius;
     if (!(reach > sphere || reach < SMALL * sphere)) return;
     bounds->radius = MARGIN * reach;
-    bounds->source = RN_BOUNDS_OUTLINES;
     rn_problems_add(reader->problems, RN_SEVERITY_INFO, reader->folder,
                     "the layout's sphere (radius %g about the origin) does not fit what alpha "
                     "channels cut out, which reaches %.3g far: its radius is %.3g",
@@ -134,7 +133,7 @@ static void set_layout_bounds(struct rn_reader *reader) {
     for (size_t i = 0; i < dataset->frame_count; i++)
         if (rn_camera_looks_at(&dataset->frames[i].camera, &dataset->bounds)) {
             warn_of_what_is_beyond(reader);
-            fit_outlines(reader);
+            fit_layout(reader);
             return;
         }
     dataset->bounds = rn_bounds_from_cameras(dataset, RN_OBJECT_DISTANCES);
@@ -143,6 +142,15 @@ static void set_layout_bounds(struct rn_reader *reader) {
                     "taken from the cameras: radius %g about (%g, %g, %g)",
                     dataset->format->sphere, dataset->bounds.radius, dataset->bounds.centre[0],
                     dataset->bounds.centre[1], dataset->bounds.centre[2]);
+}
+
+// What photographs see, or the part of it that alpha channels cut out.
+static void set_seen_bounds(struct rn_dataset *dataset, const struct rn_scene_place *place) {
+    double reach = place->cut_out ? rn_outline_reach(dataset, place->turned_around) : NAN;
+    dataset->bounds = place->bounds;
+    if (!(reach > 0)) return;
+    dataset->bounds = (struct rn_bounds){.radius = MARGIN * reach, .source = RN_BOUNDS_OUTLINES};
+    memcpy(dataset->bounds.centre, place->turned_around, sizeof place->turned_around);
 }
 
 // As asked for, as the document says, by the layout, or by what the cameras see.
@@ -157,7 +165,7 @@ static void set_bounds(struct rn_reader *reader, const struct rn_scene_place *pl
     } else if (!(dataset->bounds.radius > 0) && dataset->format->sphere > 0) {
         set_layout_bounds(reader);
     } else if (!(dataset->bounds.radius > 0)) {
-        dataset->bounds = place->bounds;
+        set_seen_bounds(dataset, place);
     }
 }
 

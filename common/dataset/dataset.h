@@ -80,11 +80,6 @@ struct rn_bounds {
     enum rn_bounds_source source;
 };
 
-// Whether they are of a layout of rendered scenes, which says what its ball is.
-static inline bool rn_bounds_are_rendered(const struct rn_bounds *bounds) {
-    return bounds->source == RN_BOUNDS_LAYOUT || bounds->source == RN_BOUNDS_OUTLINES;
-}
-
 // How photographs were taken: around an object; one way, at a wall; from within a room; around
 // something that stands in its surroundings; down, from the air.
 enum rn_capture_kind {

@@ -120,7 +120,7 @@ void rn_effect_tell_moves(struct rn_effect_record *record, double turn_deg, doub
 
 // Whether the photographs are a renderer's: layouts that say what their scene's ball is are.
 static inline bool rn_evidence_is_rendered(const struct rn_evidence *evidence) {
-    return rn_bounds_are_rendered(&evidence->field->bounds);
+    return evidence->field->bounds.source == RN_BOUNDS_LAYOUT;
 }
 
 #define RN_EVIDENCE_PROBES 512 // rays looked at

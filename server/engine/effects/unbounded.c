@@ -30,7 +30,7 @@ static void take_up(struct rn_train_config *c) {
 
 static void prepare(const struct rn_dataset *dataset, struct rn_train_config *config,
                     struct rn_bounds *bounds, struct rn_effect_record *r) {
-    bool known = bounds->source == RN_BOUNDS_GIVEN || rn_bounds_are_rendered(bounds);
+    bool known = bounds->source <= RN_BOUNDS_LAYOUT;
     r->number = rn_share_past(dataset, bounds, config->cut_out);
     r->threshold = RN_SHARE_PAST;
     enum rn_effect_choice choice = config->effect[RN_EFFECT_UNBOUNDED];

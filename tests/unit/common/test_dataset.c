@@ -151,17 +151,31 @@ START_TEST(a_sphere_that_fits_what_is_cut_out) {
     put_transforms("train", AHEAD("train/r_0") "," AHEAD("train/r_1"));
     read_ok(folder);
     ck_assert_uint_eq(problems.errors + problems.warnings, 0);
-    if (_i == 0) {
-        ck_assert_int_eq(dataset->bounds.source, RN_BOUNDS_LAYOUT);
-        ck_assert_double_eq(dataset->bounds.radius, 1.5);
-        return;
-    }
+    ck_assert_int_eq(dataset->bounds.source, RN_BOUNDS_LAYOUT);
+    if (_i == 0) ck_assert_double_eq(dataset->bounds.radius, 1.5);
+    if (_i == 0) return;
     double corner = 4 * sin(atan(sqrt(2) * halves[_i] * tan(0.45) / (SIDE / 2)));
-    ck_assert_int_eq(dataset->bounds.source, RN_BOUNDS_OUTLINES);
     ck_assert_double_eq(rn_dot(dataset->bounds.centre, dataset->bounds.centre), 0);
     ck_assert_double_gt(dataset->bounds.radius, corner);
     ck_assert_double_lt(dataset->bounds.radius, 1.2 * corner);
     ck_assert_ptr_nonnull(strstr(problems.items[problems.count - 1].text, "does not fit"));
+}
+END_TEST
+
+// Photographs of a capture, from two sides: the ball of what they cut out, whatever its layout.
+START_TEST(a_ball_of_what_photographs_cut_out) {
+    put_cut_out("train/r_0.png", 8);
+    put_cut_out("train/r_1.png", 8);
+    put_text("transforms.json",
+             "{\"fl_x\":64,\"fl_y\":64,\"cx\":32,\"cy\":32,\"w\":64,\"h\":64,\"frames\":[" AHEAD(
+                 "train/r_0.png") ",{\"file_path\":\"train/r_1.png\",\"transform_matrix\":"
+                                  "[[0,0,1,4],[1,0,0,0],[0,1,0,0],[0,0,0,1]]}]}");
+    read_ok(folder);
+    double corner = 4 * sin(atan(sqrt(2) * 8 / 64));
+    ck_assert_int_eq(dataset->bounds.source, RN_BOUNDS_OUTLINES);
+    ck_assert_double_lt(rn_dot(dataset->bounds.centre, dataset->bounds.centre), 1e-18);
+    ck_assert_double_gt(dataset->bounds.radius, corner);
+    ck_assert_double_lt(dataset->bounds.radius, 1.2 * corner);
 }
 END_TEST
 
@@ -607,6 +621,7 @@ int main(void) {
     tcase_add_test(tests, bounds_from_cameras);
     tcase_add_test(tests, photographs_of_more_than_the_sphere);
     tcase_add_loop_test(tests, a_sphere_that_fits_what_is_cut_out, 0, 3);
+    tcase_add_test(tests, a_ball_of_what_photographs_cut_out);
     tcase_add_loop_test(tests, alpha_that_is_opaque_everywhere, 0, 2);
     tcase_add_test(tests, find_view);
     tcase_add_test(tests, unknown_fields_warn_once);
