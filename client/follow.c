@@ -47,7 +47,7 @@ static void format_work(const struct rn_work_progress *progress, char *ret_text,
     char total[32] = "";
     if (progress->total != RN_ABSENT)
         snprintf(total, sizeof total, " of %lld", (long long)progress->total);
-    bool counts = !progress->stage[0] || progress->total != RN_ABSENT || progress->done > 0;
+    bool counts = progress->total != RN_ABSENT || progress->done > 0;
     int used = snprintf(ret_text, capacity, "%s", progress->stage);
     if (counts && used >= 0 && (size_t)used < capacity)
         used += snprintf(ret_text + used, capacity - (size_t)used, "%s%lld%s", used ? "  " : "",

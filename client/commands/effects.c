@@ -123,7 +123,7 @@ static enum rn_exit print_effects(const struct rn_scene *scene,
                "--seconds %.0f tells\n",
                scene->train_seconds, scene->train_seconds);
     format_duration(made, duration, sizeof duration);
-    if (!measured)
+    if (!measured && made->viewing.bits == RN_ABSENT)
         printf("\nwhat they bring was not measured: ripnerf effects %s --measure%s\n", scene->name,
                duration);
     return status == RN_OK ? RN_EXIT_OK : rn_client_fail(&err);

@@ -48,8 +48,10 @@ def test_it_is_the_same_elsewhere(ball, elsewhere, exported, tmp_path):
     whole = ball.json("show", "ball")["checkpoints"][0]["size_bytes"]
     assert said["bytes"] < whole / 10
 
-    told = ball.run("import", file, "--name", "light", "--dataset", "sphere").stdout
-    assert "it is not trained further" in told
+    told = ball.run("import", file, "--name", "light", "--dataset", "sphere")
+    assert "it is not trained further" in told.stdout and "\n0\n" not in told.stderr
+    assert "--measure" in ball.run("effects", "ball").stdout
+    assert "--measure" not in ball.run("effects", "light").stdout  # how it was trained is not known
     own = ball.json("eval", "light", "--split", "test", "--views", 6)
     assert own["views"] == said["views"] and abs(own["psnr"] - said["psnr"]) < 1e-3
     before = ball.json("eval", "ball", "--split", "test", "--views", 6)

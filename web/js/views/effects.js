@@ -65,14 +65,15 @@ export function createEffects(scene, signal) {
     now = latest;
     const gains = new Map(measured?.gains.map((gain) => [gain.name, gain]));
     fill(list, now.effects.map((effect) => row(effect, gains.get(effect.name))));
-    measure.hidden = !now.effects.some((effect) => effect.measurable !== false);
+    measure.hidden =
+        Boolean(now.viewing) || !now.effects.some((effect) => effect.measurable !== false);
     fill(words, now.effects.length ?
         'On where the number is over its threshold and the rest that its reason names allows it. What is off is not computed.' :
         'Decided when training begins.');
     const told = measured ?
         `Gains: ${plural(measured.seeds, 'pair')} of trainings of ${
             measured.seconds} s with each and without, on withheld views (${measured.held_out}).` :
-        now.effects.length ? durationWords(now.effects) : null;
+        now.effects.length && !now.viewing ? durationWords(now.effects) : null;
     about.hidden = !told;
     fill(about, told);
   }
