@@ -69,6 +69,15 @@ def test_a_ready_scene_is_trained_again_with_its_settings(page, fake):
     assert page.complaints() == []
 
 
+def test_a_scene_whose_training_is_not_known_has_no_rates(page, fake):
+    api = fake("busy")
+    with api.world.lock:
+        api.world.jobs.clear()
+    page.open(api.url + "#/scene/sphere-draft")
+    page.says("31.47 dB", ".stats")
+    assert "/s" not in page.text(".stats")
+
+
 def test_a_photograph_is_enlarged(page, fake):
     from selenium.webdriver.common.keys import Keys
 

@@ -26,13 +26,16 @@ function heldOut(p) {
   return decibel(p.psnr) + (old ? ` at step ${whole(p.psnr_step)}` : '');
 }
 
+/** Not known of a scene whose training was elsewhere. */
+const rate = (x) => (Number.isFinite(x) ? `${compact(x)}/s` : '–');
+
 /** Figures worth a place of their own. */
 const STATS = [
   ['PSNR, held out', heldOut],
   ['Step', (p) => whole(p.step)],
   ['Trained', (p) => seconds(p.train_seconds)],
-  ['Rays', (p) => `${compact(p.rays_per_second)}/s`],
-  ['Samples', (p) => `${compact(p.samples_per_second)}/s`],
+  ['Rays', (p) => rate(p.rays_per_second)],
+  ['Samples', (p) => rate(p.samples_per_second)],
   ['Loss', (p) => (p.loss === null ? '–' : Number(p.loss.toPrecision(3)).toString())],
 ];
 
