@@ -413,30 +413,31 @@ static enum rn_status read_text(const char *file, uint8_t **ret_bytes, size_t *r
     return rn_file_read(file, RN_PATH_MAX_IMPORT, ret_bytes, ret_size, err);
 }
 
+// The text of a file that an option names, malloc'd; none where `file` is NULL.
+static enum rn_status read_named(const char *file, struct rn_path_text *ret_text,
+                                 struct rn_error *err) {
+    uint8_t *text = NULL;
+    *ret_text = (struct rn_path_text){.where = file};
+    enum rn_status status = file ? read_text(file, &text, &ret_text->size, err) : RN_OK;
+    ret_text->text = (char *)text;
+    return status;
+}
+
 // Where the foreign file's coordinates lie; *ret_given is false when nothing was said of that.
 static enum rn_status find_space(const struct paths_options *options,
                                  const struct rn_path_format *format, struct rn_path_space *space,
                                  bool *ret_given, struct rn_error *err) {
-    uint8_t *text = NULL;
-    size_t size = 0;
-    enum rn_status status = RN_OK;
-    *ret_given = options->space || options->dataset;
-    *space = options->space ? rn_path_space_same : format->usual;
-    if (options->space && strcmp(options->space, "dataset") != 0) {
-        status = read_text(options->space, &text, &size, err);
-        if (status == RN_OK)
-            status = rn_path_space_read((char *)text, size, options->space, space, err);
-        free(text);
-        text = NULL;
-    }
-    if (status != RN_OK || !options->dataset) return status;
-    if (format->needs_space && !options->space)
+    struct rn_path_text said = {.text = "dataset", .size = 7}, dataset = {0};
+    bool is_word = options->space && strcmp(options->space, said.text) == 0;
+    if (options->dataset && format->needs_space && !options->space)
         return rn_error_set(err, RN_ERROR_INVALID, "--dataset",
                             "needs --space too for nerfstudio's paths");
-    status = read_text(options->dataset, &text, &size, err);
+    enum rn_status status = is_word ? RN_OK : read_named(options->space, &said, err);
+    if (status == RN_OK) status = read_named(options->dataset, &dataset, err);
     if (status == RN_OK)
-        status = rn_path_space_of_dataset(format, (char *)text, size, options->dataset, space, err);
-    free(text);
+        status = rn_path_space_find(format, &said, &dataset, space, ret_given, err);
+    if (!is_word) free((char *)said.text);
+    free((char *)dataset.text);
     return status;
 }
 

@@ -12,15 +12,11 @@ static enum rn_status find_space(const struct rn_path_file_request *wanted,
                                  const struct rn_path_format *format,
                                  struct rn_path_space *ret_space, bool *ret_given,
                                  struct rn_error *err) {
-    enum rn_status status = RN_OK;
-    *ret_given = wanted->space || wanted->dataset;
-    *ret_space = wanted->space ? rn_path_space_same : format->usual;
-    if (wanted->space && strcmp(wanted->space, "dataset") != 0)
-        status =
-            rn_path_space_read(wanted->space, strlen(wanted->space), "#/space", ret_space, err);
-    if (status != RN_OK || !wanted->dataset) return status;
-    return rn_path_space_of_dataset(format, wanted->dataset, strlen(wanted->dataset), "#/dataset",
-                                    ret_space, err);
+    struct rn_path_text space = {.text = wanted->space, .where = "#/space"},
+                        dataset = {.text = wanted->dataset, .where = "#/dataset"};
+    if (space.text) space.size = strlen(space.text);
+    if (dataset.text) dataset.size = strlen(dataset.text);
+    return rn_path_space_find(format, &space, &dataset, ret_space, ret_given, err);
 }
 
 static enum rn_status check_space(const struct rn_path_file_request *wanted,

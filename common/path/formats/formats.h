@@ -78,6 +78,15 @@ enum rn_status rn_path_space_read(const char *text, size_t size, const char *whe
 enum rn_status rn_path_space_of_dataset(const struct rn_path_format *format, const char *text,
                                         size_t size, const char *where, struct rn_path_space *space,
                                         struct rn_error *err) RN_MUST_CHECK;
+// Where a format's coordinates lie by what was said of that: `space`, the text of such a
+// dataparser_transforms.json or the word dataset, and `dataset`, that of the dataset's own
+// transforms.json (of each, text NULL: not given). *ret_given is false where neither is, and
+// *ret_space the format's usual one.
+enum rn_status rn_path_space_find(const struct rn_path_format *format,
+                                  const struct rn_path_text *space,
+                                  const struct rn_path_text *dataset,
+                                  struct rn_path_space *ret_space, bool *ret_given,
+                                  struct rn_error *err) RN_MUST_CHECK;
 // The object within {"path": ...} as text, malloc'd.
 enum rn_status rn_path_object_text(const struct rn_path *path, char **ret_json,
                                    struct rn_error *err) RN_MUST_CHECK;

@@ -80,3 +80,22 @@ enum rn_status rn_path_space_of_dataset(const struct rn_path_format *format, con
     json_decref(root);
     return status;
 }
+
+static bool is_word(const struct rn_path_text *text, const char *word) {
+    return text->size == strlen(word) && memcmp(text->text, word, text->size) == 0;
+}
+
+enum rn_status rn_path_space_find(const struct rn_path_format *format,
+                                  const struct rn_path_text *space,
+                                  const struct rn_path_text *dataset,
+                                  struct rn_path_space *ret_space, bool *ret_given,
+                                  struct rn_error *err) {
+    enum rn_status status = RN_OK;
+    *ret_given = space->text || dataset->text;
+    *ret_space = space->text ? rn_path_space_same : format->usual;
+    if (space->text && !is_word(space, "dataset"))
+        status = rn_path_space_read(space->text, space->size, space->where, ret_space, err);
+    if (status || !dataset->text) return status;
+    return rn_path_space_of_dataset(format, dataset->text, dataset->size, dataset->where, ret_space,
+                                    err);
+}
