@@ -129,7 +129,11 @@ RN_INLINE int look_up_leveled(const struct rn_map *maps, int base, bool mip, con
     struct axis_lookup x, y;
     look_up_axis(vf_load(u), vf_load(lx), base, &x);
     look_up_axis(vf_load(v), vf_load(ly), base, &y);
-    int count = look_up_maps(&x, &y, mip, ret);
+    int count = 1;
+    if (vi_mask_bits((x.upper > 0.0f) | (y.upper > 0.0f)))
+        count = look_up_maps(&x, &y, mip, ret);
+    else
+        look_up_map(&x, &y, mip, 0, &ret[0]);
     for (int k = 0; k < count; k++) {
         if (n < RN_VL) ret[k].active &= (1u << n) - 1;
         for (unsigned left = ret[k].active; left; left &= left - 1) {

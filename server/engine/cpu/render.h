@@ -187,6 +187,16 @@ static bool stream_round(struct stream *s) {
     return leveled;
 }
 
+// Of a sample's levels the nearest: one map of a plane's pyramid is read instead of four.
+static void round_levels(struct stream *s) {
+    struct rn_workspace *w = s->w;
+    for (int p = 0; p < s->field->config->planes; p++)
+        for (int i = 0; i < w->count; i += RN_VL) {
+            vf_store(w->lx[p] + i, vf_whole(vf_load(w->lx[p] + i) + 0.5f));
+            vf_store(w->ly[p] + i, vf_whole(vf_load(w->ly[p] + i) + 0.5f));
+        }
+}
+
 // Colours of the round's samples, times their weights, onto their rays' sums.
 static void stream_shade_samples(struct stream *s) {
     struct rn_workspace *w = s->w;
@@ -227,6 +237,7 @@ static uint64_t render(const struct rn_cpu_field *field, const struct rn_march_o
         march_round(&field->occupancy, options->step, s.round, &s.marches, w);
         bool leveled = stream_round(&s);
         if (w->count == 0 && s.next == count) break;
+        if (leveled && options->whole_levels) round_levels(&s);
         encode(field, leveled, 0, w->count, w);
         mlp_forward(&base, 0, w->count);
         activate(field, 0, w->count, w);

@@ -121,6 +121,7 @@ struct rn_march_options {
                             // by roulette; 0 = off
     uint64_t seed, counter; // of the roulette
     uint16_t *samples;      // pictures: NULL, or of each ray: its samples are added
+    bool whole_levels;      // pictures: of the nearest level alone, not between two
     const float *look;      // NULL, or a direction for the colour network instead of the ray's
 };
 

@@ -20,6 +20,7 @@
 #define SPREAD 4096           // points that a thread puts into the lattice at a time
 #define FINE_POINTS (1 << 23) // of a lattice finer than the pixels, at most
 #define LOOK_NS 4000000       // between two looks at keep_going
+#define WHOLE_LEVELS 0.1      // tolerance above which a sample reads the nearest level alone
 #define TIMED_TOLERANCE 1e-9  // of a frame by a deadline, until it is known what there is time for
 
 struct frame {
@@ -409,6 +410,7 @@ static void init_frame(struct frame *f) {
     f->late_ns = o->deadline_ns ? o->deadline_ns - fill_ns(f) : 0;
     memcpy(f->march.colour.background, o->background, sizeof f->march.colour.background);
     f->march.straight = o->straight;
+    f->march.whole_levels = o->settings.tolerance > WHOLE_LEVELS;
 }
 
 // Where pixels are several cones and may be interpolated, that is done between parts of pixels: a
