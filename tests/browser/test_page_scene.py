@@ -88,7 +88,8 @@ def test_a_photograph_is_enlarged(page, fake):
     dialog = page.find("dialog.enlarged")
     page.says("train:1 · 2 of 24", ".enlarged")
     page.find(".enlarged-frame[data-state=ready]")
-    assert page.run("return document.querySelector('.enlarged img').naturalWidth;") == 200  # not the thumbnail
+    width = "return document.querySelector('.enlarged img').naturalWidth;"
+    page.until(lambda: page.run(width) == 200, "the photograph, not the thumbnail")
     for key, words in ((Keys.ARROW_LEFT, "train:0 · 1 of 24"), (Keys.ARROW_LEFT, "train:23 · 24 of 24"),
                        (Keys.ARROW_RIGHT, "train:0 · 1 of 24")):
         dialog.send_keys(key)

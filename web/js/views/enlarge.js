@@ -49,6 +49,8 @@ export function enlarge({count, at, words, picture}, signal) {
       if (now !== at || stop.signal.aborted) return;  // another one was asked for meanwhile
       showBlob(image, blob, stop.signal);
       frame.replaceChildren(image);
+      await image.decode();
+      if (now !== at) return;
       frame.dataset.state = 'ready';
     } catch (error) {
       if (now !== at || stop.signal.aborted) return;
