@@ -201,6 +201,46 @@ START_TEST(what_points_are_seen_through_begins_empty) {
 }
 END_TEST
 
+// From between two photographs a point that they and a third one saw would be seen as well; of a
+// point that two alone saw, nothing is known.
+START_TEST(what_neighbours_see_through_begins_empty) {
+    struct rn_train_config config = config_for(dataset);
+    config.auto_effects = false;
+    config.field.space = RN_SPACE_UNBOUNDED;
+    config.cone_step = false;
+    for (size_t seen = 2; seen <= 3; seen++) {
+        struct rn_engine *engine = engine_with(1);
+        struct rn_dataset as = *dataset;
+        struct rn_frame frames[3];
+        struct rn_point point = {.error = -1};
+        struct rn_sighting sightings[3] = {{.photo = 0}, {.photo = 1}, {.photo = 2}};
+        for (int i = 0; i < 3; i++) { // a twentieth of the way around from one to the next
+            frames[i] = dataset->frames[0];
+            frames[i].split = RN_SPLIT_TRAIN;
+            frames[i].photo = i;
+            frames[i].camera.world_from_camera[0][3] = 3 * cos(i * 0.3);
+            frames[i].camera.world_from_camera[1][3] = 3 * sin(i * 0.3);
+            frames[i].camera.world_from_camera[2][3] = 0;
+        }
+        as.frames = frames;
+        as.frame_count = 3;
+        as.bounds.source = RN_BOUNDS_GIVEN;
+        memset(as.bounds.centre, 0, sizeof as.bounds.centre);
+        as.points = (struct rn_points){
+            .items = &point, .count = 1, .sightings = sightings, .sighting_count = seen};
+        struct rn_trainer *trainer = trainer_for(engine, &as, &config);
+        struct rn_camera between = frames[0].camera;
+        for (int i = 0; i < 2; i++)
+            between.world_from_camera[i][3] = 0.5 * (frames[0].camera.world_from_camera[i][3] +
+                                                     frames[1].camera.world_from_camera[i][3]);
+        ck_assert_float_eq(begins_at(trainer, &between, 0.4), seen < 3 ? RN_NEVER_SEEN : 0);
+        ck_assert_float_eq(begins_at(trainer, &between, 1), RN_NEVER_SEEN);
+        rn_trainer_destroy(&trainer);
+        rn_engine_destroy(&engine);
+    }
+}
+END_TEST
+
 // All of space in the field's ball, asked for: cells, bent rays and what draws them together are in
 // the checkpoint.
 START_TEST(unbounded_space_resumes) {
@@ -549,6 +589,7 @@ static void add_tests(TCase *tests) {
     tcase_add_test(tests, interruptions_do_not_change_bytes);
     tcase_add_test(tests, draws_by_error_resume);
     tcase_add_test(tests, what_points_are_seen_through_begins_empty);
+    tcase_add_test(tests, what_neighbours_see_through_begins_empty);
     tcase_add_test(tests, unbounded_space_resumes);
     tcase_add_test(tests, photographs_call_for_their_space);
     tcase_add_test(tests, a_figure_does_not_depend_on_interruptions);

@@ -1,6 +1,8 @@
 // What sparse points say of unbounded space before training: a photograph that saw a point saw
-// through all that lies between. Cells that several such lines cross, and near which no point lies,
-// begin empty, so that rays skip them from the first step on and no haze settles there.
+// through all that lies between, and what photographs beside each other both saw, a camera between
+// them would see too. Cells that several such lines cross, and near which no point lies, begin
+// empty, so that rays skip them from the first step on and no haze settles there: bare walls and
+// floors look the same from wherever it hangs, and it hides things from places between the cameras.
 #include <math.h>
 #include <stdlib.h>
 
@@ -8,11 +10,15 @@
 #include "server/engine/field/space.h"
 #include "server/engine/train/trainer.h"
 
-#define CROSSED 3   // lines that make a cell empty: one may be of a wrong match
-#define NEAR 2      // cells to each side of a point that are left alone
-#define KEPT 255    // stands for them where lines are counted
-#define PLACES 128  // that are looked at along a line
-#define MOST 100000 // lines that are followed, evenly of all
+#define CROSSED 3  // lines that make a cell empty: one may be of a wrong match
+#define NEAR 2     // cells to each side of a point that are left alone
+#define KEPT 255   // stands for them where lines are counted
+#define PLACES 128 // that are looked at along a line
+#define MOST 50000 // sightings that are followed, of points evenly among all
+
+#define NEIGHBOURS 4 // photographs of the same point that are nearest to one,
+#define WIDE 1.0     // but no farther from it than this times the point is
+#define BETWEEN 5    // places on the way there, from which the point would be seen
 
 struct lines {
     const struct rn_trainer *trainer;
@@ -50,8 +56,7 @@ static void keep_around(const struct lines *lines, const double at[3]) {
     }
 }
 
-static void follow(const struct lines *lines, const struct rn_camera *camera,
-                   const double point[3]) {
+static void follow(const struct lines *lines, const double camera[3], const double point[3]) {
     double end[3], reach = 2.0 * (NEAR + 1) / lines->cells;
     size_t last = SIZE_MAX;
     contract(lines->trainer->field, point, end);
@@ -59,8 +64,7 @@ static void follow(const struct lines *lines, const struct rn_camera *camera,
     for (int place = 0; place < PLACES; place++) {
         double there[3], at[3], squares = 0;
         for (int i = 0; i < 3; i++) {
-            double from = camera->world_from_camera[i][3];
-            there[i] = from + (point[i] - from) * place / PLACES;
+            there[i] = camera[i] + (point[i] - camera[i]) * place / PLACES;
         }
         contract(lines->trainer->field, there, at);
         for (int i = 0; i < 3; i++)
@@ -85,22 +89,98 @@ static const struct rn_camera **list_cameras(const struct rn_trainer *t, size_t 
     return cameras;
 }
 
+// That the photograph of a camera saw a point.
+struct view {
+    uint32_t point, photo;
+    double camera[3];
+};
+
+static int compare_views(const void *a, const void *b) {
+    const struct view *x = a, *y = b;
+    if (x->point != y->point) return x->point < y->point ? -1 : 1;
+    return (x->photo > y->photo) - (x->photo < y->photo);
+}
+
+// All views of every so-manyth point that photographs trained on saw, point by point; malloc'd,
+// NULL without memory.
+static struct view *list_views(const struct rn_trainer *t, size_t *ret_count) {
+    const struct rn_points *points = &t->dataset->points;
+    size_t photos, count = 0, stride = points->sighting_count / MOST + 1;
+    const struct rn_camera **cameras = list_cameras(t, &photos);
+    struct view *views = malloc(points->sighting_count * sizeof *views);
+    for (size_t i = 0; cameras && views && i < points->sighting_count; i++) {
+        const struct rn_sighting *seen = &points->sightings[i];
+        if (seen->photo >= photos || !cameras[seen->photo] || seen->point % stride) continue;
+        struct view view = {.point = seen->point, .photo = seen->photo};
+        for (int k = 0; k < 3; k++)
+            view.camera[k] = cameras[seen->photo]->world_from_camera[k][3];
+        views[count++] = view;
+    }
+    if (!cameras) free(views), views = NULL;
+    free(cameras);
+    if (views) qsort(views, count, sizeof *views, compare_views);
+    *ret_count = count;
+    return views;
+}
+
+static double square_apart(const double a[3], const double b[3]) {
+    double squares = 0;
+    for (int i = 0; i < 3; i++)
+        squares += (a[i] - b[i]) * (a[i] - b[i]);
+    return squares;
+}
+
+// The NEIGHBOURS nearest cameras of `count` that saw the same point; how many there are.
+static int find_neighbours(const struct view *views, size_t count, const struct view *of,
+                           const double point[3], const struct view *ret[NEIGHBOURS]) {
+    double squares[NEIGHBOURS], most = WIDE * WIDE * square_apart(of->camera, point);
+    int found = 0;
+    for (size_t i = 0; i < count; i++) {
+        double square = square_apart(views[i].camera, of->camera);
+        if (!(square > 0 && square <= most)) continue;
+        if (found == NEIGHBOURS && square >= squares[found - 1]) continue;
+        int at = found < NEIGHBOURS ? found++ : found - 1;
+        for (; at > 0 && squares[at - 1] > square; at--) {
+            squares[at] = squares[at - 1];
+            ret[at] = ret[at - 1];
+        }
+        squares[at] = square;
+        ret[at] = &views[i];
+    }
+    return found;
+}
+
+// From places on the way from each camera to its neighbours. Not of a point that few photographs
+// saw: it may be a wrong match.
+static void follow_between(const struct lines *lines, const struct view *views, size_t count,
+                           const double point[3]) {
+    for (size_t i = 0; i < count && count >= CROSSED; i++) {
+        const struct view *neighbours[NEIGHBOURS];
+        int found = find_neighbours(views, count, &views[i], point, neighbours);
+        for (int n = 0; n < found * BETWEEN; n++) {
+            double there[3], share = (n % BETWEEN + 1.0) / (BETWEEN + 1);
+            for (int k = 0; k < 3; k++)
+                there[k] = views[i].camera[k] +
+                           share * (neighbours[n / BETWEEN]->camera[k] - views[i].camera[k]);
+            follow(lines, there, point);
+        }
+    }
+}
+
 void rn_trainer_carve_sighted(struct rn_trainer *t) {
     const struct rn_points *points = &t->dataset->points;
-    size_t side = (size_t)t->field->config.field.occupancy, cells = side * side * side, photos;
+    size_t side = (size_t)t->field->config.field.occupancy, cells = side * side * side, count = 0;
     if (points->sighting_count == 0) return;
     struct lines lines = {t, (int)side, calloc(cells, 1)};
-    const struct rn_camera **cameras = list_cameras(t, &photos);
-    if (lines.crossed && cameras) { // without memory nothing is carved
-        size_t stride = points->sighting_count / MOST + 1;
-        for (size_t i = 0; i < points->sighting_count; i += stride) {
-            const struct rn_sighting *seen = &points->sightings[i];
-            if (seen->photo < photos && cameras[seen->photo])
-                follow(&lines, cameras[seen->photo], points->items[seen->point].position);
-        }
-        for (size_t i = 0; i < cells; i++)
-            if (lines.crossed[i] >= CROSSED && lines.crossed[i] != KEPT) t->field->occupancy[i] = 0;
+    struct view *views = lines.crossed ? list_views(t, &count) : NULL; // else nothing is carved
+    for (size_t first = 0, end; first < count; first = end) {
+        const double *point = points->items[views[first].point].position;
+        for (end = first; end < count && views[end].point == views[first].point; end++)
+            follow(&lines, views[end].camera, point);
+        follow_between(&lines, views + first, end - first, point);
     }
+    for (size_t i = 0; i < cells && count > 0; i++)
+        if (lines.crossed[i] >= CROSSED && lines.crossed[i] != KEPT) t->field->occupancy[i] = 0;
     free(lines.crossed);
-    free(cameras);
+    free(views);
 }
