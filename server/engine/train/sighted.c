@@ -60,7 +60,6 @@ static void follow(const struct lines *lines, const double camera[3], const doub
     double end[3], reach = 2.0 * (NEAR + 1) / lines->cells;
     size_t last = SIZE_MAX;
     contract(lines->trainer->field, point, end);
-    keep_around(lines, end);
     for (int place = 0; place < PLACES; place++) {
         double there[3], at[3], squares = 0;
         for (int i = 0; i < 3; i++) {
@@ -173,6 +172,11 @@ void rn_trainer_carve_sighted(struct rn_trainer *t) {
     if (points->sighting_count == 0) return;
     struct lines lines = {t, (int)side, calloc(cells, 1)};
     struct view *views = lines.crossed ? list_views(t, &count) : NULL; // else nothing is carved
+    for (size_t i = 0; views && i < points->count; i++) { // of those whose lines are left out too
+        double at[3];
+        contract(t->field, points->items[i].position, at);
+        keep_around(&lines, at);
+    }
     for (size_t first = 0, end; first < count; first = end) {
         const double *point = points->items[views[first].point].position;
         for (end = first; end < count && views[end].point == views[first].point; end++)
