@@ -21,6 +21,10 @@ MAGIC = 0x31574E52
 JOB = "job_aaaaaaaaaaaa"
 
 
+def frame(number, body, magic=MAGIC):
+    return HEADER.pack(magic, number, len(body), 0) + body
+
+
 class Runner:
     """A runner process. Messages are (name, content, blob); `seen` keeps all that arrived."""
 
@@ -47,10 +51,15 @@ class Runner:
             raise
 
     def send(self, name, /, **content):
-        self.send_raw(TYPES[name], json.dumps(content).encode())
+        self.send_all((name, content))
+
+    def send_all(self, *messages):
+        """(name, content) each: when it reads the first the last one is there too."""
+        self.socket.sendall(b"".join(frame(TYPES[name], json.dumps(content).encode())
+                                     for name, content in messages))
 
     def send_raw(self, number, body, magic=MAGIC):
-        self.socket.sendall(HEADER.pack(magic, number, len(body), 0) + body)
+        self.socket.sendall(frame(number, body, magic))
 
     def receive(self, timeout=PATIENCE_S):
         """The next message, or None at the end of the stream."""
