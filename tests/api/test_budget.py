@@ -218,7 +218,12 @@ def test_an_older_curve_is_measured_anew(make_daemon, photographs):
 
 
 def test_curve_goes_on_after_its_runner_was_killed(make_daemon, photographs):
-    daemon = start(make_daemon, photographs, 4000)
+    """What is kept each second holds all but the last of what it had measured: 125 pictures are no less
+    than a second."""
+    daemon = make_daemon({"RIPNERF_FAKE_ROW_US": "4000", "RIPNERF_FAKE_HELD_PICTURES": "230"})
+    assert daemon.wait(daemon.upload("data", photographs))["state"] == "succeeded"
+    daemon.train("ready")
+    daemon.hold()
     job = daemon.post("/v1/scenes/ready/curve", {"views": 1}).json["id"]
 
     def until(condition):
@@ -228,15 +233,13 @@ def test_curve_goes_on_after_its_runner_was_killed(make_daemon, photographs):
             return condition(record) and record
         return daemon.eventually(found)
 
-    until(lambda record: record["progress"] and record["progress"]["done"] >= 10)
-    (part,) = daemon.eventually(lambda: list(Path(daemon.data).glob("scenes/*/curve.part")))
-    kept = part.read_bytes()
-    daemon.eventually(lambda: part.read_bytes() != kept)  # these are in it
+    until(lambda record: record["progress"] and record["progress"]["done"] >= 140)
     for pid in daemon.runners():
         os.kill(pid, signal.SIGKILL)
     again = until(lambda record: record["attempt"] == 2 and record["progress"]
                   and record["state"] == "running" and record["progress"]["done"] > 0)
     assert again["progress"]["done"] >= 10
+    daemon.let_go_on()
     record = daemon.wait(job)
     assert record["state"] == "succeeded" and record["attempt"] == 2
     assert record["result"]["points"][-1]["setting"] == {}
@@ -262,7 +265,8 @@ def test_client(shared, build, tmp_path):
 
 def test_curves_are_measured_in_idle_time(make_daemon, photographs):
     """Of a scene that was trained; whoever wants something goes first."""
-    daemon = make_daemon({"RIPNERF_FAKE_ROW_US": "3000"}, curve_after=1)
+    daemon = make_daemon({"RIPNERF_FAKE_HELD_PICTURES": "20"}, curve_after=1)
+    daemon.hold()
     assert daemon.wait(daemon.upload("data", photographs))["state"] == "succeeded"
     daemon.train("ready")
     jobs = "/v1/jobs?type=curve"

@@ -188,7 +188,7 @@ def test_curve_mixes_no_machines(program, dataset, tmp_path, scene, capfd):
 
     def measure_on(machine, kernels, said=""):
         environment = {"SLURMD_NODENAME": machine, "RIPNERF_FAKE_KERNELS": kernels,
-                       "RIPNERF_FAKE_ROW_US": "2000"}
+                       "RIPNERF_FAKE_HOLD": str(tmp_path), "RIPNERF_FAKE_HELD_PICTURES": "20"}
         with Scene(program, tmp_path / "scene", dataset, True, environment) as runner:
             runner.wait_for("opened")
             runner.send("curve", job=JOB, options={})
@@ -250,19 +250,24 @@ def test_bytes_do_not_depend_on_pauses_checkpoints_or_a_crash(program, dataset, 
     def result(runner):
         digests.append(runner.wait_for("done")[1]["result"]["parameters_sha256"])
 
+    hold = tmp_path / "hold"
+    held = {"RIPNERF_FAKE_HOLD": str(hold), "RIPNERF_FAKE_HELD_AT": "100"}
     options = {"max_steps": 150, "seed": 5, "evaluate_interval_s": 1000}
     with Scene(program, tmp_path / "plain", dataset) as runner:
         train(runner, **options)
         result(runner)
-    with Scene(program, tmp_path / "paused", dataset) as runner:
+    hold.touch()
+    with Scene(program, tmp_path / "paused", dataset, environment=held) as runner:
         train(runner, checkpoint_interval_s=0, **options)
         runner.wait_for("checkpoint")
         runner.send("pause", job=JOB)
         while runner.wait_for("state")[1]["state"] != "paused":
             pass
         runner.send("resume", job=JOB)
+        hold.unlink()
         result(runner)
-    with Scene(program, tmp_path / "killed", dataset) as runner:
+    hold.touch()
+    with Scene(program, tmp_path / "killed", dataset, environment=held) as runner:
         train(runner, checkpoint_interval_s=0, **options)
         for _ in range(3):
             runner.wait_for("checkpoint")
@@ -270,7 +275,7 @@ def test_bytes_do_not_depend_on_pauses_checkpoints_or_a_crash(program, dataset, 
     with Scene(program, tmp_path / "killed", dataset) as runner:
         train(runner, **options)
         first = runner.wait_for("progress")[1]["progress"]
-        assert first["step"] > 0
+        assert 0 < first["step"] <= 100
         result(runner)
     assert len(set(digests)) == 1, digests
 
@@ -278,6 +283,7 @@ def test_bytes_do_not_depend_on_pauses_checkpoints_or_a_crash(program, dataset, 
 def test_pause_stops_the_clock_and_is_reported(scene):
     train(scene, max_steps=100000)
     scene.wait_for("state")
+    begin = time.monotonic()
     scene.send("pause", job=JOB)
     assert scene.wait_for("state")[1]["state"] == "paused"
     assert scene.wait_for("checkpoint")
@@ -286,7 +292,7 @@ def test_pause_stops_the_clock_and_is_reported(scene):
     scene.send("resume", job=JOB)
     after = scene.wait_for("progress")[1]["progress"]
     assert after["paused_seconds"] >= 2
-    assert after["train_seconds"] - before["train_seconds"] < after["paused_seconds"]
+    assert after["train_seconds"] - before["train_seconds"] < time.monotonic() - begin - 2
     assert after["step"] > before["step"]
 
 
@@ -432,13 +438,15 @@ def test_wrong_render_is_refused(trained, request_, status, where):
 def test_renders_are_served_while_training(scene):
     train(scene, max_steps=100000)
     scene.wait_for("state")
+    scene.send_all(*(("render", {"request": number, "render": {"camera": CAMERA, "format": "png"}})
+                     for number in range(20)))
     steps = []
-    for number in range(20):
-        name, content, _ = render(scene, number, camera=CAMERA, format="png")
+    for _ in range(20):
+        name, content, _ = scene.wait_for("rendered", "failed")
         assert name == "rendered" and content["training"]
         steps.append(content["step"])
-    assert steps == sorted(steps) and steps[-1] > steps[0]
-    assert steps[-1] < 20 * 500  # of a millisecond each: none has waited for long
+    waited = [later - sooner for sooner, later in zip(steps, steps[1:])]
+    assert min(waited) >= 0 < max(waited) <= 10  # of a millisecond each: a slice
     scene.send("pause", job=JOB)
     scene.wait_for("checkpoint")
     assert [m[1]["progress"] for m in scene.seen if m[0] == "progress"] or \
@@ -527,8 +535,10 @@ def test_wrong_cameras_end_the_runner(program, dataset, tmp_path, name, content)
 
 
 def test_path_is_cancelled_between_rows_and_goes_on_later(program, dataset, tmp_path):
+    hold = tmp_path / "hold"
+    hold.touch()
     with Scene(program, tmp_path / "scene", dataset,
-               environment={"RIPNERF_FAKE_ROW_US": "60000"}) as runner:
+               environment={"RIPNERF_FAKE_HOLD": str(hold), "RIPNERF_FAKE_HELD_PICTURES": "2"}) as runner:
         train(runner, max_steps=1)
         runner.wait_for("done")
         frames = tmp_path / "frames"
@@ -539,6 +549,7 @@ def test_path_is_cancelled_between_rows_and_goes_on_later(program, dataset, tmp_
         assert runner.wait_for("failed")[1]["status"] == "cancelled"
         kept = len(list(frames.glob("*.png")))
         assert 1 <= kept < 5
+        hold.unlink()
         runner.send("path", **{**order, "job": OTHER})
         assert runner.wait_for("done")[1]["result"]["frames"] == 5
         made = [m for m in runner.seen if m[0] == "frame" and m[1]["job"] == OTHER]

@@ -9,6 +9,7 @@ import signal
 import socket
 import subprocess
 import tarfile
+from pathlib import Path
 from urllib.parse import urlencode
 
 from support import contract
@@ -84,7 +85,8 @@ class Daemon:
 
     def __init__(self, program, runner, data, environment=None, **options):
         self.program, self.runner, self.data = str(program), str(runner), str(data)
-        self.environment = {**os.environ, **(environment or {})}
+        self.held = Path(f"{data}.held")
+        self.environment = {**os.environ, "RIPNERF_FAKE_HOLD": str(self.held), **(environment or {})}
         self.options = options
         self.flags = []
         self.token = None
@@ -133,6 +135,13 @@ class Daemon:
         if self.process is not None and self.process.poll() is not None:
             raise AssertionError(f"the daemon ended by itself: {self.log_text()[-2000:]}")
         self.stop()
+
+    def hold(self):
+        """What its runners do stands still at a known place (fake_engine.c), until it is let go on."""
+        self.held.touch()
+
+    def let_go_on(self):
+        self.held.unlink()
 
     def log_text(self):
         with open(self.log, encoding="utf-8") as file:

@@ -2,13 +2,17 @@
 // formula. Deterministic, so that the runner and the daemon can be tested in seconds.
 //
 // RIPNERF_FAKE_STEP_US: microseconds a step takes (1000). RIPNERF_FAKE_ROW_US: a rendered row (0).
-// RIPNERF_FAKE_STEP_S: seconds that a step counts on the training clock (what it took).
-// RIPNERF_FAKE_HOLD: a file; while it is there no training goes beyond 1000 steps.
-// RIPNERF_FAKE_LOAD_MS: milliseconds that making a trainer takes (0).
-// RIPNERF_FAKE_NEED_MB: memory that a training says it needs (1).
+// RIPNERF_FAKE_STEP_S: seconds that a step counts on the training clock (what it took); a round of
+// views then takes none.
+// RIPNERF_FAKE_HOLD: a file; while it is there work stands still, however long a test takes:
+// trainings (of seed RIPNERF_FAKE_HELD_SEED, where that is set) at step RIPNERF_FAKE_HELD_AT
+// (1000), pictures after the first RIPNERF_FAKE_HELD_PICTURES of a process (all), and the making of
+// a trainer at its end where it takes any time. RIPNERF_FAKE_LOAD_MS: milliseconds that making a
+// trainer takes (0). RIPNERF_FAKE_NEED_MB: memory that a training says it needs (1).
 // RIPNERF_FAKE_KERNELS: the one kernel set of the machine (scalar).
 // RIPNERF_FAKE_DIVERGE_AT: the step that diverges.
 // RIPNERF_FAKE_INCIDENT_AT: the step that is rolled back. With `subsample` rows are left out.
+#include <limits.h>
 #include <math.h>
 #include <stddef.h>
 #include <stdio.h>
@@ -24,8 +28,7 @@
 #include "server/engine/engine.h"
 
 #define HELD_OUT 8
-#define SPARE 16     // samples a step "evaluates" per level
-#define HELD_AT 1000 // steps
+#define SPARE 16 // samples a step "evaluates" per level
 
 struct rn_engine {
     struct rn_device_info info;
@@ -62,7 +65,10 @@ static double now_s(void) {
     return (double)rn_clock_ns() * 1e-9;
 }
 
-// ---- configuration -------------------------------------------------------------------------
+static bool is_held(void) {
+    const char *path = getenv("RIPNERF_FAKE_HOLD");
+    return path && access(path, F_OK) == 0;
+}
 
 // ---- device --------------------------------------------------------------------------------
 
@@ -290,7 +296,8 @@ enum rn_status rn_field_mesh(struct rn_engine *engine, struct rn_field *field,
 // ---- training ------------------------------------------------------------------------------
 
 static enum rn_status load(const struct rn_engine *engine, struct rn_error *err) {
-    for (double left = setting("RIPNERF_FAKE_LOAD_MS", 0); left > 0; left -= 20) {
+    long takes = setting("RIPNERF_FAKE_LOAD_MS", 0);
+    for (long left = takes; left > 0 || (takes > 0 && is_held()); left -= 20) {
         if (engine->keep_going && !engine->keep_going(engine->watcher))
             return rn_error_set(err, RN_ERROR_CANCELLED, "images", "stopped while loading");
         usleep(20000);
@@ -368,9 +375,10 @@ static bool is_done(const struct rn_trainer *trainer) {
            (config->until_psnr > 0 && field->psnr >= config->until_psnr);
 }
 
-static bool is_held(const struct rn_field *field) {
-    const char *path = getenv("RIPNERF_FAKE_HOLD");
-    return field->steps >= HELD_AT && path && access(path, F_OK) == 0;
+static bool stands_still(const struct rn_field *field) {
+    long seed = (long)field->config.seed;
+    return field->steps >= setting("RIPNERF_FAKE_HELD_AT", 1000) &&
+           setting("RIPNERF_FAKE_HELD_SEED", seed) == seed && is_held();
 }
 
 enum rn_status rn_trainer_advance(struct rn_trainer *trainer, double budget_ms,
@@ -386,7 +394,7 @@ enum rn_status rn_trainer_advance(struct rn_trainer *trainer, double budget_ms,
                                 (long long)field->steps);
         trainer->incident |= field->steps == setting("RIPNERF_FAKE_INCIDENT_AT", -1);
         usleep(step_us);
-        if (is_held(field)) break;
+        if (stands_still(field)) break;
         field->state = field->state * 6364136223846793005u + 1442695040888963407u;
         field->steps++;
         double now = now_s();
@@ -431,7 +439,7 @@ enum rn_status rn_trainer_validate(struct rn_trainer *trainer, double budget_ms,
     usleep(1000);
     trainer->validated += 4;
     *ret_done = trainer->validated >= HELD_OUT;
-    trainer->evaluate_seconds += now_s() - begin;
+    if (!getenv("RIPNERF_FAKE_STEP_S")) trainer->evaluate_seconds += now_s() - begin;
     if (!*ret_done) return RN_OK;
     trainer->validated = 0;
     trainer->field.psnr = (without_lens(&trainer->field.config) ? 18 : 20) +
@@ -539,14 +547,23 @@ static enum rn_status fill(struct rn_picture *picture, const struct rn_field *fi
     return RN_OK;
 }
 
+static enum rn_status wait_while_held(bool (*keep_going)(void *), void *context,
+                                      struct rn_error *err) {
+    static long made; // pictures of this process
+    for (made++; made > setting("RIPNERF_FAKE_HELD_PICTURES", LONG_MAX) && is_held(); usleep(10000))
+        if (keep_going && !keep_going(context))
+            return rn_error_set(err, RN_ERROR_CANCELLED, "render", "cancelled");
+    return RN_OK;
+}
+
 enum rn_status rn_render(struct rn_engine *engine, struct rn_field *field,
                          const struct rn_render_options *options, bool (*keep_going)(void *context),
                          void *context, struct rn_render_result *ret_result, struct rn_error *err) {
     struct rn_render_result result = {.stats = {.render_ms = 0}};
     const struct rn_camera *camera = &options->camera;
     double begin = now_s();
-    enum rn_status status = RN_OK;
-    if (options->outputs & RN_OUTPUT_RGB)
+    enum rn_status status = wait_while_held(keep_going, context, err);
+    if (!status && options->outputs & RN_OUTPUT_RGB)
         status = fill(&result.rgb, field, options, 3, keep_going, context, err);
     if (!status && options->outputs & RN_OUTPUT_DEPTH)
         status = fill(&result.depth, field, options, 1, keep_going, context, err);
