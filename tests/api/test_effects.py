@@ -44,10 +44,12 @@ def test_effects_are_measured(ready):
 
 
 def test_effects_are_measured_anew_after_a_crash_and_can_be_cancelled(ready):
+    ready.hold()
     job = measure(ready, seconds=2, seeds=1)
     ready.eventually(lambda: ((ready.job(job)["progress"] or {}).get("done") or 0) >= 2)
     for pid in ready.runners():
         os.kill(pid, signal.SIGKILL)
+    ready.let_go_on()
     record = ready.wait(job)
     assert record["state"] == "succeeded" and record["attempt"] == 2, record
     job = measure(ready, seconds=30, seeds=1)

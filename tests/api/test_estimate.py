@@ -147,6 +147,7 @@ def test_what_cannot_be_trained_is_refused(daemon):
 def test_it_is_cancelled_and_survives_its_runner(make_daemon, photographs):
     daemon = make_daemon({**FAST, "RIPNERF_FAKE_STEP_S": "0.004"})
     assert daemon.wait(daemon.upload("data", photographs))["state"] == "succeeded"
+    daemon.hold()
     job = submit(daemon)
     daemon.wait(job, ("running",))
     assert daemon.delete("/v1/datasets/data").status == 409
@@ -157,6 +158,7 @@ def test_it_is_cancelled_and_survives_its_runner(make_daemon, photographs):
     daemon.eventually(daemon.runners)
     for pid in daemon.runners():
         os.kill(pid, signal.SIGKILL)
+    daemon.let_go_on()
     job = daemon.wait(job)
     assert job["state"] == "succeeded" and job["attempt"] == 2
 

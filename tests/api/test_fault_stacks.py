@@ -219,7 +219,7 @@ class Script:
             step = getattr(self, "step_" + name)
             quiet = 0
             while True:
-                late = time.monotonic() > self.end or self.failures >= LIFE
+                late = (time.monotonic() > self.end and self.failures > 1) or self.failures >= LIFE
                 if chance is None:
                     self.faults.survey()
                 else:

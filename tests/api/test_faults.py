@@ -90,6 +90,8 @@ def test_jobs_end_whatever_fails(daemon, faults, kind, error):
     def ask(n):
         reply = post(daemon, "/v1/jobs", {"type": "eval", "scene": "s", "options": {"views": 1}})
         time.sleep(0.02)
+        if n == 1:  # which is met for certain
+            wait_for(lambda: faults.plan.hits)
         faults.disarm()
         if reply is not None and reply.status == 202:
             record = daemon.wait(reply.json["id"])
@@ -203,8 +205,8 @@ def test_training_survives_a_checkpoint_that_fails(real, runner_faults, kind, er
 
 
 def test_a_full_disk_ends_a_training_with_its_reason(real, runner_faults):
-    job = real.submit(type="train", dataset="data", scene="full", options=TRAIN)
     runner_faults.arm("write", 1, errno.ENOSPC, for_good=True)
+    job = real.submit(type="train", dataset="data", scene="full", options=TRAIN)
     record = real.wait(job)
     runner_faults.disarm()
     assert record["state"] == "failed" and record["problem"]["type"] == "/problems/no-space", record

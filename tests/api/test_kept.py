@@ -354,6 +354,7 @@ def test_stopped_runner_of_a_killed_daemon(programs, photographs, tmp_path):
     daemon = Daemon(*programs, tmp_path / "d", {"RIPNERF_FAKE_STEP_US": "2000"}).start()
     try:
         daemon.wait(daemon.upload("data", photographs))
+        daemon.hold()
         job = daemon.submit(type="train", dataset="data", scene="s", options={"max_steps": 1500})
         daemon.eventually(lambda: (daemon.job(job)["progress"] or {"step": 0})["step"] > 0)
         (runner,) = daemon.eventually(lambda: len(found := daemon.runners()) == 1 and found)
@@ -362,6 +363,7 @@ def test_stopped_runner_of_a_killed_daemon(programs, photographs, tmp_path):
         wait_for(lambda: has_ended(runner),
                  said=lambda: "the runner is still there, and nobody left to wake it")
         assert list((tmp_path / "d").glob("scenes/*/checkpoints/step-*"))
+        daemon.let_go_on()
         daemon.start()
         assert daemon.wait(job)["state"] == "succeeded"
     finally:

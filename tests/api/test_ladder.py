@@ -100,11 +100,13 @@ def test_its_report(daemon):
 
 def test_it_goes_on_after_a_crash(make_daemon, photographs):
     """What was trained before the daemon was killed is not trained again, nor lost."""
-    daemon = make_daemon(FAST)
+    daemon = make_daemon({**FAST, "RIPNERF_FAKE_HELD_AT": "100", "RIPNERF_FAKE_HELD_SEED": "2"})
     assert daemon.wait(daemon.upload("lego-small", photographs))["state"] == "succeeded"
+    daemon.hold()
     job = submit(daemon, "planes=3,4,6", seeds=2, views=1, seconds=16)
-    before = wait_for_cells(daemon, job, 2)
+    before = wait_for_cells(daemon, job, 3)  # of the first seed
     daemon.stop(signal.SIGKILL)
+    daemon.let_go_on()
     daemon.start()
     record = daemon.wait(job)
     assert record["state"] == "succeeded" and record["attempt"] == 2, record
@@ -147,9 +149,11 @@ def test_a_cancelling_one_ends_after_a_crash(make_daemon, photographs):
 
 
 def test_a_lost_cell_costs_itself_alone(daemon):
+    daemon.hold()
     job = submit(daemon, "planes=3,4", seeds=1, views=1, keep=True, seconds=120)
     cells = wait_for_cells(daemon, job, 0)
     assert daemon.post(f"/v1/jobs/{cells[0]['train_job']}/cancel").status == 200
+    daemon.let_go_on()
     record = daemon.wait(job)
     assert record["state"] == "succeeded" and record["result"]["failed"] == 1
     states = [cell["state"] for cell in report(daemon, job)["ladder"]["cells"]]

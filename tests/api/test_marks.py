@@ -110,10 +110,12 @@ def test_only_the_newest_are_kept(make_daemon, photographs):
 
 def test_a_crash_takes_back_what_it_undoes(daemon):
     """Marks of steps that a resumed training has not done yet are none."""
+    daemon.hold()
     job = train(daemon, 100, checkpoint_interval_s=0.3)
     wait_for_marks(daemon, 3)
     for pid in daemon.runners():
         os.kill(pid, signal.SIGKILL)
+    daemon.let_go_on()
     assert daemon.wait(job)["state"] == "succeeded"
     now = daemon.get("/v1/scenes/past").json
     steps = [mark["step"] for mark in now["marks"]]
@@ -123,6 +125,7 @@ def test_a_crash_takes_back_what_it_undoes(daemon):
 
 
 def test_a_scene_that_trains_is_looked_back_at(daemon):
+    daemon.hold()
     job = train(daemon, 300)
     wait_for_marks(daemon, 2)
     first = marks(daemon)[0]
@@ -131,6 +134,8 @@ def test_a_scene_that_trains_is_looked_back_at(daemon):
     later = time.monotonic() + 0.2
     while time.monotonic() < later:
         assert look(daemon, at=first["train_seconds"]).body == reply.body
+    assert daemon.job(job)["state"] == "running"
+    daemon.let_go_on()
     assert daemon.wait(job)["state"] == "succeeded"
 
 

@@ -290,18 +290,13 @@ def test_an_interrupted_call_is_gone_on_with(client, served, tmp_path):
 
 def test_a_path_that_was_cancelled_is_gone_on_with(make_daemon, photographs, client, tmp_path):
     """By another job, over a restart: with what was there, which stays where it was, too."""
-    def again(row_us):
-        daemon.stop()
-        daemon.environment["RIPNERF_FAKE_ROW_US"] = row_us
-        daemon.start()
-
     def frames(job):
         folder = Path(daemon.data) / "jobs" / job / "frames"
         return {file.name: file.stat().st_ino for file in folder.glob("*.png")}
-    daemon = make_daemon()
+    daemon = make_daemon({"RIPNERF_FAKE_HELD_PICTURES": "3"})
     daemon.wait(daemon.upload("data", photographs))
     daemon.train("scene")
-    again("30000")  # half a second a frame
+    daemon.hold()
     path = ring(2, fps=30, width=32, height=16)
     first = daemon.submit(type="path", scene="scene", camera_path=path, options={"tolerance": 0.1})
     daemon.eventually(lambda: daemon.get(f"/v1/jobs/{first}/frames").json["items"])
@@ -309,7 +304,9 @@ def test_a_path_that_was_cancelled_is_gone_on_with(make_daemon, photographs, cli
     assert daemon.wait(first)["state"] == "cancelled"
     old = frames(first)
     assert 1 <= len(old) < 31
-    again("0")
+    daemon.stop()
+    daemon.let_go_on()
+    daemon.start()
     reply = daemon.post(f"/v1/jobs/{first}/resume")
     second = reply.json["id"]
     assert reply.status == 202 and second != first

@@ -112,9 +112,10 @@ def test_pax_names(make_daemon, tmp_path):
 
 def test_frames_are_lent_to_the_runner(make_daemon, photographs):
     """While a path is rendered its frames lie in the scene's folder, all that its runner may write."""
-    daemon = make_daemon({"RIPNERF_FAKE_ROW_US": "10000"})
+    daemon = make_daemon({"RIPNERF_FAKE_HELD_PICTURES": "3"})
     assert daemon.wait(daemon.upload("data", photographs))["state"] == "succeeded"
     daemon.train("s", max_steps=3)
+    daemon.hold()
     keys = [{"time": t, "world_from_camera": pose(t)[:3], "fov_y_deg": 40} for t in (0, 2)]
     job = daemon.submit(type="path", scene="s", camera_path={
         "axes": "opengl", "fps": 20, "width": 8, "height": 8, "keys": keys})
@@ -122,6 +123,7 @@ def test_frames_are_lent_to_the_runner(make_daemon, photographs):
     items = daemon.eventually(lambda: daemon.get(f"/v1/jobs/{job}/frames").json["items"])
     assert list(root.glob(f"scenes/*/frames/{job}/*.png")) and not list(root.glob(f"jobs/{job}/*/"))
     assert daemon.get(items[0]["url"]).status == 200
+    daemon.let_go_on()
     assert daemon.wait(job)["result"]["frames"] == 41
     assert not list(root.glob("scenes/*/frames/*"))
     assert len(list(root.glob(f"jobs/{job}/frames/*.png"))) == 41

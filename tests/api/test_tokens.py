@@ -62,7 +62,7 @@ def test_scopes_hold_each_other(guarded):
 
 def test_only_the_maker_or_an_admin_changes_a_thing(guarded):
     anna, ben = (make(guarded, name, scope="train")["token"] for name in ("anna", "ben"))
-    reply = guarded.post("/v1/jobs", {**TRAIN, "options": {"max_steps": 100000}},
+    reply = guarded.post("/v1/jobs", {**TRAIN, "options": {"max_steps": 10**7}},
                          headers={"Authorization": f"Bearer {anna}"})
     job = reply.json["id"]
     assert asked(guarded, ben, "POST", f"/v1/jobs/{job}/cancel") == 403
