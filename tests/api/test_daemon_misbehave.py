@@ -167,11 +167,12 @@ def test_names_in_paths(shared):
             assert shared.get(f"/v1/{kind}/{name}", check=False).status == 404, name
 
 
-def test_slow_header_does_not_block(shared):
-    idle = [shared.socket() for _ in range(20)]
+def test_slow_header_does_not_block(make_daemon):
+    daemon = make_daemon(header_timeout=600)
+    idle = [daemon.socket() for _ in range(20)]
     for connection in idle:
         connection.sendall(b"GET /v1/jobs HT")
-    assert shared.get("/v1/jobs").status == 200
+    assert daemon.get("/v1/jobs").status == 200
     for connection in idle:  # all are there still: it has not waited for one to be cut off
         connection.sendall(b"TP/1.1\r\nHost: localhost\r\n\r\n")
         assert status_of(connection.recv(100)) == 200

@@ -6,6 +6,7 @@ import os
 import re
 import shutil
 import signal
+import threading
 from urllib.error import HTTPError
 from urllib.request import Request, urlopen
 
@@ -21,8 +22,18 @@ STEPS = 40
 
 
 @pytest.fixture(scope="module")
-def daemon(build, tmp_path_factory):
-    with Daemon(build, tmp_path_factory.mktemp("data") / "daemon") as running:
+def gate(tmp_path_factory):
+    """While this file is there no runner of a scene begins."""
+    return tmp_path_factory.mktemp("gate") / "closed"
+
+
+@pytest.fixture(scope="module")
+def daemon(build, gate, tmp_path_factory):
+    runner = gate.with_name("ripnerf-runner")
+    runner.write_text(f"#!/bin/sh\nwhile [ \"$2\" = field ] && [ -e '{gate}' ]; do sleep 0.05; done\n"
+                      f"exec '{build}/server/ripnerf-runner' \"$@\"\n")
+    runner.chmod(0o755)
+    with Daemon(build, tmp_path_factory.mktemp("data") / "daemon", "--runner", runner) as running:
         yield running
 
 
@@ -90,19 +101,34 @@ def test_a_path_is_the_same_while_others_look(client, daemon, trained, tmp_path)
     path = {"axes": "opencv", "fps": 4, "width": 256, "height": 256, "keys": keys}
     (tmp_path / "p.json").write_text(json.dumps({"path": path}))
     client.run("path", "ball", tmp_path / "p.json", "-o", tmp_path / "alone")
-    job = client.start("path", "ball", tmp_path / "p.json", "-o", tmp_path / "watched")
-    looks = 0
-    while job.poll() is None:
-        body = {"camera": camera(4 if looks % 2 else 400), "supersample": 1,
-                **({"crop": [-9, -9, 0, 9, 9, 9]} if looks % 3 == 0 else {})}
+    statuses = []
+
+    def look(number):
+        body = {"camera": camera(4 if number % 2 else 400 + number), "supersample": 1,
+                **({"crop": [-9, -9, 0, 9, 9, 9 + number]} if number % 3 == 0 else {})}
         request = Request(f"{daemon.url}/v1/scenes/ball/render", json.dumps(body).encode(),
                           {"Content-Type": "application/json"})
         with urlopen(request, timeout=PATIENCE_S) as reply:
-            assert reply.status == 200
-        looks += 1
-    assert job.returncode == OK, job.stderr.read()
-    job.stdout.close(), job.stderr.close()
-    assert looks > 3
+            statuses.append(reply.status)
+    looks = [threading.Thread(target=look, args=(number,)) for number in range(12)]
+    runners = daemon.runners()
+    for pid in runners:
+        os.kill(pid, signal.SIGSTOP)  # until all are asked for
+    try:
+        job = client.start("path", "ball", tmp_path / "p.json", "-o", tmp_path / "watched")
+        daemon.wait_until(lambda: any(item["type"] == "path" and item["state"] == "running"
+                                      for item in client.json("jobs")["items"]))
+        for thread in looks:
+            thread.start()
+        daemon.wait_until(lambda: daemon.metric("renders_waiting") > 3)
+    finally:
+        for pid in runners:
+            os.kill(pid, signal.SIGCONT)
+    for thread in looks:
+        thread.join()
+    _, err = job.communicate(timeout=PATIENCE_S)
+    assert job.returncode == OK, err
+    assert statuses == [200] * len(looks)
     for i in range(5):
         name = f"{i:05}.png"
         assert (tmp_path / "watched" / name).read_bytes() == (tmp_path / "alone" / name).read_bytes()
@@ -141,17 +167,13 @@ def test_a_view_in_its_photograph_s_own_exposure(client, daemon):
                                  picture("uncorrected", "as-taken")).getbbox() is None
 
 
-def test_bytes_do_not_depend_on_threads_or_pauses(client, daemon, trained):
+def test_bytes_do_not_depend_on_threads_or_pauses(client, daemon, gate, trained):
     end, _ = trained
-    others = set(daemon.runners())
+    gate.touch()  # or it might be over before the client has started
     job = train(client, "again", "--max-steps", STEPS, "--seed", 5, "--threads", 2)
-    daemon.wait_until(lambda: set(daemon.runners()) - others)
-    held = set(daemon.runners()) - others
-    for pid in held:  # or it might be over before the client has started
-        os.kill(pid, signal.SIGSTOP)
     client.run("pause", job)
-    for pid in held:
-        os.kill(pid, signal.SIGCONT)
+    gate.unlink()
+    daemon.wait_until(lambda: client.json("show", "again")["checkpoints"])
     client.run("resume", job)
     client.run("watch", job)
     assert client.json("show", "again")["parameters_sha256"] == end["parameters_sha256"]

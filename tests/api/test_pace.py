@@ -197,7 +197,7 @@ def stubborn(daemon, path):
 
 def test_readers_that_do_not_read(make_daemon):
     """What waits for them has a limit; they are cut off, and the list of paths stays small."""
-    daemon = make_daemon(header_timeout=8, answer_memory="8M")
+    daemon = make_daemon(header_timeout=600, answer_memory="8M")
     made = daemon.post("/v1/camera-paths", big_path("p0"))
     assert made.status == 201, made.body
     size = len(daemon.get("/v1/camera-paths/p0").body)
@@ -213,9 +213,14 @@ def test_readers_that_do_not_read(make_daemon):
     assert longest_answer(daemon, 0.5) < SOON_S
     answer = daemon.get("/v1/camera-paths/p0", check=False)
     assert answer.status == 503 and "slow readers" in answer.json["detail"]
-    wait_for(lambda: daemon.get("/v1/camera-paths/p0", check=False).status == 200)
     for client in clients:
         client.close()
+    wait_for(lambda: daemon.get("/v1/camera-paths/p0", check=False).status == 200)
+    daemon.stop()
+    daemon.options["header_timeout"] = 3
+    daemon.start()
+    with stubborn(daemon, "/v1/camera-paths/p0"):
+        daemon.eventually(lambda: daemon.metric("http_slow_total") >= 1)
 
 
 def test_refusals_of_large_uploads_arrive(make_daemon):
@@ -325,7 +330,7 @@ def test_data_folder_that_is_removed_underneath(make_daemon):
 
 
 def test_uploads_have_a_common_limit(make_daemon):
-    daemon = make_daemon()
+    daemon = make_daemon(header_timeout=600)
     head = (b"POST /v1/datasets?name=%d HTTP/1.1\r\nHost: localhost\r\n"
             b"Content-Type: application/x-tar\r\nContent-Length: %d\r\n\r\n")
     if shutil.disk_usage(daemon.data).free < 15 * 2**30:

@@ -50,6 +50,11 @@ class Daemon:
         except OSError:
             return False
 
+    def metric(self, name):
+        """A counter or gauge of /metrics."""
+        with urllib.request.urlopen(self.url + "/metrics", timeout=PATIENCE_S) as reply:
+            return float(re.search(rf"^ripnerf_{name} (\S+)$", reply.read().decode(), re.MULTILINE)[1])
+
     def wait_until(self, condition):
         wait_for(condition, said=lambda: self.log.read_text()[-4000:])
 
